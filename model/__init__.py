@@ -1,0 +1,1 @@
+"""The sensor as numbers: parameters, registers, packets, golden model, light, scenes, depth. No HDL is imported here."""

@@ -1,0 +1,179 @@
+"""The words of the stream: one table of header fields for RTL and decoder, and the decoder.
+
+A packet is a header beat and, by its type, beats of map, offsets, minigroup entries or counters, lowest bits first.
+"""
+
+import enum
+from functools import cache
+
+import numba
+import numpy as np
+from attrs import frozen
+
+from .parameters import OFFSET_NONE, QUARTERS, Sensor  # noqa: F401  (QUARTERS: unit of offsets and record stamps)
+from .registers import COUNTER_BITS, COUNTER_NAMES
+
+BEAT_BITS = 64
+OFFSET_BITS = 8
+
+
+class Kind(enum.IntEnum):
+    """Type of a packet."""
+
+    EVENT = 1
+    EVENT_MAP = 2
+    EVENT_FULL = 3
+    RECORD = 4
+    FRAME_START = 6
+    FRAME_END = 7
+
+
+FORMATS = {"short": Kind.EVENT, "id": Kind.EVENT_MAP, "full": Kind.EVENT_FULL}
+FORMAT_NAMES = tuple(FORMATS)  # in the order of the format register's values
+
+HEADER = {  # field: (lowest bit, width); unused fields are 0
+    "kind": (61, 3),
+    "overrun": (60, 1),
+    "subgroup": (48, 12),
+    "pulse": (32, 16),
+    "count": (23, 9),
+    "winner": (15, 8),
+    "stamp": (0, 15),
+}
+
+
+def pack_header(**fields: int) -> int:
+    """A header beat; fields that are not given are 0."""
+    beat = 0
+    for name, value in fields.items():
+        lsb, width = HEADER[name]
+        if not 0 <= value < 1 << width:
+            raise ValueError(f"{name} = {value} does not fit {width} bits")
+        beat |= int(value) << lsb
+    return beat
+
+
+def beats_for(bits: int) -> int:
+    """Beats that hold `bits`."""
+    return -(-bits // BEAT_BITS)
+
+
+@frozen
+class Layout:
+    """Beats of the parts of a packet for one sensor."""
+
+    map_beats: int
+    offset_beats: int
+    record_beats: int
+    counter_beats: int
+
+    @property
+    def longest(self) -> int:
+        """Beats of the longest packet that a subgroup sends."""
+        return max(1 + self.map_beats + self.offset_beats, 1 + self.record_beats, self.counter_beats)
+
+    def length(self, kind: int) -> int:
+        """Beats of an event or record packet with its header."""
+        return 1 + {
+            Kind.EVENT: 0,
+            Kind.EVENT_MAP: self.map_beats,
+            Kind.EVENT_FULL: self.map_beats + self.offset_beats,
+            Kind.RECORD: self.record_beats,
+        }[Kind(kind)]
+
+
+@cache
+def layout(sensor: Sensor) -> Layout:
+    """The packet layout of `sensor`."""
+    return Layout(
+        map_beats=beats_for(sensor.pixels),
+        offset_beats=beats_for(sensor.minigroups * OFFSET_BITS),
+        record_beats=beats_for(sensor.minigroups * sensor.record_bits),
+        counter_beats=beats_for(len(COUNTER_NAMES) * COUNTER_BITS),
+    )
+
+
+class StreamError(Exception):
+    """Beats that are not a frame; the message says where."""
+
+
+@frozen(eq=False)
+class Frame:
+    """One frame of one stream, decoded.
+
+    number: the frame's number in its packets. events: int64[n, 7], columns in the order of `HEADER`. hits: uint64[n, map beats]; offsets: uint8[n, minigroups].
+    records: int64[k, 2], subgroup and pulse. entries: int64[k, minigroups, 2], stamp and map. counters: int64[subgroups of the stream, 10].
+    """
+
+    number: int
+    events: np.ndarray
+    hits: np.ndarray
+    offsets: np.ndarray
+    records: np.ndarray
+    entries: np.ndarray
+    counters: np.ndarray
+
+
+def decode_frame(beats: np.ndarray, sensor: Sensor, subgroups: int) -> Frame:
+    """Decodes the beats (uint64[n]) of one frame of a stream that carries `subgroups` subgroups.
+
+    Raises `StreamError` where the beats are not exactly a frame start, packets, and a frame end with its counters.
+    """
+    parts = layout(sensor)
+    lengths = np.zeros(8, np.int64)
+    for kind in (Kind.EVENT, Kind.EVENT_MAP, Kind.EVENT_FULL, Kind.RECORD):
+        lengths[kind] = parts.length(kind)
+    tail = 1 + parts.counter_beats * subgroups
+    kinds, starts, bad = _packets(beats, lengths, len(beats) - tail)
+    if bad >= 0 or len(beats) <= tail:
+        raise StreamError(f"beat {max(bad, 0)} of {len(beats)}: not a packet header where one is due")
+    head, end = beats[0], beats[len(beats) - tail]
+    if header_field(head, "kind") != Kind.FRAME_START or header_field(end, "kind") != Kind.FRAME_END:
+        raise StreamError("the frame does not begin with a frame start and end with a frame end")
+    if header_field(head, "pulse") != header_field(end, "pulse"):
+        raise StreamError("frame start and frame end have different numbers")
+
+    at = starts[kinds != Kind.RECORD]
+    has_map = kinds[kinds != Kind.RECORD] >= Kind.EVENT_MAP
+    has_offsets = kinds[kinds != Kind.RECORD] == Kind.EVENT_FULL
+    events = np.stack([header_field(beats[at], name) for name in HEADER], axis=1)
+    hits = np.zeros((len(at), parts.map_beats), np.uint64)
+    hits[has_map] = beats[at[has_map, None] + 1 + np.arange(parts.map_beats)]
+    offsets = np.full((len(at), sensor.minigroups), OFFSET_NONE, np.uint8)
+    where = at[has_offsets, None] + 1 + parts.map_beats + np.arange(parts.offset_beats)
+    offsets[has_offsets] = _split(beats[where], np.uint8)[:, : sensor.minigroups]
+
+    at = starts[kinds == Kind.RECORD]
+    records = np.stack([header_field(beats[at], name) for name in ("subgroup", "pulse")], axis=1)
+    raw = _split(beats[at[:, None] + 1 + np.arange(parts.record_beats)], np.uint16 if sensor.record_bits == 16 else np.uint32)
+    raw = raw[:, : sensor.minigroups].astype(np.int64)
+    entries = np.stack([raw & ((1 << sensor.record_stamp_bits) - 1), raw >> sensor.record_stamp_bits], axis=2)
+
+    counters = _split(beats[len(beats) - tail + 1 :].reshape(subgroups, -1), np.uint32)[:, : len(COUNTER_NAMES)].astype(np.int64)
+    return Frame(int(header_field(head, "pulse")), events, hits, offsets, records, entries, counters)
+
+
+def header_field(beats, name: str):
+    """A header field of beats, as int64."""
+    lsb, width = HEADER[name]
+    return ((np.asarray(beats, np.uint64) >> np.uint64(lsb)) & np.uint64((1 << width) - 1)).astype(np.int64)
+
+
+def _split(beats: np.ndarray, dtype) -> np.ndarray:
+    """Beats [n, m] (or [n, 0]) as little-endian items [n, m * items a beat]."""
+    return np.ascontiguousarray(beats).astype("<u8").view(np.dtype(dtype).newbyteorder("<"))
+
+
+@numba.njit(cache=True)
+def _packets(beats, lengths, end):
+    """Kinds and first beats of the packets after the frame start up to `end`, and the first beat that is no header (or -1)."""
+    kinds, starts = np.empty(max(end, 0), np.int64), np.empty(max(end, 0), np.int64)
+    n, at = 0, 1
+    while at < end:
+        kind = np.int64(beats[at] >> np.uint64(61))
+        if lengths[kind] == 0:
+            return kinds[:n], starts[:n], at
+        kinds[n], starts[n] = kind, at
+        n += 1
+        at += lengths[kind]
+    return kinds[:n], starts[:n], -1 if at == end else at
