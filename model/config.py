@@ -131,7 +131,7 @@ def parse_config(document: dict) -> Config:
     frame, frames, bounds = _frame(document.get("frame", {}), sensor)
     default = {
         "coincidence": True, "gating": False, "auto": False, "threshold": 2, "window": 16, "gate_start": 0,
-        "gate_len": frame["period"], "mask": "f" * (sensor.pixels // 4),
+        "gate_len": frame["period"], "mask": f"{(1 << sensor.pixels) - 1:x}",
     }
     common = _settings("subgroup", default | _known("subgroup", document.get("subgroup", {}), default), sensor)
     columns = {name: np.repeat(np.asarray(value)[None], sensor.subgroups, axis=0) for name, value in common.items()}

@@ -1,0 +1,451 @@
+"""Photons to edges: a Monte Carlo of the SPAD array in continuous time, then TDC ticks.
+
+Ref: paper II (SPAD, laser), IV (pulse of 500 to 520 ps FWHM); what the paper leaves open is our choice and said so here and in docs/light.md.
+
+Order of the effects, per pixel and laser pulse:
+
+1. photons that would fire the SPAD: background + dark counts (uniform), signal (Gaussian pulse around the time of flight, modulo the
+   laser period), carriers trapped by earlier avalanches (afterpulses), photons from avalanches of neighbours (crosstalk);
+2. SPAD gate: outside it nothing happens;
+3. dead time, carried on from pulse to pulse: which photons become avalanches;
+4. jitter of the avalanche's edge, modulo the laser period;
+5. the TDC's taps: time to tick.
+
+Every random number is a hash of (seed, pixel, pulse, purpose, counter), so neither chunks nor workers change the edges.
+Crosstalk couples the pixels: a first pass finds the avalanches without it and draws what they send to their four neighbours, a second pass walks all
+pixels again with the same photons and these. A crosstalk avalanche sends no crosstalk of its own (probability squared: neglected).
+"""
+
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from math import log, sqrt
+from typing import NamedTuple
+
+import numpy as np
+from attrs import evolve, field, frozen
+from numba import njit
+
+from .edges import Edges
+from .errors import InputError, check_integer
+from .quantities import check_real, real, real_array
+from .random import exponential, key_of, normal, uniform
+
+SPEED_OF_LIGHT_M_S = 299_792_458.0
+SIGMA_PER_FWHM = 1 / sqrt(8 * log(2))
+
+BACKGROUND_CPS_PER_KLUX = 1.226e6 / 50  # detected, per pixel: our preset (errata 4: the level at which thresholds are selective)
+SIGNAL_REFERENCE = 0.613                # detected photons per pulse and pixel, equation (1) at the two values below
+REFERENCE_DISTANCE_M = 4.0
+REFERENCE_REFLECTIVITY = 0.4
+
+CHUNK_EDGES = 1 << 17  # edges made and sorted at a time: fits a core's cache
+CARRIERS_MAX = 32      # trapped carriers of a pixel that outlive their pulse; more are lost
+
+
+def background_cps(klux: float) -> float:
+    """Detected background of a pixel in counts per second at `klux` of ambient light: our preset, linear."""
+    return BACKGROUND_CPS_PER_KLUX * check_real("klux", klux, 0)
+
+
+def signal_per_pulse(distance_m, reflectivity):
+    """Detected signal photons per pulse and pixel (float64, shapes broadcast): equation (1), ~ reflectivity / distance^2; 0 where the distance is NaN."""
+    scaled = np.asarray(reflectivity) / REFERENCE_REFLECTIVITY * (REFERENCE_DISTANCE_M / np.asarray(distance_m)) ** 2
+    return np.nan_to_num(SIGNAL_REFERENCE * scaled, nan=0.0)
+
+
+@frozen(kw_only=True, eq=False)
+class Spad:
+    """The detector. Defaults: the paper's section II; effects that it leaves out are off.
+
+    dead_time_s, paralyzable: from one avalanche to the next; paralyzable = a photon within it extends it.
+    jitter_fwhm_s: Gaussian jitter of an avalanche's edge. jitter_tail_fraction of the avalanches add an exponential delay of jitter_tail_s.
+    dark_cps: dark count rate, a number or float64[pixels] (see `dark_count_map`).
+    afterpulse_probability: that an avalanche traps a carrier, released after an exponential time of afterpulse_s; released while the SPAD is dead, it is
+    lost, so exp(-dead_time_s / afterpulse_s) of them are seen. crosstalk_probability: that an avalanche sends a photon to one given neighbour (of four) at once.
+    """
+
+    dead_time_s: float = real(8e-9, 0)
+    paralyzable: bool = False
+    jitter_fwhm_s: float = real(100e-12, 0)
+    jitter_tail_fraction: float = real(0.0, 0, 1)
+    jitter_tail_s: float = real(0.0, 0)
+    dark_cps: float | np.ndarray = 0.0
+    afterpulse_probability: float = real(0.0, 0, 0.5)
+    afterpulse_s: float = real(30e-9, 1e-12)
+    crosstalk_probability: float = real(0.0, 0, 0.25)
+
+
+@frozen(kw_only=True, eq=False)
+class Timing:
+    """Clock and TDC. clock_hz, phases: tick_s = 1 / (clock_hz * phases). period_cycles: laser period.
+
+    tap_width_lsb: widths of the TDC's phases, float64[phases] that sum to `phases`; None = all 1.
+    """
+
+    clock_hz: float = real(500e6, 1)
+    phases: int = 32
+    period_cycles: int = 250
+    tap_width_lsb: np.ndarray | None = None
+
+    def __attrs_post_init__(self):
+        check_integer("phases", self.phases, 1, 1024)
+        check_integer("period_cycles", self.period_cycles, 1, 1 << 20)
+        if self.tap_width_lsb is not None:
+            total = real_array("tap_width_lsb", self.tap_width_lsb, (self.phases,), 0).sum()
+            if abs(total - self.phases) > 1e-9 * self.phases:
+                raise InputError(f"tap_width_lsb: sums to {total:g}, must sum to the {self.phases} phases")
+
+    @property
+    def tick_s(self) -> float:
+        return 1 / (self.clock_hz * self.phases)
+
+    @property
+    def period_ticks(self) -> int:
+        return self.period_cycles * self.phases
+
+    @property
+    def period_s(self) -> float:
+        return self.period_cycles / self.clock_hz
+
+
+@frozen(kw_only=True, eq=False)
+class Light:
+    """What each of rows x cols pixels detects (PDE applied, before dead time); arrays are float64 and broadcast to the stated shapes.
+
+    distance_m: [pixels, targets], NaN = no target. signal_per_pulse: [pixels, targets], mean photons. background_cps: [pixels].
+    system_fwhm_s: FWHM of the signal at the TDC's input, [pixels, targets]; laser pulse and SPAD jitter together, squares added, so the laser pulse is
+    sqrt(system_fwhm_s^2 - jitter_fwhm_s^2). range_ambiguity: light beyond the laser period falls into a later period (the laser is taken to run
+    before the first pulse); False = it is lost.
+    """
+
+    rows: int
+    cols: int
+    distance_m: np.ndarray
+    signal_per_pulse: np.ndarray
+    background_cps: np.ndarray = 0.0
+    system_fwhm_s: float | np.ndarray = 500e-12
+    range_ambiguity: bool = True
+
+    def __attrs_post_init__(self):
+        check_integer("rows", self.rows, 1, 4096)
+        check_integer("cols", self.cols, 1, 4096)
+        distance_m = np.asarray(self.distance_m)
+        shape = (self.pixels, distance_m.shape[-1] if distance_m.ndim == 2 else 1)
+        for name, size, nan in (("distance_m", shape, True), ("signal_per_pulse", shape, False),
+                                ("background_cps", shape[:1], False), ("system_fwhm_s", shape, False)):
+            object.__setattr__(self, name, real_array(name, getattr(self, name), size, 0, nan=nan))
+
+    @property
+    def pixels(self) -> int:
+        return self.rows * self.cols
+
+    @classmethod
+    def from_scene(cls, distance_m, reflectivity, klux: float, **others) -> "Light":
+        """Light of the presets for distance_m [rows, cols] or [rows, cols, targets] and reflectivity (broadcast); background uniform."""
+        distance_m = np.asarray(distance_m, dtype=np.float64)
+        if distance_m.ndim not in (2, 3):
+            raise InputError(f"distance_m: has {distance_m.ndim} dimensions, must have 2 or 3: rows, cols, targets")
+        rows, cols = distance_m.shape[:2]
+        reflectivity = real_array("reflectivity", reflectivity, distance_m.shape, 0, 1)
+        signal = signal_per_pulse(real_array("distance_m", distance_m, distance_m.shape, 1e-3, nan=True), reflectivity)
+        return cls(rows=rows, cols=cols, distance_m=distance_m.reshape(rows * cols, -1), signal_per_pulse=signal.reshape(rows * cols, -1),
+                   background_cps=background_cps(klux), **others)
+
+
+@frozen(kw_only=True, eq=False)
+class SpadGate:
+    """SPADs switched off outside [start, start + len) cycles of a period (no avalanche, no dead time), per pixel: int64[pixels] or a number.
+
+    Progressive: pulse k of a frame of frame_pulses adds step_cycles * ((k // every_pulses) mod steps) to the start; every_pulses = 0: never.
+    """
+
+    start_cycles: np.ndarray
+    len_cycles: np.ndarray
+    step_cycles: int = 0
+    every_pulses: int = 0
+    steps: int = 1
+    frame_pulses: int = 1 << 62
+
+    def __attrs_post_init__(self):
+        for name, low in (("step_cycles", 0), ("every_pulses", 0), ("steps", 1), ("frame_pulses", 1)):
+            check_integer(name, getattr(self, name), low, 1 << 62)
+
+
+def dark_count_map(pixels: int, *, median_cps: float, hot_fraction: float, hot_cps: float, seed: int) -> np.ndarray:
+    """Dark counts float64[pixels]: `median_cps` everywhere, `hot_cps` in a random share `hot_fraction` of the pixels (rounded to whole pixels)."""
+    check_integer("pixels", pixels, 1, 1 << 24)
+    hot = round(pixels * check_real("hot_fraction", hot_fraction, 0, 1))
+    dark_cps = np.full(pixels, check_real("median_cps", median_cps, 0))
+    dark_cps[np.random.default_rng(seed).permutation(pixels)[:hot]] = check_real("hot_cps", hot_cps, 0)
+    return dark_cps
+
+
+def generate_edges(light: Light, spad: Spad, timing: Timing, **options) -> Edges:
+    """All edges of `edge_chunks` in one: sorted by (pulse, tick, pixel). Same options, errors and bytes."""
+    chunks = list(edge_chunks(light, spad, timing, **options))
+    return Edges(*(np.concatenate([getattr(chunk, name) for chunk in chunks]) for name in ("pulse", "pixel", "tick")))
+
+
+def edge_chunks(light: Light, spad: Spad, timing: Timing, *, pulses: int, seed: int, pulse_start: int = 0, gate: SpadGate | None = None,
+                workers: int = 1, chunk_pulses: int | None = None) -> Iterator[Edges]:
+    """Edges of `pulses` laser pulses from `pulse_start` on, in chunks of whole pulses, each sorted by (pulse, tick, pixel).
+
+    All SPADs are ready at `pulse_start`; dead time and trapped carriers go on from chunk to chunk. `workers` threads share the pixels.
+    Neither `workers` nor `chunk_pulses` (default: about `CHUNK_EDGES` edges) changes the edges; memory grows with the chunk only.
+    Raises `InputError` for values out of range.
+    """
+    check_integer("pulses", pulses, 1, 1 << 40)
+    check_integer("pulse_start", pulse_start, 0, 1 << 40)
+    check_integer("seed", seed, 0, (1 << 64) - 1)
+    check_integer("workers", workers, 1, 256)
+    physics, arrays = _in_ticks(light, spad, timing, gate)
+    edges_per_pulse = physics.edges_per_pulse(arrays)
+    if chunk_pulses is None:
+        chunk_pulses = min(max(1, int(CHUNK_EDGES / (edges_per_pulse.sum() + 1e-9))), 1 << 20)
+    check_integer("chunk_pulses", chunk_pulses, 1, 1 << 24)
+    tick_bits, pixel_bits = (timing.period_ticks - 1).bit_length(), (light.pixels - 1).bit_length()
+    if pixel_bits + tick_bits + chunk_pulses.bit_length() > 63:
+        raise InputError(f"chunk_pulses = {chunk_pulses}: must be below 2^{63 - pixel_bits - tick_bits} with this array and period")
+    blocks = [(light.pixels * i // workers, light.pixels * (i + 1) // workers) for i in range(workers)]
+    walkers = [_Walker(physics, arrays, block, seed, pixel_bits, tick_bits, edges_per_pulse[slice(*block)].sum()) for block in blocks]
+    with ThreadPoolExecutor(workers) as pool:
+        for first in range(pulse_start, pulse_start + pulses, chunk_pulses):
+            span = (first, min(chunk_pulses, pulse_start + pulses - first))
+            yield _chunk(pool, walkers, span, physics.crosstalk > 0, pixel_bits, tick_bits)
+
+
+def _chunk(pool, walkers, span, crosstalk, pixel_bits, tick_bits) -> Edges:
+    """One chunk's edges: both passes over all blocks of pixels, then the order in time."""
+    received = (np.empty(0, np.int64), np.empty(0))
+    if crosstalk:
+        sent = list(pool.map(lambda walker: walker.walk(span, received, True), walkers))
+        where, time = (np.concatenate(part) for part in zip(*sent))
+        order = np.lexsort((time, where))
+        received = where[order], time[order]
+    keys = np.concatenate([keys for keys, _ in pool.map(lambda walker: walker.walk(span, received, False), walkers)])
+    keys.sort()
+    return Edges(*_unpacked(keys, span[0], pixel_bits, tick_bits))
+
+
+class _Physics(NamedTuple):
+    """Scalars of the walk; times in ticks."""
+
+    period: float
+    phases: int
+    dead: float
+    paralyzable: bool
+    jitter: float
+    tail_fraction: float
+    tail: float
+    afterpulse: float
+    afterpulse_time: float
+    crosstalk: float
+    rows: int
+    cols: int
+    gate_step: float
+    gate_every: int
+    gate_steps: int
+    frame_pulses: int
+
+    def edges_per_pulse(self, arrays: "_Arrays") -> np.ndarray:
+        """Expected edges of each pixel in a period, about (from above): sizes buffers and nothing else."""
+        photons = (arrays.noise + arrays.signal.sum(axis=1)) * (1 + 2 * self.afterpulse + 4 * self.crosstalk)
+        return np.minimum(photons, self.period / self.dead + 1) if self.dead else photons
+
+
+class _Arrays(NamedTuple):
+    """Arrays of the walk: noise [pixels], signal [pixels, targets] in photons a period; centre, sigma [pixels, targets], gate [pixels] in ticks."""
+
+    noise: np.ndarray
+    signal: np.ndarray
+    centre: np.ndarray
+    sigma: np.ndarray
+    gate_start: np.ndarray
+    gate_len: np.ndarray
+    taps: np.ndarray
+
+
+def _in_ticks(light: Light, spad: Spad, timing: Timing, gate: SpadGate | None) -> tuple[_Physics, _Arrays]:
+    """Seconds, metres and rates to ticks and photons per period."""
+    tick_s, pixels = timing.tick_s, light.pixels
+    rate_cps = light.background_cps + real_array("dark_cps", spad.dark_cps, (pixels,), 0)
+    pulse_variance_s2 = light.system_fwhm_s**2 - spad.jitter_fwhm_s**2
+    if np.any(pulse_variance_s2 < 0):
+        raise InputError(f"system_fwhm_s = {light.system_fwhm_s.min():g}: must be at least jitter_fwhm_s = {spad.jitter_fwhm_s:g}")
+    flight_ticks = np.nan_to_num(2 * light.distance_m / SPEED_OF_LIGHT_M_S / tick_s)
+    seen = ~np.isnan(light.distance_m) & (light.range_ambiguity | (flight_ticks < timing.period_ticks))
+    gate = gate or SpadGate(start_cycles=0, len_cycles=timing.period_cycles)
+    gate_cycles = [real_array(name, getattr(gate, name), (pixels,), 0, timing.period_cycles) for name in ("start_cycles", "len_cycles")]
+    physics = _Physics(
+        period=float(timing.period_ticks), phases=timing.phases, dead=spad.dead_time_s / tick_s, paralyzable=bool(spad.paralyzable),
+        jitter=spad.jitter_fwhm_s * SIGMA_PER_FWHM / tick_s, tail_fraction=spad.jitter_tail_fraction, tail=spad.jitter_tail_s / tick_s,
+        afterpulse=spad.afterpulse_probability, afterpulse_time=spad.afterpulse_s / tick_s, crosstalk=spad.crosstalk_probability,
+        rows=light.rows, cols=light.cols, gate_step=float(gate.step_cycles * timing.phases), gate_every=gate.every_pulses,
+        gate_steps=gate.steps, frame_pulses=gate.frame_pulses,
+    )
+    taps = [] if timing.tap_width_lsb is None else np.cumsum(timing.tap_width_lsb)[:-1]
+    arrays = _Arrays(
+        noise=rate_cps * timing.period_s, signal=np.where(seen, light.signal_per_pulse, 0.0), centre=flight_ticks % timing.period_ticks,
+        sigma=np.sqrt(pulse_variance_s2) * SIGMA_PER_FWHM / tick_s, gate_start=gate_cycles[0] * timing.phases,
+        gate_len=gate_cycles[1] * timing.phases, taps=np.asarray(taps, dtype=np.float64),
+    )
+    return physics, arrays
+
+
+class _Walker:
+    """A block of pixels and what they carry on from chunk to chunk, for the pass that sends crosstalk and the one that makes edges."""
+
+    def __init__(self, physics, arrays, block, seed, pixel_bits, tick_bits, edges_per_pulse):
+        self.fixed = (physics, arrays, block, np.uint64(seed), pixel_bits, tick_bits)
+        self.edges_per_pulse = edges_per_pulse
+        fresh = np.zeros(block[1] - block[0]), np.full((block[1] - block[0], CARRIERS_MAX), np.inf)
+        self.state = {False: fresh, True: fresh}
+
+    def walk(self, span, received, sending):
+        """Packed edges, or (with `sending`) where crosstalk goes and when: int64[n] and float64[n]."""
+        capacity = int(self.edges_per_pulse * span[1] * 1.1) + 1000
+        while True:
+            ready, carriers = (array.copy() for array in self.state[sending])
+            keys, times = np.empty(capacity, np.int64), np.empty(capacity if sending else 0)
+            n = _walk(*self.fixed, span, received, sending, ready, carriers, keys, times)
+            if n <= capacity:
+                self.state[sending] = ready, carriers
+                return keys[:n], times[:n]
+            capacity = n
+
+
+BACKGROUND, JITTER, TAIL_SHARE, TAIL, TRAP, RELEASE, CROSSTALK, SIGNAL = range(8)  # purposes; target j counts with SIGNAL + 2j, times with the next
+
+
+@njit(cache=True, nogil=True)
+def _walk(physics, arrays, block, seed, pixel_bits, tick_bits, span, received, sending, ready, carriers, keys, times):
+    """Walks each pixel of the block through the pulses of the span; returns how many items there are (more than fit: none is lost by walking again)."""
+    first_pulse, pulses = span
+    received_where, received_time = received
+    period, targets = physics.period, arrays.signal.shape[1]
+    photons = np.empty(64)  # of this pixel and pulse, ascending
+    done = 0
+    for pixel in range(block[0], block[1]):
+        pixel_key, local = key_of(key_of(seed, 0), pixel), pixel - block[0]
+        noise, signal, centre, sigma = arrays.noise[pixel], arrays.signal[pixel], arrays.centre[pixel], arrays.sigma[pixel]
+        quiet, dark = np.exp(-noise), np.exp(-signal)  # chances of no photon: most pulses of a dim pixel cost no logarithm
+        alive_at = ready[local]
+        next_received = np.searchsorted(received_where, pixel << 32)
+        for index in range(pulses):
+            pulse = first_pulse + index
+            key, n = key_of(pixel_key, pulse), 0
+            u = uniform(key, BACKGROUND, 0)
+            if u > quiet:  # a Poisson process has exponential gaps
+                u_to_ticks, counter = period / noise, 0
+                t = -np.log(u) * u_to_ticks
+                while t < period:
+                    photons, n = _insert(photons, n, t)
+                    counter += 1
+                    t += exponential(key, BACKGROUND, counter) * u_to_ticks
+            for target in range(targets):
+                u = uniform(key, SIGNAL + 2 * target, 0)
+                if u > dark[target]:
+                    progress, counter = -np.log(u), 0
+                    while progress < signal[target]:
+                        t = centre[target] + sigma[target] * normal(key, SIGNAL + 2 * target + 1, counter)
+                        photons, n = _insert(photons, n, _modulo(t, period))
+                        counter += 1
+                        progress += exponential(key, SIGNAL + 2 * target, counter)
+            if physics.afterpulse > 0:
+                for slot in range(CARRIERS_MAX):
+                    if carriers[local, slot] < period:
+                        photons, n = _insert(photons, n, carriers[local, slot])
+                        carriers[local, slot] = np.inf
+                    carriers[local, slot] -= period
+            while next_received < received_where.size and received_where[next_received] == (pixel << 32) + index:
+                photons, n = _insert(photons, n, received_time[next_received])
+                next_received += 1
+
+            opens = arrays.gate_start[pixel]
+            if physics.gate_every > 0:
+                opens += physics.gate_step * (pulse % physics.frame_pulses // physics.gate_every % physics.gate_steps)
+            closes = opens + arrays.gate_len[pixel]
+            i, fired = 0, 0
+            while i < n:
+                t = photons[i]
+                i += 1
+                if t < opens or t >= closes:
+                    continue
+                if t < alive_at:
+                    if physics.paralyzable:
+                        alive_at = t + physics.dead
+                    continue
+                alive_at = t + physics.dead
+                if physics.afterpulse > 0 and uniform(key, TRAP, fired) < physics.afterpulse:
+                    released = t + physics.afterpulse_time * exponential(key, RELEASE, fired)
+                    if released < period:
+                        photons, n = _insert(photons, n, released)
+                    else:
+                        slot = np.argmax(carriers[local])  # an empty one is infinite
+                        carriers[local, slot] = released - period
+                if sending:
+                    for side in range(4):
+                        neighbour = _neighbour(pixel, side, physics.rows, physics.cols)
+                        if neighbour >= 0 and uniform(key, CROSSTALK, 4 * fired + side) < physics.crosstalk:
+                            if done < keys.size:
+                                keys[done], times[done] = (neighbour << 32) + index, t
+                            done += 1
+                else:
+                    if physics.jitter > 0:
+                        t += physics.jitter * normal(key, JITTER, fired)
+                    if physics.tail_fraction > 0 and uniform(key, TAIL_SHARE, fired) < physics.tail_fraction:
+                        t += physics.tail * exponential(key, TAIL, fired)
+                    if done < keys.size:
+                        tick = _tick(_modulo(t, period), physics, arrays.taps)
+                        keys[done] = (((index << tick_bits) + tick) << pixel_bits) + pixel
+                    done += 1
+                fired += 1
+            alive_at = max(alive_at - period, 0.0)
+        ready[local] = alive_at
+    return done
+
+
+@njit(cache=True, inline="always")
+def _insert(photons, n, t):
+    """Puts `t` into the ascending photons[:n]; returns the array (a larger one when it was full) and n + 1."""
+    if n == photons.size:
+        photons = np.concatenate((photons, np.empty(n)))
+    i = n
+    while i > 0 and photons[i - 1] > t:
+        photons[i] = photons[i - 1]
+        i -= 1
+    photons[i] = t
+    return photons, n + 1
+
+
+@njit(cache=True, inline="always")
+def _modulo(t, period):
+    """`t` in [0, period]; the division is rarely needed."""
+    return t if 0.0 <= t < period else t - period * np.floor(t / period)
+
+
+@njit(cache=True, inline="always")
+def _tick(t, physics, taps):
+    """TDC code of time `t` in ticks; `taps`: the inner borders of the phases, empty = ideal."""
+    if taps.size:
+        cycle = np.floor(t / physics.phases)
+        t = cycle * physics.phases + np.searchsorted(taps, t - cycle * physics.phases, side="right")
+    return min(np.int64(t), np.int64(physics.period) - 1)
+
+
+@njit(cache=True, inline="always")
+def _neighbour(pixel, side, rows, cols):
+    """Pixel above, left, right or below; -1 beyond the array."""
+    row, col = pixel // cols + (side == 3) - (side == 0), pixel % cols + (side == 2) - (side == 1)
+    return row * cols + col if 0 <= row < rows and 0 <= col < cols else -1
+
+
+@njit(cache=True)
+def _unpacked(keys, first_pulse, pixel_bits, tick_bits):
+    """(pulse, pixel, tick) of packed edges."""
+    pulse, pixel, tick = np.empty_like(keys), np.empty_like(keys), np.empty_like(keys)
+    for i, key in enumerate(keys):
+        pulse[i] = first_pulse + (key >> (pixel_bits + tick_bits))
+        pixel[i] = key & ((1 << pixel_bits) - 1)
+        tick[i] = key >> pixel_bits & ((1 << tick_bits) - 1)
+    return pulse, pixel, tick

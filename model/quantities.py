@@ -1,0 +1,44 @@
+"""Physical quantities that are checked where they enter: attrs fields and arrays with a legal range."""
+
+from math import inf, isfinite
+
+import numpy as np
+from attrs import field
+
+from .errors import InputError
+
+
+def check_real(name: str, value, low: float, high: float = inf) -> float:
+    """`value` as a float if it is finite and within [`low`, `high`], else an `InputError`."""
+    if isinstance(value, (bool, str)) or not np.isscalar(value) or not isfinite(value) or not low <= value <= high:
+        raise InputError(f"{name} = {value!r}: must be a number {_range(low, high)}")
+    return float(value)
+
+
+def real(default: float, low: float, high: float = inf):
+    """An attrs field that holds a finite number within [`low`, `high`]."""
+    return field(default=default, validator=lambda _, attribute, value: check_real(attribute.name, value, low, high))
+
+
+def real_array(name: str, value, shape: tuple[int, ...], low: float, high: float = inf, *, nan: bool = False) -> np.ndarray:
+    """`value` as a read-only float64 array broadcast to `shape`, all of it within [`low`, `high`] (or NaN where `nan`)."""
+    try:
+        array = np.asarray(value, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise InputError(f"{name}: must hold numbers {_range(low, high)}") from None
+    try:
+        array = np.ascontiguousarray(np.broadcast_to(array, shape))
+    except ValueError:
+        raise InputError(f"{name}: has shape {array.shape}, must be {shape} or broadcast to it") from None
+    bad = ~(np.isfinite(array) & (array >= low) & (array <= high))
+    if nan:
+        bad &= ~np.isnan(array)
+    if bad.any():
+        where = tuple(int(i) for i in np.argwhere(bad)[0])
+        raise InputError(f"{name}{list(where)} = {array[where]}: must be {_range(low, high)}{' or NaN' if nan else ''}")
+    array.flags.writeable = False
+    return array
+
+
+def _range(low: float, high: float) -> str:
+    return f"from {low:g} to {high:g}" if isfinite(high) else f"of at least {low:g}"
