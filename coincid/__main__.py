@@ -1,0 +1,6 @@
+"""`python -m coincid` is the `coincid` command."""
+
+from coincid.cli import main
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,1 @@
+"""Simulators, cocotb test benches, scoreboards and the batch engine (may import `model` and `hdl`)."""

