@@ -317,8 +317,8 @@ def _make_model(scratch: Path, log: Path) -> None:
     whose settings (threads, tracing, delays: the generated make variables) are the same.
     """
     classes = (scratch / "Vtop_classes.mk").read_text()
-    settings = re.findall(r"^VM_\w+ = .*$", classes, re.MULTILINE)
-    names = re.findall(r"^\t(verilated\w*) ", classes, re.MULTILINE)
+    settings = re.findall(r"^VM_(?!PARALLEL)\w+ = .*$", classes, re.MULTILINE)
+    names = re.findall(r"^\s+(verilated\w*) \\$", classes, re.MULTILINE)
     flags = digest(str(verilator()), _first_line("g++", "--version"), *MAKE_OPTIONS, *settings, *names)
     objects = [f"{name}.o" for name in names]
     command = ["make", "-s", "-j", str(os.cpu_count()), "-f", "Vtop.mk", *MAKE_OPTIONS]
