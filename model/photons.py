@@ -16,9 +16,9 @@ Crosstalk couples the pixels: a first pass finds the avalanches without it and d
 pixels again with the same photons and these. A crosstalk avalanche sends no crosstalk of its own (probability squared: neglected).
 """
 
+import math
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from math import log, sqrt
 from typing import NamedTuple
 
 import numpy as np
@@ -28,17 +28,17 @@ from numba import njit
 from .edges import Edges
 from .errors import InputError, check_integer
 from .quantities import check_real, real, real_array
-from .random import exponential, key_of, normal, uniform
+from .counter_random import exponential, key_of, normal, uniform
 
 SPEED_OF_LIGHT_M_S = 299_792_458.0
-SIGMA_PER_FWHM = 1 / sqrt(8 * log(2))
+SIGMA_PER_FWHM = 1 / math.sqrt(8 * math.log(2))
 
 BACKGROUND_CPS_PER_KLUX = 1.226e6 / 50  # detected, per pixel: our preset (errata 4: the level at which thresholds are selective)
 SIGNAL_REFERENCE = 0.613                # detected photons per pulse and pixel, equation (1) at the two values below
 REFERENCE_DISTANCE_M = 4.0
 REFERENCE_REFLECTIVITY = 0.4
 
-CHUNK_EDGES = 1 << 17  # edges made and sorted at a time: fits a core's cache
+CHUNK_EDGES = 1 << 16  # edges made and sorted at a time: fits a core's cache
 CARRIERS_MAX = 32      # trapped carriers of a pixel that outlive their pulse; more are lost
 
 
@@ -298,73 +298,89 @@ class _Walker:
     def __init__(self, physics, arrays, block, seed, pixel_bits, tick_bits, edges_per_pulse):
         self.fixed = (physics, arrays, block, np.uint64(seed), pixel_bits, tick_bits)
         self.edges_per_pulse = edges_per_pulse
-        fresh = np.zeros(block[1] - block[0]), np.full((block[1] - block[0], CARRIERS_MAX), np.inf)
+        self.photons_max = (arrays.noise + arrays.signal.sum(axis=1)).max()
+        pixels = block[1] - block[0]
+        fresh = np.zeros(pixels), np.full((pixels, CARRIERS_MAX if physics.afterpulse else 0), np.inf)
         self.state = {False: fresh, True: fresh}
 
     def walk(self, span, received, sending):
         """Packed edges, or (with `sending`) where crosstalk goes and when: int64[n] and float64[n]."""
         capacity = int(self.edges_per_pulse * span[1] * 1.1) + 1000
+        depth = int(self.photons_max + 12 * math.sqrt(self.photons_max)) + 64
         while True:
             ready, carriers = (array.copy() for array in self.state[sending])
             keys, times = np.empty(capacity, np.int64), np.empty(capacity if sending else 0)
-            n = _walk(*self.fixed, span, received, sending, ready, carriers, keys, times)
-            if n <= capacity:
+            n = _walk(*self.fixed, span, received, sending, ready, carriers, np.empty(depth), keys, times)
+            if 0 <= n <= capacity:
                 self.state[sending] = ready, carriers
                 return keys[:n], times[:n]
-            capacity = n
+            capacity, depth = max(capacity, n), 2 * depth
 
 
-BACKGROUND, JITTER, TAIL_SHARE, TAIL, TRAP, RELEASE, CROSSTALK, SIGNAL = range(8)  # purposes; target j counts with SIGNAL + 2j, times with the next
+COUNT, SOURCE, SHAPE, JITTER, TAIL_SHARE, TAIL, TRAP, RELEASE, CROSSTALK = range(9)  # purposes of random numbers
+POISSON_MEAN_MAX = 64.0  # a brighter pixel's count is drawn in parts: no underflow
+INSERTION_MAX = 24       # photons of a pulse beyond which sorting beats insertion
 
 
-@njit(cache=True, nogil=True)
-def _walk(physics, arrays, block, seed, pixel_bits, tick_bits, span, received, sending, ready, carriers, keys, times):
-    """Walks each pixel of the block through the pulses of the span; returns how many items there are (more than fit: none is lost by walking again)."""
+@njit(cache=True, nogil=True, error_model="numpy")
+def _walk(physics, arrays, block, seed, pixel_bits, tick_bits, span, received, sending, ready, carriers, photons, keys, times):
+    """Walks each pixel of the block through the pulses of the span; `photons` is scratch for those of one pixel and pulse, in ascending time.
+
+    Returns the number of items made: all are in `keys` (and `times`) if they fit. -1: `photons` is too small.
+    """
     first_pulse, pulses = span
     received_where, received_time = received
-    period, targets = physics.period, arrays.signal.shape[1]
-    photons = np.empty(64)  # of this pixel and pulse, ascending
+    signals, centre, sigma, taps = arrays.signal, arrays.centre, arrays.sigma, arrays.taps
+    period, last_target = physics.period, signals.shape[1] - 1
     done = 0
     for pixel in range(block[0], block[1]):
         pixel_key, local = key_of(key_of(seed, 0), pixel), pixel - block[0]
-        noise, signal, centre, sigma = arrays.noise[pixel], arrays.signal[pixel], arrays.centre[pixel], arrays.sigma[pixel]
-        quiet, dark = np.exp(-noise), np.exp(-signal)  # chances of no photon: most pulses of a dim pixel cost no logarithm
+        noise, gate_start, gate_len = arrays.noise[pixel], arrays.gate_start[pixel], arrays.gate_len[pixel]
+        mean = noise + signals[pixel].sum()
+        parts = int(mean / POISSON_MEAN_MAX) + 1
+        part_mean, noise_to_ticks = mean / parts, period / noise
+        empty = math.exp(-part_mean)
         alive_at = ready[local]
         next_received = np.searchsorted(received_where, pixel << 32)
         for index in range(pulses):
             pulse = first_pulse + index
             key, n = key_of(pixel_key, pulse), 0
-            u = uniform(key, BACKGROUND, 0)
-            if u > quiet:  # a Poisson process has exponential gaps
-                u_to_ticks, counter = period / noise, 0
-                t = -np.log(u) * u_to_ticks
-                while t < period:
-                    photons, n = _insert(photons, n, t)
-                    counter += 1
-                    t += exponential(key, BACKGROUND, counter) * u_to_ticks
-            for target in range(targets):
-                u = uniform(key, SIGNAL + 2 * target, 0)
-                if u > dark[target]:
-                    progress, counter = -np.log(u), 0
-                    while progress < signal[target]:
-                        t = centre[target] + sigma[target] * normal(key, SIGNAL + 2 * target + 1, counter)
-                        photons, n = _insert(photons, n, _modulo(t, period))
-                        counter += 1
-                        progress += exponential(key, SIGNAL + 2 * target, counter)
+            for part in range(parts):
+                u = uniform(key, COUNT, part)
+                if u > empty:
+                    n += _poisson(u, part_mean, empty)
+            if n > photons.size:
+                return -1
+            for i in range(n):  # superposed Poisson processes: a count for all, then each photon's source and time
+                mark = uniform(key, SOURCE, i) * mean
+                if mark < noise:
+                    t = mark * noise_to_ticks
+                else:
+                    target, mark = 0, mark - noise
+                    while target < last_target and mark >= signals[pixel, target]:
+                        mark -= signals[pixel, target]
+                        target += 1
+                    t = _modulo(centre[pixel, target] + sigma[pixel, target] * normal(key, SHAPE, i), period)
+                if n <= INSERTION_MAX:
+                    _insert(photons, i, t)
+                else:
+                    photons[i] = t
+            if n > INSERTION_MAX:
+                photons[:n].sort()
             if physics.afterpulse > 0:
                 for slot in range(CARRIERS_MAX):
                     if carriers[local, slot] < period:
-                        photons, n = _insert(photons, n, carriers[local, slot])
+                        n = _insert(photons, n, carriers[local, slot])
                         carriers[local, slot] = np.inf
                     carriers[local, slot] -= period
             while next_received < received_where.size and received_where[next_received] == (pixel << 32) + index:
-                photons, n = _insert(photons, n, received_time[next_received])
+                n = _insert(photons, n, received_time[next_received])
                 next_received += 1
 
-            opens = arrays.gate_start[pixel]
+            opens = gate_start
             if physics.gate_every > 0:
                 opens += physics.gate_step * (pulse % physics.frame_pulses // physics.gate_every % physics.gate_steps)
-            closes = opens + arrays.gate_len[pixel]
+            closes = opens + gate_len
             i, fired = 0, 0
             while i < n:
                 t = photons[i]
@@ -379,10 +395,9 @@ def _walk(physics, arrays, block, seed, pixel_bits, tick_bits, span, received, s
                 if physics.afterpulse > 0 and uniform(key, TRAP, fired) < physics.afterpulse:
                     released = t + physics.afterpulse_time * exponential(key, RELEASE, fired)
                     if released < period:
-                        photons, n = _insert(photons, n, released)
+                        n = _insert(photons, n, released)
                     else:
-                        slot = np.argmax(carriers[local])  # an empty one is infinite
-                        carriers[local, slot] = released - period
+                        carriers[local, np.argmax(carriers[local])] = released - period  # a free slot is infinite
                 if sending:
                     for side in range(4):
                         neighbour = _neighbour(pixel, side, physics.rows, physics.cols)
@@ -396,26 +411,39 @@ def _walk(physics, arrays, block, seed, pixel_bits, tick_bits, span, received, s
                     if physics.tail_fraction > 0 and uniform(key, TAIL_SHARE, fired) < physics.tail_fraction:
                         t += physics.tail * exponential(key, TAIL, fired)
                     if done < keys.size:
-                        tick = _tick(_modulo(t, period), physics, arrays.taps)
+                        tick = _tick(_modulo(t, period), physics, taps)
                         keys[done] = (((index << tick_bits) + tick) << pixel_bits) + pixel
                     done += 1
                 fired += 1
+            if n >= photons.size:
+                return -1
             alive_at = max(alive_at - period, 0.0)
         ready[local] = alive_at
     return done
 
 
 @njit(cache=True, inline="always")
+def _poisson(u, mean, chance):
+    """The Poisson count whose cumulative law reaches `u`; `chance` is that of 0."""
+    count, reached = 0, chance
+    while u > reached and chance > 0:
+        count += 1
+        chance *= mean / count
+        reached += chance
+    return count
+
+
+@njit(cache=True, inline="always")
 def _insert(photons, n, t):
-    """Puts `t` into the ascending photons[:n]; returns the array (a larger one when it was full) and n + 1."""
+    """Puts `t` into the ascending photons[:n] (a full one loses it) and returns n + 1, at most the size."""
     if n == photons.size:
-        photons = np.concatenate((photons, np.empty(n)))
+        return n
     i = n
     while i > 0 and photons[i - 1] > t:
         photons[i] = photons[i - 1]
         i -= 1
     photons[i] = t
-    return photons, n + 1
+    return n + 1
 
 
 @njit(cache=True, inline="always")
