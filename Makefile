@@ -1,0 +1,53 @@
+# Every target sets up what it needs first (scripts/setup); `make help` lists targets and options.
+BIN := .venv/bin
+# A caller's activated environment or search path is none of ours.
+unexport PYTHONPATH PYTHONHOME VIRTUAL_ENV
+
+# $(call option,scene,SCENE): --scene 'value' where SCENE= was given.
+option = $(if $(value $2),--$1 '$(value $2)')
+
+.PHONY: help setup sim test verilog lint figures bench clean
+
+help: ## this list
+	@echo 'make TARGET [OPTION=value ...]'
+	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "  %-8s %s\n", $$1, $$2 }' $(firstword $(MAKEFILE_LIST))
+	@echo 'options of sim:'
+	@echo '  SIM=icarus  simulator (default verilator)      SCENE=FILE   scene (default: five objects)'
+	@echo '  KLUX=50     background light                   PULSES=100   laser pulses in the frame'
+	@echo '  CONFIG=FILE sensor configuration (TOML)        SEED=1       of the light'
+	@echo '  WAVES=1     waveform (FST) and a view of it'
+	@echo 'options of test: PYTEST_ARGS="-k fifo -x"'
+	@echo 'options of all: PYTHON=python3.12 makes .venv; COINCID_BUILD=DIR keeps compiled designs elsewhere than build/'
+
+setup: ## .venv with pinned versions, and nothing else
+	@scripts/setup
+
+sim: ## simulate a frame of the scene, every word checked against the golden model; results in build/sim/
+	@scripts/setup $(filter icarus,$(SIM))
+	@$(BIN)/coincid sim $(call option,engine,SIM) $(call option,scene,SCENE) $(call option,klux,KLUX) \
+		$(call option,pulses,PULSES) $(call option,config,CONFIG) $(call option,seed,SEED) \
+		$(if $(filter-out 0,$(WAVES)),--waves) --out build/sim
+
+test: ## the whole regression, on both simulators
+	@scripts/setup icarus
+	@$(BIN)/python -m pytest -n 2 $(PYTEST_ARGS)
+
+verilog: ## synthesizable Verilog, one file a block, into build/rtl/
+	@scripts/setup
+	@$(BIN)/coincid verilog --out build/rtl
+
+lint: ## Python style, and the Verilog under Verilator's lint
+	@scripts/setup
+	@$(BIN)/ruff check .
+	@$(BIN)/coincid lint
+
+figures: ## the documentation's figures
+	@scripts/setup
+	@$(BIN)/coincid figures
+
+bench: ## how fast model and simulators run here
+	@scripts/setup
+	@$(BIN)/coincid bench
+
+clean: ## remove build/ (.venv stays)
+	rm -rf build
