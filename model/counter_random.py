@@ -33,15 +33,15 @@ def _bits(key, purpose, counter):
 
 
 @njit(cache=True, inline="always")
-def _open_unit(bits):
-    """A number in (0, 1), ends excluded, from the upper 52 bits."""
+def open_unit(bits):
+    """A uniform number in (0, 1), ends excluded, from a hash: its upper 52 bits."""
     return (np.float64(bits >> np.uint64(12)) + 0.5) * 2.0**-52
 
 
 @njit(cache=True, inline="always")
 def uniform(key, purpose, counter):
     """A uniform number in (0, 1)."""
-    return _open_unit(_bits(key, purpose, counter))
+    return open_unit(_bits(key, purpose, counter))
 
 
 @njit(cache=True, inline="always")
@@ -69,7 +69,7 @@ def normal(key, purpose, counter):
     """A normal number of variance 1 (ziggurat: 98.8 % of them cost one hash and one product)."""
     bits = _bits(key, purpose, counter)
     layer = np.int64(bits & np.uint64(_LAYERS - 1))
-    z = (2.0 * _open_unit(bits) - 1.0) * _X[layer]
+    z = (2.0 * open_unit(bits) - 1.0) * _X[layer]
     if abs(z) < _X[layer + 1]:
         return z
     return _rare_normal(key_of(bits, counter), layer, z)
@@ -91,6 +91,6 @@ def _rare_normal(key, layer, z):
         attempt += 1
         bits = _bits(key, 3, attempt)
         layer = np.int64(bits & np.uint64(_LAYERS - 1))
-        z = (2.0 * _open_unit(bits) - 1.0) * _X[layer]
+        z = (2.0 * open_unit(bits) - 1.0) * _X[layer]
         if abs(z) < _X[layer + 1]:
             return z

@@ -159,6 +159,12 @@ class Sensor:
         small, large = RECORD_BITS
         return small if self.record_stamp_bits + self.minigroup_pixels <= small else large
 
+    def members(self, minigroup: int) -> list[int]:
+        """A subgroup's pixels in one of its minigroups, in the minigroup's order."""
+        (_, sc), (mr, mc) = self.subgroup, self.minigroup
+        row, col = divmod(minigroup, sc // mc)
+        return [(row * mr + r) * sc + col * mc + c for r in range(mr) for c in range(mc)]
+
     def stream_of(self, subgroup: int) -> int:
         """The stream that `subgroup` leaves by."""
         return subgroup * self.streams // self.subgroups

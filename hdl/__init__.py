@@ -1,0 +1,1 @@
+"""The sensor in Amaranth, one block a file, and its emission as Verilog."""

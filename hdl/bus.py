@@ -1,0 +1,86 @@
+"""What runs between the blocks: timing, settings, events. Layouts only; `latency.py` of the model says when."""
+
+from amaranth.lib import data, enum
+
+from ..model.parameters import Sensor, bits_for
+from ..model.registers import DATA_BITS
+
+SUBGROUP_BITS = 12
+WORD_BITS = 5        # of a word's number in a subgroup's register block
+PULSE_BITS = 16
+GATE_BITS = 16
+
+
+class Operation(enum.Enum, shape=3):
+    """What the configuration bus asks of every subgroup."""
+
+    IDLE = 0
+    WRITE = 1     # data to a word of one subgroup
+    TAKE = 2      # programmed settings become the frame's
+    COMPARE = 3   # data is a bound of the threshold controller
+    BEGIN = 4     # the frame begins: threshold set, counters cleared
+
+
+class Send(enum.Enum, shape=2):
+    """What the readout grants."""
+
+    EVENT = 0
+    RECORD = 1
+    COUNTERS = 2
+
+
+CONFIG_BUS = data.StructLayout({"operation": Operation, "subgroup": SUBGROUP_BITS, "word": WORD_BITS, "data": DATA_BITS})
+
+
+def time_layout(sensor: Sensor) -> data.StructLayout:
+    """The sequencer's word for a cycle, three cycles ahead of the ports.
+
+    running: the cycle belongs to a frame. start: it is a period's first. wrap: the cycle before it was a period's last.
+    may_open: windows may open. shift: progressive gating's shift in cycles, saturated at 2^coarse_bits.
+    """
+    return data.StructLayout({"running": 1, "start": 1, "wrap": 1, "may_open": 1, "shift": sensor.coarse_bits + 1})
+
+
+def frame_layout(sensor: Sensor) -> data.StructLayout:
+    """Frame settings that subgroups and readout use."""
+    return data.StructLayout({
+        "format": 2, "mg_records": 1, "mg_threshold": bits_for(sensor.minigroup_pixels), "mg_window": 3,
+    })
+
+
+def settings_layout(sensor: Sensor) -> data.StructLayout:
+    """A subgroup's settings."""
+    return data.StructLayout({
+        "coincidence": 1, "gating": 1, "auto": 1, "threshold": sensor.count_bits, "window": sensor.window_bits,
+        "gate_start": GATE_BITS, "gate_len": GATE_BITS, "mask": sensor.pixels,
+    })
+
+
+def window_layout(sensor: Sensor) -> data.StructLayout:
+    """A closed coincidence window. offsets: of the minigroups in the map, in quarters of a cycle; others are undefined."""
+    return data.StructLayout({
+        "stamp": sensor.stamp_bits, "count": sensor.count_bits, "winner": sensor.winner_bits, "hits": sensor.pixels,
+        "offsets": data.ArrayLayout(sensor.offset_bits, sensor.minigroups),
+    })
+
+
+def event_layout(sensor: Sensor) -> data.StructLayout:
+    """What the FIFO stores."""
+    return data.StructLayout({"window": window_layout(sensor), "pulse": PULSE_BITS, "overrun": 1})
+
+
+def entry_layout(sensor: Sensor) -> data.StructLayout:
+    """A minigroup's entry in a record; map 0: not latched."""
+    return data.StructLayout({"stamp": sensor.record_stamp_bits, "map": sensor.minigroup_pixels})
+
+
+def record_layout(sensor: Sensor) -> data.StructLayout:
+    """A minigroup record."""
+    return data.StructLayout({"entries": data.ArrayLayout(entry_layout(sensor), sensor.minigroups), "pulse": PULSE_BITS})
+
+
+def sequence_layout(sensor: Sensor) -> data.StructLayout:
+    """Frame settings that the sequencer uses."""
+    return data.StructLayout({
+        "period": sensor.coarse_bits + 1, "pulses": PULSE_BITS + 1, "gate_step": GATE_BITS, "gate_every": GATE_BITS, "gate_steps": GATE_BITS,
+    })

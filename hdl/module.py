@@ -1,0 +1,51 @@
+"""Module: subgroups 2k and 2k + 1 and the one always-on TDC they share (paper, Fig. 3: the generic block of the sensor)."""
+
+from amaranth.hdl import Cat, Module as Design, ResetSignal, Signal
+from amaranth.lib import wiring
+from amaranth.lib.wiring import In
+
+from ..model.parameters import Sensor
+from . import bus
+from .subgroup import Subgroup, own_ports, shared_ports
+from .tdc import Tdc
+from .unit import Unit, place
+
+
+class SensorModule(Unit):
+    """A module: the sensor is an array of these, and what a simulator needs to compile once.
+
+    Ports
+    -----
+    `shared_ports` of the subgroups; for line k `own_ports` with the suffix _k; number : in, the module's own.
+    Every input goes straight into a register, every output comes from one.
+
+    `lines` = 1 makes the last module of an odd number of subgroups. Reset is registered here, so it acts one cycle later.
+    """
+
+    def __init__(self, sensor: Sensor, lines: int = 2):
+        self.sensor = sensor
+        self.lines = lines
+        self.unit_name = "coincid_module" if lines == 2 else f"coincid_module_{lines}"
+        super().__init__(
+            shared_ports(sensor)
+            | {f"{name}_{k}": member for k in range(lines) for name, member in own_ports(sensor).items()}
+            | {"number": In(bus.SUBGROUP_BITS - 1)}
+        )
+
+    def elaborate(self, platform):
+        m = Design()
+        sensor = self.sensor
+        reset = Signal(init=1, reset_less=True)
+        start = Signal(reset_less=True)
+        m.d.sync += [reset.eq(ResetSignal()), start.eq(self.time.start)]
+        tdc = place(m, "tdc", Tdc(sensor, self.lines), platform, reset)
+        m.d.comb += tdc.start.eq(start)
+        for k in range(self.lines):
+            subgroup = place(m, f"subgroup_{k}", Subgroup(sensor), platform, reset)
+            m.d.comb += subgroup.subgroup.eq(Cat(k, self.number))
+            m.d.comb += [getattr(subgroup, name).eq(getattr(self, name)) for name in shared_ports(sensor)]
+            for name, member in own_ports(sensor).items():
+                inner, outer = getattr(subgroup, name), getattr(self, f"{name}_{k}")
+                m.d.comb += inner.eq(outer) if member.flow is In else outer.eq(inner)
+            wiring.connect(m, subgroup.line, getattr(tdc, f"line_{k}"))
+        return m

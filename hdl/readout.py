@@ -1,0 +1,156 @@
+"""Readout of a stream: round robin over its subgroups, a packet at a time, frame start and end packets, output buffer.
+
+The paper leaves the readout open. Round robin, credits and the buffer are our choice: subgroups tell what they stored, the readout counts it and
+grants packets of known length, so that their beats come back in order, without gaps, after a fixed time.
+"""
+
+from amaranth.hdl import Cat, Module, Mux, Signal
+from amaranth.lib import fifo
+from amaranth.lib.wiring import In, Out
+
+from ..model import latency
+from ..model.packet import BEAT_BITS, FORMAT_NAMES, FORMATS, Kind, layout
+from ..model.parameters import Sensor, bits_for
+from . import bus
+from .axi import STREAM
+from .logic import any_of, lowest, up_to
+from .packetizer import header
+from .unit import Unit
+
+
+class Readout(Unit):
+    """Readout of the `subgroups` subgroups of a stream.
+
+    Ports
+    -----
+    stored, record_stored : in, a bit a subgroup: an event, a record waits to be read
+    grant : out, one-hot; send : out, what the granted subgroup sends
+    valid, beat : in, OR of the subgroups' beats
+    frame : in, settings; number : in, the frame's; begin : in, strobe; finish : in, nothing more will be stored
+    delivered : out, the end packet has left
+    m_axis : AXI4-Stream master, `tlast` ends the frame
+
+    Next is the first subgroup with something to read at or after the pointer; the pointer then stands behind it. A record goes before events, of
+    which it would otherwise never find a gap. Latency: `model/latency.py`. Reset empties everything.
+    """
+
+    def __init__(self, sensor: Sensor, subgroups: int):
+        self.sensor = sensor
+        self.subgroups = subgroups
+        self.unit_name = f"coincid_readout_{subgroups}"
+        super().__init__({
+            "stored": In(subgroups), "record_stored": In(subgroups), "grant": Out(subgroups), "send": Out(bus.Send),
+            "valid": In(1), "beat": In(BEAT_BITS), "frame": In(bus.frame_layout(sensor)), "number": In(bus.PULSE_BITS),
+            "begin": In(1), "finish": In(1), "delivered": Out(1), "m_axis": Out(STREAM),
+        })
+
+    def elaborate(self, platform):
+        m = Module()
+        n, parts = self.subgroups, layout(self.sensor)
+        depth = latency.output_depth(parts.longest)
+        stored, record_stored, begin, finish = Signal(n), Signal(n), Signal(), Signal()
+        valid, beat = Signal(), Signal(BEAT_BITS)
+        m.d.sync += [
+            stored.eq(self.stored), record_stored.eq(self.record_stored), begin.eq(self.begin), finish.eq(self.finish),
+            valid.eq(self.valid), beat.eq(self.beat),
+        ]
+
+        # What waits: events as a counter per subgroup, bit by bit side by side; a record as one bit.
+        take_event, take_record = Signal(n), Signal(n)
+        some_events = self._credits(m, stored, take_event)
+        records = Signal(n)
+        m.d.sync += records.eq((records & ~take_record) | record_stored)
+
+        # Round robin: the lowest of those at or after the pointer, else the lowest of all.
+        waiting, ahead, at_or_after = Signal(n), Signal(n), Signal(n, init=-1)
+        chosen, chosen_record = Signal(n), Signal()
+        m.d.comb += [
+            waiting.eq(some_events | records), ahead.eq(waiting & at_or_after),
+            chosen.eq(Mux(ahead.any(), lowest(m, ahead, "lowest_ahead"), lowest(m, waiting, "lowest_of_all"))),
+            chosen_record.eq((chosen & records).any()),
+        ]
+
+        # A packet may begin when the one before has been granted all its beats, and the buffer has room for the longest.
+        left, space = Signal(range(parts.longest)), Signal(range(depth + 1), init=depth)
+        granted, length, own_kind = Signal(), Signal(range(parts.longest + 1)), Signal(3)
+        free = Signal()
+        m.d.comb += free.eq((left == 0) & (space >= parts.longest))
+        event_lengths = [parts.length(FORMATS[name]) for name in FORMAT_NAMES]
+        event_length = Signal.like(length)
+        m.d.sync += event_length.eq(
+            Mux(self.frame.format == 0, event_lengths[0], Mux(self.frame.format == 1, event_lengths[1], event_lengths[2]))
+        )
+        tail = Signal(n)
+        m.d.sync += [self.grant.eq(0), self.delivered.eq(0)]
+        with m.FSM():
+            with m.State("idle"):
+                m.d.sync += self.delivered.eq(1)
+                with m.If(begin):
+                    m.next = "head"
+            with m.State("head"):
+                m.d.comb += [granted.eq(free), length.eq(1), own_kind.eq(Mux(free, Kind.FRAME_START, 0))]
+                m.d.sync += at_or_after.eq(~0)
+                with m.If(free):
+                    m.next = "events"
+            with m.State("events"):
+                with m.If(waiting.any()):
+                    m.d.comb += [granted.eq(free), length.eq(Mux(chosen_record, parts.length(Kind.RECORD), event_length))]
+                    with m.If(free):
+                        m.d.comb += [take_record.eq(chosen & records), take_event.eq(chosen & ~records)]
+                        m.d.sync += [
+                            self.grant.eq(chosen), self.send.eq(Mux(chosen_record, bus.Send.RECORD, bus.Send.EVENT)),
+                            at_or_after.eq(up_to(m, chosen, "behind") << 1),
+                        ]
+                with m.Elif(finish):
+                    m.d.comb += [granted.eq(free), length.eq(1), own_kind.eq(Mux(free, Kind.FRAME_END, 0))]
+                    m.d.sync += tail.eq(1)
+                    with m.If(free):
+                        m.next = "counters"
+            with m.State("counters"):
+                m.d.comb += [granted.eq(free), length.eq(parts.counter_beats)]
+                with m.If(free):
+                    m.d.sync += [self.grant.eq(tail), self.send.eq(bus.Send.COUNTERS), tail.eq(tail << 1)]
+                    with m.If(tail[-1]):
+                        m.next = "flush"
+            with m.State("flush"):
+                with m.If((left == 0) & (space == depth)):
+                    m.next = "idle"
+
+        # Beats come back in the order of the grants; the readout's own take the same time.
+        own = [Signal(3, name=f"own_{k}") for k in range(latency.GRANT_TO_BEAT)]
+        m.d.sync += [later.eq(now) for now, later in zip([own_kind, *own], own)]
+        own_beat, fields = header(kind=own[-1], pulse=self.number)
+        m.d.comb += fields
+        m.submodules.buffer = buffer = fifo.SyncFIFOBuffered(width=BEAT_BITS + 1, depth=depth + 1)
+        is_own = own[-1].any()
+        to_end = Signal(range(parts.counter_beats * n + 1))   # beats after the frame end's header
+        m.d.comb += [
+            buffer.w_en.eq(valid | is_own),
+            buffer.w_data.eq(Cat(Mux(is_own, own_beat, beat), ~is_own & (to_end == 1))),
+            Cat(self.m_axis.tdata, self.m_axis.tlast).eq(buffer.r_data),
+            self.m_axis.tvalid.eq(buffer.r_rdy), buffer.r_en.eq(self.m_axis.tready),
+        ]
+        with m.If(own[-1] == Kind.FRAME_END):
+            m.d.sync += to_end.eq(parts.counter_beats * n)
+        with m.Elif(valid & (to_end != 0)):
+            m.d.sync += to_end.eq(to_end - 1)
+        m.d.sync += [
+            left.eq(Mux(granted, length - 1, left - (left != 0))),
+            space.eq(space - Mux(granted, length, 0) + (self.m_axis.tvalid & self.m_axis.tready)),
+        ]
+        return m
+
+    def _credits(self, m, up, down):
+        """Counters, one a subgroup, kept as bit planes; returns which are not 0."""
+        planes = [Signal(self.subgroups, name=f"events_{b}") for b in range(bits_for(self.sensor.fifo_depth))]
+        carry, borrow = up & ~down, down & ~up
+        for b, plane in enumerate(planes):
+            carry_in, borrow_in = Signal(self.subgroups, name=f"carry_{b}"), Signal(self.subgroups, name=f"borrow_{b}")
+            m.d.comb += [carry_in.eq(carry), borrow_in.eq(borrow)]
+            m.d.sync += plane.eq(plane ^ carry_in ^ borrow_in)
+            carry, borrow = carry_in & plane, borrow_in & ~plane
+        some = Signal(self.subgroups, name="some_events")
+        m.d.comb += some.eq(any_of(m, planes, "some_of"))
+        return some
+
+

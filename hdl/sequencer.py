@@ -1,0 +1,109 @@
+"""Frame sequencer: laser periods back to back, progressive gating, and the frame's beginning and end.
+
+The paper gives the laser's repetition rate and the laser pulses of a frame; the sequencing is our choice.
+"""
+
+from amaranth.hdl import Module, Mux, Signal
+from amaranth.lib.wiring import In, Out
+
+from ..model import latency
+from ..model.parameters import Sensor
+from . import bus
+from .unit import Unit
+
+LEAD = 3           # cycles that `time` runs ahead of the ports
+HEAD_TO_GRANT = 2  # `begin` -> the readout's earliest grant
+END_TO_GRANT = 1   # `finish` -> the readout's earliest grant of the end packet
+
+
+class Sequencer(Unit):
+    """Sequencer of the sensor.
+
+    Ports
+    -----
+    sequence : in, the frame's settings; start, abort : in, strobes
+    time : out, what the cycle three cycles from now is; laser : out, high in cycle 0 of every period, at the ports' time
+    begin : out, strobe to the readouts; number : out, the frame's; finish : out, the last event is on its way
+    delivered : in, all readouts have sent their end packets; done : out, strobe
+
+    Reset ends a frame at once and sets the frame number to 0.
+    """
+
+    unit_name = "coincid_sequencer"
+
+    def __init__(self, sensor: Sensor):
+        self.sensor = sensor
+        super().__init__({
+            "sequence": In(bus.sequence_layout(sensor)), "start": In(1), "abort": In(1),
+            "time": Out(bus.time_layout(sensor)), "laser": Out(1),
+            "begin": Out(1), "number": Out(bus.PULSE_BITS), "finish": Out(1), "delivered": In(1), "done": Out(1),
+        })
+
+    def elaborate(self, platform):
+        m = Module()
+        settings = self.sequence
+        coarse_bits = self.sensor.coarse_bits
+        running, first, wrap = Signal(), Signal(), Signal()
+        cycle, pulse = Signal(coarse_bits + 1), Signal(bus.PULSE_BITS + 1)
+        last_cycle, last_pulse, last_open = Signal.like(cycle), Signal.like(pulse), Signal.like(cycle)
+        m.d.sync += [
+            last_cycle.eq(settings.period - 1), last_pulse.eq(settings.pulses - 1), last_open.eq(settings.period - self.sensor.guard),
+        ]
+        start, aborted = Signal(2), Signal()   # the start waits a cycle for the registers above
+        m.d.sync += start.eq((start << 1) | self.start)
+        with m.If(self.abort & running):
+            m.d.sync += aborted.eq(1)
+
+        ends = Signal()
+        m.d.comb += ends.eq(running & (cycle == last_cycle))
+        m.d.sync += [cycle.eq(Mux(ends, 0, cycle + 1)), wrap.eq(ends), first.eq(0)]
+        with m.If(ends):
+            m.d.sync += pulse.eq(pulse + 1)
+            with m.If(aborted | self.abort | (pulse == last_pulse)):
+                m.d.sync += running.eq(0)
+        with m.If(start[-1]):
+            m.d.sync += [running.eq(1), cycle.eq(0), pulse.eq(0), aborted.eq(0), first.eq(1)]
+
+        shift = self._shift(m, start[-1], ends)
+        m.d.sync += [
+            self.time.running.eq(running), self.time.start.eq(running & (cycle == 0)), self.time.wrap.eq(wrap),
+            self.time.may_open.eq(running & (cycle < last_open)), self.time.shift.eq(shift),
+        ]
+        laser = Signal(LEAD - 1)
+        m.d.sync += [laser.eq((laser << 1) | self.time.start), self.laser.eq(laser[-1])]
+
+        # `first` stands a cycle before `time` shows cycle 0, so LEAD + 1 cycles before the ports do.
+        until_begin = Signal(LEAD + latency.FRAME_START - HEAD_TO_GRANT)
+        m.d.sync += [until_begin.eq((until_begin << 1) | first), self.begin.eq(until_begin[-1])]
+        # `wrap` after the last period stands LEAD + 1 cycles before the first cycle after it.
+        to_finish = LEAD + 1 + latency.FINISH - END_TO_GRANT
+        draining, drained = Signal(), Signal(range(to_finish + 1))
+        with m.If(draining & (drained != to_finish)):
+            m.d.sync += [drained.eq(drained + 1), self.finish.eq(drained == to_finish - 1)]
+        with m.If(wrap & ~running):
+            m.d.sync += [draining.eq(1), drained.eq(1)]
+        delivered = Signal()
+        m.d.sync += [delivered.eq(self.delivered), self.done.eq(0)]
+        with m.If(self.finish & delivered):
+            m.d.sync += [self.finish.eq(0), draining.eq(0), drained.eq(0), self.done.eq(1), self.number.eq(self.number + 1)]
+        return m
+
+    def _shift(self, m, restart, ends):
+        """Progressive gating: the gate's shift in this period, saturated where no gate can open any more."""
+        settings, coarse_bits = self.sequence, self.sensor.coarse_bits
+        shift, pulses, steps = Signal(coarse_bits + 1), Signal(bus.GATE_BITS), Signal(bus.GATE_BITS)
+        beyond = 1 << coarse_bits
+        more = Signal(bus.GATE_BITS + 1)
+        m.d.comb += more.eq(shift + settings.gate_step)
+        step = Signal()
+        m.d.comb += step.eq((settings.gate_every != 0) & (pulses == settings.gate_every - 1))
+        with m.If(ends):
+            m.d.sync += pulses.eq(Mux(step, 0, pulses + 1))
+            with m.If(step):
+                with m.If(steps == settings.gate_steps - 1):
+                    m.d.sync += [steps.eq(0), shift.eq(0)]
+                with m.Else():
+                    m.d.sync += [steps.eq(steps + 1), shift.eq(Mux(more >= beyond, beyond, more))]
+        with m.If(restart):
+            m.d.sync += [shift.eq(0), pulses.eq(0), steps.eq(0)]
+        return shift

@@ -1,0 +1,75 @@
+"""Settings of a subgroup: its block of the register map, programmed and in force."""
+
+from amaranth.hdl import Module, Mux, Signal
+from amaranth.lib.wiring import In, Out
+
+from ..model import registers
+from ..model.parameters import Sensor
+from ..model.registers import COUNTER_BITS, COUNTER_NAMES, DATA_BITS, MASK_BITS
+from . import bus
+from .unit import Unit
+
+
+class SubgroupSettings(Unit):
+    """Register block of a subgroup. Ranges are checked before a write comes here.
+
+    Ports
+    -----
+    bus : in, configuration bus, registered; subgroup : in, this one's number; period : in, the programmed laser period
+    settings : out, in force since the last TAKE
+    counters : in
+    data : out, two cycles after the bus named a word of this subgroup; 0 otherwise, so that all subgroups can be ORed
+    gate_late : out, gating on and gate_start not below the period, as programmed
+
+    Reset loads the table's reset values.
+    """
+
+    unit_name = "coincid_settings"
+
+    def __init__(self, sensor: Sensor):
+        self.sensor = sensor
+        super().__init__({
+            "bus": In(bus.CONFIG_BUS), "subgroup": In(bus.SUBGROUP_BITS), "period": In(sensor.coarse_bits + 1),
+            "settings": Out(bus.settings_layout(sensor)), "counters": In(COUNTER_BITS * len(COUNTER_NAMES)),
+            "data": Out(DATA_BITS), "gate_late": Out(1),
+        })
+
+    def elaborate(self, platform):
+        m = Module()
+        programmed = Signal(bus.settings_layout(self.sensor), init=self._reset())
+        selected, word = Signal(), Signal(bus.WORD_BITS)
+        m.d.comb += selected.eq(self.bus.subgroup == self.subgroup)
+        m.d.sync += [
+            word.eq(Mux(selected, self.bus.word, ~0)), self.data.eq(0),
+            self.gate_late.eq(programmed.gating & (programmed.gate_start >= self.period)),
+        ]
+        with m.If(self.bus.operation == bus.Operation.TAKE):
+            m.d.sync += self.settings.eq(programmed)
+        write = selected & (self.bus.operation == bus.Operation.WRITE)
+        for offset, register, index in registers.words(registers.SUBGROUP, self.sensor):
+            if register.access is registers.Access.SETTING:
+                field = self._field(programmed, register, index)
+                with m.If(write & (self.bus.word == offset // 4)):
+                    m.d.sync += field.eq(self.bus.data)
+            else:
+                field = self.counters.word_select(COUNTER_NAMES.index(register.name), COUNTER_BITS)
+            with m.If(word == offset // 4):
+                m.d.sync += self.data.eq(field)
+        return m
+
+    def _field(self, settings, register, index):
+        if register is registers.MODE:
+            bits = settings.as_value()
+            return bits[: len(registers.MODE.bits)]
+        if register.name == "mask":
+            return settings.mask[index * MASK_BITS : (index + 1) * MASK_BITS]
+        return settings[register.name]
+
+    def _reset(self):
+        reset = {
+            register.name: register.reset(self.sensor)
+            for register in registers.SUBGROUP
+            if register.access is registers.Access.SETTING and register.name not in ("mode", "mask")
+        }
+        mode = registers.MODE.reset(self.sensor)
+        return reset | {bits.name: mode >> bits.lsb & 1 for bits in registers.MODE.bits} | {"mask": (1 << self.sensor.pixels) - 1}

@@ -1,0 +1,103 @@
+"""Subgroup: one coincID tree, one gate, one DPCU, one FIFO (paper, Fig. 3)."""
+
+from amaranth.hdl import Module, Signal
+from amaranth.lib import wiring
+from amaranth.lib.wiring import In, Out
+
+from ..model.packet import BEAT_BITS
+from ..model.parameters import Sensor
+from ..model.registers import DATA_BITS
+from . import bus
+from .dpcu import Dpcu
+from .fifo import EventFifo, RecordBuffer
+from .gating import Gating
+from .packetizer import Packetizer
+from .settings import SubgroupSettings
+from .tdc import line_signature
+from .tree import CoincidenceTree
+from .unit import Unit, place
+
+
+def shared_ports(sensor: Sensor) -> dict:
+    """What all subgroups hear: configuration bus, programmed period, frame settings, timing."""
+    return {
+        "config": In(bus.CONFIG_BUS), "period": In(sensor.coarse_bits + 1),
+        "frame": In(bus.frame_layout(sensor)), "time": In(bus.time_layout(sensor)),
+    }
+
+
+def own_ports(sensor: Sensor) -> dict:
+    """What a subgroup has for itself.
+
+    words : in, pixels * phases, SPAD edge words; spad_gate : out, keeps the SPADs off while low
+    grant, send : in, from its stream's readout; valid, beat : out
+    stored, record_stored : out, an event or record waits to be read
+    data : out, register read; gate_late : out, a start check
+    """
+    return {
+        "words": In(sensor.pixels * sensor.phases), "spad_gate": Out(1),
+        "grant": In(1), "send": In(bus.Send), "valid": Out(1), "beat": Out(BEAT_BITS),
+        "stored": Out(1), "record_stored": Out(1), "data": Out(DATA_BITS), "gate_late": Out(1),
+    }
+
+
+class Subgroup(Unit):
+    """A subgroup; settings, strobes and grants are registered here, and every output is a register's.
+
+    Ports: `shared_ports`, `own_ports`, `subgroup` (in, its number), `line` (its TDC sampling line).
+    Latency: `model/latency.py`. Reset: every part's own.
+    """
+
+    unit_name = "coincid_subgroup"
+
+    def __init__(self, sensor: Sensor):
+        self.sensor = sensor
+        super().__init__(
+            shared_ports(sensor) | own_ports(sensor) | {"subgroup": In(bus.SUBGROUP_BITS), "line": Out(line_signature(sensor))}
+        )
+
+    def elaborate(self, platform):
+        m = Module()
+        sensor = self.sensor
+        settings = place(m, "settings", SubgroupSettings(sensor), platform)
+        gating = place(m, "gating", Gating(sensor), platform)
+        tree = place(m, "tree", CoincidenceTree(sensor), platform)
+        dpcu = place(m, "dpcu", Dpcu(sensor), platform)
+        events = place(m, "fifo", EventFifo(sensor), platform)
+        records = place(m, "record_buffer", RecordBuffer(sensor), platform)
+        packets = place(m, "packetizer", Packetizer(sensor), platform)
+
+        # Everything shared is registered here first.
+        config, time, frame, period = (Signal.like(port) for port in (self.config, self.time, self.frame, self.period))
+        grant, send = Signal(), Signal(bus.Send)
+        m.d.sync += [
+            config.eq(self.config), time.eq(self.time), frame.eq(self.frame), period.eq(self.period),
+            grant.eq(self.grant), send.eq(self.send),
+        ]
+        wiring.connect(m, wiring.flipped(self.line), tree.line)
+        m.d.comb += [
+            settings.bus.eq(config), settings.subgroup.eq(self.subgroup), settings.period.eq(period), settings.counters.eq(dpcu.counters),
+            self.data.eq(settings.data), self.gate_late.eq(settings.gate_late),
+
+            gating.time.eq(time), gating.settings.eq(settings.settings), self.spad_gate.eq(gating.spad_gate),
+
+            tree.words.eq(self.words), tree.mask.eq(settings.settings.mask), tree.accept.eq(gating.accept),
+            tree.window_ticks.eq(dpcu.window_ticks), tree.frame.eq(frame), tree.time.eq(time),
+
+            dpcu.settings.eq(settings.settings), dpcu.operation.eq(config.operation), dpcu.bound.eq(config.data), dpcu.start.eq(time.start),
+            dpcu.closed.eq(tree.closed), dpcu.window.eq(tree.window), dpcu.blind.eq(tree.blind),
+            dpcu.stored.eq(events.stored), dpcu.dropped.eq(events.dropped),
+            dpcu.mg_stored.eq(records.stored), dpcu.mg_dropped.eq(records.dropped),
+
+            events.commit.eq(dpcu.commit), events.event.eq(dpcu.event), events.pulse.eq(dpcu.pulse),
+            events.begin.eq(config.operation == bus.Operation.BEGIN), events.take.eq(packets.take_event),
+            self.stored.eq(events.stored),
+
+            records.due.eq(tree.record_due), records.latched.eq(tree.latched), records.entries.eq(tree.entries),
+            records.pulse.eq(dpcu.pulse), records.take.eq(packets.take_record), self.record_stored.eq(records.stored),
+
+            packets.grant.eq(grant), packets.send.eq(send), packets.frame.eq(frame), packets.subgroup.eq(self.subgroup),
+            packets.head.eq(events.head), packets.record.eq(records.record), packets.counters.eq(dpcu.counters),
+            self.valid.eq(packets.valid), self.beat.eq(packets.beat),
+        ]
+        return m

@@ -1,0 +1,59 @@
+"""TDC: one always-on coarse counter and the phase decode of two independent sampling lines.
+
+The paper (III-A): two subgroups "share a single always-on time-to-digital converter (TDC) with independent lines for timestamping"; the event
+samples its internal states. In this synchronous view the states are sampled every cycle and the first one that an event marks is decoded. The
+counter restarts with the laser trigger, so that its value is the time since then: our choice.
+"""
+
+from amaranth.hdl import Module, Signal
+from amaranth.lib.wiring import In, Out, Signature
+
+from ..model.parameters import Sensor
+from .logic import encode, up_to
+from .unit import Unit
+
+START_TO_PHASE = 5  # from the module's registered start strobe (two cycles ahead of the ports) to stage 3, the decoded phase's
+
+
+def line_signature(sensor: Sensor) -> Signature:
+    """A sampling line, seen from the subgroup.
+
+    root : out, phases, the sampled root of the tree (stage 2). any : in, an edge in the cycle; phase : in, its first phase;
+    up_to : in, phases, bit k = an edge at a phase up to k; coarse : in, the cycle's number in its period (all stage 3).
+    """
+    return Signature({
+        "root": Out(sensor.phases), "any": In(1), "phase": In(sensor.phase_bits), "up_to": In(sensor.phases), "coarse": In(sensor.coarse_bits),
+    })
+
+
+class Tdc(Unit):
+    """The TDC of a module.
+
+    Ports
+    -----
+    start : in, a period's first cycle, registered in the module
+    line_0, line_1 : sampling lines (`line_signature`, seen from the other side); latency one cycle; neither sees the other
+
+    Reset sets the coarse counter to 0; it counts from then on, frame or not.
+    """
+
+    def __init__(self, sensor: Sensor, lines: int = 2):
+        self.sensor = sensor
+        self.lines = lines
+        self.unit_name = "coincid_tdc" if lines == 2 else f"coincid_tdc_{lines}"
+        super().__init__({"start": In(1)} | {f"line_{k}": In(line_signature(sensor)) for k in range(lines)})
+
+    def elaborate(self, platform):
+        m = Module()
+        coming = Signal(START_TO_PHASE - 1)
+        coarse = Signal(self.sensor.coarse_bits)
+        m.d.sync += [coming.eq((coming << 1) | self.start), coarse.eq(coarse + 1)]
+        with m.If(coming[-1]):
+            m.d.sync += coarse.eq(0)
+        for k in range(self.lines):
+            line = getattr(self, f"line_{k}")
+            below = up_to(m, line.root, f"below_{k}")
+            first = Signal(self.sensor.phases, name=f"first_{k}")
+            m.d.comb += [first.eq(below & ~(below << 1)), line.coarse.eq(coarse)]
+            m.d.sync += [line.any.eq(below[-1]), line.up_to.eq(below), line.phase.eq(encode(m, first, f"phase_{k}"))]
+        return m

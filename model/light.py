@@ -1,0 +1,159 @@
+"""What the photon model is told: light per pixel, SPAD, clock and gate, with the presets.
+
+Ref: paper II (SPAD, laser), IV (pulse of 500 to 520 ps FWHM). Effects the paper leaves out are off by default.
+"""
+
+import math
+
+import numpy as np
+from attrs import frozen
+
+from .errors import InputError, check_integer
+from .quantities import check_real, real, real_array
+
+SPEED_OF_LIGHT_M_S = 299_792_458.0
+SIGMA_PER_FWHM = 1 / math.sqrt(8 * math.log(2))
+
+BACKGROUND_CPS_PER_KLUX = 1.226e6 / 50  # detected, per pixel: our preset (errata 4: the level at which thresholds are selective)
+SIGNAL_REFERENCE = 0.613                # detected photons per pulse and pixel, equation (1) at the two values below
+REFERENCE_DISTANCE_M = 4.0
+REFERENCE_REFLECTIVITY = 0.4
+
+
+
+def background_cps(klux: float) -> float:
+    """Detected background of a pixel in counts per second at `klux` of ambient light: our preset, linear."""
+    return BACKGROUND_CPS_PER_KLUX * check_real("klux", klux, 0)
+
+
+def signal_per_pulse(distance_m, reflectivity):
+    """Detected signal photons per pulse and pixel (float64, shapes broadcast): equation (1), ~ reflectivity / distance^2; 0 where the distance is NaN."""
+    scaled = np.asarray(reflectivity) / REFERENCE_REFLECTIVITY * (REFERENCE_DISTANCE_M / np.asarray(distance_m)) ** 2
+    return np.nan_to_num(SIGNAL_REFERENCE * scaled, nan=0.0)
+
+
+@frozen(kw_only=True, eq=False)
+class Spad:
+    """The detector. Defaults: the paper's section II; effects that it leaves out are off.
+
+    dead_time_s, paralyzable: from one avalanche to the next; paralyzable = a photon within it extends it.
+    jitter_fwhm_s: Gaussian jitter of an avalanche's edge. jitter_tail_fraction of the avalanches add an exponential delay of jitter_tail_s.
+    dark_cps: dark count rate, a number or float64[pixels] (see `dark_count_map`).
+    afterpulse_probability: that an avalanche traps a carrier, released after an exponential time of afterpulse_s; released while the SPAD is dead, it is
+    lost, so exp(-dead_time_s / afterpulse_s) of them are seen. crosstalk_probability: that an avalanche sends a photon to one given neighbour (of four) at once.
+    """
+
+    dead_time_s: float = real(8e-9, 0)
+    paralyzable: bool = False
+    jitter_fwhm_s: float = real(100e-12, 0)
+    jitter_tail_fraction: float = real(0.0, 0, 1)
+    jitter_tail_s: float = real(0.0, 0)
+    dark_cps: float | np.ndarray = 0.0
+    afterpulse_probability: float = real(0.0, 0, 0.5)
+    afterpulse_s: float = real(30e-9, 1e-12)
+    crosstalk_probability: float = real(0.0, 0, 0.25)
+
+
+@frozen(kw_only=True, eq=False)
+class Timing:
+    """Clock and TDC. clock_hz, phases: tick_s = 1 / (clock_hz * phases). period_cycles: laser period.
+
+    tap_width_lsb: widths of the TDC's phases, float64[phases] that sum to `phases`; None = all 1.
+    """
+
+    clock_hz: float = real(500e6, 1)
+    phases: int = 32
+    period_cycles: int = 250
+    tap_width_lsb: np.ndarray | None = None
+
+    def __attrs_post_init__(self):
+        check_integer("phases", self.phases, 1, 1024)
+        check_integer("period_cycles", self.period_cycles, 1, 1 << 20)
+        if self.tap_width_lsb is not None:
+            total = real_array("tap_width_lsb", self.tap_width_lsb, (self.phases,), 0).sum()
+            if abs(total - self.phases) > 1e-9 * self.phases:
+                raise InputError(f"tap_width_lsb: sums to {total:g}, must sum to the {self.phases} phases")
+
+    @property
+    def tick_s(self) -> float:
+        return 1 / (self.clock_hz * self.phases)
+
+    @property
+    def period_ticks(self) -> int:
+        return self.period_cycles * self.phases
+
+    @property
+    def period_s(self) -> float:
+        return self.period_cycles / self.clock_hz
+
+
+@frozen(kw_only=True, eq=False)
+class Light:
+    """What each of rows x cols pixels detects (PDE applied, before dead time); arrays are float64 and broadcast to the stated shapes.
+
+    distance_m: [pixels, targets], NaN = no target. signal_per_pulse: [pixels, targets], mean photons. background_cps: [pixels].
+    system_fwhm_s: FWHM of the signal at the TDC's input, [pixels, targets]; laser pulse and SPAD jitter together, squares added, so the laser pulse is
+    sqrt(system_fwhm_s^2 - jitter_fwhm_s^2). range_ambiguity: light beyond the laser period falls into a later period (the laser is taken to run
+    before the first pulse); False = it is lost.
+    """
+
+    rows: int
+    cols: int
+    distance_m: np.ndarray
+    signal_per_pulse: np.ndarray
+    background_cps: np.ndarray = 0.0
+    system_fwhm_s: float | np.ndarray = 500e-12
+    range_ambiguity: bool = True
+
+    def __attrs_post_init__(self):
+        check_integer("rows", self.rows, 1, 4096)
+        check_integer("cols", self.cols, 1, 4096)
+        distance_m = np.asarray(self.distance_m)
+        shape = (self.pixels, distance_m.shape[-1] if distance_m.ndim == 2 else 1)
+        for name, size, nan in (("distance_m", shape, True), ("signal_per_pulse", shape, False),
+                                ("background_cps", shape[:1], False), ("system_fwhm_s", shape, False)):
+            object.__setattr__(self, name, real_array(name, getattr(self, name), size, 0, nan=nan))
+
+    @property
+    def pixels(self) -> int:
+        return self.rows * self.cols
+
+    @classmethod
+    def from_scene(cls, distance_m, reflectivity, klux: float, **others) -> "Light":
+        """Light of the presets for distance_m [rows, cols] or [rows, cols, targets] and reflectivity (broadcast); background uniform."""
+        distance_m = np.asarray(distance_m, dtype=np.float64)
+        if distance_m.ndim not in (2, 3):
+            raise InputError(f"distance_m: has {distance_m.ndim} dimensions, must have 2 or 3: rows, cols, targets")
+        rows, cols = distance_m.shape[:2]
+        reflectivity = real_array("reflectivity", reflectivity, distance_m.shape, 0, 1)
+        signal = signal_per_pulse(real_array("distance_m", distance_m, distance_m.shape, 1e-3, nan=True), reflectivity)
+        return cls(rows=rows, cols=cols, distance_m=distance_m.reshape(rows * cols, -1), signal_per_pulse=signal.reshape(rows * cols, -1),
+                   background_cps=background_cps(klux), **others)
+
+
+@frozen(kw_only=True, eq=False)
+class SpadGate:
+    """SPADs switched off outside [start, start + len) cycles of a period (no avalanche, no dead time), per pixel: int64[pixels] or a number.
+
+    Progressive: pulse k of a frame of frame_pulses adds step_cycles * ((k // every_pulses) mod steps) to the start; every_pulses = 0: never.
+    """
+
+    start_cycles: np.ndarray
+    len_cycles: np.ndarray
+    step_cycles: int = 0
+    every_pulses: int = 0
+    steps: int = 1
+    frame_pulses: int = 1 << 62
+
+    def __attrs_post_init__(self):
+        for name, low in (("step_cycles", 0), ("every_pulses", 0), ("steps", 1), ("frame_pulses", 1)):
+            check_integer(name, getattr(self, name), low, 1 << 62)
+
+
+def dark_count_map(pixels: int, *, median_cps: float, hot_fraction: float, hot_cps: float, seed: int) -> np.ndarray:
+    """Dark counts float64[pixels]: `median_cps` everywhere, `hot_cps` in a random share `hot_fraction` of the pixels (rounded to whole pixels)."""
+    check_integer("pixels", pixels, 1, 1 << 24)
+    hot = round(pixels * check_real("hot_fraction", hot_fraction, 0, 1))
+    dark_cps = np.full(pixels, check_real("median_cps", median_cps, 0))
+    dark_cps[np.random.default_rng(seed).permutation(pixels)[:hot]] = check_real("hot_cps", hot_cps, 0)
+    return dark_cps
