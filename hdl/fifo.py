@@ -21,7 +21,7 @@ class EventFifo(Unit):
     stored, dropped : out, what became of it, one cycle later
     head : out, the oldest event, valid from two cycles after it was stored; take : in, frees its place
 
-    The event after a drop carries `overrun`. A frame begins with the FIFO empty, as the one before was read out whole; begin : in, clears
+    The event after a drop carries `overrun`. A frame begins with the FIFO empty, as the one before was read out whole; frame_begin : in, clears
     the overrun memory. Reset empties.
     """
 
@@ -30,7 +30,7 @@ class EventFifo(Unit):
     def __init__(self, sensor: Sensor):
         self.sensor = sensor
         super().__init__({
-            "commit": In(1), "event": In(bus.window_layout(sensor)), "pulse": In(bus.PULSE_BITS), "begin": In(1),
+            "commit": In(1), "event": In(bus.window_layout(sensor)), "pulse": In(bus.PULSE_BITS), "frame_begin": In(1),
             "stored": Out(1), "dropped": Out(1), "head": Out(bus.event_layout(sensor)), "take": In(1),
         })
 
@@ -51,7 +51,7 @@ class EventFifo(Unit):
             level.eq(level + storage.w_en - self.take),
             self.stored.eq(self.commit & room), self.dropped.eq(self.commit & ~room),
         ]
-        with m.If(self.begin):
+        with m.If(self.frame_begin):
             m.d.sync += lost.eq(0)
         with m.Elif(self.commit):
             m.d.sync += lost.eq(~room)

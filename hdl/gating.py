@@ -17,7 +17,7 @@ class Gating(Unit):
 
     Ports
     -----
-    time : in, registered in the module: two cycles ahead of the ports
+    timing : in, registered in the module: two cycles ahead of the ports
     settings : in
     spad_gate : out, the gate is open, or gating is off (stage 0: the cycle in which the edges stand at the ports)
     accept : out, a frame is running and the gate lets edges through (stage 1)
@@ -30,7 +30,7 @@ class Gating(Unit):
     def __init__(self, sensor: Sensor):
         self.sensor = sensor
         super().__init__({
-            "time": In(bus.time_layout(sensor)), "settings": In(bus.settings_layout(sensor)), "spad_gate": Out(1), "accept": Out(1),
+            "timing": In(bus.time_layout(sensor)), "settings": In(bus.settings_layout(sensor)), "spad_gate": Out(1), "accept": Out(1),
         })
 
     def elaborate(self, platform):
@@ -39,8 +39,8 @@ class Gating(Unit):
         first = Signal(coarse_bits + 2)
         start, running = Signal(), Signal(2)
         m.d.sync += [
-            first.eq(self.settings.gate_start[:coarse_bits] + self.time.shift),
-            start.eq(self.time.start), running.eq((running << 1) | self.time.running),
+            first.eq(self.settings.gate_start[:coarse_bits] + self.timing.shift),
+            start.eq(self.timing.start), running.eq((running << 1) | self.timing.running),
         ]
         until, left = Signal.like(first), Signal(bus.GATE_BITS)  # cycles before the gate opens, and that it then stays open
         until_now, left_now, inside = Signal.like(until), Signal.like(left), Signal()

@@ -37,7 +37,7 @@ class SensorModule(Unit):
         sensor = self.sensor
         reset = Signal(init=1, reset_less=True)
         start = Signal(reset_less=True)
-        m.d.sync += [reset.eq(ResetSignal()), start.eq(self.time.start)]
+        m.d.sync += [reset.eq(ResetSignal()), start.eq(self.timing.start)]
         tdc = place(m, "tdc", Tdc(sensor, self.lines), platform, reset)
         m.d.comb += tdc.start.eq(start)
         for k in range(self.lines):

@@ -26,7 +26,7 @@ class Readout(Unit):
     stored, record_stored : in, a bit a subgroup: an event, a record waits to be read
     grant : out, one-hot; send : out, what the granted subgroup sends
     valid, beat : in, OR of the subgroups' beats
-    frame : in, settings; number : in, the frame's; begin : in, strobe; finish : in, nothing more will be stored
+    frame : in, settings; number : in, the frame's; frame_begin : in, strobe; finish : in, nothing more will be stored
     delivered : out, the end packet has left
     m_axis : AXI4-Stream master, `tlast` ends the frame
 
@@ -41,7 +41,7 @@ class Readout(Unit):
         super().__init__({
             "stored": In(subgroups), "record_stored": In(subgroups), "grant": Out(subgroups), "send": Out(bus.Send),
             "valid": In(1), "beat": In(BEAT_BITS), "frame": In(bus.frame_layout(sensor)), "number": In(bus.PULSE_BITS),
-            "begin": In(1), "finish": In(1), "delivered": Out(1), "m_axis": Out(STREAM),
+            "frame_begin": In(1), "finish": In(1), "delivered": Out(1), "m_axis": Out(STREAM),
         })
 
     def elaborate(self, platform):
@@ -51,7 +51,7 @@ class Readout(Unit):
         stored, record_stored, begin, finish = Signal(n), Signal(n), Signal(), Signal()
         valid, beat = Signal(), Signal(BEAT_BITS)
         m.d.sync += [
-            stored.eq(self.stored), record_stored.eq(self.record_stored), begin.eq(self.begin), finish.eq(self.finish),
+            stored.eq(self.stored), record_stored.eq(self.record_stored), begin.eq(self.frame_begin), finish.eq(self.finish),
             valid.eq(self.valid), beat.eq(self.beat),
         ]
 

@@ -23,7 +23,7 @@ class Registers(Unit):
     -----
     s_axi : AXI4-Lite slave, 32-bit data. One access at a time; address and data of a write may come in any order. A write that is refused
         answers SLVERR, changes nothing and sets a sticky bit; a read of an unmapped address answers SLVERR with 0.
-    config : out, configuration bus to all subgroups; data : in, OR of their answers; gate_late : in, OR of their start checks
+    command : out, configuration bus to all subgroups; data : in, OR of their answers; gate_late : in, OR of their start checks
     period : out, as programmed; frame : out, settings of the running frame; sequence : out, the sequencer's
     start, abort : out, strobes; done : in, strobe
 
@@ -35,7 +35,7 @@ class Registers(Unit):
     def __init__(self, sensor: Sensor):
         self.sensor = sensor
         super().__init__({
-            "s_axi": In(LITE), "config": Out(bus.CONFIG_BUS), "data": In(DATA_BITS), "gate_late": In(1),
+            "s_axi": In(LITE), "command": Out(bus.CONFIG_BUS), "data": In(DATA_BITS), "gate_late": In(1),
             "period": Out(sensor.coarse_bits + 1), "frame": Out(bus.frame_layout(sensor)), "sequence": Out(bus.sequence_layout(sensor)),
             "start": Out(1), "abort": Out(1), "done": In(1),
         })
@@ -52,7 +52,7 @@ class Registers(Unit):
         data, gate_late = Signal(DATA_BITS), Signal()
         m.d.sync += [
             data.eq(self.data), gate_late.eq(self.gate_late), self.start.eq(0), self.abort.eq(0),
-            self.config.operation.eq(bus.Operation.IDLE),
+            self.command.operation.eq(bus.Operation.IDLE),
         ]
         m.d.comb += self.period.eq(setting["period", 0])
 
@@ -119,7 +119,7 @@ class Registers(Unit):
                         m.d.sync += flag["bad_value"].eq(1)
                     m.d.sync += respond(1)
                 with m.Elif(in_subgroup):
-                    m.d.sync += [self.config.operation.eq(bus.Operation.WRITE), self.config.data.eq(value), *self._name_word(address)]
+                    m.d.sync += [self.command.operation.eq(bus.Operation.WRITE), self.command.data.eq(value), *self._name_word(address)]
                     m.d.sync += respond(0)
                 with m.Else():
                     m.d.sync += respond(0)
@@ -148,18 +148,18 @@ class Registers(Unit):
                         m.d.sync += [flag[name].eq(flag[name] | bad) for name, bad in failed.items()]
                         m.d.sync += respond(1)
                     with m.Else():
-                        m.d.sync += [flag["busy"].eq(1), bound.eq(0), self.config.operation.eq(bus.Operation.TAKE)]
+                        m.d.sync += [flag["busy"].eq(1), bound.eq(0), self.command.operation.eq(bus.Operation.TAKE)]
                         m.d.sync += [self.frame[name].eq(setting[of, 0]) for name, of in FRAME_SETTINGS.items()]
                         m.d.sync += [self.sequence[name].eq(setting[name, 0]) for name in self.sequence.shape().members]
                         m.next = "bounds"
             with m.State("bounds"):
                 m.d.sync += [
-                    self.config.operation.eq(bus.Operation.COMPARE), self.config.data.eq(Array(bounds)[bound]), bound.eq(bound + 1),
+                    self.command.operation.eq(bus.Operation.COMPARE), self.command.data.eq(Array(bounds)[bound]), bound.eq(bound + 1),
                 ]
                 with m.If(bound == AUTO_BOUNDS - 1):
                     m.next = "begin"
             with m.State("begin"):
-                m.d.sync += [self.config.operation.eq(bus.Operation.BEGIN), self.start.eq(1), *respond(0)]
+                m.d.sync += [self.command.operation.eq(bus.Operation.BEGIN), self.start.eq(1), *respond(0)]
                 m.next = "idle"
         with m.If(self.done):
             m.d.sync += [flag["busy"].eq(0), flag["done"].eq(1)]
@@ -167,7 +167,7 @@ class Registers(Unit):
 
     def _name_word(self, address):
         blocks = address[(SUBGROUP_STRIDE - 1).bit_length() :]
-        return [self.config.subgroup.eq(blocks - SUBGROUP_BASE // SUBGROUP_STRIDE), self.config.word.eq(address[2:])]
+        return [self.command.subgroup.eq(blocks - SUBGROUP_BASE // SUBGROUP_STRIDE), self.command.word.eq(address[2:])]
 
     def _decode(self, m, address, value):
         """Registered: the address is mapped, may be written, takes the value, and lies in a subgroup's block."""

@@ -14,7 +14,7 @@ from .module import SensorModule
 from .readout import Readout
 from .registers import Registers
 from .sequencer import Sequencer
-from .subgroup import own_ports, shared_ports
+from .subgroup import own_ports
 from .unit import Unit
 
 TOP = "coincid_sensor"
@@ -66,13 +66,12 @@ def netlist(sensor: Sensor) -> Netlist:
 
     registers, sequencer = Registers(sensor), Sequencer(sensor)
     n.add("registers", registers, **flat(registers, "s_axi", "s_axi"))
-    n.add("sequencer", sequencer, time="timing")
-    shared = {name: "timing" if name == "time" else name for name in shared_ports(sensor)}
+    n.add("sequencer", sequencer)
     for k in range(0, sensor.subgroups, 2):
         lines = min(2, sensor.subgroups - k)
         own = {f"{name}_{j}": f"{name}_{k + j}" for j in range(lines) for name in own_ports(sensor)}
         own |= {f"words_{j}": f"spad_{k + j}" for j in range(lines)} | {f"send_{j}": f"send_of_{sensor.stream_of(k + j)}" for j in range(lines)}
-        n.add(f"module_{k // 2}", SensorModule(sensor, lines), number=k // 2, **shared, **own)
+        n.add(f"module_{k // 2}", SensorModule(sensor, lines), number=k // 2, **own)
     for stream in range(sensor.streams):
         members = sensor.stream_subgroups(stream)
         readout = Readout(sensor, len(members))

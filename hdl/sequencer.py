@@ -12,7 +12,7 @@ from . import bus
 from .unit import Unit
 
 LEAD = 3           # cycles that `time` runs ahead of the ports
-HEAD_TO_GRANT = 2  # `begin` -> the readout's earliest grant
+HEAD_TO_GRANT = 2  # `frame_begin` -> the readout's earliest grant
 END_TO_GRANT = 1   # `finish` -> the readout's earliest grant of the end packet
 
 
@@ -22,8 +22,8 @@ class Sequencer(Unit):
     Ports
     -----
     sequence : in, the frame's settings; start, abort : in, strobes
-    time : out, what the cycle three cycles from now is; laser : out, high in cycle 0 of every period, at the ports' time
-    begin : out, strobe to the readouts; number : out, the frame's; finish : out, the last event is on its way
+    timing : out, what the cycle three cycles from now is; laser : out, high in cycle 0 of every period, at the ports' time
+    frame_begin : out, strobe to the readouts; number : out, the frame's; finish : out, the last event is on its way
     delivered : in, all readouts have sent their end packets; done : out, strobe
 
     Reset ends a frame at once and sets the frame number to 0.
@@ -35,8 +35,8 @@ class Sequencer(Unit):
         self.sensor = sensor
         super().__init__({
             "sequence": In(bus.sequence_layout(sensor)), "start": In(1), "abort": In(1),
-            "time": Out(bus.time_layout(sensor)), "laser": Out(1),
-            "begin": Out(1), "number": Out(bus.PULSE_BITS), "finish": Out(1), "delivered": In(1), "done": Out(1),
+            "timing": Out(bus.time_layout(sensor)), "laser": Out(1),
+            "frame_begin": Out(1), "number": Out(bus.PULSE_BITS), "finish": Out(1), "delivered": In(1), "done": Out(1),
         })
 
     def elaborate(self, platform):
@@ -66,15 +66,15 @@ class Sequencer(Unit):
 
         shift = self._shift(m, start[-1], ends)
         m.d.sync += [
-            self.time.running.eq(running), self.time.start.eq(running & (cycle == 0)), self.time.wrap.eq(wrap),
-            self.time.may_open.eq(running & (cycle < last_open)), self.time.shift.eq(shift),
+            self.timing.running.eq(running), self.timing.start.eq(running & (cycle == 0)), self.timing.wrap.eq(wrap),
+            self.timing.may_open.eq(running & (cycle < last_open)), self.timing.shift.eq(shift),
         ]
         laser = Signal(LEAD - 1)
-        m.d.sync += [laser.eq((laser << 1) | self.time.start), self.laser.eq(laser[-1])]
+        m.d.sync += [laser.eq((laser << 1) | self.timing.start), self.laser.eq(laser[-1])]
 
         # `first` stands a cycle before `time` shows cycle 0, so LEAD + 1 cycles before the ports do.
         until_begin = Signal(LEAD + latency.FRAME_START - HEAD_TO_GRANT)
-        m.d.sync += [until_begin.eq((until_begin << 1) | first), self.begin.eq(until_begin[-1])]
+        m.d.sync += [until_begin.eq((until_begin << 1) | first), self.frame_begin.eq(until_begin[-1])]
         # `wrap` after the last period stands LEAD + 1 cycles before the first cycle after it.
         to_finish = LEAD + 1 + latency.FINISH - END_TO_GRANT
         draining, drained = Signal(), Signal(range(to_finish + 1))

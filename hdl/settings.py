@@ -15,7 +15,7 @@ class SubgroupSettings(Unit):
 
     Ports
     -----
-    bus : in, configuration bus, registered; subgroup : in, this one's number; period : in, the programmed laser period
+    command : in, configuration bus, registered; subgroup : in, this one's number; period : in, the programmed laser period
     settings : out, in force since the last TAKE
     counters : in
     data : out, two cycles after the bus named a word of this subgroup; 0 otherwise, so that all subgroups can be ORed
@@ -29,7 +29,7 @@ class SubgroupSettings(Unit):
     def __init__(self, sensor: Sensor):
         self.sensor = sensor
         super().__init__({
-            "bus": In(bus.CONFIG_BUS), "subgroup": In(bus.SUBGROUP_BITS), "period": In(sensor.coarse_bits + 1),
+            "command": In(bus.CONFIG_BUS), "subgroup": In(bus.SUBGROUP_BITS), "period": In(sensor.coarse_bits + 1),
             "settings": Out(bus.settings_layout(sensor)), "counters": In(COUNTER_BITS * len(COUNTER_NAMES)),
             "data": Out(DATA_BITS), "gate_late": Out(1),
         })
@@ -38,19 +38,19 @@ class SubgroupSettings(Unit):
         m = Module()
         programmed = Signal(bus.settings_layout(self.sensor), init=self._reset())
         selected, word = Signal(), Signal(bus.WORD_BITS)
-        m.d.comb += selected.eq(self.bus.subgroup == self.subgroup)
+        m.d.comb += selected.eq(self.command.subgroup == self.subgroup)
         m.d.sync += [
-            word.eq(Mux(selected, self.bus.word, ~0)), self.data.eq(0),
+            word.eq(Mux(selected, self.command.word, ~0)), self.data.eq(0),
             self.gate_late.eq(programmed.gating & (programmed.gate_start >= self.period)),
         ]
-        with m.If(self.bus.operation == bus.Operation.TAKE):
+        with m.If(self.command.operation == bus.Operation.TAKE):
             m.d.sync += self.settings.eq(programmed)
-        write = selected & (self.bus.operation == bus.Operation.WRITE)
+        write = selected & (self.command.operation == bus.Operation.WRITE)
         for offset, register, index in registers.words(registers.SUBGROUP, self.sensor):
             if register.access is registers.Access.SETTING:
                 field = self._field(programmed, register, index)
-                with m.If(write & (self.bus.word == offset // 4)):
-                    m.d.sync += field.eq(self.bus.data)
+                with m.If(write & (self.command.word == offset // 4)):
+                    m.d.sync += field.eq(self.command.data)
             else:
                 field = self.counters.word_select(COUNTER_NAMES.index(register.name), COUNTER_BITS)
             with m.If(word == offset // 4):

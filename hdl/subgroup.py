@@ -21,8 +21,8 @@ from .unit import Unit, place
 def shared_ports(sensor: Sensor) -> dict:
     """What all subgroups hear: configuration bus, programmed period, frame settings, timing."""
     return {
-        "config": In(bus.CONFIG_BUS), "period": In(sensor.coarse_bits + 1),
-        "frame": In(bus.frame_layout(sensor)), "time": In(bus.time_layout(sensor)),
+        "command": In(bus.CONFIG_BUS), "period": In(sensor.coarse_bits + 1),
+        "frame": In(bus.frame_layout(sensor)), "timing": In(bus.time_layout(sensor)),
     }
 
 
@@ -68,29 +68,29 @@ class Subgroup(Unit):
         packets = place(m, "packetizer", Packetizer(sensor), platform)
 
         # Everything shared is registered here first.
-        config, time, frame, period = (Signal.like(port) for port in (self.config, self.time, self.frame, self.period))
+        command, timing, frame, period = (Signal.like(port) for port in (self.command, self.timing, self.frame, self.period))
         grant, send = Signal(), Signal(bus.Send)
         m.d.sync += [
-            config.eq(self.config), time.eq(self.time), frame.eq(self.frame), period.eq(self.period),
+            command.eq(self.command), timing.eq(self.timing), frame.eq(self.frame), period.eq(self.period),
             grant.eq(self.grant), send.eq(self.send),
         ]
         wiring.connect(m, wiring.flipped(self.line), tree.line)
         m.d.comb += [
-            settings.bus.eq(config), settings.subgroup.eq(self.subgroup), settings.period.eq(period), settings.counters.eq(dpcu.counters),
+            settings.command.eq(command), settings.subgroup.eq(self.subgroup), settings.period.eq(period), settings.counters.eq(dpcu.counters),
             self.data.eq(settings.data), self.gate_late.eq(settings.gate_late),
 
-            gating.time.eq(time), gating.settings.eq(settings.settings), self.spad_gate.eq(gating.spad_gate),
+            gating.timing.eq(timing), gating.settings.eq(settings.settings), self.spad_gate.eq(gating.spad_gate),
 
             tree.words.eq(self.words), tree.mask.eq(settings.settings.mask), tree.accept.eq(gating.accept),
-            tree.window_ticks.eq(dpcu.window_ticks), tree.frame.eq(frame), tree.time.eq(time),
+            tree.window_ticks.eq(dpcu.window_ticks), tree.frame.eq(frame), tree.timing.eq(timing),
 
-            dpcu.settings.eq(settings.settings), dpcu.operation.eq(config.operation), dpcu.bound.eq(config.data), dpcu.start.eq(time.start),
+            dpcu.settings.eq(settings.settings), dpcu.operation.eq(command.operation), dpcu.bound.eq(command.data), dpcu.start.eq(timing.start),
             dpcu.closed.eq(tree.closed), dpcu.window.eq(tree.window), dpcu.blind.eq(tree.blind),
             dpcu.stored.eq(events.stored), dpcu.dropped.eq(events.dropped),
             dpcu.mg_stored.eq(records.stored), dpcu.mg_dropped.eq(records.dropped),
 
             events.commit.eq(dpcu.commit), events.event.eq(dpcu.event), events.pulse.eq(dpcu.pulse),
-            events.begin.eq(config.operation == bus.Operation.BEGIN), events.take.eq(packets.take_event),
+            events.frame_begin.eq(command.operation == bus.Operation.BEGIN), events.take.eq(packets.take_event),
             self.stored.eq(events.stored),
 
             records.due.eq(tree.record_due), records.latched.eq(tree.latched), records.entries.eq(tree.entries),

@@ -25,7 +25,7 @@ class CoincidenceTree(Unit):
     -----
     words : in, pixels * phases, edge words (stage 0); mask, accept : in (stage 1)
     window_ticks : in, the coincidence window (1 where coincidence is off); frame : in, settings
-    time : in, registered in the module, two cycles ahead of the ports
+    timing : in, registered in the module, two cycles ahead of the ports
     line : the subgroup's TDC sampling line
     closed : out, a window has closed: `window` holds it (stage 7)
     blind : out, a cycle with an edge that found the tree not armed (stage 5)
@@ -40,7 +40,7 @@ class CoincidenceTree(Unit):
         self.sensor = sensor
         super().__init__({
             "words": In(sensor.pixels * sensor.phases), "mask": In(sensor.pixels), "accept": In(1),
-            "window_ticks": In(sensor.window_bits), "frame": In(bus.frame_layout(sensor)), "time": In(bus.time_layout(sensor)),
+            "window_ticks": In(sensor.window_bits), "frame": In(bus.frame_layout(sensor)), "timing": In(bus.time_layout(sensor)),
             "line": Out(line_signature(sensor)),
             "closed": Out(1), "window": Out(bus.window_layout(sensor)), "blind": Out(1),
             "record_due": Out(1), "latched": Out(sensor.minigroups), "entries": Out(bus.record_layout(sensor)["entries"].shape),
@@ -56,7 +56,7 @@ class CoincidenceTree(Unit):
 
         # Timing strobes brought to stage 3 (they come two cycles ahead of the ports, one register here makes it one).
         may_open, wrap = Signal(5), Signal(5)
-        m.d.sync += [may_open.eq((may_open << 1) | self.time.may_open), wrap.eq((wrap << 1) | self.time.wrap)]
+        m.d.sync += [may_open.eq((may_open << 1) | self.timing.may_open), wrap.eq((wrap << 1) | self.timing.wrap)]
 
         # Stage 3: the window. The loop at clock speed is only (open, left, rearm).
         window_open, left, rearm = Signal(), Signal(range(sensor.window_max + phases)), Signal(range(sensor.rearm + 1))
