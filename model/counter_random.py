@@ -52,7 +52,9 @@ def exponential(key, purpose, counter):
 
 def _ziggurat():
     """Layer borders x and densities exp(-x^2/2) of the ziggurat for the normal law, its layers of equal area."""
-    density = lambda x: math.exp(-x * x / 2)
+    def density(x):
+        return math.exp(-x * x / 2)
+
     area = _LAST_X * density(_LAST_X) + math.sqrt(math.pi / 2) * math.erfc(_LAST_X / math.sqrt(2))
     x = [area / density(_LAST_X), _LAST_X]
     while len(x) < _LAYERS:

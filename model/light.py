@@ -14,12 +14,11 @@ from .quantities import check_real, real, real_array
 SPEED_OF_LIGHT_M_S = 299_792_458.0
 SIGMA_PER_FWHM = 1 / math.sqrt(8 * math.log(2))
 
-BACKGROUND_CPS_PER_KLUX = 1.226e6 / 50  # detected, per pixel: our preset (errata 4: the level at which thresholds are selective)
+BACKGROUND_CPS_PER_KLUX = 1.226e6 / 50  # detected, per pixel; our preset: the level at which thresholds are selective
 SIGNAL_REFERENCE = 0.613                # detected photons per pulse and pixel, equation (1) at the two values below
 REFERENCE_DISTANCE_M = 4.0
 REFERENCE_REFLECTIVITY = 0.4
-
-
+NEAREST_M = 1e-3                        # of a scene: the signal grows without bound towards 0
 
 def background_cps(klux: float) -> float:
     """Detected background of a pixel in counts per second at `klux` of ambient light: our preset, linear."""
@@ -27,7 +26,10 @@ def background_cps(klux: float) -> float:
 
 
 def signal_per_pulse(distance_m, reflectivity):
-    """Detected signal photons per pulse and pixel (float64, shapes broadcast): equation (1), ~ reflectivity / distance^2; 0 where the distance is NaN."""
+    """Detected signal photons per pulse and pixel (float64, shapes broadcast); 0 where the distance is NaN.
+
+    Equation (1) of the paper: proportional to reflectivity / distance^2.
+    """
     scaled = np.asarray(reflectivity) / REFERENCE_REFLECTIVITY * (REFERENCE_DISTANCE_M / np.asarray(distance_m)) ** 2
     return np.nan_to_num(SIGNAL_REFERENCE * scaled, nan=0.0)
 
@@ -37,10 +39,12 @@ class Spad:
     """The detector. Defaults: the paper's section II; effects that it leaves out are off.
 
     dead_time_s, paralyzable: from one avalanche to the next; paralyzable = a photon within it extends it.
-    jitter_fwhm_s: Gaussian jitter of an avalanche's edge. jitter_tail_fraction of the avalanches add an exponential delay of jitter_tail_s.
+    jitter_fwhm_s: Gaussian jitter of an avalanche's edge; jitter_tail_fraction of the edges are late by another,
+    exponential time of mean jitter_tail_s.
     dark_cps: dark count rate, a number or float64[pixels] (see `dark_count_map`).
-    afterpulse_probability: that an avalanche traps a carrier, released after an exponential time of afterpulse_s; released while the SPAD is dead, it is
-    lost, so exp(-dead_time_s / afterpulse_s) of them are seen. crosstalk_probability: that an avalanche sends a photon to one given neighbour (of four) at once.
+    afterpulse_probability: that an avalanche traps a carrier, released after an exponential time of mean afterpulse_s;
+    released while the SPAD is dead, it is lost, so exp(-dead_time_s / afterpulse_s) of them are seen.
+    crosstalk_probability: that an avalanche sends, at once, a photon to one given neighbour (of four).
     """
 
     dead_time_s: float = real(8e-9, 0)
@@ -89,12 +93,14 @@ class Timing:
 
 @frozen(kw_only=True, eq=False)
 class Light:
-    """What each of rows x cols pixels detects (PDE applied, before dead time); arrays are float64 and broadcast to the stated shapes.
+    """What each of rows x cols pixels detects (PDE applied, before dead time); arrays broadcast to the stated shapes.
 
-    distance_m: [pixels, targets], NaN = no target. signal_per_pulse: [pixels, targets], mean photons. background_cps: [pixels].
-    system_fwhm_s: FWHM of the signal at the TDC's input, [pixels, targets]; laser pulse and SPAD jitter together, squares added, so the laser pulse is
-    sqrt(system_fwhm_s^2 - jitter_fwhm_s^2). range_ambiguity: light beyond the laser period falls into a later period (the laser is taken to run
-    before the first pulse); False = it is lost.
+    distance_m: float64[pixels, targets], NaN = no target. signal_per_pulse: float64[pixels, targets], mean photons.
+    background_cps: float64[pixels]. A one-dimensional distance or signal is [pixels] with one target each.
+    system_fwhm_s: float64[pixels, targets], FWHM of the signal at the TDC's input: laser pulse and SPAD jitter
+    together, squares added, so the laser pulse is sqrt(system_fwhm_s^2 - jitter_fwhm_s^2).
+    range_ambiguity: light from beyond the laser period falls into a later period (the laser is taken to run before the
+    first pulse); False = it is lost.
     """
 
     rows: int
@@ -108,11 +114,14 @@ class Light:
     def __attrs_post_init__(self):
         check_integer("rows", self.rows, 1, 4096)
         check_integer("cols", self.cols, 1, 4096)
-        distance_m = np.asarray(self.distance_m)
-        shape = (self.pixels, distance_m.shape[-1] if distance_m.ndim == 2 else 1)
-        for name, size, nan in (("distance_m", shape, True), ("signal_per_pulse", shape, False),
-                                ("background_cps", shape[:1], False), ("system_fwhm_s", shape, False)):
-            object.__setattr__(self, name, real_array(name, getattr(self, name), size, 0, nan=nan))
+        for name in ("distance_m", "signal_per_pulse", "system_fwhm_s"):
+            array = np.asarray(getattr(self, name))
+            object.__setattr__(self, name, array[:, None] if array.ndim == 1 else array)
+        targets = max(self.distance_m.shape[-1:] + self.signal_per_pulse.shape[-1:], default=1)
+        for name, last in (("distance_m", (targets,)), ("signal_per_pulse", (targets,)), ("system_fwhm_s", (targets,)),
+                           ("background_cps", ())):
+            checked = real_array(name, getattr(self, name), (self.pixels, *last), 0, nan=name == "distance_m")
+            object.__setattr__(self, name, checked)
 
     @property
     def pixels(self) -> int:
@@ -120,22 +129,27 @@ class Light:
 
     @classmethod
     def from_scene(cls, distance_m, reflectivity, klux: float, **others) -> "Light":
-        """Light of the presets for distance_m [rows, cols] or [rows, cols, targets] and reflectivity (broadcast); background uniform."""
+        """Light of the presets, background uniform.
+
+        distance_m: float64[rows, cols] or [rows, cols, targets], NaN = no target; reflectivity: broadcast to it.
+        """
         distance_m = np.asarray(distance_m, dtype=np.float64)
         if distance_m.ndim not in (2, 3):
             raise InputError(f"distance_m: has {distance_m.ndim} dimensions, must have 2 or 3: rows, cols, targets")
         rows, cols = distance_m.shape[:2]
-        reflectivity = real_array("reflectivity", reflectivity, distance_m.shape, 0, 1)
-        signal = signal_per_pulse(real_array("distance_m", distance_m, distance_m.shape, 1e-3, nan=True), reflectivity)
-        return cls(rows=rows, cols=cols, distance_m=distance_m.reshape(rows * cols, -1), signal_per_pulse=signal.reshape(rows * cols, -1),
+        distance_m = real_array("distance_m", distance_m, distance_m.shape, NEAREST_M, nan=True)
+        signal = signal_per_pulse(distance_m, real_array("reflectivity", reflectivity, distance_m.shape, 0, 1))
+        flat = (rows * cols, -1)
+        return cls(rows=rows, cols=cols, distance_m=distance_m.reshape(flat), signal_per_pulse=signal.reshape(flat),
                    background_cps=background_cps(klux), **others)
 
 
 @frozen(kw_only=True, eq=False)
 class SpadGate:
-    """SPADs switched off outside [start, start + len) cycles of a period (no avalanche, no dead time), per pixel: int64[pixels] or a number.
+    """SPADs switched off outside [start, start + len) cycles of a period: there no avalanche and no dead time.
 
-    Progressive: pulse k of a frame of frame_pulses adds step_cycles * ((k // every_pulses) mod steps) to the start; every_pulses = 0: never.
+    start_cycles, len_cycles: per pixel, int64[pixels] or a number. Progressive gating: pulse k of a frame of
+    frame_pulses adds step_cycles * ((k // every_pulses) mod steps) to the start; every_pulses = 0: never.
     """
 
     start_cycles: np.ndarray
@@ -151,7 +165,7 @@ class SpadGate:
 
 
 def dark_count_map(pixels: int, *, median_cps: float, hot_fraction: float, hot_cps: float, seed: int) -> np.ndarray:
-    """Dark counts float64[pixels]: `median_cps` everywhere, `hot_cps` in a random share `hot_fraction` of the pixels (rounded to whole pixels)."""
+    """Dark count rates float64[pixels]: `median_cps`, but `hot_cps` in a random share `hot_fraction` of the pixels."""
     check_integer("pixels", pixels, 1, 1 << 24)
     hot = round(pixels * check_real("hot_fraction", hot_fraction, 0, 1))
     dark_cps = np.full(pixels, check_real("median_cps", median_cps, 0))

@@ -1,36 +1,40 @@
 """Photons to edges: a Monte Carlo of the SPAD array in continuous time, then TDC ticks.
 
-Ref: paper II (SPAD, laser), IV (pulse of 500 to 520 ps FWHM); what the paper leaves open is our choice and said so here and in docs/light.md.
+Ref: paper II and IV (SPAD, laser pulse); the effects that the paper leaves out, and their order, are our choice.
 
 Order of the effects, per pixel and laser pulse:
 
-1. photons that would fire the SPAD: background + dark counts (uniform), signal (Gaussian pulse around the time of flight, modulo the
-   laser period), carriers trapped by earlier avalanches (afterpulses), photons from avalanches of neighbours (crosstalk);
+1. photons that would fire the SPAD: background and dark counts (uniform), signal (a Gaussian pulse around the time of
+   flight, modulo the laser period), carriers trapped by earlier avalanches (afterpulses), photons from avalanches of
+   neighbours (crosstalk);
 2. SPAD gate: outside it nothing happens;
 3. dead time, carried on from pulse to pulse: which photons become avalanches;
 4. jitter of the avalanche's edge, modulo the laser period;
 5. the TDC's taps: time to tick.
 
 Every random number is a hash of (seed, pixel, pulse, purpose, counter), so neither chunks nor workers change the edges.
-Crosstalk couples the pixels: a first pass finds the avalanches without it and draws what they send to their four neighbours, a second pass walks all
-pixels again with the same photons and these. A crosstalk avalanche sends no crosstalk of its own (probability squared: neglected).
+Crosstalk couples the pixels: a first pass finds the avalanches without it and draws what they send to their four
+neighbours, a second pass walks all pixels again with the same photons and these. A crosstalk avalanche sends no
+crosstalk of its own (probability squared: neglected).
 """
 
 import math
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
+from itertools import repeat
 from typing import NamedTuple
 
 import numpy as np
-from attrs import evolve, field, frozen
 from numba import njit
 
+from .counter_random import exponential, key_of, normal, open_unit, uniform
 from .edges import Edges
 from .errors import InputError, check_integer
-from .quantities import check_real, real, real_array
-from .counter_random import exponential, key_of, normal, open_unit, uniform
+from .light import SIGMA_PER_FWHM, SPEED_OF_LIGHT_M_S, Light, Spad, SpadGate, Timing
+from .quantities import real_array
 
 CHUNK_EDGES = 1 << 16  # edges made and sorted at a time: fits a core's cache
+PULSES_MAX = 1 << 40
 CARRIERS_MAX = 32      # trapped carriers of a pixel that outlive their pulse; more are lost
 
 
@@ -40,45 +44,52 @@ def generate_edges(light: Light, spad: Spad, timing: Timing, **options) -> Edges
     return Edges(*(np.concatenate([getattr(chunk, name) for chunk in chunks]) for name in ("pulse", "pixel", "tick")))
 
 
-def edge_chunks(light: Light, spad: Spad, timing: Timing, *, pulses: int, seed: int, pulse_start: int = 0, gate: SpadGate | None = None,
-                workers: int = 1, chunk_pulses: int | None = None) -> Iterator[Edges]:
-    """Edges of `pulses` laser pulses from `pulse_start` on, in chunks of whole pulses, each sorted by (pulse, tick, pixel).
+def edge_chunks(light: Light, spad: Spad, timing: Timing, *, pulses: int, seed: int, pulse_start: int = 0,
+                gate: SpadGate | None = None, workers: int = 1, chunk_pulses: int | None = None) -> Iterator[Edges]:
+    """Edges of laser pulses from `pulse_start` on, in chunks of whole pulses, each sorted by (pulse, tick, pixel).
 
-    All SPADs are ready at `pulse_start`; dead time and trapped carriers go on from chunk to chunk. `workers` threads share the pixels.
-    Neither `workers` nor `chunk_pulses` (default: about `CHUNK_EDGES` edges) changes the edges; memory grows with the chunk only.
-    Raises `InputError` for values out of range.
+    All SPADs are ready at `pulse_start`; dead time and trapped carriers go on from chunk to chunk. `workers` threads
+    share the pixels. Neither `workers` nor `chunk_pulses` (default: about `CHUNK_EDGES` edges) changes the edges;
+    memory grows with the chunk only. Raises `InputError` for values out of range.
     """
-    check_integer("pulses", pulses, 1, 1 << 40)
-    check_integer("pulse_start", pulse_start, 0, 1 << 40)
+    check_integer("pulses", pulses, 1, PULSES_MAX)
+    check_integer("pulse_start", pulse_start, 0, PULSES_MAX)
     check_integer("seed", seed, 0, (1 << 64) - 1)
     check_integer("workers", workers, 1, 256)
     physics, arrays = _in_ticks(light, spad, timing, gate)
     edges_per_pulse = physics.edges_per_pulse(arrays)
+    packing = _Packing((light.pixels - 1).bit_length(), (timing.period_ticks - 1).bit_length())
     if chunk_pulses is None:
-        chunk_pulses = min(max(1, int(CHUNK_EDGES / (edges_per_pulse.sum() + 1e-9))), 1 << 20)
-    check_integer("chunk_pulses", chunk_pulses, 1, 1 << 24)
-    tick_bits, pixel_bits = (timing.period_ticks - 1).bit_length(), (light.pixels - 1).bit_length()
-    if pixel_bits + tick_bits + chunk_pulses.bit_length() > 63:
-        raise InputError(f"chunk_pulses = {chunk_pulses}: must be below 2^{63 - pixel_bits - tick_bits} with this array and period")
+        chunk_pulses = min(max(1, int(CHUNK_EDGES / (edges_per_pulse.sum() + 1e-9))), CHUNK_EDGES)
+    check_integer("chunk_pulses", chunk_pulses, 1, 1 << min(31, 63 - sum(packing)), "of this array and period")
     blocks = [(light.pixels * i // workers, light.pixels * (i + 1) // workers) for i in range(workers)]
-    walkers = [_Walker(physics, arrays, block, seed, pixel_bits, tick_bits, edges_per_pulse[slice(*block)].sum()) for block in blocks]
-    with ThreadPoolExecutor(workers) as pool:
-        for first in range(pulse_start, pulse_start + pulses, chunk_pulses):
-            span = (first, min(chunk_pulses, pulse_start + pulses - first))
-            yield _chunk(pool, walkers, span, physics.crosstalk > 0, pixel_bits, tick_bits)
+    walkers = [_Walker(physics, arrays, block, seed, packing, edges_per_pulse[slice(*block)].sum()) for block in blocks]
+    return _chunks(walkers, range(pulse_start, pulse_start + pulses), chunk_pulses)
 
 
-def _chunk(pool, walkers, span, crosstalk, pixel_bits, tick_bits) -> Edges:
-    """One chunk's edges: both passes over all blocks of pixels, then the order in time."""
-    received = (np.empty(0, np.int64), np.empty(0))
-    if crosstalk:
-        sent = list(pool.map(lambda walker: walker.walk(span, received, True), walkers))
-        where, time = (np.concatenate(part) for part in zip(*sent))
-        order = np.lexsort((time, where))
-        received = where[order], time[order]
-    keys = np.concatenate([keys for keys, _ in pool.map(lambda walker: walker.walk(span, received, False), walkers)])
-    keys.sort()
-    return Edges(*_unpacked(keys, span[0], pixel_bits, tick_bits))
+def _chunks(walkers: list["_Walker"], pulses: range, chunk_pulses: int) -> Iterator[Edges]:
+    """For each chunk both passes over all blocks of pixels, then the order in time."""
+    physics, packing = walkers[0].physics, walkers[0].packing
+    with ThreadPoolExecutor(len(walkers)) as pool:
+        for first in pulses[::chunk_pulses]:
+            span = (first, min(chunk_pulses, pulses.stop - first))
+            received = (np.empty(0, np.int64), np.empty(0))
+            if physics.crosstalk > 0:
+                sent = list(pool.map(_Walker.walk, walkers, repeat(span), repeat(received), repeat(True)))
+                where, time = (np.concatenate([part[i] for part in sent]) for i in range(2))
+                order = np.lexsort((time, where))
+                received = where[order], time[order]
+            made = pool.map(_Walker.walk, walkers, repeat(span), repeat(received), repeat(False))
+            keys = np.concatenate([part[0] for part in made])
+            keys.sort()
+            yield Edges(*_unpacked(keys, first, packing))
+
+
+class _Packing(NamedTuple):
+    """An edge as one integer that sorts by (pulse, tick, pixel): the width of its lower fields."""
+
+    pixel_bits: int
+    tick_bits: int
 
 
 class _Physics(NamedTuple):
@@ -108,7 +119,10 @@ class _Physics(NamedTuple):
 
 
 class _Arrays(NamedTuple):
-    """Arrays of the walk: noise [pixels], signal [pixels, targets] in photons a period; centre, sigma [pixels, targets], gate [pixels] in ticks."""
+    """Arrays of the walk: noise [pixels], signal [pixels, targets] in photons a period; the others in ticks.
+
+    centre, sigma: [pixels, targets]. gate_start, gate_len: [pixels]. taps: inner borders of the phases, empty = ideal.
+    """
 
     noise: np.ndarray
     signal: np.ndarray
@@ -121,54 +135,74 @@ class _Arrays(NamedTuple):
 
 def _in_ticks(light: Light, spad: Spad, timing: Timing, gate: SpadGate | None) -> tuple[_Physics, _Arrays]:
     """Seconds, metres and rates to ticks and photons per period."""
-    tick_s, pixels = timing.tick_s, light.pixels
+    tick_s, period_ticks, pixels = timing.tick_s, timing.period_ticks, light.pixels
     rate_cps = light.background_cps + real_array("dark_cps", spad.dark_cps, (pixels,), 0)
     pulse_variance_s2 = light.system_fwhm_s**2 - spad.jitter_fwhm_s**2
     if np.any(pulse_variance_s2 < 0):
-        raise InputError(f"system_fwhm_s = {light.system_fwhm_s.min():g}: must be at least jitter_fwhm_s = {spad.jitter_fwhm_s:g}")
+        narrowest = light.system_fwhm_s.min()
+        raise InputError(f"system_fwhm_s = {narrowest:g}: must be at least the SPAD's {spad.jitter_fwhm_s:g}")
     flight_ticks = np.nan_to_num(2 * light.distance_m / SPEED_OF_LIGHT_M_S / tick_s)
-    seen = ~np.isnan(light.distance_m) & (light.range_ambiguity | (flight_ticks < timing.period_ticks))
+    seen = ~np.isnan(light.distance_m) & (light.range_ambiguity | (flight_ticks < period_ticks))
     gate = gate or SpadGate(start_cycles=0, len_cycles=timing.period_cycles)
-    gate_cycles = [real_array(name, getattr(gate, name), (pixels,), 0, timing.period_cycles) for name in ("start_cycles", "len_cycles")]
+    gate_start, gate_len = (real_array(name, getattr(gate, name), (pixels,), 0, timing.period_cycles) * timing.phases
+                            for name in ("start_cycles", "len_cycles"))
     physics = _Physics(
-        period=float(timing.period_ticks), phases=timing.phases, dead=spad.dead_time_s / tick_s, paralyzable=bool(spad.paralyzable),
-        jitter=spad.jitter_fwhm_s * SIGMA_PER_FWHM / tick_s, tail_fraction=spad.jitter_tail_fraction, tail=spad.jitter_tail_s / tick_s,
-        afterpulse=spad.afterpulse_probability, afterpulse_time=spad.afterpulse_s / tick_s, crosstalk=spad.crosstalk_probability,
-        rows=light.rows, cols=light.cols, gate_step=float(gate.step_cycles * timing.phases), gate_every=gate.every_pulses,
-        gate_steps=gate.steps, frame_pulses=gate.frame_pulses,
+        period=float(period_ticks),
+        phases=timing.phases,
+        dead=spad.dead_time_s / tick_s,
+        paralyzable=bool(spad.paralyzable),
+        jitter=spad.jitter_fwhm_s * SIGMA_PER_FWHM / tick_s,
+        tail_fraction=spad.jitter_tail_fraction,
+        tail=spad.jitter_tail_s / tick_s,
+        afterpulse=spad.afterpulse_probability,
+        afterpulse_time=spad.afterpulse_s / tick_s,
+        crosstalk=spad.crosstalk_probability,
+        rows=light.rows,
+        cols=light.cols,
+        gate_step=float(gate.step_cycles * timing.phases),
+        gate_every=gate.every_pulses,
+        gate_steps=gate.steps,
+        frame_pulses=gate.frame_pulses,
     )
-    taps = [] if timing.tap_width_lsb is None else np.cumsum(timing.tap_width_lsb)[:-1]
     arrays = _Arrays(
-        noise=rate_cps * timing.period_s, signal=np.where(seen, light.signal_per_pulse, 0.0), centre=flight_ticks % timing.period_ticks,
-        sigma=np.sqrt(pulse_variance_s2) * SIGMA_PER_FWHM / tick_s, gate_start=gate_cycles[0] * timing.phases,
-        gate_len=gate_cycles[1] * timing.phases, taps=np.asarray(taps, dtype=np.float64),
+        noise=rate_cps * timing.period_s,
+        signal=np.where(seen, light.signal_per_pulse, 0.0),
+        centre=flight_ticks % period_ticks,
+        sigma=np.sqrt(pulse_variance_s2) * SIGMA_PER_FWHM / tick_s,
+        gate_start=gate_start,
+        gate_len=gate_len,
+        taps=np.empty(0) if timing.tap_width_lsb is None else np.cumsum(timing.tap_width_lsb, dtype=np.float64)[:-1],
     )
     return physics, arrays
 
 
 class _Walker:
-    """A block of pixels and what they carry on from chunk to chunk, for the pass that sends crosstalk and the one that makes edges."""
+    """A block of pixels and what they carry from chunk to chunk, in the sending pass of crosstalk and in the last."""
 
-    def __init__(self, physics, arrays, block, seed, pixel_bits, tick_bits, edges_per_pulse):
-        self.fixed = (physics, arrays, block, np.uint64(seed), pixel_bits, tick_bits)
-        self.edges_per_pulse = edges_per_pulse
-        self.photons_max = (arrays.noise + arrays.signal.sum(axis=1)).max()
+    def __init__(self, physics, arrays, block, seed, packing, edges_per_pulse):
+        self.physics, self.arrays, self.block, self.packing = physics, arrays, block, packing
+        self.seed, self.edges_per_pulse = np.uint64(seed), edges_per_pulse
+        brightest = (arrays.noise + arrays.signal.sum(axis=1)).max()
+        self.photons_max = int(brightest + 12 * math.sqrt(brightest)) + 64  # exceeded about never: then doubled
         pixels = block[1] - block[0]
         fresh = np.zeros(pixels), np.full((pixels, CARRIERS_MAX if physics.afterpulse else 0), np.inf)
-        self.state = {False: fresh, True: fresh}
+        self.state = {True: fresh, False: fresh}
 
     def walk(self, span, received, sending):
         """Packed edges, or (with `sending`) where crosstalk goes and when: int64[n] and float64[n]."""
         capacity = int(self.edges_per_pulse * span[1] * 1.1) + 1000
-        depth = int(self.photons_max + 12 * math.sqrt(self.photons_max)) + 64
         while True:
             ready, carriers = (array.copy() for array in self.state[sending])
-            keys, times = np.empty(capacity, np.int64), np.empty(capacity if sending else 0)
-            n = _walk(*self.fixed, span, received, sending, ready, carriers, np.empty(depth), keys, times)
-            if 0 <= n <= capacity:
+            keys, times, photons = np.empty(capacity, np.int64), np.empty(capacity), np.empty(self.photons_max)
+            n = _walk(self.physics, self.arrays, self.block, self.seed, self.packing, span, received, sending,
+                      ready, carriers, photons, keys, times)
+            if n < 0:
+                self.photons_max *= 2
+            elif n > capacity:
+                capacity = n
+            else:
                 self.state[sending] = ready, carriers
                 return keys[:n], times[:n]
-            capacity, depth = max(capacity, n), 2 * depth
 
 
 SOURCE, SHAPE, JITTER, TAIL_SHARE, TAIL, TRAP, RELEASE, CROSSTALK = range(8)  # purposes of random numbers
@@ -178,12 +212,14 @@ INSERTION_MAX = 24       # photons of a pulse beyond which sorting beats inserti
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _walk(physics, arrays, block, seed, pixel_bits, tick_bits, span, received, sending, ready, carriers, photons, keys, times):
-    """Walks each pixel of the block through the pulses of the span; `photons` is scratch for those of one pixel and pulse, in ascending time.
+def _walk(physics, arrays, block, seed, packing, span, received, sending, ready, carriers, photons, keys, times):
+    """Walks each pixel of the block through the pulses of the span.
 
-    Returns the number of items made: all are in `keys` (and `times`) if they fit. -1: `photons` is too small.
+    `photons` is scratch for those of one pixel and pulse, in ascending time. Returns the number of items made: all are
+    in `keys` (with `sending`, also in `times`) if they fit. -1: `photons` is too small.
     """
     first_pulse, pulses = span
+    pixel_bits, tick_bits = packing
     received_where, received_time = received
     signals, centre, sigma, taps = arrays.signal, arrays.centre, arrays.sigma, arrays.taps
     period, last_target = physics.period, signals.shape[1] - 1
@@ -326,8 +362,9 @@ def _neighbour(pixel, side, rows, cols):
 
 
 @njit(cache=True)
-def _unpacked(keys, first_pulse, pixel_bits, tick_bits):
+def _unpacked(keys, first_pulse, packing):
     """(pulse, pixel, tick) of packed edges."""
+    pixel_bits, tick_bits = packing
     pulse, pixel, tick = np.empty_like(keys), np.empty_like(keys), np.empty_like(keys)
     for i, key in enumerate(keys):
         pulse[i] = first_pulse + (key >> (pixel_bits + tick_bits))

@@ -20,8 +20,8 @@ def real(default: float, low: float, high: float = inf):
     return field(default=default, validator=lambda _, attribute, value: check_real(attribute.name, value, low, high))
 
 
-def real_array(name: str, value, shape: tuple[int, ...], low: float, high: float = inf, *, nan: bool = False) -> np.ndarray:
-    """`value` as a read-only float64 array broadcast to `shape`, all of it within [`low`, `high`] (or NaN where `nan`)."""
+def real_array(name: str, value, shape: tuple[int, ...], low: float, high: float = inf, *, nan=False) -> np.ndarray:
+    """`value` as a read-only float64 array broadcast to `shape`, all within [`low`, `high`] (or NaN with `nan`)."""
     try:
         array = np.asarray(value, dtype=np.float64)
     except (TypeError, ValueError):
