@@ -336,15 +336,17 @@ def _make_model(scratch: Path, log: Path) -> None:
 
 def _public_signals(sources: Iterable[bytes], top: str, public: Sequence[str]) -> str:
     """A Verilator control file that makes the ports of `top` and the signals `public` visible to cocotb."""
-    text = re.sub(r"//.*|/\*.*?\*/|\(\*.*?\*\)", "", b"\n".join(sources).decode(), flags=re.DOTALL)
-    module = re.search(rf"\bmodule\s+\\?{re.escape(top)}\b.*?\bendmodule\b", text, re.DOTALL)
+    text = b"\n".join(sources).decode()
+    module = re.search(rf"^[^/\n]*\bmodule\s+\\?{re.escape(top)}\b.*?\bendmodule\b", text, re.DOTALL | re.MULTILINE)
     if module is None:
         raise ToolchainError(f"top = {top!r}: no such module in the sources")
-    flat = re.sub(r"\[[^]]*\]", " ", module[0])
+    # Comments, attributes and ranges out; `(*)` is a sensitivity list, not an attribute.
+    flat = re.sub(r"//[^\n]*|/\*.*?\*/|\(\*(?!\)).*?\*\)|\[[^]]*\]", " ", module[0], flags=re.DOTALL)
     declarations = re.findall(r"\b(?:input|output|inout)\b(.*?)(?=\b(?:input|output|inout)\b|[;)=])", flat, re.DOTALL)
     ports = [f"{top}.{name}" for names in declarations for name in re.findall(r"[A-Za-z_]\w*", names)]
+    types = {f"{top}.{word}" for word in ("wire", "reg", "logic", "signed")}
     lines = []
-    for signal in dict.fromkeys([*ports, *public]):
+    for signal in sorted({*ports, *public} - types):
         module_name, _, name = signal.rpartition(".")
         lines.append(f'public_flat_rw -module "{module_name}" -var "{name}"')
     return "\n".join(["`verilator_config", *lines, ""])
