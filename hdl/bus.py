@@ -79,7 +79,7 @@ def record_layout(sensor: Sensor) -> data.StructLayout:
     return data.StructLayout({"entries": data.ArrayLayout(entry_layout(sensor), sensor.minigroups), "pulse": PULSE_BITS})
 
 
-def sequence_layout(sensor: Sensor) -> data.StructLayout:
+def plan_layout(sensor: Sensor) -> data.StructLayout:
     """Frame settings that the sequencer uses."""
     return data.StructLayout({
         "period": sensor.coarse_bits + 1, "pulses": PULSE_BITS + 1, "gate_step": GATE_BITS, "gate_every": GATE_BITS, "gate_steps": GATE_BITS,

@@ -24,7 +24,7 @@ class Registers(Unit):
     s_axi : AXI4-Lite slave, 32-bit data. One access at a time; address and data of a write may come in any order. A write that is refused
         answers SLVERR, changes nothing and sets a sticky bit; a read of an unmapped address answers SLVERR with 0.
     command : out, configuration bus to all subgroups; data : in, OR of their answers; gate_late : in, OR of their start checks
-    period : out, as programmed; frame : out, settings of the running frame; sequence : out, the sequencer's
+    period : out, as programmed; frame : out, settings of the running frame; plan : out, the sequencer's
     start, abort : out, strobes; done : in, strobe
 
     Reset loads the table's reset values and forgets accesses under way.
@@ -36,7 +36,7 @@ class Registers(Unit):
         self.sensor = sensor
         super().__init__({
             "s_axi": In(LITE), "command": Out(bus.CONFIG_BUS), "data": In(DATA_BITS), "gate_late": In(1),
-            "period": Out(sensor.coarse_bits + 1), "frame": Out(bus.frame_layout(sensor)), "sequence": Out(bus.sequence_layout(sensor)),
+            "period": Out(sensor.coarse_bits + 1), "frame": Out(bus.frame_layout(sensor)), "plan": Out(bus.plan_layout(sensor)),
             "start": Out(1), "abort": Out(1), "done": In(1),
         })
 
@@ -150,7 +150,7 @@ class Registers(Unit):
                     with m.Else():
                         m.d.sync += [flag["busy"].eq(1), bound.eq(0), self.command.operation.eq(bus.Operation.TAKE)]
                         m.d.sync += [self.frame[name].eq(setting[of, 0]) for name, of in FRAME_SETTINGS.items()]
-                        m.d.sync += [self.sequence[name].eq(setting[name, 0]) for name in self.sequence.shape().members]
+                        m.d.sync += [self.plan[name].eq(setting[name, 0]) for name in self.plan.shape().members]
                         m.next = "bounds"
             with m.State("bounds"):
                 m.d.sync += [

@@ -21,7 +21,7 @@ class Sequencer(Unit):
 
     Ports
     -----
-    sequence : in, the frame's settings; start, abort : in, strobes
+    plan : in, the frame's settings; start, abort : in, strobes
     timing : out, what the cycle three cycles from now is; laser : out, high in cycle 0 of every period, at the ports' time
     frame_begin : out, strobe to the readouts; number : out, the frame's; finish : out, the last event is on its way
     delivered : in, all readouts have sent their end packets; done : out, strobe
@@ -34,14 +34,14 @@ class Sequencer(Unit):
     def __init__(self, sensor: Sensor):
         self.sensor = sensor
         super().__init__({
-            "sequence": In(bus.sequence_layout(sensor)), "start": In(1), "abort": In(1),
+            "plan": In(bus.plan_layout(sensor)), "start": In(1), "abort": In(1),
             "timing": Out(bus.time_layout(sensor)), "laser": Out(1),
             "frame_begin": Out(1), "number": Out(bus.PULSE_BITS), "finish": Out(1), "delivered": In(1), "done": Out(1),
         })
 
     def elaborate(self, platform):
         m = Module()
-        settings = self.sequence
+        settings = self.plan
         coarse_bits = self.sensor.coarse_bits
         running, first, wrap = Signal(), Signal(), Signal()
         cycle, pulse = Signal(coarse_bits + 1), Signal(bus.PULSE_BITS + 1)
@@ -90,7 +90,7 @@ class Sequencer(Unit):
 
     def _shift(self, m, restart, ends):
         """Progressive gating: the gate's shift in this period, saturated where no gate can open any more."""
-        settings, coarse_bits = self.sequence, self.sensor.coarse_bits
+        settings, coarse_bits = self.plan, self.sensor.coarse_bits
         shift, pulses, steps = Signal(coarse_bits + 1), Signal(bus.GATE_BITS), Signal(bus.GATE_BITS)
         beyond = 1 << coarse_bits
         more = Signal(bus.GATE_BITS + 1)

@@ -58,7 +58,7 @@ class Golden:
         self.frames = 0
         self._photons = None
         self._next_ready = _next_ready(np.asarray(ready if ready is not None else [], np.uint8))
-        self._pixel = _pixel_table(sensor)
+        self._pixel = pixel_table(sensor)
 
     def frame(self, config: Config, edges: Edges, pulses: int | None = None) -> Trace:
         """Runs one frame; `edges` counts pulses from the frame's start. `pulses` below the configuration's: an aborted frame."""
@@ -116,7 +116,7 @@ def _shape(config: Config) -> _Shape:
     )
 
 
-def _pixel_table(sensor: Sensor) -> _Pixel:
+def pixel_table(sensor: Sensor) -> _Pixel:
     """Where every pixel of the array and of a subgroup belongs (index rules of the contract)."""
     (sr, sc), (mr, mc) = sensor.subgroup, sensor.minigroup
     row, col = np.divmod(np.arange(sensor.array_pixels), sensor.cols)

@@ -1,0 +1,202 @@
+"""The cocotb test that plays frames through the sensor. It runs inside the simulator; `replay.py` starts it.
+
+The test bench acts at falling edges: what it reads there are the cycle's outputs, what it writes is taken by the rising edge that ends the cycle.
+"""
+
+import os
+import pickle
+from pathlib import Path
+
+import cocotb
+import numpy as np
+from attrs import define, field, frozen
+from cocotb.clock import Clock
+from cocotb.triggers import FallingEdge, RisingEdge
+from cocotb_bus.drivers import BusDriver  # noqa: F401  (cocotb-bus: its master drives the registers)
+from cocotb_bus.drivers.amba import AXI4LiteMaster
+
+from coincid.model import registers
+from coincid.model.config import Config
+from coincid.model.edges import Edges
+from coincid.model.golden import Trace
+from coincid.model.latency import FINISH
+from coincid.model.packet import layout
+from coincid.tb.scoreboard import Scoreboard
+from coincid.tb.stimulus import port_words
+
+JOB_VARIABLE = "COINCID_JOB"
+PROGRESS = "@cycle"          # a line of the simulator's output that a progress bar reads
+PROGRESS_CYCLES = 500
+STORED_TO_COMMIT = 1         # the strobe that is seen stands a cycle after the commit
+
+
+@frozen(eq=False)
+class FrameJob:
+    """A frame to play. expected: the golden model's prediction, checked on the fly; None: only recorded."""
+
+    config: Config
+    edges: Edges
+    expected: Trace | None = None
+
+
+@frozen(eq=False)
+class Job:
+    """Frames in turn from reset, and `tready`: uint8[n], 1 from cycle n of a frame on."""
+
+    frames: list[FrameJob]
+    ready: np.ndarray
+
+
+@define(eq=False)
+class Recorded:
+    """What a frame showed: per stream beats (uint64) and their cycles; stored events by subgroup, then time."""
+
+    beats: list[np.ndarray]
+    beat_cycle: list[np.ndarray]
+    commit_subgroup: np.ndarray
+    commit_cycle: np.ndarray
+    cycles: int
+    checked: int = field(default=0)
+
+
+class SensorBench:
+    """Handles of the sensor, its register master, and the frame player."""
+
+    def __init__(self, dut, sensor):
+        self.dut, self.sensor = dut, sensor
+        self.axi = AXI4LiteMaster(dut, "s_axi", dut.clk)
+        self.spad = [getattr(dut, f"spad_{s}") for s in range(sensor.subgroups)]
+        names = [sensor.stream_name(stream) for stream in range(sensor.streams)]
+        self.tdata, self.tvalid, self.tready, self.tlast = (
+            [getattr(dut, f"{name}_{wire}") for name in names] for wire in ("tdata", "tvalid", "tready", "tlast")
+        )
+        self.stored = [getattr(dut, f"stored_of_{stream}") for stream in range(sensor.streams)]
+        self.programmed: dict[int, int] = {}
+
+    async def reset(self) -> None:
+        """Starts the clock and resets; the programmed settings are unknown to the bench afterwards."""
+        for line in (*self.spad, *self.tready):
+            line.value = 0
+        self.dut.rst.value = 1
+        Clock(self.dut.clk, 2, "ns").start()
+        for _ in range(4):
+            await RisingEdge(self.dut.clk)
+        self.dut.rst.value = 0
+        for _ in range(4):
+            await RisingEdge(self.dut.clk)
+        self.programmed.clear()
+
+    async def write(self, name: str, value: int, subgroup: int = 0, index: int = 0) -> None:
+        """Writes a register; a refused write raises cocotb-bus's `AXIProtocolError`."""
+        await self.axi.write(registers.address(name, subgroup, index), value)
+
+    async def read(self, name: str, subgroup: int = 0, index: int = 0) -> int:
+        """Reads a register."""
+        return int(await self.axi.read(registers.address(name, subgroup, index)))
+
+    async def program(self, config: Config) -> None:
+        """Writes the settings that differ from what was programmed before."""
+        for address, value in config.register_writes():
+            if self.programmed.get(address) != value:
+                await self.axi.write(address, value)
+                self.programmed[address] = value
+
+    async def play(self, config: Config, edges: Edges, ready: np.ndarray, board: Scoreboard | None = None, progress=lambda cycle: None) -> Recorded:
+        """Plays a frame and returns what it showed. `board` raises at the first difference from the golden model."""
+        sensor = self.sensor
+        words = port_words(config, edges)
+        low = [int(c) for c in np.flatnonzero(np.asarray(ready) == 0)]
+        await self.program(config)
+        started = cocotb.start_soon(self.write("control", 1 << registers.BY_NAME["control"].bit("start")))
+        falling = FallingEdge(self.dut.clk)
+        laser = self.dut.laser
+        for line in self.tready:
+            line.value = 0
+        while True:
+            await falling
+            if laser.value == 1:
+                break
+            if started.done():
+                started.result()   # a refused start raises here
+        low = set(low)
+        driven, was_ready = set(), None
+        beats, beat_cycle = [[] for _ in range(sensor.streams)], [[] for _ in range(sensor.streams)]
+        commits: list[tuple[int, int]] = []
+        running = list(range(sensor.streams))
+        limit = config.pulses * config.period + len(ready) + FINISH + self._longest_drain()
+        first = [sensor.stream_subgroups(stream).start for stream in range(sensor.streams)]
+        cycle = 0
+        while True:
+            now = words.get(cycle, ())
+            for s, word in now:
+                self.spad[s].value = word
+            if driven:
+                for s in driven.difference(s for s, _ in now):
+                    self.spad[s].value = 0
+            driven = {s for s, _ in now}
+            is_ready = cycle not in low
+            if is_ready is not was_ready:
+                for line in self.tready:
+                    line.value = int(is_ready)
+                was_ready = is_ready
+            for stream, stored in enumerate(self.stored):
+                bits = int(stored.value)
+                while bits:
+                    lowest = bits & -bits
+                    bits ^= lowest
+                    subgroup = first[stream] + lowest.bit_length() - 1
+                    commits.append((subgroup, cycle - STORED_TO_COMMIT))
+                    if board:
+                        board.commit(*commits[-1])
+            if is_ready:
+                for stream in tuple(running):
+                    if self.tvalid[stream].value == 1:
+                        data, last = int(self.tdata[stream].value), self.tlast[stream].value == 1
+                        beats[stream].append(data)
+                        beat_cycle[stream].append(cycle)
+                        if board:
+                            board.beat(stream, cycle, data, last)
+                        if last:
+                            running.remove(stream)
+            cycle += 1
+            if cycle % PROGRESS_CYCLES == 0:
+                progress(cycle)
+            if not running and cycle >= config.pulses * config.period:
+                break
+            assert cycle < limit, f"no frame end after {cycle} cycles: the sensor hangs"
+            await falling
+        if board:
+            board.finish()
+        await started
+        while not await self.read("status") >> registers.BY_NAME["status"].bit("done") & 1:
+            pass
+        await self.write("status", 1 << registers.BY_NAME["status"].bit("done"))
+        commits.sort(key=lambda commit: commit[0])
+        subgroups, cycles = np.array(commits, np.int64).reshape(-1, 2).T
+        return Recorded(
+            [np.array(b, np.uint64) for b in beats], [np.array(c, np.int64) for c in beat_cycle], subgroups, cycles,
+            cycle, board.checked if board else 0,
+        )
+
+    def _longest_drain(self) -> int:
+        sensor = self.sensor
+        per_subgroup = (sensor.fifo_depth + 2) * layout(sensor).longest + layout(sensor).counter_beats
+        return 1000 + 2 * sensor.subgroups * per_subgroup
+
+
+@cocotb.test()
+async def play_job(dut):
+    """Plays the job that the environment names and leaves its records beside it."""
+    path = Path(os.environ[JOB_VARIABLE])
+    job: Job = pickle.loads(path.read_bytes())
+    bench = SensorBench(dut, job.frames[0].config.sensor)
+    await bench.reset()
+    records, before = [], 0
+    for number, frame in enumerate(job.frames):
+        board = Scoreboard(bench.sensor, frame.expected, number) if frame.expected else None
+        record = await bench.play(
+            frame.config, frame.edges, job.ready, board, lambda cycle, base=before: print(PROGRESS, base + cycle, flush=True)
+        )
+        before += record.cycles
+        records.append(record)
+    path.with_suffix(".result").write_bytes(pickle.dumps(records))

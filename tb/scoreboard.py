@@ -1,0 +1,98 @@
+"""Scoreboard: compares what the RTL shows with what the golden model predicted, and says where they part in a designer's words."""
+
+import numpy as np
+
+from ..model.golden import Trace
+from ..model.packet import BEAT_BITS, HEADER, Kind, header_field, layout
+from ..model.parameters import Sensor
+from ..model.registers import COUNTER_BITS, COUNTER_NAMES
+
+
+class Mismatch(AssertionError):
+    """RTL and golden model differ."""
+
+
+def locate(beats: np.ndarray, index: int, sensor: Sensor) -> tuple[int, int]:
+    """(first beat of the packet that beat `index` of a frame belongs to, its kind); counters belong to the frame end."""
+    parts, at = layout(sensor), 0
+    while True:
+        kind = int(header_field(beats[at], "kind"))
+        length = 1 if kind == Kind.FRAME_START else len(beats) - at if kind == Kind.FRAME_END else parts.length(kind)
+        if index < at + length:
+            return at, kind
+        at += length
+
+
+class Scoreboard:
+    """Checks one frame against its `Trace`, beat by beat and commit by commit, as they come."""
+
+    def __init__(self, sensor: Sensor, expected: Trace, frame: int = 0):
+        self.sensor, self.expected, self.frame = sensor, expected, frame
+        self.beats = [0] * sensor.streams
+        self.checked = 0
+        per_subgroup = np.bincount(expected.commit_subgroup, minlength=sensor.subgroups)
+        self._commits = np.split(expected.commit_cycle, np.cumsum(per_subgroup)[:-1])
+        self._commit_index = [0] * sensor.subgroups
+
+    def beat(self, stream: int, cycle: int, data: int, last: bool) -> None:
+        """A beat that was transferred. Raises `Mismatch` at the first difference."""
+        index, beats = self.beats[stream], self.expected.beats[stream]
+        if index >= len(beats):
+            raise Mismatch(f"frame {self.frame}, stream {stream}, cycle {cycle}: beat {index} after the frame's end: {data:#018x}")
+        expected, due = int(beats[index]), int(self.expected.beat_cycle[stream][index])
+        if data != expected:
+            self._explain(stream, index, cycle, data)
+        if cycle != due:
+            raise Mismatch(f"{self._where(stream, index, cycle)}: transferred in cycle {cycle}, golden model {due}")
+        if last != (index == len(beats) - 1):
+            raise Mismatch(f"{self._where(stream, index, cycle)}: tlast is {int(last)}, golden model {int(not last)}")
+        self.beats[stream] += 1
+        self.checked += 1
+
+    def commit(self, subgroup: int, cycle: int) -> None:
+        """An event that was stored."""
+        index, due = self._commit_index[subgroup], self._commits[subgroup]
+        if index >= len(due) or due[index] != cycle:
+            expected = f"golden model in cycle {due[index]}" if index < len(due) else "golden model stores none"
+            raise Mismatch(f"frame {self.frame}, subgroup {subgroup}, event {index}: stored in cycle {cycle}, {expected}")
+        self._commit_index[subgroup] += 1
+        self.checked += 1
+
+    def finish(self) -> None:
+        """The frame is over. Raises `Mismatch` where something is missing."""
+        for stream, beats in enumerate(self.expected.beats):
+            if self.beats[stream] != len(beats):
+                raise Mismatch(f"frame {self.frame}, stream {stream}: {self.beats[stream]} beats, golden model {len(beats)}")
+        for subgroup, due in enumerate(self._commits):
+            if self._commit_index[subgroup] != len(due):
+                raise Mismatch(
+                    f"frame {self.frame}, subgroup {subgroup}: {self._commit_index[subgroup]} events stored, golden model {len(due)}"
+                )
+
+    def _where(self, stream: int, index: int, cycle: int) -> str:
+        beats = self.expected.beats[stream]
+        start, kind = locate(beats, index, self.sensor)
+        subgroup, pulse = (int(header_field(beats[start], name)) for name in ("subgroup", "pulse"))
+        of = f"subgroup {subgroup}, pulse {pulse}" if kind in (1, 2, 3, 4) else "all subgroups"
+        return f"frame {self.frame}, stream {stream}, {of}, cycle {cycle}, {Kind(kind).name.lower()} packet, beat {index - start} of it"
+
+    def _explain(self, stream: int, index: int, cycle: int, data: int) -> None:
+        beats, parts = self.expected.beats[stream], layout(self.sensor)
+        expected = int(beats[index])
+        start, kind = locate(beats, index, self.sensor)
+        where, offset = self._where(stream, index, cycle), index - start
+        if offset == 0:
+            fields = [(name, int(header_field(data, name)), int(header_field(expected, name))) for name in HEADER]
+            differing = "; ".join(f"{name} is {got}, golden model {want}" for name, got, want in fields if got != want)
+        elif kind == Kind.FRAME_END:
+            word, high = divmod(offset - 1, parts.counter_beats)
+            low_part = (data ^ expected) & ((1 << COUNTER_BITS) - 1)
+            shift = 0 if low_part else COUNTER_BITS
+            name = COUNTER_NAMES[2 * high + (shift > 0)]
+            subgroup = self.sensor.stream_subgroups(stream)[word]
+            got, want = (value >> shift & ((1 << COUNTER_BITS) - 1) for value in (data, expected))
+            differing = f"counter {name} of subgroup {subgroup} is {got}, golden model {want}"
+        else:
+            part = "entries" if kind == Kind.RECORD else "map" if offset <= parts.map_beats else "offsets"
+            differing = f"{part} is {data:#0{BEAT_BITS // 4 + 2}x}, golden model {expected:#0{BEAT_BITS // 4 + 2}x}"
+        raise Mismatch(f"{where}: {differing}")
