@@ -38,6 +38,7 @@ def signal_per_pulse(distance_m, reflectivity):
 class Spad:
     """The detector. Defaults: the paper's section II; effects that it leaves out are off.
 
+    pdp, fill_factor: photon detection probability, active share; for the link budget (rates of `Light` are detected).
     dead_time_s, paralyzable: from one avalanche to the next; paralyzable = a photon within it extends it.
     jitter_fwhm_s: Gaussian jitter of an avalanche's edge; jitter_tail_fraction of the edges are late by another,
     exponential time of mean jitter_tail_s.
@@ -47,6 +48,8 @@ class Spad:
     crosstalk_probability: that an avalanche sends, at once, a photon to one given neighbour (of four).
     """
 
+    pdp: float = real(0.05, 0, 1)
+    fill_factor: float = real(0.5, 0, 1)
     dead_time_s: float = real(8e-9, 0)
     paralyzable: bool = False
     jitter_fwhm_s: float = real(100e-12, 0)

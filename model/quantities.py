@@ -27,7 +27,7 @@ def real_array(name: str, value, shape: tuple[int, ...], low: float, high: float
     except (TypeError, ValueError):
         raise InputError(f"{name}: must hold numbers {_range(low, high)}") from None
     try:
-        array = np.ascontiguousarray(np.broadcast_to(array, shape))
+        array = np.array(np.broadcast_to(array, shape), order="C")  # a copy: the caller's stays writable
     except ValueError:
         raise InputError(f"{name}: has shape {array.shape}, must be {shape} or broadcast to it") from None
     bad = ~(np.isfinite(array) & (array >= low) & (array <= high))
@@ -35,7 +35,7 @@ def real_array(name: str, value, shape: tuple[int, ...], low: float, high: float
         bad &= ~np.isnan(array)
     if bad.any():
         where = tuple(int(i) for i in np.argwhere(bad)[0])
-        raise InputError(f"{name}{list(where)} = {array[where]}: must be {_range(low, high)}{' or NaN' if nan else ''}")
+        raise InputError(f"{name}{list(where) or ''} = {array[where]}: must be {_range(low, high)}{' or NaN' * nan}")
     array.flags.writeable = False
     return array
 

@@ -271,7 +271,7 @@ def test_code_density_finds_the_taps():
     width_to_edges = found.edges / 32
     assert stats.chisquare((found.dnl_lsb + 1) * width_to_edges, width_lsb * width_to_edges).pvalue > LEVEL
     assert np.all(np.abs(found.dnl_lsb + 1 - width_lsb) < 4.5 * found.sigma_lsb)
-    border_sigma_lsb = 32 * 0.5 / math.sqrt(found.edges)  # of a border in the middle, where a binomial share is least sure
+    border_sigma_lsb = 32 * 0.5 / math.sqrt(found.edges)  # of the middle one, the least sure
     assert np.all(np.abs(found.inl_lsb - np.cumsum(width_lsb - 1)) < 4.5 * border_sigma_lsb)
 
 
