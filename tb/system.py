@@ -21,13 +21,15 @@ def system_packages(*names: str) -> None:
     Raises `MissingPackagesError`, whose message is one line with the command to run, where neither is possible, where
     there is no apt-get, or where apt-get fails.
     """
-    command = f"apt-get update && apt-get install -y {' '.join(names)}"
-    missing = MissingPackagesError(f"missing system packages; run (as root): {command}")
-    sudo = [] if os.geteuid() == 0 else ["sudo", "-n"]
-    if not which("apt-get") or (sudo and (not which("sudo") or _run(*sudo, "true").returncode)):
+    root = os.geteuid() == 0
+    sudo = "sudo " if which("sudo") and not root else ""
+    command = f"{sudo}apt-get update && {sudo}apt-get install -y {' '.join(names)}"
+    missing = MissingPackagesError(f"missing system packages; run{'' if root or sudo else ' as root'}: {command}")
+    prefix = [] if root else ["sudo", "-n"]
+    if not which("apt-get") or not (root or sudo) or _run(*prefix, "true").returncode:
         raise missing
     print(f"installing system packages: {' '.join(names)}", file=sys.stderr, flush=True)
-    apt = [*sudo, "env", "DEBIAN_FRONTEND=noninteractive", "apt-get", "-qq"]
+    apt = [*prefix, "env", "DEBIAN_FRONTEND=noninteractive", "apt-get", "-qq"]
     with open(__file__) as lock:  # apt-get does not wait for its list lock
         fcntl.flock(lock, fcntl.LOCK_EX)
         _run(*apt, "update")  # its failure matters only if the packages then cannot be found
