@@ -12,8 +12,8 @@ import numpy as np
 from attrs import frozen
 
 from .light import SPEED_OF_LIGHT_M_S, Spad
-from .quantities import check_real, real, real_array
-from .spectrum import FILTERS, PLANCK_J_S, SPECTRA, check_choice, irradiance_w_m2
+from .quantities import check_choice, check_real, real, real_array
+from .spectrum import FILTERS, PLANCK_J_S, SPECTRA, irradiance_w_m2
 
 FORMS = ("literal", "corrected")
 SBR_READINGS = {  # what Fig. 2 may mean by SBR; the paper says no more than that it is 0 dB at 4 m

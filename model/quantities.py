@@ -15,6 +15,13 @@ def check_real(name: str, value, low: float, high: float = inf) -> float:
     return float(value)
 
 
+def check_choice(name: str, value, choices: tuple):
+    """`value` if it is one of `choices`, else an `InputError`."""
+    if value not in choices:
+        raise InputError(f"{name} = {value!r}: must be one of {', '.join(map(str, choices))}")
+    return value
+
+
 def real(default: float, low: float, high: float = inf):
     """An attrs field that holds a finite number within [`low`, `high`]."""
     return field(default=default, validator=lambda _, attribute, value: check_real(attribute.name, value, low, high))

@@ -9,9 +9,8 @@ from functools import cache
 
 import numpy as np
 
-from .errors import InputError
 from .light import SIGMA_PER_FWHM, SPEED_OF_LIGHT_M_S
-from .quantities import check_real
+from .quantities import check_choice, check_real
 
 PLANCK_J_S = 6.626_070_15e-34
 BOLTZMANN_J_K = 1.380_649e-23
@@ -59,13 +58,6 @@ def photopic(wavelength_nm: np.ndarray) -> np.ndarray:
         height * np.exp(-0.5 * ((wavelength_nm - peak) * np.where(wavelength_nm < peak, left, right)) ** 2)
         for height, peak, left, right in lobes
     )
-
-
-def check_choice(name: str, value: str, choices: tuple[str, ...]) -> str:
-    """`value` if it is one of `choices`, else an `InputError`."""
-    if value not in choices:
-        raise InputError(f"{name} = {value!r}: must be one of {', '.join(choices)}")
-    return value
 
 
 @cache
