@@ -83,7 +83,7 @@ def netlist(sensor: Sensor) -> Netlist:
         n.add(f"readout_{stream}", readout, **of_stream, **flat(readout, "m_axis", sensor.stream_name(stream)))
         for i, s in enumerate(members):
             n.nets[f"grant_{s}"] = 1
-            n.joins[f"grant_{s}"] = "bit", [f"grant_of_{stream}", i]
+            n.joins[f"grant_{s}"] = ("bit", [f"grant_of_{stream}", i]) if len(members) > 1 else ("or", [f"grant_of_{stream}"])
     n.join("delivered", "and", [f"delivered_of_{stream}" for stream in range(sensor.streams)])
     n.join("data", "or", [f"data_{s}" for s in subgroups])
     n.join("gate_late", "or", [f"gate_late_{s}" for s in subgroups])

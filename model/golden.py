@@ -48,20 +48,21 @@ class Trace:
 
 
 class Golden:
-    """The sensor from reset on: frames in turn, the threshold controller's memory between them.
+    """The sensor from reset on: frames in turn, the threshold controller's memory between them."""
 
-    ready: uint8[n] or None; `tready` of all streams in cycle c of every frame is ready[c], and 1 from cycle n on.
-    """
-
-    def __init__(self, sensor: Sensor, ready: np.ndarray | None = None):
+    def __init__(self, sensor: Sensor):
         self.sensor = sensor
         self.frames = 0
         self._photons = None
-        self._next_ready = _next_ready(np.asarray(ready if ready is not None else [], np.uint8))
         self._pixel = pixel_table(sensor)
 
-    def frame(self, config: Config, edges: Edges, pulses: int | None = None) -> Trace:
-        """Runs one frame; `edges` counts pulses from the frame's start. `pulses` below the configuration's: an aborted frame."""
+    def frame(self, config: Config, edges: Edges, ready: np.ndarray | None = None, pulses: int | None = None) -> Trace:
+        """Runs one frame; `edges` counts pulses from the frame's start.
+
+        ready: uint8[n] or None; `tready` of all streams in cycle c is ready[c], and 1 from cycle n on. pulses below the configuration's: an
+        aborted frame.
+        """
+        next_ready = _next_ready(np.asarray(ready if ready is not None else [], np.uint8))
         pulses = config.pulses if pulses is None else pulses
         sensor = self.sensor
         threshold = config.threshold
@@ -82,7 +83,7 @@ class Golden:
         stored = np.zeros(len(events.cycle), np.bool_)
         for stream in range(sensor.streams):
             span = sensor.stream_subgroups(stream)
-            out = _readout(span.start, len(span), shape, pulses, self.frames & 0xFFFF, events, records, counters, stored, self._next_ready)
+            out = _readout(span.start, len(span), shape, pulses, self.frames & 0xFFFF, events, records, counters, stored, next_ready)
             beats.append(out[0])
             cycles.append(out[1])
         self.frames += 1

@@ -64,11 +64,11 @@ class ResultBuilder:
 
 def golden_result(config: Config, edges: Edges, ready: np.ndarray | None = None, progress=lambda frames: None) -> dict[str, np.ndarray]:
     """All frames of `config` through the golden model: the result file's arrays with `fate`. `progress` is called after each frame."""
-    model, result = Golden(config.sensor, ready), ResultBuilder(config)
+    model, result = Golden(config.sensor), ResultBuilder(config)
     fate = np.empty(len(edges), np.uint8)
     for number in range(config.frames):
         of_frame, index = edges.frame(number, config.pulses)
-        trace: Trace = model.frame(config, of_frame)
+        trace: Trace = model.frame(config, of_frame, ready)
         fate[index] = trace.fate
         result.add(trace.beats, trace.commit_subgroup, trace.commit_cycle)
         progress(number + 1)

@@ -32,19 +32,15 @@ STORED_TO_COMMIT = 1         # the strobe that is seen stands a cycle after the 
 
 @frozen(eq=False)
 class FrameJob:
-    """A frame to play. expected: the golden model's prediction, checked on the fly; None: only recorded."""
+    """A frame to play. expected: the golden model's prediction, checked on the fly; None: only recorded.
+
+    ready: uint8[n], `tready` of cycle c is ready[c], and 1 from cycle n on.
+    """
 
     config: Config
     edges: Edges
     expected: Trace | None = None
-
-
-@frozen(eq=False)
-class Job:
-    """Frames in turn from reset, and `tready`: uint8[n], 1 from cycle n of a frame on."""
-
-    frames: list[FrameJob]
-    ready: np.ndarray
+    ready: np.ndarray = field(factory=lambda: np.zeros(0, np.uint8))
 
 
 @define(eq=False)
@@ -188,14 +184,14 @@ class SensorBench:
 async def play_job(dut):
     """Plays the job that the environment names and leaves its records beside it."""
     path = Path(os.environ[JOB_VARIABLE])
-    job: Job = pickle.loads(path.read_bytes())
-    bench = SensorBench(dut, job.frames[0].config.sensor)
+    job: list[FrameJob] = pickle.loads(path.read_bytes())
+    bench = SensorBench(dut, job[0].config.sensor)
     await bench.reset()
     records, before = [], 0
-    for number, frame in enumerate(job.frames):
+    for number, frame in enumerate(job):
         board = Scoreboard(bench.sensor, frame.expected, number) if frame.expected else None
         record = await bench.play(
-            frame.config, frame.edges, job.ready, board, lambda cycle, base=before: print(PROGRESS, base + cycle, flush=True)
+            frame.config, frame.edges, frame.ready, board, lambda cycle, base=before: print(PROGRESS, base + cycle, flush=True)
         )
         before += record.cycles
         records.append(record)

@@ -15,7 +15,7 @@ from ..model.golden import Trace
 from ..model.parameters import Sensor
 from ..model.result import ResultBuilder, golden_result
 from . import toolchain
-from .cosim import JOB_VARIABLE, PROGRESS, FrameJob, Job, Recorded
+from .cosim import JOB_VARIABLE, PROGRESS, FrameJob, Recorded
 
 ENGINES = ("golden", "verilator", "icarus")
 
@@ -50,7 +50,7 @@ def build_sensor(sensor: Sensor, simulator: str, waves: bool = False) -> toolcha
 
 
 def play(
-    frames: list[FrameJob], simulator: str, out_dir: Path, ready: np.ndarray, *, waves: bool = False,
+    frames: list[FrameJob], simulator: str, out_dir: Path, *, waves: bool = False,
     progress: Callable[[int], None] | None = None,
 ) -> tuple[list[Recorded], Path | None]:
     """Plays frames of one sensor through its RTL; returns what each showed, and the waveform. `progress` gets cycles done.
@@ -60,7 +60,7 @@ def play(
     out_dir.mkdir(parents=True, exist_ok=True)
     build = build_sensor(frames[0].config.sensor, simulator, waves)
     job = out_dir / "job.pickle"
-    job.write_bytes(pickle.dumps(Job(frames, np.asarray(ready, np.uint8))))
+    job.write_bytes(pickle.dumps(frames))
 
     def line(text: str) -> None:
         if progress and text.startswith(PROGRESS):
@@ -78,9 +78,9 @@ def replay(
     if engine == "golden":
         done = progress or (lambda cycles: None)
         return golden_result(config, edges, ready, lambda frames: done(frames * config.pulses * config.period))
-    frames = [FrameJob(config, edges.frame(number, config.pulses)[0]) for number in range(config.frames)]
+    frames = [FrameJob(config, edges.frame(number, config.pulses)[0], ready=ready) for number in range(config.frames)]
     with tempfile.TemporaryDirectory(prefix="coincid-") as folder:
-        records, _ = play(frames, engine, Path(folder), ready, progress=progress)
+        records, _ = play(frames, engine, Path(folder), progress=progress)
     result = ResultBuilder(config)
     for record in records:
         result.add(record.beats, record.commit_subgroup, record.commit_cycle)

@@ -1,0 +1,95 @@
+"""Random configurations and edges that look for trouble: ties, window and gate boundaries, guards, overfull FIFOs."""
+
+import numpy as np
+from hypothesis import strategies as st
+
+from coincid.model.config import Config, parse_config
+from coincid.model.edges import Edges
+from coincid.model.golden import pixel_table
+
+SENSORS = {  # small ones, so that a case is fast; between them every parameter leaves its default
+    "default": {"rows": 8, "cols": 16},
+    "one": {"rows": 8, "cols": 8},
+    "coarse": {"rows": 8, "cols": 16, "phases": 8, "window_max": 16, "rearm": 2, "fifo_depth": 2},
+    "tiny": {"rows": 12, "cols": 4, "subgroup": [4, 4], "minigroup": [1, 1], "phases": 4, "window_max": 20, "rearm": 1, "fifo_depth": 1, "streams": 3},
+    "fine": {"rows": 16, "cols": 4, "subgroup": [8, 4], "minigroup": [4, 4], "phases": 64, "coarse_bits": 7, "window_max": 200, "streams": 2},
+    "wide": {"rows": 16, "cols": 16, "subgroup": [16, 16], "minigroup": [2, 2], "phases": 16, "rearm": 3, "fifo_depth": 5},
+    "odd": {"rows": 6, "cols": 9, "subgroup": [6, 3], "minigroup": [2, 3], "phases": 16, "window_max": 33, "streams": 2},
+}
+
+
+@st.composite
+def configurations(draw, sensor: dict, frames_max: int = 2) -> Config:
+    """Any legal configuration of a sensor: modes, thresholds, windows, gates, masks and formats, differing between subgroups."""
+    built = parse_config({"sensor": sensor, "frame": {"period": 100}}).sensor
+    period = draw(st.integers(built.guard + 1, min(built.period_max, built.guard + 60)))
+    window = st.one_of(st.integers(1, built.window_max), st.sampled_from((1, built.phases, built.window_max)).filter(lambda w: w <= built.window_max))
+    settings = st.fixed_dictionaries({}, optional={
+        "coincidence": st.booleans(), "gating": st.booleans(), "auto": st.booleans(), "threshold": st.integers(1, min(6, built.pixels)),
+        "window": window, "gate_start": st.integers(0, period - 1), "gate_len": st.integers(0, period + 3),
+        "mask": st.integers(0, (1 << built.pixels) - 1).map("{:x}".format),
+    })
+    frame = {
+        "frames": draw(st.integers(1, frames_max)), "period": period, "pulses": draw(st.integers(1, 6)),
+        "format": draw(st.sampled_from(("short", "id", "full"))), "minigroup_records": draw(st.booleans()),
+        "mg_threshold": draw(st.integers(1, min(3, built.minigroup_pixels))), "mg_window": draw(st.integers(1, 4)),
+        "gate_step": draw(st.integers(0, 40)), "gate_every": draw(st.integers(0, 3)), "gate_steps": draw(st.integers(1, 3)),
+        "auto_bounds": sorted(draw(st.lists(st.integers(0, 300), min_size=6, max_size=6))),
+    }
+    base = {"window": draw(window)} | draw(settings)
+    overrides = [
+        {"subgroups": draw(st.lists(st.integers(0, built.subgroups - 1), min_size=1, max_size=2))} | draw(settings)
+        for _ in range(draw(st.integers(0, 2)))
+    ]
+    return parse_config({"sensor": sensor, "frame": frame, "subgroup": base, "override": overrides})
+
+
+def trouble(config: Config, seed: int, per_subgroup_period: float) -> Edges:
+    """Edges that crowd where rules meet, on average `per_subgroup_period` a subgroup and period."""
+    rng = np.random.default_rng(seed)
+    sensor, periods = config.sensor, config.frames * config.pulses
+    n = rng.poisson(per_subgroup_period * sensor.subgroups * periods)
+    pulse = rng.integers(0, periods, n)
+    tick = rng.integers(0, config.period_ticks, n)
+    if n:
+        table = pixel_table(sensor)
+        pixel = rng.integers(0, sensor.array_pixels, n)
+        # A half of the edges stands at a distance from another edge at which something changes.
+        near = rng.random(n) < 0.5
+        other = rng.integers(0, n, n)
+        window = config.window[table.subgroup[pixel[other]]]
+        steps = np.stack([
+            np.zeros(n, np.int64), np.ones(n, np.int64), window - 1, window, window + 1, np.full(n, sensor.phases),
+            sensor.phases * (sensor.rearm + 1) - tick[other] % sensor.phases, np.full(n, config.frame["mg_window"] * sensor.phases),
+        ])
+        tick = np.where(near, tick[other] + steps[rng.integers(0, len(steps), n), np.arange(n)], tick)
+        pulse = np.where(near, pulse[other], pulse)
+        neighbours = np.flatnonzero(near & (rng.random(n) < 0.8))
+        members = [np.flatnonzero(table.subgroup == s) for s in range(sensor.subgroups)]
+        pixel[neighbours] = [rng.choice(members[table.subgroup[pixel[other[k]]]]) for k in neighbours]
+        # Some stand at the edges of gate, guard and period.
+        special = np.concatenate([
+            np.array([0, config.period - 1, config.period - sensor.guard, config.period - sensor.guard - 1]),
+            config.gate_start, config.gate_start + config.gate_len, config.gate_start - 1,
+        ]).clip(0, config.period - 1)
+        at_special = rng.random(n) < 0.1
+        tick = np.where(at_special, rng.choice(special, n) * sensor.phases + rng.choice((0, sensor.phases - 1), n), tick)
+        tick = tick.clip(0, config.period_ticks - 1)
+    else:
+        pixel = np.zeros(0, np.int64)
+    return Edges(pulse.astype(np.int64), pixel.astype(np.int64), tick.astype(np.int64))
+
+
+def ready_pattern(seed: int, kind: str, cycles: int) -> np.ndarray:
+    """`tready` patterns: always, stalled from the start, at random, in bursts."""
+    rng = np.random.default_rng(seed)
+    if kind == "always":
+        return np.zeros(0, np.uint8)
+    if kind == "stalled":
+        return np.zeros(int(rng.integers(1, cycles)), np.uint8)
+    if kind == "random":
+        return (rng.random(cycles) < rng.uniform(0.05, 0.9)).astype(np.uint8)
+    return np.repeat(rng.random(cycles // 16 + 1) < 0.5, 16).astype(np.uint8)
+
+
+READY_KINDS = ("always", "stalled", "random", "bursts")
