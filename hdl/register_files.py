@@ -101,7 +101,7 @@ def _defines(register: Register, sensor: Sensor, address: str, arguments: list[s
     if register.access is Access.CONSTANT:
         lines.append(f"#define {name}_VALUE {register.reset(sensor)}u")
     if register.access is Access.SETTING:
-        lines += [f"#define {name}_MIN {register.low(sensor)}u", f"#define {name}_MAX {register.high(sensor)}u"]
+        lines += [f"#define {name}_LOWEST {register.low(sensor)}u", f"#define {name}_HIGHEST {register.high(sensor)}u"]
     for bits in register.bits:
         mask = ((1 << bits.width) - 1) << bits.lsb
         lines.append(f"#define {name}_{bits.name.upper()} {mask:#x}u  /* {bits.doc} */")
