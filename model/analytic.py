@@ -18,6 +18,7 @@ from numba import njit
 from scipy import special, stats
 
 from .errors import check_integer
+from .golden import pixel_table
 from .light import SIGMA_PER_FWHM, SPEED_OF_LIGHT_M_S, Spad, Timing
 from .link_budget import FORMS
 from .parameters import Sensor
@@ -306,9 +307,7 @@ def _literal_histogram(flight_s, signal, noise_cps, threshold, window_ticks, pul
 
 def _grouped(photons, sensor: Sensor) -> Photons:
     """(5), (6): a subgroup's pixels [pixels] with the sums over their minigroups and over the subgroup."""
-    rows, cols = sensor.subgroup
-    row, col = np.divmod(np.arange(rows * cols), cols)
-    minigroup = row // sensor.minigroup[0] * (cols // sensor.minigroup[1]) + col // sensor.minigroup[1]
+    minigroup = pixel_table(sensor).minigroup
     sums = np.bincount(minigroup, photons, sensor.minigroups)
     return Photons(photons, sums[minigroup], np.sum(sums))
 

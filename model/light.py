@@ -8,7 +8,9 @@ import math
 import numpy as np
 from attrs import frozen
 
+from .config import Config
 from .errors import InputError, check_integer
+from .golden import pixel_table
 from .quantities import check_real, real, real_array
 
 SPEED_OF_LIGHT_M_S = 299_792_458.0
@@ -18,7 +20,9 @@ BACKGROUND_CPS_PER_KLUX = 1.226e6 / 50  # detected, per pixel; our preset: the l
 SIGNAL_REFERENCE = 0.613                # detected photons per pulse and pixel, equation (1) at the two values below
 REFERENCE_DISTANCE_M = 4.0
 REFERENCE_REFLECTIVITY = 0.4
-NEAREST_M = 1e-3                        # of a scene: the signal grows without bound towards 0
+NEAREST_M = 0.05                        # of a scene: the signal grows without bound towards 0
+SIGNAL_MAX = 1e4                        # photons of a pixel and pulse
+RATE_MAX_CPS = 1e12
 
 def background_cps(klux: float) -> float:
     """Detected background of a pixel in counts per second at `klux` of ambient light: our preset, linear."""
@@ -81,6 +85,11 @@ class Timing:
             if abs(total - self.phases) > 1e-9 * self.phases:
                 raise InputError(f"tap_width_lsb: sums to {total:g}, must sum to the {self.phases} phases")
 
+    @classmethod
+    def from_config(cls, config: Config, clock_hz: float = 500e6, tap_width_lsb: np.ndarray | None = None) -> "Timing":
+        """The configuration's phases and period, at a clock that it does not know."""
+        return cls(clock_hz=clock_hz, phases=config.sensor.phases, period_cycles=config.period, tap_width_lsb=tap_width_lsb)
+
     @property
     def tick_s(self) -> float:
         return 1 / (self.clock_hz * self.phases)
@@ -121,9 +130,10 @@ class Light:
             array = np.asarray(getattr(self, name))
             object.__setattr__(self, name, array[:, None] if array.ndim == 1 else array)
         targets = max(self.distance_m.shape[-1:] + self.signal_per_pulse.shape[-1:], default=1)
-        for name, last in (("distance_m", (targets,)), ("signal_per_pulse", (targets,)), ("system_fwhm_s", (targets,)),
-                           ("background_cps", ())):
-            checked = real_array(name, getattr(self, name), (self.pixels, *last), 0, nan=name == "distance_m")
+        per_target = (self.pixels, targets)
+        for name, shape, highest in (("distance_m", per_target, math.inf), ("signal_per_pulse", per_target, SIGNAL_MAX),
+                                     ("system_fwhm_s", per_target, 1.0), ("background_cps", (self.pixels,), RATE_MAX_CPS)):
+            checked = real_array(name, getattr(self, name), shape, 0, highest, nan=name == "distance_m")
             object.__setattr__(self, name, checked)
 
     @property
@@ -151,20 +161,29 @@ class Light:
 class SpadGate:
     """SPADs switched off outside [start, start + len) cycles of a period: there no avalanche and no dead time.
 
-    start_cycles, len_cycles: per pixel, int64[pixels] or a number. Progressive gating: pulse k of a frame of
+    start_cycles, len_cycles, step_cycles: per pixel, int64[pixels] or a number. Progressive gating: pulse k of a frame of
     frame_pulses adds step_cycles * ((k // every_pulses) mod steps) to the start; every_pulses = 0: never.
     """
 
     start_cycles: np.ndarray
     len_cycles: np.ndarray
-    step_cycles: int = 0
+    step_cycles: np.ndarray = 0
     every_pulses: int = 0
     steps: int = 1
     frame_pulses: int = 1 << 62
 
     def __attrs_post_init__(self):
-        for name, low in (("step_cycles", 0), ("every_pulses", 0), ("steps", 1), ("frame_pulses", 1)):
+        for name, low in (("every_pulses", 0), ("steps", 1), ("frame_pulses", 1)):
             check_integer(name, getattr(self, name), low, 1 << 62)
+
+    @classmethod
+    def from_config(cls, config: Config) -> "SpadGate":
+        """The gates of a configuration as SPAD gates; open all the time where a subgroup's gating is off."""
+        subgroup, frame = pixel_table(config.sensor).subgroup, config.frame
+        start, length, step = (np.where(config.gating, on, off)[subgroup] for on, off in (
+            (config.gate_start, 0), (config.gate_len, config.period), (frame["gate_step"], 0)))
+        return cls(start_cycles=start, len_cycles=np.minimum(length, config.period), step_cycles=step,
+                   every_pulses=frame["gate_every"], steps=frame["gate_steps"], frame_pulses=config.pulses)
 
 
 def dark_count_map(pixels: int, *, median_cps: float, hot_fraction: float, hot_cps: float, seed: int) -> np.ndarray:

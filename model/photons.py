@@ -107,7 +107,6 @@ class _Physics(NamedTuple):
     crosstalk: float
     rows: int
     cols: int
-    gate_step: float
     gate_every: int
     gate_steps: int
     frame_pulses: int
@@ -121,7 +120,8 @@ class _Physics(NamedTuple):
 class _Arrays(NamedTuple):
     """Arrays of the walk: noise [pixels], signal [pixels, targets] in photons a period; the others in ticks.
 
-    centre, sigma: [pixels, targets]. gate_start, gate_len: [pixels]. taps: inner borders of the phases, empty = ideal.
+    centre, sigma: [pixels, targets]. gate_start, gate_len, gate_step: [pixels]. taps: inner borders of the phases,
+    empty = ideal.
     """
 
     noise: np.ndarray
@@ -130,6 +130,7 @@ class _Arrays(NamedTuple):
     sigma: np.ndarray
     gate_start: np.ndarray
     gate_len: np.ndarray
+    gate_step: np.ndarray
     taps: np.ndarray
 
 
@@ -144,8 +145,10 @@ def _in_ticks(light: Light, spad: Spad, timing: Timing, gate: SpadGate | None) -
     flight_ticks = np.nan_to_num(2 * light.distance_m / SPEED_OF_LIGHT_M_S / tick_s)
     seen = ~np.isnan(light.distance_m) & (light.range_ambiguity | (flight_ticks < period_ticks))
     gate = gate or SpadGate(start_cycles=0, len_cycles=timing.period_cycles)
-    gate_start, gate_len = (real_array(name, getattr(gate, name), (pixels,), 0, timing.period_cycles) * timing.phases
-                            for name in ("start_cycles", "len_cycles"))
+    gate_start, gate_len, gate_step = (
+        real_array(name, getattr(gate, name), (pixels,), 0, timing.period_cycles) * timing.phases
+        for name in ("start_cycles", "len_cycles", "step_cycles")
+    )
     physics = _Physics(
         period=float(period_ticks),
         phases=timing.phases,
@@ -159,7 +162,6 @@ def _in_ticks(light: Light, spad: Spad, timing: Timing, gate: SpadGate | None) -
         crosstalk=spad.crosstalk_probability,
         rows=light.rows,
         cols=light.cols,
-        gate_step=float(gate.step_cycles * timing.phases),
         gate_every=gate.every_pulses,
         gate_steps=gate.steps,
         frame_pulses=gate.frame_pulses,
@@ -171,6 +173,7 @@ def _in_ticks(light: Light, spad: Spad, timing: Timing, gate: SpadGate | None) -
         sigma=np.sqrt(pulse_variance_s2) * SIGMA_PER_FWHM / tick_s,
         gate_start=gate_start,
         gate_len=gate_len,
+        gate_step=gate_step,
         taps=np.empty(0) if timing.tap_width_lsb is None else np.cumsum(timing.tap_width_lsb, dtype=np.float64)[:-1],
     )
     return physics, arrays
@@ -205,10 +208,11 @@ class _Walker:
                 return keys[:n], times[:n]
 
 
-SOURCE, SHAPE, JITTER, TAIL_SHARE, TAIL, TRAP, RELEASE, CROSSTALK = range(8)  # purposes of random numbers
+GAP, SOURCE, SHAPE, JITTER, TAIL_SHARE, TAIL, TRAP, RELEASE, CROSSTALK = range(9)  # purposes of random numbers
 POISSON_MEAN_MAX = 64.0  # a brighter pixel's count is drawn in parts, each by inversion of its law
 LAW_SIZE = 256
-INSERTION_MAX = 24       # photons of a pulse beyond which sorting beats insertion
+GAPS_FROM = 24.0         # photons of noise in a period from which on they come in order of time, by exponential gaps
+INSERTION_MAX = 32       # other photons up to which insertion beats sorting
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -227,23 +231,33 @@ def _walk(physics, arrays, block, seed, packing, span, received, sending, ready,
     for pixel in range(block[0], block[1]):
         pixel_key, local = key_of(key_of(seed, 0), pixel), pixel - block[0]
         noise, gate_start, gate_len = arrays.noise[pixel], arrays.gate_start[pixel], arrays.gate_len[pixel]
+        noise_to_ticks, bright = period / noise, noise > GAPS_FROM
+        if bright:
+            noise = 0.0
         mean = noise + signals[pixel].sum()
         parts = int(mean / POISSON_MEAN_MAX) + 1
-        part_mean, noise_to_ticks = mean / parts, period / noise
+        part_mean = mean / parts
         _poisson_law(part_mean, law)
         alive_at = ready[local]
         next_received = np.searchsorted(received_where, pixel << 32)
         for index in range(pulses):
             pulse = first_pulse + index
             key, n = key_of(pixel_key, pulse), 0
+            if bright:
+                t = exponential(key, GAP, 0) * noise_to_ticks
+                while t < period and n < photons.size:
+                    photons[n] = t
+                    n += 1
+                    t += exponential(key, GAP, n) * noise_to_ticks
+            count = 0
             for part in range(parts):
-                u, count = open_unit(key_of(key, part) if part else key), 0
-                while u > law[count]:
-                    count += 1
-                n += count
-            if n > photons.size:
+                u, k = open_unit(key_of(key, part) if part else key), 0
+                while u > law[k]:
+                    k += 1
+                count += k
+            if n + count >= photons.size:
                 return -1
-            for i in range(n):  # superposed Poisson processes: a count for all, then each photon's source and time
+            for i in range(count):  # superposed Poisson processes: a count for all, then each photon's source and time
                 mark = uniform(key, SOURCE, i) * mean
                 if mark < noise:
                     t = mark * noise_to_ticks
@@ -253,11 +267,12 @@ def _walk(physics, arrays, block, seed, packing, span, received, sending, ready,
                         mark -= signals[pixel, target]
                         target += 1
                     t = _modulo(centre[pixel, target] + sigma[pixel, target] * normal(key, SHAPE, i), period)
-                if n <= INSERTION_MAX:
-                    _insert(photons, i, t)
+                if count <= INSERTION_MAX:
+                    n = _insert(photons, n, t)
                 else:
-                    photons[i] = t
-            if n > INSERTION_MAX:
+                    photons[n] = t
+                    n += 1
+            if count > INSERTION_MAX:
                 photons[:n].sort()
             if physics.afterpulse > 0:
                 for slot in range(CARRIERS_MAX):
@@ -271,7 +286,7 @@ def _walk(physics, arrays, block, seed, packing, span, received, sending, ready,
 
             opens = gate_start
             if physics.gate_every > 0:
-                opens += physics.gate_step * (pulse % physics.frame_pulses // physics.gate_every % physics.gate_steps)
+                opens += arrays.gate_step[pixel] * (pulse % physics.frame_pulses // physics.gate_every % physics.gate_steps)
             closes = opens + gate_len
             i, fired = 0, 0
             while i < n:

@@ -2,13 +2,14 @@
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.optimize import brentq
+
 from coincid.model.errors import InputError
 from coincid.model.light import Spad
 from coincid.model.link_budget import JSON_KEYS, SBR_READINGS, Laser, Optics, link_budget
 from coincid.model.spectrum import illuminance_lux, irradiance_w_m2
-from hypothesis import given
-from hypothesis import strategies as st
-from scipy.optimize import brentq
 
 
 def four_digits(value):

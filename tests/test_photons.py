@@ -4,7 +4,12 @@ import math
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import stats
+
 from coincid.model.code_density import code_density
+from coincid.model.config import parse_config
 from coincid.model.errors import InputError
 from coincid.model.light import (
     SIGMA_PER_FWHM,
@@ -18,9 +23,6 @@ from coincid.model.light import (
     signal_per_pulse,
 )
 from coincid.model.photons import edge_chunks, generate_edges
-from hypothesis import given, settings
-from hypothesis import strategies as st
-from scipy import stats
 
 LEVEL = 1e-3
 BARE = Spad(dead_time_s=0, jitter_fwhm_s=0)
@@ -248,6 +250,22 @@ def test_progressive_gate_moves_with_the_pulse_in_the_frame():
     assert set(start) == {10, 30, 50}
 
 
+def test_gates_of_a_configuration():
+    """A gated subgroup steps through its period, one without gating is open all the time."""
+    config = parse_config({
+        "sensor": {"rows": 8, "cols": 16}, "frame": {"gate_step": 20, "gate_every": 1, "gate_steps": 2, "pulses": 6},
+        "override": [{"subgroups": [1], "gating": True, "gate_start": 30, "gate_len": 10}],
+    })
+    timing = Timing.from_config(config)
+    assert (timing.period_ticks, timing.tick_s) == (8000, 62.5e-12)
+    gate = SpadGate.from_config(config)
+    edges = edges_of(light(8, 16, noise_cps=5e7), Spad(jitter_fwhm_s=0), timing, pulses=6, gate=gate)
+    cycle, gated = edges.tick // timing.phases, edges.pixel % 16 >= 8
+    assert set(cycle[gated & (edges.pulse % 2 == 0)]) == set(range(30, 40))
+    assert set(cycle[gated & (edges.pulse % 2 == 1)]) == set(range(50, 60))
+    assert set(cycle[~gated]) == set(range(250))
+
+
 def test_light_from_beyond_the_period_falls_into_a_later_one():
     period_m = SPEED_OF_LIGHT_M_S * Timing().period_s / 2
     near, far = (edges_of(light(distance_m=d, signal=0.5), timing=Timing(), pulses=50) for d in (10.0, 10.0 + period_m))
@@ -301,10 +319,10 @@ def test_dark_counts_and_hot_pixels():
         (lambda: Spad(crosstalk_probability=0.5), r"crosstalk_probability = 0.5: must be a number from 0 to 0.25"),
         (lambda: Timing(tap_width_lsb=np.full(32, 1.1)), r"tap_width_lsb: sums to 35.2, must sum to the 32 phases"),
         (lambda: Timing(period_cycles=0), r"period_cycles = 0: must be an integer from 1"),
-        (lambda: light(signal=-1.0), r"signal_per_pulse\[0, 0\] = -1.0: must be of at least 0"),
-        (lambda: light(noise_cps=np.nan), r"background_cps\[0\] = nan: must be of at least 0"),
+        (lambda: light(signal=-1.0), r"signal_per_pulse\[0, 0\] = -1.0: must be from 0 to 10000"),
+        (lambda: light(noise_cps=np.nan), r"background_cps\[0\] = nan: must be from 0 to 1e\+12"),
         (lambda: light(distance_m=np.ones(3)), r"distance_m: has shape \(3, 1\), must be \(64, 1\) or broadcast to it"),
-        (lambda: Light.from_scene(np.zeros((2, 2)), 0.4, 50), r"distance_m\[0, 0\] = 0.0: must be of at least 0.001"),
+        (lambda: Light.from_scene(np.zeros((2, 2)), 0.4, 50), r"distance_m\[0, 0\] = 0.0: must be of at least 0.05"),
         (lambda: Light.from_scene(np.ones((2, 2)), 4, 50), r"reflectivity\[0, 0\] = 4.0: must be from 0 to 1"),
         (lambda: background_cps(-1), r"klux = -1: must be a number of at least 0"),
         (lambda: edge_chunks(light(), BARE, FINE, pulses=0, seed=1), r"pulses = 0: must be an integer from 1"),
