@@ -23,7 +23,7 @@ def _mix(z):
 
 @njit(cache=True, inline="always")
 def key_of(key, index):
-    """The key of item `index` under `key` (uint64)."""
+    """The key of item `index` under `key` (uint64); numbers of purpose 0 of the same key would repeat it."""
     return _mix(key + (np.uint64(index) + np.uint64(1)) * GOLDEN)
 
 

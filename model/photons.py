@@ -208,7 +208,7 @@ class _Walker:
                 return keys[:n], times[:n]
 
 
-GAP, SOURCE, SHAPE, JITTER, TAIL_SHARE, TAIL, TRAP, RELEASE, CROSSTALK = range(9)  # purposes of random numbers
+GAP, SOURCE, SHAPE, JITTER, TAIL_SHARE, TAIL, TRAP, RELEASE, CROSSTALK = range(1, 10)  # purposes of random numbers
 POISSON_MEAN_MAX = 64.0  # a brighter pixel's count is drawn in parts, each by inversion of its law
 LAW_SIZE = 256
 GAPS_FROM = 24.0         # photons of noise in a period from which on they come in order of time, by exponential gaps

@@ -74,7 +74,7 @@ def same(a, b):
 def test_photons_are_poisson(mean, kind):
     share = {"signal": 1, "noise": 0, "both": 0.4}[kind]
     scene = light(signal=mean * share, noise_cps=mean * (1 - share) / FINE.period_s)
-    assert_law(counts(edges_of(scene, pulses=200), 64, 200), stats.poisson(mean))
+    assert_law(counts(edges_of(scene, pulses=1000), 64, 1000), stats.poisson(mean))
 
 
 @pytest.mark.parametrize("dead_fraction", [0.05, 1.0, 8.0])
