@@ -1,0 +1,223 @@
+"""The `coincid` command: one sub-command a job. Commands check everything they are given before they build or simulate anything.
+
+Exit codes: 0 done; 1 the RTL differs from the golden model, or lint found something; 2 bad input or a missing tool (one line on
+stderr); 130 interrupted. The machinery is imported by the command that needs it, so that `--help` is immediate.
+"""
+
+import contextlib
+import os
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from typer.core import TyperGroup
+
+from coincid.model.errors import InputError, check_integer
+
+BAD_INPUT, DIFFERS, INTERRUPTED = 2, 1, 130
+STALL_CYCLES_MAX = 1 << 24
+PULSES_MAX = 1 << 16
+
+console = Console(stderr=True, highlight=False)
+
+
+class Commands(TyperGroup):
+    """The group of commands; turns the errors that users are meant to read into messages and exit codes."""
+
+    def invoke(self, ctx):
+        try:
+            return super().invoke(ctx)
+        except InputError as error:
+            raise _failed(error, BAD_INPUT) from None
+        except KeyboardInterrupt:
+            raise _failed("interrupted", INTERRUPTED) from None
+        except (AssertionError, RuntimeError) as error:
+            if not _is_simulation(error):
+                raise
+            raise _failed(error, DIFFERS) from None
+
+
+def _is_simulation(error: Exception) -> bool:
+    from coincid.tb.scoreboard import Mismatch
+    from coincid.tb.toolchain import SimulationError
+
+    return isinstance(error, (Mismatch, SimulationError))
+
+
+def _failed(message: object, code: int) -> typer.Exit:
+    print(f"coincid: {message}", file=sys.stderr)
+    return typer.Exit(code)
+
+
+app = typer.Typer(cls=Commands, add_completion=False, no_args_is_help=True, pretty_exceptions_enable=False, help=(
+    "Open, cycle-accurate model of a SPAD direct time-of-flight sensor with coincidence detection."
+))
+
+ConfigOption = Annotated[str | None, typer.Option("--config", metavar="FILE", help="TOML file, or a preset: silicon, fpga.")]
+EngineOption = Annotated[str, typer.Option("--engine", metavar="ENGINE", help="golden, verilator or icarus.")]
+
+
+@app.command()
+def sim(
+    scene: Annotated[str, typer.Option(metavar="SCENE", help=(
+        "five-objects, letter-f, flat:METRES,REFLECTIVITY, two-targets:NEAR,FAR, two-returns:NEAR,FAR; or a depth file (PNG of 16 bit in "
+        "millimetres, NPY in metres), with a colour picture for the reflectivities as DEPTH,COLOUR."
+    ))] = "five-objects",
+    klux: Annotated[float, typer.Option(help="Background light in klux.")] = 50.0,
+    pulses: Annotated[int | None, typer.Option(help="Laser pulses of a frame; default: the configuration's.", show_default=False)] = None,
+    config: ConfigOption = None,
+    seed: Annotated[int, typer.Option(help="Of the light.")] = 1,
+    engine: EngineOption = "verilator",
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder of the results.")] = Path("build/sim"),
+    waves: Annotated[bool, typer.Option("--waves", help="Also a waveform (FST) and views of it for GTKWave and Surfer.")] = False,
+    clock_mhz: Annotated[float, typer.Option(help="System clock; with the configuration's phases it sets the TDC's LSB.")] = 500.0,
+    spad_gate: Annotated[bool, typer.Option("--spad-gate", help="Gating switches the SPADs off outside the gate; default: it ignores their edges.")] = False,
+):
+    """Simulate frames of a scene, every word checked against the golden model; leave depth.png, events.npz and report.json."""
+    from coincid.model.config import load_config
+    from coincid.tb.simulate import simulate
+
+    settings = load_config(config)
+    if pulses is not None:
+        settings = settings.with_frame(pulses=check_integer("pulses", pulses, 1, PULSES_MAX))
+    simulate(
+        scene, settings, klux=klux, seed=seed, engine=_engine(engine), out=_folder(out), waves=waves, clock_hz=clock_mhz * 1e6,
+        spad_gate=spad_gate, console=Console(highlight=False),
+    )
+
+
+@app.command()
+def replay(
+    edges: Annotated[Path, typer.Option(metavar="FILE", help="Edges (NPZ: pulse, pixel, tick).")],
+    out: Annotated[Path, typer.Option(metavar="FILE", help="Result (NPZ); appears whole.")],
+    config: ConfigOption = None,
+    engine: EngineOption = "golden",
+    stall: Annotated[int, typer.Option(metavar="N", help="Keep tready low for the first N cycles of every frame.")] = 0,
+):
+    """Run an edge file through the golden model or the RTL and write what leaves the sensor."""
+    from coincid.model.config import load_config
+    from coincid.model.edges import load_edges
+    from coincid.model.result import stall as low, write_result
+
+    _engine(engine)
+    check_integer("stall", stall, 0, STALL_CYCLES_MAX)
+    settings = load_config(config)
+    pulses = settings.frames * settings.pulses
+    given = load_edges(edges, pixels=settings.sensor.array_pixels, pulses=pulses, period_ticks=settings.period_ticks)
+    _file(out)
+    from coincid.tb.replay import replay as run
+
+    with _progress(pulses * settings.period, f"{len(given)} edges, {settings.frames} frames, {engine}") as done:
+        result = run(engine, settings, given, low(stall), done)
+    write_result(out, result)
+    print(f"{out}: {len(result['pulse'])} events and {len(result['mg_pulse'])} minigroup records of {len(given)} edges, "
+          f"{int(result['dropped'].sum())} events dropped")
+
+
+@app.command()
+def verilog(
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder; appears whole, and replaces an earlier export.")] = Path("build/rtl"),
+    config: ConfigOption = None,
+):
+    """Export the synthesizable Verilog, one file a block, with file list, lint waivers and register map."""
+    from coincid.hdl.release import write_release
+    from coincid.model.config import load_config
+
+    files = write_release(out, load_config(config).sensor)
+    print(f"{out}: {len(files)} files, {sum(path.stat().st_size for path in files) / 1000:.0f} kB")
+
+
+@app.command()
+def lint(config: ConfigOption = None):
+    """Check the exported Verilog with Verilator's lint, and with Icarus where it is installed."""
+    from coincid.model.config import load_config
+    from coincid.tb.lint import lint as run
+
+    found = run(load_config(config).sensor)
+    for tool, complaints in found.items():
+        print(f"{tool}: {'clean' if not complaints else 'found'}")
+        print(complaints, end="")
+    if any(found.values()):
+        raise typer.Exit(DIFFERS)
+
+
+@app.command()
+def budget(
+    distance_m: Annotated[float, typer.Option(help="Distance of the target in metres.")] = 4.0,
+    reflectivity: Annotated[float, typer.Option(help="Of the target, 0 to 1.")] = 0.4,
+    klux: Annotated[float, typer.Option(help="Sunlight in klux.")] = 50.0,
+    spectrum: Annotated[str | None, typer.Option(metavar="SPECTRUM", help="am15g or planck; default: am15g.", show_default=False)] = None,
+    form: Annotated[str, typer.Option(metavar="FORM", help="literal (as printed in the paper) or corrected.")] = "literal",
+    json: Annotated[bool, typer.Option("--json", help="Flat keys, for programs.")] = False,
+):
+    """Print the link budget, equations (1) and (2) of the paper, line by line."""
+    from json import dumps
+
+    from coincid.model.link_budget import link_budget
+
+    given = {} if spectrum is None else {"spectrum": spectrum}
+    result = link_budget(distance_m, reflectivity, klux, form=form, **given)
+    if json:
+        print(dumps(result.json(), indent=2))
+        return
+    for name, value, unit, source in result.rows():
+        print(f"{name:22} {value if isinstance(value, str) else format(value, '.6g'):>12} {unit:6} {source}")
+
+
+@app.command()
+def figures(
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder of the figures.")] = Path("build/figures"),
+    rtl: Annotated[bool, typer.Option("--rtl", help="Add the RTL as a source to figures 6 and 8.")] = False,
+):
+    """Draw the paper's figures from the analytic model, Monte Carlo and, on request, the RTL."""
+    from coincid.model.figures import write_figures
+
+    write_figures(_folder(out), rtl=rtl)
+
+
+def _engine(name: str) -> str:
+    from coincid.model.quantities import check_choice
+    from coincid.tb.replay import ENGINES
+
+    return check_choice("engine", name, ENGINES)
+
+
+def _file(path: Path) -> Path:
+    """`path` if a file can be made there; makes nothing."""
+    if path.is_dir():
+        raise InputError(f"out = {str(path)!r}: is a folder, must be a file")
+    _folder(path.parent)
+    return path
+
+
+def _folder(path: Path) -> Path:
+    """`path` if it is or can become a folder to write to; makes nothing."""
+    try:
+        nearest = next(parent for parent in (path, *path.absolute().parents) if parent.exists())
+    except OSError as error:
+        raise InputError(f"out = {str(path)!r}: cannot be written: {error.strerror}") from None
+    if not nearest.is_dir() or not os.access(nearest, os.W_OK | os.X_OK):
+        why = "not writable" if nearest.is_dir() else "no folder"
+        raise InputError(f"out = {str(path)!r}: cannot be written: {nearest} is {why}")
+    return path
+
+
+@contextlib.contextmanager
+def _progress(cycles: int, what: str) -> Iterator[Callable[[int], None]]:
+    """A progress bar on a terminal, nothing elsewhere; yields what is to be called with the cycles done."""
+    from rich.progress import Progress
+
+    with Progress(console=console, transient=True, disable=not console.is_terminal) as bar:
+        task = bar.add_task(what, total=cycles)
+        yield lambda done: bar.update(task, completed=done)
+
+
+def main() -> None:
+    """The console script."""
+    try:
+        app()
+    except KeyboardInterrupt:
+        sys.exit(INTERRUPTED)
