@@ -69,7 +69,8 @@ class Dpcu(Unit):
             m.d.sync += self.pulse.eq(self.pulse + 1)
 
         # Counters, a stage behind what they count, so that no adder hangs on the commit.
-        judged, judged_count = Signal(), Signal.like(self.window.count)
+        judged = Signal()
+        judged_count = Signal.like(self.window.count)
         m.d.sync += [judged.eq(self.closed), judged_count.eq(self.window.count)]
         strobes = {
             "opened": judged, "committed": self.commit, "rejected": judged & ~self.commit, "blind": self.blind, "stored": self.stored,
@@ -82,7 +83,8 @@ class Dpcu(Unit):
             saturating_add(m, count["photons"], judged_count)
 
         # The controller: steps = bounds that the last frame's photons reach.
-        steps, frame_before = Signal(range(AUTO_BOUNDS + 1)), Signal()
+        steps = Signal(range(AUTO_BOUNDS + 1))
+        frame_before = Signal()
         reached = Signal()
         m.d.comb += reached.eq(count["photons"] >= self.bound)
         with m.Switch(self.operation):

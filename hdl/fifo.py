@@ -39,7 +39,9 @@ class EventFifo(Unit):
         depth = self.sensor.fifo_depth
         # One place more than `depth`, so that the library's own limit (its output register apart) is never the one that counts.
         m.submodules.storage = storage = fifo.SyncFIFOBuffered(width=bus.event_layout(self.sensor).size, depth=depth + 1)
-        level, lost, room = Signal(range(depth + 1)), Signal(), Signal()
+        level = Signal(range(depth + 1))
+        lost = Signal()
+        room = Signal()
         event = Signal(bus.event_layout(self.sensor))
         m.d.comb += [
             room.eq(level != depth),
@@ -82,7 +84,8 @@ class RecordBuffer(Unit):
 
     def elaborate(self, platform):
         m = Module()
-        waiting, comes = Signal(), Signal()
+        waiting = Signal()
+        comes = Signal()
         m.d.comb += comes.eq(self.due & self.latched.any())
         m.d.sync += [self.stored.eq(comes & ~waiting), self.dropped.eq(comes & waiting)]
         with m.If(comes & ~waiting):

@@ -37,13 +37,17 @@ class Gating(Unit):
         m = Module()
         coarse_bits = self.sensor.coarse_bits
         first = Signal(coarse_bits + 2)
-        start, running = Signal(), Signal(2)
+        start = Signal()
+        running = Signal(2)
         m.d.sync += [
             first.eq(self.settings.gate_start[:coarse_bits] + self.timing.shift),
             start.eq(self.timing.start), running.eq((running << 1) | self.timing.running),
         ]
-        until, left = Signal.like(first), Signal(bus.GATE_BITS)  # cycles before the gate opens, and that it then stays open
-        until_now, left_now, inside = Signal.like(until), Signal.like(left), Signal()
+        until = Signal.like(first)  # cycles before the gate opens, and that it then stays open
+        left = Signal(bus.GATE_BITS)
+        until_now = Signal.like(until)
+        left_now = Signal.like(left)
+        inside = Signal()
         m.d.comb += [
             until_now.eq(Mux(start, first, until)),
             left_now.eq(Mux(start, self.settings.gate_len, left)),

@@ -4,12 +4,12 @@ The paper (III-A): the subgroup is clustered into minigroups; every minigroup "p
 address/ID of the contributing events". The collection that latches a record, and quarters of a cycle as its unit, are our choice.
 """
 
-from amaranth.hdl import Cat, Module, Mux, Signal
+from amaranth.hdl import C, Cat, Module, Mux, Signal
 from amaranth.lib.wiring import In, Out
 
 from ..model.parameters import QUARTERS, Sensor
 from . import bus
-from .logic import any_of, encode, lowest, popcount
+from .logic import any_of, popcount
 from .unit import Unit
 
 
@@ -32,7 +32,7 @@ class Minigroup(Unit):
     frame : in, settings; may_open, wrap : in (stage 3); coarse : in, TDC coarse count (stage 3)
     latched, entry : out, the period's record, to be taken while `wrap` (stage 3)
 
-    Reset clears the record circuit; the words need none, as nothing is accepted outside a frame.
+    Reset clears the record circuit; the rest needs none, as nothing is accepted outside a frame and every window begins afresh.
     """
 
     unit_name = "coincid_minigroup"
@@ -56,64 +56,83 @@ class Minigroup(Unit):
         def word(words, i):
             return words.word_select(i, phases)
 
+        # Data registers move only where there is an edge: `some` says so at each stage.
         at_port = Signal(pixels * phases, reset_less=True)
         accepted = Signal(pixels * phases)
         words_2 = Signal(pixels * phases, reset_less=True)
         words = Signal(pixels * phases, reset_less=True)
-        active_2, active = Signal(pixels), Signal(pixels)
-        m.d.sync += at_port.eq(self.words)
+        active = Signal(pixels, reset_less=True)
+        active_4 = Signal(pixels, reset_less=True)
+        some_1 = Signal()
+        some_2 = Signal(reset_less=True)
+        some = Signal(reset_less=True)
+        some_4 = Signal(reset_less=True)
         m.d.comb += [
             word(accepted, i).eq(word(at_port, i) & (self.accept & self.mask[i]).replicate(phases)) for i in range(pixels)
         ]
-        m.d.comb += self.root.eq(any_of(m, [word(accepted, i) for i in range(pixels)], "root_or"))
-        m.d.comb += active_2.eq(Cat(word(words_2, i).any() for i in range(pixels)))
-        m.d.sync += [words_2.eq(accepted), words.eq(words_2), active.eq(active_2)]
+        m.d.comb += [self.root.eq(any_of(m, [word(accepted, i) for i in range(pixels)], "root_or")), some_1.eq(self.root.any())]
+        m.d.sync += [at_port.eq(self.words), some_2.eq(some_1), some.eq(some_2), some_4.eq(some), active.eq(0)]
+        with m.If(some_1):
+            m.d.sync += words_2.eq(accepted)
+        with m.If(some_2):
+            m.d.sync += [words.eq(words_2), active.eq(Cat(word(words_2, i).any() for i in range(pixels)))]
 
         together = any_of(m, [word(words, i) for i in range(pixels)], "together")
-        hit, at_first, quarter = Signal(pixels), Signal(pixels), Signal(2)
-        outside = Signal(pixels)
-        m.d.sync += [
-            hit.eq(Cat((word(words, i) & self.inside).any() for i in range(pixels))),
-            at_first.eq(Cat((word(words, i) & self.first).any() for i in range(pixels))),
-            quarter.eq(self._first_quarter(m, together & self.inside, "window_quarter")),
-            outside.eq(active),
-        ]
-        m.d.comb += self.blind.eq((outside & ~hit).any())
+        hit = Signal(pixels, reset_less=True)
+        at_first = Signal(pixels, reset_less=True)
+        quarter = Signal(2, reset_less=True)
+        m.d.sync += hit.eq(0)
+        with m.If(some):
+            m.d.sync += [
+                hit.eq(Cat((word(words, i) & self.inside).any() for i in range(pixels))),
+                at_first.eq(Cat((word(words, i) & self.first).any() for i in range(pixels))),
+                quarter.eq(self._first_quarter(together & self.inside)),
+                active_4.eq(active),
+            ]
+        m.d.comb += self.blind.eq(some_4 & (active_4 & ~hit).any())
 
+        hits = Signal(pixels, reset_less=True)
+        firsts = Signal(pixels, reset_less=True)
+        offset = Signal(len(self.offset), reset_less=True)
         with m.If(self.opening):
-            m.d.sync += [self.hits.eq(hit), self.firsts.eq(at_first)]
-        with m.Else():
-            m.d.sync += self.hits.eq(self.hits | hit)
-        with m.If(self.opening | ~self.hits.any()):
-            m.d.sync += self.offset.eq(Cat(quarter, self.elapsed))
+            m.d.sync += [hits.eq(hit), firsts.eq(at_first & some_4.replicate(pixels))]
+        with m.Elif(some_4):
+            m.d.sync += hits.eq(hits | hit)
+        with m.If(some_4 & (self.opening | ~hits.any())):
+            m.d.sync += offset.eq(Cat(quarter, self.elapsed))
+        m.d.comb += [self.hits.eq(hits), self.firsts.eq(firsts), self.offset.eq(offset)]
 
-        self._record(m, active, together)
+        self._record(m, some, active, together)
         return m
 
-    def _first_quarter(self, m, word, name):
+    def _first_quarter(self, word):
+        """Number of the first quarter of the cycle with an edge in `word`, which has one."""
         size = self.sensor.quarter_ticks
-        quarters = Signal(QUARTERS, name=f"{name}s")
-        m.d.comb += quarters.eq(Cat(word[q * size : (q + 1) * size].any() for q in range(QUARTERS)))
-        return encode(m, lowest(m, quarters, f"{name}_lowest"), name)
+        first = C(QUARTERS - 1, 2)
+        for q in reversed(range(QUARTERS - 1)):
+            first = Mux(word[q * size : (q + 1) * size].any(), q, first)
+        return first
 
-    def _record(self, m, active, together):
-        left, seen = Signal(3), Signal.like(active)
-        seen_next, left_next = Signal.like(seen), Signal(3)
-        idle, starts = Signal(), Signal()
-        stamp = Signal.like(self.entry.stamp)
+    def _record(self, m, some, active, together):
+        left = Signal(3)
+        seen = Signal(len(active), reset_less=True)
+        stamp = Signal(self.sensor.record_stamp_bits, reset_less=True)
+        starts = Signal()
+        runs = Signal()
+        seen_next = Signal(len(active))
+        left_next = Signal(3)
         m.d.comb += [
-            idle.eq(self.wrap | ((left == 0) & ~self.latched)),
-            starts.eq(self.frame.mg_records & idle & self.may_open & active.any()),
+            starts.eq(self.frame.mg_records & some & self.may_open & (self.wrap | ((left == 0) & ~self.latched))),
+            runs.eq(starts | (left != 0)),
             seen_next.eq(Mux(starts, 0, seen) | active),
             left_next.eq(Mux(starts, self.frame.mg_window, left) - 1),
-            self.entry.map.eq(seen),
-            self.entry.stamp.eq(stamp),
+            self.entry.map.eq(seen), self.entry.stamp.eq(stamp),
         ]
         with m.If(self.wrap):
             m.d.sync += self.latched.eq(0)
         with m.If(starts):
-            m.d.sync += stamp.eq(Cat(self._first_quarter(m, together, "record_quarter"), self.coarse))
-        with m.If(starts | (left != 0)):
+            m.d.sync += stamp.eq(Cat(self._first_quarter(together), self.coarse))
+        with m.If(runs):
             m.d.sync += [seen.eq(seen_next), left.eq(left_next)]
             with m.If(left_next == 0):
                 m.d.sync += self.latched.eq(popcount(m, seen_next, "seen_count") >= self.frame.mg_threshold)

@@ -53,8 +53,12 @@ class Packetizer(Unit):
         counters = [self.counters.word_select(k, BEAT_BITS) for k in range(parts.counter_beats)]
 
         # The packet under way: what is sent, and which beat.
-        sending, send_before, index_before = Signal(), Signal(bus.Send), Signal(range(parts.longest + 1))
-        send, index, last = Signal(bus.Send), Signal.like(index_before), Signal.like(index_before)
+        sending = Signal()
+        send_before = Signal(bus.Send)
+        index_before = Signal(range(parts.longest + 1))
+        send = Signal(bus.Send)
+        index = Signal.like(index_before)
+        last = Signal.like(index_before)
         active = Signal()
         m.d.comb += [
             active.eq(self.grant | sending),

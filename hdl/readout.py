@@ -48,22 +48,30 @@ class Readout(Unit):
         m = Module()
         n, parts = self.subgroups, layout(self.sensor)
         depth = latency.output_depth(parts.longest)
-        stored, record_stored, begin, finish = Signal(n), Signal(n), Signal(), Signal()
-        valid, beat = Signal(), Signal(BEAT_BITS)
+        stored = Signal(n)
+        record_stored = Signal(n)
+        begin = Signal()
+        finish = Signal()
+        valid = Signal()
+        beat = Signal(BEAT_BITS)
         m.d.sync += [
             stored.eq(self.stored), record_stored.eq(self.record_stored), begin.eq(self.frame_begin), finish.eq(self.finish),
             valid.eq(self.valid), beat.eq(self.beat),
         ]
 
         # What waits: events as a counter per subgroup, bit by bit side by side; a record as one bit.
-        take_event, take_record = Signal(n), Signal(n)
+        take_event = Signal(n)
+        take_record = Signal(n)
         some_events = self._credits(m, stored, take_event)
         records = Signal(n)
         m.d.sync += records.eq((records & ~take_record) | record_stored)
 
         # Round robin: the lowest of those at or after the pointer, else the lowest of all.
-        waiting, ahead, at_or_after = Signal(n), Signal(n), Signal(n, init=-1)
-        chosen, chosen_record = Signal(n), Signal()
+        waiting = Signal(n)
+        ahead = Signal(n)
+        at_or_after = Signal(n, init=-1)
+        chosen = Signal(n)
+        chosen_record = Signal()
         m.d.comb += [
             waiting.eq(some_events | records), ahead.eq(waiting & at_or_after),
             chosen.eq(Mux(ahead.any(), lowest(m, ahead, "lowest_ahead"), lowest(m, waiting, "lowest_of_all"))),
@@ -71,8 +79,11 @@ class Readout(Unit):
         ]
 
         # A packet may begin when the one before has been granted all its beats, and the buffer has room for the longest.
-        left, space = Signal(range(parts.longest)), Signal(range(depth + 1), init=depth)
-        granted, length, own_kind = Signal(), Signal(range(parts.longest + 1)), Signal(3)
+        left = Signal(range(parts.longest))
+        space = Signal(range(depth + 1), init=depth)
+        granted = Signal()
+        length = Signal(range(parts.longest + 1))
+        own_kind = Signal(3)
         free = Signal()
         m.d.comb += free.eq((left == 0) & (space >= parts.longest))
         event_lengths = [parts.length(FORMATS[name]) for name in FORMAT_NAMES]
@@ -145,7 +156,8 @@ class Readout(Unit):
         planes = [Signal(self.subgroups, name=f"events_{b}") for b in range(bits_for(self.sensor.fifo_depth))]
         carry, borrow = up & ~down, down & ~up
         for b, plane in enumerate(planes):
-            carry_in, borrow_in = Signal(self.subgroups, name=f"carry_{b}"), Signal(self.subgroups, name=f"borrow_{b}")
+            carry_in = Signal(self.subgroups, name=f"carry_{b}")
+            borrow_in = Signal(self.subgroups, name=f"borrow_{b}")
             m.d.comb += [carry_in.eq(carry), borrow_in.eq(borrow)]
             m.d.sync += plane.eq(plane ^ carry_in ^ borrow_in)
             carry, borrow = carry_in & plane, borrow_in & ~plane

@@ -49,7 +49,8 @@ class Registers(Unit):
             if register.access is Access.SETTING
         }
         flag = {bits.name: Signal(name=f"status_{bits.name}") for bits in STATUS.bits}
-        data, gate_late = Signal(DATA_BITS), Signal()
+        data = Signal(DATA_BITS)
+        gate_late = Signal()
         m.d.sync += [
             data.eq(self.data), gate_late.eq(self.gate_late), self.start.eq(0), self.abort.eq(0),
             self.command.operation.eq(bus.Operation.IDLE),
@@ -57,9 +58,13 @@ class Registers(Unit):
         m.d.comb += self.period.eq(setting["period", 0])
 
         # The channels: each holds what came until it is answered.
-        write_address, read_address = Signal(registers.ADDRESS_BITS), Signal(registers.ADDRESS_BITS)
-        value, whole = Signal(DATA_BITS), Signal()
-        held_address, held_data, held_read = Signal(), Signal(), Signal()
+        write_address = Signal(registers.ADDRESS_BITS)
+        read_address = Signal(registers.ADDRESS_BITS)
+        value = Signal(DATA_BITS)
+        whole = Signal()
+        held_address = Signal()
+        held_data = Signal()
+        held_read = Signal()
         m.d.comb += [axi.awready.eq(~held_address), axi.wready.eq(~held_data), axi.arready.eq(~held_read)]
         with m.If(axi.awvalid & axi.awready):
             m.d.sync += [held_address.eq(1), write_address.eq(axi.awaddr)]

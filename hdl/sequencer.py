@@ -43,9 +43,14 @@ class Sequencer(Unit):
         m = Module()
         settings = self.plan
         coarse_bits = self.sensor.coarse_bits
-        running, first, wrap = Signal(), Signal(), Signal()
-        cycle, pulse = Signal(coarse_bits + 1), Signal(bus.PULSE_BITS + 1)
-        last_cycle, last_pulse, last_open = Signal.like(cycle), Signal.like(pulse), Signal.like(cycle)
+        running = Signal()
+        first = Signal()
+        wrap = Signal()
+        cycle = Signal(coarse_bits + 1)
+        pulse = Signal(bus.PULSE_BITS + 1)
+        last_cycle = Signal.like(cycle)
+        last_pulse = Signal.like(pulse)
+        last_open = Signal.like(cycle)
         m.d.sync += [
             last_cycle.eq(settings.period - 1), last_pulse.eq(settings.pulses - 1), last_open.eq(settings.period - self.sensor.guard),
         ]
@@ -77,7 +82,8 @@ class Sequencer(Unit):
         m.d.sync += [until_begin.eq((until_begin << 1) | first), self.frame_begin.eq(until_begin[-1])]
         # `wrap` after the last period stands LEAD + 1 cycles before the first cycle after it.
         to_finish = LEAD + 1 + latency.FINISH - END_TO_GRANT
-        draining, drained = Signal(), Signal(range(to_finish + 1))
+        draining = Signal()
+        drained = Signal(range(to_finish + 1))
         with m.If(draining & (drained != to_finish)):
             m.d.sync += [drained.eq(drained + 1), self.finish.eq(drained == to_finish - 1)]
         with m.If(wrap & ~running):
@@ -91,7 +97,9 @@ class Sequencer(Unit):
     def _shift(self, m, restart, ends):
         """Progressive gating: the gate's shift in this period, saturated where no gate can open any more."""
         settings, coarse_bits = self.plan, self.sensor.coarse_bits
-        shift, pulses, steps = Signal(coarse_bits + 1), Signal(bus.GATE_BITS), Signal(bus.GATE_BITS)
+        shift = Signal(coarse_bits + 1)
+        pulses = Signal(bus.GATE_BITS)
+        steps = Signal(bus.GATE_BITS)
         beyond = 1 << coarse_bits
         more = Signal(bus.GATE_BITS + 1)
         m.d.comb += more.eq(shift + settings.gate_step)

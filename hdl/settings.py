@@ -37,7 +37,8 @@ class SubgroupSettings(Unit):
     def elaborate(self, platform):
         m = Module()
         programmed = Signal(bus.settings_layout(self.sensor), init=self._reset())
-        selected, word = Signal(), Signal(bus.WORD_BITS)
+        selected = Signal()
+        word = Signal(bus.WORD_BITS)
         m.d.comb += selected.eq(self.command.subgroup == self.subgroup)
         m.d.sync += [
             word.eq(Mux(selected, self.command.word, ~0)), self.data.eq(0),

@@ -67,16 +67,18 @@ class Subgroup(Unit):
         records = place(m, "record_buffer", RecordBuffer(sensor), platform)
         packets = place(m, "packetizer", Packetizer(sensor), platform)
 
-        # Everything shared is registered here first.
-        command, timing, frame, period = (Signal.like(port) for port in (self.command, self.timing, self.frame, self.period))
-        grant, send = Signal(), Signal(bus.Send)
+        # Inputs go straight into registers. These need no reset, as what drives them has one.
+        command, timing, frame, period, number, grant, send = (
+            Signal.like(port, reset_less=True)
+            for port in (self.command, self.timing, self.frame, self.period, self.subgroup, self.grant, self.send)
+        )
         m.d.sync += [
-            command.eq(self.command), timing.eq(self.timing), frame.eq(self.frame), period.eq(self.period),
+            command.eq(self.command), timing.eq(self.timing), frame.eq(self.frame), period.eq(self.period), number.eq(self.subgroup),
             grant.eq(self.grant), send.eq(self.send),
         ]
         wiring.connect(m, wiring.flipped(self.line), tree.line)
         m.d.comb += [
-            settings.command.eq(command), settings.subgroup.eq(self.subgroup), settings.period.eq(period), settings.counters.eq(dpcu.counters),
+            settings.command.eq(command), settings.subgroup.eq(number), settings.period.eq(period), settings.counters.eq(dpcu.counters),
             self.data.eq(settings.data), self.gate_late.eq(settings.gate_late),
 
             gating.timing.eq(timing), gating.settings.eq(settings.settings), self.spad_gate.eq(gating.spad_gate),
@@ -96,7 +98,7 @@ class Subgroup(Unit):
             records.due.eq(tree.record_due), records.latched.eq(tree.latched), records.entries.eq(tree.entries),
             records.pulse.eq(dpcu.pulse), records.take.eq(packets.take_record), self.record_stored.eq(records.stored),
 
-            packets.grant.eq(grant), packets.send.eq(send), packets.frame.eq(frame), packets.subgroup.eq(self.subgroup),
+            packets.grant.eq(grant), packets.send.eq(send), packets.frame.eq(frame), packets.subgroup.eq(number),
             packets.head.eq(events.head), packets.record.eq(records.record), packets.counters.eq(dpcu.counters),
             self.valid.eq(packets.valid), self.beat.eq(packets.beat),
         ]

@@ -55,13 +55,19 @@ class CoincidenceTree(Unit):
         m.d.sync += self.line.root.eq(any_of(m, [leaf.root for leaf in leaves], "root_or"))
 
         # Timing strobes brought to stage 3 (they come two cycles ahead of the ports, one register here makes it one).
-        may_open, wrap = Signal(5), Signal(5)
+        may_open = Signal(5)
+        wrap = Signal(5)
         m.d.sync += [may_open.eq((may_open << 1) | self.timing.may_open), wrap.eq((wrap << 1) | self.timing.wrap)]
 
         # Stage 3: the window. The loop at clock speed is only (open, left, rearm).
-        window_open, left, rearm = Signal(), Signal(range(sensor.window_max + phases)), Signal(range(sensor.rearm + 1))
-        opening, closing, end = Signal(), Signal(), Signal(range(sensor.window_max + phases))
-        inside, first = Signal(phases), Signal(phases)
+        window_open = Signal()
+        left = Signal(range(sensor.window_max + phases))
+        rearm = Signal(range(sensor.rearm + 1))
+        opening = Signal()
+        closing = Signal()
+        end = Signal(range(sensor.window_max + phases))
+        inside = Signal(phases)
+        first = Signal(phases)
         m.d.comb += [
             opening.eq(~window_open & (rearm == 0) & may_open[-1] & self.line.any),
             end.eq(Mux(window_open, left, self.line.phase + self.window_ticks)),
@@ -81,8 +87,12 @@ class CoincidenceTree(Unit):
             m.d.sync += rearm.eq(rearm - 1)
 
         # Stage 4 and 5: the leaves find their hits and collect the map; the stamp of the opening edge stays beside it.
-        opening_4, closing_4, closed = Signal(), Signal(), Signal()
-        elapsed, stamp_4, stamp = Signal.like(leaves[0].elapsed), Signal(sensor.stamp_bits), Signal(sensor.stamp_bits)
+        opening_4 = Signal()
+        closing_4 = Signal()
+        closed = Signal()
+        elapsed = Signal.like(leaves[0].elapsed)
+        stamp_4 = Signal(sensor.stamp_bits)
+        stamp = Signal(sensor.stamp_bits)
         m.d.sync += [
             opening_4.eq(opening), closing_4.eq(closing), closed.eq(closing_4),
             elapsed.eq(Mux(opening, 0, elapsed + 1)),
@@ -92,7 +102,8 @@ class CoincidenceTree(Unit):
             m.d.sync += stamp_4.eq(Cat(self.line.phase, self.line.coarse))
         with m.If(opening_4):
             m.d.sync += stamp.eq(stamp_4)
-        hits, firsts = Signal(sensor.pixels), Signal(sensor.pixels)
+        hits = Signal(sensor.pixels)
+        firsts = Signal(sensor.pixels)
         for g, leaf in enumerate(leaves):
             members = sensor.members(g)
             m.d.comb += [
@@ -108,7 +119,8 @@ class CoincidenceTree(Unit):
         m.d.comb += self.record_due.eq(wrap[-1])
 
         # Stage 6 and 7: winner and count, in two steps of equal depth.
-        closed_6, half = Signal(), Signal(bus.window_layout(sensor))
+        closed_6 = Signal()
+        half = Signal(bus.window_layout(sensor))
         chunk = 1 << (bits_for(sensor.pixels - 1) + 1) // 2
         chunks = [hits[at : at + chunk] for at in range(0, sensor.pixels, chunk)]
         counts = [Signal(range(len(part) + 1), name=f"count_{k}") for k, part in enumerate(chunks)]
