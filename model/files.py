@@ -47,16 +47,21 @@ def read_npz(path, names: tuple[str, ...]) -> dict[str, np.ndarray]:
     """The arrays `names` of an NPZ file; `InputError` if the file is missing, damaged, no NPZ, or lacks one of them."""
     path = Path(path)
     try:
-        with np.load(path, allow_pickle=False) as archive:
-            if not isinstance(archive, np.lib.npyio.NpzFile):
-                raise InputError(f"{path}: is a single array, must be an NPZ file with the arrays {', '.join(names)}")
+        archive = np.load(path, allow_pickle=False)
+        if not isinstance(archive, np.lib.npyio.NpzFile):
+            raise InputError(f"{path}: is a single array, must be an NPZ file with the arrays {', '.join(names)}")
+        with archive:
             missing = [name for name in names if name not in archive.files]
             if missing:
                 raise InputError(f"{path}: has no array {missing[0]!r}, must have {', '.join(names)}")
-            return {name: archive[name] for name in names}
+            arrays = {name: archive[name] for name in names}
+        for name, array in arrays.items():
+            if not isinstance(array, np.ndarray):  # a member without NumPy's header comes as bytes
+                raise InputError(f"{path}: {name} is no array")
+        return arrays
     except InputError:
         raise
     except FileNotFoundError:
         raise InputError(f"{path}: no such file") from None
-    except (OSError, EOFError, ValueError, KeyError, zipfile.BadZipFile, zipfile.zlib.error) as error:
+    except (OSError, EOFError, ValueError, KeyError, RuntimeError, MemoryError, zipfile.BadZipFile, zipfile.zlib.error) as error:
         raise InputError(f"{path}: is not a readable NPZ file ({error})") from None
