@@ -189,20 +189,21 @@ def _file(path: Path) -> Path:
     """`path` if a file can be made there; makes nothing."""
     if path.is_dir():
         raise InputError(f"out = {str(path)!r}: is a folder, must be a file")
-    _folder(path.parent)
+    _writable(path, path.parent)
     return path
 
 
 def _folder(path: Path) -> Path:
     """`path` if it is or can become a folder to write to; makes nothing."""
-    try:
-        nearest = next(parent for parent in (path, *path.absolute().parents) if parent.exists())
-    except OSError as error:
-        raise InputError(f"out = {str(path)!r}: cannot be written: {error.strerror}") from None
+    _writable(path, path)
+    return path
+
+
+def _writable(path: Path, folder: Path) -> None:
+    nearest = next(parent for parent in (folder, *folder.absolute().parents) if os.path.exists(parent))
     if not nearest.is_dir() or not os.access(nearest, os.W_OK | os.X_OK):
         why = "not writable" if nearest.is_dir() else "no folder"
         raise InputError(f"out = {str(path)!r}: cannot be written: {nearest} is {why}")
-    return path
 
 
 @contextlib.contextmanager
