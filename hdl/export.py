@@ -5,9 +5,9 @@ import re
 from amaranth.back import verilog
 
 from ..model.parameters import Sensor
-from .sensor import TOP
+from .sensor import TOP, core_verilog
 from .sensor import verilog as sensor_verilog
-from .unit import Export
+from .unit import Export, Unit
 
 FILE_LIST = "coincid.f"
 START = r"""  reg \1 ;
@@ -18,21 +18,27 @@ START = r"""  reg \1 ;
 
 def verilog_files(sensor: Sensor) -> dict[str, str]:
     """File name -> text: a file a block, and a file list. Equal parameters give equal bytes."""
-    top, pending = sensor_verilog(sensor)
-    files, done = {}, set()
-    platform = Export()
+    top, units = sensor_verilog(sensor)
+    files = _units(units) | {f"{TOP}.v": top}
+    return files | {FILE_LIST: "".join(f"{name}\n" for name in files)}
+
+
+def core_files(sensor: Sensor) -> tuple[str, list[str]]:
+    """Text of the sensor without its modules (module `CORE`), and the files of `verilog_files` that it needs."""
+    text, units = core_verilog(sensor)
+    return text, [f"{name}.v" for name in sorted(units)]
+
+
+def _units(pending: dict[str, Unit]) -> dict[str, str]:
+    """Files of these units and of all that they instantiate."""
+    files, platform = {}, Export()
     while pending:
         name, unit = pending.popitem()
-        if name in done:
-            continue
-        done.add(name)
-        platform.units = {}
-        text = verilog.convert(unit, name=name, platform=platform, emit_src=False, strip_internal_attrs=True)
-        files[f"{name}.v"] = _stable(text)
-        pending |= platform.units
-    files = dict(sorted(files.items())) | {f"{TOP}.v": top}
-    files[FILE_LIST] = "".join(f"{name}\n" for name in files)
-    return files
+        if f"{name}.v" not in files:
+            platform.units = {}
+            files[f"{name}.v"] = _stable(verilog.convert(unit, name=name, platform=platform, emit_src=False, strip_internal_attrs=True))
+            pending |= platform.units
+    return dict(sorted(files.items()))
 
 
 def _stable(text: str) -> str:

@@ -25,7 +25,7 @@ class Registers(Unit):
         answers SLVERR, changes nothing and sets a sticky bit; a read of an unmapped address answers SLVERR with 0.
     command : out, configuration bus to all subgroups; data : in, OR of their answers; gate_late : in, OR of their start checks
     period : out, as programmed; frame : out, settings of the running frame; plan : out, the sequencer's
-    start, abort : out, strobes; done : in, strobe
+    start_frame, abort_frame : out, strobes; done : in, strobe
 
     Reset loads the table's reset values and forgets accesses under way.
     """
@@ -37,7 +37,7 @@ class Registers(Unit):
         super().__init__({
             "s_axi": In(LITE), "command": Out(bus.CONFIG_BUS), "data": In(DATA_BITS), "gate_late": In(1),
             "period": Out(sensor.coarse_bits + 1), "frame": Out(bus.frame_layout(sensor)), "plan": Out(bus.plan_layout(sensor)),
-            "start": Out(1), "abort": Out(1), "done": In(1),
+            "start_frame": Out(1), "abort_frame": Out(1), "done": In(1),
         })
 
     def elaborate(self, platform):
@@ -52,7 +52,7 @@ class Registers(Unit):
         data = Signal(DATA_BITS)
         gate_late = Signal()
         m.d.sync += [
-            data.eq(self.data), gate_late.eq(self.gate_late), self.start.eq(0), self.abort.eq(0),
+            data.eq(self.data), gate_late.eq(self.gate_late), self.start_frame.eq(0), self.abort_frame.eq(0),
             self.command.operation.eq(bus.Operation.IDLE),
         ]
         m.d.comb += self.period.eq(setting["period", 0])
@@ -139,7 +139,7 @@ class Registers(Unit):
                                     with m.If(value[bits.lsb]):
                                         m.d.sync += flag[bits.name].eq(0)
                         with m.Case(CONTROL.offset):
-                            m.d.sync += self.abort.eq(value[CONTROL.bit("abort")])
+                            m.d.sync += self.abort_frame.eq(value[CONTROL.bit("abort")])
                             with m.If(value[CONTROL.bit("start")]):
                                 m.d.sync += axi.bvalid.eq(0)
                                 m.next = "check"
@@ -164,7 +164,7 @@ class Registers(Unit):
                 with m.If(bound == AUTO_BOUNDS - 1):
                     m.next = "begin"
             with m.State("begin"):
-                m.d.sync += [self.command.operation.eq(bus.Operation.BEGIN), self.start.eq(1), *respond(0)]
+                m.d.sync += [self.command.operation.eq(bus.Operation.BEGIN), self.start_frame.eq(1), *respond(0)]
                 m.next = "idle"
         with m.If(self.done):
             m.d.sync += [flag["busy"].eq(0), flag["done"].eq(1)]

@@ -18,6 +18,7 @@ from .subgroup import own_ports
 from .unit import Unit
 
 TOP = "coincid_sensor"
+CORE = "coincid_core"
 COMBINE = {"or": " | ", "and": " & ", "cat": ", "}  # how a net is made of others; cat: first = lowest bits
 
 
@@ -109,24 +110,41 @@ def _range(width: int) -> str:
 def verilog(sensor: Sensor) -> tuple[str, dict[str, Unit]]:
     """The top module as Verilog text, and the units that it instantiates, by name."""
     n = netlist(sensor)
-    ports = {port.name for port in n.ports}
-    lines = [f"// SPAD sensor of {sensor.rows} x {sensor.cols} pixels: wiring of its blocks.", f"module {TOP} (", "  input clk,", "  input rst,"]
-    lines += [
-        f"  {'input' if port.is_input else 'output'} {_range(port.width)}{port.name}{',' if port is not n.ports[-1] else ''}" for port in n.ports
-    ]
+    return _module(TOP, f"SPAD sensor of {sensor.rows} x {sensor.cols} pixels: wiring of its blocks.", n.ports, n.instances, n.nets, n.joins)
+
+
+def core_verilog(sensor: Sensor) -> tuple[str, dict[str, Unit]]:
+    """The sensor without its modules, and the units: what is left to simulate where a program wires the modules itself.
+
+    Its ports are those of the top, and per stream k what the modules and its readout exchange, under the names of the nets.
+    """
+    n = netlist(sensor)
+    instances = [instance for instance in n.instances if not isinstance(instance[1], SensorModule)]
+    driven = {name for _, unit, ports in instances for port, name in ports.items() if unit.flat_ports()[port][0] is wiring.Out}
+    used = {name for _, unit, ports in instances for port, name in ports.items() if unit.flat_ports()[port][0] is wiring.In}
+    joins = {net: n.joins[net] for net in ("delivered",)}
+    ports = [Port(name, n.nets[name], True) for name in sorted(used - driven - joins.keys())]
+    ports += [Port(name, n.nets[name], False) for name in sorted(driven)]
+    return _module(CORE, "SPAD sensor: registers, sequencer and readout.", ports, instances, {"delivered": 1}, joins)
+
+
+def _module(name, comment, ports, instances, nets, joins) -> tuple[str, dict[str, Unit]]:
+    port_names = {port.name for port in ports}
+    lines = [f"// {comment}", f"module {name} (", "  input clk,", "  input rst,"]
+    lines += [f"  {'input' if port.is_input else 'output'} {_range(port.width)}{port.name}," for port in ports]
+    lines[-1] = lines[-1].rstrip(",")
     lines.append(");")
-    lines += [f"  wire {_range(width)}{net};" for net, width in sorted(n.nets.items()) if net not in ports]
-    for net, (operation, parts) in sorted(n.joins.items()):
-        lines.append(f"  assign {net} = {_expression(operation, parts)};")
+    lines += [f"  wire {_range(width)}{net};" for net, width in sorted(nets.items()) if net not in port_names]
+    lines += [f"  assign {net} = {_expression(operation, parts)};" for net, (operation, parts) in sorted(joins.items())]
     units: dict[str, Unit] = {}
-    for name, unit, connections in n.instances:
+    for instance, unit, connections in instances:
         units.setdefault(unit.unit_name, unit)
-        lines.append(f"  {unit.unit_name} {name} (")
-        wires = {"clk": "clk", "rst": "rst"} | connections
-        for port, net in wires.items():
+        lines.append(f"  {unit.unit_name} {instance} (")
+        for port, net in ({"clk": "clk", "rst": "rst"} | connections).items():
             if not isinstance(net, str):
                 net = f"{len(Value.cast(unit.flat_ports()[port][1]))}'d{net}"
-            lines.append(f"    .{port}({net}){',' if port != list(wires)[-1] else ''}")
+            lines.append(f"    .{port}({net}),")
+        lines[-1] = lines[-1].rstrip(",")
         lines.append("  );")
     lines.append("endmodule")
     return "\n".join(lines) + "\n", units

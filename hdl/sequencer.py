@@ -21,7 +21,7 @@ class Sequencer(Unit):
 
     Ports
     -----
-    plan : in, the frame's settings; start, abort : in, strobes
+    plan : in, the frame's settings; start_frame, abort_frame : in, strobes
     timing : out, what the cycle three cycles from now is; laser : out, high in cycle 0 of every period, at the ports' time
     frame_begin : out, strobe to the readouts; number : out, the frame's; finish : out, the last event is on its way
     delivered : in, all readouts have sent their end packets; done : out, strobe
@@ -34,7 +34,7 @@ class Sequencer(Unit):
     def __init__(self, sensor: Sensor):
         self.sensor = sensor
         super().__init__({
-            "plan": In(bus.plan_layout(sensor)), "start": In(1), "abort": In(1),
+            "plan": In(bus.plan_layout(sensor)), "start_frame": In(1), "abort_frame": In(1),
             "timing": Out(bus.time_layout(sensor)), "laser": Out(1),
             "frame_begin": Out(1), "number": Out(bus.PULSE_BITS), "finish": Out(1), "delivered": In(1), "done": Out(1),
         })
@@ -55,8 +55,8 @@ class Sequencer(Unit):
             last_cycle.eq(settings.period - 1), last_pulse.eq(settings.pulses - 1), last_open.eq(settings.period - self.sensor.guard),
         ]
         start, aborted = Signal(2), Signal()   # the start waits a cycle for the registers above
-        m.d.sync += start.eq((start << 1) | self.start)
-        with m.If(self.abort & running):
+        m.d.sync += start.eq((start << 1) | self.start_frame)
+        with m.If(self.abort_frame & running):
             m.d.sync += aborted.eq(1)
 
         ends = Signal()
@@ -64,7 +64,7 @@ class Sequencer(Unit):
         m.d.sync += [cycle.eq(Mux(ends, 0, cycle + 1)), wrap.eq(ends), first.eq(0)]
         with m.If(ends):
             m.d.sync += pulse.eq(pulse + 1)
-            with m.If(aborted | self.abort | (pulse == last_pulse)):
+            with m.If(aborted | self.abort_frame | (pulse == last_pulse)):
                 m.d.sync += running.eq(0)
         with m.If(start[-1]):
             m.d.sync += [running.eq(1), cycle.eq(0), pulse.eq(0), aborted.eq(0), first.eq(1)]

@@ -9,50 +9,21 @@ from pathlib import Path
 
 import cocotb
 import numpy as np
-from attrs import define, field, frozen
 from cocotb.clock import Clock
 from cocotb.triggers import FallingEdge, RisingEdge
-from cocotb_bus.drivers import BusDriver  # noqa: F401  (cocotb-bus: its master drives the registers)
 from cocotb_bus.drivers.amba import AXI4LiteMaster
 
 from coincid.model import registers
 from coincid.model.config import Config
 from coincid.model.edges import Edges
-from coincid.model.golden import Trace
-from coincid.model.latency import FINISH
-from coincid.model.packet import layout
-from coincid.tb.scoreboard import Scoreboard
+from coincid.tb.frames import STORED_TO_COMMIT, FrameJob, Recorded, cycle_limit
+from coincid.tb.scoreboard import Mismatch, Scoreboard
 from coincid.tb.stimulus import port_words
 
 JOB_VARIABLE = "COINCID_JOB"
+RESULT, MISMATCH = ".result", ".mismatch"  # suffixes of what a job leaves
 PROGRESS = "@cycle"          # a line of the simulator's output that a progress bar reads
 PROGRESS_CYCLES = 500
-STORED_TO_COMMIT = 1         # the strobe that is seen stands a cycle after the commit
-
-
-@frozen(eq=False)
-class FrameJob:
-    """A frame to play. expected: the golden model's prediction, checked on the fly; None: only recorded.
-
-    ready: uint8[n], `tready` of cycle c is ready[c], and 1 from cycle n on.
-    """
-
-    config: Config
-    edges: Edges
-    expected: Trace | None = None
-    ready: np.ndarray = field(factory=lambda: np.zeros(0, np.uint8))
-
-
-@define(eq=False)
-class Recorded:
-    """What a frame showed: per stream beats (uint64) and their cycles; stored events by subgroup, then time."""
-
-    beats: list[np.ndarray]
-    beat_cycle: list[np.ndarray]
-    commit_subgroup: np.ndarray
-    commit_cycle: np.ndarray
-    cycles: int
-    checked: int = field(default=0)
 
 
 class SensorBench:
@@ -119,7 +90,7 @@ class SensorBench:
         beats, beat_cycle = [[] for _ in range(sensor.streams)], [[] for _ in range(sensor.streams)]
         commits: list[tuple[int, int]] = []
         running = list(range(sensor.streams))
-        limit = config.pulses * config.period + len(ready) + FINISH + self._longest_drain()
+        limit = cycle_limit(config, len(ready))
         first = [sensor.stream_subgroups(stream).start for stream in range(sensor.streams)]
         cycle = 0
         while True:
@@ -174,15 +145,10 @@ class SensorBench:
             cycle, board.checked if board else 0,
         )
 
-    def _longest_drain(self) -> int:
-        sensor = self.sensor
-        per_subgroup = (sensor.fifo_depth + 2) * layout(sensor).longest + layout(sensor).counter_beats
-        return 1000 + 2 * sensor.subgroups * per_subgroup
-
 
 @cocotb.test()
 async def play_job(dut):
-    """Plays the job that the environment names and leaves its records beside it."""
+    """Plays the job that the environment names and leaves its records beside it; or else the first difference, as text."""
     path = Path(os.environ[JOB_VARIABLE])
     job: list[FrameJob] = pickle.loads(path.read_bytes())
     bench = SensorBench(dut, job[0].config.sensor)
@@ -190,9 +156,15 @@ async def play_job(dut):
     records, before = [], 0
     for number, frame in enumerate(job):
         board = Scoreboard(bench.sensor, frame.expected, number) if frame.expected else None
-        record = await bench.play(
-            frame.config, frame.edges, frame.ready, board, lambda cycle, base=before: print(PROGRESS, base + cycle, flush=True)
-        )
+
+        def progress(cycle, base=before):
+            print(PROGRESS, base + cycle, flush=True)
+
+        try:
+            record = await bench.play(frame.config, frame.edges, frame.ready, board, progress)
+        except Mismatch as mismatch:
+            path.with_suffix(MISMATCH).write_text(str(mismatch))
+            raise
         before += record.cycles
         records.append(record)
-    path.with_suffix(".result").write_bytes(pickle.dumps(records))
+    path.with_suffix(RESULT).write_bytes(pickle.dumps(records))

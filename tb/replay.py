@@ -15,7 +15,8 @@ from ..model.golden import Trace
 from ..model.parameters import Sensor
 from ..model.result import ResultBuilder, golden_result
 from . import toolchain
-from .cosim import JOB_VARIABLE, PROGRESS, FrameJob, Recorded
+from .cosim import JOB_VARIABLE, PROGRESS
+from .frames import FrameJob, Recorded
 
 ENGINES = ("golden", "verilator", "icarus")
 
@@ -55,19 +56,26 @@ def play(
 ) -> tuple[list[Recorded], Path | None]:
     """Plays frames of one sensor through its RTL; returns what each showed, and the waveform. `progress` gets cycles done.
 
-    Raises `toolchain.SimulationError` (with the first difference, where frames have an expectation) and `toolchain.ToolchainError`.
+    Raises `scoreboard.Mismatch` at the first difference from a frame's expectation, `toolchain.SimulationError` for any other failure, and
+    `toolchain.ToolchainError`.
     """
-    out_dir.mkdir(parents=True, exist_ok=True)
     build = build_sensor(frames[0].config.sensor, simulator, waves)
-    job = out_dir / "job.pickle"
-    job.write_bytes(pickle.dumps(frames))
 
     def line(text: str) -> None:
         if progress and text.startswith(PROGRESS):
             progress(int(text.split()[1]))
 
-    run = build.run("coincid.tb.cosim", env={JOB_VARIABLE: str(job)}, out_dir=out_dir, seed=1, echo=line)
-    return pickle.loads(job.with_suffix(".result").read_bytes()), run.wave
+    with tempfile.TemporaryDirectory(prefix="coincid-") as folder:
+        job = Path(folder) / "job"
+        job.write_bytes(pickle.dumps(frames))
+        try:
+            run = build.run("coincid.tb.cosim", env={JOB_VARIABLE: str(job)}, out_dir=out_dir, seed=1, echo=line)
+        except toolchain.SimulationError as error:
+            if job.with_suffix(MISMATCH).exists():
+                wave = f"waveform {error.wave}" if error.wave else "no waveform was asked for"
+                raise Mismatch(f"{job.with_suffix(MISMATCH).read_text()} ({wave}; log {error.log})") from None
+            raise
+        return pickle.loads(job.with_suffix(RESULT).read_bytes()), run.wave
 
 
 def replay(

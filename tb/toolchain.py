@@ -48,10 +48,10 @@ class ToolchainError(InputError):
 class SimulationError(RuntimeError):
     """A cocotb test failed, none ran, or the simulator ended abnormally. The message ends with the log's tail.
 
-    `log` is the simulator's log, `wave` the waveform or None.
+    `log` is the simulator's log, `wave` the waveform; None where there is none.
     """
 
-    def __init__(self, message: str, log: Path, wave: Path | None = None):
+    def __init__(self, message: str, log: Path | None = None, wave: Path | None = None):
         super().__init__(message)
         self.log = log
         self.wave = wave
@@ -280,7 +280,7 @@ def build(
         for name, data in files.items():
             (scratch / name).write_bytes(data)
         log.unlink(missing_ok=True)
-        _compile(command, scratch, log)
+        compile_in(scratch, log, command)
         if simulator == "verilator":
             _make_model(scratch, log)
         for path in scratch.iterdir():  # what the compiler leaves is fifty times what a run needs
@@ -325,14 +325,14 @@ def _make_model(scratch: Path, log: Path) -> None:
     command = ["make", "-s", "-j", str(os.cpu_count()), "-f", "Vtop.mk", *MAKE_OPTIONS]
 
     def make(library: Path) -> None:
-        _compile([*command, *objects], scratch, log)
+        compile_in(scratch, log, [*command, *objects])
         for name in objects:
             shutil.copy(scratch / name, library)
 
     library = build_once(build_root() / "verilator" / f"runtime-{flags}", make)
     for name in objects:
         shutil.copyfile(library / name, scratch / name)  # with a fresh date: newer than the make file
-    _compile(command, scratch, log)
+    compile_in(scratch, log, command)
 
 
 def _public_signals(sources: Iterable[bytes], top: str, public: Sequence[str]) -> str:
@@ -416,7 +416,8 @@ def _execute(
             raise
 
 
-def _compile(command: Sequence[str], cwd: Path, log: Path) -> None:
+def compile_in(cwd: Path, log: Path, command: Sequence[str]) -> None:
+    """Run a compiler in `cwd`, its output appended to `log`. Raises `ToolchainError` with the log's tail where it fails."""
     environment = {name: value for name, value in os.environ.items() if name not in COMPILER_VARIABLES}
     if _execute(command, cwd, log, environment):
         raise ToolchainError(f"{Path(command[0]).name} failed{_tail(log)}")

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from coincid.model.golden import Golden
 from coincid.model.parameters import Sensor
-from coincid.tb.cosim import FrameJob
+from coincid.tb.frames import FrameJob
 from coincid.tb.replay import play
 from coincid.tb.toolchain import SIMULATORS
 

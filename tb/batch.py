@@ -1,0 +1,224 @@
+"""Batch engine: whole frames through the Verilated sensor, without Python in the loop.
+
+The repeated unit (a module) and the rest (the core) are compiled once each and wired in C++ (`batch.cpp`), so the build does not grow with the
+array. Registers are programmed over the real AXI4-Lite port; beats come back with the cycles of their transfer.
+"""
+
+import ctypes
+import os
+import shutil
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+
+from ..hdl.export import core_files
+from ..hdl.sensor import CORE, TOP
+from ..hdl.subgroup import own_ports
+from ..model import registers
+from ..model.config import Config
+from ..model.edges import Edges
+from ..model.golden import pixel_table
+from ..model.parameters import Sensor
+from . import toolchain
+from .frames import STORED_TO_COMMIT, Recorded, cycle_limit
+
+SOURCE = Path(__file__).with_name("batch.cpp")
+LIBRARY = "libcoincid.so"
+MODULE = "coincid_module"
+CHUNK_CYCLES = 20_000      # between two looks at progress and Ctrl-C
+MODULES_A_THREAD = 2       # fewer are not worth a thread
+RUNNING, DELIVERED, HANGS = range(3)
+VERILATOR = ("--cc", *toolchain.VERILATOR_OPTIONS)
+COMPILER = ("-std=gnu++20", "-O2", "-fPIC")
+
+
+class AccessError(RuntimeError):
+    """The sensor refused a register access (SLVERR)."""
+
+
+def wiring_header(sensor: Sensor) -> str:
+    """What `batch.cpp` needs to know of a sensor."""
+    n = sensor.subgroups
+    firsts = [sensor.stream_subgroups(stream).start for stream in range(sensor.streams)]
+    most = max(len(sensor.stream_subgroups(stream)) for stream in range(sensor.streams))
+    visits = []
+    for stream in range(sensor.streams):
+        axis = [f"core.{sensor.stream_name(stream)}_{wire}" for wire in ("tdata", "tvalid", "tready", "tlast")]
+        nets = [f"core.{net}_of_{stream}" for net in ("stored", "record_stored", "valid", "beat", "grant", "send")]
+        visits.append(f"    visit({stream}, {', '.join(axis + nets)});")
+    lines = ["template <int LINE> struct Line;"]
+    for line in range(2):
+        lines.append(f"template <> struct Line<{line}> {{")
+        lines += [f"    static auto& {port}(Vmodule& module) {{ return module.{port}_{line}; }}" for port in own_ports(sensor)]
+        lines.append("};")
+    return "\n".join([
+        "#pragma once", '#include "Vcore.h"', '#include "Vmodule.h"',
+        f"constexpr int SUBGROUPS = {n}, STREAMS = {sensor.streams}, STORED_TO_COMMIT = {STORED_TO_COMMIT}, GRANT_WORDS = {-(-most // 32) + 1};",
+        f"constexpr int STREAM_FIRST[] = {{{', '.join(map(str, firsts))}}};",
+        "template <class Visit> void for_each_stream(Vcore& core, Visit visit) {", *visits, "}", *lines, "",
+    ])
+
+
+def build_library(sensor: Sensor) -> Path:
+    """The engine's library for a sensor, compiled once."""
+    from .replay import rtl, sensor_key
+
+    verilog = [path for path in rtl(sensor) if path.name != f"{TOP}.v"]
+    core_text, of_core = core_files(sensor)
+    header = wiring_header(sensor)
+    program = toolchain.verilator()
+    contents = [part for path in verilog for part in (path.name, path.read_text())]
+    key = toolchain.digest(str(program), *VERILATOR, *COMPILER, *toolchain.MAKE_OPTIONS, core_text, header, SOURCE.read_text(), *contents)
+    directory = toolchain.build_root() / "batch" / f"{sensor_key(sensor)}-{key}"
+
+    def make(scratch: Path) -> None:
+        log = directory.with_name(f"{directory.name}.log")
+        log.unlink(missing_ok=True)
+        (scratch / f"{CORE}.v").write_text(core_text)
+        (scratch / "wiring.h").write_text(header)
+        # The module's library depends on the subgroup, not on the array: sensors of all sizes share it.
+        module = _unit(MODULE, "Vmodule", [path for path in verilog if path.name not in of_core])
+        core = _unit(CORE, "Vcore", [scratch / f"{CORE}.v", *(path for path in verilog if path.name in of_core)])
+        include = ["-I.", f"-I{module}", f"-I{core}", f"-I{program.parents[1] / 'include'}"]
+        command = ["g++", "-shared", *COMPILER, "-o", LIBRARY, str(SOURCE), *include]
+        toolchain.compile_in(scratch, log, [*command, *map(str, [*_archives(module), *_archives(core)]), "-lpthread", "-latomic"])
+
+    return toolchain.build_once(directory, make) / LIBRARY
+
+
+def _archives(unit: Path) -> list[Path]:
+    return sorted(unit.glob("lib*.a"), reverse=True)
+
+
+def _unit(top: str, prefix: str, sources: list[Path]) -> Path:
+    """A Verilated unit: headers and archives, in a directory keyed by its sources."""
+    contents = [part for path in sources for part in (path.name, path.read_text())]
+    program = toolchain.verilator()
+    key = toolchain.digest(str(program), *VERILATOR, *COMPILER, *toolchain.MAKE_OPTIONS, top, *contents)
+    directory = toolchain.build_root() / "batch" / f"{top}-{key}"
+
+    def make(scratch: Path) -> None:
+        log = directory.with_name(f"{directory.name}.log")
+        log.unlink(missing_ok=True)
+        for path in sources:
+            shutil.copyfile(path, scratch / path.name)
+        names = [path.name for path in sources]
+        flags = ["-CFLAGS", "-fPIC"]
+        toolchain.compile_in(scratch, log, [str(program), *VERILATOR, *flags, "--top-module", top, "--prefix", prefix, "--Mdir", ".", *names])
+        jobs = str(os.cpu_count())
+        toolchain.compile_in(
+            scratch, log, ["make", "-s", "-j", jobs, "-f", f"{prefix}.mk", *toolchain.MAKE_OPTIONS, f"lib{prefix}.a", "libverilated.a"]
+        )
+        for path in scratch.iterdir():
+            if path.suffix not in (".h", ".a"):
+                path.unlink()
+
+    return toolchain.build_once(directory, make)
+
+
+@cache
+def _library(path: Path) -> ctypes.CDLL:
+    library = ctypes.CDLL(str(path))
+    pointer, i64 = ctypes.c_void_p, ctypes.c_int64
+    u32 = ctypes.c_uint32
+    signatures = {
+        "new": (pointer, [ctypes.c_int]), "delete": (None, [pointer]),
+        "write": (ctypes.c_int, [pointer, u32, u32]), "read": (ctypes.c_int, [pointer, u32, ctypes.POINTER(u32)]),
+        "start": (ctypes.c_int, [pointer, pointer, pointer, pointer, pointer, i64, i64, i64, u32, u32]),
+        "run": (ctypes.c_int, [pointer, i64]), "cycle": (i64, [pointer]),
+        "beats": (i64, [pointer, ctypes.c_int, ctypes.POINTER(pointer)]), "commits": (i64, [pointer, ctypes.POINTER(pointer)]),
+    }
+    for name, (result, arguments) in signatures.items():
+        function = getattr(library, f"coincid_{name}")
+        function.restype, function.argtypes = result, arguments
+    return library
+
+
+class BatchSensor:
+    """A sensor under reset and then in use: registers, frames. A context manager; `threads` share the modules."""
+
+    def __init__(self, sensor: Sensor, threads: int | None = None):
+        self.sensor = sensor
+        self._library = _library(build_library(sensor))
+        modules = -(-sensor.subgroups // 2)
+        self._engine = self._library.coincid_new(threads or max(1, min(os.cpu_count() or 1, modules // MODULES_A_THREAD)))
+        self._programmed: dict[int, int] = {}
+
+    def __enter__(self) -> "BatchSensor":
+        return self
+
+    def __exit__(self, *_) -> None:
+        self._library.coincid_delete(self._engine)
+        self._engine = None
+
+    def write(self, address: int, value: int) -> None:
+        """Writes a register; raises `AccessError` where the sensor answers SLVERR."""
+        if self._library.coincid_write(self._engine, address, value):
+            raise AccessError(f"write of {value:#x} to {address:#07x}: SLVERR")
+
+    def read(self, address: int) -> int:
+        """Reads a register; raises `AccessError` where the sensor answers SLVERR."""
+        value = ctypes.c_uint32()
+        if self._library.coincid_read(self._engine, address, value):
+            raise AccessError(f"read of {address:#07x}: SLVERR")
+        return value.value
+
+    def frame(
+        self, config: Config, edges: Edges, ready: np.ndarray | None = None, progress: Callable[[int], None] = lambda cycle: None
+    ) -> Recorded:
+        """Programs the settings, plays a frame and returns what it showed, as `cosim.SensorBench.play` does."""
+        for address, value in config.register_writes():
+            if self._programmed.get(address) != value:
+                self.write(address, value)
+                self._programmed[address] = value
+        ready = np.ascontiguousarray(ready if ready is not None else [], np.uint8)
+        cycle, bit, bounds = _by_subgroup(config, edges)
+        control = registers.BY_NAME["control"]
+        refused = self._library.coincid_start(
+            self._engine, cycle.ctypes.data, bit.ctypes.data, bounds.ctypes.data, ready.ctypes.data, len(ready),
+            config.pulses * config.period, cycle_limit(config, len(ready)), registers.address("control"), 1 << control.bit("start"),
+        )
+        if refused:
+            raise AccessError(f"start: SLVERR, status {self.read(registers.address('status')):#x}")
+        while (status := self._library.coincid_run(self._engine, CHUNK_CYCLES)) == RUNNING:
+            progress(self._library.coincid_cycle(self._engine))
+        if status == HANGS:
+            raise toolchain.SimulationError(f"no frame end after {self._library.coincid_cycle(self._engine)} cycles: the sensor hangs")
+        self._wait_done()
+        beats, cycles = [], []
+        for stream in range(self.sensor.streams):
+            rows = self._rows(lambda out, stream=stream: self._library.coincid_beats(self._engine, stream, out))
+            beats.append(rows[:, 0].copy())
+            cycles.append(rows[:, 1].astype(np.int64))
+        commits = self._rows(lambda out: self._library.coincid_commits(self._engine, out)).astype(np.int64)
+        commits = commits[np.argsort(commits[:, 0], kind="stable")]
+        return Recorded(beats, cycles, commits[:, 0], commits[:, 1], max(int(c[-1]) for c in cycles) + 1)
+
+    def _wait_done(self) -> None:
+        status, done = registers.address("status"), 1 << registers.BY_NAME["status"].bit("done")
+        while not self.read(status) & done:
+            pass
+        self.write(status, done)
+
+    def _rows(self, get: Callable) -> np.ndarray:
+        """Pairs of 64-bit words that the engine keeps, as uint64[n, 2]."""
+        pointer = ctypes.c_void_p()
+        n = get(ctypes.byref(pointer))
+        if not n:
+            return np.zeros((0, 2), np.uint64)
+        return np.ctypeslib.as_array(ctypes.cast(pointer, ctypes.POINTER(ctypes.c_uint64)), (n, 2))
+
+
+def _by_subgroup(config: Config, edges: Edges) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Cycle (int64[n]) and bit of the port word (int32[n]) of every edge, by subgroup, then cycle; and the subgroups' bounds."""
+    phases, table = config.sensor.phases, pixel_table(config.sensor)
+    cycle = edges.pulse * config.period + edges.tick // phases
+    subgroup = table.subgroup[edges.pixel]
+    order = np.argsort(subgroup * (config.pulses * config.period) + cycle, kind="stable")
+    bit = (table.inside[edges.pixel] * phases + edges.tick % phases)[order]
+    bounds = np.concatenate([[0], np.cumsum(np.bincount(subgroup, minlength=config.sensor.subgroups))])
+    return cycle[order], bit.astype(np.int32), bounds.astype(np.int64)
+
+
