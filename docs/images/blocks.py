@@ -66,7 +66,8 @@ def draw() -> plt.Figure:
     for points, label, at, align in WIRES:
         *start, end = points
         axes.plot(*zip(*points), color=LINE, lw=1.3, solid_capstyle="butt", zorder=3)
-        axes.annotate("", end, start[-1], arrowprops={"arrowstyle": "-|>", "color": LINE, "lw": 1.3, "shrinkA": 0, "shrinkB": 0, "mutation_scale": 11}, zorder=3)
+        arrow = {"arrowstyle": "-|>", "color": LINE, "lw": 1.3, "shrinkA": 0, "shrinkB": 0, "mutation_scale": 11}
+        axes.annotate("", end, start[-1], arrowprops=arrow, zorder=3)
         if label:
             axes.text(*at, label, fontsize=8.3, color=INK, ha=align, va="bottom" if align == "center" else "center", linespacing=1.1)
     for x, color, text in ((3.2, PAPER, "named in the paper (Fig. 3); its circuit is our choice"), (8.8, OURS, "our choice altogether")):

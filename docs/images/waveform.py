@@ -103,10 +103,15 @@ def sampled(vcd: Path) -> dict[str, list[int]]:
 def draw(values: dict[str, list[int]]) -> plt.Figure:
     """The picture; time in clock cycles, inside which the words of 32 phases are drawn phase by phase."""
     figure, axes = plt.subplots(figsize=(12, 6.6))
-    rows = ["laser", *(f"SPAD {pixel}" for pixel, _, _ in sorted(EDGES, key=lambda edge: edge[1:])), "root", "window", "ID map", "closed", "commit", "tdata"]
+    spads = [f"SPAD {pixel}" for pixel, _, _ in sorted(EDGES, key=lambda edge: edge[1:])]
+    rows = ["laser", *spads, "root", "window", "ID map", "closed", "commit", "tdata"]
     notes = {
-        "laser": "cycle 0 of the period", "root": "OR of the pixels, sampled in\n32 phases: stage 2", "window": "16 ticks from the first edge:\nstage 3",
-        "ID map": "distinct pixels in the window:\nstage 5", "closed": "counted: stage 7", "commit": "count >= threshold 2:\nstage 8, into the FIFO",
+        "laser": "cycle 0 of the period",
+        "root": "OR of the pixels, sampled in\n32 phases: stage 2",
+        "window": "16 ticks from the first edge:\nstage 3",
+        "ID map": "distinct pixels in the window:\nstage 5",
+        "closed": "counted: stage 7",
+        "commit": "count >= threshold 2:\nstage 8, into the FIFO",
         "tdata": "AXI4-Stream",
     }
     level = {row: -1.0 * i - 0.35 * (i > 0) - 0.35 * (i > 5) for i, row in enumerate(rows)}
@@ -118,8 +123,9 @@ def draw(values: dict[str, list[int]]) -> plt.Figure:
 
     def wave(row, bits, steps, color=INK):
         """A line of bits, `steps` of them a cycle."""
-        x = np.arange(len(bits) + 1) / steps
-        y = level[row] + 0.6 * np.array([*bits, bits[-1]])
+        turns = [0, *(np.flatnonzero(np.diff(bits)) + 1), len(bits)]
+        x = np.array(turns) / steps
+        y = level[row] + 0.6 * np.array([bits[at] for at in turns[:-1]] + [bits[-1]])
         axes.step(x, y, where="post", color=color, lw=1.3, solid_joinstyle="miter")
         axes.fill_between(x, level[row], y, step="post", color=color, alpha=0.18, lw=0)
 
@@ -170,10 +176,11 @@ def draw(values: dict[str, list[int]]) -> plt.Figure:
     axes.text(committed + 1.3, level["commit"] + 0.3, "4 pixels: committed", va="center", fontsize=8.5, color=SIGNAL)
 
     header, pixels = values["tdata"][event], [i for i in range(64) if values["tdata"][event + 1] >> i & 1]
-    stamp, fields = int(header_field(header, "stamp")), {name: int(header_field(header, name)) for name in ("count", "winner", "pulse")}
+    pulse, stamp, count, winner = (int(header_field(header, name)) for name in ("pulse", "stamp", "count", "winner"))
     metres = stamp * Timing().tick_s * SPEED_OF_LIGHT_M_S / 2
-    words = f"event = pulse {fields['pulse']}, stamp {stamp} ticks of 62.5 ps ({metres:.2f} m), count {fields['count']}, winner {fields['winner']}"
-    axes.text(0, level["tdata"] - 0.75, f"{words}     map = pixels {', '.join(map(str, pixels))}", fontsize=9.5, color=SIGNAL, va="center")
+    words = f"event = pulse {pulse}, stamp {stamp} ticks of 62.5 ps ({metres:.2f} m), count {count}, winner {winner}"
+    words += f"     map = pixels {', '.join(map(str, pixels))}"
+    axes.text(0, level["tdata"] - 0.75, words, fontsize=9.5, color=SIGNAL, va="center")
     axes.set_xticks(range(0, SHOWN_CYCLES + 1, 2))
     axes.tick_params(length=0, labelsize=8.5, labelcolor=NOISE, top=True, labeltop=True, bottom=False, labelbottom=False)
     axes.set_title("clock cycles of 2 ns since the laser trigger", fontsize=9, color=NOISE, loc="left", pad=18)
