@@ -12,6 +12,7 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
+from attrs import evolve
 
 from ..hdl.export import core_files
 from ..hdl.sensor import CORE, TOP
@@ -23,6 +24,7 @@ from ..model.golden import pixel_table
 from ..model.parameters import Sensor
 from . import toolchain
 from .frames import STORED_TO_COMMIT, Recorded, cycle_limit
+from .rtl import rtl, sensor_key
 
 SOURCE = Path(__file__).with_name("batch.cpp")
 LIBRARY = "libcoincid.so"
@@ -63,13 +65,15 @@ def wiring_header(sensor: Sensor) -> str:
 
 def build_library(sensor: Sensor) -> Path:
     """The engine's library for a sensor, compiled once."""
-    from .replay import rtl, sensor_key
-
-    verilog = [path for path in rtl(sensor) if path.name != f"{TOP}.v"]
     core_text, of_core = core_files(sensor)
+    for_core = [path for path in rtl(sensor) if path.name in of_core]
+    # The module does not depend on the array, so sensors of all sizes share its library. An odd number of subgroups ends with half a module:
+    # here a whole one of which nothing is asked, so it comes from a sensor that has one.
+    whole = sensor if sensor.subgroups % 2 == 0 else evolve(sensor, rows=2 * sensor.rows)
+    for_module = [path for path in rtl(whole) if path.name not in (f"{TOP}.v", *core_files(whole)[1])]
     header = wiring_header(sensor)
     program = toolchain.verilator()
-    contents = [part for path in verilog for part in (path.name, path.read_text())]
+    contents = [part for path in (*for_core, *for_module) for part in (path.name, path.read_text())]
     key = toolchain.digest(str(program), *VERILATOR, *COMPILER, *toolchain.MAKE_OPTIONS, core_text, header, SOURCE.read_text(), *contents)
     directory = toolchain.build_root() / "batch" / f"{sensor_key(sensor)}-{key}"
 
@@ -78,22 +82,17 @@ def build_library(sensor: Sensor) -> Path:
         log.unlink(missing_ok=True)
         (scratch / f"{CORE}.v").write_text(core_text)
         (scratch / "wiring.h").write_text(header)
-        # The module's library depends on the subgroup, not on the array: sensors of all sizes share it.
-        module = _unit(MODULE, "Vmodule", [path for path in verilog if path.name not in of_core])
-        core = _unit(CORE, "Vcore", [scratch / f"{CORE}.v", *(path for path in verilog if path.name in of_core)])
+        module = _unit(MODULE, "Vmodule", for_module, "libverilated.a")
+        core = _unit(CORE, "Vcore", [scratch / f"{CORE}.v", *for_core])
         include = ["-I.", f"-I{module}", f"-I{core}", f"-I{program.parents[1] / 'include'}"]
         command = ["g++", "-shared", *COMPILER, "-o", LIBRARY, str(SOURCE), *include]
-        toolchain.compile_in(scratch, log, [*command, *map(str, [*_archives(module), *_archives(core)]), "-lpthread", "-latomic"])
+        toolchain.compile_in(scratch, log, [*command, str(core / "libVcore.a"), str(module / "libVmodule.a"), str(module / "libverilated.a"), "-lpthread", "-latomic"])
 
     return toolchain.build_once(directory, make) / LIBRARY
 
 
-def _archives(unit: Path) -> list[Path]:
-    return sorted(unit.glob("lib*.a"), reverse=True)
-
-
-def _unit(top: str, prefix: str, sources: list[Path]) -> Path:
-    """A Verilated unit: headers and archives, in a directory keyed by its sources."""
+def _unit(top: str, prefix: str, sources: list[Path], *archives: str) -> Path:
+    """A Verilated unit: its headers, its archive and those named, in a directory keyed by its sources."""
     contents = [part for path in sources for part in (path.name, path.read_text())]
     program = toolchain.verilator()
     key = toolchain.digest(str(program), *VERILATOR, *COMPILER, *toolchain.MAKE_OPTIONS, top, *contents)
@@ -109,7 +108,7 @@ def _unit(top: str, prefix: str, sources: list[Path]) -> Path:
         toolchain.compile_in(scratch, log, [str(program), *VERILATOR, *flags, "--top-module", top, "--prefix", prefix, "--Mdir", ".", *names])
         jobs = str(os.cpu_count())
         toolchain.compile_in(
-            scratch, log, ["make", "-s", "-j", jobs, "-f", f"{prefix}.mk", *toolchain.MAKE_OPTIONS, f"lib{prefix}.a", "libverilated.a"]
+            scratch, log, ["make", "-s", "-j", jobs, "-f", f"{prefix}.mk", *toolchain.MAKE_OPTIONS, f"lib{prefix}.a", *archives]
         )
         for path in scratch.iterdir():
             if path.suffix not in (".h", ".a"):

@@ -7,42 +7,20 @@ from pathlib import Path
 
 import numpy as np
 
-from ..hdl.export import FILE_LIST, verilog_files
 from ..hdl.sensor import TOP
 from ..model.config import Config
 from ..model.edges import Edges
-from ..model.golden import Trace
 from ..model.parameters import Sensor
 from ..model.result import ResultBuilder, golden_result
 from . import toolchain
+from .batch import BatchSensor
 from .cosim import JOB_VARIABLE, PROGRESS
 from .frames import FrameJob, Recorded
+from .rtl import rtl, sensor_key
+from .scoreboard import Mismatch, check
 
-ENGINES = ("golden", "verilator", "icarus")
-
-
-def sensor_key(sensor: Sensor) -> str:
-    """Names a build for people: the parameters that differ from the defaults come after the size."""
-    default = Sensor()
-    parts = [f"{sensor.rows}x{sensor.cols}"]
-    for name in ("phases", "coarse_bits", "window_max", "rearm", "fifo_depth", "streams", "subgroup", "minigroup"):
-        value = getattr(sensor, name)
-        if value != getattr(default, name):
-            parts.append(name + ("x".join(map(str, value)) if isinstance(value, tuple) else str(value)))
-    return "-".join(parts)
-
-
-def rtl(sensor: Sensor) -> list[Path]:
-    """The sensor's Verilog files, emitted once for its parameters and the state of the sources."""
-    sources = [path for folder in ("hdl", "model") for path in sorted((Path(__file__).parents[1] / folder).glob("*.py"))]
-    key = toolchain.digest(repr(sensor), *(path.read_bytes() for path in sources))
-
-    def emit(directory: Path) -> None:
-        for name, text in verilog_files(sensor).items():
-            (directory / name).write_text(text)
-
-    directory = toolchain.build_once(toolchain.build_root() / "verilog" / f"{sensor_key(sensor)}-{key}", emit)
-    return [directory / name for name in (directory / FILE_LIST).read_text().split()]
+ENGINES = ("golden", "verilator", "icarus", "cocotb-verilator", "cocotb-icarus")
+COCOTB = {"cocotb-verilator": "verilator", "cocotb-icarus": "icarus", "icarus": "icarus"}  # engine -> simulator
 
 
 def build_sensor(sensor: Sensor, simulator: str, waves: bool = False) -> toolchain.Build:
@@ -51,31 +29,44 @@ def build_sensor(sensor: Sensor, simulator: str, waves: bool = False) -> toolcha
 
 
 def play(
-    frames: list[FrameJob], simulator: str, out_dir: Path, *, waves: bool = False,
-    progress: Callable[[int], None] | None = None,
+    frames: list[FrameJob], engine: str, out_dir: Path, *, waves: bool = False, progress: Callable[[int], None] | None = None
 ) -> tuple[list[Recorded], Path | None]:
     """Plays frames of one sensor through its RTL; returns what each showed, and the waveform. `progress` gets cycles done.
 
-    Raises `scoreboard.Mismatch` at the first difference from a frame's expectation, `toolchain.SimulationError` for any other failure, and
-    `toolchain.ToolchainError`.
+    engine: `verilator` is the batch engine, the others go through cocotb; the batch engine has no waveform, so with `waves` cocotb stands in.
+    Raises `SimulationError` with the first difference (where frames have an expectation), and `ToolchainError`.
     """
-    build = build_sensor(frames[0].config.sensor, simulator, waves)
+    if engine == "verilator" and waves:
+        engine = "cocotb-verilator"
+    if engine == "verilator":
+        return _play_batch(frames, progress or (lambda cycles: None)), None
+    out_dir.mkdir(parents=True, exist_ok=True)
+    build = build_sensor(frames[0].config.sensor, COCOTB[engine], waves)
+    job = out_dir / "job.pickle"
+    job.write_bytes(pickle.dumps(frames))
 
     def line(text: str) -> None:
         if progress and text.startswith(PROGRESS):
             progress(int(text.split()[1]))
 
-    with tempfile.TemporaryDirectory(prefix="coincid-") as folder:
-        job = Path(folder) / "job"
-        job.write_bytes(pickle.dumps(frames))
-        try:
-            run = build.run("coincid.tb.cosim", env={JOB_VARIABLE: str(job)}, out_dir=out_dir, seed=1, echo=line)
-        except toolchain.SimulationError as error:
-            if job.with_suffix(MISMATCH).exists():
-                wave = f"waveform {error.wave}" if error.wave else "no waveform was asked for"
-                raise Mismatch(f"{job.with_suffix(MISMATCH).read_text()} ({wave}; log {error.log})") from None
-            raise
-        return pickle.loads(job.with_suffix(RESULT).read_bytes()), run.wave
+    run = build.run("coincid.tb.cosim", env={JOB_VARIABLE: str(job)}, out_dir=out_dir, seed=1, echo=line)
+    return pickle.loads(job.with_suffix(".result").read_bytes()), run.wave
+
+
+def _play_batch(frames: list[FrameJob], progress: Callable[[int], None]) -> list[Recorded]:
+    records, before = [], 0
+    with BatchSensor(frames[0].config.sensor) as sensor:
+        for number, job in enumerate(frames):
+            record = sensor.frame(job.config, job.edges, job.ready, lambda cycle, base=before: progress(base + cycle))
+            if job.expected is not None:
+                try:
+                    record.checked = check(sensor.sensor, job.expected, record, number)
+                except Mismatch as difference:
+                    raise toolchain.SimulationError(str(difference)) from None
+            before += record.cycles
+            progress(before)
+            records.append(record)
+    return records
 
 
 def replay(
@@ -93,6 +84,3 @@ def replay(
     for record in records:
         result.add(record.beats, record.commit_subgroup, record.commit_cycle)
     return result.arrays()
-
-
-__all__ = ["ENGINES", "Trace", "build_sensor", "play", "replay", "rtl", "sensor_key"]

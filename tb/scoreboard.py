@@ -6,6 +6,7 @@ from ..model.golden import Trace
 from ..model.packet import BEAT_BITS, HEADER, Kind, header_field, layout
 from ..model.parameters import Sensor
 from ..model.registers import COUNTER_BITS, COUNTER_NAMES
+from .frames import Recorded
 
 
 class Mismatch(AssertionError):
@@ -21,6 +22,30 @@ def locate(beats: np.ndarray, index: int, sensor: Sensor) -> tuple[int, int]:
         if index < at + length:
             return at, kind
         at += length
+
+
+def check(sensor: Sensor, expected: Trace, record: Recorded, frame: int = 0) -> int:
+    """Checks a whole frame's record; returns how many beats and commits were compared. Raises `Mismatch` at the first difference in time."""
+    streams = range(sensor.streams)
+    if (
+        all(np.array_equal(record.beats[k], expected.beats[k]) and np.array_equal(record.beat_cycle[k], expected.beat_cycle[k]) for k in streams)
+        and np.array_equal(record.commit_subgroup, expected.commit_subgroup) and np.array_equal(record.commit_cycle, expected.commit_cycle)
+    ):
+        return sum(map(len, expected.beats)) + len(expected.commit_cycle)
+    board = Scoreboard(sensor, expected, frame)
+    shown = [(cycle, 0, s, 0, 0) for s, cycle in zip(record.commit_subgroup.tolist(), record.commit_cycle.tolist())]
+    for k in streams:
+        ends = len(record.beats[k]) - 1
+        shown += [
+            (cycle, 1, k, data, i == ends) for i, (cycle, data) in enumerate(zip(record.beat_cycle[k].tolist(), record.beats[k].tolist()))
+        ]
+    for cycle, is_beat, which, data, last in sorted(shown):
+        if is_beat:
+            board.beat(which, cycle, data, bool(last))
+        else:
+            board.commit(which, cycle)
+    board.finish()
+    return board.checked
 
 
 class Scoreboard:
