@@ -50,13 +50,15 @@ class Readout(Unit):
         depth = latency.output_depth(parts.longest)
         stored = Signal(n)
         record_stored = Signal(n)
-        begin = Signal()
+        frame_begin = Signal()
         finish = Signal()
         valid = Signal()
         beat = Signal(BEAT_BITS)
+        # Outside a frame nothing counts: what the modules say when the sensor is reset is of the past.
+        in_frame = Signal()
         m.d.sync += [
-            stored.eq(self.stored), record_stored.eq(self.record_stored), begin.eq(self.frame_begin), finish.eq(self.finish),
-            valid.eq(self.valid), beat.eq(self.beat),
+            stored.eq(self.stored & in_frame.replicate(n)), record_stored.eq(self.record_stored & in_frame.replicate(n)),
+            frame_begin.eq(self.frame_begin), finish.eq(self.finish), valid.eq(self.valid & in_frame), beat.eq(self.beat),
         ]
 
         # What waits: events as a counter per subgroup, bit by bit side by side; a record as one bit.
@@ -93,10 +95,10 @@ class Readout(Unit):
         )
         tail = Signal(n)
         m.d.sync += [self.grant.eq(0), self.delivered.eq(0)]
-        with m.FSM():
+        with m.FSM() as machine:
             with m.State("idle"):
                 m.d.sync += self.delivered.eq(1)
-                with m.If(begin):
+                with m.If(frame_begin):
                     m.next = "head"
             with m.State("head"):
                 m.d.comb += [granted.eq(free), length.eq(1), own_kind.eq(Mux(free, Kind.FRAME_START, 0))]
@@ -126,6 +128,8 @@ class Readout(Unit):
             with m.State("flush"):
                 with m.If((left == 0) & (space == depth)):
                     m.next = "idle"
+
+        m.d.comb += in_frame.eq(~machine.ongoing("idle"))
 
         # Beats come back in the order of the grants; the readout's own take the same time.
         own = [Signal(3, name=f"own_{k}") for k in range(latency.GRANT_TO_BEAT)]
