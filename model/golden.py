@@ -93,7 +93,7 @@ class Golden:
 
 
 _Shape = namedtuple("_Shape", (
-    "subgroups pixels minigroups phases period guard rearm fifo_depth stamp_quarter mg_records mg_threshold mg_window "
+    "subgroups pixels minigroups phase_bits period guard rearm fifo_depth quarter_bits mg_records mg_threshold mg_window "
     "gate_step gate_every gate_steps event_kind event_beats map_beats record_beats counter_beats longest record_bits record_stamp_bits output_depth"
 ))
 _Events = namedtuple("_Events", "bounds cycle pulse stamp count winner hits offsets")
@@ -104,14 +104,17 @@ _LSB = namedtuple("_LSB", tuple(HEADER))(*(lsb for lsb, _ in HEADER.values()))
 _OPENING, _COUNTED, _DUPLICATE, _MASKED, _GATED, _BLIND = (int(fate) for fate in Fate)
 _RECORD, _FRAME_START, _FRAME_END = int(Kind.RECORD), int(Kind.FRAME_START), int(Kind.FRAME_END)
 _NEVER = np.int64(1) << 62
+_WORD_BITS = (BEAT_BITS - 1).bit_length()  # of a pixel's number inside a word of the map
+_KEY = namedtuple("_KEY", "pulse tick")(pulse=23, tick=8)  # lowest bits of the key's fields; the pixel inside is the lowest
+_TICK_MASK, _PIXEL_MASK = (1 << _KEY.pulse - _KEY.tick) - 1, (1 << _KEY.tick) - 1
 
 
 def _shape(config: Config) -> _Shape:
     sensor, frame = config.sensor, config.frame
     parts, kind = layout(sensor), FORMATS[config.format]
     return _Shape(
-        sensor.subgroups, sensor.pixels, sensor.minigroups, sensor.phases, config.period, sensor.guard, sensor.rearm, sensor.fifo_depth,
-        sensor.quarter_ticks, frame["minigroup_records"], frame["mg_threshold"], frame["mg_window"],
+        sensor.subgroups, sensor.pixels, sensor.minigroups, sensor.phase_bits, config.period, sensor.guard, sensor.rearm, sensor.fifo_depth,
+        sensor.phase_bits - 2, frame["minigroup_records"], frame["mg_threshold"], frame["mg_window"],
         frame["gate_step"], frame["gate_every"], frame["gate_steps"], int(kind), parts.length(kind), parts.map_beats, parts.record_beats,
         parts.counter_beats, parts.longest, sensor.record_bits, sensor.record_stamp_bits, latency.output_depth(parts.longest),
     )
@@ -131,16 +134,37 @@ def pixel_table(sensor: Sensor) -> _Pixel:
 
 
 def _time_order(edges: Edges, pixel: _Pixel, shape: _Shape):
-    """Sort keys by (subgroup, pulse, tick, pixel inside), the order of the edges, and each subgroup's bounds in it."""
-    span = edges.pulse.max(initial=0) + 1
-    per_period = shape.period * shape.phases
-    key = ((pixel.subgroup[edges.pixel] * span + edges.pulse) * per_period + edges.tick) * shape.pixels + pixel.inside[edges.pixel]
-    order = np.argsort(key, kind="stable")
-    key = key[order]
-    per_subgroup = span * per_period * shape.pixels
-    bounds = np.searchsorted(key, np.arange(shape.subgroups + 1) * per_subgroup)
-    key -= np.repeat(np.arange(shape.subgroups) * per_subgroup, np.diff(bounds))
+    """Sort keys (pulse, tick, pixel inside: see `_KEY`), by subgroup, then time; the edges' order; and the subgroups' bounds in it.
+
+    A stable counting sort by subgroup keeps the order in time that edges mostly come in; where they do not, each subgroup is sorted.
+    """
+    key, order, bounds, in_time = _by_subgroup(edges.pulse, edges.pixel, edges.tick, pixel.subgroup, pixel.inside, shape.subgroups)
+    if not in_time:
+        for s in range(shape.subgroups):
+            part = slice(bounds[s], bounds[s + 1])
+            by_time = np.argsort(key[part], kind="stable")
+            key[part], order[part] = key[part][by_time], order[part][by_time]
     return key, order, bounds
+
+
+@numba.njit(cache=True, nogil=True)
+def _by_subgroup(pulse, pixel, tick, subgroup_of, inside_of, subgroups):
+    bounds = np.zeros(subgroups + 1, np.int64)
+    for e in range(len(pixel)):
+        bounds[subgroup_of[pixel[e]] + 1] += 1
+    bounds = np.cumsum(bounds)
+    at = bounds[:-1].copy()
+    last = np.full(subgroups, -1, np.int64)
+    key, order = np.empty(len(pixel), np.int64), np.empty(len(pixel), np.int64)
+    in_time = True
+    for e in range(len(pixel)):
+        s = subgroup_of[pixel[e]]
+        k = pulse[e] << _KEY.pulse | tick[e] << _KEY.tick | inside_of[pixel[e]]
+        key[at[s]], order[at[s]] = k, e
+        at[s] += 1
+        in_time &= k >= last[s]
+        last[s] = k
+    return key, order, bounds, in_time
 
 
 def _next_ready(ready: np.ndarray) -> np.ndarray:
@@ -149,7 +173,7 @@ def _next_ready(ready: np.ndarray) -> np.ndarray:
     return np.minimum.accumulate(following[::-1])[::-1].astype(np.int64)
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def _front_end(key, bounds, shape, threshold, window, mask, gating, gate_start, gate_len, minigroup, mg_bit, counters):
     """Fates in time order, committed events and minigroup records of all subgroups; adds to `counters`."""
     n = len(key)
@@ -162,7 +186,6 @@ def _front_end(key, bounds, shape, threshold, window, mask, gating, gate_start, 
     record_rows = n if shape.mg_records else 0
     record_pulse, entries_of = np.empty(record_rows, np.int64), np.zeros((record_rows, shape.minigroups), np.uint64)
     events = records = 0
-    per_period = shape.period * shape.phases
     last_open = shape.period - shape.guard
 
     seen_at = np.empty(shape.pixels, np.int64)   # cycle of the frame in which each pixel's last edge came
@@ -180,18 +203,24 @@ def _front_end(key, bounds, shape, threshold, window, mask, gating, gate_start, 
         opened_at = window_end = armed_from = gate_first = np.int64(0)
         for e in range(bounds[s], bounds[s + 1] + 1):
             at_end = e == bounds[s + 1]
-            i = 0 if at_end else key[e] % shape.pixels
-            tick_of_frame = 0 if at_end else key[e] // shape.pixels
-            edge_pulse = tick_of_frame // per_period
-            tick = tick_of_frame - edge_pulse * per_period
-            cycle = tick // shape.phases
-            if at_end or edge_pulse != pulse:    # the period ends: its window has closed, its records leave
-                if count:
-                    events = _close(
-                        s, count, threshold, opened_at, window_end, pulse, winner, hits, offsets, shape, counters, events,
-                        cycle_of, pulse_of, stamp_of, count_of, winner_of, hits_of, offsets_of,
-                    )
-                    count = 0
+            k = np.int64(0) if at_end else key[e]
+            i, tick, edge_pulse = k & _PIXEL_MASK, k >> _KEY.tick & _TICK_MASK, k >> _KEY.pulse
+            cycle = tick >> shape.phase_bits
+            if count and (at_end or edge_pulse != pulse or tick >= window_end):   # the window has closed
+                counters[s, _COUNTER.photons] += count
+                if count < threshold[s]:
+                    counters[s, _COUNTER.rejected] += 1
+                else:
+                    counters[s, _COUNTER.committed] += 1
+                    cycle_of[events] = pulse * shape.period + (window_end - 1 >> shape.phase_bits) + latency.COMMIT
+                    pulse_of[events], stamp_of[events], count_of[events], winner_of[events] = pulse, opened_at, count, winner
+                    for w in range(words):
+                        hits_of[events, w] = hits[w]
+                    for m in range(shape.minigroups):
+                        offsets_of[events, m] = offsets[m]
+                    events += 1
+                count = 0
+            if at_end or edge_pulse != pulse:    # the period has ended, its records leave
                 if shape.mg_records and pulse >= 0:
                     latched = False
                     for g in range(shape.minigroups):
@@ -231,28 +260,25 @@ def _front_end(key, bounds, shape, threshold, window, mask, gating, gate_start, 
                 if not mg_done[g]:
                     if mg_map[g] or cycle < last_open:
                         if not mg_map[g]:
-                            mg_stamp[g] = tick // shape.stamp_quarter
+                            mg_stamp[g] = tick >> shape.quarter_bits
                             mg_end[g] = cycle + shape.mg_window
                         mg_map[g] |= np.uint64(1) << np.uint64(mg_bit[i])
 
-            word, bit = i // BEAT_BITS, np.uint64(1) << np.uint64(i % BEAT_BITS)
+            word, bit = i >> _WORD_BITS, np.uint64(1) << np.uint64(i & BEAT_BITS - 1)
             if tick < window_end:
                 if hits[word] & bit:
                     fate[e] = _DUPLICATE
                     continue
                 fate[e] = _COUNTED
             elif armed_from <= cycle < last_open:
-                if count:
-                    events = _close(
-                        s, count, threshold, opened_at, window_end, pulse, winner, hits, offsets, shape, counters, events,
-                        cycle_of, pulse_of, stamp_of, count_of, winner_of, hits_of, offsets_of,
-                    )
                 fate[e] = _OPENING
                 counters[s, _COUNTER.opened] += 1
                 count, winner, opened_at, window_end = 0, i, tick, tick + window[s]
-                armed_from = (window_end - 1) // shape.phases + 1 + shape.rearm
-                hits[:] = 0
-                offsets[:] = OFFSET_NONE
+                armed_from = (window_end - 1 >> shape.phase_bits) + 1 + shape.rearm
+                for w in range(words):
+                    hits[w] = 0
+                for m in range(shape.minigroups):
+                    offsets[m] = OFFSET_NONE
             else:
                 fate[e] = _BLIND
                 if blind_at != at:
@@ -262,7 +288,7 @@ def _front_end(key, bounds, shape, threshold, window, mask, gating, gate_start, 
             count += 1
             hits[word] |= bit
             if offsets[g] == OFFSET_NONE:
-                offsets[g] = (tick - opened_at // shape.phases * shape.phases) // shape.stamp_quarter
+                offsets[g] = (tick - (opened_at >> shape.phase_bits << shape.phase_bits)) >> shape.quarter_bits
         event_bounds[s + 1], record_bounds[s + 1] = events, records
     event_table = _Events(
         event_bounds, cycle_of[:events].copy(), pulse_of[:events].copy(), stamp_of[:events].copy(), count_of[:events].copy(),
@@ -272,25 +298,7 @@ def _front_end(key, bounds, shape, threshold, window, mask, gating, gate_start, 
     return fate, event_table, _Records(record_bounds, record_cycle, record_pulse[:records].copy(), entries_of[:records].copy())
 
 
-@numba.njit(cache=True)
-def _close(
-    s, count, threshold, opened_at, window_end, pulse, winner, hits, offsets, shape, counters, events,
-    cycle_of, pulse_of, stamp_of, count_of, winner_of, hits_of, offsets_of,
-):
-    """Counts a closed window and, if it met the threshold, writes row `events`; returns the number of rows."""
-    counters[s, _COUNTER.photons] += count
-    if count < threshold[s]:
-        counters[s, _COUNTER.rejected] += 1
-        return events
-    counters[s, _COUNTER.committed] += 1
-    cycle_of[events] = pulse * shape.period + (window_end - 1) // shape.phases + latency.COMMIT
-    pulse_of[events], stamp_of[events], count_of[events], winner_of[events] = pulse, opened_at, count, winner
-    hits_of[events] = hits
-    offsets_of[events] = offsets
-    return events + 1
-
-
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def _enough(pixels, threshold):
     """Whether a map holds at least `threshold` pixels (an empty one never does)."""
     count = 0
@@ -300,7 +308,7 @@ def _enough(pixels, threshold):
     return count >= threshold
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def _readout(first, n, shape, pulses, frame, events, records, counters, stored, next_ready):
     """Beats of the stream that carries subgroups `first`...`first + n - 1`, and the cycles of their transfer.
 
@@ -324,7 +332,7 @@ def _readout(first, n, shape, pulses, frame, events, records, counters, stored, 
     record_free_at = np.zeros(n, np.int64)                    # and when its place is free
     finish = pulses * shape.period + latency.FINISH
 
-    granted = transferred = 0        # beats
+    granted = 0                      # beats
     pointer = 0
     t = np.int64(latency.FRAME_START)
     state = _FRAME_START
@@ -421,7 +429,7 @@ def _readout(first, n, shape, pulses, frame, events, records, counters, stored, 
     return beats[:granted].copy(), sent_at[:granted].copy()
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def _header(kind, overrun, subgroup, pulse, count, winner, stamp):
     return (
         (np.uint64(kind) << np.uint64(_LSB.kind)) | (np.uint64(overrun) << np.uint64(_LSB.overrun))
@@ -430,7 +438,7 @@ def _header(kind, overrun, subgroup, pulse, count, winner, stamp):
     )
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def _pack(beats, at, length, items, bits):
     """Packs `items` of `bits` each into beats[at : at + length], lowest bits first."""
     beats[at : at + length] = 0
