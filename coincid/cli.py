@@ -84,7 +84,7 @@ def sim(
     if pulses is not None:
         settings = settings.with_frame(pulses=check_integer("pulses", pulses, 1, PULSES_MAX))
     simulate(
-        scene, settings, klux=klux, seed=seed, engine=_engine(engine), out=_folder(out), waves=waves, clock_hz=clock_mhz * 1e6,
+        scene, settings, klux=klux, seed=seed, engine=engine, out=_folder(out), waves=waves, clock_hz=clock_mhz * 1e6,
         spad_gate=spad_gate, console=Console(highlight=False),
     )
 

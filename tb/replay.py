@@ -14,7 +14,7 @@ from ..model.parameters import Sensor
 from ..model.result import ResultBuilder, golden_result
 from . import toolchain
 from .batch import BatchSensor
-from .cosim import JOB_VARIABLE, PROGRESS
+from .cosim import JOB_VARIABLE, MISMATCH, PROGRESS, RESULT
 from .frames import FrameJob, Recorded
 from .rtl import rtl, sensor_key
 from .scoreboard import Mismatch, check
@@ -34,23 +34,30 @@ def play(
     """Plays frames of one sensor through its RTL; returns what each showed, and the waveform. `progress` gets cycles done.
 
     engine: `verilator` is the batch engine, the others go through cocotb; the batch engine has no waveform, so with `waves` cocotb stands in.
-    Raises `SimulationError` with the first difference (where frames have an expectation), and `ToolchainError`.
+    Raises `scoreboard.Mismatch` at the first difference from a frame's expectation, `toolchain.SimulationError` for any other failure, and
+    `toolchain.ToolchainError`.
     """
     if engine == "verilator" and waves:
         engine = "cocotb-verilator"
     if engine == "verilator":
         return _play_batch(frames, progress or (lambda cycles: None)), None
-    out_dir.mkdir(parents=True, exist_ok=True)
     build = build_sensor(frames[0].config.sensor, COCOTB[engine], waves)
-    job = out_dir / "job.pickle"
-    job.write_bytes(pickle.dumps(frames))
 
     def line(text: str) -> None:
         if progress and text.startswith(PROGRESS):
             progress(int(text.split()[1]))
 
-    run = build.run("coincid.tb.cosim", env={JOB_VARIABLE: str(job)}, out_dir=out_dir, seed=1, echo=line)
-    return pickle.loads(job.with_suffix(".result").read_bytes()), run.wave
+    with tempfile.TemporaryDirectory(prefix="coincid-") as folder:
+        job = Path(folder) / "job"
+        job.write_bytes(pickle.dumps(frames))
+        try:
+            run = build.run("coincid.tb.cosim", env={JOB_VARIABLE: str(job)}, out_dir=out_dir, seed=1, echo=line)
+        except toolchain.SimulationError as error:
+            if job.with_suffix(MISMATCH).exists():
+                wave = f"waveform {error.wave}" if error.wave else "no waveform was asked for"
+                raise Mismatch(f"{job.with_suffix(MISMATCH).read_text()} ({wave}; log {error.log})") from None
+            raise
+        return pickle.loads(job.with_suffix(RESULT).read_bytes()), run.wave
 
 
 def _play_batch(frames: list[FrameJob], progress: Callable[[int], None]) -> list[Recorded]:
@@ -59,10 +66,7 @@ def _play_batch(frames: list[FrameJob], progress: Callable[[int], None]) -> list
         for number, job in enumerate(frames):
             record = sensor.frame(job.config, job.edges, job.ready, lambda cycle, base=before: progress(base + cycle))
             if job.expected is not None:
-                try:
-                    record.checked = check(sensor.sensor, job.expected, record, number)
-                except Mismatch as difference:
-                    raise toolchain.SimulationError(str(difference)) from None
+                record.checked = check(sensor.sensor, job.expected, record, number)
             before += record.cycles
             progress(before)
             records.append(record)
