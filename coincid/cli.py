@@ -74,7 +74,9 @@ def sim(
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder of the results.")] = Path("build/sim"),
     waves: Annotated[bool, typer.Option("--waves", help="Also a waveform (FST) and views of it for GTKWave and Surfer.")] = False,
     clock_mhz: Annotated[float, typer.Option(help="System clock; with the configuration's phases it sets the TDC's LSB.")] = 500.0,
-    spad_gate: Annotated[bool, typer.Option("--spad-gate", help="Gating switches the SPADs off outside the gate; default: it ignores their edges.")] = False,
+    spad_gate: Annotated[bool, typer.Option("--spad-gate", help=(
+        "Gating switches the SPADs off outside the gate; default: their edges are ignored."
+    ))] = False,
 ):
     """Simulate frames of a scene, every word checked against the golden model; leave depth.png, events.npz and report.json."""
     from coincid.model.config import load_config
@@ -100,7 +102,8 @@ def replay(
     """Run an edge file through the golden model or the RTL and write what leaves the sensor."""
     from coincid.model.config import load_config
     from coincid.model.edges import load_edges
-    from coincid.model.result import stall as low, write_result
+    from coincid.model.result import stall as low
+    from coincid.model.result import write_result
 
     _engine(engine)
     check_integer("stall", stall, 0, STALL_CYCLES_MAX)

@@ -67,7 +67,7 @@ class Frames:
 def run_frames(
     config: Config, edges: Edges, engine: str, out: Path, *, waves: bool = False, progress: Progressed = lambda cycles: None
 ) -> Frames:
-    """Plays `edges` once for each of `SCHEMES` through an engine of `ENGINES`. `progress` gets the cycles done; a simulator leaves its log in `out`.
+    """Plays `edges` once for each of `SCHEMES` through an engine of `ENGINES`, whose log goes to `out`. `progress` gets the cycles done.
 
     Raises `Mismatch` at the first difference between RTL and golden model, `toolchain.SimulationError`, `toolchain.ToolchainError`.
     """

@@ -177,6 +177,6 @@ def _gtkwave(fst: Path, groups) -> str:
 def _surfer(groups) -> str:
     lines = []
     for title, variables in groups:
-        lines.append(f"divider_add {title}")
+        lines.append("divider_add " + title.replace(" ", "_"))  # a command takes one word
         lines += [f"variable_add {variable.name}" for variable in variables]
     return "\n".join([*lines, "zoom_fit"]) + "\n"

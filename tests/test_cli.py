@@ -1,0 +1,347 @@
+"""The `coincid` command at its edge: what bad input gets, what is left behind, what replay and export write."""
+
+import io
+import json
+import os
+import signal
+import subprocess
+import sys
+import zipfile
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from coincid.cli import app
+from coincid.hdl.export import FILE_LIST
+from coincid.hdl.register_files import HEADER, JSON, MARKDOWN
+from coincid.hdl.sensor import TOP
+from coincid.model.config import load_config, parse_config
+from coincid.model.edges import Edges
+from coincid.model.registers import BY_NAME, address
+from coincid.model.result import differences, golden_result, stall
+
+CONFIG = """
+[sensor]
+rows = 8
+cols = 16
+[frame]
+frames = 2
+period = 40
+pulses = 3
+[subgroup]
+window = 12
+"""
+PULSES, PIXELS, PERIOD_TICKS = 6, 128, 40 * 32
+
+
+def run(*arguments):
+    """The command's result, in this process."""
+    return CliRunner().invoke(app, [str(argument) for argument in arguments])
+
+
+def some_edges(n=200):
+    rng = np.random.default_rng(5)
+    return {name: rng.integers(0, high, n) for name, high in (("pulse", PULSES), ("pixel", PIXELS), ("tick", PERIOD_TICKS))}
+
+
+@pytest.fixture
+def files(tmp_path):
+    """A folder with a good configuration and good edges."""
+    (tmp_path / "config.toml").write_text(CONFIG)
+    np.savez(tmp_path / "edges.npz", **some_edges())
+    return tmp_path
+
+
+def replay(folder, *more):
+    return run("replay", "--config", folder / "config.toml", "--edges", folder / "edges.npz", "--out", folder / "out" / "result.npz", *more)
+
+
+def assert_refused(result, *words):
+    """Exit code 2 and one line that has all `words`."""
+    assert result.exit_code == 2, (result.output, result.exception)
+    assert isinstance(result.exception, SystemExit)
+    assert result.stderr.count("\n") == 1
+    for word in words:
+        assert word in result.stderr
+
+
+BAD_CONFIGS = {
+    "unknown key": ("[subgroup]\nthreshhold = 2", "threshhold", "threshold"),
+    "unknown table": ("[subgroups]\nthreshold = 2", "subgroups", "subgroup"),
+    "threshold 0": ("[subgroup]\nthreshold = 0", "subgroup.threshold = 0", "from 1 to 64"),
+    "threshold above the pixels": ("[subgroup]\nthreshold = 65", "subgroup.threshold = 65", "from 1 to 64"),
+    "negative window": ("[subgroup]\nwindow = -1", "subgroup.window = -1", "from 1 to 128"),
+    "fraction": ("[subgroup]\nwindow = 1.5", "subgroup.window = 1.5", "integer"),
+    "text for a number": ('[frame]\npulses = "many"', "frame.pulses = 'many'", "from 1 to 65536"),
+    "gate past the period": ("[frame]\nperiod = 50\n[subgroup]\ngating = true\ngate_start = 50", "gate_start = 50", "from 0 to 49"),
+    "period within the guard": ("[frame]\nperiod = 5", "frame.period = 5", "from 6 to 1024"),
+    "rows without subgroups": ("[sensor]\nrows = 12", "subgroup", "divide"),
+    "bounds that descend": ("[frame]\nauto_bounds = [2, 1, 3, 4, 5, 6]", "auto_bounds", "descend"),
+    "override of nothing": ("[[override]]\nsubgroups = [16]", "override[0].subgroups = 16", "from 0 to 15"),
+    "not TOML": ("threshold:", "TOML"),
+    "empty mask": ('[subgroup]\nmask = ""', "mask", "hex"),
+}
+
+
+@pytest.mark.parametrize("name", BAD_CONFIGS)
+@pytest.mark.parametrize("command", ["replay", "sim", "verilog", "lint"])
+def test_bad_configuration(files, name, command):
+    text, *words = BAD_CONFIGS[name]
+    (files / "config.toml").write_text(text)
+    more = {"replay": ("--edges", files / "edges.npz"), "lint": ()}.get(command, ())
+    out = () if command == "lint" else ("--out", files / "out" / "x")
+    assert_refused(run(command, "--config", files / "config.toml", *more, *out), "config.toml", *words)
+    assert not (files / "out").exists()
+
+
+def test_missing_configuration_names_the_presets(files):
+    assert_refused(run("verilog", "--config", files / "none.toml", "--out", files / "out"), "none.toml", "no such file", "silicon", "fpga")
+
+
+def one(name, value, dtype=np.int64):
+    edges = some_edges()
+    edges[name] = edges[name].astype(dtype)
+    edges[name][7] = value
+    return edges
+
+
+BAD_EDGES = {
+    "pixel out of range": (one("pixel", PIXELS), "pixel[7] = 128", "from 0 to 127"),
+    "tick out of range": (one("tick", PERIOD_TICKS), "tick[7] = 1280", "from 0 to 1279"),
+    "pulse beyond the frames": (one("pulse", PULSES), "pulse[7] = 6", "from 0 to 5"),
+    "negative tick": (one("tick", -1), "tick[7] = -1", "from 0 to 1279"),
+    "huge": (one("tick", 2**64 - 1, np.uint64), "tick[7]", "from 0 to 1279"),
+    "floats": (one("tick", 0.5, np.float64), "tick", "integers"),
+    "booleans": ({name: array > 0 for name, array in some_edges().items()}, "pulse", "integers"),
+    "two dimensions": ({name: array.reshape(2, -1) for name, array in some_edges().items()}, "pulse", "1"),
+    "unequal lengths": (some_edges() | {"pixel": some_edges()["pixel"][:-1]}, "lengths", "pixel 199"),
+    "missing array": ({name: some_edges()[name] for name in ("pulse", "pixel")}, "'tick'"),
+    "objects": (some_edges() | {"tick": np.array([None] * 200)}, "edges.npz"),
+}
+
+
+@pytest.mark.parametrize("name", BAD_EDGES)
+def test_bad_edges(files, name):
+    arrays, *words = BAD_EDGES[name]
+    np.savez(files / "edges.npz", **arrays)
+    assert_refused(replay(files), "edges.npz", *words)
+    assert not (files / "out").exists()
+
+
+def truncated(data):
+    return data[: len(data) // 2]
+
+
+def damaged(data):
+    """The archive whole, an array's bytes changed."""
+    middle = len(data) // 3
+    return data[:middle] + bytes(256 - b if b else 1 for b in data[middle : middle + 40]) + data[middle + 40 :]
+
+
+def single_array(data):
+    out = io.BytesIO()
+    np.save(out, np.arange(5))
+    return out.getvalue()
+
+
+def other_archive(data):
+    out = io.BytesIO()
+    with zipfile.ZipFile(out, "w") as archive:
+        for name in ("pulse.npy", "pixel.npy", "tick.npy"):
+            archive.writestr(name, b"nothing")
+    return out.getvalue()
+
+
+@pytest.mark.parametrize("change", [truncated, damaged, single_array, other_archive, lambda data: b"", lambda data: b"text"])
+def test_file_that_is_no_edges(files, change):
+    path = files / "edges.npz"
+    path.write_bytes(change(path.read_bytes()))
+    assert_refused(replay(files), "edges.npz")
+    assert not (files / "out").exists()
+
+
+def test_no_edge_file(files):
+    (files / "edges.npz").unlink()
+    assert_refused(replay(files), "edges.npz", "no such file")
+
+
+@pytest.mark.parametrize(("options", "words"), [
+    (("--stall", -1), ("stall = -1", "from 0 to")),
+    (("--engine", "modelsim"), ("engine = 'modelsim'", "golden, verilator, icarus")),
+])
+def test_bad_options(files, options, words):
+    assert_refused(replay(files, *options), *words)
+    assert not (files / "out").exists()
+
+
+@pytest.mark.parametrize("options", [("--stall", "many"), ("--stall",), ("--speed", 3)])
+def test_options_that_the_command_line_refuses(files, options):
+    result = replay(files, *options)
+    assert result.exit_code == 2
+    assert "Traceback" not in result.output
+    assert not (files / "out").exists()
+
+
+@pytest.mark.parametrize("command", ["replay", "sim", "verilog"])
+def test_output_below_a_file(files, command):
+    more = ("--edges", files / "edges.npz") if command == "replay" else ()
+    result = run(command, "--config", files / "config.toml", *more, "--out", files / "edges.npz" / "out.npz")
+    assert_refused(result, "out.npz", "cannot be written")
+    assert sorted(path.name for path in files.iterdir()) == ["config.toml", "edges.npz"]
+
+
+def test_output_that_is_a_folder(files):
+    result = run("replay", "--config", files / "config.toml", "--edges", files / "edges.npz", "--out", files)
+    assert_refused(result, "is a folder")
+
+
+def test_result_is_the_golden_models(files):
+    assert replay(files, "--stall", 100).exit_code == 0
+    config = load_config(files / "config.toml")
+    expected = golden_result(config, Edges(**some_edges()), stall(100))
+    with np.load(files / "out" / "result.npz") as found:
+        assert not differences(dict(found), expected)
+        assert np.array_equal(found["fate"], expected["fate"])
+    assert [path.name for path in (files / "out").iterdir()] == ["result.npz"]
+
+
+def test_same_input_same_bytes(files):
+    path = files / "out" / "result.npz"
+    replay(files)
+    first = path.read_bytes()
+    replay(files)
+    assert path.read_bytes() == first
+
+
+def test_earlier_result_stays_where_a_later_run_is_refused(files):
+    path = files / "out" / "result.npz"
+    replay(files)
+    first = path.read_bytes()
+    assert replay(files, "--stall", -1).exit_code == 2
+    np.savez(files / "edges.npz", **one("tick", -1))
+    assert replay(files).exit_code == 2
+    assert path.read_bytes() == first
+
+
+@pytest.mark.parametrize("dtype", [np.int64, np.uint8, np.float64])
+def test_empty_edge_file_is_an_empty_frame(files, dtype):
+    np.savez(files / "edges.npz", **dict.fromkeys(("pulse", "pixel", "tick"), np.empty(0, dtype)))
+    assert replay(files).exit_code == 0
+    with np.load(files / "out" / "result.npz") as result:
+        assert result["pulse"].shape == result["fate"].shape == (0,)
+        assert result["opened"].shape == (2, 2)
+        assert not result["opened"].any()
+
+
+@pytest.mark.parametrize(("options", "words"), [
+    (("--scene", "letter-g"), ("letter-g",)),
+    (("--klux", -1), ("klux = -1",)),
+    (("--klux", "nan"), ("klux = nan",)),
+    (("--pulses", 0), ("pulses = 0", "from 1 to 65536")),
+    (("--seed", -1), ("seed = -1", "from 0 to")),
+    (("--engine", "vcs"), ("engine = 'vcs'", "golden, verilator, icarus")),
+    (("--clock-mhz", 0), ("clock",)),
+])
+def test_bad_options_of_sim(files, options, words):
+    assert_refused(run("sim", "--out", files / "out", *options), *words)
+    assert not (files / "out").exists()
+
+
+def test_interrupt_ends_with_130_and_nothing_left(files):
+    (files / "edges.npz").unlink()
+    os.mkfifo(files / "edges.npz")
+    command = [sys.executable, "-m", "coincid", "replay", "--config", "config.toml", "--edges", "edges.npz", "--out", "out/result.npz"]
+    with subprocess.Popen(command, cwd=files, stderr=subprocess.PIPE, text=True) as process:
+        with open(files / "edges.npz", "wb"):  # opens when the command does, which then waits for bytes
+            process.send_signal(signal.SIGINT)
+            stderr = process.communicate(timeout=60)[1]
+    assert process.returncode == 130
+    assert stderr == "coincid: interrupted\n"
+    assert not (files / "out").exists()
+
+
+def test_budget_for_programs_and_people():
+    keys = {
+        "aperture_m2", "photon_energy_j", "irradiance_w_m2", "signal_rate_cps", "background_rate_cps", "signal_per_pulse",
+        "sbr_db", "sbr_reading",
+    }
+    result = run("budget", "--distance-m", 4, "--reflectivity", 0.4, "--klux", 50, "--spectrum", "planck", "--form", "corrected", "--json")
+    assert set(json.loads(result.stdout)) == keys
+    text = run("budget").stdout
+    assert all(key in text for key in keys)
+    assert_refused(run("budget", "--form", "printed"), "form = 'printed'", "literal", "corrected")
+    assert_refused(run("budget", "--reflectivity", 2), "reflectivity = 2", "from 0 to 1")
+
+
+@pytest.fixture(scope="module")
+def exports(tmp_path_factory):
+    """Exports of the default sensor, of it again in another process, and of 64 x 64: name -> {file: bytes}."""
+    folder = tmp_path_factory.mktemp("rtl")
+    (folder / "large.toml").write_text("[sensor]\nrows = 64\ncols = 64\n")
+    assert run("verilog", "--out", folder / "default").exit_code == 0
+    assert run("verilog", "--out", folder / "large", "--config", folder / "large.toml").exit_code == 0
+    again = [sys.executable, "-m", "coincid", "verilog", "--out", "again"]
+    subprocess.run(again, cwd=folder, env=os.environ | {"PYTHONHASHSEED": "17"}, check=True)
+    return {name: {path.name: path.read_bytes() for path in (folder / name).iterdir()} for name in ("default", "again", "large")}
+
+
+def test_export_is_the_same_every_time(exports):
+    assert exports["default"] == exports["again"]
+
+
+def test_export_does_not_grow_with_the_array(exports):
+    default, large = (sum(len(data) for name, data in exports[key].items() if name.endswith(".v")) for key in ("default", "large"))
+    assert large <= 1.3 * default
+
+
+def test_export_has_the_files_that_its_list_names(exports):
+    for files in exports.values():
+        listed = files[FILE_LIST].decode().split()
+        assert sorted(listed) == sorted(name for name in files if name.endswith(".v"))
+        assert f"{TOP}.v" in listed
+
+
+def test_export_names_no_place_of_this_machine(exports):
+    places = {os.getcwd(), os.path.expanduser("~"), os.path.dirname(sys.executable), os.path.dirname(np.__file__), "/tmp/", "/work/"}
+    for name, data in exports["default"].items():
+        assert not [place for place in places if len(place) > 1 and place.encode() in data], name
+
+
+def test_export_replaces_an_earlier_one_and_nothing_else(tmp_path):
+    small = tmp_path / "small.toml"
+    small.write_text("[sensor]\nrows = 8\ncols = 8\n")
+    out = tmp_path / "rtl"
+    out.mkdir()
+    (out / FILE_LIST).write_text("stale.v\n")
+    (out / "stale.v").write_text("module stale; endmodule\n")
+    assert run("verilog", "--out", out, "--config", small).exit_code == 0
+    assert (out / f"{TOP}.v").exists()
+    assert not (out / "stale.v").exists()
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["rtl", "small.toml"]
+
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "thesis.tex").write_text("x")
+    assert_refused(run("verilog", "--out", tmp_path / "mine", "--config", small), "mine", "empty")
+    assert (tmp_path / "mine" / "thesis.tex").exists()
+
+
+def test_register_files_agree_with_the_register_table(exports, tmp_path):
+    files, sensor = exports["default"], parse_config({}).sensor
+    described = json.loads(files[JSON])
+    assert {register["name"] for register in described["global"] + described["subgroup"]} == set(BY_NAME)
+    for register in described["subgroup"]:
+        assert described["subgroup_base"] + 3 * described["subgroup_stride"] + register["offset"] == address(register["name"], 3)
+    for name in BY_NAME:
+        assert f"| {name} |".encode() in files[MARKDOWN]
+
+    checks = []
+    for name, register in BY_NAME.items():
+        arguments = ["3"] * (register in BY_NAME.values() and f"COINCID_{name.upper()}(sg".encode() in files[HEADER])
+        arguments += ["1"] * (register.count(sensor) > 1)
+        macro = f"COINCID_{name.upper()}" + (f"({', '.join(arguments)})" if arguments else "")
+        checks.append(f"_Static_assert({macro} == {address(name, 3, int(register.count(sensor) > 1))}u, \"{name}\");")
+    source = tmp_path / "check.c"
+    source.write_text(f'#include "{HEADER}"\n' + "\n".join(checks))
+    (tmp_path / HEADER).write_bytes(files[HEADER])
+    subprocess.run(["gcc", "-std=c11", "-Wall", "-Werror", "-fsyntax-only", source], check=True)
