@@ -37,7 +37,8 @@ SHIFT_EARLY, SHIFT_LATE = 1.5, 4  # sigmas by which the fit may move it: short w
 LIGHT = np.geomspace(0.1, 1000, 20)  # photons of a pulse in a subgroup that the fit tries
 SIGNAL_LIMITS = 0.05, 0.95  # of a pulse's share in the events around it
 OUTLIER = 1e-3              # least probability of a count in the background: events that neither law knows
-SURFACE_SHAPE = 4.0         # of the gamma law of the light over a surface's pixels: a spread of 50 %
+SURFACE_SPREAD = 0.25       # variance / mean^2 of the light over a surface's pixels, before any is seen,
+SURFACE_PIXELS = 8.0        # and as how many seen pixels that counts
 ACCIDENTAL_MIN = 0.02       # hits; keeps a single one from deciding
 NEIGHBOUR_WEIGHT = 1.0      # log odds that a neighbour on the same surface gives
 FLAT_SIGMAS = 0.1           # least standard error of a fit: how much a surface may differ between subgroups and count as flat
@@ -81,12 +82,13 @@ def _candidates(events: Events, config: Config, sigma_ticks: float) -> Candidate
     sensor = config.sensor
     parts = _parts(events, config, sigma_ticks)
     own = [_distinct([_fit(part, peak, True) for peak in _peaks(part)], [], SEARCH_SIGMAS * sigma_ticks) for part in parts]
+    around = [_around(s, sensor) for s in range(sensor.subgroups)]
+    pooled = [[_pooled(fit, [other for k in around[s] for other in own[k]]) for fit in own[s]] for s in range(sensor.subgroups)]
     fits = []
     for s, part in enumerate(parts):
-        around = [fit for other in _around(s, sensor) for fit in own[other]]
-        pooled = [_pooled(fit, around) for fit in own[s]]
-        lent = _distinct(around, pooled, APART_SIGMAS * sigma_ticks)
-        fits.append(pooled + [_fit(part, fit.time, False) for fit in lent])
+        offered = sorted((fit for k in around[s] for fit in pooled[k]), key=lambda fit: fit.error)
+        lent = _distinct(offered, pooled[s], SEARCH_SIGMAS * sigma_ticks)
+        fits.append(pooled[s] + [_fit(part, fit.time, False) for fit in lent])
     most = max(1, max(map(len, fits)))
     time = np.full((sensor.subgroups, most), np.nan)
     hits, accidental = (np.zeros((sensor.subgroups, sensor.pixels, most)) for _ in range(2))
@@ -165,6 +167,11 @@ class _Part(NamedTuple):
     sigma: float
     law: FirstPhotonLaw
 
+    @property
+    def least_index(self) -> int:
+        """Where the law's `least` has the threshold; with pixels masked it may be beyond reach."""
+        return min(self.threshold, self.law.least.shape[1] - 1)
+
     def background_counts(self) -> np.ndarray:
         """float64[pixels + 1]: probability of each count in a background event, at least `OUTLIER`."""
         pixels = self.law.table.shape[2] - 1
@@ -217,7 +224,7 @@ def _fit(part: _Part, peak: float, move: bool) -> Fit:
     signal = np.clip(1 - others / max(1, chosen.sum()), *SIGNAL_LIMITS)
     early, late = (math.floor(reach * part.sigma * law.per_tick) if move else 0 for reach in (SHIFT_EARLY, SHIFT_LATE))
     shift = np.arange(-early, late + 1) / law.per_tick
-    logs = _log_likelihood(part.stamp[chosen] - peak, part.count[chosen], shift, law.table, law.least[:, part.threshold],
+    logs = _log_likelihood(part.stamp[chosen] - peak, part.count[chosen], shift, law.table, law.least[:, part.least_index],
                            law.first, law.per_tick, part.background_counts() / length, signal)
     weight = np.exp(logs - logs.max())
     of_shift = weight.sum(axis=0) / weight.sum()
@@ -262,7 +269,7 @@ def _shares(part: _Part, fits: list[Fit]) -> np.ndarray:
     for j, fit in enumerate(fits):
         at = np.rint((part.stamp - fit.time - law.first) * law.per_tick).astype(np.int64)
         inside = (at >= 0) & (at < law.table.shape[1])
-        density[inside, j] = fit.events * law.table[fit.light, at[inside], part.count[inside]] / law.least[fit.light, part.threshold]
+        density[inside, j] = fit.events * law.table[fit.light, at[inside], part.count[inside]] / law.least[fit.light, part.least_index]
     noise = max(1.0, len(part.stamp) - sum(fit.events for fit in fits)) / part.period * part.background_counts()[part.count]
     return density / (density.sum(axis=1) + noise)[:, None]
 
@@ -274,17 +281,22 @@ def _mean_field(time, hits, accidental, subgroup, masked, same_ticks) -> np.ndar
     odds_accidental = np.where(exists, -stats.poisson.logpmf(np.round(hits), accidental), 0)
     probability = np.where(exists, hits + 0.1, 0)
     probability /= np.maximum(probability.sum(axis=2, keepdims=True), 1e-300)
-    subgroups = int(subgroup.max()) + 1
+    flat = subgroup.ravel()
+
+    def within(values):
+        """Sums over each subgroup, float64[subgroups, J]."""
+        return np.stack([np.bincount(flat, values[:, :, j].ravel(), flat.max() + 1) for j in range(most)], axis=1)
+
     neighbours = [(dr, dc, 1 / math.hypot(dr, dc)) for dr in (-1, 0, 1) for dc in (-1, 0, 1) if (dr, dc) != (0, 0)]
     lit = np.where(masked, 0.0, 1.0)
     for _ in range(ROUNDS):
         weight = probability * lit[:, :, None]
-        mean = np.zeros((subgroups, most))
-        for j in range(most):
-            mean[:, j] = (np.bincount(subgroup.ravel(), (weight * hits)[:, :, j].ravel(), subgroups) + 0.1) / (
-                np.bincount(subgroup.ravel(), weight[:, :, j].ravel(), subgroups) + 0.1)
-        mean = mean[subgroup] + accidental
-        law = stats.nbinom.logpmf(np.round(hits), SURFACE_SHAPE, SURFACE_SHAPE / (SURFACE_SHAPE + mean))
+        members, total = within(weight), within(weight * hits)
+        mean = (total + 0.1) / (members + 0.1)
+        excess = within(weight * (hits - mean[subgroup]) ** 2) - total  # variance beyond Poisson's
+        spread = (SURFACE_PIXELS * SURFACE_SPREAD + (excess / mean**2).clip(0)) / (SURFACE_PIXELS + members)
+        mean, shape = mean[subgroup] + accidental, 1 / spread[subgroup]
+        law = stats.nbinom.logpmf(np.round(hits), shape, shape / (shape + mean))
         score = np.where(exists, (law + odds_accidental) * lit[:, :, None], -np.inf)
         around = np.zeros_like(probability)
         for dr, dc, near in neighbours:
