@@ -71,7 +71,7 @@ class Minigroup(Unit):
             word(accepted, i).eq(word(at_port, i) & (self.accept & self.mask[i]).replicate(phases)) for i in range(pixels)
         ]
         m.d.comb += [self.root.eq(any_of(m, [word(accepted, i) for i in range(pixels)], "root_or")), some_1.eq(self.root.any())]
-        m.d.sync += [at_port.eq(self.words), some_2.eq(some_1), some.eq(some_2), some_4.eq(some), active.eq(0)]
+        m.d.sync += [at_port.eq(self.words), some_2.eq(some_1), some.eq(some_2), some_4.eq(some)]
         with m.If(some_1):
             m.d.sync += words_2.eq(accepted)
         with m.If(some_2):
@@ -81,7 +81,6 @@ class Minigroup(Unit):
         hit = Signal(pixels, reset_less=True)
         at_first = Signal(pixels, reset_less=True)
         quarter = Signal(2, reset_less=True)
-        m.d.sync += hit.eq(0)
         with m.If(some):
             m.d.sync += [
                 hit.eq(Cat((word(words, i) & self.inside).any() for i in range(pixels))),
@@ -95,7 +94,7 @@ class Minigroup(Unit):
         firsts = Signal(pixels, reset_less=True)
         offset = Signal(len(self.offset), reset_less=True)
         with m.If(self.opening):
-            m.d.sync += [hits.eq(hit), firsts.eq(at_first & some_4.replicate(pixels))]
+            m.d.sync += [hits.eq(hit & some_4.replicate(pixels)), firsts.eq(at_first & some_4.replicate(pixels))]
         with m.Elif(some_4):
             m.d.sync += hits.eq(hits | hit)
         with m.If(some_4 & (self.opening | ~hits.any())):
@@ -124,7 +123,7 @@ class Minigroup(Unit):
         m.d.comb += [
             starts.eq(self.frame.mg_records & some & self.may_open & (self.wrap | ((left == 0) & ~self.latched))),
             runs.eq(starts | (left != 0)),
-            seen_next.eq(Mux(starts, 0, seen) | active),
+            seen_next.eq(Mux(starts, 0, seen) | (active & some.replicate(len(active)))),
             left_next.eq(Mux(starts, self.frame.mg_window, left) - 1),
             self.entry.map.eq(seen), self.entry.stamp.eq(stamp),
         ]
