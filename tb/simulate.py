@@ -17,6 +17,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
+from ..hdl.sensor import TOP
 from ..model.config import SUBGROUP_INTEGERS, Config
 from ..model.depth import estimate_depth
 from ..model.edges import Edges
@@ -141,7 +142,12 @@ def simulate(
     write_result(out / EVENTS, frames.arrays)
     report = _report(frames, edges) | shares | given
     _write_report(out, report)
-    written = [*results, out / REPORT, *([frames.wave, *views(frames.wave)] if frames.wave else [])]
+    written = [*results, out / REPORT]
+    if frames.wave:
+        written += [out / frames.wave.name, *views(out / frames.wave.name)]
+    else:
+        for path in out.glob(f"{TOP}.*"):  # of an earlier run
+            path.unlink()
     _tell(console, scene, frames, titles, report, written)
     return report
 
