@@ -10,7 +10,7 @@ from ..hdl.sensor import TOP
 from ..hdl.waivers import CONTROL_FILE, control_file
 from ..model.parameters import Sensor
 from . import toolchain
-from .replay import rtl
+from .rtl import rtl
 
 
 def lint(sensor: Sensor) -> dict[str, str]:

@@ -3,6 +3,7 @@
 import io
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -16,10 +17,14 @@ from coincid.cli import app
 from coincid.hdl.export import FILE_LIST
 from coincid.hdl.register_files import HEADER, JSON, MARKDOWN
 from coincid.hdl.sensor import TOP
+from coincid.hdl.waivers import WAIVERS
 from coincid.model.config import load_config, parse_config
 from coincid.model.edges import Edges
 from coincid.model.registers import BY_NAME, address
 from coincid.model.result import differences, golden_result, stall
+from coincid.tb.lint import lint
+
+from .cases import SENSORS
 
 CONFIG = """
 [sensor]
@@ -345,3 +350,31 @@ def test_register_files_agree_with_the_register_table(exports, tmp_path):
     source.write_text(f'#include "{HEADER}"\n' + "\n".join(checks))
     (tmp_path / HEADER).write_bytes(files[HEADER])
     subprocess.run(["gcc", "-std=c11", "-Wall", "-Werror", "-fsyntax-only", source], check=True)
+
+
+@pytest.mark.parametrize("name", SENSORS)
+def test_lint_is_clean(tmp_path, name):
+    """Everything that is not waived, for sensors that between them leave every default."""
+    config = tmp_path / "config.toml"
+    config.write_text("[sensor]\n" + "".join(f"{key} = {value}\n" for key, value in SENSORS[name].items()) + "[frame]\nperiod = 100\n")
+    result = run("lint", "--config", config)
+    assert result.exit_code == 0, result.output
+    assert result.stdout.splitlines()[0] == "verilator: clean"
+
+
+def test_lint_finds_what_is_not_waived(files, monkeypatch):
+    monkeypatch.setattr("coincid.tb.lint.control_file", lambda: "`verilator_config\n")
+    result = run("lint", "--config", files / "config.toml")
+    assert result.exit_code == 1
+    assert "verilator: found" in result.stdout
+    assert "%Warning-PROCASSINIT: coincid_" in result.stdout
+
+
+def test_every_waiver_is_needed():
+    """One that no sensor needs hides what is to come."""
+    found = set()
+    for sensor in ({"rows": 8, "cols": 8}, SENSORS["tiny"]):
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr("coincid.tb.lint.control_file", lambda: "`verilator_config\n")
+            found |= set(re.findall(r"%Warning-(\w+)", lint(parse_config({"sensor": sensor}).sensor)["verilator"]))
+    assert {rule for rule, *_ in WAIVERS} <= found

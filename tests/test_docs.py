@@ -1,6 +1,7 @@
 """What the documentation says is so: snippets run, tables agree with the code, links lead somewhere."""
 
 import contextlib
+import importlib.util
 import io
 import re
 from pathlib import Path
@@ -9,7 +10,7 @@ import pytest
 
 from coincid.cli import app
 from coincid.model import latency
-from coincid.model.packet import HEADER
+from coincid.model.packet import HEADER, Kind, header_field
 
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
@@ -35,6 +36,31 @@ def test_readme_snippet_runs():
 def test_latency_table():
     table = {name: int(cycles) for name, cycles, *_ in rows(ROOT / "docs" / "architecture.md", "name")}
     assert table == {name: value for name, value in vars(latency).items() if name.isupper()}
+
+
+def test_waveform_picture_shows_the_stages():
+    """The simulation behind the picture: each stage where the page says, and the word that it decodes."""
+    path = ROOT / "docs" / "images" / "waveform.py"
+    spec = importlib.util.spec_from_file_location(path.stem, path)
+    picture = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(picture)
+    values = picture.simulate()
+    opens, closes = picture.EDGES[1][1], picture.EDGES[-1][1]  # cycles of the window of four photons
+
+    def first(name, begin):
+        return next(cycle for cycle, value in enumerate(values[name]) if cycle >= begin and value)
+
+    assert first("spad", opens) == opens
+    assert first("root", opens) == opens + 2
+    assert first("inside", opens) == opens + 3
+    assert [bin(values["hits"][cycle]).count("1") for cycle in (opens + 4, opens + 5, opens + 6)] == [1, 3, 4]
+    assert first("closed", opens + 4) == closes + 7
+    assert first("commit", 0) == closes + latency.COMMIT
+    sent = closes + latency.COMMIT + latency.STORE_TO_GRANT + latency.GRANT_TO_BEAT + latency.BEAT_TO_PORT
+    assert first("tvalid", opens) == sent
+    fields = {name: header_field(values["tdata"][sent], name) for name in HEADER}
+    assert fields == {"kind": Kind.EVENT_MAP, "overrun": 0, "subgroup": 0, "pulse": 0, "count": 4, "winner": 9, "stamp": 8 * 32 + 22}
+    assert values["tdata"][sent + 1] == sum(1 << pixel for pixel, *_ in picture.EDGES[1:])
 
 
 def test_header_table():
