@@ -5,7 +5,7 @@ Ref: paper IV: a histogram per pixel and its peak; Fig. 7 for what counts as rig
 
 import numpy as np
 from attrs import frozen
-from scipy import ndimage, special, stats
+from scipy import ndimage, special
 
 from .config import Config
 from .errors import check_integer
@@ -103,17 +103,18 @@ def _pixel_peaks(histogram: np.ndarray, method: str, live: np.ndarray | None, si
     score = evidence if method == "background" else seen.copy()
     ticks, confidence = np.full((pixels, returns), np.nan), np.zeros((pixels, returns))
     near, apart = round(NEAR_SIGMAS * sigma_ticks), round(APART_SIGMAS * sigma_ticks)
+    top = evidence.max(axis=1)
+    anywhere = top + np.log(np.exp(evidence - top[:, None]).sum(axis=1) / width)
     for i in range(pixels):
-        anywhere = special.logsumexp(evidence[i]) - np.log(width)
         for k in range(returns):
             at = int(score[i].argmax())
-            accident = 1 - stats.poisson.cdf(np.ceil(seen[i, at]) - 1, expected[i, at]) ** (bins / width)
+            accident = 1 - special.pdtr(max(0, np.ceil(seen[i, at]) - 1), expected[i, at]) ** (bins / width)
             if score[i, at] <= 0 or k and accident > ACCIDENT_MAX:
                 break
             here = slice(at, at + 1) if method == "maximum" else slice(max(0, at - near), at + near + 1)
             hits = histogram[i, here] / (1 if live is None else live[here])
             ticks[i, k] = np.average(np.arange(bins)[here] + 0.5, weights=hits) if hits.any() else at + 0.5
-            confidence[i, k] = 1 - accident if k else min(1.0, np.exp(evidence[i, at] - anywhere))
+            confidence[i, k] = 1 - accident if k else min(1.0, np.exp(evidence[i, at] - anywhere[i]))
             score[i, max(0, at - apart):at + apart + 1] = 0
     return ticks, confidence
 

@@ -224,8 +224,9 @@ def _fit(part: _Part, peak: float, move: bool) -> Fit:
     signal = np.clip(1 - others / max(1, chosen.sum()), *SIGNAL_LIMITS)
     early, late = (math.floor(reach * part.sigma * law.per_tick) if move else 0 for reach in (SHIFT_EARLY, SHIFT_LATE))
     shift = np.arange(-early, late + 1) / law.per_tick
-    logs = _log_likelihood(part.stamp[chosen] - peak, part.count[chosen], shift, law.table, law.least[:, part.least_index],
-                           law.first, law.per_tick, part.background_counts() / length, signal)
+    alike, times = np.unique(np.stack([part.stamp[chosen], part.count[chosen]]), axis=1, return_counts=True)
+    logs = _log_likelihood(alike[0] - peak, alike[1], times, shift, law.table, law.least[:, part.least_index], law.first,
+                           law.per_tick, part.background_counts() / length, signal)
     weight = np.exp(logs - logs.max())
     of_shift = weight.sum(axis=0) / weight.sum()
     mean = float(of_shift @ shift)
@@ -250,15 +251,15 @@ def _pooled(fit: Fit, others: list[Fit]) -> Fit:
 
 
 @njit(cache=True)
-def _log_likelihood(stamp, count, shift, table, least, first, per_tick, background, signal):
-    """float64[lights, shifts]."""
+def _log_likelihood(stamp, count, times, shift, table, least, first, per_tick, background, signal):
+    """float64[lights, shifts], of events of which `times` are alike."""
     logs = np.zeros((len(table), len(shift)))
     for a in range(len(table)):
         for b in range(len(shift)):
             for e in range(len(stamp)):
                 at = int(round((stamp[e] - shift[b] - first) * per_tick))
                 law = table[a, at, count[e]] / least[a] if 0 <= at < table.shape[1] else 0.0
-                logs[a, b] += np.log(signal * law + (1 - signal) * background[count[e]])
+                logs[a, b] += times[e] * np.log(signal * law + (1 - signal) * background[count[e]])
     return logs
 
 
