@@ -82,5 +82,6 @@ def record_layout(sensor: Sensor) -> data.StructLayout:
 def plan_layout(sensor: Sensor) -> data.StructLayout:
     """Frame settings that the sequencer uses."""
     return data.StructLayout({
-        "period": sensor.coarse_bits + 1, "pulses": PULSE_BITS + 1, "gate_step": GATE_BITS, "gate_every": GATE_BITS, "gate_steps": GATE_BITS,
+        "period": sensor.coarse_bits + 1, "pulses": PULSE_BITS + 1,
+        "gate_step": GATE_BITS, "gate_every": GATE_BITS, "gate_steps": GATE_BITS,
     })

@@ -1,8 +1,9 @@
 """DPCU: judges every closed window, keeps the subgroup's threshold, and counts.
 
-The paper (III-A): based on the chosen mode "a valid signal is generated when the mode-dependent condition is satisfied in order to write the data into
-the FIFO register"; the DPCUs "keep track of the number of photons detected within a coincidence window, allowing us to set different thresholds in every
-subgroup". How the threshold follows the photons (bounds that the last frame's photons reach) and the loss counters are our choice.
+The paper (III-A): based on the chosen mode "a valid signal is generated when the mode-dependent condition is
+satisfied in order to write the data into the FIFO register"; the DPCUs "keep track of the number of photons detected
+within a coincidence window, allowing us to set different thresholds in every subgroup". How the threshold follows the
+photons (bounds that the last frame's photons reach) and the loss counters are our choice.
 """
 
 from amaranth.hdl import Module, Mux, Signal

@@ -1,6 +1,7 @@
 """Event FIFO: keeps the committed events of a subgroup until the readout takes them.
 
-The paper (III-A) names a FIFO register that valid data is written into. Depth, dropping the new event when full, and the overrun flag are our choice.
+The paper (III-A) names a FIFO register that valid data is written into. Depth, dropping the new event when full, and
+the overrun flag are our choice.
 """
 
 from amaranth.hdl import Module, Signal
@@ -21,8 +22,8 @@ class EventFifo(Unit):
     stored, dropped : out, what became of it, one cycle later
     head : out, the oldest event, valid from two cycles after it was stored; take : in, frees its place
 
-    The event after a drop carries `overrun`. A frame begins with the FIFO empty, as the one before was read out whole; frame_begin : in, clears
-    the overrun memory. Reset empties.
+    The event after a drop carries `overrun`. A frame begins with the FIFO empty, as the one before was read out
+    whole; frame_begin : in, clears the overrun memory. Reset empties.
     """
 
     unit_name = "coincid_fifo"

@@ -1,7 +1,7 @@
 """Gating: when a subgroup's edges count, and when its SPADs are on.
 
-The paper (III-A): every subgroup is "modelled to optionally operate under time-gating set electrically around the desired target range". Progressive
-gating (the shift) is our choice.
+The paper (III-A): every subgroup is "modelled to optionally operate under time-gating set electrically around the
+desired target range". Progressive gating (the shift) is our choice.
 """
 
 from amaranth.hdl import Module, Mux, Signal

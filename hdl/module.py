@@ -1,6 +1,7 @@
 """Module: subgroups 2k and 2k + 1 and the one always-on TDC they share (paper, Fig. 3: the generic block of the sensor)."""
 
-from amaranth.hdl import Cat, Module as Design, ResetSignal, Signal
+from amaranth.hdl import Cat, ResetSignal, Signal
+from amaranth.hdl import Module as Design
 from amaranth.lib import wiring
 from amaranth.lib.wiring import In
 

@@ -1,7 +1,8 @@
 """Readout of a stream: round robin over its subgroups, a packet at a time, frame start and end packets, output buffer.
 
-The paper leaves the readout open. Round robin, credits and the buffer are our choice: subgroups tell what they stored, the readout counts it and
-grants packets of known length, so that their beats come back in order, without gaps, after a fixed time.
+The paper leaves the readout open. Round robin, credits and the buffer are our choice: subgroups tell what they
+stored, the readout counts it and grants packets of known length, so that their beats come back in order, without
+gaps, after a fixed time.
 """
 
 from amaranth.hdl import Cat, Module, Mux, Signal
@@ -30,8 +31,9 @@ class Readout(Unit):
     delivered : out, the end packet has left
     m_axis : AXI4-Stream master, `tlast` ends the frame
 
-    Next is the first subgroup with something to read at or after the pointer; the pointer then stands behind it. A record goes before events, of
-    which it would otherwise never find a gap. Latency: `model/latency.py`. Reset empties everything.
+    Next is the first subgroup with something to read at or after the pointer; the pointer then stands behind it. A
+    record goes before events, of which it would otherwise never find a gap. Latency: `model/latency.py`. Reset
+    empties everything.
     """
 
     def __init__(self, sensor: Sensor, subgroups: int):

@@ -1,7 +1,7 @@
 """The sensor: an array of modules, a register front, a sequencer, and a readout per stream.
 
-The wiring is a table (`Netlist`), because it has two uses: Verilog text for any size (an Amaranth top cannot have 65,536 bits of ports), and
-an Amaranth design for Amaranth's own simulator.
+The wiring is a table (`Netlist`), because it has two uses: Verilog text for any size (an Amaranth top cannot have
+65,536 bits of ports), and an Amaranth design for Amaranth's own simulator.
 """
 
 from amaranth.hdl import Cat, Module, Signal, Value
@@ -71,7 +71,8 @@ def netlist(sensor: Sensor) -> Netlist:
     for k in range(0, sensor.subgroups, 2):
         lines = min(2, sensor.subgroups - k)
         own = {f"{name}_{j}": f"{name}_{k + j}" for j in range(lines) for name in own_ports(sensor)}
-        own |= {f"words_{j}": f"spad_{k + j}" for j in range(lines)} | {f"send_{j}": f"send_of_{sensor.stream_of(k + j)}" for j in range(lines)}
+        own |= {f"words_{j}": f"spad_{k + j}" for j in range(lines)}
+        own |= {f"send_{j}": f"send_of_{sensor.stream_of(k + j)}" for j in range(lines)}
         n.add(f"module_{k // 2}", SensorModule(sensor, lines), number=k // 2, **own)
     for stream in range(sensor.streams):
         members = sensor.stream_subgroups(stream)
@@ -110,7 +111,8 @@ def _range(width: int) -> str:
 def verilog(sensor: Sensor) -> tuple[str, dict[str, Unit]]:
     """The top module as Verilog text, and the units that it instantiates, by name."""
     n = netlist(sensor)
-    return _module(TOP, f"SPAD sensor of {sensor.rows} x {sensor.cols} pixels: wiring of its blocks.", n.ports, n.instances, n.nets, n.joins)
+    what = f"SPAD sensor of {sensor.rows} x {sensor.cols} pixels: wiring of its blocks."
+    return _module(TOP, what, n.ports, n.instances, n.nets, n.joins)
 
 
 def core_verilog(sensor: Sensor) -> tuple[str, dict[str, Unit]]:
@@ -162,7 +164,8 @@ def _expression(operation: str, parts: list) -> str:
 
 
 class FlatSensor(wiring.Component):
-    """The sensor as one Amaranth design, for Amaranth's simulator. Ports as of the Verilog top; sizes are limited by Amaranth's port width."""
+    """The sensor as one Amaranth design, for Amaranth's simulator. Ports as of the Verilog top; sizes are limited by
+    Amaranth's port width."""
 
     def __init__(self, sensor: Sensor):
         self.netlist = netlist(sensor)

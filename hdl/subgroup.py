@@ -86,7 +86,8 @@ class Subgroup(Unit):
             tree.words.eq(self.words), tree.mask.eq(settings.settings.mask), tree.accept.eq(gating.accept),
             tree.window_ticks.eq(dpcu.window_ticks), tree.frame.eq(frame), tree.timing.eq(timing),
 
-            dpcu.settings.eq(settings.settings), dpcu.operation.eq(command.operation), dpcu.bound.eq(command.data), dpcu.start.eq(timing.start),
+            dpcu.settings.eq(settings.settings), dpcu.start.eq(timing.start),
+            dpcu.operation.eq(command.operation), dpcu.bound.eq(command.data),
             dpcu.closed.eq(tree.closed), dpcu.window.eq(tree.window), dpcu.blind.eq(tree.blind),
             dpcu.stored.eq(events.stored), dpcu.dropped.eq(events.dropped),
             dpcu.mg_stored.eq(records.stored), dpcu.mg_dropped.eq(records.dropped),

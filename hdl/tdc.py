@@ -1,8 +1,9 @@
 """TDC: one always-on coarse counter and the phase decode of two independent sampling lines.
 
-The paper (III-A): two subgroups "share a single always-on time-to-digital converter (TDC) with independent lines for timestamping"; the event
-samples its internal states. In this synchronous view the states are sampled every cycle and the first one that an event marks is decoded. The
-counter restarts with the laser trigger, so that its value is the time since then: our choice.
+The paper (III-A): two subgroups "share a single always-on time-to-digital converter (TDC) with independent lines for
+timestamping"; the event samples its internal states. In this synchronous view the states are sampled every cycle and
+the first one that an event marks is decoded. The counter restarts with the laser trigger, so that its value is the
+time since then: our choice.
 """
 
 from amaranth.hdl import Module, Signal
@@ -22,7 +23,8 @@ def line_signature(sensor: Sensor) -> Signature:
     up_to : in, phases, bit k = an edge at a phase up to k; coarse : in, the cycle's number in its period (all stage 3).
     """
     return Signature({
-        "root": Out(sensor.phases), "any": In(1), "phase": In(sensor.phase_bits), "up_to": In(sensor.phases), "coarse": In(sensor.coarse_bits),
+        "root": Out(sensor.phases), "any": In(1), "phase": In(sensor.phase_bits), "up_to": In(sensor.phases),
+        "coarse": In(sensor.coarse_bits),
     })
 
 

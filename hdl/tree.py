@@ -1,8 +1,9 @@
 """CoincID tree: combines the minigroups to the subgroup's root, runs the coincidence window, and names its pixels.
 
-The paper (III-A): the tree is "modelled to propagate events and perform coincidence along with generating the address or ID of the SPADs which
-contributed to an event"; after every detection it "resets itself, making it available for the successive detection". Window arithmetic, the lowest
-index as winner, and the guard at a period's end are our choice.
+The paper (III-A): the tree is "modelled to propagate events and perform coincidence along with generating the address
+or ID of the SPADs which contributed to an event"; after every detection it "resets itself, making it available for
+the successive detection". Window arithmetic, the lowest index as winner, and the guard at a period's end are our
+choice.
 """
 
 from amaranth.hdl import C, Cat, Module, Mux, Signal

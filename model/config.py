@@ -1,6 +1,7 @@
 """Configuration files: the sensor as built, the frame, and every subgroup's settings.
 
-Ranges and defaults are those of `parameters.py` and of the register table; what makes no sense together is refused as the start write refuses it.
+Ranges and defaults are those of `parameters.py` and of the register table; what makes no sense together is refused as
+the start write refuses it.
 """
 
 import re

@@ -94,7 +94,8 @@ class Golden:
 
 _Shape = namedtuple("_Shape", (
     "subgroups pixels minigroups phase_bits period guard rearm fifo_depth quarter_bits mg_records mg_threshold mg_window "
-    "gate_step gate_every gate_steps event_kind event_beats map_beats record_beats counter_beats longest record_bits record_stamp_bits output_depth"
+    "gate_step gate_every gate_steps event_kind event_beats map_beats record_beats counter_beats longest "
+    "record_bits record_stamp_bits output_depth"
 ))
 _Events = namedtuple("_Events", "bounds cycle pulse stamp count winner hits offsets")
 _Records = namedtuple("_Records", "bounds cycle pulse entries")

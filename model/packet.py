@@ -101,8 +101,9 @@ class StreamError(Exception):
 class Frame:
     """One frame of one stream, decoded.
 
-    number: the frame's number in its packets. events: int64[n, 7], columns in the order of `HEADER`. hits: uint64[n, map beats]; offsets: uint8[n, minigroups].
-    records: int64[k, 2], subgroup and pulse. entries: int64[k, minigroups, 2], stamp and map. counters: int64[subgroups of the stream, 10].
+    number: the frame's number in its packets. events: int64[n, 7], columns in the order of `HEADER`. hits: uint64[n,
+    map beats]; offsets: uint8[n, minigroups]. records: int64[k, 2], subgroup and pulse. entries: int64[k, minigroups,
+    2], stamp and map. counters: int64[subgroups of the stream, 10].
     """
 
     number: int

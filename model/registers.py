@@ -20,7 +20,8 @@ COUNTER_BITS = 32
 AUTO_BOUNDS = 6
 ID_VALUE = 0x434F494E      # "COIN"
 VERSION_VALUE = 0x00010000  # major, minor: 16 bits each; a change of the map that software can see raises it
-DEFAULT_AUTO_BOUNDS = (150, 450, 2150, 22_000, 30_000, 44_000)  # photons in 100 pulses; from the study of the background, figures/architect.py
+# Photons in 100 pulses; from the study of the background, figures/architect.py.
+DEFAULT_AUTO_BOUNDS = (150, 450, 2150, 22_000, 30_000, 44_000)
 
 Value = Callable[[Sensor], int]
 
@@ -127,16 +128,28 @@ GLOBAL: tuple[Register, ...] = (
         low=1, high=lambda s: s.period_max, reset=lambda s: min(250, s.period_max),
     ),
     Register(name="pulses", offset=0x4C, access=Access.SETTING, doc="Laser periods of a frame.", low=1, high=1 << 16, reset=100),
-    Register(name="format", offset=0x50, access=Access.SETTING, high=2, reset=1, doc="Event words: 0 short, 1 id (map), 2 full (map and offsets)."),
-    Register(name="minigroup_records", offset=0x54, access=Access.SETTING, high=1, doc="1: minigroups stamp for themselves, a record a period."),
+    Register(
+        name="format", offset=0x50, access=Access.SETTING, high=2, reset=1,
+        doc="Event words: 0 short, 1 id (map), 2 full (map and offsets).",
+    ),
+    Register(
+        name="minigroup_records", offset=0x54, access=Access.SETTING, high=1,
+        doc="1: minigroups stamp for themselves, a record a period.",
+    ),
     Register(
         name="mg_threshold", offset=0x58, access=Access.SETTING, doc="Distinct pixels that latch a minigroup.",
         low=1, high=lambda s: s.minigroup_pixels, reset=lambda s: min(2, s.minigroup_pixels),
     ),
     Register(name="mg_window", offset=0x5C, access=Access.SETTING, doc="Cycles of a minigroup's collection.", low=1, high=4, reset=2),
     Register(name="gate_step", offset=0x60, access=Access.SETTING, doc="Progressive gating: shift of a step, in cycles.", high=0xFFFF),
-    Register(name="gate_every", offset=0x64, access=Access.SETTING, doc="Progressive gating: pulses of a step; 0 turns it off.", high=0xFFFF),
-    Register(name="gate_steps", offset=0x68, access=Access.SETTING, doc="Progressive gating: steps until it starts over.", low=1, high=0xFFFF, reset=1),
+    Register(
+        name="gate_every", offset=0x64, access=Access.SETTING, high=0xFFFF,
+        doc="Progressive gating: pulses of a step; 0 turns it off.",
+    ),
+    Register(
+        name="gate_steps", offset=0x68, access=Access.SETTING, low=1, high=0xFFFF, reset=1,
+        doc="Progressive gating: steps until it starts over.",
+    ),
     Register(
         name="auto_bounds", offset=0x6C, access=Access.SETTING, count=AUTO_BOUNDS, high=0xFFFF_FFFF,
         doc="Threshold controller: the threshold is 1 + the number of bounds that the photons of the frame before reach. Must not descend.",
@@ -166,13 +179,19 @@ SUBGROUP: tuple[Register, ...] = (
             Bits("auto", 2, "1: the controller sets the threshold."),
         ),
     ),
-    Register(name="threshold", offset=0x04, access=Access.SETTING, doc="Distinct pixels that make a coincidence.", low=1, high=lambda s: s.pixels, reset=2),
+    Register(
+        name="threshold", offset=0x04, access=Access.SETTING, doc="Distinct pixels that make a coincidence.",
+        low=1, high=lambda s: s.pixels, reset=2,
+    ),
     Register(
         name="window", offset=0x08, access=Access.SETTING, doc="Coincidence window in ticks.",
         low=1, high=lambda s: s.window_max, reset=lambda s: min(16, s.window_max),
     ),
     Register(name="gate_start", offset=0x0C, access=Access.SETTING, doc=_gate_doc("first cycle"), high=0xFFFF),
-    Register(name="gate_len", offset=0x10, access=Access.SETTING, doc=_gate_doc("length"), high=0xFFFF, reset=lambda s: min(250, s.period_max)),
+    Register(
+        name="gate_len", offset=0x10, access=Access.SETTING, doc=_gate_doc("length"),
+        high=0xFFFF, reset=lambda s: min(250, s.period_max),
+    ),
     Register(
         name="mask", offset=0x14, access=Access.SETTING, count=_mask_words, high=_mask_full, reset=_mask_full,
         doc="Pixel mask: bit i of word w is pixel 32 w + i; 1 = on.",

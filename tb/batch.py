@@ -1,7 +1,8 @@
 """Batch engine: whole frames through the Verilated sensor, without Python in the loop.
 
-The repeated unit (a module) and the rest (the core) are compiled once each and wired in C++ (`batch.cpp`), so the build does not grow with the
-array. Registers are programmed over the real AXI4-Lite port; beats come back with the cycles of their transfer.
+The repeated unit (a module) and the rest (the core) are compiled once each and wired in C++ (`batch.cpp`), so the
+build does not grow with the array. Registers are programmed over the real AXI4-Lite port; beats come back with the
+cycles of their transfer.
 """
 
 import ctypes
@@ -57,7 +58,8 @@ def wiring_header(sensor: Sensor) -> str:
         lines.append("};")
     return "\n".join([
         "#pragma once", '#include "Vcore.h"', '#include "Vmodule.h"',
-        f"constexpr int SUBGROUPS = {n}, STREAMS = {sensor.streams}, STORED_TO_COMMIT = {STORED_TO_COMMIT}, GRANT_WORDS = {-(-most // 32) + 1};",
+        f"constexpr int SUBGROUPS = {n}, STREAMS = {sensor.streams}, STORED_TO_COMMIT = {STORED_TO_COMMIT};",
+        f"constexpr int GRANT_WORDS = {-(-most // 32) + 1};",
         f"constexpr int STREAM_FIRST[] = {{{', '.join(map(str, firsts))}}};",
         "template <class Visit> void for_each_stream(Vcore& core, Visit visit) {", *visits, "}", *lines, "",
     ])
@@ -67,8 +69,8 @@ def build_library(sensor: Sensor) -> Path:
     """The engine's library for a sensor, compiled once."""
     core_text, of_core = core_files(sensor)
     for_core = [path for path in rtl(sensor) if path.name in of_core]
-    # The module does not depend on the array, so sensors of all sizes share its library. An odd number of subgroups ends with half a module:
-    # here a whole one of which nothing is asked, so it comes from a sensor that has one.
+    # The module does not depend on the array, so sensors of all sizes share its library. An odd number of subgroups
+    # ends with half a module: here a whole one of which nothing is asked, so it comes from a sensor that has one.
     whole = sensor if sensor.subgroups % 2 == 0 else evolve(sensor, rows=2 * sensor.rows)
     for_module = [path for path in rtl(whole) if path.name not in (f"{TOP}.v", *core_files(whole)[1])]
     header = wiring_header(sensor)
@@ -86,7 +88,8 @@ def build_library(sensor: Sensor) -> Path:
         core = _unit(CORE, "Vcore", [scratch / f"{CORE}.v", *for_core])
         include = ["-I.", f"-I{module}", f"-I{core}", f"-I{program.parents[1] / 'include'}"]
         command = ["g++", "-shared", *COMPILER, "-o", LIBRARY, str(SOURCE), *include]
-        toolchain.compile_in(scratch, log, [*command, str(core / "libVcore.a"), str(module / "libVmodule.a"), str(module / "libverilated.a"), "-lpthread", "-latomic"])
+        archives = [core / "libVcore.a", module / "libVmodule.a", module / "libverilated.a"]
+        toolchain.compile_in(scratch, log, [*command, *map(str, archives), "-lpthread", "-latomic"])
 
     return toolchain.build_once(directory, make) / LIBRARY
 
@@ -105,7 +108,8 @@ def _unit(top: str, prefix: str, sources: list[Path], *archives: str) -> Path:
             shutil.copyfile(path, scratch / path.name)
         names = [path.name for path in sources]
         flags = ["-CFLAGS", "-fPIC"]
-        toolchain.compile_in(scratch, log, [str(program), *VERILATOR, *flags, "--top-module", top, "--prefix", prefix, "--Mdir", ".", *names])
+        flags += ["--top-module", top, "--prefix", prefix, "--Mdir", "."]
+        toolchain.compile_in(scratch, log, [str(program), *VERILATOR, *flags, *names])
         jobs = str(os.cpu_count())
         toolchain.compile_in(
             scratch, log, ["make", "-s", "-j", jobs, "-f", f"{prefix}.mk", *toolchain.MAKE_OPTIONS, f"lib{prefix}.a", *archives]

@@ -1,6 +1,7 @@
 """The cocotb test that plays frames through the sensor. It runs inside the simulator; `replay.py` starts it.
 
-The test bench acts at falling edges: what it reads there are the cycle's outputs, what it writes is taken by the rising edge that ends the cycle.
+The test bench acts at falling edges: what it reads there are the cycle's outputs, what it writes is taken by the
+rising edge that ends the cycle.
 """
 
 import os
@@ -68,7 +69,9 @@ class SensorBench:
                 await self.axi.write(address, value)
                 self.programmed[address] = value
 
-    async def play(self, config: Config, edges: Edges, ready: np.ndarray, board: Scoreboard | None = None, progress=lambda cycle: None) -> Recorded:
+    async def play(
+        self, config: Config, edges: Edges, ready: np.ndarray, board: Scoreboard | None = None, progress=lambda cycle: None,
+    ) -> Recorded:
         """Plays a frame and returns what it showed. `board` raises at the first difference from the golden model."""
         sensor = self.sensor
         words = port_words(config, edges)

@@ -33,9 +33,9 @@ def play(
 ) -> tuple[list[Recorded], Path | None]:
     """Plays frames of one sensor through its RTL; returns what each showed, and the waveform. `progress` gets cycles done.
 
-    engine: `verilator` is the batch engine, the others go through cocotb; the batch engine has no waveform, so with `waves` cocotb stands in.
-    Raises `scoreboard.Mismatch` at the first difference from a frame's expectation, `toolchain.SimulationError` for any other failure,
-    and `toolchain.ToolchainError`.
+    engine: `verilator` is the batch engine, the others go through cocotb; the batch engine has no waveform, so with
+    `waves` cocotb stands in. Raises `scoreboard.Mismatch` at the first difference from a frame's expectation,
+    `toolchain.SimulationError` for any other failure, and `toolchain.ToolchainError`.
     """
     if engine == "verilator" and waves:
         engine = "cocotb-verilator"

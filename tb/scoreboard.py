@@ -25,10 +25,12 @@ def locate(beats: np.ndarray, index: int, sensor: Sensor) -> tuple[int, int]:
 
 
 def check(sensor: Sensor, expected: Trace, record: Recorded, frame: int = 0) -> int:
-    """Checks a whole frame's record; returns how many beats and commits were compared. Raises `Mismatch` at the first difference in time."""
+    """Checks a whole frame's record; returns how many beats and commits were compared. Raises `Mismatch` at the first
+    difference in time."""
     streams = range(sensor.streams)
     if (
-        all(np.array_equal(record.beats[k], expected.beats[k]) and np.array_equal(record.beat_cycle[k], expected.beat_cycle[k]) for k in streams)
+        all(np.array_equal(record.beats[k], expected.beats[k]) for k in streams)
+        and all(np.array_equal(record.beat_cycle[k], expected.beat_cycle[k]) for k in streams)
         and np.array_equal(record.commit_subgroup, expected.commit_subgroup) and np.array_equal(record.commit_cycle, expected.commit_cycle)
     ):
         return sum(map(len, expected.beats)) + len(expected.commit_cycle)

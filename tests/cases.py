@@ -11,8 +11,14 @@ SENSORS = {  # small ones, so that a case is fast; between them every parameter 
     "default": {"rows": 8, "cols": 16},
     "one": {"rows": 8, "cols": 8},
     "coarse": {"rows": 8, "cols": 16, "phases": 8, "window_max": 16, "rearm": 2, "fifo_depth": 2},
-    "tiny": {"rows": 12, "cols": 4, "subgroup": [4, 4], "minigroup": [1, 1], "phases": 4, "window_max": 20, "rearm": 1, "fifo_depth": 1, "streams": 3},
-    "fine": {"rows": 16, "cols": 4, "subgroup": [8, 4], "minigroup": [4, 4], "phases": 64, "coarse_bits": 7, "window_max": 200, "streams": 2},
+    "tiny": {
+        "rows": 12, "cols": 4, "subgroup": [4, 4], "minigroup": [1, 1], "phases": 4, "window_max": 20, "rearm": 1,
+        "fifo_depth": 1, "streams": 3,
+    },
+    "fine": {
+        "rows": 16, "cols": 4, "subgroup": [8, 4], "minigroup": [4, 4], "phases": 64, "coarse_bits": 7, "window_max": 200,
+        "streams": 2,
+    },
     "wide": {"rows": 16, "cols": 16, "subgroup": [16, 16], "minigroup": [2, 2], "phases": 16, "rearm": 3, "fifo_depth": 5},
     "odd": {"rows": 6, "cols": 9, "subgroup": [6, 3], "minigroup": [2, 3], "phases": 16, "window_max": 33, "streams": 2},
 }
@@ -23,7 +29,8 @@ def configurations(draw, sensor: dict, frames_max: int = 2) -> Config:
     """Any legal configuration of a sensor: modes, thresholds, windows, gates, masks and formats, differing between subgroups."""
     built = parse_config({"sensor": sensor, "frame": {"period": 100}}).sensor
     period = draw(st.integers(built.guard + 1, min(built.period_max, built.guard + 60)))
-    window = st.one_of(st.integers(1, built.window_max), st.sampled_from((1, built.phases, built.window_max)).filter(lambda w: w <= built.window_max))
+    ends = [ticks for ticks in (1, built.phases, built.window_max) if ticks <= built.window_max]
+    window = st.one_of(st.integers(1, built.window_max), st.sampled_from(ends))
     settings = st.fixed_dictionaries({}, optional={
         "coincidence": st.booleans(), "gating": st.booleans(), "auto": st.booleans(), "threshold": st.integers(1, min(6, built.pixels)),
         "window": window, "gate_start": st.integers(0, period - 1), "gate_len": st.integers(0, period + 3),

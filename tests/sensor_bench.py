@@ -80,7 +80,7 @@ async def settings_keep_what_is_written_and_refuse_the_rest(dut):
             value = random.randint(register.low(bench.sensor), register.high(bench.sensor))
             await bench.write(register.name, value, subgroup, index)
             written[register.name, subgroup, index] = value
-    for (name, subgroup, index), value in written.items():
+    for name, subgroup, index in written:
         register = registers.BY_NAME[name]
         for bad in {register.low(bench.sensor) - 1, register.high(bench.sensor) + 1} - {-1, 1 << 32}:
             await refused(bench.write(name, bad, subgroup, index), bench, "bad_value")
@@ -149,7 +149,10 @@ async def control_ignores_zeros(dut):
 @cocotb.test()
 async def writes_do_not_disturb_a_running_frame(dut):
     bench = await fresh(dut)
-    of = config(frame={"period": 120, "pulses": 12, "format": "full"}, subgroup={"threshold": 2, "gating": True, "gate_start": 10, "gate_len": 90})
+    of = config(
+        frame={"period": 120, "pulses": 12, "format": "full"},
+        subgroup={"threshold": 2, "gating": True, "gate_start": 10, "gate_len": 90},
+    )
     edges = some_edges(of, 5, 1500)
     other = config(
         frame={"period": 60, "pulses": 2, "format": "short", "minigroup_records": True, "gate_every": 1, "gate_step": 3},

@@ -9,10 +9,10 @@ from coincid.model.golden import Golden
 from coincid.model.parameters import Sensor
 from coincid.tb.frames import FrameJob
 from coincid.tb.replay import play
-ENGINES = ("verilator", "cocotb-verilator", "icarus")
 
 from .cases import READY_KINDS, SENSORS, configurations, ready_pattern, trouble
 
+ENGINES = ("verilator", "cocotb-verilator", "icarus")
 FRAMES = 12  # a simulation: its start costs more than a frame does
 
 seeds = st.integers(0, 2**32 - 1)
