@@ -12,7 +12,8 @@ help: ## this list
 	@echo 'make TARGET [OPTION=value ...]'
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "  %-8s %s\n", $$1, $$2 }' $(firstword $(MAKEFILE_LIST))
 	@echo 'options of sim:'
-	@echo '  SIM=icarus  simulator (default verilator)      SCENE=FILE   scene (default: five objects)'
+	@echo '  SIM=icarus  or cocotb-verilator (default: the  SCENE=FILE   scene (default: five objects)'
+	@echo '              RTL as a library, by Verilator)'
 	@echo '  KLUX=50     background light                   PULSES=100   laser pulses in the frame'
 	@echo '  CONFIG=FILE sensor configuration (TOML)        SEED=1       of the light'
 	@echo '  WAVES=1     waveform (FST) and a view of it'
@@ -23,7 +24,7 @@ setup: ## .venv with pinned versions, and nothing else
 	@scripts/setup
 
 sim: ## simulate a frame of the scene, every word checked against the golden model; results in build/sim/
-	@scripts/setup $(filter icarus,$(SIM))
+	@scripts/setup $(if $(findstring icarus,$(SIM)),icarus)
 	@$(BIN)/coincid sim $(call option,engine,SIM) $(call option,scene,SCENE) $(call option,klux,KLUX) \
 		$(call option,pulses,PULSES) $(call option,config,CONFIG) $(call option,seed,SEED) \
 		$(if $(filter-out 0,$(WAVES)),--waves) --out build/sim

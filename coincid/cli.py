@@ -8,6 +8,7 @@ import contextlib
 import os
 import sys
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -57,7 +58,9 @@ app = typer.Typer(cls=Commands, add_completion=False, no_args_is_help=True, pret
 ))
 
 ConfigOption = Annotated[str | None, typer.Option("--config", metavar="FILE", help="TOML file, or a preset: silicon, fpga.")]
-EngineOption = Annotated[str, typer.Option("--engine", metavar="ENGINE", help="golden, verilator or icarus.")]
+EngineOption = Annotated[str, typer.Option("--engine", metavar="ENGINE", help=(
+    "golden (model), verilator (RTL as a library), icarus, cocotb-verilator (RTL under cocotb)."
+))]
 
 
 @app.command()
@@ -67,7 +70,9 @@ def sim(
         "millimetres, NPY in metres), with a colour picture for the reflectivities as DEPTH,COLOUR."
     ))] = "five-objects",
     klux: Annotated[float, typer.Option(help="Background light in klux.")] = 50.0,
-    pulses: Annotated[int | None, typer.Option(help="Laser pulses of a frame; default: the configuration's.", show_default=False)] = None,
+    pulses: Annotated[int | None, typer.Option(help=(
+        "Laser pulses of a frame; default: the configuration's. The controller's bounds, photons of a frame, change in proportion."
+    ), show_default=False)] = None,
     config: ConfigOption = None,
     seed: Annotated[int, typer.Option(help="Of the light.")] = 1,
     engine: EngineOption = "verilator",
@@ -84,7 +89,7 @@ def sim(
 
     settings = load_config(config)
     if pulses is not None:
-        settings = settings.with_frame(pulses=check_integer("pulses", pulses, 1, PULSES_MAX))
+        settings = settings.with_pulses(check_integer("pulses", pulses, 1, PULSES_MAX))
     simulate(
         scene, settings, klux=klux, seed=seed, engine=engine, out=_folder(out), waves=waves, clock_hz=clock_mhz * 1e6,
         spad_gate=spad_gate, console=Console(highlight=False),
@@ -176,9 +181,17 @@ def figures(
     rtl: Annotated[bool, typer.Option("--rtl", help="Add the RTL as a source to figures 6 and 8.")] = False,
 ):
     """Draw the paper's figures from the analytic model, Monte Carlo and, on request, the RTL."""
-    from coincid.model.figures import write_figures
+    from coincid.model.figures import make
 
-    write_figures(_folder(out), rtl=rtl)
+    _folder(out)
+    engine = None
+    if rtl:
+        from coincid.tb.replay import replay as run
+
+        engine = partial(run, "verilator")
+    with _progress(0, "frames") as done:
+        files = make(out, engine, done)
+    print(files[-1])
 
 
 def _engine(name: str) -> str:
@@ -211,12 +224,12 @@ def _writable(path: Path, folder: Path) -> None:
 
 @contextlib.contextmanager
 def _progress(cycles: int, what: str) -> Iterator[Callable[[int], None]]:
-    """A progress bar on a terminal, nothing elsewhere; yields what is to be called with the cycles done."""
+    """A progress bar on a terminal, nothing elsewhere; yields what is to be called with what is done, and a total that grew."""
     from rich.progress import Progress
 
     with Progress(console=console, transient=True, disable=not console.is_terminal) as bar:
         task = bar.add_task(what, total=cycles)
-        yield lambda done: bar.update(task, completed=done)
+        yield lambda done, total=None: bar.update(task, completed=done, total=total)
 
 
 def main() -> None:

@@ -89,6 +89,11 @@ class Config:
         """A copy with other frame settings."""
         return evolve(self, frames=self.frames if frames is None else frames, frame=self.frame | values)
 
+    def with_pulses(self, pulses: int) -> "Config":
+        """A copy with frames of other length for the same light: `auto_bounds`, photons of a frame, change in proportion."""
+        bounds = np.minimum(self.auto_bounds * pulses // self.pulses, BY_NAME["auto_bounds"].high(self.sensor))
+        return evolve(self, frame=self.frame | {"pulses": pulses}, auto_bounds=bounds)
+
     def register_writes(self) -> list[tuple[int, int]]:
         """(address, value) of every setting, as a driver programs them before a frame."""
         writes = [(registers.address(name), self.frame[name]) for name in FRAME_REGISTERS]
@@ -107,17 +112,22 @@ def load_config(path=None) -> Config:
     """Reads a TOML file, a preset by name (`silicon`, `fpga`), or the defaults (None). Raises `InputError` naming key and range."""
     if path is None:
         return parse_config({})
-    source = PRESETS.get(str(path), Path(path))
     try:
-        return parse_config(tomllib.loads(source.read_text(encoding="utf-8")))
+        return parse_config(read_toml(PRESETS.get(str(path), path)))
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
+
+
+def read_toml(path) -> dict:
+    """The TOML document in a file. Raises `InputError` that does not name it."""
+    try:
+        return tomllib.loads(Path(path).read_text(encoding="utf-8"))
     except FileNotFoundError:
-        raise InputError(f"{path}: no such file (presets: {', '.join(PRESETS)})") from None
+        raise InputError(f"no such file (presets: {', '.join(PRESETS)})") from None
     except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: cannot be read ({error})") from None
+        raise InputError(f"cannot be read ({error})") from None
     except tomllib.TOMLDecodeError as error:
-        raise InputError(f"{path}: is not TOML: {error}") from None
+        raise InputError(f"is not TOML: {error}") from None
 
 
 def parse_config(document: dict) -> Config:

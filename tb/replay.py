@@ -13,14 +13,27 @@ from ..model.edges import Edges
 from ..model.parameters import Sensor
 from ..model.result import ResultBuilder, golden_result
 from . import toolchain
-from .batch import BatchSensor
+from .batch import BatchSensor, build_library
 from .cosim import JOB_VARIABLE, MISMATCH, PROGRESS, RESULT
 from .frames import FrameJob, Recorded
 from .rtl import rtl, sensor_key
 from .scoreboard import Mismatch, check
 
-ENGINES = ("golden", "verilator", "icarus", "cocotb-verilator", "cocotb-icarus")
+ENGINES = ("golden", "verilator", "icarus", "cocotb-verilator", "cocotb-icarus")  # verilator: the batch engine
 COCOTB = {"cocotb-verilator": "verilator", "cocotb-icarus": "icarus", "icarus": "icarus"}  # engine -> simulator
+
+
+def prepare(engine: str, sensor: Sensor, waves: bool = False) -> None:
+    """Compiles what `engine` needs for `play`, where it is not there yet."""
+    if _batch(engine, waves):
+        build_library(sensor)
+    elif engine != "golden":
+        build_sensor(sensor, COCOTB.get(engine, "verilator"), waves)
+
+
+def _batch(engine: str, waves: bool) -> bool:
+    """Whether frames run in the batch engine, which has no waveform."""
+    return engine == "verilator" and not waves
 
 
 def build_sensor(sensor: Sensor, simulator: str, waves: bool = False) -> toolchain.Build:
@@ -33,15 +46,13 @@ def play(
 ) -> tuple[list[Recorded], Path | None]:
     """Plays frames of one sensor through its RTL; returns what each showed, and the waveform. `progress` gets cycles done.
 
-    engine: `verilator` is the batch engine, the others go through cocotb; the batch engine has no waveform, so with
-    `waves` cocotb stands in. Raises `scoreboard.Mismatch` at the first difference from a frame's expectation,
-    `toolchain.SimulationError` for any other failure, and `toolchain.ToolchainError`.
+    engine: of `ENGINES`, without golden; with `waves`, cocotb stands in for the batch engine. Raises
+    `scoreboard.Mismatch` at the first difference from a frame's expectation, `toolchain.SimulationError` for any
+    other failure, and `toolchain.ToolchainError`.
     """
-    if engine == "verilator" and waves:
-        engine = "cocotb-verilator"
-    if engine == "verilator":
+    if _batch(engine, waves):
         return _play_batch(frames, progress or (lambda cycles: None)), None
-    build = build_sensor(frames[0].config.sensor, COCOTB[engine], waves)
+    build = build_sensor(frames[0].config.sensor, COCOTB.get(engine, "verilator"), waves)
 
     def line(text: str) -> None:
         if progress and text.startswith(PROGRESS):

@@ -31,7 +31,7 @@ from ..model.quantities import check_choice
 from ..model.result import ResultBuilder, write_result
 from ..model.scene import Scene, load_scene, scene_light
 from .frames import FrameJob, Recorded
-from .replay import build_sensor, play
+from .replay import ENGINES, play, prepare
 from .scoreboard import Mismatch
 from .waves import views
 
@@ -40,7 +40,6 @@ PICTURES = {  # file: (estimator of `model/depth.py`, what the report's keys end
     "depth.png": ("joint", "", "surfaces from the ID maps"),
     "depth_peak.png": ("maximum", "_peak", "peak of every pixel's histogram, as in the paper"),
 }
-ENGINES = {"golden": "golden", "verilator": "cocotb-verilator", "icarus": "cocotb-icarus"}  # name -> engine of `replay.py`
 SCHEMES = {  # name: (title, settings that it overrides)
     "off": ("coincidence off", {"coincidence": False, "auto": False}),
     "fixed": ("threshold {threshold}", {"coincidence": True, "auto": False}),
@@ -68,9 +67,10 @@ class Frames:
 def run_frames(
     config: Config, edges: Edges, engine: str, out: Path, *, waves: bool = False, progress: Progressed = lambda cycles: None
 ) -> Frames:
-    """Plays `edges` once for each of `SCHEMES` through an engine of `ENGINES`, whose log goes to `out`. `progress` gets the cycles done.
+    """Plays `edges` once for each of `SCHEMES` through an engine of `replay.ENGINES`; a simulator's log goes to `out`.
 
-    Raises `Mismatch` at the first difference between RTL and golden model, `toolchain.SimulationError`, `toolchain.ToolchainError`.
+    `progress` gets the cycles done. Raises `Mismatch` at the first difference between RTL and golden model,
+    `toolchain.SimulationError`, `toolchain.ToolchainError`.
     """
     configs = [config.with_frame(frames=1).with_settings(**settings) for _, settings in SCHEMES.values()]
     golden = Golden(config.sensor)
@@ -79,7 +79,7 @@ def run_frames(
     if engine != "golden":
         began = time.perf_counter()
         jobs = [FrameJob(scheme, edges, trace) for scheme, trace in zip(configs, traces)]
-        shown, wave = play(jobs, ENGINES[engine], out, waves=waves, progress=progress)
+        shown, wave = play(jobs, engine, out, waves=waves, progress=progress)
     seconds = time.perf_counter() - began
     result = ResultBuilder(config)
     for frame in shown:
@@ -102,7 +102,7 @@ def simulate(
     events.npz: a result file of three frames, in the order of `SCHEMES`. spad_gate: gating keeps the SPADs off outside the gate.
     Raises `InputError`, and what `run_frames` raises; after a `Mismatch` only the report is there, with `mismatches` = 1.
     """
-    check_choice("engine", engine, tuple(ENGINES))
+    check_choice("engine", engine, ENGINES)
     if config.format == "short":
         raise InputError("frame.format = 'short': must be id or full, as depth comes from the ID map")
     timing = Timing.from_config(config, clock_hz)
@@ -119,7 +119,7 @@ def simulate(
         edges = generate_edges(light, Spad(), timing, pulses=config.pulses, seed=seed, gate=gate, workers=os.cpu_count() or 1)
         if engine != "golden":
             bar.stage("RTL: emitted and compiled once")
-            build_sensor(config.sensor, engine, waves)
+            prepare(engine, config.sensor, waves)
         bar.stage(f"{len(SCHEMES)} frames on {engine}", len(SCHEMES) * config.pulses * config.period)
         try:
             frames = run_frames(config, edges, engine, out, waves=waves, progress=bar.done)
@@ -155,7 +155,8 @@ def simulate(
 def settings_of(config: Config) -> dict:
     """The configuration in the shape of its file; a subgroup's setting is a list where subgroups differ."""
     sensor = {attribute.name: getattr(config.sensor, attribute.name) for attribute in type(config.sensor).__attrs_attrs__}
-    frame = config.frame | {"format": config.format, "auto_bounds": config.auto_bounds.tolist()}
+    frame = {"frames": config.frames} | config.frame | {"format": config.format, "auto_bounds": config.auto_bounds.tolist()}
+    frame["minigroup_records"] = bool(frame["minigroup_records"])
     subgroup = {name: getattr(config, name).tolist() for name in ("coincidence", "gating", "auto", *SUBGROUP_INTEGERS)}
     subgroup["mask"] = [f"{sum(1 << int(i) for i in np.flatnonzero(mask)):x}" for mask in config.mask]
     return {"sensor": sensor, "frame": frame, "subgroup": {name: v[0] if len(set(v)) == 1 else v for name, v in subgroup.items()}}

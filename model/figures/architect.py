@@ -46,7 +46,7 @@ def background(run: Runner) -> Section:
         case, seeds = Case(klux=klux, methods=METHODS), SEEDS if pulses == PULSES else 1
         for name, subgroup in settings.items():
             cases[pulses, klux, name] = vary(case, seeds, pulses=pulses, subgroup=subgroup)
-        bounds = (case.config().auto_bounds * (pulses // PULSES)).tolist()  # they count photons of a frame
+        bounds = case.config().with_pulses(pulses).auto_bounds.tolist()
         cases[pulses, klux, "controller"] = vary(case, seeds, pulses=pulses, subgroup={"auto": True},
                                                  frame={"frames": 2, "auto_bounds": bounds})
     table = run.table(cases)
