@@ -80,6 +80,14 @@ def wrong_share(depth_m: np.ndarray, truth_m: np.ndarray, tolerance_m: float = T
     return float(wrong_pixels(depth_m, truth_m, tolerance_m).sum() / max(1, np.sum(~np.isnan(truth_m))))
 
 
+def range_error(depth_m: np.ndarray, truth_m: np.ndarray) -> tuple[float, float]:
+    """(bias, RMS) in metres of depth - truth (float64, any shape), over what has both; NaN where nothing has."""
+    error_m = (depth_m - truth_m)[~np.isnan(depth_m - truth_m)]
+    if not len(error_m):
+        return np.nan, np.nan
+    return float(error_m.mean()), float(np.sqrt(np.mean(error_m**2)))
+
+
 def _joint(events: Events, config: Config, sigma_ticks: float, returns: int) -> tuple[np.ndarray, np.ndarray]:
     """(ticks, confidence) [rows, cols, returns]; further returns are candidates with significant hits of the pixel."""
     ticks, probability, significance = joint_choice(events, config, sigma_ticks)

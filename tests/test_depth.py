@@ -6,7 +6,7 @@ from PIL import Image
 
 from coincid.model.arrivals import lead_sigmas, photons_of
 from coincid.model.config import parse_config
-from coincid.model.depth import METHODS, TOLERANCE_M, estimate_depth, wrong_pixels, wrong_share
+from coincid.model.depth import METHODS, TOLERANCE_M, estimate_depth, range_error, wrong_pixels, wrong_share
 from coincid.model.errors import InputError
 from coincid.model.histograms import SOURCES, subgroup_histograms
 from coincid.model.light import SIGMA_PER_FWHM, Spad, Timing
@@ -49,6 +49,12 @@ def test_what_counts_as_wrong():
     assert wrong_pixels(depth_m, truth_m).tolist() == [[False, False, True, True, False]]
     assert wrong_share(depth_m, truth_m) == 0.5
     assert pytest.approx(0.0345, abs=1e-4) == TOLERANCE_M
+
+
+def test_range_error():
+    assert range_error(np.array([5.1, 4.9, np.nan, 7.0]), np.array([5.0, 5.0, 5.0, np.nan])) == pytest.approx((0.0, 0.1))
+    assert range_error(np.array([5.2, 5.0]), np.array([5.0, 5.0])) == pytest.approx((0.1, np.sqrt(0.02)))
+    assert np.isnan(range_error(np.array([np.nan]), np.array([5.0]))).all()
 
 
 @pytest.mark.parametrize("photons", [1, 2, 5, 20, 64, 300])
