@@ -21,6 +21,7 @@ from coincid.model.errors import InputError, check_integer
 BAD_INPUT, DIFFERS, INTERRUPTED = 2, 1, 130
 STALL_CYCLES_MAX = 1 << 24
 PULSES_MAX = 1 << 16
+WORKERS_MAX = 1 << 10
 
 console = Console(stderr=True, highlight=False)
 
@@ -58,6 +59,7 @@ app = typer.Typer(cls=Commands, add_completion=False, no_args_is_help=True, pret
 ))
 
 ConfigOption = Annotated[str | None, typer.Option("--config", metavar="FILE", help="TOML file, or a preset: silicon, fpga.")]
+ClockOption = Annotated[float, typer.Option("--clock-mhz", help="System clock; with the configuration's phases it sets the TDC's LSB.")]
 EngineOption = Annotated[str, typer.Option("--engine", metavar="ENGINE", help=(
     "golden (model), verilator (RTL as a library), icarus, cocotb-verilator (RTL under cocotb)."
 ))]
@@ -78,7 +80,7 @@ def sim(
     engine: EngineOption = "verilator",
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder of the results.")] = Path("build/sim"),
     waves: Annotated[bool, typer.Option("--waves", help="Also a waveform (FST) and views of it for GTKWave and Surfer.")] = False,
-    clock_mhz: Annotated[float, typer.Option(help="System clock; with the configuration's phases it sets the TDC's LSB.")] = 500.0,
+    clock_mhz: ClockOption = 500.0,
     spad_gate: Annotated[bool, typer.Option("--spad-gate", help=(
         "Gating switches the SPADs off outside the gate; default: their edges are ignored."
     ))] = False,
@@ -123,6 +125,102 @@ def replay(
     write_result(out, result)
     print(f"{out}: {len(result['pulse'])} events and {len(result['mg_pulse'])} minigroup records of {len(given)} edges, "
           f"{int(result['dropped'].sum())} events dropped")
+
+
+@app.command()
+def sweep(
+    spec: Annotated[Path, typer.Argument(metavar="SPEC", help="TOML file: a configuration, its scene and light, and axes to sweep.")],
+    out: Annotated[Path | None, typer.Option(metavar="FILE", help=(
+        "Result (Parquet); default: build/SPEC.parquet. Beside it a plot (PNG), and the finished points: a second start goes on from there."
+    ), show_default=False)] = None,
+    scheduler: Annotated[str | None, typer.Option(metavar="ADDRESS", help=(
+        "Dask scheduler, such as tcp://HOST:8786; default: a cluster on this machine alone."
+    ), show_default=False)] = None,
+    workers: Annotated[int | None, typer.Option(help="Processes on this machine; default: one a core.", show_default=False)] = None,
+):
+    """Run a grid of configurations, scenes and light on many processes or machines; one row a point."""
+    workers = check_integer("workers", os.cpu_count() or 1 if workers is None else workers, 1, WORKERS_MAX)
+    out = out or Path("build") / f"{spec.stem}.parquet"
+    if out.suffix != ".parquet":
+        raise InputError(f"out = {str(out)!r}: must end with .parquet")
+    _file(out)
+    from coincid.tb.sweep_spec import read_spec
+
+    grid = read_spec(spec)
+    try:
+        from coincid.tb.sweep import sweep as run
+    except ModuleNotFoundError as missing:
+        raise InputError(f"{missing.name} is not installed: sweeps need pip install 'coincid[sweep]'") from None
+    with _progress(len(grid.keys), spec.name) as done:
+        summary = run(grid, out, workers=workers, scheduler=scheduler, title=spec.stem, progress=done)
+    for name, why in summary.failed.items():
+        print(f"coincid: point {name}: {why}", file=sys.stderr)
+    print(f"{out}: {summary.rows} of {len(grid.points)} points, {summary.kept} of them finished before")
+    if summary.failed:
+        raise typer.Exit(DIFFERS)
+
+
+@app.command()
+def photons(
+    out: Annotated[Path, typer.Option(metavar="FILE", help="Edges: .npz, .csv, .h5 or (up to 64 pixels) .ptu.")],
+    scene: Annotated[str, typer.Option(metavar="SCENE", help="As of sim.")] = "five-objects",
+    klux: Annotated[float, typer.Option(help="Background light in klux.")] = 50.0,
+    config: ConfigOption = None,
+    seed: Annotated[int, typer.Option(help="Of the light.")] = 1,
+    clock_mhz: ClockOption = 500.0,
+):
+    """Write the edges that a scene's photons make in all frames of a configuration."""
+    from coincid.model.config import load_config
+    from coincid.model.exchange import check_suffix, write_edges
+    from coincid.model.light import SPEED_OF_LIGHT_M_S, Spad, Timing
+    from coincid.model.photons import generate_edges
+    from coincid.model.scene import load_scene, scene_light
+
+    settings = load_config(config)
+    check_suffix(_file(out))
+    timing = Timing.from_config(settings, clock_mhz * 1e6)
+    looked_at = load_scene(scene, settings.sensor.rows, settings.sensor.cols, range_m=SPEED_OF_LIGHT_M_S * timing.period_s / 2)
+    pulses = settings.frames * settings.pulses
+    made = generate_edges(scene_light(looked_at, klux), Spad(), timing, pulses=pulses, seed=seed, workers=os.cpu_count() or 1)
+    write_edges(out, made, timing)
+    for note in looked_at.notes:
+        print(note)
+    print(f"{out}: {len(made):,} edges of {pulses:,} pulses")
+
+
+@app.command()
+def edges(
+    recording: Annotated[Path, typer.Argument(metavar="RECORDING", help="Photons: .ptu, .csv, .npz or .h5 (docs/recordings.md).")],
+    out: Annotated[Path, typer.Option(metavar="FILE", help="Edges: .npz, .csv, .h5 or (up to 64 pixels) .ptu.")],
+    config: ConfigOption = None,
+    channels: Annotated[str | None, typer.Option(metavar="MAP", help=(
+        "CHANNEL:PIXEL,... or a CSV file with these columns; default: channel k is pixel k."
+    ))] = None,
+    sync_channel: Annotated[int | None, typer.Option(metavar="N", help="Of absolute times: the channel of the laser's trigger.")] = None,
+    first_sync: Annotated[int, typer.Option(metavar="N", help="The trigger that becomes pulse 0.")] = 0,
+    delay_ps: Annotated[float, typer.Option(metavar="PS", help="Between trigger and light, taken off every time.")] = 0.0,
+    clock_mhz: ClockOption = 500.0,
+):
+    """Turn recorded photons into edges, or edges into another format; count what falls out of range."""
+    from coincid.model.config import load_config
+    from coincid.model.exchange import check_suffix, parse_channels, read_recording, write_edges
+    from coincid.model.light import Timing
+    from coincid.model.recordings import period_note, recorded_edges, told
+
+    settings = load_config(config)
+    check_suffix(_file(out))
+    timing = Timing.from_config(settings, clock_mhz * 1e6)
+    pixel_of = None if channels is None else parse_channels(channels)
+    recorded = read_recording(recording, sync_channel)
+    try:
+        kept, lost = recorded_edges(recorded, settings, timing, channels=pixel_of, first_sync=first_sync, delay_ps=delay_ps)
+    except InputError as error:
+        raise InputError(f"{recording}: {error}") from None
+    write_edges(out, kept, timing)
+    print(f"{recording}: {recorded.kind}, {len(recorded.sync):,} photons")
+    for note in filter(None, (period_note(recorded, timing), f"left out: {told(lost)}" if lost else "")):
+        print(note)
+    print(f"{out}: {len(kept):,} edges")
 
 
 @app.command()
