@@ -2,6 +2,7 @@
 
 import os
 import tempfile
+import tokenize
 import zipfile
 from contextlib import contextmanager
 from pathlib import Path
@@ -63,5 +64,6 @@ def read_npz(path, names: tuple[str, ...]) -> dict[str, np.ndarray]:
         raise
     except FileNotFoundError:
         raise InputError(f"{path}: no such file") from None
-    except (OSError, EOFError, ValueError, KeyError, RuntimeError, MemoryError, zipfile.BadZipFile, zipfile.zlib.error) as error:
+    except (OSError, EOFError, ValueError, KeyError, RuntimeError, MemoryError, tokenize.TokenError, zipfile.BadZipFile,
+            zipfile.zlib.error) as error:
         raise InputError(f"{path}: is not a readable NPZ file ({error})") from None
