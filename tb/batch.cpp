@@ -22,6 +22,7 @@ namespace {
 
 constexpr int MODULES = (SUBGROUPS + 1) / 2;  // the second line of an odd number's last module is left alone
 constexpr int SPINS = 4000;                   // before a waiting thread lets others run
+constexpr int ALONE = 2000;                   // cycles without help after a wait as long as that
 enum Status { RUNNING = 0, DELIVERED = 1, HANGS = 2 };
 
 // Bits of a port, whatever type Verilator gives it.
@@ -47,8 +48,10 @@ int stream_of(int subgroup) { return int(int64_t(subgroup) * STREAMS / SUBGROUPS
 struct Beat { uint64_t data; int64_t cycle; };
 struct Commit { int64_t subgroup, cycle; };
 
-// What one thread's modules say to the core in a cycle.
-struct alignas(64) Answer {
+// A part of the modules, and what they say to the core in a cycle. A thread has a part of its own. Where other programs keep that thread from
+// running, the first one takes its part over, for a while even without asking: a busy machine costs the second core, and not more.
+struct alignas(64) Part {
+    std::atomic<uint64_t> claimed{0}, done{0};  // the last cycle that somebody took, and finished
     uint64_t beat[STREAMS];
     bool valid[STREAMS];
     uint32_t data;
@@ -58,7 +61,7 @@ struct alignas(64) Answer {
 
 class Engine {
 public:
-    explicit Engine(int threads) : threads_(std::max(1, std::min(threads, MODULES))), answers_(threads_) {
+    explicit Engine(int threads) : parts_(std::max(1, std::min(threads, MODULES))) {
         core_context_.threads(1);
         core_ = std::make_unique<Vcore>(&core_context_, "core");
         for (int k = 0; k < MODULES; k++) {
@@ -67,7 +70,7 @@ public:
             modules_.push_back(std::make_unique<Vmodule>(contexts_.back().get(), "module"));
             modules_.back()->number = k;
         }
-        for (int t = 1; t < threads_; t++) workers_.emplace_back([this, t] { work(t); });
+        for (int part = 1; part < int(parts_.size()); part++) workers_.emplace_back([this, part] { work(part); });
         core_->rst = 1;
         for (int i = 0; i < 4; i++) step();
         core_->rst = 0;
@@ -136,8 +139,8 @@ public:
                 }
                 all_ended &= ended_[s];
             });
-            for (auto& answer : answers_)
-                for (int subgroup : answer.stored) commits_.push_back({subgroup, cycle_ - STORED_TO_COMMIT});
+            for (auto& part : parts_)
+                for (int subgroup : part.stored) commits_.push_back({subgroup, cycle_ - STORED_TO_COMMIT});
             step();
             cycle_++;
             if (all_ended && cycle_ >= frame_cycles_) return finish();
@@ -182,18 +185,23 @@ private:
             std::memcpy(shared_.grant[s], words_of(grant), sizeof(grant));
             shared_.send[s] = send;
         });
-        if (threads_ > 1) {
-            pending_.store(threads_ - 1, std::memory_order_relaxed);
-            epoch_.fetch_add(1, std::memory_order_release);
+        uint64_t epoch = ++steps_;
+        if (alone_) alone_--;
+        else if (parts_.size() > 1) {
+            epoch_.store(epoch, std::memory_order_release);
             epoch_.notify_all();
         }
         core_->clk = 1;
         core_->eval();
         core_->clk = 0;
         core_->eval();
-        step_modules(0);
-        for (int spins = 0; threads_ > 1 && pending_.load(std::memory_order_acquire); spins++)
-            if (spins > SPINS) std::this_thread::yield();
+        for (int part = 0; part < int(parts_.size()); part++) take(part, epoch);
+        for (auto& part : parts_)
+            for (int spins = 0; part.done.load(std::memory_order_acquire) != epoch; spins++)
+                if (spins > SPINS) {
+                    std::this_thread::yield();
+                    alone_ = ALONE;
+                }
         if (aw) core_->s_axi_awvalid = 0;
         if (w) core_->s_axi_wvalid = 0;
         if (b) { core_->s_axi_bready = 0; write_busy_ = false; write_response_ = response; }
@@ -203,20 +211,20 @@ private:
     void gather() {
         core_->data = 0;
         core_->gate_late = 0;
-        for (auto& answer : answers_) {
-            core_->data |= answer.data;
-            core_->gate_late |= answer.gate_late;
+        for (auto& part : parts_) {
+            core_->data |= part.data;
+            core_->gate_late |= part.gate_late;
         }
         for_each_stream(*core_, [&](int s, auto&, auto&, auto&, auto&, auto& stored, auto& record_stored, auto& valid, auto& beat, auto&, auto&) {
             clear(stored);
             clear(record_stored);
             valid = 0;
             beat = 0;
-            for (auto& answer : answers_) {
-                valid |= answer.valid[s];
-                beat |= answer.beat[s];
-                for (int subgroup : answer.stored) if (stream_of(subgroup) == s) set_bit(stored, subgroup - STREAM_FIRST[s]);
-                for (int subgroup : answer.record_stored) if (stream_of(subgroup) == s) set_bit(record_stored, subgroup - STREAM_FIRST[s]);
+            for (auto& part : parts_) {
+                valid |= part.valid[s];
+                beat |= part.beat[s];
+                for (int subgroup : part.stored) if (stream_of(subgroup) == s) set_bit(stored, subgroup - STREAM_FIRST[s]);
+                for (int subgroup : part.record_stored) if (stream_of(subgroup) == s) set_bit(record_stored, subgroup - STREAM_FIRST[s]);
             }
         });
     }
@@ -230,27 +238,31 @@ private:
             words[bit_of_edge_[e] / 32] |= 1u << (bit_of_edge_[e] % 32);
     }
 
-    template <int LINE> void outputs(Vmodule& module, int subgroup, Answer& answer) {
+    template <int LINE> void outputs(Vmodule& module, int subgroup, Part& part) {
         int s = stream_of(subgroup);
         uint32_t* words = words_of(Line<LINE>::words(module));
         if (cycle_ >= 0)
             for (int64_t& e = next_[subgroup]; e < end_[subgroup] && cycle_of_[e] == cycle_; e++) words[bit_of_edge_[e] / 32] = 0;
-        answer.valid[s] |= Line<LINE>::valid(module);
-        answer.beat[s] |= Line<LINE>::beat(module);
-        answer.data |= Line<LINE>::data(module);
-        answer.gate_late |= Line<LINE>::gate_late(module);
-        if (Line<LINE>::stored(module)) answer.stored.push_back(subgroup);
-        if (Line<LINE>::record_stored(module)) answer.record_stored.push_back(subgroup);
+        part.valid[s] |= Line<LINE>::valid(module);
+        part.beat[s] |= Line<LINE>::beat(module);
+        part.data |= Line<LINE>::data(module);
+        part.gate_late |= Line<LINE>::gate_late(module);
+        if (Line<LINE>::stored(module)) part.stored.push_back(subgroup);
+        if (Line<LINE>::record_stored(module)) part.record_stored.push_back(subgroup);
     }
 
-    void step_modules(int thread) {
-        Answer& answer = answers_[thread];
-        std::fill(std::begin(answer.beat), std::end(answer.beat), 0);
-        std::fill(std::begin(answer.valid), std::end(answer.valid), false);
-        answer.data = answer.gate_late = 0;
-        answer.stored.clear();
-        answer.record_stored.clear();
-        for (int k = int(int64_t(MODULES) * thread / threads_); k < int(int64_t(MODULES) * (thread + 1) / threads_); k++) {
+    // Steps the modules of a part, unless another thread has taken them in this cycle.
+    void take(int number, uint64_t epoch) {
+        Part& part = parts_[number];
+        uint64_t before = epoch - 1;
+        if (!part.claimed.compare_exchange_strong(before, epoch, std::memory_order_acquire)) return;
+        std::fill(std::begin(part.beat), std::end(part.beat), 0);
+        std::fill(std::begin(part.valid), std::end(part.valid), false);
+        part.data = part.gate_late = 0;
+        part.stored.clear();
+        part.record_stored.clear();
+        int64_t parts = parts_.size();
+        for (int k = int(MODULES * number / parts); k < int(MODULES * (number + 1) / parts); k++) {
             Vmodule& module = *modules_[k];
             bool both = 2 * k + 1 < SUBGROUPS;
             module.rst = shared_.rst;
@@ -264,33 +276,33 @@ private:
             module.eval();
             module.clk = 0;
             module.eval();
-            outputs<0>(module, 2 * k, answer);
-            if (both) outputs<1>(module, 2 * k + 1, answer);
+            outputs<0>(module, 2 * k, part);
+            if (both) outputs<1>(module, 2 * k + 1, part);
         }
+        part.done.store(epoch, std::memory_order_release);
     }
 
-    void work(int thread) {
-        uint64_t seen = 0;
-        for (;;) {
-            for (int spins = 0; epoch_.load(std::memory_order_acquire) == seen; spins++)
+    void work(int part) {
+        for (uint64_t seen = 0;;) {
+            uint64_t epoch = seen;
+            for (int spins = 0; (epoch = epoch_.load(std::memory_order_acquire)) == seen; spins++)
                 if (spins > SPINS) epoch_.wait(seen, std::memory_order_acquire);
-            seen++;
             if (stopping_) return;
-            step_modules(thread);
-            pending_.fetch_sub(1, std::memory_order_release);
+            take(part, epoch);
+            seen = epoch;
         }
     }
 
-    int threads_;
     VerilatedContext core_context_;
     std::unique_ptr<Vcore> core_;
     std::vector<std::unique_ptr<VerilatedContext>> contexts_;
     std::vector<std::unique_ptr<Vmodule>> modules_;
     std::vector<std::thread> workers_;
-    std::atomic<uint64_t> epoch_{0};
-    std::atomic<int> pending_{0};
+    std::atomic<uint64_t> epoch_{0};  // the last cycle that workers were told of
+    uint64_t steps_ = 0;
+    int alone_ = 0;
     std::atomic<bool> stopping_{false};
-    std::vector<Answer> answers_;
+    std::vector<Part> parts_;
     struct {
         std::remove_reference_t<decltype(Vmodule::command)> command;
         std::remove_reference_t<decltype(Vmodule::period)> period;
