@@ -15,8 +15,7 @@ from pathlib import Path
 import numpy as np
 from attrs import evolve
 
-from ..hdl.export import core_files
-from ..hdl.sensor import CORE, TOP
+from ..hdl.sensor import CORE
 from ..hdl.subgroup import own_ports
 from ..model import registers
 from ..model.config import Config
@@ -25,7 +24,7 @@ from ..model.golden import pixel_table
 from ..model.parameters import Sensor
 from . import toolchain
 from .frames import STORED_TO_COMMIT, Recorded, cycle_limit
-from .rtl import rtl, sensor_key
+from .rtl import rtl_in_two, sensor_key
 
 SOURCE = Path(__file__).with_name("batch.cpp")
 LIBRARY = "libcoincid.so"
@@ -67,25 +66,22 @@ def wiring_header(sensor: Sensor) -> str:
 
 def build_library(sensor: Sensor) -> Path:
     """The engine's library for a sensor, compiled once."""
-    core_text, of_core = core_files(sensor)
-    for_core = [path for path in rtl(sensor) if path.name in of_core]
-    # The module does not depend on the array, so sensors of all sizes share its library. An odd number of subgroups
-    # ends with half a module: here a whole one of which nothing is asked, so it comes from a sensor that has one.
-    whole = sensor if sensor.subgroups % 2 == 0 else evolve(sensor, rows=2 * sensor.rows)
-    for_module = [path for path in rtl(whole) if path.name not in (f"{TOP}.v", *core_files(whole)[1])]
-    header = wiring_header(sensor)
     program = toolchain.verilator()
-    contents = [part for path in (*for_core, *for_module) for part in (path.name, path.read_text())]
-    key = toolchain.digest(str(program), *VERILATOR, *COMPILER, *toolchain.MAKE_OPTIONS, core_text, header, SOURCE.read_text(), *contents)
+    for_core, for_module = rtl_in_two(sensor)
+    if sensor.subgroups % 2:
+        # The module does not depend on the array, so sensors of all sizes share its library. An odd number of subgroups
+        # ends with half a module: here a whole one of which nothing is asked, so it comes from a sensor that has one.
+        _, for_module = rtl_in_two(evolve(sensor, rows=2 * sensor.rows))
+    header = wiring_header(sensor)
+    key = _key(header, SOURCE.read_text(), sources=[*for_core, *for_module])
     directory = toolchain.build_root() / "batch" / f"{sensor_key(sensor)}-{key}"
 
     def make(scratch: Path) -> None:
         log = directory.with_name(f"{directory.name}.log")
         log.unlink(missing_ok=True)
-        (scratch / f"{CORE}.v").write_text(core_text)
         (scratch / "wiring.h").write_text(header)
         module = _unit(MODULE, "Vmodule", for_module, "libverilated.a")
-        core = _unit(CORE, "Vcore", [scratch / f"{CORE}.v", *for_core])
+        core = _unit(CORE, "Vcore", for_core)
         include = ["-I.", f"-I{module}", f"-I{core}", f"-I{program.parents[1] / 'include'}"]
         command = ["g++", "-shared", *COMPILER, "-o", LIBRARY, str(SOURCE), *include]
         archives = [core / "libVcore.a", module / "libVmodule.a", module / "libverilated.a"]
@@ -96,10 +92,8 @@ def build_library(sensor: Sensor) -> Path:
 
 def _unit(top: str, prefix: str, sources: list[Path], *archives: str) -> Path:
     """A Verilated unit: its headers, its archive and those named, in a directory keyed by its sources."""
-    contents = [part for path in sources for part in (path.name, path.read_text())]
     program = toolchain.verilator()
-    key = toolchain.digest(str(program), *VERILATOR, *COMPILER, *toolchain.MAKE_OPTIONS, top, *contents)
-    directory = toolchain.build_root() / "batch" / f"{top}-{key}"
+    directory = toolchain.build_root() / "batch" / f"{top}-{_key(top, sources=sources)}"
 
     def make(scratch: Path) -> None:
         log = directory.with_name(f"{directory.name}.log")
@@ -119,6 +113,11 @@ def _unit(top: str, prefix: str, sources: list[Path], *archives: str) -> Path:
                 path.unlink()
 
     return toolchain.build_once(directory, make)
+
+
+def _key(*parts: str, sources: list[Path]) -> str:
+    contents = [part for path in sources for part in (path.name, path.read_text())]
+    return toolchain.digest(str(toolchain.verilator()), *VERILATOR, *COMPILER, *toolchain.MAKE_OPTIONS, *parts, *contents)
 
 
 @cache

@@ -2,9 +2,12 @@
 
 from pathlib import Path
 
-from ..hdl.export import FILE_LIST, verilog_files
+from ..hdl.export import FILE_LIST, core_files, verilog_files
+from ..hdl.sensor import CORE, TOP
 from ..model.parameters import Sensor
 from . import toolchain
+
+CORE_LIST = f"{CORE}.f"
 
 
 def sensor_key(sensor: Sensor) -> str:
@@ -20,12 +23,29 @@ def sensor_key(sensor: Sensor) -> str:
 
 def rtl(sensor: Sensor) -> list[Path]:
     """The sensor's Verilog files, emitted once for its parameters and the state of the sources."""
+    return _listed(_emitted(sensor), FILE_LIST)
+
+
+def rtl_in_two(sensor: Sensor) -> tuple[list[Path], list[Path]]:
+    """The same for a program that wires the modules itself: files of the core (`hdl/sensor.py`), and files of a module."""
+    core = _listed(_emitted(sensor), CORE_LIST)
+    in_core = {TOP, *(path.stem for path in core)}
+    return core, [path for path in rtl(sensor) if path.stem not in in_core]
+
+
+def _emitted(sensor: Sensor) -> Path:
     sources = [path for folder in ("hdl", "model") for path in sorted((Path(__file__).parents[1] / folder).glob("*.py"))]
+    sources.append(Path(__file__))
     key = toolchain.digest(repr(sensor), *(path.read_bytes() for path in sources))
 
     def emit(directory: Path) -> None:
-        for name, text in verilog_files(sensor).items():
+        core_text, of_core = core_files(sensor)
+        core = {f"{CORE}.v": core_text, CORE_LIST: "".join(f"{name}\n" for name in (f"{CORE}.v", *of_core))}
+        for name, text in (verilog_files(sensor) | core).items():
             (directory / name).write_text(text)
 
-    directory = toolchain.build_once(toolchain.build_root() / "verilog" / f"{sensor_key(sensor)}-{key}", emit)
-    return [directory / name for name in (directory / FILE_LIST).read_text().split()]
+    return toolchain.build_once(toolchain.build_root() / "verilog" / f"{sensor_key(sensor)}-{key}", emit)
+
+
+def _listed(directory: Path, file_list: str) -> list[Path]:
+    return [directory / name for name in (directory / file_list).read_text().split()]
