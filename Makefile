@@ -46,8 +46,8 @@ figures: ## the documentation's figures
 	@scripts/setup
 	@$(BIN)/coincid figures
 
-bench: ## how fast model and simulators run here
-	@scripts/setup
+bench: ## how fast model and simulators run here: build/bench.json, and a table beside it
+	@scripts/setup icarus
 	@$(BIN)/coincid bench
 
 clean: ## remove build/ (.venv stays)

@@ -21,6 +21,7 @@ from coincid.model.errors import InputError, check_integer
 BAD_INPUT, DIFFERS, INTERRUPTED = 2, 1, 130
 STALL_CYCLES_MAX = 1 << 24
 PULSES_MAX = 1 << 16
+REPEATS_MAX = 1000
 WORKERS_MAX = 1 << 10
 
 console = Console(stderr=True, highlight=False)
@@ -290,6 +291,18 @@ def figures(
     with _progress(0, "frames") as done:
         files = make(out, engine, done)
     print(files[-1])
+
+
+@app.command()
+def bench(
+    out: Annotated[Path, typer.Option(metavar="FILE", help="JSON, flat keys; a Markdown table goes beside it.")] = Path("build/bench.json"),
+    repeats: Annotated[int, typer.Option(metavar="N", help="Rounds that the medians are of.")] = 5,
+):
+    """Measure how fast model and simulators run here, whole frames, and builds from nothing; takes about ten minutes."""
+    from coincid.tb.bench import benchmark, table
+
+    check_integer("repeats", repeats, 1, REPEATS_MAX)
+    print(table(benchmark(_file(out), repeats=repeats, tell=console.print)), end="")
 
 
 def _engine(name: str) -> str:

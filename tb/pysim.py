@@ -1,0 +1,78 @@
+"""The sensor in Amaranth's own simulator: the slowest way to run it, and the only one that no Verilog is part of."""
+
+from collections.abc import Callable
+
+import numpy as np
+from amaranth.sim import Simulator
+
+from ..hdl.sensor import FlatSensor
+from ..model import registers
+from ..model.config import Config
+from ..model.edges import Edges
+from .frames import cycle_limit
+from .stimulus import port_words
+from .toolchain import SimulationError
+
+CLOCK_S = 2e-9  # any would do: nothing here has a delay
+
+
+def play(config: Config, edges: Edges, progress: Callable[[int], None] = lambda cycle: None) -> tuple[list[np.ndarray], list[np.ndarray]]:
+    """Programs the sensor, plays a frame with `tready` high, and returns per stream the beats (uint64) and their cycles (int64).
+
+    progress: called with the number of each cycle of the frame as it begins. Raises `SimulationError` if the frame never ends.
+    """
+    sensor = config.sensor
+    dut, words = FlatSensor(sensor), port_words(config, edges)
+    names = [sensor.stream_name(stream) for stream in range(sensor.streams)]
+    beats, beat_cycle = [[] for _ in names], [[] for _ in names]
+
+    async def host(ctx):
+        start = registers.address("control"), 1 << registers.BY_NAME["control"].bit("start")
+        ctx.set(dut.s_axi_wstrb, 0xF)
+        ctx.set(dut.s_axi_bready, 1)
+        for address, value in [*config.register_writes(), start]:
+            ctx.set(dut.s_axi_awaddr, address)
+            ctx.set(dut.s_axi_wdata, value)
+            waiting = [(dut.s_axi_awvalid, dut.s_axi_awready), (dut.s_axi_wvalid, dut.s_axi_wready)]
+            for valid, _ in waiting:
+                ctx.set(valid, 1)
+            answered = False
+            while not answered:
+                taken = [valid for valid, ready in waiting if ctx.get(valid) and ctx.get(ready)]
+                answered = ctx.get(dut.s_axi_bvalid)
+                await ctx.tick()
+                for valid in taken:
+                    ctx.set(valid, 0)
+
+    async def frame(ctx):
+        streams = [[getattr(dut, f"{name}_{wire}") for wire in ("tvalid", "tdata", "tlast", "tready")] for name in names]
+        spads = [getattr(dut, f"spad_{s}") for s in range(sensor.subgroups)]
+        for *_, ready in streams:
+            ctx.set(ready, 1)
+        while not ctx.get(dut.laser):
+            await ctx.tick()
+        running, driven, cycle = list(range(len(streams))), {}, 0
+        while running or cycle < config.pulses * config.period:
+            progress(cycle)
+            now = dict(words.get(cycle, ()))
+            for s in driven.keys() | now.keys():
+                ctx.set(spads[s], now.get(s, 0))
+            driven = now
+            for stream in tuple(running):
+                valid, data, last, _ = streams[stream]
+                if ctx.get(valid):
+                    beats[stream].append(ctx.get(data))
+                    beat_cycle[stream].append(cycle)
+                    if ctx.get(last):
+                        running.remove(stream)
+            cycle += 1
+            if cycle >= cycle_limit(config, 0):
+                raise SimulationError(f"no frame end after {cycle} cycles: the sensor hangs")
+            await ctx.tick()
+
+    simulator = Simulator(dut)
+    simulator.add_clock(CLOCK_S)
+    simulator.add_testbench(host)
+    simulator.add_testbench(frame)
+    simulator.run()
+    return [np.array(data, np.uint64) for data in beats], [np.array(cycles, np.int64) for cycles in beat_cycle]
