@@ -61,7 +61,7 @@ def estimate_depth(arrays: dict[str, np.ndarray], config: Config, tick_s: float,
     else:
         live = _live_share(arrays, events, config, frame) if method == "background" else None
         histograms = subgroup_histograms(arrays, config, sigma_ticks, source=source, frame=frame)
-        found = [_pixel_peaks(histogram, method, None if live is None else live[s], sigma_ticks, returns)
+        found = [pixel_peaks(histogram, method, None if live is None else live[s], sigma_ticks, returns)
                  for s, histogram in enumerate(histograms)]
         ticks, confidence = (pixel_image(np.stack(part), config.sensor) for part in zip(*found))
     return Depth(ticks * tick_s * SPEED_OF_LIGHT_M_S / 2, np.where(np.isnan(ticks), 0.0, confidence))
@@ -99,7 +99,7 @@ def _joint(events: Events, config: Config, sigma_ticks: float, returns: int) -> 
     return np.pad(ticks, missing, constant_values=np.nan), np.pad(confidence, missing)
 
 
-def _pixel_peaks(histogram: np.ndarray, method: str, live: np.ndarray | None, sigma_ticks: float, returns: int):
+def pixel_peaks(histogram: np.ndarray, method: str, live: np.ndarray | None, sigma_ticks: float, returns: int):
     """(ticks, confidence), each float64[pixels, returns], from int32[pixels, bins]. live: float64[bins], `_live_share`."""
     pixels, bins = histogram.shape
     width = 1.0 if method == "maximum" else np.sqrt(2 * np.pi) * sigma_ticks  # a hit in the filter's middle counts 1

@@ -57,6 +57,14 @@ def legend_below(figure: Figure, columns: int = 6) -> None:
     figure.legend(entries.values(), entries.keys(), loc="outside lower center", ncols=min(columns, len(entries)))
 
 
+def share_axis(axis, **others) -> None:
+    """Shares from 0 to 1 upwards, spread where they are small: linear below one in a thousand, then logarithmic; `others` go to `set`."""
+    axis.set(**others)
+    axis.set_yscale("symlog", linthresh=1e-3, linscale=0.4)
+    axis.set_ylim(0, 1)
+    axis.set_yticks([0, 1e-3, 1e-2, 1e-1, 1], labels=["0", "0.1 %", "1 %", "10 %", "100 %"])
+
+
 def save_figure(figure: Figure, *paths) -> None:
     """Writes `figure` to each path (.png or .svg)."""
     for path in map(Path, paths):

@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from ..light import Spad, dark_count_map
-from ..plot_style import SERIES, legend_below, new_figure
+from ..plot_style import SERIES, legend_below, new_figure, share_axis
 from .cases import MANY, PULSES, Case, Outcome, Runner, mean_of, vary
 from .page import Comparison, Section
 
@@ -92,7 +92,7 @@ def rearm_and_window(run: Runner) -> Section:
         for threshold, colour in SHOWN_THRESHOLDS.items():
             _plot_methods(axis, at, [table[PULSES, name, value, threshold] for value in at], colour, f"threshold {threshold}")
         axis.set(xlabel=label, ylabel="share of wrong pixels")
-        _share_axis(axis)
+        share_axis(axis)
     figure.axes[1].set_xscale("log", base=2)
     legend_below(figure)
     return Section(
@@ -195,7 +195,7 @@ def noisy_spads(run: Runner) -> Section:
     for axis, label in zip(axes[:, 0], ("share of wrong pixels", "events in 1e6/s")):
         axis.set_ylabel(label)
     legend_below(figure)
-    _share_axis(axes[0, 0])
+    share_axis(axes[0, 0])
     return Section(
         "noisy_spads", "Dark counts, hot pixels, crosstalk",
         """<p>Five objects at 50 klux (1.2e6 background counts a second in a pixel). Crosstalk fakes coincidences: an avalanche brings
@@ -245,13 +245,6 @@ def _plot_methods(axis, at: Iterable, outcomes: list[list[Outcome]], colour: str
         axis.plot(at, shares, mark, color=colour, label=f"{label}, {method}")
 
 
-def _share_axis(axis) -> None:
-    """Shares from 0 to 1, spread where they are small: linear below a pixel in a thousand, then logarithmic."""
-    axis.set_yscale("symlog", linthresh=1e-3, linscale=0.4)
-    axis.set_ylim(0, 1)
-    axis.set_yticks([0, 1e-3, 1e-2, 1e-1, 1], labels=["0", "0.1 %", "1 %", "10 %", "100 %"])
-
-
 def _background_figure(table: dict, pulses: int) -> Figure:
     figure = new_figure(13, 5)
     axes = figure.subplots(1, 3)
@@ -265,7 +258,7 @@ def _background_figure(table: dict, pulses: int) -> Figure:
     for axis, title in zip(axes, ("joint estimator", "matched filter")):
         axis.axhline(GOAL_SHARE, color="#bbbbbb", linewidth=1)
         axis.set(xlabel="background in klux", ylabel="share of wrong pixels", title=f"{title} (grey: {GOAL_SHARE:.0%})", xscale="log")
-        _share_axis(axis)
+        share_axis(axis)
     axes[2].set(xlabel="background in klux", ylabel="events that leave the sensor in 1e6/s", title="events", xscale="log", yscale="log")
     legend_below(figure)
     return figure
