@@ -6,7 +6,7 @@ unexport PYTHONPATH PYTHONHOME VIRTUAL_ENV
 # $(call option,scene,SCENE): --scene 'value' where SCENE= was given.
 option = $(if $(value $2),--$1 '$(value $2)')
 
-.PHONY: help setup sim test verilog lint figures bench clean
+.PHONY: help setup sim test verilog lint figures compare bench clean
 
 help: ## this list
 	@echo 'make TARGET [OPTION=value ...]'
@@ -45,6 +45,10 @@ lint: ## Python style, and the Verilog under Verilator's lint
 figures: ## the documentation's figures
 	@scripts/setup
 	@$(BIN)/coincid figures
+
+compare: ## this sensor and other schemes on the same photons, into build/compare/
+	@scripts/setup
+	@$(BIN)/coincid compare
 
 bench: ## how fast model and simulators run here: build/bench.json, and a table beside it
 	@scripts/setup icarus

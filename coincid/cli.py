@@ -294,6 +294,17 @@ def figures(
 
 
 @app.command()
+def compare(out: Annotated[Path, typer.Option(metavar="DIR", help="Folder of the figures.")] = Path("build/compare")):
+    """Compare the sensor with other schemes on the same photons: plots, their data (CSV) and a page."""
+    from coincid.model.figures import compare as run
+
+    _folder(out)
+    with _progress(0, "photons") as done:
+        files = run(out, done)
+    print(files[-1])
+
+
+@app.command()
 def bench(
     out: Annotated[Path, typer.Option(metavar="FILE", help="JSON, flat keys; a Markdown table goes beside it.")] = Path("build/bench.json"),
     repeats: Annotated[int, typer.Option(metavar="N", help="Rounds that the medians are of.")] = 5,
