@@ -6,6 +6,7 @@ that was killed goes on where it was, a changed SPEC runs what is new in it, and
 
 import contextlib
 import json
+import logging
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -15,6 +16,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from attrs import frozen
 from distributed import Client, LocalCluster, as_completed
+from distributed.comm import backends, parse_address, parse_host_port
 from distributed.scheduler import KilledWorker
 from filelock import FileLock, Timeout
 
@@ -32,6 +34,7 @@ from .toolchain import SimulationError
 
 LOOPBACK = "127.0.0.1"
 CONNECT_S = 10
+DEAF_TO_CTRL_C = "import signal\nsignal.signal(signal.SIGINT, signal.SIG_IGN)"  # a worker's: the sweep ends it
 LOST_WORKERS_MAX = 20  # that a point may have been on: then it is the point that kills them
 LOCK = "lock"
 COLUMN_TYPES = {int: pa.int64(), float: pa.float64()}
@@ -114,7 +117,7 @@ class Finished:
             self.folder.mkdir(parents=True, exist_ok=True)
             self._lock.acquire(timeout=0)
         except Timeout:
-            raise InputError(f"out = {str(self._out)!r}: another sweep is writing it, must be one that no sweep writes") from None
+            raise InputError(f"out = {str(self._out)!r}: another sweep is writing it") from None
         except OSError as error:
             raise InputError(f"out = {str(self._out)!r}: cannot be written: {error.strerror}") from None
         for path in self.folder.glob(".*"):  # of a sweep that was killed while it wrote
@@ -144,18 +147,32 @@ class Finished:
 def cluster(workers: int, scheduler: str | None = None) -> Iterator[Client]:
     """A client of the scheduler at an address, or of a cluster of `workers` processes that ends with the block."""
     with contextlib.ExitStack() as stack:
-        if scheduler is None:
+        if scheduler is not None:
+            _check_address(scheduler)
+        else:
             stack.enter_context(dask.config.set({"distributed.scheduler.allowed-failures": LOST_WORKERS_MAX}))
             # Loopback only. Without a dashboard the scheduler still serves its health page: on any free port.
             scheduler = stack.enter_context(LocalCluster(
                 n_workers=workers, threads_per_worker=1, host=LOOPBACK, memory_limit=None, silence_logs="CRITICAL",
-                dashboard_address=None, scheduler_kwargs={"dashboard": False, "dashboard_address": f"{LOOPBACK}:0"},
+                preload=DEAF_TO_CTRL_C, dashboard_address=None, scheduler_kwargs={"dashboard": False, "dashboard_address": f"{LOOPBACK}:0"},
             ))
+        logging.getLogger("distributed.client").setLevel(logging.CRITICAL)  # a lost scheduler is told by `SchedulerLost`
         try:
             client = Client(scheduler, timeout=CONNECT_S, set_as_default=False)
-        except (OSError, ValueError) as error:
-            raise InputError(f"scheduler = {scheduler!r}: no Dask scheduler answers, must be such as tcp://HOST:8786 ({error})") from None
+        except OSError as error:
+            raise InputError(f"scheduler = {scheduler!r}: no Dask scheduler answers ({error})") from None
         yield stack.enter_context(client)
+
+
+def _check_address(scheduler: str) -> None:
+    """Before a client is made: one with an address that makes no sense does not end."""
+    try:
+        scheme, place = parse_address(scheduler, strict=True)
+        parse_host_port(place)
+        if scheme not in backends:
+            raise ValueError(f"{scheme}: none of {', '.join(backends)}")
+    except ValueError as error:
+        raise InputError(f"scheduler = {scheduler!r}: must be an address such as tcp://HOST:8786 ({error})") from None
 
 
 def results(points: list[Point], client: Client) -> Iterator[tuple[Point, dict | None, str]]:
