@@ -5,7 +5,8 @@ import re
 from amaranth.back import verilog
 
 from ..model.parameters import Sensor
-from .sensor import TOP, core_verilog
+from .deserialiser import Deserialiser
+from .sensor import FPGA_TOP, TOP, core_verilog, fpga_verilog
 from .sensor import verilog as sensor_verilog
 from .unit import Export, Unit
 
@@ -21,6 +22,13 @@ def verilog_files(sensor: Sensor) -> dict[str, str]:
     top, units = sensor_verilog(sensor)
     files = _units(units) | {f"{TOP}.v": top}
     return files | {FILE_LIST: "".join(f"{name}\n" for name in files)}
+
+
+def fpga_files(sensor: Sensor) -> dict[str, str]:
+    """File name -> text of the top for an FPGA, and of the blocks that `verilog_files` does not have. Only where there is such a top."""
+    top, units = fpga_verilog(sensor)
+    deserialiser = {name: unit for name, unit in units.items() if isinstance(unit, Deserialiser)}
+    return _units(deserialiser) | {f"{FPGA_TOP}.v": top}
 
 
 def core_files(sensor: Sensor) -> tuple[str, list[str]]:

@@ -1,10 +1,17 @@
-"""The register map for people and for software: Markdown, a C header and JSON, all from the one table of `model/registers.py`."""
+"""The register map for people and for tools, all from the one table of `model/registers.py`.
 
+Markdown, HTML, a C header, JSON, SystemRDL; and IP-XACT, which PeakRDL makes from the SystemRDL. The HTML is our own:
+PeakRDL's is an application of 7.8 MB; this page has 9 kB, and says what SystemRDL has no place for, the legal ranges.
+"""
+
+import html
 import json
+import tempfile
+from pathlib import Path
 
 from attrs import asdict
 
-from ..model.parameters import Sensor
+from ..model.parameters import Sensor, bits_for
 from ..model.registers import (
     ADDRESS_BITS,
     DATA_BITS,
@@ -16,17 +23,23 @@ from ..model.registers import (
     Register,
 )
 
-MARKDOWN, HEADER, JSON = "registers.md", "coincid_regs.h", "registers.json"
-PREFIX = "COINCID"
+MARKDOWN, HTML, HEADER, JSON, RDL, IP_XACT = (
+    "registers.md", "registers.html", "coincid_regs.h", "registers.json", "registers.rdl", "registers.xml"
+)
+PREFIX, TOP = "COINCID", "coincid_sensor"
 WRITABLE = (Access.SETTING, Access.PULSE, Access.STATUS)
 
 
 def register_files(sensor: Sensor) -> dict[str, str]:
     """File name -> text of the register map of `sensor`. Equal parameters give equal bytes."""
+    rdl = _systemrdl(sensor)
     return {
         MARKDOWN: _markdown(sensor),
+        HTML: _html(sensor),
         HEADER: _header(sensor),
         JSON: json.dumps(register_map(sensor), indent=2) + "\n",
+        RDL: rdl,
+        IP_XACT: _ip_xact(rdl),
     }
 
 
@@ -52,32 +65,123 @@ def _plain(register: Register, sensor: Sensor) -> dict:
     return values
 
 
-def _markdown(sensor: Sensor) -> str:
-    lines = [
-        f"# Registers of the {sensor.rows} x {sensor.cols} sensor", "",
-        f"AXI4-Lite, {DATA_BITS}-bit words, {ADDRESS_BITS}-bit byte addresses. A write outside the range of its register, to a",
-        "read-only or an unmapped address, or of less than a word answers SLVERR, changes nothing, and sets a bit of `status`.", "",
-        *(f"* {access.name.lower()}: {access.value}" for access in Access), "",
-        "## Global block", "", *_table(GLOBAL, sensor), "",
-        f"## Block of subgroup s, 0 to {sensor.subgroups - 1}", "",
-        f"At {SUBGROUP_BASE:#x} + {SUBGROUP_STRIDE:#x} * s; offsets are within the block.", "", *_table(SUBGROUP, sensor), "",
+HEAD = ("offset", "name", "access", "range", "reset", "meaning")
+
+
+def _intro(sensor: Sensor) -> tuple[str, str]:
+    return f"Registers of the {sensor.rows} x {sensor.cols} sensor", (
+        f"AXI4-Lite, {DATA_BITS}-bit words, {ADDRESS_BITS}-bit byte addresses. A write outside the range of its register, to a "
+        "read-only or an unmapped address, or of less than a word answers SLVERR, changes nothing, and sets a bit of status."
+    )
+
+
+def _blocks(sensor: Sensor) -> list[tuple[str, str, list[list[str]]]]:
+    """(title, text, rows of `HEAD`) of both blocks."""
+    where = f"At {SUBGROUP_BASE:#x} + {SUBGROUP_STRIDE:#x} * s; offsets are within the block."
+    return [
+        ("Global block", "At 0.", _rows(GLOBAL, sensor)),
+        (f"Block of subgroup s, 0 to {sensor.subgroups - 1}", where, _rows(SUBGROUP, sensor)),
     ]
-    return "\n".join(lines)
 
 
-def _table(registers: tuple[Register, ...], sensor: Sensor) -> list[str]:
-    lines = ["| offset | name | access | range | reset | meaning |", "| --- | --- | --- | --- | --- | --- |"]
+def _rows(registers: tuple[Register, ...], sensor: Sensor) -> list[list[str]]:
+    rows = []
     for register in registers:
         count, offset = register.count(sensor), f"{register.offset:#05x}"
         if count > 1:
             offset += f" + 4 i, i < {count}"
         legal = f"{register.low(sensor)} to {register.high(sensor)}" if register.access in WRITABLE else ""
-        reset = "" if register.access is Access.COUNTER else register.reset(sensor)
-        doc = register.doc.replace("|", r"\|")
-        lines.append(f"| {offset} | {register.name} | {register.access.name.lower()} | {legal} | {reset} | {doc} |")
+        reset = "" if register.access is Access.COUNTER else str(register.reset(sensor))
+        rows.append([offset, register.name, register.access.name.lower(), legal, reset, register.doc])
         for bits in register.bits:
-            lines.append(f"| | bit {bits.lsb}: {bits.name} | | | | {bits.doc}{' Write 1 to clear.' if bits.clears else ''} |")
+            rows.append(["", f"bit {bits.lsb}: {bits.name}", "", "", "", f"{bits.doc}{' Write 1 to clear.' if bits.clears else ''}"])
+    return rows
+
+
+def _markdown(sensor: Sensor) -> str:
+    title, text = _intro(sensor)
+    lines = [f"# {title}", "", text, "", *(f"* {access.name.lower()}: {access.value}" for access in Access), ""]
+    for title, text, rows in _blocks(sensor):
+        table = [" | ".join(cell.replace("|", r"\|") for cell in row) for row in [HEAD, ["---"] * len(HEAD), *rows]]
+        lines += [f"## {title}", "", text, "", *(f"| {row} |" for row in table), ""]
+    return "\n".join(lines)
+
+
+STYLE = """
+body { font: 15px/1.4 system-ui, sans-serif; max-width: 70em; margin: 2em auto; padding: 0 1em; color: #222; }
+table { border-collapse: collapse; } td, th { border: 1px solid #ccc; padding: 0.25em 0.6em; text-align: left; vertical-align: top; }
+th { background: #eee; } td:nth-child(-n+2) { font-family: ui-monospace, monospace; white-space: nowrap; }
+"""
+
+
+def _html(sensor: Sensor) -> str:
+    title, text = (html.escape(part) for part in _intro(sensor))
+    lines = [
+        "<!DOCTYPE html>", '<html lang="en">',
+        f'<head><meta charset="utf-8"><title>{title}</title>', f"<style>{STYLE}</style></head>", "<body>",
+        f"<h1>{title}</h1>", f"<p>{text}</p>", "<dl>",
+        *(f"<dt>{access.name.lower()}</dt><dd>{html.escape(access.value)}</dd>" for access in Access), "</dl>",
+    ]
+    for title, text, rows in _blocks(sensor):
+        lines += [f"<h2>{html.escape(title)}</h2>", f"<p>{html.escape(text)}</p>", "<table>"]
+        lines.append("<tr>" + "".join(f"<th>{cell}</th>" for cell in HEAD) + "</tr>")
+        lines += ["<tr>" + "".join(f"<td>{html.escape(cell)}</td>" for cell in row) + "</tr>" for row in rows]
+        lines.append("</table>")
+    return "\n".join([*lines, "</body>", "</html>", ""])
+
+
+RDL_FIELD = {  # how software and hardware use a register's field
+    Access.CONSTANT: "sw = r; hw = na;",
+    Access.SETTING: "sw = rw; hw = r;",
+    Access.PULSE: "sw = w; hw = r; singlepulse;",
+    Access.COUNTER: "sw = r; hw = w;",
+}
+RDL_CLEARED, RDL_STATE = "sw = rw; onwrite = woclr; hw = w;", "sw = r; hw = w;"  # of the status register's bits
+
+
+def _systemrdl(sensor: Sensor) -> str:
+    title, text = _intro(sensor)
+    lines = [
+        "addrmap coincid {", f'  name = "{title}";', f'  desc = "{text}";',
+        f"  default regwidth = {DATA_BITS};", "  addressing = compact;", "",
+        *_rdl_block(GLOBAL, sensor, "  "), "", "  regfile {", '    desc = "Settings and counters of a subgroup.";',
+        *_rdl_block(SUBGROUP, sensor, "    "),
+        f"  }} subgroup[{sensor.subgroups}] @ {SUBGROUP_BASE:#x} += {SUBGROUP_STRIDE:#x};", "};", "",
+    ]
+    return "\n".join(lines)
+
+
+def _rdl_block(registers: tuple[Register, ...], sensor: Sensor, indent: str) -> list[str]:
+    lines = []
+    for register in registers:
+        reset, doc = register.reset(sensor), register.doc
+        if register.access in WRITABLE and not register.bits:
+            doc += f" Range: {register.low(sensor)} to {register.high(sensor)}."
+        array = f"[{register.count(sensor)}]" if register.count(sensor) > 1 else ""
+        lines += [f"{indent}reg {{", f'{indent}  desc = "{doc}";']
+        for bits in register.bits:
+            use = RDL_FIELD.get(register.access, RDL_CLEARED if bits.clears else RDL_STATE)
+            value = reset >> bits.lsb & (1 << bits.width) - 1
+            where = f"[{bits.lsb + bits.width - 1}:{bits.lsb}]"
+            lines.append(f'{indent}  field {{ desc = "{bits.doc}"; {use} }} {bits.name}{where} = {value:#x};')
+        if not register.bits:
+            width = DATA_BITS if register.access in (Access.CONSTANT, Access.COUNTER) else bits_for(register.high(sensor))
+            lines.append(f"{indent}  field {{ {RDL_FIELD[register.access]} }} value[{width - 1}:0] = {reset:#x};")
+        lines.append(f"{indent}}} {register.name}{array} @ {register.offset:#x};")
     return lines
+
+
+def _ip_xact(rdl: str) -> str:
+    from peakrdl_ipxact import IPXACTExporter  # here, because simulations need the header's table but no compiler of it
+    from systemrdl import RDLCompiler
+
+    with tempfile.TemporaryDirectory(prefix="coincid-") as folder:
+        source, target = Path(folder) / RDL, Path(folder) / IP_XACT
+        source.write_text(rdl)
+        compiler = RDLCompiler()
+        compiler.compile_file(str(source))
+        IPXACTExporter(vendor="coincid", library="sensor", version="1.0").export(compiler.elaborate(), str(target), component_name=TOP)
+        return target.read_text()
 
 
 def _header(sensor: Sensor) -> str:

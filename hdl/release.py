@@ -1,19 +1,145 @@
-"""The folder of RTL that leaves the project: Verilog, file list, lint waivers, and the register map."""
+"""The folder of RTL that leaves the project: Verilog, its lists and constraints, a smoke test, the register map, a manifest."""
 
+import hashlib
+import json
 import shutil
 import tempfile
+from importlib.metadata import version
 from pathlib import Path
 
+from attrs import asdict
+
+from ..model import latency
 from ..model.errors import InputError
 from ..model.parameters import Sensor
-from .export import FILE_LIST, verilog_files
+from . import deserialiser
+from .export import FILE_LIST, fpga_files, verilog_files
 from .register_files import register_files
+from .sensor import FPGA_TOP, TOP, Port, has_fpga_top, netlist
+from .smoke import FPGA_SMOKE, SMOKE, phase_clock, smoke_test
 from .waivers import CONTROL_FILE, control_file
+
+MANIFEST, CORE, README = "manifest.json", f"{TOP}.core", "README.md"
+SILICON_MHZ, FPGA_MHZ = 500, 125  # the presets' clocks
+PORT_DELAY = 0.4                  # of a period, outside the ports
+UNCERTAINTY = 0.05                # of a period
+DERIVED = ("array_pixels", "subgroups", "pixels", "minigroups", "guard", "stamp_bits", "period_max")
+PER_TOP = {TOP: SMOKE, FPGA_TOP: FPGA_SMOKE}
+
+
+def clock_mhz(sensor: Sensor) -> int:
+    """The clock that the constraints ask for."""
+    return FPGA_MHZ if has_fpga_top(sensor) else SILICON_MHZ
 
 
 def release_files(sensor: Sensor) -> dict[str, str]:
     """File name -> text. Equal parameters give equal bytes."""
-    return verilog_files(sensor) | {CONTROL_FILE: control_file()} | register_files(sensor)
+    rtl = verilog_files(sensor)
+    lists = {TOP: rtl.pop(FILE_LIST).split()}
+    files = rtl | register_files(sensor) | {CONTROL_FILE: control_file()}
+    if has_fpga_top(sensor):
+        fpga = fpga_files(sensor)
+        files |= fpga
+        lists[FPGA_TOP] = [*(name for name in lists[TOP] if name != f"{TOP}.v"), *fpga]
+    for top, names in lists.items():
+        smoke = f"{PER_TOP[top]}.v"
+        files |= {
+            smoke: smoke_test(sensor, levels=top == FPGA_TOP), f"{PER_TOP[top]}.f": _list([*names, smoke]),
+            FILE_LIST if top == TOP else f"{top}.f": _list(names), f"{top}.sdc": _constraints(sensor, top),
+        }
+    files |= {CORE: _core(lists), README: _readme(sensor, lists)}
+    return dict(sorted(files.items())) | {MANIFEST: _manifest(sensor, lists, files)}
+
+
+def _list(names: list[str]) -> str:
+    return "".join(f"{name}\n" for name in names)
+
+
+def _constraints(sensor: Sensor, top: str) -> str:
+    period = 1000 / clock_mhz(sensor)
+    lines = [
+        f"# Timing of {top} at {clock_mhz(sensor)} MHz; times in ns.",
+        f"set period {period:g}", "create_clock -name clk -period $period [get_ports clk]",
+    ]
+    if top == FPGA_TOP:
+        lines.append("# Clock j of the deserialisers comes j ticks after clk, from the same PLL.")
+        for j in range(1, sensor.phases // 2):
+            rise = period * j / sensor.phases
+            edges = f"{{{rise:g} {rise + period / 2:g}}}"
+            lines.append(f"create_clock -name phase_{j} -period $period -waveform {edges} [get_ports {{{phase_clock(sensor, j)}}}]")
+    ports = [port for port in netlist(sensor, levels=top == FPGA_TOP).ports if port.name != "phase_clocks"]
+    timed = [Port("rst", 1, True), *(port for port in ports if not port.name.startswith("line_"))]
+    lines += [
+        f"set_clock_uncertainty [expr {UNCERTAINTY} * $period] [all_clocks]",
+        *(
+            f"set_{kind}_delay [expr {PORT_DELAY} * $period] -clock clk [get_ports {{{port.name}{'[*]' if port.width > 1 else ''}}}]"
+            for kind, is_input in (("input", True), ("output", False)) for port in timed if port.is_input is is_input
+        ),
+    ]
+    if top == FPGA_TOP:
+        lines += ["# SPADs know no clock: their levels are sampled, and pass two flip-flops before any logic."]
+        lines += [f"set_false_path -from [get_ports {{{port.name}[*]}}]" for port in ports if port.name.startswith("line_")]
+    return "\n".join(lines) + "\n"
+
+
+def _core(lists: dict[str, list[str]]) -> str:
+    """FuseSoC's description: RTL and lint, and the smoke test on Icarus and Verilator, for every top."""
+    sets, targets = [], []
+    for top, names in lists.items():
+        smoke = PER_TOP[top]
+        suffix = "" if top == TOP else "_fpga"
+        sets += [
+            f"  rtl{suffix}:", "    files:", *(f"      - {name}" for name in names), "    file_type: verilogSource",
+            f"  smoke{suffix}:", "    files:", f"      - {smoke}.v", "    file_type: verilogSource",
+        ]
+        targets += [
+            f"  {'default' if top == TOP else 'fpga'}:", f"    filesets: [rtl{suffix}]", f"    toplevel: {top}",
+            f"  lint{suffix}:", "    flow: lint", "    flow_options:", "      tool: verilator",
+            "      verilator_options: [-Wall, -fno-inline]", f"    filesets: [waivers, rtl{suffix}]", f"    toplevel: {top}",
+            f"  sim{suffix}:", "    flow: sim", "    flow_options:", "      tool: icarus", "      iverilog_options: [-g2005]",
+            f"    filesets: [rtl{suffix}, smoke{suffix}]", f"    toplevel: {smoke}",
+            f"  verilate{suffix}:", "    flow: sim", "    flow_options:", "      tool: verilator", "      mode: binary",
+            "      verilator_options: [--timing, -fno-inline]",
+            f"    filesets: [waivers, rtl{suffix}, smoke{suffix}]", f"    toplevel: {smoke}",
+        ]
+    return "\n".join([
+        "CAPI=2:", f"name: coincid:sensor:{TOP}:{version('coincid')}",
+        "description: SPAD direct time-of-flight sensor with coincidence detection", "", "filesets:",
+        "  waivers:", "    files:", f"      - {CONTROL_FILE}", "    file_type: vlt", *sets, "", "targets:", *targets, "",
+    ])
+
+
+def _readme(sensor: Sensor, lists: dict[str, list[str]]) -> str:
+    smoke = [f"    iverilog -g2005 -s {PER_TOP[top]} -o smoke.vvp -f {PER_TOP[top]}.f && vvp -n smoke.vvp" for top in lists]
+    smoke += [f"    verilator --binary -fno-inline --top-module {PER_TOP[top]} {CONTROL_FILE} -f {PER_TOP[top]}.f" for top in lists]
+    lint = [
+        f"    verilator --lint-only -Wall -fno-inline --top-module {top} {CONTROL_FILE} -f {FILE_LIST if top == TOP else f'{top}.f'}"
+        for top in lists
+    ]
+    tops = [f"* `{TOP}` takes a word of edges a cycle from every subgroup's SPADs: bit i * {sensor.phases} + k is pixel i, phase k."]
+    if FPGA_TOP in lists:
+        tops.append(
+            f"* `{FPGA_TOP}` takes the SPADs' levels, sampled by {sensor.phases // 2} clocks of one PLL, clk and `phase_clocks`. They come "
+            f"{deserialiser.CYCLES} cycles late: stamps are {deserialiser.CYCLES * sensor.phases} ticks too large, and so are gates."
+        )
+    return "\n".join([
+        f"# SPAD sensor of {sensor.rows} x {sensor.cols} pixels", "", *tops, "",
+        f"Parameters and hashes are in `{MANIFEST}`, registers in `registers.*`, constraints for {clock_mhz(sensor)} MHz in `*.sdc`.",
+        "Lint, and the smoke test, which prints PASS; no Python is needed:", "", *lint, *smoke, "",
+        f"With FuseSoC: `fusesoc --cores-root . run --target TARGET coincid:sensor:{TOP}`, targets lint, sim, verilate"
+        f"{', and the same with _fpga' if FPGA_TOP in lists else ''}.", "",
+    ])
+
+
+def _manifest(sensor: Sensor, lists: dict[str, list[str]], files: dict[str, str]) -> str:
+    return json.dumps({
+        "name": TOP, "version": version("coincid"), "tops": list(lists), "clock_mhz": clock_mhz(sensor),
+        "parameters": asdict(sensor),
+        "derived": {name: getattr(sensor, name) for name in DERIVED},
+        "latency_cycles": {name.lower(): value for name, value in vars(latency).items() if name.isupper()}
+        | ({"deserialiser": deserialiser.CYCLES} if FPGA_TOP in lists else {}),
+        "sha256": {name: hashlib.sha256(text.encode()).hexdigest() for name, text in sorted(files.items())},
+    }, indent=2) + "\n"
 
 
 def write_release(folder: Path, sensor: Sensor) -> list[Path]:

@@ -9,6 +9,7 @@ from amaranth.lib import wiring
 from attrs import define, field, frozen
 
 from ..model.parameters import Sensor
+from .deserialiser import PHASES_MAX, Deserialiser
 from .logic import any_of
 from .module import SensorModule
 from .readout import Readout
@@ -18,6 +19,7 @@ from .subgroup import own_ports
 from .unit import Unit
 
 TOP = "coincid_sensor"
+FPGA_TOP = "coincid_fpga"
 CORE = "coincid_core"
 COMBINE = {"or": " | ", "and": " & ", "cat": ", "}  # how a net is made of others; cat: first = lowest bits
 
@@ -57,8 +59,8 @@ class Netlist:
         self.joins[net] = operation, parts
 
 
-def netlist(sensor: Sensor) -> Netlist:
-    """The sensor's wiring."""
+def netlist(sensor: Sensor, levels: bool = False) -> Netlist:
+    """The sensor's wiring. `levels`: SPAD lines instead of edge words at the ports, and a deserialiser for every subgroup."""
     n = Netlist()
     subgroups = range(sensor.subgroups)
 
@@ -99,7 +101,13 @@ def netlist(sensor: Sensor) -> Netlist:
         name = sensor.stream_name(stream)
         inputs.append(f"{name}_tready")
         outputs += [f"{name}_tdata", f"{name}_tvalid", f"{name}_tlast"]
-    inputs += [f"spad_{s}" for s in subgroups]
+    if levels:
+        deserialiser = Deserialiser(sensor)
+        for s in subgroups:
+            n.add(f"deserialiser_{s}", deserialiser, lines=f"line_{s}", words=f"spad_{s}", clocks="phase_clocks")
+        inputs += ["phase_clocks", *(f"line_{s}" for s in subgroups)]
+    else:
+        inputs += [f"spad_{s}" for s in subgroups]
     n.ports = [Port(name, n.nets[name], True) for name in inputs] + [Port(name, n.nets[name], False) for name in outputs]
     return n
 
@@ -113,6 +121,18 @@ def verilog(sensor: Sensor) -> tuple[str, dict[str, Unit]]:
     n = netlist(sensor)
     what = f"SPAD sensor of {sensor.rows} x {sensor.cols} pixels: wiring of its blocks."
     return _module(TOP, what, n.ports, n.instances, n.nets, n.joins)
+
+
+def has_fpga_top(sensor: Sensor) -> bool:
+    """Whether SPAD lines can be sampled by clocks of an FPGA's PLL."""
+    return sensor.phases <= PHASES_MAX
+
+
+def fpga_verilog(sensor: Sensor) -> tuple[str, dict[str, Unit]]:
+    """The top module for an FPGA, and the units that it instantiates: the sensor behind deserialisers."""
+    n = netlist(sensor, levels=True)
+    what = f"SPAD sensor of {sensor.rows} x {sensor.cols} pixels behind deserialisers: wiring of its blocks."
+    return _module(FPGA_TOP, what, n.ports, n.instances, n.nets, n.joins)
 
 
 def core_verilog(sensor: Sensor) -> tuple[str, dict[str, Unit]]:

@@ -1,4 +1,4 @@
-"""Lint of the emitted Verilog: Verilator with every warning, less the waivers, and Icarus where it is installed."""
+"""Lint of the emitted Verilog and its test benches: Verilator with every warning, less the waivers, and Icarus where it is installed."""
 
 import os
 import shutil
@@ -6,27 +6,36 @@ import subprocess
 import tempfile
 from pathlib import Path
 
-from ..hdl.sensor import TOP
+from ..hdl.export import fpga_files
+from ..hdl.sensor import FPGA_TOP, TOP, has_fpga_top
+from ..hdl.smoke import FPGA_SMOKE, SMOKE, smoke_test
 from ..hdl.waivers import CONTROL_FILE, control_file
 from ..model.parameters import Sensor
 from . import toolchain
 from .rtl import rtl
 
+VERILATOR = ("--lint-only", "--timing", "-Wall", "-fno-inline", "--quiet-stats")
+
 
 def lint(sensor: Sensor) -> dict[str, str]:
     """Tool -> what it found in the Verilog of `sensor`, "" where that is nothing. Raises `ToolchainError`."""
-    sources = rtl(sensor)
-    folder, names = sources[0].parent, [path.name for path in sources]
-    with tempfile.NamedTemporaryFile("w", suffix=CONTROL_FILE) as control:
-        control.write(control_file())
-        control.flush()
-        options = ["--lint-only", "-Wall", "-fno-inline", "--quiet-stats", "--top-module", TOP]
-        found = {"verilator": _complaints([str(toolchain.verilator()), *options, control.name, *names], folder)}
-    if shutil.which("iverilog"):
-        found["icarus"] = _complaints(["iverilog", "-g2012", "-Wall", "-s", TOP, "-o", os.devnull, *names], folder)
+    files = {path.name: path.read_text() for path in rtl(sensor)}
+    tops = {TOP: {}, SMOKE: {f"{SMOKE}.v": smoke_test(sensor)}}
+    if has_fpga_top(sensor):
+        fpga = fpga_files(sensor)
+        tops |= {FPGA_TOP: fpga, FPGA_SMOKE: fpga | {f"{FPGA_SMOKE}.v": smoke_test(sensor, levels=True)}}
+    found = {"verilator": ""} | ({"icarus": ""} if shutil.which("iverilog") else {})
+    with tempfile.TemporaryDirectory(prefix="coincid-") as folder:
+        for top, more in tops.items():
+            names = [*(name for name in files if top not in (FPGA_TOP, FPGA_SMOKE) or name != f"{TOP}.v"), *more]
+            for name, text in (files | more | {CONTROL_FILE: control_file()}).items():
+                (Path(folder) / name).write_text(text)
+            found["verilator"] += _complaints([str(toolchain.verilator()), *VERILATOR, "--top-module", top, CONTROL_FILE, *names], folder)
+            if "icarus" in found:
+                found["icarus"] += _complaints(["iverilog", "-g2005", "-Wall", "-s", top, "-o", os.devnull, *names], folder)
     return found
 
 
-def _complaints(command: list[str], folder: Path) -> str:
+def _complaints(command: list[str], folder: str) -> str:
     done = subprocess.run(command, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, check=False)
     return done.stdout or (f"exit code {done.returncode}\n" if done.returncode else "")
