@@ -1,6 +1,6 @@
 """What is fixed when the sensor is built: sizes, phases, and everything that follows from them."""
 
-from attrs import field, frozen
+from attrs import Factory, field, frozen
 
 from .errors import InputError, check_integer
 
@@ -24,8 +24,10 @@ MINIGROUP_PIXELS = (1, 16)
 SUBGROUPS_MAX = 4096       # the header's subgroup field has 12 bits
 
 
-def _limited(name: str):
-    default, low, high = SIZE_LIMITS[name]
+def _limited(name: str, fits=None):
+    """A size with default and range of `SIZE_LIMITS`. fits: the highest default that the fields before it allow."""
+    highest_default, low, high = SIZE_LIMITS[name]
+    default = Factory(lambda self: min(highest_default, fits(self)), takes_self=True) if fits else highest_default
     return field(default=default, validator=lambda _, attribute, value: check_integer(f"sensor.{attribute.name}", value, low, high))
 
 
@@ -38,11 +40,16 @@ def bits_for(highest: int) -> int:
     return max(1, int(highest).bit_length())
 
 
+def _phase_bits(phases) -> int:
+    return bits_for(phases - 1) if type(phases) is int else 0
+
+
 @frozen(kw_only=True)
 class Sensor:
     """Parameters of the sensor as built. Raises `InputError` that names the parameter and its range.
 
-    rows, cols: SPADs. phases: ticks (TDC LSBs) of a clock cycle, a power of two. coarse_bits: width of the TDC's coarse counter.
+    rows, cols: SPADs. phases: ticks (TDC LSBs) of a clock cycle, a power of two. coarse_bits: width of the TDC's coarse counter
+    (default: 10, or what fits a stamp beside the phases).
     window_max: longest coincidence window in ticks. rearm: cycles R between the cycle a window closes in and the tree's re-arming.
     fifo_depth: events a subgroup's FIFO holds. streams: AXI4-Streams. subgroup, minigroup: rows x cols in SPADs.
     """
@@ -50,7 +57,7 @@ class Sensor:
     rows: int = _limited("rows")
     cols: int = _limited("cols")
     phases: int = _limited("phases")
-    coarse_bits: int = _limited("coarse_bits")
+    coarse_bits: int = _limited("coarse_bits", fits=lambda self: STAMP_FIELD_BITS - _phase_bits(self.phases))
     window_max: int = _limited("window_max")
     rearm: int = _limited("rearm")
     fifo_depth: int = _limited("fifo_depth")
@@ -72,7 +79,7 @@ class Sensor:
             if outer[0] % size[0] or outer[1] % size[1]:
                 raise InputError(f"sensor.{name} = {list(size)}: must divide {outer_name} = {list(outer)} without rest")
         if self.stamp_bits > STAMP_FIELD_BITS:
-            highest = STAMP_FIELD_BITS - bits_for(self.phases - 1)
+            highest = STAMP_FIELD_BITS - _phase_bits(self.phases)
             raise InputError(f"sensor.coarse_bits = {self.coarse_bits}: must be an integer from 3 to {highest} with {self.phases} phases")
         if self.offset_max >= OFFSET_NONE:
             highest = (OFFSET_NONE - 1) * self.quarter_ticks - self.phases + 1 + self.quarter_ticks

@@ -9,7 +9,7 @@ from coincid.model.config import parse_config
 from coincid.model.edges import Edges
 from coincid.model.golden import Fate, Golden
 from coincid.model.latency import COMMIT
-from coincid.model.parameters import OFFSET_NONE
+from coincid.model.parameters import OFFSET_NONE, STAMP_FIELD_BITS
 from coincid.model.result import golden_result
 
 from .cases import READY_KINDS, SENSORS, configurations, ready_pattern, trouble
@@ -97,3 +97,9 @@ def test_abort_is_a_shorter_frame():
     aborted = Golden(config.sensor).frame(config, of_four, pulses=4)
     whole = Golden(config.sensor).frame(config.with_frame(pulses=4), of_four)
     assert all(np.array_equal(a, b) for a, b in zip(aborted.beats, whole.beats))
+
+
+@pytest.mark.parametrize("phases", [4, 8, 16, 32, 64])
+def test_a_stamp_fits_beside_any_phases(phases):
+    sensor = parse_config({"sensor": {"phases": phases}}).sensor
+    assert sensor.coarse_bits == min(10, STAMP_FIELD_BITS - sensor.phase_bits)
