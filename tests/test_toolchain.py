@@ -1,5 +1,6 @@
 """Builds and runs of a toy design on both simulators, and what goes wrong."""
 
+import errno
 import multiprocessing
 import os
 import shutil
@@ -12,7 +13,8 @@ from pathlib import Path
 import pytest
 
 from coincid.model.errors import InputError
-from coincid.tb import toolchain
+from coincid.model.parameters import Sensor
+from coincid.tb import batch, toolchain
 from coincid.tb.system import MissingPackagesError, system_packages
 
 TOY = """
@@ -174,6 +176,77 @@ def test_failed_build_is_no_build(tmp_path, error):
     made = toolchain.build_once(tmp_path / "thing", lambda scratch: (scratch / "content").write_text("whole"))
     assert (made / "content").read_text() == "whole"
     assert not list(tmp_path.glob("*.part*"))
+
+
+def stand_in_compilers(calls, first_hangs=False):
+    """In place of `compile_in`: notes its program, and leaves what that one would. The first call may never return."""
+
+    def compile_in(cwd, log, command):
+        program = Path(command[0]).name
+        with calls.open("a") as file:
+            file.write(f"{program} {'-shared' in command}\n")
+        if first_hangs and len(calls.read_text().splitlines()) == 1:
+            time.sleep(60)
+        time.sleep(0.05)
+        for name in command:
+            if name.endswith(".a") and program == "make":
+                (cwd / name).write_text("archive")
+        if "-shared" in command:
+            assert all(Path(name).read_text() == "archive" for name in command if name.endswith(".a"))
+            (cwd / batch.LIBRARY).write_text("library")
+
+    return compile_in
+
+
+def test_batch_library_is_built_once_whoever_wants_it_and_whoever_is_killed(tmp_path, empty_build_root, monkeypatch):
+    (tmp_path / "source.v").write_text("module; endmodule")
+    monkeypatch.setattr(batch, "rtl_in_two", lambda sensor: ([tmp_path / "source.v"], [tmp_path / "source.v"]))
+    toolchain.verilator()
+    fork = multiprocessing.get_context("fork")
+
+    def work(name, first_hangs=False):
+        monkeypatch.setattr(toolchain, "compile_in", stand_in_compilers(tmp_path / name, first_hangs))
+        assert batch.build_library(Sensor(rows=8, cols=16)).read_text() == "library"
+
+    killed = fork.Process(target=work, args=("killed", True))
+    killed.start()
+    while not (tmp_path / "killed").exists():
+        assert killed.is_alive()
+        time.sleep(0.01)
+    killed.kill()
+    killed.join()
+    processes = [fork.Process(target=work, args=("calls",)) for _ in range(4)]
+    for process in processes:
+        process.start()
+    for process in processes:
+        process.join()
+    assert [process.exitcode for process in processes] == [0] * 4
+    calls = (tmp_path / "calls").read_text().splitlines()
+    assert sorted(calls) == ["g++ True", "make False", "make False", "verilator False", "verilator False"]
+    assert not list(empty_build_root.rglob("*.part*"))
+
+
+@pytest.mark.parametrize("error", [OSError(errno.ENOSPC, "No space left on device"), OSError(errno.EROFS, "Read-only file system", "x.v"),
+                                   shutil.Error([("a", "b", "[Errno 28] No space left on device: 'b'")])], ids=repr)
+def test_file_system_that_refuses_is_one_line(error, tmp_path):
+    def make(scratch):
+        raise error
+
+    with pytest.raises(InputError, match=r"\Abuild directory .*(No space left|Read-only).*COINCID_BUILD.*\Z"):
+        toolchain.build_once(tmp_path / "thing", make)
+    assert not [path for path in tmp_path.iterdir() if path.is_dir()]
+
+
+def test_compiler_on_a_full_disk_is_one_line(tmp_path):
+    command = [sys.executable, "-c", "import sys; sys.exit('cc1plus: fatal error: error writing to x.s: No space left on device')"]
+    with pytest.raises(InputError, match=r"\A.*No space left on device, in .*COINCID_BUILD and TMPDIR.*\Z"):
+        toolchain.compile_in(tmp_path, tmp_path / "log", command)
+
+
+def test_missing_verilator_is_named(empty_build_root, monkeypatch):
+    monkeypatch.setitem(sys.modules, "verilator", None)
+    with pytest.raises(InputError, match=r"\A.*package verilator is missing; run: scripts/setup\Z"):
+        toolchain.verilator()
 
 
 def test_build_root_is_settable_and_must_be_writable(tmp_path, monkeypatch):
