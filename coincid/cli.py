@@ -305,6 +305,20 @@ def compare(out: Annotated[Path, typer.Option(metavar="DIR", help="Folder of the
 
 
 @app.command()
+def bandwidth(
+    klux: Annotated[list[float] | None, typer.Option(help="Background light in klux; repeatable.", show_default=False)] = None,
+    threshold: Annotated[list[int] | None, typer.Option(help="Coincidence threshold; repeatable.", show_default=False)] = None,
+    size: Annotated[list[str] | None, typer.Option(help="32x32, 64x64, 256x128; repeatable.", show_default=False)] = None,
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder of the CSV, the table and the plot.")] = Path("build/bandwidth"),
+):
+    """Study the readout: beats a frame, streams needed, what is lost with fewer, estimated and by the golden model."""
+    from coincid.model.bandwidth import TABLE, study, write_study
+
+    write_study(_folder(out), study(klux, threshold, size, tell=console.print))
+    print((out / TABLE).read_text(), end="")
+
+
+@app.command()
 def bench(
     out: Annotated[Path, typer.Option(metavar="FILE", help="JSON, flat keys; a Markdown table goes beside it.")] = Path("build/bench.json"),
     repeats: Annotated[int, typer.Option(metavar="N", help="Rounds that the medians are of.")] = 5,
