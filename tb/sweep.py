@@ -16,6 +16,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from attrs import frozen
 from distributed import Client, LocalCluster, as_completed
+from distributed.client import FutureCancelledError
 from distributed.comm import backends, parse_address, parse_host_port
 from distributed.scheduler import KilledWorker
 from filelock import FileLock, Timeout
@@ -180,18 +181,18 @@ def results(points: list[Point], client: Client) -> Iterator[tuple[Point, dict |
     expected, scenes, running = versions(), {}, {}
     for point in points:
         # A task of its own: sent once, and made again where the worker that held it is lost.
-        scene = scenes.get(id(point.scene)) or client.submit(_itself, point.scene)
+        scene = scenes.get(id(point.scene)) or client.submit(_itself, point.scene, pure=False)
         scenes[id(point.scene)] = scene
-        task = client.submit(run_point, point.settings, point.document, scene, expected, key=f"coincid-{point.key}")
-        running[task] = point
+        running[client.submit(run_point, point.settings, point.document, scene, expected, pure=False)] = point
     for task in as_completed(list(running), loop=client.loop):
         point = running.pop(task)
-        if task.status in ("cancelled", "lost"):
-            raise SchedulerLost("the Dask scheduler is gone; finished points are kept: start the sweep again")
-        if task.status == "error":
-            yield point, None, _reason(task.exception())
-        else:
-            yield point, task.result(), ""
+        try:
+            found, why = task.result(), ""  # which runs again where the worker that still held it is lost
+        except FutureCancelledError:
+            raise SchedulerLost("the Dask scheduler is gone; finished points are kept: start the sweep again") from None
+        except Exception as error:
+            found, why = None, _reason(error)
+        yield point, found, why
 
 
 def _itself(scene: Scene) -> Scene:

@@ -156,7 +156,10 @@ def _point(document: dict, axes: list[dict[str, list]], at: tuple[int, ...], sce
     document, values = dict(document), {name: listed[i] for axis, i in zip(axes, at) for name, listed in axis.items()}
     for name, value in values.items():
         table, dot, key = name.partition(".")
-        document[table] = document.get(table, {}) | {key: value} if dot else value
+        if not dot:
+            document[name] = value
+        elif isinstance(document.setdefault(table, {}), dict):  # else `parse_config` says what is wrong
+            document[table] = document[table] | {key: value}
     name = " ".join(f"{name}={_shown(value)}" for name, value in values.items()) or "the only point"
     try:
         document = _resolved(document)
