@@ -112,6 +112,7 @@ SCHEMES: dict[str, Callable[[Shot], Found]] = {
     "this, pooled": lambda shot: _this(shot, {}, source="subgroup"),
     "this, minigroups": lambda shot: _this(shot, {}, source="minigroup", minigroup_records=1),
     "winner, joint": lambda shot: _this(shot, {"coincidence": False}, method="joint"),
+    "this, fixed, joint": lambda shot: _this(shot, {}, method="joint"),
     "this, joint": lambda shot: _this(shot, {"auto": True}, method="joint"),
 }
 

@@ -7,6 +7,7 @@ import math
 
 import numpy as np
 from attrs import frozen
+from numba import njit
 
 from .config import Config
 from .errors import InputError, check_integer
@@ -23,6 +24,7 @@ REFERENCE_REFLECTIVITY = 0.4
 NEAREST_M = 0.05                        # of a scene: the signal grows without bound towards 0
 SIGNAL_MAX = 1e4                        # photons of a pixel and pulse
 RATE_MAX_CPS = 1e12
+LFSR_BITS, LFSR_TAPS = 16, 0xB400       # of the dither
 
 def background_cps(klux: float) -> float:
     """Detected background of a pixel in counts per second at `klux` of ambient light: our preset, linear."""
@@ -70,16 +72,19 @@ class Timing:
     """Clock and TDC. clock_hz, phases: tick_s = 1 / (clock_hz * phases). period_cycles: laser period.
 
     tap_width_lsb: widths of the TDC's phases, float64[phases] that sum to `phases`; None = all 1.
+    dither_bits: after the period of each pulse the next trigger waits for 0 to 2^dither_bits - 1 cycles more (`dither_cycles`).
     """
 
     clock_hz: float = real(500e6, 1)
     phases: int = 32
     period_cycles: int = 250
     tap_width_lsb: np.ndarray | None = None
+    dither_bits: int = 0
 
     def __attrs_post_init__(self):
         check_integer("phases", self.phases, 1, 1024)
         check_integer("period_cycles", self.period_cycles, 1, 1 << 20)
+        check_integer("dither_bits", self.dither_bits, 0, LFSR_BITS)
         if self.tap_width_lsb is not None:
             total = real_array("tap_width_lsb", self.tap_width_lsb, (self.phases,), 0).sum()
             if abs(total - self.phases) > 1e-9 * self.phases:
@@ -102,6 +107,42 @@ class Timing:
     def period_s(self) -> float:
         return self.period_cycles / self.clock_hz
 
+    def start_cycles(self, pulses: int) -> np.ndarray:
+        """int64[pulses + 1]: when each pulse's period begins, in cycles from the first one's on."""
+        return np.r_[0, np.cumsum(self.period_cycles + dither_cycles(pulses, self.period_cycles, self.dither_bits))]
+
+
+@njit(cache=True)
+def dither_cycles(pulses, period_cycles, bits):
+    """int64[pulses]: the wait after each pulse's period, the low bits of a 16-bit LFSR at the period's end.
+
+    The register (x^16 + x^14 + x^13 + x^11 + 1) begins at 1 and steps once a cycle of the periods, not while waiting.
+    """
+    state, waits = 1, np.zeros(pulses, np.int64)
+    if bits == 0:
+        return waits
+    for pulse in range(pulses):
+        for _ in range(period_cycles):
+            state = state >> 1 ^ (LFSR_TAPS if state & 1 else 0)
+        waits[pulse] = state & ((1 << bits) - 1)
+    return waits
+
+
+@frozen(kw_only=True, eq=False)
+class Interferer:
+    """Another LiDAR whose pulses reach the sensor.
+
+    photons_per_pulse: detected of each of its pulses, a number or float64[pixels]. period_s: its own laser period. phase_s: from
+    our first trigger to the arrival of its first pulse; pulses before that came, too. delay_s: added for each pixel, a number or
+    float64[pixels]. fwhm_s: of its pulse.
+    """
+
+    photons_per_pulse: float | np.ndarray
+    period_s: float = real(500e-9, 1e-9)
+    phase_s: float = real(0.0, 0)
+    delay_s: float | np.ndarray = 0.0
+    fwhm_s: float = real(490e-12, 0)
+
 
 @frozen(kw_only=True, eq=False)
 class Light:
@@ -112,7 +153,7 @@ class Light:
     system_fwhm_s: float64[pixels, targets], FWHM of the signal at the TDC's input: laser pulse and SPAD jitter
     together, squares added, so the laser pulse is sqrt(system_fwhm_s^2 - jitter_fwhm_s^2).
     range_ambiguity: light from beyond the laser period falls into a later period (the laser is taken to run before the
-    first pulse); False = it is lost.
+    first pulse); False = it is lost. interferer: another LiDAR, or None.
     """
 
     rows: int
@@ -122,6 +163,7 @@ class Light:
     background_cps: np.ndarray = 0.0
     system_fwhm_s: float | np.ndarray = 500e-12
     range_ambiguity: bool = True
+    interferer: Interferer | None = None
 
     def __attrs_post_init__(self):
         check_integer("rows", self.rows, 1, 4096)

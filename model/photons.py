@@ -5,8 +5,8 @@ Ref: paper II and IV (SPAD, laser pulse); the effects that the paper leaves out,
 Order of the effects, per pixel and laser pulse:
 
 1. photons that would fire the SPAD: background and dark counts (uniform), signal (a Gaussian pulse around the time of
-   flight, modulo the laser period), carriers trapped by earlier avalanches (afterpulses), photons from avalanches of
-   neighbours (crosstalk);
+   flight, modulo the laser period), another LiDAR's pulses, carriers trapped by earlier avalanches (afterpulses), photons
+   from avalanches of neighbours (crosstalk);
 2. SPAD gate: outside it nothing happens;
 3. dead time, carried on from pulse to pulse: which photons become avalanches;
 4. jitter of the avalanche's edge, modulo the laser period;
@@ -30,11 +30,12 @@ from numba import njit
 from .counter_random import exponential, key_of, normal, open_unit, uniform
 from .edges import Edges
 from .errors import InputError, check_integer
-from .light import SIGMA_PER_FWHM, SPEED_OF_LIGHT_M_S, Light, Spad, SpadGate, Timing
+from .light import SIGMA_PER_FWHM, SIGNAL_MAX, SPEED_OF_LIGHT_M_S, Interferer, Light, Spad, SpadGate, Timing
 from .quantities import real_array
 
 CHUNK_EDGES = 1 << 16  # edges made and sorted at a time: fits a core's cache
 PULSES_MAX = 1 << 40
+DITHERED_PULSES_MAX = 1 << 24  # whose starts are kept
 CARRIERS_MAX = 32      # trapped carriers of a pixel that outlive their pulse; more are lost
 
 
@@ -56,7 +57,7 @@ def edge_chunks(light: Light, spad: Spad, timing: Timing, *, pulses: int, seed: 
     check_integer("pulse_start", pulse_start, 0, PULSES_MAX)
     check_integer("seed", seed, 0, (1 << 64) - 1)
     check_integer("workers", workers, 1, 256)
-    physics, arrays = _in_ticks(light, spad, timing, gate)
+    physics, arrays = _in_ticks(light, spad, timing, gate, pulse_start + pulses)
     edges_per_pulse = physics.edges_per_pulse(arrays)
     packing = _Packing((light.pixels - 1).bit_length(), (timing.period_ticks - 1).bit_length())
     if chunk_pulses is None:
@@ -110,18 +111,27 @@ class _Physics(NamedTuple):
     gate_every: int
     gate_steps: int
     frame_pulses: int
+    other_period: float
+    other_sigma: float
 
     def edges_per_pulse(self, arrays: "_Arrays") -> np.ndarray:
         """Expected edges of each pixel in a period, about (from above): sizes buffers and nothing else."""
-        photons = (arrays.noise + arrays.signal.sum(axis=1)) * (1 + 2 * self.afterpulse + 4 * self.crosstalk)
+        photons = arrays.noise + arrays.signal.sum(axis=1) + arrays.other * self.others_per_pulse
+        photons *= 1 + 2 * self.afterpulse + 4 * self.crosstalk
         return np.minimum(photons, self.period / self.dead + 1) if self.dead else photons
+
+    @property
+    def others_per_pulse(self) -> float:
+        """Pulses of another LiDAR in a period, at most."""
+        return self.period / self.other_period + 1 if self.other_period else 0.0
 
 
 class _Arrays(NamedTuple):
     """Arrays of the walk: noise [pixels], signal [pixels, targets] in photons a period; the others in ticks.
 
-    centre, sigma: [pixels, targets]. gate_start, gate_len, gate_step: [pixels]. taps: inner borders of the phases,
-    empty = ideal.
+    centre, sigma: [pixels, targets]; laps: whole periods of the flight, [pixels, targets]. gate_start, gate_len, gate_step:
+    [pixels]. taps: inner borders of the phases, empty = ideal. other, other_first: photons of another LiDAR's pulse, and when
+    the first came, [pixels]. starts: of the pulses' periods, empty = one after the other.
     """
 
     noise: np.ndarray
@@ -132,9 +142,13 @@ class _Arrays(NamedTuple):
     gate_len: np.ndarray
     gate_step: np.ndarray
     taps: np.ndarray
+    laps: np.ndarray
+    other: np.ndarray
+    other_first: np.ndarray
+    starts: np.ndarray
 
 
-def _in_ticks(light: Light, spad: Spad, timing: Timing, gate: SpadGate | None) -> tuple[_Physics, _Arrays]:
+def _in_ticks(light: Light, spad: Spad, timing: Timing, gate: SpadGate | None, pulse_stop: int) -> tuple[_Physics, _Arrays]:
     """Seconds, metres and rates to ticks and photons per period."""
     tick_s, period_ticks, pixels = timing.tick_s, timing.period_ticks, light.pixels
     rate_cps = light.background_cps + real_array("dark_cps", spad.dark_cps, (pixels,), 0)
@@ -149,6 +163,9 @@ def _in_ticks(light: Light, spad: Spad, timing: Timing, gate: SpadGate | None) -
         real_array(name, getattr(gate, name), (pixels,), 0, timing.period_cycles) * timing.phases
         for name in ("start_cycles", "len_cycles", "step_cycles")
     )
+    other = light.interferer or Interferer(photons_per_pulse=0.0)
+    if timing.dither_bits:
+        check_integer("pulses", pulse_stop, 0, DITHERED_PULSES_MAX, "with dither")
     physics = _Physics(
         period=float(period_ticks),
         phases=timing.phases,
@@ -165,6 +182,8 @@ def _in_ticks(light: Light, spad: Spad, timing: Timing, gate: SpadGate | None) -
         gate_every=gate.every_pulses,
         gate_steps=gate.steps,
         frame_pulses=gate.frame_pulses,
+        other_period=other.period_s / tick_s if light.interferer else 0.0,
+        other_sigma=other.fwhm_s * SIGMA_PER_FWHM / tick_s,
     )
     arrays = _Arrays(
         noise=rate_cps * timing.period_s,
@@ -175,6 +194,10 @@ def _in_ticks(light: Light, spad: Spad, timing: Timing, gate: SpadGate | None) -
         gate_len=gate_len,
         gate_step=gate_step,
         taps=np.empty(0) if timing.tap_width_lsb is None else np.cumsum(timing.tap_width_lsb, dtype=np.float64)[:-1],
+        laps=(flight_ticks // period_ticks).astype(np.int64),
+        other=real_array("photons_per_pulse", other.photons_per_pulse, (pixels,), 0, SIGNAL_MAX),
+        other_first=(other.phase_s + real_array("delay_s", other.delay_s, (pixels,), 0)) / tick_s,
+        starts=timing.start_cycles(pulse_stop) * float(timing.phases) if timing.dither_bits else np.empty(0),
     )
     return physics, arrays
 
@@ -185,7 +208,7 @@ class _Walker:
     def __init__(self, physics, arrays, block, seed, packing, edges_per_pulse):
         self.physics, self.arrays, self.block, self.packing = physics, arrays, block, packing
         self.seed, self.edges_per_pulse = np.uint64(seed), edges_per_pulse
-        brightest = (arrays.noise + arrays.signal.sum(axis=1)).max()
+        brightest = (arrays.noise + arrays.signal.sum(axis=1) + arrays.other * physics.others_per_pulse).max()
         self.photons_max = int(brightest + 12 * math.sqrt(brightest)) + 64  # exceeded about never: then doubled
         pixels = block[1] - block[0]
         fresh = np.zeros(pixels), np.full((pixels, CARRIERS_MAX if physics.afterpulse else 0), np.inf)
@@ -208,7 +231,7 @@ class _Walker:
                 return keys[:n], times[:n]
 
 
-GAP, SOURCE, SHAPE, JITTER, TAIL_SHARE, TAIL, TRAP, RELEASE, CROSSTALK = range(1, 10)  # purposes of random numbers
+GAP, SOURCE, SHAPE, JITTER, TAIL_SHARE, TAIL, TRAP, RELEASE, CROSSTALK, OTHER, OTHER_SHAPE = range(1, 12)  # purposes of random numbers
 POISSON_MEAN_MAX = 64.0  # a brighter pixel's count is drawn in parts, each by inversion of its law
 LAW_SIZE = 256
 GAPS_FROM = 24.0         # photons of noise in a period from which on they come in order of time, by exponential gaps
@@ -226,6 +249,7 @@ def _walk(physics, arrays, block, seed, packing, span, received, sending, ready,
     pixel_bits, tick_bits = packing
     received_where, received_time = received
     signals, centre, sigma, taps = arrays.signal, arrays.centre, arrays.sigma, arrays.taps
+    laps, starts = arrays.laps, arrays.starts
     period, last_target = physics.period, signals.shape[1] - 1
     law, done = np.empty(LAW_SIZE), 0
     for pixel in range(block[0], block[1]):
@@ -266,7 +290,13 @@ def _walk(physics, arrays, block, seed, packing, span, received, sending, ready,
                     while target < last_target and mark >= signals[pixel, target]:
                         mark -= signals[pixel, target]
                         target += 1
-                    t = _modulo(centre[pixel, target] + sigma[pixel, target] * normal(key, SHAPE, i), period)
+                    t = centre[pixel, target] + sigma[pixel, target] * normal(key, SHAPE, i)
+                    if starts.size and laps[pixel, target]:  # of an earlier pulse, whose distance in time varies
+                        emitted = max(pulse - laps[pixel, target], 0)
+                        t += (pulse - emitted) * period - (starts[pulse] - starts[emitted])
+                        if not 0 <= t < period:
+                            continue
+                    t = _modulo(t, period)
                 if count <= INSERTION_MAX:
                     n = _insert(photons, n, t)
                 else:
@@ -274,6 +304,21 @@ def _walk(physics, arrays, block, seed, packing, span, received, sending, ready,
                     n += 1
             if count > INSERTION_MAX:
                 photons[:n].sort()
+            begin = starts[pulse] if starts.size else pulse * period
+            gap = starts[pulse + 1] - begin - period if starts.size else 0.0
+            if physics.other_period > 0:
+                drawn = 0
+                t = -_modulo(begin - arrays.other_first[pixel], physics.other_period)  # the last pulse before the period: its tail
+                while t < period:
+                    sum_of_gaps = exponential(key, OTHER, drawn)
+                    while sum_of_gaps < arrays.other[pixel]:
+                        at = t + physics.other_sigma * normal(key, OTHER_SHAPE, drawn)
+                        if 0 <= at < period:
+                            n = _insert(photons, n, at)
+                        drawn += 1
+                        sum_of_gaps += exponential(key, OTHER, drawn)
+                    drawn += 1
+                    t += physics.other_period
             if physics.afterpulse > 0:
                 for slot in range(CARRIERS_MAX):
                     if carriers[local, slot] < period:
@@ -324,7 +369,12 @@ def _walk(physics, arrays, block, seed, packing, span, received, sending, ready,
                 fired += 1
             if n >= photons.size:
                 return -1
-            alive_at = max(alive_at - period, 0.0)
+            alive_at = max(alive_at - period - gap, 0.0)
+            if gap > 0 and physics.afterpulse > 0:  # carriers released meanwhile are lost
+                for slot in range(CARRIERS_MAX):
+                    carriers[local, slot] -= gap
+                    if carriers[local, slot] < 0:
+                        carriers[local, slot] = np.inf
         ready[local] = alive_at
     return done
 

@@ -5,7 +5,7 @@ from functools import partial
 from pathlib import Path
 
 from ..plot_style import style
-from . import architect, light, reconstruction, rivals, thresholds, validity
+from . import architect, interference, light, reconstruction, rivals, thresholds, validity
 from .cases import Engine, Progress, Runner
 from .page import Section, write_page, write_section
 
@@ -15,7 +15,8 @@ the golden model; pictures link to SVG. Light of the presets: 1.226e6 background
 signal photons per pulse and pixel at 4 m and 40 %. The scene's objects have the paper's ranges of distance and reflectivity;
 where they stand is our choice. Numbers that we chose to fit the paper are called fitted.</p>"""
 
-COMPARISON = (rivals.background, rivals.built_in, rivals.ranging, rivals.two_targets, rivals.retroreflector)
+COMPARISON = (rivals.background, rivals.built_in, rivals.ranging, rivals.two_targets, rivals.retroreflector,
+              interference.interference)
 RIVALS_TITLE = "Coincid: other schemes on the same photons"
 RIVALS_INTRODUCTION = """<p>Every scheme sees the same edges: macro-pixels of 8 x 8, 100 laser pulses, window 1 ns, threshold 3 where it
 has one, a matched filter on every pixel's histogram; words go through 16 places a subgroup and one stream of 64 bit a cycle,

@@ -21,16 +21,18 @@ DISTANCES_M, RANGE_KLUX, RANGE_REFLECTIVITY = (2.0, 5.0, 10.0, 15.0, 20.0, 25.0,
 DETECTED_M = 0.15                          # of the truth: within one window
 THRESHOLDS = (2, 3, 4, 5)                  # of the plot of bits
 WITH_THRESHOLD = ("sliding window", "fixed windows", "this, fixed")
-NEAR_M, STEPS_M, TWO_KLUX = 5.0, (0.05, 0.10, 0.15, 0.2, 0.3, 0.4, 0.6, 1.0), 20.0
+NEAR_M, TWO_KLUX = 5.0, 20.0
+STEPS_M = (0.08, 0.10, 0.12, 0.15, 0.2, 0.3, 0.4, 0.6, 1.0)  # above twice the tolerance: else a depth between both is right
 GAINS, BEHIND_M = (1.0, 10.0, 100.0, 1000.0), (0.3, 3.0)  # of the sign against white; of the dark target behind it
-SIGN_M, DARK, SIGN, STRAY, RETRO_KLUX = 10.0, 0.08, slice(12, 20), 1e-3, 20.0
+SIGN_M, DARK, SIGN, STRAY, RETRO_KLUX = 6.0, 0.1, slice(12, 20), 1e-3, 20.0
 AROUND_SIGN = slice(8, 24)                 # the four subgroups that see it
 
 STYLES = {
     "winner takes all": ("#999999", "-", "o"), "winner, joint": ("#999999", "--", "o"), "sliding window": ("#1f78b4", "-", "s"),
     "fixed windows": ("#a6cee3", "-", "D"), "last hit": ("#b2df8a", "-", "v"), "photon counts": ("#6a3d9a", "-", "^"),
     "count-weighted": ("#cab2d6", "-", "<"), "this, fixed": ("#fb9a99", "-", "P"), "this, controller": ("#e31a1c", "-", "X"),
-    "this, pooled": ("#fb9a99", ":", "p"), "this, minigroups": ("#ff7f00", "-", ">"), "this, joint": ("#e31a1c", "--", "*"),
+    "this, pooled": ("#fdbf6f", "-", "p"), "this, minigroups": ("#ff7f00", "-", ">"), "this, fixed, joint": ("#fb9a99", "--", "h"),
+    "this, joint": ("#e31a1c", "--", "*"),
 }
 Task = tuple[Light, int, int, tuple[str, ...]]  # seed, threshold, schemes
 
@@ -94,7 +96,7 @@ def built_in(run: Runner) -> Section:
             shares.append(np.mean([_wrong_any(depth[:, :, :1], scene.distance_m) for depth in depths]))
             second = np.mean([_both(depth, scene.distance_m) for depth in depths]) if scene.distance_m.shape[2] > 1 else ""
             rows.append((name, scheme, float(shares[-1]), second, float(np.mean([one[scheme].bits for one in table[name]]))))
-        axis.bar(np.arange(len(BUILT_IN)) + (k - len(SCHEMES) / 2 + 0.5) / 13, shares, 1 / 13, color=STYLES[scheme][0], label=scheme,
+        axis.bar(np.arange(len(BUILT_IN)) + (k - len(SCHEMES) / 2 + 0.5) / 15, shares, 1 / 15, color=STYLES[scheme][0], label=scheme,
                  hatch="//" if STYLES[scheme][1] == "--" else None, edgecolor="white", linewidth=0)
     axis.set_xticks(range(len(BUILT_IN)), labels=BUILT_IN)
     axis.set(ylabel="share of wrong pixels", title=f"{BUILT_IN_KLUX:g} klux", ylim=(0, 1))
