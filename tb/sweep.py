@@ -94,8 +94,8 @@ def run_point(settings: dict, document: dict, scene: Scene, expected: dict) -> d
 
     Raises `RuntimeError` if `versions` are not as `expected`: the worker would give other numbers than the others.
     """
-    if versions() != expected:
-        raise RuntimeError(f"the worker's versions are not the sweep's: {versions()}, {expected}")
+    if (own := versions(settings["engine"])) != expected:
+        raise RuntimeError(f"the worker's versions are not the sweep's: {own}, {expected}")
     config = parse_config(document)
     edges = generate_edges(**photons_of(settings, config, scene))
     arrays, last = replay(settings["engine"], config, edges), config.frames - 1
@@ -178,11 +178,12 @@ def _check_address(scheduler: str) -> None:
 
 def results(points: list[Point], client: Client) -> Iterator[tuple[Point, dict | None, str]]:
     """Runs points on the client's workers; yields each as it comes, with its measures, or with None and why. Raises `SchedulerLost`."""
-    expected, scenes, running = versions(), {}, {}
+    scenes, running = {}, {}
     for point in points:
         # A task of its own: sent once, and made again where the worker that held it is lost.
         scene = scenes.get(id(point.scene)) or client.submit(_itself, point.scene, pure=False)
         scenes[id(point.scene)] = scene
+        expected = versions(point.settings["engine"])
         running[client.submit(run_point, point.settings, point.document, scene, expected, pure=False)] = point
     for task in as_completed(list(running), loop=client.loop):
         point = running.pop(task)
@@ -227,7 +228,8 @@ def write_table(path: Path, spec: Spec, found: dict[str, dict]) -> None:
     ):
         columns.append(pa.array(map(text, points), pa.string()))
         fields.append(pa.field(name, pa.string(), metadata={"meaning": meaning}))
-    described = json.dumps({"base": spec.base, "axes": spec.axes, "versions": versions()})
+    engines = sorted({point.settings["engine"] for point in points})
+    described = json.dumps({"base": spec.base, "axes": spec.axes, "versions": {engine: versions(engine) for engine in engines}})
     table = pa.table(columns, schema=pa.schema(fields, metadata={METADATA: described}))
     with whole_file(path) as file:
         pq.write_table(table, file)

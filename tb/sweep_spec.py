@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from attrs import frozen
 
-from .. import __version__, hdl, model
+from .. import __version__, hdl, model, tb
 from ..model.config import PRESETS, Config, parse_config, read_toml
 from ..model.depth import METHODS
 from ..model.errors import InputError, check_integer
@@ -64,11 +64,13 @@ class Spec:
 
 
 @cache
-def versions() -> dict[str, str]:
-    """What the numbers depend on, whatever the settings; `code` is a digest of the sources."""
-    folders = [Path(next(iter(package.__path__))) for package in (model, hdl)] + [Path(__file__).parent]
-    sources = [path for folder in folders for path in sorted(folder.rglob("*")) if path.suffix in (".py", ".cpp", ".toml")]
-    code = digest(*(part for path in sources for part in (path.name, path.read_bytes())))
+def versions(engine: str) -> dict[str, str]:
+    """What an engine's numbers depend on, whatever the settings; `code` is a digest of the sources."""
+    here, below, rtl = (Path(next(iter(package.__path__))) for package in (tb, model, hdl))
+    sources = [*below.glob("*.py"), here / "sweep.py", here / "sweep_spec.py"]
+    if engine != "golden":
+        sources += [*rtl.glob("*.py"), *here.glob("*.py"), *here.glob("*.cpp")]
+    code = digest(*(part for path in sorted({*sources}) for part in (path.name, path.read_bytes())))
     return {"coincid": __version__, "code": code} | {name: version(name) for name in ("numba", "numpy", "scipy")}
 
 
@@ -175,7 +177,7 @@ def _point(document: dict, axes: list[dict[str, list]], at: tuple[int, ...], sce
     settings["configuration"] = settings_of(config)
     values = values | {key: settings[key] for key in values if key in SETTINGS}
     looks = (scene.distance_m.tobytes(), scene.reflectivity.tobytes(), str(scene.distance_m.shape))
-    key = digest(json.dumps([settings, versions()], sort_keys=True), *looks)
+    key = digest(json.dumps([settings, versions(settings["engine"])], sort_keys=True), *looks)
     return Point(name=name, values=values, at=at, document=document, settings=settings, scene=scene, key=key)
 
 
