@@ -6,12 +6,14 @@ The scene and the sizes are our choice; the paper leaves the readout open.
 
 import csv
 import io
+import math
 import os
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
 from attrs import asdict, evolve, fields, frozen
+from matplotlib.figure import Figure
 from scipy import stats
 
 from .analytic import busy_s, effective_cps, windows_per_period
@@ -108,9 +110,13 @@ def estimate(config: Config, light: Light, timing: Timing, spad: Spad) -> tuple[
 
 def beats(config: Config, events: float, records: float) -> float:
     """Beats of a frame with so many events and records in all, head and end of every stream included."""
-    sensor, parts = config.sensor, layout(config.sensor)
-    fixed = 2 * sensor.streams + sensor.subgroups * parts.counter_beats
-    return fixed + events * parts.length(FORMATS[config.format]) + records * parts.length(Kind.RECORD)
+    sensor = config.sensor
+    return 2 * sensor.streams + sensor.subgroups * layout(sensor).counter_beats + _payload(config, events, records)
+
+
+def _payload(config: Config, events: float, records: float) -> float:
+    parts = layout(config.sensor)
+    return events * parts.length(FORMATS[config.format]) + records * parts.length(Kind.RECORD)
 
 
 def study(klux: Sequence[float] | None = None, thresholds: Sequence[int] | None = None, sizes: Sequence[str] | None = None,
@@ -165,10 +171,10 @@ def _with_streams(size, klux, threshold, config, edges, expected) -> list[Row]:
     needed = 0 if any(lost) else streams
     one = evolve(config, sensor=evolve(config.sensor, streams=1))
     estimated = beats(one, *expected)
-    by_mean = -(-estimated // (config.pulses * config.period))
+    by_mean = math.ceil(_payload(config, *expected) / (config.pulses * config.period))  # counters leave after the last period
     return [
         Row(size, klux, threshold, config.format, bool(config.frame["minigroup_records"]), estimated, int(measured[0][1]),
-            int(by_mean), needed, streams, *lost_and_late)
+            by_mean, needed, streams, *lost_and_late)
         for streams, _, *lost_and_late in measured
     ]
 
@@ -188,15 +194,23 @@ def write_study(out_dir: Path, rows: list[Row]) -> list[Path]:
 
 
 def table(rows: list[Row]) -> str:
-    """What each size and format asks for, and what one stream loses, at every background and threshold; without records."""
-    head = ("size", "klux", "threshold", "format", "beats a frame, estimate", "golden", "streams, estimate", "golden", "lost with 1 stream")
-    lines = [f"| {' | '.join(head)} |", "| --- | ---: | ---: | --- |" + " ---: |" * 5]
-    for row in rows:
-        if row.lost_streams == 1 and not row.records:
+    """What each size and format asks for, and what one stream loses, at every background and threshold."""
+    head = ("size", "klux", "threshold", "format", "beats a frame: estimate", "golden", "streams: estimate", "golden", "lost with one",
+            "with records: streams: estimate", "golden", "events lost with one", "records lost with one")
+    lines = [f"| {' | '.join(head)} |", "| --- | ---: | ---: | --- |" + " ---: |" * (len(head) - 4)]
+    one = {(row.size, row.klux, row.threshold, row.format, row.records): row for row in rows if row.lost_streams == 1}
+    for key, row in one.items():
+        if not row.records:
+            also = one[*key[:-1], True]
             cells = (row.size, f"{row.klux:g}", row.threshold, row.format, f"{row.beats_estimated:,.0f}", f"{row.beats_golden:,}",
-                     row.needed_estimated, row.needed_golden or f"> {STREAMS[-1]}", _percent(row.lost_events))
+                     row.needed_estimated, _streams(row), _percent(row.lost_events),
+                     also.needed_estimated, _streams(also), _percent(also.lost_events), _percent(also.lost_records))
             lines.append(f"| {' | '.join(map(str, cells))} |")
     return "\n".join([*lines, ""])
+
+
+def _streams(row: Row) -> str:
+    return str(row.needed_golden or f"> {STREAMS[-1]}")
 
 
 def _percent(share: float) -> str:
@@ -207,34 +221,34 @@ def _cell(value) -> str:
     return f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
-def _plot(rows: list[Row]):
-    figure = new_figure(11, 4.6)
+def _plot(rows: list[Row]) -> Figure:
+    """What one size asks for against the background, and what every size loses against the number of streams."""
+    config, figure = parse_config({}), new_figure(11, 5)
     demand, loss = figure.subplots(1, 2)
-    one = [row for row in rows if row.lost_streams == 1]
-    period = parse_config({}).period
-    pulses = parse_config({}).pulses
     for name, colour in zip(FORMAT_NAMES, SERIES[1::3]):
         for threshold, line, mark in zip(THRESHOLDS, ("-", "--", ":"), "os^"):
-            of = [row for row in one if (row.size, row.format, row.threshold, row.records) == (SHOWN_SIZE, name, threshold, False)]
-            if of:
-                klux = [row.klux for row in of]
-                demand.plot(klux, [row.beats_estimated / pulses for row in of], line, color=colour)
-                demand.plot(klux, [row.beats_golden / pulses for row in of], mark, color=colour, label=f"{name}, threshold {threshold}")
-    demand.axhline(period, color="black", linewidth=1)
-    demand.annotate("one stream", (1, period), xytext=(0, 3), textcoords="offset points")
-    demand.set(xscale="log", yscale="log", xlabel="background in klux", ylabel="beats a laser period, all streams",
+            shown = (SHOWN_SIZE, name, threshold, False, 1)
+            of = [row for row in rows if (row.size, row.format, row.threshold, row.records, row.lost_streams) == shown]
+            klux = [row.klux for row in of]
+            demand.plot(klux, [row.beats_estimated / config.pulses for row in of], line, color=colour)
+            demand.plot(klux, [row.beats_golden / config.pulses for row in of], mark, color=colour, label=f"{name}, threshold {threshold}")
+    demand.axhline(config.period, color="black", linewidth=1)
+    demand.annotate("what one stream carries", (KLUX[0], config.period), xytext=(0, 3), textcoords="offset points")
+    demand.set(xscale="log", yscale="log", ylim=(2, 1000), xlabel="background in klux", ylabel="beats of 64 bit a laser period",
                title=f"asked for by {SHOWN_SIZE} (lines: estimate, marks: golden model)")
-    demand.legend(ncols=2)
+    for axis in (demand.xaxis, demand.yaxis):
+        axis.set_major_formatter("{x:g}")
+        axis.set_minor_formatter("")
+    demand.legend(loc="lower center", ncols=3, columnspacing=1)
     for size, colour in zip(SIZES, SERIES[1::3]):
         for records, line in ((False, "-o"), (True, "--s")):
-            of = [row for row in rows if (row.size, row.format, row.threshold, row.records, row.klux)
-                  == (size, "id", SHOWN_THRESHOLD, records, SHOWN_KLUX)]
-            if of:
-                label = f"{size}, with minigroup records" if records else size
-                loss.plot([row.lost_streams for row in of], [100 * row.lost_events for row in of], line, color=colour, label=label)
+            shown = (size, "id", SHOWN_THRESHOLD, records, SHOWN_KLUX)
+            of = [row for row in rows if (row.size, row.format, row.threshold, row.records, row.klux) == shown]
+            label = f"{size} and records" if records else size
+            loss.plot([row.lost_streams for row in of], [100 * row.lost_events for row in of], line, color=colour, label=label)
     loss.set_xscale("log", base=2)
     loss.set_xticks(STREAMS, labels=[str(streams) for streams in STREAMS])
-    loss.set(xlabel="streams of 64 bit at 500 MHz", ylabel="committed events dropped in %", ylim=(-2, 100),
-             title=f"lost with fewer: format id, threshold {SHOWN_THRESHOLD}, {SHOWN_KLUX:g} klux")
-    loss.legend()
+    loss.set(xlabel="streams, a beat a cycle each", ylabel="committed events dropped in %", ylim=(-2, 100),
+             title=f"lost with fewer (id, threshold {SHOWN_THRESHOLD}, {SHOWN_KLUX:g} klux)")
+    loss.legend(loc="upper right")
     return figure
