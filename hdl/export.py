@@ -9,6 +9,7 @@ from .deserialiser import Deserialiser
 from .sensor import FPGA_TOP, TOP, core_verilog, fpga_verilog
 from .sensor import verilog as sensor_verilog
 from .unit import Export, Unit
+from .views import POLYPHASE
 
 FILE_LIST = "coincid.f"
 START = r"""  reg \1 ;
@@ -17,10 +18,10 @@ START = r"""  reg \1 ;
   /* verilator lint_on INITIALDLY */"""
 
 
-def verilog_files(sensor: Sensor) -> dict[str, str]:
-    """File name -> text: a file a block, and a file list. Equal parameters give equal bytes."""
-    top, units = sensor_verilog(sensor)
-    files = _units(units) | {f"{TOP}.v": top}
+def verilog_files(sensor: Sensor, view=POLYPHASE) -> dict[str, str]:
+    """File name -> text: a file a block, and a file list; of a view's cells the behaviour. Equal parameters give equal bytes."""
+    top, units = sensor_verilog(sensor, view)
+    files = _units(units) | {f"{TOP}.v": top} | {path.name: path.read_text() for path in view.cells}
     return files | {FILE_LIST: "".join(f"{name}\n" for name in files)}
 
 

@@ -8,8 +8,8 @@ from amaranth.lib.wiring import In
 from ..model.parameters import Sensor
 from . import bus
 from .subgroup import Subgroup, own_ports, shared_ports
-from .tdc import Tdc
 from .unit import Unit, place
+from .views import POLYPHASE
 
 
 class SensorModule(Unit):
@@ -20,16 +20,15 @@ class SensorModule(Unit):
     `shared_ports` of the subgroups; for line k `own_ports` with the suffix _k; number : in, the module's own.
     Every input goes straight into a register, every output comes from one.
 
-    `lines` = 1 makes the last module of an odd number of subgroups. Reset is registered here, so it acts one cycle later.
+    view: the front end's, of `views.py`. `lines` = 1 makes the last module of an odd number of subgroups. Reset is registered here, so it acts one cycle later.
     """
 
-    def __init__(self, sensor: Sensor, lines: int = 2):
-        self.sensor = sensor
-        self.lines = lines
-        self.unit_name = "coincid_module" if lines == 2 else f"coincid_module_{lines}"
+    def __init__(self, sensor: Sensor, lines: int = 2, view=POLYPHASE):
+        self.sensor, self.lines, self.view = sensor, lines, view
+        self.unit_name = f"{view.prefix}module" if lines == 2 else f"{view.prefix}module_{lines}"
         super().__init__(
             shared_ports(sensor)
-            | {f"{name}_{k}": member for k in range(lines) for name, member in own_ports(sensor).items()}
+            | {f"{name}_{k}": member for k in range(lines) for name, member in own_ports(sensor, view).items()}
             | {"number": In(bus.SUBGROUP_BITS - 1)}
         )
 
@@ -39,13 +38,13 @@ class SensorModule(Unit):
         reset = Signal(init=1, reset_less=True)
         start = Signal(reset_less=True)
         m.d.sync += [reset.eq(ResetSignal()), start.eq(self.timing.start)]
-        tdc = place(m, "tdc", Tdc(sensor, self.lines), platform, reset)
+        tdc = place(m, "tdc", self.view.tdc(sensor, self.lines), platform, reset)
         m.d.comb += tdc.start.eq(start)
         for k in range(self.lines):
-            subgroup = place(m, f"subgroup_{k}", Subgroup(sensor), platform, reset)
+            subgroup = place(m, f"subgroup_{k}", Subgroup(sensor, self.view), platform, reset)
             m.d.comb += subgroup.subgroup.eq(Cat(k, self.number))
             m.d.comb += [getattr(subgroup, name).eq(getattr(self, name)) for name in shared_ports(sensor)]
-            for name, member in own_ports(sensor).items():
+            for name, member in own_ports(sensor, self.view).items():
                 inner, outer = getattr(subgroup, name), getattr(self, f"{name}_{k}")
                 m.d.comb += inner.eq(outer) if member.flow is In else outer.eq(inner)
             wiring.connect(m, subgroup.line, getattr(tdc, f"line_{k}"))

@@ -17,6 +17,7 @@ from .registers import Registers
 from .sequencer import Sequencer
 from .subgroup import own_ports
 from .unit import Unit
+from .views import POLYPHASE
 
 TOP = "coincid_sensor"
 FPGA_TOP = "coincid_fpga"
@@ -59,8 +60,8 @@ class Netlist:
         self.joins[net] = operation, parts
 
 
-def netlist(sensor: Sensor, levels: bool = False) -> Netlist:
-    """The sensor's wiring. `levels`: SPAD lines instead of edge words at the ports, and a deserialiser for every subgroup."""
+def netlist(sensor: Sensor, levels: bool = False, view=POLYPHASE) -> Netlist:
+    """The sensor's wiring. `levels`: SPAD lines instead of edge words at the ports, and a deserialiser for every subgroup. view: of `views.py`."""
     n = Netlist()
     subgroups = range(sensor.subgroups)
 
@@ -75,7 +76,7 @@ def netlist(sensor: Sensor, levels: bool = False) -> Netlist:
         own = {f"{name}_{j}": f"{name}_{k + j}" for j in range(lines) for name in own_ports(sensor)}
         own |= {f"words_{j}": f"spad_{k + j}" for j in range(lines)}
         own |= {f"send_{j}": f"send_of_{sensor.stream_of(k + j)}" for j in range(lines)}
-        n.add(f"module_{k // 2}", SensorModule(sensor, lines), number=k // 2, **own)
+        n.add(f"module_{k // 2}", SensorModule(sensor, lines, view), number=k // 2, **own)
     for stream in range(sensor.streams):
         members = sensor.stream_subgroups(stream)
         readout = Readout(sensor, len(members))
@@ -116,9 +117,9 @@ def _range(width: int) -> str:
     return f"[{width - 1}:0] " if width > 1 else ""
 
 
-def verilog(sensor: Sensor) -> tuple[str, dict[str, Unit]]:
+def verilog(sensor: Sensor, view=POLYPHASE) -> tuple[str, dict[str, Unit]]:
     """The top module as Verilog text, and the units that it instantiates, by name."""
-    n = netlist(sensor)
+    n = netlist(sensor, view=view)
     what = f"SPAD sensor of {sensor.rows} x {sensor.cols} pixels: wiring of its blocks."
     return _module(TOP, what, n.ports, n.instances, n.nets, n.joins)
 

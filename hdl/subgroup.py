@@ -13,9 +13,8 @@ from .fifo import EventFifo, RecordBuffer
 from .gating import Gating
 from .packetizer import Packetizer
 from .settings import SubgroupSettings
-from .tdc import line_signature
-from .tree import CoincidenceTree
 from .unit import Unit, place
+from .views import POLYPHASE
 
 
 def shared_ports(sensor: Sensor) -> dict:
@@ -26,16 +25,16 @@ def shared_ports(sensor: Sensor) -> dict:
     }
 
 
-def own_ports(sensor: Sensor) -> dict:
+def own_ports(sensor: Sensor, view=POLYPHASE) -> dict:
     """What a subgroup has for itself.
 
-    words : in, pixels * phases, SPAD edge words; spad_gate : out, keeps the SPADs off while low
+    words : in, the SPADs as the view has them (polyphase: edge words, pixels * phases); spad_gate : out, keeps the SPADs off while low
     grant, send : in, from its stream's readout; valid, beat : out
     stored, record_stored : out, an event or record waits to be read
     data : out, register read; gate_late : out, a start check
     """
     return {
-        "words": In(sensor.pixels * sensor.phases), "spad_gate": Out(1),
+        "words": In(view.spad_bits(sensor)), "spad_gate": Out(1),
         "grant": In(1), "send": In(bus.Send), "valid": Out(1), "beat": Out(BEAT_BITS),
         "stored": Out(1), "record_stored": Out(1), "data": Out(DATA_BITS), "gate_late": Out(1),
     }
@@ -45,15 +44,15 @@ class Subgroup(Unit):
     """A subgroup; settings, strobes and grants are registered here, and every output is a register's.
 
     Ports: `shared_ports`, `own_ports`, `subgroup` (in, its number), `line` (its TDC sampling line).
+    view: the front end's, of `views.py`.
     Latency: `model/latency.py`. Reset: every part's own.
     """
 
-    unit_name = "coincid_subgroup"
-
-    def __init__(self, sensor: Sensor):
-        self.sensor = sensor
+    def __init__(self, sensor: Sensor, view=POLYPHASE):
+        self.sensor, self.view = sensor, view
+        self.unit_name = f"{view.prefix}subgroup"
         super().__init__(
-            shared_ports(sensor) | own_ports(sensor) | {"subgroup": In(bus.SUBGROUP_BITS), "line": Out(line_signature(sensor))}
+            shared_ports(sensor) | own_ports(sensor, view) | {"subgroup": In(bus.SUBGROUP_BITS), "line": Out(view.line_signature(sensor))}
         )
 
     def elaborate(self, platform):
@@ -61,7 +60,7 @@ class Subgroup(Unit):
         sensor = self.sensor
         settings = place(m, "settings", SubgroupSettings(sensor), platform)
         gating = place(m, "gating", Gating(sensor), platform)
-        tree = place(m, "tree", CoincidenceTree(sensor), platform)
+        tree = place(m, "tree", self.view.front_end(sensor), platform)
         dpcu = place(m, "dpcu", Dpcu(sensor), platform)
         events = place(m, "fifo", EventFifo(sensor), platform)
         records = place(m, "record_buffer", RecordBuffer(sensor), platform)
@@ -83,7 +82,7 @@ class Subgroup(Unit):
 
             gating.timing.eq(timing), gating.settings.eq(settings.settings), self.spad_gate.eq(gating.spad_gate),
 
-            tree.words.eq(self.words), tree.mask.eq(settings.settings.mask), tree.accept.eq(gating.accept),
+            *self.view.hears(tree, self.words, settings.settings.mask, gating),
             tree.window_ticks.eq(dpcu.window_ticks), tree.frame.eq(frame), tree.timing.eq(timing),
 
             dpcu.settings.eq(settings.settings), dpcu.start.eq(timing.start),

@@ -8,6 +8,7 @@ class Unit(wiring.Component):
     """A block with a stable Verilog name. `unit_name` differs where parameters beyond the sensor's differ."""
 
     unit_name: str
+    clocked = True   # has the ports clk and rst
     _MustUse__silence = True  # an instance may stand for the unit, which Amaranth would report as forgotten
 
     def flat_ports(self) -> dict[str, tuple[wiring.Flow, Signal]]:
@@ -31,5 +32,7 @@ def place(m: Module, name: str, unit: Unit, platform, reset=None) -> Unit:
     ports = {
         f"{'i' if flow is wiring.In else 'o'}_{port}": value for port, (flow, value) in unit.flat_ports().items()
     }
-    m.submodules[name] = Instance(unit.unit_name, i_clk=ClockSignal(), i_rst=ResetSignal() if reset is None else reset, **ports)
+    if unit.clocked:
+        ports |= {"i_clk": ClockSignal(), "i_rst": ResetSignal() if reset is None else reset}
+    m.submodules[name] = Instance(unit.unit_name, **ports)
     return unit

@@ -1,0 +1,66 @@
+"""The two views of the front end, one contract: what a subgroup and its module are built with. All behind the front end is shared.
+
+A view names the units of its front end and its TDC, how wide a subgroup's SPAD port is, and how a front end hears SPADs and gate.
+"""
+
+from attrs import field, frozen
+
+from ..model.parameters import Sensor
+from . import async_tdc, tdc
+from .async_circuit import CELLS, Circuit
+from .async_front import AsyncFrontEnd
+from .tree import CoincidenceTree
+
+
+@frozen
+class Polyphase:
+    """Synchronous: a SPAD is a word of `phases` bits a cycle. For simulation, formal proof and FPGA."""
+
+    prefix = "coincid_"
+    cells = ()
+
+    def spad_bits(self, sensor: Sensor) -> int:
+        """Width of a subgroup's SPAD port."""
+        return sensor.pixels * sensor.phases
+
+    def line_signature(self, sensor: Sensor):
+        return tdc.line_signature(sensor)
+
+    def tdc(self, sensor: Sensor, lines: int):
+        return tdc.Tdc(sensor, lines)
+
+    def front_end(self, sensor: Sensor):
+        return CoincidenceTree(sensor)
+
+    def hears(self, front, spads, mask, gating) -> list:
+        """Statements that connect a front end to the SPAD port, the mask and the gate."""
+        return [front.words.eq(spads), front.mask.eq(mask), front.accept.eq(gating.accept)]
+
+
+@frozen
+class Asynchronous:
+    """Silicon: a SPAD is a line whose rising edges are avalanches."""
+
+    circuit: Circuit = field(factory=Circuit)
+    prefix = "coincid_async_"
+    cells = (CELLS,)
+
+    def spad_bits(self, sensor: Sensor) -> int:
+        """Width of a subgroup's SPAD port."""
+        return sensor.pixels
+
+    def line_signature(self, sensor: Sensor):
+        return async_tdc.line_signature(sensor)
+
+    def tdc(self, sensor: Sensor, lines: int):
+        return async_tdc.AsyncTdc(sensor, self.circuit, lines)
+
+    def front_end(self, sensor: Sensor):
+        return AsyncFrontEnd(sensor, self.circuit)
+
+    def hears(self, front, spads, mask, gating) -> list:
+        """Statements that connect a front end to the SPAD port, the mask and the gate."""
+        return [front.spad.eq(spads), front.mask.eq(mask), front.gate.eq(gating.spad_gate)]
+
+
+POLYPHASE = Polyphase()
