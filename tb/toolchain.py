@@ -35,8 +35,8 @@ TIMESCALE = "1ns/1ps"
 LOG_TAIL_LINES = 40
 NO_SPACE = os.strerror(errno.ENOSPC)
 FULL_BELOW_BYTES = 1 << 20  # less than any compiler's output
-# The sensor is one block many times over: not inlined, its C++ exists once (half the compilation, the same speed).
-VERILATOR_OPTIONS = ("-Wno-lint", "-O3", "-fno-inline", "--x-assign", "fast", "--x-initial", "fast", "--noassert")
+VERILATOR_OPTIONS = ("-Wno-lint", "-O3", "--x-assign", "fast", "--x-initial", "fast", "--noassert")
+NOT_INLINED = "-fno-inline"  # where a design is one block many times over, its C++ shall not be
 # One file for the compiler: apart, forty small ones and two precompiled headers take twice as long.
 MAKE_OPTIONS = ("VM_PARALLEL_BUILDS=0", "OPT_FAST=-O2", "OPT_GLOBAL=-O2")
 # What a calling make or shell has set must not change a build that does not know of it.
@@ -314,7 +314,7 @@ def _verilator_command(names: Sequence[str], top: str, waves: bool) -> tuple[lis
     libraries = cocotb_config.libs_dir
     return [_first_line("g++", "--version"), version("cocotb")], [
         str(program), "--cc", "--exe", "--vpi", "--prefix", "Vtop", "-o", SIM_FILE["verilator"], "--Mdir", ".",
-        "--top-module", top, "--timescale-override", TIMESCALE, *VERILATOR_OPTIONS, *(["--trace-fst"] if waves else []),
+        "--top-module", top, "--timescale-override", TIMESCALE, *VERILATOR_OPTIONS, NOT_INLINED, *(["--trace-fst"] if waves else []),
         "-LDFLAGS", f"-Wl,-rpath,{libraries} -L{libraries} -lcocotbvpi_verilator",
         str(cocotb_config.share_dir / "lib" / "verilator" / "verilator.cpp"), *names,
     ]  # fmt: skip
