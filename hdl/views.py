@@ -16,6 +16,7 @@ from .tree import CoincidenceTree
 class Polyphase:
     """Synchronous: a SPAD is a word of `phases` bits a cycle. For simulation, formal proof and FPGA."""
 
+    name = "polyphase"
     prefix = "coincid_"
     cells = ()
 
@@ -42,6 +43,7 @@ class Asynchronous:
     """Silicon: a SPAD is a line whose rising edges are avalanches."""
 
     circuit: Circuit = field(factory=Circuit)
+    name = "async"
     prefix = "coincid_async_"
     cells = (CELLS,)
 

@@ -14,11 +14,13 @@ class Edges:
     pulse: int64[n], laser pulse counted through the frames (frame = pulse // pulses).
     pixel: int64[n], row * cols + col.
     tick: int64[n], TDC ticks since the laser trigger of that pulse.
+    offset_ps: float64[n], where in its tick the edge is, from the tick's start; None: in its middle. Only circuits feel it.
     """
 
     pulse: np.ndarray
     pixel: np.ndarray
     tick: np.ndarray
+    offset_ps: np.ndarray | None = None
 
     def __len__(self) -> int:
         return len(self.tick)
@@ -30,7 +32,8 @@ class Edges:
     def frame(self, number: int, pulses: int) -> tuple["Edges", np.ndarray]:
         """The edges of one frame, pulses counted from the frame's start, and their indices here."""
         index = np.flatnonzero(self.pulse // pulses == number)
-        return Edges(self.pulse[index] - number * pulses, self.pixel[index], self.tick[index]), index
+        offset = None if self.offset_ps is None else self.offset_ps[index]
+        return Edges(self.pulse[index] - number * pulses, self.pixel[index], self.tick[index], offset), index
 
 
 NAMES = ("pulse", "pixel", "tick")

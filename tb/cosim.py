@@ -11,15 +11,18 @@ from pathlib import Path
 import cocotb
 import numpy as np
 from cocotb.clock import Clock
-from cocotb.triggers import FallingEdge, RisingEdge
+from cocotb.triggers import FallingEdge, RisingEdge, Timer
 from cocotb_bus.drivers.amba import AXI4LiteMaster
 
+from coincid.hdl import bus
+from coincid.hdl.async_circuit import CLOCK_FS
+from coincid.hdl.sequencer import LEAD
 from coincid.model import registers
 from coincid.model.config import Config
 from coincid.model.edges import Edges
 from coincid.tb.frames import STORED_TO_COMMIT, FrameJob, Recorded, cycle_limit
 from coincid.tb.scoreboard import Mismatch, Scoreboard
-from coincid.tb.stimulus import port_words
+from coincid.tb.stimulus import line_levels, port_words
 
 JOB_VARIABLE = "COINCID_JOB"
 RESULT, MISMATCH = ".result", ".mismatch"  # suffixes of what a job leaves
@@ -69,12 +72,16 @@ class SensorBench:
                 await self.axi.write(address, value)
                 self.programmed[address] = value
 
+    def shine(self, config: Config, edges: Edges) -> dict[int, list[tuple[int, int]]]:
+        """The words that `play` drives, by cycle of the frame."""
+        return port_words(config, edges)
+
     async def play(
         self, config: Config, edges: Edges, ready: np.ndarray, board: Scoreboard | None = None, progress=lambda cycle: None,
     ) -> Recorded:
         """Plays a frame and returns what it showed. `board` raises at the first difference from the golden model."""
         sensor = self.sensor
-        words = port_words(config, edges)
+        words = self.shine(config, edges)
         low = [int(c) for c in np.flatnonzero(np.asarray(ready) == 0)]
         await self.program(config)
         started = cocotb.start_soon(self.write("control", 1 << registers.BY_NAME["control"].bit("start")))
@@ -149,12 +156,33 @@ class SensorBench:
         )
 
 
+class LineBench(SensorBench):
+    """Bench of the asynchronous view: every edge rises at its own picosecond."""
+
+    def shine(self, config, edges):
+        cocotb.start_soon(self._shine(line_levels(config, edges)))
+        return {}
+
+    async def _shine(self, levels) -> None:
+        falling, start = FallingEdge(self.dut.clk), 1 << bus.time_layout(self.sensor)["start"].offset
+        while True:
+            await falling
+            if int(self.dut.timing.value) & start:
+                break
+        now = CLOCK_FS // 2 - LEAD * CLOCK_FS   # of this falling edge, cycle 0 of the frame is 0
+        for at, subgroup, word in zip(*levels):
+            if at > now:
+                await Timer(at - now, "fs")
+                now = at
+            self.spad[subgroup].value = word
+
+
 @cocotb.test()
 async def play_job(dut):
     """Plays the job that the environment names and leaves its records beside it; or else the first difference, as text."""
     path = Path(os.environ[JOB_VARIABLE])
-    job: list[FrameJob] = pickle.loads(path.read_bytes())
-    bench = SensorBench(dut, job[0].config.sensor)
+    bench_of_view, job = pickle.loads(path.read_bytes())
+    bench = bench_of_view(dut, job[0].config.sensor)
     await bench.reset()
     records, before = [], 0
     for number, frame in enumerate(job):

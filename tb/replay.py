@@ -8,13 +8,14 @@ from pathlib import Path
 import numpy as np
 
 from ..hdl.sensor import TOP
+from ..hdl.views import POLYPHASE
 from ..model.config import Config
 from ..model.edges import Edges
 from ..model.parameters import Sensor
 from ..model.result import ResultBuilder, golden_result
 from . import toolchain
 from .batch import BatchSensor, build_library
-from .cosim import JOB_VARIABLE, MISMATCH, PROGRESS, RESULT
+from .cosim import JOB_VARIABLE, MISMATCH, PROGRESS, RESULT, LineBench, SensorBench
 from .frames import FrameJob, Recorded
 from .rtl import rtl, sensor_key
 from .scoreboard import Mismatch, check
@@ -23,12 +24,12 @@ ENGINES = ("golden", "verilator", "icarus", "cocotb-verilator", "cocotb-icarus")
 COCOTB = {"cocotb-verilator": "verilator", "cocotb-icarus": "icarus", "icarus": "icarus"}  # engine -> simulator
 
 
-def prepare(engine: str, sensor: Sensor, waves: bool = False) -> None:
+def prepare(engine: str, sensor: Sensor, waves: bool = False, view=POLYPHASE) -> None:
     """Compiles what `engine` needs for `play`, where it is not there yet."""
     if _batch(engine, waves):
         build_library(sensor)
     elif engine != "golden":
-        build_sensor(sensor, COCOTB.get(engine, "verilator"), waves)
+        build_sensor(sensor, COCOTB.get(engine, "verilator"), waves, view)
 
 
 def _batch(engine: str, waves: bool) -> bool:
@@ -36,23 +37,25 @@ def _batch(engine: str, waves: bool) -> bool:
     return engine == "verilator" and not waves
 
 
-def build_sensor(sensor: Sensor, simulator: str, waves: bool = False) -> toolchain.Build:
-    """The sensor compiled for a simulator, or found compiled."""
-    return toolchain.build(simulator, rtl(sensor), TOP, key=sensor_key(sensor), waves=waves, public=[f"{TOP}.stored_of_*"])
+def build_sensor(sensor: Sensor, simulator: str, waves: bool = False, view=POLYPHASE) -> toolchain.Build:
+    """The sensor in a view of `hdl/views.py`, compiled for a simulator, or found compiled."""
+    public = [f"{TOP}.stored_of_*"] + [f"{TOP}.timing"] * (view != POLYPHASE)
+    return toolchain.build(simulator, rtl(sensor, view), TOP, key=sensor_key(sensor, view), waves=waves, public=public)
 
 
 def play(
-    frames: list[FrameJob], engine: str, out_dir: Path, *, waves: bool = False, progress: Callable[[int], None] | None = None
+    frames: list[FrameJob], engine: str, out_dir: Path, *, waves: bool = False, progress: Callable[[int], None] | None = None, view=POLYPHASE
 ) -> tuple[list[Recorded], Path | None]:
     """Plays frames of one sensor through its RTL; returns what each showed, and the waveform. `progress` gets cycles done.
 
-    engine: of `ENGINES`, without golden; with `waves`, cocotb stands in for the batch engine. Raises
+    engine: of `ENGINES`, without golden; view: of `hdl/views.py`; with `waves`, cocotb stands in for the batch engine. Raises
     `scoreboard.Mismatch` at the first difference from a frame's expectation, `toolchain.SimulationError` for any
     other failure, and `toolchain.ToolchainError`.
     """
     if _batch(engine, waves):
         return _play_batch(frames, progress or (lambda cycles: None)), None
-    build = build_sensor(frames[0].config.sensor, COCOTB.get(engine, "verilator"), waves)
+    build = build_sensor(frames[0].config.sensor, COCOTB.get(engine, "verilator"), waves, view)
+    bench = SensorBench if view == POLYPHASE else LineBench
 
     def line(text: str) -> None:
         if progress and text.startswith(PROGRESS):
@@ -60,7 +63,7 @@ def play(
 
     with tempfile.TemporaryDirectory(prefix="coincid-") as folder:
         job = Path(folder) / "job"
-        job.write_bytes(pickle.dumps(frames))
+        job.write_bytes(pickle.dumps((bench, frames)))
         try:
             run = build.run("coincid.tb.cosim", env={JOB_VARIABLE: str(job)}, out_dir=out_dir, seed=1, echo=line)
         except toolchain.SimulationError as error:
@@ -85,7 +88,7 @@ def _play_batch(frames: list[FrameJob], progress: Callable[[int], None]) -> list
 
 
 def replay(
-    engine: str, config: Config, edges: Edges, ready: np.ndarray | None = None, progress: Callable[[int], None] | None = None
+    engine: str, config: Config, edges: Edges, ready: np.ndarray | None = None, progress: Callable[[int], None] | None = None, view=POLYPHASE
 ) -> dict[str, np.ndarray]:
     """All frames of `config` through an engine: the arrays of the result file. `progress` gets cycles done."""
     ready = np.zeros(0, np.uint8) if ready is None else ready
@@ -94,7 +97,7 @@ def replay(
         return golden_result(config, edges, ready, lambda frames: done(frames * config.pulses * config.period))
     frames = [FrameJob(config, edges.frame(number, config.pulses)[0], ready=ready) for number in range(config.frames)]
     with tempfile.TemporaryDirectory(prefix="coincid-") as folder:
-        records, _ = play(frames, engine, Path(folder), progress=progress)
+        records, _ = play(frames, engine, Path(folder), progress=progress, view=view)
     result = ResultBuilder(config)
     for record in records:
         result.add(record.beats, record.commit_subgroup, record.commit_cycle)

@@ -4,26 +4,27 @@ from pathlib import Path
 
 from ..hdl.export import FILE_LIST, core_files, verilog_files
 from ..hdl.sensor import CORE, TOP
+from ..hdl.views import POLYPHASE
 from ..model.parameters import Sensor
 from . import toolchain
 
 CORE_LIST = f"{CORE}.f"
 
 
-def sensor_key(sensor: Sensor) -> str:
-    """Names a build for people: the parameters that differ from the defaults come after the size."""
+def sensor_key(sensor: Sensor, view=POLYPHASE) -> str:
+    """Names a build for people: the view and the parameters that differ from the defaults come after the size."""
     default = Sensor()
     parts = [f"{sensor.rows}x{sensor.cols}"]
     for name in ("phases", "coarse_bits", "window_max", "rearm", "fifo_depth", "streams", "subgroup", "minigroup"):
         value = getattr(sensor, name)
         if value != getattr(default, name):
             parts.append(name + ("x".join(map(str, value)) if isinstance(value, tuple) else str(value)))
-    return "-".join(parts)
+    return "-".join(parts + [view.name] * (view != POLYPHASE))
 
 
-def rtl(sensor: Sensor) -> list[Path]:
-    """The sensor's Verilog files, emitted once for its parameters and the state of the sources."""
-    return _listed(_emitted(sensor), FILE_LIST)
+def rtl(sensor: Sensor, view=POLYPHASE) -> list[Path]:
+    """The sensor's Verilog files in a view of `hdl/views.py`, emitted once for its parameters and the state of the sources."""
+    return _listed(_emitted(sensor, view), FILE_LIST)
 
 
 def rtl_in_two(sensor: Sensor) -> tuple[list[Path], list[Path]]:
@@ -33,18 +34,21 @@ def rtl_in_two(sensor: Sensor) -> tuple[list[Path], list[Path]]:
     return core, [path for path in rtl(sensor) if path.stem not in in_core]
 
 
-def _emitted(sensor: Sensor) -> Path:
+def _emitted(sensor: Sensor, view=POLYPHASE) -> Path:
     sources = [path for folder in ("hdl", "model") for path in sorted((Path(__file__).parents[1] / folder).glob("*.py"))]
     sources.append(Path(__file__))
-    key = toolchain.digest(repr(sensor), *(path.read_bytes() for path in sources))
+    parts = [repr(sensor)] if view == POLYPHASE else [repr(sensor), repr(view), *(path.read_bytes() for path in view.cells)]
+    key = toolchain.digest(*parts, *(path.read_bytes() for path in sources))
 
     def emit(directory: Path) -> None:
-        core_text, of_core = core_files(sensor)
-        core = {f"{CORE}.v": core_text, CORE_LIST: "".join(f"{name}\n" for name in (f"{CORE}.v", *of_core))}
-        for name, text in (verilog_files(sensor) | core).items():
+        files = verilog_files(sensor, view)
+        if view == POLYPHASE:
+            core_text, of_core = core_files(sensor)
+            files |= {f"{CORE}.v": core_text, CORE_LIST: "".join(f"{name}\n" for name in (f"{CORE}.v", *of_core))}
+        for name, text in files.items():
             (directory / name).write_text(text)
 
-    return toolchain.build_once(toolchain.build_root() / "verilog" / f"{sensor_key(sensor)}-{key}", emit)
+    return toolchain.build_once(toolchain.build_root() / "verilog" / f"{sensor_key(sensor, view)}-{key}", emit)
 
 
 def _listed(directory: Path, file_list: str) -> list[Path]:

@@ -1,7 +1,8 @@
-"""Edges as the words that stand at the sensor's ports."""
+"""Edges as the words that stand at the sensor's ports, or as the levels of SPAD lines."""
 
 import numpy as np
 
+from ..hdl.async_circuit import CLOCK_FS
 from ..model.config import Config
 from ..model.edges import Edges
 from ..model.golden import pixel_table
@@ -25,3 +26,35 @@ def port_words(config: Config, edges: Edges) -> dict[int, list[tuple[int, int]]]
             at.append((s, 1 << b))
         last = c, s
     return words
+
+
+def line_levels(config: Config, edges: Edges) -> tuple[list[int], list[int], list[int]]:
+    """Edges as levels of SPAD lines: (time in femtoseconds from the frame's start, subgroup, word of its lines from then on), in time order.
+
+    A line rises at its edge and stays high for a quarter of a tick, or half of the way to its next edge where that is less.
+    An offset at a tick's very border counts as a femtosecond inside it, as the integer tick says.
+    """
+    sensor = config.sensor
+    tick_fs = CLOCK_FS // sensor.phases
+    table = pixel_table(sensor)
+    offset = np.full(len(edges), tick_fs // 2) if edges.offset_ps is None else np.rint(edges.offset_ps * 1000).astype(np.int64)
+    rise = edges.pulse * config.period * CLOCK_FS + edges.tick * tick_fs + offset.clip(1, tick_fs - 1)
+    rise, pixel = np.unique(np.stack([rise, edges.pixel]), axis=1)
+    order = np.lexsort((rise, pixel))
+    rise, pixel = rise[order], pixel[order]
+    high = np.full(len(rise), max(1, tick_fs // 4))
+    same = pixel[1:] == pixel[:-1]
+    high[:-1][same] = np.minimum(high[:-1], np.diff(rise) // 2)[same]
+    alone = high > 0   # an edge a femtosecond before the next of its line is none
+    rise, pixel, high = rise[alone], pixel[alone], high[alone]
+    time = np.concatenate([rise, rise + high])
+    bit, subgroup = table.inside[np.tile(pixel, 2)], table.subgroup[np.tile(pixel, 2)]
+    order = np.lexsort((subgroup, time))
+    levels = [0] * sensor.subgroups
+    at: list[tuple[int, int, int]] = []
+    for t, s, b in zip(time[order].tolist(), subgroup[order].tolist(), bit[order].tolist()):
+        levels[s] ^= 1 << b
+        if at and at[-1][:2] == (t, s):
+            at.pop()
+        at.append((t, s, levels[s]))
+    return tuple(map(list, zip(*at))) if at else ([], [], [])
