@@ -5,6 +5,7 @@ stream of those that send words, the memory (`MEMORY_BITS`) of those that keep h
 on every pixel's histogram. The joint estimator, which needs to know the pixels, is shown with those that send single ones.
 """
 
+import math
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -12,7 +13,7 @@ import numpy as np
 
 from . import rivals
 from .config import Config, parse_config
-from .depth import SYSTEM_FWHM_S, estimate_depth, pixel_peaks
+from .depth import APART_SIGMAS, NEAR_SIGMAS, SYSTEM_FWHM_S, estimate_depth, pixel_peaks
 from .edges import Edges
 from .histograms import pixel_image
 from .light import SIGMA_PER_FWHM, SPEED_OF_LIGHT_M_S, Light, Spad, Timing
@@ -107,13 +108,13 @@ SCHEMES: dict[str, Callable[[Shot], Found]] = {
     "last hit": _last_hit,
     "photon counts": _photon_counts,
     "count-weighted": _count_weighted,
-    "this, fixed": lambda shot: _this(shot, {}),
-    "this, controller": lambda shot: _this(shot, {"auto": True}),
-    "this, pooled": lambda shot: _this(shot, {}, source="subgroup"),
-    "this, minigroups": lambda shot: _this(shot, {}, source="minigroup", minigroup_records=1),
-    "winner, joint": lambda shot: _this(shot, {"coincidence": False}, method="joint"),
-    "this, fixed, joint": lambda shot: _this(shot, {}, method="joint"),
-    "this, joint": lambda shot: _this(shot, {"auto": True}, method="joint"),
+    "this: fixed": lambda shot: _this(shot, {}),
+    "this: controller": lambda shot: _this(shot, {"auto": True}),
+    "this: pooled": lambda shot: _this(shot, {}, source="subgroup"),
+    "this: minigroups": lambda shot: _this(shot, {}, source="minigroup", minigroup_records=1),
+    "winner: joint": lambda shot: _this(shot, {"coincidence": False}, method="joint"),
+    "this: fixed joint": lambda shot: _this(shot, {}, method="joint"),
+    "this: controller joint": lambda shot: _this(shot, {"auto": True}, method="joint"),
 }
 
 
@@ -140,10 +141,10 @@ def _by_memory(shot: Shot, histogram: np.ndarray, width: int) -> Found:
 def coarse_peaks(histogram: np.ndarray, width: int, sigma_ticks: float) -> np.ndarray:
     """float64[n, RETURNS], ticks, from int64[n, bins] of `width` ticks: highest bins less the median, centre over their neighbours.
 
-    Bins narrower than the pulse are filtered with it first.
+    Bins narrower than the pulse are filtered with it first; returns are as far apart as those of a pixel (`depth.py`).
     """
     excess = histogram - np.median(histogram, axis=1, keepdims=True)
-    near = max(NEAR_BINS, round(1.5 * sigma_ticks / width))
+    near, apart = (max(NEAR_BINS, math.ceil(sigmas * sigma_ticks / width)) for sigmas in (NEAR_SIGMAS, APART_SIGMAS))
     left = np.apply_along_axis(np.convolve, 1, excess, _pulse(sigma_ticks / width), "same") if sigma_ticks > width / 2 else excess.copy()
     ticks = np.full((len(histogram), RETURNS), np.nan)
     for row in range(len(histogram)):
@@ -155,7 +156,7 @@ def coarse_peaks(histogram: np.ndarray, width: int, sigma_ticks: float) -> np.nd
                 break
             bins = np.arange(len(left[row]))[here] + 0.5
             ticks[row, k] = width * (np.average(bins, weights=weight) if weight.any() else at + 0.5)
-            left[row, here] = 0
+            left[row, max(0, at - apart):at + apart + 1] = 0
     return ticks
 
 

@@ -123,4 +123,4 @@ def test_dither_pays():
     """The study's core: a ghost in most pixels without dither, about none with it."""
     with Runner(1) as run:
         without, with_it = run.map(run_task, [Task(0.2, 0.0, 0, 1), Task(0.2, 0.0, 4, 1)])
-    assert without.ghosts["this, fixed, joint"] > 0.5 > 0.1 > with_it.wrong["this, fixed, joint"]
+    assert without.ghosts["this: fixed joint"] > 0.5 > 0.1 > with_it.wrong["this: fixed joint"]

@@ -11,9 +11,10 @@ from ..plot_style import SERIES, legend_below, new_figure, share_axis
 from ..scene import load_scene
 from .cases import Runner, mean_of
 from .page import Section
+from .rivals import STYLES
 
 SIDE, KLUX, SEEDS = 32, 20.0, 3
-SHOWN = ("winner, joint", "this, fixed", "this, controller", "this, fixed, joint", "this, joint")
+SHOWN = ("winner: joint", "this: fixed", "this: controller", "this: fixed joint", "this: controller joint")
 PHOTONS = (0.0, 0.02, 0.05, 0.2, 0.5, 1.0)    # of a pixel and pulse of the other; 0.23 is our own from white at 10 m
 OFFSETS = (0.0, 1e-5, 1e-4, 1e-3, 1e-2, 1e-1)  # of the other's laser period, relative
 DITHER_BITS = (0, 1, 2, 3, 4, 6)
@@ -58,9 +59,9 @@ def _same_and_wrong(depth_m: np.ndarray, truth_m: np.ndarray) -> float:
 def interference(run: Runner) -> Section:
     """Wrong share against the other's light, its period, and the dither."""
     keys = {
-        "light of the other": [(photons, OFFSET_SHOWN, bits) for photons in PHOTONS for bits in BITS_SHOWN],
-        "its laser period": [(PHOTONS_SHOWN, offset, bits) for offset in OFFSETS for bits in BITS_SHOWN],
-        "dither": [(PHOTONS_SHOWN, OFFSET_SHOWN, bits) for bits in DITHER_BITS],
+        "photons a pixel and pulse of the other LiDAR": [(photons, OFFSET_SHOWN, bits) for photons in PHOTONS for bits in BITS_SHOWN],
+        "its laser period longer by": [(PHOTONS_SHOWN, offset, bits) for offset in OFFSETS for bits in BITS_SHOWN],
+        "longest wait in cycles": [(PHOTONS_SHOWN, OFFSET_SHOWN, bits) for bits in DITHER_BITS],
     }
     wanted = list(dict.fromkeys(key for part in keys.values() for key in part))
     made = iter(run.map(run_task, [Task(*key, seed + 1) for key in wanted for seed in range(SEEDS)]))
@@ -70,28 +71,28 @@ def interference(run: Runner) -> Section:
         frame_us = Timing(dither_bits=key[2]).start_cycles(PULSES)[-1] / Timing().clock_hz * 1e6
         rows += [(name, *key, float(frame_us), *(mean_of(results, lambda one, part=part, name=name: getattr(one, part)[name])
                   for part in ("wrong", "ghosts", "bits"))) for name in SHOWN]
-    figure = new_figure(15, 8.4)
-    axes = figure.subplots(2, 3, sharey="row")
+    figure = new_figure(15, 5)
+    left, middle, right = figure.subplots(1, 3, sharey=True)
     colours = dict(zip(BITS_SHOWN, (SERIES[0], SERIES[3], SERIES[5])))
-    for row, name in zip(axes, ("this, fixed", "this, joint")):
-        for axis, at, label in zip(row, (0, 1), ("photons a pixel and pulse of the other LiDAR", "its laser period longer by")):
-            for bits in BITS_SHOWN:
-                part = [key for key in list(keys.values())[at] if key[2] == bits]
-                axis.plot([key[at] for key in part], _shares(table, part, name), "-o", color=colours[bits],
-                          label=f"dither of 0 to {(1 << bits) - 1} cycles" if bits else "no dither")
-            share_axis(axis, xlabel=label)
-            axis.set_xscale("symlog", linthresh=PHOTONS[1] if at == 0 else OFFSETS[1])
-        for scheme in SHOWN:
-            part = keys["dither"]
-            row[2].plot([(1 << key[2]) - 1 for key in part], _shares(table, part, scheme), "-o" if scheme == name else ":",
-                        color="#e31a1c" if scheme == name else "#999999", label=scheme if scheme == name else "others")
-        share_axis(row[2], xlabel="longest wait in cycles")
-        row[2].set_xscale("symlog", linthresh=1)
-        row[0].set_ylabel("share of wrong pixels")
-        row[0].set_title(f"{name}; same period")
-        row[1].set_title(f"{name}; {PHOTONS_SHOWN:g} photons")
-        row[2].set_title(f"{PHOTONS_SHOWN:g} photons, same period")
-    legend_below(figure)
+    for axis, at, (label, part) in zip((left, middle), (0, 1), keys.items()):
+        for bits in BITS_SHOWN:
+            chosen = [key for key in part if key[2] == bits]
+            for name, line in (("this: fixed joint", "-o"), ("this: fixed", "--o")):
+                wait = f"wait of 0 to {(1 << bits) - 1} cycles" if bits else "no wait"
+                axis.plot([key[at] for key in chosen], _shares(table, chosen, name), line, color=colours[bits], label=f"{wait}, {name}")
+        share_axis(axis, xlabel=label)
+        axis.set_xscale("symlog", linthresh=part[len(BITS_SHOWN)][at], linscale=0.3)
+        axis.set_xlim(left=0)
+    for name in SHOWN:
+        colour, line, marker = STYLES[name]
+        chosen = keys["longest wait in cycles"]
+        right.plot([(1 << key[2]) - 1 for key in chosen], _shares(table, chosen, name), line, marker=marker, color=colour, label=name)
+    share_axis(right, xlabel="longest wait in cycles", title=f"{PHOTONS_SHOWN:g} photons, same period")
+    right.set_xscale("symlog", linthresh=1)
+    right.set_xlim(left=0)
+    left.set(ylabel="share of wrong pixels", title="same period")
+    middle.set_title(f"{PHOTONS_SHOWN:g} photons")
+    legend_below(figure, 4)
     return Section("interference", "A second LiDAR, with and without dither of the laser period", "", [
         ("interference", figure, f"Five objects at {KLUX:g} klux, {PULSES} pulses, {SEEDS} phases of the other LiDAR")], rows)
 

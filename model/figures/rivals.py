@@ -5,14 +5,14 @@ from collections.abc import Iterable
 import numpy as np
 
 from ..comparison import PULSES, RETURNS, SCHEMES, THRESHOLD, Found, shoot
-from ..depth import TOLERANCE_M, wrong_pixels, wrong_share
+from ..depth import TOLERANCE_M, wrong_share
 from ..light import Light, background_cps, signal_per_pulse
 from ..plot_style import legend_below, new_figure, share_axis
 from ..scene import load_scene, scene_light
 from .cases import Runner
 from .page import Section
 
-SIDE = 32                                  # pixels
+SIDE, SMALL = 32, 16                       # pixels; of two targets and of the sign, which are the same in every subgroup
 KLUX = (1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)
 SEEDS, FEW_SEEDS = 3, 2
 BUILT_IN = ("five-objects", "letter-f", "flat:10,0.4", "two-targets:5,9", "two-returns:5,9")
@@ -20,19 +20,18 @@ BUILT_IN_KLUX = 50.0
 DISTANCES_M, RANGE_KLUX, RANGE_REFLECTIVITY = (2.0, 5.0, 10.0, 15.0, 20.0, 25.0, 30.0, 40.0), (10.0, 100.0), 0.4
 DETECTED_M = 0.15                          # of the truth: within one window
 THRESHOLDS = (2, 3, 4, 5)                  # of the plot of bits
-WITH_THRESHOLD = ("sliding window", "fixed windows", "this, fixed")
+WITH_THRESHOLD = ("sliding window", "fixed windows", "this: fixed")
 NEAR_M, TWO_KLUX = 5.0, 20.0
 STEPS_M = (0.08, 0.10, 0.12, 0.15, 0.2, 0.3, 0.4, 0.6, 1.0)  # above twice the tolerance: else a depth between both is right
 GAINS, BEHIND_M = (1.0, 10.0, 100.0, 1000.0), (0.3, 3.0)  # of the sign against white; of the dark target behind it
-SIGN_M, DARK, SIGN, STRAY, RETRO_KLUX = 6.0, 0.1, slice(12, 20), 1e-3, 20.0
-AROUND_SIGN = slice(8, 24)                 # the four subgroups that see it
+SIGN_M, DARK, SIGN, STRAY, RETRO_KLUX = 6.0, 0.1, slice(4, 12), 1e-3, 20.0  # a quarter of each subgroup sees the sign
 
 STYLES = {
-    "winner takes all": ("#999999", "-", "o"), "winner, joint": ("#999999", "--", "o"), "sliding window": ("#1f78b4", "-", "s"),
+    "winner takes all": ("#999999", "-", "o"), "winner: joint": ("#999999", "--", "o"), "sliding window": ("#1f78b4", "-", "s"),
     "fixed windows": ("#a6cee3", "-", "D"), "last hit": ("#b2df8a", "-", "v"), "photon counts": ("#6a3d9a", "-", "^"),
-    "count-weighted": ("#cab2d6", "-", "<"), "this, fixed": ("#fb9a99", "-", "P"), "this, controller": ("#e31a1c", "-", "X"),
-    "this, pooled": ("#fdbf6f", "-", "p"), "this, minigroups": ("#ff7f00", "-", ">"), "this, fixed, joint": ("#fb9a99", "--", "h"),
-    "this, joint": ("#e31a1c", "--", "*"),
+    "count-weighted": ("#cab2d6", "-", "<"), "this: fixed": ("#fb9a99", "-", "P"), "this: controller": ("#e31a1c", "-", "X"),
+    "this: pooled": ("#fdbf6f", "-", "p"), "this: minigroups": ("#ff7f00", "-", ">"), "this: fixed joint": ("#fb9a99", "--", "h"),
+    "this: controller joint": ("#e31a1c", "--", "*"),
 }
 Task = tuple[Light, int, int, tuple[str, ...]]  # seed, threshold, schemes
 
@@ -141,7 +140,7 @@ def ranging(run: Runner) -> Section:
 
 def two_targets(run: Runner) -> Section:
     """Two surfaces in every macro-pixel, in stripes of 4 columns."""
-    scenes = {step_m: load_scene(f"two-targets:{NEAR_M},{NEAR_M + step_m:.4g}", SIDE, SIDE) for step_m in STEPS_M}
+    scenes = {step_m: load_scene(f"two-targets:{NEAR_M},{NEAR_M + step_m:.4g}", SMALL, SMALL) for step_m in STEPS_M}
     table = _table(run, {step_m: scene_light(scene, TWO_KLUX) for step_m, scene in scenes.items()}, FEW_SEEDS)
     rows = [("scheme", "step_m", "wrong_share", "wrong_in_both_returns_share")]
     figure = new_figure(11, 4.8)
@@ -168,23 +167,24 @@ def retroreflector(run: Runner) -> Section:
     """A dark target around and behind a retroreflective sign, whose light strays onto all pixels."""
     keys = [(behind_m, gain) for behind_m in BEHIND_M for gain in GAINS]
     table = _table(run, {key: sign_light(*key) for key in keys}, FEW_SEEDS)
-    dark = np.zeros((SIDE, SIDE), bool)
-    dark[AROUND_SIGN, AROUND_SIGN] = True
+    dark = np.ones((SMALL, SMALL), bool)
     dark[SIGN, SIGN] = False
-    rows = [("scheme", "behind_m", "gain", "wrong_share_of_dark", "wrong_share_of_sign", "bits_per_frame")]
-    figure = new_figure(11, 4.8)
-    for axis, behind_m in zip(figure.subplots(1, len(BEHIND_M), sharey=True), BEHIND_M):
+    rows = [("scheme", "behind_m", "gain", "wrong_share_of_dark", "wrong_in_both_returns_share", "wrong_share_of_sign", "bits_per_frame")]
+    figure = new_figure(11, 8.2)
+    for column, behind_m in zip(figure.subplots(RETURNS, len(BEHIND_M), sharex=True, sharey=True).T, BEHIND_M):
         for scheme in SCHEMES:
             shares = []
             for gain in GAINS:
-                depths = [one[scheme].depth_m[:, :, 0] for one in table[behind_m, gain]]
-                shares.append(np.mean([wrong_pixels(depth, np.where(dark, SIGN_M + behind_m, np.nan))[dark] for depth in depths]))
-                sign = np.mean([~(np.abs(depth[SIGN, SIGN] - SIGN_M) <= TOLERANCE_M) for depth in depths])
-                rows.append((scheme, behind_m, gain, float(shares[-1]), float(sign), float(np.mean([
-                    one[scheme].bits for one in table[behind_m, gain]]))))
-            _line(axis, scheme, GAINS, shares)
-        share_axis(axis, xlabel="light of the sign against a white target's", ylabel="share of wrong pixels, dark target", xscale="log")
-        axis.set_title(f"{behind_m:g} m behind the sign")
+                ones = [one[scheme] for one in table[behind_m, gain]]
+                wrong = np.stack([~(np.abs(one.depth_m - (SIGN_M + behind_m)) <= TOLERANCE_M) for one in ones])[:, dark]
+                shares.append((wrong[:, :, 0].mean(), wrong.all(axis=2).mean()))
+                of_sign = np.mean([~(np.abs(one.depth_m[SIGN, SIGN, 0] - SIGN_M) <= TOLERANCE_M) for one in ones])
+                rows.append((scheme, behind_m, gain, *map(float, shares[-1]), float(of_sign), float(np.mean([one.bits for one in ones]))))
+            for axis, values in zip(column, np.transpose(shares)):
+                _line(axis, scheme, GAINS, values)
+        for axis, returns in zip(column, ("first return", "better of two returns")):
+            share_axis(axis, ylabel="share of wrong pixels, dark target", xscale="log", title=f"{behind_m:g} m behind the sign, {returns}")
+        column[-1].set_xlabel("light of the sign against a white target's")
     legend_below(figure)
     return Section("rivals_retroreflector", "Beside a retroreflector", "", [
         ("rivals_retroreflector", figure, f"A target of {DARK:.0%} in the subgroups of a sign at {SIGN_M:g} m, {RETRO_KLUX:g} klux; "
@@ -193,12 +193,12 @@ def retroreflector(run: Runner) -> Section:
 
 def sign_light(behind_m: float, gain: float) -> Light:
     """A dark wall `behind_m` behind a sign of 8 x 8 pixels at a corner of four subgroups; gain: against a white Lambertian target."""
-    sign = np.zeros((SIDE, SIDE), bool)
+    sign = np.zeros((SMALL, SMALL), bool)
     sign[SIGN, SIGN] = True
     of_sign = gain * float(signal_per_pulse(SIGN_M, 1.0))
     signal = np.stack([np.where(sign, of_sign, STRAY * of_sign), np.where(sign, 0, signal_per_pulse(SIGN_M + behind_m, DARK))], axis=2)
-    return Light(rows=SIDE, cols=SIDE, distance_m=np.array([[SIGN_M, SIGN_M + behind_m]]), signal_per_pulse=signal.reshape(SIDE * SIDE, 2),
-                 background_cps=background_cps(RETRO_KLUX))
+    return Light(rows=SMALL, cols=SMALL, distance_m=np.array([[SIGN_M, SIGN_M + behind_m]]),
+                 signal_per_pulse=signal.reshape(SMALL * SMALL, 2), background_cps=background_cps(RETRO_KLUX))
 
 
 def _table(run: Runner, lights: dict, seeds: int) -> dict[object, list[dict[str, Found]]]:
