@@ -1,6 +1,7 @@
 """The bandwidth study: estimate and golden model agree, and what it says about streams holds."""
 
 import csv
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,6 +15,8 @@ from coincid.model.light import Light, Spad, Timing
 from coincid.model.packet import FORMAT_NAMES
 from coincid.model.photons import generate_edges
 from coincid.model.registers import COUNTER_NAMES
+
+PAGE = Path(__file__).parents[1] / "docs" / "performance.md"
 
 
 @pytest.mark.parametrize(("klux", "threshold", "window"), [(0, 1, 16), (20, 1, 1), (20, 2, 16), (50, 3, 40), (100, 2, 16), (100, 4, 64)])
@@ -50,6 +53,13 @@ def test_fewer_streams_lose_and_enough_lose_nothing():
     assert full[0].lost_events > full[1].lost_events > full[2].lost_events == 0 == full[2].overruns < full[0].overruns
     assert all(row.needed_estimated <= row.needed_golden for row in rows if row.lost_events > 0.01)
     assert all(row.beats_estimated == pytest.approx(row.beats_golden, rel=0.1) for row in rows)
+
+
+def test_page_has_the_table_of_the_command():
+    lines = PAGE.read_text().splitlines()
+    table = bandwidth.table(bandwidth.study(klux=(50.0,), thresholds=(2, 3), sizes=("32x32",))).splitlines()
+    start = lines.index(table[0])
+    assert lines[start : start + len(table)] == table
 
 
 def test_command_writes_table_data_and_plot(tmp_path):

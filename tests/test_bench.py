@@ -1,6 +1,8 @@
 """The benchmark: it measures what it documents, and its slowest engine plays the sensor too. No times are asserted."""
 
 import json
+import re
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -39,6 +41,11 @@ def test_every_key_is_documented_and_those_that_are_asked_for_are_there():
     assert all(text for _, text in bench.KEYS.values())
     rates = {key for key in bench.KEYS if key.endswith("_per_s")}
     assert all(bench.KEYS[key][0] in ("cycles/s", "edges/s") for key in rates)
+
+
+def test_page_shows_every_key():
+    page = Path(__file__).parents[1] / "docs" / "performance.md"
+    assert re.findall(r"^\| `(\w+)` \|", page.read_text(), re.MULTILINE) == list(bench.KEYS)
 
 
 def test_benchmark_measures_every_key(tmp_path, monkeypatch):
