@@ -6,7 +6,7 @@ unexport PYTHONPATH PYTHONHOME VIRTUAL_ENV
 # $(call option,scene,SCENE): --scene 'value' where SCENE= was given.
 option = $(if $(value $2),--$1 '$(value $2)')
 
-.PHONY: help setup sim test verilog lint figures compare bench clean
+.PHONY: help setup sim test verilog synth lint figures compare bench clean
 
 help: ## this list
 	@echo 'make TARGET [OPTION=value ...]'
@@ -16,7 +16,7 @@ help: ## this list
 	@echo '              RTL as a library, by Verilator)'
 	@echo '  KLUX=50     background light                   PULSES=100   laser pulses in the frame'
 	@echo '  CONFIG=FILE sensor configuration (TOML)        SEED=1       of the light'
-	@echo '  WAVES=1     waveform (FST) and a view of it'
+	@echo '  WAVES=1     waveform (FST) and a view of it    VIEW=async   front end as on silicon (on Icarus, 4 pulses)'
 	@echo 'options of test: PYTEST_ARGS="-k fifo -x"'
 	@echo 'options of all: PYTHON=python3.12 makes .venv; COINCID_BUILD=DIR keeps compiled designs elsewhere than build/'
 
@@ -24,10 +24,10 @@ setup: ## .venv with pinned versions, and nothing else
 	@scripts/setup
 
 sim: ## simulate a frame of the scene, every word checked against the golden model; results in build/sim/
-	@scripts/setup $(if $(findstring icarus,$(SIM)),icarus)
+	@scripts/setup $(if $(findstring icarus,$(SIM))$(filter async,$(VIEW)),icarus)
 	@$(BIN)/coincid sim $(call option,engine,SIM) $(call option,scene,SCENE) $(call option,klux,KLUX) \
 		$(call option,pulses,PULSES) $(call option,config,CONFIG) $(call option,seed,SEED) \
-		$(if $(filter-out 0,$(WAVES)),--waves) --out build/sim
+		$(call option,view,VIEW) $(if $(filter-out 0,$(WAVES)),--waves) --out build/sim
 
 test: ## the whole regression, on both simulators
 	@scripts/setup icarus
@@ -36,6 +36,10 @@ test: ## the whole regression, on both simulators
 verilog: ## synthesizable Verilog, one file a block, into build/rtl/
 	@scripts/setup
 	@$(BIN)/coincid verilog --out build/rtl
+
+synth: ## cells, area, logic depth and LUTs of every block, into docs/synthesis.md
+	@scripts/setup cells
+	@$(BIN)/coincid synth
 
 lint: ## Python style, and the Verilog under Verilator's lint
 	@scripts/setup

