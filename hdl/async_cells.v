@@ -2,7 +2,8 @@
 //
 // Cells go through synthesis as they stand: every flop of the front end that is not clocked by the system clock is one of them, and none
 // holds a latch. Macros (coincid_phases, coincid_window, coincid_delay, coincid_mutex) are drawn by a circuit designer; the flow takes
-// their black boxes (async_macros.v). What each of them must meet is in docs/async.md.
+// their black boxes (async_macros.v). What each of them must meet is in docs/async.md. With COINCID_APERTURE_PS defined, flops whose data
+// has moved less than that before their edge take either value, at random.
 
 `timescale 1ps / 1fs
 
@@ -14,9 +15,17 @@ module coincid_hit_flop #(parameter DELAY_FS = 0) (input edge_in, input arm, inp
     else if (arm) hit <= 1'b1;
 `else
   initial hit = 1'b0;
+`ifdef COINCID_APERTURE_PS   // an edge so soon after `arm` changed or `clear` ended: the flop falls to either side
+  real moved;
+  initial moved = -1e9;
+  always @(arm or negedge clear) moved = $realtime;
+`define COINCID_ARMED ($realtime - moved < `COINCID_APERTURE_PS ? $random & 1 : arm)
+`else
+`define COINCID_ARMED arm
+`endif
   always @(posedge edge_in or posedge clear)
     if (clear) hit <= #(DELAY_FS / 1000.0) 1'b0;
-    else if (arm) hit <= #(DELAY_FS / 1000.0) 1'b1;
+    else if (`COINCID_ARMED) hit <= #(DELAY_FS / 1000.0) 1'b1;
 `endif
 endmodule
 
@@ -25,7 +34,17 @@ module coincid_sample #(parameter WIDTH = 1) (input event_in, input [WIDTH-1:0] 
 `ifndef SYNTHESIS
   initial q = {WIDTH{1'b0}};
 `endif
+`ifdef COINCID_APERTURE_PS
+  genvar i;
+  generate for (i = 0; i < WIDTH; i = i + 1) begin : flop
+    real moved;
+    initial moved = -1e9;
+    always @(d[i]) moved = $realtime;
+    always @(posedge event_in) q[i] <= $realtime - moved < `COINCID_APERTURE_PS ? $random & 1 : d[i];
+  end endgenerate
+`else
   always @(posedge event_in) q <= d;
+`endif
 endmodule
 
 // A node of the OR tree.
@@ -43,18 +62,21 @@ endmodule
 module coincid_phases #(
   parameter PHASES = 32, parameter CLOCK_FS = 2000000, parameter LAG_FS = 0, parameter [32*PHASES-1:0] MISMATCH_FS = 0
 ) (input clk, output reg [PHASES/2-1:0] phases, output reg mark, output reg shut, output reg wipe);
-  real border [0:PHASES-1];
-  integer k;
-  initial begin
-    for (k = 0; k < PHASES; k = k + 1)
-      border[k] = (LAG_FS + (CLOCK_FS / PHASES) * k + $signed(MISMATCH_FS[32*k +: 32])) / 1000.0;
-    phases = 0; mark = 0; shut = 0; wipe = 0;
-  end
-  always @(posedge clk) begin
-    for (k = 0; k < PHASES / 2; k = k + 1) begin
-      phases[k] <= #(border[k]) 1'b1;
-      phases[k] <= #(border[k + PHASES/2]) 1'b0;
+  genvar k;
+  generate for (k = 0; k < PHASES / 2; k = k + 1) begin : tap
+    real rise, fall;
+    initial begin
+      rise = (LAG_FS + CLOCK_FS / PHASES * k + $signed(MISMATCH_FS[32*k +: 32])) / 1000.0;
+      fall = (LAG_FS + CLOCK_FS / PHASES * (k + PHASES/2) + $signed(MISMATCH_FS[32*(k + PHASES/2) +: 32])) / 1000.0;
+      phases[k] = 1'b0;
     end
+    always @(posedge clk) begin
+      phases[k] <= #(rise) 1'b1;
+      phases[k] <= #(fall) 1'b0;
+    end
+  end endgenerate
+  initial begin mark = 0; shut = 0; wipe = 0; end
+  always @(posedge clk) begin
     mark <= #((LAG_FS + CLOCK_FS / 4 + CLOCK_FS / PHASES / 2) / 1000.0) 1'b1;
     mark <= #((LAG_FS + CLOCK_FS / 4 * 3) / 1000.0) 1'b0;
     shut <= #(CLOCK_FS / 16 * 9 / 1000.0) 1'b1;

@@ -27,8 +27,9 @@ class AsyncControl(Unit):
     clearing_b : out, bank b is to be cleared in this cycle's last quarter
     opening, closing, bank : out, of the cycle before the one that ends: a window opened, one closed, in this bank (from mid-cycle on)
 
-    With two banks the other one listens too, from every cycle's start, and is cleared at its end, unless the window turns out to have closed
-    in the cycle before: then it is the current one, and has missed nothing (R = 0). With one, the clear waits for a synchroniser.
+    With two banks the other one listens too, from every cycle's start, and is cleared at its end, unless the window turns out to
+    have closed in the cycle before: then it is the current one, and has missed nothing (R = 0). With one, the clear waits for a
+    synchroniser.
     Reset makes bank 0 the current one, with no window.
     """
 

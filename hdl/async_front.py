@@ -1,7 +1,7 @@
 """Front end of the asynchronous view: hit flops that the SPADs clock, event trees, window banks, and the way to the clock.
 
-It stands where `CoincidenceTree` does and gives the same, in the same cycles. The paper (III-A, Fig. 3) draws this tree and shows no circuit;
-flops, banks and synchronisers are our choice, explained in docs/async.md.
+It stands where `CoincidenceTree` does and gives the same, in the same cycles. The paper (III-A, Fig. 3) draws this tree and shows
+no circuit; flops, banks and synchronisers are our choice, explained in docs/async.md.
 """
 
 from amaranth.hdl import Cat, ClockDomain, ClockSignal, Const, Instance, Module, Mux, ResetSignal, Signal
@@ -109,7 +109,8 @@ class AsyncFrontEnd(Unit):
                 getattr(control, f"parity_{b}").eq(sample(m, f"ended_parity_{b}", ended, parity_late)),
             ]
 
-        # Half a cycle after a cycle everything of it has come to rest, and is read before it is cleared; stages 2 and 3 are the synchroniser.
+        # Half a cycle after a cycle everything of it has come to rest, and is read before it is cleared; stages 2 and 3 are the
+        # synchroniser.
         before = Signal()
         m.d.comb += before.eq(~parity)
 
@@ -208,8 +209,9 @@ class AsyncFrontEnd(Unit):
     def _stamp(self, m, at, opening_4):
         """Stamp of the window that opened last (stage 5, at a register's end).
 
-        The phases say where in its cycle the event was. Close to a border of the cycle the coarse count may be in transition: there the copy
-        that changes half a cycle later is taken, which is at rest. Which side of the border the event belongs to the hit flops have decided.
+        The phases say where in its cycle the event was. Close to a border of the cycle the coarse count may be in transition: there
+        the copy that changes half a cycle later is taken, which is at rest. Which side of the border the event belongs to the hit
+        flops have decided.
         """
         sensor, line = self.sensor, self.line
         taps, bits = sensor.phases // 2, sensor.coarse_bits

@@ -62,7 +62,7 @@ class AsyncMinigroup(Minigroup):
     def _first_quarter(self, word):
         """Quarter of the cycle in which the first edge came, from its mark.
 
-        The hit flops have decided which cycle the edge belongs to. Where the quarter was read beyond that cycle's border, it is the border's.
+        The hit flops have decided which cycle the edge belongs to. A quarter that was read beyond that cycle's border is the border's.
         """
         first_half, second, half = self.mark
         quarter = Cat(first_half ^ ~second, ~first_half)     # phases (1, 0), (1, 1), (0, 1), (0, 0): quarters 0 to 3

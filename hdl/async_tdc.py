@@ -19,7 +19,7 @@ def line_signature(sensor: Sensor) -> Signature:
     """A sampling line, seen from the subgroup: what its events sample, and what the cycle of stage 3 is called.
 
     phases : in, phases/2 taps, each high for half a cycle from its border on; they lag the clock by `lag_fs`
-    gray_a, gray_b : in, coarse count in Gray code from the cycle's start, and half a cycle later; half : in, lowest bit of the latter's count
+    gray_a, gray_b : in, coarse count in Gray code from the cycle's start, and half a cycle later; half : in, the latter's lowest bit
     mark, shut, wipe : in, strobes (docs/async.md)
     base : in, the coarse count in cycle 0 of the period; cycle : in, the cycle's number in its period (stage 3)
     """
@@ -54,7 +54,7 @@ class AsyncTdc(Unit):
         errors = self.circuit.mismatch_fs or (0,) * sensor.phases
         m.submodules.generator = Instance(
             "coincid_phases", p_PHASES=sensor.phases, p_CLOCK_FS=CLOCK_FS, p_LAG_FS=lag_fs(sensor),
-            p_MISMATCH_FS=Const(sum((e & (1 << ERROR_BITS) - 1) << ERROR_BITS * k for k, e in enumerate(errors)), ERROR_BITS * sensor.phases),
+            p_MISMATCH_FS=Const(sum((e % (1 << ERROR_BITS)) << ERROR_BITS * k for k, e in enumerate(errors)), ERROR_BITS * len(errors)),
             i_clk=ClockSignal(), o_phases=phases, o_mark=mark, o_shut=shut, o_wipe=wipe,
         )
         count, gray = Signal(bits), Signal(bits)

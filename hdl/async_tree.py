@@ -1,7 +1,8 @@
 """Event tree of the asynchronous view: what the first edge of a cycle sets off.
 
-The paper (III-A): the tree is "modelled to propagate events"; the propagated event is "passed to a shared TDC to sample the internal states",
-and every minigroup "provides a coarse timestamp". An arbiter tree beside it remembers who came first. Its circuits are our choice.
+The paper (III-A): the tree is "modelled to propagate events"; the propagated event is "passed to a shared TDC to sample the internal
+states", and every minigroup "provides a coarse timestamp". An arbiter tree beside it remembers who came first. Its circuits are our
+choice.
 """
 
 from amaranth.hdl import Cat, Const, Instance, Module

@@ -38,6 +38,11 @@ def core_files(sensor: Sensor) -> tuple[str, list[str]]:
     return text, [f"{name}.v" for name in sorted(units)]
 
 
+def units_files(units: list[Unit]) -> dict[str, str]:
+    """Files of some blocks, and of all that they instantiate."""
+    return _units({unit.unit_name: unit for unit in units})
+
+
 def _units(pending: dict[str, Unit]) -> dict[str, str]:
     """Files of these units and of all that they instantiate."""
     files, platform = {}, Export()

@@ -66,3 +66,4 @@ class Asynchronous:
 
 
 POLYPHASE = Polyphase()
+VIEWS = {"polyphase": POLYPHASE, "async": Asynchronous()}

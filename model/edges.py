@@ -27,7 +27,8 @@ class Edges:
 
     def save(self, path) -> None:
         """Writes the edges as NPZ, whole or not at all."""
-        write_npz(path, {name: getattr(self, name) for name in NAMES})
+        offset = {} if self.offset_ps is None else {"offset_ps": self.offset_ps}
+        write_npz(path, {name: getattr(self, name) for name in NAMES} | offset)
 
     def frame(self, number: int, pulses: int) -> tuple["Edges", np.ndarray]:
         """The edges of one frame, pulses counted from the frame's start, and their indices here."""
@@ -42,9 +43,11 @@ NAMES = ("pulse", "pixel", "tick")
 def load_edges(path, *, pixels: int, pulses: int, period_ticks: int) -> Edges:
     """Reads and checks an edge file: pixel below `pixels`, tick below `period_ticks`, pulse below `pulses` (of all frames).
 
-    Raises `InputError` naming the array, its first bad element and the legal range.
+    An array `offset_ps` may say where in its tick each edge is. Raises `InputError` naming the array, its first bad element and the
+    legal range.
     """
-    return checked_edges(read_npz(path, NAMES), pixels=pixels, pulses=pulses, period_ticks=period_ticks, source=f"{path}: ")
+    arrays = read_npz(path, NAMES, optional=("offset_ps",))
+    return checked_edges(arrays, pixels=pixels, pulses=pulses, period_ticks=period_ticks, source=f"{path}: ")
 
 
 def checked_edges(arrays: dict, *, pixels: int, pulses: int, period_ticks: int, source: str = "") -> Edges:
@@ -62,4 +65,12 @@ def checked_edges(arrays: dict, *, pixels: int, pulses: int, period_ticks: int, 
         bad = np.flatnonzero((arrays[name] < 0) | (arrays[name] >= bound))
         if len(bad):
             raise InputError(f"{source}{name}[{bad[0]}] = {arrays[name][bad[0]]}: must be an integer from 0 to {bound - 1}")
-    return Edges(*(np.ascontiguousarray(arrays[name], dtype=np.int64) for name in NAMES))
+    offset = arrays.get("offset_ps")
+    if offset is not None:
+        if offset.shape != arrays["tick"].shape or offset.dtype.kind not in "iuf":
+            raise InputError(f"{source}offset_ps: holds {offset.dtype}{list(offset.shape)}, must hold {lengths['tick']} numbers")
+        bad = np.flatnonzero(~((offset >= 0) & np.isfinite(offset)))
+        if len(bad):
+            raise InputError(f"{source}offset_ps[{bad[0]}] = {offset[bad[0]]}: must be a number from 0 to a tick's length")
+        offset = offset.astype(float)
+    return Edges(*(np.ascontiguousarray(arrays[name], dtype=np.int64) for name in NAMES), offset)

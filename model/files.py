@@ -44,8 +44,11 @@ def write_npz(path, arrays: dict[str, np.ndarray]) -> None:
         np.savez_compressed(file, **arrays)
 
 
-def read_npz(path, names: tuple[str, ...]) -> dict[str, np.ndarray]:
-    """The arrays `names` of an NPZ file; `InputError` if the file is missing, damaged, no NPZ, or lacks one of them."""
+def read_npz(path, names: tuple[str, ...], optional: tuple[str, ...] = ()) -> dict[str, np.ndarray]:
+    """The arrays `names` of an NPZ file, and of `optional` those that it has.
+
+    `InputError` if the file is missing, damaged, no NPZ, or lacks one of `names`.
+    """
     path = Path(path)
     try:
         archive = np.load(path, allow_pickle=False)
@@ -55,7 +58,7 @@ def read_npz(path, names: tuple[str, ...]) -> dict[str, np.ndarray]:
             missing = [name for name in names if name not in archive.files]
             if missing:
                 raise InputError(f"{path}: has no array {missing[0]!r}, must have {', '.join(names)}")
-            arrays = {name: archive[name] for name in names}
+            arrays = {name: archive[name] for name in (*names, *(name for name in optional if name in archive.files))}
         for name, array in arrays.items():
             if not isinstance(array, np.ndarray):  # a member without NumPy's header comes as bytes
                 raise InputError(f"{path}: {name} is no array")

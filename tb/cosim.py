@@ -20,7 +20,7 @@ from coincid.hdl.sequencer import LEAD
 from coincid.model import registers
 from coincid.model.config import Config
 from coincid.model.edges import Edges
-from coincid.tb.frames import STORED_TO_COMMIT, FrameJob, Recorded, cycle_limit
+from coincid.tb.frames import STORED_TO_COMMIT, Recorded, cycle_limit
 from coincid.tb.scoreboard import Mismatch, Scoreboard
 from coincid.tb.stimulus import line_levels, port_words
 

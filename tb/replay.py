@@ -12,6 +12,7 @@ from ..hdl.views import POLYPHASE
 from ..model.config import Config
 from ..model.edges import Edges
 from ..model.parameters import Sensor
+from ..model.quantities import check_choice
 from ..model.result import ResultBuilder, golden_result
 from . import toolchain
 from .batch import BatchSensor, build_library
@@ -19,7 +20,9 @@ from .cosim import JOB_VARIABLE, MISMATCH, PROGRESS, RESULT, LineBench, SensorBe
 from .frames import FrameJob, Recorded
 from .rtl import rtl, sensor_key
 from .scoreboard import Mismatch, check
+from .stimulus import check_offsets
 
+LINE_ENGINES = ("icarus", "cocotb-icarus", "cocotb-verilator")   # of the view with delays
 ENGINES = ("golden", "verilator", "icarus", "cocotb-verilator", "cocotb-icarus")  # verilator: the batch engine
 COCOTB = {"cocotb-verilator": "verilator", "cocotb-icarus": "icarus", "icarus": "icarus"}  # engine -> simulator
 
@@ -40,11 +43,14 @@ def _batch(engine: str, waves: bool) -> bool:
 def build_sensor(sensor: Sensor, simulator: str, waves: bool = False, view=POLYPHASE) -> toolchain.Build:
     """The sensor in a view of `hdl/views.py`, compiled for a simulator, or found compiled."""
     public = [f"{TOP}.stored_of_*"] + [f"{TOP}.timing"] * (view != POLYPHASE)
-    return toolchain.build(simulator, rtl(sensor, view), TOP, key=sensor_key(sensor, view), waves=waves, public=public)
+    return toolchain.build(
+        simulator, rtl(sensor, view), TOP, key=sensor_key(sensor, view), waves=waves, public=public, delays=view != POLYPHASE,
+    )
 
 
 def play(
-    frames: list[FrameJob], engine: str, out_dir: Path, *, waves: bool = False, progress: Callable[[int], None] | None = None, view=POLYPHASE
+    frames: list[FrameJob], engine: str, out_dir: Path, *, waves: bool = False, progress: Callable[[int], None] | None = None,
+    view=POLYPHASE,
 ) -> tuple[list[Recorded], Path | None]:
     """Plays frames of one sensor through its RTL; returns what each showed, and the waveform. `progress` gets cycles done.
 
@@ -88,10 +94,14 @@ def _play_batch(frames: list[FrameJob], progress: Callable[[int], None]) -> list
 
 
 def replay(
-    engine: str, config: Config, edges: Edges, ready: np.ndarray | None = None, progress: Callable[[int], None] | None = None, view=POLYPHASE
+    engine: str, config: Config, edges: Edges, ready: np.ndarray | None = None, progress: Callable[[int], None] | None = None,
+    view=POLYPHASE,
 ) -> dict[str, np.ndarray]:
     """All frames of `config` through an engine: the arrays of the result file. `progress` gets cycles done."""
     ready = np.zeros(0, np.uint8) if ready is None else ready
+    if view != POLYPHASE:
+        check_choice("engine", engine, LINE_ENGINES)
+        check_offsets(config, edges)
     if engine == "golden":
         done = progress or (lambda cycles: None)
         return golden_result(config, edges, ready, lambda frames: done(frames * config.pulses * config.period))

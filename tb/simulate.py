@@ -18,6 +18,7 @@ from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeEl
 from rich.table import Table
 
 from ..hdl.sensor import TOP
+from ..hdl.views import POLYPHASE
 from ..model.config import SUBGROUP_INTEGERS, Config
 from ..model.depth import estimate_depth
 from ..model.edges import Edges
@@ -31,7 +32,7 @@ from ..model.quantities import check_choice
 from ..model.result import ResultBuilder, write_result
 from ..model.scene import Scene, load_scene, scene_light
 from .frames import FrameJob, Recorded
-from .replay import ENGINES, play, prepare
+from .replay import ENGINES, LINE_ENGINES, play, prepare
 from .scoreboard import Mismatch
 from .waves import views
 
@@ -65,7 +66,8 @@ class Frames:
 
 
 def run_frames(
-    config: Config, edges: Edges, engine: str, out: Path, *, waves: bool = False, progress: Progressed = lambda cycles: None
+    config: Config, edges: Edges, engine: str, out: Path, *, waves: bool = False, progress: Progressed = lambda cycles: None,
+    view=POLYPHASE,
 ) -> Frames:
     """Plays `edges` once for each of `SCHEMES` through an engine of `replay.ENGINES`; a simulator's log goes to `out`.
 
@@ -79,7 +81,7 @@ def run_frames(
     if engine != "golden":
         began = time.perf_counter()
         jobs = [FrameJob(scheme, edges, trace) for scheme, trace in zip(configs, traces)]
-        shown, wave = play(jobs, engine, out, waves=waves, progress=progress)
+        shown, wave = play(jobs, engine, out, waves=waves, progress=progress, view=view)
     seconds = time.perf_counter() - began
     result = ResultBuilder(config)
     for frame in shown:
@@ -95,14 +97,14 @@ def _cycles(frame: Recorded | Trace) -> int:
 
 def simulate(
     source: str, config: Config, *, klux: float, seed: int, engine: str, out: Path, console: Console, waves: bool = False,
-    clock_hz: float = 500e6, spad_gate: bool = False,
+    clock_hz: float = 500e6, spad_gate: bool = False, view=POLYPHASE,
 ) -> dict:
     """Simulates the scene `source` (`model/scene.py`); leaves `PICTURES`, events.npz and report.json in `out` and returns the report.
 
     events.npz: a result file of three frames, in the order of `SCHEMES`. spad_gate: gating keeps the SPADs off outside the gate.
     Raises `InputError`, and what `run_frames` raises; after a `Mismatch` only the report is there, with `mismatches` = 1.
     """
-    check_choice("engine", engine, ENGINES)
+    check_choice("engine", engine, ENGINES if view == POLYPHASE else LINE_ENGINES)
     if config.format == "short":
         raise InputError("frame.format = 'short': must be id or full, as depth comes from the ID map")
     timing = Timing.from_config(config, clock_hz)
@@ -110,7 +112,7 @@ def simulate(
     light = scene_light(scene, klux)
     gate = SpadGate.from_config(config) if spad_gate else None
     given = {
-        "scene": scene.name, "klux": klux, "seed": seed, "engine": engine, "clock_hz": clock_hz, "spad_gate": spad_gate,
+        "scene": scene.name, "klux": klux, "seed": seed, "engine": engine, "view": view.name, "clock_hz": clock_hz, "spad_gate": spad_gate,
         "configuration": settings_of(config),
     }
     results = [out / name for name in (*PICTURES, EVENTS)]
@@ -119,10 +121,10 @@ def simulate(
         edges = generate_edges(light, Spad(), timing, pulses=config.pulses, seed=seed, gate=gate, workers=os.cpu_count() or 1)
         if engine != "golden":
             bar.stage("RTL: emitted and compiled once")
-            prepare(engine, config.sensor, waves)
+            prepare(engine, config.sensor, waves, view)
         bar.stage(f"{len(SCHEMES)} frames on {engine}", len(SCHEMES) * config.pulses * config.period)
         try:
-            frames = run_frames(config, edges, engine, out, waves=waves, progress=bar.done)
+            frames = run_frames(config, edges, engine, out, waves=waves, progress=bar.done, view=view)
         except Mismatch as mismatch:
             for path in results:  # of an earlier run
                 path.unlink(missing_ok=True)

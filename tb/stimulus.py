@@ -1,11 +1,16 @@
 """Edges as the words that stand at the sensor's ports, or as the levels of SPAD lines."""
 
 import numpy as np
+from attrs import evolve
 
 from ..hdl.async_circuit import CLOCK_FS
 from ..model.config import Config
 from ..model.edges import Edges
+from ..model.errors import InputError
 from ..model.golden import pixel_table
+from ..model.parameters import Sensor
+
+FS_PER_PS = 1000
 
 
 def port_words(config: Config, edges: Edges) -> dict[int, list[tuple[int, int]]]:
@@ -28,8 +33,27 @@ def port_words(config: Config, edges: Edges) -> dict[int, list[tuple[int, int]]]
     return words
 
 
+def tick_ps(sensor: Sensor) -> float:
+    """Length of a tick in the circuits of the asynchronous view."""
+    return CLOCK_FS / sensor.phases / FS_PER_PS
+
+
+def check_offsets(config: Config, edges: Edges) -> None:
+    """Raises `InputError` where an edge's offset leaves its tick."""
+    if edges.offset_ps is not None:
+        bad = np.flatnonzero(edges.offset_ps > tick_ps(config.sensor))
+        if len(bad):
+            raise InputError(f"offset_ps[{bad[0]}] = {edges.offset_ps[bad[0]]}: must be a number from 0 to {tick_ps(config.sensor):g}")
+
+
+def off_centre(config: Config, edges: Edges, seed: int) -> Edges:
+    """The same edges anywhere in their ticks, at random."""
+    offset = np.random.default_rng(seed).uniform(0, tick_ps(config.sensor), len(edges))
+    return evolve(edges, offset_ps=offset)
+
+
 def line_levels(config: Config, edges: Edges) -> tuple[list[int], list[int], list[int]]:
-    """Edges as levels of SPAD lines: (time in femtoseconds from the frame's start, subgroup, word of its lines from then on), in time order.
+    """Edges as levels of SPAD lines, in time order: (time in femtoseconds from the frame's start, subgroup, its lines from then on).
 
     A line rises at its edge and stays high for a quarter of a tick, or half of the way to its next edge where that is less.
     An offset at a tick's very border counts as a femtosecond inside it, as the integer tick says.
@@ -37,7 +61,7 @@ def line_levels(config: Config, edges: Edges) -> tuple[list[int], list[int], lis
     sensor = config.sensor
     tick_fs = CLOCK_FS // sensor.phases
     table = pixel_table(sensor)
-    offset = np.full(len(edges), tick_fs // 2) if edges.offset_ps is None else np.rint(edges.offset_ps * 1000).astype(np.int64)
+    offset = np.full(len(edges), tick_fs // 2) if edges.offset_ps is None else np.rint(edges.offset_ps * FS_PER_PS).astype(np.int64)
     rise = edges.pulse * config.period * CLOCK_FS + edges.tick * tick_fs + offset.clip(1, tick_fs - 1)
     rise, pixel = np.unique(np.stack([rise, edges.pixel]), axis=1)
     order = np.lexsort((rise, pixel))

@@ -28,6 +28,7 @@ from cocotb_tools import config as cocotb_config
 from filelock import FileLock
 
 from ..model.errors import InputError
+from ..model.folders import build_root
 from .system import MissingPackagesError, system_packages
 
 SIMULATORS = ("verilator", "icarus")
@@ -58,29 +59,6 @@ class SimulationError(RuntimeError):
         super().__init__(message)
         self.log = log
         self.wave = wave
-
-
-def build_root() -> Path:
-    """The directory of everything generated: `$COINCID_BUILD`, else `build` beside pyproject.toml in a checkout, else
-    (the project was installed without a checkout) `coincid` in the user's cache directory.
-
-    Raises `ToolchainError` where it cannot be written.
-    """
-    checkout = Path(__file__).resolve().parents[1]
-    if (chosen := os.environ.get("COINCID_BUILD")) is not None:
-        root = Path(chosen).absolute()
-    elif (checkout / "pyproject.toml").exists():
-        root = checkout / "build"
-    else:
-        root = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "coincid"
-    try:
-        root.mkdir(parents=True, exist_ok=True)
-        tempfile.TemporaryFile(dir=root).close()
-    except OSError as error:
-        raise ToolchainError(
-            f"build directory {root}: not writable ({error.strerror}); set COINCID_BUILD to one that is"
-        ) from None
-    return root
 
 
 def build_once(directory: Path, make: Callable[[Path], None]) -> Path:
@@ -259,6 +237,7 @@ def build(
     waves: bool = False,
     public: Sequence[str] = (),
     vlt: Sequence[Path | str] = (),
+    delays: bool = False,
 ) -> Build:
     """Compile the Verilog files `sources` with the module `top` for `simulator` ("verilator" or "icarus"), or find it
     compiled: in `build_root()/<simulator>/<key>-<hash of names, contents, options and tool versions>`.
@@ -268,6 +247,7 @@ def build(
     public: signals besides the top's ports that cocotb may see under Verilator, as "module.signal", both Verilog
         names, `*` and `?` allowed. Under Icarus everything is visible.
     vlt: further Verilator control files.
+    delays: the sources have delays, in the units that they state themselves; Icarus always minds them.
     Raises `ToolchainError` where a tool is missing and may not be installed, or the design does not compile.
     """
     if simulator not in SIMULATORS:
@@ -281,7 +261,7 @@ def build(
     if simulator == "verilator":
         controls = {f"control{i}.vlt": Path(path).read_bytes() for i, path in enumerate(vlt)}
         controls["public.vlt"] = _public_signals(files.values(), top, public).encode()
-        tools, command = _verilator_command([*controls, *files], top, waves)
+        tools, command = _verilator_command([*controls, *files], top, waves, delays)
         files |= controls
     else:
         tools, command = _icarus_command([*files], top, waves)
@@ -307,14 +287,15 @@ def build(
     return Build(simulator, top, build_once(directory, make), waves)
 
 
-def _verilator_command(names: Sequence[str], top: str, waves: bool) -> tuple[list[str], list[str]]:
+def _verilator_command(names: Sequence[str], top: str, waves: bool, delays: bool = False) -> tuple[list[str], list[str]]:
     program = verilator()
+    time = ["--timing", "--timescale", TIMESCALE] if delays else ["--timescale-override", TIMESCALE]
     if waves and not _compiles("lz4.h", "zlib.h"):
         _install("liblz4-dev", "zlib1g-dev")
     libraries = cocotb_config.libs_dir
     return [_first_line("g++", "--version"), version("cocotb")], [
         str(program), "--cc", "--exe", "--vpi", "--prefix", "Vtop", "-o", SIM_FILE["verilator"], "--Mdir", ".",
-        "--top-module", top, "--timescale-override", TIMESCALE, *VERILATOR_OPTIONS, NOT_INLINED, *(["--trace-fst"] if waves else []),
+        "--top-module", top, *time, *VERILATOR_OPTIONS, NOT_INLINED, *(["--trace-fst"] if waves else []),
         "-LDFLAGS", f"-Wl,-rpath,{libraries} -L{libraries} -lcocotbvpi_verilator",
         str(cocotb_config.share_dir / "lib" / "verilator" / "verilator.cpp"), *names,
     ]  # fmt: skip
