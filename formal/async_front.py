@@ -1,0 +1,136 @@
+"""Proof of the asynchronous view's control part: whatever its events leave, no wrong word comes out, and it never locks up.
+
+Every cell and macro is cut away: hit flops, roots, arbiters, window ends, samples and pictures may show anything at any half cycle. So the
+proof covers every edge pattern, every delay, and every flop that falls to the wrong side. What is left is the control and all that collects
+words at the clock. A step is half a clock cycle: rising registers move in one, falling ones in the next.
+
+`python -m coincid.formal.async_front` proves it for both structures.
+"""
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+from amaranth.back import rtlil
+from amaranth.hdl import Assert, Assume, EnableInserter, Module, ResetInserter, Signal
+from amaranth.hdl._ast import AnySeq
+
+from ..hdl.async_circuit import SYNCHRONISER_REARM, Circuit
+from ..hdl.async_front import AsyncFrontEnd
+from ..hdl.logic import popcount
+from ..model.parameters import Sensor
+from ..tb.toolchain import build_root
+from .bench import inside
+from .prove import _programs
+
+DEPTH = 14   # half cycles of the induction
+SMALL = {"rows": 4, "cols": 4, "subgroup": (4, 4), "minigroup": (2, 2), "phases": 4, "coarse_bits": 3, "window_max": 8}
+SCRIPT = """\
+[options]
+mode prove
+depth {depth}
+
+[engines]
+smtbmc bitwuzla
+
+[script]
+read_rtlil bench.il
+read_verilog -sv -DSYNTHESIS -lib cells.v macros.v
+hierarchy -top bench
+proc
+flatten
+cutpoint -blackbox
+setattr -unset init w:* w:started w:rising %d %d
+prep -top bench
+
+[files]
+bench.il
+cells.v
+macros.v
+"""
+
+
+def bench(sensor: Sensor, circuit: Circuit) -> Module:
+    """The front end with free events, and what must hold."""
+    m = Module()
+    started, rising, reset = Signal(name="started", reset_less=True), Signal(name="rising", reset_less=True), Signal()
+    m.d.sync += [started.eq(started | rising), rising.eq(~rising)]
+    m.d.comb += [reset.eq(AnySeq(1)), Assume(started | reset)]
+    front = AsyncFrontEnd(sensor, circuit)
+    body = inside(front)
+    control = body.control
+    control_of = vars(inside(control))
+    for path, member, value in front.signature.flatten(front):
+        if member.flow.name == "In":
+            value = value.as_value() if hasattr(value, "as_value") else value
+            m.d.comb += value.eq(AnySeq(len(value)))
+
+    # A word: never empty, its winner in it, its count its map's. Invariants on the way there make it inductive.
+    f = body.m
+    live_4, live_5 = Signal(), Signal()
+    f.d.sync += [live_4.eq(body.inside), live_5.eq(live_4)]
+    winner, half, window = body.winner, body.half, front.window
+
+    def bit(value, index):
+        return value.bit_select(index, 1)
+
+    def states(condition, where):
+        f.d.comb += Assert(~where | condition)
+
+    states(live_4 == (body.opening_4 | (live_5 & ~body.closed)), live_4)
+    states(live_4 & ~body.closing_4, body.window_open)
+    states(live_4, body.closing_4)
+    states(live_5, body.closed)
+    states(bit(body.hits, winner), live_5)
+    states(bit(half.hits, half.winner) & (sum(body.counts[1:], body.counts[0]) == popcount(f, half.hits, "spec_half")), body.closed_6)
+    states(
+        bit(window.hits, window.winner) & (window.hits != 0) & (window.count == popcount(f, window.hits, "spec_window")), front.closed,
+    )
+
+    # The control returns: what waits for the clock alone ends in time, and what waits for an end closes within two cycles of it.
+    c, of_current = control_of["m"], control_of["of_current"]
+    if control.banks == 1:
+        waiting = Signal(range(8))
+        c.d.fall += waiting.eq(0)
+        with c.If(control_of["read"]):
+            c.d.fall += waiting.eq(waiting + 1)
+        c.d.comb += Assert(waiting <= 2)                         # the clear comes two cycles after the window closed
+        c.d.comb += Assert(~(control_of["read"] & (waiting == 0)) | control.closing)
+    unanswered, parity = Signal(range(8)), Signal()
+    due = control_of["window_open"] & of_current("ended")
+    c.d.fall += [unanswered.eq(0), parity.eq(of_current("parity"))]
+    with c.If(due & ~control_of["closing"] & ((unanswered == 0) | (of_current("parity") == parity))):
+        c.d.fall += unanswered.eq(unanswered + 1)
+    c.d.comb += Assert(unanswered <= 2)                          # an end that stays closes its window within two cycles
+    if sensor.rearm:
+        c.d.comb += Assert(control_of["hold"] < max(2, sensor.rearm))
+
+    m.submodules.front = ResetInserter({"sync": reset, "fall": reset})(EnableInserter({"sync": rising, "fall": ~rising})(front))
+    return m
+
+
+def prove(sensor: Sensor, circuit: Circuit, name: str) -> bool:
+    """Whether the proof holds; its log stays in `build_root()/formal/NAME`."""
+    from ..hdl.async_circuit import CELLS, MACROS
+
+    root = build_root() / "formal"
+    programs, folder = _programs(root / "bin"), root / name
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir(parents=True)
+    (folder / "bench.il").write_text(rtlil.convert(bench(sensor, circuit), name="bench", ports=[]))
+    for target, source in (("cells.v", CELLS), ("macros.v", MACROS)):
+        shutil.copyfile(source, folder / target)
+    (folder / "bench.sby").write_text(SCRIPT.format(depth=DEPTH))
+    environment = os.environ | {"PATH": f"{programs}{os.pathsep}{os.environ['PATH']}"}
+    with (folder / "log").open("w") as log:
+        return not subprocess.run([programs / "sby", "-f", "bench.sby"], cwd=folder, env=environment, stdout=log, stderr=log).returncode
+
+
+STRUCTURES = {"async_two_banks": (Sensor(**SMALL), Circuit()), "async_one_bank": (Sensor(**SMALL, rearm=SYNCHRONISER_REARM), Circuit())}
+
+if __name__ == "__main__":
+    verdicts = {name: prove(*structure, name) for name, structure in STRUCTURES.items()}
+    print("\n".join(f"{name}: {'proven' if holds else 'NOT PROVEN'}" for name, holds in verdicts.items()))
+    sys.exit(not all(verdicts.values()))

@@ -1,0 +1,133 @@
+"""What the proofs are written with.
+
+A proof is a function that puts a block into a module, drives its inputs with whatever the contract allows, and states what must hold. Reset is
+an input like any other: proofs hold for a reset in any cycle. Nothing is assumed of the state at power-on but that reset is asserted in the
+first cycle, so a lost reset shows as well.
+"""
+
+import sys
+from collections.abc import Callable
+from types import SimpleNamespace
+
+from amaranth.hdl import Assert, Assume, Cover, Module, ResetSignal, Signal, Value
+from amaranth.hdl._ast import AnyConst, AnySeq  # the language's only names for free values
+from attrs import field, frozen
+
+STARTED = "after_reset"
+PROOFS: dict[str, "Proof"] = {}
+
+
+@frozen
+class Proof:
+    """A block's bench. depth: of the induction; cover: cycles within which every situation that is to be covered occurs."""
+
+    name: str
+    states: str
+    build: Callable[["Bench"], None] = field(repr=False)
+    depth: int
+    cover: int
+
+
+def proof(depth: int = 2, cover: int = 10):
+    """Registers a function of a `Bench` as a proof; its name is the proof's, the first line of its docstring what it states."""
+
+    def register(build):
+        name = build.__name__
+        PROOFS[name] = Proof(name, build.__doc__.splitlines()[0], build, depth, cover)
+        return build
+
+    return register
+
+
+class Bench:
+    """A proof under construction: `m` is its module."""
+
+    def __init__(self):
+        self.m = Module()
+        self.started = Signal(reset_less=True, name=STARTED)
+        self.m.d.sync += self.started.eq(1)
+        self.m.d.comb += Assume(self.started | ResetSignal())
+
+    def always(self, condition, where=None) -> None:
+        """States that `condition` holds in every cycle since the first reset (in which `where` holds)."""
+        given = self.started if where is None else self.started & Value.cast(where).bool()
+        self.m.d.comb += Assert(~given | Value.cast(condition).bool(), src_loc_at=1)
+
+    def assume(self, condition, where=None) -> None:
+        """Restricts the inputs."""
+        given = self.started if where is None else self.started & Value.cast(where).bool()
+        self.m.d.comb += Assume(~given | Value.cast(condition).bool(), src_loc_at=1)
+
+    def cover(self, condition) -> None:
+        """States that `condition` occurs."""
+        self.m.d.comb += Cover(self.started & ~ResetSignal() & Value.cast(condition).bool(), src_loc_at=1)
+
+    def past(self, value, cycles: int = 1):
+        """`value` as it was `cycles` ago; 0 across a reset."""
+        for _ in range(cycles):
+            value = Value.cast(value)
+            later = Signal(value.shape(), name="past")
+            self.m.d.sync += later.eq(value)
+            value = later
+        return value
+
+    def last(self, value):
+        """`value` a cycle ago, whether there was a reset or not."""
+        value = Value.cast(value)
+        later = Signal(value.shape(), name="last", reset_less=True)
+        self.m.d.sync += later.eq(value)
+        return later
+
+    def stable(self, value, where) -> None:
+        """States that `value` is what it was a cycle ago (in which `where` held and reset did not come)."""
+        held = self.last(Value.cast(where).bool() & ~ResetSignal() & self.started)
+        self.m.d.comb += Assert(~(held & self.started) | (value == self.last(value)), src_loc_at=1)
+
+    def assume_stable(self, value, where) -> None:
+        """Restricts an input to what it was a cycle ago, where `where` holds now."""
+        self.m.d.comb += Assume(~(self.started & Value.cast(where).bool()) | (value == self.last(value)), src_loc_at=1)
+
+    def same(self, name: str, value) -> Signal:
+        """`value` under a name, computed once."""
+        value = Value.cast(value)
+        signal = Signal(value.shape(), name=name)
+        self.m.d.comb += signal.eq(value)
+        return signal
+
+    def anything(self, shape):
+        """An input that may have any value in any cycle."""
+        return AnySeq(shape)
+
+    def constant(self, shape):
+        """An input that may have any value, the same in all cycles."""
+        return AnyConst(shape)
+
+    def place(self, name: str, unit, **inputs) -> SimpleNamespace:
+        """Puts `unit` in and drives its ports: with `inputs`, else with anything. Returns what `inside` does."""
+        for path, member, value in unit.signature.flatten(unit):
+            port = "__".join(map(str, path))
+            if member.flow.name == "In" and inputs.get(port, "") is not None:
+                value = Value.cast(value)
+                self.m.d.comb += value.eq(inputs.pop(port) if port in inputs else self.anything(len(value)))
+            inputs.pop(port, None)
+        assert not inputs, f"no such ports: {', '.join(inputs)}"
+        self.m.submodules[name] = unit
+        return inside(unit)
+
+
+def inside(unit) -> SimpleNamespace:
+    """Elaborates `unit` now and returns the names in its body, for invariants about its registers."""
+    names = {}
+
+    def at_return(frame, event, _):
+        if event == "return" and frame.f_locals.get("self") is unit:
+            names.update(frame.f_locals)
+
+    before = sys.getprofile()
+    sys.setprofile(at_return)
+    try:
+        body = unit.elaborate(None)
+    finally:
+        sys.setprofile(before)
+    unit.elaborate = lambda platform: body
+    return SimpleNamespace(**names)

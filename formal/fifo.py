@@ -1,0 +1,108 @@
+"""Proofs of the event FIFO and of the record buffer.
+
+Depth is a parameter of counters only, so what holds for a FIFO of two places and for one of three, which is no power of two, holds for any; an
+event is an opaque word to the FIFO, so the smallest subgroup's does.
+"""
+
+from amaranth.hdl import Mux, Signal
+from attrs import evolve
+
+from ..hdl import bus
+from ..hdl.fifo import EventFifo, RecordBuffer
+from .bench import Bench, inside, proof
+from .sensors import SMALL
+
+
+def _event_fifo(b: Bench, depth: int) -> None:
+    sensor = evolve(SMALL, fifo_depth=depth)
+    m, unit = b.m, EventFifo(sensor)
+    commit, take, begin = (Signal(name=name) for name in ("commit", "take", "begin"))
+    m.d.comb += [signal.eq(b.anything(1)) for signal in (commit, take, begin)]
+    body = b.place("dut", unit, commit=commit, take=take, frame_begin=begin)
+    library = inside(body.storage)
+    memory = library.storage.read_port(domain="comb")
+
+    # The readout takes only what is at the head, and a frame begins with the FIFO empty.
+    level = Signal(range(depth + 1))
+    b.assume(body.storage.r_rdy, where=take)
+    b.assume(level == 0, where=begin)
+    b.assume(~commit, where=begin)
+
+    stored = b.same("stored_now", commit & (level != depth))
+    dropped = b.same("dropped_now", commit & (level == depth))
+    m.d.sync += level.eq(level + stored - take)
+    b.always((level == body.level) & (level <= depth))
+    b.always(level == body.storage.level)
+    b.always(unit.stored == b.past(stored))    # each committed event is stored,
+    b.always(unit.dropped == b.past(dropped))  # or, the FIFO being full, counted as dropped; never both
+    b.always(~(unit.stored & unit.dropped))
+
+    # Overrun: events were dropped since the last one that was stored in this frame.
+    lost = Signal()
+    m.d.sync += lost.eq(Mux(begin, 0, Mux(commit, dropped, lost)))
+    b.always(lost == body.lost)
+
+    # Any event: it leaves behind all those that were there before it, and before all others, intact.
+    watch = b.same("watch", b.anything(1) & stored)
+    watched = Signal()
+    ahead = Signal(range(depth + 1))
+    event = Signal(bus.event_layout(sensor))
+    with m.If(watch & ~watched):
+        m.d.sync += [watched.eq(1), ahead.eq(level - take), event.window.eq(unit.event), event.pulse.eq(unit.pulse), event.overrun.eq(lost)]
+    with m.Elif(watched & take):
+        m.d.sync += [ahead.eq(ahead - 1), watched.eq(ahead != 0)]
+    b.always(unit.head.as_value() == event.as_value(), where=watched & (ahead == 0) & body.storage.r_rdy)
+    # It does come to the head: two cycles after it was stored it is there, if nothing is ahead.
+    b.always(body.storage.r_rdy, where=watched & (ahead == 0) & ~b.past(watch))
+
+    # Invariants: rows in use are those from `consume` to `produce`, and the event stands in its own.
+    rows, produce, consume = depth, library.produce, library.consume
+    b.always((produce < rows) & (consume < rows) & (library.inner_level <= rows))
+    b.always(produce == Mux(consume + library.inner_level >= rows, consume + library.inner_level - rows, consume + library.inner_level))
+    b.always(ahead < level, where=watched)
+    behind = b.same("behind", ahead - body.storage.r_rdy)  # rows between `consume` and the event's
+    mine = b.same("mine", Mux(consume + behind >= rows, consume + behind - rows, consume + behind))
+    in_memory = watched & ~((ahead == 0) & body.storage.r_rdy)
+    m.d.comb += memory.addr.eq(mine)
+    b.always(memory.data == event.as_value(), where=in_memory)
+
+    b.cover(dropped & lost)
+    b.cover(watched & take & (ahead == 0) & event.overrun)
+    b.cover((level == depth) & take)
+
+
+@proof(depth=3, cover=14)
+def event_fifo(b):
+    """Events leave in order, whole; each is stored, or counted as dropped when full; overrun exactly after drops."""
+    _event_fifo(b, 2)
+
+
+@proof(depth=3, cover=14)
+def event_fifo_of_three(b):
+    """The same where the depth is no power of two."""
+    _event_fifo(b, 3)
+
+
+@proof(depth=2, cover=8)
+def record_buffer(b):
+    """A record is stored when the place is free, else counted as dropped; it stays until it is taken, entries not latched are 0."""
+    m, unit = b.m, RecordBuffer(SMALL)
+    due, take = Signal(), Signal()
+    m.d.comb += [due.eq(b.anything(1)), take.eq(b.anything(1))]
+    body = b.place("dut", unit, due=due, take=take)
+    waiting = Signal()
+    b.assume(waiting, where=take)
+    comes = b.same("comes", due & (unit.latched != 0))
+    stored = b.same("stored_now", comes & ~waiting)
+    m.d.sync += waiting.eq(Mux(stored, 1, waiting & ~take))
+    b.always(waiting == body.waiting)
+    b.always(unit.stored == b.past(stored))
+    b.always(unit.dropped == b.past(comes & waiting))
+    kept = Signal(bus.record_layout(SMALL))
+    with m.If(stored):
+        m.d.sync += kept.pulse.eq(unit.pulse)
+        for g in range(SMALL.minigroups):
+            m.d.sync += kept.entries[g].eq(Mux(unit.latched[g], unit.entries[g].as_value(), 0))
+    b.always(unit.record.as_value() == kept.as_value(), where=waiting)
+    b.cover(comes & waiting)
+    b.cover(take & due)

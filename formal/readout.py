@@ -1,0 +1,154 @@
+"""Proofs of readout and packetizer.
+
+Three subgroups are the fewest among which an order can be wrong; the arbiter treats its bits alike, so the bounds read n for 3.
+"""
+
+from amaranth.hdl import Cat, Mux, Signal
+
+from ..hdl import bus
+from ..hdl.packetizer import Packetizer
+from ..hdl.readout import Readout
+from ..model import latency
+from ..model.packet import FORMAT_NAMES, FORMATS, Kind, layout
+from .bench import Bench, inside, proof
+from .sensors import SMALL
+
+N = 3
+PARTS = layout(SMALL)
+SUBGROUP_TO_BEAT = latency.GRANT_TO_BEAT - 2   # a grant's register -> the beat at the readout's input
+
+
+def _length(send, form):
+    """Beats of a packet."""
+    of_format = [PARTS.length(FORMATS[name]) for name in FORMAT_NAMES]
+    event = Mux(form == 0, of_format[0], Mux(form == 1, of_format[1], of_format[2]))
+    record = PARTS.length(Kind.RECORD)
+    return Mux(send == bus.Send.EVENT, event, Mux(send == bus.Send.RECORD, record, PARTS.counter_beats))
+
+
+@proof(depth=4, cover=14)
+def readout(b: Bench):
+    """One grant at a time, to one that waits; none waits for more than n - 1 others; the buffer never overflows and leaks no place; AXI4-Stream rules."""
+    m, unit = b.m, Readout(SMALL, N)
+    frame, form = Signal(bus.frame_layout(SMALL)), b.constant(2)
+    stored, record_stored, ready, finish, begin = Signal(N), Signal(N), Signal(), Signal(), Signal()
+    m.d.comb += [signal.eq(b.anything(len(signal))) for signal in (stored, record_stored, ready, finish, begin)]
+    m.d.comb += frame.format.eq(form)
+    b.assume(form <= 2)
+
+    # The subgroups: a granted packet's beats come one after the other, after a fixed time.
+    rest = Signal(range(PARTS.longest + 1))
+    sends = b.same("sends", unit.grant.any() | (rest != 0))
+    m.d.sync += rest.eq(Mux(unit.grant.any(), _length(unit.send, form) - 1, rest - (rest != 0)))
+    body = b.place(
+        "dut", unit, frame=frame, stored=stored, record_stored=record_stored, finish=finish, frame_begin=begin,
+        valid=b.past(sends, SUBGROUP_TO_BEAT), m_axis__tready=ready,
+    )
+    library = inside(body.buffer)
+    idle = body.machine.ongoing("idle")
+
+    # A subgroup's FIFO has room for what it tells of; between a frame's finish and the next one's beginning nothing is stored.
+    events = [Signal(range(SMALL.fifo_depth + 1), name=f"events_of_{s}") for s in range(N)]
+    for s in range(N):
+        m.d.sync += events[s].eq(events[s] + body.stored[s] - body.take_event[s])
+        b.assume(events[s] + body.stored[s] < SMALL.fifo_depth, where=stored[s])
+        b.assume(~body.records[s] & ~body.record_stored[s], where=record_stored[s])
+    b.assume(~stored.any() & ~record_stored.any(), where=finish | ~body.in_frame)
+    b.assume(finish, where=b.past(finish) & body.in_frame)   # finish stays until all is delivered
+    b.assume(idle & unit.delivered, where=begin)
+
+    # One grant, to a subgroup with what is granted.
+    b.always((unit.grant & (unit.grant - 1)) == 0)
+    had_event = Cat(b.past(events[s] != 0) for s in range(N))
+    b.always((unit.grant & ~had_event) == 0, where=unit.grant.any() & (unit.send == bus.Send.EVENT))
+    b.always((unit.grant & ~b.past(body.records)) == 0, where=unit.grant.any() & (unit.send == bus.Send.RECORD))
+    b.always(Cat(events[s] != 0 for s in range(N)) == body.some_events)
+
+    # Who waits sees at most n - 1 grants to others. Distance: others that come before it in the round.
+    in_events = body.machine.ongoing("events")
+    takes = body.take_event | body.take_record
+    grants = b.same("grants", takes.any())
+    granted = b.same("granted", grants | body.own_kind.any() | (body.machine.ongoing("counters") & body.free))
+    for s in range(N):
+        others = Signal(range(N + 1), name=f"others_{s}")
+        waits = body.waiting[s]
+        m.d.sync += others.eq(Mux(~waits | (grants & body.chosen[s]), 0, others + grants))
+        distance = Signal(range(N), name=f"distance_{s}")
+        for pointer in range(N + 1):   # at_or_after: all from the pointer on
+            with m.If(body.at_or_after == (((1 << N) - 1) & ~((1 << pointer) - 1))):
+                m.d.comb += distance.eq((s - pointer) % N)
+        b.always(others <= N - 1)
+        b.always(others + distance <= N - 1, where=waits)
+        b.always(others == 0, where=~in_events)
+        b.cover((others == N - 1) & grants & body.chosen[s])
+    b.always(sum((body.at_or_after == (((1 << N) - 1) & ~((1 << pointer) - 1)) for pointer in range(N + 1)), start=0) == 1)
+    # And a grant comes as soon as the packet before has been granted all its beats and the buffer has room.
+    b.always(unit.grant.any(), where=b.past(in_events & body.waiting.any() & (body.left == 0) & (body.space >= PARTS.longest)))
+    b.always(~body.waiting.any() & ~body.stored.any() & ~body.record_stored.any(), where=~in_events & ~body.machine.ongoing("head"))
+    b.always(~body.stored.any() & ~body.record_stored.any(), where=body.finish | ~body.in_frame)
+    b.always(b.past(unit.finish) | ~b.past(1), where=body.finish)
+
+    # The buffer: a place is taken at the grant and free again when the beat has left.
+    active = b.same("active", granted | (body.left != 0))
+    pipe = Signal(latency.GRANT_TO_BEAT)
+    m.d.sync += pipe.eq(pipe << 1 | active)
+    on_the_way = sum(pipe, start=0)
+    b.always(body.space + body.left + on_the_way + body.buffer.level == body.depth)
+    b.always((library.inner_level <= library.inner_depth) & (body.left < PARTS.longest) & (body.space <= body.depth))
+    b.always(body.buffer.w_rdy, where=body.buffer.w_en)
+    b.always(body.buffer.w_en == pipe[-1])
+    b.always(body.space == body.depth, where=idle)
+    # Invariants: beats of the readout's own and of the subgroups make one sequence.
+    own = [b.same(f"own_{k}_any", kind.any()) for k, kind in enumerate(body.own)]
+    b.always(own[0] == b.past(body.own_kind.any()))
+    from_subgroup = [
+        sends, b.past(sends), b.past(sends, 2) & ~own[2], body.valid,
+    ]
+    for k in range(latency.GRANT_TO_BEAT):
+        b.always(pipe[k] == (own[k] | from_subgroup[k]))
+        b.always(~(own[k] & from_subgroup[k]))
+    b.always(rest == Mux(b.past(active) & ~own[0] & ~unit.grant.any(), body.left + 1, 0), where=~unit.grant.any())
+    b.always(body.left == _length(unit.send, form) - 1, where=unit.grant.any())
+    b.always(body.event_length == _length(bus.Send.EVENT, form), where=b.past(1))
+
+    # AXI4-Stream: what is offered stays until it is taken.
+    axis = unit.m_axis
+    waits = axis.tvalid & ~ready
+    b.stable(Cat(axis.tvalid, axis.tdata, axis.tlast), where=waits)
+    b.cover(axis.tvalid & (axis.tdata[61:] == int(Kind.FRAME_START)) & ready)
+    b.cover(body.machine.ongoing("events") & (body.space < PARTS.longest) & body.waiting.any())
+
+
+@proof(depth=3, cover=12)
+def packetizer(b: Bench):
+    """A grant gives a packet of exactly its length, without gaps; its last beat, and no other, frees the event's or record's place."""
+    m, unit = b.m, Packetizer(SMALL)
+    grant, send, frame, form = Signal(), Signal(bus.Send), Signal(bus.frame_layout(SMALL)), b.constant(2)
+    m.d.comb += [grant.eq(b.anything(1)), send.as_value().eq(b.anything(2)), frame.format.eq(form)]
+    b.assume((form <= 2) & (send.as_value() <= 2))
+    body = b.place("dut", unit, grant=grant, send=send, frame=frame)
+    rest, kind = Signal(range(PARTS.longest + 1)), Signal(bus.Send)
+    b.assume(~grant, where=rest != 0)   # as proven of the readout
+    length = b.same("length", _length(send, form))
+    active = b.same("active_now", grant | (rest != 0))
+    last = b.same("last_now", Mux(grant, length == 1, rest == 1))
+    m.d.sync += rest.eq(Mux(grant, length - 1, rest - (rest != 0)))
+    with m.If(grant):
+        m.d.sync += kind.eq(send)
+    now = Mux(grant, send.as_value(), kind.as_value())
+    b.always(unit.valid == b.past(active))
+    b.always(unit.beat == 0, where=~unit.valid)
+    b.always(unit.take_event == (active & last & (now == bus.Send.EVENT.value)))
+    b.always(unit.take_record == (active & last & (now == bus.Send.RECORD.value)))
+    b.always(kind.as_value() <= 2)
+    b.always(body.sending == (rest != 0))
+    b.always((body.send_before == kind) & (body.index_before + rest == _length(kind, form)), where=rest != 0)
+    for fmt, name in enumerate(FORMAT_NAMES):
+        first = b.past(grant & (send == bus.Send.EVENT) & (form == fmt))
+        b.always(unit.beat[61:] == int(FORMATS[name]), where=first)
+        b.cover(b.past(unit.take_event) & (form == fmt))
+    b.always(unit.beat[:15] == b.past(unit.head.window.stamp), where=b.past(grant & (send == bus.Send.EVENT)))
+    b.always(unit.beat[60] == b.past(unit.head.overrun), where=b.past(grant & (send == bus.Send.EVENT)))
+    b.always(unit.beat == b.past(unit.head.window.hits), where=b.past(now == bus.Send.EVENT.value) & b.past(grant, 2) & (form != 0) & b.past(active))
+    b.cover(b.past(unit.take_record))
+    b.cover(b.past(rest == 1) & (b.past(now) == bus.Send.COUNTERS.value))

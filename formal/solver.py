@@ -1,0 +1,49 @@
+"""Bitwuzla as a program: the PyPI wheel is a library, yosys-smtbmc wants to talk SMT-LIB with a process.
+
+`python -m coincid.formal.solver --lang smt2` reads commands on standard input and answers each at once.
+"""
+
+import re
+import sys
+from collections.abc import Iterable, Iterator
+
+HELP = "usage: bitwuzla --lang smt2"  # yosys-smtbmc looks for the option's name
+TOKEN = re.compile(r"\|[^|]*\||;.*|[()]")
+TOKEN = re.compile(r"\|[^|]*\||;.*|[()]")
+
+
+def commands(lines: Iterable[str]) -> Iterator[str]:
+    """The text's commands: lines until the parentheses outside of |symbols| and comments are balanced."""
+    command, depth = [], 0
+    for line in lines:
+        command.append(line)
+        for token in TOKEN.findall(line):
+            depth += (token == "(") - (token == ")")
+        if not depth:
+            yield "".join(command)
+            command = []
+
+
+def main() -> None:
+    """Answers until the input ends, or `(exit)`."""
+    if "--help" in sys.argv:
+        print(HELP)
+        return
+    from bitwuzla import Option, Options, Parser, TermManager
+
+    options = Options()
+    options.set(Option.PRODUCE_MODELS, True)
+    parser = Parser(TermManager(), options)
+    for command in commands(sys.stdin):
+        words = command.split(";")[0].replace("(", " ").replace(")", " ").split()
+        if words[:1] == ["exit"]:
+            return
+        if words[:1] in (["push"], ["pop"]):  # through the parser, the binding loses count of the levels
+            getattr(parser.bitwuzla(), words[0])(int(words[1]) if len(words) > 1 else 1)
+        elif words:
+            parser.parse(command, False, False)
+        sys.stdout.flush()
+
+
+if __name__ == "__main__":
+    main()

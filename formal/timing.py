@@ -1,0 +1,150 @@
+"""Proofs of what keeps time: TDC, gate, sequencer."""
+
+from amaranth.hdl import Mux, Signal
+
+from ..hdl import bus
+from ..hdl.gating import Gating
+from ..hdl.sequencer import LEAD, Sequencer
+from ..hdl.tdc import START_TO_PHASE, Tdc
+from ..model.parameters import Sensor
+from .bench import Bench, proof
+from .sensors import SMALL
+
+
+@proof(depth=START_TO_PHASE, cover=12)
+def tdc(b: Bench):
+    """A line's stamp is the first set phase of its own root, the other line's does not matter; the coarse count restarts with the laser."""
+    sensor, m = Sensor(), b.m   # in full size: 32 phases, two lines
+    unit = Tdc(sensor)
+    start, roots = Signal(), [Signal(sensor.phases, name=f"root_{k}") for k in range(2)]
+    m.d.comb += [start.eq(b.anything(1)), *(root.eq(b.anything(sensor.phases)) for root in roots)]
+    b.place("dut", unit, start=start, line_0__root=roots[0], line_1__root=roots[1])
+    coarse = Signal(sensor.coarse_bits)
+    m.d.sync += coarse.eq(Mux(b.past(start, START_TO_PHASE - 1), 0, coarse + 1))
+    lines = [unit.line_0, unit.line_1]
+    for line, root in zip(lines, roots):
+        before = b.past(root)
+        b.always(line.any == before.any())
+        b.always(before.bit_select(line.phase, 1), where=before)
+        for k in range(sensor.phases):
+            b.always(line.up_to[k] == before[: k + 1].any())
+            b.always(~before[:k].any(), where=line.any & (line.phase == k))
+        b.always(line.coarse == coarse)
+    b.cover(lines[0].any & ~lines[1].any & (lines[0].phase == 31))
+    b.cover(lines[0].any & lines[1].any & (lines[0].phase == 5) & (lines[1].phase == 7) & (lines[0].coarse == 3))
+
+
+@proof(depth=3, cover=24)
+def gating(b: Bench):
+    """Edges pass exactly where a frame runs and, with gating on, inside [start + shift, start + shift + length); SPADs are on there."""
+    sensor, m = SMALL, b.m
+    unit = Gating(sensor)
+    timing, settings = Signal(bus.time_layout(sensor)), Signal(bus.settings_layout(sensor))
+    m.d.comb += [timing.eq(b.anything(timing.shape().size)), settings.eq(b.anything(settings.shape().size))]
+    body = b.place("dut", unit, timing=timing, settings=settings)
+    highest = (1 << sensor.coarse_bits) - 1
+
+    # A frame begins with a period, a period has at most 2^coarse_bits cycles, settings stay, the start checks have been passed.
+    cycle, shift = Signal(sensor.coarse_bits + 1), Signal(sensor.coarse_bits + 1)
+    cycle_now = b.same("cycle_now", Mux(timing.start, 0, cycle + 1))
+    shift_now = b.same("shift_now", Mux(timing.start, timing.shift, shift))
+    m.d.sync += [cycle.eq(cycle_now), shift.eq(shift_now)]
+    running = timing.running
+    b.assume(timing.start, where=running & ~b.past(running))
+    b.assume(running, where=timing.start)
+    b.assume((cycle_now <= highest) & (timing.shift <= highest + 1), where=running)
+    b.assume_stable(settings.as_value(), where=b.past(running) | b.past(running, 2))
+    b.assume(settings.gate_start <= highest, where=settings.gating)
+
+    opens = b.same("opens", settings.gate_start + shift_now)
+    inside = b.same("inside", running & (cycle_now >= opens) & (cycle_now < opens + settings.gate_len))
+    passes = b.same("passes", running & (inside | ~settings.gating))
+    b.always(unit.accept == b.past(passes, 3))
+    b.always(unit.spad_gate == b.past(inside, 2) | ~b.past(settings.gating), where=b.past(1, 2))
+    b.always(~b.past(inside, 2), where=~unit.spad_gate)
+    # Invariants: what is left until the gate opens, and closes.
+    c, f = b.past(cycle_now), b.past(opens)
+    since = b.same("since", Mux(c > f, c - f, 0))
+    here = b.past(running) & settings.gating
+    b.always(body.until_now == Mux(f > c, f - c, 0), where=here)
+    b.always(body.left_now == Mux(settings.gate_len > since, settings.gate_len - since, 0), where=here)
+    b.always(body.running == (b.past(running) | b.past(running, 2) << 1))
+    b.always(body.start == b.past(timing.start))
+    b.cover(settings.gating & unit.accept & (b.past(cycle_now, 3) == 3) & (settings.gate_start == 1) & (shift == 2))
+    b.cover(settings.gating & running & ~unit.accept & b.past(unit.accept))
+
+
+@proof(depth=6, cover=40)
+def sequencer(b: Bench):
+    """A frame is `pulses` periods of `period` cycles, or ends with the one it is aborted in; no window may open in the guard at a period's end."""
+    sensor, m = SMALL, b.m
+    unit = Sequencer(sensor)
+    plan, start, abort, delivered = Signal(bus.plan_layout(sensor)), Signal(), Signal(), Signal()
+    m.d.comb += [plan.eq(b.anything(plan.shape().size)), *(s.eq(b.anything(1)) for s in (start, abort, delivered))]
+    body = b.place("dut", unit, plan=plan, start_frame=start, abort_frame=abort, delivered=delivered)
+
+    # A start comes when the frame before is done, and the plan, which the start checks have passed, stays.
+    busy = Signal()
+    m.d.sync += busy.eq(Mux(start, 1, busy & ~unit.done))
+    b.assume(~busy, where=start)
+    b.assume_stable(plan.as_value(), where=busy)
+    b.assume((plan.period > sensor.guard) & (plan.period <= sensor.period_max) & (plan.pulses != 0) & (plan.pulses <= 1 << 16))
+    b.assume(plan.gate_steps != 0)
+
+    # The periods as the contract counts them: one cycle behind the sequencer's own counters, as `timing` is.
+    since, period, frame = Signal(sensor.coarse_bits + 1), Signal(bus.PULSE_BITS + 1), Signal()
+    over, aborting = Signal(), Signal()
+    timing = unit.timing
+    begin = b.same("begin", b.past(start, 4))
+    last = b.same("last", frame & (since == plan.period - 1))
+    m.d.sync += since.eq(Mux(last | b.past(start, 3), 0, since + 1))
+    with m.If(b.past(start, 3)):
+        m.d.sync += [frame.eq(1), period.eq(0)]
+    with m.Elif(last):
+        m.d.sync += [period.eq(period + 1), frame.eq((period != plan.pulses - 1) & ~aborting)]
+    m.d.sync += aborting.eq(Mux(b.past(start, 2), 0, aborting | (abort & body.running)))
+    m.d.sync += over.eq(last)
+    b.always(timing.running == frame)
+    b.always(timing.start == (frame & (since == 0)))
+    b.always(timing.start, where=begin)
+    b.always(timing.wrap == over)
+    b.always(timing.may_open == (frame & (since < plan.period - sensor.guard)))
+    b.always(unit.laser == b.past(timing.start, LEAD))
+    b.always(period < plan.pulses, where=frame)
+
+    # Progressive gating: the exact shift, saturated where no gate can open.
+    exact, pulses, steps = Signal(2 * bus.GATE_BITS), Signal(bus.GATE_BITS), Signal(bus.GATE_BITS)
+    with m.If(b.past(start, 3)):
+        m.d.sync += [exact.eq(0), pulses.eq(0), steps.eq(0)]
+    with m.Elif(last):
+        m.d.sync += pulses.eq(pulses + 1)
+        with m.If(pulses == plan.gate_every - 1):
+            m.d.sync += [pulses.eq(0), steps.eq(steps + 1), exact.eq(exact + plan.gate_step)]
+            with m.If(steps == plan.gate_steps - 1):
+                m.d.sync += [steps.eq(0), exact.eq(0)]
+    most = 1 << sensor.coarse_bits
+    b.always(timing.shift == Mux(exact > most, most, exact), where=frame)
+
+    # The end: the frame is done once, after all streams have delivered, and the next one has the next number.
+    ending = Signal()
+    m.d.sync += ending.eq(Mux(over & ~frame, 1, ending & ~unit.done))
+    b.always(ending & b.past(delivered, 2), where=unit.done)
+    b.always(~frame, where=unit.finish | unit.done)
+    b.always(unit.number == (b.past(unit.number) + unit.done)[: bus.PULSE_BITS], where=b.past(1))
+
+    # Invariants: the sequencer's registers are a cycle ahead of what it says.
+    one_frame = body.running | body.start.any() | b.past(start) | body.draining | frame | unit.done | ending
+    b.always(busy, where=one_frame & ~unit.done | unit.finish)
+    b.always(b.past(body.running) == frame)
+    b.always((b.past(body.pulses) == pulses) & (b.past(body.steps) == steps), where=frame)
+    b.always(body.aborted == aborting)
+    b.always(ending == b.past(body.draining))
+    b.always(body.draining == (body.drained != 0))
+    b.always(unit.finish == (body.drained == body.to_finish))
+    b.always(body.drained <= body.to_finish)
+    b.always(~body.running & ~body.start.any(), where=body.draining)
+    b.always(b.past(body.cycle) == since, where=frame)
+    b.always(b.past(body.pulse) == period, where=frame)
+    b.cover(unit.done & (plan.pulses == 2) & (unit.number == 1))
+    b.cover(unit.done & (plan.pulses == 9))
+    b.cover(timing.start & (timing.shift == 3))
