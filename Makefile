@@ -6,7 +6,7 @@ unexport PYTHONPATH PYTHONHOME VIRTUAL_ENV
 # $(call option,scene,SCENE): --scene 'value' where SCENE= was given.
 option = $(if $(value $2),--$1 '$(value $2)')
 
-.PHONY: help setup sim test verilog synth lint figures compare bench clean
+.PHONY: help setup sim test verilog synth gls pnr cost lint figures compare bench clean
 
 help: ## this list
 	@echo 'make TARGET [OPTION=value ...]'
@@ -33,13 +33,25 @@ test: ## the whole regression, on both simulators
 	@scripts/setup icarus
 	@$(BIN)/python -m pytest -n 2 $(PYTEST_ARGS)
 
-verilog: ## synthesizable Verilog, one file a block, into build/rtl/
+verilog: ## the release: Verilog, one file a block, register map, constraints, smoke test, into build/rtl/
 	@scripts/setup
-	@$(BIN)/coincid verilog --out build/rtl
+	@$(BIN)/coincid verilog $(call option,config,CONFIG) --out build/rtl
 
 synth: ## cells, area, logic depth and LUTs of every block, into docs/synthesis.md
 	@scripts/setup cells
 	@$(BIN)/coincid synth
+
+gls: ## gate-level simulation: netlists of gates and standard cells against the golden model
+	@scripts/setup icarus cells
+	@$(BIN)/coincid gls
+
+pnr: ## a module of the FPGA preset placed and routed on an ECP5, into docs/place-and-route.md
+	@scripts/setup
+	@$(BIN)/coincid pnr
+
+cost: ## area, bits and rates against the paper's parameters, into docs/images/cost.png and .csv
+	@scripts/setup cells
+	@$(BIN)/coincid cost
 
 lint: ## Python style, and the Verilog under Verilator's lint
 	@scripts/setup

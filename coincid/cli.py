@@ -269,6 +269,37 @@ def synth(
 
 
 @app.command()
+def gls():
+    """Simulate the netlists of a small sensor, in gates and in standard cells, against the golden model."""
+    from coincid.flow.gls import gate_levels
+
+    for line in gate_levels():
+        print(line, flush=True)
+
+
+@app.command()
+def pnr(
+    out: Annotated[Path, typer.Option(metavar="FILE", help="Markdown report of Fmax and use.")] = Path("docs/place-and-route.md"),
+):
+    """Place and route a module of the FPGA preset on an ECP5."""
+    from coincid.flow.pnr import write_page
+
+    write_page(_file(out))
+    print(out)
+
+
+@app.command()
+def cost(
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder of the table and the picture.")] = Path("docs/images"),
+):
+    """Draw area, bits of an event and readout rate against the paper's parameters."""
+    from coincid.flow.cost import write_pages
+
+    for line in write_pages(_folder(out)):
+        print(line)
+
+
+@app.command()
 def lint(config: ConfigOption = None):
     """Check the exported Verilog with Verilator's lint, and with Icarus where it is installed."""
     from coincid.model.config import load_config

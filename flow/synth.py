@@ -103,7 +103,7 @@ def synthesize(sensor: Sensor, target: str, top: str = TOP) -> Netlist:
 def _script(target: str, names: list[str], top: str, units: list[str]) -> str:
     """Standard cells know no initial values: nothing may rely on them there. An FPGA has them."""
     begin = [f"read_verilog {' '.join(names)}", f"hierarchy -check -top {top}"]
-    end = ["tee -q -o stat.json stat -json", "write_verilog -noattr netlist.v", "write_json netlist.json"]
+    end = ["tee -q -o stat.json stat -json", "write_verilog -noexpr -noattr netlist.v", "write_json netlist.json"]
     if target == ECP5:
         steps = f"synth_lattice -family ecp5 -noflatten -top {top} -run"   # its own abc9 cannot map blocks one by one
         return "\n".join([*begin, f"{steps} begin:map_luts", "abc -lut 4 -dress", "clean", f"{steps} map_cells:", *end, ""])

