@@ -11,10 +11,9 @@ import os
 import shutil
 import subprocess
 import sys
-from pathlib import Path
 
 from amaranth.back import rtlil
-from amaranth.hdl import Assert, Assume, EnableInserter, Module, ResetInserter, Signal
+from amaranth.hdl import Assert, Assume, Cover, EnableInserter, Module, ResetInserter, Signal
 from amaranth.hdl._ast import AnySeq
 
 from ..hdl.async_circuit import SYNCHRONISER_REARM, Circuit
@@ -26,11 +25,18 @@ from .bench import inside
 from .prove import _programs
 
 DEPTH = 14   # half cycles of the induction
+COVER = 40   # half cycles within which a window of two pixels, not of its first cycle alone, comes out
 SMALL = {"rows": 4, "cols": 4, "subgroup": (4, 4), "minigroup": (2, 2), "phases": 4, "coarse_bits": 3, "window_max": 8}
 SCRIPT = """\
+[tasks]
+prove
+cover
+
 [options]
-mode prove
-depth {depth}
+prove: mode prove
+cover: mode cover
+prove: depth {depth}
+cover: depth {cover}
 
 [engines]
 smtbmc bitwuzla
@@ -42,7 +48,9 @@ hierarchy -top bench
 proc
 flatten
 cutpoint -blackbox
-setattr -unset init w:* w:started w:rising %d %d
+# Half cycles are steps: which flops move in one is an enable, and all have the same clock.
+setparam -set CLK_POLARITY 1'1 t:$*dff*
+setattr -unset init w:* w:started w:rising %u %d
 prep -top bench
 
 [files]
@@ -62,7 +70,7 @@ def bench(sensor: Sensor, circuit: Circuit) -> Module:
     body = inside(front)
     control = body.control
     control_of = vars(inside(control))
-    for path, member, value in front.signature.flatten(front):
+    for _, member, value in front.signature.flatten(front):
         if member.flow.name == "In":
             value = value.as_value() if hasattr(value, "as_value") else value
             m.d.comb += value.eq(AnySeq(len(value)))
@@ -77,7 +85,7 @@ def bench(sensor: Sensor, circuit: Circuit) -> Module:
         return value.bit_select(index, 1)
 
     def states(condition, where):
-        f.d.comb += Assert(~where | condition)
+        f.d.comb += Assert(~(where & started) | condition)
 
     states(live_4 == (body.opening_4 | (live_5 & ~body.closed)), live_4)
     states(live_4 & ~body.closing_4, body.window_open)
@@ -89,6 +97,11 @@ def bench(sensor: Sensor, circuit: Circuit) -> Module:
         bit(window.hits, window.winner) & (window.hits != 0) & (window.count == popcount(f, window.hits, "spec_window")), front.closed,
     )
 
+    long = Signal()
+    with f.If(body.closed):
+        f.d.sync += long.eq(body.elapsed > 1)
+    f.d.comb += Cover(started & front.closed & (window.count == 2) & long)
+
     # The control returns: what waits for the clock alone ends in time, and what waits for an end closes within two cycles of it.
     c, of_current = control_of["m"], control_of["of_current"]
     if control.banks == 1:
@@ -96,18 +109,20 @@ def bench(sensor: Sensor, circuit: Circuit) -> Module:
         c.d.fall += waiting.eq(0)
         with c.If(control_of["read"]):
             c.d.fall += waiting.eq(waiting + 1)
-        c.d.comb += Assert(waiting <= 2)                         # the clear comes two cycles after the window closed
-        c.d.comb += Assert(~(control_of["read"] & (waiting == 0)) | control.closing)
+        c.d.comb += Assert(~started | (waiting <= 2))                         # the clear comes two cycles after the window closed
+        c.d.comb += Assert(~(started & control_of["read"] & (waiting == 0)) | control.closing)
     unanswered, parity = Signal(range(8)), Signal()
     due = control_of["window_open"] & of_current("ended")
     c.d.fall += [unanswered.eq(0), parity.eq(of_current("parity"))]
     with c.If(due & ~control_of["closing"] & ((unanswered == 0) | (of_current("parity") == parity))):
         c.d.fall += unanswered.eq(unanswered + 1)
-    c.d.comb += Assert(unanswered <= 2)                          # an end that stays closes its window within two cycles
+    c.d.comb += Assert(~started | (unanswered <= 2))                          # an end that stays closes its window within two cycles
     if sensor.rearm:
-        c.d.comb += Assert(control_of["hold"] < max(2, sensor.rearm))
+        c.d.comb += Assert(~started | (control_of["hold"] < max(2, sensor.rearm)))
 
-    m.submodules.front = ResetInserter({"sync": reset, "fall": reset})(EnableInserter({"sync": rising, "fall": ~rising})(front))
+    m.submodules.front = ResetInserter({"sync": reset, "fall": reset})(
+        EnableInserter({"sync": rising, "fall": ~rising, "read": ~rising})(front)
+    )
     return m
 
 
@@ -122,7 +137,7 @@ def prove(sensor: Sensor, circuit: Circuit, name: str) -> bool:
     (folder / "bench.il").write_text(rtlil.convert(bench(sensor, circuit), name="bench", ports=[]))
     for target, source in (("cells.v", CELLS), ("macros.v", MACROS)):
         shutil.copyfile(source, folder / target)
-    (folder / "bench.sby").write_text(SCRIPT.format(depth=DEPTH))
+    (folder / "bench.sby").write_text(SCRIPT.format(depth=DEPTH, cover=COVER))
     environment = os.environ | {"PATH": f"{programs}{os.pathsep}{os.environ['PATH']}"}
     with (folder / "log").open("w") as log:
         return not subprocess.run([programs / "sby", "-f", "bench.sby"], cwd=folder, env=environment, stdout=log, stderr=log).returncode

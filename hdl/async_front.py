@@ -62,18 +62,18 @@ class AsyncFrontEnd(Unit):
         # Two banks of hit flops take turns, a cycle each; one is read and cleared while the other listens.
         reset = Signal()
         m.d.comb += reset.eq(ResetSignal())
-        hits, trees = [], []
+        flops, trees = [], []
         skews = self.circuit.pixel_skew_fs or (0,) * sensor.pixels
         lines = [delayed(m, f"spad_{i}", self.spad[i], skew) if skew else self.spad[i] for i, skew in enumerate(skews)]
         for q in range(2):
             listens, clear = Signal(name=f"listens_{q}"), Signal(name=f"clear_{q}")
             m.d.comb += [listens.eq((parity == q) & running[1] & self.gate), clear.eq((line.wipe & (parity != q)) | reset)]
-            hits.append([
+            flops.append([
                 hit_flop(m, f"hit_{q}_{i}", lines[i], listens & self.mask[i], clear, HIT_FS) for i in range(sensor.pixels)
             ])
             tree = place(m, f"tree_{q}", EventTree(sensor), platform)
             m.d.comb += [
-                tree.hits.eq(Cat(hits[q])), tree.phases.eq(line.phases), tree.gray_a.eq(line.gray_a), tree.gray_b.eq(line.gray_b),
+                tree.hits.eq(Cat(flops[q])), tree.phases.eq(line.phases), tree.gray_a.eq(line.gray_a), tree.gray_b.eq(line.gray_b),
                 tree.half.eq(line.half),
             ]
             trees.append(tree)
@@ -82,7 +82,7 @@ class AsyncFrontEnd(Unit):
         late = lag_fs(sensor) + CLOCK_FS // QUARTERS - HIT_FS
         parity_late = sample(m, "parity_late", line.mark, parity)
         shown = Mux(parity_late, *(
-            Cat(delayed(m, f"shown_{q}_{i}", hit, late) for i, hit in enumerate(hits[q])) for q in (1, 0)
+            Cat(delayed(m, f"shown_{q}_{i}", hit, late) for i, hit in enumerate(flops[q])) for q in (1, 0)
         ))
         pictures = []
         for b in range(banks):
@@ -117,9 +117,9 @@ class AsyncFrontEnd(Unit):
         def of_before(values):
             return Mux(before, values[1], values[0])
 
-        m.domains.fall = _falling(m)
+        m.domains.read = _falling(m)
         active_f, first_f = Signal(sensor.pixels, reset_less=True), Signal(sensor.pixels - 1, reset_less=True)
-        m.d.fall += [active_f.eq(of_before([Cat(bank) for bank in hits])), first_f.eq(of_before([tree.later_first for tree in trees]))]
+        m.d.read += [active_f.eq(of_before([Cat(bank) for bank in flops])), first_f.eq(of_before([tree.later_first for tree in trees]))]
         facts = {
             "active": active_f, "first": first_f, "picture": Mux(control.bank, pictures[-1], pictures[0]),
             "code": of_before([tree.code for tree in trees]), "marks": of_before([tree.marks for tree in trees]),
@@ -248,6 +248,6 @@ class AsyncFrontEnd(Unit):
 
 
 def _falling(m: Module) -> ClockDomain:
-    domain = ClockDomain("fall", clk_edge="neg", reset_less=True, local=True)
+    domain = ClockDomain("read", clk_edge="neg", reset_less=True, local=True)
     m.d.comb += domain.clk.eq(ClockSignal())
     return domain

@@ -4,10 +4,13 @@ The front end and its TDC run alone under Icarus. Every SPAD line is a random pr
 edges on the very borders of cycles and ticks; mask, gate and window change between periods, and resets fall into it. A word is wrong where
 its map is empty, its winner is not in the map, or its count is not the map's. The front end is locked up where it shows no word for longer
 than it may, or does not answer a single edge when all is quiet.
+
+`python -m coincid.tb.stress EDGES [SEED]` prints the counts.
 """
 
 import json
 import subprocess
+import sys
 from pathlib import Path
 
 from ..hdl.async_circuit import CLOCK_FS, Circuit
@@ -80,6 +83,7 @@ module {TOP};
 
   integer wanted, seed, edges = 0, windows = 0, records = 0, wrong = 0, locked = 0, resets = 0, blinds = 0, quiet = 0, cycle = 0, since = 0;
   reg bright = 0;
+  reg [2:0] light = 4;
   initial begin
     if (!$value$plusargs("edges=%d", wanted)) wanted = 10000;
     if (!$value$plusargs("seed=%d", seed)) seed = 1;
@@ -92,9 +96,10 @@ module {TOP};
     quiet = windows;
     #{CLOCK_FS / 4000} spad[{pixels - 1}] = 1; #10 spad[{pixels - 1}] = 0;
     repeat ({PERIOD_CYCLES // 2}) @(posedge clk);
-    if (windows != quiet + 1 || window[{at['hits']} +: {pixels}] != {{1'b1, {pixels - 1}'b0}} || window[{at['winner']} +: {sensor.winner_bits}] != {pixels - 1}) locked = locked + 1;
-    $display("{{\\"edges\\": %0d, \\"windows\\": %0d, \\"records\\": %0d, \\"blind_cycles\\": %0d, \\"resets\\": %0d, \\"wrong\\": %0d, \\"locked\\": %0d}}",
-             edges, windows, records, blinds, resets, wrong, locked);
+    if (windows != quiet + 1 || window[{at['hits']} +: {pixels}] != {{1'b1, {pixels - 1}'b0}}
+        || window[{at['winner']} +: {sensor.winner_bits}] != {pixels - 1}) locked = locked + 1;
+    $write("{{\\"edges\\": %0d, \\"windows\\": %0d, \\"records\\": %0d, ", edges, windows, records);
+    $display("\\"blind_cycles\\": %0d, \\"resets\\": %0d, \\"wrong\\": %0d, \\"locked\\": %0d}}", blinds, resets, wrong, locked);
     $finish;
   end
 
@@ -107,7 +112,7 @@ module {TOP};
         1: gap = $urandom(seed) % {4 * tick_fs} / 1000.0 + 0.001;   // ticks
         2: gap = {half_ps} * (1 + $floor($realtime / {half_ps})) - $realtime;   // the clock's next edge
         3: gap = {tick_ps} * (1 + $urandom(seed) % {sensor.phases} + $floor($realtime / {tick_ps})) - $realtime;   // a tick's border
-        default: gap = $urandom(seed) % {8 * CLOCK_FS} / 1000.0 + 0.001;   // cycles
+        default: gap = ($urandom(seed) % {CLOCK_FS // 4} << light) / 1000.0 + 0.001;   // a part of a cycle to many, by the period's light
       endcase
       if (gap < 0.001) gap = 0.001;
       #(gap);
@@ -128,6 +133,7 @@ module {TOP};
     rst <= 0;
     if (bright && cycle == 0) begin
       window_ticks <= $urandom(seed) % 3 == 0 ? 1 + $urandom(seed) % {sensor.window_max} : 1 + $urandom(seed) % {sensor.phases};
+      light <= $urandom(seed);
       for (k = 0; k < {pixels}; k = k + 1) mask[k] <= $urandom(seed) % 8 != 0;
       frame <= (1 << {frame['mg_records']}) | (1 << {frame['mg_threshold']}) | ((1 + $urandom(seed) % 4) << {frame['mg_window']});
       if ($urandom(seed) % 8 == 0) begin rst <= 1; resets = resets + 1; end
@@ -158,3 +164,6 @@ module {TOP};
 endmodule
 """
 
+
+if __name__ == "__main__":
+    print(json.dumps(stress(*map(int, sys.argv[1:]))))
