@@ -6,7 +6,7 @@ unexport PYTHONPATH PYTHONHOME VIRTUAL_ENV
 # $(call option,scene,SCENE): --scene 'value' where SCENE= was given.
 option = $(if $(value $2),--$1 '$(value $2)')
 
-.PHONY: help setup sim test verilog synth gls pnr cost lint figures compare bench clean
+.PHONY: help setup sim test formal soak mutation coverage verilog synth gls pnr cost lint figures compare raytrace bench clean
 
 help: ## this list
 	@echo 'make TARGET [OPTION=value ...]'
@@ -32,6 +32,10 @@ sim: ## simulate a frame of the scene, every word checked against the golden mod
 test: ## the whole regression, on both simulators
 	@scripts/setup icarus
 	@$(BIN)/python -m pytest -n 2 $(PYTEST_ARGS)
+
+formal: ## unbounded proofs of every block; logs in build/formal/ (NAMES="tdc tree": only these)
+	@scripts/setup
+	@$(BIN)/coincid formal $(NAMES)
 
 verilog: ## the release: Verilog, one file a block, register map, constraints, smoke test, into build/rtl/
 	@scripts/setup
@@ -65,6 +69,9 @@ figures: ## the documentation's figures
 compare: ## this sensor and other schemes on the same photons, into build/compare/
 	@scripts/setup
 	@$(BIN)/coincid compare
+
+raytrace: ## install what ray-traced scenes need (make sim SCENE=ray:corner)
+	@scripts/setup raytrace
 
 bench: ## how fast model and simulators run here: build/bench.json, and a table beside it
 	@scripts/setup icarus

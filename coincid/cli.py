@@ -74,8 +74,9 @@ EngineOption = Annotated[str, typer.Option("--engine", metavar="ENGINE", help=(
 @app.command()
 def sim(
     scene: Annotated[str, typer.Option(metavar="SCENE", help=(
-        "five-objects, letter-f, flat:METRES,REFLECTIVITY, two-targets:NEAR,FAR, two-returns:NEAR,FAR; or a depth file (PNG of 16 bit in "
-        "millimetres, NPY in metres), with a colour picture for the reflectivities as DEPTH,COLOUR."
+        "five-objects, letter-f, flat:METRES,REFLECTIVITY, two-targets:NEAR,FAR, two-returns:NEAR,FAR; a depth file (PNG of 16 bit in "
+        "millimetres, NPY in metres), with a colour picture for the reflectivities as DEPTH,COLOUR; ray-traced: ray:five-objects, "
+        "ray:glass, ray:corner, ray:retroreflector, ray:fog, or a Mitsuba scene (XML, metres)."
     ))] = "five-objects",
     klux: Annotated[float, typer.Option(help="Background light in klux.")] = 50.0,
     pulses: Annotated[int | None, typer.Option(help=(
@@ -310,6 +311,23 @@ def lint(config: ConfigOption = None):
         print(f"{tool}: {'clean' if not complaints else 'found'}")
         print(complaints, end="")
     if any(found.values()):
+        raise typer.Exit(DIFFERS)
+
+
+@app.command()
+def formal(
+    names: Annotated[list[str] | None, typer.Argument(metavar="[NAMES]", help="Proofs; default: all.", show_default=False)] = None,
+):
+    """Prove the RTL's properties for all inputs and all time; takes a few minutes."""
+    from coincid.formal.prove import HEAD, prove
+
+    print(HEAD)
+    verdicts = prove(names or (), tell=print)
+    failed = [verdict for verdict in verdicts if verdict.reason]
+    for verdict in failed:
+        print(f"coincid: {verdict.proof.name}: {verdict.reason}; log: {verdict.folder / 'log'}", file=sys.stderr)
+    print(f"{len(verdicts) - len(failed)} of {len(verdicts)} proofs hold")
+    if failed:
         raise typer.Exit(DIFFERS)
 
 
