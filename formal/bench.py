@@ -1,8 +1,8 @@
 """What the proofs are written with.
 
-A proof is a function that puts a block into a module, drives its inputs with whatever the contract allows, and states what must hold. Reset is
-an input like any other: proofs hold for a reset in any cycle. Nothing is assumed of the state at power-on but that reset is asserted in the
-first cycle, so a lost reset shows as well.
+A proof is a function that puts a block into a module, drives its inputs with whatever the contract allows, and states what must
+hold. Reset is an input like any other: proofs hold for a reset in any cycle. Nothing is assumed of the state at power-on but that
+reset is asserted in the first cycle, so a lost reset shows as well.
 """
 
 import sys

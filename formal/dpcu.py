@@ -19,7 +19,7 @@ def _reached(bounds, photons):
 
 @proof(depth=4, cover=16)
 def dpcu(b: Bench):
-    """A window is committed exactly where its count meets the threshold in force; counters balance; the controller's threshold is 1 + bounds reached."""
+    """Windows are committed exactly where the count meets the threshold; counters balance; the controller follows its bounds."""
     sensor, m = SMALL, b.m
     unit = Dpcu(sensor)
     settings, operation, bound = Signal(bus.settings_layout(sensor)), Signal(bus.Operation), Signal(DATA_BITS)
@@ -97,7 +97,7 @@ def controller_is_monotone(b: Bench):
 
 @proof(depth=3, cover=8)
 def subgroup_settings(b: Bench):
-    """Settings change only at a TAKE, and then all at once; only a write to this subgroup programs them; others' reads are answered with 0."""
+    """Settings change only at a TAKE, all at once; only a write to this subgroup programs them; others' reads give 0."""
     sensor, m = SMALL, b.m
     unit = SubgroupSettings(sensor)
     command, number = Signal(bus.CONFIG_BUS), b.constant(bus.SUBGROUP_BITS)

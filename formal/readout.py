@@ -28,7 +28,7 @@ def _length(send, form):
 
 @proof(depth=4, cover=14)
 def readout(b: Bench):
-    """One grant at a time, to one that waits; none waits for more than n - 1 others; the buffer never overflows and leaks no place; AXI4-Stream rules."""
+    """One grant at a time, at most n - 1 others first; the buffer never overflows and leaks no place; AXI4-Stream rules."""
     m, unit = b.m, Readout(SMALL, N)
     frame, form = Signal(bus.frame_layout(SMALL)), b.constant(2)
     stored, record_stored, ready, finish, begin = Signal(N), Signal(N), Signal(), Signal(), Signal()
@@ -62,7 +62,8 @@ def readout(b: Bench):
     had_event = Cat(b.past(events[s] != 0) for s in range(N))
     b.always((unit.grant & ~had_event) == 0, where=unit.grant.any() & (unit.send == bus.Send.EVENT))
     b.always((unit.grant & ~b.past(body.records)) == 0, where=unit.grant.any() & (unit.send == bus.Send.RECORD))
-    b.always(Cat(events[s] != 0 for s in range(N)) == body.some_events)
+    for s in range(N):
+        b.always((Cat(plane[s] for plane in body.planes) == events[s]) & (events[s] <= SMALL.fifo_depth))
 
     # Who waits sees at most n - 1 grants to others. Distance: others that come before it in the round.
     in_events = body.machine.ongoing("events")
@@ -85,7 +86,10 @@ def readout(b: Bench):
     # And a grant comes as soon as the packet before has been granted all its beats and the buffer has room.
     b.always(unit.grant.any(), where=b.past(in_events & body.waiting.any() & (body.left == 0) & (body.space >= PARTS.longest)))
     b.always(~body.waiting.any() & ~body.stored.any() & ~body.record_stored.any(), where=~in_events & ~body.machine.ongoing("head"))
-    b.always(~body.stored.any() & ~body.record_stored.any(), where=body.finish | ~body.in_frame)
+    b.always(sum((body.machine.ongoing(name) for name in ("idle", "head", "events", "counters", "flush")), start=0) == 1)
+    b.always(~body.stored.any() & ~body.record_stored.any(), where=body.finish | idle)
+    b.always(((body.tail & (body.tail - 1)) == 0) & body.tail.any(), where=body.machine.ongoing("counters"))
+    b.always(body.finish, where=body.machine.ongoing("counters") | body.machine.ongoing("flush"))
     b.always(b.past(unit.finish) | ~b.past(1), where=body.finish)
 
     # The buffer: a place is taken at the grant and free again when the beat has left.
@@ -116,7 +120,6 @@ def readout(b: Bench):
     waits = axis.tvalid & ~ready
     b.stable(Cat(axis.tvalid, axis.tdata, axis.tlast), where=waits)
     b.cover(axis.tvalid & (axis.tdata[61:] == int(Kind.FRAME_START)) & ready)
-    b.cover(body.machine.ongoing("events") & (body.space < PARTS.longest) & body.waiting.any())
 
 
 @proof(depth=3, cover=12)
@@ -149,6 +152,7 @@ def packetizer(b: Bench):
         b.cover(b.past(unit.take_event) & (form == fmt))
     b.always(unit.beat[:15] == b.past(unit.head.window.stamp), where=b.past(grant & (send == bus.Send.EVENT)))
     b.always(unit.beat[60] == b.past(unit.head.overrun), where=b.past(grant & (send == bus.Send.EVENT)))
-    b.always(unit.beat == b.past(unit.head.window.hits), where=b.past(now == bus.Send.EVENT.value) & b.past(grant, 2) & (form != 0) & b.past(active))
+    second = b.past(now == bus.Send.EVENT.value) & b.past(grant, 2) & (form != 0) & b.past(active)
+    b.always(unit.beat == b.past(unit.head.window.hits), where=second)
     b.cover(b.past(unit.take_record))
     b.cover(b.past(rest == 1) & (b.past(now) == bus.Send.COUNTERS.value))

@@ -76,7 +76,7 @@ def gating(b: Bench):
 
 @proof(depth=6, cover=40)
 def sequencer(b: Bench):
-    """A frame is `pulses` periods of `period` cycles, or ends with the one it is aborted in; no window may open in the guard at a period's end."""
+    """A frame is `pulses` periods of `period` cycles, or ends with the one it is aborted in; no window opens in the guard."""
     sensor, m = SMALL, b.m
     unit = Sequencer(sensor)
     plan, start, abort, delivered = Signal(bus.plan_layout(sensor)), Signal(), Signal(), Signal()
@@ -137,6 +137,7 @@ def sequencer(b: Bench):
     b.always(busy, where=one_frame & ~unit.done | unit.finish)
     b.always(b.past(body.running) == frame)
     b.always((b.past(body.pulses) == pulses) & (b.past(body.steps) == steps), where=frame)
+    b.always((steps < plan.gate_steps) & (exact <= (steps << bus.GATE_BITS) - steps), where=frame)
     b.always(body.aborted == aborting)
     b.always(ending == b.past(body.draining))
     b.always(body.draining == (body.drained != 0))

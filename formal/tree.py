@@ -1,11 +1,11 @@
-"""Proofs of the coincID tree: against a specification that goes through a cycle tick by tick, as the contract does, and of minigroup records.
+"""Proofs of the coincID tree, against a specification that goes through a cycle tick by tick as the contract does; of minigroup records.
 
-The subgroup is 4 x 4 pixels of four phases with a window of up to nine ticks, and a re-arm gap of one cycle: windows end in the cycle they
-open in, in the next and in the one after, at every phase. Larger ones differ in widths only: the window's arithmetic never looks at a pixel,
-and a pixel's at no other.
+The subgroup is 4 x 4 pixels of four phases with a window of up to nine ticks: windows end in the cycle they open in, in the next and
+in the one after, at every phase. Larger ones differ in widths only: the window's arithmetic never looks at a pixel, and a pixel's at
+no other.
 """
 
-from amaranth.hdl import Cat, Mux, Signal
+from amaranth.hdl import C, Cat, Mux, Signal
 from amaranth.lib import wiring
 from attrs import evolve
 
@@ -44,7 +44,7 @@ def _tree(b: Bench, sensor) -> None:
     edges_3 = b.same("edges_3", b.last(edges_2))
     fresh = b.same("fresh", b.past(1, 2))
 
-    # Stage 3: a cycle, tick by tick. State: window open, ticks left of it, its map, winner, stamp, cycles since it opened; cycles until armed.
+    # Stage 3: a cycle, tick by tick. State: window open, ticks left of it, map, winner, stamp, cycles since it opened and until armed.
     is_open, left, hits = Signal(), Signal(range(sensor.window_max + 1)), Signal(pixels)
     winner, stamp, elapsed = Signal(sensor.winner_bits), Signal(sensor.stamp_bits), Signal(4)
     offsets = [Signal(sensor.offset_bits, name=f"offset_{g}") for g in range(sensor.minigroups)]
@@ -53,10 +53,10 @@ def _tree(b: Bench, sensor) -> None:
     groups = [sensor.members(g) for g in range(sensor.minigroups)]
 
     now = {
-        "open": is_open, "left": left, "hits": hits, "winner": winner, "stamp": stamp, "offsets": offsets, "live": is_open, "closed": 0, "blind": 0,
-        "opened": 0, "elapsed": elapsed + 1,
+        "open": is_open, "left": left, "hits": hits, "winner": winner, "stamp": stamp, "offsets": offsets, "live": is_open,
+        "closed": C(0, 1), "blind": C(0, 1), "elapsed": elapsed + 1,
     }
-    seen = 0
+    seen = C(0, pixels)
     for tick in range(phases):
         def named(name, value, tick=tick):
             return b.same(f"{name}_{tick}", value)
@@ -85,7 +85,7 @@ def _tree(b: Bench, sensor) -> None:
             "open": named("open", in_window & ~closes), "left": named("left", ticks_left - in_window), "hits": map_after,
             "winner": named("winner", winner_now), "stamp": named("stamp", Mux(opens, unit.line.coarse * phases + tick, now["stamp"])),
             "offsets": offsets_now, "live": named("live", now["live"] | opens), "closed": named("closed", now["closed"] | closes),
-            "blind": named("blind", now["blind"] | (edges.any() & ~in_window)), "opened": named("opened", now["opened"] | opens),
+            "blind": named("blind", now["blind"] | (edges.any() & ~in_window)),
             "elapsed": cycles,
         }
     m.d.sync += [
@@ -133,11 +133,11 @@ def _tree(b: Bench, sensor) -> None:
     b.always(body.may_open[-1] == may_open)
     for leaf, members in zip(leaves, groups):
         second, third = (Cat(_word(edges, i, phases) for i in members) for edges in (edges_2, edges_3))
-        b.always(leaf.some_2 == second.any())
-        b.always(leaf.words_2 == second, where=second)
-        b.always(leaf.some == third.any())
-        b.always(leaf.words == third, where=third)
-        b.always(leaf.active == Cat(_word(edges_3, i, phases).any() for i in members), where=third)
+        b.always(leaf.some_2 == second.any(), where=b.past(1))
+        b.always(leaf.words_2 == second, where=second.any() & b.past(1))
+        b.always(leaf.some == third.any(), where=fresh)
+        b.always(leaf.words == third, where=third.any() & fresh)
+        b.always(leaf.active == Cat(_word(edges_3, i, phases).any() for i in members), where=third.any() & fresh)
     live = b.past(now["live"], 2)
     b.always(body.hits == b.past(now["hits"], 2), where=live)
     b.always(body.stamp == b.past(now["stamp"], 2), where=live)
@@ -154,13 +154,13 @@ def _tree(b: Bench, sensor) -> None:
     b.cover(unit.blind & b.past(unit.blind))
 
 
-@proof(depth=4, cover=20)
+@proof(depth=6, cover=20)
 def tree(b):
-    """The tree and its TDC line say what the contract says tick by tick: windows, maps, counts, winners, stamps, offsets, blind cycles, re-arming."""
+    """Tree and TDC line do what the contract says tick by tick: windows, maps, counts, winners, stamps, offsets, re-arming."""
     _tree(b, SMALL)
 
 
-@proof(depth=4, cover=20)
+@proof(depth=6, cover=20)
 def tree_without_gap(b):
     """The same with R = 0, where a window may open in the cycle after another one closed."""
     _tree(b, evolve(SMALL, rearm=0))
@@ -182,7 +182,10 @@ def minigroup_record(b):
 
     at_port = b.last(words)
     edges_1 = Cat(_word(at_port, i, phases) & (accept & mask[i]).replicate(phases) for i in range(pixels))
-    edges_3 = b.same("edges_3", b.last(b.last(edges_1)))
+    edges_2 = b.same("edges_2", b.last(edges_1))
+    edges_3 = b.same("edges_3", b.last(edges_2))
+    fresh = b.same("fresh", b.past(1, 2))
+    b.assume(~may_open, where=~fresh)   # a reset closes the guard for longer than edges from before it take to pass
     active = b.same("active_now", Cat(_word(edges_3, i, phases).any() for i in range(pixels)))
     b.always(unit.root == Cat(Cat(_word(edges_1, i, phases)[k] for i in range(pixels)).any() for k in range(phases)))
     b.always(unit.root == 0, where=~accept)   # the gate lets nothing through
@@ -209,10 +212,9 @@ def minigroup_record(b):
     b.always((body.seen == seen) & (body.stamp == stamp) & ~latched & seen.any(), where=remaining != 0)
     b.always(remaining == 0, where=wrap)
     b.always(remaining + guarded <= 4, where=remaining != 0)
-    third = b.last(b.last(edges_1))
-    b.always(body.some_2 == b.last(edges_1).any())
-    b.always(body.words_2 == b.last(edges_1), where=body.some_2)
-    b.always(body.some == third.any())
-    b.always((body.words == third) & (body.active == active), where=third)
+    b.always(body.some_2 == edges_2.any(), where=b.past(1))
+    b.always(body.words_2 == edges_2, where=edges_2.any() & b.past(1))
+    b.always(body.some == edges_3.any(), where=fresh)
+    b.always((body.words == edges_3) & (body.active == active), where=edges_3.any() & fresh)
     b.cover(latched & wrap & (seen == 0b1011))
     b.cover((remaining == 1) & (frame.mg_window == 4) & ~latched)
