@@ -23,7 +23,7 @@ def register_front(b: Bench):
     done = Signal()
     m.d.comb += done.eq(b.anything(1))
     body = b.place("dut", unit, done=done)
-    state = body.machine.ongoing
+    state = unit.machine.ongoing
     busy = body.flag["busy"]
     b.assume(busy & ~state("bounds") & ~state("begin"), where=done)   # as proven of the sequencer: of a frame that was started
 

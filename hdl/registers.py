@@ -92,7 +92,7 @@ class Registers(Unit):
         def respond(error):
             return [axi.bvalid.eq(1), axi.bresp.eq(Mux(error, SLVERR, OKAY))]
 
-        with m.FSM() as machine:
+        with m.FSM() as self.machine:  # proofs speak of its states
             with m.State("idle"):
                 m.d.sync += wait.eq(0)
                 with m.If(held_address & held_data & ~axi.bvalid):
