@@ -145,6 +145,32 @@ class Interferer:
 
 
 @frozen(kw_only=True, eq=False)
+class Arrivals:
+    """Signal of any shape in time, in bins; the laser pulse's own shape comes on top. Pixel p has the bins first[p] to first[p + 1].
+
+    first: int64[pixels + 1]. start_s: float64[n], when each bin begins, ascending in a pixel, since the laser trigger (beyond the
+    laser period: light of an earlier pulse). photons: float64[n], mean detected per pulse. width_s: of a bin, filled evenly.
+    """
+
+    first: np.ndarray
+    start_s: np.ndarray
+    photons: np.ndarray
+    width_s: float = real(0.0, 0, 1)
+
+    def __attrs_post_init__(self):
+        n = len(self.photons)
+        first = np.asarray(self.first, np.int64)
+        if first.ndim != 1 or len(first) < 2 or first[0] != 0 or first[-1] != n or np.any(np.diff(first) < 0):
+            raise InputError(f"first: must ascend from 0 to the {n} bins")
+        object.__setattr__(self, "first", first)
+        object.__setattr__(self, "start_s", real_array("start_s", self.start_s, (n,), 0))
+        object.__setattr__(self, "photons", real_array("photons", self.photons, (n,), 0, SIGNAL_MAX))
+        inner = np.delete(np.diff(self.start_s), first[1:-1][(first[1:-1] > 0) & (first[1:-1] < n)] - 1)
+        if np.any(inner < 0):
+            raise InputError("start_s: must ascend in every pixel")
+
+
+@frozen(kw_only=True, eq=False)
 class Light:
     """What each of rows x cols pixels detects (PDE applied, before dead time); arrays broadcast to the stated shapes.
 
@@ -153,7 +179,8 @@ class Light:
     system_fwhm_s: float64[pixels, targets], FWHM of the signal at the TDC's input: laser pulse and SPAD jitter
     together, squares added, so the laser pulse is sqrt(system_fwhm_s^2 - jitter_fwhm_s^2).
     range_ambiguity: light from beyond the laser period falls into a later period (the laser is taken to run before the
-    first pulse); False = it is lost. interferer: another LiDAR, or None.
+    first pulse); False = it is lost. arrivals: more signal, of any shape in time, whose laser pulse has the width of the
+    pixel's first target. interferer: another LiDAR, or None.
     """
 
     rows: int
@@ -163,6 +190,7 @@ class Light:
     background_cps: np.ndarray = 0.0
     system_fwhm_s: float | np.ndarray = 500e-12
     range_ambiguity: bool = True
+    arrivals: Arrivals | None = None
     interferer: Interferer | None = None
 
     def __attrs_post_init__(self):
@@ -177,6 +205,8 @@ class Light:
                                      ("system_fwhm_s", per_target, 1.0), ("background_cps", (self.pixels,), RATE_MAX_CPS)):
             checked = real_array(name, getattr(self, name), shape, 0, highest, nan=name == "distance_m")
             object.__setattr__(self, name, checked)
+        if self.arrivals is not None and len(self.arrivals.first) != self.pixels + 1:
+            raise InputError(f"arrivals: are of {len(self.arrivals.first) - 1} pixels, must be of {self.pixels}")
 
     @property
     def pixels(self) -> int:

@@ -5,8 +5,8 @@ Ref: paper II and IV (SPAD, laser pulse); the effects that the paper leaves out,
 Order of the effects, per pixel and laser pulse:
 
 1. photons that would fire the SPAD: background and dark counts (uniform), signal (a Gaussian pulse around the time of
-   flight, modulo the laser period), another LiDAR's pulses, carriers trapped by earlier avalanches (afterpulses), photons
-   from avalanches of neighbours (crosstalk);
+   flight, or around a time drawn from bins, modulo the laser period), another LiDAR's pulses, carriers trapped by earlier
+   avalanches (afterpulses), photons from avalanches of neighbours (crosstalk);
 2. SPAD gate: outside it nothing happens;
 3. dead time, carried on from pulse to pulse: which photons become avalanches;
 4. jitter of the avalanche's edge, modulo the laser period;
@@ -113,10 +113,11 @@ class _Physics(NamedTuple):
     frame_pulses: int
     other_period: float
     other_sigma: float
+    bin_width: float
 
     def edges_per_pulse(self, arrays: "_Arrays") -> np.ndarray:
         """Expected edges of each pixel in a period, about (from above): sizes buffers and nothing else."""
-        photons = arrays.noise + arrays.signal.sum(axis=1) + arrays.other * self.others_per_pulse
+        photons = arrays.noise + arrays.signal_per_pulse + arrays.other * self.others_per_pulse
         photons *= 1 + 2 * self.afterpulse + 4 * self.crosstalk
         return np.minimum(photons, self.period / self.dead + 1) if self.dead else photons
 
@@ -129,9 +130,10 @@ class _Physics(NamedTuple):
 class _Arrays(NamedTuple):
     """Arrays of the walk: noise [pixels], signal [pixels, targets] in photons a period; the others in ticks.
 
-    centre, sigma: [pixels, targets]; laps: whole periods of the flight, [pixels, targets]. gate_start, gate_len, gate_step:
-    [pixels]. taps: inner borders of the phases, empty = ideal. other, other_first: photons of another LiDAR's pulse, and when
-    the first came, [pixels]. starts: of the pulses' periods, empty = one after the other.
+    centre, sigma: [pixels, targets]; laps: whole periods of the flight, [pixels, targets]. bin_first: int64[pixels + 1], where
+    the bins of a pixel are; bin_start: when they begin; bin_photons: of a pixel's bins up to and with each one. gate_start,
+    gate_len, gate_step: [pixels]. taps: inner borders of the phases, empty = ideal. other, other_first: photons of another LiDAR's
+    pulse, and when the first came, [pixels]. starts: of the pulses' periods, empty = one after the other.
     """
 
     noise: np.ndarray
@@ -143,9 +145,20 @@ class _Arrays(NamedTuple):
     gate_step: np.ndarray
     taps: np.ndarray
     laps: np.ndarray
+    bin_first: np.ndarray
+    bin_start: np.ndarray
+    bin_photons: np.ndarray
     other: np.ndarray
     other_first: np.ndarray
     starts: np.ndarray
+
+    @property
+    def signal_per_pulse(self) -> np.ndarray:
+        """float64[pixels]: photons a period, of all targets and bins."""
+        filled = np.diff(self.bin_first) > 0
+        binned = np.zeros(len(filled))
+        binned[filled] = self.bin_photons[self.bin_first[1:][filled] - 1]
+        return self.signal.sum(axis=1) + binned
 
 
 def _in_ticks(light: Light, spad: Spad, timing: Timing, gate: SpadGate | None, pulse_stop: int) -> tuple[_Physics, _Arrays]:
@@ -184,7 +197,9 @@ def _in_ticks(light: Light, spad: Spad, timing: Timing, gate: SpadGate | None, p
         frame_pulses=gate.frame_pulses,
         other_period=other.period_s / tick_s if light.interferer else 0.0,
         other_sigma=other.fwhm_s * SIGMA_PER_FWHM / tick_s,
+        bin_width=light.arrivals.width_s / tick_s if light.arrivals else 0.0,
     )
+    bin_first, bin_start, bin_photons = _bins(light, tick_s, period_ticks)
     arrays = _Arrays(
         noise=rate_cps * timing.period_s,
         signal=np.where(seen, light.signal_per_pulse, 0.0),
@@ -195,11 +210,25 @@ def _in_ticks(light: Light, spad: Spad, timing: Timing, gate: SpadGate | None, p
         gate_step=gate_step,
         taps=np.empty(0) if timing.tap_width_lsb is None else np.cumsum(timing.tap_width_lsb, dtype=np.float64)[:-1],
         laps=(flight_ticks // period_ticks).astype(np.int64),
+        bin_first=bin_first,
+        bin_start=bin_start,
+        bin_photons=bin_photons,
         other=real_array("photons_per_pulse", other.photons_per_pulse, (pixels,), 0, SIGNAL_MAX),
         other_first=(other.phase_s + real_array("delay_s", other.delay_s, (pixels,), 0)) / tick_s,
         starts=timing.start_cycles(pulse_stop) * float(timing.phases) if timing.dither_bits else np.empty(0),
     )
     return physics, arrays
+
+
+def _bins(light: Light, tick_s: float, period_ticks: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(bin_first, bin_start, bin_photons) of `_Arrays`."""
+    if light.arrivals is None:
+        return np.zeros(light.pixels + 1, np.int64), np.empty(0), np.empty(0)
+    first, start, photons = light.arrivals.first, light.arrivals.start_s / tick_s, light.arrivals.photons
+    if not light.range_ambiguity:
+        photons = np.where(start < period_ticks, photons, 0.0)
+    summed = np.concatenate([np.cumsum(photons[begin:end]) for begin, end in zip(first, first[1:])])
+    return first, start, summed
 
 
 class _Walker:
@@ -208,7 +237,7 @@ class _Walker:
     def __init__(self, physics, arrays, block, seed, packing, edges_per_pulse):
         self.physics, self.arrays, self.block, self.packing = physics, arrays, block, packing
         self.seed, self.edges_per_pulse = np.uint64(seed), edges_per_pulse
-        brightest = (arrays.noise + arrays.signal.sum(axis=1) + arrays.other * physics.others_per_pulse).max()
+        brightest = (arrays.noise + arrays.signal_per_pulse + arrays.other * physics.others_per_pulse).max()
         self.photons_max = int(brightest + 12 * math.sqrt(brightest)) + 64  # exceeded about never: then doubled
         pixels = block[1] - block[0]
         fresh = np.zeros(pixels), np.full((pixels, CARRIERS_MAX if physics.afterpulse else 0), np.inf)
@@ -231,7 +260,7 @@ class _Walker:
                 return keys[:n], times[:n]
 
 
-GAP, SOURCE, SHAPE, JITTER, TAIL_SHARE, TAIL, TRAP, RELEASE, CROSSTALK, OTHER, OTHER_SHAPE = range(1, 12)  # purposes of random numbers
+GAP, SOURCE, SHAPE, JITTER, TAIL_SHARE, TAIL, TRAP, RELEASE, CROSSTALK, OTHER, OTHER_SHAPE, IN_BIN = range(1, 13)  # purposes
 POISSON_MEAN_MAX = 64.0  # a brighter pixel's count is drawn in parts, each by inversion of its law
 LAW_SIZE = 256
 GAPS_FROM = 24.0         # photons of noise in a period from which on they come in order of time, by exponential gaps
@@ -250,6 +279,7 @@ def _walk(physics, arrays, block, seed, packing, span, received, sending, ready,
     received_where, received_time = received
     signals, centre, sigma, taps = arrays.signal, arrays.centre, arrays.sigma, arrays.taps
     laps, starts = arrays.laps, arrays.starts
+    bin_first, bin_start, bin_photons = arrays.bin_first, arrays.bin_start, arrays.bin_photons
     period, last_target = physics.period, signals.shape[1] - 1
     law, done = np.empty(LAW_SIZE), 0
     for pixel in range(block[0], block[1]):
@@ -258,7 +288,9 @@ def _walk(physics, arrays, block, seed, packing, span, received, sending, ready,
         noise_to_ticks, bright = period / noise, noise > GAPS_FROM
         if bright:
             noise = 0.0
-        mean = noise + signals[pixel].sum()
+        first_bin, last_bin = bin_first[pixel], bin_first[pixel + 1] - 1
+        binned = bin_photons[last_bin] if last_bin >= first_bin else 0.0
+        mean = noise + signals[pixel].sum() + binned
         parts = int(mean / POISSON_MEAN_MAX) + 1
         part_mean = mean / parts
         _poisson_law(part_mean, law)
@@ -290,9 +322,16 @@ def _walk(physics, arrays, block, seed, packing, span, received, sending, ready,
                     while target < last_target and mark >= signals[pixel, target]:
                         mark -= signals[pixel, target]
                         target += 1
-                    t = centre[pixel, target] + sigma[pixel, target] * normal(key, SHAPE, i)
-                    if starts.size and laps[pixel, target]:  # of an earlier pulse, whose distance in time varies
-                        emitted = max(pulse - laps[pixel, target], 0)
+                    begins, lap = centre[pixel, target], laps[pixel, target]
+                    if binned > 0 and mark >= signals[pixel, target]:
+                        target, mark = 0, mark - signals[pixel, target]
+                        chosen = first_bin + np.searchsorted(bin_photons[first_bin:last_bin], mark, side="right")
+                        begins = bin_start[chosen] + physics.bin_width * uniform(key, IN_BIN, i)
+                        lap = np.int64(begins // period)
+                        begins -= lap * period
+                    t = begins + sigma[pixel, target] * normal(key, SHAPE, i)
+                    if starts.size and lap:  # of an earlier pulse, whose distance in time varies
+                        emitted = max(pulse - lap, 0)
                         t += (pulse - emitted) * period - (starts[pulse] - starts[emitted])
                         if not 0 <= t < period:
                             continue

@@ -13,6 +13,7 @@ from PIL import Image
 from .errors import InputError, check_integer
 from .light import NEAREST_M, SPEED_OF_LIGHT_M_S, Light, Timing
 from .quantities import check_real, real_array
+from .transient import Transient
 
 RANGE_M = SPEED_OF_LIGHT_M_S * Timing().period_s / 2  # what the laser period of the preset can tell apart
 REFLECTIVITY = 0.4                   # where a file says nothing about it: the paper's flat target
@@ -30,7 +31,8 @@ class Scene:
 
     distance_m, reflectivity: float64[rows, cols, targets] (two-dimensional input: one target); distance NaN = no target,
     and a pixel without any is invalid. labels: int64[rows, cols], number of the object, `NO_OBJECT` where that means
-    nothing. notes: sentences that the user should read (what was cropped, masked, assumed).
+    nothing. notes: sentences that the user should read (what was cropped, masked, assumed). transient: of a ray-traced scene,
+    whose light it is then; distance and reflectivity are what is looked for, not where the light comes from.
     Raises `InputError` for distances below `NEAREST_M` and reflectivities outside 0 to 1.
     """
 
@@ -39,6 +41,7 @@ class Scene:
     reflectivity: np.ndarray
     labels: np.ndarray = NO_OBJECT
     notes: tuple[str, ...] = ()
+    transient: Transient | None = None
 
     def __attrs_post_init__(self):
         distance_m = np.asarray(self.distance_m, np.float64)
@@ -74,6 +77,8 @@ class Scene:
 
 def scene_light(scene: Scene, klux: float, **others) -> Light:
     """The light of `scene` under `klux` of background, by the presets of `light.py`; `others` are fields of `Light`."""
+    if scene.transient is not None:
+        return scene.transient.light(klux, **others)
     return Light.from_scene(scene.distance_m, scene.reflectivity, klux, **others)
 
 
@@ -82,12 +87,17 @@ def load_scene(source: str, rows: int, cols: int, *, colour=None, reflectivity: 
     """The scene that `source` names, at rows x cols.
 
     source: a built-in one (`five-objects`, `letter-f`, `flat:DISTANCE,REFLECTIVITY`, `two-targets:NEAR,FAR`: stripes,
-    `two-returns:NEAR,FAR`: both in every pixel; metres), or a file (`depth_scene`): `DEPTH` or `DEPTH,COLOUR`.
+    `two-returns:NEAR,FAR`: both in every pixel; metres), a file (`depth_scene`): `DEPTH` or `DEPTH,COLOUR`, or one for the ray
+    tracer (`ray_scene`): `ray:NAME`, or a Mitsuba scene that ends with .xml.
     colour: picture for the reflectivity of a file, else the constant `reflectivity`. range_m: what the laser period holds.
     Raises `InputError`.
     """
     check_integer("rows", rows, 1, 4096)
     check_integer("cols", cols, 1, 4096)
+    from .ray_scene import is_ray_scene, ray_scene  # which builds a `Scene`
+
+    if is_ray_scene(source):
+        return ray_scene(source, rows, cols, range_m=range_m)
     name, _, values = str(source).partition(":")
     if name in BUILT_IN and not Path(source).exists():
         defaults, build = BUILT_IN[name]
