@@ -14,7 +14,7 @@ from ..model.packet import BEAT_BITS, FORMAT_NAMES, FORMATS, Kind, layout
 from ..model.parameters import Sensor, bits_for
 from . import bus
 from .axi import STREAM
-from .logic import any_of, lowest, up_to
+from .logic import any_of, up_to
 from .packetizer import header
 from .unit import Unit
 
@@ -74,24 +74,39 @@ class Readout(Unit):
         waiting = Signal(n)
         ahead = Signal(n)
         at_or_after = Signal(n, init=-1)
+        from_chosen = Signal(n)   # the chosen one and all above
         chosen = Signal(n)
         chosen_record = Signal()
+        m.d.comb += [waiting.eq(some_events | records), ahead.eq(waiting & at_or_after)]
+        from_ahead, from_all = up_to(m, ahead, "from_ahead"), up_to(m, waiting, "from_all")
         m.d.comb += [
-            waiting.eq(some_events | records), ahead.eq(waiting & at_or_after),
-            chosen.eq(Mux(ahead.any(), lowest(m, ahead, "lowest_ahead"), lowest(m, waiting, "lowest_of_all"))),
+            from_chosen.eq(Mux(from_ahead[-1], from_ahead, from_all)), chosen.eq(from_chosen & ~(from_chosen << 1)),
             chosen_record.eq((chosen & records).any()),
         ]
 
         # A packet may begin when the one before has been granted all its beats, and the buffer has room for the longest.
+        # What a grant leaves of the room is known for each length before it is known what is granted.
         left = Signal(range(parts.longest))
         space = Signal(range(depth + 1), init=depth)
-        granted = Signal()
-        length = Signal(range(parts.longest + 1))
+        space_now = Signal.like(space)
+        left_next = Signal.like(left)
+        space_next = Signal.like(space)
         own_kind = Signal(3)
         free = Signal()
-        m.d.comb += free.eq((left == 0) & (space >= parts.longest))
+        m.d.comb += [
+            free.eq((left == 0) & (space >= parts.longest)),
+            space_now.eq(space + (self.m_axis.tvalid & self.m_axis.tready)),
+            left_next.eq(left - (left != 0)), space_next.eq(space_now),
+        ]
+
+        def grant(length, name):
+            after = Signal.like(space, name=f"space_after_{name}")
+            m.d.comb += after.eq(space_now - length)
+            with m.If(free):
+                m.d.comb += [left_next.eq(length - 1), space_next.eq(after)]
+
         event_lengths = [parts.length(FORMATS[name]) for name in FORMAT_NAMES]
-        event_length = Signal.like(length)
+        event_length = Signal(range(parts.longest + 1))
         m.d.sync += event_length.eq(
             Mux(self.frame.format == 0, event_lengths[0], Mux(self.frame.format == 1, event_lengths[1], event_lengths[2]))
         )
@@ -103,26 +118,31 @@ class Readout(Unit):
                 with m.If(frame_begin):
                     m.next = "head"
             with m.State("head"):
-                m.d.comb += [granted.eq(free), length.eq(1), own_kind.eq(Mux(free, Kind.FRAME_START, 0))]
+                grant(1, "start")
+                m.d.comb += own_kind.eq(Mux(free, Kind.FRAME_START, 0))
                 m.d.sync += at_or_after.eq(~0)
                 with m.If(free):
                     m.next = "events"
             with m.State("events"):
                 with m.If(waiting.any()):
-                    m.d.comb += [granted.eq(free), length.eq(Mux(chosen_record, parts.length(Kind.RECORD), event_length))]
+                    with m.If(chosen_record):
+                        grant(parts.length(Kind.RECORD), "record")
+                    with m.Else():
+                        grant(event_length, "event")
                     with m.If(free):
                         m.d.comb += [take_record.eq(chosen & records), take_event.eq(chosen & ~records)]
                         m.d.sync += [
                             self.grant.eq(chosen), self.send.eq(Mux(chosen_record, bus.Send.RECORD, bus.Send.EVENT)),
-                            at_or_after.eq(up_to(m, chosen, "behind") << 1),
+                            at_or_after.eq(from_chosen << 1),
                         ]
                 with m.Elif(finish):
-                    m.d.comb += [granted.eq(free), length.eq(1), own_kind.eq(Mux(free, Kind.FRAME_END, 0))]
+                    grant(1, "end")
+                    m.d.comb += own_kind.eq(Mux(free, Kind.FRAME_END, 0))
                     m.d.sync += tail.eq(1)
                     with m.If(free):
                         m.next = "counters"
             with m.State("counters"):
-                m.d.comb += [granted.eq(free), length.eq(parts.counter_beats)]
+                grant(parts.counter_beats, "counters")
                 with m.If(free):
                     m.d.sync += [self.grant.eq(tail), self.send.eq(bus.Send.COUNTERS), tail.eq(tail << 1)]
                     with m.If(tail[-1]):
@@ -151,10 +171,7 @@ class Readout(Unit):
             m.d.sync += to_end.eq(parts.counter_beats * n)
         with m.Elif(valid & (to_end != 0)):
             m.d.sync += to_end.eq(to_end - 1)
-        m.d.sync += [
-            left.eq(Mux(granted, length - 1, left - (left != 0))),
-            space.eq(space - Mux(granted, length, 0) + (self.m_axis.tvalid & self.m_axis.tready)),
-        ]
+        m.d.sync += [left.eq(left_next), space.eq(space_next)]
         return m
 
     def _credits(self, m, up, down):
