@@ -237,7 +237,7 @@ def _tell(console: Console, scene: Scene, frames: Frames, titles: dict[str, str]
         )
     console.print(table)
     for note in scene.notes:
-        console.print(note)
+        console.print(note, markup=False, emoji=False, soft_wrap=True)
     checked = f"{report['checked']:,} beats and commits equal the golden model's" if report["checked"] else "golden model only, no RTL"
     console.print(f"{report['cycles']:,} cycles in {report['seconds']:.1f} s ({report['cycles_per_s']:,.0f} cycles/s): {checked}")
     console.print("results: " + " ".join(map(str, written)), soft_wrap=True)
