@@ -66,8 +66,10 @@ module coincid_phases #(
   generate for (k = 0; k < PHASES / 2; k = k + 1) begin : tap
     real rise, fall;
     initial begin
-      rise = (LAG_FS + CLOCK_FS / PHASES * k + $signed(MISMATCH_FS[32*k +: 32])) / 1000.0;
-      fall = (LAG_FS + CLOCK_FS / PHASES * (k + PHASES/2) + $signed(MISMATCH_FS[32*(k + PHASES/2) +: 32])) / 1000.0;
+      rise = $signed(MISMATCH_FS[32*k +: 32]);   // alone, so that it stays signed
+      fall = $signed(MISMATCH_FS[32*(k + PHASES/2) +: 32]);
+      rise = (rise + LAG_FS + CLOCK_FS / PHASES * k) / 1000.0;
+      fall = (fall + LAG_FS + CLOCK_FS / PHASES * (k + PHASES/2)) / 1000.0;
       phases[k] = 1'b0;
     end
     always @(posedge clk) begin

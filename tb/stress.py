@@ -13,6 +13,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+from amaranth.hdl import Value
+
 from ..hdl.async_circuit import CLOCK_FS, Circuit
 from ..hdl.export import units_files
 from ..hdl.unit import Unit
@@ -20,6 +22,7 @@ from ..hdl.views import Asynchronous
 from ..model.errors import check_integer
 from ..model.parameters import Sensor
 from . import toolchain
+from .stimulus import FS_PER_PS
 
 TOP = "coincid_async_stress"
 PERIOD_CYCLES = 64
@@ -34,53 +37,72 @@ def stress(edges: int, seed: int = 1, sensor: Sensor | None = None, circuit: Cir
     Raises `toolchain.ToolchainError` where Icarus is missing or fails.
     """
     check_integer("edges", edges, 1, EDGES_MAX)
-    sensor, view = sensor or Sensor(rows=8, cols=8), Asynchronous(circuit or Circuit())
-    front, tdc = view.front_end(sensor), view.tdc(sensor, 1)
-    files = units_files([front, tdc]) | {"stress.v": _bench(sensor, front, tdc), **{path.name: path.read_text() for path in view.cells}}
-    key = toolchain.digest(*(part for item in files.items() for part in item))
+    front = Front(sensor or Sensor(rows=8, cols=8), circuit or Circuit())
+    files = front.files() | {"bench.v": front.bench(_body(front))}
+    return json.loads(run_bench(files, f"+edges={edges}", f"+seed={seed}", aperture=True)[-1])
+
+
+def run_bench(files: dict[str, str], *arguments: str, aperture: bool = False) -> list[str]:
+    """The lines that a bench (module `TOP`) prints under Icarus. aperture: flops may fall to either side when their data has just moved."""
+    define = [f"-DCOINCID_APERTURE_PS={APERTURE_PS}"] * aperture
+    key = toolchain.digest(*define, *(part for item in files.items() for part in item))
 
     def make(scratch: Path) -> None:
         for name, text in files.items():
             (scratch / name).write_text(text)
-        command = ["iverilog", "-g2012", f"-DCOINCID_APERTURE_PS={APERTURE_PS}", "-o", "stress.vvp", "-s", TOP, *files]
-        toolchain.compile_in(scratch, scratch / "compile.log", command)
+        toolchain.compile_in(scratch, scratch / "compile.log", ["iverilog", "-g2012", *define, "-o", "bench.vvp", "-s", TOP, *files])
 
-    folder = toolchain.build_once(toolchain.build_root() / "stress" / key, make)
-    command = ["vvp", "-n", "stress.vvp", f"+edges={edges}", f"+seed={seed}"]
-    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
-    lines = done.stdout.strip().splitlines()
-    if done.returncode or not lines or not lines[-1].startswith("{"):
-        raise toolchain.ToolchainError(f"stress: the simulation failed: {(lines or [done.stderr.strip()])[-1]}")
-    return json.loads(lines[-1])
+    folder = toolchain.build_once(toolchain.build_root() / "bench" / key, make)
+    done = subprocess.run(["vvp", "-n", "bench.vvp", *arguments], cwd=folder, capture_output=True, text=True, check=False)
+    if done.returncode or not done.stdout.strip():
+        raise toolchain.ToolchainError(f"bench: the simulation failed: {done.stderr.strip() or 'it printed nothing'}")
+    return done.stdout.strip().splitlines()
 
 
-def _bench(sensor: Sensor, front: Unit, tdc: Unit) -> str:
-    """The test bench: SPADs, the subgroup's settings, and the checks."""
-    def nets(unit: Unit) -> dict[str, int]:
-        return {port: len(value.as_value() if hasattr(value, "as_value") else value) for port, (_, value) in unit.flat_ports().items()}
+class Front:
+    """A front end with its TDC, alone in a bench that drives `DRIVEN`.
 
-    of_front, of_tdc = nets(front), nets(tdc)
-    wires = [f"  wire [{width - 1}:0] {port};" for port, width in of_front.items() if port not in DRIVEN]
-    driven = [f"  reg [{of_front[port] - 1}:0] {port} = 0;" for port in DRIVEN]
-    line = {port: port.replace("line_0__", "line__") for port in of_tdc}
-    tdc_ports = ", ".join(f".{port}({line[port] if port != 'start' else 'start_module'})" for port in of_tdc)
-    front_ports = ", ".join(f".{port}({port})" for port in of_front)
-    at = {name: field.offset for name, field in front.window.shape()}
-    timing = {name: field.offset for name, field in front.timing.shape()}
-    frame = {name: field.offset for name, field in front.frame.shape()}
+    at, timing, frame: lowest bits of the fields of a window, of the timing word, of the frame settings.
+    """
+
+    def __init__(self, sensor: Sensor, circuit: Circuit):
+        view = Asynchronous(circuit)
+        self.sensor, self.cells = sensor, view.cells
+        self.front, self.tdc = view.front_end(sensor), view.tdc(sensor, 1)
+        self.at, self.timing, self.frame = (
+            {name: field.offset for name, field in getattr(self.front, port).shape()} for port in ("window", "timing", "frame")
+        )
+
+    def files(self) -> dict[str, str]:
+        """Everything but the bench."""
+        return units_files([self.front, self.tdc]) | {path.name: path.read_text() for path in self.cells}
+
+    def bench(self, body: str) -> str:
+        """Module `TOP`: clock, front end and TDC, and `body`."""
+        def widths(unit: Unit) -> dict[str, int]:
+            return {port: len(Value.cast(value)) for port, (_, value) in unit.flat_ports().items()}
+
+        of_front = widths(self.front)
+        wires = [f"  wire [{width - 1}:0] {port};" for port, width in of_front.items() if port not in DRIVEN]
+        driven = [f"  reg [{of_front[port] - 1}:0] {port} = 0;" for port in DRIVEN]
+        line = {port: port.replace("line_0__", "line__") for port in widths(self.tdc)}
+        tdc_ports = ", ".join(f".{port}({line[port] if port != 'start' else 'start_module'})" for port in line)
+        front_ports = ", ".join(f".{port}({port})" for port in of_front)
+        return "\n".join([
+            "`timescale 1ps / 1fs", f"module {TOP};", "  reg clk = 0, rst = 1, start_module = 0;",
+            f"  always #{CLOCK_FS // 2 / FS_PER_PS} clk = ~clk;",
+            *wires, *driven,
+            f"  {self.tdc.unit_name} tdc (.clk(clk), .rst(rst), {tdc_ports});",
+            f"  {self.front.unit_name} front (.clk(clk), .rst(rst), {front_ports});", body, "endmodule", "",
+        ])
+
+
+def _body(front: Front) -> str:
+    """Random edges at the front end, and what must hold of every word."""
+    sensor, at, timing, frame = front.sensor, front.at, front.timing, front.frame
     pixels, tick_fs = sensor.pixels, CLOCK_FS // sensor.phases
-    half_ps, tick_ps = CLOCK_FS / 2000, tick_fs / 1000
-    return f"""// Random edges at the asynchronous front end, and what must hold of every word.
-`timescale 1ps / 1fs
-module {TOP};
-  reg clk = 0, rst = 1;
-  always #{CLOCK_FS // 2 / 1000} clk = ~clk;
-{chr(10).join(wires)}
-{chr(10).join(driven)}
-  reg start_module = 0;
-  {tdc.unit_name} tdc (.clk(clk), .rst(rst), {tdc_ports});
-  {front.unit_name} front (.clk(clk), .rst(rst), {front_ports});
-
+    half_ps, tick_ps = CLOCK_FS / 2 / FS_PER_PS, tick_fs / FS_PER_PS
+    return f"""
   integer wanted, seed, edges = 0, windows = 0, records = 0, wrong = 0, locked = 0, resets = 0, blinds = 0, quiet = 0, cycle = 0, since = 0;
   reg bright = 0;
   reg [2:0] light = 4;
@@ -161,7 +183,6 @@ module {TOP};
       if (^window[{at['hits']} +: {pixels}] === 1'bx || ^window[{at['stamp']} +: {sensor.stamp_bits}] === 1'bx) wrong = wrong + 1;
     end
   end
-endmodule
 """
 
 
