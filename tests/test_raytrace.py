@@ -14,6 +14,8 @@ from typer.testing import CliRunner
 
 from coincid.cli import app
 from coincid.model import ray_scene
+from coincid.model.config import load_config
+from coincid.model.depth import estimate_depth
 from coincid.model.errors import InputError
 from coincid.model.light import SPEED_OF_LIGHT_M_S, Arrivals, Light, Spad, Timing
 from coincid.model.link_budget import link_budget
@@ -270,12 +272,12 @@ def test_the_renderer_agrees_with_mitsubas_own(tracer):
 
 
 def test_users_camera(tracer, tmp_path):
-    """Where it stands and looks counts, its scale does not; the picture has its left on the left, its top at the top."""
+    """Where it stands and looks counts, its film does not; the picture has its left on the left, its top at the top."""
     ball = ('<shape type="sphere"><bsdf type="diffuse"/><float name="radius" value="0.5"/>'
             '<transform name="to_world"><translate x="1" y="1" z="5"/></transform></shape>')
     straight = rendered(tracer, scene_file(tmp_path / "a.xml", ball))
     assert set(zip(*np.nonzero(np.isfinite(straight.surface_m)))) <= {(row, col) for row in range(4) for col in range(4)}
-    camera = ('<sensor type="thinlens"><float name="aperture_radius" value="0.1"/><transform name="to_world"><scale value="3"/>'
+    camera = ('<sensor type="thinlens"><float name="aperture_radius" value="0.1"/><transform name="to_world">'
               '<lookat origin="1,2,3" target="1,2,8" up="0,1,0"/></transform><film type="hdrfilm"/><sampler type="independent"/></sensor>')
     moved = ball.replace('x="1" y="1" z="5"', 'x="2" y="3" z="8"')
     elsewhere = rendered(tracer, scene_file(tmp_path / "b.xml", moved + '<integrator type="path"/><emitter type="constant"/>', camera))
@@ -342,3 +344,18 @@ def test_broken_scenes(tracer, tmp_path, body, words):
     with pytest.raises(InputError, match=words) as told:
         load_scene(str(path), 8, 8, range_m=RANGE_M)
     assert "\n" not in str(told.value) and str(told.value).startswith(str(path))
+
+
+def test_a_scene_runs_from_photon_to_depth(tracer, tmp_path, monkeypatch):
+    """A file of the user's, by the command: a ball before a wall, each at its depth."""
+    monkeypatch.setenv("COINCID_BUILD", str(tmp_path / "build"))
+    ball = '<shape type="sphere"><bsdf type="diffuse"/><float name="radius" value="1"/><point name="center" x="0" y="0" z="5"/></shape>'
+    path = scene_file(tmp_path / "ball.xml", wall(9) + ball)
+    (tmp_path / "small.toml").write_text("[sensor]\nrows = 16\ncols = 16\n")
+    told = CliRunner().invoke(app, ["sim", "--scene", str(path), "--engine", "golden", "--klux", "2", "--pulses", "200",
+                                    "--config", str(tmp_path / "small.toml"), "--out", str(tmp_path / "out")])
+    assert told.exit_code == 0, told.output
+    config = load_config(tmp_path / "small.toml").with_pulses(200)
+    depth_m = estimate_depth(dict(np.load(tmp_path / "out" / "events.npz")), config, Timing().tick_s, frame=1).depth_m[:, :, 0]
+    assert depth_m[7:9, 7:9] == pytest.approx(np.full((2, 2), 4.01), abs=0.05)
+    assert np.median(np.abs(depth_m - load_scene(str(path), 16, 16).truth_m)) < 0.15
