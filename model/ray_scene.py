@@ -51,7 +51,7 @@ def ray_scene(source: str, rows: int, cols: int, *, range_m: float, optics: Opti
     view = {"fov_h_deg": optics.fov_h_deg, "fov_v_deg": optics.fov_v_deg, "stop_s": RECORDED_PERIODS * 2 * range_m / SPEED_OF_LIGHT_M_S}
     cached = build_root() / "raytrace" / f"{_key(scene, rows, cols, view)}.npz"
     if not cached.exists():
-        tracer.render(scene, rows, cols, path=path, **view).save(cached)
+        tracer.render(scene, rows, cols, **view).save(cached)
     transient = Transient.load(cached)
     distance_m, notes = _surfaces(name, transient, range_m)
     if path.parent != SCENES:

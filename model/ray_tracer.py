@@ -9,6 +9,9 @@ colours count as their luminance.
 """
 
 import math
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import drjit as dr
@@ -49,7 +52,10 @@ class Retroreflective(mi.BSDF):
     def __init__(self, props):
         mi.BSDF.__init__(self, props)
         self.reflectance = props.get("reflectance", 0.2)
-        self.concentration = 1 / math.radians(props.get("divergence", 1.0)) ** 2
+        divergence = props.get("divergence", 1.0)
+        if not 0 <= self.reflectance <= 1 or not 0.01 <= divergence <= 45:
+            raise RuntimeError("retroreflective: reflectance must be from 0 to 1, divergence from 0.01 to 45 degrees")
+        self.concentration = 1 / math.radians(divergence) ** 2
         self.m_components = [mi.BSDFFlags.GlossyReflection | mi.BSDFFlags.FrontSide]
         self.m_flags = self.m_components[0]
 
@@ -84,12 +90,13 @@ mi.register_bsdf("retroreflective", Retroreflective)
 
 @frozen(eq=False)
 class RayScene:
-    """A parsed scene without its emitters, film, sampler and integrator.
+    """A parsed scene file (`path`) without its emitters, film, sampler and integrator.
 
     position, axes: of the camera; columns of `axes` (float64[3, 3]): its left, up and forward. emitters: that were left out; cameras:
     in the file, the first one counts; kind: its plugin. files: all that the scene is made of, by name.
     """
 
+    path: Path
     state: object
     config: object
     position: np.ndarray
@@ -105,9 +112,11 @@ def read_scene(path) -> RayScene:
     config = mi.parser.ParserConfig(VARIANT)
     config.merge_meshes = False
     try:
-        state = mi.parser.parse_file(config, str(path))
-        mi.parser.transform_all(config, state)
-    except Exception as error:
+        with _files_beside(path):
+            state = mi.parser.parse_file(config, str(path))
+            mi.parser.transform_all(config, state)
+            files = _contents(state)
+    except Exception as error:  # plugins raise what they like
         raise InputError(_one_line(path, error)) from None
     nodes = state.nodes
     kinds = [node.type for node in nodes]
@@ -126,7 +135,21 @@ def read_scene(path) -> RayScene:
                 if kind in _NOT_OURS:
                     del node.props[name]
     position, axes = _pose(path, camera)
-    return RayScene(state, config, position, axes, kinds.count(mi.ObjectType.Emitter), len(cameras), camera.plugin_name(), _contents(state))
+    emitters = kinds.count(mi.ObjectType.Emitter)
+    return RayScene(Path(path), state, config, position, axes, emitters, len(cameras), camera.plugin_name(), files)
+
+
+@contextmanager
+def _files_beside(path) -> Iterator[None]:
+    """What a scene names is looked for in its folder, too; for this scene only."""
+    before = mi.file_resolver()
+    resolver = mi.FileResolver(before)
+    resolver.prepend(str(Path(path).resolve().parent))
+    mi.set_file_resolver(resolver)
+    try:
+        yield
+    finally:
+        mi.set_file_resolver(before)
 
 
 def _one_line(path, error: Exception) -> str:
@@ -152,9 +175,9 @@ def _contents(state) -> dict[str, bytes]:
     for node in state.nodes:
         for name in node.props.keys():
             if node.props.type(name) == mi.Properties.Type.String:
-                path = Path(str(mi.file_resolver().resolve(node.props[name])))
-                if path.is_file():
-                    files[node.props[name]] = path.read_bytes()
+                path = str(mi.file_resolver().resolve(node.props[name]))
+                if os.path.isfile(path):
+                    files[node.props[name]] = Path(path).read_bytes()
     return files
 
 
@@ -246,13 +269,14 @@ class _Lidar(TransientPRBVolpathIntegrator):
         return distance, 1 - clear + clear * through
 
 
-def render(scene: RayScene, rows: int, cols: int, *, fov_h_deg: float, fov_v_deg: float, stop_s: float, path="scene") -> Transient:
+def render(scene: RayScene, rows: int, cols: int, *, fov_h_deg: float, fov_v_deg: float, stop_s: float) -> Transient:
     """The transients of rows x cols pixels that share the field of view, for flights up to `stop_s`. Raises `InputError`."""
     try:
-        world = mi.parser.instantiate(scene.config, scene.state)
-    except Exception as error:
-        raise InputError(_one_line(path, error)) from None
-    _check_media(world, path)
+        with _files_beside(scene.path):
+            world = mi.parser.instantiate(scene.config, scene.state)
+    except Exception as error:  # plugins raise what they like
+        raise InputError(_one_line(scene.path, error)) from None
+    _check_media(world, scene.path)
     tan_h, tan_v = (math.tan(math.radians(angle) / 2) for angle in (fov_h_deg, fov_v_deg))
     lidar = _Lidar(scene, tan_h, tan_v)
     pixels, bins = rows * cols, math.ceil(stop_s / BIN_S)

@@ -177,6 +177,8 @@ def _point(document: dict, axes: list[dict[str, list]], at: tuple[int, ...], sce
     settings["configuration"] = settings_of(config)
     values = values | {key: settings[key] for key in values if key in SETTINGS}
     looks = (scene.distance_m.tobytes(), scene.reflectivity.tobytes(), str(scene.distance_m.shape))
+    if scene.transient is not None:
+        looks += tuple(array.tobytes() for array in (scene.transient.first, scene.transient.index, scene.transient.strength_per_m2))
     key = digest(json.dumps([settings, versions(settings["engine"])], sort_keys=True), *looks)
     return Point(name=name, values=values, at=at, document=document, settings=settings, scene=scene, key=key)
 

@@ -284,6 +284,19 @@ def test_users_camera(tracer, tmp_path):
     assert elsewhere.surface_m == pytest.approx(straight.surface_m, rel=1e-5)
 
 
+def test_files_beside_a_scene(tracer, tmp_path, monkeypatch):
+    """A mesh and an included file are the ones of the scene's own folder, and part of what a rendering is kept by."""
+    monkeypatch.setenv("COINCID_BUILD", str(tmp_path / "build"))
+    truth_m = []
+    for folder, z in (("a", 4), ("b", 6), ("b", 8)):
+        (tmp_path / folder).mkdir(exist_ok=True)
+        path = scene_file(tmp_path / folder / "s.xml", '<include filename="mesh.xml"/>')
+        scene_file(path.parent / "mesh.xml", '<shape type="obj"><string name="filename" value="m.obj"/></shape>', camera="")
+        (path.parent / "m.obj").write_text(f"v -20 -20 {z}\nv 20 -20 {z}\nv 0 20 {z}\nf 1 3 2\n")
+        truth_m.append(np.nanmin(load_scene(str(path), 4, 4).truth_m))
+    assert truth_m == pytest.approx([4 * 1.011, 6 * 1.011, 8 * 1.011], rel=0.01)
+
+
 def test_threads_do_not_change_a_bit(tracer):
     import drjit as dr
 
@@ -337,6 +350,7 @@ def test_pane_and_fog_take_their_share(tracer, tmp_path):
     ("<shape", "is not a scene that Mitsuba reads"),
     ('<medium type="heterogeneous" id="m"><volume name="sigma_t" type="constvolume"><float name="value" value="1"/></volume></medium>'
      '<shape type="cube"><bsdf type="null"/><ref name="interior" id="m"/></shape>', "heterogeneous medium, must be homogeneous"),
+    ('<shape type="sphere"><bsdf type="retroreflective"><float name="divergence" value="0"/></bsdf></shape>', "divergence from 0.01 to 45"),
     (None, "has no camera"),
 ])
 def test_broken_scenes(tracer, tmp_path, body, words):
