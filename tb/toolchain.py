@@ -238,6 +238,7 @@ def build(
     public: Sequence[str] = (),
     vlt: Sequence[Path | str] = (),
     delays: bool = False,
+    options: Sequence[str] = (),
 ) -> Build:
     """Compile the Verilog files `sources` with the module `top` for `simulator` ("verilator" or "icarus"), or find it
     compiled: in `build_root()/<simulator>/<key>-<hash of names, contents, options and tool versions>`.
@@ -248,6 +249,7 @@ def build(
         names, `*` and `?` allowed. Under Icarus everything is visible.
     vlt: further Verilator control files.
     delays: the sources have delays, in the units that they state themselves; Icarus always minds them.
+    options: of Verilator, such as `--coverage-line`, with which every run leaves coverage.dat in its `out_dir`.
     Raises `ToolchainError` where a tool is missing and may not be installed, or the design does not compile.
     """
     if simulator not in SIMULATORS:
@@ -261,7 +263,7 @@ def build(
     if simulator == "verilator":
         controls = {f"control{i}.vlt": Path(path).read_bytes() for i, path in enumerate(vlt)}
         controls["public.vlt"] = _public_signals(files.values(), top, public).encode()
-        tools, command = _verilator_command([*controls, *files], top, waves, delays)
+        tools, command = _verilator_command([*options, *controls, *files], top, waves, delays)
         files |= controls
     else:
         tools, command = _icarus_command([*files], top, waves)
