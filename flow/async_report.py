@@ -5,6 +5,7 @@ The netlist of a module with its macros as black boxes is what the report reads;
 
 import json
 import re
+import sys
 from collections import Counter
 from pathlib import Path
 
@@ -165,3 +166,8 @@ def write(sensor: Sensor, circuit: Circuit, folder: Path) -> list[Path]:
     for name, text in files.items():
         (folder / name).write_text(text)
     return [folder / name for name in files]
+
+
+if __name__ == "__main__":
+    for path in write(Sensor(), Circuit(), Path(sys.argv[1] if sys.argv[1:] else "build/async")):
+        print(path)

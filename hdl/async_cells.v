@@ -96,9 +96,14 @@ module coincid_window #(
   integer left;
   initial ended = 1'b0;
   generate if (LINE) begin : line
-    always @(start)
-      if (start) ended <= #(((ticks - 0.5) * (1 + GAIN_PPM * 1e-6) + PHASES / 4) * (CLOCK_FS / PHASES) / 1000.0) start;
-      else ended <= 1'b0;
+    integer entered, left_line;   // which start: one whose `start` has fallen meanwhile does not end anything
+    initial begin entered = 0; left_line = 0; end
+    always @(posedge start) begin
+      entered = entered + 1;
+      left_line <= #(((ticks - 0.5) * (1 + GAIN_PPM * 1e-6) + PHASES / 4) * (CLOCK_FS / PHASES) / 1000.0) entered;
+    end
+    always @(left_line) if (start && left_line == entered) ended = 1'b1;
+    always @(negedge start) ended = 1'b0;
   end else begin : counted
     always begin
       @(posedge start);

@@ -31,9 +31,14 @@ class Circuit:
 
     banks: int | None = field(default=None)
     mismatch_fs: tuple[int, ...] = ()
-    pixel_skew_fs: tuple[int, ...] = ()
+    pixel_skew_fs: tuple[int, ...] = field(default=())
     delay_line: bool = False
     gain_ppm: int = 0
+
+    @pixel_skew_fs.validator
+    def _late_only(self, _, skews):
+        if any(skew < 0 for skew in skews):
+            raise InputError(f"pixel_skew_fs = {min(skews)}: must be at least 0")
 
     def banks_of(self, sensor: Sensor) -> int:
         """Window banks of a sensor. Raises `InputError` where a single bank cannot honour its re-arm gap."""
