@@ -37,6 +37,19 @@ formal: ## unbounded proofs of every block; logs in build/formal/ (NAMES="tdc tr
 	@scripts/setup
 	@$(BIN)/coincid formal $(NAMES)
 
+soak: ## 1,000 frames under sunlight and at saturation, golden model and RTL in step (ARGS="--frames 100 --seed 2")
+	@scripts/setup
+	@$(BIN)/python -m tests.soak $(ARGS)
+
+mutation: ## bugs put into RTL and golden model: does the regression see them? (ARGS="--seed 2 --rtl 500 --golden 1000")
+	@scripts/setup icarus
+	@$(BIN)/python -m tests.mutation $(ARGS)
+	@$(BIN)/python -m tests.planted
+
+coverage: ## situations, RTL lines and toggles, Python lines, against their goals (ARGS=functional: only these)
+	@scripts/setup icarus
+	@$(BIN)/python -m tests.coverage $(ARGS)
+
 verilog: ## the release: Verilog, one file a block, register map, constraints, smoke test, into build/rtl/
 	@scripts/setup
 	@$(BIN)/coincid verilog $(call option,config,CONFIG) --out build/rtl
