@@ -74,5 +74,6 @@ def _delay_ns(path: dict) -> float:
 
 def write_page(path: Path) -> None:
     """Writes the report to a Markdown file, which appears whole."""
+    text = report(place_and_route())
     with whole_file(path, "w") as file:
-        file.write(report(place_and_route()))
+        file.write(text)

@@ -23,13 +23,18 @@ STALL_CYCLES = 300       # in these `tready` is low every fourth cycle
 TIMEOUT_CYCLES = 200_000
 
 
+def sensor_table(sensor: Sensor) -> dict:
+    """The sensor's part of a configuration file."""
+    return {name: list(value) if isinstance(value, tuple) else value for name, value in asdict(sensor).items()}
+
+
 def smoke_config(sensor: Sensor) -> Config:
     """A short frame with everything on. Settings that need not differ from the reset values do not: less to program."""
     played = _played(sensor)
     first_gate = {"gating": True, "gate_start": 3, "gate_len": sensor.guard + 8}
     reset = {name: registers.BY_NAME[name].reset(sensor) for name in ("threshold", "window", "gate_start", "gate_len")}
     return parse_config({
-        "sensor": {name: list(value) if isinstance(value, tuple) else value for name, value in asdict(sensor).items()},
+        "sensor": sensor_table(sensor),
         "frame": {
             "period": min(2 * sensor.guard + 24, sensor.period_max), "pulses": PULSES, "format": "full", "minigroup_records": True,
             "mg_threshold": 1,
