@@ -1,5 +1,7 @@
 """Random configurations and edges that look for trouble: ties, window and gate boundaries, guards, overfull FIFOs."""
 
+import itertools
+
 import numpy as np
 from hypothesis import strategies as st
 
@@ -22,6 +24,8 @@ SENSORS = {  # small ones, so that a case is fast; between them every parameter 
     "wide": {"rows": 16, "cols": 16, "subgroup": [16, 16], "minigroup": [2, 2], "phases": 16, "rearm": 3, "fifo_depth": 5},
     "odd": {"rows": 6, "cols": 9, "subgroup": [6, 3], "minigroup": [2, 3], "phases": 16, "window_max": 33, "streams": 2},
 }
+# Of fault and mutation tests, which run slow simulators over and over: two subgroups of 16 pixels.
+SMALL = {"rows": 4, "cols": 8, "subgroup": [4, 4], "phases": 8, "coarse_bits": 9, "window_max": 100, "rearm": 1, "fifo_depth": 3}
 
 
 @st.composite
@@ -33,7 +37,8 @@ def configurations(draw, sensor: dict, frames_max: int = 2) -> Config:
     window = st.one_of(st.integers(1, built.window_max), st.sampled_from(ends))
     settings = st.fixed_dictionaries({}, optional={
         "coincidence": st.booleans(), "gating": st.booleans(), "auto": st.booleans(), "threshold": st.integers(1, min(6, built.pixels)),
-        "window": window, "gate_start": st.integers(0, period - 1), "gate_len": st.integers(0, period + 3),
+        "window": window, "gate_start": st.integers(0, period - 1),
+        "gate_len": st.one_of(st.integers(0, period + 3), st.integers(0, 15).map(lambda bit: 1 << bit)),
         "mask": st.integers(0, (1 << built.pixels) - 1).map("{:x}".format),
     })
     frame = {
@@ -49,6 +54,19 @@ def configurations(draw, sensor: dict, frames_max: int = 2) -> Config:
         for _ in range(draw(st.integers(0, 2)))
     ]
     return parse_config({"sensor": sensor, "frame": frame, "subgroup": base, "override": overrides})
+
+
+def modes(sensor: dict) -> list[Config]:
+    """A configuration of every mode (coincidence, gating, auto) in every format."""
+    switches = itertools.product((False, True), (False, True), (False, True), ("short", "id", "full"))
+    return [
+        parse_config({
+            "sensor": sensor,
+            "frame": {"period": 60, "pulses": 3, "format": name, "minigroup_records": True, "auto_bounds": [4, 8, 16, 32, 64, 128]},
+            "subgroup": {"coincidence": coincidence, "gating": gating, "auto": auto, "gate_start": 8, "gate_len": 30},
+        })
+        for coincidence, gating, auto, name in switches
+    ]
 
 
 def trouble(config: Config, seed: int, per_subgroup_period: float) -> Edges:

@@ -1,5 +1,7 @@
 """cocotb tests of the sensor's ports: registers, frame control, reset, and an independent bus master and stream sink."""
 
+import json
+import os
 import random
 
 import cocotb
@@ -18,7 +20,7 @@ from coincid.tb.cosim import SensorBench
 from coincid.tb.scoreboard import Scoreboard
 from coincid.tb.stimulus import port_words
 
-SENSOR = {"rows": 8, "cols": 16}
+SENSOR = json.loads(os.environ.get("COINCID_BENCH_SENSOR", "{\"rows\": 8, \"cols\": 16}"))  # set by mutation.py
 STATUS = registers.BY_NAME["status"]
 NOTHING = Edges(*(np.zeros(0, np.int64) for _ in range(3)))
 

@@ -10,7 +10,7 @@ from coincid.model.parameters import Sensor
 from coincid.tb.frames import FrameJob
 from coincid.tb.replay import play
 
-from .cases import READY_KINDS, SENSORS, configurations, ready_pattern, trouble
+from .cases import READY_KINDS, SENSORS, configurations, modes, ready_pattern, trouble
 
 ENGINES = ("verilator", "cocotb-verilator", "icarus")
 FRAMES = 12  # a simulation: its start costs more than a frame does
@@ -39,6 +39,19 @@ def test_random_frames(sensor, engine, tmp_path_factory, data):
     jobs = data.draw(frames(SENSORS[sensor]))
     records, _ = play(jobs, engine, tmp_path_factory.mktemp(f"{sensor}-{engine}"))
     assert all(record.checked == sum(map(len, job.expected.beats)) + len(job.expected.commit_cycle) for record, job in zip(records, jobs))
+
+
+@pytest.mark.parametrize("sensor", ("default", "tiny"))
+def test_every_mode_in_every_format(sensor, tmp_path):
+    """Each twice in a row, so that the controller has a frame to follow."""
+    jobs, golden = [], None
+    for number, config in enumerate(config for config in modes(SENSORS[sensor]) for _ in range(2)):
+        golden = golden or Golden(config.sensor)
+        edges = trouble(config, number, 12.0)
+        ready = ready_pattern(number, READY_KINDS[number % len(READY_KINDS)], 400)
+        jobs.append(FrameJob(config, edges, golden.frame(config, edges, ready), ready))
+    records, _ = play(jobs, "verilator", tmp_path)
+    assert all(record.checked for record in records)
 
 
 def test_sizes_reach_every_parameter():

@@ -1,0 +1,219 @@
+"""What the regression reaches: situations of the contract, lines and toggles of the RTL, lines of Python; fails under a goal.
+
+`python -m tests.coverage [functional] [rtl] [python]` (default: all).
+
+Situations are counted on the golden model's traces, which RTL and plain model equal beat by beat and fate by fate; so one table does
+for all engines and needs no simulator, where cocotb-coverage would count in one of them.
+"""
+
+import collections
+import itertools
+import json
+import os
+import pickle
+import re
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import numpy as np
+from hypothesis import HealthCheck, Phase, given, seed, settings
+from hypothesis import strategies as st
+
+from coincid.hdl.export import verilog_files
+from coincid.hdl.sensor import TOP
+from coincid.model.config import Config, parse_config
+from coincid.model.golden import Fate, Golden, Trace, pixel_table
+from coincid.model.packet import FORMAT_NAMES, Kind, header_field
+from coincid.model.registers import COUNTER_NAMES
+from coincid.tb import toolchain
+from coincid.tb.cosim import JOB_VARIABLE, SensorBench
+from coincid.tb.rtl import rtl
+
+from .cases import READY_KINDS, SENSORS, SMALL, configurations, modes, ready_pattern, trouble
+from .mutation import frames
+
+SEED, EXAMPLES = 1, 120            # frames a sensor
+LINE_GOAL, TOGGLE_GOAL = 0.99, 0.90   # of the RTL
+PYTHON_GOALS = {                   # share of lines; those left are refusals that other tests provoke through the command line
+    "model/golden.py": 1.0, "model/packet.py": 0.9, "model/latency.py": 1.0, "model/registers.py": 0.9, "model/result.py": 0.6,
+    "hdl": 0.95,
+}
+MODES = [f"coincidence={c} gating={g} auto={a}" for c, g, a in itertools.product((0, 1), repeat=3)]
+SITUATIONS = {                     # name -> how often at least
+    **{f"{mode}, {name}": 10 for mode in MODES for name in FORMAT_NAMES},
+    **{f"fate {fate.name.lower()}": 100 for fate in Fate},
+    **{f"stream {kind}": 10 for kind in READY_KINDS},
+    "edge at a window's last tick is counted": 20, "edge a tick after a window's end": 20, "window of a single tick": 20,
+    "window ends with a cycle": 20, "window goes over a cycle's end": 20, "two edges at the opening tick": 20,
+    "edge in the gate's first cycle": 10, "edge in the cycle before the gate": 10, "edge in the gate's last cycle": 10,
+    "edge in the cycle after the gate": 10, "opening in the last cycle before the guard": 10, "blind in the guard's first cycle": 10,
+    "opening in the first cycle after re-arming": 10, "opening in cycle 0": 10, "events dropped": 10, "overrun flag": 10,
+    "record stored": 10, "record dropped": 5, "threshold above 1 by the controller": 10, "window rejected": 10, "masked pixel": 10,
+}
+
+
+def situations(config: Config, edges, trace: Trace, ready: str, counts: collections.Counter) -> None:
+    """Adds what happened in a frame."""
+    sensor, table = config.sensor, pixel_table(config.sensor)
+    c = {name: trace.counters[:, k] for k, name in enumerate(COUNTER_NAMES)}
+    for s in range(sensor.subgroups):
+        mode = MODES[4 * config.coincidence[s] + 2 * config.gating[s] + config.auto[s]]
+        counts[f"{mode}, {config.format}"] += c["opened"][s] > 0
+        counts["masked pixel"] += not config.mask[s].all()
+        counts["threshold above 1 by the controller"] += bool(config.auto[s]) and c["threshold_used"][s] > 1
+    for fate in Fate:
+        counts[f"fate {fate.name.lower()}"] += int((trace.fate == fate).sum())
+    counts[f"stream {ready}"] += 1
+    counters = {"events dropped": "dropped", "window rejected": "rejected", "record stored": "mg_stored", "record dropped": "mg_dropped"}
+    for name, counter in counters.items():
+        counts[name] += int((c[counter] > 0).sum())
+    if config.format == "short" and not config.frame["minigroup_records"]:   # every beat up to the frame end is a header
+        heads = np.concatenate(trace.beats)
+        heads = heads[header_field(heads, "kind") == Kind.EVENT]
+        counts["overrun flag"] += int(header_field(heads, "overrun").sum())
+    subgroup, cycle = table.subgroup[edges.pixel], edges.tick // sensor.phases
+    order = np.lexsort((edges.tick, edges.pulse, subgroup))
+    end, last, armed_from = -1, (-1, -1), -1
+    opened = -1
+    for e in order.tolist():
+        s, fate, tick, at = int(subgroup[e]), trace.fate[e], int(edges.tick[e]), int(cycle[e])
+        window = int(config.window[s]) if config.coincidence[s] else 1
+        if (s, int(edges.pulse[e])) != last:
+            last, end, armed_from, opened = (s, int(edges.pulse[e])), -1, -1, -1
+        if fate == Fate.OPENING:
+            counts["opening in the first cycle after re-arming"] += at == armed_from
+            end, opened = tick + window, tick
+            armed_from = (end - 1) // sensor.phases + 1 + sensor.rearm
+            counts["window of a single tick"] += window == 1
+            counts["window ends with a cycle"] += end % sensor.phases == 0
+            counts["window goes over a cycle's end"] += (end - 1) // sensor.phases > at
+            counts["opening in cycle 0"] += at == 0
+            counts["opening in the last cycle before the guard"] += at == config.period - sensor.guard - 1
+        counts["edge at a window's last tick is counted"] += fate == Fate.COUNTED and tick == end - 1
+        counts["edge a tick after a window's end"] += tick == end and fate not in (Fate.MASKED, Fate.GATED)
+        counts["two edges at the opening tick"] += fate == Fate.COUNTED and tick == opened
+        counts["blind in the guard's first cycle"] += fate == Fate.BLIND and at == config.period - sensor.guard
+        if config.gating[s] and not config.frame["gate_every"] and fate != Fate.MASKED:
+            start, length = int(config.gate_start[s]), int(config.gate_len[s])
+            counts["edge in the gate's first cycle"] += at == start and length > 0
+            counts["edge in the cycle before the gate"] += at == start - 1
+            counts["edge in the gate's last cycle"] += at == start + length - 1 and length > 0
+            counts["edge in the cycle after the gate"] += at == start + length
+
+
+def functional() -> list[str]:
+    """Holes of the situations."""
+    counts: collections.Counter = collections.Counter()
+    for name in ("default", "tiny", "coarse", "odd"):
+        sensor = SENSORS[name]
+
+        @seed(SEED)
+        @settings(max_examples=EXAMPLES, phases=[Phase.generate], database=None, deadline=None, suppress_health_check=list(HealthCheck))
+        @given(config=configurations(sensor, frames_max=1), draw=st.integers(0, 2**32 - 1), kind=st.sampled_from(READY_KINDS))
+        def count(config, draw, kind):
+            edges = trouble(config, draw, 12.0)
+            golden = Golden(config.sensor)
+            ready = ready_pattern(draw, kind, config.pulses * config.period + 100)
+            for _ in range(2):   # the controller acts in the second
+                situations(config, edges, golden.frame(config, edges, ready), kind, counts)
+
+        count()
+        golden = None
+        for number, config in enumerate(config for config in modes(sensor) for _ in range(2)):
+            golden = golden or Golden(config.sensor)
+            kind, edges = READY_KINDS[number % len(READY_KINDS)], trouble(config, number, 12.0)
+            situations(config, edges, golden.frame(config, edges, ready_pattern(number, kind, 400)), kind, counts)
+        print(f"functional: {name} done", flush=True)
+    missing = [f"situation {name!r}: {counts[name]} times, goal {goal}" for name, goal in SITUATIONS.items() if counts[name] < goal]
+    print(f"functional: {len(SITUATIONS) - len(missing)} of {len(SITUATIONS)} situations")
+    return missing
+
+
+def rtl_coverage() -> list[str]:
+    """Holes of the RTL's lines and toggles, after the frames of the mutation test and the tests of the ports."""
+    sensor = parse_config({"sensor": SMALL}).sensor
+    sources = rtl(sensor)
+    build = toolchain.build(
+        "verilator", sources, TOP, key="coverage", public=[f"{TOP}.stored_of_*"], options=["--coverage-line", "--coverage-toggle"],
+    )
+    points: collections.Counter = collections.Counter()
+    with tempfile.TemporaryDirectory(prefix="coincid-") as scratch:
+        job = Path(scratch) / "job"
+        job.write_bytes(pickle.dumps((SensorBench, frames())))
+        benches = {
+            "coincid.tb.cosim": {JOB_VARIABLE: str(job)},
+            "sensor_bench": {"PYTHONPATH": str(Path(__file__).parent), "COINCID_BENCH_SENSOR": json.dumps(SMALL)},
+        }
+        for module, env in benches.items():
+            folder = Path(scratch) / module
+            build.run(module, env=env, out_dir=folder, seed=1)
+            for key, count in re.findall(r"^C '(.*)' (\d+)$", (folder / "coverage.dat").read_text(errors="replace"), re.MULTILINE):
+                points[key] += int(count)
+    holes = []
+    for kind, goal in (("line", LINE_GOAL), ("toggle", TOGGLE_GOAL)):
+        blocks: dict[str, list[tuple[str, int]]] = collections.defaultdict(list)
+        for key, count in points.items():
+            fields = dict(part.split("\x02", 1) for part in key.split("\x01") if "\x02" in part)
+            if fields.get("page", "").startswith(f"v_{kind}") or fields.get("t") == kind:
+                what = f"line {fields.get('l', '?')}" if kind == "line" else fields.get("o", "?")
+                blocks[fields.get("page", "/").split("/")[-1]].append((what, count))
+        hit = sum(count > 0 for of in blocks.values() for _, count in of)
+        total = sum(map(len, blocks.values()))
+        print(f"rtl: {kind} {hit} of {total}, {hit / max(total, 1):.1%}")
+        for block, of in sorted(blocks.items()):
+            missed = [what for what, count in of if not count]
+            print(f"  {block:26} {len(of) - len(missed)} of {len(of)}" + (f", first holes: {', '.join(missed[:4])}" if missed else ""))
+        if not total or hit < goal * total:
+            holes.append(f"RTL {kind} coverage {hit} of {total}: goal {goal:.0%}; blocks and holes are listed above")
+    return holes
+
+
+def python_coverage() -> list[str]:
+    """Holes of Python's lines: golden model (without Numba, which coverage.py cannot look into) and what emits the RTL."""
+    root = Path(__file__).parents[1]
+    with tempfile.TemporaryDirectory(prefix="coincid-") as scratch:
+        environment = os.environ | {"COVERAGE_FILE": f"{scratch}/data", "NUMBA_DISABLE_JIT": "1"}
+        run = [sys.executable, "-m", "coverage", "run", "--append", "--source=model,hdl"]
+        tests = [*run, "-m", "pytest", "-q", "-p", "no:cacheprovider", "-x", "tests/test_golden.py"]
+        subprocess.run(tests, cwd=root, env=environment, check=True)
+        subprocess.run([*run, "-m", "tests.coverage", "emit"], cwd=root, env=environment, check=True)
+        subprocess.run([sys.executable, "-m", "coverage", "json", "-q", "-o", f"{scratch}/report"], cwd=root, env=environment, check=True)
+        files = json.loads(Path(f"{scratch}/report").read_text())["files"]
+    holes = []
+    for name, goal in PYTHON_GOALS.items():
+        other = ("async", "release", "register_files", "smoke", "deserialiser")   # other views, and exports: tests of their own
+        mine = [
+            of for path, of in files.items() if path == name or path.startswith(f"{name}/") and not any(part in path for part in other)
+        ]
+        lines = sum(of["summary"]["num_statements"] for of in mine)
+        missed = {path: of["missing_lines"] for path, of in files.items() if of in mine and of["missing_lines"]}
+        share = 1 - sum(map(len, missed.values())) / max(lines, 1)
+        print(f"python: {name} {share:.1%} of {lines} lines")
+        if not lines or share < goal:
+            holes.append(f"{name}: {share:.1%} of {lines} lines, goal {goal:.0%}; never run: {json.dumps(missed)[:600]}")
+    return holes
+
+
+def emit() -> list[str]:
+    """Emits every sensor of the regression, for its lines."""
+    for sensor in SENSORS.values():
+        verilog_files(parse_config({"sensor": sensor}).sensor)
+    return []
+
+
+PARTS = {"functional": functional, "rtl": rtl_coverage, "python": python_coverage, "emit": emit}
+
+
+def main() -> None:
+    names = sys.argv[1:] or ["functional", "rtl", "python"]
+    if unknown := [name for name in names if name not in PARTS]:
+        sys.exit(f"{unknown[0]}: must be one of {', '.join(PARTS)}")
+    holes = [hole for name in names for hole in PARTS[name]()]
+    print(*holes, sep="\n")
+    sys.exit(bool(holes))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,403 @@
+"""Does the regression see what it should? Bugs are put into RTL and golden model, one at a time, and the regression has to notice.
+
+`python -m tests.mutation [--seed N] [--rtl N] [--golden N] [--planted]` writes build/mutation/report.md and fails below `GOAL`.
+
+* RTL: Yosys mutates cells of the emitted Verilog (`mutate`), block by block, as many as the block is large. The regression is frames
+  against the golden model in Icarus, then, for those that survive, cocotb tests of ports and counters. Survivors that Yosys proves to
+  be equal to the block (`equiv_induct`) are equivalent; so are those of `EQUIVALENT`, each for its reason.
+* Golden model: its syntax tree is mutated here. mutmut and cosmic-ray start a test run for every mutant, and Numba compiles all
+  functions again; without Numba, and held against the same frames' recorded beats and fates, a mutant takes a second.
+* Planted bugs are those that people make, by name: `planted.py`.
+"""
+
+import argparse
+import ast
+import copy
+import json
+import os
+import pickle
+import re
+import subprocess
+import sys
+import zlib
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import numpy as np
+from attrs import frozen
+from hypothesis import HealthCheck, Phase, given, seed, settings
+from hypothesis import strategies as st
+
+from coincid.flow.yosys import run_yosys
+from coincid.hdl.sensor import TOP
+from coincid.model.config import parse_config
+from coincid.model.golden import Golden, Trace
+from coincid.tb import toolchain
+from coincid.tb.cosim import JOB_VARIABLE, SensorBench
+from coincid.tb.frames import FrameJob
+from coincid.tb.rtl import rtl
+
+from .cases import READY_KINDS, SMALL, configurations, ready_pattern, trouble
+
+GOAL = 0.95
+FRAMES = 14
+CASES_SEED = 2026
+SECONDS_MAX = 240    # of a mutant in one bench: a design that hangs is seen, too
+RTL_MUTANTS, GOLDEN_MUTANTS = 120, 120   # of the sampled mode
+GOLDEN_SOURCE = Path(__file__).parents[1] / "model" / "golden.py"
+BENCH_SENSOR, FAULT_SOURCES = "COINCID_BENCH_SENSOR", "COINCID_FAULT_SOURCES"   # read by sensor_bench.py and fault_bench.py
+# Mutants that no test can see, by block and a part of Yosys's description; why.
+EQUIVALENT: tuple[tuple[str, str, str], ...] = (
+    ("coincid_gating", "$procmux$59 -port B", "reset value of the cycles until the gate opens, which a period's start loads before use"),
+)
+
+
+@frozen
+class Fate:
+    """What became of a mutant. by: the bench that noticed, 'equal' where it is none, '' where it survived."""
+
+    where: str
+    what: str
+    by: str
+
+
+def frames() -> list[FrameJob]:
+    """The regression's frames: the same in every run."""
+    jobs: list[FrameJob] = []
+    golden = Golden(parse_config({"sensor": SMALL}).sensor)
+
+    @seed(CASES_SEED)
+    @settings(max_examples=FRAMES, phases=[Phase.generate], database=None, deadline=None, suppress_health_check=list(HealthCheck))
+    @given(config=configurations(SMALL, frames_max=1), draw=st.integers(0, 2**32 - 1))
+    def collect(config, draw):
+        k = len(jobs)
+        if k >= FRAMES:
+            return
+        config = config.with_frame(pulses=2 + k % 4, format=k % 3)
+        edges = trouble(config, draw, (4.0, 12.0, 25.0, 1.0)[k % 4])
+        ready = ready_pattern(draw, READY_KINDS[k % len(READY_KINDS)], config.pulses * config.period + 100)
+        jobs.append(FrameJob(config, edges, golden.frame(config, edges, ready), ready))
+
+    collect()
+    return jobs
+
+
+def sample(total: int, items: list, rng: np.random.Generator) -> list:
+    """`total` of the items, in their order; all of them where there are no more."""
+    chosen = rng.choice(len(items), min(total, len(items)), replace=False)
+    return [items[k] for k in sorted(chosen)]
+
+
+class Mutator(ast.NodeTransformer):
+    """Applies the mutation with a given number, or counts them."""
+
+    COMPARE = {ast.Lt: ast.LtE, ast.LtE: ast.Lt, ast.Gt: ast.GtE, ast.GtE: ast.Gt, ast.Eq: ast.NotEq, ast.NotEq: ast.Eq}
+    ARITHMETIC = {
+        ast.Add: ast.Sub, ast.Sub: ast.Add, ast.Mult: ast.Add, ast.FloorDiv: ast.Mult, ast.Mod: ast.FloorDiv, ast.LShift: ast.RShift,
+        ast.RShift: ast.LShift, ast.BitOr: ast.BitAnd, ast.BitAnd: ast.BitOr,
+    }
+
+    def __init__(self, apply: int = -1):
+        self.apply, self.count, self.done = apply, 0, ""
+
+    def _turn(self, node, text: str) -> bool:
+        self.count += 1
+        if self.count - 1 == self.apply:
+            self.done = f"line {node.lineno}: {text}"
+            return True
+        return False
+
+    def visit_FunctionDef(self, node):
+        node.args.defaults, node.decorator_list, kept = [], [], (node.args.defaults, node.decorator_list)
+        self.generic_visit(node)
+        node.args.defaults, node.decorator_list = kept
+        return node
+
+    def visit_Compare(self, node):
+        self.generic_visit(node)
+        for k, op in enumerate(node.ops):
+            if type(op) in self.COMPARE and self._turn(node, f"{ast.unparse(node)}: {type(op).__name__}"):
+                node.ops[k] = self.COMPARE[type(op)]()
+        return node
+
+    def _arithmetic(self, node):
+        self.generic_visit(node)
+        if type(node.op) in self.ARITHMETIC and self._turn(node, f"{ast.unparse(node)}: {type(node.op).__name__}"):
+            node.op = self.ARITHMETIC[type(node.op)]()
+        return node
+
+    visit_BinOp = visit_AugAssign = _arithmetic
+
+    def visit_BoolOp(self, node):
+        self.generic_visit(node)
+        if self._turn(node, f"{ast.unparse(node)}: {type(node.op).__name__}"):
+            node.op = ast.Or() if isinstance(node.op, ast.And) else ast.And()
+        return node
+
+    def visit_UnaryOp(self, node):
+        self.generic_visit(node)
+        if isinstance(node.op, ast.Not) and self._turn(node, f"{ast.unparse(node)}: no not"):
+            return node.operand
+        return node
+
+    def visit_Constant(self, node):
+        if type(node.value) is int and self._turn(node, f"{node.value}: one more"):
+            return ast.copy_location(ast.Constant(node.value + 1), node)
+        if type(node.value) is bool and self._turn(node, f"{node.value}: not"):
+            return ast.copy_location(ast.Constant(not node.value), node)
+        return node
+
+    def visit_Assign(self, node):
+        self.generic_visit(node)
+        # Where a loop's variables begin anew is what a forgotten assignment would break.
+        if node.col_offset > 4 and self._turn(node, f"{ast.unparse(node)}: left out"):
+            return ast.copy_location(ast.Pass(), node)
+        return node
+
+    def visit_Continue(self, node):
+        return ast.copy_location(ast.Pass(), node) if self._turn(node, "continue: left out") else node
+
+
+def _functions(tree: ast.Module) -> list[ast.AST]:
+    """What is mutated: the front end, the readout and what they call, and how a frame puts them together."""
+    named = {"_front_end", "_enough", "_readout", "_header", "_pack", "frame", "_next_ready", "_by_subgroup", "_time_order", "pixel_table"}
+    return [node for node in ast.walk(tree) if isinstance(node, ast.FunctionDef) and node.name in named]
+
+
+def golden_mutant(number: int) -> tuple[str, str]:
+    """Source of a mutant of the golden model, and what was changed; an empty description where there are no more."""
+    tree = ast.parse(GOLDEN_SOURCE.read_text())
+    mutator = Mutator(number)
+    for function in _functions(tree):
+        mutator.visit(function)
+    return ast.unparse(ast.fix_missing_locations(tree)), mutator.done
+
+
+def golden_mutants() -> int:
+    """How many mutants of the golden model there are."""
+    mutator = Mutator()
+    for function in _functions(copy.deepcopy(ast.parse(GOLDEN_SOURCE.read_text()))):
+        mutator.visit(function)
+    return mutator.count
+
+
+def judge_golden(source: Path, jobs: Path) -> bool:
+    """Whether the golden model of `source` differs from what was recorded. Runs in a process of its own, without Numba."""
+    import types
+
+    module = types.ModuleType("coincid.model.mutant")
+    module.__package__ = "coincid.model"
+    sys.modules[module.__name__] = module
+    exec(compile(source.read_text(), str(source), "exec"), module.__dict__)  # noqa: S102
+    recorded: list[FrameJob] = pickle.loads(jobs.read_bytes())
+    golden = module.Golden(recorded[0].config.sensor)
+    return any(differs(golden.frame(job.config, job.edges, job.ready), job.expected) for job in recorded)
+
+
+def differs(shown: Trace, expected: Trace) -> bool:
+    """Whether two traces differ anywhere."""
+    parts = [(shown.commit_subgroup, expected.commit_subgroup), (shown.commit_cycle, expected.commit_cycle)]
+    parts += [(shown.fate, expected.fate), (shown.counters, expected.counters)]
+    parts += [*zip(shown.beats, expected.beats), *zip(shown.beat_cycle, expected.beat_cycle)]
+    return not all(np.array_equal(a, b) for a, b in parts)
+
+
+def run_golden(number: int, folder: Path, jobs: Path) -> Fate:
+    """The fate of a mutant of the golden model."""
+    text, what = golden_mutant(number)
+    source = folder / f"golden_{number}.py"
+    source.write_text(text)
+    command = [sys.executable, "-m", "tests.mutation", "--judge", str(source), str(jobs)]
+    environment = os.environ | {"NUMBA_DISABLE_JIT": "1", "PYTHONWARNINGS": "ignore"}
+    try:
+        code = subprocess.run(command, env=environment, timeout=SECONDS_MAX / 4, capture_output=True, check=False).returncode
+    except subprocess.TimeoutExpired:
+        code = 1
+    return Fate("golden", what, "frames" if code else "")
+
+
+def rtl_mutants(total: int, folder: Path, seed_: int) -> list[tuple[str, str, Path]]:
+    """(block, Yosys's description, file) of mutants of every block, as many as its size asks for."""
+    files = {path.stem: path for path in rtl(parse_config({"sensor": SMALL}).sensor) if path.stem != TOP}
+    sizes = {name: len(zlib.compress(path.read_bytes())) for name, path in files.items()}
+    mutants = []
+    for name, path in files.items():
+        count = max(2, round(total * sizes[name] / sum(sizes.values())))
+        work = folder / name
+        work.mkdir(parents=True, exist_ok=True)
+        (work / "block.v").write_bytes(path.read_bytes())
+        # What a block instantiates stays a black box, as its file has only the instance.
+        modules = [other.read_text() for stem, other in files.items() if stem != name]
+        (work / "boxes.v").write_text("".join(_box(text, seen) for text in modules for seen in [set()]))
+        used = "read_verilog -lib boxes.v; " if re.search(r"^  coincid_\w+ ", path.read_text(), re.MULTILINE) else ""
+        load = f"{used}read_verilog block.v; prep -top {name}; "
+        run_yosys(f"{load}mutate -list {count} -seed {seed_} -o list.txt; write_rtlil block.il", work)
+        lines = [line for line in (work / "list.txt").read_text().splitlines() if line.startswith("mutate")]
+        clean = "opt_clean; pmuxtree; delete =A:blackbox; write_verilog -noattr"
+        script = [f"design -reset; read_rtlil block.il; {clean} whole.v"]
+        script += [f"design -reset; read_rtlil block.il; {line}; {clean} mutant_{k}.v" for k, line in enumerate(lines)]
+        run_yosys("\n".join(script), work)
+        mutants += [(name, line.removeprefix("mutate "), work / f"mutant_{k}.v") for k, line in enumerate(lines)]
+    return mutants
+
+
+def _box(text: str, seen: set) -> str:
+    """The modules of a file as ports only."""
+    boxes = []
+    for module in re.findall(r"^module .*?^endmodule", text, re.MULTILINE | re.DOTALL):
+        head = module[: module.index(";") + 1]
+        ports = re.findall(r"^  (?:input|output) .*?;", module, re.MULTILINE)
+        boxes.append("\n".join([head, *ports, "endmodule", ""]))
+    return "".join(boxes)
+
+
+def icarus(sources: list[Path], folder: Path) -> Path:
+    """Compiles Verilog with Icarus, uncached: a mutant is used once."""
+    folder.mkdir(parents=True, exist_ok=True)
+    command = ["iverilog", "-g2012", "-o", "sim.vvp", "-s", TOP, *map(str, sources)]
+    (folder / "timescale.f").write_text(f"+timescale+{toolchain.TIMESCALE}\n")
+    command[2:2] = ["-f", "timescale.f"]
+    subprocess.run(command, cwd=folder, check=True, capture_output=True)
+    return folder
+
+
+def simulate(folder: Path, module: str, env: dict) -> bool:
+    """Whether the cocotb tests of `module` pass; a simulation that takes too long has failed."""
+    build = toolchain.Build("icarus", TOP, folder, False)
+    program = (
+        "import sys, json, pathlib; from coincid.tb.toolchain import Build; a = json.loads(sys.argv[1]);"
+        "Build('icarus', a['top'], pathlib.Path(a['folder']), False).run(a['module'], env=a['env'], out_dir=a['folder'], seed=1)"
+    )
+    arguments = json.dumps({"top": build.top, "folder": str(folder), "module": module, "env": env})
+    process = subprocess.Popen(
+        [sys.executable, "-c", program, arguments], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True
+    )
+    try:
+        return process.wait(SECONDS_MAX) == 0
+    except BaseException as error:
+        os.killpg(process.pid, 9)
+        process.wait()
+        if isinstance(error, subprocess.TimeoutExpired):
+            return False
+        raise
+
+
+def run_rtl(sources: list[Path], folder: Path, jobs: list[FrameJob]) -> str:
+    """The bench that notices a difference in the sensor of these files, or ''."""
+    try:
+        icarus(sources, folder)
+    except subprocess.CalledProcessError:
+        return "compiler"
+    (folder / "job").write_bytes(pickle.dumps((SensorBench, jobs)))
+    if not simulate(folder, "coincid.tb.cosim", {JOB_VARIABLE: str(folder / "job")}):
+        return "frames"
+    here = str(Path(__file__).parent)
+    if not simulate(folder, "sensor_bench", {"PYTHONPATH": here, BENCH_SENSOR: json.dumps(SMALL)}):
+        return "ports"
+    env = {"PYTHONPATH": here, BENCH_SENSOR: json.dumps(SMALL), FAULT_SOURCES: json.dumps([str(path) for path in sources])}
+    if not simulate(folder, "fault_bench", env | {"COCOTB_TEST_FILTER": "counters_in_full_width"}):
+        return "counters"
+    return ""
+
+
+def is_equal(mutant: Path) -> bool:
+    """Whether Yosys proves that a mutated block is the block."""
+    name, work = mutant.parent.name, mutant.parent
+    boxes = "read_verilog -lib boxes.v; " if (work / "boxes.v").stat().st_size else ""
+    script = (
+        f"{boxes}read_verilog whole.v; rename {name} gold; read_verilog {mutant.name}; rename {name} gate; proc; "
+        "equiv_make gold gate both; hierarchy -top both; flatten; memory_map; opt_clean; async2sync; opt -full; "
+        "equiv_simple -undef; equiv_induct -undef; equiv_status -assert"
+    )
+    scratch = work / f"equal_{mutant.stem}"
+    scratch.mkdir(exist_ok=True)
+    for path in (work / "boxes.v", work / "whole.v", mutant):
+        (scratch / path.name).write_bytes(path.read_bytes())
+    try:
+        run_yosys(script, scratch)
+    except toolchain.ToolchainError:
+        return False
+    return True
+
+
+def mutate_rtl(total: int, folder: Path, jobs: list[FrameJob], seed_: int, tell) -> list[Fate]:
+    """Fates of mutants of the RTL. Raises where the blocks as they are do not pass after the same treatment."""
+    mutants = rtl_mutants(total, folder, seed_)
+    original = rtl(parse_config({"sensor": SMALL}).sensor)
+    whole = [folder / path.stem / "whole.v" if path.stem != TOP else path for path in original]
+    if by := run_rtl(whole, folder / "baseline", jobs):
+        raise SystemExit(f"the RTL without mutation fails in {by}: see {folder / 'baseline'}")
+
+    def run(k: int) -> Fate:
+        block, what, path = mutants[k]
+        sources = [path if source.stem == block else source for source in original]
+        by = run_rtl(sources, folder / f"run_{k}", jobs)
+        if not by:
+            reason = next((why for of, part, why in EQUIVALENT if of == block and part in what), "")
+            by = f"equal: {reason}" if reason else "equal: proven by Yosys" if is_equal(path) else ""
+        fate = Fate(block, what, by)
+        tell(fate)
+        return fate
+
+    with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
+        return list(pool.map(run, range(len(mutants))))
+
+
+def report(fates: list[Fate], seed_: int) -> tuple[str, float]:
+    """The report as Markdown, and the lowest kill rate of RTL and golden model."""
+    lines = [f"# Mutants, seed {seed_}", "", "| where | mutants | killed | equivalent | survived |", "| --- | --- | --- | --- | --- |"]
+    rates = []
+    for kind in ("rtl", "golden"):
+        of = [fate for fate in fates if (fate.where == "golden") == (kind == "golden")]
+        for where in sorted({fate.where for fate in of}):
+            mine = [fate for fate in of if fate.where == where]
+            equal = sum(fate.by.startswith("equal") for fate in mine)
+            killed = sum(bool(fate.by) for fate in mine) - equal
+            lines.append(f"| {where} | {len(mine)} | {killed} | {equal} | {len(mine) - killed - equal} |")
+        equal = sum(fate.by.startswith("equal") for fate in of)
+        if len(of) > equal:
+            rates.append((sum(bool(fate.by) for fate in of) - equal) / (len(of) - equal))
+            lines += ["", f"{kind}: {rates[-1]:.1%} of {len(of) - equal} that are not equivalent were killed.", ""]
+    lines += ["## Survivors", "", *(f"* {fate.where}: {fate.what}" for fate in fates if not fate.by), ""]
+    lines += ["## Equivalent", "", *(f"* {fate.where}: {fate.what} ({fate.by})" for fate in fates if fate.by.startswith("equal")), ""]
+    return "\n".join(lines), min(rates, default=1.0)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description="Mutation test of RTL and golden model")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--rtl", type=int, default=RTL_MUTANTS, help="mutants of the RTL, about")
+    parser.add_argument("--golden", type=int, default=GOLDEN_MUTANTS, help="mutants of the golden model; there are some 400")
+    parser.add_argument("--judge", nargs=2, type=Path, help=argparse.SUPPRESS)
+    given_ = parser.parse_args()
+    if given_.judge:
+        sys.exit(judge_golden(*given_.judge))
+    folder = toolchain.build_root() / "mutation"
+    subprocess.run(["rm", "-rf", str(folder)], check=True)
+    folder.mkdir(parents=True)
+    print(f"seed {given_.seed}: --seed repeats or changes the choice")
+    jobs = frames()
+    (folder / "jobs").write_bytes(pickle.dumps(jobs))
+    rng = np.random.default_rng(given_.seed)
+
+    def tell(fate: Fate) -> None:
+        print(f"{fate.where:26} {fate.by or 'SURVIVED':24} {fate.what[:150]}", flush=True)
+
+    def golden(number: int) -> Fate:
+        fate = run_golden(number, folder, folder / "jobs")
+        tell(fate)
+        return fate
+
+    with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
+        fates = list(pool.map(golden, sample(given_.golden, list(range(golden_mutants())), rng)))
+    if given_.rtl:
+        fates += mutate_rtl(given_.rtl, folder / "rtl", jobs, given_.seed, tell)
+    text, rate = report(fates, given_.seed)
+    (folder / "report.md").write_text(text)
+    print(text)
+    if rate < GOAL:
+        sys.exit(f"kill rate {rate:.1%}: must be at least {GOAL:.0%}")
+
+
+if __name__ == "__main__":
+    main()

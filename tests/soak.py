@@ -1,0 +1,89 @@
+"""Soak: many frames in a row, golden model and RTL (batch engine) in step, under sunlight and at saturation.
+
+`python -m tests.soak [--frames N] [--pulses N] [--seed N]` plays a whole array; a short form is part of the regression.
+"""
+
+import argparse
+import time
+
+import numpy as np
+
+from coincid.model.config import Config, parse_config
+from coincid.model.edges import Edges
+from coincid.model.golden import Golden
+from coincid.model.light import SPEED_OF_LIGHT_M_S, Spad, Timing
+from coincid.model.photons import generate_edges
+from coincid.model.scene import load_scene, scene_light
+from coincid.tb.batch import BatchSensor
+from coincid.tb.scoreboard import check
+
+KLUX = 50.0
+CLOCK_HZ = 500e6
+DEAD_TICKS = 128   # 8 ns: at saturation a pixel fires again as soon as it can
+LIGHTS = ("sun", "saturation")
+
+
+def sunlight(config: Config, frame: int, seed: int) -> Edges:
+    """Edges of a frame: five objects under `KLUX`."""
+    timing = Timing.from_config(config, CLOCK_HZ)
+    scene = load_scene("five-objects", config.sensor.rows, config.sensor.cols, range_m=SPEED_OF_LIGHT_M_S * timing.period_s / 2)
+    return generate_edges(scene_light(scene, KLUX), Spad(), timing, pulses=config.pulses, seed=seed + frame)
+
+
+def saturation(config: Config, frame: int, seed: int) -> Edges:
+    """Edges of a frame in which every pixel fires every 8 ns, each from a moment of its own on."""
+    pixels = config.sensor.array_pixels
+    first = np.random.default_rng([seed, frame]).integers(0, DEAD_TICKS, pixels)
+    total = config.pulses * config.period_ticks
+    time_ticks = first[:, None] + DEAD_TICKS * np.arange(total // DEAD_TICKS)
+    pulse, tick = np.divmod(time_ticks.ravel(), config.period_ticks)
+    return Edges(pulse, np.repeat(np.arange(pixels), time_ticks.shape[1]), tick)
+
+
+def soak(config: Config, light: str, frames: int, seed: int, tell=lambda frame, edges, checked: None) -> int:
+    """Plays `frames` frames; returns how many beats and commits were equal. Raises `Mismatch` at the first that is not.
+
+    Back-pressure changes from frame to frame, so that FIFOs overflow in some; the threshold controller is on.
+    """
+    golden, checked = Golden(config.sensor), 0
+    make = {"sun": sunlight, "saturation": saturation}[light]
+    with BatchSensor(config.sensor) as sensor:
+        for frame in range(frames):
+            edges = make(config, frame, seed)
+            rng = np.random.default_rng([seed, frame, 1])
+            ready = (rng.random(config.pulses * config.period) < (1.0, 0.5, 0.05)[frame % 3]).astype(np.uint8)
+            expected = golden.frame(config, edges, ready)
+            checked += check(config.sensor, expected, sensor.frame(config, edges, ready), frame)
+            tell(frame, len(edges), checked)
+    return checked
+
+
+def configuration(sensor: dict, pulses: int) -> Config:
+    """What is soaked: everything on that a frame can have."""
+    frame = {"pulses": pulses, "format": "full", "minigroup_records": True, "gate_every": 3, "gate_step": 5, "gate_steps": 4}
+    return parse_config({"sensor": sensor, "frame": frame, "subgroup": {"auto": True}, "override": [
+        {"subgroups": [1], "gating": True, "gate_start": 40, "gate_len": 150}, {"subgroups": [0], "coincidence": False},
+    ]})
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description="Soak test: golden model and RTL in step")
+    parser.add_argument("--frames", type=int, default=1000)
+    parser.add_argument("--pulses", type=int, default=10, help="laser pulses of a frame")
+    parser.add_argument("--seed", type=int, default=1)
+    given = parser.parse_args()
+    for light in LIGHTS:
+        begin, total = time.monotonic(), 0
+
+        def tell(frame, edges, checked, light=light, begin=begin):
+            nonlocal total
+            total += edges
+            if frame % 100 == 99:
+                seconds = time.monotonic() - begin
+                print(f"{light}: {frame + 1} frames, {total:,} edges, {checked:,} beats and commits equal, {seconds:.0f} s", flush=True)
+
+        soak(configuration({}, given.pulses), light, given.frames, given.seed, tell)
+
+
+if __name__ == "__main__":
+    main()

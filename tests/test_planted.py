@@ -1,0 +1,31 @@
+"""The list of planted bugs is in step with the sources, and the mutators mutate."""
+
+import ast
+
+import pytest
+
+from coincid.formal import prove as prover
+from coincid.formal.bench import PROOFS
+
+from .mutation import GOLDEN_SOURCE, golden_mutant, golden_mutants
+from .planted import BUGS, ROOT
+
+
+@pytest.mark.parametrize("bug", BUGS, ids=lambda bug: bug.name)
+def test_planted_bugs_fit(bug):
+    assert (ROOT / bug.file).read_text().count(bug.old) == 1
+    assert bug.old != bug.new and (bug.proofs or bug.tests)
+    assert set(bug.proofs) <= PROOFS.keys()
+
+
+def test_proofs_are_registered_once():
+    assert prover.PROOFS is PROOFS and len(PROOFS) >= 15
+
+
+def test_golden_mutants_differ():
+    total, original = golden_mutants(), ast.unparse(ast.parse(GOLDEN_SOURCE.read_text()))
+    assert total > 300
+    for number in range(0, total, 40):
+        text, what = golden_mutant(number)
+        assert what and text != original
+    assert golden_mutant(total)[1] == ""
