@@ -166,6 +166,8 @@ class Registers(Unit):
             with m.State("begin"):
                 m.d.sync += [self.command.operation.eq(bus.Operation.BEGIN), self.start_frame.eq(1), *respond(0)]
                 m.next = "idle"
+            with m.State("lost"):   # the one code that is no state: an upset there must not hang the bus
+                m.next = "idle"
         with m.If(self.done):
             m.d.sync += [flag["busy"].eq(0), flag["done"].eq(1)]
         return m
