@@ -22,7 +22,7 @@ BAD_INPUT, DIFFERS, INTERRUPTED = 2, 1, 130
 STALL_CYCLES_MAX = 1 << 24
 PULSES_MAX = 1 << 16
 SEED_MAX = (1 << 32) - 1
-ASYNC_PULSES = 4       # of `sim --view async`: Icarus needs a minute for them
+ASYNC_PULSES = 4       # of `sim --view async`: Icarus needs some three minutes for them
 REPEATS_MAX = 1000
 WORKERS_MAX = 1 << 10
 
