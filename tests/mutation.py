@@ -202,9 +202,8 @@ def differs(shown: Trace, expected: Trace) -> bool:
     return not all(np.array_equal(a, b) for a, b in parts)
 
 
-def run_golden(number: int, folder: Path, jobs: Path) -> Fate:
+def run_golden(number: int, text: str, what: str, folder: Path, jobs: Path) -> Fate:
     """The fate of a mutant of the golden model."""
-    text, what = golden_mutant(number)
     source = folder / f"golden_{number}.py"
     source.write_text(text)
     command = [sys.executable, "-m", "tests.mutation", "--judge", str(source), str(jobs)]
@@ -383,13 +382,14 @@ def main() -> None:
     def tell(fate: Fate) -> None:
         print(f"{fate.where:26} {fate.by or 'SURVIVED':24} {fate.what[:150]}", flush=True)
 
-    def golden(number: int) -> Fate:
-        fate = run_golden(number, folder, folder / "jobs")
+    def golden(mutant: tuple[int, str, str]) -> Fate:
+        fate = run_golden(*mutant, folder, folder / "jobs")
         tell(fate)
         return fate
 
     with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
-        fates = list(pool.map(golden, sample(given_.golden, list(range(golden_mutants())), rng)))
+        numbers = sample(given_.golden, list(range(golden_mutants())), rng)
+        fates = list(pool.map(golden, [(number, *golden_mutant(number)) for number in numbers]))   # parsed here: threads must not
     if given_.rtl:
         fates += mutate_rtl(given_.rtl, folder / "rtl", jobs, given_.seed, tell)
     text, rate = report(fates, given_.seed)
