@@ -69,6 +69,18 @@ def modes(sensor: dict) -> list[Config]:
     ]
 
 
+def gate_bits(sensor: dict) -> Config:
+    """A frame whose gates begin at times with every bit set in one subgroup or the other."""
+    built = parse_config({"sensor": sensor, "frame": {"period": 100}}).sensor
+    odd = 0x5555 & (built.period_max - 1)
+    even = 0xAAAA & (built.period_max - 1)
+    return parse_config({
+        "sensor": sensor, "frame": {"period": built.period_max, "pulses": 1},
+        "subgroup": {"gating": True, "gate_start": odd, "gate_len": 40, "threshold": 1},
+        "override": [{"subgroups": [1], "gate_start": even}],
+    })
+
+
 def trouble(config: Config, seed: int, per_subgroup_period: float) -> Edges:
     """Edges that crowd where rules meet, on average `per_subgroup_period` a subgroup and period."""
     rng = np.random.default_rng(seed)

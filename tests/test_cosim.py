@@ -10,7 +10,7 @@ from coincid.model.parameters import Sensor
 from coincid.tb.frames import FrameJob
 from coincid.tb.replay import play
 
-from .cases import READY_KINDS, SENSORS, configurations, modes, ready_pattern, trouble
+from .cases import READY_KINDS, SENSORS, configurations, gate_bits, modes, ready_pattern, trouble
 
 ENGINES = ("verilator", "cocotb-verilator", "icarus")
 FRAMES = 12  # a simulation: its start costs more than a frame does
@@ -45,9 +45,10 @@ def test_random_frames(sensor, engine, tmp_path_factory, data):
 def test_every_mode_in_every_format(sensor, tmp_path):
     """Each twice in a row, so that the controller has a frame to follow."""
     jobs, golden = [], None
-    for number, config in enumerate(config for config in modes(SENSORS[sensor]) for _ in range(2)):
+    configs = [config for config in modes(SENSORS[sensor]) for _ in range(2)] + [gate_bits(SENSORS[sensor])]
+    for number, config in enumerate(configs):
         golden = golden or Golden(config.sensor)
-        edges = trouble(config, number, 12.0)
+        edges = trouble(config, number, 12.0 * config.period / 60)
         ready = ready_pattern(number, READY_KINDS[number % len(READY_KINDS)], 400)
         jobs.append(FrameJob(config, edges, golden.frame(config, edges, ready), ready))
     records, _ = play(jobs, "verilator", tmp_path)
