@@ -2,6 +2,7 @@
 
 from amaranth.lib import data, enum
 
+from ..model.dither import DITHER_BITS_MAX, LFSR_BITS
 from ..model.parameters import Sensor, bits_for
 from ..model.registers import DATA_BITS
 
@@ -84,4 +85,5 @@ def plan_layout(sensor: Sensor) -> data.StructLayout:
     return data.StructLayout({
         "period": sensor.coarse_bits + 1, "pulses": PULSE_BITS + 1,
         "gate_step": GATE_BITS, "gate_every": GATE_BITS, "gate_steps": GATE_BITS,
+        "dither_bits": bits_for(DITHER_BITS_MAX), "dither_seed": LFSR_BITS,
     })

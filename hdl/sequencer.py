@@ -7,6 +7,7 @@ from amaranth.hdl import Module, Mux, Signal
 from amaranth.lib.wiring import In, Out
 
 from ..model import latency
+from ..model.dither import DITHER_BITS_MAX, LFSR_BITS, LFSR_TAPS
 from ..model.parameters import Sensor
 from . import bus
 from .unit import Unit
@@ -26,6 +27,8 @@ class Sequencer(Unit):
     frame_begin : out, strobe to the readouts; number : out, the frame's; finish : out, the last event is on its way
     delivered : in, all readouts have sent their end packets; done : out, strobe
 
+    With dither the cycles between two periods belong to the frame but to no period: no edge counts in them. An abort in one makes the
+    period that follows the last.
     Reset ends a frame at once and sets the frame number to 0.
     """
 
@@ -60,8 +63,10 @@ class Sequencer(Unit):
             m.d.sync += aborted.eq(1)
 
         ends = Signal()
-        m.d.comb += ends.eq(running & (cycle == last_cycle))
-        m.d.sync += [cycle.eq(Mux(ends, 0, cycle + 1)), wrap.eq(ends), first.eq(0)]
+        waiting = Signal()
+        m.d.comb += ends.eq(running & ~waiting & (cycle == last_cycle))
+        m.d.sync += [cycle.eq(Mux(ends | waiting, 0, cycle + 1)), wrap.eq(ends), first.eq(0)]
+        m.d.comb += waiting.eq(self._wait(m, start[-1], ends, running) != 0)
         with m.If(ends):
             m.d.sync += pulse.eq(pulse + 1)
             with m.If(aborted | self.abort_frame | (pulse == last_pulse)):
@@ -69,10 +74,12 @@ class Sequencer(Unit):
         with m.If(start[-1]):
             m.d.sync += [running.eq(1), cycle.eq(0), pulse.eq(0), aborted.eq(0), first.eq(1)]
 
+        in_period = Signal()
+        m.d.comb += in_period.eq(running & ~waiting)
         shift = self._shift(m, start[-1], ends)
         m.d.sync += [
-            self.timing.running.eq(running), self.timing.start.eq(running & (cycle == 0)), self.timing.wrap.eq(wrap),
-            self.timing.may_open.eq(running & (cycle < last_open)), self.timing.shift.eq(shift),
+            self.timing.running.eq(in_period), self.timing.start.eq(in_period & (cycle == 0)), self.timing.wrap.eq(wrap),
+            self.timing.may_open.eq(in_period & (cycle < last_open)), self.timing.shift.eq(shift),
         ]
         laser = Signal(LEAD - 1)
         m.d.sync += [laser.eq((laser << 1) | self.timing.start), self.laser.eq(laser[-1])]
@@ -93,6 +100,24 @@ class Sequencer(Unit):
         with m.If(self.finish & delivered):
             m.d.sync += [self.finish.eq(0), draining.eq(0), drained.eq(0), self.done.eq(1), self.number.eq(self.number + 1)]
         return m
+
+    def _wait(self, m, restart, ends, running):
+        """Dither: cycles that the next period still waits. Steps an LFSR in every cycle of the periods."""
+        lfsr = Signal(LFSR_BITS)
+        following = Signal(LFSR_BITS)
+        mask = Signal(DITHER_BITS_MAX)
+        left = Signal(DITHER_BITS_MAX)
+        m.d.comb += following.eq((lfsr >> 1) ^ Mux(lfsr[0], LFSR_TAPS, 0))
+        m.d.sync += mask.eq((1 << self.plan.dither_bits) - 1)
+        with m.If(left != 0):
+            m.d.sync += left.eq(left - 1)
+        with m.Elif(running):
+            m.d.sync += lfsr.eq(following)
+            with m.If(ends):
+                m.d.sync += left.eq(following & mask)
+        with m.If(restart):
+            m.d.sync += [lfsr.eq(self.plan.dither_seed), left.eq(0)]
+        return left
 
     def _shift(self, m, restart, ends):
         """Progressive gating: the gate's shift in this period, saturated where no gate can open any more."""

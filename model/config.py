@@ -12,6 +12,7 @@ import numpy as np
 from attrs import evolve, field, frozen
 
 from . import registers
+from .dither import start_cycles
 from .errors import InputError, check_integer, out_of_range
 from .packet import FORMAT_NAMES
 from .parameters import SIZE_LIMITS, Sensor
@@ -20,6 +21,7 @@ from .registers import AUTO_BOUNDS, BY_NAME, DEFAULT_AUTO_BOUNDS, MASK_BITS, MOD
 FRAMES_MAX = 1 << 16  # the frame number has 16 bits
 FRAME_REGISTERS = (
     "period", "pulses", "format", "minigroup_records", "mg_threshold", "mg_window", "gate_step", "gate_every", "gate_steps",
+    "dither_bits", "dither_seed",
 )
 SUBGROUP_INTEGERS = ("threshold", "window", "gate_start", "gate_len")
 MODE_BITS = tuple(bits.name for bits in MODE.bits)
@@ -68,6 +70,17 @@ class Config:
     def pulses(self) -> int:
         """Laser periods of a frame."""
         return self.frame["pulses"]
+
+    def start_cycles(self) -> np.ndarray:
+        """int64[pulses + 1]: when each period of a frame begins, from the first one's cycle 0 on; at last, the frame's end."""
+        starts = start_cycles(self.pulses, self.period, self.frame["dither_bits"], self.frame["dither_seed"])
+        starts[-1] = starts[-2] + self.period
+        return starts
+
+    @property
+    def frame_cycles(self) -> int:
+        """Cycles of a frame, from the first period's first to the last one's last."""
+        return int(self.start_cycles()[-1])
 
     @property
     def period_ticks(self) -> int:

@@ -70,12 +70,13 @@ class Golden:
             controlled = 1 + np.searchsorted(config.auto_bounds, self._photons, side="right")
             threshold = np.where(config.auto, controlled, threshold)
         shape = _shape(config)
+        starts = config.start_cycles()
         key, order, bounds = _time_order(edges, self._pixel, shape)
         counters = np.zeros((sensor.subgroups, len(COUNTER_NAMES)), np.int64)
         counters[:, _COUNTER.threshold_used] = threshold
         fate_in_order, events, records = _front_end(
             key, bounds, shape, np.where(config.coincidence, threshold, 1), np.where(config.coincidence, config.window, 1),
-            config.mask, config.gating, config.gate_start, config.gate_len, self._pixel.minigroup, self._pixel.bit, counters,
+            config.mask, config.gating, config.gate_start, config.gate_len, self._pixel.minigroup, self._pixel.bit, starts, counters,
         )
         fate = np.empty(len(edges), np.uint8)
         fate[order] = fate_in_order
@@ -83,7 +84,8 @@ class Golden:
         stored = np.zeros(len(events.cycle), np.bool_)
         for stream in range(sensor.streams):
             span = sensor.stream_subgroups(stream)
-            out = _readout(span.start, len(span), shape, pulses, self.frames & 0xFFFF, events, records, counters, stored, next_ready)
+            end = starts[pulses - 1] + config.period
+            out = _readout(span.start, len(span), shape, end, self.frames & 0xFFFF, events, records, counters, stored, next_ready)
             beats.append(out[0])
             cycles.append(out[1])
         self.frames += 1
@@ -175,8 +177,8 @@ def _next_ready(ready: np.ndarray) -> np.ndarray:
 
 
 @numba.njit(cache=True, nogil=True)
-def _front_end(key, bounds, shape, threshold, window, mask, gating, gate_start, gate_len, minigroup, mg_bit, counters):
-    """Fates in time order, committed events and minigroup records of all subgroups; adds to `counters`."""
+def _front_end(key, bounds, shape, threshold, window, mask, gating, gate_start, gate_len, minigroup, mg_bit, starts, counters):
+    """Fates in time order, committed events and minigroup records of all subgroups; adds to `counters`. starts: cycle of each period."""
     n = len(key)
     fate = np.empty(n, np.uint8)
     words = shape.map_beats
@@ -213,7 +215,7 @@ def _front_end(key, bounds, shape, threshold, window, mask, gating, gate_start, 
                     counters[s, _COUNTER.rejected] += 1
                 else:
                     counters[s, _COUNTER.committed] += 1
-                    cycle_of[events] = pulse * shape.period + (window_end - 1 >> shape.phase_bits) + latency.COMMIT
+                    cycle_of[events] = starts[pulse] + (window_end - 1 >> shape.phase_bits) + latency.COMMIT
                     pulse_of[events], stamp_of[events], count_of[events], winner_of[events] = pulse, opened_at, count, winner
                     for w in range(words):
                         hits_of[events, w] = hits[w]
@@ -240,7 +242,7 @@ def _front_end(key, bounds, shape, threshold, window, mask, gating, gate_start, 
                 if shape.gate_every:
                     gate_first += shape.gate_step * ((pulse // shape.gate_every) % shape.gate_steps)
 
-            at = pulse * shape.period + cycle
+            at = starts[pulse] + cycle
             if seen_at[i] == at:                 # a second edge of a pixel in one cycle does not exist
                 fate[e] = _DUPLICATE
                 continue
@@ -295,7 +297,7 @@ def _front_end(key, bounds, shape, threshold, window, mask, gating, gate_start, 
         event_bounds, cycle_of[:events].copy(), pulse_of[:events].copy(), stamp_of[:events].copy(), count_of[:events].copy(),
         winner_of[:events].copy(), hits_of[:events].copy(), offsets_of[:events].copy(),
     )
-    record_cycle = (record_pulse[:records] + 1) * shape.period + latency.RECORD
+    record_cycle = starts[record_pulse[:records]] + shape.period + latency.RECORD
     return fate, event_table, _Records(record_bounds, record_cycle, record_pulse[:records].copy(), entries_of[:records].copy())
 
 
@@ -310,8 +312,8 @@ def _enough(pixels, threshold):
 
 
 @numba.njit(cache=True, nogil=True)
-def _readout(first, n, shape, pulses, frame, events, records, counters, stored, next_ready):
-    """Beats of the stream that carries subgroups `first`...`first + n - 1`, and the cycles of their transfer.
+def _readout(first, n, shape, end, frame, events, records, counters, stored, next_ready):
+    """Beats of the stream that carries subgroups `first`...`first + n - 1`, and the cycles of their transfer. end: of the last period.
 
     Decides which events and records are stored, as the FIFOs' fill at their commit demands; adds to `counters`, sets `stored`.
     """
@@ -331,7 +333,7 @@ def _readout(first, n, shape, pulses, frame, events, records, counters, stored, 
     emitted = records.bounds[first:last].copy()               # next record to be emitted,
     record = np.full(n, -1, np.int64)                         # the record that waits to be read (-1: none),
     record_free_at = np.zeros(n, np.int64)                    # and when its place is free
-    finish = pulses * shape.period + latency.FINISH
+    finish = end + latency.FINISH
 
     granted = 0                      # beats
     pointer = 0

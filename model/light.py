@@ -7,9 +7,9 @@ import math
 
 import numpy as np
 from attrs import frozen
-from numba import njit
 
 from .config import Config
+from .dither import DITHER_BITS_MAX, LFSR_BITS, start_cycles
 from .errors import InputError, check_integer
 from .golden import pixel_table
 from .quantities import check_real, real, real_array
@@ -24,7 +24,6 @@ REFERENCE_REFLECTIVITY = 0.4
 NEAREST_M = 0.05                        # of a scene: the signal grows without bound towards 0
 SIGNAL_MAX = 1e4                        # photons of a pixel and pulse
 RATE_MAX_CPS = 1e12
-LFSR_BITS, LFSR_TAPS = 16, 0xB400       # of the dither
 
 def background_cps(klux: float) -> float:
     """Detected background of a pixel in counts per second at `klux` of ambient light: our preset, linear."""
@@ -72,7 +71,8 @@ class Timing:
     """Clock and TDC. clock_hz, phases: tick_s = 1 / (clock_hz * phases). period_cycles: laser period.
 
     tap_width_lsb: widths of the TDC's phases, float64[phases] that sum to `phases`; None = all 1.
-    dither_bits: after the period of each pulse the next trigger waits for 0 to 2^dither_bits - 1 cycles more (`dither_cycles`).
+    dither_bits, dither_seed: how long the next trigger waits after a period (`dither.py`), anew with every frame of frame_pulses
+    (0: all pulses are one frame).
     """
 
     clock_hz: float = real(500e6, 1)
@@ -80,11 +80,15 @@ class Timing:
     period_cycles: int = 250
     tap_width_lsb: np.ndarray | None = None
     dither_bits: int = 0
+    dither_seed: int = 1
+    frame_pulses: int = 0
 
     def __attrs_post_init__(self):
         check_integer("phases", self.phases, 1, 1024)
         check_integer("period_cycles", self.period_cycles, 1, 1 << 20)
-        check_integer("dither_bits", self.dither_bits, 0, LFSR_BITS)
+        check_integer("dither_bits", self.dither_bits, 0, DITHER_BITS_MAX)
+        check_integer("dither_seed", self.dither_seed, 1, (1 << LFSR_BITS) - 1)
+        check_integer("frame_pulses", self.frame_pulses, 0, 1 << 16)
         if self.tap_width_lsb is not None:
             total = real_array("tap_width_lsb", self.tap_width_lsb, (self.phases,), 0).sum()
             if abs(total - self.phases) > 1e-9 * self.phases:
@@ -92,8 +96,11 @@ class Timing:
 
     @classmethod
     def from_config(cls, config: Config, clock_hz: float = 500e6, tap_width_lsb: np.ndarray | None = None) -> "Timing":
-        """The configuration's phases and period, at a clock that it does not know."""
-        return cls(clock_hz=clock_hz, phases=config.sensor.phases, period_cycles=config.period, tap_width_lsb=tap_width_lsb)
+        """The configuration's phases, period and dither, at a clock that it does not know."""
+        return cls(
+            clock_hz=clock_hz, phases=config.sensor.phases, period_cycles=config.period, tap_width_lsb=tap_width_lsb,
+            dither_bits=config.frame["dither_bits"], dither_seed=config.frame["dither_seed"], frame_pulses=config.pulses,
+        )
 
     @property
     def tick_s(self) -> float:
@@ -108,24 +115,10 @@ class Timing:
         return self.period_cycles / self.clock_hz
 
     def start_cycles(self, pulses: int) -> np.ndarray:
-        """int64[pulses + 1]: when each pulse's period begins, in cycles from the first one's on."""
-        return np.r_[0, np.cumsum(self.period_cycles + dither_cycles(pulses, self.period_cycles, self.dither_bits))]
-
-
-@njit(cache=True)
-def dither_cycles(pulses, period_cycles, bits):
-    """int64[pulses]: the wait after each pulse's period, the low bits of a 16-bit LFSR at the period's end.
-
-    The register (x^16 + x^14 + x^13 + x^11 + 1) begins at 1 and steps once a cycle of the periods, not while waiting.
-    """
-    state, waits = 1, np.zeros(pulses, np.int64)
-    if bits == 0:
-        return waits
-    for pulse in range(pulses):
-        for _ in range(period_cycles):
-            state = state >> 1 ^ (LFSR_TAPS if state & 1 else 0)
-        waits[pulse] = state & ((1 << bits) - 1)
-    return waits
+        """int64[pulses + 1]: when each pulse's period begins, in cycles from the first one's on. Frames follow without a gap."""
+        frame = start_cycles(self.frame_pulses or pulses, self.period_cycles, self.dither_bits, self.dither_seed)
+        number, pulse = np.divmod(np.arange(pulses + 1), max(1, len(frame) - 1))
+        return number * frame[-1] + frame[pulse]
 
 
 @frozen(kw_only=True, eq=False)

@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator
 
 from attrs import field, frozen
 
+from .dither import DITHER_BITS_MAX, LFSR_BITS
 from .parameters import Sensor
 
 DATA_BITS = 32
@@ -19,7 +20,7 @@ MASK_BITS = 32
 COUNTER_BITS = 32
 AUTO_BOUNDS = 6
 ID_VALUE = 0x434F494E      # "COIN"
-VERSION_VALUE = 0x00010000  # major, minor: 16 bits each; a change of the map that software can see raises it
+VERSION_VALUE = 0x00010001  # major, minor: 16 bits each; a change of the map that software can see raises it
 # Photons in 100 pulses; from the study of the background, figures/architect.py.
 DEFAULT_AUTO_BOUNDS = (150, 450, 2150, 22_000, 30_000, 44_000)
 
@@ -153,6 +154,14 @@ GLOBAL: tuple[Register, ...] = (
     Register(
         name="auto_bounds", offset=0x6C, access=Access.SETTING, count=AUTO_BOUNDS, high=0xFFFF_FFFF,
         doc="Threshold controller: the threshold is 1 + the number of bounds that the photons of the frame before reach. Must not descend.",
+    ),
+    Register(
+        name="dither_bits", offset=0x84, access=Access.SETTING, high=DITHER_BITS_MAX,
+        doc="After each period but the last the next one waits for as many cycles as this many low bits of an LFSR say; 0: never.",
+    ),
+    Register(
+        name="dither_seed", offset=0x88, access=Access.SETTING, low=1, high=(1 << LFSR_BITS) - 1, reset=1,
+        doc="State of that LFSR at the frame's beginning.",
     ),
 )
 

@@ -182,7 +182,7 @@ class BatchSensor:
         control = registers.BY_NAME["control"]
         refused = self._library.coincid_start(
             self._engine, cycle.ctypes.data, bit.ctypes.data, bounds.ctypes.data, ready.ctypes.data, len(ready),
-            config.pulses * config.period, cycle_limit(config, len(ready)), registers.address("control"), 1 << control.bit("start"),
+            config.frame_cycles, cycle_limit(config, len(ready)), registers.address("control"), 1 << control.bit("start"),
         )
         if refused:
             raise AccessError(f"start: SLVERR, status {self.read(registers.address('status')):#x}")
@@ -218,9 +218,10 @@ class BatchSensor:
 def _by_subgroup(config: Config, edges: Edges) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Cycle (int64[n]) and bit of the port word (int32[n]) of every edge, by subgroup, then cycle; and the subgroups' bounds."""
     phases, table = config.sensor.phases, pixel_table(config.sensor)
-    cycle = edges.pulse * config.period + edges.tick // phases
+    starts = config.start_cycles()
+    cycle = starts[edges.pulse] + edges.tick // phases
     subgroup = table.subgroup[edges.pixel]
-    order = np.argsort(subgroup * (config.pulses * config.period) + cycle, kind="stable")
+    order = np.argsort(subgroup * starts[-1] + cycle, kind="stable")
     bit = (table.inside[edges.pixel] * phases + edges.tick % phases)[order]
     bounds = np.concatenate([[0], np.cumsum(np.bincount(subgroup, minlength=config.sensor.subgroups))])
     return cycle[order], bit.astype(np.int32), bounds.astype(np.int64)

@@ -100,7 +100,7 @@ class SensorBench:
         beats, beat_cycle = [[] for _ in range(sensor.streams)], [[] for _ in range(sensor.streams)]
         commits: list[tuple[int, int]] = []
         running = list(range(sensor.streams))
-        limit = cycle_limit(config, len(ready))
+        limit, frame_cycles = cycle_limit(config, len(ready)), config.frame_cycles
         first = [sensor.stream_subgroups(stream).start for stream in range(sensor.streams)]
         cycle = 0
         while True:
@@ -138,7 +138,7 @@ class SensorBench:
             cycle += 1
             if cycle % PROGRESS_CYCLES == 0:
                 progress(cycle)
-            if not running and cycle >= config.pulses * config.period:
+            if not running and cycle >= frame_cycles:
                 break
             assert cycle < limit, f"no frame end after {cycle} cycles: the sensor hangs"
             await falling

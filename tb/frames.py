@@ -41,4 +41,4 @@ def cycle_limit(config: Config, ready_cycles: int) -> int:
     """Cycles by which a frame must have ended, whatever it holds: a sensor that needs more hangs."""
     sensor, parts = config.sensor, layout(config.sensor)
     waiting = sensor.subgroups * ((sensor.fifo_depth + 2) * parts.longest + parts.counter_beats)
-    return config.pulses * config.period + ready_cycles + FINISH + 2 * waiting + 1000
+    return config.frame_cycles + ready_cycles + FINISH + 2 * waiting + 1000

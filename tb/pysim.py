@@ -23,6 +23,7 @@ def play(config: Config, edges: Edges, progress: Callable[[int], None] = lambda 
     """
     sensor = config.sensor
     dut, words = FlatSensor(sensor), port_words(config, edges)
+    frame_cycles = config.frame_cycles
     names = [sensor.stream_name(stream) for stream in range(sensor.streams)]
     beats, beat_cycle = [[] for _ in names], [[] for _ in names]
 
@@ -52,7 +53,7 @@ def play(config: Config, edges: Edges, progress: Callable[[int], None] = lambda 
         while not ctx.get(dut.laser):
             await ctx.tick()
         running, driven, cycle = list(range(len(streams))), {}, 0
-        while running or cycle < config.pulses * config.period:
+        while running or cycle < frame_cycles:
             progress(cycle)
             now = dict(words.get(cycle, ()))
             for s in driven.keys() | now.keys():

@@ -104,7 +104,7 @@ def replay(
         check_offsets(config, edges)
     if engine == "golden":
         done = progress or (lambda cycles: None)
-        return golden_result(config, edges, ready, lambda frames: done(frames * config.pulses * config.period))
+        return golden_result(config, edges, ready, lambda frames: done(frames * config.frame_cycles))
     frames = [FrameJob(config, edges.frame(number, config.pulses)[0], ready=ready) for number in range(config.frames)]
     with tempfile.TemporaryDirectory(prefix="coincid-") as folder:
         records, _ = play(frames, engine, Path(folder), progress=progress, view=view)

@@ -122,7 +122,7 @@ def simulate(
         if engine != "golden":
             bar.stage("RTL: emitted and compiled once")
             prepare(engine, config.sensor, waves, view)
-        bar.stage(f"{len(SCHEMES)} frames on {engine}", len(SCHEMES) * config.pulses * config.period)
+        bar.stage(f"{len(SCHEMES)} frames on {engine}", len(SCHEMES) * config.frame_cycles)
         try:
             frames = run_frames(config, edges, engine, out, waves=waves, progress=bar.done, view=view)
         except Mismatch as mismatch:

@@ -17,7 +17,7 @@ def port_words(config: Config, edges: Edges) -> dict[int, list[tuple[int, int]]]
     """Cycle of the frame -> [(subgroup, word)] of the subgroups with an edge in it; bit i * phases + k is phase k of pixel i."""
     phases = config.sensor.phases
     table = pixel_table(config.sensor)
-    cycle = edges.pulse * config.period + edges.tick // phases
+    cycle = config.start_cycles()[edges.pulse] + edges.tick // phases
     subgroup = table.subgroup[edges.pixel]
     bit = table.inside[edges.pixel] * phases + edges.tick % phases
     order = np.lexsort((subgroup, cycle))
@@ -62,7 +62,7 @@ def line_levels(config: Config, edges: Edges) -> tuple[list[int], list[int], lis
     tick_fs = CLOCK_FS // sensor.phases
     table = pixel_table(sensor)
     offset = np.full(len(edges), tick_fs // 2) if edges.offset_ps is None else np.rint(edges.offset_ps * FS_PER_PS).astype(np.int64)
-    rise = edges.pulse * config.period * CLOCK_FS + edges.tick * tick_fs + offset.clip(1, tick_fs - 1)
+    rise = config.start_cycles()[edges.pulse] * CLOCK_FS + edges.tick * tick_fs + offset.clip(1, tick_fs - 1)
     rise, pixel = np.unique(np.stack([rise, edges.pixel]), axis=1)
     order = np.lexsort((rise, pixel))
     rise, pixel = rise[order], pixel[order]

@@ -46,6 +46,7 @@ def configurations(draw, sensor: dict, frames_max: int = 2) -> Config:
         "format": draw(st.sampled_from(("short", "id", "full"))), "minigroup_records": draw(st.booleans()),
         "mg_threshold": draw(st.integers(1, min(3, built.minigroup_pixels))), "mg_window": draw(st.integers(1, 4)),
         "gate_step": draw(st.integers(0, 40)), "gate_every": draw(st.integers(0, 3)), "gate_steps": draw(st.integers(1, 3)),
+        "dither_bits": draw(st.integers(0, 5)), "dither_seed": draw(st.integers(1, 0xFFFF)),
         "auto_bounds": sorted(draw(st.lists(st.integers(0, 300), min_size=6, max_size=6))),
     }
     base = {"window": draw(window)} | draw(settings)

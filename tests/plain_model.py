@@ -112,6 +112,18 @@ class PlainSubgroup:
         return latched
 
 
+def period_starts(config: Config) -> list[int]:
+    """Cycle in which each period of a frame begins."""
+    starts, register, at = [], config.frame["dither_seed"], 0
+    for _ in range(config.pulses):
+        starts.append(at)
+        for _ in range(config.period):
+            bit, register = register & 1, register >> 1
+            register ^= 0b1011_0100_0000_0000 * bit
+        at += config.period + register % 2 ** config.frame["dither_bits"]
+    return starts
+
+
 def plain_run(config: Config, edges) -> tuple[list[list[PlainSubgroup]], list[int]]:
     """Every frame's subgroups, and the fates. The controller follows the frame before."""
     fate = [None] * len(edges)

@@ -3,12 +3,14 @@
 import json
 import os
 import random
+from bisect import bisect_right
 
 import cocotb
 import numpy as np
 from cocotb.triggers import ClockCycles, FallingEdge, RisingEdge
 from cocotb_bus.drivers.amba import AXIProtocolError
 from cocotbext.axi import AxiLiteBus, AxiLiteMaster, AxiResp, AxiStreamBus, AxiStreamSink
+from plain_model import period_starts
 
 from coincid.model import registers
 from coincid.model.config import parse_config
@@ -270,7 +272,7 @@ async def gate_output_leads_the_spads(dut):
     """`spad_gate` is high exactly in the cycles whose edges the gate lets through, and always with gating off."""
     bench = await fresh(dut)
     of = config(
-        frame={"period": 40, "pulses": 6, "gate_step": 7, "gate_every": 2, "gate_steps": 2},
+        frame={"period": 40, "pulses": 6, "gate_step": 7, "gate_every": 2, "gate_steps": 2, "dither_bits": 3},
         subgroup={"gating": True, "gate_start": 5, "gate_len": 30}, override=[{"subgroups": [1], "gating": False}],
     )
     await bench.program(of)
@@ -278,14 +280,41 @@ async def gate_output_leads_the_spads(dut):
     await bench.write("control", 1)
     while dut.laser.value == 0:
         await FallingEdge(dut.clk)
-    for cycle in range(of.period * of.pulses):
-        pulse, in_period = divmod(cycle, of.period)
+    starts = period_starts(of)
+    for cycle in range(starts[-1] + of.period):
+        pulse = bisect_right(starts, cycle) - 1
+        in_period = cycle - starts[pulse]
         start = 5 + 7 * (pulse // 2 % 2)
-        expected = 2 | (start <= in_period < start + 30)
+        expected = 2 | (start <= in_period < min(start + 30, of.period))
         assert int(dut.spad_gate.value) == expected, f"cycle {cycle}"
         assert int(dut.laser.value) == (in_period == 0), f"cycle {cycle}"
         await FallingEdge(dut.clk)
     assert int(dut.spad_gate.value) == 2
+
+
+@cocotb.test()
+async def no_edge_counts_between_two_periods(dut):
+    bench = await fresh(dut)
+    of = config(frame={"period": 40, "pulses": 6, "dither_bits": 5, "minigroup_records": True}, subgroup={"threshold": 1})
+    await bench.program(of)
+    starts, all_lines = period_starts(of), (1 << len(bench.spad[0])) - 1
+    dark = {cycle for start in starts for cycle in range(start, start + of.period)}
+    assert starts[-1] + of.period - len(dark) > 10
+    dut.m_axis_tready.value = 1
+    await bench.write("control", 1)
+    while dut.laser.value == 0:
+        await FallingEdge(dut.clk)
+    beats, cycle = [], 0
+    while True:
+        for line in bench.spad:
+            line.value = 0 if cycle in dark or cycle > starts[-1] else all_lines
+        if dut.m_axis_tvalid.value == 1:
+            beats.append(int(dut.m_axis_tdata.value))
+            if dut.m_axis_tlast.value == 1:
+                break
+        cycle += 1
+        await FallingEdge(dut.clk)
+    assert beats == Golden(of.sensor).frame(of, NOTHING).beats[0].tolist()
 
 
 @cocotb.test()

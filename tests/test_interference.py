@@ -4,10 +4,12 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from coincid.model.config import parse_config
+from coincid.model.dither import LFSR_BITS, start_cycles
 from coincid.model.errors import InputError
 from coincid.model.figures.cases import Runner
 from coincid.model.figures.interference import Task, run_task
-from coincid.model.light import LFSR_BITS, SPEED_OF_LIGHT_M_S, Interferer, Light, Spad, Timing, dither_cycles
+from coincid.model.light import SPEED_OF_LIGHT_M_S, Interferer, Light, Spad, Timing
 from coincid.model.photons import edge_chunks, generate_edges
 
 LEVEL = 1e-3
@@ -61,6 +63,10 @@ def test_width_of_the_others_pulse():
     assert time_s.std() == pytest.approx(2e-9 / 2.3548, rel=0.02)
 
 
+def waits_of(pulses, bits):
+    return np.diff(start_cycles(pulses, 250, bits)) - 250
+
+
 def test_the_wait_is_the_registers():
     """The LFSR has all states but 0; waits are its low bits at the ends of the periods, counted step by step."""
     state, states = 1, set()
@@ -73,11 +79,18 @@ def test_the_wait_is_the_registers():
         for _ in range(250):
             state = (state >> 1) ^ (0xB400 if state & 1 else 0)
         waits.append(state & 15)
-    assert dither_cycles(50, 250, 4).tolist() == waits
-    assert dither_cycles(50, 250, 0).tolist() == [0] * 50
-    waits = dither_cycles(4096, 250, 4)
+    assert waits_of(50, 4).tolist() == waits
+    assert waits_of(50, 0).tolist() == [0] * 50
+    waits = waits_of(4096, 4)
     assert stats.chisquare(np.bincount(waits)).pvalue > LEVEL
     assert abs(np.corrcoef(waits[1:], waits[:-1])[0, 1]) < 0.06
+
+
+def test_every_frame_waits_alike():
+    config = parse_config({"frame": {"frames": 3, "pulses": 7, "dither_bits": 5, "dither_seed": 99}})
+    waits = np.diff(Timing.from_config(config).start_cycles(21)) - 250
+    assert waits.any() and waits[:7].tolist() == waits[7:14].tolist() == waits[14:].tolist()
+    assert np.diff(config.start_cycles()).tolist() == (250 + np.r_[waits[:6], 0]).tolist()  # a frame ends with its last period
 
 
 def test_dither_leaves_what_is_in_range_alone():
@@ -94,7 +107,7 @@ def test_dither_spreads_what_is_out_of_range():
     flight_s = timing.period_s + 20e-9
     far = Light(rows=8, cols=8, distance_m=flight_s * SPEED_OF_LIGHT_M_S / 2, signal_per_pulse=5.0, system_fwhm_s=0.0)
     edges = edges_of(far, timing)
-    waits = dither_cycles(400, 250, 4)
+    waits = waits_of(400, 4)
     expected = {(k + 1, int(320 - 32 * waits[k])) for k in range(399) if waits[k] <= 10} | {(0, 320)}
     assert {(int(p), int(t)) for p, t in zip(edges.pulse, edges.tick)} == {one for one in expected if one[1] >= 0}
 
@@ -112,7 +125,7 @@ def test_neither_chunks_nor_workers_change_the_edges():
 
 def test_bad_values():
     for make, words in ((lambda: Interferer(photons_per_pulse=1, period_s=0.0), "period_s = 0"),
-                        (lambda: Timing(dither_bits=17), "from 0 to 16"),
+                        (lambda: Timing(dither_bits=17), "from 0 to 8"),
                         (lambda: edges_of(dark(interferer=Interferer(photons_per_pulse=-1)), Timing()), "photons_per_pulse"),
                         (lambda: edges_of(dark(), Timing(dither_bits=1), pulses=1 << 25), "pulses = 33554432.*with dither")):
         with pytest.raises(InputError, match=words):
