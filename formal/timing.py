@@ -6,6 +6,7 @@ from ..hdl import bus
 from ..hdl.gating import Gating
 from ..hdl.sequencer import LEAD, Sequencer
 from ..hdl.tdc import START_TO_PHASE, Tdc
+from ..model.dither import DITHER_BITS_MAX, LFSR_BITS, LFSR_TAPS
 from ..model.parameters import Sensor
 from .bench import Bench, proof
 from .sensors import SMALL
@@ -76,7 +77,8 @@ def gating(b: Bench):
 
 @proof(depth=6, cover=40)
 def sequencer(b: Bench):
-    """A frame is `pulses` periods of `period` cycles, or ends with the one it is aborted in; no window opens in the guard."""
+    """A frame is `pulses` periods of `period` cycles with the dither's waits between, or ends with the one it is aborted in; no window
+    opens in the guard or in a wait."""
     sensor, m = SMALL, b.m
     unit = Sequencer(sensor)
     plan, start, abort, delivered = Signal(bus.plan_layout(sensor)), Signal(), Signal(), Signal()
@@ -89,7 +91,7 @@ def sequencer(b: Bench):
     b.assume(~busy, where=start)
     b.assume_stable(plan.as_value(), where=busy)
     b.assume((plan.period > sensor.guard) & (plan.period <= sensor.period_max) & (plan.pulses != 0) & (plan.pulses <= 1 << 16))
-    b.assume(plan.gate_steps != 0)
+    b.assume((plan.gate_steps != 0) & (plan.dither_bits <= DITHER_BITS_MAX))
 
     # The periods as the contract counts them: one cycle behind the sequencer's own counters, as `timing` is.
     since, period, frame = Signal(sensor.coarse_bits + 1), Signal(bus.PULSE_BITS + 1), Signal()
@@ -97,11 +99,20 @@ def sequencer(b: Bench):
     timing = unit.timing
     begin = b.same("begin", b.past(start, 4))
     last = b.same("last", frame & (since == plan.period - 1))
-    m.d.sync += since.eq(Mux(last | b.past(start, 3), 0, since + 1))
+    more = b.same("more", (period != plan.pulses - 1) & ~aborting)
+    lfsr, waits = Signal(LFSR_BITS), Signal(DITHER_BITS_MAX)
+    stepped = b.same("stepped", (lfsr >> 1) ^ Mux(lfsr[0], LFSR_TAPS, 0))
+    chosen = b.same("chosen", stepped & ((1 << plan.dither_bits) - 1))
+    alive = b.same("alive", frame | (waits != 0))
+    m.d.sync += since.eq(Mux(last | (waits != 0) | b.past(start, 3), 0, since + 1))
     with m.If(b.past(start, 3)):
-        m.d.sync += [frame.eq(1), period.eq(0)]
+        m.d.sync += [frame.eq(1), period.eq(0), lfsr.eq(plan.dither_seed), waits.eq(0)]
     with m.Elif(last):
-        m.d.sync += [period.eq(period + 1), frame.eq((period != plan.pulses - 1) & ~aborting)]
+        m.d.sync += [period.eq(period + 1), frame.eq(more & (chosen == 0)), waits.eq(Mux(more, chosen, 0)), lfsr.eq(stepped)]
+    with m.Elif(waits != 0):
+        m.d.sync += [waits.eq(waits - 1), frame.eq(waits == 1)]
+    with m.Elif(frame):
+        m.d.sync += lfsr.eq(stepped)
     m.d.sync += aborting.eq(Mux(b.past(start, 2), 0, aborting | (abort & body.running)))
     m.d.sync += over.eq(last)
     b.always(timing.running == frame)
@@ -110,7 +121,7 @@ def sequencer(b: Bench):
     b.always(timing.wrap == over)
     b.always(timing.may_open == (frame & (since < plan.period - sensor.guard)))
     b.always(unit.laser == b.past(timing.start, LEAD))
-    b.always(period < plan.pulses, where=frame)
+    b.always(period < plan.pulses, where=alive)
 
     # Progressive gating: the exact shift, saturated where no gate can open.
     exact, pulses, steps = Signal(2 * bus.GATE_BITS), Signal(bus.GATE_BITS), Signal(bus.GATE_BITS)
@@ -123,29 +134,35 @@ def sequencer(b: Bench):
             with m.If(steps == plan.gate_steps - 1):
                 m.d.sync += [steps.eq(0), exact.eq(0)]
     most = 1 << sensor.coarse_bits
-    b.always(timing.shift == Mux(exact > most, most, exact), where=frame)
+    b.always(timing.shift == Mux(exact > most, most, exact), where=alive)
 
     # The end: the frame is done once, after all streams have delivered, and the next one has the next number.
     ending = Signal()
-    m.d.sync += ending.eq(Mux(over & ~frame, 1, ending & ~unit.done))
+    m.d.sync += ending.eq(Mux(over & ~alive, 1, ending & ~unit.done))
     b.always(ending & b.past(delivered, 2), where=unit.done)
-    b.always(~frame, where=unit.finish | unit.done)
+    b.always(~alive, where=unit.finish | unit.done)
     b.always(unit.number == (b.past(unit.number) + unit.done)[: bus.PULSE_BITS], where=b.past(1))
 
     # Invariants: the sequencer's registers are a cycle ahead of what it says.
-    one_frame = body.running | body.start.any() | b.past(start) | body.draining | frame | unit.done | ending
+    one_frame = body.running | body.start.any() | b.past(start) | body.draining | alive | unit.done | ending
     b.always(busy, where=one_frame & ~unit.done | unit.finish)
-    b.always(b.past(body.running) == frame)
-    b.always((b.past(body.pulses) == pulses) & (b.past(body.steps) == steps), where=frame)
-    b.always((steps < plan.gate_steps) & (exact <= (steps << bus.GATE_BITS) - steps), where=frame)
+    b.always(b.past(body.running) == alive)
+    b.always(~frame, where=waits != 0)
+    b.always(since == 0, where=waits != 0)
+    b.always(b.past(body.left) == waits, where=alive)
+    b.always(b.past(body.lfsr) == lfsr, where=alive)
+    b.always(body.mask == b.past((1 << plan.dither_bits) - 1), where=b.past(1))
+    b.always((b.past(body.pulses) == pulses) & (b.past(body.steps) == steps), where=alive)
+    b.always((steps < plan.gate_steps) & (exact <= (steps << bus.GATE_BITS) - steps), where=alive)
     b.always(body.aborted == aborting)
     b.always(ending == b.past(body.draining))
     b.always(body.draining == (body.drained != 0))
     b.always(unit.finish == (body.drained == body.to_finish))
     b.always(body.drained <= body.to_finish)
     b.always(~body.running & ~body.start.any(), where=body.draining)
-    b.always(b.past(body.cycle) == since, where=frame)
-    b.always(b.past(body.pulse) == period, where=frame)
+    b.always(b.past(body.cycle) == since, where=alive)
+    b.always(b.past(body.pulse) == period, where=alive)
     b.cover(unit.done & (plan.pulses == 2) & (unit.number == 1))
     b.cover(unit.done & (plan.pulses == 9))
     b.cover(timing.start & (timing.shift == 3))
+    b.cover(timing.start & b.past(waits == 1) & b.past(waits == 3, 3) & (period == 2))
