@@ -20,7 +20,8 @@ class SensorModule(Unit):
     `shared_ports` of the subgroups; for line k `own_ports` with the suffix _k; number : in, the module's own.
     Every input goes straight into a register, every output comes from one.
 
-    view: the front end's, of `views.py`. `lines` = 1 makes the last module of an odd number of subgroups. Reset is registered here, so it acts one cycle later.
+    view: the front end's, of `views.py`. `lines` = 1 makes the last module of an odd number of subgroups. Reset is
+    registered here, so it acts one cycle later.
     """
 
     def __init__(self, sensor: Sensor, lines: int = 2, view=POLYPHASE):

@@ -61,7 +61,8 @@ class Netlist:
 
 
 def netlist(sensor: Sensor, levels: bool = False, view=POLYPHASE) -> Netlist:
-    """The sensor's wiring. `levels`: SPAD lines instead of edge words at the ports, and a deserialiser for every subgroup. view: of `views.py`."""
+    """The sensor's wiring. `levels`: SPAD lines instead of edge words at the ports, and a deserialiser for every
+    subgroup. view: of `views.py`."""
     n = Netlist()
     subgroups = range(sensor.subgroups)
 
