@@ -82,6 +82,14 @@ def gate_bits(sensor: dict) -> Config:
     })
 
 
+def overfull(sensor: dict) -> Config:
+    """A frame that, with a stream that stalls, drops events and records, stores some again, and drops once more."""
+    return parse_config({
+        "sensor": sensor, "frame": {"period": 60, "pulses": 8, "format": "full", "minigroup_records": True, "mg_threshold": 1},
+        "subgroup": {"threshold": 1, "window": 4},
+    })
+
+
 def trouble(config: Config, seed: int, per_subgroup_period: float) -> Edges:
     """Edges that crowd where rules meet, on average `per_subgroup_period` a subgroup and period."""
     rng = np.random.default_rng(seed)
