@@ -52,7 +52,7 @@ coverage: ## situations, RTL lines and toggles, Python lines, against their goal
 
 verilog: ## the release: Verilog, one file a block, register map, constraints, smoke test, into build/rtl/
 	@scripts/setup
-	@$(BIN)/coincid verilog $(call option,config,CONFIG) --out build/rtl
+	@$(BIN)/coincid verilog $(call option,config,CONFIG) $(call option,view,VIEW) --out build/rtl
 
 synth: ## cells, area, logic depth and LUTs of every block, into docs/synthesis.md
 	@scripts/setup cells

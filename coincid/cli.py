@@ -249,12 +249,13 @@ def edges(
 def verilog(
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder; appears whole, and replaces an earlier export.")] = Path("build/rtl"),
     config: ConfigOption = None,
+    view: ViewOption = "polyphase",
 ):
-    """Export the synthesizable Verilog, one file a block, with file list, lint waivers and register map."""
+    """Export the synthesizable Verilog, one file a block, with file lists, constraints, register map and smoke test."""
     from coincid.hdl.release import write_release
     from coincid.model.config import load_config
 
-    files = write_release(out, load_config(config).sensor)
+    files = write_release(out, load_config(config).sensor, _view(view))
     print(f"{out}: {len(files)} files, {sum(path.stat().st_size for path in files) / 1000:.0f} kB")
 
 

@@ -60,7 +60,7 @@ class AsyncControl(Unit):
         hold = Signal(range(rearm + 1))
         m.d.comb += [
             before.eq(~self.parity),
-            opening.eq(of_current("opened").bit_select(before, 1) & ~window_open & ~read),
+            opening.eq(Mux(before, *reversed(of_current("opened"))) & ~window_open & ~read),
             closing.eq((opening | window_open) & of_current("ended") & (of_current("parity") == before)),
         ]
         m.d.fall += [

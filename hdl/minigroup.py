@@ -120,13 +120,20 @@ class Minigroup(Unit):
         runs = Signal()
         seen_next = Signal(len(active))
         left_next = Signal(3)
+        added = active & some.replicate(len(active))
         m.d.comb += [
             starts.eq(self.frame.mg_records & some & self.may_open & (self.wrap | ((left == 0) & ~self.latched))),
             runs.eq(starts | (left != 0)),
-            seen_next.eq(Mux(starts, 0, seen) | (active & some.replicate(len(active)))),
+            seen_next.eq(Mux(starts, added, seen | added)),
             left_next.eq(Mux(starts, self.frame.mg_window, left) - 1),
             self.entry.map.eq(seen), self.entry.stamp.eq(stamp),
         ]
+
+        # Both outcomes are counted beside the question whether a collection starts, which is known last.
+        def enough(pixels, name):
+            return popcount(m, pixels, name) >= self.frame.mg_threshold
+
+        alone, with_seen = enough(active, "alone_count"), enough(seen | added, "seen_count")
         with m.If(self.wrap):
             m.d.sync += self.latched.eq(0)
         with m.If(starts):
@@ -134,4 +141,4 @@ class Minigroup(Unit):
         with m.If(runs):
             m.d.sync += [seen.eq(seen_next), left.eq(left_next)]
             with m.If(left_next == 0):
-                m.d.sync += self.latched.eq(popcount(m, seen_next, "seen_count") >= self.frame.mg_threshold)
+                m.d.sync += self.latched.eq(Mux(starts, alone, with_seen))

@@ -13,13 +13,17 @@ from ..model import latency
 from ..model.errors import InputError
 from ..model.parameters import Sensor
 from . import deserialiser
+from .async_constraints import constraints as async_constraints
 from .export import FILE_LIST, fpga_files, verilog_files
 from .register_files import register_files
 from .sensor import FPGA_TOP, TOP, Port, has_fpga_top, netlist
 from .smoke import FPGA_SMOKE, SMOKE, phase_clock, smoke_test
+from .views import POLYPHASE
 from .waivers import CONTROL_FILE, control_file
 
 MANIFEST, CORE, README = "manifest.json", f"{TOP}.core", "README.md"
+SYNTHESIS_LIST = "coincid_synthesis.f"   # of a view with macros
+TIMESCALE = "1ps/1fs"                    # of the same
 SILICON_MHZ, FPGA_MHZ = 500, 125  # the presets' clocks
 PORT_DELAY = 0.4                  # of a period, outside the ports
 UNCERTAINTY = 0.05                # of a period
@@ -27,48 +31,54 @@ DERIVED = ("array_pixels", "subgroups", "pixels", "minigroups", "guard", "stamp_
 PER_TOP = {TOP: SMOKE, FPGA_TOP: FPGA_SMOKE}
 
 
-def clock_mhz(sensor: Sensor) -> int:
+def clock_mhz(sensor: Sensor, view=POLYPHASE) -> int:
     """The clock that the constraints ask for."""
-    return FPGA_MHZ if has_fpga_top(sensor) else SILICON_MHZ
+    return FPGA_MHZ if view is POLYPHASE and has_fpga_top(sensor) else SILICON_MHZ
 
 
-def release_files(sensor: Sensor) -> dict[str, str]:
-    """File name -> text. Equal parameters give equal bytes."""
-    rtl = verilog_files(sensor)
+def release_files(sensor: Sensor, view=POLYPHASE) -> dict[str, str]:
+    """File name -> text. view: of `views.py`. Equal parameters give equal bytes."""
+    rtl = verilog_files(sensor, view)
     lists = {TOP: rtl.pop(FILE_LIST).split()}
     files = rtl | register_files(sensor) | {CONTROL_FILE: control_file()}
-    if has_fpga_top(sensor):
+    if view is POLYPHASE and has_fpga_top(sensor):
         fpga = fpga_files(sensor)
         files |= fpga
         lists[FPGA_TOP] = [*(name for name in lists[TOP] if name != f"{TOP}.v"), *fpga]
     for top, names in lists.items():
         smoke = f"{PER_TOP[top]}.v"
         files |= {
-            smoke: smoke_test(sensor, levels=top == FPGA_TOP), f"{PER_TOP[top]}.f": _list([*names, smoke]),
-            FILE_LIST if top == TOP else f"{top}.f": _list(names), f"{top}.sdc": _constraints(sensor, top),
+            smoke: smoke_test(sensor, top == FPGA_TOP, view), f"{PER_TOP[top]}.f": _list([*names, smoke]),
+            FILE_LIST if top == TOP else f"{top}.f": _list(names), f"{top}.sdc": _constraints(sensor, top, view),
         }
-    files |= {CORE: _core(lists), README: _readme(sensor, lists)}
-    return dict(sorted(files.items())) | {MANIFEST: _manifest(sensor, lists, files)}
+    if view.macros:
+        boxes = {path.name: path.read_text() for path in view.macros}
+        files |= boxes | {SYNTHESIS_LIST: _list([*lists[TOP], *boxes])}
+    files |= {CORE: _core(lists, view), README: _readme(sensor, lists, view)}
+    return dict(sorted(files.items())) | {MANIFEST: _manifest(sensor, lists, files, view)}
 
 
 def _list(names: list[str]) -> str:
     return "".join(f"{name}\n" for name in names)
 
 
-def _constraints(sensor: Sensor, top: str) -> str:
-    period = 1000 / clock_mhz(sensor)
+def _constraints(sensor: Sensor, top: str, view) -> str:
+    period = 1000 / clock_mhz(sensor, view)
     lines = [
-        f"# Timing of {top} at {clock_mhz(sensor)} MHz; times in ns.",
+        f"# Timing of {top} at {clock_mhz(sensor, view)} MHz; times in ns.",
         f"set period {period:g}", "create_clock -name clk -period $period [get_ports clk]",
     ]
+    if view.macros:
+        lines += ["", async_constraints(sensor)]
     if top == FPGA_TOP:
         lines.append("# Clock j of the deserialisers comes j ticks after clk, from the same PLL.")
         for j in range(1, sensor.phases // 2):
             rise = period * j / sensor.phases
             edges = f"{{{rise:g} {rise + period / 2:g}}}"
             lines.append(f"create_clock -name phase_{j} -period $period -waveform {edges} [get_ports {{{phase_clock(sensor, j)}}}]")
-    ports = [port for port in netlist(sensor, levels=top == FPGA_TOP).ports if port.name != "phase_clocks"]
-    timed = [Port("rst", 1, True), *(port for port in ports if not port.name.startswith("line_"))]
+    ports = [port for port in netlist(sensor, top == FPGA_TOP, view).ports if port.name != "phase_clocks"]
+    events = {f"spad_{s}" for s in range(sensor.subgroups)} if view.macros else set()   # clocks of their own
+    timed = [Port("rst", 1, True), *(port for port in ports if not port.name.startswith("line_") and port.name not in events)]
     lines += [
         f"set_clock_uncertainty [expr {UNCERTAINTY} * $period] [all_clocks]",
         *(
@@ -82,9 +92,20 @@ def _constraints(sensor: Sensor, top: str) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _core(lists: dict[str, list[str]]) -> str:
+def _options(view) -> dict[str, list[str]]:
+    """Options of the tools, by what they do. Delays of cells need a time scale; lint looks at what synthesis takes."""
+    time = [f"--timescale {TIMESCALE}"] if view.macros else []
+    return {
+        "icarus": ["-g2012" if view.macros else "-g2005"], "verilate": ["--timing", "-fno-inline", *time],
+        "lint": ["-Wall", "-fno-inline", *time, *(["-DSYNTHESIS"] if view.macros else [])],
+    }
+
+
+def _core(lists: dict[str, list[str]], view) -> str:
     """FuseSoC's description: RTL and lint, and the smoke test on Icarus and Verilator, for every top."""
     sets, targets = [], []
+    options = {tool: ", ".join(given) for tool, given in _options(view).items()}
+    boxes = [path.name for path in view.macros]
     for top, names in lists.items():
         smoke = PER_TOP[top]
         suffix = "" if top == TOP else "_fpga"
@@ -95,13 +116,17 @@ def _core(lists: dict[str, list[str]]) -> str:
         targets += [
             f"  {'default' if top == TOP else 'fpga'}:", f"    filesets: [rtl{suffix}]", f"    toplevel: {top}",
             f"  lint{suffix}:", "    flow: lint", "    flow_options:", "      tool: verilator",
-            "      verilator_options: [-Wall, -fno-inline]", f"    filesets: [waivers, rtl{suffix}]", f"    toplevel: {top}",
-            f"  sim{suffix}:", "    flow: sim", "    flow_options:", "      tool: icarus", "      iverilog_options: [-g2005]",
+            f"      verilator_options: [{options['lint']}]",
+            f"    filesets: [waivers, rtl{suffix}{', boxes' if boxes else ''}]", f"    toplevel: {top}",
+            f"  sim{suffix}:", "    flow: sim", "    flow_options:", "      tool: icarus",
+            f"      iverilog_options: [{options['icarus']}]",
             f"    filesets: [rtl{suffix}, smoke{suffix}]", f"    toplevel: {smoke}",
             f"  verilate{suffix}:", "    flow: sim", "    flow_options:", "      tool: verilator", "      mode: binary",
-            "      verilator_options: [--timing, -fno-inline]",
+            f"      verilator_options: [{options['verilate']}]",
             f"    filesets: [waivers, rtl{suffix}, smoke{suffix}]", f"    toplevel: {smoke}",
         ]
+    if boxes:
+        sets += ["  boxes:", "    files:", *(f"      - {name}" for name in boxes), "    file_type: verilogSource"]
     return "\n".join([
         "CAPI=2:", f"name: coincid:sensor:{TOP}:{version('coincid')}",
         "description: SPAD direct time-of-flight sensor with coincidence detection", "", "filesets:",
@@ -109,14 +134,25 @@ def _core(lists: dict[str, list[str]]) -> str:
     ])
 
 
-def _readme(sensor: Sensor, lists: dict[str, list[str]]) -> str:
-    smoke = [f"    iverilog -g2005 -s {PER_TOP[top]} -o smoke.vvp -f {PER_TOP[top]}.f && vvp -n smoke.vvp" for top in lists]
-    smoke += [f"    verilator --binary -fno-inline --top-module {PER_TOP[top]} {CONTROL_FILE} -f {PER_TOP[top]}.f" for top in lists]
+def _readme(sensor: Sensor, lists: dict[str, list[str]], view) -> str:
+    options = {tool: " ".join(given) for tool, given in _options(view).items()}
+    smoke = [f"    iverilog {options['icarus']} -s {PER_TOP[top]} -o smoke.vvp -f {PER_TOP[top]}.f && vvp -n smoke.vvp" for top in lists]
+    smoke += [
+        f"    verilator --binary {options['verilate']} --top-module {PER_TOP[top]} {CONTROL_FILE} -f {PER_TOP[top]}.f" for top in lists
+    ]
     lint = [
-        f"    verilator --lint-only -Wall -fno-inline --top-module {top} {CONTROL_FILE} -f {FILE_LIST if top == TOP else f'{top}.f'}"
+        f"    verilator --lint-only {options['lint']} --top-module {top} {CONTROL_FILE} "
+        f"-f {SYNTHESIS_LIST if view.macros else FILE_LIST if top == TOP else f'{top}.f'}"
         for top in lists
     ]
-    tops = [f"* `{TOP}` takes a word of edges a cycle from every subgroup's SPADs: bit i * {sensor.phases} + k is pixel i, phase k."]
+    if view.macros:
+        tops = [
+            f"* `{TOP}` takes the lines of every subgroup's SPADs: a rising edge of bit i is an avalanche in pixel i. `async_cells.v` is",
+            "  the behaviour of cells and macros in femtoseconds; synthesis defines SYNTHESIS, keeps the cells, and takes black boxes",
+            f"  of the macros (`{SYNTHESIS_LIST}`).",
+        ]
+    else:
+        tops = [f"* `{TOP}` takes a word of edges a cycle from every subgroup's SPADs: bit i * {sensor.phases} + k is pixel i, phase k."]
     if FPGA_TOP in lists:
         tops.append(
             f"* `{FPGA_TOP}` takes the SPADs' levels, sampled by {sensor.phases // 2} clocks of one PLL, clk and `phase_clocks`. They come "
@@ -124,16 +160,16 @@ def _readme(sensor: Sensor, lists: dict[str, list[str]]) -> str:
         )
     return "\n".join([
         f"# SPAD sensor of {sensor.rows} x {sensor.cols} pixels", "", *tops, "",
-        f"Parameters and hashes are in `{MANIFEST}`, registers in `registers.*`, constraints for {clock_mhz(sensor)} MHz in `*.sdc`.",
+        f"Parameters and hashes are in `{MANIFEST}`, registers in `registers.*`, constraints for {clock_mhz(sensor, view)} MHz in `*.sdc`.",
         "Lint, and the smoke test, which prints PASS; no Python is needed:", "", *lint, *smoke, "",
         f"With FuseSoC: `fusesoc --cores-root . run --target TARGET coincid:sensor:{TOP}`, targets lint, sim, verilate"
         f"{', and the same with _fpga' if FPGA_TOP in lists else ''}.", "",
     ])
 
 
-def _manifest(sensor: Sensor, lists: dict[str, list[str]], files: dict[str, str]) -> str:
+def _manifest(sensor: Sensor, lists: dict[str, list[str]], files: dict[str, str], view) -> str:
     return json.dumps({
-        "name": TOP, "version": version("coincid"), "tops": list(lists), "clock_mhz": clock_mhz(sensor),
+        "name": TOP, "version": version("coincid"), "view": view.name, "tops": list(lists), "clock_mhz": clock_mhz(sensor, view),
         "parameters": asdict(sensor),
         "derived": {name: getattr(sensor, name) for name in DERIVED},
         "latency_cycles": {name.lower(): value for name, value in vars(latency).items() if name.isupper()}
@@ -142,8 +178,8 @@ def _manifest(sensor: Sensor, lists: dict[str, list[str]], files: dict[str, str]
     }, indent=2) + "\n"
 
 
-def write_release(folder: Path, sensor: Sensor) -> list[Path]:
-    """Writes the files of `sensor` to `folder`, which appears whole and replaces the release that stood there.
+def write_release(folder: Path, sensor: Sensor, view=POLYPHASE) -> list[Path]:
+    """Writes the files of `sensor` in a view to `folder`, which appears whole and replaces the release that stood there.
 
     Raises `InputError` where the folder cannot be written, or holds anything but an earlier release.
     """
@@ -158,7 +194,7 @@ def write_release(folder: Path, sensor: Sensor) -> list[Path]:
     try:
         fresh, stale = beside / "fresh", beside / "stale"
         fresh.mkdir()
-        for name, text in release_files(sensor).items():
+        for name, text in release_files(sensor, view).items():
             (fresh / name).write_text(text)
         if folder.exists():
             folder.rename(stale)

@@ -13,7 +13,9 @@ from ..model.edges import Edges
 from ..model.golden import Golden, Trace, pixel_table
 from ..model.parameters import Sensor
 from . import deserialiser
+from .async_circuit import CLOCK_FS
 from .sensor import FPGA_TOP, TOP, netlist
+from .views import POLYPHASE
 
 SMOKE, FPGA_SMOKE = "coincid_smoke", "coincid_fpga_smoke"
 PULSES = 4
@@ -67,24 +69,26 @@ def _played(sensor: Sensor) -> list[int]:
     return sorted({0, sensor.subgroups // 2, sensor.subgroups - 1})
 
 
-def smoke_test(sensor: Sensor, levels: bool = False) -> str:
-    """The test bench of the sensor; with `levels` that of the top for FPGAs, which gets SPAD levels in real time."""
+def smoke_test(sensor: Sensor, levels: bool = False, view=POLYPHASE) -> str:
+    """The test bench of the sensor; with `levels` that of the top for FPGAs, which gets SPAD levels in real time. view: of `views.py`."""
     config = smoke_config(sensor)
     edges = smoke_edges(config)
     ready = np.arange(STALL_CYCLES) % 4 != 0
     trace = Golden(sensor).frame(config, edges, ready.astype(np.uint8))
+    light = _light_levels if levels else _light_words if view is POLYPHASE else _light_lines
     return "\n".join([
+        *([] if view is POLYPHASE else ["`timescale 1ps / 1fs", ""]),
         f"// Smoke test of {FPGA_TOP if levels else TOP}: prints PASS, or FAIL and why. The expected words are the golden model's.",
         f"module {FPGA_SMOKE if levels else SMOKE};",
-        *_wiring(sensor, levels), *_expected(trace), *_checks(), *_bus(), *_streams(sensor, trace), *_frame(sensor),
-        *(_light_levels(config, edges) if levels else _light_words(config, edges)),
+        *_wiring(sensor, levels, view), *_expected(trace), *_checks(), *_bus(), *_streams(sensor, trace), *_frame(sensor),
+        *light(config, edges),
         *_story(config, trace),
         "endmodule", "",
     ])
 
 
-def _wiring(sensor: Sensor, levels: bool) -> list[str]:
-    ports = netlist(sensor, levels).ports
+def _wiring(sensor: Sensor, levels: bool, view) -> list[str]:
+    ports = netlist(sensor, levels, view).ports
     lines = ["  reg clk = 1'b0;", "  reg rst = 1'b1;"]
     for port in ports:
         width = f"[{port.width - 1}:0] " if port.width > 1 else ""
@@ -230,6 +234,25 @@ def _light_words(config: Config, edges: Edges) -> list[str]:
         *(f"      spad_{s} = 0;" for s in _played(sensor)),
         "      case (cycle)", *_by_time(cycles, edges, sensor, "spad", True), "        default: ;", "      endcase",
         "    end", "  endtask", "",
+    ]
+
+
+def _light_lines(config: Config, edges: Edges) -> list[str]:
+    """SPAD lines of the asynchronous view: a pulse of a quarter of a tick in the middle of each edge's, set off half a cycle ahead."""
+    sensor = config.sensor
+    table, branches = pixel_table(sensor), {}
+    tick_fs = CLOCK_FS / sensor.phases
+    for pulse, pixel, tick in sorted(zip(edges.pulse.tolist(), edges.pixel.tolist(), edges.tick.tolist())):
+        line = f"spad_{table.subgroup[pixel]}[{table.inside[pixel]}]"
+        rise_fs = CLOCK_FS / 2 + (tick % sensor.phases + 0.5) * tick_fs
+        branches.setdefault(pulse * config.period + tick // sensor.phases - 1, []).append(
+            f"{line} <= #({rise_fs / 1000:g}) 1'b1; {line} <= #({(rise_fs + tick_fs / 4) / 1000:g}) 1'b0;"
+        )
+    return [
+        f"  always #{CLOCK_FS // 2000} clk = !clk;", "",
+        "  task shine;", "    case (cycle)",
+        *(f"      {cycle}: begin {' '.join(sets)} end" for cycle, sets in sorted(branches.items())),
+        "      default: ;", "    endcase", "  endtask", "",
     ]
 
 

@@ -1,13 +1,14 @@
 """The two views of the front end, one contract: what a subgroup and its module are built with. All behind the front end is shared.
 
-A view names the units of its front end and its TDC, how wide a subgroup's SPAD port is, and how a front end hears SPADs and gate.
+A view names the units of its front end and its TDC, how wide a subgroup's SPAD port is, how a front end hears SPADs and gate, and the
+Verilog that is not generated: cells (behaviour) and macros (black boxes).
 """
 
 from attrs import field, frozen
 
 from ..model.parameters import Sensor
 from . import async_tdc, tdc
-from .async_circuit import CELLS, Circuit
+from .async_circuit import CELLS, MACROS, Circuit
 from .async_front import AsyncFrontEnd
 from .tree import CoincidenceTree
 
@@ -18,7 +19,7 @@ class Polyphase:
 
     name = "polyphase"
     prefix = "coincid_"
-    cells = ()
+    cells = macros = ()
 
     def spad_bits(self, sensor: Sensor) -> int:
         """Width of a subgroup's SPAD port."""
@@ -45,7 +46,7 @@ class Asynchronous:
     circuit: Circuit = field(factory=Circuit)
     name = "async"
     prefix = "coincid_async_"
-    cells = (CELLS,)
+    cells, macros = (CELLS,), (MACROS,)
 
     def spad_bits(self, sensor: Sensor) -> int:
         """Width of a subgroup's SPAD port."""

@@ -8,8 +8,9 @@ from attrs import evolve
 from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 
-from coincid.flow.async_report import domains, latches, netlist, sdc
+from coincid.flow.async_report import domains, latches, netlist
 from coincid.hdl.async_circuit import SYNCHRONISER_REARM, Circuit
+from coincid.hdl.async_constraints import constraints
 from coincid.hdl.views import Asynchronous
 from coincid.model.config import parse_config
 from coincid.model.edges import Edges
@@ -151,5 +152,5 @@ def test_domains_are_those_meant(tmp_path):
     assert sum(d.flops for d in domains(module) if d.clock == "words[*]") == 2 * 16
     assert {d.reset.split(".")[-1] for d in domains(module)} == {"", "clear_*", "clear_window_*"}
     assert not any(d.reset for d in domains(module) if d.clock == "clk")
-    for name in re.findall(r"\*(generator|window_|or_tree_|delay_event_|sample_picture_)", sdc(sensor)):
+    for name in re.findall(r"\*(generator|window_|or_tree_|delay_event_|sample_picture_)", constraints(sensor)):
         assert any(name in cell or name in net for cell in module["cells"] for net in (cell, *module["netnames"])), name

@@ -18,6 +18,7 @@ from coincid.hdl.register_files import IP_XACT, RDL
 from coincid.hdl.release import MANIFEST, write_release
 from coincid.hdl.sensor import FPGA_TOP, TOP
 from coincid.hdl.smoke import FPGA_SMOKE, SMOKE
+from coincid.hdl.views import POLYPHASE, VIEWS
 from coincid.model.config import load_config, parse_config
 from coincid.model.errors import InputError
 from coincid.model.registers import BY_NAME, SUBGROUP, Access, address
@@ -29,8 +30,9 @@ from .cases import SENSORS
 SMALL = {  # the presets' circuits, a module of each
     "silicon": {"rows": 8, "cols": 16},
     "fpga": {"rows": 8, "cols": 8, "phases": 8, "window_max": 16},
+    "async": {"rows": 8, "cols": 8},
 }
-TOPS = [("silicon", TOP, SMOKE), ("fpga", TOP, SMOKE), ("fpga", FPGA_TOP, FPGA_SMOKE)]
+TOPS = [("silicon", TOP, SMOKE), ("fpga", TOP, SMOKE), ("fpga", FPGA_TOP, FPGA_SMOKE), ("async", TOP, SMOKE)]
 PROGRAMS = "iverilog vvp sh dirname"
 
 
@@ -43,7 +45,7 @@ def releases(tmp_path_factory):
     """A folder per preset, written in turn by one process."""
     folder = tmp_path_factory.mktemp("release")
     for name in SMALL:
-        write_release(folder / name, sensor(name))
+        write_release(folder / name, sensor(name), VIEWS.get(name, POLYPHASE))
     return folder
 
 
@@ -60,7 +62,8 @@ def alone(command, folder, path=""):
 
 @pytest.mark.parametrize(("preset", "top", "smoke"), TOPS)
 def test_smoke_test_passes_on_icarus(releases, preset, top, smoke):
-    done = alone(f"iverilog -g2005 -Wall -s {smoke} -o {smoke}.vvp -f {smoke}.f && vvp -n {smoke}.vvp", releases / preset)
+    line = re.search(rf"^ +(iverilog .*{smoke} .*)$", (releases / preset / "README.md").read_text(), re.MULTILINE)[1]
+    done = alone(line.replace("iverilog", "iverilog -Wall -Wno-timescale"), releases / preset)
     assert re.fullmatch(r"PASS: \d\d\d+ checks\n", done.stdout), done.stdout + done.stderr
     assert done.returncode == 0
     assert not done.stderr
@@ -128,11 +131,11 @@ def test_fusesoc_runs_the_core(releases, tmp_path, target):
 def test_presets_of_one_process_do_not_mix(releases, tmp_path):
     """Each as a process of its own writes it, and no file of one is the other's."""
     script = (
-        "import sys; from coincid.hdl.release import write_release; from coincid.model.parameters import Sensor\n"
-        "write_release(sys.argv[1], Sensor(**eval(sys.argv[2])))"
+        "import sys; from coincid.hdl import release, views; from coincid.model.parameters import Sensor\n"
+        "release.write_release(sys.argv[1], Sensor(**eval(sys.argv[2])), views.VIEWS.get(sys.argv[3], views.POLYPHASE))"
     )
     for name in SMALL:
-        subprocess.run([sys.executable, "-c", script, tmp_path / name, repr(SMALL[name])], check=True)
+        subprocess.run([sys.executable, "-c", script, tmp_path / name, repr(SMALL[name]), name], check=True)
         for path in (tmp_path / name).iterdir():
             assert path.read_bytes() == (releases / name / path.name).read_bytes(), path.name
         parameters = json.loads((releases / name / MANIFEST).read_text())["parameters"]
@@ -147,8 +150,9 @@ def test_manifest(releases, preset):
         assert hashlib.sha256((releases / preset / name).read_bytes()).hexdigest() == digest, name
     built = {path.name for path in (releases / preset).iterdir() if path.suffix != ".vvp" and path.is_file()}
     assert built == {*manifest["sha256"], MANIFEST}
-    assert manifest["clock_mhz"] == {"silicon": 500, "fpga": 125}[preset]
-    assert load_config(preset).sensor.phases == manifest["parameters"]["phases"]
+    assert manifest["clock_mhz"] == {"silicon": 500, "fpga": 125, "async": 500}[preset]
+    assert manifest["view"] == ("async" if preset == "async" else "polyphase")
+    assert load_config("fpga" if preset == "fpga" else "silicon").sensor.phases == manifest["parameters"]["phases"]
 
 
 def test_exported_verilog_is_what_the_other_tests_simulate(releases):
