@@ -1,6 +1,8 @@
 """The asynchronous view: equal to golden model and polyphase view at tick centres, within a tick off them, never a wrong word."""
 
+import json
 import re
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -19,11 +21,11 @@ from coincid.model.golden import pixel_table
 from coincid.model.parameters import Sensor
 from coincid.model.result import differences
 from coincid.tb.frames import FrameJob
-from coincid.tb.replay import play, replay
+from coincid.tb.replay import build_sensor, play, replay
 from coincid.tb.stimulus import line_levels, off_centre, tick_ps
 from coincid.tb.stress import stress
 
-from .cases import SENSORS, trouble
+from .cases import SENSORS, SMALL, trouble
 from .test_cosim import frames
 
 BUILDS = {name: (sensor, None) for name, sensor in SENSORS.items()} | {"wide, two banks": (SENSORS["wide"], 2)}
@@ -113,6 +115,13 @@ def test_verilator_agrees():
     settings = config(pulses=3)
     edges = trouble(settings, 7, 20.0)
     assert not differences(replay("golden", settings, edges), replay("cocotb-verilator", settings, edges, view=Asynchronous()))
+
+
+def test_resets_and_aborts_in_the_middle_of_frames(tmp_path):
+    """The tests of `async_bench.py`."""
+    sensor = parse_config({"sensor": SMALL}).sensor
+    env = {"PYTHONPATH": str(Path(__file__).parent), "COINCID_BENCH_SENSOR": json.dumps(SMALL)}
+    build_sensor(sensor, "icarus", view=Asynchronous()).run("async_bench", env=env, out_dir=tmp_path, seed=1)
 
 
 def test_a_single_bank_needs_its_gap():
