@@ -21,8 +21,9 @@
 namespace {
 
 constexpr int MODULES = (SUBGROUPS + 1) / 2;  // the second line of an odd number's last module is left alone
-constexpr int SPINS = 4000;                   // before a waiting thread lets others run
-constexpr int ALONE = 2000;                   // cycles without help after a wait as long as that
+constexpr int PARTS_A_THREAD = 4;             // so that threads end together
+constexpr int SPINS = 100000;                 // some ten cycles' time, before a waiting thread lets others run
+constexpr int ALONE = 300;                   // cycles without help after a wait as long as that
 enum Status { RUNNING = 0, DELIVERED = 1, HANGS = 2 };
 
 // Bits of a port, whatever type Verilator gives it.
@@ -48,8 +49,9 @@ int stream_of(int subgroup) { return int(int64_t(subgroup) * STREAMS / SUBGROUPS
 struct Beat { uint64_t data; int64_t cycle; };
 struct Commit { int64_t subgroup, cycle; };
 
-// A part of the modules, and what they say to the core in a cycle. A thread has a part of its own. Where other programs keep that thread from
-// running, the first one takes its part over, for a while even without asking: a busy machine costs the second core, and not more.
+// A part of the modules, and what they say to the core in a cycle. Every thread begins with parts of its own and goes on with what the others
+// have not taken. Where other programs keep a thread from running, the first one does without it, for a while even without asking: a busy
+// machine costs the second core, and not more.
 struct alignas(64) Part {
     std::atomic<uint64_t> claimed{0}, done{0};  // the last cycle that somebody took, and finished
     uint64_t beat[STREAMS];
@@ -61,7 +63,7 @@ struct alignas(64) Part {
 
 class Engine {
 public:
-    explicit Engine(int threads) : parts_(std::max(1, std::min(threads, MODULES))) {
+    explicit Engine(int threads) : threads_(std::max(1, threads)), parts_(std::min(threads_ > 1 ? PARTS_A_THREAD * threads_ : 1, MODULES)) {
         core_context_.threads(1);
         core_ = std::make_unique<Vcore>(&core_context_, "core");
         for (int k = 0; k < MODULES; k++) {
@@ -70,7 +72,7 @@ public:
             modules_.push_back(std::make_unique<Vmodule>(contexts_.back().get(), "module"));
             modules_.back()->number = k;
         }
-        for (int part = 1; part < int(parts_.size()); part++) workers_.emplace_back([this, part] { work(part); });
+        for (int thread = 1; thread < threads_; thread++) workers_.emplace_back([this, thread] { work(thread); });
         core_->rst = 1;
         for (int i = 0; i < 4; i++) step();
         core_->rst = 0;
@@ -187,7 +189,7 @@ private:
         });
         uint64_t epoch = ++steps_;
         if (alone_) alone_--;
-        else if (parts_.size() > 1) {
+        else if (threads_ > 1) {
             epoch_.store(epoch, std::memory_order_release);
             epoch_.notify_all();
         }
@@ -195,7 +197,7 @@ private:
         core_->eval();
         core_->clk = 0;
         core_->eval();
-        for (int part = 0; part < int(parts_.size()); part++) take(part, epoch);
+        take_all(0, epoch);
         for (auto& part : parts_)
             for (int spins = 0; part.done.load(std::memory_order_acquire) != epoch; spins++)
                 if (spins > SPINS) {
@@ -251,10 +253,17 @@ private:
         if (Line<LINE>::record_stored(module)) part.record_stored.push_back(subgroup);
     }
 
+    // A thread's share of a cycle.
+    void take_all(int thread, uint64_t epoch) {
+        int parts = parts_.size(), first = parts * thread / threads_;
+        for (int i = 0; i < parts; i++) take((first + i) % parts, epoch);
+    }
+
     // Steps the modules of a part, unless another thread has taken them in this cycle.
     void take(int number, uint64_t epoch) {
         Part& part = parts_[number];
         uint64_t before = epoch - 1;
+        if (part.claimed.load(std::memory_order_relaxed) != before) return;
         if (!part.claimed.compare_exchange_strong(before, epoch, std::memory_order_acquire)) return;
         std::fill(std::begin(part.beat), std::end(part.beat), 0);
         std::fill(std::begin(part.valid), std::end(part.valid), false);
@@ -282,13 +291,13 @@ private:
         part.done.store(epoch, std::memory_order_release);
     }
 
-    void work(int part) {
+    void work(int thread) {
         for (uint64_t seen = 0;;) {
             uint64_t epoch = seen;
             for (int spins = 0; (epoch = epoch_.load(std::memory_order_acquire)) == seen; spins++)
                 if (spins > SPINS) epoch_.wait(seen, std::memory_order_acquire);
             if (stopping_) return;
-            take(part, epoch);
+            take_all(thread, epoch);
             seen = epoch;
         }
     }
@@ -302,6 +311,7 @@ private:
     uint64_t steps_ = 0;
     int alone_ = 0;
     std::atomic<bool> stopping_{false};
+    const int threads_;
     std::vector<Part> parts_;
     struct {
         std::remove_reference_t<decltype(Vmodule::command)> command;
