@@ -5,10 +5,12 @@ import shutil
 
 import pytest
 
+from coincid.flow.async_report import CLOCKS, timing, top, write
 from coincid.flow.gls import gate_level
 from coincid.flow.levels import longest_paths
 from coincid.flow.synth import CELLS, ECP5, GATES, synthesize
 from coincid.flow.yosys import LIBERTY, run_yosys
+from coincid.hdl.async_circuit import Circuit
 from coincid.model.parameters import Sensor
 from coincid.tb.toolchain import ToolchainError
 
@@ -77,3 +79,17 @@ def test_netlist_behaves(target):
     checked, cycles = gate_level(SMALL, target, frames=4)
     assert checked > 200
     assert cycles > 1000
+
+
+@needs_cells
+def test_a_timing_tool_takes_the_constraints_of_the_asynchronous_view(tmp_path):
+    """`write` raises where OpenSTA complains, as it does of what it does not find; every clock times something."""
+    report, sdc = write(SMALL, Circuit(), tmp_path)
+    text = report.read_text()
+    assert "Latches outside the macros: 0." in text
+    rows = {tuple(line.strip("| ").split(" | ")[:2]) for line in text[text.index("| from clock") :].splitlines() if line.startswith("| ")}
+    assert {clock for pair in rows for clock in pair} >= set(CLOCKS)
+    assert {("clk", "spads"), ("clk", "roots"), ("spads", "clk"), ("roots", "clk"), ("ends", "clk")} <= rows
+    sdc.write_text(sdc.read_text().replace("*window_*/ended", "*no_such_pin*/ended"))
+    complaints, _ = timing(tmp_path, top(SMALL), sdc.name)
+    assert any("no_such_pin" in line for line in complaints)

@@ -30,7 +30,7 @@ from .cases import SENSORS
 SMALL = {  # the presets' circuits, a module of each
     "silicon": {"rows": 8, "cols": 16},
     "fpga": {"rows": 8, "cols": 8, "phases": 8, "window_max": 16},
-    "async": {"rows": 8, "cols": 8},
+    "async": {"rows": 8, "cols": 16},
 }
 TOPS = [("silicon", TOP, SMOKE), ("fpga", TOP, SMOKE), ("fpga", FPGA_TOP, FPGA_SMOKE), ("async", TOP, SMOKE)]
 PROGRAMS = "iverilog vvp sh dirname"
