@@ -137,7 +137,7 @@ def write_pages(folder: Path) -> list[str]:
     with whole_file(folder / TABLE, "w") as file:
         file.write(table.getvalue())
     save_figure(_draw(rows), folder / PICTURE)
-    return [f"{name}: {100 * share:.1f} % of a subgroup" for name, share in shares().items()]
+    return [f"{name}: {100 * share:.0f} % of a subgroup" for name, share in shares().items()]
 
 
 def _draw(rows: list[dict]):
@@ -156,6 +156,7 @@ def _draw(rows: list[dict]):
             for axis in (area, bits, rate):
                 axis.set_xscale("log", base=2)
                 axis.set_xticks(at, ticks)
+                axis.margins(y=0.1)
                 axis.set_ylim(0)
             rate.set_xlabel(label)
         grid[0, 0].set_ylabel("area per pixel in 1000 um2\n(OSU 0.18 um)")
