@@ -9,7 +9,7 @@ from ..hdl import bus
 from ..hdl.packetizer import Packetizer
 from ..hdl.readout import Readout
 from ..model import latency
-from ..model.packet import FORMAT_NAMES, FORMATS, Kind, layout
+from ..model.packet import FORMAT_NAMES, FORMATS, HEADER, Kind, layout
 from .bench import Bench, inside, proof
 from .sensors import SMALL
 
@@ -150,8 +150,12 @@ def packetizer(b: Bench):
         first = b.past(grant & (send == bus.Send.EVENT) & (form == fmt))
         b.always(unit.beat[61:] == int(FORMATS[name]), where=first)
         b.cover(b.past(unit.take_event) & (form == fmt))
-    b.always(unit.beat[:15] == b.past(unit.head.window.stamp), where=b.past(grant & (send == bus.Send.EVENT)))
-    b.always(unit.beat[60] == b.past(unit.head.overrun), where=b.past(grant & (send == bus.Send.EVENT)))
+    window = unit.head.window
+    of_event = {name: window[name] for name in ("stamp", "count", "winner")} | {name: unit.head[name] for name in ("overrun", "pulse")}
+    for sent, fields in ((bus.Send.EVENT, of_event), (bus.Send.RECORD, {"pulse": unit.record.pulse})):
+        for name, value in (fields | {"subgroup": unit.subgroup}).items():
+            lowest, width = HEADER[name]
+            b.always(unit.beat[lowest : lowest + width] == b.past(value), where=b.past(grant & (send == sent)))
     second = b.past(now == bus.Send.EVENT.value) & b.past(grant, 2) & (form != 0) & b.past(active)
     b.always(unit.beat == b.past(unit.head.window.hits), where=second)
     b.cover(b.past(unit.take_record))

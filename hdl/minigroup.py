@@ -113,13 +113,13 @@ class Minigroup(Unit):
         return first
 
     def _record(self, m, some, active, together):
-        left = Signal(3)
+        left = Signal(2)   # cycles of the collection, behind this one
         seen = Signal(len(active), reset_less=True)
         stamp = Signal(self.sensor.record_stamp_bits, reset_less=True)
         starts = Signal()
         runs = Signal()
         seen_next = Signal(len(active))
-        left_next = Signal(3)
+        left_next = Signal(2)
         added = active & some.replicate(len(active))
         m.d.comb += [
             starts.eq(self.frame.mg_records & some & self.may_open & (self.wrap | ((left == 0) & ~self.latched))),

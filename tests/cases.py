@@ -90,6 +90,19 @@ def overfull(sensor: dict) -> Config:
     })
 
 
+def lengthy(sensor: dict) -> Config:
+    """A frame of so many pulses, with so many gate steps, that counters leave their low bits."""
+    built = parse_config({"sensor": sensor, "frame": {"period": 100}}).sensor
+    return parse_config({
+        "sensor": sensor,
+        "frame": {
+            "period": built.guard + 6, "pulses": 300, "format": "id", "minigroup_records": True, "mg_threshold": 1,
+            "gate_every": 2, "gate_step": 1, "gate_steps": 40,
+        },
+        "subgroup": {"threshold": 1, "window": 2, "gating": True, "gate_start": 0, "gate_len": 3},
+    })
+
+
 def trouble(config: Config, seed: int, per_subgroup_period: float) -> Edges:
     """Edges that crowd where rules meet, on average `per_subgroup_period` a subgroup and period."""
     rng = np.random.default_rng(seed)

@@ -25,7 +25,7 @@ from coincid.hdl.export import verilog_files
 from coincid.hdl.sensor import TOP
 from coincid.model.config import Config, parse_config
 from coincid.model.golden import Fate, Golden, Trace, pixel_table
-from coincid.model.packet import FORMAT_NAMES, Kind, header_field
+from coincid.model.packet import FORMAT_NAMES, HEADER, decode_frame
 from coincid.model.registers import COUNTER_NAMES
 from coincid.tb import toolchain
 from coincid.tb.cosim import JOB_VARIABLE, SensorBench
@@ -74,10 +74,9 @@ def situations(config: Config, edges, trace: Trace, ready: str, counts: collecti
     counters = {"events dropped": "dropped", "window rejected": "rejected", "record stored": "mg_stored", "record dropped": "mg_dropped"}
     for name, counter in counters.items():
         counts[name] += int((c[counter] > 0).sum())
-    if config.format == "short" and not config.frame["minigroup_records"]:   # every beat up to the frame end is a header
-        heads = np.concatenate(trace.beats)
-        heads = heads[header_field(heads, "kind") == Kind.EVENT]
-        counts["overrun flag"] += int(header_field(heads, "overrun").sum())
+    for stream, beats in enumerate(trace.beats):
+        events = decode_frame(beats, sensor, len(sensor.stream_subgroups(stream))).events
+        counts["overrun flag"] += int(events[:, list(HEADER).index("overrun")].sum())
     subgroup, cycle = table.subgroup[edges.pixel], edges.tick // sensor.phases
     order = np.lexsort((edges.tick, edges.pulse, subgroup))
     end, last, armed_from = -1, (-1, -1), -1
@@ -206,7 +205,7 @@ def python_coverage() -> list[str]:
 def emit() -> list[str]:
     """Emits every sensor of the regression, for its lines."""
     for sensor in SENSORS.values():
-        verilog_files(parse_config({"sensor": sensor}).sensor)
+        verilog_files(parse_config({"sensor": sensor, "frame": {"period": 100}}).sensor)
     return []
 
 

@@ -16,7 +16,7 @@ from sensor_bench import Queue, config, some_edges
 from coincid.hdl.sensor import TOP
 from coincid.model import registers
 from coincid.model.golden import Golden
-from coincid.model.packet import decode_frame
+from coincid.model.packet import HEADER, decode_frame
 from coincid.model.registers import COUNTER_NAMES, ID_VALUE
 from coincid.tb.cosim import SensorBench
 from coincid.tb.scoreboard import Scoreboard
@@ -245,3 +245,38 @@ async def counters_in_full_width(dut):
                 assert shown == await bench.read(name, s), name
                 assert value <= shown <= min(value + 80, 0xFFFF_FFFF), f"{name}: {shown:#x}"
     assert registers.COUNTER_BITS == 32
+
+
+@cocotb.test()
+async def pulse_numbers_in_full_width(dut):
+    """Frames that go on at a pulse number that no frame of a test reaches: events and records carry it, and the last pulse is the last."""
+    bench, of, edges, trace = await fresh(dut)
+    usual = decode_frame(trace.beats[0], of.sensor, 2)
+    for jump in (0xFFFF - (of.pulses - 1), 0xA5A5, 0x5A5A):
+        await pulse_reset(bench)
+        await bench.program(of.with_frame(pulses=of.pulses + jump))
+        await bench.write("control", 1)
+        while dut.laser.value == 0:
+            await FallingEdge(dut.clk)
+        words, beats, cycle = port_words(of, edges), [], 0
+        dut.m_axis_tready.value = 1
+        while True:
+            now = dict(words.get(cycle, ()))
+            for s, line in enumerate(bench.spad):
+                line.value = now.get(s, 0)
+            if cycle == of.period // 2:
+                for path in ("sequencer", *(f"module_0.subgroup_{s}.dpcu" for s in range(2))):
+                    register = handle(dut, path, "pulse")
+                    register.value = int(register.value) + jump
+            if dut.m_axis_tvalid.value == 1:
+                beats.append(int(dut.m_axis_tdata.value))
+                if dut.m_axis_tlast.value == 1:
+                    break
+            cycle += 1
+            await FallingEdge(dut.clk)
+        shown = decode_frame(np.array(beats, np.uint64), of.sensor, 2)
+        column = list(HEADER).index("pulse")
+        for one, other in ((shown.events[:, column], usual.events[:, column]), (shown.records[:, 1], usual.records[:, 1])):
+            assert len(one) == len(other) >= 2 * of.pulses
+            assert all(a in (b, b + jump) for a, b in zip(one.tolist(), other.tolist()))
+            assert one[-1] == of.pulses - 1 + jump

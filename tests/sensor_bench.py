@@ -78,18 +78,22 @@ async def reset_values_and_constants(dut):
 @cocotb.test()
 async def settings_keep_what_is_written_and_refuse_the_rest(dut):
     bench = await fresh(dut)
-    written = {}
-    for register, index, subgroup in all_words(bench.sensor):
-        if register.access is Access.SETTING:
-            value = random.randint(register.low(bench.sensor), register.high(bench.sensor))
+    settings = [word for word in all_words(bench.sensor) if word[0].access is Access.SETTING]
+    for high_half in (True, False):   # of the legal values, so that every bit is seen both ways beside the others'
+        written = {}
+        for register, index, subgroup in settings:
+            low, high = register.low(bench.sensor), register.high(bench.sensor)
+            value = random.randint((low + high) // 2, high) if high_half ^ len(written) % 2 else random.randint(low, (low + high) // 2)
             await bench.write(register.name, value, subgroup, index)
-            written[register.name, subgroup, index] = value
-    for name, subgroup, index in written:
-        register = registers.BY_NAME[name]
+            written[register, subgroup, index] = value
+        for wait in (1, 2):           # an odd and an even number of cycles later
+            await ClockCycles(dut.clk, wait)
+            for (register, subgroup, index), value in written.items():
+                assert await bench.read(register.name, subgroup, index) == value, register.name
+    for (register, subgroup, index), value in written.items():
         for bad in {register.low(bench.sensor) - 1, register.high(bench.sensor) + 1} - {-1, 1 << 32}:
-            await refused(bench.write(name, bad, subgroup, index), bench, "bad_value")
-    for (name, subgroup, index), value in written.items():
-        assert await bench.read(name, subgroup, index) == value, name
+            await refused(bench.write(register.name, bad, subgroup, index), bench, "bad_value")
+        assert await bench.read(register.name, subgroup, index) == value, register.name
 
 
 @cocotb.test()

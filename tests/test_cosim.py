@@ -10,7 +10,7 @@ from coincid.model.parameters import Sensor
 from coincid.tb.frames import FrameJob
 from coincid.tb.replay import play
 
-from .cases import READY_KINDS, SENSORS, configurations, gate_bits, modes, overfull, ready_pattern, trouble
+from .cases import READY_KINDS, SENSORS, configurations, gate_bits, lengthy, modes, overfull, ready_pattern, trouble
 
 ENGINES = ("verilator", "cocotb-verilator", "icarus")
 FRAMES = 12  # a simulation: its start costs more than a frame does
@@ -45,7 +45,8 @@ def test_random_frames(sensor, engine, tmp_path_factory, data):
 def test_every_mode_in_every_format(sensor, tmp_path):
     """Each twice in a row, so that the controller has a frame to follow."""
     jobs, golden = [], None
-    configs = [config for config in modes(SENSORS[sensor]) for _ in range(2)] + [gate_bits(SENSORS[sensor]), overfull(SENSORS[sensor])]
+    configs = [config for config in modes(SENSORS[sensor]) for _ in range(2)]
+    configs += [case(SENSORS[sensor]) for case in (gate_bits, overfull, lengthy)]
     for number, config in enumerate(configs):
         golden = golden or Golden(config.sensor)
         edges = trouble(config, number, 12.0 * config.period / 60)
