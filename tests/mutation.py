@@ -49,6 +49,13 @@ BENCH_SENSOR, FAULT_SOURCES = "COINCID_BENCH_SENSOR", "COINCID_FAULT_SOURCES"   
 EQUIVALENT: tuple[tuple[str, str, str], ...] = (
     ("coincid_gating", "$procmux$59 -port B", "reset value of the cycles until the gate opens, which a period's start loads before use"),
     ("coincid_packetizer", "$procmux$96 -port B -portbit 179", "a bit of the offsets' beat behind those of the last minigroup: always 0"),
+    ("coincid_dpcu", "$procmux$334 -port A -portbit 43 ", "the event's register between events, which nobody reads"),
+    ("coincid_readout_2", "$procmux$843 -port A -portbit 1 ", "the mask's highest bit: whom it hides is also the lowest that asks then"),
+    ("coincid_registers", "$procmux$1803 -port A -portbit 2 -ctrlbit 16", "the period's bit 16, which no legal period of this sensor sets"),
+    ("coincid_registers", "$procmux$2680 -port Y -portbit 17 -ctrlbit 14", "both are address bits that are refused where they are set"),
+    ("coincid_registers", "$procmux$2790 -port Y -portbit 8 -ctrlbit 5", "bits of a subgroup's number that two subgroups do not set"),
+    ("coincid_sequencer", "$procmux$403 -port A -portbit 1 ", "the wait's count outside a frame; the next start clears it"),
+    ("coincid_tree", "$or$block.v:374$1 -port B -portbit 5 -ctrlbit 1", "a phase of the root behind the cycle's first, which alone counts"),
     ("golden", "opened_at = window_end", "a subgroup's first edge begins a period, which sets the same or whose window does before use"),
     ("golden", "events.bounds[first]) * shape.event_beats`: 2: one more", "room for one beat more, which is cut off"),
     ("golden", "(1 + shape.record_beats)`: records.bounds[last] - records.bounds[first]: Sub", "room for more beats, which is cut off"),
