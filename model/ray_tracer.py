@@ -191,13 +191,14 @@ class _Lidar(TransientPRBVolpathIntegrator):
         super().__init__(mi.Properties())
         self.max_depth, self.rr_depth, self.hide_emitters = VERTICES_MAX, ROULETTE_FROM, False
         self.tan_h, self.tan_v = tan_h, tan_v
-        self.position = mi.Point3f(scene.position.tolist())
-        self.axes = mi.Matrix3f(scene.axes.tolist())
-        self.inverse = mi.Matrix3f(np.linalg.inv(scene.axes).tolist())
+        # In memory, no literals: a product with the literal 0 gives that 0 the other's size, wherever else it stands (Dr.Jit 1.5.0).
+        self.position = mi.Point3f(*_opaque(scene.position))
+        self.axes = [mi.Vector3f(*_opaque(axis)) for axis in scene.axes.T]
+        self.inverse = [mi.Vector3f(*_opaque(row)) for row in np.linalg.inv(scene.axes)]
 
     def irradiance(self, p):
         """W/m2 at `p` on a surface that faces the laser: a plane that faces the camera is lit evenly in the field of view."""
-        local = self.inverse @ (p - self.position)
+        local = mi.Vector3f(*(dr.dot(row, p - self.position) for row in self.inverse))
         reach = CONE_SLACK * local.z
         inside = (local.z > 0) & (dr.abs(local.x) <= self.tan_h * reach) & (dr.abs(local.y) <= self.tan_v * reach)
         square = dr.squared_norm(local)
@@ -269,6 +270,10 @@ class _Lidar(TransientPRBVolpathIntegrator):
         return distance, 1 - clear + clear * through
 
 
+def _opaque(values: np.ndarray) -> list:
+    return [dr.opaque(mi.Float, value) for value in values.tolist()]
+
+
 def render(scene: RayScene, rows: int, cols: int, *, fov_h_deg: float, fov_v_deg: float, stop_s: float) -> Transient:
     """The transients of rows x cols pixels that share the field of view, for flights up to `stop_s`. Raises `InputError`."""
     try:
@@ -319,7 +324,8 @@ def _rays(lidar: _Lidar, rows: int, cols: int, first: int, n: int, side: int, se
     v = (mi.Float(cell // side) + sampler.next_1d()) / side
     left = (1 - 2 * (mi.Float(pixel % cols) + u) / cols) * lidar.tan_h
     up = (1 - 2 * (mi.Float(pixel // cols) + v) / rows) * lidar.tan_v
-    return sampler, mi.Ray3f(lidar.position, dr.normalize(lidar.axes @ mi.Vector3f(left, up, 1))), local
+    to_left, to_up, forward = lidar.axes
+    return sampler, mi.Ray3f(lidar.position, dr.normalize(left * to_left + up * to_up + forward)), local
 
 
 def _histogram(lidar: _Lidar, world, rows: int, cols: int, first: int, n: int, bins: int) -> tuple[np.ndarray, int]:
