@@ -302,12 +302,12 @@ def cost(
 
 
 @app.command()
-def lint(config: ConfigOption = None):
+def lint(config: ConfigOption = None, view: ViewOption = "polyphase"):
     """Check the exported Verilog with Verilator's lint, and with Icarus where it is installed."""
     from coincid.model.config import load_config
     from coincid.tb.lint import lint as run
 
-    found = run(load_config(config).sensor)
+    found = run(load_config(config).sensor, _view(view))
     for tool, complaints in found.items():
         print(f"{tool}: {'clean' if not complaints else 'found'}")
         print(complaints, end="")

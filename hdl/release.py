@@ -40,7 +40,7 @@ def release_files(sensor: Sensor, view=POLYPHASE) -> dict[str, str]:
     """File name -> text. view: of `views.py`. Equal parameters give equal bytes."""
     rtl = verilog_files(sensor, view)
     lists = {TOP: rtl.pop(FILE_LIST).split()}
-    files = rtl | register_files(sensor) | {CONTROL_FILE: control_file()}
+    files = rtl | register_files(sensor) | {CONTROL_FILE: control_file(view)}
     if view is POLYPHASE and has_fpga_top(sensor):
         fpga = fpga_files(sensor)
         files |= fpga
@@ -92,7 +92,7 @@ def _constraints(sensor: Sensor, top: str, view) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _options(view) -> dict[str, list[str]]:
+def tool_options(view) -> dict[str, list[str]]:
     """Options of the tools, by what they do. Delays of cells need a time scale; lint looks at what synthesis takes."""
     time = [f"--timescale {TIMESCALE}"] if view.macros else []
     return {
@@ -104,7 +104,7 @@ def _options(view) -> dict[str, list[str]]:
 def _core(lists: dict[str, list[str]], view) -> str:
     """FuseSoC's description: RTL and lint, and the smoke test on Icarus and Verilator, for every top."""
     sets, targets = [], []
-    options = {tool: ", ".join(given) for tool, given in _options(view).items()}
+    options = {tool: ", ".join(given) for tool, given in tool_options(view).items()}
     boxes = [path.name for path in view.macros]
     for top, names in lists.items():
         smoke = PER_TOP[top]
@@ -135,7 +135,7 @@ def _core(lists: dict[str, list[str]], view) -> str:
 
 
 def _readme(sensor: Sensor, lists: dict[str, list[str]], view) -> str:
-    options = {tool: " ".join(given) for tool, given in _options(view).items()}
+    options = {tool: " ".join(given) for tool, given in tool_options(view).items()}
     smoke = [f"    iverilog {options['icarus']} -s {PER_TOP[top]} -o smoke.vvp -f {PER_TOP[top]}.f && vvp -n smoke.vvp" for top in lists]
     smoke += [
         f"    verilator --binary {options['verilate']} --top-module {PER_TOP[top]} {CONTROL_FILE} -f {PER_TOP[top]}.f" for top in lists

@@ -7,30 +7,37 @@ import tempfile
 from pathlib import Path
 
 from ..hdl.export import fpga_files
+from ..hdl.release import tool_options
 from ..hdl.sensor import FPGA_TOP, TOP, has_fpga_top
 from ..hdl.smoke import FPGA_SMOKE, SMOKE, smoke_test
+from ..hdl.views import POLYPHASE
 from ..hdl.waivers import CONTROL_FILE, control_file
 from ..model.parameters import Sensor
 from . import toolchain
 from .rtl import rtl
 
-VERILATOR = ("--lint-only", "--timing", "-Wall", "-fno-inline", "--quiet-stats")
+VERILATOR = ("--lint-only", "--timing", "--quiet-stats")
 
 
-def lint(sensor: Sensor) -> dict[str, str]:
-    """Tool -> what it found in the Verilog of `sensor`, "" where that is nothing. Raises `ToolchainError`."""
-    files = {path.name: path.read_text() for path in rtl(sensor)}
-    tops = {TOP: {}, SMOKE: {f"{SMOKE}.v": smoke_test(sensor)}}
-    if has_fpga_top(sensor):
+def lint(sensor: Sensor, view=POLYPHASE) -> dict[str, str]:
+    """Tool -> what it found in the Verilog of `sensor`, "" where that is nothing. Raises `ToolchainError`.
+
+    view: of `hdl/views.py`; of one with macros, what synthesis takes.
+    """
+    files = {path.name: path.read_text() for path in (*rtl(sensor, view), *view.macros)}
+    tops = {TOP: {}} if view.macros else {TOP: {}, SMOKE: {f"{SMOKE}.v": smoke_test(sensor)}}
+    options = [part for option in tool_options(view)["lint"] for part in option.split()]
+    if view is POLYPHASE and has_fpga_top(sensor):
         fpga = fpga_files(sensor)
         tops |= {FPGA_TOP: fpga, FPGA_SMOKE: fpga | {f"{FPGA_SMOKE}.v": smoke_test(sensor, levels=True)}}
-    found = {"verilator": ""} | ({"icarus": ""} if shutil.which("iverilog") else {})
+    found = {"verilator": ""} | ({"icarus": ""} if shutil.which("iverilog") and not view.macros else {})
     with tempfile.TemporaryDirectory(prefix="coincid-") as folder:
         for top, more in tops.items():
             names = [*(name for name in files if top not in (FPGA_TOP, FPGA_SMOKE) or name != f"{TOP}.v"), *more]
-            for name, text in (files | more | {CONTROL_FILE: control_file()}).items():
+            for name, text in (files | more | {CONTROL_FILE: control_file(view)}).items():
                 (Path(folder) / name).write_text(text)
-            found["verilator"] += _complaints([str(toolchain.verilator()), *VERILATOR, "--top-module", top, CONTROL_FILE, *names], folder)
+            command = [str(toolchain.verilator()), *VERILATOR, *options, "--top-module", top, CONTROL_FILE, *names]
+            found["verilator"] += _complaints(command, folder)
             if "icarus" in found:
                 found["icarus"] += _complaints(["iverilog", "-g2005", "-Wall", "-s", top, "-o", os.devnull, *names], folder)
     return found

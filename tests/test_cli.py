@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import zipfile
+from fnmatch import fnmatch
 
 import numpy as np
 import pytest
@@ -17,7 +18,8 @@ from coincid.cli import app
 from coincid.hdl.export import FILE_LIST
 from coincid.hdl.register_files import HEADER, JSON, MARKDOWN
 from coincid.hdl.sensor import TOP
-from coincid.hdl.waivers import WAIVERS
+from coincid.hdl.views import POLYPHASE, VIEWS
+from coincid.hdl.waivers import OF_CELLS, WAIVERS
 from coincid.model.config import load_config, parse_config
 from coincid.model.edges import Edges
 from coincid.model.registers import BY_NAME, address
@@ -363,7 +365,7 @@ def test_lint_is_clean(tmp_path, name):
 
 
 def test_lint_finds_what_is_not_waived(files, monkeypatch):
-    monkeypatch.setattr("coincid.tb.lint.control_file", lambda: "`verilator_config\n")
+    monkeypatch.setattr("coincid.tb.lint.control_file", lambda view: "`verilator_config\n")
     result = run("lint", "--config", files / "config.toml")
     assert result.exit_code == 1
     assert "verilator: found" in result.stdout
@@ -372,9 +374,17 @@ def test_lint_finds_what_is_not_waived(files, monkeypatch):
 
 def test_every_waiver_is_needed():
     """One that no sensor needs hides what is to come."""
-    found = set()
-    for sensor in ({"rows": 8, "cols": 8}, SENSORS["tiny"]):
-        with pytest.MonkeyPatch.context() as patch:
-            patch.setattr("coincid.tb.lint.control_file", lambda: "`verilator_config\n")
-            found |= set(re.findall(r"%Warning-(\w+)", lint(parse_config({"sensor": sensor}).sensor)["verilator"]))
-    assert {rule for rule, *_ in WAIVERS} <= found
+    small = {"rows": 8, "cols": 8}
+    for wanted, cases in ((WAIVERS, [(small, POLYPHASE), (SENSORS["tiny"], POLYPHASE)]), (OF_CELLS, [(small, VIEWS["async"])])):
+        found = ""
+        for sensor, view in cases:
+            with pytest.MonkeyPatch.context() as patch:
+                patch.setattr("coincid.tb.lint.control_file", lambda view: "`verilator_config\n")
+                found += lint(parse_config({"sensor": sensor}).sensor, view)["verilator"]
+        files_of = {(rule, file) for rule, file in re.findall(r"%Warning-(\w+): ([\w.]+):", found)}
+        for rule, files, *_ in wanted:
+            assert any(rule == other and fnmatch(file, files) for other, file in files_of), (rule, files)
+
+
+def test_lint_of_the_asynchronous_view_is_clean():
+    assert lint(parse_config({"sensor": SENSORS["coarse"]}).sensor, VIEWS["async"]) == {"verilator": ""}
