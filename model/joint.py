@@ -197,10 +197,11 @@ def _peaks(part: _Part) -> list[float]:
     strength = np.zeros(bins)
     for least in range(part.threshold, part.threshold + COUNTS_TRIED):
         histogram = np.bincount(arrival[part.count >= least], minlength=bins)
-        inside = np.convolve(histogram, np.ones(width, np.int64), mode="same")
+        until = np.concatenate([np.zeros(half + 1, np.int64), np.cumsum(histogram), np.full(half, histogram.sum())])
+        inside = until[width:] - until[:-width]   # events within `half` bins of each
         quiet = inside <= np.quantile(inside, QUIET_SHARE)
         mean = max(histogram[quiet].mean(), EVENTS_MIN / bins) * width
-        accident = stats.poisson.sf(inside - 1, mean)
+        accident = stats.poisson.sf(np.arange(inside.max() + 1) - 1, mean)[inside]
         found = accident < FALSE_CANDIDATES * width / bins / COUNTS_TRIED
         strength = np.maximum(strength, np.where(found, inside - mean, 0))
     peaks = []
