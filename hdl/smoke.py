@@ -295,10 +295,7 @@ def phase_clock(sensor: Sensor, j: int) -> str:
 def _story(config: Config, trace: Trace) -> list[str]:
     sensor = config.sensor
     status = registers.BY_NAME["status"]
-    reset = {
-        registers.address(name, s, index): register.reset(sensor)
-        for s in range(sensor.subgroups) for name, register in registers.BY_NAME.items() for index in range(register.count(sensor))
-    }
+    reset = registers.reset_values(sensor)
     writes = [(address, value) for address, value in config.register_writes() if reset[address] != value]
     constants = [register for register in registers.GLOBAL if register.access is registers.Access.CONSTANT]
     lines = ["  initial begin", "    repeat (8) @(negedge clk);", "    rst = 1'b0;", "    repeat (8) @(negedge clk);"]

@@ -224,3 +224,13 @@ def address(name: str, subgroup: int = 0, index: int = 0) -> int:
     register = BY_NAME[name]
     base = SUBGROUP_BASE + SUBGROUP_STRIDE * subgroup if register in SUBGROUP else 0
     return base + register.offset + 4 * index
+
+
+def reset_values(sensor: Sensor) -> dict[int, int]:
+    """Byte address -> value after reset, of every setting's words."""
+    values = {}
+    for table, subgroups in ((GLOBAL, 1), (SUBGROUP, sensor.subgroups)):
+        for _, register, index in words(table, sensor):
+            if register.access is Access.SETTING:
+                values |= {address(register.name, s, index): register.reset(sensor) for s in range(subgroups)}
+    return values

@@ -148,7 +148,7 @@ class BatchSensor:
         self._library = _library(build_library(sensor))
         modules = -(-sensor.subgroups // 2)
         self._engine = self._library.coincid_new(threads or max(1, min(os.cpu_count() or 1, modules // MODULES_A_THREAD)))
-        self._programmed: dict[int, int] = {}
+        self._programmed = registers.reset_values(sensor)
 
     def __enter__(self) -> "BatchSensor":
         return self
