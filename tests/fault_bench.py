@@ -11,7 +11,7 @@ import re
 import cocotb
 import numpy as np
 from cocotb.triggers import ClockCycles, FallingEdge
-from sensor_bench import Queue, config, some_edges
+from sensor_bench import Queue, config, received, some_edges
 
 from coincid.hdl.sensor import TOP
 from coincid.model import registers
@@ -258,22 +258,15 @@ async def pulse_numbers_in_full_width(dut):
         await bench.write("control", 1)
         while dut.laser.value == 0:
             await FallingEdge(dut.clk)
-        words, beats, cycle = port_words(of, edges), [], 0
-        dut.m_axis_tready.value = 1
-        while True:
-            now = dict(words.get(cycle, ()))
-            for s, line in enumerate(bench.spad):
-                line.value = now.get(s, 0)
+        words = port_words(of, edges)
+
+        def leap(cycle, jump=jump):
             if cycle == of.period // 2:
                 for path in ("sequencer", *(f"module_0.subgroup_{s}.dpcu" for s in range(2))):
                     register = handle(dut, path, "pulse")
                     register.value = int(register.value) + jump
-            if dut.m_axis_tvalid.value == 1:
-                beats.append(int(dut.m_axis_tdata.value))
-                if dut.m_axis_tlast.value == 1:
-                    break
-            cycle += 1
-            await FallingEdge(dut.clk)
+
+        beats = await received(bench, lambda cycle, words=words: dict(words.get(cycle, ())), leap)
         shown = decode_frame(np.array(beats, np.uint64), of.sensor, 2)
         column = list(HEADER).index("pulse")
         for one, other in ((shown.events[:, column], usual.events[:, column]), (shown.records[:, 1], usual.records[:, 1])):
