@@ -42,17 +42,6 @@ HEADER = {  # field: (lowest bit, width); unused fields are 0
 }
 
 
-def pack_header(**fields: int) -> int:
-    """A header beat; fields that are not given are 0."""
-    beat = 0
-    for name, value in fields.items():
-        lsb, width = HEADER[name]
-        if not 0 <= value < 1 << width:
-            raise ValueError(f"{name} = {value} does not fit {width} bits")
-        beat |= int(value) << lsb
-    return beat
-
-
 def beats_for(bits: int) -> int:
     """Beats that hold `bits`."""
     return -(-bits // BEAT_BITS)

@@ -26,7 +26,7 @@ from coincid.hdl.sensor import TOP
 from coincid.model.config import Config, parse_config
 from coincid.model.golden import Fate, Golden, Trace, pixel_table
 from coincid.model.packet import FORMAT_NAMES, HEADER, decode_frame
-from coincid.model.registers import COUNTER_NAMES
+from coincid.model.registers import COUNTER_NAMES, reset_values
 from coincid.tb import toolchain
 from coincid.tb.cosim import JOB_VARIABLE, SensorBench
 from coincid.tb.rtl import rtl
@@ -205,7 +205,9 @@ def python_coverage() -> list[str]:
 def emit() -> list[str]:
     """Emits every sensor of the regression, for its lines."""
     for sensor in SENSORS.values():
-        verilog_files(parse_config({"sensor": sensor, "frame": {"period": 100}}).sensor)
+        built = parse_config({"sensor": sensor, "frame": {"period": 100}}).sensor
+        verilog_files(built)
+        reset_values(built)
     return []
 
 
