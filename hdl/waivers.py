@@ -23,14 +23,9 @@ OF_CELLS = (  # more, where a view has cells and macros
 )
 
 
-def waivers(view) -> tuple:
-    """Of a view of `views.py`."""
-    return WAIVERS + (OF_CELLS if view.macros else ())
-
-
 def control_file(view) -> str:
-    """The waivers in Verilator's language."""
+    """The waivers of a view of `views.py` in Verilator's language."""
     lines = ["`verilator_config"]
-    for rule, files, message, reason in waivers(view):
+    for rule, files, message, reason in WAIVERS + (OF_CELLS if view.macros else ()):
         lines += [f"// {reason}", f'lint_off -rule {rule} -file "{files}" -match "{message}"']
     return "\n".join(lines) + "\n"

@@ -177,6 +177,12 @@ def handle(dut, path: str, name: str):
     return dut[name]
 
 
+def change(dut, path: str, name: str, how) -> None:
+    """Overwrites a register with `how` of its value."""
+    register = handle(dut, path, name)
+    register.value = how(int(register.value))
+
+
 @cocotb.test()
 async def upsets_of_any_flip_flop(dut):
     """A flipped bit in any cycle of a frame: the bus goes on answering, and a reset repairs everything."""
@@ -187,8 +193,7 @@ async def upsets_of_any_flip_flop(dut):
     for _ in range(UPSETS):
         await run_into(bench, of, edges, random.randrange(1, of.period * of.pulses))
         path, name, bits = random.choices(flops, weights)[0]
-        register = handle(dut, path, name)
-        register.value = int(register.value) ^ 1 << random.randrange(bits)
+        change(dut, path, name, lambda value, bits=bits: value ^ 1 << random.randrange(bits))
         await ClockCycles(dut.clk, 20)
         await bus_answers(dut)
         await pulse_reset(bench)
@@ -207,8 +212,7 @@ async def upsets_of_the_register_front(dut):
             dut.s_axi_rready.value = 1
             await ClockCycles(dut.clk, random.randrange(1, 9))
             await FallingEdge(dut.clk)
-            register = handle(dut, path, name)
-            register.value = int(register.value) ^ 1 << bit
+            change(dut, path, name, lambda value, bit=bit: value ^ 1 << bit)
             await FallingEdge(dut.clk)
             await bus_answers(dut)
             await pulse_reset(bench)
@@ -263,8 +267,7 @@ async def pulse_numbers_in_full_width(dut):
         def leap(cycle, jump=jump):
             if cycle == of.period // 2:
                 for path in ("sequencer", *(f"module_0.subgroup_{s}.dpcu" for s in range(2))):
-                    register = handle(dut, path, "pulse")
-                    register.value = int(register.value) + jump
+                    change(dut, path, "pulse", lambda value: value + jump)
 
         beats = await received(bench, lambda cycle, words=words: dict(words.get(cycle, ())), leap)
         shown = decode_frame(np.array(beats, np.uint64), of.sensor, 2)
