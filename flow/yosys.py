@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from importlib.util import find_spec
 from pathlib import Path
 
-from ..model.errors import InputError
+from ..model.shared.errors import InputError
 from ..tb.system import MissingPackagesError, system_packages
 from ..tb.toolchain import ToolchainError
 
@@ -31,7 +31,9 @@ def run_wheel(package: str, function: str, arguments: Sequence[str], folder: Pat
 
 def run_program(command: Sequence[str], folder: Path, name: str) -> str:
     """Runs a command in `folder` and returns what it printed; `ToolchainError` with the tail of that where it fails."""
-    done = subprocess.run(command, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, errors="replace", check=False)
+    done = subprocess.run(
+        command, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, errors="replace", check=False
+    )
     if done.returncode:
         raise ToolchainError("\n".join([f"{name} failed in {folder}", *done.stdout.splitlines()[-TAIL_LINES:]]))
     return done.stdout

@@ -16,16 +16,16 @@ from amaranth.back import rtlil
 from amaranth.hdl import Assert, Assume, Cover, EnableInserter, Module, ResetInserter, Signal
 from amaranth.hdl._ast import AnySeq
 
-from ..hdl.async_circuit import SYNCHRONISER_REARM, Circuit
-from ..hdl.async_front import AsyncFrontEnd
 from ..hdl.logic import popcount
-from ..model.parameters import Sensor
+from ..hdl.silicon.circuit import SYNCHRONISER_REARM, Circuit
+from ..hdl.silicon.front_end import AsyncFrontEnd
+from ..model.contract.parameters import Sensor
 from ..tb.toolchain import build_root
 from .bench import inside
 from .prove import _programs
 
-DEPTH = 14   # half cycles of the induction
-COVER = 40   # half cycles within which a window of two pixels, not of its first cycle alone, comes out
+DEPTH = 14  # half cycles of the induction
+COVER = 40  # half cycles within which a window of two pixels, not of its first cycle alone, comes out
 SMALL = {"rows": 4, "cols": 4, "subgroup": (4, 4), "minigroup": (2, 2), "phases": 4, "coarse_bits": 3, "window_max": 8}
 SCRIPT = """\
 [tasks]
@@ -92,9 +92,15 @@ def bench(sensor: Sensor, circuit: Circuit) -> Module:
     states(live_4, body.closing_4)
     states(live_5, body.closed)
     states(bit(body.hits, winner), live_5)
-    states(bit(half.hits, half.winner) & (sum(body.counts[1:], body.counts[0]) == popcount(f, half.hits, "spec_half")), body.closed_6)
     states(
-        bit(window.hits, window.winner) & (window.hits != 0) & (window.count == popcount(f, window.hits, "spec_window")), front.closed,
+        bit(half.hits, half.winner) & (sum(body.counts[1:], body.counts[0]) == popcount(f, half.hits, "spec_half")),
+        body.closed_6,
+    )
+    states(
+        bit(window.hits, window.winner)
+        & (window.hits != 0)
+        & (window.count == popcount(f, window.hits, "spec_window")),
+        front.closed,
     )
 
     long = Signal()
@@ -109,14 +115,14 @@ def bench(sensor: Sensor, circuit: Circuit) -> Module:
         c.d.fall += waiting.eq(0)
         with c.If(control_of["read"]):
             c.d.fall += waiting.eq(waiting + 1)
-        c.d.comb += Assert(~started | (waiting <= 2))                         # the clear comes two cycles after the window closed
+        c.d.comb += Assert(~started | (waiting <= 2))  # the clear comes two cycles after the window closed
         c.d.comb += Assert(~(started & control_of["read"] & (waiting == 0)) | control.closing)
     unanswered, parity = Signal(range(8)), Signal()
     due = control_of["window_open"] & of_current("ended")
     c.d.fall += [unanswered.eq(0), parity.eq(of_current("parity"))]
     with c.If(due & ~control_of["closing"] & ((unanswered == 0) | (of_current("parity") == parity))):
         c.d.fall += unanswered.eq(unanswered + 1)
-    c.d.comb += Assert(~started | (unanswered <= 2))                          # an end that stays closes its window within two cycles
+    c.d.comb += Assert(~started | (unanswered <= 2))  # an end that stays closes its window within two cycles
     if sensor.rearm:
         c.d.comb += Assert(~started | (control_of["hold"] < max(2, sensor.rearm)))
 
@@ -128,7 +134,7 @@ def bench(sensor: Sensor, circuit: Circuit) -> Module:
 
 def prove(sensor: Sensor, circuit: Circuit, name: str) -> bool:
     """Whether the proof holds; its log stays in `build_root()/formal/NAME`."""
-    from ..hdl.async_circuit import CELLS, MACROS
+    from ..hdl.silicon.circuit import CELLS, MACROS
 
     root = build_root() / "formal"
     programs, folder = _programs(root / "bin"), root / name
@@ -140,10 +146,15 @@ def prove(sensor: Sensor, circuit: Circuit, name: str) -> bool:
     (folder / "bench.sby").write_text(SCRIPT.format(depth=DEPTH, cover=COVER))
     environment = os.environ | {"PATH": f"{programs}{os.pathsep}{os.environ['PATH']}"}
     with (folder / "log").open("w") as log:
-        return not subprocess.run([programs / "sby", "-f", "bench.sby"], cwd=folder, env=environment, stdout=log, stderr=log).returncode
+        return not subprocess.run(
+            [programs / "sby", "-f", "bench.sby"], cwd=folder, env=environment, stdout=log, stderr=log
+        ).returncode
 
 
-STRUCTURES = {"async_two_banks": (Sensor(**SMALL), Circuit()), "async_one_bank": (Sensor(**SMALL, rearm=SYNCHRONISER_REARM), Circuit())}
+STRUCTURES = {
+    "async_two_banks": (Sensor(**SMALL), Circuit()),
+    "async_one_bank": (Sensor(**SMALL, rearm=SYNCHRONISER_REARM), Circuit()),
+}
 
 if __name__ == "__main__":
     verdicts = {name: prove(*structure, name) for name, structure in STRUCTURES.items()}

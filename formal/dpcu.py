@@ -5,11 +5,11 @@ from amaranth.hdl import Cat, Mux, Signal
 from ..hdl import bus
 from ..hdl.dpcu import Dpcu
 from ..hdl.settings import SubgroupSettings
-from ..model.registers import AUTO_BOUNDS, COUNTER_BITS, COUNTER_NAMES, DATA_BITS
+from ..model.contract.registers import AUTO_BOUNDS, COUNTER_BITS, COUNTER_NAMES, DATA_BITS
 from .bench import Bench, proof
 from .sensors import SMALL
 
-FULL = (1 << COUNTER_BITS) - 1   # counters saturate
+FULL = (1 << COUNTER_BITS) - 1  # counters saturate
 
 
 def _reached(bounds, photons):
@@ -27,14 +27,21 @@ def dpcu(b: Bench):
     m.d.comb += [signal.as_value().eq(b.anything(signal.shape().size)) for signal in (settings, window)]
     m.d.comb += [signal.eq(b.anything(len(signal))) for signal in (closed, stored)]
     body = b.place(
-        "dut", unit, settings=settings, operation=operation, bound=bound, closed=closed, window=window,
-        stored=stored & b.past(unit.commit), dropped=~stored & b.past(unit.commit),   # as proven of the FIFO
+        "dut",
+        unit,
+        settings=settings,
+        operation=operation,
+        bound=bound,
+        closed=closed,
+        window=window,
+        stored=stored & b.past(unit.commit),
+        dropped=~stored & b.past(unit.commit),  # as proven of the FIFO
     )
     count = {name: unit.counters.word_select(i, COUNTER_BITS) for i, name in enumerate(COUNTER_NAMES)}
 
     # The bus says TAKE, then names the bounds, then BEGIN, between frames: when nothing is on its way.
     bounds = [b.constant(DATA_BITS) for _ in range(AUTO_BOUNDS)]
-    step = Signal(range(AUTO_BOUNDS + 2))   # 0: idle or TAKE; k: bound k - 1; the last: BEGIN
+    step = Signal(range(AUTO_BOUNDS + 2))  # 0: idle or TAKE; k: bound k - 1; the last: BEGIN
     take = b.same("take", b.anything(1) & (step == 0))
     m.d.sync += step.eq(Mux(step == AUTO_BOUNDS + 1, 0, step + ((step != 0) | take)))
     m.d.comb += bound.eq(b.anything(DATA_BITS))
@@ -51,7 +58,7 @@ def dpcu(b: Bench):
     b.assume(quiet, where=starting)
     b.assume_stable(settings.as_value(), where=~b.past(take))
     b.assume((settings.threshold != 0) & (settings.window != 0))
-    b.assume((window.count != 0) & (window.count <= sensor.pixels))   # as proven of the tree
+    b.assume((window.count != 0) & (window.count <= sensor.pixels))  # as proven of the tree
 
     # The judgement.
     threshold = Mux(settings.coincidence, count["threshold_used"], 1)
@@ -67,7 +74,10 @@ def dpcu(b: Bench):
     b.always(count["committed"] == count["stored"] + count["dropped"] + b.past(unit.commit), where=under)
     b.always(count["photons"] >= count["opened"], where=under & (count["photons"] != FULL))
     for name in COUNTER_NAMES[:-1]:
-        b.always((count[name] == b.past(count[name])) | (count[name] == 0) | (count[name] > b.past(count[name])), where=b.past(1))
+        b.always(
+            (count[name] == b.past(count[name])) | (count[name] == 0) | (count[name] > b.past(count[name])),
+            where=b.past(1),
+        )
 
     # The controller.
     frames = Signal()
@@ -77,7 +87,9 @@ def dpcu(b: Bench):
     expected = Mux(b.last(settings.auto) & b.past(frames), 1 + _reached(bounds, photons), programmed)
     b.always(count["threshold_used"] == expected, where=b.past(step == AUTO_BOUNDS + 1))
     b.always(Cat(list(count.values())[:-1]) == 0, where=b.past(step == AUTO_BOUNDS + 1))
-    b.always(count["threshold_used"] == b.past(count["threshold_used"]), where=b.past(1) & ~b.past(step == AUTO_BOUNDS + 1))
+    b.always(
+        count["threshold_used"] == b.past(count["threshold_used"]), where=b.past(1) & ~b.past(step == AUTO_BOUNDS + 1)
+    )
     for k in range(AUTO_BOUNDS):
         b.always(body.steps == _reached(bounds[:k], count["photons"]), where=step == k + 1)
     b.always(body.steps == _reached(bounds, count["photons"]), where=step == AUTO_BOUNDS + 1)
@@ -106,7 +118,9 @@ def subgroup_settings(b: Bench):
     taken = b.past(command.operation == bus.Operation.TAKE)
     b.always(unit.settings.as_value() == b.last(body.programmed.as_value()), where=taken)
     b.stable(unit.settings.as_value(), where=command.operation != bus.Operation.TAKE)
-    b.stable(body.programmed.as_value(), where=(command.operation != bus.Operation.WRITE) | (command.subgroup != number))
+    b.stable(
+        body.programmed.as_value(), where=(command.operation != bus.Operation.WRITE) | (command.subgroup != number)
+    )
     b.always(unit.data == 0, where=b.past(1, 2) & ~b.past(command.subgroup == number, 2))
     b.always(unit.gate_late == b.past(body.programmed.gating & (body.programmed.gate_start >= unit.period)))
     b.always(body.word.all(), where=b.past(1) & ~b.past(command.subgroup == number))

@@ -33,7 +33,7 @@ def _event_fifo(b: Bench, depth: int) -> None:
     m.d.sync += level.eq(level + stored - take)
     b.always((level == body.level) & (level <= depth))
     b.always(level == body.storage.level)
-    b.always(unit.stored == b.past(stored))    # each committed event is stored,
+    b.always(unit.stored == b.past(stored))  # each committed event is stored,
     b.always(unit.dropped == b.past(dropped))  # or, the FIFO being full, counted as dropped; never both
     b.always(~(unit.stored & unit.dropped))
 
@@ -48,7 +48,13 @@ def _event_fifo(b: Bench, depth: int) -> None:
     ahead = Signal(range(depth + 1))
     event = Signal(bus.event_layout(sensor))
     with m.If(watch & ~watched):
-        m.d.sync += [watched.eq(1), ahead.eq(level - take), event.window.eq(unit.event), event.pulse.eq(unit.pulse), event.overrun.eq(lost)]
+        m.d.sync += [
+            watched.eq(1),
+            ahead.eq(level - take),
+            event.window.eq(unit.event),
+            event.pulse.eq(unit.pulse),
+            event.overrun.eq(lost),
+        ]
     with m.Elif(watched & take):
         m.d.sync += [ahead.eq(ahead - 1), watched.eq(ahead != 0)]
     b.always(unit.head.as_value() == event.as_value(), where=watched & (ahead == 0) & body.storage.r_rdy)
@@ -58,7 +64,12 @@ def _event_fifo(b: Bench, depth: int) -> None:
     # Invariants: rows in use are those from `consume` to `produce`, and the event stands in its own.
     rows, produce, consume = depth, library.produce, library.consume
     b.always((produce < rows) & (consume < rows) & (library.inner_level <= rows))
-    b.always(produce == Mux(consume + library.inner_level >= rows, consume + library.inner_level - rows, consume + library.inner_level))
+    b.always(
+        produce
+        == Mux(
+            consume + library.inner_level >= rows, consume + library.inner_level - rows, consume + library.inner_level
+        )
+    )
     b.always(ahead < level, where=watched)
     behind = b.same("behind", ahead - body.storage.r_rdy)  # rows between `consume` and the event's
     mine = b.same("mine", Mux(consume + behind >= rows, consume + behind - rows, consume + behind))

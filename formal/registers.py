@@ -5,13 +5,13 @@ from amaranth.hdl import Cat, Mux, Signal
 from ..hdl import bus
 from ..hdl.axi import OKAY, SLVERR
 from ..hdl.registers import CHECK_CYCLES, READ_CYCLES, Registers
-from ..model import registers
-from ..model.registers import AUTO_BOUNDS
+from ..model.contract import registers
+from ..model.contract.registers import AUTO_BOUNDS
 from .bench import Bench, proof
 from .sensors import SMALL
 
-WRITE_MAX = 1 + (READ_CYCLES + 2) + 3 + CHECK_CYCLES + AUTO_BOUNDS + 2   # a read under way, decode, checks, bounds
-READ_MAX = (CHECK_CYCLES + 2) + AUTO_BOUNDS + 1 + (READ_CYCLES + 2)   # a write under way, the longest, first
+WRITE_MAX = 1 + (READ_CYCLES + 2) + 3 + CHECK_CYCLES + AUTO_BOUNDS + 2  # a read under way, decode, checks, bounds
+READ_MAX = (CHECK_CYCLES + 2) + AUTO_BOUNDS + 1 + (READ_CYCLES + 2)  # a write under way, the longest, first
 
 
 @proof(depth=3, cover=45)
@@ -25,19 +25,22 @@ def register_front(b: Bench):
     body = b.place("dut", unit, done=done)
     state = unit.machine.ongoing
     busy = body.flag["busy"]
-    b.assume(busy & ~state("bounds") & ~state("begin"), where=done)   # as proven of the sequencer: of a frame that was started
+    b.assume(
+        busy & ~state("bounds") & ~state("begin"), where=done
+    )  # as proven of the sequencer: of a frame that was started
 
     # What was taken and not answered yet, counted at the port.
     address, data, read = Signal(), Signal(), Signal()
     for held, valid, ready, response, accepted in (
-        (address, axi.awvalid, axi.awready, axi.bvalid, axi.bready), (data, axi.wvalid, axi.wready, axi.bvalid, axi.bready),
+        (address, axi.awvalid, axi.awready, axi.bvalid, axi.bready),
+        (data, axi.wvalid, axi.wready, axi.bvalid, axi.bready),
         (read, axi.arvalid, axi.arready, axi.rvalid, axi.rready),
     ):
         with m.If(response & accepted):
             m.d.sync += held.eq(0)
         with m.Elif(valid & ready):
             m.d.sync += held.eq(1)
-        b.always(ready == ~held)   # what is taken while another waits would be lost
+        b.always(ready == ~held)  # what is taken while another waits would be lost
     b.always(address & data, where=axi.bvalid)
     b.always(read, where=axi.rvalid)
     b.stable(Cat(axi.bvalid, axi.bresp), where=axi.bvalid & ~axi.bready)
@@ -51,7 +54,8 @@ def register_front(b: Bench):
     writing = b.same("writing", address & data & ~axi.bvalid)
     reading = b.same("reading", read & ~axi.rvalid)
     m.d.sync += [
-        write_waits.eq((write_waits + 1) & writing.replicate(8)), read_waits.eq((read_waits + 1) & reading.replicate(8)),
+        write_waits.eq((write_waits + 1) & writing.replicate(8)),
+        read_waits.eq((read_waits + 1) & reading.replicate(8)),
     ]
     b.always(write_waits <= WRITE_MAX)
     b.always(read_waits <= READ_MAX)

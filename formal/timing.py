@@ -6,8 +6,8 @@ from ..hdl import bus
 from ..hdl.gating import Gating
 from ..hdl.sequencer import LEAD, Sequencer
 from ..hdl.tdc import START_TO_PHASE, Tdc
-from ..model.dither import DITHER_BITS_MAX, LFSR_BITS, LFSR_TAPS
-from ..model.parameters import Sensor
+from ..model.contract.dither import DITHER_BITS_MAX, LFSR_BITS, LFSR_TAPS
+from ..model.contract.parameters import Sensor
 from .bench import Bench, proof
 from .sensors import SMALL
 
@@ -15,7 +15,7 @@ from .sensors import SMALL
 @proof(depth=START_TO_PHASE, cover=12)
 def tdc(b: Bench):
     """A line's stamp is the first set phase of its own root, the other line's does not matter; the coarse count restarts with the laser."""
-    sensor, m = Sensor(), b.m   # in full size: 32 phases, two lines
+    sensor, m = Sensor(), b.m  # in full size: 32 phases, two lines
     unit = Tdc(sensor)
     start, roots = Signal(), [Signal(sensor.phases, name=f"root_{k}") for k in range(2)]
     m.d.comb += [start.eq(b.anything(1)), *(root.eq(b.anything(sensor.phases)) for root in roots)]
@@ -90,7 +90,12 @@ def sequencer(b: Bench):
     m.d.sync += busy.eq(Mux(start, 1, busy & ~unit.done))
     b.assume(~busy, where=start)
     b.assume_stable(plan.as_value(), where=busy)
-    b.assume((plan.period > sensor.guard) & (plan.period <= sensor.period_max) & (plan.pulses != 0) & (plan.pulses <= 1 << 16))
+    b.assume(
+        (plan.period > sensor.guard)
+        & (plan.period <= sensor.period_max)
+        & (plan.pulses != 0)
+        & (plan.pulses <= 1 << 16)
+    )
     b.assume((plan.gate_steps != 0) & (plan.dither_bits <= DITHER_BITS_MAX))
 
     # The periods as the contract counts them: one cycle behind the sequencer's own counters, as `timing` is.
@@ -108,7 +113,12 @@ def sequencer(b: Bench):
     with m.If(b.past(start, 3)):
         m.d.sync += [frame.eq(1), period.eq(0), lfsr.eq(plan.dither_seed), waits.eq(0)]
     with m.Elif(last):
-        m.d.sync += [period.eq(period + 1), frame.eq(more & (chosen == 0)), waits.eq(Mux(more, chosen, 0)), lfsr.eq(stepped)]
+        m.d.sync += [
+            period.eq(period + 1),
+            frame.eq(more & (chosen == 0)),
+            waits.eq(Mux(more, chosen, 0)),
+            lfsr.eq(stepped),
+        ]
     with m.Elif(waits != 0):
         m.d.sync += [waits.eq(waits - 1), frame.eq(waits == 1)]
     with m.Elif(frame):

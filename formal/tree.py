@@ -13,7 +13,7 @@ from ..hdl import bus
 from ..hdl.minigroup import Minigroup
 from ..hdl.tdc import Tdc
 from ..hdl.tree import CoincidenceTree
-from ..model.parameters import QUARTERS
+from ..model.contract.parameters import QUARTERS
 from .bench import Bench, inside, proof
 from .sensors import SMALL
 
@@ -32,14 +32,18 @@ def _tree(b: Bench, sensor) -> None:
     m.d.comb += timing.as_value().eq(b.anything(timing.shape().size))
     b.assume((window_ticks != 0) & (window_ticks <= sensor.window_max))
     no_line = {f"line__{name}": None for name in ("any", "phase", "up_to", "coarse")}
-    body = b.place("dut", unit, words=words, mask=mask, accept=accept, window_ticks=window_ticks, timing=timing, **no_line)
+    body = b.place(
+        "dut", unit, words=words, mask=mask, accept=accept, window_ticks=window_ticks, timing=timing, **no_line
+    )
     leaves = [inside(leaf) for leaf in body.leaves]
     b.place("tdc", clock, line_0__root=None)
     wiring.connect(m, unit.line, clock.line_0)
 
     # Stage 1: the edges of pixels that are on, where the gate lets them through. Edges from before a reset are gone.
     at_port = b.last(words)
-    edges_1 = b.same("edges_1", Cat(_word(at_port, i, phases) & (accept & mask[i]).replicate(phases) for i in range(pixels)))
+    edges_1 = b.same(
+        "edges_1", Cat(_word(at_port, i, phases) & (accept & mask[i]).replicate(phases) for i in range(pixels))
+    )
     edges_2 = b.same("edges_2", b.last(edges_1))
     edges_3 = b.same("edges_3", b.last(edges_2))
     fresh = b.same("fresh", b.past(1, 2))
@@ -53,16 +57,25 @@ def _tree(b: Bench, sensor) -> None:
     groups = [sensor.members(g) for g in range(sensor.minigroups)]
 
     now = {
-        "open": is_open, "left": left, "hits": hits, "winner": winner, "stamp": stamp, "offsets": offsets, "live": is_open,
-        "closed": C(0, 1), "blind": C(0, 1), "elapsed": elapsed + 1,
+        "open": is_open,
+        "left": left,
+        "hits": hits,
+        "winner": winner,
+        "stamp": stamp,
+        "offsets": offsets,
+        "live": is_open,
+        "closed": C(0, 1),
+        "blind": C(0, 1),
+        "elapsed": elapsed + 1,
     }
     seen = C(0, pixels)
     for tick in range(phases):
+
         def named(name, value, tick=tick):
             return b.same(f"{name}_{tick}", value)
 
         raw = Cat(_word(edges_3, i, phases)[tick] & fresh for i in range(pixels))
-        edges = named("edges", raw & ~seen)          # of several edges of a pixel in a cycle only the first exists
+        edges = named("edges", raw & ~seen)  # of several edges of a pixel in a cycle only the first exists
         seen = named("seen", raw | seen)
         opens = named("opens", ~now["open"] & (not_armed == 0) & ~now["closed"] & may_open & edges.any())
         in_window = named("in_window", now["open"] | opens)
@@ -82,15 +95,25 @@ def _tree(b: Bench, sensor) -> None:
             offset = cycles * QUARTERS + tick * QUARTERS // phases
             offsets_now.append(named(f"offset_{g}", Mux(in_window & gets & ~had, offset, now["offsets"][g])))
         now = {
-            "open": named("open", in_window & ~closes), "left": named("left", ticks_left - in_window), "hits": map_after,
-            "winner": named("winner", winner_now), "stamp": named("stamp", Mux(opens, unit.line.coarse * phases + tick, now["stamp"])),
-            "offsets": offsets_now, "live": named("live", now["live"] | opens), "closed": named("closed", now["closed"] | closes),
+            "open": named("open", in_window & ~closes),
+            "left": named("left", ticks_left - in_window),
+            "hits": map_after,
+            "winner": named("winner", winner_now),
+            "stamp": named("stamp", Mux(opens, unit.line.coarse * phases + tick, now["stamp"])),
+            "offsets": offsets_now,
+            "live": named("live", now["live"] | opens),
+            "closed": named("closed", now["closed"] | closes),
             "blind": named("blind", now["blind"] | (edges.any() & ~in_window)),
             "elapsed": cycles,
         }
     m.d.sync += [
-        is_open.eq(now["open"]), left.eq(now["left"]), hits.eq(now["hits"]), winner.eq(now["winner"]), stamp.eq(now["stamp"]),
-        elapsed.eq(now["elapsed"]), *(offset.eq(value) for offset, value in zip(offsets, now["offsets"])),
+        is_open.eq(now["open"]),
+        left.eq(now["left"]),
+        hits.eq(now["hits"]),
+        winner.eq(now["winner"]),
+        stamp.eq(now["stamp"]),
+        elapsed.eq(now["elapsed"]),
+        *(offset.eq(value) for offset, value in zip(offsets, now["offsets"])),
         not_armed.eq(Mux(now["closed"], sensor.rearm, not_armed - (not_armed != 0))),
     ]
     count = sum((now["hits"][i] for i in range(pixels)), start=0)
@@ -117,7 +140,7 @@ def _tree(b: Bench, sensor) -> None:
     guarded = Signal(range(sensor.guard + 1))
     m.d.sync += guarded.eq(Mux(may_open, 0, guarded + (guarded != sensor.guard)))
     b.always(~is_open & (not_armed == 0) & ~body.window_open & (body.rearm == 0), where=guarded == sensor.guard)
-    closes_by = (sensor.window_max - 2) // phases + 1   # cycles after its opening in which a window is over
+    closes_by = (sensor.window_max - 2) // phases + 1  # cycles after its opening in which a window is over
     b.always(left + guarded * phases <= sensor.window_max - 1, where=is_open)
     b.always(not_armed + guarded <= sensor.rearm + closes_by + 1, where=not_armed != 0)
 
@@ -126,7 +149,10 @@ def _tree(b: Bench, sensor) -> None:
     b.always((body.left == left) & (left != 0), where=is_open)
     b.always((body.rearm == not_armed) & (not_armed <= sensor.rearm))
     b.always(since_close == sensor.rearm - not_armed, where=not_armed != 0)
-    b.always(unit.line.root == Cat(Cat(_word(edges_2, i, phases)[k] for i in range(pixels)).any() for k in range(phases)), where=b.past(1))
+    b.always(
+        unit.line.root == Cat(Cat(_word(edges_2, i, phases)[k] for i in range(pixels)).any() for k in range(phases)),
+        where=b.past(1),
+    )
     b.always(unit.line.root == 0, where=~b.past(1))
     b.always(unit.line.any == edges_3.any(), where=fresh)
     b.always(~unit.line.any, where=~fresh)
@@ -185,10 +211,10 @@ def minigroup_record(b):
     edges_2 = b.same("edges_2", b.last(edges_1))
     edges_3 = b.same("edges_3", b.last(edges_2))
     fresh = b.same("fresh", b.past(1, 2))
-    b.assume(~may_open, where=~fresh)   # a reset closes the guard for longer than edges from before it take to pass
+    b.assume(~may_open, where=~fresh)  # a reset closes the guard for longer than edges from before it take to pass
     active = b.same("active_now", Cat(_word(edges_3, i, phases).any() for i in range(pixels)))
     b.always(unit.root == Cat(Cat(_word(edges_1, i, phases)[k] for i in range(pixels)).any() for k in range(phases)))
-    b.always(unit.root == 0, where=~accept)   # the gate lets nothing through
+    b.always(unit.root == 0, where=~accept)  # the gate lets nothing through
 
     # A period ends with its guard, in which no collection begins.
     guarded = Signal(range(5))
@@ -199,7 +225,9 @@ def minigroup_record(b):
     latched_now = b.same("latched_now", latched & ~wrap)
     starts = b.same("starts_now", frame.mg_records & active.any() & may_open & ~latched_now & (remaining == 0))
     remaining_now = b.same("remaining_now", Mux(starts, frame.mg_window, remaining))
-    first = sum((~Cat(_word(edges_3, i, phases)[: k + 1].any() for i in range(pixels)).any() for k in range(phases)), start=0)
+    first = sum(
+        (~Cat(_word(edges_3, i, phases)[: k + 1].any() for i in range(pixels)).any() for k in range(phases)), start=0
+    )
     seen_now = b.same("seen_now", Mux(starts, 0, seen) | active)
     with m.If(remaining_now != 0):
         m.d.sync += [seen.eq(seen_now), remaining.eq(remaining_now - 1)]

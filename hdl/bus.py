@@ -2,12 +2,12 @@
 
 from amaranth.lib import data, enum
 
-from ..model.dither import DITHER_BITS_MAX, LFSR_BITS
-from ..model.parameters import Sensor, bits_for
-from ..model.registers import DATA_BITS
+from ..model.contract.dither import DITHER_BITS_MAX, LFSR_BITS
+from ..model.contract.parameters import Sensor, bits_for
+from ..model.contract.registers import DATA_BITS
 
 SUBGROUP_BITS = 12
-WORD_BITS = 5        # of a word's number in a subgroup's register block
+WORD_BITS = 5  # of a word's number in a subgroup's register block
 PULSE_BITS = 16
 GATE_BITS = 16
 
@@ -16,10 +16,10 @@ class Operation(enum.Enum, shape=3):
     """What the configuration bus asks of every subgroup."""
 
     IDLE = 0
-    WRITE = 1     # data to a word of one subgroup
-    TAKE = 2      # programmed settings become the frame's
-    COMPARE = 3   # data is a bound of the threshold controller
-    BEGIN = 4     # the frame begins: threshold set, counters cleared
+    WRITE = 1  # data to a word of one subgroup
+    TAKE = 2  # programmed settings become the frame's
+    COMPARE = 3  # data is a bound of the threshold controller
+    BEGIN = 4  # the frame begins: threshold set, counters cleared
 
 
 class Send(enum.Enum, shape=2):
@@ -30,7 +30,9 @@ class Send(enum.Enum, shape=2):
     COUNTERS = 2
 
 
-CONFIG_BUS = data.StructLayout({"operation": Operation, "subgroup": SUBGROUP_BITS, "word": WORD_BITS, "data": DATA_BITS})
+CONFIG_BUS = data.StructLayout(
+    {"operation": Operation, "subgroup": SUBGROUP_BITS, "word": WORD_BITS, "data": DATA_BITS}
+)
 
 
 def time_layout(sensor: Sensor) -> data.StructLayout:
@@ -44,25 +46,38 @@ def time_layout(sensor: Sensor) -> data.StructLayout:
 
 def frame_layout(sensor: Sensor) -> data.StructLayout:
     """Frame settings that subgroups and readout use."""
-    return data.StructLayout({
-        "format": 2, "mg_records": 1, "mg_threshold": bits_for(sensor.minigroup_pixels), "mg_window": 3,
-    })
+    return data.StructLayout(
+        {"format": 2, "mg_records": 1, "mg_threshold": bits_for(sensor.minigroup_pixels), "mg_window": 3}
+    )
 
 
 def settings_layout(sensor: Sensor) -> data.StructLayout:
     """A subgroup's settings."""
-    return data.StructLayout({
-        "coincidence": 1, "gating": 1, "auto": 1, "threshold": sensor.count_bits, "window": sensor.window_bits,
-        "gate_start": GATE_BITS, "gate_len": GATE_BITS, "mask": sensor.pixels,
-    })
+    return data.StructLayout(
+        {
+            "coincidence": 1,
+            "gating": 1,
+            "auto": 1,
+            "threshold": sensor.count_bits,
+            "window": sensor.window_bits,
+            "gate_start": GATE_BITS,
+            "gate_len": GATE_BITS,
+            "mask": sensor.pixels,
+        }
+    )
 
 
 def window_layout(sensor: Sensor) -> data.StructLayout:
     """A closed coincidence window. offsets: of the minigroups in the map, in quarters of a cycle; others are undefined."""
-    return data.StructLayout({
-        "stamp": sensor.stamp_bits, "count": sensor.count_bits, "winner": sensor.winner_bits, "hits": sensor.pixels,
-        "offsets": data.ArrayLayout(sensor.offset_bits, sensor.minigroups),
-    })
+    return data.StructLayout(
+        {
+            "stamp": sensor.stamp_bits,
+            "count": sensor.count_bits,
+            "winner": sensor.winner_bits,
+            "hits": sensor.pixels,
+            "offsets": data.ArrayLayout(sensor.offset_bits, sensor.minigroups),
+        }
+    )
 
 
 def event_layout(sensor: Sensor) -> data.StructLayout:
@@ -77,13 +92,21 @@ def entry_layout(sensor: Sensor) -> data.StructLayout:
 
 def record_layout(sensor: Sensor) -> data.StructLayout:
     """A minigroup record."""
-    return data.StructLayout({"entries": data.ArrayLayout(entry_layout(sensor), sensor.minigroups), "pulse": PULSE_BITS})
+    return data.StructLayout(
+        {"entries": data.ArrayLayout(entry_layout(sensor), sensor.minigroups), "pulse": PULSE_BITS}
+    )
 
 
 def plan_layout(sensor: Sensor) -> data.StructLayout:
     """Frame settings that the sequencer uses."""
-    return data.StructLayout({
-        "period": sensor.coarse_bits + 1, "pulses": PULSE_BITS + 1,
-        "gate_step": GATE_BITS, "gate_every": GATE_BITS, "gate_steps": GATE_BITS,
-        "dither_bits": bits_for(DITHER_BITS_MAX), "dither_seed": LFSR_BITS,
-    })
+    return data.StructLayout(
+        {
+            "period": sensor.coarse_bits + 1,
+            "pulses": PULSE_BITS + 1,
+            "gate_step": GATE_BITS,
+            "gate_every": GATE_BITS,
+            "gate_steps": GATE_BITS,
+            "dither_bits": bits_for(DITHER_BITS_MAX),
+            "dither_seed": LFSR_BITS,
+        }
+    )

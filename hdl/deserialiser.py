@@ -9,11 +9,11 @@ families; so this front end goes to 8 phases.
 from amaranth.hdl import Cat, ClockDomain, ClockSignal, Module, Signal
 from amaranth.lib.wiring import In, Out
 
-from ..model.parameters import Sensor
+from ..model.contract.parameters import Sensor
 from .unit import Unit
 
-PHASES_MAX = 8   # four PLL outputs, both edges
-CYCLES = 2       # from the cycle of a rise at the pins to the cycle in which its edge word stands at the sensor's ports
+PHASES_MAX = 8  # four PLL outputs, both edges
+CYCLES = 2  # from the cycle of a rise at the pins to the cycle in which its edge word stands at the sensor's ports
 
 
 class Deserialiser(Unit):
@@ -33,9 +33,13 @@ class Deserialiser(Unit):
 
     def __init__(self, sensor: Sensor):
         self.sensor = sensor
-        super().__init__({
-            "lines": In(sensor.pixels), "clocks": In(sensor.phases // 2 - 1), "words": Out(sensor.pixels * sensor.phases),
-        })
+        super().__init__(
+            {
+                "lines": In(sensor.pixels),
+                "clocks": In(sensor.phases // 2 - 1),
+                "words": Out(sensor.pixels * sensor.phases),
+            }
+        )
 
     def elaborate(self, platform):
         m = Module()

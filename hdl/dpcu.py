@@ -9,8 +9,8 @@ photons (bounds that the last frame's photons reach) and the loss counters are o
 from amaranth.hdl import Module, Mux, Signal
 from amaranth.lib.wiring import In, Out
 
-from ..model.parameters import Sensor
-from ..model.registers import AUTO_BOUNDS, COUNTER_BITS, COUNTER_NAMES, DATA_BITS
+from ..model.contract.parameters import Sensor
+from ..model.contract.registers import AUTO_BOUNDS, COUNTER_BITS, COUNTER_NAMES, DATA_BITS
 from . import bus
 from .logic import saturating_add
 from .unit import Unit
@@ -36,20 +36,31 @@ class Dpcu(Unit):
 
     def __init__(self, sensor: Sensor):
         self.sensor = sensor
-        super().__init__({
-            "settings": In(bus.settings_layout(sensor)), "operation": In(bus.Operation), "bound": In(DATA_BITS),
-            "window_ticks": Out(sensor.window_bits), "start": In(1),
-            "closed": In(1), "window": In(bus.window_layout(sensor)), "commit": Out(1), "event": Out(bus.window_layout(sensor)),
-            "blind": In(1), "stored": In(1), "dropped": In(1), "mg_stored": In(1), "mg_dropped": In(1),
-            "pulse": Out(bus.PULSE_BITS), "counters": Out(COUNTER_BITS * len(COUNTER_NAMES)),
-        })
+        super().__init__(
+            {
+                "settings": In(bus.settings_layout(sensor)),
+                "operation": In(bus.Operation),
+                "bound": In(DATA_BITS),
+                "window_ticks": Out(sensor.window_bits),
+                "start": In(1),
+                "closed": In(1),
+                "window": In(bus.window_layout(sensor)),
+                "commit": Out(1),
+                "event": Out(bus.window_layout(sensor)),
+                "blind": In(1),
+                "stored": In(1),
+                "dropped": In(1),
+                "mg_stored": In(1),
+                "mg_dropped": In(1),
+                "pulse": Out(bus.PULSE_BITS),
+                "counters": Out(COUNTER_BITS * len(COUNTER_NAMES)),
+            }
+        )
 
     def elaborate(self, platform):
         m = Module()
         count = {name: Signal(COUNTER_BITS, name=name) for name in COUNTER_NAMES}
-        m.d.comb += [
-            self.counters.word_select(i, COUNTER_BITS).eq(count[name]) for i, name in enumerate(COUNTER_NAMES)
-        ]
+        m.d.comb += [self.counters.word_select(i, COUNTER_BITS).eq(count[name]) for i, name in enumerate(COUNTER_NAMES)]
 
         # The judgement. Coincidence off is a window of one tick and a threshold of one.
         threshold = Signal(self.sensor.count_bits, init=1)
@@ -74,8 +85,14 @@ class Dpcu(Unit):
         judged_count = Signal.like(self.window.count)
         m.d.sync += [judged.eq(self.closed), judged_count.eq(self.window.count)]
         strobes = {
-            "opened": judged, "committed": self.commit, "rejected": judged & ~self.commit, "blind": self.blind, "stored": self.stored,
-            "dropped": self.dropped, "mg_stored": self.mg_stored, "mg_dropped": self.mg_dropped,
+            "opened": judged,
+            "committed": self.commit,
+            "rejected": judged & ~self.commit,
+            "blind": self.blind,
+            "stored": self.stored,
+            "dropped": self.dropped,
+            "mg_stored": self.mg_stored,
+            "mg_dropped": self.mg_dropped,
         }
         for name, strobe in strobes.items():
             with m.If(strobe):
@@ -96,7 +113,10 @@ class Dpcu(Unit):
             with m.Case(bus.Operation.BEGIN):
                 m.d.sync += [counter.eq(0) for counter in count.values()]
                 m.d.sync += [
-                    count["threshold_used"].eq(Mux(self.settings.auto & frame_before, steps + 1, self.settings.threshold)),
-                    frame_before.eq(1), self.pulse.eq(~0),
+                    count["threshold_used"].eq(
+                        Mux(self.settings.auto & frame_before, steps + 1, self.settings.threshold)
+                    ),
+                    frame_before.eq(1),
+                    self.pulse.eq(~0),
                 ]
         return m

@@ -4,7 +4,7 @@ import re
 
 from amaranth.back import verilog
 
-from ..model.parameters import Sensor
+from ..model.contract.parameters import Sensor
 from .deserialiser import Deserialiser
 from .sensor import FPGA_TOP, TOP, core_verilog, fpga_verilog
 from .sensor import verilog as sensor_verilog
@@ -50,7 +50,9 @@ def _units(pending: dict[str, Unit]) -> dict[str, str]:
         name, unit = pending.popitem()
         if f"{name}.v" not in files:
             platform.units = {}
-            files[f"{name}.v"] = _stable(verilog.convert(unit, name=name, platform=platform, emit_src=False, strip_internal_attrs=True))
+            files[f"{name}.v"] = _stable(
+                verilog.convert(unit, name=name, platform=platform, emit_src=False, strip_internal_attrs=True)
+            )
             pending |= platform.units
     return dict(sorted(files.items()))
 

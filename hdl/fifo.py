@@ -8,7 +8,7 @@ from amaranth.hdl import Module, Signal
 from amaranth.lib import fifo
 from amaranth.lib.wiring import In, Out
 
-from ..model.parameters import Sensor
+from ..model.contract.parameters import Sensor
 from . import bus
 from .unit import Unit
 
@@ -30,29 +30,44 @@ class EventFifo(Unit):
 
     def __init__(self, sensor: Sensor):
         self.sensor = sensor
-        super().__init__({
-            "commit": In(1), "event": In(bus.window_layout(sensor)), "pulse": In(bus.PULSE_BITS), "frame_begin": In(1),
-            "stored": Out(1), "dropped": Out(1), "head": Out(bus.event_layout(sensor)), "take": In(1),
-        })
+        super().__init__(
+            {
+                "commit": In(1),
+                "event": In(bus.window_layout(sensor)),
+                "pulse": In(bus.PULSE_BITS),
+                "frame_begin": In(1),
+                "stored": Out(1),
+                "dropped": Out(1),
+                "head": Out(bus.event_layout(sensor)),
+                "take": In(1),
+            }
+        )
 
     def elaborate(self, platform):
         m = Module()
         depth = self.sensor.fifo_depth
         # One place more than `depth`, so that the library's own limit (its output register apart) is never the one that counts.
-        m.submodules.storage = storage = fifo.SyncFIFOBuffered(width=bus.event_layout(self.sensor).size, depth=depth + 1)
+        m.submodules.storage = storage = fifo.SyncFIFOBuffered(
+            width=bus.event_layout(self.sensor).size, depth=depth + 1
+        )
         level = Signal(range(depth + 1))
         lost = Signal()
         room = Signal()
         event = Signal(bus.event_layout(self.sensor))
         m.d.comb += [
             room.eq(level != depth),
-            event.window.eq(self.event), event.pulse.eq(self.pulse), event.overrun.eq(lost),
-            storage.w_en.eq(self.commit & room), storage.w_data.eq(event),
-            storage.r_en.eq(self.take), self.head.eq(storage.r_data),
+            event.window.eq(self.event),
+            event.pulse.eq(self.pulse),
+            event.overrun.eq(lost),
+            storage.w_en.eq(self.commit & room),
+            storage.w_data.eq(event),
+            storage.r_en.eq(self.take),
+            self.head.eq(storage.r_data),
         ]
         m.d.sync += [
             level.eq(level + storage.w_en - self.take),
-            self.stored.eq(self.commit & room), self.dropped.eq(self.commit & ~room),
+            self.stored.eq(self.commit & room),
+            self.dropped.eq(self.commit & ~room),
         ]
         with m.If(self.frame_begin):
             m.d.sync += lost.eq(0)
@@ -78,10 +93,18 @@ class RecordBuffer(Unit):
     def __init__(self, sensor: Sensor):
         self.sensor = sensor
         entries = bus.record_layout(sensor)["entries"].shape
-        super().__init__({
-            "due": In(1), "latched": In(sensor.minigroups), "entries": In(entries), "pulse": In(bus.PULSE_BITS),
-            "stored": Out(1), "dropped": Out(1), "record": Out(bus.record_layout(sensor)), "take": In(1),
-        })
+        super().__init__(
+            {
+                "due": In(1),
+                "latched": In(sensor.minigroups),
+                "entries": In(entries),
+                "pulse": In(bus.PULSE_BITS),
+                "stored": Out(1),
+                "dropped": Out(1),
+                "record": Out(bus.record_layout(sensor)),
+                "take": In(1),
+            }
+        )
 
     def elaborate(self, platform):
         m = Module()
@@ -97,5 +120,3 @@ class RecordBuffer(Unit):
         with m.Elif(self.take):
             m.d.sync += waiting.eq(0)
         return m
-
-

@@ -7,7 +7,7 @@ desired target range". Progressive gating (the shift) is our choice.
 from amaranth.hdl import Module, Mux, Signal
 from amaranth.lib.wiring import In, Out
 
-from ..model.parameters import Sensor
+from ..model.contract.parameters import Sensor
 from . import bus
 from .unit import Unit
 
@@ -29,9 +29,14 @@ class Gating(Unit):
 
     def __init__(self, sensor: Sensor):
         self.sensor = sensor
-        super().__init__({
-            "timing": In(bus.time_layout(sensor)), "settings": In(bus.settings_layout(sensor)), "spad_gate": Out(1), "accept": Out(1),
-        })
+        super().__init__(
+            {
+                "timing": In(bus.time_layout(sensor)),
+                "settings": In(bus.settings_layout(sensor)),
+                "spad_gate": Out(1),
+                "accept": Out(1),
+            }
+        )
 
     def elaborate(self, platform):
         m = Module()
@@ -41,7 +46,8 @@ class Gating(Unit):
         running = Signal(2)
         m.d.sync += [
             first.eq(self.settings.gate_start[:coarse_bits] + self.timing.shift),
-            start.eq(self.timing.start), running.eq((running << 1) | self.timing.running),
+            start.eq(self.timing.start),
+            running.eq((running << 1) | self.timing.running),
         ]
         until = Signal.like(first)  # cycles before the gate opens, and that it then stays open
         left = Signal(bus.GATE_BITS)
@@ -54,7 +60,9 @@ class Gating(Unit):
             inside.eq(running[0] & (until_now == 0) & (left_now != 0)),
         ]
         m.d.sync += [
-            until.eq(until_now - (until_now != 0)), left.eq(left_now - inside),
-            self.spad_gate.eq(inside | ~self.settings.gating), self.accept.eq(running[1] & self.spad_gate),
+            until.eq(until_now - (until_now != 0)),
+            left.eq(left_now - inside),
+            self.spad_gate.eq(inside | ~self.settings.gating),
+            self.accept.eq(running[1] & self.spad_gate),
         ]
         return m

@@ -7,7 +7,7 @@ address/ID of the contributing events". The collection that latches a record, an
 from amaranth.hdl import C, Cat, Module, Mux, Signal
 from amaranth.lib.wiring import In, Out
 
-from ..model.parameters import QUARTERS, Sensor
+from ..model.contract.parameters import QUARTERS, Sensor
 from . import bus
 from .logic import any_of, popcount
 from .unit import Unit
@@ -40,14 +40,28 @@ class Minigroup(Unit):
     def __init__(self, sensor: Sensor):
         self.sensor = sensor
         pixels, phases = sensor.minigroup_pixels, sensor.phases
-        super().__init__({
-            "words": In(pixels * phases), "mask": In(pixels), "accept": In(1), "root": Out(phases),
-            "inside": In(phases), "first": In(phases), "blind": Out(1),
-            "opening": In(1), "elapsed": In(max(1, sensor.offset_bits - 2)),
-            "hits": Out(pixels), "firsts": Out(pixels), "offset": Out(sensor.offset_bits),
-            "frame": In(bus.frame_layout(sensor)), "may_open": In(1), "wrap": In(1), "coarse": In(sensor.coarse_bits),
-            "latched": Out(1), "entry": Out(bus.entry_layout(sensor)),
-        })
+        super().__init__(
+            {
+                "words": In(pixels * phases),
+                "mask": In(pixels),
+                "accept": In(1),
+                "root": Out(phases),
+                "inside": In(phases),
+                "first": In(phases),
+                "blind": Out(1),
+                "opening": In(1),
+                "elapsed": In(max(1, sensor.offset_bits - 2)),
+                "hits": Out(pixels),
+                "firsts": Out(pixels),
+                "offset": Out(sensor.offset_bits),
+                "frame": In(bus.frame_layout(sensor)),
+                "may_open": In(1),
+                "wrap": In(1),
+                "coarse": In(sensor.coarse_bits),
+                "latched": Out(1),
+                "entry": Out(bus.entry_layout(sensor)),
+            }
+        )
 
     def elaborate(self, platform):
         m = Module()
@@ -68,9 +82,13 @@ class Minigroup(Unit):
         some = Signal(reset_less=True)
         some_4 = Signal(reset_less=True)
         m.d.comb += [
-            word(accepted, i).eq(word(at_port, i) & (self.accept & self.mask[i]).replicate(phases)) for i in range(pixels)
+            word(accepted, i).eq(word(at_port, i) & (self.accept & self.mask[i]).replicate(phases))
+            for i in range(pixels)
         ]
-        m.d.comb += [self.root.eq(any_of(m, [word(accepted, i) for i in range(pixels)], "root_or")), some_1.eq(self.root.any())]
+        m.d.comb += [
+            self.root.eq(any_of(m, [word(accepted, i) for i in range(pixels)], "root_or")),
+            some_1.eq(self.root.any()),
+        ]
         m.d.sync += [at_port.eq(self.words), some_2.eq(some_1), some.eq(some_2), some_4.eq(some)]
         with m.If(some_1):
             m.d.sync += words_2.eq(accepted)
@@ -113,7 +131,7 @@ class Minigroup(Unit):
         return first
 
     def _record(self, m, some, active, together):
-        left = Signal(2)   # cycles of the collection, behind this one
+        left = Signal(2)  # cycles of the collection, behind this one
         seen = Signal(len(active), reset_less=True)
         stamp = Signal(self.sensor.record_stamp_bits, reset_less=True)
         starts = Signal()
@@ -126,7 +144,8 @@ class Minigroup(Unit):
             runs.eq(starts | (left != 0)),
             seen_next.eq(Mux(starts, added, seen | added)),
             left_next.eq(Mux(starts, self.frame.mg_window, left) - 1),
-            self.entry.map.eq(seen), self.entry.stamp.eq(stamp),
+            self.entry.map.eq(seen),
+            self.entry.stamp.eq(stamp),
         ]
 
         # Both outcomes are counted beside the question whether a collection starts, which is known last.

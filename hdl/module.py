@@ -5,7 +5,7 @@ from amaranth.hdl import Module as Design
 from amaranth.lib import wiring
 from amaranth.lib.wiring import In
 
-from ..model.parameters import Sensor
+from ..model.contract.parameters import Sensor
 from . import bus
 from .subgroup import Subgroup, own_ports, shared_ports
 from .unit import Unit, place

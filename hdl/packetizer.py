@@ -6,9 +6,9 @@ The word formats are the project's; the paper only says that stamps and IDs leav
 from amaranth.hdl import Cat, Module, Mux, Signal
 from amaranth.lib.wiring import In, Out
 
-from ..model.packet import BEAT_BITS, FORMAT_NAMES, FORMATS, HEADER, OFFSET_BITS, Kind, layout
-from ..model.parameters import OFFSET_NONE, Sensor
-from ..model.registers import COUNTER_BITS, COUNTER_NAMES
+from ..model.contract.packet import BEAT_BITS, FORMAT_NAMES, FORMATS, HEADER, OFFSET_BITS, Kind, layout
+from ..model.contract.parameters import OFFSET_NONE, Sensor
+from ..model.contract.registers import COUNTER_BITS, COUNTER_NAMES
 from . import bus
 from .unit import Unit
 
@@ -39,12 +39,21 @@ class Packetizer(Unit):
 
     def __init__(self, sensor: Sensor):
         self.sensor = sensor
-        super().__init__({
-            "grant": In(1), "send": In(bus.Send), "frame": In(bus.frame_layout(sensor)), "subgroup": In(bus.SUBGROUP_BITS),
-            "head": In(bus.event_layout(sensor)), "record": In(bus.record_layout(sensor)),
-            "counters": In(COUNTER_BITS * len(COUNTER_NAMES)),
-            "take_event": Out(1), "take_record": Out(1), "valid": Out(1), "beat": Out(BEAT_BITS),
-        })
+        super().__init__(
+            {
+                "grant": In(1),
+                "send": In(bus.Send),
+                "frame": In(bus.frame_layout(sensor)),
+                "subgroup": In(bus.SUBGROUP_BITS),
+                "head": In(bus.event_layout(sensor)),
+                "record": In(bus.record_layout(sensor)),
+                "counters": In(COUNTER_BITS * len(COUNTER_NAMES)),
+                "take_event": Out(1),
+                "take_record": Out(1),
+                "valid": Out(1),
+                "beat": Out(BEAT_BITS),
+            }
+        )
 
     def elaborate(self, platform):
         m = Module()
@@ -72,7 +81,9 @@ class Packetizer(Unit):
             for kind, beats in ((bus.Send.EVENT, event), (bus.Send.RECORD, record), (bus.Send.COUNTERS, counters)):
                 with m.Case(kind):
                     if kind is bus.Send.EVENT:
-                        m.d.comb += last.eq(Mux(self.frame.format == 0, lasts[0], Mux(self.frame.format == 1, lasts[1], lasts[2])))
+                        m.d.comb += last.eq(
+                            Mux(self.frame.format == 0, lasts[0], Mux(self.frame.format == 1, lasts[1], lasts[2]))
+                        )
                     else:
                         m.d.comb += last.eq(len(beats) - 1)
                     with m.Switch(index):
@@ -82,21 +93,32 @@ class Packetizer(Unit):
         ends = Signal()
         m.d.comb += [
             ends.eq(active & (index == last)),
-            self.take_event.eq(ends & (send == bus.Send.EVENT)), self.take_record.eq(ends & (send == bus.Send.RECORD)),
+            self.take_event.eq(ends & (send == bus.Send.EVENT)),
+            self.take_record.eq(ends & (send == bus.Send.RECORD)),
         ]
         m.d.sync += [
-            sending.eq(active & ~ends), send_before.eq(send), index_before.eq(index + 1),
-            self.valid.eq(active), self.beat.eq(Mux(active, chosen, 0)),
+            sending.eq(active & ~ends),
+            send_before.eq(send),
+            index_before.eq(index + 1),
+            self.valid.eq(active),
+            self.beat.eq(Mux(active, chosen, 0)),
         ]
         return m
 
     def _event_beats(self, m):
         window = self.head.window
         kind = Signal(3)
-        m.d.comb += kind.eq(Mux(self.frame.format == 0, Kind.EVENT, Mux(self.frame.format == 1, Kind.EVENT_MAP, Kind.EVENT_FULL)))
+        m.d.comb += kind.eq(
+            Mux(self.frame.format == 0, Kind.EVENT, Mux(self.frame.format == 1, Kind.EVENT_MAP, Kind.EVENT_FULL))
+        )
         beat, fields = header(
-            kind=kind, overrun=self.head.overrun, subgroup=self.subgroup, pulse=self.head.pulse,
-            count=window.count, winner=window.winner, stamp=window.stamp,
+            kind=kind,
+            overrun=self.head.overrun,
+            subgroup=self.subgroup,
+            pulse=self.head.pulse,
+            count=window.count,
+            winner=window.winner,
+            stamp=window.stamp,
         )
         m.d.comb += fields
         offsets = []

@@ -9,9 +9,9 @@ from amaranth.hdl import Cat, Module, Mux, Signal
 from amaranth.lib import fifo
 from amaranth.lib.wiring import In, Out
 
-from ..model import latency
-from ..model.packet import BEAT_BITS, FORMAT_NAMES, FORMATS, Kind, layout
-from ..model.parameters import Sensor, bits_for
+from ..model.contract import latency
+from ..model.contract.packet import BEAT_BITS, FORMAT_NAMES, FORMATS, Kind, layout
+from ..model.contract.parameters import Sensor, bits_for
 from . import bus
 from .axi import STREAM
 from .logic import any_of, up_to
@@ -32,7 +32,7 @@ class Readout(Unit):
     m_axis : AXI4-Stream master, `tlast` ends the frame
 
     Next is the first subgroup with something to read at or after the pointer; the pointer then stands behind it. A
-    record goes before events, of which it would otherwise never find a gap. Latency: `model/latency.py`. Reset
+    record goes before events, of which it would otherwise never find a gap. Latency: `model/contract/latency.py`. Reset
     empties everything.
     """
 
@@ -40,11 +40,22 @@ class Readout(Unit):
         self.sensor = sensor
         self.subgroups = subgroups
         self.unit_name = f"coincid_readout_{subgroups}"
-        super().__init__({
-            "stored": In(subgroups), "record_stored": In(subgroups), "grant": Out(subgroups), "send": Out(bus.Send),
-            "valid": In(1), "beat": In(BEAT_BITS), "frame": In(bus.frame_layout(sensor)), "number": In(bus.PULSE_BITS),
-            "frame_begin": In(1), "finish": In(1), "delivered": Out(1), "m_axis": Out(STREAM),
-        })
+        super().__init__(
+            {
+                "stored": In(subgroups),
+                "record_stored": In(subgroups),
+                "grant": Out(subgroups),
+                "send": Out(bus.Send),
+                "valid": In(1),
+                "beat": In(BEAT_BITS),
+                "frame": In(bus.frame_layout(sensor)),
+                "number": In(bus.PULSE_BITS),
+                "frame_begin": In(1),
+                "finish": In(1),
+                "delivered": Out(1),
+                "m_axis": Out(STREAM),
+            }
+        )
 
     def elaborate(self, platform):
         m = Module()
@@ -59,8 +70,12 @@ class Readout(Unit):
         # Outside a frame nothing counts: what the modules say when the sensor is reset is of the past.
         in_frame = Signal()
         m.d.sync += [
-            stored.eq(self.stored & in_frame.replicate(n)), record_stored.eq(self.record_stored & in_frame.replicate(n)),
-            frame_begin.eq(self.frame_begin), finish.eq(self.finish), valid.eq(self.valid & in_frame), beat.eq(self.beat),
+            stored.eq(self.stored & in_frame.replicate(n)),
+            record_stored.eq(self.record_stored & in_frame.replicate(n)),
+            frame_begin.eq(self.frame_begin),
+            finish.eq(self.finish),
+            valid.eq(self.valid & in_frame),
+            beat.eq(self.beat),
         ]
 
         # What waits: events as a counter per subgroup, bit by bit side by side; a record as one bit.
@@ -74,13 +89,14 @@ class Readout(Unit):
         waiting = Signal(n)
         ahead = Signal(n)
         at_or_after = Signal(n, init=-1)
-        from_chosen = Signal(n)   # the chosen one and all above
+        from_chosen = Signal(n)  # the chosen one and all above
         chosen = Signal(n)
         chosen_record = Signal()
         m.d.comb += [waiting.eq(some_events | records), ahead.eq(waiting & at_or_after)]
         from_ahead, from_all = up_to(m, ahead, "from_ahead"), up_to(m, waiting, "from_all")
         m.d.comb += [
-            from_chosen.eq(Mux(from_ahead[-1], from_ahead, from_all)), chosen.eq(from_chosen & ~(from_chosen << 1)),
+            from_chosen.eq(Mux(from_ahead[-1], from_ahead, from_all)),
+            chosen.eq(from_chosen & ~(from_chosen << 1)),
             chosen_record.eq((chosen & records).any()),
         ]
 
@@ -96,7 +112,8 @@ class Readout(Unit):
         m.d.comb += [
             free.eq((left == 0) & (space >= parts.longest)),
             space_now.eq(space + (self.m_axis.tvalid & self.m_axis.tready)),
-            left_next.eq(left - (left != 0)), space_next.eq(space_now),
+            left_next.eq(left - (left != 0)),
+            space_next.eq(space_now),
         ]
 
         def grant(length, name):
@@ -108,7 +125,11 @@ class Readout(Unit):
         event_lengths = [parts.length(FORMATS[name]) for name in FORMAT_NAMES]
         event_length = Signal(range(parts.longest + 1))
         m.d.sync += event_length.eq(
-            Mux(self.frame.format == 0, event_lengths[0], Mux(self.frame.format == 1, event_lengths[1], event_lengths[2]))
+            Mux(
+                self.frame.format == 0,
+                event_lengths[0],
+                Mux(self.frame.format == 1, event_lengths[1], event_lengths[2]),
+            )
         )
         tail = Signal(n)
         m.d.sync += [self.grant.eq(0), self.delivered.eq(0)]
@@ -132,7 +153,8 @@ class Readout(Unit):
                     with m.If(free):
                         m.d.comb += [take_record.eq(chosen & records), take_event.eq(chosen & ~records)]
                         m.d.sync += [
-                            self.grant.eq(chosen), self.send.eq(Mux(chosen_record, bus.Send.RECORD, bus.Send.EVENT)),
+                            self.grant.eq(chosen),
+                            self.send.eq(Mux(chosen_record, bus.Send.RECORD, bus.Send.EVENT)),
                             at_or_after.eq(from_chosen << 1),
                         ]
                 with m.Elif(finish):
@@ -160,12 +182,13 @@ class Readout(Unit):
         m.d.comb += fields
         m.submodules.buffer = buffer = fifo.SyncFIFOBuffered(width=BEAT_BITS + 1, depth=depth + 1)
         is_own = own[-1].any()
-        to_end = Signal(range(parts.counter_beats * n + 1))   # beats after the frame end's header
+        to_end = Signal(range(parts.counter_beats * n + 1))  # beats after the frame end's header
         m.d.comb += [
             buffer.w_en.eq(valid | is_own),
             buffer.w_data.eq(Cat(Mux(is_own, own_beat, beat), ~is_own & (to_end == 1))),
             Cat(self.m_axis.tdata, self.m_axis.tlast).eq(buffer.r_data),
-            self.m_axis.tvalid.eq(buffer.r_rdy), buffer.r_en.eq(self.m_axis.tready),
+            self.m_axis.tvalid.eq(buffer.r_rdy),
+            buffer.r_en.eq(self.m_axis.tready),
         ]
         with m.If(own[-1] == Kind.FRAME_END):
             m.d.sync += to_end.eq(parts.counter_beats * n)
@@ -187,5 +210,3 @@ class Readout(Unit):
         some = Signal(self.subgroups, name="some_events")
         m.d.comb += some.eq(any_of(m, planes, "some_of"))
         return some
-
-

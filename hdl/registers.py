@@ -1,18 +1,18 @@
-"""Register front: AXI4-Lite slave, range checks, global registers, and the start of a frame. The map is `model/registers.py`."""
+"""Register front: AXI4-Lite slave, range checks, global registers, and the start of a frame. The map is `model/contract/registers.py`."""
 
 from amaranth.hdl import Array, Cat, Module, Mux, Signal
 from amaranth.lib.wiring import In, Out
 
-from ..model import registers
-from ..model.parameters import Sensor, bits_for
-from ..model.registers import AUTO_BOUNDS, BY_NAME, DATA_BITS, SUBGROUP_BASE, SUBGROUP_STRIDE, Access
+from ..model.contract import registers
+from ..model.contract.parameters import Sensor, bits_for
+from ..model.contract.registers import AUTO_BOUNDS, BY_NAME, DATA_BITS, SUBGROUP_BASE, SUBGROUP_STRIDE, Access
 from . import bus
 from .axi import LITE, OKAY, SLVERR
 from .logic import any_of
 from .unit import Unit
 
-READ_CYCLES = 5    # the configuration bus names a word -> its data stand in this block's input register
-CHECK_CYCLES = 7   # from decoding a start: by then all subgroups' start checks have seen the write before it
+READ_CYCLES = 5  # the configuration bus names a word -> its data stand in this block's input register
+CHECK_CYCLES = 7  # from decoding a start: by then all subgroups' start checks have seen the write before it
 CONTROL, STATUS = BY_NAME["control"], BY_NAME["status"]
 
 
@@ -34,17 +34,28 @@ class Registers(Unit):
 
     def __init__(self, sensor: Sensor):
         self.sensor = sensor
-        super().__init__({
-            "s_axi": In(LITE), "command": Out(bus.CONFIG_BUS), "data": In(DATA_BITS), "gate_late": In(1),
-            "period": Out(sensor.coarse_bits + 1), "frame": Out(bus.frame_layout(sensor)), "plan": Out(bus.plan_layout(sensor)),
-            "start_frame": Out(1), "abort_frame": Out(1), "done": In(1),
-        })
+        super().__init__(
+            {
+                "s_axi": In(LITE),
+                "command": Out(bus.CONFIG_BUS),
+                "data": In(DATA_BITS),
+                "gate_late": In(1),
+                "period": Out(sensor.coarse_bits + 1),
+                "frame": Out(bus.frame_layout(sensor)),
+                "plan": Out(bus.plan_layout(sensor)),
+                "start_frame": Out(1),
+                "abort_frame": Out(1),
+                "done": In(1),
+            }
+        )
 
     def elaborate(self, platform):
         m = Module()
         sensor, axi = self.sensor, self.s_axi
         setting = {
-            (register.name, index): Signal(bits_for(register.high(sensor)), init=register.reset(sensor), name=f"{register.name}_{index}")
+            (register.name, index): Signal(
+                bits_for(register.high(sensor)), init=register.reset(sensor), name=f"{register.name}_{index}"
+            )
             for _, register, index in registers.words(registers.GLOBAL, sensor)
             if register.access is Access.SETTING
         }
@@ -52,7 +63,10 @@ class Registers(Unit):
         data = Signal(DATA_BITS)
         gate_late = Signal()
         m.d.sync += [
-            data.eq(self.data), gate_late.eq(self.gate_late), self.start_frame.eq(0), self.abort_frame.eq(0),
+            data.eq(self.data),
+            gate_late.eq(self.gate_late),
+            self.start_frame.eq(0),
+            self.abort_frame.eq(0),
             self.command.operation.eq(bus.Operation.IDLE),
         ]
         m.d.comb += self.period.eq(setting["period", 0])
@@ -105,7 +119,8 @@ class Registers(Unit):
                 m.d.sync += self._name_word(address)
                 with m.If(wait == READ_CYCLES):
                     m.d.sync += [
-                        axi.rvalid.eq(1), axi.rresp.eq(Mux(mapped, OKAY, SLVERR)),
+                        axi.rvalid.eq(1),
+                        axi.rresp.eq(Mux(mapped, OKAY, SLVERR)),
                         axi.rdata.eq(Mux(mapped, Mux(in_subgroup, data, found), 0)),
                     ]
                     with m.If(~mapped):
@@ -124,7 +139,11 @@ class Registers(Unit):
                         m.d.sync += flag["bad_value"].eq(1)
                     m.d.sync += respond(1)
                 with m.Elif(in_subgroup):
-                    m.d.sync += [self.command.operation.eq(bus.Operation.WRITE), self.command.data.eq(value), *self._name_word(address)]
+                    m.d.sync += [
+                        self.command.operation.eq(bus.Operation.WRITE),
+                        self.command.data.eq(value),
+                        *self._name_word(address),
+                    ]
                     m.d.sync += respond(0)
                 with m.Else():
                     m.d.sync += respond(0)
@@ -145,7 +164,11 @@ class Registers(Unit):
                                 m.next = "check"
             with m.State("check"):
                 with m.If(wait == CHECK_CYCLES):
-                    failed = {"start_period": self.period <= sensor.guard, "start_bounds": bounds_descend, "start_gate": gate_late}
+                    failed = {
+                        "start_period": self.period <= sensor.guard,
+                        "start_bounds": bounds_descend,
+                        "start_gate": gate_late,
+                    }
                     m.next = "idle"
                     with m.If(flag["busy"]):
                         m.d.sync += [flag["start_busy"].eq(1), *respond(1)]
@@ -159,14 +182,16 @@ class Registers(Unit):
                         m.next = "bounds"
             with m.State("bounds"):
                 m.d.sync += [
-                    self.command.operation.eq(bus.Operation.COMPARE), self.command.data.eq(Array(bounds)[bound]), bound.eq(bound + 1),
+                    self.command.operation.eq(bus.Operation.COMPARE),
+                    self.command.data.eq(Array(bounds)[bound]),
+                    bound.eq(bound + 1),
                 ]
                 with m.If(bound == AUTO_BOUNDS - 1):
                     m.next = "begin"
             with m.State("begin"):
                 m.d.sync += [self.command.operation.eq(bus.Operation.BEGIN), self.start_frame.eq(1), *respond(0)]
                 m.next = "idle"
-            with m.State("lost"):   # the one code that is no state: an upset there must not hang the bus
+            with m.State("lost"):  # the one code that is no state: an upset there must not hang the bus
                 m.next = "idle"
         with m.If(self.done):
             m.d.sync += [flag["busy"].eq(0), flag["done"].eq(1)]
@@ -179,9 +204,13 @@ class Registers(Unit):
     def _decode(self, m, address, value):
         """Registered: the address is mapped, may be written, takes the value, and lies in a subgroup's block."""
         sensor = self.sensor
-        mapped, writable, legal, in_subgroup = (Signal(name=name) for name in ("mapped", "writable", "legal", "in_subgroup"))
+        mapped, writable, legal, in_subgroup = (
+            Signal(name=name) for name in ("mapped", "writable", "legal", "in_subgroup")
+        )
         subgroup = Signal()
-        m.d.comb += subgroup.eq((address >= SUBGROUP_BASE) & (address < SUBGROUP_BASE + SUBGROUP_STRIDE * sensor.subgroups))
+        m.d.comb += subgroup.eq(
+            (address >= SUBGROUP_BASE) & (address < SUBGROUP_BASE + SUBGROUP_STRIDE * sensor.subgroups)
+        )
         m.d.sync += [in_subgroup.eq(subgroup), mapped.eq(0), writable.eq(0), legal.eq(0)]
 
         def rules(key, table):
@@ -189,7 +218,8 @@ class Registers(Unit):
                 for offset, register, _ in registers.words(table, sensor):
                     with m.Case(offset):
                         m.d.sync += [
-                            mapped.eq(1), writable.eq(register.access in (Access.SETTING, Access.PULSE, Access.STATUS)),
+                            mapped.eq(1),
+                            writable.eq(register.access in (Access.SETTING, Access.PULSE, Access.STATUS)),
                             legal.eq((value >= register.low(sensor)) & (value <= register.high(sensor))),
                         ]
 
@@ -213,4 +243,9 @@ class Registers(Unit):
                         m.d.sync += found.eq(Cat(flag[bits.name] for bits in STATUS.bits))
 
 
-FRAME_SETTINGS = {"format": "format", "mg_records": "minigroup_records", "mg_threshold": "mg_threshold", "mg_window": "mg_window"}
+FRAME_SETTINGS = {
+    "format": "format",
+    "mg_records": "minigroup_records",
+    "mg_threshold": "mg_threshold",
+    "mg_window": "mg_window",
+}

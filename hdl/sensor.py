@@ -8,7 +8,7 @@ from amaranth.hdl import Cat, Module, Signal, Value
 from amaranth.lib import wiring
 from attrs import define, field, frozen
 
-from ..model.parameters import Sensor
+from ..model.contract.parameters import Sensor
 from .deserialiser import PHASES_MAX, Deserialiser
 from .logic import any_of
 from .module import SensorModule
@@ -67,7 +67,9 @@ def netlist(sensor: Sensor, levels: bool = False, view=POLYPHASE) -> Netlist:
     subgroups = range(sensor.subgroups)
 
     def flat(unit, member, prefix):
-        return {port: f"{prefix}_{port.split('__')[-1]}" for port in unit.flat_ports() if port.startswith(f"{member}__")}
+        return {
+            port: f"{prefix}_{port.split('__')[-1]}" for port in unit.flat_ports() if port.startswith(f"{member}__")
+        }
 
     registers, sequencer = Registers(sensor), Sequencer(sensor)
     n.add("registers", registers, **flat(registers, "s_axi", "s_axi"))
@@ -85,11 +87,16 @@ def netlist(sensor: Sensor, levels: bool = False, view=POLYPHASE) -> Netlist:
             n.join(f"{name}_of_{stream}", "cat", [f"{name}_{s}" for s in members])
         for name in ("valid", "beat"):
             n.join(f"{name}_of_{stream}", "or", [f"{name}_{s}" for s in members])
-        of_stream = {name: f"{name}_of_{stream}" for name in ("stored", "record_stored", "valid", "beat", "grant", "send", "delivered")}
+        of_stream = {
+            name: f"{name}_of_{stream}"
+            for name in ("stored", "record_stored", "valid", "beat", "grant", "send", "delivered")
+        }
         n.add(f"readout_{stream}", readout, **of_stream, **flat(readout, "m_axis", sensor.stream_name(stream)))
         for i, s in enumerate(members):
             n.nets[f"grant_{s}"] = 1
-            n.joins[f"grant_{s}"] = ("bit", [f"grant_of_{stream}", i]) if len(members) > 1 else ("or", [f"grant_of_{stream}"])
+            n.joins[f"grant_{s}"] = (
+                ("bit", [f"grant_of_{stream}", i]) if len(members) > 1 else ("or", [f"grant_of_{stream}"])
+            )
     n.join("delivered", "and", [f"delivered_of_{stream}" for stream in range(sensor.streams)])
     n.join("data", "or", [f"data_{s}" for s in subgroups])
     n.join("gate_late", "or", [f"gate_late_{s}" for s in subgroups])
@@ -110,7 +117,9 @@ def netlist(sensor: Sensor, levels: bool = False, view=POLYPHASE) -> Netlist:
         inputs += ["phase_clocks", *(f"line_{s}" for s in subgroups)]
     else:
         inputs += [f"spad_{s}" for s in subgroups]
-    n.ports = [Port(name, n.nets[name], True) for name in inputs] + [Port(name, n.nets[name], False) for name in outputs]
+    n.ports = [Port(name, n.nets[name], True) for name in inputs] + [
+        Port(name, n.nets[name], False) for name in outputs
+    ]
     return n
 
 
@@ -144,8 +153,12 @@ def core_verilog(sensor: Sensor) -> tuple[str, dict[str, Unit]]:
     """
     n = netlist(sensor)
     instances = [instance for instance in n.instances if not isinstance(instance[1], SensorModule)]
-    driven = {name for _, unit, ports in instances for port, name in ports.items() if unit.flat_ports()[port][0] is wiring.Out}
-    used = {name for _, unit, ports in instances for port, name in ports.items() if unit.flat_ports()[port][0] is wiring.In}
+    driven = {
+        name for _, unit, ports in instances for port, name in ports.items() if unit.flat_ports()[port][0] is wiring.Out
+    }
+    used = {
+        name for _, unit, ports in instances for port, name in ports.items() if unit.flat_ports()[port][0] is wiring.In
+    }
     joins = {net: n.joins[net] for net in ("delivered",)}
     ports = [Port(name, n.nets[name], True) for name in sorted(used - driven - joins.keys())]
     ports += [Port(name, n.nets[name], False) for name in sorted(driven)]
@@ -191,13 +204,17 @@ class FlatSensor(wiring.Component):
 
     def __init__(self, sensor: Sensor):
         self.netlist = netlist(sensor)
-        super().__init__({port.name: (wiring.In if port.is_input else wiring.Out)(port.width) for port in self.netlist.ports})
+        super().__init__(
+            {port.name: (wiring.In if port.is_input else wiring.Out)(port.width) for port in self.netlist.ports}
+        )
 
     def elaborate(self, platform):
         m = Module()
         n = self.netlist
         inputs = {port.name for port in n.ports if port.is_input}
-        nets = {name: getattr(self, name) if name in inputs else Signal(width, name=name) for name, width in n.nets.items()}
+        nets = {
+            name: getattr(self, name) if name in inputs else Signal(width, name=name) for name, width in n.nets.items()
+        }
         for net, (operation, parts) in n.joins.items():
             if operation == "bit":
                 value = nets[parts[0]][parts[1]]

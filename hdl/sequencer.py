@@ -6,15 +6,15 @@ The paper gives the laser's repetition rate and the laser pulses of a frame; the
 from amaranth.hdl import Module, Mux, Signal
 from amaranth.lib.wiring import In, Out
 
-from ..model import latency
-from ..model.dither import DITHER_BITS_MAX, LFSR_BITS, LFSR_TAPS
-from ..model.parameters import Sensor
+from ..model.contract import latency
+from ..model.contract.dither import DITHER_BITS_MAX, LFSR_BITS, LFSR_TAPS
+from ..model.contract.parameters import Sensor
 from . import bus
 from .unit import Unit
 
-LEAD = 3           # cycles that `time` runs ahead of the ports
+LEAD = 3  # cycles that `time` runs ahead of the ports
 HEAD_TO_GRANT = 2  # `frame_begin` -> the readout's earliest grant
-END_TO_GRANT = 1   # `finish` -> the readout's earliest grant of the end packet
+END_TO_GRANT = 1  # `finish` -> the readout's earliest grant of the end packet
 
 
 class Sequencer(Unit):
@@ -36,11 +36,20 @@ class Sequencer(Unit):
 
     def __init__(self, sensor: Sensor):
         self.sensor = sensor
-        super().__init__({
-            "plan": In(bus.plan_layout(sensor)), "start_frame": In(1), "abort_frame": In(1),
-            "timing": Out(bus.time_layout(sensor)), "laser": Out(1),
-            "frame_begin": Out(1), "number": Out(bus.PULSE_BITS), "finish": Out(1), "delivered": In(1), "done": Out(1),
-        })
+        super().__init__(
+            {
+                "plan": In(bus.plan_layout(sensor)),
+                "start_frame": In(1),
+                "abort_frame": In(1),
+                "timing": Out(bus.time_layout(sensor)),
+                "laser": Out(1),
+                "frame_begin": Out(1),
+                "number": Out(bus.PULSE_BITS),
+                "finish": Out(1),
+                "delivered": In(1),
+                "done": Out(1),
+            }
+        )
 
     def elaborate(self, platform):
         m = Module()
@@ -55,9 +64,11 @@ class Sequencer(Unit):
         last_pulse = Signal.like(pulse)
         last_open = Signal.like(cycle)
         m.d.sync += [
-            last_cycle.eq(settings.period - 1), last_pulse.eq(settings.pulses - 1), last_open.eq(settings.period - self.sensor.guard),
+            last_cycle.eq(settings.period - 1),
+            last_pulse.eq(settings.pulses - 1),
+            last_open.eq(settings.period - self.sensor.guard),
         ]
-        start, aborted = Signal(2), Signal()   # the start waits a cycle for the registers above
+        start, aborted = Signal(2), Signal()  # the start waits a cycle for the registers above
         m.d.sync += start.eq((start << 1) | self.start_frame)
         with m.If(self.abort_frame & running):
             m.d.sync += aborted.eq(1)
@@ -78,8 +89,11 @@ class Sequencer(Unit):
         m.d.comb += in_period.eq(running & ~waiting)
         shift = self._shift(m, start[-1], ends)
         m.d.sync += [
-            self.timing.running.eq(in_period), self.timing.start.eq(in_period & (cycle == 0)), self.timing.wrap.eq(wrap),
-            self.timing.may_open.eq(in_period & (cycle < last_open)), self.timing.shift.eq(shift),
+            self.timing.running.eq(in_period),
+            self.timing.start.eq(in_period & (cycle == 0)),
+            self.timing.wrap.eq(wrap),
+            self.timing.may_open.eq(in_period & (cycle < last_open)),
+            self.timing.shift.eq(shift),
         ]
         laser = Signal(LEAD - 1)
         m.d.sync += [laser.eq((laser << 1) | self.timing.start), self.laser.eq(laser[-1])]
@@ -98,7 +112,13 @@ class Sequencer(Unit):
         delivered = Signal()
         m.d.sync += [delivered.eq(self.delivered), self.done.eq(0)]
         with m.If(self.finish & delivered):
-            m.d.sync += [self.finish.eq(0), draining.eq(0), drained.eq(0), self.done.eq(1), self.number.eq(self.number + 1)]
+            m.d.sync += [
+                self.finish.eq(0),
+                draining.eq(0),
+                drained.eq(0),
+                self.done.eq(1),
+                self.number.eq(self.number + 1),
+            ]
         return m
 
     def _wait(self, m, restart, ends, running):

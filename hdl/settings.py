@@ -3,9 +3,9 @@
 from amaranth.hdl import Module, Mux, Signal
 from amaranth.lib.wiring import In, Out
 
-from ..model import registers
-from ..model.parameters import Sensor
-from ..model.registers import COUNTER_BITS, COUNTER_NAMES, DATA_BITS, MASK_BITS
+from ..model.contract import registers
+from ..model.contract.parameters import Sensor
+from ..model.contract.registers import COUNTER_BITS, COUNTER_NAMES, DATA_BITS, MASK_BITS
 from . import bus
 from .unit import Unit
 
@@ -28,11 +28,17 @@ class SubgroupSettings(Unit):
 
     def __init__(self, sensor: Sensor):
         self.sensor = sensor
-        super().__init__({
-            "command": In(bus.CONFIG_BUS), "subgroup": In(bus.SUBGROUP_BITS), "period": In(sensor.coarse_bits + 1),
-            "settings": Out(bus.settings_layout(sensor)), "counters": In(COUNTER_BITS * len(COUNTER_NAMES)),
-            "data": Out(DATA_BITS), "gate_late": Out(1),
-        })
+        super().__init__(
+            {
+                "command": In(bus.CONFIG_BUS),
+                "subgroup": In(bus.SUBGROUP_BITS),
+                "period": In(sensor.coarse_bits + 1),
+                "settings": Out(bus.settings_layout(sensor)),
+                "counters": In(COUNTER_BITS * len(COUNTER_NAMES)),
+                "data": Out(DATA_BITS),
+                "gate_late": Out(1),
+            }
+        )
 
     def elaborate(self, platform):
         m = Module()
@@ -41,7 +47,8 @@ class SubgroupSettings(Unit):
         word = Signal(bus.WORD_BITS)
         m.d.comb += selected.eq(self.command.subgroup == self.subgroup)
         m.d.sync += [
-            word.eq(Mux(selected, self.command.word, ~0)), self.data.eq(0),
+            word.eq(Mux(selected, self.command.word, ~0)),
+            self.data.eq(0),
             self.gate_late.eq(programmed.gating & (programmed.gate_start >= self.period)),
         ]
         with m.If(self.command.operation == bus.Operation.TAKE):
@@ -73,4 +80,8 @@ class SubgroupSettings(Unit):
             if register.access is registers.Access.SETTING and register.name not in ("mode", "mask")
         }
         mode = registers.MODE.reset(self.sensor)
-        return reset | {bits.name: mode >> bits.lsb & 1 for bits in registers.MODE.bits} | {"mask": (1 << self.sensor.pixels) - 1}
+        return (
+            reset
+            | {bits.name: mode >> bits.lsb & 1 for bits in registers.MODE.bits}
+            | {"mask": (1 << self.sensor.pixels) - 1}
+        )

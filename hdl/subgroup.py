@@ -4,9 +4,9 @@ from amaranth.hdl import Module, Signal
 from amaranth.lib import wiring
 from amaranth.lib.wiring import In, Out
 
-from ..model.packet import BEAT_BITS
-from ..model.parameters import Sensor
-from ..model.registers import DATA_BITS
+from ..model.contract.packet import BEAT_BITS
+from ..model.contract.parameters import Sensor
+from ..model.contract.registers import DATA_BITS
 from . import bus
 from .dpcu import Dpcu
 from .fifo import EventFifo, RecordBuffer
@@ -20,8 +20,10 @@ from .views import POLYPHASE
 def shared_ports(sensor: Sensor) -> dict:
     """What all subgroups hear: configuration bus, programmed period, frame settings, timing."""
     return {
-        "command": In(bus.CONFIG_BUS), "period": In(sensor.coarse_bits + 1),
-        "frame": In(bus.frame_layout(sensor)), "timing": In(bus.time_layout(sensor)),
+        "command": In(bus.CONFIG_BUS),
+        "period": In(sensor.coarse_bits + 1),
+        "frame": In(bus.frame_layout(sensor)),
+        "timing": In(bus.time_layout(sensor)),
     }
 
 
@@ -34,9 +36,16 @@ def own_ports(sensor: Sensor, view=POLYPHASE) -> dict:
     data : out, register read; gate_late : out, a start check
     """
     return {
-        "words": In(view.spad_bits(sensor)), "spad_gate": Out(1),
-        "grant": In(1), "send": In(bus.Send), "valid": Out(1), "beat": Out(BEAT_BITS),
-        "stored": Out(1), "record_stored": Out(1), "data": Out(DATA_BITS), "gate_late": Out(1),
+        "words": In(view.spad_bits(sensor)),
+        "spad_gate": Out(1),
+        "grant": In(1),
+        "send": In(bus.Send),
+        "valid": Out(1),
+        "beat": Out(BEAT_BITS),
+        "stored": Out(1),
+        "record_stored": Out(1),
+        "data": Out(DATA_BITS),
+        "gate_late": Out(1),
     }
 
 
@@ -45,14 +54,16 @@ class Subgroup(Unit):
 
     Ports: `shared_ports`, `own_ports`, `subgroup` (in, its number), `line` (its TDC sampling line).
     view: the front end's, of `views.py`.
-    Latency: `model/latency.py`. Reset: every part's own.
+    Latency: `model/contract/latency.py`. Reset: every part's own.
     """
 
     def __init__(self, sensor: Sensor, view=POLYPHASE):
         self.sensor, self.view = sensor, view
         self.unit_name = f"{view.prefix}subgroup"
         super().__init__(
-            shared_ports(sensor) | own_ports(sensor, view) | {"subgroup": In(bus.SUBGROUP_BITS), "line": Out(view.line_signature(sensor))}
+            shared_ports(sensor)
+            | own_ports(sensor, view)
+            | {"subgroup": In(bus.SUBGROUP_BITS), "line": Out(view.line_signature(sensor))}
         )
 
     def elaborate(self, platform):
@@ -72,34 +83,60 @@ class Subgroup(Unit):
             for port in (self.command, self.timing, self.frame, self.period, self.subgroup, self.grant, self.send)
         )
         m.d.sync += [
-            command.eq(self.command), timing.eq(self.timing), frame.eq(self.frame), period.eq(self.period), number.eq(self.subgroup),
-            grant.eq(self.grant), send.eq(self.send),
+            command.eq(self.command),
+            timing.eq(self.timing),
+            frame.eq(self.frame),
+            period.eq(self.period),
+            number.eq(self.subgroup),
+            grant.eq(self.grant),
+            send.eq(self.send),
         ]
         wiring.connect(m, wiring.flipped(self.line), tree.line)
         m.d.comb += [
-            settings.command.eq(command), settings.subgroup.eq(number), settings.period.eq(period), settings.counters.eq(dpcu.counters),
-            self.data.eq(settings.data), self.gate_late.eq(settings.gate_late),
-
-            gating.timing.eq(timing), gating.settings.eq(settings.settings), self.spad_gate.eq(gating.spad_gate),
-
+            settings.command.eq(command),
+            settings.subgroup.eq(number),
+            settings.period.eq(period),
+            settings.counters.eq(dpcu.counters),
+            self.data.eq(settings.data),
+            self.gate_late.eq(settings.gate_late),
+            gating.timing.eq(timing),
+            gating.settings.eq(settings.settings),
+            self.spad_gate.eq(gating.spad_gate),
             *self.view.hears(tree, self.words, settings.settings.mask, gating),
-            tree.window_ticks.eq(dpcu.window_ticks), tree.frame.eq(frame), tree.timing.eq(timing),
-
-            dpcu.settings.eq(settings.settings), dpcu.start.eq(timing.start),
-            dpcu.operation.eq(command.operation), dpcu.bound.eq(command.data),
-            dpcu.closed.eq(tree.closed), dpcu.window.eq(tree.window), dpcu.blind.eq(tree.blind),
-            dpcu.stored.eq(events.stored), dpcu.dropped.eq(events.dropped),
-            dpcu.mg_stored.eq(records.stored), dpcu.mg_dropped.eq(records.dropped),
-
-            events.commit.eq(dpcu.commit), events.event.eq(dpcu.event), events.pulse.eq(dpcu.pulse),
-            events.frame_begin.eq(command.operation == bus.Operation.BEGIN), events.take.eq(packets.take_event),
+            tree.window_ticks.eq(dpcu.window_ticks),
+            tree.frame.eq(frame),
+            tree.timing.eq(timing),
+            dpcu.settings.eq(settings.settings),
+            dpcu.start.eq(timing.start),
+            dpcu.operation.eq(command.operation),
+            dpcu.bound.eq(command.data),
+            dpcu.closed.eq(tree.closed),
+            dpcu.window.eq(tree.window),
+            dpcu.blind.eq(tree.blind),
+            dpcu.stored.eq(events.stored),
+            dpcu.dropped.eq(events.dropped),
+            dpcu.mg_stored.eq(records.stored),
+            dpcu.mg_dropped.eq(records.dropped),
+            events.commit.eq(dpcu.commit),
+            events.event.eq(dpcu.event),
+            events.pulse.eq(dpcu.pulse),
+            events.frame_begin.eq(command.operation == bus.Operation.BEGIN),
+            events.take.eq(packets.take_event),
             self.stored.eq(events.stored),
-
-            records.due.eq(tree.record_due), records.latched.eq(tree.latched), records.entries.eq(tree.entries),
-            records.pulse.eq(dpcu.pulse), records.take.eq(packets.take_record), self.record_stored.eq(records.stored),
-
-            packets.grant.eq(grant), packets.send.eq(send), packets.frame.eq(frame), packets.subgroup.eq(number),
-            packets.head.eq(events.head), packets.record.eq(records.record), packets.counters.eq(dpcu.counters),
-            self.valid.eq(packets.valid), self.beat.eq(packets.beat),
+            records.due.eq(tree.record_due),
+            records.latched.eq(tree.latched),
+            records.entries.eq(tree.entries),
+            records.pulse.eq(dpcu.pulse),
+            records.take.eq(packets.take_record),
+            self.record_stored.eq(records.stored),
+            packets.grant.eq(grant),
+            packets.send.eq(send),
+            packets.frame.eq(frame),
+            packets.subgroup.eq(number),
+            packets.head.eq(events.head),
+            packets.record.eq(records.record),
+            packets.counters.eq(dpcu.counters),
+            self.valid.eq(packets.valid),
+            self.beat.eq(packets.beat),
         ]
         return m

@@ -9,11 +9,13 @@ time since then: our choice.
 from amaranth.hdl import Module, Signal
 from amaranth.lib.wiring import In, Out, Signature
 
-from ..model.parameters import Sensor
+from ..model.contract.parameters import Sensor
 from .logic import encode, up_to
 from .unit import Unit
 
-START_TO_PHASE = 5  # from the module's registered start strobe (two cycles ahead of the ports) to stage 3, the decoded phase's
+START_TO_PHASE = (
+    5  # from the module's registered start strobe (two cycles ahead of the ports) to stage 3, the decoded phase's
+)
 
 
 def line_signature(sensor: Sensor) -> Signature:
@@ -22,10 +24,15 @@ def line_signature(sensor: Sensor) -> Signature:
     root : out, phases, the sampled root of the tree (stage 2). any : in, an edge in the cycle; phase : in, its first phase;
     up_to : in, phases, bit k = an edge at a phase up to k; coarse : in, the cycle's number in its period (all stage 3).
     """
-    return Signature({
-        "root": Out(sensor.phases), "any": In(1), "phase": In(sensor.phase_bits), "up_to": In(sensor.phases),
-        "coarse": In(sensor.coarse_bits),
-    })
+    return Signature(
+        {
+            "root": Out(sensor.phases),
+            "any": In(1),
+            "phase": In(sensor.phase_bits),
+            "up_to": In(sensor.phases),
+            "coarse": In(sensor.coarse_bits),
+        }
+    )
 
 
 class Tdc(Unit):

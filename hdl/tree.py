@@ -9,7 +9,7 @@ choice.
 from amaranth.hdl import C, Cat, Module, Mux, Signal
 from amaranth.lib.wiring import In, Out
 
-from ..model.parameters import Sensor, bits_for
+from ..model.contract.parameters import Sensor, bits_for
 from . import bus
 from .logic import any_of, encode, lowest, popcount, total
 from .minigroup import Minigroup
@@ -39,13 +39,23 @@ class CoincidenceTree(Unit):
 
     def __init__(self, sensor: Sensor):
         self.sensor = sensor
-        super().__init__({
-            "words": In(sensor.pixels * sensor.phases), "mask": In(sensor.pixels), "accept": In(1),
-            "window_ticks": In(sensor.window_bits), "frame": In(bus.frame_layout(sensor)), "timing": In(bus.time_layout(sensor)),
-            "line": Out(line_signature(sensor)),
-            "closed": Out(1), "window": Out(bus.window_layout(sensor)), "blind": Out(1),
-            "record_due": Out(1), "latched": Out(sensor.minigroups), "entries": Out(bus.record_layout(sensor)["entries"].shape),
-        })
+        super().__init__(
+            {
+                "words": In(sensor.pixels * sensor.phases),
+                "mask": In(sensor.pixels),
+                "accept": In(1),
+                "window_ticks": In(sensor.window_bits),
+                "frame": In(bus.frame_layout(sensor)),
+                "timing": In(bus.time_layout(sensor)),
+                "line": Out(line_signature(sensor)),
+                "closed": Out(1),
+                "window": Out(bus.window_layout(sensor)),
+                "blind": Out(1),
+                "record_due": Out(1),
+                "latched": Out(sensor.minigroups),
+                "entries": Out(bus.record_layout(sensor)["entries"].shape),
+            }
+        )
 
     def elaborate(self, platform):
         m = Module()
@@ -78,7 +88,9 @@ class CoincidenceTree(Unit):
         below_end = Signal(phases)  # phases before the open window's end
         m.d.comb += below_end.eq(Mux(left >= phases, ~0, (C(1, phases + 1) << left[: bits_for(phases - 1)]) - 1))
         after = Signal(phases)  # phases from the end of a window that opens now
-        m.d.comb += after.eq(Mux(self.window_ticks >= phases, 0, self.line.up_to << self.window_ticks[: bits_for(phases - 1)]))
+        m.d.comb += after.eq(
+            Mux(self.window_ticks >= phases, 0, self.line.up_to << self.window_ticks[: bits_for(phases - 1)])
+        )
         m.d.comb += inside.eq(Mux(window_open, below_end, ~after & opening.replicate(phases)))
         with m.If(opening | window_open):
             m.d.sync += [left.eq(end - phases), window_open.eq(~closing)]
@@ -95,7 +107,9 @@ class CoincidenceTree(Unit):
         stamp_4 = Signal(sensor.stamp_bits)
         stamp = Signal(sensor.stamp_bits)
         m.d.sync += [
-            opening_4.eq(opening), closing_4.eq(closing), closed.eq(closing_4),
+            opening_4.eq(opening),
+            closing_4.eq(closing),
+            closed.eq(closing_4),
             elapsed.eq(Mux(opening, 0, elapsed + 1)),
             self.blind.eq(any_of(m, [leaf.blind for leaf in leaves], "blind_or")),
         ]
@@ -110,10 +124,17 @@ class CoincidenceTree(Unit):
             m.d.comb += [
                 leaf.words.eq(Cat(self.words.word_select(i, phases) for i in members)),
                 leaf.mask.eq(Cat(self.mask[i] for i in members)),
-                leaf.accept.eq(self.accept), leaf.inside.eq(inside), leaf.first.eq(first),
-                leaf.opening.eq(opening_4), leaf.elapsed.eq(elapsed),
-                leaf.frame.eq(self.frame), leaf.may_open.eq(may_open[-1]), leaf.wrap.eq(wrap[-1]), leaf.coarse.eq(self.line.coarse),
-                self.latched[g].eq(leaf.latched), self.entries[g].eq(leaf.entry),
+                leaf.accept.eq(self.accept),
+                leaf.inside.eq(inside),
+                leaf.first.eq(first),
+                leaf.opening.eq(opening_4),
+                leaf.elapsed.eq(elapsed),
+                leaf.frame.eq(self.frame),
+                leaf.may_open.eq(may_open[-1]),
+                leaf.wrap.eq(wrap[-1]),
+                leaf.coarse.eq(self.line.coarse),
+                self.latched[g].eq(leaf.latched),
+                self.entries[g].eq(leaf.entry),
             ]
             m.d.comb += [hits[i].eq(leaf.hits[j]) for j, i in enumerate(members)]
             m.d.comb += [firsts[i].eq(leaf.firsts[j]) for j, i in enumerate(members)]
@@ -128,14 +149,18 @@ class CoincidenceTree(Unit):
         m.d.sync += [closed_6.eq(closed), self.closed.eq(closed_6)]
         with m.If(closed):
             m.d.sync += [
-                half.stamp.eq(stamp), half.hits.eq(hits), half.winner.eq(encode(m, lowest(m, firsts, "lowest"), "winner")),
+                half.stamp.eq(stamp),
+                half.hits.eq(hits),
+                half.winner.eq(encode(m, lowest(m, firsts, "lowest"), "winner")),
                 *(half.offsets[g].eq(leaf.offset) for g, leaf in enumerate(leaves)),
                 *(count.eq(popcount(m, part, f"ones_{k}")) for k, (count, part) in enumerate(zip(counts, chunks))),
             ]
         with m.If(closed_6):
             m.d.sync += [
-                self.window.stamp.eq(half.stamp), self.window.hits.eq(half.hits), self.window.winner.eq(half.winner),
-                self.window.offsets.eq(half.offsets), self.window.count.eq(total(m, counts, "count_sum")),
+                self.window.stamp.eq(half.stamp),
+                self.window.hits.eq(half.hits),
+                self.window.winner.eq(half.winner),
+                self.window.offsets.eq(half.offsets),
+                self.window.count.eq(total(m, counts, "count_sum")),
             ]
         return m
-

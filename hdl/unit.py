@@ -8,7 +8,7 @@ class Unit(wiring.Component):
     """A block with a stable Verilog name. `unit_name` differs where parameters beyond the sensor's differ."""
 
     unit_name: str
-    clocked = True   # has the ports clk and rst
+    clocked = True  # has the ports clk and rst
     _MustUse__silence = True  # an instance may stand for the unit, which Amaranth would report as forgotten
 
     def flat_ports(self) -> dict[str, tuple[wiring.Flow, Signal]]:
@@ -29,9 +29,7 @@ def place(m: Module, name: str, unit: Unit, platform, reset=None) -> Unit:
         m.submodules[name] = unit if reset is None else ResetInserter(reset)(unit)
         return unit
     platform.units.setdefault(unit.unit_name, unit)
-    ports = {
-        f"{'i' if flow is wiring.In else 'o'}_{port}": value for port, (flow, value) in unit.flat_ports().items()
-    }
+    ports = {f"{'i' if flow is wiring.In else 'o'}_{port}": value for port, (flow, value) in unit.flat_ports().items()}
     if unit.clocked:
         ports |= {"i_clk": ClockSignal(), "i_rst": ResetSignal() if reset is None else reset}
     m.submodules[name] = Instance(unit.unit_name, **ports)

@@ -6,10 +6,11 @@ Verilog that is not generated: cells (behaviour) and macros (black boxes).
 
 from attrs import field, frozen
 
-from ..model.parameters import Sensor
-from . import async_tdc, tdc
-from .async_circuit import CELLS, MACROS, Circuit
-from .async_front import AsyncFrontEnd
+from ..model.contract.parameters import Sensor
+from . import tdc
+from .silicon import tdc as async_tdc
+from .silicon.circuit import CELLS, MACROS, Circuit
+from .silicon.front_end import AsyncFrontEnd
 from .tree import CoincidenceTree
 
 

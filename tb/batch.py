@@ -17,11 +17,13 @@ from attrs import evolve
 
 from ..hdl.sensor import CORE
 from ..hdl.subgroup import own_ports
-from ..model import registers
-from ..model.config import Config
-from ..model.edges import Edges
-from ..model.golden import pixel_table
-from ..model.parameters import Sensor
+from ..model.contract import registers
+from ..model.contract.config import Config
+from ..model.contract.edges import Edges
+from ..model.contract.parameters import Sensor
+from ..model.contract.pixels import pixel_table
+from ..model.shared.folders import build_root
+from ..model.shared.sources import digest
 from . import toolchain
 from .frames import STORED_TO_COMMIT, Recorded, cycle_limit
 from .rtl import rtl_in_two, sensor_key
@@ -29,8 +31,8 @@ from .rtl import rtl_in_two, sensor_key
 SOURCE = Path(__file__).with_name("batch.cpp")
 LIBRARY = "libcoincid.so"
 MODULE = "coincid_module"
-CHUNK_CYCLES = 20_000      # between two looks at progress and Ctrl-C
-MODULES_A_THREAD = 2       # fewer are not worth a thread
+CHUNK_CYCLES = 20_000  # between two looks at progress and Ctrl-C
+MODULES_A_THREAD = 2  # fewer are not worth a thread
 RUNNING, DELIVERED, HANGS = range(3)
 VERILATOR = ("--cc", *toolchain.VERILATOR_OPTIONS)
 COMPILER = ("-std=gnu++20", "-O2", "-fPIC")
@@ -55,15 +57,25 @@ def wiring_header(sensor: Sensor) -> str:
     lines = ["template <int LINE> struct Line;"]
     for line in range(2):
         lines.append(f"template <> struct Line<{line}> {{")
-        lines += [f"    static auto& {port}(Vmodule& module) {{ return module.{port}_{line}; }}" for port in own_ports(sensor)]
+        lines += [
+            f"    static auto& {port}(Vmodule& module) {{ return module.{port}_{line}; }}" for port in own_ports(sensor)
+        ]
         lines.append("};")
-    return "\n".join([
-        "#pragma once", '#include "Vcore.h"', '#include "Vmodule.h"',
-        f"constexpr int SUBGROUPS = {n}, STREAMS = {sensor.streams}, STORED_TO_COMMIT = {STORED_TO_COMMIT};",
-        f"constexpr int GRANT_WORDS = {-(-most // 32) + 1};",
-        f"constexpr int STREAM_FIRST[] = {{{', '.join(map(str, firsts))}}};",
-        "template <class Visit> void for_each_stream(Vcore& core, Visit visit) {", *visits, "}", *lines, "",
-    ])
+    return "\n".join(
+        [
+            "#pragma once",
+            '#include "Vcore.h"',
+            '#include "Vmodule.h"',
+            f"constexpr int SUBGROUPS = {n}, STREAMS = {sensor.streams}, STORED_TO_COMMIT = {STORED_TO_COMMIT};",
+            f"constexpr int GRANT_WORDS = {-(-most // 32) + 1};",
+            f"constexpr int STREAM_FIRST[] = {{{', '.join(map(str, firsts))}}};",
+            "template <class Visit> void for_each_stream(Vcore& core, Visit visit) {",
+            *visits,
+            "}",
+            *lines,
+            "",
+        ]
+    )
 
 
 def build_library(sensor: Sensor) -> Path:
@@ -76,7 +88,7 @@ def build_library(sensor: Sensor) -> Path:
         _, for_module = rtl_in_two(evolve(sensor, rows=2 * sensor.rows))
     header = wiring_header(sensor)
     key = _key(header, SOURCE.read_text(), sources=[*for_core, *for_module])
-    directory = toolchain.build_root() / "batch" / f"{sensor_key(sensor)}-{key}"
+    directory = build_root() / "batch" / f"{sensor_key(sensor)}-{key}"
 
     def make(scratch: Path) -> None:
         log = directory.with_name(f"{directory.name}.log")
@@ -93,10 +105,12 @@ def build_library(sensor: Sensor) -> Path:
     return toolchain.build_once(directory, make) / LIBRARY
 
 
-def _unit(top: str, prefix: str, sources: list[Path], *, options: Sequence[str] = (), archives: Sequence[str] = ()) -> Path:
+def _unit(
+    top: str, prefix: str, sources: list[Path], *, options: Sequence[str] = (), archives: Sequence[str] = ()
+) -> Path:
     """A Verilated unit: its headers, its archive and those named, in a directory keyed by its sources and options."""
     program = toolchain.verilator()
-    directory = toolchain.build_root() / "batch" / f"{top}-{_key(top, *options, sources=sources)}"
+    directory = build_root() / "batch" / f"{top}-{_key(top, *options, sources=sources)}"
 
     def make(scratch: Path) -> None:
         log = directory.with_name(f"{directory.name}.log")
@@ -119,7 +133,7 @@ def _unit(top: str, prefix: str, sources: list[Path], *, options: Sequence[str] 
 
 def _key(*parts: str, sources: list[Path]) -> str:
     contents = [part for path in sources for part in (path.name, path.read_text())]
-    return toolchain.digest(str(toolchain.verilator()), *VERILATOR, *COMPILER, *MAKE_OPTIONS, *parts, *contents)
+    return digest(str(toolchain.verilator()), *VERILATOR, *COMPILER, *MAKE_OPTIONS, *parts, *contents)
 
 
 @cache
@@ -128,11 +142,15 @@ def _library(path: Path) -> ctypes.CDLL:
     pointer, i64 = ctypes.c_void_p, ctypes.c_int64
     u32 = ctypes.c_uint32
     signatures = {
-        "new": (pointer, [ctypes.c_int]), "delete": (None, [pointer]),
-        "write": (ctypes.c_int, [pointer, u32, u32]), "read": (ctypes.c_int, [pointer, u32, ctypes.POINTER(u32)]),
+        "new": (pointer, [ctypes.c_int]),
+        "delete": (None, [pointer]),
+        "write": (ctypes.c_int, [pointer, u32, u32]),
+        "read": (ctypes.c_int, [pointer, u32, ctypes.POINTER(u32)]),
         "start": (ctypes.c_int, [pointer, pointer, pointer, pointer, pointer, i64, i64, i64, u32, u32]),
-        "run": (ctypes.c_int, [pointer, i64]), "cycle": (i64, [pointer]),
-        "beats": (i64, [pointer, ctypes.c_int, ctypes.POINTER(pointer)]), "commits": (i64, [pointer, ctypes.POINTER(pointer)]),
+        "run": (ctypes.c_int, [pointer, i64]),
+        "cycle": (i64, [pointer]),
+        "beats": (i64, [pointer, ctypes.c_int, ctypes.POINTER(pointer)]),
+        "commits": (i64, [pointer, ctypes.POINTER(pointer)]),
     }
     for name, (result, arguments) in signatures.items():
         function = getattr(library, f"coincid_{name}")
@@ -147,7 +165,9 @@ class BatchSensor:
         self.sensor = sensor
         self._library = _library(build_library(sensor))
         modules = -(-sensor.subgroups // 2)
-        self._engine = self._library.coincid_new(threads or max(1, min(os.cpu_count() or 1, modules // MODULES_A_THREAD)))
+        self._engine = self._library.coincid_new(
+            threads or max(1, min(os.cpu_count() or 1, modules // MODULES_A_THREAD))
+        )
         self._programmed = registers.reset_values(sensor)
 
     def __enter__(self) -> "BatchSensor":
@@ -170,7 +190,11 @@ class BatchSensor:
         return value.value
 
     def frame(
-        self, config: Config, edges: Edges, ready: np.ndarray | None = None, progress: Callable[[int], None] = lambda cycle: None
+        self,
+        config: Config,
+        edges: Edges,
+        ready: np.ndarray | None = None,
+        progress: Callable[[int], None] = lambda cycle: None,
     ) -> Recorded:
         """Programs the settings, plays a frame and returns what it showed, as `cosim.SensorBench.play` does."""
         for address, value in config.register_writes():
@@ -181,15 +205,25 @@ class BatchSensor:
         cycle, bit, bounds = _by_subgroup(config, edges)
         control = registers.BY_NAME["control"]
         refused = self._library.coincid_start(
-            self._engine, cycle.ctypes.data, bit.ctypes.data, bounds.ctypes.data, ready.ctypes.data, len(ready),
-            config.frame_cycles, cycle_limit(config, len(ready)), registers.address("control"), 1 << control.bit("start"),
+            self._engine,
+            cycle.ctypes.data,
+            bit.ctypes.data,
+            bounds.ctypes.data,
+            ready.ctypes.data,
+            len(ready),
+            config.frame_cycles,
+            cycle_limit(config, len(ready)),
+            registers.address("control"),
+            1 << control.bit("start"),
         )
         if refused:
             raise AccessError(f"start: SLVERR, status {self.read(registers.address('status')):#x}")
         while (status := self._library.coincid_run(self._engine, CHUNK_CYCLES)) == RUNNING:
             progress(self._library.coincid_cycle(self._engine))
         if status == HANGS:
-            raise toolchain.SimulationError(f"no frame end after {self._library.coincid_cycle(self._engine)} cycles: the sensor hangs")
+            raise toolchain.SimulationError(
+                f"no frame end after {self._library.coincid_cycle(self._engine)} cycles: the sensor hangs"
+            )
         self._wait_done()
         beats, cycles = [], []
         for stream in range(self.sensor.streams):
@@ -225,5 +259,3 @@ def _by_subgroup(config: Config, edges: Edges) -> tuple[np.ndarray, np.ndarray, 
     bit = (table.inside[edges.pixel] * phases + edges.tick % phases)[order]
     bounds = np.concatenate([[0], np.cumsum(np.bincount(subgroup, minlength=config.sensor.subgroups))])
     return cycle[order], bit.astype(np.int32), bounds.astype(np.int64)
-
-

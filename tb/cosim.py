@@ -15,18 +15,18 @@ from cocotb.triggers import FallingEdge, RisingEdge, Timer
 from cocotb_bus.drivers.amba import AXI4LiteMaster
 
 from coincid.hdl import bus
-from coincid.hdl.async_circuit import CLOCK_FS
 from coincid.hdl.sequencer import LEAD
-from coincid.model import registers
-from coincid.model.config import Config
-from coincid.model.edges import Edges
+from coincid.hdl.silicon.circuit import CLOCK_FS
+from coincid.model.contract import registers
+from coincid.model.contract.config import Config
+from coincid.model.contract.edges import Edges
 from coincid.tb.frames import STORED_TO_COMMIT, Recorded, cycle_limit
 from coincid.tb.scoreboard import Mismatch, Scoreboard
 from coincid.tb.stimulus import line_levels, port_words
 
 JOB_VARIABLE = "COINCID_JOB"
 RESULT, MISMATCH = ".result", ".mismatch"  # suffixes of what a job leaves
-PROGRESS = "@cycle"          # a line of the simulator's output that a progress bar reads
+PROGRESS = "@cycle"  # a line of the simulator's output that a progress bar reads
 PROGRESS_CYCLES = 500
 
 
@@ -77,7 +77,12 @@ class SensorBench:
         return port_words(config, edges)
 
     async def play(
-        self, config: Config, edges: Edges, ready: np.ndarray, board: Scoreboard | None = None, progress=lambda cycle: None,
+        self,
+        config: Config,
+        edges: Edges,
+        ready: np.ndarray,
+        board: Scoreboard | None = None,
+        progress=lambda cycle: None,
     ) -> Recorded:
         """Plays a frame and returns what it showed. `board` raises at the first difference from the golden model."""
         sensor = self.sensor
@@ -94,7 +99,7 @@ class SensorBench:
             if laser.value == 1:
                 break
             if started.done():
-                started.result()   # a refused start raises here
+                started.result()  # a refused start raises here
         low = set(low)
         driven, was_ready = set(), None
         beats, beat_cycle = [[] for _ in range(sensor.streams)], [[] for _ in range(sensor.streams)]
@@ -151,8 +156,12 @@ class SensorBench:
         commits.sort(key=lambda commit: commit[0])
         subgroups, cycles = np.array(commits, np.int64).reshape(-1, 2).T
         return Recorded(
-            [np.array(b, np.uint64) for b in beats], [np.array(c, np.int64) for c in beat_cycle], subgroups, cycles,
-            cycle, board.checked if board else 0,
+            [np.array(b, np.uint64) for b in beats],
+            [np.array(c, np.int64) for c in beat_cycle],
+            subgroups,
+            cycles,
+            cycle,
+            board.checked if board else 0,
         )
 
 
@@ -169,7 +178,7 @@ class LineBench(SensorBench):
             await falling
             if int(self.dut.timing.value) & start:
                 break
-        now = CLOCK_FS // 2 - LEAD * CLOCK_FS   # of this falling edge, cycle 0 of the frame is 0
+        now = CLOCK_FS // 2 - LEAD * CLOCK_FS  # of this falling edge, cycle 0 of the frame is 0
         for at, subgroup, word in zip(*levels):
             if at > now:
                 await Timer(at - now, "fs")

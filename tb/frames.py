@@ -3,11 +3,11 @@
 import numpy as np
 from attrs import define, field, frozen
 
-from ..model.config import Config
-from ..model.edges import Edges
-from ..model.golden import Trace
-from ..model.latency import FINISH
-from ..model.packet import layout
+from ..model.contract.config import Config
+from ..model.contract.edges import Edges
+from ..model.contract.latency import FINISH
+from ..model.contract.packet import layout
+from ..model.golden.frame import Trace
 
 STORED_TO_COMMIT = 1  # the subgroup's `stored` strobe stands a cycle after the commit
 

@@ -6,9 +6,9 @@ import numpy as np
 from amaranth.sim import Simulator
 
 from ..hdl.sensor import FlatSensor
-from ..model import registers
-from ..model.config import Config
-from ..model.edges import Edges
+from ..model.contract import registers
+from ..model.contract.config import Config
+from ..model.contract.edges import Edges
 from .frames import cycle_limit
 from .stimulus import port_words
 from .toolchain import SimulationError
@@ -16,7 +16,9 @@ from .toolchain import SimulationError
 CLOCK_S = 2e-9  # any would do: nothing here has a delay
 
 
-def play(config: Config, edges: Edges, progress: Callable[[int], None] = lambda cycle: None) -> tuple[list[np.ndarray], list[np.ndarray]]:
+def play(
+    config: Config, edges: Edges, progress: Callable[[int], None] = lambda cycle: None
+) -> tuple[list[np.ndarray], list[np.ndarray]]:
     """Programs the sensor, plays a frame with `tready` high, and returns per stream the beats (uint64) and their cycles (int64).
 
     progress: called with the number of each cycle of the frame as it begins. Raises `SimulationError` if the frame never ends.
@@ -46,7 +48,9 @@ def play(config: Config, edges: Edges, progress: Callable[[int], None] = lambda 
                     ctx.set(valid, 0)
 
     async def frame(ctx):
-        streams = [[getattr(dut, f"{name}_{wire}") for wire in ("tvalid", "tdata", "tlast", "tready")] for name in names]
+        streams = [
+            [getattr(dut, f"{name}_{wire}") for wire in ("tvalid", "tdata", "tlast", "tready")] for name in names
+        ]
         spads = [getattr(dut, f"spad_{s}") for s in range(sensor.subgroups)]
         for *_, ready in streams:
             ctx.set(ready, 1)

@@ -9,11 +9,12 @@ import numpy as np
 
 from ..hdl.sensor import TOP
 from ..hdl.views import POLYPHASE
-from ..model.config import Config
-from ..model.edges import Edges
-from ..model.parameters import Sensor
-from ..model.quantities import check_choice
-from ..model.result import ResultBuilder, golden_result
+from ..model.contract.config import Config
+from ..model.contract.edges import Edges
+from ..model.contract.parameters import Sensor
+from ..model.contract.result import ResultBuilder
+from ..model.golden.frame import golden_result
+from ..model.shared.quantities import check_choice
 from . import toolchain
 from .batch import BatchSensor, build_library
 from .cosim import JOB_VARIABLE, MISMATCH, PROGRESS, RESULT, LineBench, SensorBench
@@ -22,7 +23,7 @@ from .rtl import rtl, sensor_key
 from .scoreboard import Mismatch, check
 from .stimulus import check_offsets
 
-LINE_ENGINES = ("icarus", "cocotb-icarus", "cocotb-verilator")   # of the view with delays
+LINE_ENGINES = ("icarus", "cocotb-icarus", "cocotb-verilator")  # of the view with delays
 ENGINES = ("golden", "verilator", "icarus", "cocotb-verilator", "cocotb-icarus")  # verilator: the batch engine
 COCOTB = {"cocotb-verilator": "verilator", "cocotb-icarus": "icarus", "icarus": "icarus"}  # engine -> simulator
 
@@ -44,12 +45,23 @@ def build_sensor(sensor: Sensor, simulator: str, waves: bool = False, view=POLYP
     """The sensor in a view of `hdl/views.py`, compiled for a simulator, or found compiled."""
     public = [f"{TOP}.stored_of_*"] + [f"{TOP}.timing"] * (view != POLYPHASE)
     return toolchain.build(
-        simulator, rtl(sensor, view), TOP, key=sensor_key(sensor, view), waves=waves, public=public, delays=view != POLYPHASE,
+        simulator,
+        rtl(sensor, view),
+        TOP,
+        key=sensor_key(sensor, view),
+        waves=waves,
+        public=public,
+        delays=view != POLYPHASE,
     )
 
 
 def play(
-    frames: list[FrameJob], engine: str, out_dir: Path, *, waves: bool = False, progress: Callable[[int], None] | None = None,
+    frames: list[FrameJob],
+    engine: str,
+    out_dir: Path,
+    *,
+    waves: bool = False,
+    progress: Callable[[int], None] | None = None,
     view=POLYPHASE,
 ) -> tuple[list[Recorded], Path | None]:
     """Plays frames of one sensor through its RTL; returns what each showed, and the waveform. `progress` gets cycles done.
@@ -94,7 +106,11 @@ def _play_batch(frames: list[FrameJob], progress: Callable[[int], None]) -> list
 
 
 def replay(
-    engine: str, config: Config, edges: Edges, ready: np.ndarray | None = None, progress: Callable[[int], None] | None = None,
+    engine: str,
+    config: Config,
+    edges: Edges,
+    ready: np.ndarray | None = None,
+    progress: Callable[[int], None] | None = None,
     view=POLYPHASE,
 ) -> dict[str, np.ndarray]:
     """All frames of `config` through an engine: the arrays of the result file. `progress` gets cycles done."""

@@ -5,7 +5,8 @@ from pathlib import Path
 from ..hdl.export import FILE_LIST, core_files, verilog_files
 from ..hdl.sensor import CORE, TOP
 from ..hdl.views import POLYPHASE
-from ..model.parameters import Sensor
+from ..model.contract.parameters import Sensor
+from ..model.shared.sources import digest, sources_digest
 from . import toolchain
 
 CORE_LIST = f"{CORE}.f"
@@ -35,10 +36,8 @@ def rtl_in_two(sensor: Sensor) -> tuple[list[Path], list[Path]]:
 
 
 def _emitted(sensor: Sensor, view=POLYPHASE) -> Path:
-    sources = [path for folder in ("hdl", "model") for path in sorted((Path(__file__).parents[1] / folder).glob("*.py"))]
-    sources.append(Path(__file__))
-    parts = [repr(sensor)] if view == POLYPHASE else [repr(sensor), repr(view), *(path.read_bytes() for path in view.cells)]
-    key = toolchain.digest(*parts, *(path.read_bytes() for path in sources))
+    parts = [repr(sensor)] if view == POLYPHASE else [repr(sensor), repr(view)]
+    key = digest(*parts, sources_digest("hdl", "model.contract", "model.shared"), Path(__file__).read_bytes())
 
     def emit(directory: Path) -> None:
         files = verilog_files(sensor, view)

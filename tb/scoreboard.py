@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from ..model.golden import Trace
-from ..model.packet import BEAT_BITS, HEADER, Kind, header_field, layout
-from ..model.parameters import Sensor
-from ..model.registers import COUNTER_BITS, COUNTER_NAMES
+from ..model.contract.packet import BEAT_BITS, HEADER, Kind, header_field, layout
+from ..model.contract.parameters import Sensor
+from ..model.contract.registers import COUNTER_BITS, COUNTER_NAMES
+from ..model.golden.frame import Trace
 from .frames import Recorded
 
 
@@ -31,7 +31,8 @@ def check(sensor: Sensor, expected: Trace, record: Recorded, frame: int = 0) -> 
     if (
         all(np.array_equal(record.beats[k], expected.beats[k]) for k in streams)
         and all(np.array_equal(record.beat_cycle[k], expected.beat_cycle[k]) for k in streams)
-        and np.array_equal(record.commit_subgroup, expected.commit_subgroup) and np.array_equal(record.commit_cycle, expected.commit_cycle)
+        and np.array_equal(record.commit_subgroup, expected.commit_subgroup)
+        and np.array_equal(record.commit_cycle, expected.commit_cycle)
     ):
         return sum(map(len, expected.beats)) + len(expected.commit_cycle)
     board = Scoreboard(sensor, expected, frame)
@@ -39,7 +40,8 @@ def check(sensor: Sensor, expected: Trace, record: Recorded, frame: int = 0) -> 
     for k in streams:
         ends = len(record.beats[k]) - 1
         shown += [
-            (cycle, 1, k, data, i == ends) for i, (cycle, data) in enumerate(zip(record.beat_cycle[k].tolist(), record.beats[k].tolist()))
+            (cycle, 1, k, data, i == ends)
+            for i, (cycle, data) in enumerate(zip(record.beat_cycle[k].tolist(), record.beats[k].tolist()))
         ]
     for cycle, is_beat, which, data, last in sorted(shown):
         if is_beat:
@@ -65,7 +67,9 @@ class Scoreboard:
         """A beat that was transferred. Raises `Mismatch` at the first difference."""
         index, beats = self.beats[stream], self.expected.beats[stream]
         if index >= len(beats):
-            raise Mismatch(f"frame {self.frame}, stream {stream}, cycle {cycle}: beat {index} after the frame's end: {data:#018x}")
+            raise Mismatch(
+                f"frame {self.frame}, stream {stream}, cycle {cycle}: beat {index} after the frame's end: {data:#018x}"
+            )
         expected, due = int(beats[index]), int(self.expected.beat_cycle[stream][index])
         if data != expected:
             self._explain(stream, index, cycle, data)
@@ -81,7 +85,9 @@ class Scoreboard:
         index, due = self._commit_index[subgroup], self._commits[subgroup]
         if index >= len(due) or due[index] != cycle:
             expected = f"golden model in cycle {due[index]}" if index < len(due) else "golden model stores none"
-            raise Mismatch(f"frame {self.frame}, subgroup {subgroup}, event {index}: stored in cycle {cycle}, {expected}")
+            raise Mismatch(
+                f"frame {self.frame}, subgroup {subgroup}, event {index}: stored in cycle {cycle}, {expected}"
+            )
         self._commit_index[subgroup] += 1
         self.checked += 1
 
@@ -89,7 +95,9 @@ class Scoreboard:
         """The frame is over. Raises `Mismatch` where something is missing."""
         for stream, beats in enumerate(self.expected.beats):
             if self.beats[stream] != len(beats):
-                raise Mismatch(f"frame {self.frame}, stream {stream}: {self.beats[stream]} beats, golden model {len(beats)}")
+                raise Mismatch(
+                    f"frame {self.frame}, stream {stream}: {self.beats[stream]} beats, golden model {len(beats)}"
+                )
         for subgroup, due in enumerate(self._commits):
             if self._commit_index[subgroup] != len(due):
                 raise Mismatch(

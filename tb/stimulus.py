@@ -3,12 +3,12 @@
 import numpy as np
 from attrs import evolve
 
-from ..hdl.async_circuit import CLOCK_FS
-from ..model.config import Config
-from ..model.edges import Edges
-from ..model.errors import InputError
-from ..model.golden import pixel_table
-from ..model.parameters import Sensor
+from ..hdl.silicon.circuit import CLOCK_FS
+from ..model.contract.config import Config
+from ..model.contract.edges import Edges
+from ..model.contract.parameters import Sensor
+from ..model.contract.pixels import pixel_table
+from ..model.shared.errors import InputError
 
 FS_PER_PS = 1000
 
@@ -43,7 +43,9 @@ def check_offsets(config: Config, edges: Edges) -> None:
     if edges.offset_ps is not None:
         bad = np.flatnonzero(edges.offset_ps > tick_ps(config.sensor))
         if len(bad):
-            raise InputError(f"offset_ps[{bad[0]}] = {edges.offset_ps[bad[0]]}: must be a number from 0 to {tick_ps(config.sensor):g}")
+            raise InputError(
+                f"offset_ps[{bad[0]}] = {edges.offset_ps[bad[0]]}: must be a number from 0 to {tick_ps(config.sensor):g}"
+            )
 
 
 def off_centre(config: Config, edges: Edges, seed: int) -> Edges:
@@ -61,7 +63,11 @@ def line_levels(config: Config, edges: Edges) -> tuple[list[int], list[int], lis
     sensor = config.sensor
     tick_fs = CLOCK_FS // sensor.phases
     table = pixel_table(sensor)
-    offset = np.full(len(edges), tick_fs // 2) if edges.offset_ps is None else np.rint(edges.offset_ps * FS_PER_PS).astype(np.int64)
+    offset = (
+        np.full(len(edges), tick_fs // 2)
+        if edges.offset_ps is None
+        else np.rint(edges.offset_ps * FS_PER_PS).astype(np.int64)
+    )
     rise = config.start_cycles()[edges.pulse] * CLOCK_FS + edges.tick * tick_fs + offset.clip(1, tick_fs - 1)
     rise, pixel = np.unique(np.stack([rise, edges.pixel]), axis=1)
     order = np.lexsort((rise, pixel))
@@ -69,7 +75,7 @@ def line_levels(config: Config, edges: Edges) -> tuple[list[int], list[int], lis
     high = np.full(len(rise), max(1, tick_fs // 4))
     same = pixel[1:] == pixel[:-1]
     high[:-1][same] = np.minimum(high[:-1], np.diff(rise) // 2)[same]
-    alone = high > 0   # an edge a femtosecond before the next of its line is none
+    alone = high > 0  # an edge a femtosecond before the next of its line is none
     rise, pixel, high = rise[alone], pixel[alone], high[alone]
     time = np.concatenate([rise, rise + high])
     bit, subgroup = table.inside[np.tile(pixel, 2)], table.subgroup[np.tile(pixel, 2)]

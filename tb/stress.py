@@ -15,20 +15,22 @@ from pathlib import Path
 
 from amaranth.hdl import Value
 
-from ..hdl.async_circuit import CLOCK_FS, Circuit
 from ..hdl.export import units_files
+from ..hdl.silicon.circuit import CLOCK_FS, Circuit
 from ..hdl.unit import Unit
 from ..hdl.views import Asynchronous
-from ..model.errors import check_integer
-from ..model.parameters import Sensor
+from ..model.contract.parameters import Sensor
+from ..model.shared.errors import check_integer
+from ..model.shared.folders import build_root
+from ..model.shared.sources import digest
 from . import toolchain
 from .stimulus import FS_PER_PS
 
 TOP = "coincid_async_stress"
 PERIOD_CYCLES = 64
 EDGES_MAX = 1 << 31
-APERTURE_PS = 20      # of a flop that has just met its data
-DRIVEN = ("spad", "mask", "gate", "window_ticks", "frame", "timing")   # what the bench drives
+APERTURE_PS = 20  # of a flop that has just met its data
+DRIVEN = ("spad", "mask", "gate", "window_ticks", "frame", "timing")  # what the bench drives
 
 
 def stress(edges: int, seed: int = 1, sensor: Sensor | None = None, circuit: Circuit | None = None) -> dict:
@@ -45,15 +47,19 @@ def stress(edges: int, seed: int = 1, sensor: Sensor | None = None, circuit: Cir
 def run_bench(files: dict[str, str], *arguments: str, aperture: bool = False) -> list[str]:
     """The lines that a bench (module `TOP`) prints under Icarus. aperture: flops may fall to either side when their data has just moved."""
     define = [f"-DCOINCID_APERTURE_PS={APERTURE_PS}"] * aperture
-    key = toolchain.digest(*define, *(part for item in files.items() for part in item))
+    key = digest(*define, *(part for item in files.items() for part in item))
 
     def make(scratch: Path) -> None:
         for name, text in files.items():
             (scratch / name).write_text(text)
-        toolchain.compile_in(scratch, scratch / "compile.log", ["iverilog", "-g2012", *define, "-o", "bench.vvp", "-s", TOP, *files])
+        toolchain.compile_in(
+            scratch, scratch / "compile.log", ["iverilog", "-g2012", *define, "-o", "bench.vvp", "-s", TOP, *files]
+        )
 
-    folder = toolchain.build_once(toolchain.build_root() / "bench" / key, make)
-    done = subprocess.run(["vvp", "-n", "bench.vvp", *arguments], cwd=folder, capture_output=True, text=True, check=False)
+    folder = toolchain.build_once(build_root() / "bench" / key, make)
+    done = subprocess.run(
+        ["vvp", "-n", "bench.vvp", *arguments], cwd=folder, capture_output=True, text=True, check=False
+    )
     if done.returncode or not done.stdout.strip():
         raise toolchain.ToolchainError(f"bench: the simulation failed: {done.stderr.strip() or 'it printed nothing'}")
     return done.stdout.strip().splitlines()
@@ -70,7 +76,8 @@ class Front:
         self.sensor, self.cells = sensor, view.cells
         self.front, self.tdc = view.front_end(sensor), view.tdc(sensor, 1)
         self.at, self.timing, self.frame = (
-            {name: field.offset for name, field in getattr(self.front, port).shape()} for port in ("window", "timing", "frame")
+            {name: field.offset for name, field in getattr(self.front, port).shape()}
+            for port in ("window", "timing", "frame")
         )
 
     def files(self) -> dict[str, str]:
@@ -79,6 +86,7 @@ class Front:
 
     def bench(self, body: str) -> str:
         """Module `TOP`: clock, front end and TDC, and `body`."""
+
         def widths(unit: Unit) -> dict[str, int]:
             return {port: len(Value.cast(value)) for port, (_, value) in unit.flat_ports().items()}
 
@@ -88,13 +96,21 @@ class Front:
         line = {port: port.replace("line_0__", "line__") for port in widths(self.tdc)}
         tdc_ports = ", ".join(f".{port}({line[port] if port != 'start' else 'start_module'})" for port in line)
         front_ports = ", ".join(f".{port}({port})" for port in of_front)
-        return "\n".join([
-            "`timescale 1ps / 1fs", f"module {TOP};", "  reg clk = 0, rst = 1, start_module = 0;",
-            f"  always #{CLOCK_FS // 2 / FS_PER_PS} clk = ~clk;",
-            *wires, *driven,
-            f"  {self.tdc.unit_name} tdc (.clk(clk), .rst(rst), {tdc_ports});",
-            f"  {self.front.unit_name} front (.clk(clk), .rst(rst), {front_ports});", body, "endmodule", "",
-        ])
+        return "\n".join(
+            [
+                "`timescale 1ps / 1fs",
+                f"module {TOP};",
+                "  reg clk = 0, rst = 1, start_module = 0;",
+                f"  always #{CLOCK_FS // 2 / FS_PER_PS} clk = ~clk;",
+                *wires,
+                *driven,
+                f"  {self.tdc.unit_name} tdc (.clk(clk), .rst(rst), {tdc_ports});",
+                f"  {self.front.unit_name} front (.clk(clk), .rst(rst), {front_ports});",
+                body,
+                "endmodule",
+                "",
+            ]
+        )
 
 
 def _body(front: Front) -> str:
@@ -118,8 +134,8 @@ def _body(front: Front) -> str:
     quiet = windows;
     #{CLOCK_FS / 4000} spad[{pixels - 1}] = 1; #10 spad[{pixels - 1}] = 0;
     repeat ({PERIOD_CYCLES // 2}) @(posedge clk);
-    if (windows != quiet + 1 || window[{at['hits']} +: {pixels}] != {{1'b1, {pixels - 1}'b0}}
-        || window[{at['winner']} +: {sensor.winner_bits}] != {pixels - 1}) locked = locked + 1;
+    if (windows != quiet + 1 || window[{at["hits"]} +: {pixels}] != {{1'b1, {pixels - 1}'b0}}
+        || window[{at["winner"]} +: {sensor.winner_bits}] != {pixels - 1}) locked = locked + 1;
     $write("{{\\"edges\\": %0d, \\"windows\\": %0d, \\"records\\": %0d, ", edges, windows, records);
     $display("\\"blind_cycles\\": %0d, \\"resets\\": %0d, \\"wrong\\": %0d, \\"locked\\": %0d}}", blinds, resets, wrong, locked);
     $finish;
@@ -149,15 +165,15 @@ def _body(front: Front) -> str:
   integer k;
   always @(posedge clk) begin
     cycle <= cycle == {PERIOD_CYCLES - 1} ? 0 : cycle + 1;
-    timing <= (1 << {timing['running']}) | ((cycle == 0) << {timing['start']}) | ((cycle == 0) << {timing['wrap']})
-            | ((cycle < {PERIOD_CYCLES - sensor.guard}) << {timing['may_open']});
+    timing <= (1 << {timing["running"]}) | ((cycle == 0) << {timing["start"]}) | ((cycle == 0) << {timing["wrap"]})
+            | ((cycle < {PERIOD_CYCLES - sensor.guard}) << {timing["may_open"]});
     start_module <= cycle == 0;
     rst <= 0;
     if (bright && cycle == 0) begin
       window_ticks <= $urandom(seed) % 3 == 0 ? 1 + $urandom(seed) % {sensor.window_max} : 1 + $urandom(seed) % {sensor.phases};
       light <= $urandom(seed);
       for (k = 0; k < {pixels}; k = k + 1) mask[k] <= $urandom(seed) % 8 != 0;
-      frame <= (1 << {frame['mg_records']}) | (1 << {frame['mg_threshold']}) | ((1 + $urandom(seed) % 4) << {frame['mg_window']});
+      frame <= (1 << {frame["mg_records"]}) | (1 << {frame["mg_threshold"]}) | ((1 + $urandom(seed) % 4) << {frame["mg_window"]});
       if ($urandom(seed) % 8 == 0) begin rst <= 1; resets = resets + 1; end
     end
     if (bright) gate <= $urandom(seed) % 16 != 0;
@@ -178,9 +194,9 @@ def _body(front: Front) -> str:
     if (blind) blinds = blinds + 1;
     if (closed && !rst) begin
       windows = windows + 1;
-      if (window[{at['hits']} +: {pixels}] == 0 || !window[{at['hits']} + window[{at['winner']} +: {sensor.winner_bits}]]
-          || ones(window[{at['hits']} +: {pixels}]) != window[{at['count']} +: {sensor.count_bits}]) wrong = wrong + 1;
-      if (^window[{at['hits']} +: {pixels}] === 1'bx || ^window[{at['stamp']} +: {sensor.stamp_bits}] === 1'bx) wrong = wrong + 1;
+      if (window[{at["hits"]} +: {pixels}] == 0 || !window[{at["hits"]} + window[{at["winner"]} +: {sensor.winner_bits}]]
+          || ones(window[{at["hits"]} +: {pixels}]) != window[{at["count"]} +: {sensor.count_bits}]) wrong = wrong + 1;
+      if (^window[{at["hits"]} +: {pixels}] === 1'bx || ^window[{at["stamp"]} +: {sensor.stamp_bits}] === 1'bx) wrong = wrong + 1;
     end
   end
 """

@@ -9,7 +9,6 @@ makes every signal public, which keeps Verilator from optimising the design.
 """
 
 import errno
-import hashlib
 import os
 import re
 import shutil
@@ -27,8 +26,9 @@ import find_libpython
 from cocotb_tools import config as cocotb_config
 from filelock import FileLock
 
-from ..model.errors import InputError
-from ..model.folders import build_root
+from ..model.shared.errors import InputError
+from ..model.shared.folders import build_root
+from ..model.shared.sources import digest
 from .system import MissingPackagesError, system_packages
 
 SIMULATORS = ("verilator", "icarus")
@@ -84,7 +84,9 @@ def build_once(directory: Path, make: Callable[[Path], None]) -> Path:
                 finally:
                     shutil.rmtree(scratch, ignore_errors=True)
     except OSError as error:
-        raise ToolchainError(f"build directory {directory.parent}: {_reason(error)}; COINCID_BUILD names another") from None
+        raise ToolchainError(
+            f"build directory {directory.parent}: {_reason(error)}; COINCID_BUILD names another"
+        ) from None
     return directory
 
 
@@ -93,15 +95,6 @@ def _reason(error: OSError) -> str:
         return error.args[0][0][2]
     name = error.filename2 or error.filename
     return f"{error.strerror}{f': {name}' if name else ''}"
-
-
-def digest(*parts: str | bytes) -> str:
-    """Twelve hex digits that change with any of `parts` or where one ends."""
-    total = hashlib.sha256()
-    for part in parts:
-        data = part.encode() if isinstance(part, str) else part
-        total.update(len(data).to_bytes(8, "little") + data)
-    return total.hexdigest()[:12]
 
 
 def verilator() -> Path:
@@ -289,7 +282,9 @@ def build(
     return Build(simulator, top, build_once(directory, make), waves)
 
 
-def _verilator_command(names: Sequence[str], top: str, waves: bool, delays: bool = False) -> tuple[list[str], list[str]]:
+def _verilator_command(
+    names: Sequence[str], top: str, waves: bool, delays: bool = False
+) -> tuple[list[str], list[str]]:
     program = verilator()
     time = ["--timing", "--timescale", TIMESCALE] if delays else ["--timescale-override", TIMESCALE]
     if waves and not _compiles("lz4.h", "zlib.h"):

@@ -7,23 +7,49 @@ from pathlib import Path
 from attrs import frozen
 
 from ..hdl.sensor import TOP
-from ..model.files import whole_file
+from ..model.shared.files import whole_file
 
-HIERARCHY, HIERARCHY_LZ4, HIERARCHY_LZ4_TWICE = 4, 6, 7     # block types of the FST format
+HIERARCHY, HIERARCHY_LZ4, HIERARCHY_LZ4_TWICE = 4, 6, 7  # block types of the FST format
 SCOPE, UPSCOPE, ATTRIBUTE, END_ATTRIBUTE = 254, 255, 252, 253  # tags of the hierarchy; lower ones are variables
 
 # What is worth seeing of each block, in the order of a photon's way; names are those of the Verilog.
 BLOCKS: tuple[tuple[str, str, tuple[str, ...]], ...] = (  # (title, scope below the top, signals)
-    ("sensor", "", ("clk", "rst", "laser", "spad_gate", "m_axis_tvalid", "m_axis_tready", "m_axis_tlast", "m_axis_tdata")),
-    ("registers", "registers", ("s_axi__awvalid", "s_axi__awaddr", "s_axi__wdata", "s_axi__bvalid", "s_axi__bresp", "start_frame", "done")),
+    (
+        "sensor",
+        "",
+        ("clk", "rst", "laser", "spad_gate", "m_axis_tvalid", "m_axis_tready", "m_axis_tlast", "m_axis_tdata"),
+    ),
+    (
+        "registers",
+        "registers",
+        ("s_axi__awvalid", "s_axi__awaddr", "s_axi__wdata", "s_axi__bvalid", "s_axi__bresp", "start_frame", "done"),
+    ),
     ("sequencer", "sequencer", ("frame_begin", "timing", "finish", "number", "done")),
     ("subgroup 0: edges", "module_0.subgroup_0", ("words",)),
     ("subgroup 0: gate", "module_0.subgroup_0.gating", ("accept", "spad_gate")),
-    ("subgroup 0: tree", "module_0.subgroup_0.tree", (
-        "line__root", "line__any", "line__phase", "line__coarse", "opening", "window_open", "left", "closing", "blind", "hits", "closed",
-    )),
+    (
+        "subgroup 0: tree",
+        "module_0.subgroup_0.tree",
+        (
+            "line__root",
+            "line__any",
+            "line__phase",
+            "line__coarse",
+            "opening",
+            "window_open",
+            "left",
+            "closing",
+            "blind",
+            "hits",
+            "closed",
+        ),
+    ),
     ("TDC of module 0", "module_0.tdc", ("start", "coarse")),
-    ("subgroup 0: DPCU", "module_0.subgroup_0.dpcu", ("window_ticks", "threshold", "closed", "enough", "commit", "pulse", "photons")),
+    (
+        "subgroup 0: DPCU",
+        "module_0.subgroup_0.dpcu",
+        ("window_ticks", "threshold", "closed", "enough", "commit", "pulse", "photons"),
+    ),
     ("subgroup 0: FIFO", "module_0.subgroup_0.fifo", ("stored", "dropped", "level", "take")),
     ("subgroup 0: packets", "module_0.subgroup_0.packetizer", ("grant", "valid", "beat")),
     ("readout 0", "readout_0", ("stored", "grant", "valid", "beat", "space")),
@@ -90,7 +116,7 @@ def _lz4(block: bytes) -> bytes:
         start = len(out) - distance
         if not 0 <= start < len(out):
             raise ValueError("damaged LZ4 block")
-        while count > 0:      # a copy may overlap itself
+        while count > 0:  # a copy may overlap itself
             piece = out[start : start + min(count, len(out) - start)]
             out += piece
             start += len(piece)

@@ -5,27 +5,65 @@ import itertools
 import numpy as np
 from hypothesis import strategies as st
 
-from coincid.model.config import Config, parse_config
-from coincid.model.edges import Edges
-from coincid.model.golden import pixel_table
+from coincid.model.contract.config import Config, parse_config
+from coincid.model.contract.edges import Edges
+from coincid.model.contract.pixels import pixel_table
 
 SENSORS = {  # small ones, so that a case is fast; between them every parameter leaves its default
     "default": {"rows": 8, "cols": 16},
     "one": {"rows": 8, "cols": 8},
     "coarse": {"rows": 8, "cols": 16, "phases": 8, "window_max": 16, "rearm": 2, "fifo_depth": 2},
     "tiny": {
-        "rows": 12, "cols": 4, "subgroup": [4, 4], "minigroup": [1, 1], "phases": 4, "window_max": 20, "rearm": 1,
-        "fifo_depth": 1, "streams": 3,
+        "rows": 12,
+        "cols": 4,
+        "subgroup": [4, 4],
+        "minigroup": [1, 1],
+        "phases": 4,
+        "window_max": 20,
+        "rearm": 1,
+        "fifo_depth": 1,
+        "streams": 3,
     },
     "fine": {
-        "rows": 16, "cols": 4, "subgroup": [8, 4], "minigroup": [4, 4], "phases": 64, "coarse_bits": 7, "window_max": 200,
+        "rows": 16,
+        "cols": 4,
+        "subgroup": [8, 4],
+        "minigroup": [4, 4],
+        "phases": 64,
+        "coarse_bits": 7,
+        "window_max": 200,
         "streams": 2,
     },
-    "wide": {"rows": 16, "cols": 16, "subgroup": [16, 16], "minigroup": [2, 2], "phases": 16, "rearm": 3, "fifo_depth": 5},
-    "odd": {"rows": 6, "cols": 9, "subgroup": [6, 3], "minigroup": [2, 3], "phases": 16, "window_max": 33, "streams": 2},
+    "wide": {
+        "rows": 16,
+        "cols": 16,
+        "subgroup": [16, 16],
+        "minigroup": [2, 2],
+        "phases": 16,
+        "rearm": 3,
+        "fifo_depth": 5,
+    },
+    "odd": {
+        "rows": 6,
+        "cols": 9,
+        "subgroup": [6, 3],
+        "minigroup": [2, 3],
+        "phases": 16,
+        "window_max": 33,
+        "streams": 2,
+    },
 }
 # Of fault and mutation tests, which run slow simulators over and over: two subgroups of 16 pixels.
-SMALL = {"rows": 4, "cols": 8, "subgroup": [4, 4], "phases": 8, "coarse_bits": 9, "window_max": 100, "rearm": 1, "fifo_depth": 3}
+SMALL = {
+    "rows": 4,
+    "cols": 8,
+    "subgroup": [4, 4],
+    "phases": 8,
+    "coarse_bits": 9,
+    "window_max": 100,
+    "rearm": 1,
+    "fifo_depth": 3,
+}
 
 
 @st.composite
@@ -35,18 +73,32 @@ def configurations(draw, sensor: dict, frames_max: int = 2) -> Config:
     period = draw(st.integers(built.guard + 1, min(built.period_max, built.guard + 60)))
     ends = [ticks for ticks in (1, built.phases, built.window_max) if ticks <= built.window_max]
     window = st.one_of(st.integers(1, built.window_max), st.sampled_from(ends))
-    settings = st.fixed_dictionaries({}, optional={
-        "coincidence": st.booleans(), "gating": st.booleans(), "auto": st.booleans(), "threshold": st.integers(1, min(6, built.pixels)),
-        "window": window, "gate_start": st.integers(0, period - 1),
-        "gate_len": st.one_of(st.integers(0, period + 3), st.integers(0, 15).map(lambda bit: 1 << bit)),
-        "mask": st.integers(0, (1 << built.pixels) - 1).map("{:x}".format),
-    })
+    settings = st.fixed_dictionaries(
+        {},
+        optional={
+            "coincidence": st.booleans(),
+            "gating": st.booleans(),
+            "auto": st.booleans(),
+            "threshold": st.integers(1, min(6, built.pixels)),
+            "window": window,
+            "gate_start": st.integers(0, period - 1),
+            "gate_len": st.one_of(st.integers(0, period + 3), st.integers(0, 15).map(lambda bit: 1 << bit)),
+            "mask": st.integers(0, (1 << built.pixels) - 1).map("{:x}".format),
+        },
+    )
     frame = {
-        "frames": draw(st.integers(1, frames_max)), "period": period, "pulses": draw(st.integers(1, 6)),
-        "format": draw(st.sampled_from(("short", "id", "full"))), "minigroup_records": draw(st.booleans()),
-        "mg_threshold": draw(st.integers(1, min(3, built.minigroup_pixels))), "mg_window": draw(st.integers(1, 4)),
-        "gate_step": draw(st.integers(0, 40)), "gate_every": draw(st.integers(0, 3)), "gate_steps": draw(st.integers(1, 3)),
-        "dither_bits": draw(st.integers(0, 5)), "dither_seed": draw(st.integers(1, 0xFFFF)),
+        "frames": draw(st.integers(1, frames_max)),
+        "period": period,
+        "pulses": draw(st.integers(1, 6)),
+        "format": draw(st.sampled_from(("short", "id", "full"))),
+        "minigroup_records": draw(st.booleans()),
+        "mg_threshold": draw(st.integers(1, min(3, built.minigroup_pixels))),
+        "mg_window": draw(st.integers(1, 4)),
+        "gate_step": draw(st.integers(0, 40)),
+        "gate_every": draw(st.integers(0, 3)),
+        "gate_steps": draw(st.integers(1, 3)),
+        "dither_bits": draw(st.integers(0, 5)),
+        "dither_seed": draw(st.integers(1, 0xFFFF)),
         "auto_bounds": sorted(draw(st.lists(st.integers(0, 300), min_size=6, max_size=6))),
     }
     base = {"window": draw(window)} | draw(settings)
@@ -61,11 +113,25 @@ def modes(sensor: dict) -> list[Config]:
     """A configuration of every mode (coincidence, gating, auto) in every format."""
     switches = itertools.product((False, True), (False, True), (False, True), ("short", "id", "full"))
     return [
-        parse_config({
-            "sensor": sensor,
-            "frame": {"period": 60, "pulses": 3, "format": name, "minigroup_records": True, "auto_bounds": [4, 8, 16, 32, 64, 128]},
-            "subgroup": {"coincidence": coincidence, "gating": gating, "auto": auto, "gate_start": 8, "gate_len": 30},
-        })
+        parse_config(
+            {
+                "sensor": sensor,
+                "frame": {
+                    "period": 60,
+                    "pulses": 3,
+                    "format": name,
+                    "minigroup_records": True,
+                    "auto_bounds": [4, 8, 16, 32, 64, 128],
+                },
+                "subgroup": {
+                    "coincidence": coincidence,
+                    "gating": gating,
+                    "auto": auto,
+                    "gate_start": 8,
+                    "gate_len": 30,
+                },
+            }
+        )
         for coincidence, gating, auto, name in switches
     ]
 
@@ -75,32 +141,46 @@ def gate_bits(sensor: dict) -> Config:
     built = parse_config({"sensor": sensor, "frame": {"period": 100}}).sensor
     odd = 0x5555 & (built.period_max - 1)
     even = 0xAAAA & (built.period_max - 1)
-    return parse_config({
-        "sensor": sensor, "frame": {"period": built.period_max, "pulses": 1},
-        "subgroup": {"gating": True, "gate_start": odd, "gate_len": 40, "threshold": 1},
-        "override": [{"subgroups": [1], "gate_start": even}],
-    })
+    return parse_config(
+        {
+            "sensor": sensor,
+            "frame": {"period": built.period_max, "pulses": 1},
+            "subgroup": {"gating": True, "gate_start": odd, "gate_len": 40, "threshold": 1},
+            "override": [{"subgroups": [1], "gate_start": even}],
+        }
+    )
 
 
 def overfull(sensor: dict) -> Config:
     """A frame that, with a stream that stalls, drops events and records, stores some again, and drops once more."""
-    return parse_config({
-        "sensor": sensor, "frame": {"period": 60, "pulses": 8, "format": "full", "minigroup_records": True, "mg_threshold": 1},
-        "subgroup": {"threshold": 1, "window": 4},
-    })
+    return parse_config(
+        {
+            "sensor": sensor,
+            "frame": {"period": 60, "pulses": 8, "format": "full", "minigroup_records": True, "mg_threshold": 1},
+            "subgroup": {"threshold": 1, "window": 4},
+        }
+    )
 
 
 def lengthy(sensor: dict) -> Config:
     """A frame of so many pulses, with so many gate steps, that counters leave their low bits."""
     built = parse_config({"sensor": sensor, "frame": {"period": 100}}).sensor
-    return parse_config({
-        "sensor": sensor,
-        "frame": {
-            "period": built.guard + 6, "pulses": 300, "format": "id", "minigroup_records": True, "mg_threshold": 1,
-            "gate_every": 2, "gate_step": 1, "gate_steps": 40,
-        },
-        "subgroup": {"threshold": 1, "window": 2, "gating": True, "gate_start": 0, "gate_len": 3},
-    })
+    return parse_config(
+        {
+            "sensor": sensor,
+            "frame": {
+                "period": built.guard + 6,
+                "pulses": 300,
+                "format": "id",
+                "minigroup_records": True,
+                "mg_threshold": 1,
+                "gate_every": 2,
+                "gate_step": 1,
+                "gate_steps": 40,
+            },
+            "subgroup": {"threshold": 1, "window": 2, "gating": True, "gate_start": 0, "gate_len": 3},
+        }
+    )
 
 
 def trouble(config: Config, seed: int, per_subgroup_period: float) -> Edges:
@@ -117,22 +197,36 @@ def trouble(config: Config, seed: int, per_subgroup_period: float) -> Edges:
         near = rng.random(n) < 0.5
         other = rng.integers(0, n, n)
         window = config.window[table.subgroup[pixel[other]]]
-        steps = np.stack([
-            np.zeros(n, np.int64), np.ones(n, np.int64), window - 1, window, window + 1, np.full(n, sensor.phases),
-            sensor.phases * (sensor.rearm + 1) - tick[other] % sensor.phases, np.full(n, config.frame["mg_window"] * sensor.phases),
-        ])
+        steps = np.stack(
+            [
+                np.zeros(n, np.int64),
+                np.ones(n, np.int64),
+                window - 1,
+                window,
+                window + 1,
+                np.full(n, sensor.phases),
+                sensor.phases * (sensor.rearm + 1) - tick[other] % sensor.phases,
+                np.full(n, config.frame["mg_window"] * sensor.phases),
+            ]
+        )
         tick = np.where(near, tick[other] + steps[rng.integers(0, len(steps), n), np.arange(n)], tick)
         pulse = np.where(near, pulse[other], pulse)
         neighbours = np.flatnonzero(near & (rng.random(n) < 0.8))
         members = [np.flatnonzero(table.subgroup == s) for s in range(sensor.subgroups)]
         pixel[neighbours] = [rng.choice(members[table.subgroup[pixel[other[k]]]]) for k in neighbours]
         # Some stand at the edges of gate, guard and period.
-        special = np.concatenate([
-            np.array([0, config.period - 1, config.period - sensor.guard, config.period - sensor.guard - 1]),
-            config.gate_start, config.gate_start + config.gate_len, config.gate_start - 1,
-        ]).clip(0, config.period - 1)
+        special = np.concatenate(
+            [
+                np.array([0, config.period - 1, config.period - sensor.guard, config.period - sensor.guard - 1]),
+                config.gate_start,
+                config.gate_start + config.gate_len,
+                config.gate_start - 1,
+            ]
+        ).clip(0, config.period - 1)
         at_special = rng.random(n) < 0.1
-        tick = np.where(at_special, rng.choice(special, n) * sensor.phases + rng.choice((0, sensor.phases - 1), n), tick)
+        tick = np.where(
+            at_special, rng.choice(special, n) * sensor.phases + rng.choice((0, sensor.phases - 1), n), tick
+        )
         tick = tick.clip(0, config.period_ticks - 1)
     else:
         pixel = np.zeros(0, np.int64)

@@ -29,40 +29,88 @@ from hypothesis import strategies as st
 
 from coincid.flow.yosys import run_yosys
 from coincid.hdl.sensor import TOP
-from coincid.model.config import parse_config
-from coincid.model.golden import Golden, Trace
+from coincid.model.contract.config import parse_config
+from coincid.model.golden.frame import Golden, Trace
 from coincid.tb import toolchain
 from coincid.tb.cosim import JOB_VARIABLE, SensorBench
 from coincid.tb.frames import FrameJob
 from coincid.tb.rtl import rtl
 
+from .benches import BENCHES
 from .cases import READY_KINDS, SENSORS, SMALL, configurations, gate_bits, lengthy, overfull, ready_pattern, trouble
 
 GOAL = 0.95
 FRAMES = 60
 CASES_SEED = 2026
-SECONDS_MAX = 240    # of a mutant in one bench: a design that hangs is seen, too
-RTL_MUTANTS, GOLDEN_MUTANTS = 120, 120   # of the sampled mode
+SECONDS_MAX = 240  # of a mutant in one bench: a design that hangs is seen, too
+RTL_MUTANTS, GOLDEN_MUTANTS = 120, 120  # of the sampled mode
 GOLDEN_SOURCE = Path(__file__).parents[1] / "model" / "golden.py"
-BENCH_SENSOR, FAULT_SOURCES = "COINCID_BENCH_SENSOR", "COINCID_FAULT_SOURCES"   # read by sensor_bench.py and fault_bench.py
+BENCH_SENSOR, FAULT_SOURCES = (
+    "COINCID_BENCH_SENSOR",
+    "COINCID_FAULT_SOURCES",
+)  # read by sensor_bench.py and fault_bench.py
 # Mutants that no test can see, by block and a part of Yosys's description; why.
 EQUIVALENT: tuple[tuple[str, str, str], ...] = (
-    ("coincid_gating", "$procmux$59 -port B", "reset value of the cycles until the gate opens, which a period's start loads before use"),
-    ("coincid_packetizer", "$procmux$96 -port B -portbit 179", "a bit of the offsets' beat behind those of the last minigroup: always 0"),
+    (
+        "coincid_gating",
+        "$procmux$59 -port B",
+        "reset value of the cycles until the gate opens, which a period's start loads before use",
+    ),
+    (
+        "coincid_packetizer",
+        "$procmux$96 -port B -portbit 179",
+        "a bit of the offsets' beat behind those of the last minigroup: always 0",
+    ),
     ("coincid_dpcu", "$procmux$334 -port A -portbit 43 ", "the event's register between events, which nobody reads"),
-    ("coincid_readout_2", "$procmux$843 -port A -portbit 1 ", "the mask's highest bit: whom it hides is also the lowest that asks then"),
-    ("coincid_registers", "$procmux$1803 -port A -portbit 2 -ctrlbit 16", "the period's bit 16, which no legal period of this sensor sets"),
-    ("coincid_registers", "$procmux$2680 -port Y -portbit 17 -ctrlbit 14", "both are address bits that are refused where they are set"),
-    ("coincid_registers", "$procmux$2790 -port Y -portbit 8 -ctrlbit 5", "bits of a subgroup's number that two subgroups do not set"),
-    ("coincid_sequencer", "$procmux$403 -port A -portbit 1 ", "the wait's count outside a frame; the next start clears it"),
-    ("coincid_tree", "$or$block.v:374$1 -port B -portbit 5 -ctrlbit 1", "a phase of the root behind the cycle's first, which alone counts"),
-    ("golden", "opened_at = window_end", "a subgroup's first edge begins a period, which sets the same or whose window does before use"),
+    (
+        "coincid_readout_2",
+        "$procmux$843 -port A -portbit 1 ",
+        "the mask's highest bit: whom it hides is also the lowest that asks then",
+    ),
+    (
+        "coincid_registers",
+        "$procmux$1803 -port A -portbit 2 -ctrlbit 16",
+        "the period's bit 16, which no legal period of this sensor sets",
+    ),
+    (
+        "coincid_registers",
+        "$procmux$2680 -port Y -portbit 17 -ctrlbit 14",
+        "both are address bits that are refused where they are set",
+    ),
+    (
+        "coincid_registers",
+        "$procmux$2790 -port Y -portbit 8 -ctrlbit 5",
+        "bits of a subgroup's number that two subgroups do not set",
+    ),
+    (
+        "coincid_sequencer",
+        "$procmux$403 -port A -portbit 1 ",
+        "the wait's count outside a frame; the next start clears it",
+    ),
+    (
+        "coincid_tree",
+        "$or$block.v:374$1 -port B -portbit 5 -ctrlbit 1",
+        "a phase of the root behind the cycle's first, which alone counts",
+    ),
+    (
+        "golden",
+        "opened_at = window_end",
+        "a subgroup's first edge begins a period, which sets the same or whose window does before use",
+    ),
     ("golden", "events.bounds[first]) * shape.event_beats`: 2: one more", "room for one beat more, which is cut off"),
-    ("golden", "(1 + shape.record_beats)`: records.bounds[last] - records.bounds[first]: Sub", "room for more beats, which is cut off"),
+    (
+        "golden",
+        "(1 + shape.record_beats)`: records.bounds[last] - records.bounds[first]: Sub",
+        "room for more beats, which is cut off",
+    ),
     ("golden", "`record_rows = n if shape.mg_records else 0`: 0: one more", "room for a row that nobody writes"),
     ("golden", "`in_time = True`: True: not", "edges that are in time order are sorted all the same"),
     ("golden", "bounds[s + 1] + 1):`: 1: one more", "the loop ends one earlier, by its break"),
-    ("golden", "shape.mg_records and (not mg_done[g]): And", "without records collections are not read; a done one stays done"),
+    (
+        "golden",
+        "shape.mg_records and (not mg_done[g]): And",
+        "without records collections are not read; a done one stays done",
+    ),
     ("golden", "length - 1 - shape.map_beats: Sub", "clears beats behind the packet, which the next packet writes"),
 )
 
@@ -87,7 +135,13 @@ def frames(sensor: dict = SMALL) -> list[FrameJob]:
     golden = Golden(parse_config({"sensor": sensor}).sensor)
 
     @seed(CASES_SEED)
-    @settings(max_examples=FRAMES, phases=[Phase.generate], database=None, deadline=None, suppress_health_check=list(HealthCheck))
+    @settings(
+        max_examples=FRAMES,
+        phases=[Phase.generate],
+        database=None,
+        deadline=None,
+        suppress_health_check=list(HealthCheck),
+    )
     @given(config=configurations(sensor, frames_max=1), draw=st.integers(0, 2**32 - 1))
     def collect(config, draw):
         k = len(jobs)
@@ -100,7 +154,11 @@ def frames(sensor: dict = SMALL) -> list[FrameJob]:
 
     collect()
     always, late = np.zeros(0, np.uint8), np.arange(480) // 80 == 3
-    for config, density, ready in ((gate_bits(sensor), 300.0, always), (overfull(sensor), 40.0, late), (lengthy(sensor), 2.0, always)):
+    for config, density, ready in (
+        (gate_bits(sensor), 300.0, always),
+        (overfull(sensor), 40.0, late),
+        (lengthy(sensor), 2.0, always),
+    ):
         edges = trouble(config, 0, density)
         jobs.append(FrameJob(config, edges, golden.frame(config, edges, ready), ready.astype(np.uint8)))
     return jobs
@@ -117,8 +175,15 @@ class Mutator(ast.NodeTransformer):
 
     COMPARE = {ast.Lt: ast.LtE, ast.LtE: ast.Lt, ast.Gt: ast.GtE, ast.GtE: ast.Gt, ast.Eq: ast.NotEq, ast.NotEq: ast.Eq}
     ARITHMETIC = {
-        ast.Add: ast.Sub, ast.Sub: ast.Add, ast.Mult: ast.Add, ast.FloorDiv: ast.Mult, ast.Mod: ast.FloorDiv, ast.LShift: ast.RShift,
-        ast.RShift: ast.LShift, ast.BitOr: ast.BitAnd, ast.BitAnd: ast.BitOr,
+        ast.Add: ast.Sub,
+        ast.Sub: ast.Add,
+        ast.Mult: ast.Add,
+        ast.FloorDiv: ast.Mult,
+        ast.Mod: ast.FloorDiv,
+        ast.LShift: ast.RShift,
+        ast.RShift: ast.LShift,
+        ast.BitOr: ast.BitAnd,
+        ast.BitAnd: ast.BitOr,
     }
 
     def __init__(self, source: str, apply: int = -1):
@@ -184,7 +249,18 @@ class Mutator(ast.NodeTransformer):
 
 def _functions(tree: ast.Module) -> list[ast.AST]:
     """What is mutated: the front end, the readout and what they call, and how a frame puts them together."""
-    named = {"_front_end", "_enough", "_readout", "_header", "_pack", "frame", "_next_ready", "_by_subgroup", "_time_order", "pixel_table"}
+    named = {
+        "_front_end",
+        "_enough",
+        "_readout",
+        "_header",
+        "_pack",
+        "frame",
+        "_next_ready",
+        "_by_subgroup",
+        "_time_order",
+        "pixel_table",
+    }
     return [node for node in ast.walk(tree) if isinstance(node, ast.FunctionDef) and node.name in named]
 
 
@@ -236,7 +312,9 @@ def run_golden(number: int, text: str, what: str, folder: Path, jobs: Path) -> F
     command = [sys.executable, "-m", "tests.mutation", "--judge", str(source), str(jobs)]
     environment = os.environ | {"NUMBA_DISABLE_JIT": "1", "PYTHONWARNINGS": "ignore"}
     try:
-        code = subprocess.run(command, env=environment, timeout=SECONDS_MAX / 4, capture_output=True, check=False).returncode
+        code = subprocess.run(
+            command, env=environment, timeout=SECONDS_MAX / 4, capture_output=True, check=False
+        ).returncode
     except subprocess.TimeoutExpired:
         code = 1
     return Fate("golden", what, "frames" if code else excuse("golden", what))
@@ -296,7 +374,10 @@ def simulate(folder: Path, module: str, env: dict) -> bool:
     )
     arguments = json.dumps({"top": build.top, "folder": str(folder), "module": module, "env": env})
     process = subprocess.Popen(
-        [sys.executable, "-c", program, arguments], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True
+        [sys.executable, "-c", program, arguments],
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        start_new_session=True,
     )
     try:
         return process.wait(SECONDS_MAX) == 0
@@ -317,10 +398,13 @@ def run_rtl(sources: list[Path], folder: Path, jobs: list[FrameJob]) -> str:
     (folder / "job").write_bytes(pickle.dumps((SensorBench, jobs)))
     if not simulate(folder, "coincid.tb.cosim", {JOB_VARIABLE: str(folder / "job")}):
         return "frames"
-    here = str(Path(__file__).parent)
-    if not simulate(folder, "sensor_bench", {"PYTHONPATH": here, BENCH_SENSOR: json.dumps(SMALL)}):
+    if not simulate(folder, "sensor_bench", {"PYTHONPATH": BENCHES, BENCH_SENSOR: json.dumps(SMALL)}):
         return "ports"
-    env = {"PYTHONPATH": here, BENCH_SENSOR: json.dumps(SMALL), FAULT_SOURCES: json.dumps([str(path) for path in sources])}
+    env = {
+        "PYTHONPATH": BENCHES,
+        BENCH_SENSOR: json.dumps(SMALL),
+        FAULT_SOURCES: json.dumps([str(path) for path in sources]),
+    }
     if not simulate(folder, "fault_bench", env | {"COCOTB_TEST_FILTER": "in_full_width"}):
         return "counters"
     return ""
@@ -370,7 +454,12 @@ def mutate_rtl(total: int, folder: Path, jobs: list[FrameJob], seed_: int, tell)
 
 def report(fates: list[Fate], seed_: int) -> tuple[str, float]:
     """The report as Markdown, and the lowest kill rate of RTL and golden model."""
-    lines = [f"# Mutants, seed {seed_}", "", "| where | mutants | killed | equivalent | survived |", "| --- | --- | --- | --- | --- |"]
+    lines = [
+        f"# Mutants, seed {seed_}",
+        "",
+        "| where | mutants | killed | equivalent | survived |",
+        "| --- | --- | --- | --- | --- |",
+    ]
     rates = []
     for kind in ("rtl", "golden"):
         of = [fate for fate in fates if (fate.where == "golden") == (kind == "golden")]
@@ -384,7 +473,12 @@ def report(fates: list[Fate], seed_: int) -> tuple[str, float]:
             rates.append((sum(bool(fate.by) for fate in of) - equal) / (len(of) - equal))
             lines += ["", f"{kind}: {rates[-1]:.1%} of {len(of) - equal} that are not equivalent were killed.", ""]
     lines += ["## Survivors", "", *(f"* {fate.where}: {fate.what}" for fate in fates if not fate.by), ""]
-    lines += ["## Equivalent", "", *(f"* {fate.where}: {fate.what} ({fate.by})" for fate in fates if fate.by.startswith("equal")), ""]
+    lines += [
+        "## Equivalent",
+        "",
+        *(f"* {fate.where}: {fate.what} ({fate.by})" for fate in fates if fate.by.startswith("equal")),
+        "",
+    ]
     return "\n".join(lines), min(rates, default=1.0)
 
 
@@ -392,7 +486,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(description="Mutation test of RTL and golden model")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--rtl", type=int, default=RTL_MUTANTS, help="mutants of the RTL, about")
-    parser.add_argument("--golden", type=int, default=GOLDEN_MUTANTS, help="mutants of the golden model; there are some 400")
+    parser.add_argument(
+        "--golden", type=int, default=GOLDEN_MUTANTS, help="mutants of the golden model; there are some 400"
+    )
     parser.add_argument("--judge", nargs=2, type=Path, help=argparse.SUPPRESS)
     given_ = parser.parse_args()
     if given_.judge:
@@ -402,7 +498,9 @@ def main() -> None:
     folder.mkdir(parents=True)
     print(f"seed {given_.seed}: --seed repeats or changes the choice")
     jobs = frames()
-    (folder / "jobs").write_bytes(pickle.dumps([jobs, frames(SENSORS["odd"])]))   # the second has three subgroups and two streams
+    (folder / "jobs").write_bytes(
+        pickle.dumps([jobs, frames(SENSORS["odd"])])
+    )  # the second has three subgroups and two streams
     rng = np.random.default_rng(given_.seed)
 
     def tell(fate: Fate) -> None:
@@ -415,7 +513,9 @@ def main() -> None:
 
     with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
         numbers = sample(given_.golden, list(range(golden_mutants())), rng)
-        fates = list(pool.map(golden, [(number, *golden_mutant(number)) for number in numbers]))   # parsed here: threads must not
+        fates = list(
+            pool.map(golden, [(number, *golden_mutant(number)) for number in numbers])
+        )  # parsed here: threads must not
     if given_.rtl:
         fates += mutate_rtl(given_.rtl, folder / "rtl", jobs, given_.seed, tell)
     text, rate = report(fates, given_.seed)

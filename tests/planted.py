@@ -17,10 +17,10 @@ from attrs import frozen
 from coincid.tb.toolchain import build_root
 
 ROOT = Path(__file__).parents[1]
-PACKAGES = ("model", "hdl", "tb", "formal", "flow")
-GOLDEN = ("tests/test_golden.py",)                       # golden model against the plain one
-FRAMES = ("tests/test_cosim.py", "-k", "tiny-icarus or coarse-icarus")   # RTL against the golden model
-PORTS = ("tests/test_ports.py", "-k", "icarus")
+PACKAGES = ("model", "hdl", "tb", "formal", "flow", "study")
+GOLDEN = ("tests/golden/test_golden.py",)  # golden model against the plain one
+FRAMES = ("tests/tb/test_cosim.py", "-k", "tiny-icarus or coarse-icarus")  # RTL against the golden model
+PORTS = ("tests/hdl/test_ports.py", "-k", "icarus")
 
 
 @frozen
@@ -36,54 +36,230 @@ class Bug:
 
 
 BUGS = (
-    Bug("window-long", "hdl/tree.py", "self.line.phase + self.window_ticks)",
-        "self.line.phase + self.window_ticks + 1)", ("tree",), (FRAMES,)),
-    Bug("window-edge", "hdl/tree.py", "closing.eq((opening | window_open) & (end <= phases))",
-        "closing.eq((opening | window_open) & (end < phases))", ("tree",), (FRAMES,)),
-    Bug("tie-highest", "hdl/tree.py", 'encode(m, lowest(m, firsts, "lowest"), "winner")',
-        'encode(m, lowest(m, firsts[::-1], "lowest")[::-1], "winner")', ("tree",), (FRAMES,)),
+    Bug(
+        "window-long",
+        "hdl/tree.py",
+        "self.line.phase + self.window_ticks)",
+        "self.line.phase + self.window_ticks + 1)",
+        ("tree",),
+        (FRAMES,),
+    ),
+    Bug(
+        "window-edge",
+        "hdl/tree.py",
+        "closing.eq((opening | window_open) & (end <= phases))",
+        "closing.eq((opening | window_open) & (end < phases))",
+        ("tree",),
+        (FRAMES,),
+    ),
+    Bug(
+        "tie-highest",
+        "hdl/tree.py",
+        'encode(m, lowest(m, firsts, "lowest"), "winner")',
+        'encode(m, lowest(m, firsts[::-1], "lowest")[::-1], "winner")',
+        ("tree",),
+        (FRAMES,),
+    ),
     Bug("tree-not-reset", "hdl/tree.py", "window_open = Signal()", "window_open = Signal(reset_less=True)", ("tree",)),
     Bug("rearm-late", "hdl/tree.py", "rearm.eq(sensor.rearm)", "rearm.eq(sensor.rearm + 1)", ("tree",), (FRAMES,)),
     Bug("hits-toggle", "hdl/minigroup.py", "hits.eq(hits | hit)", "hits.eq(hits ^ hit)", ("tree",), (FRAMES,)),
-    Bug("mask-ignored", "hdl/minigroup.py", "(self.accept & self.mask[i])", "self.accept", ("minigroup_record",), (FRAMES,)),
-    Bug("mg-threshold", "hdl/minigroup.py", ">= self.frame.mg_threshold", "> self.frame.mg_threshold", ("minigroup_record",), (FRAMES,)),
-    Bug("tdc-lines-swapped", "hdl/tdc.py", 'below = up_to(m, line.root, f"below_{k}")',
-        'below = up_to(m, getattr(self, f"line_{self.lines - 1 - k}").root, f"below_{k}")', ("tdc",), (FRAMES,)),
-    Bug("tdc-line-shared", "hdl/tdc.py", 'below = up_to(m, line.root, f"below_{k}")', 'below = up_to(m, self.line_0.root, f"below_{k}")',
-        ("tdc",), (FRAMES,)),
+    Bug(
+        "mask-ignored",
+        "hdl/minigroup.py",
+        "(self.accept & self.mask[i])",
+        "self.accept",
+        ("minigroup_record",),
+        (FRAMES,),
+    ),
+    Bug(
+        "mg-threshold",
+        "hdl/minigroup.py",
+        ">= self.frame.mg_threshold",
+        "> self.frame.mg_threshold",
+        ("minigroup_record",),
+        (FRAMES,),
+    ),
+    Bug(
+        "tdc-lines-swapped",
+        "hdl/tdc.py",
+        'below = up_to(m, line.root, f"below_{k}")',
+        'below = up_to(m, getattr(self, f"line_{self.lines - 1 - k}").root, f"below_{k}")',
+        ("tdc",),
+        (FRAMES,),
+    ),
+    Bug(
+        "tdc-line-shared",
+        "hdl/tdc.py",
+        'below = up_to(m, line.root, f"below_{k}")',
+        'below = up_to(m, self.line_0.root, f"below_{k}")',
+        ("tdc",),
+        (FRAMES,),
+    ),
     Bug("overrun-dropped", "hdl/fifo.py", "event.overrun.eq(lost)", "event.overrun.eq(0)", ("event_fifo",), (FRAMES,)),
     Bug("overrun-not-reset", "hdl/fifo.py", "lost = Signal()", "lost = Signal(reset_less=True)", ("event_fifo",)),
-    Bug("fifo-one-short", "hdl/fifo.py", "room.eq(level != depth)", "room.eq(level < depth - 1)", ("event_fifo",), (FRAMES,)),
-    Bug("record-overwritten", "hdl/fifo.py", "with m.If(comes & ~waiting):", "with m.If(comes):", ("record_buffer",), (FRAMES,)),
-    Bug("settings-mid-frame", "hdl/settings.py", "with m.If(self.command.operation == bus.Operation.TAKE):",
-        "with m.If(self.command.operation != bus.Operation.BEGIN):", ("subgroup_settings",), (PORTS,)),
-    Bug("pulses-mid-frame", "hdl/registers.py", "m.d.comb += self.period.eq(setting[\"period\", 0])",
-        "m.d.comb += self.period.eq(setting[\"period\", 0])\n        m.d.sync += self.plan.pulses.eq(setting[\"pulses\", 0])",
-        ("register_front",), (PORTS,)),
-    Bug("threshold-above", "hdl/dpcu.py", "self.window.count >= threshold", "self.window.count > threshold", ("dpcu",), (FRAMES,)),
-    Bug("controller-above", "hdl/dpcu.py", 'count["photons"] >= self.bound', 'count["photons"] > self.bound', ("dpcu",), (FRAMES,)),
+    Bug(
+        "fifo-one-short",
+        "hdl/fifo.py",
+        "room.eq(level != depth)",
+        "room.eq(level < depth - 1)",
+        ("event_fifo",),
+        (FRAMES,),
+    ),
+    Bug(
+        "record-overwritten",
+        "hdl/fifo.py",
+        "with m.If(comes & ~waiting):",
+        "with m.If(comes):",
+        ("record_buffer",),
+        (FRAMES,),
+    ),
+    Bug(
+        "settings-mid-frame",
+        "hdl/settings.py",
+        "with m.If(self.command.operation == bus.Operation.TAKE):",
+        "with m.If(self.command.operation != bus.Operation.BEGIN):",
+        ("subgroup_settings",),
+        (PORTS,),
+    ),
+    Bug(
+        "pulses-mid-frame",
+        "hdl/registers.py",
+        'm.d.comb += self.period.eq(setting["period", 0])',
+        'm.d.comb += self.period.eq(setting["period", 0])\n        m.d.sync += self.plan.pulses.eq(setting["pulses", 0])',
+        ("register_front",),
+        (PORTS,),
+    ),
+    Bug(
+        "threshold-above",
+        "hdl/dpcu.py",
+        "self.window.count >= threshold",
+        "self.window.count > threshold",
+        ("dpcu",),
+        (FRAMES,),
+    ),
+    Bug(
+        "controller-above",
+        "hdl/dpcu.py",
+        'count["photons"] >= self.bound',
+        'count["photons"] > self.bound',
+        ("dpcu",),
+        (FRAMES,),
+    ),
     Bug("gate-late", "hdl/gating.py", "until_now == 0", "until_now <= 1", ("gating",), (FRAMES,)),
-    Bug("guard-short", "hdl/sequencer.py", "settings.period - self.sensor.guard", "settings.period - self.sensor.guard + 1",
-        ("sequencer",), (FRAMES,)),
-    Bug("abort-lost", "hdl/sequencer.py", "with m.If(aborted | self.abort_frame |", "with m.If(self.abort_frame |",
-        ("sequencer",), (PORTS,)),
+    Bug(
+        "guard-short",
+        "hdl/sequencer.py",
+        "settings.period - self.sensor.guard",
+        "settings.period - self.sensor.guard + 1",
+        ("sequencer",),
+        (FRAMES,),
+    ),
+    Bug(
+        "abort-lost",
+        "hdl/sequencer.py",
+        "with m.If(aborted | self.abort_frame |",
+        "with m.If(self.abort_frame |",
+        ("sequencer",),
+        (PORTS,),
+    ),
     Bug("strobe-ignored", "hdl/registers.py", "axi.wstrb.all()", "axi.wstrb.any()", (), (PORTS,)),
-    Bug("answer-withdrawn", "hdl/registers.py", "with m.If(axi.bvalid & axi.bready):", "with m.If(axi.bvalid):", ("register_front",)),
-    Bug("take-early", "hdl/packetizer.py", "ends.eq(active & (index == last))", "ends.eq(active & (index >= last - 1))",
-        ("packetizer",), (FRAMES,)),
-    Bug("golden-window-long", "model/golden.py", "i, tick, tick + window[s]", "i, tick, tick + window[s] + 1", (), (GOLDEN, FRAMES)),
-    Bug("golden-tie-highest", "model/golden.py", "fate[e] = _COUNTED\n", "fate[e], winner = _COUNTED, i if tick == opened_at else winner\n",
-        (), (GOLDEN, FRAMES)),
-    Bug("golden-not-rearmed", "model/golden.py", "window_end = armed_from = 0\n", "window_end = 0\n", (), (GOLDEN,)),
-    Bug("golden-rearm-early", "model/golden.py", "+ 1 + shape.rearm", "+ shape.rearm", (), (GOLDEN, FRAMES)),
-    Bug("golden-guard-short", "model/golden.py", "shape.period - shape.guard", "shape.period - shape.guard + 1", (), (GOLDEN, FRAMES)),
-    Bug("golden-gate-late", "model/golden.py", "gate_first <= cycle <", "gate_first < cycle <", (), (GOLDEN, FRAMES)),
-    Bug("golden-threshold-above", "model/golden.py", "count < threshold[s]", "count <= threshold[s]", (), (GOLDEN, FRAMES)),
-    Bug("golden-neighbours-stamp", "model/golden.py", "opened_at, count, winner\n", "opened_at ^ 1, count, winner\n", (), (GOLDEN, FRAMES)),
-    Bug("golden-overrun-dropped", "model/golden.py", "True, lost[s], False", "True, False, False", (), (GOLDEN, FRAMES)),
-    Bug("golden-other-settings", "model/golden.py", "gate_first = gate_start[s]", "gate_first = gate_start[0]", (), (GOLDEN, FRAMES)),
-    Bug("golden-controller", "model/golden.py", 'side="right"', 'side="left"', (), (GOLDEN, FRAMES)),
-    Bug("golden-fifo-deep", "model/golden.py", "level[s] < shape.fifo_depth", "level[s] <= shape.fifo_depth", (), (FRAMES,)),
+    Bug(
+        "answer-withdrawn",
+        "hdl/registers.py",
+        "with m.If(axi.bvalid & axi.bready):",
+        "with m.If(axi.bvalid):",
+        ("register_front",),
+    ),
+    Bug(
+        "take-early",
+        "hdl/packetizer.py",
+        "ends.eq(active & (index == last))",
+        "ends.eq(active & (index >= last - 1))",
+        ("packetizer",),
+        (FRAMES,),
+    ),
+    Bug(
+        "golden-window-long",
+        "model/golden/front_end.py",
+        "i, tick, tick + window[s]",
+        "i, tick, tick + window[s] + 1",
+        (),
+        (GOLDEN, FRAMES),
+    ),
+    Bug(
+        "golden-tie-highest",
+        "model/golden/front_end.py",
+        "fate[e] = _COUNTED\n",
+        "fate[e], winner = _COUNTED, i if tick == opened_at else winner\n",
+        (),
+        (GOLDEN, FRAMES),
+    ),
+    Bug(
+        "golden-not-rearmed",
+        "model/golden/front_end.py",
+        "window_end = armed_from = 0\n",
+        "window_end = 0\n",
+        (),
+        (GOLDEN,),
+    ),
+    Bug("golden-rearm-early", "model/golden/front_end.py", "+ 1 + shape.rearm", "+ shape.rearm", (), (GOLDEN, FRAMES)),
+    Bug(
+        "golden-guard-short",
+        "model/golden/front_end.py",
+        "shape.period - shape.guard",
+        "shape.period - shape.guard + 1",
+        (),
+        (GOLDEN, FRAMES),
+    ),
+    Bug(
+        "golden-gate-late",
+        "model/golden/front_end.py",
+        "gate_first <= cycle <",
+        "gate_first < cycle <",
+        (),
+        (GOLDEN, FRAMES),
+    ),
+    Bug(
+        "golden-threshold-above",
+        "model/golden/front_end.py",
+        "count < threshold[s]",
+        "count <= threshold[s]",
+        (),
+        (GOLDEN, FRAMES),
+    ),
+    Bug(
+        "golden-neighbours-stamp",
+        "model/golden/front_end.py",
+        "opened_at, count, winner\n",
+        "opened_at ^ 1, count, winner\n",
+        (),
+        (GOLDEN, FRAMES),
+    ),
+    Bug(
+        "golden-overrun-dropped",
+        "model/golden/readout.py",
+        "True, lost[s], False",
+        "True, False, False",
+        (),
+        (GOLDEN, FRAMES),
+    ),
+    Bug(
+        "golden-other-settings",
+        "model/golden/front_end.py",
+        "gate_first = gate_start[s]",
+        "gate_first = gate_start[0]",
+        (),
+        (GOLDEN, FRAMES),
+    ),
+    Bug("golden-controller", "model/golden/frame.py", 'side="right"', 'side="left"', (), (GOLDEN, FRAMES)),
+    Bug(
+        "golden-fifo-deep",
+        "model/golden/readout.py",
+        "level[s] < shape.fifo_depth",
+        "level[s] <= shape.fifo_depth",
+        (),
+        (FRAMES,),
+    ),
 )
 
 
@@ -117,7 +293,9 @@ def caught_by(bug: Bug, thorough: bool) -> dict[str, bool]:
         checks += [(test[0], ["pytest", "-x", "-q", "-p", "no:cacheprovider", *test]) for test in bug.tests]
         result = {}
         for name, command in checks:
-            done = subprocess.run([sys.executable, "-m", *command], cwd=folder, env=environment, capture_output=True, check=False)
+            done = subprocess.run(
+                [sys.executable, "-m", *command], cwd=folder, env=environment, capture_output=True, check=False
+            )
             result[name] = done.returncode == 1
             if result[name] and not thorough:
                 break
@@ -134,7 +312,11 @@ def main() -> None:
         nonlocal missed
         result = caught_by(bug, thorough)
         missed += not (all if thorough else any)(result.values())
-        print(f"{bug.name:26}", ", ".join(f"{what}: {'caught' if caught else 'MISSED'}" for what, caught in result.items()), flush=True)
+        print(
+            f"{bug.name:26}",
+            ", ".join(f"{what}: {'caught' if caught else 'MISSED'}" for what, caught in result.items()),
+            flush=True,
+        )
 
     with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
         list(pool.map(run, bugs))

@@ -8,25 +8,30 @@ import time
 
 import numpy as np
 
-from coincid.model.config import Config, parse_config
-from coincid.model.edges import Edges
-from coincid.model.golden import Golden
-from coincid.model.light import SPEED_OF_LIGHT_M_S, Spad, Timing
-from coincid.model.photons import generate_edges
-from coincid.model.scene import load_scene, scene_light
+from coincid.model.contract.config import Config, parse_config
+from coincid.model.contract.edges import Edges
+from coincid.model.golden.frame import Golden
+from coincid.model.light.photons import generate_edges
+from coincid.model.light.spad import Spad
+from coincid.model.light.timing import Timing
+from coincid.model.scenes.catalogue import load_scene
+from coincid.model.scenes.scene import scene_light
+from coincid.model.shared.constants import SPEED_OF_LIGHT_M_S
 from coincid.tb.batch import BatchSensor
 from coincid.tb.scoreboard import check
 
 KLUX = 50.0
 CLOCK_HZ = 500e6
-DEAD_TICKS = 128   # 8 ns: at saturation a pixel fires again as soon as it can
+DEAD_TICKS = 128  # 8 ns: at saturation a pixel fires again as soon as it can
 LIGHTS = ("sun", "saturation")
 
 
 def sunlight(config: Config, frame: int, seed: int) -> Edges:
     """Edges of a frame: five objects under `KLUX`."""
     timing = Timing.from_config(config, CLOCK_HZ)
-    scene = load_scene("five-objects", config.sensor.rows, config.sensor.cols, range_m=SPEED_OF_LIGHT_M_S * timing.period_s / 2)
+    scene = load_scene(
+        "five-objects", config.sensor.rows, config.sensor.cols, range_m=SPEED_OF_LIGHT_M_S * timing.period_s / 2
+    )
     return generate_edges(scene_light(scene, KLUX), Spad(), timing, pulses=config.pulses, seed=seed + frame)
 
 
@@ -60,10 +65,25 @@ def soak(config: Config, light: str, frames: int, seed: int, tell=lambda frame, 
 
 def configuration(sensor: dict, pulses: int) -> Config:
     """What is soaked: everything on that a frame can have."""
-    frame = {"pulses": pulses, "format": "full", "minigroup_records": True, "gate_every": 3, "gate_step": 5, "gate_steps": 4}
-    return parse_config({"sensor": sensor, "frame": frame, "subgroup": {"auto": True}, "override": [
-        {"subgroups": [1], "gating": True, "gate_start": 40, "gate_len": 150}, {"subgroups": [0], "coincidence": False},
-    ]})
+    frame = {
+        "pulses": pulses,
+        "format": "full",
+        "minigroup_records": True,
+        "gate_every": 3,
+        "gate_step": 5,
+        "gate_steps": 4,
+    }
+    return parse_config(
+        {
+            "sensor": sensor,
+            "frame": frame,
+            "subgroup": {"auto": True},
+            "override": [
+                {"subgroups": [1], "gating": True, "gate_start": 40, "gate_len": 150},
+                {"subgroups": [0], "coincidence": False},
+            ],
+        }
+    )
 
 
 def main() -> None:
@@ -80,7 +100,10 @@ def main() -> None:
             total += edges
             if frame % 100 == 99:
                 seconds = time.monotonic() - begin
-                print(f"{light}: {frame + 1} frames, {total:,} edges, {checked:,} beats and commits equal, {seconds:.0f} s", flush=True)
+                print(
+                    f"{light}: {frame + 1} frames, {total:,} edges, {checked:,} beats and commits equal, {seconds:.0f} s",
+                    flush=True,
+                )
 
         soak(configuration({}, given.pulses), light, given.frames, given.seed, tell)
 

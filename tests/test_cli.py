@@ -15,16 +15,17 @@ import pytest
 from typer.testing import CliRunner
 
 from coincid.cli import app
+from coincid.flow.lint import lint
+from coincid.flow.register_files import HEADER, JSON, MARKDOWN
+from coincid.flow.waivers import OF_CELLS, WAIVERS
 from coincid.hdl.export import FILE_LIST
-from coincid.hdl.register_files import HEADER, JSON, MARKDOWN
 from coincid.hdl.sensor import TOP
 from coincid.hdl.views import POLYPHASE, VIEWS
-from coincid.hdl.waivers import OF_CELLS, WAIVERS
-from coincid.model.config import load_config, parse_config
-from coincid.model.edges import Edges
-from coincid.model.registers import BY_NAME, address
-from coincid.model.result import differences, golden_result, stall
-from coincid.tb.lint import lint
+from coincid.model.contract.config import load_config, parse_config
+from coincid.model.contract.edges import Edges
+from coincid.model.contract.registers import BY_NAME, address
+from coincid.model.contract.result import differences, stall
+from coincid.model.golden.frame import golden_result
 
 from .cases import SENSORS
 
@@ -49,7 +50,9 @@ def run(*arguments):
 
 def some_edges(n=200):
     rng = np.random.default_rng(5)
-    return {name: rng.integers(0, high, n) for name, high in (("pulse", PULSES), ("pixel", PIXELS), ("tick", PERIOD_TICKS))}
+    return {
+        name: rng.integers(0, high, n) for name, high in (("pulse", PULSES), ("pixel", PIXELS), ("tick", PERIOD_TICKS))
+    }
 
 
 @pytest.fixture
@@ -61,7 +64,16 @@ def files(tmp_path):
 
 
 def replay(folder, *more):
-    return run("replay", "--config", folder / "config.toml", "--edges", folder / "edges.npz", "--out", folder / "out" / "result.npz", *more)
+    return run(
+        "replay",
+        "--config",
+        folder / "config.toml",
+        "--edges",
+        folder / "edges.npz",
+        "--out",
+        folder / "out" / "result.npz",
+        *more,
+    )
 
 
 def assert_refused(result, *words):
@@ -81,7 +93,11 @@ BAD_CONFIGS = {
     "negative window": ("[subgroup]\nwindow = -1", "subgroup.window = -1", "from 1 to 128"),
     "fraction": ("[subgroup]\nwindow = 1.5", "subgroup.window = 1.5", "integer"),
     "text for a number": ('[frame]\npulses = "many"', "frame.pulses = 'many'", "from 1 to 65536"),
-    "gate past the period": ("[frame]\nperiod = 50\n[subgroup]\ngating = true\ngate_start = 50", "gate_start = 50", "from 0 to 49"),
+    "gate past the period": (
+        "[frame]\nperiod = 50\n[subgroup]\ngating = true\ngate_start = 50",
+        "gate_start = 50",
+        "from 0 to 49",
+    ),
     "period within the guard": ("[frame]\nperiod = 5", "frame.period = 5", "from 6 to 1024"),
     "rows without subgroups": ("[sensor]\nrows = 12", "subgroup", "divide"),
     "bounds that descend": ("[frame]\nauto_bounds = [2, 1, 3, 4, 5, 6]", "auto_bounds", "descend"),
@@ -103,7 +119,13 @@ def test_bad_configuration(files, name, command):
 
 
 def test_missing_configuration_names_the_presets(files):
-    assert_refused(run("verilog", "--config", files / "none.toml", "--out", files / "out"), "none.toml", "no such file", "silicon", "fpga")
+    assert_refused(
+        run("verilog", "--config", files / "none.toml", "--out", files / "out"),
+        "none.toml",
+        "no such file",
+        "silicon",
+        "fpga",
+    )
 
 
 def one(name, value, dtype=np.int64):
@@ -160,7 +182,9 @@ def other_archive(data):
     return out.getvalue()
 
 
-@pytest.mark.parametrize("change", [truncated, damaged, single_array, other_archive, lambda data: b"", lambda data: b"text"])
+@pytest.mark.parametrize(
+    "change", [truncated, damaged, single_array, other_archive, lambda data: b"", lambda data: b"text"]
+)
 def test_file_that_is_no_edges(files, change):
     path = files / "edges.npz"
     path.write_bytes(change(path.read_bytes()))
@@ -173,10 +197,13 @@ def test_no_edge_file(files):
     assert_refused(replay(files), "edges.npz", "no such file")
 
 
-@pytest.mark.parametrize(("options", "words"), [
-    (("--stall", -1), ("stall = -1", "from 0 to")),
-    (("--engine", "modelsim"), ("engine = 'modelsim'", "golden, verilator, icarus")),
-])
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (("--stall", -1), ("stall = -1", "from 0 to")),
+        (("--engine", "modelsim"), ("engine = 'modelsim'", "golden, verilator, icarus")),
+    ],
+)
 def test_bad_options(files, options, words):
     assert_refused(replay(files, *options), *words)
     assert not (files / "out").exists()
@@ -241,15 +268,18 @@ def test_empty_edge_file_is_an_empty_frame(files, dtype):
         assert not result["opened"].any()
 
 
-@pytest.mark.parametrize(("options", "words"), [
-    (("--scene", "letter-g"), ("letter-g",)),
-    (("--klux", -1), ("klux = -1",)),
-    (("--klux", "nan"), ("klux = nan",)),
-    (("--pulses", 0), ("pulses = 0", "from 1 to 65536")),
-    (("--seed", -1), ("seed = -1", "from 0 to")),
-    (("--engine", "vcs"), ("engine = 'vcs'", "golden, verilator, icarus")),
-    (("--clock-mhz", 0), ("clock",)),
-])
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (("--scene", "letter-g"), ("letter-g",)),
+        (("--klux", -1), ("klux = -1",)),
+        (("--klux", "nan"), ("klux = nan",)),
+        (("--pulses", 0), ("pulses = 0", "from 1 to 65536")),
+        (("--seed", -1), ("seed = -1", "from 0 to")),
+        (("--engine", "vcs"), ("engine = 'vcs'", "golden, verilator, icarus")),
+        (("--clock-mhz", 0), ("clock",)),
+    ],
+)
 def test_bad_options_of_sim(files, options, words):
     assert_refused(run("sim", "--out", files / "out", *options), *words)
     assert not (files / "out").exists()
@@ -258,7 +288,18 @@ def test_bad_options_of_sim(files, options, words):
 def test_interrupt_ends_with_130_and_nothing_left(files):
     (files / "edges.npz").unlink()
     os.mkfifo(files / "edges.npz")
-    command = [sys.executable, "-m", "coincid", "replay", "--config", "config.toml", "--edges", "edges.npz", "--out", "out/result.npz"]
+    command = [
+        sys.executable,
+        "-m",
+        "coincid",
+        "replay",
+        "--config",
+        "config.toml",
+        "--edges",
+        "edges.npz",
+        "--out",
+        "out/result.npz",
+    ]
     with subprocess.Popen(command, cwd=files, stderr=subprocess.PIPE, text=True) as process:
         with open(files / "edges.npz", "wb"):  # opens when the command does, which then waits for bytes
             process.send_signal(signal.SIGINT)
@@ -270,10 +311,29 @@ def test_interrupt_ends_with_130_and_nothing_left(files):
 
 def test_budget_for_programs_and_people():
     keys = {
-        "aperture_m2", "photon_energy_j", "irradiance_w_m2", "signal_rate_cps", "background_rate_cps", "signal_per_pulse",
-        "sbr_db", "sbr_reading",
+        "aperture_m2",
+        "photon_energy_j",
+        "irradiance_w_m2",
+        "signal_rate_cps",
+        "background_rate_cps",
+        "signal_per_pulse",
+        "sbr_db",
+        "sbr_reading",
     }
-    result = run("budget", "--distance-m", 4, "--reflectivity", 0.4, "--klux", 50, "--spectrum", "planck", "--form", "corrected", "--json")
+    result = run(
+        "budget",
+        "--distance-m",
+        4,
+        "--reflectivity",
+        0.4,
+        "--klux",
+        50,
+        "--spectrum",
+        "planck",
+        "--form",
+        "corrected",
+        "--json",
+    )
     assert set(json.loads(result.stdout)) == keys
     text = run("budget").stdout
     assert all(key in text for key in keys)
@@ -290,7 +350,10 @@ def exports(tmp_path_factory):
     assert run("verilog", "--out", folder / "large", "--config", folder / "large.toml").exit_code == 0
     again = [sys.executable, "-m", "coincid", "verilog", "--out", "again"]
     subprocess.run(again, cwd=folder, env=os.environ | {"PYTHONHASHSEED": "17"}, check=True)
-    return {name: {path.name: path.read_bytes() for path in (folder / name).iterdir()} for name in ("default", "again", "large")}
+    return {
+        name: {path.name: path.read_bytes() for path in (folder / name).iterdir()}
+        for name in ("default", "again", "large")
+    }
 
 
 def test_export_is_the_same_every_time(exports):
@@ -298,7 +361,10 @@ def test_export_is_the_same_every_time(exports):
 
 
 def test_export_does_not_grow_with_the_array(exports):
-    default, large = (sum(len(exports[key][name]) for name in exports[key][FILE_LIST].decode().split()) for key in ("default", "large"))
+    default, large = (
+        sum(len(exports[key][name]) for name in exports[key][FILE_LIST].decode().split())
+        for key in ("default", "large")
+    )
     assert large <= 1.3 * default
 
 
@@ -310,7 +376,14 @@ def test_export_has_the_files_that_its_list_names(exports):
 
 
 def test_export_names_no_place_of_this_machine(exports):
-    places = {os.getcwd(), os.path.expanduser("~"), os.path.dirname(sys.executable), os.path.dirname(np.__file__), "/tmp/", "/work/"}
+    places = {
+        os.getcwd(),
+        os.path.expanduser("~"),
+        os.path.dirname(sys.executable),
+        os.path.dirname(np.__file__),
+        "/tmp/",
+        "/work/",
+    }
     for name, data in exports["default"].items():
         assert not [place for place in places if len(place) > 1 and place.encode() in data], name
 
@@ -338,7 +411,9 @@ def test_register_files_agree_with_the_register_table(exports, tmp_path):
     described = json.loads(files[JSON])
     assert {register["name"] for register in described["global"] + described["subgroup"]} == set(BY_NAME)
     for register in described["subgroup"]:
-        assert described["subgroup_base"] + 3 * described["subgroup_stride"] + register["offset"] == address(register["name"], 3)
+        assert described["subgroup_base"] + 3 * described["subgroup_stride"] + register["offset"] == address(
+            register["name"], 3
+        )
     for name in BY_NAME:
         assert f"| {name} |".encode() in files[MARKDOWN]
 
@@ -347,7 +422,7 @@ def test_register_files_agree_with_the_register_table(exports, tmp_path):
         arguments = ["3"] * (register in BY_NAME.values() and f"COINCID_{name.upper()}(sg".encode() in files[HEADER])
         arguments += ["1"] * (register.count(sensor) > 1)
         macro = f"COINCID_{name.upper()}" + (f"({', '.join(arguments)})" if arguments else "")
-        checks.append(f"_Static_assert({macro} == {address(name, 3, int(register.count(sensor) > 1))}u, \"{name}\");")
+        checks.append(f'_Static_assert({macro} == {address(name, 3, int(register.count(sensor) > 1))}u, "{name}");')
     source = tmp_path / "check.c"
     source.write_text(f'#include "{HEADER}"\n' + "\n".join(checks))
     (tmp_path / HEADER).write_bytes(files[HEADER])
@@ -358,14 +433,16 @@ def test_register_files_agree_with_the_register_table(exports, tmp_path):
 def test_lint_is_clean(tmp_path, name):
     """Everything that is not waived, for sensors that between them leave every default."""
     config = tmp_path / "config.toml"
-    config.write_text("[sensor]\n" + "".join(f"{key} = {value}\n" for key, value in SENSORS[name].items()) + "[frame]\nperiod = 100\n")
+    config.write_text(
+        "[sensor]\n" + "".join(f"{key} = {value}\n" for key, value in SENSORS[name].items()) + "[frame]\nperiod = 100\n"
+    )
     result = run("lint", "--config", config)
     assert result.exit_code == 0, result.output
     assert result.stdout.splitlines()[0] == "verilator: clean"
 
 
 def test_lint_finds_what_is_not_waived(files, monkeypatch):
-    monkeypatch.setattr("coincid.tb.lint.control_file", lambda view: "`verilator_config\n")
+    monkeypatch.setattr("coincid.flow.lint.control_file", lambda view: "`verilator_config\n")
     result = run("lint", "--config", files / "config.toml")
     assert result.exit_code == 1
     assert "verilator: found" in result.stdout
@@ -375,11 +452,14 @@ def test_lint_finds_what_is_not_waived(files, monkeypatch):
 def test_every_waiver_is_needed():
     """One that no sensor needs hides what is to come."""
     small = {"rows": 8, "cols": 8}
-    for wanted, cases in ((WAIVERS, [(small, POLYPHASE), (SENSORS["tiny"], POLYPHASE)]), (OF_CELLS, [(small, VIEWS["async"])])):
+    for wanted, cases in (
+        (WAIVERS, [(small, POLYPHASE), (SENSORS["tiny"], POLYPHASE)]),
+        (OF_CELLS, [(small, VIEWS["async"])]),
+    ):
         found = ""
         for sensor, view in cases:
             with pytest.MonkeyPatch.context() as patch:
-                patch.setattr("coincid.tb.lint.control_file", lambda view: "`verilator_config\n")
+                patch.setattr("coincid.flow.lint.control_file", lambda view: "`verilator_config\n")
                 found += lint(parse_config({"sensor": sensor}).sensor, view)["verilator"]
         files_of = {(rule, file) for rule, file in re.findall(r"%Warning-(\w+): ([\w.]+):", found)}
         for rule, files, *_ in wanted:

@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 from coincid.cli import app
-from coincid.model import latency
-from coincid.model.packet import HEADER, Kind, header_field
+from coincid.model.contract import latency
+from coincid.model.contract.packet import HEADER, Kind, header_field
 
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
@@ -24,7 +24,7 @@ def rows(page, title):
 
 
 def test_readme_snippet_runs():
-    snippet, = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)
+    (snippet,) = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)
     told = io.StringIO()
     with contextlib.redirect_stdout(told):
         exec(compile(snippet, "README.md", "exec"), {})
@@ -59,7 +59,15 @@ def test_waveform_picture_shows_the_stages():
     sent = closes + latency.COMMIT + latency.STORE_TO_GRANT + latency.GRANT_TO_BEAT + latency.BEAT_TO_PORT
     assert first("tvalid", opens) == sent
     fields = {name: header_field(values["tdata"][sent], name) for name in HEADER}
-    assert fields == {"kind": Kind.EVENT_MAP, "overrun": 0, "subgroup": 0, "pulse": 0, "count": 4, "winner": 9, "stamp": 8 * 32 + 22}
+    assert fields == {
+        "kind": Kind.EVENT_MAP,
+        "overrun": 0,
+        "subgroup": 0,
+        "pulse": 0,
+        "count": 4,
+        "winner": 9,
+        "stamp": 8 * 32 + 22,
+    }
     assert values["tdata"][sent + 1] == sum(1 << pixel for pixel, *_ in picture.EDGES[1:])
 
 

@@ -1,0 +1,50 @@
+"""Lint of the emitted Verilog and its test benches: Verilator with every warning, less the waivers, and Icarus where it is installed."""
+
+import os
+import shutil
+import subprocess
+import tempfile
+from pathlib import Path
+
+from ..hdl.export import fpga_files
+from ..hdl.sensor import FPGA_TOP, TOP, has_fpga_top
+from ..hdl.views import POLYPHASE
+from ..model.contract.parameters import Sensor
+from ..tb import toolchain
+from ..tb.rtl import rtl
+from .release import tool_options
+from .smoke import FPGA_SMOKE, SMOKE, smoke_test
+from .waivers import CONTROL_FILE, control_file
+
+VERILATOR = ("--lint-only", "--timing", "--quiet-stats")
+
+
+def lint(sensor: Sensor, view=POLYPHASE) -> dict[str, str]:
+    """Tool -> what it found in the Verilog of `sensor`, "" where that is nothing. Raises `ToolchainError`.
+
+    view: of `hdl/views.py`; of one with macros, what synthesis takes.
+    """
+    files = {path.name: path.read_text() for path in (*rtl(sensor, view), *view.macros)}
+    tops = {TOP: {}} if view.macros else {TOP: {}, SMOKE: {f"{SMOKE}.v": smoke_test(sensor)}}
+    options = [part for option in tool_options(view)["lint"] for part in option.split()]
+    if view is POLYPHASE and has_fpga_top(sensor):
+        fpga = fpga_files(sensor)
+        tops |= {FPGA_TOP: fpga, FPGA_SMOKE: fpga | {f"{FPGA_SMOKE}.v": smoke_test(sensor, levels=True)}}
+    found = {"verilator": ""} | ({"icarus": ""} if shutil.which("iverilog") and not view.macros else {})
+    with tempfile.TemporaryDirectory(prefix="coincid-") as folder:
+        for top, more in tops.items():
+            names = [*(name for name in files if top not in (FPGA_TOP, FPGA_SMOKE) or name != f"{TOP}.v"), *more]
+            for name, text in (files | more | {CONTROL_FILE: control_file(view)}).items():
+                (Path(folder) / name).write_text(text)
+            command = [str(toolchain.verilator()), *VERILATOR, *options, "--top-module", top, CONTROL_FILE, *names]
+            found["verilator"] += _complaints(command, folder)
+            if "icarus" in found:
+                found["icarus"] += _complaints(
+                    ["iverilog", "-g2005", "-Wall", "-s", top, "-o", os.devnull, *names], folder
+                )
+    return found
+
+
+def _complaints(command: list[str], folder: str) -> str:
+    done = subprocess.run(command, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, check=False)
+    return done.stdout or (f"exit code {done.returncode}\n" if done.returncode else "")

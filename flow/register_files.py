@@ -1,0 +1,258 @@
+"""The register map for people and for tools, all from the one table of `model/contract/registers.py`.
+
+Markdown, HTML, a C header, JSON, SystemRDL; and IP-XACT, which PeakRDL makes from the SystemRDL. The HTML is our own:
+PeakRDL's is an application of 7.8 MB; this page has 9 kB, and says what SystemRDL has no place for, the legal ranges.
+"""
+
+import html
+import json
+import tempfile
+from pathlib import Path
+
+from attrs import asdict
+
+from ..model.contract.parameters import Sensor, bits_for
+from ..model.contract.registers import (
+    ADDRESS_BITS,
+    DATA_BITS,
+    GLOBAL,
+    SUBGROUP,
+    SUBGROUP_BASE,
+    SUBGROUP_STRIDE,
+    Access,
+    Register,
+)
+
+MARKDOWN, HTML, HEADER, JSON, RDL, IP_XACT = (
+    "registers.md",
+    "registers.html",
+    "coincid_regs.h",
+    "registers.json",
+    "registers.rdl",
+    "registers.xml",
+)
+PREFIX, TOP = "COINCID", "coincid_sensor"
+WRITABLE = (Access.SETTING, Access.PULSE, Access.STATUS)
+
+
+def register_files(sensor: Sensor) -> dict[str, str]:
+    """File name -> text of the register map of `sensor`. Equal parameters give equal bytes."""
+    rdl = _systemrdl(sensor)
+    return {
+        MARKDOWN: _markdown(sensor),
+        HTML: _html(sensor),
+        HEADER: _header(sensor),
+        JSON: json.dumps(register_map(sensor), indent=2) + "\n",
+        RDL: rdl,
+        IP_XACT: _ip_xact(rdl),
+    }
+
+
+def register_map(sensor: Sensor) -> dict:
+    """The map as plain data: addresses and offsets in bytes, ranges and reset values as built."""
+    return {
+        "data_bits": DATA_BITS,
+        "address_bits": ADDRESS_BITS,
+        "subgroups": sensor.subgroups,
+        "subgroup_base": SUBGROUP_BASE,
+        "subgroup_stride": SUBGROUP_STRIDE,
+        "global": [_plain(register, sensor) for register in GLOBAL],
+        "subgroup": [_plain(register, sensor) for register in SUBGROUP],
+    }
+
+
+def _plain(register: Register, sensor: Sensor) -> dict:
+    values = {
+        "name": register.name,
+        "offset": register.offset,
+        "count": register.count(sensor),
+        "access": register.access.name.lower(),
+        "reset": register.reset(sensor),
+        "doc": register.doc,
+    }
+    if register.access in WRITABLE:
+        values |= {"low": register.low(sensor), "high": register.high(sensor)}
+    if register.bits:
+        values["bits"] = [asdict(bits) for bits in register.bits]
+    return values
+
+
+HEAD = ("offset", "name", "access", "range", "reset", "meaning")
+
+
+def _intro(sensor: Sensor) -> tuple[str, str]:
+    return f"Registers of the {sensor.rows} x {sensor.cols} sensor", (
+        f"AXI4-Lite, {DATA_BITS}-bit words, {ADDRESS_BITS}-bit byte addresses. A write outside the range of its register, to a "
+        "read-only or an unmapped address, or of less than a word answers SLVERR, changes nothing, and sets a bit of status."
+    )
+
+
+def _blocks(sensor: Sensor) -> list[tuple[str, str, list[list[str]]]]:
+    """(title, text, rows of `HEAD`) of both blocks."""
+    where = f"At {SUBGROUP_BASE:#x} + {SUBGROUP_STRIDE:#x} * s; offsets are within the block."
+    return [
+        ("Global block", "At 0.", _rows(GLOBAL, sensor)),
+        (f"Block of subgroup s, 0 to {sensor.subgroups - 1}", where, _rows(SUBGROUP, sensor)),
+    ]
+
+
+def _rows(registers: tuple[Register, ...], sensor: Sensor) -> list[list[str]]:
+    rows = []
+    for register in registers:
+        count, offset = register.count(sensor), f"{register.offset:#05x}"
+        if count > 1:
+            offset += f" + 4 i, i < {count}"
+        legal = f"{register.low(sensor)} to {register.high(sensor)}" if register.access in WRITABLE else ""
+        reset = "" if register.access is Access.COUNTER else str(register.reset(sensor))
+        rows.append([offset, register.name, register.access.name.lower(), legal, reset, register.doc])
+        for bits in register.bits:
+            rows.append(
+                [
+                    "",
+                    f"bit {bits.lsb}: {bits.name}",
+                    "",
+                    "",
+                    "",
+                    f"{bits.doc}{' Write 1 to clear.' if bits.clears else ''}",
+                ]
+            )
+    return rows
+
+
+def _markdown(sensor: Sensor) -> str:
+    title, text = _intro(sensor)
+    lines = [f"# {title}", "", text, "", *(f"* {access.name.lower()}: {access.value}" for access in Access), ""]
+    for title, text, rows in _blocks(sensor):
+        table = [" | ".join(cell.replace("|", r"\|") for cell in row) for row in [HEAD, ["---"] * len(HEAD), *rows]]
+        lines += [f"## {title}", "", text, "", *(f"| {row} |" for row in table), ""]
+    return "\n".join(lines)
+
+
+STYLE = """
+body { font: 15px/1.4 system-ui, sans-serif; max-width: 70em; margin: 2em auto; padding: 0 1em; color: #222; }
+table { border-collapse: collapse; } td, th { border: 1px solid #ccc; padding: 0.25em 0.6em; text-align: left; vertical-align: top; }
+th { background: #eee; } td:nth-child(-n+2) { font-family: ui-monospace, monospace; white-space: nowrap; }
+"""
+
+
+def _html(sensor: Sensor) -> str:
+    title, text = (html.escape(part) for part in _intro(sensor))
+    lines = [
+        "<!DOCTYPE html>",
+        '<html lang="en">',
+        f'<head><meta charset="utf-8"><title>{title}</title>',
+        f"<style>{STYLE}</style></head>",
+        "<body>",
+        f"<h1>{title}</h1>",
+        f"<p>{text}</p>",
+        "<dl>",
+        *(f"<dt>{access.name.lower()}</dt><dd>{html.escape(access.value)}</dd>" for access in Access),
+        "</dl>",
+    ]
+    for title, text, rows in _blocks(sensor):
+        lines += [f"<h2>{html.escape(title)}</h2>", f"<p>{html.escape(text)}</p>", "<table>"]
+        lines.append("<tr>" + "".join(f"<th>{cell}</th>" for cell in HEAD) + "</tr>")
+        lines += ["<tr>" + "".join(f"<td>{html.escape(cell)}</td>" for cell in row) + "</tr>" for row in rows]
+        lines.append("</table>")
+    return "\n".join([*lines, "</body>", "</html>", ""])
+
+
+RDL_FIELD = {  # how software and hardware use a register's field
+    Access.CONSTANT: "sw = r; hw = na;",
+    Access.SETTING: "sw = rw; hw = r;",
+    Access.PULSE: "sw = w; hw = r; singlepulse;",
+    Access.COUNTER: "sw = r; hw = w;",
+}
+RDL_CLEARED, RDL_STATE = "sw = rw; onwrite = woclr; hw = w;", "sw = r; hw = w;"  # of the status register's bits
+
+
+def _systemrdl(sensor: Sensor) -> str:
+    title, text = _intro(sensor)
+    lines = [
+        "addrmap coincid {",
+        f'  name = "{title}";',
+        f'  desc = "{text}";',
+        f"  default regwidth = {DATA_BITS};",
+        "  addressing = compact;",
+        "",
+        *_rdl_block(GLOBAL, sensor, "  "),
+        "",
+        "  regfile {",
+        '    desc = "Settings and counters of a subgroup.";',
+        *_rdl_block(SUBGROUP, sensor, "    "),
+        f"  }} subgroup[{sensor.subgroups}] @ {SUBGROUP_BASE:#x} += {SUBGROUP_STRIDE:#x};",
+        "};",
+        "",
+    ]
+    return "\n".join(lines)
+
+
+def _rdl_block(registers: tuple[Register, ...], sensor: Sensor, indent: str) -> list[str]:
+    lines = []
+    for register in registers:
+        reset, doc = register.reset(sensor), register.doc
+        if register.access in WRITABLE and not register.bits:
+            doc += f" Range: {register.low(sensor)} to {register.high(sensor)}."
+        array = f"[{register.count(sensor)}]" if register.count(sensor) > 1 else ""
+        lines += [f"{indent}reg {{", f'{indent}  desc = "{doc}";']
+        for bits in register.bits:
+            use = RDL_FIELD.get(register.access, RDL_CLEARED if bits.clears else RDL_STATE)
+            value = reset >> bits.lsb & (1 << bits.width) - 1
+            where = f"[{bits.lsb + bits.width - 1}:{bits.lsb}]"
+            lines.append(f'{indent}  field {{ desc = "{bits.doc}"; {use} }} {bits.name}{where} = {value:#x};')
+        if not register.bits:
+            width = (
+                DATA_BITS if register.access in (Access.CONSTANT, Access.COUNTER) else bits_for(register.high(sensor))
+            )
+            lines.append(f"{indent}  field {{ {RDL_FIELD[register.access]} }} value[{width - 1}:0] = {reset:#x};")
+        lines.append(f"{indent}}} {register.name}{array} @ {register.offset:#x};")
+    return lines
+
+
+def _ip_xact(rdl: str) -> str:
+    from peakrdl_ipxact import IPXACTExporter  # here, because simulations need the header's table but no compiler of it
+    from systemrdl import RDLCompiler
+
+    with tempfile.TemporaryDirectory(prefix="coincid-") as folder:
+        source, target = Path(folder) / RDL, Path(folder) / IP_XACT
+        source.write_text(rdl)
+        compiler = RDLCompiler()
+        compiler.compile_file(str(source))
+        IPXACTExporter(vendor="coincid", library="sensor", version="1.0").export(
+            compiler.elaborate(), str(target), component_name=TOP
+        )
+        return target.read_text()
+
+
+def _header(sensor: Sensor) -> str:
+    lines = [
+        f"/* Registers of the {sensor.rows} x {sensor.cols} sensor: byte addresses, ranges, bits. See {MARKDOWN}. */",
+        f"#ifndef {PREFIX}_REGS_H",
+        f"#define {PREFIX}_REGS_H",
+        "",
+        f"#define {PREFIX}_SUBGROUPS {sensor.subgroups}u",
+        "",
+    ]
+    for register in GLOBAL:
+        lines += _defines(register, sensor, f"{register.offset:#06x}u", [])
+    for register in SUBGROUP:
+        lines += _defines(
+            register, sensor, f"{SUBGROUP_BASE + register.offset:#06x}u + {SUBGROUP_STRIDE:#x}u * (sg)", ["sg"]
+        )
+    return "\n".join([*lines, "", f"#endif /* {PREFIX}_REGS_H */", ""])
+
+
+def _defines(register: Register, sensor: Sensor, address: str, arguments: list[str]) -> list[str]:
+    name = f"{PREFIX}_{register.name.upper()}"
+    if register.count(sensor) > 1:
+        address, arguments = f"{address} + 4u * (i)", [*arguments, "i"]
+    macro = f"{name}({', '.join(arguments)})" if arguments else name
+    lines = [f"#define {macro} ({address})  /* {register.doc} */"]
+    if register.access is Access.CONSTANT:
+        lines.append(f"#define {name}_VALUE {register.reset(sensor)}u")
+    if register.access is Access.SETTING:
+        lines += [f"#define {name}_LOWEST {register.low(sensor)}u", f"#define {name}_HIGHEST {register.high(sensor)}u"]
+    for bits in register.bits:
+        mask = ((1 << bits.width) - 1) << bits.lsb
+        lines.append(f"#define {name}_{bits.name.upper()} {mask:#x}u  /* {bits.doc} */")
+    return lines

@@ -1,0 +1,281 @@
+"""The folder of RTL that leaves the project: Verilog, its lists and constraints, a smoke test, the register map, a manifest."""
+
+import hashlib
+import json
+import shutil
+import tempfile
+from importlib.metadata import version
+from pathlib import Path
+
+from attrs import asdict
+
+from ..hdl import deserialiser
+from ..hdl.export import FILE_LIST, fpga_files, verilog_files
+from ..hdl.sensor import FPGA_TOP, TOP, Port, has_fpga_top, netlist
+from ..hdl.views import POLYPHASE
+from ..model.contract import latency
+from ..model.contract.parameters import Sensor
+from ..model.shared.errors import InputError
+from .constraints import constraints as async_constraints
+from .register_files import register_files
+from .smoke import FPGA_SMOKE, SMOKE, phase_clock, smoke_test
+from .waivers import CONTROL_FILE, control_file
+
+MANIFEST, CORE, README = "manifest.json", f"{TOP}.core", "README.md"
+SYNTHESIS_LIST = "coincid_synthesis.f"  # of a view with macros
+TIMESCALE = "1ps/1fs"  # of the same
+SILICON_MHZ, FPGA_MHZ = 500, 125  # the presets' clocks
+PORT_DELAY = 0.4  # of a period, outside the ports
+UNCERTAINTY = 0.05  # of a period
+DERIVED = ("array_pixels", "subgroups", "pixels", "minigroups", "guard", "stamp_bits", "period_max")
+PER_TOP = {TOP: SMOKE, FPGA_TOP: FPGA_SMOKE}
+
+
+def clock_mhz(sensor: Sensor, view=POLYPHASE) -> int:
+    """The clock that the constraints ask for."""
+    return FPGA_MHZ if view is POLYPHASE and has_fpga_top(sensor) else SILICON_MHZ
+
+
+def release_files(sensor: Sensor, view=POLYPHASE) -> dict[str, str]:
+    """File name -> text. view: of `views.py`. Equal parameters give equal bytes."""
+    rtl = verilog_files(sensor, view)
+    lists = {TOP: rtl.pop(FILE_LIST).split()}
+    files = rtl | register_files(sensor) | {CONTROL_FILE: control_file(view)}
+    if view is POLYPHASE and has_fpga_top(sensor):
+        fpga = fpga_files(sensor)
+        files |= fpga
+        lists[FPGA_TOP] = [*(name for name in lists[TOP] if name != f"{TOP}.v"), *fpga]
+    for top, names in lists.items():
+        smoke = f"{PER_TOP[top]}.v"
+        files |= {
+            smoke: smoke_test(sensor, top == FPGA_TOP, view),
+            f"{PER_TOP[top]}.f": _list([*names, smoke]),
+            FILE_LIST if top == TOP else f"{top}.f": _list(names),
+            f"{top}.sdc": _constraints(sensor, top, view),
+        }
+    if view.macros:
+        boxes = {path.name: path.read_text() for path in view.macros}
+        files |= boxes | {SYNTHESIS_LIST: _list([*lists[TOP], *boxes])}
+    files |= {CORE: _core(lists, view), README: _readme(sensor, lists, view)}
+    return dict(sorted(files.items())) | {MANIFEST: _manifest(sensor, lists, files, view)}
+
+
+def _list(names: list[str]) -> str:
+    return "".join(f"{name}\n" for name in names)
+
+
+def _constraints(sensor: Sensor, top: str, view) -> str:
+    period = 1000 / clock_mhz(sensor, view)
+    lines = [
+        f"# Timing of {top} at {clock_mhz(sensor, view)} MHz; times in ns.",
+        f"set period {period:g}",
+        "create_clock -name clk -period $period [get_ports clk]",
+    ]
+    if view.macros:
+        lines += ["", async_constraints(sensor)]
+    if top == FPGA_TOP:
+        lines.append("# Clock j of the deserialisers comes j ticks after clk, from the same PLL.")
+        for j in range(1, sensor.phases // 2):
+            rise = period * j / sensor.phases
+            edges = f"{{{rise:g} {rise + period / 2:g}}}"
+            lines.append(
+                f"create_clock -name phase_{j} -period $period -waveform {edges} [get_ports {{{phase_clock(sensor, j)}}}]"
+            )
+    ports = [port for port in netlist(sensor, top == FPGA_TOP, view).ports if port.name != "phase_clocks"]
+    events = {f"spad_{s}" for s in range(sensor.subgroups)} if view.macros else set()  # clocks of their own
+    timed = [
+        Port("rst", 1, True),
+        *(port for port in ports if not port.name.startswith("line_") and port.name not in events),
+    ]
+    lines += [
+        f"set_clock_uncertainty [expr {UNCERTAINTY} * $period] [all_clocks]",
+        *(
+            f"set_{kind}_delay [expr {PORT_DELAY} * $period] -clock clk [get_ports {{{port.name}{'[*]' if port.width > 1 else ''}}}]"
+            for kind, is_input in (("input", True), ("output", False))
+            for port in timed
+            if port.is_input is is_input
+        ),
+    ]
+    if top == FPGA_TOP:
+        lines += ["# SPADs know no clock: their levels are sampled, and pass two flip-flops before any logic."]
+        lines += [
+            f"set_false_path -from [get_ports {{{port.name}[*]}}]" for port in ports if port.name.startswith("line_")
+        ]
+    return "\n".join(lines) + "\n"
+
+
+def tool_options(view) -> dict[str, list[str]]:
+    """Options of the tools, by what they do. Delays of cells need a time scale; lint looks at what synthesis takes."""
+    time = [f"--timescale {TIMESCALE}"] if view.macros else []
+    return {
+        "icarus": ["-g2012" if view.macros else "-g2005"],
+        "verilate": ["--timing", "-fno-inline", *time],
+        "lint": ["-Wall", "-fno-inline", *time, *(["-DSYNTHESIS"] if view.macros else [])],
+    }
+
+
+def _core(lists: dict[str, list[str]], view) -> str:
+    """FuseSoC's description: RTL and lint, and the smoke test on Icarus and Verilator, for every top."""
+    sets, targets = [], []
+    options = {tool: ", ".join(given) for tool, given in tool_options(view).items()}
+    boxes = [path.name for path in view.macros]
+    for top, names in lists.items():
+        smoke = PER_TOP[top]
+        suffix = "" if top == TOP else "_fpga"
+        sets += [
+            f"  rtl{suffix}:",
+            "    files:",
+            *(f"      - {name}" for name in names),
+            "    file_type: verilogSource",
+            f"  smoke{suffix}:",
+            "    files:",
+            f"      - {smoke}.v",
+            "    file_type: verilogSource",
+        ]
+        targets += [
+            f"  {'default' if top == TOP else 'fpga'}:",
+            f"    filesets: [rtl{suffix}]",
+            f"    toplevel: {top}",
+            f"  lint{suffix}:",
+            "    flow: lint",
+            "    flow_options:",
+            "      tool: verilator",
+            f"      verilator_options: [{options['lint']}]",
+            f"    filesets: [waivers, rtl{suffix}{', boxes' if boxes else ''}]",
+            f"    toplevel: {top}",
+            f"  sim{suffix}:",
+            "    flow: sim",
+            "    flow_options:",
+            "      tool: icarus",
+            f"      iverilog_options: [{options['icarus']}]",
+            f"    filesets: [rtl{suffix}, smoke{suffix}]",
+            f"    toplevel: {smoke}",
+            f"  verilate{suffix}:",
+            "    flow: sim",
+            "    flow_options:",
+            "      tool: verilator",
+            "      mode: binary",
+            f"      verilator_options: [{options['verilate']}]",
+            f"    filesets: [waivers, rtl{suffix}, smoke{suffix}]",
+            f"    toplevel: {smoke}",
+        ]
+    if boxes:
+        sets += ["  boxes:", "    files:", *(f"      - {name}" for name in boxes), "    file_type: verilogSource"]
+    return "\n".join(
+        [
+            "CAPI=2:",
+            f"name: coincid:sensor:{TOP}:{version('coincid')}",
+            "description: SPAD direct time-of-flight sensor with coincidence detection",
+            "",
+            "filesets:",
+            "  waivers:",
+            "    files:",
+            f"      - {CONTROL_FILE}",
+            "    file_type: vlt",
+            *sets,
+            "",
+            "targets:",
+            *targets,
+            "",
+        ]
+    )
+
+
+def _readme(sensor: Sensor, lists: dict[str, list[str]], view) -> str:
+    options = {tool: " ".join(given) for tool, given in tool_options(view).items()}
+    smoke = [
+        f"    iverilog {options['icarus']} -s {PER_TOP[top]} -o smoke.vvp -f {PER_TOP[top]}.f && vvp -n smoke.vvp"
+        for top in lists
+    ]
+    smoke += [
+        f"    verilator --binary {options['verilate']} --top-module {PER_TOP[top]} {CONTROL_FILE} -f {PER_TOP[top]}.f"
+        for top in lists
+    ]
+    lint = [
+        f"    verilator --lint-only {options['lint']} --top-module {top} {CONTROL_FILE} "
+        f"-f {SYNTHESIS_LIST if view.macros else FILE_LIST if top == TOP else f'{top}.f'}"
+        for top in lists
+    ]
+    if view.macros:
+        tops = [
+            f"* `{TOP}` takes the lines of every subgroup's SPADs: a rising edge of bit i is an avalanche in pixel i. `async_cells.v` is",
+            "  the behaviour of cells and macros in femtoseconds; synthesis defines SYNTHESIS, keeps the cells, and takes black boxes",
+            f"  of the macros (`{SYNTHESIS_LIST}`).",
+        ]
+    else:
+        tops = [
+            f"* `{TOP}` takes a word of edges a cycle from every subgroup's SPADs: bit i * {sensor.phases} + k is pixel i, phase k."
+        ]
+    if FPGA_TOP in lists:
+        tops.append(
+            f"* `{FPGA_TOP}` takes the SPADs' levels, sampled by {sensor.phases // 2} clocks of one PLL, clk and `phase_clocks`. They come "
+            f"{deserialiser.CYCLES} cycles late: stamps are {deserialiser.CYCLES * sensor.phases} ticks too large, and so are gates."
+        )
+    return "\n".join(
+        [
+            f"# SPAD sensor of {sensor.rows} x {sensor.cols} pixels",
+            "",
+            *tops,
+            "",
+            f"Parameters and hashes are in `{MANIFEST}`, registers in `registers.*`, constraints for {clock_mhz(sensor, view)} MHz in `*.sdc`.",
+            "Lint, and the smoke test, which prints PASS; no Python is needed:",
+            "",
+            *lint,
+            *smoke,
+            "",
+            f"With FuseSoC: `fusesoc --cores-root . run --target TARGET coincid:sensor:{TOP}`, targets lint, sim, verilate"
+            f"{', and the same with _fpga' if FPGA_TOP in lists else ''}.",
+            "",
+        ]
+    )
+
+
+def _manifest(sensor: Sensor, lists: dict[str, list[str]], files: dict[str, str], view) -> str:
+    return (
+        json.dumps(
+            {
+                "name": TOP,
+                "version": version("coincid"),
+                "view": view.name,
+                "tops": list(lists),
+                "clock_mhz": clock_mhz(sensor, view),
+                "parameters": asdict(sensor),
+                "derived": {name: getattr(sensor, name) for name in DERIVED},
+                "latency_cycles": {name.lower(): value for name, value in vars(latency).items() if name.isupper()}
+                | ({"deserialiser": deserialiser.CYCLES} if FPGA_TOP in lists else {}),
+                "sha256": {name: hashlib.sha256(text.encode()).hexdigest() for name, text in sorted(files.items())},
+            },
+            indent=2,
+        )
+        + "\n"
+    )
+
+
+def write_release(folder: Path, sensor: Sensor, view=POLYPHASE) -> list[Path]:
+    """Writes the files of `sensor` in a view to `folder`, which appears whole and replaces the release that stood there.
+
+    Raises `InputError` where the folder cannot be written, or holds anything but an earlier release.
+    """
+    given, folder = folder, Path(folder).resolve()
+    if folder.exists() and not (folder.is_dir() and ((folder / FILE_LIST).exists() or not any(folder.iterdir()))):
+        raise InputError(f"{given}: holds other things, must be a new or empty folder, or one with an earlier export")
+    try:
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        beside = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", dir=folder.parent))
+    except OSError as error:
+        raise InputError(f"{given}: cannot be written: {error.strerror}") from None
+    try:
+        fresh, stale = beside / "fresh", beside / "stale"
+        fresh.mkdir()
+        for name, text in release_files(sensor, view).items():
+            (fresh / name).write_text(text)
+        if folder.exists():
+            folder.rename(stale)
+        fresh.rename(folder)
+    except OSError as error:
+        if stale.exists() and not folder.exists():
+            stale.rename(folder)
+        raise InputError(f"{given}: cannot be written: {error.strerror}") from None
+    finally:
+        shutil.rmtree(beside, ignore_errors=True)
+    return sorted(folder.iterdir())

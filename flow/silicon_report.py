@@ -1,0 +1,228 @@
+"""Clock domains and asynchronous resets of the asynchronous view, as Yosys finds them, and the constraints that go with them.
+
+The netlist of a module with its macros as black boxes is what the report reads; nothing is said that is not in it. Latches are refused.
+OpenSTA reads the constraints and must have nothing to complain of: every object found, every flop clocked.
+"""
+
+import json
+import re
+import sys
+from collections import Counter
+from pathlib import Path
+
+from attrs import frozen
+
+from ..hdl.export import units_files
+from ..hdl.module import SensorModule
+from ..hdl.silicon.circuit import CLOCK_FS, MACROS, Circuit
+from ..hdl.views import Asynchronous
+from ..model.contract.parameters import Sensor
+from .constraints import FS_PER_NS, SYSTEM, constraints
+from .synth import DRIVER
+from .yosys import LIBERTY, run_program, run_yosys, standard_cells
+
+MAPPED, TIMED = "mapped.v", "timed.v"
+CLOCKS = (SYSTEM, "spads", "roots", "minigroups", "ends", "taps", "mark")
+MACRO_NAMES = ("coincid_phases", "coincid_window", "coincid_delay", "coincid_mutex")
+FLOP = re.compile(r"\$_?(s?dffe?|adffe?|aldffe?|dffsre?|sdffce)_?$")
+LATCH = re.compile(r"\$_?(dlatch|adlatch|sr)")
+
+
+@frozen
+class Domain:
+    """Flops of one kind of clock. clock: its net, `*` for numbers; reset: net of an asynchronous reset, or ''."""
+
+    clock: str
+    falling: bool
+    reset: str
+    clocks: int
+    flops: int
+
+
+def _module(sensor: Sensor, view: Asynchronous) -> SensorModule:
+    return SensorModule(sensor, min(2, sensor.subgroups), view)
+
+
+def top(sensor: Sensor) -> str:
+    """Name of the module that the report reads."""
+    return _module(sensor, Asynchronous()).unit_name
+
+
+def netlist(sensor: Sensor, circuit: Circuit, folder: Path) -> dict:
+    """The flattened netlist of a module as Yosys writes it: cells generic, macros black boxes."""
+    view = Asynchronous(circuit)
+    module = _module(sensor, view)
+    files = units_files([module]) | {path.name: path.read_text() for path in (*view.cells, MACROS)}
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, text in files.items():
+        (folder / name).write_text(text)
+    run_yosys(
+        f"read_verilog -sv {' '.join(files)}\nhierarchy -check -top {module.unit_name}\nproc\nflatten\nopt_clean\nmemory -nomap\n"
+        "check -assert\nwrite_json netlist.json\n",
+        folder,
+    )
+    return json.loads((folder / "netlist.json").read_text())["modules"][module.unit_name]
+
+
+def mapped(folder: Path, top: str) -> dict[str, int]:
+    """Standard cells and macros that the files of `netlist` in `folder` become: type -> number. Leaves the netlist, hierarchy kept."""
+    standard_cells()
+    (folder / LIBERTY.name).write_bytes(LIBERTY.read_bytes())
+    (folder / "abc.constr").write_text(DRIVER)
+    files = " ".join(sorted(path.name for path in folder.glob("*.v") if path.name not in (MAPPED, TIMED)))
+    cells = LIBERTY.name
+    run_yosys(
+        "\n".join(
+            [
+                f"read_liberty -lib {cells}",
+                f"read_verilog -sv {files}",
+                f"hierarchy -check -top {top}",
+                "proc",
+                "setattr -unset init w:*",
+                f"synth -noabc -top {top}",
+                "setattr -unset init w:*",
+                f"dfflibmap -liberty {cells}",
+                f"abc -liberty {cells} -constr abc.constr -D 2000",
+                "opt_clean",
+                "check -assert",
+                "tee -q -o cells.json stat -json",
+                f"write_verilog -noexpr -noattr -simple-lhs {MAPPED}",
+                "",
+            ]
+        ),
+        folder,
+    )
+    return json.loads((folder / "cells.json").read_text())["design"]["num_cells_by_type"]
+
+
+def timing(folder: Path, top: str, sdc: str) -> tuple[list[str], list[tuple[str, str, float, float]]]:
+    """What OpenSTA has to complain of in the constraints `sdc` on what `mapped` left, and the longest paths between clocks.
+
+    Paths: (from clock, to clock, ns required, ns taken), without wires. Macros and the OR tree's gates are black boxes.
+    """
+    text = (folder / MAPPED).read_text()
+    text = re.sub(r"#\(\n(?:    \..*\n)*  \) ", "", text)  # OpenSTA knows no parameters
+    text = re.sub(r"^module \S*coincid_or2.*?^endmodule\n", "", text, flags=re.MULTILINE | re.DOTALL)
+    (folder / TIMED).write_text(text)
+    pairs = [(a, b) for a in CLOCKS for b in CLOCKS]
+    (folder / "timing.tcl").write_text(
+        "\n".join(
+            [
+                f"read_liberty {LIBERTY.name}",
+                f"read_verilog {TIMED}",
+                f"link_design {top}",
+                f"read_sdc {sdc}",
+                "check_setup -no_clock -loops -generated_clocks",
+                'puts "PATHS"',
+                *(
+                    f'puts "{a} {b}"; report_checks -path_delay max -format end -from [get_clocks {a}] -to [get_clocks {b}]'
+                    for a, b in pairs
+                ),
+                "",
+            ]
+        )
+    )
+    head, paths = run_program(["sta", "-exit", "timing.tcl"], folder, "sta").split("PATHS\n")
+    complaints = [line for line in head.splitlines() if re.match("Error|Warning", line) and "black box" not in line]
+    ends = re.compile(r"^(\w+) (\w+)\n(?:(?!^\w+ \w+$).*\n)*?\S+ \(\w+\) +(-?[\d.]+) +(-?[\d.]+) ", re.MULTILINE)
+    return complaints, [(a, b, float(required), float(taken)) for a, b, required, taken in ends.findall(paths)]
+
+
+def latches(module: dict) -> list[str]:
+    """Names of the latches in a netlist: there must be none, as the macros hold all that are meant."""
+    return sorted(name for name, cell in module["cells"].items() if LATCH.match(cell["type"]))
+
+
+def domains(module: dict) -> list[Domain]:
+    """The flops of a netlist by clock and asynchronous reset."""
+    names: dict[int, str] = {}
+    for name, net in sorted(
+        module["netnames"].items(), key=lambda item: (item[1].get("hide_name", 0), len(item[0]), item[0])
+    ):
+        for i, bit in enumerate(net["bits"]):
+            if isinstance(bit, int):
+                names.setdefault(bit, name + (f"[{i}]" if len(net["bits"]) > 1 else ""))
+    drivers = {
+        bit: cell
+        for cell in module["cells"].values()
+        if cell["type"] in ("$not", "$_NOT_")
+        for bit in cell["connections"]["Y"]
+    }
+
+    def source(bit, inverted=False):
+        while bit in drivers:
+            cell = drivers[bit]
+            bit, inverted = cell["connections"]["A"][cell["connections"]["Y"].index(bit)], not inverted
+        return bit, inverted
+
+    flops, clocks = Counter(), {}
+    for cell in module["cells"].values():
+        if not FLOP.match(cell["type"]):
+            continue
+        pins, parameters = cell["connections"], cell["parameters"]
+        bit, inverted = source(pins["CLK"][0])
+        falling = inverted ^ (int(parameters["CLK_POLARITY"], 2) == 0)
+        reset = general(names.get(pins["ARST"][0], "constant")) if "ARST" in pins else ""
+        key = general(names[bit]), falling, reset
+        flops[key] += len(pins["Q"])
+        clocks.setdefault(key, set()).add(bit)
+    return [Domain(*key, len(clocks[key]), count) for key, count in sorted(flops.items())]
+
+
+def general(name: str) -> str:
+    """A net's name without its instance's numbers."""
+    return re.sub(r"\d+", "*", re.sub(r"\$\d+", "", name))
+
+
+def report(sensor: Sensor, circuit: Circuit, module: dict, paths: list) -> str:
+    """The report, Markdown. paths: of `timing`."""
+    macros = Counter(cell["type"].split("$paramod")[-1].strip("\\").split("\\")[0] for cell in module["cells"].values())
+    lines = [
+        "# Clock domains and asynchronous resets of the asynchronous view",
+        "",
+        f"A module of {min(2, sensor.subgroups)} subgroups of {sensor.pixels} SPADs, {circuit.banks_of(sensor)} window bank(s), "
+        f"R = {sensor.rearm}; read from its netlist. `*` stands for a number.",
+        "",
+        "| clock | edge | nets | flip-flops | asynchronous reset |",
+        "| --- | --- | --- | --- | --- |",
+    ]
+    lines += [
+        f"| `{d.clock}` | {'falling' if d.falling else 'rising'} | {d.clocks} | {d.flops} | {f'`{d.reset}`' if d.reset else 'none'} |"
+        for d in domains(module)
+    ]
+    lines += ["", "| macro (black box) | instances |", "| --- | --- |"]
+    lines += [f"| `{name}` | {sum(n for kind, n in macros.items() if name in kind)} |" for name in MACRO_NAMES]
+    lines += ["", f"Latches outside the macros: {len(latches(module))}.", ""]
+    lines += [
+        "Longest paths in OSU 0.18 um cells, without wires, against the constraints for a cycle of 2 ns:",
+        "",
+        "| from clock | to clock | required ns | taken ns |",
+        "| --- | --- | ---: | ---: |",
+        *(f"| {a} | {b} | {required:.2f} | {taken:.2f} |" for a, b, required, taken in paths),
+        "",
+    ]
+    return "\n".join(lines)
+
+
+def module_constraints(sensor: Sensor) -> str:
+    """SDC of the module that the report reads."""
+    return f"create_clock -name {SYSTEM} -period {CLOCK_FS / FS_PER_NS:g} [get_ports {SYSTEM}]\n{constraints(sensor, 'words_*')}"
+
+
+def write(sensor: Sensor, circuit: Circuit, folder: Path) -> list[Path]:
+    """Writes netlists, report and constraints of a sensor to `folder`; raises `ValueError` where a netlist has a latch, or the timing tool
+    complains of the constraints."""
+    module = netlist(sensor, circuit, folder)
+    sdc = folder / "coincid_async.sdc"
+    sdc.write_text(module_constraints(sensor))
+    mapped(folder, top(sensor))
+    complaints, paths = timing(folder, top(sensor), sdc.name)
+    if found := [*latches(module), *complaints]:
+        raise ValueError(f"latches outside the macros, or constraints that do not hold on: {', '.join(found)}")
+    (folder / "domains.md").write_text(report(sensor, circuit, module, paths))
+    return [folder / "domains.md", sdc]
+
+
+if __name__ == "__main__":
+    for path in write(Sensor(), Circuit(), Path(sys.argv[1] if sys.argv[1:] else "build/async")):
+        print(path)

@@ -1,0 +1,117 @@
+"""The circuits of the asynchronous view: its cells and macros, their delays, and the structure that follows from the re-arm gap.
+
+The paper shows no circuit; all of this is our choice. Behaviour of the cells: `async_cells.v`; contracts of the macros: docs/async.md.
+"""
+
+from pathlib import Path
+
+from amaranth.hdl import Const, Instance, Module, Signal, Value
+from attrs import field, frozen
+
+from ...model.contract.parameters import Sensor
+from ...model.shared.errors import InputError
+
+CELLS = Path(__file__).with_name(
+    "async_cells.v"
+)  # behaviour in femtoseconds, for simulation; cells alone under synthesis
+MACROS = Path(__file__).with_name("async_macros.v")  # black boxes of the macros, for synthesis
+CLOCK_FS = 2_000_000  # the silicon preset's 500 MHz; ticks are parts of it
+HIT_FS = 50_000  # SPAD edge to hit
+LEVEL_FS = 25_000  # a level of the OR tree
+SYNCHRONISER_REARM = 3  # shortest re-arm gap of a single window bank, which a two-flop synchroniser clears
+ERROR_BITS = 32  # of a border's mismatch in the generator's parameter
+
+
+@frozen(kw_only=True)
+class Circuit:
+    """What of the asynchronous view is a circuit's property. Raises `InputError`.
+
+    banks: window banks, 1 or 2; None: one where the re-arm gap allows it. mismatch_fs: error of every border of the phase generator
+    (`phases` integers; none: 0). pixel_skew_fs: what each pixel's way to the tree is longer than nominal (`pixels` integers; none: 0).
+    delay_line: the window is a delay line instead of counted borders; gain_ppm: its error.
+    """
+
+    banks: int | None = field(default=None)
+    mismatch_fs: tuple[int, ...] = ()
+    pixel_skew_fs: tuple[int, ...] = field(default=())
+    delay_line: bool = False
+    gain_ppm: int = 0
+
+    @pixel_skew_fs.validator
+    def _late_only(self, _, skews):
+        if any(skew < 0 for skew in skews):
+            raise InputError(f"pixel_skew_fs = {min(skews)}: must be at least 0")
+
+    def banks_of(self, sensor: Sensor) -> int:
+        """Window banks of a sensor. Raises `InputError` where a single bank cannot honour its re-arm gap."""
+        banks = self.banks or (1 if sensor.rearm >= SYNCHRONISER_REARM else 2)
+        if banks == 1 and sensor.rearm < SYNCHRONISER_REARM:
+            raise InputError(
+                f"sensor.rearm = {sensor.rearm}: must be at least {SYNCHRONISER_REARM} with a single window bank"
+            )
+        return banks
+
+
+def levels(count: int) -> int:
+    """Levels of an OR tree over `count` inputs."""
+    return (count - 1).bit_length()
+
+
+def lag_fs(sensor: Sensor) -> int:
+    """From a SPAD's edge to the TDC's sampling flops; the phases lag the clock by as much (a replica in their way)."""
+    return HIT_FS + LEVEL_FS * (levels(sensor.minigroup_pixels) + levels(sensor.minigroups))
+
+
+def hit_flop(m: Module, name: str, edge: Value, arm: Value, clear: Value, delay_fs: int = 0) -> Signal:
+    """A flop that `edge` sets while armed, until it is cleared."""
+    hit = Signal(name=name)
+    m.submodules[f"flop_{name}"] = Instance(
+        "coincid_hit_flop", p_DELAY_FS=delay_fs, i_edge_in=edge, i_arm=arm, i_clear=clear, o_hit=hit
+    )
+    return hit
+
+
+def sample(m: Module, name: str, event: Value, data: Value) -> Signal:
+    """`data` as it was at the last rising edge of `event`."""
+    taken = Signal(len(data), name=name)
+    m.submodules[f"sample_{name}"] = Instance(
+        "coincid_sample", p_WIDTH=len(data), i_event_in=event, i_d=data, o_q=taken
+    )
+    return taken
+
+
+def delayed(m: Module, name: str, signal: Value, delay_fs: int) -> Signal:
+    """`signal` through a matched delay."""
+    later = Signal(name=name)
+    m.submodules[f"delay_{name}"] = Instance("coincid_delay", p_DELAY_FS=delay_fs, i_a=signal, o_y=later)
+    return later
+
+
+def or_tree(m: Module, name: str, inputs: list[Value]) -> Value:
+    """OR in levels of equal delay: where the inputs do not pair up, an OR with 0 stands in."""
+    level = 0
+    while len(inputs) > 1:
+        nodes = []
+        for i in range(0, len(inputs), 2):
+            node = Signal(name=f"{name}_{level}_{i // 2}")
+            other = inputs[i + 1] if i + 1 < len(inputs) else Const(0)
+            m.submodules[f"or_{node.name}"] = Instance(
+                "coincid_or2", p_DELAY_FS=LEVEL_FS, i_a=inputs[i], i_b=other, o_y=node
+            )
+            nodes.append(node)
+        inputs, level = nodes, level + 1
+    return inputs[0]
+
+
+def arbiter_rows(requests: int):
+    """Levels of an arbiter tree over requests 0...n-1: yields ([(node, a, b)], who passes this level alone or None).
+
+    a, b, who: a request, or n + a node's number.
+    """
+    row, node = list(range(requests)), 0
+    while len(row) > 1:
+        pairs = [(node + k, a, b) for k, (a, b) in enumerate(zip(row[::2], row[1::2]))]
+        node += len(pairs)
+        alone = row[-1] if len(row) % 2 else None
+        yield pairs, alone
+        row = [requests + k for k, _, _ in pairs] + ([] if alone is None else [alone])

@@ -1,0 +1,100 @@
+"""Window control of the asynchronous view: which window bank is in force, when it may open, and what a cycle was.
+
+Capture, then validate: the banks open and end by events; what a cycle has brought is read half a cycle after its end, when every event of
+it has come to rest, by one flop a fact, and only those flops decide. So all that follows agrees with itself, whatever an event that meets
+a border has left. Structure and timing are our choice; docs/async.md draws them.
+"""
+
+from amaranth.hdl import ClockDomain, ClockSignal, Module, Mux, ResetSignal, Signal
+from amaranth.lib.wiring import In, Out
+
+from ...model.contract.parameters import Sensor
+from ..unit import Unit
+from .circuit import Circuit
+
+
+class AsyncControl(Unit):
+    """Control of a subgroup's window banks.
+
+    Ports
+    -----
+    parity : out, of the cycle that runs: which bank of hit flops listens
+    may_open : in, windows may open in the next cycle
+    opened_b : in, bit q = bank b was opened by an edge in a cycle of parity q; ended_b : in, its window has ended
+    parity_b : in, parity of the cycle that it ended in
+    armed_b : out, bit q = an edge in the cycle of parity q may open bank b
+    current : out, the bank whose window is in force; it changes in mid-cycle
+    clearing_b : out, bank b is to be cleared in this cycle's last quarter
+    opening, closing, bank : out, of the cycle before the one that ends: a window opened, one closed, in this bank (from mid-cycle on)
+
+    With two banks the other one listens too, from every cycle's start, and is cleared at its end, unless the window turns out to
+    have closed in the cycle before: then it is the current one, and has missed nothing (R = 0). With one, the clear waits for a
+    synchroniser.
+    Reset makes bank 0 the current one, with no window.
+    """
+
+    unit_name = "coincid_async_control"
+
+    def __init__(self, sensor: Sensor, circuit: Circuit):
+        self.sensor, self.banks = sensor, circuit.banks_of(sensor)
+        per_bank = {"opened": In(2), "ended": In(1), "parity": In(1), "armed": Out(2), "clearing": Out(1)}
+        super().__init__(
+            {
+                "parity": Out(1),
+                "may_open": In(1),
+                "current": Out(1),
+                "opening": Out(1),
+                "closing": Out(1),
+                "bank": Out(1),
+            }
+            | {f"{name}_{b}": member for b in range(self.banks) for name, member in per_bank.items()}
+        )
+
+    def elaborate(self, platform):
+        m = Module()
+        rearm, two = self.sensor.rearm, self.banks == 2
+        m.domains.fall = fall = ClockDomain("fall", clk_edge="neg", local=True)
+        m.d.comb += [fall.clk.eq(ClockSignal()), fall.rst.eq(ResetSignal())]
+        m.d.sync += self.parity.eq(~self.parity)
+
+        def of_current(name):
+            return (
+                Mux(self.current, getattr(self, f"{name}_1"), getattr(self, f"{name}_0"))
+                if two
+                else getattr(self, f"{name}_0")
+            )
+
+        # Mid-cycle: the cycle before has come to rest.
+        before = Signal()
+        window_open, read = Signal(), Signal()
+        opening, closing = Signal(), Signal()
+        hold = Signal(range(rearm + 1))
+        m.d.comb += [
+            before.eq(~self.parity),
+            opening.eq(Mux(before, *reversed(of_current("opened"))) & ~window_open & ~read),
+            closing.eq((opening | window_open) & of_current("ended") & (of_current("parity") == before)),
+        ]
+        m.d.fall += [
+            window_open.eq((opening | window_open) & ~closing),
+            self.opening.eq(opening),
+            self.closing.eq(closing),
+            self.bank.eq(self.current),
+            hold.eq(Mux(closing, max(rearm - 1, 0), hold - (hold != 0))),
+        ]
+        if two:
+            with m.If(closing):
+                m.d.fall += self.current.eq(~self.current)
+            m.d.comb += [self.clearing_0.eq(self.current), self.clearing_1.eq(~self.current)]
+        else:
+            first, second = Signal(), Signal()  # the synchroniser in the way of the clear
+            m.d.sync += [first.eq(self.closing), second.eq(first)]
+            m.d.fall += read.eq((read | closing) & ~second)
+            m.d.comb += self.clearing_0.eq(second)
+
+        # Armed from a cycle's start; the level stays until the last event of the cycle has passed.
+        for b in range(self.banks):
+            now = (self.current == b) & (hold == 0) if rearm else 1
+            for q in range(2):
+                with m.If(self.parity != q):
+                    m.d.sync += getattr(self, f"armed_{b}")[q].eq(self.may_open & now)
+        return m

@@ -1,0 +1,79 @@
+"""Event tree of the asynchronous view: what the first edge of a cycle sets off.
+
+The paper (III-A): the tree is "modelled to propagate events"; the propagated event is "passed to a shared TDC to sample the internal
+states", and every minigroup "provides a coarse timestamp". An arbiter tree beside it remembers who came first. Its circuits are our
+choice.
+"""
+
+from amaranth.hdl import Cat, Const, Instance, Module
+from amaranth.lib.wiring import In, Out
+
+from ...model.contract.parameters import QUARTERS, Sensor
+from ..unit import Unit
+from .circuit import HIT_FS, LEVEL_FS, arbiter_rows, delayed, lag_fs, levels, or_tree, sample
+
+
+def code_bits(sensor: Sensor) -> int:
+    """Bits that an event samples: phases, and the Gray count twice."""
+    return sensor.phases // 2 + 2 * sensor.coarse_bits
+
+
+MARK_BITS = 3  # that a minigroup samples: phases 0 and a quarter on, half
+
+
+class EventTree(Unit):
+    """Tree over one bank of hit flops, which collects the edges of one cycle.
+
+    Ports
+    -----
+    hits : in, pixels; phases, gray_a, gray_b, half : in, of the TDC
+    root : out, some pixel was hit
+    code : out, `code_bits` as the first hit sampled them: phases, gray_a, gray_b
+    marks : out, `MARK_BITS` a minigroup, as its first hit sampled them
+    later_first : out, a bit a node of the arbiter tree (`arbiter_rows`): the later of the two in order of index came first
+
+    It has no clock: `hits` cleared, it is as new.
+    """
+
+    unit_name = "coincid_async_tree"
+    clocked = False
+
+    def __init__(self, sensor: Sensor):
+        self.sensor = sensor
+        super().__init__(
+            {
+                "hits": In(sensor.pixels),
+                "phases": In(sensor.phases // 2),
+                "gray_a": In(sensor.coarse_bits),
+                "gray_b": In(sensor.coarse_bits),
+                "half": In(1),
+                "root": Out(1),
+                "code": Out(code_bits(sensor)),
+                "marks": Out(MARK_BITS * sensor.minigroups),
+                "later_first": Out(sensor.pixels - 1),
+            }
+        )
+
+    def elaborate(self, platform):
+        m = Module()
+        sensor = self.sensor
+        quarter = Cat(self.phases[0], self.phases[sensor.phases // QUARTERS], self.half)
+        leaves, marks = [], []
+        for g in range(sensor.minigroups):
+            leaf = or_tree(m, f"minigroup_{g}", [self.hits[i] for i in sensor.members(g)])
+            later = delayed(m, f"event_{g}", leaf, lag_fs(sensor) - HIT_FS - LEVEL_FS * levels(sensor.minigroup_pixels))
+            leaves.append(leaf)
+            marks.append(sample(m, f"mark_{g}", later, quarter))
+        m.d.comb += [self.root.eq(or_tree(m, "tree", leaves)), self.marks.eq(Cat(marks))]
+        m.d.comb += self.code.eq(sample(m, "line", self.root, Cat(self.phases, self.gray_a, self.gray_b)))
+
+        requests = dict(enumerate(self.hits))
+        for level, (pairs, alone) in enumerate(arbiter_rows(sensor.pixels)):
+            for k, a, b in pairs:
+                m.submodules[f"mutex_{k}"] = Instance(
+                    "coincid_mutex", i_a=requests[a], i_b=requests[b], o_second=self.later_first[k]
+                )
+                requests[sensor.pixels + k] = or_tree(m, f"request_{k}", [requests[a], requests[b]])
+            if alone is not None:  # as late as the others of its level
+                requests[alone] = or_tree(m, f"wait_{level}", [requests[alone], Const(0)])
+        return m

@@ -1,0 +1,311 @@
+"""Front end of the asynchronous view: hit flops that the SPADs clock, event trees, window banks, and the way to the clock.
+
+It stands where `CoincidenceTree` does and gives the same, in the same cycles. The paper (III-A, Fig. 3) draws this tree and shows
+no circuit; flops, banks and synchronisers are our choice, explained in docs/async.md.
+"""
+
+from amaranth.hdl import Cat, ClockDomain, ClockSignal, Const, Instance, Module, Mux, ResetSignal, Signal
+from amaranth.lib.wiring import In, Out
+
+from ...model.contract.parameters import QUARTERS, Sensor, bits_for
+from .. import bus
+from ..logic import any_of, popcount, total
+from ..unit import Unit, place
+from .circuit import CLOCK_FS, HIT_FS, Circuit, arbiter_rows, delayed, hit_flop, lag_fs, sample
+from .control import AsyncControl
+from .event_tree import MARK_BITS, EventTree
+from .minigroup import AsyncMinigroup
+from .tdc import line_signature
+
+
+class AsyncFrontEnd(Unit):
+    """The front end of a subgroup.
+
+    Stages count from the SPADs' edges, as in `CoincidenceTree`: a window that closes in cycle c leaves at stage 7.
+
+    Ports
+    -----
+    spad : in, pixels, an edge rises; mask : in; gate : in, the gate is open, or gating is off (stage 0)
+    window_ticks, frame, timing : in; closed, window, blind, record_due, latched, entries : out, as of `CoincidenceTree`
+    line : the subgroup's TDC sampling line
+
+    Reset clears every flop that an event sets, at once, and arms the tree.
+    """
+
+    unit_name = "coincid_async_front"
+
+    def __init__(self, sensor: Sensor, circuit: Circuit):
+        self.sensor, self.circuit = sensor, circuit
+        super().__init__(
+            {
+                "spad": In(sensor.pixels),
+                "mask": In(sensor.pixels),
+                "gate": In(1),
+                "window_ticks": In(sensor.window_bits),
+                "frame": In(bus.frame_layout(sensor)),
+                "timing": In(bus.time_layout(sensor)),
+                "line": Out(line_signature(sensor)),
+                "closed": Out(1),
+                "window": Out(bus.window_layout(sensor)),
+                "blind": Out(1),
+                "record_due": Out(1),
+                "latched": Out(sensor.minigroups),
+                "entries": Out(bus.record_layout(sensor)["entries"].shape),
+            }
+        )
+
+    def elaborate(self, platform):
+        m = Module()
+        sensor, line = self.sensor, self.line
+        banks = self.circuit.banks_of(sensor)
+
+        # Timing strobes come two cycles ahead of the SPADs.
+        may_open, wrap, running = Signal(5), Signal(5), Signal(2)
+        m.d.sync += [
+            may_open.eq((may_open << 1) | self.timing.may_open),
+            wrap.eq((wrap << 1) | self.timing.wrap),
+            running.eq((running << 1) | self.timing.running),
+        ]
+        control = place(m, "control", AsyncControl(sensor, self.circuit), platform)
+        parity = control.parity
+        m.d.comb += control.may_open.eq(may_open[0])
+
+        # Two banks of hit flops take turns, a cycle each; one is read and cleared while the other listens.
+        reset = Signal()
+        m.d.comb += reset.eq(ResetSignal())
+        flops, trees = [], []
+        skews = self.circuit.pixel_skew_fs or (0,) * sensor.pixels
+        lines = [delayed(m, f"spad_{i}", self.spad[i], skew) if skew else self.spad[i] for i, skew in enumerate(skews)]
+        for q in range(2):
+            listens, clear = Signal(name=f"listens_{q}"), Signal(name=f"clear_{q}")
+            m.d.comb += [
+                listens.eq((parity == q) & running[1] & self.gate),
+                clear.eq((line.wipe & (parity != q)) | reset),
+            ]
+            flops.append(
+                [
+                    hit_flop(m, f"hit_{q}_{i}", lines[i], listens & self.mask[i], clear, HIT_FS)
+                    for i in range(sensor.pixels)
+                ]
+            )
+            tree = place(m, f"tree_{q}", EventTree(sensor), platform)
+            m.d.comb += [
+                tree.hits.eq(Cat(flops[q])),
+                tree.phases.eq(line.phases),
+                tree.gray_a.eq(line.gray_a),
+                tree.gray_b.eq(line.gray_b),
+                tree.half.eq(line.half),
+            ]
+            trees.append(tree)
+
+        # Window banks: the first root opens, counted phases end it, and the end takes a picture of the hits, as late as itself.
+        late = lag_fs(sensor) + CLOCK_FS // QUARTERS - HIT_FS
+        parity_late = sample(m, "parity_late", line.mark, parity)
+        shown = Mux(
+            parity_late,
+            *(Cat(delayed(m, f"shown_{q}_{i}", hit, late) for i, hit in enumerate(flops[q])) for q in (1, 0)),
+        )
+        pictures = []
+        for b in range(banks):
+            armed = Signal(2, name=f"armed_{b}")
+            clear = Signal(name=f"clear_window_{b}")
+            m.d.comb += [
+                armed.eq(getattr(control, f"armed_{b}")),
+                clear.eq((line.wipe & getattr(control, f"clearing_{b}")) | reset),
+            ]
+            if (
+                banks == 2
+            ):  # once it is known that the other bank's window goes on, what remains of the cycle opens nothing here
+                m.d.comb += armed.eq(
+                    getattr(control, f"armed_{b}")
+                    & ((control.current == b).replicate(2) | Cat(~parity & ~line.shut, parity & ~line.shut))
+                )
+            opened = Cat(hit_flop(m, f"opened_{b}_{q}", trees[q].root, armed[q], clear) for q in range(2))
+            start, ended = Signal(name=f"start_{b}"), Signal(name=f"ended_{b}")
+            m.d.comb += start.eq(opened.any())
+            m.submodules[f"window_{b}"] = Instance(
+                "coincid_window",
+                p_PHASES=sensor.phases,
+                p_BITS=sensor.window_bits,
+                p_CLOCK_FS=CLOCK_FS,
+                p_LINE=int(self.circuit.delay_line),
+                p_GAIN_PPM=self.circuit.gain_ppm,
+                i_start=start,
+                i_ticks=self.window_ticks,
+                i_phases=line.phases,
+                o_ended=ended,
+            )
+            pictures.append(sample(m, f"picture_{b}", ended, shown))
+            m.d.comb += [
+                getattr(control, f"opened_{b}").eq(opened),
+                getattr(control, f"ended_{b}").eq(ended),
+                getattr(control, f"parity_{b}").eq(sample(m, f"ended_parity_{b}", ended, parity_late)),
+            ]
+
+        # Half a cycle after a cycle everything of it has come to rest, and is read before it is cleared; stages 2 and 3 are the
+        # synchroniser.
+        before = Signal()
+        m.d.comb += before.eq(~parity)
+
+        def of_before(values):
+            return Mux(before, values[1], values[0])
+
+        m.domains.read = _falling(m)
+        active_f, first_f = Signal(sensor.pixels, reset_less=True), Signal(sensor.pixels - 1, reset_less=True)
+        m.d.read += [
+            active_f.eq(of_before([Cat(bank) for bank in flops])),
+            first_f.eq(of_before([tree.later_first for tree in trees])),
+        ]
+        facts = {
+            "active": active_f,
+            "first": first_f,
+            "picture": Mux(control.bank, pictures[-1], pictures[0]),
+            "code": of_before([tree.code for tree in trees]),
+            "marks": of_before([tree.marks for tree in trees]),
+            "opening": control.opening,
+            "closing": control.closing,
+            "parity": before,
+        }
+        stage_3 = {}
+        for name, value in facts.items():
+            flag = name in ("opening", "closing")
+            first, stage_3[name] = (Signal(len(value), name=f"{name}_{n}", reset_less=not flag) for n in (2, 3))
+            m.d.sync += [first.eq(value), stage_3[name].eq(first)]
+        self._collect(m, platform, stage_3, may_open[-1], wrap[-1])
+        return m
+
+    def _collect(self, m, platform, at, may_open, wrap):
+        """From what a cycle has brought (`at`, stage 3) to windows and records, at the clock."""
+        sensor, line = self.sensor, self.line
+        window_open, inside = Signal(), Signal()
+        hit = Signal(sensor.pixels)
+        m.d.comb += [
+            inside.eq(at["opening"] | window_open),
+            hit.eq(Mux(at["closing"], at["picture"], at["active"]) & inside.replicate(sensor.pixels)),
+        ]
+        m.d.sync += window_open.eq(inside & ~at["closing"])
+
+        # Stage 4 and 5: the winner, the stamp, and the leaves' part of the map.
+        opening_4, closing_4, closed = Signal(), Signal(), Signal()
+        elapsed = Signal(max(1, sensor.offset_bits - 2))
+        winner_4, winner = Signal(sensor.winner_bits), Signal(sensor.winner_bits)
+        m.d.sync += [
+            opening_4.eq(at["opening"]),
+            closing_4.eq(at["closing"] & inside),
+            closed.eq(closing_4),
+            elapsed.eq(Mux(at["opening"], 0, elapsed + 1)),
+        ]
+        with m.If(at["opening"]):
+            m.d.sync += winner_4.eq(self._winner(m, at["first"]))
+        with m.If(opening_4):
+            m.d.sync += winner.eq(winner_4)
+        stamp = self._stamp(m, at, opening_4)
+        is_winner = Signal(sensor.pixels)
+        m.d.comb += is_winner.eq(1 << winner_4)
+        hits = Signal(sensor.pixels)
+        leaves = []
+        for g in range(sensor.minigroups):
+            leaf = place(m, f"minigroup_{g}", AsyncMinigroup(sensor), platform)
+            leaves.append(leaf)
+            members = sensor.members(g)
+            m.d.comb += [
+                leaf.active.eq(Cat(at["active"][i] for i in members)),
+                leaf.hit.eq(Cat(hit[i] for i in members)),
+                leaf.winner.eq(Cat(is_winner[i] for i in members)),
+                leaf.mark.eq(at["marks"].word_select(g, MARK_BITS)),
+                leaf.parity.eq(at["parity"]),
+                leaf.opening.eq(opening_4),
+                leaf.elapsed.eq(elapsed),
+                leaf.frame.eq(self.frame),
+                leaf.may_open.eq(may_open),
+                leaf.wrap.eq(wrap),
+                leaf.coarse.eq(line.cycle),
+                self.latched[g].eq(leaf.latched),
+                self.entries[g].eq(leaf.entry),
+                *(hits[i].eq(leaf.hits[j]) for j, i in enumerate(members)),
+            ]
+        m.d.sync += self.blind.eq(any_of(m, [leaf.blind for leaf in leaves], "blind_or"))
+        m.d.comb += self.record_due.eq(wrap)
+
+        # Stage 6 and 7: number of pixels in the map, in two steps.
+        closed_6 = Signal()
+        half = Signal(bus.window_layout(sensor))
+        chunk = 1 << (bits_for(sensor.pixels - 1) + 1) // 2
+        chunks = [hits[k : k + chunk] for k in range(0, sensor.pixels, chunk)]
+        counts = [Signal(range(len(part) + 1), name=f"count_{k}") for k, part in enumerate(chunks)]
+        m.d.sync += [closed_6.eq(closed), self.closed.eq(closed_6)]
+        with m.If(closed):
+            m.d.sync += [
+                half.stamp.eq(stamp),
+                half.hits.eq(hits),
+                half.winner.eq(winner),
+                *(half.offsets[g].eq(leaf.offset) for g, leaf in enumerate(leaves)),
+                *(count.eq(popcount(m, part, f"ones_{k}")) for k, (count, part) in enumerate(zip(counts, chunks))),
+            ]
+        with m.If(closed_6):
+            m.d.sync += [
+                self.window.stamp.eq(half.stamp),
+                self.window.hits.eq(half.hits),
+                self.window.winner.eq(half.winner),
+                self.window.offsets.eq(half.offsets),
+                self.window.count.eq(total(m, counts, "count_sum")),
+            ]
+
+    def _winner(self, m, later_first):
+        """Index of the pixel that came first, by the nodes of the arbiter tree."""
+        index = {i: Const(i, self.sensor.winner_bits) for i in range(self.sensor.pixels)}
+        top = 0
+        for pairs, _ in arbiter_rows(self.sensor.pixels):
+            for k, a, b in pairs:
+                top = self.sensor.pixels + k
+                index[top] = Signal(self.sensor.winner_bits, name=f"first_of_{k}")
+                m.d.comb += index[top].eq(Mux(later_first[k], index[b], index[a]))
+        return index[top]
+
+    def _stamp(self, m, at, opening_4):
+        """Stamp of the window that opened last (stage 5, at a register's end).
+
+        The phases say where in its cycle the event was. Close to a border of the cycle the coarse count may be in transition: there
+        the copy that changes half a cycle later is taken, which is at rest. Which side of the border the event belongs to the hit
+        flops have decided.
+        """
+        sensor, line = self.sensor, self.line
+        taps, bits = sensor.phases // 2, sensor.coarse_bits
+        phases, gray_a, gray_b = at["code"][:taps], at["code"][taps : taps + bits], at["code"][taps + bits :]
+        first_half = phases[0]
+        run = Signal(range(taps + 1))  # taps that have changed since the half cycle's start: one wrong tap is one tick
+        m.d.comb += run.eq(popcount(m, phases ^ ~first_half.replicate(taps), "taps"))
+        phase_4, coarse_a, coarse_b = Signal(sensor.phase_bits), Signal(bits), Signal(bits)
+        parity_4 = Signal()
+        base_4, base = Signal(bits), Signal(bits)
+        phase, coarse = Signal(sensor.phase_bits), Signal(bits)
+        m.d.sync += base_4.eq(line.base)
+        with m.If(at["opening"]):
+            m.d.sync += [
+                phase_4.eq(Mux(first_half, 0, taps) + run - 1),
+                parity_4.eq(at["parity"]),
+                coarse_a.eq(self._binary(gray_a)),
+                coarse_b.eq(self._binary(gray_b)),
+            ]
+        quarter = phase_4[-2:]
+        lags = Signal()  # the copy still shows the cycle before
+        m.d.comb += lags.eq(coarse_b[0] != parity_4)
+        with m.If(opening_4):
+            m.d.sync += [phase.eq(phase_4), coarse.eq(coarse_a), base.eq(base_4)]
+            with m.If((quarter == 0) | (quarter == QUARTERS - 1)):
+                m.d.sync += coarse.eq(coarse_b + lags)
+            with m.If((quarter == 0) & ~lags):
+                m.d.sync += phase.eq(sensor.phases - 1)
+            with m.If((quarter == QUARTERS - 1) & lags):
+                m.d.sync += phase.eq(0)
+        return Cat(phase, (coarse - base)[:bits])
+
+    def _binary(self, gray):
+        """Number that a Gray code stands for."""
+        return Cat(gray[k:].xor() for k in range(len(gray)))
+
+
+def _falling(m: Module) -> ClockDomain:
+    domain = ClockDomain("read", clk_edge="neg", reset_less=True, local=True)
+    m.d.comb += domain.clk.eq(ClockSignal())
+    return domain

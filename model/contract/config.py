@@ -1,0 +1,270 @@
+"""Configuration files: the sensor as built, the frame, and every subgroup's settings.
+
+Ranges and defaults are those of `parameters.py` and of the register table; what makes no sense together is refused as
+the start write refuses it.
+"""
+
+import re
+import tomllib
+from pathlib import Path
+
+import numpy as np
+from attrs import asdict, evolve, field, frozen
+
+from ..shared.errors import InputError, check_integer, out_of_range
+from . import registers
+from .dither import start_cycles
+from .packet import FORMAT_NAMES
+from .parameters import SIZE_LIMITS, Sensor
+from .registers import AUTO_BOUNDS, BY_NAME, DEFAULT_AUTO_BOUNDS, MASK_BITS, MODE
+
+FRAMES_MAX = 1 << 16  # the frame number has 16 bits
+FRAME_REGISTERS = (
+    "period",
+    "pulses",
+    "format",
+    "minigroup_records",
+    "mg_threshold",
+    "mg_window",
+    "gate_step",
+    "gate_every",
+    "gate_steps",
+    "dither_bits",
+    "dither_seed",
+)
+SUBGROUP_INTEGERS = ("threshold", "window", "gate_start", "gate_len")
+MODE_BITS = tuple(bits.name for bits in MODE.bits)
+PRESETS = {path.stem: path for path in sorted((Path(__file__).parent / "presets").glob("*.toml"))}
+
+
+@frozen(eq=False, kw_only=True)
+class Config:
+    """A checked configuration.
+
+    sensor: parameters as built. frames: how many. frame: values of `FRAME_REGISTERS` by name. auto_bounds: int64[6].
+    Per subgroup, arrays [subgroups]: coincidence, gating, auto (bool), threshold, window (ticks), gate_start, gate_len (cycles; int64);
+    mask: bool [subgroups, pixels], True = on. Raises `InputError` where settings make no sense together.
+    """
+
+    sensor: Sensor
+    frames: int = 1
+    frame: dict[str, int]
+    auto_bounds: np.ndarray
+    coincidence: np.ndarray
+    gating: np.ndarray
+    auto: np.ndarray
+    threshold: np.ndarray
+    window: np.ndarray
+    gate_start: np.ndarray
+    gate_len: np.ndarray
+    mask: np.ndarray = field()
+
+    def __attrs_post_init__(self):
+        guard, period = self.sensor.guard, self.period
+        if period <= guard:
+            raise out_of_range(
+                "frame.period", period, guard + 1, self.sensor.period_max, f"above the guard of {guard} cycles"
+            )
+        if np.any(np.diff(self.auto_bounds) < 0):
+            raise InputError(f"frame.auto_bounds = {self.auto_bounds.tolist()}: must not descend")
+        late = np.flatnonzero(self.gating & (self.gate_start >= period))
+        if len(late):
+            where = f"subgroup {late[0]}: gating is on and the period has {period} cycles"
+            raise out_of_range("subgroup.gate_start", int(self.gate_start[late[0]]), 0, period - 1, where)
+
+    @property
+    def period(self) -> int:
+        """Laser period in cycles."""
+        return self.frame["period"]
+
+    @property
+    def pulses(self) -> int:
+        """Laser periods of a frame."""
+        return self.frame["pulses"]
+
+    def start_cycles(self) -> np.ndarray:
+        """int64[pulses + 1]: when each period of a frame begins, from the first one's cycle 0 on; at last, the frame's end."""
+        starts = start_cycles(self.pulses, self.period, self.frame["dither_bits"], self.frame["dither_seed"])
+        starts[-1] = starts[-2] + self.period
+        return starts
+
+    @property
+    def frame_cycles(self) -> int:
+        """Cycles of a frame, from the first period's first to the last one's last."""
+        return int(self.start_cycles()[-1])
+
+    @property
+    def period_ticks(self) -> int:
+        return self.period * self.sensor.phases
+
+    @property
+    def format(self) -> str:
+        """Name of the event format."""
+        return FORMAT_NAMES[self.frame["format"]]
+
+    def with_settings(self, **arrays) -> "Config":
+        """A copy with other per-subgroup settings; scalars spread over the subgroups."""
+        return evolve(
+            self,
+            **{
+                name: np.broadcast_to(np.asarray(value, getattr(self, name).dtype), getattr(self, name).shape).copy()
+                for name, value in arrays.items()
+            },
+        )
+
+    def with_frame(self, frames: int | None = None, **values: int) -> "Config":
+        """A copy with other frame settings."""
+        return evolve(self, frames=self.frames if frames is None else frames, frame=self.frame | values)
+
+    def with_pulses(self, pulses: int) -> "Config":
+        """A copy with frames of other length for the same light: `auto_bounds`, photons of a frame, change in proportion."""
+        bounds = np.minimum(self.auto_bounds * pulses // self.pulses, BY_NAME["auto_bounds"].high(self.sensor))
+        return evolve(self, frame=self.frame | {"pulses": pulses}, auto_bounds=bounds)
+
+    def register_writes(self) -> list[tuple[int, int]]:
+        """(address, value) of every setting, as a driver programs them before a frame."""
+        writes = [(registers.address(name), self.frame[name]) for name in FRAME_REGISTERS]
+        writes += [(registers.address("auto_bounds", index=i), int(bound)) for i, bound in enumerate(self.auto_bounds)]
+        mode = sum(getattr(self, name).astype(np.int64) << MODE.bit(name) for name in MODE_BITS)
+        for s in range(self.sensor.subgroups):
+            writes.append((registers.address("mode", s), int(mode[s])))
+            writes += [(registers.address(name, s), int(getattr(self, name)[s])) for name in SUBGROUP_INTEGERS]
+            bits = sum(1 << int(i) for i in np.flatnonzero(self.mask[s]))
+            for w in range(-(-self.sensor.pixels // MASK_BITS)):
+                writes.append((registers.address("mask", s, w), bits >> MASK_BITS * w & ((1 << MASK_BITS) - 1)))
+        return writes
+
+
+def load_config(path=None) -> Config:
+    """Reads a TOML file, a preset by name (`silicon`, `fpga`), or the defaults (None). Raises `InputError` naming key and range."""
+    if path is None:
+        return parse_config({})
+    try:
+        return parse_config(read_toml(PRESETS.get(str(path), path)))
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
+
+
+def read_toml(path) -> dict:
+    """The TOML document in a file. Raises `InputError` that does not name it."""
+    try:
+        return tomllib.loads(Path(path).read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise InputError(f"no such file (presets: {', '.join(PRESETS)})") from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"cannot be read ({error})") from None
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(f"is not TOML: {error}") from None
+
+
+def parse_config(document: dict) -> Config:
+    """`Config` of a parsed TOML document; every key has a default."""
+    tables = {"sensor": dict, "frame": dict, "subgroup": dict, "override": list}
+    for name, value in document.items():
+        if name not in tables:
+            raise InputError(f"[{name}]: unknown table, must be one of {', '.join(tables)}")
+        if not isinstance(value, tables[name]):
+            raise InputError(f"{name}: must be written as {'[[override]]' if name == 'override' else f'[{name}]'}")
+    sensor = _sensor(document.get("sensor", {}))
+    frame, frames, bounds = _frame(document.get("frame", {}), sensor)
+    default = {
+        "coincidence": True,
+        "gating": False,
+        "auto": False,
+        "threshold": 2,
+        "window": 16,
+        "gate_start": 0,
+        "gate_len": frame["period"],
+        "mask": f"{(1 << sensor.pixels) - 1:x}",
+    }
+    common = _settings("subgroup", default | _known("subgroup", document.get("subgroup", {}), default), sensor)
+    columns = {name: np.repeat(np.asarray(value)[None], sensor.subgroups, axis=0) for name, value in common.items()}
+    for number, override in enumerate(document.get("override", [])):
+        where = f"override[{number}]"
+        if not isinstance(override, dict):
+            raise InputError(f"{where}: must be a table")
+        values = _known(where, override, {"subgroups": None} | default)
+        chosen = values.pop("subgroups", None)
+        if not isinstance(chosen, list):
+            raise InputError(
+                f"{where}.subgroups = {chosen!r}: must be a list of integers from 0 to {sensor.subgroups - 1}"
+            )
+        for s in chosen:
+            check_integer(f"{where}.subgroups", s, 0, sensor.subgroups - 1)
+        for name, value in _settings(where, values, sensor).items():
+            columns[name][chosen] = value
+    return Config(sensor=sensor, frames=frames, frame=frame, auto_bounds=bounds, **columns)
+
+
+def _known(section: str, given: dict, legal) -> dict:
+    for name in given:
+        if name not in legal:
+            raise InputError(f"{section}.{name}: unknown key, must be one of {', '.join(legal)}")
+    return dict(given)
+
+
+def _sensor(given: dict) -> Sensor:
+    return Sensor(**_known("sensor", given, (*SIZE_LIMITS, "subgroup", "minigroup")))
+
+
+def _frame(given: dict, sensor: Sensor) -> tuple[dict[str, int], int, np.ndarray]:
+    default = {name: BY_NAME[name].reset(sensor) for name in FRAME_REGISTERS} | {
+        "frames": 1,
+        "period": 250,
+        "format": "id",
+        "minigroup_records": False,
+        "mg_threshold": 2,
+        "auto_bounds": list(DEFAULT_AUTO_BOUNDS),
+    }
+    values = default | _known("frame", given, default)
+    frames = check_integer("frame.frames", values.pop("frames"), 1, FRAMES_MAX)
+    if values["format"] not in FORMAT_NAMES:
+        raise InputError(f"frame.format = {values['format']!r}: must be one of {', '.join(FORMAT_NAMES)}")
+    values["format"] = FORMAT_NAMES.index(values["format"])
+    values["minigroup_records"] = int(_boolean("frame.minigroup_records", values["minigroup_records"]))
+    if "mg_threshold" not in given:
+        values["mg_threshold"] = min(values["mg_threshold"], sensor.minigroup_pixels)
+    bounds = values.pop("auto_bounds")
+    if not isinstance(bounds, list) or len(bounds) != AUTO_BOUNDS:
+        raise InputError(f"frame.auto_bounds = {bounds!r}: must be {AUTO_BOUNDS} integers that do not descend")
+    for bound in bounds:
+        _register_value("frame.auto_bounds", "auto_bounds", bound, sensor)
+    for name in FRAME_REGISTERS:
+        _register_value(f"frame.{name}", name, values[name], sensor)
+    return values, frames, np.array(bounds, np.int64)
+
+
+def _settings(section: str, values: dict, sensor: Sensor) -> dict:
+    """Checked values of any keys of [subgroup]; the mask becomes bool[pixels]."""
+    checked = {}
+    for name, value in values.items():
+        where = f"{section}.{name}"
+        if name == "mask":
+            checked[name] = _mask(where, value, sensor.pixels)
+        elif name in MODE_BITS:
+            checked[name] = _boolean(where, value)
+        else:
+            checked[name] = np.int64(_register_value(where, name, value, sensor))
+    return checked
+
+
+def _register_value(where: str, name: str, value: object, sensor: Sensor) -> int:
+    register = BY_NAME[name]
+    return check_integer(where, value, register.low(sensor), register.high(sensor))
+
+
+def _boolean(where: str, value: object) -> bool:
+    if not isinstance(value, bool):
+        raise InputError(f"{where} = {value!r}: must be true or false")
+    return value
+
+
+def _mask(where: str, value: object, pixels: int) -> np.ndarray:
+    if not isinstance(value, str) or not re.fullmatch(r"(0[xX])?[0-9a-fA-F]+", value) or int(value, 16) >> pixels:
+        raise InputError(f"{where} = {value!r}: must be a string of hex digits below 2^{pixels} (bit i = pixel i)")
+    return np.array([int(value, 16) >> i & 1 for i in range(pixels)], bool)
+
+
+def sensor_table(sensor: Sensor) -> dict:
+    """The sensor's part of a configuration file."""
+    return {name: list(value) if isinstance(value, tuple) else value for name, value in asdict(sensor).items()}

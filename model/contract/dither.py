@@ -1,0 +1,39 @@
+"""Dither of the laser period: after each period the next trigger waits for a pseudo-random number of cycles.
+
+A light that repeats with the laser's own period, another LiDAR's above all, then comes at another time of flight in every period.
+The paper has no such register; all of it is our choice.
+"""
+
+from functools import cache
+
+import numpy as np
+
+LFSR_BITS, LFSR_TAPS = 16, 0xB400  # x^16 + x^14 + x^13 + x^11 + 1, shifting towards bit 0
+DITHER_BITS_MAX = 8
+
+
+def start_cycles(pulses: int, period_cycles: int, bits: int = 0, seed: int = 1) -> np.ndarray:
+    """int64[pulses + 1]: when each period of a frame begins, in cycles from the first one's on, and when one more would.
+
+    The wait after a period is the low `bits` of the LFSR at its end. The LFSR begins at `seed` with the frame and steps once a cycle
+    of the periods, not while waiting.
+    """
+    waits = np.zeros(pulses, np.int64)
+    if bits:
+        after_period, state = _after(period_cycles), seed
+        for pulse in range(pulses):
+            state = int(after_period[state])
+            waits[pulse] = state & ((1 << bits) - 1)
+    return np.concatenate([[0], np.cumsum(period_cycles + waits)])
+
+
+@cache
+def _after(steps: int) -> np.ndarray:
+    """int64[2^16]: for each state of the LFSR the one `steps` steps later, by repeated squaring of a single step."""
+    state = np.arange(1 << LFSR_BITS)
+    jump, result = state >> 1 ^ np.where(state & 1, LFSR_TAPS, 0), state
+    while steps:
+        if steps & 1:
+            result = jump[result]
+        jump, steps = jump[jump], steps >> 1
+    return result

@@ -1,0 +1,95 @@
+"""Edges: SPAD avalanches as the digital logic sees them, and their file format."""
+
+import enum
+
+import numpy as np
+from attrs import frozen
+
+from ..shared.errors import InputError
+from ..shared.files import read_npz, write_npz
+
+
+class Fate(enum.IntEnum):
+    """What became of an edge."""
+
+    OPENING = 0
+    COUNTED = 1
+    DUPLICATE = 2
+    MASKED = 3
+    GATED = 4
+    BLIND = 5
+
+
+@frozen(eq=False)
+class Edges:
+    """SPAD edges, one per element, in any order.
+
+    pulse: int64[n], laser pulse counted through the frames (frame = pulse // pulses).
+    pixel: int64[n], row * cols + col.
+    tick: int64[n], TDC ticks since the laser trigger of that pulse.
+    offset_ps: float64[n], where in its tick the edge is, from the tick's start; None: in its middle. Only circuits feel it.
+    """
+
+    pulse: np.ndarray
+    pixel: np.ndarray
+    tick: np.ndarray
+    offset_ps: np.ndarray | None = None
+
+    def __len__(self) -> int:
+        return len(self.tick)
+
+    def save(self, path) -> None:
+        """Writes the edges as NPZ, whole or not at all."""
+        offset = {} if self.offset_ps is None else {"offset_ps": self.offset_ps}
+        write_npz(path, {name: getattr(self, name) for name in NAMES} | offset)
+
+    def frame(self, number: int, pulses: int) -> tuple["Edges", np.ndarray]:
+        """The edges of one frame, pulses counted from the frame's start, and their indices here."""
+        index = np.flatnonzero(self.pulse // pulses == number)
+        offset = None if self.offset_ps is None else self.offset_ps[index]
+        return Edges(self.pulse[index] - number * pulses, self.pixel[index], self.tick[index], offset), index
+
+
+NAMES = ("pulse", "pixel", "tick")
+
+
+def load_edges(path, *, pixels: int, pulses: int, period_ticks: int) -> Edges:
+    """Reads and checks an edge file: pixel below `pixels`, tick below `period_ticks`, pulse below `pulses` (of all frames).
+
+    An array `offset_ps` may say where in its tick each edge is. Raises `InputError` naming the array, its first bad element and the
+    legal range.
+    """
+    arrays = read_npz(path, NAMES, optional=("offset_ps",))
+    return checked_edges(arrays, pixels=pixels, pulses=pulses, period_ticks=period_ticks, source=f"{path}: ")
+
+
+def checked_edges(arrays: dict, *, pixels: int, pulses: int, period_ticks: int, source: str = "") -> Edges:
+    """`Edges` from equal-length integer arrays inside their ranges, else `InputError`."""
+    for name in NAMES:
+        array = arrays[name]
+        if array.ndim != 1:
+            raise InputError(f"{source}{name}: has {array.ndim} dimensions, must have 1")
+        if array.dtype.kind not in "iu" and len(array):
+            raise InputError(f"{source}{name}: holds {array.dtype}, must hold integers")
+    lengths = {name: len(arrays[name]) for name in NAMES}
+    if len(set(lengths.values())) > 1:
+        raise InputError(f"{source}lengths differ: " + ", ".join(f"{name} {n}" for name, n in lengths.items()))
+    for name, bound in zip(NAMES, (pulses, pixels, period_ticks)):
+        bad = np.flatnonzero((arrays[name] < 0) | (arrays[name] >= bound))
+        if len(bad):
+            raise InputError(
+                f"{source}{name}[{bad[0]}] = {arrays[name][bad[0]]}: must be an integer from 0 to {bound - 1}"
+            )
+    offset = arrays.get("offset_ps")
+    if offset is not None:
+        if offset.shape != arrays["tick"].shape or offset.dtype.kind not in "iuf":
+            raise InputError(
+                f"{source}offset_ps: holds {offset.dtype}{list(offset.shape)}, must hold {lengths['tick']} numbers"
+            )
+        bad = np.flatnonzero(~((offset >= 0) & np.isfinite(offset)))
+        if len(bad):
+            raise InputError(
+                f"{source}offset_ps[{bad[0]}] = {offset[bad[0]]}: must be a number from 0 to a tick's length"
+            )
+        offset = offset.astype(float)
+    return Edges(*(np.ascontiguousarray(arrays[name], dtype=np.int64) for name in NAMES), offset)

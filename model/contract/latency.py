@@ -1,0 +1,21 @@
+"""The cycle contract between RTL and golden model: how many cycles a block's registers take. Our choice; the paper gives none.
+
+Cycles are counted at the sensor's ports: an edge word that stands at the ports in cycle c is c; all latencies are from there.
+"""
+
+COMMIT = 8  # L: close cycle of a window -> cycle of its commit (the FIFO is written at that cycle's end)
+RECORD = 3  # first cycle after a period -> cycle in which the period's minigroup record is written
+STORE_TO_GRANT = 3  # an event or record is stored -> earliest grant of the readout
+GRANT_TO_READ = (
+    2  # grant -> the subgroup forms the packet's first beat; the last beat frees the event's or record's place
+)
+GRANT_TO_BEAT = 4  # grant -> the packet's first beat is written to the stream's output buffer
+BEAT_TO_PORT = 2  # written to the output buffer -> earliest transfer at the stream's port
+FRAME_START = 1  # cycle of a frame in which the frame start packet is granted
+FINISH = 12  # first cycle after the last period -> earliest grant of the frame end packet
+
+
+def output_depth(longest_packet: int) -> int:
+    """Beats that a stream's output buffer holds: enough that a grant's round trip never idles the stream."""
+    round_trip = GRANT_TO_BEAT + BEAT_TO_PORT + 2
+    return 1 << (2 * longest_packet + round_trip - 1).bit_length()

@@ -1,0 +1,199 @@
+"""What is fixed when the sensor is built: sizes, phases, and everything that follows from them."""
+
+from attrs import Factory, field, frozen
+
+from ..shared.errors import InputError, check_integer
+
+STAMP_FIELD_BITS = 15  # of the header: see packet.py, which lays the fields out
+QUARTERS = 4  # coarse stamps count quarters of a cycle
+OFFSET_NONE = 255  # a minigroup's offset byte where it was not hit
+RECORD_BITS = (16, 32)  # a minigroup record's entry takes the smaller that holds it
+SHORTEST_GUARD_CYCLES = 4  # a minigroup collection that opens last must close before the period does
+SIZE_LIMITS = {  # key: (default, lowest, highest)
+    "rows": (32, 1, 4096),
+    "cols": (32, 1, 4096),
+    "phases": (32, 4, 64),
+    "coarse_bits": (10, 3, 13),
+    "window_max": (128, 1, 1024),
+    "rearm": (0, 0, 15),
+    "fifo_depth": (16, 1, 1024),
+    "streams": (1, 1, 64),
+}
+SUBGROUP_PIXELS = (16, 256)
+MINIGROUP_PIXELS = (1, 16)
+SUBGROUPS_MAX = 4096  # the header's subgroup field has 12 bits
+
+
+def _limited(name: str, fits=None):
+    """A size with default and range of `SIZE_LIMITS`. fits: the highest default that the fields before it allow."""
+    highest_default, low, high = SIZE_LIMITS[name]
+    default = Factory(lambda self: min(highest_default, fits(self)), takes_self=True) if fits else highest_default
+    return field(
+        default=default,
+        validator=lambda _, attribute, value: check_integer(f"sensor.{attribute.name}", value, low, high),
+    )
+
+
+def _pair(default: tuple[int, int]):
+    return field(default=default, converter=lambda value: tuple(value) if isinstance(value, list) else value)
+
+
+def bits_for(highest: int) -> int:
+    """Bits that hold 0...`highest` (at least one)."""
+    return max(1, int(highest).bit_length())
+
+
+def _phase_bits(phases) -> int:
+    return bits_for(phases - 1) if type(phases) is int else 0
+
+
+@frozen(kw_only=True)
+class Sensor:
+    """Parameters of the sensor as built. Raises `InputError` that names the parameter and its range.
+
+    rows, cols: SPADs. phases: ticks (TDC LSBs) of a clock cycle, a power of two. coarse_bits: width of the TDC's coarse counter
+    (default: 10, or what fits a stamp beside the phases).
+    window_max: longest coincidence window in ticks. rearm: cycles R between the cycle a window closes in and the tree's re-arming.
+    fifo_depth: events a subgroup's FIFO holds. streams: AXI4-Streams. subgroup, minigroup: rows x cols in SPADs.
+    """
+
+    rows: int = _limited("rows")
+    cols: int = _limited("cols")
+    phases: int = _limited("phases")
+    coarse_bits: int = _limited("coarse_bits", fits=lambda self: STAMP_FIELD_BITS - _phase_bits(self.phases))
+    window_max: int = _limited("window_max")
+    rearm: int = _limited("rearm")
+    fifo_depth: int = _limited("fifo_depth")
+    streams: int = _limited("streams")
+    subgroup: tuple[int, int] = _pair((8, 8))
+    minigroup: tuple[int, int] = _pair((2, 2))
+
+    def __attrs_post_init__(self):
+        if self.phases & (self.phases - 1):
+            raise InputError(f"sensor.phases = {self.phases}: must be a power of two from 4 to 64")
+        for name, outer, outer_name, (low, high) in (
+            ("subgroup", (self.rows, self.cols), "rows x cols", SUBGROUP_PIXELS),
+            ("minigroup", self.subgroup, "subgroup", MINIGROUP_PIXELS),
+        ):
+            size = getattr(self, name)
+            legal = isinstance(size, tuple) and len(size) == 2 and all(type(n) is int and n > 0 for n in size)
+            if not legal or not low <= size[0] * size[1] <= high:
+                raise InputError(f"sensor.{name} = {size!r}: must be [rows, cols] of {low} to {high} pixels")
+            if outer[0] % size[0] or outer[1] % size[1]:
+                raise InputError(f"sensor.{name} = {list(size)}: must divide {outer_name} = {list(outer)} without rest")
+        if self.stamp_bits > STAMP_FIELD_BITS:
+            highest = STAMP_FIELD_BITS - _phase_bits(self.phases)
+            raise InputError(
+                f"sensor.coarse_bits = {self.coarse_bits}: must be an integer from 3 to {highest} with {self.phases} phases"
+            )
+        if self.offset_max >= OFFSET_NONE:
+            highest = (OFFSET_NONE - 1) * self.quarter_ticks - self.phases + 1 + self.quarter_ticks
+            raise InputError(
+                f"sensor.window_max = {self.window_max}: must be an integer from 1 to {highest} with {self.phases} phases"
+            )
+        if self.subgroups > SUBGROUPS_MAX:
+            raise InputError(
+                f"sensor.rows, sensor.cols: make {self.subgroups} subgroups, must be at most {SUBGROUPS_MAX}"
+            )
+        if self.streams > self.subgroups:
+            raise InputError(
+                f"sensor.streams = {self.streams}: must be an integer from 1 to {self.subgroups} (the subgroups)"
+            )
+        if self.period_max <= self.guard:
+            raise InputError(
+                f"sensor.coarse_bits = {self.coarse_bits}: 2^coarse_bits must be above the guard of {self.guard} cycles"
+            )
+
+    @property
+    def pixels(self) -> int:
+        """SPADs of a subgroup."""
+        return self.subgroup[0] * self.subgroup[1]
+
+    @property
+    def minigroup_pixels(self) -> int:
+        return self.minigroup[0] * self.minigroup[1]
+
+    @property
+    def minigroups(self) -> int:
+        """Minigroups of a subgroup."""
+        return self.pixels // self.minigroup_pixels
+
+    @property
+    def array_pixels(self) -> int:
+        return self.rows * self.cols
+
+    @property
+    def subgroups(self) -> int:
+        return self.array_pixels // self.pixels
+
+    @property
+    def quarter_ticks(self) -> int:
+        return self.phases // QUARTERS
+
+    @property
+    def guard(self) -> int:
+        """Cycles G at a period's end in which no window opens, so that a period is self-contained."""
+        return max(SHORTEST_GUARD_CYCLES, -(-self.window_max // self.phases) + 1 + self.rearm)
+
+    @property
+    def period_max(self) -> int:
+        """Longest laser period in cycles: what the coarse counter holds."""
+        return 1 << self.coarse_bits
+
+    @property
+    def phase_bits(self) -> int:
+        return bits_for(self.phases - 1)
+
+    @property
+    def stamp_bits(self) -> int:
+        return self.coarse_bits + self.phase_bits
+
+    @property
+    def count_bits(self) -> int:
+        return bits_for(self.pixels)
+
+    @property
+    def winner_bits(self) -> int:
+        return bits_for(self.pixels - 1)
+
+    @property
+    def window_bits(self) -> int:
+        return bits_for(self.window_max)
+
+    @property
+    def offset_max(self) -> int:
+        """Largest coarse offset (quarters of a cycle from the start of the opening cycle) inside a window."""
+        return (self.phases - 1 + self.window_max - 1) // self.quarter_ticks
+
+    @property
+    def offset_bits(self) -> int:
+        return bits_for(self.offset_max)
+
+    @property
+    def record_stamp_bits(self) -> int:
+        return self.coarse_bits + 2
+
+    @property
+    def record_bits(self) -> int:
+        """Bits of a minigroup's entry in a record."""
+        small, large = RECORD_BITS
+        return small if self.record_stamp_bits + self.minigroup_pixels <= small else large
+
+    def members(self, minigroup: int) -> list[int]:
+        """A subgroup's pixels in one of its minigroups, in the minigroup's order."""
+        (_, sc), (mr, mc) = self.subgroup, self.minigroup
+        row, col = divmod(minigroup, sc // mc)
+        return [(row * mr + r) * sc + col * mc + c for r in range(mr) for c in range(mc)]
+
+    def stream_of(self, subgroup: int) -> int:
+        """The stream that `subgroup` leaves by."""
+        return subgroup * self.streams // self.subgroups
+
+    def stream_subgroups(self, stream: int) -> range:
+        """The subgroups that leave by `stream`: always a contiguous run."""
+        n = self.subgroups
+        return range(-(-stream * n // self.streams), -(-(stream + 1) * n // self.streams))
+
+    def stream_name(self, stream: int) -> str:
+        """Prefix of the stream's ports."""
+        return "m_axis" if self.streams == 1 else f"m_axis{stream}"

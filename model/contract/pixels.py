@@ -1,0 +1,25 @@
+"""Pixel numbering: the index rules of the contract, as tables.
+
+Pixels count row by row, over the array and inside a subgroup; so do subgroups over the array and minigroups inside a subgroup.
+"""
+
+from collections import namedtuple
+
+import numpy as np
+
+from .parameters import Sensor
+
+Pixels = namedtuple("Pixels", "subgroup inside minigroup bit")
+
+
+def pixel_table(sensor: Sensor) -> Pixels:
+    """Where every pixel of the array and of a subgroup belongs (index rules of the contract)."""
+    (sr, sc), (mr, mc) = sensor.subgroup, sensor.minigroup
+    row, col = np.divmod(np.arange(sensor.array_pixels), sensor.cols)
+    r, c = np.divmod(np.arange(sensor.pixels), sc)
+    return Pixels(
+        subgroup=(row // sr) * (sensor.cols // sc) + col // sc,
+        inside=(row % sr) * sc + col % sc,
+        minigroup=(r // mr) * (sc // mc) + c // mc,
+        bit=(r % mr) * mc + c % mc,
+    )

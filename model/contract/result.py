@@ -1,0 +1,101 @@
+"""What left the sensor, as arrays: built from the beats of any engine, compared, written and read."""
+
+import numpy as np
+
+from ..shared.files import read_npz, write_npz
+from .config import Config
+from .packet import HEADER
+from .parameters import OFFSET_NONE
+from .registers import COUNTER_NAMES
+from .stream import decode_frame
+
+EVENT_FIELDS = ("subgroup", "pulse", "stamp", "count", "winner", "overrun")
+
+
+class ResultBuilder:
+    """Collects frames into the arrays of a result file."""
+
+    def __init__(self, config: Config):
+        self.config = config
+        self._events, self._records, self._counters = [], [], []
+
+    def add(self, beats: list[np.ndarray], commit_subgroup: np.ndarray, commit_cycle: np.ndarray) -> None:
+        """Adds a frame: its beats per stream, and its stored events' subgroups and commit cycles (time order in a subgroup).
+
+        Raises `StreamError` if the beats are not a frame, or `ValueError` if more or fewer events left than were stored.
+        """
+        sensor = self.config.sensor
+        base = len(self._counters) * self.config.pulses
+        counters = np.zeros((sensor.subgroups, len(COUNTER_NAMES)), np.int64)
+        order = np.argsort(commit_subgroup, kind="stable")
+        frames = [decode_frame(stream, sensor, len(sensor.stream_subgroups(k))) for k, stream in enumerate(beats)]
+        for k, frame in enumerate(frames):
+            counters[sensor.stream_subgroups(k)] = frame.counters
+        columns = dict(zip(HEADER, np.concatenate([frame.events for frame in frames]).T))
+        left = np.argsort(columns["subgroup"], kind="stable")
+        if not np.array_equal(columns["subgroup"][left], commit_subgroup[order]):
+            raise ValueError("the events that left the sensor are not the ones that its FIFOs stored")
+        commit = np.empty(len(left), np.int64)
+        commit[left] = commit_cycle[order]
+        columns["pulse"] = columns["pulse"] + base
+        self._events.append(
+            (
+                *(columns[name] for name in EVENT_FIELDS),
+                commit,
+                np.concatenate([frame.hits for frame in frames]),
+                np.concatenate([frame.offsets for frame in frames]),
+            )
+        )
+        records = np.concatenate([frame.records for frame in frames])
+        self._records.append((records[:, 0], records[:, 1] + base, np.concatenate([frame.entries for frame in frames])))
+        self._counters.append(counters)
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """The arrays of the result file, rows frame by frame, streams one after the other."""
+        *fields, commit, hits, offsets = (np.concatenate(column) for column in zip(*self._events))
+        result = dict(zip(EVENT_FIELDS, fields))
+        result["overrun"] = result["overrun"].astype(bool)
+        result["commit_cycle"] = commit
+        if self.config.format != "short":
+            result["hits"] = hits
+        if self.config.format == "full":
+            result["mg_offset"] = offsets
+        subgroup, pulse, entries = (np.concatenate(column) for column in zip(*self._records))
+        result |= {"mg_subgroup": subgroup, "mg_pulse": pulse}
+        result |= {"mg_stamp": entries[:, :, 0].astype(np.uint16), "mg_map": entries[:, :, 1].astype(np.uint16)}
+        return result | {
+            name: np.stack([frame[:, i] for frame in self._counters]) for i, name in enumerate(COUNTER_NAMES)
+        }
+
+
+def stall(cycles: int) -> np.ndarray:
+    """`tready` low for the first `cycles` cycles of every frame."""
+    return np.zeros(cycles, np.uint8)
+
+
+def write_result(path, arrays: dict[str, np.ndarray]) -> None:
+    """Writes a result file, whole or not at all."""
+    write_npz(path, arrays)
+
+
+def read_result(path, *names: str) -> dict[str, np.ndarray]:
+    """Reads the named arrays of a result file."""
+    return read_npz(path, names)
+
+
+def differences(first: dict[str, np.ndarray], second: dict[str, np.ndarray]) -> list[str]:
+    """Where two results differ, a line an array; `fate`, which only the golden model knows, is left out."""
+    lines = []
+    for name in sorted((first.keys() | second.keys()) - {"fate"}):
+        a, b = first.get(name), second.get(name)
+        if a is None or b is None:
+            lines.append(f"{name}: only in one")
+        elif a.shape != b.shape or a.dtype != b.dtype:
+            lines.append(f"{name}: {a.dtype}{list(a.shape)} and {b.dtype}{list(b.shape)}")
+        elif not np.array_equal(a, b):
+            at = np.unravel_index(np.flatnonzero((a != b).ravel())[0], a.shape)
+            lines.append(f"{name}{list(map(int, at))}: {a[at]} and {b[at]}")
+    return lines
+
+
+__all__ = ["OFFSET_NONE", "ResultBuilder", "differences", "read_result", "stall", "write_result"]

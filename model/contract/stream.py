@@ -1,0 +1,94 @@
+"""Decoder of the stream: the beats of a frame back to events, minigroup records and counters, by the tables of `packet.py`."""
+
+import numba
+import numpy as np
+from attrs import frozen
+
+from .packet import HEADER, Kind, header_field, layout
+from .parameters import OFFSET_NONE, Sensor
+from .registers import COUNTER_NAMES
+
+
+class StreamError(Exception):
+    """Beats that are not a frame; the message says where."""
+
+
+@frozen(eq=False)
+class Frame:
+    """One frame of one stream, decoded.
+
+    number: the frame's number in its packets. events: int64[n, 7], columns in the order of `HEADER`. hits: uint64[n,
+    map beats]; offsets: uint8[n, minigroups]. records: int64[k, 2], subgroup and pulse. entries: int64[k, minigroups,
+    2], stamp and map. counters: int64[subgroups of the stream, 10].
+    """
+
+    number: int
+    events: np.ndarray
+    hits: np.ndarray
+    offsets: np.ndarray
+    records: np.ndarray
+    entries: np.ndarray
+    counters: np.ndarray
+
+
+def decode_frame(beats: np.ndarray, sensor: Sensor, subgroups: int) -> Frame:
+    """Decodes the beats (uint64[n]) of one frame of a stream that carries `subgroups` subgroups.
+
+    Raises `StreamError` where the beats are not exactly a frame start, packets, and a frame end with its counters.
+    """
+    parts = layout(sensor)
+    lengths = np.zeros(8, np.int64)
+    for kind in (Kind.EVENT, Kind.EVENT_MAP, Kind.EVENT_FULL, Kind.RECORD):
+        lengths[kind] = parts.length(kind)
+    tail = 1 + parts.counter_beats * subgroups
+    kinds, starts, bad = _packets(beats, lengths, len(beats) - tail)
+    if bad >= 0 or len(beats) <= tail:
+        raise StreamError(f"beat {max(bad, 0)} of {len(beats)}: not a packet header where one is due")
+    head, end = beats[0], beats[len(beats) - tail]
+    if header_field(head, "kind") != Kind.FRAME_START or header_field(end, "kind") != Kind.FRAME_END:
+        raise StreamError("the frame does not begin with a frame start and end with a frame end")
+    if header_field(head, "pulse") != header_field(end, "pulse"):
+        raise StreamError("frame start and frame end have different numbers")
+
+    at = starts[kinds != Kind.RECORD]
+    has_map = kinds[kinds != Kind.RECORD] >= Kind.EVENT_MAP
+    has_offsets = kinds[kinds != Kind.RECORD] == Kind.EVENT_FULL
+    events = np.stack([header_field(beats[at], name) for name in HEADER], axis=1)
+    hits = np.zeros((len(at), parts.map_beats), np.uint64)
+    hits[has_map] = beats[at[has_map, None] + 1 + np.arange(parts.map_beats)]
+    offsets = np.full((len(at), sensor.minigroups), OFFSET_NONE, np.uint8)
+    where = at[has_offsets, None] + 1 + parts.map_beats + np.arange(parts.offset_beats)
+    offsets[has_offsets] = _split(beats[where], np.uint8)[:, : sensor.minigroups]
+
+    at = starts[kinds == Kind.RECORD]
+    records = np.stack([header_field(beats[at], name) for name in ("subgroup", "pulse")], axis=1)
+    raw = _split(
+        beats[at[:, None] + 1 + np.arange(parts.record_beats)], np.uint16 if sensor.record_bits == 16 else np.uint32
+    )
+    raw = raw[:, : sensor.minigroups].astype(np.int64)
+    entries = np.stack([raw & ((1 << sensor.record_stamp_bits) - 1), raw >> sensor.record_stamp_bits], axis=2)
+
+    counters = _split(beats[len(beats) - tail + 1 :].reshape(subgroups, -1), np.uint32)[:, : len(COUNTER_NAMES)].astype(
+        np.int64
+    )
+    return Frame(int(header_field(head, "pulse")), events, hits, offsets, records, entries, counters)
+
+
+def _split(beats: np.ndarray, dtype) -> np.ndarray:
+    """Beats [n, m] (or [n, 0]) as little-endian items [n, m * items a beat]."""
+    return np.ascontiguousarray(beats).astype("<u8").view(np.dtype(dtype).newbyteorder("<"))
+
+
+@numba.njit(cache=True)
+def _packets(beats, lengths, end):
+    """Kinds and first beats of the packets after the frame start up to `end`, and the first beat that is no header (or -1)."""
+    kinds, starts = np.empty(max(end, 0), np.int64), np.empty(max(end, 0), np.int64)
+    n, at = 0, 1
+    while at < end:
+        kind = np.int64(beats[at] >> np.uint64(61))
+        if lengths[kind] == 0:
+            return kinds[:n], starts[:n], at
+        kinds[n], starts[n] = kind, at
+        n += 1
+        at += lengths[kind]
+    return kinds[:n], starts[:n], -1 if at == end else at

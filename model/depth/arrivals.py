@@ -1,0 +1,38 @@
+"""When an event's light came: its stamp, corrected for being the first photon's.
+
+An event's stamp is the earliest photon's time, and its count says how many came within the window. The earliest of N
+photons of a Gaussian pulse leads the pulse's centre, by 2 sigma for N = 35: more than what the paper calls success (230 ps).
+Our choice, as the paper is silent: each event is moved later by the expected lead of the earliest of its own photons.
+
+Two limits. It takes the window for longer than the pulse: the count of a shorter one, and of coincidence off, says too
+little, and such stamps stay early (the joint estimator fits them instead). It takes an event for one flat surface's: where
+surfaces nearer to each other than the window share a subgroup, the event is placed at the first of them.
+"""
+
+import numpy as np
+from scipy import special
+
+from ..contract.config import Config
+
+_BLOM = 0.375  # Blom 1958: expected normal order statistics, here within 0.03 sigma
+
+
+def lead_sigmas(photons):
+    """By how many sigma the earliest of `photons` (>= 1) normal arrival times leads their mean, on average (float64)."""
+    return -special.ndtri((1 - _BLOM) / (np.asarray(photons, np.float64) + 1 - 2 * _BLOM))
+
+
+def photons_of(count, pixels):
+    """Photons that make `count` of `pixels` distinct pixels fire, on average (float64); finite where all fired."""
+    return -pixels * np.log1p(-np.minimum(count, pixels) / (pixels + 1))
+
+
+def arrival_ticks(
+    subgroup: np.ndarray, stamp: np.ndarray, count: np.ndarray, config: Config, sigma_ticks: float
+) -> np.ndarray:
+    """Expected centre of each event's pulse in ticks since the laser trigger, float64[n].
+
+    subgroup, stamp, count: int64[n] of events. sigma_ticks: of the laser pulse and the jitter together.
+    """
+    pixels = np.maximum(config.mask.sum(axis=1), 1)[subgroup]
+    return stamp + 0.5 + sigma_ticks * lead_sigmas(np.maximum(photons_of(count, pixels), 1))

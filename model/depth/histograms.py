@@ -1,0 +1,186 @@
+"""Histograms of a sensor's events: per pixel from the ID map, per minigroup from its own stamps, per subgroup from the stamp alone.
+
+Ref: paper III-A (stamp, ID map, minigroup stamps), IV (a histogram per pixel). Bins are ticks of the arrival (`arrivals.py`).
+"""
+
+from collections.abc import Iterator
+
+import numpy as np
+from attrs import frozen
+from numba import njit
+
+from ..contract.config import Config
+from ..contract.packet import BEAT_BITS
+from ..contract.parameters import OFFSET_NONE, Sensor
+from ..contract.pixels import pixel_table
+from ..shared.errors import InputError
+from ..shared.quantities import check_choice
+from .arrivals import arrival_ticks, lead_sigmas, photons_of
+
+SOURCES = {
+    "map": "the subgroup's stamp, for the pixels of the ID map",
+    "minigroup": "each minigroup's own coarse stamp, for its pixels: minigroup records, or else the offsets of full events",
+    "subgroup": "the subgroup's stamp, for all its pixels",
+}
+
+
+@frozen(eq=False)
+class Events:
+    """Events of one frame or of all, ordered by subgroup; rows of subgroup s: bounds[s] to bounds[s + 1].
+
+    stamp, count: int64[n]. arrival: float64[n], ticks. hits: uint64[n, words]. offset: uint8[n, minigroups], no columns
+    where the format has none. Per subgroup: threshold, window (ticks; both 1 where coincidence is off), int64; photon_rate:
+    float64, photons per tick while the tree is armed, mostly background.
+    """
+
+    bounds: np.ndarray
+    stamp: np.ndarray
+    count: np.ndarray
+    arrival: np.ndarray
+    hits: np.ndarray
+    offset: np.ndarray
+    threshold: np.ndarray
+    window: np.ndarray
+    photon_rate: np.ndarray
+
+    def maps(self, subgroup: int, pixels: int) -> np.ndarray:
+        """The ID maps of a subgroup's events as bool[n, pixels]."""
+        hits = np.ascontiguousarray(self.hits[self.bounds[subgroup] : self.bounds[subgroup + 1]], "<u8")
+        return np.unpackbits(hits.view(np.uint8), axis=1, bitorder="little")[:, :pixels].astype(bool)
+
+
+def frame_events(arrays: dict[str, np.ndarray], config: Config, sigma_ticks: float, frame: int | None = None) -> Events:
+    """The events of a result (`result.py`) that came in `frame`, or in any (None).
+
+    Raises `InputError` if the result has no such frame, or no ID map (format short).
+    """
+    if "hits" not in arrays:
+        raise InputError("hits: the result has no ID map, must be of format id or full")
+    frames = len(arrays["opened"])
+    if frame is not None and not 0 <= frame < frames:
+        raise InputError(f"frame = {frame}: must be an integer from 0 to {frames - 1}")
+    chosen = np.ones(len(arrays["pulse"]), bool) if frame is None else arrays["pulse"] // config.pulses == frame
+    row = np.flatnonzero(chosen)
+    row = row[np.argsort(arrays["subgroup"][row], kind="stable")]
+    subgroup, stamp, count = (arrays[name][row] for name in ("subgroup", "stamp", "count"))
+    frames = slice(None) if frame is None else slice(frame, frame + 1)
+    window = np.where(config.coincidence, config.window, 1)
+    return Events(
+        bounds=np.searchsorted(subgroup, np.arange(config.sensor.subgroups + 1)),
+        stamp=stamp,
+        count=count,
+        arrival=arrival_ticks(subgroup, stamp, count, config, sigma_ticks),
+        hits=arrays["hits"][row],
+        offset=arrays["mg_offset"][row] if "mg_offset" in arrays else np.empty((len(row), 0), np.uint8),
+        threshold=np.where(config.coincidence, arrays["threshold_used"][frames].min(axis=0), 1),
+        window=window,
+        photon_rate=_photon_rate(arrays["opened"][frames].mean(axis=0) / config.pulses, window, config),
+    )
+
+
+def _photon_rate(opened: np.ndarray, window: np.ndarray, config: Config) -> np.ndarray:
+    """Photons per tick of an armed tree, from the windows it opened in a period: the others fell into time it was not armed."""
+    sensor = config.sensor
+    blocked = (
+        window + (sensor.phases - 1) / 2 + sensor.rearm * sensor.phases
+    )  # ticks from an opening to the re-arming, on average
+    armed = (config.period - sensor.guard) * sensor.phases - opened * blocked
+    return opened / np.maximum(armed, 1)
+
+
+def subgroup_histograms(
+    arrays: dict[str, np.ndarray], config: Config, sigma_ticks: float, *, source: str = "map", frame: int | None = None
+) -> Iterator[np.ndarray]:
+    """For each subgroup in turn its pixels' histograms, int32[pixels, period_ticks]: memory of one subgroup, not of the array."""
+    check_choice("source", source, tuple(SOURCES))
+    sensor, events = config.sensor, frame_events(arrays, config, sigma_ticks, frame)
+    records = (
+        np.empty((0, sensor.minigroups)),
+        np.empty((0, sensor.minigroups)),
+        np.zeros(sensor.subgroups + 1, np.int64),
+    )
+    use_records = source == "minigroup" and bool(config.frame["minigroup_records"])
+    if use_records:
+        records = _frame_records(arrays, config, frame)
+    elif source == "minigroup" and not events.offset.shape[1]:
+        raise InputError(
+            "mg_offset: the result has no minigroup stamps, must be of format full or with minigroup_records"
+        )
+    pixel = pixel_table(sensor)
+    seen = np.arange(sensor.minigroup_pixels + 1)
+    lead = sigma_ticks * lead_sigmas(np.maximum(photons_of(seen, sensor.minigroup_pixels), 1))
+    for s in range(sensor.subgroups):
+        histogram = np.zeros((sensor.pixels, config.period_ticks), np.int32)
+        span = slice(events.bounds[s], events.bounds[s + 1])
+        if use_records:
+            stamp, maps, bounds = records
+            here = slice(bounds[s], bounds[s + 1])
+            _add_records(histogram, stamp[here], maps[here], pixel, sensor.quarter_ticks, lead)
+        elif source == "minigroup":
+            _add_offsets(
+                histogram,
+                events.stamp[span],
+                events.hits[span],
+                events.offset[span],
+                pixel,
+                sensor.phases,
+                sensor.quarter_ticks,
+                lead,
+            )
+        else:
+            bins = np.minimum(events.arrival[span].astype(np.int64), config.period_ticks - 1)
+            _add_events(histogram, bins, events.hits[span], source == "subgroup")
+        yield histogram
+
+
+def pixel_image(values: np.ndarray, sensor: Sensor) -> np.ndarray:
+    """[subgroups, pixels, ...] rearranged to [rows, cols, ...]."""
+    table = pixel_table(sensor)
+    return values[table.subgroup, table.inside].reshape(sensor.rows, sensor.cols, *values.shape[2:])
+
+
+def _frame_records(arrays, config, frame):
+    """Minigroup records of a frame ordered by subgroup: stamps and maps [n, minigroups], bounds [subgroups + 1]."""
+    chosen = np.ones(len(arrays["mg_pulse"]), bool) if frame is None else arrays["mg_pulse"] // config.pulses == frame
+    row = np.flatnonzero(chosen)
+    row = row[np.argsort(arrays["mg_subgroup"][row], kind="stable")]
+    bounds = np.searchsorted(arrays["mg_subgroup"][row], np.arange(config.sensor.subgroups + 1))
+    return arrays["mg_stamp"][row], arrays["mg_map"][row], bounds
+
+
+@njit(cache=True)
+def _add_events(histogram, bins, hits, everywhere):
+    """Counts each event in its bin, for the pixels of its map or for all."""
+    for e in range(len(bins)):
+        for i in range(len(histogram)):
+            if everywhere or hits[e, i // BEAT_BITS] >> np.uint64(i % BEAT_BITS) & np.uint64(1):
+                histogram[i, bins[e]] += 1
+
+
+@njit(cache=True)
+def _add_offsets(histogram, stamp, hits, offset, pixel, phases, quarter, lead):
+    """Counts each event where the pixel's minigroup was first hit: in the middle of a quarter cycle, later by `lead`."""
+    pixels = len(histogram)
+    seen = np.empty(offset.shape[1], np.int64)
+    for e in range(len(stamp)):
+        seen[:] = 0
+        for i in range(pixels):
+            seen[pixel.minigroup[i]] += np.int64(hits[e, i // BEAT_BITS] >> np.uint64(i % BEAT_BITS) & np.uint64(1))
+        for i in range(pixels):
+            g = pixel.minigroup[i]
+            if hits[e, i // BEAT_BITS] >> np.uint64(i % BEAT_BITS) & np.uint64(1) and offset[e, g] != OFFSET_NONE:
+                at = stamp[e] // phases * phases + quarter * (offset[e, g] + 0.5) + lead[seen[g]]
+                histogram[i, min(np.int64(at), histogram.shape[1] - 1)] += 1
+
+
+@njit(cache=True)
+def _add_records(histogram, stamp, maps, pixel, quarter, lead):
+    """Counts each record's minigroups in the middle of their quarter cycle, later by `lead`, for the pixels of their maps."""
+    for k in range(len(stamp)):
+        for i in range(len(histogram)):
+            g = pixel.minigroup[i]
+            seen = 0
+            for bit in range(16):
+                seen += maps[k, g] >> bit & 1
+            if maps[k, g] >> pixel.bit[i] & 1:
+                histogram[i, min(np.int64(quarter * (stamp[k, g] + 0.5) + lead[seen]), histogram.shape[1] - 1)] += 1

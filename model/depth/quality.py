@@ -1,0 +1,32 @@
+"""How much of a depth picture is wrong, and by how much.
+
+Ref: paper IV, Fig. 7 for what counts as right.
+"""
+
+import numpy as np
+
+from ..shared.constants import SPEED_OF_LIGHT_M_S
+
+TOLERANCE_S = 230e-12  # paper IV, Fig. 7: what counts as right
+TOLERANCE_M = TOLERANCE_S * SPEED_OF_LIGHT_M_S / 2
+
+
+def wrong_pixels(depth_m: np.ndarray, truth_m: np.ndarray, tolerance_m: float = TOLERANCE_M) -> np.ndarray:
+    """bool[rows, cols]: where |depth - truth| is above `tolerance_m` (230 ps, one way), or there is no depth.
+
+    depth_m, truth_m: float64[rows, cols]; a pixel without truth (NaN) is not wrong.
+    """
+    return ~np.isnan(truth_m) & ~(np.abs(depth_m - truth_m) <= tolerance_m)
+
+
+def wrong_share(depth_m: np.ndarray, truth_m: np.ndarray, tolerance_m: float = TOLERANCE_M) -> float:
+    """Share of wrong pixels among those with a truth."""
+    return float(wrong_pixels(depth_m, truth_m, tolerance_m).sum() / max(1, np.sum(~np.isnan(truth_m))))
+
+
+def range_error(depth_m: np.ndarray, truth_m: np.ndarray) -> tuple[float, float]:
+    """(bias, RMS) in metres of depth - truth (float64, any shape), over what has both; NaN where nothing has."""
+    error_m = (depth_m - truth_m)[~np.isnan(depth_m - truth_m)]
+    if not len(error_m):
+        return np.nan, np.nan
+    return float(error_m.mean()), float(np.sqrt(np.mean(error_m**2)))

@@ -1,0 +1,390 @@
+"""Analytic model of detection in a subgroup: equations (3) to (18) of paper III-B, each in two forms of one signature.
+
+"literal": as printed. "corrected": as we derive it for what the sensor does; each docstring says where the two differ.
+Numbers and arrays broadcast. "Photons" of the corrected form are equivalent Poisson means: of a pixel that detects with
+probability p at most once, -log(1 - p).
+
+`histogram` puts them together: the expected histogram of every pixel of a subgroup around the time of flight, for scheme 1
+(no coincidence) and scheme 2. Its corrected form holds for any activity of a subgroup as long as
+
+* the window is shorter than the dead time (a pixel counts once in a window: exact), and the dead time shorter than the period,
+* noise_cps * dead_time_s stays below `VALID_DEAD_FRACTION`: pixels that just fired are taken for ready at the next window.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from scipy import special, stats
+
+from ..contract.parameters import Sensor
+from ..contract.pixels import pixel_table
+from ..shared.constants import SIGMA_PER_FWHM, SPEED_OF_LIGHT_M_S
+from ..shared.errors import check_integer
+from ..shared.quantities import check_choice, real_array
+from .link_budget import FORMS
+from .spad import Spad
+from .timing import Timing
+
+VALID_DEAD_FRACTION = 0.05
+SCHEMES = (1, 2)  # 1: winner takes all, no coincidence; 2: coincidence
+THRESHOLDS = range(1, 8)  # as the paper's Fig. 7
+SUCCESS_TOLERANCE_S = 230e-12
+PRINTED_TIME_UNIT_S = (
+    1e-12  # (18) as printed depends on it: bins sum to 14.6 times the signal (sigma 212 ps), with s to 1.5e-5
+)
+
+
+class Photons(NamedTuple):
+    """Photons in the interval of interest per pixel, in the pixel's minigroup and in its subgroup (floats or arrays)."""
+
+    pixel: np.ndarray
+    minigroup: np.ndarray
+    subgroup: np.ndarray
+
+
+class Sizes(NamedTuple):
+    """Pixels of a minigroup and of a subgroup."""
+
+    minigroup: int = 4
+    subgroup: int = 64
+
+
+def effective_cps(noise_cps, signal_cps, dead_time_s: float, laser_hz: float, form: str):
+    """(noise, signal) of a pixel after a non-paralyzable dead time, in counts per second. Text before (3).
+
+    Literal: each by itself, n / (1 + n t_d). Corrected: the SPAD is one; it is alive at the pulse with probability
+    1 / (1 + n_b t_d) and then fires once, with probability 1 - exp(-signal per pulse); the time that costs is the noise's loss.
+    """
+    noise_cps, signal_cps = np.asarray(noise_cps, float), np.asarray(signal_cps, float)
+    live = 1 / (1 + noise_cps * dead_time_s)
+    if _literal(form):
+        return noise_cps * live, signal_cps / (1 + signal_cps * dead_time_s)
+    signal = laser_hz * live * -np.expm1(-signal_cps / laser_hz)
+    return noise_cps * live * (1 - signal * dead_time_s), signal
+
+
+def noise_photons(effective_noise_cps, window_s, threshold, dead_time_s, pixels, form: str):
+    """(3): noise photons of a pixel in the coincidence window of `window_s`.
+
+    Literal: the dead time of `threshold` pixels, spread over all, shortens the window (below 0 taken as 0).
+    Corrected: dead times of distinct pixels shorten nothing.
+    """
+    if _literal(form):
+        return effective_noise_cps * np.maximum(window_s - threshold * dead_time_s / pixels, 0)
+    return _equivalent_mean(effective_noise_cps * window_s)
+
+
+def signal_photons(effective_signal_cps, laser_hz, threshold, dead_time_s, pixels, form: str):
+    """(4): signal photons of a pixel in a laser period. Literal: dead time as in (3). Corrected: none of it."""
+    if _literal(form):
+        return effective_signal_cps * np.maximum(1 / laser_hz - threshold * dead_time_s / pixels, 0)
+    return _equivalent_mean(effective_signal_cps / laser_hz)
+
+
+def group_photons(photons, form: str):
+    """(5), (6): photons of a minigroup (subgroup) from those of its pixels (minigroups), along the last axis. One form."""
+    _literal(form)
+    return np.sum(photons, axis=-1)
+
+
+def count_probability(k, rate_cps, time_s, form: str):
+    """(7): probability of `k` photons. One form."""
+    _literal(form)
+    return stats.poisson.pmf(k, rate_cps * time_s)
+
+
+def pixel_probability(photons_pixel, form: str):
+    """(9): probability that a pixel detects. Literal: exactly one photon. Corrected: at least one."""
+    photons_pixel = np.asarray(photons_pixel, float)
+    return photons_pixel * np.exp(-photons_pixel) if _literal(form) else -np.expm1(-photons_pixel)
+
+
+def minigroup_probability(photons_minigroup, threshold, pixels_minigroup: int, form: str):
+    """(10): probability of threshold - 1 photons in a pixel's minigroup.
+
+    Literal: of all its pixels, Poisson. Corrected: of the others, distinct, binomial.
+    """
+    if _literal(form):
+        return stats.poisson.pmf(threshold - 1, photons_minigroup)
+    return stats.binom.pmf(threshold - 1, pixels_minigroup - 1, _share(photons_minigroup, pixels_minigroup))
+
+
+def rest_photons(photons_subgroup, photons_minigroup, form: str):
+    """(11): photons of the subgroup outside the minigroup. One form."""
+    _literal(form)
+    return photons_subgroup - photons_minigroup
+
+
+def rest_probability(photons_rest, threshold, pixels_rest: int, form: str):
+    """(12): probability of threshold - 1 photons outside the minigroup. Literal: Poisson. Corrected: binomial."""
+    if _literal(form):
+        return stats.poisson.pmf(threshold - 1, photons_rest)
+    return stats.binom.pmf(threshold - 1, pixels_rest, _share(photons_rest, pixels_rest))
+
+
+def others_probability(photons: Photons, threshold, sizes: Sizes, form: str):
+    """(13): probability that the other pixels of the subgroup bring the threshold - 1 detections that are missing.
+
+    Literal: union of (10) and (12), independent. Corrected: at least threshold - 1 of the others, in any split.
+    """
+    if _literal(form):
+        rest = rest_photons(photons.subgroup, photons.minigroup, form)
+        inside = minigroup_probability(photons.minigroup, threshold, sizes.minigroup, form)
+        outside = rest_probability(rest, threshold, sizes.subgroup - sizes.minigroup, form)
+        return inside + outside - inside * outside
+    return stats.binom.sf(threshold - 2, sizes.subgroup - 1, _share(photons.subgroup, sizes.subgroup))
+
+
+def coincidence_probability(photons: Photons, threshold, sizes: Sizes, form: str):
+    """(8), (14): probability that a pixel detects and the threshold is met, of noise or of signal alone."""
+    return pixel_probability(photons.pixel, form) * others_probability(photons, threshold, sizes, form)
+
+
+def signal_probability(noise: Photons, signal: Photons, threshold, sizes: Sizes, form: str):
+    """(15): probability that a pixel detects a signal photon in an event, in the presence of noise.
+
+    Literal: no noise in the pixel, no noise event, a signal event. Corrected: of the other pixels, those that detect signal
+    and those that detect noise count alike.
+    """
+    if _literal(form):
+        quiet = (1 - pixel_probability(noise.pixel, form)) * (
+            1 - coincidence_probability(noise, threshold, sizes, form)
+        )
+        return quiet * coincidence_probability(signal, threshold, sizes, form)
+    both = Photons(*(n + s for n, s in zip(noise, signal, strict=True)))
+    return pixel_probability(signal.pixel, form) * others_probability(both, threshold, sizes, form)
+
+
+def windows_per_period(effective_noise_sg_cps, period_s, busy_s, form: str):
+    """Windows that noise opens in a laser period: (16a) takes one. Corrected: of a tree busy for `busy_s` with each."""
+    if _literal(form):
+        return np.ones_like(np.asarray(effective_noise_sg_cps, float))
+    return effective_noise_sg_cps * period_s / (1 + effective_noise_sg_cps * busy_s)
+
+
+def noise_counts(noise: Photons, threshold, pulses, windows, sizes: Sizes, form: str):
+    """(16a): noise counts of a pixel in a frame.
+
+    Literal: (8) times `pulses`. Corrected: `windows` of each period are opened by a photon, the pixel's own or another's.
+    """
+    if _literal(form):
+        return coincidence_probability(noise, threshold, sizes, form) * pulses
+    n, share = sizes.subgroup, _share(noise.subgroup, sizes.subgroup)
+    opens = stats.binom.sf(threshold - 2, n - 1, share) / n
+    follows = (n - 1) / n * share * stats.binom.sf(threshold - 3, n - 2, share)
+    return (opens + follows) * windows * pulses
+
+
+def signal_counts(noise: Photons, signal: Photons, threshold, pulses, armed, sizes: Sizes, form: str):
+    """(16b): signal counts of a pixel in a frame: (15) times `pulses`. Corrected: if the tree is armed, probability `armed`."""
+    counts = signal_probability(noise, signal, threshold, sizes, form) * pulses
+    return counts if _literal(form) else counts * armed
+
+
+def noise_per_bin(noise_counts, laser_hz, jitter_s, lsb_s, form: str):
+    """(17): noise counts in a bin of the histogram. Literal: in a time of `jitter_s`. Corrected: in one LSB, as (18)."""
+    return noise_counts * laser_hz * (jitter_s if _literal(form) else lsb_s)
+
+
+def signal_per_bin(signal_counts, time_s, flight_s, jitter_s, lsb_s, form: str):
+    """(18): signal counts in the bin centred at `time_s`; `jitter_s` is the sigma.
+
+    Literal: the root over 2 pi jitter (see `PRINTED_TIME_UNIT_S`). Corrected: the Gaussian's integral over the bin.
+    """
+    z = (np.asarray(time_s) - flight_s) / jitter_s
+    if _literal(form):
+        unit = PRINTED_TIME_UNIT_S
+        return signal_counts / np.sqrt(2 * np.pi * jitter_s / unit) * (lsb_s / unit) * np.exp(-(z**2) / 2)
+    half = lsb_s / jitter_s / 2
+    return signal_counts * (special.ndtr(z + half) - special.ndtr(z - half))
+
+
+def busy_s(window_ticks: int, rearm_cycles: int, timing: Timing) -> float:
+    """Mean time from a window's opening, at any phase alike, to the start of the cycle in which the tree is armed again."""
+    phase = np.arange(timing.phases)
+    return float(np.mean(_armed_again(phase, window_ticks, timing.phases, rearm_cycles) - phase) * timing.tick_s)
+
+
+def histogram(
+    distance_m,
+    signal_per_pulse,
+    noise_cps,
+    *,
+    threshold: int,
+    window_ticks: int,
+    pulses: int,
+    form: str,
+    scheme: int = 2,
+    sensor: Sensor | None = None,
+    timing: Timing | None = None,
+    spad: Spad | None = None,
+    system_fwhm_s: float = 500e-12,
+) -> np.ndarray:
+    """Expected histogram of each pixel of one subgroup in a frame, float64[pixels, ticks]: stamps of the events it is in.
+
+    distance_m (NaN: no target), signal_per_pulse, noise_cps: detected, before dead time; float64[pixels] or numbers.
+    Scheme 1 takes neither threshold nor window. Literal: (3) to (18), signal and noise on the grid of ticks; in scheme 1,
+    where the paper estimates "a single photon", (9) for signal in a period and noise in a period (our reading).
+    Corrected: photons in each tick, the tree's states from armed to armed again, and the count of distinct pixels in the
+    window, so that stamps are those of first photons; exact but for the terms of the module's text, and for pixels of
+    unequal light, whose count is taken as binomial with their mean.
+    """
+    sensor, timing, spad = sensor or Sensor(), timing or Timing(), spad or Spad()
+    check_choice("scheme", scheme, SCHEMES)
+    check_integer("threshold", threshold, 1, sensor.pixels)
+    check_integer("window_ticks", window_ticks, 1, sensor.window_max)
+    pixels = (sensor.pixels,)
+    distance_m = real_array("distance_m", distance_m, pixels, 0, nan=True)
+    noise_cps = real_array("noise_cps", noise_cps, pixels, 0)
+    signal = np.where(np.isnan(distance_m), 0, real_array("signal_per_pulse", signal_per_pulse, pixels, 0))
+    flight_s = np.nan_to_num(2 * distance_m / SPEED_OF_LIGHT_M_S) % timing.period_s
+    fill = _literal_histogram if _literal(form) else _corrected_histogram
+    if scheme == 1:
+        threshold, window_ticks = 1, 1
+    return fill(
+        flight_s,
+        signal,
+        noise_cps,
+        threshold,
+        window_ticks,
+        pulses,
+        scheme,
+        sensor,
+        timing,
+        spad,
+        system_fwhm_s * SIGMA_PER_FWHM,
+    )
+
+
+def success_probability(expected: np.ndarray, flight_s: float, timing: Timing) -> float:
+    """Probability that the largest bin of a pixel's histogram lies within `SUCCESS_TOLERANCE_S` of the target.
+
+    expected: float64[ticks], mean counts, taken as independent and Poisson. The target is where the mean has its maximum
+    within a nanosecond of the time of flight: the lead of first photons counts as calibrated. Ties count half.
+    """
+    time_s = (np.arange(len(expected)) + 0.5) * timing.tick_s
+    near = np.abs(time_s - flight_s) < 1e-9
+    peak_s = time_s[near][np.argmax(expected[near])]
+    inside = np.abs(time_s - peak_s) <= SUCCESS_TOLERANCE_S
+    k = np.arange(int(expected.max() + 10 * np.sqrt(expected.max())) + 20)
+    below_in, below_out = (_maximum_law(k, expected[part]) for part in (inside, ~inside))
+    chance_in, chance_out = (np.diff(law, prepend=0) for law in (below_in, below_out))
+    tied = chance_in * chance_out
+    tied[0] = 0  # an empty histogram has no peak
+    return float(np.sum(chance_in[1:] * below_out[:-1]) + np.sum(tied) / 2)
+
+
+def success_by_threshold(
+    signal_per_pulse: float, noise_cps: float, distance_m: float, *, timing: Timing | None = None, **setting
+) -> np.ndarray:
+    """`success_probability` of a pixel in an evenly lit subgroup for each of `THRESHOLDS`: float64[7]. Setting: `histogram`."""
+    timing = timing or Timing()
+    flight_s = 2 * distance_m / SPEED_OF_LIGHT_M_S
+    return np.array(
+        [
+            success_probability(
+                histogram(distance_m, signal_per_pulse, noise_cps, threshold=th, timing=timing, **setting)[0],
+                flight_s,
+                timing,
+            )
+            for th in THRESHOLDS
+        ]
+    )
+
+
+def expected_threshold(success: np.ndarray, slack: float = 0.01) -> int:
+    """The highest threshold whose success is within `slack` of the best one's: of equals, the one with the fewest events.
+
+    Fig. 7 gives it against the activity; the paper does not say how it chooses (our choice).
+    """
+    return int(np.array(THRESHOLDS)[success >= success.max() - slack].max())
+
+
+def _literal(form: str) -> bool:
+    return check_choice("form", form, FORMS) == FORMS[0]
+
+
+def _equivalent_mean(probability):
+    """The Poisson mean that detects at least one photon with `probability`."""
+    return -np.log1p(-np.minimum(probability, 1 - np.finfo(float).eps))
+
+
+def _share(photons, pixels: int):
+    """Probability that one of `pixels` equal pixels detects, which together have `photons`."""
+    return -np.expm1(-np.asarray(photons, float) / pixels)
+
+
+def _armed_again(opening, window_ticks, phases, rearm_cycles):
+    """The tick at which the tree is armed again after a window that opens at tick `opening`."""
+    return ((opening + window_ticks - 1) // phases + 1 + rearm_cycles) * phases
+
+
+def _literal_histogram(
+    flight_s, signal, noise_cps, threshold, window_ticks, pulses, scheme, sensor, timing, spad, sigma_s
+):
+    """Equations (3) to (18) as printed, on the grid of ticks."""
+    form, laser_hz, sizes = FORMS[0], 1 / timing.period_s, Sizes(sensor.minigroup_pixels, sensor.pixels)
+    window_s = timing.period_s if scheme == 1 else window_ticks * timing.tick_s
+    dead = (threshold, spad.dead_time_s, sensor.pixels, form)
+    noise, signal = effective_cps(noise_cps, signal * laser_hz, spad.dead_time_s, laser_hz, form)
+    noise = _grouped(noise_photons(noise, window_s, *dead), sensor)
+    signal = _grouped(signal_photons(signal, laser_hz, *dead), sensor)
+    if scheme == 1:
+        of_noise = pixel_probability(noise.pixel, form)
+        counts = pulses * of_noise, pulses * (1 - of_noise) * pixel_probability(signal.pixel, form)
+    else:
+        counts = (
+            noise_counts(noise, threshold, pulses, windows_per_period(noise.subgroup, 0, 0, form), sizes, form),
+            signal_counts(noise, signal, threshold, pulses, 1, sizes, form),
+        )
+    time_s = (np.arange(timing.period_ticks) + 0.5) * timing.tick_s
+    floor = noise_per_bin(counts[0], laser_hz, sigma_s, timing.tick_s, form)
+    return floor[:, None] + signal_per_bin(counts[1][:, None], time_s, flight_s[:, None], sigma_s, timing.tick_s, form)
+
+
+def _grouped(photons, sensor: Sensor) -> Photons:
+    """(5), (6): a subgroup's pixels [pixels] with the sums over their minigroups and over the subgroup."""
+    minigroup = pixel_table(sensor).minigroup
+    sums = np.bincount(minigroup, photons, sensor.minigroups)
+    return Photons(photons, sums[minigroup], np.sum(sums))
+
+
+def _corrected_histogram(
+    flight_s, signal, noise_cps, threshold, window_ticks, pulses, scheme, sensor, timing, spad, sigma_s
+):
+    """Ticks as independent trials. `fired`: avalanches of each pixel up to each tick's start, at most one in a window."""
+    ticks, n = timing.period_ticks, sensor.pixels
+    border_s = np.arange(ticks + window_ticks + 1) * timing.tick_s
+    live = (1 / (1 + noise_cps * spad.dead_time_s))[:, None]
+    pulse = special.ndtr((border_s - flight_s[:, None]) / sigma_s)
+    fired = live * (noise_cps[:, None] * border_s - np.expm1(-signal[:, None] * pulse))
+    start, after, end = fired[:, :ticks], fired[:, 1 : ticks + 1], fired[:, window_ticks : ticks + window_ticks]
+    nobody = np.prod(1 - (after - start), axis=0)  # at this tick
+    in_window, in_rest = end - start, end - after
+    # In the map of an event that this tick opens: in the window, but not with the window's first tick empty.
+    met, met_in_rest = (stats.binom.sf(threshold - 2, n - 1, share.mean(axis=0)) for share in (in_window, in_rest))
+    armed = _armed(nobody, window_ticks, timing.phases, sensor.rearm, ticks - sensor.guard * timing.phases)
+    return pulses * armed * (in_window * met - nobody * in_rest * met_in_rest)
+
+
+@njit(cache=True)
+def _armed(nobody, window_ticks, phases, rearm_cycles, open_ticks):
+    """Probability that the tree is armed at each tick: at the period's start, and again some cycles after each opening."""
+    armed, again, now = np.zeros(nobody.size), np.zeros(nobody.size), 1.0
+    for t in range(open_ticks):
+        now += again[t]
+        armed[t] = now
+        opening = now * (1 - nobody[t])
+        now -= opening
+        ready = ((t + window_ticks - 1) // phases + 1 + rearm_cycles) * phases
+        if ready < again.size:
+            again[ready] += opening
+    return armed
+
+
+def _maximum_law(k, means):
+    """P(the largest of independent Poisson counts <= k); means are rounded to three digits, so that few differ."""
+    digits = 10.0 ** (np.floor(np.log10(np.maximum(means, 1e-12))) - 2)
+    means, times = np.unique(np.round(means / digits) * digits, return_counts=True)
+    return np.exp(np.sum(times[:, None] * np.log(np.maximum(special.pdtr(k, means[:, None]), 1e-300)), axis=0))

@@ -1,0 +1,38 @@
+"""Code density test: the widths of a TDC's taps from edges of uniform light, as they are measured on silicon.
+
+Under light that is uniform in time each code collects counts in proportion to the width of its bin.
+"""
+
+import numpy as np
+from attrs import frozen
+
+from ..shared.errors import InputError, check_integer
+
+
+@frozen(eq=False)
+class CodeDensity:
+    """Result per phase, float64[phases], in LSB (clock cycle / phases).
+
+    dnl_lsb: width of each phase less the mean width. inl_lsb: error of each phase's upper border, its running sum.
+    sigma_lsb: standard error of each width. edges: how many were counted.
+    """
+
+    dnl_lsb: np.ndarray
+    inl_lsb: np.ndarray
+    sigma_lsb: np.ndarray
+    edges: int
+
+
+def code_density(tick: np.ndarray, phases: int) -> CodeDensity:
+    """Measures the taps from the ticks (integers) of edges under uniform light.
+
+    Raises `InputError` with fewer than one edge a phase on average.
+    """
+    check_integer("phases", phases, 2, 1024)
+    tick = np.asarray(tick)
+    if len(tick) < phases:
+        raise InputError(f"tick: holds {len(tick)} edges, must hold at least one per phase ({phases})")
+    share = np.bincount(tick % phases, minlength=phases) / len(tick)
+    dnl_lsb = share * phases - 1
+    sigma_lsb = phases * np.sqrt(share * (1 - share) / len(tick))
+    return CodeDensity(dnl_lsb, np.cumsum(dnl_lsb), sigma_lsb, len(tick))

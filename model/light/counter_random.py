@@ -1,0 +1,99 @@
+"""Random numbers by counter: a number is a hash of (key, purpose, counter), whoever asks for it and when.
+
+The hash is SplitMix64's output function (Steele, Lea, Flood 2014, with Stafford's constants), keys are chained hashes.
+"""
+
+import math
+
+import numpy as np
+from numba import njit
+
+GOLDEN = np.uint64(0x9E3779B97F4A7C15)
+_LAYERS = 256
+_LAST_X = 3.6541528853610088  # Marsaglia, Tsang 2000: where the tail begins with 256 layers
+_SHIFT_PURPOSE = np.uint64(40)
+
+
+@njit(cache=True, inline="always")
+def _mix(z):
+    z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    return z ^ (z >> np.uint64(31))
+
+
+@njit(cache=True, inline="always")
+def key_of(key, index):
+    """The key of item `index` under `key` (uint64); numbers of purpose 0 of the same key would repeat it."""
+    return _mix(key + (np.uint64(index) + np.uint64(1)) * GOLDEN)
+
+
+@njit(cache=True, inline="always")
+def _bits(key, purpose, counter):
+    return _mix(key + ((np.uint64(purpose) << _SHIFT_PURPOSE) + np.uint64(counter)) * GOLDEN)
+
+
+@njit(cache=True, inline="always")
+def open_unit(bits):
+    """A uniform number in (0, 1), ends excluded, from a hash: its upper 52 bits."""
+    return (np.float64(bits >> np.uint64(12)) + 0.5) * 2.0**-52
+
+
+@njit(cache=True, inline="always")
+def uniform(key, purpose, counter):
+    """A uniform number in (0, 1)."""
+    return open_unit(_bits(key, purpose, counter))
+
+
+@njit(cache=True, inline="always")
+def exponential(key, purpose, counter):
+    """An exponential number of mean 1."""
+    return -math.log(uniform(key, purpose, counter))
+
+
+def _ziggurat():
+    """Layer borders x and densities exp(-x^2/2) of the ziggurat for the normal law, its layers of equal area."""
+
+    def density(x):
+        return math.exp(-x * x / 2)
+
+    area = _LAST_X * density(_LAST_X) + math.sqrt(math.pi / 2) * math.erfc(_LAST_X / math.sqrt(2))
+    x = [area / density(_LAST_X), _LAST_X]
+    while len(x) < _LAYERS:
+        x.append(math.sqrt(-2 * math.log(area / x[-1] + density(x[-1]))))
+    x = np.array(x + [0.0])
+    return x, np.exp(-x * x / 2)
+
+
+_X, _DENSITY = _ziggurat()
+
+
+@njit(cache=True, inline="always")
+def normal(key, purpose, counter):
+    """A normal number of variance 1 (ziggurat: 98.8 % of them cost one hash and one product)."""
+    bits = _bits(key, purpose, counter)
+    layer = np.int64(bits & np.uint64(_LAYERS - 1))
+    z = (2.0 * open_unit(bits) - 1.0) * _X[layer]
+    if abs(z) < _X[layer + 1]:
+        return z
+    return _rare_normal(key_of(bits, counter), layer, z)
+
+
+@njit(cache=True)
+def _rare_normal(key, layer, z):
+    """The other ways out of `normal`: the tail, a layer's wedge, or a new attempt."""
+    attempt = 0
+    while True:
+        if layer == 0:
+            x = exponential(key, 0, attempt) / _LAST_X
+            while 2 * exponential(key, 1, attempt) < x * x:
+                attempt += 1
+                x = exponential(key, 0, attempt) / _LAST_X
+            return _LAST_X + x if z > 0 else -_LAST_X - x
+        if _DENSITY[layer] + uniform(key, 2, attempt) * (_DENSITY[layer + 1] - _DENSITY[layer]) < math.exp(-z * z / 2):
+            return z
+        attempt += 1
+        bits = _bits(key, 3, attempt)
+        layer = np.int64(bits & np.uint64(_LAYERS - 1))
+        z = (2.0 * open_unit(bits) - 1.0) * _X[layer]
+        if abs(z) < _X[layer + 1]:
+            return z

@@ -1,0 +1,145 @@
+"""What the photon model is told: light per pixel, SPAD, clock and gate, with the presets.
+
+Ref: paper II (SPAD, laser), IV (pulse of 500 to 520 ps FWHM). Effects the paper leaves out are off by default.
+"""
+
+import math
+
+import numpy as np
+from attrs import frozen
+
+from ..shared.errors import InputError, check_integer
+from ..shared.quantities import check_real, real, real_array
+
+BACKGROUND_CPS_PER_KLUX = 1.226e6 / 50  # detected, per pixel; our preset: the level at which thresholds are selective
+SIGNAL_REFERENCE = 0.613  # detected photons per pulse and pixel, equation (1) at the two values below
+REFERENCE_DISTANCE_M = 4.0
+REFERENCE_REFLECTIVITY = 0.4
+NEAREST_M = 0.05  # of a scene: the signal grows without bound towards 0
+SIGNAL_MAX = 1e4  # photons of a pixel and pulse
+RATE_MAX_CPS = 1e12
+
+
+def background_cps(klux: float) -> float:
+    """Detected background of a pixel in counts per second at `klux` of ambient light: our preset, linear."""
+    return BACKGROUND_CPS_PER_KLUX * check_real("klux", klux, 0)
+
+
+def signal_per_pulse(distance_m, reflectivity):
+    """Detected signal photons per pulse and pixel (float64, shapes broadcast); 0 where the distance is NaN.
+
+    Equation (1) of the paper: proportional to reflectivity / distance^2.
+    """
+    scaled = np.asarray(reflectivity) / REFERENCE_REFLECTIVITY * (REFERENCE_DISTANCE_M / np.asarray(distance_m)) ** 2
+    return np.nan_to_num(SIGNAL_REFERENCE * scaled, nan=0.0)
+
+
+@frozen(kw_only=True, eq=False)
+class Interferer:
+    """Another LiDAR whose pulses reach the sensor.
+
+    photons_per_pulse: detected of each of its pulses, a number or float64[pixels]. period_s: its own laser period. phase_s: from
+    our first trigger to the arrival of its first pulse; pulses before that came, too. delay_s: added for each pixel, a number or
+    float64[pixels]. fwhm_s: of its pulse.
+    """
+
+    photons_per_pulse: float | np.ndarray
+    period_s: float = real(500e-9, 1e-9)
+    phase_s: float = real(0.0, 0)
+    delay_s: float | np.ndarray = 0.0
+    fwhm_s: float = real(490e-12, 0)
+
+
+@frozen(kw_only=True, eq=False)
+class Arrivals:
+    """Signal of any shape in time, in bins; the laser pulse's own shape comes on top. Pixel p has the bins first[p] to first[p + 1].
+
+    first: int64[pixels + 1]. start_s: float64[n], when each bin begins, ascending in a pixel, since the laser trigger (beyond the
+    laser period: light of an earlier pulse). photons: float64[n], mean detected per pulse. width_s: of a bin, filled evenly.
+    """
+
+    first: np.ndarray
+    start_s: np.ndarray
+    photons: np.ndarray
+    width_s: float = real(0.0, 0, 1)
+
+    def __attrs_post_init__(self):
+        n = len(self.photons)
+        first = np.asarray(self.first, np.int64)
+        if first.ndim != 1 or len(first) < 2 or first[0] != 0 or first[-1] != n or np.any(np.diff(first) < 0):
+            raise InputError(f"first: must ascend from 0 to the {n} bins")
+        object.__setattr__(self, "first", first)
+        object.__setattr__(self, "start_s", real_array("start_s", self.start_s, (n,), 0))
+        object.__setattr__(self, "photons", real_array("photons", self.photons, (n,), 0, SIGNAL_MAX))
+        inner = np.delete(np.diff(self.start_s), first[1:-1][(first[1:-1] > 0) & (first[1:-1] < n)] - 1)
+        if np.any(inner < 0):
+            raise InputError("start_s: must ascend in every pixel")
+
+
+@frozen(kw_only=True, eq=False)
+class Light:
+    """What each of rows x cols pixels detects (PDE applied, before dead time); arrays broadcast to the stated shapes.
+
+    distance_m: float64[pixels, targets], NaN = no target. signal_per_pulse: float64[pixels, targets], mean photons.
+    background_cps: float64[pixels]. A one-dimensional distance or signal is [pixels] with one target each.
+    system_fwhm_s: float64[pixels, targets], FWHM of the signal at the TDC's input: laser pulse and SPAD jitter
+    together, squares added, so the laser pulse is sqrt(system_fwhm_s^2 - jitter_fwhm_s^2).
+    range_ambiguity: light from beyond the laser period falls into a later period (the laser is taken to run before the
+    first pulse); False = it is lost. arrivals: more signal, of any shape in time, whose laser pulse has the width of the
+    pixel's first target. interferer: another LiDAR, or None.
+    """
+
+    rows: int
+    cols: int
+    distance_m: np.ndarray
+    signal_per_pulse: np.ndarray
+    background_cps: np.ndarray = 0.0
+    system_fwhm_s: float | np.ndarray = 500e-12
+    range_ambiguity: bool = True
+    arrivals: Arrivals | None = None
+    interferer: Interferer | None = None
+
+    def __attrs_post_init__(self):
+        check_integer("rows", self.rows, 1, 4096)
+        check_integer("cols", self.cols, 1, 4096)
+        for name in ("distance_m", "signal_per_pulse", "system_fwhm_s"):
+            array = np.asarray(getattr(self, name))
+            object.__setattr__(self, name, array[:, None] if array.ndim == 1 else array)
+        targets = max(self.distance_m.shape[-1:] + self.signal_per_pulse.shape[-1:], default=1)
+        per_target = (self.pixels, targets)
+        for name, shape, highest in (
+            ("distance_m", per_target, math.inf),
+            ("signal_per_pulse", per_target, SIGNAL_MAX),
+            ("system_fwhm_s", per_target, 1.0),
+            ("background_cps", (self.pixels,), RATE_MAX_CPS),
+        ):
+            checked = real_array(name, getattr(self, name), shape, 0, highest, nan=name == "distance_m")
+            object.__setattr__(self, name, checked)
+        if self.arrivals is not None and len(self.arrivals.first) != self.pixels + 1:
+            raise InputError(f"arrivals: are of {len(self.arrivals.first) - 1} pixels, must be of {self.pixels}")
+
+    @property
+    def pixels(self) -> int:
+        return self.rows * self.cols
+
+    @classmethod
+    def from_scene(cls, distance_m, reflectivity, klux: float, **others) -> "Light":
+        """Light of the presets, background uniform.
+
+        distance_m: float64[rows, cols] or [rows, cols, targets], NaN = no target; reflectivity: broadcast to it.
+        """
+        distance_m = np.asarray(distance_m, dtype=np.float64)
+        if distance_m.ndim not in (2, 3):
+            raise InputError(f"distance_m: has {distance_m.ndim} dimensions, must have 2 or 3: rows, cols, targets")
+        rows, cols = distance_m.shape[:2]
+        distance_m = real_array("distance_m", distance_m, distance_m.shape, NEAREST_M, nan=True)
+        signal = signal_per_pulse(distance_m, real_array("reflectivity", reflectivity, distance_m.shape, 0, 1))
+        flat = (rows * cols, -1)
+        return cls(
+            rows=rows,
+            cols=cols,
+            distance_m=distance_m.reshape(flat),
+            signal_per_pulse=signal.reshape(flat),
+            background_cps=background_cps(klux),
+            **others,
+        )

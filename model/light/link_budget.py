@@ -1,0 +1,209 @@
+"""Link budget: detected signal and background of a flash LiDAR pixel, and their ratio.
+
+Ref: paper II, equations (1) and (2), Fig. 2. Equation (2) is lost in print; we take it as (1) with the laser's power
+replaced by the sunlight on the target's area. Forms: "literal" scatters evenly into the half-space, 1/(2 pi d^2), as
+printed; "corrected" takes the target for the Lambertian one of the text, 1/(pi d^2) on the axis. Their factor of 2
+cancels in the ratio of signal to background, unless dead time limits the background (reading F).
+"""
+
+import math
+
+import numpy as np
+from attrs import frozen
+
+from ..shared.constants import PLANCK_J_S, SPEED_OF_LIGHT_M_S
+from ..shared.quantities import check_choice, check_real, real, real_array
+from .spad import Spad
+from .spectrum import FILTERS, SPECTRA, irradiance_w_m2
+
+FORMS = ("literal", "corrected")
+SBR_READINGS = {  # what Fig. 2 may mean by SBR; the paper says no more than that it is 0 dB at 4 m
+    "A": "ratio of the mean rates",
+    "E": "photons of a laser pulse to background in the SPAD's jitter (FWHM)",
+    "F": "photons of a laser pulse to background after dead time in a coincidence window",
+}
+COINCIDENCE_WINDOW_S = 5e-9  # of reading F: what brings 0 dB to 4 m
+NEAREST_M = 1e-3
+
+
+@frozen(kw_only=True)
+class Optics:
+    """Receiver lens, filter and field of view (paper II); `pixels` share the field of view."""
+
+    lens_diameter_m: float = real(21e-3, 1e-6)
+    f_number: float = real(1.4, 0.1)
+    transmission: float = real(0.8, 0, 1)
+    filter_fwhm_nm: float = real(15.0, 1e-3, 1000)
+    filter_shape: str = FILTERS[0]
+    fov_h_deg: float = real(45.0, 1e-3, 179)
+    fov_v_deg: float = real(45.0, 1e-3, 179)
+    pixels: int = 32 * 32
+
+    def __attrs_post_init__(self):
+        check_choice("filter_shape", self.filter_shape, FILTERS)
+        check_real("pixels", self.pixels, 1)
+
+
+@frozen(kw_only=True)
+class Laser:
+    """Pulsed laser that floods the field of view (paper II)."""
+
+    average_power_w: float = real(10e-3, 0)
+    repetition_hz: float = real(2e6, 1)
+    wavelength_nm: float = real(905.0, 300, 3900)
+
+
+@frozen(kw_only=True, eq=False)
+class LinkBudget:
+    """A link budget; what depends on the distance is a float or, for an array of distances, float64 of its shape.
+
+    Rates: detected events per pixel and second before dead time (background_live_cps: after it). sbr_db: 10 log10 of
+    the ratio that `sbr_reading` names. Units and sources: `rows`.
+    """
+
+    distance_m: float | np.ndarray
+    reflectivity: float
+    klux: float
+    form: str
+    spectrum: str
+    aperture_m2: float
+    focal_length_m: float
+    photon_energy_j: float
+    pde: float
+    target_area_m2: float | np.ndarray
+    irradiance_w_m2: float
+    signal_rate_cps: float | np.ndarray
+    background_rate_cps: float
+    background_live_cps: float
+    signal_per_pulse: float | np.ndarray
+    sbr_reading: str
+    sbr_window_s: float
+    sbr_db: float | np.ndarray
+
+    def rows(self) -> list[tuple[str, object, str, str]]:
+        """The budget line by line: (name, value, unit, source)."""
+        return [(name, getattr(self, name), unit, source) for name, unit, source in _LINES]
+
+    def json(self) -> dict[str, object]:
+        """Flat keys for a file; a ratio without background is None."""
+        values = {name: getattr(self, name) for name in JSON_KEYS}
+        return {
+            name: None if isinstance(value, float) and not math.isfinite(value) else value
+            for name, value in values.items()
+        }
+
+
+JSON_KEYS = (
+    "aperture_m2",
+    "photon_energy_j",
+    "irradiance_w_m2",
+    "signal_rate_cps",
+    "background_rate_cps",
+    "signal_per_pulse",
+    "sbr_db",
+    "sbr_reading",
+)
+_LINES = (
+    ("distance_m", "m", "given"),
+    ("reflectivity", "", "given"),
+    ("klux", "klux", "given"),
+    ("form", "", "1/(2 pi d^2) literal, 1/(pi d^2) corrected"),
+    ("spectrum", "", "ASTM G173 or Planck, scaled to klux"),
+    ("aperture_m2", "m2", "pi (D/2)^2"),
+    ("focal_length_m", "m", "D x f-number"),
+    ("photon_energy_j", "J", "h c / wavelength"),
+    ("pde", "", "PDP x fill factor"),
+    ("target_area_m2", "m2", "4 d^2 tan(H/2) tan(V/2)"),
+    ("irradiance_w_m2", "W/m2", "spectrum through the filter"),
+    ("signal_rate_cps", "1/s", "equation (1), per pixel, before dead time"),
+    ("background_rate_cps", "1/s", "equation (2) and dark counts, per pixel, before dead time"),
+    ("background_live_cps", "1/s", "the same after a non-paralyzable dead time"),
+    ("signal_per_pulse", "", "signal rate / laser rate"),
+    ("sbr_reading", "", "; ".join(f"{key}: {text}" for key, text in SBR_READINGS.items())),
+    ("sbr_window_s", "s", "of readings E and F"),
+    ("sbr_db", "dB", "10 log10 signal / background"),
+)
+
+
+def link_budget(
+    distance_m,
+    reflectivity: float,
+    klux: float,
+    *,
+    optics: Optics | None = None,
+    laser: Laser | None = None,
+    spad: Spad | None = None,
+    spectrum: str = SPECTRA[0],
+    form: str = FORMS[0],
+    sbr_reading: str = "E",
+    sbr_window_s: float | None = None,
+) -> LinkBudget:
+    """The budget at `distance_m` (a number or an array), for a target of `reflectivity` under `klux` of sunlight.
+
+    sbr_window_s: of readings E (default: the SPAD's jitter FWHM) and F (default: `COINCIDENCE_WINDOW_S`).
+    Raises `InputError` for values out of range and unknown names.
+    """
+    optics, laser, spad = optics or Optics(), laser or Laser(), spad or Spad()
+    check_choice("form", form, FORMS)
+    check_choice("sbr_reading", sbr_reading, tuple(SBR_READINGS))
+    check_real("reflectivity", reflectivity, 0, 1)
+    if sbr_window_s is None:
+        sbr_window_s = COINCIDENCE_WINDOW_S if sbr_reading == "F" else spad.jitter_fwhm_s
+    check_real("sbr_window_s", sbr_window_s, 0)
+    distance_m = real_array("distance_m", distance_m, np.shape(distance_m), NEAREST_M)
+
+    aperture_m2 = math.pi * (optics.lens_diameter_m / 2) ** 2
+    photon_energy_j = PLANCK_J_S * SPEED_OF_LIGHT_M_S / (laser.wavelength_nm * 1e-9)
+    pde = spad.pdp * spad.fill_factor
+    half_h, half_v = (math.radians(angle / 2) for angle in (optics.fov_h_deg, optics.fov_v_deg))
+    target_area_m2 = 4 * distance_m**2 * math.tan(half_h) * math.tan(half_v)
+    irradiance = irradiance_w_m2(
+        klux, laser.wavelength_nm, optics.filter_fwhm_nm, filter_shape=optics.filter_shape, spectrum=spectrum
+    )
+    solid_angle = (2 if form == "literal" else 1) * math.pi
+    cps_per_watt = (
+        reflectivity
+        * optics.transmission
+        / (solid_angle * distance_m**2)
+        / optics.pixels
+        * pde
+        * aperture_m2
+        / photon_energy_j
+    )
+    signal_rate_cps = laser.average_power_w * cps_per_watt
+    on_target = irradiance * target_area_m2 * cps_per_watt  # the same at every distance, up to rounding
+    background_rate_cps = float(np.mean(on_target) + np.mean(spad.dark_cps))
+    background_live_cps = background_rate_cps / (1 + background_rate_cps * spad.dead_time_s)
+    signal_per_pulse = signal_rate_cps / laser.repetition_hz
+    signal, background = {
+        "A": (signal_rate_cps, background_rate_cps),
+        "E": (signal_per_pulse, background_rate_cps * sbr_window_s),
+        "F": (signal_per_pulse, background_live_cps * sbr_window_s),
+    }[sbr_reading]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        sbr_db = 10 * np.log10(np.divide(signal, background))
+    return LinkBudget(
+        distance_m=_plain(distance_m),
+        reflectivity=float(reflectivity),
+        klux=float(klux),
+        form=form,
+        spectrum=spectrum,
+        aperture_m2=aperture_m2,
+        focal_length_m=optics.lens_diameter_m * optics.f_number,
+        photon_energy_j=photon_energy_j,
+        pde=pde,
+        target_area_m2=_plain(target_area_m2),
+        irradiance_w_m2=irradiance,
+        signal_rate_cps=_plain(signal_rate_cps),
+        background_rate_cps=background_rate_cps,
+        background_live_cps=background_live_cps,
+        signal_per_pulse=_plain(signal_per_pulse),
+        sbr_reading=sbr_reading,
+        sbr_window_s=float(sbr_window_s),
+        sbr_db=_plain(sbr_db),
+    )
+
+
+def _plain(value):
+    """A float for what has no dimensions, else the array."""
+    return float(value) if np.ndim(value) == 0 else value

@@ -1,0 +1,85 @@
+"""The detector: SPAD, its gate, and dark counts that differ from pixel to pixel.
+
+Ref: paper II. Effects that the paper leaves out are off by default.
+"""
+
+import numpy as np
+from attrs import frozen
+
+from ..contract.config import Config
+from ..contract.pixels import pixel_table
+from ..shared.errors import check_integer
+from ..shared.quantities import check_real, real
+
+
+@frozen(kw_only=True, eq=False)
+class Spad:
+    """The detector. Defaults: the paper's section II; effects that it leaves out are off.
+
+    pdp, fill_factor: photon detection probability, active share; for the link budget (rates of `Light` are detected).
+    dead_time_s, paralyzable: from one avalanche to the next; paralyzable = a photon within it extends it.
+    jitter_fwhm_s: Gaussian jitter of an avalanche's edge; jitter_tail_fraction of the edges are late by another,
+    exponential time of mean jitter_tail_s.
+    dark_cps: dark count rate, a number or float64[pixels] (see `dark_count_map`).
+    afterpulse_probability: that an avalanche traps a carrier, released after an exponential time of mean afterpulse_s;
+    released while the SPAD is dead, it is lost, so exp(-dead_time_s / afterpulse_s) of them are seen.
+    crosstalk_probability: that an avalanche sends, at once, a photon to one given neighbour (of four).
+    """
+
+    pdp: float = real(0.05, 0, 1)
+    fill_factor: float = real(0.5, 0, 1)
+    dead_time_s: float = real(8e-9, 0)
+    paralyzable: bool = False
+    jitter_fwhm_s: float = real(100e-12, 0)
+    jitter_tail_fraction: float = real(0.0, 0, 1)
+    jitter_tail_s: float = real(0.0, 0)
+    dark_cps: float | np.ndarray = 0.0
+    afterpulse_probability: float = real(0.0, 0, 0.5)
+    afterpulse_s: float = real(30e-9, 1e-12)
+    crosstalk_probability: float = real(0.0, 0, 0.25)
+
+
+@frozen(kw_only=True, eq=False)
+class SpadGate:
+    """SPADs switched off outside [start, start + len) cycles of a period: there no avalanche and no dead time.
+
+    start_cycles, len_cycles, step_cycles: per pixel, int64[pixels] or a number. Progressive gating: pulse k of a frame of
+    frame_pulses adds step_cycles * ((k // every_pulses) mod steps) to the start; every_pulses = 0: never.
+    """
+
+    start_cycles: np.ndarray
+    len_cycles: np.ndarray
+    step_cycles: np.ndarray = 0
+    every_pulses: int = 0
+    steps: int = 1
+    frame_pulses: int = 1 << 62
+
+    def __attrs_post_init__(self):
+        for name, low in (("every_pulses", 0), ("steps", 1), ("frame_pulses", 1)):
+            check_integer(name, getattr(self, name), low, 1 << 62)
+
+    @classmethod
+    def from_config(cls, config: Config) -> "SpadGate":
+        """The gates of a configuration as SPAD gates; open all the time where a subgroup's gating is off."""
+        subgroup, frame = pixel_table(config.sensor).subgroup, config.frame
+        start, length, step = (
+            np.where(config.gating, on, off)[subgroup]
+            for on, off in ((config.gate_start, 0), (config.gate_len, config.period), (frame["gate_step"], 0))
+        )
+        return cls(
+            start_cycles=start,
+            len_cycles=np.minimum(length, config.period),
+            step_cycles=step,
+            every_pulses=frame["gate_every"],
+            steps=frame["gate_steps"],
+            frame_pulses=config.pulses,
+        )
+
+
+def dark_count_map(pixels: int, *, median_cps: float, hot_fraction: float, hot_cps: float, seed: int) -> np.ndarray:
+    """Dark count rates float64[pixels]: `median_cps`, but `hot_cps` in a random share `hot_fraction` of the pixels."""
+    check_integer("pixels", pixels, 1, 1 << 24)
+    hot = round(pixels * check_real("hot_fraction", hot_fraction, 0, 1))
+    dark_cps = np.full(pixels, check_real("median_cps", median_cps, 0))
+    dark_cps[np.random.default_rng(seed).permutation(pixels)[:hot]] = check_real("hot_cps", hot_cps, 0)
+    return dark_cps

@@ -1,0 +1,78 @@
+"""Clock and TDC as the photon model sees them: tick, laser period, dither."""
+
+import numpy as np
+from attrs import frozen
+
+from ..contract.config import Config
+from ..contract.dither import DITHER_BITS_MAX, LFSR_BITS, start_cycles
+from ..shared.constants import SPEED_OF_LIGHT_M_S
+from ..shared.errors import InputError, check_integer
+from ..shared.quantities import real, real_array
+
+
+@frozen(kw_only=True, eq=False)
+class Timing:
+    """Clock and TDC. clock_hz, phases: tick_s = 1 / (clock_hz * phases). period_cycles: laser period.
+
+    tap_width_lsb: widths of the TDC's phases, float64[phases] that sum to `phases`; None = all 1.
+    dither_bits, dither_seed: how long the next trigger waits after a period (`dither.py`), anew with every frame of frame_pulses
+    (0: all pulses are one frame).
+    """
+
+    clock_hz: float = real(500e6, 1)
+    phases: int = 32
+    period_cycles: int = 250
+    tap_width_lsb: np.ndarray | None = None
+    dither_bits: int = 0
+    dither_seed: int = 1
+    frame_pulses: int = 0
+
+    def __attrs_post_init__(self):
+        check_integer("phases", self.phases, 1, 1024)
+        check_integer("period_cycles", self.period_cycles, 1, 1 << 20)
+        check_integer("dither_bits", self.dither_bits, 0, DITHER_BITS_MAX)
+        check_integer("dither_seed", self.dither_seed, 1, (1 << LFSR_BITS) - 1)
+        check_integer("frame_pulses", self.frame_pulses, 0, 1 << 16)
+        if self.tap_width_lsb is not None:
+            total = real_array("tap_width_lsb", self.tap_width_lsb, (self.phases,), 0).sum()
+            if abs(total - self.phases) > 1e-9 * self.phases:
+                raise InputError(f"tap_width_lsb: sums to {total:g}, must sum to the {self.phases} phases")
+
+    @classmethod
+    def from_config(cls, config: Config, clock_hz: float = 500e6, tap_width_lsb: np.ndarray | None = None) -> "Timing":
+        """The configuration's phases, period and dither, at a clock that it does not know."""
+        return cls(
+            clock_hz=clock_hz,
+            phases=config.sensor.phases,
+            period_cycles=config.period,
+            tap_width_lsb=tap_width_lsb,
+            dither_bits=config.frame["dither_bits"],
+            dither_seed=config.frame["dither_seed"],
+            frame_pulses=config.pulses,
+        )
+
+    @property
+    def tick_s(self) -> float:
+        return 1 / (self.clock_hz * self.phases)
+
+    @property
+    def period_ticks(self) -> int:
+        return self.period_cycles * self.phases
+
+    @property
+    def period_s(self) -> float:
+        return self.period_cycles / self.clock_hz
+
+    @property
+    def range_m(self) -> float:
+        """Distance from which light is back within the laser period: what a stamp can tell apart."""
+        return SPEED_OF_LIGHT_M_S * self.period_s / 2
+
+    def start_cycles(self, pulses: int) -> np.ndarray:
+        """int64[pulses + 1]: when each pulse's period begins, in cycles from the first one's on. Frames follow without a gap."""
+        frame = start_cycles(self.frame_pulses or pulses, self.period_cycles, self.dither_bits, self.dither_seed)
+        number, pulse = np.divmod(np.arange(pulses + 1), max(1, len(frame) - 1))
+        return number * frame[-1] + frame[pulse]
+
+
+RANGE_M = Timing().range_m  # of the preset `silicon`

@@ -1,0 +1,218 @@
+"""Photons from other instruments and programs, edges for them: PTU, CSV, NPZ and HDF5.
+
+Tables have named columns (CSV: a header line; NPZ, HDF5: one array each), other columns are ignored. Times end with their
+unit: `time_ps`, `time_ns`, `time_us`, `time_s`. They hold one of
+
+* `pulse, pixel, tick`: edges, as this project writes them;
+* `sync, channel, time_ps`: time since the laser's trigger number `sync`;
+* `channel, time_ps`: absolute times, the triggers among them as events of a channel of their own.
+"""
+
+import io
+import re
+import warnings
+from pathlib import Path
+
+import h5py
+import numpy as np
+
+from ..contract.edges import NAMES, Edges
+from ..light.timing import Timing
+from ..shared.errors import InputError
+from ..shared.files import read_npz, whole_file
+from .ptu import read_ptu, write_ptu
+from .recordings import SYNC_MAX, Recording, since_sync
+
+UNITS_PS = {"time_ps": 1, "time_ns": 1e3, "time_us": 1e6, "time_s": 1e12}
+SUFFIXES = (".npz", ".csv", ".h5", ".hdf5", ".ptu")
+EXPECTED = "pulse, pixel, tick; or sync, channel, time_ps; or channel, time_ps (or time_ns, time_us, time_s)"
+
+
+def read_recording(path, sync_channel: int | None = None) -> Recording:
+    """The photons of a file of `SUFFIXES`. sync_channel: where absolute times have the laser's trigger (of T2 by default the
+    sync input). Raises `InputError` naming the file and what is wrong with it.
+    """
+    suffix = check_suffix(path)
+    if suffix == ".ptu":
+        return read_ptu(path, sync_channel)
+    names, read = {".npz": _npz, ".csv": _csv}.get(suffix, _hdf5)(path)
+    if set(NAMES) <= set(names):
+        return _of_syncs(
+            path, *(dict(zip(NAMES, read(NAMES)))[name] for name in NAMES), "edges", sync_channel, in_ticks=True
+        )
+    unit = next((name for name in UNITS_PS if name in names), None)
+    if unit is None or "channel" not in names:
+        raise InputError(f"{path}: has the columns {', '.join(names) or 'none'}; must have {EXPECTED}")
+    if "sync" in names:
+        sync, channel, time = read(("sync", "channel", unit))
+        return _of_syncs(path, sync, channel, time * UNITS_PS[unit], "table of syncs", sync_channel)
+    channel, time = read(("channel", unit))
+    channel = _integers(path, "channel", channel)
+    if sync_channel is None:
+        raise InputError(
+            f"{path}: has absolute times and no column sync: --sync-channel must name the channel of the laser's trigger"
+        )
+    is_sync = channel == sync_channel
+    if not is_sync.any():
+        raise InputError(f"{path}: has no events on channel {sync_channel} (--sync-channel)")
+    _not_negative(path, unit, time)
+    return since_sync(time[~is_sync], channel[~is_sync], time[is_sync], UNITS_PS[unit], "table of absolute times")
+
+
+def write_edges(path, edges: Edges, timing: Timing) -> None:
+    """Writes edges to a file of `SUFFIXES`, whole or not at all; the same bytes for the same edges."""
+    suffix = check_suffix(path)
+    if suffix == ".npz":
+        edges.save(path)
+    elif suffix == ".ptu":
+        write_ptu(path, edges, timing)
+    elif suffix == ".csv":
+        with whole_file(path) as file:
+            np.savetxt(
+                file,
+                np.stack([getattr(edges, name) for name in NAMES], axis=1),
+                "%d",
+                ",",
+                header=",".join(NAMES),
+                comments="",
+            )
+    else:
+        data = io.BytesIO()
+        with h5py.File(data, "w") as archive:
+            for name in NAMES:
+                archive.create_dataset(name, data=getattr(edges, name), compression="gzip" if len(edges) else None)
+        with whole_file(path) as file:
+            file.write(data.getvalue())
+
+
+def check_suffix(path) -> str:
+    """The file's kind, in lower case, else an `InputError`."""
+    suffix = Path(path).suffix.lower()
+    if suffix not in SUFFIXES:
+        raise InputError(f"{path}: must end with one of {', '.join(SUFFIXES)}")
+    return suffix
+
+
+def parse_channels(text: str) -> dict[int, int]:
+    """Pixel by channel, from `CHANNEL:PIXEL,...` or a CSV file with the columns channel and pixel."""
+    if text.lower().endswith(".csv"):
+        names, read = _csv(text)
+        if not {"channel", "pixel"} <= set(names):
+            raise InputError(f"{text}: has the columns {', '.join(names)}; must have channel, pixel")
+        columns = zip(("channel", "pixel"), read(("channel", "pixel")))
+        pairs = list(zip(*(_integers(text, name, column).tolist() for name, column in columns)))
+        if not pairs:
+            raise InputError(f"{text}: names no channel")
+    else:
+        if not re.fullmatch(r"\s*\d+\s*:\s*\d+\s*(,\s*\d+\s*:\s*\d+\s*)*", text):
+            raise InputError(
+                f"channels = {text!r}: must be CHANNEL:PIXEL,CHANNEL:PIXEL,... or a CSV file with the columns channel, pixel"
+            )
+        pairs = [tuple(map(int, pair.split(":"))) for pair in text.split(",")]
+    for which, values in zip(("channel", "pixel"), zip(*pairs)):
+        twice = [value for value in values if values.count(value) > 1]
+        if twice:
+            raise InputError(f"channels: {which} {twice[0]} comes twice")
+    return dict(pairs)
+
+
+def _of_syncs(path, sync, channel, time, kind, sync_channel, in_ticks=False) -> Recording:
+    if sync_channel is not None:
+        raise InputError(f"sync-channel = {sync_channel}: {path} is a {kind}, which has no triggers among its events")
+    first, second, third = NAMES if in_ticks else ("sync", "channel", "time")
+    sync, channel = _integers(path, first, sync), _integers(path, second, channel)
+    if in_ticks:
+        time = _integers(path, third, time)
+    for name, values in ((first, sync), (second, channel), (third, time)):
+        _not_negative(path, name, values)
+    return Recording(sync=sync, channel=channel, time_ps=time, kind=kind, in_ticks=in_ticks)
+
+
+def _integers(path, name: str, values: np.ndarray) -> np.ndarray:
+    """`values` as int64, else an `InputError`."""
+    with np.errstate(invalid="ignore"):
+        bad = np.flatnonzero(~((values == np.floor(values)) & (np.abs(values) < SYNC_MAX)))
+    if len(bad):
+        raise InputError(f"{path}: {name}[{bad[0]}] = {values[bad[0]]}: must be an integer below 2^53")
+    return values.astype(np.int64)
+
+
+def _not_negative(path, name: str, values: np.ndarray) -> None:
+    bad = np.flatnonzero(~((values >= 0) & (values < np.inf)))
+    if len(bad):
+        raise InputError(f"{path}: {name}[{bad[0]}] = {values[bad[0]]}: must be a number of at least 0")
+
+
+def _csv(path):
+    """Column names of a CSV file, and a function that reads some of them as float64. Lines with # are comments."""
+    try:
+        with open(path, encoding="utf-8-sig") as file:
+            lines = 1
+            while (head := file.readline()).lstrip().startswith("#") or head.isspace():
+                lines += 1
+    except FileNotFoundError:
+        raise InputError(f"{path}: no such file") from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: cannot be read ({error})") from None
+    separator = next((mark for mark in (",", ";", "\t") if mark in head), None)
+    names = [name.strip().strip('"').lower() for name in head.split(separator)]
+
+    def read(chosen):
+        try:
+            with warnings.catch_warnings(category=UserWarning, action="ignore"):  # no rows: no photons
+                columns = np.loadtxt(
+                    path,
+                    delimiter=separator,
+                    skiprows=lines,
+                    usecols=[names.index(name) for name in chosen],
+                    ndmin=2,
+                    encoding="utf-8-sig",
+                )
+        except (OSError, ValueError, IndexError) as error:
+            raise InputError(f"{path}: is not a table of numbers ({error})") from None
+        return columns.T if columns.size else np.empty((len(chosen), 0))
+
+    return names, read
+
+
+def _npz(path):
+    try:
+        with np.load(path, allow_pickle=False) as archive:
+            names = list(archive.files)
+    except Exception:  # what is wrong is said below
+        names = list(NAMES)
+    return names, lambda chosen: _columns(path, read_npz(path, chosen))
+
+
+def _hdf5(path):
+    """Names of the datasets at the file's root, and a function that reads some of them."""
+    try:
+        with h5py.File(path, "r") as archive:
+            names = [name for name, item in archive.items() if isinstance(item, h5py.Dataset)]
+    except FileNotFoundError:
+        raise InputError(f"{path}: no such file") from None
+    except (OSError, RuntimeError, LookupError, ValueError, TypeError) as error:
+        raise InputError(f"{path}: is not a readable HDF5 file ({error})") from None
+
+    def read(chosen):
+        try:
+            with h5py.File(path, "r") as archive:
+                arrays = {name: archive[name][()] for name in chosen}
+        except (OSError, RuntimeError, LookupError, ValueError, TypeError) as error:
+            raise InputError(f"{path}: is not a readable HDF5 file ({error})") from None
+        return _columns(path, arrays)
+
+    return names, read
+
+
+def _columns(path, arrays: dict[str, np.ndarray]) -> list[np.ndarray]:
+    """The arrays as columns of numbers of equal length; integers beyond float64's are refused by `_integers`."""
+    for name, array in arrays.items():
+        if np.ndim(array) != 1 or array.dtype.kind not in "iuf":
+            raise InputError(
+                f"{path}: {name}: holds {np.asarray(array).dtype}{list(np.shape(array))}, must hold numbers in one dimension"
+            )
+    lengths = {name: len(array) for name, array in arrays.items()}
+    if len(set(lengths.values())) > 1:
+        raise InputError(f"{path}: lengths differ: " + ", ".join(f"{name} {n}" for name, n in lengths.items()))
+    return [array.astype(np.float64) for array in arrays.values()]

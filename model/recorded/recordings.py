@@ -1,0 +1,131 @@
+"""Recorded photons, as any time tagger gives them, and how they become edges: sync to pulse, channel to pixel, time to tick."""
+
+import numpy as np
+from attrs import frozen
+
+from ..contract.config import Config
+from ..contract.edges import Edges
+from ..light.timing import Timing
+from ..shared.errors import InputError, check_integer
+from ..shared.quantities import check_real
+
+PS_PER_S = 1e12
+NO_SYNC = -1  # of a photon that belongs to no laser pulse
+FRACTION = 1e-6  # of a tick: what floating point may miss a tick's border by
+SAME_PERIOD = 1e-3  # relative difference of laser periods that goes without a note
+SYNC_MAX = 1 << 53  # integers up to which float64, in which tables are read, is exact
+
+
+@frozen(eq=False, kw_only=True)
+class Recording:
+    """Photons of a time tagger, in any order.
+
+    sync: int64[n], number of the laser's trigger before each, `NO_SYNC` where there is none. channel: int64[n], input of the
+    tagger; with `grid` (rows, cols) the position in an image, row * cols + col. time_ps: float64[n] since the trigger.
+    period_ps: between triggers, None = unknown. kind: of recording, for people. outside: what `NO_SYNC` means.
+    in_ticks: the times are ticks already.
+    """
+
+    sync: np.ndarray
+    channel: np.ndarray
+    time_ps: np.ndarray
+    kind: str
+    period_ps: float | None = None
+    grid: tuple[int, int] | None = None
+    outside: str = "before the first sync"
+    in_ticks: bool = False
+
+
+def since_sync(time: np.ndarray, channel: np.ndarray, sync_time: np.ndarray, unit_ps: float, kind: str) -> Recording:
+    """A recording of absolute times: each photon belongs to the last trigger at or before it.
+
+    time, sync_time: in `unit_ps`, any order; integers (or whole float64) keep the difference exact.
+    """
+    triggers = np.sort(sync_time)
+    sync = np.searchsorted(triggers, time, side="right") - 1
+    period = float(np.median(np.diff(triggers))) * unit_ps if len(triggers) > 1 else None
+    return Recording(sync=sync, channel=channel, time_ps=(time - triggers[sync]) * unit_ps, period_ps=period, kind=kind)
+
+
+def recorded_edges(
+    recording: Recording,
+    config: Config,
+    timing: Timing,
+    *,
+    channels: dict[int, int] | None = None,
+    first_sync: int = 0,
+    delay_ps: float = 0.0,
+) -> tuple[Edges, dict[str, int]]:
+    """The photons that fall into the frames, pixels and laser period of `config`, sorted by (pulse, tick, pixel), and how
+    many do not, by reason (the first that applies).
+
+    channels: pixel of each channel; None = the channel's own number (an image: its rows and columns). first_sync: the one
+    that becomes pulse 0. delay_ps: of light and cables between trigger and sensor, taken off every time.
+    Raises `InputError` where nothing is left, and for options that do not fit the recording.
+    """
+    check_integer("first-sync", first_sync, 0, SYNC_MAX)
+    check_real("delay-ps", delay_ps, -np.inf)
+    if not len(recording.sync):
+        raise InputError("the recording holds no photons")
+    pulses = config.frames * config.pulses
+    tick_ps = timing.tick_s * PS_PER_S
+    ticks = recording.time_ps if recording.in_ticks else recording.time_ps / tick_ps
+    tick = np.floor(ticks - delay_ps / tick_ps + FRACTION)
+    pixel = _pixels(recording, config.sensor.rows, config.sensor.cols, channels)
+    pulse = recording.sync - first_sync
+    reasons = {
+        recording.outside: recording.sync == NO_SYNC,
+        f"before sync {first_sync} (--first-sync)": pulse < 0,
+        f"after sync {first_sync + pulses - 1}, the last of {config.frames} x {config.pulses} pulses": pulse >= pulses,
+        "in channels without a pixel": pixel < 0,
+        "before the trigger, by the delay": tick < 0,
+        f"beyond the laser period of {timing.period_ticks} ticks": tick >= timing.period_ticks,
+    }
+    left, lost = np.ones(len(tick), bool), {}
+    for reason, applies in reasons.items():
+        lost[reason] = int(np.sum(left & applies))
+        left &= ~applies
+    if not left.any():
+        syncs = recording.sync[recording.sync != NO_SYNC]
+        span = f"; its syncs are {syncs.min()} to {syncs.max()}" if len(syncs) else ""
+        raise InputError(f"no photon is left: {told(lost)}{span}")
+    pulse, pixel, tick = pulse[left], pixel[left], tick[left].astype(np.int64)
+    order = np.lexsort((pixel, tick, pulse))
+    return Edges(pulse[order], pixel[order], tick[order]), {reason: count for reason, count in lost.items() if count}
+
+
+def told(lost: dict[str, int]) -> str:
+    """What `recorded_edges` left out, for people."""
+    return "; ".join(f"{count:,} {reason}" for reason, count in lost.items() if count)
+
+
+def period_note(recording: Recording, timing: Timing) -> str:
+    """A sentence where the recording's laser period is not the frame's, else nothing."""
+    period_ps = timing.period_s * PS_PER_S
+    if recording.period_ps is None or abs(recording.period_ps - period_ps) <= SAME_PERIOD * period_ps:
+        return ""
+    return (
+        f"laser period: {recording.period_ps / 1e3:.6g} ns in the recording, {period_ps / 1e3:.6g} ns in the frame "
+        f"(frame.period = {max(1, round(recording.period_ps / PS_PER_S * timing.clock_hz))} would fit)"
+    )
+
+
+def _pixels(recording: Recording, rows: int, cols: int, channels: dict[int, int] | None) -> np.ndarray:
+    """int64[n], pixel of each photon, -1 = none."""
+    if channels is None:
+        row, col = (
+            np.divmod(recording.channel, recording.grid[1]) if recording.grid else np.divmod(recording.channel, cols)
+        )
+        return np.where((recording.channel >= 0) & (row < rows) & (col < cols), row * cols + col, -1)
+    if recording.grid:
+        raise InputError("channels: the recording is an image, whose positions are the pixels")
+    known, index = np.unique(recording.channel, return_inverse=True)
+    for channel, pixel in channels.items():
+        if channel not in known:
+            raise InputError(f"channels: channel {channel} is not in the recording, must be one of {_listed(known)}")
+        check_integer(f"channels: pixel of channel {channel}", pixel, 0, rows * cols - 1)
+    return np.array([channels.get(int(channel), -1) for channel in known], np.int64)[index]
+
+
+def _listed(values: np.ndarray, most: int = 16) -> str:
+    return ", ".join(map(str, values[:most])) + (f", ... {values[-1]}" if len(values) > most else "")

@@ -1,0 +1,117 @@
+"""Transients: what every pixel of a rendered scene sends back, sorted by time of flight.
+
+The unit is equation (1)'s: a Lambertian surface of reflectivity r that fills the pixel at distance d sends back r / (pi d^2).
+So a transient knows nothing of laser, lens and detector, and the link budget turns it into photons.
+"""
+
+import math
+from functools import cache
+
+import numpy as np
+from attrs import frozen
+
+from ..light.light import REFERENCE_REFLECTIVITY, SIGNAL_MAX, Arrivals, Light, background_cps
+from ..light.link_budget import Laser, Optics, link_budget
+from ..shared.constants import SPEED_OF_LIGHT_M_S
+from ..shared.files import read_npz, write_npz
+
+BIN_S = 15.625e-12  # a quarter of the preset's tick
+SURFACE_GAP_M = (
+    0.15  # surfaces farther apart are two: what light travels, there and back, in a coincidence window of 1 ns
+)
+_ARRAYS = ("first", "index", "strength_per_m2", "ambient", "surface_m", "lost_per_m2")
+
+
+@frozen(kw_only=True, eq=False)
+class Transient:
+    """Transients of rows x cols pixels, sparse: those of pixel p are the bins first[p] to first[p + 1].
+
+    first: int64[pixels + 1]. index: int64[n], ascending in a pixel; bin i holds flights of [i, i + 1) x `BIN_S`, there and back.
+    strength_per_m2: float64[n], what comes back in the bin, in units of r / (pi d^2). ambient: float64[rows, cols], reflectivity
+    that the pixel shows under even light (1 = open sky). surface_m: float64[rows, cols], distance of the surface that fills most
+    of the pixel, from the geometry alone; infinite where there is none. lost_per_m2: of flights beyond the last bin, all pixels.
+    """
+
+    first: np.ndarray
+    index: np.ndarray
+    strength_per_m2: np.ndarray
+    ambient: np.ndarray
+    surface_m: np.ndarray
+    lost_per_m2: float = 0.0
+
+    def save(self, path) -> None:
+        write_npz(path, {name: np.asarray(getattr(self, name)) for name in _ARRAYS})
+
+    @classmethod
+    def load(cls, path) -> "Transient":
+        arrays = read_npz(path, _ARRAYS)
+        return cls(**arrays | {"lost_per_m2": float(arrays["lost_per_m2"])})
+
+    @property
+    def total_per_m2(self) -> np.ndarray:
+        """float64[rows, cols]: all that comes back to each pixel."""
+        sums = np.diff(np.r_[0, np.cumsum(self.strength_per_m2)][self.first])
+        return sums.reshape(self.surface_m.shape)
+
+    def depth_m(self) -> np.ndarray:
+        """float64[rows, cols]: distance at each pixel's strongest return, NaN without any: the mean flight around the brightest bin."""
+        near = round(SURFACE_GAP_M / (BIN_S * SPEED_OF_LIGHT_M_S / 2) / 2)
+        depth_m = np.full(self.surface_m.size, np.nan)
+        for pixel, (begin, end) in enumerate(zip(self.first, self.first[1:])):
+            if end > begin:
+                index, strength = self.index[begin:end], self.strength_per_m2[begin:end]
+                here = np.abs(index - index[strength.argmax()]) <= near
+                depth_m[pixel] = np.average(index[here] + 0.5, weights=strength[here]) * BIN_S * SPEED_OF_LIGHT_M_S / 2
+        return depth_m.reshape(self.surface_m.shape)
+
+    def light(self, klux: float, *, optics: Optics | None = None, laser: Laser | None = None, **others) -> Light:
+        """What the sensor detects: signal by the link budget, background by the preset in proportion to `ambient`.
+
+        The preset's background is that of `REFERENCE_REFLECTIVITY`; equation (2) is proportional to the reflectivity, too. others:
+        fields of `Light`.
+        """
+        photons = self.strength_per_m2 * photons_per_strength(optics or Optics(), laser or Laser())
+        rows, cols = self.surface_m.shape
+        arrivals = Arrivals(
+            first=self.first, start_s=self.index * BIN_S, photons=np.minimum(photons, SIGNAL_MAX), width_s=BIN_S
+        )
+        return Light(
+            rows=rows,
+            cols=cols,
+            distance_m=np.nan,
+            signal_per_pulse=0.0,
+            arrivals=arrivals,
+            background_cps=background_cps(klux) * self.ambient.ravel() / REFERENCE_REFLECTIVITY,
+            **others,
+        )
+
+
+@cache
+def photons_per_strength(optics: Optics, laser: Laser) -> float:
+    """Detected photons of a pixel and pulse where 1 / m2 comes back: the link budget at 1 m, r = 1, which sends back 1 / pi.
+
+    As everywhere in the project the light of a pixel is that of a pixel of `optics.pixels`, whatever the array's size.
+    """
+    return link_budget(1.0, 1.0, 0.0, optics=optics, laser=laser, form="corrected").signal_per_pulse * math.pi
+
+
+def sparse(table: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(bins of each pixel, index, value) of what is not 0 in table[pixels, bins]; int64, int64, the table's type."""
+    pixel, index = np.nonzero(table)
+    return np.bincount(pixel, minlength=len(table)), index, table[pixel, index]
+
+
+def dominant_surface_m(samples_m: np.ndarray) -> np.ndarray:
+    """float64[pixels] of float[pixels, samples]: mean distance of the surface that most samples of a pixel see.
+
+    Samples more than `SURFACE_GAP_M` apart, with none between, belong to different surfaces; of equals the nearest. Infinite
+    samples (the sky) are a surface of their own.
+    """
+    ordered = np.sort(samples_m.astype(np.float64), axis=1)
+    surface_m = np.empty(len(ordered))
+    for pixel, row in enumerate(ordered):
+        known = row[np.isfinite(row)]
+        pieces = np.split(known, np.flatnonzero(np.diff(known) > SURFACE_GAP_M) + 1)
+        largest = max(pieces, key=len)
+        surface_m[pixel] = largest.mean() if len(largest) and len(largest) >= len(row) - len(known) else np.inf
+    return surface_m

@@ -1,0 +1,81 @@
+"""Files that appear whole or not at all, and NPZ archives that are read with care."""
+
+import os
+import tempfile
+import tokenize
+import zipfile
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+
+from .errors import InputError
+
+
+@contextmanager
+def whole_file(path, mode: str = "wb"):
+    """Opens a file beside `path` and renames it to `path` when the block ends well; on any exception nothing is left.
+
+    A folder that cannot be written to is an `InputError`.
+    """
+    path = Path(path)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        handle, beside = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written: {error.strerror}") from None
+    try:
+        with os.fdopen(handle, mode) as file:
+            yield file
+        umask = os.umask(0)
+        os.umask(umask)
+        os.chmod(beside, 0o666 & ~umask)
+        os.replace(beside, path)
+    except BaseException as error:
+        Path(beside).unlink(missing_ok=True)
+        if isinstance(error, OSError):
+            raise InputError(f"{path}: cannot be written: {error.strerror}") from None
+        raise
+
+
+def write_npz(path, arrays: dict[str, np.ndarray]) -> None:
+    """Writes `arrays` as a compressed NPZ whose bytes depend on the arrays alone (`np.savez` stamps no time)."""
+    with whole_file(path) as file:
+        np.savez_compressed(file, **arrays)
+
+
+def read_npz(path, names: tuple[str, ...], optional: tuple[str, ...] = ()) -> dict[str, np.ndarray]:
+    """The arrays `names` of an NPZ file, and of `optional` those that it has.
+
+    `InputError` if the file is missing, damaged, no NPZ, or lacks one of `names`.
+    """
+    path = Path(path)
+    try:
+        archive = np.load(path, allow_pickle=False)
+        if not isinstance(archive, np.lib.npyio.NpzFile):
+            raise InputError(f"{path}: is a single array, must be an NPZ file with the arrays {', '.join(names)}")
+        with archive:
+            missing = [name for name in names if name not in archive.files]
+            if missing:
+                raise InputError(f"{path}: has no array {missing[0]!r}, must have {', '.join(names)}")
+            arrays = {name: archive[name] for name in (*names, *(name for name in optional if name in archive.files))}
+        for name, array in arrays.items():
+            if not isinstance(array, np.ndarray):  # a member without NumPy's header comes as bytes
+                raise InputError(f"{path}: {name} is no array")
+        return arrays
+    except InputError:
+        raise
+    except FileNotFoundError:
+        raise InputError(f"{path}: no such file") from None
+    except (
+        OSError,
+        EOFError,
+        ValueError,
+        KeyError,
+        RuntimeError,
+        MemoryError,
+        tokenize.TokenError,
+        zipfile.BadZipFile,
+        zipfile.zlib.error,
+    ) as error:
+        raise InputError(f"{path}: is not a readable NPZ file ({error})") from None

@@ -1,0 +1,38 @@
+"""The project's own sources: where its rooms are, and digests that change with them.
+
+What is kept on disk because it was expensive to make (compiled designs, emitted Verilog, points of a sweep) carries such a digest
+in its name. Files are found by walking the rooms, so a file that moves or is new cannot be missed.
+"""
+
+import hashlib
+from functools import cache
+from importlib.util import find_spec
+from pathlib import Path
+
+IGNORED = {"__pycache__"}
+
+
+def digest(*parts: str | bytes) -> str:
+    """Twelve hex digits that change with any of `parts` or where one ends."""
+    total = hashlib.sha256()
+    for part in parts:
+        data = part.encode() if isinstance(part, str) else part
+        total.update(len(data).to_bytes(8, "little") + data)
+    return total.hexdigest()[:12]
+
+
+def room_files(*rooms: str) -> list[Path]:
+    """All files of the packages `rooms` below `coincid` ("hdl", "model.contract"), with those of the packages in them; sorted."""
+    files = set()
+    for room in rooms:
+        spec = find_spec(f"coincid.{room}")
+        assert spec is not None and spec.submodule_search_locations, room
+        folder = Path(next(iter(spec.submodule_search_locations)))
+        files |= {path for path in folder.rglob("*") if path.is_file() and not IGNORED & set(path.parts)}
+    return sorted(files)
+
+
+@cache
+def sources_digest(*rooms: str) -> str:
+    """Digest of all files of some rooms, as they were when this process first asked."""
+    return digest(*(part for path in room_files(*rooms) for part in (path.name, path.read_bytes())))

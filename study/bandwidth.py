@@ -1,0 +1,331 @@
+"""Readout bandwidth: the beats that a frame asks for, the streams that carry them, and what is lost with fewer.
+
+Demand has two sources: `estimate`, closed formulas from the light, and the golden model, which also knows what full FIFOs drop.
+The scene and the sizes are our choice; the paper leaves the readout open.
+"""
+
+import csv
+import io
+import math
+import os
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+from attrs import asdict, evolve, fields, frozen
+from matplotlib.figure import Figure
+from scipy import stats
+
+from ..model.contract.config import Config, parse_config
+from ..model.contract.packet import FORMAT_NAMES, FORMATS, HEADER, Kind, layout
+from ..model.contract.parameters import Sensor
+from ..model.contract.pixels import pixel_table
+from ..model.contract.registers import COUNTER_NAMES
+from ..model.contract.stream import decode_frame
+from ..model.golden.frame import Golden
+from ..model.light.analytic import busy_s, effective_cps, windows_per_period
+from ..model.light.light import Light, background_cps
+from ..model.light.link_budget import FORMS
+from ..model.light.photons import generate_edges
+from ..model.light.spad import Spad
+from ..model.light.timing import Timing
+from ..model.scenes.catalogue import load_scene
+from ..model.scenes.scene import scene_light
+from ..model.shared.constants import SPEED_OF_LIGHT_M_S
+from ..model.shared.errors import check_integer
+from ..model.shared.files import whole_file
+from ..model.shared.quantities import check_choice
+from .plot_style import SERIES, new_figure, save_figure, style
+
+SCENE, SEED, CORRECTED = "five-objects", 1, FORMS[1]
+SIZES = {"32x32": (32, 32), "64x64": (64, 64), "256x128": (128, 256)}  # rows, cols
+KLUX = (1.0, 5.0, 20.0, 50.0, 100.0)
+THRESHOLDS = (2, 3, 5)
+STREAMS = (1, 2, 4, 8, 16, 32, 64)
+CSV, TABLE, PLOT = "bandwidth.csv", "bandwidth.md", "bandwidth.png"
+SHOWN_KLUX, SHOWN_THRESHOLD, SHOWN_SIZE = 50.0, 2, "32x32"
+OVERRUN = tuple(HEADER).index("overrun")
+
+
+@frozen
+class Row:
+    """A frame of the study. Beats: of all streams in a frame, `_estimated` and `_golden`. needed: streams, by the mean of the
+    estimate, and as the golden model loses nothing (0: not even with the most). Lost: shares, by the golden model.
+
+    format: of the events; with `records`, minigroup records too. lost_streams: number of streams of `lost_*`, `overruns`
+    (events that carry the flag) and `late_cycles` (from the last period's end to the frame's last beat).
+    """
+
+    size: str
+    klux: float
+    threshold: int
+    format: str
+    records: bool
+    beats_estimated: float
+    beats_golden: int
+    needed_estimated: int
+    needed_golden: int
+    lost_streams: int
+    lost_events: float
+    lost_records: float
+    overruns: int
+    late_cycles: int
+
+
+def estimate(config: Config, light: Light, timing: Timing, spad: Spad) -> tuple[np.ndarray, np.ndarray]:
+    """(committed events, minigroup records) of each subgroup in a laser period, float64[subgroups], without any simulation.
+
+    Background opens windows at random; a pulse is seen if it finds the tree armed, or a window open. Surfaces that are nearer
+    to one another than the window count as one; pixels of a group are taken as equal, with its mean.
+    """
+    sensor, table = config.sensor, pixel_table(config.sensor)
+    n, subgroups, laser_hz = sensor.pixels, sensor.subgroups, 1 / timing.period_s
+    cycle_s = timing.phases * timing.tick_s
+    open_s = (config.period - sensor.guard) * cycle_s
+    noise_cps, signal_cps = effective_cps(
+        light.background_cps[:, None], light.signal_per_pulse * laser_hz, spad.dead_time_s, laser_hz, CORRECTED
+    )
+    noise_cps, fired = noise_cps.min(axis=1), signal_cps / laser_hz  # per pixel; per pixel and target, in a pulse
+
+    events = np.zeros(subgroups)
+    noise = np.bincount(table.subgroup, noise_cps, subgroups) / n
+    for s in range(subgroups):
+        threshold = config.threshold[s] if config.coincidence[s] else 1
+        window_ticks = int(config.window[s]) if config.coincidence[s] else 1
+        window_s, busy = window_ticks * timing.tick_s, busy_s(window_ticks, sensor.rearm, timing)
+        in_window = -np.expm1(-noise[s] * window_s)
+        armed = 1 / (1 + n * noise[s] * busy)
+        events[s] = windows_per_period(n * noise[s], open_s, busy, CORRECTED) * stats.binom.sf(
+            threshold - 2, n - 1, in_window
+        )
+        own = table.subgroup == s
+        surface = np.floor(np.nan_to_num(2 * light.distance_m[own] / SPEED_OF_LIGHT_M_S) / window_s)
+        _, number = np.unique(surface, return_inverse=True)
+        of_surface = np.bincount(number.ravel(), fired[own].ravel()) / n
+        seen = armed + (1 - armed) * window_s / busy
+        events[s] += seen * stats.binom.sf(threshold - 1, n, np.minimum(of_surface + in_window, 1)).sum()
+
+    m, threshold, window_s = (
+        sensor.minigroup_pixels,
+        config.frame["mg_threshold"],
+        (config.frame["mg_window"] - 0.5) * cycle_s,
+    )
+    group = table.subgroup * sensor.minigroups + table.minigroup[table.inside]
+    noise = np.bincount(group, noise_cps) / m
+    pulse = np.bincount(group, fired.sum(axis=1)) / m
+    in_window = -np.expm1(-noise * window_s)
+    by_noise = m * noise * open_s * stats.binom.sf(threshold - 2, m - 1, in_window)
+    latched = 1 - np.exp(-by_noise) * stats.binom.cdf(threshold - 1, m, np.minimum(pulse + in_window, 1))
+    records = 1 - np.prod(1 - latched.reshape(subgroups, -1), axis=1)
+    return events, records if config.frame["minigroup_records"] else np.zeros(subgroups)
+
+
+def beats(config: Config, events: float, records: float) -> float:
+    """Beats of a frame with so many events and records in all, head and end of every stream included."""
+    sensor = config.sensor
+    return 2 * sensor.streams + sensor.subgroups * layout(sensor).counter_beats + _payload(config, events, records)
+
+
+def _payload(config: Config, events: float, records: float) -> float:
+    parts = layout(config.sensor)
+    return events * parts.length(FORMATS[config.format]) + records * parts.length(Kind.RECORD)
+
+
+def study(
+    klux: Sequence[float] | None = None,
+    thresholds: Sequence[int] | None = None,
+    sizes: Sequence[str] | None = None,
+    tell: Callable[[str], None] = lambda line: None,
+) -> list[Row]:
+    """Rows of all combinations (None: the defaults above), each for 1, 2, 4... streams up to those that suffice.
+
+    `tell` gets a line a frame. Raises `InputError`.
+    """
+    klux, thresholds, sizes = klux or KLUX, thresholds or THRESHOLDS, sizes or tuple(SIZES)
+    for level in klux:
+        background_cps(level)
+    for threshold in thresholds:
+        check_integer("threshold", threshold, 1, Sensor().pixels)
+    for size in sizes:
+        check_choice("size", size, tuple(SIZES))
+    spad, rows = Spad(), []
+    for size in sizes:
+        base = parse_config({"sensor": dict(zip(("rows", "cols"), SIZES[size]))})
+        timing = Timing.from_config(base)
+        scene = load_scene(SCENE, base.sensor.rows, base.sensor.cols)
+        for level in klux:
+            light = scene_light(scene, level)
+            tell(f"{size}, {level:g} klux")
+            edges = generate_edges(light, spad, timing, pulses=base.pulses, seed=SEED, workers=os.cpu_count() or 1)
+            for threshold in thresholds:
+                for records in (False, True):
+                    config = base.with_settings(threshold=threshold).with_frame(minigroup_records=int(records))
+                    expected = [base.pulses * each.sum() for each in estimate(config, light, timing, spad)]
+                    for name in FORMAT_NAMES:
+                        named = config.with_frame(format=FORMAT_NAMES.index(name))
+                        rows += _with_streams(size, level, threshold, named, edges, expected)
+    return rows
+
+
+def _with_streams(size, klux, threshold, config, edges, expected) -> list[Row]:
+    """Rows of one frame: with 1 stream, 2, ... until nothing is lost."""
+    measured, lost = [], ()
+    for streams in STREAMS:
+        if streams > config.sensor.subgroups:
+            break
+        config = evolve(config, sensor=evolve(config.sensor, streams=streams))
+        trace = Golden(config.sensor).frame(config, edges)
+        total = dict(zip(COUNTER_NAMES, trace.counters.sum(axis=0).tolist()))
+        records = total["mg_stored"] + total["mg_dropped"]
+        decoded = (
+            decode_frame(stream, config.sensor, len(config.sensor.stream_subgroups(k)))
+            for k, stream in enumerate(trace.beats)
+        )
+        overruns = sum(int(frame.events[:, OVERRUN].sum()) for frame in decoded)
+        late = max(int(cycle[-1]) for cycle in trace.beat_cycle) + 1 - config.pulses * config.period
+        lost = total["dropped"] / max(total["committed"], 1), total["mg_dropped"] / max(records, 1)
+        measured.append((streams, beats(config, total["committed"], records), *lost, overruns, late))
+        if not any(lost):
+            break
+    needed = 0 if any(lost) else streams
+    one = evolve(config, sensor=evolve(config.sensor, streams=1))
+    estimated = beats(one, *expected)
+    by_mean = math.ceil(
+        _payload(config, *expected) / (config.pulses * config.period)
+    )  # counters leave after the last period
+    return [
+        Row(
+            size,
+            klux,
+            threshold,
+            config.format,
+            bool(config.frame["minigroup_records"]),
+            estimated,
+            int(measured[0][1]),
+            by_mean,
+            needed,
+            streams,
+            *lost_and_late,
+        )
+        for streams, _, *lost_and_late in measured
+    ]
+
+
+def write_study(out_dir: Path, rows: list[Row]) -> list[Path]:
+    """The rows as CSV, a Markdown table of what the sizes ask for and lose, and a plot. Returns the paths."""
+    out_dir = Path(out_dir)
+    text = io.StringIO()
+    names = [field.name for field in fields(Row)]
+    csv.writer(text, lineterminator="\n").writerows(
+        [names, *([_cell(value) for value in asdict(row).values()] for row in rows)]
+    )
+    for name, content in ((CSV, text.getvalue()), (TABLE, table(rows))):
+        with whole_file(out_dir / name, "w") as file:
+            file.write(content)
+    with style():
+        save_figure(_plot(rows), out_dir / PLOT)
+    return [out_dir / name for name in (CSV, TABLE, PLOT)]
+
+
+def table(rows: list[Row]) -> str:
+    """What each size and format asks for, and what one stream loses, at every background and threshold."""
+    head = (
+        "size",
+        "klux",
+        "threshold",
+        "format",
+        "beats a frame: estimate",
+        "golden",
+        "streams: estimate",
+        "golden",
+        "lost with one",
+        "with records: streams: estimate",
+        "golden",
+        "events lost with one",
+        "records lost with one",
+    )
+    lines = [f"| {' | '.join(head)} |", "| --- | ---: | ---: | --- |" + " ---: |" * (len(head) - 4)]
+    one = {(row.size, row.klux, row.threshold, row.format, row.records): row for row in rows if row.lost_streams == 1}
+    for key, row in one.items():
+        if not row.records:
+            also = one[*key[:-1], True]
+            cells = (
+                row.size,
+                f"{row.klux:g}",
+                row.threshold,
+                row.format,
+                f"{row.beats_estimated:,.0f}",
+                f"{row.beats_golden:,}",
+                row.needed_estimated,
+                _streams(row),
+                _percent(row.lost_events),
+                also.needed_estimated,
+                _streams(also),
+                _percent(also.lost_events),
+                _percent(also.lost_records),
+            )
+            lines.append(f"| {' | '.join(map(str, cells))} |")
+    return "\n".join([*lines, ""])
+
+
+def _streams(row: Row) -> str:
+    return str(row.needed_golden or f"> {STREAMS[-1]}")
+
+
+def _percent(share: float) -> str:
+    return f"{share:.1%}" if share else "0"
+
+
+def _cell(value) -> str:
+    return f"{value:.6g}" if isinstance(value, float) else str(value)
+
+
+def _plot(rows: list[Row]) -> Figure:
+    """What one size asks for against the background, and what every size loses against the number of streams."""
+    config, figure = parse_config({}), new_figure(11, 5)
+    demand, loss = figure.subplots(1, 2)
+    for name, colour in zip(FORMAT_NAMES, SERIES[1::3]):
+        for threshold, line, mark in zip(THRESHOLDS, ("-", "--", ":"), "os^"):
+            shown = (SHOWN_SIZE, name, threshold, False, 1)
+            of = [row for row in rows if (row.size, row.format, row.threshold, row.records, row.lost_streams) == shown]
+            klux = [row.klux for row in of]
+            demand.plot(klux, [row.beats_estimated / config.pulses for row in of], line, color=colour)
+            demand.plot(
+                klux,
+                [row.beats_golden / config.pulses for row in of],
+                mark,
+                color=colour,
+                label=f"{name}, threshold {threshold}",
+            )
+    demand.axhline(config.period, color="black", linewidth=1)
+    demand.annotate("what one stream carries", (KLUX[0], config.period), xytext=(0, 3), textcoords="offset points")
+    demand.set(
+        xscale="log",
+        yscale="log",
+        ylim=(2, 1000),
+        xlabel="background in klux",
+        ylabel="beats of 64 bit a laser period",
+        title=f"asked for by {SHOWN_SIZE} (lines: estimate, marks: golden model)",
+    )
+    for axis in (demand.xaxis, demand.yaxis):
+        axis.set_major_formatter("{x:g}")
+        axis.set_minor_formatter("")
+    demand.legend(loc="lower center", ncols=3, columnspacing=1)
+    for size, colour in zip(SIZES, SERIES[1::3]):
+        for records, line in ((False, "-o"), (True, "--s")):
+            shown = (size, "id", SHOWN_THRESHOLD, records, SHOWN_KLUX)
+            of = [row for row in rows if (row.size, row.format, row.threshold, row.records, row.klux) == shown]
+            label = f"{size} and records" if records else size
+            loss.plot(
+                [row.lost_streams for row in of], [100 * row.lost_events for row in of], line, color=colour, label=label
+            )
+    loss.set_xscale("log", base=2)
+    loss.set_xticks(STREAMS, labels=[str(streams) for streams in STREAMS])
+    loss.set(
+        xlabel="streams, a beat a cycle each",
+        ylabel="committed events dropped in %",
+        ylim=(-2, 100),
+        title=f"lost with fewer (id, threshold {SHOWN_THRESHOLD}, {SHOWN_KLUX:g} klux)",
+    )
+    loss.legend(loc="upper right")
+    return figure

@@ -1,0 +1,278 @@
+"""How fast model and simulators run on this machine, side by side in one run: a flat JSON file, and a table beside it.
+
+A number is the median of several rounds. A round runs every engine once, so that whatever else the machine does meets all of them.
+`KEYS` says what is measured, and how.
+"""
+
+import json
+import os
+import platform
+import statistics
+import subprocess
+import tempfile
+import time
+from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
+from importlib.metadata import version
+from multiprocessing import get_context
+from pathlib import Path
+
+import numpy as np
+from attrs import frozen
+
+from ..model.contract.config import Config, parse_config
+from ..model.contract.edges import Edges
+from ..model.contract.result import ResultBuilder
+from ..model.depth.estimate import estimate_depth
+from ..model.golden.frame import Golden
+from ..model.light.light import Light
+from ..model.light.photons import generate_edges
+from ..model.light.spad import Spad
+from ..model.light.timing import Timing
+from ..model.scenes.catalogue import load_scene
+from ..model.scenes.scene import scene_light
+from ..model.shared.files import whole_file
+from ..tb import pysim
+from ..tb.batch import BatchSensor, build_library
+from ..tb.frames import FrameJob
+from ..tb.replay import COCOTB, build_sensor, play
+from ..tb.scoreboard import check
+
+SCENE, KLUX, SEED = "five-objects", 50.0, 1
+REPEATS = 5
+SIZES = {
+    "32x32": {"rows": 32, "cols": 32},
+    "256x128": {"rows": 128, "cols": 256, "streams": 8},
+}  # name: keys of [sensor]
+PULSES = {"cocotb-verilator": 40, "cocotb-icarus": 8, "amaranth": 2}  # slow engines get the frame's beginning only
+CYCLES_PER_S = "{}_cycles_per_s"
+KIB_PER_MIB = 1024
+
+_BEGINNING = "the same RTL in {}, the frame's first {} pulses; without start-up and registers"
+_VERSIONS = {"amaranth": "Amaranth", "cocotb": "cocotb", "numba": "Numba", "numpy": "NumPy", "verilator": "Verilator"}
+KEYS = {  # key: (unit, what it is)
+    "batch_cycles_per_s": ("cycles/s", "RTL in the batch engine, from the edges' arrays to the beats' arrays; with registers"),
+    "cocotb_verilator_cycles_per_s": ("cycles/s", _BEGINNING.format("Verilator under cocotb", PULSES["cocotb-verilator"])),
+    "cocotb_icarus_cycles_per_s": ("cycles/s", _BEGINNING.format("Icarus under cocotb", PULSES["cocotb-icarus"])),
+    "amaranth_cycles_per_s": ("cycles/s", _BEGINNING.format("Amaranth's own simulator", PULSES["amaranth"])),
+    "golden_cycles_per_s": ("cycles/s", "golden model, from the edges' arrays to the beats' arrays; one thread"),
+    "golden_edges_per_s": ("edges/s", "the same in edges"),
+    "photon_edges_per_s": ("edges/s", "photons to edges; a thread a core"),
+    "batch_per_cocotb_verilator": ("", "ratio of their cycles/s"),
+    "golden_per_batch": ("", "ratio of their cycles/s"),
+    **{
+        f"{key}_{size}_{name}": (unit, text)
+        for key, parts in {
+            "frame": {
+                "batch_s": ("s", "a frame from photons through the RTL (batch engine, reset and registers too) to depth"),
+                "photons_s": ("s", "of this: photons"), "sensor_s": ("s", "of this: RTL"), "depth_s": ("s", "of this: decoding and depth"),
+                "peak_mib": ("MiB", "most memory of a process that did nothing else, its Python and Numba too"),
+            },
+            "build": {
+                "s": ("s", "library of the batch engine, in an empty build folder: Verilog emitted, Verilator set up, all compiled"),
+                "warm_s": ("s", "the same where it is: a new process finds it"),
+            },
+        }.items() for size in SIZES for name, (unit, text) in parts.items()
+    },
+    "edges": ("", "in the frame of 32x32"),
+    "repeats": ("", "rounds"),
+    "machine_cpu": ("", "processor"),
+    "machine_cores": ("", "cores that this process may use"),
+    "machine_memory_mib": ("MiB", "main memory"),
+    "machine_load": ("", "load average of the last minute, before the start"),
+    "version_python": ("", "Python"),
+    **{f"version_{package}": ("", name) for package, name in _VERSIONS.items()},
+    "version_icarus": ("", "Icarus"),
+    "version_gxx": ("", "g++"),
+}  # fmt: skip
+
+
+def benchmark(
+    out: Path, *, repeats: int = REPEATS, tell: Callable[[str], None] = print
+) -> dict[str, int | float | str]:
+    """Measures all of `KEYS`, writes them to `out` (JSON) and as a table beside it (.md), and returns them.
+
+    tell: gets a line at every stage. Raises `ToolchainError`, `SimulationError` and `scoreboard.Mismatch`.
+    """
+    result = _machine() | {"repeats": repeats}
+    job = Job.of("32x32")
+    edges = job.edges()
+    result["edges"] = len(edges)
+    tell("building")
+    for simulator in ("verilator", "icarus"):
+        build_sensor(job.config.sensor, simulator)
+    result |= _versions()
+    _fast_rates(job)  # loads what is compiled
+    rounds = []
+    for number in range(repeats):
+        tell(f"engines: round {number + 1} of {repeats}")
+        rounds.append(
+            _fast_rates(job)
+            | {CYCLES_PER_S.format(engine.replace("-", "_")): _rate(job, edges, engine) for engine in PULSES}
+        )
+    result |= _medians(rounds)
+    result["golden_edges_per_s"] = result["golden_cycles_per_s"] * len(edges) / (job.config.pulses * job.config.period)
+    result["batch_per_cocotb_verilator"] = result["batch_cycles_per_s"] / result["cocotb_verilator_cycles_per_s"]
+    result["golden_per_batch"] = result["golden_cycles_per_s"] / result["batch_cycles_per_s"]
+    for size in SIZES:
+        tell(f"{size}: {repeats} frames")
+        result |= _in_new_process(_whole_frames, size, repeats)
+    rounds = []
+    for number in range(repeats):
+        tell(f"builds: round {number + 1} of {repeats}")
+        rounds.append({})
+        for size in SIZES:
+            with tempfile.TemporaryDirectory(prefix="coincid-") as folder:
+                for key in (f"build_{size}_s", f"build_{size}_warm_s"):
+                    rounds[-1][key] = _in_new_process(_build_s, size, COINCID_BUILD=folder)
+    result |= _medians(rounds)
+    result = {key: float(f"{result[key]:.4g}") if isinstance(result[key], float) else result[key] for key in KEYS}
+    with whole_file(out, "w") as file:
+        file.write(json.dumps(result, indent=2) + "\n")
+    with whole_file(out.with_suffix(".md"), "w") as file:
+        file.write(table(result))
+    return result
+
+
+def table(result: dict[str, int | float | str]) -> str:
+    """The result as a Markdown table."""
+    rows = [f"| `{key}` | {_shown(result[key])} | {unit} | {text} |" for key, (unit, text) in KEYS.items()]
+    return "\n".join(["| key | value | unit | |", "| --- | ---: | --- | --- |", *rows, ""])
+
+
+def _shown(value: int | float | str) -> str:
+    if isinstance(value, float):
+        return f"{value:,.0f}" if value >= 1000 else f"{value:.3g}"
+    return f"{value:,}" if isinstance(value, int) else value
+
+
+@frozen(eq=False)
+class Job:
+    """What every engine is given: preset `silicon` at a size, and its light."""
+
+    config: Config
+    timing: Timing
+    light: Light
+
+    @classmethod
+    def of(cls, size: str) -> "Job":
+        config = parse_config({"sensor": SIZES[size]})
+        scene = load_scene(SCENE, config.sensor.rows, config.sensor.cols)
+        return cls(config, Timing.from_config(config), scene_light(scene, KLUX))
+
+    def edges(self) -> Edges:
+        return generate_edges(
+            self.light, Spad(), self.timing, pulses=self.config.pulses, seed=SEED, workers=os.cpu_count() or 1
+        )
+
+
+def _fast_rates(job: Job) -> dict[str, float]:
+    """Rates of the engines that play whole frames."""
+    began = time.perf_counter()
+    edges = job.edges()
+    photons_s = time.perf_counter() - began
+    golden = Golden(job.config.sensor)
+    began = time.perf_counter()
+    trace = golden.frame(job.config, edges)
+    golden_s = time.perf_counter() - began
+    with BatchSensor(job.config.sensor) as sensor:
+        began = time.perf_counter()
+        record = sensor.frame(job.config, edges)
+        batch_s = time.perf_counter() - began
+    check(job.config.sensor, trace, record)
+    return {
+        "photon_edges_per_s": len(edges) / photons_s,
+        "golden_cycles_per_s": record.cycles / golden_s,
+        "batch_cycles_per_s": record.cycles / batch_s,
+    }
+
+
+def _rate(job: Job, edges: Edges, engine: str) -> float:
+    """Cycles per second of a slow engine, between the first and the last time that it tells its cycle."""
+    config = job.config.with_frame(pulses=PULSES[engine])
+    chosen = edges.pulse < config.pulses
+    edges = Edges(edges.pulse[chosen], edges.pixel[chosen], edges.tick[chosen])
+    seen = []
+
+    def progress(cycle: int) -> None:
+        seen.append((time.perf_counter(), cycle))
+
+    if engine in COCOTB:
+        with tempfile.TemporaryDirectory(prefix="coincid-") as folder:
+            play([FrameJob(config, edges)], engine, Path(folder), progress=progress)
+    else:
+        pysim.play(config, edges, progress)
+    (began, first), (ended, last) = seen[0], seen[-1]
+    return (last - first) / (ended - began)
+
+
+def _whole_frames(size: str, repeats: int) -> dict[str, float]:
+    """Medians of frames from photons to depth, and the peak of this process's memory."""
+    job, rounds = Job.of(size), []
+    build_library(job.config.sensor)
+    for _ in range(repeats + 1):  # the first loads what is compiled
+        clock = [time.perf_counter()]
+        edges = job.edges()
+        clock.append(time.perf_counter())
+        with BatchSensor(job.config.sensor) as sensor:
+            record = sensor.frame(job.config, edges)
+        clock.append(time.perf_counter())
+        result = ResultBuilder(job.config)
+        result.add(record.beats, record.commit_subgroup, record.commit_cycle)
+        estimate_depth(result.arrays(), job.config, job.timing.tick_s)
+        clock.append(time.perf_counter())
+        photons_s, sensor_s, depth_s = np.diff(clock).tolist()
+        rounds.append(
+            {"photons_s": photons_s, "sensor_s": sensor_s, "depth_s": depth_s, "batch_s": clock[-1] - clock[0]}
+        )
+    status = Path(
+        "/proc/self/status"
+    ).read_text()  # unlike getrusage, it knows nothing of the process that started this one
+    peak_kib = int(status.partition("VmHWM:")[2].split()[0])
+    return {
+        f"frame_{size}_{name}": value
+        for name, value in (_medians(rounds[1:]) | {"peak_mib": peak_kib / KIB_PER_MIB}).items()
+    }
+
+
+def _build_s(size: str) -> float:
+    sensor = parse_config({"sensor": SIZES[size]}).sensor
+    began = time.perf_counter()
+    build_library(sensor)
+    return time.perf_counter() - began
+
+
+def _medians(rounds: list[dict[str, float]]) -> dict[str, float]:
+    return {key: statistics.median(values[key] for values in rounds) for key in rounds[0]}
+
+
+def _in_new_process(function: Callable, *arguments, **environment: str):
+    with ProcessPoolExecutor(1, get_context("spawn"), _set_environment, (environment,)) as pool:
+        return pool.submit(function, *arguments).result()
+
+
+def _set_environment(variables: dict[str, str]) -> None:
+    os.environ.update(variables)
+
+
+def _machine() -> dict[str, int | float | str]:
+    cpuinfo = Path("/proc/cpuinfo").read_text()
+    names = [line.partition(":")[2].strip() for line in cpuinfo.splitlines() if line.startswith("model name")]
+    return {
+        "machine_cpu": names[0] if names else platform.machine(),
+        "machine_cores": len(os.sched_getaffinity(0)),
+        "machine_memory_mib": os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") >> 20,
+        "machine_load": os.getloadavg()[0],
+    }
+
+
+def _versions() -> dict[str, str]:
+    def first_line(*command: str) -> str:
+        return subprocess.run(command, capture_output=True, text=True, check=True).stdout.partition("\n")[0]
+
+    return {
+        "version_python": platform.python_version(),
+        **{f"version_{package}": version(package) for package in _VERSIONS},
+        "version_icarus": first_line("iverilog", "-V"),
+        "version_gxx": first_line("g++", "--version"),
+    }

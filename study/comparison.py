@@ -1,0 +1,192 @@
+"""This sensor and its rivals (`rivals.py`) on the same photons: depth, and the bits that it took.
+
+What is the same for all: the edges, the macro-pixels, the window and threshold of those that have one, the FIFOs and the
+stream of those that send words, the memory (`MEMORY_BITS`) of those that keep histograms, and the estimator, a matched filter
+on every pixel's histogram. The joint estimator, which needs to know the pixels, is shown with those that send single ones.
+"""
+
+import math
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from ..model.contract.config import Config, parse_config
+from ..model.contract.edges import Edges
+from ..model.contract.packet import BEAT_BITS, FORMATS, layout
+from ..model.depth.estimate import SYSTEM_FWHM_S, estimate_depth
+from ..model.depth.histograms import pixel_image
+from ..model.depth.peaks import APART_SIGMAS, NEAR_SIGMAS, pixel_peaks
+from ..model.golden.frame import golden_result
+from ..model.light.light import Light
+from ..model.light.photons import generate_edges
+from ..model.light.spad import Spad
+from ..model.light.timing import Timing
+from ..model.shared.constants import SIGMA_PER_FWHM, SPEED_OF_LIGHT_M_S
+from . import rivals
+from .measures import stream_beats
+
+THRESHOLD, PULSES, RETURNS = 3, 100, 2
+FRAMES = 2  # the controller looks at the first one, the second one counts
+ADDER_S = 1e-9  # clock of the adder
+FINE_S = 250e-12  # bins of the count-weighted histogram
+MEMORY_BITS = 32_000  # of a macro-pixel's histogram
+NEAR_BINS = 1  # around the peak of a coarse histogram that its centre is taken from
+
+
+class Shot(NamedTuple):
+    """Photons for all schemes. edges: of both frames; photons: of the second, by macro-pixel. threshold: of those that have one."""
+
+    config: Config
+    timing: Timing
+    edges: Edges
+    photons: rivals.Photons
+    sigma_ticks: float
+    threshold: int
+
+    @property
+    def window(self) -> int:
+        return int(self.config.window[0])
+
+
+class Found(NamedTuple):
+    """What a scheme made of a shot. depth_m: float64[rows, cols, RETURNS], the most likely first. bits: that left the chip in the frame."""
+
+    depth_m: np.ndarray
+    bits: int
+
+
+def shoot(
+    light: Light, seed: int, *, threshold: int = THRESHOLD, pulses: int = PULSES, timing: Timing | None = None
+) -> Shot:
+    """Two frames of photons of `light` for sensors of its size, silicon preset otherwise."""
+    config = parse_config(
+        {
+            "sensor": {"rows": light.rows, "cols": light.cols},
+            "frame": {"pulses": pulses, "frames": FRAMES},
+            "subgroup": {"threshold": threshold},
+        }
+    )
+    timing = timing or Timing.from_config(config)
+    edges = generate_edges(light, Spad(), timing, pulses=pulses * FRAMES, seed=seed)
+    photons = rivals.macro_pixels(edges.frame(FRAMES - 1, pulses)[0], config.sensor, pulses)
+    return Shot(config, timing, edges, photons, SYSTEM_FWHM_S * SIGMA_PER_FWHM / timing.tick_s, threshold)
+
+
+def _winner_takes_all(shot: Shot) -> Found:
+    words = rivals.winner_takes_all(shot.photons, shot.timing.phases)
+    return _by_words(shot, words, words.stamp + 0.5, "short")
+
+
+def _sliding_window(shot: Shot) -> Found:
+    words = rivals.sliding_window(shot.photons, shot.window, shot.threshold)
+    return _by_words(shot, words, words.stamp + 0.5, "id")
+
+
+def _fixed_windows(shot: Shot) -> Found:
+    words = rivals.fixed_windows(shot.photons, shot.window, shot.threshold)
+    return _by_words(shot, words, rivals.counted_arrival(shot.photons, words, shot.sigma_ticks), "id")
+
+
+def _last_hit(shot: Shot) -> Found:
+    words = rivals.last_hit(shot.photons)
+    return _by_words(shot, words, words.stamp + 0.5, "short")
+
+
+def _photon_counts(shot: Shot) -> Found:
+    clock = round(ADDER_S / shot.timing.tick_s)
+    return _by_memory(shot, rivals.photon_counts(shot.photons, clock, -(-shot.timing.period_ticks // clock)), clock)
+
+
+def _count_weighted(shot: Shot) -> Found:
+    width = round(FINE_S / shot.timing.tick_s)
+    words = rivals.windows(shot.photons, shot.window, shot.timing.phases)
+    arrival = rivals.counted_arrival(shot.photons, words, shot.sigma_ticks)
+    return _by_memory(
+        shot, rivals.count_weighted(shot.photons, words, arrival, width, -(-shot.timing.period_ticks // width)), width
+    )
+
+
+def _this(shot: Shot, settings: dict, method: str = "matched", source: str = "map", **frame: int) -> Found:
+    config = shot.config.with_settings(**settings).with_frame(**frame)
+    arrays = golden_result(config, shot.edges)
+    depth = estimate_depth(
+        arrays, config, shot.timing.tick_s, method=method, source=source, frame=FRAMES - 1, returns=RETURNS
+    )
+    return Found(depth.depth_m, int(stream_beats(config, arrays, FRAMES - 1).sum()) * BEAT_BITS)
+
+
+SCHEMES: dict[str, Callable[[Shot], Found]] = {
+    "winner takes all": _winner_takes_all,
+    "sliding window": _sliding_window,
+    "fixed windows": _fixed_windows,
+    "last hit": _last_hit,
+    "photon counts": _photon_counts,
+    "count-weighted": _count_weighted,
+    "this: fixed": lambda shot: _this(shot, {}),
+    "this: controller": lambda shot: _this(shot, {"auto": True}),
+    "this: pooled": lambda shot: _this(shot, {}, source="subgroup"),
+    "this: minigroups": lambda shot: _this(shot, {}, source="minigroup", minigroup_records=1),
+    "winner: joint": lambda shot: _this(shot, {"coincidence": False}, method="joint"),
+    "this: fixed joint": lambda shot: _this(shot, {}, method="joint"),
+    "this: controller joint": lambda shot: _this(shot, {"auto": True}, method="joint"),
+}
+
+
+def _by_words(shot: Shot, words: rivals.Words, arrival: np.ndarray, form: str) -> Found:
+    """Depth from the words that the stream carries; `form`: which of this sensor's packets is as long."""
+    sensor, timing = shot.config.sensor, shot.timing
+    beats = layout(sensor).length(FORMATS[form])
+    sent = rivals.read_out(shot.photons, words, sensor, timing.phases, timing.period_cycles, beats)
+    histograms = rivals.pixel_histograms(shot.photons, words.chosen(sent), arrival[sent], sensor, timing.period_ticks)
+    ticks = np.stack(
+        [pixel_peaks(histogram, "matched", None, shot.sigma_ticks, RETURNS)[0] for histogram in histograms]
+    )
+    return Found(_metres(shot, pixel_image(ticks, sensor)), int(sent.sum()) * beats * BEAT_BITS)
+
+
+def _by_memory(shot: Shot, histogram: np.ndarray, width: int) -> Found:
+    """Depth from a histogram for each macro-pixel, bins of `width` ticks: all its pixels get the same."""
+    sensor = shot.config.sensor
+    bits = histogram.shape[1] * (shot.photons.pulses * sensor.pixels).bit_length()
+    if bits > MEMORY_BITS:
+        raise ValueError(f"a histogram of {bits} bits, the memory holds {MEMORY_BITS}")
+    ticks = coarse_peaks(histogram, width, shot.sigma_ticks)
+    return Found(
+        _metres(shot, pixel_image(np.repeat(ticks[:, None], sensor.pixels, axis=1), sensor)), bits * sensor.subgroups
+    )
+
+
+def coarse_peaks(histogram: np.ndarray, width: int, sigma_ticks: float) -> np.ndarray:
+    """float64[n, RETURNS], ticks, from int64[n, bins] of `width` ticks: highest bins less the median, centre over their neighbours.
+
+    Bins narrower than the pulse are filtered with it first; returns are as far apart as those of a pixel (`depth.py`).
+    """
+    excess = histogram - np.median(histogram, axis=1, keepdims=True)
+    near, apart = (max(NEAR_BINS, math.ceil(sigmas * sigma_ticks / width)) for sigmas in (NEAR_SIGMAS, APART_SIGMAS))
+    left = (
+        np.apply_along_axis(np.convolve, 1, excess, _pulse(sigma_ticks / width), "same")
+        if sigma_ticks > width / 2
+        else excess.copy()
+    )
+    ticks = np.full((len(histogram), RETURNS), np.nan)
+    for row in range(len(histogram)):
+        for k in range(RETURNS):
+            at = int(left[row].argmax())
+            here = slice(max(0, at - near), at + near + 1)
+            weight = np.maximum(excess[row, here], 0)
+            if left[row, at] <= 0:
+                break
+            bins = np.arange(len(left[row]))[here] + 0.5
+            ticks[row, k] = width * (np.average(bins, weights=weight) if weight.any() else at + 0.5)
+            left[row, max(0, at - apart) : at + apart + 1] = 0
+    return ticks
+
+
+def _pulse(sigma: float) -> np.ndarray:
+    at = np.arange(-round(4 * sigma), round(4 * sigma) + 1)
+    return np.exp(-0.5 * (at / sigma) ** 2)
+
+
+def _metres(shot: Shot, ticks: np.ndarray) -> np.ndarray:
+    return ticks * shot.timing.tick_s * SPEED_OF_LIGHT_M_S / 2

@@ -1,0 +1,189 @@
+"""What the paper's parameters cost: area, bits of an event and readout rate, and what the ID map and the minigroups' stamps take.
+
+Area is that of a module (two subgroups and their TDC) per pixel, in OSU 0.18 um standard cells; SPADs and wires are not in it. Only ratios
+mean anything in another process.
+"""
+
+import csv
+import io
+import json
+from pathlib import Path
+
+from attrs import evolve
+
+from ..flow.release import SILICON_MHZ
+from ..flow.synth import CELLS, DRIVER, synthesize
+from ..flow.yosys import LIBERTY, run_yosys, standard_cells
+from ..hdl import bus
+from ..hdl.export import FILE_LIST, verilog_files
+from ..hdl.packetizer import Packetizer
+from ..hdl.subgroup import Subgroup
+from ..model.contract.packet import BEAT_BITS, FORMATS, layout
+from ..model.contract.parameters import Sensor
+from ..model.shared.files import whole_file
+from ..model.shared.folders import build_root
+from ..model.shared.sources import digest
+from ..tb import toolchain
+from .plot_style import legend_below, new_figure, save_figure, style
+
+SWEEPS = {  # parameter: its label, and the values beside the default's
+    "subgroup": ("pixels of a subgroup (bits of threshold and count)", [(4, 4), (8, 4), (8, 8), (16, 16)]),
+    "minigroup": ("pixels of a minigroup", [(1, 1), (2, 2), (4, 4)]),
+    "phases": ("phases of a clock cycle", [8, 16, 32, 64]),
+}
+OUTSIDE = ("sensor", "readout", "registers", "sequencer")  # blocks that are not in a module
+TABLE, PICTURE = "cost.csv", "cost.png"
+
+
+def module_sensor(**parameters) -> Sensor:
+    """A sensor of one module. With 64 phases the coarse counter gives up a bit, for the stamp's field of the word."""
+    sensor = evolve(Sensor(rows=16, cols=32), **parameters, coarse_bits=9 if parameters.get("phases") == 64 else 10)
+    rows, cols = sensor.subgroup
+    return evolve(sensor, rows=rows, cols=2 * cols)
+
+
+def area_per_pixel_um2(sensor: Sensor) -> float:
+    """Of a module, in standard cells."""
+    netlist = synthesize(sensor, CELLS)
+    blocks = [block for block in netlist.blocks.values() if not block.name.startswith(OUTSIDE)]
+    return sum(block.instances * block.area_um2 for block in blocks) / (2 * sensor.pixels)
+
+
+def point(sensor: Sensor) -> dict[str, float]:
+    """The costs of a sensor's parameters: area, and per word format bits of an event and million events per second of a stream."""
+    beats = {name: layout(sensor).length(kind) for name, kind in FORMATS.items()}
+    return (
+        {"area_um2_per_pixel": round(area_per_pixel_um2(sensor), 1), "threshold_bits": sensor.count_bits}
+        | {f"bits_{name}": BEAT_BITS * n for name, n in beats.items()}
+        | {f"mevents_per_s_{name}": round(SILICON_MHZ / n, 1) for name, n in beats.items()}
+    )
+
+
+def sweep() -> list[dict]:
+    """A row per point of `SWEEPS`."""
+    rows = []
+    for parameter, (_, values) in SWEEPS.items():
+        for value in values:
+            size = value[0] * value[1] if isinstance(value, tuple) else value
+            rows.append({"parameter": parameter, "value": size} | point(module_sensor(**{parameter: value})))
+    return rows
+
+
+def shares() -> dict[str, float]:
+    """Share of a subgroup's area that goes when the words are without a part: ID map, offsets of minigroups, records of minigroups."""
+    sensor = Sensor()
+    event, window = bus.event_layout(sensor), bus.window_layout(sensor)
+    base = event["window"].offset
+    parts = {
+        "ID map": ("head", base + window["hits"].offset, window["hits"].width),
+        "minigroup offsets": ("head", base + window["offsets"].offset, window["offsets"].width),
+        "minigroup records": ("record", 0, bus.record_layout(sensor).size),
+    }
+    whole = _subgroup_area_um2(sensor, None)
+    return {name: 1 - _subgroup_area_um2(sensor, cut) / whole for name, cut in parts.items()}
+
+
+def _subgroup_area_um2(sensor: Sensor, cut: tuple[str, int, int] | None) -> float:
+    """Area of a flattened subgroup. `cut`: (packetizer's input, lowest bit, width) that is held at 0; what only served it goes."""
+    files, top = verilog_files(sensor), Subgroup(sensor).unit_name
+    del files[FILE_LIST]
+    if cut:
+        name = f"{Packetizer.unit_name}.v"
+        files[name] = _without(files[name], Packetizer(sensor), *cut)
+    standard_cells()
+    script = "\n".join(
+        [
+            f"read_verilog {' '.join(files)}",
+            f"hierarchy -check -top {top}",
+            "proc",
+            "setattr -unset init w:*",
+            f"synth -flatten -noabc -top {top}",
+            "setattr -unset init w:*",
+            f"dfflibmap -liberty {LIBERTY.name}",
+            f"abc -liberty {LIBERTY.name} -constr abc.constr -D 2000",
+            "opt_clean",
+            f"tee -q -o stat.json stat -json -liberty {LIBERTY.name}",
+            "",
+        ]
+    )
+
+    def make(folder: Path) -> None:
+        for name, text in files.items():
+            (folder / name).write_text(text)
+        (folder / LIBERTY.name).write_bytes(LIBERTY.read_bytes())
+        (folder / "abc.constr").write_text(DRIVER)
+        run_yosys(script, folder)
+
+    key = digest(script, *(part for item in sorted(files.items()) for part in item))
+    folder = toolchain.build_once(build_root() / "synth" / f"subgroup-{key}", make)
+    return float(json.loads((folder / "stat.json").read_text())["modules"][f"\\{top}"]["area"])
+
+
+def _without(text: str, unit: Packetizer, port: str, lowest: int, width: int) -> str:
+    """Verilog of a unit whose input `port` has `width` bits from `lowest` on at 0."""
+    inner = f"{unit.unit_name}_whole"
+    ports = {"clk": (True, 1), "rst": (True, 1)} | {
+        name: (flow.name == "In", len(signal.as_value() if hasattr(signal, "as_value") else signal))
+        for name, (flow, signal) in unit.flat_ports().items()
+    }
+    kept = (1 << ports[port][1]) - 1 & ~((1 << width) - 1 << lowest)
+    mask = f" & {ports[port][1]}'h{kept:x}"
+    return "\n".join(
+        [
+            text.replace(f"module {unit.unit_name}(", f"module {inner}("),
+            f"module {unit.unit_name}({', '.join(ports)});",
+            *(
+                f"  {'input' if is_input else 'output'} [{size - 1}:0] {name};"
+                for name, (is_input, size) in ports.items()
+            ),
+            f"  {inner} whole (",
+            ",\n".join(f"    .{name}({name + mask if name == port else name})" for name in ports),
+            "  );",
+            "endmodule",
+            "",
+        ]
+    )
+
+
+def write_pages(folder: Path) -> list[str]:
+    """Writes table and picture of the sweeps to `folder`; returns lines that say what map and stamps take."""
+    rows = sweep()
+    table = io.StringIO()
+    writer = csv.DictWriter(table, rows[0], lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    with whole_file(folder / TABLE, "w") as file:
+        file.write(table.getvalue())
+    save_figure(_draw(rows), folder / PICTURE)
+    return [f"{name}: {100 * share:.0f} % of a subgroup" for name, share in shares().items()]
+
+
+def _draw(rows: list[dict]):
+    with style():
+        figure = new_figure(10.5, 8.5)
+        grid = figure.subplots(3, len(SWEEPS))
+        for column, (parameter, (label, _)) in enumerate(SWEEPS.items()):
+            points = [row for row in rows if row["parameter"] == parameter]
+            at = [row["value"] for row in points]
+            area, bits, rate = grid[:, column]
+            area.plot(at, [row["area_um2_per_pixel"] / 1000 for row in points], "o-", color="#222222")
+            for name, colour in zip(FORMATS, ("#1b9e77", "#d95f02", "#7570b3")):
+                bits.plot(at, [row[f"bits_{name}"] for row in points], "o-", color=colour, label=f"format {name}")
+                rate.plot(
+                    at, [row[f"mevents_per_s_{name}"] for row in points], "o-", color=colour, label=f"format {name}"
+                )
+            ticks = [
+                f"{row['value']} ({row['threshold_bits']})" if parameter == "subgroup" else str(row["value"])
+                for row in points
+            ]
+            for axis in (area, bits, rate):
+                axis.set_xscale("log", base=2)
+                axis.set_xticks(at, ticks)
+                axis.margins(y=0.1)
+                axis.set_ylim(0)
+            rate.set_xlabel(label)
+        grid[0, 0].set_ylabel("area per pixel in 1000 um2\n(OSU 0.18 um)")
+        grid[1, 0].set_ylabel("bits of an event")
+        grid[2, 0].set_ylabel(f"million events per s\nand stream, {SILICON_MHZ} MHz")
+        legend_below(figure)
+    return figure

@@ -1,0 +1,302 @@
+"""Pictures of docs/async.md. `python -m coincid.study.drawings.async_study [NAME ...]` simulates and draws them again: timing, tdc, skew, window,
+metastability, reset.
+
+Every picture but the first is measured on the Verilog of the cells or of the front end, under Icarus.
+"""
+
+import sys
+
+import numpy as np
+
+from ...hdl.silicon.circuit import CELLS, CLOCK_FS, ERROR_BITS, Circuit, lag_fs
+from ...model.contract.parameters import Sensor
+from ...model.light.code_density import code_density
+from ...tb.stimulus import FS_PER_PS
+from ...tb.stress import APERTURE_PS, TOP, Front, run_bench
+from ..plot_style import legend_below, new_figure, save_figure, style
+from . import image
+
+SENSOR = Sensor()
+TICK_PS = CLOCK_FS / SENSOR.phases / FS_PER_PS
+CYCLE_PS = CLOCK_FS / FS_PER_PS
+SIGMA_PS = 0.1 * TICK_PS  # of a tap's border, in the example
+TAU_PS, APERTURE_WINDOW_PS = 20.0, 20.0  # a flop's time constant of resolution, and its aperture: assumed
+EDGES_CPS, WINDOWS_CPS = 64e6, 16e6  # of a subgroup in full sunlight, about
+
+
+def cells() -> dict[str, str]:
+    return {CELLS.name: CELLS.read_text()}
+
+
+def taps(seed: int) -> np.ndarray:
+    """Errors of the borders of an example generator, in ps; those of a tap's rise and fall are independent."""
+    return np.random.default_rng(seed).normal(0, SIGMA_PS, SENSOR.phases)
+
+
+def timing() -> None:
+    """A window that closes in its own cycle, and the next one, in two banks."""
+    lag = lag_fs(SENSOR) / CLOCK_FS
+    rows = [
+        ("clk", [(k, k + 0.5) for k in range(5)], "#222222"),
+        ("phases[0]", [(k + lag, k + lag + 0.5) for k in range(5)], "#222222"),
+        ("SPAD a", [(0.55, 0.6)], "#d95f02"),
+        ("SPAD b", [(0.8, 0.85)], "#d95f02"),
+        ("SPAD c (next window)", [(1.05, 1.1)], "#e7298a"),
+        ("hits, even cycles", [(0.57, 1.75)], "#1b9e77"),
+        ("hits, odd cycles", [(1.07, 2.75)], "#1b9e77"),
+        ("root, even", [(0.55 + lag, 1.77)], "#7570b3"),
+        ("root, odd", [(1.05 + lag, 2.77)], "#7570b3"),
+        ("bank 0 ended (picture)", [(1.0 + lag + 0.25, 1.78)], "#365c8d"),
+        ("bank 1 open (listened from cycle 1 on)", [(1.05 + lag, 4.9)], "#365c8d"),
+        ("mark", [(k + lag + 0.25 + 1 / 64, k + lag + 0.75) for k in range(5)], "#888888"),
+        ("wipe", [(k + 0.75, k + 0.9375) for k in range(5)], "#888888"),
+        ("current bank is 1", [(1.5, 5)], "#b8860b"),
+        ("stage 2 holds cycle 0", [(2, 3)], "#b8860b"),
+    ]
+    with style():
+        figure = new_figure(9, 4.6)
+        axis = figure.subplots()
+        for y, (_, spans, colour) in enumerate(rows):
+            axis.broken_barh([(a, b - a) for a, b in spans], (-y, 0.6), color=colour)
+            axis.axhline(-y, color=colour, linewidth=0.5)
+        axis.set_yticks([0.3 - y for y in range(len(rows))], [name for name, *_ in rows])
+        axis.set_xlim(0, 5)
+        axis.set_xlabel("time in clock cycles")
+        save_figure(figure, image("async_timing.svg"))
+
+
+def tdc() -> None:
+    """DNL and INL of a generator with mismatched taps, by the code density test on its sampling line, and the bias of stamps."""
+    errors, events = taps(1), 40_000
+    packed = sum(int(round(e * FS_PER_PS)) % (1 << ERROR_BITS) << ERROR_BITS * k for k, e in enumerate(errors))
+    half = SENSOR.phases // 2
+    bench = f"""
+`timescale 1ps / 1fs
+module {TOP};
+  reg clk = 0, hit = 0; wire [{half - 1}:0] phases, code; wire mark, shut, wipe; integer n, seed = 7;
+  always #{CYCLE_PS / 2} clk = ~clk;
+  coincid_phases #(.PHASES({SENSOR.phases}), .CLOCK_FS({CLOCK_FS}), .LAG_FS({lag_fs(SENSOR)}),
+    .MISMATCH_FS({ERROR_BITS * SENSOR.phases}'d{packed})) generator (clk, phases, mark, shut, wipe);
+  coincid_sample #(.WIDTH({half})) line (hit, phases, code);
+  initial begin
+    #{4 * CYCLE_PS};
+    for (n = 0; n < {events}; n = n + 1) begin
+      #({CYCLE_PS} + $urandom(seed) % {CLOCK_FS} / 1000.0) hit = 1; #1 $display("%b", code); hit = 0;
+    end
+    $finish;
+  end
+endmodule
+"""
+    codes = np.array(
+        [
+            [int(bit) for bit in line[::-1]]
+            for line in run_bench(cells() | {"bench.v": bench})
+            if set(line) <= {"0", "1"}
+        ]
+    )
+    tick = np.where(codes[:, 0] == 1, codes.sum(1) - 1, half + (half - codes.sum(1)) - 1)
+    found = code_density(tick, SENSOR.phases)
+    truth = np.diff(np.append(errors, errors[0])) / TICK_PS
+    centre = (errors + np.roll(errors, -1)) / 2
+    with style():
+        figure = new_figure(9, 3.2)
+        left, right = figure.subplots(1, 2)
+        left.bar(np.arange(SENSOR.phases), truth, color="#bbbbbb", label="borders as given")
+        left.errorbar(
+            np.arange(SENSOR.phases),
+            found.dnl_lsb,
+            2 * found.sigma_lsb,
+            fmt="o",
+            color="#1b9e77",
+            label="DNL, code density (2 sigma)",
+        )
+        left.plot(np.arange(SENSOR.phases), found.inl_lsb, color="#d95f02", label="INL")
+        left.set_xlabel("phase")
+        left.set_ylabel("LSB")
+        left.legend()
+        right.plot(np.arange(SENSOR.phases), centre, "o-", color="#7570b3")
+        right.axhline(0, color="#222222", linewidth=0.8)
+        right.set_xlabel("phase")
+        right.set_ylabel("bias of the stamp in ps")
+        right.set_title(f"rms {np.sqrt((centre**2).mean()):.1f} ps, {len(tick)} events")
+        save_figure(figure, image("async_tdc.png"))
+    print(
+        f"tdc: worst difference of DNL from the borders {np.abs(found.dnl_lsb - truth).max():.3f} LSB, {len(tick)} events"
+    )
+
+
+def quiet_front(front: Front, circuit_body: str) -> str:
+    """A bench body: a frame that never ends, all pixels on, and what is to be done in it."""
+    running = 1 << front.timing["running"] | 1 << front.timing["may_open"]
+    return f"""
+  integer n, seed = 3; real at, edge_at;
+  initial begin
+    mask = ~0; gate = 1; timing = {running}; window_ticks = 1;
+    repeat (4) @(posedge clk); rst = 0; repeat (8) @(posedge clk);
+    start_module = 1; @(posedge clk); start_module = 0; repeat (12) @(posedge clk);
+{circuit_body}
+    $finish;
+  end
+"""
+
+
+def skew() -> None:
+    """Stamps of pixels whose ways to the tree differ, and of a tree without mismatch, phases uniform."""
+    sensor = Sensor(rows=4, cols=4, subgroup=(4, 4))
+    way_ps = np.round(np.random.default_rng(2).normal(0, 25, sensor.pixels)) + 80
+    front = Front(sensor, Circuit(pixel_skew_fs=tuple(int(w * FS_PER_PS) for w in way_ps)))
+    events, gap = 30, 2
+    body = f"""
+    for (n = 0; n < {events * sensor.pixels}; n = n + 1) begin
+      at = $urandom(seed) % {CLOCK_FS} / 1000.0; #(at);
+      spad[n % {sensor.pixels}] = 1; edge_at = $realtime; #5 spad[n % {sensor.pixels}] = 0;
+      wait (closed);
+      @(negedge clk) $display("%0d %0.3f %0d", n % {sensor.pixels}, edge_at, window[{front.at["stamp"]} +: {sensor.stamp_bits}]);
+      repeat ({gap}) @(posedge clk);
+    end"""
+    lines = run_bench(front.files() | {"bench.v": front.bench(quiet_front(front, body))})
+    pixel, edge, stamp = np.array([line.split() for line in lines if len(line.split()) == 3], float).T
+    wrap = CYCLE_PS * (1 << sensor.coarse_bits)
+    error = (stamp * TICK_PS - edge + TICK_PS / 2) % wrap
+    error = error - np.median(error)
+    error = (error + wrap / 2) % wrap - wrap / 2
+    bias = np.array([error[pixel == i].mean() for i in range(sensor.pixels)])
+    bias -= (bias - way_ps).mean()
+    with style():
+        figure = new_figure(8.5, 3.2)
+        left, right = figure.subplots(1, 2)
+        left.plot(way_ps, bias, "o", color="#1b9e77")
+        left.plot([0, 150], [0, 150], color="#222222", linewidth=0.8, label="as long as the way")
+        left.set_xlabel("extra way to the tree in ps")
+        left.set_ylabel("bias of the stamp in ps")
+        left.legend()
+        right.hist(error[pixel == 0] - error[pixel == 0].mean(), bins=20, color="#7570b3")
+        right.set_xlabel("error of one pixel's stamps in ps")
+        right.set_title(f"sigma {error[pixel == 0].std():.1f} ps; a tick gives {TICK_PS / np.sqrt(12):.1f} ps")
+        save_figure(figure, image("async_skew.png"))
+    print(f"skew: bias - way {np.std(bias - way_ps):.2f} ps rms over pixels, {len(error)} events")
+
+
+def window() -> None:
+    """Where a window ends against where it should: borders counted, and delay lines with an error of gain."""
+    cases = (("borders counted", 0, 0), ("line, exact", 1, 0), ("line, +0.4 %", 1, 4000), ("line, +1 %", 1, 10000))
+    starts, ticks = 400, SENSOR.window_max
+    results = {}
+    for name, line, ppm in cases:
+        bench = f"""
+`timescale 1ps / 1fs
+module {TOP};
+  reg clk = 0, start = 0; wire [{SENSOR.phases // 2 - 1}:0] phases; wire mark, shut, wipe, ended; integer n, seed = 5; real at;
+  always #{CYCLE_PS / 2} clk = ~clk;
+  coincid_phases #(.PHASES({SENSOR.phases}), .CLOCK_FS({CLOCK_FS})) generator (clk, phases, mark, shut, wipe);
+  coincid_window #(.PHASES({SENSOR.phases}), .CLOCK_FS({CLOCK_FS}), .LINE({line}), .GAIN_PPM({ppm}))
+    dut (start, 8'd{ticks}, phases, ended);
+  initial begin
+    #{4 * CYCLE_PS};
+    for (n = 0; n < {starts}; n = n + 1) begin
+      #({CYCLE_PS} + $urandom(seed) % {CLOCK_FS} / 1000.0) start = 1; at = $realtime;
+      @(posedge ended) $display("%0.3f %0.3f", at, $realtime); #1 start = 0;
+    end
+    $finish;
+  end
+endmodule
+"""
+        lines = run_bench(cells() | {"bench.v": bench})
+        began, ended = np.array([line.split() for line in lines if len(line.split()) == 2], float).T
+        began, ended = began - CYCLE_PS / 2, ended - CYCLE_PS / 2  # the first rising edge
+        due = (np.floor(began / TICK_PS) + ticks) * TICK_PS
+        results[name] = (ended - CYCLE_PS / 4 - due) / TICK_PS
+    with style():
+        figure = new_figure(8, 3.2)
+        axis = figure.subplots()
+        at = np.linspace(-1.5, 2, 400)
+        for (name, error), colour in zip(results.items(), ("#1b9e77", "#7570b3", "#d95f02", "#e7298a")):
+            axis.plot(at, [(error > x).mean() for x in at], color=colour, label=name)
+        axis.axvspan(-1, 1, color="#eeeeee", zorder=0, label="a tick either way")
+        axis.set_xlabel(f"edge against the end of a window of {ticks} ticks, in ticks")
+        axis.set_ylabel("share that is counted")
+        axis.legend()
+        save_figure(figure, image("async_window.png"))
+    for name, error in results.items():
+        print(f"window: {name}: end {error.min():+.2f} to {error.max():+.2f} ticks off")
+
+
+def metastability() -> None:
+    """Mean time between unresolved flops against the time they are given (formula), and where the design's flops stand."""
+    lag = lag_fs(SENSOR) / CLOCK_FS
+    points = {  # cycles to resolve in, events a second, borders a cycle that they can meet
+        "hit at a cycle's border, read at mid-cycle": (0.5, EDGES_CPS, 1),
+        "sampled phase, read by the clock": (1 - lag, WINDOWS_CPS, SENSOR.phases),
+        "picture, read by the clock": (1 - lag - 0.25, WINDOWS_CPS, SENSOR.phases),
+        "window's own phase (costs a tick, no word)": (0.25, WINDOWS_CPS, SENSOR.phases),
+    }
+    given = np.linspace(0, 1, 200)
+
+    def years(cycles, rate, borders):
+        met = APERTURE_WINDOW_PS * borders / CYCLE_PS  # share of events that meet a border
+        return np.exp(cycles * CYCLE_PS / TAU_PS) / (met * rate) / (365 * 86400)
+
+    with style():
+        figure = new_figure(8, 3.4)
+        axis = figure.subplots()
+        for borders, line in ((1, "-"), (SENSOR.phases, "--")):
+            label = f"borders that an event can meet in a cycle: {borders}"
+            axis.semilogy(given, years(given, WINDOWS_CPS, borders), line, color="#222222", label=label)
+        for (name, point), colour in zip(points.items(), ("#1b9e77", "#d95f02", "#7570b3", "#e7298a")):
+            axis.plot(point[0], years(*point), "o", color=colour, label=name)
+            print(f"metastability: {name}: {point[0] * CYCLE_PS:.0f} ps, {years(*point):.1e} years a subgroup")
+        axis.set_title(f"tau {TAU_PS:g} ps, aperture {APERTURE_WINDOW_PS:g} ps: assumed")
+        axis.set_xlabel("time to resolve in clock cycles")
+        axis.set_ylabel("years between failures")
+        axis.legend()
+        save_figure(figure, image("async_metastability.png"))
+
+
+def reset() -> None:
+    """Single edges at a cycle's border, where one bank of hit flops stops listening and the other begins; flops may fall either way."""
+    sensor = Sensor(rows=4, cols=4, subgroup=(4, 4))
+    front = Front(sensor, Circuit())
+    offsets = np.arange(-60, 61, 5)
+    trials = 24
+    body = f"""
+    for (n = 0; n < {len(offsets) * trials}; n = n + 1) begin
+      @(posedge clk); words = 0; wrong = 0;
+      #({CYCLE_PS} - 60 + 5 * (n % {len(offsets)})) spad[5] = 1; #3 spad[5] = 0;
+      repeat (14) begin
+        @(negedge clk);
+        if (closed) begin
+          words = words + 1;
+          if (window[{front.at["hits"]} +: 16] != 32 || window[{front.at["winner"]} +: {sensor.winner_bits}] != 5
+              || window[{front.at["count"]} +: {sensor.count_bits}] != 1) wrong = wrong + 1;
+        end
+      end
+      $display("%0d %0d %0d", n % {len(offsets)}, words, wrong);
+    end"""
+    bench = front.bench("  integer words, wrong;\n" + quiet_front(front, body))
+    lines = run_bench(front.files() | {"bench.v": bench}, aperture=True)
+    index, words, wrong = np.array([line.split() for line in lines if len(line.split()) == 3], int).T
+    with style():
+        figure = new_figure(8, 3.2)
+        axis = figure.subplots()
+        bottom = np.zeros(len(offsets))
+        for count, name, colour in ((1, "one word", "#1b9e77"), (2, "two words", "#d95f02"), (0, "none", "#bbbbbb")):
+            share = np.array([(words[index == k] == count).mean() for k in range(len(offsets))])
+            axis.bar(offsets, share, 4.6, bottom, color=colour, label=name)
+            bottom += share
+        axis.set_xlabel(
+            f"edge against the border of two cycles in ps; flops fall either way for {APERTURE_PS} ps after their data moved"
+        )
+        axis.set_ylabel("share of edges")
+        axis.set_title(f"{len(words)} edges, {int(wrong.sum())} wrong words")
+        legend_below(figure)
+        save_figure(figure, image("async_reset.png"))
+    print(
+        f"reset: {len(words)} edges, {int(wrong.sum())} wrong words; none {np.mean(words == 0):.3f}, two {np.mean(words == 2):.3f}"
+    )
+
+
+PICTURES = {function.__name__: function for function in (timing, tdc, skew, window, metastability, reset)}
+
+if __name__ == "__main__":
+    for name in sys.argv[1:] or PICTURES:
+        PICTURES[name]()

@@ -1,0 +1,55 @@
+"""Draws ray-NAME.png for each ray-traced scene of the project: its truth, and its depth through the RTL. Needs `make raytrace`.
+
+python -m coincid.study.drawings.raytrace [NAME ...]
+"""
+
+import sys
+import tempfile
+from pathlib import Path
+
+import numpy as np
+
+from ...model.contract.config import load_config
+from ...model.depth.estimate import estimate_depth
+from ...model.depth.quality import wrong_share
+from ...model.light.photons import generate_edges
+from ...model.light.spad import Spad
+from ...model.light.timing import Timing
+from ...model.scenes.catalogue import load_scene
+from ...model.scenes.ray_scene import BUILT_IN, PREFIX
+from ...model.scenes.scene import scene_light
+from ...model.shared.constants import SPEED_OF_LIGHT_M_S
+from ..pictures import Panel, depth_row
+from ..simulate import SCHEMES, run_frames
+from . import image
+
+KLUX, PULSES, SEED = 50, 400, 1
+WINDOW_M = 1e-9 * SPEED_OF_LIGHT_M_S / 2  # what a coincidence window of 1 ns holds: nearer surfaces are one to it
+
+
+def draw(name: str) -> list[tuple[float, float]]:
+    """Writes the picture; (wrong by more than a window, wrong as in the paper's Fig. 7) of each scheme."""
+    config = load_config(None).with_pulses(PULSES)
+    timing = Timing.from_config(config)
+    scene = load_scene(PREFIX + name, config.sensor.rows, config.sensor.cols)
+    edges = generate_edges(scene_light(scene, KLUX), Spad(), timing, pulses=PULSES, seed=SEED)
+    with tempfile.TemporaryDirectory() as folder:
+        frames = run_frames(config, edges, "verilator", Path(folder))
+    depths = [
+        estimate_depth(frames.arrays, scheme, timing.tick_s, frame=k).depth_m[:, :, 0]
+        for k, scheme in enumerate(frames.configs)
+    ]
+    panels = [
+        Panel(title.format(threshold=np.unique(config.threshold)[0]), depth)
+        for (title, _), depth in zip(SCHEMES.values(), depths)
+    ]
+    path = image(f"ray-{name}.png")
+    shares = depth_row(
+        path, panels, scene.truth_m, f"{scene.name}, {KLUX} klux, {PULSES} laser pulses", tolerance_m=WINDOW_M
+    )
+    return [(share, wrong_share(depth, scene.truth_m)) for share, depth in zip(shares, depths)]
+
+
+if __name__ == "__main__":
+    for scene_name in sys.argv[1:] or BUILT_IN:
+        print(scene_name, *(f"{coarse:.1%} {fine:.1%}" for coarse, fine in draw(scene_name)), sep="  ")

@@ -1,0 +1,228 @@
+"""Draws waveform.svg: how a photon becomes a word. The values come from a simulation of the RTL, 8 x 8 pixels, in Amaranth's simulator.
+
+python -m coincid.study.drawings.waveform
+"""
+
+import tempfile
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import numpy as np
+from amaranth.sim import Simulator
+
+from ...hdl.sensor import FlatSensor
+from ...model.contract import registers
+from ...model.contract.config import parse_config
+from ...model.contract.edges import Edges
+from ...model.contract.packet import Kind, header_field
+from ...model.contract.registers import BY_NAME
+from ...model.light.timing import Timing
+from ...model.shared.constants import SPEED_OF_LIGHT_M_S
+from ...tb.stimulus import port_words
+from . import image
+
+PHASES = 32
+EDGES = (  # (pixel, cycle, phase): a background photon by itself, then four photons of a laser pulse
+    (37, 3, 20),
+    (9, 8, 22),
+    (10, 8, 25),
+    (18, 8, 30),
+    (2, 9, 3),
+)
+SHOWN_CYCLES = 30
+CLOCK_S = Timing().tick_s * PHASES
+SIGNALS = {  # name here: path in the simulation
+    "clk": "clk",
+    "laser": "laser",
+    "spad": "spad_0",
+    "tvalid": "m_axis_tvalid",
+    "tdata": "m_axis_tdata",
+    "root": "module_0.subgroup_0.tree.line__root",
+    "inside": "module_0.subgroup_0.tree.minigroup_0.inside",
+    "up_to": "module_0.subgroup_0.tree.line__up_to",
+    "hits": "module_0.subgroup_0.tree.hits",
+    "closed": "module_0.subgroup_0.dpcu.closed",
+    "commit": "module_0.subgroup_0.dpcu.commit",
+}
+INK, FAINT, PALE, SIGNAL, NOISE = "#1b1f24", "#c4cad1", "#eef0f3", "#c8501e", "#6b7683"
+
+
+def simulate() -> dict[str, list[int]]:
+    """One period of one subgroup: the value of every signal in each cycle, from the laser trigger on."""
+    config = parse_config({"sensor": {"rows": 8, "cols": 8, "phases": PHASES}, "frame": {"period": 40, "pulses": 1}})
+    pixel, cycle, phase = np.array(EDGES).T
+    words = port_words(config, Edges(np.zeros_like(pixel), pixel, cycle * PHASES + phase))
+    sensor = FlatSensor(config.sensor)
+
+    async def host(ctx):
+        start = registers.address("control"), 1 << BY_NAME["control"].bit("start")
+        ctx.set(sensor.m_axis_tready, 1)
+        ctx.set(sensor.s_axi_wstrb, 0xF)
+        ctx.set(sensor.s_axi_bready, 1)
+        for address, value in [*config.register_writes(), start]:
+            ctx.set(sensor.s_axi_awaddr, address)
+            ctx.set(sensor.s_axi_wdata, value)
+            channels = [(sensor.s_axi_awvalid, sensor.s_axi_awready), (sensor.s_axi_wvalid, sensor.s_axi_wready)]
+            for valid, _ in channels:
+                ctx.set(valid, 1)
+            answered = False
+            while not answered:
+                taken = [valid for valid, ready in channels if ctx.get(valid) and ctx.get(ready)]
+                answered = ctx.get(sensor.s_axi_bvalid)
+                await ctx.tick()
+                for valid in taken:
+                    ctx.set(valid, 0)
+
+    async def spads(ctx):
+        await ctx.tick().until(sensor.laser)
+        for now in range(1, config.period):  # the tick above has already ended cycle 0
+            ctx.set(sensor.spad_0, dict(words.get(now, ())).get(0, 0))
+            await ctx.tick()
+
+    with tempfile.TemporaryDirectory() as folder:
+        vcd = Path(folder) / "sensor.vcd"
+        simulator = Simulator(sensor)
+        simulator.add_clock(CLOCK_S)
+        simulator.add_testbench(host)
+        simulator.add_testbench(spads)
+        with simulator.write_vcd(str(vcd)):
+            simulator.run()
+        values = sampled(vcd)
+    begin = values["laser"].index(1)
+    return {name: line[begin : begin + SHOWN_CYCLES] for name, line in values.items()}
+
+
+def sampled(vcd: Path) -> dict[str, list[int]]:
+    """Values of `SIGNALS` at the end of every clock cycle."""
+    wanted = {f"bench.top.{path}": name for name, path in SIGNALS.items()}
+    names, now, rows, scope = {}, dict.fromkeys(SIGNALS, 0), [], []  # names: identifier in the file -> signals
+    for line in vcd.read_text().splitlines():
+        words = line.split()
+        if words[0] == "$scope":
+            scope.append(words[2])
+        elif words[0] == "$upscope":
+            scope.pop()
+        elif words[0] == "$var":
+            names.setdefault(words[3], []).append(wanted.get(".".join([*scope, words[4]])))
+        elif line[0] in "01b":
+            value, code = (words[0][1:], words[1]) if line[0] == "b" else (line[0], line[1:])
+            for name in filter(None, names.get(code, ())):
+                if name == "clk" and value == "1":
+                    rows.append(dict(now))  # of the cycle that ends here
+                now[name] = int(value, 2)
+    return {name: [row[name] for row in rows] for name in SIGNALS}
+
+
+def draw(values: dict[str, list[int]]) -> plt.Figure:
+    """The picture; time in clock cycles, inside which the words of 32 phases are drawn phase by phase."""
+    figure, axes = plt.subplots(figsize=(12, 6.6))
+    spads = [f"SPAD {pixel}" for pixel, _, _ in sorted(EDGES, key=lambda edge: edge[1:])]
+    rows = ["laser", *spads, "root", "window", "ID map", "closed", "commit", "tdata"]
+    notes = {
+        "laser": "cycle 0 of the period",
+        "root": "OR of the pixels, sampled in\n32 phases: stage 2",
+        "window": "16 ticks from the first edge:\nstage 3",
+        "ID map": "distinct pixels in the window:\nstage 5",
+        "closed": "counted: stage 7",
+        "commit": "count >= threshold 2:\nstage 8, into the FIFO",
+        "tdata": "AXI4-Stream",
+    }
+    level = {row: -1.0 * i - 0.35 * (i > 0) - 0.35 * (i > 5) for i, row in enumerate(rows)}
+    for cycle in range(SHOWN_CYCLES + 1):
+        axes.axvline(cycle, color=PALE, lw=0.8, zorder=0)
+    for row, y in level.items():
+        axes.text(-0.5, y + 0.3, row, ha="right", va="center", color=INK, fontsize=10, weight="bold")
+        axes.text(SHOWN_CYCLES + 0.4, y + 0.3, notes.get(row, ""), ha="left", va="center", color=NOISE, fontsize=8.5)
+
+    def wave(row, bits, steps, color=INK):
+        """A line of bits, `steps` of them a cycle."""
+        turns = [0, *(np.flatnonzero(np.diff(bits)) + 1), len(bits)]
+        x = np.array(turns) / steps
+        y = level[row] + 0.6 * np.array([bits[at] for at in turns[:-1]] + [bits[-1]])
+        axes.step(x, y, where="post", color=color, lw=1.3, solid_joinstyle="miter")
+        axes.fill_between(x, level[row], y, step="post", color=color, alpha=0.18, lw=0)
+
+    def phases(words, offset=0):
+        return [word >> offset + k & 1 for word in words for k in range(PHASES)]
+
+    def bus(row, texts, color=INK):
+        """Boxes with a text a cycle; None: nothing."""
+        begin = 0
+        for cycle in range(1, len(texts) + 1):
+            if cycle == len(texts) or texts[cycle] != texts[begin]:
+                if texts[begin] is not None:
+                    low, high = level[row], level[row] + 0.6
+                    x = [begin, begin + 0.12, cycle - 0.12, cycle, cycle - 0.12, begin + 0.12]
+                    axes.fill(
+                        x, [(low + high) / 2, high, high, (low + high) / 2, low, low], fc="white", ec=color, lw=1.2
+                    )
+                    axes.text(
+                        (begin + cycle) / 2,
+                        (low + high) / 2,
+                        texts[begin],
+                        ha="center",
+                        va="center",
+                        fontsize=8,
+                        color=color,
+                    )
+                begin = cycle
+
+    wave("laser", values["laser"], 1)
+    for pixel, cycle, _ in EDGES:
+        wave(f"SPAD {pixel}", phases(values["spad"], pixel * PHASES), PHASES, SIGNAL if cycle > 5 else NOISE)
+    wave("root", phases(values["root"]), PHASES)
+    before = [0, *values["inside"]]
+    window = [now if ahead else now & up_to for now, ahead, up_to in zip(values["inside"], before, values["up_to"])]
+    wave("window", phases(window), PHASES)  # in the cycle that opens it, it begins with the edge
+    count = [bin(value).count("1") for value in values["hits"]]
+    bus("ID map", [n or None for n in count])
+    wave("closed", values["closed"], 1)
+    wave("commit", values["commit"], 1, SIGNAL)
+    axes.plot([0, SHOWN_CYCLES], [level["tdata"] + 0.3] * 2, color=FAINT, lw=1.2, zorder=0)
+    beats = [(cycle, data) for cycle, (valid, data) in enumerate(zip(values["tvalid"], values["tdata"])) if valid]
+    event = next(cycle for cycle, data in beats if header_field(data, "kind") == Kind.EVENT_MAP)
+    for cycle, _ in beats:
+        text, color = (
+            ("event", SIGNAL) if cycle == event else ("map", SIGNAL) if cycle == event + 1 else ("frame start", INK)
+        )
+        bus("tdata", ["" if c == cycle else None for c in range(SHOWN_CYCLES)], color)
+        side = {"ha": "right", "x": cycle - 0.2} if text == "event" else {"ha": "left", "x": cycle + 1.2}
+        axes.text(**side, y=level["tdata"] + 0.3, s=text, va="center", fontsize=8.5, color=color)
+
+    # The first photon of each window on its way down the pipeline.
+    for (_, cycle, phase), color in ((EDGES[0], NOISE), (EDGES[1], SIGNAL)):
+        x = cycle + phase / PHASES
+        pixel = next(p for p, c, k in EDGES if (c, k) == (cycle, phase))
+        path = [(x, f"SPAD {pixel}"), (x + 2, "root"), (x + 3, "window")]
+        axes.plot(
+            [at for at, _ in path], [level[row] + 0.3 for _, row in path], color=color, lw=1, ls=(0, (2, 2)), zorder=0
+        )
+    rejected = values["closed"].index(1)
+    axes.text(rejected + 1.3, level["commit"] + 0.3, "1 pixel: rejected", va="center", fontsize=8.5, color=NOISE)
+    committed = values["commit"].index(1)
+    axes.text(committed + 1.3, level["commit"] + 0.3, "4 pixels: committed", va="center", fontsize=8.5, color=SIGNAL)
+
+    header, pixels = values["tdata"][event], [i for i in range(64) if values["tdata"][event + 1] >> i & 1]
+    pulse, stamp, count, winner = (int(header_field(header, name)) for name in ("pulse", "stamp", "count", "winner"))
+    metres = stamp * Timing().tick_s * SPEED_OF_LIGHT_M_S / 2
+    words = f"event = pulse {pulse}, stamp {stamp} ticks of 62.5 ps ({metres:.2f} m), count {count}, winner {winner}"
+    words += f"     map = pixels {', '.join(map(str, pixels))}"
+    axes.text(0, level["tdata"] - 0.75, words, fontsize=9.5, color=SIGNAL, va="center")
+    axes.set_xticks(range(0, SHOWN_CYCLES + 1, 2))
+    axes.tick_params(
+        length=0, labelsize=8.5, labelcolor=NOISE, top=True, labeltop=True, bottom=False, labelbottom=False
+    )
+    axes.set_title("clock cycles of 2 ns since the laser trigger", fontsize=9, color=NOISE, loc="left", pad=18)
+    axes.set_xlim(-3.4, SHOWN_CYCLES + 7.2)
+    axes.set_ylim(level["tdata"] - 1.1, 0.8)
+    axes.set_yticks([])
+    for side in axes.spines.values():
+        side.set_visible(False)
+    figure.tight_layout(pad=0.4)
+    return figure
+
+
+if __name__ == "__main__":
+    plt.rcParams.update({"svg.hashsalt": "coincid", "font.family": "DejaVu Sans"})
+    picture = draw(simulate())
+    picture.savefig(image("waveform.svg"), metadata={"Date": None})

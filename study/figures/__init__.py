@@ -1,0 +1,86 @@
+"""The paper's figures and the architect's questions, from the equations, Monte Carlo through the golden model, and the RTL."""
+
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+
+from ..plot_style import style
+from . import architect, interference, light, reconstruction, rivals, thresholds, validity
+from .cases import Engine, Progress, Runner
+from .page import Section, write_page, write_section
+
+TITLE = "Coincid: the paper's figures, and what an architect asks"
+INTRODUCTION = """<p>Each figure from the equations as printed (literal), as corrected, and from a Monte Carlo of photons through
+the golden model; pictures link to SVG. Light of the presets: 1.226e6 background counts per second and pixel at 50 klux, 0.613
+signal photons per pulse and pixel at 4 m and 40 %. The scene's objects have the paper's ranges of distance and reflectivity;
+where they stand is our choice. Numbers that we chose to fit the paper are called fitted.</p>"""
+
+COMPARISON = (
+    rivals.background,
+    rivals.built_in,
+    rivals.ranging,
+    rivals.two_targets,
+    rivals.retroreflector,
+    interference.interference,
+)
+RIVALS_TITLE = "Coincid: other schemes on the same photons"
+RIVALS_INTRODUCTION = """<p>Every scheme sees the same edges: macro-pixels of 8 x 8, 100 laser pulses, window 1 ns, threshold 3 where it
+has one, a matched filter on every pixel's histogram; words go through 16 places a subgroup and one stream of 64 bit a cycle,
+histograms on the chip have 32 kbit a macro-pixel. What wins where and why: docs/rivals.md.</p>"""
+
+
+def make(
+    out_dir, replay: Engine | None = None, progress: Progress = lambda done, total: None, workers: int | None = None
+) -> list[Path]:
+    """Writes all figures (PNG, SVG), their data (CSV) and `index.html` into `out_dir`; returns the paths, the page last.
+
+    replay: runs edges through the RTL as `golden_result` does through the model, for figures 6 and 8; None: without RTL.
+    progress(done, total) is called after each frame; `total` grows. workers: processes, all cores by default; the files
+    do not depend on it. Each file appears whole or not at all.
+    """
+    return _write(
+        out_dir,
+        TITLE,
+        INTRODUCTION,
+        (
+            light.figure_2,
+            light.figure_5,
+            partial(reconstruction.figure_6, replay=replay),
+            thresholds.figure_7,
+            partial(reconstruction.figure_8, replay=replay),
+            validity.validity,
+            architect.background,
+            architect.rearm_and_window,
+            architect.fifo_and_bandwidth,
+            architect.two_targets,
+            architect.noisy_spads,
+        ),
+        progress,
+        workers,
+    )
+
+
+def compare(out_dir, progress: Progress = lambda done, total: None, workers: int | None = None) -> list[Path]:
+    """Like `make`, the comparison with other schemes and a second LiDAR's interference."""
+    return _write(out_dir, RIVALS_TITLE, RIVALS_INTRODUCTION, COMPARISON, progress, workers)
+
+
+def _write(
+    out_dir,
+    title: str,
+    introduction: str,
+    families: tuple[Callable[[Runner], Section], ...],
+    progress: Progress,
+    workers: int | None,
+) -> list[Path]:
+    out_dir = Path(out_dir)
+    sections = []
+    with style(), Runner(workers, progress) as run:
+        for family in families:
+            sections.append(family(run))
+            write_section(out_dir, sections[-1])
+    write_page(out_dir, title, introduction, sections)
+    files = [
+        out_dir / f"{stem}.{kind}" for section in sections for stem, _, _ in section.figures for kind in ("png", "svg")
+    ]
+    return [*files, *(out_dir / f"{section.name}.csv" for section in sections), out_dir / "index.html"]

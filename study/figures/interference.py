@@ -1,0 +1,154 @@
+"""A second LiDAR in the scene, and whether a laser period that changes from pulse to pulse pays."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from ...model.depth.quality import wrong_share
+from ...model.light.light import Interferer, Light
+from ...model.light.timing import Timing
+from ...model.scenes.catalogue import load_scene
+from ..comparison import PULSES, SCHEMES, shoot
+from ..plot_style import SERIES, legend_below, new_figure, share_axis
+from .cases import Runner, mean_of
+from .page import Section
+from .rivals import STYLES
+
+SIDE, KLUX, SEEDS = 32, 20.0, 3
+SHOWN = ("winner: joint", "this: fixed", "this: controller", "this: fixed joint", "this: controller joint")
+PHOTONS = (0.0, 0.02, 0.05, 0.2, 0.5, 1.0)  # of a pixel and pulse of the other; 0.23 is our own from white at 10 m
+OFFSETS = (0.0, 1e-5, 1e-4, 1e-3, 1e-2, 1e-1)  # of the other's laser period, relative
+DITHER_BITS = (0, 1, 2, 3, 4, 6)
+PHOTONS_SHOWN, OFFSET_SHOWN, BITS_SHOWN = 0.2, 0.0, (0, 2, 4)
+PHASE_SHARE = (0.07, 0.11, 0.6)  # of the period, one a seed: before, among and behind the objects
+
+
+class Task(NamedTuple):
+    photons: float
+    offset: float
+    bits: int
+    seed: int
+
+
+class Result(NamedTuple):
+    wrong: dict[str, float]
+    ghosts: dict[str, float]  # share of pixels at one depth that is no object's: the most frequent such depth
+    bits: dict[str, int]
+
+
+def run_task(task: Task) -> Result:
+    """All of `SHOWN` on the same photons of five objects and another LiDAR that shines on every pixel at once."""
+    scene = load_scene("five-objects", SIDE, SIDE)
+    timing = Timing(dither_bits=task.bits)
+    other = Interferer(
+        photons_per_pulse=task.photons,
+        period_s=timing.period_s * (1 + task.offset),
+        phase_s=PHASE_SHARE[task.seed - 1] * timing.period_s,
+    )
+    light = Light.from_scene(scene.distance_m, scene.reflectivity, KLUX, interferer=other if task.photons else None)
+    shot = shoot(light, task.seed, timing=timing)
+    found = {name: SCHEMES[name](shot) for name in SHOWN}
+    depths = {name: one.depth_m[:, :, 0] for name, one in found.items()}
+    return Result(
+        {name: wrong_share(depth, scene.truth_m) for name, depth in depths.items()},
+        {name: _same_and_wrong(depth, scene.truth_m) for name, depth in depths.items()},
+        {name: one.bits for name, one in found.items()},
+    )
+
+
+def _same_and_wrong(depth_m: np.ndarray, truth_m: np.ndarray) -> float:
+    """Largest share of pixels that are wrong by more than half a metre and agree within 30 cm: a ghost."""
+    wrong = depth_m[np.abs(depth_m - truth_m) > 0.5]
+    return float(np.bincount((wrong / 0.3).astype(np.int64), minlength=1).max() / truth_m.size) if wrong.size else 0.0
+
+
+def interference(run: Runner) -> Section:
+    """Wrong share against the other's light, its period, and the dither."""
+    keys = {
+        "photons a pixel and pulse of the other LiDAR": [
+            (photons, OFFSET_SHOWN, bits) for photons in PHOTONS for bits in BITS_SHOWN
+        ],
+        "its laser period longer by": [(PHOTONS_SHOWN, offset, bits) for offset in OFFSETS for bits in BITS_SHOWN],
+        "longest wait in cycles": [(PHOTONS_SHOWN, OFFSET_SHOWN, bits) for bits in DITHER_BITS],
+    }
+    wanted = list(dict.fromkeys(key for part in keys.values() for key in part))
+    made = iter(run.map(run_task, [Task(*key, seed + 1) for key in wanted for seed in range(SEEDS)]))
+    table = {key: [next(made) for _ in range(SEEDS)] for key in wanted}
+    rows = [
+        (
+            "scheme",
+            "photons_per_pulse",
+            "period_offset",
+            "dither_bits",
+            "frame_us",
+            "wrong_share",
+            "ghost_share",
+            "bits_per_frame",
+        )
+    ]
+    for key, results in table.items():
+        frame_us = Timing(dither_bits=key[2]).start_cycles(PULSES)[-1] / Timing().clock_hz * 1e6
+        rows += [
+            (
+                name,
+                *key,
+                float(frame_us),
+                *(
+                    mean_of(results, lambda one, part=part, name=name: getattr(one, part)[name])
+                    for part in ("wrong", "ghosts", "bits")
+                ),
+            )
+            for name in SHOWN
+        ]
+    figure = new_figure(15, 5)
+    left, middle, right = figure.subplots(1, 3, sharey=True)
+    colours = dict(zip(BITS_SHOWN, (SERIES[0], SERIES[3], SERIES[5])))
+    for axis, at, (label, part) in zip((left, middle), (0, 1), keys.items()):
+        for bits in BITS_SHOWN:
+            chosen = [key for key in part if key[2] == bits]
+            for name, line in (("this: fixed joint", "-o"), ("this: fixed", "--o")):
+                wait = f"wait of 0 to {(1 << bits) - 1} cycles" if bits else "no wait"
+                axis.plot(
+                    [key[at] for key in chosen],
+                    _shares(table, chosen, name),
+                    line,
+                    color=colours[bits],
+                    label=f"{wait}, {name}",
+                )
+        share_axis(axis, xlabel=label)
+        axis.set_xscale("symlog", linthresh=part[len(BITS_SHOWN)][at], linscale=0.3)
+        axis.set_xlim(left=0)
+    for name in SHOWN:
+        colour, line, marker = STYLES[name]
+        chosen = keys["longest wait in cycles"]
+        right.plot(
+            [(1 << key[2]) - 1 for key in chosen],
+            _shares(table, chosen, name),
+            line,
+            marker=marker,
+            color=colour,
+            label=name,
+        )
+    share_axis(right, xlabel="longest wait in cycles", title=f"{PHOTONS_SHOWN:g} photons, same period")
+    right.set_xscale("symlog", linthresh=1)
+    right.set_xlim(left=0)
+    left.set(ylabel="share of wrong pixels", title="same period")
+    middle.set_title(f"{PHOTONS_SHOWN:g} photons")
+    legend_below(figure, 4)
+    return Section(
+        "interference",
+        "A second LiDAR, with and without dither of the laser period",
+        "",
+        [
+            (
+                "interference",
+                figure,
+                f"Five objects at {KLUX:g} klux, {PULSES} pulses, {SEEDS} phases of the other LiDAR",
+            )
+        ],
+        rows,
+    )
+
+
+def _shares(table: dict, keys: list[tuple], name: str) -> list[float]:
+    return [mean_of(table[key], lambda one: one.wrong[name]) for key in keys]

@@ -1,0 +1,110 @@
+"""Sections of the page: pictures, their data, and our numbers next to the paper's; how they become files."""
+
+import csv
+import html
+import io
+from collections.abc import Sequence
+from pathlib import Path
+
+from attrs import field, frozen
+from matplotlib.figure import Figure
+
+from ...model.shared.files import whole_file
+from ..plot_style import save_figure
+
+
+@frozen
+class Comparison:
+    """One of the paper's numbers: what it says, what each of our sources gives, and why they differ."""
+
+    quantity: str
+    paper: str
+    ours: dict[str, str]
+    why: str
+
+
+@frozen(eq=False)
+class Section:
+    """A part of the page. name: stem of its files. figures: (stem, figure, caption). rows: the CSV's, header first."""
+
+    name: str
+    title: str
+    text: str
+    figures: Sequence[tuple[str, Figure, str]]
+    rows: Sequence[Sequence]
+    comparisons: Sequence[Comparison] = field(default=())
+
+
+def write_section(out_dir: Path, section: Section) -> None:
+    """PNG and SVG of every figure and the CSV."""
+    for stem, figure, _ in section.figures:
+        save_figure(figure, out_dir / f"{stem}.png", out_dir / f"{stem}.svg")
+    text = io.StringIO()
+    csv.writer(text, lineterminator="\n").writerows([_cell(value) for value in row] for row in section.rows)
+    _write(out_dir / f"{section.name}.csv", text.getvalue())
+
+
+def write_page(out_dir: Path, title: str, introduction: str, sections: Sequence[Section]) -> None:
+    """`index.html` for sections that are written."""
+    body = "\n".join(_section_html(section) for section in sections)
+    links = " · ".join(f'<a href="#{section.name}">{html.escape(section.title)}</a>' for section in sections)
+    _write(
+        out_dir / "index.html",
+        f"""<!doctype html>
+<html lang="en">
+<meta charset="utf-8">
+<title>{html.escape(title)}</title>
+<style>
+body {{ font: 15px/1.5 sans-serif; max-width: 75rem; margin: 2rem auto; padding: 0 1rem; color: #222; }}
+img {{ max-width: 100%; }}
+figure {{ margin: 1rem 0; }}
+figcaption {{ color: #555; }}
+table {{ border-collapse: collapse; margin: 1rem 0; }}
+th, td {{ border: 1px solid #ccc; padding: .3rem .6rem; text-align: left; vertical-align: top; }}
+th {{ background: #f3f3f3; }}
+</style>
+<h1>{html.escape(title)}</h1>
+{introduction}
+<p>{links}</p>
+{body}
+</html>
+""",
+    )
+
+
+def _section_html(section: Section) -> str:
+    figures = "\n".join(
+        f'<figure><a href="{stem}.svg"><img src="{stem}.png" alt="{html.escape(caption)}"></a>'
+        f"<figcaption>{html.escape(caption)}</figcaption></figure>"
+        for stem, _, caption in section.figures
+    )
+    return (
+        f'<h2 id="{section.name}">{html.escape(section.title)}</h2>\n{section.text}\n{figures}\n'
+        f'{_comparison_html(section.comparisons)}<p>Data: <a href="{section.name}.csv">{section.name}.csv</a></p>'
+    )
+
+
+def _comparison_html(comparisons: Sequence[Comparison]) -> str:
+    if not comparisons:
+        return ""
+    sources = list(dict.fromkeys(source for comparison in comparisons for source in comparison.ours))
+    head = "".join(f"<th>{html.escape(text)}</th>" for text in ("quantity", "paper", *sources, "why they differ"))
+    rows = "\n".join(
+        "<tr>"
+        + "".join(
+            f"<td>{html.escape(text)}</td>"
+            for text in (one.quantity, one.paper, *(one.ours.get(source, "") for source in sources), one.why)
+        )
+        + "</tr>"
+        for one in comparisons
+    )
+    return f"<table>\n<tr>{head}</tr>\n{rows}\n</table>\n"
+
+
+def _cell(value) -> str:
+    return f"{value:.6g}" if isinstance(value, float) else str(value)
+
+
+def _write(path: Path, text: str) -> None:
+    with whole_file(path) as file:
+        file.write(text.encode())

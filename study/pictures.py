@@ -1,0 +1,81 @@
+"""Depth pictures: several estimates of a scene side by side, on one scale in metres."""
+
+from collections.abc import Sequence
+
+import matplotlib
+import numpy as np
+from attrs import frozen
+from matplotlib.collections import PatchCollection
+from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
+
+from ..model.depth.quality import TOLERANCE_M, wrong_pixels, wrong_share
+from .plot_style import DEPTH_MAP, INVALID_COLOUR, new_figure, save_figure, style
+
+PANEL_IN = 3.1
+PANELS_ACROSS = 4  # then a second row begins
+SCALE_MARGIN = 0.05  # of the range of depths, on both sides of the colour bar
+
+
+@frozen(eq=False)
+class Panel:
+    """A depth picture: title, float64[rows, cols] in metres (NaN = no depth)."""
+
+    title: str
+    depth_m: np.ndarray
+
+
+def depth_row(
+    path, panels: Sequence[Panel], truth_m: np.ndarray, heading: str = "", *, tolerance_m: float = TOLERANCE_M
+) -> list[float]:
+    """Writes `draw_row` to `path` (.png or .svg), and returns the share of wrong pixels of each panel."""
+    figure, shares = draw_row(panels, truth_m, heading, tolerance_m=tolerance_m)
+    save_figure(figure, path)
+    return shares
+
+
+def draw_row(
+    panels: Sequence[Panel], truth_m: np.ndarray, heading: str = "", *, tolerance_m: float = TOLERANCE_M
+) -> tuple[Figure, list[float]]:
+    """The truth and `panels` side by side, four in a row: the figure, and the share of wrong pixels of each panel.
+
+    One metres-to-colour scale, which spans the truth: what lies beyond it takes the colour at its end. Pixels without a
+    truth are grey with a cross, without an estimate grey. Titles give the share of wrong pixels (`depth.wrong_share`).
+    """
+    shares = [wrong_share(panel.depth_m, truth_m, tolerance_m) for panel in panels]
+    near_m, far_m = np.nanmin(truth_m), np.nanmax(truth_m)
+    margin_m = max(SCALE_MARGIN * (far_m - near_m), tolerance_m)
+    rows, cols = truth_m.shape
+    height_in = PANEL_IN * rows / cols
+    across = min(len(panels) + 1, PANELS_ACROSS)
+    down = -(-(len(panels) + 1) // across)
+    with style(axes_grid=False):
+        figure = new_figure(PANEL_IN * across + 0.9, (height_in + 0.75) * down + (0.6 if heading else 0.35))
+        grid = figure.subplots(down, across, squeeze=False)
+        axes = grid.ravel()
+        colours = matplotlib.colormaps[DEPTH_MAP].with_extremes(bad=INVALID_COLOUR)
+        for axis, panel in zip(axes, (Panel("truth", truth_m), *panels)):
+            image = axis.imshow(panel.depth_m, cmap=colours, vmin=near_m - margin_m, vmax=far_m + margin_m)
+            for row, col in np.argwhere(np.isnan(truth_m)):
+                axis.plot([col - 0.3, col + 0.3], [row - 0.3, row + 0.3], color="black", linewidth=0.6)
+                axis.plot([col - 0.3, col + 0.3], [row + 0.3, row - 0.3], color="black", linewidth=0.6)
+            axis.set_title(panel.title)
+            axis.set_xlabel("column")
+            axis.spines[:].set_visible(False)
+        for axis in grid[:, 0]:
+            axis.set_ylabel("row")
+        for axis in axes[len(panels) + 1 :]:
+            axis.set_visible(False)
+        for axis, panel, share in zip(axes[1:], panels, shares):
+            axis.set_title(f"{panel.title}\n{share:.1%} of pixels wrong")
+            wrong = np.argwhere(wrong_pixels(panel.depth_m, truth_m, tolerance_m))
+            frames = [Rectangle((col - 0.5, row - 0.5), 1, 1) for row, col in wrong]
+            axis.add_collection(PatchCollection(frames, facecolor="none", edgecolor="#e31a1c", linewidth=0.5))
+        figure.colorbar(image, ax=list(axes), label="depth in m", extend="both", pad=0.01)
+        notes = f"red frames: wrong, |error| > {100 * tolerance_m:.3g} cm"
+        if np.isnan(truth_m).any():
+            notes += "; crosses: no truth, not counted"
+        figure.supxlabel(notes, fontsize=9)
+        if heading:
+            figure.suptitle(heading, fontsize=12)
+    return figure, shares

@@ -1,0 +1,85 @@
+"""How every picture looks, and how it is written: whole or not at all, the same bytes for the same data."""
+
+import io
+from pathlib import Path
+
+import matplotlib
+from matplotlib.figure import Figure
+
+from ..model.shared.files import whole_file
+
+STYLE = {
+    "font.size": 10,
+    "axes.titlesize": 11,
+    "axes.labelsize": 10,
+    "legend.fontsize": 8.5,
+    "legend.frameon": False,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "grid.alpha": 0.3,
+    "grid.linewidth": 0.6,
+    "lines.linewidth": 1.6,
+    "lines.markersize": 4.5,
+    "image.interpolation": "nearest",
+    "figure.dpi": 120,
+    "savefig.dpi": 120,
+    "svg.hashsalt": "coincid",  # element names are hashes of this and a count: the same in every run
+    "svg.fonttype": "none",
+}
+DEPTH_MAP, INVALID_COLOUR = "viridis_r", "#d9d9d9"  # near is dark; grey is in no part of the map
+SOURCES = {  # of a number, and how it is drawn
+    "literal": {"color": "#d95f02", "linestyle": "--"},
+    "corrected": {"color": "#1b9e77", "linestyle": "-"},
+    "Monte Carlo": {"color": "#222222", "linestyle": "", "marker": "o"},
+    "RTL": {"color": "#e7298a", "linestyle": "", "marker": "x"},
+    "paper": {"color": "#7570b3", "linestyle": ":", "marker": "s"},
+}
+SERIES = (
+    "#440154",
+    "#46327e",
+    "#365c8d",
+    "#277f8e",
+    "#1fa187",
+    "#4ac16d",
+    "#a0da39",
+    "#fde725",
+)  # ordered: dark to bright
+_UNDATED = {"png": {"Software": None}, "svg": {"Date": None, "Creator": None}}
+
+
+def style(**others):
+    """A context in which figures are made in the common style; `others` are rc parameters by name, `_` for `.`."""
+    return matplotlib.rc_context(STYLE | {name.replace("_", ".", 1): value for name, value in others.items()})
+
+
+def new_figure(width_in: float, height_in: float) -> Figure:
+    """A figure without any window or global state; call it within `style`."""
+    return Figure(figsize=(width_in, height_in), layout="constrained")
+
+
+def legend_below(figure: Figure, columns: int = 6) -> None:
+    """One legend for all axes, below them; each label once."""
+    entries = {}
+    for axis in figure.axes:
+        entries |= {label: handle for handle, label in zip(*axis.get_legend_handles_labels()) if label not in entries}
+    figure.legend(entries.values(), entries.keys(), loc="outside lower center", ncols=min(columns, len(entries)))
+
+
+def share_axis(axis, **others) -> None:
+    """Shares from 0 to 1 upwards, spread where they are small: linear below one in a thousand, then logarithmic; `others` go to `set`."""
+    axis.set(**others)
+    axis.set_yscale("symlog", linthresh=1e-3, linscale=0.4)
+    axis.set_ylim(0, 1)
+    axis.set_yticks([0, 1e-3, 1e-2, 1e-1, 1], labels=["0", "0.1 %", "1 %", "10 %", "100 %"])
+
+
+def save_figure(figure: Figure, *paths) -> None:
+    """Writes `figure` to each path (.png or .svg)."""
+    for path in map(Path, paths):
+        kind = path.suffix[1:]
+        with style():
+            data = io.BytesIO()
+            figure.savefig(data, format=kind, metadata=_UNDATED[kind])
+        with whole_file(path) as file:
+            file.write(data.getvalue())

@@ -1,0 +1,199 @@
+"""Other ways from edges to depth, on the same edges, each as small as its idea; and the bandwidth that those which send words share.
+
+A macro-pixel is a subgroup: every scheme sees its pixels' edges and nothing else. Some send words, a stamp for a run of
+photons, through FIFOs and a stream like this sensor's; some sum up a histogram for each macro-pixel on the chip and send it
+at the frame's end. The ideas are known from the literature in many forms; these forms are our choice.
+"""
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from ..model.contract.edges import Edges
+from ..model.contract.parameters import Sensor
+from ..model.contract.pixels import pixel_table
+from ..model.depth.arrivals import lead_sigmas, photons_of
+
+
+class Photons(NamedTuple):
+    """One frame's edges by subgroup, then pulse, tick and pixel; int64[n].
+
+    period: subgroup * pulses + pulse. inside: the pixel in the subgroup. pulses: of the frame. subgroups; pixels: of each.
+    """
+
+    period: np.ndarray
+    tick: np.ndarray
+    inside: np.ndarray
+    pulses: int
+    subgroups: int
+    pixels: int
+
+    @property
+    def subgroup(self) -> np.ndarray:
+        return self.period // self.pulses
+
+
+class Words(NamedTuple):
+    """What a scheme sends: each word stands for the photons [start, stop), has the stamp of one of them (tick) and their pixels; int64[n].
+
+    The order is that of the photons: by subgroup, then time.
+    """
+
+    start: np.ndarray
+    stop: np.ndarray
+    stamp: np.ndarray
+
+    def chosen(self, which: np.ndarray) -> "Words":
+        return Words(*(column[which] for column in self))
+
+
+def macro_pixels(edges: Edges, sensor: Sensor, pulses: int) -> Photons:
+    """The edges of one frame (pulses counted from its start) as the subgroups see them."""
+    pixel = pixel_table(sensor)
+    period, inside = pixel.subgroup[edges.pixel] * pulses + edges.pulse, pixel.inside[edges.pixel]
+    order = np.lexsort((inside, edges.tick, period))
+    return Photons(period[order], edges.tick[order], inside[order], pulses, sensor.subgroups, sensor.pixels)
+
+
+def winner_takes_all(photons: Photons, phases: int) -> Words:
+    """The first photon of an armed tree, which is armed again from the next cycle: the paper's scheme 1."""
+    return windows(photons, 1, phases)
+
+
+def windows(photons: Photons, window: int, phases: int) -> Words:
+    """This sensor's windows, whatever their count: `window` ticks from any photon of an armed tree on; armed again from the cycle after."""
+    return Words(*_windows(photons.period, photons.tick, window, phases))
+
+
+@njit(cache=True)
+def _windows(period, tick, window, phases):
+    start, stop = np.empty_like(tick), np.empty_like(tick)
+    n, e = 0, 0
+    while e < len(tick):
+        begin, end = e, tick[e] + window
+        armed = ((end - 1) // phases + 1) * phases
+        while e < len(tick) and period[e] == period[begin] and tick[e] < end:
+            e += 1
+        start[n], stop[n] = begin, e
+        n += 1
+        while e < len(tick) and period[e] == period[begin] and tick[e] < armed:
+            e += 1
+    return start[:n], stop[:n], tick[start[:n]]
+
+
+def sliding_window(photons: Photons, window: int, threshold: int) -> Words:
+    """`threshold` photons within `window` ticks make a word, stamped at the last of them, and are used up."""
+    return Words(*_sliding(photons.period, photons.tick, window, threshold))
+
+
+@njit(cache=True)
+def _sliding(period, tick, window, threshold):
+    start, stop = np.empty_like(tick), np.empty_like(tick)
+    n = oldest = 0
+    for e in range(len(tick)):
+        while period[oldest] != period[e] or tick[oldest] <= tick[e] - window:
+            oldest += 1
+        if e - oldest + 1 >= threshold:
+            start[n], stop[n] = oldest, e + 1
+            n += 1
+            oldest = e + 1
+    return start[:n], stop[:n], tick[stop[:n] - 1]
+
+
+def fixed_windows(photons: Photons, window: int, threshold: int) -> Words:
+    """Time is cut every `window` ticks from the trigger on; a piece with `threshold` photons is a word, stamped at its first."""
+    piece = photons.tick // window
+    start = np.flatnonzero((np.diff(photons.period, prepend=-1) != 0) | (np.diff(piece, prepend=-1) != 0))
+    stop = np.append(start[1:], len(piece))
+    return Words(start, stop, photons.tick[start]).chosen(stop - start >= threshold)
+
+
+def last_hit(photons: Photons) -> Words:
+    """The last photon of each period, which has overwritten those before."""
+    last = np.flatnonzero(np.diff(photons.period, append=-1))
+    return Words(last, last + 1, photons.tick[last])
+
+
+def photon_counts(photons: Photons, clock: int, bins: int) -> np.ndarray:
+    """int64[subgroups, bins]: an adder counts the macro-pixel's photons in every clock of `clock` ticks, a histogram sums the counts."""
+    return _summed(photons, photons.subgroup, photons.tick // clock, None, bins)
+
+
+def count_weighted(photons: Photons, words: Words, arrival: np.ndarray, width: int, bins: int) -> np.ndarray:
+    """int64[subgroups, bins] of `width` ticks: each word adds its count where it arrived (ticks): weights instead of a threshold."""
+    at = np.minimum(arrival.astype(np.int64) // width, bins - 1)
+    return _summed(photons, photons.subgroup[words.start], at, words.stop - words.start, bins)
+
+
+def _summed(photons: Photons, subgroup: np.ndarray, at: np.ndarray, weight: np.ndarray | None, bins: int) -> np.ndarray:
+    return np.bincount(subgroup * bins + at, weight, photons.subgroups * bins).astype(np.int64).reshape(-1, bins)
+
+
+def counted_arrival(photons: Photons, words: Words, sigma_ticks: float) -> np.ndarray:
+    """Arrivals in ticks, float64[n], for words stamped at their first photon: later by its expected lead (`arrivals.py`)."""
+    return (
+        words.stamp
+        + 0.5
+        + sigma_ticks * lead_sigmas(np.maximum(photons_of(words.stop - words.start, photons.pixels), 1))
+    )
+
+
+def read_out(photons: Photons, words: Words, sensor: Sensor, phases: int, period: int, beats: int) -> np.ndarray:
+    """bool[n]: which words find a place in their subgroup's FIFO, that the stream empties, a word of `beats` cycles at a time, round robin.
+
+    As in this sensor, but for its latencies of a few cycles. period: cycles.
+    """
+    subgroup = photons.subgroup[words.start]
+    cycle = photons.period[words.start] % photons.pulses * period + words.stamp // phases
+    bounds = np.searchsorted(subgroup, np.arange(photons.subgroups + 1))
+    stored = np.zeros(len(cycle), np.bool_)
+    for stream in range(sensor.streams):
+        part = sensor.stream_subgroups(stream)
+        _serve(cycle, bounds[part.start : part.stop + 1], sensor.fifo_depth, beats, stored)
+    return stored
+
+
+@njit(cache=True)
+def _serve(cycle, bounds, depth, beats, stored):
+    n = len(bounds) - 1
+    arrived, level = bounds[:-1].copy(), np.zeros(n, np.int64)
+    now, pointer = np.int64(0), 0
+    while True:
+        upcoming = np.int64(-1)
+        for s in range(n):  # everything up to now enters its FIFO or is lost
+            while arrived[s] < bounds[s + 1] and cycle[arrived[s]] <= now:
+                if level[s] < depth:
+                    stored[arrived[s]] = True
+                    level[s] += 1
+                arrived[s] += 1
+            if arrived[s] < bounds[s + 1] and (upcoming < 0 or cycle[arrived[s]] < upcoming):
+                upcoming = cycle[arrived[s]]
+        served = -1
+        for k in range(n):
+            if level[(pointer + k) % n]:
+                served = (pointer + k) % n
+                break
+        if served >= 0:
+            level[served] -= 1
+            pointer = (served + 1) % n
+            now += beats
+        elif upcoming >= 0:
+            now = upcoming
+        else:
+            return
+
+
+def pixel_histograms(
+    photons: Photons, words: Words, arrival: np.ndarray, sensor: Sensor, period_ticks: int
+) -> Iterator[np.ndarray]:
+    """For each subgroup its pixels' histograms, int32[pixels, period_ticks]: a word counts at its arrival, for its photons' pixels."""
+    size = words.stop - words.start
+    of_word = np.repeat(np.arange(len(size)), size)
+    photon = np.arange(len(of_word)) + np.repeat(words.start - np.cumsum(size) + size, size)
+    at = photons.inside[photon] * period_ticks + np.clip(arrival[of_word].astype(np.int64), 0, period_ticks - 1)
+    bounds = np.searchsorted(photons.subgroup[photon], np.arange(sensor.subgroups + 1))
+    for s in range(sensor.subgroups):
+        counts = np.bincount(at[bounds[s] : bounds[s + 1]], minlength=sensor.pixels * period_ticks)
+        yield counts.astype(np.int32).reshape(sensor.pixels, period_ticks)

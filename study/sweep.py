@@ -1,0 +1,253 @@
+"""Sweeps: a grid of points on Dask workers, each from photons to depth, into one Parquet file.
+
+Finished points are kept beside the result, a small file each under the digest of everything that it depends on. So a sweep
+that was killed goes on where it was, a changed SPEC runs what is new in it, and the result has the same bytes either way.
+"""
+
+import contextlib
+import json
+import logging
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import dask
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+from attrs import frozen
+from distributed import Client, LocalCluster, as_completed
+from distributed.client import FutureCancelledError
+from distributed.comm import backends, parse_address, parse_host_port
+from distributed.scheduler import KilledWorker
+from filelock import FileLock, Timeout
+
+from ..model.contract.config import parse_config
+from ..model.depth.estimate import estimate_depth
+from ..model.light.photons import generate_edges
+from ..model.scenes.scene import Scene
+from ..model.shared.errors import InputError
+from ..model.shared.files import whole_file
+from ..tb.replay import replay
+from ..tb.toolchain import SimulationError
+from .measures import MEASURES, measures
+from .sweep_plot import write_plot
+from .sweep_spec import Point, Spec, photons_of, timing_of, versions
+
+LOOPBACK = "127.0.0.1"
+CONNECT_S = 10
+DEAF_TO_CTRL_C = "import signal\nsignal.signal(signal.SIGINT, signal.SIG_IGN)"  # a worker's: the sweep ends it
+LOST_WORKERS_MAX = 20  # that a point may have been on: then it is the point that kills them
+LOCK = "lock"
+COLUMN_TYPES = {int: pa.int64(), float: pa.float64()}
+REAL_SETTINGS = ("klux", "clock_mhz")
+METADATA = "coincid"  # key of the Parquet file's metadata
+
+
+class SchedulerLost(SimulationError):
+    """The scheduler went away in the middle of a sweep."""
+
+
+@frozen
+class Summary:
+    """rows: of the result. kept: points that were finished before. failed: why, by the point's name."""
+
+    rows: int
+    kept: int
+    failed: dict[str, str]
+
+
+def sweep(
+    spec: Spec,
+    out: Path,
+    *,
+    workers: int,
+    title: str,
+    scheduler: str | None = None,
+    progress: Callable[[int], None] = lambda done: None,
+) -> Summary:
+    """Runs the points of `spec` that are not finished, and writes the table and its plot (`out` with .png).
+
+    workers: processes of a cluster on this machine, unless `scheduler` is the address of another. progress: called with the
+    number of points done. A point that fails has no row, and runs again next time. Raises `InputError` (another sweep writes
+    `out`; nothing answers at `scheduler`) and `SchedulerLost`.
+    """
+    plot = out.with_suffix(".png")
+    with Finished(out) as finished:
+        found = {key: kept for key in spec.keys if (kept := finished.load(key)) is not None}
+        before, failed = len(found), {}
+        progress(before)
+        todo = [point for key, point in spec.keys.items() if key not in found]
+        if todo:
+            with cluster(min(workers, len(todo)), scheduler) as client:
+                for point, result, why in results(todo, client):
+                    if result is None:
+                        failed[point.name] = why
+                    else:
+                        finished.keep(point.key, result)
+                        found[point.key] = result
+                    progress(len(found) + len(failed))
+        if found:
+            write_table(out, spec, found)
+            write_plot(plot, title, spec, found)
+        else:  # nothing of an earlier sweep is left to be taken for this one's
+            out.unlink(missing_ok=True)
+            plot.unlink(missing_ok=True)
+    return Summary(sum(point.key in found for point in spec.points), before, dict(sorted(failed.items())))
+
+
+def run_point(settings: dict, document: dict, scene: Scene, expected: dict) -> dict[str, int | float | None]:
+    """A point's `MEASURES`, of its last frame: photons, engine, depth. Runs on a worker.
+
+    Raises `RuntimeError` if `versions` are not as `expected`: the worker would give other numbers than the others.
+    """
+    if (own := versions(settings["engine"])) != expected:
+        raise RuntimeError(f"the worker's versions are not the sweep's: {own}, {expected}")
+    config = parse_config(document)
+    edges = generate_edges(**photons_of(settings, config, scene))
+    arrays, last = replay(settings["engine"], config, edges), config.frames - 1
+    tick_s = timing_of(settings, config).tick_s
+    depth = estimate_depth(arrays, config, tick_s, method=settings["method"], frame=last)
+    seen = int(np.sum(edges.pulse // config.pulses == last))
+    return measures(config, arrays, last, seen, depth.depth_m[:, :, 0], scene.truth_m)
+
+
+class Finished:
+    """The finished points of a result file, in a folder beside it; a context manager that no two sweeps enter at once."""
+
+    def __init__(self, out: Path):
+        self.folder = out.with_name(f"{out.name}.points")
+        self._lock = FileLock(self.folder / LOCK)
+        self._out = out
+
+    def __enter__(self) -> "Finished":
+        try:
+            self.folder.mkdir(parents=True, exist_ok=True)
+            self._lock.acquire(timeout=0)
+        except Timeout:
+            raise InputError(f"out = {str(self._out)!r}: another sweep is writing it") from None
+        except OSError as error:
+            raise InputError(f"out = {str(self._out)!r}: cannot be written: {error.strerror}") from None
+        for path in self.folder.glob(".*"):  # of a sweep that was killed while it wrote
+            path.unlink()
+        return self
+
+    def __exit__(self, *_) -> None:
+        self._lock.release()
+
+    def load(self, key: str) -> dict | None:
+        """What was kept under `key`, None if nothing readable."""
+        try:
+            kept = json.loads(self._path(key).read_text())
+        except (OSError, ValueError):
+            return None
+        return kept if isinstance(kept, dict) and list(kept) == list(MEASURES) else None
+
+    def keep(self, key: str, found: dict) -> None:
+        with whole_file(self._path(key), "w") as file:
+            file.write(json.dumps(found, indent=1) + "\n")
+
+    def _path(self, key: str) -> Path:
+        return self.folder / f"{key}.json"
+
+
+@contextlib.contextmanager
+def cluster(workers: int, scheduler: str | None = None) -> Iterator[Client]:
+    """A client of the scheduler at an address, or of a cluster of `workers` processes that ends with the block."""
+    with contextlib.ExitStack() as stack:
+        if scheduler is not None:
+            _check_address(scheduler)
+        else:
+            stack.enter_context(dask.config.set({"distributed.scheduler.allowed-failures": LOST_WORKERS_MAX}))
+            # Loopback only. Without a dashboard the scheduler still serves its health page: on any free port.
+            scheduler = stack.enter_context(
+                LocalCluster(
+                    n_workers=workers,
+                    threads_per_worker=1,
+                    host=LOOPBACK,
+                    memory_limit=None,
+                    silence_logs="CRITICAL",
+                    preload=DEAF_TO_CTRL_C,
+                    dashboard_address=None,
+                    scheduler_kwargs={"dashboard": False, "dashboard_address": f"{LOOPBACK}:0"},
+                )
+            )
+        logging.getLogger("distributed.client").setLevel(
+            logging.CRITICAL
+        )  # a lost scheduler is told by `SchedulerLost`
+        try:
+            client = Client(scheduler, timeout=CONNECT_S, set_as_default=False)
+        except OSError as error:
+            raise InputError(f"scheduler = {scheduler!r}: no Dask scheduler answers ({error})") from None
+        yield stack.enter_context(client)
+
+
+def _check_address(scheduler: str) -> None:
+    """Before a client is made: one with an address that makes no sense does not end."""
+    try:
+        scheme, place = parse_address(scheduler, strict=True)
+        parse_host_port(place)
+        if scheme not in backends:
+            raise ValueError(f"{scheme}: none of {', '.join(backends)}")
+    except ValueError as error:
+        raise InputError(f"scheduler = {scheduler!r}: must be an address such as tcp://HOST:8786 ({error})") from None
+
+
+def results(points: list[Point], client: Client) -> Iterator[tuple[Point, dict | None, str]]:
+    """Runs points on the client's workers; yields each as it comes, with its measures, or with None and why. Raises `SchedulerLost`."""
+    scenes, running = {}, {}
+    for point in points:
+        # A task of its own: sent once, and made again where the worker that held it is lost.
+        scene = scenes.get(id(point.scene)) or client.submit(_itself, point.scene, pure=False)
+        scenes[id(point.scene)] = scene
+        expected = versions(point.settings["engine"])
+        running[client.submit(run_point, point.settings, point.document, scene, expected, pure=False)] = point
+    for task in as_completed(list(running), loop=client.loop):
+        point = running.pop(task)
+        try:
+            found, why = task.result(), ""  # which runs again where the worker that still held it is lost
+        except FutureCancelledError:
+            raise SchedulerLost("the Dask scheduler is gone; finished points are kept: start the sweep again") from None
+        except Exception as error:
+            found, why = None, _reason(error)
+        yield point, found, why
+
+
+def _itself(scene: Scene) -> Scene:
+    return scene
+
+
+def _reason(error: BaseException) -> str:
+    if isinstance(error, KilledWorker):
+        return "every worker that ran it was lost"
+    text = " ".join(str(error).split())
+    return text if isinstance(error, InputError) else f"{type(error).__name__}: {text}"
+
+
+def write_table(path: Path, spec: Spec, found: dict[str, dict]) -> None:
+    """Writes a row for each point of `spec` that `found` has by key; the bytes depend on these two alone.
+
+    Columns: the swept values, `MEASURES`, the point's whole configuration as JSON, and its key. The file's metadata, under `METADATA`:
+    base, axes and versions as JSON.
+    """
+    points = [point for point in spec.points if point.key in found]
+    columns, fields = [], []
+    for name in points[0].values if points else ():
+        column = pa.array([point.values[name] for point in points], pa.float64() if name in REAL_SETTINGS else None)
+        columns.append(column)
+        fields.append(pa.field(name, column.type, metadata={"meaning": "swept"}))
+    for name, (kind, meaning) in MEASURES.items():
+        columns.append(pa.array([found[point.key][name] for point in points], COLUMN_TYPES[kind]))
+        fields.append(pa.field(name, columns[-1].type, metadata={"meaning": meaning}))
+    for name, meaning, text in (
+        ("settings", "everything that was set, as JSON", lambda point: json.dumps(point.settings)),
+        ("point", "name of the point's file", lambda point: point.key),
+    ):
+        columns.append(pa.array(map(text, points), pa.string()))
+        fields.append(pa.field(name, pa.string(), metadata={"meaning": meaning}))
+    engines = sorted({point.settings["engine"] for point in points})
+    described = json.dumps(
+        {"base": spec.base, "axes": spec.axes, "versions": {engine: versions(engine) for engine in engines}}
+    )
+    table = pa.table(columns, schema=pa.schema(fields, metadata={METADATA: described}))
+    with whole_file(path) as file:
+        pq.write_table(table, file)

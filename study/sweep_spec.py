@@ -1,0 +1,227 @@
+"""What a sweep runs: the points of its SPEC file, every one checked before the first runs.
+
+A SPEC is a configuration file with more keys: `SETTINGS`, `config` (a file or preset that its tables are laid over), and
+[[axis]] tables. The keys of an axis vary together, axes are crossed, and the first varies slowest.
+"""
+
+import json
+import math
+from functools import cache
+from importlib.metadata import version
+
+import numpy as np
+from attrs import frozen
+
+from .. import __version__
+from ..model.contract.config import PRESETS, Config, parse_config, read_toml
+from ..model.depth.estimate import METHODS
+from ..model.light.photons import edge_chunks
+from ..model.light.spad import Spad, SpadGate
+from ..model.light.timing import Timing
+from ..model.scenes.catalogue import load_scene
+from ..model.scenes.scene import Scene, scene_light
+from ..model.shared.constants import SPEED_OF_LIGHT_M_S
+from ..model.shared.errors import InputError, check_integer
+from ..model.shared.quantities import check_choice, check_real
+from ..model.shared.sources import digest, sources_digest
+from .simulate import settings_of
+
+TABLES = ("sensor", "frame", "subgroup")  # of the configuration, whose keys may be swept
+SETTINGS = {  # of a point, beside its configuration: default
+    "scene": "five-objects",
+    "klux": 50.0,
+    "seed": 1,
+    "engine": "golden",
+    "method": "joint",
+    "clock_mhz": 500.0,
+    "spad_gate": False,
+}
+ENGINES = ("golden", "verilator")
+POINTS_MAX = 100_000
+SEED_MAX = (1 << 63) - 1  # a column of the result holds it
+CLOCK_MHZ = (1e-3, 1e5)
+
+
+@frozen(kw_only=True, eq=False)
+class Point:
+    """One point. name, values: what is swept. at: its index along each axis. document: of its configuration. scene: what the pixels look
+    at. settings: all there is to know, the configuration in the shape of its file. key: digest of what the numbers depend on.
+    """
+
+    name: str
+    values: dict
+    at: tuple[int, ...]
+    document: dict
+    settings: dict
+    scene: Scene
+    key: str
+
+
+@frozen(eq=False)
+class Spec:
+    """A SPEC file. base: its document without the axes, `config` resolved. axes: lists of values by key. points: in order."""
+
+    base: dict
+    axes: list[dict[str, list]]
+    points: list[Point]
+
+    @property
+    def keys(self) -> dict[str, Point]:
+        """Points by key: those with the same content are run once."""
+        return {point.key: point for point in reversed(self.points)}
+
+
+@cache
+def versions(engine: str) -> dict[str, str]:
+    """What an engine's numbers depend on, whatever the settings; `code` is a digest of the sources."""
+    code = sources_digest("model", "study", *(() if engine == "golden" else ("hdl", "tb")))
+    return {"coincid": __version__, "code": code} | {name: version(name) for name in ("numba", "numpy", "scipy")}
+
+
+def read_spec(path) -> Spec:
+    """Reads and checks a SPEC file; `InputError` names the point, its field and the legal range."""
+    try:
+        document = read_toml(path)
+        axes = _axes(document.pop("axis", []))
+        base = _resolved(document)
+        scenes = cache(load_scene)
+        points = [_point(document, axes, at, scenes) for at in np.ndindex(*(_length(axis) for axis in axes))]
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
+    return Spec(base, axes, points)
+
+
+def _axes(tables: object) -> list[dict[str, list]]:
+    """[[axis]] tables as lists of values by key, `subgroup.threshold` or `klux`."""
+    if not isinstance(tables, list) or not all(isinstance(table, dict) for table in tables):
+        raise InputError("axis: must be written as [[axis]]")
+    axes = []
+    for number, table in enumerate(tables):
+        axis = {}
+        for name, values in table.items():
+            inner = values.items() if name in TABLES and isinstance(values, dict) else [(None, values)]
+            axis |= {f"{name}.{key}" if key else name: listed for key, listed in inner}
+        if not axis:
+            raise InputError(f"axis[{number}]: is empty, must name what it sweeps")
+        for name, values in axis.items():
+            where = f"axis[{number}].{name}"
+            if name not in (*SETTINGS, "config") and name.partition(".")[0] not in TABLES or name in TABLES:
+                legal = ", ".join((*SETTINGS, "config", *(f"{table}.KEY" for table in TABLES)))
+                raise InputError(f"{where}: cannot be swept, must be one of {legal}")
+            if any(name in other for other in axes):
+                raise InputError(f"{where}: is swept by another axis")
+            if not isinstance(values, list) or not values:
+                raise InputError(f"{where} = {values!r}: must be a list of values")
+            if len(values) != _length(axis):
+                raise InputError(
+                    f"{where}: has {len(values)} values, must have as many as {next(iter(axis))}: {_length(axis)}"
+                )
+        seen = list(map(repr, zip(*axis.values())))
+        for i, value in enumerate(seen):
+            if value in seen[:i]:
+                shown = ", ".join(f"{name} = {values[i]!r}" for name, values in axis.items())
+                raise InputError(f"axis[{number}]: {shown} comes twice")
+        axes.append(axis)
+    total = math.prod(map(_length, axes))
+    check_integer("points of the grid", total, 1, POINTS_MAX)
+    return axes
+
+
+def _length(axis: dict[str, list]) -> int:
+    return len(next(iter(axis.values())))
+
+
+def _resolved(document: dict) -> dict:
+    """`document` with the tables of its `config` below its own, overrides after those of the file."""
+    document = dict(document)
+    given = document.pop("config", None)
+    if given is None:
+        return document
+    below = _configuration(given)
+    for name, value in below.items():
+        both = (value, document.get(name))
+        if all(isinstance(part, dict) for part in both):
+            document[name] = value | both[1]
+        elif all(isinstance(part, list) for part in both):
+            document[name] = value + both[1]
+        else:
+            document.setdefault(name, value)
+    return document
+
+
+@cache
+def _configuration(given: str) -> dict:
+    if not isinstance(given, str):
+        raise InputError(f"config = {given!r}: must be the name of a file or one of {', '.join(PRESETS)}")
+    try:
+        return read_toml(PRESETS.get(given, given))
+    except InputError as error:
+        raise InputError(f"config = {given!r}: {error}") from None
+
+
+def _point(document: dict, axes: list[dict[str, list]], at: tuple[int, ...], scenes) -> Point:
+    """The checked point of `document` at an index along each axis. scenes: `load_scene` that remembers."""
+    document, values = dict(document), {name: listed[i] for axis, i in zip(axes, at) for name, listed in axis.items()}
+    for name, value in values.items():
+        table, dot, key = name.partition(".")
+        if not dot:
+            document[name] = value
+        elif isinstance(document.setdefault(table, {}), dict):  # else `parse_config` says what is wrong
+            document[table] = document[table] | {key: value}
+    name = " ".join(f"{name}={_shown(value)}" for name, value in values.items()) or "the only point"
+    try:
+        document = _resolved(document)
+        settings = _settings({name: document.pop(name, default) for name, default in SETTINGS.items()})
+        config = parse_config(document)
+        if config.format == "short":
+            raise InputError("frame.format = 'short': must be id or full, as depth comes from the ID map")
+        range_m = SPEED_OF_LIGHT_M_S * timing_of(settings, config).period_s / 2
+        scene = scenes(settings["scene"], config.sensor.rows, config.sensor.cols, range_m=range_m)
+        edge_chunks(**photons_of(settings, config, scene))  # checks everything, makes nothing yet
+    except InputError as error:
+        raise InputError(f"point {name}: {error}") from None
+    settings["configuration"] = settings_of(config)
+    values = values | {key: settings[key] for key in values if key in SETTINGS}
+    looks = (scene.distance_m.tobytes(), scene.reflectivity.tobytes(), str(scene.distance_m.shape))
+    if scene.transient is not None:
+        looks += tuple(
+            array.tobytes() for array in (scene.transient.first, scene.transient.index, scene.transient.strength_per_m2)
+        )
+    key = digest(json.dumps([settings, versions(settings["engine"])], sort_keys=True), *looks)
+    return Point(name=name, values=values, at=at, document=document, settings=settings, scene=scene, key=key)
+
+
+def timing_of(settings: dict, config: Config) -> Timing:
+    """Clock and TDC of a point."""
+    return Timing.from_config(config, settings["clock_mhz"] * 1e6)
+
+
+def photons_of(settings: dict, config: Config, scene: Scene) -> dict:
+    """Arguments of `generate_edges` for all frames of a point."""
+    return {
+        "light": scene_light(scene, settings["klux"]),
+        "spad": Spad(),
+        "timing": timing_of(settings, config),
+        "pulses": config.frames * config.pulses,
+        "seed": settings["seed"],
+        "gate": SpadGate.from_config(config) if settings["spad_gate"] else None,
+    }
+
+
+def _settings(given: dict) -> dict:
+    """Checked values of `SETTINGS`, of one type each."""
+    if not isinstance(given["scene"], str):
+        raise InputError(f"scene = {given['scene']!r}: must be a string")
+    if not isinstance(given["spad_gate"], bool):
+        raise InputError(f"spad_gate = {given['spad_gate']!r}: must be true or false")
+    return given | {
+        "klux": check_real("klux", given["klux"], 0),
+        "seed": check_integer("seed", given["seed"], 0, SEED_MAX),
+        "engine": check_choice("engine", given["engine"], ENGINES),
+        "method": check_choice("method", given["method"], tuple(METHODS)),
+        "clock_mhz": check_real("clock_mhz", given["clock_mhz"], *CLOCK_MHZ),
+    }
+
+
+def _shown(value: object) -> str:
+    return format(value, "g") if isinstance(value, float) else str(value).replace(" ", "")

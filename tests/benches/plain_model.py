@@ -1,0 +1,165 @@
+"""The subgroup of the design documentation, sentence by sentence and tick by tick, in plain Python: what the golden model is held against.
+
+It knows nothing of FIFOs and readout: it lists all windows that met their threshold, all minigroup records, and each edge's fate.
+"""
+
+from collections import defaultdict
+
+from coincid.model.contract.config import Config
+from coincid.model.contract.edges import Fate
+
+
+def where(config: Config, pixel: int) -> tuple[int, int, int, int]:
+    """(subgroup, pixel inside, minigroup, pixel in minigroup)."""
+    s = config.sensor
+    (sr, sc), (mr, mc) = s.subgroup, s.minigroup
+    row, col = divmod(pixel, s.cols)
+    r, c = row % sr, col % sc
+    return (
+        (row // sr) * (s.cols // sc) + col // sc,
+        r * sc + c,
+        (r // mr) * (sc // mc) + c // mc,
+        (r % mr) * mc + c % mc,
+    )
+
+
+class PlainSubgroup:
+    """One subgroup over one frame."""
+
+    def __init__(self, config: Config, index: int, threshold: int):
+        self.config, self.index = config, index
+        on = bool(config.coincidence[index])
+        self.window = int(config.window[index]) if on else 1
+        self.threshold = threshold if on else 1
+        self.events, self.records = [], []
+        self.opened = self.committed = self.rejected = self.photons = self.blind = 0
+
+    def gate_open(self, pulse: int, cycle: int) -> bool:
+        c = self.config
+        if not c.gating[self.index]:
+            return True
+        start = int(c.gate_start[self.index])
+        if c.frame["gate_every"]:
+            start += c.frame["gate_step"] * ((pulse // c.frame["gate_every"]) % c.frame["gate_steps"])
+        return start <= cycle < start + int(c.gate_len[self.index])
+
+    def period(self, pulse: int, edges: list[tuple[int, int, int, int, int]], fate: list) -> None:
+        """edges: (tick, pixel inside, minigroup, pixel in minigroup, number in the file)."""
+        config, sensor = self.config, self.config.sensor
+        phases, guard = sensor.phases, sensor.guard
+        at_tick = defaultdict(list)
+        for edge in sorted(edges):
+            at_tick[edge[0]].append(edge)
+        window, armed_from = None, 0
+        seen_in_cycle, blind_cycles = set(), set()
+        accepted = defaultdict(list)
+        for tick in range(config.period * phases):
+            cycle = tick // phases
+            if tick % phases == 0:
+                seen_in_cycle = set()
+            for _, i, g, j, number in at_tick.get(tick, ()):
+                if i in seen_in_cycle:
+                    fate[number] = Fate.DUPLICATE
+                    continue
+                seen_in_cycle.add(i)
+                if not config.mask[self.index, i]:
+                    fate[number] = Fate.MASKED
+                    continue
+                if not self.gate_open(pulse, cycle):
+                    fate[number] = Fate.GATED
+                    continue
+                accepted[g, cycle].append((tick, j))
+                if window:
+                    if i in window["hits"]:
+                        fate[number] = Fate.DUPLICATE
+                        continue
+                    fate[number] = Fate.COUNTED
+                elif cycle >= armed_from and cycle < config.period - guard:
+                    fate[number] = Fate.OPENING
+                    window = {"t0": tick, "winner": i, "hits": set(), "offsets": {}}
+                    self.opened += 1
+                else:
+                    fate[number] = Fate.BLIND
+                    blind_cycles.add(cycle)
+                    continue
+                window["hits"].add(i)
+                window["offsets"].setdefault(g, (tick - phases * (window["t0"] // phases)) // (phases // 4))
+            if window and tick == window["t0"] + self.window - 1:
+                count = len(window["hits"])
+                self.photons += count
+                if count >= self.threshold:
+                    self.committed += 1
+                    self.events.append(
+                        (
+                            pulse,
+                            window["t0"],
+                            count,
+                            window["winner"],
+                            frozenset(window["hits"]),
+                            window["offsets"],
+                            cycle,
+                        )
+                    )
+                else:
+                    self.rejected += 1
+                window, armed_from = None, cycle + 1 + sensor.rearm
+        assert window is None, "a period is self-contained"
+        self.blind += len(blind_cycles)
+        if config.frame["minigroup_records"]:
+            record = self.record(accepted)
+            if record:
+                self.records.append((pulse, record))
+
+    def record(self, accepted) -> dict:
+        config, sensor = self.config, self.config.sensor
+        latched = {}
+        for g in range(sensor.minigroups):
+            cycle = 0
+            while cycle < config.period and g not in latched:
+                if cycle < config.period - sensor.guard and accepted.get((g, cycle)):
+                    collected = [
+                        edge for k in range(config.frame["mg_window"]) for edge in accepted.get((g, cycle + k), ())
+                    ]
+                    pixels = {j for _, j in collected}
+                    if len(pixels) >= config.frame["mg_threshold"]:
+                        latched[g] = (min(collected)[0] // (sensor.phases // 4), sum(1 << j for j in pixels))
+                    cycle += config.frame["mg_window"]
+                else:
+                    cycle += 1
+        return latched
+
+
+def period_starts(config: Config) -> list[int]:
+    """Cycle in which each period of a frame begins."""
+    starts, register, at = [], config.frame["dither_seed"], 0
+    for _ in range(config.pulses):
+        starts.append(at)
+        for _ in range(config.period):
+            bit, register = register & 1, register >> 1
+            register ^= 0b1011_0100_0000_0000 * bit
+        at += config.period + register % 2 ** config.frame["dither_bits"]
+    return starts
+
+
+def plain_run(config: Config, edges) -> tuple[list[list[PlainSubgroup]], list[int]]:
+    """Every frame's subgroups, and the fates. The controller follows the frame before."""
+    fate = [None] * len(edges)
+    grouped = defaultdict(list)
+    for number, (pulse, pixel, tick) in enumerate(zip(edges.pulse.tolist(), edges.pixel.tolist(), edges.tick.tolist())):
+        subgroup, i, g, j = where(config, pixel)
+        grouped[pulse, subgroup].append((tick, i, g, j, number))
+    frames, before = [], None
+    for frame in range(config.frames):
+        subgroups = []
+        for index in range(config.sensor.subgroups):
+            threshold = int(config.threshold[index])
+            if config.auto[index] and before:
+                threshold = 1 + sum(bound <= before[index].photons for bound in config.auto_bounds.tolist())
+            subgroup = PlainSubgroup(config, index, threshold)
+            subgroup.threshold_used = threshold
+            for pulse in range(config.pulses):
+                subgroup.period(pulse, grouped.get((frame * config.pulses + pulse, index), []), fate)
+            subgroups.append(subgroup)
+        frames.append(subgroups)
+        before = subgroups
+    return frames, fate

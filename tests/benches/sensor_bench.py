@@ -1,0 +1,388 @@
+"""cocotb tests of the sensor's ports: registers, frame control, reset, and an independent bus master and stream sink."""
+
+import json
+import os
+import random
+from bisect import bisect_right
+
+import cocotb
+import numpy as np
+from cocotb.triggers import ClockCycles, FallingEdge, RisingEdge
+from cocotb_bus.drivers.amba import AXIProtocolError
+from cocotbext.axi import AxiLiteBus, AxiLiteMaster, AxiResp, AxiStreamBus, AxiStreamSink
+from plain_model import period_starts
+
+from coincid.model.contract import registers
+from coincid.model.contract.config import parse_config
+from coincid.model.contract.edges import Edges
+from coincid.model.contract.registers import Access, address
+from coincid.model.contract.stream import decode_frame
+from coincid.model.golden.frame import Golden
+from coincid.tb.cosim import SensorBench
+from coincid.tb.scoreboard import Scoreboard
+from coincid.tb.stimulus import port_words
+
+SENSOR = json.loads(os.environ.get("COINCID_BENCH_SENSOR", '{"rows": 8, "cols": 16}'))  # set by mutation.py
+STATUS = registers.BY_NAME["status"]
+NOTHING = Edges(*(np.zeros(0, np.int64) for _ in range(3)))
+
+
+def config(**tables):
+    return parse_config({"sensor": SENSOR} | tables)
+
+
+def some_edges(of, seed: int, n: int = 400) -> Edges:
+    rng = np.random.default_rng(seed)
+    return Edges(
+        rng.integers(0, of.pulses, n), rng.integers(0, of.sensor.array_pixels, n), rng.integers(0, of.period_ticks, n)
+    )
+
+
+async def fresh(dut) -> SensorBench:
+    bench = SensorBench(dut, config().sensor)
+    await bench.reset()
+    return bench
+
+
+async def refused(access, bench: SensorBench, sticky: str) -> None:
+    """`access` answers SLVERR and sets the sticky bit, which a write of 1 clears and a write of 0 does not."""
+    try:
+        await access
+    except AXIProtocolError:
+        pass
+    else:
+        raise AssertionError("not refused")
+    bit = 1 << STATUS.bit(sticky)
+    assert await bench.read("status") & ~(1 << STATUS.bit("done")) == bit, f"status is not {sticky} alone"
+    await bench.write("status", 0)
+    assert await bench.read("status") & bit
+    await bench.write("status", bit)
+    assert not await bench.read("status") & bit
+
+
+def all_words(sensor):
+    """(name, index, register, subgroup) of every word of the map."""
+    for _, register, index in registers.words(registers.GLOBAL, sensor):
+        yield register, index, 0
+    for subgroup in range(sensor.subgroups):
+        for _, register, index in registers.words(registers.SUBGROUP, sensor):
+            yield register, index, subgroup
+
+
+@cocotb.test()
+async def reset_values_and_constants(dut):
+    bench = await fresh(dut)
+    for register, index, subgroup in all_words(bench.sensor):
+        expected = (
+            0 if register.access in (Access.COUNTER, Access.STATUS, Access.PULSE) else register.reset(bench.sensor)
+        )
+        assert await bench.read(register.name, subgroup, index) == expected, register.name
+
+
+@cocotb.test()
+async def settings_keep_what_is_written_and_refuse_the_rest(dut):
+    bench = await fresh(dut)
+    settings = [word for word in all_words(bench.sensor) if word[0].access is Access.SETTING]
+    for high_half in (True, False):  # of the legal values, so that every bit is seen both ways beside the others'
+        written = {}
+        for register, index, subgroup in settings:
+            low, high = register.low(bench.sensor), register.high(bench.sensor)
+            value = (
+                random.randint((low + high) // 2, high)
+                if high_half ^ len(written) % 2
+                else random.randint(low, (low + high) // 2)
+            )
+            await bench.write(register.name, value, subgroup, index)
+            written[register, subgroup, index] = value
+        for wait in (1, 2):  # an odd and an even number of cycles later
+            await ClockCycles(dut.clk, wait)
+            for (register, subgroup, index), value in written.items():
+                assert await bench.read(register.name, subgroup, index) == value, register.name
+    for (register, subgroup, index), value in written.items():
+        for bad in {register.low(bench.sensor) - 1, register.high(bench.sensor) + 1} - {-1, 1 << 32}:
+            await refused(bench.write(register.name, bad, subgroup, index), bench, "bad_value")
+        assert await bench.read(register.name, subgroup, index) == value, register.name
+
+
+@cocotb.test()
+async def addresses_that_are_not_there(dut):
+    bench = await fresh(dut)
+    last = registers.SUBGROUP_BASE + registers.SUBGROUP_STRIDE * bench.sensor.subgroups
+    for bad in (
+        0x3C,
+        0xFFC,
+        address("mask", 0, 1) + 4,
+        address("threshold_used", 1) + 4,
+        last,
+        0xFFFFC,
+        address("period") + 2,
+    ):
+        await refused(bench.axi.write(bad, 1), bench, "bad_address")
+        await refused(bench.axi.read(bad), bench, "bad_address")
+    for name in ("id", "rows", "opened", "threshold_used"):
+        await refused(bench.write(name, 1), bench, "bad_address")
+    await refused(bench.axi.write(address("pulses"), 7, byte_enable=0b0111), bench, "bad_strobe")
+    assert await bench.read("pulses") == 100
+
+
+@cocotb.test()
+async def starts_that_make_no_sense(dut):
+    bench = await fresh(dut)
+
+    async def start():
+        await bench.write("control", 1)
+
+    await bench.program(config(frame={"period": 100, "pulses": 1}))
+    await bench.write("period", bench.sensor.guard)
+    await refused(start(), bench, "start_period")
+    await bench.write("period", 100)
+    await bench.write("auto_bounds", 100_000, index=2)
+    await refused(start(), bench, "start_bounds")
+    await bench.write("auto_bounds", 800, index=2)
+    await bench.write("gate_start", 100, subgroup=1)
+    await bench.write("mode", 0b011, subgroup=1)
+    await refused(start(), bench, "start_gate")
+    await bench.write("mode", 0b001, subgroup=1)  # with gating off a late gate is nobody's concern
+    dut.m_axis_tready.value = 1
+    await start()
+    await refused_while_busy(bench)
+    while not await bench.read("status") >> STATUS.bit("done") & 1:
+        pass
+    assert not await bench.read("status") & 1, "still busy"
+
+
+async def refused_while_busy(bench):
+    try:
+        await bench.write("control", 1)
+    except AXIProtocolError:
+        status = await bench.read("status")
+        assert status & 1 and status >> STATUS.bit("start_busy") & 1
+    else:
+        raise AssertionError("a second start was not refused")
+
+
+@cocotb.test()
+async def control_ignores_zeros(dut):
+    bench = await fresh(dut)
+    await bench.write("control", 0)
+    await bench.write("control", 2)  # an abort of nothing
+    await ClockCycles(dut.clk, 50)
+    assert await bench.read("status") == 0 and dut.laser.value == 0
+
+
+@cocotb.test()
+async def writes_do_not_disturb_a_running_frame(dut):
+    bench = await fresh(dut)
+    of = config(
+        frame={"period": 120, "pulses": 12, "format": "full"},
+        subgroup={"threshold": 2, "gating": True, "gate_start": 10, "gate_len": 90},
+    )
+    edges = some_edges(of, 5, 1500)
+    other = config(
+        frame={
+            "period": 60,
+            "pulses": 2,
+            "format": "short",
+            "minigroup_records": True,
+            "gate_every": 1,
+            "gate_step": 3,
+        },
+        subgroup={"threshold": 5, "window": 100, "coincidence": False, "mask": "1", "gate_len": 1},
+    )
+
+    async def disturb():
+        while dut.laser.value == 0:
+            await RisingEdge(dut.clk)
+        await bench.program(other)
+
+    trace = Golden(of.sensor).frame(of, edges)
+    await bench.program(of)
+    meddling = cocotb.start_soon(disturb())
+    board = Scoreboard(of.sensor, trace)
+    bench_axi, bench.axi = bench.axi, Queue(bench.axi)
+    record = await bench.play(of, edges, np.zeros(0, np.uint8), board)
+    await meddling
+    bench.axi = bench_axi
+    assert record.checked > 100
+
+
+class Queue:
+    """A register master that several tasks share: an access waits until the one before has ended."""
+
+    def __init__(self, axi):
+        self._axi, self._lock = axi, cocotb.triggers.Lock()
+
+    async def write(self, *args):
+        async with self._lock:
+            return await self._axi.write(*args)
+
+    async def read(self, *args):
+        async with self._lock:
+            return await self._axi.read(*args)
+
+
+async def received(bench, light, each=lambda cycle: None) -> list[int]:
+    """Beats of the frame that is in cycle 0, its stream always ready. light: the words of a cycle by subgroup; each: called in each."""
+    dut, beats, cycle = bench.dut, [], 0
+    dut.m_axis_tready.value = 1
+    while True:
+        each(cycle)
+        now = light(cycle)
+        for s, line in enumerate(bench.spad):
+            line.value = now.get(s, 0)
+        if dut.m_axis_tvalid.value == 1:
+            beats.append(int(dut.m_axis_tdata.value))
+            if dut.m_axis_tlast.value == 1:
+                return beats
+        cycle += 1
+        await FallingEdge(dut.clk)
+
+
+@cocotb.test()
+async def abort_ends_the_running_period(dut):
+    bench = await fresh(dut)
+    of = config(frame={"period": 100, "pulses": 50, "format": "id"}, subgroup={"threshold": 1})
+    edges = some_edges(of, 7, 1000)
+    bench.axi = Queue(bench.axi)
+    await bench.program(of)
+
+    async def abort():
+        for _ in range(3):
+            await RisingEdge(dut.laser)
+        await bench.write("control", 2)
+
+    words, periods = port_words(of, edges), []
+    await bench.write("control", 1)
+    aborting = cocotb.start_soon(abort())
+    while dut.laser.value == 0:
+        await FallingEdge(dut.clk)
+    beats = await received(
+        bench, lambda cycle: dict(words.get(cycle, ())), lambda cycle: periods.append(int(dut.laser.value))
+    )
+    await aborting
+    assert sum(periods) == 3, f"aborted in the third period, {sum(periods)} periods"
+    early = edges.pulse < 3
+    trace = Golden(of.sensor).frame(of, Edges(edges.pulse[early], edges.pixel[early], edges.tick[early]), pulses=3)
+    assert beats == trace.beats[0].tolist()
+
+
+@cocotb.test()
+async def a_reset_at_any_time_leaves_a_fresh_sensor(dut):
+    bench = await fresh(dut)
+    of = config(
+        frame={"period": 80, "pulses": 4, "format": "full", "minigroup_records": True},
+        subgroup={"threshold": 1, "auto": True},
+    )
+    edges = some_edges(of, 11, 600)
+    trace = Golden(of.sensor).frame(of, edges)
+    words = port_words(of, edges)
+    for cycles in (1, 37, 81, 150, 251, 330):
+        await bench.program(of)
+        await bench.write("control", 1)
+        while dut.laser.value == 0:
+            await FallingEdge(dut.clk)
+        dut.m_axis_tready.value = cycles % 2
+        for cycle in range(cycles):
+            now = dict(words.get(cycle, ()))
+            for s, line in enumerate(bench.spad):
+                line.value = now.get(s, 0)
+            await FallingEdge(dut.clk)
+        dut.rst.value = 1
+        await FallingEdge(dut.clk)
+        dut.rst.value = 0
+        for line in bench.spad:
+            line.value = 0
+        await ClockCycles(dut.clk, 3)
+        assert dut.m_axis_tvalid.value == 0 and dut.laser.value == 0
+        bench.programmed.clear()
+        record = await bench.play(of, edges, np.zeros(0, np.uint8), Scoreboard(of.sensor, trace))
+        assert record.checked
+        dut.rst.value = 1
+        await FallingEdge(dut.clk)
+        dut.rst.value = 0
+        await ClockCycles(dut.clk, 3)
+        bench.programmed.clear()
+
+
+@cocotb.test()
+async def gate_output_leads_the_spads(dut):
+    """`spad_gate` is high exactly in the cycles whose edges the gate lets through, and always with gating off."""
+    bench = await fresh(dut)
+    of = config(
+        frame={"period": 40, "pulses": 6, "gate_step": 7, "gate_every": 2, "gate_steps": 2, "dither_bits": 3},
+        subgroup={"gating": True, "gate_start": 5, "gate_len": 30},
+        override=[{"subgroups": [1], "gating": False}],
+    )
+    await bench.program(of)
+    dut.m_axis_tready.value = 1
+    await bench.write("control", 1)
+    while dut.laser.value == 0:
+        await FallingEdge(dut.clk)
+    starts = period_starts(of)
+    for cycle in range(starts[-1] + of.period):
+        pulse = bisect_right(starts, cycle) - 1
+        in_period = cycle - starts[pulse]
+        start = 5 + 7 * (pulse // 2 % 2)
+        expected = 2 | (start <= in_period < min(start + 30, of.period))
+        assert int(dut.spad_gate.value) == expected, f"cycle {cycle}"
+        assert int(dut.laser.value) == (in_period == 0), f"cycle {cycle}"
+        await FallingEdge(dut.clk)
+    assert int(dut.spad_gate.value) == 2
+
+
+@cocotb.test()
+async def no_edge_counts_between_two_periods(dut):
+    bench = await fresh(dut)
+    of = config(
+        frame={"period": 40, "pulses": 6, "dither_bits": 5, "minigroup_records": True}, subgroup={"threshold": 1}
+    )
+    await bench.program(of)
+    starts, all_lines = period_starts(of), (1 << len(bench.spad[0])) - 1
+    dark = {cycle for start in starts for cycle in range(start, start + of.period)}
+    assert starts[-1] + of.period - len(dark) > 10
+    await bench.write("control", 1)
+    while dut.laser.value == 0:
+        await FallingEdge(dut.clk)
+    everywhere = dict.fromkeys(range(of.sensor.subgroups), all_lines)
+    beats = await received(bench, lambda cycle: {} if cycle in dark or cycle > starts[-1] else everywhere)
+    assert beats == Golden(of.sensor).frame(of, NOTHING).beats[0].tolist()
+
+
+@cocotb.test()
+async def independent_master_and_sink(dut):
+    """cocotbext-axi configures a frame, and reads it as packets and as registers."""
+    await fresh(dut)
+    sensor = config().sensor
+    master = AxiLiteMaster(AxiLiteBus.from_prefix(dut, "s_axi"), dut.clk, dut.rst)
+    sink = AxiStreamSink(AxiStreamBus.from_prefix(dut, "m_axis"), dut.clk, dut.rst)
+    of = config(frame={"period": 90, "pulses": 5}, subgroup={"threshold": 1})
+    edges = some_edges(of, 13)
+    for where, value in of.register_writes():
+        assert (await master.write(where, value.to_bytes(4, "little"))).resp == AxiResp.OKAY
+    assert (await master.write(address("period"), bytes(4))).resp == AxiResp.SLVERR
+    sink.set_pause_generator(iter(lambda: random.random() < 0.3, None))
+    words = port_words(of, edges)
+
+    async def light():
+        while dut.laser.value == 0:
+            await FallingEdge(dut.clk)
+        for cycle in range(of.period * of.pulses):
+            now = dict(words.get(cycle, ()))
+            for s in range(sensor.subgroups):
+                getattr(dut, f"spad_{s}").value = now.get(s, 0)
+            await FallingEdge(dut.clk)
+
+    shining = cocotb.start_soon(light())
+    assert (await master.write(address("control"), (1).to_bytes(4, "little"))).resp == AxiResp.OKAY
+    received = await sink.recv()
+    await shining
+    frame = decode_frame(np.frombuffer(bytes(received.tdata), "<u8"), sensor, sensor.subgroups)
+    trace = Golden(sensor).frame(of, edges)
+    assert np.array_equal(frame.counters[:, :3], trace.counters[:, :3])
+    assert len(frame.events) == frame.counters[:, 3].sum() > 20
+    status = 0
+    while not status >> STATUS.bit("done") & 1:
+        status = int.from_bytes((await master.read(address("status"), 4)).data, "little")
+    for s in range(sensor.subgroups):
+        for i, name in enumerate(registers.COUNTER_NAMES):
+            assert int.from_bytes((await master.read(address(name, s), 4)).data, "little") == frame.counters[s, i], name

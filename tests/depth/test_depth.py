@@ -1,0 +1,223 @@
+"""Depth from events: arrivals, histograms, estimators, pictures."""
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from coincid.model.contract.config import parse_config
+from coincid.model.depth.arrivals import lead_sigmas, photons_of
+from coincid.model.depth.estimate import METHODS, estimate_depth
+from coincid.model.depth.histograms import SOURCES, subgroup_histograms
+from coincid.model.depth.quality import TOLERANCE_M, range_error, wrong_pixels, wrong_share
+from coincid.model.golden.frame import golden_result
+from coincid.model.light.photons import generate_edges
+from coincid.model.light.spad import Spad
+from coincid.model.light.timing import Timing
+from coincid.model.scenes.catalogue import load_scene
+from coincid.model.scenes.scene import scene_light
+from coincid.model.shared.constants import SIGMA_PER_FWHM
+from coincid.model.shared.errors import InputError
+from coincid.study.pictures import Panel, depth_row
+
+TICK_S = Timing().tick_s
+SIGMA_TICKS = 500e-12 * SIGMA_PER_FWHM / TICK_S
+
+
+def capture(scene, klux, *, sensor=None, frame=None, subgroup=None, seed=1):
+    """(scene, configuration, result) of one run."""
+    config = parse_config({"sensor": sensor or {}, "frame": frame or {}, "subgroup": subgroup or {}})
+    scene = load_scene(scene, config.sensor.rows, config.sensor.cols)
+    edges = generate_edges(
+        scene_light(scene, klux), Spad(), Timing.from_config(config), pulses=config.pulses * config.frames, seed=seed
+    )
+    return scene, config, golden_result(config, edges)
+
+
+def depth_of(result, config, **options):
+    return estimate_depth(result, config, TICK_S, **options).depth_m[:, :, 0]
+
+
+def share(scene, config, result, **options):
+    return wrong_share(depth_of(result, config, **options), scene.truth_m)
+
+
+@pytest.fixture(scope="module")
+def five_objects():
+    """At 50 klux: results with coincidence off and at thresholds 1 to 3."""
+    return {
+        name: capture("five-objects", 50, subgroup=settings)
+        for name, settings in (("off", {"coincidence": False}), *((th, {"threshold": th}) for th in (1, 2, 3)))
+    }
+
+
+def test_what_counts_as_wrong():
+    truth_m = np.array([[5.0, 5.0, 5.0, 5.0, np.nan]])
+    depth_m = np.array([[5.0, 5.034, 5.035, np.nan, 3.0]])
+    assert wrong_pixels(depth_m, truth_m).tolist() == [[False, False, True, True, False]]
+    assert wrong_share(depth_m, truth_m) == 0.5
+    assert pytest.approx(0.0345, abs=1e-4) == TOLERANCE_M
+
+
+def test_range_error():
+    assert range_error(np.array([5.1, 4.9, np.nan, 7.0]), np.array([5.0, 5.0, 5.0, np.nan])) == pytest.approx(
+        (0.0, 0.1)
+    )
+    assert range_error(np.array([5.2, 5.0]), np.array([5.0, 5.0])) == pytest.approx((0.1, np.sqrt(0.02)))
+    assert np.isnan(range_error(np.array([np.nan]), np.array([5.0]))).all()
+
+
+@pytest.mark.parametrize("photons", [1, 2, 5, 20, 64, 300])
+def test_lead_of_the_first_photon(photons):
+    earliest = np.random.default_rng(1).standard_normal((20_000, photons)).min(axis=1)
+    assert lead_sigmas(photons) == pytest.approx(-earliest.mean(), abs=0.04)
+
+
+def test_photons_behind_distinct_pixels():
+    assert photons_of(np.arange(4), 64) == pytest.approx([0, 1, 2, 3], rel=0.03)
+    assert np.all(np.diff(photons_of(np.arange(65), 64)) > 0) and np.isfinite(photons_of(64, 64))
+
+
+def test_every_hit_is_in_the_histogram_of_its_pixel():
+    _, config, result = capture("five-objects", 50, sensor={"rows": 16, "cols": 32, "subgroup": [4, 8]})
+    histograms = list(subgroup_histograms(result, config, SIGMA_TICKS))
+    assert len(histograms) == config.sensor.subgroups
+    for s, histogram in enumerate(histograms):
+        of_subgroup = result["subgroup"] == s
+        hits = result["hits"][of_subgroup, 0]
+        assert histogram.sum(axis=1).tolist() == [int(np.sum(hits >> np.uint64(i) & np.uint64(1))) for i in range(32)]
+    everywhere = list(subgroup_histograms(result, config, SIGMA_TICKS, source="subgroup"))
+    for s, histogram in enumerate(everywhere):
+        assert np.all(histogram == histogram[0]) and histogram[0].sum() == np.sum(result["subgroup"] == s)
+
+
+@pytest.mark.parametrize("frame", [{"format": "full"}, {"minigroup_records": True, "mg_threshold": 1, "mg_window": 1}])
+def test_minigroups_tell_surfaces_apart_that_share_a_window(frame):
+    capture_ = capture("two-targets:5,5.1", 5, frame=frame)
+    assert (
+        share(*capture_, method="matched", source="minigroup") < 0.2 < share(*capture_, method="matched", source="map")
+    )
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        {"coincidence": False},
+        {"window": 4, "threshold": 1},
+        {"window": 8},
+        {"window": 16, "threshold": 5},
+        {"window": 64},
+    ],
+)
+def test_joint_estimate_has_no_first_photon_bias(settings):
+    for scene in ("flat:10,0.1", "flat:5,0.6"):
+        scene, config, result = capture(scene, 5, sensor={"rows": 16, "cols": 16}, subgroup=settings)
+        early_m = (result["stamp"].astype(float) + 0.5) * TICK_S * 299_792_458 / 2 - scene.truth_m[0, 0]
+        pulse = np.abs(early_m) < 0.3
+        assert early_m[pulse].mean() < -0.01  # the stamps themselves are early
+        assert np.abs(np.median(depth_of(result, config)) - scene.truth_m[0, 0]) < 0.012
+
+
+def test_estimators_rank_as_they_should(five_objects):
+    joint = {name: share(*run) for name, run in five_objects.items()}
+    assert joint[2] < 0.005 and joint[3] < 0.03 and joint["off"] < 0.07
+    for name, run in five_objects.items():
+        maximum, matched, background = (share(*run, method=method) for method in ("maximum", "matched", "background"))
+        assert joint[name] < background < 1.1 * matched < 1.1 * maximum, name
+    assert share(*five_objects[1], method="background") < 0.8 * share(*five_objects[1], method="matched")
+    assert share(*five_objects[2], method="matched") < share(*five_objects[2], method="matched", source="subgroup")
+    assert share(*five_objects["off"], method="matched") > 0.5 > 10 * share(*five_objects[3], method="joint")
+
+
+@pytest.mark.parametrize(
+    "sensor",
+    [
+        {"rows": 16, "cols": 16, "subgroup": [4, 4]},
+        {"rows": 16, "cols": 32, "subgroup": [4, 8], "minigroup": [2, 4]},
+        {"rows": 32, "cols": 16, "subgroup": [16, 16], "streams": 2},
+        {"rows": 64, "cols": 64},
+    ],
+)
+def test_the_letter_is_neither_mirrored_nor_swapped(sensor):
+    assert share(*capture("letter-f", 5, sensor=sensor)) < 0.02
+
+
+def test_two_returns_of_one_pixel():
+    scene, config, result = capture("two-returns:5,9", 20)
+    for method in ("joint", "background"):
+        depth = estimate_depth(result, config, TICK_S, method=method, returns=2)
+        for target in range(2):
+            nearest = np.nanmin(np.abs(depth.depth_m - scene.distance_m[0, 0, target]), axis=2)
+            assert np.mean(nearest < TOLERANCE_M) > 0.9
+    alone = estimate_depth(capture("flat:5,0.4", 20)[2], config, TICK_S, returns=3)
+    assert alone.depth_m.shape == (32, 32, 3) and np.isnan(alone.depth_m[:, :, 1:]).all()
+
+
+def test_frames_are_told_apart():
+    scene, config, result = capture("flat:10,0.3", 5, frame={"frames": 2, "pulses": 50})
+    first, second = (depth_of(result, config, frame=frame) for frame in range(2))
+    assert not np.array_equal(first, second)
+    assert wrong_share(first, scene.truth_m) == wrong_share(second, scene.truth_m) == 0
+    with pytest.raises(InputError, match="from 0 to 1"):
+        depth_of(result, config, frame=2)
+
+
+def test_hot_and_masked_pixels():
+    scene = load_scene("five-objects", 32, 32)
+    dark_cps = np.zeros(1024)
+    dark_cps[[100, 500, 900]] = 5e6
+    config = parse_config({"override": [{"subgroups": [0], "mask": "0"}]})
+    edges = generate_edges(scene_light(scene, 20), Spad(dark_cps=dark_cps), Timing(), pulses=100, seed=1)
+    depth_m = depth_of(golden_result(config, edges), config)
+    assert wrong_share(depth_m[8:], scene.truth_m[8:]) < 0.01
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_nothing_seen_is_no_depth(method):
+    config = parse_config({"sensor": {"rows": 8, "cols": 16}})
+    edges = generate_edges(scene_light(load_scene("flat:5,0", 8, 16), 0), Spad(), Timing(), pulses=100, seed=1)
+    depth = estimate_depth(golden_result(config, edges), config, TICK_S, method=method)
+    assert np.isnan(depth.depth_m).all() and not depth.confidence.any()
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_confidence_and_repetition(five_objects, method):
+    scene, config, result = five_objects[2]
+    depth, again = (estimate_depth(result, config, TICK_S, method=method) for _ in range(2))
+    assert np.array_equal(depth.depth_m, again.depth_m, equal_nan=True)
+    assert np.all((depth.confidence >= 0) & (depth.confidence <= 1))
+    wrong = wrong_pixels(depth.depth_m[:, :, 0], scene.truth_m)
+    if method != "joint":  # which makes hardly any mistake here
+        assert depth.confidence[:, :, 0][~wrong].mean() > depth.confidence[:, :, 0][wrong].mean() + 0.2
+
+
+def test_bad_input(five_objects):
+    _, config, result = five_objects[2]
+    for options, words in (
+        ({"method": "magic"}, "maximum, matched, background, joint"),
+        ({"source": "pixel", "method": "matched"}, "map, minigroup, subgroup"),
+        ({"returns": 0}, "from 1 to 8"),
+        ({"system_fwhm_s": 0}, "system_fwhm_s"),
+        ({"source": "minigroup", "method": "matched"}, "format full or with minigroup_records"),
+    ):
+        with pytest.raises(InputError, match=words):
+            depth_of(result, config, **options)
+    with pytest.raises(InputError, match="format id or full"):
+        depth_of({name: array for name, array in result.items() if name != "hits"}, config)
+    assert set(SOURCES) == {"map", "minigroup", "subgroup"}
+
+
+def test_picture_of_a_row(tmp_path, five_objects):
+    scene, config, result = five_objects[2]
+    truth_m = scene.truth_m.copy()
+    truth_m[:2, :2] = np.nan
+    panels = [Panel("joint", depth_of(result, config)), Panel("maximum", depth_of(result, config, method="maximum"))]
+    shares = depth_row(tmp_path / "a.png", panels, truth_m, "five objects")
+    assert shares == [wrong_share(panel.depth_m, truth_m) for panel in panels]
+    depth_row(tmp_path / "b.png", panels, truth_m, "five objects")
+    assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
+    with Image.open(tmp_path / "a.png") as picture:
+        assert picture.width > 2 * picture.height and not picture.text
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.png", "b.png"]
+    (tmp_path / "file").write_text("")
+    with pytest.raises(InputError, match="cannot be written"):
+        depth_row(tmp_path / "file" / "c.png", panels, truth_m)

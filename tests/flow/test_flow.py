@@ -1,0 +1,107 @@
+"""Flows on one small block: what a netlist says of cells and depth, and that it behaves."""
+
+import json
+import shutil
+
+import pytest
+
+from coincid.flow.gls import gate_level
+from coincid.flow.levels import longest_paths
+from coincid.flow.silicon_report import CLOCKS, timing, top, write
+from coincid.flow.synth import CELLS, ECP5, GATES, synthesize
+from coincid.flow.yosys import LIBERTY, run_yosys
+from coincid.hdl.silicon.circuit import Circuit
+from coincid.model.contract.parameters import Sensor
+from coincid.tb.toolchain import ToolchainError
+
+SMALL = Sensor(rows=4, cols=4, subgroup=(4, 4), minigroup=(2, 2), phases=4, window_max=8, fifo_depth=1, coarse_bits=6)
+TOY = """
+module leaf(input clk, input [7:0] a, output reg q);
+  always @(posedge clk) q <= ^a;
+endmodule
+module toy(input clk, input [7:0] a, output reg [3:0] n);
+  wire q;
+  leaf parity(clk, a, q);
+  always @(posedge clk) n <= {n[2:0], q & n[3]};
+endmodule
+"""
+TOY_SCRIPT = """
+read_verilog toy.v
+hierarchy -top toy
+proc
+synth -noabc -top toy
+dfflegalize -cell $_DFF_P_ x
+abc -g AND,XOR
+flatten
+opt_clean
+write_json toy.json
+"""
+
+needs_cells = pytest.mark.skipif(not LIBERTY.exists(), reason="standard cells (scripts/setup cells) are not installed")
+
+
+def test_depth_by_block(tmp_path):
+    (tmp_path / "toy.v").write_text(TOY)
+    run_yosys(TOY_SCRIPT, tmp_path)
+    paths = longest_paths(json.loads((tmp_path / "toy.json").read_text())["modules"]["toy"])
+    assert {block: path.levels for block, path in paths.items()} == {
+        "": 1,
+        "parity": 3,
+    }  # an AND; eight inputs, three levels of XOR
+    assert paths["parity"].start in ("a", "parity.a")
+
+
+def test_a_loop_is_reported():
+    gate = {"type": "$_AND_", "port_directions": {"A": "input", "B": "input", "Y": "output"}}
+    cells = {
+        "g": gate | {"connections": {"A": [2], "B": [4], "Y": [3]}},
+        "h": gate | {"connections": {"A": [3], "B": [2], "Y": [4]}},
+    }
+    ports = {"a": {"direction": "input", "bits": [2]}, "y": {"direction": "output", "bits": [4]}}
+    with pytest.raises(ValueError, match="loop"):
+        longest_paths({"cells": cells, "ports": ports, "netnames": {}})
+
+
+def test_yosys_errors_are_told(tmp_path):
+    with pytest.raises(ToolchainError, match="no-such-command"):
+        run_yosys("no-such-command\n", tmp_path)
+
+
+def test_blocks_of_a_small_sensor():
+    gates, fpga = synthesize(SMALL, GATES), synthesize(SMALL, ECP5)
+    minigroup = gates.blocks["coincid_minigroup"]
+    assert minigroup.instances == SMALL.minigroups
+    assert minigroup.flops > 3 * SMALL.minigroup_pixels * SMALL.phases
+    assert all(1 <= block.levels <= 20 for name, block in gates.blocks.items() if block.total > 200)
+    assert gates.total(lambda block: block.flops) == sum(
+        block.instances * block.flops for block in gates.blocks.values()
+    )
+    assert set(fpga.blocks) == set(gates.blocks)
+    assert fpga.total(lambda block: block.count("LUT4")) > 500
+    assert fpga.total(lambda block: block.flops) < gates.total(lambda block: block.flops)  # memories are RAM there
+
+
+@pytest.mark.skipif(not shutil.which("iverilog"), reason="no Icarus")
+@pytest.mark.parametrize("target", [GATES, pytest.param(CELLS, marks=needs_cells)])
+def test_netlist_behaves(target):
+    checked, cycles = gate_level(SMALL, target, frames=4)
+    assert checked > 200
+    assert cycles > 1000
+
+
+@needs_cells
+def test_a_timing_tool_takes_the_constraints_of_the_asynchronous_view(tmp_path):
+    """`write` raises where OpenSTA complains, as it does of what it does not find; every clock times something."""
+    report, sdc = write(SMALL, Circuit(), tmp_path)
+    text = report.read_text()
+    assert "Latches outside the macros: 0." in text
+    rows = {
+        tuple(line.strip("| ").split(" | ")[:2])
+        for line in text[text.index("| from clock") :].splitlines()
+        if line.startswith("| ")
+    }
+    assert {clock for pair in rows for clock in pair} >= set(CLOCKS)
+    assert {("clk", "spads"), ("clk", "roots"), ("spads", "clk"), ("roots", "clk"), ("ends", "clk")} <= rows
+    sdc.write_text(sdc.read_text().replace("*window_*/ended", "*no_such_pin*/ended"))
+    complaints, _ = timing(tmp_path, top(SMALL), sdc.name)
+    assert any("no_such_pin" in line for line in complaints)

@@ -1,0 +1,219 @@
+"""The release folder by itself: it compiles, lints and passes its smoke test without this project, and its parts agree."""
+
+import hashlib
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from peakrdl_ipxact import IPXACTImporter
+from systemrdl import RDLCompiler
+from systemrdl.node import RegNode
+
+from coincid.flow.register_files import IP_XACT, RDL
+from coincid.flow.release import MANIFEST, write_release
+from coincid.flow.smoke import FPGA_SMOKE, SMOKE
+from coincid.hdl.sensor import FPGA_TOP, TOP
+from coincid.hdl.views import POLYPHASE, VIEWS
+from coincid.model.contract.config import load_config, parse_config
+from coincid.model.contract.registers import BY_NAME, SUBGROUP, Access, address
+from coincid.model.shared.errors import InputError
+from coincid.tb import toolchain
+from coincid.tb.rtl import rtl
+
+from ..cases import SENSORS
+
+SMALL = {  # the presets' circuits, a module of each
+    "silicon": {"rows": 8, "cols": 16},
+    "fpga": {"rows": 8, "cols": 8, "phases": 8, "window_max": 16},
+    "async": {"rows": 8, "cols": 16},
+}
+TOPS = [("silicon", TOP, SMOKE), ("fpga", TOP, SMOKE), ("fpga", FPGA_TOP, FPGA_SMOKE), ("async", TOP, SMOKE)]
+PROGRAMS = "iverilog vvp sh dirname"
+
+
+def sensor(name):
+    return parse_config({"sensor": SMALL[name]}).sensor
+
+
+@pytest.fixture(scope="module")
+def releases(tmp_path_factory):
+    """A folder per preset, written in turn by one process."""
+    folder = tmp_path_factory.mktemp("release")
+    for name in SMALL:
+        write_release(folder / name, sensor(name), VIEWS.get(name, POLYPHASE))
+    return folder
+
+
+def alone(command, folder, path=""):
+    """Runs a shell command in `folder` with nothing of this project's environment, and no Python, at hand."""
+    programs = Path(folder).parent / "programs"
+    programs.mkdir(exist_ok=True)
+    for program in PROGRAMS.split():
+        if not (programs / program).exists():
+            (programs / program).symlink_to(shutil.which(program))
+    path = f"{programs}:{toolchain.verilator().parent}:{path}"
+    return subprocess.run(
+        command, shell=True, cwd=folder, env={"PATH": path}, capture_output=True, text=True, check=False
+    )
+
+
+@pytest.mark.parametrize(("preset", "top", "smoke"), TOPS)
+def test_smoke_test_passes_on_icarus(releases, preset, top, smoke):
+    line = re.search(rf"^ +(iverilog .*{smoke} .*)$", (releases / preset / "README.md").read_text(), re.MULTILINE)[1]
+    done = alone(line.replace("iverilog", "iverilog -Wall -Wno-timescale"), releases / preset)
+    assert re.fullmatch(r"PASS: \d\d\d+ checks\n", done.stdout), done.stdout + done.stderr
+    assert done.returncode == 0
+    assert not done.stderr
+
+
+@pytest.mark.parametrize(("preset", "top", "smoke"), TOPS)
+def test_lint_as_the_readme_says(releases, preset, top, smoke):
+    folder = releases / preset
+    line = re.search(rf"^ +(verilator --lint-only .*{top} .*)$", (folder / "README.md").read_text(), re.MULTILINE)[1]
+    assert "-Wall" in line
+    assert "-Wno" not in line
+    done = alone(f"{line} --quiet-stats", folder)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
+
+
+def test_smoke_test_passes_on_verilator(releases):
+    folder = releases / "fpga"
+    line = re.search(rf"^ +(verilator --binary .*{FPGA_SMOKE}.*)$", (folder / "README.md").read_text(), re.MULTILINE)[1]
+    done = alone(
+        f"{line} --Mdir obj && obj/V{FPGA_SMOKE}", folder, os.defpath
+    )  # Verilator's own make file calls Python
+    assert "PASS" in done.stdout, done.stdout + done.stderr
+    assert "FAIL" not in done.stdout
+    assert done.returncode == 0
+
+
+@pytest.mark.parametrize("name", ["tiny", "wide"])
+def test_smoke_test_of_other_sensors(name, tmp_path):
+    folder = tmp_path / "rtl"
+    write_release(folder, parse_config({"sensor": SENSORS[name], "frame": {"period": 100}}).sensor)
+    for smoke in (SMOKE, FPGA_SMOKE):
+        if (folder / f"{smoke}.f").exists():
+            done = alone(f"iverilog -g2005 -s {smoke} -o smoke.vvp -f {smoke}.f && vvp -n smoke.vvp", folder)
+            assert done.stdout.startswith("PASS"), done.stdout + done.stderr
+
+
+@pytest.mark.parametrize(
+    ("file", "old", "new"),
+    [
+        (f"{SMOKE}.v", "64'hc0", "64'hc1"),  # another word is expected
+        ("coincid_tree.v", "firsts[0]", "firsts[1]"),  # the RTL is another
+        (f"{SMOKE}.v", "32'd1129269582", "32'd0"),  # a constant register
+    ],
+)
+def test_smoke_test_finds_a_difference(releases, tmp_path, file, old, new):
+    folder = tmp_path / "rtl"
+    shutil.copytree(releases / "silicon", folder)
+    text = (folder / file).read_text()
+    assert old in text
+    (folder / file).write_text(text.replace(old, new, 1))
+    done = alone(f"iverilog -g2005 -s {SMOKE} -o smoke.vvp -f {SMOKE}.f && vvp -n smoke.vvp", folder)
+    assert "FAIL" in done.stdout
+    assert "PASS" not in done.stdout
+    assert done.returncode != 0
+
+
+@pytest.mark.parametrize("target", ["lint", "sim", "lint_fpga", "sim_fpga"])
+def test_fusesoc_runs_the_core(releases, tmp_path, target):
+    path = f"{Path(sys.executable).parent}:{toolchain.verilator().parent}:{os.environ['PATH']}"
+    command = ["fusesoc", "--cores-root", str(releases / "fpga"), "run", "--target", target, f"coincid:sensor:{TOP}"]
+    done = subprocess.run(
+        command,
+        cwd=tmp_path,
+        env=os.environ | {"PATH": path, "HOME": str(tmp_path)},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stdout
+    assert "%Warning" not in done.stdout
+    assert ("PASS" in done.stdout) is target.startswith("sim")
+
+
+def test_presets_of_one_process_do_not_mix(releases, tmp_path):
+    """Each as a process of its own writes it, and no file of one is the other's."""
+    script = (
+        "import sys; from coincid.hdl import release, views; from coincid.model.parameters import Sensor\n"
+        "release.write_release(sys.argv[1], Sensor(**eval(sys.argv[2])), views.VIEWS.get(sys.argv[3], views.POLYPHASE))"
+    )
+    for name in SMALL:
+        subprocess.run([sys.executable, "-c", script, tmp_path / name, repr(SMALL[name]), name], check=True)
+        for path in (tmp_path / name).iterdir():
+            assert path.read_bytes() == (releases / name / path.name).read_bytes(), path.name
+        parameters = json.loads((releases / name / MANIFEST).read_text())["parameters"]
+        assert {key: parameters[key] for key in SMALL[name]} == SMALL[name]
+    assert not list((releases / "silicon").glob(f"{FPGA_TOP}*"))
+
+
+@pytest.mark.parametrize("preset", SMALL)
+def test_manifest(releases, preset):
+    manifest = json.loads((releases / preset / MANIFEST).read_text())
+    for name, digest in manifest["sha256"].items():
+        assert hashlib.sha256((releases / preset / name).read_bytes()).hexdigest() == digest, name
+    built = {path.name for path in (releases / preset).iterdir() if path.suffix != ".vvp" and path.is_file()}
+    assert built == {*manifest["sha256"], MANIFEST}
+    assert manifest["clock_mhz"] == {"silicon": 500, "fpga": 125, "async": 500}[preset]
+    assert manifest["view"] == ("async" if preset == "async" else "polyphase")
+    assert load_config("fpga" if preset == "fpga" else "silicon").sensor.phases == manifest["parameters"]["phases"]
+
+
+def test_exported_verilog_is_what_the_other_tests_simulate(releases):
+    for path in rtl(sensor("silicon")):
+        assert (releases / "silicon" / path.name).read_text() == path.read_text()
+
+
+def addresses(compiler):
+    """(name, subgroup or None, address) of every register, arrays unrolled."""
+    for node in compiler.elaborate().descendants(unroll=True):
+        if isinstance(node, RegNode):
+            in_subgroup = node.parent.inst_name == "subgroup"
+            subgroup = node.parent.current_idx[0] if in_subgroup else None
+            yield node, subgroup, node.current_idx[0] if node.is_array else 0
+
+
+@pytest.mark.parametrize("file", [RDL, IP_XACT])
+def test_register_descriptions_compile_to_the_table(releases, file):
+    compiler, of = RDLCompiler(), sensor("silicon")
+    path = str(releases / "silicon" / file)
+    if file == RDL:
+        compiler.compile_file(path)
+    else:
+        IPXACTImporter(compiler).import_file(path)
+    seen = set()
+    for node, subgroup, index in addresses(compiler):
+        register = BY_NAME[node.inst_name]
+        assert (subgroup is not None) == (register in SUBGROUP)
+        assert node.absolute_address == address(node.inst_name, subgroup or 0, index)
+        seen.add((node.inst_name, subgroup or 0, index))
+        resets = sum(field.get_property("reset", default=0) << field.low for field in node.fields())
+        if register.access is not Access.COUNTER:
+            assert resets == register.reset(of), node.inst_name
+        assert node.has_sw_writable == (register.access in (Access.SETTING, Access.PULSE, Access.STATUS))
+    wanted = {
+        (register.name, subgroup, index)
+        for register in BY_NAME.values()
+        for index in range(register.count(of))
+        for subgroup in range(of.subgroups if register in SUBGROUP else 1)
+    }
+    assert seen == wanted
+
+
+@pytest.mark.parametrize(
+    ("key", "value"), [("phases", 12), ("rows", 0), ("fifo_depth", 4000), ("coarse_bits", 14), ("subgroup", (3, 5))]
+)
+def test_parameters_out_of_range_are_named(tmp_path, key, value):
+    with pytest.raises(InputError, match=f"sensor.{key} = "):
+        write_release(
+            tmp_path / "rtl", parse_config({"sensor": {key: list(value) if isinstance(value, tuple) else value}}).sensor
+        )
+    assert not (tmp_path / "rtl").exists()

@@ -1,0 +1,40 @@
+"""The provers: a proof that holds, one that does not, one that is vacuous, and the solver's reader."""
+
+import pytest
+from amaranth.hdl import Signal
+from typer.testing import CliRunner
+
+from coincid.cli import app
+from coincid.formal.bench import PROOFS, Proof
+from coincid.formal.prove import prove
+from coincid.formal.solver import commands
+
+
+def _counter(b, highest, reached):
+    count = Signal(4)
+    b.m.d.sync += count.eq(count + 1)
+    with b.m.If(count == 9):
+        b.m.d.sync += count.eq(0)
+    b.always(count <= highest)
+    b.cover(count == reached)
+
+
+@pytest.mark.parametrize(
+    "highest, reached, complaint", [(9, 9, None), (8, 3, "Assert failed"), (9, 12, "Unreached cover")]
+)
+def test_verdicts(monkeypatch, highest, reached, complaint):
+    name = f"counter_{highest}_{reached}"
+    monkeypatch.setitem(PROOFS, name, Proof(name, "A counter.", lambda b: _counter(b, highest, reached), 2, 14))
+    (verdict,) = prove([name])
+    assert (verdict.statements, verdict.situations) == (1, 1)
+    assert complaint in verdict.reason if complaint else not verdict.reason
+
+
+def test_unknown_proof():
+    result = CliRunner().invoke(app, ["formal", "nothing"])
+    assert result.exit_code == 2
+
+
+def test_commands_end_where_parentheses_balance():
+    lines = ["; a (comment\n", "(assert (= |a(| ; )\n", "b))\n", "(check-sat)\n"]
+    assert list(commands(lines)) == ["; a (comment\n", "(assert (= |a(| ; )\nb))\n", "(check-sat)\n"]

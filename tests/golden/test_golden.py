@@ -1,0 +1,107 @@
+"""The golden model against the plain model, and its own laws."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from coincid.model.contract.config import parse_config
+from coincid.model.contract.edges import Edges, Fate
+from coincid.model.contract.latency import COMMIT
+from coincid.model.contract.parameters import OFFSET_NONE, STAMP_FIELD_BITS
+from coincid.model.golden.frame import Golden, golden_result
+
+from ..benches.plain_model import period_starts, plain_run
+from ..cases import READY_KINDS, SENSORS, configurations, ready_pattern, trouble
+
+seeds = st.integers(0, 2**32 - 1)
+densities = st.sampled_from((0.0, 0.5, 4.0, 20.0, 40.0))
+
+
+@pytest.mark.parametrize("sensor", SENSORS)
+@given(data=st.data())
+def test_plain_model(sensor, data):
+    config = data.draw(configurations(SENSORS[sensor]).map(lambda c: c.with_frame(format=2)))
+    edges = trouble(config, data.draw(seeds), data.draw(densities))
+    ready = ready_pattern(
+        data.draw(seeds), data.draw(st.sampled_from(READY_KINDS)), config.pulses * config.period + 100
+    )
+    result = golden_result(config, edges, ready)
+    frames, fate = plain_run(config, edges)
+    assert result["fate"].tolist() == fate
+    for f, subgroups in enumerate(frames):
+        for s, plain in enumerate(subgroups):
+            for name in ("opened", "committed", "rejected", "photons", "blind", "threshold_used"):
+                assert result[name][f, s] == getattr(plain, name), name
+            rows = np.flatnonzero((result["subgroup"] == s) & (result["pulse"] // config.pulses == f))
+            assert len(rows) == result["stored"][f, s]
+            _check_rows(config, result, rows, plain.events, f)
+            records = np.flatnonzero((result["mg_subgroup"] == s) & (result["mg_pulse"] // config.pulses == f))
+            assert len(records) == result["mg_stored"][f, s]
+            assert len(plain.records) == result["mg_stored"][f, s] + result["mg_dropped"][f, s]
+            left = iter(plain.records)
+            for row in records:  # a subsequence: what is missing was dropped
+                pulse, expected = next(r for r in left if r[0] == result["mg_pulse"][row] - f * config.pulses)
+                got = {
+                    g: (int(result["mg_stamp"][row, g]), int(result["mg_map"][row, g]))
+                    for g in range(config.sensor.minigroups)
+                    if result["mg_map"][row, g]
+                }
+                assert got == expected
+
+
+def _check_rows(config, result, rows, events, frame):
+    """Rows are the events in order, gaps counted as dropped, and the first row after a gap, and no other, has `overrun`."""
+    starts, at = period_starts(config), 0
+    for row in rows:
+        gap = 0
+        while events[at][:2] != (result["pulse"][row] - frame * config.pulses, result["stamp"][row]):
+            at, gap = at + 1, gap + 1
+        pulse, stamp, count, winner, hits, offsets, close_cycle = events[at]
+        assert (result["count"][row], result["winner"][row]) == (count, winner)
+        assert result["overrun"][row] == (gap > 0)
+        assert result["commit_cycle"][row] == starts[pulse] + close_cycle + COMMIT
+        words = result["hits"][row].tolist()
+        assert {64 * w + b for w, word in enumerate(words) for b in range(64) if word >> b & 1} == hits
+        assert {g: int(o) for g, o in enumerate(result["mg_offset"][row]) if o != OFFSET_NONE} == offsets
+        at += 1
+
+
+@pytest.mark.parametrize("sensor", ("default", "tiny"))
+@given(data=st.data())
+def test_laws(sensor, data):
+    config = data.draw(configurations(SENSORS[sensor]))
+    edges = trouble(config, data.draw(seeds), data.draw(densities))
+    ready = ready_pattern(data.draw(seeds), "random", config.pulses * config.period)
+    result = golden_result(config, edges, ready)
+    assert np.array_equal(result["opened"], result["committed"] + result["rejected"])
+    assert np.array_equal(result["committed"], result["stored"] + result["dropped"])
+    assert np.bincount(result["fate"], minlength=len(Fate)).sum() == len(edges)
+    assert (result["fate"] == Fate.OPENING).sum() == result["opened"].sum()
+    assert np.isin(result["fate"], (Fate.OPENING, Fate.COUNTED)).sum() == result["photons"].sum()
+
+    shuffled = np.random.default_rng(data.draw(seeds)).permutation(len(edges))
+    again = golden_result(config, Edges(edges.pulse[shuffled], edges.pixel[shuffled], edges.tick[shuffled]), ready)
+    for name in result.keys() - {"fate"}:
+        assert np.array_equal(result[name], again[name]), name
+
+    lowest = golden_result(config.with_settings(threshold=1, auto=False), edges, ready)
+    assert lowest["rejected"].sum() == 0
+    assert np.array_equal(lowest["photons"], result["photons"])  # a threshold set from the photons cannot oscillate
+
+
+def test_abort_is_a_shorter_frame():
+    """A frame that is aborted in period k shows what a frame of k + 1 pulses shows."""
+    config = parse_config({"sensor": SENSORS["default"], "frame": {"pulses": 6}})
+    edges = trouble(config, 3, 10)
+    early = edges.pulse < 4
+    of_four = Edges(edges.pulse[early], edges.pixel[early], edges.tick[early])
+    aborted = Golden(config.sensor).frame(config, of_four, pulses=4)
+    whole = Golden(config.sensor).frame(config.with_frame(pulses=4), of_four)
+    assert all(np.array_equal(a, b) for a, b in zip(aborted.beats, whole.beats))
+
+
+@pytest.mark.parametrize("phases", [4, 8, 16, 32, 64])
+def test_a_stamp_fits_beside_any_phases(phases):
+    sensor = parse_config({"sensor": {"phases": phases}}).sensor
+    assert sensor.coarse_bits == min(10, STAMP_FIELD_BITS - sensor.phase_bits)

@@ -1,0 +1,158 @@
+"""A second LiDAR's photons and the dithered laser period, against what can be worked out by hand."""
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from coincid.model.contract.config import parse_config
+from coincid.model.contract.dither import LFSR_BITS, start_cycles
+from coincid.model.light.light import Interferer, Light
+from coincid.model.light.photons import edge_chunks, generate_edges
+from coincid.model.light.spad import Spad
+from coincid.model.light.timing import Timing
+from coincid.model.shared.constants import SPEED_OF_LIGHT_M_S
+from coincid.model.shared.errors import InputError
+from coincid.study.figures.cases import Runner
+from coincid.study.figures.interference import Task, run_task
+
+LEVEL = 1e-3
+BARE = Spad(dead_time_s=0, jitter_fwhm_s=0)
+SHARP = {"fwhm_s": 0.0}
+
+
+def dark(**others):
+    return Light(rows=8, cols=8, distance_m=np.nan, signal_per_pulse=0.0, **others)
+
+
+def edges_of(light, timing, spad=BARE, pulses=400, **options):
+    return generate_edges(light, spad, timing, pulses=pulses, seed=1, **options)
+
+
+def same(a, b):
+    return all(getattr(a, name).tobytes() == getattr(b, name).tobytes() for name in ("pulse", "pixel", "tick"))
+
+
+def test_photons_of_the_other_are_poisson():
+    """One pulse of it in each of our periods: as many photons as it says, at its phase, apart by the pixels' delays."""
+    delay_s = np.arange(64) * 1e-9
+    edges = edges_of(
+        dark(interferer=Interferer(photons_per_pulse=0.7, phase_s=100.03e-9, delay_s=delay_s, **SHARP)), Timing()
+    )
+    counts = np.bincount(edges.pixel * 400 + edges.pulse, minlength=64 * 400)
+    seen = np.bincount(np.minimum(counts, 5))
+    expected = stats.poisson(0.7).pmf(np.arange(5)) * counts.size
+    assert stats.chisquare(seen, np.r_[expected, counts.size - expected.sum()]).pvalue > LEVEL
+    assert np.array_equal(edges.tick, 1600 + 16 * edges.pixel)
+
+
+@pytest.mark.parametrize("period_s", [137.03e-9, 499.99e-9, 500.5e-9, 1.7e-6])
+@pytest.mark.parametrize("bits", [0, 3])
+def test_pulses_of_the_other_come_when_they_must(period_s, bits):
+    """Every pulse of the other, and nothing else: at phase + k * period on a clock that began with our first trigger."""
+    timing = Timing(dither_bits=bits)
+    edges = edges_of(
+        dark(interferer=Interferer(photons_per_pulse=40, period_s=period_s, phase_s=33.0123e-9, **SHARP)), timing
+    )
+    start_s = timing.start_cycles(400) / timing.clock_hz
+    k = np.arange(-2, start_s[-1] / period_s + 1)
+    came_s = 33.0123e-9 + k * period_s
+    pulse = np.searchsorted(start_s, came_s, side="right") - 1
+    tick = np.floor((came_s - start_s[pulse]) / timing.tick_s).astype(int)
+    wanted = {(int(p), int(t)) for p, t in zip(pulse, tick) if 0 <= p < 400 and t < timing.period_ticks}
+    found = set(zip(edges.pulse.tolist(), edges.tick.tolist()))
+    assert found == wanted and len(wanted) > 100
+
+
+def test_width_of_the_others_pulse():
+    edges = edges_of(dark(interferer=Interferer(photons_per_pulse=1.0, phase_s=200e-9, fwhm_s=2e-9)), Timing())
+    time_s = (edges.tick + 0.5) * Timing().tick_s
+    assert time_s.mean() == pytest.approx(200e-9, abs=30e-12)
+    assert time_s.std() == pytest.approx(2e-9 / 2.3548, rel=0.02)
+
+
+def waits_of(pulses, bits):
+    return np.diff(start_cycles(pulses, 250, bits)) - 250
+
+
+def test_the_wait_is_the_registers():
+    """The LFSR has all states but 0; waits are its low bits at the ends of the periods, counted step by step."""
+    state, states = 1, set()
+    for _ in range(1 << LFSR_BITS):
+        states.add(state)
+        state = (state >> 1) ^ (0xB400 if state & 1 else 0)
+    assert len(states) == (1 << LFSR_BITS) - 1
+    state, waits = 1, []
+    for _ in range(50):
+        for _ in range(250):
+            state = (state >> 1) ^ (0xB400 if state & 1 else 0)
+        waits.append(state & 15)
+    assert waits_of(50, 4).tolist() == waits
+    assert waits_of(50, 0).tolist() == [0] * 50
+    waits = waits_of(4096, 4)
+    assert stats.chisquare(np.bincount(waits)).pvalue > LEVEL
+    assert abs(np.corrcoef(waits[1:], waits[:-1])[0, 1]) < 0.06
+
+
+def test_every_frame_waits_alike():
+    config = parse_config({"frame": {"frames": 3, "pulses": 7, "dither_bits": 5, "dither_seed": 99}})
+    waits = np.diff(Timing.from_config(config).start_cycles(21)) - 250
+    assert waits.any() and waits[:7].tolist() == waits[7:14].tolist() == waits[14:].tolist()
+    assert (
+        np.diff(config.start_cycles()).tolist() == (250 + np.r_[waits[:6], 0]).tolist()
+    )  # a frame ends with its last period
+
+
+def test_dither_leaves_what_is_in_range_alone():
+    """Our own light and the background do not care when the pulse began."""
+    wall = Light(rows=8, cols=8, distance_m=20.0, signal_per_pulse=0.3, background_cps=1e6)
+    assert same(edges_of(wall, Timing()), edges_of(wall, Timing(dither_bits=5)))
+    dead = edges_of(wall, Timing(dither_bits=5), Spad())
+    assert len(dead) >= len(edges_of(wall, Timing(), Spad()))  # a wait gives SPADs time to recover
+
+
+def test_dither_spreads_what_is_out_of_range():
+    """A target beyond the laser period answers the pulse before, or falls into the wait after it."""
+    timing = Timing(dither_bits=4)
+    flight_s = timing.period_s + 20e-9
+    far = Light(rows=8, cols=8, distance_m=flight_s * SPEED_OF_LIGHT_M_S / 2, signal_per_pulse=5.0, system_fwhm_s=0.0)
+    edges = edges_of(far, timing)
+    waits = waits_of(400, 4)
+    expected = {(k + 1, int(320 - 32 * waits[k])) for k in range(399) if waits[k] <= 10} | {(0, 320)}
+    assert {(int(p), int(t)) for p, t in zip(edges.pulse, edges.tick)} == {one for one in expected if one[1] >= 0}
+
+
+def test_neither_chunks_nor_workers_change_the_edges():
+    scene = Light(
+        rows=8,
+        cols=8,
+        distance_m=80.0,
+        signal_per_pulse=0.3,
+        background_cps=1e6,
+        interferer=Interferer(photons_per_pulse=0.5, period_s=333e-9, phase_s=70e-9),
+    )
+    spad = Spad(afterpulse_probability=0.1, afterpulse_s=1e-6, crosstalk_probability=0.02)
+    timing = Timing(dither_bits=4)
+    whole = edges_of(scene, timing, spad)
+    assert same(whole, edges_of(scene, timing, spad, workers=3))
+    chunks = list(edge_chunks(scene, spad, timing, pulses=400, seed=1, chunk_pulses=37))
+    assert len(whole) == sum(map(len, chunks)) and np.array_equal(
+        whole.tick, np.concatenate([chunk.tick for chunk in chunks])
+    )
+
+
+def test_bad_values():
+    for make, words in (
+        (lambda: Interferer(photons_per_pulse=1, period_s=0.0), "period_s = 0"),
+        (lambda: Timing(dither_bits=17), "from 0 to 8"),
+        (lambda: edges_of(dark(interferer=Interferer(photons_per_pulse=-1)), Timing()), "photons_per_pulse"),
+        (lambda: edges_of(dark(), Timing(dither_bits=1), pulses=1 << 25), "pulses = 33554432.*with dither"),
+    ):
+        with pytest.raises(InputError, match=words):
+            make()
+
+
+def test_dither_pays():
+    """The study's core: a ghost in most pixels without dither, about none with it."""
+    with Runner(1) as run:
+        without, with_it = run.map(run_task, [Task(0.2, 0.0, 0, 1), Task(0.2, 0.0, 4, 1)])
+    assert without.ghosts["this: fixed joint"] > 0.5 > 0.1 > with_it.wrong["this: fixed joint"]

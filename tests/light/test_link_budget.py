@@ -1,0 +1,137 @@
+"""Link budget against hand-checked numbers, to four digits."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.optimize import brentq
+
+from coincid.model.light.link_budget import JSON_KEYS, SBR_READINGS, Laser, Optics, link_budget
+from coincid.model.light.spad import Spad
+from coincid.model.light.spectrum import illuminance_lux, irradiance_w_m2
+from coincid.model.shared.errors import InputError
+
+
+def four_digits(value):
+    return pytest.approx(value, rel=5e-4)
+
+
+def test_constants():
+    budget = link_budget(4.0, 0.4, 50)
+    assert budget.aperture_m2 == four_digits(3.4636e-4)
+    assert budget.photon_energy_j == pytest.approx(2.19497e-19, rel=3e-6)
+    assert budget.focal_length_m == four_digits(29.4e-3)
+    assert budget.pde == pytest.approx(0.025)
+    assert budget.target_area_m2 == four_digits(0.68629 * 16)
+
+
+@pytest.mark.parametrize(
+    "distance_m, rate_cps, per_pulse",
+    [(1, 1.962e7, 9.81), (4, 1.226e6, 0.613), (10, 1.962e5, 0.0981), (50, 7848, 3.924e-3)],
+)
+def test_signal_of_equation_1(distance_m, rate_cps, per_pulse):
+    literal, corrected = (link_budget(distance_m, 0.4, 50, form=form) for form in ("literal", "corrected"))
+    assert literal.signal_rate_cps == four_digits(rate_cps)
+    assert literal.signal_per_pulse == four_digits(per_pulse)
+    assert corrected.signal_rate_cps == pytest.approx(2 * literal.signal_rate_cps)
+
+
+@pytest.mark.parametrize(
+    "spectrum, filter_shape, w_m2",
+    [
+        ("am15g", "box", 4.73),
+        ("am15g", "gaussian", 5.13),
+        ("am15d", "box", 4.99),
+        ("am15d", "gaussian", 5.41),
+        ("am0", "box", 5.10),
+        ("am0", "gaussian", 5.44),
+        ("planck", "box", 5.413),
+    ],
+)
+def test_irradiance_of_50_klux(spectrum, filter_shape, w_m2):
+    assert irradiance_w_m2(50, filter_shape=filter_shape, spectrum=spectrum) == pytest.approx(w_m2, rel=1.1e-3)
+    assert irradiance_w_m2(5, filter_shape=filter_shape, spectrum=spectrum) == pytest.approx(w_m2 / 10, rel=1.1e-3)
+
+
+@pytest.mark.parametrize("spectrum, lux", [("am15g", 109_574), ("am15d", 97_217), ("am0", 133_184)])
+def test_illuminance_of_the_unscaled_spectra(spectrum, lux):
+    assert illuminance_lux(spectrum) == pytest.approx(lux, rel=1e-4)
+
+
+@pytest.mark.parametrize("spectrum, rate_cps, live_cps", [("am15g", 6.37e9, 1.2259e8), ("planck", 7.29e9, 1.2289e8)])
+def test_background_of_equation_2(spectrum, rate_cps, live_cps):
+    budgets = [link_budget(distance_m, 0.4, 50, spectrum=spectrum) for distance_m in (1, 50)]
+    assert budgets[0].background_rate_cps == pytest.approx(rate_cps, rel=1e-3)
+    assert budgets[0].background_live_cps == four_digits(live_cps)
+    assert budgets[0].background_rate_cps == pytest.approx(budgets[1].background_rate_cps)
+
+
+@pytest.mark.parametrize(
+    "reading, spectrum, distance_m",
+    [
+        ("A", "am15g", 0.0555),
+        ("A", "planck", 0.0519),
+        ("E", "am15g", 3.92),
+        ("E", "planck", 3.67),
+        ("F", "am15g", 4.0),
+        ("F", "planck", 3.99),
+    ],
+)
+def test_distance_of_0_db(reading, spectrum, distance_m):
+    def sbr_db(d, form="literal"):
+        return link_budget(d, 0.4, 50, spectrum=spectrum, form=form, sbr_reading=reading).sbr_db
+
+    assert brentq(sbr_db, 0.01, 50) == pytest.approx(distance_m, rel=3e-3)
+    more_of_dead_time_db = 10 * np.log10(2) if reading == "F" else 0  # elsewhere the factor of the forms cancels
+    assert sbr_db(4.0, "corrected") == pytest.approx(sbr_db(4.0) + more_of_dead_time_db, abs=0.05)
+
+
+@given(st.floats(0.5, 50), st.floats(0.01, 1), st.floats(0.1, 120))
+def test_laws(distance_m, reflectivity, klux):
+    """Inverse square, linear in reflectivity, power and light; an array of distances is its elements."""
+    budget = link_budget(distance_m, reflectivity, klux)
+    farther, darker = link_budget(2 * distance_m, reflectivity, klux), link_budget(distance_m, reflectivity / 2, klux)
+    brighter = link_budget(distance_m, reflectivity, 2 * klux)
+    assert farther.signal_rate_cps == pytest.approx(budget.signal_rate_cps / 4)
+    assert darker.background_rate_cps == pytest.approx(budget.background_rate_cps / 2)
+    assert brighter.background_rate_cps == pytest.approx(2 * budget.background_rate_cps)
+    stronger = link_budget(distance_m, reflectivity, klux, laser=Laser(average_power_w=20e-3))
+    assert stronger.sbr_db == pytest.approx(budget.sbr_db + 10 * np.log10(2))
+    both = link_budget(np.array([distance_m, 1.0]), reflectivity, klux)
+    assert both.signal_rate_cps[0] == pytest.approx(budget.signal_rate_cps) and both.sbr_db.shape == (2,)
+
+
+def test_lines_and_json():
+    budget = link_budget(4.0, 0.4, 50, sbr_reading="F")
+    assert tuple(budget.json()) == JSON_KEYS
+    assert {name: value for name, value, _, _ in budget.rows()}.items() >= budget.json().items()
+    assert all(source for *_, source in budget.rows())
+    assert link_budget(4.0, 0.4, 0).json()["sbr_db"] is None
+    assert set(SBR_READINGS) == {"A", "E", "F"}
+
+
+def test_dark_counts_are_background():
+    dark = link_budget(4.0, 0.4, 0, spad=Spad(dark_cps=np.array([100.0, 300.0])))
+    assert dark.background_rate_cps == pytest.approx(200)
+
+
+@pytest.mark.parametrize(
+    "make, message",
+    [
+        (lambda: link_budget(0, 0.4, 50), r"distance_m = 0.0: must be of at least 0.001"),
+        (lambda: link_budget(4, 1.4, 50), r"reflectivity = 1.4: must be a number from 0 to 1"),
+        (lambda: link_budget(4, 0.4, -1), r"klux = -1: must be a number of at least 0"),
+        (
+            lambda: link_budget(4, 0.4, 50, spectrum="moon"),
+            r"spectrum = 'moon': must be one of am15g, am15d, am0, planck",
+        ),
+        (lambda: link_budget(4, 0.4, 50, form="x"), r"form = 'x': must be one of literal, corrected"),
+        (lambda: link_budget(4, 0.4, 50, sbr_reading="B"), r"sbr_reading = 'B': must be one of A, E, F"),
+        (lambda: Optics(filter_shape="round"), r"filter_shape = 'round': must be one of box, gaussian"),
+        (lambda: Optics(transmission=1.2), r"transmission = 1.2: must be a number from 0 to 1"),
+        (lambda: irradiance_w_m2(50, 3999.0), r"wavelength_nm = 3999.0: must be a number from 287.5 to 3992.5"),
+    ],
+)
+def test_bad_input_names_field_and_range(make, message):
+    with pytest.raises(InputError, match=message):
+        make()

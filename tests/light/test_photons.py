@@ -1,0 +1,341 @@
+"""Photons against closed forms that hold exactly, at a level of 0.1 % with fixed seeds."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import stats
+
+from coincid.model.contract.config import parse_config
+from coincid.model.light.code_density import code_density
+from coincid.model.light.light import Light, background_cps, signal_per_pulse
+from coincid.model.light.photons import edge_chunks, generate_edges
+from coincid.model.light.spad import Spad, SpadGate, dark_count_map
+from coincid.model.light.timing import Timing
+from coincid.model.shared.constants import SIGMA_PER_FWHM, SPEED_OF_LIGHT_M_S
+from coincid.model.shared.errors import InputError
+
+LEVEL = 1e-3
+BARE = Spad(dead_time_s=0, jitter_fwhm_s=0)
+FINE = Timing(clock_hz=10e9, phases=64, period_cycles=5000)  # 500 ns in ticks of 1.6 ps: as good as continuous time
+EVERYTHING = Spad(
+    paralyzable=True,
+    jitter_tail_fraction=0.1,
+    jitter_tail_s=300e-12,
+    dark_cps=1e5,
+    afterpulse_probability=0.05,
+    afterpulse_s=1e-6,
+    crosstalk_probability=0.02,
+)
+
+
+def light(rows=8, cols=8, distance_m=20.0, signal=0.0, noise_cps=0.0, **others):
+    return Light(
+        rows=rows, cols=cols, distance_m=distance_m, signal_per_pulse=signal, background_cps=noise_cps, **others
+    )
+
+
+def edges_of(light, spad=BARE, timing=FINE, *, seed=1, **options):
+    return generate_edges(light, spad, timing, seed=seed, **options)
+
+
+def time_s(edges, timing=FINE):
+    """Times since the edges' laser triggers, spread evenly over each tick: continuous, as the tests want them."""
+    return (edges.tick + np.random.default_rng(0).random(len(edges))) * timing.tick_s
+
+
+def counts(edges, pixels, pulses):
+    """Edges of every pixel and pulse, int64[pixels * pulses]."""
+    return np.bincount(edges.pixel * pulses + edges.pulse, minlength=pixels * pulses)
+
+
+def assert_law(observed, law, level=LEVEL):
+    """Chi-square of integer samples against a discrete law; rare classes are joined at the ends."""
+    values = np.arange(observed.max() + 1)
+    expected = law.pmf(values) * len(observed)
+    low, high = np.flatnonzero(expected >= 5)[[0, -1]]
+    n = np.bincount(observed)
+    joined = [np.r_[a[: low + 1].sum(), a[low + 1 : high], a[high:].sum()] for a in (n, expected)]
+    joined[1][-1] += len(observed) - joined[1].sum()
+    assert stats.chisquare(*joined).pvalue > level
+
+
+def assert_mean(total, expected, deviation, level=LEVEL):
+    assert abs(total - expected) < stats.norm.isf(level / 2) * deviation
+
+
+def same(a, b):
+    return all(getattr(a, name).tobytes() == getattr(b, name).tobytes() for name in ("pulse", "pixel", "tick"))
+
+
+@pytest.mark.parametrize("mean", [0.05, 0.613, 9.8, 200.0])
+@pytest.mark.parametrize("kind", ["signal", "noise", "both"])
+def test_photons_are_poisson(mean, kind):
+    share = {"signal": 1, "noise": 0, "both": 0.4}[kind]
+    scene = light(signal=mean * share, noise_cps=mean * (1 - share) / FINE.period_s)
+    assert_law(counts(edges_of(scene, pulses=1000), 64, 1000), stats.poisson(mean))
+
+
+@pytest.mark.parametrize("dead_fraction", [0.05, 1.0, 8.0])
+@pytest.mark.parametrize("paralyzable", [False, True])
+def test_dead_time_leaves_the_known_rate(paralyzable, dead_fraction):
+    """Asymptotic mean and variance of the counts of a renewal process with dead time (Mueller 1973)."""
+    dead_s, pulses = 8e-9, 400
+    rate_cps = dead_fraction / dead_s
+    spad = Spad(dead_time_s=dead_s, jitter_fwhm_s=0, paralyzable=paralyzable)
+    n, x = len(edges_of(light(noise_cps=rate_cps), spad, pulses=pulses)), dead_fraction
+    photons = rate_cps * pulses * FINE.period_s * 64
+    if paralyzable:
+        expected, variance = photons * math.exp(-x), photons * math.exp(-x) * (1 - 2 * x * math.exp(-x))
+    else:
+        expected, variance = photons / (1 + x), photons / (1 + x) ** 3
+    at_the_start = 64  # at most one count a pixel, for it starts ready
+    assert_mean(n, expected + at_the_start / 2, math.sqrt(variance) + at_the_start / 2)
+
+
+def test_gaps_after_the_dead_time_are_exponential_across_pulses():
+    dead_s, rate_cps = 8e-9, 5e6
+    edges = edges_of(light(1, 1, noise_cps=rate_cps), Spad(dead_time_s=dead_s, jitter_fwhm_s=0), pulses=20_000)
+    gaps_s = np.diff(edges.pulse * FINE.period_ticks + edges.tick) * FINE.tick_s
+    assert stats.kstest(gaps_s - dead_s, stats.expon(scale=1 / rate_cps).cdf).pvalue > LEVEL
+
+
+@pytest.mark.parametrize("signal", [0.02, 0.1, 0.613])
+def test_distinct_pixels_of_a_subgroup_are_binomial(signal):
+    """A SPAD fires at most once a laser pulse: of 64 pixels, each with probability 1 - exp(-signal)."""
+    pulses = 4000
+    edges = edges_of(light(signal=signal), Spad(), pulses=pulses)
+    assert_law(np.bincount(edges.pulse, minlength=pulses), stats.binom(64, -math.expm1(-signal)))
+
+
+@pytest.mark.parametrize("threshold", [1, 2, 3, 5, 7])
+def test_threshold_tail_of_noise_in_a_window(threshold):
+    """Chance that at least `threshold` of 64 pixels fire within a fixed window."""
+    window_ticks, rate_cps, pulses = 640, 2e7, 20_000
+    timing = Timing(clock_hz=10e9, phases=64, period_cycles=50)
+    edges = edges_of(light(noise_cps=rate_cps), timing=timing, pulses=pulses)
+    inside = edges.tick < window_ticks
+    fired = np.bincount(np.unique(edges.pulse[inside] * 64 + edges.pixel[inside]) // 64, minlength=pulses)
+    law = stats.binom(64, -math.expm1(-rate_cps * window_ticks * FINE.tick_s))
+    assert stats.binomtest(int((fired >= threshold).sum()), pulses, law.sf(threshold - 1)).pvalue > LEVEL
+
+
+def test_first_photon_time():
+    """Inhomogeneous Poisson process: F(t) = 1 - exp(-(noise t + signal Phi((t - tof) / sigma)))."""
+    signal, rate_cps, distance_m, pulses = 1.2, 3e6, 40.0, 400
+    scene = light(distance_m=distance_m, signal=signal, noise_cps=rate_cps, system_fwhm_s=5e-9)
+    edges = edges_of(scene, pulses=pulses)
+    _, first = np.unique(edges.pixel * pulses + edges.pulse, return_index=True)  # sorted in time within a pulse
+    sigma_s, flight_s = 5e-9 * SIGMA_PER_FWHM, 2 * distance_m / SPEED_OF_LIGHT_M_S
+
+    def reached(t_s):
+        return -np.expm1(-(rate_cps * t_s + signal * stats.norm.cdf(t_s, flight_s, sigma_s)))
+
+    cdf = reached(time_s(edges)[first]) / reached(FINE.period_s)
+    assert stats.kstest(cdf, "uniform").pvalue > LEVEL
+
+
+@pytest.mark.parametrize("jitter_fwhm_s", [0.0, 100e-12, 500e-12])
+def test_pulse_and_jitter_add_up_to_the_system_width(jitter_fwhm_s):
+    spad = Spad(dead_time_s=0, jitter_fwhm_s=jitter_fwhm_s)
+    edges = edges_of(light(distance_m=20.0, signal=1.0), spad, pulses=1000)
+    late_s = time_s(edges) - 2 * 20.0 / SPEED_OF_LIGHT_M_S
+    assert stats.kstest(late_s, stats.norm(scale=500e-12 * SIGMA_PER_FWHM).cdf).pvalue > LEVEL
+
+
+def test_jitter_of_one_avalanche_is_the_spads_alone():
+    """The laser pulse has no width here: what is left of the spread is jitter and tail."""
+    fraction, tail_s, sigma_s = 0.2, 300e-12, 100e-12 * SIGMA_PER_FWHM
+    spad = Spad(jitter_tail_fraction=fraction, jitter_tail_s=tail_s)
+    edges = edges_of(light(distance_m=20.0, signal=5.0, system_fwhm_s=100e-12), spad, pulses=1000)
+    late_s = time_s(edges) - 2 * 20.0 / SPEED_OF_LIGHT_M_S
+
+    def cdf(t_s):
+        tailed = stats.exponnorm(tail_s / sigma_s, scale=sigma_s).cdf(t_s)
+        return (1 - fraction) * stats.norm(scale=sigma_s).cdf(t_s) + fraction * tailed
+
+    assert stats.kstest(late_s, cdf).pvalue > LEVEL
+
+
+def test_crosstalk_reaches_four_neighbours_with_its_probability():
+    probability, pulses = 0.05, 10_000
+    signal = np.zeros(25)
+    signal[12] = 40.0  # fires in every pulse
+    spad = Spad(jitter_fwhm_s=0, crosstalk_probability=probability)
+    edges = edges_of(light(5, 5, signal=signal), spad, pulses=pulses)
+    n = np.bincount(edges.pixel, minlength=25)
+    assert n[12] == pulses
+    assert set(np.flatnonzero(n)) == {7, 11, 12, 13, 17}
+    for neighbour in (7, 11, 13, 17):
+        assert stats.binomtest(int(n[neighbour]), pulses, probability).pvalue > LEVEL
+    struck = np.bincount(edges.pulse[edges.pixel != 12], minlength=pulses)
+    assert_law(struck, stats.binom(4, probability))
+
+
+def test_crosstalk_meets_the_neighbours_dead_time():
+    """Two pixels that always fire at different times within a dead time: the later is struck only while it is ready."""
+    spad = Spad(jitter_fwhm_s=0, crosstalk_probability=0.25)
+    early, late = 20.0, 20.3  # 2 ns apart
+    scene = light(1, 2, distance_m=np.array([early, late]), signal=40.0, system_fwhm_s=50e-12)
+    pulses = 4000
+    edges = edges_of(scene, spad, pulses=pulses)
+    assert np.all(counts(edges, 2, pulses) == 1)
+    flight_ticks = 2 * early / SPEED_OF_LIGHT_M_S / FINE.tick_s
+    struck = (edges.pixel == 1) & (edges.tick < flight_ticks + 500)
+    assert stats.binomtest(int(struck.sum()), pulses, 0.25).pvalue > LEVEL
+
+
+@pytest.mark.parametrize("distance_m", [20.0, 74.0])  # the second: carriers outlive their pulse
+def test_afterpulses(distance_m):
+    probability, trap_s, pulses = 0.1, 30e-9, 5000
+    spad = Spad(jitter_fwhm_s=0, afterpulse_probability=probability, afterpulse_s=trap_s)
+    edges = edges_of(light(1, 4, distance_m=distance_m, signal=40.0, system_fwhm_s=10e-12), spad, pulses=pulses)
+    seen = probability * math.exp(-spad.dead_time_s / trap_s)
+    since_s = edges.pulse * FINE.period_s + time_s(edges)
+    order = np.lexsort((since_s, edges.pixel))
+    since_s, pixel = since_s[order], edges.pixel[order]
+    primary = np.abs(since_s % FINE.period_s - 2 * distance_m / SPEED_OF_LIGHT_M_S) < 1e-9
+    followed = primary[:-1] & ~primary[1:] & (pixel[:-1] == pixel[1:])
+    assert stats.binomtest(int(followed.sum()), int(primary.sum()), seen).pvalue > LEVEL
+    gaps_s = np.diff(since_s)[followed] - spad.dead_time_s
+    assert stats.kstest(gaps_s, stats.expon(scale=trap_s).cdf).pvalue > LEVEL
+
+
+@given(st.integers(0, 2**64 - 1), st.integers(1, 3), st.integers(1, 50), st.integers(0, 10**9))
+@settings(max_examples=20, deadline=None)
+def test_same_bytes_for_any_workers_and_chunks(seed, workers, chunk_pulses, start):
+    scene = light(4, 5, signal=0.5, noise_cps=3e6)
+    options = dict(timing=Timing(), seed=seed, pulses=40, pulse_start=start)
+    whole = edges_of(scene, EVERYTHING, **options)
+    assert same(whole, edges_of(scene, EVERYTHING, workers=workers, chunk_pulses=chunk_pulses, **options))
+    assert whole.pulse.min() >= start and whole.pulse.max() < start + 40
+
+
+def test_other_seeds_give_other_edges():
+    one, two = (edges_of(light(noise_cps=1e6), pulses=20, seed=seed) for seed in (1, 2))
+    assert not same(one, two)
+
+
+def test_chunks_are_sorted_and_follow_each_other():
+    chunks = list(edge_chunks(light(signal=0.3, noise_cps=5e6), Spad(), Timing(), pulses=30, seed=1, chunk_pulses=7))
+    spans = [(chunk.pulse.min(), chunk.pulse.max()) for chunk in chunks]
+    assert spans == [(0, 6), (7, 13), (14, 20), (21, 27), (28, 29)]
+    for chunk in chunks:
+        order = np.lexsort((chunk.pixel, chunk.tick, chunk.pulse))
+        assert np.array_equal(order, np.arange(len(chunk)))
+        assert all(getattr(chunk, name).dtype == np.int64 for name in ("pulse", "pixel", "tick"))
+
+
+def test_closed_spads_see_nothing_and_are_ready_when_they_open():
+    rate_cps, pulses, timing = 2e7, 4000, Timing()
+    gate = SpadGate(start_cycles=100, len_cycles=50)
+    edges = edges_of(light(noise_cps=rate_cps), Spad(jitter_fwhm_s=0), timing, pulses=pulses, gate=gate)
+    cycle = edges.tick // timing.phases
+    assert cycle.min() == 100 and cycle.max() == 149
+    _, first = np.unique(edges.pixel * pulses + edges.pulse, return_index=True)
+    waited_s = time_s(edges, timing)[first] - 100 / timing.clock_hz
+    reached = -np.expm1(-rate_cps * waited_s) / -math.expm1(-rate_cps * 50 / timing.clock_hz)
+    assert stats.kstest(reached, "uniform").pvalue > LEVEL
+
+
+def test_progressive_gate_moves_with_the_pulse_in_the_frame():
+    start = np.full(64, 10)
+    gate = SpadGate(start_cycles=start, len_cycles=20, step_cycles=20, every_pulses=2, steps=3, frame_pulses=9)
+    timing = Timing()
+    edges = edges_of(light(noise_cps=1e8), Spad(jitter_fwhm_s=0), timing, pulses=18, gate=gate)
+    start = 10 + 20 * (edges.pulse % 9 // 2 % 3)
+    offset = edges.tick // timing.phases - start
+    assert offset.min() == 0 and offset.max() == 19
+    assert set(start) == {10, 30, 50}
+
+
+def test_gates_of_a_configuration():
+    """A gated subgroup steps through its period, one without gating is open all the time."""
+    config = parse_config(
+        {
+            "sensor": {"rows": 8, "cols": 16},
+            "frame": {"gate_step": 20, "gate_every": 1, "gate_steps": 2, "pulses": 6},
+            "override": [{"subgroups": [1], "gating": True, "gate_start": 30, "gate_len": 10}],
+        }
+    )
+    timing = Timing.from_config(config)
+    assert (timing.period_ticks, timing.tick_s) == (8000, 62.5e-12)
+    gate = SpadGate.from_config(config)
+    edges = edges_of(light(8, 16, noise_cps=5e7), Spad(jitter_fwhm_s=0), timing, pulses=6, gate=gate)
+    cycle, gated = edges.tick // timing.phases, edges.pixel % 16 >= 8
+    assert set(cycle[gated & (edges.pulse % 2 == 0)]) == set(range(30, 40))
+    assert set(cycle[gated & (edges.pulse % 2 == 1)]) == set(range(50, 60))
+    assert set(cycle[~gated]) == set(range(250))
+
+
+def test_light_from_beyond_the_period_falls_into_a_later_one():
+    period_m = SPEED_OF_LIGHT_M_S * Timing().period_s / 2
+    near, far = (edges_of(light(distance_m=d, signal=0.5), timing=Timing(), pulses=50) for d in (10.0, 10.0 + period_m))
+    assert same(near, far)
+    assert len(edges_of(light(distance_m=10.0 + period_m, signal=0.5, range_ambiguity=False), pulses=50)) == 0
+
+
+def test_targets_of_a_pixel_share_its_edges():
+    distance_m, signal, pulses = np.array([[10.0, 30.0, np.nan]]), np.array([[0.3, 0.1, 5.0]]), 1000
+    edges = edges_of(light(distance_m=distance_m, signal=signal), pulses=pulses)
+    flight_ticks = 2 * 20.0 / SPEED_OF_LIGHT_M_S / FINE.tick_s
+    for edges_at_target, mean in zip(np.bincount(edges.tick > flight_ticks), (0.3, 0.1), strict=True):
+        assert_mean(edges_at_target, mean * 64 * pulses, math.sqrt(mean * 64 * pulses))
+
+
+def test_code_density_finds_the_taps():
+    width_lsb = 1 + 0.3 * np.sin(np.arange(32) * 1.7)
+    width_lsb *= 32 / width_lsb.sum()
+    edges = edges_of(light(noise_cps=2e6), timing=Timing(tap_width_lsb=width_lsb), pulses=4000)
+    found = code_density(edges.tick, 32)
+    width_to_edges = found.edges / 32
+    assert stats.chisquare((found.dnl_lsb + 1) * width_to_edges, width_lsb * width_to_edges).pvalue > LEVEL
+    assert np.all(np.abs(found.dnl_lsb + 1 - width_lsb) < 4.5 * found.sigma_lsb)
+    border_sigma_lsb = 32 * 0.5 / math.sqrt(found.edges)  # of the middle one, the least sure
+    assert np.all(np.abs(found.inl_lsb - np.cumsum(width_lsb - 1)) < 4.5 * border_sigma_lsb)
+
+
+def test_presets():
+    assert background_cps(50) == pytest.approx(1.226e6)
+    assert background_cps(5) == pytest.approx(1.226e5)
+    assert signal_per_pulse(4.0, 0.4) == pytest.approx(0.613)
+    assert signal_per_pulse(8.0, 0.2) == pytest.approx(0.613 / 8)
+    scene = Light.from_scene([[4.0, np.nan], [8.0, 8.0]], [[0.4, 0.4], [0.2, 0.4]], 50)
+    assert scene.signal_per_pulse[:, 0] == pytest.approx([0.613, 0, 0.613 / 8, 0.613 / 4])
+    assert scene.background_cps == pytest.approx(1.226e6)
+
+
+def test_dark_counts_and_hot_pixels():
+    dark_cps = dark_count_map(100, median_cps=100.0, hot_fraction=0.03, hot_cps=1e6, seed=3)
+    assert sorted(set(dark_cps)) == [100.0, 1e6] and (dark_cps == 1e6).sum() == 3
+    edges = edges_of(light(10, 10), Spad(dead_time_s=0, dark_cps=dark_cps), pulses=20_000)
+    n = np.bincount(edges.pixel, minlength=100)
+    assert set(np.argsort(n)[-3:]) == set(np.flatnonzero(dark_cps == 1e6))
+    assert_mean(n[dark_cps == 1e6].sum(), 3e4, math.sqrt(3e4))
+
+
+@pytest.mark.parametrize(
+    "make, message",
+    [
+        (lambda: Spad(dead_time_s=-1e-9), r"dead_time_s = -1e-09: must be a number of at least 0"),
+        (lambda: Spad(crosstalk_probability=0.5), r"crosstalk_probability = 0.5: must be a number from 0 to 0.25"),
+        (lambda: Timing(tap_width_lsb=np.full(32, 1.1)), r"tap_width_lsb: sums to 35.2, must sum to the 32 phases"),
+        (lambda: Timing(period_cycles=0), r"period_cycles = 0: must be an integer from 1"),
+        (lambda: light(signal=-1.0), r"signal_per_pulse\[0, 0\] = -1.0: must be from 0 to 10000"),
+        (lambda: light(noise_cps=np.nan), r"background_cps\[0\] = nan: must be from 0 to 1e\+12"),
+        (lambda: light(distance_m=np.ones(3)), r"distance_m: has shape \(3, 1\), must be \(64, 1\) or broadcast to it"),
+        (lambda: Light.from_scene(np.zeros((2, 2)), 0.4, 50), r"distance_m\[0, 0\] = 0.0: must be of at least 0.05"),
+        (lambda: Light.from_scene(np.ones((2, 2)), 4, 50), r"reflectivity\[0, 0\] = 4.0: must be from 0 to 1"),
+        (lambda: background_cps(-1), r"klux = -1: must be a number of at least 0"),
+        (lambda: edge_chunks(light(), BARE, FINE, pulses=0, seed=1), r"pulses = 0: must be an integer from 1"),
+        (lambda: edge_chunks(light(), BARE, FINE, pulses=1, seed=-1), r"seed = -1: must be an integer from 0"),
+        (lambda: edges_of(light(system_fwhm_s=1e-11), Spad(), pulses=1), r"system_fwhm_s = 1e-11: must be at least"),
+        (lambda: SpadGate(start_cycles=0, len_cycles=1, steps=0), r"steps = 0: must be an integer from 1"),
+        (lambda: code_density(np.arange(3), 8), r"tick: holds 3 edges"),
+    ],
+)
+def test_bad_input_names_field_and_range(make, message):
+    with pytest.raises(InputError, match=message):
+        make()

@@ -1,0 +1,315 @@
+"""Recorded photons: PTU files and tables become edges; edges come back from every format; what is wrong is said."""
+
+import struct
+
+import h5py
+import numpy as np
+import ptufile
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from typer.testing import CliRunner
+
+from coincid.cli import app
+from coincid.model.contract.config import parse_config
+from coincid.model.contract.edges import NAMES, Edges, load_edges
+from coincid.model.contract.result import differences
+from coincid.model.light.timing import Timing
+from coincid.model.recorded.exchange import SUFFIXES, parse_channels, read_recording, write_edges
+from coincid.model.recorded.recordings import period_note, recorded_edges
+from coincid.model.shared.errors import InputError
+from coincid.tb.replay import replay
+
+CONFIG = parse_config({"sensor": {"rows": 8, "cols": 8}, "frame": {"pulses": 20, "frames": 2}})
+TIMING = Timing.from_config(CONFIG)
+GENERIC_T2, HYDRAHARP_T2, PICOHARP_T2 = 0x00010207, 0x00010204, 0x00010203
+
+
+def edges_of(path, *, config=CONFIG, timing=TIMING, sync_channel=None, **options):
+    edges, lost = recorded_edges(read_recording(path, sync_channel), config, timing, **options)
+    return [tuple(edge) for edge in np.stack([getattr(edges, name) for name in NAMES], axis=1).tolist()], lost
+
+
+def edges(*rows):
+    return Edges(*(np.array(column, np.int64) for column in zip(*rows)))
+
+
+def ptu(path, records, *, mode=2, kind=GENERIC_T2, clock_s=1e-12, bin_s=1e-12, **more):
+    """A PTU file of the least that the format asks for."""
+    tags = {
+        "Measurement_Mode": mode,
+        "Measurement_SubMode": 1,
+        "MeasDesc_GlobalResolution": clock_s,
+        "MeasDesc_Resolution": bin_s,
+        "TTResultFormat_TTTRRecType": kind,
+        "TTResultFormat_BitsPerRecord": 32,
+        "TTResult_NumberOfRecords": len(records),
+    } | more
+    data = b"PQTTTR\0\0" + b"1.0.00\0\0"
+    for name, value in tags.items():
+        real = isinstance(value, float)
+        data += struct.pack("<32siI", name.encode(), -1, 0x20000008 if real else 0x10000008) + struct.pack(
+            "<d" if real else "<q", value
+        )
+    data += struct.pack("<32siIq", b"Header_End", -1, 0xFFFF0008, 0)
+    path.write_bytes(data + np.array(records, "<u4").tobytes())
+    return path
+
+
+def t2(special, channel, time):
+    return special << 31 | channel << 25 | time
+
+
+def t3(special, channel, dtime, nsync):
+    return special << 31 | channel << 25 | dtime << 10 | nsync
+
+
+def test_t3_by_hand(tmp_path):
+    """Bins of 125 ps are two ticks: the middle of a bin is the later one. An overflow is 1024 syncs."""
+    records = [
+        t3(0, 3, 0, 1),
+        t3(0, 3, 100, 2),
+        t3(1, 1, 0, 9),
+        t3(0, 9, 4000, 3),
+        t3(0, 4, 7, 19),
+        t3(1, 63, 0, 1),
+        t3(0, 5, 8, 6),
+    ]
+    path = ptu(tmp_path / "a.ptu", records, mode=3, kind=0x00010307, clock_s=500e-9, bin_s=125e-12)
+    found, lost = edges_of(path)
+    assert found == [(1, 3, 1), (2, 3, 201), (19, 4, 15)]
+    assert lost == {"after sync 39, the last of 2 x 20 pulses": 1, "beyond the laser period of 8000 ticks": 1}
+    found, lost = edges_of(path, first_sync=1024, channels={5: 60})
+    assert found == [(6, 60, 17)]
+    assert sum(lost.values()) == 4
+    found, lost = edges_of(path, channels={3: 0, 4: 63}, delay_ps=125)
+    assert found == [(2, 0, 199), (19, 63, 13)]
+    assert lost["in channels without a pixel"] == 1 and lost["before the trigger, by the delay"] == 1
+    assert not period_note(read_recording(path), TIMING)
+    assert "frame.period = 250 would fit" in period_note(read_recording(path), Timing(period_cycles=100))
+
+
+@pytest.mark.parametrize(("kind", "wrap"), [(GENERIC_T2, 1 << 25), (HYDRAHARP_T2, 33552000)])
+def test_t2_by_hand(tmp_path, kind, wrap):
+    """Input 0 is not the sync input; a photon belongs to the last sync, also across an overflow of the clock."""
+    sync = 500_000
+    records = [
+        t2(0, 0, 10),
+        t2(1, 0, sync),
+        t2(0, 0, sync),
+        t2(0, 1, sync + 62),
+        t2(0, 1, sync + 63),
+        t2(1, 0, 2 * sync),
+        t2(1, 4, 2 * sync + 5),
+        t2(1, 63, 1),
+        t2(0, 2, 3 * sync),
+    ]
+    found, lost = edges_of(ptu(tmp_path / "a.ptu", records, kind=kind))
+    assert found == [(0, 0, 0), (0, 1, 0), (0, 1, 1)]
+    assert lost == {"before the first sync": 1, "beyond the laser period of 8000 ticks": 1}
+    records = [t2(0, 7, 100), t2(1, 63, 1), t2(0, 3, 100)]
+    found, lost = edges_of(
+        ptu(tmp_path / "a.ptu", records, kind=kind, clock_s=float(wrap) ** -1 * 1e-7), sync_channel=7
+    )
+    assert found == [(0, 3, 1600)]  # one wrap of the clock is 100 ns
+
+
+def test_t2_of_the_picoharp(tmp_path):
+    """4 bits of channel, of which 0 is the sync input; 4 ps."""
+    records = [0 << 28 | 1000, 1 << 28 | 1000 + 16, 2 << 28 | 1000 + 32]
+    found, _ = edges_of(ptu(tmp_path / "a.ptu", records, kind=PICOHARP_T2, clock_s=4e-12))
+    assert found == [(0, 0, 1), (0, 1, 2)]
+
+
+@pytest.mark.parametrize("both_ways", [False, True])
+def test_scan_by_another_writer(tmp_path, both_ways):
+    """ptufile's own writer makes an image from histograms: each position gets its photons, each a pulse of its own."""
+    rng = np.random.default_rng(3)
+    counts = rng.poisson(0.02, (2, 6, 5, 1, 100)).astype(np.uint16)  # images, lines, positions, channels, bins
+    path = tmp_path / "scan.ptu"
+    with ptufile.PtuWriter(path, counts.shape, 500e-9, 62.5e-12, 20 * 500e-9, tags={"File_GUID": "x"}) as writer:
+        writer.write(counts)
+    if both_ways:
+        data = path.read_bytes()
+        at = data.index(b"ImgHdr_BiDirect") + 40
+        path.write_bytes(data[:at] + struct.pack("<q", 1) + data[at + 8 :])
+    recording = read_recording(path)
+    assert recording.grid == (6, 5) and "20 syncs each, 2 image(s)" in recording.kind
+    found, lost = edges_of(path)
+    seen = np.zeros((2, 8, 8, 100), int)
+    for pulse, pixel, tick in found:
+        seen[pulse // 20, pixel // 8, pixel % 8, tick] += 1
+    expected = counts[:, :, :, 0].astype(int)
+    if both_ways:
+        expected[:, 1::2] = expected[:, 1::2, ::-1]
+    assert np.array_equal(seen[:, :6, :5], expected) and not lost
+    assert len({(pulse, pixel) for pulse, pixel, _ in found}) == len(found)
+    with pytest.raises(InputError, match="positions are the pixels"):
+        edges_of(path, channels={0: 0})
+
+
+def test_tables_by_hand(tmp_path):
+    (tmp_path / "syncs.csv").write_text(
+        "# a lab\n\nSync;time_ns;note;channel\n0;0.0625;1;5\n3;499.99;2;6\n1;500;3;6\n0;0.0624;4;7\n"
+    )
+    found, lost = edges_of(tmp_path / "syncs.csv")
+    assert found == [(0, 7, 0), (0, 5, 1), (3, 6, 7999)]
+    assert lost == {"beyond the laser period of 8000 ticks": 1}
+    times = {"channel": [9, 1, 9, 2, 1, 9], "time_ps": [1000, 1125, 501000, 501000, 900, 1001000]}
+    np.savez(tmp_path / "times.npz", **times)
+    with h5py.File(tmp_path / "times.h5", "w") as archive:
+        archive.update(times)
+    for name in ("times.npz", "times.h5"):
+        found, lost = edges_of(tmp_path / name, sync_channel=9, channels={1: 11, 2: 12})
+        assert found == [(0, 11, 2), (1, 12, 0)] and lost == {"before the first sync": 1}
+        assert not period_note(read_recording(tmp_path / name, 9), TIMING)
+
+
+some_edges = st.lists(
+    st.tuples(st.integers(0, 39), st.integers(0, 63), st.integers(0, TIMING.period_ticks - 1)), min_size=1, max_size=40
+)
+
+
+@settings(max_examples=20)
+@given(rows=some_edges)
+@pytest.mark.parametrize("suffix", SUFFIXES)
+def test_edges_come_back_from_every_format(tmp_path_factory, suffix, rows):
+    path = tmp_path_factory.mktemp("edges") / f"edges{suffix}"
+    write_edges(path, edges(*rows), TIMING)
+    first = path.read_bytes()
+    assert edges_of(path) == (sorted(rows, key=lambda row: (row[0], row[2], row[1])), {})
+    write_edges(path, edges(*rows), TIMING)
+    assert path.read_bytes() == first
+
+
+@given(pulses=st.lists(st.integers(0, 3 << 20), min_size=1, max_size=20))
+def test_syncs_of_a_long_recording(tmp_path_factory, pulses):
+    """The records' counter of syncs wraps at 1024, and the wraps' counter too."""
+    path = tmp_path_factory.mktemp("edges") / "long.ptu"
+    write_edges(path, edges(*((pulse, 63, 1) for pulse in pulses)), TIMING)
+    assert read_recording(path).sync.tolist() == sorted(pulses)
+
+
+BAD_TABLES = {
+    "no columns": ("", "must have pulse, pixel, tick"),
+    "no times": ("sync,channel\n1,1\n", "must have pulse, pixel, tick"),
+    "no channels": ("sync,time_ps\n1,1\n", "must have pulse, pixel, tick"),
+    "text": ("sync,channel,time_ps\n1,one,1\n", "could not convert"),
+    "short line": ("sync,channel,time_ps\n1,2,3\n1,1\n", "row 2"),
+    "fraction of a sync": ("sync,channel,time_ps\n1,2,3\n1.5,2,3\n", r"sync\[1\] = 1.5: must be an integer"),
+    "negative time": ("sync,channel,time_ps\n1,2,-3\n", r"time\[0\] = -3.0: must be a number of at least 0"),
+    "negative sync": ("sync,channel,time_ps\n-1,2,3\n", r"sync\[0\] = -1"),
+    "no number": ("sync,channel,time_ps\n1,2,nan\n", r"time\[0\] = nan"),
+    "huge": ("sync,channel,time_ps\n1e300,2,1\n", r"sync\[0\] = 1e\+300"),
+    "no sync": ("channel,time_ps\n1,5\n", "--sync-channel must name"),
+    "nothing": ("sync,channel,time_ps\n", "holds no photons"),
+    "fraction of a tick": ("pulse,pixel,tick\n1,2,3.5\n", r"tick\[0\] = 3.5"),
+    "all late": ("sync,channel,time_ps\n700,1,5\n900,1,5\n", "its syncs are 700 to 900"),
+}
+
+
+@pytest.mark.parametrize("name", BAD_TABLES)
+def test_bad_tables(tmp_path, name):
+    text, words = BAD_TABLES[name]
+    (tmp_path / "bad.csv").write_text(text)
+    with pytest.raises(InputError, match=words):
+        edges_of(tmp_path / "bad.csv")
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+def test_damaged_files(tmp_path, suffix):
+    """Cut short anywhere, or with a byte changed: read, or refused with a message."""
+    rng = np.random.default_rng(1)
+    path = tmp_path / f"edges{suffix}"
+    write_edges(path, edges(*((pulse, pulse, 50 * pulse) for pulse in range(40))), TIMING)
+    whole = path.read_bytes()
+    refused = 0
+    for number in range(60):
+        data = bytearray(whole)
+        if number % 2:
+            del data[rng.integers(len(data)) :]
+        else:
+            data[rng.integers(len(data))] ^= 255
+        path.write_bytes(data)
+        try:
+            edges_of(path)
+        except InputError:
+            refused += 1
+    assert refused >= (20 if suffix == ".csv" else 30)
+    path.unlink()
+    with pytest.raises(InputError, match="no such file"):
+        edges_of(path)
+
+
+def test_bad_ptu(tmp_path):
+    path = ptu(tmp_path / "a.ptu", [t2(0, 3, 5), t2(0, 4, 5)])
+    with pytest.raises(InputError, match="no events on the sync input.*events: 3, 4"):
+        edges_of(path)
+    with pytest.raises(InputError, match="no events on input 5"):
+        edges_of(path, sync_channel=5)
+    path.write_bytes(path.read_bytes()[:-2])
+    with pytest.raises(InputError, match="truncated: 1 whole records of 2"):
+        edges_of(path)
+    path.write_bytes(b"not a recording at all, but long enough for a header")
+    with pytest.raises(InputError, match="not a readable PTU file"):
+        edges_of(path)
+    with pytest.raises(InputError, match="T3 recording"):
+        edges_of(ptu(path, [t3(0, 1, 1, 1)], mode=3, kind=0x00010307, clock_s=5e-7), sync_channel=0)
+    with pytest.raises(InputError, match="MeasDesc_Resolution"):
+        edges_of(ptu(path, [t3(0, 1, 1, 1)], mode=3, kind=0x00010307, clock_s=5e-7, bin_s=0.0))
+    for row, words in (((0, 64, 0), "pixel = 64: must be from 0 to 63"), ((0, 0, 1 << 15), "tick = 32768")):
+        with pytest.raises(InputError, match=words):
+            write_edges(path, edges(row), TIMING)
+
+
+def test_channel_maps(tmp_path):
+    (tmp_path / "map.csv").write_text("channel,pixel\n4,1\n5,0\n")
+    assert parse_channels(str(tmp_path / "map.csv")) == parse_channels("4:1, 5:0") == {4: 1, 5: 0}
+    for text, words in (
+        ("4-1", "must be CHANNEL:PIXEL"),
+        ("4:1,4:2", "channel 4 comes twice"),
+        ("4:1,5:1", "pixel 1 comes twice"),
+    ):
+        with pytest.raises(InputError, match=words):
+            parse_channels(text)
+    (tmp_path / "a.csv").write_text("sync,channel,time_ps\n0,4,5\n")
+    for channels, words in (
+        ({5: 0}, "channel 5 is not in the recording, must be one of 4"),
+        ({4: 64}, "pixel of channel 4 = 64"),
+    ):
+        with pytest.raises(InputError, match=words):
+            edges_of(tmp_path / "a.csv", channels=channels)
+
+
+@pytest.mark.parametrize("suffix", [".ptu", ".csv"])
+def test_recording_replays_alike_through_model_and_rtl(tmp_path, suffix):
+    """From a scene's photons to a recording and back to edges, at the command line."""
+    (tmp_path / "small.toml").write_text("[sensor]\nrows = 8\ncols = 8\n[frame]\npulses = 20\nframes = 2\n")
+    more = ("--config", str(tmp_path / "small.toml"))
+
+    def run(*arguments):
+        result = CliRunner().invoke(app, [*map(str, arguments), *more])
+        assert result.exit_code == 0, result.output
+        return result.stdout
+
+    told = run("photons", "--scene", "flat:4,0.4", "--klux", 20, "--out", tmp_path / f"recorded{suffix}")
+    run("photons", "--scene", "flat:4,0.4", "--klux", 20, "--out", tmp_path / "photons.npz")
+    assert (
+        told.split()[1]
+        == run("edges", tmp_path / f"recorded{suffix}", "--out", tmp_path / "edges.npz").splitlines()[-1].split()[1]
+    )
+    assert (tmp_path / "edges.npz").read_bytes() == (tmp_path / "photons.npz").read_bytes()
+    loaded = load_edges(tmp_path / "edges.npz", pixels=64, pulses=40, period_ticks=TIMING.period_ticks)
+    assert not differences(replay("golden", CONFIG, loaded), replay("verilator", CONFIG, loaded))
+
+
+def test_errors_at_the_command_line(tmp_path):
+    (tmp_path / "a.csv").write_text("sync,channel,time_ps\n0,4,5\n")
+    for arguments, words in (
+        (("--out", tmp_path / "out.txt"), "must end with one of .npz"),
+        (("--out", tmp_path / "out.npz", "--channels", "7:0"), "a.csv: channels: channel 7 is not"),
+        (("--out", tmp_path / "out.npz", "--first-sync", "-1"), "first-sync = -1"),
+    ):
+        result = CliRunner().invoke(app, ["edges", str(tmp_path / "a.csv"), *map(str, arguments)])
+        assert result.exit_code == 2 and words in result.stderr and result.stderr.count("\n") == 1
+    assert [path.name for path in tmp_path.iterdir()] == ["a.csv"]

@@ -1,0 +1,474 @@
+"""Ray-traced scenes: transients to edges, what happens without the extra, and with it the renderer against closed forms."""
+
+import math
+import re
+from importlib.metadata import PackageNotFoundError, version
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import ndimage, stats
+from typer.testing import CliRunner
+
+from coincid.cli import app
+from coincid.model.contract.config import load_config
+from coincid.model.depth.estimate import estimate_depth
+from coincid.model.light.light import Arrivals, Light
+from coincid.model.light.link_budget import link_budget
+from coincid.model.light.photons import generate_edges
+from coincid.model.light.spad import Spad
+from coincid.model.light.timing import Timing
+from coincid.model.scenes import ray_scene
+from coincid.model.scenes.catalogue import RANGE_M, load_scene
+from coincid.model.scenes.scene import scene_light
+from coincid.model.scenes.transient import BIN_S, Transient, dominant_surface_m, sparse
+from coincid.model.shared.constants import SPEED_OF_LIGHT_M_S
+from coincid.model.shared.errors import InputError
+
+LEVEL = 1e-3
+BARE = Spad(dead_time_s=0, jitter_fwhm_s=0)
+BIN_M = BIN_S * SPEED_OF_LIGHT_M_S / 2
+TICK_M = Timing().tick_s * SPEED_OF_LIGHT_M_S / 2
+BINS_PER_TICK = round(Timing().tick_s / BIN_S)
+
+
+def synthetic(table, surface_m=5.0, ambient=0.4):
+    """A transient from strengths [rows, cols, bins]."""
+    rows, cols, bins = table.shape
+    counts, index, strength = sparse(table.reshape(rows * cols, bins))
+    surface_m, ambient = np.broadcast_to(surface_m, (rows, cols)).copy(), np.broadcast_to(ambient, (rows, cols)).copy()
+    return Transient(
+        first=np.r_[0, np.cumsum(counts)], index=index, strength_per_m2=strength, surface_m=surface_m, ambient=ambient
+    )
+
+
+def photons_in(light):
+    """float64[pixels]: photons per pulse of the light's bins."""
+    return np.diff(np.r_[0, np.cumsum(light.arrivals.photons)][light.arrivals.first])
+
+
+def test_energy_is_conserved_from_transient_to_edges():
+    """Chi-square over (pixel, tick), and over the counts of single pulses: the edges are those photons, Poisson."""
+    random = np.random.default_rng(1)
+    table = np.zeros((4, 4, 4000 * BINS_PER_TICK))
+    for row in table.reshape(16, -1):
+        row[random.integers(0, row.size, 12)] = random.exponential(2e-4, 12)
+    pulses = 20_000
+    light = synthetic(table).light(0.0, system_fwhm_s=0.0)
+    edges = generate_edges(light, BARE, Timing(), pulses=pulses, seed=1)
+    expected = table.reshape(16, -1, BINS_PER_TICK).sum(2) * pulses * photons_in(light).sum() / table.sum()
+    seen = np.bincount(edges.pixel * 8000 + edges.tick, minlength=16 * 8000).reshape(16, 8000)
+    assert np.all(seen[:, 4000:] == 0) and np.all(seen[:, :4000][expected == 0] == 0)
+    lit = expected > 0
+    assert stats.chi2.sf((((seen[:, :4000] - expected)[lit]) ** 2 / expected[lit]).sum(), lit.sum()) > LEVEL
+    per_pulse = np.bincount(edges.pulse, minlength=pulses)
+    assert stats.chi2.sf(per_pulse.var() * pulses / per_pulse.mean(), pulses - 1) > LEVEL
+
+
+def test_one_unit_is_equation_1():
+    """What a Lambertian surface sends back, r / (pi d^2), makes the link budget's photons, in the corrected form."""
+    table = np.zeros((1, 1, 2000))
+    table[0, 0, 1700] = 0.4 / (math.pi * 4.0**2)
+    light = synthetic(table).light(50)
+    assert photons_in(light)[0] == pytest.approx(link_budget(4.0, 0.4, 0, form="corrected").signal_per_pulse, rel=1e-12)
+    assert light.background_cps[0] == pytest.approx(1.226e6)
+
+
+@settings(max_examples=20)
+@given(photons=st.lists(st.floats(0.01, 3), min_size=1, max_size=4), seed=st.integers(0, 99))
+def test_bins_without_width_are_targets(photons, seed):
+    """The same edges, whether a distribution is given as targets or as bins."""
+    start_s = 40e-9 * np.arange(1, len(photons) + 1)
+    common = dict(rows=1, cols=1, background_cps=2e6)
+    targets = Light(distance_m=start_s[None] * SPEED_OF_LIGHT_M_S / 2, signal_per_pulse=np.array([photons]), **common)
+    arrivals = Arrivals(first=[0, len(photons)], start_s=start_s, photons=photons)
+    bins = Light(distance_m=np.nan, signal_per_pulse=0.0, arrivals=arrivals, **common)
+    a, b = (generate_edges(light, Spad(), Timing(), pulses=50, seed=seed) for light in (targets, bins))
+    assert (
+        np.array_equal(a.pulse, b.pulse)
+        and np.abs(a.tick - b.tick).max(initial=0) <= 1
+        and np.mean(a.tick == b.tick) > 0.9
+    )
+
+
+def test_light_of_an_earlier_pulse():
+    """Beyond the laser period it comes in the next one, or not at all where the model says so."""
+    arrivals = Arrivals(first=[0, 1], start_s=[Timing().period_s + 100e-9], photons=[5.0], width_s=BIN_S)
+    dark = dict(rows=1, cols=1, distance_m=np.nan, signal_per_pulse=0.0, system_fwhm_s=0.0, arrivals=arrivals)
+    edges = generate_edges(Light(**dark), BARE, Timing(), pulses=20, seed=1)
+    assert len(edges) > 50 and np.all(edges.tick == 1600)
+    assert len(generate_edges(Light(**dark, range_ambiguity=False), BARE, Timing(), pulses=20, seed=1)) == 0
+
+
+@pytest.mark.parametrize(
+    "wrong, words",
+    [
+        (dict(first=[0, 2]), "first: must ascend from 0 to the 3 bins"),
+        (dict(first=[0, 4, 3]), "first: must ascend"),
+        (dict(start_s=[1e-9, 3e-9, 2e-9]), "start_s: must ascend in every pixel"),
+        (dict(photons=[1.0, -1.0, 0.0]), "photons"),
+        (dict(first=[0, 1, 3]), "arrivals: are of 2 pixels, must be of 1"),
+    ],
+)
+def test_wrong_arrivals(wrong, words):
+    given = dict(first=[0, 3], start_s=[1e-9, 2e-9, 3e-9], photons=[1.0, 1.0, 1.0]) | wrong
+    with pytest.raises(InputError, match=words):
+        Light(rows=1, cols=1, distance_m=np.nan, signal_per_pulse=0.0, arrivals=Arrivals(**given))
+
+
+def test_arrivals_may_restart_in_every_pixel():
+    arrivals = Arrivals(first=[0, 2, 2, 3], start_s=[1e-9, 2e-9, 0.0], photons=[1.0, 1.0, 1.0])
+    assert (
+        len(
+            generate_edges(
+                Light(rows=1, cols=3, distance_m=np.nan, signal_per_pulse=0.0, arrivals=arrivals),
+                BARE,
+                Timing(),
+                pulses=200,
+                seed=1,
+            )
+        )
+        > 400
+    )
+
+
+def test_surface_that_fills_most_of_a_pixel():
+    sky = np.inf
+    samples_m = np.array(
+        [[5, 5.1, 9, 9.1, 9.2], [5, 5.1, 5.2, sky, sky], [5, sky, sky, sky, sky], [sky] * 5, [4, 4, 9, 9, sky]]
+    )
+    assert dominant_surface_m(samples_m) == pytest.approx([9.1, 5.1, sky, sky, 4])
+
+
+def test_transient_file_and_depth(tmp_path):
+    table = np.zeros((1, 2, 900))
+    table[0, 0, [200, 201, 800]] = 1, 2, 1.5
+    transient = synthetic(table)
+    transient.save(tmp_path / "t.npz")
+    again = Transient.load(tmp_path / "t.npz")
+    assert np.array_equal(again.index, transient.index) and again.lost_per_m2 == 0
+    assert again.depth_m()[0, 0] == pytest.approx((201 + 1 / 6) * BIN_M) and np.isnan(again.depth_m()[0, 1])
+    assert again.total_per_m2.tolist() == [[4.5, 0]]
+
+
+@pytest.fixture
+def stub(monkeypatch, tmp_path):
+    """A renderer that hands out `stub.transient` for any file, and counts; the extra is not needed."""
+    monkeypatch.setenv("COINCID_BUILD", str(tmp_path / "build"))
+    made = SimpleNamespace(
+        renders=0, contents=b"1", path=tmp_path / "scene.xml", transient=synthetic(np.ones((2, 2, 10)))
+    )
+    made.path.touch()
+
+    def render(*_, **__):
+        made.renders += 1
+        return made.transient
+
+    read = SimpleNamespace(cameras=2, kind="orthographic", emitters=3)
+    tracer = SimpleNamespace(
+        render=render, read_scene=lambda path: SimpleNamespace(files={"scene": made.contents}, **vars(read))
+    )
+    monkeypatch.setattr(ray_scene, "_tracer", lambda: tracer)
+    monkeypatch.setattr(ray_scene, "version", lambda name: "1")
+    return made
+
+
+def test_rendered_once_for_each_content(stub):
+    for contents, size, renders in ((b"1", 2, 1), (b"1", 2, 1), (b"2", 2, 2), (b"1", 2, 2), (b"1", 4, 3)):
+        stub.contents = contents
+        load_scene(str(stub.path), size, 2)
+        assert stub.renders == renders
+
+
+def test_what_is_overridden_is_said(stub):
+    kept, emitters, metres = load_scene(str(stub.path), 2, 2).notes
+    assert (
+        "first of 2 cameras" in kept
+        and "orthographic, taken for a perspective one" in kept
+        and "45 x 45 degrees, 2 x 2 pixels" in kept
+    )
+    assert "3 emitters left out" in emitters and "taken for metres" in metres and "warning" not in metres
+
+
+@pytest.mark.parametrize(
+    "surface_m, masked, words",
+    [
+        ([[5, 80], [5, 5]], 1, "1 of 4 pixels at or beyond the laser period's range of 74.95 m are masked"),
+        ([[5, 0.01], [5, 5]], 1, "1 of 4 pixels nearer than 0.05 m are masked"),
+        ([[5, 5], [np.inf, np.inf]], 2, "2 of 4 pixels without a surface are masked"),
+        (60.0, 0, "warning: .*surfaces from 60 to 60 m, the file's units taken for metres, which is doubtful"),
+        (0.1, 0, "warning: .*doubtful"),
+    ],
+)
+def test_pixels_without_a_truth_are_masked(stub, surface_m, masked, words):
+    stub.transient = synthetic(np.ones((2, 2, 10)), surface_m)
+    scene = load_scene(str(stub.path), 2, 2)
+    assert np.isnan(scene.truth_m).sum() == masked
+    assert any(re.search(words, note) for note in scene.notes)
+    assert photons_in(scene_light(scene, 50)).min() > 0  # their light stays
+
+
+@pytest.mark.parametrize(
+    "surface_m, words",
+    [
+        (np.inf, "the camera sees no surface"),
+        (
+            800.0,
+            "surfaces from 800 to 800 m, the file's units taken for metres: all are .* beyond the laser period's range of 74.95 m",
+        ),
+    ],
+)
+def test_scene_that_cannot_be_told(stub, surface_m, words):
+    stub.transient = synthetic(np.ones((2, 2, 10)), surface_m)
+    with pytest.raises(InputError, match=words):
+        load_scene(str(stub.path), 2, 2)
+
+
+def test_without_the_extra(monkeypatch, tmp_path):
+    def missing(name):
+        raise PackageNotFoundError(name)
+
+    monkeypatch.setattr(ray_scene, "version", missing)
+    told = CliRunner().invoke(app, ["sim", "--scene", "ray:corner", "--engine", "golden", "--out", str(tmp_path)])
+    assert told.exit_code == 2
+    assert told.stderr == (
+        "coincid: ray-traced scenes need mitsuba, which is not installed; run: make raytrace "
+        "(without a checkout: pip install 'coincid[raytrace]')\n"
+    )
+
+
+def test_without_llvm(monkeypatch):
+    monkeypatch.setattr(ray_scene, "version", lambda name: "1")
+    monkeypatch.setattr(ray_scene, "LLVM_LIBRARIES", ("libnothing.so",))
+    monkeypatch.delenv(ray_scene.LLVM_VARIABLE, raising=False)
+    with pytest.raises(InputError, match=r"need the library of LLVM 17 or newer .*libllvm19.* run: make raytrace"):
+        load_scene("ray:corner", 8, 8)
+
+
+@pytest.mark.parametrize(
+    "source, words", [("ray:moon", "must be one of ray:five-objects"), ("nothing.xml", "no such file")]
+)
+def test_unknown_scene(source, words):
+    with pytest.raises(InputError, match=words):
+        load_scene(source, 8, 8)
+
+
+@pytest.fixture(scope="module")
+def tracer():
+    """The renderer; tests that want it are skipped without the extra."""
+    try:
+        version("mitransient")
+        return ray_scene._tracer()
+    except (PackageNotFoundError, InputError) as error:
+        pytest.skip(f"the extra `raytrace` is not installed ({error}): make raytrace")
+
+
+CAMERA = '<sensor type="perspective"/>'
+
+
+def scene_file(path, body, camera=CAMERA):
+    path.write_text(f'<scene version="3.0.0">{camera}{body}</scene>')
+    return path
+
+
+def wall(distance_m):
+    return (
+        '<shape type="rectangle"><bsdf type="diffuse"><rgb name="reflectance" value="0.4"/></bsdf><transform name="to_world">'
+        f'<scale value="100"/><rotate y="1" angle="180"/><translate z="{distance_m}"/></transform></shape>'
+    )
+
+
+def rendered(tracer, path, rows=8, cols=8, stop_s=1e-6):
+    return tracer.render(tracer.read_scene(path), rows, cols, fov_h_deg=45, fov_v_deg=45, stop_s=stop_s)
+
+
+@pytest.mark.parametrize("distance_m", [1, 4, 10, 50])
+def test_flat_wall_is_the_link_budget(tracer, tmp_path, distance_m):
+    """Rate within 2 %, in the corrected form; range within a tick."""
+    transient = rendered(tracer, scene_file(tmp_path / "wall.xml", wall(distance_m)))
+    budget = link_budget(float(distance_m), 0.4, 0, form="corrected")
+    assert photons_in(transient.light(0)) == pytest.approx(np.full(64, budget.signal_per_pulse), rel=0.02)
+    across = (np.arange(8 * 64) + 0.5) / 256 - 1  # of the field of view, 64 points a pixel
+    square = (across * math.tan(math.pi / 8)) ** 2
+    from_geometry_m = distance_m * np.sqrt(1 + square[:, None] + square).reshape(8, 64, 8, 64).mean(axis=(1, 3))
+    weighed = np.add.reduceat(transient.strength_per_m2 * (transient.index + 0.5), transient.first[:-1])
+    mean_m = weighed / transient.total_per_m2.ravel() * BIN_M
+    assert np.abs(mean_m - from_geometry_m.ravel()).max() < TICK_M
+    assert np.abs(transient.surface_m - from_geometry_m).max() < TICK_M
+    assert transient.ambient == pytest.approx(np.full((8, 8), 0.4), rel=1e-4)
+
+
+def test_the_renderer_agrees_with_mitsubas_own(tracer):
+    """All light of a corner and of the five objects, many bounces, against the path integrator and a projector: one constant for both."""
+    import mitsuba as mi
+
+    ratios = []
+    for name in ("corner", "five-objects"):
+        scene = tracer.read_scene(ray_scene.SCENES / f"{name}.xml")
+        shapes = mi.parser.instantiate(scene.config, scene.state).shapes()
+        film = {"type": "hdrfilm", "width": 8, "height": 8, "rfilter": {"type": "box"}}
+        same = {f"shape{i}": shape for i, shape in enumerate(shapes)} | {
+            "type": "scene",
+            "laser": {"type": "projector", "irradiance": 1.0, "fov": 45.0},
+            "camera": {"type": "perspective", "fov": 45.0, "film": film},
+        }
+        steady = np.array(
+            mi.render(mi.load_dict(same), integrator=mi.load_dict({"type": "path", "max_depth": 24}), spp=4096)
+        )[:, :, 0]
+        ratios.append(rendered(tracer, ray_scene.SCENES / f"{name}.xml").total_per_m2 / steady)
+    assert np.allclose(ratios, 1 / math.pi, rtol=0.06)  # pixels; Mitsuba's projector counts pi times the irradiance
+    assert np.mean(ratios, axis=(1, 2)) == pytest.approx([1 / math.pi] * 2, rel=0.005)
+
+
+@pytest.mark.parametrize(("target", "ball_at"), [("1,2,8", (2, 3, 8)), ("4,2,7", (4.8, 3, 6.4))])
+def test_users_camera(tracer, tmp_path, target, ball_at):
+    """Where it stands and looks counts, its film does not; the picture has its left on the left, its top at the top."""
+    ball = (
+        '<shape type="sphere"><bsdf type="diffuse"/><float name="radius" value="0.5"/>'
+        '<transform name="to_world"><translate x="1" y="1" z="5"/></transform></shape>'
+    )
+    straight = rendered(tracer, scene_file(tmp_path / "a.xml", ball))
+    assert set(zip(*np.nonzero(np.isfinite(straight.surface_m)))) <= {
+        (row, col) for row in range(4) for col in range(4)
+    }
+    camera = (
+        '<sensor type="thinlens"><float name="aperture_radius" value="0.1"/><transform name="to_world">'
+        f'<lookat origin="1,2,3" target="{target}" up="0,1,0"/></transform><film type="hdrfilm"/>'
+        '<sampler type="independent"/></sensor>'
+    )
+    moved = ball.replace('x="1" y="1" z="5"', 'x="{}" y="{}" z="{}"'.format(*ball_at))
+    elsewhere = rendered(
+        tracer, scene_file(tmp_path / "b.xml", moved + '<integrator type="path"/><emitter type="constant"/>', camera)
+    )
+    assert elsewhere.surface_m == pytest.approx(straight.surface_m, rel=1e-5, nan_ok=True)
+
+
+def test_files_beside_a_scene(tracer, tmp_path, monkeypatch):
+    """A mesh and an included file are the ones of the scene's own folder, and part of what a rendering is kept by."""
+    monkeypatch.setenv("COINCID_BUILD", str(tmp_path / "build"))
+    truth_m = []
+    for folder, z in (("a", 4), ("b", 6), ("b", 8)):
+        (tmp_path / folder).mkdir(exist_ok=True)
+        path = scene_file(tmp_path / folder / "s.xml", '<include filename="mesh.xml"/>')
+        scene_file(
+            path.parent / "mesh.xml", '<shape type="obj"><string name="filename" value="m.obj"/></shape>', camera=""
+        )
+        (path.parent / "m.obj").write_text(f"v -20 -20 {z}\nv 20 -20 {z}\nv 0 20 {z}\nf 1 3 2\n")
+        truth_m.append(np.nanmin(load_scene(str(path), 4, 4).truth_m))
+    assert truth_m == pytest.approx([4 * 1.011, 6 * 1.011, 8 * 1.011], rel=0.01)
+
+
+def test_threads_do_not_change_a_bit(tracer):
+    import drjit as dr
+
+    threads, made = dr.thread_count(), []
+    try:
+        for n in (1, 2, 2):
+            dr.set_thread_count(n)
+            transient = rendered(tracer, ray_scene.SCENES / "corner.xml")
+            made.append(
+                [
+                    getattr(transient, name).tobytes()
+                    for name in ("first", "index", "strength_per_m2", "ambient", "surface_m")
+                ]
+            )
+    finally:
+        dr.set_thread_count(threads)
+    assert made[0] == made[1] == made[2]
+
+
+def test_depth_of_single_returns_is_the_geometrys(tracer):
+    """Five objects: within a tick wherever the pixel and its neighbours see one surface."""
+    transient = rendered(tracer, ray_scene.SCENES / "five-objects.xml", 32, 32, stop_s=0.5e-6)
+    depth_m, surface_m = transient.depth_m(), transient.surface_m
+    single = ndimage.maximum_filter(surface_m, 3) - ndimage.minimum_filter(surface_m, 3) < 0.2
+    for pixel in np.flatnonzero(single):
+        bins = slice(*transient.first[pixel : pixel + 2])
+        near = np.abs((transient.index[bins] + 0.5) * BIN_M - depth_m.flat[pixel]) < 0.1
+        single.flat[pixel] = transient.strength_per_m2[bins][near].sum() > 0.9 * transient.total_per_m2.flat[pixel]
+    assert single.sum() > 300
+    assert np.abs(depth_m - surface_m)[single].max() < TICK_M
+
+
+def test_pane_and_fog_take_their_share(tracer, tmp_path):
+    """A pane passes what Fresnel says, there and back; fog takes exp(-2 sigma d) of the wall's own light, and shines in the sun."""
+    clear = rendered(tracer, scene_file(tmp_path / "clear.xml", wall(10)))
+    pane = (
+        '<shape type="rectangle"><bsdf type="thindielectric"/><transform name="to_world"><scale value="9"/><translate z="3"/>'
+        "</transform></shape>"
+    )
+    behind = rendered(tracer, scene_file(tmp_path / "pane.xml", wall(10) + pane))
+    once = (1.000277 - 1.5046) ** 2 / (1.000277 + 1.5046) ** 2  # Mitsuba's air and BK7, straight on
+    passes = (1 - once) / (1 + once)
+    assert (behind.total_per_m2 / clear.total_per_m2)[3:5, 3:5] == pytest.approx(np.full((2, 2), passes**2), rel=0.03)
+    fog = (
+        '<medium type="homogeneous" id="fog"><float name="sigma_t" value="0.1"/><float name="albedo" value="0"/></medium>'
+        '<shape type="cube"><bsdf type="null"/><ref name="interior" id="fog"/><transform name="to_world">'
+        '<scale x="9" y="9" z="3"/><translate z="5"/></transform></shape>'
+    )
+    foggy = rendered(tracer, scene_file(tmp_path / "fog.xml", wall(10) + fog))
+    across = ((np.arange(8) + 0.5) / 4 - 1) * math.tan(math.pi / 8)
+    ways_m = 6 * np.sqrt(1 + across[:, None] ** 2 + across**2)  # through the cube
+    assert np.mean(foggy.total_per_m2 / clear.total_per_m2 / np.exp(-0.2 * ways_m)) == pytest.approx(1, rel=0.015)
+    assert foggy.ambient == pytest.approx(1 + (0.4 - 1) * np.exp(-0.1 * ways_m), rel=0.01)
+
+
+@pytest.mark.parametrize(
+    "body, words",
+    [
+        ('<shape type="nosuch"/>', 'Plugin "nosuch" not found'),
+        ('<shape type="ply"><string name="filename" value="none.ply"/></shape>', "none.ply"),
+        ('<shape type="sphere"><float name="radius" value="wide"/></shape>', "could not parse floating point value"),
+        ("<shape", "is not a scene that Mitsuba reads"),
+        (
+            '<medium type="heterogeneous" id="m"><volume name="sigma_t" type="constvolume"><float name="value" value="1"/></volume></medium>'
+            '<shape type="cube"><bsdf type="null"/><ref name="interior" id="m"/></shape>',
+            "heterogeneous medium, must be homogeneous",
+        ),
+        (
+            '<shape type="sphere"><bsdf type="retroreflective"><float name="divergence" value="0"/></bsdf></shape>',
+            "divergence from 0.01 to 45",
+        ),
+        (None, "has no camera"),
+    ],
+)
+def test_broken_scenes(tracer, tmp_path, body, words):
+    path = scene_file(tmp_path / "broken.xml", body or "", camera="" if body is None else CAMERA)
+    with pytest.raises(InputError, match=words) as told:
+        load_scene(str(path), 8, 8, range_m=RANGE_M)
+    assert "\n" not in str(told.value) and str(told.value).startswith(str(path))
+
+
+def test_a_scene_runs_from_photon_to_depth(tracer, tmp_path, monkeypatch):
+    """A file of the user's, by the command: a ball before a wall, each at its depth."""
+    monkeypatch.setenv("COINCID_BUILD", str(tmp_path / "build"))
+    ball = '<shape type="sphere"><bsdf type="diffuse"/><float name="radius" value="1"/><point name="center" x="0" y="0" z="5"/></shape>'
+    path = scene_file(tmp_path / "ball.xml", wall(9) + ball)
+    (tmp_path / "small.toml").write_text("[sensor]\nrows = 16\ncols = 16\n")
+    told = CliRunner().invoke(
+        app,
+        [
+            "sim",
+            "--scene",
+            str(path),
+            "--engine",
+            "golden",
+            "--klux",
+            "2",
+            "--pulses",
+            "200",
+            "--config",
+            str(tmp_path / "small.toml"),
+            "--out",
+            str(tmp_path / "out"),
+        ],
+    )
+    assert told.exit_code == 0, told.output
+    config = load_config(tmp_path / "small.toml").with_pulses(200)
+    depth_m = estimate_depth(dict(np.load(tmp_path / "out" / "events.npz")), config, Timing().tick_s, frame=1).depth_m[
+        :, :, 0
+    ]
+    assert depth_m[7:9, 7:9] == pytest.approx(np.full((2, 2), 4.01), abs=0.05)
+    assert np.median(np.abs(depth_m - load_scene(str(path), 16, 16).truth_m)) < 0.15

@@ -1,0 +1,183 @@
+"""Scenes: built-in ones, and depth files that are good, damaged or something else."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+from PIL import Image
+
+from coincid.model.light.light import signal_per_pulse
+from coincid.model.scenes.catalogue import RANGE_M, load_scene
+from coincid.model.scenes.depth_file import depth_scene
+from coincid.model.scenes.scene import Scene, scene_light
+from coincid.model.shared.errors import InputError
+
+
+def png(path, millimetres):
+    Image.fromarray(np.asarray(millimetres, np.uint16)).save(path)
+    return path
+
+
+def npy(path, samples):
+    np.save(path, samples)
+    return path
+
+
+def test_five_objects_has_the_papers_ranges():
+    scene = load_scene("five-objects", 32, 32)
+    assert (scene.truth_m.min(), scene.truth_m.max()) == (4.3, 9.7)
+    assert (scene.reflectivity.min(), scene.reflectivity.max()) == (0.08, 0.6)
+    assert set(scene.labels.ravel()) == {1, 2, 3, 4, 5}
+    for label in range(1, 6):
+        assert len(np.unique(scene.truth_m[scene.labels == label])) == 1
+    subgroups = scene.labels.reshape(4, 8, 4, 8).swapaxes(1, 2).reshape(16, 64)
+    assert sum(len(np.unique(labels)) > 1 for labels in subgroups) >= 8  # edges matter
+
+
+@pytest.mark.parametrize("size", [(8, 8), (16, 16), (32, 16), (64, 64)])
+def test_built_in_scenes_at_any_size(size):
+    for name in ("five-objects", "letter-f", "flat", "two-targets", "two-returns:4,6"):
+        scene = load_scene(name, *size)
+        assert scene.truth_m.shape == scene.valid.shape == scene.labels.shape == size
+        assert scene.valid.all()
+
+
+def test_letter_f_is_no_image_of_itself():
+    shape = load_scene("letter-f", 32, 32).labels
+    images = [turned for k in range(4) for turned in (np.rot90(shape, k), np.rot90(shape.T, k))]
+    assert sum(np.array_equal(shape, image) for image in images) == 1
+
+
+def test_parameters_in_the_name():
+    scene = load_scene("flat:12.5,0.3", 4, 8)
+    assert np.all(scene.truth_m == 12.5) and np.all(scene.reflectivity == 0.3)
+    stripes = load_scene("two-targets:5,9", 8, 8).truth_m
+    assert np.all(stripes[:, :4] == 5) and np.all(stripes[:, 4:] == 9)
+    mesh = load_scene("two-returns:5,9,0.4", 8, 8)
+    assert mesh.distance_m.shape == (8, 8, 2) and np.all(mesh.truth_m == 5) and np.all(mesh.reflectivity == 0.2)
+
+
+@pytest.mark.parametrize(
+    "name, words",
+    [
+        ("flat:0", "DISTANCE = 0.0: must be a number from"),
+        ("flat:75,0.4", "DISTANCE"),
+        ("flat:5,1.5", "REFLECTIVITY = 1.5: must be a number from 0 to 1"),
+        ("flat:five", "DISTANCE = 'five'"),
+        ("flat:nan", "DISTANCE"),
+        ("flat:1,0.4,7", "must be flat:DISTANCE,REFLECTIVITY"),
+        ("letter-f:1", "must be letter-f"),
+        ("letter-g", "five-objects, letter-f"),
+    ],
+)
+def test_bad_names(name, words):
+    with pytest.raises(InputError, match=words):
+        load_scene(name, 8, 8)
+
+
+def test_light_of_a_scene():
+    scene = Scene(name="", distance_m=[[4.0, np.nan]], reflectivity=[[0.4, 0.4]])
+    light = scene_light(scene, 50)
+    assert light.signal_per_pulse.ravel() == pytest.approx([signal_per_pulse(4.0, 0.4), 0])
+    assert np.all(light.background_cps == pytest.approx(1.226e6))
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    samples=hnp.arrays(np.float64, hnp.array_shapes(min_dims=2, max_dims=2, max_side=12), elements=st.floats(1, 20)),
+    rows=st.integers(1, 9),
+    cols=st.integers(1, 9),
+)
+def test_resampling_takes_the_nearest_sample_and_never_averages(tmp_path_factory, samples, rows, cols):
+    path = npy(tmp_path_factory.mktemp("scene") / "depth.npy", samples)
+    truth_m = depth_scene(path, rows, cols).truth_m
+    assert truth_m.shape == (rows, cols)
+    assert np.isin(truth_m, samples).all()
+    if rows * samples.shape[1] == cols * samples.shape[0] and samples.shape[0] % rows == 0:
+        blocks = samples.reshape(rows, samples.shape[0] // rows, cols, -1)
+        assert np.array_equal(truth_m, blocks.min(axis=(1, 3)))
+
+
+def test_picture_in_millimetres_and_array_in_metres_are_the_same(tmp_path):
+    millimetres = np.arange(1000, 1000 + 64 * 50, 50).reshape(8, 8)
+    expected = depth_scene(png(tmp_path / "d.png", millimetres), 8, 8).truth_m
+    assert np.array_equal(expected, millimetres / 1000)
+    assert np.array_equal(depth_scene(npy(tmp_path / "f.npy", millimetres / 1000), 8, 8).truth_m, expected)
+    assert np.array_equal(depth_scene(npy(tmp_path / "i.npy", millimetres), 8, 8).truth_m, expected)
+
+
+def test_crop_is_in_the_middle_and_is_noted(tmp_path):
+    depth_mm = np.full((4, 12), 9000)
+    depth_mm[:, 4:8] = 2000
+    scene = depth_scene(png(tmp_path / "wide.png", depth_mm), 4, 4)
+    assert np.all(scene.truth_m == 2.0)
+    assert any("middle 4 x 4 of 4 x 12" in note for note in scene.notes)
+
+
+def test_reflectivity_comes_from_the_colour_of_the_very_sample(tmp_path):
+    depth = png(tmp_path / "depth.png", np.tile([[2000, 6000]], (8, 4)))
+    colour = tmp_path / "colour.png"
+    Image.fromarray(np.tile(np.array([[0, 255]], np.uint8), (8, 4))).convert("RGB").save(colour)
+    for scene in (load_scene(f"{depth},{colour}", 4, 4), load_scene(depth, 4, 4, colour=colour)):
+        assert np.all(scene.truth_m == 2.0) and np.allclose(scene.reflectivity, 0.05)
+    assert np.all(load_scene(depth, 4, 4, reflectivity=0.7).reflectivity == 0.7)
+
+
+def test_invalid_samples_become_a_mask_and_a_note(tmp_path):
+    depth_m = np.full((8, 8), 5.0)
+    depth_m[0, 0], depth_m[0, 1], depth_m[1, 0], depth_m[1, 1] = 0, np.nan, -1, RANGE_M
+    scene = depth_scene(npy(tmp_path / "holes.npy", depth_m), 8, 8)
+    assert np.array_equal(np.argwhere(~scene.valid), [[0, 0], [0, 1], [1, 0], [1, 1]])
+    assert all(
+        any(word in note for note in scene.notes) for word in ("negative", "beyond", "no depth", "4 of 64 pixels")
+    )
+    assert depth_scene(npy(tmp_path / "holes.npy", depth_m), 4, 4).valid.sum() == 15
+
+
+@pytest.mark.parametrize(
+    "samples, words",
+    [
+        (np.zeros((8, 8)), "every sample is 0 or NaN"),
+        (np.full((8, 8), np.nan), "every sample is 0 or NaN"),
+        (np.full((8, 8), -2.0), "negative"),
+        (np.full((8, 8), 5000.0), "range of 74.95 m .*millimetres"),
+        (np.full((8, 8), np.inf), "range of 74.95 m"),
+        (np.full((8, 8), 80_000), "range of 74.95 m"),
+        (np.eye(32) * 3, "must be at least 10%"),
+        (np.ones((8, 8, 3)), "two dimensions"),
+        (np.ones(64), "two dimensions"),
+        (np.ones((0, 8)), "two dimensions"),
+        (np.ones((8, 8), complex), "must hold numbers"),
+        (np.ones((8, 8), bool), "must hold numbers"),
+    ],
+)
+def test_unusable_depth(tmp_path, samples, words):
+    with pytest.raises(InputError, match=words):
+        depth_scene(npy(tmp_path / "bad.npy", samples), 32, 32)
+
+
+def test_files_that_are_no_depth(tmp_path):
+    colour = tmp_path / "colour.png"
+    Image.new("RGB", (8, 8), "white").save(colour)
+    Image.new("L", (8, 8), 90).save(tmp_path / "grey.png")
+    whole = png(tmp_path / "depth.png", np.full((64, 64), 3000)).read_bytes()
+    (tmp_path / "cut.png").write_bytes(whole[: len(whole) // 2])
+    (tmp_path / "text.npy").write_text("no array")
+    (tmp_path / "depth.exr").write_bytes(b"v/1\x01")
+    np.savez(tmp_path / "many.npz", a=np.ones(3))
+    (tmp_path / "many.npz").rename(tmp_path / "many.npy")
+    for name, words in (
+        ("colour.png", "mode RGB"),
+        ("grey.png", "mode L"),
+        ("cut.png", "readable"),
+        ("text.npy", "readable"),
+        ("many.npy", "NPZ"),
+        ("depth.exr", "EXR"),
+        ("none.npy", "no such file"),
+        ("none.png", "no such file"),
+    ):
+        with pytest.raises(InputError, match=words):
+            load_scene(tmp_path / name, 8, 8)
+    with pytest.raises(InputError, match="another one is given"):
+        load_scene(f"{tmp_path / 'depth.png'},{colour}", 8, 8, colour=colour)

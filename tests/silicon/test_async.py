@@ -1,0 +1,198 @@
+"""The asynchronous view: equal to golden model and polyphase view at tick centres, within a tick off them, never a wrong word."""
+
+import json
+import re
+
+import numpy as np
+import pytest
+from attrs import evolve
+from hypothesis import HealthCheck, Phase, given, settings
+from hypothesis import strategies as st
+
+from coincid.flow.constraints import constraints
+from coincid.flow.silicon_report import domains, latches, netlist
+from coincid.hdl.silicon.circuit import SYNCHRONISER_REARM, Circuit
+from coincid.hdl.views import Asynchronous
+from coincid.model.contract.config import parse_config
+from coincid.model.contract.edges import Edges
+from coincid.model.contract.parameters import Sensor
+from coincid.model.contract.pixels import pixel_table
+from coincid.model.contract.result import differences
+from coincid.model.shared.errors import InputError
+from coincid.tb.frames import FrameJob
+from coincid.tb.replay import build_sensor, play, replay
+from coincid.tb.stimulus import line_levels, off_centre, tick_ps
+from coincid.tb.stress import stress
+
+from ..benches import BENCHES
+from ..cases import SENSORS, SMALL, trouble
+from ..tb.test_cosim import frames
+
+BUILDS = {name: (sensor, None) for name, sensor in SENSORS.items()} | {"wide, two banks": (SENSORS["wide"], 2)}
+FULL = {"format": "full", "minigroup_records": True, "mg_threshold": 1}
+
+
+def config(sensor=None, window=12, pulses=8, **subgroup):
+    sensor = sensor or SENSORS["one"]
+    return parse_config(
+        {
+            "sensor": sensor,
+            "frame": {"period": 40, "pulses": pulses} | FULL,
+            "subgroup": {"window": window, "threshold": 1} | subgroup,
+        }
+    )
+
+
+@pytest.mark.parametrize("build", BUILDS)
+@settings(max_examples=2, phases=(Phase.explicit, Phase.generate), suppress_health_check=list(HealthCheck))
+@given(data=st.data())
+def test_random_frames_at_tick_centres(build, tmp_path_factory, data):
+    sensor, banks = BUILDS[build]
+    jobs = data.draw(frames(sensor))
+    records, _ = play(jobs, "icarus", tmp_path_factory.mktemp("async"), view=Asynchronous(Circuit(banks=banks)))
+    assert all(
+        record.checked == sum(map(len, job.expected.beats)) + len(job.expected.commit_cycle)
+        for record, job in zip(records, jobs)
+    )
+
+
+@pytest.mark.parametrize("window", (1, 32, 33, 128))
+def test_both_views_show_the_same_beats_and_commits(window, tmp_path):
+    settings = config(window=window)
+    jobs = [FrameJob(settings, trouble(settings, seed, 20.0)) for seed in range(2)]
+    both = [
+        play(jobs, "icarus", tmp_path / name, **view)[0] for name, view in (("p", {}), ("a", {"view": Asynchronous()}))
+    ]
+    for polyphase, asynchronous in zip(*both):
+        assert polyphase.cycles == asynchronous.cycles and len(polyphase.commit_cycle) > 10
+        for name in ("beats", "beat_cycle", "commit_subgroup", "commit_cycle"):
+            assert np.array_equal(getattr(polyphase, name), getattr(asynchronous, name)), name
+
+
+def bursts(settings, seed, ticks):
+    """One burst a period, of every third pixel or so."""
+    rng = np.random.default_rng(seed)
+    pulse, pixel = np.nonzero(rng.random((settings.pulses, settings.sensor.array_pixels)) < 0.3)
+    start = rng.integers(0, 20 * settings.sensor.phases, settings.pulses)
+    return Edges(pulse, pixel, start[pulse] + rng.integers(0, ticks, len(pulse)))
+
+
+def assert_within_a_tick(settings, edges, golden, found):
+    """The stamp may differ by a tick; only pixels within a tick of a window's end may be in or out; the winner came within a tick of t0.
+
+    That is of a period's first window: an edge that is in one and out of the other may open the next.
+    """
+    golden, found = (
+        {
+            name: result[name][np.unique(result["pulse"], return_index=True)[1]]
+            for name in ("pulse", "stamp", "hits", "count", "winner")
+        }
+        for result in (golden, found)
+    )
+    assert np.array_equal(golden["pulse"], found["pulse"])
+    assert np.abs(golden["stamp"] - found["stamp"]).max() <= 1
+    inside = pixel_table(settings.sensor).inside
+    for e in range(len(golden["pulse"])):
+        of_period = edges.pulse == golden["pulse"][e]
+        first = {
+            int(inside[p]): t
+            for p, t in sorted(zip(edges.pixel[of_period], edges.tick[of_period]), key=lambda edge: -edge[1])
+        }
+        end = golden["stamp"][e] + settings.window[0]
+        for pixel, tick in first.items():
+            either = (
+                golden["hits"][e, 0] >> np.uint64(pixel) & np.uint64(1),
+                found["hits"][e, 0] >> np.uint64(pixel) & np.uint64(1),
+            )
+            assert either[0] == either[1] or end - 1 <= tick <= end, (pixel, tick, end)
+        assert found["count"][e] == bin(found["hits"][e, 0]).count("1")
+        assert found["hits"][e, 0] >> np.uint64(found["winner"][e]) & np.uint64(1)
+        assert abs(first[found["winner"][e]] - golden["stamp"][e]) <= 1
+
+
+@pytest.mark.parametrize(
+    "circuit",
+    (
+        Circuit(),
+        Circuit(delay_line=True),
+        Circuit(mismatch_fs=tuple((-12000, 9000, 14000, -5000) * 8)),
+        Circuit(pixel_skew_fs=tuple(range(0, 64 * 300, 300))),
+    ),
+    ids=("nominal", "delay line", "taps", "skew"),
+)
+def test_edges_anywhere_in_their_ticks(circuit):
+    settings = config(window=20, pulses=30)
+    edges = off_centre(settings, bursts(settings, 3, 40), 4)
+    golden = replay("golden", settings, edges)
+    assert_within_a_tick(settings, edges, golden, replay("icarus", settings, edges, view=Asynchronous(circuit)))
+
+
+def test_nominal_circuits_keep_the_ticks_of_dense_edges():
+    """With borders in their places only the winner may differ: the arbiter knows who came first in a tick."""
+    settings = config()
+    edges = off_centre(settings, trouble(settings, 5, 20.0), 6)
+    found = replay("icarus", settings, edges, view=Asynchronous())
+    assert {line.split("[")[0] for line in differences(replay("golden", settings, edges), found)} <= {"winner"}
+
+
+def test_verilator_agrees():
+    settings = config(pulses=3)
+    edges = trouble(settings, 7, 20.0)
+    assert not differences(
+        replay("golden", settings, edges), replay("cocotb-verilator", settings, edges, view=Asynchronous())
+    )
+
+
+def test_resets_and_aborts_in_the_middle_of_frames(tmp_path):
+    """The tests of `async_bench.py`."""
+    sensor = parse_config({"sensor": SMALL}).sensor
+    env = {"PYTHONPATH": BENCHES, "COINCID_BENCH_SENSOR": json.dumps(SMALL)}
+    build_sensor(sensor, "icarus", view=Asynchronous()).run("async_bench", env=env, out_dir=tmp_path, seed=1)
+
+
+def test_a_single_bank_needs_its_gap():
+    tight = Sensor(rows=8, cols=8, rearm=SYNCHRONISER_REARM - 1)
+    assert Circuit().banks_of(tight) == 2
+    assert Circuit().banks_of(evolve(tight, rearm=SYNCHRONISER_REARM)) == 1
+    with pytest.raises(InputError, match="sensor.rearm = 2: must be at least 3"):
+        Circuit(banks=1).banks_of(tight)
+
+
+def test_levels_rise_once_an_edge():
+    """A line rises as often as its pixel has edges at different times, each time at its femtosecond."""
+    settings = config()
+    edges = off_centre(settings, trouble(settings, 1, 30.0), 2)
+    times, _, words = line_levels(settings, edges)
+    rises = [
+        (t, bit)
+        for t, before, now in zip(times, [0, *words], words)
+        for bit in range(64)
+        if now >> bit & ~(before >> bit) & 1
+    ]
+    tick_fs = round(tick_ps(settings.sensor) * 1000)
+    at = (edges.pulse * settings.period_ticks + edges.tick) * tick_fs + np.rint(edges.offset_ps * 1000).astype(
+        int
+    ).clip(1, tick_fs - 1)
+    assert sorted(rises) == sorted(set(zip(at.tolist(), edges.pixel.tolist())))
+
+
+@pytest.mark.parametrize("rearm", (0, 3))
+def test_no_edge_pattern_makes_a_wrong_word_or_locks_up(rearm):
+    """Short form; `python -m coincid.tb.stress 10000000` is the long one."""
+    found = stress(60_000, seed=rearm + 1, sensor=Sensor(rows=8, cols=8, rearm=rearm))
+    assert found["wrong"] == found["locked"] == 0
+    assert found["edges"] >= 60_000 and found["windows"] > 50 and found["records"] > 0 and found["resets"] > 0
+
+
+def test_domains_are_those_meant(tmp_path):
+    """Every flop has the clock or an event that is meant to be one, there is no latch, and clears reach hit and opening flops only."""
+    sensor = Sensor(rows=4, cols=4, subgroup=(4, 4))
+    module = netlist(sensor, Circuit(), tmp_path)
+    assert not latches(module)
+    found = {(d.clock.split(".")[-1], d.falling): d for d in domains(module)}
+    assert {clock for clock, _ in found} == {"clk", "line__mark", "ended_*", "root", "event_*", "phases[*]", "words[*]"}
+    assert sum(d.flops for d in domains(module) if d.clock == "words[*]") == 2 * 16
+    assert {d.reset.split(".")[-1] for d in domains(module)} == {"", "clear_*", "clear_window_*"}
+    assert not any(d.reset for d in domains(module) if d.clock == "clk")
+    for name in re.findall(r"\*(generator|window_|or_tree_|delay_event_|sample_picture_)", constraints(sensor)):
+        assert any(name in cell or name in net for cell in module["cells"] for net in (cell, *module["netnames"])), name

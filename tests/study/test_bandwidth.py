@@ -1,0 +1,93 @@
+"""The bandwidth study: estimate and golden model agree, and what it says about streams holds."""
+
+import csv
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from coincid.cli import app
+from coincid.model.contract.config import parse_config
+from coincid.model.contract.packet import FORMAT_NAMES
+from coincid.model.contract.registers import COUNTER_NAMES
+from coincid.model.golden.frame import Golden
+from coincid.model.light.light import Light
+from coincid.model.light.photons import generate_edges
+from coincid.model.light.spad import Spad
+from coincid.model.light.timing import Timing
+from coincid.study import bandwidth
+
+PAGE = Path(__file__).parents[1] / "docs" / "performance.md"
+
+
+@pytest.mark.parametrize(
+    ("klux", "threshold", "window"), [(0, 1, 16), (20, 1, 1), (20, 2, 16), (50, 3, 40), (100, 2, 16), (100, 4, 64)]
+)
+def test_estimate_is_what_the_golden_model_counts(klux, threshold, window):
+    """Over many pulses, on planes at several distances, within what the estimate leaves out."""
+    config = parse_config(
+        {
+            "sensor": {"rows": 16, "cols": 32},
+            "frame": {"pulses": 2000, "minigroup_records": True},
+            "subgroup": {"threshold": threshold, "window": window},
+            "override": [{"subgroups": [1], "coincidence": False}],
+        }
+    )
+    distance_m = np.repeat([[4.0] * 12 + [7.0] * 12 + [9.0] * 8], 16, axis=0)
+    light, timing = Light.from_scene(distance_m, 0.3, klux), Timing.from_config(config)
+    edges = generate_edges(light, Spad(), timing, pulses=config.pulses, seed=3)
+    counters = dict(zip(COUNTER_NAMES, Golden(config.sensor).frame(config, edges).counters.T / config.pulses))
+    events, records = bandwidth.estimate(config, light, timing, Spad())
+    assert events == pytest.approx(counters["committed"], rel=0.1, abs=0.03)
+    assert records == pytest.approx(counters["mg_stored"] + counters["mg_dropped"], abs=0.05)
+
+
+@pytest.mark.parametrize("name", FORMAT_NAMES)
+def test_beats_are_those_of_the_golden_model_where_nothing_is_lost(name):
+    sensor, frame = {"rows": 16, "cols": 16, "streams": 4}, {"pulses": 20, "format": name, "minigroup_records": True}
+    config = parse_config({"sensor": sensor, "frame": frame})
+    light, timing = Light.from_scene(np.full((16, 16), 5.0), 0.4, 20.0), Timing.from_config(config)
+    trace = Golden(config.sensor).frame(config, generate_edges(light, Spad(), timing, pulses=20, seed=1))
+    total = dict(zip(COUNTER_NAMES, trace.counters.sum(axis=0)))
+    assert total["dropped"] == total["mg_dropped"] == 0 < total["mg_stored"]
+    assert bandwidth.beats(config, total["committed"], total["mg_stored"]) == sum(map(len, trace.beats))
+
+
+def test_fewer_streams_lose_and_enough_lose_nothing():
+    rows = bandwidth.study(klux=(100.0,), thresholds=(2,), sizes=("32x32",))
+    full = [row for row in rows if row.format == "full" and not row.records]
+    assert [row.lost_streams for row in full] == [1, 2, 4] and full[-1].needed_golden == 4
+    assert full[0].lost_events > full[1].lost_events > full[2].lost_events == 0 == full[2].overruns < full[0].overruns
+    assert all(row.needed_estimated <= row.needed_golden for row in rows if row.lost_events > 0.01)
+    assert all(row.beats_estimated == pytest.approx(row.beats_golden, rel=0.1) for row in rows)
+
+
+def test_page_has_the_table_of_the_command():
+    lines = PAGE.read_text().splitlines()
+    table = bandwidth.table(bandwidth.study(klux=(50.0,), thresholds=(2, 3), sizes=("32x32",))).splitlines()
+    start = lines.index(table[0])
+    assert lines[start : start + len(table)] == table
+
+
+def test_command_writes_table_data_and_plot(tmp_path):
+    arguments = ["--klux", "50", "--threshold", "2", "--size", "32x32", "--out", str(tmp_path)]
+    result = CliRunner().invoke(app, ["bandwidth", *arguments])
+    assert result.exit_code == 0 and (tmp_path / bandwidth.TABLE).read_text() in result.output
+    with (tmp_path / bandwidth.CSV).open() as file:
+        shown = {(row["klux"], row["threshold"], row["format"], row["records"]) for row in csv.DictReader(file)}
+    assert shown == {("50", "2", name, records) for name in FORMAT_NAMES for records in ("False", "True")}
+    assert (tmp_path / bandwidth.PLOT).read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--klux", "-1"], "klux"),
+        (["--threshold", "65"], "threshold = 65: must be an integer from 1 to 64"),
+        (["--size", "8x8"], "size"),
+    ],
+)
+def test_bad_input_is_told_before_anything_runs(arguments, message, tmp_path):
+    result = CliRunner().invoke(app, ["bandwidth", *arguments, "--out", str(tmp_path / "out")])
+    assert result.exit_code == 2 and message in result.output and not (tmp_path / "out").exists()

@@ -1,0 +1,96 @@
+"""The benchmark: it measures what it documents, and its slowest engine plays the sensor too. No times are asserted."""
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from coincid.model.contract.config import parse_config
+from coincid.model.golden.frame import Golden
+from coincid.study import bench
+from coincid.tb import pysim
+from coincid.tb.frames import Recorded
+from coincid.tb.scoreboard import check
+
+from ..cases import trouble
+
+ASKED = {  # what other programs look for in the file
+    "batch_cycles_per_s",
+    "cocotb_verilator_cycles_per_s",
+    "cocotb_icarus_cycles_per_s",
+    "amaranth_cycles_per_s",
+    "golden_cycles_per_s",
+    "golden_edges_per_s",
+    "photon_edges_per_s",
+    "frame_32x32_batch_s",
+    "frame_32x32_peak_mib",
+    "frame_256x128_batch_s",
+    "frame_256x128_peak_mib",
+    "build_32x32_s",
+    "build_32x32_warm_s",
+    "build_256x128_s",
+    "build_256x128_warm_s",
+}
+
+
+@pytest.mark.parametrize("streams", (1, 2))
+def test_amaranths_simulator_plays_what_the_golden_model_predicts(streams):
+    sensor = {"rows": 8, "cols": 8 * streams, "streams": streams, "phases": 8, "window_max": 64}
+    frame = {"period": 30, "pulses": 4, "format": "full", "minigroup_records": True}
+    config = parse_config({"sensor": sensor, "frame": frame, "subgroup": {"window": 40, "threshold": 3}})
+    edges = trouble(config, 7, 40.0)
+    expected = Golden(config.sensor).frame(config, edges)
+    cycles = []
+    beats, beat_cycle = pysim.play(config, edges, cycles.append)
+    assert sum(len(of_stream) for of_stream in beats) > 50 * streams
+    check(
+        config.sensor,
+        expected,
+        Recorded(beats, beat_cycle, expected.commit_subgroup, expected.commit_cycle, len(cycles)),
+    )
+    assert cycles == list(range(max(int(at[-1]) for at in beat_cycle) + 1))
+
+
+def test_every_key_is_documented_and_those_that_are_asked_for_are_there():
+    assert ASKED <= bench.KEYS.keys()
+    assert all(text for _, text in bench.KEYS.values())
+    rates = {key for key in bench.KEYS if key.endswith("_per_s")}
+    assert all(bench.KEYS[key][0] in ("cycles/s", "edges/s") for key in rates)
+
+
+def test_page_shows_every_key():
+    page = Path(__file__).parents[1] / "docs" / "performance.md"
+    assert re.findall(r"^\| `(\w+)` \|", page.read_text(), re.MULTILINE) == list(bench.KEYS)
+
+
+def test_benchmark_measures_every_key(tmp_path, monkeypatch):
+    """Everything but the engines themselves, which take minutes."""
+    numbers = iter(range(1, 1000))
+
+    def measured(*names):
+        return {name: 1000.0 * next(numbers) for name in names}
+
+    def in_new_process(function, size, *_, **environment):
+        if function is bench._build_s:
+            assert environment.keys() == {"COINCID_BUILD"}
+            return float(next(numbers))
+        return measured(*(key for key in bench.KEYS if key.startswith(f"frame_{size}_")))
+
+    monkeypatch.setattr(bench, "build_sensor", lambda *_: None)
+    monkeypatch.setattr(
+        bench, "_fast_rates", lambda job: measured("photon_edges_per_s", "golden_cycles_per_s", "batch_cycles_per_s")
+    )
+    monkeypatch.setattr(bench, "_rate", lambda job, edges, engine: 500.0)
+    monkeypatch.setattr(bench, "_in_new_process", in_new_process)
+    told, out = [], tmp_path / "new" / "bench.json"
+    result = bench.benchmark(out, repeats=3, tell=told.append)
+    assert list(result) == list(bench.KEYS) and json.loads(out.read_text()) == result
+    assert result["repeats"] == 3 and result["cocotb_icarus_cycles_per_s"] == 500 and told
+    assert np.isclose(
+        result["golden_per_batch"], result["golden_cycles_per_s"] / result["batch_cycles_per_s"], rtol=1e-3
+    )
+    rows = out.with_suffix(".md").read_text().splitlines()
+    assert [row.split("`")[1] for row in rows[2:]] == list(bench.KEYS)
+    assert all(row.count("|") == 5 for row in rows)

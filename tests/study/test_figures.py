@@ -1,0 +1,114 @@
+"""Figures: cases on one or two workers, files of a section and of the page. The figures themselves are looked at."""
+
+import csv
+import html.parser
+
+import numpy as np
+import pytest
+
+from coincid.model.golden.frame import golden_result
+from coincid.study.figures import light, reconstruction
+from coincid.study.figures.cases import Case, Runner, run_case, vary
+from coincid.study.figures.page import Comparison, Section, write_page, write_section
+from coincid.study.plot_style import new_figure, style
+
+SMALL = Case(scene="letter-f", klux=20, sensor={"rows": 8, "cols": 16}, methods=("joint", "matched/subgroup"))
+
+
+def section(value=0.1):
+    with style():
+        figure = new_figure(3, 2)
+        figure.subplots().plot([0, 1], [0, value])
+    return Section(
+        "demo",
+        "a < b",
+        "<p>text</p>",
+        [("demo_a", figure, "caption & more")],
+        [("x", "y"), (1, 1 / 3), ("a,b", "")],
+        [
+            Comparison("quantity", "7 %", {"literal": "1", "corrected": "2"}, "why"),
+            Comparison("other", "-", {"RTL": "3"}, ""),
+        ],
+    )
+
+
+def test_outcomes_do_not_depend_on_the_workers():
+    cases = {"few": vary(SMALL, 2, pulses=40), "off": vary(SMALL, subgroup={"coincidence": False})}
+    tables = []
+    for workers in (1, 2):
+        calls = []
+        with Runner(workers, lambda done, total, calls=calls: calls.append((done, total))) as run:
+            tables.append(run.table(cases))
+        assert calls == [(1, 3), (2, 3), (3, 3)]
+    for name, outcomes in tables[0].items():
+        for one, two in zip(outcomes, tables[1][name]):
+            assert one.case.seed == two.case.seed and np.array_equal(one.stored, two.stored)
+            assert all(
+                np.array_equal(one.depth_m[method], two.depth_m[method], equal_nan=True) for method in SMALL.methods
+            )
+
+
+def test_a_case_is_what_it_says():
+    (case,) = vary(SMALL, pulses=20, subgroup={"threshold": 3}, frame={"frames": 2})
+    outcome = run_case(case)
+    assert outcome.threshold.tolist() == [3, 3] and outcome.frame_s == pytest.approx(20 * 500e-9)
+    assert np.all(outcome.committed <= outcome.opened)
+    assert 0 <= outcome.wrong_share("joint") <= outcome.wrong_share("matched/subgroup") <= 1
+    assert set(outcome.wrong_by_object("joint")) == {1, 2}
+    with pytest.raises(ValueError, match="threshold"):
+        run_case(vary(SMALL, subgroup={"threshold": 0})[0])
+
+
+def test_files_of_a_section_have_the_same_bytes_again(tmp_path):
+    for folder in ("one", "two"):
+        write_section(tmp_path / folder, section())
+        write_page(tmp_path / folder, "title", "<p>introduction</p>", [section()])
+    names = sorted(path.name for path in (tmp_path / "one").iterdir())
+    assert names == ["demo.csv", "demo_a.png", "demo_a.svg", "index.html"]
+    for name in names:
+        assert (tmp_path / "one" / name).read_bytes() == (tmp_path / "two" / name).read_bytes()
+    with open(tmp_path / "one" / "demo.csv", newline="") as file:
+        assert list(csv.reader(file)) == [["x", "y"], ["1", "0.333333"], ["a,b", ""]]
+
+
+def test_page_is_html_with_every_number(tmp_path):
+    write_page(tmp_path, "title", "", [section()])
+    text = (tmp_path / "index.html").read_text()
+    opened = []
+
+    class Balance(html.parser.HTMLParser):
+        def handle_starttag(self, tag, attrs):
+            if tag not in ("meta", "img"):
+                opened.append(tag)
+
+        def handle_endtag(self, tag):
+            assert opened.pop() == tag
+
+    Balance().feed(text)
+    assert not opened
+    assert "a &lt; b" in text and "caption &amp; more" in text and "demo_a.svg" in text
+    assert "<td>7 %</td><td>1</td><td>2</td><td></td><td>why</td>" in text
+
+
+def test_paper_figures_with_a_second_engine(monkeypatch):
+    monkeypatch.setattr(reconstruction, "SEEDS", 1)
+    monkeypatch.setattr(reconstruction, "PANELS_6", {"c": reconstruction.PANELS_6["c"]})
+    monkeypatch.setattr(light, "MONTE_CARLO_M", (32.0,))
+    monkeypatch.setattr(light, "SIDE", 1)
+    with style(), Runner(1) as run:
+        six = reconstruction.figure_6(run, replay=golden_result)
+        two, five = light.figure_2(run), light.figure_5(run)
+    assert six.comparisons[0].ours["RTL"] == "the same depth in every pixel"
+    shares = {(row[2], row[3], row[4]): row[6] for row in six.rows[1:] if row[5] == "all"}
+    assert {source for source, *_ in shares} == {"literal", "corrected", "Monte Carlo", "RTL"}
+    assert (
+        shares["RTL", 100, "joint"]
+        == shares["Monte Carlo", 100, "joint"]
+        < 0.01
+        < shares["Monte Carlo", 100, "maximum"]
+    )
+    assert abs(shares["corrected", 100, "maximum"] - shares["Monte Carlo", 100, "maximum"]) < 0.05
+    assert shares["Monte Carlo", 800, "matched"] < shares["Monte Carlo", 100, "matched"]
+    assert two.comparisons[0].ours["reading E"] == "3.92 m" and two.comparisons[0].ours["reading A"].startswith("0.05")
+    assert [one.ours["literal"] for one in five.comparisons] == ["500 ps", "500 ps"]
+    assert all(len(row) == len(part.rows[0]) for part in (six, two, five) for row in part.rows)

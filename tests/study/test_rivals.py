@@ -1,0 +1,246 @@
+"""Rivals on the same edges: each against an example worked by hand; what they share; the comparison's files."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from coincid.model.contract.config import parse_config
+from coincid.model.contract.edges import Edges, Fate
+from coincid.model.contract.parameters import Sensor
+from coincid.model.golden.frame import golden_result
+from coincid.model.light.light import Light
+from coincid.study import comparison, figures
+from coincid.study.comparison import SCHEMES, coarse_peaks, shoot
+from coincid.study.figures import rivals as studies
+from coincid.study.rivals import (
+    Words,
+    count_weighted,
+    counted_arrival,
+    fixed_windows,
+    last_hit,
+    macro_pixels,
+    photon_counts,
+    pixel_histograms,
+    read_out,
+    sliding_window,
+    windows,
+    winner_takes_all,
+)
+
+SENSOR = Sensor(rows=8, cols=16)
+PHASES, PERIOD = 32, 250
+# (pulse, pixel, tick): subgroup 0 has columns 0 to 7, subgroup 1 the others; row 1 begins at pixel 16.
+EXAMPLE = [
+    (0, 0, 100),
+    (0, 1, 105),
+    (0, 16, 112),
+    (0, 2, 118),
+    (0, 17, 130),
+    (0, 3, 140),
+    (1, 5, 47),
+    (1, 4, 47),
+    (1, 6, 49),
+    (0, 8, 100),
+    (0, 9, 101),
+]
+
+
+def photons(edges=EXAMPLE, pulses=2):
+    columns = (np.array(column, np.int64) for column in zip(*edges))
+    return macro_pixels(Edges(*columns), SENSOR, pulses)
+
+
+def told(words, of):
+    """[(subgroup, pulse, stamp, pixels inside)]"""
+    return [
+        (int(of.subgroup[a]), int(of.period[a] % of.pulses), int(stamp), of.inside[a:b].tolist())
+        for a, b, stamp in zip(*words)
+    ]
+
+
+def test_macro_pixels_sort_by_subgroup_then_time():
+    found = photons()
+    assert found.subgroup.tolist() == [0] * 9 + [1] * 2
+    assert found.inside.tolist() == [0, 1, 8, 2, 9, 3, 4, 5, 6, 0, 1]
+    assert found.tick.tolist() == [100, 105, 112, 118, 130, 140, 47, 47, 49, 100, 101]
+
+
+def test_winner_takes_all_by_hand():
+    """100 is in cycle 3, which ends at 127: 105 to 118 find the tree unarmed; 130 is the first of cycle 4. Both at 47 are stamped."""
+    assert told(winner_takes_all(photons(), PHASES), photons()) == [
+        (0, 0, 100, [0]),
+        (0, 0, 130, [9]),
+        (0, 1, 47, [4, 5]),
+        (1, 0, 100, [0]),
+    ]
+
+
+def test_windows_by_hand():
+    """Of 16 ticks: [100, 116), armed again at 128; [130, 146)."""
+    assert told(windows(photons(), 16, PHASES), photons()) == [
+        (0, 0, 100, [0, 1, 8]),
+        (0, 0, 130, [9, 3]),
+        (0, 1, 47, [4, 5, 6]),
+        (1, 0, 100, [0, 1]),
+    ]
+
+
+def test_sliding_window_by_hand():
+    """Three within 16 ticks: at 112 for the first time, which uses up 100 to 112; 118, 130 and 140 lie too far apart."""
+    assert told(sliding_window(photons(), 16, 3), photons()) == [(0, 0, 112, [0, 1, 8]), (0, 1, 49, [4, 5, 6])]
+    assert told(sliding_window(photons(), 24, 3), photons()) == [
+        (0, 0, 112, [0, 1, 8]),
+        (0, 0, 140, [2, 9, 3]),
+        (0, 1, 49, [4, 5, 6]),
+    ]
+
+
+def test_fixed_windows_by_hand():
+    """Cuts at 96, 112, 128, 144: 112 and 118 belong to the second piece; 47 and 49 are cut apart at 48."""
+    assert told(fixed_windows(photons(), 16, 2), photons()) == [
+        (0, 0, 100, [0, 1]),
+        (0, 0, 112, [8, 2]),
+        (0, 0, 130, [9, 3]),
+        (0, 1, 47, [4, 5]),
+        (1, 0, 100, [0, 1]),
+    ]
+    assert told(fixed_windows(photons(), 16, 3), photons()) == []
+
+
+def test_last_hit_by_hand():
+    assert told(last_hit(photons()), photons()) == [(0, 0, 140, [3]), (0, 1, 49, [6]), (1, 0, 101, [1])]
+
+
+def test_photon_counts_by_hand():
+    """Clocks of 16 ticks: 47 is in the third, 49 in the fourth; 100 and 105 in the seventh."""
+    counts = photon_counts(photons(), 16, 500)
+    assert {(int(s), int(b)): int(counts[s, b]) for s, b in np.argwhere(counts)} == {
+        (0, 2): 2,
+        (0, 3): 1,
+        (0, 6): 2,
+        (0, 7): 2,
+        (0, 8): 2,
+        (1, 6): 2,
+    }
+
+
+def test_count_weighted_by_hand():
+    """Bins of 4 ticks; the windows of 16 ticks that `test_windows_by_hand` has, with their counts."""
+    words = windows(photons(), 16, PHASES)
+    histogram = count_weighted(photons(), words, words.stamp + 0.5, 4, 2000)
+    assert {(int(s), int(b)): int(histogram[s, b]) for s, b in np.argwhere(histogram)} == {
+        (0, 25): 3,
+        (0, 32): 2,
+        (0, 11): 3,
+        (1, 25): 2,
+    }
+
+
+def test_arrival_of_counted_words():
+    """One photon is where it is; the more photons, the earlier the first of them."""
+    of = photons([(0, k, 100) for k in range(4)] + [(1, 0, 100)], 2)
+    lead = counted_arrival(of, windows(of, 16, PHASES), 10.0) - 100.5
+    assert lead[1] == pytest.approx(0) and 5 < lead[0] < 15
+
+
+def test_pixel_histograms_by_hand():
+    words = windows(photons(), 16, PHASES)
+    first, second = pixel_histograms(photons(), words, words.stamp + 0.5, SENSOR, PERIOD * PHASES)
+    assert [(int(i), int(b)) for i, b in np.argwhere(first)] == [
+        (0, 100),
+        (1, 100),
+        (3, 130),
+        (4, 47),
+        (5, 47),
+        (6, 47),
+        (8, 100),
+        (9, 130),
+    ]
+    assert [(int(i), int(b)) for i, b in np.argwhere(second)] == [
+        (0, 100),
+        (1, 100),
+    ] and first.max() == second.max() == 1
+
+
+def test_readout_by_hand():
+    """A FIFO of two words, two cycles a word. Cycle 3: both subgroups store one, subgroup 0 is served to cycle 5, subgroup 1 to 7.
+    Cycle 4: subgroup 0 stores two words in its empty FIFO, the third is lost.
+    """
+    sensor = Sensor(rows=8, cols=16, fifo_depth=2)
+    edges = [(0, 0, 96), (0, 8, 96), (0, 1, 128), (0, 2, 129), (0, 3, 130), (0, 4, 9 * 32)]
+    columns = (np.array(column, np.int64) for column in zip(*edges))
+    of = macro_pixels(Edges(*columns), sensor, 1)
+    each = Words(np.arange(6), np.arange(6) + 1, of.tick)
+    assert of.tick.tolist() == [96, 128, 129, 130, 288, 96]
+    assert read_out(of, each, sensor, PHASES, PERIOD, 2).tolist() == [True, True, True, False, True, True]
+
+
+@settings(max_examples=25)
+@given(seed=st.integers(0, 1000), window=st.sampled_from((1, 5, 16, 64)), threshold=st.integers(1, 3))
+def test_windows_are_the_golden_models(seed, window, threshold):
+    """Without a full FIFO, and away from the guard at the period's end."""
+    rng = np.random.default_rng(seed)
+    keys = rng.choice(3 * 128 * 60, 150, replace=False)  # a pixel has one edge a cycle at most
+    edges = Edges(keys // (128 * 60), keys // 60 % 128, keys % 60 * PHASES + rng.integers(0, PHASES, 150))
+    config = parse_config(
+        {
+            "sensor": {"rows": 8, "cols": 16, "fifo_depth": 512},
+            "frame": {"pulses": 3, "period": 100},
+            "subgroup": {"window": window, "threshold": threshold},
+        }
+    )
+    arrays = golden_result(config, edges)
+    of = macro_pixels(edges, config.sensor, 3)
+    words = windows(of, window, PHASES)
+    distinct = np.array([len(set(of.inside[a:b])) for a, b, _ in zip(*words)])
+    words = words.chosen(distinct >= threshold)
+    found = np.stack(
+        [of.subgroup[words.start], of.period[words.start] % 3, words.stamp, distinct[distinct >= threshold]]
+    )
+    golden = np.stack([arrays[name] for name in ("subgroup", "pulse", "stamp", "count")])
+    assert np.array_equal(found, golden[:, np.lexsort((golden[2], golden[1], golden[0]))])
+    used = sum(words.stop - words.start)
+    if threshold == 1:
+        assert used == np.isin(arrays["fate"], (Fate.OPENING, Fate.COUNTED, Fate.DUPLICATE)).sum()
+
+
+def test_coarse_peaks():
+    """The centre of a peak over its neighbours, less the median; the second peak next."""
+    histogram = np.full((1, 40), 5)
+    histogram[0, [10, 11, 30]] += [30, 10, 20]
+    assert coarse_peaks(histogram, 16, 3.4)[0] == pytest.approx([16 * (10.5 * 30 + 11.5 * 10) / 40, 16 * 30.5])
+    assert np.isnan(coarse_peaks(np.zeros((1, 40), int), 16, 3.4)).all()
+
+
+@pytest.fixture(scope="module")
+def wall():
+    return shoot(Light(rows=16, cols=16, distance_m=6.0, signal_per_pulse=0.2, background_cps=2e3), 1)
+
+
+@pytest.mark.parametrize("name", SCHEMES)
+def test_every_scheme_finds_a_bright_wall(wall, name):
+    found = SCHEMES[name](wall)
+    assert found.depth_m.shape == (16, 16, 2) and found.bits > 0
+    near = np.abs(found.depth_m[:, :, 0] - 6.0) < 0.15
+    assert near.mean() > (0.95 if name != "last hit" else 0.5)
+
+
+def test_memory_is_the_same_for_all_histograms(wall, monkeypatch):
+    assert max(SCHEMES[name](wall).bits for name in ("photon counts", "count-weighted")) <= 4 * comparison.MEMORY_BITS
+    monkeypatch.setattr(comparison, "MEMORY_BITS", 6000)
+    with pytest.raises(ValueError, match="6500 bits"):
+        SCHEMES["photon counts"](wall)
+
+
+def test_files_of_the_comparison_do_not_depend_on_the_workers(tmp_path, monkeypatch):
+    for name, value in {"SIDE": 16, "KLUX": (20.0,), "SEEDS": 1, "FEW_SEEDS": 1, "THRESHOLDS": (3,)}.items():
+        monkeypatch.setattr(studies, name, value)
+    monkeypatch.setattr(studies, "BUILT_IN_KLUX", 20.0)
+    monkeypatch.setattr(figures, "COMPARISON", (studies.background,))
+    for workers in (1, 2):
+        figures.compare(tmp_path / str(workers), workers=workers)
+    names = sorted(path.name for path in (tmp_path / "1").iterdir())
+    assert names == ["index.html", "rivals_background.csv", "rivals_background.png", "rivals_background.svg"]
+    for name in names:
+        assert (tmp_path / "1" / name).read_bytes() == (tmp_path / "2" / name).read_bytes()

@@ -1,0 +1,188 @@
+"""The main job: files, report, every beat checked, the letter F the right way round, what a difference leaves, views of the waveform."""
+
+import io
+import json
+
+import numpy as np
+import pytest
+from rich.console import Console
+from typer.testing import CliRunner
+
+from coincid.cli import app
+from coincid.hdl.sensor import TOP
+from coincid.model.contract.config import parse_config
+from coincid.model.depth.estimate import estimate_depth
+from coincid.model.depth.quality import wrong_share
+from coincid.model.light.timing import Timing
+from coincid.model.scenes.catalogue import load_scene
+from coincid.study import simulate as job
+from coincid.study.simulate import EVENTS, PICTURES, REPORT, SCHEMES, simulate
+from coincid.tb import waves
+from coincid.tb.toolchain import SIMULATORS
+
+# Sensors that other tests compile too. Rows and columns differ, so that swapping them shows; the period holds the letter's 8 m.
+LETTER = {"sensor": {"rows": 8, "cols": 16}, "frame": {"period": 40, "pulses": 60}}
+SMALL = {"sensor": {"rows": 8, "cols": 8}, "frame": {"period": 60, "pulses": 4}}
+KEYS = {
+    "cycles",
+    "edges",
+    "events",
+    "dropped",
+    "mismatches",
+    "cycles_per_s",
+    "seed",
+    "configuration",
+    "wrong_share_off",
+    "wrong_share_fixed",
+    "wrong_share_auto",
+}
+
+
+def run(out, document=SMALL, scene="flat:5,0.4", engine="golden", klux=5.0, seed=1, **options):
+    console = Console(file=io.StringIO(), width=100)
+    report = simulate(
+        scene, parse_config(document), klux=klux, seed=seed, engine=engine, out=out, console=console, **options
+    )
+    return report, console.file.getvalue()
+
+
+def arrays_of(out):
+    with np.load(out / EVENTS) as archive:
+        return dict(archive)
+
+
+def test_report_agrees_with_the_events(tmp_path):
+    report, told = run(tmp_path)
+    assert report.keys() >= KEYS
+    assert json.loads((tmp_path / REPORT).read_text()) == json.loads(json.dumps(report))
+    arrays = arrays_of(tmp_path)
+    assert report["events"] == len(arrays["pulse"]) == arrays["stored"].sum()
+    assert report["dropped"] == arrays["dropped"].sum()
+    assert report["mismatches"] == 0
+    assert report["configuration"]["frame"]["pulses"] == 4
+    for k, name in enumerate(SCHEMES):
+        assert report[f"events_{name}"] == np.sum(arrays["pulse"] // 4 == k)
+    assert f"{report['events_fixed']:,}" in told
+    assert {path.name for path in tmp_path.iterdir()} == {*PICTURES, EVENTS, REPORT}
+
+
+def test_frames_see_the_same_light_under_their_own_thresholds(tmp_path):
+    document = SMALL | {"subgroup": {"threshold": 3, "auto": True}}
+    report, _ = run(tmp_path, document, klux=50.0)
+    arrays, bounds = arrays_of(tmp_path), parse_config(document).auto_bounds
+    assert report["edges"] % len(SCHEMES) == 0
+    assert report["threshold_off"] == [1]
+    assert report["threshold_fixed"] == [3]
+    assert report["threshold_auto"] == (1 + np.searchsorted(bounds, arrays["photons"][1], side="right")).tolist()
+    assert arrays["photons"][1].tolist() == arrays["photons"][2].tolist()  # of the same edges, whatever the threshold
+    assert 1 in arrays["count"][arrays["pulse"] // 4 == 0]
+    assert (arrays["count"][arrays["pulse"] // 4 == 1] >= 3).all()
+
+
+def test_same_seed_same_bytes(tmp_path):
+    for name, seed in (("a", 7), ("b", 7), ("c", 8)):
+        run(tmp_path / name, seed=seed)
+    for file in (*PICTURES, EVENTS):
+        assert (tmp_path / "a" / file).read_bytes() == (tmp_path / "b" / file).read_bytes()
+    assert (tmp_path / "a" / EVENTS).read_bytes() != (tmp_path / "c" / EVENTS).read_bytes()
+
+
+@pytest.mark.parametrize("engine", ["golden", "verilator", "cocotb-verilator", "icarus"])
+def test_letter_f_comes_out_as_it_went_in(tmp_path, engine):
+    report, _ = run(tmp_path, LETTER, "letter-f", engine)
+    truth_m = load_scene("letter-f", 8, 16).truth_m
+    assert not any(np.array_equal(truth_m, other) for other in (truth_m[::-1], truth_m[:, ::-1], truth_m[::-1, ::-1]))
+    for name in SCHEMES:
+        assert report[f"wrong_share_{name}"] < 0.05, name
+    config = parse_config(LETTER).with_settings(coincidence=True)
+    depth_m = estimate_depth(arrays_of(tmp_path), config, Timing.from_config(config).tick_s, frame=1).depth_m[:, :, 0]
+    assert wrong_share(depth_m, truth_m) == report["wrong_share_fixed"]
+    if engine != "golden":
+        run(tmp_path / "golden", LETTER, "letter-f")
+        golden = arrays_of(tmp_path / "golden")
+        for name, array in arrays_of(tmp_path).items():
+            assert np.array_equal(array, golden[name]), name
+        assert report["checked"] > report["events"]
+
+
+def test_spad_gate_leaves_fewer_edges(tmp_path):
+    document = SMALL | {"subgroup": {"gating": True, "gate_start": 14, "gate_len": 8}}  # 5 m: cycle 16
+    logic, _ = run(tmp_path / "logic", document, klux=50.0)
+    switched, _ = run(tmp_path / "switched", document, klux=50.0, spad_gate=True)
+    assert 0 < switched["edges"] < logic["edges"]
+    for name in ("logic", "switched"):
+        cycle = arrays_of(tmp_path / name)["stamp"] // 32
+        assert ((cycle >= 14) & (cycle < 22)).all()
+
+
+def test_words_without_id_map_are_refused(tmp_path):
+    (tmp_path / "config.toml").write_text('[frame]\nformat = "short"\n')
+    result = CliRunner().invoke(app, ["sim", "--config", str(tmp_path / "config.toml"), "--out", str(tmp_path / "out")])
+    assert result.exit_code == 2
+    assert "frame.format = 'short'" in result.stderr
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_difference_stops_the_run_and_is_told(tmp_path, monkeypatch):
+    class Wrong(job.Golden):
+        """A golden model that expects one more pixel in the count of the last frame's first event."""
+
+        def frame(self, *arguments):
+            trace = super().frame(*arguments)
+            if self.frames == len(SCHEMES):
+                trace.beats[0][1] += np.uint64(1 << 23)
+            return trace
+
+    (tmp_path / "config.toml").write_text("[sensor]\nrows = 8\ncols = 8\n[frame]\nperiod = 60\npulses = 4\n")
+    out = tmp_path / "out"
+    arguments = [
+        "sim",
+        "--scene",
+        "flat:5,0.4",
+        "--config",
+        str(tmp_path / "config.toml"),
+        "--out",
+        str(out),
+        "--engine",
+    ]
+    assert CliRunner().invoke(app, [*arguments, "golden"]).exit_code == 0
+    monkeypatch.setattr(job, "Golden", Wrong)
+    result = CliRunner().invoke(app, [*arguments, "icarus"])
+    assert result.exit_code == 1
+    assert result.stderr.count("\n") == 1
+    for word in ("frame 2", "subgroup 0", "pulse 0", "cycle", "count is", "golden model", "sim.log"):
+        assert word in result.stderr
+    report = json.loads((out / REPORT).read_text())
+    assert report["mismatches"] == 1
+    assert report["mismatch"] in result.stderr
+    assert not {path.name for path in out.iterdir()} & {*PICTURES, EVENTS}
+    assert (out / "sim.log").exists()
+
+
+@pytest.mark.parametrize("simulator", SIMULATORS)
+def test_views_name_signals_of_the_waveform(tmp_path, simulator):
+    _, told = run(tmp_path, engine=simulator, waves=True)
+    fst = tmp_path / f"{TOP}.fst"
+    found = waves.hierarchy(fst)
+    paths = {variable.path.replace(" [", "[") for variable in found}
+    names = {variable.name for variable in found}
+    assert {f"{TOP}.{name}" for name in ("clk", "laser", "m_axis_tdata")} <= names
+    widths = {variable.name: variable.width for variable in found}
+    assert (widths[f"{TOP}.m_axis_tdata"], widths[f"{TOP}.spad_0"], widths[f"{TOP}.laser"]) == (64, 64 * 32, 1)
+
+    gtkwave = (tmp_path / f"{TOP}.gtkw").read_text().splitlines()
+    shown = [line for line in gtkwave if line.startswith(TOP)]
+    assert set(shown) <= paths
+    assert [line[1:] for line in gtkwave if line.startswith("-")] == [title for title, _, _ in waves.BLOCKS]
+    wanted = [f"{TOP}.{scope}.{name}".replace("..", ".") for _, scope, signals in waves.BLOCKS for name in signals]
+    assert [path.partition("[")[0] for path in shown] == wanted
+    surfer = (tmp_path / f"{TOP}.sucl").read_text().splitlines()
+    assert [line.split()[1] for line in surfer if line.startswith("variable_add")] == wanted
+    for suffix in (".fst", ".gtkw", ".sucl"):
+        assert f"{TOP}{suffix}" in told
+
+
+def test_a_file_that_is_no_waveform(tmp_path):
+    (tmp_path / "x.fst").write_bytes(b"\x00" + (20).to_bytes(8, "big") + bytes(12))
+    with pytest.raises(ValueError, match="no hierarchy"):
+        waves.hierarchy(tmp_path / "x.fst")

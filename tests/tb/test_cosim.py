@@ -1,0 +1,70 @@
+"""RTL against the golden model: every beat, its cycle, every commit, on both engines."""
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, Phase, given, settings
+from hypothesis import strategies as st
+
+from coincid.model.contract.parameters import Sensor
+from coincid.model.golden.frame import Golden
+from coincid.tb.frames import FrameJob
+from coincid.tb.replay import play
+
+from ..cases import READY_KINDS, SENSORS, configurations, gate_bits, lengthy, modes, overfull, ready_pattern, trouble
+
+ENGINES = ("verilator", "cocotb-verilator", "icarus")
+FRAMES = 12  # a simulation: its start costs more than a frame does
+
+seeds = st.integers(0, 2**32 - 1)
+
+
+@st.composite
+def frames(draw, sensor: dict) -> list[FrameJob]:
+    """Frames in turn, each with settings, edges and back-pressure of its own; the golden model's memory goes from one to the next."""
+    jobs, golden = [], None
+    for _ in range(FRAMES):
+        config = draw(configurations(sensor, frames_max=1))
+        golden = golden or Golden(config.sensor)
+        edges = trouble(config, draw(seeds), draw(st.sampled_from((0.0, 0.5, 4.0, 20.0, 40.0))))
+        ready = ready_pattern(draw(seeds), draw(st.sampled_from(READY_KINDS)), config.pulses * config.period + 200)
+        jobs.append(FrameJob(config, edges, golden.frame(config, edges, ready), ready))
+    return jobs
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+@pytest.mark.parametrize("sensor", SENSORS)
+@settings(max_examples=2, phases=(Phase.explicit, Phase.generate), suppress_health_check=list(HealthCheck))
+@given(data=st.data())
+def test_random_frames(sensor, engine, tmp_path_factory, data):
+    jobs = data.draw(frames(SENSORS[sensor]))
+    records, _ = play(jobs, engine, tmp_path_factory.mktemp(f"{sensor}-{engine}"))
+    assert all(
+        record.checked == sum(map(len, job.expected.beats)) + len(job.expected.commit_cycle)
+        for record, job in zip(records, jobs)
+    )
+
+
+@pytest.mark.parametrize("sensor", ("default", "tiny"))
+def test_every_mode_in_every_format(sensor, tmp_path):
+    """Each twice in a row, so that the controller has a frame to follow."""
+    jobs, golden = [], None
+    configs = [config for config in modes(SENSORS[sensor]) for _ in range(2)]
+    configs += [case(SENSORS[sensor]) for case in (gate_bits, overfull, lengthy)]
+    for number, config in enumerate(configs):
+        golden = golden or Golden(config.sensor)
+        edges = trouble(config, number, 12.0 * config.period / 60)
+        ready = ready_pattern(number, READY_KINDS[number % len(READY_KINDS)], 400)
+        jobs.append(FrameJob(config, edges, golden.frame(config, edges, ready), ready))
+    records, _ = play(jobs, "verilator", tmp_path)
+    assert all(record.checked for record in records)
+
+
+def test_sizes_reach_every_parameter():
+    """The sensors of the random tests leave every default somewhere."""
+    default = Sensor()
+    built = [
+        Sensor(**{k: tuple(v) if isinstance(v, list) else v for k, v in sensor.items()}) for sensor in SENSORS.values()
+    ]
+    for name in ("phases", "coarse_bits", "window_max", "rearm", "fifo_depth", "streams", "subgroup", "minigroup"):
+        assert any(getattr(sensor, name) != getattr(default, name) for sensor in built), name
+    assert np.any([sensor.subgroups % 2 for sensor in built])

@@ -1,0 +1,304 @@
+"""Builds and runs of a toy design on both simulators, and what goes wrong."""
+
+import errno
+import multiprocessing
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from coincid.model.contract.parameters import Sensor
+from coincid.model.shared.errors import InputError
+from coincid.tb import batch, toolchain
+from coincid.tb.system import MissingPackagesError, system_packages
+
+from ..benches import BENCHES
+
+TOY = """
+(* top = 1 *)
+module toy(clk, count);
+  (* keep = 1 *) input clk; /* input nothing; */
+  output reg [7:0] count = 0;
+  always @(posedge clk) count <= count + 1;
+  toy_inner inner(.count(count));
+endmodule
+
+module toy_inner(input [7:0] count);
+  reg [7:0] square;
+  always @(*) square = count * count;
+endmodule
+"""
+
+each_simulator = pytest.mark.parametrize("simulator", toolchain.SIMULATORS)
+
+
+@pytest.fixture
+def toy(tmp_path):
+    path = tmp_path / "toy.v"
+    path.write_text(TOY)
+    return path
+
+
+@pytest.fixture
+def empty_build_root(tmp_path, monkeypatch):
+    root = tmp_path / "build"
+    monkeypatch.setenv("COINCID_BUILD", str(root))
+    return root
+
+
+def build(simulator, toy, **options):
+    return toolchain.build(simulator, [toy], "toy", key="toy", public=["toy_inner.square"], **options)
+
+
+def run(built, out_dir, behave="pass", **options):
+    return built.run("toy_bench", env={"PYTHONPATH": BENCHES, "BEHAVE": behave}, out_dir=out_dir, **options)
+
+
+@each_simulator
+def test_run_leaves_log_and_results_and_nothing_on_the_terminal(simulator, toy, tmp_path, capfd):
+    done = run(build(simulator, toy), tmp_path / "out", seed=7)
+    assert capfd.readouterr() == ("", "")
+    assert "random number" in done.log.read_text() and "testcase" in done.results.read_text()
+    assert {done.log.parent, done.results.parent} == {tmp_path / "out"}
+    assert done.wave is None
+
+
+@each_simulator
+def test_seed_decides_the_random_numbers(simulator, toy, tmp_path):
+    def number(seed):
+        lines = []
+        run(build(simulator, toy), tmp_path, seed=seed, echo=lines.append)
+        return [line for line in lines if line.startswith("random number")]
+
+    assert number(1) == number(1) != number(2)
+
+
+@each_simulator
+def test_waves_are_fst(simulator, toy, tmp_path):
+    wave = run(build(simulator, toy, waves=True), tmp_path / "out").wave
+    # An FST begins with a header block (type 0) of 329 bytes.
+    assert wave == tmp_path / "out" / "toy.fst" and wave.read_bytes()[:9] == b"\0" + (329).to_bytes(8, "big")
+
+
+@each_simulator
+@pytest.mark.parametrize(
+    ("behave", "reason"),
+    [
+        ("fail", r"1 of 1 tests failed \(.*counts\)"),
+        ("skip", "no test ran"),
+        ("crash", "ended without results"),
+        ("break import", "ended without results"),
+    ],
+)
+def test_what_is_no_pass_raises(simulator, toy, tmp_path, behave, reason):
+    built = build(simulator, toy)
+    run(built, tmp_path)  # good results of an earlier run must not be taken for those of this one
+    with pytest.raises(toolchain.SimulationError, match=reason) as caught:
+        run(built, tmp_path, behave)
+    assert caught.value.log.is_file() and str(caught.value.log) in str(caught.value)
+    assert caught.value.log.read_text().splitlines()[-1] in str(caught.value)
+
+
+@each_simulator
+def test_interrupt_gets_through_and_ends_the_simulator(simulator, toy, tmp_path):
+    built = build(simulator, toy)
+    program = (
+        f"from coincid.tb.toolchain import Build; from pathlib import Path\n"
+        f"Build({built.simulator!r}, 'toy', Path({str(built.directory)!r}), False).run('toy_bench',"
+        f"env={{'PYTHONPATH': {BENCHES!r}, 'BEHAVE': 'hang'}}, out_dir={str(tmp_path)!r})"
+    )
+    process = subprocess.Popen([sys.executable, "-c", program], stderr=subprocess.PIPE, text=True)
+    while not ((tmp_path / "pid").exists() and (tmp_path / "pid").read_text()):
+        assert process.poll() is None
+        time.sleep(0.02)
+    process.send_signal(signal.SIGINT)
+    assert "KeyboardInterrupt" in process.communicate()[1]
+    with pytest.raises(ProcessLookupError):
+        os.kill(int((tmp_path / "pid").read_text()), 0)
+
+
+@each_simulator
+def test_second_build_is_the_first_and_a_change_is_not(simulator, toy, tmp_path):
+    toy.write_text(f"// {tmp_path}\n{TOY}")  # never built before
+    first = build(simulator, toy)
+    made = first.directory.stat().st_ctime_ns
+    again = build(simulator, toy)
+    assert again == first and again.directory.stat().st_ctime_ns == made
+    toy.write_text(TOY)
+    assert build(simulator, toy).directory != first.directory
+    shutil.rmtree(first.directory)
+    for left in first.directory.parent.glob(f"{first.directory.name}.*"):
+        left.unlink()
+
+
+@each_simulator
+def test_design_that_does_not_compile(simulator, toy, empty_build_root):
+    toy.write_text(TOY.replace("count + 1", "count +"))
+    with pytest.raises(toolchain.ToolchainError, match="(?s)syntax error.*the whole log"):
+        build(simulator, toy)
+    with pytest.raises(toolchain.ToolchainError, match="syntax error"):  # still
+        build(simulator, toy)
+
+
+def test_processes_that_want_the_same_build_make_it_once(tmp_path):
+    def make(scratch):
+        with (tmp_path / "made").open("a") as file:
+            file.write("once\n")
+        time.sleep(0.1)
+        (scratch / "content").write_text("whole")
+
+    def work():
+        assert (toolchain.build_once(tmp_path / "thing", make) / "content").read_text() == "whole"
+
+    processes = [multiprocessing.get_context("fork").Process(target=work) for _ in range(8)]
+    for process in processes:
+        process.start()
+    for process in processes:
+        process.join()
+    assert [process.exitcode for process in processes] == [0] * 8
+    assert (tmp_path / "made").read_text() == "once\n"
+
+
+@pytest.mark.parametrize("error", [RuntimeError, KeyboardInterrupt])
+def test_failed_build_is_no_build(tmp_path, error):
+    def fail(scratch):
+        (scratch / "content").write_text("half")
+        raise error
+
+    with pytest.raises(error):
+        toolchain.build_once(tmp_path / "thing", fail)
+    (tmp_path / "thing.part-of-a-killed-process").mkdir()
+    assert not (tmp_path / "thing").exists()
+    made = toolchain.build_once(tmp_path / "thing", lambda scratch: (scratch / "content").write_text("whole"))
+    assert (made / "content").read_text() == "whole"
+    assert not list(tmp_path.glob("*.part*"))
+
+
+def stand_in_compilers(calls, first_hangs=False):
+    """In place of `compile_in`: notes its program, and leaves what that one would. The first call may never return."""
+
+    def compile_in(cwd, log, command):
+        program = Path(command[0]).name
+        with calls.open("a") as file:
+            file.write(f"{program} {'-shared' in command}\n")
+        if first_hangs and len(calls.read_text().splitlines()) == 1:
+            time.sleep(60)
+        time.sleep(0.05)
+        for name in command:
+            if name.endswith(".a") and program == "make":
+                (cwd / name).write_text("archive")
+        if "-shared" in command:
+            assert all(Path(name).read_text() == "archive" for name in command if name.endswith(".a"))
+            (cwd / batch.LIBRARY).write_text("library")
+
+    return compile_in
+
+
+def test_batch_library_is_built_once_whoever_wants_it_and_whoever_is_killed(tmp_path, empty_build_root, monkeypatch):
+    (tmp_path / "source.v").write_text("module; endmodule")
+    monkeypatch.setattr(batch, "rtl_in_two", lambda sensor: ([tmp_path / "source.v"], [tmp_path / "source.v"]))
+    toolchain.verilator()
+    fork = multiprocessing.get_context("fork")
+
+    def work(name, first_hangs=False):
+        monkeypatch.setattr(toolchain, "compile_in", stand_in_compilers(tmp_path / name, first_hangs))
+        assert batch.build_library(Sensor(rows=8, cols=16)).read_text() == "library"
+
+    killed = fork.Process(target=work, args=("killed", True))
+    killed.start()
+    while not (tmp_path / "killed").exists():
+        assert killed.is_alive()
+        time.sleep(0.01)
+    killed.kill()
+    killed.join()
+    processes = [fork.Process(target=work, args=("calls",)) for _ in range(4)]
+    for process in processes:
+        process.start()
+    for process in processes:
+        process.join()
+    assert [process.exitcode for process in processes] == [0] * 4
+    calls = (tmp_path / "calls").read_text().splitlines()
+    assert sorted(calls) == ["g++ True", "make False", "make False", "verilator False", "verilator False"]
+    assert not list(empty_build_root.rglob("*.part*"))
+
+
+@pytest.mark.parametrize(
+    "error",
+    [
+        OSError(errno.ENOSPC, "No space left on device"),
+        OSError(errno.EROFS, "Read-only file system", "x.v"),
+        shutil.Error([("a", "b", "[Errno 28] No space left on device: 'b'")]),
+    ],
+    ids=repr,
+)
+def test_file_system_that_refuses_is_one_line(error, tmp_path):
+    def make(scratch):
+        raise error
+
+    with pytest.raises(InputError, match=r"\Abuild directory .*(No space left|Read-only).*COINCID_BUILD.*\Z"):
+        toolchain.build_once(tmp_path / "thing", make)
+    assert not [path for path in tmp_path.iterdir() if path.is_dir()]
+
+
+def test_compiler_on_a_full_disk_is_one_line(tmp_path):
+    command = [
+        sys.executable,
+        "-c",
+        "import sys; sys.exit('cc1plus: fatal error: error writing to x.s: No space left on device')",
+    ]
+    with pytest.raises(InputError, match=r"\A.*No space left on device, in .*COINCID_BUILD and TMPDIR.*\Z"):
+        toolchain.compile_in(tmp_path, tmp_path / "log", command)
+
+
+def test_missing_verilator_is_named(empty_build_root, monkeypatch):
+    monkeypatch.setitem(sys.modules, "verilator", None)
+    with pytest.raises(InputError, match=r"\A.*package verilator is missing; run: scripts/setup\Z"):
+        toolchain.verilator()
+
+
+def test_build_root_is_settable_and_must_be_writable(tmp_path, monkeypatch):
+    monkeypatch.setenv("COINCID_BUILD", str(tmp_path / "new"))
+    assert toolchain.build_root() == tmp_path / "new"
+    (tmp_path / "file").touch()
+    monkeypatch.setenv("COINCID_BUILD", str(tmp_path / "file" / "below"))
+    with pytest.raises(InputError, match="not writable .* set COINCID_BUILD"):
+        toolchain.build_root()
+
+
+def test_verilator_needs_a_build_root_without_spaces(toy, tmp_path, monkeypatch):
+    monkeypatch.setenv("COINCID_BUILD", str(tmp_path / "a b"))
+    with pytest.raises(InputError, match="contains a space"):
+        build("verilator", toy)
+
+
+@pytest.mark.parametrize(("simulator", "package"), [("verilator", r"g\+\+ make"), ("icarus", "iverilog")])
+def test_missing_tool_is_named_with_the_command_that_brings_it(simulator, package, toy, empty_build_root, monkeypatch):
+    monkeypatch.setenv("PATH", "")
+    with pytest.raises(InputError, match=rf"\A.*apt-get install -y {package}\Z"):
+        build(simulator, toy)
+
+
+def test_packages_are_not_installed_by_a_user_who_may_not(monkeypatch):
+    monkeypatch.setattr(os, "geteuid", lambda: 1000)
+    monkeypatch.setenv("PATH", "")
+    with pytest.raises(MissingPackagesError, match="apt-get install -y one two"):
+        system_packages("one", "two")
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"simulator": "modelsim"}, "simulator = 'modelsim': must be one of verilator, icarus"),
+        ({"key": "../x"}, "key = '../x': must be letters"),
+        ({"top": "nothing"}, "top = 'nothing': no such module"),
+    ],
+)
+def test_bad_request(change, message, toy):
+    request = {"simulator": "verilator", "key": "toy", "top": "toy"} | change
+    with pytest.raises(InputError, match=message):
+        toolchain.build(request["simulator"], [toy], request["top"], key=request["key"])

@@ -1,0 +1,111 @@
+"""The layers: who may import whom, and no cycle between files. Import lines are read, lazy ones inside functions, too."""
+
+import ast
+import subprocess
+import sys
+from functools import cache
+from graphlib import TopologicalSorter
+from pathlib import Path
+
+import pytest
+
+from coincid.model.shared.sources import room_files
+
+ROOMS = {  # room: the rooms whose files it may import, besides its own
+    "model.shared": (),
+    "model.contract": ("model.shared",),
+    "model.golden": ("model.contract", "model.shared"),
+    "model.light": ("model.contract", "model.shared"),
+    "model.scenes": ("model.light", "model.contract", "model.shared"),
+    "model.depth": ("model.contract", "model.shared"),
+    "model.recorded": ("model.light", "model.contract", "model.shared"),
+    "hdl": ("model.contract", "model.shared"),
+    "tb": ("hdl", "model.golden", "model.contract", "model.shared"),
+    "flow": ("tb", "hdl", "model.golden", "model.contract", "model.shared"),
+    "formal": ("tb", "hdl", "model.contract", "model.shared"),
+    "study": ("flow", "tb", "hdl", "model"),
+}
+NEVER = {  # room: packages that it must not even load
+    "hdl": ("numba", "scipy", "matplotlib", "cocotb", "coincid.model.golden"),
+    "model": ("amaranth", "cocotb", "matplotlib", "coincid.hdl", "coincid.tb"),
+}
+OPTIONAL = ("mitsuba", "mitransient", "drjit")  # of the extra `raytrace`
+
+
+def module_name(path: Path, room: str) -> str:
+    """Dotted name of a file of `room`."""
+    inside = path.with_suffix("").parts[-1 - path.parts[::-1].index(room.split(".")[-1]) :][1:]
+    return ".".join(["coincid", room, *(part for part in inside if part != "__init__")])
+
+
+@cache
+def imports() -> dict[str, set[str]]:
+    """Module -> modules of the project that it imports, for all rooms."""
+    files = {
+        module_name(path, room): path
+        for room in ("model", "hdl", "tb", "flow", "formal", "study")
+        for path in room_files(room)
+        if path.suffix == ".py"
+    }
+    found: dict[str, set[str]] = {}
+    for name, path in files.items():
+        package = name.split(".") if path.stem == "__init__" else name.split(".")[:-1]
+        found[name] = set()
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.ImportFrom):
+                above = package[: len(package) - node.level + 1] if node.level else []
+                base = ".".join([*above, *([node.module] if node.module else [])])
+                found[name] |= {
+                    f"{base}.{alias.name}" if f"{base}.{alias.name}" in files else base for alias in node.names
+                }
+            elif isinstance(node, ast.Import):
+                found[name] |= {alias.name for alias in node.names}
+        found[name] = {target for target in found[name] if target in files and target != name}
+    return found
+
+
+def inside(module: str, room: str) -> bool:
+    return module == f"coincid.{room}" or module.startswith(f"coincid.{room}.")
+
+
+@pytest.mark.parametrize("room", ROOMS)
+def test_rooms_import_only_what_is_below(room):
+    allowed = (room, *ROOMS[room])
+    members = {module: targets for module, targets in imports().items() if inside(module, room)}
+    assert len(members) > 1
+    wrong = [
+        f"{module} imports {target}"
+        for module, targets in members.items()
+        for target in targets
+        if not any(inside(target, other) for other in allowed)
+    ]
+    assert not wrong
+
+
+def test_every_file_is_in_a_room():
+    assert not [
+        module
+        for module in imports()
+        if not any(inside(module, room) for room in ROOMS) and module not in ("coincid.model",)
+    ]
+
+
+def test_no_cycle_between_files():
+    list(TopologicalSorter(imports()).static_order())
+
+
+@pytest.mark.parametrize("room", NEVER)
+def test_rooms_do_not_load(room):
+    """Imports a whole room in a fresh process: what it needs is then there, and nothing else."""
+    modules = [module for module in imports() if inside(module, room)]
+    program = (
+        "import importlib, sys\n"
+        f"for name in {modules!r}:\n"
+        "    try:\n"
+        "        importlib.import_module(name)\n"
+        "    except ModuleNotFoundError as missing:\n"
+        f"        assert missing.name in {OPTIONAL!r}, missing\n"
+        f"print([name for name in {NEVER[room]!r} if name in sys.modules])"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
