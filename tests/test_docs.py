@@ -1,7 +1,6 @@
 """What the documentation says is so: snippets run, tables agree with the code, links lead somewhere."""
 
 import contextlib
-import importlib.util
 import io
 import re
 from pathlib import Path
@@ -11,6 +10,7 @@ import pytest
 from coincid.cli import app
 from coincid.model.contract import latency
 from coincid.model.contract.packet import HEADER, Kind, header_field
+from coincid.study.drawings import waveform as picture
 
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
@@ -40,10 +40,6 @@ def test_latency_table():
 
 def test_waveform_picture_shows_the_stages():
     """The simulation behind the picture: each stage where the page says, and the word that it decodes."""
-    path = ROOT / "docs" / "images" / "waveform.py"
-    spec = importlib.util.spec_from_file_location(path.stem, path)
-    picture = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(picture)
     values = picture.simulate()
     opens, closes = picture.EDGES[1][1], picture.EDGES[-1][1]  # cycles of the window of four photons
 
