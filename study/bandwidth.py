@@ -159,10 +159,10 @@ def study(
             edges = generate_edges(light, spad, timing, pulses=base.pulses, seed=SEED, workers=os.cpu_count() or 1)
             for threshold in thresholds:
                 for records in (False, True):
-                    config = base.with_settings(threshold=threshold).with_frame(minigroup_records=int(records))
+                    config = base.with_settings(threshold=threshold).with_frame(minigroup_records=records)
                     expected = [base.pulses * each.sum() for each in estimate(config, light, timing, spad)]
                     for name in FORMAT_NAMES:
-                        named = config.with_frame(format=FORMAT_NAMES.index(name))
+                        named = config.with_frame(format=name)
                         rows += _with_streams(size, level, threshold, named, edges, expected)
     return rows
 
@@ -199,7 +199,7 @@ def _with_streams(size, klux, threshold, config, edges, expected) -> list[Row]:
             klux,
             threshold,
             config.format,
-            bool(config.frame["minigroup_records"]),
+            config.frame["minigroup_records"],
             estimated,
             int(measured[0][1]),
             by_mean,

@@ -219,7 +219,7 @@ def _whole_frames(size: str, repeats: int) -> dict[str, float]:
         clock.append(time.perf_counter())
         result = ResultBuilder(job.config)
         result.add(record.beats, record.commit_subgroup, record.commit_cycle)
-        estimate_depth(result.arrays(), job.config, job.timing.tick_s)
+        estimate_depth(result.arrays(), job.config)
         clock.append(time.perf_counter())
         photons_s, sensor_s, depth_s = np.diff(clock).tolist()
         rounds.append(

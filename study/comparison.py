@@ -110,9 +110,7 @@ def _count_weighted(shot: Shot) -> Found:
 def _this(shot: Shot, settings: dict, method: str = "matched", source: str = "map", **frame: int) -> Found:
     config = shot.config.with_settings(**settings).with_frame(**frame)
     arrays = golden_result(config, shot.edges)
-    depth = estimate_depth(
-        arrays, config, shot.timing.tick_s, method=method, source=source, frame=FRAMES - 1, returns=RETURNS
-    )
+    depth = estimate_depth(arrays, config, method=method, source=source, frame=FRAMES - 1, returns=RETURNS)
     return Found(depth.depth_m, int(stream_beats(config, arrays, FRAMES - 1).sum()) * BEAT_BITS)
 
 

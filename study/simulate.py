@@ -162,10 +162,7 @@ def simulate(
         shares = {}
         for file, (method, suffix, heading) in PICTURES.items():
             panels = [
-                Panel(
-                    titles[name],
-                    estimate_depth(frames.arrays, scheme, timing.tick_s, method=method, frame=k).depth_m[:, :, 0],
-                )
+                Panel(titles[name], estimate_depth(frames.arrays, scheme, method=method, frame=k).depth_m[:, :, 0])
                 for k, (name, scheme) in enumerate(zip(SCHEMES, frames.configs))
             ]
             heading = f"{scene.name}, {klux:g} klux, {config.pulses} laser pulses: {heading}"
@@ -189,15 +186,11 @@ def settings_of(config: Config) -> dict:
     sensor = {
         attribute.name: getattr(config.sensor, attribute.name) for attribute in type(config.sensor).__attrs_attrs__
     }
-    frame = (
-        {"frames": config.frames} | config.frame | {"format": config.format, "auto_bounds": config.auto_bounds.tolist()}
-    )
-    frame["minigroup_records"] = bool(frame["minigroup_records"])
     subgroup = {name: getattr(config, name).tolist() for name in ("coincidence", "gating", "auto", *SUBGROUP_INTEGERS)}
     subgroup["mask"] = [f"{sum(1 << int(i) for i in np.flatnonzero(mask)):x}" for mask in config.mask]
     return {
         "sensor": sensor,
-        "frame": frame,
+        "frame": config.frame,
         "subgroup": {name: v[0] if len(set(v)) == 1 else v for name, v in subgroup.items()},
     }
 

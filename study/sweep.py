@@ -31,7 +31,7 @@ from ..tb.replay import replay
 from ..tb.toolchain import SimulationError
 from .measures import MEASURES, measures
 from .sweep_plot import write_plot
-from .sweep_spec import Point, Spec, photons_of, timing_of, versions
+from .sweep_spec import Point, Spec, photons_of, versions
 
 LOOPBACK = "127.0.0.1"
 CONNECT_S = 10
@@ -105,8 +105,7 @@ def run_point(settings: dict, document: dict, scene: Scene, expected: dict) -> d
     config = parse_config(document)
     edges = generate_edges(**photons_of(settings, config, scene))
     arrays, last = replay(settings["engine"], config, edges), config.frames - 1
-    tick_s = timing_of(settings, config).tick_s
-    depth = estimate_depth(arrays, config, tick_s, method=settings["method"], frame=last)
+    depth = estimate_depth(arrays, config, method=settings["method"], frame=last)
     seen = int(np.sum(edges.pulse // config.pulses == last))
     return measures(config, arrays, last, seen, depth.depth_m[:, :, 0], scene.truth_m)
 

@@ -30,6 +30,7 @@ from hypothesis import strategies as st
 from coincid.flow.yosys import run_yosys
 from coincid.hdl.sensor import TOP
 from coincid.model.contract.config import parse_config
+from coincid.model.contract.packet import FORMAT_NAMES
 from coincid.model.golden.frame import Golden, Trace
 from coincid.tb import toolchain
 from coincid.tb.cosim import JOB_VARIABLE, SensorBench
@@ -147,7 +148,7 @@ def frames(sensor: dict = SMALL) -> list[FrameJob]:
         k = len(jobs)
         if k >= FRAMES:
             return
-        config = config.with_frame(pulses=2 + k % 4, format=k % 3)
+        config = config.with_frame(pulses=2 + k % 4, format=FORMAT_NAMES[k % 3])
         edges = trouble(config, draw, (4.0, 12.0, 25.0, 1.0)[k % 4])
         ready = ready_pattern(draw, READY_KINDS[k % len(READY_KINDS)], config.pulses * config.period + 100)
         jobs.append(FrameJob(config, edges, golden.frame(config, edges, ready), ready))

@@ -9,17 +9,18 @@ import tomllib
 from pathlib import Path
 
 import numpy as np
-from attrs import asdict, evolve, field, frozen
+from attrs import asdict, evolve, frozen
 
 from ..shared.errors import InputError, check_integer, out_of_range
+from ..shared.quantities import check_choice, check_real
 from . import registers
 from .dither import start_cycles
 from .packet import FORMAT_NAMES
-from .parameters import SIZE_LIMITS, Sensor
+from .parameters import CLOCK_MHZ, CLOCK_MHZ_RANGE, SIZE_LIMITS, Sensor
 from .registers import AUTO_BOUNDS, BY_NAME, DEFAULT_AUTO_BOUNDS, MASK_BITS, MODE
 
 FRAMES_MAX = 1 << 16  # the frame number has 16 bits
-FRAME_REGISTERS = (
+FRAME_REGISTERS = (  # keys of [frame] that are registers
     "period",
     "pulses",
     "format",
@@ -37,19 +38,20 @@ MODE_BITS = tuple(bits.name for bits in MODE.bits)
 PRESETS = {path.stem: path for path in sorted((Path(__file__).parent / "presets").glob("*.toml"))}
 
 
+SUBGROUP_KEYS = (*MODE_BITS, *SUBGROUP_INTEGERS, "mask")
+
+
 @frozen(eq=False, kw_only=True)
 class Config:
     """A checked configuration.
 
-    sensor: parameters as built. frames: how many. frame: values of `FRAME_REGISTERS` by name. auto_bounds: int64[6].
+    sensor: parameters as built. frame: the file's [frame], every key with its value as the file has it.
     Per subgroup, arrays [subgroups]: coincidence, gating, auto (bool), threshold, window (ticks), gate_start, gate_len (cycles; int64);
     mask: bool [subgroups, pixels], True = on. Raises `InputError` where settings make no sense together.
     """
 
     sensor: Sensor
-    frames: int = 1
-    frame: dict[str, int]
-    auto_bounds: np.ndarray
+    frame: dict[str, object]
     coincidence: np.ndarray
     gating: np.ndarray
     auto: np.ndarray
@@ -57,7 +59,7 @@ class Config:
     window: np.ndarray
     gate_start: np.ndarray
     gate_len: np.ndarray
-    mask: np.ndarray = field()
+    mask: np.ndarray
 
     def __attrs_post_init__(self):
         guard, period = self.sensor.guard, self.period
@@ -73,6 +75,21 @@ class Config:
             raise out_of_range("subgroup.gate_start", int(self.gate_start[late[0]]), 0, period - 1, where)
 
     @property
+    def frames(self) -> int:
+        """How many frames."""
+        return self.frame["frames"]
+
+    @property
+    def clock_mhz(self) -> float:
+        """System clock."""
+        return self.frame["clock_mhz"]
+
+    @property
+    def tick_s(self) -> float:
+        """A TDC LSB."""
+        return 1 / (self.clock_mhz * 1e6 * self.sensor.phases)
+
+    @property
     def period(self) -> int:
         """Laser period in cycles."""
         return self.frame["period"]
@@ -81,6 +98,16 @@ class Config:
     def pulses(self) -> int:
         """Laser periods of a frame."""
         return self.frame["pulses"]
+
+    @property
+    def format(self) -> str:
+        """Name of the event format."""
+        return self.frame["format"]
+
+    @property
+    def auto_bounds(self) -> np.ndarray:
+        """int64[6]: the controller's bounds, ascending."""
+        return np.array(self.frame["auto_bounds"], np.int64)
 
     def start_cycles(self) -> np.ndarray:
         """int64[pulses + 1]: when each period of a frame begins, from the first one's cycle 0 on; at last, the frame's end."""
@@ -97,33 +124,37 @@ class Config:
     def period_ticks(self) -> int:
         return self.period * self.sensor.phases
 
-    @property
-    def format(self) -> str:
-        """Name of the event format."""
-        return FORMAT_NAMES[self.frame["format"]]
+    def with_frame(self, **settings) -> "Config":
+        """A copy with other settings of the frame, by the keys and values of [frame]. Raises `InputError` that names key and range."""
+        return evolve(self, frame=self.frame | _frame(settings, self.sensor))
 
-    def with_settings(self, **arrays) -> "Config":
-        """A copy with other per-subgroup settings; scalars spread over the subgroups."""
-        return evolve(
-            self,
-            **{
-                name: np.broadcast_to(np.asarray(value, getattr(self, name).dtype), getattr(self, name).shape).copy()
-                for name, value in arrays.items()
-            },
-        )
+    def with_settings(self, **settings) -> "Config":
+        """A copy with other settings of the subgroups, by the keys and values of [subgroup]. Raises `InputError` that names key and range.
 
-    def with_frame(self, frames: int | None = None, **values: int) -> "Config":
-        """A copy with other frame settings."""
-        return evolve(self, frames=self.frames if frames is None else frames, frame=self.frame | values)
+        A list or an array holds a value for every subgroup; masks may also be rows of booleans, as in `mask`.
+        """
+        columns = {}
+        for name, value in _known("subgroup", settings, SUBGROUP_KEYS).items():
+            where, values = f"subgroup.{name}", _plain(value)
+            if not isinstance(values, list):
+                columns[name] = _column(_setting(where, name, values, self.sensor), self.sensor)
+            elif len(values) != self.sensor.subgroups:
+                raise InputError(f"{where}: has {len(values)} values, must have one or {self.sensor.subgroups}")
+            else:
+                columns[name] = np.array(
+                    [_setting(f"{where}[{s}]", name, one, self.sensor) for s, one in enumerate(values)]
+                )
+        return evolve(self, **columns)
 
     def with_pulses(self, pulses: int) -> "Config":
         """A copy with frames of other length for the same light: `auto_bounds`, photons of a frame, change in proportion."""
         bounds = np.minimum(self.auto_bounds * pulses // self.pulses, BY_NAME["auto_bounds"].high(self.sensor))
-        return evolve(self, frame=self.frame | {"pulses": pulses}, auto_bounds=bounds)
+        return self.with_frame(pulses=pulses, auto_bounds=bounds)
 
     def register_writes(self) -> list[tuple[int, int]]:
         """(address, value) of every setting, as a driver programs them before a frame."""
-        writes = [(registers.address(name), self.frame[name]) for name in FRAME_REGISTERS]
+        frame = self.frame | {"format": FORMAT_NAMES.index(self.format)}
+        writes = [(registers.address(name), int(frame[name])) for name in FRAME_REGISTERS]
         writes += [(registers.address("auto_bounds", index=i), int(bound)) for i, bound in enumerate(self.auto_bounds)]
         mode = sum(getattr(self, name).astype(np.int64) << MODE.bit(name) for name in MODE_BITS)
         for s in range(self.sensor.subgroups):
@@ -166,7 +197,7 @@ def parse_config(document: dict) -> Config:
         if not isinstance(value, tables[name]):
             raise InputError(f"{name}: must be written as {'[[override]]' if name == 'override' else f'[{name}]'}")
     sensor = _sensor(document.get("sensor", {}))
-    frame, frames, bounds = _frame(document.get("frame", {}), sensor)
+    frame = _frame(_frame_defaults(sensor) | document.get("frame", {}), sensor)
     default = {
         "coincidence": True,
         "gating": False,
@@ -177,8 +208,10 @@ def parse_config(document: dict) -> Config:
         "gate_len": frame["period"],
         "mask": f"{(1 << sensor.pixels) - 1:x}",
     }
-    common = _settings("subgroup", default | _known("subgroup", document.get("subgroup", {}), default), sensor)
-    columns = {name: np.repeat(np.asarray(value)[None], sensor.subgroups, axis=0) for name, value in common.items()}
+    common = default | _known("subgroup", document.get("subgroup", {}), default)
+    columns = {
+        name: _column(_setting(f"subgroup.{name}", name, value, sensor), sensor) for name, value in common.items()
+    }
     for number, override in enumerate(document.get("override", [])):
         where = f"override[{number}]"
         if not isinstance(override, dict):
@@ -191,9 +224,9 @@ def parse_config(document: dict) -> Config:
             )
         for s in chosen:
             check_integer(f"{where}.subgroups", s, 0, sensor.subgroups - 1)
-        for name, value in _settings(where, values, sensor).items():
-            columns[name][chosen] = value
-    return Config(sensor=sensor, frames=frames, frame=frame, auto_bounds=bounds, **columns)
+        for name, value in values.items():
+            columns[name][chosen] = _setting(f"{where}.{name}", name, value, sensor)
+    return Config(sensor=sensor, frame=frame, **columns)
 
 
 def _known(section: str, given: dict, legal) -> dict:
@@ -207,45 +240,61 @@ def _sensor(given: dict) -> Sensor:
     return Sensor(**_known("sensor", given, (*SIZE_LIMITS, "subgroup", "minigroup")))
 
 
-def _frame(given: dict, sensor: Sensor) -> tuple[dict[str, int], int, np.ndarray]:
-    default = {name: BY_NAME[name].reset(sensor) for name in FRAME_REGISTERS} | {
-        "frames": 1,
+def _frame_defaults(sensor: Sensor) -> dict[str, object]:
+    return {"frames": 1, "clock_mhz": CLOCK_MHZ} | {
+        **{name: BY_NAME[name].reset(sensor) for name in FRAME_REGISTERS},
         "period": 250,
         "format": "id",
         "minigroup_records": False,
-        "mg_threshold": 2,
         "auto_bounds": list(DEFAULT_AUTO_BOUNDS),
     }
-    values = default | _known("frame", given, default)
-    frames = check_integer("frame.frames", values.pop("frames"), 1, FRAMES_MAX)
-    if values["format"] not in FORMAT_NAMES:
-        raise InputError(f"frame.format = {values['format']!r}: must be one of {', '.join(FORMAT_NAMES)}")
-    values["format"] = FORMAT_NAMES.index(values["format"])
-    values["minigroup_records"] = int(_boolean("frame.minigroup_records", values["minigroup_records"]))
-    if "mg_threshold" not in given:
-        values["mg_threshold"] = min(values["mg_threshold"], sensor.minigroup_pixels)
-    bounds = values.pop("auto_bounds")
-    if not isinstance(bounds, list) or len(bounds) != AUTO_BOUNDS:
-        raise InputError(f"frame.auto_bounds = {bounds!r}: must be {AUTO_BOUNDS} integers that do not descend")
-    for bound in bounds:
-        _register_value("frame.auto_bounds", "auto_bounds", bound, sensor)
-    for name in FRAME_REGISTERS:
-        _register_value(f"frame.{name}", name, values[name], sensor)
-    return values, frames, np.array(bounds, np.int64)
 
 
-def _settings(section: str, values: dict, sensor: Sensor) -> dict:
-    """Checked values of any keys of [subgroup]; the mask becomes bool[pixels]."""
+def _frame(given: dict, sensor: Sensor) -> dict[str, object]:
+    """Checked values of any keys of [frame]."""
     checked = {}
-    for name, value in values.items():
-        where = f"{section}.{name}"
-        if name == "mask":
-            checked[name] = _mask(where, value, sensor.pixels)
-        elif name in MODE_BITS:
+    for name, value in _known("frame", given, _frame_defaults(sensor)).items():
+        where, value = f"frame.{name}", _plain(value)
+        if name == "frames":
+            checked[name] = check_integer(where, value, 1, FRAMES_MAX)
+        elif name == "clock_mhz":
+            checked[name] = check_real(where, value, *CLOCK_MHZ_RANGE)
+        elif name == "format":
+            checked[name] = check_choice(where, value, FORMAT_NAMES)
+        elif name == "minigroup_records":
             checked[name] = _boolean(where, value)
+        elif name == "auto_bounds":
+            checked[name] = _bounds(where, value, sensor)
         else:
-            checked[name] = np.int64(_register_value(where, name, value, sensor))
+            checked[name] = _register_value(where, name, value, sensor)
     return checked
+
+
+def _bounds(where: str, value: object, sensor: Sensor) -> list[int]:
+    if not isinstance(value, list) or len(value) != AUTO_BOUNDS:
+        raise InputError(f"{where} = {value!r}: must be {AUTO_BOUNDS} integers that do not descend")
+    return [_register_value(where, "auto_bounds", bound, sensor) for bound in value]
+
+
+def _setting(where: str, name: str, value: object, sensor: Sensor) -> np.ndarray | np.int64 | bool:
+    """The checked value of a key of [subgroup]; the mask becomes bool[pixels]."""
+    if name == "mask":
+        return _mask(where, value, sensor.pixels)
+    if name in MODE_BITS:
+        return _boolean(where, value)
+    return np.int64(_register_value(where, name, value, sensor))
+
+
+def _column(value: np.ndarray | np.int64 | bool, sensor: Sensor) -> np.ndarray:
+    """The same value for every subgroup."""
+    return np.repeat(np.asarray(value)[None], sensor.subgroups, axis=0)
+
+
+def _plain(value: object) -> object:
+    """A setting as a file would hold it: no NumPy types, no tuples."""
+    if isinstance(value, np.ndarray | np.generic):
+        return value.tolist()
+    return list(value) if isinstance(value, tuple) else value
 
 
 def _register_value(where: str, name: str, value: object, sensor: Sensor) -> int:
@@ -260,6 +309,8 @@ def _boolean(where: str, value: object) -> bool:
 
 
 def _mask(where: str, value: object, pixels: int) -> np.ndarray:
+    if isinstance(value, list) and len(value) == pixels and all(isinstance(on, bool) for on in value):
+        return np.array(value)
     if not isinstance(value, str) or not re.fullmatch(r"(0[xX])?[0-9a-fA-F]+", value) or int(value, 16) >> pixels:
         raise InputError(f"{where} = {value!r}: must be a string of hex digits below 2^{pixels} (bit i = pixel i)")
     return np.array([int(value, 16) >> i & 1 for i in range(pixels)], bool)

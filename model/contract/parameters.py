@@ -19,6 +19,8 @@ SIZE_LIMITS = {  # key: (default, lowest, highest)
     "fifo_depth": (16, 1, 1024),
     "streams": (1, 1, 64),
 }
+CLOCK_MHZ = 500.0  # system clock of the preset `silicon`, and of a configuration that names none
+CLOCK_MHZ_RANGE = (1e-3, 1e5)
 SUBGROUP_PIXELS = (16, 256)
 MINIGROUP_PIXELS = (1, 16)
 SUBGROUPS_MAX = 4096  # the header's subgroup field has 12 bits

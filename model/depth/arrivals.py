@@ -13,8 +13,17 @@ import numpy as np
 from scipy import special
 
 from ..contract.config import Config
+from ..shared.constants import SIGMA_PER_FWHM
+from ..shared.quantities import check_real
+
+SYSTEM_FWHM_S = 500e-12  # laser pulse and jitter together (paper IV)
 
 _BLOM = 0.375  # Blom 1958: expected normal order statistics, here within 0.03 sigma
+
+
+def pulse_sigma_ticks(config: Config, system_fwhm_s: float = SYSTEM_FWHM_S) -> float:
+    """Sigma of laser pulse and jitter together. Raises `InputError`."""
+    return check_real("system_fwhm_s", system_fwhm_s, 1e-15, 1.0) * SIGMA_PER_FWHM / config.tick_s
 
 
 def lead_sigmas(photons):

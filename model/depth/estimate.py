@@ -7,14 +7,14 @@ import numpy as np
 from attrs import frozen
 
 from ..contract.config import Config
-from ..shared.constants import SIGMA_PER_FWHM, SPEED_OF_LIGHT_M_S
+from ..shared.constants import SPEED_OF_LIGHT_M_S
 from ..shared.errors import check_integer
-from ..shared.quantities import check_choice, check_real
+from ..shared.quantities import check_choice
+from .arrivals import SYSTEM_FWHM_S, pulse_sigma_ticks
 from .histograms import Events, frame_events, pixel_image, subgroup_histograms
 from .joint import joint_choice
 from .peaks import ACCIDENT_MAX, live_share, pixel_peaks
 
-SYSTEM_FWHM_S = 500e-12  # laser pulse and jitter together (paper IV)
 RETURNS_MAX = 8
 
 METHODS = {
@@ -41,7 +41,6 @@ class Depth:
 def estimate_depth(
     arrays: dict[str, np.ndarray],
     config: Config,
-    tick_s: float,
     *,
     method: str = "joint",
     source: str = "map",
@@ -56,11 +55,7 @@ def estimate_depth(
     """
     check_choice("method", method, tuple(METHODS))
     check_integer("returns", returns, 1, RETURNS_MAX)
-    sigma_ticks = (
-        check_real("system_fwhm_s", system_fwhm_s, 1e-15, 1.0)
-        * SIGMA_PER_FWHM
-        / check_real("tick_s", tick_s, 1e-15, 1.0)
-    )
+    sigma_ticks = pulse_sigma_ticks(config, system_fwhm_s)
     events = frame_events(arrays, config, sigma_ticks, frame)
     if method == "joint":
         ticks, confidence = _joint(events, config, sigma_ticks, returns)
@@ -72,7 +67,7 @@ def estimate_depth(
             for s, histogram in enumerate(histograms)
         ]
         ticks, confidence = (pixel_image(np.stack(part), config.sensor) for part in zip(*found))
-    return Depth(ticks * tick_s * SPEED_OF_LIGHT_M_S / 2, np.where(np.isnan(ticks), 0.0, confidence))
+    return Depth(ticks * config.tick_s * SPEED_OF_LIGHT_M_S / 2, np.where(np.isnan(ticks), 0.0, confidence))
 
 
 def _joint(events: Events, config: Config, sigma_ticks: float, returns: int) -> tuple[np.ndarray, np.ndarray]:

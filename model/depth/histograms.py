@@ -3,7 +3,7 @@
 Ref: paper III-A (stamp, ID map, minigroup stamps), IV (a histogram per pixel). Bins are ticks of the arrival (`arrivals.py`).
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import numpy as np
 from attrs import frozen
@@ -13,9 +13,9 @@ from ..contract.config import Config
 from ..contract.packet import BEAT_BITS
 from ..contract.parameters import OFFSET_NONE, Sensor
 from ..contract.pixels import pixel_table
-from ..shared.errors import InputError
+from ..shared.errors import InputError, check_integer
 from ..shared.quantities import check_choice
-from .arrivals import arrival_ticks, lead_sigmas, photons_of
+from .arrivals import SYSTEM_FWHM_S, arrival_ticks, lead_sigmas, photons_of, pulse_sigma_ticks
 
 SOURCES = {
     "map": "the subgroup's stamp, for the pixels of the ID map",
@@ -92,6 +92,32 @@ def subgroup_histograms(
     arrays: dict[str, np.ndarray], config: Config, sigma_ticks: float, *, source: str = "map", frame: int | None = None
 ) -> Iterator[np.ndarray]:
     """For each subgroup in turn its pixels' histograms, int32[pixels, period_ticks]: memory of one subgroup, not of the array."""
+    return map(_histogram_maker(arrays, config, sigma_ticks, source, frame), range(config.sensor.subgroups))
+
+
+def pixel_histogram(
+    arrays: dict[str, np.ndarray],
+    config: Config,
+    pixel: int,
+    *,
+    source: str = "map",
+    frame: int | None = None,
+    system_fwhm_s: float = SYSTEM_FWHM_S,
+) -> np.ndarray:
+    """The histogram of pixel row * cols + col, int32[period_ticks], from the arrays of a result; other arguments as of `estimate_depth`.
+
+    Raises `InputError`.
+    """
+    table = pixel_table(config.sensor)
+    check_integer("pixel", pixel, 0, config.sensor.array_pixels - 1)
+    of_subgroup = _histogram_maker(arrays, config, pulse_sigma_ticks(config, system_fwhm_s), source, frame)
+    return of_subgroup(table.subgroup[pixel])[table.inside[pixel]]
+
+
+def _histogram_maker(
+    arrays: dict[str, np.ndarray], config: Config, sigma_ticks: float, source: str, frame: int | None
+) -> Callable[[int], np.ndarray]:
+    """What makes the histograms of a subgroup's pixels, int32[pixels, period_ticks]. Raises `InputError`."""
     check_choice("source", source, tuple(SOURCES))
     sensor, events = config.sensor, frame_events(arrays, config, sigma_ticks, frame)
     records = (
@@ -99,7 +125,7 @@ def subgroup_histograms(
         np.empty((0, sensor.minigroups)),
         np.zeros(sensor.subgroups + 1, np.int64),
     )
-    use_records = source == "minigroup" and bool(config.frame["minigroup_records"])
+    use_records = source == "minigroup" and config.frame["minigroup_records"]
     if use_records:
         records = _frame_records(arrays, config, frame)
     elif source == "minigroup" and not events.offset.shape[1]:
@@ -109,7 +135,8 @@ def subgroup_histograms(
     pixel = pixel_table(sensor)
     seen = np.arange(sensor.minigroup_pixels + 1)
     lead = sigma_ticks * lead_sigmas(np.maximum(photons_of(seen, sensor.minigroup_pixels), 1))
-    for s in range(sensor.subgroups):
+
+    def histogram_of(s: int) -> np.ndarray:
         histogram = np.zeros((sensor.pixels, config.period_ticks), np.int32)
         span = slice(events.bounds[s], events.bounds[s + 1])
         if use_records:
@@ -130,7 +157,9 @@ def subgroup_histograms(
         else:
             bins = np.minimum(events.arrival[span].astype(np.int64), config.period_ticks - 1)
             _add_events(histogram, bins, events.hits[span], source == "subgroup")
-        yield histogram
+        return histogram
+
+    return histogram_of
 
 
 def pixel_image(values: np.ndarray, sensor: Sensor) -> np.ndarray:

@@ -31,7 +31,7 @@ def shape_of(config: Config) -> Shape:
         sensor.rearm,
         sensor.fifo_depth,
         sensor.phase_bits - 2,
-        frame["minigroup_records"],
+        int(frame["minigroup_records"]),
         frame["mg_threshold"],
         frame["mg_window"],
         frame["gate_step"],

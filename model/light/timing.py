@@ -5,6 +5,7 @@ from attrs import frozen
 
 from ..contract.config import Config
 from ..contract.dither import DITHER_BITS_MAX, LFSR_BITS, start_cycles
+from ..contract.parameters import CLOCK_MHZ
 from ..shared.constants import SPEED_OF_LIGHT_M_S
 from ..shared.errors import InputError, check_integer
 from ..shared.quantities import real, real_array
@@ -19,7 +20,7 @@ class Timing:
     (0: all pulses are one frame).
     """
 
-    clock_hz: float = real(500e6, 1)
+    clock_hz: float = real(CLOCK_MHZ * 1e6, 1)
     phases: int = 32
     period_cycles: int = 250
     tap_width_lsb: np.ndarray | None = None
@@ -39,10 +40,10 @@ class Timing:
                 raise InputError(f"tap_width_lsb: sums to {total:g}, must sum to the {self.phases} phases")
 
     @classmethod
-    def from_config(cls, config: Config, clock_hz: float = 500e6, tap_width_lsb: np.ndarray | None = None) -> "Timing":
-        """The configuration's phases, period and dither, at a clock that it does not know."""
+    def from_config(cls, config: Config, tap_width_lsb: np.ndarray | None = None) -> "Timing":
+        """The configuration's clock, phases, period and dither."""
         return cls(
-            clock_hz=clock_hz,
+            clock_hz=config.clock_mhz * 1e6,
             phases=config.sensor.phases,
             period_cycles=config.period,
             tap_width_lsb=tap_width_lsb,

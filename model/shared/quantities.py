@@ -10,7 +10,7 @@ from .errors import InputError
 
 def check_real(name: str, value, low: float, high: float = inf) -> float:
     """`value` as a float if it is finite and within [`low`, `high`], else an `InputError`."""
-    if isinstance(value, (bool, str)) or not np.isscalar(value) or not isfinite(value) or not low <= value <= high:
+    if isinstance(value, (bool, str)) or not np.isscalar(value) or not low <= value <= high or not isfinite(value):
         raise InputError(f"{name} = {value!r}: must be a number {_range(low, high)}")
     return float(value)
 

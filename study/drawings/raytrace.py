@@ -36,8 +36,7 @@ def draw(name: str) -> list[tuple[float, float]]:
     with tempfile.TemporaryDirectory() as folder:
         frames = run_frames(config, edges, "verilator", Path(folder))
     depths = [
-        estimate_depth(frames.arrays, scheme, timing.tick_s, frame=k).depth_m[:, :, 0]
-        for k, scheme in enumerate(frames.configs)
+        estimate_depth(frames.arrays, scheme, frame=k).depth_m[:, :, 0] for k, scheme in enumerate(frames.configs)
     ]
     panels = [
         Panel(title.format(threshold=np.unique(config.threshold)[0]), depth)

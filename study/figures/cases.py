@@ -92,7 +92,7 @@ def run_case(case: Case, engine: Engine = golden_result) -> Outcome:
     depth_m = {}
     for name in case.methods:
         method, _, source = name.partition("/")
-        depth = estimate_depth(arrays, config, timing.tick_s, method=method, source=source or "map", frame=last)
+        depth = estimate_depth(arrays, config, method=method, source=source or "map", frame=last)
         depth_m[name] = depth.depth_m[:, :, 0]
     counts = {name: arrays[name][last] for name in ("opened", "committed", "stored", "photons", "mg_stored")}
     return Outcome(

@@ -34,7 +34,7 @@ def capture(scene, klux, *, sensor=None, frame=None, subgroup=None, seed=1):
 
 
 def depth_of(result, config, **options):
-    return estimate_depth(result, config, TICK_S, **options).depth_m[:, :, 0]
+    return estimate_depth(result, config, **options).depth_m[:, :, 0]
 
 
 def share(scene, config, result, **options):
@@ -144,11 +144,11 @@ def test_the_letter_is_neither_mirrored_nor_swapped(sensor):
 def test_two_returns_of_one_pixel():
     scene, config, result = capture("two-returns:5,9", 20)
     for method in ("joint", "background"):
-        depth = estimate_depth(result, config, TICK_S, method=method, returns=2)
+        depth = estimate_depth(result, config, method=method, returns=2)
         for target in range(2):
             nearest = np.nanmin(np.abs(depth.depth_m - scene.distance_m[0, 0, target]), axis=2)
             assert np.mean(nearest < TOLERANCE_M) > 0.9
-    alone = estimate_depth(capture("flat:5,0.4", 20)[2], config, TICK_S, returns=3)
+    alone = estimate_depth(capture("flat:5,0.4", 20)[2], config, returns=3)
     assert alone.depth_m.shape == (32, 32, 3) and np.isnan(alone.depth_m[:, :, 1:]).all()
 
 
@@ -175,14 +175,14 @@ def test_hot_and_masked_pixels():
 def test_nothing_seen_is_no_depth(method):
     config = parse_config({"sensor": {"rows": 8, "cols": 16}})
     edges = generate_edges(scene_light(load_scene("flat:5,0", 8, 16), 0), Spad(), Timing(), pulses=100, seed=1)
-    depth = estimate_depth(golden_result(config, edges), config, TICK_S, method=method)
+    depth = estimate_depth(golden_result(config, edges), config, method=method)
     assert np.isnan(depth.depth_m).all() and not depth.confidence.any()
 
 
 @pytest.mark.parametrize("method", METHODS)
 def test_confidence_and_repetition(five_objects, method):
     scene, config, result = five_objects[2]
-    depth, again = (estimate_depth(result, config, TICK_S, method=method) for _ in range(2))
+    depth, again = (estimate_depth(result, config, method=method) for _ in range(2))
     assert np.array_equal(depth.depth_m, again.depth_m, equal_nan=True)
     assert np.all((depth.confidence >= 0) & (depth.confidence <= 1))
     wrong = wrong_pixels(depth.depth_m[:, :, 0], scene.truth_m)

@@ -21,7 +21,7 @@ densities = st.sampled_from((0.0, 0.5, 4.0, 20.0, 40.0))
 @pytest.mark.parametrize("sensor", SENSORS)
 @given(data=st.data())
 def test_plain_model(sensor, data):
-    config = data.draw(configurations(SENSORS[sensor]).map(lambda c: c.with_frame(format=2)))
+    config = data.draw(configurations(SENSORS[sensor]).map(lambda c: c.with_frame(format="full")))
     edges = trouble(config, data.draw(seeds), data.draw(densities))
     ready = ready_pattern(
         data.draw(seeds), data.draw(st.sampled_from(READY_KINDS)), config.pulses * config.period + 100

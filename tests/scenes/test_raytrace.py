@@ -467,8 +467,6 @@ def test_a_scene_runs_from_photon_to_depth(tracer, tmp_path, monkeypatch):
     )
     assert told.exit_code == 0, told.output
     config = load_config(tmp_path / "small.toml").with_pulses(200)
-    depth_m = estimate_depth(dict(np.load(tmp_path / "out" / "events.npz")), config, Timing().tick_s, frame=1).depth_m[
-        :, :, 0
-    ]
+    depth_m = estimate_depth(dict(np.load(tmp_path / "out" / "events.npz")), config, frame=1).depth_m[:, :, 0]
     assert depth_m[7:9, 7:9] == pytest.approx(np.full((2, 2), 4.01), abs=0.05)
     assert np.median(np.abs(depth_m - load_scene(str(path), 16, 16).truth_m)) < 0.15

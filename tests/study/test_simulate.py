@@ -13,7 +13,6 @@ from coincid.hdl.sensor import TOP
 from coincid.model.contract.config import parse_config
 from coincid.model.depth.estimate import estimate_depth
 from coincid.model.depth.quality import wrong_share
-from coincid.model.light.timing import Timing
 from coincid.model.scenes.catalogue import load_scene
 from coincid.study import simulate as job
 from coincid.study.simulate import EVENTS, PICTURES, REPORT, SCHEMES, simulate
@@ -95,7 +94,7 @@ def test_letter_f_comes_out_as_it_went_in(tmp_path, engine):
     for name in SCHEMES:
         assert report[f"wrong_share_{name}"] < 0.05, name
     config = parse_config(LETTER).with_settings(coincidence=True)
-    depth_m = estimate_depth(arrays_of(tmp_path), config, Timing.from_config(config).tick_s, frame=1).depth_m[:, :, 0]
+    depth_m = estimate_depth(arrays_of(tmp_path), config, frame=1).depth_m[:, :, 0]
     assert wrong_share(depth_m, truth_m) == report["wrong_share_fixed"]
     if engine != "golden":
         run(tmp_path / "golden", LETTER, "letter-f")

@@ -168,7 +168,7 @@ def test_measures_are_those_of_the_last_frame(tmp_path, quick):
     packets = row["events"] * parts.length(FORMATS["full"]) + row["mg_records"] * parts.length(Kind.RECORD)
     assert row["beats"] == packets + 2 + parts.counter_beats
     assert row["stream_load"] == row["beats"] / 400
-    depth_m = estimate_depth(arrays, config, timing.tick_s, frame=1).depth_m[:, :, 0]
+    depth_m = estimate_depth(arrays, config, frame=1).depth_m[:, :, 0]
     error_m = depth_m - scene.truth_m
     assert row["wrong_share"] == wrong_share(depth_m, scene.truth_m)
     assert row["depth_share"] == np.mean(~np.isnan(depth_m))
