@@ -21,7 +21,7 @@ from ..model.contract import registers
 from ..model.contract.config import Config
 from ..model.contract.edges import Edges
 from ..model.contract.parameters import Sensor
-from ..model.contract.pixels import pixel_table
+from ..model.contract.ports import port_bits
 from ..model.shared.folders import build_root
 from ..model.shared.sources import digest
 from . import toolchain
@@ -251,11 +251,7 @@ class BatchSensor:
 
 def _by_subgroup(config: Config, edges: Edges) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Cycle (int64[n]) and bit of the port word (int32[n]) of every edge, by subgroup, then cycle; and the subgroups' bounds."""
-    phases, table = config.sensor.phases, pixel_table(config.sensor)
-    starts = config.start_cycles()
-    cycle = starts[edges.pulse] + edges.tick // phases
-    subgroup = table.subgroup[edges.pixel]
-    order = np.argsort(subgroup * starts[-1] + cycle, kind="stable")
-    bit = (table.inside[edges.pixel] * phases + edges.tick % phases)[order]
+    cycle, subgroup, bit = port_bits(config, edges)
+    order = np.argsort(subgroup * config.frame_cycles + cycle, kind="stable")
     bounds = np.concatenate([[0], np.cumsum(np.bincount(subgroup, minlength=config.sensor.subgroups))])
-    return cycle[order], bit.astype(np.int32), bounds.astype(np.int64)
+    return cycle[order], bit[order].astype(np.int32), bounds.astype(np.int64)

@@ -8,18 +8,15 @@ from ..model.contract.config import Config
 from ..model.contract.edges import Edges
 from ..model.contract.parameters import Sensor
 from ..model.contract.pixels import pixel_table
+from ..model.contract.ports import port_bits
 from ..model.shared.errors import InputError
 
 FS_PER_PS = 1000
 
 
 def port_words(config: Config, edges: Edges) -> dict[int, list[tuple[int, int]]]:
-    """Cycle of the frame -> [(subgroup, word)] of the subgroups with an edge in it; bit i * phases + k is phase k of pixel i."""
-    phases = config.sensor.phases
-    table = pixel_table(config.sensor)
-    cycle = config.start_cycles()[edges.pulse] + edges.tick // phases
-    subgroup = table.subgroup[edges.pixel]
-    bit = table.inside[edges.pixel] * phases + edges.tick % phases
+    """Cycle of the frame -> [(subgroup, word)] of the subgroups with an edge in it, as `port_bits` numbers its bits."""
+    cycle, subgroup, bit = port_bits(config, edges)
     order = np.lexsort((subgroup, cycle))
     words: dict[int, list[tuple[int, int]]] = {}
     last = None
@@ -54,8 +51,8 @@ def off_centre(config: Config, edges: Edges, seed: int) -> Edges:
     return evolve(edges, offset_ps=offset)
 
 
-def line_levels(config: Config, edges: Edges) -> tuple[list[int], list[int], list[int]]:
-    """Edges as levels of SPAD lines, in time order: (time in femtoseconds from the frame's start, subgroup, its lines from then on).
+def line_toggles(config: Config, edges: Edges) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Edges as changes of SPAD lines: (time in femtoseconds from the frame's start, subgroup, line in it), int64[n] each, in time order.
 
     A line rises at its edge and stays high for a quarter of a tick, or half of the way to its next edge where that is less.
     An offset at a tick's very border counts as a femtosecond inside it, as the integer tick says.
@@ -77,13 +74,17 @@ def line_levels(config: Config, edges: Edges) -> tuple[list[int], list[int], lis
     high[:-1][same] = np.minimum(high[:-1], np.diff(rise) // 2)[same]
     alone = high > 0  # an edge a femtosecond before the next of its line is none
     rise, pixel, high = rise[alone], pixel[alone], high[alone]
-    time = np.concatenate([rise, rise + high])
-    bit, subgroup = table.inside[np.tile(pixel, 2)], table.subgroup[np.tile(pixel, 2)]
-    order = np.lexsort((subgroup, time))
-    levels = [0] * sensor.subgroups
+    time, subgroup, line = np.concatenate([rise, rise + high]), table.subgroup[pixel], table.inside[pixel]
+    order = np.lexsort((np.tile(subgroup, 2), time))
+    return time[order], np.tile(subgroup, 2)[order], np.tile(line, 2)[order]
+
+
+def line_levels(config: Config, edges: Edges) -> tuple[list[int], list[int], list[int]]:
+    """The same as levels: (time in femtoseconds from the frame's start, subgroup, the word on its lines from then on), in time order."""
+    levels = [0] * config.sensor.subgroups
     at: list[tuple[int, int, int]] = []
-    for t, s, b in zip(time[order].tolist(), subgroup[order].tolist(), bit[order].tolist()):
-        levels[s] ^= 1 << b
+    for t, s, line in zip(*(column.tolist() for column in line_toggles(config, edges))):
+        levels[s] ^= 1 << line
         if at and at[-1][:2] == (t, s):
             at.pop()
         at.append((t, s, levels[s]))
