@@ -4,7 +4,6 @@ Flip-flops wake up at random and take an unknown input at random, as silicon doe
 golden model relies on no initial value. Not as X: optimised gates turn one unknown into many.
 """
 
-import pickle
 import re
 import tempfile
 from collections.abc import Iterator
@@ -19,11 +18,11 @@ from ..model.contract.edges import Edges
 from ..model.contract.packet import FORMAT_NAMES
 from ..model.contract.parameters import Sensor
 from ..model.golden.frame import Golden
+from ..model.shared.folders import build_root
 from ..tb import toolchain
-from ..tb.cosim import JOB_VARIABLE, MISMATCH, RESULT, SensorBench
 from ..tb.frames import FrameJob
+from ..tb.replay import play_in
 from ..tb.rtl import sensor_key
-from ..tb.scoreboard import Mismatch
 from .synth import CELLS, GATES, synthesize
 from .yosys import CELL_MODELS
 
@@ -105,16 +104,7 @@ def _random_edges(config: Config, rng: np.random.Generator) -> Edges:
 def gate_level(sensor: Sensor, target: str, frames: int = FRAMES, seed: int = 1) -> tuple[int, int]:
     """Plays random frames through the netlist; (words and commits checked, cycles). Raises `Mismatch` at the first difference."""
     build, jobs = netlist_build(sensor, target), random_frames(sensor, frames, seed)
-    with tempfile.TemporaryDirectory(prefix="coincid-") as folder:
-        job = Path(folder) / "job"
-        job.write_bytes(pickle.dumps((SensorBench, jobs)))
-        try:
-            build.run("coincid.tb.cosim", env={JOB_VARIABLE: str(job)}, out_dir=folder, seed=1)
-        except toolchain.SimulationError:
-            if job.with_suffix(MISMATCH).exists():
-                raise Mismatch(f"netlist of {target}: {job.with_suffix(MISMATCH).read_text()}") from None
-            raise
-        records = pickle.loads(job.with_suffix(RESULT).read_bytes())
+    records, _ = play_in(build, jobs, build_root() / "gls" / f"{target}-{sensor_key(sensor)}")
     return sum(record.checked for record in records), sum(record.cycles for record in records)
 
 

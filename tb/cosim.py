@@ -20,13 +20,19 @@ from coincid.hdl.silicon.circuit import CLOCK_FS
 from coincid.model.contract import registers
 from coincid.model.contract.config import Config
 from coincid.model.contract.edges import Edges
-from coincid.tb.frames import STORED_TO_COMMIT, Recorded, cycle_limit
+from coincid.tb.frames import (
+    JOB_VARIABLE,
+    MISMATCH,
+    PROGRESS,
+    RESULT,
+    STORED_TO_COMMIT,
+    Recorded,
+    cycle_limit,
+    load_job,
+)
 from coincid.tb.scoreboard import Mismatch, Scoreboard
 from coincid.tb.stimulus import line_levels, port_words
 
-JOB_VARIABLE = "COINCID_JOB"
-RESULT, MISMATCH = ".result", ".mismatch"  # suffixes of what a job leaves
-PROGRESS = "@cycle"  # a line of the simulator's output that a progress bar reads
 PROGRESS_CYCLES = 500
 
 
@@ -190,8 +196,8 @@ class LineBench(SensorBench):
 async def play_job(dut):
     """Plays the job that the environment names and leaves its records beside it; or else the first difference, as text."""
     path = Path(os.environ[JOB_VARIABLE])
-    bench_of_view, job = pickle.loads(path.read_bytes())
-    bench = bench_of_view(dut, job[0].config.sensor)
+    job, lines = load_job(path)
+    bench = (LineBench if lines else SensorBench)(dut, job[0].config.sensor)
     await bench.reset()
     records, before = [], 0
     for number, frame in enumerate(job):

@@ -1,5 +1,8 @@
 """A frame to play and what it showed: what all ways of running the RTL take and give."""
 
+import pickle
+from pathlib import Path
+
 import numpy as np
 from attrs import define, field, frozen
 
@@ -9,6 +12,9 @@ from ..model.contract.latency import FINISH
 from ..model.contract.packet import layout
 from ..model.golden.frame import Trace
 
+JOB_VARIABLE = "COINCID_JOB"  # of the simulator's environment: path of the job
+RESULT, MISMATCH = ".result", ".mismatch"  # suffixes of what a job leaves beside it
+PROGRESS = "@cycle"  # a line of the simulator's output that a progress bar reads
 STORED_TO_COMMIT = 1  # the subgroup's `stored` strobe stands a cycle after the commit
 
 
@@ -35,6 +41,18 @@ class Recorded:
     commit_cycle: np.ndarray
     cycles: int
     checked: int = field(default=0)
+
+
+def save_job(path: Path, frames: list[FrameJob], lines: bool = False) -> dict[str, str]:
+    """Writes frames for `cosim.py` to play; returns the environment in which it finds them. lines: whether SPAD lines rise at their
+    own picosecond (the view with delays)."""
+    path.write_bytes(pickle.dumps((frames, lines)))
+    return {JOB_VARIABLE: str(path)}
+
+
+def load_job(path: Path) -> tuple[list[FrameJob], bool]:
+    """What `save_job` wrote: frames and lines."""
+    return pickle.loads(path.read_bytes())
 
 
 def cycle_limit(config: Config, ready_cycles: int) -> int:

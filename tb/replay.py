@@ -17,8 +17,7 @@ from ..model.golden.frame import golden_result
 from ..model.shared.quantities import check_choice
 from . import toolchain
 from .batch import BatchSensor, build_library
-from .cosim import JOB_VARIABLE, MISMATCH, PROGRESS, RESULT, LineBench, SensorBench
-from .frames import FrameJob, Recorded
+from .frames import MISMATCH, PROGRESS, RESULT, FrameJob, Recorded, save_job
 from .rtl import rtl, sensor_key
 from .scoreboard import Mismatch, check
 from .stimulus import check_offsets
@@ -73,7 +72,19 @@ def play(
     if _batch(engine, waves):
         return _play_batch(frames, progress or (lambda cycles: None)), None
     build = build_sensor(frames[0].config.sensor, COCOTB.get(engine, "verilator"), waves, view)
-    bench = SensorBench if view == POLYPHASE else LineBench
+    records, run = play_in(build, frames, out_dir, lines=view != POLYPHASE, progress=progress)
+    return records, run.wave
+
+
+def play_in(
+    build: toolchain.Build,
+    frames: list[FrameJob],
+    out_dir: Path,
+    *,
+    lines: bool = False,
+    progress: Callable[[int], None] | None = None,
+) -> tuple[list[Recorded], toolchain.Run]:
+    """Plays frames in a compiled simulator by the cocotb test; `lines` as in `save_job`, the rest as in `play`."""
 
     def line(text: str) -> None:
         if progress and text.startswith(PROGRESS):
@@ -81,15 +92,14 @@ def play(
 
     with tempfile.TemporaryDirectory(prefix="coincid-") as folder:
         job = Path(folder) / "job"
-        job.write_bytes(pickle.dumps((bench, frames)))
         try:
-            run = build.run("coincid.tb.cosim", env={JOB_VARIABLE: str(job)}, out_dir=out_dir, seed=1, echo=line)
+            run = build.run("coincid.tb.cosim", env=save_job(job, frames, lines), out_dir=out_dir, seed=1, echo=line)
         except toolchain.SimulationError as error:
             if job.with_suffix(MISMATCH).exists():
                 wave = f"waveform {error.wave}" if error.wave else "no waveform was asked for"
                 raise Mismatch(f"{job.with_suffix(MISMATCH).read_text()} ({wave}; log {error.log})") from None
             raise
-        return pickle.loads(job.with_suffix(RESULT).read_bytes()), run.wave
+        return pickle.loads(job.with_suffix(RESULT).read_bytes()), run
 
 
 def _play_batch(frames: list[FrameJob], progress: Callable[[int], None]) -> list[Recorded]:

@@ -10,7 +10,6 @@ import collections
 import itertools
 import json
 import os
-import pickle
 import re
 import subprocess
 import sys
@@ -31,7 +30,7 @@ from coincid.model.contract.registers import COUNTER_NAMES, reset_values
 from coincid.model.contract.stream import decode_frame
 from coincid.model.golden.frame import Golden, Trace
 from coincid.tb import toolchain
-from coincid.tb.cosim import JOB_VARIABLE, SensorBench
+from coincid.tb.frames import save_job
 from coincid.tb.rtl import rtl
 
 from .benches import BENCHES
@@ -191,10 +190,8 @@ def rtl_coverage() -> list[str]:
     )
     points: collections.Counter = collections.Counter()
     with tempfile.TemporaryDirectory(prefix="coincid-") as scratch:
-        job = Path(scratch) / "job"
-        job.write_bytes(pickle.dumps((SensorBench, frames())))
         benches = {
-            "coincid.tb.cosim": {JOB_VARIABLE: str(job)},
+            "coincid.tb.cosim": save_job(Path(scratch) / "job", frames()),
             "sensor_bench": {"PYTHONPATH": BENCHES, "COINCID_BENCH_SENSOR": json.dumps(SMALL)},
         }
         for module, env in benches.items():

@@ -14,12 +14,12 @@ import argparse
 import ast
 import json
 import os
-import pickle
 import re
 import subprocess
 import sys
 import zlib
 from concurrent.futures import ThreadPoolExecutor
+from itertools import groupby
 from pathlib import Path
 
 import numpy as np
@@ -33,8 +33,7 @@ from coincid.model.contract.config import parse_config
 from coincid.model.contract.packet import FORMAT_NAMES
 from coincid.model.golden.frame import Golden, Trace
 from coincid.tb import toolchain
-from coincid.tb.cosim import JOB_VARIABLE, SensorBench
-from coincid.tb.frames import FrameJob
+from coincid.tb.frames import FrameJob, load_job, save_job
 from coincid.tb.rtl import rtl
 
 from .benches import BENCHES
@@ -291,9 +290,10 @@ def judge_golden(source: Path, jobs: Path) -> bool:
     module.__package__ = "coincid.model"
     sys.modules[module.__name__] = module
     exec(compile(source.read_text(), str(source), "exec"), module.__dict__)  # noqa: S102
-    for recorded in pickle.loads(jobs.read_bytes()):
-        golden = module.Golden(recorded[0].config.sensor)
-        if any(differs(golden.frame(job.config, job.edges, job.ready), job.expected) for job in recorded):
+    recorded, _ = load_job(jobs)
+    for sensor, of_sensor in groupby(recorded, key=lambda job: job.config.sensor):
+        golden = module.Golden(sensor)
+        if any(differs(golden.frame(job.config, job.edges, job.ready), job.expected) for job in of_sensor):
             return True
     return False
 
@@ -396,8 +396,7 @@ def run_rtl(sources: list[Path], folder: Path, jobs: list[FrameJob]) -> str:
         icarus(sources, folder)
     except subprocess.CalledProcessError:
         return "compiler"
-    (folder / "job").write_bytes(pickle.dumps((SensorBench, jobs)))
-    if not simulate(folder, "coincid.tb.cosim", {JOB_VARIABLE: str(folder / "job")}):
+    if not simulate(folder, "coincid.tb.cosim", save_job(folder / "job", jobs)):
         return "frames"
     if not simulate(folder, "sensor_bench", {"PYTHONPATH": BENCHES, BENCH_SENSOR: json.dumps(SMALL)}):
         return "ports"
@@ -499,9 +498,7 @@ def main() -> None:
     folder.mkdir(parents=True)
     print(f"seed {given_.seed}: --seed repeats or changes the choice")
     jobs = frames()
-    (folder / "jobs").write_bytes(
-        pickle.dumps([jobs, frames(SENSORS["odd"])])
-    )  # the second has three subgroups and two streams
+    save_job(folder / "jobs", [*jobs, *frames(SENSORS["odd"])])  # the second sensor has three subgroups and two streams
     rng = np.random.default_rng(given_.seed)
 
     def tell(fate: Fate) -> None:
