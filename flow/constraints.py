@@ -1,15 +1,16 @@
 """What a timing tool must be told of the asynchronous front end: SDC, for a flow that keeps the hierarchy."""
 
-from ..hdl.silicon.circuit import CLOCK_FS, lag_fs
+from ..hdl.silicon.circuit import Circuit, lag_fs
 from ..model.contract.parameters import QUARTERS, Sensor
 
 SYSTEM = "clk"
 FS_PER_NS = 1_000_000
 
 
-def constraints(sensor: Sensor, spads: str = "spad_*") -> str:
+def constraints(sensor: Sensor, circuit: Circuit, spads: str = "spad_*") -> str:
     """Constraints of the front ends, behind the system clock's. spads: pattern of the ports of SPAD lines."""
-    cycle, lag, tick = CLOCK_FS / FS_PER_NS, lag_fs(sensor) / FS_PER_NS, CLOCK_FS / sensor.phases / FS_PER_NS
+    cycle, lag = circuit.clock_fs / FS_PER_NS, lag_fs(sensor) / FS_PER_NS
+    tick = cycle / sensor.phases
     return f"""# Asynchronous front end: what a timing tool must be told. Times in ns; a tick is {tick:g}.
 # Events are clocks of their own. Each comes at most once a cycle (a SPAD's dead time is no shorter).
 create_clock -name spads -period {cycle:g} [get_ports {{{spads}}}]

@@ -13,7 +13,6 @@ from ..model.shared.files import whole_file
 from ..model.shared.folders import build_root
 from ..model.shared.sources import digest
 from ..tb import toolchain
-from .release import clock_mhz
 from .yosys import run_wheel, run_yosys
 
 WRAPPER = Path(__file__).with_name("ecp5.v")
@@ -26,7 +25,8 @@ ONE_MODULE = {"rows": 8, "cols": 16}  # two subgroups: one module
 
 def place_and_route() -> Path:
     """The folder with netlist, report.json and bitstream, made once for the state of the Verilog. Raises `ToolchainError`."""
-    sensor = evolve(load_config("fpga").sensor, **ONE_MODULE)
+    preset = load_config("fpga")
+    sensor = evolve(preset.sensor, **ONE_MODULE)
     files = verilog_files(sensor) | fpga_files(sensor) | {WRAPPER.name: WRAPPER.read_text()}
     del files[FILE_LIST], files[f"{TOP}.v"]
     script = f"read_verilog {' '.join(files)}\nsynth_lattice -family ecp5 -top {BOARD}\nwrite_json netlist.json\n"
@@ -39,7 +39,7 @@ def place_and_route() -> Path:
         "--seed",
         str(SEED),
         "--freq",
-        str(clock_mhz(sensor)),
+        f"{preset.clock_mhz:g}",
         "--timing-allow-fail",
         "--lpf-allow-unconstrained",
         "--json",

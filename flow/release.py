@@ -14,6 +14,7 @@ from ..hdl.export import FILE_LIST, fpga_files, verilog_files
 from ..hdl.sensor import FPGA_TOP, TOP, Port, has_fpga_top, netlist
 from ..hdl.views import POLYPHASE
 from ..model.contract import latency
+from ..model.contract.config import Config
 from ..model.contract.parameters import Sensor
 from ..model.shared.errors import InputError
 from .constraints import constraints as async_constraints
@@ -24,20 +25,15 @@ from .waivers import CONTROL_FILE, control_file
 MANIFEST, CORE, README = "manifest.json", f"{TOP}.core", "README.md"
 SYNTHESIS_LIST = "coincid_synthesis.f"  # of a view with macros
 TIMESCALE = "1ps/1fs"  # of the same
-SILICON_MHZ, FPGA_MHZ = 500, 125  # the presets' clocks
 PORT_DELAY = 0.4  # of a period, outside the ports
 UNCERTAINTY = 0.05  # of a period
 DERIVED = ("array_pixels", "subgroups", "pixels", "minigroups", "guard", "stamp_bits", "period_max")
 PER_TOP = {TOP: SMOKE, FPGA_TOP: FPGA_SMOKE}
 
 
-def clock_mhz(sensor: Sensor, view=POLYPHASE) -> int:
-    """The clock that the constraints ask for."""
-    return FPGA_MHZ if view is POLYPHASE and has_fpga_top(sensor) else SILICON_MHZ
-
-
-def release_files(sensor: Sensor, view=POLYPHASE) -> dict[str, str]:
-    """File name -> text. view: of `views.py`. Equal parameters give equal bytes."""
+def release_files(config: Config, view=POLYPHASE) -> dict[str, str]:
+    """File name -> text of a configuration's sensor at its clock. view: of `views.py`. Equal parameters give equal bytes."""
+    sensor, clock_mhz, view = config.sensor, config.clock_mhz, view.at(config.clock_mhz)
     rtl = verilog_files(sensor, view)
     lists = {TOP: rtl.pop(FILE_LIST).split()}
     files = rtl | register_files(sensor) | {CONTROL_FILE: control_file(view)}
@@ -51,28 +47,28 @@ def release_files(sensor: Sensor, view=POLYPHASE) -> dict[str, str]:
             smoke: smoke_test(sensor, top == FPGA_TOP, view),
             f"{PER_TOP[top]}.f": _list([*names, smoke]),
             FILE_LIST if top == TOP else f"{top}.f": _list(names),
-            f"{top}.sdc": _constraints(sensor, top, view),
+            f"{top}.sdc": _constraints(sensor, clock_mhz, top, view),
         }
     if view.macros:
         boxes = {path.name: path.read_text() for path in view.macros}
         files |= boxes | {SYNTHESIS_LIST: _list([*lists[TOP], *boxes])}
-    files |= {CORE: _core(lists, view), README: _readme(sensor, lists, view)}
-    return dict(sorted(files.items())) | {MANIFEST: _manifest(sensor, lists, files, view)}
+    files |= {CORE: _core(lists, view), README: _readme(sensor, clock_mhz, lists, view)}
+    return dict(sorted(files.items())) | {MANIFEST: _manifest(sensor, clock_mhz, lists, files, view)}
 
 
 def _list(names: list[str]) -> str:
     return "".join(f"{name}\n" for name in names)
 
 
-def _constraints(sensor: Sensor, top: str, view) -> str:
-    period = 1000 / clock_mhz(sensor, view)
+def _constraints(sensor: Sensor, clock_mhz: float, top: str, view) -> str:
+    period = 1000 / clock_mhz
     lines = [
-        f"# Timing of {top} at {clock_mhz(sensor, view)} MHz; times in ns.",
+        f"# Timing of {top} at {clock_mhz:g} MHz; times in ns.",
         f"set period {period:g}",
         "create_clock -name clk -period $period [get_ports clk]",
     ]
     if view.macros:
-        lines += ["", async_constraints(sensor)]
+        lines += ["", async_constraints(sensor, view.circuit)]
     if top == FPGA_TOP:
         lines.append("# Clock j of the deserialisers comes j ticks after clk, from the same PLL.")
         for j in range(1, sensor.phases // 2):
@@ -181,7 +177,7 @@ def _core(lists: dict[str, list[str]], view) -> str:
     )
 
 
-def _readme(sensor: Sensor, lists: dict[str, list[str]], view) -> str:
+def _readme(sensor: Sensor, clock_mhz: float, lists: dict[str, list[str]], view) -> str:
     options = {tool: " ".join(given) for tool, given in tool_options(view).items()}
     smoke = [
         f"    iverilog {options['icarus']} -s {PER_TOP[top]} -o smoke.vvp -f {PER_TOP[top]}.f && vvp -n smoke.vvp"
@@ -217,7 +213,7 @@ def _readme(sensor: Sensor, lists: dict[str, list[str]], view) -> str:
             "",
             *tops,
             "",
-            f"Parameters and hashes are in `{MANIFEST}`, registers in `registers.*`, constraints for {clock_mhz(sensor, view)} MHz in `*.sdc`.",
+            f"Parameters and hashes are in `{MANIFEST}`, registers in `registers.*`, constraints for {clock_mhz:g} MHz in `*.sdc`.",
             "Lint, and the smoke test, which prints PASS; no Python is needed:",
             "",
             *lint,
@@ -230,7 +226,7 @@ def _readme(sensor: Sensor, lists: dict[str, list[str]], view) -> str:
     )
 
 
-def _manifest(sensor: Sensor, lists: dict[str, list[str]], files: dict[str, str], view) -> str:
+def _manifest(sensor: Sensor, clock_mhz: float, lists: dict[str, list[str]], files: dict[str, str], view) -> str:
     return (
         json.dumps(
             {
@@ -238,7 +234,7 @@ def _manifest(sensor: Sensor, lists: dict[str, list[str]], files: dict[str, str]
                 "version": version("coincid"),
                 "view": view.name,
                 "tops": list(lists),
-                "clock_mhz": clock_mhz(sensor, view),
+                "clock_mhz": int(clock_mhz) if clock_mhz.is_integer() else clock_mhz,
                 "parameters": asdict(sensor),
                 "derived": {name: getattr(sensor, name) for name in DERIVED},
                 "latency_cycles": {name.lower(): value for name, value in vars(latency).items() if name.isupper()}
@@ -251,8 +247,8 @@ def _manifest(sensor: Sensor, lists: dict[str, list[str]], files: dict[str, str]
     )
 
 
-def write_release(folder: Path, sensor: Sensor, view=POLYPHASE) -> list[Path]:
-    """Writes the files of `sensor` in a view to `folder`, which appears whole and replaces the release that stood there.
+def write_release(folder: Path, config: Config, view=POLYPHASE) -> list[Path]:
+    """Writes the release of a configuration's sensor in a view to `folder`, which appears whole and replaces the release that stood there.
 
     Raises `InputError` where the folder cannot be written, or holds anything but an earlier release.
     """
@@ -267,7 +263,7 @@ def write_release(folder: Path, sensor: Sensor, view=POLYPHASE) -> list[Path]:
     try:
         fresh, stale = beside / "fresh", beside / "stale"
         fresh.mkdir()
-        for name, text in release_files(sensor, view).items():
+        for name, text in release_files(config, view).items():
             (fresh / name).write_text(text)
         if folder.exists():
             folder.rename(stale)

@@ -14,7 +14,7 @@ from attrs import frozen
 
 from ..hdl.export import units_files
 from ..hdl.module import SensorModule
-from ..hdl.silicon.circuit import CLOCK_FS, MACROS, Circuit
+from ..hdl.silicon.circuit import MACROS, Circuit
 from ..hdl.views import Asynchronous
 from ..model.contract.parameters import Sensor
 from .constraints import FS_PER_NS, SYSTEM, constraints
@@ -194,7 +194,7 @@ def report(sensor: Sensor, circuit: Circuit, module: dict, paths: list) -> str:
     lines += [f"| `{name}` | {sum(n for kind, n in macros.items() if name in kind)} |" for name in MACRO_NAMES]
     lines += ["", f"Latches outside the macros: {len(latches(module))}.", ""]
     lines += [
-        "Longest paths in OSU 0.18 um cells, without wires, against the constraints for a cycle of 2 ns:",
+        f"Longest paths in OSU 0.18 um cells, without wires, against the constraints for a cycle of {circuit.clock_fs / FS_PER_NS:g} ns:",
         "",
         "| from clock | to clock | required ns | taken ns |",
         "| --- | --- | ---: | ---: |",
@@ -204,9 +204,9 @@ def report(sensor: Sensor, circuit: Circuit, module: dict, paths: list) -> str:
     return "\n".join(lines)
 
 
-def module_constraints(sensor: Sensor) -> str:
+def module_constraints(sensor: Sensor, circuit: Circuit) -> str:
     """SDC of the module that the report reads."""
-    return f"create_clock -name {SYSTEM} -period {CLOCK_FS / FS_PER_NS:g} [get_ports {SYSTEM}]\n{constraints(sensor, 'words_*')}"
+    return f"create_clock -name {SYSTEM} -period {circuit.clock_fs / FS_PER_NS:g} [get_ports {SYSTEM}]\n{constraints(sensor, circuit, 'words_*')}"
 
 
 def write(sensor: Sensor, circuit: Circuit, folder: Path) -> list[Path]:
@@ -214,7 +214,7 @@ def write(sensor: Sensor, circuit: Circuit, folder: Path) -> list[Path]:
     complains of the constraints."""
     module = netlist(sensor, circuit, folder)
     sdc = folder / "coincid_async.sdc"
-    sdc.write_text(module_constraints(sensor))
+    sdc.write_text(module_constraints(sensor, circuit))
     mapped(folder, top(sensor))
     complaints, paths = timing(folder, top(sensor), sdc.name)
     if found := [*latches(module), *complaints]:

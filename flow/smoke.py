@@ -4,11 +4,12 @@ It programs registers over AXI4-Lite, plays the edges of a frame and compares ev
 with what the golden model said at export.
 """
 
+from functools import partial
+
 import numpy as np
 
 from ..hdl import deserialiser
 from ..hdl.sensor import FPGA_TOP, TOP, netlist
-from ..hdl.silicon.circuit import CLOCK_FS
 from ..hdl.views import POLYPHASE
 from ..model.contract import registers
 from ..model.contract.config import Config, parse_config, sensor_table
@@ -78,7 +79,9 @@ def smoke_test(sensor: Sensor, levels: bool = False, view=POLYPHASE) -> str:
     edges = smoke_edges(config)
     ready = np.arange(STALL_CYCLES) % 4 != 0
     trace = Golden(sensor).frame(config, edges, ready.astype(np.uint8))
-    light = _light_levels if levels else _light_words if view is POLYPHASE else _light_lines
+    light = (
+        _light_levels if levels else _light_words if view is POLYPHASE else partial(_light_lines, view.circuit.clock_fs)
+    )
     return "\n".join(
         [
             *([] if view is POLYPHASE else ["`timescale 1ps / 1fs", ""]),
@@ -258,19 +261,19 @@ def _light_words(config: Config, edges: Edges) -> list[str]:
     ]
 
 
-def _light_lines(config: Config, edges: Edges) -> list[str]:
+def _light_lines(cycle_fs: int, config: Config, edges: Edges) -> list[str]:
     """SPAD lines of the asynchronous view: a pulse of a quarter of a tick in the middle of each edge's, set off half a cycle ahead."""
     sensor = config.sensor
     table, branches = pixel_table(sensor), {}
-    tick_fs = CLOCK_FS / sensor.phases
+    tick_fs = cycle_fs / sensor.phases
     for pulse, pixel, tick in sorted(zip(edges.pulse.tolist(), edges.pixel.tolist(), edges.tick.tolist())):
         line = f"spad_{table.subgroup[pixel]}[{table.inside[pixel]}]"
-        rise_fs = CLOCK_FS / 2 + (tick % sensor.phases + 0.5) * tick_fs
+        rise_fs = cycle_fs / 2 + (tick % sensor.phases + 0.5) * tick_fs
         branches.setdefault(pulse * config.period + tick // sensor.phases - 1, []).append(
             f"{line} <= #({rise_fs / 1000:g}) 1'b1; {line} <= #({(rise_fs + tick_fs / 4) / 1000:g}) 1'b0;"
         )
     return [
-        f"  always #{CLOCK_FS // 2000} clk = !clk;",
+        f"  always #{cycle_fs // 2000} clk = !clk;",
         "",
         "  task shine;",
         "    case (cycle)",

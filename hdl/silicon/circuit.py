@@ -8,14 +8,18 @@ from pathlib import Path
 from amaranth.hdl import Const, Instance, Module, Signal, Value
 from attrs import field, frozen
 
-from ...model.contract.parameters import Sensor
+from ...model.contract.parameters import CLOCK_MHZ, SIZE_LIMITS, Sensor
 from ...model.shared.errors import InputError
+from ...model.shared.quantities import real
 
 CELLS = Path(__file__).with_name(
     "async_cells.v"
 )  # behaviour in femtoseconds, for simulation; cells alone under synthesis
 MACROS = Path(__file__).with_name("async_macros.v")  # black boxes of the macros, for synthesis
-CLOCK_FS = 2_000_000  # the silicon preset's 500 MHz; ticks are parts of it
+STEP_FS = SIZE_LIMITS["phases"][2]  # a cycle is a multiple of it, so that its ticks and its sixteenths are whole
+FS_MHZ = 1e9  # femtoseconds of a cycle of 1 MHz
+SLOWEST_MHZ = 1.0  # a cycle's femtoseconds are an integer of Verilog's 32 bits
+FASTEST_MHZ = 1000.0  # the cells' delays leave no time for more
 HIT_FS = 50_000  # SPAD edge to hit
 LEVEL_FS = 25_000  # a level of the OR tree
 SYNCHRONISER_REARM = 3  # shortest re-arm gap of a single window bank, which a two-flop synchroniser clears
@@ -26,11 +30,12 @@ ERROR_BITS = 32  # of a border's mismatch in the generator's parameter
 class Circuit:
     """What of the asynchronous view is a circuit's property. Raises `InputError`.
 
-    banks: window banks, 1 or 2; None: one where the re-arm gap allows it. mismatch_fs: error of every border of the phase generator
-    (`phases` integers; none: 0). pixel_skew_fs: what each pixel's way to the tree is longer than nominal (`pixels` integers; none: 0).
+    clock_mhz: system clock. banks: window banks, 1 or 2; None: one where the re-arm gap allows it. mismatch_fs: error of every border of
+    the phase generator (`phases` integers; none: 0). pixel_skew_fs: what each pixel's way to the tree is longer than nominal (`pixels` integers; none: 0).
     delay_line: the window is a delay line instead of counted borders; gain_ppm: its error.
     """
 
+    clock_mhz: float = real(CLOCK_MHZ, SLOWEST_MHZ, FASTEST_MHZ)
     banks: int | None = field(default=None)
     mismatch_fs: tuple[int, ...] = ()
     pixel_skew_fs: tuple[int, ...] = field(default=())
@@ -42,6 +47,11 @@ class Circuit:
         if any(skew < 0 for skew in skews):
             raise InputError(f"pixel_skew_fs = {min(skews)}: must be at least 0")
 
+    @property
+    def clock_fs(self) -> int:
+        """A cycle of the system clock."""
+        return clock_fs(self.clock_mhz)
+
     def banks_of(self, sensor: Sensor) -> int:
         """Window banks of a sensor. Raises `InputError` where a single bank cannot honour its re-arm gap."""
         banks = self.banks or (1 if sensor.rearm >= SYNCHRONISER_REARM else 2)
@@ -50,6 +60,11 @@ class Circuit:
                 f"sensor.rearm = {sensor.rearm}: must be at least {SYNCHRONISER_REARM} with a single window bank"
             )
         return banks
+
+
+def clock_fs(clock_mhz: float, step_fs: int = STEP_FS) -> int:
+    """A cycle in femtoseconds, to the nearest multiple of `step_fs`."""
+    return max(1, round(FS_MHZ / clock_mhz / step_fs)) * step_fs
 
 
 def levels(count: int) -> int:

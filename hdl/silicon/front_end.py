@@ -11,7 +11,7 @@ from ...model.contract.parameters import QUARTERS, Sensor, bits_for
 from .. import bus
 from ..logic import any_of, popcount, total
 from ..unit import Unit, place
-from .circuit import CLOCK_FS, HIT_FS, Circuit, arbiter_rows, delayed, hit_flop, lag_fs, sample
+from .circuit import HIT_FS, Circuit, arbiter_rows, delayed, hit_flop, lag_fs, sample
 from .control import AsyncControl
 from .event_tree import MARK_BITS, EventTree
 from .minigroup import AsyncMinigroup
@@ -99,7 +99,7 @@ class AsyncFrontEnd(Unit):
             trees.append(tree)
 
         # Window banks: the first root opens, counted phases end it, and the end takes a picture of the hits, as late as itself.
-        late = lag_fs(sensor) + CLOCK_FS // QUARTERS - HIT_FS
+        late = lag_fs(sensor) + self.circuit.clock_fs // QUARTERS - HIT_FS
         parity_late = sample(m, "parity_late", line.mark, parity)
         shown = Mux(
             parity_late,
@@ -127,7 +127,7 @@ class AsyncFrontEnd(Unit):
                 "coincid_window",
                 p_PHASES=sensor.phases,
                 p_BITS=sensor.window_bits,
-                p_CLOCK_FS=CLOCK_FS,
+                p_CLOCK_FS=self.circuit.clock_fs,
                 p_LINE=int(self.circuit.delay_line),
                 p_GAIN_PPM=self.circuit.gain_ppm,
                 i_start=start,

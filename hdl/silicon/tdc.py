@@ -10,7 +10,7 @@ from amaranth.lib.wiring import In, Out, Signature
 from ...model.contract.parameters import Sensor
 from ..tdc import START_TO_PHASE
 from ..unit import Unit
-from .circuit import CLOCK_FS, ERROR_BITS, Circuit, lag_fs, sample
+from .circuit import ERROR_BITS, Circuit, lag_fs, sample
 
 STAGE = 3  # of the cycle that `base` and `cycle` speak of
 
@@ -64,7 +64,7 @@ class AsyncTdc(Unit):
         m.submodules.generator = Instance(
             "coincid_phases",
             p_PHASES=sensor.phases,
-            p_CLOCK_FS=CLOCK_FS,
+            p_CLOCK_FS=self.circuit.clock_fs,
             p_LAG_FS=lag_fs(sensor),
             p_MISMATCH_FS=Const(
                 sum((e % (1 << ERROR_BITS)) << ERROR_BITS * k for k, e in enumerate(errors)), ERROR_BITS * len(errors)

@@ -8,7 +8,7 @@ import sys
 
 import numpy as np
 
-from ...hdl.silicon.circuit import CELLS, CLOCK_FS, ERROR_BITS, Circuit, lag_fs
+from ...hdl.silicon.circuit import CELLS, ERROR_BITS, Circuit, lag_fs
 from ...model.contract.parameters import Sensor
 from ...model.light.code_density import code_density
 from ...tb.stimulus import FS_PER_PS
@@ -17,6 +17,7 @@ from ..plot_style import legend_below, new_figure, save_figure, style
 from . import image
 
 SENSOR = Sensor()
+CLOCK_FS = Circuit().clock_fs
 TICK_PS = CLOCK_FS / SENSOR.phases / FS_PER_PS
 CYCLE_PS = CLOCK_FS / FS_PER_PS
 SIGMA_PS = 0.1 * TICK_PS  # of a tap's border, in the example

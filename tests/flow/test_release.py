@@ -32,12 +32,17 @@ SMALL = {  # the presets' circuits, a module of each
     "fpga": {"rows": 8, "cols": 8, "phases": 8, "window_max": 16},
     "async": {"rows": 8, "cols": 16},
 }
+CLOCK_MHZ = {"silicon": 500, "fpga": 125, "async": 400}
 TOPS = [("silicon", TOP, SMOKE), ("fpga", TOP, SMOKE), ("fpga", FPGA_TOP, FPGA_SMOKE), ("async", TOP, SMOKE)]
 PROGRAMS = "iverilog vvp sh dirname"
 
 
-def sensor(name):
-    return parse_config({"sensor": SMALL[name]}).sensor
+def config(name):
+    return parse_config(document(name))
+
+
+def document(name):
+    return {"sensor": SMALL[name], "frame": {"clock_mhz": CLOCK_MHZ[name]}}
 
 
 @pytest.fixture(scope="module")
@@ -45,7 +50,7 @@ def releases(tmp_path_factory):
     """A folder per preset, written in turn by one process."""
     folder = tmp_path_factory.mktemp("release")
     for name in SMALL:
-        write_release(folder / name, sensor(name), VIEWS.get(name, POLYPHASE))
+        write_release(folder / name, config(name), VIEWS.get(name, POLYPHASE))
     return folder
 
 
@@ -95,7 +100,7 @@ def test_smoke_test_passes_on_verilator(releases):
 @pytest.mark.parametrize("name", ["tiny", "wide"])
 def test_smoke_test_of_other_sensors(name, tmp_path):
     folder = tmp_path / "rtl"
-    write_release(folder, parse_config({"sensor": SENSORS[name], "frame": {"period": 100}}).sensor)
+    write_release(folder, parse_config({"sensor": SENSORS[name], "frame": {"period": 100}}))
     for smoke in (SMOKE, FPGA_SMOKE):
         if (folder / f"{smoke}.f").exists():
             done = alone(f"iverilog -g2005 -s {smoke} -o smoke.vvp -f {smoke}.f && vvp -n smoke.vvp", folder)
@@ -143,11 +148,14 @@ def test_fusesoc_runs_the_core(releases, tmp_path, target):
 def test_presets_of_one_process_do_not_mix(releases, tmp_path):
     """Each as a process of its own writes it, and no file of one is the other's."""
     script = (
-        "import sys; from coincid.hdl import release, views; from coincid.model.parameters import Sensor\n"
-        "release.write_release(sys.argv[1], Sensor(**eval(sys.argv[2])), views.VIEWS.get(sys.argv[3], views.POLYPHASE))"
+        "import sys\n"
+        "from coincid.flow.release import write_release\n"
+        "from coincid.hdl.views import POLYPHASE, VIEWS\n"
+        "from coincid.model.contract.config import parse_config\n"
+        "write_release(sys.argv[1], parse_config(eval(sys.argv[2])), VIEWS.get(sys.argv[3], POLYPHASE))"
     )
     for name in SMALL:
-        subprocess.run([sys.executable, "-c", script, tmp_path / name, repr(SMALL[name]), name], check=True)
+        subprocess.run([sys.executable, "-c", script, tmp_path / name, repr(document(name)), name], check=True)
         for path in (tmp_path / name).iterdir():
             assert path.read_bytes() == (releases / name / path.name).read_bytes(), path.name
         parameters = json.loads((releases / name / MANIFEST).read_text())["parameters"]
@@ -162,13 +170,15 @@ def test_manifest(releases, preset):
         assert hashlib.sha256((releases / preset / name).read_bytes()).hexdigest() == digest, name
     built = {path.name for path in (releases / preset).iterdir() if path.suffix != ".vvp" and path.is_file()}
     assert built == {*manifest["sha256"], MANIFEST}
-    assert manifest["clock_mhz"] == {"silicon": 500, "fpga": 125, "async": 500}[preset]
+    assert manifest["clock_mhz"] == CLOCK_MHZ[preset]
+    period_ns = re.search(r"^set period (.*)$", (releases / preset / f"{TOP}.sdc").read_text(), re.MULTILINE)[1]
+    assert float(period_ns) == 1000 / CLOCK_MHZ[preset]
     assert manifest["view"] == ("async" if preset == "async" else "polyphase")
     assert load_config("fpga" if preset == "fpga" else "silicon").sensor.phases == manifest["parameters"]["phases"]
 
 
 def test_exported_verilog_is_what_the_other_tests_simulate(releases):
-    for path in rtl(sensor("silicon")):
+    for path in rtl(config("silicon").sensor):
         assert (releases / "silicon" / path.name).read_text() == path.read_text()
 
 
@@ -183,7 +193,7 @@ def addresses(compiler):
 
 @pytest.mark.parametrize("file", [RDL, IP_XACT])
 def test_register_descriptions_compile_to_the_table(releases, file):
-    compiler, of = RDLCompiler(), sensor("silicon")
+    compiler, of = RDLCompiler(), config("silicon").sensor
     path = str(releases / "silicon" / file)
     if file == RDL:
         compiler.compile_file(path)
@@ -214,6 +224,6 @@ def test_register_descriptions_compile_to_the_table(releases, file):
 def test_parameters_out_of_range_are_named(tmp_path, key, value):
     with pytest.raises(InputError, match=f"sensor.{key} = "):
         write_release(
-            tmp_path / "rtl", parse_config({"sensor": {key: list(value) if isinstance(value, tuple) else value}}).sensor
+            tmp_path / "rtl", parse_config({"sensor": {key: list(value) if isinstance(value, tuple) else value}})
         )
     assert not (tmp_path / "rtl").exists()
