@@ -1,9 +1,44 @@
 """Coincid: an open, cycle-accurate model of a SPAD direct time-of-flight sensor.
 
-Sub-packages, each importing only those before it: `coincid.model` (golden model and light, no HDL), `coincid.hdl`
-(RTL in Amaranth), `coincid.tb` (simulators, cocotb, scoreboards). The command line is `coincid.cli`.
+What a notebook needs is here by name, and is imported when it is first used: `simulate` and the `Run` it returns, the configuration,
+scene and light that it is made from, and what is made of its result. Everything else is in the rooms, each of which imports only those
+before it: `coincid.model` (contract, golden model, light, scenes, depth; no HDL), `coincid.hdl` (RTL in Amaranth), `coincid.tb`
+(simulators, cocotb, scoreboards), `coincid.flow`, `coincid.formal`, `coincid.study`. The command line is `coincid.cli`.
 """
 
+from importlib import import_module
 from importlib.metadata import version
 
 __version__ = version("coincid")
+
+_PLACES = {
+    "model.contract.config": ("Config", "load_config", "parse_config"),
+    "model.contract.edges": ("load_edges",),
+    "model.contract.result": ("events_table", "read_result", "write_result"),
+    "model.depth.estimate": ("estimate_depth",),
+    "model.depth.histograms": ("pixel_histogram",),
+    "model.light.light": ("Light",),
+    "model.light.photons": ("generate_edges",),
+    "model.light.spad": ("Spad",),
+    "model.light.timing": ("Timing",),
+    "model.scenes.catalogue": ("load_scene",),
+    "model.scenes.scene": ("Scene", "scene_light"),
+    "model.shared.errors": ("InputError",),
+    "study.point_cloud": ("point_cloud", "write_ply"),
+    "study.run": ("Run", "simulate"),
+    "tb.replay": ("replay",),
+}
+_PLACE_OF = {name: place for place, names in _PLACES.items() for name in names}
+__all__ = sorted(_PLACE_OF)
+
+
+def __getattr__(name: str):
+    if name not in _PLACE_OF:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    found = getattr(import_module(f"{__name__}.{_PLACE_OF[name]}"), name)
+    globals()[name] = found
+    return found
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

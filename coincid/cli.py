@@ -17,6 +17,7 @@ from rich.console import Console
 from typer.core import TyperGroup
 
 from coincid.model.shared.errors import InputError, check_integer
+from coincid.model.shared.extras import extra
 
 BAD_INPUT, DIFFERS, INTERRUPTED = 2, 1, 130
 STALL_CYCLES_MAX = 1 << 24
@@ -46,8 +47,7 @@ class Commands(TyperGroup):
 
 
 def _is_simulation(error: Exception) -> bool:
-    from coincid.tb.scoreboard import Mismatch
-    from coincid.tb.toolchain import SimulationError
+    from coincid.tb.errors import Mismatch, SimulationError
 
     return isinstance(error, (Mismatch, SimulationError))
 
@@ -69,7 +69,10 @@ ConfigOption = Annotated[
     str | None, typer.Option("--config", metavar="FILE", help="TOML file, or a preset: silicon, fpga.")
 ]
 ClockOption = Annotated[
-    float, typer.Option("--clock-mhz", help="System clock; with the configuration's phases it sets the TDC's LSB.")
+    float | None,
+    typer.Option(
+        "--clock-mhz", help="System clock; default: the configuration's (frame.clock_mhz).", show_default=False
+    ),
 ]
 ViewOption = Annotated[
     str,
@@ -121,7 +124,7 @@ def sim(
     waves: Annotated[
         bool, typer.Option("--waves", help="Also a waveform (FST) and views of it for GTKWave and Surfer.")
     ] = False,
-    clock_mhz: ClockOption = 500.0,
+    clock_mhz: ClockOption = None,
     spad_gate: Annotated[
         bool,
         typer.Option(
@@ -131,10 +134,9 @@ def sim(
     view: ViewOption = "polyphase",
 ):
     """Simulate frames of a scene, every word checked against the golden model; leave depth.png, events.npz and report.json."""
-    from coincid.model.contract.config import load_config
     from coincid.study.simulate import simulate
 
-    settings = load_config(config)
+    settings = _config(config, clock_mhz)
     if view == "async":
         engine = "icarus" if engine == "verilator" else engine
         pulses = ASYNC_PULSES if pulses is None else pulses
@@ -148,10 +150,9 @@ def sim(
         engine=engine,
         out=_folder(out),
         waves=waves,
-        clock_hz=clock_mhz * 1e6,
         spad_gate=spad_gate,
         console=Console(highlight=False),
-        view=_view(view),
+        view=view,
     )
 
 
@@ -179,24 +180,24 @@ def replay(
     from coincid.model.contract.edges import load_edges
     from coincid.model.contract.result import stall as low
     from coincid.model.contract.result import write_result
+    from coincid.tb.replay import chosen_view
+    from coincid.tb.replay import replay as run
 
-    _engine(engine)
-    seen = _view(view)
     if view == "async" and engine == "golden":
         engine = "icarus"  # the golden model has no views
     check_integer("stall", stall, 0, STALL_CYCLES_MAX)
     settings = load_config(config)
+    chosen_view(engine, view, settings.clock_mhz)
     pulses = settings.frames * settings.pulses
     given = load_edges(edges, pixels=settings.sensor.array_pixels, pulses=pulses, period_ticks=settings.period_ticks)
     _file(out)
-    from coincid.tb.replay import replay as run
-    from coincid.tb.stimulus import off_centre
-
     if offset_seed is not None:
+        with extra("rtl"):
+            from coincid.tb.stimulus import off_centre
         given = off_centre(settings, given, check_integer("offset_seed", offset_seed, 0, SEED_MAX))
 
     with _progress(pulses * settings.period, f"{len(given)} edges, {settings.frames} frames, {engine}") as done:
-        result = run(engine, settings, given, low(stall), done, view=seen)
+        result = run(engine, settings, given, low(stall), done, view=view)
     write_result(out, result)
     print(
         f"{out}: {len(result['pulse'])} events and {len(result['mg_pulse'])} minigroup records of {len(given)} edges, "
@@ -240,10 +241,8 @@ def sweep(
     from coincid.study.sweep_spec import read_spec
 
     grid = read_spec(spec)
-    try:
+    with extra("sweep"):
         from coincid.study.sweep import sweep as run
-    except ModuleNotFoundError as missing:
-        raise InputError(f"{missing.name} is not installed: sweeps need pip install 'coincid[sweep]'") from None
     with _progress(len(grid.keys), spec.name) as done:
         summary = run(grid, out, workers=workers, scheduler=scheduler, title=spec.stem, progress=done)
     for name, why in summary.failed.items():
@@ -260,24 +259,19 @@ def photons(
     klux: Annotated[float, typer.Option(help="Background light in klux.")] = 50.0,
     config: ConfigOption = None,
     seed: Annotated[int, typer.Option(help="Of the light.")] = 1,
-    clock_mhz: ClockOption = 500.0,
+    clock_mhz: ClockOption = None,
 ):
     """Write the edges that a scene's photons make in all frames of a configuration."""
-    from coincid.model.contract.config import load_config
     from coincid.model.light.photons import generate_edges
     from coincid.model.light.spad import Spad
     from coincid.model.light.timing import Timing
     from coincid.model.recorded.exchange import check_suffix, write_edges
-    from coincid.model.scenes.catalogue import load_scene
     from coincid.model.scenes.scene import scene_light
-    from coincid.model.shared.constants import SPEED_OF_LIGHT_M_S
+    from coincid.study.run import scene_of
 
-    settings = load_config(config)
+    settings = _config(config, clock_mhz)
     check_suffix(_file(out))
-    timing = Timing.from_config(settings, clock_mhz * 1e6)
-    looked_at = load_scene(
-        scene, settings.sensor.rows, settings.sensor.cols, range_m=SPEED_OF_LIGHT_M_S * timing.period_s / 2
-    )
+    timing, looked_at = Timing.from_config(settings), scene_of(settings, scene)
     pulses = settings.frames * settings.pulses
     made = generate_edges(
         scene_light(looked_at, klux), Spad(), timing, pulses=pulses, seed=seed, workers=os.cpu_count() or 1
@@ -308,17 +302,16 @@ def edges(
     delay_ps: Annotated[
         float, typer.Option(metavar="PS", help="Between trigger and light, taken off every time.")
     ] = 0.0,
-    clock_mhz: ClockOption = 500.0,
+    clock_mhz: ClockOption = None,
 ):
     """Turn recorded photons into edges, or edges into another format; count what falls out of range."""
-    from coincid.model.contract.config import load_config
     from coincid.model.light.timing import Timing
     from coincid.model.recorded.exchange import check_suffix, parse_channels, read_recording, write_edges
     from coincid.model.recorded.recordings import period_note, recorded_edges, told
 
-    settings = load_config(config)
+    settings = _config(config, clock_mhz)
     check_suffix(_file(out))
-    timing = Timing.from_config(settings, clock_mhz * 1e6)
+    timing = Timing.from_config(settings)
     pixel_of = None if channels is None else parse_channels(channels)
     recorded = read_recording(recording, sync_channel)
     try:
@@ -341,12 +334,13 @@ def verilog(
     ] = Path("build/rtl"),
     config: ConfigOption = None,
     view: ViewOption = "polyphase",
+    clock_mhz: ClockOption = None,
 ):
     """Export the synthesizable Verilog, one file a block, with file lists, constraints, register map and smoke test."""
-    from coincid.flow.release import write_release
-    from coincid.model.contract.config import load_config
-
-    files = write_release(out, load_config(config).sensor, _view(view))
+    settings = _config(config, clock_mhz)
+    with extra("rtl"):
+        from coincid.flow.release import write_release
+    files = write_release(out, settings, view)
     print(f"{out}: {len(files)} files, {sum(path.stat().st_size for path in files) / 1000:.0f} kB")
 
 
@@ -357,8 +351,8 @@ def synth(
     ),
 ):
     """Synthesize both presets to gates, standard cells and ECP5, and write the table of their cost."""
-    from coincid.flow.synth import write_page
-
+    with extra("rtl"):
+        from coincid.flow.synth import write_page
     write_page(_file(out))
     print(out)
 
@@ -366,8 +360,8 @@ def synth(
 @app.command()
 def gls():
     """Simulate the netlists of a small sensor, in gates and in standard cells, against the golden model."""
-    from coincid.flow.gls import gate_levels
-
+    with extra("rtl"):
+        from coincid.flow.gls import gate_levels
     for line in gate_levels():
         print(line, flush=True)
 
@@ -379,8 +373,8 @@ def pnr(
     ),
 ):
     """Place and route a module of the FPGA preset on an ECP5."""
-    from coincid.flow.pnr import write_page
-
+    with extra("rtl"):
+        from coincid.flow.pnr import write_page
     write_page(_file(out))
     print(out)
 
@@ -392,8 +386,8 @@ def cost(
     ),
 ):
     """Draw area, bits of an event and readout rate against the paper's parameters."""
-    from coincid.study.cost import write_pages
-
+    with extra("rtl"):
+        from coincid.study.cost import write_pages
     for line in write_pages(_folder(out)):
         print(line)
 
@@ -401,10 +395,13 @@ def cost(
 @app.command()
 def lint(config: ConfigOption = None, view: ViewOption = "polyphase"):
     """Check the exported Verilog with Verilator's lint, and with Icarus where it is installed."""
-    from coincid.flow.lint import lint as run
     from coincid.model.contract.config import load_config
 
-    found = run(load_config(config).sensor, _view(view))
+    settings = load_config(config)
+    with extra("rtl"):
+        from coincid.flow.lint import lint as run
+        from coincid.hdl.views import view_at
+    found = run(settings.sensor, view_at(view, settings.clock_mhz))
     for tool, complaints in found.items():
         print(f"{tool}: {'clean' if not complaints else 'found'}")
         print(complaints, end="")
@@ -419,8 +416,8 @@ def formal(
     ] = None,
 ):
     """Prove the RTL's properties for all inputs and all time; takes a few minutes."""
-    from coincid.formal.prove import HEAD, prove
-
+    with extra("rtl"):
+        from coincid.formal.prove import HEAD, prove
     print(HEAD)
     verdicts = prove(names or (), tell=print)
     failed = [verdict for verdict in verdicts if verdict.reason]
@@ -518,24 +515,18 @@ def bench(
     repeats: Annotated[int, typer.Option(metavar="N", help="Rounds that the medians are of.")] = 5,
 ):
     """Measure how fast model and simulators run here, whole frames, and builds from nothing; takes about ten minutes."""
-    from coincid.study.bench import benchmark, table
-
+    with extra("rtl"):
+        from coincid.study.bench import benchmark, table
     check_integer("repeats", repeats, 1, REPEATS_MAX)
     print(table(benchmark(_file(out), repeats=repeats, tell=console.print)), end="")
 
 
-def _view(name: str):
-    from coincid.hdl.views import VIEWS
-    from coincid.model.shared.quantities import check_choice
+def _config(path: str | None, clock_mhz: float | None):
+    """The configuration, at the clock of the command line where one is given."""
+    from coincid.model.contract.config import load_config
 
-    return VIEWS[check_choice("view", name, tuple(VIEWS))]
-
-
-def _engine(name: str) -> str:
-    from coincid.model.shared.quantities import check_choice
-    from coincid.tb.replay import ENGINES
-
-    return check_choice("engine", name, ENGINES)
+    config = load_config(path)
+    return config if clock_mhz is None else config.with_frame(clock_mhz=clock_mhz)
 
 
 def _file(path: Path) -> Path:

@@ -21,7 +21,7 @@ from ..model.golden.frame import Golden
 from ..model.shared.folders import build_root
 from ..tb import toolchain
 from ..tb.frames import FrameJob
-from ..tb.replay import play_in
+from ..tb.play import play_in
 from ..tb.rtl import sensor_key
 from .synth import CELLS, GATES, synthesize
 from .yosys import CELL_MODELS

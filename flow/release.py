@@ -12,7 +12,7 @@ from attrs import asdict
 from ..hdl import deserialiser
 from ..hdl.export import FILE_LIST, fpga_files, verilog_files
 from ..hdl.sensor import FPGA_TOP, TOP, Port, has_fpga_top, netlist
-from ..hdl.views import POLYPHASE
+from ..hdl.views import POLYPHASE, view_at
 from ..model.contract import latency
 from ..model.contract.config import Config
 from ..model.contract.parameters import Sensor
@@ -32,8 +32,8 @@ PER_TOP = {TOP: SMOKE, FPGA_TOP: FPGA_SMOKE}
 
 
 def release_files(config: Config, view=POLYPHASE) -> dict[str, str]:
-    """File name -> text of a configuration's sensor at its clock. view: of `views.py`. Equal parameters give equal bytes."""
-    sensor, clock_mhz, view = config.sensor, config.clock_mhz, view.at(config.clock_mhz)
+    """File name -> text of a configuration's sensor at its clock. view: of `views.py`, or its name. Equal parameters give equal bytes."""
+    sensor, clock_mhz, view = config.sensor, config.clock_mhz, view_at(view, config.clock_mhz)
     rtl = verilog_files(sensor, view)
     lists = {TOP: rtl.pop(FILE_LIST).split()}
     files = rtl | register_files(sensor) | {CONTROL_FILE: control_file(view)}

@@ -8,7 +8,7 @@ from amaranth.hdl import Cat, Module, Signal, Value
 from amaranth.lib import wiring
 from attrs import define, field, frozen
 
-from ..model.contract.parameters import Sensor
+from ..model.contract.parameters import TOP, Sensor
 from .deserialiser import PHASES_MAX, Deserialiser
 from .logic import any_of
 from .module import SensorModule
@@ -19,7 +19,6 @@ from .subgroup import own_ports
 from .unit import Unit
 from .views import POLYPHASE
 
-TOP = "coincid_sensor"
 FPGA_TOP = "coincid_fpga"
 CORE = "coincid_core"
 COMBINE = {"or": " | ", "and": " & ", "cat": ", "}  # how a net is made of others; cat: first = lowest bits

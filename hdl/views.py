@@ -7,6 +7,7 @@ Verilog that is not generated: cells (behaviour) and macros (black boxes).
 from attrs import evolve, field, frozen
 
 from ..model.contract.parameters import Sensor
+from ..model.shared.quantities import check_choice
 from . import tdc
 from .silicon import tdc as async_tdc
 from .silicon.circuit import CELLS, MACROS, Circuit
@@ -77,3 +78,8 @@ class Asynchronous:
 
 POLYPHASE = Polyphase()
 VIEWS = {"polyphase": POLYPHASE, "async": Asynchronous()}
+
+
+def view_at(view: str | Polyphase | Asynchronous, clock_mhz: float) -> Polyphase | Asynchronous:
+    """A view, or one of `VIEWS` by its name, at a system clock. Raises `InputError`."""
+    return (VIEWS[check_choice("view", view, tuple(VIEWS))] if isinstance(view, str) else view).at(clock_mhz)

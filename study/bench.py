@@ -35,7 +35,7 @@ from ..model.shared.files import whole_file
 from ..tb import pysim
 from ..tb.batch import BatchSensor, build_library
 from ..tb.frames import FrameJob
-from ..tb.replay import COCOTB, build_sensor, play
+from ..tb.play import COCOTB, build_sensor, play
 from ..tb.scoreboard import check
 
 SCENE, KLUX, SEED = "five-objects", 50.0, 1
@@ -92,7 +92,7 @@ def benchmark(
 ) -> dict[str, int | float | str]:
     """Measures all of `KEYS`, writes them to `out` (JSON) and as a table beside it (.md), and returns them.
 
-    tell: gets a line at every stage. Raises `ToolchainError`, `SimulationError` and `scoreboard.Mismatch`.
+    tell: gets a line at every stage. Raises `ToolchainError`, `SimulationError` and `Mismatch`.
     """
     result = _machine() | {"repeats": repeats}
     job = Job.of("32x32")

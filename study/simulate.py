@@ -17,27 +17,24 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
-from ..hdl.sensor import TOP
-from ..hdl.views import POLYPHASE
 from ..model.contract.config import SUBGROUP_INTEGERS, Config
 from ..model.contract.edges import Edges
+from ..model.contract.parameters import TOP
 from ..model.contract.result import ResultBuilder, write_result
 from ..model.depth.estimate import estimate_depth
 from ..model.golden.frame import Golden, Trace
 from ..model.light.photons import generate_edges
 from ..model.light.spad import Spad, SpadGate
 from ..model.light.timing import Timing
-from ..model.scenes.catalogue import load_scene
 from ..model.scenes.scene import Scene, scene_light
-from ..model.shared.constants import SPEED_OF_LIGHT_M_S
 from ..model.shared.errors import InputError
 from ..model.shared.files import whole_file
-from ..model.shared.quantities import check_choice
+from ..tb.errors import Mismatch
 from ..tb.frames import FrameJob, Recorded
-from ..tb.replay import ENGINES, LINE_ENGINES, play, prepare
-from ..tb.scoreboard import Mismatch
+from ..tb.replay import DEFAULT_VIEW, chosen_view
 from ..tb.waves import views
 from .pictures import Panel, depth_row
+from .run import scene_of
 
 EVENTS, REPORT = "events.npz", "report.json"
 PICTURES = {  # file: (estimator of `model/depth/estimate.py`, what the report's keys end with, heading)
@@ -76,18 +73,21 @@ def run_frames(
     *,
     waves: bool = False,
     progress: Progressed = lambda cycles: None,
-    view=POLYPHASE,
+    view=DEFAULT_VIEW,
 ) -> Frames:
     """Plays `edges` once for each of `SCHEMES` through an engine of `replay.ENGINES`; a simulator's log goes to `out`.
 
-    `progress` gets the cycles done. Raises `Mismatch` at the first difference between RTL and golden model,
-    `toolchain.SimulationError`, `toolchain.ToolchainError`.
+    `progress` gets the cycles done; view: as of `replay.chosen_view`. Raises `Mismatch` at the first difference between RTL and golden
+    model, `SimulationError`, `toolchain.ToolchainError`.
     """
+    view = chosen_view(engine, view, config.clock_mhz)
     configs = [config.with_frame(frames=1).with_settings(**settings) for _, settings in SCHEMES.values()]
     golden = Golden(config.sensor)
     began, wave = time.perf_counter(), None
     shown = traces = [golden.frame(scheme, edges) for scheme in configs]
     if engine != "golden":
+        from ..tb.play import play
+
         began = time.perf_counter()
         jobs = [FrameJob(scheme, edges, trace) for scheme, trace in zip(configs, traces)]
         shown, wave = play(jobs, engine, out, waves=waves, progress=progress, view=view)
@@ -114,20 +114,18 @@ def simulate(
     out: Path,
     console: Console,
     waves: bool = False,
-    clock_hz: float = 500e6,
     spad_gate: bool = False,
-    view=POLYPHASE,
+    view=DEFAULT_VIEW,
 ) -> dict:
     """Simulates the scene `source` (`model/scenes/scene.py`); leaves `PICTURES`, events.npz and report.json in `out` and returns the report.
 
     events.npz: a result file of three frames, in the order of `SCHEMES`. spad_gate: gating keeps the SPADs off outside the gate.
     Raises `InputError`, and what `run_frames` raises; after a `Mismatch` only the report is there, with `mismatches` = 1.
     """
-    check_choice("engine", engine, ENGINES if view == POLYPHASE else LINE_ENGINES)
+    shown = chosen_view(engine, view, config.clock_mhz)
     if config.format == "short":
         raise InputError("frame.format = 'short': must be id or full, as depth comes from the ID map")
-    timing = Timing.from_config(config, clock_hz)
-    scene = load_scene(source, config.sensor.rows, config.sensor.cols, range_m=SPEED_OF_LIGHT_M_S * timing.period_s / 2)
+    timing, scene = Timing.from_config(config), scene_of(config, source)
     light = scene_light(scene, klux)
     gate = SpadGate.from_config(config) if spad_gate else None
     given = {
@@ -135,8 +133,10 @@ def simulate(
         "klux": klux,
         "seed": seed,
         "engine": engine,
-        "view": view.name,
-        "clock_hz": clock_hz,
+        "view": shown.name if shown else DEFAULT_VIEW,
+        "clock_mhz": config.clock_mhz,
+        "tick_s": timing.tick_s,
+        "range_m": timing.range_m,
         "spad_gate": spad_gate,
         "configuration": settings_of(config),
     }
@@ -148,7 +148,9 @@ def simulate(
         )
         if engine != "golden":
             bar.stage("RTL: emitted and compiled once")
-            prepare(engine, config.sensor, waves, view)
+            from ..tb.play import prepare
+
+            prepare(engine, config.sensor, waves, shown)
         bar.stage(f"{len(SCHEMES)} frames on {engine}", len(SCHEMES) * config.frame_cycles)
         try:
             frames = run_frames(config, edges, engine, out, waves=waves, progress=bar.done, view=view)

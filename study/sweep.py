@@ -27,11 +27,11 @@ from ..model.light.photons import generate_edges
 from ..model.scenes.scene import Scene
 from ..model.shared.errors import InputError
 from ..model.shared.files import whole_file
+from ..tb.errors import SimulationError
 from ..tb.replay import replay
-from ..tb.toolchain import SimulationError
 from .measures import MEASURES, measures
 from .sweep_plot import write_plot
-from .sweep_spec import Point, Spec, photons_of, versions
+from .sweep_spec import CLOCK, FRAME_CLOCK, Point, Spec, photons_of, versions
 
 LOOPBACK = "127.0.0.1"
 CONNECT_S = 10
@@ -39,7 +39,7 @@ DEAF_TO_CTRL_C = "import signal\nsignal.signal(signal.SIGINT, signal.SIG_IGN)"  
 LOST_WORKERS_MAX = 20  # that a point may have been on: then it is the point that kills them
 LOCK = "lock"
 COLUMN_TYPES = {int: pa.int64(), float: pa.float64()}
-REAL_SETTINGS = ("klux", "clock_mhz")
+REAL_SETTINGS = ("klux", CLOCK, FRAME_CLOCK)
 METADATA = "coincid"  # key of the Parquet file's metadata
 
 

@@ -25,6 +25,7 @@ REPEATS = {"seed"}  # what an axis of these alone sweeps is noise: a band, where
 LABELS = {  # key: (what it is, unit), where the key does not say so
     "klux": ("background light", "klux"),
     "clock_mhz": ("system clock", "MHz"),
+    "frame.clock_mhz": ("system clock", "MHz"),
 } | {
     key: ("", unit)
     for unit, keys in {

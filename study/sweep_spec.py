@@ -20,7 +20,6 @@ from ..model.light.spad import Spad, SpadGate
 from ..model.light.timing import Timing
 from ..model.scenes.catalogue import load_scene
 from ..model.scenes.scene import Scene, scene_light
-from ..model.shared.constants import SPEED_OF_LIGHT_M_S
 from ..model.shared.errors import InputError, check_integer
 from ..model.shared.quantities import check_choice, check_real
 from ..model.shared.sources import digest, sources_digest
@@ -33,13 +32,12 @@ SETTINGS = {  # of a point, beside its configuration: default
     "seed": 1,
     "engine": "golden",
     "method": "joint",
-    "clock_mhz": 500.0,
     "spad_gate": False,
 }
+CLOCK, FRAME_CLOCK = "clock_mhz", "frame.clock_mhz"  # one key: a SPEC may write it outside its table
 ENGINES = ("golden", "verilator")
 POINTS_MAX = 100_000
 SEED_MAX = (1 << 63) - 1  # a column of the result holds it
-CLOCK_MHZ = (1e-3, 1e5)
 
 
 @frozen(kw_only=True, eq=False)
@@ -83,6 +81,7 @@ def read_spec(path) -> Spec:
     try:
         document = read_toml(path)
         axes = _axes(document.pop("axis", []))
+        _place_clock(document)
         base = _resolved(document)
         scenes = cache(load_scene)
         points = [_point(document, axes, at, scenes) for at in np.ndindex(*(_length(axis) for axis in axes))]
@@ -105,10 +104,11 @@ def _axes(tables: object) -> list[dict[str, list]]:
             raise InputError(f"axis[{number}]: is empty, must name what it sweeps")
         for name, values in axis.items():
             where = f"axis[{number}].{name}"
-            if name not in (*SETTINGS, "config") and name.partition(".")[0] not in TABLES or name in TABLES:
-                legal = ", ".join((*SETTINGS, "config", *(f"{table}.KEY" for table in TABLES)))
+            alone = (*SETTINGS, CLOCK, "config")
+            if name not in alone and name.partition(".")[0] not in TABLES or name in TABLES:
+                legal = ", ".join((*alone, *(f"{table}.KEY" for table in TABLES)))
                 raise InputError(f"{where}: cannot be swept, must be one of {legal}")
-            if any(name in other for other in axes):
+            if any(_placed(name) in map(_placed, other) for other in (*axes, [one for one in axis if one != name])):
                 raise InputError(f"{where}: is swept by another axis")
             if not isinstance(values, list) or not values:
                 raise InputError(f"{where} = {values!r}: must be a list of values")
@@ -125,6 +125,19 @@ def _axes(tables: object) -> list[dict[str, list]]:
     total = math.prod(map(_length, axes))
     check_integer("points of the grid", total, 1, POINTS_MAX)
     return axes
+
+
+def _placed(name: str) -> str:
+    """A key by its table."""
+    return FRAME_CLOCK if name == CLOCK else name
+
+
+def _place_clock(document: dict) -> None:
+    """Moves the clock of a document into its table."""
+    if CLOCK in document and isinstance(frame := document.setdefault("frame", {}), dict):
+        if CLOCK in frame:
+            raise InputError(f"{CLOCK}: {FRAME_CLOCK} is given, too, must be one of them")
+        document["frame"] = frame | {CLOCK: document.pop(CLOCK)}
 
 
 def _length(axis: dict[str, list]) -> int:
@@ -163,7 +176,7 @@ def _point(document: dict, axes: list[dict[str, list]], at: tuple[int, ...], sce
     """The checked point of `document` at an index along each axis. scenes: `load_scene` that remembers."""
     document, values = dict(document), {name: listed[i] for axis, i in zip(axes, at) for name, listed in axis.items()}
     for name, value in values.items():
-        table, dot, key = name.partition(".")
+        table, dot, key = _placed(name).partition(".")
         if not dot:
             document[name] = value
         elif isinstance(document.setdefault(table, {}), dict):  # else `parse_config` says what is wrong
@@ -175,7 +188,7 @@ def _point(document: dict, axes: list[dict[str, list]], at: tuple[int, ...], sce
         config = parse_config(document)
         if config.format == "short":
             raise InputError("frame.format = 'short': must be id or full, as depth comes from the ID map")
-        range_m = SPEED_OF_LIGHT_M_S * timing_of(settings, config).period_s / 2
+        range_m = Timing.from_config(config).range_m
         scene = scenes(settings["scene"], config.sensor.rows, config.sensor.cols, range_m=range_m)
         edge_chunks(**photons_of(settings, config, scene))  # checks everything, makes nothing yet
     except InputError as error:
@@ -191,17 +204,12 @@ def _point(document: dict, axes: list[dict[str, list]], at: tuple[int, ...], sce
     return Point(name=name, values=values, at=at, document=document, settings=settings, scene=scene, key=key)
 
 
-def timing_of(settings: dict, config: Config) -> Timing:
-    """Clock and TDC of a point."""
-    return Timing.from_config(config, settings["clock_mhz"] * 1e6)
-
-
 def photons_of(settings: dict, config: Config, scene: Scene) -> dict:
     """Arguments of `generate_edges` for all frames of a point."""
     return {
         "light": scene_light(scene, settings["klux"]),
         "spad": Spad(),
-        "timing": timing_of(settings, config),
+        "timing": Timing.from_config(config),
         "pulses": config.frames * config.pulses,
         "seed": settings["seed"],
         "gate": SpadGate.from_config(config) if settings["spad_gate"] else None,
@@ -219,7 +227,6 @@ def _settings(given: dict) -> dict:
         "seed": check_integer("seed", given["seed"], 0, SEED_MAX),
         "engine": check_choice("engine", given["engine"], ENGINES),
         "method": check_choice("method", given["method"], tuple(METHODS)),
-        "clock_mhz": check_real("clock_mhz", given["clock_mhz"], *CLOCK_MHZ),
     }
 
 

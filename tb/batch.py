@@ -25,6 +25,7 @@ from ..model.contract.ports import port_bits
 from ..model.shared.folders import build_root
 from ..model.shared.sources import digest
 from . import toolchain
+from .errors import SimulationError
 from .frames import STORED_TO_COMMIT, Recorded, cycle_limit
 from .rtl import rtl_in_two, sensor_key
 
@@ -221,7 +222,7 @@ class BatchSensor:
         while (status := self._library.coincid_run(self._engine, CHUNK_CYCLES)) == RUNNING:
             progress(self._library.coincid_cycle(self._engine))
         if status == HANGS:
-            raise toolchain.SimulationError(
+            raise SimulationError(
                 f"no frame end after {self._library.coincid_cycle(self._engine)} cycles: the sensor hangs"
             )
         self._wait_done()

@@ -21,6 +21,7 @@ from coincid.model.contract import registers
 from coincid.model.contract.config import Config
 from coincid.model.contract.edges import Edges
 from coincid.model.contract.parameters import CLOCK_MHZ
+from coincid.tb.errors import Mismatch
 from coincid.tb.frames import (
     JOB_VARIABLE,
     MISMATCH,
@@ -31,7 +32,7 @@ from coincid.tb.frames import (
     cycle_limit,
     load_job,
 )
-from coincid.tb.scoreboard import Mismatch, Scoreboard
+from coincid.tb.scoreboard import Scoreboard
 from coincid.tb.stimulus import FS_PER_PS, line_levels, port_words
 
 PROGRESS_CYCLES = 500

@@ -9,9 +9,9 @@ from ..hdl.sensor import FlatSensor
 from ..model.contract import registers
 from ..model.contract.config import Config
 from ..model.contract.edges import Edges
+from .errors import SimulationError
 from .frames import cycle_limit
 from .stimulus import port_words
-from .toolchain import SimulationError
 
 
 def play(

@@ -1,118 +1,41 @@
-"""Runs frames through an engine: the golden model, or the RTL in a simulator."""
+"""Runs frames through an engine: the golden model, or the RTL in a simulator.
 
-import pickle
+The golden model needs no RTL tool: nothing of the RTL is imported before an engine that runs it is asked for.
+"""
+
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 
-from ..hdl.sensor import TOP
-from ..hdl.views import POLYPHASE
 from ..model.contract.config import Config
 from ..model.contract.edges import Edges
-from ..model.contract.parameters import Sensor
 from ..model.contract.result import ResultBuilder
 from ..model.golden.frame import golden_result
+from ..model.shared.extras import extra
 from ..model.shared.quantities import check_choice
-from . import toolchain
-from .batch import BatchSensor, build_library
-from .frames import MISMATCH, PROGRESS, RESULT, FrameJob, Recorded, save_job
-from .rtl import rtl, sensor_key
-from .scoreboard import Mismatch, check
-from .stimulus import check_offsets
+from .frames import FrameJob
 
-LINE_ENGINES = ("icarus", "cocotb-icarus", "cocotb-verilator")  # of the view with delays
 ENGINES = ("golden", "verilator", "icarus", "cocotb-verilator", "cocotb-icarus")  # verilator: the batch engine
-COCOTB = {"cocotb-verilator": "verilator", "cocotb-icarus": "icarus", "icarus": "icarus"}  # engine -> simulator
+LINE_ENGINES = ("icarus", "cocotb-icarus", "cocotb-verilator")  # of the view with delays
+DEFAULT_VIEW = "polyphase"
 
 
-def prepare(engine: str, sensor: Sensor, waves: bool = False, view=POLYPHASE) -> None:
-    """Compiles what `engine` needs for `play`, where it is not there yet."""
-    if _batch(engine, waves):
-        build_library(sensor)
-    elif engine != "golden":
-        build_sensor(sensor, COCOTB.get(engine, "verilator"), waves, view)
+def chosen_view(engine: str, view, clock_mhz: float):
+    """The view of `hdl/views.py` that `engine` runs, at a system clock; None for the golden model, which has none.
 
-
-def _batch(engine: str, waves: bool) -> bool:
-    """Whether frames run in the batch engine, which has no waveform."""
-    return engine == "verilator" and not waves
-
-
-def build_sensor(sensor: Sensor, simulator: str, waves: bool = False, view=POLYPHASE) -> toolchain.Build:
-    """The sensor in a view of `hdl/views.py`, compiled for a simulator, or found compiled."""
-    public = [f"{TOP}.stored_of_*"] + [f"{TOP}.timing"] * (view != POLYPHASE)
-    return toolchain.build(
-        simulator,
-        rtl(sensor, view),
-        TOP,
-        key=sensor_key(sensor, view),
-        waves=waves,
-        public=public,
-        delays=view != POLYPHASE,
-    )
-
-
-def play(
-    frames: list[FrameJob],
-    engine: str,
-    out_dir: Path,
-    *,
-    waves: bool = False,
-    progress: Callable[[int], None] | None = None,
-    view=POLYPHASE,
-) -> tuple[list[Recorded], Path | None]:
-    """Plays frames of one sensor through its RTL; returns what each showed, and the waveform. `progress` gets cycles done.
-
-    engine: of `ENGINES`, without golden; view: of `hdl/views.py`; with `waves`, cocotb stands in for the batch engine. Raises
-    `scoreboard.Mismatch` at the first difference from a frame's expectation, `toolchain.SimulationError` for any
-    other failure, and `toolchain.ToolchainError`.
+    view: its name, or a view of a circuit of one's own. Raises `InputError`, also where the RTL's tools are missing.
     """
-    if _batch(engine, waves):
-        return _play_batch(frames, progress or (lambda cycles: None)), None
-    build = build_sensor(frames[0].config.sensor, COCOTB.get(engine, "verilator"), waves, view)
-    records, run = play_in(build, frames, out_dir, lines=view != POLYPHASE, progress=progress)
-    return records, run.wave
-
-
-def play_in(
-    build: toolchain.Build,
-    frames: list[FrameJob],
-    out_dir: Path,
-    *,
-    lines: bool = False,
-    progress: Callable[[int], None] | None = None,
-) -> tuple[list[Recorded], toolchain.Run]:
-    """Plays frames in a compiled simulator by the cocotb test; `lines` as in `save_job`, the rest as in `play`."""
-
-    def line(text: str) -> None:
-        if progress and text.startswith(PROGRESS):
-            progress(int(text.split()[1]))
-
-    with tempfile.TemporaryDirectory(prefix="coincid-") as folder:
-        job = Path(folder) / "job"
-        try:
-            run = build.run("coincid.tb.cosim", env=save_job(job, frames, lines), out_dir=out_dir, seed=1, echo=line)
-        except toolchain.SimulationError as error:
-            if job.with_suffix(MISMATCH).exists():
-                wave = f"waveform {error.wave}" if error.wave else "no waveform was asked for"
-                raise Mismatch(f"{job.with_suffix(MISMATCH).read_text()} ({wave}; log {error.log})") from None
-            raise
-        return pickle.loads(job.with_suffix(RESULT).read_bytes()), run
-
-
-def _play_batch(frames: list[FrameJob], progress: Callable[[int], None]) -> list[Recorded]:
-    records, before = [], 0
-    with BatchSensor(frames[0].config.sensor) as sensor:
-        for number, job in enumerate(frames):
-            record = sensor.frame(job.config, job.edges, job.ready, lambda cycle, base=before: progress(base + cycle))
-            if job.expected is not None:
-                record.checked = check(sensor.sensor, job.expected, record, number)
-            before += record.cycles
-            progress(before)
-            records.append(record)
-    return records
+    check_choice("engine", engine, ENGINES)
+    if engine == "golden" and view == DEFAULT_VIEW:
+        return None
+    with extra("rtl"):
+        from ..hdl.views import POLYPHASE, view_at
+        from . import play  # noqa: F401, what it needs is there
+    found = view_at(view, clock_mhz)
+    check_choice("engine", engine, ENGINES if found == POLYPHASE else LINE_ENGINES)
+    return found
 
 
 def replay(
@@ -121,16 +44,19 @@ def replay(
     edges: Edges,
     ready: np.ndarray | None = None,
     progress: Callable[[int], None] | None = None,
-    view=POLYPHASE,
+    view=DEFAULT_VIEW,
 ) -> dict[str, np.ndarray]:
-    """All frames of `config` through an engine: the arrays of the result file. `progress` gets cycles done."""
+    """All frames of `config` through an engine: the arrays of the result file. `progress` gets cycles done; view: as of `chosen_view`."""
+    view = chosen_view(engine, view, config.clock_mhz)
     ready = np.zeros(0, np.uint8) if ready is None else ready
-    if view != POLYPHASE:
-        check_choice("engine", engine, LINE_ENGINES)
-        check_offsets(config, edges)
     if engine == "golden":
         done = progress or (lambda cycles: None)
         return golden_result(config, edges, ready, lambda frames: done(frames * config.frame_cycles))
+    from .play import play
+    from .stimulus import check_offsets
+
+    if view.name != DEFAULT_VIEW:
+        check_offsets(config, edges)
     frames = [FrameJob(config, edges.frame(number, config.pulses)[0], ready=ready) for number in range(config.frames)]
     with tempfile.TemporaryDirectory(prefix="coincid-") as folder:
         records, _ = play(frames, engine, Path(folder), progress=progress, view=view)

@@ -6,11 +6,8 @@ from ..model.contract.packet import BEAT_BITS, HEADER, Kind, header_field, layou
 from ..model.contract.parameters import Sensor
 from ..model.contract.registers import COUNTER_BITS, COUNTER_NAMES
 from ..model.golden.frame import Trace
+from .errors import Mismatch
 from .frames import Recorded
-
-
-class Mismatch(AssertionError):
-    """RTL and golden model differ."""
 
 
 def locate(beats: np.ndarray, index: int, sensor: Sensor) -> tuple[int, int]:

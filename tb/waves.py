@@ -6,7 +6,7 @@ from pathlib import Path
 
 from attrs import frozen
 
-from ..hdl.sensor import TOP
+from ..model.contract.parameters import TOP
 from ..model.shared.files import whole_file
 
 HIERARCHY, HIERARCHY_LZ4, HIERARCHY_LZ4_TWICE = 4, 6, 7  # block types of the FST format

@@ -31,8 +31,8 @@ class Circuit:
     """What of the asynchronous view is a circuit's property. Raises `InputError`.
 
     clock_mhz: system clock. banks: window banks, 1 or 2; None: one where the re-arm gap allows it. mismatch_fs: error of every border of
-    the phase generator (`phases` integers; none: 0). pixel_skew_fs: what each pixel's way to the tree is longer than nominal (`pixels` integers; none: 0).
-    delay_line: the window is a delay line instead of counted borders; gain_ppm: its error.
+    the phase generator (`phases` integers; none: 0). pixel_skew_fs: what each pixel's way to the tree is longer than nominal (`pixels`
+    integers; none: 0). delay_line: the window is a delay line instead of counted borders; gain_ppm: its error.
     """
 
     clock_mhz: float = real(CLOCK_MHZ, SLOWEST_MHZ, FASTEST_MHZ)

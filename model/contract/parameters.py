@@ -4,6 +4,7 @@ from attrs import Factory, field, frozen
 
 from ..shared.errors import InputError, check_integer
 
+TOP = "coincid_sensor"  # the RTL's top module
 STAMP_FIELD_BITS = 15  # of the header: see packet.py, which lays the fields out
 QUARTERS = 4  # coarse stamps count quarters of a cycle
 OFFSET_NONE = 255  # a minigroup's offset byte where it was not hit

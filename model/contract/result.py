@@ -10,6 +10,9 @@ from .registers import COUNTER_NAMES
 from .stream import decode_frame
 
 EVENT_FIELDS = ("subgroup", "pulse", "stamp", "count", "winner", "overrun")
+EVENT_COLUMNS = (*EVENT_FIELDS, "commit_cycle")  # arrays with one value an event
+RECORD_COLUMNS = ("mg_subgroup", "mg_pulse", "mg_stamp", "mg_map")
+OPTIONAL = ("hits", "mg_offset", "fate")  # by format and engine
 
 
 class ResultBuilder:
@@ -68,6 +71,19 @@ class ResultBuilder:
         }
 
 
+def events_table(arrays: dict[str, np.ndarray]):
+    """A row for every event, of `EVENT_COLUMNS`: a pandas DataFrame where pandas is installed, else a structured array.
+
+    The rows are those of the arrays, and so are those of `hits` and `mg_offset`, which have more than one value a row.
+    """
+    columns = {name: arrays[name] for name in EVENT_COLUMNS}
+    try:
+        from pandas import DataFrame
+    except ImportError:
+        return np.rec.fromarrays(list(columns.values()), names=list(columns))
+    return DataFrame(columns)
+
+
 def stall(cycles: int) -> np.ndarray:
     """`tready` low for the first `cycles` cycles of every frame."""
     return np.zeros(cycles, np.uint8)
@@ -78,9 +94,9 @@ def write_result(path, arrays: dict[str, np.ndarray]) -> None:
     write_npz(path, arrays)
 
 
-def read_result(path, *names: str) -> dict[str, np.ndarray]:
-    """Reads the named arrays of a result file."""
-    return read_npz(path, names)
+def read_result(path) -> dict[str, np.ndarray]:
+    """The arrays of a result file. Raises `InputError` where it is none."""
+    return read_npz(path, (*EVENT_COLUMNS, *RECORD_COLUMNS, *COUNTER_NAMES), OPTIONAL)
 
 
 def differences(first: dict[str, np.ndarray], second: dict[str, np.ndarray]) -> list[str]:
@@ -98,4 +114,4 @@ def differences(first: dict[str, np.ndarray], second: dict[str, np.ndarray]) -> 
     return lines
 
 
-__all__ = ["OFFSET_NONE", "ResultBuilder", "differences", "read_result", "stall", "write_result"]
+__all__ = ["OFFSET_NONE", "ResultBuilder", "differences", "events_table", "read_result", "stall", "write_result"]

@@ -3,7 +3,7 @@
 import json
 
 from coincid.model.contract.parameters import Sensor
-from coincid.tb.replay import build_sensor
+from coincid.tb.play import build_sensor
 from coincid.tb.rtl import rtl
 
 from ..benches import BENCHES

@@ -3,7 +3,7 @@
 import pytest
 
 from coincid.model.contract.parameters import Sensor
-from coincid.tb.replay import build_sensor
+from coincid.tb.play import build_sensor
 from coincid.tb.toolchain import SIMULATORS
 
 from ..benches import BENCHES

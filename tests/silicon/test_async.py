@@ -20,7 +20,8 @@ from coincid.model.contract.pixels import pixel_table
 from coincid.model.contract.result import differences
 from coincid.model.shared.errors import InputError
 from coincid.tb.frames import FrameJob
-from coincid.tb.replay import build_sensor, play, replay
+from coincid.tb.play import build_sensor, play
+from coincid.tb.replay import replay
 from coincid.tb.stimulus import line_levels, off_centre, tick_ps
 from coincid.tb.stress import stress
 

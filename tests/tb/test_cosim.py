@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from coincid.model.contract.parameters import Sensor
 from coincid.model.golden.frame import Golden
 from coincid.tb.frames import FrameJob
-from coincid.tb.replay import play
+from coincid.tb.play import play
 
 from ..cases import READY_KINDS, SENSORS, configurations, gate_bits, lengthy, modes, overfull, ready_pattern, trouble
 

@@ -15,6 +15,7 @@ import pytest
 from coincid.model.contract.parameters import Sensor
 from coincid.model.shared.errors import InputError
 from coincid.tb import batch, toolchain
+from coincid.tb.errors import SimulationError
 from coincid.tb.system import MissingPackagesError, system_packages
 
 from ..benches import BENCHES
@@ -98,7 +99,7 @@ def test_waves_are_fst(simulator, toy, tmp_path):
 def test_what_is_no_pass_raises(simulator, toy, tmp_path, behave, reason):
     built = build(simulator, toy)
     run(built, tmp_path)  # good results of an earlier run must not be taken for those of this one
-    with pytest.raises(toolchain.SimulationError, match=reason) as caught:
+    with pytest.raises(SimulationError, match=reason) as caught:
         run(built, tmp_path, behave)
     assert caught.value.log.is_file() and str(caught.value.log) in str(caught.value)
     assert caught.value.log.read_text().splitlines()[-1] in str(caught.value)

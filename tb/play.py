@@ -1,0 +1,105 @@
+"""Plays frames through the RTL, in the batch engine or in a simulator under cocotb."""
+
+import pickle
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+
+from ..hdl.views import POLYPHASE
+from ..model.contract.parameters import TOP, Sensor
+from . import toolchain
+from .batch import BatchSensor, build_library
+from .errors import Mismatch, SimulationError
+from .frames import MISMATCH, PROGRESS, RESULT, FrameJob, Recorded, save_job
+from .rtl import rtl, sensor_key
+from .scoreboard import check
+
+COCOTB = {"cocotb-verilator": "verilator", "cocotb-icarus": "icarus", "icarus": "icarus"}  # engine -> simulator
+
+
+def prepare(engine: str, sensor: Sensor, waves: bool = False, view=POLYPHASE) -> None:
+    """Compiles what `engine` needs for `play`, where it is not there yet."""
+    if _batch(engine, waves):
+        build_library(sensor)
+    else:
+        build_sensor(sensor, COCOTB.get(engine, "verilator"), waves, view)
+
+
+def _batch(engine: str, waves: bool) -> bool:
+    """Whether frames run in the batch engine, which has no waveform."""
+    return engine == "verilator" and not waves
+
+
+def build_sensor(sensor: Sensor, simulator: str, waves: bool = False, view=POLYPHASE) -> toolchain.Build:
+    """The sensor in a view of `hdl/views.py`, compiled for a simulator, or found compiled."""
+    public = [f"{TOP}.stored_of_*"] + [f"{TOP}.timing"] * (view != POLYPHASE)
+    return toolchain.build(
+        simulator,
+        rtl(sensor, view),
+        TOP,
+        key=sensor_key(sensor, view),
+        waves=waves,
+        public=public,
+        delays=view != POLYPHASE,
+    )
+
+
+def play(
+    frames: list[FrameJob],
+    engine: str,
+    out_dir: Path,
+    *,
+    waves: bool = False,
+    progress: Callable[[int], None] | None = None,
+    view=POLYPHASE,
+) -> tuple[list[Recorded], Path | None]:
+    """Plays frames of one sensor through its RTL; returns what each showed, and the waveform. `progress` gets cycles done.
+
+    engine: of `replay.ENGINES`, without golden; view: of `hdl/views.py`; with `waves`, cocotb stands in for the batch engine. Raises
+    `Mismatch` at the first difference from a frame's expectation, `SimulationError` for any
+    other failure, and `toolchain.ToolchainError`.
+    """
+    if _batch(engine, waves):
+        return _play_batch(frames, progress or (lambda cycles: None)), None
+    build = build_sensor(frames[0].config.sensor, COCOTB.get(engine, "verilator"), waves, view)
+    records, run = play_in(build, frames, out_dir, lines=view != POLYPHASE, progress=progress)
+    return records, run.wave
+
+
+def play_in(
+    build: toolchain.Build,
+    frames: list[FrameJob],
+    out_dir: Path,
+    *,
+    lines: bool = False,
+    progress: Callable[[int], None] | None = None,
+) -> tuple[list[Recorded], toolchain.Run]:
+    """Plays frames in a compiled simulator by the cocotb test; `lines` as in `save_job`, the rest as in `play`."""
+
+    def line(text: str) -> None:
+        if progress and text.startswith(PROGRESS):
+            progress(int(text.split()[1]))
+
+    with tempfile.TemporaryDirectory(prefix="coincid-") as folder:
+        job = Path(folder) / "job"
+        try:
+            run = build.run("coincid.tb.cosim", env=save_job(job, frames, lines), out_dir=out_dir, seed=1, echo=line)
+        except SimulationError as error:
+            if job.with_suffix(MISMATCH).exists():
+                wave = f"waveform {error.wave}" if error.wave else "no waveform was asked for"
+                raise Mismatch(f"{job.with_suffix(MISMATCH).read_text()} ({wave}; log {error.log})") from None
+            raise
+        return pickle.loads(job.with_suffix(RESULT).read_bytes()), run
+
+
+def _play_batch(frames: list[FrameJob], progress: Callable[[int], None]) -> list[Recorded]:
+    records, before = [], 0
+    with BatchSensor(frames[0].config.sensor) as sensor:
+        for number, job in enumerate(frames):
+            record = sensor.frame(job.config, job.edges, job.ready, lambda cycle, base=before: progress(base + cycle))
+            if job.expected is not None:
+                record.checked = check(sensor.sensor, job.expected, record, number)
+            before += record.cycles
+            progress(before)
+            records.append(record)
+    return records
