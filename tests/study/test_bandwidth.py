@@ -18,7 +18,7 @@ from coincid.model.light.spad import Spad
 from coincid.model.light.timing import Timing
 from coincid.study import bandwidth
 
-PAGE = Path(__file__).parents[1] / "docs" / "performance.md"
+PAGE = Path(__file__).parents[2] / "docs" / "performance.md"
 
 
 @pytest.mark.parametrize(

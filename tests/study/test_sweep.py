@@ -34,7 +34,7 @@ from coincid.study.sweep_spec import SETTINGS, read_spec
 
 from ..test_docs import rows
 
-DOCS = Path(__file__).parents[1] / "docs"
+DOCS = Path(__file__).parents[2] / "docs"
 BASE = """
 scene = "flat:5,0.4"
 [sensor]
@@ -211,6 +211,17 @@ def test_keys_of_an_axis_vary_together_and_words_lie_over_a_preset(tmp_path):
     assert len(grid.keys) == len(grid.points)
 
 
+def test_the_clock_is_the_configurations(tmp_path):
+    spec = tmp_path / "s.toml"
+    spec.write_text("clock_mhz = 250\n[[axis]]\nconfig = ['fpga', 'silicon']\n[[axis]]\nseed = [1]\n")
+    clocks = [point.settings["configuration"]["frame"]["clock_mhz"] for point in read_spec(spec).points]
+    assert clocks == [250, 250]
+    spec.write_text("[frame]\nclock_mhz = 250\n[[axis]]\nclock_mhz = [100, 200]\n")
+    assert [parse_config(point.document).clock_mhz for point in read_spec(spec).points] == [100, 200]
+    spec.write_text("[[axis]]\nconfig = ['fpga', 'silicon']\n")
+    assert [parse_config(point.document).clock_mhz for point in read_spec(spec).points] == [125, 500]
+
+
 def test_only_new_points_run_and_stale_ones_are_not_in_the_result(tmp_path, quick):
     sweep(tmp_path)
     first, before = files(tmp_path), points(tmp_path)
@@ -365,6 +376,13 @@ BAD = {
         "from 1 to 100000",
     ),
     "light": ("[[axis]]\nklux = [-1]", "point klux=-1", "klux = -1", "at least 0"),
+    "clock": ("clock_mhz = 0\n[[axis]]\nseed = [1]", "frame.clock_mhz = 0", "from 0.001 to 100000"),
+    "clock in two places": ("clock_mhz = 5\n[frame]\nclock_mhz = 5", "clock_mhz", "one of them"),
+    "clock swept twice": (
+        "[[axis]]\nclock_mhz = [1]\n[[axis]]\nframe.clock_mhz = [2]",
+        "axis[1].frame.clock_mhz",
+        "another axis",
+    ),
     "seed": ("[[axis]]\nseed = [-1]", "seed = -1", "from 0 to"),
     "engine": ("[[axis]]\nengine = ['silver']", "engine = 'silver'", "golden, verilator"),
     "method": ("method = 'best'", "method = 'best'", "joint"),

@@ -1,0 +1,135 @@
+"""The configuration: settings by the file's names and values, in files and in Python, and what follows from the clock."""
+
+import numpy as np
+import pytest
+
+from coincid.model.contract.config import SUBGROUP_KEYS, load_config, parse_config
+from coincid.model.contract.packet import FORMAT_NAMES
+from coincid.model.contract.registers import address
+from coincid.model.light.timing import Timing
+from coincid.model.shared.errors import InputError
+
+FRAME = {
+    "frames": 3,
+    "clock_mhz": 125.5,
+    "period": 300,
+    "pulses": 7,
+    "format": "full",
+    "minigroup_records": True,
+    "mg_threshold": 3,
+    "mg_window": 4,
+    "gate_step": 2,
+    "gate_every": 1,
+    "gate_steps": 5,
+    "dither_bits": 3,
+    "dither_seed": 9,
+    "auto_bounds": [1, 2, 3, 4, 5, 6],
+}
+SUBGROUP = {
+    "coincidence": False,
+    "gating": True,
+    "auto": True,
+    "threshold": 3,
+    "window": 20,
+    "gate_start": 4,
+    "gate_len": 9,
+    "mask": "ff00ff",
+}
+
+
+def same(one, other):
+    assert one.sensor == other.sensor
+    assert one.frame == other.frame
+    for name in SUBGROUP_KEYS:
+        a, b = getattr(one, name), getattr(other, name)
+        assert a.dtype == b.dtype and np.array_equal(a, b), name
+    assert one.register_writes() == other.register_writes()
+
+
+def test_settings_in_python_are_those_of_the_file():
+    written = parse_config({"frame": FRAME, "subgroup": SUBGROUP})
+    assert written.frame == FRAME
+    same(parse_config({}).with_frame(**FRAME).with_settings(**SUBGROUP), written)
+    plain = {name: np.array([value])[0] if isinstance(value, int) else value for name, value in SUBGROUP.items()}
+    same(parse_config({"frame": FRAME}).with_settings(**plain), written)
+
+
+def test_settings_of_every_subgroup():
+    overrides = [{"subgroups": [s], "threshold": 1 + s, "mask": f"{1 << s:x}", "auto": bool(s % 2)} for s in range(16)]
+    written = parse_config({"override": overrides})
+    lists = {name: [one[name] for one in overrides] for name in ("threshold", "mask", "auto")}
+    same(parse_config({}).with_settings(**lists), written)
+    same(parse_config({}).with_settings(**{name: getattr(written, name) for name in lists}), written)
+
+
+@pytest.mark.parametrize(
+    ("settings", "words"),
+    [
+        ({"formt": "id"}, ("frame.formt", "format")),
+        ({"format": "long"}, ("frame.format = 'long'", "short, id, full")),
+        ({"format": 2}, ("frame.format = 2", "short, id, full")),
+        ({"minigroup_records": 1}, ("frame.minigroup_records = 1", "true or false")),
+        ({"frames": 0}, ("frame.frames = 0", "from 1 to 65536")),
+        ({"pulses": 2.0}, ("frame.pulses = 2.0", "from 1 to 65536")),
+        ({"period": 3}, ("frame.period = 3", "from 6 to 1024")),
+        ({"clock_mhz": 0}, ("frame.clock_mhz = 0", "from 0.001 to 100000")),
+        ({"clock_mhz": 10**400}, ("frame.clock_mhz", "from 0.001 to 100000")),
+        ({"clock_mhz": float("nan")}, ("frame.clock_mhz = nan", "from 0.001 to 100000")),
+        ({"clock_mhz": "500"}, ("frame.clock_mhz = '500'", "from 0.001 to 100000")),
+        ({"clock_mhz": True}, ("frame.clock_mhz = True", "from 0.001 to 100000")),
+        ({"auto_bounds": [1, 2]}, ("frame.auto_bounds", "6 integers")),
+        ({"auto_bounds": [6, 5, 4, 3, 2, 1]}, ("frame.auto_bounds", "descend")),
+    ],
+)
+def test_frame_settings_that_are_refused(settings, words):
+    for refused in (lambda: parse_config({}).with_frame(**settings), lambda: parse_config({"frame": settings})):
+        with pytest.raises(InputError) as error:
+            refused()
+        for word in words:
+            assert word in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("settings", "words"),
+    [
+        ({"treshold": 2}, ("subgroup.treshold", "threshold")),
+        ({"threshold": 65}, ("subgroup.threshold = 65", "from 1 to 64")),
+        ({"threshold": 2.5}, ("subgroup.threshold = 2.5", "from 1 to 64")),
+        ({"threshold": [1] * 15 + [0]}, ("subgroup.threshold[15] = 0", "from 1 to 64")),
+        ({"threshold": [1, 2]}, ("subgroup.threshold", "2 values", "16")),
+        ({"coincidence": 1}, ("subgroup.coincidence = 1", "true or false")),
+        ({"mask": 255}, ("subgroup.mask = 255", "hex digits")),
+        ({"mask": "g"}, ("subgroup.mask = 'g'", "hex digits")),
+        ({"gating": True, "gate_start": 250}, ("gate_start = 250", "from 0 to 249")),
+    ],
+)
+def test_subgroup_settings_that_are_refused(settings, words):
+    with pytest.raises(InputError) as error:
+        parse_config({}).with_settings(**settings)
+    for word in words:
+        assert word in str(error.value)
+
+
+@pytest.mark.parametrize("name", FORMAT_NAMES)
+def test_the_registers_number_of_a_format(name):
+    assert (address("format"), FORMAT_NAMES.index(name)) in parse_config({}).with_frame(format=name).register_writes()
+
+
+@pytest.mark.parametrize(
+    ("preset", "clock_mhz", "tick_s"), [(None, 500, 62.5e-12), ("silicon", 500, 62.5e-12), ("fpga", 125, 1e-9)]
+)
+def test_presets_have_their_clock(preset, clock_mhz, tick_s):
+    config = load_config(preset)
+    timing = Timing.from_config(config)
+    assert (config.clock_mhz, config.tick_s) == (clock_mhz, tick_s)
+    assert (timing.clock_hz, timing.tick_s) == (clock_mhz * 1e6, tick_s)
+    assert timing.range_m == pytest.approx(299_792_458 / 2 * config.period_ticks * tick_s)
+
+
+def test_the_clock_is_no_register():
+    assert parse_config({}).register_writes() == parse_config({"frame": {"clock_mhz": 100}}).register_writes()
+
+
+def test_bounds_follow_the_pulses():
+    config = parse_config({"frame": {"pulses": 100, "auto_bounds": [10, 20, 30, 40, 50, 60]}})
+    assert config.with_pulses(50).frame["auto_bounds"] == [5, 10, 15, 20, 25, 30]

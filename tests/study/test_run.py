@@ -1,0 +1,153 @@
+"""The front door: `import coincid`, what a run gives, and that the golden model needs no RTL tool."""
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+import coincid
+from coincid.model.contract.result import EVENT_COLUMNS
+from coincid.model.depth.arrivals import pulse_sigma_ticks
+from coincid.model.depth.estimate import Depth
+from coincid.model.depth.histograms import subgroup_histograms
+from coincid.model.light.link_budget import Optics
+
+RTL_TOOLS = ("amaranth", "cocotb", "cocotb_tools", "cocotb_bus", "cocotbext", "filelock", "find_libpython", "verilator")
+SMALL = {"sensor": {"rows": 16, "cols": 8}, "frame": {"pulses": 60}}
+
+
+@pytest.fixture(scope="module")
+def run():
+    return coincid.simulate(coincid.parse_config(SMALL), "flat:5,0.5", klux=10, seed=3)
+
+
+def test_a_run_is_what_its_parts_give(run):
+    config = coincid.parse_config(SMALL)
+    scene = coincid.load_scene("flat:5,0.5", 16, 8)
+    light = coincid.scene_light(scene, 10)
+    timing = coincid.Timing.from_config(config)
+    edges = coincid.generate_edges(light, coincid.Spad(), timing, pulses=60, seed=3)
+    assert len(edges) == len(run.edges)
+    result = coincid.replay("golden", config, edges)
+    assert result.keys() == run.result.keys()
+    assert all(np.array_equal(result[name], run.result[name]) for name in result)
+    assert np.array_equal(coincid.estimate_depth(result, config).depth_m, run.depth().depth_m, equal_nan=True)
+
+
+def test_a_saved_run_is_read_back(run, tmp_path):
+    run.save(tmp_path / "events.npz")
+    read = coincid.read_result(tmp_path / "events.npz")
+    assert read.keys() == run.result.keys()
+    assert all(np.array_equal(read[name], run.result[name]) for name in read)
+
+
+def test_histogram_of_a_pixel(run):
+    of_subgroups = np.stack(list(subgroup_histograms(run.result, run.config, pulse_sigma_ticks(run.config))))
+    row, col = 9, 5  # the second subgroup's
+    assert np.array_equal(run.histogram(8 * row + col), of_subgroups[1, 8 * (row - 8) + col])
+    with pytest.raises(coincid.InputError, match="pixel = 128: must be an integer from 0 to 127"):
+        run.histogram(128)
+
+
+@pytest.mark.parametrize("with_pandas", [True, False])
+def test_events_as_a_table(run, monkeypatch, with_pandas):
+    if with_pandas:
+        pytest.importorskip("pandas")
+    else:
+        monkeypatch.setitem(sys.modules, "pandas", None)
+    table = run.events()
+    assert len(table) == len(run.result["pulse"]) > 0
+    for name in EVENT_COLUMNS:
+        assert np.array_equal(np.asarray(table[name]), run.result[name])
+
+
+def test_points_lie_where_their_pixels_look():
+    depth_m = np.full((3, 5, 2), np.nan)
+    depth_m[1, 2, 0], depth_m[0, 4, 0], depth_m[0, 4, 1] = 2.0, 4.0, 6.0
+    depth = Depth(depth_m, np.where(np.isnan(depth_m), 0, 0.5))
+    corner, behind, middle = coincid.point_cloud(depth, Optics(fov_h_deg=90, fov_v_deg=60)).tolist()
+    assert middle == (0, 0, 2, 0.5)
+    x, y, z, _ = corner
+    assert (x / z, y / z) == pytest.approx((0.8, -2 / 3 * np.tan(np.radians(30))))
+    assert np.linalg.norm((x, y, z)) == pytest.approx(4)
+    assert behind[:3] == pytest.approx((1.5 * x, 1.5 * y, 1.5 * z))
+
+
+def test_ply_holds_the_points(run, tmp_path):
+    run.to_ply(tmp_path / "cloud.ply", method="maximum")
+    points = run.point_cloud(method="maximum")
+    assert 0 < len(points) == np.count_nonzero(~np.isnan(run.depth(method="maximum").depth_m))
+    header, _, data = (tmp_path / "cloud.ply").read_bytes().partition(b"end_header\n")
+    assert header.startswith(b"ply\nformat binary_little_endian 1.0\n")
+    assert f"element vertex {len(points)}\n".encode() in header
+    assert np.array_equal(np.frombuffer(data, [(name, "<f4") for name in ("x", "y", "z", "confidence")]), points)
+
+
+@pytest.mark.parametrize("preset", ["silicon", "fpga"])
+def test_a_preset_measures_the_wall(preset):
+    config = coincid.load_config(preset).with_frame(pulses=60)
+    depth_m = coincid.simulate(config, "flat:7,0.6", klux=5).depth().depth_m
+    assert np.nanmedian(depth_m) == pytest.approx(7, abs=0.1)
+
+
+def test_names_of_the_front_door():
+    for name in coincid.__all__:
+        assert getattr(coincid, name).__doc__
+    assert set(coincid.__all__) <= set(dir(coincid))
+    with pytest.raises(AttributeError, match="simulat"):
+        coincid.simulat  # noqa: B018
+
+
+def python(program, *arguments):
+    """Runs a program in a process where no RTL tool can be imported."""
+    block = "import sys\n" + "".join(f"sys.modules[{name!r}] = None\n" for name in RTL_TOOLS)
+    return subprocess.run(
+        [sys.executable, "-c", block + program, *map(str, arguments)], capture_output=True, text=True, check=False
+    )
+
+
+def test_importing_costs_nothing():
+    done = python("import coincid\nprint({'numpy', 'numba', 'scipy'} & set(sys.modules))")
+    assert done.stdout == "set()\n", done.stderr
+
+
+def test_the_library_needs_no_rtl_tool():
+    done = python(
+        "import coincid\n"
+        "config = coincid.parse_config({'sensor': {'rows': 8, 'cols': 8}, 'frame': {'pulses': 5}})\n"
+        "print(len(coincid.simulate(config, 'flat:5,0.5').events()) > 0)\n"
+        "try:\n"
+        "    coincid.simulate(config, 'flat:5,0.5', engine='verilator')\n"
+        "except coincid.InputError as error:\n"
+        "    print(error)\n"
+    )
+    assert done.stdout.startswith("True\n") and "pip install 'coincid[rtl]'" in done.stdout, done.stderr
+
+
+COMMANDS = {
+    "replay": ("replay", "--edges", "edges.npz", "--out", "result.npz"),
+    "sim": ("sim", "--scene", "flat:5,0.4", "--pulses", "3", "--out", "sim"),
+    "photons": ("photons", "--out", "photons.npz"),
+}
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_commands_need_no_rtl_tool(command, tmp_path):
+    np.savez(tmp_path / "edges.npz", **{name: np.arange(3) for name in ("pulse", "pixel", "tick")})
+    (tmp_path / "small.toml").write_text("[sensor]\nrows = 8\ncols = 8\n[frame]\npulses = 3\n")
+    engine = () if command == "photons" else ("--engine", "golden")
+    program = "import os\nfrom coincid.cli import main\nos.chdir(sys.argv.pop(1))\nmain()"
+    done = python(program, tmp_path, *COMMANDS[command], "--config", "small.toml", *engine)
+    assert done.returncode == 0, done.stderr
+    if engine:
+        done = python(program, tmp_path, *COMMANDS[command], "--config", "small.toml", "--engine", "verilator")
+        assert (done.returncode, done.stderr.count("\n")) == (2, 1), done.stderr
+        assert "pip install 'coincid[rtl]'" in done.stderr
+
+
+@pytest.mark.parametrize("command", ["verilog", "lint", "synth", "gls", "pnr", "cost", "formal", "bench"])
+def test_commands_that_need_the_rtl_say_what_is_missing(command, tmp_path):
+    done = python("import os\nfrom coincid.cli import main\nos.chdir(sys.argv.pop(1))\nmain()", tmp_path, command)
+    assert (done.returncode, done.stderr.count("\n")) == (2, 1), done.stderr
+    assert "pip install 'coincid[rtl]'" in done.stderr
