@@ -334,10 +334,11 @@ def verilog(
     ] = Path("build/rtl"),
     config: ConfigOption = None,
     view: ViewOption = "polyphase",
-    clock_mhz: ClockOption = None,
 ):
     """Export the synthesizable Verilog, one file a block, with file lists, constraints, register map and smoke test."""
-    settings = _config(config, clock_mhz)
+    from coincid.model.contract.config import load_config
+
+    settings = load_config(config)
     with extra("rtl"):
         from coincid.flow.release import write_release
     files = write_release(out, settings, view)

@@ -12,4 +12,6 @@ def extra(name: str) -> Iterator[None]:
     try:
         yield
     except ModuleNotFoundError as missing:
+        if str(missing.name).partition(".")[0] == "coincid":  # a mistake of ours
+            raise
         raise InputError(f"{missing.name} is not installed; run: pip install 'coincid[{name}]'") from None
