@@ -12,7 +12,7 @@ from attrs import asdict
 from ..hdl import deserialiser
 from ..hdl.export import FILE_LIST, fpga_files, verilog_files
 from ..hdl.sensor import FPGA_TOP, TOP, Port, has_fpga_top, netlist
-from ..hdl.views import POLYPHASE
+from ..hdl.views import POLYPHASE, View
 from ..model.contract import latency
 from ..model.contract.parameters import Sensor
 from ..model.shared.errors import InputError
@@ -31,12 +31,12 @@ DERIVED = ("array_pixels", "subgroups", "pixels", "minigroups", "guard", "stamp_
 PER_TOP = {TOP: SMOKE, FPGA_TOP: FPGA_SMOKE}
 
 
-def clock_mhz(sensor: Sensor, view=POLYPHASE) -> int:
+def clock_mhz(sensor: Sensor, view: View = POLYPHASE) -> int:
     """The clock that the constraints ask for."""
     return FPGA_MHZ if view is POLYPHASE and has_fpga_top(sensor) else SILICON_MHZ
 
 
-def release_files(sensor: Sensor, view=POLYPHASE) -> dict[str, str]:
+def release_files(sensor: Sensor, view: View = POLYPHASE) -> dict[str, str]:
     """File name -> text. view: of `views.py`. Equal parameters give equal bytes."""
     rtl = verilog_files(sensor, view)
     lists = {TOP: rtl.pop(FILE_LIST).split()}
@@ -64,7 +64,7 @@ def _list(names: list[str]) -> str:
     return "".join(f"{name}\n" for name in names)
 
 
-def _constraints(sensor: Sensor, top: str, view) -> str:
+def _constraints(sensor: Sensor, top: str, view: View) -> str:
     period = 1000 / clock_mhz(sensor, view)
     lines = [
         f"# Timing of {top} at {clock_mhz(sensor, view)} MHz; times in ns.",
@@ -104,7 +104,7 @@ def _constraints(sensor: Sensor, top: str, view) -> str:
     return "\n".join(lines) + "\n"
 
 
-def tool_options(view) -> dict[str, list[str]]:
+def tool_options(view: View) -> dict[str, list[str]]:
     """Options of the tools, by what they do. Delays of cells need a time scale; lint looks at what synthesis takes."""
     time = [f"--timescale {TIMESCALE}"] if view.macros else []
     return {
@@ -114,7 +114,7 @@ def tool_options(view) -> dict[str, list[str]]:
     }
 
 
-def _core(lists: dict[str, list[str]], view) -> str:
+def _core(lists: dict[str, list[str]], view: View) -> str:
     """FuseSoC's description: RTL and lint, and the smoke test on Icarus and Verilator, for every top."""
     sets, targets = [], []
     options = {tool: ", ".join(given) for tool, given in tool_options(view).items()}
@@ -181,7 +181,7 @@ def _core(lists: dict[str, list[str]], view) -> str:
     )
 
 
-def _readme(sensor: Sensor, lists: dict[str, list[str]], view) -> str:
+def _readme(sensor: Sensor, lists: dict[str, list[str]], view: View) -> str:
     options = {tool: " ".join(given) for tool, given in tool_options(view).items()}
     smoke = [
         f"    iverilog {options['icarus']} -s {PER_TOP[top]} -o smoke.vvp -f {PER_TOP[top]}.f && vvp -n smoke.vvp"
@@ -230,7 +230,7 @@ def _readme(sensor: Sensor, lists: dict[str, list[str]], view) -> str:
     )
 
 
-def _manifest(sensor: Sensor, lists: dict[str, list[str]], files: dict[str, str], view) -> str:
+def _manifest(sensor: Sensor, lists: dict[str, list[str]], files: dict[str, str], view: View) -> str:
     return (
         json.dumps(
             {
@@ -251,7 +251,7 @@ def _manifest(sensor: Sensor, lists: dict[str, list[str]], files: dict[str, str]
     )
 
 
-def write_release(folder: Path, sensor: Sensor, view=POLYPHASE) -> list[Path]:
+def write_release(folder: Path, sensor: Sensor, view: View = POLYPHASE) -> list[Path]:
     """Writes the files of `sensor` in a view to `folder`, which appears whole and replaces the release that stood there.
 
     Raises `InputError` where the folder cannot be written, or holds anything but an earlier release.

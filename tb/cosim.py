@@ -6,7 +6,9 @@ rising edge that ends the cycle.
 
 import os
 import pickle
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import cocotb
 import numpy as np
@@ -20,6 +22,7 @@ from coincid.hdl.silicon.circuit import CLOCK_FS
 from coincid.model.contract import registers
 from coincid.model.contract.config import Config
 from coincid.model.contract.edges import Edges
+from coincid.model.contract.parameters import Sensor
 from coincid.tb.frames import STORED_TO_COMMIT, Recorded, cycle_limit
 from coincid.tb.scoreboard import Mismatch, Scoreboard
 from coincid.tb.stimulus import line_levels, port_words
@@ -33,7 +36,7 @@ PROGRESS_CYCLES = 500
 class SensorBench:
     """Handles of the sensor, its register master, and the frame player."""
 
-    def __init__(self, dut, sensor):
+    def __init__(self, dut: Any, sensor: Sensor):
         self.dut, self.sensor = dut, sensor
         self.axi = AXI4LiteMaster(dut, "s_axi", dut.clk)
         self.spad = [getattr(dut, f"spad_{s}") for s in range(sensor.subgroups)]
@@ -82,12 +85,12 @@ class SensorBench:
         edges: Edges,
         ready: np.ndarray,
         board: Scoreboard | None = None,
-        progress=lambda cycle: None,
+        progress: Callable[[int], None] = lambda cycle: None,
     ) -> Recorded:
         """Plays a frame and returns what it showed. `board` raises at the first difference from the golden model."""
         sensor = self.sensor
         words = self.shine(config, edges)
-        low = [int(c) for c in np.flatnonzero(np.asarray(ready) == 0)]
+        low = {int(c) for c in np.flatnonzero(np.asarray(ready) == 0)}
         await self.program(config)
         started = cocotb.start_soon(self.write("control", 1 << registers.BY_NAME["control"].bit("start")))
         falling = FallingEdge(self.dut.clk)
@@ -100,9 +103,10 @@ class SensorBench:
                 break
             if started.done():
                 started.result()  # a refused start raises here
-        low = set(low)
-        driven, was_ready = set(), None
-        beats, beat_cycle = [[] for _ in range(sensor.streams)], [[] for _ in range(sensor.streams)]
+        driven: set[int] = set()
+        was_ready: bool | None = None
+        beats: list[list[int]] = [[] for _ in range(sensor.streams)]
+        beat_cycle: list[list[int]] = [[] for _ in range(sensor.streams)]
         commits: list[tuple[int, int]] = []
         running = list(range(sensor.streams))
         limit, frame_cycles = cycle_limit(config, len(ready)), config.frame_cycles
@@ -168,11 +172,11 @@ class SensorBench:
 class LineBench(SensorBench):
     """Bench of the asynchronous view: every edge rises at its own picosecond. light: the task that sees to it."""
 
-    def shine(self, config, edges):
+    def shine(self, config: Config, edges: Edges) -> dict[int, list[tuple[int, int]]]:
         self.light = cocotb.start_soon(self._shine(line_levels(config, edges)))
         return {}
 
-    async def _shine(self, levels) -> None:
+    async def _shine(self, levels: tuple[list[int], list[int], list[int]]) -> None:
         falling, start = FallingEdge(self.dut.clk), 1 << bus.time_layout(self.sensor)["start"].offset
         while True:
             await falling
@@ -187,7 +191,7 @@ class LineBench(SensorBench):
 
 
 @cocotb.test()
-async def play_job(dut):
+async def play_job(dut: Any) -> None:
     """Plays the job that the environment names and leaves its records beside it; or else the first difference, as text."""
     path = Path(os.environ[JOB_VARIABLE])
     bench_of_view, job = pickle.loads(path.read_bytes())
@@ -197,7 +201,7 @@ async def play_job(dut):
     for number, frame in enumerate(job):
         board = Scoreboard(bench.sensor, frame.expected, number) if frame.expected else None
 
-        def progress(cycle, base=before):
+        def progress(cycle: int, base: int = before) -> None:
             print(PROGRESS, base + cycle, flush=True)
 
         try:
