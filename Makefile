@@ -70,9 +70,11 @@ cost: ## area, bits and rates against the paper's parameters, into docs/images/c
 	@scripts/setup cells
 	@$(BIN)/coincid cost
 
-lint: ## Python style, and the Verilog under Verilator's lint
+lint: ## Python's style, wrapping and types, and the Verilog under Verilator's lint
 	@scripts/setup
 	@$(BIN)/ruff check .
+	@$(BIN)/ruff format --check .
+	@scripts/types
 	@$(BIN)/coincid lint
 
 figures: ## the documentation's figures

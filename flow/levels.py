@@ -6,9 +6,11 @@ stand for registers. A gate of a standard-cell library is worth one to two level
 
 import re
 from collections.abc import Mapping
+from typing import Any, TypeAlias
 
 from attrs import frozen
 
+Bit: TypeAlias = int | str  # a net's number in the netlist, or a constant
 FREE = ("$_NOT_", "$_BUF_")
 
 
@@ -21,14 +23,17 @@ class Path:
     end: str
 
 
-def longest_paths(module: Mapping, clocked: str = "$_DFF") -> dict[str, Path]:
+def longest_paths(module: Mapping[str, Any], clocked: str = "$_DFF") -> dict[str, Path]:
     """The longest path into the registers of every block of a flattened module.
 
     module: of Yosys's JSON, gates of one bit. Blocks by their path, "" for the module's own registers and outputs. Blocks that are not
     flattened have registers at their ports. Raises `ValueError` for a combinational loop.
     """
     names = {bit: name for name, net in module["netnames"].items() if not net.get("hide_name") for bit in net["bits"]}
-    gates, flops, level, source = {}, [], {}, {}
+    gates: dict[Bit, tuple[bool, list[Bit]]] = {}  # whether one costs a level, and its inputs
+    flops: list[tuple[str, Bit, Bit]] = []  # block, data, output
+    level: dict[Bit, int] = {}
+    source: dict[Bit, Bit] = {}
     for name, cell in module["cells"].items():
         bits = cell["connections"]
         if not cell["type"].startswith("$"):  # a block of its own: has registers at its ports
@@ -51,10 +56,10 @@ def longest_paths(module: Mapping, clocked: str = "$_DFF") -> dict[str, Path]:
         if port["direction"] == "input":
             level |= dict.fromkeys(port["bits"], 0)
 
-    def settle(bit):
+    def settle(bit: Bit) -> int:
         """Levels at `bit`, without recursion: a path may be longer than Python's stack."""
         pending = [bit]
-        entered = set()
+        entered: set[Bit] = set()
         while pending:
             at = pending[-1]
             if at in level or at not in gates:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from ..hdl.export import fpga_files
 from ..hdl.sensor import FPGA_TOP, TOP, has_fpga_top
-from ..hdl.views import POLYPHASE
+from ..hdl.views import POLYPHASE, View
 from ..model.contract.parameters import Sensor
 from ..tb import toolchain
 from ..tb.rtl import rtl
@@ -19,7 +19,7 @@ from .waivers import CONTROL_FILE, control_file
 VERILATOR = ("--lint-only", "--timing", "--quiet-stats")
 
 
-def lint(sensor: Sensor, view=POLYPHASE) -> dict[str, str]:
+def lint(sensor: Sensor, view: View = POLYPHASE) -> dict[str, str]:
     """Tool -> what it found in the Verilog of `sensor`, "" where that is nothing. Raises `ToolchainError`.
 
     view: of `hdl/views.py`; of one with macros, what synthesis takes.

@@ -3,6 +3,7 @@
 import json
 import re
 from pathlib import Path
+from typing import Any
 
 from attrs import evolve
 
@@ -20,7 +21,7 @@ BOARD = "coincid_ecp5"
 DEVICE, PACKAGE, SPEED_GRADE = "um5g-85k", "CABGA756", 8
 SEED = 1
 USED = ("TRELLIS_COMB", "TRELLIS_FF", "TRELLIS_RAMW", "DP16KD", "TRELLIS_IO", "EHXPLLL")
-ONE_MODULE = {"rows": 8, "cols": 16}  # two subgroups: one module
+ONE_MODULE: dict[str, Any] = {"rows": 8, "cols": 16}  # two subgroups: one module
 
 
 def place_and_route() -> Path:
@@ -94,7 +95,7 @@ def report(folder: Path) -> str:
     return "\n".join(lines)
 
 
-def _delay_ns(path: dict) -> float:
+def _delay_ns(path: dict[str, Any]) -> float:
     return sum(hop["delay"] for hop in path["path"])
 
 

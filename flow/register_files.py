@@ -8,6 +8,7 @@ import html
 import json
 import tempfile
 from pathlib import Path
+from typing import Any
 
 from attrs import asdict
 
@@ -48,7 +49,7 @@ def register_files(sensor: Sensor) -> dict[str, str]:
     }
 
 
-def register_map(sensor: Sensor) -> dict:
+def register_map(sensor: Sensor) -> dict[str, Any]:
     """The map as plain data: addresses and offsets in bytes, ranges and reset values as built."""
     return {
         "data_bits": DATA_BITS,
@@ -61,7 +62,7 @@ def register_map(sensor: Sensor) -> dict:
     }
 
 
-def _plain(register: Register, sensor: Sensor) -> dict:
+def _plain(register: Register, sensor: Sensor) -> dict[str, Any]:
     values = {
         "name": register.name,
         "offset": register.offset,
@@ -211,7 +212,7 @@ def _rdl_block(registers: tuple[Register, ...], sensor: Sensor, indent: str) -> 
 
 def _ip_xact(rdl: str) -> str:
     from peakrdl_ipxact import IPXACTExporter  # here, because simulations need the header's table but no compiler of it
-    from systemrdl import RDLCompiler
+    from systemrdl.compiler import RDLCompiler
 
     with tempfile.TemporaryDirectory(prefix="coincid-") as folder:
         source, target = Path(folder) / RDL, Path(folder) / IP_XACT

@@ -12,7 +12,7 @@ from attrs import asdict
 from ..hdl import deserialiser
 from ..hdl.export import FILE_LIST, fpga_files, verilog_files
 from ..hdl.sensor import FPGA_TOP, TOP, Port, has_fpga_top, netlist
-from ..hdl.views import POLYPHASE, view_at
+from ..hdl.views import POLYPHASE, View, view_at
 from ..model.contract import latency
 from ..model.contract.config import Config
 from ..model.contract.parameters import Sensor
@@ -100,7 +100,7 @@ def _constraints(sensor: Sensor, clock_mhz: float, top: str, view) -> str:
     return "\n".join(lines) + "\n"
 
 
-def tool_options(view) -> dict[str, list[str]]:
+def tool_options(view: View) -> dict[str, list[str]]:
     """Options of the tools, by what they do. Delays of cells need a time scale; lint looks at what synthesis takes."""
     time = [f"--timescale {TIMESCALE}"] if view.macros else []
     return {
@@ -110,7 +110,7 @@ def tool_options(view) -> dict[str, list[str]]:
     }
 
 
-def _core(lists: dict[str, list[str]], view) -> str:
+def _core(lists: dict[str, list[str]], view: View) -> str:
     """FuseSoC's description: RTL and lint, and the smoke test on Icarus and Verilator, for every top."""
     sets, targets = [], []
     options = {tool: ", ".join(given) for tool, given in tool_options(view).items()}

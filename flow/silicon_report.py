@@ -9,6 +9,7 @@ import re
 import sys
 from collections import Counter
 from pathlib import Path
+from typing import Any
 
 from attrs import frozen
 
@@ -48,7 +49,7 @@ def top(sensor: Sensor) -> str:
     return _module(sensor, Asynchronous()).unit_name
 
 
-def netlist(sensor: Sensor, circuit: Circuit, folder: Path) -> dict:
+def netlist(sensor: Sensor, circuit: Circuit, folder: Path) -> dict[str, Any]:
     """The flattened netlist of a module as Yosys writes it: cells generic, macros black boxes."""
     view = Asynchronous(circuit)
     module = _module(sensor, view)
@@ -128,12 +129,12 @@ def timing(folder: Path, top: str, sdc: str) -> tuple[list[str], list[tuple[str,
     return complaints, [(a, b, float(required), float(taken)) for a, b, required, taken in ends.findall(paths)]
 
 
-def latches(module: dict) -> list[str]:
+def latches(module: dict[str, Any]) -> list[str]:
     """Names of the latches in a netlist: there must be none, as the macros hold all that are meant."""
     return sorted(name for name, cell in module["cells"].items() if LATCH.match(cell["type"]))
 
 
-def domains(module: dict) -> list[Domain]:
+def domains(module: dict[str, Any]) -> list[Domain]:
     """The flops of a netlist by clock and asynchronous reset."""
     names: dict[int, str] = {}
     for name, net in sorted(
@@ -149,13 +150,14 @@ def domains(module: dict) -> list[Domain]:
         for bit in cell["connections"]["Y"]
     }
 
-    def source(bit, inverted=False):
+    def source(bit: int, inverted: bool = False) -> tuple[int, bool]:
         while bit in drivers:
             cell = drivers[bit]
             bit, inverted = cell["connections"]["A"][cell["connections"]["Y"].index(bit)], not inverted
         return bit, inverted
 
-    flops, clocks = Counter(), {}
+    flops: Counter[tuple[str, bool, str]] = Counter()
+    clocks: dict[tuple[str, bool, str], set[int]] = {}
     for cell in module["cells"].values():
         if not FLOP.match(cell["type"]):
             continue
@@ -166,7 +168,10 @@ def domains(module: dict) -> list[Domain]:
         key = general(names[bit]), falling, reset
         flops[key] += len(pins["Q"])
         clocks.setdefault(key, set()).add(bit)
-    return [Domain(*key, len(clocks[key]), count) for key, count in sorted(flops.items())]
+    return [
+        Domain(clock, falling, reset, len(clocks[clock, falling, reset]), count)
+        for (clock, falling, reset), count in sorted(flops.items())
+    ]
 
 
 def general(name: str) -> str:
@@ -174,7 +179,7 @@ def general(name: str) -> str:
     return re.sub(r"\d+", "*", re.sub(r"\$\d+", "", name))
 
 
-def report(sensor: Sensor, circuit: Circuit, module: dict, paths: list) -> str:
+def report(sensor: Sensor, circuit: Circuit, module: dict[str, Any], paths: list[tuple[str, str, float, float]]) -> str:
     """The report, Markdown. paths: of `timing`."""
     macros = Counter(cell["type"].split("$paramod")[-1].strip("\\").split("\\")[0] for cell in module["cells"].values())
     lines = [

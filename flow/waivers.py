@@ -1,5 +1,7 @@
 """What Verilator's lint reports about generated Verilog and may: each waiver with its reason, as a control file. All else is an error."""
 
+from ..hdl.views import View
+
 CONTROL_FILE = "coincid.vlt"
 WAIVERS = (  # (rule, files, message, reason)
     (
@@ -53,7 +55,7 @@ OF_CELLS = (  # more, where a view has cells and macros
 )
 
 
-def control_file(view) -> str:
+def control_file(view: View) -> str:
     """The waivers of a view of `views.py` in Verilator's language."""
     lines = ["`verilator_config"]
     for rule, files, message, reason in WAIVERS + (OF_CELLS if view.macros else ()):

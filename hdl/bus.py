@@ -12,7 +12,7 @@ PULSE_BITS = 16
 GATE_BITS = 16
 
 
-class Operation(enum.Enum, shape=3):
+class Operation(enum.Enum, shape=3):  # type: ignore[call-arg]  # Amaranth's enumeration, with a shape
     """What the configuration bus asks of every subgroup."""
 
     IDLE = 0
@@ -22,7 +22,7 @@ class Operation(enum.Enum, shape=3):
     BEGIN = 4  # the frame begins: threshold set, counters cleared
 
 
-class Send(enum.Enum, shape=2):
+class Send(enum.Enum, shape=2):  # type: ignore[call-arg]
     """What the readout grants."""
 
     EVENT = 0

@@ -1,9 +1,11 @@
 """Log-depth combinational helpers. Each names its intermediate values, so that nothing is emitted twice."""
 
+from collections.abc import Callable
+
 from amaranth.hdl import Cat, Module, Mux, Signal, Value
 
 
-def tree(m: Module, items: list, combine, name: str) -> Value:
+def tree(m: Module, items: list[Value], combine: Callable[[Value, Value], Value], name: str) -> Value:
     """Combines `items` pairwise until one is left: depth log2 of their number."""
     items = [Value.cast(item) for item in items]
     level = 0
@@ -19,12 +21,12 @@ def tree(m: Module, items: list, combine, name: str) -> Value:
     return items[0]
 
 
-def any_of(m: Module, items: list, name: str) -> Value:
+def any_of(m: Module, items: list[Value], name: str) -> Value:
     """OR of equally wide values."""
     return tree(m, items, lambda a, b: a | b, name)
 
 
-def total(m: Module, numbers: list, name: str) -> Value:
+def total(m: Module, numbers: list[Value], name: str) -> Value:
     """Sum of numbers, by an adder tree."""
     return tree(m, numbers, lambda a, b: a + b, name)
 

@@ -4,6 +4,8 @@ The wiring is a table (`Netlist`), because it has two uses: Verilog text for any
 65,536 bits of ports), and an Amaranth design for Amaranth's own simulator.
 """
 
+from typing import Any
+
 from amaranth.hdl import Cat, Module, Signal, Value
 from amaranth.lib import wiring
 from attrs import define, field, frozen
@@ -38,9 +40,9 @@ class Netlist:
     """ports: of the top. instances: (name, unit, {unit's port: net or constant}). nets: name -> width. joins: net -> (operation, nets)."""
 
     ports: list[Port] = field(factory=list)
-    instances: list[tuple[str, Unit, dict]] = field(factory=list)
+    instances: list[tuple[str, Unit, dict[str, Any]]] = field(factory=list)
     nets: dict[str, int] = field(factory=dict)
-    joins: dict[str, tuple[str, list[str]]] = field(factory=dict)
+    joins: dict[str, tuple[str, list[Any]]] = field(factory=dict)
 
     def add(self, name: str, unit: Unit, **nets) -> None:
         """Adds an instance. Ports that are not in `nets` connect to the net of their own name."""
@@ -101,7 +103,8 @@ def netlist(sensor: Sensor, levels: bool = False, view=POLYPHASE) -> Netlist:
     n.join("gate_late", "or", [f"gate_late_{s}" for s in subgroups])
     n.join("spad_gate", "cat", [f"spad_gate_{s}" for s in subgroups])
 
-    inputs, outputs = [], ["laser", "spad_gate"]
+    inputs: list[str] = []
+    outputs = ["laser", "spad_gate"]
     for port, (flow, _) in registers.flat_ports().items():
         if port.startswith("s_axi__"):
             (inputs if flow is wiring.In else outputs).append(f"s_axi_{port.split('__')[1]}")
@@ -186,7 +189,7 @@ def _module(name, comment, ports, instances, nets, joins) -> tuple[str, dict[str
     return "\n".join(lines) + "\n", units
 
 
-def _expression(operation: str, parts: list) -> str:
+def _expression(operation: str, parts: list[Any]) -> str:
     if operation == "bit":
         return f"{parts[0]}[{parts[1]}]"
     if operation == "cat":

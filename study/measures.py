@@ -48,18 +48,19 @@ def measures(
     arrays: of a result (`result.py`). edges: number of the frame's. depth_m, truth_m: float64[rows, cols], NaN = none; shares of
     pixels are of those with a truth.
     """
-    found = {name: int(arrays[counter][frame].sum()) for name, counter in COUNTED.items()}
+    counts = {name: int(arrays[counter][frame].sum()) for name, counter in COUNTED.items()}
     of_frame = arrays["pulse"] // config.pulses == frame
     beats = stream_beats(config, arrays, frame)
     threshold = np.where(config.coincidence, arrays["threshold_used"][frame], 1)
     known = ~np.isnan(truth_m)
     right = known & ~wrong_pixels(depth_m, truth_m)
-    found |= {
+    found: dict[str, int | float | None] = {
+        **counts,
         "edges": edges,
         "overruns": int(arrays["overrun"][of_frame].sum()),
         "threshold_mean": float(threshold.mean()),
-        "commits_per_pulse": found["committed"] / config.pulses,
-        "dropped_share": _share(found["dropped"], found["committed"]),
+        "commits_per_pulse": counts["committed"] / config.pulses,
+        "dropped_share": _share(counts["dropped"], counts["committed"]),
         "beats": int(beats.sum()),
         "stream_load": float(beats.max()) / (config.pulses * config.period),
         "wrong_share": wrong_share(depth_m, truth_m) if known.any() else None,

@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
 from ..model.depth.quality import TOLERANCE_M, wrong_pixels, wrong_share
+from ..model.shared.files import FilePath
 from .plot_style import DEPTH_MAP, INVALID_COLOUR, new_figure, save_figure, style
 
 PANEL_IN = 3.1
@@ -26,7 +27,7 @@ class Panel:
 
 
 def depth_row(
-    path, panels: Sequence[Panel], truth_m: np.ndarray, heading: str = "", *, tolerance_m: float = TOLERANCE_M
+    path: FilePath, panels: Sequence[Panel], truth_m: np.ndarray, heading: str = "", *, tolerance_m: float = TOLERANCE_M
 ) -> list[float]:
     """Writes `draw_row` to `path` (.png or .svg), and returns the share of wrong pixels of each panel."""
     figure, shares = draw_row(panels, truth_m, heading, tolerance_m=tolerance_m)

@@ -1,14 +1,17 @@
 """How every picture looks, and how it is written: whole or not at all, the same bytes for the same data."""
 
 import io
+from contextlib import AbstractContextManager
 from pathlib import Path
+from typing import Any
 
 import matplotlib
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from ..model.shared.files import whole_file
+from ..model.shared.files import FilePath, whole_file
 
-STYLE = {
+STYLE: dict[Any, Any] = {
     "font.size": 10,
     "axes.titlesize": 11,
     "axes.labelsize": 10,
@@ -28,7 +31,7 @@ STYLE = {
     "svg.fonttype": "none",
 }
 DEPTH_MAP, INVALID_COLOUR = "viridis_r", "#d9d9d9"  # near is dark; grey is in no part of the map
-SOURCES = {  # of a number, and how it is drawn
+SOURCES: dict[str, dict[str, Any]] = {  # of a number, and how it is drawn
     "literal": {"color": "#d95f02", "linestyle": "--"},
     "corrected": {"color": "#1b9e77", "linestyle": "-"},
     "Monte Carlo": {"color": "#222222", "linestyle": "", "marker": "o"},
@@ -48,7 +51,7 @@ SERIES = (
 _UNDATED = {"png": {"Software": None}, "svg": {"Date": None, "Creator": None}}
 
 
-def style(**others):
+def style(**others: Any) -> AbstractContextManager[None]:
     """A context in which figures are made in the common style; `others` are rc parameters by name, `_` for `.`."""
     return matplotlib.rc_context(STYLE | {name.replace("_", ".", 1): value for name, value in others.items()})
 
@@ -60,13 +63,13 @@ def new_figure(width_in: float, height_in: float) -> Figure:
 
 def legend_below(figure: Figure, columns: int = 6) -> None:
     """One legend for all axes, below them; each label once."""
-    entries = {}
+    entries: dict[str, Any] = {}
     for axis in figure.axes:
         entries |= {label: handle for handle, label in zip(*axis.get_legend_handles_labels()) if label not in entries}
-    figure.legend(entries.values(), entries.keys(), loc="outside lower center", ncols=min(columns, len(entries)))
+    figure.legend(list(entries.values()), list(entries), loc="outside lower center", ncols=min(columns, len(entries)))
 
 
-def share_axis(axis, **others) -> None:
+def share_axis(axis: Axes, **others: Any) -> None:
     """Shares from 0 to 1 upwards, spread where they are small: linear below one in a thousand, then logarithmic; `others` go to `set`."""
     axis.set(**others)
     axis.set_yscale("symlog", linthresh=1e-3, linscale=0.4)
@@ -74,7 +77,7 @@ def share_axis(axis, **others) -> None:
     axis.set_yticks([0, 1e-3, 1e-2, 1e-1, 1], labels=["0", "0.1 %", "1 %", "10 %", "100 %"])
 
 
-def save_figure(figure: Figure, *paths) -> None:
+def save_figure(figure: Figure, *paths: FilePath) -> None:
     """Writes `figure` to each path (.png or .svg)."""
     for path in map(Path, paths):
         kind = path.suffix[1:]

@@ -68,7 +68,9 @@ def windows(photons: Photons, window: int, phases: int) -> Words:
 
 
 @njit(cache=True)
-def _windows(period, tick, window, phases):
+def _windows(
+    period: np.ndarray, tick: np.ndarray, window: int, phases: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     start, stop = np.empty_like(tick), np.empty_like(tick)
     n, e = 0, 0
     while e < len(tick):
@@ -89,7 +91,9 @@ def sliding_window(photons: Photons, window: int, threshold: int) -> Words:
 
 
 @njit(cache=True)
-def _sliding(period, tick, window, threshold):
+def _sliding(
+    period: np.ndarray, tick: np.ndarray, window: int, threshold: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     start, stop = np.empty_like(tick), np.empty_like(tick)
     n = oldest = 0
     for e in range(len(tick)):
@@ -156,7 +160,7 @@ def read_out(photons: Photons, words: Words, sensor: Sensor, phases: int, period
 
 
 @njit(cache=True)
-def _serve(cycle, bounds, depth, beats, stored):
+def _serve(cycle: np.ndarray, bounds: np.ndarray, depth: int, beats: int, stored: np.ndarray) -> None:
     n = len(bounds) - 1
     arrived, level = bounds[:-1].copy(), np.zeros(n, np.int64)
     now, pointer = np.int64(0), 0

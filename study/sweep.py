@@ -9,15 +9,17 @@ import json
 import logging
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any, TypeAlias
 
 import dask
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 from attrs import frozen
-from distributed import Client, LocalCluster, as_completed
+from distributed import Client, Future, LocalCluster, as_completed
 from distributed.client import FutureCancelledError
-from distributed.comm import backends, parse_address, parse_host_port
+from distributed.comm.addressing import parse_address, parse_host_port
+from distributed.comm.registry import backends
 from distributed.scheduler import KilledWorker
 from filelock import FileLock, Timeout
 
@@ -38,6 +40,7 @@ CONNECT_S = 10
 DEAF_TO_CTRL_C = "import signal\nsignal.signal(signal.SIGINT, signal.SIG_IGN)"  # a worker's: the sweep ends it
 LOST_WORKERS_MAX = 20  # that a point may have been on: then it is the point that kills them
 LOCK = "lock"
+Found: TypeAlias = dict[str, int | float | None]  # `MEASURES` of a point
 COLUMN_TYPES = {int: pa.int64(), float: pa.float64()}
 REAL_SETTINGS = ("klux", CLOCK, FRAME_CLOCK)
 METADATA = "coincid"  # key of the Parquet file's metadata
@@ -95,7 +98,7 @@ def sweep(
     return Summary(sum(point.key in found for point in spec.points), before, dict(sorted(failed.items())))
 
 
-def run_point(settings: dict, document: dict, scene: Scene, expected: dict) -> dict[str, int | float | None]:
+def run_point(settings: dict[str, Any], document: dict[str, Any], scene: Scene, expected: dict[str, str]) -> Found:
     """A point's `MEASURES`, of its last frame: photons, engine, depth. Runs on a worker.
 
     Raises `RuntimeError` if `versions` are not as `expected`: the worker would give other numbers than the others.
@@ -130,10 +133,10 @@ class Finished:
             path.unlink()
         return self
 
-    def __exit__(self, *_) -> None:
+    def __exit__(self, *_: object) -> None:
         self._lock.release()
 
-    def load(self, key: str) -> dict | None:
+    def load(self, key: str) -> Found | None:
         """What was kept under `key`, None if nothing readable."""
         try:
             kept = json.loads(self._path(key).read_text())
@@ -141,7 +144,7 @@ class Finished:
             return None
         return kept if isinstance(kept, dict) and list(kept) == list(MEASURES) else None
 
-    def keep(self, key: str, found: dict) -> None:
+    def keep(self, key: str, found: Found) -> None:
         with whole_file(self._path(key), "w") as file:
             file.write(json.dumps(found, indent=1) + "\n")
 
@@ -191,9 +194,10 @@ def _check_address(scheduler: str) -> None:
         raise InputError(f"scheduler = {scheduler!r}: must be an address such as tcp://HOST:8786 ({error})") from None
 
 
-def results(points: list[Point], client: Client) -> Iterator[tuple[Point, dict | None, str]]:
+def results(points: list[Point], client: Client) -> Iterator[tuple[Point, Found | None, str]]:
     """Runs points on the client's workers; yields each as it comes, with its measures, or with None and why. Raises `SchedulerLost`."""
-    scenes, running = {}, {}
+    scenes: dict[int, Future[Any]] = {}
+    running: dict[Future[Any], Point] = {}
     for point in points:
         # A task of its own: sent once, and made again where the worker that held it is lost.
         scene = scenes.get(id(point.scene)) or client.submit(_itself, point.scene, pure=False)
@@ -222,7 +226,7 @@ def _reason(error: BaseException) -> str:
     return text if isinstance(error, InputError) else f"{type(error).__name__}: {text}"
 
 
-def write_table(path: Path, spec: Spec, found: dict[str, dict]) -> None:
+def write_table(path: Path, spec: Spec, found: dict[str, Found]) -> None:
     """Writes a row for each point of `spec` that `found` has by key; the bytes depend on these two alone.
 
     Columns: the swept values, `MEASURES`, the point's whole configuration as JSON, and its key. The file's metadata, under `METADATA`:

@@ -1,6 +1,7 @@
 """The summary of a sweep: one axis across, one as lines, the others as bands."""
 
 from pathlib import Path
+from typing import Any
 
 import matplotlib
 import numpy as np
@@ -55,7 +56,7 @@ LABELS = {  # key: (what it is, unit), where the key does not say so
 }
 
 
-def write_plot(path: Path, title: str, spec: Spec, found: dict[str, dict]) -> None:
+def write_plot(path: Path, title: str, spec: Spec, found: dict[str, dict[str, Any]]) -> None:
     """Draws `PANELS` of the points that `found` has by key into `path` (.png); the bytes depend on the arguments alone.
 
     The first axis of the SPEC runs across and the second makes the lines, an axis of seeds only where there is no other.
@@ -66,7 +67,7 @@ def write_plot(path: Path, title: str, spec: Spec, found: dict[str, dict]) -> No
     if set(lines) <= REPEATS:
         order, lines = order[:1], {}
     others = [_label(spec.axes[i]) for i in range(len(spec.axes)) if i not in order[:2]]
-    cells: dict[tuple[int, ...], list[dict]] = {}
+    cells: dict[tuple[int, ...], list[dict[str, Any]]] = {}
     for point in spec.points:
         if point.key in found:
             cells.setdefault(tuple(point.at[i] for i in order[:2]), []).append(found[point.key])
@@ -93,7 +94,7 @@ def write_plot(path: Path, title: str, spec: Spec, found: dict[str, dict]) -> No
     save_figure(figure, path)
 
 
-def _scale(axis: Axes, swept: dict[str, list]) -> np.ndarray:
+def _scale(axis: Axes, swept: dict[str, list[Any]]) -> np.ndarray:
     """Where the values of an axis of the SPEC stand; sets scale and ticks."""
     texts, values = _texts(swept) or [""], next(iter(swept.values()), [])
     numeric = len(swept) == 1 and all(
@@ -107,20 +108,20 @@ def _scale(axis: Axes, swept: dict[str, list]) -> np.ndarray:
     return x
 
 
-def _span(cell: list[dict], measure: str) -> tuple[float, float, float]:
+def _span(cell: list[dict[str, Any]], measure: str) -> tuple[float, float, float]:
     """Least, mean and most of a measure; NaN where no point has it."""
     values = [point[measure] for point in cell if point[measure] is not None]
     return (min(values), float(np.mean(values)), max(values)) if values else (np.nan,) * 3
 
 
-def _texts(swept: dict[str, list]) -> list[str]:
+def _texts(swept: dict[str, list[Any]]) -> list[str]:
     return [
         ", ".join(format(value, "g") if isinstance(value, float) else str(value) for value in step)
         for step in zip(*swept.values())
     ]
 
 
-def _label(swept: dict[str, list]) -> str:
+def _label(swept: dict[str, list[Any]]) -> str:
     """What an axis of the SPEC sweeps, with units."""
     parts = []
     for key in swept:

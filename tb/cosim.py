@@ -6,7 +6,9 @@ rising edge that ends the cycle.
 
 import os
 import pickle
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import cocotb
 import numpy as np
@@ -92,12 +94,12 @@ class SensorBench:
         edges: Edges,
         ready: np.ndarray,
         board: Scoreboard | None = None,
-        progress=lambda cycle: None,
+        progress: Callable[[int], None] = lambda cycle: None,
     ) -> Recorded:
         """Plays a frame and returns what it showed. `board` raises at the first difference from the golden model."""
         sensor = self.sensor
         words = self.shine(config, edges)
-        low = [int(c) for c in np.flatnonzero(np.asarray(ready) == 0)]
+        low = {int(c) for c in np.flatnonzero(np.asarray(ready) == 0)}
         await self.program(config)
         started = cocotb.start_soon(self.write("control", 1 << registers.BY_NAME["control"].bit("start")))
         falling = FallingEdge(self.dut.clk)
@@ -110,9 +112,10 @@ class SensorBench:
                 break
             if started.done():
                 started.result()  # a refused start raises here
-        low = set(low)
-        driven, was_ready = set(), None
-        beats, beat_cycle = [[] for _ in range(sensor.streams)], [[] for _ in range(sensor.streams)]
+        driven: set[int] = set()
+        was_ready: bool | None = None
+        beats: list[list[int]] = [[] for _ in range(sensor.streams)]
+        beat_cycle: list[list[int]] = [[] for _ in range(sensor.streams)]
         commits: list[tuple[int, int]] = []
         running = list(range(sensor.streams))
         limit, frame_cycles = cycle_limit(config, len(ready)), config.frame_cycles
@@ -184,7 +187,7 @@ class LineBench(SensorBench):
         self.light = cocotb.start_soon(self._shine(line_levels(config, edges)))
         return {}
 
-    async def _shine(self, levels) -> None:
+    async def _shine(self, levels: tuple[list[int], list[int], list[int]]) -> None:
         falling, start = FallingEdge(self.dut.clk), 1 << bus.time_layout(self.sensor)["start"].offset
         while True:
             await falling
@@ -199,7 +202,7 @@ class LineBench(SensorBench):
 
 
 @cocotb.test()
-async def play_job(dut):
+async def play_job(dut: Any) -> None:
     """Plays the job that the environment names and leaves its records beside it; or else the first difference, as text."""
     path = Path(os.environ[JOB_VARIABLE])
     job, lines = load_job(path)
@@ -209,7 +212,7 @@ async def play_job(dut):
     for number, frame in enumerate(job):
         board = Scoreboard(bench.sensor, frame.expected, number) if frame.expected else None
 
-        def progress(cycle, base=before):
+        def progress(cycle: int, base: int = before) -> None:
             print(PROGRESS, base + cycle, flush=True)
 
         try:

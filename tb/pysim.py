@@ -3,7 +3,7 @@
 from collections.abc import Callable
 
 import numpy as np
-from amaranth.sim import Simulator
+from amaranth.sim import Simulator, SimulatorContext
 
 from ..hdl.sensor import FlatSensor
 from ..model.contract import registers
@@ -25,9 +25,10 @@ def play(
     dut, words = FlatSensor(sensor), port_words(config, edges)
     frame_cycles = config.frame_cycles
     names = [sensor.stream_name(stream) for stream in range(sensor.streams)]
-    beats, beat_cycle = [[] for _ in names], [[] for _ in names]
+    beats: list[list[int]] = [[] for _ in names]
+    beat_cycle: list[list[int]] = [[] for _ in names]
 
-    async def host(ctx):
+    async def host(ctx: SimulatorContext) -> None:
         start = registers.address("control"), 1 << registers.BY_NAME["control"].bit("start")
         ctx.set(dut.s_axi_wstrb, 0xF)
         ctx.set(dut.s_axi_bready, 1)
@@ -45,7 +46,7 @@ def play(
                 for valid in taken:
                     ctx.set(valid, 0)
 
-    async def frame(ctx):
+    async def frame(ctx: SimulatorContext) -> None:
         streams = [
             [getattr(dut, f"{name}_{wire}") for wire in ("tvalid", "tdata", "tlast", "tready")] for name in names
         ]
@@ -54,7 +55,8 @@ def play(
             ctx.set(ready, 1)
         while not ctx.get(dut.laser):
             await ctx.tick()
-        running, driven, cycle = list(range(len(streams))), {}, 0
+        running, cycle = list(range(len(streams))), 0
+        driven: dict[int, int] = {}
         while running or cycle < frame_cycles:
             progress(cycle)
             now = dict(words.get(cycle, ()))

@@ -4,15 +4,16 @@ from pathlib import Path
 
 from ..hdl.export import FILE_LIST, core_files, verilog_files
 from ..hdl.sensor import CORE, TOP
-from ..hdl.views import POLYPHASE
+from ..hdl.views import POLYPHASE, View
 from ..model.contract.parameters import Sensor
+from ..model.shared.folders import build_root
 from ..model.shared.sources import digest, sources_digest
 from . import toolchain
 
 CORE_LIST = f"{CORE}.f"
 
 
-def sensor_key(sensor: Sensor, view=POLYPHASE) -> str:
+def sensor_key(sensor: Sensor, view: View = POLYPHASE) -> str:
     """Names a build for people: the view and the parameters that differ from the defaults come after the size."""
     default = Sensor()
     parts = [f"{sensor.rows}x{sensor.cols}"]
@@ -23,7 +24,7 @@ def sensor_key(sensor: Sensor, view=POLYPHASE) -> str:
     return "-".join(parts + [view.name] * (view != POLYPHASE))
 
 
-def rtl(sensor: Sensor, view=POLYPHASE) -> list[Path]:
+def rtl(sensor: Sensor, view: View = POLYPHASE) -> list[Path]:
     """The sensor's Verilog files in a view of `hdl/views.py`, emitted once for its parameters and the state of the sources."""
     return _listed(_emitted(sensor, view), FILE_LIST)
 
@@ -35,7 +36,7 @@ def rtl_in_two(sensor: Sensor) -> tuple[list[Path], list[Path]]:
     return core, [path for path in rtl(sensor) if path.stem not in in_core]
 
 
-def _emitted(sensor: Sensor, view=POLYPHASE) -> Path:
+def _emitted(sensor: Sensor, view: View = POLYPHASE) -> Path:
     parts = [repr(sensor)] if view == POLYPHASE else [repr(sensor), repr(view)]
     key = digest(*parts, sources_digest("hdl", "model.contract", "model.shared"), Path(__file__).read_bytes())
 
@@ -47,7 +48,7 @@ def _emitted(sensor: Sensor, view=POLYPHASE) -> Path:
         for name, text in files.items():
             (directory / name).write_text(text)
 
-    return toolchain.build_once(toolchain.build_root() / "verilog" / f"{sensor_key(sensor, view)}-{key}", emit)
+    return toolchain.build_once(build_root() / "verilog" / f"{sensor_key(sensor, view)}-{key}", emit)
 
 
 def _listed(directory: Path, file_list: str) -> list[Path]:

@@ -204,10 +204,10 @@ class Build:
             vpi = cocotb_config.lib_entry("vpi", "icarus")
             command = ["vvp", "-n", "-m", vpi, str(program), "-fst" if self.waves else "-none"]
         code = _execute(command, out_dir, log, environment, echo)
-        wave = wave if wave.exists() else None
+        dumped = wave if wave.exists() else None
         if (reason := _failure(results, code)) is not None:
-            raise SimulationError(f"{test_module} on {self.simulator}: {reason}{_tail(log)}", log, wave)
-        return Run(log, results, wave)
+            raise SimulationError(f"{test_module} on {self.simulator}: {reason}{_tail(log)}", log, dumped)
+        return Run(log, results, dumped)
 
 
 def build(
@@ -238,9 +238,9 @@ def build(
         raise ToolchainError(f"simulator = {simulator!r}: must be one of {', '.join(SIMULATORS)}")
     if not re.fullmatch(r"[\w.-]+", key):
         raise ToolchainError(f"key = {key!r}: must be letters, digits, '.', '_' and '-'")
-    sources = [Path(source) for source in sources]
-    files = {path.name: path.read_bytes() for path in sources}  # copied: the build is complete in itself
-    if len(files) < len(sources):
+    paths = [Path(source) for source in sources]
+    files = {path.name: path.read_bytes() for path in paths}  # copied: the build is complete in itself
+    if len(files) < len(paths):
         raise ToolchainError(f"sources of {key}: two files have the same name")
     if simulator == "verilator":
         controls = {f"control{i}.vlt": Path(path).read_bytes() for i, path in enumerate(vlt)}
@@ -360,7 +360,9 @@ def _failure(results: Path, code: int) -> str | None:
         cases = list(ElementTree.parse(results).iter("testcase"))
     except (OSError, ElementTree.ParseError):
         return f"the simulator ended without results (exit code {code})"
-    failed = [case.get("name") for case in cases if case.find("failure") is not None or case.find("error") is not None]
+    failed = [
+        case.get("name", "") for case in cases if case.find("failure") is not None or case.find("error") is not None
+    ]
     if failed:
         return f"{len(failed)} of {len(cases)} tests failed ({', '.join(failed)})"
     if all(case.find("skipped") is not None for case in cases):
@@ -389,7 +391,7 @@ def _execute(
             errors="replace",
         )
         try:
-            if show:
+            if show and process.stdout:
                 for line in process.stdout:
                     output.write(line)
                     show(line)

@@ -3,6 +3,7 @@
 import zlib
 from collections.abc import Iterator
 from pathlib import Path
+from typing import TypeAlias
 
 from attrs import frozen
 
@@ -13,7 +14,8 @@ HIERARCHY, HIERARCHY_LZ4, HIERARCHY_LZ4_TWICE = 4, 6, 7  # block types of the FS
 SCOPE, UPSCOPE, ATTRIBUTE, END_ATTRIBUTE = 254, 255, 252, 253  # tags of the hierarchy; lower ones are variables
 
 # What is worth seeing of each block, in the order of a photon's way; names are those of the Verilog.
-BLOCKS: tuple[tuple[str, str, tuple[str, ...]], ...] = (  # (title, scope below the top, signals)
+Block: TypeAlias = tuple[str, str, tuple[str, ...]]  # title, scope below the top, signals
+BLOCKS: tuple[Block, ...] = (
     (
         "sensor",
         "",
@@ -67,6 +69,9 @@ class Variable:
     def name(self) -> str:
         """The path without a range."""
         return self.path.partition("[")[0].rstrip()
+
+
+Group: TypeAlias = tuple[str, list[Variable]]  # title, what the waveform has of its signals
 
 
 def hierarchy(fst: Path) -> list[Variable]:
@@ -165,7 +170,7 @@ def _variables(text: bytes) -> Iterator[Variable]:
             yield Variable(".".join([*scopes, name]), width)
 
 
-def views(fst: Path, blocks=BLOCKS) -> list[Path]:
+def views(fst: Path, blocks: tuple[Block, ...] = BLOCKS) -> list[Path]:
     """Writes views of `fst` beside it, for GTKWave (.gtkw) and Surfer (.sucl), and returns their paths.
 
     A signal that the waveform does not have (its sensor has no such block) is left out.
@@ -191,7 +196,7 @@ def _below_top(path: str) -> str:
     return path.partition(f"{TOP}.")[2]
 
 
-def _gtkwave(fst: Path, groups) -> str:
+def _gtkwave(fst: Path, groups: list[Group]) -> str:
     lines = [f'[dumpfile] "{fst.name}"', "[timestart] 0"]
     for title, variables in groups:
         lines += ["@200", f"-{title}"]
@@ -200,7 +205,7 @@ def _gtkwave(fst: Path, groups) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _surfer(groups) -> str:
+def _surfer(groups: list[Group]) -> str:
     lines = []
     for title, variables in groups:
         lines.append("divider_add " + title.replace(" ", "_"))  # a command takes one word

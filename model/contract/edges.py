@@ -6,7 +6,7 @@ import numpy as np
 from attrs import frozen
 
 from ..shared.errors import InputError
-from ..shared.files import read_npz, write_npz
+from ..shared.files import FilePath, read_npz, write_npz
 
 
 class Fate(enum.IntEnum):
@@ -38,7 +38,7 @@ class Edges:
     def __len__(self) -> int:
         return len(self.tick)
 
-    def save(self, path) -> None:
+    def save(self, path: FilePath) -> None:
         """Writes the edges as NPZ, whole or not at all."""
         offset = {} if self.offset_ps is None else {"offset_ps": self.offset_ps}
         write_npz(path, {name: getattr(self, name) for name in NAMES} | offset)
@@ -53,7 +53,7 @@ class Edges:
 NAMES = ("pulse", "pixel", "tick")
 
 
-def load_edges(path, *, pixels: int, pulses: int, period_ticks: int) -> Edges:
+def load_edges(path: FilePath, *, pixels: int, pulses: int, period_ticks: int) -> Edges:
     """Reads and checks an edge file: pixel below `pixels`, tick below `period_ticks`, pulse below `pulses` (of all frames).
 
     An array `offset_ps` may say where in its tick each edge is. Raises `InputError` naming the array, its first bad element and the
@@ -63,7 +63,9 @@ def load_edges(path, *, pixels: int, pulses: int, period_ticks: int) -> Edges:
     return checked_edges(arrays, pixels=pixels, pulses=pulses, period_ticks=period_ticks, source=f"{path}: ")
 
 
-def checked_edges(arrays: dict, *, pixels: int, pulses: int, period_ticks: int, source: str = "") -> Edges:
+def checked_edges(
+    arrays: dict[str, np.ndarray], *, pixels: int, pulses: int, period_ticks: int, source: str = ""
+) -> Edges:
     """`Edges` from equal-length integer arrays inside their ranges, else `InputError`."""
     for name in NAMES:
         array = arrays[name]
@@ -92,4 +94,5 @@ def checked_edges(arrays: dict, *, pixels: int, pulses: int, period_ticks: int, 
                 f"{source}offset_ps[{bad[0]}] = {offset[bad[0]]}: must be a number from 0 to a tick's length"
             )
         offset = offset.astype(float)
-    return Edges(*(np.ascontiguousarray(arrays[name], dtype=np.int64) for name in NAMES), offset)
+    pulse, pixel, tick = (np.ascontiguousarray(arrays[name], dtype=np.int64) for name in NAMES)
+    return Edges(pulse, pixel, tick, offset)

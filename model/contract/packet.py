@@ -8,6 +8,7 @@ from functools import cache
 
 import numpy as np
 from attrs import frozen
+from numpy.typing import ArrayLike
 
 from .parameters import Sensor
 from .registers import COUNTER_BITS, COUNTER_NAMES
@@ -84,7 +85,7 @@ def layout(sensor: Sensor) -> Layout:
     )
 
 
-def header_field(beats, name: str):
+def header_field(beats: ArrayLike, name: str) -> np.ndarray:
     """A header field of beats, as int64."""
     lsb, width = HEADER[name]
     return ((np.asarray(beats, np.uint64) >> np.uint64(lsb)) & np.uint64((1 << width) - 1)).astype(np.int64)

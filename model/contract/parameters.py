@@ -1,5 +1,7 @@
 """What is fixed when the sensor is built: sizes, phases, and everything that follows from them."""
 
+from collections.abc import Callable
+
 from attrs import Factory, field, frozen
 
 from ..shared.errors import InputError, check_integer
@@ -27,18 +29,22 @@ MINIGROUP_PIXELS = (1, 16)
 SUBGROUPS_MAX = 4096  # the header's subgroup field has 12 bits
 
 
-def _limited(name: str, fits=None):
+def _limited(name: str, fits: Callable[["Sensor"], int] | None = None) -> int:
     """A size with default and range of `SIZE_LIMITS`. fits: the highest default that the fields before it allow."""
     highest_default, low, high = SIZE_LIMITS[name]
     default = Factory(lambda self: min(highest_default, fits(self)), takes_self=True) if fits else highest_default
-    return field(
+    size: int = field(
         default=default,
         validator=lambda _, attribute, value: check_integer(f"sensor.{attribute.name}", value, low, high),
     )
+    return size
 
 
-def _pair(default: tuple[int, int]):
-    return field(default=default, converter=lambda value: tuple(value) if isinstance(value, list) else value)
+def _pair(default: tuple[int, int]) -> tuple[int, int]:
+    pair: tuple[int, int] = field(
+        default=default, converter=lambda value: tuple(value) if isinstance(value, list) else value
+    )
+    return pair
 
 
 def bits_for(highest: int) -> int:
@@ -46,7 +52,7 @@ def bits_for(highest: int) -> int:
     return max(1, int(highest).bit_length())
 
 
-def _phase_bits(phases) -> int:
+def _phase_bits(phases: object) -> int:
     return bits_for(phases - 1) if type(phases) is int else 0
 
 
@@ -71,7 +77,7 @@ class Sensor:
     subgroup: tuple[int, int] = _pair((8, 8))
     minigroup: tuple[int, int] = _pair((2, 2))
 
-    def __attrs_post_init__(self):
+    def __attrs_post_init__(self) -> None:
         if self.phases & (self.phases - 1):
             raise InputError(f"sensor.phases = {self.phases}: must be a power of two from 4 to 64")
         for name, outer, outer_name, (low, high) in (

@@ -3,13 +3,20 @@
 Pixels count row by row, over the array and inside a subgroup; so do subgroups over the array and minigroups inside a subgroup.
 """
 
-from collections import namedtuple
+from typing import NamedTuple
 
 import numpy as np
 
 from .parameters import Sensor
 
-Pixels = namedtuple("Pixels", "subgroup inside minigroup bit")
+
+class Pixels(NamedTuple):
+    """Tables by pixel: of the array its subgroup and its number inside; of a subgroup its minigroup and its bit in that (int64)."""
+
+    subgroup: np.ndarray
+    inside: np.ndarray
+    minigroup: np.ndarray
+    bit: np.ndarray
 
 
 def pixel_table(sensor: Sensor) -> Pixels:

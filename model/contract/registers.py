@@ -60,10 +60,10 @@ class Register:
     offset: int
     access: Access
     doc: str
-    reset: Value = field(default=0, converter=_value)
-    low: Value = field(default=0, converter=_value)
-    high: Value = field(default=0, converter=_value)
-    count: Value = field(default=1, converter=_value)
+    reset: Value = field(default=_value(0), converter=_value)
+    low: Value = field(default=_value(0), converter=_value)
+    high: Value = field(default=_value(0), converter=_value)
+    count: Value = field(default=_value(1), converter=_value)
     bits: tuple[Bits, ...] = ()
 
     def bit(self, name: str) -> int:
@@ -334,7 +334,7 @@ def address(name: str, subgroup: int = 0, index: int = 0) -> int:
 
 def reset_values(sensor: Sensor) -> dict[int, int]:
     """Byte address -> value after reset, of every setting's words."""
-    values = {}
+    values: dict[int, int] = {}
     for table, subgroups in ((GLOBAL, 1), (SUBGROUP, sensor.subgroups)):
         for _, register, index in words(table, sensor):
             if register.access is Access.SETTING:

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ..shared.files import read_npz, write_npz
+from ..shared.files import FilePath, read_npz, write_npz
 from .config import Config
 from .packet import HEADER
 from .parameters import OFFSET_NONE
@@ -20,7 +20,9 @@ class ResultBuilder:
 
     def __init__(self, config: Config):
         self.config = config
-        self._events, self._records, self._counters = [], [], []
+        self._events: list[tuple[np.ndarray, ...]] = []
+        self._records: list[tuple[np.ndarray, ...]] = []
+        self._counters: list[np.ndarray] = []
 
     def add(self, beats: list[np.ndarray], commit_subgroup: np.ndarray, commit_cycle: np.ndarray) -> None:
         """Adds a frame: its beats per stream, and its stored events' subgroups and commit cycles (time order in a subgroup).
@@ -89,7 +91,7 @@ def stall(cycles: int) -> np.ndarray:
     return np.zeros(cycles, np.uint8)
 
 
-def write_result(path, arrays: dict[str, np.ndarray]) -> None:
+def write_result(path: FilePath, arrays: dict[str, np.ndarray]) -> None:
     """Writes a result file, whole or not at all."""
     write_npz(path, arrays)
 

@@ -74,13 +74,13 @@ def decode_frame(beats: np.ndarray, sensor: Sensor, subgroups: int) -> Frame:
     return Frame(int(header_field(head, "pulse")), events, hits, offsets, records, entries, counters)
 
 
-def _split(beats: np.ndarray, dtype) -> np.ndarray:
+def _split(beats: np.ndarray, dtype: type[np.unsignedinteger]) -> np.ndarray:
     """Beats [n, m] (or [n, 0]) as little-endian items [n, m * items a beat]."""
     return np.ascontiguousarray(beats).astype("<u8").view(np.dtype(dtype).newbyteorder("<"))
 
 
 @numba.njit(cache=True)
-def _packets(beats, lengths, end):
+def _packets(beats: np.ndarray, lengths: np.ndarray, end: int) -> tuple[np.ndarray, np.ndarray, int]:
     """Kinds and first beats of the packets after the frame start up to `end`, and the first beat that is no header (or -1)."""
     kinds, starts = np.empty(max(end, 0), np.int64), np.empty(max(end, 0), np.int64)
     n, at = 0, 1

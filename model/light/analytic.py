@@ -11,17 +11,18 @@ probability p at most once, -log(1 - p).
 * noise_cps * dead_time_s stays below `VALID_DEAD_FRACTION`: pixels that just fired are taken for ready at the next window.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
+from numpy.typing import ArrayLike
 from scipy import special, stats
 
 from ..contract.parameters import Sensor
 from ..contract.pixels import pixel_table
 from ..shared.constants import SIGMA_PER_FWHM, SPEED_OF_LIGHT_M_S
 from ..shared.errors import check_integer
-from ..shared.quantities import check_choice, real_array
+from ..shared.quantities import Numbers, check_choice, real_array
 from .link_budget import FORMS
 from .spad import Spad
 from .timing import Timing
@@ -38,9 +39,9 @@ PRINTED_TIME_UNIT_S = (
 class Photons(NamedTuple):
     """Photons in the interval of interest per pixel, in the pixel's minigroup and in its subgroup (floats or arrays)."""
 
-    pixel: np.ndarray
-    minigroup: np.ndarray
-    subgroup: np.ndarray
+    pixel: Numbers
+    minigroup: Numbers
+    subgroup: Numbers
 
 
 class Sizes(NamedTuple):
@@ -50,7 +51,9 @@ class Sizes(NamedTuple):
     subgroup: int = 64
 
 
-def effective_cps(noise_cps, signal_cps, dead_time_s: float, laser_hz: float, form: str):
+def effective_cps(
+    noise_cps: Numbers, signal_cps: Numbers, dead_time_s: float, laser_hz: float, form: str
+) -> tuple[Numbers, Numbers]:
     """(noise, signal) of a pixel after a non-paralyzable dead time, in counts per second. Text before (3).
 
     Literal: each by itself, n / (1 + n t_d). Corrected: the SPAD is one; it is alive at the pulse with probability
@@ -64,7 +67,14 @@ def effective_cps(noise_cps, signal_cps, dead_time_s: float, laser_hz: float, fo
     return noise_cps * live * (1 - signal * dead_time_s), signal
 
 
-def noise_photons(effective_noise_cps, window_s, threshold, dead_time_s, pixels, form: str):
+def noise_photons(
+    effective_noise_cps: Numbers,
+    window_s: Numbers,
+    threshold: int | np.ndarray,
+    dead_time_s: float,
+    pixels: int,
+    form: str,
+) -> Numbers:
     """(3): noise photons of a pixel in the coincidence window of `window_s`.
 
     Literal: the dead time of `threshold` pixels, spread over all, shortens the window (below 0 taken as 0).
@@ -75,32 +85,41 @@ def noise_photons(effective_noise_cps, window_s, threshold, dead_time_s, pixels,
     return _equivalent_mean(effective_noise_cps * window_s)
 
 
-def signal_photons(effective_signal_cps, laser_hz, threshold, dead_time_s, pixels, form: str):
+def signal_photons(
+    effective_signal_cps: Numbers,
+    laser_hz: float,
+    threshold: int | np.ndarray,
+    dead_time_s: float,
+    pixels: int,
+    form: str,
+) -> Numbers:
     """(4): signal photons of a pixel in a laser period. Literal: dead time as in (3). Corrected: none of it."""
     if _literal(form):
         return effective_signal_cps * np.maximum(1 / laser_hz - threshold * dead_time_s / pixels, 0)
     return _equivalent_mean(effective_signal_cps / laser_hz)
 
 
-def group_photons(photons, form: str):
+def group_photons(photons: Numbers, form: str) -> Numbers:
     """(5), (6): photons of a minigroup (subgroup) from those of its pixels (minigroups), along the last axis. One form."""
     _literal(form)
     return np.sum(photons, axis=-1)
 
 
-def count_probability(k, rate_cps, time_s, form: str):
+def count_probability(k: int | np.ndarray, rate_cps: Numbers, time_s: Numbers, form: str) -> Numbers:
     """(7): probability of `k` photons. One form."""
     _literal(form)
     return stats.poisson.pmf(k, rate_cps * time_s)
 
 
-def pixel_probability(photons_pixel, form: str):
+def pixel_probability(photons_pixel: Numbers, form: str) -> Numbers:
     """(9): probability that a pixel detects. Literal: exactly one photon. Corrected: at least one."""
     photons_pixel = np.asarray(photons_pixel, float)
     return photons_pixel * np.exp(-photons_pixel) if _literal(form) else -np.expm1(-photons_pixel)
 
 
-def minigroup_probability(photons_minigroup, threshold, pixels_minigroup: int, form: str):
+def minigroup_probability(
+    photons_minigroup: Numbers, threshold: int | np.ndarray, pixels_minigroup: int, form: str
+) -> Numbers:
     """(10): probability of threshold - 1 photons in a pixel's minigroup.
 
     Literal: of all its pixels, Poisson. Corrected: of the others, distinct, binomial.
@@ -110,20 +129,20 @@ def minigroup_probability(photons_minigroup, threshold, pixels_minigroup: int, f
     return stats.binom.pmf(threshold - 1, pixels_minigroup - 1, _share(photons_minigroup, pixels_minigroup))
 
 
-def rest_photons(photons_subgroup, photons_minigroup, form: str):
+def rest_photons(photons_subgroup: Numbers, photons_minigroup: Numbers, form: str) -> Numbers:
     """(11): photons of the subgroup outside the minigroup. One form."""
     _literal(form)
     return photons_subgroup - photons_minigroup
 
 
-def rest_probability(photons_rest, threshold, pixels_rest: int, form: str):
+def rest_probability(photons_rest: Numbers, threshold: int | np.ndarray, pixels_rest: int, form: str) -> Numbers:
     """(12): probability of threshold - 1 photons outside the minigroup. Literal: Poisson. Corrected: binomial."""
     if _literal(form):
         return stats.poisson.pmf(threshold - 1, photons_rest)
     return stats.binom.pmf(threshold - 1, pixels_rest, _share(photons_rest, pixels_rest))
 
 
-def others_probability(photons: Photons, threshold, sizes: Sizes, form: str):
+def others_probability(photons: Photons, threshold: int | np.ndarray, sizes: Sizes, form: str) -> Numbers:
     """(13): probability that the other pixels of the subgroup bring the threshold - 1 detections that are missing.
 
     Literal: union of (10) and (12), independent. Corrected: at least threshold - 1 of the others, in any split.
@@ -136,12 +155,14 @@ def others_probability(photons: Photons, threshold, sizes: Sizes, form: str):
     return stats.binom.sf(threshold - 2, sizes.subgroup - 1, _share(photons.subgroup, sizes.subgroup))
 
 
-def coincidence_probability(photons: Photons, threshold, sizes: Sizes, form: str):
+def coincidence_probability(photons: Photons, threshold: int | np.ndarray, sizes: Sizes, form: str) -> Numbers:
     """(8), (14): probability that a pixel detects and the threshold is met, of noise or of signal alone."""
     return pixel_probability(photons.pixel, form) * others_probability(photons, threshold, sizes, form)
 
 
-def signal_probability(noise: Photons, signal: Photons, threshold, sizes: Sizes, form: str):
+def signal_probability(
+    noise: Photons, signal: Photons, threshold: int | np.ndarray, sizes: Sizes, form: str
+) -> Numbers:
     """(15): probability that a pixel detects a signal photon in an event, in the presence of noise.
 
     Literal: no noise in the pixel, no noise event, a signal event. Corrected: of the other pixels, those that detect signal
@@ -156,14 +177,16 @@ def signal_probability(noise: Photons, signal: Photons, threshold, sizes: Sizes,
     return pixel_probability(signal.pixel, form) * others_probability(both, threshold, sizes, form)
 
 
-def windows_per_period(effective_noise_sg_cps, period_s, busy_s, form: str):
+def windows_per_period(effective_noise_sg_cps: Numbers, period_s: float, busy_s: float, form: str) -> Numbers:
     """Windows that noise opens in a laser period: (16a) takes one. Corrected: of a tree busy for `busy_s` with each."""
     if _literal(form):
         return np.ones_like(np.asarray(effective_noise_sg_cps, float))
     return effective_noise_sg_cps * period_s / (1 + effective_noise_sg_cps * busy_s)
 
 
-def noise_counts(noise: Photons, threshold, pulses, windows, sizes: Sizes, form: str):
+def noise_counts(
+    noise: Photons, threshold: int | np.ndarray, pulses: int, windows: Numbers, sizes: Sizes, form: str
+) -> Numbers:
     """(16a): noise counts of a pixel in a frame.
 
     Literal: (8) times `pulses`. Corrected: `windows` of each period are opened by a photon, the pixel's own or another's.
@@ -176,18 +199,22 @@ def noise_counts(noise: Photons, threshold, pulses, windows, sizes: Sizes, form:
     return (opens + follows) * windows * pulses
 
 
-def signal_counts(noise: Photons, signal: Photons, threshold, pulses, armed, sizes: Sizes, form: str):
+def signal_counts(
+    noise: Photons, signal: Photons, threshold: int | np.ndarray, pulses: int, armed: Numbers, sizes: Sizes, form: str
+) -> Numbers:
     """(16b): signal counts of a pixel in a frame: (15) times `pulses`. Corrected: if the tree is armed, probability `armed`."""
     counts = signal_probability(noise, signal, threshold, sizes, form) * pulses
     return counts if _literal(form) else counts * armed
 
 
-def noise_per_bin(noise_counts, laser_hz, jitter_s, lsb_s, form: str):
+def noise_per_bin(noise_counts: Numbers, laser_hz: float, jitter_s: float, lsb_s: float, form: str) -> Numbers:
     """(17): noise counts in a bin of the histogram. Literal: in a time of `jitter_s`. Corrected: in one LSB, as (18)."""
     return noise_counts * laser_hz * (jitter_s if _literal(form) else lsb_s)
 
 
-def signal_per_bin(signal_counts, time_s, flight_s, jitter_s, lsb_s, form: str):
+def signal_per_bin(
+    signal_counts: Numbers, time_s: Numbers, flight_s: Numbers, jitter_s: float, lsb_s: float, form: str
+) -> Numbers:
     """(18): signal counts in the bin centred at `time_s`; `jitter_s` is the sigma.
 
     Literal: the root over 2 pi jitter (see `PRINTED_TIME_UNIT_S`). Corrected: the Gaussian's integral over the bin.
@@ -207,9 +234,9 @@ def busy_s(window_ticks: int, rearm_cycles: int, timing: Timing) -> float:
 
 
 def histogram(
-    distance_m,
-    signal_per_pulse,
-    noise_cps,
+    distance_m: ArrayLike,
+    signal_per_pulse: ArrayLike,
+    noise_cps: ArrayLike,
     *,
     threshold: int,
     window_ticks: int,
@@ -276,7 +303,7 @@ def success_probability(expected: np.ndarray, flight_s: float, timing: Timing) -
 
 
 def success_by_threshold(
-    signal_per_pulse: float, noise_cps: float, distance_m: float, *, timing: Timing | None = None, **setting
+    signal_per_pulse: float, noise_cps: float, distance_m: float, *, timing: Timing | None = None, **setting: Any
 ) -> np.ndarray:
     """`success_probability` of a pixel in an evenly lit subgroup for each of `THRESHOLDS`: float64[7]. Setting: `histogram`."""
     timing = timing or Timing()
@@ -305,54 +332,79 @@ def _literal(form: str) -> bool:
     return check_choice("form", form, FORMS) == FORMS[0]
 
 
-def _equivalent_mean(probability):
+def _equivalent_mean(probability: Numbers) -> Numbers:
     """The Poisson mean that detects at least one photon with `probability`."""
     return -np.log1p(-np.minimum(probability, 1 - np.finfo(float).eps))
 
 
-def _share(photons, pixels: int):
+def _share(photons: Numbers, pixels: int) -> Numbers:
     """Probability that one of `pixels` equal pixels detects, which together have `photons`."""
     return -np.expm1(-np.asarray(photons, float) / pixels)
 
 
-def _armed_again(opening, window_ticks, phases, rearm_cycles):
+def _armed_again(opening: np.ndarray, window_ticks: int, phases: int, rearm_cycles: int) -> np.ndarray:
     """The tick at which the tree is armed again after a window that opens at tick `opening`."""
     return ((opening + window_ticks - 1) // phases + 1 + rearm_cycles) * phases
 
 
 def _literal_histogram(
-    flight_s, signal, noise_cps, threshold, window_ticks, pulses, scheme, sensor, timing, spad, sigma_s
-):
+    flight_s: np.ndarray,
+    signal: np.ndarray,
+    noise_cps: np.ndarray,
+    threshold: int,
+    window_ticks: int,
+    pulses: int,
+    scheme: int,
+    sensor: Sensor,
+    timing: Timing,
+    spad: Spad,
+    sigma_s: float,
+) -> np.ndarray:
     """Equations (3) to (18) as printed, on the grid of ticks."""
     form, laser_hz, sizes = FORMS[0], 1 / timing.period_s, Sizes(sensor.minigroup_pixels, sensor.pixels)
     window_s = timing.period_s if scheme == 1 else window_ticks * timing.tick_s
     dead = (threshold, spad.dead_time_s, sensor.pixels, form)
-    noise, signal = effective_cps(noise_cps, signal * laser_hz, spad.dead_time_s, laser_hz, form)
-    noise = _grouped(noise_photons(noise, window_s, *dead), sensor)
-    signal = _grouped(signal_photons(signal, laser_hz, *dead), sensor)
+    effective_noise_cps, effective_signal_cps = effective_cps(
+        noise_cps, signal * laser_hz, spad.dead_time_s, laser_hz, form
+    )
+    of_noise = _grouped(noise_photons(effective_noise_cps, window_s, *dead), sensor)
+    of_signal = _grouped(signal_photons(effective_signal_cps, laser_hz, *dead), sensor)
     if scheme == 1:
-        of_noise = pixel_probability(noise.pixel, form)
-        counts = pulses * of_noise, pulses * (1 - of_noise) * pixel_probability(signal.pixel, form)
+        detects_noise = pixel_probability(of_noise.pixel, form)
+        counts = pulses * detects_noise, pulses * (1 - detects_noise) * pixel_probability(of_signal.pixel, form)
     else:
+        windows = windows_per_period(of_noise.subgroup, 0, 0, form)
         counts = (
-            noise_counts(noise, threshold, pulses, windows_per_period(noise.subgroup, 0, 0, form), sizes, form),
-            signal_counts(noise, signal, threshold, pulses, 1, sizes, form),
+            noise_counts(of_noise, threshold, pulses, windows, sizes, form),
+            signal_counts(of_noise, of_signal, threshold, pulses, 1, sizes, form),
         )
+    per_pixel_noise, per_pixel_signal = (np.asarray(part)[:, None] for part in counts)
     time_s = (np.arange(timing.period_ticks) + 0.5) * timing.tick_s
-    floor = noise_per_bin(counts[0], laser_hz, sigma_s, timing.tick_s, form)
-    return floor[:, None] + signal_per_bin(counts[1][:, None], time_s, flight_s[:, None], sigma_s, timing.tick_s, form)
+    floor = noise_per_bin(per_pixel_noise, laser_hz, sigma_s, timing.tick_s, form)
+    peak = signal_per_bin(per_pixel_signal, time_s, flight_s[:, None], sigma_s, timing.tick_s, form)
+    return np.asarray(floor + peak)
 
 
-def _grouped(photons, sensor: Sensor) -> Photons:
+def _grouped(photons: Numbers, sensor: Sensor) -> Photons:
     """(5), (6): a subgroup's pixels [pixels] with the sums over their minigroups and over the subgroup."""
     minigroup = pixel_table(sensor).minigroup
     sums = np.bincount(minigroup, photons, sensor.minigroups)
-    return Photons(photons, sums[minigroup], np.sum(sums))
+    return Photons(photons, sums[minigroup], float(np.sum(sums)))
 
 
 def _corrected_histogram(
-    flight_s, signal, noise_cps, threshold, window_ticks, pulses, scheme, sensor, timing, spad, sigma_s
-):
+    flight_s: np.ndarray,
+    signal: np.ndarray,
+    noise_cps: np.ndarray,
+    threshold: int,
+    window_ticks: int,
+    pulses: int,
+    scheme: int,
+    sensor: Sensor,
+    timing: Timing,
+    spad: Spad,
+    sigma_s: float,
+) -> np.ndarray:
     """Ticks as independent trials. `fired`: avalanches of each pixel up to each tick's start, at most one in a window."""
     ticks, n = timing.period_ticks, sensor.pixels
     border_s = np.arange(ticks + window_ticks + 1) * timing.tick_s
@@ -369,7 +421,7 @@ def _corrected_histogram(
 
 
 @njit(cache=True)
-def _armed(nobody, window_ticks, phases, rearm_cycles, open_ticks):
+def _armed(nobody: np.ndarray, window_ticks: int, phases: int, rearm_cycles: int, open_ticks: int) -> np.ndarray:
     """Probability that the tree is armed at each tick: at the period's start, and again some cycles after each opening."""
     armed, again, now = np.zeros(nobody.size), np.zeros(nobody.size), 1.0
     for t in range(open_ticks):
@@ -383,7 +435,7 @@ def _armed(nobody, window_ticks, phases, rearm_cycles, open_ticks):
     return armed
 
 
-def _maximum_law(k, means):
+def _maximum_law(k: np.ndarray, means: np.ndarray) -> np.ndarray:
     """P(the largest of independent Poisson counts <= k); means are rounded to three digits, so that few differ."""
     digits = 10.0 ** (np.floor(np.log10(np.maximum(means, 1e-12))) - 2)
     means, times = np.unique(np.round(means / digits) * digits, return_counts=True)

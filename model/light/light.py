@@ -4,12 +4,14 @@ Ref: paper II (SPAD, laser), IV (pulse of 500 to 520 ps FWHM). Effects the paper
 """
 
 import math
+from typing import Any
 
 import numpy as np
-from attrs import frozen
+from attrs import field, frozen
+from numpy.typing import ArrayLike
 
 from ..shared.errors import InputError, check_integer
-from ..shared.quantities import check_real, real, real_array
+from ..shared.quantities import Numbers, check_real, given, real, real_array
 
 BACKGROUND_CPS_PER_KLUX = 1.226e6 / 50  # detected, per pixel; our preset: the level at which thresholds are selective
 SIGNAL_REFERENCE = 0.613  # detected photons per pulse and pixel, equation (1) at the two values below
@@ -25,7 +27,7 @@ def background_cps(klux: float) -> float:
     return BACKGROUND_CPS_PER_KLUX * check_real("klux", klux, 0)
 
 
-def signal_per_pulse(distance_m, reflectivity):
+def signal_per_pulse(distance_m: ArrayLike, reflectivity: ArrayLike) -> np.ndarray:
     """Detected signal photons per pulse and pixel (float64, shapes broadcast); 0 where the distance is NaN.
 
     Equation (1) of the paper: proportional to reflectivity / distance^2.
@@ -43,10 +45,10 @@ class Interferer:
     float64[pixels]. fwhm_s: of its pulse.
     """
 
-    photons_per_pulse: float | np.ndarray
+    photons_per_pulse: Numbers
     period_s: float = real(500e-9, 1e-9)
     phase_s: float = real(0.0, 0)
-    delay_s: float | np.ndarray = 0.0
+    delay_s: Numbers = 0.0
     fwhm_s: float = real(490e-12, 0)
 
 
@@ -63,7 +65,7 @@ class Arrivals:
     photons: np.ndarray
     width_s: float = real(0.0, 0, 1)
 
-    def __attrs_post_init__(self):
+    def __attrs_post_init__(self) -> None:
         n = len(self.photons)
         first = np.asarray(self.first, np.int64)
         if first.ndim != 1 or len(first) < 2 or first[0] != 0 or first[-1] != n or np.any(np.diff(first) < 0):
@@ -91,15 +93,15 @@ class Light:
 
     rows: int
     cols: int
-    distance_m: np.ndarray
-    signal_per_pulse: np.ndarray
-    background_cps: np.ndarray = 0.0
-    system_fwhm_s: float | np.ndarray = 500e-12
+    distance_m: np.ndarray = field(converter=given)
+    signal_per_pulse: np.ndarray = field(converter=given)
+    background_cps: np.ndarray = field(default=0.0, converter=given)
+    system_fwhm_s: np.ndarray = field(default=500e-12, converter=given)
     range_ambiguity: bool = True
     arrivals: Arrivals | None = None
     interferer: Interferer | None = None
 
-    def __attrs_post_init__(self):
+    def __attrs_post_init__(self) -> None:
         check_integer("rows", self.rows, 1, 4096)
         check_integer("cols", self.cols, 1, 4096)
         for name in ("distance_m", "signal_per_pulse", "system_fwhm_s"):
@@ -123,7 +125,7 @@ class Light:
         return self.rows * self.cols
 
     @classmethod
-    def from_scene(cls, distance_m, reflectivity, klux: float, **others) -> "Light":
+    def from_scene(cls, distance_m: ArrayLike, reflectivity: ArrayLike, klux: float, **others: Any) -> "Light":
         """Light of the presets, background uniform.
 
         distance_m: float64[rows, cols] or [rows, cols, targets], NaN = no target; reflectivity: broadcast to it.

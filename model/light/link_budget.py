@@ -10,9 +10,10 @@ import math
 
 import numpy as np
 from attrs import frozen
+from numpy.typing import ArrayLike
 
 from ..shared.constants import PLANCK_J_S, SPEED_OF_LIGHT_M_S
-from ..shared.quantities import check_choice, check_real, real, real_array
+from ..shared.quantities import Numbers, check_choice, check_real, real, real_array
 from .spad import Spad
 from .spectrum import FILTERS, SPECTRA, irradiance_w_m2
 
@@ -39,7 +40,7 @@ class Optics:
     fov_v_deg: float = real(45.0, 1e-3, 179)
     pixels: int = 32 * 32
 
-    def __attrs_post_init__(self):
+    def __attrs_post_init__(self) -> None:
         check_choice("filter_shape", self.filter_shape, FILTERS)
         check_real("pixels", self.pixels, 1)
 
@@ -61,7 +62,7 @@ class LinkBudget:
     the ratio that `sbr_reading` names. Units and sources: `rows`.
     """
 
-    distance_m: float | np.ndarray
+    distance_m: Numbers
     reflectivity: float
     klux: float
     form: str
@@ -70,15 +71,15 @@ class LinkBudget:
     focal_length_m: float
     photon_energy_j: float
     pde: float
-    target_area_m2: float | np.ndarray
+    target_area_m2: Numbers
     irradiance_w_m2: float
-    signal_rate_cps: float | np.ndarray
+    signal_rate_cps: Numbers
     background_rate_cps: float
     background_live_cps: float
-    signal_per_pulse: float | np.ndarray
+    signal_per_pulse: Numbers
     sbr_reading: str
     sbr_window_s: float
-    sbr_db: float | np.ndarray
+    sbr_db: Numbers
 
     def rows(self) -> list[tuple[str, object, str, str]]:
         """The budget line by line: (name, value, unit, source)."""
@@ -126,7 +127,7 @@ _LINES = (
 
 
 def link_budget(
-    distance_m,
+    distance_m: ArrayLike,
     reflectivity: float,
     klux: float,
     *,
@@ -204,6 +205,6 @@ def link_budget(
     )
 
 
-def _plain(value):
+def _plain(value: Numbers) -> Numbers:
     """A float for what has no dimensions, else the array."""
     return float(value) if np.ndim(value) == 0 else value

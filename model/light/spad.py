@@ -9,7 +9,7 @@ from attrs import frozen
 from ..contract.config import Config
 from ..contract.pixels import pixel_table
 from ..shared.errors import check_integer
-from ..shared.quantities import check_real, real
+from ..shared.quantities import Numbers, check_real, real
 
 
 @frozen(kw_only=True, eq=False)
@@ -33,7 +33,7 @@ class Spad:
     jitter_fwhm_s: float = real(100e-12, 0)
     jitter_tail_fraction: float = real(0.0, 0, 1)
     jitter_tail_s: float = real(0.0, 0)
-    dark_cps: float | np.ndarray = 0.0
+    dark_cps: Numbers = 0.0
     afterpulse_probability: float = real(0.0, 0, 0.5)
     afterpulse_s: float = real(30e-9, 1e-12)
     crosstalk_probability: float = real(0.0, 0, 0.25)
@@ -47,14 +47,14 @@ class SpadGate:
     frame_pulses adds step_cycles * ((k // every_pulses) mod steps) to the start; every_pulses = 0: never.
     """
 
-    start_cycles: np.ndarray
-    len_cycles: np.ndarray
-    step_cycles: np.ndarray = 0
+    start_cycles: int | np.ndarray
+    len_cycles: int | np.ndarray
+    step_cycles: int | np.ndarray = 0
     every_pulses: int = 0
     steps: int = 1
     frame_pulses: int = 1 << 62
 
-    def __attrs_post_init__(self):
+    def __attrs_post_init__(self) -> None:
         for name, low in (("every_pulses", 0), ("steps", 1), ("frame_pulses", 1)):
             check_integer(name, getattr(self, name), low, 1 << 62)
 

@@ -59,9 +59,12 @@ def illuminance_lux(spectrum: str) -> float:
 def photopic(wavelength_nm: np.ndarray) -> np.ndarray:
     """CIE 1931 luminous efficiency V(wavelength), as the sum of two lobes with unequal flanks."""
     lobes = ((0.821, 568.8, 0.0213, 0.0247), (0.286, 530.9, 0.0613, 0.0322))
-    return sum(
-        height * np.exp(-0.5 * ((wavelength_nm - peak) * np.where(wavelength_nm < peak, left, right)) ** 2)
-        for height, peak, left, right in lobes
+    return np.sum(
+        [
+            height * np.exp(-0.5 * ((wavelength_nm - peak) * np.where(wavelength_nm < peak, left, right)) ** 2)
+            for height, peak, left, right in lobes
+        ],
+        axis=0,
     )
 
 

@@ -28,7 +28,7 @@ class Timing:
     dither_seed: int = 1
     frame_pulses: int = 0
 
-    def __attrs_post_init__(self):
+    def __attrs_post_init__(self) -> None:
         check_integer("phases", self.phases, 1, 1024)
         check_integer("period_cycles", self.period_cycles, 1, 1 << 20)
         check_integer("dither_bits", self.dither_bits, 0, DITHER_BITS_MAX)

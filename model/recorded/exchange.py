@@ -11,7 +11,9 @@ unit: `time_ps`, `time_ns`, `time_us`, `time_s`. They hold one of
 import io
 import re
 import warnings
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import TypeAlias
 
 import h5py
 import numpy as np
@@ -19,16 +21,18 @@ import numpy as np
 from ..contract.edges import NAMES, Edges
 from ..light.timing import Timing
 from ..shared.errors import InputError
-from ..shared.files import read_npz, whole_file
+from ..shared.files import FilePath, read_npz, whole_file
 from .ptu import read_ptu, write_ptu
 from .recordings import SYNC_MAX, Recording, since_sync
 
 UNITS_PS = {"time_ps": 1, "time_ns": 1e3, "time_us": 1e6, "time_s": 1e12}
 SUFFIXES = (".npz", ".csv", ".h5", ".hdf5", ".ptu")
+Columns: TypeAlias = Sequence[np.ndarray] | np.ndarray  # float64, all of one length
+Read: TypeAlias = Callable[[tuple[str, ...]], Columns]
 EXPECTED = "pulse, pixel, tick; or sync, channel, time_ps; or channel, time_ps (or time_ns, time_us, time_s)"
 
 
-def read_recording(path, sync_channel: int | None = None) -> Recording:
+def read_recording(path: FilePath, sync_channel: int | None = None) -> Recording:
     """The photons of a file of `SUFFIXES`. sync_channel: where absolute times have the laser's trigger (of T2 by default the
     sync input). Raises `InputError` naming the file and what is wrong with it.
     """
@@ -37,9 +41,8 @@ def read_recording(path, sync_channel: int | None = None) -> Recording:
         return read_ptu(path, sync_channel)
     names, read = {".npz": _npz, ".csv": _csv}.get(suffix, _hdf5)(path)
     if set(NAMES) <= set(names):
-        return _of_syncs(
-            path, *(dict(zip(NAMES, read(NAMES)))[name] for name in NAMES), "edges", sync_channel, in_ticks=True
-        )
+        pulse, pixel, tick = read(NAMES)
+        return _of_syncs(path, pulse, pixel, tick, "edges", sync_channel, in_ticks=True)
     unit = next((name for name in UNITS_PS if name in names), None)
     if unit is None or "channel" not in names:
         raise InputError(f"{path}: has the columns {', '.join(names) or 'none'}; must have {EXPECTED}")
@@ -59,7 +62,7 @@ def read_recording(path, sync_channel: int | None = None) -> Recording:
     return since_sync(time[~is_sync], channel[~is_sync], time[is_sync], UNITS_PS[unit], "table of absolute times")
 
 
-def write_edges(path, edges: Edges, timing: Timing) -> None:
+def write_edges(path: FilePath, edges: Edges, timing: Timing) -> None:
     """Writes edges to a file of `SUFFIXES`, whole or not at all; the same bytes for the same edges."""
     suffix = check_suffix(path)
     if suffix == ".npz":
@@ -85,7 +88,7 @@ def write_edges(path, edges: Edges, timing: Timing) -> None:
             file.write(data.getvalue())
 
 
-def check_suffix(path) -> str:
+def check_suffix(path: FilePath) -> str:
     """The file's kind, in lower case, else an `InputError`."""
     suffix = Path(path).suffix.lower()
     if suffix not in SUFFIXES:
@@ -108,7 +111,7 @@ def parse_channels(text: str) -> dict[int, int]:
             raise InputError(
                 f"channels = {text!r}: must be CHANNEL:PIXEL,CHANNEL:PIXEL,... or a CSV file with the columns channel, pixel"
             )
-        pairs = [tuple(map(int, pair.split(":"))) for pair in text.split(",")]
+        pairs = [(int(channel), int(pixel)) for channel, pixel in (pair.split(":") for pair in text.split(","))]
     for which, values in zip(("channel", "pixel"), zip(*pairs)):
         twice = [value for value in values if values.count(value) > 1]
         if twice:
@@ -116,7 +119,15 @@ def parse_channels(text: str) -> dict[int, int]:
     return dict(pairs)
 
 
-def _of_syncs(path, sync, channel, time, kind, sync_channel, in_ticks=False) -> Recording:
+def _of_syncs(
+    path: FilePath,
+    sync: np.ndarray,
+    channel: np.ndarray,
+    time: np.ndarray,
+    kind: str,
+    sync_channel: int | None,
+    in_ticks: bool = False,
+) -> Recording:
     if sync_channel is not None:
         raise InputError(f"sync-channel = {sync_channel}: {path} is a {kind}, which has no triggers among its events")
     first, second, third = NAMES if in_ticks else ("sync", "channel", "time")
@@ -128,7 +139,7 @@ def _of_syncs(path, sync, channel, time, kind, sync_channel, in_ticks=False) -> 
     return Recording(sync=sync, channel=channel, time_ps=time, kind=kind, in_ticks=in_ticks)
 
 
-def _integers(path, name: str, values: np.ndarray) -> np.ndarray:
+def _integers(path: FilePath, name: str, values: np.ndarray) -> np.ndarray:
     """`values` as int64, else an `InputError`."""
     with np.errstate(invalid="ignore"):
         bad = np.flatnonzero(~((values == np.floor(values)) & (np.abs(values) < SYNC_MAX)))
@@ -137,13 +148,13 @@ def _integers(path, name: str, values: np.ndarray) -> np.ndarray:
     return values.astype(np.int64)
 
 
-def _not_negative(path, name: str, values: np.ndarray) -> None:
+def _not_negative(path: FilePath, name: str, values: np.ndarray) -> None:
     bad = np.flatnonzero(~((values >= 0) & (values < np.inf)))
     if len(bad):
         raise InputError(f"{path}: {name}[{bad[0]}] = {values[bad[0]]}: must be a number of at least 0")
 
 
-def _csv(path):
+def _csv(path: FilePath) -> tuple[list[str], Read]:
     """Column names of a CSV file, and a function that reads some of them as float64. Lines with # are comments."""
     try:
         with open(path, encoding="utf-8-sig") as file:
@@ -157,7 +168,7 @@ def _csv(path):
     separator = next((mark for mark in (",", ";", "\t") if mark in head), None)
     names = [name.strip().strip('"').lower() for name in head.split(separator)]
 
-    def read(chosen):
+    def read(chosen: tuple[str, ...]) -> Columns:
         try:
             with warnings.catch_warnings(category=UserWarning, action="ignore"):  # no rows: no photons
                 columns = np.loadtxt(
@@ -175,7 +186,7 @@ def _csv(path):
     return names, read
 
 
-def _npz(path):
+def _npz(path: FilePath) -> tuple[list[str], Read]:
     try:
         with np.load(path, allow_pickle=False) as archive:
             names = list(archive.files)
@@ -184,7 +195,7 @@ def _npz(path):
     return names, lambda chosen: _columns(path, read_npz(path, chosen))
 
 
-def _hdf5(path):
+def _hdf5(path: FilePath) -> tuple[list[str], Read]:
     """Names of the datasets at the file's root, and a function that reads some of them."""
     try:
         with h5py.File(path, "r") as archive:
@@ -194,7 +205,7 @@ def _hdf5(path):
     except (OSError, RuntimeError, LookupError, ValueError, TypeError) as error:
         raise InputError(f"{path}: is not a readable HDF5 file ({error})") from None
 
-    def read(chosen):
+    def read(chosen: tuple[str, ...]) -> Columns:
         try:
             with h5py.File(path, "r") as archive:
                 arrays = {name: archive[name][()] for name in chosen}
@@ -205,7 +216,7 @@ def _hdf5(path):
     return names, read
 
 
-def _columns(path, arrays: dict[str, np.ndarray]) -> list[np.ndarray]:
+def _columns(path: FilePath, arrays: dict[str, np.ndarray]) -> Columns:
     """The arrays as columns of numbers of equal length; integers beyond float64's are refused by `_integers`."""
     for name, array in arrays.items():
         if np.ndim(array) != 1 or array.dtype.kind not in "iuf":

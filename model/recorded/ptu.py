@@ -17,7 +17,7 @@ import ptufile
 from ..contract.edges import Edges
 from ..light.timing import Timing
 from ..shared.errors import InputError
-from ..shared.files import whole_file
+from ..shared.files import FilePath, whole_file
 from .recordings import NO_SYNC, Recording, since_sync
 
 PS_PER_S = 1e12
@@ -41,7 +41,7 @@ _BAD = (
 )
 
 
-def read_ptu(path, sync_channel: int | None = None) -> Recording:
+def read_ptu(path: FilePath, sync_channel: int | None = None) -> Recording:
     """The photons of a PTU file. sync_channel: of T2, the input that carries the laser's trigger (None: the sync input).
 
     In an image recorded point by point the photons' channels are positions, row by row, and syncs count from the
@@ -86,7 +86,7 @@ def read_ptu(path, sync_channel: int | None = None) -> Recording:
 
 
 def _t2(
-    path, raw: np.ndarray, photons: np.ndarray, unit_ps: float, record_type: int, sync_channel: int | None
+    path: FilePath, raw: np.ndarray, photons: np.ndarray, unit_ps: float, record_type: int, sync_channel: int | None
 ) -> Recording:
     channel, time = photons["channel"].astype(np.int64), photons["time"].astype(np.int64)
     if record_type == ptufile.PtuRecordType.PicoHarpT2:
@@ -116,7 +116,7 @@ class _Scan:
         self.start, self.stop, self.frame = start, stop, frame
 
     @classmethod
-    def of(cls, path, file) -> "_Scan":
+    def of(cls, path: FilePath, file: ptufile.PtuFile) -> "_Scan":
         if file.is_sinusoidal:
             raise InputError(f"{path}: is a sinusoidal scan, must be one of constant speed")
         rows, cols = (int(file.tags.get(name, 0)) for name in ("ImgHdr_PixY", "ImgHdr_PixX"))
@@ -162,7 +162,7 @@ class _Scan:
         )
 
 
-def write_ptu(path, edges: Edges, timing: Timing) -> None:
+def write_ptu(path: FilePath, edges: Edges, timing: Timing) -> None:
     """Writes edges as a T3 recording (MultiHarp's records): sync = pulse, input = pixel, time bin = tick. Whole or not at all.
 
     Raises `InputError` for pixels or ticks that the records cannot hold.

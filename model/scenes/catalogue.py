@@ -1,10 +1,12 @@
 """Catalogue of scenes: from what a user names to a `Scene`, whichever room builds it."""
 
+from collections.abc import Callable
 from pathlib import Path
 
 from ..light.light import NEAREST_M
 from ..light.timing import RANGE_M
 from ..shared.errors import InputError, check_integer
+from ..shared.files import FilePath
 from ..shared.quantities import check_real
 from .depth_file import depth_scene
 from .planes import FIVE_OBJECTS, LETTER_F, REFLECTIVITY, flat, planes_scene, two_returns, two_targets
@@ -12,7 +14,9 @@ from .ray_scene import is_ray_scene, ray_scene
 from .scene import Scene
 
 _TWO = (("NEAR", 5.0), ("FAR", 9.0), ("REFLECTIVITY", REFLECTIVITY))
-BUILT_IN = {  # name: parameters with their defaults, and the function that builds it
+BUILT_IN: dict[
+    str, tuple[tuple[tuple[str, float], ...], Callable[..., Scene]]
+] = {  # name: parameters with their defaults, and the function that builds it
     "five-objects": ((), lambda rows, cols, name: planes_scene(FIVE_OBJECTS, rows, cols, name)),
     "letter-f": ((), lambda rows, cols, name: planes_scene(LETTER_F, rows, cols, name)),
     "flat": ((("DISTANCE", 10.0), ("REFLECTIVITY", REFLECTIVITY)), flat),
@@ -22,7 +26,13 @@ BUILT_IN = {  # name: parameters with their defaults, and the function that buil
 
 
 def load_scene(
-    source: str, rows: int, cols: int, *, colour=None, reflectivity: float = REFLECTIVITY, range_m: float = RANGE_M
+    source: str,
+    rows: int,
+    cols: int,
+    *,
+    colour: FilePath | None = None,
+    reflectivity: float = REFLECTIVITY,
+    range_m: float = RANGE_M,
 ) -> Scene:
     """The scene that `source` names, at rows x cols.
 
@@ -61,7 +71,7 @@ def _numbers(name: str, text: str, defaults: tuple[tuple[str, float], ...], rang
     for i, (what, default) in enumerate(defaults):
         low, high = (0.0, 1.0) if what == "REFLECTIVITY" else (NEAREST_M, range_m)
         try:
-            value = float(given[i]) if i < len(given) else default
+            value: float | str = float(given[i]) if i < len(given) else default
         except ValueError:
             value = given[i]
         values.append(check_real(f"scene {name}: {what}", value, low, high))

@@ -8,6 +8,7 @@ from PIL import Image
 from ..light.light import NEAREST_M
 from ..light.timing import RANGE_M
 from ..shared.errors import InputError
+from ..shared.files import FilePath
 from ..shared.quantities import check_real
 from .planes import REFLECTIVITY
 from .scene import Scene
@@ -19,7 +20,13 @@ MM_PER_M = 1000
 
 
 def depth_scene(
-    depth, rows: int, cols: int, *, colour=None, reflectivity: float = REFLECTIVITY, range_m: float = RANGE_M
+    depth: FilePath,
+    rows: int,
+    cols: int,
+    *,
+    colour: FilePath | None = None,
+    reflectivity: float = REFLECTIVITY,
+    range_m: float = RANGE_M,
 ) -> Scene:
     """A scene from a depth file: a 16-bit picture (PNG, TIFF) in millimetres, or NPY in metres (floats) or millimetres (integers).
 
@@ -67,7 +74,7 @@ def _centre_crop(height: int, width: int, rows: int, cols: int) -> tuple[int, in
     return (height - crop_height) // 2, (width - crop_width) // 2, crop_height, crop_width
 
 
-def _usable(depth, sample_m: np.ndarray, range_m: float) -> tuple[np.ndarray, list[str]]:
+def _usable(depth: FilePath, sample_m: np.ndarray, range_m: float) -> tuple[np.ndarray, list[str]]:
     """`sample_m` with NaN where it is unusable, and what was."""
     missing = np.isnan(sample_m) | (sample_m == 0)
     negative = sample_m < 0
@@ -112,7 +119,7 @@ def _nearest_surface(sample_m: np.ndarray, rows: int, cols: int) -> tuple[np.nda
     return row[at_row].reshape(rows, cols), col[at_col].reshape(rows, cols)
 
 
-def _read_depth_m(path) -> np.ndarray:
+def _read_depth_m(path: FilePath) -> np.ndarray:
     """float64[height, width] in metres; what is not a depth map is an `InputError`."""
     suffix = Path(path).suffix.lower()
     if suffix == ".exr":
@@ -127,7 +134,7 @@ def _read_depth_m(path) -> np.ndarray:
     return samples.astype(np.float64) / (1 if samples.dtype.kind == "f" else MM_PER_M)
 
 
-def _read_npy(path) -> np.ndarray:
+def _read_npy(path: FilePath) -> np.ndarray:
     try:
         samples = np.load(path, allow_pickle=False)
     except FileNotFoundError:
@@ -139,7 +146,7 @@ def _read_npy(path) -> np.ndarray:
     return samples
 
 
-def _read_grey(path) -> np.ndarray:
+def _read_grey(path: FilePath) -> np.ndarray:
     """A picture's samples; colour and 8 bit are refused: they cannot be depth in millimetres."""
     with _picture(path) as picture:
         if picture.mode != "F" and not picture.mode.startswith("I"):
@@ -150,7 +157,7 @@ def _read_grey(path) -> np.ndarray:
         return np.array(picture)
 
 
-def _read_reflectivity(path) -> np.ndarray:
+def _read_reflectivity(path: FilePath) -> np.ndarray:
     """float64[height, width]: linear luminance (sRGB primaries) between `DARKEST` and `BRIGHTEST`."""
     with _picture(path) as picture:
         srgb = np.asarray(picture.convert("RGB"), np.float64) / 255
@@ -158,7 +165,7 @@ def _read_reflectivity(path) -> np.ndarray:
     return DARKEST + (BRIGHTEST - DARKEST) * (linear @ [0.2126, 0.7152, 0.0722])
 
 
-def _picture(path) -> Image.Image:
+def _picture(path: FilePath) -> Image.Image:
     """An opened and decoded picture."""
     try:
         picture = Image.open(path)

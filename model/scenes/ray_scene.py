@@ -8,6 +8,8 @@ import ctypes
 import os
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
+from types import ModuleType
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -19,6 +21,9 @@ from ..shared.folders import build_root
 from ..shared.sources import digest, sources_digest
 from .scene import Scene
 from .transient import Transient
+
+if TYPE_CHECKING:
+    from .ray_tracer import RayScene
 
 PREFIX = "ray:"
 BUILT_IN = ("five-objects", "glass", "corner", "retroreflector", "fog")
@@ -93,7 +98,7 @@ def _path(source: str) -> Path:
     return SCENES / f"{name}.xml"
 
 
-def _tracer():
+def _tracer() -> ModuleType:
     """The module that needs the extra. Raises `InputError` where the extra or its LLVM is missing."""
     try:
         for package in PACKAGES:
@@ -121,7 +126,7 @@ def llvm_library() -> str:
     )
 
 
-def _key(scene, rows: int, cols: int, view: dict[str, float]) -> str:
+def _key(scene: "RayScene", rows: int, cols: int, view: dict[str, float]) -> str:
     """Hash of all that decides the rendering: the scene's files, the view, the versions, and our own code."""
     packages = [(name, version(name)) for name in PACKAGES]
     code = sources_digest("model.scenes")
@@ -163,7 +168,7 @@ def _surfaces(name: str, transient: Transient, range_m: float) -> tuple[np.ndarr
     return np.where(there & ~near & ~far, surface_m, np.nan), notes
 
 
-def _about(name: str, scene, rows: int, cols: int, optics: Optics) -> list[str]:
+def _about(name: str, scene: "RayScene", rows: int, cols: int, optics: Optics) -> list[str]:
     """What of a user's file counts, and what does not."""
     first = "" if scene.cameras == 1 else f"the first of {scene.cameras} cameras, "
     kind = "" if scene.kind in ("perspective", "thinlens") else f" (a {scene.kind}, taken for a perspective one)"

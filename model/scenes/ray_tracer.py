@@ -13,6 +13,7 @@ import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -21,6 +22,7 @@ from attrs import frozen
 
 from ..shared.constants import SPEED_OF_LIGHT_M_S
 from ..shared.errors import InputError
+from ..shared.files import FilePath
 from .transient import BIN_S, Transient, dominant_surface_m, sparse
 
 VARIANT = "llvm_ad_mono"
@@ -97,8 +99,8 @@ class RayScene:
     """
 
     path: Path
-    state: object
-    config: object
+    state: Any
+    config: Any
     position: np.ndarray
     axes: np.ndarray
     emitters: int
@@ -107,7 +109,7 @@ class RayScene:
     files: dict[str, bytes]
 
 
-def read_scene(path) -> RayScene:
+def read_scene(path: FilePath) -> RayScene:
     """Parses a scene file. Raises `InputError`."""
     config = mi.parser.ParserConfig(VARIANT)
     config.merge_meshes = False
@@ -142,7 +144,7 @@ def read_scene(path) -> RayScene:
 
 
 @contextmanager
-def _files_beside(path) -> Iterator[None]:
+def _files_beside(path: FilePath) -> Iterator[None]:
     """What a scene names is looked for in its folder, too; for this scene only."""
     before = mi.file_resolver()
     resolver = mi.FileResolver(before)
@@ -154,7 +156,7 @@ def _files_beside(path) -> Iterator[None]:
         mi.set_file_resolver(before)
 
 
-def _one_line(path, error: Exception) -> str:
+def _one_line(path: FilePath, error: Exception) -> str:
     """Mitsuba's words about `path`, without the lines of its own source."""
     words = " ".join(
         part.split("] ", 1)[-1] if part.startswith("[") else part.strip() for part in str(error).splitlines()
@@ -162,7 +164,7 @@ def _one_line(path, error: Exception) -> str:
     return f"{path}: is not a scene that Mitsuba reads ({words})"
 
 
-def _pose(path, camera) -> tuple[np.ndarray, np.ndarray]:
+def _pose(path: FilePath, camera: Any) -> tuple[np.ndarray, np.ndarray]:
     """Position and axes; scale and shear of the transform are dropped, a mirror image stays one."""
     if "to_world" not in camera.keys():
         return np.zeros(3), np.eye(3)
@@ -173,7 +175,7 @@ def _pose(path, camera) -> tuple[np.ndarray, np.ndarray]:
     return matrix[:3, 3], matrix[:3, :3] / length
 
 
-def _contents(state) -> dict[str, bytes]:
+def _contents(state: Any) -> dict[str, bytes]:
     """The scene's files and what they name, by the names they are called."""
     files = {str(path): Path(str(path)).read_bytes() for path in state.files}
     for node in state.nodes:
@@ -282,7 +284,7 @@ class _Lidar(TransientPRBVolpathIntegrator):
         return distance, 1 - clear + clear * through
 
 
-def _opaque(values: np.ndarray) -> list:
+def _opaque(values: np.ndarray) -> list[Any]:
     return [dr.opaque(mi.Float, value) for value in values.tolist()]
 
 
@@ -298,7 +300,10 @@ def render(scene: RayScene, rows: int, cols: int, *, fov_h_deg: float, fov_v_deg
     lidar = _Lidar(scene, tan_h, tan_v)
     pixels, bins = rows * cols, math.ceil(stop_s / BIN_S)
     block = max(1, min(pixels, TABLE_BINS // bins))
-    counts, index, strength, ambient, surface_m, lost = [], [], [], [], [], 0
+    counts: list[np.ndarray] = []
+    index: list[np.ndarray] = []
+    strength: list[np.ndarray] = []
+    ambient, surface_m, lost = [], [], 0
     with dr.suspend_grad():
         for first in range(0, pixels, block):
             n = min(block, pixels - first)
@@ -324,7 +329,7 @@ def render(scene: RayScene, rows: int, cols: int, *, fov_h_deg: float, fov_v_deg
     )
 
 
-def _check_media(world, path) -> None:
+def _check_media(world: Any, path: FilePath) -> None:
     """mitransient 1.3.1 does not count the way between the null collisions of a heterogeneous medium: its times are too short."""
     media = [
         medium for shape in world.shapes() for medium in (shape.interior_medium(), shape.exterior_medium()) if medium
@@ -335,7 +340,7 @@ def _check_media(world, path) -> None:
         )
 
 
-def _rays(lidar: _Lidar, rows: int, cols: int, first: int, n: int, side: int, seed: int):
+def _rays(lidar: _Lidar, rows: int, cols: int, first: int, n: int, side: int, seed: int) -> tuple[Any, Any, Any]:
     """(sampler, rays, pixel of each in the block): side x side rays of each of the pixels from `first` on, one in each cell of a grid."""
     lanes = n * side * side
     sampler = mi.load_dict({"type": "independent"})
@@ -351,7 +356,9 @@ def _rays(lidar: _Lidar, rows: int, cols: int, first: int, n: int, side: int, se
     return sampler, mi.Ray3f(lidar.position, dr.normalize(left * to_left + up * to_up + forward)), local
 
 
-def _histogram(lidar: _Lidar, world, rows: int, cols: int, first: int, n: int, bins: int) -> tuple[np.ndarray, int]:
+def _histogram(
+    lidar: _Lidar, world: Any, rows: int, cols: int, first: int, n: int, bins: int
+) -> tuple[np.ndarray, int]:
     """(uint64[n, bins], what comes later): sums over the samples of a pixel, in `UNIT`."""
     sampler, ray, local = _rays(lidar, rows, cols, first, n, SAMPLE_SIDE, seed=2 * first + 1)
     table, beyond = dr.zeros(mi.UInt64, n * bins), dr.zeros(mi.UInt64, 1)

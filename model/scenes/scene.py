@@ -4,12 +4,14 @@ Built-in ones are planes that face the sensor; depth files are resampled to it. 
 built-in scenes and the rules of the resampling are our choice.
 """
 
+from typing import Any
+
 import numpy as np
 from attrs import field, frozen
 
 from ..light.light import NEAREST_M, Light
 from ..shared.errors import InputError
-from ..shared.quantities import real_array
+from ..shared.quantities import given, real_array
 from .transient import Transient
 
 NO_OBJECT = 0
@@ -27,13 +29,13 @@ class Scene:
     """
 
     name: str
-    distance_m: np.ndarray = field()
-    reflectivity: np.ndarray
-    labels: np.ndarray = NO_OBJECT
+    distance_m: np.ndarray = field(converter=given)
+    reflectivity: np.ndarray = field(converter=given)
+    labels: np.ndarray = field(default=NO_OBJECT, converter=given)
     notes: tuple[str, ...] = ()
     transient: Transient | None = None
 
-    def __attrs_post_init__(self):
+    def __attrs_post_init__(self) -> None:
         distance_m = np.asarray(self.distance_m, np.float64)
         reflectivity = np.asarray(self.reflectivity, np.float64)
         if distance_m.ndim == 2:
@@ -65,7 +67,7 @@ class Scene:
         return np.fmin.reduce(self.distance_m, axis=2)
 
 
-def scene_light(scene: Scene, klux: float, **others) -> Light:
+def scene_light(scene: Scene, klux: float, **others: Any) -> Light:
     """The light of `scene` under `klux` of background, by the presets of `light.py`; `others` are fields of `Light`."""
     if scene.transient is not None:
         return scene.transient.light(klux, **others)

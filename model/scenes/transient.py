@@ -6,6 +6,7 @@ So a transient knows nothing of laser, lens and detector, and the link budget tu
 
 import math
 from functools import cache
+from typing import Any
 
 import numpy as np
 from attrs import frozen
@@ -13,7 +14,7 @@ from attrs import frozen
 from ..light.light import REFERENCE_REFLECTIVITY, SIGNAL_MAX, Arrivals, Light, background_cps
 from ..light.link_budget import Laser, Optics, link_budget
 from ..shared.constants import SPEED_OF_LIGHT_M_S
-from ..shared.files import read_npz, write_npz
+from ..shared.files import FilePath, read_npz, write_npz
 
 BIN_S = 15.625e-12  # a quarter of the preset's tick
 SURFACE_GAP_M = (
@@ -39,13 +40,13 @@ class Transient:
     surface_m: np.ndarray
     lost_per_m2: float = 0.0
 
-    def save(self, path) -> None:
+    def save(self, path: FilePath) -> None:
         write_npz(path, {name: np.asarray(getattr(self, name)) for name in _ARRAYS})
 
     @classmethod
-    def load(cls, path) -> "Transient":
+    def load(cls, path: FilePath) -> "Transient":
         arrays = read_npz(path, _ARRAYS)
-        return cls(**arrays | {"lost_per_m2": float(arrays["lost_per_m2"])})
+        return cls(lost_per_m2=float(arrays.pop("lost_per_m2")), **arrays)
 
     @property
     def total_per_m2(self) -> np.ndarray:
@@ -64,7 +65,7 @@ class Transient:
                 depth_m[pixel] = np.average(index[here] + 0.5, weights=strength[here]) * BIN_S * SPEED_OF_LIGHT_M_S / 2
         return depth_m.reshape(self.surface_m.shape)
 
-    def light(self, klux: float, *, optics: Optics | None = None, laser: Laser | None = None, **others) -> Light:
+    def light(self, klux: float, *, optics: Optics | None = None, laser: Laser | None = None, **others: Any) -> Light:
         """What the sensor detects: signal by the link budget, background by the preset in proportion to `ambient`.
 
         The preset's background is that of `REFERENCE_REFLECTIVITY`; equation (2) is proportional to the reflectivity, too. others:
@@ -92,7 +93,8 @@ def photons_per_strength(optics: Optics, laser: Laser) -> float:
 
     As everywhere in the project the light of a pixel is that of a pixel of `optics.pixels`, whatever the array's size.
     """
-    return link_budget(1.0, 1.0, 0.0, optics=optics, laser=laser, form="corrected").signal_per_pulse * math.pi
+    budget = link_budget(1.0, 1.0, 0.0, optics=optics, laser=laser, form="corrected")
+    return float(budget.signal_per_pulse) * math.pi
 
 
 def sparse(table: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

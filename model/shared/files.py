@@ -4,16 +4,21 @@ import os
 import tempfile
 import tokenize
 import zipfile
+import zlib
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import IO, Any, TypeAlias
 
 import numpy as np
 
 from .errors import InputError
 
+FilePath: TypeAlias = str | os.PathLike[str]
+
 
 @contextmanager
-def whole_file(path, mode: str = "wb"):
+def whole_file(path: FilePath, mode: str = "wb") -> Iterator[IO[Any]]:
     """Opens a file beside `path` and renames it to `path` when the block ends well; on any exception nothing is left.
 
     A folder that cannot be written to is an `InputError`.
@@ -38,13 +43,13 @@ def whole_file(path, mode: str = "wb"):
         raise
 
 
-def write_npz(path, arrays: dict[str, np.ndarray]) -> None:
+def write_npz(path: FilePath, arrays: dict[str, np.ndarray]) -> None:
     """Writes `arrays` as a compressed NPZ whose bytes depend on the arrays alone (`np.savez` stamps no time)."""
     with whole_file(path) as file:
-        np.savez_compressed(file, **arrays)
+        np.savez_compressed(file, **arrays)  # type: ignore[arg-type]  # no array is called allow_pickle
 
 
-def read_npz(path, names: tuple[str, ...], optional: tuple[str, ...] = ()) -> dict[str, np.ndarray]:
+def read_npz(path: FilePath, names: tuple[str, ...], optional: tuple[str, ...] = ()) -> dict[str, np.ndarray]:
     """The arrays `names` of an NPZ file, and of `optional` those that it has.
 
     `InputError` if the file is missing, damaged, no NPZ, or lacks one of `names`.
@@ -76,6 +81,6 @@ def read_npz(path, names: tuple[str, ...], optional: tuple[str, ...] = ()) -> di
         MemoryError,
         tokenize.TokenError,
         zipfile.BadZipFile,
-        zipfile.zlib.error,
+        zlib.error,
     ) as error:
         raise InputError(f"{path}: is not a readable NPZ file ({error})") from None

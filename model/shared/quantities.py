@@ -1,33 +1,43 @@
 """Physical quantities that are checked where they enter: attrs fields and arrays with a legal range."""
 
 from math import inf, isfinite
+from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
 from attrs import field
+from numpy.typing import ArrayLike
 
 from .errors import InputError
 
+Numbers: TypeAlias = float | np.ndarray  # one, or one for each of many: they broadcast
+_T = TypeVar("_T")
 
-def check_real(name: str, value, low: float, high: float = inf) -> float:
+
+def check_real(name: str, value: Any, low: float, high: float = inf) -> float:
     """`value` as a float if it is finite and within [`low`, `high`], else an `InputError`."""
     if isinstance(value, (bool, str)) or not np.isscalar(value) or not low <= value <= high or not isfinite(value):
         raise InputError(f"{name} = {value!r}: must be a number {_range(low, high)}")
     return float(value)
 
 
-def check_choice(name: str, value, choices: tuple):
+def check_choice(name: str, value: _T, choices: tuple[_T, ...]) -> _T:
     """`value` if it is one of `choices`, else an `InputError`."""
     if value not in choices:
         raise InputError(f"{name} = {value!r}: must be one of {', '.join(map(str, choices))}")
     return value
 
 
-def real(default: float, low: float, high: float = inf):
+def real(default: float, low: float, high: float = inf) -> float:
     """An attrs field that holds a finite number within [`low`, `high`]."""
-    return field(default=default, validator=lambda _, attribute, value: check_real(attribute.name, value, low, high))
+    checked: float = field(
+        default=default, validator=lambda _, attribute, value: check_real(attribute.name, value, low, high)
+    )
+    return checked
 
 
-def real_array(name: str, value, shape: tuple[int, ...], low: float, high: float = inf, *, nan=False) -> np.ndarray:
+def real_array(
+    name: str, value: ArrayLike, shape: tuple[int, ...], low: float, high: float = inf, *, nan: bool = False
+) -> np.ndarray:
     """`value` as a read-only float64 array broadcast to `shape`, all within [`low`, `high`] (or NaN with `nan`)."""
     try:
         array = np.asarray(value, dtype=np.float64)
@@ -45,6 +55,11 @@ def real_array(name: str, value, shape: tuple[int, ...], low: float, high: float
         raise InputError(f"{name}{list(where) or ''} = {array[where]}: must be {_range(low, high)}{' or NaN' * nan}")
     array.flags.writeable = False
     return array
+
+
+def given(value: ArrayLike) -> np.ndarray:
+    """Converter of an attrs field that `__attrs_post_init__` makes an array of: leaves `value` to that, and tells type checkers."""
+    return value  # type: ignore[return-value]
 
 
 def _range(low: float, high: float) -> str:

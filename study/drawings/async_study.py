@@ -11,6 +11,7 @@ import numpy as np
 from ...hdl.silicon.circuit import CELLS, ERROR_BITS, Circuit, lag_fs
 from ...model.contract.parameters import Sensor
 from ...model.light.code_density import code_density
+from ...model.shared.quantities import Numbers
 from ...tb.stimulus import FS_PER_PS
 from ...tb.stress import APERTURE_PS, TOP, Front, run_bench
 from ..plot_style import legend_below, new_figure, save_figure, style
@@ -37,7 +38,7 @@ def taps(seed: int) -> np.ndarray:
 def timing() -> None:
     """A window that closes in its own cycle, and the next one, in two banks."""
     lag = lag_fs(SENSOR) / CLOCK_FS
-    rows = [
+    rows: list[tuple[str, list[tuple[float, float]], str]] = [  # name, when it is high, colour
         ("clk", [(k, k + 0.5) for k in range(5)], "#222222"),
         ("phases[0]", [(k + lag, k + lag + 0.5) for k in range(5)], "#222222"),
         ("SPAD a", [(0.55, 0.6)], "#d95f02"),
@@ -233,7 +234,7 @@ def metastability() -> None:
     }
     given = np.linspace(0, 1, 200)
 
-    def years(cycles, rate, borders):
+    def years(cycles: Numbers, rate: float, borders: int) -> Numbers:
         met = APERTURE_WINDOW_PS * borders / CYCLE_PS  # share of events that meet a border
         return np.exp(cycles * CYCLE_PS / TAU_PS) / (met * rate) / (365 * 86400)
 

@@ -3,7 +3,10 @@
 python -m coincid.study.drawings.blocks
 """
 
+from typing import TypeAlias
+
 import matplotlib.pyplot as plt
+from matplotlib.figure import Figure
 from matplotlib.patches import FancyBboxPatch
 
 from . import image
@@ -31,7 +34,10 @@ BLOCKS = {  # name: (x, y, width, height, title, notes, from the paper?)
     "registers": (3.2, 7.0, 4.3, 0.95, "registers", "one table; settings are taken at frame start", False),
     "sequencer": (8.0, 7.0, 4.1, 0.95, "frame sequencer", "laser periods back to back", False),
 }
-WIRES = (  # (points, label, position of the label, alignment)
+Place: TypeAlias = tuple[float, float]
+WIRES: tuple[
+    tuple[tuple[Place, ...], str, Place | None, str], ...
+] = (  # (points, label, position of the label, alignment)
     (((2.2, 4.0), (3.2, 4.0)), "edge\nwords", (2.62, 4.12), "center"),
     (((5.1, 4.0), (5.6, 4.0)), "", None, ""),
     (((4.15, 5.0), (4.15, 4.6)), "accept", (4.22, 4.8), "left"),
@@ -55,7 +61,7 @@ WIRES = (  # (points, label, position of the label, alignment)
 )
 
 
-def draw() -> plt.Figure:
+def draw() -> Figure:
     """The picture."""
     figure, axes = plt.subplots(figsize=(12, 6.1))
     for x, y, width, height, text in (
@@ -89,7 +95,7 @@ def draw() -> plt.Figure:
         axes.plot(*zip(*points), color=LINE, lw=1.3, solid_capstyle="butt", zorder=3)
         arrow = {"arrowstyle": "-|>", "color": LINE, "lw": 1.3, "shrinkA": 0, "shrinkB": 0, "mutation_scale": 11}
         axes.annotate("", end, start[-1], arrowprops=arrow, zorder=3)
-        if label:
+        if at:
             axes.text(
                 *at,
                 label,

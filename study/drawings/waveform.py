@@ -4,11 +4,13 @@ python -m coincid.study.drawings.waveform
 """
 
 import tempfile
+from collections.abc import Sequence
 from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
-from amaranth.sim import Simulator
+from amaranth.sim import Simulator, SimulatorContext
+from matplotlib.figure import Figure
 
 from ...hdl.sensor import FlatSensor
 from ...model.contract import registers
@@ -54,7 +56,7 @@ def simulate() -> dict[str, list[int]]:
     words = port_words(config, Edges(np.zeros_like(pixel), pixel, cycle * PHASES + phase))
     sensor = FlatSensor(config.sensor)
 
-    async def host(ctx):
+    async def host(ctx: SimulatorContext) -> None:
         start = registers.address("control"), 1 << BY_NAME["control"].bit("start")
         ctx.set(sensor.m_axis_tready, 1)
         ctx.set(sensor.s_axi_wstrb, 0xF)
@@ -73,7 +75,7 @@ def simulate() -> dict[str, list[int]]:
                 for valid in taken:
                     ctx.set(valid, 0)
 
-    async def spads(ctx):
+    async def spads(ctx: SimulatorContext) -> None:
         await ctx.tick().until(sensor.laser)
         for now in range(1, config.period):  # the tick above has already ended cycle 0
             ctx.set(sensor.spad_0, dict(words.get(now, ())).get(0, 0))
@@ -95,7 +97,8 @@ def simulate() -> dict[str, list[int]]:
 def sampled(vcd: Path) -> dict[str, list[int]]:
     """Values of `SIGNALS` at the end of every clock cycle."""
     wanted = {f"bench.top.{path}": name for name, path in SIGNALS.items()}
-    names, now, rows, scope = {}, dict.fromkeys(SIGNALS, 0), [], []  # names: identifier in the file -> signals
+    names: dict[str, list[str | None]] = {}  # identifier in the file -> signals
+    now, rows, scope = dict.fromkeys(SIGNALS, 0), [], []
     for line in vcd.read_text().splitlines():
         words = line.split()
         if words[0] == "$scope":
@@ -113,7 +116,7 @@ def sampled(vcd: Path) -> dict[str, list[int]]:
     return {name: [row[name] for row in rows] for name in SIGNALS}
 
 
-def draw(values: dict[str, list[int]]) -> plt.Figure:
+def draw(values: dict[str, list[int]]) -> Figure:
     """The picture; time in clock cycles, inside which the words of 32 phases are drawn phase by phase."""
     figure, axes = plt.subplots(figsize=(12, 6.6))
     spads = [f"SPAD {pixel}" for pixel, _, _ in sorted(EDGES, key=lambda edge: edge[1:])]
@@ -134,7 +137,7 @@ def draw(values: dict[str, list[int]]) -> plt.Figure:
         axes.text(-0.5, y + 0.3, row, ha="right", va="center", color=INK, fontsize=10, weight="bold")
         axes.text(SHOWN_CYCLES + 0.4, y + 0.3, notes.get(row, ""), ha="left", va="center", color=NOISE, fontsize=8.5)
 
-    def wave(row, bits, steps, color=INK):
+    def wave(row: str, bits: list[int], steps: int, color: str = INK) -> None:
         """A line of bits, `steps` of them a cycle."""
         turns = [0, *(np.flatnonzero(np.diff(bits)) + 1), len(bits)]
         x = np.array(turns) / steps
@@ -142,10 +145,10 @@ def draw(values: dict[str, list[int]]) -> plt.Figure:
         axes.step(x, y, where="post", color=color, lw=1.3, solid_joinstyle="miter")
         axes.fill_between(x, level[row], y, step="post", color=color, alpha=0.18, lw=0)
 
-    def phases(words, offset=0):
+    def phases(words: list[int], offset: int = 0) -> list[int]:
         return [word >> offset + k & 1 for word in words for k in range(PHASES)]
 
-    def bus(row, texts, color=INK):
+    def bus(row: str, texts: Sequence[object], color: str = INK) -> None:
         """Boxes with a text a cycle; None: nothing."""
         begin = 0
         for cycle in range(1, len(texts) + 1):
@@ -159,7 +162,7 @@ def draw(values: dict[str, list[int]]) -> plt.Figure:
                     axes.text(
                         (begin + cycle) / 2,
                         (low + high) / 2,
-                        texts[begin],
+                        str(texts[begin]),
                         ha="center",
                         va="center",
                         fontsize=8,
@@ -174,8 +177,8 @@ def draw(values: dict[str, list[int]]) -> plt.Figure:
     before = [0, *values["inside"]]
     window = [now if ahead else now & up_to for now, ahead, up_to in zip(values["inside"], before, values["up_to"])]
     wave("window", phases(window), PHASES)  # in the cycle that opens it, it begins with the edge
-    count = [bin(value).count("1") for value in values["hits"]]
-    bus("ID map", [n or None for n in count])
+    counts = [bin(value).count("1") for value in values["hits"]]
+    bus("ID map", [n or None for n in counts])
     wave("closed", values["closed"], 1)
     wave("commit", values["commit"], 1, SIGNAL)
     axes.plot([0, SHOWN_CYCLES], [level["tdata"] + 0.3] * 2, color=FAINT, lw=1.2, zorder=0)
@@ -186,8 +189,8 @@ def draw(values: dict[str, list[int]]) -> plt.Figure:
             ("event", SIGNAL) if cycle == event else ("map", SIGNAL) if cycle == event + 1 else ("frame start", INK)
         )
         bus("tdata", ["" if c == cycle else None for c in range(SHOWN_CYCLES)], color)
-        side = {"ha": "right", "x": cycle - 0.2} if text == "event" else {"ha": "left", "x": cycle + 1.2}
-        axes.text(**side, y=level["tdata"] + 0.3, s=text, va="center", fontsize=8.5, color=color)
+        x, align = (cycle - 0.2, "right") if text == "event" else (cycle + 1.2, "left")
+        axes.text(x, level["tdata"] + 0.3, text, ha=align, va="center", fontsize=8.5, color=color)
 
     # The first photon of each window on its way down the pipeline.
     for (_, cycle, phase), color in ((EDGES[0], NOISE), (EDGES[1], SIGNAL)):

@@ -4,6 +4,7 @@ from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
+from ...model.shared.files import FilePath
 from ..plot_style import style
 from . import architect, interference, light, reconstruction, rivals, thresholds, validity
 from .cases import Engine, Progress, Runner
@@ -30,7 +31,10 @@ histograms on the chip have 32 kbit a macro-pixel. What wins where and why: docs
 
 
 def make(
-    out_dir, replay: Engine | None = None, progress: Progress = lambda done, total: None, workers: int | None = None
+    out_dir: FilePath,
+    replay: Engine | None = None,
+    progress: Progress = lambda done, total: None,
+    workers: int | None = None,
 ) -> list[Path]:
     """Writes all figures (PNG, SVG), their data (CSV) and `index.html` into `out_dir`; returns the paths, the page last.
 
@@ -60,27 +64,27 @@ def make(
     )
 
 
-def compare(out_dir, progress: Progress = lambda done, total: None, workers: int | None = None) -> list[Path]:
+def compare(out_dir: FilePath, progress: Progress = lambda done, total: None, workers: int | None = None) -> list[Path]:
     """Like `make`, the comparison with other schemes and a second LiDAR's interference."""
     return _write(out_dir, RIVALS_TITLE, RIVALS_INTRODUCTION, COMPARISON, progress, workers)
 
 
 def _write(
-    out_dir,
+    out_dir: FilePath,
     title: str,
     introduction: str,
     families: tuple[Callable[[Runner], Section], ...],
     progress: Progress,
     workers: int | None,
 ) -> list[Path]:
-    out_dir = Path(out_dir)
+    folder = Path(out_dir)
     sections = []
     with style(), Runner(workers, progress) as run:
         for family in families:
             sections.append(family(run))
-            write_section(out_dir, sections[-1])
-    write_page(out_dir, title, introduction, sections)
+            write_section(folder, sections[-1])
+    write_page(folder, title, introduction, sections)
     files = [
-        out_dir / f"{stem}.{kind}" for section in sections for stem, _, _ in section.figures for kind in ("png", "svg")
+        folder / f"{stem}.{kind}" for section in sections for stem, _, _ in section.figures for kind in ("png", "svg")
     ]
-    return [*files, *(out_dir / f"{section.name}.csv" for section in sections), out_dir / "index.html"]
+    return [*files, *(folder / f"{section.name}.csv" for section in sections), folder / "index.html"]

@@ -1,15 +1,18 @@
 """What an architect asks of the sensor: background, re-arm gap and window, FIFO and bandwidth, two targets, noisy SPADs."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from typing import Any, TypeAlias
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from ...model.light.spad import Spad, dark_count_map
 from ..plot_style import SERIES, legend_below, new_figure, share_axis
-from .cases import MANY, PULSES, Case, Outcome, Runner, mean_of, vary
-from .page import Comparison, Section
+from .cases import MANY, PULSES, Case, Outcome, Runner, Table, mean_of, vary
+from .page import Comparison, Row, Section
 
+Outcomes: TypeAlias = dict[tuple[Any, ...], list[Outcome]]  # by what was varied
 METHODS = ("joint", "matched")
 MARKS = ("-o", "--s")  # of the methods
 KLUX = (1.0, 2.0, 5.0, 10.0, 20.0, 35.0, 50.0, 75.0, 100.0)
@@ -29,7 +32,7 @@ BANDWIDTHS = (("short", 1), ("id", 1), ("full", 1), ("id", 2), ("id", 4))  # for
 BANDWIDTH_THRESHOLD = 2
 NEAR_M, STEPS_M = 5.0, (0.05, 0.10, 0.15, 0.2, 0.25, 0.3, 0.4, 0.6, 1.0)
 TWO_KLUX = (5.0, 50.0)
-TWO_SOURCES = {  # what tells two targets apart: settings of the frame, method
+TWO_SOURCES: dict[str, tuple[Table, str]] = {  # what tells two targets apart: settings of the frame, method
     "ID map, joint": ({}, "joint"),
     "ID map, matched": ({}, "matched"),
     "records off: subgroup's stamp alone": ({}, "matched/subgroup"),
@@ -62,7 +65,7 @@ def background(run: Runner) -> Section:
         seeds = SEEDS if pulses == PULSES else 1
         oracle[pulses, klux, "oracle"] = vary(Case(klux=klux, methods=METHODS), seeds, pulses=pulses, threshold=best)
     table |= run.table(oracle)
-    rows = [
+    rows: list[Row] = [
         ("pulses", "klux", "setting", *(f"wrong_share_{method}" for method in METHODS), "events_per_s", "dropped_share")
     ]
     rows += [(*key, *_wrong(outcomes), _events(outcomes), _dropped(outcomes)) for key, outcomes in table.items()]
@@ -110,7 +113,7 @@ def rearm_and_window(run: Runner) -> Section:
             for pulses, name, value, threshold in keys
         }
     )
-    rows = [
+    rows: list[Row] = [
         ("pulses", "parameter", "value", "threshold", *(f"wrong_share_{method}" for method in METHODS), "events_per_s")
     ]
     rows += [(*key, *_wrong(outcomes), _events(outcomes)) for key, outcomes in table.items()]
@@ -166,7 +169,7 @@ def fifo_and_bandwidth(run: Runner) -> Section:
                 sensor={"streams": streams},
             )
     table = run.table(cases)
-    rows = [
+    rows: list[Row] = [
         (
             "pulses",
             "klux",
@@ -180,7 +183,7 @@ def fifo_and_bandwidth(run: Runner) -> Section:
         )
     ]
     rows += [
-        (*key, _dropped(outcomes), _events(outcomes), *(_wrong(outcomes) or [""])) for key, outcomes in table.items()
+        (*key, _dropped(outcomes), _events(outcomes), *(_wrong(outcomes) or ("",))) for key, outcomes in table.items()
     ]
     figure = new_figure(11, 4.2)
     left, right = figure.subplots(1, 2)
@@ -225,7 +228,7 @@ def two_targets(run: Runner) -> Section:
             for pulses, klux, name, step_m in _pairs(BOTH_PULSES, TWO_KLUX, TWO_SOURCES, STEPS_M)
         }
     )
-    rows = [("pulses", "klux", "source", "step_m", "wrong_share", "events_per_s", "records_per_s")]
+    rows: list[Row] = [("pulses", "klux", "source", "step_m", "wrong_share", "events_per_s", "records_per_s")]
     rows += [
         (*key, *_wrong(outcomes), _events(outcomes), mean_of(outcomes, lambda o: float(o.mg_stored.sum() / o.frame_s)))
         for key, outcomes in table.items()
@@ -278,7 +281,9 @@ def noisy_spads(run: Runner) -> Section:
             for threshold in SHOWN_THRESHOLDS
         }
     )
-    rows = [("pulses", "study", "value", "threshold", *(f"wrong_share_{method}" for method in METHODS), "events_per_s")]
+    rows: list[Row] = [
+        ("pulses", "study", "value", "threshold", *(f"wrong_share_{method}" for method in METHODS), "events_per_s")
+    ]
     rows += [(*key, *_wrong(outcomes), _events(outcomes)) for key, outcomes in table.items()]
     figure = new_figure(13, 7.5)
     axes = figure.subplots(2, 3, sharey="row")
@@ -312,9 +317,9 @@ helps its few photons over the threshold helps.</p>""",
     )
 
 
-def _pairs(first: Iterable, *others: Iterable) -> list[tuple]:
+def _pairs(first: Iterable[Any], *others: Iterable[Any]) -> list[tuple[Any, ...]]:
     """All combinations, the last one running fastest."""
-    combinations = [(one,) for one in first]
+    combinations: list[tuple[Any, ...]] = [(one,) for one in first]
     for other in others:
         combinations = [(*so_far, one) for so_far in combinations for one in other]
     return combinations
@@ -322,10 +327,8 @@ def _pairs(first: Iterable, *others: Iterable) -> list[tuple]:
 
 def _wrong(outcomes: list[Outcome]) -> list[float]:
     """Mean share of wrong pixels by each of the case's methods."""
-    return [
-        mean_of(outcomes, lambda outcome, method=method: outcome.wrong_share(method))
-        for method in outcomes[0].case.methods
-    ]
+    methods = outcomes[0].case.methods
+    return [float(np.mean([outcome.wrong_share(method) for outcome in outcomes])) for method in methods]
 
 
 def _events(outcomes: list[Outcome]) -> float:
@@ -346,8 +349,8 @@ def _oracle(fixed: dict[int, list[Outcome]]) -> tuple[int, ...]:
         here = slice(row, row + sr), slice(col, col + sc)
         ranked = [
             (
-                round(mean_of(outcomes, lambda o, here=here: float(o.wrong("joint")[here].sum())), 1),
-                mean_of(outcomes, lambda o, s=s: float(o.stored[s])),
+                round(float(np.mean([o.wrong("joint")[here].sum() for o in outcomes])), 1),
+                float(np.mean([o.stored[s] for o in outcomes])),
                 threshold,
             )
             for threshold, outcomes in fixed.items()
@@ -356,12 +359,12 @@ def _oracle(fixed: dict[int, list[Outcome]]) -> tuple[int, ...]:
     return tuple(best)
 
 
-def _plot_methods(axis, at: Iterable, outcomes: list[list[Outcome]], colour: str, label: str) -> None:
+def _plot_methods(axis: Axes, at: Sequence[float], outcomes: list[list[Outcome]], colour: str, label: str) -> None:
     for method, mark, shares in zip(METHODS, MARKS, np.transpose([_wrong(one) for one in outcomes])):
         axis.plot(at, shares, mark, color=colour, label=f"{label}, {method}")
 
 
-def _background_figure(table: dict, pulses: int) -> Figure:
+def _background_figure(table: Outcomes, pulses: int) -> Figure:
     figure = new_figure(13, 5)
     axes = figure.subplots(1, 3)
     styles = {
@@ -399,7 +402,7 @@ def _background_figure(table: dict, pulses: int) -> Figure:
     return figure
 
 
-def _goal(table: dict) -> Comparison:
+def _goal(table: Outcomes) -> Comparison:
     ours = {
         name: f"{_wrong(table[PULSES, GOAL_KLUX, key])[0]:.2%}"
         for name, key in (
@@ -419,7 +422,7 @@ def _goal(table: dict) -> Comparison:
     )
 
 
-def _against_best(table: dict, klux: float) -> Comparison:
+def _against_best(table: Outcomes, klux: float) -> Comparison:
     """The controller against the fixed threshold with the fewest wrong pixels."""
     fixed = min(
         (table[PULSES, klux, str(threshold)] for threshold in THRESHOLDS),

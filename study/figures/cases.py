@@ -1,9 +1,10 @@
 """One Monte Carlo frame: a scene's photons through the sensor to depth, and many of them on all cores."""
 
 import os
-from collections.abc import Callable, Hashable, Iterable
+from collections.abc import Callable, Hashable, Iterable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
+from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
 from attrs import evolve, field, frozen
@@ -21,6 +22,10 @@ from ...model.scenes.scene import Scene, scene_light
 
 Engine = Callable[[Config, Edges], dict[str, np.ndarray]]
 Progress = Callable[[int, int], None]  # cases done, cases in all
+Table: TypeAlias = dict[str, Any]  # of a configuration file
+_Key = TypeVar("_Key", bound=Hashable)
+_Item = TypeVar("_Item")
+_Result = TypeVar("_Result")
 
 PULSES, MANY = 100, 8  # pulses of a frame (paper IV), and how many times as many show what is noise
 
@@ -36,9 +41,9 @@ class Case:
     scene: str = "five-objects"
     klux: float = 50.0
     seed: int = 1
-    sensor: dict = field(factory=dict)
-    frame: dict = field(factory=dict)
-    subgroup: dict = field(factory=dict)
+    sensor: Table = field(factory=dict)
+    frame: Table = field(factory=dict)
+    subgroup: Table = field(factory=dict)
     threshold: tuple[int, ...] | None = None
     methods: tuple[str, ...] = ("joint",)
     spad: Spad = field(factory=Spad)
@@ -117,7 +122,7 @@ class Runner:
     def __enter__(self) -> "Runner":
         return self
 
-    def __exit__(self, *_) -> None:
+    def __exit__(self, *_: object) -> None:
         if self._pool:
             self._pool.shutdown(cancel_futures=True)
 
@@ -125,17 +130,17 @@ class Runner:
         """Outcomes of `cases`, in their order."""
         return self.map(run_case, cases)
 
-    def table(self, cases: dict[Hashable, list[Case]]) -> dict[Hashable, list[Outcome]]:
+    def table(self, cases: dict[_Key, list[Case]]) -> dict[_Key, list[Outcome]]:
         """Outcomes by key."""
         outcomes = iter(self.run([case for group in cases.values() for case in group]))
         return {key: [next(outcomes) for _ in group] for key, group in cases.items()}
 
-    def map(self, function: Callable, items: Iterable) -> list:
+    def map(self, function: Callable[[_Item], _Result], items: Iterable[_Item]) -> list[_Result]:
         """`function` (of a module) of each item."""
-        items = list(items)
-        self.total += len(items)
+        tasks = list(items)
+        self.total += len(tasks)
         results = []
-        for result in (self._pool.map if self._pool else map)(function, items):
+        for result in self._pool.map(function, tasks) if self._pool else map(function, tasks):
             results.append(result)
             self.done += 1
             self.progress(self.done, self.total)
@@ -147,10 +152,10 @@ def vary(
     seeds: int = 1,
     *,
     pulses: int = PULSES,
-    sensor: dict | None = None,
-    frame: dict | None = None,
-    subgroup: dict | None = None,
-    **others,
+    sensor: Table | None = None,
+    frame: Table | None = None,
+    subgroup: Table | None = None,
+    **others: Any,
 ) -> list[Case]:
     """`case` with more settings, for several seeds; `others` are fields of `Case`."""
     changed = evolve(
@@ -163,5 +168,5 @@ def vary(
     return [evolve(changed, seed=seed + 1) for seed in range(seeds)]
 
 
-def mean_of(outcomes: list[Outcome], value: Callable[[Outcome], float]) -> float:
-    return float(np.mean([value(outcome) for outcome in outcomes]))
+def mean_of(items: Sequence[_Item], value: Callable[[_Item], float]) -> float:
+    return float(np.mean([value(item) for item in items]))

@@ -1,6 +1,6 @@
 """A second LiDAR in the scene, and whether a laser period that changes from pulse to pulse pays."""
 
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -11,7 +11,7 @@ from ...model.scenes.catalogue import load_scene
 from ..comparison import PULSES, SCHEMES, shoot
 from ..plot_style import SERIES, legend_below, new_figure, share_axis
 from .cases import Runner, mean_of
-from .page import Section
+from .page import Row, Section
 from .rivals import STYLES
 
 SIDE, KLUX, SEEDS = 32, 20.0, 3
@@ -21,6 +21,7 @@ OFFSETS = (0.0, 1e-5, 1e-4, 1e-3, 1e-2, 1e-1)  # of the other's laser period, re
 DITHER_BITS = (0, 1, 2, 3, 4, 6)
 PHOTONS_SHOWN, OFFSET_SHOWN, BITS_SHOWN = 0.2, 0.0, (0, 2, 4)
 PHASE_SHARE = (0.07, 0.11, 0.6)  # of the period, one a seed: before, among and behind the objects
+Key: TypeAlias = tuple[float, float, int]  # of tasks: photons, offset, bits
 
 
 class Task(NamedTuple):
@@ -74,7 +75,7 @@ def interference(run: Runner) -> Section:
     wanted = list(dict.fromkeys(key for part in keys.values() for key in part))
     made = iter(run.map(run_task, [Task(*key, seed + 1) for key in wanted for seed in range(SEEDS)]))
     table = {key: [next(made) for _ in range(SEEDS)] for key in wanted}
-    rows = [
+    rows: list[Row] = [
         (
             "scheme",
             "photons_per_pulse",
@@ -94,7 +95,7 @@ def interference(run: Runner) -> Section:
                 *key,
                 float(frame_us),
                 *(
-                    mean_of(results, lambda one, part=part, name=name: getattr(one, part)[name])
+                    float(np.mean([getattr(one, part)[name] for one in results]))
                     for part in ("wrong", "ghosts", "bits")
                 ),
             )
@@ -150,5 +151,5 @@ def interference(run: Runner) -> Section:
     )
 
 
-def _shares(table: dict, keys: list[tuple], name: str) -> list[float]:
+def _shares(table: dict[Key, list[Result]], keys: list[Key], name: str) -> list[float]:
     return [mean_of(table[key], lambda one: one.wrong[name]) for key in keys]

@@ -11,9 +11,10 @@ from ...model.light.timing import Timing
 from ...model.scenes.catalogue import load_scene
 from ...model.scenes.scene import scene_light
 from ...model.shared.constants import SIGMA_PER_FWHM, SPEED_OF_LIGHT_M_S
+from ...model.shared.quantities import Numbers
 from ..plot_style import SERIES, SOURCES, new_figure
 from .cases import MANY, PULSES, Runner
-from .page import Comparison, Section
+from .page import Comparison, Row, Section
 
 REFLECTIVITY, KLUX = 0.4, 50.0  # paper II
 DISTANCE_M = np.round(np.arange(1, 50.01, 0.25), 2)
@@ -31,7 +32,7 @@ def figure_2(run: Runner) -> Section:
         for reading in "AEF"
     }
     simulated = run.map(_detected_cps, [(d, p) for p in (PULSES, MANY * PULSES) for d in MONTE_CARLO_M])
-    rows = [
+    rows: list[Row] = [
         (
             "source",
             "pulses",
@@ -46,13 +47,13 @@ def figure_2(run: Runner) -> Section:
         )
     ]
     for form in FORMS:
-        budget, sbr = budgets[form, "A"], [budgets[form, reading].sbr_db for reading in "AEF"]
+        budget, sbr = budgets[form, "A"], [np.asarray(budgets[form, reading].sbr_db) for reading in "AEF"]
         rows += [
             (
                 form,
                 "",
                 d,
-                budget.signal_rate_cps[i],
+                np.asarray(budget.signal_rate_cps)[i],
                 budget.background_rate_cps,
                 budget.background_live_cps,
                 "",
@@ -86,9 +87,9 @@ def figure_2(run: Runner) -> Section:
     left.set(xlabel="distance in m", ylabel="detected events per pixel in 1/s", title="rates of a pixel")
     left.set_ylim(top=2e15)
     left.legend(ncols=2, fontsize=7.5, loc="upper right")
-    for reading, style in zip("AEF", ("-", "--", ":")):
+    for reading, line in zip("AEF", ("-", "--", ":")):
         colour = SERIES[2 * "AEF".index(reading)]
-        right.semilogx(DISTANCE_M, budgets["literal", reading].sbr_db, style, color=colour, label=f"reading {reading}")
+        right.semilogx(DISTANCE_M, budgets["literal", reading].sbr_db, line, color=colour, label=f"reading {reading}")
     right.axhline(0, color="#777777", linewidth=1)
     right.axvline(4, color=SOURCES["paper"]["color"], linestyle=":", label="paper: 0 dB at 4 m")
     right.set(xlabel="distance in m", ylabel="signal to background in dB", title="signal to background")
@@ -129,10 +130,11 @@ def figure_5(run: Runner) -> Section:
     sigma_s = light.system_fwhm_s[0, 0] * SIGMA_PER_FWHM
     strongest = light.signal_per_pulse.max()
     time_s = np.arange(25e-9, 70e-9, 25e-12)
-    rows = [("source", "pulses", "object", "distance_m", "time_ns", "normalised_energy", "fwhm_ps")]
+    rows: list[Row] = [("source", "pulses", "object", "distance_m", "time_ns", "normalised_energy", "fwhm_ps")]
     figure = new_figure(11, 4.2)
     left, right = figure.subplots(1, 2)
-    width_ps = {}
+    width_ps: dict[tuple[str, int], float] = {}
+    measured: dict[tuple[int, int], str] = {}  # by object and pulses
     for label, pixel in objects.items():
         distance_m, photons = light.distance_m[pixel, 0], light.signal_per_pulse[pixel, 0]
         flight_s = 2 * distance_m / SPEED_OF_LIGHT_M_S
@@ -159,7 +161,7 @@ def figure_5(run: Runner) -> Section:
     tasks = [(label, pulses) for pulses in (PULSES, MANY * PULSES) for label in (NEAR_OBJECT, FAR_OBJECT)]
     simulated = run.map(_pulse_width, tasks)
     for label, pulses, fwhm_ps, error_ps, distance_m, offset_ps, share in simulated:
-        width_ps["Monte Carlo", label, pulses] = f"{fwhm_ps:.0f} ± {error_ps:.0f} ps"
+        measured[label, pulses] = f"{fwhm_ps:.0f} ± {error_ps:.0f} ps"
         rows.append(("Monte Carlo", pulses, label, distance_m, "", "", fwhm_ps))
         rows += [
             (
@@ -215,8 +217,8 @@ is what the TDC can see of it. Pulse and jitter together are given as 500 ps FWH
                 {
                     "literal": f"{width_ps['literal', label]:.0f} ps",
                     "corrected": f"{width_ps['corrected', label]:.0f} ps",
-                    "Monte Carlo": width_ps["Monte Carlo", label, PULSES],
-                    "Monte Carlo, 8x": width_ps["Monte Carlo", label, MANY * PULSES],
+                    "Monte Carlo": measured[label, PULSES],
+                    "Monte Carlo, 8x": measured[label, MANY * PULSES],
                 },
                 why,
             )
@@ -249,21 +251,25 @@ def _detected_cps(task: tuple[float, int]) -> tuple[int, float, float, float, fl
     """(pulses, distance, rates of a pixel with signal alone, background alone, both) at raw light, after dead time."""
     distance_m, pulses = task
     budget, timing = link_budget(distance_m, REFLECTIVITY, KLUX), Timing()
-    rates = []
-    for signal, background_cps in (
-        (budget.signal_per_pulse, 0.0),
-        (0.0, budget.background_rate_cps),
-        (budget.signal_per_pulse, budget.background_rate_cps),
-    ):
+
+    def detected_cps(signal: Numbers, background_cps: float) -> float:
         light = Light(
             rows=SIDE, cols=SIDE, distance_m=distance_m, signal_per_pulse=signal, background_cps=background_cps
         )
         edges = generate_edges(light, Spad(), timing, pulses=pulses, seed=1)
-        rates.append(len(edges) / (SIDE**2 * pulses * timing.period_s))
-    return pulses, distance_m, *rates
+        return len(edges) / (SIDE**2 * pulses * timing.period_s)
+
+    signal, background_cps = budget.signal_per_pulse, budget.background_rate_cps
+    return (
+        pulses,
+        distance_m,
+        detected_cps(signal, 0.0),
+        detected_cps(0.0, background_cps),
+        detected_cps(signal, background_cps),
+    )
 
 
-def _pulse_width(task: tuple[int, int]) -> tuple:
+def _pulse_width(task: tuple[int, int]) -> tuple[int, int, float, float, float, list[float], list[float]]:
     """(object, pulses, FWHM in ps and its standard error, distance, histogram: offsets in ps and counts over the largest)."""
     label, pulses = task
     scene, timing = load_scene("five-objects", 32, 32), Timing()

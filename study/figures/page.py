@@ -5,12 +5,15 @@ import html
 import io
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TypeAlias
 
 from attrs import field, frozen
 from matplotlib.figure import Figure
 
 from ...model.shared.files import whole_file
 from ..plot_style import save_figure
+
+Row: TypeAlias = Sequence[object]  # of a CSV
 
 
 @frozen
@@ -31,7 +34,7 @@ class Section:
     title: str
     text: str
     figures: Sequence[tuple[str, Figure, str]]
-    rows: Sequence[Sequence]
+    rows: Sequence[Row]
     comparisons: Sequence[Comparison] = field(default=())
 
 
@@ -101,7 +104,7 @@ def _comparison_html(comparisons: Sequence[Comparison]) -> str:
     return f"<table>\n<tr>{head}</tr>\n{rows}\n</table>\n"
 
 
-def _cell(value) -> str:
+def _cell(value: object) -> str:
     return f"{value:.6g}" if isinstance(value, float) else str(value)
 
 

@@ -11,13 +11,13 @@ from ...model.scenes.catalogue import load_scene
 from ...model.scenes.scene import Scene, scene_light
 from ...model.shared.constants import SPEED_OF_LIGHT_M_S
 from ..pictures import Panel, draw_row
-from .cases import MANY, PULSES, Case, Engine, Outcome, Runner, mean_of, run_case, vary
-from .page import Comparison, Section
+from .cases import MANY, PULSES, Case, Engine, Outcome, Runner, Table, mean_of, run_case, vary
+from .page import Comparison, Row, Section
 
 METHODS = ("maximum", "matched", "background", "joint")
 SEEDS = 4
 RIGHT = 0.5  # of an object's pixels: then we call it reconstructed
-PANELS_6 = {  # panel: klux, settings of the subgroups, what the paper says
+PANELS_6: dict[str, tuple[float, Table, str]] = {  # panel: klux, settings of the subgroups, what the paper says
     "a": (5.0, {"coincidence": False}, "up to 11.9 % wrong; objects 1, 3, 4 right"),
     "b": (50.0, {"threshold": 5}, "objects 1, 3, 4 right"),
     "c": (50.0, {"threshold": 2}, "objects 2, 5 right"),
@@ -63,7 +63,7 @@ WHY_8 = {
 
 def figure_6(run: Runner, replay: Engine | None = None) -> Section:
     """Scheme 1 at 5 klux; thresholds 5 and 2 at 50 klux."""
-    rows = [("panel", "klux", "source", "pulses", "estimator", "object", "wrong_share")]
+    rows: list[Row] = [("panel", "klux", "source", "pulses", "estimator", "object", "wrong_share")]
     figures, comparisons = [], []
     for panel, (klux, settings, paper) in PANELS_6.items():
         case = Case(klux=klux, subgroup=settings, methods=METHODS)
@@ -102,7 +102,7 @@ def figure_6(run: Runner, replay: Engine | None = None) -> Section:
 
 def figure_8(run: Runner, replay: Engine | None = None) -> Section:
     """Sizes of subgroups and minigroups, each at its best threshold."""
-    rows = [
+    rows: list[Row] = [
         ("panel", "subgroup", "minigroup", "source", "pulses", "threshold", "estimator", "wrong_share", "events_per_s")
     ]
     figures, comparisons = [], []
@@ -121,7 +121,7 @@ def figure_8(run: Runner, replay: Engine | None = None) -> Section:
     )
     tasks = [(form, by_threshold[key][0].case) for key in every for form in FORMS]
     analytic = dict(zip(((*key, form) for key in every for form in FORMS), run.map(_analytic, tasks)))
-    best = {}
+    best: dict[tuple[str, str], tuple[float, int]] = {}  # (wrong share, threshold) by panel and source
     for panel, threshold in every:
         outcomes = by_threshold[panel, threshold]
         for form in FORMS:
@@ -196,14 +196,15 @@ def figure_8(run: Runner, replay: Engine | None = None) -> Section:
 
 def _labels(panel: str) -> tuple[str, str, str]:
     """First columns of Fig. 8's CSV: panel, subgroup, minigroup."""
-    return panel, *("x".join(map(str, size)) for size in PANELS_8[panel])
+    (rows, cols), (minigroup_rows, minigroup_cols) = PANELS_8[panel]
+    return panel, f"{rows}x{cols}", f"{minigroup_rows}x{minigroup_cols}"
 
 
 def _mean_wrong(outcomes: list[Outcome], method: str) -> np.ndarray:
     return np.mean([outcome.wrong(method) for outcome in outcomes], axis=0)
 
 
-def _object_rows(start: tuple, wrong: np.ndarray, scene: Scene) -> list[tuple]:
+def _object_rows(start: tuple[object, ...], wrong: np.ndarray, scene: Scene) -> list[Row]:
     """Rows of Fig. 6's CSV: wrong share of each object, and of all."""
     objects = [(int(label), float(wrong[scene.labels == label].mean())) for label in np.unique(scene.labels)]
     return [(*start, label, share) for label, share in (*objects, ("all", float(wrong.mean())))]
@@ -248,9 +249,9 @@ def _analytic(task: tuple[str, Case]) -> tuple[np.ndarray, np.ndarray]:
             counts = np.random.default_rng([case.seed, draw, s]).poisson(expected)
             peak_s = np.where(counts.any(axis=1), (counts.argmax(axis=1) + 0.5) * timing.tick_s, np.nan)
             depth_m[draw, pixel] = (peak_s + lead_s) * SPEED_OF_LIGHT_M_S / 2
-    depth_m = depth_m.reshape(SEEDS, sensor.rows, sensor.cols)
-    wrong = ~(np.abs(depth_m - scene.truth_m) <= TOLERANCE_M)
-    return wrong.mean(axis=0), depth_m[0]
+    pictures_m = depth_m.reshape(SEEDS, sensor.rows, sensor.cols)
+    wrong = ~(np.abs(pictures_m - scene.truth_m) <= TOLERANCE_M)
+    return wrong.mean(axis=0), pictures_m[0]
 
 
 def _lead_s(expected: np.ndarray, flight_s: np.ndarray, timing: Timing) -> np.ndarray:

@@ -1,8 +1,11 @@
 """The sensor against its rivals (`comparison.py`): background, range, two targets, a retroreflector, bits."""
 
-from collections.abc import Iterable
+from collections.abc import Hashable
+from typing import TypeVar
 
 import numpy as np
+from matplotlib.axes import Axes
+from numpy.typing import ArrayLike
 
 from ...model.depth.quality import TOLERANCE_M, wrong_share
 from ...model.light.light import Light, background_cps, signal_per_pulse
@@ -11,7 +14,7 @@ from ...model.scenes.scene import scene_light
 from ..comparison import PULSES, RETURNS, SCHEMES, THRESHOLD, Found, shoot
 from ..plot_style import legend_below, new_figure, share_axis
 from .cases import Runner
-from .page import Section
+from .page import Row, Section
 
 SIDE, SMALL = 32, 16  # pixels; of two targets and of the sign, which are the same in every subgroup
 KLUX = (1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)
@@ -52,6 +55,7 @@ STYLES = {
     "this: fixed joint": ("#fb9a99", "--", "h"),
     "this: controller joint": ("#e31a1c", "--", "*"),
 }
+_Key = TypeVar("_Key", bound=Hashable)
 Task = tuple[Light, int, int, tuple[str, ...]]  # seed, threshold, schemes
 
 
@@ -73,13 +77,13 @@ def background(run: Runner) -> Section:
             bits[name, klux] = np.mean([one[name].bits for one in ones])
     other = [(klux, threshold) for klux in (10.0, BUILT_IN_KLUX) for threshold in THRESHOLDS]
     swept = run.map(found, [(scene_light(scene, klux), 1, threshold, WITH_THRESHOLD) for klux, threshold in other])
-    rows = [("scheme", "klux", "threshold", "wrong_share", "standard_error", "bits_per_frame")]
+    rows: list[Row] = [("scheme", "klux", "threshold", "wrong_share", "standard_error", "bits_per_frame")]
     rows += [
         (name, klux, THRESHOLD, float(np.mean(shares[name, klux])), _error(shares[name, klux]), float(bits[name, klux]))
         for name in SCHEMES
         for klux in KLUX
     ]
-    points = {}
+    points: dict[tuple[str, float], list[tuple[float, float]]] = {}
     for (klux, threshold), one in zip(other, swept):
         for name in WITH_THRESHOLD:
             share = wrong_share(one[name].depth_m[:, :, 0], scene.truth_m)
@@ -118,7 +122,7 @@ def built_in(run: Runner) -> Section:
     """Wrong share of every built-in scene."""
     scenes = {name: load_scene(name, SIDE, SIDE) for name in BUILT_IN}
     table = _table(run, {name: scene_light(scene, BUILT_IN_KLUX) for name, scene in scenes.items()}, FEW_SEEDS)
-    rows = [("scene", "scheme", "wrong_share", "second_surface_share", "bits_per_frame")]
+    rows: list[Row] = [("scene", "scheme", "wrong_share", "second_surface_share", "bits_per_frame")]
     figure = new_figure(12, 4.6)
     axis = figure.subplots()
     for k, scheme in enumerate(SCHEMES):
@@ -169,7 +173,7 @@ def ranging(run: Runner) -> Section:
     table = _table(
         run, {(klux, distance_m): scene_light(scenes[distance_m], klux) for klux, distance_m in keys}, FEW_SEEDS
     )
-    rows = [
+    rows: list[Row] = [
         ("scheme", "klux", "distance_m", "detected_share", "bias_m", "precision_m", "wrong_share", "bits_per_frame")
     ]
     numbers = {}
@@ -225,7 +229,7 @@ def two_targets(run: Runner) -> Section:
     """Two surfaces in every macro-pixel, in stripes of 4 columns."""
     scenes = {step_m: load_scene(f"two-targets:{NEAR_M},{NEAR_M + step_m:.4g}", SMALL, SMALL) for step_m in STEPS_M}
     table = _table(run, {step_m: scene_light(scene, TWO_KLUX) for step_m, scene in scenes.items()}, FEW_SEEDS)
-    rows = [("scheme", "step_m", "wrong_share", "wrong_in_both_returns_share")]
+    rows: list[Row] = [("scheme", "step_m", "wrong_share", "wrong_in_both_returns_share")]
     figure = new_figure(11, 4.8)
     axes = figure.subplots(1, 2, sharey=True)
     for scheme in SCHEMES:
@@ -264,7 +268,7 @@ def retroreflector(run: Runner) -> Section:
     table = _table(run, {key: sign_light(*key) for key in keys}, FEW_SEEDS)
     dark = np.ones((SMALL, SMALL), bool)
     dark[SIGN, SIGN] = False
-    rows = [
+    rows: list[Row] = [
         (
             "scheme",
             "behind_m",
@@ -338,7 +342,7 @@ def sign_light(behind_m: float, gain: float) -> Light:
     )
 
 
-def _table(run: Runner, lights: dict, seeds: int) -> dict[object, list[dict[str, Found]]]:
+def _table(run: Runner, lights: dict[_Key, Light], seeds: int) -> dict[_Key, list[dict[str, Found]]]:
     """What the schemes make of each light, for several seeds."""
     tasks = [(light, seed + 1, THRESHOLD, tuple(SCHEMES)) for light in lights.values() for seed in range(seeds)]
     made = iter(run.map(found, tasks))
@@ -362,7 +366,7 @@ def _error(values: list[float]) -> float:
     return float(np.std(values) / np.sqrt(len(values)))
 
 
-def _line(axis, name: str, at: Iterable, values: Iterable) -> None:
+def _line(axis: Axes, name: str, at: ArrayLike, values: ArrayLike) -> None:
     colour, line, marker = STYLES[name]
     axis.plot(
         at, values, line, marker=marker, color=colour, label=name, linewidth=2 if name.startswith("this") else 1.4

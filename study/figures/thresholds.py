@@ -1,5 +1,8 @@
 """Fig. 7 of the paper: the threshold that serves an activity best."""
 
+from collections.abc import Iterable
+from typing import TypeAlias
+
 import numpy as np
 
 from ...model.light.analytic import THRESHOLDS, expected_threshold, success_by_threshold
@@ -8,17 +11,20 @@ from ...model.light.link_budget import FORMS
 from ...model.light.timing import Timing
 from ..plot_style import SOURCES, legend_below, new_figure
 from .cases import MANY, PULSES, Case, Runner, mean_of, vary
-from .page import Comparison, Section
+from .page import Comparison, Row, Section
 
 DISTANCE_M = 9.7
 SIGNAL = np.geomspace(0.015, 0.235, 9)  # photons of a pixel and pulse: 0.23 is a reflectivity of 0.9 at 9.7 m
 KLUX = (5.0, 50.0)
 WINDOW_TICKS, PIXELS, SEEDS = 16, 64, 3
+Chosen: TypeAlias = dict[
+    tuple[str, float, int], list[int]
+]  # thresholds by source, klux and pulses, one for each of `SIGNAL`
 
 
 def figure_7(run: Runner) -> Section:
     """Best threshold against activity: flat targets of growing reflectivity, under two backgrounds."""
-    rows = [
+    rows: list[Row] = [
         (
             "source",
             "klux",
@@ -31,12 +37,12 @@ def figure_7(run: Runner) -> Section:
     ]
     figure = new_figure(11, 4.2)
     axes = figure.subplots(1, 2, sharey=True)
-    chosen = {}
+    chosen: Chosen = {}
     for axis, klux in zip(axes, KLUX):
         activity_cps = PIXELS * (background_cps(klux) + SIGNAL / Timing().period_s)
         for form in FORMS:
-            success = run.map(_success, [(float(signal), klux, form) for signal in SIGNAL])
-            _add(rows, chosen, form, klux, PULSES, activity_cps, success)
+            expected = run.map(_success, [(float(signal), klux, form) for signal in SIGNAL])
+            _add(rows, chosen, form, klux, PULSES, activity_cps, expected)
             axis.semilogx(activity_cps, chosen[form, klux, PULSES], **SOURCES[form], label=f"analytic, {form}")
         for pulses, marker in ((PULSES, "o"), (MANY * PULSES, "+")):
             success = _simulated(run, klux, pulses)
@@ -112,7 +118,15 @@ def _simulated(run: Runner, klux: float, pulses: int) -> np.ndarray:
     return np.reshape(success, (len(SIGNAL), len(THRESHOLDS)))
 
 
-def _add(rows, chosen, source: str, klux: float, pulses: int, activity_cps, success) -> None:
+def _add(
+    rows: list[Row],
+    chosen: Chosen,
+    source: str,
+    klux: float,
+    pulses: int,
+    activity_cps: np.ndarray,
+    success: Iterable[np.ndarray],
+) -> None:
     """Rows of the CSV, and the thresholds chosen."""
     chosen[source, klux, pulses] = [expected_threshold(np.asarray(one)) for one in success]
     for signal, activity, threshold, one in zip(SIGNAL, activity_cps, chosen[source, klux, pulses], success):

@@ -1,5 +1,7 @@
 """Where the corrected equations stop to describe the sensor: expected counts of a pixel against Monte Carlo."""
 
+from typing import Any
+
 import numpy as np
 
 from ...model.contract.config import parse_config
@@ -14,13 +16,13 @@ from ...model.light.timing import Timing
 from ...model.shared.constants import SPEED_OF_LIGHT_M_S
 from ..plot_style import SERIES, SOURCES, legend_below, new_figure
 from .cases import MANY, Runner
-from .page import Comparison, Section
+from .page import Comparison, Row, Section
 
 KLUX = (1.0, 5.0, 20.0, 50.0, 100.0, 200.0, 400.0, 1000.0, 2000.0)
 DISTANCE_M, SIGNAL = 9.7, 0.05  # 3.2 photons a pulse in the subgroup: a dark object
 THRESHOLDS, WINDOW_TICKS, PULSES = (2, 5), 16, 1000
 AROUND_S = 2e-9  # of the time of flight: what counts as signal
-SENSOR = {"rows": 8, "cols": 8, "fifo_depth": 1024}
+SENSOR: dict[str, Any] = {"rows": 8, "cols": 8, "fifo_depth": 1024}
 PIXELS = 64
 COUNTS = ("signal", "noise")
 
@@ -32,11 +34,11 @@ def validity(run: Runner) -> Section:
     ]
     counted = dict(zip(keys, run.map(_counts, keys)))
     ratios = [name for form in FORMS for name in (f"{form}_to_monte_carlo", f"{form}_standard_error")]
-    rows = [("pulses", "threshold", "klux", "counts", "monte_carlo", *FORMS, *ratios)]
+    rows: list[Row] = [("pulses", "threshold", "klux", "counts", "monte_carlo", *FORMS, *ratios)]
     for key, (measured, expected) in counted.items():
         for i, name in enumerate(COUNTS):
-            ratios = [value for form in FORMS for value in _ratio(expected[form][i], measured[i], key[0])]
-            rows.append((*key, name, measured[i], *(expected[form][i] for form in FORMS), *ratios))
+            values = [value for form in FORMS for value in _ratio(expected[form][i], measured[i], key[0])]
+            rows.append((*key, name, measured[i], *(expected[form][i] for form in FORMS), *values))
     figure = new_figure(11, 4.2)
     limit_klux = VALID_DEAD_FRACTION / Spad().dead_time_s / background_cps(1)
     for axis, (i, name) in zip(figure.subplots(1, 2), enumerate(COUNTS)):
