@@ -19,8 +19,7 @@ from ..hdl.silicon.circuit import MACROS, Circuit
 from ..hdl.views import Asynchronous
 from ..model.contract.parameters import Sensor
 from .constraints import FS_PER_NS, SYSTEM, constraints
-from .synth import DRIVER
-from .yosys import LIBERTY, run_program, run_yosys, standard_cells
+from .yosys import LIBERTY, cells_script, put_cells, run_program, run_yosys
 
 MAPPED, TIMED = "mapped.v", "timed.v"
 CLOCKS = (SYSTEM, "spads", "roots", "minigroups", "ends", "taps", "mark")
@@ -67,24 +66,14 @@ def netlist(sensor: Sensor, circuit: Circuit, folder: Path) -> dict[str, Any]:
 
 def mapped(folder: Path, top: str) -> dict[str, int]:
     """Standard cells and macros that the files of `netlist` in `folder` become: type -> number. Leaves the netlist, hierarchy kept."""
-    standard_cells()
-    (folder / LIBERTY.name).write_bytes(LIBERTY.read_bytes())
-    (folder / "abc.constr").write_text(DRIVER)
+    put_cells(folder)
     files = " ".join(sorted(path.name for path in folder.glob("*.v") if path.name not in (MAPPED, TIMED)))
-    cells = LIBERTY.name
     run_yosys(
         "\n".join(
             [
-                f"read_liberty -lib {cells}",
+                f"read_liberty -lib {LIBERTY.name}",
                 f"read_verilog -sv {files}",
-                f"hierarchy -check -top {top}",
-                "proc",
-                "setattr -unset init w:*",
-                f"synth -noabc -top {top}",
-                "setattr -unset init w:*",
-                f"dfflibmap -liberty {cells}",
-                f"abc -liberty {cells} -constr abc.constr -D 2000",
-                "opt_clean",
+                *cells_script(top),
                 "check -assert",
                 "tee -q -o cells.json stat -json",
                 f"write_verilog -noexpr -noattr -simple-lhs {MAPPED}",

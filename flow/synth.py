@@ -24,11 +24,10 @@ from ..model.shared.sources import digest
 from ..tb import toolchain
 from ..tb.rtl import sensor_key
 from .levels import longest_paths
-from .yosys import LIBERTY, run_program, run_yosys, standard_cells
+from .yosys import LIBERTY, cells_script, generic_script, put_cells, run_program, run_yosys
 
 # abc for speed: cuts are balanced for depth before the gates are chosen. Its own default gives up to twice the depth for a tenth less area.
 SPEED = "+strash;ifraig;scorr;dc2;strash;if,-g,-K,6;strash;dch,-f;map,-B,0.9"
-DRIVER = "set_driving_cell BUFX2\nset_load 0.05 [all_outputs]\n"  # what abc buffers against; a load in pF
 PREFIX = "coincid_"
 FLOPS = re.compile(r"\$_DFF|DFF|TRELLIS_FF")
 GATES, CELLS, ECP5 = "gates", "osu018", "ecp5"
@@ -83,8 +82,6 @@ def synthesize(sensor: Sensor, target: str, top: str = TOP) -> Netlist:
     if top == FPGA_TOP:
         files |= fpga_files(sensor)
         del files[f"{TOP}.v"]
-    if target == CELLS:
-        standard_cells()
     units = sorted({unit.unit_name for _, unit, _ in netlist(sensor, levels=top == FPGA_TOP).instances})
     script = _script(target, list(files), top, units)
     key = digest(script, *(part for item in sorted(files.items()) for part in item))
@@ -93,8 +90,7 @@ def synthesize(sensor: Sensor, target: str, top: str = TOP) -> Netlist:
         for name, text in files.items():
             (folder / name).write_text(text)
         if target == CELLS:
-            (folder / LIBERTY.name).write_bytes(LIBERTY.read_bytes())
-            (folder / "abc.constr").write_text(DRIVER)
+            put_cells(folder)
         run_yosys(script, folder)
 
     folder = toolchain.build_once(build_root() / "synth" / f"{sensor_key(sensor)}-{target}-{key}", make)
@@ -102,26 +98,22 @@ def synthesize(sensor: Sensor, target: str, top: str = TOP) -> Netlist:
 
 
 def _script(target: str, names: list[str], top: str, units: list[str]) -> str:
-    """Standard cells know no initial values: nothing may rely on them there. An FPGA has them."""
-    begin = [f"read_verilog {' '.join(names)}", f"hierarchy -check -top {top}"]
-    end = ["tee -q -o stat.json stat -json", "write_verilog -noexpr -noattr netlist.v", "write_json netlist.json"]
+    """Commands that map the sensor. An FPGA has initial values; nothing else does."""
+    read = f"read_verilog {' '.join(names)}"
+    statistics = "tee -q -o stat.json stat -json" + f" -liberty {LIBERTY.name}" * (target == CELLS)
+    end = [statistics, "write_verilog -noexpr -noattr netlist.v", "write_json netlist.json"]
     if target == ECP5:
         steps = f"synth_lattice -family ecp5 -noflatten -top {top} -run"  # its own abc9 cannot map blocks one by one
-        return "\n".join(
-            [*begin, f"{steps} begin:map_luts", "abc -lut 4 -dress", "clean", f"{steps} map_cells:", *end, ""]
-        )
-    begin += ["proc", "setattr -unset init w:*", f"synth -noabc -top {top}", "setattr -unset init w:*"]
-    if target == GATES:
-        flat = ["design -save whole"]
+        mapping = [f"hierarchy -check -top {top}", f"{steps} begin:map_luts", "abc -lut 4 -dress", "clean"]
+        mapping.append(f"{steps} map_cells:")
+    elif target == CELLS:
+        mapping = cells_script(top)
+    else:
+        mapping = [*generic_script(top), "dfflegalize -cell $_DFF_P_ x", f"abc -g gates -script {SPEED}", "opt_clean"]
+        end.append("design -save whole")
         for unit in units:
-            flat += ["design -load whole", f"hierarchy -top {unit}", "flatten", "opt_clean", f"write_json {unit}.json"]
-        return "\n".join(
-            [*begin, "dfflegalize -cell $_DFF_P_ x", f"abc -g gates -script {SPEED}", "opt_clean", *end, *flat, ""]
-        )
-    cells = LIBERTY.name
-    map_cells = [f"dfflibmap -liberty {cells}", f"abc -liberty {cells} -constr abc.constr -D 2000", "opt_clean"]
-    end[0] += f" -liberty {cells}"
-    return "\n".join([*begin, *map_cells, *end, ""])
+            end += ["design -load whole", f"hierarchy -top {unit}", "flatten", "opt_clean", f"write_json {unit}.json"]
+    return "\n".join([read, *mapping, *end, ""])
 
 
 def _blocks(folder: Path, top: str, measured: list[str]) -> dict[str, Block]:
@@ -182,13 +174,13 @@ def _levels(folder: Path, top: str, units: list[str]) -> dict[str, int]:
     return dict(worst)
 
 
-def delay_ns(netlist: Netlist, block: str, period_ns: float) -> float:
+def delay_ns(netlist: Netlist, block: str, clock_ns: float) -> float:
     """Longest path between registers of a block with its sub-blocks, in standard cells, without wires: OpenSTA's."""
     script = f"""\
 read_liberty {LIBERTY.name}
 read_verilog netlist.v
 link_design {block}
-create_clock -name clk -period {period_ns} [get_ports clk]
+create_clock -name clk -period {clock_ns} [get_ports clk]
 report_checks -path_delay max -format full
 """
     (netlist.folder / f"{block}.tcl").write_text(script)
@@ -196,7 +188,7 @@ report_checks -path_delay max -format full
     slack = re.search(r"(-?[\d.]+) +slack", report)
     if slack is None:
         raise toolchain.ToolchainError(f"sta: no path in {block}: {report[-500:]}")
-    return period_ns - float(slack[1])
+    return clock_ns - float(slack[1])
 
 
 PAGE = """\
@@ -249,8 +241,8 @@ def report(name: str, config: Config) -> str:
         "",
     ]
     if not fpga:
-        period = 1000 / config.clock_mhz
-        delays = {unit: delay_ns(mapped, unit, period) for unit in mapped.units}
+        clock_ns = 1000 / config.clock_mhz
+        delays = {unit: delay_ns(mapped, unit, clock_ns) for unit in mapped.units}
         lines += ["| block with its sub-blocks | delay ns (OSU 0.18 um) |", "| --- | ---: |"]
         lines += [f"| {kind.removeprefix(PREFIX)} | {delay:.2f} |" for kind, delay in delays.items()] + [""]
     return "\n".join(lines)

@@ -12,7 +12,46 @@ from ..tb.toolchain import ToolchainError
 
 CELLS = Path("/usr/share/qflow/tech/osu018")  # of Debian's qflow-tech-osu018, which brings OpenSTA (`sta`), too
 LIBERTY, CELL_MODELS = CELLS / "osu018_stdcells.lib", CELLS / "osu018_stdcells.v"
+DRIVER = "set_driving_cell BUFX2\nset_load 0.05 [all_outputs]\n"  # what abc buffers against; a load in pF
+CONSTRAINTS = "abc.constr"
+MAPPED_PS = 2000  # cycle that abc aims at: the silicon preset's
 TAIL_LINES = 20
+
+
+def cells_script(top: str, *, flatten: bool = False) -> list[str]:
+    """Commands from Verilog as read to the standard cells that `put_cells` wrote; blocks stay apart where not `flatten`.
+
+    Standard cells know no initial values: nothing may rely on them.
+    """
+    return [
+        *generic_script(top, flatten=flatten),
+        f"dfflibmap -liberty {LIBERTY.name}",
+        f"abc -liberty {LIBERTY.name} -constr {CONSTRAINTS} -D {MAPPED_PS}",
+        "opt_clean",
+    ]
+
+
+def generic_script(top: str, *, flatten: bool = False) -> list[str]:
+    """Commands from Verilog as read to Yosys's own gates, not mapped and without initial values."""
+    forget = "setattr -unset init w:*"
+    return [
+        f"hierarchy -check -top {top}",
+        "proc",
+        forget,
+        f"synth {'-flatten ' if flatten else ''}-noabc -top {top}",
+        forget,
+    ]
+
+
+def put_cells(folder: Path) -> None:
+    """Writes to `folder` what `cells_script` reads. Raises `InputError` where the standard cells are missing."""
+    if not LIBERTY.exists():
+        try:
+            system_packages("qflow-tech-osu018")
+        except MissingPackagesError as error:
+            raise InputError(str(error)) from None
+    (folder / LIBERTY.name).write_bytes(LIBERTY.read_bytes())
+    (folder / CONSTRAINTS).write_text(DRIVER)
 
 
 def run_yosys(script: str, folder: Path) -> None:
@@ -37,12 +76,3 @@ def run_program(command: Sequence[str], folder: Path, name: str) -> str:
     if done.returncode:
         raise ToolchainError("\n".join([f"{name} failed in {folder}", *done.stdout.splitlines()[-TAIL_LINES:]]))
     return done.stdout
-
-
-def standard_cells() -> None:
-    """Makes sure of the standard cells."""
-    if not LIBERTY.exists():
-        try:
-            system_packages("qflow-tech-osu018")
-        except MissingPackagesError as error:
-            raise InputError(str(error)) from None

@@ -13,8 +13,8 @@ from typing import Any
 from attrs import evolve
 from matplotlib.figure import Figure
 
-from ..flow.synth import CELLS, DRIVER, synthesize
-from ..flow.yosys import LIBERTY, run_yosys, standard_cells
+from ..flow.synth import CELLS, synthesize
+from ..flow.yosys import LIBERTY, cells_script, put_cells, run_yosys
 from ..hdl import bus
 from ..hdl.export import FILE_LIST, verilog_files
 from ..hdl.packetizer import Packetizer
@@ -91,18 +91,10 @@ def _subgroup_area_um2(sensor: Sensor, cut: tuple[str, int, int] | None) -> floa
     if cut:
         name = f"{Packetizer.unit_name}.v"
         files[name] = _without(files[name], Packetizer(sensor), *cut)
-    standard_cells()
     script = "\n".join(
         [
             f"read_verilog {' '.join(files)}",
-            f"hierarchy -check -top {top}",
-            "proc",
-            "setattr -unset init w:*",
-            f"synth -flatten -noabc -top {top}",
-            "setattr -unset init w:*",
-            f"dfflibmap -liberty {LIBERTY.name}",
-            f"abc -liberty {LIBERTY.name} -constr abc.constr -D 2000",
-            "opt_clean",
+            *cells_script(top, flatten=True),
             f"tee -q -o stat.json stat -json -liberty {LIBERTY.name}",
             "",
         ]
@@ -111,8 +103,7 @@ def _subgroup_area_um2(sensor: Sensor, cut: tuple[str, int, int] | None) -> floa
     def make(folder: Path) -> None:
         for name, text in files.items():
             (folder / name).write_text(text)
-        (folder / LIBERTY.name).write_bytes(LIBERTY.read_bytes())
-        (folder / "abc.constr").write_text(DRIVER)
+        put_cells(folder)
         run_yosys(script, folder)
 
     key = digest(script, *(part for item in sorted(files.items()) for part in item))

@@ -7,7 +7,8 @@ import numpy as np
 
 from ..model.contract.config import Config
 from ..model.contract.packet import FORMATS, Kind, layout
-from ..model.depth.quality import range_error, wrong_pixels, wrong_share
+from ..model.depth.quality import TOLERANCE_M, range_error, wrong_pixels, wrong_share
+from ..model.shared.constants import SUCCESS_TOLERANCE_S
 
 MEASURES = {  # name: (type, meaning); all are of one frame
     "edges": (int, "avalanches of all SPADs"),
@@ -26,7 +27,10 @@ MEASURES = {  # name: (type, meaning); all are of one frame
     "dropped_share": (float, "share of the committed windows that were dropped"),
     "beats": (int, "beats of all streams"),
     "stream_load": (float, "beats of the busiest stream per cycle of the frame"),
-    "wrong_share": (float, "share of pixels without depth, or off by more than 230 ps (3.4 cm)"),
+    "wrong_share": (
+        float,
+        f"share of pixels without depth, or off by more than {SUCCESS_TOLERANCE_S * 1e12:.0f} ps ({TOLERANCE_M * 100:.1f} cm)",
+    ),
     "depth_share": (float, "share of pixels with depth"),
     "bias_m": (float, "mean error of range, pixels with depth"),
     "rms_m": (float, "RMS error of range, pixels with depth"),

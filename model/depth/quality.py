@@ -5,14 +5,13 @@ Ref: paper IV, Fig. 7 for what counts as right.
 
 import numpy as np
 
-from ..shared.constants import SPEED_OF_LIGHT_M_S
+from ..shared.constants import SPEED_OF_LIGHT_M_S, SUCCESS_TOLERANCE_S
 
-TOLERANCE_S = 230e-12  # paper IV, Fig. 7: what counts as right
-TOLERANCE_M = TOLERANCE_S * SPEED_OF_LIGHT_M_S / 2
+TOLERANCE_M = SUCCESS_TOLERANCE_S * SPEED_OF_LIGHT_M_S / 2
 
 
 def wrong_pixels(depth_m: np.ndarray, truth_m: np.ndarray, tolerance_m: float = TOLERANCE_M) -> np.ndarray:
-    """bool[rows, cols]: where |depth - truth| is above `tolerance_m` (230 ps, one way), or there is no depth.
+    """bool[rows, cols]: where |depth - truth| is above `tolerance_m` (default: `SUCCESS_TOLERANCE_S`, one way), or there is no depth.
 
     depth_m, truth_m: float64[rows, cols]; a pixel without truth (NaN) is not wrong.
     """

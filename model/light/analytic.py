@@ -20,7 +20,7 @@ from scipy import special, stats
 
 from ..contract.parameters import Sensor
 from ..contract.pixels import pixel_table
-from ..shared.constants import SIGMA_PER_FWHM, SPEED_OF_LIGHT_M_S
+from ..shared.constants import SIGMA_PER_FWHM, SPEED_OF_LIGHT_M_S, SUCCESS_TOLERANCE_S
 from ..shared.errors import check_integer
 from ..shared.quantities import Numbers, check_choice, real_array
 from .link_budget import FORMS
@@ -30,7 +30,6 @@ from .timing import Timing
 VALID_DEAD_FRACTION = 0.05
 SCHEMES = (1, 2)  # 1: winner takes all, no coincidence; 2: coincidence
 THRESHOLDS = range(1, 8)  # as the paper's Fig. 7
-SUCCESS_TOLERANCE_S = 230e-12
 PRINTED_TIME_UNIT_S = (
     1e-12  # (18) as printed depends on it: bins sum to 14.6 times the signal (sigma 212 ps), with s to 1.5e-5
 )

@@ -24,7 +24,7 @@ SBR_READINGS = {  # what Fig. 2 may mean by SBR; the paper says no more than tha
     "F": "photons of a laser pulse to background after dead time in a coincidence window",
 }
 COINCIDENCE_WINDOW_S = 5e-9  # of reading F: what brings 0 dB to 4 m
-NEAREST_M = 1e-3
+DISTANCE_MIN_M = 1e-3  # of the equations; scenes end at `light.NEAREST_M`
 
 
 @frozen(kw_only=True)
@@ -151,7 +151,7 @@ def link_budget(
     if sbr_window_s is None:
         sbr_window_s = COINCIDENCE_WINDOW_S if sbr_reading == "F" else spad.jitter_fwhm_s
     check_real("sbr_window_s", sbr_window_s, 0)
-    distance_m = real_array("distance_m", distance_m, np.shape(distance_m), NEAREST_M)
+    distance_m = real_array("distance_m", distance_m, np.shape(distance_m), DISTANCE_MIN_M)
 
     aperture_m2 = math.pi * (optics.lens_diameter_m / 2) ** 2
     photon_energy_j = PLANCK_J_S * SPEED_OF_LIGHT_M_S / (laser.wavelength_nm * 1e-9)
