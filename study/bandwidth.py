@@ -18,7 +18,7 @@ from scipy import stats
 
 from ..model.contract.config import Config, parse_config
 from ..model.contract.edges import Edges
-from ..model.contract.packet import FORMAT_NAMES, FORMATS, HEADER, Kind, layout
+from ..model.contract.packet import FORMAT_NAMES, HEADER
 from ..model.contract.parameters import Sensor
 from ..model.contract.pixels import pixel_table
 from ..model.contract.registers import COUNTER_NAMES
@@ -36,6 +36,7 @@ from ..model.shared.constants import SPEED_OF_LIGHT_M_S
 from ..model.shared.errors import check_integer
 from ..model.shared.files import whole_file
 from ..model.shared.quantities import check_choice
+from .measures import payload_beats, stream_beats
 from .plot_style import SERIES, new_figure, save_figure, style
 
 SCENE, SEED, CORRECTED = "five-objects", 1, FORMS[1]
@@ -116,23 +117,12 @@ def estimate(config: Config, light: Light, timing: Timing, spad: Spad) -> tuple[
     )
     group = table.subgroup * sensor.minigroups + table.minigroup[table.inside]
     noise = np.bincount(group, noise_cps) / m
-    pulse = np.bincount(group, fired.sum(axis=1)) / m
+    signal = np.bincount(group, fired.sum(axis=1)) / m
     in_window = -np.expm1(-noise * window_s)
     by_noise = m * noise * open_s * stats.binom.sf(threshold - 2, m - 1, in_window)
-    latched = 1 - np.exp(-by_noise) * stats.binom.cdf(threshold - 1, m, np.minimum(pulse + in_window, 1))
+    latched = 1 - np.exp(-by_noise) * stats.binom.cdf(threshold - 1, m, np.minimum(signal + in_window, 1))
     records = 1 - np.prod(1 - latched.reshape(subgroups, -1), axis=1)
     return events, records if config.frame["minigroup_records"] else np.zeros(subgroups)
-
-
-def beats(config: Config, events: float, records: float) -> float:
-    """Beats of a frame with so many events and records in all, head and end of every stream included."""
-    sensor = config.sensor
-    return 2 * sensor.streams + sensor.subgroups * layout(sensor).counter_beats + _payload(config, events, records)
-
-
-def _payload(config: Config, events: float, records: float) -> float:
-    parts = layout(config.sensor)
-    return events * parts.length(FORMATS[config.format]) + records * parts.length(Kind.RECORD)
 
 
 def study(
@@ -164,7 +154,7 @@ def study(
             for threshold in thresholds:
                 for records in (False, True):
                     config = base.with_settings(threshold=threshold).with_frame(minigroup_records=records)
-                    expected = [base.pulses * each.sum() for each in estimate(config, light, timing, spad)]
+                    expected = [base.pulses * each for each in estimate(config, light, timing, spad)]
                     for name in FORMAT_NAMES:
                         named = config.with_frame(format=name)
                         rows += _with_streams(size, level, threshold, named, edges, expected)
@@ -181,23 +171,23 @@ def _with_streams(
             break
         config = evolve(config, sensor=evolve(config.sensor, streams=streams))
         trace = Golden(config.sensor).frame(config, edges)
-        total = dict(zip(COUNTER_NAMES, trace.counters.sum(axis=0).tolist()))
-        records = total["mg_stored"] + total["mg_dropped"]
+        count = dict(zip(COUNTER_NAMES, trace.counters.T))
+        committed, records = count["committed"], count["mg_stored"] + count["mg_dropped"]
         decoded = (
             decode_frame(stream, config.sensor, len(config.sensor.stream_subgroups(k)))
             for k, stream in enumerate(trace.beats)
         )
         overruns = sum(int(frame.events[:, OVERRUN].sum()) for frame in decoded)
         late = max(int(cycle[-1]) for cycle in trace.beat_cycle) + 1 - config.pulses * config.period
-        lost = total["dropped"] / max(total["committed"], 1), total["mg_dropped"] / max(records, 1)
-        measured.append((streams, beats(config, total["committed"], records), *lost, overruns, late))
+        lost = _share(count["dropped"], committed), _share(count["mg_dropped"], records)
+        measured.append((streams, stream_beats(config, committed, records).sum(), *lost, overruns, late))
         if not any(lost):
             break
     needed = 0 if any(lost) else streams
     one = evolve(config, sensor=evolve(config.sensor, streams=1))
-    estimated = beats(one, *expected)
+    estimated = float(stream_beats(one, *expected).sum())
     by_mean = math.ceil(
-        _payload(config, *expected) / (config.pulses * config.period)
+        payload_beats(config, *expected).sum() / (config.pulses * config.period)
     )  # counters leave after the last period
     return [
         Row(
@@ -218,6 +208,10 @@ def _with_streams(
         )
         for streams, _, lost_events, lost_records, overruns, late in measured
     ]
+
+
+def _share(part: np.ndarray, whole: np.ndarray) -> float:
+    return int(part.sum()) / max(int(whole.sum()), 1)
 
 
 def write_study(out_dir: Path, rows: list[Row]) -> list[Path]:

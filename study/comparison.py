@@ -111,7 +111,8 @@ def _this(shot: Shot, settings: dict[str, Any], method: str = "matched", source:
     config = shot.config.with_settings(**settings).with_frame(**frame)
     arrays = golden_result(config, shot.edges)
     depth = estimate_depth(arrays, config, method=method, source=source, frame=FRAMES - 1, returns=RETURNS)
-    return Found(depth.depth_m, int(stream_beats(config, arrays, FRAMES - 1).sum()) * BEAT_BITS)
+    beats = stream_beats(config, arrays["stored"][FRAMES - 1], arrays["mg_stored"][FRAMES - 1])
+    return Found(depth.depth_m, int(beats.sum()) * BEAT_BITS)
 
 
 SCHEMES: dict[str, Callable[[Shot], Found]] = {
@@ -163,7 +164,7 @@ def coarse_peaks(histogram: np.ndarray, width: int, sigma_ticks: float) -> np.nd
     excess = histogram - np.median(histogram, axis=1, keepdims=True)
     near, apart = (max(NEAR_BINS, math.ceil(sigmas * sigma_ticks / width)) for sigmas in (NEAR_SIGMAS, APART_SIGMAS))
     left = (
-        np.apply_along_axis(np.convolve, 1, excess, _pulse(sigma_ticks / width), "same")
+        np.apply_along_axis(np.convolve, 1, excess, _pulse_shape(sigma_ticks / width), "same")
         if sigma_ticks > width / 2
         else excess.copy()
     )
@@ -181,7 +182,7 @@ def coarse_peaks(histogram: np.ndarray, width: int, sigma_ticks: float) -> np.nd
     return ticks
 
 
-def _pulse(sigma: float) -> np.ndarray:
+def _pulse_shape(sigma: float) -> np.ndarray:
     at = np.arange(-round(4 * sigma), round(4 * sigma) + 1)
     return np.exp(-0.5 * (at / sigma) ** 2)
 

@@ -54,7 +54,7 @@ def measures(
     """
     counts = {name: int(arrays[counter][frame].sum()) for name, counter in COUNTED.items()}
     of_frame = arrays["pulse"] // config.pulses == frame
-    beats = stream_beats(config, arrays, frame)
+    beats = stream_beats(config, arrays["stored"][frame], arrays["mg_stored"][frame])
     threshold = np.where(config.coincidence, arrays["threshold_used"][frame], 1)
     known = ~np.isnan(truth_m)
     right = known & ~wrong_pixels(depth_m, truth_m)
@@ -76,18 +76,21 @@ def measures(
     return {name: found[name] for name in MEASURES}
 
 
-def stream_beats(config: Config, arrays: dict[str, np.ndarray], frame: int) -> np.ndarray:
-    """int64[streams]: beats of a frame, its start and end with the counters included."""
+def stream_beats(config: Config, events: np.ndarray, records: np.ndarray) -> np.ndarray:
+    """Number[streams]: beats of a frame, its start and end with the counters included.
+
+    events, records: number[subgroups], events and minigroup records that leave.
+    """
     sensor = config.sensor
-    parts = layout(sensor)
-    sent = arrays["stored"][frame] * parts.length(FORMATS[config.format]) + arrays["mg_stored"][frame] * parts.length(
-        Kind.RECORD
-    )
-    beats = []
-    for stream in range(sensor.streams):
-        subgroups = sensor.stream_subgroups(stream)
-        beats.append(2 + sent[subgroups].sum() + len(subgroups) * parts.counter_beats)
-    return np.array(beats, np.int64)
+    payload, counter_beats = payload_beats(config, events, records), layout(sensor).counter_beats
+    subgroups = [sensor.stream_subgroups(stream) for stream in range(sensor.streams)]
+    return np.array([2 + payload[of_stream].sum() + len(of_stream) * counter_beats for of_stream in subgroups])
+
+
+def payload_beats(config: Config, events: np.ndarray, records: np.ndarray) -> np.ndarray:
+    """Number[subgroups]: the beats of events and minigroup records alone; arguments as of `stream_beats`."""
+    parts = layout(config.sensor)
+    return events * parts.length(FORMATS[config.format]) + records * parts.length(Kind.RECORD)
 
 
 def _share(part: int, whole: int) -> float | None:
