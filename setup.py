@@ -3,7 +3,7 @@
 from setuptools import find_packages, setup
 
 ROOMS = ("model", "hdl", "tb", "flow", "formal", "study")
-DATA = ["*.v", "*.cpp", "presets/*.toml", "ray_scenes/*.xml"]
+DATA = ["*.v", "*.vh", "*.cpp", "presets/*.toml", "ray_scenes/*.xml"]
 
 setup(
     packages=[

@@ -19,7 +19,7 @@ from ..model.contract.parameters import Sensor
 from ..model.shared.errors import InputError
 from .constraints import constraints as async_constraints
 from .register_files import register_files
-from .smoke import FPGA_SMOKE, SMOKE, phase_clock, smoke_test
+from .smoke import FPGA_SMOKE, SMOKE, smoke_test
 from .waivers import CONTROL_FILE, control_file
 
 MANIFEST, CORE, README = "manifest.json", f"{TOP}.core", "README.md"
@@ -98,6 +98,11 @@ def _constraints(sensor: Sensor, clock_mhz: float, top: str, view) -> str:
             f"set_false_path -from [get_ports {{{port.name}[*]}}]" for port in ports if port.name.startswith("line_")
         ]
     return "\n".join(lines) + "\n"
+
+
+def phase_clock(sensor: Sensor, j: int) -> str:
+    """Clock j > 0 of the deserialisers, as constraints call it: Verilog's name of a bit, or of a port of one bit."""
+    return f"phase_clocks[{j - 1}]" if sensor.phases > 4 else "phase_clocks"
 
 
 def tool_options(view: View) -> dict[str, list[str]]:

@@ -1,0 +1,173 @@
+  // Sensor's ports. Inputs change at falling edges; the rising edge takes them.
+  reg clk = 1'b0;
+  reg rst = 1'b1;
+  reg [19:0] s_axi_awaddr = 0;
+  reg [2:0] s_axi_awprot = 0;
+  reg s_axi_awvalid = 0;
+  wire s_axi_awready;
+  reg [31:0] s_axi_wdata = 0;
+  reg [3:0] s_axi_wstrb = 0;
+  reg s_axi_wvalid = 0;
+  wire s_axi_wready;
+  wire [1:0] s_axi_bresp;
+  wire s_axi_bvalid;
+  reg s_axi_bready = 0;
+  reg [19:0] s_axi_araddr = 0;
+  reg [2:0] s_axi_arprot = 0;
+  reg s_axi_arvalid = 0;
+  wire s_axi_arready;
+  wire [31:0] s_axi_rdata;
+  wire [1:0] s_axi_rresp;
+  wire s_axi_rvalid;
+  reg s_axi_rready = 0;
+  wire [64*STREAMS-1:0] tdata;
+  wire [STREAMS-1:0] tvalid;
+  reg [STREAMS-1:0] tready = 0;
+  wire [STREAMS-1:0] tlast;
+  wire laser;
+  wire [SUBGROUPS-1:0] spad_gate;
+
+  integer checks = 0;
+  integer errors = 0;
+
+  task check(input ok, input [63:0] got, input [63:0] wanted);
+    begin
+      checks = checks + 1;
+      if (!ok) begin
+        errors = errors + 1;
+        $display("FAIL: %h where %h is expected, at time %0t, check %0d", got, wanted, $time, checks);
+      end
+    end
+  endtask
+
+  localparam TIMEOUT_CYCLES = 200000;
+
+  initial begin
+    repeat (TIMEOUT_CYCLES) @(posedge clk);
+    $display("FAIL: no end after %0d cycles", TIMEOUT_CYCLES);
+    $fatal(1);
+  end
+
+  // Registers.
+  localparam [1:0] OKAY = 2'd0;
+  localparam [1:0] SLVERR = 2'd2;
+
+  task write(input [19:0] address, input [31:0] value, input [1:0] response);
+    begin
+      @(negedge clk);
+      while (!s_axi_awready || !s_axi_wready) @(negedge clk);
+      s_axi_awaddr = address;
+      s_axi_wdata = value;
+      s_axi_wstrb = 4'hf;
+      s_axi_awvalid = 1'b1;
+      s_axi_wvalid = 1'b1;
+      s_axi_bready = 1'b1;
+      @(negedge clk);
+      s_axi_awvalid = 1'b0;
+      s_axi_wvalid = 1'b0;
+      while (!s_axi_bvalid) @(negedge clk);
+      check(s_axi_bresp === response, {62'd0, s_axi_bresp}, {62'd0, response});
+      @(negedge clk);
+      s_axi_bready = 1'b0;
+    end
+  endtask
+
+  reg [31:0] data = 0;
+
+  task read(input [19:0] address);
+    begin
+      @(negedge clk);
+      while (!s_axi_arready) @(negedge clk);
+      s_axi_araddr = address;
+      s_axi_arvalid = 1'b1;
+      s_axi_rready = 1'b1;
+      @(negedge clk);
+      s_axi_arvalid = 1'b0;
+      while (!s_axi_rvalid) @(negedge clk);
+      data = s_axi_rdata;
+      @(negedge clk);
+      s_axi_rready = 1'b0;
+    end
+  endtask
+
+  task expect_register(input [19:0] address, input [31:0] value);
+    begin
+      read(address);
+      check(data === value, {32'd0, data}, {32'd0, value});
+    end
+  endtask
+
+  // Streams. Beats of stream s are expected[first[s]] to expected[first[s + 1] - 1].
+  integer received [0:STREAMS-1];
+
+  task take(input integer s);
+    if (tready[s] && tvalid[s]) begin
+      if (first[s] + received[s] < first[s + 1]) begin
+        check(tdata[64*s+:64] === expected[first[s] + received[s]], tdata[64*s+:64], expected[first[s] + received[s]]);
+      end
+      received[s] = received[s] + 1;
+      check(tlast[s] === (first[s] + received[s] == first[s + 1]), {63'd0, tlast[s]},
+            {63'd0, first[s] + received[s] == first[s + 1]});
+    end
+  endtask
+
+  // The frame: cycle 0 is the one in which `laser` goes high for the first time.
+  integer cycle = -1;
+  integer stream;
+  integer complete;
+  reg whole = 1'b0;  // every stream has sent what is expected of it
+
+  initial for (stream = 0; stream < STREAMS; stream = stream + 1) received[stream] = 0;
+
+  always @(negedge clk) begin
+    if (cycle >= 0) cycle = cycle + 1;
+    else if (laser) cycle = 0;
+    tready = {STREAMS{cycle >= 0 && (cycle >= STALL_CYCLES || cycle % STALL_EVERY != 0)}};
+    complete = 0;
+    for (stream = 0; stream < STREAMS; stream = stream + 1) begin
+      take(stream);
+      if (first[stream] + received[stream] == first[stream + 1]) complete = complete + 1;
+    end
+    whole = complete == STREAMS;
+  end
+
+  // Light: at `flip_time` (in a unit of its own) the line `flip_line` of port `flip_port` changes.
+  reg [LINES-1:0] spad [0:PORTS-1];
+  integer next = 0;
+  integer port;
+
+  initial for (port = 0; port < PORTS; port = port + 1) spad[port] = 0;
+
+  task flip;
+    begin
+      spad[flip_port[next]][flip_line[next]] = !spad[flip_port[next]][flip_line[next]];
+      next = next + 1;
+    end
+  endtask
+
+  // The story.
+  integer k;
+
+  initial begin
+    repeat (8) @(negedge clk);
+    rst = 1'b0;
+    repeat (8) @(negedge clk);
+    for (k = 0; k < CONSTANTS; k = k + 1) expect_register(constant[k][51:32], constant[k][31:0]);
+    for (k = 0; k < SETTINGS; k = k + 1) write(setting[k][51:32], setting[k][31:0], OKAY);
+    write(PERIOD, 32'd0, SLVERR);
+    expect_register(STATUS, BAD_VALUE);
+    write(STATUS, BAD_VALUE, OKAY);
+    write(CONTROL, START, OKAY);
+    while (!whole) @(negedge clk);
+    repeat (50) @(negedge clk);
+    expect_register(STATUS, DONE);
+    for (k = 0; k < COUNTERS; k = k + 1) expect_register(counter[k][51:32], counter[k][31:0]);
+    check(whole, 64'd0, 64'd1);
+    if (errors == 0) begin
+      $display("PASS: %0d checks", checks);
+      $finish;
+    end else begin
+      $display("FAIL: %0d of %0d checks", errors, checks);
+      $fatal(1);
+    end
+  end

@@ -1,0 +1,25 @@
+`timescale 1ps / 1fs
+
+// Smoke test of coincid_sensor: prints PASS, or FAIL and why. The expected words are the golden model's.
+module coincid_smoke;
+  `include "smoke_tables.vh"
+  `include "smoke_bench.vh"
+
+  localparam real HALF_PS = CLOCK_FS / 2000.0;
+
+  always #(HALF_PS) clk = !clk;
+
+  // Lines rise at their own time: `flip_time` counts femtoseconds from the beginning of cycle 0, which is known in its middle.
+  realtime begun_ps;
+
+  initial begin
+    wait (cycle == 0);
+    begun_ps = $realtime - HALF_PS;
+    while (next < FLIPS) begin
+      #(begun_ps + flip_time[next] / 1000.0 - $realtime);
+      flip;
+    end
+  end
+
+  `include "smoke_sensor.vh"
+endmodule

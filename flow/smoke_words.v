@@ -1,0 +1,12 @@
+// Smoke test of coincid_sensor: prints PASS, or FAIL and why. The expected words are the golden model's.
+module coincid_smoke;
+  `include "smoke_tables.vh"
+  `include "smoke_bench.vh"
+
+  always #1 clk = !clk;
+
+  // Words of edges: a bit is high for a cycle. `flip_time` counts cycles.
+  always @(cycle) while (cycle >= 0 && next < FLIPS && flip_time[next] == {32'd0, cycle}) flip;
+
+  `include "smoke_sensor.vh"
+endmodule
