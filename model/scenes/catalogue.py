@@ -1,4 +1,4 @@
-"""Catalogue of scenes: from what a user names to a `Scene`, whichever room builds it."""
+"""The catalogue of scenes: from what a user names to a `Scene`, whichever file makes it."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -9,9 +9,9 @@ from ..shared.errors import InputError, check_integer
 from ..shared.files import FilePath
 from ..shared.quantities import check_real
 from .depth_file import depth_scene
-from .planes import FIVE_OBJECTS, LETTER_F, REFLECTIVITY, flat, planes_scene, two_returns, two_targets
+from .planes import FIVE_OBJECTS, LETTER_F, flat, planes_scene, two_returns, two_targets
 from .ray_scene import is_ray_scene, ray_scene
-from .scene import Scene
+from .scene import REFLECTIVITY, Scene
 
 _TWO = (("NEAR", 5.0), ("FAR", 9.0), ("REFLECTIVITY", REFLECTIVITY))
 BUILT_IN: dict[
@@ -44,13 +44,13 @@ def load_scene(
     """
     check_integer("rows", rows, 1, 4096)
     check_integer("cols", cols, 1, 4096)
+    source = depth = str(source)
     if is_ray_scene(source):
         return ray_scene(source, rows, cols, range_m=range_m)
-    name, _, values = str(source).partition(":")
+    name, _, values = source.partition(":")
     if name in BUILT_IN and not Path(source).exists():
         defaults, build = BUILT_IN[name]
-        return build(rows, cols, f"{source}", *_numbers(name, values, defaults, range_m))
-    depth = str(source)
+        return build(rows, cols, source, *_numbers(name, values, defaults, range_m))
     if "," in depth and not Path(depth).exists():
         depth, _, beside = depth.rpartition(",")
         if colour is not None:

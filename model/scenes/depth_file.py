@@ -10,8 +10,7 @@ from ..light.timing import RANGE_M
 from ..shared.errors import InputError
 from ..shared.files import FilePath
 from ..shared.quantities import check_real
-from .planes import REFLECTIVITY
-from .scene import Scene
+from .scene import REFLECTIVITY, Scene
 
 DARKEST, BRIGHTEST = 0.05, 0.8  # reflectivities that black and white of a colour picture stand for
 WRONG_SHARE_MAX = 0.1  # of a depth file's samples beyond the range or negative: more is another unit

@@ -1,6 +1,6 @@
-"""Built-in scenes: planes that face the sensor.
+"""Scenes of planes that face the sensor.
 
-Ref: paper IV, Fig. 4; the numbers of the scenes are our choice.
+Ref: paper IV, Fig. 4; what the paper does not say of it, and the other scenes, are our choice.
 """
 
 import numpy as np
@@ -8,7 +8,6 @@ from attrs import frozen
 
 from .scene import NO_OBJECT, Scene
 
-REFLECTIVITY = 0.4  # where a file says nothing about it: the paper's flat target
 STRIPE_PIXELS = 4  # of the scene `two-targets`: both surfaces in every subgroup of 8 columns
 
 
@@ -55,6 +54,7 @@ def planes_scene(planes: tuple[Plane, ...], rows: int, cols: int, name: str) -> 
 
 
 def flat(rows: int, cols: int, name: str, distance_m: float, reflectivity: float) -> Scene:
+    """A single plane that fills the picture."""
     return planes_scene((Plane(1, distance_m, reflectivity),), rows, cols, name)
 
 

@@ -1,4 +1,4 @@
-"""Ray-traced scenes by name or file: what is needed for them, the cache, and what the user should know.
+"""Ray-traced scenes by name or file: rendered, or found rendered before, and what the user should know of them.
 
 Ref: paper V, "a simulator based on Monte Carlo ray tracing models"; everything else is our choice. Mitsuba and mitransient are an
 optional extra; nothing here imports them before a scene is asked for.
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 PREFIX = "ray:"
 BUILT_IN = ("five-objects", "glass", "corner", "retroreflector", "fog")
-SCENES = Path(__file__).with_name("ray_scenes")
+SCENES = Path(__file__).with_name("ray_scenes")  # of the built-in ones
 PACKAGES = ("mitsuba", "mitransient", "drjit")
 INSTALL = "make raytrace (without a checkout: pip install 'coincid[raytrace]')"
 # By the names that the loader knows. What is missing here crashes: older ones do not know the code that Dr.Jit makes.
@@ -47,7 +47,7 @@ DOUBTFUL_NEAR_M, DOUBTFUL_FAR_SHARE = 0.3, 0.5  # median distance, and share of 
 
 def is_ray_scene(source: str) -> bool:
     """Whether `source` names a scene for the ray tracer."""
-    return str(source).startswith(PREFIX) or str(source).lower().endswith(".xml")
+    return source.startswith(PREFIX) or source.lower().endswith(".xml")
 
 
 def ray_scene(source: str, rows: int, cols: int, *, range_m: float, optics: Optics | None = None) -> Scene:
@@ -57,8 +57,8 @@ def ray_scene(source: str, rows: int, cols: int, *, range_m: float, optics: Opti
     near, at or beyond the range) are masked and noted; their light stays. Raises `InputError`.
     """
     optics = optics or Optics()
-    path = _path(str(source))
-    name = str(source) if path.parent == SCENES else path.name
+    path = _path(source)
+    name = source if path.parent == SCENES else path.name
     tracer = _tracer()
     scene = tracer.read_scene(path)
     view = {

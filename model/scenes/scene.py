@@ -1,8 +1,4 @@
-"""Scenes: for every pixel of the sensor the distance and reflectivity of what it looks at.
-
-Built-in ones are planes that face the sensor; depth files are resampled to it. Ref: paper IV, Fig. 4; the numbers of the
-built-in scenes and the rules of the resampling are our choice.
-"""
+"""A scene: for every pixel of the sensor the distance and reflectivity of what it looks at, and the light that comes of it."""
 
 from typing import Any
 
@@ -15,6 +11,7 @@ from ..shared.quantities import given, real_array
 from .transient import Transient
 
 NO_OBJECT = 0
+REFLECTIVITY = 0.4  # where nothing says another: that of the paper's flat target
 
 
 @frozen(kw_only=True, eq=False)

@@ -5,6 +5,7 @@ Every picture but the first is measured on the Verilog of the cells or of the fr
 """
 
 import sys
+from pathlib import Path
 
 import numpy as np
 
@@ -13,7 +14,7 @@ from ...model.contract.parameters import Sensor
 from ...model.light.code_density import code_density
 from ...model.shared.quantities import Numbers
 from ...tb.stimulus import FS_PER_PS
-from ...tb.stress import APERTURE_PS, TOP, Front, run_bench
+from ...tb.stress import APERTURE_PS, Front, run_bench
 from ..plot_style import legend_below, new_figure, save_figure, style
 from . import image
 
@@ -24,6 +25,17 @@ CYCLE_PS = CLOCK_FS / FS_PER_PS
 SIGMA_PS = 0.1 * TICK_PS  # of a tap's border, in the example
 TAU_PS, APERTURE_WINDOW_PS = 20.0, 20.0  # a flop's time constant of resolution, and its aperture: assumed
 EDGES_CPS, WINDOWS_CPS = 64e6, 16e6  # of a subgroup in full sunlight, about
+
+
+def bench(picture: str) -> Path:
+    """The bench that measures what a picture shows."""
+    return Path(__file__).with_name(f"async_{picture}.v")
+
+
+def quiet() -> dict[str, str]:
+    """What benches of a front end in an endless frame include."""
+    path = Path(__file__).with_name("async_quiet.vh")
+    return {path.name: path.read_text()}
 
 
 def cells() -> dict[str, str]:
@@ -72,30 +84,16 @@ def tdc() -> None:
     errors, events = taps(1), 40_000
     packed = sum(int(round(e * FS_PER_PS)) % (1 << ERROR_BITS) << ERROR_BITS * k for k, e in enumerate(errors))
     half = SENSOR.phases // 2
-    bench = f"""
-`timescale 1ps / 1fs
-module {TOP};
-  reg clk = 0, hit = 0; wire [{half - 1}:0] phases, code; wire mark, shut, wipe; integer n, seed = 7;
-  always #{CYCLE_PS / 2} clk = ~clk;
-  coincid_phases #(.PHASES({SENSOR.phases}), .CLOCK_FS({CLOCK_FS}), .LAG_FS({lag_fs(SENSOR)}),
-    .MISMATCH_FS({ERROR_BITS * SENSOR.phases}'d{packed})) generator (clk, phases, mark, shut, wipe);
-  coincid_sample #(.WIDTH({half})) line (hit, phases, code);
-  initial begin
-    #{4 * CYCLE_PS};
-    for (n = 0; n < {events}; n = n + 1) begin
-      #({CYCLE_PS} + $urandom(seed) % {CLOCK_FS} / 1000.0) hit = 1; #1 $display("%b", code); hit = 0;
-    end
-    $finish;
-  end
-endmodule
-"""
-    codes = np.array(
-        [
-            [int(bit) for bit in line[::-1]]
-            for line in run_bench(cells() | {"bench.v": bench})
-            if set(line) <= {"0", "1"}
-        ]
-    )
+    parameters = {
+        "PHASES": SENSOR.phases,
+        "CLOCK_FS": CLOCK_FS,
+        "LAG_FS": lag_fs(SENSOR),
+        "ERROR_BITS": ERROR_BITS,
+        "MISMATCH_FS": packed,
+        "EVENTS": events,
+    }
+    lines = run_bench(bench("tdc"), cells(), parameters=parameters)
+    codes = np.array([[int(bit) for bit in line[::-1]] for line in lines if set(line) <= {"0", "1"}])
     tick = np.where(codes[:, 0] == 1, codes.sum(1) - 1, half + (half - codes.sum(1)) - 1)
     found = code_density(tick, SENSOR.phases)
     truth = np.diff(np.append(errors, errors[0])) / TICK_PS
@@ -127,36 +125,13 @@ endmodule
     )
 
 
-def quiet_front(front: Front, circuit_body: str) -> str:
-    """A bench body: a frame that never ends, all pixels on, and what is to be done in it."""
-    running = 1 << front.timing["running"] | 1 << front.timing["may_open"]
-    return f"""
-  integer n, seed = 3; real at, edge_at;
-  initial begin
-    mask = ~0; gate = 1; timing = {running}; window_ticks = 1;
-    repeat (4) @(posedge clk); rst = 0; repeat (8) @(posedge clk);
-    start_module = 1; @(posedge clk); start_module = 0; repeat (12) @(posedge clk);
-{circuit_body}
-    $finish;
-  end
-"""
-
-
 def skew() -> None:
     """Stamps of pixels whose ways to the tree differ, and of a tree without mismatch, phases uniform."""
     sensor = Sensor(rows=4, cols=4, subgroup=(4, 4))
     way_ps = np.round(np.random.default_rng(2).normal(0, 25, sensor.pixels)) + 80
     front = Front(sensor, Circuit(pixel_skew_fs=tuple(int(w * FS_PER_PS) for w in way_ps)))
-    events, gap = 30, 2
-    body = f"""
-    for (n = 0; n < {events * sensor.pixels}; n = n + 1) begin
-      at = $urandom(seed) % {CLOCK_FS} / 1000.0; #(at);
-      spad[n % {sensor.pixels}] = 1; edge_at = $realtime; #5 spad[n % {sensor.pixels}] = 0;
-      wait (closed);
-      @(negedge clk) $display("%0d %0.3f %0d", n % {sensor.pixels}, edge_at, window[{front.at["stamp"]} +: {sensor.stamp_bits}]);
-      repeat ({gap}) @(posedge clk);
-    end"""
-    lines = run_bench(front.files() | {"bench.v": front.bench(quiet_front(front, body))})
+    events = 30
+    lines = run_bench(bench("skew"), front.files() | quiet(), parameters={"EVENTS": events * sensor.pixels})
     pixel, edge, stamp = np.array([line.split() for line in lines if len(line.split()) == 3], float).T
     wrap = CYCLE_PS * (1 << sensor.coarse_bits)
     error = (stamp * TICK_PS - edge + TICK_PS / 2) % wrap
@@ -185,25 +160,9 @@ def window() -> None:
     starts, ticks = 400, SENSOR.window_max
     results = {}
     for name, line, ppm in cases:
-        bench = f"""
-`timescale 1ps / 1fs
-module {TOP};
-  reg clk = 0, start = 0; wire [{SENSOR.phases // 2 - 1}:0] phases; wire mark, shut, wipe, ended; integer n, seed = 5; real at;
-  always #{CYCLE_PS / 2} clk = ~clk;
-  coincid_phases #(.PHASES({SENSOR.phases}), .CLOCK_FS({CLOCK_FS})) generator (clk, phases, mark, shut, wipe);
-  coincid_window #(.PHASES({SENSOR.phases}), .CLOCK_FS({CLOCK_FS}), .LINE({line}), .GAIN_PPM({ppm}))
-    dut (start, 8'd{ticks}, phases, ended);
-  initial begin
-    #{4 * CYCLE_PS};
-    for (n = 0; n < {starts}; n = n + 1) begin
-      #({CYCLE_PS} + $urandom(seed) % {CLOCK_FS} / 1000.0) start = 1; at = $realtime;
-      @(posedge ended) $display("%0.3f %0.3f", at, $realtime); #1 start = 0;
-    end
-    $finish;
-  end
-endmodule
-"""
-        lines = run_bench(cells() | {"bench.v": bench})
+        parameters = {"LINE": line, "GAIN_PPM": ppm, "TICKS": ticks, "STARTS": starts}
+        parameters |= {"PHASES": SENSOR.phases, "CLOCK_FS": CLOCK_FS}
+        lines = run_bench(bench("window"), cells(), parameters=parameters)
         began, ended = np.array([line.split() for line in lines if len(line.split()) == 2], float).T
         began, ended = began - CYCLE_PS / 2, ended - CYCLE_PS / 2  # the first rising edge
         due = (np.floor(began / TICK_PS) + ticks) * TICK_PS
@@ -258,24 +217,10 @@ def reset() -> None:
     """Single edges at a cycle's border, where one bank of hit flops stops listening and the other begins; flops may fall either way."""
     sensor = Sensor(rows=4, cols=4, subgroup=(4, 4))
     front = Front(sensor, Circuit())
-    offsets = np.arange(-60, 61, 5)
+    offsets = np.arange(-60, 61, 5)  # ps, as async_reset.v steps through them
     trials = 24
-    body = f"""
-    for (n = 0; n < {len(offsets) * trials}; n = n + 1) begin
-      @(posedge clk); words = 0; wrong = 0;
-      #({CYCLE_PS} - 60 + 5 * (n % {len(offsets)})) spad[5] = 1; #3 spad[5] = 0;
-      repeat (14) begin
-        @(negedge clk);
-        if (closed) begin
-          words = words + 1;
-          if (window[{front.at["hits"]} +: 16] != 32 || window[{front.at["winner"]} +: {sensor.winner_bits}] != 5
-              || window[{front.at["count"]} +: {sensor.count_bits}] != 1) wrong = wrong + 1;
-        end
-      end
-      $display("%0d %0d %0d", n % {len(offsets)}, words, wrong);
-    end"""
-    bench = front.bench("  integer words, wrong;\n" + quiet_front(front, body))
-    lines = run_bench(front.files() | {"bench.v": bench}, aperture=True)
+    parameters = {"EVENTS": len(offsets) * trials, "OFFSETS": len(offsets)}
+    lines = run_bench(bench("reset"), front.files() | quiet(), parameters=parameters, aperture=True)
     index, words, wrong = np.array([line.split() for line in lines if len(line.split()) == 3], int).T
     with style():
         figure = new_figure(8, 3.2)

@@ -1,0 +1,17 @@
+  // A frame that never ends, all pixels on, windows of a tick.
+  task wake;
+    begin
+      mask = {PIXELS{1'b1}};
+      gate = 1;
+      running = 1;
+      may_open = 1;
+      window_ticks = 1;
+      repeat (4) @(posedge clk);
+      rst = 0;
+      repeat (8) @(posedge clk);
+      start_tdc = 1;
+      @(posedge clk);
+      start_tdc = 0;
+      repeat (12) @(posedge clk);
+    end
+  endtask
