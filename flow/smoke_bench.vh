@@ -113,6 +113,7 @@
 
   // The frame: cycle 0 is the one in which `laser` goes high for the first time.
   integer cycle = -1;
+  event counted;  // `cycle` is that of the present falling edge
   integer stream;
   integer complete;
   reg whole = 1'b0;  // every stream has sent what is expected of it
@@ -122,6 +123,7 @@
   always @(negedge clk) begin
     if (cycle >= 0) cycle = cycle + 1;
     else if (laser) cycle = 0;
+    ->counted;
     tready = {STREAMS{cycle >= 0 && (cycle >= STALL_CYCLES || cycle % STALL_EVERY != 0)}};
     complete = 0;
     for (stream = 0; stream < STREAMS; stream = stream + 1) begin

@@ -9,7 +9,7 @@ module coincid_fpga_smoke;
   integer now = -1;  // ticks from the beginning of cycle 0
   integer j;
 
-  always @(cycle) if (cycle == 0) now = PHASES / 2;
+  always @(counted) if (cycle == 0) now = PHASES / 2;
 
   // Levels change in the middle of a tick. `flip_time` counts ticks.
   always begin

@@ -13,7 +13,7 @@ module coincid_smoke;
   realtime begun_ps;
 
   initial begin
-    wait (cycle == 0);
+    while (cycle < 0) @(counted);
     begun_ps = $realtime - HALF_PS;
     while (next < FLIPS) begin
       #(begun_ps + flip_time[next] / 1000.0 - $realtime);

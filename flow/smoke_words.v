@@ -6,7 +6,7 @@ module coincid_smoke;
   always #1 clk = !clk;
 
   // Words of edges: a bit is high for a cycle. `flip_time` counts cycles.
-  always @(cycle) while (cycle >= 0 && next < FLIPS && flip_time[next] == {32'd0, cycle}) flip;
+  always @(counted) while (cycle >= 0 && next < FLIPS && flip_time[next] == {32'd0, cycle}) flip;
 
   `include "smoke_sensor.vh"
 endmodule
