@@ -9,12 +9,12 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from ..model.contract.edges import Edges
 from ..model.contract.parameters import Sensor
 from ..model.contract.pixels import pixel_table
 from ..model.depth.arrivals import lead_sigmas, photons_of
+from ..model.shared.compiled import njit
 
 
 class Photons(NamedTuple):
@@ -67,7 +67,7 @@ def windows(photons: Photons, window: int, phases: int) -> Words:
     return Words(*_windows(photons.period, photons.tick, window, phases))
 
 
-@njit(cache=True)
+@njit
 def _windows(period, tick, window, phases):
     start, stop = np.empty_like(tick), np.empty_like(tick)
     n, e = 0, 0
@@ -88,7 +88,7 @@ def sliding_window(photons: Photons, window: int, threshold: int) -> Words:
     return Words(*_sliding(photons.period, photons.tick, window, threshold))
 
 
-@njit(cache=True)
+@njit
 def _sliding(period, tick, window, threshold):
     start, stop = np.empty_like(tick), np.empty_like(tick)
     n = oldest = 0
@@ -155,7 +155,7 @@ def read_out(photons: Photons, words: Words, sensor: Sensor, phases: int, period
     return stored
 
 
-@njit(cache=True)
+@njit
 def _serve(cycle, bounds, depth, beats, stored):
     n = len(bounds) - 1
     arrived, level = bounds[:-1].copy(), np.zeros(n, np.int64)

@@ -18,11 +18,11 @@ from functools import cache
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from scipy import special, stats
 
 from ..contract.config import Config
 from ..contract.parameters import Sensor
+from ..shared.compiled import njit
 from .histograms import Events, pixel_image
 
 SEARCH_SIGMAS = 1.5  # half width of the bins in which candidates are sought
@@ -284,7 +284,7 @@ def _pooled(fit: Fit, others: list[Fit]) -> Fit:
     )
 
 
-@njit(cache=True)
+@njit
 def _log_likelihood(stamp, count, times, shift, table, least, first, per_tick, background, signal):
     """float64[lights, shifts], of events of which `times` are alike."""
     logs = np.zeros((len(table), len(shift)))

@@ -14,11 +14,11 @@ probability p at most once, -log(1 - p).
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from scipy import special, stats
 
 from ..contract.parameters import Sensor
 from ..contract.pixels import pixel_table
+from ..shared.compiled import njit
 from ..shared.constants import SIGMA_PER_FWHM, SPEED_OF_LIGHT_M_S
 from ..shared.errors import check_integer
 from ..shared.quantities import check_choice, real_array
@@ -368,7 +368,7 @@ def _corrected_histogram(
     return pulses * armed * (in_window * met - nobody * in_rest * met_in_rest)
 
 
-@njit(cache=True)
+@njit
 def _armed(nobody, window_ticks, phases, rearm_cycles, open_ticks):
     """Probability that the tree is armed at each tick: at the period's start, and again some cycles after each opening."""
     armed, again, now = np.zeros(nobody.size), np.zeros(nobody.size), 1.0

@@ -25,9 +25,9 @@ from itertools import repeat
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from ..contract.edges import Edges
+from ..shared.compiled import njit
 from ..shared.constants import SIGMA_PER_FWHM, SPEED_OF_LIGHT_M_S
 from ..shared.errors import InputError, check_integer
 from ..shared.quantities import real_array
@@ -297,7 +297,7 @@ GAPS_FROM = 24.0  # photons of noise in a period from which on they come in orde
 INSERTION_MAX = 32  # other photons up to which insertion beats sorting
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(error_model="numpy")
 def _walk(physics, arrays, block, seed, packing, span, received, sending, ready, carriers, photons, keys, times):
     """Walks each pixel of the block through the pulses of the span.
 
@@ -452,7 +452,7 @@ def _walk(physics, arrays, block, seed, packing, span, received, sending, ready,
     return done
 
 
-@njit(cache=True)
+@njit
 def _poisson_law(mean, law):
     """Fills law[k] with the chance of at most k, up to where it is 1 in float64."""
     chance = math.exp(-mean)
@@ -464,7 +464,7 @@ def _poisson_law(mean, law):
     law[last] = 1.0
 
 
-@njit(cache=True, inline="always")
+@njit(inline="always")
 def _insert(photons, n, t):
     """Puts `t` into the ascending photons[:n] (a full one loses it) and returns n + 1, at most the size."""
     if n == photons.size:
@@ -477,13 +477,13 @@ def _insert(photons, n, t):
     return n + 1
 
 
-@njit(cache=True, inline="always")
+@njit(inline="always")
 def _modulo(t, period):
     """`t` in [0, period]; the division is rarely needed."""
     return t if 0.0 <= t < period else t - period * np.floor(t / period)
 
 
-@njit(cache=True, inline="always")
+@njit(inline="always")
 def _tick(t, physics, taps):
     """TDC code of time `t` in ticks; `taps`: the inner borders of the phases, empty = ideal."""
     if taps.size:
@@ -492,14 +492,14 @@ def _tick(t, physics, taps):
     return min(np.int64(t), np.int64(physics.period) - 1)
 
 
-@njit(cache=True, inline="always")
+@njit(inline="always")
 def _neighbour(pixel, side, rows, cols):
     """Pixel above, left, right or below; -1 beyond the array."""
     row, col = pixel // cols + (side == 3) - (side == 0), pixel % cols + (side == 2) - (side == 1)
     return row * cols + col if 0 <= row < rows and 0 <= col < cols else -1
 
 
-@njit(cache=True)
+@njit
 def _unpacked(keys, first_pulse, packing):
     """(pulse, pixel, tick) of packed edges."""
     pixel_bits, tick_bits = packing
