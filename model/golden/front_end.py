@@ -33,8 +33,17 @@ Timeline = namedtuple(
 # Rows by subgroup, then time; bounds: int64[subgroups + 1]. Rows from bounds[-1] on are unused.
 Events = namedtuple("Events", "bounds row hits offsets")
 Records = namedtuple("Records", "bounds row entries")
-_EVENT = record("cycle pulse stamp count winner stored overrun free_at")  # the last three are the readout's
-_RECORD = record("cycle pulse")
+_EVENT = record(
+    cycle=np.int64,
+    pulse=np.int32,
+    stamp=np.int32,
+    count=np.int16,
+    winner=np.int16,
+    stored=np.bool_,  # and the rest: the readout's
+    overrun=np.bool_,
+    free_at=np.int64,
+)
+_RECORD = record(cycle=np.int64, pulse=np.int64)
 _Collection = namedtuple(
     "_Collection", "hits stamp end"
 )  # by minigroup: ID map (0: none), coarse stamp and first cycle after it
@@ -202,23 +211,23 @@ def _commit(key, accepted, windows, shape, threshold, window, start, minigroup, 
 
     Returns the row after the last one.
     """
-    hits, offsets = np.empty(shape.hits_beats, np.uint64), np.empty(shape.minigroups, np.uint8)
+    hits, offsets = events.hits, events.offsets
     for first, stop in windows:
-        hits[:] = 0
-        offsets[:] = OFFSET_NONE
+        hits[row] = 0
+        offsets[row] = OFFSET_NONE
         pulse, opening, winner = _fields(key[accepted[first]])
         cycle_start = opening >> shape.phase_bits << shape.phase_bits
         count = 0
         for e in accepted[first:stop]:
             _, tick, inside = _fields(key[e])
             word, bit = inside >> _WORD_BITS, np.uint64(1) << np.uint64(inside & BEAT_BITS - 1)
-            if hits[word] & bit:
+            if hits[row, word] & bit:
                 fate[e] = _DUPLICATE
                 continue
-            hits[word] |= bit
+            hits[row, word] |= bit
             count += 1
-            if offsets[minigroup[inside]] == OFFSET_NONE:
-                offsets[minigroup[inside]] = (tick - cycle_start) >> shape.quarter_bits
+            if offsets[row, minigroup[inside]] == OFFSET_NONE:
+                offsets[row, minigroup[inside]] = (tick - cycle_start) >> shape.quarter_bits
         counters[COUNTER.photons] += count
         if count < threshold:
             counters[COUNTER.rejected] += 1
@@ -227,7 +236,6 @@ def _commit(key, accepted, windows, shape, threshold, window, start, minigroup, 
         event = events.row[row]
         event.cycle = start[pulse] + _close_cycle(opening, window, shape.phases) + latency.COMMIT
         event.pulse, event.stamp, event.count, event.winner = pulse, opening, count, winner
-        events.hits[row], events.offsets[row] = hits, offsets
         row += 1
     return row
 
@@ -243,13 +251,11 @@ def _run_minigroups(key, accepted, shape, timeline, pixel, records, row):
     for k in range(len(accepted)):
         pulse, tick, inside = _fields(key[accepted[k]])
         _add(collected, pixel.minigroup[inside], np.uint64(1) << np.uint64(pixel.bit[inside]), tick, shape)
-        if (
-            k + 1 == len(accepted) or key[accepted[k + 1]] >> _KEY.pulse != pulse
-        ):  # the period has ended, its record leaves
-            if _latch(collected, records.entries[row], shape):
-                records.row[row].cycle = timeline.start[pulse] + shape.period + latency.RECORD
-                records.row[row].pulse = pulse
-                row += 1
+        period_ends = k + 1 == len(accepted) or key[accepted[k + 1]] >> _KEY.pulse != pulse
+        if period_ends and _latch(collected, records.entries[row], shape):
+            record = records.row[row]
+            record.cycle, record.pulse = timeline.start[pulse] + shape.period + latency.RECORD, pulse
+            row += 1
     return row
 
 

@@ -23,7 +23,10 @@ _NEVER = np.int64(1) << 62
 # known to be free, how many have a place, and whether one was dropped since the last stored one. Records: the next one to be emitted and
 # their end, the one that waits, and when its place is free. Then counters.
 _QUEUE = record(
-    "next_event end_event read oldest level lost next_record end_record waiting place_free_at stored dropped mg_stored mg_dropped"
+    **dict.fromkeys(("next_event", "end_event", "read", "oldest", "level"), np.int64),
+    lost=np.bool_,
+    **dict.fromkeys(("next_record", "end_record", "waiting", "place_free_at"), np.int64),
+    **dict.fromkeys(("stored", "dropped", "mg_stored", "mg_dropped"), np.int64),
 )
 
 

@@ -19,9 +19,9 @@ Shape = namedtuple(
 )
 
 
-def record(names: str) -> np.dtype:
-    """int64 columns of a table whose rows a kernel handles by name: `row.column`."""
-    return np.dtype((np.record, [(name, np.int64) for name in names.split()]))
+def record(**columns: type) -> np.dtype:
+    """Rows of a table that kernels handle by name: `row.column`."""
+    return np.dtype((np.record, list(columns.items())))
 
 
 COUNTER = namedtuple("COUNTER", COUNTER_NAMES)(*range(len(COUNTER_NAMES)))

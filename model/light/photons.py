@@ -297,6 +297,20 @@ GAPS_FROM = 24.0  # photons of noise in a period from which on they come in orde
 INSERTION_MAX = 32  # other photons up to which insertion beats sorting
 
 
+class _Source(NamedTuple):
+    """A pixel's photons of noise, targets and bins, whose superposed Poisson processes are drawn as one. Photons in a period.
+
+    noise: 0 for a bright pixel, whose noise comes in order of time. binned: of all its bins. mean: of all; it is drawn in equal `parts`.
+    """
+
+    noise: float
+    noise_to_ticks: float
+    bright: bool
+    binned: float
+    mean: float
+    parts: int
+
+
 @njit(error_model="numpy")
 def _walk(physics, arrays, block, seed, packing, span, received, sending, ready, carriers, photons, keys, times):
     """Walks each pixel of the block through the pulses of the span.
@@ -305,151 +319,245 @@ def _walk(physics, arrays, block, seed, packing, span, received, sending, ready,
     in `keys` (with `sending`, also in `times`) if they fit. -1: `photons` is too small.
     """
     first_pulse, pulses = span
-    pixel_bits, tick_bits = packing
     received_where, received_time = received
-    signals, centre, sigma, taps = arrays.signal, arrays.centre, arrays.sigma, arrays.taps
-    laps, starts = arrays.laps, arrays.starts
-    bin_first, bin_start, bin_photons = arrays.bin_first, arrays.bin_start, arrays.bin_photons
-    period, last_target = physics.period, signals.shape[1] - 1
+    period, starts = physics.period, arrays.starts
     law, done = np.empty(LAW_SIZE), 0
     for pixel in range(block[0], block[1]):
         pixel_key, local = key_of(key_of(seed, 0), pixel), pixel - block[0]
-        noise, gate_start, gate_len = arrays.noise[pixel], arrays.gate_start[pixel], arrays.gate_len[pixel]
-        noise_to_ticks, bright = period / noise, noise > GAPS_FROM
-        if bright:
-            noise = 0.0
-        first_bin, last_bin = bin_first[pixel], bin_first[pixel + 1] - 1
-        binned = bin_photons[last_bin] if last_bin >= first_bin else 0.0
-        mean = noise + signals[pixel].sum() + binned
-        parts = int(mean / POISSON_MEAN_MAX) + 1
-        part_mean = mean / parts
-        _poisson_law(part_mean, law)
+        source = _source(pixel, period, arrays)
+        _poisson_law(source.mean / source.parts, law)
         alive_at = ready[local]
         next_received = np.searchsorted(received_where, pixel << 32)
         for index in range(pulses):
             pulse = first_pulse + index
             key, n = key_of(pixel_key, pulse), 0
-            if bright:
-                t = exponential(key, GAP, 0) * noise_to_ticks
-                while t < period and n < photons.size:
-                    photons[n] = t
-                    n += 1
-                    t += exponential(key, GAP, n) * noise_to_ticks
-            count = 0
-            for part in range(parts):
-                u, k = open_unit(key_of(key, part) if part else key), 0
-                while u > law[k]:
-                    k += 1
-                count += k
-            if n + count >= photons.size:
-                return -1
-            for i in range(count):  # superposed Poisson processes: a count for all, then each photon's source and time
-                mark = uniform(key, SOURCE, i) * mean
-                if mark < noise:
-                    t = mark * noise_to_ticks
-                else:
-                    target, mark = 0, mark - noise
-                    while target < last_target and mark >= signals[pixel, target]:
-                        mark -= signals[pixel, target]
-                        target += 1
-                    begins, lap = centre[pixel, target], laps[pixel, target]
-                    if binned > 0 and mark >= signals[pixel, target]:
-                        target, mark = 0, mark - signals[pixel, target]
-                        chosen = first_bin + np.searchsorted(bin_photons[first_bin:last_bin], mark, side="right")
-                        begins = bin_start[chosen] + physics.bin_width * uniform(key, IN_BIN, i)
-                        lap = np.int64(begins // period)
-                        begins -= lap * period
-                    t = begins + sigma[pixel, target] * normal(key, SHAPE, i)
-                    if starts.size and lap:  # of an earlier pulse, whose distance in time varies
-                        emitted = max(pulse - lap, 0)
-                        t += (pulse - emitted) * period - (starts[pulse] - starts[emitted])
-                        if not 0 <= t < period:
-                            continue
-                    t = _modulo(t, period)
-                if count <= INSERTION_MAX:
-                    n = _insert(photons, n, t)
-                else:
-                    photons[n] = t
-                    n += 1
-            if count > INSERTION_MAX:
-                photons[:n].sort()
             begin = starts[pulse] if starts.size else pulse * period
             gap = starts[pulse + 1] - begin - period if starts.size else 0.0
+            if source.bright:
+                n = _draw_noise(key, source.noise_to_ticks, period, photons)
+            count = _draw_count(key, source.parts, law)
+            if n + count >= photons.size:
+                return -1
+            n = _draw_photons(key, count, n, pixel, pulse, source, physics, arrays, photons)
             if physics.other_period > 0:
-                drawn = 0
-                t = -_modulo(
-                    begin - arrays.other_first[pixel], physics.other_period
-                )  # the last pulse before the period: its tail
-                while t < period:
-                    sum_of_gaps = exponential(key, OTHER, drawn)
-                    while sum_of_gaps < arrays.other[pixel]:
-                        at = t + physics.other_sigma * normal(key, OTHER_SHAPE, drawn)
-                        if 0 <= at < period:
-                            n = _insert(photons, n, at)
-                        drawn += 1
-                        sum_of_gaps += exponential(key, OTHER, drawn)
-                    drawn += 1
-                    t += physics.other_period
+                n = _draw_others(key, n, begin - arrays.other_first[pixel], arrays.other[pixel], physics, photons)
             if physics.afterpulse > 0:
-                for slot in range(CARRIERS_MAX):
-                    if carriers[local, slot] < period:
-                        n = _insert(photons, n, carriers[local, slot])
-                        carriers[local, slot] = np.inf
-                    carriers[local, slot] -= period
+                n = _release(n, carriers[local], period, photons)
             while next_received < received_where.size and received_where[next_received] == (pixel << 32) + index:
                 n = _insert(photons, n, received_time[next_received])
                 next_received += 1
-
-            opens = gate_start
+            opens = arrays.gate_start[pixel]
             if physics.gate_every > 0:
-                opens += arrays.gate_step[pixel] * (
-                    pulse % physics.frame_pulses // physics.gate_every % physics.gate_steps
-                )
-            closes = opens + gate_len
-            i, fired = 0, 0
-            while i < n:
-                t = photons[i]
-                i += 1
-                if t < opens or t >= closes:
-                    continue
-                if t < alive_at:
-                    if physics.paralyzable:
-                        alive_at = t + physics.dead
-                    continue
-                alive_at = t + physics.dead
-                if physics.afterpulse > 0 and uniform(key, TRAP, fired) < physics.afterpulse:
-                    released = t + physics.afterpulse_time * exponential(key, RELEASE, fired)
-                    if released < period:
-                        n = _insert(photons, n, released)
-                    else:
-                        carriers[local, np.argmax(carriers[local])] = released - period  # a free slot is infinite
-                if sending:
-                    for side in range(4):
-                        neighbour = _neighbour(pixel, side, physics.rows, physics.cols)
-                        if neighbour >= 0 and uniform(key, CROSSTALK, 4 * fired + side) < physics.crosstalk:
-                            if done < keys.size:
-                                keys[done], times[done] = (neighbour << 32) + index, t
-                            done += 1
-                else:
-                    if physics.jitter > 0:
-                        t += physics.jitter * normal(key, JITTER, fired)
-                    if physics.tail_fraction > 0 and uniform(key, TAIL_SHARE, fired) < physics.tail_fraction:
-                        t += physics.tail * exponential(key, TAIL, fired)
-                    if done < keys.size:
-                        tick = _tick(_modulo(t, period), physics, taps)
-                        keys[done] = (((index << tick_bits) + tick) << pixel_bits) + pixel
-                    done += 1
-                fired += 1
+                opens += arrays.gate_step[pixel] * _gate_step(pulse, physics)
+            n, alive_at, done = _avalanches(
+                key,
+                n,
+                pixel,
+                index,
+                opens,
+                opens + arrays.gate_len[pixel],
+                alive_at,
+                done,
+                physics,
+                arrays.taps,
+                packing,
+                sending,
+                carriers[local],
+                photons,
+                keys,
+                times,
+            )
             if n >= photons.size:
                 return -1
             alive_at = max(alive_at - period - gap, 0.0)
-            if gap > 0 and physics.afterpulse > 0:  # carriers released meanwhile are lost
-                for slot in range(CARRIERS_MAX):
-                    carriers[local, slot] -= gap
-                    if carriers[local, slot] < 0:
-                        carriers[local, slot] = np.inf
+            if gap > 0 and physics.afterpulse > 0:
+                _lose(carriers[local], gap)
         ready[local] = alive_at
     return done
+
+
+@njit(error_model="numpy")
+def _source(pixel, period, arrays):
+    noise, signal = arrays.noise[pixel], arrays.signal[pixel].sum()
+    first_bin, end_bin = arrays.bin_first[pixel], arrays.bin_first[pixel + 1]
+    noise_to_ticks, bright = period / noise, noise > GAPS_FROM
+    if bright:
+        noise = 0.0
+    binned = arrays.bin_photons[end_bin - 1] if end_bin > first_bin else 0.0
+    mean = noise + signal + binned
+    return _Source(noise, noise_to_ticks, bright, binned, mean, int(mean / POISSON_MEAN_MAX) + 1)
+
+
+@njit(inline="always")
+def _draw_noise(key, noise_to_ticks, period, photons):
+    """A bright pixel's noise in order of time, by exponential gaps: into `photons`. Returns how many."""
+    n, t = 0, exponential(key, GAP, 0) * noise_to_ticks
+    while t < period and n < photons.size:
+        photons[n] = t
+        n += 1
+        t += exponential(key, GAP, n) * noise_to_ticks
+    return n
+
+
+@njit(inline="always")
+def _draw_count(key, parts, law):
+    """A Poisson number, the sum of `parts` of the same law."""
+    count = 0
+    for part in range(parts):
+        u, k = open_unit(key_of(key, part) if part else key), 0
+        while u > law[k]:
+            k += 1
+        count += k
+    return count
+
+
+@njit(inline="always")
+def _draw_photons(key, count, n, pixel, pulse, source, physics, arrays, photons):
+    """Adds `count` photons of `source`, each of its own origin and time, to the ascending photons[:n]. Returns the new n."""
+    for i in range(count):
+        mark = uniform(key, SOURCE, i) * source.mean
+        if mark < source.noise:
+            t = mark * source.noise_to_ticks
+        else:
+            t = _arrival(key, i, mark - source.noise, source.binned, pixel, pulse, physics, arrays)
+        if t < 0:
+            continue
+        if count <= INSERTION_MAX:
+            n = _insert(photons, n, t)
+        else:
+            photons[n] = t
+            n += 1
+    if count > INSERTION_MAX:
+        photons[:n].sort()
+    return n
+
+
+@njit(inline="always")
+def _arrival(key, i, mark, binned, pixel, pulse, physics, arrays):
+    """When photon `i` comes, which is the target's or bin's that `mark` falls into; negative: in no period, for a gap before this one."""
+    period, signal, starts = physics.period, arrays.signal, arrays.starts
+    target, last_target = 0, signal.shape[1] - 1
+    while target < last_target and mark >= signal[pixel, target]:
+        mark -= signal[pixel, target]
+        target += 1
+    begins, lap = arrays.centre[pixel, target], arrays.laps[pixel, target]
+    if binned > 0 and mark >= signal[pixel, target]:
+        mark -= signal[pixel, target]
+        target = 0
+        first_bin, last_bin = arrays.bin_first[pixel], arrays.bin_first[pixel + 1] - 1
+        chosen = first_bin + np.searchsorted(arrays.bin_photons[first_bin:last_bin], mark, side="right")
+        begins = arrays.bin_start[chosen] + physics.bin_width * uniform(key, IN_BIN, i)
+        lap = np.int64(begins // period)
+        begins -= lap * period
+    t = begins + arrays.sigma[pixel, target] * normal(key, SHAPE, i)
+    if starts.size and lap:  # of an earlier pulse, whose distance in time varies
+        emitted = max(pulse - lap, 0)
+        t += (pulse - emitted) * period - (starts[pulse] - starts[emitted])
+        if not 0 <= t < period:
+            return -1.0
+    return _modulo(t, period)
+
+
+@njit(inline="always")
+def _draw_others(key, n, since, mean, physics, photons):
+    """Adds photons of another LiDAR's pulses, of which the first came `since` ticks ago: `mean` per pulse. Returns the new n."""
+    drawn = 0
+    t = -_modulo(since, physics.other_period)  # the last pulse before the period: its tail
+    while t < physics.period:
+        sum_of_gaps = exponential(key, OTHER, drawn)
+        while sum_of_gaps < mean:
+            at = t + physics.other_sigma * normal(key, OTHER_SHAPE, drawn)
+            if 0 <= at < physics.period:
+                n = _insert(photons, n, at)
+            drawn += 1
+            sum_of_gaps += exponential(key, OTHER, drawn)
+        drawn += 1
+        t += physics.other_period
+    return n
+
+
+@njit(inline="always")
+def _release(n, carriers, period, photons):
+    """Adds what trapped carriers release in this period; the others wait a period less. Returns the new n."""
+    for slot in range(CARRIERS_MAX):
+        if carriers[slot] < period:
+            n = _insert(photons, n, carriers[slot])
+            carriers[slot] = np.inf
+        carriers[slot] -= period
+    return n
+
+
+@njit(inline="always")
+def _lose(carriers, gap):
+    """Carriers that are released in the gap between two periods are lost."""
+    for slot in range(CARRIERS_MAX):
+        carriers[slot] -= gap
+        if carriers[slot] < 0:
+            carriers[slot] = np.inf
+
+
+@njit(inline="always")
+def _gate_step(pulse, physics):
+    """How many steps progressive gating has gone."""
+    return pulse % physics.frame_pulses // physics.gate_every % physics.gate_steps
+
+
+@njit(inline="always")
+def _avalanches(
+    key, n, pixel, index, opens, closes, alive_at, done, physics, taps, packing, sending, carriers, photons, keys, times
+):
+    """Photons to avalanches by gate and dead time, and these to edges, or (with `sending`) to crosstalk; afterpulses join the photons.
+
+    Returns the new n, the time from which the SPAD is alive, and the number of items made.
+    """
+    i, fired = 0, 0
+    while i < n:
+        t = photons[i]
+        i += 1
+        if t < opens or t >= closes:
+            continue
+        alive = t >= alive_at
+        if alive or physics.paralyzable:
+            alive_at = t + physics.dead
+        if not alive:
+            continue
+        if physics.afterpulse > 0 and uniform(key, TRAP, fired) < physics.afterpulse:
+            released = t + physics.afterpulse_time * exponential(key, RELEASE, fired)
+            if released < physics.period:
+                n = _insert(photons, n, released)
+            else:
+                carriers[np.argmax(carriers)] = released - physics.period  # a free slot is infinite
+        if sending:
+            done = _send(key, fired, t, pixel, index, done, physics, keys, times)
+        else:
+            if done < keys.size:
+                tick = _tick(_modulo(_with_jitter(key, fired, t, physics), physics.period), physics, taps)
+                keys[done] = (((index << packing[1]) + tick) << packing[0]) + pixel
+            done += 1
+        fired += 1
+    return n, alive_at, done
+
+
+@njit(inline="always")
+def _send(key, fired, t, pixel, index, done, physics, keys, times):
+    """Crosstalk of an avalanche: the neighbours that it reaches. Returns the number of items made."""
+    for side in range(4):
+        neighbour = _neighbour(pixel, side, physics.rows, physics.cols)
+        if neighbour >= 0 and uniform(key, CROSSTALK, 4 * fired + side) < physics.crosstalk:
+            if done < keys.size:
+                keys[done], times[done] = (neighbour << 32) + index, t
+            done += 1
+    return done
+
+
+@njit(inline="always")
+def _with_jitter(key, fired, t, physics):
+    """Time of an avalanche's edge."""
+    if physics.jitter > 0:
+        t += physics.jitter * normal(key, JITTER, fired)
+    if physics.tail_fraction > 0 and uniform(key, TAIL_SHARE, fired) < physics.tail_fraction:
+        t += physics.tail * exponential(key, TAIL, fired)
+    return t
 
 
 @njit
