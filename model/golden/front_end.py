@@ -1,39 +1,37 @@
 """Front end of the golden model: each subgroup's edges in time order, to windows that met their threshold, minigroup records, and fates.
 
-A subgroup's edges pass three stages, each a loop of its own: `_accept` sorts out duplicates, masked and gated ones; those accepted go to
-the tree (`_run_tree`) and to the minigroups (`_run_minigroups`), which know nothing of each other.
+A subgroup's edges pass stages, each a loop of its own: `_accept` sorts out duplicates, masked and gated ones. Of those accepted the tree
+makes windows by their times alone (`_open_windows`), and these become events by their pixels (`_commit`); the minigroups know nothing of
+windows and collect for themselves (`_collect_records`).
 """
 
 from collections import namedtuple
 
 import numpy as np
 
-from ..contract import latency, windows
+from ..contract import latency
 from ..contract.edges import Edges, Fate
 from ..contract.packet import BEAT_BITS
 from ..contract.parameters import OFFSET_NONE
 from ..contract.pixels import Pixels
+from ..contract.windows import armed_cycle, close_cycle
 from ..shared.compiled import njit
-from .shape import COUNTER, Shape, record
+from .shape import COUNTER, Shape, row_type
 
 _OPENING, _COUNTED, _DUPLICATE, _MASKED, _GATED, _BLIND = (int(fate) for fate in Fate)
-_KEY = namedtuple("_KEY", "pulse tick")(
-    pulse=23, tick=8
-)  # lowest bits of the key's fields; the pixel inside is the lowest
+_KEY = namedtuple("_KEY", "pulse tick")(23, 8)  # lowest bits of the key's fields; the pixel inside is the lowest
 _TICK_MASK, _PIXEL_MASK = (1 << _KEY.pulse - _KEY.tick) - 1, (1 << _KEY.tick) - 1
 _WORD_BITS = (BEAT_BITS - 1).bit_length()  # of a pixel's number inside a word of the ID map
 _NEVER = -1  # a cycle before all
 
-Settings = namedtuple(
-    "Settings", "threshold window mask gating gate_start gate_len"
-)  # by subgroup; of one without coincidence: 1, 1
-Timeline = namedtuple(
-    "Timeline", "start gate_shift"
-)  # by pulse: its period's first cycle, and what is added to a gate's start
+# By subgroup, as the frame uses them. Threshold and window are 1 where coincidence is off.
+Settings = namedtuple("Settings", "threshold window mask gating gate_start gate_len")
+# By pulse: the first cycle of its period, and the cycles that progressive gating adds to a gate's start.
+Timeline = namedtuple("Timeline", "start gate_shift")
 # Rows by subgroup, then time; bounds: int64[subgroups + 1]. Rows from bounds[-1] on are unused.
 Events = namedtuple("Events", "bounds row hits offsets")
 Records = namedtuple("Records", "bounds row entries")
-_EVENT = record(
+_EVENT = row_type(
     cycle=np.int64,
     pulse=np.int32,
     stamp=np.int32,
@@ -43,12 +41,11 @@ _EVENT = record(
     overrun=np.bool_,
     free_at=np.int64,
 )
-_RECORD = record(cycle=np.int64, pulse=np.int64)
-_Collection = namedtuple(
-    "_Collection", "hits stamp end"
-)  # by minigroup: ID map (0: none), coarse stamp and first cycle after it
+_RECORD = row_type(cycle=np.int64, pulse=np.int64)
+# By minigroup: the map of its collection (0: none), its coarse stamp, and the first cycle after it.
+_Collection = namedtuple("_Collection", "hits stamp end")
 
-_close_cycle, _armed_cycle = njit(windows.close_cycle), njit(windows.armed_cycle)
+_close_cycle, _armed_cycle = njit(close_cycle), njit(armed_cycle)
 
 
 def time_order(edges: Edges, pixel: Pixels, shape: Shape):
@@ -123,7 +120,9 @@ def front_end(key, bounds, shape, settings, timeline, pixel, counters):
         )
         records.bounds[s + 1] = records.bounds[s]
         if shape.minigroup_records:
-            records.bounds[s + 1] = _run_minigroups(key[of], passed, shape, timeline, pixel, records, records.bounds[s])
+            records.bounds[s + 1] = _collect_records(
+                key[of], passed, shape, timeline, pixel, records, records.bounds[s]
+            )
     return fate, events, records
 
 
@@ -241,7 +240,7 @@ def _commit(key, accepted, windows, shape, threshold, window, start, minigroup, 
 
 
 @njit
-def _run_minigroups(key, accepted, shape, timeline, pixel, records, row):
+def _collect_records(key, accepted, shape, timeline, pixel, records, row):
     """The minigroups of one subgroup: records from row `row` on, one per period that latched any. Returns the row after the last."""
     collected = _Collection(
         np.zeros(shape.minigroups, np.uint64),

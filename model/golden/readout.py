@@ -12,7 +12,7 @@ from ..contract import latency
 from ..contract.packet import BEAT_BITS, HEADER, OFFSET_BITS, Kind
 from ..contract.registers import COUNTER_BITS
 from ..shared.compiled import njit
-from .shape import COUNTER, record
+from .shape import COUNTER, row_type
 
 _LSB = namedtuple("_LSB", tuple(HEADER))(*(lsb for lsb, _ in HEADER.values()))
 _RECORD, _FRAME_START, _FRAME_END = int(Kind.RECORD), int(Kind.FRAME_START), int(Kind.FRAME_END)
@@ -22,7 +22,7 @@ _NEVER = np.int64(1) << 62
 # What waits in a subgroup. Events: the next one to be committed and their end, the next one to be read, the oldest whose place is not yet
 # known to be free, how many have a place, and whether one was dropped since the last stored one. Records: the next one to be emitted and
 # their end, the one that waits, and when its place is free. Then counters.
-_QUEUE = record(
+_QUEUE = row_type(
     **dict.fromkeys(("next_event", "end_event", "read", "oldest", "level"), np.int64),
     lost=np.bool_,
     **dict.fromkeys(("next_record", "end_record", "waiting", "place_free_at"), np.int64),

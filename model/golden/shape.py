@@ -19,7 +19,7 @@ Shape = namedtuple(
 )
 
 
-def record(**columns: type) -> np.dtype:
+def row_type(**columns: type) -> np.dtype:
     """Rows of a table that kernels handle by name: `row.column`."""
     return np.dtype((np.record, list(columns.items())))
 

@@ -18,6 +18,7 @@ from scipy import special, stats
 
 from ..contract.parameters import Sensor
 from ..contract.pixels import pixel_table
+from ..contract.windows import armed_cycle, close_cycle
 from ..shared.compiled import njit
 from ..shared.constants import SIGMA_PER_FWHM, SPEED_OF_LIGHT_M_S
 from ..shared.errors import check_integer
@@ -33,6 +34,8 @@ SUCCESS_TOLERANCE_S = 230e-12
 PRINTED_TIME_UNIT_S = (
     1e-12  # (18) as printed depends on it: bins sum to 14.6 times the signal (sigma 212 ps), with s to 1.5e-5
 )
+
+_close_cycle, _armed_cycle = njit(close_cycle), njit(armed_cycle)
 
 
 class Photons(NamedTuple):
@@ -203,7 +206,8 @@ def signal_per_bin(signal_counts, time_s, flight_s, jitter_s, lsb_s, form: str):
 def busy_s(window_ticks: int, rearm_cycles: int, timing: Timing) -> float:
     """Mean time from a window's opening, at any phase alike, to the start of the cycle in which the tree is armed again."""
     phase = np.arange(timing.phases)
-    return float(np.mean(_armed_again(phase, window_ticks, timing.phases, rearm_cycles) - phase) * timing.tick_s)
+    armed_ticks = armed_cycle(close_cycle(phase, window_ticks, timing.phases), rearm_cycles) * timing.phases
+    return float(np.mean(armed_ticks - phase) * timing.tick_s)
 
 
 def histogram(
@@ -315,11 +319,6 @@ def _share(photons, pixels: int):
     return -np.expm1(-np.asarray(photons, float) / pixels)
 
 
-def _armed_again(opening, window_ticks, phases, rearm_cycles):
-    """The tick at which the tree is armed again after a window that opens at tick `opening`."""
-    return ((opening + window_ticks - 1) // phases + 1 + rearm_cycles) * phases
-
-
 def _literal_histogram(
     flight_s, signal, noise_cps, threshold, window_ticks, pulses, scheme, sensor, timing, spad, sigma_s
 ):
@@ -377,7 +376,7 @@ def _armed(nobody, window_ticks, phases, rearm_cycles, open_ticks):
         armed[t] = now
         opening = now * (1 - nobody[t])
         now -= opening
-        ready = ((t + window_ticks - 1) // phases + 1 + rearm_cycles) * phases
+        ready = _armed_cycle(_close_cycle(t, window_ticks, phases), rearm_cycles) * phases
         if ready < again.size:
             again[ready] += opening
     return armed

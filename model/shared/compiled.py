@@ -17,17 +17,22 @@ from .sources import sources_digest
 _SHARED_BY_ALL = ("model.contract", "model.shared")
 
 
-def njit(function: Callable | None = None, **options):
-    """`numba.njit`, with or without options, that keeps what it compiled and lets other threads run meanwhile."""
+def njit(function: Callable | None = None, *, allocates: bool = True, **options):
+    """`numba.njit`, with or without options, that keeps what it compiled and lets other threads run meanwhile.
+
+    allocates=False: the function and what it calls make no array, and count no references to those that they are given. Where functions that
+    take many arrays are called for every photon, that costs more than they do.
+    """
     if function is None:
-        return partial(njit, **options)
+        return partial(njit, allocates=allocates, **options)
+    options |= {"nogil": True} | ({} if allocates else {"_nrt": False})
     folder = None if numba.config.DISABLE_JIT else _folder(_room(function.__module__))
     if folder is None:
-        return numba.njit(nogil=True, **options)(function)
+        return numba.njit(**options)(function)
     others = numba.config.CACHE_DIR  # where other packages keep theirs
     numba.config.CACHE_DIR = str(folder)
     try:
-        return numba.njit(cache=True, nogil=True, **options)(function)
+        return numba.njit(cache=True, **options)(function)
     finally:
         numba.config.CACHE_DIR = others
 
