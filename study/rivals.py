@@ -9,21 +9,25 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from ..model.contract.edges import Edges
 from ..model.contract.parameters import Sensor
 from ..model.contract.pixels import pixel_table
+from ..model.contract.windows import armed_cycle, close_cycle
 from ..model.depth.arrivals import lead_sigmas, photons_of
+from ..model.shared.compiled import njit
+
+REARM_CYCLES = 0  # a rival's tree is armed again from the cycle after its window
+_close_cycle, _armed_cycle = njit(close_cycle), njit(armed_cycle)
 
 
 class Photons(NamedTuple):
     """One frame's edges by subgroup, then pulse, tick and pixel; int64[n].
 
-    period: subgroup * pulses + pulse. inside: the pixel in the subgroup. pulses: of the frame. subgroups; pixels: of each.
+    pulse: subgroup * pulses + the laser pulse of the frame. inside: the pixel in the subgroup. pulses: of the frame. subgroups; pixels: of each.
     """
 
-    period: np.ndarray
+    pulse: np.ndarray
     tick: np.ndarray
     inside: np.ndarray
     pulses: int
@@ -32,7 +36,7 @@ class Photons(NamedTuple):
 
     @property
     def subgroup(self) -> np.ndarray:
-        return self.period // self.pulses
+        return self.pulse // self.pulses
 
 
 class Words(NamedTuple):
@@ -52,9 +56,9 @@ class Words(NamedTuple):
 def macro_pixels(edges: Edges, sensor: Sensor, pulses: int) -> Photons:
     """The edges of one frame (pulses counted from its start) as the subgroups see them."""
     pixel = pixel_table(sensor)
-    period, inside = pixel.subgroup[edges.pixel] * pulses + edges.pulse, pixel.inside[edges.pixel]
-    order = np.lexsort((inside, edges.tick, period))
-    return Photons(period[order], edges.tick[order], inside[order], pulses, sensor.subgroups, sensor.pixels)
+    pulse, inside = pixel.subgroup[edges.pixel] * pulses + edges.pulse, pixel.inside[edges.pixel]
+    order = np.lexsort((inside, edges.tick, pulse))
+    return Photons(pulse[order], edges.tick[order], inside[order], pulses, sensor.subgroups, sensor.pixels)
 
 
 def winner_takes_all(photons: Photons, phases: int) -> Words:
@@ -64,40 +68,40 @@ def winner_takes_all(photons: Photons, phases: int) -> Words:
 
 def windows(photons: Photons, window: int, phases: int) -> Words:
     """This sensor's windows, whatever their count: `window` ticks from any photon of an armed tree on; armed again from the cycle after."""
-    return Words(*_windows(photons.period, photons.tick, window, phases))
+    return Words(*_windows(photons.pulse, photons.tick, window, phases))
 
 
-@njit(cache=True)
+@njit
 def _windows(
-    period: np.ndarray, tick: np.ndarray, window: int, phases: int
+    pulse: np.ndarray, tick: np.ndarray, window: int, phases: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     start, stop = np.empty_like(tick), np.empty_like(tick)
     n, e = 0, 0
     while e < len(tick):
         begin, end = e, tick[e] + window
-        armed = ((end - 1) // phases + 1) * phases
-        while e < len(tick) and period[e] == period[begin] and tick[e] < end:
+        armed = _armed_cycle(_close_cycle(tick[e], window, phases), REARM_CYCLES) * phases
+        while e < len(tick) and pulse[e] == pulse[begin] and tick[e] < end:
             e += 1
         start[n], stop[n] = begin, e
         n += 1
-        while e < len(tick) and period[e] == period[begin] and tick[e] < armed:
+        while e < len(tick) and pulse[e] == pulse[begin] and tick[e] < armed:
             e += 1
     return start[:n], stop[:n], tick[start[:n]]
 
 
 def sliding_window(photons: Photons, window: int, threshold: int) -> Words:
     """`threshold` photons within `window` ticks make a word, stamped at the last of them, and are used up."""
-    return Words(*_sliding(photons.period, photons.tick, window, threshold))
+    return Words(*_sliding(photons.pulse, photons.tick, window, threshold))
 
 
-@njit(cache=True)
+@njit
 def _sliding(
-    period: np.ndarray, tick: np.ndarray, window: int, threshold: int
+    pulse: np.ndarray, tick: np.ndarray, window: int, threshold: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     start, stop = np.empty_like(tick), np.empty_like(tick)
     n = oldest = 0
     for e in range(len(tick)):
-        while period[oldest] != period[e] or tick[oldest] <= tick[e] - window:
+        while pulse[oldest] != pulse[e] or tick[oldest] <= tick[e] - window:
             oldest += 1
         if e - oldest + 1 >= threshold:
             start[n], stop[n] = oldest, e + 1
@@ -109,14 +113,14 @@ def _sliding(
 def fixed_windows(photons: Photons, window: int, threshold: int) -> Words:
     """Time is cut every `window` ticks from the trigger on; a piece with `threshold` photons is a word, stamped at its first."""
     piece = photons.tick // window
-    start = np.flatnonzero((np.diff(photons.period, prepend=-1) != 0) | (np.diff(piece, prepend=-1) != 0))
+    start = np.flatnonzero((np.diff(photons.pulse, prepend=-1) != 0) | (np.diff(piece, prepend=-1) != 0))
     stop = np.append(start[1:], len(piece))
     return Words(start, stop, photons.tick[start]).chosen(stop - start >= threshold)
 
 
 def last_hit(photons: Photons) -> Words:
     """The last photon of each period, which has overwritten those before."""
-    last = np.flatnonzero(np.diff(photons.period, append=-1))
+    last = np.flatnonzero(np.diff(photons.pulse, append=-1))
     return Words(last, last + 1, photons.tick[last])
 
 
@@ -150,7 +154,7 @@ def read_out(photons: Photons, words: Words, sensor: Sensor, phases: int, period
     As in this sensor, but for its latencies of a few cycles. period: cycles.
     """
     subgroup = photons.subgroup[words.start]
-    cycle = photons.period[words.start] % photons.pulses * period + words.stamp // phases
+    cycle = photons.pulse[words.start] % photons.pulses * period + words.stamp // phases
     bounds = np.searchsorted(subgroup, np.arange(photons.subgroups + 1))
     stored = np.zeros(len(cycle), np.bool_)
     for stream in range(sensor.streams):
@@ -159,7 +163,7 @@ def read_out(photons: Photons, words: Words, sensor: Sensor, phases: int, period
     return stored
 
 
-@njit(cache=True)
+@njit
 def _serve(cycle: np.ndarray, bounds: np.ndarray, depth: int, beats: int, stored: np.ndarray) -> None:
     n = len(bounds) - 1
     arrived, level = bounds[:-1].copy(), np.zeros(n, np.int64)

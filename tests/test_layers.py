@@ -68,6 +68,10 @@ def inside(module: str, room: str) -> bool:
     return module == f"coincid.{room}" or module.startswith(f"coincid.{room}.")
 
 
+def own_room(module: str) -> str:
+    return module.removeprefix("coincid.").rpartition(".")[0]
+
+
 @pytest.mark.parametrize("room", ROOMS)
 def test_rooms_import_only_what_is_below(room):
     allowed = (room, *ROOMS[room])
@@ -109,3 +113,16 @@ def test_rooms_do_not_load(room):
     )
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
+
+
+def test_kernels_take_in_only_what_renews_their_compiled_code():
+    """`compiled.py` keeps compiled code under a digest of a kernel's own room, the contract and `model.shared`."""
+    holders = {module for module, targets in imports().items() if "coincid.model.shared.compiled" in targets}
+    assert len(holders) > 5
+    wrong = [
+        f"{module} imports {target}"
+        for module in holders
+        for target in imports()[module] & holders
+        if not any(inside(target, room) for room in (own_room(module), "model.contract", "model.shared"))
+    ]
+    assert not wrong

@@ -1,9 +1,9 @@
 """Decoder of the stream: the beats of a frame back to events, minigroup records and counters, by the tables of `packet.py`."""
 
-import numba
 import numpy as np
 from attrs import frozen
 
+from ..shared.compiled import njit
 from .packet import HEADER, Kind, header_field, layout
 from .parameters import OFFSET_NONE, Sensor
 from .registers import COUNTER_NAMES
@@ -79,7 +79,7 @@ def _split(beats: np.ndarray, dtype: type[np.unsignedinteger]) -> np.ndarray:
     return np.ascontiguousarray(beats).astype("<u8").view(np.dtype(dtype).newbyteorder("<"))
 
 
-@numba.njit(cache=True)
+@njit
 def _packets(beats: np.ndarray, lengths: np.ndarray, end: int) -> tuple[np.ndarray, np.ndarray, int]:
     """Kinds and first beats of the packets after the frame start up to `end`, and the first beat that is no header (or -1)."""
     kinds, starts = np.empty(max(end, 0), np.int64), np.empty(max(end, 0), np.int64)

@@ -7,12 +7,12 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 from attrs import frozen
-from numba import njit
 
 from ..contract.config import Config
 from ..contract.packet import BEAT_BITS
 from ..contract.parameters import OFFSET_NONE, Sensor
 from ..contract.pixels import pixel_table
+from ..shared.compiled import njit
 from ..shared.errors import InputError, check_integer
 from ..shared.quantities import check_choice
 from .arrivals import SYSTEM_FWHM_S, arrival_ticks, lead_sigmas, photons_of, pulse_sigma_ticks
@@ -177,7 +177,7 @@ def _frame_records(arrays, config, frame):
     return arrays["mg_stamp"][row], arrays["mg_map"][row], bounds
 
 
-@njit(cache=True)
+@njit
 def _add_events(histogram, bins, hits, everywhere):
     """Counts each event in its bin, for the pixels of its map or for all."""
     for e in range(len(bins)):
@@ -186,7 +186,7 @@ def _add_events(histogram, bins, hits, everywhere):
                 histogram[i, bins[e]] += 1
 
 
-@njit(cache=True)
+@njit
 def _add_offsets(histogram, stamp, hits, offset, pixel, phases, quarter, lead):
     """Counts each event where the pixel's minigroup was first hit: in the middle of a quarter cycle, later by `lead`."""
     pixels = len(histogram)
@@ -202,7 +202,7 @@ def _add_offsets(histogram, stamp, hits, offset, pixel, phases, quarter, lead):
                 histogram[i, min(np.int64(at), histogram.shape[1] - 1)] += 1
 
 
-@njit(cache=True)
+@njit
 def _add_records(histogram, stamp, maps, pixel, quarter, lead):
     """Counts each record's minigroups in the middle of their quarter cycle, later by `lead`, for the pixels of their maps."""
     for k in range(len(stamp)):

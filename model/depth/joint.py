@@ -18,11 +18,11 @@ from functools import cache
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from scipy import special, stats
 
 from ..contract.config import Config
 from ..contract.parameters import Sensor
+from ..shared.compiled import njit
 from .histograms import Events, pixel_image
 
 SEARCH_SIGMAS = 1.5  # half width of the bins in which candidates are sought
@@ -182,7 +182,7 @@ class _Part(NamedTuple):
     arrival: np.ndarray
     threshold: int
     noise: float  # background photons in a window
-    period: int
+    period_ticks: int
     sigma: float
     law: FirstPhotonLaw
 
@@ -211,7 +211,7 @@ class Fit(NamedTuple):
 def _peaks(part: _Part) -> list[float]:
     """Arrivals that background does not explain, strongest first."""
     half, apart = max(1, round(SEARCH_SIGMAS * part.sigma)), round(APART_SIGMAS * part.sigma)
-    width, bins = 2 * half + 1, part.period
+    width, bins = 2 * half + 1, part.period_ticks
     arrival = np.minimum(part.arrival.astype(np.int64), bins - 1)
     strength = np.zeros(bins)
     for least in range(part.threshold, part.threshold + COUNTS_TRIED):
@@ -240,7 +240,7 @@ def _fit(part: _Part, peak: float, move: bool) -> Fit:
     law = part.law
     chosen = (part.stamp > peak - FIT_EARLY * part.sigma) & (part.stamp < peak + FIT_LATE * part.sigma)
     length = (FIT_EARLY + FIT_LATE) * part.sigma
-    others = (len(part.stamp) - chosen.sum()) / part.period * length
+    others = (len(part.stamp) - chosen.sum()) / part.period_ticks * length
     signal = np.clip(1 - others / max(1, chosen.sum()), *SIGNAL_LIMITS)
     early, late = (math.floor(reach * part.sigma * law.per_tick) if move else 0 for reach in (SHIFT_EARLY, SHIFT_LATE))
     shift = np.arange(-early, late + 1) / law.per_tick
@@ -284,7 +284,7 @@ def _pooled(fit: Fit, others: list[Fit]) -> Fit:
     )
 
 
-@njit(cache=True)
+@njit
 def _log_likelihood(stamp, count, times, shift, table, least, first, per_tick, background, signal):
     """float64[lights, shifts], of events of which `times` are alike."""
     logs = np.zeros((len(table), len(shift)))
@@ -308,7 +308,9 @@ def _shares(part: _Part, fits: list[Fit]) -> np.ndarray:
             fit.events * law.table[fit.light, at[inside], part.count[inside]] / law.least[fit.light, part.least_index]
         )
     noise = (
-        max(1.0, len(part.stamp) - sum(fit.events for fit in fits)) / part.period * part.background_counts()[part.count]
+        max(1.0, len(part.stamp) - sum(fit.events for fit in fits))
+        / part.period_ticks
+        * part.background_counts()[part.count]
     )
     return density / (density.sum(axis=1) + noise)[:, None]
 

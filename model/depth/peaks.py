@@ -4,6 +4,7 @@ import numpy as np
 from scipy import ndimage, special
 
 from ..contract.config import Config
+from ..contract.windows import armed_cycle, close_cycle
 from .histograms import Events
 
 FILTER_SIGMAS = 4.0  # where the matched filter ends
@@ -66,7 +67,8 @@ def live_share(arrays: dict[str, np.ndarray], events: Events, config: Config, fr
     live = np.empty((sensor.subgroups, ticks))
     for s in range(sensor.subgroups):
         stamp = events.stamp[events.bounds[s] : events.bounds[s + 1]]
-        armed = ((stamp + events.window[s] - 1) // sensor.phases + 1 + sensor.rearm) * sensor.phases
+        close = close_cycle(stamp, events.window[s], sensor.phases)
+        armed = armed_cycle(close, sensor.rearm) * sensor.phases
         start = stamp + 1 if not config.coincidence[s] else armed - sensor.phases
         change = (
             np.bincount(start, minlength=ticks + 1)

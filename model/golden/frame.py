@@ -14,7 +14,7 @@ from ..contract.parameters import Sensor
 from ..contract.pixels import pixel_table
 from ..contract.registers import COUNTER_NAMES
 from ..contract.result import ResultBuilder
-from .front_end import front_end, time_order
+from .front_end import Settings, Timeline, front_end, time_order
 from .readout import readout, ready_times
 from .shape import COUNTER, shape_of
 
@@ -50,49 +50,53 @@ class Golden:
         ready: uint8[n] or None; `tready` of all streams in cycle c is ready[c], and 1 from cycle n on. pulses below the configuration's: an
         aborted frame.
         """
-        next_ready = ready_times(np.asarray(ready if ready is not None else [], np.uint8))
-        pulses = config.pulses if pulses is None else pulses
-        sensor = self.sensor
-        threshold = config.threshold
-        if self._photons is not None:
-            controlled = 1 + np.searchsorted(config.auto_bounds, self._photons, side="right")
-            threshold = np.where(config.auto, controlled, threshold)
-        shape = shape_of(config)
-        starts = config.start_cycles()
+        sensor, shape = self.sensor, shape_of(config)
+        timeline = _timeline(config)
         key, order, bounds = time_order(edges, self._pixel, shape)
+        threshold = self._thresholds(config)
         counters = np.zeros((sensor.subgroups, len(COUNTER_NAMES)), np.int64)
         counters[:, COUNTER.threshold_used] = threshold
-        fate_in_order, events, records = front_end(
-            key,
-            bounds,
-            shape,
+        settings = Settings(
             np.where(config.coincidence, threshold, 1),
             np.where(config.coincidence, config.window, 1),
             config.mask,
             config.gating,
             config.gate_start,
             config.gate_len,
-            self._pixel.minigroup,
-            self._pixel.bit,
-            starts,
-            counters,
         )
         fate = np.empty(len(edges), np.uint8)
-        fate[order] = fate_in_order
+        fate[order], events, records = front_end(key, bounds, shape, settings, timeline, self._pixel, counters)
+        end = timeline.start[(config.pulses if pulses is None else pulses) - 1] + config.period
+        next_ready = ready_times(np.asarray(ready if ready is not None else [], np.uint8))
         beats, cycles = [], []
-        stored = np.zeros(len(events.cycle), np.bool_)
         for stream in range(sensor.streams):
             span = sensor.stream_subgroups(stream)
-            end = starts[pulses - 1] + config.period
-            out = readout(
-                span.start, len(span), shape, end, self.frames & 0xFFFF, events, records, counters, stored, next_ready
+            of_stream = readout(
+                span.start, len(span), shape, end, self.frames & 0xFFFF, events, records, counters, next_ready
             )
-            beats.append(out[0])
-            cycles.append(out[1])
+            beats.append(of_stream[0])
+            cycles.append(of_stream[1])
         self.frames += 1
         self._photons = counters[:, COUNTER.photons].copy()
         commit_subgroup = np.repeat(np.arange(sensor.subgroups), np.diff(events.bounds))
-        return Trace(beats, cycles, commit_subgroup[stored], events.cycle[stored], fate, counters)
+        row = events.row[: len(commit_subgroup)]
+        stored = row["stored"]
+        return Trace(beats, cycles, commit_subgroup[stored], row["cycle"][stored], fate, counters)
+
+    def _thresholds(self, config: Config) -> np.ndarray:
+        """int64[subgroups]: the programmed thresholds, or what the controller makes of the frame before."""
+        if self._photons is None:
+            return config.threshold
+        controlled = 1 + np.searchsorted(config.auto_bounds, self._photons, side="right")
+        return np.where(config.auto, controlled, config.threshold)
+
+
+def _timeline(config: Config) -> Timeline:
+    """When a frame's periods begin, and how far progressive gating has shifted the gates by then."""
+    start, frame = config.start_cycles(), config.frame
+    every = frame["gate_every"]
+    steps = np.arange(len(start)) // every % frame["gate_steps"] if every else np.zeros(len(start), np.int64)
+    return Timeline(start, frame["gate_step"] * steps)
 
 
 def golden_result(

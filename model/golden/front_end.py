@@ -1,8 +1,12 @@
-"""Front end of the golden model: each subgroup's edges in time order, to windows that met their threshold, minigroup records, and fates."""
+"""Front end of the golden model: each subgroup's edges in time order, to windows that met their threshold, minigroup records, and fates.
+
+A subgroup's edges pass stages, each a loop of its own: `_accept` sorts out duplicates, masked and gated ones. Of those accepted the tree
+makes windows by their times alone (`_open_windows`), and these become events by their pixels (`_commit`); the minigroups know nothing of
+windows and collect for themselves (`_collect_records`).
+"""
 
 from collections import namedtuple
 
-import numba
 import numpy as np
 
 from ..contract import latency
@@ -10,16 +14,38 @@ from ..contract.edges import Edges, Fate
 from ..contract.packet import BEAT_BITS
 from ..contract.parameters import OFFSET_NONE
 from ..contract.pixels import Pixels
-from .shape import COUNTER, Shape
+from ..contract.windows import armed_cycle, close_cycle
+from ..shared.compiled import njit
+from .shape import COUNTER, Shape, row_type
 
 _OPENING, _COUNTED, _DUPLICATE, _MASKED, _GATED, _BLIND = (int(fate) for fate in Fate)
-_KEY = namedtuple("_KEY", "pulse tick")(
-    pulse=23, tick=8
-)  # lowest bits of the key's fields; the pixel inside is the lowest
+_KEY = namedtuple("_KEY", "pulse tick")(23, 8)  # lowest bits of the key's fields; the pixel inside is the lowest
 _TICK_MASK, _PIXEL_MASK = (1 << _KEY.pulse - _KEY.tick) - 1, (1 << _KEY.tick) - 1
-_WORD_BITS = (BEAT_BITS - 1).bit_length()  # of a pixel's number inside a word of the map
-Events = namedtuple("Events", "bounds cycle pulse stamp count winner hits offsets")
-Records = namedtuple("Records", "bounds cycle pulse entries")
+_WORD_BITS = (BEAT_BITS - 1).bit_length()  # of a pixel's number inside a word of the ID map
+_NEVER = -1  # a cycle before all
+
+# By subgroup, as the frame uses them. Threshold and window are 1 where coincidence is off.
+Settings = namedtuple("Settings", "threshold window mask gating gate_start gate_len")
+# By pulse: the first cycle of its period, and the cycles that progressive gating adds to a gate's start.
+Timeline = namedtuple("Timeline", "start gate_shift")
+# Rows by subgroup, then time; bounds: int64[subgroups + 1]. Rows from bounds[-1] on are unused.
+Events = namedtuple("Events", "bounds row hits offsets")
+Records = namedtuple("Records", "bounds row entries")
+_EVENT = row_type(
+    cycle=np.int64,
+    pulse=np.int32,
+    stamp=np.int32,
+    count=np.int16,
+    winner=np.int16,
+    stored=np.bool_,  # and the rest: the readout's
+    overrun=np.bool_,
+    free_at=np.int64,
+)
+_RECORD = row_type(cycle=np.int64, pulse=np.int64)
+# By minigroup: the map of its collection (0: none), its coarse stamp, and the first cycle after it.
+_Collection = namedtuple("_Collection", "hits stamp end")
+
+_close_cycle, _armed_cycle = njit(close_cycle), njit(armed_cycle)
 
 
 def time_order(edges: Edges, pixel: Pixels, shape: Shape):
@@ -38,7 +64,7 @@ def time_order(edges: Edges, pixel: Pixels, shape: Shape):
     return key, order, bounds
 
 
-@numba.njit(cache=True, nogil=True)
+@njit
 def _by_subgroup(pulse, pixel, tick, subgroup_of, inside_of, subgroups):
     bounds = np.zeros(subgroups + 1, np.int64)
     for e in range(len(pixel)):
@@ -58,155 +84,213 @@ def _by_subgroup(pulse, pixel, tick, subgroup_of, inside_of, subgroups):
     return key, order, bounds, in_time
 
 
-@numba.njit(cache=True, nogil=True)
-def front_end(
-    key, bounds, shape, threshold, window, mask, gating, gate_start, gate_len, minigroup, mg_bit, starts, counters
-):
-    """Fates in time order, committed events and minigroup records of all subgroups; adds to `counters`. starts: cycle of each period."""
+@njit
+def _fields(key):
+    """Pulse, tick and pixel inside the subgroup."""
+    return key >> _KEY.pulse, key >> _KEY.tick & _TICK_MASK, key & _PIXEL_MASK
+
+
+@njit
+def front_end(key, bounds, shape, settings, timeline, pixel, counters):
+    """Fates in time order, committed events and minigroup records of all subgroups; adds to `counters`."""
     n = len(key)
-    fate = np.empty(n, np.uint8)
-    words = shape.map_beats
-    event_bounds, record_bounds = np.zeros(shape.subgroups + 1, np.int64), np.zeros(shape.subgroups + 1, np.int64)
-    cycle_of, pulse_of, stamp_of = np.empty(n, np.int64), np.empty(n, np.int64), np.empty(n, np.int64)
-    count_of, winner_of = np.empty(n, np.int64), np.empty(n, np.int64)
-    hits_of, offsets_of = np.zeros((n, words), np.uint64), np.empty((n, shape.minigroups), np.uint8)
-    record_rows = n if shape.mg_records else 0
-    record_pulse, entries_of = np.empty(record_rows, np.int64), np.zeros((record_rows, shape.minigroups), np.uint64)
-    events = records = 0
-    last_open = shape.period - shape.guard
-
-    seen_at = np.empty(shape.pixels, np.int64)  # cycle of the frame in which each pixel's last edge came
-    hits = np.zeros(words, np.uint64)  # the open window's map
-    offsets = np.full(shape.minigroups, OFFSET_NONE, np.uint8)
-    mg_map = np.zeros(shape.minigroups, np.uint64)  # each minigroup's collection
-    mg_end, mg_stamp = np.zeros(shape.minigroups, np.int64), np.zeros(shape.minigroups, np.int64)
-    mg_done = np.zeros(shape.minigroups, np.bool_)
-
+    most = np.diff(bounds).max()  # edges of a subgroup
+    fate, accepted = np.empty(n, np.uint8), np.empty(most, np.int64)
+    events, records = _no_events(n, shape), _no_records(n if shape.minigroup_records else 0, shape)
+    seen_at, windows = np.empty(shape.pixels, np.int64), np.empty((most, 2), np.int64)
     for s in range(shape.subgroups):
-        seen_at[:] = -1
-        blind_at = np.int64(-1)
-        pulse = np.int64(-1)
-        count = winner = np.int64(0)
-        opened_at = window_end = armed_from = gate_first = np.int64(0)
-        for e in range(bounds[s], bounds[s + 1] + 1):
-            at_end = e == bounds[s + 1]
-            k = np.int64(0) if at_end else key[e]
-            i, tick, edge_pulse = k & _PIXEL_MASK, k >> _KEY.tick & _TICK_MASK, k >> _KEY.pulse
-            cycle = tick >> shape.phase_bits
-            if count and (at_end or edge_pulse != pulse or tick >= window_end):  # the window has closed
-                counters[s, COUNTER.photons] += count
-                if count < threshold[s]:
-                    counters[s, COUNTER.rejected] += 1
-                else:
-                    counters[s, COUNTER.committed] += 1
-                    cycle_of[events] = starts[pulse] + (window_end - 1 >> shape.phase_bits) + latency.COMMIT
-                    pulse_of[events], stamp_of[events], count_of[events], winner_of[events] = (
-                        pulse,
-                        opened_at,
-                        count,
-                        winner,
-                    )
-                    for w in range(words):
-                        hits_of[events, w] = hits[w]
-                    for m in range(shape.minigroups):
-                        offsets_of[events, m] = offsets[m]
-                    events += 1
-                count = 0
-            if at_end or edge_pulse != pulse:  # the period has ended, its records leave
-                if shape.mg_records and pulse >= 0:
-                    latched = False
-                    for g in range(shape.minigroups):
-                        if _enough(mg_map[g], shape.mg_threshold):
-                            entries_of[records, g] = (mg_map[g] << np.uint64(shape.record_stamp_bits)) | np.uint64(
-                                mg_stamp[g]
-                            )
-                            latched = True
-                        mg_map[g], mg_done[g] = 0, False
-                    if latched:
-                        record_pulse[records] = pulse
-                        records += 1
-                if at_end:
-                    break
-                pulse = edge_pulse
-                window_end = armed_from = 0
-                gate_first = gate_start[s]
-                if shape.gate_every:
-                    gate_first += shape.gate_step * ((pulse // shape.gate_every) % shape.gate_steps)
+        of = slice(bounds[s], bounds[s + 1])
+        passed = accepted[: _accept(s, key[of], shape, settings, timeline, seen_at, fate[of], accepted)]
+        opened = windows[
+            : _open_windows(key[of], passed, shape, settings.window[s], timeline.start, fate[of], counters[s], windows)
+        ]
+        events.bounds[s + 1] = _commit(
+            key[of],
+            passed,
+            opened,
+            shape,
+            settings.threshold[s],
+            settings.window[s],
+            timeline.start,
+            pixel.minigroup,
+            fate[of],
+            events,
+            events.bounds[s],
+            counters[s],
+        )
+        records.bounds[s + 1] = records.bounds[s]
+        if shape.minigroup_records:
+            records.bounds[s + 1] = _collect_records(
+                key[of], passed, shape, timeline, pixel, records, records.bounds[s]
+            )
+    return fate, events, records
 
-            at = starts[pulse] + cycle
-            if seen_at[i] == at:  # a second edge of a pixel in one cycle does not exist
+
+@njit
+def _no_events(room, shape):
+    return Events(
+        np.zeros(shape.subgroups + 1, np.int64),
+        np.empty(room, _EVENT),
+        np.empty((room, shape.hits_beats), np.uint64),
+        np.empty((room, shape.minigroups), np.uint8),
+    )
+
+
+@njit
+def _no_records(room, shape):
+    return Records(
+        np.zeros(shape.subgroups + 1, np.int64), np.empty(room, _RECORD), np.empty((room, shape.minigroups), np.uint64)
+    )
+
+
+@njit
+def _accept(s, key, shape, settings, timeline, seen_at, fate, accepted):
+    """Fates of the edges of subgroup `s` that go no further; the others' indices go to `accepted`. Returns how many those are.
+
+    seen_at: scratch, the cycle of the frame in which each pixel's last edge came.
+    """
+    seen_at[:] = _NEVER
+    n = 0
+    for e in range(len(key)):
+        pulse, tick, inside = _fields(key[e])
+        cycle = tick >> shape.phase_bits
+        at = timeline.start[pulse] + cycle
+        gate_start = settings.gate_start[s] + timeline.gate_shift[pulse]
+        if seen_at[inside] == at:  # a second edge of a pixel in one cycle does not exist
+            fate[e] = _DUPLICATE
+        elif not settings.mask[s, inside]:
+            fate[e] = _MASKED
+        elif settings.gating[s] and not gate_start <= cycle < gate_start + settings.gate_len[s]:
+            fate[e] = _GATED
+        else:
+            accepted[n] = e
+            n += 1
+        seen_at[inside] = at
+    return n
+
+
+@njit
+def _open_windows(key, accepted, shape, window, start, fate, counters, windows):
+    """The tree of one subgroup: fates of `accepted` edges by time alone. Returns how many windows there are.
+
+    windows: int64[n, 2] to be filled: first edge in and first edge after each window, in `accepted`.
+    """
+    last_pulse, blind_at, armed_from = _NEVER, _NEVER, 0
+    n = k = 0
+    while k < len(accepted):
+        pulse, opening, _ = _fields(key[accepted[k]])
+        if pulse != last_pulse:
+            last_pulse, armed_from = pulse, 0
+        cycle = opening >> shape.phase_bits
+        if not armed_from <= cycle < shape.period - shape.guard:
+            fate[accepted[k]] = _BLIND
+            at = start[pulse] + cycle
+            counters[COUNTER.blind] += at != blind_at  # cycles, not edges
+            blind_at = at
+            k += 1
+            continue
+        armed_from = _armed_cycle(_close_cycle(opening, window, shape.phases), shape.rearm)
+        fate[accepted[k]], windows[n, 0] = _OPENING, k
+        k += 1
+        while k < len(accepted):
+            edge_pulse, tick, _ = _fields(key[accepted[k]])
+            if edge_pulse != pulse or tick >= opening + window:
+                break
+            fate[accepted[k]] = _COUNTED
+            k += 1
+        windows[n, 1] = k
+        n += 1
+    counters[COUNTER.opened] += n
+    return n
+
+
+@njit
+def _commit(key, accepted, windows, shape, threshold, window, start, minigroup, fate, events, row, counters):
+    """Counts the distinct pixels of one subgroup's windows; those that met the threshold become events, from row `row` on.
+
+    Returns the row after the last one.
+    """
+    hits, offsets = events.hits, events.offsets
+    for first, stop in windows:
+        hits[row] = 0
+        offsets[row] = OFFSET_NONE
+        pulse, opening, winner = _fields(key[accepted[first]])
+        cycle_start = opening >> shape.phase_bits << shape.phase_bits
+        count = 0
+        for e in accepted[first:stop]:
+            _, tick, inside = _fields(key[e])
+            word, bit = inside >> _WORD_BITS, np.uint64(1) << np.uint64(inside & BEAT_BITS - 1)
+            if hits[row, word] & bit:
                 fate[e] = _DUPLICATE
                 continue
-            seen_at[i] = at
-            if not mask[s, i]:
-                fate[e] = _MASKED
-                continue
-            if gating[s] and not gate_first <= cycle < gate_first + gate_len[s]:
-                fate[e] = _GATED
-                continue
-
-            g = minigroup[i]
-            if shape.mg_records and not mg_done[g]:
-                if mg_map[g] and cycle >= mg_end[g]:
-                    mg_done[g] = _enough(mg_map[g], shape.mg_threshold)
-                    if not mg_done[g]:
-                        mg_map[g] = 0
-                if not mg_done[g]:
-                    if mg_map[g] or cycle < last_open:
-                        if not mg_map[g]:
-                            mg_stamp[g] = tick >> shape.quarter_bits
-                            mg_end[g] = cycle + shape.mg_window
-                        mg_map[g] |= np.uint64(1) << np.uint64(mg_bit[i])
-
-            word, bit = i >> _WORD_BITS, np.uint64(1) << np.uint64(i & BEAT_BITS - 1)
-            if tick < window_end:
-                if hits[word] & bit:
-                    fate[e] = _DUPLICATE
-                    continue
-                fate[e] = _COUNTED
-            elif armed_from <= cycle < last_open:
-                fate[e] = _OPENING
-                counters[s, COUNTER.opened] += 1
-                count, winner, opened_at, window_end = 0, i, tick, tick + window[s]
-                armed_from = (window_end - 1 >> shape.phase_bits) + 1 + shape.rearm
-                for w in range(words):
-                    hits[w] = 0
-                for m in range(shape.minigroups):
-                    offsets[m] = OFFSET_NONE
-            else:
-                fate[e] = _BLIND
-                if blind_at != at:
-                    blind_at = at
-                    counters[s, COUNTER.blind] += 1
-                continue
+            hits[row, word] |= bit
             count += 1
-            hits[word] |= bit
-            if offsets[g] == OFFSET_NONE:
-                offsets[g] = (tick - (opened_at >> shape.phase_bits << shape.phase_bits)) >> shape.quarter_bits
-        event_bounds[s + 1], record_bounds[s + 1] = events, records
-    event_table = Events(
-        event_bounds,
-        cycle_of[:events].copy(),
-        pulse_of[:events].copy(),
-        stamp_of[:events].copy(),
-        count_of[:events].copy(),
-        winner_of[:events].copy(),
-        hits_of[:events].copy(),
-        offsets_of[:events].copy(),
-    )
-    record_cycle = starts[record_pulse[:records]] + shape.period + latency.RECORD
-    return (
-        fate,
-        event_table,
-        Records(record_bounds, record_cycle, record_pulse[:records].copy(), entries_of[:records].copy()),
-    )
+            if offsets[row, minigroup[inside]] == OFFSET_NONE:
+                offsets[row, minigroup[inside]] = (tick - cycle_start) >> shape.quarter_bits
+        counters[COUNTER.photons] += count
+        if count < threshold:
+            counters[COUNTER.rejected] += 1
+            continue
+        counters[COUNTER.committed] += 1
+        event = events.row[row]
+        event.cycle = start[pulse] + _close_cycle(opening, window, shape.phases) + latency.COMMIT
+        event.pulse, event.stamp, event.count, event.winner = pulse, opening, count, winner
+        row += 1
+    return row
 
 
-@numba.njit(cache=True, nogil=True)
-def _enough(pixels, threshold):
+@njit
+def _collect_records(key, accepted, shape, timeline, pixel, records, row):
+    """The minigroups of one subgroup: records from row `row` on, one per period that latched any. Returns the row after the last."""
+    collected = _Collection(
+        np.zeros(shape.minigroups, np.uint64),
+        np.zeros(shape.minigroups, np.int64),
+        np.zeros(shape.minigroups, np.int64),
+    )
+    for k in range(len(accepted)):
+        pulse, tick, inside = _fields(key[accepted[k]])
+        _add(collected, pixel.minigroup[inside], np.uint64(1) << np.uint64(pixel.bit[inside]), tick, shape)
+        period_ends = k + 1 == len(accepted) or key[accepted[k + 1]] >> _KEY.pulse != pulse
+        if period_ends and _latch(collected, records.entries[row], shape):
+            record = records.row[row]
+            record.cycle, record.pulse = timeline.start[pulse] + shape.period + latency.RECORD, pulse
+            row += 1
+    return row
+
+
+@njit
+def _add(collected, g, bit, tick, shape):
+    """An edge of minigroup `g`: goes to its collection, or begins one."""
+    cycle = tick >> shape.phase_bits
+    if collected.hits[g] and cycle >= collected.end[g]:
+        if _enough(collected.hits[g], shape.mg_threshold):
+            return  # the period's record is made
+        collected.hits[g] = 0
+    if not collected.hits[g]:
+        if cycle >= shape.period - shape.guard:
+            return
+        collected.stamp[g], collected.end[g] = tick >> shape.quarter_bits, cycle + shape.mg_window
+    collected.hits[g] |= bit
+
+
+@njit
+def _latch(collected, entries, shape):
+    """Empties the collections into a record's entries; whether any met the threshold."""
+    latched = False
+    for g in range(shape.minigroups):
+        entries[g] = 0
+        if _enough(collected.hits[g], shape.mg_threshold):
+            entries[g] = collected.hits[g] << np.uint64(shape.record_stamp_bits) | np.uint64(collected.stamp[g])
+            latched = True
+        collected.hits[g] = 0
+    return latched
+
+
+@njit
+def _enough(hits, threshold):
     """Whether a map holds at least `threshold` pixels (an empty one never does)."""
     count = 0
-    while pixels:
-        pixels &= pixels - np.uint64(1)
+    while hits:
+        hits &= hits - np.uint64(1)
         count += 1
     return count >= threshold

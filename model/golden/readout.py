@@ -1,151 +1,175 @@
-"""Readout of the golden model: one stream's FIFOs, round robin and output buffer, to beats and the cycles of their transfer."""
+"""Readout of the golden model: one stream's FIFOs, round robin and output buffer, to beats and the cycles of their transfer.
+
+It goes from grant to grant: what was committed until then enters its FIFO or is dropped (`_admit_events`, `_admit_records`), the next
+subgroup that asks is chosen (`_arbitrate`), its packet is formed (`_form_packet`) and leaves as the receiver takes it (`_transfer`).
+"""
 
 from collections import namedtuple
 
-import numba
 import numpy as np
 
 from ..contract import latency
 from ..contract.packet import BEAT_BITS, HEADER, OFFSET_BITS, Kind
-from .shape import COUNTER
+from ..contract.registers import COUNTER_BITS
+from ..shared.compiled import njit
+from .shape import COUNTER, row_type
 
 _LSB = namedtuple("_LSB", tuple(HEADER))(*(lsb for lsb, _ in HEADER.values()))
 _RECORD, _FRAME_START, _FRAME_END = int(Kind.RECORD), int(Kind.FRAME_START), int(Kind.FRAME_END)
+_NONE = -1
 _NEVER = np.int64(1) << 62
 
+# What waits in a subgroup. Events: the next one to be committed and their end, the next one to be read, the oldest whose place is not yet
+# known to be free, how many have a place, and whether one was dropped since the last stored one. Records: the next one to be emitted and
+# their end, the one that waits, and when its place is free. Then counters.
+_QUEUE = row_type(
+    **dict.fromkeys(("next_event", "end_event", "read", "oldest", "level"), np.int64),
+    lost=np.bool_,
+    **dict.fromkeys(("next_record", "end_record", "waiting", "place_free_at"), np.int64),
+    **dict.fromkeys(("stored", "dropped", "mg_stored", "mg_dropped"), np.int64),
+)
 
-@numba.njit(cache=True, nogil=True)
-def readout(first, n, shape, end, frame, events, records, counters, stored, next_ready):
+
+@njit
+def readout(first, n, shape, end, frame, events, records, counters, next_ready):
     """Beats of the stream that carries subgroups `first`...`first + n - 1`, and the cycles of their transfer. end: of the last period.
 
-    Decides which events and records are stored, as the FIFOs' fill at their commit demands; adds to `counters`, sets `stored`.
+    Decides which events and records are stored, as the FIFOs' fill at their commit demands: sets `events.row.stored`, adds to `counters`.
     """
-    last = first + n
-    total = (
-        2
-        + n * shape.counter_beats
-        + (events.bounds[last] - events.bounds[first]) * shape.event_beats
-        + (records.bounds[last] - records.bounds[first]) * (1 + shape.record_beats)
-    )
-    beats, sent_at = np.empty(total, np.uint64), np.empty(total, np.int64)
-    freed_at = np.full(len(events.cycle), _NEVER, np.int64)  # when each stored event's place in its FIFO is free again
-    overrun = np.zeros(len(events.cycle), np.bool_)
-    committed = events.bounds[first:last].copy()  # per subgroup: next event to be committed,
-    waiting = committed.copy()  # next stored event to be read,
-    oldest = committed.copy()  # oldest event that still has its place,
-    level = np.zeros(n, np.int64)  # events in the FIFO,
-    lost = np.zeros(n, np.bool_)  # a drop since the last stored event,
-    emitted = records.bounds[first:last].copy()  # next record to be emitted,
-    record = np.full(n, -1, np.int64)  # the record that waits to be read (-1: none),
-    record_free_at = np.zeros(n, np.int64)  # and when its place is free
-    finish = end + latency.FINISH
-
-    granted = 0  # beats
-    pointer = 0
-    t = np.int64(latency.FRAME_START)
-    state = _FRAME_START
-    tail = 0
+    queues = _queues(first, n, events.bounds, records.bounds)
+    most = _beats(queues, shape)
+    beats, sent_at = np.empty(most, np.uint64), np.empty(most, np.int64)
+    beats[0] = _header(_FRAME_START, 0, 0, frame, 0, 0, 0)
+    done = _transfer(sent_at, 0, 1, latency.FRAME_START, next_ready)
+    t, pointer = latency.FRAME_START + 1, 0
     while True:
-        short = granted + shape.longest - shape.output_depth  # beats that must have left before the next grant
-        if short > 0:
-            t = max(t, sent_at[short - 1] + 1)
-        chosen, kind = -1, np.int64(0)
-        if state == _FRAME_START:
-            kind, length = state, 1
-            state = _RECORD
-        elif state == _RECORD:
-            upcoming = _NEVER
-            for k in range(n):
-                s = (pointer + k) % n
-                while (
-                    committed[s] < events.bounds[first + s + 1]
-                    and events.cycle[committed[s]] + latency.STORE_TO_GRANT <= t
-                ):
-                    e = committed[s]
-                    committed[s] += 1
-                    while oldest[s] < e and (freed_at[oldest[s]] <= events.cycle[e] or not stored[oldest[s]]):
-                        level[s] -= stored[oldest[s]]
-                        oldest[s] += 1
-                    if level[s] < shape.fifo_depth:
-                        level[s] += 1
-                        stored[e], overrun[e], lost[s] = True, lost[s], False
-                        counters[first + s, COUNTER.stored] += 1
-                    else:
-                        lost[s] = True
-                        counters[first + s, COUNTER.dropped] += 1
-                while (
-                    emitted[s] < records.bounds[first + s + 1]
-                    and records.cycle[emitted[s]] + latency.STORE_TO_GRANT <= t
-                ):
-                    if record[s] < 0 and record_free_at[s] <= records.cycle[emitted[s]]:
-                        record[s] = emitted[s]
-                        counters[first + s, COUNTER.mg_stored] += 1
-                    else:
-                        counters[first + s, COUNTER.mg_dropped] += 1
-                    emitted[s] += 1
-                while waiting[s] < committed[s] and not stored[waiting[s]]:
-                    waiting[s] += 1
-                if record[s] >= 0 or waiting[s] < committed[s]:
-                    if chosen < 0:
-                        chosen = s
-                    continue
-                if committed[s] < events.bounds[first + s + 1]:
-                    upcoming = min(upcoming, events.cycle[committed[s]] + latency.STORE_TO_GRANT)
-                if emitted[s] < records.bounds[first + s + 1]:
-                    upcoming = min(upcoming, records.cycle[emitted[s]] + latency.STORE_TO_GRANT)
-            if chosen < 0:
-                if upcoming < _NEVER:
-                    t = upcoming
-                    continue
-                t = max(t, finish)
-                kind, length = _FRAME_END, 1
-                state = _FRAME_END
-            else:
-                pointer = (chosen + 1) % n
-                if record[chosen] >= 0:
-                    kind, length = _RECORD, 1 + shape.record_beats
-                else:
-                    kind, length = shape.event_kind, shape.event_beats
+        t = _when_room(t, done, sent_at, shape)
+        chosen, upcoming = _arbitrate(t, pointer, queues, events.row, records.row, shape.fifo_depth)
+        if chosen != _NONE:
+            length = _form_packet(beats, done, first + chosen, queues[chosen], t, shape, events, records)
+            done = _transfer(sent_at, done, length, t, next_ready)
+            t, pointer = t + length, (chosen + 1) % n
+        elif upcoming < _NEVER:
+            t = upcoming
         else:
-            if tail == n:
-                break
-            length = shape.counter_beats
+            break
+    t = max(t, end + latency.FINISH)
+    beats[done] = _header(_FRAME_END, 0, 0, frame, 0, 0, 0)
+    done = _transfer(sent_at, done, 1, t, next_ready)
+    t += 1
+    for s in range(n):
+        t = _when_room(t, done, sent_at, shape)
+        _count(counters[first + s], queues[s])
+        _pack(beats[done : done + shape.counter_beats], counters[first + s], COUNTER_BITS)
+        done = _transfer(sent_at, done, shape.counter_beats, t, next_ready)
+        t += shape.counter_beats
+    return beats[:done].copy(), sent_at[:done].copy()
 
-        freed = t + latency.GRANT_TO_READ + length
-        if kind == _FRAME_START or kind == _FRAME_END:
-            beats[granted] = (np.uint64(kind) << np.uint64(_LSB.kind)) | (np.uint64(frame) << np.uint64(_LSB.pulse))
-        elif kind == _RECORD:
-            r = record[chosen]
-            record[chosen], record_free_at[chosen] = -1, freed
-            beats[granted] = _header(kind, 0, first + chosen, records.pulse[r], 0, 0, 0)
-            _pack(beats, granted + 1, shape.record_beats, records.entries[r], shape.record_bits)
-        elif kind:
-            e = waiting[chosen]
-            waiting[chosen] += 1
-            freed_at[e] = freed
-            beats[granted] = _header(
-                kind, overrun[e], first + chosen, events.pulse[e], events.count[e], events.winner[e], events.stamp[e]
-            )
-            if length > 1:
-                beats[granted + 1 : granted + 1 + shape.map_beats] = events.hits[e]
-            if length > 1 + shape.map_beats:
-                _pack(
-                    beats, granted + 1 + shape.map_beats, length - 1 - shape.map_beats, events.offsets[e], OFFSET_BITS
-                )
+
+@njit
+def _queues(first, n, event_bounds, record_bounds):
+    queues = np.zeros(n, _QUEUE)
+    for s in range(n):
+        queue = queues[s]
+        queue.next_event = queue.read = queue.oldest = event_bounds[first + s]
+        queue.end_event = event_bounds[first + s + 1]
+        queue.next_record, queue.end_record = record_bounds[first + s], record_bounds[first + s + 1]
+        queue.waiting = _NONE
+    return queues
+
+
+@njit
+def _beats(queues, shape):
+    """Beats of a frame where nothing is dropped."""
+    beats = 2 + len(queues) * shape.counter_beats
+    for queue in queues:
+        beats += (queue.end_event - queue.next_event) * shape.event_beats
+        beats += (queue.end_record - queue.next_record) * (1 + shape.record_beats)
+    return beats
+
+
+@njit
+def _when_room(t, done, sent_at, shape):
+    """The first cycle from `t` on in which the output buffer has room for any packet after `done` beats."""
+    left = done + shape.longest - shape.output_depth
+    return max(t, sent_at[left - 1] + 1) if left > 0 else t
+
+
+@njit(inline="always")
+def _arbitrate(t, pointer, queues, events, records, fifo_depth):
+    """The first subgroup, from `pointer` on and round, that asks in cycle `t`; if there is none, the cycle in which one may next."""
+    upcoming = _NEVER
+    for k in range(len(queues)):
+        chosen = (pointer + k) % len(queues)
+        queue = queues[chosen]
+        _admit_events(queue, t, events, fifo_depth)
+        _admit_records(queue, t, records)
+        if queue.waiting != _NONE or queue.read < queue.next_event:
+            return chosen, t
+        if queue.next_event < queue.end_event:
+            upcoming = min(upcoming, events[queue.next_event].cycle + latency.STORE_TO_GRANT)
+        if queue.next_record < queue.end_record:
+            upcoming = min(upcoming, records[queue.next_record].cycle + latency.STORE_TO_GRANT)
+    return _NONE, upcoming
+
+
+@njit
+def _admit_events(queue, t, events, fifo_depth):
+    """Events that may be granted by cycle `t` enter the FIFO, or are dropped if it was full at their commit."""
+    while queue.next_event < queue.end_event and events[queue.next_event].cycle + latency.STORE_TO_GRANT <= t:
+        event = events[queue.next_event]
+        while queue.oldest < queue.next_event and events[queue.oldest].free_at <= event.cycle:
+            queue.level -= events[queue.oldest].stored
+            queue.oldest += 1
+        event.stored = queue.level < fifo_depth
+        if event.stored:
+            event.free_at, event.overrun = _NEVER, queue.lost
+            queue.level += 1
+            queue.stored += 1
         else:
-            _pack(beats, granted, length, counters[first + tail], 32)
-            tail += 1
-        for k in range(length):
-            earliest = t + latency.GRANT_TO_BEAT + k + latency.BEAT_TO_PORT
-            if granted:
-                earliest = max(earliest, sent_at[granted - 1] + 1)
-            sent_at[granted] = next_ready[earliest] if earliest < len(next_ready) else earliest
-            granted += 1
-        t += length
-    return beats[:granted].copy(), sent_at[:granted].copy()
+            event.free_at = event.cycle  # it has no place
+            queue.dropped += 1
+        queue.lost = not event.stored
+        queue.next_event += 1
+    while queue.read < queue.next_event and not events[queue.read].stored:
+        queue.read += 1
 
 
-@numba.njit(cache=True, nogil=True)
+@njit
+def _admit_records(queue, t, records):
+    """Records that may be granted by cycle `t` take the only place, or are dropped if it was taken."""
+    while queue.next_record < queue.end_record and records[queue.next_record].cycle + latency.STORE_TO_GRANT <= t:
+        if queue.waiting == _NONE and queue.place_free_at <= records[queue.next_record].cycle:
+            queue.waiting = queue.next_record
+            queue.mg_stored += 1
+        else:
+            queue.mg_dropped += 1
+        queue.next_record += 1
+
+
+@njit(inline="always")
+def _form_packet(beats, done, subgroup, queue, t, shape, events, records):
+    """Puts the packet that is granted in cycle `t` into `beats`, a record before events; its place is freed. Returns its length."""
+    if queue.waiting != _NONE:
+        length = 1 + shape.record_beats
+        beats[done] = _header(_RECORD, 0, subgroup, records.row[queue.waiting].pulse, 0, 0, 0)
+        _pack(beats[done + 1 : done + length], records.entries[queue.waiting], shape.record_bits)
+        queue.waiting, queue.place_free_at = _NONE, t + latency.GRANT_TO_READ + length
+        return length
+    event, length = events.row[queue.read], shape.event_beats
+    beats[done] = _header(
+        shape.event_kind, event.overrun, subgroup, event.pulse, event.count, event.winner, event.stamp
+    )
+    if length > 1:
+        beats[done + 1 : done + 1 + shape.hits_beats] = events.hits[queue.read]
+    if length > 1 + shape.hits_beats:
+        _pack(beats[done + 1 + shape.hits_beats : done + length], events.offsets[queue.read], OFFSET_BITS)
+    event.free_at = t + latency.GRANT_TO_READ + length
+    queue.read += 1
+    return length
+
+
+@njit
 def _header(kind, overrun, subgroup, pulse, count, winner, stamp):
     return (
         (np.uint64(kind) << np.uint64(_LSB.kind))
@@ -158,13 +182,30 @@ def _header(kind, overrun, subgroup, pulse, count, winner, stamp):
     )
 
 
-@numba.njit(cache=True, nogil=True)
-def _pack(beats, at, length, items, bits):
-    """Packs `items` of `bits` each into beats[at : at + length], lowest bits first."""
-    beats[at : at + length] = 0
+@njit
+def _pack(beats, items, bits):
+    """Packs `items` of `bits` each into `beats`, lowest bits first."""
+    beats[:] = 0
     per_beat = BEAT_BITS // bits
     for k in range(len(items)):
-        beats[at + k // per_beat] |= np.uint64(items[k]) << np.uint64(k % per_beat * bits)
+        beats[k // per_beat] |= np.uint64(items[k]) << np.uint64(k % per_beat * bits)
+
+
+@njit
+def _count(counters, queue):
+    counters[COUNTER.stored], counters[COUNTER.dropped] = queue.stored, queue.dropped
+    counters[COUNTER.mg_stored], counters[COUNTER.mg_dropped] = queue.mg_stored, queue.mg_dropped
+
+
+@njit
+def _transfer(sent_at, done, length, t, next_ready):
+    """When the next `length` beats after `done` leave that are granted in cycle `t`: into `sent_at`. Returns how many are done then."""
+    for k in range(done, done + length):
+        earliest = t + latency.GRANT_TO_BEAT + k - done + latency.BEAT_TO_PORT
+        if k:
+            earliest = max(earliest, sent_at[k - 1] + 1)
+        sent_at[k] = next_ready[earliest] if earliest < len(next_ready) else earliest
+    return done + length
 
 
 def ready_times(ready: np.ndarray) -> np.ndarray:

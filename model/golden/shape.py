@@ -2,6 +2,8 @@
 
 from collections import namedtuple
 
+import numpy as np
+
 from ..contract import latency
 from ..contract.config import Config
 from ..contract.packet import FORMATS, layout
@@ -10,11 +12,18 @@ from ..contract.registers import COUNTER_NAMES
 Shape = namedtuple(
     "Shape",
     (
-        "subgroups pixels minigroups phase_bits period guard rearm fifo_depth quarter_bits mg_records mg_threshold mg_window "
-        "gate_step gate_every gate_steps event_kind event_beats map_beats record_beats counter_beats longest "
+        "subgroups pixels minigroups phases phase_bits period guard rearm fifo_depth quarter_bits minigroup_records mg_threshold mg_window "
+        "event_kind event_beats hits_beats record_beats counter_beats longest "
         "record_bits record_stamp_bits output_depth"
     ),
 )
+
+
+def row_type(**columns: type) -> np.dtype:
+    """Rows of a table that kernels handle by name: `row.column`."""
+    return np.dtype((np.record, list(columns.items())))
+
+
 COUNTER = namedtuple("COUNTER", COUNTER_NAMES)(*range(len(COUNTER_NAMES)))
 
 
@@ -25,6 +34,7 @@ def shape_of(config: Config) -> Shape:
         sensor.subgroups,
         sensor.pixels,
         sensor.minigroups,
+        sensor.phases,
         sensor.phase_bits,
         config.period,
         sensor.guard,
@@ -34,9 +44,6 @@ def shape_of(config: Config) -> Shape:
         int(frame["minigroup_records"]),
         frame["mg_threshold"],
         frame["mg_window"],
-        frame["gate_step"],
-        frame["gate_every"],
-        frame["gate_steps"],
         int(kind),
         parts.length(kind),
         parts.map_beats,

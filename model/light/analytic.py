@@ -14,12 +14,13 @@ probability p at most once, -log(1 - p).
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike
 from scipy import special, stats
 
 from ..contract.parameters import Sensor
 from ..contract.pixels import pixel_table
+from ..contract.windows import armed_cycle, close_cycle
+from ..shared.compiled import njit
 from ..shared.constants import SIGMA_PER_FWHM, SPEED_OF_LIGHT_M_S, SUCCESS_TOLERANCE_S
 from ..shared.errors import check_integer
 from ..shared.quantities import Numbers, check_choice, real_array
@@ -33,6 +34,8 @@ THRESHOLDS = range(1, 8)  # as the paper's Fig. 7
 PRINTED_TIME_UNIT_S = (
     1e-12  # (18) as printed depends on it: bins sum to 14.6 times the signal (sigma 212 ps), with s to 1.5e-5
 )
+
+_close_cycle, _armed_cycle = njit(close_cycle), njit(armed_cycle)
 
 
 class Photons(NamedTuple):
@@ -229,7 +232,8 @@ def signal_per_bin(
 def busy_s(window_ticks: int, rearm_cycles: int, timing: Timing) -> float:
     """Mean time from a window's opening, at any phase alike, to the start of the cycle in which the tree is armed again."""
     phase = np.arange(timing.phases)
-    return float(np.mean(_armed_again(phase, window_ticks, timing.phases, rearm_cycles) - phase) * timing.tick_s)
+    armed_ticks = armed_cycle(close_cycle(phase, window_ticks, timing.phases), rearm_cycles) * timing.phases
+    return float(np.mean(armed_ticks - phase) * timing.tick_s)
 
 
 def histogram(
@@ -341,11 +345,6 @@ def _share(photons: Numbers, pixels: int) -> Numbers:
     return -np.expm1(-np.asarray(photons, float) / pixels)
 
 
-def _armed_again(opening: np.ndarray, window_ticks: int, phases: int, rearm_cycles: int) -> np.ndarray:
-    """The tick at which the tree is armed again after a window that opens at tick `opening`."""
-    return ((opening + window_ticks - 1) // phases + 1 + rearm_cycles) * phases
-
-
 def _literal_histogram(
     flight_s: np.ndarray,
     signal: np.ndarray,
@@ -419,7 +418,7 @@ def _corrected_histogram(
     return pulses * armed * (in_window * met - nobody * in_rest * met_in_rest)
 
 
-@njit(cache=True)
+@njit
 def _armed(nobody: np.ndarray, window_ticks: int, phases: int, rearm_cycles: int, open_ticks: int) -> np.ndarray:
     """Probability that the tree is armed at each tick: at the period's start, and again some cycles after each opening."""
     armed, again, now = np.zeros(nobody.size), np.zeros(nobody.size), 1.0
@@ -428,7 +427,7 @@ def _armed(nobody: np.ndarray, window_ticks: int, phases: int, rearm_cycles: int
         armed[t] = now
         opening = now * (1 - nobody[t])
         now -= opening
-        ready = ((t + window_ticks - 1) // phases + 1 + rearm_cycles) * phases
+        ready = _armed_cycle(_close_cycle(t, window_ticks, phases), rearm_cycles) * phases
         if ready < again.size:
             again[ready] += opening
     return armed

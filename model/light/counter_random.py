@@ -7,7 +7,8 @@ import math
 from typing import TypeAlias
 
 import numpy as np
-from numba import njit
+
+from ..shared.compiled import njit
 
 GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 Counter: TypeAlias = int | np.int64 | np.uint64
@@ -16,37 +17,37 @@ _LAST_X = 3.6541528853610088  # Marsaglia, Tsang 2000: where the tail begins wit
 _SHIFT_PURPOSE = np.uint64(40)
 
 
-@njit(cache=True, inline="always")
+@njit(inline="always")
 def _mix(z: np.uint64) -> np.uint64:
     z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
     z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
     return z ^ (z >> np.uint64(31))
 
 
-@njit(cache=True, inline="always")
+@njit(inline="always")
 def key_of(key: np.uint64, index: Counter) -> np.uint64:
     """The key of item `index` under `key` (uint64); numbers of purpose 0 of the same key would repeat it."""
     return _mix(key + (np.uint64(index) + np.uint64(1)) * GOLDEN)
 
 
-@njit(cache=True, inline="always")
+@njit(inline="always")
 def _bits(key: np.uint64, purpose: int, counter: Counter) -> np.uint64:
     return _mix(key + ((np.uint64(purpose) << _SHIFT_PURPOSE) + np.uint64(counter)) * GOLDEN)
 
 
-@njit(cache=True, inline="always")
+@njit(inline="always")
 def open_unit(bits: np.uint64) -> float:
     """A uniform number in (0, 1), ends excluded, from a hash: its upper 52 bits."""
     return (np.float64(bits >> np.uint64(12)) + 0.5) * 2.0**-52
 
 
-@njit(cache=True, inline="always")
+@njit(inline="always")
 def uniform(key: np.uint64, purpose: int, counter: Counter) -> float:
     """A uniform number in (0, 1)."""
     return open_unit(_bits(key, purpose, counter))
 
 
-@njit(cache=True, inline="always")
+@njit(inline="always")
 def exponential(key: np.uint64, purpose: int, counter: Counter) -> float:
     """An exponential number of mean 1."""
     return -math.log(uniform(key, purpose, counter))
@@ -69,7 +70,7 @@ def _ziggurat() -> tuple[np.ndarray, np.ndarray]:
 _X, _DENSITY = _ziggurat()
 
 
-@njit(cache=True, inline="always")
+@njit(inline="always")
 def normal(key: np.uint64, purpose: int, counter: Counter) -> float:
     """A normal number of variance 1 (ziggurat: 98.8 % of them cost one hash and one product)."""
     bits = _bits(key, purpose, counter)
@@ -80,7 +81,7 @@ def normal(key: np.uint64, purpose: int, counter: Counter) -> float:
     return _rare_normal(key_of(bits, counter), layer, z)
 
 
-@njit(cache=True)
+@njit
 def _rare_normal(key: np.uint64, layer: np.int64, z: float) -> float:
     """The other ways out of `normal`: the tail, a layer's wedge, or a new attempt."""
     attempt = 0

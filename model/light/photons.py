@@ -22,24 +22,21 @@ import math
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from itertools import repeat
-from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from ..contract.edges import Edges
 from ..shared.constants import SIGMA_PER_FWHM, SPEED_OF_LIGHT_M_S
 from ..shared.errors import InputError, check_integer
 from ..shared.quantities import real_array
-from .counter_random import exponential, key_of, normal, open_unit, uniform
 from .light import SIGNAL_MAX, Interferer, Light
 from .spad import Spad, SpadGate
 from .timing import Timing
+from .walk import CARRIERS_MAX, LAW_SIZE, Arrays, Packing, Physics, unpacked, walk
 
 CHUNK_EDGES = 1 << 16  # edges made and sorted at a time: fits a core's cache
 PULSES_MAX = 1 << 40
 DITHERED_PULSES_MAX = 1 << 24  # whose starts are kept
-CARRIERS_MAX = 32  # trapped carriers of a pixel that outlive their pulse; more are lost
 
 
 def generate_edges(light: Light, spad: Spad, timing: Timing, **options) -> Edges:
@@ -72,7 +69,7 @@ def edge_chunks(
     check_integer("workers", workers, 1, 256)
     physics, arrays = _in_ticks(light, spad, timing, gate, pulse_start + pulses)
     edges_per_pulse = physics.edges_per_pulse(arrays)
-    packing = _Packing((light.pixels - 1).bit_length(), (timing.period_ticks - 1).bit_length())
+    packing = Packing((light.pixels - 1).bit_length(), (timing.period_ticks - 1).bit_length())
     if chunk_pulses is None:
         chunk_pulses = min(max(1, int(CHUNK_EDGES / (edges_per_pulse.sum() + 1e-9))), CHUNK_EDGES)
     check_integer("chunk_pulses", chunk_pulses, 1, 1 << min(31, 63 - sum(packing)), "of this array and period")
@@ -96,87 +93,12 @@ def _chunks(walkers: list["_Walker"], pulses: range, chunk_pulses: int) -> Itera
             made = pool.map(_Walker.walk, walkers, repeat(span), repeat(received), repeat(False))
             keys = np.concatenate([part[0] for part in made])
             keys.sort()
-            yield Edges(*_unpacked(keys, first, packing))
-
-
-class _Packing(NamedTuple):
-    """An edge as one integer that sorts by (pulse, tick, pixel): the width of its lower fields."""
-
-    pixel_bits: int
-    tick_bits: int
-
-
-class _Physics(NamedTuple):
-    """Scalars of the walk; times in ticks."""
-
-    period: float
-    phases: int
-    dead: float
-    paralyzable: bool
-    jitter: float
-    tail_fraction: float
-    tail: float
-    afterpulse: float
-    afterpulse_time: float
-    crosstalk: float
-    rows: int
-    cols: int
-    gate_every: int
-    gate_steps: int
-    frame_pulses: int
-    other_period: float
-    other_sigma: float
-    bin_width: float
-
-    def edges_per_pulse(self, arrays: "_Arrays") -> np.ndarray:
-        """Expected edges of each pixel in a period, about (from above): sizes buffers and nothing else."""
-        photons = arrays.noise + arrays.signal_per_pulse + arrays.other * self.others_per_pulse
-        photons *= 1 + 2 * self.afterpulse + 4 * self.crosstalk
-        return np.minimum(photons, self.period / self.dead + 1) if self.dead else photons
-
-    @property
-    def others_per_pulse(self) -> float:
-        """Pulses of another LiDAR in a period, at most."""
-        return self.period / self.other_period + 1 if self.other_period else 0.0
-
-
-class _Arrays(NamedTuple):
-    """Arrays of the walk: noise [pixels], signal [pixels, targets] in photons a period; the others in ticks.
-
-    centre, sigma: [pixels, targets]; laps: whole periods of the flight, [pixels, targets]. bin_first: int64[pixels + 1], where
-    the bins of a pixel are; bin_start: when they begin; bin_photons: of a pixel's bins up to and with each one. gate_start,
-    gate_len, gate_step: [pixels]. taps: inner borders of the phases, empty = ideal. other, other_first: photons of another LiDAR's
-    pulse, and when the first came, [pixels]. starts: of the pulses' periods, empty = one after the other.
-    """
-
-    noise: np.ndarray
-    signal: np.ndarray
-    centre: np.ndarray
-    sigma: np.ndarray
-    gate_start: np.ndarray
-    gate_len: np.ndarray
-    gate_step: np.ndarray
-    taps: np.ndarray
-    laps: np.ndarray
-    bin_first: np.ndarray
-    bin_start: np.ndarray
-    bin_photons: np.ndarray
-    other: np.ndarray
-    other_first: np.ndarray
-    starts: np.ndarray
-
-    @property
-    def signal_per_pulse(self) -> np.ndarray:
-        """float64[pixels]: photons a period, of all targets and bins."""
-        filled = np.diff(self.bin_first) > 0
-        binned = np.zeros(len(filled))
-        binned[filled] = self.bin_photons[self.bin_first[1:][filled] - 1]
-        return self.signal.sum(axis=1) + binned
+            yield Edges(*unpacked(keys, first, packing))
 
 
 def _in_ticks(
     light: Light, spad: Spad, timing: Timing, gate: SpadGate | None, pulse_stop: int
-) -> tuple[_Physics, _Arrays]:
+) -> tuple[Physics, Arrays]:
     """Seconds, metres and rates to ticks and photons per period."""
     tick_s, period_ticks, pixels = timing.tick_s, timing.period_ticks, light.pixels
     rate_cps = light.background_cps + real_array("dark_cps", spad.dark_cps, (pixels,), 0)
@@ -194,8 +116,8 @@ def _in_ticks(
     other = light.interferer or Interferer(photons_per_pulse=0.0)
     if timing.dither_bits:
         check_integer("pulses", pulse_stop, 0, DITHERED_PULSES_MAX, "with dither")
-    physics = _Physics(
-        period=float(period_ticks),
+    physics = Physics(
+        period_ticks=float(period_ticks),
         phases=timing.phases,
         dead=spad.dead_time_s / tick_s,
         paralyzable=bool(spad.paralyzable),
@@ -210,12 +132,12 @@ def _in_ticks(
         gate_every=gate.every_pulses,
         gate_steps=gate.steps,
         frame_pulses=gate.frame_pulses,
-        other_period=other.period_s / tick_s if light.interferer else 0.0,
+        other_period_ticks=other.period_s / tick_s if light.interferer else 0.0,
         other_sigma=other.fwhm_s * SIGMA_PER_FWHM / tick_s,
         bin_width=light.arrivals.width_s / tick_s if light.arrivals else 0.0,
     )
     bin_first, bin_start, bin_photons = _bins(light, tick_s, period_ticks)
-    arrays = _Arrays(
+    arrays = Arrays(
         noise=rate_cps * timing.period_s,
         signal=np.where(seen, light.signal_per_pulse, 0.0),
         centre=flight_ticks % period_ticks,
@@ -236,7 +158,7 @@ def _in_ticks(
 
 
 def _bins(light: Light, tick_s: float, period_ticks: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(bin_first, bin_start, bin_photons) of `_Arrays`."""
+    """(bin_first, bin_start, bin_photons) of `Arrays`."""
     if light.arrivals is None:
         return np.zeros(light.pixels + 1, np.int64), np.empty(0), np.empty(0)
     first, start, photons = light.arrivals.first, light.arrivals.start_s / tick_s, light.arrivals.photons
@@ -262,9 +184,10 @@ class _Walker:
         """Packed edges, or (with `sending`) where crosstalk goes and when: int64[n] and float64[n]."""
         capacity = int(self.edges_per_pulse * span[1] * 1.1) + 1000
         while True:
-            ready, carriers = (array.copy() for array in self.state[sending])
-            keys, times, photons = np.empty(capacity, np.int64), np.empty(capacity), np.empty(self.photons_max)
-            n = _walk(
+            state = tuple(array.copy() for array in self.state[sending])
+            made = np.empty(capacity, np.int64), np.empty(capacity)
+            scratch = np.empty(LAW_SIZE), np.empty(self.photons_max)
+            n = walk(
                 self.physics,
                 self.arrays,
                 self.block,
@@ -273,239 +196,14 @@ class _Walker:
                 span,
                 received,
                 sending,
-                ready,
-                carriers,
-                photons,
-                keys,
-                times,
+                state,
+                scratch,
+                made,
             )
             if n < 0:
                 self.photons_max *= 2
             elif n > capacity:
                 capacity = n
             else:
-                self.state[sending] = ready, carriers
-                return keys[:n], times[:n]
-
-
-GAP, SOURCE, SHAPE, JITTER, TAIL_SHARE, TAIL, TRAP, RELEASE, CROSSTALK, OTHER, OTHER_SHAPE, IN_BIN = range(
-    1, 13
-)  # purposes
-POISSON_MEAN_MAX = 64.0  # a brighter pixel's count is drawn in parts, each by inversion of its law
-LAW_SIZE = 256
-GAPS_FROM = 24.0  # photons of noise in a period from which on they come in order of time, by exponential gaps
-INSERTION_MAX = 32  # other photons up to which insertion beats sorting
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _walk(physics, arrays, block, seed, packing, span, received, sending, ready, carriers, photons, keys, times):
-    """Walks each pixel of the block through the pulses of the span.
-
-    `photons` is scratch for those of one pixel and pulse, in ascending time. Returns the number of items made: all are
-    in `keys` (with `sending`, also in `times`) if they fit. -1: `photons` is too small.
-    """
-    first_pulse, pulses = span
-    pixel_bits, tick_bits = packing
-    received_where, received_time = received
-    signals, centre, sigma, taps = arrays.signal, arrays.centre, arrays.sigma, arrays.taps
-    laps, starts = arrays.laps, arrays.starts
-    bin_first, bin_start, bin_photons = arrays.bin_first, arrays.bin_start, arrays.bin_photons
-    period, last_target = physics.period, signals.shape[1] - 1
-    law, done = np.empty(LAW_SIZE), 0
-    for pixel in range(block[0], block[1]):
-        pixel_key, local = key_of(key_of(seed, 0), pixel), pixel - block[0]
-        noise, gate_start, gate_len = arrays.noise[pixel], arrays.gate_start[pixel], arrays.gate_len[pixel]
-        noise_to_ticks, bright = period / noise, noise > GAPS_FROM
-        if bright:
-            noise = 0.0
-        first_bin, last_bin = bin_first[pixel], bin_first[pixel + 1] - 1
-        binned = bin_photons[last_bin] if last_bin >= first_bin else 0.0
-        mean = noise + signals[pixel].sum() + binned
-        parts = int(mean / POISSON_MEAN_MAX) + 1
-        part_mean = mean / parts
-        _poisson_law(part_mean, law)
-        alive_at = ready[local]
-        next_received = np.searchsorted(received_where, pixel << 32)
-        for index in range(pulses):
-            pulse = first_pulse + index
-            key, n = key_of(pixel_key, pulse), 0
-            if bright:
-                t = exponential(key, GAP, 0) * noise_to_ticks
-                while t < period and n < photons.size:
-                    photons[n] = t
-                    n += 1
-                    t += exponential(key, GAP, n) * noise_to_ticks
-            count = 0
-            for part in range(parts):
-                u, k = open_unit(key_of(key, part) if part else key), 0
-                while u > law[k]:
-                    k += 1
-                count += k
-            if n + count >= photons.size:
-                return -1
-            for i in range(count):  # superposed Poisson processes: a count for all, then each photon's source and time
-                mark = uniform(key, SOURCE, i) * mean
-                if mark < noise:
-                    t = mark * noise_to_ticks
-                else:
-                    target, mark = 0, mark - noise
-                    while target < last_target and mark >= signals[pixel, target]:
-                        mark -= signals[pixel, target]
-                        target += 1
-                    begins, lap = centre[pixel, target], laps[pixel, target]
-                    if binned > 0 and mark >= signals[pixel, target]:
-                        target, mark = 0, mark - signals[pixel, target]
-                        chosen = first_bin + np.searchsorted(bin_photons[first_bin:last_bin], mark, side="right")
-                        begins = bin_start[chosen] + physics.bin_width * uniform(key, IN_BIN, i)
-                        lap = np.int64(begins // period)
-                        begins -= lap * period
-                    t = begins + sigma[pixel, target] * normal(key, SHAPE, i)
-                    if starts.size and lap:  # of an earlier pulse, whose distance in time varies
-                        emitted = max(pulse - lap, 0)
-                        t += (pulse - emitted) * period - (starts[pulse] - starts[emitted])
-                        if not 0 <= t < period:
-                            continue
-                    t = _modulo(t, period)
-                if count <= INSERTION_MAX:
-                    n = _insert(photons, n, t)
-                else:
-                    photons[n] = t
-                    n += 1
-            if count > INSERTION_MAX:
-                photons[:n].sort()
-            begin = starts[pulse] if starts.size else pulse * period
-            gap = starts[pulse + 1] - begin - period if starts.size else 0.0
-            if physics.other_period > 0:
-                drawn = 0
-                t = -_modulo(
-                    begin - arrays.other_first[pixel], physics.other_period
-                )  # the last pulse before the period: its tail
-                while t < period:
-                    sum_of_gaps = exponential(key, OTHER, drawn)
-                    while sum_of_gaps < arrays.other[pixel]:
-                        at = t + physics.other_sigma * normal(key, OTHER_SHAPE, drawn)
-                        if 0 <= at < period:
-                            n = _insert(photons, n, at)
-                        drawn += 1
-                        sum_of_gaps += exponential(key, OTHER, drawn)
-                    drawn += 1
-                    t += physics.other_period
-            if physics.afterpulse > 0:
-                for slot in range(CARRIERS_MAX):
-                    if carriers[local, slot] < period:
-                        n = _insert(photons, n, carriers[local, slot])
-                        carriers[local, slot] = np.inf
-                    carriers[local, slot] -= period
-            while next_received < received_where.size and received_where[next_received] == (pixel << 32) + index:
-                n = _insert(photons, n, received_time[next_received])
-                next_received += 1
-
-            opens = gate_start
-            if physics.gate_every > 0:
-                opens += arrays.gate_step[pixel] * (
-                    pulse % physics.frame_pulses // physics.gate_every % physics.gate_steps
-                )
-            closes = opens + gate_len
-            i, fired = 0, 0
-            while i < n:
-                t = photons[i]
-                i += 1
-                if t < opens or t >= closes:
-                    continue
-                if t < alive_at:
-                    if physics.paralyzable:
-                        alive_at = t + physics.dead
-                    continue
-                alive_at = t + physics.dead
-                if physics.afterpulse > 0 and uniform(key, TRAP, fired) < physics.afterpulse:
-                    released = t + physics.afterpulse_time * exponential(key, RELEASE, fired)
-                    if released < period:
-                        n = _insert(photons, n, released)
-                    else:
-                        carriers[local, np.argmax(carriers[local])] = released - period  # a free slot is infinite
-                if sending:
-                    for side in range(4):
-                        neighbour = _neighbour(pixel, side, physics.rows, physics.cols)
-                        if neighbour >= 0 and uniform(key, CROSSTALK, 4 * fired + side) < physics.crosstalk:
-                            if done < keys.size:
-                                keys[done], times[done] = (neighbour << 32) + index, t
-                            done += 1
-                else:
-                    if physics.jitter > 0:
-                        t += physics.jitter * normal(key, JITTER, fired)
-                    if physics.tail_fraction > 0 and uniform(key, TAIL_SHARE, fired) < physics.tail_fraction:
-                        t += physics.tail * exponential(key, TAIL, fired)
-                    if done < keys.size:
-                        tick = _tick(_modulo(t, period), physics, taps)
-                        keys[done] = (((index << tick_bits) + tick) << pixel_bits) + pixel
-                    done += 1
-                fired += 1
-            if n >= photons.size:
-                return -1
-            alive_at = max(alive_at - period - gap, 0.0)
-            if gap > 0 and physics.afterpulse > 0:  # carriers released meanwhile are lost
-                for slot in range(CARRIERS_MAX):
-                    carriers[local, slot] -= gap
-                    if carriers[local, slot] < 0:
-                        carriers[local, slot] = np.inf
-        ready[local] = alive_at
-    return done
-
-
-@njit(cache=True)
-def _poisson_law(mean, law):
-    """Fills law[k] with the chance of at most k, up to where it is 1 in float64."""
-    chance = math.exp(-mean)
-    law[0], last = chance, 0
-    while last < law.size - 1 and (chance > 1e-18 or last < mean):
-        last += 1
-        chance *= mean / last
-        law[last] = law[last - 1] + chance
-    law[last] = 1.0
-
-
-@njit(cache=True, inline="always")
-def _insert(photons, n, t):
-    """Puts `t` into the ascending photons[:n] (a full one loses it) and returns n + 1, at most the size."""
-    if n == photons.size:
-        return n
-    i = n
-    while i > 0 and photons[i - 1] > t:
-        photons[i] = photons[i - 1]
-        i -= 1
-    photons[i] = t
-    return n + 1
-
-
-@njit(cache=True, inline="always")
-def _modulo(t, period):
-    """`t` in [0, period]; the division is rarely needed."""
-    return t if 0.0 <= t < period else t - period * np.floor(t / period)
-
-
-@njit(cache=True, inline="always")
-def _tick(t, physics, taps):
-    """TDC code of time `t` in ticks; `taps`: the inner borders of the phases, empty = ideal."""
-    if taps.size:
-        cycle = np.floor(t / physics.phases)
-        t = cycle * physics.phases + np.searchsorted(taps, t - cycle * physics.phases, side="right")
-    return min(np.int64(t), np.int64(physics.period) - 1)
-
-
-@njit(cache=True, inline="always")
-def _neighbour(pixel, side, rows, cols):
-    """Pixel above, left, right or below; -1 beyond the array."""
-    row, col = pixel // cols + (side == 3) - (side == 0), pixel % cols + (side == 2) - (side == 1)
-    return row * cols + col if 0 <= row < rows and 0 <= col < cols else -1
-
-
-@njit(cache=True)
-def _unpacked(keys, first_pulse, packing):
-    """(pulse, pixel, tick) of packed edges."""
-    pixel_bits, tick_bits = packing
-    pulse, pixel, tick = np.empty_like(keys), np.empty_like(keys), np.empty_like(keys)
-    for i, key in enumerate(keys):
-        pulse[i] = first_pulse + (key >> (pixel_bits + tick_bits))
-        pixel[i] = key & ((1 << pixel_bits) - 1)
-        tick[i] = key >> pixel_bits & ((1 << tick_bits) - 1)
-    return pulse, pixel, tick
+                self.state[sending] = state
+                return tuple(array[:n] for array in made)

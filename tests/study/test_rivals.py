@@ -54,7 +54,7 @@ def photons(edges=EXAMPLE, pulses=2):
 def told(words, of):
     """[(subgroup, pulse, stamp, pixels inside)]"""
     return [
-        (int(of.subgroup[a]), int(of.period[a] % of.pulses), int(stamp), of.inside[a:b].tolist())
+        (int(of.subgroup[a]), int(of.pulse[a] % of.pulses), int(stamp), of.inside[a:b].tolist())
         for a, b, stamp in zip(*words)
     ]
 
@@ -196,7 +196,7 @@ def test_windows_are_the_golden_models(seed, window, threshold):
     distinct = np.array([len(set(of.inside[a:b])) for a, b, _ in zip(*words)])
     words = words.chosen(distinct >= threshold)
     found = np.stack(
-        [of.subgroup[words.start], of.period[words.start] % 3, words.stamp, distinct[distinct >= threshold]]
+        [of.subgroup[words.start], of.pulse[words.start] % 3, words.stamp, distinct[distinct >= threshold]]
     )
     golden = np.stack([arrays[name] for name in ("subgroup", "pulse", "stamp", "count")])
     assert np.array_equal(found, golden[:, np.lexsort((golden[2], golden[1], golden[0]))])

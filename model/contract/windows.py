@@ -1,0 +1,15 @@
+"""A window's end: when it closes, and when the tree that it kept busy is armed again.
+
+Plain arithmetic on integers, which takes numbers and arrays alike and which kernels compile for themselves. A window opens at a tick of
+a laser period and lasts `window_ticks`; cycles and ticks are counted from the period's start.
+"""
+
+
+def close_cycle(opening_tick, window_ticks, phases):
+    """c: the cycle of the window's last tick, from which its commit is counted (`latency.COMMIT`)."""
+    return (opening_tick + window_ticks - 1) // phases
+
+
+def armed_cycle(close, rearm_cycles):
+    """c + 1 + R: the first cycle in which the tree may open a window again."""
+    return close + 1 + rearm_cycles

@@ -1,0 +1,52 @@
+"""Compiled code is made anew when a file that it is made of changes, is kept otherwise, and needs no folder to be kept in."""
+
+import os
+import subprocess
+import sys
+
+import pytest
+
+from ..planted import copy_of_sources
+
+# A kernel of `study` that takes in the contract's arithmetic: with windows of one cycle, the second photon opens the second window.
+PROGRAM = """
+import numba, numpy as np
+from coincid.study import rivals
+assert not numba.config.CACHE_DIR, "other packages' code would go there, too"
+tick = np.array([0, 32, 64])
+print(rivals._windows(np.zeros(3, np.int64), tick, 32, 32)[2].tolist(), sum(rivals._windows.stats.cache_hits.values()))
+"""
+OPENED, OPENED_LATE = "[0, 32, 64]", "[0, 64]"
+REARM = "close + 1 + rearm_cycles"
+
+
+@pytest.fixture
+def run(tmp_path):
+    """Runs `PROGRAM` on a copy of the sources; what it prints: stamps of windows, and whether its code was found compiled."""
+    copy_of_sources(tmp_path)
+    environment = {name: value for name, value in os.environ.items() if not name.startswith("NUMBA_")}
+    environment |= {"PYTHONPATH": str(tmp_path), "COINCID_BUILD": str(tmp_path / "build")}
+
+    def run(**variables):
+        command, settings = [sys.executable, "-c", PROGRAM], environment | variables
+        done = subprocess.run(command, cwd=tmp_path, env=settings, capture_output=True, text=True, check=False)
+        return done.stdout.strip() or done.stderr
+
+    return run
+
+
+def test_a_change_in_a_file_that_a_kernel_takes_in_is_seen(run, tmp_path):
+    assert run() == f"{OPENED} 0"
+    assert run() == f"{OPENED} 1"
+    file = tmp_path / "model" / "contract" / "windows.py"
+    original = file.read_text()
+    assert original.count(REARM) == 1
+    file.write_text(original.replace(REARM, f"{REARM} + 1"))
+    assert run() == f"{OPENED_LATE} 0"
+    assert run() == f"{OPENED_LATE} 1"
+
+
+def test_without_a_folder_to_write_to_nothing_is_kept(run, tmp_path):
+    (tmp_path / "file").touch()
+    assert run(COINCID_BUILD=str(tmp_path / "file" / "build")) == f"{OPENED} 0"
+    assert not list(tmp_path.rglob("*.nbi"))
