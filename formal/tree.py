@@ -223,7 +223,7 @@ def minigroup_record(b):
 
     latched, remaining, seen, stamp = Signal(), Signal(3), Signal(pixels), Signal(sensor.record_stamp_bits)
     latched_now = b.same("latched_now", latched & ~wrap)
-    starts = b.same("starts_now", frame.mg_records & active.any() & may_open & ~latched_now & (remaining == 0))
+    starts = b.same("starts_now", frame.minigroup_records & active.any() & may_open & ~latched_now & (remaining == 0))
     remaining_now = b.same("remaining_now", Mux(starts, frame.mg_window, remaining))
     first = sum(
         (~Cat(_word(edges_3, i, phases)[: k + 1].any() for i in range(pixels)).any() for k in range(phases)), start=0

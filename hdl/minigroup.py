@@ -140,7 +140,9 @@ class Minigroup(Unit):
         left_next = Signal(2)
         added = active & some.replicate(len(active))
         m.d.comb += [
-            starts.eq(self.frame.mg_records & some & self.may_open & (self.wrap | ((left == 0) & ~self.latched))),
+            starts.eq(
+                self.frame.minigroup_records & some & self.may_open & (self.wrap | ((left == 0) & ~self.latched))
+            ),
             runs.eq(starts | (left != 0)),
             seen_next.eq(Mux(starts, added, seen | added)),
             left_next.eq(Mux(starts, self.frame.mg_window, left) - 1),

@@ -3,10 +3,12 @@
 The word formats are the project's; the paper only says that stamps and IDs leave the subgroup.
 """
 
+from collections.abc import Callable
+
 from amaranth.hdl import Cat, Module, Mux, Signal
 from amaranth.lib.wiring import In, Out
 
-from ..model.contract.packet import BEAT_BITS, FORMAT_NAMES, FORMATS, HEADER, OFFSET_BITS, Kind, layout
+from ..model.contract.packet import BEAT_BITS, FORMATS, HEADER, OFFSET_BITS, Kind, layout
 from ..model.contract.parameters import OFFSET_NONE, Sensor
 from ..model.contract.registers import COUNTER_BITS, COUNTER_NAMES
 from . import bus
@@ -20,6 +22,15 @@ def header(**fields):
         field = Signal(width, name=f"field_{name}")
         parts.append((field, fields.get(name, 0)))
     return Cat(field for field, _ in parts), [field.eq(value) for field, value in parts]
+
+
+def of_format(form, value: Callable[[Kind], int]):
+    """`value` of the kind of event that `form`, the format register, chooses."""
+    *others, last = FORMATS.values()
+    chosen = value(last)
+    for number, kind in reversed(list(enumerate(others))):
+        chosen = Mux(form == number, value(kind), chosen)
+    return chosen
 
 
 class Packetizer(Unit):
@@ -75,15 +86,12 @@ class Packetizer(Unit):
             send.eq(Mux(self.grant, self.send, send_before)),
             index.eq(Mux(self.grant, 0, index_before)),
         ]
-        lasts = [parts.length(FORMATS[name]) - 1 for name in FORMAT_NAMES]
         chosen = Signal(BEAT_BITS)
         with m.Switch(send):
             for kind, beats in ((bus.Send.EVENT, event), (bus.Send.RECORD, record), (bus.Send.COUNTERS, counters)):
                 with m.Case(kind):
                     if kind is bus.Send.EVENT:
-                        m.d.comb += last.eq(
-                            Mux(self.frame.format == 0, lasts[0], Mux(self.frame.format == 1, lasts[1], lasts[2]))
-                        )
+                        m.d.comb += last.eq(of_format(self.frame.format, lambda kind: parts.length(kind) - 1))
                     else:
                         m.d.comb += last.eq(len(beats) - 1)
                     with m.Switch(index):
@@ -107,10 +115,8 @@ class Packetizer(Unit):
 
     def _event_beats(self, m):
         window = self.head.window
-        kind = Signal(3)
-        m.d.comb += kind.eq(
-            Mux(self.frame.format == 0, Kind.EVENT, Mux(self.frame.format == 1, Kind.EVENT_MAP, Kind.EVENT_FULL))
-        )
+        kind = Signal(bus.KIND_BITS)
+        m.d.comb += kind.eq(of_format(self.frame.format, int))
         beat, fields = header(
             kind=kind,
             overrun=self.head.overrun,

@@ -173,7 +173,7 @@ def _body(front: Front) -> str:
       window_ticks <= $urandom(seed) % 3 == 0 ? 1 + $urandom(seed) % {sensor.window_max} : 1 + $urandom(seed) % {sensor.phases};
       light <= $urandom(seed);
       for (k = 0; k < {pixels}; k = k + 1) mask[k] <= $urandom(seed) % 8 != 0;
-      frame <= (1 << {frame["mg_records"]}) | (1 << {frame["mg_threshold"]}) | ((1 + $urandom(seed) % 4) << {frame["mg_window"]});
+      frame <= (1 << {frame["minigroup_records"]}) | (1 << {frame["mg_threshold"]}) | ((1 + $urandom(seed) % 4) << {frame["mg_window"]});
       if ($urandom(seed) % 8 == 0) begin rst <= 1; resets = resets + 1; end
     end
     if (bright) gate <= $urandom(seed) % 16 != 0;
