@@ -4,6 +4,7 @@ The word formats are the project's; the paper only says that stamps and IDs leav
 """
 
 from collections.abc import Callable
+from types import SimpleNamespace
 
 from amaranth.hdl import Cat, Module, Mux, Signal
 from amaranth.lib.wiring import In, Out
@@ -111,6 +112,7 @@ class Packetizer(Unit):
             self.valid.eq(active),
             self.beat.eq(Mux(active, chosen, 0)),
         ]
+        self.state = SimpleNamespace(sending=sending, send_before=send_before, index_before=index_before)
         return m
 
     def _event_beats(self, m):
