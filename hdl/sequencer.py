@@ -73,7 +73,8 @@ class Sequencer(Unit):
         state.wrap = Signal()
         state.cycle = cycle = Signal(coarse_bits + 1)
         state.pulse = pulse = Signal(bus.PULSE_BITS + 1)
-        state.start, state.aborted = Signal(2), Signal()  # the start waits a cycle for the registers below
+        state.start = Signal(2)  # waits a cycle for the registers below
+        state.aborted = Signal()
         state.restart = state.start[-1]
         last_cycle = Signal.like(cycle)
         last_pulse = Signal.like(pulse)
