@@ -165,6 +165,7 @@ def packetizer(b: Bench):
     b.always(unit.take_record == (active & last & (now == bus.Send.RECORD.value)))
     b.always(kind.as_value() <= 2)
     b.always(body.sending == (rest != 0))
+    b.always(body.at_last == (rest == 1), where=rest != 0)
     b.always((body.send_before == kind) & (body.index_before + rest == _length(kind, form)), where=rest != 0)
     for fmt, name in enumerate(FORMAT_NAMES):
         first = b.past(grant & (send == bus.Send.EVENT) & (form == fmt))

@@ -121,23 +121,23 @@ class Registers(Unit):
         m.d.comb += in_block.eq(
             (state.address >= SUBGROUP_BASE) & (state.address < SUBGROUP_BASE + SUBGROUP_STRIDE * sensor.subgroups)
         )
-        state.hit = {}
-        hits, writable, legal = [], [], []
+        state.named = {}
+        mapped, writable, legal = [], [], []
         in_range = self._ranges(m)
         for table, where, key in (
             (registers.GLOBAL, 1, state.address),
             (registers.SUBGROUP, in_block, state.address[:BLOCK_BITS]),
         ):
             for offset, register, index in registers.words(table, sensor):
-                hit = state.hit[register.name, index] = Signal(name=f"hit_{register.name}_{index}")
-                m.d.sync += hit.eq(where & (key == offset))
-                hits.append(hit)
+                word = state.named[register.name, index] = Signal(name=f"named_{register.name}_{index}")
+                m.d.sync += word.eq(where & (key == offset))
+                mapped.append(word)
                 if register.access in WRITABLE:
-                    writable.append(hit)
-                    legal.append(hit & in_range[register.low(sensor), register.high(sensor)])
+                    writable.append(word)
+                    legal.append(word & in_range[register.low(sensor), register.high(sensor)])
         m.d.sync += [
             state.in_subgroup.eq(in_block),
-            state.mapped.eq(Cat(hits).any()),
+            state.mapped.eq(Cat(mapped).any()),
             state.writable.eq(Cat(writable).any()),
             state.legal.eq(Cat(legal).any()),
         ]
@@ -158,7 +158,7 @@ class Registers(Unit):
         for _, register, index in registers.words(registers.GLOBAL, self.sensor):
             if register.access is Access.CONSTANT:
                 content[register.name, index] = Const(register.reset(self.sensor), DATA_BITS)
-        chosen = [Mux(state.hit[name], word, 0) for name, word in content.items()]
+        chosen = [Mux(state.named[name], word, 0) for name, word in content.items()]
         m.d.sync += state.found.eq(any_of(m, chosen, "found_of"))
 
     def _start_checks(self, m):
@@ -264,14 +264,14 @@ class Registers(Unit):
             m.d.sync += [self.command.operation.eq(bus.Operation.WRITE), self.command.data.eq(value)]
             m.d.sync += self._name_word()
         for name, setting in state.setting.items():
-            with m.If(state.hit[name]):
+            with m.If(state.named[name]):
                 m.d.sync += setting.eq(value)
-        with m.If(state.hit["status", 0]):
+        with m.If(state.named["status", 0]):
             for bits in STATUS.bits:
                 if bits.clears:
                     with m.If(value[bits.lsb]):
                         m.d.sync += state.flag[bits.name].eq(0)
-        with m.If(state.hit["control", 0]):
+        with m.If(state.named["control", 0]):
             m.d.sync += self.abort_frame.eq(value[CONTROL.bit("abort")])
             with m.If(value[CONTROL.bit("start")]):
                 m.d.sync += self.s_axi.bvalid.eq(0)

@@ -180,8 +180,8 @@ BUGS = (
     Bug(
         "take-early",
         "hdl/packetizer.py",
-        "ends.eq(active & (index == last))",
-        "ends.eq(active & (index >= last - 1))",
+        "at_last.eq(state.index + 1 == self._last",
+        "at_last.eq(state.index + 2 >= self._last",
         ("packetizer",),
         (FRAMES,),
     ),
