@@ -18,10 +18,11 @@ from amaranth.hdl._ast import AnySeq
 
 from ..hdl.logic import popcount
 from ..hdl.silicon.circuit import SYNCHRONISER_REARM, Circuit
+from ..hdl.silicon.control import AsyncControl
 from ..hdl.silicon.front_end import AsyncFrontEnd
 from ..model.contract.parameters import Sensor
 from ..tb.toolchain import build_root
-from .bench import inside
+from .bench import elaborated
 from .prove import _programs
 
 DEPTH = 14  # half cycles of the induction
@@ -67,69 +68,65 @@ def bench(sensor: Sensor, circuit: Circuit) -> Module:
     m.d.sync += [started.eq(started | rising), rising.eq(~rising)]
     m.d.comb += [reset.eq(AnySeq(1)), Assume(started | reset)]
     front = AsyncFrontEnd(sensor, circuit)
-    body = inside(front)
-    control = body.control
-    control_of = vars(inside(control))
+    _words_are_whole(elaborated(front), front, started)
+    control = front.state.control
+    _control_returns(elaborated(control), control, started)
     for _, member, value in front.signature.flatten(front):
         if member.flow.name == "In":
             value = value.as_value() if hasattr(value, "as_value") else value
             m.d.comb += value.eq(AnySeq(len(value)))
+    m.submodules.front = ResetInserter({"sync": reset, "fall": reset})(
+        EnableInserter({"sync": rising, "fall": ~rising, "read": ~rising})(front)
+    )
+    return m
 
-    # A word: never empty, its winner in it, its count its map's. Invariants on the way there make it inductive.
-    f = body.m
+
+def _words_are_whole(m: Module, front: AsyncFrontEnd, started: Signal) -> None:
+    """A word is never empty, its winner is in it, its count is its map's. Invariants on the way there make it inductive. m: the front end's."""
+    state, half, window = front.state, front.state.half, front.window
     live_4, live_5 = Signal(), Signal()
-    f.d.sync += [live_4.eq(body.inside), live_5.eq(live_4)]
-    winner, half, window = body.winner, body.half, front.window
+    m.d.sync += [live_4.eq(state.inside), live_5.eq(live_4)]
 
     def bit(value, index):
         return value.bit_select(index, 1)
 
     def states(condition, where):
-        f.d.comb += Assert(~(where & started) | condition)
+        m.d.comb += Assert(~(where & started) | condition)
 
-    states(live_4 == (body.opening_4 | (live_5 & ~body.closed)), live_4)
-    states(live_4 & ~body.closing_4, body.window_open)
-    states(live_4, body.closing_4)
-    states(live_5, body.closed)
-    states(bit(body.hits, winner), live_5)
-    states(
-        bit(half.hits, half.winner) & (sum(body.counts[1:], body.counts[0]) == popcount(f, half.hits, "spec_half")),
-        body.closed_6,
-    )
-    states(
-        bit(window.hits, window.winner)
-        & (window.hits != 0)
-        & (window.count == popcount(f, window.hits, "spec_window")),
-        front.closed,
-    )
+    states(live_4 == (state.opening_4 | (live_5 & ~state.closed)), live_4)
+    states(live_4 & ~state.closing_4, state.window_open)
+    states(live_4, state.closing_4)
+    states(live_5, state.closed)
+    states(bit(state.hits, state.winner), live_5)
+    in_half = sum(state.counts[1:], state.counts[0]) == popcount(m, half.hits, "spec_half")
+    states(bit(half.hits, half.winner) & in_half, state.closed_6)
+    in_window = window.count == popcount(m, window.hits, "spec_window")
+    states(bit(window.hits, window.winner) & (window.hits != 0) & in_window, front.closed)
 
     long = Signal()
-    with f.If(body.closed):
-        f.d.sync += long.eq(body.elapsed > 1)
-    f.d.comb += Cover(started & front.closed & (window.count == 2) & long)
+    with m.If(state.closed):
+        m.d.sync += long.eq(state.elapsed > 1)
+    m.d.comb += Cover(started & front.closed & (window.count == 2) & long)
 
-    # The control returns: what waits for the clock alone ends in time, and what waits for an end closes within two cycles of it.
-    c, of_current = control_of["m"], control_of["of_current"]
+
+def _control_returns(m: Module, control: AsyncControl, started: Signal) -> None:
+    """What waits for the clock alone ends in time, and what waits for an end closes within two cycles of it. m: the control's."""
+    state = control.state
     if control.banks == 1:
         waiting = Signal(range(8))
-        c.d.fall += waiting.eq(0)
-        with c.If(control_of["read"]):
-            c.d.fall += waiting.eq(waiting + 1)
-        c.d.comb += Assert(~started | (waiting <= 2))  # the clear comes two cycles after the window closed
-        c.d.comb += Assert(~(started & control_of["read"] & (waiting == 0)) | control.closing)
+        m.d.fall += waiting.eq(0)
+        with m.If(state.read):
+            m.d.fall += waiting.eq(waiting + 1)
+        m.d.comb += Assert(~started | (waiting <= 2))  # the clear comes two cycles after the window closed
+        m.d.comb += Assert(~(started & state.read & (waiting == 0)) | control.closing)
     unanswered, parity = Signal(range(8)), Signal()
-    due = control_of["window_open"] & of_current("ended")
-    c.d.fall += [unanswered.eq(0), parity.eq(of_current("parity"))]
-    with c.If(due & ~control_of["closing"] & ((unanswered == 0) | (of_current("parity") == parity))):
-        c.d.fall += unanswered.eq(unanswered + 1)
-    c.d.comb += Assert(~started | (unanswered <= 2))  # an end that stays closes its window within two cycles
-    if sensor.rearm:
-        c.d.comb += Assert(~started | (control_of["hold"] < max(2, sensor.rearm)))
-
-    m.submodules.front = ResetInserter({"sync": reset, "fall": reset})(
-        EnableInserter({"sync": rising, "fall": ~rising, "read": ~rising})(front)
-    )
-    return m
+    ended, parity_now = control.of_current("ended"), control.of_current("parity")
+    m.d.fall += [unanswered.eq(0), parity.eq(parity_now)]
+    with m.If(state.window_open & ended & ~state.closing & ((unanswered == 0) | (parity_now == parity))):
+        m.d.fall += unanswered.eq(unanswered + 1)
+    m.d.comb += Assert(~started | (unanswered <= 2))  # an end that stays closes its window within two cycles
+    if control.sensor.rearm:
+        m.d.comb += Assert(~started | (state.hold < max(2, control.sensor.rearm)))
 
 
 def prove(sensor: Sensor, circuit: Circuit, name: str) -> bool:

@@ -5,13 +5,14 @@ hold. Reset is an input like any other: proofs hold for a reset in any cycle. No
 reset is asserted in the first cycle, so a lost reset shows as well.
 """
 
-import sys
 from collections.abc import Callable
 from types import SimpleNamespace
 
 from amaranth.hdl import Assert, Assume, Cover, Module, ResetSignal, Signal, Value
 from amaranth.hdl._ast import AnyConst, AnySeq  # the language's only names for free values
 from attrs import field, frozen
+
+from ..hdl.unit import Unit
 
 STARTED = "after_reset"
 PROOFS: dict[str, "Proof"] = {}
@@ -102,8 +103,8 @@ class Bench:
         """An input that may have any value, the same in all cycles."""
         return AnyConst(shape)
 
-    def place(self, name: str, unit, **inputs) -> SimpleNamespace:
-        """Puts `unit` in and drives its ports: with `inputs`, else with anything. Returns what `inside` does."""
+    def place(self, name: str, unit: Unit, **inputs) -> SimpleNamespace:
+        """Puts `unit` in and drives its ports: with `inputs` (None: not at all), else with anything. Returns its state."""
         for path, member, value in unit.signature.flatten(unit):
             port = "__".join(map(str, path))
             if member.flow.name == "In" and inputs.get(port, "") is not None:
@@ -112,22 +113,12 @@ class Bench:
             inputs.pop(port, None)
         assert not inputs, f"no such ports: {', '.join(inputs)}"
         self.m.submodules[name] = unit
-        return inside(unit)
+        elaborated(unit)
+        return unit.state
 
 
-def inside(unit) -> SimpleNamespace:
-    """Elaborates `unit` now and returns the names in its body, for invariants about its registers."""
-    names = {}
-
-    def at_return(frame, event, _):
-        if event == "return" and frame.f_locals.get("self") is unit:
-            names.update(frame.f_locals)
-
-    before = sys.getprofile()
-    sys.setprofile(at_return)
-    try:
-        body = unit.elaborate(None)
-    finally:
-        sys.setprofile(before)
-    unit.elaborate = lambda platform: body
-    return SimpleNamespace(**names)
+def elaborated(component) -> Module:
+    """Elaborates `component` now, and for good: its state then is of the circuit that the design has."""
+    body = component.elaborate(None)
+    component.elaborate = lambda platform: body
+    return body

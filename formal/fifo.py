@@ -9,7 +9,7 @@ from attrs import evolve
 
 from ..hdl import bus
 from ..hdl.fifo import EventFifo, RecordBuffer
-from .bench import Bench, inside, proof
+from .bench import Bench, elaborated, proof
 from .sensors import SMALL
 
 
@@ -19,8 +19,9 @@ def _event_fifo(b: Bench, depth: int) -> None:
     commit, take, begin = (Signal(name=name) for name in ("commit", "take", "begin"))
     m.d.comb += [signal.eq(b.anything(1)) for signal in (commit, take, begin)]
     body = b.place("dut", unit, commit=commit, take=take, frame_begin=begin)
-    library = inside(body.storage)
-    memory = library.storage.read_port(domain="comb")
+    memory = elaborated(
+        body.storage
+    ).submodules.storage  # the library's FIFO has its oldest event in a register behind it
 
     # The readout takes only what is at the head, and a frame begins with the FIFO empty.
     level = Signal(range(depth + 1))
@@ -62,20 +63,18 @@ def _event_fifo(b: Bench, depth: int) -> None:
     b.always(body.storage.r_rdy, where=watched & (ahead == 0) & ~b.past(watch))
 
     # Invariants: rows in use are those from `consume` to `produce`, and the event stands in its own.
-    rows, produce, consume = depth, library.produce, library.consume
-    b.always((produce < rows) & (consume < rows) & (library.inner_level <= rows))
-    b.always(
-        produce
-        == Mux(
-            consume + library.inner_level >= rows, consume + library.inner_level - rows, consume + library.inner_level
-        )
-    )
+    rows, produce, consume = depth, memory.write_ports[0].addr, memory.read_ports[0].addr
+    used = b.same("used", body.storage.level - body.storage.r_rdy)
+    after_last = b.same("after_last", consume + used)
+    b.always((produce < rows) & (consume < rows) & (used >= 0) & (used <= rows))
+    b.always(produce == Mux(after_last >= rows, after_last - rows, after_last))
     b.always(ahead < level, where=watched)
     behind = b.same("behind", ahead - body.storage.r_rdy)  # rows between `consume` and the event's
     mine = b.same("mine", Mux(consume + behind >= rows, consume + behind - rows, consume + behind))
     in_memory = watched & ~((ahead == 0) & body.storage.r_rdy)
-    m.d.comb += memory.addr.eq(mine)
-    b.always(memory.data == event.as_value(), where=in_memory)
+    look = memory.read_port(domain="comb")
+    m.d.comb += look.addr.eq(mine)
+    b.always(look.data == event.as_value(), where=in_memory)
 
     b.cover(dropped & lost)
     b.cover(watched & take & (ahead == 0) & event.overrun)

@@ -10,7 +10,7 @@ from ..hdl.packetizer import Packetizer
 from ..hdl.readout import Readout
 from ..model.contract import latency
 from ..model.contract.packet import FORMAT_NAMES, FORMATS, HEADER, Kind, layout
-from .bench import Bench, inside, proof
+from .bench import Bench, proof
 from .sensors import SMALL
 
 N = 3
@@ -19,9 +19,10 @@ SUBGROUP_TO_BEAT = latency.GRANT_TO_BEAT - 2  # a grant's register -> the beat a
 
 
 def _length(send, form):
-    """Beats of a packet."""
-    of_format = [PARTS.length(FORMATS[name]) for name in FORMAT_NAMES]
-    event = Mux(form == 0, of_format[0], Mux(form == 1, of_format[1], of_format[2]))
+    """Beats of a packet, as the contract says and not the RTL's multiplexer."""
+    event = 0
+    for number, name in enumerate(FORMAT_NAMES):
+        event = Mux(form == number, PARTS.length(FORMATS[name]), event)
     record = PARTS.length(Kind.RECORD)
     return Mux(send == bus.Send.EVENT, event, Mux(send == bus.Send.RECORD, record, PARTS.counter_beats))
 
@@ -51,7 +52,6 @@ def readout(b: Bench):
         valid=b.past(sends, SUBGROUP_TO_BEAT),
         m_axis__tready=ready,
     )
-    library = inside(body.buffer)
     idle = body.machine.ongoing("idle")
 
     # A subgroup's FIFO has room for what it tells of; between a frame's finish and the next one's beginning nothing is stored.
@@ -114,11 +114,16 @@ def readout(b: Bench):
     pipe = Signal(latency.GRANT_TO_BEAT)
     m.d.sync += pipe.eq(pipe << 1 | active)
     on_the_way = sum(pipe, start=0)
-    b.always(body.space + body.left + on_the_way + body.buffer.level == body.depth)
-    b.always((library.inner_level <= library.inner_depth) & (body.left < PARTS.longest) & (body.space <= body.depth))
+    stored_beats = b.same(
+        "stored_beats", body.buffer.level - body.buffer.r_rdy
+    )  # the library's FIFO has one more in a register
+    b.always(body.space + body.left + on_the_way + body.buffer.level == unit.depth)
+    b.always(
+        (stored_beats >= 0) & (stored_beats <= unit.depth) & (body.left < PARTS.longest) & (body.space <= unit.depth)
+    )
     b.always(body.buffer.w_rdy, where=body.buffer.w_en)
     b.always(body.buffer.w_en == pipe[-1])
-    b.always(body.space == body.depth, where=idle)
+    b.always(body.space == unit.depth, where=idle)
     # Invariants: beats of the readout's own and of the subgroups make one sequence.
     own = [b.same(f"own_{k}_any", kind.any()) for k, kind in enumerate(body.own)]
     b.always(own[0] == b.past(body.own_kind.any()))
@@ -160,6 +165,7 @@ def packetizer(b: Bench):
     b.always(unit.take_record == (active & last & (now == bus.Send.RECORD.value)))
     b.always(kind.as_value() <= 2)
     b.always(body.sending == (rest != 0))
+    b.always(body.at_last == (rest == 1), where=rest != 0)
     b.always((body.send_before == kind) & (body.index_before + rest == _length(kind, form)), where=rest != 0)
     for fmt, name in enumerate(FORMAT_NAMES):
         first = b.past(grant & (send == bus.Send.EVENT) & (form == fmt))

@@ -4,7 +4,7 @@ from amaranth.hdl import Cat, Mux, Signal
 
 from ..hdl import bus
 from ..hdl.axi import OKAY, SLVERR
-from ..hdl.registers import CHECK_CYCLES, READ_CYCLES, Registers
+from ..hdl.registers import CHECK_CYCLES, DECODE_CYCLES, READ_CYCLES, Registers
 from ..model.contract import registers
 from ..model.contract.registers import AUTO_BOUNDS
 from .bench import Bench, proof
@@ -23,7 +23,7 @@ def register_front(b: Bench):
     done = Signal()
     m.d.comb += done.eq(b.anything(1))
     body = b.place("dut", unit, done=done)
-    state = unit.machine.ongoing
+    state = body.machine.ongoing
     busy = body.flag["busy"]
     b.assume(
         busy & ~state("bounds") & ~state("begin"), where=done
@@ -85,29 +85,26 @@ def register_front(b: Bench):
     b.always(errors.any(), where=axi.rvalid & ~b.past(axi.rvalid) & (axi.rresp == SLVERR) & b.past(read))
 
     # Invariants.
-    in_write = b.same("in_write", state("decode") | state("write") | state("check") | state("bounds") | state("begin"))
+    until_checked = b.same("until_checked", state("decode") | state("write") | state("check"))
+    in_write = b.same("in_write", until_checked | state("bounds") | state("begin"))
     b.always(address & data & ~axi.bvalid, where=in_write)
     b.always(read & ~axi.rvalid, where=state("read"))
     b.always(b.past(body.address) == body.address, where=state("write"))
     b.always(in_write | state("idle") | state("read"))
     b.always(body.wait <= READ_CYCLES, where=state("read"))
-    b.always((body.wait >= 2) & (body.wait <= CHECK_CYCLES), where=state("check"))
-    b.always(body.wait == 0, where=state("decode"))
-    b.always(body.wait == 1, where=state("write"))
+    b.always(body.wait < DECODE_CYCLES, where=state("decode"))
+    b.always(body.wait == DECODE_CYCLES, where=state("write"))
+    b.always((body.wait > DECODE_CYCLES) & (body.wait <= CHECK_CYCLES), where=state("check"))
     b.always((body.bound < AUTO_BOUNDS) & busy, where=state("bounds"))
     b.always(busy, where=state("begin"))
     # How far an access has come bounds how long it has been waiting.
     before_write = READ_CYCLES + 3
     b.always(write_waits <= body.wait + 1, where=reading & state("read") & address & data & ~axi.bvalid)
     b.always(write_waits <= before_write, where=writing & state("idle"))
-    b.always(write_waits <= before_write + 1, where=state("decode"))
-    b.always(write_waits <= before_write + 2, where=state("write"))
-    b.always(write_waits <= before_write + 1 + body.wait, where=state("check"))
+    b.always(write_waits <= before_write + 1 + body.wait, where=until_checked)
     b.always(write_waits <= before_write + 2 + CHECK_CYCLES + body.bound, where=state("bounds"))
     b.always(write_waits <= before_write + 2 + CHECK_CYCLES + AUTO_BOUNDS, where=state("begin"))
-    b.always(read_waits <= 1, where=state("decode"))
-    b.always(read_waits <= 2, where=state("write"))
-    b.always(read_waits <= body.wait + 1, where=state("check"))
+    b.always(read_waits <= body.wait + 1, where=until_checked)
     b.always(read_waits <= CHECK_CYCLES + 2 + body.bound, where=state("bounds"))
     b.always(read_waits <= CHECK_CYCLES + 2 + AUTO_BOUNDS, where=state("begin"))
     b.always(read_waits <= Mux(axi.bvalid, CHECK_CYCLES + 3 + AUTO_BOUNDS, 0), where=reading & state("idle"))

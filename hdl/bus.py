@@ -2,14 +2,17 @@
 
 from amaranth.lib import data, enum
 
-from ..model.contract.dither import DITHER_BITS_MAX, LFSR_BITS
+from ..model.contract.packet import HEADER
 from ..model.contract.parameters import Sensor, bits_for
-from ..model.contract.registers import DATA_BITS
+from ..model.contract.registers import BY_NAME, DATA_BITS, SUBGROUP_STRIDE
 
-SUBGROUP_BITS = 12
-WORD_BITS = 5  # of a word's number in a subgroup's register block
-PULSE_BITS = 16
+SUBGROUP_BITS = HEADER["subgroup"][1]
+PULSE_BITS = HEADER["pulse"][1]
+KIND_BITS = HEADER["kind"][1]
+WORD_BITS = bits_for(SUBGROUP_STRIDE // 4 - 1)  # of a word's number in a subgroup's register block
 GATE_BITS = 16
+FRAME_SETTINGS = ("format", "minigroup_records", "mg_threshold", "mg_window")
+PLAN_SETTINGS = ("period", "pulses", "gate_step", "gate_every", "gate_steps", "dither_bits", "dither_seed")
 
 
 class Operation(enum.Enum, shape=3):  # type: ignore[call-arg]  # Amaranth's enumeration, with a shape
@@ -46,9 +49,17 @@ def time_layout(sensor: Sensor) -> data.StructLayout:
 
 def frame_layout(sensor: Sensor) -> data.StructLayout:
     """Frame settings that subgroups and readout use."""
-    return data.StructLayout(
-        {"format": 2, "mg_records": 1, "mg_threshold": bits_for(sensor.minigroup_pixels), "mg_window": 3}
-    )
+    return _registers_layout(sensor, FRAME_SETTINGS)
+
+
+def plan_layout(sensor: Sensor) -> data.StructLayout:
+    """Frame settings that the sequencer uses."""
+    return _registers_layout(sensor, PLAN_SETTINGS)
+
+
+def _registers_layout(sensor: Sensor, names: tuple[str, ...]) -> data.StructLayout:
+    """Global registers, as wide as their highest legal value."""
+    return data.StructLayout({name: bits_for(BY_NAME[name].high(sensor)) for name in names})
 
 
 def settings_layout(sensor: Sensor) -> data.StructLayout:
@@ -94,19 +105,4 @@ def record_layout(sensor: Sensor) -> data.StructLayout:
     """A minigroup record."""
     return data.StructLayout(
         {"entries": data.ArrayLayout(entry_layout(sensor), sensor.minigroups), "pulse": PULSE_BITS}
-    )
-
-
-def plan_layout(sensor: Sensor) -> data.StructLayout:
-    """Frame settings that the sequencer uses."""
-    return data.StructLayout(
-        {
-            "period": sensor.coarse_bits + 1,
-            "pulses": PULSE_BITS + 1,
-            "gate_step": GATE_BITS,
-            "gate_every": GATE_BITS,
-            "gate_steps": GATE_BITS,
-            "dither_bits": bits_for(DITHER_BITS_MAX),
-            "dither_seed": LFSR_BITS,
-        }
     )

@@ -6,6 +6,8 @@ within a coincidence window, allowing us to set different thresholds in every su
 photons (bounds that the last frame's photons reach) and the loss counters are our choice.
 """
 
+from types import SimpleNamespace
+
 from amaranth.hdl import Module, Mux, Signal
 from amaranth.lib.wiring import In, Out
 
@@ -59,28 +61,39 @@ class Dpcu(Unit):
 
     def elaborate(self, platform):
         m = Module()
-        count = {name: Signal(COUNTER_BITS, name=name) for name in COUNTER_NAMES}
+        self.state = SimpleNamespace()
+        self.state.count = count = {name: Signal(COUNTER_BITS, name=name) for name in COUNTER_NAMES}
         m.d.comb += [self.counters.word_select(i, COUNTER_BITS).eq(count[name]) for i, name in enumerate(COUNTER_NAMES)]
+        self._judgement(m)
+        self._pulses(m)
+        self._counters(m)
+        self._controller(m)
+        return m
 
-        # The judgement. Coincidence off is a window of one tick and a threshold of one.
-        threshold = Signal(self.sensor.count_bits, init=1)
+    def _judgement(self, m):
+        """Windows that meet the threshold go to the FIFO. Coincidence off is a window of one tick and a threshold of one."""
+        state = self.state
+        state.threshold = threshold = Signal(self.sensor.count_bits, init=1)
         enough = Signal()
         m.d.sync += [
             self.window_ticks.eq(Mux(self.settings.coincidence, self.settings.window, 1)),
-            threshold.eq(Mux(self.settings.coincidence, count["threshold_used"], 1)),
+            threshold.eq(Mux(self.settings.coincidence, state.count["threshold_used"], 1)),
             self.commit.eq(self.closed & enough),
         ]
         m.d.comb += enough.eq(self.window.count >= threshold)
         with m.If(self.closed):
             m.d.sync += self.event.eq(self.window)
 
-        # Pulses: the strobe reaches stage 8 ten registers after it comes in.
+    def _pulses(self, m):
+        """The period's number: the strobe reaches stage 8 ten registers after it comes in."""
         coming = Signal(9)
         m.d.sync += coming.eq((coming << 1) | self.start)
         with m.If(coming[-1]):
             m.d.sync += self.pulse.eq(self.pulse + 1)
 
-        # Counters, a stage behind what they count, so that no adder hangs on the commit.
+    def _counters(self, m):
+        """Counters, a stage behind what they count, so that no adder hangs on the commit."""
+        count = self.state.count
         judged = Signal()
         judged_count = Signal.like(self.window.count)
         m.d.sync += [judged.eq(self.closed), judged_count.eq(self.window.count)]
@@ -100,9 +113,11 @@ class Dpcu(Unit):
         with m.If(judged):
             saturating_add(m, count["photons"], judged_count)
 
-        # The controller: steps = bounds that the last frame's photons reach.
-        steps = Signal(range(AUTO_BOUNDS + 1))
-        frame_before = Signal()
+    def _controller(self, m):
+        """The frame's threshold, by the bounds that the last frame's photons reach; clears what counts for a frame."""
+        state, count = self.state, self.state.count
+        state.steps = steps = Signal(range(AUTO_BOUNDS + 1))  # bounds reached
+        state.frame_before = frame_before = Signal()
         reached = Signal()
         m.d.comb += reached.eq(count["photons"] >= self.bound)
         with m.Switch(self.operation):
@@ -119,4 +134,3 @@ class Dpcu(Unit):
                     frame_before.eq(1),
                     self.pulse.eq(~0),
                 ]
-        return m

@@ -4,6 +4,8 @@ The paper (III-A) names a FIFO register that valid data is written into. Depth, 
 the overrun flag are our choice.
 """
 
+from types import SimpleNamespace
+
 from amaranth.hdl import Module, Signal
 from amaranth.lib import fifo
 from amaranth.lib.wiring import In, Out
@@ -73,6 +75,7 @@ class EventFifo(Unit):
             m.d.sync += lost.eq(0)
         with m.Elif(self.commit):
             m.d.sync += lost.eq(~room)
+        self.state = SimpleNamespace(storage=storage, level=level, lost=lost)
         return m
 
 
@@ -119,4 +122,5 @@ class RecordBuffer(Unit):
                 m.d.sync += self.record.entries[g].eq(entry & self.latched[g].replicate(len(entry)))
         with m.Elif(self.take):
             m.d.sync += waiting.eq(0)
+        self.state = SimpleNamespace(waiting=waiting)
         return m

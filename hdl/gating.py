@@ -4,6 +4,8 @@ The paper (III-A): every subgroup is "modelled to optionally operate under time-
 desired target range". Progressive gating (the shift) is our choice.
 """
 
+from types import SimpleNamespace
+
 from amaranth.hdl import Module, Mux, Signal
 from amaranth.lib.wiring import In, Out
 
@@ -65,4 +67,5 @@ class Gating(Unit):
             self.spad_gate.eq(inside | ~self.settings.gating),
             self.accept.eq(running[1] & self.spad_gate),
         ]
+        self.state = SimpleNamespace(until_now=until_now, left_now=left_now, running=running, start=start)
         return m

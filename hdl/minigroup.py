@@ -4,6 +4,8 @@ The paper (III-A): the subgroup is clustered into minigroups; every minigroup "p
 address/ID of the contributing events". The collection that latches a record, and quarters of a cycle as its unit, are our choice.
 """
 
+from types import SimpleNamespace
+
 from amaranth.hdl import C, Cat, Module, Mux, Signal
 from amaranth.lib.wiring import In, Out
 
@@ -65,46 +67,57 @@ class Minigroup(Unit):
 
     def elaborate(self, platform):
         m = Module()
-        pixels, phases = self.sensor.minigroup_pixels, self.sensor.phases
+        self.state = SimpleNamespace()
+        self._edges(m)
+        self._window(m)
+        self._record(m)
+        return m
 
-        def word(words, i):
-            return words.word_select(i, phases)
+    def _words(self, words):
+        """The edge words in `words`, one per pixel."""
+        return [words.word_select(i, self.sensor.phases) for i in range(self.sensor.minigroup_pixels)]
 
-        # Data registers move only where there is an edge: `some` says so at each stage.
+    def _edges(self, m):
+        """Stages 1 to 3: what the gate and the mask let through. Data move only where there is an edge: `some` says so at each stage."""
+        state, pixels, phases = self.state, self.sensor.minigroup_pixels, self.sensor.phases
+        state.words_2 = Signal(pixels * phases, reset_less=True)
+        state.words = Signal(pixels * phases, reset_less=True)
+        state.active = Signal(pixels, reset_less=True)
+        state.some_2 = Signal(reset_less=True)
+        state.some = Signal(reset_less=True)
         at_port = Signal(pixels * phases, reset_less=True)
         accepted = Signal(pixels * phases)
-        words_2 = Signal(pixels * phases, reset_less=True)
-        words = Signal(pixels * phases, reset_less=True)
-        active = Signal(pixels, reset_less=True)
-        active_4 = Signal(pixels, reset_less=True)
         some_1 = Signal()
-        some_2 = Signal(reset_less=True)
-        some = Signal(reset_less=True)
-        some_4 = Signal(reset_less=True)
         m.d.comb += [
-            word(accepted, i).eq(word(at_port, i) & (self.accept & self.mask[i]).replicate(phases))
-            for i in range(pixels)
+            word.eq(edges & (self.accept & self.mask[i]).replicate(phases))
+            for i, (word, edges) in enumerate(zip(self._words(accepted), self._words(at_port)))
         ]
-        m.d.comb += [
-            self.root.eq(any_of(m, [word(accepted, i) for i in range(pixels)], "root_or")),
-            some_1.eq(self.root.any()),
-        ]
-        m.d.sync += [at_port.eq(self.words), some_2.eq(some_1), some.eq(some_2), some_4.eq(some)]
+        m.d.comb += [self.root.eq(any_of(m, self._words(accepted), "root_or")), some_1.eq(self.root.any())]
+        m.d.sync += [at_port.eq(self.words), state.some_2.eq(some_1), state.some.eq(state.some_2)]
         with m.If(some_1):
-            m.d.sync += words_2.eq(accepted)
-        with m.If(some_2):
-            m.d.sync += [words.eq(words_2), active.eq(Cat(word(words_2, i).any() for i in range(pixels)))]
+            m.d.sync += state.words_2.eq(accepted)
+        with m.If(state.some_2):
+            m.d.sync += [
+                state.words.eq(state.words_2),
+                state.active.eq(Cat(word.any() for word in self._words(state.words_2))),
+            ]
+        state.together = any_of(m, self._words(state.words), "together")
 
-        together = any_of(m, [word(words, i) for i in range(pixels)], "together")
+    def _window(self, m):
+        """Stages 4 and 5: the pixels that the window counts, and the map that they make."""
+        state, pixels = self.state, self.sensor.minigroup_pixels
+        some_4 = Signal(reset_less=True)
+        active_4 = Signal(pixels, reset_less=True)
         hit = Signal(pixels, reset_less=True)
         at_first = Signal(pixels, reset_less=True)
         quarter = Signal(2, reset_less=True)
-        with m.If(some):
+        m.d.sync += some_4.eq(state.some)
+        with m.If(state.some):
             m.d.sync += [
-                hit.eq(Cat((word(words, i) & self.inside).any() for i in range(pixels))),
-                at_first.eq(Cat((word(words, i) & self.first).any() for i in range(pixels))),
-                quarter.eq(self._first_quarter(together & self.inside)),
-                active_4.eq(active),
+                hit.eq(Cat((word & self.inside).any() for word in self._words(state.words))),
+                at_first.eq(Cat((word & self.first).any() for word in self._words(state.words))),
+                quarter.eq(self._first_quarter(state.together & self.inside)),
+                active_4.eq(state.active),
             ]
         m.d.comb += self.blind.eq(some_4 & (active_4 & ~hit).any())
 
@@ -119,9 +132,6 @@ class Minigroup(Unit):
             m.d.sync += offset.eq(Cat(quarter, self.elapsed))
         m.d.comb += [self.hits.eq(hits), self.firsts.eq(firsts), self.offset.eq(offset)]
 
-        self._record(m, some, active, together)
-        return m
-
     def _first_quarter(self, word):
         """Number of the first quarter of the cycle with an edge in `word`, which has one."""
         size = self.sensor.quarter_ticks
@@ -130,17 +140,22 @@ class Minigroup(Unit):
             first = Mux(word[q * size : (q + 1) * size].any(), q, first)
         return first
 
-    def _record(self, m, some, active, together):
-        left = Signal(2)  # cycles of the collection, behind this one
-        seen = Signal(len(active), reset_less=True)
-        stamp = Signal(self.sensor.record_stamp_bits, reset_less=True)
+    def _record(self, m):
+        """Stage 3: the collection of the minigroup's own stamping circuit."""
+        state = self.state
+        some, active = state.some, state.active
+        state.left = left = Signal(2)  # cycles of the collection, behind this one
+        state.seen = seen = Signal(len(active), reset_less=True)
+        state.stamp = stamp = Signal(self.sensor.record_stamp_bits, reset_less=True)
         starts = Signal()
         runs = Signal()
         seen_next = Signal(len(active))
         left_next = Signal(2)
         added = active & some.replicate(len(active))
         m.d.comb += [
-            starts.eq(self.frame.mg_records & some & self.may_open & (self.wrap | ((left == 0) & ~self.latched))),
+            starts.eq(
+                self.frame.minigroup_records & some & self.may_open & (self.wrap | ((left == 0) & ~self.latched))
+            ),
             runs.eq(starts | (left != 0)),
             seen_next.eq(Mux(starts, added, seen | added)),
             left_next.eq(Mux(starts, self.frame.mg_window, left) - 1),
@@ -156,7 +171,7 @@ class Minigroup(Unit):
         with m.If(self.wrap):
             m.d.sync += self.latched.eq(0)
         with m.If(starts):
-            m.d.sync += stamp.eq(Cat(self._first_quarter(together), self.coarse))
+            m.d.sync += stamp.eq(Cat(self._first_quarter(state.together), self.coarse))
         with m.If(runs):
             m.d.sync += [seen.eq(seen_next), left.eq(left_next)]
             with m.If(left_next == 0):

@@ -3,10 +3,13 @@
 The word formats are the project's; the paper only says that stamps and IDs leave the subgroup.
 """
 
+from collections.abc import Callable
+from types import SimpleNamespace
+
 from amaranth.hdl import Cat, Module, Mux, Signal
 from amaranth.lib.wiring import In, Out
 
-from ..model.contract.packet import BEAT_BITS, FORMAT_NAMES, FORMATS, HEADER, OFFSET_BITS, Kind, layout
+from ..model.contract.packet import BEAT_BITS, FORMATS, HEADER, OFFSET_BITS, Kind, layout
 from ..model.contract.parameters import OFFSET_NONE, Sensor
 from ..model.contract.registers import COUNTER_BITS, COUNTER_NAMES
 from . import bus
@@ -20,6 +23,15 @@ def header(**fields):
         field = Signal(width, name=f"field_{name}")
         parts.append((field, fields.get(name, 0)))
     return Cat(field for field, _ in parts), [field.eq(value) for field, value in parts]
+
+
+def of_format(form, value: Callable[[Kind], int]):
+    """`value` of the kind of event that `form`, the format register, chooses."""
+    *others, last = FORMATS.values()
+    chosen = value(last)
+    for number, kind in reversed(list(enumerate(others))):
+        chosen = Mux(form == number, value(kind), chosen)
+    return chosen
 
 
 class Packetizer(Unit):
@@ -57,60 +69,60 @@ class Packetizer(Unit):
 
     def elaborate(self, platform):
         m = Module()
-        parts = layout(self.sensor)
-        event = self._event_beats(m)
-        record = self._record_beats(m)
-        counters = [self.counters.word_select(k, BEAT_BITS) for k in range(parts.counter_beats)]
-
-        # The packet under way: what is sent, and which beat.
-        sending = Signal()
-        send_before = Signal(bus.Send)
-        index_before = Signal(range(parts.longest + 1))
-        send = Signal(bus.Send)
-        index = Signal.like(index_before)
-        last = Signal.like(index_before)
-        active = Signal()
-        m.d.comb += [
-            active.eq(self.grant | sending),
-            send.eq(Mux(self.grant, self.send, send_before)),
-            index.eq(Mux(self.grant, 0, index_before)),
-        ]
-        lasts = [parts.length(FORMATS[name]) - 1 for name in FORMAT_NAMES]
+        self._sequence(m)
+        state = self.state
+        beats = {
+            bus.Send.EVENT: self._event_beats(m),
+            bus.Send.RECORD: self._record_beats(m),
+            bus.Send.COUNTERS: _beats(self.counters),
+        }
         chosen = Signal(BEAT_BITS)
-        with m.Switch(send):
-            for kind, beats in ((bus.Send.EVENT, event), (bus.Send.RECORD, record), (bus.Send.COUNTERS, counters)):
-                with m.Case(kind):
-                    if kind is bus.Send.EVENT:
-                        m.d.comb += last.eq(
-                            Mux(self.frame.format == 0, lasts[0], Mux(self.frame.format == 1, lasts[1], lasts[2]))
-                        )
-                    else:
-                        m.d.comb += last.eq(len(beats) - 1)
-                    with m.Switch(index):
-                        for k, beat in enumerate(beats):
-                            with m.Case(k):
-                                m.d.comb += chosen.eq(beat)
+        with m.Switch(state.send):
+            for send, of_packet in beats.items():
+                with m.Case(send), m.Switch(state.index):
+                    for k, beat in enumerate(of_packet):
+                        with m.Case(k):
+                            m.d.comb += chosen.eq(beat)
+        m.d.sync += [self.valid.eq(state.active), self.beat.eq(Mux(state.active, chosen, 0))]
+        return m
+
+    def _sequence(self, m):
+        """The packet under way: what is sent, and which beat. That a beat is the last is known a cycle before it."""
+        state = self.state = SimpleNamespace()
+        state.sending = Signal()
+        state.send_before = Signal(bus.Send)
+        state.index_before = Signal(range(layout(self.sensor).longest + 1))
+        state.at_last = Signal()
+        state.active = Signal()
+        state.send = Signal(bus.Send)
+        state.index = Signal.like(state.index_before)
         ends = Signal()
         m.d.comb += [
-            ends.eq(active & (index == last)),
-            self.take_event.eq(ends & (send == bus.Send.EVENT)),
-            self.take_record.eq(ends & (send == bus.Send.RECORD)),
+            state.active.eq(self.grant | state.sending),
+            state.send.eq(Mux(self.grant, self.send, state.send_before)),
+            state.index.eq(Mux(self.grant, 0, state.index_before)),
+            ends.eq(Mux(self.grant, self._last(self.send) == 0, state.sending & state.at_last)),
+            self.take_event.eq(ends & (state.send == bus.Send.EVENT)),
+            self.take_record.eq(ends & (state.send == bus.Send.RECORD)),
         ]
         m.d.sync += [
-            sending.eq(active & ~ends),
-            send_before.eq(send),
-            index_before.eq(index + 1),
-            self.valid.eq(active),
-            self.beat.eq(Mux(active, chosen, 0)),
+            state.sending.eq(state.active & ~ends),
+            state.send_before.eq(state.send),
+            state.index_before.eq(state.index + 1),
+            state.at_last.eq(state.index + 1 == self._last(state.send)),
         ]
-        return m
+
+    def _last(self, send):
+        """Number of a packet's last beat."""
+        parts = layout(self.sensor)
+        of_event = of_format(self.frame.format, lambda kind: parts.length(kind) - 1)
+        of_record = parts.length(Kind.RECORD) - 1
+        return Mux(send == bus.Send.EVENT, of_event, Mux(send == bus.Send.RECORD, of_record, parts.counter_beats - 1))
 
     def _event_beats(self, m):
         window = self.head.window
-        kind = Signal(3)
-        m.d.comb += kind.eq(
-            Mux(self.frame.format == 0, Kind.EVENT, Mux(self.frame.format == 1, Kind.EVENT_MAP, Kind.EVENT_FULL))
-        )
+        kind = Signal(bus.KIND_BITS)
+        m.d.comb += kind.eq(of_format(self.frame.format, int))
         beat, fields = header(
             kind=kind,
             overrun=self.head.overrun,

@@ -5,17 +5,19 @@ stored, the readout counts it and grants packets of known length, so that their 
 gaps, after a fixed time.
 """
 
+from types import SimpleNamespace
+
 from amaranth.hdl import Cat, Module, Mux, Signal
 from amaranth.lib import fifo
 from amaranth.lib.wiring import In, Out
 
 from ..model.contract import latency
-from ..model.contract.packet import BEAT_BITS, FORMAT_NAMES, FORMATS, Kind, layout
+from ..model.contract.packet import BEAT_BITS, Kind, layout
 from ..model.contract.parameters import Sensor, bits_for
 from . import bus
 from .axi import STREAM
 from .logic import any_of, up_to
-from .packetizer import header
+from .packetizer import header, of_format
 from .unit import Unit
 
 
@@ -39,6 +41,8 @@ class Readout(Unit):
     def __init__(self, sensor: Sensor, subgroups: int):
         self.sensor = sensor
         self.subgroups = subgroups
+        self.parts = layout(sensor)
+        self.depth = latency.output_depth(self.parts.longest)  # of the output buffer, in beats
         self.unit_name = f"coincid_readout_{subgroups}"
         super().__init__(
             {
@@ -59,143 +63,59 @@ class Readout(Unit):
 
     def elaborate(self, platform):
         m = Module()
-        n, parts = self.subgroups, layout(self.sensor)
-        depth = latency.output_depth(parts.longest)
-        stored = Signal(n)
-        record_stored = Signal(n)
-        frame_begin = Signal()
-        finish = Signal()
-        valid = Signal()
-        beat = Signal(BEAT_BITS)
-        # Outside a frame nothing counts: what the modules say when the sensor is reset is of the past.
-        in_frame = Signal()
-        m.d.sync += [
-            stored.eq(self.stored & in_frame.replicate(n)),
-            record_stored.eq(self.record_stored & in_frame.replicate(n)),
-            frame_begin.eq(self.frame_begin),
-            finish.eq(self.finish),
-            valid.eq(self.valid & in_frame),
-            beat.eq(self.beat),
-        ]
-
-        # What waits: events as a counter per subgroup, bit by bit side by side; a record as one bit.
-        take_event = Signal(n)
-        take_record = Signal(n)
-        some_events = self._credits(m, stored, take_event)
-        records = Signal(n)
-        m.d.sync += records.eq((records & ~take_record) | record_stored)
-
-        # Round robin: the lowest of those at or after the pointer, else the lowest of all.
-        waiting = Signal(n)
-        ahead = Signal(n)
-        at_or_after = Signal(n, init=-1)
-        from_chosen = Signal(n)  # the chosen one and all above
-        chosen = Signal(n)
-        chosen_record = Signal()
-        m.d.comb += [waiting.eq(some_events | records), ahead.eq(waiting & at_or_after)]
-        from_ahead, from_all = up_to(m, ahead, "from_ahead"), up_to(m, waiting, "from_all")
-        m.d.comb += [
-            from_chosen.eq(Mux(from_ahead[-1], from_ahead, from_all)),
-            chosen.eq(from_chosen & ~(from_chosen << 1)),
-            chosen_record.eq((chosen & records).any()),
-        ]
-
-        # A packet may begin when the one before has been granted all its beats, and the buffer has room for the longest.
-        # What a grant leaves of the room is known for each length before it is known what is granted.
-        left = Signal(range(parts.longest))
-        space = Signal(range(depth + 1), init=depth)
-        space_now = Signal.like(space)
-        left_next = Signal.like(left)
-        space_next = Signal.like(space)
-        own_kind = Signal(3)
-        free = Signal()
-        m.d.comb += [
-            free.eq((left == 0) & (space >= parts.longest)),
-            space_now.eq(space + (self.m_axis.tvalid & self.m_axis.tready)),
-            left_next.eq(left - (left != 0)),
-            space_next.eq(space_now),
-        ]
-
-        def grant(length, name):
-            after = Signal.like(space, name=f"space_after_{name}")
-            m.d.comb += after.eq(space_now - length)
-            with m.If(free):
-                m.d.comb += [left_next.eq(length - 1), space_next.eq(after)]
-
-        event_lengths = [parts.length(FORMATS[name]) for name in FORMAT_NAMES]
-        event_length = Signal(range(parts.longest + 1))
-        m.d.sync += event_length.eq(
-            Mux(
-                self.frame.format == 0,
-                event_lengths[0],
-                Mux(self.frame.format == 1, event_lengths[1], event_lengths[2]),
-            )
-        )
-        tail = Signal(n)
-        m.d.sync += [self.grant.eq(0), self.delivered.eq(0)]
-        with m.FSM() as machine:
-            with m.State("idle"):
-                m.d.sync += self.delivered.eq(1)
-                with m.If(frame_begin):
-                    m.next = "head"
-            with m.State("head"):
-                grant(1, "start")
-                m.d.comb += own_kind.eq(Mux(free, Kind.FRAME_START, 0))
-                m.d.sync += at_or_after.eq(~0)
-                with m.If(free):
-                    m.next = "events"
-            with m.State("events"):
-                with m.If(waiting.any()):
-                    with m.If(chosen_record):
-                        grant(parts.length(Kind.RECORD), "record")
-                    with m.Else():
-                        grant(event_length, "event")
-                    with m.If(free):
-                        m.d.comb += [take_record.eq(chosen & records), take_event.eq(chosen & ~records)]
-                        m.d.sync += [
-                            self.grant.eq(chosen),
-                            self.send.eq(Mux(chosen_record, bus.Send.RECORD, bus.Send.EVENT)),
-                            at_or_after.eq(from_chosen << 1),
-                        ]
-                with m.Elif(finish):
-                    grant(1, "end")
-                    m.d.comb += own_kind.eq(Mux(free, Kind.FRAME_END, 0))
-                    m.d.sync += tail.eq(1)
-                    with m.If(free):
-                        m.next = "counters"
-            with m.State("counters"):
-                grant(parts.counter_beats, "counters")
-                with m.If(free):
-                    m.d.sync += [self.grant.eq(tail), self.send.eq(bus.Send.COUNTERS), tail.eq(tail << 1)]
-                    with m.If(tail[-1]):
-                        m.next = "flush"
-            with m.State("flush"):
-                with m.If((left == 0) & (space == depth)):
-                    m.next = "idle"
-
-        m.d.comb += in_frame.eq(~machine.ongoing("idle"))
-
-        # Beats come back in the order of the grants; the readout's own take the same time.
-        own = [Signal(3, name=f"own_{k}") for k in range(latency.GRANT_TO_BEAT)]
-        m.d.sync += [later.eq(now) for now, later in zip([own_kind, *own], own)]
-        own_beat, fields = header(kind=own[-1], pulse=self.number)
-        m.d.comb += fields
-        m.submodules.buffer = buffer = fifo.SyncFIFOBuffered(width=BEAT_BITS + 1, depth=depth + 1)
-        is_own = own[-1].any()
-        to_end = Signal(range(parts.counter_beats * n + 1))  # beats after the frame end's header
-        m.d.comb += [
-            buffer.w_en.eq(valid | is_own),
-            buffer.w_data.eq(Cat(Mux(is_own, own_beat, beat), ~is_own & (to_end == 1))),
-            Cat(self.m_axis.tdata, self.m_axis.tlast).eq(buffer.r_data),
-            self.m_axis.tvalid.eq(buffer.r_rdy),
-            buffer.r_en.eq(self.m_axis.tready),
-        ]
-        with m.If(own[-1] == Kind.FRAME_END):
-            m.d.sync += to_end.eq(parts.counter_beats * n)
-        with m.Elif(valid & (to_end != 0)):
-            m.d.sync += to_end.eq(to_end - 1)
-        m.d.sync += [left.eq(left_next), space.eq(space_next)]
+        self.state = SimpleNamespace()
+        self._inputs(m)
+        self._arbiter(m)
+        self._room(m)
+        self._packets(m)
+        self._output(m)
         return m
+
+    def _inputs(self, m):
+        """Registers behind the inputs. Outside a frame nothing counts: what the modules say when the sensor is reset is of the past."""
+        state, n = self.state, self.subgroups
+        state.in_frame = Signal()
+        state.stored = Signal(n)
+        state.record_stored = Signal(n)
+        state.frame_begin = Signal()
+        state.finish = Signal()
+        state.valid = Signal()
+        state.beat = Signal(BEAT_BITS)
+        state.event_length = Signal(range(self.parts.longest + 1))
+        m.d.sync += [
+            state.stored.eq(self.stored & state.in_frame.replicate(n)),
+            state.record_stored.eq(self.record_stored & state.in_frame.replicate(n)),
+            state.frame_begin.eq(self.frame_begin),
+            state.finish.eq(self.finish),
+            state.valid.eq(self.valid & state.in_frame),
+            state.beat.eq(self.beat),
+            state.event_length.eq(of_format(self.frame.format, self.parts.length)),
+        ]
+
+    def _arbiter(self, m):
+        """Who is next: the lowest of those at or after the pointer, else the lowest of all.
+
+        What waits: events as a counter per subgroup, records as a bit.
+        """
+        state, n = self.state, self.subgroups
+        state.take_event = Signal(n)
+        state.take_record = Signal(n)
+        state.records = Signal(n)
+        state.waiting = Signal(n)
+        state.at_or_after = Signal(n, init=-1)
+        state.from_chosen = Signal(n)  # the chosen one and all above
+        state.chosen = Signal(n)
+        state.chosen_record = Signal()
+        ahead = Signal(n)
+        some_events = self._credits(m, state.stored, state.take_event)
+        m.d.sync += state.records.eq((state.records & ~state.take_record) | state.record_stored)
+        m.d.comb += [state.waiting.eq(some_events | state.records), ahead.eq(state.waiting & state.at_or_after)]
+        from_ahead, from_all = up_to(m, ahead, "from_ahead"), up_to(m, state.waiting, "from_all")
+        m.d.comb += [
+            state.from_chosen.eq(Mux(from_ahead[-1], from_ahead, from_all)),
+            state.chosen.eq(state.from_chosen & ~(state.from_chosen << 1)),
+            state.chosen_record.eq((state.chosen & state.records).any()),
+        ]
 
     def _credits(self, m, up, down):
         """Counters, one a subgroup, kept as bit planes; returns which are not 0."""
@@ -209,4 +129,108 @@ class Readout(Unit):
             carry, borrow = carry_in & plane, borrow_in & ~plane
         some = Signal(self.subgroups, name="some_events")
         m.d.comb += some.eq(any_of(m, planes, "some_of"))
+        self.state.planes = planes
         return some
+
+    def _room(self, m):
+        """When a packet may begin: the one before has been granted all its beats, and the buffer has room for the longest."""
+        state, longest = self.state, self.parts.longest
+        state.left = Signal(range(longest))  # beats that are still to be granted
+        state.space = Signal(range(self.depth + 1), init=self.depth)
+        state.free = Signal()
+        state.space_now = Signal.like(state.space)
+        state.left_next = Signal.like(state.left)
+        state.space_next = Signal.like(state.space)
+        m.d.comb += [
+            state.free.eq((state.left == 0) & (state.space >= longest)),
+            state.space_now.eq(state.space + (self.m_axis.tvalid & self.m_axis.tready)),
+            state.left_next.eq(state.left - (state.left != 0)),
+            state.space_next.eq(state.space_now),
+        ]
+        m.d.sync += [state.left.eq(state.left_next), state.space.eq(state.space_next)]
+
+    def _book(self, m, length, name):
+        """Books room for a packet that may begin. What it leaves is known for each length before it is known which one is granted."""
+        state = self.state
+        after = Signal.like(state.space, name=f"space_after_{name}")
+        m.d.comb += after.eq(state.space_now - length)
+        with m.If(state.free):
+            m.d.comb += [state.left_next.eq(length - 1), state.space_next.eq(after)]
+
+    def _packets(self, m):
+        """A frame's packets in their order: the start, events and records, the end, and the counters of every subgroup."""
+        state = self.state
+        state.own_kind = Signal(bus.KIND_BITS)  # of a packet of the readout's own that is granted
+        state.tail = Signal(self.subgroups)  # one-hot: whose counters are next
+        m.d.sync += [self.grant.eq(0), self.delivered.eq(0)]
+        with m.FSM() as state.machine:
+            with m.State("idle"):
+                m.d.sync += self.delivered.eq(1)
+                with m.If(state.frame_begin):
+                    m.next = "head"
+            with m.State("head"):
+                self._book(m, 1, "start")
+                m.d.sync += state.at_or_after.eq(~0)
+                with m.If(state.free):
+                    m.d.comb += state.own_kind.eq(Kind.FRAME_START)
+                    m.next = "events"
+            with m.State("events"):
+                with m.If(state.waiting.any()):
+                    self._grant_chosen(m)
+                with m.Elif(state.finish):
+                    self._book(m, 1, "end")
+                    m.d.sync += state.tail.eq(1)
+                    with m.If(state.free):
+                        m.d.comb += state.own_kind.eq(Kind.FRAME_END)
+                        m.next = "counters"
+            with m.State("counters"):
+                self._book(m, self.parts.counter_beats, "counters")
+                with m.If(state.free):
+                    m.d.sync += [self.grant.eq(state.tail), self.send.eq(bus.Send.COUNTERS)]
+                    m.d.sync += state.tail.eq(state.tail << 1)
+                    with m.If(state.tail[-1]):
+                        m.next = "flush"
+            with m.State("flush"):
+                with m.If((state.left == 0) & (state.space == self.depth)):
+                    m.next = "idle"
+        m.d.comb += state.in_frame.eq(~state.machine.ongoing("idle"))
+
+    def _grant_chosen(self, m):
+        """Grants the chosen subgroup's record or event, and moves the pointer behind it."""
+        state = self.state
+        with m.If(state.chosen_record):
+            self._book(m, self.parts.length(Kind.RECORD), "record")
+        with m.Else():
+            self._book(m, state.event_length, "event")
+        with m.If(state.free):
+            m.d.comb += [
+                state.take_record.eq(state.chosen & state.records),
+                state.take_event.eq(state.chosen & ~state.records),
+            ]
+            m.d.sync += [
+                self.grant.eq(state.chosen),
+                self.send.eq(Mux(state.chosen_record, bus.Send.RECORD, bus.Send.EVENT)),
+                state.at_or_after.eq(state.from_chosen << 1),
+            ]
+
+    def _output(self, m):
+        """The stream's buffer. Beats come back in the order of the grants; the readout's own take the same time."""
+        state, counter_beats = self.state, self.parts.counter_beats
+        state.own = own = [Signal(bus.KIND_BITS, name=f"own_{k}") for k in range(latency.GRANT_TO_BEAT)]
+        m.d.sync += [later.eq(now) for now, later in zip([state.own_kind, *own], own)]
+        own_beat, fields = header(kind=own[-1], pulse=self.number)
+        m.d.comb += fields
+        is_own = own[-1].any()
+        to_end = Signal(range(counter_beats * self.subgroups + 1))  # beats after the frame end's header
+        with m.If(own[-1] == Kind.FRAME_END):
+            m.d.sync += to_end.eq(counter_beats * self.subgroups)
+        with m.Elif(state.valid & (to_end != 0)):
+            m.d.sync += to_end.eq(to_end - 1)
+        m.submodules.buffer = state.buffer = fifo.SyncFIFOBuffered(width=BEAT_BITS + 1, depth=self.depth + 1)
+        m.d.comb += [
+            state.buffer.w_en.eq(state.valid | is_own),
+            state.buffer.w_data.eq(Cat(Mux(is_own, own_beat, state.beat), ~is_own & (to_end == 1))),
+            Cat(self.m_axis.tdata, self.m_axis.tlast).eq(state.buffer.r_data),
+            self.m_axis.tvalid.eq(state.buffer.r_rdy),
+            state.buffer.r_en.eq(self.m_axis.tready),
+        ]

@@ -3,6 +3,8 @@
 The paper gives the laser's repetition rate and the laser pulses of a frame; the sequencing is our choice.
 """
 
+from types import SimpleNamespace
+
 from amaranth.hdl import Module, Mux, Signal
 from amaranth.lib.wiring import In, Out
 
@@ -53,64 +55,121 @@ class Sequencer(Unit):
 
     def elaborate(self, platform):
         m = Module()
-        settings = self.plan
-        coarse_bits = self.sensor.coarse_bits
-        running = Signal()
-        first = Signal()
-        wrap = Signal()
-        cycle = Signal(coarse_bits + 1)
-        pulse = Signal(bus.PULSE_BITS + 1)
+        self.state = SimpleNamespace()
+        self._periods(m)
+        self._dither(m)
+        self._shift(m)
+        self._timing(m)
+        self._end(m)
+        return m
+
+    def _periods(self, m):
+        """Cycles of a period, and periods of the frame."""
+        state, settings, coarse_bits = self.state, self.plan, self.sensor.coarse_bits
+        state.running = running = Signal()
+        state.waiting = Signal()  # dither: between two periods
+        state.ends = ends = Signal()
+        state.first = Signal()
+        state.wrap = Signal()
+        state.cycle = cycle = Signal(coarse_bits + 1)
+        state.pulse = pulse = Signal(bus.PULSE_BITS + 1)
+        state.start = Signal(2)  # waits a cycle for the registers below
+        state.aborted = Signal()
+        state.restart = state.start[-1]
         last_cycle = Signal.like(cycle)
         last_pulse = Signal.like(pulse)
-        last_open = Signal.like(cycle)
         m.d.sync += [
             last_cycle.eq(settings.period - 1),
             last_pulse.eq(settings.pulses - 1),
-            last_open.eq(settings.period - self.sensor.guard),
+            state.start.eq((state.start << 1) | self.start_frame),
+            cycle.eq(Mux(ends | state.waiting, 0, cycle + 1)),
+            state.wrap.eq(ends),
+            state.first.eq(state.restart),
         ]
-        start, aborted = Signal(2), Signal()  # the start waits a cycle for the registers above
-        m.d.sync += start.eq((start << 1) | self.start_frame)
+        m.d.comb += ends.eq(running & ~state.waiting & (cycle == last_cycle))
         with m.If(self.abort_frame & running):
-            m.d.sync += aborted.eq(1)
-
-        ends = Signal()
-        waiting = Signal()
-        m.d.comb += ends.eq(running & ~waiting & (cycle == last_cycle))
-        m.d.sync += [cycle.eq(Mux(ends | waiting, 0, cycle + 1)), wrap.eq(ends), first.eq(0)]
-        m.d.comb += waiting.eq(self._wait(m, start[-1], ends, running) != 0)
+            m.d.sync += state.aborted.eq(1)
         with m.If(ends):
             m.d.sync += pulse.eq(pulse + 1)
-            with m.If(aborted | self.abort_frame | (pulse == last_pulse)):
+            with m.If(state.aborted | self.abort_frame | (pulse == last_pulse)):
                 m.d.sync += running.eq(0)
-        with m.If(start[-1]):
-            m.d.sync += [running.eq(1), cycle.eq(0), pulse.eq(0), aborted.eq(0), first.eq(1)]
+        with m.If(state.restart):
+            m.d.sync += [running.eq(1), cycle.eq(0), pulse.eq(0), state.aborted.eq(0)]
 
+    def _dither(self, m):
+        """Cycles that the next period still waits. An LFSR steps in every cycle of the periods."""
+        state = self.state
+        state.lfsr = lfsr = Signal(LFSR_BITS)
+        state.mask = Signal(DITHER_BITS_MAX)
+        state.left = left = Signal(DITHER_BITS_MAX)
+        following = Signal(LFSR_BITS)
+        m.d.comb += [following.eq((lfsr >> 1) ^ Mux(lfsr[0], LFSR_TAPS, 0)), state.waiting.eq(left != 0)]
+        m.d.sync += state.mask.eq((1 << self.plan.dither_bits) - 1)
+        with m.If(state.waiting):
+            m.d.sync += left.eq(left - 1)
+        with m.Elif(state.running):
+            m.d.sync += lfsr.eq(following)
+            with m.If(state.ends):
+                m.d.sync += left.eq(following & state.mask)
+        with m.If(state.restart):
+            m.d.sync += [lfsr.eq(self.plan.dither_seed), left.eq(0)]
+
+    def _shift(self, m):
+        """Progressive gating: the gate's shift in this period, saturated where no gate can open any more."""
+        state, settings, coarse_bits = self.state, self.plan, self.sensor.coarse_bits
+        state.shift = shift = Signal(coarse_bits + 1)
+        state.pulses = pulses = Signal(bus.GATE_BITS)
+        state.steps = steps = Signal(bus.GATE_BITS)
+        beyond = 1 << coarse_bits
+        more = Signal(bus.GATE_BITS + 1)
+        step = Signal()
+        m.d.comb += [
+            more.eq(shift + settings.gate_step),
+            step.eq((settings.gate_every != 0) & (pulses == settings.gate_every - 1)),
+        ]
+        with m.If(state.ends):
+            m.d.sync += pulses.eq(Mux(step, 0, pulses + 1))
+            with m.If(step):
+                with m.If(steps == settings.gate_steps - 1):
+                    m.d.sync += [steps.eq(0), shift.eq(0)]
+                with m.Else():
+                    m.d.sync += [steps.eq(steps + 1), shift.eq(Mux(more >= beyond, beyond, more))]
+        with m.If(state.restart):
+            m.d.sync += [shift.eq(0), pulses.eq(0), steps.eq(0)]
+
+    def _timing(self, m):
+        """What the subgroups hear of the cycle, and the laser and the frame's beginning, which go with the ports."""
+        state = self.state
         in_period = Signal()
-        m.d.comb += in_period.eq(running & ~waiting)
-        shift = self._shift(m, start[-1], ends)
+        last_open = Signal.like(state.cycle)
+        m.d.comb += in_period.eq(state.running & ~state.waiting)
         m.d.sync += [
+            last_open.eq(self.plan.period - self.sensor.guard),
             self.timing.running.eq(in_period),
-            self.timing.start.eq(in_period & (cycle == 0)),
-            self.timing.wrap.eq(wrap),
-            self.timing.may_open.eq(in_period & (cycle < last_open)),
-            self.timing.shift.eq(shift),
+            self.timing.start.eq(in_period & (state.cycle == 0)),
+            self.timing.wrap.eq(state.wrap),
+            self.timing.may_open.eq(in_period & (state.cycle < last_open)),
+            self.timing.shift.eq(state.shift),
         ]
         laser = Signal(LEAD - 1)
         m.d.sync += [laser.eq((laser << 1) | self.timing.start), self.laser.eq(laser[-1])]
-
         # `first` stands a cycle before `time` shows cycle 0, so LEAD + 1 cycles before the ports do.
         until_begin = Signal(LEAD + latency.FRAME_START - HEAD_TO_GRANT)
-        m.d.sync += [until_begin.eq((until_begin << 1) | first), self.frame_begin.eq(until_begin[-1])]
+        m.d.sync += [until_begin.eq((until_begin << 1) | state.first), self.frame_begin.eq(until_begin[-1])]
+
+    def _end(self, m):
+        """The frame's end: nothing more will be stored, all has been delivered, done."""
+        state = self.state
         # `wrap` after the last period stands LEAD + 1 cycles before the first cycle after it.
-        to_finish = LEAD + 1 + latency.FINISH - END_TO_GRANT
-        draining = Signal()
-        drained = Signal(range(to_finish + 1))
-        with m.If(draining & (drained != to_finish)):
-            m.d.sync += [drained.eq(drained + 1), self.finish.eq(drained == to_finish - 1)]
-        with m.If(wrap & ~running):
-            m.d.sync += [draining.eq(1), drained.eq(1)]
+        state.to_finish = LEAD + 1 + latency.FINISH - END_TO_GRANT
+        state.draining = draining = Signal()
+        state.drained = drained = Signal(range(state.to_finish + 1))
         delivered = Signal()
         m.d.sync += [delivered.eq(self.delivered), self.done.eq(0)]
+        with m.If(draining & (drained != state.to_finish)):
+            m.d.sync += [drained.eq(drained + 1), self.finish.eq(drained == state.to_finish - 1)]
+        with m.If(state.wrap & ~state.running):
+            m.d.sync += [draining.eq(1), drained.eq(1)]
         with m.If(self.finish & delivered):
             m.d.sync += [
                 self.finish.eq(0),
@@ -119,44 +178,3 @@ class Sequencer(Unit):
                 self.done.eq(1),
                 self.number.eq(self.number + 1),
             ]
-        return m
-
-    def _wait(self, m, restart, ends, running):
-        """Dither: cycles that the next period still waits. Steps an LFSR in every cycle of the periods."""
-        lfsr = Signal(LFSR_BITS)
-        following = Signal(LFSR_BITS)
-        mask = Signal(DITHER_BITS_MAX)
-        left = Signal(DITHER_BITS_MAX)
-        m.d.comb += following.eq((lfsr >> 1) ^ Mux(lfsr[0], LFSR_TAPS, 0))
-        m.d.sync += mask.eq((1 << self.plan.dither_bits) - 1)
-        with m.If(left != 0):
-            m.d.sync += left.eq(left - 1)
-        with m.Elif(running):
-            m.d.sync += lfsr.eq(following)
-            with m.If(ends):
-                m.d.sync += left.eq(following & mask)
-        with m.If(restart):
-            m.d.sync += [lfsr.eq(self.plan.dither_seed), left.eq(0)]
-        return left
-
-    def _shift(self, m, restart, ends):
-        """Progressive gating: the gate's shift in this period, saturated where no gate can open any more."""
-        settings, coarse_bits = self.plan, self.sensor.coarse_bits
-        shift = Signal(coarse_bits + 1)
-        pulses = Signal(bus.GATE_BITS)
-        steps = Signal(bus.GATE_BITS)
-        beyond = 1 << coarse_bits
-        more = Signal(bus.GATE_BITS + 1)
-        m.d.comb += more.eq(shift + settings.gate_step)
-        step = Signal()
-        m.d.comb += step.eq((settings.gate_every != 0) & (pulses == settings.gate_every - 1))
-        with m.If(ends):
-            m.d.sync += pulses.eq(Mux(step, 0, pulses + 1))
-            with m.If(step):
-                with m.If(steps == settings.gate_steps - 1):
-                    m.d.sync += [steps.eq(0), shift.eq(0)]
-                with m.Else():
-                    m.d.sync += [steps.eq(steps + 1), shift.eq(Mux(more >= beyond, beyond, more))]
-        with m.If(restart):
-            m.d.sync += [shift.eq(0), pulses.eq(0), steps.eq(0)]
-        return shift

@@ -1,5 +1,7 @@
 """Settings of a subgroup: its block of the register map, programmed and in force."""
 
+from types import SimpleNamespace
+
 from amaranth.hdl import Module, Mux, Signal
 from amaranth.lib.wiring import In, Out
 
@@ -63,6 +65,7 @@ class SubgroupSettings(Unit):
                 field = self.counters.word_select(COUNTER_NAMES.index(register.name), COUNTER_BITS)
             with m.If(word == offset // 4):
                 m.d.sync += self.data.eq(field)
+        self.state = SimpleNamespace(programmed=programmed, word=word)
         return m
 
     def _field(self, settings, register, index):

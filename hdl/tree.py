@@ -6,6 +6,8 @@ the successive detection". Window arithmetic, the lowest index as winner, and th
 choice.
 """
 
+from types import SimpleNamespace
+
 from amaranth.hdl import C, Cat, Module, Mux, Signal
 from amaranth.lib.wiring import In, Out
 
@@ -59,100 +61,129 @@ class CoincidenceTree(Unit):
 
     def elaborate(self, platform):
         m = Module()
-        sensor, phases = self.sensor, self.sensor.phases
-        leaves = [place(m, f"minigroup_{g}", Minigroup(sensor), platform) for g in range(sensor.minigroups)]
-
+        sensor = self.sensor
+        self.state = SimpleNamespace()
+        self.state.leaves = [place(m, f"minigroup_{g}", Minigroup(sensor), platform) for g in range(sensor.minigroups)]
         # Root: sampled by the TDC line at stage 2.
-        m.d.sync += self.line.root.eq(any_of(m, [leaf.root for leaf in leaves], "root_or"))
+        m.d.sync += self.line.root.eq(any_of(m, [leaf.root for leaf in self.state.leaves], "root_or"))
+        self._strobes(m)
+        self._window(m)
+        self._opened(m)
+        self._leaves(m)
+        self._closed(m)
+        return m
 
-        # Timing strobes brought to stage 3 (they come two cycles ahead of the ports, one register here makes it one).
-        may_open = Signal(5)
-        wrap = Signal(5)
-        m.d.sync += [may_open.eq((may_open << 1) | self.timing.may_open), wrap.eq((wrap << 1) | self.timing.wrap)]
+    def _strobes(self, m):
+        """Timing strobes brought to stage 3: they come two cycles ahead of the ports, one register here makes it one."""
+        state = self.state
+        state.may_open = Signal(5)
+        state.wrap = Signal(5)
+        m.d.sync += [
+            state.may_open.eq((state.may_open << 1) | self.timing.may_open),
+            state.wrap.eq((state.wrap << 1) | self.timing.wrap),
+        ]
+        m.d.comb += self.record_due.eq(state.wrap[-1])
 
-        # Stage 3: the window. The loop at clock speed is only (open, left, rearm).
-        window_open = Signal()
-        left = Signal(range(sensor.window_max + phases))
-        rearm = Signal(range(sensor.rearm + 1))
-        opening = Signal()
-        closing = Signal()
-        end = Signal(range(sensor.window_max + phases))
-        inside = Signal(phases)
-        first = Signal(phases)
+    def _window(self, m):
+        """Stage 3: the window. The loop at clock speed is only (open, left, rearm)."""
+        state, phases = self.state, self.sensor.phases
+        state.window_open = window_open = Signal()
+        state.left = left = Signal(
+            range(self.sensor.window_max + phases)
+        )  # ticks of the window from this cycle's start
+        state.rearm = rearm = Signal(range(self.sensor.rearm + 1))
+        state.opening = opening = Signal()
+        state.closing = closing = Signal()
+        end = Signal.like(left)
         m.d.comb += [
-            opening.eq(~window_open & (rearm == 0) & may_open[-1] & self.line.any),
+            opening.eq(~window_open & (rearm == 0) & state.may_open[-1] & self.line.any),
             end.eq(Mux(window_open, left, self.line.phase + self.window_ticks)),
             closing.eq((opening | window_open) & (end <= phases)),
-            first.eq(self.line.up_to & ~(self.line.up_to << 1)),
         ]
-        below_end = Signal(phases)  # phases before the open window's end
-        m.d.comb += below_end.eq(Mux(left >= phases, ~0, (C(1, phases + 1) << left[: bits_for(phases - 1)]) - 1))
-        after = Signal(phases)  # phases from the end of a window that opens now
-        m.d.comb += after.eq(
-            Mux(self.window_ticks >= phases, 0, self.line.up_to << self.window_ticks[: bits_for(phases - 1)])
-        )
-        m.d.comb += inside.eq(Mux(window_open, below_end, ~after & opening.replicate(phases)))
         with m.If(opening | window_open):
             m.d.sync += [left.eq(end - phases), window_open.eq(~closing)]
         with m.If(closing):
-            m.d.sync += rearm.eq(sensor.rearm)
+            m.d.sync += rearm.eq(self.sensor.rearm)
         with m.Elif(rearm != 0):
             m.d.sync += rearm.eq(rearm - 1)
+        self._covered(m, phases)
 
-        # Stage 4 and 5: the leaves find their hits and collect the map; the stamp of the opening edge stays beside it.
-        opening_4 = Signal()
-        closing_4 = Signal()
-        closed = Signal()
-        elapsed = Signal.like(leaves[0].elapsed)
-        stamp_4 = Signal(sensor.stamp_bits)
-        stamp = Signal(sensor.stamp_bits)
-        m.d.sync += [
-            opening_4.eq(opening),
-            closing_4.eq(closing),
-            closed.eq(closing_4),
-            elapsed.eq(Mux(opening, 0, elapsed + 1)),
-            self.blind.eq(any_of(m, [leaf.blind for leaf in leaves], "blind_or")),
+    def _covered(self, m, phases):
+        """Stage 3: which phases of the cycle the window covers, and which is the first with an edge."""
+        state = self.state
+        state.inside = Signal(phases)
+        state.first = Signal(phases)
+        below_end = Signal(phases)  # phases before the open window's end
+        after = Signal(phases)  # phases from the end of a window that opens now
+        in_cycle = bits_for(phases - 1)
+        m.d.comb += [
+            state.first.eq(self.line.up_to & ~(self.line.up_to << 1)),
+            below_end.eq(Mux(state.left >= phases, ~0, (C(1, phases + 1) << state.left[:in_cycle]) - 1)),
+            after.eq(Mux(self.window_ticks >= phases, 0, self.line.up_to << self.window_ticks[:in_cycle])),
+            state.inside.eq(Mux(state.window_open, below_end, ~after & state.opening.replicate(phases))),
         ]
-        with m.If(opening):
-            m.d.sync += stamp_4.eq(Cat(self.line.phase, self.line.coarse))
-        with m.If(opening_4):
-            m.d.sync += stamp.eq(stamp_4)
-        hits = Signal(sensor.pixels)
-        firsts = Signal(sensor.pixels)
-        for g, leaf in enumerate(leaves):
-            members = sensor.members(g)
+
+    def _opened(self, m):
+        """Stages 4 and 5: the stamp of the opening edge, and the cycles since; the leaves find their hits and collect the map beside it."""
+        state = self.state
+        state.opening_4 = Signal()
+        state.closed = Signal()
+        state.elapsed = Signal.like(state.leaves[0].elapsed)
+        state.stamp_4 = Signal(self.sensor.stamp_bits)
+        state.stamp = Signal(self.sensor.stamp_bits)
+        closing_4 = Signal()
+        m.d.sync += [
+            state.opening_4.eq(state.opening),
+            closing_4.eq(state.closing),
+            state.closed.eq(closing_4),
+            state.elapsed.eq(Mux(state.opening, 0, state.elapsed + 1)),
+        ]
+        with m.If(state.opening):
+            m.d.sync += state.stamp_4.eq(Cat(self.line.phase, self.line.coarse))
+        with m.If(state.opening_4):
+            m.d.sync += state.stamp.eq(state.stamp_4)
+
+    def _leaves(self, m):
+        """What goes to the minigroups, and what they say."""
+        state, phases = self.state, self.sensor.phases
+        state.hits = Signal(self.sensor.pixels)
+        state.firsts = Signal(self.sensor.pixels)
+        for g, leaf in enumerate(state.leaves):
+            members = self.sensor.members(g)
             m.d.comb += [
                 leaf.words.eq(Cat(self.words.word_select(i, phases) for i in members)),
                 leaf.mask.eq(Cat(self.mask[i] for i in members)),
                 leaf.accept.eq(self.accept),
-                leaf.inside.eq(inside),
-                leaf.first.eq(first),
-                leaf.opening.eq(opening_4),
-                leaf.elapsed.eq(elapsed),
+                leaf.inside.eq(state.inside),
+                leaf.first.eq(state.first),
+                leaf.opening.eq(state.opening_4),
+                leaf.elapsed.eq(state.elapsed),
                 leaf.frame.eq(self.frame),
-                leaf.may_open.eq(may_open[-1]),
-                leaf.wrap.eq(wrap[-1]),
+                leaf.may_open.eq(state.may_open[-1]),
+                leaf.wrap.eq(state.wrap[-1]),
                 leaf.coarse.eq(self.line.coarse),
                 self.latched[g].eq(leaf.latched),
                 self.entries[g].eq(leaf.entry),
+                *(state.hits[i].eq(leaf.hits[j]) for j, i in enumerate(members)),
+                *(state.firsts[i].eq(leaf.firsts[j]) for j, i in enumerate(members)),
             ]
-            m.d.comb += [hits[i].eq(leaf.hits[j]) for j, i in enumerate(members)]
-            m.d.comb += [firsts[i].eq(leaf.firsts[j]) for j, i in enumerate(members)]
-        m.d.comb += self.record_due.eq(wrap[-1])
+        m.d.sync += self.blind.eq(any_of(m, [leaf.blind for leaf in state.leaves], "blind_or"))
 
-        # Stage 6 and 7: winner and count, in two steps of equal depth.
+    def _closed(self, m):
+        """Stages 6 and 7: winner and count of a closed window, in two steps of equal depth."""
+        state, pixels = self.state, self.sensor.pixels
         closed_6 = Signal()
-        half = Signal(bus.window_layout(sensor))
-        chunk = 1 << (bits_for(sensor.pixels - 1) + 1) // 2
-        chunks = [hits[at : at + chunk] for at in range(0, sensor.pixels, chunk)]
+        half = Signal(bus.window_layout(self.sensor))
+        chunk = 1 << (bits_for(pixels - 1) + 1) // 2
+        chunks = [state.hits[at : at + chunk] for at in range(0, pixels, chunk)]
         counts = [Signal(range(len(part) + 1), name=f"count_{k}") for k, part in enumerate(chunks)]
-        m.d.sync += [closed_6.eq(closed), self.closed.eq(closed_6)]
-        with m.If(closed):
+        m.d.sync += [closed_6.eq(state.closed), self.closed.eq(closed_6)]
+        with m.If(state.closed):
             m.d.sync += [
-                half.stamp.eq(stamp),
-                half.hits.eq(hits),
-                half.winner.eq(encode(m, lowest(m, firsts, "lowest"), "winner")),
-                *(half.offsets[g].eq(leaf.offset) for g, leaf in enumerate(leaves)),
+                half.stamp.eq(state.stamp),
+                half.hits.eq(state.hits),
+                half.winner.eq(encode(m, lowest(m, state.firsts, "lowest"), "winner")),
+                *(half.offsets[g].eq(leaf.offset) for g, leaf in enumerate(state.leaves)),
                 *(count.eq(popcount(m, part, f"ones_{k}")) for k, (count, part) in enumerate(zip(counts, chunks))),
             ]
         with m.If(closed_6):
@@ -163,4 +194,3 @@ class CoincidenceTree(Unit):
                 self.window.offsets.eq(half.offsets),
                 self.window.count.eq(total(m, counts, "count_sum")),
             ]
-        return m

@@ -1,13 +1,19 @@
 """Blocks that are emitted once and instantiated: the hierarchy of the Verilog is the hierarchy of the sensor."""
 
+from types import SimpleNamespace
+
 from amaranth.hdl import ClockSignal, Instance, Module, ResetInserter, ResetSignal, Signal
 from amaranth.lib import wiring
 
 
 class Unit(wiring.Component):
-    """A block with a stable Verilog name. `unit_name` differs where parameters beyond the sensor's differ."""
+    """A block with a stable Verilog name. `unit_name` differs where parameters beyond the sensor's differ.
+
+    state: registers and what else is inside, by name, for those who state something about them; `elaborate` makes it.
+    """
 
     unit_name: str
+    state: SimpleNamespace | None = None
     clocked = True  # has the ports clk and rst
     _MustUse__silence = True  # an instance may stand for the unit, which Amaranth would report as forgotten
 

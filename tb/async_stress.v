@@ -79,7 +79,7 @@ module async_stress;
       window_ticks <= $urandom(seed) % 3 == 0 ? 1 + $urandom(seed) % WINDOW_MAX : 1 + $urandom(seed) % PHASES;
       light <= $urandom(seed);
       for (k = 0; k < PIXELS; k = k + 1) mask[k] <= $urandom(seed) % 8 != 0;
-      mg_records <= 1;
+      minigroup_records <= 1;
       mg_threshold <= 1;
       mg_window <= 1 + $urandom(seed) % 4;
       if ($urandom(seed) % 8 == 0) begin

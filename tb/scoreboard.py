@@ -125,6 +125,6 @@ class Scoreboard:
             got, want = (value >> shift & ((1 << COUNTER_BITS) - 1) for value in (data, expected))
             differing = f"counter {name} of subgroup {subgroup} is {got}, golden model {want}"
         else:
-            part = "entries" if kind == Kind.RECORD else "map" if offset <= parts.map_beats else "offsets"
+            part = "entries" if kind == Kind.RECORD else "map" if offset <= parts.hits_beats else "offsets"
             differing = f"{part} is {data:#0{BEAT_BITS // 4 + 2}x}, golden model {expected:#0{BEAT_BITS // 4 + 2}x}"
         raise Mismatch(f"{where}: {differing}")

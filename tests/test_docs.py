@@ -56,7 +56,7 @@ def test_waveform_picture_shows_the_stages():
     assert first("tvalid", opens) == sent
     fields = {name: header_field(values["tdata"][sent], name) for name in HEADER}
     assert fields == {
-        "kind": Kind.EVENT_MAP,
+        "kind": Kind.EVENT_ID,
         "overrun": 0,
         "subgroup": 0,
         "pulse": 0,

@@ -5,6 +5,8 @@ it has come to rest, by one flop a fact, and only those flops decide. So all tha
 a border has left. Structure and timing are our choice; docs/async.md draws them.
 """
 
+from types import SimpleNamespace
+
 from amaranth.hdl import ClockDomain, ClockSignal, Module, Mux, ResetSignal, Signal
 from amaranth.lib.wiring import In, Out
 
@@ -50,19 +52,17 @@ class AsyncControl(Unit):
             | {f"{name}_{b}": member for b in range(self.banks) for name, member in per_bank.items()}
         )
 
+    def of_current(self, name):
+        """The port `name` of the bank whose window is in force."""
+        banks = [getattr(self, f"{name}_{b}") for b in range(self.banks)]
+        return Mux(self.current, *reversed(banks)) if self.banks == 2 else banks[0]
+
     def elaborate(self, platform):
         m = Module()
         rearm, two = self.sensor.rearm, self.banks == 2
         m.domains.fall = fall = ClockDomain("fall", clk_edge="neg", local=True)
         m.d.comb += [fall.clk.eq(ClockSignal()), fall.rst.eq(ResetSignal())]
         m.d.sync += self.parity.eq(~self.parity)
-
-        def of_current(name):
-            return (
-                Mux(self.current, getattr(self, f"{name}_1"), getattr(self, f"{name}_0"))
-                if two
-                else getattr(self, f"{name}_0")
-            )
 
         # Mid-cycle: the cycle before has come to rest.
         before = Signal()
@@ -71,8 +71,8 @@ class AsyncControl(Unit):
         hold = Signal(range(rearm + 1))
         m.d.comb += [
             before.eq(~self.parity),
-            opening.eq(Mux(before, *reversed(of_current("opened"))) & ~window_open & ~read),
-            closing.eq((opening | window_open) & of_current("ended") & (of_current("parity") == before)),
+            opening.eq(Mux(before, *reversed(self.of_current("opened"))) & ~window_open & ~read),
+            closing.eq((opening | window_open) & self.of_current("ended") & (self.of_current("parity") == before)),
         ]
         m.d.fall += [
             window_open.eq((opening | window_open) & ~closing),
@@ -97,4 +97,5 @@ class AsyncControl(Unit):
             for q in range(2):
                 with m.If(self.parity != q):
                     m.d.sync += getattr(self, f"armed_{b}")[q].eq(self.may_open & now)
+        self.state = SimpleNamespace(window_open=window_open, read=read, closing=closing, hold=hold)
         return m

@@ -4,6 +4,8 @@ It stands where `CoincidenceTree` does and gives the same, in the same cycles. T
 no circuit; flops, banks and synchronisers are our choice, explained in docs/async.md.
 """
 
+from types import SimpleNamespace
+
 from amaranth.hdl import Cat, ClockDomain, ClockSignal, Const, Instance, Module, Mux, ResetSignal, Signal
 from amaranth.lib.wiring import In, Out
 
@@ -171,11 +173,12 @@ class AsyncFrontEnd(Unit):
             flag = name in ("opening", "closing")
             first, stage_3[name] = (Signal(len(value), name=f"{name}_{n}", reset_less=not flag) for n in (2, 3))
             m.d.sync += [first.eq(value), stage_3[name].eq(first)]
-        self._collect(m, platform, stage_3, may_open[-1], wrap[-1])
+        self.state = self._collect(m, platform, stage_3, may_open[-1], wrap[-1])
+        self.state.control = control
         return m
 
     def _collect(self, m, platform, at, may_open, wrap):
-        """From what a cycle has brought (`at`, stage 3) to windows and records, at the clock."""
+        """From what a cycle has brought (`at`, stage 3) to windows and records, at the clock. Returns its state."""
         sensor, line = self.sensor, self.line
         window_open, inside = Signal(), Signal()
         hit = Signal(sensor.pixels)
@@ -250,6 +253,19 @@ class AsyncFrontEnd(Unit):
                 self.window.offsets.eq(half.offsets),
                 self.window.count.eq(total(m, counts, "count_sum")),
             ]
+        return SimpleNamespace(
+            window_open=window_open,
+            inside=inside,
+            opening_4=opening_4,
+            closing_4=closing_4,
+            closed=closed,
+            closed_6=closed_6,
+            elapsed=elapsed,
+            winner=winner,
+            hits=hits,
+            counts=counts,
+            half=half,
+        )
 
     def _winner(self, m, later_first):
         """Index of the pixel that came first, by the nodes of the arbiter tree."""

@@ -20,15 +20,15 @@ OFFSET_BITS = 8
 class Kind(enum.IntEnum):
     """Type of a packet."""
 
-    EVENT = 1
-    EVENT_MAP = 2
+    EVENT_SHORT = 1
+    EVENT_ID = 2
     EVENT_FULL = 3
     RECORD = 4
     FRAME_START = 6
     FRAME_END = 7
 
 
-FORMATS = {"short": Kind.EVENT, "id": Kind.EVENT_MAP, "full": Kind.EVENT_FULL}
+FORMATS = {"short": Kind.EVENT_SHORT, "id": Kind.EVENT_ID, "full": Kind.EVENT_FULL}
 FORMAT_NAMES = tuple(FORMATS)  # in the order of the format register's values
 
 HEADER = {  # field: (lowest bit, width); unused fields are 0
@@ -51,7 +51,7 @@ def beats_for(bits: int) -> int:
 class Layout:
     """Beats of the parts of a packet for one sensor."""
 
-    map_beats: int
+    hits_beats: int
     offset_beats: int
     record_beats: int
     counter_beats: int
@@ -59,16 +59,16 @@ class Layout:
     @property
     def longest(self) -> int:
         """Beats of the longest packet that a subgroup sends."""
-        return max(1 + self.map_beats + self.offset_beats, 1 + self.record_beats, self.counter_beats)
+        return max(1 + self.hits_beats + self.offset_beats, 1 + self.record_beats, self.counter_beats)
 
     def length(self, kind: int) -> int:
         """Beats of an event or record packet with its header."""
         return (
             1
             + {
-                Kind.EVENT: 0,
-                Kind.EVENT_MAP: self.map_beats,
-                Kind.EVENT_FULL: self.map_beats + self.offset_beats,
+                Kind.EVENT_SHORT: 0,
+                Kind.EVENT_ID: self.hits_beats,
+                Kind.EVENT_FULL: self.hits_beats + self.offset_beats,
                 Kind.RECORD: self.record_beats,
             }[Kind(kind)]
         )
@@ -78,7 +78,7 @@ class Layout:
 def layout(sensor: Sensor) -> Layout:
     """The packet layout of `sensor`."""
     return Layout(
-        map_beats=beats_for(sensor.pixels),
+        hits_beats=beats_for(sensor.pixels),
         offset_beats=beats_for(sensor.minigroups * OFFSET_BITS),
         record_beats=beats_for(sensor.minigroups * sensor.record_bits),
         counter_beats=beats_for(len(COUNTER_NAMES) * COUNTER_BITS),

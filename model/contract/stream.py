@@ -38,7 +38,7 @@ def decode_frame(beats: np.ndarray, sensor: Sensor, subgroups: int) -> Frame:
     """
     parts = layout(sensor)
     lengths = np.zeros(8, np.int64)
-    for kind in (Kind.EVENT, Kind.EVENT_MAP, Kind.EVENT_FULL, Kind.RECORD):
+    for kind in (Kind.EVENT_SHORT, Kind.EVENT_ID, Kind.EVENT_FULL, Kind.RECORD):
         lengths[kind] = parts.length(kind)
     tail = 1 + parts.counter_beats * subgroups
     kinds, starts, bad = _packets(beats, lengths, len(beats) - tail)
@@ -51,13 +51,13 @@ def decode_frame(beats: np.ndarray, sensor: Sensor, subgroups: int) -> Frame:
         raise StreamError("frame start and frame end have different numbers")
 
     at = starts[kinds != Kind.RECORD]
-    has_map = kinds[kinds != Kind.RECORD] >= Kind.EVENT_MAP
+    has_hits = kinds[kinds != Kind.RECORD] >= Kind.EVENT_ID
     has_offsets = kinds[kinds != Kind.RECORD] == Kind.EVENT_FULL
     events = np.stack([header_field(beats[at], name) for name in HEADER], axis=1)
-    hits = np.zeros((len(at), parts.map_beats), np.uint64)
-    hits[has_map] = beats[at[has_map, None] + 1 + np.arange(parts.map_beats)]
+    hits = np.zeros((len(at), parts.hits_beats), np.uint64)
+    hits[has_hits] = beats[at[has_hits, None] + 1 + np.arange(parts.hits_beats)]
     offsets = np.full((len(at), sensor.minigroups), OFFSET_NONE, np.uint8)
-    where = at[has_offsets, None] + 1 + parts.map_beats + np.arange(parts.offset_beats)
+    where = at[has_offsets, None] + 1 + parts.hits_beats + np.arange(parts.offset_beats)
     offsets[has_offsets] = _split(beats[where], np.uint8)[:, : sensor.minigroups]
 
     at = starts[kinds == Kind.RECORD]

@@ -46,7 +46,7 @@ def shape_of(config: Config) -> Shape:
         frame["mg_window"],
         int(kind),
         parts.length(kind),
-        parts.map_beats,
+        parts.hits_beats,
         parts.record_beats,
         parts.counter_beats,
         parts.longest,

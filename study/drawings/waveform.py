@@ -183,7 +183,7 @@ def draw(values: dict[str, list[int]]) -> Figure:
     wave("commit", values["commit"], 1, SIGNAL)
     axes.plot([0, SHOWN_CYCLES], [level["tdata"] + 0.3] * 2, color=FAINT, lw=1.2, zorder=0)
     beats = [(cycle, data) for cycle, (valid, data) in enumerate(zip(values["tvalid"], values["tdata"])) if valid]
-    event = next(cycle for cycle, data in beats if header_field(data, "kind") == Kind.EVENT_MAP)
+    event = next(cycle for cycle, data in beats if header_field(data, "kind") == Kind.EVENT_ID)
     for cycle, _ in beats:
         text, color = (
             ("event", SIGNAL) if cycle == event else ("map", SIGNAL) if cycle == event + 1 else ("frame start", INK)

@@ -4,7 +4,10 @@ import json
 import shutil
 
 import pytest
+from typer.testing import CliRunner
 
+from coincid.cli import app
+from coincid.flow import pnr
 from coincid.flow.gls import gate_level
 from coincid.flow.levels import longest_paths
 from coincid.flow.silicon_report import CLOCKS, timing, top, write
@@ -105,3 +108,25 @@ def test_a_timing_tool_takes_the_constraints_of_the_asynchronous_view(tmp_path):
     sdc.write_text(sdc.read_text().replace("*window_*/ended", "*no_such_pin*/ended"))
     complaints, _ = timing(tmp_path, top(SMALL), sdc.name)
     assert any("no_such_pin" in line for line in complaints)
+
+
+@pytest.mark.parametrize("reached_mhz, code", [(125.1, 0), (124.9, 1)])
+def test_pnr_names_the_seed_that_misses(monkeypatch, tmp_path, reached_mhz, code):
+    def placed(netlist, seed):
+        folder = tmp_path / str(seed)
+        folder.mkdir()
+        hop = {"type": "logic", "delay": 7.9, "from": {"cell": "a"}, "to": {"cell": "b"}}
+        used = dict.fromkeys(pnr.USED, {"used": 1, "available": 2})
+        fmax = {"$glbnet$clk": {"achieved": reached_mhz if seed == 3 else 130.0, "constraint": 125.0}}
+        path = {"from": "posedge clk", "to": "posedge clk", "path": [hop]}
+        report = {"fmax": fmax, "utilization": used, "critical_paths": [path]}
+        (folder / "report.json").write_text(json.dumps(report))
+        (folder / "board.bit").write_bytes(b"bits")
+        return pnr.Placement(seed, folder)
+
+    monkeypatch.setattr(pnr, "synthesize", lambda: tmp_path)
+    monkeypatch.setattr(pnr, "place_and_route", placed)
+    result = CliRunner().invoke(app, ["pnr", "--out", str(tmp_path / "page.md")])
+    assert result.exit_code == code
+    assert ("seed 3: clk reaches 124.9 MHz" in result.stderr) == bool(code)
+    assert f"| clk | 130.0 | 130.0 | {reached_mhz} | 130.0 | 130.0 |" in (tmp_path / "page.md").read_text()
