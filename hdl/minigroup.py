@@ -70,7 +70,7 @@ class Minigroup(Unit):
         self.state = SimpleNamespace()
         self._edges(m)
         self._window(m)
-        self._record(m)
+        self._record(m, self.state.some, self.state.active, self._first_quarter(self.state.together))
         return m
 
     def _words(self, words):
@@ -140,10 +140,12 @@ class Minigroup(Unit):
             first = Mux(word[q * size : (q + 1) * size].any(), q, first)
         return first
 
-    def _record(self, m):
-        """Stage 3: the collection of the minigroup's own stamping circuit."""
+    def _record(self, m, some, active, quarter):
+        """Stage 3: the collection of the minigroup's own stamping circuit.
+
+        active: pixels with an edge in the cycle, valid where there is `some`; quarter: of the cycle, of the first of these edges.
+        """
         state = self.state
-        some, active = state.some, state.active
         state.left = left = Signal(2)  # cycles of the collection, behind this one
         state.seen = seen = Signal(len(active), reset_less=True)
         state.stamp = stamp = Signal(self.sensor.record_stamp_bits, reset_less=True)
@@ -171,7 +173,7 @@ class Minigroup(Unit):
         with m.If(self.wrap):
             m.d.sync += self.latched.eq(0)
         with m.If(starts):
-            m.d.sync += stamp.eq(Cat(self._first_quarter(state.together), self.coarse))
+            m.d.sync += stamp.eq(Cat(quarter, self.coarse))
         with m.If(runs):
             m.d.sync += [seen.eq(seen_next), left.eq(left_next)]
             with m.If(left_next == 0):

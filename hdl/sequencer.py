@@ -105,7 +105,7 @@ class Sequencer(Unit):
         following = Signal(LFSR_BITS)
         m.d.comb += [following.eq((lfsr >> 1) ^ Mux(lfsr[0], LFSR_TAPS, 0)), state.waiting.eq(left != 0)]
         m.d.sync += state.mask.eq((1 << self.plan.dither_bits) - 1)
-        with m.If(state.waiting):
+        with m.If(left != 0):
             m.d.sync += left.eq(left - 1)
         with m.Elif(state.running):
             m.d.sync += lfsr.eq(following)

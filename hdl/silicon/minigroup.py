@@ -1,5 +1,7 @@
 """Minigroup of the asynchronous view: its part of the ID map, and its record, from what its events sampled."""
 
+from types import SimpleNamespace
+
 from amaranth.hdl import Cat, Module, Mux, Signal
 from amaranth.lib.wiring import In, Out
 
@@ -54,7 +56,7 @@ class AsyncMinigroup(Minigroup):
         m = Module()
         pixels = self.sensor.minigroup_pixels
         quarter = Signal(2)
-        m.d.comb += quarter.eq(self._first_quarter(None))
+        m.d.comb += quarter.eq(self._sampled_quarter())
 
         hit, active = Signal(pixels, reset_less=True), Signal(pixels, reset_less=True)
         quarter_4 = Signal(2, reset_less=True)
@@ -72,10 +74,11 @@ class AsyncMinigroup(Minigroup):
             m.d.sync += offset.eq(Cat(quarter_4, self.elapsed))
         m.d.comb += [self.hits.eq(hits), self.offset.eq(offset)]
 
-        self._record(m, self.active.any(), self.active, None)
+        self.state = SimpleNamespace()
+        self._record(m, self.active.any(), self.active, quarter)
         return m
 
-    def _first_quarter(self, word):
+    def _sampled_quarter(self):
         """Quarter of the cycle in which the first edge came, from its mark.
 
         The hit flops have decided which cycle the edge belongs to. A quarter that was read beyond that cycle's border is the border's.
