@@ -12,7 +12,7 @@ from ..contract.registers import COUNTER_NAMES
 Shape = namedtuple(
     "Shape",
     (
-        "subgroups pixels minigroups phases phase_bits period guard rearm fifo_depth quarter_bits minigroup_records mg_threshold mg_window "
+        "subgroups pixels minigroups phases phase_bits period open_cycles rearm fifo_depth quarter_bits minigroup_records mg_threshold mg_window "
         "event_kind event_beats hits_beats record_beats counter_beats longest "
         "record_bits record_stamp_bits output_depth"
     ),
@@ -37,7 +37,7 @@ def shape_of(config: Config) -> Shape:
         sensor.phases,
         sensor.phase_bits,
         config.period,
-        sensor.guard,
+        config.period - sensor.guard,
         sensor.rearm,
         sensor.fifo_depth,
         sensor.phase_bits - 2,
