@@ -31,17 +31,8 @@ Timeline = namedtuple("Timeline", "start gate_shift")
 # Rows by subgroup, then time; bounds: int64[subgroups + 1]. Rows from bounds[-1] on are unused.
 Events = namedtuple("Events", "bounds row hits offsets")
 Records = namedtuple("Records", "bounds row entries")
-_EVENT = row_type(
-    cycle=np.int64,
-    pulse=np.int32,
-    stamp=np.int32,
-    count=np.int16,
-    winner=np.int16,
-    stored=np.bool_,  # and the rest: the readout's
-    overrun=np.bool_,
-    free_at=np.int64,
-)
-_RECORD = row_type(cycle=np.int64, pulse=np.int64)
+_EVENT = row_type("cycle pulse stamp count winner stored overrun free_at")  # the last three are the readout's
+_RECORD = row_type("cycle pulse")
 # By minigroup: the map of its collection (0: none), its coarse stamp, and the first cycle after it.
 _Collection = namedtuple("_Collection", "hits stamp end")
 
