@@ -80,7 +80,7 @@ class Golden:
         self._photons = counters[:, COUNTER.photons].copy()
         commit_subgroup = np.repeat(np.arange(sensor.subgroups), np.diff(events.bounds))
         row = events.row[: len(commit_subgroup)]
-        stored = row["stored"]
+        stored = row["stored"] != 0
         return Trace(beats, cycles, commit_subgroup[stored], row["cycle"][stored], fate, counters)
 
     def _thresholds(self, config: Config) -> np.ndarray:

@@ -31,17 +31,8 @@ Timeline = namedtuple("Timeline", "start gate_shift")
 # Rows by subgroup, then time; bounds: int64[subgroups + 1]. Rows from bounds[-1] on are unused.
 Events = namedtuple("Events", "bounds row hits offsets")
 Records = namedtuple("Records", "bounds row entries")
-_EVENT = row_type(
-    cycle=np.int64,
-    pulse=np.int32,
-    stamp=np.int32,
-    count=np.int16,
-    winner=np.int16,
-    stored=np.bool_,  # and the rest: the readout's
-    overrun=np.bool_,
-    free_at=np.int64,
-)
-_RECORD = row_type(cycle=np.int64, pulse=np.int64)
+_EVENT = row_type("cycle pulse stamp count winner stored overrun free_at")  # the last three are the readout's
+_RECORD = row_type("cycle pulse")
 # By minigroup: the map of its collection (0: none), its coarse stamp, and the first cycle after it.
 _Collection = namedtuple("_Collection", "hits stamp end")
 
@@ -93,59 +84,40 @@ def _fields(key):
 @njit
 def front_end(key, bounds, shape, settings, timeline, pixel, counters):
     """Fates in time order, committed events and minigroup records of all subgroups; adds to `counters`."""
-    n = len(key)
-    most = np.diff(bounds).max()  # edges of a subgroup
-    fate, accepted = np.empty(n, np.uint8), np.empty(most, np.int64)
-    events, records = _no_events(n, shape), _no_records(n if shape.minigroup_records else 0, shape)
-    seen_at, windows = np.empty(shape.pixels, np.int64), np.empty((most, 2), np.int64)
+    n, most = len(key), np.diff(bounds).max()  # edges, of all and of a subgroup
+    events, records = _room_for_events(n, shape), _room_for_records(n if shape.minigroup_records else 0, shape)
+    fate, accepted, windows = np.empty(n, np.uint8), np.empty(most, np.int64), np.empty((most, 2), np.int64)
+    seen_at = np.empty(shape.pixels, np.int64)
     for s in range(shape.subgroups):
         of = slice(bounds[s], bounds[s + 1])
-        passed = accepted[: _accept(s, key[of], shape, settings, timeline, seen_at, fate[of], accepted)]
-        opened = windows[
-            : _open_windows(key[of], passed, shape, settings.window[s], timeline.start, fate[of], counters[s], windows)
-        ]
-        events.bounds[s + 1] = _commit(
-            key[of],
-            passed,
-            opened,
-            shape,
-            settings.threshold[s],
-            settings.window[s],
-            timeline.start,
-            pixel.minigroup,
-            fate[of],
-            events,
-            events.bounds[s],
-            counters[s],
-        )
-        records.bounds[s + 1] = records.bounds[s]
+        passed = _accept(s, key[of], shape, settings, timeline, seen_at, fate[of], accepted)
+        opened = _open_windows(s, key[of], passed, shape, settings, timeline, fate[of], windows, counters)
+        _commit(s, key[of], passed, opened, shape, settings, timeline, pixel, fate[of], events, counters)
         if shape.minigroup_records:
-            records.bounds[s + 1] = _collect_records(
-                key[of], passed, shape, timeline, pixel, records, records.bounds[s]
-            )
+            _collect_records(s, key[of], passed, shape, timeline, pixel, records)
     return fate, events, records
 
 
 @njit
-def _no_events(room, shape):
+def _room_for_events(most, shape):
     return Events(
         np.zeros(shape.subgroups + 1, np.int64),
-        np.empty(room, _EVENT),
-        np.empty((room, shape.hits_beats), np.uint64),
-        np.empty((room, shape.minigroups), np.uint8),
+        np.empty(most, _EVENT),
+        np.empty((most, shape.hits_beats), np.uint64),
+        np.empty((most, shape.minigroups), np.uint8),
     )
 
 
 @njit
-def _no_records(room, shape):
+def _room_for_records(most, shape):
     return Records(
-        np.zeros(shape.subgroups + 1, np.int64), np.empty(room, _RECORD), np.empty((room, shape.minigroups), np.uint64)
+        np.zeros(shape.subgroups + 1, np.int64), np.empty(most, _RECORD), np.empty((most, shape.minigroups), np.uint64)
     )
 
 
 @njit
 def _accept(s, key, shape, settings, timeline, seen_at, fate, accepted):
-    """Fates of the edges of subgroup `s` that go no further; the others' indices go to `accepted`. Returns how many those are.
+    """Fates of the edges of subgroup `s` that go no further; returns the others' indices, which are written to `accepted`.
 
     seen_at: scratch, the cycle of the frame in which each pixel's last edge came.
     """
@@ -166,15 +138,16 @@ def _accept(s, key, shape, settings, timeline, seen_at, fate, accepted):
             accepted[n] = e
             n += 1
         seen_at[inside] = at
-    return n
+    return accepted[:n]
 
 
 @njit
-def _open_windows(key, accepted, shape, window, start, fate, counters, windows):
-    """The tree of one subgroup: fates of `accepted` edges by time alone. Returns how many windows there are.
+def _open_windows(s, key, accepted, shape, settings, timeline, fate, windows, counters):
+    """The tree of subgroup `s`: fates of `accepted` edges by their time alone, and the windows, which are written to `windows`.
 
-    windows: int64[n, 2] to be filled: first edge in and first edge after each window, in `accepted`.
+    Returns int64[n, 2]: the indices in `accepted` of each window's first edge and of the first one after it.
     """
+    window = settings.window[s]
     last_pulse, blind_at, armed_from = _NEVER, _NEVER, 0
     n = k = 0
     while k < len(accepted):
@@ -182,10 +155,10 @@ def _open_windows(key, accepted, shape, window, start, fate, counters, windows):
         if pulse != last_pulse:
             last_pulse, armed_from = pulse, 0
         cycle = opening >> shape.phase_bits
-        if not armed_from <= cycle < shape.period - shape.guard:
+        if not armed_from <= cycle < shape.open_cycles:
             fate[accepted[k]] = _BLIND
-            at = start[pulse] + cycle
-            counters[COUNTER.blind] += at != blind_at  # cycles, not edges
+            at = timeline.start[pulse] + cycle
+            counters[s, COUNTER.blind] += at != blind_at  # cycles, not edges
             blind_at = at
             k += 1
             continue
@@ -200,17 +173,15 @@ def _open_windows(key, accepted, shape, window, start, fate, counters, windows):
             k += 1
         windows[n, 1] = k
         n += 1
-    counters[COUNTER.opened] += n
-    return n
+    counters[s, COUNTER.opened] += n
+    return windows[:n]
 
 
 @njit
-def _commit(key, accepted, windows, shape, threshold, window, start, minigroup, fate, events, row, counters):
-    """Counts the distinct pixels of one subgroup's windows; those that met the threshold become events, from row `row` on.
-
-    Returns the row after the last one.
-    """
-    hits, offsets = events.hits, events.offsets
+def _commit(s, key, accepted, windows, shape, settings, timeline, pixel, fate, events, counters):
+    """Distinct pixels of each window of subgroup `s`; those windows that meet the threshold become its events."""
+    window, threshold, minigroup, row = settings.window[s], settings.threshold[s], pixel.minigroup, events.bounds[s]
+    hits, offsets = events.hits, events.offsets  # of the row that comes next
     for first, stop in windows:
         hits[row] = 0
         offsets[row] = OFFSET_NONE
@@ -227,21 +198,22 @@ def _commit(key, accepted, windows, shape, threshold, window, start, minigroup, 
             count += 1
             if offsets[row, minigroup[inside]] == OFFSET_NONE:
                 offsets[row, minigroup[inside]] = (tick - cycle_start) >> shape.quarter_bits
-        counters[COUNTER.photons] += count
+        counters[s, COUNTER.photons] += count
         if count < threshold:
-            counters[COUNTER.rejected] += 1
+            counters[s, COUNTER.rejected] += 1
             continue
-        counters[COUNTER.committed] += 1
+        counters[s, COUNTER.committed] += 1
         event = events.row[row]
-        event.cycle = start[pulse] + _close_cycle(opening, window, shape.phases) + latency.COMMIT
+        event.cycle = timeline.start[pulse] + _close_cycle(opening, window, shape.phases) + latency.COMMIT
         event.pulse, event.stamp, event.count, event.winner = pulse, opening, count, winner
         row += 1
-    return row
+    events.bounds[s + 1] = row
 
 
 @njit
-def _collect_records(key, accepted, shape, timeline, pixel, records, row):
-    """The minigroups of one subgroup: records from row `row` on, one per period that latched any. Returns the row after the last."""
+def _collect_records(s, key, accepted, shape, timeline, pixel, records):
+    """The minigroups of subgroup `s`: a record for each period in which any of them latched."""
+    row = records.bounds[s]
     collected = _Collection(
         np.zeros(shape.minigroups, np.uint64),
         np.zeros(shape.minigroups, np.int64),
@@ -255,7 +227,7 @@ def _collect_records(key, accepted, shape, timeline, pixel, records, row):
             record = records.row[row]
             record.cycle, record.pulse = timeline.start[pulse] + shape.period + latency.RECORD, pulse
             row += 1
-    return row
+    records.bounds[s + 1] = row
 
 
 @njit
@@ -267,7 +239,7 @@ def _add(collected, g, bit, tick, shape):
             return  # the period's record is made
         collected.hits[g] = 0
     if not collected.hits[g]:
-        if cycle >= shape.period - shape.guard:
+        if cycle >= shape.open_cycles:
             return
         collected.stamp[g], collected.end[g] = tick >> shape.quarter_bits, cycle + shape.mg_window
     collected.hits[g] |= bit

@@ -19,14 +19,11 @@ _RECORD, _FRAME_START, _FRAME_END = int(Kind.RECORD), int(Kind.FRAME_START), int
 _NONE = -1
 _NEVER = np.int64(1) << 62
 
-# What waits in a subgroup. Events: the next one to be committed and their end, the next one to be read, the oldest whose place is not yet
-# known to be free, how many have a place, and whether one was dropped since the last stored one. Records: the next one to be emitted and
-# their end, the one that waits, and when its place is free. Then counters.
+# What a subgroup has to send. Events: the next to be committed and their end, the next to be read, the oldest whose place is not known to be
+# free, how many have a place, and whether one was dropped since the last stored one. Records: the next to be emitted and their end, the one
+# that waits, and when its place is free. Then counters.
 _QUEUE = row_type(
-    **dict.fromkeys(("next_event", "end_event", "read", "oldest", "level"), np.int64),
-    lost=np.bool_,
-    **dict.fromkeys(("next_record", "end_record", "waiting", "place_free_at"), np.int64),
-    **dict.fromkeys(("stored", "dropped", "mg_stored", "mg_dropped"), np.int64),
+    "next_event end_event read oldest level lost next_record end_record waiting place_free_at stored dropped mg_stored mg_dropped"
 )
 
 

@@ -11,17 +11,15 @@ from ..contract.registers import COUNTER_NAMES
 
 Shape = namedtuple(
     "Shape",
-    (
-        "subgroups pixels minigroups phases phase_bits period guard rearm fifo_depth quarter_bits minigroup_records mg_threshold mg_window "
-        "event_kind event_beats hits_beats record_beats counter_beats longest "
-        "record_bits record_stamp_bits output_depth"
-    ),
+    "subgroups pixels minigroups phases phase_bits quarter_bits period open_cycles rearm fifo_depth "
+    "minigroup_records mg_threshold mg_window record_bits record_stamp_bits "
+    "event_kind event_beats hits_beats record_beats counter_beats longest output_depth",
 )
 
 
-def row_type(**columns: type) -> np.dtype:
-    """Rows of a table that kernels handle by name: `row.column`."""
-    return np.dtype((np.record, list(columns.items())))
+def row_type(columns: str) -> np.dtype:
+    """Rows of int64 `columns` that kernels handle by name: `row.column`."""
+    return np.dtype((np.record, [(column, np.int64) for column in columns.split()]))
 
 
 COUNTER = namedtuple("COUNTER", COUNTER_NAMES)(*range(len(COUNTER_NAMES)))
@@ -31,26 +29,26 @@ def shape_of(config: Config) -> Shape:
     sensor, frame = config.sensor, config.frame
     parts, kind = layout(sensor), FORMATS[config.format]
     return Shape(
-        sensor.subgroups,
-        sensor.pixels,
-        sensor.minigroups,
-        sensor.phases,
-        sensor.phase_bits,
-        config.period,
-        sensor.guard,
-        sensor.rearm,
-        sensor.fifo_depth,
-        sensor.phase_bits - 2,
-        int(frame["minigroup_records"]),
-        frame["mg_threshold"],
-        frame["mg_window"],
-        int(kind),
-        parts.length(kind),
-        parts.hits_beats,
-        parts.record_beats,
-        parts.counter_beats,
-        parts.longest,
-        sensor.record_bits,
-        sensor.record_stamp_bits,
-        latency.output_depth(parts.longest),
+        subgroups=sensor.subgroups,
+        pixels=sensor.pixels,
+        minigroups=sensor.minigroups,
+        phases=sensor.phases,
+        phase_bits=sensor.phase_bits,
+        period=config.period,
+        open_cycles=config.period - sensor.guard,
+        rearm=sensor.rearm,
+        fifo_depth=sensor.fifo_depth,
+        quarter_bits=sensor.phase_bits - 2,
+        minigroup_records=int(frame["minigroup_records"]),
+        mg_threshold=frame["mg_threshold"],
+        mg_window=frame["mg_window"],
+        event_kind=int(kind),
+        event_beats=parts.length(kind),
+        hits_beats=parts.hits_beats,
+        record_beats=parts.record_beats,
+        counter_beats=parts.counter_beats,
+        longest=parts.longest,
+        record_bits=sensor.record_bits,
+        record_stamp_bits=sensor.record_stamp_bits,
+        output_depth=latency.output_depth(parts.longest),
     )
