@@ -8,6 +8,7 @@ before it: `coincid.model` (contract, golden model, light, scenes, depth; no HDL
 
 from importlib import import_module
 from importlib.metadata import version
+from typing import Any
 
 __version__ = version("coincid")
 
@@ -32,7 +33,7 @@ _PLACE_OF = {name: place for place, names in _PLACES.items() for name in names}
 __all__ = sorted(_PLACE_OF)
 
 
-def __getattr__(name: str):
+def __getattr__(name: str) -> Any:
     if name not in _PLACE_OF:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     found = getattr(import_module(f"{__name__}.{_PLACE_OF[name]}"), name)

@@ -7,10 +7,10 @@ stderr); 130 interrupted. The machinery is imported by the command that needs it
 import contextlib
 import os
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any, Protocol
 
 import typer
 from rich.console import Console
@@ -18,6 +18,9 @@ from typer.core import TyperGroup
 
 from coincid.model.shared.errors import InputError, check_integer
 from coincid.model.shared.extras import extra
+
+if TYPE_CHECKING:
+    from coincid.model.contract.config import Config
 
 BAD_INPUT, DIFFERS, INTERRUPTED = 2, 1, 130
 STALL_CYCLES_MAX = 1 << 24
@@ -30,10 +33,16 @@ WORKERS_MAX = 1 << 10
 console = Console(stderr=True, highlight=False)
 
 
+class Progressed(Protocol):
+    """Tells a progress bar what is done, and a total that grew."""
+
+    def __call__(self, done: int, total: int | None = None) -> None: ...
+
+
 class Commands(TyperGroup):
     """The group of commands; turns the errors that users are meant to read into messages and exit codes."""
 
-    def invoke(self, ctx):
+    def invoke(self, ctx: Any) -> Any:
         try:
             return super().invoke(ctx)
         except InputError as error:
@@ -132,7 +141,7 @@ def sim(
         ),
     ] = False,
     view: ViewOption = "polyphase",
-):
+) -> None:
     """Simulate frames of a scene, every word checked against the golden model; leave depth.png, events.npz and report.json."""
     from coincid.study.simulate import simulate
 
@@ -174,7 +183,7 @@ def replay(
             show_default=False,
         ),
     ] = None,
-):
+) -> None:
     """Run an edge file through the golden model or the RTL and write what leaves the sensor."""
     from coincid.model.contract.config import load_config
     from coincid.model.contract.edges import load_edges
@@ -231,7 +240,7 @@ def sweep(
     workers: Annotated[
         int | None, typer.Option(help="Processes on this machine; default: one a core.", show_default=False)
     ] = None,
-):
+) -> None:
     """Run a grid of configurations, scenes and light on many processes or machines; one row a point."""
     workers = check_integer("workers", os.cpu_count() or 1 if workers is None else workers, 1, WORKERS_MAX)
     out = out or Path("build") / f"{spec.stem}.parquet"
@@ -260,7 +269,7 @@ def photons(
     config: ConfigOption = None,
     seed: Annotated[int, typer.Option(help="Of the light.")] = 1,
     clock_mhz: ClockOption = None,
-):
+) -> None:
     """Write the edges that a scene's photons make in all frames of a configuration."""
     from coincid.model.light.photons import generate_edges
     from coincid.model.light.spad import Spad
@@ -303,7 +312,7 @@ def edges(
         float, typer.Option(metavar="PS", help="Between trigger and light, taken off every time.")
     ] = 0.0,
     clock_mhz: ClockOption = None,
-):
+) -> None:
     """Turn recorded photons into edges, or edges into another format; count what falls out of range."""
     from coincid.model.light.timing import Timing
     from coincid.model.recorded.exchange import check_suffix, parse_channels, read_recording, write_edges
@@ -334,7 +343,7 @@ def verilog(
     ] = Path("build/rtl"),
     config: ConfigOption = None,
     view: ViewOption = "polyphase",
-):
+) -> None:
     """Export the synthesizable Verilog, one file a block, with file lists, constraints, register map and smoke test."""
     from coincid.model.contract.config import load_config
 
@@ -350,7 +359,7 @@ def synth(
     out: Annotated[Path, typer.Option(metavar="FILE", help="Markdown page of the presets' cost.")] = Path(
         "docs/synthesis.md"
     ),
-):
+) -> None:
     """Synthesize both presets to gates, standard cells and ECP5, and write the table of their cost."""
     with extra("rtl"):
         from coincid.flow.synth import write_page
@@ -359,7 +368,7 @@ def synth(
 
 
 @app.command()
-def gls():
+def gls() -> None:
     """Simulate the netlists of a small sensor, in gates and in standard cells, against the golden model."""
     with extra("rtl"):
         from coincid.flow.gls import gate_levels
@@ -372,7 +381,7 @@ def pnr(
     out: Annotated[Path, typer.Option(metavar="FILE", help="Markdown report of Fmax and use.")] = Path(
         "docs/place-and-route.md"
     ),
-):
+) -> None:
     """Place and route a module of the FPGA preset on an ECP5, with five seeds. Exit code 1: a clock is missed."""
     with extra("rtl"):
         from coincid.flow.pnr import write_page
@@ -390,7 +399,7 @@ def cost(
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder of the table and the picture.")] = Path(
         "docs/images"
     ),
-):
+) -> None:
     """Draw area, bits of an event and readout rate against the paper's parameters."""
     with extra("rtl"):
         from coincid.study.cost import write_pages
@@ -399,7 +408,7 @@ def cost(
 
 
 @app.command()
-def lint(config: ConfigOption = None, view: ViewOption = "polyphase"):
+def lint(config: ConfigOption = None, view: ViewOption = "polyphase") -> None:
     """Check the exported Verilog with Verilator's lint, and with Icarus where it is installed."""
     from coincid.model.contract.config import load_config
 
@@ -420,7 +429,7 @@ def formal(
     names: Annotated[
         list[str] | None, typer.Argument(metavar="[NAMES]", help="Proofs; default: all.", show_default=False)
     ] = None,
-):
+) -> None:
     """Prove the RTL's properties for all inputs and all time; takes a few minutes."""
     with extra("rtl"):
         from coincid.formal.prove import HEAD, prove
@@ -446,13 +455,13 @@ def budget(
         str, typer.Option(metavar="FORM", help="literal (as printed in the paper) or corrected.")
     ] = "literal",
     json: Annotated[bool, typer.Option("--json", help="Flat keys, for programs.")] = False,
-):
+) -> None:
     """Print the link budget, equations (1) and (2) of the paper, line by line."""
     from json import dumps
 
     from coincid.model.light.link_budget import link_budget
 
-    given = {} if spectrum is None else {"spectrum": spectrum}
+    given: dict[str, Any] = {} if spectrum is None else {"spectrum": spectrum}
     result = link_budget(distance_m, reflectivity, klux, form=form, **given)
     if json:
         print(dumps(result.json(), indent=2))
@@ -465,7 +474,7 @@ def budget(
 def figures(
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder of the figures.")] = Path("build/figures"),
     rtl: Annotated[bool, typer.Option("--rtl", help="Add the RTL as a source to figures 6 and 8.")] = False,
-):
+) -> None:
     """Draw the paper's figures from the analytic model, Monte Carlo and, on request, the RTL."""
     from coincid.study.figures import make
 
@@ -481,7 +490,9 @@ def figures(
 
 
 @app.command()
-def compare(out: Annotated[Path, typer.Option(metavar="DIR", help="Folder of the figures.")] = Path("build/compare")):
+def compare(
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder of the figures.")] = Path("build/compare"),
+) -> None:
     """Compare the sensor with other schemes on the same photons: plots, their data (CSV) and a page."""
     from coincid.study.figures import compare as run
 
@@ -505,7 +516,7 @@ def bandwidth(
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder of the CSV, the table and the plot.")] = Path(
         "build/bandwidth"
     ),
-):
+) -> None:
     """Study the readout: beats a frame, streams needed, what is lost with fewer, estimated and by the golden model."""
     from coincid.study.bandwidth import TABLE, study, write_study
 
@@ -519,7 +530,7 @@ def bench(
         "build/bench.json"
     ),
     repeats: Annotated[int, typer.Option(metavar="N", help="Rounds that the medians are of.")] = 5,
-):
+) -> None:
     """Measure how fast model and simulators run here, whole frames, and builds from nothing; takes about ten minutes."""
     with extra("rtl"):
         from coincid.study.bench import benchmark, table
@@ -527,7 +538,7 @@ def bench(
     print(table(benchmark(_file(out), repeats=repeats, tell=console.print)), end="")
 
 
-def _config(path: str | None, clock_mhz: float | None):
+def _config(path: str | None, clock_mhz: float | None) -> "Config":
     """The configuration, at the clock of the command line where one is given."""
     from coincid.model.contract.config import load_config
 
@@ -557,8 +568,8 @@ def _writable(path: Path, folder: Path) -> None:
 
 
 @contextlib.contextmanager
-def _progress(cycles: int, what: str) -> Iterator[Callable[[int], None]]:
-    """A progress bar on a terminal, nothing elsewhere; yields what is to be called with what is done, and a total that grew."""
+def _progress(cycles: int, what: str) -> Iterator[Progressed]:
+    """A progress bar on a terminal, nothing elsewhere."""
     from rich.progress import Progress
 
     with Progress(console=console, transient=True, disable=not console.is_terminal) as bar:

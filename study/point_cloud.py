@@ -4,7 +4,7 @@ import numpy as np
 
 from ..model.depth.estimate import Depth
 from ..model.light.link_budget import Optics
-from ..model.shared.files import whole_file
+from ..model.shared.files import FilePath, whole_file
 
 POINT = np.dtype([(name, "<f4") for name in ("x", "y", "z", "confidence")])
 
@@ -34,7 +34,7 @@ def _tangents(pixels: int, fov_deg: float) -> np.ndarray:
     return (2 * np.arange(pixels) + 1 - pixels) / pixels * np.tan(np.radians(fov_deg) / 2)
 
 
-def write_ply(path, points: np.ndarray) -> None:
+def write_ply(path: FilePath, points: np.ndarray) -> None:
     """Writes points (`point_cloud`) as binary PLY, whole or not at all."""
     header = ["ply", "format binary_little_endian 1.0", "comment metres; x right, y down, z forward"]
     header += [f"element vertex {len(points)}", *(f"property float {name}" for name in POINT.names), "end_header", ""]

@@ -2,6 +2,7 @@
 
 import os
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from attrs import frozen
@@ -35,23 +36,23 @@ class Run:
     edges: Edges
     result: dict[str, np.ndarray]
 
-    def depth(self, **options) -> Depth:
+    def depth(self, **options: Any) -> Depth:
         """`estimate_depth`: distance of every pixel (`frame`, `method`, `returns`)."""
         return estimate_depth(self.result, self.config, **options)
 
-    def events(self):
+    def events(self) -> Any:
         """`events_table`: a row for every event."""
         return events_table(self.result)
 
-    def histogram(self, pixel: int, **options) -> np.ndarray:
+    def histogram(self, pixel: int, **options: Any) -> np.ndarray:
         """`pixel_histogram`: hits of a pixel, by tick (`frame`, `source`)."""
         return pixel_histogram(self.result, self.config, pixel, **options)
 
-    def point_cloud(self, optics: Optics | None = None, **options) -> np.ndarray:
+    def point_cloud(self, optics: Optics | None = None, **options: Any) -> np.ndarray:
         """`point_cloud` of the depth that `estimate_depth` gives with the other options."""
         return point_cloud(self.depth(**options), optics)
 
-    def to_ply(self, path: str | Path, **options) -> None:
+    def to_ply(self, path: str | Path, **options: Any) -> None:
         """`write_ply` of the same."""
         write_ply(path, self.point_cloud(**options))
 

@@ -8,13 +8,14 @@ checked against the golden model while it runs.
 import json
 import os
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from attrs import frozen
 from rich.console import Console
-from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+from rich.progress import BarColumn, Progress, SpinnerColumn, TaskID, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
 from ..model.contract.config import SUBGROUP_INTEGERS, Config
@@ -35,6 +36,9 @@ from ..tb.replay import DEFAULT_VIEW, chosen_view
 from ..tb.waves import views
 from .pictures import Panel, depth_row
 from .run import scene_of
+
+if TYPE_CHECKING:
+    from ..hdl.views import View
 
 EVENTS, REPORT = "events.npz", "report.json"
 PICTURES = {  # file: (estimator of `model/depth/estimate.py`, what the report's keys end with, heading)
@@ -73,24 +77,26 @@ def run_frames(
     *,
     waves: bool = False,
     progress: Progressed = lambda cycles: None,
-    view=DEFAULT_VIEW,
+    view: "str | View" = DEFAULT_VIEW,
 ) -> Frames:
     """Plays `edges` once for each of `SCHEMES` through an engine of `replay.ENGINES`; a simulator's log goes to `out`.
 
     `progress` gets the cycles done; view: as of `replay.chosen_view`. Raises `Mismatch` at the first difference between RTL and golden
     model, `SimulationError`, `toolchain.ToolchainError`.
     """
-    view = chosen_view(engine, view, config.clock_mhz)
+    chosen = chosen_view(engine, view, config.clock_mhz)
     configs = [config.with_frame(frames=1).with_settings(**settings) for _, settings in SCHEMES.values()]
     golden = Golden(config.sensor)
-    began, wave = time.perf_counter(), None
-    shown = traces = [golden.frame(scheme, edges) for scheme in configs]
-    if engine != "golden":
+    wave: Path | None = None
+    began = time.perf_counter()
+    traces = [golden.frame(scheme, edges) for scheme in configs]
+    shown: Sequence[Trace | Recorded] = traces
+    if chosen is not None:
         from ..tb.play import play
 
         began = time.perf_counter()
         jobs = [FrameJob(scheme, edges, trace) for scheme, trace in zip(configs, traces)]
-        shown, wave = play(jobs, engine, out, waves=waves, progress=progress, view=view)
+        shown, wave = play(jobs, engine, out, waves=waves, progress=progress, view=chosen)
     seconds = time.perf_counter() - began
     result = ResultBuilder(config)
     for frame in shown:
@@ -115,8 +121,8 @@ def simulate(
     console: Console,
     waves: bool = False,
     spad_gate: bool = False,
-    view=DEFAULT_VIEW,
-) -> dict:
+    view: "str | View" = DEFAULT_VIEW,
+) -> dict[str, Any]:
     """Simulates the scene `source` (`model/scenes/scene.py`); leaves `PICTURES`, events.npz and report.json in `out` and returns the report.
 
     events.npz: a result file of three frames, in the order of `SCHEMES`. spad_gate: gating keeps the SPADs off outside the gate.
@@ -146,7 +152,7 @@ def simulate(
         edges = generate_edges(
             light, Spad(), timing, pulses=config.pulses, seed=seed, gate=gate, workers=os.cpu_count() or 1
         )
-        if engine != "golden":
+        if shown is not None:
             bar.stage("RTL: emitted and compiled once")
             from ..tb.play import prepare
 
@@ -183,7 +189,7 @@ def simulate(
     return report
 
 
-def settings_of(config: Config) -> dict:
+def settings_of(config: Config) -> dict[str, Any]:
     """The configuration in the shape of its file; a subgroup's setting is a list where subgroups differ."""
     sensor = {
         attribute.name: getattr(config.sensor, attribute.name) for attribute in type(config.sensor).__attrs_attrs__
@@ -197,7 +203,7 @@ def settings_of(config: Config) -> dict:
     }
 
 
-def _report(frames: Frames, edges: Edges) -> dict:
+def _report(frames: Frames, edges: Edges) -> dict[str, Any]:
     """Flat keys; numbers are of all frames together, or end with the scheme."""
     arrays = frames.arrays
     report = {
@@ -224,7 +230,7 @@ def _thresholds(frames: Frames, k: int) -> np.ndarray:
     return np.where(frames.configs[k].coincidence, frames.arrays["threshold_used"][k], 1)
 
 
-def _write_report(out: Path, report: dict) -> None:
+def _write_report(out: Path, report: dict[str, Any]) -> None:
     with whole_file(out / REPORT, "w") as file:
         file.write(json.dumps(report, indent=2) + "\n")
 
@@ -247,13 +253,13 @@ class _Bar:
             TimeElapsedColumn(),
         )
         self.progress = Progress(*columns, console=console, transient=True, disable=not console.is_terminal)
-        self.task = None
+        self.task: TaskID | None = None
 
-    def __enter__(self):
+    def __enter__(self) -> "_Bar":
         self.progress.start()
         return self
 
-    def __exit__(self, *_):
+    def __exit__(self, *_: object) -> None:
         self.progress.stop()
 
     def stage(self, name: str, total: int | None = None) -> None:
@@ -264,11 +270,12 @@ class _Bar:
             self.console.print(name)
 
     def done(self, amount: int) -> None:
-        self.progress.update(self.task, completed=amount)
+        if self.task is not None:
+            self.progress.update(self.task, completed=amount)
 
 
 def _tell(
-    console: Console, scene: Scene, frames: Frames, titles: dict[str, str], report: dict, written: list[Path]
+    console: Console, scene: Scene, frames: Frames, titles: dict[str, str], report: dict[str, Any], written: list[Path]
 ) -> None:
     """The table at the end."""
     table = Table(box=None, header_style="bold", pad_edge=False)

@@ -6,8 +6,10 @@ A SPEC is a configuration file with more keys: `SETTINGS`, `config` (a file or p
 
 import json
 import math
+from collections.abc import Callable, Iterable
 from functools import cache
 from importlib.metadata import version
+from typing import Any
 
 import numpy as np
 from attrs import frozen
@@ -21,6 +23,7 @@ from ..model.light.timing import Timing
 from ..model.scenes.catalogue import load_scene
 from ..model.scenes.scene import Scene, scene_light
 from ..model.shared.errors import InputError, check_integer
+from ..model.shared.files import FilePath
 from ..model.shared.quantities import check_choice, check_real
 from ..model.shared.sources import digest, sources_digest
 from .simulate import settings_of
@@ -47,10 +50,10 @@ class Point:
     """
 
     name: str
-    values: dict
+    values: dict[str, Any]
     at: tuple[int, ...]
-    document: dict
-    settings: dict
+    document: dict[str, Any]
+    settings: dict[str, Any]
     scene: Scene
     key: str
 
@@ -59,8 +62,8 @@ class Point:
 class Spec:
     """A SPEC file. base: its document without the axes, `config` resolved. axes: lists of values by key. points: in order."""
 
-    base: dict
-    axes: list[dict[str, list]]
+    base: dict[str, Any]
+    axes: list[dict[str, list[Any]]]
     points: list[Point]
 
     @property
@@ -76,7 +79,7 @@ def versions(engine: str) -> dict[str, str]:
     return {"coincid": __version__, "code": code} | {name: version(name) for name in ("numba", "numpy", "scipy")}
 
 
-def read_spec(path) -> Spec:
+def read_spec(path: FilePath) -> Spec:
     """Reads and checks a SPEC file; `InputError` names the point, its field and the legal range."""
     try:
         document = read_toml(path)
@@ -90,15 +93,16 @@ def read_spec(path) -> Spec:
     return Spec(base, axes, points)
 
 
-def _axes(tables: object) -> list[dict[str, list]]:
+def _axes(tables: object) -> list[dict[str, list[Any]]]:
     """[[axis]] tables as lists of values by key, `subgroup.threshold` or `klux`."""
     if not isinstance(tables, list) or not all(isinstance(table, dict) for table in tables):
         raise InputError("axis: must be written as [[axis]]")
-    axes = []
+    axes: list[dict[str, list[Any]]] = []
     for number, table in enumerate(tables):
-        axis = {}
+        axis: dict[str, list[Any]] = {}
         for name, values in table.items():
-            inner = values.items() if name in TABLES and isinstance(values, dict) else [(None, values)]
+            nested = name in TABLES and isinstance(values, dict)
+            inner: Iterable[tuple[str | None, Any]] = values.items() if nested else [(None, values)]
             axis |= {f"{name}.{key}" if key else name: listed for key, listed in inner}
         if not axis:
             raise InputError(f"axis[{number}]: is empty, must name what it sweeps")
@@ -132,7 +136,7 @@ def _placed(name: str) -> str:
     return FRAME_CLOCK if name == CLOCK else name
 
 
-def _place_clock(document: dict) -> None:
+def _place_clock(document: dict[str, Any]) -> None:
     """Moves the clock of a document into its table."""
     if CLOCK in document and isinstance(frame := document.setdefault("frame", {}), dict):
         if CLOCK in frame:
@@ -140,11 +144,11 @@ def _place_clock(document: dict) -> None:
         document["frame"] = frame | {CLOCK: document.pop(CLOCK)}
 
 
-def _length(axis: dict[str, list]) -> int:
+def _length(axis: dict[str, list[Any]]) -> int:
     return len(next(iter(axis.values())))
 
 
-def _resolved(document: dict) -> dict:
+def _resolved(document: dict[str, Any]) -> dict[str, Any]:
     """`document` with the tables of its `config` below its own, overrides after those of the file."""
     document = dict(document)
     given = document.pop("config", None)
@@ -163,7 +167,7 @@ def _resolved(document: dict) -> dict:
 
 
 @cache
-def _configuration(given: str) -> dict:
+def _configuration(given: str) -> dict[str, Any]:
     if not isinstance(given, str):
         raise InputError(f"config = {given!r}: must be the name of a file or one of {', '.join(PRESETS)}")
     try:
@@ -172,7 +176,9 @@ def _configuration(given: str) -> dict:
         raise InputError(f"config = {given!r}: {error}") from None
 
 
-def _point(document: dict, axes: list[dict[str, list]], at: tuple[int, ...], scenes) -> Point:
+def _point(
+    document: dict[str, Any], axes: list[dict[str, list[Any]]], at: tuple[int, ...], scenes: Callable[..., Scene]
+) -> Point:
     """The checked point of `document` at an index along each axis. scenes: `load_scene` that remembers."""
     document, values = dict(document), {name: listed[i] for axis, i in zip(axes, at) for name, listed in axis.items()}
     for name, value in values.items():
@@ -195,7 +201,11 @@ def _point(document: dict, axes: list[dict[str, list]], at: tuple[int, ...], sce
         raise InputError(f"point {name}: {error}") from None
     settings["configuration"] = settings_of(config)
     values = values | {key: settings[key] for key in values if key in SETTINGS}
-    looks = (scene.distance_m.tobytes(), scene.reflectivity.tobytes(), str(scene.distance_m.shape))
+    looks: tuple[bytes | str, ...] = (
+        scene.distance_m.tobytes(),
+        scene.reflectivity.tobytes(),
+        str(scene.distance_m.shape),
+    )
     if scene.transient is not None:
         looks += tuple(
             array.tobytes() for array in (scene.transient.first, scene.transient.index, scene.transient.strength_per_m2)
@@ -204,7 +214,7 @@ def _point(document: dict, axes: list[dict[str, list]], at: tuple[int, ...], sce
     return Point(name=name, values=values, at=at, document=document, settings=settings, scene=scene, key=key)
 
 
-def photons_of(settings: dict, config: Config, scene: Scene) -> dict:
+def photons_of(settings: dict[str, Any], config: Config, scene: Scene) -> dict[str, Any]:
     """Arguments of `generate_edges` for all frames of a point."""
     return {
         "light": scene_light(scene, settings["klux"]),
@@ -216,7 +226,7 @@ def photons_of(settings: dict, config: Config, scene: Scene) -> dict:
     }
 
 
-def _settings(given: dict) -> dict:
+def _settings(given: dict[str, Any]) -> dict[str, Any]:
     """Checked values of `SETTINGS`, of one type each."""
     if not isinstance(given["scene"], str):
         raise InputError(f"scene = {given['scene']!r}: must be a string")

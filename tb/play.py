@@ -5,7 +5,7 @@ import tempfile
 from collections.abc import Callable
 from pathlib import Path
 
-from ..hdl.views import POLYPHASE
+from ..hdl.views import POLYPHASE, View
 from ..model.contract.parameters import TOP, Sensor
 from . import toolchain
 from .batch import BatchSensor, build_library
@@ -17,7 +17,7 @@ from .scoreboard import check
 COCOTB = {"cocotb-verilator": "verilator", "cocotb-icarus": "icarus", "icarus": "icarus"}  # engine -> simulator
 
 
-def prepare(engine: str, sensor: Sensor, waves: bool = False, view=POLYPHASE) -> None:
+def prepare(engine: str, sensor: Sensor, waves: bool = False, view: View = POLYPHASE) -> None:
     """Compiles what `engine` needs for `play`, where it is not there yet."""
     if _batch(engine, waves):
         build_library(sensor)
@@ -30,7 +30,7 @@ def _batch(engine: str, waves: bool) -> bool:
     return engine == "verilator" and not waves
 
 
-def build_sensor(sensor: Sensor, simulator: str, waves: bool = False, view=POLYPHASE) -> toolchain.Build:
+def build_sensor(sensor: Sensor, simulator: str, waves: bool = False, view: View = POLYPHASE) -> toolchain.Build:
     """The sensor in a view of `hdl/views.py`, compiled for a simulator, or found compiled."""
     public = [f"{TOP}.stored_of_*"] + [f"{TOP}.timing"] * (view != POLYPHASE)
     return toolchain.build(
@@ -51,7 +51,7 @@ def play(
     *,
     waves: bool = False,
     progress: Callable[[int], None] | None = None,
-    view=POLYPHASE,
+    view: View = POLYPHASE,
 ) -> tuple[list[Recorded], Path | None]:
     """Plays frames of one sensor through its RTL; returns what each showed, and the waveform. `progress` gets cycles done.
 

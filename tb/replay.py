@@ -6,6 +6,7 @@ The golden model needs no RTL tool: nothing of the RTL is imported before an eng
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -17,12 +18,15 @@ from ..model.shared.extras import extra
 from ..model.shared.quantities import check_choice
 from .frames import FrameJob
 
+if TYPE_CHECKING:
+    from ..hdl.views import View
+
 ENGINES = ("golden", "verilator", "icarus", "cocotb-verilator", "cocotb-icarus")  # verilator: the batch engine
 LINE_ENGINES = ("icarus", "cocotb-icarus", "cocotb-verilator")  # of the view with delays
 DEFAULT_VIEW = "polyphase"
 
 
-def chosen_view(engine: str, view, clock_mhz: float):
+def chosen_view(engine: str, view: "str | View", clock_mhz: float) -> "View | None":
     """The view of `hdl/views.py` that `engine` runs, at a system clock; None for the golden model, which has none.
 
     view: its name, or a view of a circuit of one's own. Raises `InputError`, also where the RTL's tools are missing.
@@ -35,7 +39,7 @@ def chosen_view(engine: str, view, clock_mhz: float):
         from . import play  # noqa: F401, what it needs is there
     found = view_at(view, clock_mhz)
     check_choice("engine", engine, ENGINES if found == POLYPHASE else LINE_ENGINES)
-    return found
+    return None if engine == "golden" else found
 
 
 def replay(
@@ -44,22 +48,22 @@ def replay(
     edges: Edges,
     ready: np.ndarray | None = None,
     progress: Callable[[int], None] | None = None,
-    view=DEFAULT_VIEW,
+    view: "str | View" = DEFAULT_VIEW,
 ) -> dict[str, np.ndarray]:
     """All frames of `config` through an engine: the arrays of the result file. `progress` gets cycles done; view: as of `chosen_view`."""
-    view = chosen_view(engine, view, config.clock_mhz)
+    chosen = chosen_view(engine, view, config.clock_mhz)
     ready = np.zeros(0, np.uint8) if ready is None else ready
-    if engine == "golden":
+    if chosen is None:
         done = progress or (lambda cycles: None)
         return golden_result(config, edges, ready, lambda frames: done(frames * config.frame_cycles))
     from .play import play
     from .stimulus import check_offsets
 
-    if view.name != DEFAULT_VIEW:
+    if chosen.name != DEFAULT_VIEW:
         check_offsets(config, edges)
     frames = [FrameJob(config, edges.frame(number, config.pulses)[0], ready=ready) for number in range(config.frames)]
     with tempfile.TemporaryDirectory(prefix="coincid-") as folder:
-        records, _ = play(frames, engine, Path(folder), progress=progress, view=view)
+        records, _ = play(frames, engine, Path(folder), progress=progress, view=chosen)
     result = ResultBuilder(config)
     for record in records:
         result.add(record.beats, record.commit_subgroup, record.commit_cycle)

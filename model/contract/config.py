@@ -6,12 +6,15 @@ the start write refuses it.
 
 import re
 import tomllib
+from collections.abc import Collection
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from attrs import asdict, evolve, frozen
 
 from ..shared.errors import InputError, check_integer, out_of_range
+from ..shared.files import FilePath
 from ..shared.quantities import check_choice, check_real
 from . import registers
 from .dither import start_cycles
@@ -51,7 +54,7 @@ class Config:
     """
 
     sensor: Sensor
-    frame: dict[str, object]
+    frame: dict[str, Any]
     coincidence: np.ndarray
     gating: np.ndarray
     auto: np.ndarray
@@ -61,7 +64,7 @@ class Config:
     gate_len: np.ndarray
     mask: np.ndarray
 
-    def __attrs_post_init__(self):
+    def __attrs_post_init__(self) -> None:
         guard, period = self.sensor.guard, self.period
         if period <= guard:
             raise out_of_range(
@@ -124,16 +127,16 @@ class Config:
     def period_ticks(self) -> int:
         return self.period * self.sensor.phases
 
-    def with_frame(self, **settings) -> "Config":
+    def with_frame(self, **settings: Any) -> "Config":
         """A copy with other settings of the frame, by the keys and values of [frame]. Raises `InputError` that names key and range."""
         return evolve(self, frame=self.frame | _frame(settings, self.sensor))
 
-    def with_settings(self, **settings) -> "Config":
+    def with_settings(self, **settings: Any) -> "Config":
         """A copy with other settings of the subgroups, by the keys and values of [subgroup]. Raises `InputError` that names key and range.
 
         A list or an array holds a value for every subgroup; masks may also be rows of booleans, as in `mask`.
         """
-        columns = {}
+        columns: dict[str, Any] = {}
         for name, value in _known("subgroup", settings, SUBGROUP_KEYS).items():
             where, values = f"subgroup.{name}", _plain(value)
             if not isinstance(values, list):
@@ -166,7 +169,7 @@ class Config:
         return writes
 
 
-def load_config(path=None) -> Config:
+def load_config(path: FilePath | None = None) -> Config:
     """Reads a TOML file, a preset by name (`silicon`, `fpga`), or the defaults (None). Raises `InputError` naming key and range."""
     if path is None:
         return parse_config({})
@@ -176,7 +179,7 @@ def load_config(path=None) -> Config:
         raise InputError(f"{path}: {error}") from None
 
 
-def read_toml(path) -> dict:
+def read_toml(path: FilePath) -> dict[str, Any]:
     """The TOML document in a file. Raises `InputError` that does not name it."""
     try:
         return tomllib.loads(Path(path).read_text(encoding="utf-8"))
@@ -188,7 +191,7 @@ def read_toml(path) -> dict:
         raise InputError(f"is not TOML: {error}") from None
 
 
-def parse_config(document: dict) -> Config:
+def parse_config(document: dict[str, Any]) -> Config:
     """`Config` of a parsed TOML document; every key has a default."""
     tables = {"sensor": dict, "frame": dict, "subgroup": dict, "override": list}
     for name, value in document.items():
@@ -229,18 +232,18 @@ def parse_config(document: dict) -> Config:
     return Config(sensor=sensor, frame=frame, **columns)
 
 
-def _known(section: str, given: dict, legal) -> dict:
+def _known(section: str, given: dict[str, Any], legal: Collection[str]) -> dict[str, Any]:
     for name in given:
         if name not in legal:
             raise InputError(f"{section}.{name}: unknown key, must be one of {', '.join(legal)}")
     return dict(given)
 
 
-def _sensor(given: dict) -> Sensor:
+def _sensor(given: dict[str, Any]) -> Sensor:
     return Sensor(**_known("sensor", given, (*SIZE_LIMITS, "subgroup", "minigroup")))
 
 
-def _frame_defaults(sensor: Sensor) -> dict[str, object]:
+def _frame_defaults(sensor: Sensor) -> dict[str, Any]:
     return {"frames": 1, "clock_mhz": CLOCK_MHZ} | {
         **{name: BY_NAME[name].reset(sensor) for name in FRAME_REGISTERS},
         "period": 250,
@@ -250,9 +253,9 @@ def _frame_defaults(sensor: Sensor) -> dict[str, object]:
     }
 
 
-def _frame(given: dict, sensor: Sensor) -> dict[str, object]:
+def _frame(given: dict[str, Any], sensor: Sensor) -> dict[str, Any]:
     """Checked values of any keys of [frame]."""
-    checked = {}
+    checked: dict[str, Any] = {}
     for name, value in _known("frame", given, _frame_defaults(sensor)).items():
         where, value = f"frame.{name}", _plain(value)
         if name == "frames":
@@ -316,6 +319,6 @@ def _mask(where: str, value: object, pixels: int) -> np.ndarray:
     return np.array([int(value, 16) >> i & 1 for i in range(pixels)], bool)
 
 
-def sensor_table(sensor: Sensor) -> dict:
+def sensor_table(sensor: Sensor) -> dict[str, Any]:
     """The sensor's part of a configuration file."""
     return {name: list(value) if isinstance(value, tuple) else value for name, value in asdict(sensor).items()}

@@ -1,5 +1,7 @@
 """What left the sensor, as arrays: built from the beats of any engine, compared, written and read."""
 
+from typing import Any
+
 import numpy as np
 
 from ..shared.files import FilePath, read_npz, write_npz
@@ -73,7 +75,7 @@ class ResultBuilder:
         }
 
 
-def events_table(arrays: dict[str, np.ndarray]):
+def events_table(arrays: dict[str, np.ndarray]) -> Any:
     """A row for every event, of `EVENT_COLUMNS`: a pandas DataFrame where pandas is installed, else a structured array.
 
     The rows are those of the arrays, and so are those of `hits` and `mg_offset`, which have more than one value a row.
@@ -82,7 +84,7 @@ def events_table(arrays: dict[str, np.ndarray]):
     try:
         from pandas import DataFrame
     except ImportError:
-        return np.rec.fromarrays(list(columns.values()), names=list(columns))
+        return np.rec.fromarrays(columns.values(), dtype=[(name, column.dtype) for name, column in columns.items()])
     return DataFrame(columns)
 
 
@@ -96,7 +98,7 @@ def write_result(path: FilePath, arrays: dict[str, np.ndarray]) -> None:
     write_npz(path, arrays)
 
 
-def read_result(path) -> dict[str, np.ndarray]:
+def read_result(path: FilePath) -> dict[str, np.ndarray]:
     """The arrays of a result file. Raises `InputError` where it is none."""
     return read_npz(path, (*EVENT_COLUMNS, *RECORD_COLUMNS, *COUNTER_NAMES), OPTIONAL)
 

@@ -14,7 +14,7 @@ from scipy import special
 
 from ..contract.config import Config
 from ..shared.constants import SIGMA_PER_FWHM
-from ..shared.quantities import check_real
+from ..shared.quantities import Numbers, check_real
 
 SYSTEM_FWHM_S = 500e-12  # laser pulse and jitter together (paper IV)
 
@@ -26,12 +26,12 @@ def pulse_sigma_ticks(config: Config, system_fwhm_s: float = SYSTEM_FWHM_S) -> f
     return check_real("system_fwhm_s", system_fwhm_s, 1e-15, 1.0) * SIGMA_PER_FWHM / config.tick_s
 
 
-def lead_sigmas(photons):
+def lead_sigmas(photons: Numbers) -> np.ndarray:
     """By how many sigma the earliest of `photons` (>= 1) normal arrival times leads their mean, on average (float64)."""
     return -special.ndtri((1 - _BLOM) / (np.asarray(photons, np.float64) + 1 - 2 * _BLOM))
 
 
-def photons_of(count, pixels):
+def photons_of(count: Numbers, pixels: Numbers) -> np.ndarray:
     """Photons that make `count` of `pixels` distinct pixels fire, on average (float64); finite where all fired."""
     return -pixels * np.log1p(-np.minimum(count, pixels) / (pixels + 1))
 

@@ -11,7 +11,7 @@ from attrs import frozen
 from ..contract.config import Config
 from ..contract.packet import BEAT_BITS
 from ..contract.parameters import OFFSET_NONE, Sensor
-from ..contract.pixels import pixel_table
+from ..contract.pixels import Pixels, pixel_table
 from ..shared.compiled import njit
 from ..shared.errors import InputError, check_integer
 from ..shared.quantities import check_choice
@@ -63,7 +63,7 @@ def frame_events(arrays: dict[str, np.ndarray], config: Config, sigma_ticks: flo
     row = np.flatnonzero(chosen)
     row = row[np.argsort(arrays["subgroup"][row], kind="stable")]
     subgroup, stamp, count = (arrays[name][row] for name in ("subgroup", "stamp", "count"))
-    frames = slice(None) if frame is None else slice(frame, frame + 1)
+    counted = slice(None) if frame is None else slice(frame, frame + 1)
     window = np.where(config.coincidence, config.window, 1)
     return Events(
         bounds=np.searchsorted(subgroup, np.arange(config.sensor.subgroups + 1)),
@@ -72,9 +72,9 @@ def frame_events(arrays: dict[str, np.ndarray], config: Config, sigma_ticks: flo
         arrival=arrival_ticks(subgroup, stamp, count, config, sigma_ticks),
         hits=arrays["hits"][row],
         offset=arrays["mg_offset"][row] if "mg_offset" in arrays else np.empty((len(row), 0), np.uint8),
-        threshold=np.where(config.coincidence, arrays["threshold_used"][frames].min(axis=0), 1),
+        threshold=np.where(config.coincidence, arrays["threshold_used"][counted].min(axis=0), 1),
         window=window,
-        photon_rate=_photon_rate(arrays["opened"][frames].mean(axis=0) / config.pulses, window, config),
+        photon_rate=_photon_rate(arrays["opened"][counted].mean(axis=0) / config.pulses, window, config),
     )
 
 
@@ -168,7 +168,9 @@ def pixel_image(values: np.ndarray, sensor: Sensor) -> np.ndarray:
     return values[table.subgroup, table.inside].reshape(sensor.rows, sensor.cols, *values.shape[2:])
 
 
-def _frame_records(arrays, config, frame):
+def _frame_records(
+    arrays: dict[str, np.ndarray], config: Config, frame: int | None
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Minigroup records of a frame ordered by subgroup: stamps and maps [n, minigroups], bounds [subgroups + 1]."""
     chosen = np.ones(len(arrays["mg_pulse"]), bool) if frame is None else arrays["mg_pulse"] // config.pulses == frame
     row = np.flatnonzero(chosen)
@@ -178,7 +180,7 @@ def _frame_records(arrays, config, frame):
 
 
 @njit
-def _add_events(histogram, bins, hits, everywhere):
+def _add_events(histogram: np.ndarray, bins: np.ndarray, hits: np.ndarray, everywhere: bool) -> None:
     """Counts each event in its bin, for the pixels of its map or for all."""
     for e in range(len(bins)):
         for i in range(len(histogram)):
@@ -187,7 +189,16 @@ def _add_events(histogram, bins, hits, everywhere):
 
 
 @njit
-def _add_offsets(histogram, stamp, hits, offset, pixel, phases, quarter, lead):
+def _add_offsets(
+    histogram: np.ndarray,
+    stamp: np.ndarray,
+    hits: np.ndarray,
+    offset: np.ndarray,
+    pixel: Pixels,
+    phases: int,
+    quarter: int,
+    lead: np.ndarray,
+) -> None:
     """Counts each event where the pixel's minigroup was first hit: in the middle of a quarter cycle, later by `lead`."""
     pixels = len(histogram)
     seen = np.empty(offset.shape[1], np.int64)
@@ -203,7 +214,9 @@ def _add_offsets(histogram, stamp, hits, offset, pixel, phases, quarter, lead):
 
 
 @njit
-def _add_records(histogram, stamp, maps, pixel, quarter, lead):
+def _add_records(
+    histogram: np.ndarray, stamp: np.ndarray, maps: np.ndarray, pixel: Pixels, quarter: int, lead: np.ndarray
+) -> None:
     """Counts each record's minigroups in the middle of their quarter cycle, later by `lead`, for the pixels of their maps."""
     for k in range(len(stamp)):
         for i in range(len(histogram)):

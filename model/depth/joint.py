@@ -76,7 +76,10 @@ def joint_choice(events: Events, config: Config, sigma_ticks: float) -> tuple[np
     significance = stats.poisson.cdf(np.ceil(hits) - 1, accidental)
     chosen = np.arange(probability.shape[2]) == probability.argmax(axis=2)[:, :, None]
     order = np.argsort(-np.where(chosen, np.inf, hits), axis=2, kind="stable")
-    return tuple(np.take_along_axis(array, order, 2) for array in (time, probability, significance))
+    time, probability, significance = (
+        np.take_along_axis(array, order, 2) for array in (time, probability, significance)
+    )
+    return time, probability, significance
 
 
 def _candidates(events: Events, config: Config, sigma_ticks: float) -> Candidates:
@@ -285,7 +288,18 @@ def _pooled(fit: Fit, others: list[Fit]) -> Fit:
 
 
 @njit
-def _log_likelihood(stamp, count, times, shift, table, least, first, per_tick, background, signal):
+def _log_likelihood(
+    stamp: np.ndarray,
+    count: np.ndarray,
+    times: np.ndarray,
+    shift: np.ndarray,
+    table: np.ndarray,
+    least: np.ndarray,
+    first: float,
+    per_tick: int,
+    background: np.ndarray,
+    signal: float,
+) -> np.ndarray:
     """float64[lights, shifts], of events of which `times` are alike."""
     logs = np.zeros((len(table), len(shift)))
     for a in range(len(table)):
@@ -315,7 +329,14 @@ def _shares(part: _Part, fits: list[Fit]) -> np.ndarray:
     return density / (density.sum(axis=1) + noise)[:, None]
 
 
-def _mean_field(time, hits, accidental, subgroup, masked, same_ticks) -> np.ndarray:
+def _mean_field(
+    time: np.ndarray,
+    hits: np.ndarray,
+    accidental: np.ndarray,
+    subgroup: np.ndarray,
+    masked: np.ndarray,
+    same_ticks: float,
+) -> np.ndarray:
     """float64[rows, cols, J]: probability of each candidate, given hits and neighbours; means of the surfaces by the way."""
     rows, cols, most = time.shape
     exists = ~np.isnan(time)
@@ -324,7 +345,7 @@ def _mean_field(time, hits, accidental, subgroup, masked, same_ticks) -> np.ndar
     probability /= np.maximum(probability.sum(axis=2, keepdims=True), 1e-300)
     flat = subgroup.ravel()
 
-    def within(values):
+    def within(values: np.ndarray) -> np.ndarray:
         """Sums over each subgroup, float64[subgroups, J]."""
         return np.stack([np.bincount(flat, values[:, :, j].ravel(), flat.max() + 1) for j in range(most)], axis=1)
 

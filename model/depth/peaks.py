@@ -14,7 +14,9 @@ ACCIDENT_MAX = 0.01  # probability that a second or further return is background
 LIVE_MIN = 0.05  # share of periods; below it, pile-up is beyond correction
 
 
-def pixel_peaks(histogram: np.ndarray, method: str, live: np.ndarray | None, sigma_ticks: float, returns: int):
+def pixel_peaks(
+    histogram: np.ndarray, method: str, live: np.ndarray | None, sigma_ticks: float, returns: int
+) -> tuple[np.ndarray, np.ndarray]:
     """(ticks, confidence), each float64[pixels, returns], from int32[pixels, bins]. live: float64[bins], `live_share`."""
     pixels, bins = histogram.shape
     width = 1.0 if method == "maximum" else np.sqrt(2 * np.pi) * sigma_ticks  # a hit in the filter's middle counts 1

@@ -7,6 +7,7 @@ kernel's room, the contract and this room hold all that it may use, so their dig
 from collections.abc import Callable
 from functools import cache, partial
 from pathlib import Path
+from typing import Any, TypeVar, overload
 
 import numba
 
@@ -15,9 +16,14 @@ from .folders import build_root
 from .sources import sources_digest
 
 _SHARED_BY_ALL = ("model.contract", "model.shared")
+_Kernel = TypeVar("_Kernel", bound=Callable[..., Any])
 
 
-def njit(function: Callable | None = None, *, allocates: bool = True, **options):
+@overload
+def njit(function: _Kernel) -> _Kernel: ...
+@overload
+def njit(*, allocates: bool = True, **options: Any) -> Callable[[_Kernel], _Kernel]: ...
+def njit(function: Callable[..., Any] | None = None, *, allocates: bool = True, **options: Any) -> Callable[..., Any]:
     """`numba.njit`, with or without options, that keeps what it compiled and lets other threads run meanwhile.
 
     allocates=False: the function and what it calls make no array, and count no references to those that they are given. Where functions that

@@ -15,7 +15,8 @@ _T = TypeVar("_T")
 
 def check_real(name: str, value: Any, low: float, high: float = inf) -> float:
     """`value` as a float if it is finite and within [`low`, `high`], else an `InputError`."""
-    if isinstance(value, (bool, str)) or not np.isscalar(value) or not low <= value <= high or not isfinite(value):
+    is_scalar: bool = np.isscalar(value)  # by a name: in the condition it would narrow Any to types without an order
+    if isinstance(value, (bool, str)) or not is_scalar or not low <= value <= high or not isfinite(value):
         raise InputError(f"{name} = {value!r}: must be a number {_range(low, high)}")
     return float(value)
 
