@@ -14,7 +14,8 @@ import numpy as np
 from ..model.contract.config import Config, parse_config
 from ..model.contract.edges import Edges
 from ..model.contract.packet import BEAT_BITS, FORMATS, layout
-from ..model.depth.estimate import SYSTEM_FWHM_S, estimate_depth
+from ..model.depth.arrivals import SYSTEM_FWHM_S
+from ..model.depth.estimate import estimate_depth
 from ..model.depth.histograms import pixel_image
 from ..model.depth.peaks import APART_SIGMAS, NEAR_SIGMAS, pixel_peaks
 from ..model.golden.frame import golden_result

@@ -6,7 +6,8 @@ from ..model.depth.estimate import Depth
 from ..model.light.link_budget import Optics
 from ..model.shared.files import FilePath, whole_file
 
-POINT = np.dtype([(name, "<f4") for name in ("x", "y", "z", "confidence")])
+FIELDS = ("x", "y", "z", "confidence")
+POINT = np.dtype([(name, "<f4") for name in FIELDS])
 
 
 def point_cloud(depth: Depth, optics: Optics | None = None) -> np.ndarray:
@@ -37,6 +38,6 @@ def _tangents(pixels: int, fov_deg: float) -> np.ndarray:
 def write_ply(path: FilePath, points: np.ndarray) -> None:
     """Writes points (`point_cloud`) as binary PLY, whole or not at all."""
     header = ["ply", "format binary_little_endian 1.0", "comment metres; x right, y down, z forward"]
-    header += [f"element vertex {len(points)}", *(f"property float {name}" for name in POINT.names), "end_header", ""]
+    header += [f"element vertex {len(points)}", *(f"property float {name}" for name in FIELDS), "end_header", ""]
     with whole_file(path) as file:
         file.write("\n".join(header).encode() + points.astype(POINT).tobytes())

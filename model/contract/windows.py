@@ -4,12 +4,18 @@ Plain arithmetic on integers, which takes numbers and arrays alike and which ker
 a laser period and lasts `window_ticks`; cycles and ticks are counted from the period's start.
 """
 
+from typing import TypeVar
 
-def close_cycle(opening_tick, window_ticks, phases):
+import numpy as np
+
+_Number = TypeVar("_Number", int, np.ndarray)
+
+
+def close_cycle(opening_tick: _Number, window_ticks: int, phases: int) -> _Number:
     """c: the cycle of the window's last tick, from which its commit is counted (`latency.COMMIT`)."""
     return (opening_tick + window_ticks - 1) // phases
 
 
-def armed_cycle(close, rearm_cycles):
+def armed_cycle(close: _Number, rearm_cycles: int) -> _Number:
     """c + 1 + R: the first cycle in which the tree may open a window again."""
     return close + 1 + rearm_cycles

@@ -18,6 +18,7 @@ from functools import cache
 from typing import NamedTuple
 
 import numpy as np
+from attrs import frozen
 from scipy import special, stats
 
 from ..contract.config import Config
@@ -177,7 +178,8 @@ class FirstPhotonLaw(NamedTuple):
         return cls(table, np.maximum(least, 1e-12), float(first), per_tick)
 
 
-class _Part(NamedTuple):
+@frozen(eq=False)
+class _Part:
     """A subgroup's events (arrays [n]) and what is known of it."""
 
     stamp: np.ndarray
@@ -226,7 +228,7 @@ def _peaks(part: _Part) -> list[float]:
         accident = stats.poisson.sf(np.arange(inside.max() + 1) - 1, mean)[inside]
         found = accident < FALSE_CANDIDATES * width / bins / COUNTS_TRIED
         strength = np.maximum(strength, np.where(found, inside - mean, 0))
-    peaks = []
+    peaks: list[float] = []
     while len(peaks) < CANDIDATES_MAX and strength.max() > 0:
         top = np.flatnonzero(strength == strength.max())
         at = int(top[len(top) // 2])

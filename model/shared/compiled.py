@@ -15,6 +15,7 @@ from .errors import InputError
 from .folders import build_root
 from .sources import sources_digest
 
+_NUMBA: Any = numba.config  # reads its settings when it is imported, so that no type checker knows them
 _SHARED_BY_ALL = ("model.contract", "model.shared")
 _Kernel = TypeVar("_Kernel", bound=Callable[..., Any])
 
@@ -32,15 +33,15 @@ def njit(function: Callable[..., Any] | None = None, *, allocates: bool = True, 
     if function is None:
         return partial(njit, allocates=allocates, **options)
     options |= {"nogil": True} | ({} if allocates else {"_nrt": False})
-    folder = None if numba.config.DISABLE_JIT else _folder(_room(function.__module__))
+    folder = None if _NUMBA.DISABLE_JIT else _folder(_room(function.__module__))
     if folder is None:
         return numba.njit(**options)(function)
-    others = numba.config.CACHE_DIR  # where other packages keep theirs
-    numba.config.CACHE_DIR = str(folder)
+    others = _NUMBA.CACHE_DIR  # where other packages keep theirs
+    _NUMBA.CACHE_DIR = str(folder)
     try:
         return numba.njit(cache=True, **options)(function)
     finally:
-        numba.config.CACHE_DIR = others
+        _NUMBA.CACHE_DIR = others
 
 
 def _room(module: str) -> str:
