@@ -19,7 +19,6 @@ import subprocess
 import sys
 import zlib
 from concurrent.futures import ThreadPoolExecutor
-from itertools import groupby
 from pathlib import Path
 
 import numpy as np
@@ -31,9 +30,10 @@ from coincid.flow.yosys import run_yosys
 from coincid.hdl.sensor import TOP
 from coincid.model.contract.config import parse_config
 from coincid.model.contract.packet import FORMAT_NAMES
-from coincid.model.golden.frame import Golden, Trace
+from coincid.model.golden.frame import Golden
+from coincid.model.shared.sources import room_files
 from coincid.tb import toolchain
-from coincid.tb.frames import FrameJob, load_job, save_job
+from coincid.tb.frames import FrameJob, save_job
 from coincid.tb.rtl import rtl
 
 from .benches import BENCHES
@@ -44,7 +44,12 @@ FRAMES = 60
 CASES_SEED = 2026
 SECONDS_MAX = 240  # of a mutant in one bench: a design that hangs is seen, too
 RTL_MUTANTS, GOLDEN_MUTANTS = 120, 120  # of the sampled mode
-GOLDEN_SOURCE = Path(__file__).parents[1] / "model" / "golden.py"
+GOLDEN_SOURCES = {  # module -> file, of all that the golden model computes with
+    f"coincid.model.{path.parent.name}.{path.stem}": path
+    for path in room_files("model.golden", "model.contract")
+    if path.suffix == ".py" and (path.parent.name == "golden" or path.stem in ("pixels", "windows"))
+}
+NOT_JUDGED = {"golden_result"}  # functions that single frames do not call
 BENCH_SENSOR, FAULT_SOURCES = (
     "COINCID_BENCH_SENSOR",
     "COINCID_FAULT_SOURCES",
@@ -247,70 +252,36 @@ class Mutator(ast.NodeTransformer):
         return ast.copy_location(ast.Pass(), node) if self._turn(node, "continue: left out") else node
 
 
-def _functions(tree: ast.Module) -> list[ast.AST]:
-    """What is mutated: the front end, the readout and what they call, and how a frame puts them together."""
-    named = {
-        "_front_end",
-        "_enough",
-        "_readout",
-        "_header",
-        "_pack",
-        "frame",
-        "_next_ready",
-        "_by_subgroup",
-        "_time_order",
-        "pixel_table",
-    }
-    return [node for node in ast.walk(tree) if isinstance(node, ast.FunctionDef) and node.name in named]
-
-
-def golden_mutant(number: int) -> tuple[str, str]:
-    """Source of a mutant of the golden model, and what was changed; an empty description where there are no more."""
-    source = GOLDEN_SOURCE.read_text()
+def _mutated(path: Path, number: int = -1) -> tuple[ast.Module, Mutator]:
+    """A file's syntax tree with one mutation, and what did it."""
+    source = path.read_text()
     tree, mutator = ast.parse(source), Mutator(source, number)
-    for function in _functions(tree):
-        mutator.visit(function)
-    return ast.unparse(ast.fix_missing_locations(tree)), mutator.done
+    for node in ast.walk(tree):
+        if isinstance(node, ast.FunctionDef) and node.name not in NOT_JUDGED:
+            mutator.visit(node)
+    return tree, mutator
+
+
+def golden_mutant(number: int) -> tuple[str, str, str]:
+    """Module of a mutant of the golden model, its source, and what was changed; all empty where there are no more."""
+    for module, path in GOLDEN_SOURCES.items():
+        tree, mutator = _mutated(path, number)
+        if mutator.done:
+            return module, ast.unparse(ast.fix_missing_locations(tree)), f"{path.stem}: {mutator.done}"
+        number -= mutator.count
+    return "", "", ""
 
 
 def golden_mutants() -> int:
     """How many mutants of the golden model there are."""
-    source = GOLDEN_SOURCE.read_text()
-    mutator = Mutator(source)
-    for function in _functions(ast.parse(source)):
-        mutator.visit(function)
-    return mutator.count
+    return sum(_mutated(path)[1].count for path in GOLDEN_SOURCES.values())
 
 
-def judge_golden(source: Path, jobs: Path) -> bool:
-    """Whether the golden model of `source` differs from what was recorded. Runs in a process of its own, without Numba."""
-    import types
-
-    module = types.ModuleType("coincid.model.mutant")
-    module.__package__ = "coincid.model"
-    sys.modules[module.__name__] = module
-    exec(compile(source.read_text(), str(source), "exec"), module.__dict__)  # noqa: S102
-    recorded, _ = load_job(jobs)
-    for sensor, of_sensor in groupby(recorded, key=lambda job: job.config.sensor):
-        golden = module.Golden(sensor)
-        if any(differs(golden.frame(job.config, job.edges, job.ready), job.expected) for job in of_sensor):
-            return True
-    return False
-
-
-def differs(shown: Trace, expected: Trace) -> bool:
-    """Whether two traces differ anywhere."""
-    parts = [(shown.commit_subgroup, expected.commit_subgroup), (shown.commit_cycle, expected.commit_cycle)]
-    parts += [(shown.fate, expected.fate), (shown.counters, expected.counters)]
-    parts += [*zip(shown.beats, expected.beats), *zip(shown.beat_cycle, expected.beat_cycle)]
-    return not all(np.array_equal(a, b) for a, b in parts)
-
-
-def run_golden(number: int, text: str, what: str, folder: Path, jobs: Path) -> Fate:
+def run_golden(number: int, module: str, text: str, what: str, folder: Path, jobs: Path) -> Fate:
     """The fate of a mutant of the golden model."""
     source = folder / f"golden_{number}.py"
     source.write_text(text)
-    command = [sys.executable, "-m", "tests.mutation", "--judge", str(source), str(jobs)]
+    command = [sys.executable, "-m", "tests.judge", module, str(source), str(jobs)]
     environment = os.environ | {"NUMBA_DISABLE_JIT": "1", "PYTHONWARNINGS": "ignore"}
     try:
         code = subprocess.run(
@@ -489,10 +460,7 @@ def main() -> None:
     parser.add_argument(
         "--golden", type=int, default=GOLDEN_MUTANTS, help="mutants of the golden model; there are some 400"
     )
-    parser.add_argument("--judge", nargs=2, type=Path, help=argparse.SUPPRESS)
     given_ = parser.parse_args()
-    if given_.judge:
-        sys.exit(judge_golden(*given_.judge))
     folder = toolchain.build_root() / "mutation"
     subprocess.run(["rm", "-rf", str(folder)], check=True)
     folder.mkdir(parents=True)
@@ -504,7 +472,7 @@ def main() -> None:
     def tell(fate: Fate) -> None:
         print(f"{fate.where:26} {fate.by or 'SURVIVED':24} {fate.what[:150]}", flush=True)
 
-    def golden(mutant: tuple[int, str, str]) -> Fate:
+    def golden(mutant: tuple[int, str, str, str]) -> Fate:
         fate = run_golden(*mutant, folder, folder / "jobs")
         tell(fate)
         return fate

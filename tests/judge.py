@@ -1,0 +1,44 @@
+"""Judges a mutant of the golden model: `python -m tests.judge MODULE SOURCE JOBS` fails where a frame differs from what was recorded.
+
+SOURCE takes the place of the module MODULE before anything imports it. JOBS: a file of frames, by sensor.
+"""
+
+import importlib.util
+import sys
+from itertools import groupby
+from pathlib import Path
+
+import numpy as np
+
+
+def put_in_place(module: str, source: Path) -> None:
+    """Imports `source` as `module`."""
+    spec = importlib.util.spec_from_file_location(module, source)
+    mutant = importlib.util.module_from_spec(spec)
+    sys.modules[module] = mutant
+    spec.loader.exec_module(mutant)
+
+
+def differs(jobs: Path) -> bool:
+    """Whether the golden model makes anything else of the jobs than was recorded."""
+    from coincid.model.golden.frame import Golden
+    from coincid.tb.frames import load_job
+
+    recorded, _ = load_job(jobs)
+    for sensor, of_sensor in groupby(recorded, key=lambda job: job.config.sensor):
+        golden = Golden(sensor)
+        if not all(_equal(golden.frame(job.config, job.edges, job.ready), job.expected) for job in of_sensor):
+            return True
+    return False
+
+
+def _equal(shown, expected) -> bool:
+    parts = [(shown.commit_subgroup, expected.commit_subgroup), (shown.commit_cycle, expected.commit_cycle)]
+    parts += [(shown.fate, expected.fate), (shown.counters, expected.counters)]
+    parts += [*zip(shown.beats, expected.beats), *zip(shown.beat_cycle, expected.beat_cycle)]
+    return all(np.array_equal(a, b) for a, b in parts)
+
+
+if __name__ == "__main__":
+    put_in_place(sys.argv[1], Path(sys.argv[2]))
+    sys.exit(differs(Path(sys.argv[3])))
