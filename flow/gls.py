@@ -12,11 +12,10 @@ from pathlib import Path
 
 import numpy as np
 
-from ..hdl.sensor import TOP
 from ..model.contract.config import Config, parse_config, sensor_table
 from ..model.contract.edges import Edges
 from ..model.contract.packet import FORMAT_NAMES
-from ..model.contract.parameters import Sensor
+from ..model.contract.parameters import TOP, Sensor
 from ..model.golden.frame import Golden
 from ..model.shared.folders import build_root
 from ..tb import toolchain

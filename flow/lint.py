@@ -7,9 +7,9 @@ import tempfile
 from pathlib import Path
 
 from ..hdl.export import fpga_files
-from ..hdl.sensor import FPGA_TOP, TOP, has_fpga_top
+from ..hdl.sensor import FPGA_TOP, has_fpga_top
 from ..hdl.views import POLYPHASE, View
-from ..model.contract.parameters import Sensor
+from ..model.contract.parameters import TOP, Sensor
 from ..tb import toolchain
 from ..tb.rtl import rtl
 from .release import tool_options

@@ -14,8 +14,8 @@ from typing import Any
 from attrs import evolve, frozen
 
 from ..hdl.export import FILE_LIST, fpga_files, verilog_files
-from ..hdl.sensor import TOP
 from ..model.contract.config import load_config
+from ..model.contract.parameters import TOP
 from ..model.shared.files import whole_file
 from ..model.shared.folders import build_root
 from ..model.shared.sources import digest

@@ -11,11 +11,11 @@ from attrs import asdict
 
 from ..hdl import deserialiser
 from ..hdl.export import FILE_LIST, fpga_files, verilog_files
-from ..hdl.sensor import FPGA_TOP, TOP, Port, has_fpga_top, netlist
+from ..hdl.sensor import FPGA_TOP, Port, has_fpga_top, netlist
 from ..hdl.views import POLYPHASE, View, view_at
 from ..model.contract import latency
 from ..model.contract.config import Config
-from ..model.contract.parameters import Sensor
+from ..model.contract.parameters import TOP, Sensor
 from ..model.shared.errors import InputError
 from .constraints import constraints as async_constraints
 from .register_files import register_files

@@ -12,12 +12,12 @@ from pathlib import Path
 import numpy as np
 
 from ..hdl import deserialiser
-from ..hdl.sensor import FPGA_TOP, TOP, netlist
+from ..hdl.sensor import FPGA_TOP, netlist
 from ..hdl.views import POLYPHASE, Polyphase, View
 from ..model.contract import registers
 from ..model.contract.config import Config, parse_config, sensor_table
 from ..model.contract.edges import Edges
-from ..model.contract.parameters import Sensor
+from ..model.contract.parameters import TOP, Sensor
 from ..model.contract.pixels import pixel_table
 from ..model.contract.ports import port_bits
 from ..model.golden.frame import Golden, Trace

@@ -15,9 +15,9 @@ from pathlib import Path
 from attrs import field, frozen
 
 from ..hdl.export import FILE_LIST, fpga_files, verilog_files
-from ..hdl.sensor import FPGA_TOP, TOP, has_fpga_top, netlist
+from ..hdl.sensor import FPGA_TOP, has_fpga_top, netlist
 from ..model.contract.config import Config, load_config
-from ..model.contract.parameters import Sensor
+from ..model.contract.parameters import TOP, Sensor
 from ..model.shared.files import whole_file
 from ..model.shared.folders import build_root
 from ..model.shared.sources import digest

@@ -4,9 +4,9 @@ import re
 
 from amaranth.back import verilog
 
-from ..model.contract.parameters import Sensor
+from ..model.contract.parameters import TOP, Sensor
 from .deserialiser import Deserialiser
-from .sensor import FPGA_TOP, TOP, core_verilog, fpga_verilog
+from .sensor import FPGA_TOP, core_verilog, fpga_verilog
 from .sensor import verilog as sensor_verilog
 from .unit import Export, Unit
 from .views import POLYPHASE

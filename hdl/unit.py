@@ -13,7 +13,7 @@ class Unit(wiring.Component):
     """
 
     unit_name: str
-    state: SimpleNamespace | None = None
+    state: SimpleNamespace
     clocked = True  # has the ports clk and rst
     _MustUse__silence = True  # an instance may stand for the unit, which Amaranth would report as forgotten
 

@@ -3,9 +3,9 @@
 from pathlib import Path
 
 from ..hdl.export import FILE_LIST, core_files, verilog_files
-from ..hdl.sensor import CORE, TOP
+from ..hdl.sensor import CORE
 from ..hdl.views import POLYPHASE, View
-from ..model.contract.parameters import Sensor
+from ..model.contract.parameters import TOP, Sensor
 from ..model.shared.folders import build_root
 from ..model.shared.sources import digest, sources_digest
 from . import toolchain

@@ -21,10 +21,10 @@ from hypothesis import HealthCheck, Phase, given, seed, settings
 from hypothesis import strategies as st
 
 from coincid.hdl.export import verilog_files
-from coincid.hdl.sensor import TOP
 from coincid.model.contract.config import Config, parse_config
 from coincid.model.contract.edges import Fate
 from coincid.model.contract.packet import FORMAT_NAMES, HEADER
+from coincid.model.contract.parameters import TOP
 from coincid.model.contract.pixels import pixel_table
 from coincid.model.contract.registers import COUNTER_NAMES, reset_values
 from coincid.model.contract.stream import decode_frame

@@ -27,9 +27,9 @@ from hypothesis import HealthCheck, Phase, given, seed, settings
 from hypothesis import strategies as st
 
 from coincid.flow.yosys import run_yosys
-from coincid.hdl.sensor import TOP
 from coincid.model.contract.config import parse_config
 from coincid.model.contract.packet import FORMAT_NAMES
+from coincid.model.contract.parameters import TOP
 from coincid.model.golden.frame import Golden
 from coincid.model.shared.sources import room_files
 from coincid.tb import toolchain

@@ -19,10 +19,10 @@ from coincid.flow.lint import lint
 from coincid.flow.register_files import HEADER, JSON, MARKDOWN
 from coincid.flow.waivers import OF_CELLS, WAIVERS
 from coincid.hdl.export import FILE_LIST
-from coincid.hdl.sensor import TOP
 from coincid.hdl.views import POLYPHASE, VIEWS
 from coincid.model.contract.config import load_config, parse_config
 from coincid.model.contract.edges import Edges
+from coincid.model.contract.parameters import TOP
 from coincid.model.contract.registers import BY_NAME, address
 from coincid.model.contract.result import differences, stall
 from coincid.model.golden.frame import golden_result

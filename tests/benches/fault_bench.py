@@ -13,9 +13,9 @@ import numpy as np
 from cocotb.triggers import ClockCycles, FallingEdge
 from sensor_bench import Queue, config, received, some_edges
 
-from coincid.hdl.sensor import TOP
 from coincid.model.contract import registers
 from coincid.model.contract.packet import HEADER
+from coincid.model.contract.parameters import TOP
 from coincid.model.contract.registers import COUNTER_NAMES, ID_VALUE
 from coincid.model.contract.stream import decode_frame
 from coincid.model.golden.frame import Golden

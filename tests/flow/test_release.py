@@ -17,9 +17,10 @@ from systemrdl.node import RegNode
 from coincid.flow.register_files import IP_XACT, RDL
 from coincid.flow.release import MANIFEST, write_release
 from coincid.flow.smoke import FPGA_SMOKE, SMOKE
-from coincid.hdl.sensor import FPGA_TOP, TOP
+from coincid.hdl.sensor import FPGA_TOP
 from coincid.hdl.views import POLYPHASE, VIEWS
 from coincid.model.contract.config import load_config, parse_config
+from coincid.model.contract.parameters import TOP
 from coincid.model.contract.registers import BY_NAME, SUBGROUP, Access, address
 from coincid.model.shared.errors import InputError
 from coincid.tb import toolchain

@@ -9,8 +9,8 @@ from rich.console import Console
 from typer.testing import CliRunner
 
 from coincid.cli import app
-from coincid.hdl.sensor import TOP
 from coincid.model.contract.config import parse_config
+from coincid.model.contract.parameters import TOP
 from coincid.model.depth.estimate import estimate_depth
 from coincid.model.depth.quality import wrong_share
 from coincid.model.scenes.catalogue import load_scene
