@@ -41,7 +41,7 @@ class Placement:
     folder: Path
 
     @property
-    def report(self) -> dict:
+    def report(self) -> dict[str, Any]:
         return json.loads((self.folder / "report.json").read_text())
 
     @property
@@ -50,7 +50,7 @@ class Placement:
         return {re.sub(r"[$].*?[$]", "", net): found["achieved"] for net, found in sorted(self.report["fmax"].items())}
 
     @property
-    def longest(self) -> dict:
+    def longest(self) -> dict[str, Any]:
         """The longest path between registers of one clock."""
         return max((path for path in self.report["critical_paths"] if path["from"] == path["to"]), key=_delay_ns)
 

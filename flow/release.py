@@ -12,7 +12,7 @@ from attrs import asdict
 from ..hdl import deserialiser
 from ..hdl.export import FILE_LIST, fpga_files, verilog_files
 from ..hdl.sensor import FPGA_TOP, Port, has_fpga_top, netlist
-from ..hdl.views import POLYPHASE, View, view_at
+from ..hdl.views import POLYPHASE, Asynchronous, View, view_at
 from ..model.contract import latency
 from ..model.contract.config import Config
 from ..model.contract.parameters import TOP, Sensor
@@ -31,7 +31,7 @@ DERIVED = ("array_pixels", "subgroups", "pixels", "minigroups", "guard", "stamp_
 PER_TOP = {TOP: SMOKE, FPGA_TOP: FPGA_SMOKE}
 
 
-def release_files(config: Config, view=POLYPHASE) -> dict[str, str]:
+def release_files(config: Config, view: str | View = POLYPHASE) -> dict[str, str]:
     """File name -> text of a configuration's sensor at its clock. view: of `views.py`, or its name. Equal parameters give equal bytes."""
     sensor, clock_mhz, view = config.sensor, config.clock_mhz, view_at(view, config.clock_mhz)
     rtl = verilog_files(sensor, view)
@@ -60,14 +60,14 @@ def _list(names: list[str]) -> str:
     return "".join(f"{name}\n" for name in names)
 
 
-def _constraints(sensor: Sensor, clock_mhz: float, top: str, view) -> str:
+def _constraints(sensor: Sensor, clock_mhz: float, top: str, view: View) -> str:
     period = 1000 / clock_mhz
     lines = [
         f"# Timing of {top} at {clock_mhz:g} MHz; times in ns.",
         f"set period {period:g}",
         "create_clock -name clk -period $period [get_ports clk]",
     ]
-    if view.macros:
+    if isinstance(view, Asynchronous):
         lines += ["", async_constraints(sensor, view.circuit)]
     if top == FPGA_TOP:
         lines.append("# Clock j of the deserialisers comes j ticks after clk, from the same PLL.")
@@ -182,7 +182,7 @@ def _core(lists: dict[str, list[str]], view: View) -> str:
     )
 
 
-def _readme(sensor: Sensor, clock_mhz: float, lists: dict[str, list[str]], view) -> str:
+def _readme(sensor: Sensor, clock_mhz: float, lists: dict[str, list[str]], view: View) -> str:
     options = {tool: " ".join(given) for tool, given in tool_options(view).items()}
     smoke = [
         f"    iverilog {options['icarus']} -s {PER_TOP[top]} -o smoke.vvp -f {PER_TOP[top]}.f && vvp -n smoke.vvp"
@@ -231,7 +231,7 @@ def _readme(sensor: Sensor, clock_mhz: float, lists: dict[str, list[str]], view)
     )
 
 
-def _manifest(sensor: Sensor, clock_mhz: float, lists: dict[str, list[str]], files: dict[str, str], view) -> str:
+def _manifest(sensor: Sensor, clock_mhz: float, lists: dict[str, list[str]], files: dict[str, str], view: View) -> str:
     return (
         json.dumps(
             {
@@ -252,7 +252,7 @@ def _manifest(sensor: Sensor, clock_mhz: float, lists: dict[str, list[str]], fil
     )
 
 
-def write_release(folder: Path, config: Config, view=POLYPHASE) -> list[Path]:
+def write_release(folder: Path, config: Config, view: str | View = POLYPHASE) -> list[Path]:
     """Writes the release of a configuration's sensor in a view to `folder`, which appears whole and replaces the release that stood there.
 
     Raises `InputError` where the folder cannot be written, or holds anything but an earlier release.

@@ -162,7 +162,7 @@ def study(
 
 
 def _with_streams(
-    size: str, klux: float, threshold: int, config: Config, edges: Edges, expected: tuple[float, float]
+    size: str, klux: float, threshold: int, config: Config, edges: Edges, expected: list[np.ndarray]
 ) -> list[Row]:
     """Rows of one frame: with 1 stream, 2, ... until nothing is lost."""
     measured, lost = [], (0.0, 0.0)

@@ -167,7 +167,7 @@ def simulate(
             raise
         bar.stage("depth")
         titles = {name: title.format(threshold=_span(config.threshold)) for name, (title, _) in SCHEMES.items()}
-        shares = {}
+        shares: dict[str, float] = {}
         for file, (method, suffix, heading) in PICTURES.items():
             panels = [
                 Panel(titles[name], estimate_depth(frames.arrays, scheme, method=method, frame=k).depth_m[:, :, 0])

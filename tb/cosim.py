@@ -22,7 +22,7 @@ from coincid.hdl.silicon.circuit import STEP_FS, clock_fs
 from coincid.model.contract import registers
 from coincid.model.contract.config import Config
 from coincid.model.contract.edges import Edges
-from coincid.model.contract.parameters import CLOCK_MHZ
+from coincid.model.contract.parameters import CLOCK_MHZ, Sensor
 from coincid.tb.errors import Mismatch
 from coincid.tb.frames import (
     JOB_VARIABLE,
@@ -45,7 +45,7 @@ class SensorBench:
 
     step_fs = 2 * FS_PER_PS  # half cycles are whole picoseconds, the simulation's time step
 
-    def __init__(self, dut, sensor, clock_mhz: float = CLOCK_MHZ):
+    def __init__(self, dut: Any, sensor: Sensor, clock_mhz: float = CLOCK_MHZ):
         self.dut, self.sensor, self.cycle_fs = dut, sensor, clock_fs(clock_mhz, self.step_fs)
         self.axi = AXI4LiteMaster(dut, "s_axi", dut.clk)
         self.spad = [getattr(dut, f"spad_{s}") for s in range(sensor.subgroups)]
@@ -183,7 +183,7 @@ class LineBench(SensorBench):
 
     step_fs = STEP_FS
 
-    def shine(self, config, edges):
+    def shine(self, config: Config, edges: Edges) -> dict[int, list[tuple[int, int]]]:
         self.light = cocotb.start_soon(self._shine(line_levels(config, edges)))
         return {}
 

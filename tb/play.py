@@ -93,10 +93,14 @@ def play_in(
 
 
 def _play_batch(frames: list[FrameJob], progress: Callable[[int], None]) -> list[Recorded]:
+    def since(start: int) -> Callable[[int], None]:
+        """Of a frame that starts when `start` cycles are done."""
+        return lambda cycle: progress(start + cycle)
+
     records, before = [], 0
     with BatchSensor(frames[0].config.sensor) as sensor:
         for number, job in enumerate(frames):
-            record = sensor.frame(job.config, job.edges, job.ready, lambda cycle, base=before: progress(base + cycle))
+            record = sensor.frame(job.config, job.edges, job.ready, since(before))
             if job.expected is not None:
                 record.checked = check(sensor.sensor, job.expected, record, number)
             before += record.cycles
