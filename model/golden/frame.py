@@ -5,6 +5,8 @@ minigroup records, and the fates. `readout` plays one stream's FIFOs, round robi
 Latencies are those of `latency.py`; everything else is the contract of section III-A of the paper as the design documentation fixes it.
 """
 
+from collections.abc import Callable
+
 import numpy as np
 from attrs import frozen
 
@@ -41,7 +43,7 @@ class Golden:
     def __init__(self, sensor: Sensor):
         self.sensor = sensor
         self.frames = 0
-        self._photons = None
+        self._photons: np.ndarray | None = None
         self._pixel = pixel_table(sensor)
 
     def frame(self, config: Config, edges: Edges, ready: np.ndarray | None = None, pulses: int | None = None) -> Trace:
@@ -100,7 +102,7 @@ def _timeline(config: Config) -> Timeline:
 
 
 def golden_result(
-    config: Config, edges: Edges, ready: np.ndarray | None = None, progress=lambda frames: None
+    config: Config, edges: Edges, ready: np.ndarray | None = None, progress: Callable[[int], None] = lambda frames: None
 ) -> dict[str, np.ndarray]:
     """All frames of `config` through the golden model: the result file's arrays with `fate`. `progress` is called after each frame."""
     model, result = Golden(config.sensor), ResultBuilder(config)

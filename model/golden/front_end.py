@@ -6,6 +6,7 @@ windows and collect for themselves (`_collect_records`).
 """
 
 from collections import namedtuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -18,8 +19,16 @@ from ..contract.windows import armed_cycle, close_cycle
 from ..shared.compiled import njit
 from .shape import COUNTER, Shape, row_type
 
+
+class _Key(NamedTuple):
+    """Lowest bits of the key's fields; the pixel inside is the lowest."""
+
+    pulse: int
+    tick: int
+
+
 _OPENING, _COUNTED, _DUPLICATE, _MASKED, _GATED, _BLIND = (int(fate) for fate in Fate)
-_KEY = namedtuple("_KEY", "pulse tick")(23, 8)  # lowest bits of the key's fields; the pixel inside is the lowest
+_KEY = _Key(pulse=23, tick=8)
 _TICK_MASK, _PIXEL_MASK = (1 << _KEY.pulse - _KEY.tick) - 1, (1 << _KEY.tick) - 1
 _WORD_BITS = (BEAT_BITS - 1).bit_length()  # of a pixel's number inside a word of the ID map
 _NEVER = -1  # a cycle before all

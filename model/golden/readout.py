@@ -5,6 +5,7 @@ subgroup that asks is chosen (`_arbitrate`), its packet is formed (`_form_packet
 """
 
 from collections import namedtuple
+from typing import Any
 
 import numpy as np
 
@@ -14,7 +15,8 @@ from ..contract.registers import COUNTER_BITS
 from ..shared.compiled import njit
 from .shape import COUNTER, row_type
 
-_LSB = namedtuple("_LSB", tuple(HEADER))(*(lsb for lsb, _ in HEADER.values()))
+# A table names the fields.
+_LSB: Any = namedtuple("_LSB", tuple(HEADER))(*(lsb for lsb, _ in HEADER.values()))  # type: ignore[arg-type]
 _RECORD, _FRAME_START, _FRAME_END = int(Kind.RECORD), int(Kind.FRAME_START), int(Kind.FRAME_END)
 _NONE = -1
 _NEVER = np.int64(1) << 62

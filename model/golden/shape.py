@@ -1,6 +1,7 @@
 """What the golden model's kernels need of a configuration, as plain numbers."""
 
 from collections import namedtuple
+from typing import Any
 
 import numpy as np
 
@@ -22,7 +23,8 @@ def row_type(columns: str) -> np.dtype:
     return np.dtype((np.record, [(column, np.int64) for column in columns.split()]))
 
 
-COUNTER = namedtuple("COUNTER", COUNTER_NAMES)(*range(len(COUNTER_NAMES)))
+# A table names the fields.
+COUNTER: Any = namedtuple("COUNTER", COUNTER_NAMES)(*range(len(COUNTER_NAMES)))
 
 
 def shape_of(config: Config) -> Shape:

@@ -22,6 +22,7 @@ import math
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from itertools import repeat
+from typing import Any
 
 import numpy as np
 
@@ -39,7 +40,7 @@ PULSES_MAX = 1 << 40
 DITHERED_PULSES_MAX = 1 << 24  # whose starts are kept
 
 
-def generate_edges(light: Light, spad: Spad, timing: Timing, **options) -> Edges:
+def generate_edges(light: Light, spad: Spad, timing: Timing, **options: Any) -> Edges:
     """All edges of `edge_chunks` in one: sorted by (pulse, tick, pixel). Same options, errors and bytes."""
     chunks = list(edge_chunks(light, spad, timing, **options))
     return Edges(*(np.concatenate([getattr(chunk, name) for chunk in chunks]) for name in ("pulse", "pixel", "tick")))
@@ -171,16 +172,26 @@ def _bins(light: Light, tick_s: float, period_ticks: int) -> tuple[np.ndarray, n
 class _Walker:
     """A block of pixels and what they carry from chunk to chunk, in the sending pass of crosstalk and in the last."""
 
-    def __init__(self, physics, arrays, block, seed, packing, edges_per_pulse):
+    def __init__(
+        self,
+        physics: Physics,
+        arrays: Arrays,
+        block: tuple[int, int],
+        seed: int,
+        packing: Packing,
+        edges_per_pulse: float,
+    ):
         self.physics, self.arrays, self.block, self.packing = physics, arrays, block, packing
         self.seed, self.edges_per_pulse = np.uint64(seed), edges_per_pulse
         brightest = (arrays.noise + arrays.signal_per_pulse + arrays.other * physics.others_per_pulse).max()
         self.photons_max = int(brightest + 12 * math.sqrt(brightest)) + 64  # exceeded about never: then doubled
         pixels = block[1] - block[0]
         fresh = np.zeros(pixels), np.full((pixels, CARRIERS_MAX if physics.afterpulse else 0), np.inf)
-        self.state = {True: fresh, False: fresh}
+        self.state: dict[bool, tuple[np.ndarray, ...]] = {True: fresh, False: fresh}
 
-    def walk(self, span, received, sending):
+    def walk(
+        self, span: tuple[int, int], received: tuple[np.ndarray, np.ndarray], sending: bool
+    ) -> tuple[np.ndarray, ...]:
         """Packed edges, or (with `sending`) where crosstalk goes and when: int64[n] and float64[n]."""
         capacity = int(self.edges_per_pulse * span[1] * 1.1) + 1000
         while True:
