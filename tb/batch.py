@@ -174,7 +174,7 @@ class BatchSensor:
     def __enter__(self) -> "BatchSensor":
         return self
 
-    def __exit__(self, *_) -> None:
+    def __exit__(self, *_: object) -> None:
         self._library.coincid_delete(self._engine)
         self._engine = None
 
@@ -228,10 +228,10 @@ class BatchSensor:
         self._wait_done()
         beats, cycles = [], []
         for stream in range(self.sensor.streams):
-            rows = self._rows(lambda out, stream=stream: self._library.coincid_beats(self._engine, stream, out))
+            rows = self._rows(self._library.coincid_beats, stream)
             beats.append(rows[:, 0].copy())
             cycles.append(rows[:, 1].astype(np.int64))
-        commits = self._rows(lambda out: self._library.coincid_commits(self._engine, out)).astype(np.int64)
+        commits = self._rows(self._library.coincid_commits).astype(np.int64)
         commits = commits[np.argsort(commits[:, 0], kind="stable")]
         return Recorded(beats, cycles, commits[:, 0], commits[:, 1], max(int(c[-1]) for c in cycles) + 1)
 
@@ -241,10 +241,10 @@ class BatchSensor:
             pass
         self.write(status, done)
 
-    def _rows(self, get: Callable) -> np.ndarray:
+    def _rows(self, get: Callable[..., int], *which: int) -> np.ndarray:
         """Pairs of 64-bit words that the engine keeps, as uint64[n, 2]."""
         pointer = ctypes.c_void_p()
-        n = get(ctypes.byref(pointer))
+        n = get(self._engine, *which, ctypes.byref(pointer))
         if not n:
             return np.zeros((0, 2), np.uint64)
         return np.ctypeslib.as_array(ctypes.cast(pointer, ctypes.POINTER(ctypes.c_uint64)), (n, 2))

@@ -88,4 +88,4 @@ def line_levels(config: Config, edges: Edges) -> tuple[list[int], list[int], lis
         if at and at[-1][:2] == (t, s):
             at.pop()
         at.append((t, s, levels[s]))
-    return tuple(map(list, zip(*at))) if at else ([], [], [])
+    return [t for t, _, _ in at], [s for _, s, _ in at], [word for _, _, word in at]

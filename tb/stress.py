@@ -35,7 +35,9 @@ FIELDS = ("frame", "timing")
 SHOWN = "window"  # whose fields a bench reads
 
 
-def stress(edges: int, seed: int = 1, sensor: Sensor | None = None, circuit: Circuit | None = None) -> dict:
+def stress(
+    edges: int, seed: int = 1, *, sensor: Sensor | None = None, circuit: Circuit | None = None
+) -> dict[str, int]:
     """Runs `edges` random edges: counts of edges, windows, records, wrong words and lock-ups.
 
     Raises `toolchain.ToolchainError` where Icarus is missing or fails.
