@@ -7,12 +7,12 @@ give area and delay (an old process: compare, do not quote); and ECP5.
 
 import json
 import re
-from collections import Counter
-from collections.abc import Mapping
+from collections import Counter, defaultdict
+from collections.abc import Callable, Mapping
 from importlib.metadata import version
 from pathlib import Path
 
-from attrs import field, frozen
+from attrs import frozen
 
 from ..hdl.export import FILE_LIST, fpga_files, verilog_files
 from ..hdl.sensor import FPGA_TOP, has_fpga_top, netlist
@@ -68,9 +68,9 @@ class Netlist:
     target: str
     folder: Path
     units: list[str]
-    blocks: Mapping[str, Block] = field(converter=dict)
+    blocks: Mapping[str, Block]
 
-    def total(self, what) -> float:
+    def total(self, what: Callable[[Block], float]) -> float:
         """Sum of `what(block)` over the sensor."""
         return sum(block.instances * what(block) for block in self.blocks.values())
 
@@ -130,8 +130,8 @@ def _blocks(folder: Path, top: str, measured: list[str]) -> dict[str, Block]:
                 if kind in order:
                     order.remove(kind)
                 order.append(kind)
-    cells: dict[str, Counter] = {}
-    area: Counter = Counter()
+    cells: dict[str, Counter[str]] = {}
+    area: dict[str, float] = defaultdict(float)
     for name in order:
         owner = name.split(".")[0]
         own = {
@@ -225,13 +225,14 @@ def report(name: str, config: Config) -> str:
     rows = []
     for kind, block in {**{k: None for k in mapped.blocks}, **gates.blocks}.items():
         one, other = gates.blocks.get(kind), mapped.blocks.get(kind)
-        block = one or other
+        block = one or mapped.blocks[kind]
         row = [block.name, block.instances]
         row += [one.total - one.flops, one.flops, "" if one.levels is None else one.levels] if one else ["", "", ""]
         rows.append(row + (_mapped(other, fpga) if other else [""] * (len(head) - len(row))))
     total = ["**sensor**", "", round(gates.total(lambda b: b.total - b.flops)), round(gates.total(lambda b: b.flops))]
     total.append(max(block.levels or 0 for block in gates.blocks.values()))
-    total += [round(mapped.total(lambda b, k=k: _mapped(b, fpga)[k])) for k in range(len(head) - len(total))]
+    used = ([block.instances * n for n in _mapped(block, fpga)] for block in mapped.blocks.values())
+    total += [sum(column) for column in zip(*used)]
     lines = [
         f"## {name}: {sensor.rows} x {sensor.cols}, {sensor.phases} phases, {config.clock_mhz:g} MHz",
         "",
@@ -248,7 +249,7 @@ def report(name: str, config: Config) -> str:
     return "\n".join(lines)
 
 
-def _mapped(block: Block, fpga: bool) -> list:
+def _mapped(block: Block, fpga: bool) -> list[int]:
     if not fpga:
         return [block.total, round(block.area_um2)]
     ram = block.count("DP16KD") + block.count("TRELLIS_DPR16X4")

@@ -11,6 +11,7 @@ import os
 import shutil
 import subprocess
 import sys
+from typing import Any
 
 from amaranth.back import rtlil
 from amaranth.hdl import Assert, Assume, Cover, EnableInserter, Module, ResetInserter, Signal
@@ -21,13 +22,21 @@ from ..hdl.silicon.circuit import SYNCHRONISER_REARM, Circuit
 from ..hdl.silicon.control import AsyncControl
 from ..hdl.silicon.front_end import AsyncFrontEnd
 from ..model.contract.parameters import Sensor
-from ..tb.toolchain import build_root
+from ..model.shared.folders import build_root
 from .bench import elaborated
 from .prove import _programs
 
 DEPTH = 14  # half cycles of the induction
 COVER = 40  # half cycles within which a window of two pixels, not of its first cycle alone, comes out
-SMALL = {"rows": 4, "cols": 4, "subgroup": (4, 4), "minigroup": (2, 2), "phases": 4, "coarse_bits": 3, "window_max": 8}
+SMALL: dict[str, Any] = {
+    "rows": 4,
+    "cols": 4,
+    "subgroup": (4, 4),
+    "minigroup": (2, 2),
+    "phases": 4,
+    "coarse_bits": 3,
+    "window_max": 8,
+}
 SCRIPT = """\
 [tasks]
 prove

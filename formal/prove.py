@@ -15,7 +15,8 @@ from amaranth.back import rtlil
 from attrs import frozen
 
 from ..model.shared.errors import InputError
-from ..tb.toolchain import ToolchainError, build_root
+from ..model.shared.folders import build_root
+from ..tb.toolchain import ToolchainError
 from . import blocks  # noqa: F401  (registers the proofs)
 from .bench import PROOFS, STARTED, Bench, Proof
 

@@ -161,8 +161,8 @@ def packetizer(b: Bench):
     now = Mux(grant, send.as_value(), kind.as_value())
     b.always(unit.valid == b.past(active))
     b.always(unit.beat == 0, where=~unit.valid)
-    b.always(unit.take_event == (active & last & (now == bus.Send.EVENT.value)))
-    b.always(unit.take_record == (active & last & (now == bus.Send.RECORD.value)))
+    b.always(unit.take_event == (active & last & (now == bus.Send.EVENT)))
+    b.always(unit.take_record == (active & last & (now == bus.Send.RECORD)))
     b.always(kind.as_value() <= 2)
     b.always(body.sending == (rest != 0))
     b.always(body.at_last == (rest == 1), where=rest != 0)
@@ -179,7 +179,7 @@ def packetizer(b: Bench):
         for name, value in (fields | {"subgroup": unit.subgroup}).items():
             lowest, width = HEADER[name]
             b.always(unit.beat[lowest : lowest + width] == b.past(value), where=b.past(grant & (send == sent)))
-    second = b.past(now == bus.Send.EVENT.value) & b.past(grant, 2) & (form != 0) & b.past(active)
+    second = b.past(now == bus.Send.EVENT) & b.past(grant, 2) & (form != 0) & b.past(active)
     b.always(unit.beat == b.past(unit.head.window.hits), where=second)
     b.cover(b.past(unit.take_record))
-    b.cover(b.past(rest == 1) & (b.past(now) == bus.Send.COUNTERS.value))
+    b.cover(b.past(rest == 1) & (b.past(now) == bus.Send.COUNTERS))

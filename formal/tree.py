@@ -6,6 +6,7 @@ no other.
 """
 
 from types import SimpleNamespace
+from typing import Any
 
 from amaranth.hdl import C, Cat, Mux, Signal
 from amaranth.lib import wiring
@@ -34,7 +35,7 @@ class Edges:
     stage_3: Signal
     fresh: Signal
 
-    def words(self, stage, pixels=None) -> list:
+    def words(self, stage, pixels=None) -> list[Any]:
         """Words of some pixels (default: all)."""
         chosen = range(self.pixels) if pixels is None else pixels
         return [stage[i * self.phases : (i + 1) * self.phases] for i in chosen]
@@ -125,7 +126,7 @@ def _specification(b: Bench, dut: SimpleNamespace) -> SimpleNamespace:
     return spec
 
 
-def _tick(b: Bench, dut: SimpleNamespace, before: dict, tick: int, edges, armed) -> dict:
+def _tick(b: Bench, dut: SimpleNamespace, before: dict[str, Any], tick: int, edges, armed) -> dict[str, Any]:
     """The window after a tick with `edges` (a bit a pixel), from what it was `before`.
 
     live: there was a window in this cycle; closed: one has ended in it; blind: an edge has found none and could not open one.
@@ -165,7 +166,7 @@ def _tick(b: Bench, dut: SimpleNamespace, before: dict, tick: int, edges, armed)
     }
 
 
-def _agrees(b: Bench, dut: SimpleNamespace, now: dict) -> None:
+def _agrees(b: Bench, dut: SimpleNamespace, now: dict[str, Any]) -> None:
     """The tree says what the contract says, four cycles later; and what follows for whoever reads a window."""
     unit, window = dut.unit, dut.unit.window
     b.always(unit.closed == b.past(now["closed"], 4))
