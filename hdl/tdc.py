@@ -6,6 +6,8 @@ the first one that an event marks is decoded. The counter restarts with the lase
 time since then: our choice.
 """
 
+from types import SimpleNamespace
+
 from amaranth.hdl import Module, Signal
 from amaranth.lib.wiring import In, Out, Signature
 
@@ -65,4 +67,5 @@ class Tdc(Unit):
             first = Signal(self.sensor.phases, name=f"first_{k}")
             m.d.comb += [first.eq(below & ~(below << 1)), line.coarse.eq(coarse)]
             m.d.sync += [line.any.eq(below[-1]), line.up_to.eq(below), line.phase.eq(encode(m, first, f"phase_{k}"))]
+        self.state = SimpleNamespace(coarse=coarse)
         return m
