@@ -9,11 +9,10 @@ module coincid_fpga_smoke;
   integer now = -1;  // ticks from the beginning of cycle 0
   integer j;
 
-  always @(counted) if (cycle == 0) now = PHASES / 2;
-
-  // Levels change in the middle of a tick. `flip_time` counts ticks.
+  // Levels change in the middle of a tick. `flip_time` counts ticks; the first falling edge of cycle 0 sets their clock.
   always begin
     #1;
+    if (now < 0 && cycle == 0) now = PHASES / 2;
     while (now >= 0 && next < FLIPS && flip_time[next] == {32'd0, now}) flip;
     #1;
     tick = tick + 1;
