@@ -126,7 +126,7 @@ SCHEMES: dict[str, Callable[[Shot], Found]] = {
     "this: fixed": lambda shot: _this(shot, {}),
     "this: controller": lambda shot: _this(shot, {"auto": True}),
     "this: pooled": lambda shot: _this(shot, {}, source="subgroup"),
-    "this: minigroups": lambda shot: _this(shot, {}, source="minigroup", minigroup_records=1),
+    "this: minigroups": lambda shot: _this(shot, {}, source="minigroup", minigroup_records=True),
     "winner: joint": lambda shot: _this(shot, {"coincidence": False}, method="joint"),
     "this: fixed joint": lambda shot: _this(shot, {}, method="joint"),
     "this: controller joint": lambda shot: _this(shot, {"auto": True}, method="joint"),
