@@ -45,7 +45,7 @@ SENSORS = {  # small ones, so that a case is fast; between them every parameter 
     },
     "odd": {
         "rows": 6,
-        "cols": 9,
+        "cols": 15,
         "subgroup": [6, 3],
         "minigroup": [2, 3],
         "phases": 16,
