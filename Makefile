@@ -1,22 +1,25 @@
+# SPDX-License-Identifier: Apache-2.0
 # Every target sets up what it needs first (scripts/setup); `make help` lists targets and options.
 BIN := .venv/bin
-# A caller's activated environment or search path is none of ours.
+# Ignore an environment or search path that the caller has activated.
 unexport PYTHONPATH PYTHONHOME VIRTUAL_ENV
 
 # $(call option,scene,SCENE): --scene 'value' where SCENE= was given.
 option = $(if $(value $2),--$1 '$(value $2)')
 
-.PHONY: help setup sim test formal soak mutation coverage verilog synth gls pnr cost lint figures compare raytrace bench clean
+.PHONY: help setup sim explore check test formal upsets soak mutation coverage verilog synth gls pnr cost lint figures compare modes raytrace bench clean emulate docs
 
 help: ## this list
 	@echo 'make TARGET [OPTION=value ...]'
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "  %-8s %s\n", $$1, $$2 }' $(firstword $(MAKEFILE_LIST))
 	@echo 'options of sim:'
-	@echo '  SIM=icarus  or cocotb-verilator (default: the  SCENE=FILE   scene (default: five objects)'
-	@echo '              RTL as a library, by Verilator)'
-	@echo '  KLUX=50     background light                   PULSES=100   laser pulses in the frame'
-	@echo '  CONFIG=FILE sensor configuration (TOML)        SEED=1       of the light'
-	@echo '  WAVES=1     waveform (FST) and a view of it    VIEW=async   front end as on silicon (on Icarus, 4 pulses)'
+	@echo '  SCENE=FILE     scene (default: sun-and-shade)      SCALE=3       distances of a depth file times 3'
+	@echo '  KLUX=100       ambient light ("2|100": half sun)   PULSES=100    laser pulses in a frame'
+	@echo '  THRESHOLD=2    of one frame (default: the best)    FRAMES=8      in which the controller settles'
+	@echo '  LINK_GBPS=8    rate of the link; 0: no limit       CONFIG=FILE   sensor configuration (TOML)'
+	@echo '  SEED=1         of the light                        WAVES=1       waveform (FST) and views of it'
+	@echo '  SIM=icarus     or cocotb-verilator (default: the   VIEW=async    front end as on silicon (Icarus, 4 pulses)'
+	@echo '                 RTL as a library, by Verilator)'
 	@echo 'options of test: PYTEST_ARGS="-k fifo -x"'
 	@echo 'options of all: PYTHON=python3.12 makes .venv; COINCID_BUILD=DIR keeps compiled designs elsewhere than build/'
 
@@ -25,9 +28,24 @@ setup: ## .venv with pinned versions, and nothing else
 
 sim: ## simulate a frame of the scene, every word checked against the golden model; results in build/sim/
 	@scripts/setup $(if $(findstring icarus,$(SIM))$(filter async,$(VIEW)),icarus)
-	@$(BIN)/coincid sim $(call option,engine,SIM) $(call option,scene,SCENE) $(call option,klux,KLUX) \
+	@$(BIN)/coincid sim $(call option,engine,SIM) $(call option,scene,SCENE) $(call option,scale,SCALE) $(call option,threshold,THRESHOLD) \
+		$(call option,frames,FRAMES) $(call option,link-gbps,LINK_GBPS) $(call option,klux,KLUX) \
 		$(call option,pulses,PULSES) $(call option,config,CONFIG) $(call option,seed,SEED) \
 		$(call option,view,VIEW) $(if $(filter-out 0,$(WAVES)),--waves) --out build/sim
+
+explore: ## the effect of every setting, in the browser (PORT=5006)
+	@scripts/setup
+	@$(BIN)/coincid explore $(call option,port,PORT)
+
+check: ## what one runs before a commit: style, and the tests of tests/quick.txt
+	@scripts/setup icarus
+	@$(BIN)/ruff check .
+	@$(BIN)/ruff format --check .
+	@$(BIN)/python -m pytest -n 2 $(PYTEST_ARGS) @tests/quick.txt
+emulate: ## the emulator simulated behind its serial pins, each word checked (PORT=/dev/ttyUSB0: on a board); depth in build/emulate/
+	@scripts/setup
+	@$(BIN)/coincid emulate $(if $(PORT),--port '$(value PORT)',--simulate) $(call option,scene,SCENE) $(call option,klux,KLUX) \
+		$(call option,pulses,PULSES) $(call option,frames,FRAMES) $(call option,config,CONFIG) $(call option,seed,SEED)
 
 test: ## the whole regression, on both simulators
 	@scripts/setup icarus
@@ -37,11 +55,15 @@ formal: ## unbounded proofs of every block; logs in build/formal/ (NAMES="tdc tr
 	@scripts/setup
 	@$(BIN)/coincid formal $(NAMES)
 
+upsets: ## every flip-flop of a small sensor flips, with no reset: is it right again? (ARGS="--instants 8 --seed 2")
+	@scripts/setup
+	@$(BIN)/python -m tests.upsets $(ARGS)
+
 soak: ## 1,000 frames under sunlight and at saturation, golden model and RTL in step (ARGS="--frames 100 --seed 2")
 	@scripts/setup
 	@$(BIN)/python -m tests.soak $(ARGS)
 
-mutation: ## bugs put into RTL and golden model: does the regression see them? (ARGS="--seed 2 --rtl 500 --golden 1000")
+mutation: ## mutations of RTL and golden model: does the regression find them? (ARGS="--seed 2 --rtl 500 --golden 1000")
 	@scripts/setup icarus
 	@$(BIN)/python -m tests.mutation $(ARGS)
 	@$(BIN)/python -m tests.planted
@@ -50,7 +72,7 @@ coverage: ## situations, RTL lines and toggles, Python lines, against their goal
 	@scripts/setup icarus
 	@$(BIN)/python -m tests.coverage $(ARGS)
 
-verilog: ## the release: Verilog, one file a block, register map, constraints, smoke test, into build/rtl/
+verilog: ## the release: Verilog, one file per block, register map, constraints, smoke test, into build/rtl/
 	@scripts/setup
 	@$(BIN)/coincid verilog $(call option,config,CONFIG) $(call option,view,VIEW) --out build/rtl
 
@@ -77,6 +99,10 @@ lint: ## Python's style, wrapping and types, and the Verilog under Verilator's l
 	@scripts/types
 	@$(BIN)/coincid lint
 
+docs: ## the documentation as a site, with API reference and examples that are run: build/docs/index.html
+	@scripts/setup docs icarus
+	@$(BIN)/python docs/build.py
+
 figures: ## the documentation's figures
 	@scripts/setup
 	@$(BIN)/coincid figures
@@ -84,6 +110,10 @@ figures: ## the documentation's figures
 compare: ## this sensor and other schemes on the same photons, into build/compare/
 	@scripts/setup
 	@$(BIN)/coincid compare
+
+modes: ## coincidence and gating, a target behind glass, 100 m: curves into build/modes/
+	@scripts/setup
+	@$(BIN)/coincid modes --rtl
 
 raytrace: ## install what ray-traced scenes need (make sim SCENE=ray:corner)
 	@scripts/setup raytrace

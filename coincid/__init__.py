@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Coincid: an open, cycle-accurate model of a SPAD direct time-of-flight sensor.
 
 What a notebook needs is here by name, and is imported when it is first used: `simulate` and the `Run` it returns, the configuration,

@@ -1,7 +1,10 @@
-"""The `coincid` command: one sub-command a job. Commands check everything they are given before they build or simulate anything.
+# SPDX-License-Identifier: Apache-2.0
+"""The `coincid` command: one sub-command per job. Commands check everything they are given before they build or
+simulate anything.
 
-Exit codes: 0 done; 1 the RTL differs from the golden model, or lint found something; 2 bad input or a missing tool (one line on
-stderr); 130 interrupted. The machinery is imported by the command that needs it, so that `--help` is immediate.
+Exit codes: 0 done; 1 the RTL differs from the golden model, or lint found something; 2 bad input or a missing tool (one
+line on stderr); 130 interrupted, 143 by SIGTERM. The machinery is imported by the command that needs it, so that
+`--help` is immediate.
 """
 
 import contextlib
@@ -18,15 +21,18 @@ from typer.core import TyperGroup
 
 from coincid.model.shared.errors import InputError, check_integer
 from coincid.model.shared.extras import extra
+from coincid.model.shared.interrupts import INTERRUPTED, TERMINATED, Terminated, interruptible
 
 if TYPE_CHECKING:
     from coincid.model.contract.config import Config
 
-BAD_INPUT, DIFFERS, INTERRUPTED = 2, 1, 130
+BAD_INPUT, DIFFERS = 2, 1
 STALL_CYCLES_MAX = 1 << 24
 PULSES_MAX = 1 << 16
 SEED_MAX = (1 << 32) - 1
-ASYNC_PULSES = 4  # of `sim --view async`: Icarus needs some three minutes for them
+ASYNC_PULSES, ASYNC_FRAMES = 4, 1  # of `sim --view async`: Icarus needs some three minutes for them
+FRAMES_MAX = 1000  # of the controller
+LINK_GBPS = 8.0  # of `sim`, where neither it nor the configuration says: what such a chip's pins carry
 REPEATS_MAX = 1000
 WORKERS_MAX = 1 << 10
 
@@ -47,8 +53,8 @@ class Commands(TyperGroup):
             return super().invoke(ctx)
         except InputError as error:
             raise _failed(error, BAD_INPUT) from None
-        except KeyboardInterrupt:
-            raise _failed("interrupted", INTERRUPTED) from None
+        except KeyboardInterrupt as why:
+            raise _failed("interrupted", _code(why)) from None
         except (AssertionError, RuntimeError) as error:
             if not _is_simulation(error):
                 raise
@@ -56,9 +62,14 @@ class Commands(TyperGroup):
 
 
 def _is_simulation(error: Exception) -> bool:
+    from coincid.host.transport import HostError
     from coincid.tb.errors import Mismatch, SimulationError
 
-    return isinstance(error, (Mismatch, SimulationError))
+    return isinstance(error, (HostError, Mismatch, SimulationError))
+
+
+def _code(why: KeyboardInterrupt) -> int:
+    return TERMINATED if isinstance(why, Terminated) else INTERRUPTED
 
 
 def _failed(message: object, code: int) -> typer.Exit:
@@ -102,6 +113,29 @@ EngineOption = Annotated[
     ),
 ]
 
+ScaleOption = Annotated[
+    float, typer.Option("--scale", metavar="FACTOR", help="A depth file's distances are multiplied by it.")
+]
+
+
+KluxOption = Annotated[
+    str | None,
+    typer.Option(
+        metavar="KLUX",
+        help=(
+            "Ambient light in klux: a number; LOW|HIGH, the right half in the sun; a map, as FILE.npy or as PICTURE,WHITE_KLUX (grey); "
+            "default: 50, and 100 for sun-and-shade and tunnel."
+        ),
+        show_default=False,
+    ),
+]
+BackgroundOption = Annotated[
+    str,
+    typer.Option(
+        "--background", metavar="LAW", help="reflected (in proportion to each surface's reflectivity), or even."
+    ),
+]
+
 
 @app.command()
 def sim(
@@ -110,13 +144,15 @@ def sim(
         typer.Option(
             metavar="SCENE",
             help=(
-                "five-objects, letter-f, flat:METRES,REFLECTIVITY, two-targets:NEAR,FAR, two-returns:NEAR,FAR; a depth file (PNG of 16 bit in "
-                "millimetres, NPY in metres), with a colour picture for the reflectivities as DEPTH,COLOUR; ray-traced: ray:five-objects, "
-                "ray:glass, ray:corner, ray:retroreflector, ray:fog, or a Mitsuba scene (XML, metres)."
+                "five-objects, letter-f, flat:METRES,REFLECTIVITY, two-targets:NEAR,FAR, two-returns:NEAR,FAR, sun-and-shade, tunnel; a depth "
+                "file (PNG of 16 bit in millimetres, NPY in metres), with a colour picture for the reflectivities as DEPTH,COLOUR; "
+                "ray-traced: ray:five-objects, ray:glass, ray:corner, ray:retroreflector, ray:fog, or a Mitsuba scene (XML, metres)."
             ),
         ),
-    ] = "five-objects",
-    klux: Annotated[float, typer.Option(help="Background light in klux.")] = 50.0,
+    ] = "sun-and-shade",
+    scale: ScaleOption = 1.0,
+    klux: KluxOption = None,
+    background: BackgroundOption = "reflected",
     pulses: Annotated[
         int | None,
         typer.Option(
@@ -126,12 +162,33 @@ def sim(
             show_default=False,
         ),
     ] = None,
+    threshold: Annotated[
+        int | None,
+        typer.Option(
+            help="Threshold of the frame that has one for all subgroups; default: the best of 1 to 7 for this scene.",
+            show_default=False,
+        ),
+    ] = None,
+    frames: Annotated[
+        int | None,
+        typer.Option(
+            help="Frames in which the controller settles, each with new photons; default: 8.", show_default=False
+        ),
+    ] = None,
+    link_gbps: Annotated[
+        float | None,
+        typer.Option(
+            "--link-gbps",
+            help="Rate of a stream's link; 0: 64 bits per cycle; default: the configuration's, else 8.",
+            show_default=False,
+        ),
+    ] = None,
     config: ConfigOption = None,
-    seed: Annotated[int, typer.Option(help="Of the light.")] = 1,
+    seed: Annotated[int, typer.Option(help="Seed of the photons.")] = 1,
     engine: EngineOption = "verilator",
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder of the results.")] = Path("build/sim"),
     waves: Annotated[
-        bool, typer.Option("--waves", help="Also a waveform (FST) and views of it for GTKWave and Surfer.")
+        bool, typer.Option("--waves", help="Also write a waveform (FST) and views of it for GTKWave and Surfer.")
     ] = False,
     clock_mhz: ClockOption = None,
     spad_gate: Annotated[
@@ -142,27 +199,59 @@ def sim(
     ] = False,
     view: ViewOption = "polyphase",
 ) -> None:
-    """Simulate frames of a scene, every word checked against the golden model; leave depth.png, events.npz and report.json."""
+    """Simulate frames of a scene and check every word against the golden model; write depth.png, events.npz and report.json."""
+    from coincid.model.scenes.catalogue import usual_klux
     from coincid.study.simulate import simulate
 
     settings = _config(config, clock_mhz)
     if view == "async":
         engine = "icarus" if engine == "verilator" else engine
         pulses = ASYNC_PULSES if pulses is None else pulses
+        frames = ASYNC_FRAMES if frames is None else frames
     if pulses is not None:
         settings = settings.with_pulses(check_integer("pulses", pulses, 1, PULSES_MAX))
+    if link_gbps is not None or not settings.frame["link_gbps"]:
+        settings = settings.with_frame(link_gbps=LINK_GBPS if link_gbps is None else link_gbps)
     simulate(
         scene,
         settings,
-        klux=klux,
+        klux=usual_klux(scene) if klux is None else klux,
+        background=background,
         seed=seed,
         engine=engine,
         out=_folder(out),
+        threshold=threshold,
+        settling=frames if frames is None else check_integer("frames", frames, 1, FRAMES_MAX),
         waves=waves,
         spad_gate=spad_gate,
+        scale=scale,
         console=Console(highlight=False),
         view=view,
     )
+
+
+@app.command()
+def explore(
+    port: Annotated[
+        int | None, typer.Option(help="Port on this machine; default: 5006, or the next free one.", show_default=False)
+    ] = None,
+    no_browser: Annotated[bool, typer.Option("--no-browser", help="Only print the address.")] = False,
+    settings: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--set",
+            metavar="NAME=VALUE",
+            help="First value of a control, or a picture: depth_file, colour_file, sun_file.",
+            show_default=False,
+        ),
+    ] = None,
+) -> None:
+    """Serve the explorer, which shows the effect of every setting in the browser. It serves this machine only and sends no requests."""
+    with extra("explore"):
+        from coincid.study.explore.server import serve
+    from coincid.study.explore.settings import given_settings
+
+    serve(port, browser=not no_browser, start=given_settings(settings or []))
 
 
 @app.command()
@@ -238,10 +327,10 @@ def sweep(
         ),
     ] = None,
     workers: Annotated[
-        int | None, typer.Option(help="Processes on this machine; default: one a core.", show_default=False)
+        int | None, typer.Option(help="Processes on this machine; default: one per core.", show_default=False)
     ] = None,
 ) -> None:
-    """Run a grid of configurations, scenes and light on many processes or machines; one row a point."""
+    """Run a grid of configurations, scenes and light on many processes or machines; one row per point."""
     workers = check_integer("workers", os.cpu_count() or 1 if workers is None else workers, 1, WORKERS_MAX)
     out = out or Path("build") / f"{spec.stem}.parquet"
     if out.suffix != ".parquet":
@@ -264,26 +353,34 @@ def sweep(
 @app.command()
 def photons(
     out: Annotated[Path, typer.Option(metavar="FILE", help="Edges: .npz, .csv, .h5 or (up to 64 pixels) .ptu.")],
-    scene: Annotated[str, typer.Option(metavar="SCENE", help="As of sim.")] = "five-objects",
-    klux: Annotated[float, typer.Option(help="Background light in klux.")] = 50.0,
+    scene: Annotated[str, typer.Option(metavar="SCENE", help="Scene, as for sim.")] = "five-objects",
+    scale: ScaleOption = 1.0,
+    klux: KluxOption = None,
+    background: BackgroundOption = "reflected",
     config: ConfigOption = None,
-    seed: Annotated[int, typer.Option(help="Of the light.")] = 1,
+    seed: Annotated[int, typer.Option(help="Seed of the photons.")] = 1,
     clock_mhz: ClockOption = None,
 ) -> None:
-    """Write the edges that a scene's photons make in all frames of a configuration."""
+    """Write the edges of a scene's photons in all frames of a configuration."""
     from coincid.model.light.photons import generate_edges
     from coincid.model.light.spad import Spad
     from coincid.model.light.timing import Timing
     from coincid.model.recorded.exchange import check_suffix, write_edges
+    from coincid.model.scenes.catalogue import usual_klux
     from coincid.model.scenes.scene import scene_light
     from coincid.study.run import scene_of
 
     settings = _config(config, clock_mhz)
     check_suffix(_file(out))
-    timing, looked_at = Timing.from_config(settings), scene_of(settings, scene)
+    timing, looked_at = Timing.from_config(settings), scene_of(settings, scene, scale)
     pulses = settings.frames * settings.pulses
     made = generate_edges(
-        scene_light(looked_at, klux), Spad(), timing, pulses=pulses, seed=seed, workers=os.cpu_count() or 1
+        scene_light(looked_at, usual_klux(scene) if klux is None else klux, background=background),
+        Spad(),
+        timing,
+        pulses=pulses,
+        seed=seed,
+        workers=os.cpu_count() or 1,
     )
     write_edges(out, made, timing)
     for note in looked_at.notes:
@@ -305,11 +402,11 @@ def edges(
         ),
     ] = None,
     sync_channel: Annotated[
-        int | None, typer.Option(metavar="N", help="Of absolute times: the channel of the laser's trigger.")
+        int | None, typer.Option(metavar="N", help="Channel of the laser trigger, for recordings with absolute times.")
     ] = None,
     first_sync: Annotated[int, typer.Option(metavar="N", help="The trigger that becomes pulse 0.")] = 0,
     delay_ps: Annotated[
-        float, typer.Option(metavar="PS", help="Between trigger and light, taken off every time.")
+        float, typer.Option(metavar="PS", help="Delay between trigger and light; it is subtracted from every time.")
     ] = 0.0,
     clock_mhz: ClockOption = None,
 ) -> None:
@@ -344,7 +441,7 @@ def verilog(
     config: ConfigOption = None,
     view: ViewOption = "polyphase",
 ) -> None:
-    """Export the synthesizable Verilog, one file a block, with file lists, constraints, register map and smoke test."""
+    """Export the synthesizable Verilog, one file per block, with file lists, constraints, register map and smoke test."""
     from coincid.model.contract.config import load_config
 
     settings = load_config(config)
@@ -446,7 +543,7 @@ def formal(
 @app.command()
 def budget(
     distance_m: Annotated[float, typer.Option(help="Distance of the target in metres.")] = 4.0,
-    reflectivity: Annotated[float, typer.Option(help="Of the target, 0 to 1.")] = 0.4,
+    reflectivity: Annotated[float, typer.Option(help="Reflectivity of the target, 0 to 1.")] = 0.4,
     klux: Annotated[float, typer.Option(help="Sunlight in klux.")] = 50.0,
     spectrum: Annotated[
         str | None, typer.Option(metavar="SPECTRUM", help="am15g or planck; default: am15g.", show_default=False)
@@ -503,6 +600,25 @@ def compare(
 
 
 @app.command()
+def modes(
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder of the figures.")] = Path("build/modes"),
+    rtl: Annotated[bool, typer.Option("--rtl", help="Check some frames on the RTL.")] = False,
+) -> None:
+    """Coincidence and gating over background and distance, a target behind glass, 100 m: plots, their data (CSV) and a page."""
+    from coincid.study.figures import modes as run
+
+    _folder(out)
+    engine = None
+    if rtl:
+        from coincid.tb.replay import replay
+
+        engine = partial(replay, "verilator")
+    with _progress(0, "frames") as done:
+        files = run(out, engine, done)
+    print(files[-1])
+
+
+@app.command()
 def bandwidth(
     klux: Annotated[
         list[float] | None, typer.Option(help="Background light in klux; repeatable.", show_default=False)
@@ -517,7 +633,7 @@ def bandwidth(
         "build/bandwidth"
     ),
 ) -> None:
-    """Study the readout: beats a frame, streams needed, what is lost with fewer, estimated and by the golden model."""
+    """Study the readout: beats per frame, streams that are needed, and losses with fewer, by an estimate and by the golden model."""
     from coincid.study.bandwidth import TABLE, study, write_study
 
     write_study(_folder(out), study(klux, threshold, size, tell=console.print))
@@ -525,13 +641,75 @@ def bandwidth(
 
 
 @app.command()
+def emulate(
+    port: Annotated[
+        str | None,
+        typer.Option(metavar="DEVICE", help="Serial port of the board, such as /dev/ttyUSB0.", show_default=False),
+    ] = None,
+    simulate: Annotated[
+        bool, typer.Option("--simulate", help="The emulator's RTL behind its serial pins instead.")
+    ] = False,
+    scene: Annotated[str, typer.Option(metavar="SCENE", help="As of sim.")] = "five-objects",
+    klux: KluxOption = None,
+    config: Annotated[
+        str,
+        typer.Option("--config", metavar="FILE", help="TOML file or preset; its sensor must be the one on the board."),
+    ] = "emulator",
+    frames: Annotated[int, typer.Option(metavar="N", help="Frames to take.")] = 20,
+    pulses: Annotated[
+        int | None,
+        typer.Option(metavar="N", help="Laser pulses of a frame; default: the configuration's.", show_default=False),
+    ] = None,
+    seed: Annotated[int, typer.Option(help="Of the photon source.")] = 1,
+    baud: Annotated[int, typer.Option(help="Of the serial port.")] = 3_000_000,
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder of the depth picture.")] = Path("build/emulate"),
+) -> None:
+    """Run the emulator on a board or simulated, and check each word that it sends against the golden model."""
+    from coincid.host.emulator import EmulatorDriver
+    from coincid.host.serial_link import SerialPort, SerialTransport
+    from coincid.model.contract.config import FRAMES_MAX, load_config
+    from coincid.model.scenes.catalogue import usual_klux
+    from coincid.study.emulate import DEPTH
+    from coincid.study.emulate import emulate as run
+    from coincid.study.run import scene_of
+
+    if (port is None) is not simulate:
+        raise InputError("port: give either --port DEVICE or --simulate")
+    check_integer("frames", frames, 1, FRAMES_MAX)
+    settings = load_config(config)
+    if pulses is not None:
+        settings = settings.with_frame(pulses=pulses)
+    looked_at = scene_of(settings, scene)
+    if simulate:
+        with extra("rtl"):
+            from coincid.tb.emulator import PATIENCE_S, SimulatedPort, simulated
+        line: Any = SimulatedPort(simulated(settings.sensor), settings.clock_mhz)
+        patience: dict[str, Any] = {"patience_s": PATIENCE_S}
+    else:
+        line, patience = SerialPort(str(port), baud), {}
+    with line, _progress(frames, "frames") as done:
+        driver = EmulatorDriver(SerialTransport(line, **patience))
+        tally = run(
+            driver, settings, looked_at, _folder(out), klux=usual_klux(scene) if klux is None else klux, frames=frames,
+            seed=seed,
+            tell=lambda so_far: done(so_far.frames),
+        )  # fmt: skip
+        repeats = driver.transport.repeats  # type: ignore[attr-defined]
+    print(f"{tally.frames} frames, {tally.beats} words, all as the golden model predicts")
+    print(
+        f"{tally.frames / tally.seconds:.1f} frames per second; {repeats} requests repeated, {tally.recoveries} recoveries"
+    )
+    print(out / DEPTH)
+
+
+@app.command()
 def bench(
     out: Annotated[Path, typer.Option(metavar="FILE", help="JSON, flat keys; a Markdown table goes beside it.")] = Path(
         "build/bench.json"
     ),
-    repeats: Annotated[int, typer.Option(metavar="N", help="Rounds that the medians are of.")] = 5,
+    repeats: Annotated[int, typer.Option(metavar="N", help="Number of rounds; the results are medians.")] = 5,
 ) -> None:
-    """Measure how fast model and simulators run here, whole frames, and builds from nothing; takes about ten minutes."""
+    """Measure the speed of the model, the simulators, whole frames and builds from nothing; takes about ten minutes."""
     with extra("rtl"):
         from coincid.study.bench import benchmark, table
     check_integer("repeats", repeats, 1, REPEATS_MAX)
@@ -555,7 +733,7 @@ def _file(path: Path) -> Path:
 
 
 def _folder(path: Path) -> Path:
-    """`path` if it is or can become a folder to write to; makes nothing."""
+    """`path` if it is a folder to write to or can become one; makes nothing."""
     _writable(path, path)
     return path
 
@@ -579,7 +757,8 @@ def _progress(cycles: int, what: str) -> Iterator[Progressed]:
 
 def main() -> None:
     """The console script."""
+    interruptible()
     try:
         app()
-    except KeyboardInterrupt:
-        sys.exit(INTERRUPTED)
+    except KeyboardInterrupt as why:
+        sys.exit(_code(why))

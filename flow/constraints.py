@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What a timing tool must be told of the asynchronous front end: SDC, for a flow that keeps the hierarchy."""
 
 from ..hdl.silicon.circuit import Circuit, lag_fs

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: Apache-2.0
 // The sensor of the FPGA preset on an ECP5: one PLL makes the 125 MHz clock and the deserialisers' clocks, 1 ns apart.
 module coincid_ecp5 (
   input clk_in,  // 125 MHz

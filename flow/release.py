@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The folder of RTL that leaves the project: Verilog, its lists and constraints, a smoke test, the register map, a manifest."""
 
 import hashlib
@@ -18,16 +19,33 @@ from ..model.contract.config import Config
 from ..model.contract.parameters import TOP, Sensor
 from ..model.shared.errors import InputError
 from .constraints import constraints as async_constraints
+from .ports import instantiation, port_table, stream_words
 from .register_files import register_files
 from .smoke import FPGA_SMOKE, SMOKE, smoke_test
 from .waivers import CONTROL_FILE, control_file
 
 MANIFEST, CORE, README = "manifest.json", f"{TOP}.core", "README.md"
 SYNTHESIS_LIST = "coincid_synthesis.f"  # of a view with macros
+CELLS_LIST, LATCHES = "coincid_cells.f", "_latches.v"  # for standard cells, and what its files of memories end in
 TIMESCALE = "1ps/1fs"  # of the same
 PORT_DELAY = 0.4  # of a period, outside the ports
 UNCERTAINTY = 0.05  # of a period
 DERIVED = ("array_pixels", "subgroups", "pixels", "minigroups", "guard", "stamp_bits", "period_max")
+C_DRIVER = tuple(
+    Path(__file__).with_name(name) for name in ("coincid.h", "coincid.c")
+)  # beside them: the register header
+RULES = """## Reset, clock, and the cycle that `laser` marks
+
+* There is one clock. Inputs are sampled and outputs change at the rising edge of `clk`.
+* `rst` is synchronous and high; one cycle of it is enough in any state. It ends a frame, empties the FIFOs and brings every
+  register to its reset value.
+* `laser` is high during cycle 0 of every laser period. An edge word that stands at the SPAD ports *in the same cycle* is that
+  of cycle 0: its stamps are 0 to phases - 1. A bench that samples `laser` high at a rising edge has seen the end of
+  cycle 0; what it drives from that edge on belongs to cycle 1.
+* `spad_gate` is high in the cycles whose edges the gate lets through.
+* A frame: program the registers, write 1 to the start bit of `control`, and take the packets until `tlast`. Settings are taken
+  at the start, so later writes act on the next frame. A start that makes no sense answers SLVERR, and no frame begins.
+"""
 PER_TOP = {TOP: SMOKE, FPGA_TOP: FPGA_SMOKE}
 
 
@@ -37,6 +55,7 @@ def release_files(config: Config, view: str | View = POLYPHASE) -> dict[str, str
     rtl = verilog_files(sensor, view)
     lists = {TOP: rtl.pop(FILE_LIST).split()}
     files = rtl | register_files(sensor) | {CONTROL_FILE: control_file(view)}
+    files |= {path.name: path.read_text() for path in C_DRIVER}
     if view is POLYPHASE and has_fpga_top(sensor):
         fpga = fpga_files(sensor)
         files |= fpga
@@ -52,8 +71,21 @@ def release_files(config: Config, view: str | View = POLYPHASE) -> dict[str, str
     if view.macros:
         boxes = {path.name: path.read_text() for path in view.macros}
         files |= boxes | {SYNTHESIS_LIST: _list([*lists[TOP], *boxes])}
+    latches = latch_files(sensor, view)
+    names = [latched if (latched := _latched(name)) in latches else name for name in lists[TOP]]
+    files |= latches | {CELLS_LIST: _list([*names, *(path.name for path in view.macros)])}
     files |= {CORE: _core(lists, view), README: _readme(sensor, clock_mhz, lists, view)}
     return dict(sorted(files.items())) | {MANIFEST: _manifest(sensor, clock_mhz, lists, files, view)}
+
+
+def latch_files(sensor: Sensor, view: View = POLYPHASE) -> dict[str, str]:
+    """File name -> text of the sensor's memories in latches: modules of the same names, under file names of their own."""
+    with_latches, without = verilog_files(sensor, view, latches=True), verilog_files(sensor, view)
+    return {_latched(name): text for name, text in with_latches.items() if text != without[name]}
+
+
+def _latched(name: str) -> str:
+    return name.removesuffix(".v") + LATCHES
 
 
 def _list(names: list[str]) -> str:
@@ -205,30 +237,37 @@ def _readme(sensor: Sensor, clock_mhz: float, lists: dict[str, list[str]], view:
         ]
     else:
         tops = [
-            f"* `{TOP}` takes a word of edges a cycle from every subgroup's SPADs: bit i * {sensor.phases} + k is pixel i, phase k."
+            f"* `{TOP}` takes one word of edges per cycle from the SPADs of every subgroup: bit i * {sensor.phases} + k is pixel i, phase k."
         ]
     if FPGA_TOP in lists:
         tops.append(
             f"* `{FPGA_TOP}` takes the SPADs' levels, sampled by {sensor.phases // 2} clocks of one PLL, clk and `phase_clocks`. They come "
-            f"{deserialiser.CYCLES} cycles late: stamps are {deserialiser.CYCLES * sensor.phases} ticks too large, and so are gates."
+            f"{deserialiser.CYCLES} cycles late: stamps are {deserialiser.CYCLES * sensor.phases} ticks too large, and gates have to be "
+            f"programmed {deserialiser.CYCLES} cycles later."
         )
-    return "\n".join(
-        [
-            f"# SPAD sensor of {sensor.rows} x {sensor.cols} pixels",
-            "",
-            *tops,
-            "",
-            f"Parameters and hashes are in `{MANIFEST}`, registers in `registers.*`, constraints for {clock_mhz:g} MHz in `*.sdc`.",
-            "Lint, and the smoke test, which prints PASS; no Python is needed:",
-            "",
-            *lint,
-            *smoke,
-            "",
-            f"With FuseSoC: `fusesoc --cores-root . run --target TARGET coincid:sensor:{TOP}`, targets lint, sim, verilate"
-            f"{', and the same with _fpga' if FPGA_TOP in lists else ''}.",
-            "",
-        ]
-    )
+    about = [
+        f"# SPAD sensor of {sensor.rows} x {sensor.cols} pixels",
+        "",
+        *tops,
+        "",
+        "`coincid.h` and `coincid.c` are a small driver and decoder in C.",
+        f"Parameters and hashes are in `{MANIFEST}`, registers in `registers.*`, constraints for {clock_mhz:g} MHz in `*.sdc`.",
+        f"`{CELLS_LIST}` is the list for standard cells: there the memories are latches (`*{LATCHES}`), elsewhere RAM or flip-flops.",
+        "Lint, and the smoke test, which prints PASS; no Python is needed:",
+        "",
+        *lint,
+        *smoke,
+        "",
+        f"With FuseSoC: `fusesoc --cores-root . run --target TARGET coincid:sensor:{TOP}`, targets lint, sim, verilate"
+        f"{', and the same with _fpga' if FPGA_TOP in lists else ''}.",
+        "",
+    ]
+    for top in lists:
+        about += [f"## Ports of `{top}`", "", port_table(sensor, top, view)]
+    about += [RULES, "## Words of the stream", "", stream_words(sensor)]
+    for top in lists:
+        about += [f"## An instance of `{top}`", "", f"```verilog\n{instantiation(sensor, top, view)}```", ""]
+    return "\n".join(about)
 
 
 def _manifest(sensor: Sensor, clock_mhz: float, lists: dict[str, list[str]], files: dict[str, str], view: View) -> str:

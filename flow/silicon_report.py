@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Clock domains and asynchronous resets of the asynchronous view, as Yosys finds them, and the constraints that go with them.
 
 The netlist of a module with its macros as black boxes is what the report reads; nothing is said that is not in it. Latches are refused.
@@ -71,7 +72,7 @@ def mapped(folder: Path, top: str) -> dict[str, int]:
     run_yosys(
         "\n".join(
             [
-                f"read_liberty -lib {LIBERTY.name}",
+                f"read_liberty -lib {LIBERTY}",
                 f"read_verilog -sv {files}",
                 *cells_script(top),
                 "check -assert",
@@ -98,7 +99,7 @@ def timing(folder: Path, top: str, sdc: str) -> tuple[list[str], list[tuple[str,
     (folder / "timing.tcl").write_text(
         "\n".join(
             [
-                f"read_liberty {LIBERTY.name}",
+                f"read_liberty {LIBERTY}",
                 f"read_verilog {TIMED}",
                 f"link_design {top}",
                 f"read_sdc {sdc}",
@@ -188,7 +189,7 @@ def report(sensor: Sensor, circuit: Circuit, module: dict[str, Any], paths: list
     lines += [f"| `{name}` | {sum(n for kind, n in macros.items() if name in kind)} |" for name in MACRO_NAMES]
     lines += ["", f"Latches outside the macros: {len(latches(module))}.", ""]
     lines += [
-        f"Longest paths in OSU 0.18 um cells, without wires, against the constraints for a cycle of {circuit.clock_fs / FS_PER_NS:g} ns:",
+        f"Longest paths in NanGate 45 nm cells, without wires, against the constraints for a cycle of {circuit.clock_fs / FS_PER_NS:g} ns:",
         "",
         "| from clock | to clock | required ns | taken ns |",
         "| --- | --- | ---: | ---: |",

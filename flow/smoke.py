@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Smoke test that ships with the Verilog: plain Verilog, no Python, prints PASS or FAIL.
 
 It programs registers over AXI4-Lite, plays the edges of a frame and compares every word of the streams and the counters

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: Apache-2.0
   // Sensor's ports. Inputs change at falling edges; the rising edge takes them.
   reg clk = 1'b0;
   reg rst = 1'b1;

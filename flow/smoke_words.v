@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: Apache-2.0
 // Smoke test of coincid_sensor: prints PASS, or FAIL and why. The expected words are the golden model's.
 module coincid_smoke;
   `include "smoke_tables.vh"

@@ -1,11 +1,13 @@
-"""Synthesis: cells, flip-flops, area, logic depth and LUTs of every block and of the sensor.
+# SPDX-License-Identifier: Apache-2.0
+"""Synthesis: cells, flip-flops, area, timing, logic depth and LUTs of every block and of the sensor.
 
 The Verilog is synthesized as it is emitted: every kind of block once, however often it is used, so that a run takes a minute and counts are
-multiplied. Three targets: two-input gates, which say how deep the logic is; the OSU 0.18 um standard cells of the package registries, which
-give area and delay (an old process: compare, do not quote); and ECP5.
+multiplied. Three targets: two-input gates, which say how deep the logic is; NanGate 45 nm standard cells at their typical corner, which
+give area and, by OpenSTA, slack without wires; and ECP5.
 """
 
 import json
+import math
 import re
 from collections import Counter, defaultdict
 from collections.abc import Callable, Mapping
@@ -15,7 +17,12 @@ from pathlib import Path
 from attrs import frozen
 
 from ..hdl.export import FILE_LIST, fpga_files, verilog_files
+from ..hdl.minigroup import Minigroup
 from ..hdl.sensor import FPGA_TOP, has_fpga_top, netlist
+from ..hdl.silicon.minigroup import AsyncMinigroup
+from ..hdl.subgroup import Subgroup
+from ..hdl.unit import Unit
+from ..hdl.views import POLYPHASE, VIEWS, View
 from ..model.contract.config import Config, load_config
 from ..model.contract.parameters import TOP, Sensor
 from ..model.shared.files import whole_file
@@ -24,13 +31,14 @@ from ..model.shared.sources import digest
 from ..tb import toolchain
 from ..tb.rtl import sensor_key
 from .levels import longest_paths
-from .yosys import LIBERTY, cells_script, generic_script, put_cells, run_program, run_yosys
+from .mapped import FLOP, LATCH, map_block, slack_ns
+from .yosys import CELLS_VERSION, LIBERTY, cells_script, generic_script, put_cells, run_yosys
 
 # abc for speed: cuts are balanced for depth before the gates are chosen. Its own default gives up to twice the depth for a tenth less area.
 SPEED = "+strash;ifraig;scorr;dc2;strash;if,-g,-K,6;strash;dch,-f;map,-B,0.9"
 PREFIX = "coincid_"
 FLOPS = re.compile(r"\$_DFF|DFF|TRELLIS_FF")
-GATES, CELLS, ECP5 = "gates", "osu018", "ecp5"
+GATES, CELLS, ECP5 = "gates", "nangate45", "ecp5"
 TARGETS = (GATES, CELLS, ECP5)
 
 
@@ -76,15 +84,15 @@ class Netlist:
 
 
 def synthesize(sensor: Sensor, target: str, top: str = TOP) -> Netlist:
-    """The sensor in a target, synthesized once for the state of its Verilog. Raises `ToolchainError`."""
-    files = verilog_files(sensor)
+    """The sensor in a target, synthesized once for the state of its Verilog; in cells its memories are latches. Raises `ToolchainError`."""
+    files = verilog_files(sensor, latches=target == CELLS)
     del files[FILE_LIST]
     if top == FPGA_TOP:
         files |= fpga_files(sensor)
         del files[f"{TOP}.v"]
     units = sorted({unit.unit_name for _, unit, _ in netlist(sensor, levels=top == FPGA_TOP).instances})
     script = _script(target, list(files), top, units)
-    key = digest(script, *(part for item in sorted(files.items()) for part in item))
+    key = digest(script, CELLS_VERSION * (target == CELLS), *(part for item in sorted(files.items()) for part in item))
 
     def make(folder: Path) -> None:
         for name, text in files.items():
@@ -99,8 +107,8 @@ def synthesize(sensor: Sensor, target: str, top: str = TOP) -> Netlist:
 
 def _script(target: str, names: list[str], top: str, units: list[str]) -> str:
     """Commands that map the sensor. An FPGA has initial values; nothing else does."""
-    read = f"read_verilog {' '.join(names)}"
-    statistics = "tee -q -o stat.json stat -json" + f" -liberty {LIBERTY.name}" * (target == CELLS)
+    read = f"read_verilog -sv {' '.join(names)}"
+    statistics = "tee -q -o stat.json stat -json" + f" -liberty {LIBERTY}" * (target == CELLS)
     end = [statistics, "write_verilog -noexpr -noattr netlist.v", "write_json netlist.json"]
     if target == ECP5:
         steps = f"synth_lattice -family ecp5 -noflatten -top {top} -run"  # its own abc9 cannot map blocks one by one
@@ -174,23 +182,6 @@ def _levels(folder: Path, top: str, units: list[str]) -> dict[str, int]:
     return dict(worst)
 
 
-def delay_ns(netlist: Netlist, block: str, clock_ns: float) -> float:
-    """Longest path between registers of a block with its sub-blocks, in standard cells, without wires: OpenSTA's."""
-    script = f"""\
-read_liberty {LIBERTY.name}
-read_verilog netlist.v
-link_design {block}
-create_clock -name clk -period {clock_ns} [get_ports clk]
-report_checks -path_delay max -format full
-"""
-    (netlist.folder / f"{block}.tcl").write_text(script)
-    report = run_program(["sta", "-exit", f"{block}.tcl"], netlist.folder, "sta")
-    slack = re.search(r"(-?[\d.]+) +slack", report)
-    if slack is None:
-        raise toolchain.ToolchainError(f"sta: no path in {block}: {report[-500:]}")
-    return clock_ns - float(slack[1])
-
-
 PAGE = """\
 # Cost of the RTL
 
@@ -198,9 +189,8 @@ Written by `make synth` (Yosys {yosys}); a change of cost shows in the differenc
 [cost.md](cost.md).
 
 Every kind of block is synthesized once; numbers are of one, without its sub-blocks, and the last row is the whole sensor. Gates: two-input
-gates, with plain flip-flops. Levels: such gates on the longest path into the block's registers, from wherever it comes. Cells and area: OSU
-0.18 um standard cells (flip-flops included), a process of the year 2000: for comparison among blocks and parameters. FIFOs and the output
-buffer are flip-flops and multiplexers there; on an FPGA they are RAM.
+gates, with plain flip-flops. Levels: such gates on the longest path into the block's registers, from wherever it comes. Cells and area:
+NanGate 45 nm standard cells, flip-flops and latches included; the memories are latches there, RAM on an FPGA, and flip-flops among the gates.
 
 """
 
@@ -241,12 +231,47 @@ def report(name: str, config: Config) -> str:
         *(f"| {' | '.join(map(str, row))} |" for row in [*rows, total]),
         "",
     ]
-    if not fpga:
-        clock_ns = 1000 / config.clock_mhz
-        delays = {unit: delay_ns(mapped, unit, clock_ns) for unit in mapped.units}
-        lines += ["| block with its sub-blocks | delay ns (OSU 0.18 um) |", "| --- | ---: |"]
-        lines += [f"| {kind.removeprefix(PREFIX)} | {delay:.2f} |" for kind, delay in delays.items()] + [""]
-    return "\n".join(lines)
+    return "\n".join(lines + ([] if fpga else whole_blocks(config, mapped)))
+
+
+WHOLE = """\
+### Whole blocks
+
+Each of them synthesized alone and flattened. NanGate 45 nm, typical corner (1.1 V, 25 degrees C; the only corner of the library that the
+registries carry); slack at {clock:g} ns by OpenSTA, without wires, with an ideal clock and no uncertainty. The pitch is that of a square that
+holds a pixel's share; SPADs, macros and wires are not in it.
+"""
+
+
+def whole_blocks(config: Config, sensor_netlist: Netlist) -> list[str]:
+    """The table of whole blocks of both views, Markdown."""
+    sensor, clock_ns = config.sensor, 1000 / config.clock_mhz
+    head = ["block", "cells", "flip-flops", "latches", "macros", "area um2", "um2 per pixel", "pitch um", "slack ns"]
+    lines = [WHOLE.format(clock=clock_ns), f"| {' | '.join(head)} |", f"| --- |{' ---: |' * (len(head) - 1)}"]
+    for view in VIEWS.values():
+        view = view.at(config.clock_mhz)
+        for unit, pixels in view_blocks(sensor, view):
+            block = map_block(unit, view)
+            share = block.area_um2 / pixels
+            row = [
+                unit.unit_name.removeprefix(PREFIX),
+                sum(block.cells.values()),
+                block.count(FLOP),
+                block.count(LATCH),
+            ]
+            row += [sum(block.macros.values()), round(block.area_um2), f"{share:.0f}", f"{math.sqrt(share):.1f}"]
+            lines.append(f"| {' | '.join(map(str, row))} | {slack_ns(block.folder, unit.unit_name, clock_ns):+.2f} |")
+    lines += ["", "| block of the sensor with its sub-blocks, hierarchy kept | slack ns |", "| --- | ---: |"]
+    for name in sensor_netlist.units:
+        lines.append(f"| {name.removeprefix(PREFIX)} | {slack_ns(sensor_netlist.folder, name, clock_ns):+.2f} |")
+    return [*lines, ""]
+
+
+def view_blocks(sensor: Sensor, view: View) -> list[tuple[Unit, int]]:
+    """The whole blocks of a view that the table has, and the pixels of each."""
+    front = view.front_end(sensor)
+    leaf = Minigroup(sensor) if view == POLYPHASE else AsyncMinigroup(sensor)
+    return [(leaf, sensor.minigroup_pixels), (front, sensor.pixels), (Subgroup(sensor, view), sensor.pixels)]
 
 
 def _mapped(block: Block, fpga: bool) -> list[int]:

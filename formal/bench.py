@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What the proofs are written with.
 
 A proof is a function that puts a block into a module, drives its inputs with whatever the contract allows, and states what must

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """All proofs, by block: importing this registers them."""
 
-from . import dpcu, fifo, readout, registers, timing, tree  # noqa: F401
+from . import controller, dpcu, emulator, fifo, readout, registers, timing, tree  # noqa: F401

@@ -1,28 +1,44 @@
+# SPDX-License-Identifier: Apache-2.0
 """Proofs of the DPCU and of a subgroup's settings."""
 
 from amaranth.hdl import Cat, Mux, Signal
 
 from ..hdl import bus
-from ..hdl.dpcu import Dpcu
+from ..hdl.dpcu import Dpcu, counter_bits
 from ..hdl.settings import SubgroupSettings
-from ..model.contract.registers import AUTO_BOUNDS, COUNTER_BITS, COUNTER_NAMES, DATA_BITS
+from ..model.contract import registers
+from ..model.contract.registers import AUTO_BOUNDS, COUNTER_BITS, COUNTER_NAMES, DATA_BITS, THRESHOLD_MAX
 from .bench import Bench, proof
 from .sensors import SMALL
 
-FULL = (1 << COUNTER_BITS) - 1  # counters saturate
+FULL = (1 << COUNTER_BITS) - 1  # counters saturate: photons here,
+FULL_OF_CYCLES = (1 << counter_bits("opened", SMALL)) - 1  # and what counts a frame's cycles here
 
 
-def _reached(bounds, photons):
-    """How many bounds the photons reach."""
-    return sum((bound <= photons for bound in bounds), start=0)
+BUDGETS = 3  # on the bus: of the stream before, of the subgroup's, of the one behind
+WORDS = BUDGETS + AUTO_BOUNDS
 
 
-@proof(depth=4, cover=16)
+def _reached(bounds, opened):
+    """How many bounds the opened windows reach."""
+    return sum((bound <= opened for bound in bounds), start=0)
+
+
+def _least(*values):
+    """The lowest value."""
+    least, *others = values
+    for other in others:
+        least = Mux(other < least, other, least)
+    return least
+
+
+@proof(depth=4, cover=28)
 def dpcu(b: Bench):
-    """Windows are committed exactly where the count meets the threshold; counters balance; the controller follows its bounds."""
+    """Windows are committed exactly where the count meets the threshold; counters balance; the controller goes a step within its limits."""
     sensor, m = SMALL, b.m
     unit = Dpcu(sensor)
-    settings, operation, bound = Signal(bus.settings_layout(sensor)), Signal(bus.Operation), Signal(DATA_BITS)
+    settings, operation, data = Signal(bus.settings_layout(sensor)), Signal(bus.Operation), Signal(DATA_BITS)
+    in_stream = Signal()
     closed, window, stored = Signal(), Signal(bus.window_layout(sensor)), Signal()
     m.d.comb += [signal.as_value().eq(b.anything(signal.shape().size)) for signal in (settings, window)]
     m.d.comb += [signal.eq(b.anything(len(signal))) for signal in (closed, stored)]
@@ -31,7 +47,8 @@ def dpcu(b: Bench):
         unit,
         settings=settings,
         operation=operation,
-        bound=bound,
+        data=data,
+        in_stream=in_stream,
         closed=closed,
         window=window,
         stored=stored & b.past(unit.commit),
@@ -39,25 +56,35 @@ def dpcu(b: Bench):
     )
     count = {name: unit.counters.word_select(i, COUNTER_BITS) for i, name in enumerate(COUNTER_NAMES)}
 
-    # The bus says TAKE, then names the bounds, then BEGIN, between frames: when nothing is on its way.
-    bounds = [b.constant(DATA_BITS) for _ in range(AUTO_BOUNDS)]
-    step = Signal(range(AUTO_BOUNDS + 2))  # 0: idle or TAKE; k: bound k - 1; the last: BEGIN
-    take = b.same("take", b.anything(1) & (step == 0))
-    m.d.sync += step.eq(Mux(step == AUTO_BOUNDS + 1, 0, step + ((step != 0) | take)))
-    m.d.comb += bound.eq(b.anything(DATA_BITS))
+    # The bus says TAKE, then names budgets and bounds, then BEGIN with the floor, between frames: when nothing is on its way.
+    budget, bounds = b.constant(DATA_BITS), [b.constant(DATA_BITS) for _ in range(AUTO_BOUNDS)]
+    floor = b.constant(range(THRESHOLD_MAX + 1))
+    step = Signal(range(WORDS + 2))  # 0: idle or TAKE; then the words; the last: BEGIN
+    take, begin = b.same("take", b.anything(1) & (step == 0)), b.same("begin", step == WORDS + 1)
+    m.d.sync += step.eq(Mux(begin, 0, step + ((step != 0) | take)))
+    m.d.comb += data.eq(b.anything(DATA_BITS))
     with m.Switch(step):
         with m.Case(0):
             m.d.comb += operation.eq(Mux(take, bus.Operation.TAKE, bus.Operation.IDLE))
-        with m.Case(AUTO_BOUNDS + 1):
-            m.d.comb += operation.eq(bus.Operation.BEGIN)
+        with m.Case(WORDS + 1):
+            m.d.comb += [operation.eq(bus.Operation.BEGIN), data.eq(floor)]
+        for k in range(BUDGETS):
+            with m.Case(1 + k):
+                m.d.comb += [operation.eq(bus.Operation.BUDGET), in_stream.eq(k < 2)]
+                if k == 1:
+                    m.d.comb += data.eq(budget)
         for k in range(AUTO_BOUNDS):
-            with m.Case(k + 1):
-                m.d.comb += [operation.eq(bus.Operation.COMPARE), bound.eq(bounds[k])]
+            with m.Case(1 + BUDGETS + k):
+                m.d.comb += [operation.eq(bus.Operation.COMPARE), data.eq(bounds[k])]
+    taken, begun = Signal(), Signal()
+    m.d.sync += [taken.eq(taken | take), begun.eq(begun | begin)]
+    b.assume(~settings.auto, where=~taken)  # as settings are after a reset
     starting = b.same("starting", take | (step != 0))
     quiet = b.same("quiet", ~(closed | b.past(closed) | b.past(closed, 2) | b.past(closed, 3)))
     b.assume(quiet, where=starting)
+    b.assume(~closed, where=b.past(starting) | b.past(starting, 2) | b.past(starting, 3))
     b.assume_stable(settings.as_value(), where=~b.past(take))
-    b.assume((settings.threshold != 0) & (settings.window != 0))
+    b.assume((settings.threshold != 0) & (settings.threshold <= sensor.pixels) & (settings.window != 0))
     b.assume((window.count != 0) & (window.count <= sensor.pixels))  # as proven of the tree
 
     # The judgement.
@@ -67,44 +94,45 @@ def dpcu(b: Bench):
     b.always(unit.event.as_value() == b.last(window.as_value()), where=b.past(closed))
     b.always(unit.window_ticks == b.last(Mux(settings.coincidence, settings.window, 1)), where=b.past(1))
     b.always(body.threshold == threshold, where=in_frame & b.past(1, 3))
+    b.always(body.lower_threshold + 1 == threshold, where=in_frame & begun)
 
     # The balance. A commit is stored or dropped a cycle later.
-    under = b.same("under", count["opened"] != FULL)
+    under = b.same("under", count["opened"] != FULL_OF_CYCLES)
     b.always(count["opened"] == count["committed"] + count["rejected"], where=under)
     b.always(count["committed"] == count["stored"] + count["dropped"] + b.past(unit.commit), where=under)
     b.always(count["photons"] >= count["opened"], where=under & (count["photons"] != FULL))
-    for name in COUNTER_NAMES[:-1]:
+    b.always((count["lower"] >= count["committed"]) & (count["lower"] <= count["opened"]), where=under & begun)
+    counted = [name for name in COUNTER_NAMES if name != "threshold_used"]
+    for name in counted:
         b.always(
             (count[name] == b.past(count[name])) | (count[name] == 0) | (count[name] > b.past(count[name])),
             where=b.past(1),
         )
 
-    # The controller.
-    frames = Signal()
-    m.d.sync += frames.eq(frames | (step == AUTO_BOUNDS + 1))
-    photons = b.past(count["photons"])
-    programmed = b.last(settings.threshold)
-    expected = Mux(b.last(settings.auto) & b.past(frames), 1 + _reached(bounds, photons), programmed)
-    b.always(count["threshold_used"] == expected, where=b.past(step == AUTO_BOUNDS + 1))
-    b.always(Cat(list(count.values())[:-1]) == 0, where=b.past(step == AUTO_BOUNDS + 1))
-    b.always(
-        count["threshold_used"] == b.past(count["threshold_used"]), where=b.past(1) & ~b.past(step == AUTO_BOUNDS + 1)
-    )
-    for k in range(AUTO_BOUNDS):
-        b.always(body.steps == _reached(bounds[:k], count["photons"]), where=step == k + 1)
-    b.always(body.steps == _reached(bounds, count["photons"]), where=step == AUTO_BOUNDS + 1)
-    b.always(body.frame_before == frames)
-    b.cover(unit.commit & (count["threshold_used"] == 3) & settings.auto)
+    # The threshold: of the programmed one in the first frame under the controller, then from the last frame's.
+    now, before = settings.auto & settings.coincidence, Signal()
+    with m.If(take):
+        m.d.sync += before.eq(now)
+    opened, committed, lower, used = (count[name] for name in ("opened", "committed", "lower", "threshold_used"))
+    above, below = (committed > budget) & (used < THRESHOLD_MAX), (committed <= budget) & (used > 1) & (lower <= budget)
+    stepped = Mux(above, used + 1, Mux(below, used - 1, used))
+    bounded = b.same("bounded", _least(stepped, 1 + _reached(bounds, opened)))
+    controlled = b.same("controlled", Mux(bounded < floor, floor, bounded))
+    b.always(used == b.past(Mux(now & before, controlled, settings.threshold)), where=b.past(begin))
+    b.always((used != 0) & (used <= sensor.pixels), where=begun)
+    b.always(used <= THRESHOLD_MAX, where=b.past(begin & now & before))
+    b.always(Cat(count[name] for name in counted) == 0, where=b.past(begin))
+    b.always(used == b.past(used), where=b.past(1) & ~b.past(begin))
+    b.always(step <= WORDS + 1)
+    b.always(begun, where=before | (taken & (step == 0)))
+    b.always(body.stepped == _least(stepped, THRESHOLD_MAX), where=begun & (step > 3))
+    b.always(unit.controlled == now)
+    b.always(body.stays == before)
+    for k in range(AUTO_BOUNDS + 1):
+        b.always(body.ceiling == 1 + _reached(bounds[:k], opened), where=step == 1 + BUDGETS + k)
+    b.always((body.rises == (committed > budget)) & (body.falls == (lower <= budget)), where=step > 2)
+    b.cover(unit.commit & (used == 3) & now & before)
     b.cover((count["rejected"] == 2) & (count["dropped"] == 1))
-
-
-@proof(depth=1, cover=2)
-def controller_is_monotone(b: Bench):
-    """More photons in a frame never lower the next one's threshold: as proven of the DPCU it is 1 + the number of bounds reached."""
-    bounds = [b.constant(DATA_BITS) for _ in range(AUTO_BOUNDS)]
-    fewer, more = b.constant(COUNTER_BITS), b.constant(COUNTER_BITS)
-    b.always(_reached(bounds, fewer) <= _reached(bounds, more), where=fewer <= more)
-    b.cover((fewer < more) & (_reached(bounds, fewer) < _reached(bounds, more)))
 
 
 @proof(depth=3, cover=8)
@@ -114,7 +142,14 @@ def subgroup_settings(b: Bench):
     unit = SubgroupSettings(sensor)
     command, number = Signal(bus.CONFIG_BUS), b.constant(bus.SUBGROUP_BITS)
     m.d.comb += command.as_value().eq(b.anything(command.shape().size))
+    write = command.operation == bus.Operation.WRITE
+    b.assume(command.parity == command.data.xor(), where=write)
+    for offset, register, _ in registers.words(registers.SUBGROUP, sensor):  # as proven of the register front
+        b.assume(command.data <= register.high(sensor), where=write & (command.word == offset // 4))
     body = b.place("dut", unit, command=command, subgroup=number)
+    b.always(~unit.upset)
+    for upset in body.upsets:
+        b.always(~upset)
     taken = b.past(command.operation == bus.Operation.TAKE)
     b.always(unit.settings.as_value() == b.last(body.programmed.as_value()), where=taken)
     b.stable(unit.settings.as_value(), where=command.operation != bus.Operation.TAKE)

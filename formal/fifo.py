@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Proofs of the event FIFO and of the record buffer.
 
 Depth is a parameter of counters only, so what holds for a FIFO of two places and for one of three, which is no power of two,
@@ -19,13 +20,12 @@ def _event_fifo(b: Bench, depth: int) -> None:
     commit, take, begin = (Signal(name=name) for name in ("commit", "take", "begin"))
     m.d.comb += [signal.eq(b.anything(1)) for signal in (commit, take, begin)]
     body = b.place("dut", unit, commit=commit, take=take, frame_begin=begin)
-    memory = elaborated(
-        body.storage
-    ).submodules.storage  # the library's FIFO has its oldest event in a register behind it
+    elaborated(body.rows)
+    memory = body.rows.state
 
     # The readout takes only what is at the head, and a frame begins with the FIFO empty.
     level = Signal(range(depth + 1))
-    b.assume(body.storage.r_rdy, where=take)
+    b.assume(level != 0, where=take)
     b.assume(level == 0, where=begin)
     b.assume(~commit, where=begin)
 
@@ -33,7 +33,6 @@ def _event_fifo(b: Bench, depth: int) -> None:
     dropped = b.same("dropped_now", commit & (level == depth))
     m.d.sync += level.eq(level + stored - take)
     b.always((level == body.level) & (level <= depth))
-    b.always(level == body.storage.level)
     b.always(unit.stored == b.past(stored))  # each committed event is stored,
     b.always(unit.dropped == b.past(dropped))  # or, the FIFO being full, counted as dropped; never both
     b.always(~(unit.stored & unit.dropped))
@@ -53,28 +52,23 @@ def _event_fifo(b: Bench, depth: int) -> None:
             watched.eq(1),
             ahead.eq(level - take),
             event.window.eq(unit.event),
+            event.offsets.eq(unit.offsets),
             event.pulse.eq(unit.pulse),
             event.overrun.eq(lost),
         ]
     with m.Elif(watched & take):
         m.d.sync += [ahead.eq(ahead - 1), watched.eq(ahead != 0)]
-    b.always(unit.head.as_value() == event.as_value(), where=watched & (ahead == 0) & body.storage.r_rdy)
-    # It does come to the head: two cycles after it was stored it is there, if nothing is ahead.
-    b.always(body.storage.r_rdy, where=watched & (ahead == 0) & ~b.past(watch))
+    b.always(unit.head.as_value() == event.as_value(), where=watched & (ahead == 0))
 
-    # Invariants: rows in use are those from `consume` to `produce`, and the event stands in its own.
-    rows, produce, consume = depth, memory.write_ports[0].addr, memory.read_ports[0].addr
-    used = b.same("used", body.storage.level - body.storage.r_rdy)
-    after_last = b.same("after_last", consume + used)
-    b.always((produce < rows) & (consume < rows) & (used >= 0) & (used <= rows))
-    b.always(produce == Mux(after_last >= rows, after_last - rows, after_last))
+    # Invariants: rows in use are those from `row` to `to`, and the event stands in its own.
+    after_last = b.same("after_last", body.row + level)
+    b.always((body.to < depth) & (body.row < depth))
+    b.always(body.to == Mux(after_last >= depth, after_last - depth, after_last))
     b.always(ahead < level, where=watched)
-    behind = b.same("behind", ahead - body.storage.r_rdy)  # rows between `consume` and the event's
-    mine = b.same("mine", Mux(consume + behind >= rows, consume + behind - rows, consume + behind))
-    in_memory = watched & ~((ahead == 0) & body.storage.r_rdy)
+    behind = b.same("behind", body.row + ahead)
     look = memory.read_port(domain="comb")
-    m.d.comb += look.addr.eq(mine)
-    b.always(look.data == event.as_value(), where=in_memory)
+    b.m.d.comb += look.addr.eq(Mux(behind >= depth, behind - depth, behind))
+    b.always(look.data == event.as_value(), where=watched)
 
     b.cover(dropped & lost)
     b.cover(watched & take & (ahead == 0) & event.overrun)
@@ -97,14 +91,14 @@ def event_fifo_of_three(b):
 def record_buffer(b):
     """A record is stored when the place is free, else counted as dropped; it stays until it is taken, entries not latched are 0."""
     m, unit = b.m, RecordBuffer(SMALL)
-    due, take = Signal(), Signal()
-    m.d.comb += [due.eq(b.anything(1)), take.eq(b.anything(1))]
-    body = b.place("dut", unit, due=due, take=take)
+    due, take, begin = Signal(), Signal(), Signal()
+    m.d.comb += [due.eq(b.anything(1)), take.eq(b.anything(1)), begin.eq(b.anything(1))]
+    body = b.place("dut", unit, due=due, take=take, frame_begin=begin)
     waiting = Signal()
     b.assume(waiting, where=take)
     comes = b.same("comes", due & (unit.latched != 0))
     stored = b.same("stored_now", comes & ~waiting)
-    m.d.sync += waiting.eq(Mux(stored, 1, waiting & ~take))
+    m.d.sync += waiting.eq(Mux(stored, 1, waiting & ~take & ~begin))
     b.always(waiting == body.waiting)
     b.always(unit.stored == b.past(stored))
     b.always(unit.dropped == b.past(comes & waiting))

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Runs the proofs: SymbiYosys and Bitwuzla, both from PyPI, as many proofs at a time as there are cores."""
 
 import os

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Proofs of readout and packetizer.
 
 Three subgroups are the fewest among which an order can be wrong; the arbiter treats its bits alike, so the bounds read n for 3.
@@ -6,6 +7,7 @@ Three subgroups are the fewest among which an order can be wrong; the arbiter tr
 from amaranth.hdl import Cat, Mux, Signal
 
 from ..hdl import bus
+from ..hdl.controller import SETTLED
 from ..hdl.packetizer import Packetizer
 from ..hdl.readout import Readout
 from ..model.contract import latency
@@ -29,7 +31,7 @@ def _length(send, form):
 
 @proof(depth=4, cover=14)
 def readout(b: Bench):
-    """One grant at a time, at most n - 1 others first; the buffer never overflows and leaks no place; AXI4-Stream rules."""
+    """One grant at a time, at most n - 1 others first; the buffer never overflows, leaks no place; `tlast` ends the frame; AXI4-Stream rules."""
     m, unit = b.m, Readout(SMALL, N)
     frame, form = Signal(bus.frame_layout(SMALL)), b.constant(2)
     stored, record_stored, ready, finish, begin = Signal(N), Signal(N), Signal(), Signal(), Signal()
@@ -62,7 +64,8 @@ def readout(b: Bench):
         b.assume(~body.records[s] & ~body.record_stored[s], where=record_stored[s])
     b.assume(~stored.any() & ~record_stored.any(), where=finish | ~body.in_frame)
     b.assume(finish, where=b.past(finish) & body.in_frame)  # finish stays until all is delivered
-    b.assume(idle & unit.delivered, where=begin)
+    b.assume(idle & unit.delivered & ~body.frame_begin, where=begin)
+    b.always(idle, where=body.frame_begin)
 
     # One grant, to a subgroup with what is granted.
     b.always((unit.grant & (unit.grant - 1)) == 0)
@@ -71,12 +74,15 @@ def readout(b: Bench):
     b.always((unit.grant & ~b.past(body.records)) == 0, where=unit.grant.any() & (unit.send == bus.Send.RECORD))
     for s in range(N):
         b.always((Cat(plane[s] for plane in body.planes) == events[s]) & (events[s] <= SMALL.fifo_depth))
+        b.always(body.some_events[s] == (events[s] != 0))
 
     # Who waits sees at most n - 1 grants to others. Distance: others that come before it in the round.
     in_events = body.machine.ongoing("events")
     takes = body.take_event | body.take_record
     grants = b.same("grants", takes.any())
-    granted = b.same("granted", grants | body.own_kind.any() | (body.machine.ongoing("counters") & body.free))
+    granted = b.same(
+        "granted", grants | body.own_kind.any() | (body.machine.ongoing("counters") & body.free_for_counters)
+    )
     for s in range(N):
         others = Signal(range(N + 1), name=f"others_{s}")
         waits = body.waiting[s]
@@ -95,7 +101,7 @@ def readout(b: Bench):
     # And a grant comes as soon as the packet before has been granted all its beats and the buffer has room.
     b.always(
         unit.grant.any(),
-        where=b.past(in_events & body.waiting.any() & (body.left == 0) & (body.space >= PARTS.longest)),
+        where=b.past(in_events & body.waiting.any() & (body.left == 0) & (body.space >= PARTS.longest_word)),
     )
     b.always(
         ~body.waiting.any() & ~body.stored.any() & ~body.record_stored.any(),
@@ -134,6 +140,39 @@ def readout(b: Bench):
     b.always(rest == Mux(b.past(active) & ~own[0] & ~unit.grant.any(), body.left + 1, 0), where=~unit.grant.any())
     b.always(body.left == _length(unit.send, form) - 1, where=unit.grant.any())
     b.always(body.event_length == _length(bus.Send.EVENT, form), where=b.past(1))
+
+    # What moved in the last cycles is on its way; when nothing has for long, all is empty.
+    for cycles in range(1, latency.GRANT_TO_BEAT + 1):
+        b.always(pipe[:cycles] == 0, where=body.calm >= cycles)
+    b.always(body.buffer.level == 0, where=body.calm >= latency.GRANT_TO_BEAT + 3)
+
+    # `tlast` goes with the last beat of the last subgroup's counters behind the frame end's header, and with no other.
+    expected = Signal(range(N * PARTS.counter_beats + 1))
+    ends_here = body.own[-1] == Kind.FRAME_END
+    with m.If(ends_here):
+        m.d.sync += expected.eq(N * PARTS.counter_beats)
+    with m.Elif(body.buffer.w_en & (expected != 0)):
+        m.d.sync += expected.eq(expected - 1)
+    b.always(body.buffer.w_data[-1] == ((expected == 1) & body.valid & ~ends_here), where=body.buffer.w_en)
+    in_counters, in_flush = body.machine.ongoing("counters"), body.machine.ongoing("flush")
+    ungranted = b.same("ungranted", Mux(in_counters, sum((Mux(body.tail[s], N - s, 0) for s in range(N)), start=0), 0))
+    to_come = b.same("to_come", ungranted * PARTS.counter_beats + body.left)
+    is_end = [b.same(f"own_{k}_ends", kind == Kind.FRAME_END) for k, kind in enumerate(body.own)]
+    end_coming = b.same("end_coming", Cat(is_end).any())
+    for k, here in enumerate(is_end):
+        b.always(to_come + sum(pipe[:k], start=0) == N * PARTS.counter_beats, where=here)
+        b.always((in_counters | in_flush) & ~Cat(is_end[k + 1 :]).any(), where=here)
+        b.always((expected == 0) & ~Cat(body.own[:k]).any(), where=here)
+        b.always(body.own[k] == 0, where=expected != 0)
+    b.always(expected == to_come + on_the_way, where=(in_counters | in_flush) & ~end_coming)
+    b.always(expected == 0, where=~in_counters & ~in_flush)
+    b.always(body.to_end == expected)
+    b.always(body.owes == ~(idle | (in_flush & (expected == 0) & ~end_coming)))
+    b.always(~body.filling)
+
+    # The threshold controller has heard all counters long before the end packet has left.
+    for cycles in range(SETTLED):
+        b.always(~b.past(unit.counted.valid, cycles), where=unit.delivered)
 
     # AXI4-Stream: what is offered stays until it is taken.
     axis = unit.m_axis

@@ -1,20 +1,24 @@
+# SPDX-License-Identifier: Apache-2.0
 """Proof of the register front: AXI4-Lite towards any master, one that breaks the rules included."""
 
-from amaranth.hdl import Cat, Mux, Signal
+from amaranth.hdl import Cat, Mux, ResetSignal, Signal
 
 from ..hdl import bus
 from ..hdl.axi import OKAY, SLVERR
-from ..hdl.registers import CHECK_CYCLES, DECODE_CYCLES, READ_CYCLES, Registers
+from ..hdl.registers import BLOCK_BITS, CHECK_CYCLES, DECODE_CYCLES, READ_CYCLES, Registers
 from ..model.contract import registers
-from ..model.contract.registers import AUTO_BOUNDS
+from ..model.contract.registers import AUTO_BOUNDS, WRITABLE
 from .bench import Bench, proof
 from .sensors import SMALL
 
-WRITE_MAX = 1 + (READ_CYCLES + 2) + 3 + CHECK_CYCLES + AUTO_BOUNDS + 2  # a read under way, decode, checks, bounds
-READ_MAX = (CHECK_CYCLES + 2) + AUTO_BOUNDS + 1 + (READ_CYCLES + 2)  # a write under way, the longest, first
+SENT = SMALL.streams + AUTO_BOUNDS  # words for the thresholds: budgets and bounds
+WRITE_MAX = (
+    1 + (READ_CYCLES + 2) + 3 + CHECK_CYCLES + SENT + 2
+)  # a read under way, decode, checks, words for the thresholds
+READ_MAX = (CHECK_CYCLES + 2) + SENT + 1 + (READ_CYCLES + 2)  # a write under way, the longest, first
 
 
-@proof(depth=3, cover=45)
+@proof(depth=3, cover=20)
 def register_front(b: Bench):
     """AXI4-Lite with any master: one answer each, in bounded time; a refusal changes nothing; a running frame's settings stay."""
     sensor, m = SMALL, b.m
@@ -26,7 +30,7 @@ def register_front(b: Bench):
     state = body.machine.ongoing
     busy = body.flag["busy"]
     b.assume(
-        busy & ~state("bounds") & ~state("begin"), where=done
+        busy & ~state("thresholds") & ~state("begin"), where=done
     )  # as proven of the sequencer: of a frame that was started
 
     # What was taken and not answered yet, counted at the port.
@@ -48,6 +52,8 @@ def register_front(b: Bench):
     b.always((axi.bresp == OKAY) | (axi.bresp == SLVERR))
     b.always((axi.rresp == OKAY) | (axi.rresp == SLVERR))
     b.always(axi.rdata == 0, where=axi.rvalid & (axi.rresp == SLVERR))
+    for voted in body.voted:
+        b.always(voted.agree)
 
     # The answer comes in time, whatever happens on the other channel.
     write_waits, read_waits = Signal(8), Signal(8)
@@ -66,16 +72,47 @@ def register_front(b: Bench):
         register = registers.BY_NAME[name]
         b.always((setting == b.last(setting)) | granted, where=b.past(1))
         b.always((setting >= register.low(sensor)) & (setting <= register.high(sensor)))
+    for key, setting in body.setting.items():
+        b.always(setting.xor() == body.setting_parity[key])
+    b.always(body.value.xor() == body.parity, where=data)
+    b.always(unit.plan.as_value().xor() == body.plan_parity)
+    b.always(unit.command.data.xor() == unit.command.parity, where=unit.command.operation == bus.Operation.WRITE)
     operation = unit.command.operation
     b.always(granted, where=operation == bus.Operation.WRITE)
     b.always(granted & busy, where=unit.start_frame)
     b.always(unit.start_frame == (operation == bus.Operation.BEGIN))
 
+    # What the table allows, and nothing else, is written and answered with OKAY; a start has its checks before it.
+    in_block = (body.write_address >= registers.SUBGROUP_BASE) & (
+        body.write_address < registers.SUBGROUP_BASE + registers.SUBGROUP_STRIDE * sensor.subgroups
+    )
+    allowed = []
+    for table, where, offset_bits in (
+        (registers.GLOBAL, 1, registers.ADDRESS_BITS),
+        (registers.SUBGROUP, in_block, BLOCK_BITS),
+    ):
+        for offset, register, _ in registers.words(table, sensor):
+            if register.access in WRITABLE:
+                low, high = register.low(sensor), register.high(sensor)
+                here = where & (body.write_address[:offset_bits] == offset)
+                allowed.append(here & (body.value >= low) & (body.value <= high))
+    fits = b.same("fits", Cat(allowed).any() & body.whole)
+    starts = (body.write_address == registers.address("control")) & body.value[0]
+    b.always(granted, where=b.past(state("write") & fits & ~starts))
+    b.always(axi.bvalid & (axi.bresp == SLVERR), where=b.past(state("write") & ~fits))
+
     # A frame's settings are taken when none is running, and stay until it is done.
     in_force = Cat(unit.frame.as_value(), unit.plan.as_value())
     b.stable(in_force, where=busy)
     b.always(~b.past(busy) & busy & ~b.past(done), where=operation == bus.Operation.TAKE)
-    b.always(busy, where=(operation == bus.Operation.COMPARE) | (operation == bus.Operation.BEGIN) | unit.start_frame)
+    b.always(unit.command.data == b.past(unit.budget_0), where=operation == bus.Operation.BUDGET)
+    b.always(
+        busy,
+        where=(operation == bus.Operation.BUDGET)
+        | (operation == bus.Operation.COMPARE)
+        | (operation == bus.Operation.BEGIN)
+        | unit.start_frame,
+    )
     b.always((unit.plan.period > sensor.guard) & (unit.plan.period <= sensor.period_max), where=busy)
     b.always((unit.plan.pulses != 0) & (unit.plan.gate_steps != 0), where=busy)
 
@@ -86,30 +123,57 @@ def register_front(b: Bench):
 
     # Invariants.
     until_checked = b.same("until_checked", state("decode") | state("write") | state("check"))
-    in_write = b.same("in_write", until_checked | state("bounds") | state("begin"))
+    in_write = b.same("in_write", until_checked | state("thresholds") | state("begin"))
     b.always(address & data & ~axi.bvalid, where=in_write)
     b.always(read & ~axi.rvalid, where=state("read"))
     b.always(b.past(body.address) == body.address, where=state("write"))
+    b.always(body.address == body.write_address, where=until_checked)
+    b.always(body.same_address & body.same_value, where=state("write"))
     b.always(in_write | state("idle") | state("read"))
     b.always(body.wait <= READ_CYCLES, where=state("read"))
     b.always(body.wait < DECODE_CYCLES, where=state("decode"))
     b.always(body.wait == DECODE_CYCLES, where=state("write"))
     b.always((body.wait > DECODE_CYCLES) & (body.wait <= CHECK_CYCLES), where=state("check"))
-    b.always((body.bound < AUTO_BOUNDS) & busy, where=state("bounds"))
+    b.always((body.sent < SENT) & busy, where=state("thresholds"))
     b.always(busy, where=state("begin"))
     # How far an access has come bounds how long it has been waiting.
     before_write = READ_CYCLES + 3
     b.always(write_waits <= body.wait + 1, where=reading & state("read") & address & data & ~axi.bvalid)
     b.always(write_waits <= before_write, where=writing & state("idle"))
     b.always(write_waits <= before_write + 1 + body.wait, where=until_checked)
-    b.always(write_waits <= before_write + 2 + CHECK_CYCLES + body.bound, where=state("bounds"))
-    b.always(write_waits <= before_write + 2 + CHECK_CYCLES + AUTO_BOUNDS, where=state("begin"))
+    b.always(write_waits <= before_write + 2 + CHECK_CYCLES + body.sent, where=state("thresholds"))
+    b.always(write_waits <= before_write + 2 + CHECK_CYCLES + SENT, where=state("begin"))
     b.always(read_waits <= body.wait + 1, where=until_checked)
-    b.always(read_waits <= CHECK_CYCLES + 2 + body.bound, where=state("bounds"))
-    b.always(read_waits <= CHECK_CYCLES + 2 + AUTO_BOUNDS, where=state("begin"))
-    b.always(read_waits <= Mux(axi.bvalid, CHECK_CYCLES + 3 + AUTO_BOUNDS, 0), where=reading & state("idle"))
-    b.always(read_waits <= CHECK_CYCLES + 4 + AUTO_BOUNDS + body.wait, where=state("read"))
-    b.cover(unit.start_frame & b.past(busy))
+    b.always(read_waits <= CHECK_CYCLES + 2 + body.sent, where=state("thresholds"))
+    b.always(read_waits <= CHECK_CYCLES + 2 + SENT, where=state("begin"))
+    b.always(read_waits <= Mux(axi.bvalid, CHECK_CYCLES + 3 + SENT, 0), where=reading & state("idle"))
+    b.always(read_waits <= CHECK_CYCLES + 4 + SENT + body.wait, where=state("read"))
     b.cover(axi.bvalid & (axi.bresp == SLVERR) & read)
     b.cover(axi.rvalid & (axi.rresp == OKAY) & address & data)
-    b.cover(axi.bvalid & body.flag["start_busy"])
+
+
+@proof(depth=2, cover=45)
+def register_front_starts(b: Bench):
+    """Starts alone, of which nothing is proven here but that no read is answered: one begins a frame, the next finds the front busy."""
+    unit = Registers(SMALL)
+    body = b.place(
+        "dut",
+        unit,
+        s_axi__awaddr=registers.control("start")[0],
+        s_axi__wdata=registers.control("start")[1],
+        s_axi__wstrb=0b1111,
+        s_axi__awvalid=1,
+        s_axi__wvalid=1,
+        s_axi__bready=1,
+        s_axi__arvalid=0,
+        gate_late=0,
+        settings_upset=0,
+        resting=0,
+        done=0,
+    )
+    b.assume(~ResetSignal())
+    for voted in body.voted:
+        b.always(voted.agree)
+    b.always(~body.held_read & ~unit.s_axi.rvalid)
+    b.cover(unit.start_frame & b.past(body.flag["busy"]))
+    b.cover(unit.s_axi.bvalid & body.flag["start_busy"])

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The sensors that proofs are about: as small as parameters allow, every structure in them twice at least."""
 
 from ..model.contract.parameters import Sensor

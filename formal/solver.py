@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Bitwuzla as a program: the PyPI wheel is a library, yosys-smtbmc wants to talk SMT-LIB with a process.
 
 `python -m coincid.formal.solver --lang smt2` reads commands on standard input and answers each at once.

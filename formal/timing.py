@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Proofs of what keeps time: TDC, gate, sequencer."""
 
 from amaranth.hdl import Mux, Signal
@@ -28,7 +29,6 @@ def tdc(b: Bench):
         b.always(line.any == before.any())
         b.always(before.bit_select(line.phase, 1), where=before)
         for k in range(sensor.phases):
-            b.always(line.up_to[k] == before[: k + 1].any())
             b.always(~before[:k].any(), where=line.any & (line.phase == k))
         b.always(line.coarse == coarse)
     b.cover(lines[0].any & ~lines[1].any & (lines[0].phase == 31))
@@ -167,6 +167,9 @@ def sequencer(b: Bench):
     b.always(body.aborted == aborting)
     b.always(ending == b.past(body.draining))
     b.always(body.draining == (body.drained != 0))
+    b.always(body.active == (body.running | body.wrap | body.draining), where=~body.running | ~body.wrap)
+    b.always(body.active, where=body.running)
+    b.always(body.number.agree)
     b.always(unit.finish == (body.drained == body.to_finish))
     b.always(body.drained <= body.to_finish)
     b.always(~body.running & ~body.start.any(), where=body.draining)

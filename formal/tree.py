@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Proofs of the coincID tree, against a specification that goes through a cycle tick by tick as the contract does; of minigroup records.
 
 The subgroup is 4 x 4 pixels of four phases with a window of up to nine ticks: windows end in the cycle they open in, in the next and
@@ -25,15 +26,19 @@ from .sensors import SMALL
 class Edges:
     """Edges that count, as the contract says: of pixels that are on, where the gate lets them through. Those from before a reset are gone.
 
-    stage_1, stage_2, stage_3: edge words of all pixels, that many cycles behind the port; fresh: stage 3 has seen no reset.
+    raw_1, raw_2: edge words of the pixels that are on, whatever the gate says; stage_1, stage_2, stage_3: of all edges that count, that many
+    cycles behind the port; fresh: stage 2 has seen no reset, nor stage 3 where `fresh_3`.
     """
 
     pixels: int
     phases: int
+    raw_1: Signal
+    raw_2: Signal
     stage_1: Signal
     stage_2: Signal
     stage_3: Signal
     fresh: Signal
+    fresh_3: Signal
 
     def words(self, stage, pixels=None) -> list[Any]:
         """Words of some pixels (default: all)."""
@@ -50,24 +55,38 @@ class Edges:
 
 
 def _edges(b: Bench, words, mask, accept) -> Edges:
-    """What `words` at the port become; mask, accept: at stage 1."""
+    """What `words` at the port become; mask: at the port, accept: at stage 1."""
     pixels = len(mask)
     phases = len(words) // pixels
-    on = Cat((accept & mask[i]).replicate(phases) for i in range(pixels))
-    stage_1 = b.same("edges_1", b.last(words) & on)
+    on = Cat(mask[i].replicate(phases) for i in range(pixels))
+    raw_1 = b.same("raw_1", b.last(words & on))
+    stage_1 = b.same("edges_1", raw_1 & accept.replicate(len(words)))
     stage_2 = b.same("edges_2", b.last(stage_1))
     stage_3 = b.same("edges_3", b.last(stage_2))
-    return Edges(pixels, phases, stage_1, stage_2, stage_3, b.same("fresh", b.past(1, 2)))
+    raw_2 = b.same("raw_2", b.last(raw_1))
+    fresh, fresh_3 = b.same("fresh", b.past(1)), b.same("fresh_3", b.past(1, 2))
+    return Edges(pixels, phases, raw_1, raw_2, stage_1, stage_2, stage_3, fresh, fresh_3)
+
+
+def _first(word):
+    """The phase of a word's first edge; the last phase where there is none."""
+    first = len(word) - 1
+    for k in reversed(range(len(word))):
+        first = Mux(word[k], k, first)
+    return first
 
 
 def _leaf_holds(b: Bench, leaf: SimpleNamespace, edges: Edges, pixels=None) -> None:
-    """Invariants of a minigroup's pipeline: it holds its pixels' edges, where there are any."""
-    second, third = Cat(edges.words(edges.stage_2, pixels)), Cat(edges.words(edges.stage_3, pixels))
-    active = Cat(word.any() for word in edges.words(edges.stage_3, pixels))
-    b.always(leaf.some_2 == second.any(), where=b.past(1))
-    b.always(leaf.words_2 == second, where=second.any() & b.past(1))
-    b.always(leaf.some == third.any(), where=edges.fresh)
-    b.always((leaf.words == third) & (leaf.active == active), where=third.any() & edges.fresh)
+    """Invariants of a minigroup's pipeline: it holds its pixels' first edges, encoded."""
+    for raw, phases, since in ((edges.raw_1, leaf.phases_1, 1), (edges.raw_2, leaf.phases_2, edges.fresh)):
+        for word, phase in zip(edges.words(raw, pixels), phases):
+            b.always(phase == _first(word), where=since)
+    for stage, valid, since in (
+        (edges.raw_1, leaf.valid_1, 1),
+        (edges.stage_2, leaf.valid_2, edges.fresh),
+        (edges.stage_3, leaf.active, edges.fresh_3),
+    ):
+        b.always(valid == Cat(word.any() for word in edges.words(stage, pixels)), where=since)
 
 
 def _place_tree(b: Bench, sensor: Sensor) -> SimpleNamespace:
@@ -79,7 +98,7 @@ def _place_tree(b: Bench, sensor: Sensor) -> SimpleNamespace:
         b.m.d.comb += signal.eq(b.anything(len(signal)))
     b.m.d.comb += timing.as_value().eq(b.anything(timing.shape().size))
     b.assume((window_ticks != 0) & (window_ticks <= sensor.window_max))
-    no_line = {f"line__{name}": None for name in ("any", "phase", "up_to", "coarse")}
+    no_line = {f"line__{name}": None for name in ("any", "phase", "coarse")}
     body = b.place(
         "dut", unit, words=words, mask=mask, accept=accept, window_ticks=window_ticks, timing=timing, **no_line
     )
@@ -92,13 +111,13 @@ def _place_tree(b: Bench, sensor: Sensor) -> SimpleNamespace:
         body=body,
         edges=_edges(b, words, mask, accept),
         window_ticks=window_ticks,
-        may_open=b.past(timing.may_open, 5),
+        may_open=b.past(timing.may_open, 4),
         members=[sensor.members(g) for g in range(sensor.minigroups)],
     )
 
 
 def _specification(b: Bench, dut: SimpleNamespace) -> SimpleNamespace:
-    """What the contract says of a cycle of stage 3. Returns its registers, and in `now` what they become."""
+    """What the contract says of a cycle of stage 2. Returns its registers, and in `now` what they become."""
     sensor, edges = dut.unit.sensor, dut.edges
     spec = SimpleNamespace(
         open=Signal(),
@@ -114,7 +133,7 @@ def _specification(b: Bench, dut: SimpleNamespace) -> SimpleNamespace:
     now |= {"elapsed": spec.elapsed + 1, "live": spec.open, "closed": C(0, 1), "blind": C(0, 1)}
     seen = C(0, sensor.pixels)
     for tick in range(sensor.phases):
-        raw = edges.at(edges.stage_3, tick) & edges.fresh.replicate(sensor.pixels)
+        raw = edges.at(edges.stage_2, tick) & edges.fresh.replicate(sensor.pixels)
         first = b.same(f"edges_at_{tick}", raw & ~seen)  # of several edges of a pixel in a cycle only the first exists
         seen = b.same(f"seen_{tick}", raw | seen)
         now = _tick(b, dut, now, tick, first, armed=(spec.not_armed == 0))
@@ -150,7 +169,7 @@ def _tick(b: Bench, dut: SimpleNamespace, before: dict[str, Any], tick: int, edg
     for g, members in enumerate(dut.members):
         had = Cat(hits_before[i] for i in members).any()
         gets = Cat(new[i] for i in members).any()
-        offset = cycles * QUARTERS + tick * QUARTERS // sensor.phases
+        offset = cycles * sensor.offset_phases + tick * sensor.offset_phases // sensor.phases
         offsets.append(named(f"offset_{g}", Mux(in_window & gets & ~had, offset, before["offsets"][g])))
     return {
         "open": named("open", in_window & ~closes),
@@ -167,16 +186,16 @@ def _tick(b: Bench, dut: SimpleNamespace, before: dict[str, Any], tick: int, edg
 
 
 def _agrees(b: Bench, dut: SimpleNamespace, now: dict[str, Any]) -> None:
-    """The tree says what the contract says, four cycles later; and what follows for whoever reads a window."""
+    """The tree says what the contract says, five cycles later; and what follows for whoever reads a window."""
     unit, window = dut.unit, dut.unit.window
-    b.always(unit.closed == b.past(now["closed"], 4))
+    b.always(unit.closed == b.past(now["closed"], 5))
     for name, value in {name: now[name] for name in ("stamp", "winner", "hits")}.items():
-        b.always(window[name] == b.past(value, 4), where=unit.closed)
-    b.always(window.count == b.past(sum(now["hits"], start=0), 4), where=unit.closed)
+        b.always(window[name] == b.past(value, 5), where=unit.closed)
+    b.always(window.count == b.past(sum(now["hits"], start=0), 5), where=unit.closed)
     for g, members in enumerate(dut.members):
         hit = Cat(window.hits[i] for i in members).any()
-        b.always(window.offsets[g] == b.past(now["offsets"][g], 4), where=unit.closed & hit)
-    b.always(unit.blind == b.past(now["blind"], 2), where=b.past(1, 4))
+        b.always(unit.offsets[g] == b.past(now["offsets"][g], 6), where=b.past(unit.closed & hit))
+    b.always(unit.blind == b.past(now["blind"], 3), where=b.past(1, 4))
     b.always(window.hits.any() & window.hits.bit_select(window.winner, 1), where=unit.closed)
     b.always(window.count == sum(window.hits, start=0), where=unit.closed)
 
@@ -203,24 +222,20 @@ def _holds(b: Bench, dut: SimpleNamespace, spec: SimpleNamespace) -> None:
     b.always(body.window_open == spec.open)
     b.always((body.left == spec.left) & (spec.left != 0), where=spec.open)
     b.always((body.rearm == spec.not_armed) & (spec.not_armed <= sensor.rearm))
-    b.always(line.root == edges.root(edges.stage_2), where=b.past(1))
-    b.always(line.root == 0, where=~b.past(1))
-    b.always(line.any == edges.stage_3.any(), where=edges.fresh)
+    b.always(line.root == edges.root(edges.stage_1))
+    b.always(line.any == edges.stage_2.any(), where=edges.fresh)
     b.always(~line.any, where=~edges.fresh)
-    b.always(body.may_open[-1] == dut.may_open)
-    live = b.past(now["live"], 2)
+    b.always(body.may_open[-2] == dut.may_open)
+    live = b.past(now["live"], 3)
     for g, (leaf, members) in enumerate(zip(body.leaves, dut.members)):
         _leaf_holds(b, leaf.state, edges, members)
-        hit = Cat(body.hits[i] for i in members).any()
-        b.always(leaf.offset == b.past(now["offsets"][g], 2), where=live & hit)
-    b.always(body.hits == b.past(now["hits"], 2), where=live)
-    b.always(body.stamp == b.past(now["stamp"], 2), where=live)
-    b.always(body.stamp_4 == b.past(now["stamp"]), where=b.past(now["live"]))
-    b.always(body.elapsed == b.past(now["elapsed"]), where=b.past(now["live"]))
-    lowest = 0
-    for i in reversed(range(sensor.pixels)):
-        lowest = Mux(body.firsts[i], i, lowest)
-    b.always((lowest == b.past(now["winner"], 2)) & body.firsts.any(), where=live)
+        hit = b.past(Cat(body.hits[i] for i in members).any(), 3)
+        b.always(leaf.offset == b.past(now["offsets"][g], 6), where=b.past(now["live"], 6) & hit)
+    b.always(body.hits == b.past(now["hits"], 3), where=live)
+    for name, stages in (("stamp", body.stamps), ("winner", body.winners)):
+        for cycles, stage in enumerate(stages, 1):
+            b.always(stage == b.past(now[name], cycles), where=b.past(now["live"], cycles))
+    b.always(body.elapsed == b.past(now["elapsed"], 5), where=b.past(now["live"], 5))
 
 
 def _tree(b: Bench, sensor: Sensor) -> None:
@@ -235,13 +250,13 @@ def _tree(b: Bench, sensor: Sensor) -> None:
     b.cover(unit.blind & b.past(unit.blind))
 
 
-@proof(depth=6, cover=20)
+@proof(depth=9, cover=20)
 def tree(b):
     """Tree and TDC line do what the contract says tick by tick: windows, maps, counts, winners, stamps, offsets, re-arming."""
     _tree(b, SMALL)
 
 
-@proof(depth=6, cover=20)
+@proof(depth=9, cover=20)
 def tree_without_gap(b):
     """The same with R = 0, where a window may open in the cycle after another one closed."""
     _tree(b, evolve(SMALL, rearm=0))
@@ -249,30 +264,37 @@ def tree_without_gap(b):
 
 @proof(depth=4, cover=20)
 def minigroup_record(b):
-    """A minigroup latches the stamp of a collection's first edge and the map of its pixels if it has enough of them, once a period."""
-    sensor, m = SMALL, b.m
+    """A minigroup latches the stamp of a collection's first edge and the map of its pixels if it has enough of them, once a period.
+
+    The step that it finds for the coarse offset is that of the cycle's first edge; how the tree uses it is the tree's proof.
+    """
+    sensor, m = evolve(SMALL, phases=16, offset_phases=8), b.m  # so that ticks, steps and quarters of a cycle differ
     unit = Minigroup(sensor)
     pixels, phases = sensor.minigroup_pixels, sensor.phases
     words, mask, accept = Signal(pixels * phases), Signal(pixels), Signal()
     frame, may_open, wrap = Signal(bus.frame_layout(sensor)), Signal(), Signal()
+    coarse_4 = Signal(sensor.coarse_bits)
     for signal in (words, mask, accept, may_open, wrap):
         m.d.comb += signal.eq(b.anything(len(signal)))
     m.d.comb += frame.as_value().eq(b.constant(frame.shape().size))
     b.assume((frame.mg_threshold != 0) & (frame.mg_window != 0) & (frame.mg_window <= 4))
-    body = b.place("dut", unit, words=words, mask=mask, accept=accept, frame=frame, may_open=may_open, wrap=wrap)
+    body = b.place(
+        "dut", unit, words=words, mask=mask, accept=accept, frame=frame, may_open=may_open, wrap=wrap, coarse=coarse_4
+    )
 
     edges = _edges(b, words, mask, accept)
     # A reset closes the guard for longer than edges from before it take to pass.
-    b.assume(~may_open, where=~edges.fresh)
+    b.assume(~may_open, where=~edges.fresh_3)
     active = b.same("active_now", Cat(word.any() for word in edges.words(edges.stage_3)))
-    b.always(unit.root == edges.root(edges.stage_1))
-    b.always(unit.root == 0, where=~accept)  # the gate lets nothing through
+    b.always(b.last(unit.root) == edges.root(edges.raw_1))
 
     # A period ends with its guard, in which no collection begins.
     guarded = Signal(range(5))
     m.d.sync += guarded.eq(Mux(may_open, 0, guarded + (guarded != 4)))
     b.assume(guarded == 4, where=wrap)
 
+    coarse = b.same("coarse", b.anything(sensor.coarse_bits))  # of stage 3; the minigroup hears it a cycle later
+    m.d.comb += coarse_4.eq(b.last(coarse))
     latched, remaining, seen, stamp = Signal(), Signal(3), Signal(pixels), Signal(sensor.record_stamp_bits)
     latched_now = b.same("latched_now", latched & ~wrap)
     starts = b.same("starts_now", frame.minigroup_records & active.any() & may_open & ~latched_now & (remaining == 0))
@@ -283,11 +305,18 @@ def minigroup_record(b):
         m.d.sync += [seen.eq(seen_now), remaining.eq(remaining_now - 1)]
     m.d.sync += latched.eq(Mux(remaining_now == 1, sum(seen_now, start=0) >= frame.mg_threshold, latched_now))
     with m.If(starts):
-        m.d.sync += stamp.eq(unit.coarse * QUARTERS + first * QUARTERS // phases)
+        m.d.sync += stamp.eq(coarse * QUARTERS + first * QUARTERS // phases)
+    b.always(body.step == first * sensor.offset_phases // phases, where=active.any() & edges.fresh_3)
     b.always(unit.latched == latched)
-    b.always((unit.entry.stamp == stamp) & (unit.entry.map == seen) & seen.any(), where=latched)
+    b.always((unit.entry.map == seen) & seen.any(), where=latched)
+    b.always(unit.entry.stamp == stamp, where=latched & ~body.started)
+    b.always(~body.started, where=wrap)  # nobody looks at a stamp while it is written
     b.always(body.left == remaining)
-    b.always((body.seen == seen) & (body.stamp == stamp) & ~latched & seen.any(), where=remaining != 0)
+    b.always((body.seen == seen) & ~latched & seen.any(), where=remaining != 0)
+    b.always(unit.entry.stamp == stamp, where=(remaining != 0) & ~body.started)
+    b.always(body.started == b.past(starts), where=b.past(1))
+    b.always(stamp == b.last(coarse * QUARTERS + first * QUARTERS // phases), where=body.started & edges.fresh_3)
+    b.always(body.step_4 == b.last(body.step), where=b.past(1))
     b.always(remaining == 0, where=wrap)
     b.always(remaining + guarded <= 4, where=remaining != 0)
     _leaf_holds(b, body, edges)

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """AXI4-Lite and AXI4-Stream, as far as the sensor's ports need them. Member names are the bus's own, in lower case."""
 
 from amaranth.lib.wiring import In, Out, Signature

@@ -1,8 +1,9 @@
+# SPDX-License-Identifier: Apache-2.0
 """What runs between the blocks: timing, settings, events. Layouts only; `latency.py` of the model says when."""
 
 from amaranth.lib import data, enum
 
-from ..model.contract.packet import HEADER
+from ..model.contract.packet import BEAT_BITS, HEADER
 from ..model.contract.parameters import Sensor, bits_for
 from ..model.contract.registers import BY_NAME, DATA_BITS, SUBGROUP_STRIDE
 
@@ -15,14 +16,15 @@ FRAME_SETTINGS = ("format", "minigroup_records", "mg_threshold", "mg_window")
 PLAN_SETTINGS = ("period", "pulses", "gate_step", "gate_every", "gate_steps", "dither_bits", "dither_seed")
 
 
-class Operation(enum.Enum, shape=3):  # type: ignore[call-arg]  # Amaranth's enumeration, with a shape
-    """What the configuration bus asks of every subgroup."""
+class Operation(enum.Enum, shape=4):  # type: ignore[call-arg]  # Amaranth's enumeration, with a shape
+    """What the configuration bus asks of every subgroup. Codes of even parity: one that is upset asks for nothing."""
 
-    IDLE = 0
-    WRITE = 1  # data to a word of one subgroup
-    TAKE = 2  # programmed settings become the frame's
-    COMPARE = 3  # data is a bound of the threshold controller
-    BEGIN = 4  # the frame begins: threshold set, counters cleared
+    IDLE = 0b0000
+    WRITE = 0b0011  # data to a word of one subgroup
+    TAKE = 0b0101  # programmed settings become the frame's
+    BUDGET = 0b0110  # data is the budget of the stream that begins with the subgroup, and of no stream before it
+    COMPARE = 0b1001  # data is a bound of the threshold controller
+    BEGIN = 0b1010  # the frame begins: threshold set, not below data where the controller sets it, and counters cleared
 
 
 class Send(enum.Enum, shape=2):  # type: ignore[call-arg]
@@ -33,9 +35,12 @@ class Send(enum.Enum, shape=2):  # type: ignore[call-arg]
     COUNTERS = 2
 
 
+# parity: of the data of a write, as they stood at the register port.
 CONFIG_BUS = data.StructLayout(
-    {"operation": Operation, "subgroup": SUBGROUP_BITS, "word": WORD_BITS, "data": DATA_BITS}
+    {"operation": Operation, "subgroup": SUBGROUP_BITS, "word": WORD_BITS, "data": DATA_BITS, "parity": 1}
 )
+# A beat of counters on its way out, and whether they are of a subgroup whose thresholds the controller sets.
+COUNTED = data.StructLayout({"valid": 1, "beat": BEAT_BITS, "controlled": 1})
 
 
 def time_layout(sensor: Sensor) -> data.StructLayout:
@@ -79,21 +84,22 @@ def settings_layout(sensor: Sensor) -> data.StructLayout:
 
 
 def window_layout(sensor: Sensor) -> data.StructLayout:
-    """A closed coincidence window. offsets: of the minigroups in the map, in quarters of a cycle; others are undefined."""
+    """A closed coincidence window."""
     return data.StructLayout(
-        {
-            "stamp": sensor.stamp_bits,
-            "count": sensor.count_bits,
-            "winner": sensor.winner_bits,
-            "hits": sensor.pixels,
-            "offsets": data.ArrayLayout(sensor.offset_bits, sensor.minigroups),
-        }
+        {"stamp": sensor.stamp_bits, "count": sensor.count_bits, "winner": sensor.winner_bits, "hits": sensor.pixels}
     )
+
+
+def offsets_layout(sensor: Sensor) -> data.ArrayLayout:
+    """Coarse offsets of a window's minigroups; of those that are not in its map they are undefined."""
+    return data.ArrayLayout(sensor.offset_bits, sensor.minigroups)
 
 
 def event_layout(sensor: Sensor) -> data.StructLayout:
     """What the FIFO stores."""
-    return data.StructLayout({"window": window_layout(sensor), "pulse": PULSE_BITS, "overrun": 1})
+    return data.StructLayout(
+        {"window": window_layout(sensor), "offsets": offsets_layout(sensor), "pulse": PULSE_BITS, "overrun": 1}
+    )
 
 
 def entry_layout(sensor: Sensor) -> data.StructLayout:

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Deserialiser: SPAD levels to edge words, for FPGAs.
 
 The paper has no FPGA; our choice. A line is sampled at `phases` equidistant moments of the cycle by plain flip-flops

@@ -1,9 +1,10 @@
+# SPDX-License-Identifier: Apache-2.0
 """DPCU: judges every closed window, keeps the subgroup's threshold, and counts.
 
 The paper (III-A): based on the chosen mode "a valid signal is generated when the mode-dependent condition is
 satisfied in order to write the data into the FIFO register"; the DPCUs "keep track of the number of photons detected
-within a coincidence window, allowing us to set different thresholds in every subgroup". How the threshold follows the
-photons (bounds that the last frame's photons reach) and the loss counters are our choice.
+within a coincidence window, allowing us to set different thresholds in every subgroup". How the thresholds are found
+(`controller.py`, of which the subgroup's part is here) and the loss counters are our choice.
 """
 
 from types import SimpleNamespace
@@ -11,11 +12,21 @@ from types import SimpleNamespace
 from amaranth.hdl import Module, Mux, Signal
 from amaranth.lib.wiring import In, Out
 
-from ..model.contract.parameters import Sensor
-from ..model.contract.registers import AUTO_BOUNDS, COUNTER_BITS, COUNTER_NAMES, DATA_BITS
+from ..model.contract.parameters import Sensor, bits_for
+from ..model.contract.registers import BY_NAME, COUNTER_BITS, COUNTER_NAMES, DATA_BITS, THRESHOLD_MAX
 from . import bus
-from .logic import saturating_add
+from .logic import count_up, saturating_add
 from .unit import Unit
+
+
+def counter_bits(name: str, sensor: Sensor) -> int:
+    """Bits of a counter that can ever be other than 0: none counts more than a frame's cycles, except the photons."""
+    periods = BY_NAME["pulses"].high(sensor)
+    if name == "threshold_used":
+        return sensor.count_bits
+    if name in ("mg_stored", "mg_dropped"):
+        return bits_for(periods)
+    return COUNTER_BITS if name == "photons" else min(COUNTER_BITS, bits_for(periods * sensor.period_max))
 
 
 class Dpcu(Unit):
@@ -23,15 +34,17 @@ class Dpcu(Unit):
 
     Ports
     -----
-    settings : in, the frame's; operation, bound : in, the configuration bus, registered
+    settings : in, the frame's; operation, data : in, the configuration bus, registered
+    in_stream : in, a budget on it is of the stream of this subgroup, or of one that a later one replaces
     window_ticks : out, the window in force (1 where coincidence is off)
     start : in, a period's first cycle, two cycles ahead of the ports
     closed, window : in, from the tree (stage 7); commit, event : out, to the FIFO one cycle later (stage 8: the commit cycle)
     blind, stored, dropped, mg_stored, mg_dropped : in, strobes to count
     pulse : out, the period's number in the frame (stage 8)
     counters : out, in the order of the register table; settled a few cycles after the last window
+    controlled : out, the controller sets the threshold
 
-    Reset clears the counters and forgets the controller's last frame: the first frame uses the programmed threshold.
+    Reset clears the counters.
     """
 
     unit_name = "coincid_dpcu"
@@ -42,7 +55,8 @@ class Dpcu(Unit):
             {
                 "settings": In(bus.settings_layout(sensor)),
                 "operation": In(bus.Operation),
-                "bound": In(DATA_BITS),
+                "data": In(DATA_BITS),
+                "in_stream": In(1),
                 "window_ticks": Out(sensor.window_bits),
                 "start": In(1),
                 "closed": In(1),
@@ -56,33 +70,37 @@ class Dpcu(Unit):
                 "mg_dropped": In(1),
                 "pulse": Out(bus.PULSE_BITS),
                 "counters": Out(COUNTER_BITS * len(COUNTER_NAMES)),
+                "controlled": Out(1),
             }
         )
 
     def elaborate(self, platform):
         m = Module()
         self.state = SimpleNamespace()
-        self.state.count = count = {name: Signal(COUNTER_BITS, name=name) for name in COUNTER_NAMES}
+        self.state.count = count = {name: Signal(counter_bits(name, self.sensor), name=name) for name in COUNTER_NAMES}
         m.d.comb += [self.counters.word_select(i, COUNTER_BITS).eq(count[name]) for i, name in enumerate(COUNTER_NAMES)]
         self._judgement(m)
         self._pulses(m)
         self._counters(m)
-        self._controller(m)
+        self._threshold(m)
         return m
 
     def _judgement(self, m):
         """Windows that meet the threshold go to the FIFO. Coincidence off is a window of one tick and a threshold of one."""
         state = self.state
         state.threshold = threshold = Signal(self.sensor.count_bits, init=1)
+        state.lower_threshold = lower_threshold = Signal(self.sensor.count_bits)
+        state.meets_lower = Signal()
         enough = Signal()
         m.d.sync += [
             self.window_ticks.eq(Mux(self.settings.coincidence, self.settings.window, 1)),
             threshold.eq(Mux(self.settings.coincidence, state.count["threshold_used"], 1)),
+            lower_threshold.eq(threshold - 1),
             self.commit.eq(self.closed & enough),
+            self.event.eq(self.window),
+            state.meets_lower.eq(self.closed & (self.window.count >= lower_threshold)),
         ]
         m.d.comb += enough.eq(self.window.count >= threshold)
-        with m.If(self.closed):
-            m.d.sync += self.event.eq(self.window)
 
     def _pulses(self, m):
         """The period's number: the strobe reaches stage 8 ten registers after it comes in."""
@@ -106,31 +124,50 @@ class Dpcu(Unit):
             "dropped": self.dropped,
             "mg_stored": self.mg_stored,
             "mg_dropped": self.mg_dropped,
+            "lower": self.state.meets_lower,
         }
         for name, strobe in strobes.items():
-            with m.If(strobe):
-                saturating_add(m, count[name], 1)
+            count_up(m, count[name], strobe)
         with m.If(judged):
             saturating_add(m, count["photons"], judged_count)
 
-    def _controller(self, m):
-        """The frame's threshold, by the bounds that the last frame's photons reach; clears what counts for a frame."""
-        state, count = self.state, self.state.count
-        state.steps = steps = Signal(range(AUTO_BOUNDS + 1))  # bounds reached
-        state.frame_before = frame_before = Signal()
-        reached = Signal()
-        m.d.comb += reached.eq(count["photons"] >= self.bound)
+    def _threshold(self, m):
+        """The frame's threshold: the programmed one, or the controller's, a step from the last frame's; clears what counts for a frame."""
+        state, count, settings = self.state, self.state.count, self.settings
+        state.stays = stays = Signal()  # under the controller in the last frame
+        state.ceiling = ceiling = Signal(range(THRESHOLD_MAX + 1))
+        state.rises = rises = Signal()
+        state.falls = falls = Signal()
+        state.stepped = stepped = Signal(range(THRESHOLD_MAX + 1))
+        bounded = Signal.like(stepped)
+        floor = self.data[: len(stepped)]
+        m.d.comb += [
+            self.controlled.eq(settings.auto & settings.coincidence),
+            bounded.eq(Mux(stepped < ceiling, stepped, ceiling)),
+        ]
+        m.d.sync += stepped.eq(_step(count["threshold_used"][: self.sensor.count_bits], rises, falls))
         with m.Switch(self.operation):
             with m.Case(bus.Operation.TAKE):
-                m.d.sync += steps.eq(0)
+                m.d.sync += [stays.eq(self.controlled), ceiling.eq(1)]
+            with m.Case(bus.Operation.BUDGET):
+                with m.If(self.in_stream):
+                    m.d.sync += [rises.eq(count["committed"] > self.data), falls.eq(count["lower"] <= self.data)]
             with m.Case(bus.Operation.COMPARE):
-                m.d.sync += steps.eq(steps + reached)
+                m.d.sync += ceiling.eq(ceiling + (count["opened"] >= self.data))
             with m.Case(bus.Operation.BEGIN):
                 m.d.sync += [counter.eq(0) for counter in count.values()]
                 m.d.sync += [
                     count["threshold_used"].eq(
-                        Mux(self.settings.auto & frame_before, steps + 1, self.settings.threshold)
+                        Mux(self.controlled & stays, Mux(bounded < floor, floor, bounded), settings.threshold)
                     ),
-                    frame_before.eq(1),
                     self.pulse.eq(~0),
                 ]
+
+
+def _step(threshold, rises, falls):
+    """One step from a threshold, from 1 to `THRESHOLD_MAX`. A programmed one may have been higher."""
+    threshold = threshold | (threshold == 0)  # which only an upset makes
+    up = Mux(threshold < THRESHOLD_MAX, threshold + 1, THRESHOLD_MAX)
+    down = Mux(threshold > THRESHOLD_MAX, THRESHOLD_MAX, threshold - (threshold > 1))
+    stay = Mux(threshold > THRESHOLD_MAX, THRESHOLD_MAX, threshold)
+    return Mux(rises, up, Mux(falls, down, stay))

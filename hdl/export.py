@@ -1,11 +1,14 @@
-"""Verilog out: one file a block, stable names, the same bytes for the same parameters."""
+# SPDX-License-Identifier: Apache-2.0
+"""Verilog export: one file per block, stable names, the same bytes for the same parameters."""
 
 import re
 
 from amaranth.back import verilog
 
 from ..model.contract.parameters import TOP, Sensor
+from ..model.shared.licence import SPDX
 from .deserialiser import Deserialiser
+from .memory import Memory
 from .sensor import FPGA_TOP, core_verilog, fpga_verilog
 from .sensor import verilog as sensor_verilog
 from .unit import Export, Unit
@@ -18,10 +21,13 @@ START = r"""  reg \1 ;
   /* verilator lint_on INITIALDLY */"""
 
 
-def verilog_files(sensor: Sensor, view=POLYPHASE) -> dict[str, str]:
-    """File name -> text: a file a block, and a file list; of a view's cells the behaviour. Equal parameters give equal bytes."""
+def verilog_files(sensor: Sensor, view=POLYPHASE, latches: bool = False) -> dict[str, str]:
+    """File name -> text: a file a block, and a file list; of a view's cells the behaviour. Equal parameters give equal bytes.
+
+    latches: memories as rows of latches, for standard cells.
+    """
     top, units = sensor_verilog(sensor, view)
-    files = _units(units) | {f"{TOP}.v": top} | {path.name: path.read_text() for path in view.cells}
+    files = _units(units, latches) | {f"{TOP}.v": _licensed(top)} | {path.name: path.read_text() for path in view.cells}
     return files | {FILE_LIST: "".join(f"{name}\n" for name in files)}
 
 
@@ -29,7 +35,7 @@ def fpga_files(sensor: Sensor) -> dict[str, str]:
     """File name -> text of the top for an FPGA, and of the blocks that `verilog_files` does not have. Only where there is such a top."""
     top, units = fpga_verilog(sensor)
     deserialiser = {name: unit for name, unit in units.items() if isinstance(unit, Deserialiser)}
-    return _units(deserialiser) | {f"{FPGA_TOP}.v": top}
+    return _units(deserialiser) | {f"{FPGA_TOP}.v": _licensed(top)}
 
 
 def core_files(sensor: Sensor) -> tuple[str, list[str]]:
@@ -38,23 +44,29 @@ def core_files(sensor: Sensor) -> tuple[str, list[str]]:
     return text, [f"{name}.v" for name in sorted(units)]
 
 
-def units_files(units: list[Unit]) -> dict[str, str]:
-    """Files of some blocks, and of all that they instantiate."""
-    return _units({unit.unit_name: unit for unit in units})
+def units_files(units: list[Unit], latches: bool = False) -> dict[str, str]:
+    """Files of some blocks, and of all that they instantiate. latches: as of `verilog_files`."""
+    return _units({unit.unit_name: unit for unit in units}, latches)
 
 
-def _units(pending: dict[str, Unit]) -> dict[str, str]:
+def _units(pending: dict[str, Unit], latches: bool = False) -> dict[str, str]:
     """Files of these units and of all that they instantiate."""
     files, platform = {}, Export()
     while pending:
         name, unit = pending.popitem()
         if f"{name}.v" not in files:
             platform.units = {}
-            files[f"{name}.v"] = _stable(
-                verilog.convert(unit, name=name, platform=platform, emit_src=False, strip_internal_attrs=True)
-            )
+            if latches and isinstance(unit, Memory):
+                text = unit.latches()
+            else:
+                text = verilog.convert(unit, name=name, platform=platform, emit_src=False, strip_internal_attrs=True)
+            files[f"{name}.v"] = _licensed(_stable(text))
             pending |= platform.units
     return dict(sorted(files.items()))
+
+
+def _licensed(text: str) -> str:
+    return f"// {SPDX}\n{text}"
 
 
 def _stable(text: str) -> str:

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Event FIFO: keeps the committed events of a subgroup until the readout takes them.
 
 The paper (III-A) names a FIFO register that valid data is written into. Depth, dropping the new event when full, and
@@ -6,13 +7,13 @@ the overrun flag are our choice.
 
 from types import SimpleNamespace
 
-from amaranth.hdl import Module, Signal
-from amaranth.lib import fifo
+from amaranth.hdl import Module, Mux, Signal
 from amaranth.lib.wiring import In, Out
 
 from ..model.contract.parameters import Sensor
 from . import bus
-from .unit import Unit
+from .memory import Memory
+from .unit import Unit, place
 
 
 class EventFifo(Unit):
@@ -20,12 +21,12 @@ class EventFifo(Unit):
 
     Ports
     -----
-    commit, event, pulse : in, an event to store (stage 8)
+    commit, event, offsets, pulse : in, an event to store (stage 8)
     stored, dropped : out, what became of it, one cycle later
-    head : out, the oldest event, valid from two cycles after it was stored; take : in, frees its place
+    head : out, the oldest event, read from its row in the same cycle; take : in, frees its place
 
     The event after a drop carries `overrun`. A frame begins with the FIFO empty, as the one before was read out
-    whole; frame_begin : in, clears the overrun memory. Reset empties.
+    whole; frame_begin : in, clears the overrun memory, and whatever an upset left. Reset empties.
     """
 
     unit_name = "coincid_fifo"
@@ -36,6 +37,7 @@ class EventFifo(Unit):
             {
                 "commit": In(1),
                 "event": In(bus.window_layout(sensor)),
+                "offsets": In(bus.offsets_layout(sensor)),
                 "pulse": In(bus.PULSE_BITS),
                 "frame_begin": In(1),
                 "stored": Out(1),
@@ -48,34 +50,39 @@ class EventFifo(Unit):
     def elaborate(self, platform):
         m = Module()
         depth = self.sensor.fifo_depth
-        # One place more than `depth`, so that the library's own limit (its output register apart) is never the one that counts.
-        m.submodules.storage = storage = fifo.SyncFIFOBuffered(
-            width=bus.event_layout(self.sensor).size, depth=depth + 1
-        )
+        layout = bus.event_layout(self.sensor)
+        rows = place(m, "storage", Memory(depth, layout.size), platform)
+        to, row = Signal(range(depth)), Signal(range(depth))
         level = Signal(range(depth + 1))
         lost = Signal()
         room = Signal()
-        event = Signal(bus.event_layout(self.sensor))
+        event = Signal(layout)
         m.d.comb += [
             room.eq(level != depth),
             event.window.eq(self.event),
+            event.offsets.eq(self.offsets),
             event.pulse.eq(self.pulse),
             event.overrun.eq(lost),
-            storage.w_en.eq(self.commit & room),
-            storage.w_data.eq(event),
-            storage.r_en.eq(self.take),
-            self.head.eq(storage.r_data),
+            rows.write.eq(self.commit & room),
+            rows.data.eq(event),
+            self.head.eq(rows.value),
         ]
+        if depth > 1:
+            m.d.comb += [rows.to.eq(to), rows.row.eq(row)]
+            with m.If(rows.write):
+                m.d.sync += to.eq(Mux(to == depth - 1, 0, to + 1))
+            with m.If(self.take):
+                m.d.sync += row.eq(Mux(row == depth - 1, 0, row + 1))
         m.d.sync += [
-            level.eq(level + storage.w_en - self.take),
+            level.eq(level + rows.write - self.take),
             self.stored.eq(self.commit & room),
             self.dropped.eq(self.commit & ~room),
         ]
         with m.If(self.frame_begin):
-            m.d.sync += lost.eq(0)
+            m.d.sync += [lost.eq(0), level.eq(0), to.eq(0), row.eq(0)]
         with m.Elif(self.commit):
             m.d.sync += lost.eq(~room)
-        self.state = SimpleNamespace(storage=storage, level=level, lost=lost)
+        self.state = SimpleNamespace(rows=rows, to=to, row=row, level=level, lost=lost)
         return m
 
 
@@ -86,7 +93,7 @@ class RecordBuffer(Unit):
     -----
     due : in, a period has ended; latched, entries : in, what its minigroups latched; pulse : in, its number
     stored, dropped : out, what became of the record, one cycle later
-    record : out, valid from one cycle after it was stored; take : in, frees its place
+    record : out, valid from one cycle after it was stored; take, frame_begin : in, free its place
 
     Reset frees the place.
     """
@@ -106,6 +113,7 @@ class RecordBuffer(Unit):
                 "dropped": Out(1),
                 "record": Out(bus.record_layout(sensor)),
                 "take": In(1),
+                "frame_begin": In(1),
             }
         )
 
@@ -113,14 +121,23 @@ class RecordBuffer(Unit):
         m = Module()
         waiting = Signal()
         comes = Signal()
-        m.d.comb += comes.eq(self.due & self.latched.any())
+        layout = bus.record_layout(self.sensor)
+        place_of_one = place(m, "row", Memory(1, layout.size), platform)
+        record = Signal(layout)
+        m.d.comb += [
+            comes.eq(self.due & self.latched.any()),
+            record.pulse.eq(self.pulse),
+            place_of_one.write.eq(comes & ~waiting),
+            place_of_one.data.eq(record),
+            self.record.eq(place_of_one.value),
+        ]
+        for g in range(self.sensor.minigroups):
+            entry = self.entries[g].as_value()
+            m.d.comb += record.entries[g].eq(entry & self.latched[g].replicate(len(entry)))
         m.d.sync += [self.stored.eq(comes & ~waiting), self.dropped.eq(comes & waiting)]
         with m.If(comes & ~waiting):
-            m.d.sync += [waiting.eq(1), self.record.pulse.eq(self.pulse)]
-            for g in range(self.sensor.minigroups):
-                entry = self.entries[g].as_value()
-                m.d.sync += self.record.entries[g].eq(entry & self.latched[g].replicate(len(entry)))
-        with m.Elif(self.take):
+            m.d.sync += waiting.eq(1)
+        with m.Elif(self.take | self.frame_begin):
             m.d.sync += waiting.eq(0)
         self.state = SimpleNamespace(waiting=waiting)
         return m

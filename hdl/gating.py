@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Gating: when a subgroup's edges count, and when its SPADs are on.
 
 The paper (III-A): every subgroup is "modelled to optionally operate under time-gating set electrically around the

@@ -1,8 +1,11 @@
+# SPDX-License-Identifier: Apache-2.0
 """Log-depth combinational helpers. Each names its intermediate values, so that nothing is emitted twice."""
 
 from collections.abc import Callable
 
 from amaranth.hdl import Cat, Module, Mux, Signal, Value
+
+SUM_PART = 11  # bits through which a carry of `carry_select` runs
 
 
 def tree(m: Module, items: list[Value], combine: Callable[[Value, Value], Value], name: str) -> Value:
@@ -46,24 +49,62 @@ def up_to(m: Module, bits: Value, name: str) -> Signal:
     return value
 
 
-def lowest(m: Module, bits: Value, name: str) -> Signal:
-    """One-hot: the lowest one of `bits`; 0 where there is none."""
-    below = up_to(m, bits, f"{name}_upto")
-    result = Signal(len(bits), name=name)
-    m.d.comb += result.eq(below & ~(below << 1))
-    return result
+def first_one(m: Module, bits: Value, name: str) -> tuple[Value, Value]:
+    """Whether there is a one in `bits`, a power of two of them, and the index of the lowest; the last index where there is none."""
+    index: list[Value] = []
+    part = bits
+    while len(part) > 1:
+        half = len(part) // 2
+        in_low, rest = Signal(name=f"{name}_low_{half}"), Signal(half, name=f"{name}_of_{half}")
+        m.d.comb += [in_low.eq(part[:half].any()), rest.eq(Mux(in_low, part[:half], part[half:]))]
+        index.insert(0, ~in_low)
+        part = rest
+    return part[0], Cat(index)
 
 
-def encode(m: Module, one_hot: Value, name: str) -> Value:
-    """Index of the one in `one_hot`; 0 where there is none."""
-    width = max(1, (len(one_hot) - 1).bit_length())
-    return Cat(
-        any_of(m, [bit for k, bit in enumerate(one_hot) if k >> b & 1] or [0], f"{name}_{b}") for b in range(width)
-    )
+def first_index(m: Module, bits: Value, name: str) -> Value:
+    """Index of the lowest one of `bits`, a power of two of them; the last index where there is none. Shorter paths than `first_one`'s."""
+
+    def first_of_pair(low, high):  # an index, and above it whether there is a one
+        return Cat(Mux(low[-1], low[:-1], high[:-1]), ~low[-1], low[-1] | high[-1])
+
+    return tree(m, list(bits), first_of_pair, name)[:-1]
+
+
+def carry_select(m: Module, a: Value, b: Value, name: str) -> Value:
+    """a + b, with a carry out: parts of `SUM_PART` bits are added with either carry at once, and the carries choose among them."""
+    parts, carry = [], Value.cast(0)
+    for begin in range(0, max(len(a), len(b)), SUM_PART):
+        x, y = a[begin : begin + SUM_PART], b[begin : begin + SUM_PART]
+        part = Signal(max(len(x), len(y)) + 1, name=f"{name}_{begin}")
+        if begin:
+            without, with_one = Signal.like(part, name_suffix="_0"), Signal.like(part, name_suffix="_1")
+            m.d.comb += [
+                without.eq(x + y),
+                with_one.eq((Cat(1, x) + Cat(1, y))[1:]),
+                part.eq(Mux(carry, with_one, without)),
+            ]
+        else:
+            m.d.comb += part.eq(x + y)
+        parts.append(part[:-1])
+        carry = part[-1]
+    return Cat(*parts, carry)
+
+
+def least(m: Module, numbers: list[Value], name: str) -> Value:
+    """The lowest of some numbers."""
+    return tree(m, numbers, lambda a, b: Mux(a < b, a, b), name)
 
 
 def saturating_add(m: Module, counter: Signal, amount: Value) -> None:
     """Adds `amount` to `counter` at the clock, to its highest value at most."""
     total = Signal(len(counter) + 1, name=f"{counter.name}_next")
-    m.d.comb += total.eq(counter + amount)
+    amount = Value.cast(amount)
+    wide = 2 * len(amount) > len(counter)
+    m.d.comb += total.eq(carry_select(m, counter, amount, f"{counter.name}_sum") if wide else counter + amount)
     m.d.sync += counter.eq(Mux(total[-1], ~0, total))
+
+
+def count_up(m: Module, counter: Signal, strobe: Value) -> None:
+    """Adds `strobe` to `counter` at the clock, unless it is at its highest value."""
+    m.d.sync += counter.eq(counter + (strobe & ~counter.all()))

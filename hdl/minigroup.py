@@ -1,37 +1,41 @@
+# SPDX-License-Identifier: Apache-2.0
 """Minigroup: the leaf of the coincID tree, and the minigroup's own stamping circuit.
 
 The paper (III-A): the subgroup is clustered into minigroups; every minigroup "provides a coarse timestamp along with generating the spatial
-address/ID of the contributing events". The collection that latches a record, and quarters of a cycle as its unit, are our choice.
+address/ID of the contributing events". The collection that latches a record, quarters of a cycle as the unit of its stamp, and the step of
+the coarse offsets are our choice.
 """
 
 from types import SimpleNamespace
 
-from amaranth.hdl import C, Cat, Module, Mux, Signal
+from amaranth.hdl import Cat, Module, Mux, Signal
 from amaranth.lib.wiring import In, Out
 
-from ..model.contract.parameters import QUARTERS, Sensor
+from ..model.contract.parameters import Sensor
 from . import bus
-from .logic import any_of, popcount
-from .unit import Unit
+from .logic import any_of, first_one, least, popcount
+from .memory import Memory
+from .unit import Unit, place
 
 
 class Minigroup(Unit):
     """Leaf of `pixels` SPADs.
 
-    Stages count from the port: words at 1, root at 2, phase at 3, hits at 4, map at 5.
+    Stages count from the port: edges at 1, the window at 2, hits and record at 3, map at 5, offset at 8.
 
     Ports
     -----
-    words : in, pixels * phases bits, the SPADs' edge words (stage 0)
-    mask : in, pixels; accept : in, gate open in a running frame (stage 1)
-    root : out, phases, OR of the accepted words (stage 1)
-    inside : in, phases, the part of the cycle that the window covers (stage 3)
-    first : in, phases, one-hot phase of the cycle's first edge (stage 3)
-    blind : out, an accepted pixel outside the window (stage 4)
-    opening : in, the window opened in this cycle; elapsed : in, cycles since it did (stage 4)
-    hits, firsts : out, pixels, the window's map and its pixels at the first phase (stage 5)
-    offset : out, coarse offset of the first counted edge, valid where hits is not 0 (stage 5)
-    frame : in, settings; may_open, wrap : in (stage 3); coarse : in, TDC coarse count (stage 3)
+    words : in, pixels * phases bits, the SPADs' edge words; mask : in, pixels (stage 0)
+    root : out, phases, OR of the words of the pixels that are on (stage 0: straight from the port, to a register of the tree)
+    accept : in, gate open in a running frame (stage 1)
+    whole : in, the window covers the cycle; part : in, it covers the phases before `end`; first : in, the cycle's first phase (stage 2)
+    at_first : out, pixels, the edge is at that phase (stage 2)
+    blind : out, an accepted pixel outside the window (stage 3)
+    opening : in, the window opened in this cycle (stage 4)
+    hits : out, pixels, the window's map (stage 5)
+    elapsed : in, cycles since the window opened (stage 7)
+    offset : out, coarse offset of the first counted edge, valid where hits was not 0 (stage 8, where the FIFO takes it)
+    frame : in, settings; may_open, wrap : in (stage 3); coarse : in, TDC coarse count (stage 4)
     latched, entry : out, the period's record, to be taken while `wrap` (stage 3)
 
     Reset clears the record circuit; the rest needs none, as nothing is accepted outside a frame and every window begins afresh.
@@ -48,13 +52,15 @@ class Minigroup(Unit):
                 "mask": In(pixels),
                 "accept": In(1),
                 "root": Out(phases),
-                "inside": In(phases),
-                "first": In(phases),
+                "whole": In(1),
+                "part": In(1),
+                "end": In(sensor.phase_bits),
+                "first": In(sensor.phase_bits),
+                "at_first": Out(pixels),
                 "blind": Out(1),
                 "opening": In(1),
-                "elapsed": In(max(1, sensor.offset_bits - 2)),
+                "elapsed": In(sensor.elapsed_bits),
                 "hits": Out(pixels),
-                "firsts": Out(pixels),
                 "offset": Out(sensor.offset_bits),
                 "frame": In(bus.frame_layout(sensor)),
                 "may_open": In(1),
@@ -69,112 +75,126 @@ class Minigroup(Unit):
         m = Module()
         self.state = SimpleNamespace()
         self._edges(m)
-        self._window(m)
-        self._record(m, self.state.some, self.state.active, self._first_quarter(self.state.together))
+        self._hits(m)
+        self._map(m)
+        self._record(m, platform, self.state.active, self.state.step_4)
         return m
 
-    def _words(self, words):
-        """The edge words in `words`, one per pixel."""
-        return [words.word_select(i, self.sensor.phases) for i in range(self.sensor.minigroup_pixels)]
-
     def _edges(self, m):
-        """Stages 1 to 3: what the gate and the mask let through. Data move only where there is an edge: `some` says so at each stage."""
-        state, pixels, phases = self.state, self.sensor.minigroup_pixels, self.sensor.phases
-        state.words_2 = Signal(pixels * phases, reset_less=True)
-        state.words = Signal(pixels * phases, reset_less=True)
-        state.active = Signal(pixels, reset_less=True)
-        state.some_2 = Signal(reset_less=True)
-        state.some = Signal(reset_less=True)
-        at_port = Signal(pixels * phases, reset_less=True)
-        accepted = Signal(pixels * phases)
-        some_1 = Signal()
-        m.d.comb += [
-            word.eq(edges & (self.accept & self.mask[i]).replicate(phases))
-            for i, (word, edges) in enumerate(zip(self._words(accepted), self._words(at_port)))
+        """Stages 1 and 2: of a pixel only its first edge in a cycle exists, so a word is encoded at the port, as valid and phase.
+
+        The words have no register of their own: at 32 phases it would be the largest part of the sensor.
+        """
+        state, sensor = self.state, self.sensor
+        pixels, phases = sensor.minigroup_pixels, sensor.phases
+        state.valid_1, state.valid_2 = (Signal(pixels, name=f"valid_{n}", reset_less=True) for n in (1, 2))
+        state.phases_1, state.phases_2 = (
+            [Signal(sensor.phase_bits, name=f"phase_{n}_{i}", reset_less=True) for i in range(pixels)] for n in (1, 2)
+        )
+        roots = [Signal(phases, name=f"root_{i}") for i in range(pixels)]
+        for i, root in enumerate(roots):
+            word, on = self.words.word_select(i, phases), self.mask[i]
+            valid, phase = first_one(m, word, f"first_{i}")
+            m.d.comb += root.eq(word & on.replicate(phases))
+            m.d.sync += [
+                state.valid_1[i].eq(valid & on),
+                state.phases_1[i].eq(phase | ~on.replicate(sensor.phase_bits)),
+            ]
+        m.d.comb += self.root.eq(any_of(m, roots, "root_or"))
+        m.d.sync += [
+            state.valid_2.eq(state.valid_1 & self.accept.replicate(pixels)),
+            *(phase_2.eq(phase_1) for phase_1, phase_2 in zip(state.phases_1, state.phases_2)),
         ]
-        m.d.comb += [self.root.eq(any_of(m, self._words(accepted), "root_or")), some_1.eq(self.root.any())]
-        m.d.sync += [at_port.eq(self.words), state.some_2.eq(some_1), state.some.eq(state.some_2)]
-        with m.If(some_1):
-            m.d.sync += state.words_2.eq(accepted)
-        with m.If(state.some_2):
-            m.d.sync += [
-                state.words.eq(state.words_2),
-                state.active.eq(Cat(word.any() for word in self._words(state.words_2))),
-            ]
-        state.together = any_of(m, self._words(state.words), "together")
 
-    def _window(self, m):
-        """Stages 4 and 5: the pixels that the window counts, and the map that they make."""
+    def _hits(self, m):
+        """Stages 2 and 3: the pixels with an edge, which of them the window counts, and the step of the first of them.
+
+        A pixel without an edge has the last phase, so it is never earlier than one that has.
+        """
+        state, sensor = self.state, self.sensor
+        pixels = sensor.minigroup_pixels
+        state.active = Signal(pixels, reset_less=True)
+        state.hit_3 = Signal(pixels, reset_less=True)
+        state.step = Signal(sensor.step_bits, reset_less=True)
+        before_end = Cat(phase < self.end for phase in state.phases_2)
+        steps = [phase[-sensor.step_bits :] for phase in state.phases_2]
+        m.d.comb += [
+            self.at_first.eq(state.valid_2 & Cat(phase == self.first for phase in state.phases_2)),
+            self.blind.eq((state.active & ~state.hit_3).any()),
+        ]
+        m.d.sync += [
+            state.active.eq(state.valid_2),
+            state.hit_3.eq(state.valid_2 & (self.whole.replicate(pixels) | (self.part.replicate(pixels) & before_end))),
+            state.step.eq(least(m, steps, "first_step")),
+        ]
+
+    def _map(self, m):
+        """Stages 4 and 5: the map that the hits make.
+
+        Edges that no window counts come behind those of the same cycle that one does. So the first counted one is the first.
+        """
         state, pixels = self.state, self.sensor.minigroup_pixels
-        some_4 = Signal(reset_less=True)
-        active_4 = Signal(pixels, reset_less=True)
-        hit = Signal(pixels, reset_less=True)
-        at_first = Signal(pixels, reset_less=True)
-        quarter = Signal(2, reset_less=True)
-        m.d.sync += some_4.eq(state.some)
-        with m.If(state.some):
-            m.d.sync += [
-                hit.eq(Cat((word & self.inside).any() for word in self._words(state.words))),
-                at_first.eq(Cat((word & self.first).any() for word in self._words(state.words))),
-                quarter.eq(self._first_quarter(state.together & self.inside)),
-                active_4.eq(state.active),
-            ]
-        m.d.comb += self.blind.eq(some_4 & (active_4 & ~hit).any())
+        state.hit_4 = Signal(pixels, reset_less=True)
+        state.step_4 = Signal.like(state.step)
+        state.hits = hits = Signal(pixels, reset_less=True)
+        m.d.sync += [
+            state.hit_4.eq(state.hit_3),
+            state.step_4.eq(state.step),
+            hits.eq(state.hit_4 | (hits & ~self.opening.replicate(pixels))),
+        ]
+        m.d.comb += self.hits.eq(hits)
+        self._offset(m, state.hit_4.any() & (self.opening | ~hits.any()), state.step_4)
 
-        hits = Signal(pixels, reset_less=True)
-        firsts = Signal(pixels, reset_less=True)
+    def _offset(self, m, begins, step_4):
+        """Stages 5 to 8: the offset of a window's first edge. On its way it is kept as strobe and step, which are fewer bits.
+
+        begins: the edge is the minigroup's first in the window (stage 4).
+        """
         offset = Signal(len(self.offset), reset_less=True)
-        with m.If(self.opening):
-            m.d.sync += [hits.eq(hit & some_4.replicate(pixels)), firsts.eq(at_first & some_4.replicate(pixels))]
-        with m.Elif(some_4):
-            m.d.sync += hits.eq(hits | hit)
-        with m.If(some_4 & (self.opening | ~hits.any())):
-            m.d.sync += offset.eq(Cat(quarter, self.elapsed))
-        m.d.comb += [self.hits.eq(hits), self.firsts.eq(firsts), self.offset.eq(offset)]
+        step = step_4
+        for stage in (5, 6, 7):
+            later = Signal(name=f"begins_{stage}", reset_less=True), Signal.like(step_4, name=f"step_{stage}")
+            m.d.sync += [later[0].eq(begins), later[1].eq(step)]
+            begins, step = later
+        with m.If(begins):
+            m.d.sync += offset.eq(Cat(step, self.elapsed))
+        m.d.comb += self.offset.eq(offset)
 
-    def _first_quarter(self, word):
-        """Number of the first quarter of the cycle with an edge in `word`, which has one."""
-        size = self.sensor.quarter_ticks
-        first = C(QUARTERS - 1, 2)
-        for q in reversed(range(QUARTERS - 1)):
-            first = Mux(word[q * size : (q + 1) * size].any(), q, first)
-        return first
-
-    def _record(self, m, some, active, quarter):
+    def _record(self, m, platform, active, step_4):
         """Stage 3: the collection of the minigroup's own stamping circuit.
 
-        active: pixels with an edge in the cycle, valid where there is `some`; quarter: of the cycle, of the first of these edges.
+        active: pixels with an edge in the cycle; step_4: of the first of these edges, a cycle later.
         """
         state = self.state
+        sensor, state, pixels = self.sensor, self.state, len(active)
         state.left = left = Signal(2)  # cycles of the collection, behind this one
-        state.seen = seen = Signal(len(active), reset_less=True)
-        state.stamp = stamp = Signal(self.sensor.record_stamp_bits, reset_less=True)
+        state.seen = seen = Signal(pixels, reset_less=True)
+        state.stamp = stamp = place(m, "stamp", Memory(1, sensor.record_stamp_bits), platform)
+        state.started = Signal(reset_less=True)
         starts = Signal()
         runs = Signal()
-        seen_next = Signal(len(active))
+        seen_next = Signal(pixels)
         left_next = Signal(2)
-        added = active & some.replicate(len(active))
         m.d.comb += [
             starts.eq(
-                self.frame.minigroup_records & some & self.may_open & (self.wrap | ((left == 0) & ~self.latched))
+                self.frame.minigroup_records
+                & active.any()
+                & self.may_open
+                & (self.wrap | ((left == 0) & ~self.latched))
             ),
             runs.eq(starts | (left != 0)),
-            seen_next.eq(Mux(starts, added, seen | added)),
+            seen_next.eq(active | (seen & ~starts.replicate(pixels))),
             left_next.eq(Mux(starts, self.frame.mg_window, left) - 1),
+            # The stamp is written a cycle later, when it is known, and never while an entry is taken: its memory may be latches.
+            stamp.write.eq(state.started),
+            stamp.data.eq(Cat(step_4[-2:], self.coarse)),  # its quarter of the cycle
             self.entry.map.eq(seen),
-            self.entry.stamp.eq(stamp),
+            self.entry.stamp.eq(stamp.value),
         ]
-
-        # Both outcomes are counted beside the question whether a collection starts, which is known last.
-        def enough(pixels, name):
-            return popcount(m, pixels, name) >= self.frame.mg_threshold
-
-        alone, with_seen = enough(active, "alone_count"), enough(seen | added, "seen_count")
+        m.d.sync += state.started.eq(starts)
         with m.If(self.wrap):
             m.d.sync += self.latched.eq(0)
-        with m.If(starts):
-            m.d.sync += stamp.eq(Cat(quarter, self.coarse))
         with m.If(runs):
             m.d.sync += [seen.eq(seen_next), left.eq(left_next)]
             with m.If(left_next == 0):
-                m.d.sync += self.latched.eq(Mux(starts, alone, with_seen))
+                m.d.sync += self.latched.eq(popcount(m, seen_next, "seen_count") >= self.frame.mg_threshold)

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Module: subgroups 2k and 2k + 1 and the one always-on TDC they share (paper, Fig. 3: the generic block of the sensor)."""
 
 from amaranth.hdl import Cat, ResetSignal, Signal
@@ -36,9 +37,13 @@ class SensorModule(Unit):
     def elaborate(self, platform):
         m = Design()
         sensor = self.sensor
-        reset = Signal(init=1, reset_less=True)
+        # Two registers, one of each sense, must agree on a reset: one that is upset resets nothing.
+        resets = Signal(init=1, reset_less=True)
+        rests = Signal(reset_less=True)
+        reset = Signal()
         start = Signal(reset_less=True)
-        m.d.sync += [reset.eq(ResetSignal()), start.eq(self.timing.start)]
+        m.d.sync += [resets.eq(ResetSignal()), rests.eq(~ResetSignal()), start.eq(self.timing.start)]
+        m.d.comb += reset.eq(resets & ~rests)
         tdc = place(m, "tdc", self.view.tdc(sensor, self.lines), platform, reset)
         m.d.comb += tdc.start.eq(start)
         for k in range(self.lines):

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Packetizer: sends a subgroup's events, minigroup records and counters as beats when the readout grants them.
 
 The word formats are the project's; the paper only says that stamps and IDs leave the subgroup.
@@ -42,7 +43,8 @@ class Packetizer(Unit):
     grant, send : in, registered: a packet of this kind begins now. Grants come no closer than the packets' lengths
     frame : in, settings; subgroup : in, this one's number
     head, record, counters : in; take_event, take_record : out, with the packet's last beat
-    valid, beat : out, one cycle later; 0 while nothing is sent, so that the beats of all subgroups can be ORed
+    controlled : in, the counters are of a subgroup under the threshold controller
+    valid, beat, beat_controlled : out, one cycle later; 0 while nothing is sent, so that the beats of all subgroups can be ORed
 
     Reset ends a packet.
     """
@@ -60,10 +62,12 @@ class Packetizer(Unit):
                 "head": In(bus.event_layout(sensor)),
                 "record": In(bus.record_layout(sensor)),
                 "counters": In(COUNTER_BITS * len(COUNTER_NAMES)),
+                "controlled": In(1),
                 "take_event": Out(1),
                 "take_record": Out(1),
                 "valid": Out(1),
                 "beat": Out(BEAT_BITS),
+                "beat_controlled": Out(1),
             }
         )
 
@@ -83,7 +87,11 @@ class Packetizer(Unit):
                     for k, beat in enumerate(of_packet):
                         with m.Case(k):
                             m.d.comb += chosen.eq(beat)
-        m.d.sync += [self.valid.eq(state.active), self.beat.eq(Mux(state.active, chosen, 0))]
+        m.d.sync += [
+            self.valid.eq(state.active),
+            self.beat.eq(Mux(state.active, chosen, 0)),
+            self.beat_controlled.eq(state.active & self.controlled),
+        ]
         return m
 
     def _sequence(self, m):
@@ -137,7 +145,7 @@ class Packetizer(Unit):
         for g in range(self.sensor.minigroups):
             hit = Cat(window.hits[i] for i in self.sensor.members(g)).any()
             offset = Signal(OFFSET_BITS, name=f"offset_{g}")
-            m.d.comb += offset.eq(Mux(hit, window.offsets[g], OFFSET_NONE))
+            m.d.comb += offset.eq(Mux(hit, self.head.offsets[g], OFFSET_NONE))
             offsets.append(offset)
         return [beat, *_beats(window.hits), *_beats(Cat(offsets))]
 

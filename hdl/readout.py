@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Readout of a stream: round robin over its subgroups, a packet at a time, frame start and end packets, output buffer.
 
 The paper leaves the readout open. Round robin, credits and the buffer are our choice: subgroups tell what they
@@ -7,7 +8,7 @@ gaps, after a fixed time.
 
 from types import SimpleNamespace
 
-from amaranth.hdl import Cat, Module, Mux, Signal
+from amaranth.hdl import Cat, Module, Mux, ResetInserter, Signal
 from amaranth.lib import fifo
 from amaranth.lib.wiring import In, Out
 
@@ -20,6 +21,8 @@ from .logic import any_of, up_to
 from .packetizer import header, of_format
 from .unit import Unit
 
+CALM_CYCLES = 15  # without a grant, a beat on its way or one in the buffer: longer than any beat is on its way
+
 
 class Readout(Unit):
     """Readout of the `subgroups` subgroups of a stream.
@@ -28,14 +31,18 @@ class Readout(Unit):
     -----
     stored, record_stored : in, a bit a subgroup: an event, a record waits to be read
     grant : out, one-hot; send : out, what the granted subgroup sends
-    valid, beat : in, OR of the subgroups' beats
+    valid, beat, beat_controlled : in, OR of the subgroups' beats
     frame : in, settings; number : in, the frame's; frame_begin : in, strobe; finish : in, nothing more will be stored
     delivered : out, the end packet has left
+    counted : out, the end packet's counters on their way, for the threshold controller
     m_axis : AXI4-Stream master, `tlast` ends the frame
 
     Next is the first subgroup with something to read at or after the pointer; the pointer then stands behind it. A
     record goes before events, of which it would otherwise never find a gap. Latency: `model/contract/latency.py`. Reset
-    empties everything.
+    empties everything, and so does a frame's beginning, when all is empty unless an upset left something.
+
+    No upset makes it wait for ever: places that it took for full are free when nothing has moved for `CALM_CYCLES`, and a frame whose last beat
+    never came ends with a frame end packet without counters.
     """
 
     def __init__(self, sensor: Sensor, subgroups: int):
@@ -52,11 +59,13 @@ class Readout(Unit):
                 "send": Out(bus.Send),
                 "valid": In(1),
                 "beat": In(BEAT_BITS),
+                "beat_controlled": In(1),
                 "frame": In(bus.frame_layout(sensor)),
                 "number": In(bus.PULSE_BITS),
                 "frame_begin": In(1),
                 "finish": In(1),
                 "delivered": Out(1),
+                "counted": Out(bus.COUNTED),
                 "m_axis": Out(STREAM),
             }
         )
@@ -81,6 +90,7 @@ class Readout(Unit):
         state.finish = Signal()
         state.valid = Signal()
         state.beat = Signal(BEAT_BITS)
+        state.beat_controlled = Signal()
         state.event_length = Signal(range(self.parts.longest + 1))
         m.d.sync += [
             state.stored.eq(self.stored & state.in_frame.replicate(n)),
@@ -89,6 +99,7 @@ class Readout(Unit):
             state.finish.eq(self.finish),
             state.valid.eq(self.valid & state.in_frame),
             state.beat.eq(self.beat),
+            state.beat_controlled.eq(self.beat_controlled),
             state.event_length.eq(of_format(self.frame.format, self.parts.length)),
         ]
 
@@ -109,6 +120,8 @@ class Readout(Unit):
         ahead = Signal(n)
         some_events = self._credits(m, state.stored, state.take_event)
         m.d.sync += state.records.eq((state.records & ~state.take_record) | state.record_stored)
+        with m.If(state.frame_begin):
+            m.d.sync += [plane.eq(0) for plane in (*state.planes, state.records)]
         m.d.comb += [state.waiting.eq(some_events | state.records), ahead.eq(state.waiting & state.at_or_after)]
         from_ahead, from_all = up_to(m, ahead, "from_ahead"), up_to(m, state.waiting, "from_all")
         m.d.comb += [
@@ -118,7 +131,7 @@ class Readout(Unit):
         ]
 
     def _credits(self, m, up, down):
-        """Counters, one a subgroup, kept as bit planes; returns which are not 0."""
+        """Counters, one per subgroup, kept as bit planes; returns which are not 0, from registers beside them."""
         planes = [Signal(self.subgroups, name=f"events_{b}") for b in range(bits_for(self.sensor.fifo_depth))]
         carry, borrow = up & ~down, down & ~up
         for b, plane in enumerate(planes):
@@ -128,80 +141,114 @@ class Readout(Unit):
             m.d.sync += plane.eq(plane ^ carry_in ^ borrow_in)
             carry, borrow = carry_in & plane, borrow_in & ~plane
         some = Signal(self.subgroups, name="some_events")
-        m.d.comb += some.eq(any_of(m, planes, "some_of"))
-        self.state.planes = planes
+        several = any_of(m, planes[1:], "several_of") if len(planes) > 1 else 0
+        m.d.sync += some.eq(up | (some & (~down | several)))
+        self.state.planes, self.state.some_events = planes, some
         return some
 
     def _room(self, m):
-        """When a packet may begin: the one before has been granted all its beats, and the buffer has room for the longest."""
-        state, longest = self.state, self.parts.longest
-        state.left = Signal(range(longest))  # beats that are still to be granted
+        """When a packet may begin: the one before has been granted all its beats, and the buffer has room for any, or for the counters."""
+        state, parts = self.state, self.parts
+        state.left = Signal(range(parts.longest))  # beats that are still to be granted
         state.space = Signal(range(self.depth + 1), init=self.depth)
         state.free = Signal()
+        state.free_for_counters = Signal()
         state.space_now = Signal.like(state.space)
         state.left_next = Signal.like(state.left)
         state.space_next = Signal.like(state.space)
         m.d.comb += [
-            state.free.eq((state.left == 0) & (state.space >= longest)),
+            state.free.eq((state.left == 0) & (state.space >= parts.longest_word)),
+            state.free_for_counters.eq((state.left == 0) & (state.space >= parts.counter_beats)),
             state.space_now.eq(state.space + (self.m_axis.tvalid & self.m_axis.tready)),
             state.left_next.eq(state.left - (state.left != 0)),
             state.space_next.eq(state.space_now),
         ]
         m.d.sync += [state.left.eq(state.left_next), state.space.eq(state.space_next)]
+        state.calm = Signal(range(CALM_CYCLES + 1))
+        state.booked = Signal()
+        with m.If(self.m_axis.tvalid | state.valid | (state.left != 0) | state.booked):
+            m.d.sync += state.calm.eq(0)
+        with m.Elif(state.calm != CALM_CYCLES):
+            m.d.sync += state.calm.eq(state.calm + 1)
+        with m.Else():
+            m.d.sync += state.space.eq(self.depth)
+        with m.If(state.frame_begin):
+            m.d.sync += [state.space.eq(self.depth), state.left.eq(0)]
 
-    def _book(self, m, length, name):
+    def _book(self, m, length, name, free):
         """Books room for a packet that may begin. What it leaves is known for each length before it is known which one is granted."""
         state = self.state
         after = Signal.like(state.space, name=f"space_after_{name}")
         m.d.comb += after.eq(state.space_now - length)
-        with m.If(state.free):
-            m.d.comb += [state.left_next.eq(length - 1), state.space_next.eq(after)]
+        with m.If(free):
+            m.d.comb += [state.left_next.eq(length - 1), state.space_next.eq(after), state.booked.eq(1)]
 
     def _packets(self, m):
         """A frame's packets in their order: the start, events and records, the end, and the counters of every subgroup."""
         state = self.state
         state.own_kind = Signal(bus.KIND_BITS)  # of a packet of the readout's own that is granted
         state.tail = Signal(self.subgroups)  # one-hot: whose counters are next
+        state.owes = Signal()  # the frame's last beat
+        state.filling = Signal()  # the frame's last beat, which got lost, comes again
         m.d.sync += [self.grant.eq(0), self.delivered.eq(0)]
         with m.FSM() as state.machine:
             with m.State("idle"):
-                m.d.sync += self.delivered.eq(1)
+                m.d.sync += self.delivered.eq(~state.owes)
                 with m.If(state.frame_begin):
                     m.next = "head"
+                with m.Elif(state.owes & state.finish):  # an upset led here
+                    m.next = "events"
             with m.State("head"):
-                self._book(m, 1, "start")
+                self._book(m, 1, "start", state.free)
                 m.d.sync += state.at_or_after.eq(~0)
                 with m.If(state.free):
                     m.d.comb += state.own_kind.eq(Kind.FRAME_START)
                     m.next = "events"
+                self._begin_again(m)
             with m.State("events"):
                 with m.If(state.waiting.any()):
                     self._grant_chosen(m)
                 with m.Elif(state.finish):
-                    self._book(m, 1, "end")
+                    self._book(m, 1, "end", state.free)
                     m.d.sync += state.tail.eq(1)
                     with m.If(state.free):
                         m.d.comb += state.own_kind.eq(Kind.FRAME_END)
                         m.next = "counters"
+                self._begin_again(m)
             with m.State("counters"):
-                self._book(m, self.parts.counter_beats, "counters")
-                with m.If(state.free):
+                self._book(m, self.parts.counter_beats, "counters", state.free_for_counters)
+                with m.If(state.free_for_counters):
                     m.d.sync += [self.grant.eq(state.tail), self.send.eq(bus.Send.COUNTERS)]
                     m.d.sync += state.tail.eq(state.tail << 1)
-                    with m.If(state.tail[-1]):
+                    with m.If(state.tail[-1] | (state.tail == 0)):
                         m.next = "flush"
+                self._begin_again(m)
             with m.State("flush"):
                 with m.If((state.left == 0) & (state.space == self.depth)):
-                    m.next = "idle"
+                    with m.If(state.owes):
+                        self._book(m, 1, "fill", state.free)
+                        m.d.comb += state.own_kind.eq(Kind.FRAME_END)
+                        m.d.sync += state.filling.eq(1)
+                    with m.Else():
+                        m.next = "idle"
+                self._begin_again(m)
+            for code in range(3):  # the codes that are no state
+                with m.State(f"lost_{code}"):
+                    m.next = "flush"
         m.d.comb += state.in_frame.eq(~state.machine.ongoing("idle"))
+
+    def _begin_again(self, m):
+        """A frame begins although the one before has not ended: an upset led here."""
+        with m.If(self.state.frame_begin):
+            m.next = "head"
 
     def _grant_chosen(self, m):
         """Grants the chosen subgroup's record or event, and moves the pointer behind it."""
         state = self.state
         with m.If(state.chosen_record):
-            self._book(m, self.parts.length(Kind.RECORD), "record")
+            self._book(m, self.parts.length(Kind.RECORD), "record", state.free)
         with m.Else():
-            self._book(m, state.event_length, "event")
+            self._book(m, state.event_length, "event", state.free)
         with m.If(state.free):
             m.d.comb += [
                 state.take_record.eq(state.chosen & state.records),
@@ -221,15 +268,27 @@ class Readout(Unit):
         own_beat, fields = header(kind=own[-1], pulse=self.number)
         m.d.comb += fields
         is_own = own[-1].any()
-        to_end = Signal(range(counter_beats * self.subgroups + 1))  # beats after the frame end's header
-        with m.If(own[-1] == Kind.FRAME_END):
+        state.to_end = to_end = Signal(range(counter_beats * self.subgroups + 1))  # beats after the frame end's header
+        with m.If((own[-1] == Kind.FRAME_END) & ~state.filling):
             m.d.sync += to_end.eq(counter_beats * self.subgroups)
         with m.Elif(state.valid & (to_end != 0)):
             m.d.sync += to_end.eq(to_end - 1)
-        m.submodules.buffer = state.buffer = fifo.SyncFIFOBuffered(width=BEAT_BITS + 1, depth=self.depth + 1)
+        m.d.comb += [
+            self.counted.valid.eq(state.valid & (to_end != 0)),
+            self.counted.beat.eq(state.beat),
+            self.counted.controlled.eq(state.beat_controlled),
+        ]
+        state.buffer = fifo.SyncFIFOBuffered(width=BEAT_BITS + 1, depth=self.depth + 1)
+        m.submodules.buffer = ResetInserter(state.frame_begin)(state.buffer)
+        last = Signal()
+        m.d.comb += last.eq(Mux(is_own, state.filling, to_end == 1))
+        with m.If(state.frame_begin):
+            m.d.sync += [state.owes.eq(1), state.filling.eq(0), to_end.eq(0)]
+        with m.Elif(state.buffer.w_en & last):
+            m.d.sync += [state.owes.eq(0), state.filling.eq(0)]
         m.d.comb += [
             state.buffer.w_en.eq(state.valid | is_own),
-            state.buffer.w_data.eq(Cat(Mux(is_own, own_beat, state.beat), ~is_own & (to_end == 1))),
+            state.buffer.w_data.eq(Cat(Mux(is_own, own_beat, state.beat), last)),
             Cat(self.m_axis.tdata, self.m_axis.tlast).eq(state.buffer.r_data),
             self.m_axis.tvalid.eq(state.buffer.r_rdy),
             state.buffer.r_en.eq(self.m_axis.tready),

@@ -1,24 +1,26 @@
+# SPDX-License-Identifier: Apache-2.0
 """Register front: AXI4-Lite slave, range checks, global registers, and the start of a frame. The map is `model/contract/registers.py`."""
 
 from types import SimpleNamespace
 
-from amaranth.hdl import Array, Cat, Const, Module, Mux, Signal
+from amaranth.hdl import Cat, Const, Module, Mux, Signal
 from amaranth.lib.wiring import In, Out
 
 from ..model.contract import registers
 from ..model.contract.parameters import Sensor, bits_for
-from ..model.contract.registers import AUTO_BOUNDS, BY_NAME, DATA_BITS, SUBGROUP_BASE, SUBGROUP_STRIDE, Access
+from ..model.contract.registers import AUTO_BOUNDS, BY_NAME, DATA_BITS, SUBGROUP_BASE, SUBGROUP_STRIDE, WRITABLE, Access
 from . import bus
 from .axi import LITE, OKAY, SLVERR
 from .logic import any_of
 from .unit import Unit
+from .voted import Voted
 
 DECODE_CYCLES = 2  # an address stands in its register -> the decoder says what it means
 READ_CYCLES = 5  # the configuration bus names a word -> its data stand in this block's input register
 CHECK_CYCLES = 7  # from decoding a start: by then all subgroups' start checks have seen the write before it
 BLOCK_BITS = bits_for(SUBGROUP_STRIDE - 1)  # of an address inside a subgroup's block
+RESTING_CYCLES = 15  # of the sequencer, in which a frame that was started would have begun
 CONTROL, STATUS = BY_NAME["control"], BY_NAME["status"]
-WRITABLE = (Access.SETTING, Access.PULSE, Access.STATUS)
 
 
 class Registers(Unit):
@@ -28,11 +30,14 @@ class Registers(Unit):
     -----
     s_axi : AXI4-Lite slave, 32-bit data. One access at a time; address and data of a write may come in any order. A write that is refused
         answers SLVERR, changes nothing and sets a sticky bit; a read of an unmapped address answers SLVERR with 0.
-    command : out, configuration bus to all subgroups; data : in, OR of their answers; gate_late : in, OR of their start checks
+    command : out, configuration bus to all subgroups; data : in, OR of their answers; gate_late, settings_upset : in, OR of their start checks
     period : out, as programmed; frame : out, settings of the running frame; plan : out, the sequencer's
-    start_frame, abort_frame : out, strobes; done : in, strobe
+    start_frame, abort_frame : out, strobes; done : in, strobe; resting : in, the sequencer has no frame
+    capacity, share_k : out, as programmed, to the threshold controller of stream k; budget_k : in, from it
 
-    Reset loads the table's reset values and forgets accesses under way.
+    Reset loads the table's reset values and forgets accesses under way. An upset delays an access or refuses it; none makes it wait for ever, and
+    what stands between master and slave is voted. A setting keeps the parity that its value had at the port: a start is refused where one
+    does not fit.
     """
 
     unit_name = "coincid_registers"
@@ -45,13 +50,18 @@ class Registers(Unit):
                 "command": Out(bus.CONFIG_BUS),
                 "data": In(DATA_BITS),
                 "gate_late": In(1),
+                "settings_upset": In(1),
                 "period": Out(sensor.coarse_bits + 1),
                 "frame": Out(bus.frame_layout(sensor)),
                 "plan": Out(bus.plan_layout(sensor)),
                 "start_frame": Out(1),
                 "abort_frame": Out(1),
                 "done": In(1),
+                "resting": In(1),
+                "capacity": Out(DATA_BITS),
             }
+            | {f"share_{k}": Out(DATA_BITS) for k in range(sensor.streams)}
+            | {f"budget_{k}": In(DATA_BITS) for k in range(sensor.streams)}
         )
 
     def elaborate(self, platform):
@@ -71,27 +81,39 @@ class Registers(Unit):
         axi, state = self.s_axi, self.state
         state.write_address = Signal(registers.ADDRESS_BITS)
         state.value = Signal(DATA_BITS)
+        state.parity = Signal()  # of the value as it stood at the port
         state.whole = Signal()  # all bytes of the word are to be written
-        state.held_address = Signal()
-        state.held_data = Signal()
-        m.d.comb += [axi.awready.eq(~state.held_address), axi.wready.eq(~state.held_data)]
+        state.voted = [
+            Voted(m, name) for name in ("held_address", "held_data", "held_read", "answered_write", "answered_read")
+        ]
+        held_address, held_data, state.keep_read, state.answer_write, state.answer_read = state.voted
+        state.held_write = Signal()
+        m.d.comb += [
+            axi.awready.eq(~held_address.value),
+            axi.wready.eq(~held_data.value),
+            axi.bvalid.eq(state.answer_write.value),
+            state.held_write.eq(held_address.value & held_data.value),
+        ]
         with m.If(axi.awvalid & axi.awready):
-            m.d.sync += [state.held_address.eq(1), state.write_address.eq(axi.awaddr)]
+            m.d.comb += held_address.next.eq(1)
+            m.d.sync += state.write_address.eq(axi.awaddr)
         with m.If(axi.wvalid & axi.wready):
-            m.d.sync += [state.held_data.eq(1), state.value.eq(axi.wdata), state.whole.eq(axi.wstrb.all())]
+            m.d.comb += held_data.next.eq(1)
+            m.d.sync += [state.value.eq(axi.wdata), state.whole.eq(axi.wstrb.all()), state.parity.eq(axi.wdata.xor())]
         with m.If(axi.bvalid & axi.bready):
-            m.d.sync += [axi.bvalid.eq(0), state.held_address.eq(0), state.held_data.eq(0)]
+            m.d.comb += [state.answer_write.next.eq(0), held_address.next.eq(0), held_data.next.eq(0)]
 
     def _read_channel(self, m):
         """The address of a read, held until the read is answered."""
         axi, state = self.s_axi, self.state
         state.read_address = Signal(registers.ADDRESS_BITS)
-        state.held_read = Signal()
-        m.d.comb += axi.arready.eq(~state.held_read)
+        state.held_read = state.keep_read.value
+        m.d.comb += [axi.arready.eq(~state.held_read), axi.rvalid.eq(state.answer_read.value)]
         with m.If(axi.arvalid & axi.arready):
-            m.d.sync += [state.held_read.eq(1), state.read_address.eq(axi.araddr)]
+            m.d.comb += state.keep_read.next.eq(1)
+            m.d.sync += state.read_address.eq(axi.araddr)
         with m.If(axi.rvalid & axi.rready):
-            m.d.sync += [axi.rvalid.eq(0), state.held_read.eq(0)]
+            m.d.comb += [state.answer_read.next.eq(0), state.keep_read.next.eq(0)]
 
     def _global_settings(self, m):
         """The global block's settings as programmed, by name and index, and the status flags, by name."""
@@ -103,8 +125,14 @@ class Registers(Unit):
             for _, register, index in registers.words(registers.GLOBAL, self.sensor)
             if register.access is Access.SETTING
         }
+        state.setting_parity = {
+            key: Signal(init=setting.init.bit_count() & 1, name=f"parity_of_{setting.name}")
+            for key, setting in state.setting.items()
+        }
         state.flag = {bits.name: Signal(name=f"status_{bits.name}") for bits in STATUS.bits}
         m.d.comb += self.period.eq(state.setting["period", 0])
+        m.d.comb += self.capacity.eq(state.setting["capacity", 0])
+        m.d.comb += [getattr(self, f"share_{k}").eq(state.setting["share", k]) for k in range(self.sensor.streams)]
 
     def _decode(self, m):
         """What the access's address means: it lies in a subgroup's block, is mapped, may be written, and takes the value.
@@ -155,6 +183,7 @@ class Registers(Unit):
         state = self.state
         state.found = Signal(DATA_BITS)
         content = state.setting | {("status", 0): Cat(state.flag[bits.name] for bits in STATUS.bits)}
+        content |= {("budget", k): getattr(self, f"budget_{k}") for k in range(self.sensor.streams)}
         for _, register, index in registers.words(registers.GLOBAL, self.sensor):
             if register.access is Access.CONSTANT:
                 content[register.name, index] = Const(register.reset(self.sensor), DATA_BITS)
@@ -166,33 +195,46 @@ class Registers(Unit):
         bounds = [self.state.setting["auto_bounds", k] for k in range(AUTO_BOUNDS)]
         bounds_descend = Signal()
         gate_late = Signal()
+        settings_upset = Signal()
+        own_upset = Signal(len(self.state.setting))
         m.d.sync += [
             bounds_descend.eq(any_of(m, [low > high for low, high in zip(bounds, bounds[1:])], "descends")),
             gate_late.eq(self.gate_late),
+            own_upset.eq(Cat(word.xor() ^ self.state.setting_parity[key] for key, word in self.state.setting.items())),
+            settings_upset.eq(self.settings_upset | own_upset.any()),
         ]
         self.state.failed = {
             "start_period": self.period <= self.sensor.guard,
             "start_bounds": bounds_descend,
             "start_gate": gate_late,
+            "start_upset": settings_upset,
         }
 
     def _accesses(self, m):
         """One access at a time: reads, writes, and the write that starts a frame."""
         axi, state = self.s_axi, self.state
         state.wait = Signal(range(max(READ_CYCLES, CHECK_CYCLES) + 1))  # cycles of the access until now
-        state.bound = Signal(range(AUTO_BOUNDS))
+        state.sent = Signal(range(self.sensor.streams + AUTO_BOUNDS))  # words for the subgroups' thresholds
         state.data = Signal(DATA_BITS)
+        state.same_address = Signal()  # the access is to what the master named
+        state.same_value = Signal()
+        state.rested = Signal(range(RESTING_CYCLES + 1))
+        state.plan_parity = Signal()
+        plan_upset = Signal()  # a frame whose plan is upset might last for hours
         m.d.sync += [
+            plan_upset.eq(self.plan.as_value().xor() ^ state.plan_parity),
+            state.same_address.eq(state.address == state.write_address),
+            state.same_value.eq(state.value.xor() == state.parity),
             state.data.eq(self.data),
             state.wait.eq(state.wait + 1),
             self.start_frame.eq(0),
-            self.abort_frame.eq(0),
+            self.abort_frame.eq(plan_upset),
             self.command.operation.eq(bus.Operation.IDLE),
         ]
         with m.FSM() as state.machine:
             with m.State("idle"):
                 m.d.sync += state.wait.eq(0)
-                with m.If(state.held_address & state.held_data & ~axi.bvalid):
+                with m.If(state.held_write & ~axi.bvalid):
                     m.d.sync += state.address.eq(state.write_address)
                     m.next = "decode"
                 with m.Elif(state.held_read & ~axi.rvalid):
@@ -201,36 +243,52 @@ class Registers(Unit):
             with m.State("read"):
                 m.d.sync += self._name_word()
                 with m.If(state.wait == READ_CYCLES):
-                    self._answer_read(m)
+                    with m.If(state.held_read):
+                        self._answer_read(m)
                     m.next = "idle"
             with m.State("decode"):
                 with m.If(state.wait == DECODE_CYCLES - 1):
                     m.next = "write"
             with m.State("write"):
                 m.next = "idle"
-                with m.If(state.writable & state.whole & state.legal):
-                    m.d.sync += self._respond(OKAY)
+                with m.If(~(state.held_write & state.same_address & (state.wait == DECODE_CYCLES))):
+                    pass  # an upset led here; what is held begins again
+                with m.Elif(state.writable & state.whole & state.legal & state.same_value):
+                    self._respond(m, OKAY)
                     self._write(m)
                 with m.Else():
-                    m.d.sync += self._respond(SLVERR)
+                    self._respond(m, SLVERR)
                     self._refuse_write(m)
             with m.State("check"):
-                with m.If(state.wait == CHECK_CYCLES):
+                with m.If(~state.held_write):
+                    m.next = "idle"
+                with m.Elif(state.wait == CHECK_CYCLES):
                     m.next = "idle"
                     self._start_or_refuse(m)
-            with m.State("bounds"):
-                self._send_bounds(m)
+            with m.State("thresholds"):
+                self._send_for_thresholds(m)
             with m.State("begin"):
-                m.d.sync += [self.command.operation.eq(bus.Operation.BEGIN), self.start_frame.eq(1)]
-                m.d.sync += self._respond(OKAY)
                 m.next = "idle"
+                with m.If(state.held_write & state.flag["busy"]):
+                    m.d.sync += [self.command.operation.eq(bus.Operation.BEGIN), self.start_frame.eq(1)]
+                    m.d.sync += self.command.data.eq(state.setting["threshold_floor", 0])
+                    self._respond(m, OKAY)
             with m.State("lost"):  # the one code that is no state: an upset there must not hang the bus
                 m.next = "idle"
-        with m.If(self.done):
+        with m.If(
+            ~(state.flag["busy"] & self.resting & (state.machine.ongoing("idle") | state.machine.ongoing("read")))
+        ):
+            m.d.sync += state.rested.eq(0)
+        with m.Elif(state.rested != RESTING_CYCLES):
+            m.d.sync += state.rested.eq(state.rested + 1)
+        with m.If(
+            self.done | (state.rested == RESTING_CYCLES)
+        ):  # the latter where an upset took the frame or the strobe
             m.d.sync += [state.flag["busy"].eq(0), state.flag["done"].eq(1)]
 
-    def _respond(self, response):
-        return [self.s_axi.bvalid.eq(1), self.s_axi.bresp.eq(response)]
+    def _respond(self, m, response):
+        m.d.comb += self.state.answer_write.next.eq(1)
+        m.d.sync += self.s_axi.bresp.eq(response)
 
     def _name_word(self):
         """Asks the subgroups for the word at the address."""
@@ -239,8 +297,8 @@ class Registers(Unit):
 
     def _answer_read(self, m):
         axi, state = self.s_axi, self.state
+        m.d.comb += state.answer_read.next.eq(1)
         m.d.sync += [
-            axi.rvalid.eq(1),
             axi.rresp.eq(Mux(state.mapped, OKAY, SLVERR)),
             axi.rdata.eq(Mux(state.mapped, Mux(state.in_subgroup, state.data, state.found), 0)),
         ]
@@ -261,11 +319,15 @@ class Registers(Unit):
         """Carries out a write: sends it to the subgroups, or changes what is global; a start is answered only after its checks."""
         state, value = self.state, self.state.value
         with m.If(state.in_subgroup):
-            m.d.sync += [self.command.operation.eq(bus.Operation.WRITE), self.command.data.eq(value)]
+            m.d.sync += [
+                self.command.operation.eq(bus.Operation.WRITE),
+                self.command.data.eq(value),
+                self.command.parity.eq(state.parity),
+            ]
             m.d.sync += self._name_word()
-        for name, setting in state.setting.items():
-            with m.If(state.named[name]):
-                m.d.sync += setting.eq(value)
+        for key, setting in state.setting.items():
+            with m.If(state.named[key]):
+                m.d.sync += [setting.eq(value), state.setting_parity[key].eq(state.parity)]
         with m.If(state.named["status", 0]):
             for bits in STATUS.bits:
                 if bits.clears:
@@ -274,28 +336,42 @@ class Registers(Unit):
         with m.If(state.named["control", 0]):
             m.d.sync += self.abort_frame.eq(value[CONTROL.bit("abort")])
             with m.If(value[CONTROL.bit("start")]):
-                m.d.sync += self.s_axi.bvalid.eq(0)
+                m.d.comb += state.answer_write.next.eq(0)
                 m.next = "check"
 
     def _start_or_refuse(self, m):
         """Takes the settings, or tells by a sticky flag what is wrong with them."""
         state = self.state
         with m.If(state.flag["busy"]):
-            m.d.sync += [state.flag["start_busy"].eq(1), *self._respond(SLVERR)]
+            m.d.sync += state.flag["start_busy"].eq(1)
+            self._respond(m, SLVERR)
         with m.Elif(Cat(state.failed.values()).any()):
             m.d.sync += [state.flag[name].eq(state.flag[name] | bad) for name, bad in state.failed.items()]
-            m.d.sync += self._respond(SLVERR)
+            self._respond(m, SLVERR)
         with m.Else():
-            m.d.sync += [state.flag["busy"].eq(1), state.bound.eq(0), self.command.operation.eq(bus.Operation.TAKE)]
+            m.d.sync += [state.flag["busy"].eq(1), state.sent.eq(0), self.command.operation.eq(bus.Operation.TAKE)]
             for taken in (self.frame, self.plan):
                 m.d.sync += [taken[name].eq(state.setting[name, 0]) for name in taken.shape().members]
-            m.next = "bounds"
+            parities = Cat(state.setting_parity[name, 0] for name in self.plan.shape().members)
+            m.d.sync += state.plan_parity.eq(parities.xor())
+            m.next = "thresholds"
 
-    def _send_bounds(self, m):
-        """Sends the controller's bounds to the subgroups, one per cycle."""
-        state = self.state
-        bounds = Array(state.setting["auto_bounds", k] for k in range(AUTO_BOUNDS))
-        m.d.sync += [self.command.operation.eq(bus.Operation.COMPARE), self.command.data.eq(bounds[state.bound])]
-        m.d.sync += state.bound.eq(state.bound + 1)
-        with m.If(state.bound == AUTO_BOUNDS - 1):
+    def _send_for_thresholds(self, m):
+        """Sends the streams' budgets and then the controller's bounds to the subgroups, one per cycle."""
+        state, streams = self.state, range(self.sensor.streams)
+        firsts = [self.sensor.stream_subgroups(k).start for k in streams]
+        words = [(bus.Operation.BUDGET, first, getattr(self, f"budget_{k}")) for k, first in zip(streams, firsts)]
+        words += [(bus.Operation.COMPARE, 0, state.setting["auto_bounds", k]) for k in range(AUTO_BOUNDS)]
+        with m.Switch(state.sent):
+            for k, (operation, first, word) in enumerate(words):
+                with m.Case(k):
+                    m.d.sync += [
+                        self.command.operation.eq(operation),
+                        self.command.subgroup.eq(first),
+                        self.command.data.eq(word),
+                    ]
+        m.d.sync += state.sent.eq(state.sent + 1)
+        with m.If(~(state.held_write & state.flag["busy"])):
+            m.next = "idle"
+        with m.Elif(state.sent == len(words) - 1):
             m.next = "begin"

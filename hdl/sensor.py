@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The sensor: an array of modules, a register front, a sequencer, and a readout per stream.
 
 The wiring is a table (`Netlist`), because it has two uses: Verilog text for any size (an Amaranth top cannot have
@@ -11,6 +12,7 @@ from amaranth.lib import wiring
 from attrs import define, field, frozen
 
 from ..model.contract.parameters import TOP, Sensor
+from .controller import Controller
 from .deserialiser import PHASES_MAX, Deserialiser
 from .logic import any_of
 from .module import SensorModule
@@ -86,13 +88,22 @@ def netlist(sensor: Sensor, levels: bool = False, view=POLYPHASE) -> Netlist:
         readout = Readout(sensor, len(members))
         for name in ("stored", "record_stored"):
             n.join(f"{name}_of_{stream}", "cat", [f"{name}_{s}" for s in members])
-        for name in ("valid", "beat"):
+        for name in ("valid", "beat", "beat_controlled"):
             n.join(f"{name}_of_{stream}", "or", [f"{name}_{s}" for s in members])
         of_stream = {
             name: f"{name}_of_{stream}"
-            for name in ("stored", "record_stored", "valid", "beat", "grant", "send", "delivered")
-        }
+            for name in (
+                "stored", "record_stored", "valid", "beat", "beat_controlled", "grant", "send", "delivered", "counted"
+            )
+        }  # fmt: skip
         n.add(f"readout_{stream}", readout, **of_stream, **flat(readout, "m_axis", sensor.stream_name(stream)))
+        n.add(
+            f"controller_{stream}",
+            Controller(sensor),
+            share=f"share_{stream}",
+            counted=f"counted_of_{stream}",
+            budget=f"budget_{stream}",
+        )
         for i, s in enumerate(members):
             n.nets[f"grant_{s}"] = 1
             n.joins[f"grant_{s}"] = (
@@ -101,6 +112,7 @@ def netlist(sensor: Sensor, levels: bool = False, view=POLYPHASE) -> Netlist:
     n.join("delivered", "and", [f"delivered_of_{stream}" for stream in range(sensor.streams)])
     n.join("data", "or", [f"data_{s}" for s in subgroups])
     n.join("gate_late", "or", [f"gate_late_{s}" for s in subgroups])
+    n.join("settings_upset", "or", [f"upset_{s}" for s in subgroups])
     n.join("spad_gate", "cat", [f"spad_gate_{s}" for s in subgroups])
 
     inputs: list[str] = []
@@ -133,7 +145,7 @@ def verilog(sensor: Sensor, view=POLYPHASE) -> tuple[str, dict[str, Unit]]:
     """The top module as Verilog text, and the units that it instantiates, by name."""
     n = netlist(sensor, view=view)
     what = f"SPAD sensor of {sensor.rows} x {sensor.cols} pixels: wiring of its blocks."
-    return _module(TOP, what, n.ports, n.instances, n.nets, n.joins)
+    return module_text(TOP, what, n.ports, n.instances, n.nets, n.joins)
 
 
 def has_fpga_top(sensor: Sensor) -> bool:
@@ -145,7 +157,7 @@ def fpga_verilog(sensor: Sensor) -> tuple[str, dict[str, Unit]]:
     """The top module for an FPGA, and the units that it instantiates: the sensor behind deserialisers."""
     n = netlist(sensor, levels=True)
     what = f"SPAD sensor of {sensor.rows} x {sensor.cols} pixels behind deserialisers: wiring of its blocks."
-    return _module(FPGA_TOP, what, n.ports, n.instances, n.nets, n.joins)
+    return module_text(FPGA_TOP, what, n.ports, n.instances, n.nets, n.joins)
 
 
 def core_verilog(sensor: Sensor) -> tuple[str, dict[str, Unit]]:
@@ -164,10 +176,13 @@ def core_verilog(sensor: Sensor) -> tuple[str, dict[str, Unit]]:
     joins = {net: n.joins[net] for net in ("delivered",)}
     ports = [Port(name, n.nets[name], True) for name in sorted(used - driven - joins.keys())]
     ports += [Port(name, n.nets[name], False) for name in sorted(driven)]
-    return _module(CORE, "SPAD sensor: registers, sequencer and readout.", ports, instances, {"delivered": 1}, joins)
+    return module_text(
+        CORE, "SPAD sensor: registers, sequencer and readout.", ports, instances, {"delivered": 1}, joins
+    )
 
 
-def _module(name, comment, ports, instances, nets, joins) -> tuple[str, dict[str, Unit]]:
+def module_text(name, comment, ports, instances, nets, joins) -> tuple[str, dict[str, Unit]]:
+    """A module of instances and joined nets as Verilog text, and the units that it instantiates."""
     port_names = {port.name for port in ports}
     lines = [f"// {comment}", f"module {name} (", "  input clk,", "  input rst,"]
     lines += [f"  {'input' if port.is_input else 'output'} {_range(port.width)}{port.name}," for port in ports]
@@ -192,6 +207,8 @@ def _module(name, comment, ports, instances, nets, joins) -> tuple[str, dict[str
 def _expression(operation: str, parts: list[Any]) -> str:
     if operation == "bit":
         return f"{parts[0]}[{parts[1]}]"
+    if operation == "constant":
+        return str(parts[0])
     if operation == "cat":
         return "{" + ", ".join(reversed(parts)) + "}"
     while len(parts) > 1:  # balanced, so that the depth is logarithmic as written

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Frame sequencer: laser periods back to back, progressive gating, and the frame's beginning and end.
 
 The paper gives the laser's repetition rate and the laser pulses of a frame; the sequencing is our choice.
@@ -13,6 +14,7 @@ from ..model.contract.dither import DITHER_BITS_MAX, LFSR_BITS, LFSR_TAPS
 from ..model.contract.parameters import Sensor
 from . import bus
 from .unit import Unit
+from .voted import Voted
 
 LEAD = 3  # cycles that `time` runs ahead of the ports
 HEAD_TO_GRANT = 2  # `frame_begin` -> the readout's earliest grant
@@ -31,7 +33,10 @@ class Sequencer(Unit):
 
     With dither the cycles between two periods belong to the frame but to no period: no edge counts in them. An abort in one makes the
     period that follows the last.
-    Reset ends a frame at once and sets the frame number to 0.
+    resting : out, no frame is under way
+
+    Reset ends a frame at once and sets the frame number to 0. No upset makes a frame last for ever: counters that have gone past their end are at
+    it, and a frame whose periods are over ends. A start begins a frame whatever there was before.
     """
 
     unit_name = "coincid_sequencer"
@@ -50,6 +55,7 @@ class Sequencer(Unit):
                 "finish": Out(1),
                 "delivered": In(1),
                 "done": Out(1),
+                "resting": Out(1),
             }
         )
 
@@ -75,6 +81,7 @@ class Sequencer(Unit):
         state.pulse = pulse = Signal(bus.PULSE_BITS + 1)
         state.start = Signal(2)  # waits a cycle for the registers below
         state.aborted = Signal()
+        state.active = Signal()  # from a frame's beginning until it is done
         state.restart = state.start[-1]
         last_cycle = Signal.like(cycle)
         last_pulse = Signal.like(pulse)
@@ -86,15 +93,15 @@ class Sequencer(Unit):
             state.wrap.eq(ends),
             state.first.eq(state.restart),
         ]
-        m.d.comb += ends.eq(running & ~state.waiting & (cycle == last_cycle))
+        m.d.comb += ends.eq(running & ~state.waiting & (cycle >= last_cycle))
         with m.If(self.abort_frame & running):
             m.d.sync += state.aborted.eq(1)
         with m.If(ends):
             m.d.sync += pulse.eq(pulse + 1)
-            with m.If(state.aborted | self.abort_frame | (pulse == last_pulse)):
+            with m.If(state.aborted | self.abort_frame | (pulse >= last_pulse)):
                 m.d.sync += running.eq(0)
         with m.If(state.restart):
-            m.d.sync += [running.eq(1), cycle.eq(0), pulse.eq(0), state.aborted.eq(0)]
+            m.d.sync += [running.eq(1), cycle.eq(0), pulse.eq(0), state.aborted.eq(0), state.active.eq(1)]
 
     def _dither(self, m):
         """Cycles that the next period still waits. An LFSR steps in every cycle of the periods."""
@@ -164,17 +171,22 @@ class Sequencer(Unit):
         state.to_finish = LEAD + 1 + latency.FINISH - END_TO_GRANT
         state.draining = draining = Signal()
         state.drained = drained = Signal(range(state.to_finish + 1))
+        state.number = number = Voted(m, "number_kept", bus.PULSE_BITS)
+        m.d.comb += self.number.eq(number.value)
         delivered = Signal()
-        m.d.sync += [delivered.eq(self.delivered), self.done.eq(0)]
-        with m.If(draining & (drained != state.to_finish)):
-            m.d.sync += [drained.eq(drained + 1), self.finish.eq(drained == state.to_finish - 1)]
-        with m.If(state.wrap & ~state.running):
+        m.d.sync += [
+            delivered.eq(self.delivered),
+            self.done.eq(0),
+            self.finish.eq(draining & (drained >= state.to_finish - 1)),
+            self.resting.eq(~(state.start.any() | state.active | draining | self.done)),
+        ]
+        with m.If(draining & (drained < state.to_finish)):
+            m.d.sync += drained.eq(drained + 1)
+        # Either is so in the cycle after the last period, and both are; one alone is an upset's.
+        with m.If((state.active | state.wrap) & ~state.running & ~draining):
             m.d.sync += [draining.eq(1), drained.eq(1)]
         with m.If(self.finish & delivered):
-            m.d.sync += [
-                self.finish.eq(0),
-                draining.eq(0),
-                drained.eq(0),
-                self.done.eq(1),
-                self.number.eq(self.number + 1),
-            ]
+            m.d.sync += [self.finish.eq(0), state.active.eq(0), draining.eq(0), drained.eq(0), self.done.eq(1)]
+            m.d.comb += number.next.eq(number.value + 1)
+        with m.If(state.restart):
+            m.d.sync += [self.finish.eq(0), draining.eq(0), drained.eq(0)]

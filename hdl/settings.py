@@ -1,8 +1,9 @@
+# SPDX-License-Identifier: Apache-2.0
 """Settings of a subgroup: its block of the register map, programmed and in force."""
 
 from types import SimpleNamespace
 
-from amaranth.hdl import Module, Mux, Signal
+from amaranth.hdl import Cat, Module, Mux, Signal, Value
 from amaranth.lib.wiring import In, Out
 
 from ..model.contract import registers
@@ -22,6 +23,7 @@ class SubgroupSettings(Unit):
     counters : in
     data : out, two cycles after the bus named a word of this subgroup; 0 otherwise, so that all subgroups can be ORed
     gate_late : out, gating on and gate_start not below the period, as programmed
+    upset : out, a programmed word has not the parity that was written with it
 
     Reset loads the table's reset values.
     """
@@ -39,6 +41,7 @@ class SubgroupSettings(Unit):
                 "counters": In(COUNTER_BITS * len(COUNTER_NAMES)),
                 "data": Out(DATA_BITS),
                 "gate_late": Out(1),
+                "upset": Out(1),
             }
         )
 
@@ -55,17 +58,27 @@ class SubgroupSettings(Unit):
         ]
         with m.If(self.command.operation == bus.Operation.TAKE):
             m.d.sync += self.settings.eq(programmed)
+        upsets = []
         write = selected & (self.command.operation == bus.Operation.WRITE)
+        shown = {}  # number of a word -> what it reads as
         for offset, register, index in registers.words(registers.SUBGROUP, self.sensor):
             if register.access is registers.Access.SETTING:
                 field = self._field(programmed, register, index)
+                parity = Signal(
+                    init=register.reset(self.sensor).bit_count() & 1, name=f"parity_of_{register.name}_{index}"
+                )
                 with m.If(write & (self.command.word == offset // 4)):
-                    m.d.sync += field.eq(self.command.data)
+                    m.d.sync += [field.eq(self.command.data), parity.eq(self.command.parity)]
+                upsets.append(Value.cast(field).xor() ^ parity)
             else:
                 field = self.counters.word_select(COUNTER_NAMES.index(register.name), COUNTER_BITS)
-            with m.If(word == offset // 4):
-                m.d.sync += self.data.eq(field)
-        self.state = SimpleNamespace(programmed=programmed, word=word)
+            shown[offset // 4] = field
+        with m.Switch(word):
+            for number, field in shown.items():
+                with m.Case(number):
+                    m.d.sync += self.data.eq(field)
+        m.d.sync += self.upset.eq(Cat(upsets).any())
+        self.state = SimpleNamespace(programmed=programmed, word=word, upsets=upsets)
         return m
 
     def _field(self, settings, register, index):

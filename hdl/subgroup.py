@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Subgroup: one coincID tree, one gate, one DPCU, one FIFO (paper, Fig. 3)."""
 
 from typing import Any
@@ -33,9 +34,9 @@ def own_ports(sensor: Sensor, view: View = POLYPHASE) -> dict[str, Any]:
     """What a subgroup has for itself.
 
     words : in, the SPADs as the view has them (polyphase: edge words, pixels * phases); spad_gate : out, keeps the SPADs off while low
-    grant, send : in, from its stream's readout; valid, beat : out
+    grant, send : in, from its stream's readout; valid, beat : out; beat_controlled : out, the beat is of a subgroup under the controller
     stored, record_stored : out, an event or record waits to be read
-    data : out, register read; gate_late : out, a start check
+    data : out, register read; gate_late, upset : out, start checks
     """
     return {
         "words": In(view.spad_bits(sensor)),
@@ -44,10 +45,12 @@ def own_ports(sensor: Sensor, view: View = POLYPHASE) -> dict[str, Any]:
         "send": In(bus.Send),
         "valid": Out(1),
         "beat": Out(BEAT_BITS),
+        "beat_controlled": Out(1),
         "stored": Out(1),
         "record_stored": Out(1),
         "data": Out(DATA_BITS),
         "gate_late": Out(1),
+        "upset": Out(1),
     }
 
 
@@ -101,6 +104,7 @@ class Subgroup(Unit):
             settings.counters.eq(dpcu.counters),
             self.data.eq(settings.data),
             self.gate_late.eq(settings.gate_late),
+            self.upset.eq(settings.upset),
             gating.timing.eq(timing),
             gating.settings.eq(settings.settings),
             self.spad_gate.eq(gating.spad_gate),
@@ -111,7 +115,8 @@ class Subgroup(Unit):
             dpcu.settings.eq(settings.settings),
             dpcu.start.eq(timing.start),
             dpcu.operation.eq(command.operation),
-            dpcu.bound.eq(command.data),
+            dpcu.data.eq(command.data),
+            dpcu.in_stream.eq(number >= command.subgroup),
             dpcu.closed.eq(tree.closed),
             dpcu.window.eq(tree.window),
             dpcu.blind.eq(tree.blind),
@@ -121,6 +126,7 @@ class Subgroup(Unit):
             dpcu.mg_dropped.eq(records.dropped),
             events.commit.eq(dpcu.commit),
             events.event.eq(dpcu.event),
+            events.offsets.eq(tree.offsets),
             events.pulse.eq(dpcu.pulse),
             events.frame_begin.eq(command.operation == bus.Operation.BEGIN),
             events.take.eq(packets.take_event),
@@ -130,6 +136,7 @@ class Subgroup(Unit):
             records.entries.eq(tree.entries),
             records.pulse.eq(dpcu.pulse),
             records.take.eq(packets.take_record),
+            records.frame_begin.eq(command.operation == bus.Operation.BEGIN),
             self.record_stored.eq(records.stored),
             packets.grant.eq(grant),
             packets.send.eq(send),
@@ -138,7 +145,9 @@ class Subgroup(Unit):
             packets.head.eq(events.head),
             packets.record.eq(records.record),
             packets.counters.eq(dpcu.counters),
+            packets.controlled.eq(dpcu.controlled),
             self.valid.eq(packets.valid),
             self.beat.eq(packets.beat),
+            self.beat_controlled.eq(packets.beat_controlled),
         ]
         return m

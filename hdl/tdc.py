@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """TDC: one always-on coarse counter and the phase decode of two independent sampling lines.
 
 The paper (III-A): two subgroups "share a single always-on time-to-digital converter (TDC) with independent lines for
@@ -12,28 +13,22 @@ from amaranth.hdl import Module, Signal
 from amaranth.lib.wiring import In, Out, Signature
 
 from ..model.contract.parameters import Sensor
-from .logic import encode, up_to
+from .logic import first_one
 from .unit import Unit
 
 START_TO_PHASE = (
-    5  # from the module's registered start strobe (two cycles ahead of the ports) to stage 3, the decoded phase's
+    4  # from the module's registered start strobe (two cycles ahead of the ports) to stage 2, the decoded phase's
 )
 
 
 def line_signature(sensor: Sensor) -> Signature:
     """A sampling line, seen from the subgroup.
 
-    root : out, phases, the sampled root of the tree (stage 2). any : in, an edge in the cycle; phase : in, its first phase;
-    up_to : in, phases, bit k = an edge at a phase up to k; coarse : in, the cycle's number in its period (all stage 3).
+    root : out, phases, the sampled root of the tree (stage 1). any : in, an edge in the cycle; phase : in, its first phase;
+    coarse : in, the cycle's number in its period (all stage 2).
     """
     return Signature(
-        {
-            "root": Out(sensor.phases),
-            "any": In(1),
-            "phase": In(sensor.phase_bits),
-            "up_to": In(sensor.phases),
-            "coarse": In(sensor.coarse_bits),
-        }
+        {"root": Out(sensor.phases), "any": In(1), "phase": In(sensor.phase_bits), "coarse": In(sensor.coarse_bits)}
     )
 
 
@@ -63,9 +58,8 @@ class Tdc(Unit):
             m.d.sync += coarse.eq(0)
         for k in range(self.lines):
             line = getattr(self, f"line_{k}")
-            below = up_to(m, line.root, f"below_{k}")
-            first = Signal(self.sensor.phases, name=f"first_{k}")
-            m.d.comb += [first.eq(below & ~(below << 1)), line.coarse.eq(coarse)]
-            m.d.sync += [line.any.eq(below[-1]), line.up_to.eq(below), line.phase.eq(encode(m, first, f"phase_{k}"))]
+            some, phase = first_one(m, line.root, f"first_{k}")
+            m.d.comb += line.coarse.eq(coarse)
+            m.d.sync += [line.any.eq(some), line.phase.eq(phase)]
         self.state = SimpleNamespace(coarse=coarse)
         return m

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Blocks that are emitted once and instantiated: the hierarchy of the Verilog is the hierarchy of the sensor."""
 
 from types import SimpleNamespace

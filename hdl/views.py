@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The two views of the front end, one contract: what a subgroup and its module are built with. All behind the front end is shared.
 
 A view names the units of its front end and its TDC, how wide a subgroup's SPAD port is, how a front end hears SPADs and gate, and the
@@ -20,7 +21,7 @@ from .tree import CoincidenceTree
 
 @frozen
 class Polyphase:
-    """Synchronous: a SPAD is a word of `phases` bits a cycle. For simulation, formal proof and FPGA."""
+    """Synchronous: a SPAD gives one word of `phases` bits per cycle. For simulation, formal proof and FPGA."""
 
     name = "polyphase"
     prefix = "coincid_"

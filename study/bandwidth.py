@@ -1,7 +1,8 @@
+# SPDX-License-Identifier: Apache-2.0
 """Readout bandwidth: the beats that a frame asks for, the streams that carry them, and what is lost with fewer.
 
-Demand has two sources: `estimate`, closed formulas from the light, and the golden model, which also knows what full FIFOs drop.
-The scene and the sizes are our choice; the paper leaves the readout open.
+Demand has two sources: `estimate`, closed formulas from the light, and the golden model, which also knows what full
+FIFOs drop. The scene and the sizes are our choice; the paper leaves the readout open.
 """
 
 import csv
@@ -51,11 +52,12 @@ OVERRUN = tuple(HEADER).index("overrun")
 
 @frozen
 class Row:
-    """A frame of the study. Beats: of all streams in a frame, `_estimated` and `_golden`. needed: streams, by the mean of the
-    estimate, and as the golden model loses nothing (0: not even with the most). Lost: shares, by the golden model.
+    """A frame of the study. Beats: of all streams in a frame, `_estimated` and `_golden`. needed: streams, by the mean
+    of the estimate, and as the golden model loses nothing (0: not even with the most). Lost: shares, by the golden
+    model.
 
-    format: of the events; with `records`, minigroup records too. lost_streams: number of streams of `lost_*`, `overruns`
-    (events that carry the flag) and `late_cycles` (from the last period's end to the frame's last beat).
+    format: of the events; with `records`, minigroup records too. lost_streams: number of streams of `lost_*`,
+    `overruns` (events that carry the flag) and `late_cycles` (from the last period's end to the frame's last beat).
     """
 
     size: str
@@ -75,10 +77,11 @@ class Row:
 
 
 def estimate(config: Config, light: Light, timing: Timing, spad: Spad) -> tuple[np.ndarray, np.ndarray]:
-    """(committed events, minigroup records) of each subgroup in a laser period, float64[subgroups], without any simulation.
+    """(committed events, minigroup records) of each subgroup in a laser period, float64[subgroups], without any
+    simulation.
 
-    Background opens windows at random; a pulse is seen if it finds the tree armed, or a window open. Surfaces that are nearer
-    to one another than the window count as one; pixels of a group are taken as equal, with its mean.
+    Background opens windows at random; a pulse is seen if it finds the tree armed, or a window open. Surfaces that are
+    nearer to one another than the window count as one; pixels of a group are taken as equal, with its mean.
     """
     sensor, table = config.sensor, pixel_table(config.sensor)
     n, subgroups, laser_hz = sensor.pixels, sensor.subgroups, 1 / timing.period_s
@@ -133,7 +136,7 @@ def study(
 ) -> list[Row]:
     """Rows of all combinations (None: the defaults above), each for 1, 2, 4... streams up to those that suffice.
 
-    `tell` gets a line a frame. Raises `InputError`.
+    `tell` gets a line per frame. Raises `InputError`.
     """
     klux, thresholds, sizes = klux or KLUX, thresholds or THRESHOLDS, sizes or tuple(SIZES)
     for level in klux:
@@ -237,7 +240,7 @@ def table(rows: list[Row]) -> str:
         "klux",
         "threshold",
         "format",
-        "beats a frame: estimate",
+        "beats per frame: estimate",
         "golden",
         "streams: estimate",
         "golden",
@@ -325,7 +328,7 @@ def _plot(rows: list[Row]) -> Figure:
     loss.set_xscale("log", base=2)
     loss.set_xticks(STREAMS, labels=[str(streams) for streams in STREAMS])
     loss.set(
-        xlabel="streams, a beat a cycle each",
+        xlabel="streams, a beat per cycle each",
         ylabel="committed events dropped in %",
         ylim=(-2, 100),
         title=f"lost with fewer (id, threshold {SHOWN_THRESHOLD}, {SHOWN_KLUX:g} klux)",

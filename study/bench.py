@@ -1,7 +1,8 @@
+# SPDX-License-Identifier: Apache-2.0
 """How fast model and simulators run on this machine, side by side in one run: a flat JSON file, and a table beside it.
 
-A number is the median of several rounds. A round runs every engine once, so that whatever else the machine does meets all of them.
-`KEYS` says what is measured, and how.
+A number is the median of several rounds. A round runs every engine once, so that whatever else the machine does meets
+all of them. `KEYS` says what is measured, and how.
 """
 
 import json
@@ -12,9 +13,7 @@ import subprocess
 import tempfile
 import time
 from collections.abc import Callable
-from concurrent.futures import ProcessPoolExecutor
 from importlib.metadata import version
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -33,6 +32,7 @@ from ..model.light.timing import Timing
 from ..model.scenes.catalogue import load_scene
 from ..model.scenes.scene import scene_light
 from ..model.shared.files import whole_file
+from ..model.shared.interrupts import worker_processes
 from ..tb import pysim
 from ..tb.batch import BatchSensor, build_library
 from ..tb.frames import FrameJob
@@ -49,6 +49,14 @@ PULSES = {"cocotb-verilator": 40, "cocotb-icarus": 8, "amaranth": 2}  # slow eng
 CYCLES_PER_S = "{}_cycles_per_s"
 KIB_PER_MIB = 1024
 
+TO_DEPTH = {  # name: (size, format, method) of frames from photons through the golden model to depth
+    "32x32_maximum": ("32x32", "id", "maximum"),
+    "32x32_matched": ("32x32", "id", "matched"),
+    "32x32_planes": ("32x32", "id", "planes"),
+    "32x32_planes_full": ("32x32", "full", "planes"),
+    "256x128_planes": ("256x128", "id", "planes"),
+}
+
 _BEGINNING = "the same RTL in {}, the frame's first {} pulses; without start-up and registers"
 _Result = TypeVar("_Result")
 _VERSIONS = {"amaranth": "Amaranth", "cocotb": "cocotb", "numba": "Numba", "numpy": "NumPy", "verilator": "Verilator"}
@@ -59,7 +67,7 @@ KEYS = {  # key: (unit, what it is)
     "amaranth_cycles_per_s": ("cycles/s", _BEGINNING.format("Amaranth's own simulator", PULSES["amaranth"])),
     "golden_cycles_per_s": ("cycles/s", "golden model, from the edges' arrays to the beats' arrays; one thread"),
     "golden_edges_per_s": ("edges/s", "the same in edges"),
-    "photon_edges_per_s": ("edges/s", "photons to edges; a thread a core"),
+    "photon_edges_per_s": ("edges/s", "photons to edges; a thread per core"),
     "batch_per_cocotb_verilator": ("", "ratio of their cycles/s"),
     "golden_per_batch": ("", "ratio of their cycles/s"),
     **{
@@ -75,6 +83,10 @@ KEYS = {  # key: (unit, what it is)
                 "warm_s": ("s", "the same where it is: a new process finds it"),
             },
         }.items() for size in SIZES for name, (unit, text) in parts.items()
+    },
+    **{
+        f"to_depth_{name}_s": ("s", f"a frame of {size} from photons through the golden model to depth by {method}, format {form}")
+        for name, (size, form, method) in TO_DEPTH.items()
     },
     "edges": ("", "in the frame of 32x32"),
     "repeats": ("", "rounds"),
@@ -119,6 +131,9 @@ def benchmark(
     for size in SIZES:
         tell(f"{size}: {repeats} frames")
         result |= _in_new_process(_whole_frames, size, repeats)
+    for name in TO_DEPTH:
+        tell(f"photons to depth, {name}: {repeats} frames")
+        result[f"to_depth_{name}_s"] = _in_new_process(_to_depth_s, name, repeats)
     rounds = []
     for number in range(repeats):
         tell(f"builds: round {number + 1} of {repeats}")
@@ -237,6 +252,22 @@ def _whole_frames(size: str, repeats: int) -> dict[str, float]:
     }
 
 
+def _to_depth_s(name: str, repeats: int) -> float:
+    """Median time of a frame from photons through the golden model to depth."""
+    size, form, method = TO_DEPTH[name]
+    job, times = Job.of(size), []
+    config = job.config.with_frame(format=form)
+    golden = Golden(config.sensor)
+    for _ in range(repeats + 1):  # the first loads what is compiled
+        began = time.perf_counter()
+        trace = golden.frame(config, job.edges())
+        result = ResultBuilder(config)
+        result.add(trace.beats, trace.commit_subgroup, trace.commit_cycle)
+        estimate_depth(result.arrays(), config, method=method)
+        times.append(time.perf_counter() - began)
+    return statistics.median(times[1:])
+
+
 def _build_s(size: str) -> float:
     sensor = parse_config({"sensor": SIZES[size]}).sensor
     began = time.perf_counter()
@@ -249,7 +280,7 @@ def _medians(rounds: list[dict[str, float]]) -> dict[str, float]:
 
 
 def _in_new_process(function: Callable[..., _Result], *arguments: object, **environment: str) -> _Result:
-    with ProcessPoolExecutor(1, get_context("spawn"), _set_environment, (environment,)) as pool:
+    with worker_processes(1, _set_environment, environment) as pool:
         return pool.submit(function, *arguments).result()
 
 

@@ -1,8 +1,9 @@
+# SPDX-License-Identifier: Apache-2.0
 """This sensor and its rivals (`rivals.py`) on the same photons: depth, and the bits that it took.
 
 What is the same for all: the edges, the macro-pixels, the window and threshold of those that have one, the FIFOs and the
 stream of those that send words, the memory (`MEMORY_BITS`) of those that keep histograms, and the estimator, a matched filter
-on every pixel's histogram. The joint estimator, which needs to know the pixels, is shown with those that send single ones.
+on every pixel's histogram. That of planes is shown with those whose words it has a law for.
 """
 
 import math
@@ -26,9 +27,10 @@ from ..model.light.timing import Timing
 from ..model.shared.constants import SIGMA_PER_FWHM, SPEED_OF_LIGHT_M_S
 from . import rivals
 from .measures import stream_beats
+from .settling import SETTLING
 
 THRESHOLD, PULSES, RETURNS = 3, 100, 2
-FRAMES = 2  # the controller looks at the first one, the second one counts
+FRAMES = SETTLING + 1  # the controller settles in the others, the last one counts
 ADDER_S = 1e-9  # clock of the adder
 FINE_S = 250e-12  # bins of the count-weighted histogram
 MEMORY_BITS = 32_000  # of a macro-pixel's histogram
@@ -36,7 +38,7 @@ NEAR_BINS = 1  # around the peak of a coarse histogram that its centre is taken 
 
 
 class Shot(NamedTuple):
-    """Photons for all schemes. edges: of both frames; photons: of the second, by macro-pixel. threshold: of those that have one."""
+    """Photons for all schemes. edges: of all frames; photons: of the last, by macro-pixel. threshold: of those that have one."""
 
     config: Config
     timing: Timing
@@ -60,7 +62,7 @@ class Found(NamedTuple):
 def shoot(
     light: Light, seed: int, *, threshold: int = THRESHOLD, pulses: int = PULSES, timing: Timing | None = None
 ) -> Shot:
-    """Two frames of photons of `light` for sensors of its size, silicon preset otherwise."""
+    """Photons of `light` in `FRAMES` frames of a sensor of its size, silicon preset otherwise."""
     config = parse_config(
         {
             "sensor": {"rows": light.rows, "cols": light.cols},
@@ -108,11 +110,13 @@ def _count_weighted(shot: Shot) -> Found:
     )
 
 
-def _this(shot: Shot, settings: dict[str, Any], method: str = "matched", source: str = "map", **frame: int) -> Found:
-    config = shot.config.with_settings(**settings).with_frame(**frame)
-    arrays = golden_result(config, shot.edges)
-    depth = estimate_depth(arrays, config, method=method, source=source, frame=FRAMES - 1, returns=RETURNS)
-    beats = stream_beats(config, arrays["stored"][FRAMES - 1], arrays["mg_stored"][FRAMES - 1])
+def _this(shot: Shot, settings: dict[str, Any], method: str = "matched", source: str = "map", **frame: Any) -> Found:
+    config, edges = shot.config.with_settings(**settings).with_frame(**frame), shot.edges
+    if not config.auto.any():  # frames do not depend on those before
+        config, edges = config.with_frame(frames=1), edges.frame(FRAMES - 1, config.pulses)[0]
+    arrays, last = golden_result(config, edges), config.frames - 1
+    depth = estimate_depth(arrays, config, method=method, source=source, frame=last, returns=RETURNS)
+    beats = stream_beats(config, arrays["stored"][last], arrays["mg_stored"][last])
     return Found(depth.depth_m, int(beats.sum()) * BEAT_BITS)
 
 
@@ -127,9 +131,9 @@ SCHEMES: dict[str, Callable[[Shot], Found]] = {
     "this: controller": lambda shot: _this(shot, {"auto": True}),
     "this: pooled": lambda shot: _this(shot, {}, source="subgroup"),
     "this: minigroups": lambda shot: _this(shot, {}, source="minigroup", minigroup_records=True),
-    "winner: joint": lambda shot: _this(shot, {"coincidence": False}, method="joint"),
-    "this: fixed joint": lambda shot: _this(shot, {}, method="joint"),
-    "this: controller joint": lambda shot: _this(shot, {"auto": True}, method="joint"),
+    "winner: planes": lambda shot: _this(shot, {"coincidence": False}, method="planes", format="short"),
+    "this: fixed planes": lambda shot: _this(shot, {}, method="planes"),
+    "this: controller planes": lambda shot: _this(shot, {"auto": True}, method="planes"),
 }
 
 

@@ -1,30 +1,29 @@
-"""What the paper's parameters cost: area, bits of an event and readout rate, and what the ID map and the minigroups' stamps take.
+# SPDX-License-Identifier: Apache-2.0
+"""What the paper's parameters cost: area, bits of an event and readout rate, and what the ID map and the minigroups' stamps take; and what
+the steps of the coarse offsets do.
 
-Area is that of a module (two subgroups and their TDC) per pixel, in OSU 0.18 um standard cells; SPADs and wires are not in it. Only ratios
+Area is that of a module (two subgroups and their TDC) per pixel, in NanGate 45 nm standard cells; SPADs and wires are not in it. Only ratios
 mean anything in another process.
 """
 
 import csv
 import io
-import json
 from pathlib import Path
 from typing import Any
 
 from attrs import evolve
 from matplotlib.figure import Figure
 
-from ..flow.synth import CELLS, synthesize
-from ..flow.yosys import LIBERTY, cells_script, put_cells, run_yosys
+from ..flow.mapped import map_block
+from ..flow.synth import CELLS, GATES, synthesize
 from ..hdl import bus
-from ..hdl.export import FILE_LIST, verilog_files
+from ..hdl.export import units_files
+from ..hdl.minigroup import Minigroup
 from ..hdl.packetizer import Packetizer
 from ..hdl.subgroup import Subgroup
-from ..model.contract.packet import BEAT_BITS, FORMATS, layout
+from ..model.contract.packet import BEAT_BITS, FORMATS, Kind, layout
 from ..model.contract.parameters import CLOCK_MHZ, Sensor
 from ..model.shared.files import whole_file
-from ..model.shared.folders import build_root
-from ..model.shared.sources import digest
-from ..tb import toolchain
 from .plot_style import legend_below, new_figure, save_figure, style
 
 SWEEPS: dict[str, tuple[str, list[Any]]] = {  # parameter: its label, and the values beside the default's
@@ -32,13 +31,14 @@ SWEEPS: dict[str, tuple[str, list[Any]]] = {  # parameter: its label, and the va
     "minigroup": ("pixels of a minigroup", [(1, 1), (2, 2), (4, 4)]),
     "phases": ("phases of a clock cycle", [8, 16, 32, 64]),
 }
-OUTSIDE = ("sensor", "readout", "registers", "sequencer")  # blocks that are not in a module
-TABLE, PICTURE = "cost.csv", "cost.png"
+OUTSIDE = ("sensor", "readout", "controller", "registers", "sequencer")  # blocks that are not in a module
+OFFSET_PHASES = (4, 8, 16, 32)
+TABLE, OFFSETS_TABLE, PICTURE = "cost.csv", "cost_offsets.csv", "cost.png"
 
 
 def module_sensor(**parameters: Any) -> Sensor:
     """A sensor of one module. With 64 phases the coarse counter gives up a bit, for the stamp's field of the word."""
-    sensor = evolve(Sensor(rows=16, cols=32), **parameters, coarse_bits=9 if parameters.get("phases") == 64 else 10)
+    sensor = Sensor(rows=16, cols=32, **parameters)
     rows, cols = sensor.subgroup
     return evolve(sensor, rows=rows, cols=2 * cols)
 
@@ -70,6 +70,24 @@ def sweep() -> list[dict[str, Any]]:
     return rows
 
 
+def offsets() -> list[dict[str, Any]]:
+    """A row per number of steps of the coarse offsets: area, levels of a minigroup, and bits of an event, in the FIFO and in full format."""
+    rows = []
+    for steps in OFFSET_PHASES:
+        sensor = module_sensor(offset_phases=steps)
+        rows.append(
+            {
+                "offset_phases": steps,
+                "step_ps": 1e6 / CLOCK_MHZ / steps,
+                "area_um2_per_pixel": round(area_per_pixel_um2(sensor), 1),
+                "minigroup_levels": synthesize(sensor, GATES).blocks[Minigroup.unit_name].levels,
+                "fifo_bits": bus.event_layout(sensor).size,
+                "bits_full": BEAT_BITS * layout(sensor).length(Kind.EVENT_FULL),
+            }
+        )
+    return rows
+
+
 def shares() -> dict[str, float]:
     """Share of a subgroup's area that goes when the words are without a part: ID map, offsets of minigroups, records of minigroups."""
     sensor = Sensor()
@@ -77,7 +95,7 @@ def shares() -> dict[str, float]:
     base = event["window"].offset
     parts = {
         "ID map": ("head", base + window["hits"].offset, window["hits"].width),
-        "minigroup offsets": ("head", base + window["offsets"].offset, window["offsets"].width),
+        "minigroup offsets": ("head", event["offsets"].offset, event["offsets"].width),
         "minigroup records": ("record", 0, bus.record_layout(sensor).size),
     }
     whole = _subgroup_area_um2(sensor, None)
@@ -86,29 +104,10 @@ def shares() -> dict[str, float]:
 
 def _subgroup_area_um2(sensor: Sensor, cut: tuple[str, int, int] | None) -> float:
     """Area of a flattened subgroup. `cut`: (packetizer's input, lowest bit, width) that is held at 0; what only served it goes."""
-    files, top = verilog_files(sensor), Subgroup(sensor).unit_name
-    del files[FILE_LIST]
+    name, changed = f"{Packetizer.unit_name}.v", {}
     if cut:
-        name = f"{Packetizer.unit_name}.v"
-        files[name] = _without(files[name], Packetizer(sensor), *cut)
-    script = "\n".join(
-        [
-            f"read_verilog {' '.join(files)}",
-            *cells_script(top, flatten=True),
-            f"tee -q -o stat.json stat -json -liberty {LIBERTY.name}",
-            "",
-        ]
-    )
-
-    def make(folder: Path) -> None:
-        for name, text in files.items():
-            (folder / name).write_text(text)
-        put_cells(folder)
-        run_yosys(script, folder)
-
-    key = digest(script, *(part for item in sorted(files.items()) for part in item))
-    folder = toolchain.build_once(build_root() / "synth" / f"subgroup-{key}", make)
-    return float(json.loads((folder / "stat.json").read_text())["modules"][f"\\{top}"]["area"])
+        changed[name] = _without(units_files([Packetizer(sensor)])[name], Packetizer(sensor), *cut)
+    return map_block(Subgroup(sensor), changed=changed).area_um2
 
 
 def _without(text: str, unit: Packetizer, port: str, lowest: int, width: int) -> str:
@@ -138,16 +137,21 @@ def _without(text: str, unit: Packetizer, port: str, lowest: int, width: int) ->
 
 
 def write_pages(folder: Path) -> list[str]:
-    """Writes table and picture of the sweeps to `folder`; returns lines that say what map and stamps take."""
+    """Writes tables and picture of the sweeps to `folder`; returns lines that say what map and stamps take."""
     rows = sweep()
+    for name, table in ((TABLE, rows), (OFFSETS_TABLE, offsets())):
+        _write_table(folder / name, table)
+    save_figure(_draw(rows), folder / PICTURE)
+    return [f"{name}: {100 * share:.0f} % of a subgroup" for name, share in shares().items()]
+
+
+def _write_table(path: Path, rows: list[dict[str, Any]]) -> None:
     table = io.StringIO()
     writer = csv.DictWriter(table, rows[0], lineterminator="\n")
     writer.writeheader()
     writer.writerows(rows)
-    with whole_file(folder / TABLE, "w") as file:
+    with whole_file(path, "w") as file:
         file.write(table.getvalue())
-    save_figure(_draw(rows), folder / PICTURE)
-    return [f"{name}: {100 * share:.0f} % of a subgroup" for name, share in shares().items()]
 
 
 def _draw(rows: list[dict[str, Any]]) -> Figure:
@@ -174,7 +178,7 @@ def _draw(rows: list[dict[str, Any]]) -> Figure:
                 axis.margins(y=0.1)
                 axis.set_ylim(0)
             rate.set_xlabel(label)
-        grid[0, 0].set_ylabel("area per pixel in 1000 um2\n(OSU 0.18 um)")
+        grid[0, 0].set_ylabel("area per pixel in 1000 um2\n(NanGate 45 nm)")
         grid[1, 0].set_ylabel("bits of an event")
         grid[2, 0].set_ylabel(f"million events per s\nand stream, {CLOCK_MHZ:g} MHz")
         legend_below(figure)

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """One frame in numbers: what an architect compares sensors by.
 
 Our choice; `wrong_share` is that of the paper's Fig. 7.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Depth pictures: several estimates of a scene side by side, on one scale in metres."""
 
 from collections.abc import Sequence
@@ -5,6 +6,7 @@ from collections.abc import Sequence
 import matplotlib
 import numpy as np
 from attrs import frozen
+from matplotlib.axes import Axes
 from matplotlib.collections import PatchCollection
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
@@ -14,7 +16,8 @@ from ..model.shared.files import FilePath
 from .plot_style import DEPTH_MAP, INVALID_COLOUR, new_figure, save_figure, style
 
 PANEL_IN = 3.1
-PANELS_ACROSS = 4  # then a second row begins
+PANELS_ACROSS = 5  # then a second row begins
+BLOCK_MAP, BLOCK_MAX = "Blues", 10  # light enough for black numbers up to the controller's highest threshold
 SCALE_MARGIN = 0.05  # of the range of depths, on both sides of the colour bar
 
 
@@ -27,19 +30,31 @@ class Panel:
 
 
 def depth_row(
-    path: FilePath, panels: Sequence[Panel], truth_m: np.ndarray, heading: str = "", *, tolerance_m: float = TOLERANCE_M
+    path: FilePath,
+    panels: Sequence[Panel],
+    truth_m: np.ndarray,
+    heading: str = "",
+    *,
+    blocks: tuple[str, np.ndarray] | None = None,
+    tolerance_m: float = TOLERANCE_M,
 ) -> list[float]:
     """Writes `draw_row` to `path` (.png or .svg), and returns the share of wrong pixels of each panel."""
-    figure, shares = draw_row(panels, truth_m, heading, tolerance_m=tolerance_m)
+    figure, shares = draw_row(panels, truth_m, heading, blocks=blocks, tolerance_m=tolerance_m)
     save_figure(figure, path)
     return shares
 
 
 def draw_row(
-    panels: Sequence[Panel], truth_m: np.ndarray, heading: str = "", *, tolerance_m: float = TOLERANCE_M
+    panels: Sequence[Panel],
+    truth_m: np.ndarray,
+    heading: str = "",
+    *,
+    blocks: tuple[str, np.ndarray] | None = None,
+    tolerance_m: float = TOLERANCE_M,
 ) -> tuple[Figure, list[float]]:
-    """The truth and `panels` side by side, four in a row: the figure, and the share of wrong pixels of each panel.
+    """The truth and `panels` side by side, at most five in a row: the figure, and the share of wrong pixels of each panel.
 
+    blocks: title and small integers [subgroups down, across], which a last panel shows as numbers on the subgroups.
     One metres-to-colour scale, which spans the truth: what lies beyond it takes the colour at its end. Pixels without a
     truth are grey with a cross, without an estimate grey. Titles give the share of wrong pixels (`depth.wrong_share`).
     """
@@ -48,8 +63,9 @@ def draw_row(
     margin_m = max(SCALE_MARGIN * (far_m - near_m), tolerance_m)
     rows, cols = truth_m.shape
     height_in = PANEL_IN * rows / cols
-    across = min(len(panels) + 1, PANELS_ACROSS)
-    down = -(-(len(panels) + 1) // across)
+    places = 1 + len(panels) + (blocks is not None)
+    across = min(places, PANELS_ACROSS)
+    down = -(-places // across)
     with style(axes_grid=False):
         figure = new_figure(PANEL_IN * across + 0.9, (height_in + 0.75) * down + (0.6 if heading else 0.35))
         grid = figure.subplots(down, across, squeeze=False)
@@ -65,8 +81,10 @@ def draw_row(
             axis.spines[:].set_visible(False)
         for axis in grid[:, 0]:
             axis.set_ylabel("row")
-        for axis in axes[len(panels) + 1 :]:
+        for axis in axes[places:]:
             axis.set_visible(False)
+        if blocks is not None:
+            _draw_blocks(axes[places - 1], *blocks, truth_m.shape)
         for axis, panel, share in zip(axes[1:], panels, shares):
             axis.set_title(f"{panel.title}\n{share:.1%} of pixels wrong")
             wrong = np.argwhere(wrong_pixels(panel.depth_m, truth_m, tolerance_m))
@@ -80,3 +98,16 @@ def draw_row(
         if heading:
             figure.suptitle(heading, fontsize=12)
     return figure, shares
+
+
+def _draw_blocks(axis: Axes, title: str, blocks: np.ndarray, shape: tuple[int, ...]) -> None:
+    """Numbers on the array's subgroups; the higher, the darker."""
+    rows, cols = shape
+    extent = (-0.5, cols - 0.5, rows - 0.5, -0.5)
+    axis.imshow(blocks, cmap=BLOCK_MAP, vmin=0, vmax=BLOCK_MAX, extent=extent)
+    for (i, j), value in np.ndenumerate(blocks):
+        x, y = (j + 0.5) * cols / blocks.shape[1] - 0.5, (i + 0.5) * rows / blocks.shape[0] - 0.5
+        axis.text(x, y, str(value), ha="center", va="center", color="black")
+    axis.set_title(title)
+    axis.set_xlabel("column")
+    axis.spines[:].set_visible(False)

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """How every picture looks, and how it is written: whole or not at all, the same bytes for the same data."""
 
 import io
@@ -80,9 +81,14 @@ def share_axis(axis: Axes, **others: Any) -> None:
 def save_figure(figure: Figure, *paths: FilePath) -> None:
     """Writes `figure` to each path (.png or .svg)."""
     for path in map(Path, paths):
-        kind = path.suffix[1:]
-        with style():
-            data = io.BytesIO()
-            figure.savefig(data, format=kind, metadata=_UNDATED[kind])
+        content = figure_bytes(figure, path.suffix[1:])
         with whole_file(path) as file:
-            file.write(data.getvalue())
+            file.write(content)
+
+
+def figure_bytes(figure: Figure, kind: str) -> bytes:
+    """`figure` as a file of the kind png or svg."""
+    with style():
+        data = io.BytesIO()
+        figure.savefig(data, format=kind, metadata=_UNDATED[kind])
+    return data.getvalue()

@@ -1,33 +1,78 @@
+# SPDX-License-Identifier: Apache-2.0
 """Depth as a cloud of points in space, and as a PLY file that any viewer of clouds opens."""
 
 import numpy as np
 
 from ..model.depth.estimate import Depth
 from ..model.light.link_budget import Optics
+from ..model.shared.errors import InputError
 from ..model.shared.files import FilePath, whole_file
 
-FIELDS = ("x", "y", "z", "confidence")
-POINT = np.dtype([(name, "<f4") for name in FIELDS])
+_FIELDS, _NORMAL = ("x", "y", "z", "confidence"), ("nx", "ny", "nz")
+POINT = np.dtype([(name, "<f4") for name in _FIELDS])
+POINT_WITH_NORMAL = np.dtype([(name, "<f4") for name in (*_FIELDS, *_NORMAL)])
 
 
-def point_cloud(depth: Depth, optics: Optics | None = None) -> np.ndarray:
-    """A point for every depth, `POINT`[n]: row by row, the returns of a pixel one after the other; pixels without depth have none.
+def point_cloud(depth: Depth, optics: Optics | None = None, *, normals: bool = False) -> np.ndarray:
+    """One point in space per depth: row by row, the returns of a pixel one after the other; pixels without depth have none.
 
-    x, y, z: metres from the lens, to the right of the picture, down, and along the axis. A pixel sees along the ray through its
-    middle, and its depth is the way on that ray. optics: whose field of view the pixels share, evenly spaced in the plane of the
-    sensor. confidence: that of the depth.
+    A pixel sees along the ray through its middle, and its depth is the length along that ray.
+
+    Parameters
+    ----------
+    depth : Depth
+    optics : Optics or None
+        Its field of view is shared by the pixels, which are evenly spaced in the plane of the sensor; None: that of the paper.
+    normals : bool
+        Whether to add the unit normal of the surface, towards the sensor (NaN where the slope is not known).
+
+    Returns
+    -------
+    numpy.ndarray
+        Structured array with the fields `x` (to the right), `y` (down) and `z` (along the axis) in metres from the lens, `confidence`, and
+        `nx`, `ny`, `nz` with normals.
+
+    Raises
+    ------
+    InputError
+        If normals are asked for and the depth has no slopes.
     """
+    if normals and depth.slope_m is None:
+        raise InputError("normals: the depth has no slopes, must be of method planes")
     optics = optics or Optics()
     rows, cols, _ = depth.depth_m.shape
     right, down = np.meshgrid(_tangents(cols, optics.fov_h_deg), _tangents(rows, optics.fov_v_deg))
     ray = np.stack([right, down, np.ones_like(right)], axis=2)
     ray /= np.linalg.norm(ray, axis=2, keepdims=True)
     seen = ~np.isnan(depth.depth_m)
-    points = np.empty(np.count_nonzero(seen), POINT)
+    points = np.empty(np.count_nonzero(seen), POINT_WITH_NORMAL if normals else POINT)
     for name, part in zip("xyz", np.moveaxis(ray, 2, 0)):
         points[name] = (part[:, :, None] * depth.depth_m)[seen]
     points["confidence"] = depth.confidence[seen]
+    if normals and depth.slope_m is not None:
+        for name, part in zip(_NORMAL, np.moveaxis(_normals(depth.depth_m, depth.slope_m, right, down, ray), 3, 0)):
+            points[name] = part[seen]
     return points
+
+
+def _normals(
+    depth_m: np.ndarray, slope_m: np.ndarray, right: np.ndarray, down: np.ndarray, ray: np.ndarray
+) -> np.ndarray:
+    """float64[rows, cols, returns, 3]: of first returns only. right, down: tangents; ray: unit vectors [rows, cols, 3]."""
+    length = 1 / ray[:, :, 2]
+    along = []  # how a point of the surface moves from row to row, and from column to column
+    for axis, tangent in enumerate((down, right)):
+        step = np.gradient(tangent, axis=axis) if tangent.shape[axis] > 1 else np.zeros_like(tangent)
+        unit = np.zeros_like(ray)
+        unit[:, :, 1 - axis] = 1
+        turn = (unit - ray * ray[:, :, [1 - axis]]) * (step / length)[:, :, None]
+        along.append(slope_m[:, :, axis, None] * ray + depth_m[:, :, :1] * turn)
+    first = np.cross(*along)
+    first /= np.linalg.norm(first, axis=2, keepdims=True)
+    first *= np.where((first * ray).sum(axis=2, keepdims=True) > 0, -1, 1)
+    found = np.full((*depth_m.shape, 3), np.nan)
+    found[:, :, 0] = first
+    return found
 
 
 def _tangents(pixels: int, fov_deg: float) -> np.ndarray:
@@ -38,6 +83,7 @@ def _tangents(pixels: int, fov_deg: float) -> np.ndarray:
 def write_ply(path: FilePath, points: np.ndarray) -> None:
     """Writes points (`point_cloud`) as binary PLY, whole or not at all."""
     header = ["ply", "format binary_little_endian 1.0", "comment metres; x right, y down, z forward"]
-    header += [f"element vertex {len(points)}", *(f"property float {name}" for name in FIELDS), "end_header", ""]
+    fields = [f"property float {name}" for name in points.dtype.names or ()]
+    header += [f"element vertex {len(points)}", *fields, "end_header", ""]
     with whole_file(path) as file:
-        file.write("\n".join(header).encode() + points.astype(POINT).tobytes())
+        file.write("\n".join(header).encode() + points.tobytes())

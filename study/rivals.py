@@ -1,8 +1,10 @@
-"""Other ways from edges to depth, on the same edges, each as small as its idea; and the bandwidth that those which send words share.
+# SPDX-License-Identifier: Apache-2.0
+"""Other ways from edges to depth, on the same edges, each as small as its idea; and the bandwidth that those which send
+words share.
 
 A macro-pixel is a subgroup: every scheme sees its pixels' edges and nothing else. Some send words, a stamp for a run of
-photons, through FIFOs and a stream like this sensor's; some sum up a histogram for each macro-pixel on the chip and send it
-at the frame's end. The ideas are known from the literature in many forms; these forms are our choice.
+photons, through FIFOs and a stream like this sensor's; some sum up a histogram for each macro-pixel on the chip and
+send it at the frame's end. The ideas are known from the literature in many forms; these forms are our choice.
 """
 
 from collections.abc import Iterator
@@ -24,7 +26,8 @@ _close_cycle, _armed_cycle = njit(close_cycle), njit(armed_cycle)
 class Photons(NamedTuple):
     """One frame's edges by subgroup, then pulse, tick and pixel; int64[n].
 
-    pulse: subgroup * pulses + the laser pulse of the frame. inside: the pixel in the subgroup. pulses: of the frame. subgroups; pixels: of each.
+    pulse: subgroup * pulses + the laser pulse of the frame. inside: the pixel in the subgroup. pulses: of the frame.
+    subgroups; pixels: of each.
     """
 
     pulse: np.ndarray
@@ -40,7 +43,8 @@ class Photons(NamedTuple):
 
 
 class Words(NamedTuple):
-    """What a scheme sends: each word stands for the photons [start, stop), has the stamp of one of them (tick) and their pixels; int64[n].
+    """What a scheme sends: each word stands for the photons [start, stop), has the stamp of one of them (tick) and
+    their pixels; int64[n].
 
     The order is that of the photons: by subgroup, then time.
     """
@@ -149,9 +153,10 @@ def counted_arrival(photons: Photons, words: Words, sigma_ticks: float) -> np.nd
 
 
 def read_out(photons: Photons, words: Words, sensor: Sensor, phases: int, period: int, beats: int) -> np.ndarray:
-    """bool[n]: which words find a place in their subgroup's FIFO, that the stream empties, a word of `beats` cycles at a time, round robin.
+    """bool[n]: which words find a place in their subgroup's FIFO, that the stream empties, a word of `beats` cycles at
+    a time, round robin.
 
-    As in this sensor, but for its latencies of a few cycles. period: cycles.
+    As in this sensor, except for its latencies of a few cycles. period: cycles.
     """
     subgroup = photons.subgroup[words.start]
     cycle = photons.pulse[words.start] % photons.pulses * period + words.stamp // phases

@@ -1,8 +1,9 @@
+# SPDX-License-Identifier: Apache-2.0
 """A run from the scene to what left the sensor, with what one asks of it next: the front door of the library."""
 
 import os
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from attrs import frozen
@@ -11,23 +12,39 @@ from ..model.contract.config import Config, load_config
 from ..model.contract.edges import Edges
 from ..model.contract.result import events_table, write_result
 from ..model.depth.estimate import Depth, estimate_depth
-from ..model.depth.histograms import pixel_histogram
-from ..model.light.light import Light
+from ..model.light.light import BACKGROUNDS, Light
 from ..model.light.link_budget import Optics
 from ..model.light.photons import generate_edges
 from ..model.light.spad import Spad
 from ..model.light.timing import Timing
+from ..model.scenes.ambient import Ambient
 from ..model.scenes.catalogue import load_scene
 from ..model.scenes.scene import Scene, scene_light
 from ..tb.replay import replay
 from .point_cloud import point_cloud, write_ply
 
+if TYPE_CHECKING:
+    from .show.notebook import PixelHistogram, Shown
+
 
 @frozen(eq=False, kw_only=True)
 class Run:
-    """What was simulated, and what left the sensor: the arrays of the result file, of all frames (`model/contract/result.py`).
+    """A simulated run: its inputs, and what left the sensor in all its frames.
 
-    Every method is a function of the same module set to this run; arguments and errors are the function's.
+    `simulate` returns it. Arguments and errors of the methods are those of the functions that they name.
+
+    Attributes
+    ----------
+    config : Config
+        The checked configuration.
+    scene : Scene
+        Distances and reflectivities that the pixels see.
+    light : Light
+        Detected signal and background of every pixel.
+    edges : Edges
+        All SPAD avalanches of the run.
+    result : dict of str to numpy.ndarray
+        The arrays of the result file, of all frames (docs/contract.md, "Files").
     """
 
     config: Config
@@ -37,27 +54,51 @@ class Run:
     result: dict[str, np.ndarray]
 
     def depth(self, **options: Any) -> Depth:
-        """`estimate_depth`: distance of every pixel (`frame`, `method`, `returns`)."""
+        """Distance of every pixel; the options are those of `estimate_depth` (`frame`, `method`, `returns`)."""
         return estimate_depth(self.result, self.config, **options)
 
     def events(self) -> Any:
-        """`events_table`: a row for every event."""
+        """One row per event that left the sensor; see `events_table`."""
         return events_table(self.result)
 
-    def histogram(self, pixel: int, **options: Any) -> np.ndarray:
-        """`pixel_histogram`: hits of a pixel, by tick (`frame`, `source`)."""
-        return pixel_histogram(self.result, self.config, pixel, **options)
+    def histogram(self, pixel: int, **options: Any) -> "PixelHistogram":
+        """Hits of one pixel per tick (see `pixel_histogram`); in a notebook it is drawn, with the truth and the candidates."""
+        from .show.notebook import PixelHistogram
 
-    def point_cloud(self, optics: Optics | None = None, **options: Any) -> np.ndarray:
-        """`point_cloud` of the depth that `estimate_depth` gives with the other options."""
-        return point_cloud(self.depth(**options), optics)
+        return PixelHistogram.of(self, pixel, **options)
+
+    def point_cloud(self, optics: Optics | None = None, *, normals: bool = False, **options: Any) -> np.ndarray:
+        """Points in space; `options` are those of `estimate_depth`. See `point_cloud`."""
+        return point_cloud(self.depth(**options), optics, normals=normals)
+
+    def to_pandas(self) -> Any:
+        """The same as `events`, under the name that pandas users look for."""
+        return self.events()
+
+    def plot(self, **options: Any) -> "Shown":
+        """All views of one frame, linked to each other, for a notebook (`frame`, `method`)."""
+        from .show.notebook import plot
+
+        return plot(self, **options)
+
+    def timeline(self, subgroup: int, pulse: int, **options: Any) -> "Shown":
+        """Every edge and window of one subgroup in one laser period, for a notebook (`frame`)."""
+        from .show.notebook import plot_timeline
+
+        return plot_timeline(self, subgroup, pulse, **options)
+
+    def _repr_html_(self) -> str:
+        """What a notebook shows of the run: `show.notebook.summary`."""
+        from .show.notebook import summary
+
+        return summary(self)
 
     def to_ply(self, path: str | Path, **options: Any) -> None:
-        """`write_ply` of the same."""
+        """Writes `point_cloud` as a PLY file."""
         write_ply(path, self.point_cloud(**options))
 
     def save(self, path: str | Path) -> None:
-        """`write_result`: the result file (NPZ)."""
+        """Writes the result file (NPZ), whole or not at all."""
         write_result(path, self.result)
 
 
@@ -65,18 +106,46 @@ def simulate(
     config: Config | str | Path | None = None,
     scene: Scene | str = "five-objects",
     *,
-    klux: float = 50.0,
+    klux: Ambient = 50.0,
+    background: str = BACKGROUNDS[0],
     seed: int = 1,
     spad: Spad | None = None,
     engine: str = "golden",
 ) -> Run:
-    """The scene's photons in all frames of a configuration, through an engine of `tb/replay.py`.
+    """Simulate all frames of a configuration: photons of a scene, then the sensor.
 
-    config: or what `load_config` takes; scene: or what `load_scene` takes; seed: of the light. Raises `InputError`.
+    The same arguments always give the same arrays.
+
+    Parameters
+    ----------
+    config : Config, str, Path or None
+        A configuration, or what `load_config` accepts: a TOML file, a preset (`silicon`, `fpga`), or None for the defaults.
+    scene : Scene or str
+        A scene, or what `load_scene` accepts: a built-in scene, a depth file, or a ray-traced scene.
+    klux : float, numpy.ndarray or str
+        Ambient light in klux; also an array in klux, `"2|100"` for two halves, or a file (docs/light.md).
+    background : str
+        `reflected`: in proportion to the reflectivity of each surface; `even`: the same for every pixel.
+    seed : int
+        Seed of the photons.
+    spad : Spad or None
+        The detector; None is the one of the paper.
+    engine : str
+        `golden` (the model, no RTL tool needed), `verilator`, `icarus`, `cocotb-verilator` or `cocotb-icarus` (the RTL).
+
+    Returns
+    -------
+    Run
+        Inputs and result, with methods for depth, events, histograms and point clouds.
+
+    Raises
+    ------
+    InputError
+        If an argument is out of range; the message names the field and its legal range.
     """
     config = config if isinstance(config, Config) else load_config(config)
     scene = scene if isinstance(scene, Scene) else scene_of(config, scene)
-    light = scene_light(scene, klux)
+    light = scene_light(scene, klux, background=background)
     edges = generate_edges(
         light,
         spad or Spad(),
@@ -88,7 +157,7 @@ def simulate(
     return Run(config=config, scene=scene, light=light, edges=edges, result=replay(engine, config, edges))
 
 
-def scene_of(config: Config, source: str) -> Scene:
-    """The scene that `source` names (`load_scene`), as the pixels of a configuration see it within its laser period's range."""
+def scene_of(config: Config, source: str, scale: float = 1.0) -> Scene:
+    """The scene that `source` names (see `load_scene`, also for `scale`), as the pixels of a configuration see it."""
     sensor = config.sensor
-    return load_scene(source, sensor.rows, sensor.cols, range_m=Timing.from_config(config).range_m)
+    return load_scene(source, sensor.rows, sensor.cols, scale=scale, range_m=Timing.from_config(config).range_m)

@@ -1,7 +1,8 @@
-"""The main job: a scene, its light, three frames through the sensor, and the depth that each of them gives.
+# SPDX-License-Identifier: Apache-2.0
+"""The main job: a scene, its light, frames through the sensor in three schemes, and the depth that each of them gives.
 
-The frames see the same photons and differ in one thing: `off`, coincidence off (the paper's scheme 1); `fixed`, the programmed
-threshold; `auto`, per subgroup the threshold that the controller found in the frame before. Every beat and commit of the RTL is
+`off`: coincidence off (the paper's scheme 1). `fixed`: one threshold for all subgroups. `auto`: the controller's thresholds, after
+frames of new photons in which it settles. The frames that are compared see the same photons. Every beat and commit of the RTL is
 checked against the golden model while it runs.
 """
 
@@ -14,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from attrs import frozen
+from numpy.typing import ArrayLike
 from rich.console import Console
 from rich.progress import BarColumn, Progress, SpinnerColumn, TaskID, TextColumn, TimeElapsedColumn
 from rich.table import Table
@@ -21,47 +23,59 @@ from rich.table import Table
 from ..model.contract.config import SUBGROUP_INTEGERS, Config
 from ..model.contract.edges import Edges
 from ..model.contract.parameters import TOP
+from ..model.contract.pixels import subgroup_image
+from ..model.contract.registers import THRESHOLD_MAX
 from ..model.contract.result import ResultBuilder, write_result
 from ..model.depth.estimate import estimate_depth
-from ..model.golden.frame import Golden, Trace
+from ..model.depth.quality import OTHER_SURFACE_M, wrong_share
+from ..model.golden.frame import Golden, Trace, golden_result
+from ..model.light.light import BACKGROUNDS, Light
 from ..model.light.photons import generate_edges
 from ..model.light.spad import Spad, SpadGate
 from ..model.light.timing import Timing
+from ..model.scenes.ambient import Ambient, told_klux
 from ..model.scenes.scene import Scene, scene_light
 from ..model.shared.errors import InputError
+from ..model.shared.extras import extra
 from ..model.shared.files import whole_file
 from ..tb.errors import Mismatch
 from ..tb.frames import FrameJob, Recorded
 from ..tb.replay import DEFAULT_VIEW, chosen_view
 from ..tb.waves import views
+from .measures import stream_beats
 from .pictures import Panel, depth_row
 from .run import scene_of
+from .settling import SETTLING
+from .show.frame import frame_view
 
 if TYPE_CHECKING:
     from ..hdl.views import View
 
-EVENTS, REPORT = "events.npz", "report.json"
+EVENTS, REPORT, PAGE = "events.npz", "report.json", "report.html"
+METHOD = "planes"  # by which the best fixed threshold is chosen
 PICTURES = {  # file: (estimator of `model/depth/estimate.py`, what the report's keys end with, heading)
-    "depth.png": ("joint", "", "surfaces from the ID maps"),
+    "depth.png": (METHOD, "", "planes through the likelihood of all events"),
     "depth_peak.png": ("maximum", "_peak", "peak of every pixel's histogram, as in the paper"),
 }
-SCHEMES = {  # name: (title, settings that it overrides)
+SCHEMES = {  # name: (title, settings that it overrides), in the order of the frames
     "off": ("coincidence off", {"coincidence": False, "auto": False}),
-    "fixed": ("threshold {threshold}", {"coincidence": True, "auto": False}),
-    "auto": ("threshold per subgroup", {"coincidence": True, "auto": True}),
+    "fixed": ("one threshold: {threshold}", {"coincidence": True, "auto": False}),
+    "auto": ("controller", {"coincidence": True, "auto": True}),
 }
+SLOW_ENGINES, SLOW_SETTLING = ("icarus", "cocotb-icarus"), 2
+DEFAULT_THRESHOLD = 2  # of a configuration that names none
 Progressed = Callable[[int], None]
 
 
 @frozen(eq=False)
 class Frames:
-    """What the frames of `SCHEMES`, one after the other, made of the same edges.
+    """What the sensor made of the frames of a `Plan`.
 
-    configs: of each. arrays: of the result file (`model/contract/result.py`), frame k = scheme k. cycles: of all frames; checked: beats and commits
-    that were compared; seconds: that the engine took. wave: the waveform or None.
+    arrays: of the result file (`model/contract/result.py`), frame k = frame k of the plan. cycles: of all frames; checked: beats and
+    commits that were compared; seconds: that the engine took. wave: the waveform or None. traces: the golden model's frames.
     """
 
-    configs: list[Config]
+    traces: list[Trace]
     arrays: dict[str, np.ndarray]
     cycles: int
     checked: int
@@ -69,9 +83,48 @@ class Frames:
     wave: Path | None
 
 
+@frozen(eq=False)
+class Plan:
+    """The frames to play: configuration and edges of each, and which of them stands for each of `SCHEMES` in the comparison."""
+
+    configs: list[Config]
+    edges: list[Edges]
+    shown: dict[str, int]
+
+    @property
+    def cycles(self) -> int:
+        """Cycles of all frames' periods."""
+        return sum(config.frame_cycles for config in self.configs)
+
+
+def plan_frames(config: Config, edges: Edges, threshold: ArrayLike, settling: int) -> Plan:
+    """`off` and `fixed` at `threshold` on the last frame's photons, then `settling` frames of `auto`; edges: of `settling` frames."""
+    thresholds = {"fixed": {"threshold": threshold}}
+    configs = {
+        name: config.with_frame(frames=1).with_settings(**settings, **thresholds.get(name, {}))
+        for name, (_, settings) in SCHEMES.items()
+    }
+    photons = [edges.frame(k, config.pulses)[0] for k in range(settling)]
+    return Plan(
+        configs=[configs["off"], configs["fixed"], *[configs["auto"]] * settling],
+        edges=[photons[-1], photons[-1], *photons],
+        shown={"off": 0, "fixed": 1, "auto": 1 + settling},
+    )
+
+
+def best_threshold(config: Config, edges: Edges, truth_m: np.ndarray) -> int:
+    """The threshold of 1 to 7 for all subgroups that leaves the fewest pixels wrong; the lowest of equal ones. By the golden model."""
+    _, settings = SCHEMES["fixed"]
+    wrong = {}
+    for threshold in range(1, min(THRESHOLD_MAX, config.sensor.pixels) + 1):
+        tried = config.with_frame(frames=1).with_settings(**settings, threshold=threshold)
+        arrays = golden_result(tried, edges)
+        wrong[threshold] = wrong_share(estimate_depth(arrays, tried, method=METHOD).depth_m[:, :, 0], truth_m)
+    return min(wrong, key=lambda threshold: (wrong[threshold], threshold))
+
+
 def run_frames(
-    config: Config,
-    edges: Edges,
+    plan: Plan,
     engine: str,
     out: Path,
     *,
@@ -79,30 +132,29 @@ def run_frames(
     progress: Progressed = lambda cycles: None,
     view: "str | View" = DEFAULT_VIEW,
 ) -> Frames:
-    """Plays `edges` once for each of `SCHEMES` through an engine of `replay.ENGINES`; a simulator's log goes to `out`.
+    """Plays a plan's frames through an engine of `replay.ENGINES`; a simulator's log goes to `out`.
 
     `progress` gets the cycles done; view: as of `replay.chosen_view`. Raises `Mismatch` at the first difference between RTL and golden
     model, `SimulationError`, `toolchain.ToolchainError`.
     """
-    chosen = chosen_view(engine, view, config.clock_mhz)
-    configs = [config.with_frame(frames=1).with_settings(**settings) for _, settings in SCHEMES.values()]
-    golden = Golden(config.sensor)
+    chosen = chosen_view(engine, view, plan.configs[0].clock_mhz)
+    golden = Golden(plan.configs[0].sensor)
     wave: Path | None = None
     began = time.perf_counter()
-    traces = [golden.frame(scheme, edges) for scheme in configs]
+    traces = [golden.frame(config, edges) for config, edges in zip(plan.configs, plan.edges)]
     shown: Sequence[Trace | Recorded] = traces
     if chosen is not None:
         from ..tb.play import play
 
         began = time.perf_counter()
-        jobs = [FrameJob(scheme, edges, trace) for scheme, trace in zip(configs, traces)]
+        jobs = [FrameJob(*job) for job in zip(plan.configs, plan.edges, traces)]
         shown, wave = play(jobs, engine, out, waves=waves, progress=progress, view=chosen)
     seconds = time.perf_counter() - began
-    result = ResultBuilder(config)
+    result = ResultBuilder(plan.configs[0])
     for frame in shown:
         result.add(frame.beats, frame.commit_subgroup, frame.commit_cycle)
     checked = sum(getattr(frame, "checked", 0) for frame in shown)
-    return Frames(configs, result.arrays(), sum(map(_cycles, shown)), checked, seconds, wave)
+    return Frames(traces, result.arrays(), sum(map(_cycles, shown)), checked, seconds, wave)
 
 
 def _cycles(frame: Recorded | Trace) -> int:
@@ -114,70 +166,85 @@ def simulate(
     source: str,
     config: Config,
     *,
-    klux: float,
+    klux: Ambient,
+    background: str = BACKGROUNDS[0],
     seed: int,
     engine: str,
     out: Path,
     console: Console,
+    threshold: int | None = None,
+    settling: int | None = None,
     waves: bool = False,
     spad_gate: bool = False,
+    scale: float = 1.0,
     view: "str | View" = DEFAULT_VIEW,
 ) -> dict[str, Any]:
-    """Simulates the scene `source` (`model/scenes/scene.py`); leaves `PICTURES`, events.npz and report.json in `out` and returns the report.
+    """Simulates a scene; leaves `PICTURES`, report.html, events.npz and report.json in `out` and returns the report.
 
-    events.npz: a result file of three frames, in the order of `SCHEMES`. spad_gate: gating keeps the SPADs off outside the gate.
-    Raises `InputError`, and what `run_frames` raises; after a `Mismatch` only the report is there, with `mismatches` = 1.
+    source: what `load_scene` takes; klux: what `ambient_klux` takes; background: one of `BACKGROUNDS`. threshold: of `fixed`; None: the
+    configuration's where it programs others than the default, else the best of 1 to 7 for this scene. settling: frames of `auto`
+    (None: `SETTLING`). spad_gate: gating keeps the SPADs off outside the gate. events.npz: a result file of all frames, in the order of
+    `plan_frames`. Raises `InputError`, and what `run_frames` raises; after a `Mismatch` only the report is there, with `mismatches` = 1.
     """
     shown = chosen_view(engine, view, config.clock_mhz)
     if config.format == "short":
         raise InputError("frame.format = 'short': must be id or full, as depth comes from the ID map")
-    timing, scene = Timing.from_config(config), scene_of(config, source)
-    light = scene_light(scene, klux)
+    if threshold is not None:
+        config = config.with_settings(threshold=threshold)
+    settling = settling or (SLOW_SETTLING if engine in SLOW_ENGINES else SETTLING)
+    timing, scene = Timing.from_config(config), scene_of(config, source, scale)
+    light = scene_light(scene, klux, background=background)
+    ambient = told_klux(klux)
     gate = SpadGate.from_config(config) if spad_gate else None
     given = {
         "scene": scene.name,
-        "klux": klux,
+        "scale": scale,
+        "klux": ambient,
+        "background": background,
         "seed": seed,
         "engine": engine,
         "view": shown.name if shown else DEFAULT_VIEW,
+        "frames": settling,
         "clock_mhz": config.clock_mhz,
         "tick_s": timing.tick_s,
         "range_m": timing.range_m,
         "spad_gate": spad_gate,
         "configuration": settings_of(config),
     }
-    results = [out / name for name in (*PICTURES, EVENTS)]
+    results = [out / name for name in (*PICTURES, EVENTS, PAGE)]
     with _Bar(console) as bar:
         bar.stage("photons")
         edges = generate_edges(
-            light, Spad(), timing, pulses=config.pulses, seed=seed, gate=gate, workers=os.cpu_count() or 1
+            light, Spad(), timing, pulses=settling * config.pulses, seed=seed, gate=gate, workers=os.cpu_count() or 1
         )
+        fixed = config.threshold
+        if threshold is None and np.all(fixed == DEFAULT_THRESHOLD):
+            bar.stage("best threshold")
+            last, _ = edges.frame(settling - 1, config.pulses)
+            fixed = np.full_like(fixed, best_threshold(config, last, scene.truth_m))
+        plan = plan_frames(config, edges, fixed, settling)
         if shown is not None:
             bar.stage("RTL: emitted and compiled once")
             from ..tb.play import prepare
 
             prepare(engine, config.sensor, waves, shown)
-        bar.stage(f"{len(SCHEMES)} frames on {engine}", len(SCHEMES) * config.frame_cycles)
+        bar.stage(f"{len(plan.configs)} frames on {engine}", plan.cycles)
         try:
-            frames = run_frames(config, edges, engine, out, waves=waves, progress=bar.done, view=view)
+            frames = run_frames(plan, engine, out, waves=waves, progress=bar.done, view=view)
         except Mismatch as mismatch:
             for path in results:  # of an earlier run
                 path.unlink(missing_ok=True)
             _write_report(out, {"mismatches": 1, "mismatch": str(mismatch)} | given)
             raise
         bar.stage("depth")
-        titles = {name: title.format(threshold=_span(config.threshold)) for name, (title, _) in SCHEMES.items()}
-        shares: dict[str, float] = {}
-        for file, (method, suffix, heading) in PICTURES.items():
-            panels = [
-                Panel(titles[name], estimate_depth(frames.arrays, scheme, method=method, frame=k).depth_m[:, :, 0])
-                for k, (name, scheme) in enumerate(zip(SCHEMES, frames.configs))
-            ]
-            heading = f"{scene.name}, {klux:g} klux, {config.pulses} laser pulses: {heading}"
-            found = depth_row(out / file, panels, scene.truth_m, heading)
-            shares |= {f"wrong_share_{name}{suffix}": share for name, share in zip(SCHEMES, found)}
+        titles = {name: title.format(threshold=_span(fixed)) for name, (title, _) in SCHEMES.items()}
+        ambient_shown = ambient if isinstance(ambient, str) else f"{ambient:g}"
+        heading = f"{scene.name}, {ambient_shown} klux, {config.pulses} laser pulses"
+        shares = _pictures(out, heading, titles, plan, frames, scene.truth_m)
     write_result(out / EVENTS, frames.arrays)
-    report = _report(frames, edges) | shares | given
+    if not _write_page(out / PAGE, heading, titles, plan, frames, scene, light):
+        results.remove(out / PAGE)
+    report = _report(plan, frames) | shares | given
     _write_report(out, report)
     written = [*results, out / REPORT]
     if frames.wave:
@@ -185,8 +252,47 @@ def simulate(
     else:
         for path in out.glob(f"{TOP}.*"):  # of an earlier run
             path.unlink()
-    _tell(console, scene, frames, titles, report, written)
+    _tell(console, (*scene.notes, *light.notes()), config, titles, report, written)
     return report
+
+
+def _write_page(
+    path: Path, heading: str, titles: dict[str, str], plan: Plan, frames: Frames, scene: Scene, light: Light
+) -> bool:
+    """Writes the views of the frames that are compared as one HTML file; False where the extra `explore` is not installed."""
+    try:
+        with extra("explore"):
+            from .show.report import write_report
+    except InputError:
+        path.unlink(missing_ok=True)  # of an earlier run
+        return False
+    parts = [
+        frame_view(titles[name], plan.configs[k], scene, light, plan.edges[k], frames.traces[k], frames.arrays, frame=k)
+        for name, k in plan.shown.items()
+    ]
+    write_report(path, heading, parts)
+    return True
+
+
+def _pictures(
+    out: Path, heading: str, titles: dict[str, str], plan: Plan, frames: Frames, truth_m: np.ndarray
+) -> dict[str, float]:
+    """Writes `PICTURES`; the shares of wrong pixels, by the paper's criterion and by 15 cm, under the report's keys."""
+    shares: dict[str, float] = {}
+    blocks = subgroup_image(_thresholds(plan, frames, "auto"), plan.configs[0].sensor)
+    for file, (method, suffix, what) in PICTURES.items():
+        panels = [
+            Panel(titles[name], estimate_depth(frames.arrays, plan.configs[k], method=method, frame=k).depth_m[:, :, 0])
+            for name, k in plan.shown.items()
+        ]
+        depth_row(out / file, panels, truth_m, f"{heading}: {what}", blocks=("the controller's thresholds", blocks))
+        for name, panel in zip(SCHEMES, panels):
+            key = f"wrong_share_{name}{suffix}"
+            shares |= {
+                key: wrong_share(panel.depth_m, truth_m),
+                f"{key}_15cm": wrong_share(panel.depth_m, truth_m, OTHER_SURFACE_M),
+            }
+    return shares
 
 
 def settings_of(config: Config) -> dict[str, Any]:
@@ -198,17 +304,17 @@ def settings_of(config: Config) -> dict[str, Any]:
     subgroup["mask"] = [f"{sum(1 << int(i) for i in np.flatnonzero(mask)):x}" for mask in config.mask]
     return {
         "sensor": sensor,
-        "frame": config.frame,
+        "frame": config.frame | {"auto_bounds": config.auto_bounds.tolist(), "capacity": config.capacity},
         "subgroup": {name: v[0] if len(set(v)) == 1 else v for name, v in subgroup.items()},
     }
 
 
-def _report(frames: Frames, edges: Edges) -> dict[str, Any]:
+def _report(plan: Plan, frames: Frames) -> dict[str, Any]:
     """Flat keys; numbers are of all frames together, or end with the scheme."""
     arrays = frames.arrays
     report = {
         "cycles": frames.cycles,
-        "edges": len(SCHEMES) * len(edges),
+        "edges": sum(map(len, plan.edges)),
         "events": len(arrays["pulse"]),
         "dropped": int(arrays["dropped"].sum()),
         "mismatches": 0,
@@ -216,18 +322,22 @@ def _report(frames: Frames, edges: Edges) -> dict[str, Any]:
         "cycles_per_s": round(frames.cycles / frames.seconds, 1),
         "seconds": round(frames.seconds, 3),
     }
-    for k, name in enumerate(SCHEMES):
+    for name, k in plan.shown.items():
+        config = plan.configs[k]
+        beats = stream_beats(config, arrays["stored"][k], arrays["mg_stored"][k])
         report |= {
             f"events_{name}": int(arrays["stored"][k].sum()),
             f"dropped_{name}": int(arrays["dropped"][k].sum()),
-            f"threshold_{name}": _thresholds(frames, k).tolist(),
+            f"load_{name}": float(beats.max() / (config.frame_cycles * config.link_share)),
+            f"threshold_{name}": _thresholds(plan, frames, name).tolist(),
         }
     return report
 
 
-def _thresholds(frames: Frames, k: int) -> np.ndarray:
-    """int64[subgroups]: what a window had to hold in frame k."""
-    return np.where(frames.configs[k].coincidence, frames.arrays["threshold_used"][k], 1)
+def _thresholds(plan: Plan, frames: Frames, scheme: str) -> np.ndarray:
+    """int64[subgroups]: what a window had to hold in the frame that stands for a scheme."""
+    k = plan.shown[scheme]
+    return np.where(plan.configs[k].coincidence, frames.arrays["threshold_used"][k], 1)
 
 
 def _write_report(out: Path, report: dict[str, Any]) -> None:
@@ -275,24 +385,33 @@ class _Bar:
 
 
 def _tell(
-    console: Console, scene: Scene, frames: Frames, titles: dict[str, str], report: dict[str, Any], written: list[Path]
+    console: Console,
+    notes: tuple[str, ...],
+    config: Config,
+    titles: dict[str, str],
+    report: dict[str, Any],
+    written: list[Path],
 ) -> None:
     """The table at the end."""
     table = Table(box=None, header_style="bold", pad_edge=False)
     table.add_column("frame", no_wrap=True)
-    for title in ("threshold", "events", "dropped", "wrong pixels", "peaks only"):
+    for title in ("threshold", "events", "dropped", "link load", "wrong pixels", "by peaks"):
         table.add_column(title, justify="right")
-    for k, name in enumerate(SCHEMES):
+    for name, title in titles.items():
         table.add_row(
-            titles[name],
-            _span(_thresholds(frames, k)),
+            title,
+            _span(np.array(report[f"threshold_{name}"])),
             f"{report[f'events_{name}']:,}",
             f"{report[f'dropped_{name}']:,}",
+            f"{report[f'load_{name}']:.0%}",
             f"{report[f'wrong_share_{name}']:.1%}",
             f"{report[f'wrong_share_{name}_peak']:.1%}",
         )
     console.print(table)
-    for note in scene.notes:
+    console.print(f"the controller's thresholds after {report['frames']} frames, by subgroup:")
+    for row in subgroup_image(np.array(report["threshold_auto"]), config.sensor):
+        console.print("  " + " ".join(map(str, row)))
+    for note in notes:
         console.print(note, markup=False, emoji=False, soft_wrap=True)
     checked = (
         f"{report['checked']:,} beats and commits equal the golden model's"

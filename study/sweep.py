@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Sweeps: a grid of points on Dask workers, each from photons to depth, into one Parquet file.
 
 Finished points are kept beside the result, a small file each under the digest of everything that it depends on. So a sweep
@@ -29,6 +30,7 @@ from ..model.light.photons import generate_edges
 from ..model.scenes.scene import Scene
 from ..model.shared.errors import InputError
 from ..model.shared.files import whole_file
+from ..model.shared.quantities import Numbers
 from ..tb.errors import SimulationError
 from ..tb.replay import replay
 from .measures import MEASURES, measures
@@ -98,7 +100,9 @@ def sweep(
     return Summary(sum(point.key in found for point in spec.points), before, dict(sorted(failed.items())))
 
 
-def run_point(settings: dict[str, Any], document: dict[str, Any], scene: Scene, expected: dict[str, str]) -> Found:
+def run_point(
+    settings: dict[str, Any], document: dict[str, Any], scene: Scene, klux: Numbers, expected: dict[str, str]
+) -> Found:
     """A point's `MEASURES`, of its last frame: photons, engine, depth. Runs on a worker.
 
     Raises `RuntimeError` if `versions` are not as `expected`: the worker would give other numbers than the others.
@@ -106,7 +110,7 @@ def run_point(settings: dict[str, Any], document: dict[str, Any], scene: Scene, 
     if (own := versions(settings["engine"])) != expected:
         raise RuntimeError(f"the worker's versions are not the sweep's: {own}, {expected}")
     config = parse_config(document)
-    edges = generate_edges(**photons_of(settings, config, scene))
+    edges = generate_edges(**photons_of(settings, config, scene, klux))
     arrays, last = replay(settings["engine"], config, edges), config.frames - 1
     depth = estimate_depth(arrays, config, method=settings["method"], frame=last)
     seen = int(np.sum(edges.pulse // config.pulses == last))
@@ -202,8 +206,8 @@ def results(points: list[Point], client: Client) -> Iterator[tuple[Point, Found 
         # A task of its own: sent once, and made again where the worker that held it is lost.
         scene = scenes.get(id(point.scene)) or client.submit(_itself, point.scene, pure=False)
         scenes[id(point.scene)] = scene
-        expected = versions(point.settings["engine"])
-        running[client.submit(run_point, point.settings, point.document, scene, expected, pure=False)] = point
+        given = (point.settings, point.document, scene, point.klux, versions(point.settings["engine"]))
+        running[client.submit(run_point, *given, pure=False)] = point
     for task in as_completed(list(running), loop=client.loop):
         point = running.pop(task)
         try:
@@ -226,6 +230,13 @@ def _reason(error: BaseException) -> str:
     return text if isinstance(error, InputError) else f"{type(error).__name__}: {text}"
 
 
+def _swept(values: list[Any], real: bool) -> pa.Array:
+    """A column of swept values. real: numbers are real ones; beside texts (light that differs across the picture) they are texts, too."""
+    if real and any(isinstance(value, str) for value in values):
+        return pa.array([value if isinstance(value, str) else f"{value:g}" for value in values], pa.string())
+    return pa.array(values, pa.float64() if real else None)
+
+
 def write_table(path: Path, spec: Spec, found: dict[str, Found]) -> None:
     """Writes a row for each point of `spec` that `found` has by key; the bytes depend on these two alone.
 
@@ -235,7 +246,7 @@ def write_table(path: Path, spec: Spec, found: dict[str, Found]) -> None:
     points = [point for point in spec.points if point.key in found]
     columns, fields = [], []
     for name in points[0].values if points else ():
-        column = pa.array([point.values[name] for point in points], pa.float64() if name in REAL_SETTINGS else None)
+        column = _swept([point.values[name] for point in points], real=name in REAL_SETTINGS)
         columns.append(column)
         fields.append(pa.field(name, column.type, metadata={"meaning": "swept"}))
     for name, (kind, meaning) in MEASURES.items():

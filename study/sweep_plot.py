@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The summary of a sweep: one axis across, one as lines, the others as bands."""
 
 from pathlib import Path

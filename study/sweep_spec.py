@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What a sweep runs: the points of its SPEC file, every one checked before the first runs.
 
 A SPEC is a configuration file with more keys: `SETTINGS`, `config` (a file or preset that its tables are laid over), and
@@ -17,14 +18,16 @@ from attrs import frozen
 from .. import __version__
 from ..model.contract.config import PRESETS, Config, parse_config, read_toml
 from ..model.depth.estimate import METHODS
+from ..model.light.light import BACKGROUNDS
 from ..model.light.photons import edge_chunks
 from ..model.light.spad import Spad, SpadGate
 from ..model.light.timing import Timing
+from ..model.scenes.ambient import ambient_klux
 from ..model.scenes.catalogue import load_scene
 from ..model.scenes.scene import Scene, scene_light
 from ..model.shared.errors import InputError, check_integer
 from ..model.shared.files import FilePath
-from ..model.shared.quantities import check_choice, check_real
+from ..model.shared.quantities import Numbers, check_choice, check_real
 from ..model.shared.sources import digest, sources_digest
 from .simulate import settings_of
 
@@ -32,9 +35,10 @@ TABLES = ("sensor", "frame", "subgroup")  # of the configuration, whose keys may
 SETTINGS = {  # of a point, beside its configuration: default
     "scene": "five-objects",
     "klux": 50.0,
+    "background": BACKGROUNDS[0],
     "seed": 1,
     "engine": "golden",
-    "method": "joint",
+    "method": "planes",
     "spad_gate": False,
 }
 CLOCK, FRAME_CLOCK = "clock_mhz", "frame.clock_mhz"  # one key: a SPEC may write it outside its table
@@ -46,7 +50,8 @@ SEED_MAX = (1 << 63) - 1  # a column of the result holds it
 @frozen(kw_only=True, eq=False)
 class Point:
     """One point. name, values: what is swept. at: its index along each axis. document: of its configuration. scene: what the pixels look
-    at. settings: all there is to know, the configuration in the shape of its file. key: digest of what the numbers depend on.
+    at. klux: ambient light, a number or float64[rows, cols]. settings: all there is to know, the configuration in the shape of its file.
+    key: digest of what the numbers depend on.
     """
 
     name: str
@@ -55,6 +60,7 @@ class Point:
     document: dict[str, Any]
     settings: dict[str, Any]
     scene: Scene
+    klux: Numbers
     key: str
 
 
@@ -75,7 +81,7 @@ class Spec:
 @cache
 def versions(engine: str) -> dict[str, str]:
     """What an engine's numbers depend on, whatever the settings; `code` is a digest of the sources."""
-    code = sources_digest("model", "study", *(() if engine == "golden" else ("hdl", "tb")))
+    code = sources_digest("model", "study", *(() if engine == "golden" else ("hdl", "host", "tb")))
     return {"coincid": __version__, "code": code} | {name: version(name) for name in ("numba", "numpy", "scipy")}
 
 
@@ -196,12 +202,15 @@ def _point(
             raise InputError("frame.format = 'short': must be id or full, as depth comes from the ID map")
         range_m = Timing.from_config(config).range_m
         scene = scenes(settings["scene"], config.sensor.rows, config.sensor.cols, range_m=range_m)
-        edge_chunks(**photons_of(settings, config, scene))  # checks everything, makes nothing yet
+        klux = ambient_klux(settings["klux"], scene.rows, scene.cols)
+        edge_chunks(**photons_of(settings, config, scene, klux))  # checks everything, makes nothing yet
     except InputError as error:
         raise InputError(f"point {name}: {error}") from None
     settings["configuration"] = settings_of(config)
     values = values | {key: settings[key] for key in values if key in SETTINGS}
     looks: tuple[bytes | str, ...] = (
+        np.asarray(klux).tobytes(),
+        scene.sunlit.tobytes(),
         scene.distance_m.tobytes(),
         scene.reflectivity.tobytes(),
         str(scene.distance_m.shape),
@@ -211,13 +220,13 @@ def _point(
             array.tobytes() for array in (scene.transient.first, scene.transient.index, scene.transient.strength_per_m2)
         )
     key = digest(json.dumps([settings, versions(settings["engine"])], sort_keys=True), *looks)
-    return Point(name=name, values=values, at=at, document=document, settings=settings, scene=scene, key=key)
+    return Point(name=name, values=values, at=at, document=document, settings=settings, scene=scene, klux=klux, key=key)
 
 
-def photons_of(settings: dict[str, Any], config: Config, scene: Scene) -> dict[str, Any]:
+def photons_of(settings: dict[str, Any], config: Config, scene: Scene, klux: Numbers) -> dict[str, Any]:
     """Arguments of `generate_edges` for all frames of a point."""
     return {
-        "light": scene_light(scene, settings["klux"]),
+        "light": scene_light(scene, klux, background=settings["background"]),
         "spad": Spad(),
         "timing": Timing.from_config(config),
         "pulses": config.frames * config.pulses,
@@ -233,7 +242,8 @@ def _settings(given: dict[str, Any]) -> dict[str, Any]:
     if not isinstance(given["spad_gate"], bool):
         raise InputError(f"spad_gate = {given['spad_gate']!r}: must be true or false")
     return given | {
-        "klux": check_real("klux", given["klux"], 0),
+        "klux": given["klux"] if isinstance(given["klux"], str) else check_real("klux", given["klux"], 0),
+        "background": check_choice("background", given["background"], BACKGROUNDS),
         "seed": check_integer("seed", given["seed"], 0, SEED_MAX),
         "engine": check_choice("engine", given["engine"], ENGINES),
         "method": check_choice("method", given["method"], tuple(METHODS)),

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: Apache-2.0
 // Stress of the asynchronous front end, for Icarus: random edges at every scale, and what must hold of every word.
 //
 // +edges=N: how many; +seed=N. Prints the counts as a line of JSON.

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: Apache-2.0
 // Batch engine: the sensor's modules and its core, each compiled once by Verilator, wired and stepped here.
 //
 // Every output of a module and of the core comes from a register, and every input of a module goes straight into one. So a clock edge needs no
@@ -55,9 +56,9 @@ struct Commit { int64_t subgroup, cycle; };
 struct alignas(64) Part {
     std::atomic<uint64_t> claimed{0}, done{0};  // the last cycle that somebody took, and finished
     uint64_t beat[STREAMS];
-    bool valid[STREAMS];
+    bool valid[STREAMS], beat_controlled[STREAMS];
     uint32_t data;
-    bool gate_late;
+    bool gate_late, upset;
     std::vector<int> stored, record_stored;
 };
 
@@ -183,7 +184,7 @@ private:
         shared_.frame = core_->frame;
         shared_.timing = core_->timing;
         shared_.rst = core_->rst;
-        for_each_stream(*core_, [&](int s, auto&, auto&, auto&, auto&, auto&, auto&, auto&, auto&, auto& grant, auto& send) {
+        for_each_stream(*core_, [&](int s, auto&, auto&, auto&, auto&, auto&, auto&, auto&, auto&, auto&, auto& grant, auto& send) {
             std::memcpy(shared_.grant[s], words_of(grant), sizeof(grant));
             shared_.send[s] = send;
         });
@@ -212,19 +213,22 @@ private:
     // The joins of the modules' outputs, as the top module has them.
     void gather() {
         core_->data = 0;
-        core_->gate_late = 0;
+        core_->gate_late = core_->settings_upset = 0;
         for (auto& part : parts_) {
             core_->data |= part.data;
             core_->gate_late |= part.gate_late;
+            core_->settings_upset |= part.upset;
         }
-        for_each_stream(*core_, [&](int s, auto&, auto&, auto&, auto&, auto& stored, auto& record_stored, auto& valid, auto& beat, auto&, auto&) {
+        for_each_stream(*core_, [&](int s, auto&, auto&, auto&, auto&, auto& stored, auto& record_stored, auto& valid, auto& beat, auto& beat_controlled, auto&, auto&) {
             clear(stored);
             clear(record_stored);
             valid = 0;
             beat = 0;
+            beat_controlled = 0;
             for (auto& part : parts_) {
                 valid |= part.valid[s];
                 beat |= part.beat[s];
+                beat_controlled |= part.beat_controlled[s];
                 for (int subgroup : part.stored) if (stream_of(subgroup) == s) set_bit(stored, subgroup - STREAM_FIRST[s]);
                 for (int subgroup : part.record_stored) if (stream_of(subgroup) == s) set_bit(record_stored, subgroup - STREAM_FIRST[s]);
             }
@@ -247,8 +251,10 @@ private:
             for (int64_t& e = next_[subgroup]; e < end_[subgroup] && cycle_of_[e] == cycle_; e++) words[bit_of_edge_[e] / 32] = 0;
         part.valid[s] |= Line<LINE>::valid(module);
         part.beat[s] |= Line<LINE>::beat(module);
+        part.beat_controlled[s] |= Line<LINE>::beat_controlled(module);
         part.data |= Line<LINE>::data(module);
         part.gate_late |= Line<LINE>::gate_late(module);
+        part.upset |= Line<LINE>::upset(module);
         if (Line<LINE>::stored(module)) part.stored.push_back(subgroup);
         if (Line<LINE>::record_stored(module)) part.record_stored.push_back(subgroup);
     }
@@ -267,7 +273,8 @@ private:
         if (!part.claimed.compare_exchange_strong(before, epoch, std::memory_order_acquire)) return;
         std::fill(std::begin(part.beat), std::end(part.beat), 0);
         std::fill(std::begin(part.valid), std::end(part.valid), false);
-        part.data = part.gate_late = 0;
+        std::fill(std::begin(part.beat_controlled), std::end(part.beat_controlled), false);
+        part.data = part.gate_late = part.upset = 0;
         part.stored.clear();
         part.record_stored.clear();
         int64_t parts = parts_.size();

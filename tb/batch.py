@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Batch engine: whole frames through the Verilated sensor, without Python in the loop.
 
 The repeated unit (a module) and the rest (the core) are compiled once each and wired in C++ (`batch.cpp`), so the
@@ -17,6 +18,8 @@ from attrs import evolve
 
 from ..hdl.sensor import CORE
 from ..hdl.subgroup import own_ports
+from ..host.driver import Driver
+from ..host.transport import RefusedError
 from ..model.contract import registers
 from ..model.contract.config import Config
 from ..model.contract.edges import Edges
@@ -41,10 +44,6 @@ COMPILER = ("-std=gnu++20", "-O2", "-fPIC")
 MAKE_OPTIONS = ("VM_PARALLEL_BUILDS=0", "OPT_FAST=-O2", "OPT_GLOBAL=-O2")
 
 
-class AccessError(RuntimeError):
-    """The sensor refused a register access (SLVERR)."""
-
-
 def wiring_header(sensor: Sensor) -> str:
     """What `batch.cpp` needs to know of a sensor."""
     n = sensor.subgroups
@@ -53,7 +52,10 @@ def wiring_header(sensor: Sensor) -> str:
     visits = []
     for stream in range(sensor.streams):
         axis = [f"core.{sensor.stream_name(stream)}_{wire}" for wire in ("tdata", "tvalid", "tready", "tlast")]
-        nets = [f"core.{net}_of_{stream}" for net in ("stored", "record_stored", "valid", "beat", "grant", "send")]
+        nets = [
+            f"core.{net}_of_{stream}"
+            for net in ("stored", "record_stored", "valid", "beat", "beat_controlled", "grant", "send")
+        ]
         visits.append(f"    visit({stream}, {', '.join(axis + nets)});")
     lines = ["template <int LINE> struct Line;"]
     for line in range(2):
@@ -160,7 +162,10 @@ def _library(path: Path) -> ctypes.CDLL:
 
 
 class BatchSensor:
-    """A sensor under reset and then in use: registers, frames. A context manager; `threads` share the modules."""
+    """A sensor under reset and then in use: registers, frames. A context manager; `threads` share the modules.
+
+    It is a transport of the host driver, which programs it; a frame needs light, so `frame` starts one.
+    """
 
     def __init__(self, sensor: Sensor, threads: int | None = None):
         self.sensor = sensor
@@ -169,7 +174,8 @@ class BatchSensor:
         self._engine = self._library.coincid_new(
             threads or max(1, min(os.cpu_count() or 1, modules // MODULES_A_THREAD))
         )
-        self._programmed = registers.reset_values(sensor)
+        self.driver = Driver(self, sensor, fresh=True)
+        self._beats: list[np.ndarray] = [np.zeros(0, np.uint64)] * sensor.streams
 
     def __enter__(self) -> "BatchSensor":
         return self
@@ -179,16 +185,21 @@ class BatchSensor:
         self._engine = None
 
     def write(self, address: int, value: int) -> None:
-        """Writes a register; raises `AccessError` where the sensor answers SLVERR."""
+        """Writes a register; raises `RefusedError` where the sensor answers SLVERR."""
         if self._library.coincid_write(self._engine, address, value):
-            raise AccessError(f"write of {value:#x} to {address:#07x}: SLVERR")
+            raise RefusedError(f"write of {value:#x} to {address:#07x}: SLVERR")
 
     def read(self, address: int) -> int:
-        """Reads a register; raises `AccessError` where the sensor answers SLVERR."""
+        """Reads a register; raises `RefusedError` where the sensor answers SLVERR."""
         value = ctypes.c_uint32()
         if self._library.coincid_read(self._engine, address, value):
-            raise AccessError(f"read of {address:#07x}: SLVERR")
+            raise RefusedError(f"read of {address:#07x}: SLVERR")
         return value.value
+
+    def receive(self, stream: int) -> np.ndarray:
+        """Beats (uint64) of the frame that was played last, once."""
+        beats, self._beats[stream] = self._beats[stream], np.zeros(0, np.uint64)
+        return beats
 
     def frame(
         self,
@@ -198,11 +209,8 @@ class BatchSensor:
         progress: Callable[[int], None] = lambda cycle: None,
     ) -> Recorded:
         """Programs the settings, plays a frame and returns what it showed, as `cosim.SensorBench.play` does."""
-        for address, value in config.register_writes():
-            if self._programmed.get(address) != value:
-                self.write(address, value)
-                self._programmed[address] = value
-        ready = np.ascontiguousarray(ready if ready is not None else [], np.uint8)
+        self.driver.program(config)
+        ready = np.ascontiguousarray(config.tready(ready))
         cycle, bit, bounds = _by_subgroup(config, edges)
         control = registers.BY_NAME["control"]
         refused = self._library.coincid_start(
@@ -218,28 +226,23 @@ class BatchSensor:
             1 << control.bit("start"),
         )
         if refused:
-            raise AccessError(f"start: SLVERR, status {self.read(registers.address('status')):#x}")
+            raise RefusedError(f"start: SLVERR, status {self.read(registers.address('status')):#x}")
         while (status := self._library.coincid_run(self._engine, CHUNK_CYCLES)) == RUNNING:
             progress(self._library.coincid_cycle(self._engine))
         if status == HANGS:
             raise SimulationError(
                 f"no frame end after {self._library.coincid_cycle(self._engine)} cycles: the sensor hangs"
             )
-        self._wait_done()
+        self.driver.finish()
         beats, cycles = [], []
         for stream in range(self.sensor.streams):
             rows = self._rows(self._library.coincid_beats, stream)
             beats.append(rows[:, 0].copy())
             cycles.append(rows[:, 1].astype(np.int64))
+        self._beats = list(beats)
         commits = self._rows(self._library.coincid_commits).astype(np.int64)
         commits = commits[np.argsort(commits[:, 0], kind="stable")]
         return Recorded(beats, cycles, commits[:, 0], commits[:, 1], max(int(c[-1]) for c in cycles) + 1)
-
-    def _wait_done(self) -> None:
-        status, done = registers.address("status"), 1 << registers.BY_NAME["status"].bit("done")
-        while not self.read(status) & done:
-            pass
-        self.write(status, done)
 
     def _rows(self, get: Callable[..., int], *which: int) -> np.ndarray:
         """Pairs of 64-bit words that the engine keeps, as uint64[n, 2]."""

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The cocotb test that plays frames through the sensor. It runs inside the simulator; `replay.py` starts it.
 
 The test bench acts at falling edges: what it reads there are the cycle's outputs, what it writes is taken by the
@@ -19,6 +20,7 @@ from cocotb_bus.drivers.amba import AXI4LiteMaster
 from coincid.hdl import bus
 from coincid.hdl.sequencer import LEAD
 from coincid.hdl.silicon.circuit import STEP_FS, clock_fs
+from coincid.host.programmed import Programmed
 from coincid.model.contract import registers
 from coincid.model.contract.config import Config
 from coincid.model.contract.edges import Edges
@@ -54,7 +56,7 @@ class SensorBench:
             [getattr(dut, f"{name}_{wire}") for name in names] for wire in ("tdata", "tvalid", "tready", "tlast")
         )
         self.stored = [getattr(dut, f"stored_of_{stream}") for stream in range(sensor.streams)]
-        self.programmed: dict[int, int] = {}
+        self.programmed = Programmed()
 
     async def reset(self) -> None:
         """Starts the clock and resets; the programmed settings are unknown to the bench afterwards."""
@@ -67,7 +69,7 @@ class SensorBench:
         self.dut.rst.value = 0
         for _ in range(4):
             await RisingEdge(self.dut.clk)
-        self.programmed.clear()
+        self.programmed.forget()
 
     async def write(self, name: str, value: int, subgroup: int = 0, index: int = 0) -> None:
         """Writes a register; a refused write raises cocotb-bus's `AXIProtocolError`."""
@@ -79,10 +81,9 @@ class SensorBench:
 
     async def program(self, config: Config) -> None:
         """Writes the settings that differ from what was programmed before."""
-        for address, value in config.register_writes():
-            if self.programmed.get(address) != value:
-                await self.axi.write(address, value)
-                self.programmed[address] = value
+        for address, value in self.programmed.pending(config.register_writes()):
+            await self.axi.write(address, value)
+            self.programmed.note(address, value)
 
     def shine(self, config: Config, edges: Edges) -> dict[int, list[tuple[int, int]]]:
         """The words that `play` drives, by cycle of the frame."""
@@ -99,9 +100,10 @@ class SensorBench:
         """Plays a frame and returns what it showed. `board` raises at the first difference from the golden model."""
         sensor = self.sensor
         words = self.shine(config, edges)
-        low = {int(c) for c in np.flatnonzero(np.asarray(ready) == 0)}
+        ready = config.tready(ready)
+        low = {int(c) for c in np.flatnonzero(ready == 0)}
         await self.program(config)
-        started = cocotb.start_soon(self.write("control", 1 << registers.BY_NAME["control"].bit("start")))
+        started = cocotb.start_soon(self.write("control", registers.control("start")[1]))
         falling = FallingEdge(self.dut.clk)
         laser = self.dut.laser
         for line in self.tready:

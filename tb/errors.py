@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What a run of the RTL may end with."""
 
 from pathlib import Path

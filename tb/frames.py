@@ -1,4 +1,5 @@
-"""A frame to play and what it showed: what all ways of running the RTL take and give."""
+# SPDX-License-Identifier: Apache-2.0
+"""A frame to play, and what was recorded: input and output of all ways of running the RTL."""
 
 import pickle
 from pathlib import Path
@@ -9,7 +10,7 @@ from attrs import define, field, frozen
 from ..model.contract.config import Config
 from ..model.contract.edges import Edges
 from ..model.contract.latency import FINISH
-from ..model.contract.packet import layout
+from ..model.contract.link import beats_waiting_max
 from ..model.golden.frame import Trace
 
 JOB_VARIABLE = "COINCID_JOB"  # of the simulator's environment: path of the job
@@ -22,7 +23,8 @@ STORED_TO_COMMIT = 1  # the subgroup's `stored` strobe stands a cycle after the 
 class FrameJob:
     """A frame to play. expected: the golden model's prediction, checked on the fly; None: only recorded.
 
-    ready: uint8[n], `tready` of cycle c is ready[c], and 1 from cycle n on.
+    ready: uint8[n], what stands behind the streams' links takes a beat in cycle c where ready[c] is 1, and from cycle n
+    on.
     """
 
     config: Config
@@ -44,8 +46,8 @@ class Recorded:
 
 
 def save_job(path: Path, frames: list[FrameJob], lines: bool = False) -> dict[str, str]:
-    """Writes frames for `cosim.py` to play; returns the environment in which it finds them. lines: whether SPAD lines rise at their
-    own picosecond (the view with delays)."""
+    """Writes frames for `cosim.py` to play; returns the environment in which it finds them. lines: whether SPAD lines
+    rise at their own picosecond (the view with delays)."""
     path.write_bytes(pickle.dumps((frames, lines)))
     return {JOB_VARIABLE: str(path)}
 
@@ -56,7 +58,5 @@ def load_job(path: Path) -> tuple[list[FrameJob], bool]:
 
 
 def cycle_limit(config: Config, ready_cycles: int) -> int:
-    """Cycles by which a frame must have ended, whatever it holds: a sensor that needs more hangs."""
-    sensor, parts = config.sensor, layout(config.sensor)
-    waiting = sensor.subgroups * ((sensor.fifo_depth + 2) * parts.longest + parts.counter_beats)
-    return config.frame_cycles + ready_cycles + FINISH + 2 * waiting + 1000
+    """Cycles after which any frame must have ended: a sensor that needs more has hung."""
+    return config.frame_cycles + ready_cycles + FINISH + 2 * beats_waiting_max(config.sensor) + 1000

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Plays frames through the RTL, in the batch engine or in a simulator under cocotb."""
 
 import pickle

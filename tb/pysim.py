@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The sensor in Amaranth's own simulator: the slowest way to run it, and the only one that no Verilog is part of."""
 
 from collections.abc import Callable
@@ -12,6 +13,22 @@ from ..model.contract.edges import Edges
 from .errors import SimulationError
 from .frames import cycle_limit
 from .stimulus import port_words
+
+
+async def write_register(ctx: SimulatorContext, dut: FlatSensor, address: int, value: int) -> None:
+    """A write over the sensor's AXI4-Lite port, whose `wstrb` and `bready` are set; ends with the cycle of the answer."""
+    ctx.set(dut.s_axi_awaddr, address)
+    ctx.set(dut.s_axi_wdata, value)
+    channels = [(dut.s_axi_awvalid, dut.s_axi_awready), (dut.s_axi_wvalid, dut.s_axi_wready)]
+    for valid, _ in channels:
+        ctx.set(valid, 1)
+    answered = False
+    while not answered:
+        taken = [valid for valid, ready in channels if ctx.get(valid) and ctx.get(ready)]
+        answered = bool(ctx.get(dut.s_axi_bvalid))
+        await ctx.tick()
+        for valid in taken:
+            ctx.set(valid, 0)
 
 
 def play(
@@ -29,22 +46,10 @@ def play(
     beat_cycle: list[list[int]] = [[] for _ in names]
 
     async def host(ctx: SimulatorContext) -> None:
-        start = registers.address("control"), 1 << registers.BY_NAME["control"].bit("start")
         ctx.set(dut.s_axi_wstrb, 0xF)
         ctx.set(dut.s_axi_bready, 1)
-        for address, value in [*config.register_writes(), start]:
-            ctx.set(dut.s_axi_awaddr, address)
-            ctx.set(dut.s_axi_wdata, value)
-            waiting = [(dut.s_axi_awvalid, dut.s_axi_awready), (dut.s_axi_wvalid, dut.s_axi_wready)]
-            for valid, _ in waiting:
-                ctx.set(valid, 1)
-            answered = False
-            while not answered:
-                taken = [valid for valid, ready in waiting if ctx.get(valid) and ctx.get(ready)]
-                answered = ctx.get(dut.s_axi_bvalid)
-                await ctx.tick()
-                for valid in taken:
-                    ctx.set(valid, 0)
+        for address, value in [*config.register_writes(), registers.control("start")]:
+            await write_register(ctx, dut, address, value)
 
     async def frame(ctx: SimulatorContext) -> None:
         streams = [

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Runs frames through an engine: the golden model, or the RTL in a simulator.
 
 The golden model needs no RTL tool: nothing of the RTL is imported before an engine that runs it is asked for.
@@ -50,7 +51,32 @@ def replay(
     progress: Callable[[int], None] | None = None,
     view: "str | View" = DEFAULT_VIEW,
 ) -> dict[str, np.ndarray]:
-    """All frames of `config` through an engine: the arrays of the result file. `progress` gets cycles done; view: as of `chosen_view`."""
+    """Play all frames of a configuration through an engine.
+
+    Parameters
+    ----------
+    engine : str
+        `golden`, `verilator`, `icarus`, `cocotb-verilator` or `cocotb-icarus`.
+    config : Config
+    edges : Edges
+        The SPAD avalanches of all frames.
+    ready : numpy.ndarray or None
+        uint8[n]: whether the receiver takes a beat in each of the first n cycles of a frame; None: always.
+    progress : callable or None
+        Is called with the number of cycles done.
+    view : str or View
+        `polyphase` or `async`; see `chosen_view`.
+
+    Returns
+    -------
+    dict of str to numpy.ndarray
+        The arrays of the result file.
+
+    Raises
+    ------
+    InputError
+        If an argument is illegal, or the tools of the RTL are missing.
+    """
     chosen = chosen_view(engine, view, config.clock_mhz)
     ready = np.zeros(0, np.uint8) if ready is None else ready
     if chosen is None:

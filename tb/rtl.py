@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The sensor's Verilog for simulation: emitted once for its parameters, and kept."""
 
 from pathlib import Path
@@ -17,7 +18,17 @@ def sensor_key(sensor: Sensor, view: View = POLYPHASE) -> str:
     """Names a build for people: the view and the parameters that differ from the defaults come after the size."""
     default = Sensor()
     parts = [f"{sensor.rows}x{sensor.cols}"]
-    for name in ("phases", "coarse_bits", "window_max", "rearm", "fifo_depth", "streams", "subgroup", "minigroup"):
+    for name in (
+        "phases",
+        "coarse_bits",
+        "window_max",
+        "rearm",
+        "fifo_depth",
+        "streams",
+        "subgroup",
+        "minigroup",
+        "offset_phases",
+    ):
         value = getattr(sensor, name)
         if value != getattr(default, name):
             parts.append(name + ("x".join(map(str, value)) if isinstance(value, tuple) else str(value)))

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Scoreboard: compares what the RTL shows with what the golden model predicted, and says where they part in a designer's words."""
 
 import numpy as np

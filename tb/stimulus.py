@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Edges as the words that stand at the sensor's ports, or as the levels of SPAD lines."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Stress of the asynchronous front end: any edges whatsoever, random at every scale, and flops that fall to either side where they may.
 
 The front end and its TDC run alone under Icarus. Every SPAD line is a random process of its own: bursts of femtoseconds, gaps of cycles,

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """System packages (Debian): installed where that is allowed, otherwise named with the one command that brings them.
 
 Standard library only, because the set-up runs this file as a script before anything is installed:

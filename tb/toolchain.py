@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Verilator and Icarus under cocotb: every design is compiled once, kept, and run as often as wanted.
 
 `build` compiles Verilog into a directory keyed by everything that decides the result; `Build.run` runs a cocotb test
@@ -8,10 +9,12 @@ Only the top's ports and the signals that a caller names are visible to cocotb u
 makes every signal public, which keeps Verilator from optimising the design.
 """
 
+import contextlib
 import errno
 import os
 import re
 import shutil
+import signal
 import subprocess
 import sys
 import tempfile
@@ -331,8 +334,8 @@ def _public_signals(sources: Iterable[bytes], top: str, public: Sequence[str]) -
     ports = [f"{top}.{name}" for names in declarations for name in re.findall(r"[A-Za-z_]\w*", names)]
     types = {f"{top}.{word}" for word in ("wire", "reg", "logic", "signed")}
     lines = []
-    for signal in sorted({*ports, *public} - types):
-        module_name, _, name = signal.rpartition(".")
+    for wire in sorted({*ports, *public} - types):
+        module_name, _, name = wire.rpartition(".")
         lines.append(f'public_flat_rw -module "{module_name}" -var "{name}"')
     return "\n".join(["`verilator_config", *lines, ""])
 
@@ -389,6 +392,7 @@ def _execute(
             stderr=subprocess.STDOUT,
             text=True,
             errors="replace",
+            start_new_session=True,  # so that compilers which `make` started end with it
         )
         try:
             if show and process.stdout:
@@ -397,7 +401,8 @@ def _execute(
                     show(line)
             return process.wait()
         except BaseException:
-            process.kill()
+            with contextlib.suppress(ProcessLookupError):  # it ended in this very moment
+                os.killpg(process.pid, signal.SIGKILL)
             process.wait()
             raise
 

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Views of a waveform: reads the hierarchy of an FST file and writes what GTKWave and Surfer should show of it, block by block."""
 
 import zlib
@@ -55,6 +56,7 @@ BLOCKS: tuple[Block, ...] = (
     ("subgroup 0: FIFO", "module_0.subgroup_0.fifo", ("stored", "dropped", "level", "take")),
     ("subgroup 0: packets", "module_0.subgroup_0.packetizer", ("grant", "valid", "beat")),
     ("readout 0", "readout_0", ("stored", "grant", "valid", "beat", "space")),
+    ("controller 0", "controller_0", ("total", "more", "done", "budget")),
 )
 
 

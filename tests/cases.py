@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Random configurations and edges that look for trouble: ties, window and gate boundaries, guards, overfull FIFOs."""
 
 import itertools
@@ -11,7 +12,7 @@ from coincid.model.contract.pixels import pixel_table
 
 SENSORS = {  # small ones, so that a case is fast; between them every parameter leaves its default
     "default": {"rows": 8, "cols": 16},
-    "one": {"rows": 8, "cols": 8},
+    "one": {"rows": 8, "cols": 8, "offset_phases": 32},
     "coarse": {"rows": 8, "cols": 16, "phases": 8, "window_max": 16, "rearm": 2, "fifo_depth": 2},
     "tiny": {
         "rows": 12,
@@ -32,6 +33,7 @@ SENSORS = {  # small ones, so that a case is fast; between them every parameter 
         "phases": 64,
         "coarse_bits": 7,
         "window_max": 200,
+        "offset_phases": 32,
         "streams": 2,
     },
     "wide": {
@@ -42,6 +44,7 @@ SENSORS = {  # small ones, so that a case is fast; between them every parameter 
         "phases": 16,
         "rearm": 3,
         "fifo_depth": 5,
+        "offset_phases": 4,
     },
     "odd": {
         "rows": 6,
@@ -50,6 +53,7 @@ SENSORS = {  # small ones, so that a case is fast; between them every parameter 
         "minigroup": [2, 3],
         "phases": 16,
         "window_max": 33,
+        "offset_phases": 8,
         "streams": 2,
     },
 }
@@ -79,7 +83,7 @@ def configurations(draw, sensor: dict, frames_max: int = 2) -> Config:
             "coincidence": st.booleans(),
             "gating": st.booleans(),
             "auto": st.booleans(),
-            "threshold": st.integers(1, min(6, built.pixels)),
+            "threshold": st.integers(1, 9),  # above the controller's highest, too
             "window": window,
             "gate_start": st.integers(0, period - 1),
             "gate_len": st.one_of(st.integers(0, period + 3), st.integers(0, 15).map(lambda bit: 1 << bit)),
@@ -90,6 +94,7 @@ def configurations(draw, sensor: dict, frames_max: int = 2) -> Config:
         "frames": draw(st.integers(1, frames_max)),
         "period": period,
         "pulses": draw(st.integers(1, 6)),
+        "link_gbps": draw(st.sampled_from((0.0, 0.0, 0.0, 9.0, 24.7))),
         "format": draw(st.sampled_from(("short", "id", "full"))),
         "minigroup_records": draw(st.booleans()),
         "mg_threshold": draw(st.integers(1, min(3, built.minigroup_pixels))),
@@ -100,6 +105,8 @@ def configurations(draw, sensor: dict, frames_max: int = 2) -> Config:
         "dither_bits": draw(st.integers(0, 5)),
         "dither_seed": draw(st.integers(1, 0xFFFF)),
         "auto_bounds": sorted(draw(st.lists(st.integers(0, 300), min_size=6, max_size=6))),
+        "capacity": draw(st.integers(0, 400)),
+        "threshold_floor": draw(st.sampled_from((0, 1, 1, 1, 2, 4, 7))),
     }
     base = {"window": draw(window)} | draw(settings)
     overrides = [
@@ -107,6 +114,47 @@ def configurations(draw, sensor: dict, frames_max: int = 2) -> Config:
         for _ in range(draw(st.integers(0, 2)))
     ]
     return parse_config({"sensor": sensor, "frame": frame, "subgroup": base, "override": overrides})
+
+
+@st.composite
+def controlled(draw, sensor: dict, frames: int) -> Config:
+    """Frames of a sensor whose thresholds the controller sets, with a capacity that is now too small and now not."""
+    built = parse_config({"sensor": sensor, "frame": {"period": 100}}).sensor
+    alone = {"subgroups": draw(st.lists(st.integers(0, built.subgroups - 1), max_size=1))}
+    return parse_config(
+        {
+            "sensor": sensor,
+            "frame": {
+                "frames": frames,
+                "period": built.guard + draw(st.integers(4, 40)),
+                "pulses": draw(st.integers(1, 5)),
+                "format": "full",
+                "auto_bounds": [0] + sorted(draw(st.lists(st.integers(0, 60), min_size=5, max_size=5))),
+                "capacity": draw(st.integers(0, 60)) * built.subgroups,
+                "threshold_floor": draw(st.integers(0, 2)),
+            },
+            "subgroup": {
+                "auto": True,
+                "threshold": draw(st.integers(1, 9)),
+                "window": draw(st.integers(1, built.window_max)),
+            },
+            "override": [alone | draw(st.sampled_from(({"auto": False}, {"coincidence": False})))],
+        }
+    )
+
+
+def scarce(sensor: dict) -> list[Config]:
+    """Frames in a row of a stream that carries now more and now less, so that budgets and thresholds go up and down."""
+    config = parse_config(
+        {
+            "sensor": sensor,
+            "frame": {"period": 60, "pulses": 4, "auto_bounds": [0, 0, 3, 20, 40, 60]},
+            "subgroup": {"auto": True, "threshold": 1},
+            "override": [{"subgroups": [0], "threshold": 12}],
+        }
+    )
+    capacities = (10, 10, 10, 6, 6, 24, 24, 24, 24, 24, 40, 40, 16, 16, 60, 60)
+    return [config.with_frame(capacity=capacity, threshold_floor=int(capacity == 60) * 3) for capacity in capacities]
 
 
 def modes(sensor: dict) -> list[Config]:

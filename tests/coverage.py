@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What the regression reaches: situations of the contract, lines and toggles of the RTL, lines of Python; fails under a goal.
 
 `python -m tests.coverage [functional] [rtl] [python]` (default: all).
@@ -35,7 +36,7 @@ from coincid.tb.frames import save_job
 from coincid.tb.rtl import rtl
 
 from .benches import BENCHES
-from .cases import READY_KINDS, SENSORS, SMALL, configurations, modes, ready_pattern, trouble
+from .cases import READY_KINDS, SENSORS, SMALL, configurations, modes, ready_pattern, scarce, trouble
 from .mutation import frames
 
 SEED, EXAMPLES = 1, 120  # frames a sensor
@@ -43,7 +44,7 @@ LINE_GOAL, TOGGLE_GOAL = 0.99, 0.83  # of the RTL
 # Not counted as toggles: the generator's own nets; high bits of counters, which fault_bench.py reaches by force; constants of an instance;
 # signals that AXI4-Lite has and the sensor does not use.
 NO_TOGGLE = re.compile(
-    r"__024|_next\b|^counters|^number|^subgroup\[|prot|^(opened|committed|rejected|stored|dropped|blind|photons|mg_stored|mg_dropped)\w*\["
+    r"__024|_next\b|^counters|^number|^subgroup\[|prot|^(opened|committed|rejected|stored|dropped|blind|photons|mg_stored|mg_dropped|lower)\w*\["
 )
 PYTHON_GOALS = {  # share of lines; those left are refusals that other tests provoke through the command line
     "model/golden": 1.0,
@@ -73,7 +74,10 @@ SITUATIONS = {  # name -> how often at least
     "overrun flag": 10,
     "record stored": 10,
     "record dropped": 5,
-    "threshold above 1 by the controller": 10,
+    "threshold up": 10,
+    "threshold down": 10,
+    "budget up": 10,
+    "budget down": 5,
     "window rejected": 10,
     "masked pixel": 10,
 }
@@ -87,7 +91,6 @@ def situations(config: Config, edges, trace: Trace, ready: str, counts: collecti
         mode = MODES[4 * config.coincidence[s] + 2 * config.gating[s] + config.auto[s]]
         counts[f"{mode}, {config.format}"] += c["opened"][s] > 0
         counts["masked pixel"] += not config.mask[s].all()
-        counts["threshold above 1 by the controller"] += bool(config.auto[s]) and c["threshold_used"][s] > 1
     for fate in Fate:
         counts[f"fate {fate.name.lower()}"] += int((trace.fate == fate).sum())
     counts[f"stream {ready}"] += 1
@@ -133,6 +136,15 @@ def situations(config: Config, edges, trace: Trace, ready: str, counts: collecti
             counts["edge in the cycle after the gate"] += at == start + length
 
 
+def steps(config: Config, before: Trace, after: Trace, counts: collections.Counter) -> None:
+    """Adds what the threshold controller did between two frames."""
+    used = COUNTER_NAMES.index("threshold_used")
+    threshold = (after.counters[:, used] - before.counters[:, used])[config.controlled]
+    for name, step in (("threshold", threshold), ("budget", after.budget - before.budget)):
+        counts[f"{name} up"] += int((step > 0).sum())
+        counts[f"{name} down"] += int((step < 0).sum())
+
+
 def functional() -> list[str]:
     """Holes of the situations."""
     counts: collections.Counter = collections.Counter()
@@ -165,6 +177,12 @@ def functional() -> list[str]:
             golden = golden or Golden(config.sensor)
             kind, edges = READY_KINDS[number % len(READY_KINDS)], trouble(config, number, 12.0)
             situations(config, edges, golden.frame(config, edges, ready_pattern(number, kind, 400)), kind, counts)
+        golden, before = Golden(config.sensor), None
+        for config in scarce(sensor):
+            trace = golden.frame(config, trouble(config, 0, 25.0))
+            if before:
+                steps(config, before, trace, counts)
+            before = trace
         print(f"functional: {name} done", flush=True)
     missing = [
         f"situation {name!r}: {counts[name]} times, goal {goal}"

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Judges a mutant of the golden model: `python -m tests.judge MODULE SOURCE JOBS` fails where a frame differs from what was recorded.
 
 SOURCE takes the place of the module MODULE before anything imports it. JOBS: a file of frames, by sensor.

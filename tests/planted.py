@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Bugs that people make, planted one at a time: each must be caught by the regression or by a proof.
 
 `python -m tests.planted [--all] [NAMES]` puts each into a copy of the sources and runs what has to notice, all of it part of `make test`
@@ -17,10 +18,13 @@ from attrs import frozen
 from coincid.tb.toolchain import build_root
 
 ROOT = Path(__file__).parents[1]
-PACKAGES = ("model", "hdl", "tb", "formal", "flow", "study")
+PACKAGES = ("model", "host", "hdl", "tb", "formal", "flow", "study")
 GOLDEN = ("tests/golden/test_golden.py",)  # golden model against the plain one
 FRAMES = ("tests/tb/test_cosim.py", "-k", "tiny-icarus or coarse-icarus")  # RTL against the golden model
 PORTS = ("tests/hdl/test_ports.py", "-k", "icarus")
+ORIENTATION = ("tests/scenes/test_orientation.py",)
+INDEPENDENCE = ("tests/light/test_independence.py",)
+ALIGNMENTS = ("tests/tb/test_cosim.py", "-k", "every_alignment")
 
 
 @frozen
@@ -47,16 +51,16 @@ BUGS = (
     Bug(
         "window-edge",
         "hdl/tree.py",
-        "closing.eq((opening | window_open) & (end <= phases))",
-        "closing.eq((opening | window_open) & (end < phases))",
+        "closing.eq(live & (end <= phases))",
+        "closing.eq(live & (end < phases))",
         ("tree",),
         (FRAMES,),
     ),
     Bug(
         "tie-highest",
         "hdl/tree.py",
-        'encode(m, lowest(m, state.firsts, "lowest"), "winner")',
-        'encode(m, lowest(m, state.firsts[::-1], "lowest")[::-1], "winner")',
+        'first_index(m, one_of, "winner")',
+        '~first_index(m, one_of[::-1], "winner")',
         ("tree",),
         (FRAMES,),
     ),
@@ -69,12 +73,19 @@ BUGS = (
         ("tree",),
         (FRAMES,),
     ),
-    Bug("hits-toggle", "hdl/minigroup.py", "hits.eq(hits | hit)", "hits.eq(hits ^ hit)", ("tree",), (FRAMES,)),
+    Bug(
+        "hits-toggle",
+        "hdl/minigroup.py",
+        "hits.eq(state.hit_4 | (hits & ~self",
+        "hits.eq(state.hit_4 ^ (hits & ~self",
+        ("tree",),
+        (FRAMES,),
+    ),
     Bug(
         "mask-ignored",
         "hdl/minigroup.py",
-        "(self.accept & self.mask[i])",
-        "self.accept",
+        "root.eq(word & on.replicate(phases))",
+        "root.eq(word)",
         ("minigroup_record",),
         (FRAMES,),
     ),
@@ -89,16 +100,16 @@ BUGS = (
     Bug(
         "tdc-lines-swapped",
         "hdl/tdc.py",
-        'below = up_to(m, line.root, f"below_{k}")',
-        'below = up_to(m, getattr(self, f"line_{self.lines - 1 - k}").root, f"below_{k}")',
+        'first_one(m, line.root, f"first_{k}")',
+        'first_one(m, getattr(self, f"line_{self.lines - 1 - k}").root, f"first_{k}")',
         ("tdc",),
         (FRAMES,),
     ),
     Bug(
         "tdc-line-shared",
         "hdl/tdc.py",
-        'below = up_to(m, line.root, f"below_{k}")',
-        'below = up_to(m, self.line_0.root, f"below_{k}")',
+        'first_one(m, line.root, f"first_{k}")',
+        'first_one(m, self.line_0.root, f"first_{k}")',
         ("tdc",),
         (FRAMES,),
     ),
@@ -145,11 +156,79 @@ BUGS = (
         (FRAMES,),
     ),
     Bug(
-        "controller-above",
+        "lower-as-committed",
         "hdl/dpcu.py",
-        'count["photons"] >= self.bound',
-        'count["photons"] > self.bound',
+        "lower_threshold.eq(threshold - 1)",
+        "lower_threshold.eq(threshold)",
         ("dpcu",),
+        (FRAMES,),
+    ),
+    Bug(
+        "ceiling-above",
+        "hdl/dpcu.py",
+        'count["opened"] >= self.data',
+        'count["opened"] > self.data',
+        ("dpcu",),
+        (FRAMES,),
+    ),
+    Bug(
+        "threshold-rises-early",
+        "hdl/dpcu.py",
+        'count["committed"] > self.data',
+        'count["committed"] >= self.data',
+        ("dpcu",),
+        (FRAMES,),
+    ),
+    Bug(
+        "threshold-below-floor", "hdl/dpcu.py", "Mux(bounded < floor, floor, bounded)", "bounded", ("dpcu",), (FRAMES,)
+    ),
+    Bug(
+        "controller-keeps-others-threshold",
+        "hdl/dpcu.py",
+        "Mux(self.controlled & stays,",
+        "Mux(self.controlled,",
+        ("dpcu",),
+        (FRAMES,),
+    ),
+    Bug("budget-of-last-stream", "hdl/subgroup.py", "number >= command.subgroup", "1", (), (FRAMES,)),
+    Bug(
+        "budget-beyond-capacity",
+        "hdl/controller.py",
+        "Mux(state.widened < state.capacity, state.widened, state.capacity)",
+        "state.widened",
+        ("controller",),
+        (FRAMES,),
+    ),
+    Bug(
+        "budget-below-share",
+        "hdl/controller.py",
+        "Mux(state.narrowed > state.share, state.narrowed, state.share)",
+        "state.narrowed",
+        ("controller",),
+        (FRAMES,),
+    ),
+    Bug(
+        "sums-not-cleared",
+        "hdl/controller.py",
+        "state.beat.eq(0), state.total.eq(0), state.more.eq(0)",
+        "state.beat.eq(0), state.more.eq(0)",
+        ("controller",),
+        (FRAMES,),
+    ),
+    Bug(
+        "uncontrolled-would-fall",
+        "hdl/controller.py",
+        "Mux(state.controlled & (state.lower <= state.wide)",
+        "Mux((state.lower <= state.wide)",
+        ("controller",),
+        (FRAMES,),
+    ),
+    Bug(
+        "too-much-too-late",
+        "hdl/controller.py",
+        "state.total > state.capacity",
+        "state.total >= state.capacity",
+        ("controller",),
         (FRAMES,),
     ),
     Bug("gate-late", "hdl/gating.py", "until_now == 0", "until_now <= 1", ("gating",), (FRAMES,)),
@@ -253,7 +332,81 @@ BUGS = (
         (),
         (GOLDEN, FRAMES),
     ),
-    Bug("golden-controller", "model/golden/frame.py", 'side="right"', 'side="left"', (), (GOLDEN, FRAMES)),
+    Bug("golden-ceiling", "model/golden/controller.py", 'side="right"', 'side="left"', (), (GOLDEN, FRAMES)),
+    Bug(
+        "golden-lower-as-committed",
+        "model/golden/front_end.py",
+        "count >= threshold - 1",
+        "count >= threshold",
+        (),
+        (GOLDEN, FRAMES),
+    ),
+    Bug(
+        "golden-rises-early",
+        "model/golden/controller.py",
+        "(committed > budget)",
+        "(committed >= budget)",
+        (),
+        (GOLDEN, FRAMES),
+    ),
+    Bug(
+        "golden-budget-below-share",
+        "model/golden/controller.py",
+        "return max(budget - budget // STEP, int(config.shares[stream]))",
+        "return budget - budget // STEP",
+        (),
+        (GOLDEN, FRAMES),
+    ),
+    Bug(
+        "golden-budget-beyond-capacity",
+        "model/golden/controller.py",
+        "min(budget + budget // STEP + 1, capacity)",
+        "budget + budget // STEP + 1",
+        (),
+        (GOLDEN, FRAMES),
+    ),
+    Bug(
+        "golden-old-budget",
+        "model/golden/controller.py",
+        "column[COUNTER.committed], column[COUNTER.lower]\n        budget = self.budget[self._stream]",
+        "column[COUNTER.committed], column[COUNTER.lower]\n        budget = config.shares[self._stream]",
+        (),
+        (GOLDEN, FRAMES),
+    ),
+    Bug(
+        "golden-record-finds-no-place",
+        "model/golden/readout.py",
+        "queue.place_free_at <= records",
+        "queue.place_free_at < records",
+        (),
+        (ALIGNMENTS,),
+    ),
+    Bug(
+        "golden-event-finds-no-place",
+        "model/golden/readout.py",
+        "events[queue.oldest].free_at <= event.cycle",
+        "events[queue.oldest].free_at < event.cycle",
+        (),
+        (ALIGNMENTS,),
+    ),
+    Bug(
+        "scene-mirrored",
+        "model/scenes/planes.py",
+        "(np.arange(cols) + 0.5) / cols",
+        "(np.arange(cols)[::-1] + 0.5) / cols",
+        (),
+        (ORIENTATION,),
+    ),
+    Bug(
+        "crosstalk-draws-shared",
+        "model/light/walk.py",
+        "uniform(key, CROSSTALK, 4 * fired + side)",
+        "uniform(key, CROSSTALK, fired + side)",
+        (),
+        (INDEPENDENCE,),
+    ),
+    Bug("tlast-early", "hdl/readout.py", "to_end == 1)", "to_end == 2)", ("readout",), (FRAMES,)),
+    Bug("register-range-short", "hdl/registers.py", "(value <= high)", "(value < high)", ("register_front",), (PORTS,)),
     Bug(
         "golden-fifo-deep",
         "model/golden/readout.py",
@@ -261,6 +414,27 @@ BUGS = (
         "queue.level <= fifo_depth",
         (),
         (FRAMES,),
+    ),
+    Bug(
+        "serial-unchecked",
+        "hdl/emulator/uart.py",
+        "(count > CRC_BYTES) & crc.match_detected",
+        "(count > CRC_BYTES)",
+        ("deframer",),
+    ),
+    Bug(
+        "buffer-overrun",
+        "hdl/emulator/buffer.py",
+        "self.s_axis.tready.eq(self.level != self.depth)",
+        "self.s_axis.tready.eq(1)",
+        ("frame_buffer",),
+    ),
+    Bug(
+        "source-dead",
+        "hdl/emulator/source.py",
+        "[dead.eq(common.dead), word",
+        "[dead.eq(common.dead >> 1), word",
+        ("photon_source",),
     ),
 )
 

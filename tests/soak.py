@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Soak: many frames in a row, golden model and RTL (batch engine) in step, under sunlight and at saturation.
 
 `python -m tests.soak [--frames N] [--pulses N] [--seed N]` plays a whole array; a short form is part of the regression.

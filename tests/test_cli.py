@@ -1,5 +1,7 @@
+# SPDX-License-Identifier: Apache-2.0
 """The `coincid` command at its edge: what bad input gets, what is left behind, what replay and export write."""
 
+import contextlib
 import io
 import json
 import os
@@ -17,6 +19,7 @@ from typer.testing import CliRunner
 from coincid.cli import app
 from coincid.flow.lint import lint
 from coincid.flow.register_files import HEADER, JSON, MARKDOWN
+from coincid.flow.release import CELLS_LIST
 from coincid.flow.waivers import OF_CELLS, WAIVERS
 from coincid.hdl.export import FILE_LIST
 from coincid.hdl.views import POLYPHASE, VIEWS
@@ -285,28 +288,33 @@ def test_bad_options_of_sim(files, options, words):
     assert not (files / "out").exists()
 
 
-def test_interrupt_ends_with_130_and_nothing_left(files):
+@pytest.mark.parametrize("number, code", [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+@pytest.mark.parametrize(
+    "inherited", [signal.SIG_DFL, signal.SIG_IGN]
+)  # of a terminal's command, of one in the background
+def test_interrupt_leaves_nothing(files, number, code, inherited):
     (files / "edges.npz").unlink()
     os.mkfifo(files / "edges.npz")
-    command = [
-        sys.executable,
-        "-m",
-        "coincid",
-        "replay",
-        "--config",
-        "config.toml",
-        "--edges",
-        "edges.npz",
-        "--out",
-        "out/result.npz",
-    ]
-    with subprocess.Popen(command, cwd=files, stderr=subprocess.PIPE, text=True) as process:
-        with open(files / "edges.npz", "wb"):  # opens when the command does, which then waits for bytes
-            process.send_signal(signal.SIGINT)
-            stderr = process.communicate(timeout=60)[1]
-    assert process.returncode == 130
+    arguments = ["replay", "--config", "config.toml", "--edges", "edges.npz", "--out", "out/result.npz"]
+    command = [sys.executable, "-m", "coincid", *arguments]
+    with disposition(number, inherited):
+        process = subprocess.Popen(command, cwd=files, stderr=subprocess.PIPE, text=True)
+    with process, open(files / "edges.npz", "wb"):  # opens when the command does, which then waits for bytes
+        process.send_signal(number)
+        stderr = process.communicate(timeout=60)[1]
+    assert process.returncode == code
     assert stderr == "coincid: interrupted\n"
     assert not (files / "out").exists()
+
+
+@contextlib.contextmanager
+def disposition(number, action):
+    """What programs that are started in the block inherit for a signal."""
+    before = signal.signal(number, action)
+    try:
+        yield
+    finally:
+        signal.signal(number, before)
 
 
 def test_budget_for_programs_and_people():
@@ -371,7 +379,10 @@ def test_export_does_not_grow_with_the_array(exports):
 def test_export_has_the_files_that_its_list_names(exports):
     for files in exports.values():
         listed = files[FILE_LIST].decode().split()
-        assert sorted(listed) == sorted(name for name in files if name.endswith(".v") and "smoke" not in name)
+        for_cells = files[CELLS_LIST].decode().split() if CELLS_LIST in files else []
+        assert sorted({*listed, *for_cells}) == sorted(
+            name for name in files if name.endswith(".v") and "smoke" not in name
+        )
         assert f"{TOP}.v" in listed
 
 

@@ -1,16 +1,22 @@
+# SPDX-License-Identifier: Apache-2.0
 """What the documentation says is so: snippets run, tables agree with the code, links lead somewhere."""
 
 import contextlib
 import io
 import re
+import shlex
 from pathlib import Path
 
 import pytest
+from typer.main import get_command
+from typer.testing import CliRunner
 
 from coincid.cli import app
 from coincid.model.contract import latency
 from coincid.model.contract.packet import HEADER, Kind, header_field
 from coincid.study.drawings import waveform as picture
+from coincid.study.sweep import sweep
+from coincid.study.sweep_spec import read_spec
 
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
@@ -33,6 +39,67 @@ def test_readme_snippet_runs():
     assert abs(float(metres) - 9.7) < 0.05
 
 
+def blocks(page, language):
+    """The fenced blocks of a page in a language; "": without one."""
+    return re.findall(rf"^```{language}\n(.*?)^```", page.read_text(), re.DOTALL | re.MULTILINE)
+
+
+def test_all_python_blocks_are_tested():
+    """By this file, and by `test_light_doc.py` and `tb/test_emulator.py`: a block on another page wants a test, too."""
+    tested = {"README.md", "light.md", "explorer.md", "sweeps.md", "board.md"}
+    assert {page.name for page in PAGES if blocks(page, "python")} == tested
+
+
+def test_notebook_block_runs(tmp_path, monkeypatch):
+    pytest.importorskip("bokeh")
+    monkeypatch.chdir(tmp_path)
+    (code,) = blocks(ROOT / "docs" / "explorer.md", "python")
+    names = {}
+    exec(compile(code, "explorer.md", "exec"), names)
+    assert len(names["run"].events()) > 0 and (tmp_path / "points.ply").exists()
+
+
+def test_sweep_blocks_run(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    page = ROOT / "docs" / "sweeps.md"
+    (axes,) = blocks(page, "toml")
+    (tmp_path / "spec.toml").write_text(axes)
+    assert len(read_spec(tmp_path / "spec.toml").points) == 27
+    small = "[frame]\npulses = 10\n[sensor]\nrows = 8\ncols = 8\n[[axis]]\nklux = [5, 50]\n[[axis]]\nsubgroup.threshold = [2]\n"
+    (tmp_path / "small.toml").write_text(small)
+    (tmp_path / "build").mkdir()
+    sweep(read_spec(tmp_path / "small.toml"), tmp_path / "build" / "sweep.parquet", workers=1, title="small")
+    (code,) = blocks(page, "python")
+    pytest.importorskip("pandas")
+    exec(compile(code, "sweeps.md", "exec"), {})
+
+
+def test_recording_example_runs(tmp_path, monkeypatch):
+    """The commands of the page's example, in turn."""
+    monkeypatch.chdir(tmp_path)
+    (example,) = [block for block in blocks(ROOT / "docs" / "recordings.md", "") if block.startswith("printf")]
+    first, *commands = example.splitlines()
+    toml, name = re.fullmatch(r"printf '(.*)' > (\S+)", first).groups()
+    (tmp_path / name).write_text(toml.replace("\\n", "\n"))
+    for command in commands:
+        program, *arguments = shlex.split(command)
+        result = CliRunner().invoke(app, arguments)
+        assert program == "coincid" and result.exit_code == 0, (command, result.output)
+    assert (tmp_path / "result.npz").exists()
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_commands_in_blocks_have_their_options(page):
+    """Every option that a block gives to `coincid` is one of that command."""
+    commands = {command.name: command for command in get_command(app).commands.values()}
+    for block in blocks(page, ""):
+        for line in block.replace("\\\n", " ").splitlines():
+            match = re.match(r"(?:\.venv/bin/)?coincid (\w+)(.*)", line.partition("#")[0])
+            if match:
+                known = {option for parameter in commands[match[1]].params for option in parameter.opts}
+                assert set(re.findall(r"--[\w-]+", match[2])) <= known, line
+
+
 def test_latency_table():
     table = {name: int(cycles) for name, cycles, *_ in rows(ROOT / "docs" / "architecture.md", "name")}
     assert table == {name: value for name, value in vars(latency).items() if name.isupper()}
@@ -47,8 +114,8 @@ def test_waveform_picture_shows_the_stages():
         return next(cycle for cycle, value in enumerate(values[name]) if cycle >= begin and value)
 
     assert first("spad", opens) == opens
-    assert first("root", opens) == opens + 2
-    assert first("inside", opens) == opens + 3
+    assert first("root", opens) == opens + 1
+    assert next(c for c, word in enumerate(picture.covered(values)) if c >= opens and word) == opens + 2
     assert [bin(values["hits"][cycle]).count("1") for cycle in (opens + 4, opens + 5, opens + 6)] == [1, 3, 4]
     assert first("closed", opens + 4) == closes + 7
     assert first("commit", 0) == closes + latency.COMMIT

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The layers: who may import whom, and no cycle between files. Import lines are read, lazy ones inside functions, too."""
 
 import ast
@@ -19,14 +20,16 @@ ROOMS = {  # room: the rooms whose files it may import, besides its own
     "model.scenes": ("model.light", "model.contract", "model.shared"),
     "model.depth": ("model.contract", "model.shared"),
     "model.recorded": ("model.light", "model.contract", "model.shared"),
+    "host": ("model.contract", "model.shared"),
     "hdl": ("model.contract", "model.shared"),
-    "tb": ("hdl", "model.golden", "model.contract", "model.shared"),
-    "flow": ("tb", "hdl", "model.golden", "model.contract", "model.shared"),
+    "tb": ("hdl", "host", "model.golden", "model.contract", "model.shared"),
+    "flow": ("tb", "hdl", "host", "model.golden", "model.contract", "model.shared"),
     "formal": ("tb", "hdl", "model.contract", "model.shared"),
-    "study": ("flow", "tb", "hdl", "model"),
+    "study": ("flow", "tb", "hdl", "host", "model"),
 }
 NEVER = {  # room: packages that it must not even load
     "hdl": ("numba", "scipy", "matplotlib", "cocotb", "coincid.model.golden"),
+    "host": ("amaranth", "cocotb", "serial", "matplotlib", "coincid.hdl", "coincid.tb"),
     "model": ("amaranth", "cocotb", "matplotlib", "coincid.hdl", "coincid.tb"),
 }
 OPTIONAL = ("mitsuba", "mitransient", "drjit")  # of the extra `raytrace`
@@ -43,7 +46,7 @@ def imports() -> dict[str, set[str]]:
     """Module -> modules of the project that it imports, for all rooms."""
     files = {
         module_name(path, room): path
-        for room in ("model", "hdl", "tb", "flow", "formal", "study")
+        for room in ("model", "host", "hdl", "tb", "flow", "formal", "study")
         for path in room_files(room)
         if path.suffix == ".py"
     }

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The page on light: its code runs, and what it prints is what the page says."""
 
 import contextlib

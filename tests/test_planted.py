@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The list of planted bugs is in step with the sources, and the mutators mutate."""
 
 import ast

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Short form of `make soak`, and its light."""
 
 import numpy as np

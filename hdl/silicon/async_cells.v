@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: Apache-2.0
 // Cells and macros of the asynchronous front end, behavioural, delays in femtoseconds.
 //
 // Cells go through synthesis as they stand: every flop of the front end that is not clocked by the system clock is one of them, and none

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: Apache-2.0
 // Black boxes of the asynchronous front end's macros, for synthesis. Behaviour: async_cells.v; contracts: docs/async.md.
 
 (* blackbox *)

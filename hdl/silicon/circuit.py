@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The circuits of the asynchronous view: its cells and macros, their delays, and the structure that follows from the re-arm gap.
 
 The paper shows no circuit; all of this is our choice. Behaviour of the cells: `async_cells.v`; contracts of the macros: docs/async.md.
@@ -5,12 +6,13 @@ The paper shows no circuit; all of this is our choice. Behaviour of the cells: `
 
 from pathlib import Path
 
-from amaranth.hdl import Const, Instance, Module, Signal, Value
+from amaranth.hdl import Const, Instance, Module, Mux, Signal, Value
 from attrs import field, frozen
 
 from ...model.contract.parameters import CLOCK_MHZ, SIZE_LIMITS, Sensor
 from ...model.shared.errors import InputError
 from ...model.shared.quantities import real
+from ..logic import popcount
 
 CELLS = Path(__file__).with_name(
     "async_cells.v"
@@ -93,6 +95,14 @@ def sample(m: Module, name: str, event: Value, data: Value) -> Signal:
         "coincid_sample", p_WIDTH=len(data), i_event_in=event, i_d=data, o_q=taken
     )
     return taken
+
+
+def johnson_number(m: Module, taps: Value, name: str) -> Value:
+    """Borders of the taps since the cycle's start, less the one at it: which part of the cycle it is. One wrong tap is one part."""
+    half, first_half = len(taps), taps[0]
+    run = Signal(range(half + 1), name=f"{name}_run")  # taps that have changed since the half cycle's start
+    m.d.comb += run.eq(popcount(m, taps ^ ~first_half.replicate(half), name))
+    return (Mux(first_half, 0, half) + run - 1)[: half.bit_length()]
 
 
 def delayed(m: Module, name: str, signal: Value, delay_fs: int) -> Signal:

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Window control of the asynchronous view: which window bank is in force, when it may open, and what a cycle was.
 
 Capture, then validate: the banks open and end by events; what a cycle has brought is read half a cycle after its end, when every event of

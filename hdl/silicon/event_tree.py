@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Event tree of the asynchronous view: what the first edge of a cycle sets off.
 
 The paper (III-A): the tree is "modelled to propagate events"; the propagated event is "passed to a shared TDC to sample the internal
@@ -8,7 +9,7 @@ choice.
 from amaranth.hdl import Cat, Const, Instance, Module
 from amaranth.lib.wiring import In, Out
 
-from ...model.contract.parameters import QUARTERS, Sensor
+from ...model.contract.parameters import Sensor
 from ..unit import Unit
 from .circuit import HIT_FS, LEVEL_FS, arbiter_rows, delayed, lag_fs, levels, or_tree, sample
 
@@ -18,7 +19,9 @@ def code_bits(sensor: Sensor) -> int:
     return sensor.phases // 2 + 2 * sensor.coarse_bits
 
 
-MARK_BITS = 3  # that a minigroup samples: phases 0 and a quarter on, half
+def mark_bits(sensor: Sensor) -> int:
+    """Bits that a minigroup samples: a tap every step of the coarse offsets, and half."""
+    return sensor.offset_phases // 2 + 1
 
 
 class EventTree(Unit):
@@ -29,7 +32,7 @@ class EventTree(Unit):
     hits : in, pixels; phases, gray_a, gray_b, half : in, of the TDC
     root : out, some pixel was hit
     code : out, `code_bits` as the first hit sampled them: phases, gray_a, gray_b
-    marks : out, `MARK_BITS` a minigroup, as its first hit sampled them
+    marks : out, `mark_bits` a minigroup, as its first hit sampled them
     later_first : out, a bit a node of the arbiter tree (`arbiter_rows`): the later of the two in order of index came first
 
     It has no clock: `hits` cleared, it is as new.
@@ -49,7 +52,7 @@ class EventTree(Unit):
                 "half": In(1),
                 "root": Out(1),
                 "code": Out(code_bits(sensor)),
-                "marks": Out(MARK_BITS * sensor.minigroups),
+                "marks": Out(mark_bits(sensor) * sensor.minigroups),
                 "later_first": Out(sensor.pixels - 1),
             }
         )
@@ -57,13 +60,13 @@ class EventTree(Unit):
     def elaborate(self, platform):
         m = Module()
         sensor = self.sensor
-        quarter = Cat(self.phases[0], self.phases[sensor.phases // QUARTERS], self.half)
+        mark = Cat(*self.phases[:: sensor.offset_ticks], self.half)
         leaves, marks = [], []
         for g in range(sensor.minigroups):
             leaf = or_tree(m, f"minigroup_{g}", [self.hits[i] for i in sensor.members(g)])
             later = delayed(m, f"event_{g}", leaf, lag_fs(sensor) - HIT_FS - LEVEL_FS * levels(sensor.minigroup_pixels))
             leaves.append(leaf)
-            marks.append(sample(m, f"mark_{g}", later, quarter))
+            marks.append(sample(m, f"mark_{g}", later, mark))
         m.d.comb += [self.root.eq(or_tree(m, "tree", leaves)), self.marks.eq(Cat(marks))]
         m.d.comb += self.code.eq(sample(m, "line", self.root, Cat(self.phases, self.gray_a, self.gray_b)))
 

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Front end of the asynchronous view: hit flops that the SPADs clock, event trees, window banks, and the way to the clock.
 
 It stands where `CoincidenceTree` does and gives the same, in the same cycles. The paper (III-A, Fig. 3) draws this tree and shows
@@ -13,9 +14,9 @@ from ...model.contract.parameters import QUARTERS, Sensor, bits_for
 from .. import bus
 from ..logic import any_of, popcount, total
 from ..unit import Unit, place
-from .circuit import HIT_FS, Circuit, arbiter_rows, delayed, hit_flop, lag_fs, sample
+from .circuit import HIT_FS, Circuit, arbiter_rows, delayed, hit_flop, johnson_number, lag_fs, sample
 from .control import AsyncControl
-from .event_tree import MARK_BITS, EventTree
+from .event_tree import EventTree, mark_bits
 from .minigroup import AsyncMinigroup
 from .tdc import line_signature
 
@@ -28,7 +29,7 @@ class AsyncFrontEnd(Unit):
     Ports
     -----
     spad : in, pixels, an edge rises; mask : in; gate : in, the gate is open, or gating is off (stage 0)
-    window_ticks, frame, timing : in; closed, window, blind, record_due, latched, entries : out, as of `CoincidenceTree`
+    window_ticks, frame, timing : in; closed, window, offsets, blind, record_due, latched, entries : out, as of `CoincidenceTree`
     line : the subgroup's TDC sampling line
 
     Reset clears every flop that an event sets, at once, and arms the tree.
@@ -49,6 +50,7 @@ class AsyncFrontEnd(Unit):
                 "line": Out(line_signature(sensor)),
                 "closed": Out(1),
                 "window": Out(bus.window_layout(sensor)),
+                "offsets": Out(bus.offsets_layout(sensor)),
                 "blind": Out(1),
                 "record_due": Out(1),
                 "latched": Out(sensor.minigroups),
@@ -190,22 +192,26 @@ class AsyncFrontEnd(Unit):
 
         # Stage 4 and 5: the winner, the stamp, and the leaves' part of the map.
         opening_4, closing_4, closed = Signal(), Signal(), Signal()
-        elapsed = Signal(max(1, sensor.offset_bits - 2))
+        opening_5, opening_6 = Signal(), Signal()
+        elapsed = Signal(sensor.elapsed_bits)
         winner_4, winner = Signal(sensor.winner_bits), Signal(sensor.winner_bits)
         m.d.sync += [
             opening_4.eq(at["opening"]),
             closing_4.eq(at["closing"] & inside),
             closed.eq(closing_4),
-            elapsed.eq(Mux(at["opening"], 0, elapsed + 1)),
+            opening_5.eq(opening_4),
+            opening_6.eq(opening_5),
+            elapsed.eq(Mux(opening_6, 0, elapsed + 1)),
         ]
-        with m.If(at["opening"]):
-            m.d.sync += winner_4.eq(self._winner(m, at["first"]))
+        m.d.sync += winner_4.eq(self._winner(m, at["first"]))
         with m.If(opening_4):
             m.d.sync += winner.eq(winner_4)
         stamp = self._stamp(m, at, opening_4)
         is_winner = Signal(sensor.pixels)
         m.d.comb += is_winner.eq(1 << winner_4)
         hits = Signal(sensor.pixels)
+        coarse_4 = Signal(sensor.coarse_bits)
+        m.d.sync += coarse_4.eq(line.cycle)
         leaves = []
         for g in range(sensor.minigroups):
             leaf = place(m, f"minigroup_{g}", AsyncMinigroup(sensor), platform)
@@ -215,14 +221,15 @@ class AsyncFrontEnd(Unit):
                 leaf.active.eq(Cat(at["active"][i] for i in members)),
                 leaf.hit.eq(Cat(hit[i] for i in members)),
                 leaf.winner.eq(Cat(is_winner[i] for i in members)),
-                leaf.mark.eq(at["marks"].word_select(g, MARK_BITS)),
+                leaf.mark.eq(at["marks"].word_select(g, mark_bits(sensor))),
                 leaf.parity.eq(at["parity"]),
                 leaf.opening.eq(opening_4),
                 leaf.elapsed.eq(elapsed),
                 leaf.frame.eq(self.frame),
                 leaf.may_open.eq(may_open),
                 leaf.wrap.eq(wrap),
-                leaf.coarse.eq(line.cycle),
+                leaf.coarse.eq(coarse_4),
+                self.offsets[g].eq(leaf.offset),
                 self.latched[g].eq(leaf.latched),
                 self.entries[g].eq(leaf.entry),
                 *(hits[i].eq(leaf.hits[j]) for j, i in enumerate(members)),
@@ -230,29 +237,24 @@ class AsyncFrontEnd(Unit):
         m.d.sync += self.blind.eq(any_of(m, [leaf.blind for leaf in leaves], "blind_or"))
         m.d.comb += self.record_due.eq(wrap)
 
-        # Stage 6 and 7: number of pixels in the map, in two steps.
+        # Stage 6 and 7: number of pixels in the map, in two steps. Data move every cycle; `closed` says when they count.
         closed_6 = Signal()
         half = Signal(bus.window_layout(sensor))
         chunk = 1 << (bits_for(sensor.pixels - 1) + 1) // 2
         chunks = [hits[k : k + chunk] for k in range(0, sensor.pixels, chunk)]
         counts = [Signal(range(len(part) + 1), name=f"count_{k}") for k, part in enumerate(chunks)]
-        m.d.sync += [closed_6.eq(closed), self.closed.eq(closed_6)]
-        with m.If(closed):
-            m.d.sync += [
-                half.stamp.eq(stamp),
-                half.hits.eq(hits),
-                half.winner.eq(winner),
-                *(half.offsets[g].eq(leaf.offset) for g, leaf in enumerate(leaves)),
-                *(count.eq(popcount(m, part, f"ones_{k}")) for k, (count, part) in enumerate(zip(counts, chunks))),
-            ]
-        with m.If(closed_6):
-            m.d.sync += [
-                self.window.stamp.eq(half.stamp),
-                self.window.hits.eq(half.hits),
-                self.window.winner.eq(half.winner),
-                self.window.offsets.eq(half.offsets),
-                self.window.count.eq(total(m, counts, "count_sum")),
-            ]
+        m.d.sync += [
+            closed_6.eq(closed),
+            self.closed.eq(closed_6),
+            half.stamp.eq(stamp),
+            half.hits.eq(hits),
+            half.winner.eq(winner),
+            *(count.eq(popcount(m, part, f"ones_{k}")) for k, (count, part) in enumerate(zip(counts, chunks))),
+            self.window.stamp.eq(half.stamp),
+            self.window.hits.eq(half.hits),
+            self.window.winner.eq(half.winner),
+            self.window.count.eq(total(m, counts, "count_sum")),
+        ]
         return SimpleNamespace(
             window_open=window_open,
             inside=inside,
@@ -288,21 +290,17 @@ class AsyncFrontEnd(Unit):
         sensor, line = self.sensor, self.line
         taps, bits = sensor.phases // 2, sensor.coarse_bits
         phases, gray_a, gray_b = at["code"][:taps], at["code"][taps : taps + bits], at["code"][taps + bits :]
-        first_half = phases[0]
-        run = Signal(range(taps + 1))  # taps that have changed since the half cycle's start: one wrong tap is one tick
-        m.d.comb += run.eq(popcount(m, phases ^ ~first_half.replicate(taps), "taps"))
         phase_4, coarse_a, coarse_b = Signal(sensor.phase_bits), Signal(bits), Signal(bits)
         parity_4 = Signal()
         base_4, base = Signal(bits), Signal(bits)
         phase, coarse = Signal(sensor.phase_bits), Signal(bits)
-        m.d.sync += base_4.eq(line.base)
-        with m.If(at["opening"]):
-            m.d.sync += [
-                phase_4.eq(Mux(first_half, 0, taps) + run - 1),
-                parity_4.eq(at["parity"]),
-                coarse_a.eq(self._binary(gray_a)),
-                coarse_b.eq(self._binary(gray_b)),
-            ]
+        m.d.sync += [
+            base_4.eq(line.base),
+            phase_4.eq(johnson_number(m, phases, "taps")),
+            parity_4.eq(at["parity"]),
+            coarse_a.eq(self._binary(gray_a)),
+            coarse_b.eq(self._binary(gray_b)),
+        ]
         quarter = phase_4[-2:]
         lags = Signal()  # the copy still shows the cycle before
         m.d.comb += lags.eq(coarse_b[0] != parity_4)

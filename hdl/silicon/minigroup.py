@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Minigroup of the asynchronous view: its part of the ID map, and its record, from what its events sampled."""
 
 from types import SimpleNamespace
@@ -9,7 +10,8 @@ from ...model.contract.parameters import QUARTERS, Sensor
 from .. import bus
 from ..minigroup import Minigroup
 from ..unit import Unit
-from .event_tree import MARK_BITS
+from .circuit import johnson_number
+from .event_tree import mark_bits
 
 
 class AsyncMinigroup(Minigroup):
@@ -19,10 +21,10 @@ class AsyncMinigroup(Minigroup):
     -----
     active : in, pixels with an edge in the cycle; mark : in, what the first of them sampled; parity : in, of the cycle (stage 3)
     hit : in, pixels whose edge lies inside the window (stage 3)
-    opening : in, a window opened in this cycle; elapsed : in, cycles since it did; winner : in, its winner, one-hot (stage 4)
-    hits, offset : out, the window's map, and the coarse offset of the first counted edge (stage 5)
+    opening : in, a window opened in this cycle; winner : in, its winner, one-hot (stage 4); elapsed : in, cycles since it did (stage 7)
+    hits : out, the window's map (stage 5); offset : out, the coarse offset of the first counted edge (stage 8)
     blind : out, an edge outside a window (stage 4)
-    frame, may_open, wrap, coarse : in; latched, entry : out, as of `Minigroup` (stage 3)
+    frame, may_open, wrap : in; latched, entry : out, as of `Minigroup` (stage 3); coarse : in (stage 4)
     """
 
     unit_name = "coincid_async_minigroup"
@@ -34,11 +36,11 @@ class AsyncMinigroup(Minigroup):
             self,
             {
                 "active": In(pixels),
-                "mark": In(MARK_BITS),
+                "mark": In(mark_bits(sensor)),
                 "parity": In(1),
                 "hit": In(pixels),
                 "opening": In(1),
-                "elapsed": In(max(1, sensor.offset_bits - 2)),
+                "elapsed": In(sensor.elapsed_bits),
                 "winner": In(pixels),
                 "hits": Out(pixels),
                 "offset": Out(sensor.offset_bits),
@@ -55,35 +57,37 @@ class AsyncMinigroup(Minigroup):
     def elaborate(self, platform):
         m = Module()
         pixels = self.sensor.minigroup_pixels
-        quarter = Signal(2)
-        m.d.comb += quarter.eq(self._sampled_quarter())
+        step = Signal(self.sensor.step_bits)
+        m.d.comb += step.eq(self._sampled_step(m))
 
         hit, active = Signal(pixels, reset_less=True), Signal(pixels, reset_less=True)
-        quarter_4 = Signal(2, reset_less=True)
-        m.d.sync += [hit.eq(self.hit), active.eq(self.active), quarter_4.eq(quarter)]
+        step_4 = Signal.like(step, reset_less=True, name="step_4")
+        m.d.sync += [hit.eq(self.hit), active.eq(self.active), step_4.eq(step)]
         m.d.comb += self.blind.eq((active & ~hit).any())
 
-        hits, offset = Signal(pixels, reset_less=True), Signal.like(self.offset, reset_less=True)
+        hits = Signal(pixels, reset_less=True)
         with m.If(self.opening):
             m.d.sync += hits.eq(
                 hit | self.winner
             )  # the winner has opened the window: it is in the map whatever its flop says
         with m.Else():
             m.d.sync += hits.eq(hits | hit)
-        with m.If(hit.any() & (self.opening | ~hits.any())):
-            m.d.sync += offset.eq(Cat(quarter_4, self.elapsed))
-        m.d.comb += [self.hits.eq(hits), self.offset.eq(offset)]
+        m.d.comb += self.hits.eq(hits)
+        self._offset(m, hit.any() & (self.opening | ~hits.any()), step_4)
 
         self.state = SimpleNamespace()
-        self._record(m, self.active.any(), self.active, quarter)
+        self._record(m, platform, self.active, step_4)
         return m
 
-    def _sampled_quarter(self):
-        """Quarter of the cycle in which the first edge came, from its mark.
+    def _sampled_step(self, m):
+        """Step of the cycle in which the first edge came, from its mark.
 
         The hit flops have decided which cycle the edge belongs to. A quarter that was read beyond that cycle's border is the border's.
         """
-        first_half, second, half = self.mark
-        quarter = Cat(first_half ^ ~second, ~first_half)  # phases (1, 0), (1, 1), (0, 1), (0, 0): quarters 0 to 3
-        beyond = Mux(quarter == 0, half == self.parity, half != self.parity)
-        return Mux((quarter == 0) & beyond, QUARTERS - 1, Mux((quarter == QUARTERS - 1) & beyond, 0, quarter))
+        *taps, half = self.mark
+        step = Signal(self.sensor.step_bits)
+        m.d.comb += step.eq(johnson_number(m, Cat(taps), "taps"))
+        quarter = step[-2:]
+        first, last = (quarter == 0), (quarter == QUARTERS - 1)
+        before, after = first & (half == self.parity), last & (half != self.parity)
+        return Mux(before, self.sensor.offset_phases - 1, Mux(after, 0, step))

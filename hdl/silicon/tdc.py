@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """TDC of the asynchronous view: one multiphase generator and one free-running Gray coarse counter, which events sample.
 
 The paper (III-A): two subgroups "share a single always-on time-to-digital converter (TDC) with independent lines for timestamping"; the
@@ -12,7 +13,7 @@ from ..tdc import START_TO_PHASE
 from ..unit import Unit
 from .circuit import ERROR_BITS, Circuit, lag_fs, sample
 
-STAGE = 3  # of the cycle that `base` and `cycle` speak of
+STAGE = 3  # one behind the polyphase line's: of the cycle that `base` and `cycle` speak of
 
 
 def line_signature(sensor: Sensor) -> Signature:
@@ -84,7 +85,7 @@ class AsyncTdc(Unit):
         half = sample(m, "half", ~phases[0], count[0])
 
         # The same count for the cycle of stage 3, and its value in cycle 0 of the period.
-        coming = Signal(START_TO_PHASE - 1)
+        coming = Signal(START_TO_PHASE)
         stage_3 = Signal(bits, init=-STAGE % (1 << bits))
         base, cycle = Signal(bits), Signal(bits)
         m.d.sync += [coming.eq((coming << 1) | self.start), stage_3.eq(stage_3 + 1), cycle.eq(cycle + 1)]

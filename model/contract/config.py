@@ -1,12 +1,14 @@
+# SPDX-License-Identifier: Apache-2.0
 """Configuration files: the sensor as built, the frame, and every subgroup's settings.
 
-Ranges and defaults are those of `parameters.py` and of the register table; what makes no sense together is refused as
-the start write refuses it.
+Ranges and defaults are those of `parameters.py` and of the register table; combinations that make no sense are refused,
+as the start write refuses them.
 """
 
 import re
 import tomllib
 from collections.abc import Collection
+from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
@@ -17,10 +19,12 @@ from ..shared.errors import InputError, check_integer, out_of_range
 from ..shared.files import FilePath
 from ..shared.quantities import check_choice, check_real
 from . import registers
+from .bounds import noise_bounds
 from .dither import start_cycles
-from .packet import FORMAT_NAMES
-from .parameters import CLOCK_MHZ, CLOCK_MHZ_RANGE, SIZE_LIMITS, Sensor
-from .registers import AUTO_BOUNDS, BY_NAME, DEFAULT_AUTO_BOUNDS, MASK_BITS, MODE
+from .link import beats_waiting_max, check_link, link_share, takes_beats
+from .packet import FORMAT_NAMES, FORMATS, Kind, layout
+from .parameters import CLOCK_MHZ, CLOCK_MHZ_RANGE, LINK_GBPS_MAX, SIZE_LIMITS, Sensor
+from .registers import AUTO_BOUNDS, BY_NAME, MASK_BITS, MODE
 
 FRAMES_MAX = 1 << 16  # the frame number has 16 bits
 FRAME_REGISTERS = (  # keys of [frame] that are registers
@@ -35,7 +39,12 @@ FRAME_REGISTERS = (  # keys of [frame] that are registers
     "gate_steps",
     "dither_bits",
     "dither_seed",
+    "threshold_floor",
 )
+BY_FRAME_LENGTH = (
+    "auto_bounds",
+    "capacity",
+)  # keys of [frame] in events of a frame; None: by the frame's other settings
 SUBGROUP_INTEGERS = ("threshold", "window", "gate_start", "gate_len")
 MODE_BITS = tuple(bits.name for bits in MODE.bits)
 PRESETS = {path.stem: path for path in sorted((Path(__file__).parent / "presets").glob("*.toml"))}
@@ -46,11 +55,31 @@ SUBGROUP_KEYS = (*MODE_BITS, *SUBGROUP_INTEGERS, "mask")
 
 @frozen(eq=False, kw_only=True)
 class Config:
-    """A checked configuration.
+    """A checked configuration: the sensor as built, the frame, and the settings of every subgroup.
 
-    sensor: parameters as built. frame: the file's [frame], every key with its value as the file has it.
-    Per subgroup, arrays [subgroups]: coincidence, gating, auto (bool), threshold, window (ticks), gate_start, gate_len (cycles; int64);
-    mask: bool [subgroups, pixels], True = on. Raises `InputError` where settings make no sense together.
+    `load_config` and `parse_config` make it; `with_frame` and `with_settings` make changed copies.
+
+    Attributes
+    ----------
+    sensor : Sensor
+        Parameters of the sensor as built.
+    frame : dict
+        The table [frame] of the file; every key has a value.
+    coincidence, gating, auto : numpy.ndarray
+        bool[subgroups].
+    threshold : numpy.ndarray
+        int64[subgroups], in pixels.
+    window : numpy.ndarray
+        int64[subgroups], in ticks.
+    gate_start, gate_len : numpy.ndarray
+        int64[subgroups], in cycles.
+    mask : numpy.ndarray
+        bool[subgroups, pixels of a subgroup], True = on.
+
+    Raises
+    ------
+    InputError
+        If settings make no sense together.
     """
 
     sensor: Sensor
@@ -70,6 +99,7 @@ class Config:
             raise out_of_range(
                 "frame.period", period, guard + 1, self.sensor.period_max, f"above the guard of {guard} cycles"
             )
+        check_link(self.frame["link_gbps"], self.clock_mhz)
         if np.any(np.diff(self.auto_bounds) < 0):
             raise InputError(f"frame.auto_bounds = {self.auto_bounds.tolist()}: must not descend")
         late = np.flatnonzero(self.gating & (self.gate_start >= period))
@@ -79,17 +109,22 @@ class Config:
 
     @property
     def frames(self) -> int:
-        """How many frames."""
+        """Number of frames."""
         return self.frame["frames"]
 
     @property
     def clock_mhz(self) -> float:
-        """System clock."""
+        """System clock in MHz."""
         return self.frame["clock_mhz"]
 
     @property
+    def link_share(self) -> Fraction:
+        """Share of the cycles in which a stream's link takes a beat."""
+        return link_share(self.frame["link_gbps"], self.clock_mhz)
+
+    @property
     def tick_s(self) -> float:
-        """A TDC LSB."""
+        """A TDC LSB in seconds."""
         return 1 / (self.clock_mhz * 1e6 * self.sensor.phases)
 
     @property
@@ -99,7 +134,7 @@ class Config:
 
     @property
     def pulses(self) -> int:
-        """Laser periods of a frame."""
+        """Laser periods per frame."""
         return self.frame["pulses"]
 
     @property
@@ -109,32 +144,82 @@ class Config:
 
     @property
     def auto_bounds(self) -> np.ndarray:
-        """int64[6]: the controller's bounds, ascending."""
-        return np.array(self.frame["auto_bounds"], np.int64)
+        """int64[6]: the controller's bounds, ascending; if the file has none, those for noise in the longest window."""
+        bounds = self.frame["auto_bounds"] or noise_bounds(
+            phases=self.sensor.phases,
+            window_ticks=int(self.window.max()),
+            rearm_cycles=self.sensor.rearm,
+            period_cycles=self.period,
+            pulses=self.pulses,
+        )
+        return np.array(bounds, np.int64)
+
+    @property
+    def capacity(self) -> int:
+        """Events that a stream carries in a frame; if the file does not say, as many as its link takes."""
+        given: int | None = self.frame["capacity"]
+        return self.capacity_of(int(self.pulses * self.period * self.link_share)) if given is None else given
+
+    def capacity_of(self, beats: int) -> int:
+        """Events that `beats` of a stream carry in a frame.
+
+        With minigroup records every subgroup may send one per pulse, before its events.
+        """
+        parts = layout(self.sensor)
+        if self.frame["minigroup_records"]:
+            subgroups = max(len(self.sensor.stream_subgroups(stream)) for stream in range(self.sensor.streams))
+            beats -= self.pulses * subgroups * parts.length(Kind.RECORD)
+        return max(0, beats) // parts.length(FORMATS[self.format])
+
+    @property
+    def shares(self) -> np.ndarray:
+        """int64[streams]: share of each subgroup in the capacity of its stream, in events."""
+        return np.array([self.capacity // len(self.sensor.stream_subgroups(k)) for k in range(self.sensor.streams)])
+
+    @property
+    def controlled(self) -> np.ndarray:
+        """bool[subgroups]: True where the controller sets the threshold."""
+        return self.auto & self.coincidence
 
     def start_cycles(self) -> np.ndarray:
-        """int64[pulses + 1]: when each period of a frame begins, from the first one's cycle 0 on; at last, the frame's end."""
+        """int64[pulses + 1]: cycle in which each period of a frame begins, from 0 on; the last element is the end of the frame."""
         starts = start_cycles(self.pulses, self.period, self.frame["dither_bits"], self.frame["dither_seed"])
         starts[-1] = starts[-2] + self.period
         return starts
 
     @property
     def frame_cycles(self) -> int:
-        """Cycles of a frame, from the first period's first to the last one's last."""
+        """Cycles of a frame, from the first cycle of the first period to the last cycle of the last one."""
         return int(self.start_cycles()[-1])
 
     @property
     def period_ticks(self) -> int:
         return self.period * self.sensor.phases
 
+    def tready(self, receiver: np.ndarray | None = None) -> np.ndarray:
+        """uint8[n]: `tready` of every stream in each cycle of a frame, as the link and the receiver behind it determine
+        it; 1 from cycle n on.
+
+        receiver: uint8[m], cycles in which the receiver behind the link takes a beat; from cycle m on, or if it is
+        None, it always does.
+        """
+        receiver = np.zeros(0, np.uint8) if receiver is None else np.asarray(receiver, np.uint8)
+        share = self.link_share
+        if share == 1:
+            return receiver
+        waiting = 2 * beats_waiting_max(self.sensor)
+        ready = takes_beats(share, self.frame_cycles + len(receiver) + int(waiting / share))
+        ready[: len(receiver)] &= receiver
+        return ready
+
     def with_frame(self, **settings: Any) -> "Config":
-        """A copy with other settings of the frame, by the keys and values of [frame]. Raises `InputError` that names key and range."""
+        """A copy with other settings of the frame: keys and values of [frame]. Raises `InputError` with the key and its range."""
         return evolve(self, frame=self.frame | _frame(settings, self.sensor))
 
     def with_settings(self, **settings: Any) -> "Config":
-        """A copy with other settings of the subgroups, by the keys and values of [subgroup]. Raises `InputError` that names key and range.
+        """A copy with other settings of the subgroups: keys and values of [subgroup].
 
-        A list or an array holds a value for every subgroup; masks may also be rows of booleans, as in `mask`.
+        A list or an array gives one value per subgroup; masks may also be rows of booleans. Raises `InputError` with the key and its range.
         """
         columns: dict[str, Any] = {}
         for name, value in _known("subgroup", settings, SUBGROUP_KEYS).items():
@@ -150,15 +235,21 @@ class Config:
         return evolve(self, **columns)
 
     def with_pulses(self, pulses: int) -> "Config":
-        """A copy with frames of other length for the same light: `auto_bounds`, photons of a frame, change in proportion."""
-        bounds = np.minimum(self.auto_bounds * pulses // self.pulses, BY_NAME["auto_bounds"].high(self.sensor))
-        return self.with_frame(pulses=pulses, auto_bounds=bounds)
+        """A copy with another number of pulses per frame; settings in events per frame (`BY_FRAME_LENGTH`) change in proportion."""
+        events = {name: self.frame[name] for name in BY_FRAME_LENGTH if self.frame[name] is not None}
+        scaled = {
+            name: np.minimum(np.multiply(value, pulses) // self.pulses, BY_NAME[name].high(self.sensor))
+            for name, value in events.items()
+        }
+        return self.with_frame(pulses=pulses, **scaled)
 
     def register_writes(self) -> list[tuple[int, int]]:
         """(address, value) of every setting, as a driver programs them before a frame."""
         frame = self.frame | {"format": FORMAT_NAMES.index(self.format)}
         writes = [(registers.address(name), int(frame[name])) for name in FRAME_REGISTERS]
         writes += [(registers.address("auto_bounds", index=i), int(bound)) for i, bound in enumerate(self.auto_bounds)]
+        writes.append((registers.address("capacity"), self.capacity))
+        writes += [(registers.address("share", index=k), int(share)) for k, share in enumerate(self.shares)]
         mode = sum(getattr(self, name).astype(np.int64) << MODE.bit(name) for name in MODE_BITS)
         for s in range(self.sensor.subgroups):
             writes.append((registers.address("mode", s), int(mode[s])))
@@ -170,7 +261,22 @@ class Config:
 
 
 def load_config(path: FilePath | None = None) -> Config:
-    """Reads a TOML file, a preset by name (`silicon`, `fpga`), or the defaults (None). Raises `InputError` naming key and range."""
+    """Read a configuration.
+
+    Parameters
+    ----------
+    path : str, Path or None
+        A TOML file, the name of a preset (`silicon`, `fpga`), or None for the defaults.
+
+    Returns
+    -------
+    Config
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read, or a setting is unknown or out of range; the message names the key and its range.
+    """
     if path is None:
         return parse_config({})
     try:
@@ -192,7 +298,22 @@ def read_toml(path: FilePath) -> dict[str, Any]:
 
 
 def parse_config(document: dict[str, Any]) -> Config:
-    """`Config` of a parsed TOML document; every key has a default."""
+    """Check a configuration that is given as nested dictionaries, like a parsed TOML file.
+
+    Parameters
+    ----------
+    document : dict
+        The tables `sensor`, `frame`, `subgroup` and `override`; every table and every key may be missing.
+
+    Returns
+    -------
+    Config
+
+    Raises
+    ------
+    InputError
+        If a table or key is unknown, or a value is out of range.
+    """
     tables = {"sensor": dict, "frame": dict, "subgroup": dict, "override": list}
     for name, value in document.items():
         if name not in tables:
@@ -244,12 +365,12 @@ def _sensor(given: dict[str, Any]) -> Sensor:
 
 
 def _frame_defaults(sensor: Sensor) -> dict[str, Any]:
-    return {"frames": 1, "clock_mhz": CLOCK_MHZ} | {
+    return {"frames": 1, "clock_mhz": CLOCK_MHZ, "link_gbps": 0.0} | {
         **{name: BY_NAME[name].reset(sensor) for name in FRAME_REGISTERS},
         "period": 250,
         "format": "id",
         "minigroup_records": False,
-        "auto_bounds": list(DEFAULT_AUTO_BOUNDS),
+        **dict.fromkeys(BY_FRAME_LENGTH),
     }
 
 
@@ -262,10 +383,14 @@ def _frame(given: dict[str, Any], sensor: Sensor) -> dict[str, Any]:
             checked[name] = check_integer(where, value, 1, FRAMES_MAX)
         elif name == "clock_mhz":
             checked[name] = check_real(where, value, *CLOCK_MHZ_RANGE)
+        elif name == "link_gbps":
+            checked[name] = check_real(where, value, 0, LINK_GBPS_MAX)
         elif name == "format":
             checked[name] = check_choice(where, value, FORMAT_NAMES)
         elif name == "minigroup_records":
             checked[name] = _boolean(where, value)
+        elif name in BY_FRAME_LENGTH and value is None:
+            checked[name] = None
         elif name == "auto_bounds":
             checked[name] = _bounds(where, value, sensor)
         else:

@@ -1,7 +1,8 @@
+# SPDX-License-Identifier: Apache-2.0
 """Dither of the laser period: after each period the next trigger waits for a pseudo-random number of cycles.
 
-A light that repeats with the laser's own period, another LiDAR's above all, then comes at another time of flight in every period.
-The paper has no such register; all of it is our choice.
+Light that repeats with the period of our laser, above all that of another LiDAR, then arrives at a different time of
+flight in every period. The paper has no such register; all of this is our own choice.
 """
 
 from functools import cache
@@ -13,10 +14,11 @@ DITHER_BITS_MAX = 8
 
 
 def start_cycles(pulses: int, period_cycles: int, bits: int = 0, seed: int = 1) -> np.ndarray:
-    """int64[pulses + 1]: when each period of a frame begins, in cycles from the first one's on, and when one more would.
+    """int64[pulses + 1]: cycle in which each period of a frame begins, counted from the start of the first one; the
+    last element is where one more would begin.
 
-    The wait after a period is the low `bits` of the LFSR at its end. The LFSR begins at `seed` with the frame and steps once a cycle
-    of the periods, not while waiting.
+    The wait after a period is the low `bits` of the LFSR at its end. The LFSR begins at `seed` with the frame and steps
+    once per cycle of the periods, not while waiting.
     """
     waits = np.zeros(pulses, np.int64)
     if bits:

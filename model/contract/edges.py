@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Edges: SPAD avalanches as the digital logic sees them, and their file format."""
 
 import enum
@@ -10,7 +11,7 @@ from ..shared.files import FilePath, read_npz, write_npz
 
 
 class Fate(enum.IntEnum):
-    """What became of an edge."""
+    """Fate of an edge in the sensor."""
 
     OPENING = 0
     COUNTED = 1
@@ -24,10 +25,9 @@ class Fate(enum.IntEnum):
 class Edges:
     """SPAD edges, one per element, in any order.
 
-    pulse: int64[n], laser pulse counted through the frames (frame = pulse // pulses).
-    pixel: int64[n], row * cols + col.
-    tick: int64[n], TDC ticks since the laser trigger of that pulse.
-    offset_ps: float64[n], where in its tick the edge is, from the tick's start; None: in its middle. Only circuits feel it.
+    pulse: int64[n], laser pulse counted through the frames (frame = pulse // pulses). pixel: int64[n], row * cols +
+    col. tick: int64[n], TDC ticks since the laser trigger of that pulse. offset_ps: float64[n], position of the edge in
+    its tick, from the tick's start; None: in its middle. It matters to the asynchronous view only.
     """
 
     pulse: np.ndarray
@@ -54,10 +54,11 @@ NAMES = ("pulse", "pixel", "tick")
 
 
 def load_edges(path: FilePath, *, pixels: int, pulses: int, period_ticks: int) -> Edges:
-    """Reads and checks an edge file: pixel below `pixels`, tick below `period_ticks`, pulse below `pulses` (of all frames).
+    """Reads and checks an edge file: pixel below `pixels`, tick below `period_ticks`, pulse below `pulses` (of all
+    frames).
 
-    An array `offset_ps` may say where in its tick each edge is. Raises `InputError` naming the array, its first bad element and the
-    legal range.
+    An array `offset_ps` may say where in its tick each edge is. Raises `InputError` naming the array, its first bad
+    element and the legal range.
     """
     arrays = read_npz(path, NAMES, optional=("offset_ps",))
     return checked_edges(arrays, pixels=pixels, pulses=pulses, period_ticks=period_ticks, source=f"{path}: ")

@@ -1,6 +1,9 @@
-"""The cycle contract between RTL and golden model: how many cycles a block's registers take. Our choice; the paper gives none.
+# SPDX-License-Identifier: Apache-2.0
+"""The cycle contract between RTL and golden model: how many cycles a block's registers take. Our choice; the paper
+gives none.
 
-Cycles are counted at the sensor's ports: an edge word that stands at the ports in cycle c is c; all latencies are from there.
+Cycles are counted at the sensor's ports: an edge word that is at the ports in cycle c belongs to cycle c, and all
+latencies count from there.
 """
 
 COMMIT = 8  # L: close cycle of a window -> cycle of its commit (the FIFO is written at that cycle's end)
@@ -16,6 +19,6 @@ FINISH = 12  # first cycle after the last period -> earliest grant of the frame 
 
 
 def output_depth(longest_packet: int) -> int:
-    """Beats that a stream's output buffer holds: enough that a grant's round trip never idles the stream."""
+    """Beats that a stream's output buffer holds: enough to keep the stream busy during the round trip of a grant."""
     round_trip = GRANT_TO_BEAT + BEAT_TO_PORT + 2
     return 1 << (2 * longest_packet + round_trip - 1).bit_length()

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The words of the stream: one table of header fields for RTL and decoder, and the decoder.
 
 A packet is a header beat and, by its type, beats of map, offsets, minigroup entries or counters, lowest bits first.
@@ -57,9 +58,14 @@ class Layout:
     counter_beats: int
 
     @property
+    def longest_word(self) -> int:
+        """Beats of the longest event or record."""
+        return max(self.length(Kind.EVENT_FULL), self.length(Kind.RECORD))
+
+    @property
     def longest(self) -> int:
         """Beats of the longest packet that a subgroup sends."""
-        return max(1 + self.hits_beats + self.offset_beats, 1 + self.record_beats, self.counter_beats)
+        return max(self.longest_word, self.counter_beats)
 
     def length(self, kind: int) -> int:
         """Beats of an event or record packet with its header."""

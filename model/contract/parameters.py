@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What is fixed when the sensor is built: sizes, phases, and everything that follows from them."""
 
 from collections.abc import Callable
@@ -8,7 +9,7 @@ from ..shared.errors import InputError, check_integer
 
 TOP = "coincid_sensor"  # the RTL's top module
 STAMP_FIELD_BITS = 15  # of the header: see packet.py, which lays the fields out
-QUARTERS = 4  # coarse stamps count quarters of a cycle
+QUARTERS = 4  # coarse stamps count quarters of a cycle, and offsets no larger parts of it
 OFFSET_NONE = 255  # a minigroup's offset byte where it was not hit
 RECORD_BITS = (16, 32)  # a minigroup record's entry takes the smaller that holds it
 SHORTEST_GUARD_CYCLES = 4  # a minigroup collection that opens last must close before the period does
@@ -21,9 +22,11 @@ SIZE_LIMITS = {  # key: (default, lowest, highest)
     "rearm": (0, 0, 15),
     "fifo_depth": (16, 1, 1024),
     "streams": (1, 1, 64),
+    "offset_phases": (16, QUARTERS, 64),
 }
 CLOCK_MHZ = 500.0  # system clock of the preset `silicon`, and of a configuration that names none
 CLOCK_MHZ_RANGE = (1e-3, 1e5)
+LINK_GBPS_MAX = 1e6  # of a stream
 SUBGROUP_PIXELS = (16, 256)
 MINIGROUP_PIXELS = (1, 16)
 SUBGROUPS_MAX = 4096  # the header's subgroup field has 12 bits
@@ -52,34 +55,45 @@ def bits_for(highest: int) -> int:
     return max(1, int(highest).bit_length())
 
 
-def _phase_bits(phases: object) -> int:
-    return bits_for(phases - 1) if type(phases) is int else 0
+def guard_cycles(window_ticks: int, phases: int, rearm_cycles: int) -> int:
+    """Cycles at the end of a period in which no window of this length may open, so that the tree is armed again at its end."""
+    return max(SHORTEST_GUARD_CYCLES, -(-window_ticks // phases) + 1 + rearm_cycles)
+
+
+def _integer(value: object) -> int:
+    """`value`, or 0 where it is none: a default that depends on it is made before it is checked."""
+    return value if type(value) is int else 0
 
 
 @frozen(kw_only=True)
 class Sensor:
     """Parameters of the sensor as built. Raises `InputError` that names the parameter and its range.
 
-    rows, cols: SPADs. phases: ticks (TDC LSBs) of a clock cycle, a power of two. coarse_bits: width of the TDC's coarse counter
-    (default: 10, or what fits a stamp beside the phases).
-    window_max: longest coincidence window in ticks. rearm: cycles R between the cycle a window closes in and the tree's re-arming.
-    fifo_depth: events a subgroup's FIFO holds. streams: AXI4-Streams. subgroup, minigroup: rows x cols in SPADs.
+    rows, cols: SPADs. phases: ticks (TDC LSBs) of a clock cycle, a power of two. coarse_bits: width of the TDC's coarse
+    counter (default: 10, or what fits a stamp beside the phases). window_max: longest coincidence window in ticks.
+    rearm: cycles R between the cycle a window closes in and the tree's re-arming. fifo_depth: events a subgroup's FIFO
+    holds. streams: AXI4-Streams. subgroup, minigroup: rows x cols in SPADs. offset_phases: steps of a cycle that the
+    minigroups' coarse offsets count, a power of two from 4 to `phases` (default: 16, or the phases where they are
+    fewer).
     """
 
     rows: int = _limited("rows")
     cols: int = _limited("cols")
     phases: int = _limited("phases")
-    coarse_bits: int = _limited("coarse_bits", fits=lambda self: STAMP_FIELD_BITS - _phase_bits(self.phases))
+    coarse_bits: int = _limited("coarse_bits", fits=lambda self: STAMP_FIELD_BITS - bits_for(_integer(self.phases) - 1))
     window_max: int = _limited("window_max")
     rearm: int = _limited("rearm")
     fifo_depth: int = _limited("fifo_depth")
     streams: int = _limited("streams")
     subgroup: tuple[int, int] = _pair((8, 8))
     minigroup: tuple[int, int] = _pair((2, 2))
+    offset_phases: int = _limited("offset_phases", fits=lambda self: _integer(self.phases))
 
     def __attrs_post_init__(self) -> None:
-        if self.phases & (self.phases - 1):
-            raise InputError(f"sensor.phases = {self.phases}: must be a power of two from 4 to 64")
+        for name, highest in (("phases", SIZE_LIMITS["phases"][2]), ("offset_phases", self.phases)):
+            steps = getattr(self, name)
+            if steps & (steps - 1) or steps > highest:
+                raise InputError(f"sensor.{name} = {steps}: must be a power of two from {QUARTERS} to {highest}")
         for name, outer, outer_name, (low, high) in (
             ("subgroup", (self.rows, self.cols), "rows x cols", SUBGROUP_PIXELS),
             ("minigroup", self.subgroup, "subgroup", MINIGROUP_PIXELS),
@@ -91,14 +105,15 @@ class Sensor:
             if outer[0] % size[0] or outer[1] % size[1]:
                 raise InputError(f"sensor.{name} = {list(size)}: must divide {outer_name} = {list(outer)} without rest")
         if self.stamp_bits > STAMP_FIELD_BITS:
-            highest = STAMP_FIELD_BITS - _phase_bits(self.phases)
+            highest = STAMP_FIELD_BITS - self.phase_bits
             raise InputError(
                 f"sensor.coarse_bits = {self.coarse_bits}: must be an integer from 3 to {highest} with {self.phases} phases"
             )
         if self.offset_max >= OFFSET_NONE:
-            highest = (OFFSET_NONE - 1) * self.quarter_ticks - self.phases + 1 + self.quarter_ticks
+            highest = OFFSET_NONE * self.offset_ticks - self.phases + 1
             raise InputError(
-                f"sensor.window_max = {self.window_max}: must be an integer from 1 to {highest} with {self.phases} phases"
+                f"sensor.window_max = {self.window_max}: must be an integer from 1 to {highest} with sensor.phases ="
+                f" {self.phases} and sensor.offset_phases = {self.offset_phases}, so that offsets fit 8 bits"
             )
         if self.subgroups > SUBGROUPS_MAX:
             raise InputError(
@@ -140,9 +155,14 @@ class Sensor:
         return self.phases // QUARTERS
 
     @property
+    def offset_ticks(self) -> int:
+        """Ticks of a step of the coarse offsets."""
+        return self.phases // self.offset_phases
+
+    @property
     def guard(self) -> int:
         """Cycles G at a period's end in which no window opens, so that a period is self-contained."""
-        return max(SHORTEST_GUARD_CYCLES, -(-self.window_max // self.phases) + 1 + self.rearm)
+        return guard_cycles(self.window_max, self.phases, self.rearm)
 
     @property
     def period_max(self) -> int:
@@ -171,12 +191,22 @@ class Sensor:
 
     @property
     def offset_max(self) -> int:
-        """Largest coarse offset (quarters of a cycle from the start of the opening cycle) inside a window."""
-        return (self.phases - 1 + self.window_max - 1) // self.quarter_ticks
+        """Largest coarse offset (steps from the start of the opening cycle) inside a window."""
+        return (self.phases - 1 + self.window_max - 1) // self.offset_ticks
 
     @property
     def offset_bits(self) -> int:
         return bits_for(self.offset_max)
+
+    @property
+    def step_bits(self) -> int:
+        """Bits of a coarse offset that give the step in its cycle; the bits above them count cycles."""
+        return bits_for(self.offset_phases - 1)
+
+    @property
+    def elapsed_bits(self) -> int:
+        """Bits that count the cycles of a window behind its opening one (at least one)."""
+        return max(1, self.offset_bits - self.step_bits)
 
     @property
     def record_stamp_bits(self) -> int:
@@ -195,11 +225,11 @@ class Sensor:
         return [(row * mr + r) * sc + col * mc + c for r in range(mr) for c in range(mc)]
 
     def stream_of(self, subgroup: int) -> int:
-        """The stream that `subgroup` leaves by."""
+        """The stream by which the words of `subgroup` leave."""
         return subgroup * self.streams // self.subgroups
 
     def stream_subgroups(self, stream: int) -> range:
-        """The subgroups that leave by `stream`: always a contiguous run."""
+        """The subgroups whose words leave by `stream`; they are always contiguous."""
         n = self.subgroups
         return range(-(-stream * n // self.streams), -(-(stream + 1) * n // self.streams))
 

@@ -1,4 +1,5 @@
-"""SPAD ports of the polyphase view: in which cycle, at which subgroup's port and in which of its bits an edge stands."""
+# SPDX-License-Identifier: Apache-2.0
+"""SPAD ports of the polyphase view: the cycle, the subgroup's port and the bit of an edge."""
 
 from typing import NamedTuple
 
@@ -10,7 +11,10 @@ from .pixels import pixel_table
 
 
 class PortBits(NamedTuple):
-    """Places of edges, int64[n] each. cycle: of the frame; subgroup: whose port; bit: of the port's word."""
+    """Places of edges, int64[n] each.
+
+    cycle: of the frame; subgroup: the one that the port belongs to; bit: position in the word of the port.
+    """
 
     cycle: np.ndarray
     subgroup: np.ndarray
@@ -18,7 +22,7 @@ class PortBits(NamedTuple):
 
 
 def port_bits(config: Config, edges: Edges) -> PortBits:
-    """Where the edges of one frame stand, in the order of `edges`; bit i * phases + k is phase k of pixel i."""
+    """The places of the edges of one frame, in the order of `edges`; bit i * phases + k is phase k of pixel i."""
     table = pixel_table(config.sensor)
     cycle_in_period, phase = np.divmod(edges.tick, config.sensor.phases)
     return PortBits(

@@ -1,7 +1,9 @@
+# SPDX-License-Identifier: Apache-2.0
 """The register map: one table for RTL, configuration files, documentation, C header and test benches.
 
-Addresses are bytes. The global block stands at 0, the block of subgroup s at `SUBGROUP_BASE + SUBGROUP_STRIDE * s`. Ranges and reset values
-that depend on the sensor's parameters are functions of `Sensor`. Settings are taken at frame start; counters are valid while not busy.
+Addresses are bytes. The global block stands at 0, the block of subgroup s at `SUBGROUP_BASE + SUBGROUP_STRIDE * s`.
+Ranges and reset values that depend on the sensor's parameters are functions of `Sensor`. Settings are taken at frame
+start; counters are valid while not busy.
 """
 
 import enum
@@ -20,9 +22,9 @@ MASK_BITS = 32
 COUNTER_BITS = 32
 AUTO_BOUNDS = 6
 ID_VALUE = 0x434F494E  # "COIN"
-VERSION_VALUE = 0x00010001  # major, minor: 16 bits each; a change of the map that software can see raises it
-# Photons in 100 pulses; from the study of the background, figures/architect.py.
-DEFAULT_AUTO_BOUNDS = (150, 450, 2150, 22_000, 30_000, 44_000)
+VERSION_VALUE = 0x00020000  # major, minor: 16 bits each; a change of the map that software can see raises it
+THRESHOLD_MAX = 1 + AUTO_BOUNDS  # of the controller
+EVENTS_MAX = (1 << COUNTER_BITS) - 1  # that a counter tells of
 
 Value = Callable[[Sensor], int]
 
@@ -96,6 +98,7 @@ _CONSTANTS: tuple[tuple[str, str, Value], ...] = (
     ("subgroup_cols", "SPAD columns of a subgroup.", lambda s: s.subgroup[1]),
     ("minigroup_rows", "SPAD rows of a minigroup.", lambda s: s.minigroup[0]),
     ("minigroup_cols", "SPAD columns of a minigroup.", lambda s: s.minigroup[1]),
+    ("offset_phases", "Steps of a clock cycle that coarse offsets count.", lambda s: s.offset_phases),
 )
 
 GLOBAL: tuple[Register, ...] = (
@@ -142,6 +145,12 @@ GLOBAL: tuple[Register, ...] = (
             Bits("start_period", 6, "A start was refused: period not above the guard G.", clears=True),
             Bits("start_bounds", 7, "A start was refused: auto_bounds descend.", clears=True),
             Bits("start_gate", 8, "A start was refused: gating on and gate_start not below the period.", clears=True),
+            Bits(
+                "start_upset",
+                9,
+                "A start was refused: a setting is not what was written; write all again.",
+                clears=True,
+            ),
         ),
     ),
     Register(
@@ -175,7 +184,7 @@ GLOBAL: tuple[Register, ...] = (
         offset=0x54,
         access=Access.SETTING,
         high=1,
-        doc="1: minigroups stamp for themselves, a record a period.",
+        doc="1: minigroups have their own stamps, and a subgroup sends at most one record per period.",
     ),
     Register(
         name="mg_threshold",
@@ -224,7 +233,7 @@ GLOBAL: tuple[Register, ...] = (
         access=Access.SETTING,
         count=AUTO_BOUNDS,
         high=0xFFFF_FFFF,
-        doc="Threshold controller: the threshold is 1 + the number of bounds that the photons of the frame before reach. Must not descend.",
+        doc="Threshold controller: the threshold is at most 1 + the number of bounds that `opened` of the frame before reaches. Must not descend.",
     ),
     Register(
         name="dither_bits",
@@ -242,6 +251,39 @@ GLOBAL: tuple[Register, ...] = (
         reset=1,
         doc="State of that LFSR at the frame's beginning.",
     ),
+    Register(
+        name="capacity",
+        offset=0x8C,
+        access=Access.SETTING,
+        high=EVENTS_MAX,
+        reset=EVENTS_MAX,
+        doc="Threshold controller: events that a stream carries in a frame.",
+    ),
+    Register(
+        name="threshold_floor",
+        offset=0x90,
+        access=Access.SETTING,
+        high=THRESHOLD_MAX,
+        reset=1,
+        doc="Threshold controller: the lowest threshold; 0 is as 1.",
+    ),
+    Register(
+        name="share",
+        offset=0x100,
+        access=Access.SETTING,
+        count=lambda s: s.streams,
+        high=EVENTS_MAX,
+        reset=EVENTS_MAX,
+        doc="Threshold controller, stream i: capacity // its subgroups. Its budget begins with this and falls no lower.",
+    ),
+    Register(
+        name="budget",
+        offset=0x200,
+        access=Access.COUNTER,
+        count=lambda s: s.streams,
+        reset=EVENTS_MAX,
+        doc="Threshold controller, stream i: events that each of its subgroups may send in a frame.",
+    ),
 )
 
 COUNTERS: tuple[tuple[str, str], ...] = (  # in the order of the frame end packet
@@ -255,6 +297,7 @@ COUNTERS: tuple[tuple[str, str], ...] = (  # in the order of the frame end packe
     ("mg_stored", "Minigroup records written."),
     ("mg_dropped", "Minigroup records lost, the one before still waiting."),
     ("threshold_used", "Threshold of the frame: the register's or the controller's."),
+    ("lower", "Windows that met the threshold less one."),
 )
 COUNTER_NAMES = tuple(name for name, _ in COUNTERS)
 
@@ -315,6 +358,7 @@ SUBGROUP: tuple[Register, ...] = (
 )
 
 BY_NAME = {register.name: register for register in (*GLOBAL, *SUBGROUP)}
+WRITABLE = (Access.SETTING, Access.PULSE, Access.STATUS)
 MODE = BY_NAME["mode"]
 
 
@@ -330,6 +374,11 @@ def address(name: str, subgroup: int = 0, index: int = 0) -> int:
     register = BY_NAME[name]
     base = SUBGROUP_BASE + SUBGROUP_STRIDE * subgroup if register in SUBGROUP else 0
     return base + register.offset + 4 * index
+
+
+def control(bit: str) -> tuple[int, int]:
+    """(address, value) of the write that sets a bit of `control`: `start` or `abort`."""
+    return address("control"), 1 << BY_NAME["control"].bit(bit)
 
 
 def reset_values(sensor: Sensor) -> dict[int, int]:

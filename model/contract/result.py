@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What left the sensor, as arrays: built from the beats of any engine, compared, written and read."""
 
 from typing import Any
@@ -14,6 +15,7 @@ from .stream import decode_frame
 EVENT_FIELDS = ("subgroup", "pulse", "stamp", "count", "winner", "overrun")
 EVENT_COLUMNS = (*EVENT_FIELDS, "commit_cycle")  # arrays with one value an event
 RECORD_COLUMNS = ("mg_subgroup", "mg_pulse", "mg_stamp", "mg_map")
+COMMIT_UNKNOWN = np.int64(-1)  # commit cycle of an event that was received from a chip
 OPTIONAL = ("hits", "mg_offset", "fate")  # by format and engine
 
 
@@ -26,24 +28,28 @@ class ResultBuilder:
         self._records: list[tuple[np.ndarray, ...]] = []
         self._counters: list[np.ndarray] = []
 
-    def add(self, beats: list[np.ndarray], commit_subgroup: np.ndarray, commit_cycle: np.ndarray) -> None:
+    def add(
+        self, beats: list[np.ndarray], commit_subgroup: np.ndarray | None = None, commit_cycle: np.ndarray | None = None
+    ) -> None:
         """Adds a frame: its beats per stream, and its stored events' subgroups and commit cycles (time order in a subgroup).
 
+        Without these the commit cycles are `COMMIT_UNKNOWN`: outside the chip nobody sees them.
         Raises `StreamError` if the beats are not a frame, or `ValueError` if more or fewer events left than were stored.
         """
         sensor = self.config.sensor
         base = len(self._counters) * self.config.pulses
         counters = np.zeros((sensor.subgroups, len(COUNTER_NAMES)), np.int64)
-        order = np.argsort(commit_subgroup, kind="stable")
         frames = [decode_frame(stream, sensor, len(sensor.stream_subgroups(k))) for k, stream in enumerate(beats)]
         for k, frame in enumerate(frames):
             counters[sensor.stream_subgroups(k)] = frame.counters
         columns = dict(zip(HEADER, np.concatenate([frame.events for frame in frames]).T))
-        left = np.argsort(columns["subgroup"], kind="stable")
-        if not np.array_equal(columns["subgroup"][left], commit_subgroup[order]):
-            raise ValueError("the events that left the sensor are not the ones that its FIFOs stored")
-        commit = np.empty(len(left), np.int64)
-        commit[left] = commit_cycle[order]
+        commit = np.full(len(columns["subgroup"]), COMMIT_UNKNOWN)
+        if commit_subgroup is not None and commit_cycle is not None:
+            order = np.argsort(commit_subgroup, kind="stable")
+            left = np.argsort(columns["subgroup"], kind="stable")
+            if not np.array_equal(columns["subgroup"][left], commit_subgroup[order]):
+                raise ValueError("the events that left the sensor are not the ones that its FIFOs stored")
+            commit[left] = commit_cycle[order]
         columns["pulse"] = columns["pulse"] + base
         self._events.append(
             (
@@ -76,9 +82,9 @@ class ResultBuilder:
 
 
 def events_table(arrays: dict[str, np.ndarray]) -> Any:
-    """A row for every event, of `EVENT_COLUMNS`: a pandas DataFrame where pandas is installed, else a structured array.
+    """One row per event: a pandas DataFrame if pandas is installed, otherwise a structured array.
 
-    The rows are those of the arrays, and so are those of `hits` and `mg_offset`, which have more than one value a row.
+    The columns are those of `EVENT_COLUMNS`. Row i belongs to row i of the arrays `hits` and `mg_offset`, which hold several values per event.
     """
     columns = {name: arrays[name] for name in EVENT_COLUMNS}
     try:
@@ -99,12 +105,12 @@ def write_result(path: FilePath, arrays: dict[str, np.ndarray]) -> None:
 
 
 def read_result(path: FilePath) -> dict[str, np.ndarray]:
-    """The arrays of a result file. Raises `InputError` where it is none."""
+    """The arrays of a result file. Raises `InputError` if the file is not a result."""
     return read_npz(path, (*EVENT_COLUMNS, *RECORD_COLUMNS, *COUNTER_NAMES), OPTIONAL)
 
 
 def differences(first: dict[str, np.ndarray], second: dict[str, np.ndarray]) -> list[str]:
-    """Where two results differ, a line an array; `fate`, which only the golden model knows, is left out."""
+    """The differences of two results, one line per array; `fate`, which only the golden model knows, is left out."""
     lines = []
     for name in sorted((first.keys() | second.keys()) - {"fate"}):
         a, b = first.get(name), second.get(name)

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Decoder of the stream: the beats of a frame back to events, minigroup records and counters, by the tables of `packet.py`."""
 
 import numpy as np
@@ -19,7 +20,7 @@ class Frame:
 
     number: the frame's number in its packets. events: int64[n, 7], columns in the order of `HEADER`. hits: uint64[n,
     map beats]; offsets: uint8[n, minigroups]. records: int64[k, 2], subgroup and pulse. entries: int64[k, minigroups,
-    2], stamp and map. counters: int64[subgroups of the stream, 10].
+    2], stamp and map. counters: int64[subgroups of the stream, 11].
     """
 
     number: int
@@ -37,13 +38,8 @@ def decode_frame(beats: np.ndarray, sensor: Sensor, subgroups: int) -> Frame:
     Raises `StreamError` where the beats are not exactly a frame start, packets, and a frame end with its counters.
     """
     parts = layout(sensor)
-    lengths = np.zeros(8, np.int64)
-    for kind in (Kind.EVENT_SHORT, Kind.EVENT_ID, Kind.EVENT_FULL, Kind.RECORD):
-        lengths[kind] = parts.length(kind)
+    kinds, starts = packet_starts(beats, sensor, subgroups)
     tail = 1 + parts.counter_beats * subgroups
-    kinds, starts, bad = _packets(beats, lengths, len(beats) - tail)
-    if bad >= 0 or len(beats) <= tail:
-        raise StreamError(f"beat {max(bad, 0)} of {len(beats)}: not a packet header where one is due")
     head, end = beats[0], beats[len(beats) - tail]
     if header_field(head, "kind") != Kind.FRAME_START or header_field(end, "kind") != Kind.FRAME_END:
         raise StreamError("the frame does not begin with a frame start and end with a frame end")
@@ -72,6 +68,19 @@ def decode_frame(beats: np.ndarray, sensor: Sensor, subgroups: int) -> Frame:
         np.int64
     )
     return Frame(int(header_field(head, "pulse")), events, hits, offsets, records, entries, counters)
+
+
+def packet_starts(beats: np.ndarray, sensor: Sensor, subgroups: int) -> tuple[np.ndarray, np.ndarray]:
+    """Kind and first beat of each packet between a frame's start and its end, int64[n] each. Raises `StreamError`."""
+    parts = layout(sensor)
+    lengths = np.zeros(8, np.int64)
+    for kind in (Kind.EVENT_SHORT, Kind.EVENT_ID, Kind.EVENT_FULL, Kind.RECORD):
+        lengths[kind] = parts.length(kind)
+    end = len(beats) - 1 - parts.counter_beats * subgroups
+    kinds, starts, bad = _packets(beats, lengths, end)
+    if bad >= 0 or end <= 0:
+        raise StreamError(f"beat {max(bad, 0)} of {len(beats)}: not a packet header where one is due")
+    return kinds, starts
 
 
 def _split(beats: np.ndarray, dtype: type[np.unsignedinteger]) -> np.ndarray:

@@ -1,7 +1,9 @@
-"""A window's end: when it closes, and when the tree that it kept busy is armed again.
+# SPDX-License-Identifier: Apache-2.0
+"""The end of a window: when it closes, and when the tree is armed again.
 
-Plain arithmetic on integers, which takes numbers and arrays alike and which kernels compile for themselves. A window opens at a tick of
-a laser period and lasts `window_ticks`; cycles and ticks are counted from the period's start.
+These functions are plain arithmetic on integers. They accept numbers and arrays, and kernels compile their own
+versions. A window opens at a tick of a laser period and lasts `window_ticks`; cycles and ticks are counted from the
+period's start.
 """
 
 from typing import TypeVar

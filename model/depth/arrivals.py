@@ -1,12 +1,15 @@
-"""When an event's light came: its stamp, corrected for being the first photon's.
+# SPDX-License-Identifier: Apache-2.0
+"""Arrival times of events: their stamps, corrected for the lead of the first photon.
 
-An event's stamp is the earliest photon's time, and its count says how many came within the window. The earliest of N
-photons of a Gaussian pulse leads the pulse's centre, by 2 sigma for N = 35: more than what the paper calls success (230 ps).
-Our choice, as the paper is silent: each event is moved later by the expected lead of the earliest of its own photons.
+The stamp of an event is the time of its earliest photon, and its count says how many photons came within the window.
+The earliest of N photons of a Gaussian pulse leads the pulse's centre, by 2 sigma for N = 35: more than what the paper
+calls success (230 ps). The paper does not mention this, so it is our own choice: each event is moved later by the
+expected lead of the earliest of its own photons.
 
 Two limits. It takes the window for longer than the pulse: the count of a shorter one, and of coincidence off, says too
-little, and such stamps stay early (the joint estimator fits them instead). It takes an event for one flat surface's: where
-surfaces nearer to each other than the window share a subgroup, the event is placed at the first of them.
+little, and such stamps stay early (the estimator of planes has their law instead). It takes an event for one flat
+surface's: where surfaces nearer to each other than the window share a subgroup, the event is placed at the first of
+them.
 """
 
 import numpy as np

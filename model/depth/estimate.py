@@ -1,19 +1,21 @@
-"""Depth from a sensor's events, and how much of it is wrong.
+# SPDX-License-Identifier: Apache-2.0
+"""Estimates depth from a sensor's events.
 
-Ref: paper IV: a histogram per pixel and its peak; Fig. 7 for what counts as right. The other methods are our choice.
+Ref: paper IV: a histogram per pixel and its peak; Fig. 7 for what counts as right. The other methods are our own
+choice.
 """
 
 import numpy as np
 from attrs import frozen
 
 from ..contract.config import Config
-from ..shared.constants import SPEED_OF_LIGHT_M_S
+from ..shared.constants import SPEED_OF_LIGHT_M_S, SUCCESS_TOLERANCE_S
 from ..shared.errors import check_integer
 from ..shared.quantities import check_choice
 from .arrivals import SYSTEM_FWHM_S, pulse_sigma_ticks
-from .histograms import Events, frame_events, pixel_image, subgroup_histograms
-from .joint import joint_choice
-from .peaks import ACCIDENT_MAX, live_share, pixel_peaks
+from .histograms import frame_events, pixel_image, subgroup_histograms
+from .peaks import live_share, pixel_peaks
+from .planes import find_surfaces
 
 RETURNS_MAX = 8
 
@@ -21,7 +23,7 @@ METHODS = {
     "maximum": "highest bin of the pixel's histogram",
     "matched": "highest point of the histogram filtered with the pulse",
     "background": "where hits exceed most what background explains, given when the tree could be armed at all",
-    "joint": "surfaces of the subgroup, among which each pixel and its neighbours choose",
+    "planes": "the likelihood of all events, and planes through it that neighbouring pixels share",
 }
 
 
@@ -29,53 +31,88 @@ METHODS = {
 class Depth:
     """Estimated depth of rows x cols pixels.
 
-    depth_m: float64[rows, cols, returns], the most likely first, NaN = none. confidence: the same shape, 0 to 1; of the
-    first return the probability that the pixel's light came from there and not from anywhere else (joint: from another of
-    the surfaces), of the others that they are no accident of the background.
+    Attributes
+    ----------
+    depth_m : numpy.ndarray
+        float64[rows, cols, returns], in metres, the most likely return first; NaN = none.
+    confidence : numpy.ndarray
+        float64[rows, cols, returns], from 0 to 1. For the first return it is the probability that the pixel's light came from there
+        (`planes`: that it is right by the paper's criterion); for the others, that they are no accident of the background.
+    error_m : numpy.ndarray or None
+        float64[rows, cols, returns], standard error in metres; only of `planes`.
+    slope_m : numpy.ndarray or None
+        float64[rows, cols, 2], increase of the distance from row to row and from column to column, in metres; only of `planes`.
     """
 
     depth_m: np.ndarray
     confidence: np.ndarray
+    error_m: np.ndarray | None = None
+    slope_m: np.ndarray | None = None
 
 
 def estimate_depth(
     arrays: dict[str, np.ndarray],
     config: Config,
     *,
-    method: str = "joint",
+    method: str = "planes",
     source: str = "map",
     frame: int | None = None,
     returns: int = 1,
+    workers: int | None = None,
     system_fwhm_s: float = SYSTEM_FWHM_S,
 ) -> Depth:
-    """Depth from the arrays of a result (`result.py`), by one of `METHODS`.
+    """Estimate the distance of every pixel from what left the sensor.
 
-    frame: events of that frame only (None: all). source: of `histograms.SOURCES`, what a pixel's histogram is made from
-    (joint always takes the map). system_fwhm_s: of pulse and jitter together. Raises `InputError`.
+    Parameters
+    ----------
+    arrays : dict of str to numpy.ndarray
+        The arrays of a result, as `Run.result` or `read_result` has them.
+    config : Config
+        The configuration of the run.
+    method : str
+        `planes` (default), `maximum` (the paper's highest bin), `matched` or `background`; see docs/depth.md.
+    source : str
+        What a pixel's histogram is made from: `map`, `minigroup` or `subgroup`. `planes` use all parts of an event in any case.
+    frame : int or None
+        Use the events of this frame only; None uses all of them.
+    returns : int
+        Number of surfaces per pixel, 1 to 8.
+    workers : int or None
+        Threads of `planes`; None is one per core. The number does not change the result.
+    system_fwhm_s : float
+        Width of laser pulse and jitter together, in seconds.
+
+    Returns
+    -------
+    Depth
+
+    Raises
+    ------
+    InputError
+        If an argument is out of range.
     """
     check_choice("method", method, tuple(METHODS))
     check_integer("returns", returns, 1, RETURNS_MAX)
     sigma_ticks = pulse_sigma_ticks(config, system_fwhm_s)
     events = frame_events(arrays, config, sigma_ticks, frame)
-    if method == "joint":
-        ticks, confidence = _joint(events, config, sigma_ticks, returns)
-    else:
-        live = live_share(arrays, events, config, frame) if method == "background" else None
-        histograms = subgroup_histograms(arrays, config, sigma_ticks, source=source, frame=frame)
-        found = [
-            pixel_peaks(histogram, method, None if live is None else live[s], sigma_ticks, returns)
-            for s, histogram in enumerate(histograms)
-        ]
-        ticks, confidence = (pixel_image(np.stack(part), config.sensor) for part in zip(*found))
+    if method == "planes":
+        tick_m = config.tick_s * SPEED_OF_LIGHT_M_S / 2
+        pulses = config.pulses * (len(arrays["opened"]) if frame is None else 1)
+        surfaces = find_surfaces(
+            events,
+            config,
+            sigma_ticks,
+            pulses,
+            tolerance_ticks=SUCCESS_TOLERANCE_S / config.tick_s,
+            returns=returns,
+            workers=workers,
+        )
+        return Depth(surfaces.time * tick_m, surfaces.confidence, surfaces.error * tick_m, surfaces.slope * tick_m)
+    live = live_share(arrays, events, config, frame) if method == "background" else None
+    histograms = subgroup_histograms(arrays, config, sigma_ticks, source=source, frame=frame)
+    found = [
+        pixel_peaks(histogram, method, None if live is None else live[s], sigma_ticks, returns)
+        for s, histogram in enumerate(histograms)
+    ]
+    ticks, confidence = (pixel_image(np.stack(part), config.sensor) for part in zip(*found))
     return Depth(ticks * config.tick_s * SPEED_OF_LIGHT_M_S / 2, np.where(np.isnan(ticks), 0.0, confidence))
-
-
-def _joint(events: Events, config: Config, sigma_ticks: float, returns: int) -> tuple[np.ndarray, np.ndarray]:
-    """(ticks, confidence) [rows, cols, returns]; further returns are candidates with significant hits of the pixel."""
-    ticks, probability, significance = joint_choice(events, config, sigma_ticks)
-    ticks[:, :, 1:][significance[:, :, 1:] < 1 - ACCIDENT_MAX] = np.nan
-    confidence = np.concatenate([probability[:, :, :1], significance[:, :, 1:]], axis=2)
-    order = np.argsort(np.isnan(ticks), axis=2, kind="stable")
-    ticks, confidence = (np.take_along_axis(array, order, 2)[:, :, :returns] for array in (ticks, confidence))
-    missing = ((0, 0), (0, 0), (0, returns - ticks.shape[2]))
-    return np.pad(ticks, missing, constant_values=np.nan), np.pad(confidence, missing)

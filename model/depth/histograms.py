@@ -1,6 +1,9 @@
-"""Histograms of a sensor's events: per pixel from the ID map, per minigroup from its own stamps, per subgroup from the stamp alone.
+# SPDX-License-Identifier: Apache-2.0
+"""Histograms of a sensor's events: per pixel from the ID map, per minigroup from its own stamps, per subgroup from the
+stamp alone.
 
-Ref: paper III-A (stamp, ID map, minigroup stamps), IV (a histogram per pixel). Bins are ticks of the arrival (`arrivals.py`).
+Ref: paper III-A (stamp, ID map, minigroup stamps), IV (a histogram per pixel). Bins are ticks of the arrival
+(`arrivals.py`).
 """
 
 from collections.abc import Callable, Iterator
@@ -29,19 +32,25 @@ class Events:
     """Events of one frame or of all, ordered by subgroup; rows of subgroup s: bounds[s] to bounds[s + 1].
 
     stamp, count: int64[n]. arrival: float64[n], ticks. hits: uint64[n, words]. offset: uint8[n, minigroups], no columns
-    where the format has none. Per subgroup: threshold, window (ticks; both 1 where coincidence is off), int64; photon_rate:
-    float64, photons per tick while the tree is armed, mostly background.
+    where the format has none. Per subgroup: threshold, window (ticks; both 1 where coincidence is off), int64;
+    photon_rate: float64, photons per tick while the tree is armed, mostly background.
     """
 
     bounds: np.ndarray
+    pulse: np.ndarray
     stamp: np.ndarray
     count: np.ndarray
+    winner: np.ndarray
+    overrun: np.ndarray
     arrival: np.ndarray
+    mapped: bool
     hits: np.ndarray
     offset: np.ndarray
     threshold: np.ndarray
     window: np.ndarray
     photon_rate: np.ndarray
+    opened: np.ndarray
+    committed: np.ndarray
 
     def maps(self, subgroup: int, pixels: int) -> np.ndarray:
         """The ID maps of a subgroup's events as bool[n, pixels]."""
@@ -50,12 +59,11 @@ class Events:
 
 
 def frame_events(arrays: dict[str, np.ndarray], config: Config, sigma_ticks: float, frame: int | None = None) -> Events:
-    """The events of a result (`result.py`) that came in `frame`, or in any (None).
+    """The events of a result (`result.py`) in one frame, or in all frames (None).
 
-    Raises `InputError` if the result has no such frame, or no ID map (format short).
+    Without an ID map (format short) an event's map holds its winner alone. Raises `InputError` if the result has no
+    such frame.
     """
-    if "hits" not in arrays:
-        raise InputError("hits: the result has no ID map, must be of format id or full")
     frames = len(arrays["opened"])
     if frame is not None and not 0 <= frame < frames:
         raise InputError(f"frame = {frame}: must be an integer from 0 to {frames - 1}")
@@ -67,15 +75,28 @@ def frame_events(arrays: dict[str, np.ndarray], config: Config, sigma_ticks: flo
     window = np.where(config.coincidence, config.window, 1)
     return Events(
         bounds=np.searchsorted(subgroup, np.arange(config.sensor.subgroups + 1)),
+        pulse=arrays["pulse"][row],
         stamp=stamp,
         count=count,
+        winner=arrays["winner"][row],
+        overrun=arrays["overrun"][row].astype(bool),
         arrival=arrival_ticks(subgroup, stamp, count, config, sigma_ticks),
-        hits=arrays["hits"][row],
+        mapped="hits" in arrays,
+        hits=arrays["hits"][row] if "hits" in arrays else _winner_map(arrays["winner"][row], config.sensor),
         offset=arrays["mg_offset"][row] if "mg_offset" in arrays else np.empty((len(row), 0), np.uint8),
         threshold=np.where(config.coincidence, arrays["threshold_used"][counted].min(axis=0), 1),
         window=window,
+        opened=arrays["opened"][counted].sum(axis=0),
+        committed=arrays["committed"][counted].sum(axis=0),
         photon_rate=_photon_rate(arrays["opened"][counted].mean(axis=0) / config.pulses, window, config),
     )
+
+
+def _winner_map(winner: np.ndarray, sensor: Sensor) -> np.ndarray:
+    """uint64[n, words]: maps that hold the winner."""
+    hits = np.zeros((len(winner), -(-sensor.pixels // BEAT_BITS)), np.uint64)
+    hits[np.arange(len(winner)), winner // BEAT_BITS] = np.uint64(1) << (winner % BEAT_BITS).astype(np.uint64)
+    return hits
 
 
 def _photon_rate(opened: np.ndarray, window: np.ndarray, config: Config) -> np.ndarray:
@@ -91,7 +112,7 @@ def _photon_rate(opened: np.ndarray, window: np.ndarray, config: Config) -> np.n
 def subgroup_histograms(
     arrays: dict[str, np.ndarray], config: Config, sigma_ticks: float, *, source: str = "map", frame: int | None = None
 ) -> Iterator[np.ndarray]:
-    """For each subgroup in turn its pixels' histograms, int32[pixels, period_ticks]: memory of one subgroup, not of the array."""
+    """Yields the histograms of each subgroup's pixels, int32[pixels, period_ticks]; only one subgroup is in memory at a time."""
     return map(_histogram_maker(arrays, config, sigma_ticks, source, frame), range(config.sensor.subgroups))
 
 
@@ -104,9 +125,28 @@ def pixel_histogram(
     frame: int | None = None,
     system_fwhm_s: float = SYSTEM_FWHM_S,
 ) -> np.ndarray:
-    """The histogram of pixel row * cols + col, int32[period_ticks], from the arrays of a result; other arguments as of `estimate_depth`.
+    """The histogram of one pixel.
 
-    Raises `InputError`.
+    Parameters
+    ----------
+    arrays : dict of str to numpy.ndarray
+        The arrays of a result.
+    config : Config
+        The configuration of the run.
+    pixel : int
+        row * cols + col.
+    source, frame, system_fwhm_s
+        As in `estimate_depth`.
+
+    Returns
+    -------
+    numpy.ndarray
+        int32[period_ticks], hits per tick.
+
+    Raises
+    ------
+    InputError
+        If the pixel or the frame does not exist.
     """
     table = pixel_table(config.sensor)
     check_integer("pixel", pixel, 0, config.sensor.array_pixels - 1)
@@ -120,6 +160,8 @@ def _histogram_maker(
     """What makes the histograms of a subgroup's pixels, int32[pixels, period_ticks]. Raises `InputError`."""
     check_choice("source", source, tuple(SOURCES))
     sensor, events = config.sensor, frame_events(arrays, config, sigma_ticks, frame)
+    if not events.mapped:
+        raise InputError("hits: the result has no ID map, must be of format id or full")
     records = (
         np.empty((0, sensor.minigroups)),
         np.empty((0, sensor.minigroups)),
@@ -151,7 +193,7 @@ def _histogram_maker(
                 events.offset[span],
                 pixel,
                 sensor.phases,
-                sensor.quarter_ticks,
+                sensor.offset_ticks,
                 lead,
             )
         else:
@@ -166,6 +208,14 @@ def pixel_image(values: np.ndarray, sensor: Sensor) -> np.ndarray:
     """[subgroups, pixels, ...] rearranged to [rows, cols, ...]."""
     table = pixel_table(sensor)
     return values[table.subgroup, table.inside].reshape(sensor.rows, sensor.cols, *values.shape[2:])
+
+
+def by_subgroup(image: np.ndarray, sensor: Sensor) -> np.ndarray:
+    """[rows, cols] rearranged to [subgroups, pixels]; the inverse of `pixel_image`."""
+    table = pixel_table(sensor)
+    values = np.empty((sensor.subgroups, sensor.pixels), image.dtype)
+    values[table.subgroup, table.inside] = image.ravel()
+    return values
 
 
 def _frame_records(
@@ -196,10 +246,10 @@ def _add_offsets(
     offset: np.ndarray,
     pixel: Pixels,
     phases: int,
-    quarter: int,
+    step: int,
     lead: np.ndarray,
 ) -> None:
-    """Counts each event where the pixel's minigroup was first hit: in the middle of a quarter cycle, later by `lead`."""
+    """Counts each event where the pixel's minigroup was first hit: in the middle of an offset's step, later by `lead`."""
     pixels = len(histogram)
     seen = np.empty(offset.shape[1], np.int64)
     for e in range(len(stamp)):
@@ -209,7 +259,7 @@ def _add_offsets(
         for i in range(pixels):
             g = pixel.minigroup[i]
             if hits[e, i // BEAT_BITS] >> np.uint64(i % BEAT_BITS) & np.uint64(1) and offset[e, g] != OFFSET_NONE:
-                at = stamp[e] // phases * phases + quarter * (offset[e, g] + 0.5) + lead[seen[g]]
+                at = stamp[e] // phases * phases + step * (offset[e, g] + 0.5) + lead[seen[g]]
                 histogram[i, min(np.int64(at), histogram.shape[1] - 1)] += 1
 
 

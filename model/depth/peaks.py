@@ -1,10 +1,13 @@
-"""Peaks of pixels' histograms: the paper's estimator (IV), and filtered ones, which are our choice."""
+# SPDX-License-Identifier: Apache-2.0
+"""Peaks of pixel histograms: the paper's estimator (IV), and filtered ones, which are our own choice."""
+
+import math
 
 import numpy as np
-from scipy import ndimage, special
 
 from ..contract.config import Config
 from ..contract.windows import armed_cycle, close_cycle
+from ..shared.compiled import njit
 from .histograms import Events
 
 FILTER_SIGMAS = 4.0  # where the matched filter ends
@@ -18,49 +21,105 @@ def pixel_peaks(
     histogram: np.ndarray, method: str, live: np.ndarray | None, sigma_ticks: float, returns: int
 ) -> tuple[np.ndarray, np.ndarray]:
     """(ticks, confidence), each float64[pixels, returns], from int32[pixels, bins]. live: float64[bins], `live_share`."""
+    bins = histogram.shape[1]
+    single = method == "maximum"
+    half = 0 if single else int(FILTER_SIGMAS * sigma_ticks + 0.5)
+    pulse = np.exp(-0.5 * (np.arange(-half, half + 1) / sigma_ticks) ** 2)
+    width = 1.0 if single else np.sqrt(2 * np.pi) * sigma_ticks  # a hit in the filter's middle counts 1
+    shape = np.ones(bins)
+    if live is not None:
+        shape = np.convolve(live / live.mean(), pulse / pulse.sum(), mode="same")
+    return _peaks(
+        histogram,
+        pulse * (width / pulse.sum()),
+        width,
+        shape,
+        np.ones(bins) if live is None else live,
+        method == "background",
+        0 if single else round(NEAR_SIGMAS * sigma_ticks),
+        round(APART_SIGMAS * sigma_ticks),
+        returns,
+    )
+
+
+@njit
+def _peaks(histogram, pulse, width, shape, live, by_evidence, near, apart, returns):
+    """Every pixel's peaks; only the bins that a hit's pulse reaches are looked at, for elsewhere nothing is above background."""
     pixels, bins = histogram.shape
-    width = 1.0 if method == "maximum" else np.sqrt(2 * np.pi) * sigma_ticks  # a hit in the filter's middle counts 1
-    seen = histogram.astype(np.float64) if method == "maximum" else _filtered(histogram, sigma_ticks) * width
-    per_bin = (histogram.sum(axis=1) - seen.max(axis=1)).clip(
-        0.5
-    ) / bins  # the peak is no background; half a hit at least
-    shape = np.ones(bins) if live is None else _filtered(live / live.mean(), sigma_ticks)
-    expected = np.outer(per_bin * width, shape)
-    evidence = np.where(
-        seen > expected, special.kl_div(seen, expected), 0
-    )  # Poisson log likelihood ratio to background alone
-    score = evidence if method == "background" else seen.copy()
+    half = len(pulse) // 2
     ticks, confidence = np.full((pixels, returns), np.nan), np.zeros((pixels, returns))
-    near, apart = round(NEAR_SIGMAS * sigma_ticks), round(APART_SIGMAS * sigma_ticks)
-    top = evidence.max(axis=1)
-    anywhere = top + np.log(np.exp(evidence - top[:, None]).sum(axis=1) / width)
+    seen, score, evidence = np.zeros(bins), np.zeros(bins), np.zeros(bins)
+    reached = np.empty(bins, np.int64)
     for i in range(pixels):
-        for k in range(returns):
-            at = int(score[i].argmax())
-            accident = 1 - special.pdtr(max(0, np.ceil(seen[i, at]) - 1), expected[i, at]) ** (bins / width)
-            if score[i, at] <= 0 or k and accident > ACCIDENT_MAX:
+        total, number, until = 0, 0, 0
+        for k in range(bins):
+            hits = histogram[i, k]
+            if hits:
+                total += hits
+                for j in range(max(until, k - half), min(bins, k + half + 1)):
+                    reached[number] = j
+                    number += 1
+                until = min(bins, k + half + 1)
+                for j in range(max(0, k - half), until):
+                    seen[j] += hits * pulse[j - k + half]
+        if not total:
+            continue
+        highest = 0.0
+        for n in range(number):
+            highest = max(highest, seen[reached[n]])
+        per_bin = max(0.5, total - highest) / bins * width  # the peak is no background; half a hit at least
+        top = 0.0
+        for n in range(number):
+            j = reached[n]
+            expected = per_bin * shape[j]
+            # Poisson log likelihood ratio to background alone
+            evidence[j] = seen[j] * math.log(seen[j] / expected) - seen[j] + expected if seen[j] > expected else 0.0
+            score[j] = evidence[j] if by_evidence else seen[j]
+            top = max(top, evidence[j])
+        anywhere = (bins - number) * math.exp(-top)
+        for n in range(number):
+            anywhere += math.exp(evidence[reached[n]] - top)
+        for r in range(returns):
+            at = reached[0]
+            for n in range(number):
+                if score[reached[n]] > score[at]:
+                    at = reached[n]
+            if score[at] <= 0:
                 break
-            here = slice(at, at + 1) if method == "maximum" else slice(max(0, at - near), at + near + 1)
-            hits = histogram[i, here] / (1 if live is None else live[here])
-            ticks[i, k] = np.average(np.arange(bins)[here] + 0.5, weights=hits) if hits.any() else at + 0.5
-            confidence[i, k] = 1 - accident if k else min(1.0, np.exp(evidence[i, at] - anywhere[i]))
-            score[i, max(0, at - apart) : at + apart + 1] = 0
+            below = _poisson_cdf(max(0.0, math.ceil(seen[at]) - 1), per_bin * shape[at])
+            accident = 1 - below ** (bins / width)
+            if r and accident > ACCIDENT_MAX:
+                break
+            weight = mean = 0.0
+            for j in range(max(0, at - near), min(bins, at + near + 1)):
+                weight += histogram[i, j] / live[j]
+                mean += histogram[i, j] / live[j] * (j + 0.5)
+            ticks[i, r] = mean / weight if weight else at + 0.5
+            confidence[i, r] = 1 - accident if r else min(1.0, math.exp(evidence[at] - top) / anywhere * width)
+            for j in range(max(0, at - apart), min(bins, at + apart + 1)):
+                score[j] = 0
+        for n in range(number):
+            seen[reached[n]] = score[reached[n]] = evidence[reached[n]] = 0
     return ticks, confidence
 
 
-def _filtered(values: np.ndarray, sigma_ticks: float) -> np.ndarray:
-    """`values` along the last axis, filtered with a Gaussian of sum 1."""
-    return ndimage.gaussian_filter1d(
-        values.astype(np.float64), sigma_ticks, axis=-1, mode="constant", truncate=FILTER_SIGMAS
-    )
+@njit
+def _poisson_cdf(count, mean):
+    """Chance of at most `count` (an integer as a float)."""
+    term = total = math.exp(-mean)
+    for k in range(1, int(count) + 1):
+        term *= mean / k
+        total += term
+    return min(1.0, total)
 
 
 def live_share(arrays: dict[str, np.ndarray], events: Events, config: Config, frame: int | None) -> np.ndarray:
     """float64[subgroups, period_ticks]: share of the periods in which the tree could have opened a window at each tick.
 
-    A window keeps it from doing so until it is armed again: pile-up, and R's blind time. Committed windows are taken where
-    they were, at each tick where coincidence is off (the stamps are single photons: Coates' correction), else by the cycle
-    before (the arrival lies within the event's own window); rejected ones are spread over the period, unknown as they are.
+    A window keeps it from doing so until it is armed again: pile-up, and R's blind time. Committed windows are taken
+    where they were, at each tick where coincidence is off (the stamps are single photons: Coates' correction), else by
+    the cycle before (the arrival lies within the event's own window); rejected ones are spread over the period, unknown
+    as they are.
     """
     sensor, ticks = config.sensor, config.period_ticks
     frames = slice(None) if frame is None else slice(frame, frame + 1)

@@ -1,4 +1,5 @@
-"""How much of a depth picture is wrong, and by how much.
+# SPDX-License-Identifier: Apache-2.0
+"""Measures the share of wrong pixels in a depth picture, and the error of the others.
 
 Ref: paper IV, Fig. 7 for what counts as right.
 """
@@ -7,11 +8,13 @@ import numpy as np
 
 from ..shared.constants import SPEED_OF_LIGHT_M_S, SUCCESS_TOLERANCE_S
 
+OTHER_SURFACE_M = 0.15  # a pixel that is off by more took another surface, or background
 TOLERANCE_M = SUCCESS_TOLERANCE_S * SPEED_OF_LIGHT_M_S / 2
 
 
 def wrong_pixels(depth_m: np.ndarray, truth_m: np.ndarray, tolerance_m: float = TOLERANCE_M) -> np.ndarray:
-    """bool[rows, cols]: where |depth - truth| is above `tolerance_m` (default: `SUCCESS_TOLERANCE_S`, one way), or there is no depth.
+    """bool[rows, cols]: where |depth - truth| is above `tolerance_m` (default: `SUCCESS_TOLERANCE_S`, one way), or
+    there is no depth.
 
     depth_m, truth_m: float64[rows, cols]; a pixel without truth (NaN) is not wrong.
     """
@@ -24,7 +27,7 @@ def wrong_share(depth_m: np.ndarray, truth_m: np.ndarray, tolerance_m: float = T
 
 
 def range_error(depth_m: np.ndarray, truth_m: np.ndarray) -> tuple[float, float]:
-    """(bias, RMS) in metres of depth - truth (float64, any shape), over what has both; NaN where nothing has."""
+    """(bias, RMS) in metres of depth - truth (float64, any shape), over the pixels that have both; NaN if there are none."""
     error_m = (depth_m - truth_m)[~np.isnan(depth_m - truth_m)]
     if not len(error_m):
         return np.nan, np.nan

@@ -1,8 +1,10 @@
-"""Front end of the golden model: each subgroup's edges in time order, to windows that met their threshold, minigroup records, and fates.
+# SPDX-License-Identifier: Apache-2.0
+"""Front end of the golden model: each subgroup's edges in time order, to windows that met their threshold, minigroup
+records, and fates.
 
-A subgroup's edges pass stages, each a loop of its own: `_accept` sorts out duplicates, masked and gated ones. Of those accepted the tree
-makes windows by their times alone (`_open_windows`), and these become events by their pixels (`_commit`); the minigroups know nothing of
-windows and collect for themselves (`_collect_records`).
+The edges of a subgroup pass several stages, each of which is one loop: `_accept` sorts out duplicates, masked and gated
+ones. The tree forms windows from the times of the accepted edges (`_open_windows`), and these become events by their
+pixels (`_commit`); the minigroups are independent of windows and collect for themselves (`_collect_records`).
 """
 
 from collections import namedtuple
@@ -49,9 +51,11 @@ _close_cycle, _armed_cycle = njit(close_cycle), njit(armed_cycle)
 
 
 def time_order(edges: Edges, pixel: Pixels, shape: Shape):
-    """Sort keys (pulse, tick, pixel inside: see `_KEY`), by subgroup, then time; the edges' order; and the subgroups' bounds in it.
+    """Sort keys (pulse, tick, pixel inside: see `_KEY`), by subgroup, then time; the edges' order; and the subgroups'
+    bounds in it.
 
-    A stable counting sort by subgroup keeps the order in time that edges mostly come in; where they do not, each subgroup is sorted.
+    A stable counting sort by subgroup keeps the order in time that edges mostly come in; where they do not, each
+    subgroup is sorted.
     """
     key, order, bounds, in_time = _by_subgroup(
         edges.pulse, edges.pixel, edges.tick, pixel.subgroup, pixel.inside, shape.subgroups
@@ -126,7 +130,8 @@ def _room_for_records(most, shape):
 
 @njit
 def _accept(s, key, shape, settings, timeline, seen_at, fate, accepted):
-    """Fates of the edges of subgroup `s` that go no further; returns the others' indices, which are written to `accepted`.
+    """Fates of the edges of subgroup `s` that go no further; returns the others' indices, which are written to
+    `accepted`.
 
     seen_at: scratch, the cycle of the frame in which each pixel's last edge came.
     """
@@ -152,7 +157,8 @@ def _accept(s, key, shape, settings, timeline, seen_at, fate, accepted):
 
 @njit
 def _open_windows(s, key, accepted, shape, settings, timeline, fate, windows, counters):
-    """The tree of subgroup `s`: fates of `accepted` edges by their time alone, and the windows, which are written to `windows`.
+    """The tree of subgroup `s`: fates of `accepted` edges by their time alone, and the windows, which are written to
+    `windows`.
 
     Returns int64[n, 2]: the indices in `accepted` of each window's first edge and of the first one after it.
     """
@@ -206,8 +212,9 @@ def _commit(s, key, accepted, windows, shape, settings, timeline, pixel, fate, e
             hits[row, word] |= bit
             count += 1
             if offsets[row, minigroup[inside]] == OFFSET_NONE:
-                offsets[row, minigroup[inside]] = (tick - cycle_start) >> shape.quarter_bits
+                offsets[row, minigroup[inside]] = (tick - cycle_start) >> shape.offset_tick_bits
         counters[s, COUNTER.photons] += count
+        counters[s, COUNTER.lower] += count >= threshold - 1
         if count < threshold:
             counters[s, COUNTER.rejected] += 1
             continue

@@ -1,7 +1,10 @@
-"""Readout of the golden model: one stream's FIFOs, round robin and output buffer, to beats and the cycles of their transfer.
+# SPDX-License-Identifier: Apache-2.0
+"""Readout of the golden model: one stream's FIFOs, round robin and output buffer, to beats and the cycles of their
+transfer.
 
-It goes from grant to grant: what was committed until then enters its FIFO or is dropped (`_admit_events`, `_admit_records`), the next
-subgroup that asks is chosen (`_arbitrate`), its packet is formed (`_form_packet`) and leaves as the receiver takes it (`_transfer`).
+It proceeds from grant to grant. Whatever has been committed by then enters its FIFO or is dropped (`_admit_events`,
+`_admit_records`), the next requesting subgroup is chosen (`_arbitrate`), its packet is formed (`_form_packet`) and
+leaves as the receiver takes it (`_transfer`).
 """
 
 from collections import namedtuple
@@ -31,9 +34,11 @@ _QUEUE = row_type(
 
 @njit
 def readout(first, n, shape, end, frame, events, records, counters, next_ready):
-    """Beats of the stream that carries subgroups `first`...`first + n - 1`, and the cycles of their transfer. end: of the last period.
+    """Beats of the stream that carries subgroups `first`...`first + n - 1`, and the cycles of their transfer. end: of
+    the last period.
 
-    Decides which events and records are stored, as the FIFOs' fill at their commit demands: sets `events.row.stored`, adds to `counters`.
+    Decides which events and records are stored, as the FIFOs' fill at their commit demands: sets `events.row.stored`,
+    adds to `counters`.
     """
     queues = _queues(first, n, events.bounds, records.bounds)
     most = _beats(queues, shape)
@@ -42,7 +47,7 @@ def readout(first, n, shape, end, frame, events, records, counters, next_ready):
     done = _transfer(sent_at, 0, 1, latency.FRAME_START, next_ready)
     t, pointer = latency.FRAME_START + 1, 0
     while True:
-        t = _when_room(t, done, sent_at, shape)
+        t = _when_room(shape.longest_word, t, done, sent_at, shape)
         chosen, upcoming = _arbitrate(t, pointer, queues, events.row, records.row, shape.fifo_depth)
         if chosen != _NONE:
             length = _form_packet(beats, done, first + chosen, queues[chosen], t, shape, events, records)
@@ -57,7 +62,7 @@ def readout(first, n, shape, end, frame, events, records, counters, next_ready):
     done = _transfer(sent_at, done, 1, t, next_ready)
     t += 1
     for s in range(n):
-        t = _when_room(t, done, sent_at, shape)
+        t = _when_room(shape.counter_beats, t, done, sent_at, shape)
         _count(counters[first + s], queues[s])
         _pack(beats[done : done + shape.counter_beats], counters[first + s], COUNTER_BITS)
         done = _transfer(sent_at, done, shape.counter_beats, t, next_ready)
@@ -88,9 +93,9 @@ def _beats(queues, shape):
 
 
 @njit
-def _when_room(t, done, sent_at, shape):
-    """The first cycle from `t` on in which the output buffer has room for any packet after `done` beats."""
-    left = done + shape.longest - shape.output_depth
+def _when_room(length, t, done, sent_at, shape):
+    """The first cycle from `t` on in which the output buffer has room for `length` more beats after `done`."""
+    left = done + length - shape.output_depth
     return max(t, sent_at[left - 1] + 1) if left > 0 else t
 
 
@@ -208,6 +213,6 @@ def _transfer(sent_at, done, length, t, next_ready):
 
 
 def ready_times(ready: np.ndarray) -> np.ndarray:
-    """For each cycle the first one from it on with `tready` high (past the end: always)."""
+    """For each cycle, the first cycle from there on in which `tready` is high (it is always high after the end)."""
     following = np.where(ready != 0, np.arange(len(ready)), len(ready))
     return np.minimum.accumulate(following[::-1])[::-1].astype(np.int64)

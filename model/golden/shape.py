@@ -1,4 +1,5 @@
-"""What the golden model's kernels need of a configuration, as plain numbers."""
+# SPDX-License-Identifier: Apache-2.0
+"""The part of a configuration that the golden model's kernels need, as plain numbers."""
 
 from collections import namedtuple
 from typing import Any
@@ -12,9 +13,9 @@ from ..contract.registers import COUNTER_NAMES
 
 Shape = namedtuple(
     "Shape",
-    "subgroups pixels minigroups phases phase_bits quarter_bits period open_cycles rearm fifo_depth "
+    "subgroups pixels minigroups phases phase_bits quarter_bits offset_tick_bits period open_cycles rearm fifo_depth "
     "minigroup_records mg_threshold mg_window record_bits record_stamp_bits "
-    "event_kind event_beats hits_beats record_beats counter_beats longest output_depth",
+    "event_kind event_beats hits_beats record_beats counter_beats longest_word output_depth",
 )
 
 
@@ -41,6 +42,7 @@ def shape_of(config: Config) -> Shape:
         rearm=sensor.rearm,
         fifo_depth=sensor.fifo_depth,
         quarter_bits=sensor.phase_bits - 2,
+        offset_tick_bits=sensor.phase_bits - sensor.step_bits,
         minigroup_records=int(frame["minigroup_records"]),
         mg_threshold=frame["mg_threshold"],
         mg_window=frame["mg_window"],
@@ -49,7 +51,7 @@ def shape_of(config: Config) -> Shape:
         hits_beats=parts.hits_beats,
         record_beats=parts.record_beats,
         counter_beats=parts.counter_beats,
-        longest=parts.longest,
+        longest_word=parts.longest_word,
         record_bits=sensor.record_bits,
         record_stamp_bits=sensor.record_stamp_bits,
         output_depth=latency.output_depth(parts.longest),

@@ -1,6 +1,7 @@
+# SPDX-License-Identifier: Apache-2.0
 """Analytic model of detection in a subgroup: equations (3) to (18) of paper III-B, each in two forms of one signature.
 
-"literal": as printed. "corrected": as we derive it for what the sensor does; each docstring says where the two differ.
+"literal": as printed. "corrected": as we derive it for the behaviour of the sensor; each docstring says where the two differ.
 Numbers and arrays broadcast. "Photons" of the corrected form are equivalent Poisson means: of a pixel that detects with
 probability p at most once, -log(1 - p).
 
@@ -58,8 +59,9 @@ def effective_cps(
 ) -> tuple[Numbers, Numbers]:
     """(noise, signal) of a pixel after a non-paralyzable dead time, in counts per second. Text before (3).
 
-    Literal: each by itself, n / (1 + n t_d). Corrected: the SPAD is one; it is alive at the pulse with probability
-    1 / (1 + n_b t_d) and then fires once, with probability 1 - exp(-signal per pulse); the time that costs is the noise's loss.
+    Literal: each by itself, n / (1 + n t_d). Corrected: the SPAD is one; it is alive at the pulse with probability 1 /
+    (1 + n_b t_d) and then fires once, with probability 1 - exp(-signal per pulse); the time that costs is the noise's
+    loss.
     """
     noise_cps, signal_cps = np.asarray(noise_cps, float), np.asarray(signal_cps, float)
     live = 1 / (1 + noise_cps * dead_time_s)
@@ -167,8 +169,8 @@ def signal_probability(
 ) -> Numbers:
     """(15): probability that a pixel detects a signal photon in an event, in the presence of noise.
 
-    Literal: no noise in the pixel, no noise event, a signal event. Corrected: of the other pixels, those that detect signal
-    and those that detect noise count alike.
+    Literal: no noise in the pixel, no noise event, a signal event. Corrected: of the other pixels, those that detect
+    signal and those that detect noise count alike.
     """
     if _literal(form):
         quiet = (1 - pixel_probability(noise.pixel, form)) * (
@@ -191,7 +193,8 @@ def noise_counts(
 ) -> Numbers:
     """(16a): noise counts of a pixel in a frame.
 
-    Literal: (8) times `pulses`. Corrected: `windows` of each period are opened by a photon, the pixel's own or another's.
+    Literal: (8) times `pulses`. Corrected: `windows` of each period are opened by a photon, the pixel's own or
+    another's.
     """
     if _literal(form):
         return coincidence_probability(noise, threshold, sizes, form) * pulses
@@ -230,7 +233,7 @@ def signal_per_bin(
 
 
 def busy_s(window_ticks: int, rearm_cycles: int, timing: Timing) -> float:
-    """Mean time from a window's opening, at any phase alike, to the start of the cycle in which the tree is armed again."""
+    """Mean time from the opening of a window, in all phases with equal probability, to the start of the cycle in which the tree is armed again."""
     phase = np.arange(timing.phases)
     armed_ticks = armed_cycle(close_cycle(phase, window_ticks, timing.phases), rearm_cycles) * timing.phases
     return float(np.mean(armed_ticks - phase) * timing.tick_s)
@@ -251,14 +254,15 @@ def histogram(
     spad: Spad | None = None,
     system_fwhm_s: float = 500e-12,
 ) -> np.ndarray:
-    """Expected histogram of each pixel of one subgroup in a frame, float64[pixels, ticks]: stamps of the events it is in.
+    """Expected histogram of each pixel of one subgroup in a frame, float64[pixels, ticks]: stamps of the events it is
+    in.
 
     distance_m (NaN: no target), signal_per_pulse, noise_cps: detected, before dead time; float64[pixels] or numbers.
-    Scheme 1 takes neither threshold nor window. Literal: (3) to (18), signal and noise on the grid of ticks; in scheme 1,
-    where the paper estimates "a single photon", (9) for signal in a period and noise in a period (our reading).
-    Corrected: photons in each tick, the tree's states from armed to armed again, and the count of distinct pixels in the
-    window, so that stamps are those of first photons; exact but for the terms of the module's text, and for pixels of
-    unequal light, whose count is taken as binomial with their mean.
+    Scheme 1 takes neither threshold nor window. Literal: (3) to (18), signal and noise on the grid of ticks; in scheme
+    1, where the paper estimates "a single photon", (9) for signal in a period and noise in a period (our reading).
+    Corrected: photons in each tick, the tree's states from armed to armed again, and the count of distinct pixels in
+    the window, so that stamps are those of first photons; exact except for the terms that the module's text names, and
+    for pixels of unequal light, whose count is taken as binomial with their mean.
     """
     sensor, timing, spad = sensor or Sensor(), timing or Timing(), spad or Spad()
     check_choice("scheme", scheme, SCHEMES)
@@ -290,8 +294,8 @@ def histogram(
 def success_probability(expected: np.ndarray, flight_s: float, timing: Timing) -> float:
     """Probability that the largest bin of a pixel's histogram lies within `SUCCESS_TOLERANCE_S` of the target.
 
-    expected: float64[ticks], mean counts, taken as independent and Poisson. The target is where the mean has its maximum
-    within a nanosecond of the time of flight: the lead of first photons counts as calibrated. Ties count half.
+    expected: float64[ticks], mean counts, taken as independent and Poisson. The target is where the mean has its
+    maximum within a nanosecond of the time of flight: the lead of first photons counts as calibrated. Ties count half.
     """
     time_s = (np.arange(len(expected)) + 0.5) * timing.tick_s
     near = np.abs(time_s - flight_s) < 1e-9
@@ -324,11 +328,22 @@ def success_by_threshold(
 
 
 def expected_threshold(success: np.ndarray, slack: float = 0.01) -> int:
-    """The highest threshold whose success is within `slack` of the best one's: of equals, the one with the fewest events.
+    """The highest threshold whose success is within `slack` of the best one's: of equals, the one with the fewest
+    events.
 
     Fig. 7 gives it against the activity; the paper does not say how it chooses (our choice).
     """
-    return int(np.array(THRESHOLDS)[success >= success.max() - slack].max())
+    return int(_tolerated(success, slack).max())
+
+
+def lowest_threshold(success: np.ndarray, slack: float = 0.01) -> int:
+    """The lowest threshold whose success is within `slack` of the best one's: the least that the light requires."""
+    return int(_tolerated(success, slack).min())
+
+
+def _tolerated(success: np.ndarray, slack: float) -> np.ndarray:
+    """Thresholds whose success is within `slack` of the best one's, ascending."""
+    return np.array(THRESHOLDS)[success >= success.max() - slack]
 
 
 def _literal(form: str) -> bool:

@@ -1,4 +1,5 @@
-"""Code density test: the widths of a TDC's taps from edges of uniform light, as they are measured on silicon.
+# SPDX-License-Identifier: Apache-2.0
+"""Code density test: the widths of a TDC's taps from edges of uniform light, as in a measurement on silicon.
 
 Under light that is uniform in time each code collects counts in proportion to the width of its bin.
 """
@@ -13,7 +14,7 @@ from ..shared.errors import InputError, check_integer
 class CodeDensity:
     """Result per phase, float64[phases], in LSB (clock cycle / phases).
 
-    dnl_lsb: width of each phase less the mean width. inl_lsb: error of each phase's upper border, its running sum.
+    dnl_lsb: width of each phase minus the mean width. inl_lsb: error of each phase's upper border, its running sum.
     sigma_lsb: standard error of each width. edges: how many were counted.
     """
 

@@ -1,4 +1,5 @@
-"""Random numbers by counter: a number is a hash of (key, purpose, counter), whoever asks for it and when.
+# SPDX-License-Identifier: Apache-2.0
+"""Random numbers by counter: a number is a hash of (key, purpose, counter), regardless of when and where it is drawn.
 
 The hash is SplitMix64's output function (Steele, Lea, Flood 2014, with Stafford's constants), keys are chained hashes.
 """

@@ -1,4 +1,5 @@
-"""What the photon model is told: light per pixel, SPAD, clock and gate, with the presets.
+# SPDX-License-Identifier: Apache-2.0
+"""Inputs of the photon model: light per pixel and its presets.
 
 Ref: paper II (SPAD, laser), IV (pulse of 500 to 520 ps FWHM). Effects the paper leaves out are off by default.
 """
@@ -11,20 +12,41 @@ from attrs import field, frozen
 from numpy.typing import ArrayLike
 
 from ..shared.errors import InputError, check_integer
-from ..shared.quantities import Numbers, check_real, given, real, real_array
+from ..shared.quantities import Numbers, check_choice, given, real, real_array
 
 BACKGROUND_CPS_PER_KLUX = 1.226e6 / 50  # detected, per pixel; our preset: the level at which thresholds are selective
 SIGNAL_REFERENCE = 0.613  # detected photons per pulse and pixel, equation (1) at the two values below
 REFERENCE_DISTANCE_M = 4.0
 REFERENCE_REFLECTIVITY = 0.4
 NEAREST_M = 0.05  # of a scene: the signal grows without bound towards 0
+MUCH_SIGNAL = (
+    2.0  # photons of a pixel and pulse: it fires in nearly every pulse, and more light adds pile-up instead of depth
+)
 SIGNAL_MAX = 1e4  # photons of a pixel and pulse
 RATE_MAX_CPS = 1e12
+BACKGROUNDS = ("reflected", "even")  # as equation (2) has it; the same for every surface
 
 
-def background_cps(klux: float) -> float:
-    """Detected background of a pixel in counts per second at `klux` of ambient light: our preset, linear."""
-    return BACKGROUND_CPS_PER_KLUX * check_real("klux", klux, 0)
+def background_cps(klux: Numbers, reflectivity: ArrayLike = REFERENCE_REFLECTIVITY) -> Numbers:
+    """Detected background of a pixel in counts per second under `klux` of ambient light (float64, shapes broadcast).
+
+    Equation (2) of the paper: proportional to the light and to the reflectivity of the surface, independent of its
+    distance. The level is our preset. Raises `InputError`.
+    """
+    checked_klux = real_array("klux", klux, np.shape(klux), 0)
+    rate_cps = BACKGROUND_CPS_PER_KLUX * checked_klux * (np.asarray(reflectivity) / REFERENCE_REFLECTIVITY)
+    return rate_cps if rate_cps.ndim else float(rate_cps)
+
+
+def ambient_reflectivity(reflectivity: np.ndarray, background: str) -> np.ndarray:
+    """float64[pixels]: the reflectivity to which the background of each pixel is proportional.
+
+    reflectivity: float64[pixels], of the surfaces that a pixel sees; NaN = unknown, which counts as
+    `REFERENCE_REFLECTIVITY`. background: one of `BACKGROUNDS`; with `even` every pixel has the reference reflectivity.
+    Raises `InputError`.
+    """
+    even = check_choice("background", background, BACKGROUNDS) == "even"
+    return np.where(even | np.isnan(reflectivity), REFERENCE_REFLECTIVITY, reflectivity)
 
 
 def signal_per_pulse(distance_m: ArrayLike, reflectivity: ArrayLike) -> np.ndarray:
@@ -40,9 +62,9 @@ def signal_per_pulse(distance_m: ArrayLike, reflectivity: ArrayLike) -> np.ndarr
 class Interferer:
     """Another LiDAR whose pulses reach the sensor.
 
-    photons_per_pulse: detected of each of its pulses, a number or float64[pixels]. period_s: its own laser period. phase_s: from
-    our first trigger to the arrival of its first pulse; pulses before that came, too. delay_s: added for each pixel, a number or
-    float64[pixels]. fwhm_s: of its pulse.
+    photons_per_pulse: detected of each of its pulses, a number or float64[pixels]. period_s: its own laser period.
+    phase_s: from our first trigger to the arrival of its first pulse; it has sent pulses before that, too. delay_s:
+    added for each pixel, a number or float64[pixels]. fwhm_s: of its pulse.
     """
 
     photons_per_pulse: Numbers
@@ -54,10 +76,12 @@ class Interferer:
 
 @frozen(kw_only=True, eq=False)
 class Arrivals:
-    """Signal of any shape in time, in bins; the laser pulse's own shape comes on top. Pixel p has the bins first[p] to first[p + 1].
+    """Signal of any shape in time, in bins; the laser pulse's own shape comes on top. Pixel p has the bins first[p] to
+    first[p + 1].
 
-    first: int64[pixels + 1]. start_s: float64[n], when each bin begins, ascending in a pixel, since the laser trigger (beyond the
-    laser period: light of an earlier pulse). photons: float64[n], mean detected per pulse. width_s: of a bin, filled evenly.
+    first: int64[pixels + 1]. start_s: float64[n], when each bin begins, ascending in a pixel, since the laser trigger
+    (beyond the laser period: light of an earlier pulse). photons: float64[n], mean detected per pulse. width_s: of a
+    bin, filled evenly.
     """
 
     first: np.ndarray
@@ -80,15 +104,27 @@ class Arrivals:
 
 @frozen(kw_only=True, eq=False)
 class Light:
-    """What each of rows x cols pixels detects (PDE applied, before dead time); arrays broadcast to the stated shapes.
+    """What each of rows x cols pixels detects: PDE is applied, dead time is not. Arrays broadcast to the stated shapes.
 
-    distance_m: float64[pixels, targets], NaN = no target. signal_per_pulse: float64[pixels, targets], mean photons.
-    background_cps: float64[pixels]. A one-dimensional distance or signal is [pixels] with one target each.
-    system_fwhm_s: float64[pixels, targets], FWHM of the signal at the TDC's input: laser pulse and SPAD jitter
-    together, squares added, so the laser pulse is sqrt(system_fwhm_s^2 - jitter_fwhm_s^2).
-    range_ambiguity: light from beyond the laser period falls into a later period (the laser is taken to run before the
-    first pulse); False = it is lost. arrivals: more signal, of any shape in time, whose laser pulse has the width of the
-    pixel's first target. interferer: another LiDAR, or None.
+    Attributes
+    ----------
+    rows, cols : int
+        Size of the array.
+    distance_m : numpy.ndarray
+        float64[pixels, targets] in metres, NaN = no target; a one-dimensional array has one target per pixel.
+    signal_per_pulse : numpy.ndarray
+        float64[pixels, targets], mean detected photons per laser pulse.
+    background_cps : numpy.ndarray
+        float64[pixels], detected counts per second.
+    system_fwhm_s : numpy.ndarray
+        float64[pixels, targets], FWHM of the signal at the TDC's input in seconds: laser pulse and SPAD jitter, added as squares, so
+        the laser pulse is sqrt(system_fwhm_s^2 - jitter_fwhm_s^2).
+    range_ambiguity : bool
+        True: light from beyond the laser period falls into a later period, as if the laser had been running before; False: it is lost.
+    arrivals : Arrivals or None
+        More signal of any shape in time; its laser pulse has the width of the pixel's first target.
+    interferer : Interferer or None
+        Another LiDAR.
     """
 
     rows: int
@@ -124,24 +160,59 @@ class Light:
     def pixels(self) -> int:
         return self.rows * self.cols
 
-    @classmethod
-    def from_scene(cls, distance_m: ArrayLike, reflectivity: ArrayLike, klux: float, **others: Any) -> "Light":
-        """Light of the presets, background uniform.
+    @property
+    def total_signal(self) -> np.ndarray:
+        """float64[pixels]: detected signal photons per pulse, of targets and `arrivals` together."""
+        total = self.signal_per_pulse.sum(axis=1)
+        if self.arrivals is None:
+            return total
+        until = np.concatenate([[0.0], np.cumsum(self.arrivals.photons)])
+        return total + np.diff(until[self.arrivals.first])
 
-        distance_m: float64[rows, cols] or [rows, cols, targets], NaN = no target; reflectivity: broadcast to it.
+    def notes(self) -> tuple[str, ...]:
+        """Notes for the user: a signal far above the level that the sensor is made for."""
+        lit = self.total_signal[self.total_signal > 0]
+        if not len(lit) or np.median(lit) <= MUCH_SIGNAL:
+            return ()
+        farther = math.sqrt(np.median(lit) / SIGNAL_REFERENCE)
+        return (
+            f"signal: half of the pixels detect more than {np.median(lit):.1f} photons per pulse, and the sensor is made for about "
+            f"{SIGNAL_REFERENCE:.1f}: its stamps are those of first photons. For depth files, SCALE={farther:.1g} (--scale) puts "
+            "the scene farther away",
+        )
+
+    @classmethod
+    def from_scene(
+        cls,
+        distance_m: ArrayLike,
+        reflectivity: ArrayLike,
+        klux: Numbers,
+        *,
+        background: str = BACKGROUNDS[0],
+        **others: Any,
+    ) -> "Light":
+        """Light of the presets.
+
+        distance_m: float64[rows, cols] or [rows, cols, targets], NaN = no target; reflectivity: broadcast to it. klux:
+        ambient light, a number or float64[rows, cols]. background: one of `BACKGROUNDS`. others: fields. Raises
+        `InputError`.
         """
         distance_m = np.asarray(distance_m, dtype=np.float64)
         if distance_m.ndim not in (2, 3):
             raise InputError(f"distance_m: has {distance_m.ndim} dimensions, must have 2 or 3: rows, cols, targets")
         rows, cols = distance_m.shape[:2]
         distance_m = real_array("distance_m", distance_m, distance_m.shape, NEAREST_M, nan=True)
-        signal = signal_per_pulse(distance_m, real_array("reflectivity", reflectivity, distance_m.shape, 0, 1))
+        reflectivity = real_array("reflectivity", reflectivity, distance_m.shape, 0, 1)
+        signal = signal_per_pulse(distance_m, reflectivity)
         flat = (rows * cols, -1)
+        targets = ~np.isnan(distance_m).reshape(flat)
+        seen = np.where(targets.any(axis=1), np.where(targets, reflectivity.reshape(flat), 0).sum(axis=1), np.nan)
+        ambient = ambient_reflectivity(seen, background)
         return cls(
             rows=rows,
             cols=cols,
             distance_m=distance_m.reshape(flat),
             signal_per_pulse=signal.reshape(flat),
-            background_cps=background_cps(klux),
+            background_cps=background_cps(real_array("klux", klux, (rows, cols), 0).ravel(), ambient),
             **others,
         )

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Link budget: detected signal and background of a flash LiDAR pixel, and their ratio.
 
 Ref: paper II, equations (1) and (2), Fig. 2. Equation (2) is lost in print; we take it as (1) with the laser's power

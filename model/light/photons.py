@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Photons to edges: a Monte Carlo of the SPAD array in continuous time, then TDC ticks.
 
 Ref: paper II and IV (SPAD, laser pulse); the effects that the paper leaves out, and their order, are our choice.
@@ -41,7 +42,28 @@ DITHERED_PULSES_MAX = 1 << 24  # whose starts are kept
 
 
 def generate_edges(light: Light, spad: Spad, timing: Timing, **options: Any) -> Edges:
-    """All edges of `edge_chunks` in one: sorted by (pulse, tick, pixel). Same options, errors and bytes."""
+    """All edges of a number of laser pulses, sorted by (pulse, tick, pixel).
+
+    Parameters
+    ----------
+    light : Light
+        What the pixels detect.
+    spad : Spad
+        The detector.
+    timing : Timing
+        Clock, period and TDC.
+    **options
+        `pulses` and `seed` (both needed), `pulse_start`, `gate`, `workers`: as in `edge_chunks`, which makes the same edges in chunks.
+
+    Returns
+    -------
+    Edges
+
+    Raises
+    ------
+    InputError
+        If a value is out of range.
+    """
     chunks = list(edge_chunks(light, spad, timing, **options))
     return Edges(*(np.concatenate([getattr(chunk, name) for chunk in chunks]) for name in ("pulse", "pixel", "tick")))
 
@@ -58,11 +80,31 @@ def edge_chunks(
     workers: int = 1,
     chunk_pulses: int | None = None,
 ) -> Iterator[Edges]:
-    """Edges of laser pulses from `pulse_start` on, in chunks of whole pulses, each sorted by (pulse, tick, pixel).
+    """Edges of laser pulses in chunks of whole pulses, each sorted by (pulse, tick, pixel).
 
-    All SPADs are ready at `pulse_start`; dead time and trapped carriers go on from chunk to chunk. `workers` threads
-    share the pixels. Neither `workers` nor `chunk_pulses` (default: about `CHUNK_EDGES` edges) changes the edges;
-    memory grows with the chunk only. Raises `InputError` for values out of range.
+    All SPADs are ready at `pulse_start`; dead time and trapped carriers continue from chunk to chunk. Memory grows with the chunk only.
+
+    Parameters
+    ----------
+    light, spad, timing
+        As in `generate_edges`.
+    pulses : int
+        Number of laser pulses.
+    seed : int
+        Seed of the photons.
+    pulse_start : int
+        Number of the first pulse.
+    gate : SpadGate or None
+        When the SPADs are on; None = always.
+    workers : int
+        Threads that share the pixels. The number does not change the edges.
+    chunk_pulses : int or None
+        Pulses of a chunk; None: about `CHUNK_EDGES` edges. The number does not change the edges.
+
+    Raises
+    ------
+    InputError
+        If a value is out of range.
     """
     check_integer("pulses", pulses, 1, PULSES_MAX)
     check_integer("pulse_start", pulse_start, 0, PULSES_MAX)

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The detector: SPAD, its gate, and dark counts that differ from pixel to pixel.
 
 Ref: paper II. Effects that the paper leaves out are off by default.
@@ -14,16 +15,27 @@ from ..shared.quantities import Numbers, check_real, real
 
 @frozen(kw_only=True, eq=False)
 class Spad:
-    """The detector. Defaults: the paper's section II; effects that it leaves out are off.
+    """The detector. The defaults are those of the paper's section II; effects that the paper leaves out are off.
 
-    pdp, fill_factor: photon detection probability, active share; for the link budget (rates of `Light` are detected).
-    dead_time_s, paralyzable: from one avalanche to the next; paralyzable = a photon within it extends it.
-    jitter_fwhm_s: Gaussian jitter of an avalanche's edge; jitter_tail_fraction of the edges are late by another,
-    exponential time of mean jitter_tail_s.
-    dark_cps: dark count rate, a number or float64[pixels] (see `dark_count_map`).
-    afterpulse_probability: that an avalanche traps a carrier, released after an exponential time of mean afterpulse_s;
-    released while the SPAD is dead, it is lost, so exp(-dead_time_s / afterpulse_s) of them are seen.
-    crosstalk_probability: that an avalanche sends, at once, a photon to one given neighbour (of four).
+    Attributes
+    ----------
+    pdp, fill_factor : float
+        Photon detection probability and active share, for the link budget only (the rates of `Light` are detected ones).
+    dead_time_s : float
+        Time from an avalanche until the SPAD is ready again, in seconds.
+    paralyzable : bool
+        Whether a photon within the dead time extends it.
+    jitter_fwhm_s : float
+        Gaussian jitter of an edge, in seconds.
+    jitter_tail_fraction, jitter_tail_s : float
+        Share of the edges that are late by another, exponential time, and the mean of that time in seconds.
+    dark_cps : float or numpy.ndarray
+        Dark count rate in counts per second, also float64[pixels] (see `dark_count_map`).
+    afterpulse_probability, afterpulse_s : float
+        Probability that an avalanche traps a carrier, and the mean time to its release in seconds. A carrier that is released while
+        the SPAD is dead is lost.
+    crosstalk_probability : float
+        Probability that an avalanche sends a photon, without delay, to one given neighbour of four.
     """
 
     pdp: float = real(0.05, 0, 1)
@@ -41,10 +53,11 @@ class Spad:
 
 @frozen(kw_only=True, eq=False)
 class SpadGate:
-    """SPADs switched off outside [start, start + len) cycles of a period: there no avalanche and no dead time.
+    """SPADs that are switched off outside the cycles [start, start + len) of a period: they have no avalanches and no
+    dead time there.
 
-    start_cycles, len_cycles, step_cycles: per pixel, int64[pixels] or a number. Progressive gating: pulse k of a frame of
-    frame_pulses adds step_cycles * ((k // every_pulses) mod steps) to the start; every_pulses = 0: never.
+    start_cycles, len_cycles, step_cycles: per pixel, int64[pixels] or a number. Progressive gating: pulse k of a frame
+    of frame_pulses adds step_cycles * ((k // every_pulses) mod steps) to the start; every_pulses = 0: never.
     """
 
     start_cycles: int | np.ndarray
@@ -77,7 +90,7 @@ class SpadGate:
 
 
 def dark_count_map(pixels: int, *, median_cps: float, hot_fraction: float, hot_cps: float, seed: int) -> np.ndarray:
-    """Dark count rates float64[pixels]: `median_cps`, but `hot_cps` in a random share `hot_fraction` of the pixels."""
+    """Dark count rates float64[pixels]: `median_cps`, and `hot_cps` in a random share `hot_fraction` of the pixels."""
     check_integer("pixels", pixels, 1, 1 << 24)
     hot = round(pixels * check_real("hot_fraction", hot_fraction, 0, 1))
     dark_cps = np.full(pixels, check_real("median_cps", median_cps, 0))

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Sunlight in the receiver's band: a solar spectrum scaled to an illuminance, through a bandpass filter.
 
 Ref: paper II ("solar spectral irradiance", 50 klux, 15 nm FWHM around 905 nm; Planck's law in the caption of Fig. 2).

@@ -1,4 +1,5 @@
-"""Clock and TDC as the photon model sees them: tick, laser period, dither."""
+# SPDX-License-Identifier: Apache-2.0
+"""Clock and TDC of the photon model: tick, laser period, dither."""
 
 import numpy as np
 from attrs import frozen
@@ -13,11 +14,22 @@ from ..shared.quantities import real, real_array
 
 @frozen(kw_only=True, eq=False)
 class Timing:
-    """Clock and TDC. clock_hz, phases: tick_s = 1 / (clock_hz * phases). period_cycles: laser period.
+    """Clock and TDC.
 
-    tap_width_lsb: widths of the TDC's phases, float64[phases] that sum to `phases`; None = all 1.
-    dither_bits, dither_seed: how long the next trigger waits after a period (`dither.py`), anew with every frame of frame_pulses
-    (0: all pulses are one frame).
+    Attributes
+    ----------
+    clock_hz : float
+        System clock in Hz.
+    phases : int
+        Ticks per clock cycle; a tick is 1 / (clock_hz * phases) seconds.
+    period_cycles : int
+        Laser period in cycles.
+    tap_width_lsb : numpy.ndarray or None
+        float64[phases], widths of the TDC's phases, which sum to `phases`; None = all 1.
+    dither_bits, dither_seed : int
+        How long the next trigger waits after a period (docs/contract.md).
+    frame_pulses : int
+        The wait starts again with every frame of so many pulses; 0: all pulses are one frame.
     """
 
     clock_hz: float = real(CLOCK_MHZ * 1e6, 1)
@@ -66,7 +78,7 @@ class Timing:
 
     @property
     def range_m(self) -> float:
-        """Distance from which light is back within the laser period: what a stamp can tell apart."""
+        """Greatest distance from which light returns within the laser period: the unambiguous range of a stamp."""
         return SPEED_OF_LIGHT_M_S * self.period_s / 2
 
     def start_cycles(self, pulses: int) -> np.ndarray:

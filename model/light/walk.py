@@ -1,4 +1,6 @@
-"""The photon walk: each pixel through its laser pulses, photons to avalanches to edges. Compiled; `photons.py` says what it does, and drives it.
+# SPDX-License-Identifier: Apache-2.0
+"""The photon walk: each pixel through its laser pulses, photons to avalanches to edges. The code is compiled;
+`photons.py` describes it and calls it.
 
 Times are in ticks from the start of a pulse's period.
 """
@@ -51,7 +53,7 @@ class Physics(NamedTuple):
     bin_width: float
 
     def edges_per_pulse(self, arrays: "Arrays") -> np.ndarray:
-        """Expected edges of each pixel in a period, about (from above): sizes buffers and nothing else."""
+        """Approximate number of edges of each pixel in a period, from above; it only sets the size of buffers."""
         photons = arrays.noise + arrays.signal_per_pulse + arrays.other * self.others_per_pulse
         photons *= 1 + 2 * self.afterpulse + 4 * self.crosstalk
         return np.minimum(photons, self.period_ticks / self.dead + 1) if self.dead else photons
@@ -63,12 +65,13 @@ class Physics(NamedTuple):
 
 
 class Arrays(NamedTuple):
-    """Arrays of the walk: noise [pixels], signal [pixels, targets] in photons a period; the others in ticks.
+    """Arrays of the walk: noise [pixels], signal [pixels, targets] in photons per period; the others in ticks.
 
-    centre, sigma: [pixels, targets]; laps: whole periods of the flight, [pixels, targets]. bin_first: int64[pixels + 1], where
-    the bins of a pixel are; bin_start: when they begin; bin_photons: of a pixel's bins up to and with each one. gate_start,
-    gate_len, gate_step: [pixels]. taps: inner borders of the phases, empty = ideal. other, other_first: photons of another LiDAR's
-    pulse, and when the first came, [pixels]. starts: of the pulses' periods, empty = one after the other.
+    centre, sigma: [pixels, targets]; laps: whole periods of the flight, [pixels, targets]. bin_first: int64[pixels +
+    1], where the bins of a pixel are; bin_start: when they begin; bin_photons: of a pixel's bins up to and with each
+    one. gate_start, gate_len, gate_step: [pixels]. taps: inner borders of the phases, empty = ideal. other,
+    other_first: photons of another LiDAR's pulse, and when the first came, [pixels]. starts: of the pulses' periods,
+    empty = one after the other.
     """
 
     noise: np.ndarray
@@ -89,7 +92,7 @@ class Arrays(NamedTuple):
 
     @property
     def signal_per_pulse(self) -> np.ndarray:
-        """float64[pixels]: photons a period, of all targets and bins."""
+        """float64[pixels]: photons per period, of all targets and bins."""
         filled = np.diff(self.bin_first) > 0
         binned = np.zeros(len(filled))
         binned[filled] = self.bin_photons[self.bin_first[1:][filled] - 1]
@@ -97,9 +100,11 @@ class Arrays(NamedTuple):
 
 
 class _Source(NamedTuple):
-    """A pixel's photons of noise, targets and bins, whose superposed Poisson processes are drawn as one. Photons in a period.
+    """A pixel's photons of noise, targets and bins, whose superposed Poisson processes are drawn as one. Photons in a
+    period.
 
-    noise: 0 for a bright pixel, whose noise comes in order of time. binned: of all its bins. mean: of all; it is drawn in equal `parts`.
+    noise: 0 for a bright pixel, whose noise comes in order of time. binned: of all its bins. mean: of all; it is drawn
+    in equal `parts`.
     """
 
     noise: float
@@ -114,9 +119,9 @@ class _Source(NamedTuple):
 def walk(physics, arrays, block, seed, packing, span, received, sending, state, scratch, made):
     """Walks each pixel of the block through the pulses of the span.
 
-    state: when each pixel is alive, and its carriers. scratch: for the law of a count, and for the photons of a pixel and pulse in ascending
-    time. made: for the items, keys and (with `sending`) times. Returns how many there are: all are in `made` if they fit. -1: the photons
-    are more than the scratch holds.
+    state: when each pixel is alive, and its carriers. scratch: for the law of a count, and for the photons of a pixel
+    and pulse in ascending time. made: for the items, keys and (with `sending`) times. Returns how many there are: all
+    are in `made` if they fit. -1: the photons are more than the scratch holds.
     """
     first_pulse, pulses = span
     (ready, carriers), (law, photons), (keys, times) = state, scratch, made
@@ -308,7 +313,8 @@ def _gate_step(pulse, physics):
 def _avalanches(
     key, n, pixel, index, opens, closes, alive_at, done, physics, taps, packing, sending, carriers, photons, keys, times
 ):
-    """Photons to avalanches by gate and dead time, and these to edges, or (with `sending`) to crosstalk; afterpulses join the photons.
+    """Photons to avalanches by gate and dead time, and these to edges, or (with `sending`) to crosstalk; afterpulses
+    join the photons.
 
     Returns the new n, the time from which the SPAD is alive, and the number of items made.
     """

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Photons from other instruments and programs, edges for them: PTU, CSV, NPZ and HDF5.
 
 Tables have named columns (CSV: a header line; NPZ, HDF5: one array each), other columns are ignored. Times end with their

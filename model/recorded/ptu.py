@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """PicoQuant PTU files: T3 and T2 recordings and scanned images to photons per sync; edges to T3.
 
 Ref: PicoQuant's unified file format. `ptufile` reads the header and undoes the overflows; what its decoder leaves out is

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Recorded photons, as any time tagger gives them, and how they become edges: sync to pulse, channel to pixel, time to tick."""
 
 import numpy as np

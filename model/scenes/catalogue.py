@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The catalogue of scenes: from what a user names to a `Scene`, whichever file makes it."""
 
 from collections.abc import Callable
@@ -8,11 +9,13 @@ from ..light.timing import RANGE_M
 from ..shared.errors import InputError, check_integer
 from ..shared.files import FilePath
 from ..shared.quantities import check_real
+from .daylight import SHADE, sun_and_shade, tunnel
 from .depth_file import depth_scene
 from .planes import FIVE_OBJECTS, LETTER_F, flat, planes_scene, two_returns, two_targets
 from .ray_scene import is_ray_scene, ray_scene
 from .scene import REFLECTIVITY, Scene
 
+DISTANCES = ("DISTANCE", "NEAR", "FAR")  # parameters in metres; the others are shares
 _TWO = (("NEAR", 5.0), ("FAR", 9.0), ("REFLECTIVITY", REFLECTIVITY))
 BUILT_IN: dict[
     str, tuple[tuple[tuple[str, float], ...], Callable[..., Scene]]
@@ -22,7 +25,16 @@ BUILT_IN: dict[
     "flat": ((("DISTANCE", 10.0), ("REFLECTIVITY", REFLECTIVITY)), flat),
     "two-targets": (_TWO, two_targets),
     "two-returns": (_TWO, two_returns),
+    "sun-and-shade": ((("SHADE", SHADE),), sun_and_shade),
+    "tunnel": ((("SHADE", SHADE),), tunnel),
 }
+
+USUAL_KLUX, DAYLIGHT_KLUX = 50.0, {"sun-and-shade": 100.0, "tunnel": 100.0}
+
+
+def usual_klux(source: str) -> float:
+    """Ambient light of a scene where none is given: full sun in those that are about sun and shade."""
+    return DAYLIGHT_KLUX.get(str(source).partition(":")[0], USUAL_KLUX)
 
 
 def load_scene(
@@ -32,23 +44,47 @@ def load_scene(
     *,
     colour: FilePath | None = None,
     reflectivity: float = REFLECTIVITY,
+    scale: float = 1.0,
     range_m: float = RANGE_M,
 ) -> Scene:
-    """The scene that `source` names, at rows x cols.
+    """The scene that a name or a file describes, for rows x cols pixels.
 
-    source: a built-in one (`five-objects`, `letter-f`, `flat:DISTANCE,REFLECTIVITY`, `two-targets:NEAR,FAR`: stripes,
-    `two-returns:NEAR,FAR`: both in every pixel; metres), a file (`depth_scene`): `DEPTH` or `DEPTH,COLOUR`, or one for the ray
-    tracer (`ray_scene`): `ray:NAME`, or a Mitsuba scene that ends with .xml.
-    colour: picture for the reflectivity of a file, else the constant `reflectivity`. range_m: what the laser period holds.
-    Raises `InputError`.
+    Parameters
+    ----------
+    source : str
+        A built-in scene with parameters after a colon (`five-objects`, `letter-f`, `flat:DISTANCE,REFLECTIVITY`, `two-targets:NEAR,FAR`
+        in stripes, `two-returns:NEAR,FAR` in every pixel, `sun-and-shade:SHADE`, `tunnel:SHADE`; distances in metres, SHADE is the share
+        of the light in the shade); a depth file, `DEPTH` or `DEPTH,COLOUR` (see `depth_scene`); or a scene for the ray tracer, `ray:NAME`
+        or a Mitsuba file that ends with .xml.
+    rows, cols : int
+        Size of the sensor in pixels.
+    colour : str, Path or None
+        Picture for the reflectivities of a depth file.
+    reflectivity : float
+        Reflectivity where there is no such picture, 0 to 1.
+    scale : float
+        Factor for the distances of a depth file.
+    range_m : float
+        Range of the laser period in metres; surfaces beyond it are left out.
+
+    Returns
+    -------
+    Scene
+
+    Raises
+    ------
+    InputError
+        If the name is unknown, the file cannot be read, or a value is out of range.
     """
     check_integer("rows", rows, 1, 4096)
     check_integer("cols", cols, 1, 4096)
     source = depth = str(source)
+    if scale != 1 and (is_ray_scene(source) or _is_built_in(source)):
+        raise InputError(f"scale = {scale:g}: goes with depth files only, must be 1 for scene {source!r}")
     if is_ray_scene(source):
         return ray_scene(source, rows, cols, range_m=range_m)
     name, _, values = source.partition(":")
-    if name in BUILT_IN and not Path(source).exists():
+    if _is_built_in(source):
         defaults, build = BUILT_IN[name]
         return build(rows, cols, source, *_numbers(name, values, defaults, range_m))
     if "," in depth and not Path(depth).exists():
@@ -58,7 +94,11 @@ def load_scene(
         colour = beside
     if not Path(depth).exists():
         raise InputError(f"{depth}: no such file (built-in scenes: {', '.join(BUILT_IN)})")
-    return depth_scene(depth, rows, cols, colour=colour, reflectivity=reflectivity, range_m=range_m)
+    return depth_scene(depth, rows, cols, colour=colour, reflectivity=reflectivity, scale=scale, range_m=range_m)
+
+
+def _is_built_in(source: str) -> bool:
+    return source.partition(":")[0] in BUILT_IN and not Path(source).exists()
 
 
 def _numbers(name: str, text: str, defaults: tuple[tuple[str, float], ...], range_m: float) -> list[float]:
@@ -69,7 +109,7 @@ def _numbers(name: str, text: str, defaults: tuple[tuple[str, float], ...], rang
         raise InputError(f"scene {name}:{text}: must be {name}{':' if form else ''}{form}")
     values = []
     for i, (what, default) in enumerate(defaults):
-        low, high = (0.0, 1.0) if what == "REFLECTIVITY" else (NEAREST_M, range_m)
+        low, high = (NEAREST_M, range_m) if what in DISTANCES else (0.0, 1.0)
         try:
             value: float | str = float(given[i]) if i < len(given) else default
         except ValueError:

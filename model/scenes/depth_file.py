@@ -1,21 +1,23 @@
+# SPDX-License-Identifier: Apache-2.0
 """Scenes from depth files, resampled to the sensor. The rules of the resampling are our choice."""
 
 from pathlib import Path
 
 import numpy as np
-from PIL import Image
 
 from ..light.light import NEAREST_M
 from ..light.timing import RANGE_M
 from ..shared.errors import InputError
 from ..shared.files import FilePath
 from ..shared.quantities import check_real
+from .image_files import centre_crop, check_picture_array, covered_samples, open_picture, read_array
 from .scene import REFLECTIVITY, Scene
 
 DARKEST, BRIGHTEST = 0.05, 0.8  # reflectivities that black and white of a colour picture stand for
 WRONG_SHARE_MAX = 0.1  # of a depth file's samples beyond the range or negative: more is another unit
 VALID_SHARE_MIN = 0.1  # of the sensor's pixels
 MM_PER_M = 1000
+SCALES = 1e-3, 1e3
 
 
 def depth_scene(
@@ -25,6 +27,7 @@ def depth_scene(
     *,
     colour: FilePath | None = None,
     reflectivity: float = REFLECTIVITY,
+    scale: float = 1.0,
     range_m: float = RANGE_M,
 ) -> Scene:
     """A scene from a depth file: a 16-bit picture (PNG, TIFF) in millimetres, or NPY in metres (floats) or millimetres (integers).
@@ -32,15 +35,16 @@ def depth_scene(
     The picture is cropped around its centre to the sensor's aspect ratio. A pixel of the sensor takes the nearest of the
     samples it covers, with the reflectivity at that very sample: nothing is averaged across an edge. Samples that are 0,
     NaN or negative, or at or beyond `range_m`, are left out, and noted.
+    scale: that all distances are multiplied by, before anything else.
     colour: a picture of the same view; its luminance (linear light) stands for `DARKEST` to `BRIGHTEST`.
     Raises `InputError` for a file that cannot be read, a colour picture as depth, and depth that is mostly unusable.
     """
     check_real("reflectivity", reflectivity, 0, 1)
-    sample_m = _read_depth_m(depth)
+    sample_m = _read_depth_m(depth) * check_real("scale", scale, *SCALES)
     height, width = sample_m.shape
-    top, left, crop_height, crop_width = _centre_crop(height, width, rows, cols)
+    top, left, crop_height, crop_width = centre_crop(height, width, rows, cols)
     sample_m = sample_m[top : top + crop_height, left : left + crop_width]
-    notes = []
+    notes = [f"{depth}: distances times {scale:g}"] if scale != 1 else []
     if (crop_height, crop_width) != (height, width):
         notes.append(f"{depth}: cropped to the middle {crop_height} x {crop_width} of {height} x {width} samples")
     sample_m, masked = _usable(depth, sample_m, range_m)
@@ -64,13 +68,6 @@ def depth_scene(
             (2 * (left + col) + 1) * albedo.shape[1] // (2 * width),
         ]
     return Scene(name=Path(depth).name, distance_m=distance_m, reflectivity=surface, notes=tuple(notes))
-
-
-def _centre_crop(height: int, width: int, rows: int, cols: int) -> tuple[int, int, int, int]:
-    """(top, left, height, width) of the largest centred part with the sensor's aspect ratio."""
-    crop_height = max(1, min(height, round(width * rows / cols)))
-    crop_width = max(1, min(width, round(height * cols / rows)))
-    return (height - crop_height) // 2, (width - crop_width) // 2, crop_height, crop_width
 
 
 def _usable(depth: FilePath, sample_m: np.ndarray, range_m: float) -> tuple[np.ndarray, list[str]]:
@@ -107,15 +104,13 @@ def _nearest_surface(sample_m: np.ndarray, rows: int, cols: int) -> tuple[np.nda
     A picture with fewer samples than the sensor has pixels is repeated. NaN counts as farthest.
     """
     height, width = sample_m.shape
-    row = np.arange(max(height, rows)) * height // max(height, rows)
-    col = np.arange(max(width, cols)) * width // max(width, cols)
-    cell = np.arange(len(row))[:, None] * rows // len(row) * cols + np.arange(len(col)) * cols // len(col)
-    far_first = np.argsort(-sample_m[np.ix_(row, col)].ravel(), kind="stable")
-    far_first = np.roll(far_first, np.isnan(sample_m[np.ix_(row, col)]).sum())  # NaN sorts last, must be written first
+    row, col, cell = covered_samples(height, width, rows, cols)
+    far_first = np.argsort(-sample_m[row, col].ravel(), kind="stable")
+    far_first = np.roll(far_first, np.isnan(sample_m[row, col]).sum())  # NaN sorts last, must be written first
     chosen = np.empty(rows * cols, np.int64)
     chosen[cell.ravel()[far_first]] = far_first  # of several writes the last one stays: the nearest
     at_row, at_col = np.divmod(chosen, len(col))
-    return row[at_row].reshape(rows, cols), col[at_col].reshape(rows, cols)
+    return row[at_row, 0].reshape(rows, cols), col[at_col].reshape(rows, cols)
 
 
 def _read_depth_m(path: FilePath) -> np.ndarray:
@@ -123,31 +118,13 @@ def _read_depth_m(path: FilePath) -> np.ndarray:
     suffix = Path(path).suffix.lower()
     if suffix == ".exr":
         raise InputError(f"{path}: EXR is not read, must be a 16-bit PNG in millimetres or an NPY file in metres")
-    samples = _read_npy(path) if suffix == ".npy" else _read_grey(path)
-    if samples.ndim == 3 and samples.shape[2] == 1:
-        samples = samples[:, :, 0]
-    if samples.ndim != 2 or not samples.size or samples.dtype.kind not in "iuf":
-        raise InputError(
-            f"{path}: holds {samples.dtype}{list(samples.shape)}, must hold numbers in two dimensions (rows, cols)"
-        )
+    samples = check_picture_array(path, read_array(path) if suffix == ".npy" else _read_grey(path))
     return samples.astype(np.float64) / (1 if samples.dtype.kind == "f" else MM_PER_M)
-
-
-def _read_npy(path: FilePath) -> np.ndarray:
-    try:
-        samples = np.load(path, allow_pickle=False)
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such file") from None
-    except (OSError, ValueError, EOFError) as error:
-        raise InputError(f"{path}: is not a readable NPY file ({error})") from None
-    if not isinstance(samples, np.ndarray):
-        raise InputError(f"{path}: is an NPZ archive, must be a single array (NPY)")
-    return samples
 
 
 def _read_grey(path: FilePath) -> np.ndarray:
     """A picture's samples; colour and 8 bit are refused: they cannot be depth in millimetres."""
-    with _picture(path) as picture:
+    with open_picture(path) as picture:
         if picture.mode != "F" and not picture.mode.startswith("I"):
             raise InputError(
                 f"{path}: is a picture of mode {picture.mode} (colour or 8 bit), "
@@ -158,19 +135,7 @@ def _read_grey(path: FilePath) -> np.ndarray:
 
 def _read_reflectivity(path: FilePath) -> np.ndarray:
     """float64[height, width]: linear luminance (sRGB primaries) between `DARKEST` and `BRIGHTEST`."""
-    with _picture(path) as picture:
+    with open_picture(path) as picture:
         srgb = np.asarray(picture.convert("RGB"), np.float64) / 255
     linear = np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)  # IEC 61966-2-1
     return DARKEST + (BRIGHTEST - DARKEST) * (linear @ [0.2126, 0.7152, 0.0722])
-
-
-def _picture(path: FilePath) -> Image.Image:
-    """An opened and decoded picture."""
-    try:
-        picture = Image.open(path)
-        picture.load()
-        return picture
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such file") from None
-    except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
-        raise InputError(f"{path}: is not a readable picture ({error})") from None

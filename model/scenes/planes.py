@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Scenes of planes that face the sensor.
 
 Ref: paper IV, Fig. 4; what the paper does not say of it, and the other scenes, are our choice.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Ray-traced scenes by name or file: rendered, or found rendered before, and what the user should know of them.
 
 Ref: paper V, "a simulator based on Monte Carlo ray tracing models"; everything else is our choice. Mitsuba and mitransient are an

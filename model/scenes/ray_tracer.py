@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Rays: a Mitsuba scene to transients (`transient.py`), with mitransient's volumetric path tracer.
 
 Ours are laser and camera: one point, the camera's, sees and lights rows x cols pixels of equal size on a plane that faces it.

@@ -1,4 +1,5 @@
-"""A scene: for every pixel of the sensor the distance and reflectivity of what it looks at, and the light that comes of it."""
+# SPDX-License-Identifier: Apache-2.0
+"""A scene: distance and reflectivity of the surfaces that every pixel sees, and the light that comes from them."""
 
 from typing import Any
 
@@ -8,6 +9,7 @@ from attrs import field, frozen
 from ..light.light import NEAREST_M, Light
 from ..shared.errors import InputError
 from ..shared.quantities import given, real_array
+from .ambient import Ambient, ambient_klux
 from .transient import Transient
 
 NO_OBJECT = 0
@@ -18,17 +20,34 @@ REFLECTIVITY = 0.4  # where nothing says another: that of the paper's flat targe
 class Scene:
     """What rows x cols pixels look at.
 
-    distance_m, reflectivity: float64[rows, cols, targets] (two-dimensional input: one target); distance NaN = no target,
-    and a pixel without any is invalid. labels: int64[rows, cols], number of the object, `NO_OBJECT` where that means
-    nothing. notes: sentences that the user should read (what was cropped, masked, assumed). transient: of a ray-traced scene,
-    whose light it is then; distance and reflectivity are what is looked for, not where the light comes from.
-    Raises `InputError` for distances below `NEAREST_M` and reflectivities outside 0 to 1.
+    Attributes
+    ----------
+    name : str
+        Name for titles and reports.
+    distance_m : numpy.ndarray
+        float64[rows, cols, targets] in metres, NaN = no target; a two-dimensional array has one target. A pixel without a target is invalid.
+    reflectivity : numpy.ndarray
+        float64[rows, cols, targets], 0 to 1.
+    labels : numpy.ndarray
+        int64[rows, cols], number of the object; `NO_OBJECT` where there are no objects.
+    sunlit : numpy.ndarray
+        float64[rows, cols], share of the ambient light that reaches the surface, 0 to 1.
+    notes : tuple of str
+        Sentences that the user should read: what was cropped, masked or assumed.
+    transient : Transient or None
+        Light of a ray-traced scene. Distance and reflectivity are then only the truth, and the light comes from here.
+
+    Raises
+    ------
+    InputError
+        If a distance is below `NEAREST_M`, or a reflectivity or share is outside 0 to 1.
     """
 
     name: str
     distance_m: np.ndarray = field(converter=given)
     reflectivity: np.ndarray = field(converter=given)
     labels: np.ndarray = field(default=NO_OBJECT, converter=given)
+    sunlit: np.ndarray = field(default=1.0, converter=given)
     notes: tuple[str, ...] = ()
     transient: Transient | None = None
 
@@ -43,6 +62,7 @@ class Scene:
         shape = distance_m.shape
         object.__setattr__(self, "distance_m", real_array("distance_m", distance_m, shape, NEAREST_M, nan=True))
         object.__setattr__(self, "reflectivity", real_array("reflectivity", reflectivity, shape, 0, 1))
+        object.__setattr__(self, "sunlit", real_array("sunlit", self.sunlit, shape[:2], 0, 1))
         object.__setattr__(self, "labels", np.broadcast_to(np.asarray(self.labels, np.int64), shape[:2]))
 
     @property
@@ -64,8 +84,27 @@ class Scene:
         return np.fmin.reduce(self.distance_m, axis=2)
 
 
-def scene_light(scene: Scene, klux: float, **others: Any) -> Light:
-    """The light of `scene` under `klux` of background, by the presets of `light.py`; `others` are fields of `Light`."""
+def scene_light(scene: Scene, klux: Ambient, **others: Any) -> Light:
+    """The light of a scene, with the presets of docs/light.md.
+
+    Parameters
+    ----------
+    scene : Scene
+    klux : float, numpy.ndarray or str
+        Ambient light, as in `simulate`.
+    **others
+        `background`, and fields of `Light`.
+
+    Returns
+    -------
+    Light
+
+    Raises
+    ------
+    InputError
+        If a value is out of range.
+    """
+    reaches_klux = ambient_klux(klux, scene.rows, scene.cols) * scene.sunlit
     if scene.transient is not None:
-        return scene.transient.light(klux, **others)
-    return Light.from_scene(scene.distance_m, scene.reflectivity, klux, **others)
+        return scene.transient.light(reaches_klux, **others)
+    return Light.from_scene(scene.distance_m, scene.reflectivity, reaches_klux, **others)

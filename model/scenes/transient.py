@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Transients: what every pixel of a rendered scene sends back, sorted by time of flight.
 
 The unit is equation (1)'s: a Lambertian surface of reflectivity r that fills the pixel at distance d sends back r / (pi d^2).
@@ -11,10 +12,11 @@ from typing import Any
 import numpy as np
 from attrs import frozen
 
-from ..light.light import REFERENCE_REFLECTIVITY, SIGNAL_MAX, Arrivals, Light, background_cps
+from ..light.light import BACKGROUNDS, SIGNAL_MAX, Arrivals, Light, ambient_reflectivity, background_cps
 from ..light.link_budget import Laser, Optics, link_budget
 from ..shared.constants import SPEED_OF_LIGHT_M_S
 from ..shared.files import FilePath, read_npz, write_npz
+from ..shared.quantities import Numbers, real_array
 
 BIN_S = 15.625e-12  # a quarter of the preset's tick
 SURFACE_GAP_M = (
@@ -65,11 +67,18 @@ class Transient:
                 depth_m[pixel] = np.average(index[here] + 0.5, weights=strength[here]) * BIN_S * SPEED_OF_LIGHT_M_S / 2
         return depth_m.reshape(self.surface_m.shape)
 
-    def light(self, klux: float, *, optics: Optics | None = None, laser: Laser | None = None, **others: Any) -> Light:
-        """What the sensor detects: signal by the link budget, background by the preset in proportion to `ambient`.
+    def light(
+        self,
+        klux: Numbers,
+        *,
+        background: str = BACKGROUNDS[0],
+        optics: Optics | None = None,
+        laser: Laser | None = None,
+        **others: Any,
+    ) -> Light:
+        """What the sensor detects: signal by the link budget, background by the preset, with `ambient` as the reflectivity.
 
-        The preset's background is that of `REFERENCE_REFLECTIVITY`; equation (2) is proportional to the reflectivity, too. others:
-        fields of `Light`.
+        klux: ambient light, a number or float64[rows, cols]; background: one of `BACKGROUNDS`; others: fields of `Light`.
         """
         photons = self.strength_per_m2 * photons_per_strength(optics or Optics(), laser or Laser())
         rows, cols = self.surface_m.shape
@@ -82,7 +91,10 @@ class Transient:
             distance_m=np.nan,
             signal_per_pulse=0.0,
             arrivals=arrivals,
-            background_cps=background_cps(klux) * self.ambient.ravel() / REFERENCE_REFLECTIVITY,
+            background_cps=background_cps(
+                real_array("klux", klux, (rows, cols), 0).ravel(),
+                ambient_reflectivity(self.ambient.ravel(), background),
+            ),
             **others,
         )
 

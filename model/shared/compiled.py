@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Numba for this project's kernels: compiled code is kept on disk until any source that it may be made of changes.
 
 Numba looks only at the file of the function that it is asked for, but a kernel takes in functions and constants of other files. A

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Physical constants, exact SI values; conversions that follow from definitions alone; and what the paper calls success."""
 
 import math

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Optional dependencies: what is missing is told with the command that brings it."""
 
 from collections.abc import Iterator

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Physical quantities that are checked where they enter: attrs fields and arrays with a legal range."""
 
 from math import inf, isfinite

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The project's own sources: where its rooms are, and digests that change with them.
 
 What is kept on disk because it was expensive to make (compiled designs, emitted Verilog, points of a sweep) carries such a digest

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Programs that draw the documents' pictures: `python -m coincid.study.drawings.NAME`. They write into docs/images of the checkout."""
 
 from pathlib import Path

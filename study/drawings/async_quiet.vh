@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: Apache-2.0
   // A frame that never ends, all pixels on, windows of a tick.
   task wake;
     begin

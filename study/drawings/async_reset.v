@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: Apache-2.0
 // Single edges around the border of two cycles, for Icarus: prints the offset's number, and how many words and wrong words came of it.
 `timescale 1ps / 1fs
 module async_reset;

@@ -1,5 +1,6 @@
-"""Pictures of docs/async.md. `python -m coincid.study.drawings.async_study [NAME ...]` simulates and draws them again: timing, tdc, skew, window,
-metastability, reset.
+# SPDX-License-Identifier: Apache-2.0
+"""Pictures of docs/async.md. `python -m coincid.study.drawings.async_study [NAME ...]` simulates and draws them again:
+timing, tdc, skew, window, metastability, reset.
 
 Every picture but the first is measured on the Verilog of the cells or of the front end, under Icarus.
 """
@@ -185,7 +186,7 @@ def window() -> None:
 def metastability() -> None:
     """Mean time between unresolved flops against the time they are given (formula), and where the design's flops stand."""
     lag = lag_fs(SENSOR) / CLOCK_FS
-    points = {  # cycles to resolve in, events a second, borders a cycle that they can meet
+    points = {  # cycles to resolve in, events per second, borders per cycle that they can meet
         "hit at a cycle's border, read at mid-cycle": (0.5, EDGES_CPS, 1),
         "sampled phase, read by the clock": (1 - lag, WINDOWS_CPS, SENSOR.phases),
         "picture, read by the clock": (1 - lag - 0.25, WINDOWS_CPS, SENSOR.phases),

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: Apache-2.0
 // The end of a window, for Icarus: prints when each begins and when it ends, in ps. LINE, GAIN_PPM: of coincid_window.
 `timescale 1ps / 1fs
 module async_window;

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Draws blocks.svg: the sensor's blocks and what runs between them.
 
 python -m coincid.study.drawings.blocks

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Draws ray-NAME.png for each ray-traced scene of the project: its truth, and its depth through the RTL. Needs `make raytrace`.
 
 python -m coincid.study.drawings.raytrace [NAME ...]
@@ -20,7 +21,8 @@ from ...model.scenes.ray_scene import BUILT_IN, PREFIX
 from ...model.scenes.scene import scene_light
 from ...model.shared.constants import SPEED_OF_LIGHT_M_S
 from ..pictures import Panel, depth_row
-from ..simulate import SCHEMES, run_frames
+from ..settling import SETTLING
+from ..simulate import SCHEMES, plan_frames, run_frames
 from . import image
 
 KLUX, PULSES, SEED = 50, 400, 1
@@ -32,12 +34,11 @@ def draw(name: str) -> list[tuple[float, float]]:
     config = load_config(None).with_pulses(PULSES)
     timing = Timing.from_config(config)
     scene = load_scene(PREFIX + name, config.sensor.rows, config.sensor.cols)
-    edges = generate_edges(scene_light(scene, KLUX), Spad(), timing, pulses=PULSES, seed=SEED)
+    edges = generate_edges(scene_light(scene, KLUX), Spad(), timing, pulses=SETTLING * PULSES, seed=SEED)
+    plan = plan_frames(config, edges, config.threshold, SETTLING)
     with tempfile.TemporaryDirectory() as folder:
-        frames = run_frames(config, edges, "verilator", Path(folder))
-    depths = [
-        estimate_depth(frames.arrays, scheme, frame=k).depth_m[:, :, 0] for k, scheme in enumerate(frames.configs)
-    ]
+        frames = run_frames(plan, "verilator", Path(folder))
+    depths = [estimate_depth(frames.arrays, plan.configs[k], frame=k).depth_m[:, :, 0] for k in plan.shown.values()]
     panels = [
         Panel(title.format(threshold=np.unique(config.threshold)[0]), depth)
         for (title, _), depth in zip(SCHEMES.values(), depths)

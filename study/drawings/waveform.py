@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Draws waveform.svg: how a photon becomes a word. The values come from a simulation of the RTL, 8 x 8 pixels, in Amaranth's simulator.
 
 python -m coincid.study.drawings.waveform
@@ -17,9 +18,9 @@ from ...model.contract import registers
 from ...model.contract.config import parse_config
 from ...model.contract.edges import Edges
 from ...model.contract.packet import Kind, header_field
-from ...model.contract.registers import BY_NAME
 from ...model.light.timing import Timing
 from ...model.shared.constants import SPEED_OF_LIGHT_M_S
+from ...tb.pysim import write_register
 from ...tb.stimulus import port_words
 from . import image
 
@@ -40,8 +41,10 @@ SIGNALS = {  # name here: path in the simulation
     "tvalid": "m_axis_tvalid",
     "tdata": "m_axis_tdata",
     "root": "module_0.subgroup_0.tree.line__root",
-    "inside": "module_0.subgroup_0.tree.minigroup_0.inside",
-    "up_to": "module_0.subgroup_0.tree.line__up_to",
+    "open": "module_0.subgroup_0.tree.window_open",
+    "opening": "module_0.subgroup_0.tree.opening",
+    "first": "module_0.subgroup_0.tree.line__phase",
+    "end": "module_0.subgroup_0.tree.end",
     "hits": "module_0.subgroup_0.tree.hits",
     "closed": "module_0.subgroup_0.dpcu.closed",
     "commit": "module_0.subgroup_0.dpcu.commit",
@@ -57,23 +60,11 @@ def simulate() -> dict[str, list[int]]:
     sensor = FlatSensor(config.sensor)
 
     async def host(ctx: SimulatorContext) -> None:
-        start = registers.address("control"), 1 << BY_NAME["control"].bit("start")
         ctx.set(sensor.m_axis_tready, 1)
         ctx.set(sensor.s_axi_wstrb, 0xF)
         ctx.set(sensor.s_axi_bready, 1)
-        for address, value in [*config.register_writes(), start]:
-            ctx.set(sensor.s_axi_awaddr, address)
-            ctx.set(sensor.s_axi_wdata, value)
-            channels = [(sensor.s_axi_awvalid, sensor.s_axi_awready), (sensor.s_axi_wvalid, sensor.s_axi_wready)]
-            for valid, _ in channels:
-                ctx.set(valid, 1)
-            answered = False
-            while not answered:
-                taken = [valid for valid, ready in channels if ctx.get(valid) and ctx.get(ready)]
-                answered = ctx.get(sensor.s_axi_bvalid)
-                await ctx.tick()
-                for valid in taken:
-                    ctx.set(valid, 0)
+        for address, value in [*config.register_writes(), registers.control("start")]:
+            await write_register(ctx, sensor, address, value)
 
     async def spads(ctx: SimulatorContext) -> None:
         await ctx.tick().until(sensor.laser)
@@ -92,6 +83,15 @@ def simulate() -> dict[str, list[int]]:
         values = sampled(vcd)
     begin = values["laser"].index(1)
     return {name: line[begin : begin + SHOWN_CYCLES] for name, line in values.items()}
+
+
+def covered(values: dict[str, list[int]]) -> list[int]:
+    """The phases of every cycle that a window covers, a bit each; in the cycle that opens it, it begins with the edge."""
+    words = []
+    for is_open, opening, first, end in zip(values["open"], values["opening"], values["first"], values["end"]):
+        begin = 0 if is_open else first
+        words.append(((1 << min(end, PHASES)) - (1 << begin)) if is_open or opening else 0)
+    return words
 
 
 def sampled(vcd: Path) -> dict[str, list[int]]:
@@ -174,9 +174,7 @@ def draw(values: dict[str, list[int]]) -> Figure:
     for pixel, cycle, _ in EDGES:
         wave(f"SPAD {pixel}", phases(values["spad"], pixel * PHASES), PHASES, SIGNAL if cycle > 5 else NOISE)
     wave("root", phases(values["root"]), PHASES)
-    before = [0, *values["inside"]]
-    window = [now if ahead else now & up_to for now, ahead, up_to in zip(values["inside"], before, values["up_to"])]
-    wave("window", phases(window), PHASES)  # in the cycle that opens it, it begins with the edge
+    wave("window", phases(covered(values)), PHASES)
     counts = [bin(value).count("1") for value in values["hits"]]
     bus("ID map", [n or None for n in counts])
     wave("closed", values["closed"], 1)
@@ -196,7 +194,7 @@ def draw(values: dict[str, list[int]]) -> Figure:
     for (_, cycle, phase), color in ((EDGES[0], NOISE), (EDGES[1], SIGNAL)):
         x = cycle + phase / PHASES
         pixel = next(p for p, c, k in EDGES if (c, k) == (cycle, phase))
-        path = [(x, f"SPAD {pixel}"), (x + 2, "root"), (x + 3, "window")]
+        path = [(x, f"SPAD {pixel}"), (x + 1, "root"), (x + 2, "window")]
         axes.plot(
             [at for at, _ in path], [level[row] + 0.3 for _, row in path], color=color, lw=1, ls=(0, (2, 2)), zorder=0
         )

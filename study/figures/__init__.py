@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The paper's figures and the architect's questions, from the equations, Monte Carlo through the golden model, and the RTL."""
 
 from collections.abc import Callable
@@ -6,7 +7,7 @@ from pathlib import Path
 
 from ...model.shared.files import FilePath
 from ..plot_style import style
-from . import architect, interference, light, reconstruction, rivals, thresholds, validity
+from . import architect, four_modes, interference, light, reconstruction, rivals, thresholds, validity
 from .cases import Engine, Progress, Runner
 from .page import Section, write_page, write_section
 
@@ -24,9 +25,12 @@ COMPARISON = (
     rivals.retroreflector,
     interference.interference,
 )
+MODES_TITLE = "Coincid: coincidence, gating, and 100 m"
+MODES_INTRODUCTION = """<p>Flat targets on 16 x 16 pixels through photons, golden model and depth; a link of 2 Gbit/s, a quarter of what
+<code>make sim</code> gives 32 x 32. Background in proportion to the target's reflectivity, as in equation (2) of the paper.</p>"""
 RIVALS_TITLE = "Coincid: other schemes on the same photons"
 RIVALS_INTRODUCTION = """<p>Every scheme sees the same edges: macro-pixels of 8 x 8, 100 laser pulses, window 1 ns, threshold 3 where it
-has one, a matched filter on every pixel's histogram; words go through 16 places a subgroup and one stream of 64 bit a cycle,
+has one, a matched filter on every pixel's histogram; words go through 16 places per subgroup and one stream of 64 bit per cycle,
 histograms on the chip have 32 kbit a macro-pixel. What wins where and why: docs/rivals.md.</p>"""
 
 
@@ -36,11 +40,12 @@ def make(
     progress: Progress = lambda done, total: None,
     workers: int | None = None,
 ) -> list[Path]:
-    """Writes all figures (PNG, SVG), their data (CSV) and `index.html` into `out_dir`; returns the paths, the page last.
+    """Writes all figures (PNG, SVG), their data (CSV) and `index.html` into `out_dir`; returns the paths, the page
+    last.
 
-    replay: runs edges through the RTL as `golden_result` does through the model, for figures 6 and 8; None: without RTL.
-    progress(done, total) is called after each frame; `total` grows. workers: processes, all cores by default; the files
-    do not depend on it. Each file appears whole or not at all.
+    replay: runs edges through the RTL as `golden_result` does through the model, for figures 6 and 8; None: without
+    RTL. progress(done, total) is called after each frame; `total` grows. workers: processes, all cores by default; the
+    files do not depend on it. Each file appears whole or not at all.
     """
     return _write(
         out_dir,
@@ -67,6 +72,17 @@ def make(
 def compare(out_dir: FilePath, progress: Progress = lambda done, total: None, workers: int | None = None) -> list[Path]:
     """Like `make`, the comparison with other schemes and a second LiDAR's interference."""
     return _write(out_dir, RIVALS_TITLE, RIVALS_INTRODUCTION, COMPARISON, progress, workers)
+
+
+def modes(
+    out_dir: FilePath,
+    replay: Engine | None = None,
+    progress: Progress = lambda done, total: None,
+    workers: int | None = None,
+) -> list[Path]:
+    """Like `make`, the four modes; `replay` checks some frames of each section on the RTL."""
+    families = tuple(partial(family, replay=replay) for family in four_modes.FAMILIES)
+    return _write(out_dir, MODES_TITLE, MODES_INTRODUCTION, families, progress, workers)
 
 
 def _write(

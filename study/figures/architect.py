@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What an architect asks of the sensor: background, re-arm gap and window, FIFO and bandwidth, two targets, noisy SPADs."""
 
 from collections.abc import Iterable, Sequence
@@ -9,11 +10,12 @@ from matplotlib.figure import Figure
 
 from ...model.light.spad import Spad, dark_count_map
 from ..plot_style import SERIES, legend_below, new_figure, share_axis
+from ..settling import SETTLING
 from .cases import MANY, PULSES, Case, Outcome, Runner, Table, mean_of, vary
 from .page import Comparison, Row, Section
 
 Outcomes: TypeAlias = dict[tuple[Any, ...], list[Outcome]]  # by what was varied
-METHODS = ("joint", "matched")
+METHODS = ("planes", "matched")
 MARKS = ("-o", "--s")  # of the methods
 KLUX = (1.0, 2.0, 5.0, 10.0, 20.0, 35.0, 50.0, 75.0, 100.0)
 THRESHOLDS = tuple(range(1, 8))
@@ -33,7 +35,7 @@ BANDWIDTH_THRESHOLD = 2
 NEAR_M, STEPS_M = 5.0, (0.05, 0.10, 0.15, 0.2, 0.25, 0.3, 0.4, 0.6, 1.0)
 TWO_KLUX = (5.0, 50.0)
 TWO_SOURCES: dict[str, tuple[Table, str]] = {  # what tells two targets apart: settings of the frame, method
-    "ID map, joint": ({}, "joint"),
+    "ID map, planes": ({}, "planes"),
     "ID map, matched": ({}, "matched"),
     "records off: subgroup's stamp alone": ({}, "matched/subgroup"),
     "records off: offsets of full events": ({"format": "full"}, "matched/minigroup"),
@@ -54,10 +56,8 @@ def background(run: Runner) -> Section:
         case, seeds = Case(klux=klux, methods=METHODS), SEEDS if pulses == PULSES else 1
         for name, subgroup in settings.items():
             cases[pulses, klux, name] = vary(case, seeds, pulses=pulses, subgroup=subgroup)
-        bounds = case.config().with_pulses(pulses).auto_bounds.tolist()
-        cases[pulses, klux, "controller"] = vary(
-            case, seeds, pulses=pulses, subgroup={"auto": True}, frame={"frames": 2, "auto_bounds": bounds}
-        )
+        frames = {"frames": SETTLING + 1}
+        cases[pulses, klux, "controller"] = vary(case, seeds, pulses=pulses, subgroup={"auto": True}, frame=frames)
     table = run.table(cases)
     oracle = {}
     for pulses, klux in _pairs(BOTH_PULSES, KLUX):
@@ -69,17 +69,13 @@ def background(run: Runner) -> Section:
         ("pulses", "klux", "setting", *(f"wrong_share_{method}" for method in METHODS), "events_per_s", "dropped_share")
     ]
     rows += [(*key, *_wrong(outcomes), _events(outcomes), _dropped(outcomes)) for key, outcomes in table.items()]
-    text = f"""<p>Controller: threshold of each subgroup from its photons in the frame before, by the default bounds. Oracle:
-for each subgroup the threshold with the fewest events among those with the fewest wrong pixels, known from the truth. Events:
-that left the sensor; one stream carries 2.5e8 a second with ID maps. Mean of {SEEDS} seeds, one with {MANY * PULSES} pulses, where
-the bounds are {MANY} times as high.</p>
-<p>What limits: above 75 klux bandwidth limits threshold 2, photons limit thresholds from 5 on (the dark objects' few), and the
-estimator limits whoever looks at a pixel alone. What limits the controller: its photon counter sees signal and background
-alike, and a bound knows no klux. A subgroup with a dark object at 100 klux has more photons than one with a bright object at
-20 klux, but bears the lower threshold of the two. So one table of bounds cannot follow the oracle at every background; the
-default holds dark subgroups at 4, and lower where there is little light: that saves events at every background, for about one
-wrong pixel in a thousand more, at the border of a dark object where threshold 4 leaves next to no events. Without that pixel, at
-3 throughout, the controller would be a fixed threshold. An estimator that looks at a pixel alone would want 2.</p>"""
+    text = f"""<p>Controller: the threshold of each subgroup after {SETTLING} frames of other photons of the same light, with the capacity of one
+beat per cycle. Oracle: for each subgroup the threshold with the fewest events among those with the fewest wrong pixels, known from the truth. Events:
+that left the sensor; one stream carries 2.5e8 a second with ID maps. Mean of {SEEDS} seeds, one with {MANY * PULSES} pulses, where capacity and
+bounds are {MANY} times as high.</p>
+<p>What limits: bandwidth limits low thresholds in much light, photons limit high ones (the dark objects few), and the estimator limits whoever
+looks at a pixel alone. The controller sends what the stream carries, so it has many events where there is little light, and no fewer than it must
+where there is much.</p>"""
     return Section(
         "background",
         "Background: thresholds, controller, oracle",
@@ -159,7 +155,7 @@ def fifo_and_bandwidth(run: Runner) -> Section:
             )
         for (form, streams), klux in _pairs(BANDWIDTHS, KLUX):
             methods = (
-                () if form == "short" else ("joint",)
+                () if form == "short" else ("planes",)
             )  # without an ID map there is no depth, but events are lost alike
             cases[pulses, klux, BANDWIDTH_THRESHOLD, 16, form, streams] = vary(
                 Case(klux=klux, methods=methods),
@@ -179,7 +175,7 @@ def fifo_and_bandwidth(run: Runner) -> Section:
             "streams",
             "dropped_share",
             "events_per_s",
-            "wrong_share_joint",
+            "wrong_share_planes",
         )
     ]
     rows += [
@@ -207,7 +203,7 @@ def fifo_and_bandwidth(run: Runner) -> Section:
     return Section(
         "fifo_bandwidth",
         "FIFO depth and readout bandwidth",
-        """<p>A stream carries a 64-bit beat a cycle: in a laser period of 250 cycles 250 events of format short, 125 with ID maps,
+        """<p>A stream carries a 64-bit beat per cycle: in a laser period of 250 cycles 250 events of format short, 125 with ID maps,
 62 with offsets too, for all 16 subgroups. Above that rate no FIFO helps; below it, a few events of depth take up what chance
 piles up.</p>""",
         [("fifo_bandwidth", figure, f"Share of events dropped, {PULSES} pulses; {ALSO_MANY}")],
@@ -310,7 +306,7 @@ def noisy_spads(run: Runner) -> Section:
         "Dark counts, hot pixels, crosstalk",
         """<p>Five objects at 50 klux (1.2e6 background counts a second in a pixel). Crosstalk fakes coincidences: an avalanche brings
 a neighbour along, so one noise photon meets a threshold of 2. A hot pixel opens windows and blinds the tree for the others,
-but counts once in a coincidence. With threshold 5 the joint estimator finds object 2 (13 % of the pixels) or does not: noise that
+but counts once in a coincidence. With threshold 5 the estimator of planes finds object 2 (13 % of the pixels) or does not: noise that
 helps its few photons over the threshold helps.</p>""",
         [("noisy_spads", figure, f"Share of wrong pixels (above) and events (below), {PULSES} pulses; {ALSO_MANY}")],
         rows,
@@ -349,7 +345,7 @@ def _oracle(fixed: dict[int, list[Outcome]]) -> tuple[int, ...]:
         here = slice(row, row + sr), slice(col, col + sc)
         ranked = [
             (
-                round(float(np.mean([o.wrong("joint")[here].sum() for o in outcomes])), 1),
+                round(float(np.mean([o.wrong("planes")[here].sum() for o in outcomes])), 1),
                 float(np.mean([o.stored[s] for o in outcomes])),
                 threshold,
             )
@@ -382,7 +378,7 @@ def _background_figure(table: Outcomes, pulses: int) -> Figure:
             axes, (*np.transpose([_wrong(one) for one in chosen]), [_events(one) / 1e6 for one in chosen])
         ):
             axis.plot(KLUX, values, line, marker=marker, color=colour, label=name)
-    for axis, title in zip(axes, ("joint estimator", "matched filter")):
+    for axis, title in zip(axes, ("estimator of planes", "matched filter")):
         axis.axhline(GOAL_SHARE, color="#bbbbbb", linewidth=1)
         axis.set(
             xlabel="background in klux",
@@ -415,7 +411,7 @@ def _goal(table: Outcomes) -> Comparison:
     }
     reached = _wrong(table[PULSES, GOAL_KLUX, "controller"])[0] < GOAL_SHARE
     return Comparison(
-        f"wrong at {GOAL_KLUX:g} klux, {PULSES} pulses, joint estimator",
+        f"wrong at {GOAL_KLUX:g} klux, {PULSES} pulses, estimator of planes",
         f"7 % (the goal: below {GOAL_SHARE:.0%})",
         ours,
         "reached by the controller" if reached else "not reached by the controller",
@@ -429,7 +425,7 @@ def _against_best(table: Outcomes, klux: float) -> Comparison:
         key=lambda one: (_wrong(one)[0], _events(one)),
     )
     auto = table[PULSES, klux, "controller"]
-    more = [a.wrong("joint").sum() - f.wrong("joint").sum() for a, f in zip(auto, fixed)]
+    more = [a.wrong("planes").sum() - f.wrong("planes").sum() for a, f in zip(auto, fixed)]
     saved = 1 - _events(auto) / _events(fixed)
     return Comparison(
         f"controller against the best fixed threshold, {klux:g} klux",

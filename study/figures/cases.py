@@ -1,9 +1,10 @@
+# SPDX-License-Identifier: Apache-2.0
 """One Monte Carlo frame: a scene's photons through the sensor to depth, and many of them on all cores."""
 
 import os
 from collections.abc import Callable, Hashable, Iterable, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from multiprocessing import get_context
+from contextlib import ExitStack
 from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
@@ -19,6 +20,7 @@ from ...model.light.spad import Spad
 from ...model.light.timing import Timing
 from ...model.scenes.catalogue import load_scene
 from ...model.scenes.scene import Scene, scene_light
+from ...model.shared.interrupts import worker_processes
 
 Engine = Callable[[Config, Edges], dict[str, np.ndarray]]
 Progress = Callable[[int, int], None]  # cases done, cases in all
@@ -45,7 +47,7 @@ class Case:
     frame: Table = field(factory=dict)
     subgroup: Table = field(factory=dict)
     threshold: tuple[int, ...] | None = None
-    methods: tuple[str, ...] = ("joint",)
+    methods: tuple[str, ...] = ("planes",)
     spad: Spad = field(factory=Spad)
 
     def config(self) -> Config:
@@ -117,14 +119,16 @@ class Runner:
         self.workers = workers or os.cpu_count() or 1
         self.progress = progress
         self.done = self.total = 0
-        self._pool = ProcessPoolExecutor(self.workers, mp_context=get_context("spawn")) if self.workers > 1 else None
+        self._pool: ProcessPoolExecutor | None = None
+        self._processes = ExitStack()
 
     def __enter__(self) -> "Runner":
+        if self.workers > 1:
+            self._pool = self._processes.enter_context(worker_processes(self.workers))
         return self
 
-    def __exit__(self, *_: object) -> None:
-        if self._pool:
-            self._pool.shutdown(cancel_futures=True)
+    def __exit__(self, *raised: Any) -> None:
+        self._processes.__exit__(*raised)
 
     def run(self, cases: Iterable[Case]) -> list[Outcome]:
         """Outcomes of `cases`, in their order."""

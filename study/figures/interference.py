@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A second LiDAR in the scene, and whether a laser period that changes from pulse to pulse pays."""
 
 from typing import NamedTuple, TypeAlias
@@ -15,7 +16,7 @@ from .page import Row, Section
 from .rivals import STYLES
 
 SIDE, KLUX, SEEDS = 32, 20.0, 3
-SHOWN = ("winner: joint", "this: fixed", "this: controller", "this: fixed joint", "this: controller joint")
+SHOWN = ("winner: planes", "this: fixed", "this: controller", "this: fixed planes", "this: controller planes")
 PHOTONS = (0.0, 0.02, 0.05, 0.2, 0.5, 1.0)  # of a pixel and pulse of the other; 0.23 is our own from white at 10 m
 OFFSETS = (0.0, 1e-5, 1e-4, 1e-3, 1e-2, 1e-1)  # of the other's laser period, relative
 DITHER_BITS = (0, 1, 2, 3, 4, 6)
@@ -66,7 +67,7 @@ def _same_and_wrong(depth_m: np.ndarray, truth_m: np.ndarray) -> float:
 def interference(run: Runner) -> Section:
     """Wrong share against the other's light, its period, and the dither."""
     keys = {
-        "photons a pixel and pulse of the other LiDAR": [
+        "photons per pixel and pulse of the other LiDAR": [
             (photons, OFFSET_SHOWN, bits) for photons in PHOTONS for bits in BITS_SHOWN
         ],
         "its laser period longer by": [(PHOTONS_SHOWN, offset, bits) for offset in OFFSETS for bits in BITS_SHOWN],
@@ -107,7 +108,7 @@ def interference(run: Runner) -> Section:
     for axis, at, (label, part) in zip((left, middle), (0, 1), keys.items()):
         for bits in BITS_SHOWN:
             chosen = [key for key in part if key[2] == bits]
-            for name, line in (("this: fixed joint", "-o"), ("this: fixed", "--o")):
+            for name, line in (("this: fixed planes", "-o"), ("this: fixed", "--o")):
                 wait = f"wait of 0 to {(1 << bits) - 1} cycles" if bits else "no wait"
                 axis.plot(
                     [key[at] for key in chosen],

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Figs. 2 and 5 of the paper: rates and signal to background over distance; the pulse that comes back."""
 
 import numpy as np

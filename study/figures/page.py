@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Sections of the page: pictures, their data, and our numbers next to the paper's; how they become files."""
 
 import csv

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The sensor against its rivals (`comparison.py`): background, range, two targets, a retroreflector, bits."""
 
 from collections.abc import Hashable
@@ -42,7 +43,7 @@ SIGN_M, DARK, SIGN, STRAY, RETRO_KLUX = 6.0, 0.1, slice(4, 12), 1e-3, 20.0  # a 
 
 STYLES = {
     "winner takes all": ("#999999", "-", "o"),
-    "winner: joint": ("#999999", "--", "o"),
+    "winner: planes": ("#999999", "--", "o"),
     "sliding window": ("#1f78b4", "-", "s"),
     "fixed windows": ("#a6cee3", "-", "D"),
     "last hit": ("#b2df8a", "-", "v"),
@@ -52,8 +53,8 @@ STYLES = {
     "this: controller": ("#e31a1c", "-", "X"),
     "this: pooled": ("#fdbf6f", "-", "p"),
     "this: minigroups": ("#ff7f00", "-", ">"),
-    "this: fixed joint": ("#fb9a99", "--", "h"),
-    "this: controller joint": ("#e31a1c", "--", "*"),
+    "this: fixed planes": ("#fb9a99", "--", "h"),
+    "this: controller planes": ("#e31a1c", "--", "*"),
 }
 _Key = TypeVar("_Key", bound=Hashable)
 Task = tuple[Light, int, int, tuple[str, ...]]  # seed, threshold, schemes

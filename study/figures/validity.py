@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Where the corrected equations stop to describe the sensor: expected counts of a pixel against Monte Carlo."""
 
 from typing import Any
@@ -19,7 +20,7 @@ from .cases import MANY, Runner
 from .page import Comparison, Row, Section
 
 KLUX = (1.0, 5.0, 20.0, 50.0, 100.0, 200.0, 400.0, 1000.0, 2000.0)
-DISTANCE_M, SIGNAL = 9.7, 0.05  # 3.2 photons a pulse in the subgroup: a dark object
+DISTANCE_M, SIGNAL = 9.7, 0.05  # 3.2 photons per pulse in the subgroup: a dark object
 THRESHOLDS, WINDOW_TICKS, PULSES = (2, 5), 16, 1000
 AROUND_S = 2e-9  # of the time of flight: what counts as signal
 SENSOR: dict[str, Any] = {"rows": 8, "cols": 8, "fifo_depth": 1024}
@@ -82,7 +83,7 @@ def validity(run: Runner) -> Section:
     return Section(
         "validity",
         "Where the corrected equations end",
-        f"""<p>A dark target ({PIXELS * SIGNAL:.1f} photons a pulse in the subgroup) at {DISTANCE_M} m: mean counts of a pixel a pulse
+        f"""<p>A dark target ({PIXELS * SIGNAL:.1f} photons per pulse in the subgroup) at {DISTANCE_M} m: mean counts per pixel and pulse
 within {AROUND_S * 1e9:g} ns of the time of flight, and elsewhere, over those of Monte Carlo. The corrected form takes pixels that have just
 fired for ready at the next window, which it states to hold while noise times dead time stays below {VALID_DEAD_FRACTION:g}, up to
 {limit_klux:.0f} klux here. Bars: standard error of Monte Carlo.</p>""",

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """cocotb benches of the regression: the tests beside this folder start a simulator, which imports these by name."""
 
 from pathlib import Path

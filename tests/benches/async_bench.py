@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """cocotb tests of the asynchronous view: resets and aborts in the middle of frames, the SPADs firing all the while."""
 
 import random
@@ -56,14 +57,14 @@ async def resets_in_any_cycle(dut):
         await ClockCycles(dut.clk, random.randrange(1, 8))
         assert dut.m_axis_tvalid.value == 0 and dut.laser.value == 0
         go_dark(bench)
-        bench.programmed.clear()
+        bench.programmed.forget()
         record = await bench.play(of, edges, ALWAYS, Scoreboard(of.sensor, trace))
         assert record.checked > 50
         await FallingEdge(dut.clk)
         dut.rst.value = 1  # the controller's memory goes with it
         await FallingEdge(dut.clk)
         dut.rst.value = 0
-        bench.programmed.clear()
+        bench.programmed.forget()
         await start(bench, of, edges)
     go_dark(bench)
 

@@ -1,8 +1,10 @@
+# SPDX-License-Identifier: Apache-2.0
 """cocotb tests of the sensor under faults: stalls, masters that break rules, resets in any cycle, upsets. Icarus: they look inside.
 
 Whatever happens, the register bus answers, and after a reset the sensor is as new.
 """
 
+import itertools
 import json
 import os
 import random
@@ -13,11 +15,12 @@ import numpy as np
 from cocotb.triggers import ClockCycles, FallingEdge
 from sensor_bench import Queue, config, received, some_edges
 
-from coincid.model.contract import registers
+from coincid.hdl.dpcu import counter_bits
 from coincid.model.contract.packet import HEADER
 from coincid.model.contract.parameters import TOP
 from coincid.model.contract.registers import COUNTER_NAMES, ID_VALUE
 from coincid.model.contract.stream import decode_frame
+from coincid.model.golden.controller import Controller
 from coincid.model.golden.frame import Golden
 from coincid.tb.cosim import SensorBench
 from coincid.tb.scoreboard import Scoreboard
@@ -57,7 +60,7 @@ async def pulse_reset(bench: SensorBench) -> None:
         getattr(bench.dut, f"s_axi_{name}").value = value
     await FallingEdge(bench.dut.clk)
     bench.dut.rst.value = 0
-    bench.programmed.clear()
+    bench.programmed.forget()
     await ClockCycles(bench.dut.clk, 4)
     assert bench.dut.m_axis_tvalid.value == 0 and bench.dut.laser.value == 0
 
@@ -235,15 +238,29 @@ async def upsets_of_the_register_front(dut):
 
 @cocotb.test()
 async def counters_in_full_width(dut):
-    """Counters that no frame of a test reaches: all their bits leave by the stream and by the bus, and they stop at their highest value."""
+    """Counters that no frame of a test reaches: all their bits leave by the stream and by the bus, and they stop at their highest value.
+
+    The threshold controller makes of them what the golden model's does."""
     bench, of, edges, trace = await fresh(dut)
+    controller, used = Controller(of.sensor), COUNTER_NAMES.index("threshold_used")
+    bounds = [0, 0x1234_5678, 0x5A5A_A5A5, 0x5A5A_A5FF, 0xA5A5_5A5A, 0xFFFF_FFFF]
     bench.axi = Queue(bench.axi)
     dpcu = [handle(dut, f"module_0.subgroup_{s}", "dpcu") for s in range(2)]
     flops = flip_flops(json.loads(os.environ[SOURCES]))
-    names = [register for path, register, bits in flops if path == "module_0.subgroup_0.dpcu" and bits == 32]
-    names.remove("threshold_used")  # in force from the beginning of the frame
-    assert len(names) == len(COUNTER_NAMES) - 1
-    for value in (0xFFFF_FFFF, 0xA5A5_5A5A, 0x5A5A_A5A5):
+    registers_of = {  # counter: its register, whose name has a suffix where a port is called the same, and its bits
+        register.partition("$")[0]: (register, bits)
+        for path, register, bits in flops
+        if path == "module_0.subgroup_0.dpcu"
+    }
+    names = {
+        name: registers_of[name] for name in COUNTER_NAMES if name != "threshold_used"
+    }  # that one is in force already
+    assert all(bits == counter_bits(name, of.sensor) for name, (_, bits) in names.items())
+    for value, capacity in itertools.product(
+        (0xFFFF_FFFF, 0xA5A5_5A5A, 0x5A5A_A5A5, 0x1357_9BDF), (0xFFFF_FFFF, 0x9876_5432)
+    ):
+        of = of.with_frame(capacity=capacity, auto_bounds=bounds)
+        thresholds = controller.begin(of)
         await bench.program(of)
         playing = cocotb.start_soon(bench.play(of, edges, np.zeros(0, np.uint8)))
         for _ in range(200):
@@ -253,16 +270,19 @@ async def counters_in_full_width(dut):
         await ClockCycles(dut.clk, of.period * of.pulses - 2)
         await FallingEdge(dut.clk)
         for unit in dpcu:
-            for name in names:
-                unit[name].value = value
+            for register, bits in names.values():
+                unit[register].value = value & (1 << bits) - 1
         record = await playing
         counters = decode_frame(record.beats[0], of.sensor, 2).counters
+        controller.end(of, counters)
+        assert await bench.read("budget") == controller.budget[0]
+        assert counters[:, used].tolist() == thresholds.tolist()
         for s in range(2):
-            for i, name in enumerate(COUNTER_NAMES[:-1]):
-                shown = int(counters[s, i])
+            for name, (_, bits) in names.items():
+                highest = (1 << bits) - 1
+                shown = int(counters[s, COUNTER_NAMES.index(name)])
                 assert shown == await bench.read(name, s), name
-                assert value <= shown <= min(value + 80, 0xFFFF_FFFF), f"{name}: {shown:#x}"
-    assert registers.COUNTER_BITS == 32
+                assert value & highest <= shown <= min((value & highest) + 80, highest), f"{name}: {shown:#x}"
 
 
 @cocotb.test()

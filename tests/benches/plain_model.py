@@ -1,4 +1,5 @@
-"""The subgroup of the design documentation, sentence by sentence and tick by tick, in plain Python: what the golden model is held against.
+# SPDX-License-Identifier: Apache-2.0
+"""The subgroup of docs/contract.md, sentence by sentence and tick by tick, in plain Python. The golden model is compared with it.
 
 It knows nothing of FIFOs and readout: it lists all windows that met their threshold, all minigroup records, and each edge's fate.
 """
@@ -32,7 +33,7 @@ class PlainSubgroup:
         self.window = int(config.window[index]) if on else 1
         self.threshold = threshold if on else 1
         self.events, self.records = [], []
-        self.opened = self.committed = self.rejected = self.photons = self.blind = 0
+        self.opened = self.committed = self.rejected = self.photons = self.blind = self.lower = 0
 
     def gate_open(self, pulse: int, cycle: int) -> bool:
         c = self.config
@@ -83,10 +84,14 @@ class PlainSubgroup:
                     blind_cycles.add(cycle)
                     continue
                 window["hits"].add(i)
-                window["offsets"].setdefault(g, (tick - phases * (window["t0"] // phases)) // (phases // 4))
+                window["offsets"].setdefault(
+                    g, (tick - phases * (window["t0"] // phases)) // (phases // sensor.offset_phases)
+                )
             if window and tick == window["t0"] + self.window - 1:
                 count = len(window["hits"])
                 self.photons += count
+                if count >= self.threshold - 1:
+                    self.lower += 1
                 if count >= self.threshold:
                     self.committed += 1
                     self.events.append(
@@ -141,25 +146,73 @@ def period_starts(config: Config) -> list[int]:
     return starts
 
 
+class PlainController:
+    """The thresholds of all subgroups and the budgets of all streams, frame after frame."""
+
+    def __init__(self, config: Config):
+        self.config = config
+        n = config.sensor.subgroups
+        self.auto = [bool(config.auto[s] and config.coincidence[s]) for s in range(n)]
+        self.threshold = [int(config.threshold[s]) for s in range(n)]
+        self.members = {}
+        for s in range(n):
+            self.members.setdefault(s * config.sensor.streams // n, []).append(s)
+        self.share = {stream: config.capacity // len(members) for stream, members in self.members.items()}
+        self.budget = dict(self.share)
+
+    def frame_ended(self, subgroups: list[PlainSubgroup]) -> None:
+        for stream, members in self.members.items():
+            self.budget[stream] = self.new_budget(stream, [(s, subgroups[s]) for s in members])
+            for s in members:
+                if self.auto[s]:
+                    self.threshold[s] = self.new_threshold(self.threshold[s], subgroups[s], self.budget[stream])
+
+    def new_budget(self, stream: int, members) -> int:
+        budget, capacity = self.budget[stream], self.config.capacity
+        wide = budget + budget // 16 + 1
+        if wide > capacity:
+            wide = capacity
+        total = more = 0
+        for s, frame in members:
+            total += frame.committed
+            if self.auto[s] and self.threshold[s] > 1 and frame.lower <= wide:
+                more += frame.lower
+            else:
+                more += frame.committed
+        if total > capacity:
+            return max(budget - budget // 16, self.share[stream])
+        return wide if more <= capacity else budget
+
+    def new_threshold(self, threshold: int, frame: PlainSubgroup, budget: int) -> int:
+        if frame.committed > budget:
+            if threshold < 7:
+                threshold += 1
+        elif threshold > 1 and frame.lower <= budget:
+            threshold -= 1
+        ceiling = 1
+        for bound in self.config.auto_bounds.tolist():
+            if frame.opened >= bound:
+                ceiling += 1
+        return max(self.config.frame["threshold_floor"], 1, min(threshold, ceiling))
+
+
 def plain_run(config: Config, edges) -> tuple[list[list[PlainSubgroup]], list[int]]:
-    """Every frame's subgroups, and the fates. The controller follows the frame before."""
+    """Every frame's subgroups, and the fates."""
     fate = [None] * len(edges)
     grouped = defaultdict(list)
     for number, (pulse, pixel, tick) in enumerate(zip(edges.pulse.tolist(), edges.pixel.tolist(), edges.tick.tolist())):
         subgroup, i, g, j = where(config, pixel)
         grouped[pulse, subgroup].append((tick, i, g, j, number))
-    frames, before = [], None
+    frames, controller = [], PlainController(config)
     for frame in range(config.frames):
         subgroups = []
         for index in range(config.sensor.subgroups):
-            threshold = int(config.threshold[index])
-            if config.auto[index] and before:
-                threshold = 1 + sum(bound <= before[index].photons for bound in config.auto_bounds.tolist())
+            threshold = controller.threshold[index]
             subgroup = PlainSubgroup(config, index, threshold)
             subgroup.threshold_used = threshold
             for pulse in range(config.pulses):
                 subgroup.period(pulse, grouped.get((frame * config.pulses + pulse, index), []), fate)
             subgroups.append(subgroup)
         frames.append(subgroups)
-        before = subgroups
+        controller.frame_ended(subgroups)
     return frames, fate

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """cocotb tests of the sensor's ports: registers, frame control, reset, and an independent bus master and stream sink."""
 
 import json
@@ -73,10 +74,7 @@ def all_words(sensor):
 async def reset_values_and_constants(dut):
     bench = await fresh(dut)
     for register, index, subgroup in all_words(bench.sensor):
-        expected = (
-            0 if register.access in (Access.COUNTER, Access.STATUS, Access.PULSE) else register.reset(bench.sensor)
-        )
-        assert await bench.read(register.name, subgroup, index) == expected, register.name
+        assert await bench.read(register.name, subgroup, index) == register.reset(bench.sensor), register.name
 
 
 @cocotb.test()
@@ -112,14 +110,14 @@ async def addresses_that_are_not_there(dut):
         0x3C,
         0xFFC,
         address("mask", 0, 1) + 4,
-        address("threshold_used", 1) + 4,
+        address(registers.COUNTER_NAMES[-1], 1) + 4,
         last,
         0xFFFFC,
         address("period") + 2,
     ):
         await refused(bench.axi.write(bad, 1), bench, "bad_address")
         await refused(bench.axi.read(bad), bench, "bad_address")
-    for name in ("id", "rows", "opened", "threshold_used"):
+    for name in ("id", "rows", "budget", "opened", "threshold_used"):
         await refused(bench.write(name, 1), bench, "bad_address")
     await refused(bench.axi.write(address("pulses"), 7, byte_enable=0b0111), bench, "bad_strobe")
     assert await bench.read("pulses") == 100
@@ -132,13 +130,14 @@ async def starts_that_make_no_sense(dut):
     async def start():
         await bench.write("control", 1)
 
-    await bench.program(config(frame={"period": 100, "pulses": 1}))
+    of = config(frame={"period": 100, "pulses": 1})
+    await bench.program(of)
     await bench.write("period", bench.sensor.guard)
     await refused(start(), bench, "start_period")
     await bench.write("period", 100)
     await bench.write("auto_bounds", 100_000, index=2)
     await refused(start(), bench, "start_bounds")
-    await bench.write("auto_bounds", 800, index=2)
+    await bench.write("auto_bounds", int(of.auto_bounds[2]), index=2)
     await bench.write("gate_start", 100, subgroup=1)
     await bench.write("mode", 0b011, subgroup=1)
     await refused(start(), bench, "start_gate")
@@ -241,7 +240,8 @@ async def received(bench, light, each=lambda cycle: None) -> list[int]:
 @cocotb.test()
 async def abort_ends_the_running_period(dut):
     bench = await fresh(dut)
-    of = config(frame={"period": 100, "pulses": 50, "format": "id"}, subgroup={"threshold": 1})
+    frame = {"period": 100, "pulses": 50, "format": "id", "auto_bounds": [0] * 6, "capacity": 40}
+    of = config(frame=frame, subgroup={"threshold": 1, "auto": True})
     edges = some_edges(of, 7, 1000)
     bench.axi = Queue(bench.axi)
     await bench.program(of)
@@ -262,8 +262,35 @@ async def abort_ends_the_running_period(dut):
     await aborting
     assert sum(periods) == 3, f"aborted in the third period, {sum(periods)} periods"
     early = edges.pulse < 3
-    trace = Golden(of.sensor).frame(of, Edges(edges.pulse[early], edges.pixel[early], edges.tick[early]), pulses=3)
+    golden = Golden(of.sensor)
+    trace = golden.frame(of, Edges(edges.pulse[early], edges.pixel[early], edges.tick[early]), pulses=3)
     assert beats == trace.beats[0].tolist()
+    while not await bench.read("status") >> STATUS.bit("done") & 1:
+        pass
+    trace = golden.frame(of, edges)  # thresholds and budget go on from the aborted frame
+    assert trace.counters[:, registers.COUNTER_NAMES.index("threshold_used")].max() > 1
+    await bench.play(of, edges, np.zeros(0, np.uint8), Scoreboard(of.sensor, trace))
+    assert await bench.read("budget") == trace.budget[0]
+
+
+@cocotb.test()
+async def budgets_follow_the_capacity(dut):
+    """From frame to frame, as the golden model's: they begin with the share, and a capacity counts from the frame that it is programmed for."""
+    bench = await fresh(dut)
+    golden, budgets = Golden(bench.sensor), []
+    for number, capacity in enumerate((100, 100, 40, 40, 2**32 - 1, 2**32 - 1, 60, 0, 200)):
+        frame = {"period": 60, "pulses": 4, "auto_bounds": [0] * 6, "capacity": capacity, "format": "short"}
+        of = config(frame=frame, subgroup={"threshold": 2, "auto": number != 5})
+        edges = some_edges(of, number, 100 * (1 + number % 3))
+        if not number:
+            await bench.program(of)
+            assert await bench.read("budget") == of.shares[0]
+        stalled = np.zeros(50 * number, np.uint8)
+        trace = golden.frame(of, edges, stalled)
+        await bench.play(of, edges, stalled, Scoreboard(of.sensor, trace, number))
+        budgets.append(await bench.read("budget"))
+        assert budgets[-1] == trace.budget[0], number
+    assert len(set(budgets)) > 4
 
 
 @cocotb.test()
@@ -294,14 +321,14 @@ async def a_reset_at_any_time_leaves_a_fresh_sensor(dut):
             line.value = 0
         await ClockCycles(dut.clk, 3)
         assert dut.m_axis_tvalid.value == 0 and dut.laser.value == 0
-        bench.programmed.clear()
+        bench.programmed.forget()
         record = await bench.play(of, edges, np.zeros(0, np.uint8), Scoreboard(of.sensor, trace))
         assert record.checked
         dut.rst.value = 1
         await FallingEdge(dut.clk)
         dut.rst.value = 0
         await ClockCycles(dut.clk, 3)
-        bench.programmed.clear()
+        bench.programmed.forget()
 
 
 @cocotb.test()

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What test_toolchain.py runs inside the simulators: a cocotb test of its `toy` that behaves as BEHAVE says."""
 
 import os

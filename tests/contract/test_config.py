@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The configuration: settings by the file's names and values, in files and in Python, and what follows from the clock."""
 
 import numpy as np
@@ -6,6 +7,7 @@ import pytest
 from coincid.model.contract.config import SUBGROUP_KEYS, load_config, parse_config
 from coincid.model.contract.packet import FORMAT_NAMES
 from coincid.model.contract.registers import address
+from coincid.model.contract.windows import armed_cycle, close_cycle
 from coincid.model.light.timing import Timing
 from coincid.model.shared.errors import InputError
 
@@ -21,9 +23,12 @@ FRAME = {
     "gate_step": 2,
     "gate_every": 1,
     "gate_steps": 5,
+    "link_gbps": 4.0,
     "dither_bits": 3,
     "dither_seed": 9,
     "auto_bounds": [1, 2, 3, 4, 5, 6],
+    "capacity": 4000,
+    "threshold_floor": 2,
 }
 SUBGROUP = {
     "coincidence": False,
@@ -79,6 +84,8 @@ def test_settings_of_every_subgroup():
         ({"clock_mhz": True}, ("frame.clock_mhz = True", "from 0.001 to 100000")),
         ({"auto_bounds": [1, 2]}, ("frame.auto_bounds", "6 integers")),
         ({"auto_bounds": [6, 5, 4, 3, 2, 1]}, ("frame.auto_bounds", "descend")),
+        ({"capacity": -1}, ("frame.capacity = -1", "from 0 to 4294967295")),
+        ({"threshold_floor": 8}, ("frame.threshold_floor = 8", "from 0 to 7")),
     ],
 )
 def test_frame_settings_that_are_refused(settings, words):
@@ -130,6 +137,90 @@ def test_the_clock_is_no_register():
     assert parse_config({}).register_writes() == parse_config({"frame": {"clock_mhz": 100}}).register_writes()
 
 
-def test_bounds_follow_the_pulses():
-    config = parse_config({"frame": {"pulses": 100, "auto_bounds": [10, 20, 30, 40, 50, 60]}})
-    assert config.with_pulses(50).frame["auto_bounds"] == [5, 10, 15, 20, 25, 30]
+def test_events_of_a_frame_follow_the_pulses():
+    config = parse_config({"frame": {"pulses": 100, "auto_bounds": [10, 20, 30, 40, 50, 60], "capacity": 1001}})
+    half = config.with_pulses(50)
+    assert half.frame["auto_bounds"] == [5, 10, 15, 20, 25, 30]
+    assert half.capacity == 500
+    default = parse_config({}).with_pulses(50)
+    same(default, parse_config({"frame": {"pulses": 50}}))
+
+
+@pytest.mark.parametrize(
+    ("frame", "window", "bounds"),
+    [({}, 16, [26, 1091, 4448, 8792, 12613, 15471]), ({"pulses": 50}, 16, [13, 546, 2224, 4396, 6307, 7736])],
+)
+def test_default_bounds(frame, window, bounds):
+    assert parse_config({"frame": frame, "subgroup": {"window": window}}).auto_bounds.tolist() == bounds
+
+
+@pytest.mark.parametrize(("window", "rearm"), [(16, 0), (16, 2), (40, 0), (100, 1)])
+def test_default_bounds_keep_noise_rare(window, rearm):
+    """Counted photon by photon: the threshold that the bounds demand lets noise commit a quarter of a window per pulse or less, the
+    next lower one more."""
+    config = parse_config({"sensor": {"rearm": rearm, "window_max": 100}, "subgroup": {"window": window}})
+    rng = np.random.default_rng(1)
+    periods, counts = 400, []
+    for _ in range(periods):
+        arrivals = np.sort(rng.integers(0, config.period_ticks, rng.poisson(0.4 / window * config.period_ticks)))
+        armed, end = 0, (config.period - config.sensor.guard) * config.sensor.phases
+        while (first := np.searchsorted(arrivals, armed)) < np.searchsorted(arrivals, end):
+            opening = arrivals[first]
+            counts.append(np.searchsorted(arrivals, opening + window) - first)
+            armed = armed_cycle(close_cycle(opening, window, config.sensor.phases), rearm) * config.sensor.phases
+    needed = 1 + np.searchsorted(config.auto_bounds, len(counts) * config.pulses / periods, side="right")
+    commits = [np.sum(np.array(counts) >= threshold) / periods for threshold in (needed - 1, needed)]
+    assert commits[0] > 0.22 and commits[1] < 0.28
+
+
+@pytest.mark.parametrize(
+    ("sensor", "frame", "capacity", "shares"),
+    [
+        ({}, {}, 12_500, [781]),
+        ({"streams": 4}, {}, 12_500, [3125] * 4),
+        ({"rows": 8, "streams": 3}, {}, 12_500, [6250, 12_500, 12_500]),
+        ({}, {"format": "short"}, 25_000, [1562]),
+        ({}, {"format": "full"}, 6250, [390]),
+        ({}, {"minigroup_records": True}, (25_000 - 100 * 16 * 5) // 2, [531]),
+        ({"rows": 64, "cols": 64}, {"minigroup_records": True}, 0, [0]),
+        ({}, {"capacity": 100}, 100, [6]),
+    ],
+)
+def test_capacity_of_a_stream(sensor, frame, capacity, shares):
+    config = parse_config({"sensor": sensor, "frame": frame})
+    assert (config.capacity, config.shares.tolist()) == (capacity, shares)
+    writes = dict(config.register_writes())
+    assert writes[address("capacity")] == capacity
+    assert [writes[address("share", index=k)] for k in range(len(shares))] == shares
+
+
+@pytest.mark.parametrize(
+    ("sensor", "steps"),
+    [
+        ({}, 16),
+        ({"phases": 8, "window_max": 16}, 8),
+        ({"phases": 64, "offset_phases": 4}, 4),
+        ({"window_max": 224, "offset_phases": 32}, 32),
+    ],
+)
+def test_steps_of_a_cycle_that_offsets_count(sensor, steps):
+    built = parse_config({"sensor": sensor}).sensor
+    assert built.offset_phases == steps
+    assert built.offset_ticks * steps == built.phases
+
+
+@pytest.mark.parametrize(
+    ("sensor", "words"),
+    [
+        ({"offset_phases": 2}, "sensor.offset_phases = 2: must be an integer from 4 to 64"),
+        ({"offset_phases": 12}, "sensor.offset_phases = 12: must be a power of two from 4 to 32"),
+        ({"phases": 8, "offset_phases": 16}, "sensor.offset_phases = 16: must be a power of two from 4 to 8"),
+        (
+            {"window_max": 225, "offset_phases": 32},
+            "sensor.window_max = 225: must be an integer from 1 to 224 with sensor.phases = 32 and sensor.offset_phases = 32",
+        ),
+    ],
+)
+def test_steps_that_no_sensor_is_built_with(sensor, words):
+    with pytest.raises(InputError, match=words):
+        parse_config({"sensor": sensor})

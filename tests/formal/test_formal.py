@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The provers: a proof that holds, one that does not, one that is vacuous, and the solver's reader."""
 
 import pytest

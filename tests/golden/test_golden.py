@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The golden model against the plain model, and its own laws."""
 
 import numpy as np
@@ -12,7 +13,7 @@ from coincid.model.contract.parameters import OFFSET_NONE, STAMP_FIELD_BITS
 from coincid.model.golden.frame import Golden, golden_result
 
 from ..benches.plain_model import period_starts, plain_run
-from ..cases import READY_KINDS, SENSORS, configurations, ready_pattern, trouble
+from ..cases import READY_KINDS, SENSORS, configurations, controlled, ready_pattern, trouble
 
 seeds = st.integers(0, 2**32 - 1)
 densities = st.sampled_from((0.0, 0.5, 4.0, 20.0, 40.0))
@@ -31,7 +32,7 @@ def test_plain_model(sensor, data):
     assert result["fate"].tolist() == fate
     for f, subgroups in enumerate(frames):
         for s, plain in enumerate(subgroups):
-            for name in ("opened", "committed", "rejected", "photons", "blind", "threshold_used"):
+            for name in ("opened", "committed", "rejected", "photons", "blind", "lower", "threshold_used"):
                 assert result[name][f, s] == getattr(plain, name), name
             rows = np.flatnonzero((result["subgroup"] == s) & (result["pulse"] // config.pulses == f))
             assert len(rows) == result["stored"][f, s]
@@ -67,6 +68,21 @@ def _check_rows(config, result, rows, events, frame):
         at += 1
 
 
+@pytest.mark.parametrize("sensor", ("one", "odd", "tiny", "wide"))
+@given(data=st.data())
+def test_controller(sensor, data):
+    """Thresholds and budgets over many frames of light that changes, against the plain model's."""
+    config = data.draw(controlled(SENSORS[sensor], frames=8))
+    edges = trouble(config, data.draw(seeds), data.draw(densities))
+    keep = np.random.default_rng(data.draw(seeds)).random(config.frames)[edges.pulse // config.pulses]
+    dimmed = edges.pixel / config.sensor.array_pixels < keep * 1.5
+    edges = Edges(edges.pulse[dimmed], edges.pixel[dimmed], edges.tick[dimmed])
+    frames, _ = plain_run(config, edges)
+    result = golden_result(config, edges, ready_pattern(0, "stalled", 200))
+    for name in ("opened", "committed", "lower", "threshold_used"):
+        assert result[name].tolist() == [[getattr(plain, name) for plain in subgroups] for subgroups in frames], name
+
+
 @pytest.mark.parametrize("sensor", ("default", "tiny"))
 @given(data=st.data())
 def test_laws(sensor, data):
@@ -87,7 +103,7 @@ def test_laws(sensor, data):
 
     lowest = golden_result(config.with_settings(threshold=1, auto=False), edges, ready)
     assert lowest["rejected"].sum() == 0
-    assert np.array_equal(lowest["photons"], result["photons"])  # a threshold set from the photons cannot oscillate
+    assert np.array_equal(lowest["photons"], result["photons"])  # thresholds do not change what is counted
 
 
 def test_abort_is_a_shorter_frame():

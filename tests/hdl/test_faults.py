@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The sensor under faults: the tests of `fault_bench.py`, in Icarus, where a bench may look inside."""
 
 import json

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The sensor's ports under cocotb: the tests of `sensor_bench.py`, on both simulators."""
 
 import pytest

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Equations (3) to (18): literal forms against hand-computed points, corrected ones against photons through the sensor."""
 
 import math

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Link budget against hand-checked numbers, to four digits."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Photons against closed forms that hold exactly, at a level of 0.1 % with fixed seeds."""
 
 import math
@@ -304,7 +305,13 @@ def test_presets():
     assert signal_per_pulse(8.0, 0.2) == pytest.approx(0.613 / 8)
     scene = Light.from_scene([[4.0, np.nan], [8.0, 8.0]], [[0.4, 0.4], [0.2, 0.4]], 50)
     assert scene.signal_per_pulse[:, 0] == pytest.approx([0.613, 0, 0.613 / 8, 0.613 / 4])
-    assert scene.background_cps == pytest.approx(1.226e6)
+    assert scene.background_cps == pytest.approx(
+        [1.226e6, 1.226e6, 1.226e6 / 2, 1.226e6]
+    )  # equation (2); no target: as at 0.4
+    even = Light.from_scene([[4.0, 8.0]], [[0.4, 0.1]], np.array([[50, 100]]), background="even")
+    assert even.background_cps == pytest.approx([1.226e6, 2 * 1.226e6])
+    mesh = Light.from_scene([[[4.0, 8.0], [4.0, np.nan]]], 0.3, 50)
+    assert mesh.background_cps == pytest.approx([1.5 * 1.226e6, 0.75 * 1.226e6])  # what both targets send back
 
 
 def test_dark_counts_and_hot_pixels():
@@ -328,7 +335,11 @@ def test_dark_counts_and_hot_pixels():
         (lambda: light(distance_m=np.ones(3)), r"distance_m: has shape \(3, 1\), must be \(64, 1\) or broadcast to it"),
         (lambda: Light.from_scene(np.zeros((2, 2)), 0.4, 50), r"distance_m\[0, 0\] = 0.0: must be of at least 0.05"),
         (lambda: Light.from_scene(np.ones((2, 2)), 4, 50), r"reflectivity\[0, 0\] = 4.0: must be from 0 to 1"),
-        (lambda: background_cps(-1), r"klux = -1: must be a number of at least 0"),
+        (lambda: background_cps(-1), r"klux = -1.0: must be of at least 0"),
+        (
+            lambda: Light.from_scene(np.ones((2, 2)), 0.4, 50, background="dark"),
+            r"background = 'dark': must be one of reflected, even",
+        ),
         (lambda: edge_chunks(light(), BARE, FINE, pulses=0, seed=1), r"pulses = 0: must be an integer from 1"),
         (lambda: edge_chunks(light(), BARE, FINE, pulses=1, seed=-1), r"seed = -1: must be an integer from 0"),
         (lambda: edges_of(light(system_fwhm_s=1e-11), Spad(), pulses=1), r"system_fwhm_s = 1e-11: must be at least"),

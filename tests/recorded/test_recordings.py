@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Recorded photons: PTU files and tables become edges; edges come back from every format; what is wrong is said."""
 
 import struct

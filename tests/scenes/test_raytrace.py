@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Ray-traced scenes: transients to edges, what happens without the extra, and with it the renderer against closed forms."""
 
 import math

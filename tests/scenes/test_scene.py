@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Scenes: built-in ones, and depth files that are good, damaged or something else."""
 
 import numpy as np
@@ -37,7 +38,7 @@ def test_five_objects_has_the_papers_ranges():
 
 @pytest.mark.parametrize("size", [(8, 8), (16, 16), (32, 16), (64, 64)])
 def test_built_in_scenes_at_any_size(size):
-    for name in ("five-objects", "letter-f", "flat", "two-targets", "two-returns:4,6"):
+    for name in ("five-objects", "letter-f", "flat", "two-targets", "two-returns:4,6", "sun-and-shade", "tunnel"):
         scene = load_scene(name, *size)
         assert scene.truth_m.shape == scene.valid.shape == scene.labels.shape == size
         assert scene.valid.all()
@@ -47,6 +48,27 @@ def test_letter_f_is_no_image_of_itself():
     shape = load_scene("letter-f", 32, 32).labels
     images = [turned for k in range(4) for turned in (np.rot90(shape, k), np.rot90(shape.T, k))]
     assert sum(np.array_equal(shape, image) for image in images) == 1
+
+
+def test_sun_and_shade_has_dark_and_bright_things_on_both_sides():
+    scene = load_scene("sun-and-shade:0.05", 32, 32)
+    assert set(np.unique(scene.sunlit)) == {0.05, 1.0}
+    assert np.all(np.diff(scene.sunlit, axis=1) >= 0)  # the sun stands on the right
+    for side in (0.05, 1.0):
+        reflectivity = scene.reflectivity[scene.sunlit == side]
+        assert reflectivity.min() <= 0.12 and reflectivity.max() >= 0.4
+    light = scene_light(scene, 100)
+    same = scene.reflectivity[:, :, 0].ravel() == 0.5
+    in_the_sun = scene.sunlit.ravel() == 1
+    assert light.background_cps[same & in_the_sun] == pytest.approx(2 * 1.226e6 * 0.5 / 0.4)
+    assert light.background_cps[same & ~in_the_sun] == pytest.approx(0.1 * 1.226e6 * 0.5 / 0.4)
+
+
+def test_tunnel_is_symmetric_and_bright_at_its_end():
+    scene = load_scene("tunnel", 32, 32)
+    assert np.array_equal(scene.truth_m[:8], scene.truth_m[:8, ::-1])
+    assert np.all(np.diff(scene.truth_m[0, :16]) <= 0) or np.all(np.diff(scene.truth_m[16, 26:]) < 0)
+    assert scene.truth_m[scene.sunlit == 1].min() >= 14 and scene.truth_m[scene.sunlit < 1].max() < 14
 
 
 def test_parameters_in_the_name():
@@ -105,6 +127,19 @@ def test_picture_in_millimetres_and_array_in_metres_are_the_same(tmp_path):
     assert np.array_equal(expected, millimetres / 1000)
     assert np.array_equal(depth_scene(npy(tmp_path / "f.npy", millimetres / 1000), 8, 8).truth_m, expected)
     assert np.array_equal(depth_scene(npy(tmp_path / "i.npy", millimetres), 8, 8).truth_m, expected)
+
+
+def test_scaled_distances_and_too_much_signal(tmp_path):
+    """A wall at 1 m sends ten times what the sensor is made for, at 3 m about as much."""
+    np.save(tmp_path / "wall.npy", np.full((4, 4), 1.0))
+    near, far = (load_scene(str(tmp_path / "wall.npy"), 4, 4, scale=scale) for scale in (1.0, 3.0))
+    assert np.array_equal(far.distance_m, 3 * near.distance_m) and any("times 3" in note for note in far.notes)
+    assert "SCALE=4" in "".join(scene_light(near, 50).notes()) and not scene_light(far, 50).notes()
+    for source in ("flat:5", "ray:corner"):
+        with pytest.raises(InputError, match="depth files only"):
+            load_scene(source, 4, 4, scale=3.0)
+    with pytest.raises(InputError, match="scale = 0"):
+        load_scene(str(tmp_path / "wall.npy"), 4, 4, scale=0.0)
 
 
 def test_crop_is_in_the_middle_and_is_noted(tmp_path):

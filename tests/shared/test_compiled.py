@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Compiled code is made anew when a file that it is made of changes, is kept otherwise, and needs no folder to be kept in."""
 
 import os

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The asynchronous view: equal to golden model and polyphase view at tick centres, within a tick off them, never a wrong word."""
 
 import json
@@ -137,7 +138,7 @@ def test_nominal_circuits_keep_the_ticks_of_dense_edges():
 
 
 def test_verilator_agrees():
-    settings = config(pulses=3)
+    settings = config(SMALL, pulses=3)  # compiling delays takes its time
     edges = trouble(settings, 7, 20.0)
     assert not differences(
         replay("golden", settings, edges), replay("cocotb-verilator", settings, edges, view=Asynchronous())

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The benchmark: it measures what it documents, and its slowest engine plays the sensor too. No times are asserted."""
 
 import json

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Figures: cases on one or two workers, files of a section and of the page. The figures themselves are looked at."""
 
 import csv
@@ -12,7 +13,7 @@ from coincid.study.figures.cases import Case, Runner, run_case, vary
 from coincid.study.figures.page import Comparison, Section, write_page, write_section
 from coincid.study.plot_style import new_figure, style
 
-SMALL = Case(scene="letter-f", klux=20, sensor={"rows": 8, "cols": 16}, methods=("joint", "matched/subgroup"))
+SMALL = Case(scene="letter-f", klux=20, sensor={"rows": 8, "cols": 16}, methods=("planes", "matched/subgroup"))
 
 
 def section(value=0.1):
@@ -53,8 +54,8 @@ def test_a_case_is_what_it_says():
     outcome = run_case(case)
     assert outcome.threshold.tolist() == [3, 3] and outcome.frame_s == pytest.approx(20 * 500e-9)
     assert np.all(outcome.committed <= outcome.opened)
-    assert 0 <= outcome.wrong_share("joint") <= outcome.wrong_share("matched/subgroup") <= 1
-    assert set(outcome.wrong_by_object("joint")) == {1, 2}
+    assert 0 <= outcome.wrong_share("planes") <= outcome.wrong_share("matched/subgroup") <= 1
+    assert set(outcome.wrong_by_object("planes")) == {1, 2}
     with pytest.raises(ValueError, match="threshold"):
         run_case(vary(SMALL, subgroup={"threshold": 0})[0])
 
@@ -102,8 +103,8 @@ def test_paper_figures_with_a_second_engine(monkeypatch):
     shares = {(row[2], row[3], row[4]): row[6] for row in six.rows[1:] if row[5] == "all"}
     assert {source for source, *_ in shares} == {"literal", "corrected", "Monte Carlo", "RTL"}
     assert (
-        shares["RTL", 100, "joint"]
-        == shares["Monte Carlo", 100, "joint"]
+        shares["RTL", 100, "planes"]
+        == shares["Monte Carlo", 100, "planes"]
         < 0.01
         < shares["Monte Carlo", 100, "maximum"]
     )

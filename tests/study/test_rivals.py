@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Rivals on the same edges: each against an example worked by hand; what they share; the comparison's files."""
 
 import numpy as np

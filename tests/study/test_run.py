@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The front door: `import coincid`, what a run gives, and that the golden model needs no RTL tool."""
 
 import subprocess
@@ -46,8 +47,24 @@ def test_histogram_of_a_pixel(run):
     of_subgroups = np.stack(list(subgroup_histograms(run.result, run.config, pulse_sigma_ticks(run.config))))
     row, col = 9, 5  # the second subgroup's
     assert np.array_equal(run.histogram(8 * row + col), of_subgroups[1, 8 * (row - 8) + col])
+    assert run.histogram(0)[:2]._repr_html_() is None  # of a part there is no picture
     with pytest.raises(coincid.InputError, match="pixel = 128: must be an integer from 0 to 127"):
         run.histogram(128)
+
+
+def test_a_run_shows_itself_in_a_notebook(run):
+    assert "data:image/png;base64," in run._repr_html_() and "<td>windows</td>" in run._repr_html_()
+    pages = {"histogram": run.histogram(77), "timeline": run.timeline(1, 5), "map_truth_m": run.plot()}
+    for name, shown in pages.items():
+        page = shown._repr_html_()
+        assert page.startswith("<iframe srcdoc=") and f"&quot;{name}&quot;" in page
+    with pytest.raises(coincid.InputError, match="subgroup = 2: must be an integer from 0 to 1"):
+        run.timeline(2, 0)
+
+
+def test_a_page_is_saved(run, tmp_path):
+    run.timeline(0, 0).save(tmp_path / "period.html")
+    assert (tmp_path / "period.html").read_text().startswith("<!DOCTYPE html>")
 
 
 @pytest.mark.parametrize("with_pandas", [True, False])
@@ -72,6 +89,21 @@ def test_points_lie_where_their_pixels_look():
     assert (x / z, y / z) == pytest.approx((0.8, -2 / 3 * np.tan(np.radians(30))))
     assert np.linalg.norm((x, y, z)) == pytest.approx(4)
     assert behind[:3] == pytest.approx((1.5 * x, 1.5 * y, 1.5 * z))
+
+
+def test_normals_of_a_wall_look_along_the_axis():
+    """A wall across the axis: its distance along the rays grows to the sides."""
+    tangent = (2 * np.arange(9) - 8) / 9
+    depth_m = 3 * np.sqrt(1 + tangent[:, None] ** 2 + tangent**2)
+    slope_m = np.stack(np.gradient(depth_m, edge_order=2), axis=2)
+    depth = Depth(depth_m[:, :, None], np.ones((9, 9, 1)), slope_m=slope_m)
+    points = coincid.point_cloud(depth, Optics(fov_h_deg=90, fov_v_deg=90), normals=True)
+    middle = points[np.abs(points["x"]) < 2]
+    assert np.stack([middle[name] for name in ("nx", "ny", "nz")], axis=1) == pytest.approx(
+        np.tile([0, 0, -1], (len(middle), 1)), abs=0.03
+    )
+    with pytest.raises(coincid.InputError, match="method planes"):
+        coincid.point_cloud(Depth(depth_m[:, :, None], np.ones((9, 9, 1))), normals=True)
 
 
 def test_ply_holds_the_points(run, tmp_path):

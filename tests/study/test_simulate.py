@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The main job: files, report, every beat checked, the letter F the right way round, what a difference leaves, views of the waveform."""
 
 import io
@@ -15,13 +16,19 @@ from coincid.model.depth.estimate import estimate_depth
 from coincid.model.depth.quality import wrong_share
 from coincid.model.scenes.catalogue import load_scene
 from coincid.study import simulate as job
-from coincid.study.simulate import EVENTS, PICTURES, REPORT, SCHEMES, simulate
+from coincid.study.simulate import EVENTS, PAGE, PICTURES, REPORT, SCHEMES, simulate
 from coincid.tb import waves
 from coincid.tb.toolchain import SIMULATORS
 
 # Sensors that other tests compile too. Rows and columns differ, so that swapping them shows; the period holds the letter's 8 m.
 LETTER = {"sensor": {"rows": 8, "cols": 16}, "frame": {"period": 40, "pulses": 60}}
 SMALL = {"sensor": {"rows": 8, "cols": 8}, "frame": {"period": 60, "pulses": 4}}
+TRACED = {  # waveforms are slow to compile
+    "sensor": {"rows": 4, "cols": 8, "subgroup": [4, 4], "phases": 8, "coarse_bits": 9},
+    "frame": {"period": 60, "pulses": 4},
+}
+FRAMES = 3  # in which the controller settles
+SHOWN = {"off": 0, "fixed": 1, "auto": 1 + FRAMES}  # frame of the result file that stands for each scheme
 KEYS = {
     "cycles",
     "edges",
@@ -34,13 +41,25 @@ KEYS = {
     "wrong_share_off",
     "wrong_share_fixed",
     "wrong_share_auto",
+    "wrong_share_fixed_15cm",
+    "wrong_share_auto_peak",
+    "wrong_share_off_peak_15cm",
+    "load_auto",
 }
 
 
-def run(out, document=SMALL, scene="flat:5,0.4", engine="golden", klux=5.0, seed=1, **options):
+def run(out, document=SMALL, scene="flat:5,0.4", engine="golden", klux=5.0, seed=1, settling=FRAMES, **options):
     console = Console(file=io.StringIO(), width=100)
     report = simulate(
-        scene, parse_config(document), klux=klux, seed=seed, engine=engine, out=out, console=console, **options
+        scene,
+        parse_config(document),
+        klux=klux,
+        seed=seed,
+        engine=engine,
+        out=out,
+        console=console,
+        settling=settling,
+        **options,
     )
     return report, console.file.getvalue()
 
@@ -59,23 +78,49 @@ def test_report_agrees_with_the_events(tmp_path):
     assert report["dropped"] == arrays["dropped"].sum()
     assert report["mismatches"] == 0
     assert report["configuration"]["frame"]["pulses"] == 4
-    for k, name in enumerate(SCHEMES):
+    assert list(SHOWN) == list(SCHEMES)
+    for name, k in SHOWN.items():
         assert report[f"events_{name}"] == np.sum(arrays["pulse"] // 4 == k)
     assert f"{report['events_fixed']:,}" in told
-    assert {path.name for path in tmp_path.iterdir()} == {*PICTURES, EVENTS, REPORT}
+    assert {path.name for path in tmp_path.iterdir()} == {*PICTURES, EVENTS, PAGE, REPORT}
 
 
 def test_frames_see_the_same_light_under_their_own_thresholds(tmp_path):
     document = SMALL | {"subgroup": {"threshold": 3, "auto": True}}
     report, _ = run(tmp_path, document, klux=50.0)
-    arrays, bounds = arrays_of(tmp_path), parse_config(document).auto_bounds
-    assert report["edges"] % len(SCHEMES) == 0
+    arrays = arrays_of(tmp_path)
     assert report["threshold_off"] == [1]
-    assert report["threshold_fixed"] == [3]
-    assert report["threshold_auto"] == (1 + np.searchsorted(bounds, arrays["photons"][1], side="right")).tolist()
-    assert arrays["photons"][1].tolist() == arrays["photons"][2].tolist()  # of the same edges, whatever the threshold
+    assert report["threshold_fixed"] == [3]  # the configuration names it
+    assert report["threshold_auto"] == arrays["threshold_used"][-1].tolist()
+    assert arrays["photons"][1].tolist() == arrays["photons"][-1].tolist()  # of the same edges, whatever the threshold
+    assert arrays["photons"][1].tolist() != arrays["photons"][-2].tolist()  # the controller settles on others
+    assert arrays["threshold_used"][2].tolist() == [3]  # where it begins
     assert 1 in arrays["count"][arrays["pulse"] // 4 == 0]
     assert (arrays["count"][arrays["pulse"] // 4 == 1] >= 3).all()
+
+
+def test_fixed_threshold_is_named_or_the_best_of_all(tmp_path):
+    document = SMALL | {"frame": {"period": 60, "pulses": 50}}
+    best, _ = run(tmp_path / "best", document, klux=50.0)
+    named = {
+        threshold: run(tmp_path / f"{threshold}", document, klux=50.0, threshold=threshold)[0]
+        for threshold in (1, 2, 4)
+    }
+    for threshold, report in named.items():
+        assert report["threshold_fixed"] == [threshold]
+        assert best["wrong_share_fixed"] <= report["wrong_share_fixed"]
+
+
+def test_the_controller_wins_on_the_default_scene(tmp_path):
+    """Sun beside shade on a link of 8 Gbit/s: what the job is there to show."""
+    arguments = ["sim", "--engine", "golden", "--out", str(tmp_path)]
+    assert CliRunner().invoke(app, arguments).exit_code == 0
+    report = json.loads((tmp_path / REPORT).read_text())
+    assert report["configuration"]["frame"]["link_gbps"] == 8.0
+    assert report["wrong_share_auto"] < 0.7 * report["wrong_share_fixed"] < 0.2 * report["wrong_share_off"]
+    assert report["wrong_share_auto_peak"] < report["wrong_share_fixed_peak"] < report["wrong_share_off_peak"]
+    assert len(set(report["threshold_auto"])) > 1
+    assert report["load_auto"] <= 1.1
 
 
 def test_same_seed_same_bytes(tmp_path):
@@ -92,7 +137,8 @@ def test_letter_f_comes_out_as_it_went_in(tmp_path, engine):
     truth_m = load_scene("letter-f", 8, 16).truth_m
     assert not any(np.array_equal(truth_m, other) for other in (truth_m[::-1], truth_m[:, ::-1], truth_m[::-1, ::-1]))
     for name in SCHEMES:
-        assert report[f"wrong_share_{name}"] < 0.05, name
+        assert report[f"wrong_share_{name}"] < 0.1, name  # another way round a fifth of the pixels would be
+    assert report["checked"] > report["events"] or engine == "golden"
     config = parse_config(LETTER).with_settings(coincidence=True)
     depth_m = estimate_depth(arrays_of(tmp_path), config, frame=1).depth_m[:, :, 0]
     assert wrong_share(depth_m, truth_m) == report["wrong_share_fixed"]
@@ -128,7 +174,7 @@ def test_a_difference_stops_the_run_and_is_told(tmp_path, monkeypatch):
 
         def frame(self, *arguments):
             trace = super().frame(*arguments)
-            if self.frames == len(SCHEMES):
+            if self.frames == 3:
                 trace.beats[0][1] += np.uint64(1 << 23)
             return trace
 
@@ -154,20 +200,20 @@ def test_a_difference_stops_the_run_and_is_told(tmp_path, monkeypatch):
     report = json.loads((out / REPORT).read_text())
     assert report["mismatches"] == 1
     assert report["mismatch"] in result.stderr
-    assert not {path.name for path in out.iterdir()} & {*PICTURES, EVENTS}
+    assert not {path.name for path in out.iterdir()} & {*PICTURES, EVENTS, PAGE}
     assert (out / "sim.log").exists()
 
 
 @pytest.mark.parametrize("simulator", SIMULATORS)
 def test_views_name_signals_of_the_waveform(tmp_path, simulator):
-    _, told = run(tmp_path, engine=simulator, waves=True)
+    _, told = run(tmp_path, TRACED, engine=simulator, waves=True)
     fst = tmp_path / f"{TOP}.fst"
     found = waves.hierarchy(fst)
     paths = {variable.path.replace(" [", "[") for variable in found}
     names = {variable.name for variable in found}
     assert {f"{TOP}.{name}" for name in ("clk", "laser", "m_axis_tdata")} <= names
     widths = {variable.name: variable.width for variable in found}
-    assert (widths[f"{TOP}.m_axis_tdata"], widths[f"{TOP}.spad_0"], widths[f"{TOP}.laser"]) == (64, 64 * 32, 1)
+    assert (widths[f"{TOP}.m_axis_tdata"], widths[f"{TOP}.spad_0"], widths[f"{TOP}.laser"]) == (64, 16 * 8, 1)
 
     gtkwave = (tmp_path / f"{TOP}.gtkw").read_text().splitlines()
     shown = [line for line in gtkwave if line.startswith(TOP)]

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Sweeps: rows and columns, what is kept and what runs again, kills of the sweep and of workers, bad specs, the example."""
 
 import contextlib
@@ -145,8 +146,10 @@ def test_measures_are_those_of_the_last_frame(tmp_path, quick):
         format = "full"
         minigroup_records = true
         auto_bounds = [1, 2, 3, 400, 500, 600]
+        capacity = 0
         [subgroup]
         auto = true
+        threshold = 3
         [[axis]]
         seed = [3]
     """
@@ -385,7 +388,7 @@ BAD = {
     ),
     "seed": ("[[axis]]\nseed = [-1]", "seed = -1", "from 0 to"),
     "engine": ("[[axis]]\nengine = ['silver']", "engine = 'silver'", "golden, verilator"),
-    "method": ("method = 'best'", "method = 'best'", "joint"),
+    "method": ("method = 'best'", "method = 'best'", "planes"),
     "scene": ("scene = 'flat:99'", "DISTANCE = 99", "from 0.05 to"),
     "no ID map": ("[frame]\nformat = 'short'", "frame.format = 'short'", "id or full"),
     "config": ("config = 'none.toml'", "config = 'none.toml'", "no such file", "silicon"),

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Builds and runs of a toy design on both simulators, and what goes wrong."""
 
 import errno
@@ -109,6 +110,7 @@ def test_what_is_no_pass_raises(simulator, toy, tmp_path, behave, reason):
 def test_interrupt_gets_through_and_ends_the_simulator(simulator, toy, tmp_path):
     built = build(simulator, toy)
     program = (
+        f"from coincid.model.shared.interrupts import interruptible; interruptible()\n"
         f"from coincid.tb.toolchain import Build; from pathlib import Path\n"
         f"Build({built.simulator!r}, 'toy', Path({str(built.directory)!r}), False).run('toy_bench',"
         f"env={{'PYTHONPATH': {BENCHES!r}, 'BEHAVE': 'hang'}}, out_dir={str(tmp_path)!r})"

@@ -1,0 +1,130 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Builds the documentation site into build/docs/: `python docs/build.py`, which `make docs` runs.
+
+The pages are those that a Git host shows, in the same places, so that a link leads to the same page in both. Their copies, the
+pages of the API and the gallery's pages go into build/docs-source/. Every warning is an error: a link that leads nowhere,
+a heading that is not there, an example that fails.
+"""
+
+import sys
+from pathlib import Path
+
+from sphinx.cmd.build import build_main
+
+ROOT = Path(__file__).parents[1]
+SOURCE, SITE, DOCTREES = (ROOT / "build" / name for name in ("docs-source", "docs", "docs-doctrees"))
+TOP = ("README.md", "CONTRIBUTING.md", "CHANGELOG.md", "CITATION.cff", "LICENSE", "NOTICE")
+PAGES = {".md", ".toml", ".svg", ".png", ".csv"}  # of docs/
+MODULES = {  # page: title, modules
+    "model.contract": (
+        "Contract: configuration, registers, words, files",
+        ("config", "parameters", "pixels", "edges", "result", "registers", "packet", "stream", "link", "latency", "windows"),
+    ),
+    "model.golden": ("Golden model", ("frame", "readout", "controller", "shape")),
+    "model.light": (
+        "Light",
+        ("light", "spad", "timing", "photons", "link_budget", "spectrum", "analytic", "code_density"),
+    ),
+    "model.scenes": ("Scenes", ("catalogue", "scene", "planes", "depth_file", "ambient", "daylight", "transient", "ray_scene")),
+    "model.depth": ("Depth", ("estimate", "histograms", "arrivals", "quality", "peaks", "planes")),
+    "model.recorded": ("Recorded photons", ("exchange", "recordings", "ptu")),
+    "hdl": (
+        "RTL",
+        (
+            "sensor", "module", "subgroup", "minigroup", "tree", "tdc", "dpcu", "gating", "fifo", "readout", "packetizer",
+            "controller", "registers", "settings", "sequencer", "deserialiser", "axi", "export", "views",
+        ),
+    ),
+    "tb": ("Simulators and benches", ("replay", "play", "frames", "batch", "cosim", "scoreboard", "stimulus", "toolchain")),
+    "flow": ("Release, synthesis, place and route", ("release", "constraints", "register_files", "synth", "pnr", "gls")),
+}  # fmt: skip
+GALLERY = """Examples
+========
+
+Short programs, each with a picture. They run while this site is built, so what they show is what they do.
+"""
+FORWARD = """<!doctype html>
+<html lang="en"><meta charset="utf-8"><title>Coincid</title>
+<meta http-equiv="refresh" content="0; url=docs/index.html">
+<p><a href="docs/index.html">Coincid</a></p></html>
+"""
+
+
+def pages() -> dict[str, bytes]:
+    """Path in the sources of the site -> content."""
+    files = [ROOT / name for name in TOP]
+    files += [path for path in (ROOT / "docs").rglob("*") if path.suffix in PAGES]
+    files += [*(ROOT / "examples").glob("*.py"), ROOT / "examples" / "README.md"]
+    made = {str(path.relative_to(ROOT)): path.read_bytes() for path in files}
+    made["examples/GALLERY_HEADER.rst"] = GALLERY.encode()
+    made["extra/index.html"] = FORWARD.encode()
+    return made | {name: text.encode() for name, text in api().items()}
+
+
+def api() -> dict[str, str]:
+    """The pages of the API reference."""
+    import coincid
+
+    names = [name for name in coincid.__all__ if name != "InputError"]
+    front = [heading("The front door: coincid"), (coincid.__doc__ or "").partition("\n")[0], ""]
+    for name in [*names, "InputError"]:
+        kind = "function" if not isinstance(getattr(coincid, name), type) else "class"
+        front += [f".. auto{kind}:: coincid.{name}", *(["   :members:"] if kind == "class" else []), ""]
+    made = {"api/coincid.rst": "\n".join(front)}
+    for room, (title, modules) in MODULES.items():
+        lines = [heading(f"{title}: coincid.{room}")]
+        for module in modules:
+            name = f"coincid.{room}.{module}"
+            lines += [heading(module, "-"), f".. automodule:: {name}", "   :members:", ""]
+        made[f"api/{room}.rst"] = "\n".join(lines)
+    index = [
+        heading("API reference"),
+        ".. toctree::",
+        "   :maxdepth: 1",
+        "",
+        "   coincid",
+        *(f"   {room}" for room in MODULES),
+        "",
+    ]
+    return made | {"api/index.rst": "\n".join(index)}
+
+
+def heading(text: str, line: str = "=") -> str:
+    return f"{text}\n{line * len(text)}\n"
+
+
+def lay_out(files: dict[str, bytes]) -> None:
+    """Brings the sources to `files`. What has not changed keeps its time, and is not built again; what the gallery made stays."""
+    for name, content in files.items():
+        path = SOURCE / name
+        if not path.exists() or path.read_bytes() != content:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_bytes(content)
+    for path in SOURCE.rglob("*"):
+        name = path.relative_to(SOURCE)
+        if path.is_file() and name.parts[0] != "gallery" and str(name) not in files:
+            path.unlink()
+
+
+def main() -> int:
+    lay_out(pages())
+    return build_main(
+        [
+            "-W",
+            "--keep-going",
+            "-q",
+            "-b",
+            "html",
+            "-c",
+            str(ROOT / "docs"),
+            "-d",
+            str(DOCTREES),
+            str(SOURCE),
+            str(SITE),
+            *sys.argv[1:],
+        ]
+    )
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,122 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Sphinx's configuration of the documentation site. `docs/build.py` lays out its sources and runs it."""
+
+import re
+import tomllib
+from pathlib import Path
+
+ROOT = Path(__file__).parents[1]
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+
+project, author, copyright = "Coincid", "The Coincid authors", "2026, The Coincid authors"
+version = release = PROJECT["version"]
+language = "en"
+
+extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx_gallery.gen_gallery"]
+root_doc = "docs/index"
+include_patterns = [
+    "README.md",
+    "CONTRIBUTING.md",
+    "CHANGELOG.md",
+    "docs/**",
+    "examples/README.md",
+    "gallery/**",
+    "api/**",
+]
+exclude_patterns = ["gallery/**.py", "gallery/**.ipynb", "gallery/**.md5"]
+default_role = "literal"  # docstrings have names in single backticks
+
+myst_heading_anchors = (
+    4  # the anchors of headings that a Git host makes, too: a link to one that is not there is a warning
+)
+
+autodoc_member_order = "bysource"
+suppress_warnings = ["ref.python"]  # what the front door names is in its room, too: two targets of one name
+autodoc_typehints_format = "short"
+python_use_unqualified_type_names = True
+napoleon_google_docstring = False
+
+sphinx_gallery_conf = {
+    "examples_dirs": "examples",
+    "gallery_dirs": "gallery",
+    "filename_pattern": r"/plot_",
+    "ignore_pattern": r"bench_",
+    "within_subsection_order": "FileNameSortKey",
+    "abort_on_example_error": True,
+    "min_reported_time": 1e6,  # times hold on one machine only
+    "show_memory": False,
+    "write_computation_times": False,
+    "show_signature": False,
+    "remove_config_comments": True,
+    "download_all_examples": False,
+}
+
+html_theme = "furo"
+html_title = f"Coincid {release}"
+html_extra_path = [str(ROOT / "build" / "docs-source" / "extra")]
+html_copy_source = html_show_sourcelink = False
+html_theme_options = {"navigation_with_keys": False}
+
+READERS = "## "  # a heading of the index whose links are a part of the site's contents
+
+
+def contents(text):
+    """The hidden tables of contents of the index: one for each of its headings, from the links below it."""
+    tables = []
+    for part in re.split(rf"^{READERS}", text, flags=re.MULTILINE)[1:]:
+        caption, _, body = part.partition("\n")
+        pages = [f"/docs/{link}"[:-3] for link in re.findall(r"^\* \[[^]]*\]\(([\w./-]+\.md)\)", body, re.MULTILINE)]
+        pages = [page.replace("/docs/../", "/") for page in pages]
+        tables.append((caption, pages))
+    tables.append(("Reference", ["/gallery/index", "/api/index"]))
+    return "\n".join(
+        f"```{{toctree}}\n:hidden:\n:caption: {caption}\n\n" + "\n".join(pages) + "\n```\n" for caption, pages in tables
+    )
+
+
+def add_contents(app, name, source):
+    if name == root_doc:
+        source[0] += "\n" + contents(source[0])
+
+
+NUMPY_SECTIONS = {"Parameters", "Returns", "Raises", "Attributes", "Yields"}
+
+
+def plain_text(app, what, name, obj, options, lines):
+    """Docstrings are plain text with names in backticks: nothing else in them is markup, except headings and lists."""
+    underlined = [i for i, line in enumerate(lines) if re.fullmatch(r"\s*-{3,}\s*", line)]
+    if any(lines[i - 1].strip() in NUMPY_SECTIONS for i in underlined):
+        return  # is napoleon's
+    for i in underlined:
+        lines[i - 1], lines[i] = lines[i - 1] + ":", ""
+    if what == "property" and lines:
+        lines[0] = lines[0].replace(": ", " -- ", 1)  # a colon would make a link of the type
+    text = "\n".join(lines)
+    if text.count("`") % 2:
+        text = text.replace("`", "")
+    parts = text.split("`")
+    parts[::2] = [re.sub(r"([*|\\]|_(?=\W|$))", r"\\\1", part) for part in parts[::2]]
+    text = re.sub(r"`([^`]+)`", r"``\1``\\ ", "`".join(parts))
+    text = re.sub(r"(?<=\w)``(?=\w)", r"\\ ``", text)
+    text = re.sub(r"^(\s*)\\\* ", r"\1* ", text, flags=re.MULTILINE)
+    lines[:] = "\n\n".join(map(as_written, re.split(r"\n\s*\n", text))).split("\n")
+
+
+def as_written(paragraph):
+    """A paragraph whose lines are indented in steps keeps its lines; others flow."""
+    rows = [row for row in paragraph.split("\n") if row.strip()]
+    if not rows:
+        return paragraph
+    steps = {len(row) - len(row.lstrip()) for row in rows}
+    least = min(steps)
+    is_list = re.match(r"\s*([*-]|\d+\.) ", rows[0]) and all(
+        re.match(r"\s*([*-]|\d+\.) ", row) for row in rows if len(row) - len(row.lstrip()) == least
+    )
+    if is_list or (len(steps) == 1 and not re.match(r"\s*([*-]|\d+\.) ", rows[0])):
+        return paragraph
+    return "\n".join(f"| {row[least:]}" for row in rows)
+
+
+def setup(app):
+    app.connect("source-read", add_contents)
+    app.connect("autodoc-process-docstring", plain_text, priority=400)  # before napoleon

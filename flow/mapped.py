@@ -1,0 +1,93 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Blocks in standard cells: one block with all that it holds, flattened, as somebody would synthesize it alone.
+
+NanGate 45 nm, typical corner (1.1 V, 25 degrees C). Slack is OpenSTA's, between registers, without wires and with an ideal clock.
+"""
+
+import json
+import re
+from collections import Counter
+from collections.abc import Mapping
+from pathlib import Path
+
+from attrs import frozen
+
+from ..hdl.export import units_files
+from ..hdl.unit import Unit
+from ..hdl.views import POLYPHASE, View
+from ..model.shared.folders import build_root
+from ..model.shared.sources import digest
+from ..tb import toolchain
+from .yosys import CELLS_VERSION, LIBERTY, cells_script, put_cells, run_program, run_yosys
+
+FLOP, LATCH = re.compile(r"S?DFF"), re.compile(r"DL[HL]|TLAT")
+MACRO = re.compile(r"(?:\$paramod\S*\\)?(coincid_(?:phases|window|delay|mutex))\b")
+NETLIST = "netlist.v"
+
+
+@frozen
+class Mapped:
+    """A flattened block in standard cells. cells: type -> number, without macros; macros: type -> number; `folder` has the netlist."""
+
+    name: str
+    folder: Path
+    cells: Mapping[str, int]
+    macros: Mapping[str, int]
+    area_um2: float
+
+    def count(self, kind: re.Pattern[str]) -> int:
+        """Cells whose type begins with a pattern."""
+        return sum(n for name, n in self.cells.items() if kind.match(name))
+
+
+def map_block(unit: Unit, view: View = POLYPHASE, changed: Mapping[str, str] | None = None) -> Mapped:
+    """A block in standard cells, mapped once for the state of its Verilog; memories are latches, macros black boxes.
+
+    changed: file name -> text that replaces the block's own, or comes beside it. Raises `ToolchainError`.
+    """
+    files = units_files([unit], latches=True)
+    files |= {path.name: path.read_text() for path in (*view.cells, *view.macros)} | dict(changed or {})
+    script = "\n".join(
+        [
+            f"read_verilog -sv {' '.join(files)}",
+            *cells_script(unit.unit_name, flatten=True),
+            f"tee -q -o stat.json stat -json -liberty {LIBERTY}",
+            f"write_verilog -noexpr -noattr {NETLIST}",
+            "",
+        ]
+    )
+
+    def make(folder: Path) -> None:
+        for name, text in files.items():
+            (folder / name).write_text(text)
+        put_cells(folder)
+        run_yosys(script, folder)
+
+    key = digest(script, CELLS_VERSION, *(part for item in sorted(files.items()) for part in item))
+    folder = toolchain.build_once(build_root() / "mapped" / f"{unit.unit_name}-{key}", make)
+    statistics = json.loads((folder / "stat.json").read_text())["modules"][f"\\{unit.unit_name}"]
+    cells, macros = Counter[str](), Counter[str]()
+    for kind, number in statistics["num_cells_by_type"].items():
+        macro = MACRO.match(kind)
+        if macro:
+            macros[macro[1]] += number
+        elif not kind.startswith("$scope"):
+            cells[kind] += number
+    return Mapped(unit.unit_name, folder, dict(cells), dict(macros), float(statistics["area"]))
+
+
+def slack_ns(folder: Path, block: str, clock_ns: float) -> float:
+    """Slack of the longest path between registers of a block of the netlist in `folder`, without wires: OpenSTA's."""
+    script = f"""\
+read_liberty {LIBERTY}
+read_verilog {NETLIST}
+link_design {block}
+create_clock -name clk -period {clock_ns} [get_ports clk]
+report_checks -path_delay max -format full
+"""
+    (folder / f"{block}.tcl").write_text(script)
+    report = run_program(["sta", "-exit", f"{block}.tcl"], folder, "sta")
+    slack = re.search(r"(-?[\d.]+) +slack", report)
+    if slack is None:
+        raise toolchain.ToolchainError(f"sta: no path in {block}: {report[-500:]}")
+    return float(slack[1])

@@ -1,0 +1,175 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The top modules' ports for those who integrate them: a table and an instantiation, from the RTL's own list of ports.
+
+Names, widths and directions are the netlist's; what a port means and what it shows after a reset is said here, once.
+
+`python -m coincid.flow.ports` renews these parts of docs/integrate.md.
+"""
+
+import re
+
+from attrs import frozen
+
+from ..hdl.deserialiser import CYCLES
+from ..hdl.sensor import FPGA_TOP, netlist
+from ..hdl.views import POLYPHASE, View
+from ..model.contract.packet import FORMATS, HEADER, Kind, layout
+from ..model.contract.parameters import TOP, Sensor
+from ..model.contract.registers import COUNTER_NAMES
+from ..model.shared.folders import checkout
+
+EXAMPLE = Sensor(rows=8, cols=16)  # of docs/integrate.md: two subgroups, one module
+
+_READY = "the port takes what its `valid` offers"
+_MEANINGS = {  # pattern of a port's name -> value after a reset (outputs only), meaning
+    r"clk": ("", "system clock; every other port is sampled and driven at its rising edge"),
+    r"rst": ("", "synchronous reset, high; one cycle is enough"),
+    r"s_axi_(aw|ar)addr": ("", "byte address of a register"),
+    r"s_axi_(aw|ar)prot": ("", "ignored"),
+    r"s_axi_(aw|w|ar)valid": ("", "address or data is offered"),
+    r"s_axi_(aw|w|ar)ready": ("1", _READY),
+    r"s_axi_wdata": ("", "value of a write"),
+    r"s_axi_wstrb": ("", "must be all ones: a write of a part of a word answers SLVERR"),
+    r"s_axi_bresp": ("0", "answer to a write: 0 OKAY, 2 SLVERR"),
+    r"s_axi_rresp": ("0", "answer to a read: 0 OKAY, 2 SLVERR"),
+    r"s_axi_rdata": ("0", "value of a read; 0 with SLVERR"),
+    r"s_axi_[br]valid": ("0", "the answer stands, and stays until it is taken"),
+    r"s_axi_[br]ready": ("", "the answer is taken"),
+    r"m_axis\d*_tdata": ("0", "beat of a packet; it means something only while `tvalid` is high"),
+    r"m_axis\d*_tvalid": ("0", "a beat is offered, and stays until it is taken"),
+    r"m_axis\d*_tready": ("", "the beat is taken; may be low for any time"),
+    r"m_axis\d*_tlast": ("0", "last beat of the frame on this stream"),
+    r"laser": ("0", "high in cycle 0 of every laser period"),
+    r"spad_gate": ("0; all ones two cycles later", "bit s: the gate of subgroup s is open, or gating is off"),
+    r"phase_clocks": ("", "bit j: a clock like `clk`, (j + 1) ticks later, from the same PLL"),
+}
+
+
+@frozen
+class PortRow:
+    """A row of the table of ports. width: in bits. clock: that it belongs to. reset: value of an output after a reset."""
+
+    name: str
+    width: int
+    direction: str
+    clock: str
+    reset: str
+    meaning: str
+
+
+def port_rows(sensor: Sensor, top: str = TOP, view: View = POLYPHASE) -> list[PortRow]:
+    """The ports of a top module, `clk` and `rst` first, in the order of its Verilog."""
+    ports = [("clk", 1, True), ("rst", 1, True)]
+    ports += [(port.name, port.width, port.is_input) for port in netlist(sensor, top == FPGA_TOP, view).ports]
+    return [
+        PortRow(name, width, "in" if is_input else "out", _clock(name, view), *_meaning(name, sensor, view))
+        for name, width, is_input in ports
+    ]
+
+
+def _clock(name: str, view: View) -> str:
+    if name in ("clk", "phase_clocks"):
+        return "is one"
+    if name.startswith("line_") or (view.macros and re.fullmatch(r"spad_\d+", name)):
+        return "none"
+    return "clk"
+
+
+def _meaning(name: str, sensor: Sensor, view: View) -> tuple[str, str]:
+    if match := re.fullmatch(r"(spad|line)_(\d+)", name):
+        kind, subgroup = match.groups()
+        of = f"of subgroup {subgroup}"
+        if kind == "line":
+            return (
+                "",
+                f"levels of the SPADs {of}: bit i rises with an avalanche in pixel i, {CYCLES} cycles before its edge word counts",
+            )
+        if view.macros:
+            return "", f"lines of the SPADs {of}: bit i rises with an avalanche in pixel i"
+        return "", f"edge words {of}: bit {sensor.phases} * i + k is an avalanche in pixel i in tick k of this cycle"
+    for pattern, told in _MEANINGS.items():
+        if re.fullmatch(pattern, name):
+            return told
+    raise AssertionError(f"port {name} has no meaning")
+
+
+def port_table(sensor: Sensor, top: str = TOP, view: View = POLYPHASE) -> str:
+    """The ports as a Markdown table; ports that differ by their number only share a row."""
+    rows: list[tuple[str, list[PortRow]]] = []
+    for row in port_rows(sensor, top, view):
+        family = re.sub(r"^(spad|line)_\d+$", r"\1_N", row.name)
+        if rows and rows[-1][0] == family:
+            rows[-1][1].append(row)
+        else:
+            rows.append((family, [row]))
+    lines = ["| port | bits | direction | clock | after reset | meaning |", "| --- | ---: | --- | --- | --- | --- |"]
+    for _, members in rows:
+        first, last = members[0], members[-1]
+        name = f"`{first.name}`" if first is last else f"`{first.name}` to `{last.name}`"
+        meaning = (
+            first.meaning
+            if first is last
+            else first.meaning.replace("of subgroup 0", "of the subgroup with the port's number")
+        )
+        lines.append(f"| {name} | {first.width} | {first.direction} | {first.clock} | {first.reset} | {meaning} |")
+    return "\n".join(lines) + "\n"
+
+
+def instantiation(sensor: Sensor, top: str = TOP, view: View = POLYPHASE) -> str:
+    """An instance of the top module in Verilog, with a wire of its own name at every port."""
+    rows = port_rows(sensor, top, view)
+    wires = [f"wire {f'[{row.width - 1}:0] ' if row.width > 1 else ''}{row.name};" for row in rows]
+    ports = [f"  .{row.name}({row.name})" for row in rows]
+    return "\n".join([*wires, "", f"{top} sensor (", ",\n".join(ports), ");"]) + "\n"
+
+
+def stream_words(sensor: Sensor) -> str:
+    """The beats of every packet of a sensor as Markdown."""
+    parts = layout(sensor)
+    fields = ", ".join(
+        f"[{low + width - 1}:{low}] {'type' if name == 'kind' else name}" for name, (low, width) in HEADER.items()
+    )
+    counters = ", ".join(f"`{name}`" for name in COUNTER_NAMES)
+    rows = [
+        (Kind.FRAME_START, "frame start", 1, "nothing; `pulse` holds the frame's number"),
+        (FORMATS["short"], "event, format short", parts.length(Kind.EVENT_SHORT), "nothing"),
+        (FORMATS["id"], "event, format id", parts.length(Kind.EVENT_ID), "the map"),
+        (FORMATS["full"], "event, format full", parts.length(Kind.EVENT_FULL), "the map, then the offsets"),
+        (Kind.RECORD, "minigroup record", parts.length(Kind.RECORD), "the minigroups' entries"),
+        (Kind.FRAME_END, "frame end", 1, f"{parts.counter_beats} beats per subgroup of the stream: its counters"),
+    ]
+    told = f"""
+* Map, {parts.hits_beats} beats: bit i of beat w is pixel 64 w + i.
+* Offsets, {parts.offset_beats} beats: a byte per minigroup, eight in a beat; 255 means not hit.
+* Entries, {parts.record_beats} beats: {sensor.record_bits} bits per minigroup, the map above the stamp; map 0 means nothing latched.
+* Counters, 32 bits each, two in a beat, lowest bits first: {counters}.
+"""
+    table = ["| type | packet | beats | after the header |", "| ---: | --- | ---: | --- |"]
+    table += [f"| {int(kind)} | {name} | {beats} | {after} |" for kind, name, beats, after in rows]
+    return f"The first beat of every packet is a header: {fields}.\n\n" + "\n".join(table) + "\n" + told
+
+
+def generated(sensor: Sensor) -> dict[str, str]:
+    """The parts of docs/integrate.md that are made from the RTL, by the name of their markers."""
+    return {
+        "ports": port_table(sensor),
+        "instance": f"```verilog\n{instantiation(sensor)}```\n",
+        "words": stream_words(sensor),
+    }
+
+
+def with_parts(page: str, parts: dict[str, str]) -> str:
+    """A page with its generated parts renewed: each stands between `<!-- begin NAME -->` and `<!-- end NAME -->`."""
+    for name, text in parts.items():
+        head, begin, rest = page.partition(f"<!-- begin {name} -->\n")
+        _, end, tail = rest.partition(f"<!-- end {name} -->\n")
+        page = f"{head}{begin}\n{text}\n{end}{tail}"
+    return page
+
+
+if __name__ == "__main__":
+    folder = checkout()
+    if folder is None:
+        raise SystemExit("docs/integrate.md: is renewed in a checkout of the project")
+    path = folder / "docs" / "integrate.md"
+    path.write_text(with_parts(path.read_text(), generated(EXAMPLE)))

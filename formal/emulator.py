@@ -1,0 +1,116 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Proofs of the emulator: frames on the serial line, the frame buffer, and the photon source.
+
+The check of a frame is the library's CRC, which these proofs take as any function of the bytes. The buffer's depth is a parameter of counters
+only. Pixels of a source do not know of each other, so what holds for one, whichever, holds for all.
+"""
+
+from amaranth.hdl import Const, Mux, Signal
+
+from ..hdl.emulator.buffer import FrameBuffer
+from ..hdl.emulator.source import PhotonSource
+from ..hdl.emulator.uart import Deframer, Framer
+from ..model.contract.emulator import Emulator
+from ..model.contract.serial_link import BODY_BYTES_MAX, CRC_BYTES, ESCAPE, FLAG
+from .bench import Bench, proof
+from .sensors import SMALL
+
+EMULATOR = Emulator(sensor=SMALL, buffer_beats=64)
+
+
+@proof(depth=2, cover=16)
+def deframer(b: Bench) -> None:
+    """A body is right only where its CRC is, no byte of it was broken, and it fits the memory; nothing is written beyond."""
+    m, unit = b.m, Deframer()
+    valid, byte, broken, hold = Signal(), Signal(8), Signal(), Signal()
+    m.d.comb += [signal.eq(b.anything(len(signal))) for signal in (valid, byte, broken, hold)]
+    body = b.place("dut", unit, valid=valid, byte=byte, broken=broken, hold=hold)
+    flag = b.same("flag", valid & ~broken & (byte == FLAG))
+    in_frame, spoilt, put = Signal(), Signal(), Signal(range(BODY_BYTES_MAX + 2))
+    with m.If(flag):
+        m.d.sync += [in_frame.eq(1), spoilt.eq(0), put.eq(0)]
+    with m.Elif(valid & in_frame):
+        m.d.sync += spoilt.eq(spoilt | broken | (put == BODY_BYTES_MAX))
+        with m.If(unit.put):
+            m.d.sync += put.eq(put + 1)
+    with m.If(hold):
+        m.d.sync += in_frame.eq(0)
+    b.always(in_frame == body.listening)
+    b.always(spoilt == body.bad, where=in_frame)
+    b.always((put == body.count) | spoilt, where=in_frame)
+    b.always(body.count <= BODY_BYTES_MAX)
+    b.always((unit.index < BODY_BYTES_MAX) & in_frame & ~broken, where=unit.put)
+    ends = b.same("ends", flag & in_frame & ~hold)
+    b.always(b.past(ends & ~spoilt & (put > CRC_BYTES) & body.crc.match_detected), where=unit.right)
+    b.always(b.past(ends), where=unit.wrong)
+    b.always(~(unit.right & unit.wrong))
+    b.always(unit.length == b.past(put - CRC_BYTES), where=unit.right)
+    b.cover(unit.wrong & b.past(spoilt))
+    b.cover(unit.put & b.past(valid & (byte == ESCAPE)))
+
+
+@proof(depth=2, cover=14)
+def framer(b: Bench) -> None:
+    """A flag stands at a frame's ends and nowhere in it, an escape before what it is for; what is offered stays until it is taken."""
+    m, unit = b.m, Framer()
+    valid, byte, last, ready = Signal(), Signal(8), Signal(), Signal()
+    m.d.comb += [signal.eq(b.anything(len(signal))) for signal in (valid, byte, last, ready)]
+    body = b.place("dut", unit, valid=valid, byte=byte, last=last, out_ready=ready)
+    offered = b.same("offered", valid & ~unit.ready)
+    b.assume(valid & (byte == b.last(byte)) & (last == b.last(last)), where=b.past(offered))
+    ends = b.same("ends", body.machine.ongoing("idle") | body.machine.ongoing("flag"))
+    gone = b.same("gone", unit.out_valid & ready)
+    b.always((unit.out_byte == FLAG) == ends, where=unit.out_valid)
+    b.always(gone & ~ends, where=unit.ready)
+    escape = Signal()  # the byte before was an escape
+    with m.If(gone):
+        m.d.sync += escape.eq(~ends & (unit.out_byte == ESCAPE))
+    b.always(escape == body.escaped, where=body.machine.ongoing("body") | body.machine.ongoing("tail"))
+    b.always(unit.out_byte != ESCAPE, where=unit.out_valid & escape & ~ends)
+    b.always(~body.escaped | body.machine.ongoing("body") | body.machine.ongoing("tail"), where=escape)
+    held = b.same("held", unit.out_valid & ~ready)
+    b.always(unit.out_valid & (unit.out_byte == b.last(unit.out_byte)), where=b.past(held))
+    b.cover(body.machine.ongoing("flag"))
+
+
+@proof(depth=2, cover=8)
+def frame_buffer(b: Bench) -> None:
+    """The sensor waits only while the buffer is full; the beats that are not taken lie in a row, and none of them is written over."""
+    m, unit = b.m, FrameBuffer(EMULATOR)
+    take, amount, comes = Signal(), Signal.like(unit.amount), Signal()
+    m.d.comb += [signal.eq(b.anything(len(signal))) for signal in (take, amount, comes)]
+    body = b.place("dut", unit, take=take, amount=amount, s_axis__tvalid=comes)
+    b.assume(amount <= unit.level, where=take)
+    depth = EMULATOR.buffer_beats
+    b.always(unit.level <= depth)
+    b.always(unit.s_axis.tready == (unit.level != depth))
+    b.always(((unit.first + unit.level) % depth) == body.behind)
+    stored = b.same("stored_now", comes & unit.s_axis.tready)
+    b.always(
+        unit.level == b.last(unit.level) + b.past(stored) - Mux(b.past(take), b.last(amount), 0), where=b.past(Const(1))
+    )
+    b.cover(take & (amount > 2) & comes)
+
+
+@proof(depth=4, cover=10)
+def photon_source(b: Bench) -> None:
+    """A pixel has at most one edge per cycle, none while it is dead, and none outside the periods."""
+    m, unit = b.m, PhotonSource(EMULATOR)
+    common, timing = Signal.like(unit.common.as_value()), Signal.like(unit.timing.as_value())
+    m.d.comb += [common.eq(b.constant(len(common))), timing.eq(b.anything(len(timing)))]
+    body = b.place("dut", unit, common=common, timing=timing)
+    dead = b.same("dead", common[4:])
+    words = b.same("words", unit.words)
+    phases = SMALL.phases
+    word = b.same("word", words[:phases])
+    b.always((word & (word - 1)) == 0)
+    b.always(b.past(timing[0], 3), where=word != 0)  # the sequencer's `running`
+    left = Signal.like(dead)  # cycles in which the pixel is still dead
+    with m.If(word != 0):
+        m.d.sync += left.eq(dead)
+    with m.Elif(left != 0):
+        m.d.sync += left.eq(left - 1)
+    b.always(word == 0, where=left != 0)
+    b.always(body.dead[0] == Mux(word != 0, dead, Mux(left == 0, 0, left - 1)))
+    b.cover(word != 0)
+    b.cover((word != 0) & (dead == 2))

@@ -1,0 +1,141 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Threshold controller of a stream ("fill the stream"): the budget that its subgroups share.
+
+The paper gives every subgroup a threshold of its own and does not say how it is found. That the controller shares what the stream carries,
+and by which rule, is our choice: `docs/contract.md` states it. Thresholds stand in the subgroups (`dpcu.py`), which are told the budget
+when the next frame begins.
+"""
+
+from types import SimpleNamespace
+
+from amaranth.hdl import Cat, Module, Mux, Signal
+from amaranth.lib.wiring import In, Out
+
+from ..model.contract.packet import BEAT_BITS, layout
+from ..model.contract.parameters import Sensor
+from ..model.contract.registers import COUNTER_BITS, COUNTER_NAMES, DATA_BITS
+from . import bus
+from .logic import carry_select, saturating_add
+from .unit import Unit
+from .voted import Voted
+
+STEP_BITS = 4  # a budget changes by 1/16 of itself in a frame
+# Of the packet's beats of counters the one, and the word in it, where these stand; the sums wait for the later.
+COMMITTED, LOWER = (divmod(COUNTER_NAMES.index(name), BEAT_BITS // COUNTER_BITS) for name in ("committed", "lower"))
+SETTLED = 4  # cycles from a frame's last beat of counters to the budget after it
+
+
+class Controller(Unit):
+    """Controller of a stream. It knows nothing of how many subgroups that has.
+
+    Ports
+    -----
+    command : in, configuration bus
+    capacity, share : in, as programmed; in force from TAKE on
+    counted : in, from the readout: the counters as they leave at the frame's end
+    done : in, strobe: the frame has been delivered, at least `SETTLED` cycles after its last counters
+    budget : out, events for each subgroup; changes with `done`. Before the first frame it is the share
+
+    Reset forgets the budget.
+    """
+
+    unit_name = "coincid_controller"
+
+    def __init__(self, sensor: Sensor):
+        self.sensor = sensor
+        super().__init__(
+            {
+                "command": In(bus.CONFIG_BUS),
+                "capacity": In(DATA_BITS),
+                "share": In(DATA_BITS),
+                "counted": In(bus.COUNTED),
+                "done": In(1),
+                "budget": Out(DATA_BITS),
+            }
+        )
+
+    def elaborate(self, platform):
+        m = Module()
+        self.state = SimpleNamespace(take=Signal())
+        m.d.comb += self.state.take.eq(self.command.operation == bus.Operation.TAKE)
+        self._candidates(m)
+        self._sums(m)
+        self._budget(m)
+        return m
+
+    def _candidates(self, m):
+        """What the budget may become, known long before the counters: a step wider, within the capacity, or narrower, not below the share."""
+        state = self.state
+        state.capacity = Signal(DATA_BITS)
+        state.share = Signal(DATA_BITS)
+        with m.If(state.take):
+            m.d.sync += [state.capacity.eq(self.capacity), state.share.eq(self.share)]
+        state.widened = Signal(DATA_BITS + 1)
+        state.narrowed = Signal(DATA_BITS)
+        state.wide = Signal(DATA_BITS)
+        state.narrow = Signal(DATA_BITS)
+        budget, step = Cat(1, self.budget), self.budget >> STEP_BITS  # the lowest bits carry a 1 into the sums
+        wider, narrower = Signal(DATA_BITS), Signal(DATA_BITS)
+        m.d.comb += [wider.eq(step), narrower.eq(~step)]
+        m.d.sync += [
+            state.widened.eq(carry_select(m, budget, Cat(1, wider), "widened_sum")[1:]),
+            state.narrowed.eq(carry_select(m, budget, Cat(1, narrower), "narrowed_sum")[1:]),
+            state.wide.eq(Mux(state.widened < state.capacity, state.widened, state.capacity)),
+            state.narrow.eq(Mux(state.narrowed > state.share, state.narrowed, state.share)),
+        ]
+
+    def _sums(self, m):
+        """Events of all subgroups, as committed and as they would be with the wider budget, one subgroup after the other.
+
+        A subgroup's threshold would fall where the windows of the next lower one fit the budget; with a threshold of 1, `lower` says what
+        `committed` says. Both sums end at twice the highest capacity.
+        """
+        state = self.state
+        beats = layout(self.sensor).counter_beats
+        state.beat = Signal(range(beats))
+        state.committed = Signal(COUNTER_BITS)
+        state.lower = Signal(COUNTER_BITS)
+        state.controlled = Signal()
+        state.complete = Signal(2)  # the words above belong together; the words below do
+        state.now = Signal(COUNTER_BITS)
+        state.then = Signal(COUNTER_BITS)
+        state.total = Signal(DATA_BITS + 1)
+        state.more = Signal(DATA_BITS + 1)
+        whole = Signal()
+        for counter, (beat, word) in ((state.committed, COMMITTED), (state.lower, LOWER)):
+            with m.If(self.counted.valid & (state.beat == beat)):
+                m.d.sync += counter.eq(self.counted.beat.word_select(word, COUNTER_BITS))
+        m.d.comb += whole.eq(self.counted.valid & (state.beat == LOWER[0]))
+        with m.If(self.counted.valid):
+            m.d.sync += [
+                state.beat.eq(Mux(state.beat == beats - 1, 0, state.beat + 1)),
+                state.controlled.eq(self.counted.controlled),
+            ]
+        m.d.sync += [
+            state.complete.eq(state.complete << 1 | whole),
+            state.now.eq(state.committed),
+            state.then.eq(Mux(state.controlled & (state.lower <= state.wide), state.lower, state.committed)),
+        ]
+        with m.If(state.complete[-1]):
+            saturating_add(m, state.total, state.now)
+            saturating_add(m, state.more, state.then)
+        with m.If(state.take):
+            m.d.sync += [state.beat.eq(0), state.total.eq(0), state.more.eq(0)]
+
+    def _budget(self, m):
+        """Less where too much was sent; more where all that would fall then still fits; from the first frame's share on."""
+        state = self.state
+        state.fresh = fresh = Signal(init=1)
+        state.budget = budget = Voted(m, "budget_kept", DATA_BITS)
+        m.d.comb += self.budget.eq(budget.value)
+        state.too_much = Signal()
+        state.fits = Signal()
+        m.d.sync += [state.too_much.eq(state.total > state.capacity), state.fits.eq(state.more <= state.capacity)]
+        with m.If(state.take):
+            m.d.sync += fresh.eq(0)
+        with m.If(fresh):
+            m.d.comb += budget.next.eq(self.share)
+        with m.Elif(self.done & state.too_much):
+            m.d.comb += budget.next.eq(state.narrow)
+        with m.Elif(self.done & state.fits):
+            m.d.comb += budget.next.eq(state.wide)

@@ -1,0 +1,202 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Serial bridge: the emulator's address space over two pins. The link's law is `model/contract/serial_link.py`."""
+
+from types import SimpleNamespace
+
+from amaranth.hdl import Cat, Module, Mux, Signal
+from amaranth.lib.memory import Memory
+from amaranth.lib.wiring import In, Out
+
+from ...model.contract.emulator import ADDRESS_BITS, Emulator
+from ...model.contract.registers import DATA_BITS
+from ...model.contract.serial_link import (
+    BODY_BYTES_MAX,
+    HEAD_BYTES,
+    READ_WORDS_MAX,
+    WORD_BYTES,
+    WRITE_WORDS_MAX,
+    Answer,
+    Operation,
+)
+from ..logic import saturating_add
+from ..unit import Unit, place
+from .control import ACCESS
+from .uart import Deframer, Framer, Receiver, Transmitter
+
+
+class SerialBridge(Unit):
+    """Serial bridge.
+
+    Ports
+    -----
+    rx : in, tx : out, the serial line; access : out, to the control; errors : out, frames that came damaged
+
+    A request's bytes wait in a memory until its CRC has proved right; nothing is done before. What comes while a request is worked on is dropped, so
+    is what is damaged: the host asks again. Nothing here waits for the host, except for a request. Reset forgets the sequence number.
+    """
+
+    unit_name = "coincid_serial_bridge"
+
+    def __init__(self, emulator: Emulator):
+        self.emulator = emulator
+        super().__init__({"rx": In(1), "tx": Out(1, init=1), "access": Out(ACCESS), "errors": Out(DATA_BITS)})
+
+    def elaborate(self, platform):
+        m = Module()
+        clocks = self.emulator.clocks_per_bit
+        receiver = place(m, "receiver", Receiver(clocks), platform)
+        transmitter = place(m, "transmitter", Transmitter(clocks), platform)
+        deframer = place(m, "deframer", Deframer(), platform)
+        framer = place(m, "framer", Framer(), platform)
+        m.submodules.request = memory = Memory(shape=8, depth=1 << (BODY_BYTES_MAX - 1).bit_length(), init=[])
+        put, get = memory.write_port(), memory.read_port()
+        m.d.comb += [
+            receiver.rx.eq(self.rx),
+            deframer.valid.eq(receiver.valid),
+            deframer.byte.eq(receiver.byte),
+            deframer.broken.eq(receiver.broken),
+            put.en.eq(deframer.put),
+            put.addr.eq(deframer.index),
+            put.data.eq(deframer.data),
+            get.en.eq(1),
+            transmitter.valid.eq(framer.out_valid),
+            transmitter.byte.eq(framer.out_byte),
+            framer.out_ready.eq(transmitter.ready),
+            self.tx.eq(transmitter.tx),
+        ]
+        with m.If(deframer.wrong):
+            saturating_add(m, self.errors, 1)
+        self._obey(m, deframer, framer, get)
+        return m
+
+    def _obey(self, m, deframer, framer, get):
+        """Reads a request that has proved right, does it, and answers."""
+        access = self.access
+        head = Signal(8 * HEAD_BYTES)
+        length = Signal.like(deframer.length)
+        at = Signal(range(BODY_BYTES_MAX + 1))
+        waited = Signal()  # the memory shows the byte at `at`
+        sequence, operation, count = head[:8], head[8:16], head[16:24]
+        last, last_wrote, last_done, last_status = Signal(8), Signal(), Signal(8), Signal(Answer)
+        greeted, fresh = Signal(), Signal(init=1)  # fresh: nothing was read or written since reset
+        words, byte_of = Signal(8), Signal(range(WORD_BYTES))
+        word = Signal(DATA_BITS)
+        address = Signal(ADDRESS_BITS)
+        status = Signal(Answer)
+        repeated, follows = Signal(), Signal()
+        m.d.comb += [
+            get.addr.eq(at),
+            repeated.eq(sequence == last),
+            follows.eq(sequence == (last + 1)[:8]),
+            access.address.eq(address),
+            access.data.eq(word),
+            access.write.eq(operation == Operation.WRITE),
+        ]
+        is_read, is_write = Signal(), Signal()
+        m.d.comb += [
+            is_read.eq(
+                (operation == Operation.READ) & (length == HEAD_BYTES) & (count != 0) & (count <= READ_WORDS_MAX)
+            ),
+            is_write.eq(
+                (operation == Operation.WRITE)
+                & (length == HEAD_BYTES + WORD_BYTES * count)
+                & (count != 0)
+                & (count <= WRITE_WORDS_MAX)
+            ),
+        ]
+        m.d.comb += deframer.hold.eq(1)
+        m.d.sync += access.valid.eq(0)
+        with m.FSM() as machine:
+            with m.State("listen"):
+                m.d.comb += deframer.hold.eq(deframer.right)
+                m.d.sync += [at.eq(0), waited.eq(0)]
+                with m.If(deframer.right):
+                    m.d.sync += length.eq(deframer.length)
+                    m.next = "head"
+            with m.State("head"):
+                m.d.sync += waited.eq(~waited)
+                with m.If(waited):
+                    m.d.sync += [head.eq(Cat(head[8:], get.data)), at.eq(at + 1)]
+                    with m.If(at == HEAD_BYTES - 1):
+                        m.next = "look"
+            with m.State("look"):
+                m.d.sync += [words.eq(0), byte_of.eq(0), address.eq(head[24:]), waited.eq(0), status.eq(Answer.OKAY)]
+                m.next = "number"
+                with m.If(length < HEAD_BYTES):
+                    m.d.sync += status.eq(Answer.UNKNOWN)
+                with m.Elif((operation == Operation.HELLO) & (length == HEAD_BYTES)):
+                    m.d.sync += [last.eq(sequence), greeted.eq(1), last_wrote.eq(0)]
+                    m.d.sync += status.eq(Mux(fresh, Answer.FRESH, Answer.OKAY))
+                with m.Elif(~greeted):
+                    m.d.sync += status.eq(Answer.FRESH)
+                with m.Elif(~is_read & ~is_write):
+                    m.d.sync += status.eq(Answer.UNKNOWN)
+                with m.Elif(~repeated & ~follows):
+                    m.d.sync += status.eq(Answer.SEQUENCE)
+                with m.Elif(is_write & repeated):
+                    m.d.sync += [words.eq(last_done), status.eq(Mux(last_wrote, last_status, Answer.SEQUENCE))]
+                    m.next = "number"
+                with m.Elif(is_write):
+                    m.d.sync += fresh.eq(0)
+                    m.next = "collect"
+                with m.Else():
+                    m.d.sync += [last.eq(sequence), last_wrote.eq(0), fresh.eq(0)]
+            # A write: words out of the memory, one by one, and then the answer.
+            with m.State("collect"):
+                m.d.sync += waited.eq(~waited)
+                with m.If(waited):
+                    m.d.sync += [word.eq(Cat(word[8:], get.data)), at.eq(at + 1), byte_of.eq(byte_of + 1)]
+                    with m.If(byte_of == WORD_BYTES - 1):
+                        m.next = "write"
+            with m.State("write"):
+                m.d.sync += access.valid.eq(~access.done)
+                with m.If(access.done):
+                    m.d.sync += [address.eq(address + WORD_BYTES), waited.eq(0)]
+                    with m.If(access.refused):
+                        m.d.sync += status.eq(Answer.REFUSED)
+                        m.next = "remember"
+                    with m.Else():
+                        m.d.sync += words.eq(words + 1)
+                        m.next = "collect"
+                        with m.If(words == count - 1):
+                            m.next = "remember"
+            with m.State("remember"):
+                m.d.sync += [last.eq(sequence), last_wrote.eq(1), last_done.eq(words), last_status.eq(status)]
+                m.next = "number"
+            # The answer.
+            with m.State("number"):
+                m.d.comb += [framer.valid.eq(1), framer.byte.eq(sequence)]
+                with m.If(framer.ready):
+                    m.next = "status"
+                    with m.If(status != Answer.OKAY):
+                        with m.If((operation == Operation.WRITE) & (status == Answer.REFUSED)):
+                            m.next = "written"
+                    with m.Elif(operation == Operation.WRITE):
+                        m.next = "written"
+                    with m.Elif(operation == Operation.READ):
+                        m.next = "read"
+            with m.State("written"):
+                m.d.comb += [framer.valid.eq(1), framer.byte.eq(words)]
+                with m.If(framer.ready):
+                    m.next = "status"
+            with m.State("read"):
+                m.d.sync += access.valid.eq(~access.done)
+                with m.If(access.done):
+                    m.d.sync += [address.eq(address + WORD_BYTES), word.eq(access.value), words.eq(words + 1)]
+                    m.next = "word"
+                    with m.If(access.refused):
+                        m.d.sync += status.eq(Answer.REFUSED)
+                        m.next = "status"
+            with m.State("word"):
+                m.d.comb += [framer.valid.eq(1), framer.byte.eq(word[:8])]
+                with m.If(framer.ready):
+                    m.d.sync += [word.eq(word >> 8), byte_of.eq(byte_of + 1)]
+                    with m.If(byte_of == WORD_BYTES - 1):
+                        m.next = "read"
+                        with m.If(words == count):
+                            m.next = "status"
+            with m.State("status"):
+                m.d.comb += [framer.valid.eq(1), framer.byte.eq(status), framer.last.eq(1)]
+                with m.If(framer.ready):
+                    m.next = "listen"
+        self.state = SimpleNamespace(machine=machine, last=last, fresh=fresh, greeted=greeted, status=status)

@@ -1,0 +1,260 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Photon source: the edge words of a subgroup's SPADs, made on the chip. Its twin is `model/light/on_chip.py`.
+
+Every pixel has a linear generator of 32 bits that steps once per cycle of a period. Its state decides on a background photon and that one's
+phase; in a period's first cycle on the echo, in the second on its place. The paper has no such thing; all of it is our choice.
+"""
+
+from types import SimpleNamespace
+
+from amaranth.hdl import Cat, Module, Mux, Signal
+from amaranth.lib import data
+from amaranth.lib.wiring import In, Out
+
+from ...model.contract.emulator import (
+    DEAD_MAX,
+    ECHO_FROM,
+    KEY_STEP,
+    LANE_PIXELS,
+    LEVEL_BITS,
+    LEVEL_LSB,
+    PHASE_LSB,
+    RATE_BITS,
+    RATE_LSB,
+    ROTATE_LEFT,
+    ROTATE_RIGHT,
+    ROUNDS,
+    SEED_BIT,
+    SPREAD_MAX,
+    STATE_BITS,
+    TAPS,
+    Emulator,
+)
+from ...model.contract.parameters import Sensor, bits_for
+from .. import bus
+from ..unit import Unit
+
+SUBGROUP_BITS = 8  # of a subgroup's number in the emulator
+PIXEL_BITS = 8
+HALF = STATE_BITS
+SEED_BUS = data.StructLayout(
+    {
+        "valid": 1,
+        "subgroup": SUBGROUP_BITS,
+        "lane": bits_for(256 // LANE_PIXELS - 1),
+        "first": 1,
+        "last": 1,
+        "bits": LANE_PIXELS,
+    }
+)
+
+
+def write_bus(sensor: Sensor) -> data.StructLayout:
+    """A write to a setting of a source. echo: to a pixel's echo, else to the background."""
+    return data.StructLayout(
+        {
+            "valid": 1,
+            "subgroup": SUBGROUP_BITS,
+            "echo": 1,
+            "pixel": PIXEL_BITS,
+            "data": max(RATE_BITS, LEVEL_BITS + sensor.stamp_bits),
+        }
+    )
+
+
+COMMON = data.StructLayout(
+    {"spread": SPREAD_MAX, "dead": bits_for(DEAD_MAX - 1)}
+)  # spread: a mask of ticks; dead: cycles - 1
+
+
+class Seeder(Unit):
+    """Seeds all generators for a frame, from the seed and the frame's number, by a block cipher.
+
+    Ports
+    -----
+    seed, number : in, of the source and of the frame; begin : in, strobe: either has changed
+    out : out, a step of a lane of a subgroup: a bit for each of its pixels' generators
+    busy : out, from the cycle after `begin` until all have been sent
+
+    A block takes `ROUNDS` + 1 cycles; a subgroup has 32 blocks per 64 pixels. `begin` while busy starts over. Reset seeds, too.
+    """
+
+    unit_name = "coincid_seeder"
+
+    def __init__(self, emulator: Emulator):
+        self.emulator = emulator
+        super().__init__(
+            {
+                "seed": In(HALF),
+                "number": In(bus.PULSE_BITS),
+                "begin": In(1),
+                "out": Out(SEED_BUS),
+                "busy": Out(1, init=1),
+            }
+        )
+
+    def elaborate(self, platform):
+        m = Module()
+        subgroups, blocks = self.emulator.sensor.subgroups, self.emulator.lanes * STATE_BITS
+        left, right, key = Signal(HALF), Signal(HALF), Signal(HALF)
+        turn = Signal(range(ROUNDS + 1))  # 0: load
+        block, subgroup = Signal(range(blocks + 1)), Signal(SUBGROUP_BITS)
+        rotated = Signal(HALF)
+        mixed = Signal(HALF)
+        lane_step = Signal(range(STATE_BITS))
+        m.d.comb += [
+            rotated.eq(Cat(left[ROTATE_RIGHT:], left[:ROTATE_RIGHT]) + right),
+            mixed.eq(rotated ^ key),
+            lane_step.eq(block[: STATE_BITS.bit_length() - 1]),
+        ]
+        m.d.sync += [
+            self.out.valid.eq(0),
+            self.out.bits.eq(Cat(right, left)),
+            self.out.subgroup.eq(subgroup),
+            self.out.lane.eq(block >> (STATE_BITS.bit_length() - 1)),
+            self.out.first.eq(lane_step == 0),
+            self.out.last.eq(lane_step == STATE_BITS - 1),
+        ]
+        done = Signal()  # the cipher holds a finished block
+        with m.If(turn == 0):
+            with m.If(done):
+                m.d.sync += [self.out.valid.eq(1), done.eq(0), block.eq(block + 1)]
+                with m.If(block == blocks - 1):
+                    m.d.sync += [block.eq(0), subgroup.eq(subgroup + 1)]
+                    with m.If(subgroup == subgroups - 1):
+                        m.d.sync += [self.busy.eq(0), subgroup.eq(0)]
+            with m.Elif(self.busy):
+                m.d.sync += [left.eq(Cat(self.number, subgroup)), right.eq(block), key.eq(self.seed), turn.eq(1)]
+        with m.Else():
+            m.d.sync += [
+                left.eq(mixed),
+                right.eq(Cat(right[HALF - ROTATE_LEFT :], right[: HALF - ROTATE_LEFT]) ^ mixed),
+                key.eq(key + KEY_STEP),
+                turn.eq(Mux(turn == ROUNDS, 0, turn + 1)),
+                done.eq(turn == ROUNDS),
+            ]
+        with m.If(self.begin):
+            m.d.sync += [self.busy.eq(1), self.out.valid.eq(0), turn.eq(0), done.eq(0), block.eq(0), subgroup.eq(0)]
+        self.state = SimpleNamespace(left=left, right=right, turn=turn, block=block)
+        return m
+
+
+class PhotonSource(Unit):
+    """Photon source of a subgroup.
+
+    Ports
+    -----
+    subgroup : in, its number
+    timing : in, the sequencer's word, three cycles ahead of the ports; seed : in, the seeder's; write : in, settings; common : in, settings of all
+    words : out, pixels * phases: the edge words that stand at the sensor's ports, of a pixel at most one edge per cycle
+
+    Settings are taken at once, and meant to change between frames only. A pixel's edge comes at the earlier of its background photon and its
+    echo, unless it is dead. Registers: timing, draw, word: so a word stands three cycles behind its `timing`. Reset leaves the settings as they
+    are (an FPGA wakes with 0) and forgets the cycle.
+    """
+
+    unit_name = "coincid_source"
+
+    def __init__(self, emulator: Emulator):
+        self.emulator = emulator
+        sensor = emulator.sensor
+        super().__init__(
+            {
+                "subgroup": In(SUBGROUP_BITS),
+                "timing": In(bus.time_layout(sensor)),
+                "seed": In(SEED_BUS),
+                "write": In(write_bus(sensor)),
+                "common": In(COMMON),
+                "words": Out(sensor.pixels * sensor.phases),
+            }
+        )
+
+    def elaborate(self, platform):
+        m = Module()
+        sensor = self.emulator.sensor
+        running, cycle = Signal(), Signal(sensor.coarse_bits)
+        is_first, is_second, is_later = Signal(), Signal(), Signal()
+        m.d.sync += [
+            running.eq(self.timing.running),
+            is_first.eq(self.timing.running & self.timing.start),
+            is_second.eq(is_first),
+            is_later.eq(self.timing.running & (is_second | is_later) & ~self.timing.start),
+            cycle.eq(Mux(self.timing.start, 0, cycle + 1)),
+        ]
+        assert ECHO_FROM == 2  # the cycle from which `is_later`
+        background = Signal(RATE_BITS, reset_less=True)
+        mine, seeded = Signal(), Signal(SEED_BUS)
+        written = Signal(write_bus(sensor))
+        m.d.sync += [seeded.eq(self.seed), seeded.valid.eq(self.seed.valid & (self.seed.subgroup == self.subgroup))]
+        m.d.sync += [written.eq(self.write), mine.eq(self.write.valid & (self.write.subgroup == self.subgroup))]
+        with m.If(mine & ~written.echo):
+            m.d.sync += background.eq(written.data)
+        common = Signal(COMMON)
+        m.d.sync += common.eq(self.common)
+        self.state = SimpleNamespace(generators=[], dead=[], cycle=cycle)
+        for i in range(sensor.pixels):
+            lane, place = divmod(i, LANE_PIXELS)
+            step = Signal(name=f"seeds_{i}")
+            m.d.comb += step.eq(seeded.valid & (seeded.lane == lane))
+            state = self._generator(
+                m, i, running | step, step & seeded.first, step & seeded.bits[place], step & seeded.last
+            )
+            echo = Signal(LEVEL_BITS + sensor.stamp_bits, name=f"echo_{i}", reset_less=True)
+            with m.If(mine & written.echo & (written.pixel == i)):
+                m.d.sync += echo.eq(written.data)
+            fires, phase = self._draw(
+                m, i, state, echo, background, common, running, is_first, is_second, is_later, cycle
+            )
+            self._word(m, i, fires, phase, common)
+        return m
+
+    def _generator(self, m, i, enable, first, bit, last):
+        """The state that the cycle draws from. Seeding: the first step forgets what was, each takes in a bit, the last excludes 0."""
+        state = Signal(STATE_BITS, name=f"state_{i}", reset_less=True)
+        following = Cat(state[taps[0]] ^ state[taps[1]] ^ (state[taps[2]] if len(taps) > 2 else 0) for taps in TAPS)
+        following = following & (~first).replicate(STATE_BITS)
+        change = Signal(STATE_BITS, name=f"next_{i}")
+        m.d.comb += change.eq(following)
+        m.d.comb += change[SEED_BIT].eq((following[SEED_BIT] ^ bit) | last)
+        with m.If(enable):
+            m.d.sync += state.eq(change)
+        self.state.generators.append(state)
+        return state
+
+    def _draw(self, m, i, state, echo, background, common, running, is_first, is_second, is_later, cycle):
+        """Registered: whether the pixel sees a photon in the cycle, and the phase of the first."""
+        sensor = self.emulator.sensor
+        phase_bits, stamp_bits = sensor.phase_bits, sensor.stamp_bits
+        hit = Signal(name=f"hit_{i}")
+        arrival = Signal(stamp_bits + 1, name=f"arrival_{i}")
+        level, tick = echo[:LEVEL_BITS], echo[LEVEL_BITS:]
+        with m.If(is_first):
+            m.d.sync += hit.eq(state[LEVEL_LSB : LEVEL_LSB + LEVEL_BITS] < level)
+        with m.If(is_second):
+            m.d.sync += arrival.eq(tick + (state[LEVEL_LSB : LEVEL_LSB + SPREAD_MAX] & common.spread))
+        by_light = Signal(name=f"by_light_{i}")
+        by_echo = Signal(name=f"by_echo_{i}")
+        light_phase, echo_phase = state[PHASE_LSB : PHASE_LSB + phase_bits], arrival[:phase_bits]
+        fires, phase = Signal(name=f"fires_{i}"), Signal(phase_bits, name=f"phase_{i}")
+        m.d.comb += [
+            by_light.eq(state[RATE_LSB : RATE_LSB + RATE_BITS] < background),
+            by_echo.eq(hit & is_later & (arrival[phase_bits:] == cycle)),
+        ]
+        m.d.sync += [
+            fires.eq(running & (by_light | by_echo)),
+            phase.eq(Mux(by_light & (~by_echo | (light_phase < echo_phase)), light_phase, echo_phase)),
+        ]
+        return fires, phase
+
+    def _word(self, m, i, fires, phase, common):
+        """Registered: the pixel's part of the word, 0 while it is dead."""
+        phases = self.emulator.sensor.phases
+        dead = Signal(len(common.dead), name=f"dead_{i}")
+        word = Signal(phases, name=f"word_{i}")
+        self.state.dead.append(dead)
+        m.d.sync += word.eq(0)
+        with m.If(dead != 0):
+            m.d.sync += dead.eq(dead - 1)
+        with m.Elif(fires):
+            m.d.sync += [dead.eq(common.dead), word.eq(1 << phase)]
+        m.d.comb += self.words[i * phases : (i + 1) * phases].eq(word)

@@ -1,0 +1,233 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Serial line: bytes as 8N1, and frames of bytes with their check. The line's law is `model/contract/serial_link.py`."""
+
+from types import SimpleNamespace
+
+from amaranth.hdl import Cat, Const, Module, Mux, Signal
+from amaranth.lib.cdc import FFSynchronizer
+from amaranth.lib.crc.catalog import CRC32_ISO_HDLC
+from amaranth.lib.wiring import In, Out
+
+from ...model.contract.serial_link import BODY_BYTES_MAX, CRC_BYTES, ESCAPE, FLAG, FLIP
+from ..unit import Unit
+
+BITS = 10  # of a byte on the line: start, eight, stop
+
+
+class Receiver(Unit):
+    """Bytes from the line.
+
+    Ports
+    -----
+    rx : in, asynchronous, high where nothing comes; valid : out, strobe; byte : out; broken : out, with `valid`: the stop bit was missing
+
+    A bit is sampled in its middle, as its start was seen by the second of two flip-flops. A line that stays low gives broken bytes. Reset waits for
+    a start.
+    """
+
+    unit_name = "coincid_uart_receiver"
+
+    def __init__(self, clocks_per_bit: int):
+        self.clocks = clocks_per_bit
+        super().__init__({"rx": In(1), "valid": Out(1), "byte": Out(8), "broken": Out(1)})
+
+    def elaborate(self, platform):
+        m = Module()
+        line = Signal(init=1)
+        m.submodules.synchronizer = FFSynchronizer(self.rx, line, init=1)
+        count = Signal(range(self.clocks))
+        left = Signal(range(BITS + 1))  # bits of the byte that are still to come
+        shift = Signal(BITS)
+        before = Signal(init=1)
+        m.d.sync += [self.valid.eq(0), before.eq(line)]
+        with m.If(left == 0):
+            with m.If(before & ~line):
+                m.d.sync += [left.eq(BITS), count.eq((self.clocks - 1) // 2)]
+        with m.Elif(count == 0):
+            m.d.sync += [count.eq(self.clocks - 1), shift.eq(Cat(shift[1:], line)), left.eq(left - 1)]
+            with m.If((left == BITS) & line):  # no start: a spike
+                m.d.sync += left.eq(0)
+            with m.If(left == 1):
+                m.d.sync += [self.valid.eq(1), self.byte.eq(shift[2:]), self.broken.eq(~line)]
+        with m.Else():
+            m.d.sync += count.eq(count - 1)
+        self.state = SimpleNamespace(left=left, count=count, shift=shift)
+        return m
+
+
+class Transmitter(Unit):
+    """Bytes to the line.
+
+    Ports
+    -----
+    valid, byte : in; ready : out, the byte is taken in a cycle with both; tx : out, high where nothing goes
+
+    Reset lets go of a byte under way.
+    """
+
+    unit_name = "coincid_uart_transmitter"
+
+    def __init__(self, clocks_per_bit: int):
+        self.clocks = clocks_per_bit
+        super().__init__({"valid": In(1), "byte": In(8), "ready": Out(1), "tx": Out(1, init=1)})
+
+    def elaborate(self, platform):
+        m = Module()
+        count, left, shift = Signal(range(self.clocks)), Signal(range(BITS + 1)), Signal(BITS)
+        m.d.comb += self.ready.eq(left == 0)
+        m.d.sync += self.tx.eq(Mux(left == 0, 1, shift[0]))
+        with m.If(self.ready):
+            with m.If(self.valid):
+                m.d.sync += [
+                    shift.eq(Cat(Const(0, 1), self.byte, Const(1, 1))),
+                    left.eq(BITS),
+                    count.eq(self.clocks - 1),
+                ]
+        with m.Elif(count == 0):
+            m.d.sync += [count.eq(self.clocks - 1), left.eq(left - 1), shift.eq(shift >> 1)]
+        with m.Else():
+            m.d.sync += count.eq(count - 1)
+        self.state = SimpleNamespace(left=left, count=count, shift=shift)
+        return m
+
+
+class Deframer(Unit):
+    """Finds frames in bytes, and says of each whether it is right.
+
+    Ports
+    -----
+    valid, byte, broken : in, from the receiver; hold : in, forget what comes: the next frame begins at the next flag
+    put, data, index : out, a byte of the body, and its place in it
+    right : out, strobe: a body has ended whose CRC is right; length : out, with it, bytes without the CRC
+    wrong : out, strobe: one has ended that is not
+
+    A body longer than any request is wrong, and so is one with a broken byte. Two flags in a row are no frame. Reset waits for a flag.
+    """
+
+    unit_name = "coincid_deframer"
+
+    def __init__(self):
+        bits = BODY_BYTES_MAX.bit_length()
+        super().__init__(
+            {
+                "valid": In(1),
+                "byte": In(8),
+                "broken": In(1),
+                "hold": In(1),
+                "put": Out(1),
+                "data": Out(8),
+                "index": Out(bits),
+                "right": Out(1),
+                "length": Out(bits),
+                "wrong": Out(1),
+            }
+        )
+
+    def elaborate(self, platform):
+        m = Module()
+        m.submodules.crc = crc = CRC32_ISO_HDLC(8).create()
+        listening, escaped, bad = Signal(), Signal(), Signal()
+        count = Signal.like(self.length)
+        m.d.comb += [
+            crc.data.eq(Mux(escaped, self.byte ^ FLIP, self.byte)),
+            self.data.eq(crc.data),
+            self.index.eq(count),
+        ]
+        m.d.sync += [self.right.eq(0), self.wrong.eq(0), self.length.eq(count - CRC_BYTES)]
+        is_flag, is_escape = Signal(), Signal()
+        m.d.comb += [is_flag.eq(self.byte == FLAG), is_escape.eq(self.byte == ESCAPE)]
+        with m.If(self.valid):
+            with m.If(~self.broken & is_flag):
+                m.d.comb += crc.start.eq(1)
+                m.d.sync += [listening.eq(1), escaped.eq(0), bad.eq(0), count.eq(0)]
+                with m.If(listening & (count != 0)):
+                    fine = ~bad & ~escaped & (count > CRC_BYTES) & crc.match_detected
+                    m.d.sync += [self.right.eq(fine), self.wrong.eq(~fine)]
+            with m.Elif(listening):
+                with m.If(self.broken | (count == BODY_BYTES_MAX)):
+                    m.d.sync += [bad.eq(1), count.eq(Mux(count == 0, 1, count))]
+                with m.Elif(is_escape & ~escaped):
+                    m.d.sync += [escaped.eq(1), count.eq(count)]
+                with m.Else():
+                    m.d.comb += [self.put.eq(1), crc.valid.eq(1)]
+                    m.d.sync += [escaped.eq(0), count.eq(count + 1)]
+        with m.If(self.hold):
+            m.d.sync += [listening.eq(0), self.right.eq(0), self.wrong.eq(0)]
+        self.state = SimpleNamespace(listening=listening, escaped=escaped, bad=bad, count=count, crc=crc)
+        return m
+
+
+class Framer(Unit):
+    """Makes frames of bytes.
+
+    Ports
+    -----
+    valid, byte, last : in; ready : out, a byte of a body is taken in a cycle with both; `last`: it ends the body
+    out_valid, out_byte : out, out_ready : in, to the transmitter
+
+    Puts flags around the body, its CRC behind it, and escapes what needs it. Reset forgets a frame under way.
+    """
+
+    unit_name = "coincid_framer"
+
+    def __init__(self):
+        super().__init__(
+            {
+                "valid": In(1),
+                "byte": In(8),
+                "last": In(1),
+                "ready": Out(1),
+                "out_valid": Out(1),
+                "out_byte": Out(8),
+                "out_ready": In(1),
+            }
+        )
+
+    def elaborate(self, platform):
+        m = Module()
+        m.submodules.crc = crc = CRC32_ISO_HDLC(8).create()
+        tail = Signal(32)
+        left = Signal(range(CRC_BYTES + 1))
+        escaped = Signal()  # the escape for the present byte has been sent
+        byte = Signal(8)
+        special = Signal()
+        m.d.comb += [crc.data.eq(self.byte), special.eq((byte == FLAG) | (byte == ESCAPE))]
+
+        def send_body(m, sent):
+            """Sends `byte`, by an escape where it needs one; `sent` in the cycle in which that is done."""
+            m.d.comb += [
+                self.out_byte.eq(Mux(special, Mux(escaped, byte ^ FLIP, ESCAPE), byte)),
+                sent.eq(self.out_valid & self.out_ready & (~special | escaped)),
+            ]
+            with m.If(self.out_valid & self.out_ready):
+                m.d.sync += escaped.eq(special & ~escaped)
+
+        with m.FSM() as machine:
+            with m.State("idle"):
+                m.d.comb += [self.out_byte.eq(FLAG), self.out_valid.eq(self.valid), crc.start.eq(1)]
+                m.d.sync += escaped.eq(0)
+                with m.If(self.valid & self.out_ready):
+                    m.next = "body"
+            with m.State("body"):
+                m.d.comb += [byte.eq(self.byte), self.out_valid.eq(self.valid)]
+                send_body(m, self.ready)
+                m.d.comb += crc.valid.eq(self.ready)
+                with m.If(self.ready & self.last):
+                    m.next = "check"
+            with m.State("check"):
+                m.d.sync += [tail.eq(crc.crc), left.eq(CRC_BYTES), escaped.eq(0)]
+                m.next = "tail"
+            with m.State("tail"):
+                m.d.comb += [byte.eq(tail[:8]), self.out_valid.eq(1)]
+                sent = Signal()
+                send_body(m, sent)
+                with m.If(sent):
+                    m.d.sync += [tail.eq(tail >> 8), left.eq(left - 1)]
+                    with m.If(left == 1):
+                        m.next = "flag"
+            with m.State("flag"):
+                m.d.comb += [self.out_byte.eq(FLAG), self.out_valid.eq(1)]
+                with m.If(self.out_ready):
+                    m.next = "idle"
+        self.state = SimpleNamespace(machine=machine, crc=crc, escaped=escaped, left=left)
+        return m

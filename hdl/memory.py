@@ -1,0 +1,61 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Memory: rows that are written now and then, and read at any time.
+
+Simulation and FPGA have it as a memory (LUT RAM on an FPGA); silicon has rows of latches under the same name, at less than half the area
+of flip-flops. The paper names registers only; latches are our choice.
+"""
+
+from amaranth.hdl import Module
+from amaranth.lib import memory
+from amaranth.lib.wiring import In, Out
+
+from ..model.contract.parameters import bits_for
+from .unit import Unit
+
+
+class Memory(Unit):
+    """`depth` rows of `width` bits.
+
+    Ports
+    -----
+    write : in, data goes into row `to` at the cycle's end; data : in
+    row : in, what is read; value : out, that row, by logic only (without `to` and `row` where there is one row)
+
+    `write`, `to` and `data` come from registers, over half a cycle of logic at most: the latches are open in the cycle's second half. So in
+    the cycle of its writing nobody may look at a row. No reset: what was never written is undefined.
+    """
+
+    def __init__(self, depth: int, width: int):
+        self.depth, self.width = depth, width
+        self.unit_name = f"coincid_memory_{depth}x{width}"
+        at = {name: In(bits_for(depth - 1)) for name in ("to", "row") if depth > 1}
+        super().__init__({"write": In(1), "data": In(width), "value": Out(width)} | at)
+
+    def elaborate(self, platform):
+        m = Module()
+        m.submodules.rows = rows = memory.Memory(shape=self.width, depth=self.depth, init=[])
+        writes, reads = rows.write_port(), rows.read_port(domain="comb")
+        m.d.comb += [writes.en.eq(self.write), writes.data.eq(self.data), self.value.eq(reads.data)]
+        if self.depth > 1:
+            m.d.comb += [writes.addr.eq(self.to), reads.addr.eq(self.row)]
+        self.state = rows
+        return m
+
+    def latches(self) -> str:
+        """Verilog of the same block in latches; each row has a write line that is high in the second half of its cycle."""
+        ports = {"to": bits_for(self.depth - 1), "row": bits_for(self.depth - 1)} if self.depth > 1 else {}
+        ranges = {"data": self.width} | ports
+        lines = [f"module {self.unit_name} (clk, rst, write, value, {', '.join(ranges)});", "  input clk, rst, write;"]
+        lines += [f"  input [{width - 1}:0] {name};" for name, width in ranges.items()]
+        lines += [f"  output [{self.width - 1}:0] value;"]
+        read = []
+        for r in range(self.depth):
+            written = "write" if self.depth == 1 else f"write & to == {r}"
+            lines += [
+                f"  reg [{self.width - 1}:0] row_{r};",
+                f"  wire open_{r} = ~clk & ({written});",
+                f"  always @* if (open_{r}) row_{r} = data;",
+            ]
+            read.append(f"row_{r}" if self.depth == 1 else f"({{{self.width}{{row == {r}}}}} & row_{r})")
+        lines += [f"  assign value = {' | '.join(read)};", "endmodule", ""]
+        return "\n".join(lines)

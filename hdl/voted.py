@@ -1,0 +1,39 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Registers of which one flip-flop may be upset: three copies, and what two of them say."""
+
+from amaranth.hdl import Module, Signal
+
+from .logic import any_of
+
+
+class Voted:
+    """A register in three copies; all hold what two of them say, so that an upset is gone after a cycle.
+
+    The copies differ in what they store, so that no synthesis takes them for one: as it is, inverted, and by turns both.
+
+    value : Signal, what the register says; next : Signal, what it will say, assigned in the domain `comb`, `value` where it is not;
+    agree : Signal, the copies do not differ
+    """
+
+    def __init__(self, m: Module, name: str, width: int = 1, init: int = 0):
+        full = (1 << width) - 1
+        self.value = Signal(width, name=name)
+        self.next = Signal(width, name=f"{name}_next")
+        self.agree = Signal(name=f"{name}_agree")
+        plain = Signal(width, name=f"{name}_plain", init=init)
+        inverse = Signal(width, name=f"{name}_inverse", init=init ^ full)
+        by_turns = Signal(width, name=f"{name}_by_turns", init=init)
+        turn = Signal(name=f"{name}_turn")
+        third = Signal(width, name=f"{name}_third")
+        m.d.comb += [
+            third.eq(by_turns ^ turn.replicate(width)),
+            self.value.eq(any_of(m, [plain & ~inverse, plain & third, ~inverse & third], f"{name}_two")),
+            self.next.eq(self.value),
+            self.agree.eq((plain == ~inverse) & (plain == third)),
+        ]
+        m.d.sync += [
+            turn.eq(~turn),
+            plain.eq(self.next),
+            inverse.eq(~self.next),
+            by_turns.eq(self.next ^ (~turn).replicate(width)),
+        ]

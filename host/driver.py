@@ -1,0 +1,159 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The driver: registers by name, a configuration, and frames, over any transport."""
+
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from attrs import field, frozen
+
+from ..model.contract import registers
+from ..model.contract.config import Config
+from ..model.contract.parameters import SIZE_LIMITS, Sensor
+from ..model.contract.registers import BY_NAME, ID_VALUE, VERSION_VALUE, Access
+from ..model.shared.errors import InputError
+from .frames import FrameAssembler
+from .names import Key, find
+from .programmed import Programmed, runs
+from .transport import HostError, RefusedError, Transport, write_block
+
+STATUS = BY_NAME["status"]
+ERRORS = tuple(bits.name for bits in STATUS.bits if bits.clears and bits.name != "done")
+WAIT_SECONDS = 10.0  # for a frame; the longest takes 2^16 periods of 2^13 cycles
+
+
+@frozen
+class Status:
+    """The sensor's state. errors: names of the sticky error bits that are set."""
+
+    busy: bool
+    done: bool
+    errors: tuple[str, ...] = field(default=())
+
+
+class Driver:
+    """A sensor as its software sees it.
+
+    transport: the way to it. sensor: its parameters as built; None: they are read from it. fresh: it comes from reset, so that what its
+    settings hold is known. Raises `HostError` where what answers is no sensor, or has another version of the register map.
+
+        driver["threshold", 3] = 2  # of subgroup 3; checked against the table before anything is sent
+        driver["opened", 3]
+        driver.program(config)
+        driver.start()
+    """
+
+    def __init__(self, transport: Transport, sensor: Sensor | None = None, *, fresh: bool = False):
+        self.transport = transport
+        self.sensor = sensor or read_sensor(transport)
+        self.programmed = Programmed(registers.reset_values(self.sensor) if fresh else None)
+        self._assemblers = [FrameAssembler(self.sensor, k) for k in range(self.sensor.streams)]
+
+    def __getitem__(self, key: Key) -> int:
+        """Reads a register. Raises `InputError` where there is none of that name."""
+        return self.transport.read(find(self.sensor, key).address)
+
+    def __setitem__(self, key: Key, value: int) -> None:
+        """Writes a register. Raises `InputError` before anything is sent, or `RefusedError`."""
+        word = find(self.sensor, key)
+        self._write(word.address, word.checked(value))
+        if word.register.access is Access.SETTING:
+            self.programmed.note(word.address, int(value))
+
+    def program(self, config: Config) -> int:
+        """Writes those settings of `config` that differ from what is known to be programmed; returns how many words."""
+        if config.sensor != self.sensor:
+            raise InputError(f"sensor: the configuration is of {config.sensor}, the sensor is {self.sensor}")
+        return self.write_settings(config.register_writes())
+
+    def write_settings(self, writes: list[tuple[int, int]]) -> int:
+        """Writes those of (address, value) that change something; returns how many words."""
+        pending = self.programmed.pending(writes)
+        for address, values in runs(pending):
+            try:
+                write_block(self.transport, address, values)
+            except RefusedError as error:
+                raise self._explained(error) from None
+            for i, value in enumerate(values):
+                self.programmed.note(address + 4 * i, value)
+        return len(pending)
+
+    def start(self) -> None:
+        """Begins a frame. Raises `RefusedError` with the reasons where the sensor's checks refuse it."""
+        self._write(*registers.control("start"))
+
+    def abort(self) -> None:
+        """Makes the running period the frame's last."""
+        self._write(*registers.control("abort"))
+
+    def status(self) -> Status:
+        """Reads the status; clears nothing."""
+        word = self["status"]
+        is_set = {bits.name: bool(word >> bits.lsb & 1) for bits in STATUS.bits}
+        return Status(is_set["busy"], is_set["done"], tuple(name for name in ERRORS if is_set[name]))
+
+    def clear(self, *names: str) -> None:
+        """Clears sticky bits of the status, by name; without names, all of them."""
+        chosen = names or ("done", *ERRORS)
+        self.transport.write(registers.address("status"), sum(1 << STATUS.bit(name) for name in chosen))
+
+    def finish(self, seconds: float = WAIT_SECONDS, meanwhile: Callable[[], None] = lambda: None) -> None:
+        """Waits until the frame has been delivered, and clears `done`. meanwhile: called between two looks.
+
+        Raises `HostError` after `seconds`.
+        """
+        end = time.monotonic() + seconds
+        while not self.status().done:
+            meanwhile()
+            if time.monotonic() > end:
+                raise HostError(f"no frame end after {seconds:g} s")
+        self.clear("done")
+
+    def receive(self, seconds: float = WAIT_SECONDS) -> list[np.ndarray]:
+        """The next whole frame: beats (uint64) per stream. `model/contract/stream.py` decodes them.
+
+        Raises `HostError` after `seconds` in which nothing more came, and `StreamError` where what came is no frame.
+        """
+        end, waiting = time.monotonic() + seconds, list(self._assemblers)
+        while waiting := [assembler for assembler in waiting if not assembler.frames]:
+            for assembler in waiting:
+                beats = self.transport.receive(assembler.stream)
+                if len(beats):
+                    assembler.add(beats)
+                    end = time.monotonic() + seconds
+            if time.monotonic() > end:
+                raise HostError(
+                    f"stream {waiting[0].stream}: nothing more came for {seconds:g} s; the frame is not whole"
+                )
+        return [assembler.frames.pop(0) for assembler in self._assemblers]
+
+    def _write(self, address: int, value: int) -> None:
+        try:
+            self.transport.write(address, value)
+        except RefusedError as error:
+            raise self._explained(error) from None
+
+    def _explained(self, error: RefusedError) -> RefusedError:
+        """The refusal with the sticky bits that tell of it, which are cleared."""
+        reasons = self.status().errors
+        if reasons:
+            self.clear(*reasons)
+        return RefusedError(str(error), reasons)
+
+
+def read_sensor(transport: Transport) -> Sensor:
+    """The parameters of the sensor at the other end, from its constants. Raises `HostError` where it is none that this driver knows."""
+
+    def constant(name: str) -> int:
+        return transport.read(registers.address(name))
+
+    if (found := constant("id")) != ID_VALUE:
+        raise HostError(f"no sensor: its ID is {found:#010x}, must be {ID_VALUE:#010x}")
+    if (found := constant("version")) >> 16 != VERSION_VALUE >> 16:
+        raise HostError(f"register map of version {found >> 16}: this driver knows {VERSION_VALUE >> 16}")
+    sizes: dict[str, Any] = {name: constant(name) for name in SIZE_LIMITS}
+    groups: dict[str, Any] = {
+        name: (constant(f"{name}_rows"), constant(f"{name}_cols")) for name in ("subgroup", "minigroup")
+    }
+    return Sensor(**sizes, **groups)

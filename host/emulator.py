@@ -1,0 +1,104 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Driver of the emulator: the sensor's driver, the photon source's settings, and frames out of the frame buffer."""
+
+import time
+
+import numpy as np
+
+from ..model.contract.emulator import BUFFER_BASE, EMULATOR_ID, EMULATOR_VERSION, OWN_BY_NAME, own_address
+from ..model.contract.parameters import Sensor
+from ..model.contract.registers import Access
+from ..model.shared.errors import InputError, check_integer
+from .driver import WAIT_SECONDS, Driver
+from .names import Key
+from .transport import HostError, Transport, read_block
+
+WORDS_PER_BEAT = 2
+
+
+class EmulatorDriver(Driver):
+    """An emulator as its software sees it: a sensor, with the emulator's own registers by name, and light of its own.
+
+    Raises `HostError` where what answers is no emulator that this driver knows.
+    """
+
+    def __init__(self, transport: Transport, sensor: Sensor | None = None):
+        found = transport.read(own_address("emulator_id"))
+        if found != EMULATOR_ID:
+            raise HostError(f"no emulator: its ID is {found:#010x}, must be {EMULATOR_ID:#010x}")
+        version = transport.read(own_address("emulator_version"))
+        if version >> 16 != EMULATOR_VERSION >> 16:
+            raise HostError(
+                f"emulator's registers of version {version >> 16}: this driver knows {EMULATOR_VERSION >> 16}"
+            )
+        self.buffer_beats = transport.read(own_address("buffer_beats"))
+        super().__init__(transport, sensor)
+
+    def __getitem__(self, key: Key) -> int:
+        """Reads a register, of the sensor or of the emulator's own."""
+        return self.transport.read(own_address(key)) if key in OWN_BY_NAME else super().__getitem__(key)
+
+    def __setitem__(self, key: Key, value: int) -> None:
+        """Writes a register, of the sensor or of the emulator's own. Raises `InputError` before anything is sent."""
+        if not isinstance(key, str) or key not in OWN_BY_NAME:
+            super().__setitem__(key, value)
+            return
+        register = OWN_BY_NAME[key]
+        if register.access not in WRITABLE:
+            raise InputError(f"{key}: is read-only ({register.access.value})")
+        checked = check_integer(key, value, register.low(self.sensor), register.high(self.sensor))
+        self._write(own_address(key), checked)
+        if register.access is Access.SETTING:
+            self.programmed.note(own_address(key), checked)
+
+    def waiting(self) -> np.ndarray:
+        """Takes the beats (uint64) that wait in the frame buffer out of it."""
+        first, level = self._buffer()
+        beats = np.zeros(0, np.uint64)
+        while level:
+            run = min(level, self.buffer_beats - first)  # up to the ring's end
+            words = read_block(self.transport, BUFFER_BASE + 4 * WORDS_PER_BEAT * first, WORDS_PER_BEAT * run)
+            beats = np.concatenate([beats, np.array(words, "<u4").view("<u8")])
+            self["buffer_take"] = run
+            first, level = (first + run) % self.buffer_beats, level - run
+        return beats
+
+    def _buffer(self) -> tuple[int, int]:
+        """Place of the first beat that waits, and how many do: of the latter there may be more by now."""
+        level = self["buffer_level"]
+        return self["buffer_first"], level
+
+    def receive(self, seconds: float = WAIT_SECONDS) -> list[np.ndarray]:
+        """The next whole frame: beats (uint64) of the one stream. Raises as `Driver.receive` does."""
+        (assembler,) = self._assemblers
+        end = time.monotonic() + seconds
+        while not assembler.frames:
+            beats = self.waiting()
+            if len(beats):
+                assembler.add(beats)
+                end = time.monotonic() + seconds
+            elif time.monotonic() > end:
+                raise HostError(f"nothing more came for {seconds:g} s; the frame is not whole")
+        return [assembler.frames.pop(0)]
+
+    def frame(self, seconds: float = WAIT_SECONDS) -> np.ndarray:
+        """Starts a frame, waits for it and returns its beats (uint64[n])."""
+        self.start()
+        (beats,) = self.receive(seconds)
+        self.finish(seconds)
+        return beats
+
+    def resume(self) -> None:
+        """Brings the emulator to rest after whatever went wrong: ends a frame under way, and drops what waits. Settings are to be programmed anew."""
+        self.programmed.forget()
+        self._assemblers[0].forget()
+        self._assemblers[0].frames.clear()
+        if self.status().busy:
+            self.abort()
+        end = time.monotonic() + WAIT_SECONDS
+        while self.status().busy:
+            self.waiting()
+            if time.monotonic() > end:
+                raise HostError(f"the sensor is still busy {WAIT_SECONDS:g} s after an abort")
+        self.waiting()
+        self.clear()

@@ -1,0 +1,70 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Memory-mapped transport: the sensor's address range in a file that can be mapped, such as /dev/uio0 or /dev/mem."""
+
+import ctypes
+import mmap
+import os
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from ..model.contract import registers
+from ..model.contract.registers import ADDRESS_BITS, BY_NAME
+from ..model.shared.errors import InputError
+from ..model.shared.files import FilePath
+from .transport import RefusedError
+
+STATUS = BY_NAME["status"]
+ERROR_BITS = {bits.name: 1 << bits.lsb for bits in STATUS.bits if bits.clears and bits.name != "done"}
+
+
+class MemoryTransport:
+    """Words by plain loads and stores. A context manager.
+
+    path: of the file; base: byte offset of the sensor in it, a multiple of the page size; size: bytes to map.
+
+    A processor's store does not wait for the bus's answer, so a refusal is found in the sensor's sticky status bits, which are read
+    behind each write or run of writes. This transport alone has no stream: `receive` brings nothing. A design with a DMA engine overrides
+    it, and the emulator's buffer is read through its registers (`emulator.py`).
+    """
+
+    def __init__(self, path: FilePath, base: int = 0, size: int = 1 << ADDRESS_BITS):
+        try:
+            with Path(path).open("r+b", buffering=0) as file:
+                self._map = mmap.mmap(file.fileno(), size, mmap.MAP_SHARED, offset=base)
+        except (OSError, ValueError) as error:
+            raise InputError(f"{os.fspath(path)}: {size} bytes from {base:#x} on cannot be mapped ({error})") from None
+        self._words = (ctypes.c_uint32 * (size // 4)).from_buffer(self._map)
+
+    def __enter__(self) -> "MemoryTransport":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Unmaps."""
+        del self._words
+        self._map.close()
+
+    def read(self, address: int) -> int:
+        """The word at `address`."""
+        return self._words[address // 4]
+
+    def write(self, address: int, value: int) -> None:
+        """Makes the word at `address` be `value`. Raises `RefusedError` where the status tells of a refusal."""
+        self.write_block(address, [value])
+
+    def write_block(self, address: int, values: Sequence[int]) -> None:
+        """The same for words from `address` on."""
+        for i, value in enumerate(values):
+            self._words[address // 4 + i] = value
+        status = self._words[registers.address("status") // 4]
+        reasons = tuple(name for name, bit in ERROR_BITS.items() if status & bit)
+        if reasons:
+            raise RefusedError(f"write of {len(values)} words from {address:#07x} on", reasons)
+
+    def receive(self, stream: int) -> np.ndarray:
+        """Nothing: see above."""
+        return np.zeros(0, np.uint64)

@@ -1,0 +1,235 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Serial transport: the emulator's address space over a serial port. The link's law is `model/contract/serial_link.py`.
+
+One request is under way at a time, and it is asked again until it has its right answer: lost, doubled and damaged bytes cost time only.
+"""
+
+import time
+import zlib
+from collections.abc import Sequence
+from typing import Any, Protocol
+
+import numpy as np
+
+from ..model.contract.serial_link import (
+    ADDRESS_BYTES,
+    CRC_BYTES,
+    ESCAPE,
+    FLAG,
+    FLIP,
+    READ_WORDS_MAX,
+    WORD_BYTES,
+    WRITE_WORDS_MAX,
+    Answer,
+    Operation,
+)
+from ..model.shared.errors import InputError
+from ..model.shared.extras import extra
+from .transport import DeviceResetError, LinkError, RefusedError
+
+TRIES = 10
+PATIENCE_S = 0.25
+BAUD = 3_000_000
+BODY_MIN = 2 + CRC_BYTES  # sequence number and status
+
+
+class Port(Protocol):
+    """A line of bytes, as pyserial has it."""
+
+    def write(self, data: bytes) -> Any:
+        """Sends all of `data`."""
+
+    def read(self) -> bytes:
+        """What has come, at least a byte unless nothing came for some milliseconds."""
+
+    def now(self) -> float:
+        """Seconds on this line's clock."""
+
+
+def frame(body: bytes) -> bytes:
+    """A frame around a body: flags, escapes, check."""
+    body += zlib.crc32(body).to_bytes(CRC_BYTES, "little")
+    inside = b"".join(bytes([ESCAPE, byte ^ FLIP]) if byte in (FLAG, ESCAPE) else bytes([byte]) for byte in body)
+    return bytes([FLAG]) + inside + bytes([FLAG])
+
+
+class Deframer:
+    """Finds bodies in bytes, however these are cut. What is damaged is dropped. dropped: how many frames were."""
+
+    def __init__(self) -> None:
+        self._inside = bytearray()
+        self.dropped = 0
+
+    def add(self, data: bytes) -> list[bytes]:
+        """The bodies, without their CRC, that `data` completes."""
+        *ended, rest = data.split(bytes([FLAG]))
+        found = []
+        for part in ended:
+            self._inside += part
+            if self._inside:
+                body = self._checked(bytes(self._inside))
+                self._inside.clear()
+                if body is None:
+                    self.dropped += 1
+                else:
+                    found.append(body)
+        self._inside += rest
+        return found
+
+    @staticmethod
+    def _checked(inside: bytes) -> bytes | None:
+        body, escaped = bytearray(), False
+        for byte in inside:
+            if byte == ESCAPE and not escaped:
+                escaped = True
+            else:
+                body.append(byte ^ FLIP if escaped else byte)
+                escaped = False
+        if escaped or len(body) < BODY_MIN:
+            return None
+        content, check = bytes(body[:-CRC_BYTES]), bytes(body[-CRC_BYTES:])
+        return content if zlib.crc32(content).to_bytes(CRC_BYTES, "little") == check else None
+
+
+class SerialTransport:
+    """Words over a `Port`.
+
+    tries: of a request. patience_s: for an answer to begin, or to go on, on the port's clock. repeats: how often something had to be asked
+    again. Raises `LinkError` where no right answer came in `TRIES` tries, and
+    `DeviceResetError` where the device was reset behind the first request; both are forgotten by the next request, which greets anew.
+    """
+
+    def __init__(self, port: Port, tries: int = TRIES, patience_s: float = PATIENCE_S):
+        self.port, self.tries, self.patience_s = port, tries, patience_s
+        self.repeats = 0
+        self._deframer = Deframer()
+        self._sequence = 0
+        self._greeted, self._used = False, False
+        self._read_words = (
+            READ_WORDS_MAX  # of a request: fewer where the line is bad, as a long answer seldom comes through
+        )
+
+    def read(self, address: int) -> int:
+        """The word at `address`."""
+        return self.read_block(address, 1)[0]
+
+    def write(self, address: int, value: int) -> None:
+        """Makes the word at `address` be `value`."""
+        self.write_block(address, [value])
+
+    def read_block(self, address: int, words: int) -> list[int]:
+        """Words from `address` on."""
+        found: list[int] = []
+        while len(found) < words:
+            at, count = address + WORD_BYTES * len(found), min(words - len(found), self._read_words)
+            before = self.repeats
+            status, content = self._request(Operation.READ, count, at)
+            self._read_words = self._read_words * 2 if self.repeats == before else self._read_words
+            self._read_words = min(self._read_words, READ_WORDS_MAX)
+            whole = len(content) // WORD_BYTES
+            if status is Answer.REFUSED and whole < words - len(found):
+                raise RefusedError(f"read of {at + WORD_BYTES * whole:#08x}")
+            if len(content) % WORD_BYTES or not whole:
+                raise LinkError(f"read of {at:#08x}: {len(content)} bytes for {count} words")
+            found += np.frombuffer(content, "<u4").tolist()
+        return found[:words]
+
+    def write_block(self, address: int, values: Sequence[int]) -> None:
+        """Writes `values` from `address` on."""
+        for begin in range(0, len(values), WRITE_WORDS_MAX):
+            part = values[begin : begin + WRITE_WORDS_MAX]
+            at = address + WORD_BYTES * begin
+            data = b"".join(int(value).to_bytes(WORD_BYTES, "little") for value in part)
+            status, content = self._request(Operation.WRITE, len(part), at, data)
+            if status is Answer.REFUSED:
+                raise RefusedError(f"write of {part[content[0]]:#x} to {at + WORD_BYTES * content[0]:#08x}")
+            if content != bytes([len(part)]):
+                raise LinkError(f"write to {at:#08x}: {content!r} of {len(part)} words")
+
+    def receive(self, stream: int) -> np.ndarray:
+        """Nothing: the emulator's beats wait in its buffer (`emulator.py`)."""
+        return np.zeros(0, np.uint64)
+
+    def _request(self, operation: Operation, count: int, address: int, data: bytes = b"") -> tuple[Answer, bytes]:
+        """Status and content of the answer, OKAY or REFUSED."""
+        if not self._greeted:
+            status, _ = self._exchange(Operation.HELLO, 0, 0)
+            self._greeted = True
+            if status is Answer.FRESH and self._used:
+                self._used = False
+                raise DeviceResetError("the device was reset: its settings are lost")
+        status, content = self._exchange(operation, count, address, data)
+        if status is Answer.FRESH:
+            self._greeted, self._used = False, False
+            raise DeviceResetError("the device was reset: its settings are lost")
+        self._used = True
+        if status not in (Answer.OKAY, Answer.REFUSED):
+            self._greeted = False
+            raise LinkError(f"the device answers {status.name}: does another program use the port?")
+        return status, content
+
+    def _exchange(self, operation: Operation, count: int, address: int, data: bytes = b"") -> tuple[Answer, bytes]:
+        """Asks until the answer to this very request has come."""
+        self._sequence = (self._sequence + 1) & 0xFF
+        for attempt in range(self.tries):
+            if attempt:
+                self.repeats += 1
+                if (
+                    operation is Operation.READ
+                ):  # what was asked for before may still come, and has at least as many words
+                    count = self._read_words = max(1, count // 2)
+            head = bytes([self._sequence, operation, count]) + address.to_bytes(ADDRESS_BYTES, "little")
+            self.port.write(frame(head + data))
+            answer = self._answer()
+            if answer is not None:
+                return Answer(answer[-1]), answer[1:-1]
+        self._greeted = False
+        raise LinkError(f"no right answer in {self.tries} tries")
+
+    def _answer(self) -> bytes | None:
+        """The answer to the present request; None where it does not come."""
+        end = self.port.now() + self.patience_s
+        while self.port.now() < end:
+            if data := self.port.read():
+                end = self.port.now() + self.patience_s
+                for body in self._deframer.add(data):
+                    if body[0] == self._sequence and body[-1] in list(Answer):
+                        return body
+        return None
+
+
+class SerialPort:
+    """A serial port of this computer, by pyserial. A context manager. Raises `InputError` where it cannot be opened."""
+
+    def __init__(self, device: str, baud: int = BAUD):
+        with extra("board"):
+            import serial
+        try:
+            self._serial = serial.Serial(device, baud, timeout=0.02, write_timeout=2)
+        except (serial.SerialException, ValueError) as error:
+            raise InputError(f"port = {device!r}: cannot be opened ({error})") from None
+        self._errors = (serial.SerialException, OSError)
+
+    def __enter__(self) -> "SerialPort":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._serial.close()
+
+    def write(self, data: bytes) -> None:
+        """Sends all of `data`. Raises `LinkError` where the port is gone."""
+        try:
+            self._serial.write(data)
+        except self._errors as error:
+            raise LinkError(f"the serial port is gone ({error})") from None
+
+    def read(self) -> bytes:
+        """What has come. Raises `LinkError` where the port is gone."""
+        try:
+            return self._serial.read(max(1, self._serial.in_waiting))
+        except self._errors as error:
+            raise LinkError(f"the serial port is gone ({error})") from None
+
+    def now(self) -> float:
+        """Seconds."""
+        return time.monotonic()

@@ -1,0 +1,38 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Default ceilings of the threshold controller: no threshold is higher than necessary to keep commits from noise alone
+rare. This is our own choice.
+
+Evenly spread noise opens windows and fills them by the Poisson law: a window that opens in any phase of a cycle keeps
+the tree busy for `window_ticks + (phases - 1) / 2` ticks and the re-arm gap on average, and holds as many further
+photons as come in its length.
+"""
+
+from functools import cache
+
+import numpy as np
+
+from .parameters import guard_cycles
+from .registers import AUTO_BOUNDS, EVENTS_MAX
+
+NOISE_COMMITS_PER_PULSE = 0.25
+PHOTONS_PER_TICK = (1e-7, 10.0, 100_000)  # of a subgroup: lowest, highest, and how many in between are tried
+
+
+@cache
+def noise_bounds(
+    *, phases: int, window_ticks: int, rearm_cycles: int, period_cycles: int, pulses: int
+) -> tuple[int, ...]:
+    """`auto_bounds`: bound k is the number of opened windows from which on threshold 1 + k lets noise commit more than
+    `NOISE_COMMITS_PER_PULSE`, so that the next one may be needed."""
+    per_tick = np.geomspace(*PHOTONS_PER_TICK)
+    open_ticks = phases * (period_cycles - guard_cycles(window_ticks, phases, rearm_cycles))
+    busy_ticks = window_ticks + (phases - 1) / 2 + phases * rearm_cycles
+    opened = pulses * open_ticks / (1 / per_tick + busy_ticks)
+    exactly = np.exp(-per_tick * window_ticks)  # chance of `others` further photons in a window
+    at_least = np.ones_like(per_tick)
+    bounds = []
+    for others in range(AUTO_BOUNDS):
+        too_many = opened * at_least > NOISE_COMMITS_PER_PULSE * pulses
+        bounds.append(int(np.ceil(opened[too_many.argmax()])) if too_many.any() else EVENTS_MAX)
+        at_least, exactly = at_least - exactly, exactly * per_tick * window_ticks / (others + 1)
+    return tuple(bounds)

@@ -1,0 +1,173 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The emulator: the sensor with a photon source on the same chip. Its parameters, registers, and the source's arithmetic.
+
+The paper has no such thing; all of it is our choice. The emulator's address space holds the sensor's registers at `SENSOR_BASE`, its own at
+`OWN_BASE`, the settings of subgroup s's source at `SOURCE_BASE + SOURCE_STRIDE * s`, and the beats of the frame buffer from `BUFFER_BASE` on.
+"""
+
+from attrs import field, frozen
+
+from ..shared.errors import InputError, check_integer
+from .parameters import Sensor
+from .registers import Access, Bits, Register
+
+ADDRESS_BITS = 24
+REGION_BITS = 20  # of an address inside a region; the bits above name the region
+SENSOR_BASE, OWN_BASE, SOURCE_BASE, BUFFER_BASE = 0x000000, 0x100000, 0x200000, 0x300000
+SOURCE_STRIDE = 0x800
+EMULATOR_ID = 0x454D554C  # "EMUL"
+EMULATOR_VERSION = 0x00010000
+
+# The source. Every pixel has a generator: a linear one of 32 bits whose next bit i is the XOR of the bits `TAPS[i]`. Its period is 2^32 - 1.
+STATE_BITS = 32
+TAPS = (
+    (9, 18, 22), (17, 23, 28), (1, 2, 28), (3, 6, 30), (1, 12, 24), (1, 6, 8), (5, 21, 27), (18, 24, 31),
+    (11, 23, 31), (1, 7, 31), (4, 11, 12), (3, 6, 25), (8, 14, 15), (8, 12, 17), (4, 6, 20), (21, 27),
+    (16, 19, 27), (2, 8, 9), (4, 18, 26), (19, 21, 22), (3, 4, 8), (12, 13, 22), (11, 30, 31), (11, 14, 20),
+    (4, 13, 27), (11, 23, 26), (0, 14, 22), (10, 25, 29), (5, 16, 27), (19, 21, 24), (7, 21, 28), (12, 29, 31),
+)  # fmt: skip
+SEED_BIT = 15  # where a generator takes in its seed, bit by bit
+LEVEL_LSB, LEVEL_BITS = (
+    0,
+    8,
+)  # of the state: what decides on an echo, in a period's first cycle; its low bits place it, in the second
+PHASE_LSB = 8  # of the state: the phase of a background photon
+RATE_LSB, RATE_BITS = 16, 16  # of the state: what decides on a background photon
+SPREAD_MAX = 4
+DEAD_MAX = 15
+ECHO_FROM = 2  # cycle of a period in which its echo can come first
+
+# Seeds come from a block cipher: rounds of Speck64 (Beaulieu et al., 2013) with keys that count on from the seed.
+ROUNDS = 20
+KEY_STEP = 0x9E3779B9
+ROTATE_RIGHT, ROTATE_LEFT = 8, 3
+LANE_PIXELS = 64  # that a block of the cipher feeds with a bit each
+
+
+@frozen(kw_only=True)
+class Emulator:
+    """An emulator as built. sensor: what is emulated, with one stream. buffer_beats: of the frame buffer, a power of two.
+
+    clocks_per_bit: of the serial link. Raises `InputError`.
+    """
+
+    sensor: Sensor
+    buffer_beats: int = field(default=8192)
+    clocks_per_bit: int = field(default=33)  # 3 Mbaud at 100 MHz
+
+    def __attrs_post_init__(self) -> None:
+        if self.sensor.streams != 1:
+            raise InputError(f"sensor.streams = {self.sensor.streams}: must be 1 in an emulator")
+        check_integer("subgroups", self.sensor.subgroups, 1, 1 << 8)
+        check_integer("buffer_beats", self.buffer_beats, 64, 1 << 16)
+        if self.buffer_beats & (self.buffer_beats - 1):
+            raise InputError(f"buffer_beats = {self.buffer_beats}: must be a power of two from 64 to {1 << 16}")
+        check_integer("clocks_per_bit", self.clocks_per_bit, 4, 1 << 16)
+
+    @property
+    def lanes(self) -> int:
+        """Blocks of the cipher that a step of a subgroup's seeding takes."""
+        return -(-self.sensor.pixels // LANE_PIXELS)
+
+    @property
+    def echo_max(self) -> int:
+        """Highest value of an echo register."""
+        return (1 << LEVEL_BITS + self.sensor.stamp_bits) - 1
+
+
+OWN: tuple[Register, ...] = (
+    Register(name="emulator_id", offset=0x00, access=Access.CONSTANT, doc="EMUL in ASCII.", reset=EMULATOR_ID),
+    Register(
+        name="emulator_version",
+        offset=0x04,
+        access=Access.CONSTANT,
+        doc="Version of this map: major << 16 | minor.",
+        reset=EMULATOR_VERSION,
+    ),
+    Register(
+        name="buffer_beats", offset=0x08, access=Access.CONSTANT, doc="Beats that the frame buffer holds."
+    ),  # of the build
+    Register(
+        name="seed",
+        offset=0x0C,
+        access=Access.SETTING,
+        doc="Of the photon source. A frame's light depends on this, its number and the settings alone.",
+        high=0xFFFF_FFFF,
+        reset=1,
+    ),
+    Register(
+        name="spread",
+        offset=0x10,
+        access=Access.SETTING,
+        doc="An echo comes up to 2^spread - 1 ticks behind its tick, all equally likely.",
+        high=SPREAD_MAX,
+    ),
+    Register(
+        name="dead_cycles",
+        offset=0x14,
+        access=Access.SETTING,
+        doc="Dead time: cycles from a pixel's edge to its earliest next one.",
+        low=1,
+        high=DEAD_MAX,
+        reset=1,
+    ),
+    Register(
+        name="buffer_level", offset=0x18, access=Access.COUNTER, doc="Beats in the frame buffer that are not taken."
+    ),
+    Register(name="buffer_first", offset=0x1C, access=Access.COUNTER, doc="Place of the first of them in the buffer."),
+    Register(
+        name="buffer_take",
+        offset=0x20,
+        access=Access.PULSE,
+        high=1 << 16,
+        doc="Takes as many beats out of the buffer; above buffer_level is refused.",
+    ),
+    Register(
+        name="stalls",
+        offset=0x24,
+        access=Access.COUNTER,
+        doc="Cycles since reset in which the sensor waited for the full buffer: frames with one are not as predicted.",
+    ),
+    Register(
+        name="link_errors", offset=0x28, access=Access.COUNTER, doc="Frames of the serial link that came damaged."
+    ),
+    Register(
+        name="seeding",
+        offset=0x2C,
+        access=Access.COUNTER,
+        doc="1 while the source prepares the next frame; accesses to the sensor wait for its end.",
+        bits=(Bits("seeding", 0, "Busy."),),
+    ),
+)
+BACKGROUND = Register(
+    name="background",
+    offset=0x00,
+    access=Access.SETTING,
+    high=(1 << RATE_BITS) - 1,
+    doc="Background: probability of a photon per pixel and cycle, in 2^-16.",
+)
+ECHO_OFFSET = 0x400
+ECHO = Register(  # one per pixel; its range depends on the build
+    name="echo",
+    offset=ECHO_OFFSET,
+    access=Access.SETTING,
+    doc="Of a pixel: tick of the echo << 8 | its probability in 2^-8.",
+    count=lambda sensor: sensor.pixels,
+    high=lambda sensor: (1 << LEVEL_BITS + sensor.stamp_bits) - 1,
+)
+OWN_BY_NAME = {register.name: register for register in OWN}
+
+
+def own_address(name: str) -> int:
+    """Byte address of a register of the emulator's own."""
+    return OWN_BASE + OWN_BY_NAME[name].offset
+
+
+def background_address(subgroup: int) -> int:
+    """Byte address of a subgroup's background."""
+    return SOURCE_BASE + SOURCE_STRIDE * subgroup
+
+
+def echo_address(subgroup: int, pixel: int) -> int:
+    """Byte address of the echo of a subgroup's pixel."""
+    return background_address(subgroup) + ECHO_OFFSET + 4 * pixel

@@ -1,0 +1,640 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How likely each time of a pixel's surface makes what the sensor's words say: the law that the estimator of planes rests on.
+
+Our choice throughout; the paper (IV) takes the peak of every pixel's histogram. A pixel that sees a surface at time t with
+`light` photons per pulse fires at the first of them and is dead from then on. So it has fired by a time u with probability
+
+    F(u) = 1 - exp(-light * Phi((u - t) / sigma)).
+
+The events of a pulse say when that was, for each pixel of the subgroup:
+
+- the winner fired at the stamp;
+- a pixel in the map fired inside the window, not before its minigroup's offset (format full), and at it if it was the first
+  of its minigroup: how likely that is follows from where the others are known to be, about;
+- a pixel outside the map fired neither inside the window nor while the tree waited for its first photon. Where the tree was
+  blind, between the window's end and the re-arming, it may have fired.
+
+Where no event is near, the pixel did not fire, or it did and the window missed the threshold, or found the tree blind after a
+window that missed it. How often that is follows from the share of pulses with an event at that time. Drops come in bursts: the
+first windows of a pulse fill the FIFO, and those that follow are lost. So between two events of which the later one carries
+`overrun`, silence says nothing.
+
+Everything is relative to a pixel that sees no surface, whose hits are background.
+"""
+
+import math
+from collections.abc import Callable, Iterable
+from typing import NamedTuple
+
+import numpy as np
+from scipy import ndimage, special
+
+from ..contract.config import Config
+from ..contract.packet import BEAT_BITS
+from ..contract.parameters import OFFSET_NONE
+from ..contract.pixels import pixel_table
+from ..contract.windows import armed_cycle, close_cycle
+from ..shared.compiled import njit
+from .histograms import Events, by_subgroup
+
+REACH_SIGMAS = 4.0  # from a pulse's centre to where it begins and ends
+DEAD_S = 8e-9  # dead time of a SPAD (paper II)
+RARE = 1e-6  # least probability: what the law does not know happens, too
+QUIET_RATE = 1e-7  # photons per tick and pixel, at least: no background is nowhere
+BLIND_MAX = 0.95
+DROPPING_ROUNDS = 3
+RATES = np.geomspace(1e-3, 50, 200)  # photons of a subgroup and window that a share of events may stand for
+NEGLIGIBLE = -1.0  # log likelihood ratio below which the mean over the lights is not worth its exponentials
+ALIKE = 0.2  # pixels of a minigroup whose chances to have been first differ by less are taken together
+
+_FRACTION_BITS = 23  # of a float32
+_LOG = (
+    np.polynomial.chebyshev.Chebyshev.interpolate(np.log1p, 7, domain=[0, 1])
+    .convert(kind=np.polynomial.Polynomial)
+    .coef.astype(np.float32)
+)  # log(1 + x), error below 1e-7
+
+
+Spread = Callable[[Callable[[int], None], Iterable[int]], Iterable[None]]
+
+
+class Grid(NamedTuple):
+    """Times and lights at which the likelihood is taken.
+
+    step: ticks between times, which are step * (k + 1/2). lights: float32[L], photons per pulse. prior: float32[L], log
+    probability of each.
+    """
+
+    step: int
+    lights: np.ndarray
+    prior: np.ndarray
+
+
+class Guess(NamedTuple):
+    """What is known of the pixels beforehand, [subgroups, pixels]: time in ticks (float64, NaN = nothing) and light."""
+
+    time: np.ndarray
+    light: np.ndarray
+
+
+class Unheard(NamedTuple):
+    """Chances that a pixel which fires says nothing in a pulse without an event nearby, float32[subgroups, ticks] by its surface's time.
+
+    missed: because its window misses the threshold, finds no armed tree, or is dropped. blind: because it finds no armed tree, at a
+    time at which a window would have been noticed. `_dropping`: between events of which the later one carries `overrun`; between
+    others nothing is dropped.
+    """
+
+    missed: np.ndarray
+    missed_dropping: np.ndarray
+    blind: np.ndarray
+    blind_dropping: np.ndarray
+
+
+class _Law(NamedTuple):
+    """Scalars of a subgroup; times in ticks."""
+
+    window: int
+    told: int  # of the window's ticks, those whose hits are known: all, or the first (format short)
+    phases: int
+    rearm: int
+    offset: int  # ticks of an offset's step
+    reach: int
+    step: int
+    noise: float  # background photons per tick and pixel
+    alive: float  # share of the pulses in which background has not fired the pixel before
+    pulses: int
+
+
+def log_likelihood(
+    events: Events,
+    config: Config,
+    sigma_ticks: float,
+    pulses: int,
+    grid: Grid,
+    never: Unheard,
+    first: np.ndarray,
+    bins: int,
+    *,
+    activity: np.ndarray | None = None,
+    guess: Guess | None = None,
+    spread: Spread = map,
+) -> tuple[np.ndarray, np.ndarray]:
+    """(log likelihood ratio, likeliest light) of each pixel's times: float32 and uint8 (index), [rows, cols, bins].
+
+    pulses: in which the events came. never: `unheard` of them. first: int64[subgroups, pixels], index of the pixel's first time
+    in the grid. activity: float64[subgroups, pixels], background of each pixel over the mean (None: alike). guess: for offsets,
+    which are not used without it. spread: `map` of subgroups, of any order.
+    """
+    sensor = config.sensor
+    reach = math.ceil(REACH_SIGMAS * sigma_ticks)
+    fired = _fired(grid.lights, sigma_ticks, reach)
+    minigroup = pixel_table(sensor).minigroup
+    level, light = (np.empty((sensor.array_pixels, bins), kind) for kind in (np.float32, np.uint8))
+    place = by_subgroup(np.arange(sensor.array_pixels), sensor)
+    if activity is None:
+        activity = np.ones((sensor.subgroups, sensor.pixels))
+    opens = _gate_opens(events, config)
+
+    def of_subgroup(s: int) -> None:
+        span = slice(events.bounds[s], events.bounds[s + 1])
+        noise = max(events.photon_rate[s] / sensor.pixels, QUIET_RATE)
+        window = int(events.window[s])
+        law = _Law(
+            window=window,
+            told=window if events.mapped else 1,
+            phases=sensor.phases,
+            rearm=sensor.rearm,
+            offset=sensor.offset_ticks,
+            reach=reach,
+            step=grid.step,
+            noise=noise,
+            alive=1 - min(BLIND_MAX, noise * DEAD_S / config.tick_s),
+            pulses=pulses,
+        )
+        chances = np.stack([of_tick[s, grid.step // 2 :: grid.step] for of_tick in never])
+        shares = np.empty((0, 0), np.float32)
+        if guess is not None and events.offset.shape[1]:
+            shares = _first_shares(
+                events.stamp[span], events.winner[span], events.hits[span], events.offset[span], minigroup, law,
+                guess.time[s], guess.light[s], sigma_ticks,
+            )  # fmt: skip
+        total = np.empty((sensor.pixels, bins, len(grid.lights)), np.float32)
+        touched = np.zeros((sensor.pixels, bins), np.bool_)
+        common = _add_events(
+            law, events.stamp[span], events.pulse[span] % pulses, events.winner[span], events.hits[span],
+            events.offset[span], events.overrun[span], opens[span], shares, minigroup, config.mask[s], activity[s],
+            chances[:2], chances[2:], fired, first[s], total, touched,
+        )  # fmt: skip
+        _over_lights(common, total, touched, config.mask[s], first[s], grid.prior, place[s], level, light)
+
+    list(spread(of_subgroup, range(sensor.subgroups)))
+    shape = (sensor.rows, sensor.cols, bins)
+    return level.reshape(shape), light.reshape(shape)
+
+
+def _fired(lights: np.ndarray, sigma_ticks: float, reach: int) -> np.ndarray:
+    """float32[4 reach + 1, lights]: F at u - t = -reach to reach, in half ticks."""
+    distance = np.arange(-2 * reach, 2 * reach + 1) / 2
+    return -np.expm1(-special.ndtr(distance / sigma_ticks)[:, None] * lights).astype(np.float32)
+
+
+def _gate_opens(events: Events, config: Config) -> np.ndarray:
+    """int64[n]: tick at which the gate opened in each event's pulse, 0 where there is none."""
+    subgroup = np.repeat(np.arange(config.sensor.subgroups), np.diff(events.bounds))
+    steps = 0
+    if config.frame["gate_every"]:
+        steps = events.pulse % config.pulses // config.frame["gate_every"] % config.frame["gate_steps"]
+    opens = (config.gate_start[subgroup] + config.frame["gate_step"] * steps) * config.sensor.phases
+    return np.where(config.gating[subgroup], opens, 0)
+
+
+def unheard(events: Events, config: Config, pulses: int, sigma_ticks: float, spread: Spread = map) -> Unheard:
+    """What the subgroups' events say of photons that they do not show. pulses: in which the events came; spread: as of `log_likelihood`."""
+    shape = (config.sensor.subgroups, config.period_ticks)
+    missed, missed_dropping, blind, blind_dropping = (np.empty(shape, np.float32) for _ in range(4))
+    after_rejected = (
+        np.arange(config.sensor.phases) + config.sensor.rearm * config.sensor.phases
+    )  # ticks that one blinds until this phase
+
+    def of_subgroup(s: int) -> None:
+        ticks, window = config.period_ticks, int(events.window[s])
+        span = slice(events.bounds[s], events.bounds[s + 1])
+        stamp, armed = events.stamp[span], armed_ticks(events.stamp[span], window, config)
+        threshold = int(events.threshold[s])
+        commits, met = (
+            special.pdtrc(others - 1, RATES) if others else np.ones(len(RATES)) for others in (threshold, threshold - 1)
+        )
+        rejected = (events.opened[s] - events.committed[s]) / pulses / ticks  # windows per tick
+        deaf = np.minimum(BLIND_MAX, rejected * np.resize(after_rejected, ticks))
+        kept, found = _while_dropping(
+            events.pulse[span] % pulses, stamp, armed, events.overrun[span], events.committed[s], pulses, config
+        )
+        dropped = 1 / kept
+        dropped *= events.committed[s] / max(1.0, dropped[stamp].sum())  # windows for one that was stored
+        covered = _share_between(stamp, stamp + window, ticks, pulses) * dropped / (1 - deaf)
+        photons = np.maximum(np.interp(covered, commits, RATES), events.photon_rate[s] * window)
+        commits, met = (np.interp(photons, RATES, of_rate) for of_rate in (commits, met))
+        seen = _gate_share(config, s, np.arange(ticks) // config.sensor.phases) if config.gating[s] else 1.0
+        reach = math.ceil(REACH_SIGMAS * sigma_ticks)
+        nearby = np.minimum(1, dropped * _share_between(np.maximum(0, stamp - reach), armed, ticks, pulses))
+        for of_tick, room, others in ((missed, 1.0, commits), (missed_dropping, found, np.maximum(commits, nearby))):
+            silent = deaf + (1 - deaf) * (1 - room * others)
+            lost = (deaf + (1 - deaf) * (1 - room * met)) / np.maximum(silent, RARE)
+            of_tick[s] = _over_pulse(1 - seen * (1 - np.minimum(1, lost)), sigma_ticks)
+        busy = np.minimum(BLIND_MAX, deaf + dropped * _share_between(stamp, armed, ticks, pulses))
+        for of_tick, chance in ((blind, deaf), (blind_dropping, busy)):
+            of_tick[s] = _over_pulse(chance / (chance + (1 - chance) * np.exp(-photons)), sigma_ticks)
+
+    list(spread(of_subgroup, range(config.sensor.subgroups)))
+    return Unheard(missed, missed_dropping, blind, blind_dropping)
+
+
+def armed_ticks(stamp: np.ndarray, window: int, config: Config) -> np.ndarray:
+    """int64[n]: tick from which the tree is armed again after events at `stamp`."""
+    phases = config.sensor.phases
+    return armed_cycle(close_cycle(stamp, window, phases), config.sensor.rearm) * phases
+
+
+def _while_dropping(
+    pulse: np.ndarray,
+    stamp: np.ndarray,
+    armed: np.ndarray,
+    overrun: np.ndarray,
+    committed: int,
+    pulses: int,
+    config: Config,
+) -> tuple[np.ndarray, np.ndarray]:
+    """(share of the windows that are stored, the same of those between two events of which the later one carries `overrun`), float64[ticks].
+
+    After an event was stored the FIFO was full, and what came was dropped, until there was room; then nothing came before the next
+    event. When there was room follows from how often windows come; that follows from how many are stored.
+    """
+    phases, cells = config.sensor.phases, config.period
+    later = np.flatnonzero(overrun[1:]) + 1
+    begin, end = pulse * cells + armed // phases, pulse * cells + stamp // phases
+    full = np.zeros(cells + 1)
+    np.add.at(full, np.minimum(armed // phases, cells)[later - 1], 1)
+    np.add.at(full, (stamp // phases)[later], -1)
+    clear = 1 - (np.cumsum(full)[:cells] + (pulse[later] - pulse[later - 1]).sum()) / pulses
+    kept, found = np.clip(clear, 1 / pulses, 1), np.zeros(cells)
+    for _ in range(DROPPING_ROUNDS if len(later) else 0):
+        rate = np.bincount(stamp // phases, minlength=cells) / kept
+        rate *= committed / pulses / rate.sum()
+        found = _room_found(begin[later - 1], end[later], rate)
+        kept = np.clip(clear + (1 - clear) * found, 1 / pulses, 1)
+    return np.repeat(kept, phases), np.repeat(found, phases)
+
+
+@njit
+def _room_found(begin, end, rate):
+    """float64[cycles]: share of the intervals from `begin` to `end`, cycles of the frame, in which there was room before that cycle.
+
+    rate: windows per cycle of the period. In each interval some windows came before there was room, and none after.
+    """
+    cells = len(rate)
+    total = np.zeros(cells + 1)
+    total[1:] = np.cumsum(rate)
+    of_period, total = total[cells], total[:cells]
+    grown, shrunk = np.exp(total), np.exp(-total)  # of the windows since the period's begin
+    found, number = np.zeros(cells), np.zeros(cells)
+    sums = np.empty(cells * max(1, (np.max(end) if len(end) else 0) // cells + 1))
+    for i in range(len(begin)):
+        first = begin[i] // cells * of_period + total[begin[i] % cells]
+        last = end[i] // cells * of_period + total[end[i] % cells]
+        so_far, at = 0.0, begin[i]
+        while at < end[i]:
+            period = at // cells
+            until, none_after, none_before = (
+                min(end[i], (period + 1) * cells),
+                math.exp(period * of_period - last),
+                math.exp(first - period * of_period),
+            )
+            for j in range(at, until):
+                k = j - period * cells
+                so_far += none_after * grown[k] * (1 + RARE - none_before * shrunk[k])
+                sums[j - begin[i]] = so_far
+            at = until
+        for j in range(begin[i], end[i]):
+            found[j % cells] += sums[j - begin[i]] / so_far
+            number[j % cells] += 1
+    for k in range(cells):
+        found[k] /= max(1.0, number[k])
+    return found
+
+
+def _over_pulse(of_photon: np.ndarray, sigma_ticks: float) -> np.ndarray:
+    """The mean over the times of the photons that a surface at each tick sends."""
+    return ndimage.gaussian_filter1d(of_photon, sigma_ticks, mode="nearest", truncate=REACH_SIGMAS)
+
+
+def _share_between(begin: np.ndarray, end: np.ndarray, ticks: int, pulses: int) -> np.ndarray:
+    """float64[ticks]: in how many of the pulses each tick lies in [begin, end) of an event."""
+    change = sum(sign * np.bincount(np.minimum(at, ticks), minlength=ticks + 1) for sign, at in ((1, begin), (-1, end)))
+    return np.cumsum(change)[:ticks] / pulses
+
+
+def _gate_share(config: Config, s: int, cycle: np.ndarray) -> np.ndarray:
+    """Share of the pulses whose gate is open in each cycle."""
+    start = config.gate_start[s] + np.zeros(1, np.int64)
+    if config.frame["gate_every"]:
+        pulse = np.arange(config.pulses)
+        start = start + config.frame["gate_step"] * (pulse // config.frame["gate_every"] % config.frame["gate_steps"])
+    inside = (cycle[:, None] >= start) & (cycle[:, None] < start + config.gate_len[s])
+    return inside.mean(axis=1)
+
+
+@njit
+def _first_shares(stamp, winner, hits, offset, minigroup, law, time, light, sigma):
+    """float32[n, pixels]: chance that each hit pixel was the first of its minigroup: all others of it fired later."""
+    n, pixels = len(stamp), len(minigroup)
+    shares = np.zeros((n, pixels), np.float32)
+    members = np.empty(pixels, np.int64)
+    later = np.empty(pixels)
+    for e in range(n):
+        cycle, end = stamp[e] // law.phases * law.phases, stamp[e] + law.window
+        for g in range(offset.shape[1]):
+            if offset[e, g] == OFFSET_NONE or g == minigroup[winner[e]]:
+                continue
+            begin = max(stamp[e], cycle + offset[e, g] * law.offset)
+            own = min(end, cycle + (offset[e, g] + 1) * law.offset)
+            number = 0
+            for i in range(pixels):
+                if minigroup[i] == g and _hit(hits, e, i):
+                    members[number] = i
+                    last = _unfired(end - time[i], light[i], sigma)
+                    inside = _unfired(begin - time[i], light[i], sigma) - last
+                    if inside > RARE:
+                        later[number] = (_unfired(own - time[i], light[i], sigma) - last) / inside
+                    else:  # background, or nothing is known
+                        later[number] = (end - own) / (end - begin)
+                    number += 1
+            for j in range(number):
+                share = 1.0
+                for k in range(number):
+                    if k != j:
+                        share *= later[k]
+                shares[e, members[j]] = share
+    return shares
+
+
+@njit(inline="always")
+def _unfired(distance, light, sigma):
+    """1 - F."""
+    return math.exp(-light * 0.5 * math.erfc(-distance / sigma * math.sqrt(0.5)))
+
+
+@njit(inline="always")
+def _hit(hits, e, i):
+    return hits[e, i // BEAT_BITS] >> np.uint64(i % BEAT_BITS) & np.uint64(1) != 0
+
+
+@njit
+def _add_events(
+    law,
+    stamp,
+    pulse,
+    winner,
+    hits,
+    offset,
+    overrun,
+    opens,
+    shares,
+    minigroup,
+    mask,
+    activity,
+    missed,
+    blind,
+    fired,
+    first,
+    total,
+    touched,
+):
+    """What a subgroup's events say: of pixels without a hit, returned as float32[times, lights], and of hits besides, in `total`.
+
+    total: float32[pixels, bins, lights], logarithms; it means something only where `touched`, bool[pixels, bins], says so. Events of
+    a pulse so near that a photon may belong to either are taken together, and a pixel's first hit among them counts.
+    """
+    n, times = len(stamp), missed.shape[1]
+    pixels, bins, lights = total.shape
+    wanted = np.zeros(times + 1, np.int64)  # how many times of those before each are in some pixel's bins
+    for i in range(pixels):
+        wanted[max(0, first[i]) + 1 : max(0, first[i] + bins) + 1] = 1
+    wanted = np.cumsum(wanted)
+    common = np.zeros((times, lights), np.float32)
+    unseen, before = np.empty_like(common), np.empty_like(common)
+    product, logs = np.zeros_like(common), np.zeros_like(common)
+    silent = np.zeros((2, times + 1), np.int64)  # change of the number of pulses without an event nearby, by `overrun`
+    armed, quiet, known = np.empty(n, np.int64), np.empty(n, np.int64), np.empty(n, np.int64)
+    for e in range(n):
+        earliest = opens[e]
+        if e and pulse[e - 1] == pulse[e]:
+            earliest = max(earliest, armed[e - 1])
+        cycle = stamp[e] // law.phases * law.phases
+        armed[e] = ((stamp[e] + law.window - 1) // law.phases + 1 + law.rearm) * law.phases
+        known[e] = min(stamp[e], max(earliest, cycle))  # the tree was armed and no photon came, from then on
+        # before, it was if it was not blind: no window ends later
+        quiet[e] = min(known[e], max(earliest, cycle - law.rearm * law.phases - law.window + 1))
+    counted = np.full(pixels, -1, np.int64)
+    begin, since, since_pulse = 0, 0, 0
+    while begin < n:
+        end = begin + 1
+        while end < n and pulse[end] == pulse[begin] and quiet[end] <= armed[end - 1] + 2 * law.reach:
+            end += 1
+        k0 = min(times, max(0, (quiet[begin] - law.reach) // law.step))
+        k1 = min(times, (armed[end - 1] + law.reach) // law.step + 1)
+        _add_silence(silent[np.int64(overrun[begin])], since_pulse, since, pulse[begin], k0)
+        since, since_pulse = k1, pulse[begin]
+        while k0 < k1 and wanted[k0 + 1] == wanted[k0]:
+            k0 += 1
+        while k1 > k0 and wanted[k1] == wanted[k1 - 1]:
+            k1 -= 1
+        if k0 < k1:
+            dropping = overrun[end] if end < n else overrun[n - 1]
+            unseen[k0:k1] = 1
+            before[k0:k1] = 1
+            for e in range(begin, end):
+                _subtract(law, unseen, k0, k1, e, begin, quiet, known, stamp, armed, overrun, missed, blind, fired)
+            _subtract_after(law, unseen, k0, k1, armed[end - 1], dropping, missed, fired)
+            _log(unseen, logs, k0, k1)
+            common[k0:k1] += logs[k0:k1]
+            for e in range(begin, end):
+                _add_hits(
+                    law, e, begin, stamp, quiet, known, armed, overrun, winner[e], hits, offset, shares, minigroup, mask,
+                    activity, missed, blind, fired, before, unseen, product, logs, k0, k1, counted, first, total, touched,
+                )  # fmt: skip
+                _subtract(law, before, k0, k1, e, begin, quiet, known, stamp, armed, overrun, missed, blind, fired)
+        begin = end
+    _add_silence(silent[np.int64(n > 0 and overrun[n - 1])], since_pulse, since, law.pulses, 0)
+    always = fired[len(fired) - 1]
+    for change, chance in zip(silent, missed):
+        for k in range(times):
+            for x in range(lights):
+                product[k, x] = max(np.float32(RARE), 1 - law.alive * (1 - chance[k]) * always[x])
+        _log(product, logs, 0, times)
+        number = 0
+        for k in range(times):
+            number += change[k]
+            for x in range(lights):
+                common[k, x] += number * logs[k, x]
+    return common
+
+
+@njit(inline="always")
+def _add_silence(silent, from_pulse, since, to_pulse, until):
+    """Counts the pulses without an event nearby, from time `since` of one pulse to time `until` of another."""
+    silent[since] += 1
+    silent[until] -= 1
+    silent[0] += to_pulse - from_pulse
+
+
+@njit
+def _subtract(law, unseen, k0, k1, e, begin, quiet, known, stamp, armed, overrun, missed, blind, fired):
+    """Takes from `unseen` what event e says of a pixel outside its map: it did not fire since the event before, and in the window."""
+    top = len(fired) - 1
+    dropping = np.int64(overrun[e])
+    for k in range(k0, k1):
+        centre = (2 * k + 1) * law.step - 2 * law.reach
+        a, b = min(max(2 * quiet[e] - centre, 0), top), min(max(2 * known[e] - centre, 0), top)
+        c = min(max(2 * (stamp[e] + law.told) - centre, 0), top)
+        z = min(max(2 * armed[e - 1] - centre, 0), a) if e > begin else 0
+        heard = np.float32(0 if dropping else law.alive * (1 - missed[0, k]))
+        sharp = np.float32(law.alive * (1 - blind[dropping, k]))
+        alive = np.float32(law.alive)
+        for x in range(unseen.shape[1]):
+            left = unseen[k, x] - (
+                alive * (fired[c, x] - fired[b, x])
+                + sharp * (fired[b, x] - fired[a, x])
+                + heard * (fired[a, x] - fired[z, x])
+            )
+            unseen[k, x] = max(np.float32(RARE), left)
+
+
+@njit
+def _subtract_after(law, unseen, k0, k1, armed, dropping, missed, fired):
+    """Takes from `unseen` what silence after the last event of a pulse says."""
+    if dropping:
+        return
+    top = len(fired) - 1
+    for k in range(k0, k1):
+        d = min(max(2 * armed - (2 * k + 1) * law.step + 2 * law.reach, 0), top)
+        heard = np.float32(law.alive * (1 - missed[0, k]))
+        for x in range(unseen.shape[1]):
+            unseen[k, x] = max(np.float32(RARE), unseen[k, x] - heard * (fired[top, x] - fired[d, x]))
+
+
+@njit
+def _add_hits(
+    law, e, cluster, stamps, quiet, known, armed, overrun, winner, hits, offset, shares, minigroup, mask, activity,
+    missed, blind, fired, before, unseen, product, logs, k0, k1, counted, first, total, touched,
+):  # fmt: skip
+    """Adds what an event says of the pixels in its map; those of one kind share a row."""
+    pixels, bins = total.shape[:2]
+    stamp, dropping = stamps[e], np.int64(overrun[e])
+    since = armed[e - 1] if e > cluster else -1
+    cycle, end = stamp // law.phases * law.phases, stamp + law.window
+    if mask[winner] and counted[winner] != cluster:
+        counted[winner] = cluster
+        low, high = max(k0, first[winner]), min(k1, first[winner] + bins)
+        _row(
+            law, stamp, stamp, stamp + 1, 0.0, law.noise * activity[winner], stamp, quiet[e], known[e],
+            since, dropping, missed, blind, fired, before, unseen, product, low, high,
+        )  # fmt: skip
+        _log(product, logs, low, high)
+        _add(total[winner], touched[winner], logs, first[winner], low, high)
+    groups = offset.shape[1] if len(shares) else 1
+    for group in range(groups):  # one after the other, as the pixels of one share rows
+        begin, own, of_row = stamp, stamp, np.float32(-1.0)
+        if len(shares) and group != minigroup[winner] and offset[e, group] != OFFSET_NONE:
+            begin = max(stamp, cycle + offset[e, group] * law.offset)
+            own = min(end, cycle + (offset[e, group] + 1) * law.offset)
+        for i in range(pixels):
+            if groups > 1 and minigroup[i] != group or not mask[i] or counted[i] == cluster or not _hit(hits, e, i):
+                continue
+            counted[i] = cluster
+            share = shares[e, i] if own > begin else np.float32(0.0)
+            low, high = k0, k1
+            if activity[i] != 1:
+                low, high, of_row = max(k0, first[i]), min(k1, first[i] + bins), np.float32(-1.0)
+            if of_row < 0 or abs(share - of_row) > ALIKE:
+                _row(
+                    law, begin, own, end, share, law.noise * activity[i], stamp, quiet[e], known[e],
+                    since, dropping, missed, blind, fired, before, unseen, product, low, high,
+                )  # fmt: skip
+                _log(product, logs, low, high)
+                of_row = share if activity[i] == 1 else np.float32(-1.0)
+            _add(total[i], touched[i], logs, first[i], low, high)
+
+
+@njit
+def _row(
+    law, begin, own, until, share, noise, stamp, quiet, known, since, dropping,
+    missed, blind, fired, before, unseen, product, k0, k1,
+):  # fmt: skip
+    """product[k0:k1]: likelihood ratio of a hit in [begin, until), or before `own` if it was its minigroup's first.
+
+    It is over that of no hit, which all pixels get.
+    """
+    top = len(fired) - 1
+    alive, share = np.float32(law.alive), np.float32(share)
+    background = np.float32(1 / (noise * (share * (own - begin) + (1 - share) * (until - begin))))
+    for k in range(k0, k1):
+        centre = (2 * k + 1) * law.step - 2 * law.reach
+        a, b = min(max(2 * quiet - centre, 0), top), min(max(2 * known - centre, 0), top)
+        c, d = min(max(2 * begin - centre, 0), top), min(max(2 * own - centre, 0), top)
+        f = min(max(2 * until - centre, 0), top)
+        z = min(max(2 * since - centre, 0), a) if since >= 0 else 0
+        heard = np.float32(0 if dropping else law.alive * (1 - missed[0, k]))
+        sharp = np.float32(law.alive * (1 - blind[dropping, k]))
+        for x in range(product.shape[1]):
+            earlier = before[k, x] - (
+                heard * (fired[a, x] - fired[z, x])
+                + sharp * (fired[b, x] - fired[a, x])
+                + alive * (fired[c, x] - fired[b, x])
+            )
+            inside = fired[f, x] + share * (fired[d, x] - fired[f, x]) - fired[c, x]
+            product[k, x] = (alive * inside * background + max(np.float32(RARE), earlier)) / unseen[k, x]
+
+
+@njit
+def _add(total, touched, row, first, k0, k1):
+    for k in range(max(k0, first), min(k1, first + total.shape[0])):
+        if touched[k - first]:
+            for x in range(total.shape[1]):
+                total[k - first, x] += row[k, x]
+        else:
+            touched[k - first] = True
+            for x in range(total.shape[1]):
+                total[k - first, x] = row[k, x]
+
+
+@njit(error_model="numpy")
+def _log(values, logs, k0, k1):
+    """logs = log(values), from the float32's bits: exponent and a polynomial of the fraction."""
+    bits = values[k0:k1].reshape(-1).view(np.int32)
+    out = logs[k0:k1].reshape(-1)
+    c = _LOG
+    for j in range(len(bits)):
+        x = np.float32(bits[j] & np.int32((1 << _FRACTION_BITS) - 1)) * np.float32(1 / (1 << _FRACTION_BITS))
+        y = c[0] + x * (c[1] + x * (c[2] + x * (c[3] + x * (c[4] + x * (c[5] + x * (c[6] + x * c[7]))))))
+        out[j] = y + np.float32(math.log(2)) * np.float32((bits[j] >> np.int32(_FRACTION_BITS)) - np.int32(127))
+
+
+@njit
+def _over_lights(common, total, touched, mask, first, prior, place, level, light):
+    """Logarithm of the mean over the lights, and the likeliest of them; nothing speaks for or against times of a masked pixel."""
+    times, lights = common.shape
+    values = np.empty(lights, np.float32)
+    level_of_all, light_of_all = np.empty(times, np.float32), np.empty(times, np.uint8)
+    for k in range(times):
+        for x in range(lights):
+            values[x] = common[k, x] + prior[x]
+        level_of_all[k], light_of_all[k] = _mean(values)
+    for i in range(len(total)):
+        p = place[i]
+        for k in range(total.shape[1]):
+            time = first[i] + k
+            if not mask[i] or time < 0 or time >= times:
+                level[p, k], light[p, k] = 0, 0
+            elif not touched[i, k]:
+                level[p, k], light[p, k] = level_of_all[time], light_of_all[time]
+            else:
+                for x in range(lights):
+                    values[x] = total[i, k, x] + common[time, x] + prior[x]
+                level[p, k], light[p, k] = _mean(values)
+
+
+@njit
+def _mean(values):
+    """(logarithm of the sum, index of the largest)."""
+    best = 0
+    for x in range(len(values)):
+        if values[x] > values[best]:
+            best = x
+    top = values[best]
+    if top > NEGLIGIBLE:
+        ratio = np.float32(0)
+        for x in range(len(values)):
+            ratio += math.exp(values[x] - top)
+        top += math.log(ratio)
+    return top, best

@@ -1,0 +1,177 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Estimator for real geometry: the time of every pixel from the likelihood of all events, on planes that neighbours share.
+
+Our choice throughout. Steps:
+
+1. the likelihood of every time in coarse steps (`likelihood.py`), and from it the pixel's seed, by what its neighbours see (`seeds.py`);
+2. the likelihood in single ticks around the seeds. How bright pixels are is learned from the seeds;
+3. planes through it (`patchmatch.py`).
+"""
+
+import os
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+from attrs import frozen
+
+from ..contract.config import Config
+from .histograms import Events, by_subgroup
+from .likelihood import Grid, Guess, log_likelihood, unheard
+from .patchmatch import Field, fit_planes, posterior
+from .seeds import LEAST, Blocks, find_seeds
+
+COARSE_SIGMAS = 1.2  # step of the first grid
+COARSE_LIGHTS = np.geomspace(0.02, 40, 7).astype(np.float32)  # photons per pulse
+LIGHTS = np.geomspace(0.015, 60, 12).astype(np.float32)
+BINS_SIGMAS = 16.0  # of the bins around a seed
+LIGHT_FLOOR = 0.01  # share of the pixels that have a light that no other one has
+HOT = 2.0  # times the background from which on a pixel's own counts
+ACTIVITY_HITS = 10.0  # as many hits count as seen before any
+BLOCK_ROWS = 4
+RETURN_SCORE = 12.0  # of a further return, with its neighbours: once in a hundred by accident,
+RETURN_LEVEL = 2.0  # and alone
+APART_SIGMAS = 4.0  # between returns, besides the window
+
+
+@frozen(eq=False)
+class Surfaces:
+    """What the pixels see, in ticks: time, error [rows, cols, returns]; confidence; slope [rows, cols, 2] down and to the right."""
+
+    time: np.ndarray
+    confidence: np.ndarray
+    error: np.ndarray
+    slope: np.ndarray
+
+
+def find_surfaces(
+    events: Events,
+    config: Config,
+    sigma_ticks: float,
+    pulses: int,
+    *,
+    tolerance_ticks: float,
+    returns: int = 1,
+    workers: int | None = None,
+) -> Surfaces:
+    """The surfaces that the pixels see. pulses: in which the events came; workers: number of threads, which does not
+    change the result.
+
+    confidence: probability that the first return is within `tolerance_ticks`, and that the others are no accident.
+    """
+    sensor = config.sensor
+    with ThreadPoolExecutor(workers or os.cpu_count() or 1) as pool:
+
+        def blocks(function: Callable[[int, int], None]) -> None:
+            begins = range(0, sensor.rows, BLOCK_ROWS)
+            list(pool.map(lambda begin: function(begin, min(sensor.rows, begin + BLOCK_ROWS)), begins))
+
+        step = max(1, round(COARSE_SIGMAS * sigma_ticks))
+        coarse = Grid(step, COARSE_LIGHTS, np.full(len(COARSE_LIGHTS), -np.log(len(COARSE_LIGHTS)), np.float32))
+        never = unheard(events, config, pulses, sigma_ticks, pool.map)
+        everywhere = np.zeros((sensor.subgroups, sensor.pixels), np.int64)
+        level, lights = log_likelihood(
+            events,
+            config,
+            sigma_ticks,
+            pulses,
+            coarse,
+            never,
+            everywhere,
+            -(-config.period_ticks // step),
+            spread=pool.map,
+        )
+        found = find_seeds(level, lights, blocks)
+        chosen = np.maximum(found.bin, 0)[:, :, None]
+        light = np.take_along_axis(lights, chosen, 2)[:, :, 0]
+        seed = np.where(found.bin < 0, np.nan, (found.bin + 0.5) * step)
+        guess = Guess(by_subgroup(seed, sensor), COARSE_LIGHTS[by_subgroup(light, sensor)].astype(np.float64))
+        activity = _activity(events, config, guess.time, sigma_ticks)
+        bins = round(BINS_SIGMAS * sigma_ticks)
+        first = np.where(np.isnan(seed), 0, seed).astype(np.int64) - bins // 2
+        fine = Grid(1, LIGHTS, _light_prior(light[found.bin >= 0]))
+
+        def around(first: np.ndarray) -> np.ndarray:
+            return log_likelihood(
+                events, config, sigma_ticks, pulses, fine, never, by_subgroup(first, sensor), bins,
+                activity=activity, guess=guess, spread=pool.map,
+            )[0]  # fmt: skip
+
+        field = Field.of(around(first), first)
+        planes = fit_planes(field, blocks)
+        confidence, error = posterior(field, planes, tolerance_ticks, blocks)
+        time = planes.time[:, :, None]
+        seen = (found.bin >= 0)[:, :, None]
+        parts = [
+            np.where(seen, part, nothing)
+            for part, nothing in (
+                (time, np.nan),
+                ((confidence * found.chance(bins // 2 // step))[:, :, None], 0.0),
+                (error[:, :, None], np.nan),
+            )
+        ]
+        if returns > 1:
+            apart = events.window.max() + APART_SIGMAS * sigma_ticks
+            further = _further(level, lights, step, planes.time, apart, around, bins, returns - 1, blocks)
+            parts = [np.concatenate(pair, axis=2) for pair in zip(parts, further)]
+    slope = np.where(seen, np.stack([planes.down, planes.right], axis=2), np.nan)
+    time_of, sure, error_of = parts
+    return Surfaces(time_of, sure, error_of, slope)
+
+
+def _light_prior(light: np.ndarray) -> np.ndarray:
+    """float32[lights]: log probability of each of `LIGHTS`, from the pixels' likeliest of `COARSE_LIGHTS`."""
+    share = np.bincount(light, minlength=len(COARSE_LIGHTS)) / max(1, len(light))
+    share = np.interp(np.log(LIGHTS), np.log(COARSE_LIGHTS), share)
+    share = share / max(share.sum(), 1e-9) + LIGHT_FLOOR
+    return np.log(share / share.sum()).astype(np.float32)
+
+
+def _activity(events: Events, config: Config, seed: np.ndarray, sigma_ticks: float) -> np.ndarray:
+    """float64[subgroups, pixels]: background of each pixel over the mean, from its hits away from its seed; 1 unless hot."""
+    pixels = config.sensor.pixels
+    activity = np.ones(seed.shape)
+    for s in range(config.sensor.subgroups):
+        span = slice(events.bounds[s], events.bounds[s + 1])
+        bits = np.unpackbits(np.ascontiguousarray(events.hits[span], "<u8").view(np.uint8), axis=1, bitorder="little")[
+            :, :pixels
+        ]
+        stamp = events.stamp[span, None]
+        away = ~((stamp < seed[s] + 2 * sigma_ticks) & (stamp + events.window[s] > seed[s] - 3 * sigma_ticks))
+        hits = (bits & away).sum(axis=0)
+        ratio = (hits + ACTIVITY_HITS) / (np.mean(hits) + ACTIVITY_HITS)
+        activity[s] = np.where(ratio > HOT, ratio, 1.0)
+    return activity
+
+
+def _further(
+    level: np.ndarray,
+    lights: np.ndarray,
+    step: int,
+    time: np.ndarray,
+    apart: float,
+    around: Callable[[np.ndarray], np.ndarray],
+    bins: int,
+    most: int,
+    blocks: Blocks,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(time, confidence, error) [rows, cols, most] of the returns after the first, away from each other."""
+    rows, cols, times = level.shape
+    found = np.full((rows, cols, most), np.nan)
+    confidence, error = np.zeros(found.shape), np.full(found.shape, np.nan)
+    middle = (np.arange(times) + 0.5) * step
+    left, taken = level.copy(), time
+    for k in range(most):
+        left[np.abs(middle - taken[:, :, None]) <= apart] = LEAST
+        seeds = find_seeds(left, lights, blocks)
+        own = np.take_along_axis(left, np.maximum(seeds.bin, 0)[:, :, None], 2)[:, :, 0]
+        there = (seeds.bin >= 0) & (seeds.score > RETURN_SCORE) & (own > RETURN_LEVEL)
+        if not there.any():
+            break
+        first = np.where(there, middle[seeds.bin], 0.0).astype(np.int64) - bins // 2
+        field = Field.of(around(first), first)
+        planes = fit_planes(field, blocks)
+        found[:, :, k] = taken = np.where(there, planes.time, np.nan)
+        error[:, :, k] = np.where(there, posterior(field, planes, 0.0, blocks)[1], np.nan)
+        confidence[:, :, k] = np.where(there, 1 - np.minimum(1, times * np.exp(-seeds.score)), 0.0)
+    return found, confidence, error

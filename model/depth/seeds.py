@@ -1,0 +1,188 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Seeds: the approximate time of each pixel's surface. The likelihood of a pixel offers a few times, and the pixel
+chooses together with its neighbours.
+
+Our choice throughout. A pixel's candidates are the highest peaks of its own likelihood and what the neighbours chose
+before. In the first round a neighbour speaks for a candidate as its own likelihood does, within limits. In later rounds
+it speaks by its choice, and the more the more alike the light of both is: a pixel without a hit speaks for the darkest
+of the surfaces beside it.
+"""
+
+from collections.abc import Callable
+from functools import partial
+from typing import NamedTuple
+
+import numpy as np
+
+from ..shared.compiled import njit
+
+Blocks = Callable[
+    [Callable[[int, int], None]], object
+]  # calls a function for (begin, end) of blocks of rows, in any order
+
+CANDIDATES = 6  # of a pixel's own
+NEAR = 2  # pixels to the farthest neighbour
+WIDTH = 1.0  # pixels, of the Gaussian weight of the neighbours
+KEPT = 8  # candidates after a round,
+PROBABLE = 1e-3  # as far as they are that probable
+LEVEL_MIN = 0.5  # of a candidate of its own
+SLACK = 1  # bins by which a surface may move from pixel to pixel
+LEAST, MOST = -1.0, 4.0  # limits of what a neighbour says in the first round
+AGREE = 30.0  # odds that a neighbour's probability counts with in later rounds,
+ALIKE = np.array(
+    [1.5, 1.2, 0.7, 0.4, 0.3, 0.2], np.float32
+)  # times this, by the difference of the lights' indices; the last: more
+ROUNDS = 5
+_NEVER = np.float32(-1e9)
+_REACH = np.arange(-NEAR, NEAR + 1)
+_WEIGHT = np.exp(-0.5 * (_REACH[:, None] ** 2 + _REACH**2) / WIDTH**2).astype(np.float32)
+
+
+class Seeds(NamedTuple):
+    """What the pixels chose.
+
+    bin: int64[rows, cols], -1 where there is no candidate. score: float32[rows, cols], log likelihood ratio of the
+    choice to seeing nothing, with that of the neighbours within limits. others: (bins, chances) of all candidates,
+    int64 and float32 [rows, cols, KEPT], the likeliest first, -1 = none.
+    """
+
+    bin: np.ndarray
+    score: np.ndarray
+    others: tuple[np.ndarray, np.ndarray]
+
+    def chance(self, reach: int) -> np.ndarray:
+        """float32[rows, cols]: probability of the candidates within `reach` bins of the choice, including the choice."""
+        bins, chances = self.others
+        near = (np.abs(bins - self.bin[:, :, None]) <= reach) & (bins >= 0)
+        return np.minimum(1, np.where(near, chances, 0).sum(axis=2))
+
+
+def find_seeds(level: np.ndarray, light: np.ndarray, blocks: Blocks) -> Seeds:
+    """Seeds from level, float32[rows, cols, bins], and the likeliest light of each bin, uint8 of the same shape."""
+    rows, cols, _ = level.shape
+    bins, tried = (np.full((rows, cols, KEPT), -1, np.int64) for _ in range(2))
+    chances, chance = (np.zeros((rows, cols, KEPT), np.float32) for _ in range(2))
+    score = np.zeros((rows, cols), np.float32)
+    blocks(partial(_own, level, bins))
+    for k in range(ROUNDS):
+        blocks(partial(_round, level, light, bins, chances, not k, tried, chance))
+        bins, chances, tried, chance = tried, chance, bins, chances
+    blocks(partial(_score, level, light, bins, chances, score))
+    return Seeds(bins[:, :, 0], score, (bins, chances))
+
+
+@njit
+def _own(level, bins, begin, end):
+    """The highest peaks of each pixel in descending order."""
+    cols, times = level.shape[1:]
+    height = np.empty(CANDIDATES, np.float32)
+    for r in range(begin, end):
+        for c in range(cols):
+            line, at = level[r, c], bins[r, c]
+            number = 0
+            for k in range(times):
+                v = line[k]
+                if v <= LEVEL_MIN or number == CANDIDATES and v <= height[number - 1]:
+                    continue
+                if k and line[k - 1] > v or k + 1 < times and line[k + 1] >= v:
+                    continue
+                j = min(number, CANDIDATES - 1)
+                while j > 0 and height[j - 1] < v:
+                    height[j], at[j] = height[j - 1], at[j - 1]
+                    j -= 1
+                height[j], at[j] = v, k
+                number = min(number + 1, CANDIDATES)
+
+
+@njit
+def _round(level, light, bins, chances, first, new_bins, new_chances, begin, end):
+    """Each pixel's candidates, the likeliest first, from those before and the neighbours' likeliest."""
+    rows, cols, _ = level.shape
+    at = np.empty(KEPT + (2 * NEAR + 1) ** 2, np.int64)
+    total = np.empty(len(at), np.float32)
+    for r in range(begin, end):
+        for c in range(cols):
+            number = _gather(bins, r, c, at)
+            top = _NEVER
+            for n in range(number):
+                total[n] = _support(level, light, bins, chances, first, r, c, at[n])
+                top = max(top, total[n])
+            whole = np.float32(0)
+            for n in range(number):
+                whole += np.exp(total[n] - top)
+            for j in range(KEPT):
+                new_bins[r, c, j], new_chances[r, c, j] = -1, 0
+                best = 0
+                for n in range(number):
+                    if total[n] > total[best]:
+                        best = n
+                if not number or total[best] == _NEVER:
+                    continue
+                chance = np.exp(total[best] - top) / whole
+                if chance > PROBABLE:
+                    new_bins[r, c, j], new_chances[r, c, j] = at[best], chance
+                total[best] = _NEVER
+
+
+@njit
+def _score(level, light, bins, chances, score, begin, end):
+    for r in range(begin, end):
+        for c in range(level.shape[1]):
+            if bins[r, c, 0] >= 0:
+                score[r, c] = _support(level, light, bins, chances, True, r, c, bins[r, c, 0])
+
+
+@njit
+def _gather(bins, r, c, at):
+    """How many candidates a pixel has, and in `at` which: those before, and the neighbours' likeliest where they differ."""
+    rows, cols, _ = bins.shape
+    number = 0
+    while number < KEPT and bins[r, c, number] >= 0:
+        at[number] = bins[r, c, number]
+        number += 1
+    for rr in range(max(0, r - NEAR), min(rows, r + NEAR + 1)):
+        for cc in range(max(0, c - NEAR), min(cols, c + NEAR + 1)):
+            k = bins[rr, cc, 0]
+            new = k >= 0
+            for i in range(number):
+                new &= abs(at[i] - k) > SLACK
+            if new:
+                at[number] = k
+                number += 1
+    return number
+
+
+@njit
+def _support(level, light, bins, chances, first, r, c, k):
+    """What speaks for candidate k of pixel (r, c): its own likelihood and its neighbours."""
+    rows, cols, times = level.shape
+    total = _highest(level[r, c], k, 1)
+    own = np.int64(light[r, c, k])
+    for rr in range(max(0, r - NEAR), min(rows, r + NEAR + 1)):
+        for cc in range(max(0, c - NEAR), min(cols, c + NEAR + 1)):
+            if rr == r and cc == c:
+                continue
+            slack = SLACK * max(abs(rr - r), abs(cc - c))
+            if first:
+                says = min(np.float32(MOST), max(np.float32(LEAST), _highest(level[rr, cc], k, slack)))
+            else:
+                odds = np.float32(0)
+                j = 0
+                while j < KEPT and bins[rr, cc, j] >= 0:
+                    there = bins[rr, cc, j]
+                    if abs(there - k) <= slack:
+                        apart = abs(np.int64(light[rr, cc, there]) - own)
+                        apart = min(apart, np.int64(len(ALIKE) - 1))
+                        odds += chances[rr, cc, j] * ALIKE[apart]
+                    j += 1
+                says = np.float32(np.log1p(np.float32(AGREE) * odds))
+            total += _WEIGHT[rr - r + NEAR, cc - c + NEAR] * says
+    return total
+
+
+@njit
+def _highest(line, k, reach):
+    best = _NEVER
+    for j in range(max(0, k - reach), min(len(line), k + reach + 1)):
+        best = max(best, line[j])
+    return best

@@ -1,0 +1,68 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Threshold controller of the golden model ("fill the stream"): it shares the capacity of a stream among its subgroups.
+
+A threshold only discards events, so it is raised where a stream cannot carry them all. Its inputs are the counters of
+the frame that has ended. They are taken before the FIFOs, so stalls do not change them. The rule is our choice; the
+paper has thresholds that differ by subgroup and does not say how they are found.
+"""
+
+import numpy as np
+
+from ..contract.config import Config
+from ..contract.parameters import Sensor
+from ..contract.registers import THRESHOLD_MAX
+from .shape import COUNTER
+
+STEP = 16  # a budget changes by this part of itself in a frame
+
+
+class Controller:
+    """The controller from reset on. budget: int64[streams], events for each of a stream's subgroups; None before the first frame."""
+
+    def __init__(self, sensor: Sensor):
+        self.sensor = sensor
+        self.budget: np.ndarray | None = None
+        self._controlled = np.zeros(sensor.subgroups, bool)  # in the frame before
+        self._counters = np.empty((0, len(COUNTER)), np.int64)
+        self._stream = np.array([sensor.stream_of(s) for s in range(sensor.subgroups)])
+
+    def begin(self, config: Config) -> np.ndarray:
+        """int64[subgroups]: the thresholds of the frame that begins. A subgroup that comes under the controller starts from its own."""
+        if self.budget is None:
+            self.budget = config.shares
+        stays = config.controlled & self._controlled
+        return np.where(stays, self._next(config), config.threshold) if stays.any() else config.threshold
+
+    def _next(self, config: Config) -> np.ndarray:
+        """int64[subgroups]: one step from the thresholds of the frame before, by its counters and the budget after it."""
+        assert self.budget is not None
+        column = self._counters.T
+        threshold, opened = column[COUNTER.threshold_used], column[COUNTER.opened]
+        committed, lower = column[COUNTER.committed], column[COUNTER.lower]
+        budget = self.budget[self._stream]
+        rises = (committed > budget) & (threshold < THRESHOLD_MAX)
+        falls = (committed <= budget) & (threshold > 1) & (lower <= budget)
+        ceiling = 1 + np.searchsorted(config.auto_bounds, opened, side="right")
+        floor = max(1, config.frame["threshold_floor"])
+        return np.maximum(floor, np.minimum(threshold + rises - falls, ceiling))
+
+    def end(self, config: Config, counters: np.ndarray) -> np.ndarray:
+        """Takes the counters of a frame, int64[subgroups, counters]; returns the budgets after it."""
+        assert self.budget is not None
+        self._controlled, self._counters = config.controlled, counters.copy()
+        self.budget = np.array(
+            [self._budget(config, stream, int(budget)) for stream, budget in enumerate(self.budget)], np.int64
+        )
+        return self.budget
+
+    def _budget(self, config: Config, stream: int, budget: int) -> int:
+        """A stream's next budget: less where its subgroups sent too much, more where all may that would then send no more than it carries."""
+        capacity, span = config.capacity, self.sensor.stream_subgroups(stream)
+        of_stream = slice(span.start, span.stop)
+        column = self._counters[of_stream].T
+        threshold, committed, lower = (column[k] for k in (COUNTER.threshold_used, COUNTER.committed, COUNTER.lower))
+        wide = min(budget + budget // STEP + 1, capacity)
+        would_fall = config.controlled[of_stream] & (threshold > 1) & (lower <= wide)
+        if committed.sum() > capacity:
+            return max(budget - budget // STEP, int(config.shares[stream]))
+        return wide if np.where(would_fall, lower, committed).sum() <= capacity else budget

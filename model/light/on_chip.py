@@ -1,0 +1,195 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Twin of the emulator's photon source (`hdl/emulator/source.py`): the same edges, bit by bit.
+
+Light of a frame is a function of the settings, the seed and the frame's number. In every cycle of a period each pixel steps its generator
+and draws; a draw's bits are those of `contract/emulator.py`.
+"""
+
+from functools import cache
+
+import numpy as np
+from attrs import field, frozen
+
+from ..contract.config import Config
+from ..contract.edges import Edges
+from ..contract.emulator import (
+    DEAD_MAX,
+    ECHO_FROM,
+    KEY_STEP,
+    LANE_PIXELS,
+    LEVEL_BITS,
+    LEVEL_LSB,
+    PHASE_LSB,
+    RATE_BITS,
+    RATE_LSB,
+    ROTATE_LEFT,
+    ROTATE_RIGHT,
+    ROUNDS,
+    SEED_BIT,
+    SPREAD_MAX,
+    STATE_BITS,
+    TAPS,
+    background_address,
+    echo_address,
+    own_address,
+)
+from ..contract.parameters import Sensor
+from ..contract.pixels import pixel_table
+from ..shared.compiled import njit
+from ..shared.errors import InputError, check_integer
+
+MASK = (1 << STATE_BITS) - 1
+
+
+@frozen(eq=False, kw_only=True)
+class SourceSettings:
+    """Settings of the photon source. Raises `InputError`.
+
+    background: int64[subgroups], probability of a photon per pixel and cycle, in 2^-16. tick, level: int64[subgroups, pixels of one], where a
+    pixel's echo begins, and its probability in 2^-8. spread: an echo comes up to 2^spread - 1 ticks later. dead_cycles: from an edge to the
+    earliest next one of its pixel. seed: 32 bits.
+    """
+
+    background: np.ndarray
+    tick: np.ndarray
+    level: np.ndarray
+    spread: int = field(default=0)
+    dead_cycles: int = field(default=1)
+    seed: int = field(default=1)
+
+    def __attrs_post_init__(self) -> None:
+        check_integer("spread", self.spread, 0, SPREAD_MAX)
+        check_integer("dead_cycles", self.dead_cycles, 1, DEAD_MAX)
+        check_integer("seed", self.seed, 0, MASK)
+        for name, high in (("background", (1 << RATE_BITS) - 1), ("level", (1 << LEVEL_BITS) - 1)):
+            values = getattr(self, name)
+            if values.size and not 0 <= values.min() <= values.max() <= high:
+                raise InputError(f"{name}: must hold integers from 0 to {high}")
+
+    def register_writes(self, sensor: Sensor) -> list[tuple[int, int]]:
+        """(address, value) of every setting, in the emulator's address space. Raises `InputError` where a tick does not fit the sensor."""
+        ticks = sensor.period_max * sensor.phases
+        if self.tick.size and not 0 <= self.tick.min() <= self.tick.max() < ticks:
+            raise InputError(f"tick: must hold integers from 0 to {ticks - 1}")
+        writes = [(own_address(name), getattr(self, name)) for name in ("seed", "spread", "dead_cycles")]
+        for s in range(sensor.subgroups):
+            writes.append((background_address(s), int(self.background[s])))
+            echoes = self.tick[s].astype(np.int64) << LEVEL_BITS | self.level[s]
+            writes += [(echo_address(s, i), int(echo)) for i, echo in enumerate(echoes)]
+        return writes
+
+
+def source_edges(config: Config, settings: SourceSettings, frame: int) -> Edges:
+    """The edges of frame number `frame` since the sensor's reset, of its periods; pulses count from the frame's start."""
+    sensor = config.sensor
+    starts, table = config.start_cycles(), pixel_table(sensor)
+    # Row and place of a subgroup's pixel in the array, for every subgroup and pixel.
+    pixel_of = np.empty((sensor.subgroups, sensor.pixels), np.int64)
+    pixel_of[table.subgroup, table.inside] = np.arange(sensor.array_pixels)
+    parts = []
+    for s in range(sensor.subgroups):
+        states = seeds(settings.seed, frame & 0xFFFF, s, sensor.pixels)
+        parts.append(
+            _walk(
+                states,
+                _tables(),
+                starts,
+                config.period,
+                sensor.phases,
+                int(settings.background[s]),
+                settings.tick[s].astype(np.int64),
+                settings.level[s].astype(np.int64),
+                (1 << settings.spread) - 1,
+                settings.dead_cycles,
+            )
+        )
+    rows = np.concatenate(
+        [np.column_stack([part[:, :1], pixel_of[s][part[:, 1]], part[:, 2]]) for s, part in enumerate(parts)]
+    )
+    return Edges(*(np.ascontiguousarray(column) for column in rows.T))
+
+
+def seeds(seed: int, frame: int, subgroup: int, pixels: int) -> np.ndarray:
+    """uint32[pixels]: the states of a subgroup's generators as a frame begins, none of them 0."""
+    lanes = -(-pixels // LANE_PIXELS)
+    blocks = cipher(seed, frame | subgroup << 16, np.arange(lanes * STATE_BITS))
+    states = np.zeros(pixels, np.uint32)
+    tables = _tables()
+    for step in range(STATE_BITS):
+        lane_bits = [
+            blocks[lane * STATE_BITS + step] >> np.arange(LANE_PIXELS, dtype=np.uint64) & np.uint64(1)
+            for lane in range(lanes)
+        ]
+        bits = np.concatenate(lane_bits)[:pixels].astype(np.uint32)
+        states = advance(states, tables) ^ bits << np.uint32(SEED_BIT)
+    return states | np.uint32(1 << SEED_BIT)
+
+
+def cipher(seed: int, left: int, right: np.ndarray) -> np.ndarray:
+    """uint64[n]: the blocks (left, right[k]) under the key `seed`; the right half in the low bits."""
+    y: np.ndarray = right.astype(np.uint32)
+    x: np.ndarray = np.full_like(y, left)
+    key = seed & MASK
+    for _ in range(ROUNDS):
+        x = ((x >> ROTATE_RIGHT | x << (32 - ROTATE_RIGHT)) + y) ^ np.uint32(key)
+        y = (y << ROTATE_LEFT | y >> (32 - ROTATE_LEFT)) ^ x
+        key = (key + KEY_STEP) & MASK
+    return x.astype(np.uint64) << np.uint64(32) | y.astype(np.uint64)
+
+
+def advance(states: np.ndarray, tables: np.ndarray) -> np.ndarray:
+    """uint32[n]: generators one step later."""
+    parts = [tables[k][states >> np.uint32(8 * k) & np.uint32(0xFF)] for k in range(4)]
+    return parts[0] ^ parts[1] ^ parts[2] ^ parts[3]
+
+
+@cache
+def _tables() -> np.ndarray:
+    """uint32[4, 256]: what a byte of a generator's state gives to the next one."""
+    columns = np.zeros(STATE_BITS, np.uint32)  # bit j of the state -> the bits of the next that it reaches
+    for i, taps in enumerate(TAPS):
+        for j in taps:
+            columns[j] |= np.uint32(1 << i)
+    tables = np.zeros((4, 256), np.uint32)
+    for k in range(4):
+        for bit in range(8):
+            tables[k] ^= np.where(np.arange(256) >> bit & 1, columns[8 * k + bit], 0).astype(np.uint32)
+    return tables
+
+
+@njit
+def _walk(states, tables, starts, period, phases, background, tick, level, spread, dead_cycles):
+    """int64[n, 3]: pulse, pixel of the subgroup, tick of its edges, pixel by pixel in time order."""
+    found = np.empty((1024, 3), np.int64)
+    n = 0
+    pulses = len(starts) - 1
+    for i in range(len(states)):
+        state = states[i]
+        hit = False
+        arrival = np.int64(0)
+        free = np.int64(0)  # first cycle in which the pixel is not dead
+        for pulse in range(pulses):
+            for cycle in range(period):
+                phase = phases
+                if np.int64(state >> np.uint32(RATE_LSB)) < background:
+                    phase = np.int64(state >> np.uint32(PHASE_LSB)) & (phases - 1)
+                if cycle == 0:
+                    hit = (np.int64(state >> np.uint32(LEVEL_LSB)) & ((1 << LEVEL_BITS) - 1)) < level[i]
+                elif cycle == 1:
+                    arrival = tick[i] + (np.int64(state) & spread)
+                elif hit and arrival // phases == cycle and cycle >= ECHO_FROM:
+                    phase = min(phase, arrival % phases)
+                at = starts[pulse] + cycle
+                if phase < phases and at >= free:
+                    if n == len(found):
+                        found = np.concatenate((found, np.empty_like(found)))
+                    found[n, 0], found[n, 1], found[n, 2] = pulse, i, cycle * phases + phase
+                    n += 1
+                    free = at + dead_cycles
+                state = (
+                    tables[0, state & np.uint32(0xFF)]
+                    ^ tables[1, state >> np.uint32(8) & np.uint32(0xFF)]
+                    ^ tables[2, state >> np.uint32(16) & np.uint32(0xFF)]
+                    ^ tables[3, state >> np.uint32(24)]
+                )
+    return found[:n]

@@ -1,0 +1,81 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Ambient light that differs across the picture: from what a user writes to klux for every pixel.
+
+Ref: paper II, equation (2): background in proportion to the light. The forms, and the rules of the resampling, are our choice.
+"""
+
+from pathlib import Path
+from typing import TypeAlias
+
+import numpy as np
+
+from ..shared.errors import InputError
+from ..shared.quantities import Numbers, check_real, real_array
+from .image_files import centre_crop, check_picture_array, covered_samples, open_picture, read_array
+
+Ambient: TypeAlias = str | float | np.ndarray
+AMBIENT_FORMS = "a number, LOW|HIGH (right half in the sun), FILE.npy in klux, or PICTURE,WHITE_KLUX (grey)"
+WHITE = {"L": 255, "I;16": 65535, "I;16B": 65535, "I": 65535}  # sample that stands for white, by a picture's mode
+
+
+def ambient_klux(source: Ambient, rows: int, cols: int) -> Numbers:
+    """Klux of ambient light: a number, or float64[rows, cols].
+
+    source: a number or an array that broadcasts to rows x cols; or a text of `AMBIENT_FORMS`. With LOW|HIGH the columns from the middle on
+    have HIGH. A file is cropped around its centre to the sensor's aspect ratio, and a pixel takes the mean of the samples that it
+    covers; a picture's samples are linear, 0 = dark. Raises `InputError`.
+    """
+    if not isinstance(source, str):
+        return real_array("klux", source, (rows, cols), 0) if np.ndim(source) else check_real("klux", source, 0)
+    if (number := _number(source)) is not None:
+        return check_real("klux", number, 0)
+    if source.count("|") == 1 and not Path(source).exists():
+        low, high = (_klux(source, part) for part in source.split("|"))
+        return np.broadcast_to(np.where(np.arange(cols) < cols // 2, low, high), (rows, cols))
+    return _resampled(source, _read_klux(source), rows, cols)
+
+
+def told_klux(source: Ambient) -> float | str:
+    """What a report says of the light: the number, the text of another form, or an array's least and most."""
+    if isinstance(source, str):
+        number = _number(source)
+        return source if number is None else number
+    return f"{np.min(source):g} to {np.max(source):g}" if np.ndim(source) else float(source)
+
+
+def _klux(source: str, part: str) -> float:
+    if (number := _number(part)) is None:
+        raise InputError(f"klux = {source!r}: must be {AMBIENT_FORMS}")
+    return check_real("klux", number, 0)
+
+
+def _number(text: str) -> float | None:
+    try:
+        return float(text)
+    except ValueError:
+        return None
+
+
+def _read_klux(source: str) -> np.ndarray:
+    """float64[height, width] of a file, in klux."""
+    if source.lower().endswith(".npy"):
+        samples = check_picture_array(source, read_array(source))
+        return real_array(f"{source}: klux", samples, samples.shape, 0)
+    path, comma, white = source.rpartition(",")
+    if not comma:
+        what = f"{source}: a picture needs its white level in klux" if Path(source).exists() else f"klux = {source!r}"
+        raise InputError(f"{what}: must be {AMBIENT_FORMS}")
+    white_klux = _klux(source, white)
+    with open_picture(path) as picture:
+        if picture.mode not in WHITE:
+            raise InputError(f"{path}: is a picture of mode {picture.mode}, must be grey of 8 or 16 bits")
+        return np.asarray(picture, np.float64) * (white_klux / WHITE[picture.mode])
+
+
+def _resampled(source: str, samples: np.ndarray, rows: int, cols: int) -> np.ndarray:
+    """float64[rows, cols]: the mean of what each pixel covers."""
+    full_height, full_width = samples.shape
+    top, left, height, width = centre_crop(full_height, full_width, rows, cols)
+    row, col, pixel = covered_samples(height, width, rows, cols)
+    sums = np.bincount(pixel.ravel(), weights=samples[top + row, left + col].ravel(), minlength=rows * cols)
+    return (sums / np.bincount(pixel.ravel(), minlength=rows * cols)).reshape(rows, cols)

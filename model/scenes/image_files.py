@@ -1,0 +1,61 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Pictures and arrays as scenes' inputs: read with care, and cut to the sensor's aspect ratio."""
+
+import numpy as np
+from PIL import Image
+
+from ..shared.errors import InputError
+from ..shared.files import FilePath
+
+
+def open_picture(path: FilePath) -> Image.Image:
+    """An opened and decoded picture. Raises `InputError`."""
+    try:
+        picture = Image.open(path)
+        picture.load()
+        return picture
+    except FileNotFoundError:
+        raise InputError(f"{path}: no such file") from None
+    except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
+        raise InputError(f"{path}: is not a readable picture ({error})") from None
+
+
+def read_array(path: FilePath) -> np.ndarray:
+    """The array of an NPY file. Raises `InputError`."""
+    try:
+        samples = np.load(path, allow_pickle=False)
+    except FileNotFoundError:
+        raise InputError(f"{path}: no such file") from None
+    except (OSError, ValueError, EOFError) as error:
+        raise InputError(f"{path}: is not a readable NPY file ({error})") from None
+    if not isinstance(samples, np.ndarray):
+        raise InputError(f"{path}: is an NPZ archive, must be a single array (NPY)")
+    return samples
+
+
+def check_picture_array(path: FilePath, samples: np.ndarray) -> np.ndarray:
+    """`samples` as [rows, cols] where they are numbers in two dimensions (a third of length 1 is dropped), else an `InputError`."""
+    if samples.ndim == 3 and samples.shape[2] == 1:
+        samples = samples[:, :, 0]
+    if samples.ndim != 2 or not samples.size or samples.dtype.kind not in "iuf":
+        raise InputError(
+            f"{path}: holds {samples.dtype}{list(samples.shape)}, must hold numbers in two dimensions (rows, cols)"
+        )
+    return samples
+
+
+def centre_crop(height: int, width: int, rows: int, cols: int) -> tuple[int, int, int, int]:
+    """(top, left, height, width) of the largest centred part with the aspect ratio of rows x cols."""
+    crop_height = max(1, min(height, round(width * rows / cols)))
+    crop_width = max(1, min(width, round(height * cols / rows)))
+    return (height - crop_height) // 2, (width - crop_width) // 2, crop_height, crop_width
+
+
+def covered_samples(height: int, width: int, rows: int, cols: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Which samples of a picture of height x width each of rows x cols pixels covers; (row, col, pixel) of every such pair.
+
+    int64: row[n, 1] and col[m] of the samples, pixel[n, m]. A picture with fewer samples than there are pixels is repeated.
+    """
+    n, m = max(height, rows), max(width, cols)
+    pixel = np.arange(n)[:, None] * rows // n * cols + np.arange(m) * cols // m
+    return np.arange(n)[:, None] * height // n, np.arange(m) * width // m, pixel

@@ -1,0 +1,175 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The emulator in use: a scene on its photon source, frames from it, and each word against the golden model.
+
+On a board (`--port`) or simulated behind its serial pins (`--simulate`), with the same host software.
+"""
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from attrs import define, field
+
+from ..host.emulator import EmulatorDriver
+from ..host.transport import DeviceResetError, LinkError
+from ..model.contract.config import Config
+from ..model.contract.emulator import DEAD_MAX, LEVEL_BITS, RATE_BITS, SPREAD_MAX
+from ..model.contract.pixels import pixel_table
+from ..model.contract.result import ResultBuilder
+from ..model.depth.estimate import Depth, estimate_depth
+from ..model.golden.frame import Golden
+from ..model.light.light import BACKGROUNDS
+from ..model.light.on_chip import SourceSettings, source_edges
+from ..model.light.spad import Spad
+from ..model.light.timing import Timing
+from ..model.scenes.ambient import Ambient
+from ..model.scenes.scene import Scene, scene_light
+from ..model.shared.constants import SPEED_OF_LIGHT_M_S
+from ..model.shared.errors import InputError
+from ..tb.errors import Mismatch
+from .pictures import Panel, depth_row
+
+DEPTH = "depth.png"
+METHOD = "matched"
+LEVEL_MAX = (1 << LEVEL_BITS) - 1
+RATE_MAX = (1 << RATE_BITS) - 1
+RECOVERIES_MAX = 5  # in a row
+
+
+def source_settings(config: Config, scene: Scene, klux: Ambient, *, spread: int = 1, seed: int = 1) -> SourceSettings:
+    """What the photon source has to be set to for a scene: echoes at the targets' ticks, background by subgroup.
+
+    A pixel has its nearest target; an echo's probability is that of at least a photon, at most 255/256. A subgroup's background is its
+    pixels' mean. Raises `InputError`.
+    """
+    sensor, timing = config.sensor, Timing.from_config(config)
+    light = scene_light(scene, klux, background=BACKGROUNDS[0])
+    distance_m = np.asarray(light.distance_m)[:, 0] if np.ndim(light.distance_m) > 1 else np.asarray(light.distance_m)
+    signal = np.asarray(light.signal_per_pulse).reshape(sensor.array_pixels, -1)[:, 0]
+    ticks = np.rint(np.nan_to_num(2 * distance_m / SPEED_OF_LIGHT_M_S / timing.tick_s)).astype(np.int64)
+    in_range = np.isfinite(distance_m) & (ticks < config.period_ticks)
+    level = np.where(in_range, np.minimum(np.rint((1 - np.exp(-signal)) * (1 << LEVEL_BITS)), LEVEL_MAX), 0)
+    rate = np.broadcast_to(light.background_cps, sensor.array_pixels) * config.sensor.phases * timing.tick_s
+    table = pixel_table(sensor)
+    shape = sensor.subgroups, sensor.pixels
+    tick_of, level_of, rate_of = (np.zeros(shape) for _ in range(3))
+    for whole, values in ((tick_of, np.where(in_range, ticks, 0)), (level_of, level), (rate_of, 1 - np.exp(-rate))):
+        whole[table.subgroup, table.inside] = values
+    dead_cycles = int(np.clip(np.ceil(Spad().dead_time_s / (sensor.phases * timing.tick_s)), 1, DEAD_MAX))
+    return SourceSettings(
+        background=np.minimum(np.rint(rate_of.mean(axis=1) * (1 << RATE_BITS)), RATE_MAX).astype(np.int64),
+        tick=tick_of.astype(np.int64),
+        level=level_of.astype(np.int64),
+        spread=min(spread, SPREAD_MAX),
+        dead_cycles=dead_cycles,
+        seed=seed,
+    )
+
+
+@define
+class Tally:
+    """What has come: frames and beats, all as predicted; link recoveries; seconds since the first start."""
+
+    frames: int = field(default=0)
+    beats: int = field(default=0)
+    events: int = field(default=0)
+    recoveries: int = field(default=0)
+    seconds: float = field(default=0.0)
+
+
+class Session:
+    """An emulator that is programmed once, and gives frames that are checked as they come.
+
+    Raises `InputError` where the settings are not those of the emulator's sensor.
+    """
+
+    def __init__(self, driver: EmulatorDriver, config: Config, settings: SourceSettings):
+        if config.auto.any():
+            raise InputError("subgroup.auto = true: the emulator's check follows no controller, must be false")
+        self.driver, self.config, self.settings = driver, config, settings
+        self.golden, self.result, self.tally = Golden(config.sensor), ResultBuilder(config), Tally()
+        self._begun: float | None = None
+        self._stalls = 0
+        driver.resume()
+        self._program()
+
+    def _program(self) -> None:
+        self.driver.program(self.config)
+        self.driver.write_settings(self.settings.register_writes(self.config.sensor))
+        self._stalls = self.driver["stalls"]
+
+    def frame(self) -> np.ndarray:
+        """The next frame's beats (uint64[n]), each as the golden model predicts it.
+
+        Recovers from a link that fails and from a reset of the device, at the price of frames. Raises `Mismatch` where a word differs, and
+        `LinkError` where recovery fails.
+        """
+        self._begun = time.monotonic() if self._begun is None else self._begun
+        for _ in range(RECOVERIES_MAX):
+            try:
+                beats = self.driver.frame()
+                stalls = self.driver["stalls"]
+                break
+            except (LinkError, DeviceResetError):
+                self.tally.recoveries += 1
+                self._recover()
+        else:
+            raise LinkError(f"no whole frame in {RECOVERIES_MAX} tries")
+        if stalls != self._stalls:
+            raise InputError(
+                f"frame.pulses = {self.config.pulses}: the frame buffer of {self.driver.buffer_beats} beats was full; must be fewer"
+            )
+        self._check(beats)
+        self.result.add([beats])
+        self.tally.frames += 1
+        self.tally.beats += len(beats)
+        self.tally.seconds = time.monotonic() - self._begun
+        return beats
+
+    def _recover(self) -> None:
+        for _ in range(RECOVERIES_MAX):
+            try:
+                self.driver.resume()
+                self._program()
+                return
+            except (LinkError, DeviceResetError):
+                continue
+        raise LinkError(f"the emulator does not come back in {RECOVERIES_MAX} tries")
+
+    def _check(self, beats: np.ndarray) -> None:
+        number = int(beats[0]) >> 32 & 0xFFFF
+        self.golden.frames = number
+        edges = source_edges(self.config, self.settings, number)
+        expected = self.golden.frame(self.config, edges).beats[0]
+        if not np.array_equal(beats, expected):
+            short = min(len(beats), len(expected))
+            at = int(np.flatnonzero(np.append(beats[:short] != expected[:short], True))[0])
+            shown, want = (f"{int(b[at]):#018x}" if at < len(b) else "nothing" for b in (beats, expected))
+            raise Mismatch(f"frame {number}, beat {at}: {shown}, golden model {want}")
+
+    def depth(self) -> Depth:
+        """The depth of all frames together."""
+        return estimate_depth(self.result.arrays(), self.config, method=METHOD)
+
+
+def emulate(
+    driver: EmulatorDriver,
+    config: Config,
+    scene: Scene,
+    out: Path,
+    *,
+    klux: Ambient,
+    frames: int,
+    seed: int = 1,
+    tell: Callable[[Tally], None] = lambda tally: None,
+) -> Tally:
+    """Programs a scene, takes frames, checks every word, and draws the depth of all frames into `out`. `tell` is called after each frame."""
+    session = Session(driver, config, source_settings(config, scene, klux, seed=seed))
+    for _ in range(frames):
+        session.frame()
+        tell(session.tally)
+    depth = session.depth()
+    out.mkdir(parents=True, exist_ok=True)
+    depth_row(out / DEPTH, [Panel(f"{frames} frames of the emulator", depth.depth_m[:, :, 0])], scene.truth_m)
+    return session.tally

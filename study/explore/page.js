@@ -1,0 +1,183 @@
+// SPDX-License-Identifier: Apache-2.0
+// The explorer's page: what stands in the controls goes to the server, what comes back is shown only if it answers what stands there.
+let link = null;        // the model that page and server share (page.py)
+let asked = 0;          // number of the latest question; every keystroke in a control is a new one
+let waiting = 0;        // timer: a question leaves when typing pauses
+const PAUSE_MS = 50, PLAY_MS = 450, RETRY_MS = 1000, UPLOAD_BYTES_MAX = 32 << 20;
+const $ = (selector) => document.querySelector(selector);
+const all = (selector) => [...document.querySelectorAll(selector)];
+
+const field = (name) => document.querySelector(`#controls [name="${name}"]`);
+const read = (input) => input.type === "checkbox" ? String(input.checked) : input.value;
+function write(name, value) {
+  const input = field(name);
+  if (input.type === "checkbox") input.checked = value; else input.value = value;
+  const slider = document.querySelector(`[data-slides="${name}"]`);
+  if (slider) slider.value = value;
+}
+
+function say(selector, text) {
+  const place = $(selector);
+  place.textContent = text;
+  place.hidden = !text;
+}
+
+function state(name) {
+  document.body.dataset.state = name;
+  all("[data-do=rtl], [data-do=keep_a], #save").forEach((one) => { one.disabled = name !== "shown"; });
+}
+
+function ask() {
+  asked += 1;
+  state("asked");
+  for (const place of ["#rtl", "#said"]) say(place, "");
+  clearTimeout(waiting);
+  waiting = setTimeout(() => {
+    const values = Object.fromEntries(all("#controls [name]").map((input) => [input.name, read(input)]));
+    link.asked = {number: asked, values};
+  }, PAUSE_MS);
+}
+
+let orders = 0;
+function order(name, what = {}) { link.order = {number: ++orders, name, what}; }
+
+function answered() {
+  const answer = link.answer;
+  if (answer.number !== asked) return;
+  all(".control.illegal").forEach((one) => one.classList.remove("illegal"));
+  say("#refused", answer.refused ?? "");
+  $("#progress").hidden = true;
+  if (answer.refused) {
+    state("refused");
+    $("#status").textContent = "Nothing is shown: these settings are not possible.";
+    document.querySelector(`[data-control="${answer.control}"]`)?.classList.add("illegal");
+    return;
+  }
+  $("#status").textContent = answer.status;
+  history.replaceState(null, "", answer.query ? "?" + answer.query : location.pathname);
+  tell(answer);
+  state("shown");
+}
+
+function tell(answer) {
+  document.body.toggleAttribute("data-ab", answer.ab);
+  document.body.toggleAttribute("data-film", answer.frames > 1);
+  $("[data-do=drop_a]").hidden = !answer.ab;
+  $("#a-says").textContent = answer.a_says;
+  $("#story").textContent = answer.story;
+  fillTable("objects", answer.object_heads, answer.objects);
+  fillTable("numbers", answer.number_heads, answer.numbers);
+  for (const [name, span] of Object.entries(answer.spans)) $(`[data-control="${name}"] small`).textContent = span;
+  for (const [name, value] of Object.entries(answer.look)) {
+    const input = document.querySelector(`[data-look="${name}"]`);
+    if (input !== document.activeElement) input.value = value;
+  }
+}
+
+function progressed() {
+  const {number, stage, share} = link.progress;
+  if (number !== asked) return;
+  $("#status").textContent = `computing: ${stage}`;
+  $("#progress").hidden = false;
+  $("#progress").value = share;
+}
+
+function checked() {
+  const {number, text, bad} = link.rtl;
+  if (number !== asked) return;
+  say("#rtl", text);
+  $("#rtl").classList.toggle("bad", bad);
+}
+
+function saved() {
+  const {name, type, base64} = link.file;
+  const bytes = Uint8Array.from(atob(base64), (c) => c.charCodeAt(0));
+  const anchor = document.createElement("a");
+  anchor.href = URL.createObjectURL(new Blob([bytes], {type}));
+  anchor.download = name;
+  anchor.click();
+  setTimeout(() => URL.revokeObjectURL(anchor.href), 10_000);
+}
+
+function upload(input) {
+  const file = input.files[0];
+  if (!file) return;
+  const kind = input.dataset.kind;
+  if (file.size > UPLOAD_BYTES_MAX) {
+    refuse(`${file.name}: holds ${(file.size / 2 ** 20).toFixed(0)} MiB, must hold at most ${UPLOAD_BYTES_MAX / 2 ** 20}`);
+    return;
+  }
+  const reader = new FileReader();
+  reader.onload = () => {
+    if (kind !== "sun") write("scene", "upload"); else write("sun", "picture");
+    order("upload", {kind, name: file.name, content: reader.result.split(",")[1] ?? ""});
+    ask();
+  };
+  reader.readAsDataURL(file);
+}
+
+function refuse(text) {
+  asked += 1;
+  clearTimeout(waiting);
+  say("#refused", text);
+  state("refused");
+}
+
+const playing = {};
+function play(button) {
+  const name = button.dataset.play;
+  const on = !(name in playing);
+  button.setAttribute("aria-pressed", on);
+  if (on) playing[name] = setInterval(() => { if (document.body.dataset.state === "shown") order("step", {name}); }, PLAY_MS);
+  else { clearInterval(playing[name]); delete playing[name]; }
+}
+
+function gone() {
+  $("#gone").hidden = false;
+  const retry = async () => {
+    try { await fetch("metadata", {cache: "no-store"}); location.reload(); }
+    catch { setTimeout(retry, RETRY_MS); }
+  };
+  setTimeout(retry, RETRY_MS);
+}
+
+// Called once Bokeh has drawn the page.
+function explorer(model) {
+  link = model;
+  for (const [name, value] of Object.entries(link.start)) write(name, value);
+  const on = (name, call) => link.properties[name].change.connect(call);
+  on("answer", answered); on("progress", progressed); on("rtl", checked); on("file", saved);
+  on("told", () => { if (link.told.number === asked) tell(link.told); });
+  on("said", () => { if (link.said.number === asked) say("#said", link.said.text); });
+  on("looked", () => { $("#looked").textContent = link.looked.text; });
+  $("#controls").addEventListener("input", (event) => {
+    const slides = event.target.dataset.slides;
+    if (slides) field(slides).value = event.target.value;
+    else if (event.target.name) write(event.target.name, event.target.type === "checkbox" ? event.target.checked : event.target.value);
+    if (event.target.type === "file") return;
+    ask();
+  });
+  for (const kind of ["focusin", "mouseover"]) {  // in a place of its own: nothing may move under the mouse
+    $("#controls").addEventListener(kind, (event) => {
+      const about = event.target.closest("[data-control]")?.querySelector(".about");
+      if (about) $("#about").textContent = about.textContent;
+    });
+  }
+  $("#controls").addEventListener("submit", (event) => event.preventDefault());
+  all("[data-kind]").forEach((input) => input.addEventListener("change", () => upload(input)));
+  all("[data-do]").forEach((button) => button.addEventListener("click", () => {
+    if (button.dataset.do === "reset") {
+      for (const [name, value] of Object.entries(link.defaults)) write(name, value);
+      ask();
+    } else order(button.dataset.do);
+  }));
+  all("[data-try]").forEach((button) => button.addEventListener("click", () => {
+    for (const [name, value] of Object.entries({...link.defaults, ...JSON.parse(button.dataset.try)})) write(name, value);
+    ask();
+  }));
+  all("[data-look]").forEach((input) => input.addEventListener("input", () => order("look", {name: input.dataset.look, value: input.value})));
+  all("[data-play]").forEach((button) => button.addEventListener("click", () => play(button)));
+  $("#save").addEventListener("change", (event) => { if (event.target.value) order("save", {kind: event.target.value}); event.target.value = ""; });
+  setTheme(document.documentElement.dataset.theme);
+  ask();
+}

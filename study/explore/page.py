@@ -1,0 +1,317 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One browser tab of the explorer: settings come from the page, a thread computes, and the views show what answers the newest settings.
+
+The page's script numbers its questions, with every keystroke, and shows an answer only if its number is the newest one's.
+"""
+
+import base64
+import json
+import tempfile
+from collections.abc import Callable
+from functools import cache, partial
+from pathlib import Path
+from typing import Any
+
+from bokeh.core.properties import Any as AnyValue
+from bokeh.core.properties import Dict, String
+from bokeh.document import Document
+from bokeh.events import DocumentReady
+from bokeh.model import DataModel
+from bokeh.models import CustomJS
+from jinja2 import Environment, FileSystemLoader, Template
+
+from ...model.contract.parameters import Sensor
+from ...model.shared.errors import InputError, check_integer
+from ..show.figures import FATE_MARKS, VERDICT_MARKS, Views
+from ..show.frame import FrameView
+from ..show.page import FILES, SHOW
+from ..show.words import OBJECT_HEADS, number_rows, object_table, story
+from . import out
+from .controls import CONTROLS, DEFAULTS, GROUPS
+from .run import Explored, Explorer, Runner, check_on_rtl
+from .settings import SettingError, Settings, check_settings, command, query, values_of_text
+from .uploads import Uploads
+
+FIRST_LOOK = {"row": 14, "col": 10, "pulse": 0, "frame": 0, "which": "B"}
+TRIES = (  # name, settings, what to look for
+    ("1 Every photon", {"coincidence": False}, "Without coincidence sunlight fills the FIFOs; what comes after it is dropped."),
+    ("2 Threshold 2", {"threshold": 2}, "Two pixels must fire within 1 ns: most sunlight is gone, dark objects are still there."),
+    ("3 Threshold 5", {"threshold": 5}, "Nearly all sunlight is gone, and the dark object with it: its light is too weak to fire five pixels."),
+    ("4 Controller", {"auto": True, "frames": 8}, "Every subgroup finds its own threshold, frame by frame: play the frames."),
+    ("5 Peaks only", {"threshold": 2, "method": "maximum"},
+     "The same events, with the highest bin of each pixel's histogram for its depth, as in the paper."),
+)  # fmt: skip
+
+
+class Link(DataModel):  # type: ignore[misc]  # Bokeh comes with an extra
+    """What page and server share. The page writes asked and order, the server the rest; all are small dictionaries."""
+
+    start = Dict(String, AnyValue)
+    defaults = Dict(String, AnyValue)
+    asked = Dict(String, AnyValue)
+    order = Dict(String, AnyValue)
+    answer = Dict(String, AnyValue)
+    told = Dict(String, AnyValue)
+    progress = Dict(String, AnyValue)
+    rtl = Dict(String, AnyValue)
+    said = Dict(String, AnyValue)
+    looked = Dict(String, AnyValue)
+    file = Dict(String, AnyValue)
+
+
+@cache
+def _template() -> Template:
+    here = Path(__file__).parent
+    return Environment(loader=FileSystemLoader([here, SHOW]), autoescape=False).get_template("page.html")
+
+
+class Page:
+    """The page in one browser tab."""
+
+    def __init__(self, doc: Document, start: dict[str, Any] | None = None, uploads: Uploads | None = None) -> None:
+        self.doc = doc
+        self.views = Views(compared=True)
+        self.link = Link(start=DEFAULTS | (start or {}), defaults=DEFAULTS)
+        self.uploads = uploads or Uploads()
+        self.bad_uploads: dict[str, str] = {}  # kind: what is wrong with it
+        self.look: dict[str, Any] = dict(FIRST_LOOK)
+        self._shown: Explored | None = None
+        self.a: Explored | None = None
+        self.number = 0
+        self._explorer = Explorer()
+        self._folder = tempfile.TemporaryDirectory(prefix="coincid-explore-")
+        self._runner = Runner(lambda *what: self._soon(self._computed, *what))
+        self._checker = Runner(lambda *what: self._soon(self._checked, *what))
+        self._asked_by_run: dict[int, int] = {}
+        self.views.on_pick(self._picked)
+        self.link.on_change("asked", lambda attribute, old, new: self._asked(new))
+        self.link.on_change("order", lambda attribute, old, new: self._ordered(new))
+        self.views.histogram.figure.tags = [self.link]  # makes it a part of the document
+        with doc.models.freeze():
+            for root in self.views.roots():
+                doc.add_root(root)
+        doc.title = "Coincid explorer"
+        doc.template = _template()
+        doc.template_variables.update(_variables(self.views))
+        doc.config.notify_connection_status = False
+        doc.config.reconnect_session = False
+        doc.js_on_event(DocumentReady, CustomJS(args={"link": self.link}, code="explorer(link)"))
+        doc.js_on_event("connection_lost", CustomJS(code="gone()"))
+        doc.on_session_destroyed(lambda context: self.close())
+
+    def close(self) -> None:
+        self._runner.close()
+        self._checker.close()
+        self._folder.cleanup()
+
+    def _soon(self, call: Callable[..., None], *what: object) -> None:
+        """Calls in the document's thread."""
+        self.doc.add_next_tick_callback(partial(call, *what))
+
+    @property
+    def shown(self) -> Explored:
+        """What the views show. Nothing asks for it before there is something."""
+        assert self._shown is not None
+        return self._shown
+
+    # Settings
+
+    def _asked(self, asked: dict[str, Any]) -> None:
+        self.number = asked["number"]
+        self._checker.cancel()
+        try:
+            self._check_uploads(asked["values"])
+            settings = check_settings(values_of_text(asked["values"]), self.uploads)
+        except InputError as error:
+            self._runner.cancel()
+            self._refuse(error)
+            return
+        self._asked_by_run = {self._runner.start(lambda progress: self._explorer.run(settings, progress)): self.number}
+
+    def _check_uploads(self, values: dict[str, str]) -> None:
+        """Raises `SettingError` if `values` ask for a picture that was refused."""
+        for kind, control, asking in (
+            ("depth", "scene", "upload"),
+            ("colour", "scene", "upload"),
+            ("sun", "sun", "picture"),
+        ):
+            if kind in self.bad_uploads and values[control] == asking:
+                raise SettingError(self.bad_uploads[kind], control)
+
+    def _refuse(self, error: InputError) -> None:
+        self.link.answer = {"number": self.number, "refused": str(error), "control": getattr(error, "control", None)}
+
+    def _computed(self, run: int, kind: str, outcome: Any) -> None:
+        if run not in self._asked_by_run:
+            return
+        if kind == "progress":
+            stage, share = outcome
+            self.link.progress = {"number": self.number, "stage": stage, "share": share}
+        elif kind == "done":
+            self._shown = outcome
+            self.look["frame"] = outcome.settings.config.frames - 1
+            sensor = outcome.settings.config.sensor
+            for name, most in (("row", sensor.rows), ("col", sensor.cols), ("pulse", outcome.settings.config.pulses)):
+                self.look[name] = min(self.look[name], most - 1)
+            self._show()
+            self.link.answer = {"number": self.number} | self._said()
+        elif isinstance(outcome, InputError):
+            self._refuse(outcome)
+        else:
+            self._refuse(InputError(f"this could not be computed ({type(outcome).__name__}: {outcome})"))
+
+    # Views
+
+    def _show(self) -> None:
+        self.views.show(self.shown.view(self.look["frame"]), self._a_view())
+        self._point()
+
+    def _a_view(self) -> FrameView | None:
+        """A's frame beside the one that is looked at, or its last one."""
+        return None if self.a is None else self.a.view(min(self.look["frame"], self.a.settings.config.frames - 1))
+
+    def _point(self) -> None:
+        """Shows what `look` says of a pixel and a pulse; A may have fewer of them: then its last one."""
+        look = self.look
+        view = (self._a_view() if look["which"] == "A" else None) or self.shown.view(look["frame"])
+        ends = view.config.sensor.rows, view.config.sensor.cols, view.config.pulses
+        self.views.pick(view, *(min(look[name], end - 1) for name, end in zip(("row", "col", "pulse"), ends)))
+
+    def _picked(self, row: int, col: int) -> None:
+        if self._shown is None:
+            return
+        sensor = self.shown.settings.config.sensor
+        if 0 <= row < sensor.rows and 0 <= col < sensor.cols:
+            self.look |= {"row": row, "col": col}
+            self._point()
+            self._tell()
+
+    def _tell(self) -> None:
+        self.link.looked = {"text": ""}
+        self.link.told = {"number": self.number} | self._said()
+
+    def _said(self) -> dict[str, Any]:
+        """What stands in words and numbers beside the views."""
+        settings, view, a_view = self.shown.settings, self.shown.view(self.look["frame"]), self._a_view()
+        views, heads = ([view], [""]) if a_view is None else ([view, a_view], ["B", "A"])
+        return {
+            "status": f"{_summary(settings)} · {self.shown.seconds:.2f} s, golden model",
+            "query": query(settings),
+            "story": story(view),
+            "objects": object_table(*views),
+            "object_heads": [*OBJECT_HEADS[:-1], f"{OBJECT_HEADS[-1]} {heads[0]}".strip(), *heads[1:]],
+            "numbers": number_rows(*views),
+            "number_heads": ["", *heads],
+            "ab": self.a is not None,
+            "a_says": f"A: {_summary(self.a.settings)}" if self.a is not None else "",
+            "frames": settings.config.frames,
+            "spans": {c.name: c.span(settings.config.sensor) for c in CONTROLS if c.of_register},
+            "look": self.look,
+        }
+
+    # What buttons and fields order
+
+    def _ordered(self, order: dict[str, Any]) -> None:
+        name, what = order["name"], order["what"]
+        if name == "upload":
+            self._upload(**what)
+        elif self._shown is not None:
+            done: dict[str, Callable[..., None]] = {
+                "keep_a": self._keep_a,
+                "drop_a": self._drop_a,
+                "look": self._look,
+                "step": self._step,
+                "rtl": self._check,
+                "save": self._save,
+            }
+            done[name](**what)
+
+    def _upload(self, kind: str, name: str, content: str) -> None:
+        """content: in base64."""
+        self.bad_uploads.pop(kind, None)
+        try:
+            self.uploads = self.uploads.with_file(kind, name, base64.b64decode(content), Path(self._folder.name))
+        except InputError as error:
+            self.bad_uploads[kind] = str(error)
+
+    def _keep_a(self) -> None:
+        self.a = self.shown
+        self._show()
+        self._tell()
+
+    def _drop_a(self) -> None:
+        self.a, self.look["which"] = None, "B"
+        self._show()
+        self._tell()
+
+    def _look(self, name: str, value: str) -> None:
+        config = self.shown.settings.config
+        most = {"row": config.sensor.rows, "col": config.sensor.cols, "pulse": config.pulses, "frame": config.frames}
+        try:
+            number = int(value) if value.lstrip("-").isdecimal() else value
+            self.look[name] = check_integer(name, number, 0, most[name] - 1) if name in most else value
+            self._show() if name == "frame" else self._point()
+            self._tell()
+        except InputError as error:
+            self.link.looked = {"text": str(error)}
+
+    def _step(self, name: str) -> None:
+        """The next pulse or frame; after the last one the first."""
+        config = self.shown.settings.config
+        count = config.pulses if name == "pulse" else config.frames
+        self._look(name, str((self.look[name] + 1) % count))
+
+    def _check(self) -> None:
+        explored = self.shown
+        self._said_of_rtl("The RTL is being compiled and run; the first time takes about a minute.")
+        self._checker.start(lambda progress: check_on_rtl(explored, progress))
+
+    def _checked(self, run: int, kind: str, outcome: Any) -> None:
+        if run != self._checker.newest:
+            return
+        if kind == "progress":
+            self._said_of_rtl("{}: {:.0%}".format(*outcome))
+        else:
+            failed = kind == "failed"
+            text = f"The check did not run: {outcome}" if failed else outcome
+            self._said_of_rtl(text, bad=failed or "differ" in text)
+
+    def _said_of_rtl(self, text: str, bad: bool = False) -> None:
+        self.link.rtl = {"number": self.number, "text": text, "bad": bad}
+
+    def _save(self, kind: str) -> None:
+        if kind == "command":
+            self.link.said = {"number": self.number, "text": command(self.shown.settings)}
+            return
+        name, media, content = out.SAVES[kind].make(self.shown, self.look["frame"])
+        self.link.file = {"name": name, "type": media, "base64": base64.b64encode(content).decode()}
+
+
+def _summary(settings: Settings) -> str:
+    """The settings that matter most, and all that are not at their default."""
+    values = settings.values
+    first = [values["scene"], f"{values['klux']:g} klux", f"{values['pulses']} pulses"]
+    if values["coincidence"]:
+        first.append("controller" if values["auto"] else f"threshold {values['threshold']}")
+    else:
+        first.append("coincidence off")
+    said = ("scene", "klux", "pulses", "coincidence", "auto", "threshold")
+    rest = [f"{name} {value}" for name, value in settings.changed.items() if name not in said]
+    return ", ".join(first + rest)
+
+
+def _variables(views: Views) -> dict[str, Any]:
+    """What the template is filled with."""
+    return {
+        "views_html": Environment(loader=FileSystemLoader(SHOW)).get_template("views.html"),
+        "css": FILES["page.css"] + Path(__file__).with_name("page.css").read_text(),
+        "tables_js": FILES["tables.js"],
+        "page_js": Path(__file__).with_name("page.js").read_text(),
+        "maps": [one.figure.name for one in (*views.a_maps, *views.maps)],
+        "fates": FATE_MARKS,
+        "verdicts": VERDICT_MARKS,
+        "sensor": Sensor(),
+        "groups": {group: [c for c in CONTROLS if c.group == group] for group in GROUPS},
+        "tries": [(name, json.dumps(values), sentence) for name, values, sentence in TRIES],
+        "saves": {name: one.label for name, one in out.SAVES.items()} | {"command": "command that repeats it"},
+    }

@@ -1,0 +1,99 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The explorer's server: this machine only, and nothing but the page that it served itself may talk to it."""
+
+import errno
+import logging
+import webbrowser
+from socket import socket
+from typing import Any
+
+from bokeh.application import Application
+from bokeh.application.handlers.function import FunctionHandler
+from bokeh.document import Document
+from bokeh.server.server import BaseServer
+from bokeh.server.tornado import BokehTornado
+from tornado.httpserver import HTTPServer
+from tornado.httputil import HTTPHeaders, HTTPMessageDelegate, HTTPServerRequest
+from tornado.ioloop import IOLoop
+from tornado.netutil import bind_sockets
+from tornado.web import ErrorHandler
+
+from ...model.shared.errors import InputError, check_integer
+from .page import Page
+from .settings import Settings, values_of_text
+
+ADDRESS, PORT = "127.0.0.1", 5006
+PORTS_TRIED = 20  # from `PORT` on, where none is named
+MESSAGE_BYTES_MAX = 64 << 20  # an upload in base64, with room to spare
+
+
+class Guarded(BokehTornado):  # type: ignore[misc]  # Bokeh comes with an extra
+    """Answers requests to its own address from its own pages; refuses those of other sites, whatever name leads here."""
+
+    hosts: frozenset[str] = frozenset()
+
+    def find_handler(self, request: HTTPServerRequest, **kwargs: Any) -> HTTPMessageDelegate:
+        if self.allowed(request.host, request.headers):
+            return super().find_handler(request, **kwargs)
+        return self.get_handler_delegate(request, ErrorHandler, {"status_code": 403})
+
+    def allowed(self, host: str, headers: HTTPHeaders) -> bool:
+        origin, site = headers.get("Origin"), headers.get("Sec-Fetch-Site", "none")
+        own = host in self.hosts and (origin is None or origin.removeprefix("http://") in self.hosts)
+        opened = headers.get("Sec-Fetch-Mode") == "navigate" and headers.get("Sec-Fetch-Dest") == "document"
+        return own and (site in ("none", "same-origin") or opened)  # a link elsewhere may open the page
+
+
+def make_server(port: int | None = None, start: Settings | None = None) -> tuple[BaseServer, str]:
+    """A server that listens, and its address. start: what a page begins with. Raises `InputError`: no such port."""
+    sockets, port = _sockets(port)
+    hosts = frozenset(f"{name}:{port}" for name in (ADDRESS, "localhost"))
+
+    def new_page(doc: Document) -> None:
+        arguments = {
+            name: values[-1].decode("utf-8", "replace")
+            for name, values in doc.session_context.request.arguments.items()
+        }
+        try:
+            given = values_of_text({name: text for name, text in arguments.items() if not name.startswith("bokeh-")})
+        except InputError:
+            given = {}  # an old link: the page says what it shows
+        Page(doc, (start.values if start else {}) | given, start.uploads if start else None)
+
+    tornado = Guarded(
+        {"/": Application(FunctionHandler(new_page))},
+        extra_websocket_origins=sorted(hosts),
+        websocket_max_message_size_bytes=MESSAGE_BYTES_MAX,
+        use_index=False,
+    )
+    tornado.hosts = hosts
+    http = HTTPServer(tornado)
+    http.add_sockets(sockets)
+    return BaseServer(IOLoop.current(), tornado, http), f"http://{ADDRESS}:{port}/"
+
+
+def _sockets(port: int | None) -> tuple[list[socket], int]:
+    """Listening sockets and their port: the one named, or the first free one."""
+    if port is not None:
+        check_integer("port", port, 0, 65535)
+    for tried in [port] if port is not None else range(PORT, PORT + PORTS_TRIED):
+        try:
+            sockets = bind_sockets(tried, ADDRESS)
+            return sockets, sockets[0].getsockname()[1]
+        except OSError as error:
+            if error.errno not in (errno.EADDRINUSE, errno.EACCES):
+                raise
+    named = f"port = {port}" if port is not None else f"ports {PORT} to {PORT + PORTS_TRIED - 1}"
+    raise InputError(f"{named}: in use or not allowed, must be a free port from 1024 to 65535")
+
+
+def serve(port: int | None, *, browser: bool, start: Settings) -> None:
+    """Serves until interrupted."""
+    server, address = make_server(port, start)
+    server.start()
+    for name in ("bokeh", "tornado.access"):  # a closed tab, a refused request: no concern of who reads the terminal
+        logging.getLogger(name).setLevel(logging.ERROR)
+    print(f"Coincid explorer: {address} (Ctrl-C ends it)", flush=True)
+    if browser:
+        webbrowser.open(address)
+    server.run_until_shutdown()

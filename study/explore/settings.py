@@ -1,0 +1,236 @@
+# SPDX-License-Identifier: Apache-2.0
+"""From what the controls say to what is simulated: checked, with the range in every refusal; and back to text that repeats it."""
+
+import re
+from math import isfinite
+from pathlib import Path
+from typing import Any
+from urllib.parse import urlencode
+
+import numpy as np
+from attrs import evolve, frozen
+
+from ...model.contract.config import Config, parse_config
+from ...model.light.light import NEAREST_M, Light
+from ...model.light.spad import Spad, SpadGate
+from ...model.light.timing import Timing
+from ...model.scenes.catalogue import load_scene
+from ...model.scenes.scene import Scene, scene_light
+from ...model.shared.errors import InputError, check_integer, out_of_range
+from ...model.shared.quantities import check_choice, check_real
+from .controls import CONTROL, CONTROLS, DEFAULTS, SCENES, Control, Value
+from .uploads import KINDS, Uploads
+
+PIXEL_PULSES_MAX = 1 << 25  # pixels x pulses x frames: some ten seconds of work
+PERCENT, KILO = 100, 1000
+
+
+class SettingError(InputError):
+    """An `InputError` that knows its control, or None where several have part in it."""
+
+    def __init__(self, message: str, control: str | None):
+        super().__init__(message)
+        self.control = control
+
+
+@frozen(eq=False)
+class Settings:
+    """Checked settings. values: by control, all of `CONTROLS`. uploads: the files that the scene is made of."""
+
+    values: dict[str, Any]
+    uploads: Uploads
+    config: Config
+    timing: Timing
+    spad: Spad
+
+    @property
+    def changed(self) -> dict[str, Value | None]:
+        """Values that differ from their default."""
+        return {name: value for name, value in self.values.items() if value != DEFAULTS[name]}
+
+    @property
+    def spad_gate(self) -> SpadGate | None:
+        return SpadGate.from_config(self.config) if self.values["spad_gate"] else None
+
+    def scene(self) -> Scene:
+        """The scene at the sensor's size. Raises `InputError`."""
+        values, sensor = self.values, self.config.sensor
+        name = values["scene"]
+        if name == "upload":
+            if self.uploads.depth is None:
+                raise SettingError(
+                    "scene = 'upload': choose a depth picture (PNG of 16 bit in millimetres, or NPY in metres)", "scene"
+                )
+            source = str(self.uploads.depth)
+        else:
+            given = ",".join(f"{values[key]:g}" for key in SCENES[name])
+            source = f"{name}:{given}" if given else name
+        try:
+            scene = load_scene(
+                source,
+                sensor.rows,
+                sensor.cols,
+                colour=self.uploads.colour if name == "upload" else None,
+                reflectivity=values["reflectivity"],
+                range_m=self.timing.range_m,
+            )
+        except InputError as error:
+            raise SettingError(self.uploads.named(str(error)), "scene") from None
+        scaled_m = scene.distance_m * values["scale"]
+        if np.nanmax(scaled_m) >= self.timing.range_m or np.nanmin(scaled_m) < NEAREST_M:
+            low, high = NEAREST_M / np.nanmin(scene.distance_m), self.timing.range_m / np.nanmax(scene.distance_m)
+            raise SettingError(
+                f"scale = {values['scale']:g}: must be a number from {low:.3g} to {high:.3g} with this scene"
+                f" (the laser period holds {self.timing.range_m:.4g} m)",
+                "scale",
+            )
+        return evolve(scene, distance_m=scaled_m)
+
+    def light(self, scene: Scene) -> Light:
+        """The light of `scene`, sun and shade included. Raises `InputError`."""
+        values = self.values
+        share = np.ones((scene.rows, scene.cols))
+        if values["sun"] == "left half":
+            share[:, scene.cols // 2 :] = 0
+        elif values["sun"] == "picture":
+            if self.uploads.sun is None:
+                raise SettingError("sun = 'picture': choose a picture of the sun (white) and the shade (black)", "sun")
+            share = self.uploads.sun_share(scene.rows, scene.cols)
+        return scene_light(scene, share * values["klux"] + (1 - share) * values["shade_klux"])
+
+
+def check_settings(values: dict[str, Any], uploads: Uploads | None = None) -> Settings:
+    """`Settings` of the controls' values; those that are missing are at their default. Raises `SettingError`."""
+    for name in values:
+        if name not in CONTROL:
+            raise SettingError(f"{name}: unknown setting, must be one of {', '.join(CONTROL)}", None)
+    values = {control.name: _checked(control, values.get(control.name, control.default)) for control in CONTROLS}
+    try:
+        config = parse_config(_document(values)).with_pulses(values["pulses"])
+    except InputError as error:
+        raise SettingError(str(error), _control_of(str(error))) from None
+    work = config.sensor.array_pixels * config.pulses * config.frames
+    if work > PIXEL_PULSES_MAX:
+        most = max(1, PIXEL_PULSES_MAX // (config.sensor.array_pixels * config.frames))
+        why = "so many pixels and frames here; larger: coincid sim"
+        raise SettingError(str(out_of_range("pulses", config.pulses, 1, most, why)), "pulses")
+    spad = Spad(
+        dead_time_s=values["dead_ns"] * 1e-9,
+        jitter_fwhm_s=values["jitter_ps"] * 1e-12,
+        dark_cps=values["dark_kcps"] * KILO,
+        crosstalk_probability=values["crosstalk_percent"] / PERCENT,
+        afterpulse_probability=values["afterpulse_percent"] / PERCENT,
+    )
+    return Settings(values, uploads or Uploads(), config, Timing.from_config(config), spad)
+
+
+def _checked(control: Control, value: Any) -> Any:
+    """`value` as the control's kind. What the configuration's parser checks is left to it."""
+    try:
+        if control.kind == "choice":
+            return check_choice(control.name, value, control.choices)
+        if control.kind == "switch":
+            return check_choice(control.name, value, (True, False))
+        if value is None and control.default is not None:
+            raise InputError(f"{control.name}: is empty, must be a number from {control.low:g} to {control.high:g}")
+        if control.kind == "real":
+            return check_real(control.name, value, control.low, control.high)
+        if isinstance(value, float) and isfinite(value) and value == int(value):
+            value = int(value)
+        if control.where is None or control.name in ("pulses", "frames"):
+            return check_integer(control.name, value, int(control.low), int(control.high))
+        return value
+    except InputError as error:
+        raise SettingError(str(error), control.name) from None
+
+
+def _document(values: dict[str, Any]) -> dict[str, dict[str, Any]]:
+    """The configuration file as its parsed TOML, with the default pulses."""
+    document: dict[str, dict[str, Any]] = {"sensor": {}, "frame": {"frames": values["frames"]}, "subgroup": {}}
+    for control in CONTROLS:
+        if control.where:
+            table, key = control.where
+            value = values[control.name]
+            if value is None:
+                continue
+            if key in ("subgroup", "minigroup"):
+                value = [int(n) for n in value.split("x")]
+            document[table][key] = value
+    return document
+
+
+def _control_of(message: str) -> str | None:
+    """The control that a message of the configuration's parser names first."""
+    found = re.match(r"(sensor|frame|subgroup)\.(\w+)", message)
+    return found[2] if found and found[2] in CONTROL else None
+
+
+def config_toml(settings: Settings) -> str:
+    """The configuration file of `settings`."""
+    document, lines = _document(settings.values), []
+    document["frame"] |= {name: value for name, value in settings.config.frame.items() if value is not None}
+    for table, values in document.items():
+        lines += [f"[{table}]", *(f"{key} = {_toml(value)}" for key, value in values.items()), ""]
+    return "\n".join(lines)
+
+
+def _toml(value: object) -> str:
+    return str(value).lower() if isinstance(value, bool) else f'"{value}"' if isinstance(value, str) else str(value)
+
+
+def command(settings: Settings) -> str:
+    """The command that shows these settings again; uploaded pictures are named by their file's name."""
+    given = [f"{name}={value}" for name, value in settings.changed.items()]
+    given += [f"{name}_file={Path(path).name}" for name, path in settings.uploads.files().items()]
+    return " ".join(["coincid explore", *(f"--set {_quoted(text)}" for text in given)])
+
+
+def _quoted(text: str) -> str:
+    return text if re.fullmatch(r"[\w.=:,-]+", text) else "'" + text.replace("'", "'\\''") + "'"
+
+
+def query(settings: Settings) -> str:
+    """The changed settings as a URL's query string."""
+    return urlencode({name: str(value) for name, value in settings.changed.items()})
+
+
+def given_settings(given: list[str]) -> Settings:
+    """`Settings` from a command's NAME=VALUE, where NAME is a control's, or an upload's with `_file`. Raises `SettingError`."""
+    text: dict[str, str] = {}
+    uploads = Uploads()
+    for one in given:
+        name, equals, value = one.partition("=")
+        if not equals:
+            raise SettingError(f"--set {one}: must be NAME=VALUE", None)
+        if name.removesuffix("_file") in KINDS and name.endswith("_file"):
+            uploads = uploads.with_path(name.removesuffix("_file"), Path(value))
+        else:
+            text[name] = value
+    return check_settings(values_of_text(text), uploads)
+
+
+def values_of_text(given: dict[str, str]) -> dict[str, Any]:
+    """Values of controls from text (a command's, a URL's). Raises `SettingError`."""
+    values = {}
+    for name, text in given.items():
+        control = CONTROL.get(name)
+        if control is None:
+            raise SettingError(f"{name}: unknown setting, must be one of {', '.join(CONTROL)}", None)
+        values[name] = _from_text(control, text)
+    return values
+
+
+def _from_text(control: Control, text: str) -> Value | None:
+    if not text.strip():
+        return None
+    if control.kind == "choice":
+        return text
+    if control.kind == "switch":
+        return {"true": True, "false": False}.get(text.lower(), text)
+    try:
+        number = float(text)
+    except ValueError:
+        raise SettingError(
+            f"{control.name} = {text!r}: must be a number from {control.low:g} to {control.high:g}", control.name
+        ) from None
+    return int(number) if control.kind == "integer" and isfinite(number) and number == int(number) else number

@@ -1,0 +1,539 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The views of a frame as Bokeh figures that know of each other: maps, a pixel's histogram, one laser period of a subgroup.
+
+The same figures stand in the explorer, in `report.html` and in notebooks. Colours are CSS variables of the page (`study/show/page.css`), so
+that a theme changes them all; fates and verdicts differ in shape or hatching, too. Colours: Okabe and Ito's, which colour-blind people can
+tell apart, and the maps viridis and cividis, of which that is known.
+"""
+
+from collections.abc import Callable
+from typing import Any, TypeAlias
+
+import numpy as np
+from attrs import frozen
+from bokeh.events import Tap
+from bokeh.models import (
+    BasicTicker,
+    ColorBar,
+    ColumnDataSource,
+    CustomJS,
+    FixedTicker,
+    HoverTool,
+    LinearAxis,
+    LinearColorMapper,
+    PanTool,
+    Range1d,
+    ResetTool,
+    WheelZoomTool,
+)
+from bokeh.palettes import Cividis256, Viridis256, cividis
+from bokeh.plotting import figure
+
+from ...model.contract.edges import Fate
+from ...model.contract.pixels import pixel_table
+from ...model.depth.quality import TOLERANCE_M
+from ...model.shared.constants import SPEED_OF_LIGHT_M_S
+from .frame import HISTOGRAM_BIN_M, FrameView
+from .timeline import Period, Verdict
+
+Columns: TypeAlias = dict[str, Any]  # of a source
+
+STYLESHEET = """
+:host {
+  --bk-outline-line-color: var(--line);
+  --bk-axis-label-text-color: var(--ink); --bk-major-label-text-color: var(--ink); --bk-title-text-color: var(--ink);
+  --bk-axis-line-color: var(--line); --bk-major-tick-line-color: var(--line); --bk-minor-tick-line-color: var(--line);
+  --bk-grid-line-color: var(--line); --bk-text-color: var(--ink);
+}
+"""
+FATES = {  # of an edge: (colour, marker, meaning)
+    Fate.OPENING: ("#d55e00", "triangle", "opened a window"),
+    Fate.COUNTED: ("#0072b2", "circle", "counted in a window"),
+    Fate.DUPLICATE: ("#56b4e9", "x", "the pixel was counted already"),
+    Fate.MASKED: ("#999999", "dash", "pixel masked off"),
+    Fate.GATED: ("#e69f00", "square_pin", "outside the gate"),
+    Fate.BLIND: ("#cc79a7", "inverted_triangle", "tree not armed"),
+}
+VERDICTS = {  # of a window: (colour, hatching, meaning)
+    Verdict.COMMITTED: ("#009e73", " ", "committed"),
+    Verdict.REJECTED: ("#999999", "/", "rejected: too few pixels"),
+    Verdict.DROPPED: ("#d55e00", "x", "dropped: FIFO full"),
+}
+_SHAPES = {"triangle": "▲", "circle": "●", "x": "×", "dash": "▬", "square_pin": "■", "inverted_triangle": "▼"}
+FATE_MARKS = [
+    (_SHAPES[marker], colour, meaning) for colour, marker, meaning in FATES.values()
+]  # of the key beside the figures
+VERDICT_MARKS = [(sign, colour, meaning) for sign, (colour, _, meaning) in zip("▌▨▩", VERDICTS.values())]
+TRUTH, CHOSEN, OTHER = "#d55e00", "#009e73", "#56b4e9"
+ERROR_PALETTE = tuple(  # blue, white, orange: too near, right, too far
+    "#" + "".join(f"{round(a + (b - a) * share):02x}" for a, b in zip(start, end))
+    for start, end in (((0, 114, 178), (247, 247, 247)), ((247, 247, 247), (213, 94, 0)))
+    for share in np.linspace(0, 1, 64)
+)
+ERROR_SHOWN_M = 0.5  # beyond it the colour stays
+COUNTS = ("threshold", "drops")  # maps of whole numbers
+WHOLE_COLOURS_MAX = 8  # whole numbers up to this have a colour each
+COMPARED = ("depth_m", "error_m", "drops")  # maps that are shown where two frames are
+NO_VALUE = "#8c8c8c"
+MIDDLE_INK = "#7d8791"  # of words that no CSS variable reaches: to be read on light and dark
+MAP_SIZE_PX, BAR_WIDTH_PX = 172, 8
+DEPTH_MARGIN = 0.05  # of the truth's span, on both sides of the colour scale
+CHOICE_MARKS = ("diamond", "circle")  # the chosen return, the others
+
+
+@frozen
+class MapKind:
+    """A map: title, attribute of `FrameView`, palette."""
+
+    title: str
+    name: str
+    palette: tuple[str, ...]
+
+
+MAPS = {
+    kind.name: kind
+    for kind in (
+        MapKind("truth, m", "truth_m", Viridis256[::-1]),
+        MapKind("depth, m", "depth_m", Viridis256[::-1]),
+        MapKind("error, m", "error_m", ERROR_PALETTE),
+        MapKind("threshold, pixels", "threshold", Cividis256),
+        MapKind("drops, events", "drops", Cividis256),
+        MapKind("confidence", "confidence", Cividis256),
+    )
+}
+TOOLTIPS = [
+    ("pixel", "row @row, column @col, subgroup @subgroup"),
+    ("truth", "@truth_m{0.00} m"),
+    ("depth", "@depth_m{0.00} m"),
+    ("error", "@error_m{+0.000} m"),
+    ("confidence", "@confidence{0.00}"),
+    ("threshold", "@threshold{0}"),
+    ("drops of the subgroup", "@drops{0}"),
+    ("reflectivity", "@reflectivity{0.00}"),
+    ("signal", "@signal{0.000} photons per pulse"),
+    ("background", "@background{0.000} photons per pulse"),
+]
+
+
+def map_columns(view: FrameView) -> Columns:
+    """The source of the maps: one row, every column a picture."""
+    sensor = view.config.sensor
+    row, col = np.indices((sensor.rows, sensor.cols))
+    pictures = {name: getattr(view, name).astype(np.float32) for name in MAPS}
+    pictures |= {name: getattr(view, name).astype(np.float32) for name in ("reflectivity", "signal", "background")}
+    subgroup = pixel_table(sensor).subgroup.reshape(row.shape)
+    pictures |= {"row": row.astype(np.int32), "col": col.astype(np.int32), "subgroup": subgroup.astype(np.int32)}
+    where = {"x": [-0.5], "y": [-0.5], "dw": [sensor.cols], "dh": [sensor.rows]}
+    return {name: [picture] for name, picture in pictures.items()} | where
+
+
+def map_scales(views: list[FrameView]) -> dict[str, tuple[float, float]]:
+    """(low, high) of every map's colours, the same for all `views`, so that they can be compared."""
+    near_m = min((np.nanmin(view.truth_m) for view in views if not np.isnan(view.truth_m).all()), default=0.0)
+    far_m = max((np.nanmax(view.truth_m) for view in views if not np.isnan(view.truth_m).all()), default=1.0)
+    margin_m = max(DEPTH_MARGIN * (far_m - near_m), TOLERANCE_M)
+    depth = (near_m - margin_m, far_m + margin_m)
+    return {
+        "truth_m": depth,
+        "depth_m": depth,
+        "error_m": (-ERROR_SHOWN_M, ERROR_SHOWN_M),
+        "threshold": (0, max(2.0, *(view.threshold.max() for view in views))),
+        "drops": (0, max(1.0, *(view.drops.max() for view in views))),
+        "confidence": (0, 1),
+    }
+
+
+def cursor_columns(view: FrameView, row: int, col: int) -> tuple[Columns, Columns]:
+    """(frame around the pixel, frame around its subgroup), as sources of rectangles."""
+    height, width = view.config.sensor.subgroup
+    top, left = row // height * height, col // width * width
+    pixel = {"x": [col], "y": [row], "w": [1], "h": [1]}
+    around = {"x": [left + (width - 1) / 2], "y": [top + (height - 1) / 2], "w": [width], "h": [height]}
+    return pixel, around
+
+
+class MapFigure:
+    """A picture of the array, one of `MAPS`; click and hover. name: of the figure. source: holds `map_columns`."""
+
+    def __init__(
+        self, kind: MapKind, name: str, source: ColumnDataSource, cursor: ColumnDataSource, around: ColumnDataSource
+    ) -> None:
+        self.kind = kind
+        self._palette = kind.palette
+        self.mapper = LinearColorMapper(palette=kind.palette, low=0, high=1, nan_color=NO_VALUE)
+        self.figure = plot = figure(
+            title=kind.title,
+            width=MAP_SIZE_PX + 40,
+            height=MAP_SIZE_PX + 20,
+            x_range=Range1d(-0.5, 31.5),
+            y_range=Range1d(31.5, -0.5),
+            tools=[HoverTool(tooltips=TOOLTIPS, attachment="horizontal")],
+            toolbar_location=None,
+            stylesheets=[STYLESHEET],
+            background_fill_color=None,
+            border_fill_color=None,
+            name=name,
+        )
+        plot.grid.visible = plot.axis.visible = False
+        plot.title.text_font_size = "12px"
+        plot.min_border = 4
+        image = plot.image(kind.name, x="x", y="y", dw="dw", dh="dh", source=source, color_mapper=self.mapper)
+        plot.hover.renderers = [image]
+        for frame, dash in ((around, "dashed"), (cursor, "solid")):
+            for colour, line in (("black", 3), ("white", 1.2)):
+                plot.rect(
+                    "x",
+                    "y",
+                    "w",
+                    "h",
+                    source=frame,
+                    fill_color=None,
+                    line_color=colour,
+                    line_width=line,
+                    line_dash=dash,
+                )
+        bar = ColorBar(
+            color_mapper=self.mapper,
+            ticker=BasicTicker(desired_num_ticks=5, min_interval=1 if kind.name in COUNTS else 0),
+            width=BAR_WIDTH_PX,
+            padding=2,
+            major_label_text_font_size="10px",
+            background_fill_color=None,
+            major_label_text_color=MIDDLE_INK,
+            stylesheets=[STYLESHEET],
+        )
+        plot.add_layout(bar, "right")
+
+    def show(self, view: FrameView, scale: tuple[float, float], prefix: str = "") -> None:
+        """Fits title, colours and ranges to `view`, whose columns the source will hold. scale: (low, high) of the colours."""
+        self.figure.title.text = prefix + self.kind.title
+        (low, high), palette = scale, self.kind.palette
+        if self.kind.name in COUNTS and high <= WHOLE_COLOURS_MAX:
+            low, high, palette = low - 0.5, high + 0.5, cividis(int(high) + 1)
+        if self._palette != palette:  # Bokeh checks every colour
+            self._palette = self.mapper.palette = palette
+        self.mapper.update(low=low, high=high)
+        sensor = view.config.sensor
+        self.figure.x_range.update(start=-0.5, end=sensor.cols - 0.5)
+        self.figure.y_range.update(start=sensor.rows - 0.5, end=-0.5)
+
+
+def histogram_columns(view: FrameView, row: int, col: int) -> tuple[Columns, Columns, Columns]:
+    """(bars, returns, truth): sources of a pixel's histogram, distances in metres."""
+    of_pixel, of_subgroup = view.histogram(row, col)
+    left = np.arange(len(of_pixel)) * HISTOGRAM_BIN_M
+    bars = {"left": left, "right": left + HISTOGRAM_BIN_M, "pixel": of_pixel, "subgroup": of_subgroup}
+    known = ~np.isnan(view.candidate_m[row, col])
+    at_m, confidence = view.candidate_m[row, col][known], view.candidate_confidence[row, col][known]
+    return bars, return_columns(at_m, confidence), {"x": truth_of(view, row, col)}
+
+
+def return_columns(at_m: np.ndarray, confidence: np.ndarray) -> Columns:
+    """The source of a pixel's returns, the chosen one first."""
+    chosen = np.arange(len(at_m)) == 0
+    return {
+        "x": at_m,
+        "confidence": confidence,
+        "colour": np.where(chosen, CHOSEN, OTHER).tolist(),
+        "marker": np.where(chosen, *CHOICE_MARKS).tolist(),
+        "what": np.where(chosen, "chosen", "also possible").tolist(),
+    }
+
+
+def truth_of(view: FrameView, row: int, col: int) -> list[float]:
+    truth_m = view.truth_m[row, col]
+    return [] if np.isnan(truth_m) else [float(truth_m)]
+
+
+class HistogramFigure:
+    """A pixel's events over distance, and behind them, paler and on their own scale, all of its subgroup's."""
+
+    def __init__(self, width: int = 480, height: int = 226):
+        self.bars = ColumnDataSource({"left": [], "right": [], "pixel": [], "subgroup": []})
+        self.returns = ColumnDataSource(return_columns(np.empty(0), np.empty(0)))
+        self.truth = ColumnDataSource({"x": []})
+        self.figure = plot = figure(
+            title="click a pixel",
+            width=width,
+            height=height,
+            x_range=Range1d(0, 1),
+            y_range=Range1d(0, 1),
+            x_axis_label="distance in m",
+            y_axis_label="events of the pixel",
+            tools=[PanTool(dimensions="width"), WheelZoomTool(dimensions="width"), ResetTool()],
+            active_scroll=None,
+            toolbar_location="right",
+            stylesheets=[STYLESHEET],
+            background_fill_color=None,
+            border_fill_color=None,
+            name="histogram",
+        )
+        plot.toolbar.update(logo=None, autohide=True)
+        plot.toolbar_inner = True
+        plot.title.text_font_size = "12px"
+        plot.grid.visible = False
+        self.subgroup_range = Range1d(0, 1)
+        plot.extra_y_ranges = {"subgroup": self.subgroup_range}
+        plot.add_layout(
+            LinearAxis(y_range_name="subgroup", axis_label="events of its subgroup", stylesheets=[STYLESHEET]), "right"
+        )
+        plot.quad(
+            left="left", right="right", top="subgroup", bottom=0, source=self.bars, y_range_name="subgroup",
+            fill_color="#999999", fill_alpha=0.45, line_color=None, legend_label="its subgroup's events",
+        )  # fmt: skip
+        bars = plot.quad(
+            left="left", right="right", top="pixel", bottom=0, source=self.bars,
+            fill_color="#0072b2", line_color="#0072b2", legend_label="the pixel's events",
+        )  # fmt: skip
+        plot.vspan("x", source=self.truth, line_color=TRUTH, line_width=2, line_dash="dashed", legend_label="truth")
+        marks = plot.scatter(
+            "x", 0.0, source=self.returns, marker="marker", size=12, fill_color="colour", line_color="black",
+            legend_label="chosen (other: circle)",
+        )  # fmt: skip
+        plot.add_tools(
+            HoverTool(renderers=[bars], tooltips=[("distance", "@left{0.00} to @right{0.00} m"), ("pixel", "@pixel"), ("subgroup", "@subgroup")]),
+            HoverTool(renderers=[marks], tooltips=[("@what", "@x{0.000} m, confidence @confidence{0.00}")]),
+        )  # fmt: skip
+        _legend_above(plot)
+
+    def show(self, view: FrameView, row: int, col: int) -> None:
+        bars, returns, truth = histogram_columns(view, row, col)
+        self.bars.data, self.returns.data, self.truth.data = bars, returns, truth
+        self.figure.title.text = histogram_title(view, row, col)
+        top = max(3, int(bars["pixel"].max(initial=0)))
+        self.figure.y_range.update(start=-0.12 * top, end=1.15 * top)
+        most = max(3, int(bars["subgroup"].max(initial=0)))
+        self.subgroup_range.update(start=-0.12 * most, end=1.15 * most)
+        far_m = min(view.range_m, 1.5 * np.nanmax(view.truth_m)) if not np.isnan(view.truth_m).all() else view.range_m
+        self.figure.x_range.update(start=0, end=float(far_m), reset_start=0, reset_end=float(view.range_m))
+
+
+def histogram_title(view: FrameView, row: int, col: int) -> str:
+    truth_m, depth_m = view.truth_m[row, col], view.depth_m[row, col]
+    truth = "no truth" if np.isnan(truth_m) else f"truth {truth_m:.2f} m"
+    depth = "no depth" if np.isnan(depth_m) else f"depth {depth_m:.2f} m"
+    return f"pixel row {row}, column {col}: {truth}, {depth}"
+
+
+def light_columns(view: FrameView, subgroup: int) -> Columns:
+    """The source of when each pixel of a subgroup expects the laser's light, ns after the trigger."""
+    table = pixel_table(view.config.sensor)
+    chosen = (table.subgroup == subgroup) & ~np.isnan(view.truth_m.ravel())
+    return {"x": 2e9 / SPEED_OF_LIGHT_M_S * view.truth_m.ravel()[chosen], "y": table.inside[chosen]}
+
+
+def commit_mark(verdict: Verdict) -> str:
+    """Marker below a window's commit, at the FIFO."""
+    return {Verdict.COMMITTED: "inverted_triangle", Verdict.DROPPED: "x", Verdict.REJECTED: "dot"}[verdict]
+
+
+def period_columns(view: FrameView, period: Period) -> tuple[Columns, Columns, Columns, Columns]:
+    """(edges, windows, gate, fill): sources of one laser period, times in ns from the laser's trigger."""
+    sensor = view.config.sensor
+    tick_ns = view.config.tick_s * 1e9
+    cycle_ns = tick_ns * sensor.phases
+    fates = [Fate(f) for f in period.fate]
+    edges = {
+        "x": (period.tick + 0.5) * tick_ns,
+        "y": period.pixel,
+        "colour": [FATES[f][0] for f in fates],
+        "marker": [FATES[f][1] for f in fates],
+        "fate": [FATES[f][2] for f in fates],
+    }
+    windows, top = period.windows, sensor.pixels - 0.5
+    verdicts = [Verdict(v) for v in windows.verdict]
+    bars = {
+        "left": windows.start * tick_ns,
+        "right": windows.end * tick_ns,
+        "middle": (windows.start + windows.end) / 2 * tick_ns,
+        "top": np.full(len(verdicts), top),
+        "count": windows.count,
+        "colour": [VERDICTS[v][0] for v in verdicts],
+        "hatch": [VERDICTS[v][1] for v in verdicts],
+        "verdict": [VERDICTS[v][2] for v in verdicts],
+        "commit": windows.commit * cycle_ns,
+        "commit_mark": [commit_mark(v) for v in verdicts],
+    }  # fmt: skip
+    gate: Columns = {"left": [], "right": []}
+    if period.gate_cycles is not None:
+        first, end = period.gate_cycles
+        gate = {"left": [0, end * cycle_ns], "right": [first * cycle_ns, view.config.period * cycle_ns]}
+    fill = {
+        "x": np.append(period.fill_cycle, view.config.period) * cycle_ns,
+        "fill": np.append(period.fill, period.fill[-1]),
+    }
+    return edges, bars, gate, fill
+
+
+class TimelineFigure:
+    """One laser period of a subgroup: edges, windows, gate and commits above, the FIFO's fill below."""
+
+    def __init__(self, width: int = 480, height: int = 226):
+        self.edges = ColumnDataSource({name: [] for name in ("x", "y", "colour", "marker", "fate")})
+        names = ("left", "right", "middle", "top", "count", "colour", "hatch", "verdict", "commit", "commit_mark")
+        self.windows = ColumnDataSource({name: [] for name in names})
+        self.gate = ColumnDataSource({"left": [], "right": []})
+        self.fill = ColumnDataSource(
+            {"x": [0, 0], "fill": [0, 0]}
+        )  # Bokeh 3.9 paints a stepped area without points forever
+        self.light = ColumnDataSource({"x": [], "y": []})
+        self.figure = plot = figure(
+            title="click a subgroup",
+            width=width,
+            height=height - 80,
+            x_range=Range1d(0, 1),
+            y_range=Range1d(0, 1),
+            y_axis_label="pixel",
+            tools=[PanTool(dimensions="width"), WheelZoomTool(dimensions="width"), ResetTool()],
+            toolbar_location="right",
+            stylesheets=[STYLESHEET],
+            background_fill_color=None,
+            border_fill_color=None,
+            name="timeline",
+        )
+        plot.toolbar.update(logo=None, autohide=True)
+        plot.toolbar_inner = True
+        plot.title.text_font_size = "12px"
+        plot.grid.visible = False
+        plot.xaxis.visible = False
+        gate = plot.quad(
+            left="left", right="right", top=1e6, bottom=-1e6, source=self.gate,
+            fill_color="#e69f00", fill_alpha=0.18, line_color=None,
+        )  # fmt: skip
+        gate.level = "underlay"
+        bars = plot.quad(
+            left="left", right="right", top="top", bottom=-0.5, source=self.windows, fill_color="colour", fill_alpha=0.25,
+            line_color="colour", hatch_pattern="hatch", hatch_color="colour", hatch_alpha=0.5, hatch_scale=8,
+        )  # fmt: skip
+        plot.text(
+            "middle", "top", text="count", source=self.windows, text_align="center", text_baseline="bottom",
+            text_font_size="10px", text_color="colour",
+        )  # fmt: skip
+        plot.scatter(
+            "x", "y", source=self.light, marker="dash", angle=np.pi / 2, size=5, line_color="#999999", line_width=2
+        )
+        marks = plot.scatter("x", "y", source=self.edges, marker="marker", size=7, fill_color="colour", line_color="colour")  # fmt: skip
+        plot.add_tools(
+            HoverTool(renderers=[marks], tooltips=[("edge", "pixel @y, @x{0.00} ns"), ("fate", "@fate")]),
+            HoverTool(renderers=[bars], tooltips=[("window", "@left{0.0} to @right{0.0} ns"), ("count", "@count"), ("verdict", "@verdict")]),
+        )  # fmt: skip
+        self.below = figure(
+            width=width,
+            height=80,
+            x_range=plot.x_range,
+            y_range=Range1d(0, 1),
+            x_axis_label="ns after the laser's trigger",
+            y_axis_label="FIFO",
+            tools=[],
+            toolbar_location=None,
+            stylesheets=[STYLESHEET],
+            background_fill_color=None,
+            border_fill_color=None,
+            name="fifo",
+        )
+        self.below.grid.visible = False
+        self.fill_ticker = FixedTicker(ticks=[])
+        self.below.yaxis.ticker = self.fill_ticker
+        self.below.varea_step(
+            "x", y1=0, y2="fill", source=self.fill, fill_color="#0072b2", fill_alpha=0.4, step_mode="after"
+        )
+        self.below.step("x", "fill", source=self.fill, mode="after", line_color="#0072b2")
+        self.below.scatter(
+            "commit", 0, source=self.windows, marker="commit_mark", size=8, fill_color="colour", line_color="colour"
+        )
+        for one in (plot, self.below):
+            one.min_border_left = 50
+            one.axis.axis_label_text_font_size = "11px"
+
+    def show(self, view: FrameView, subgroup: int, pulse: int) -> None:
+        period = view.timeline.period(subgroup, pulse)
+        edges, windows, gate, fill = period_columns(view, period)
+        self.edges.data, self.windows.data, self.gate.data, self.fill.data = edges, windows, gate, fill
+        self.light.data = light_columns(view, subgroup)
+        self.figure.title.text = timeline_title(view, subgroup, pulse)
+        self.fit(view)
+
+    def fit(self, view: FrameView) -> None:
+        """Ranges for the sensor of `view`."""
+        sensor = view.config.sensor
+        end_ns = view.config.period_ticks * view.config.tick_s * 1e9
+        self.figure.x_range.update(start=0, end=end_ns)
+        self.figure.y_range.update(start=-1, end=sensor.pixels * 1.12)
+        self.below.y_range.update(start=-0.15 * sensor.fifo_depth, end=1.1 * sensor.fifo_depth)
+        self.fill_ticker.ticks = [0, sensor.fifo_depth]
+
+
+def timeline_title(view: FrameView, subgroup: int, pulse: int) -> str:
+    threshold = int(view.timeline.threshold[subgroup])
+    return f"subgroup {subgroup}, pulse {pulse}: a window needs {threshold} pixel{'s' * (threshold > 1)}"
+
+
+def _legend_above(plot: figure) -> None:
+    legend = plot.legend[0]
+    plot.add_layout(legend, "above")
+    legend.update(
+        orientation="horizontal",
+        label_text_font_size="10px",
+        glyph_height=12,
+        glyph_width=12,
+        label_height=12,
+        margin=0,
+        padding=0,
+        spacing=8,
+        background_fill_color=None,
+        border_line_color=None,
+        label_text_color=MIDDLE_INK,
+    )
+
+
+class Views:
+    """All figures, linked: a click on any map picks a pixel and its subgroup. compared: with maps of another frame, A, before them."""
+
+    def __init__(self, compared: bool = False) -> None:
+        self.pictures, self.others = (ColumnDataSource(_no_picture()) for _ in range(2))
+        self.cursor, self.around = (ColumnDataSource({name: [] for name in "xywh"}) for _ in range(2))
+        frames = self.cursor, self.around
+        self.a_maps = [
+            MapFigure(MAPS[name], f"map_a_{name}", self.others, *frames) for name in (COMPARED if compared else ())
+        ]
+        self.maps = [MapFigure(kind, f"map_{kind.name}", self.pictures, *frames) for kind in MAPS.values()]
+        self.histogram, self.timeline = HistogramFigure(), TimelineFigure()
+
+    def roots(self) -> list[figure]:
+        """All figures."""
+        maps = [one.figure for one in (*self.a_maps, *self.maps)]
+        return [*maps, self.histogram.figure, self.timeline.figure, self.timeline.below]
+
+    def show(
+        self, view: FrameView, other: FrameView | None = None, scales: dict[str, tuple[float, float]] | None = None
+    ) -> None:
+        """Shows all maps of a frame (B), and of another one (A) beside it."""
+        scales = scales or map_scales([view] if other is None else [view, other])
+        for one in self.maps:
+            one.show(view, scales[one.kind.name], "" if other is None else "B: ")
+        self.pictures.data = map_columns(view)
+        if other is not None:
+            for one in self.a_maps:
+                one.show(other, scales[one.kind.name], "A: ")
+            self.others.data = map_columns(other)
+
+    def pick(self, view: FrameView, row: int, col: int, pulse: int) -> None:
+        """Shows a pixel's histogram and its subgroup's laser period."""
+        self.cursor.data, self.around.data = cursor_columns(view, row, col)
+        self.histogram.show(view, row, col)
+        self.timeline.show(view, view.subgroup_of(row, col), pulse)
+
+    def on_pick(self, picked: Callable[[int, int], None]) -> None:
+        """Calls picked(row, col) for a click, where a server listens."""
+        for one in (*self.a_maps, *self.maps):
+            one.figure.on_event(Tap, lambda event: picked(round(event.y), round(event.x)))
+
+    def pick_in_page(self, code: CustomJS) -> None:
+        """Runs `code` for a click, where no server listens."""
+        for one in self.maps:
+            one.figure.js_on_event(Tap, code)
+
+
+def _no_picture() -> Columns:
+    names = (*MAPS, "reflectivity", "signal", "background", "row", "col", "subgroup", "x", "y", "dw", "dh")
+    return {name: [] for name in names}

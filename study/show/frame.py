@@ -1,0 +1,207 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What can be looked at in one frame: maps, a pixel's histogram, a subgroup's laser period, numbers. Arrays only, nothing is drawn here."""
+
+from inspect import signature
+
+import numpy as np
+from attrs import frozen
+
+from ...model.contract.config import Config
+from ...model.contract.edges import Edges
+from ...model.contract.packet import BEAT_BITS
+from ...model.contract.pixels import pixel_table
+from ...model.depth.arrivals import SYSTEM_FWHM_S, pulse_sigma_ticks
+from ...model.depth.estimate import estimate_depth
+from ...model.depth.histograms import Events, frame_events, pixel_image
+from ...model.depth.quality import wrong_pixels, wrong_share
+from ...model.golden.frame import Trace
+from ...model.light.light import Light
+from ...model.scenes.scene import Scene
+from ...model.shared.constants import SPEED_OF_LIGHT_M_S
+from ...model.shared.errors import check_integer
+from ..measures import measures
+from .timeline import Timeline, frame_timeline
+
+HISTOGRAM_BIN_M = 0.15  # of the histograms that are shown; estimators work on ticks
+COARSE_TOLERANCE_M = 0.15  # beside the paper's 230 ps
+LIGHT_SIGMAS = 4  # around a surface's arrival: an event outside holds background only
+DEFAULT_METHOD: str = signature(estimate_depth).parameters["method"].default
+CANDIDATES = 4  # returns of a pixel that are shown, the chosen one first
+
+
+def metres_per_tick(config: Config) -> float:
+    """Distance that light goes to and fro within a tick."""
+    return config.tick_s * SPEED_OF_LIGHT_M_S / 2
+
+
+@frozen(kw_only=True)
+class ObjectView:
+    """What became of an object. distance_m, reflectivity: medians; signal: median of the photons per pixel and pulse."""
+
+    name: str
+    pixels: int
+    distance_m: float
+    reflectivity: float
+    signal: float
+    wrong_share: float
+
+
+@frozen(eq=False)
+class FrameView:
+    """One frame, ready to be looked at.
+
+    Maps, float64[rows, cols]: truth_m, depth_m, error_m (depth - truth) and confidence, NaN = none; threshold (pixels that a window of the
+    subgroup had to hold) and drops (events that the subgroup's FIFO had no place for); reflectivity (NaN = no target); signal and
+    background, mean photons that the pixel detects in a laser period. candidate_m, candidate_confidence: float64[rows, cols, CANDIDATES].
+    numbers: of `study/measures.py`, and a few more. objects: see `seen_objects`.
+    """
+
+    title: str
+    config: Config
+    truth_m: np.ndarray
+    depth_m: np.ndarray
+    error_m: np.ndarray
+    confidence: np.ndarray
+    threshold: np.ndarray
+    drops: np.ndarray
+    reflectivity: np.ndarray
+    signal: np.ndarray
+    background: np.ndarray
+    candidate_m: np.ndarray
+    candidate_confidence: np.ndarray
+    events: Events
+    timeline: Timeline
+    numbers: dict[str, int | float | None]
+    objects: list[ObjectView]
+
+    @property
+    def range_m(self) -> float:
+        """What a laser period holds."""
+        return self.config.period_ticks * metres_per_tick(self.config)
+
+    def subgroup_of(self, row: int, col: int) -> int:
+        """The subgroup of a pixel. Raises `InputError`."""
+        sensor = self.config.sensor
+        check_integer("row", row, 0, sensor.rows - 1)
+        check_integer("col", col, 0, sensor.cols - 1)
+        return int(pixel_table(sensor).subgroup[row * sensor.cols + col])
+
+    def event_bins(self) -> np.ndarray:
+        """int64[events]: histogram bin of each event's arrival."""
+        return np.minimum(
+            self.events.arrival * metres_per_tick(self.config) / HISTOGRAM_BIN_M, self.histogram_bins - 1
+        ).astype(np.int64)
+
+    @property
+    def histogram_bins(self) -> int:
+        return int(np.ceil(self.range_m / HISTOGRAM_BIN_M))
+
+    def histogram(self, row: int, col: int) -> tuple[np.ndarray, np.ndarray]:
+        """(of the pixel, of its subgroup): events by distance, int64[bins] of `HISTOGRAM_BIN_M` each. Raises `InputError`."""
+        subgroup = self.subgroup_of(row, col)
+        inside = pixel_table(self.config.sensor).inside[row * self.config.sensor.cols + col]
+        bins = self.event_bins()[self.events.bounds[subgroup] : self.events.bounds[subgroup + 1]]
+        hit = self.events.maps(subgroup, self.config.sensor.pixels)[:, inside]
+        return np.bincount(bins[hit], minlength=self.histogram_bins), np.bincount(bins, minlength=self.histogram_bins)
+
+
+def frame_view(
+    title: str,
+    config: Config,
+    scene: Scene,
+    light: Light,
+    edges: Edges,
+    trace: Trace,
+    arrays: dict[str, np.ndarray],
+    *,
+    frame: int = 0,
+    method: str = DEFAULT_METHOD,
+) -> FrameView:
+    """The views of frame `frame` of a result. edges: the frame's, pulses from its start on; trace: how the golden model played it."""
+    sensor = config.sensor
+    found = estimate_depth(arrays, config, method=method, frame=frame, returns=CANDIDATES)
+    depth_m, truth_m = found.depth_m[:, :, 0], scene.truth_m
+    sigma_ticks = pulse_sigma_ticks(config, SYSTEM_FWHM_S)
+    period_s = config.period_ticks * config.tick_s
+    nearest = np.where(np.isnan(scene.distance_m), np.inf, scene.distance_m).argmin(axis=2)[:, :, None]
+    events = frame_events(arrays, config, sigma_ticks, frame)
+    return FrameView(
+        title=title,
+        config=config,
+        truth_m=truth_m,
+        depth_m=depth_m,
+        error_m=depth_m - truth_m,
+        confidence=np.where(np.isnan(depth_m), np.nan, found.confidence[:, :, 0]),
+        threshold=_of_subgroups(np.where(config.coincidence, arrays["threshold_used"][frame], 1), config),
+        drops=_of_subgroups(arrays["dropped"][frame], config),
+        reflectivity=np.where(scene.valid, np.take_along_axis(scene.reflectivity, nearest, 2)[:, :, 0], np.nan),
+        signal=light.signal_per_pulse.sum(axis=1).reshape(sensor.rows, sensor.cols),
+        background=light.background_cps.reshape(sensor.rows, sensor.cols) * period_s,
+        candidate_m=found.depth_m,
+        candidate_confidence=found.confidence,
+        events=events,
+        timeline=frame_timeline(config, edges, trace),
+        numbers=_numbers(config, arrays, frame, len(edges), depth_m, truth_m)
+        | {"sun_share": _sun_share(events, scene, config, sigma_ticks)},
+        objects=seen_objects(scene, light, depth_m),
+    )
+
+
+def _of_subgroups(values: np.ndarray, config: Config) -> np.ndarray:
+    """float64[rows, cols] from a value per subgroup."""
+    sensor = config.sensor
+    return pixel_image(np.broadcast_to(values[:, None], (sensor.subgroups, sensor.pixels)), sensor).astype(np.float64)
+
+
+def _numbers(
+    config: Config, arrays: dict[str, np.ndarray], frame: int, edges: int, depth_m: np.ndarray, truth_m: np.ndarray
+) -> dict[str, int | float | None]:
+    found, known = measures(config, arrays, frame, edges, depth_m, truth_m), ~np.isnan(truth_m)
+    return found | {
+        "bits": BEAT_BITS * int(found["beats"] or 0),
+        "wrong_share_coarse": wrong_share(depth_m, truth_m, COARSE_TOLERANCE_M) if known.any() else None,
+    }
+
+
+def _sun_share(events: Events, scene: Scene, config: Config, sigma_ticks: float) -> float | None:
+    """Share of the events that came when no surface in view of their subgroup sends light; None without events."""
+    subgroup_of = pixel_table(config.sensor).subgroup
+    arrival = scene.distance_m.reshape(config.sensor.array_pixels, -1) / metres_per_tick(config)
+    alone = 0
+    for s in range(config.sensor.subgroups):
+        light = np.unique(arrival[subgroup_of == s])
+        light = np.concatenate([[-np.inf], light[~np.isnan(light)], [np.inf]])
+        at = events.arrival[events.bounds[s] : events.bounds[s + 1]]
+        after = np.searchsorted(light, at)
+        alone += int(np.sum(np.minimum(at - light[after - 1], light[after] - at) > LIGHT_SIGMAS * sigma_ticks))
+    return alone / len(events.stamp) if len(events.stamp) and scene.transient is None else None
+
+
+def seen_objects(scene: Scene, light: Light, depth_m: np.ndarray) -> list[ObjectView]:
+    """The objects, that with the least light first. A scene without objects is split in two: pixels with less and with more
+    signal than the median.
+    """
+    truth_m, valid = scene.truth_m, scene.valid
+    signal = light.signal_per_pulse.sum(axis=1).reshape(valid.shape)
+    labels = np.where(valid, scene.labels, -1)
+    names = {label: f"object {label}" for label in np.unique(labels[valid])}
+    if len(names) < 2 and valid.any() and np.ptp(signal[valid]) > 0:
+        labels = np.where(valid, signal > np.median(signal[valid]), -1)
+        names = {0: "darker half", 1: "brighter half"}
+    wrong = wrong_pixels(depth_m, truth_m)
+    reflectivity = np.nanmax(np.where(valid[:, :, None], scene.reflectivity, np.nan), axis=2, initial=0)
+    found = []
+    for label, name in names.items():
+        here = labels == label
+        if here.any():
+            found.append(
+                ObjectView(
+                    name=name,
+                    pixels=int(here.sum()),
+                    distance_m=float(np.median(truth_m[here])),
+                    reflectivity=float(np.median(reflectivity[here])),
+                    signal=float(np.median(signal[here])),
+                    wrong_share=float(wrong[here].mean()),
+                )
+            )
+    return sorted(found, key=lambda one: one.signal)

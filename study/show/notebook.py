@@ -1,0 +1,151 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A run in a notebook: a summary that needs nothing but itself, and the explorer's figures, each in a frame of its own without any network."""
+
+import base64
+from collections.abc import Callable
+from functools import partial
+from html import escape
+from typing import Any, Protocol
+
+import numpy as np
+from attrs import frozen
+
+from ...model.contract.config import Config
+from ...model.contract.edges import Edges
+from ...model.depth.histograms import pixel_histogram
+from ...model.golden.frame import Golden
+from ...model.light.light import Light
+from ...model.scenes.scene import Scene
+from ...model.shared.errors import InputError, check_integer
+from ...model.shared.extras import extra
+from ...model.shared.files import FilePath, whole_file
+from ..pictures import Panel, draw_row
+from ..plot_style import figure_bytes
+from .frame import DEFAULT_METHOD, FrameView, frame_view
+from .page import FILES
+from .words import number_rows, story
+
+
+class Run(Protocol):
+    """What is shown of a run (`study/run.py`)."""
+
+    @property
+    def config(self) -> Config: ...
+    @property
+    def scene(self) -> Scene: ...
+    @property
+    def light(self) -> Light: ...
+    @property
+    def edges(self) -> Edges: ...
+    @property
+    def result(self) -> dict[str, np.ndarray]: ...
+
+
+@frozen
+class Shown:
+    """A page that shows itself in a notebook. html: self-contained; height_px: of the frame that it is shown in."""
+
+    html: str
+    height_px: int
+
+    def _repr_html_(self) -> str:
+        return (
+            f'<iframe srcdoc="{escape(self.html)}" style="width: 100%; height: {self.height_px}px; border: 0"></iframe>'
+        )
+
+    def save(self, path: FilePath) -> None:
+        """Writes the page, whole or not at all."""
+        with whole_file(path, "w") as file:
+            file.write(self.html)
+
+
+def run_view(run: Run, frame: int = 0, method: str = DEFAULT_METHOD) -> FrameView:
+    """The views of a frame of a run, with what the golden model shows of the frames up to it. Raises `InputError`."""
+    config = run.config
+    check_integer("frame", frame, 0, config.frames - 1)
+    golden = Golden(config.sensor)
+    for number in range(frame + 1):
+        edges, _ = run.edges.frame(number, config.pulses)
+        trace = golden.frame(config, edges)
+    return frame_view(
+        f"frame {frame}", config, run.scene, run.light, edges, trace, run.result, frame=frame, method=method
+    )
+
+
+def summary(run: Run) -> str:
+    """HTML: the first frame's truth and depth, and its numbers."""
+    view = run_view(run)
+    figure, _ = draw_row([Panel("depth", view.depth_m)], view.truth_m, run.scene.name)
+    picture = base64.b64encode(figure_bytes(figure, "png")).decode()
+    rows = "".join(f"<tr><td>{escape(label)}</td><td>{escape(value)}</td></tr>" for label, value in number_rows(view))
+    return (
+        f'<p>{escape(story(view))}</p><img alt="truth and depth" src="data:image/png;base64,{picture}">'
+        f"<table>{rows}</table>"
+    )
+
+
+def plot(run: Run, frame: int = 0, method: str = DEFAULT_METHOD) -> Shown:
+    """All views of a frame, linked as in `report.html`."""
+    with extra("explore"):
+        from .report import report_html
+
+    return Shown(report_html(run.scene.name, [run_view(run, frame, method)]), 820)
+
+
+class PixelHistogram(np.ndarray):
+    """`pixel_histogram` of a run, int32[period_ticks], which shows itself in a notebook with truth, candidates and what was chosen."""
+
+    draw: Callable[[], Shown] | None  # None of what was computed from it
+
+    @classmethod
+    def of(cls, run: Run, pixel: int, *, source: str = "map", frame: int | None = None) -> "PixelHistogram":
+        """Of pixel row * cols + column; frame None: hits of all frames, drawn with the first one's depth. Raises `InputError`."""
+        hits = pixel_histogram(run.result, run.config, pixel, source=source, frame=frame).view(cls)
+        hits.draw = partial(plot_histogram, run, pixel, frame or 0)
+        return hits
+
+    def __array_finalize__(self, other: object) -> None:
+        self.draw = None
+
+    def _repr_html_(self) -> str | None:
+        """None where there is no picture: then a notebook prints the array."""
+        try:
+            return None if self.draw is None else self.draw()._repr_html_()
+        except InputError:  # the extra `explore` is not installed
+            return None
+
+
+def plot_histogram(run: Run, pixel: int, frame: int = 0, method: str = DEFAULT_METHOD) -> Shown:
+    """A pixel's histogram with truth, candidates and what was chosen; pixel = row * cols + column."""
+    with extra("explore"):
+        from .figures import HistogramFigure
+
+    view = run_view(run, frame, method)
+    check_integer("pixel", pixel, 0, view.config.sensor.array_pixels - 1)
+    one = HistogramFigure(width=860, height=300)
+    one.show(view, *divmod(pixel, view.config.sensor.cols))
+    return _page([one.figure], 320)
+
+
+def plot_timeline(run: Run, subgroup: int, pulse: int, frame: int = 0) -> Shown:
+    """One laser period of a subgroup: edges with their fates, windows, gate, commits, FIFO."""
+    with extra("explore"):
+        from .figures import TimelineFigure
+
+    one = TimelineFigure(width=860, height=380)
+    one.show(run_view(run, frame), subgroup, pulse)
+    return _page([one.figure, one.below], 400)
+
+
+def _page(figures: list[Any], height_px: int) -> Shown:
+    from bokeh.embed import file_html
+    from bokeh.resources import INLINE
+
+    template = (
+        "{% block postamble %}<style>"
+        + FILES["page.css"]
+        + "</style><script>"
+        + FILES["tables.js"]
+        + "</script>{% endblock %}"
+    )
+    return Shown(file_html(figures, INLINE, "Coincid", template=template), height_px)

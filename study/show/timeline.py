@@ -1,0 +1,203 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What happened inside the subgroups in a frame: every edge with its fate, every window with its verdict, every FIFO's fill.
+
+Nothing is simulated here: windows are put together again from the edges' fates, and commits and departures are read from what the
+golden model shows of the frame at its ports. Our choice of what to show; the terms are the contract's (paper III-A).
+"""
+
+import enum
+
+import numpy as np
+from attrs import frozen
+
+from ...model.contract import latency
+from ...model.contract.config import Config
+from ...model.contract.edges import Edges, Fate
+from ...model.contract.packet import FORMATS, Kind, header_field, layout
+from ...model.contract.pixels import pixel_table
+from ...model.contract.registers import COUNTER_NAMES
+from ...model.contract.stream import packet_starts
+from ...model.golden.frame import Trace
+from ...model.shared.errors import check_integer
+
+# A packet's last beat frees its place in the FIFO so many cycles before it can be at the port (no stall, so it is there then).
+_FREED_BEFORE_PORT = latency.GRANT_TO_BEAT + latency.BEAT_TO_PORT - latency.GRANT_TO_READ - 1
+
+
+class Verdict(enum.IntEnum):
+    """What became of a window."""
+
+    COMMITTED = 0
+    REJECTED = 1
+    DROPPED = 2
+
+
+@frozen(eq=False)
+class Windows:
+    """Windows in the order of the edges that opened them, arrays [n].
+
+    start, end: int64, ticks of their period; the window is [start, end). count: int64, distinct pixels. verdict: uint8, `Verdict`. commit:
+    int64, cycles from the period's first one to the commit that was or would have been.
+    """
+
+    start: np.ndarray
+    end: np.ndarray
+    count: np.ndarray
+    verdict: np.ndarray
+    commit: np.ndarray
+
+
+@frozen(eq=False)
+class Timeline:
+    """One frame, by subgroup, then laser period, then time; period k = subgroup * pulses + pulse.
+
+    Edges, arrays [edges]: tick (int64, of its period), pixel (int64, inside the subgroup), fate (uint8); those of period k stand at
+    edge_bounds[k] to edge_bounds[k + 1]. windows: likewise with window_bounds. start_cycles: int64[pulses], when periods begin.
+    FIFOs: fill_cycle (int64, of the frame) is when a fill changes, fill (int64) what it is from then on; those of subgroup s stand at
+    fill_bounds[s] to fill_bounds[s + 1], and the first says 0 in cycle 0. threshold: int64[subgroups], pixels that a window had to hold.
+    """
+
+    config: Config
+    tick: np.ndarray
+    pixel: np.ndarray
+    fate: np.ndarray
+    edge_bounds: np.ndarray
+    windows: Windows
+    window_bounds: np.ndarray
+    start_cycles: np.ndarray
+    fill_cycle: np.ndarray
+    fill: np.ndarray
+    fill_bounds: np.ndarray
+    threshold: np.ndarray
+
+    def period(self, subgroup: int, pulse: int) -> "Period":
+        """One laser period of one subgroup. Raises `InputError`."""
+        sensor, pulses = self.config.sensor, self.config.pulses
+        check_integer("subgroup", subgroup, 0, sensor.subgroups - 1)
+        check_integer("pulse", pulse, 0, pulses - 1)
+        k = subgroup * pulses + pulse
+        edges = slice(*self.edge_bounds[k : k + 2])
+        windows = slice(*self.window_bounds[k : k + 2])
+        first = self.start_cycles[pulse]
+        cycles = self.fill_cycle[slice(*self.fill_bounds[subgroup : subgroup + 2])] - first
+        fill = self.fill[slice(*self.fill_bounds[subgroup : subgroup + 2])]
+        inside = slice(np.searchsorted(cycles, 0, "right") - 1, np.searchsorted(cycles, self.config.period, "left"))
+        return Period(
+            tick=self.tick[edges],
+            pixel=self.pixel[edges],
+            fate=self.fate[edges],
+            windows=Windows(*(getattr(self.windows, part.name)[windows] for part in Windows.__attrs_attrs__)),
+            fill_cycle=np.maximum(cycles[inside], 0),
+            fill=fill[inside],
+            gate_cycles=gate_of(self.config, subgroup, pulse),
+            threshold=int(self.threshold[subgroup]),
+        )
+
+
+@frozen(eq=False)
+class Period:
+    """One laser period of one subgroup: the arrays of `Timeline`, fill_cycle from the period's first cycle on.
+
+    gate_cycles: (first, last + 1) of the gate, None where gating is off.
+    """
+
+    tick: np.ndarray
+    pixel: np.ndarray
+    fate: np.ndarray
+    windows: Windows
+    fill_cycle: np.ndarray
+    fill: np.ndarray
+    gate_cycles: tuple[int, int] | None
+    threshold: int
+
+
+def gate_of(config: Config, subgroup: int, pulse: int) -> tuple[int, int] | None:
+    """The gate of a subgroup at a pulse of the frame in cycles of the period, (first, last + 1); None where gating is off."""
+    if not config.gating[subgroup]:
+        return None
+    frame = config.frame
+    steps = pulse // frame["gate_every"] % frame["gate_steps"] if frame["gate_every"] else 0
+    first = int(config.gate_start[subgroup]) + frame["gate_step"] * steps
+    return min(first, config.period), min(first + int(config.gate_len[subgroup]), config.period)
+
+
+def frame_timeline(config: Config, edges: Edges, trace: Trace) -> Timeline:
+    """The timeline of a frame that the golden model has played without stalls. edges: the frame's, pulses from its start on."""
+    sensor, pulses = config.sensor, config.pulses
+    table = pixel_table(sensor)
+    subgroup, inside = table.subgroup[edges.pixel], table.inside[edges.pixel]
+    period = subgroup * pulses + edges.pulse
+    order = np.argsort((period * config.period_ticks + edges.tick) * sensor.pixels + inside, kind="stable")
+    period = period[order]
+    tick, fate = edges.tick[order], trace.fate[order]
+    periods = np.arange(sensor.subgroups * pulses + 1)
+    opening = fate == Fate.OPENING
+    threshold = np.where(config.coincidence, trace.counters[:, COUNTER_NAMES.index("threshold_used")], 1)
+    windows = _windows(config, trace, period[opening], tick[opening], _counts(opening, fate), threshold)
+    fill_cycle, fill, fill_bounds = _fill(config, trace)
+    return Timeline(
+        config=config,
+        tick=tick,
+        pixel=inside[order],
+        fate=fate,
+        edge_bounds=np.searchsorted(period, periods),
+        windows=windows,
+        window_bounds=np.searchsorted(period[opening], periods),
+        start_cycles=config.start_cycles()[:-1],
+        fill_cycle=fill_cycle,
+        fill=fill,
+        fill_bounds=fill_bounds,
+        threshold=threshold,
+    )
+
+
+def _counts(opening: np.ndarray, fate: np.ndarray) -> np.ndarray:
+    """int64[windows]: distinct pixels of each window: the edge that opened it, and those counted after it."""
+    of_window = np.cumsum(opening) - 1
+    return np.bincount(of_window[opening | (fate == Fate.COUNTED)], minlength=opening.sum())
+
+
+def _windows(
+    config: Config, trace: Trace, period: np.ndarray, start: np.ndarray, count: np.ndarray, threshold: np.ndarray
+) -> Windows:
+    subgroup, pulse = np.divmod(period, config.pulses)
+    end = start + np.where(config.coincidence, config.window, 1)[subgroup]
+    commit = (end - 1 >> config.sensor.phase_bits) + latency.COMMIT
+    cycle = config.start_cycles()[pulse] + commit
+    stored = np.isin(_key(subgroup, cycle), _key(trace.commit_subgroup, trace.commit_cycle))
+    met = np.where(stored, Verdict.COMMITTED, Verdict.DROPPED)
+    verdict = np.where(count >= threshold[subgroup], met, Verdict.REJECTED).astype(np.uint8)
+    return Windows(start, end, count, verdict, commit)
+
+
+def _key(subgroup: np.ndarray, cycle: np.ndarray) -> np.ndarray:
+    """One integer per (subgroup, cycle); no subgroup commits twice in a cycle."""
+    return subgroup.astype(np.int64) << 48 | cycle
+
+
+def _fill(config: Config, trace: Trace) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(fill_cycle, fill, fill_bounds) of `Timeline`: up with every stored event, down when its place is free again.
+
+    An event's place that is free in a commit's cycle takes that commit.
+    """
+    gone_subgroup, gone_cycle = _departures(config, trace)
+    subgroups = np.arange(config.sensor.subgroups)
+    subgroup = np.concatenate([subgroups, trace.commit_subgroup, gone_subgroup])
+    cycle = np.concatenate([np.zeros_like(subgroups), trace.commit_cycle, gone_cycle])
+    change = np.repeat([0, 1, -1], [len(subgroups), len(trace.commit_cycle), len(gone_cycle)])
+    order = np.lexsort((change, cycle, subgroup))
+    # Every event that came has gone by the frame's end, so the sum over the subgroups before is 0.
+    return cycle[order], np.cumsum(change[order]), np.searchsorted(subgroup[order], np.arange(len(subgroups) + 1))
+
+
+def _departures(config: Config, trace: Trace) -> tuple[np.ndarray, np.ndarray]:
+    """(subgroup, cycle) of the frame in which each event's place in its FIFO is free again, int64[events]."""
+    sensor, parts = config.sensor, layout(config.sensor)
+    subgroup, cycle = [], []
+    for stream, (beats, at) in enumerate(zip(trace.beats, trace.beat_cycle)):
+        kinds, starts = packet_starts(beats, sensor, len(sensor.stream_subgroups(stream)))
+        starts = starts[kinds != Kind.RECORD]
+        last = starts + parts.length(FORMATS[config.format]) - 1
+        subgroup.append(header_field(beats[starts], "subgroup"))
+        cycle.append(at[last] - _FREED_BEFORE_PORT)
+    return np.concatenate(subgroup), np.concatenate(cycle)

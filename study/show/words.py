@@ -1,0 +1,64 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Numbers of a frame in words and tables: what the explorer and `report.html` say beside the pictures."""
+
+from collections.abc import Callable
+from typing import TypeAlias
+
+from .frame import FrameView
+
+_Form: TypeAlias = Callable[[float], str]
+_COUNT, _SHARE, _NUMBER = "{:,.0f}".format, "{:.1%}".format, "{:.2f}".format
+NUMBERS: tuple[tuple[str, str, _Form], ...] = (  # label, name in `FrameView.numbers`, format
+    ("edges", "edges", _COUNT),
+    ("windows", "opened", _COUNT),
+    ("rejected", "rejected", _COUNT),
+    ("events", "events", _COUNT),
+    ("  with sunlight only", "sun_share", _SHARE),
+    ("drops", "dropped", _COUNT),
+    ("bits per frame", "bits", _COUNT),
+    ("stream load", "stream_load", _SHARE),
+    ("mean threshold", "threshold_mean", _NUMBER),
+    ("wrong, above 3.4 cm", "wrong_share", _SHARE),
+    ("wrong, above 15 cm", "wrong_share_coarse", _SHARE),
+)
+OBJECT_HEADS = ("", "reflects", "distance", "photons", "wrong")
+
+
+def number_rows(*views: FrameView) -> list[list[str]]:
+    """A row per number: label, then each view's."""
+    return [[label, *(_said(view.numbers[name], form) for view in views)] for label, name, form in NUMBERS]
+
+
+def _said(value: float | None, form: _Form) -> str:
+    return "none" if value is None else form(value)
+
+
+def object_table(*views: FrameView) -> list[list[str]]:
+    """A row per object of the first view: name, reflectivity, distance, signal, and its wrong share in each view."""
+    wrong = [{one.name: one.wrong_share for one in view.objects} for view in views]
+    return [
+        [
+            one.name,
+            f"{one.reflectivity:.2f}",
+            f"{one.distance_m:.1f} m",
+            f"{one.signal:.2f}",
+            *(_said(shares.get(one.name), _SHARE) for shares in wrong),
+        ]
+        for one in views[0].objects
+    ]
+
+
+def story(view: FrameView) -> str:
+    """What happened in the frame, in two or three sentences."""
+    numbers = view.numbers
+    dropped = f", and {numbers['dropped']:,} found the FIFO full and were dropped" if numbers["dropped"] else ""
+    text = f"Of {numbers['opened']:,} windows {numbers['committed']:,} met their threshold{dropped}."
+    if numbers["sun_share"] is not None:
+        text += f" {numbers['sun_share']:.0%} of the events hold sunlight only."
+    if len(view.objects) > 1:
+        dark, bright = view.objects[0], view.objects[-1]
+        text += (
+            f" Of the darkest, {dark.name} ({dark.signal:.2f} photons per pixel and pulse), {dark.wrong_share:.0%} of the"
+            f" pixels are wrong; of the brightest, {bright.name} ({bright.signal:.2f}), {bright.wrong_share:.0%}."
+        )
+    return text

@@ -1,0 +1,203 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How much of real geometry comes out wrong: surfaces that slant, bend and hide each other, by every estimator, beside a bound.
+
+`python -m coincid.study.surfaces [DEPTH,COLOUR ...]` prints a table and draws docs/images/depth_confidence.png. The scenes are
+analytic; a depth file (with its colour picture after a comma) is taken as it is and at three times the distance. The bound is an
+oracle: it knows the shape of the true surface around a pixel and only moves it to where the photons make it likeliest, so it errs
+as far as they leave it open.
+"""
+
+import os
+import sys
+from collections.abc import Iterable
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+from attrs import frozen
+
+from ..model.contract.config import Config, parse_config
+from ..model.depth.arrivals import pulse_sigma_ticks
+from ..model.depth.estimate import estimate_depth
+from ..model.depth.histograms import by_subgroup, frame_events
+from ..model.depth.likelihood import Grid, Guess, log_likelihood, unheard
+from ..model.depth.planes import LIGHTS
+from ..model.depth.quality import OTHER_SURFACE_M, wrong_pixels, wrong_share
+from ..model.golden.frame import golden_result
+from ..model.light.light import signal_per_pulse
+from ..model.light.photons import generate_edges
+from ..model.light.spad import Spad
+from ..model.light.timing import Timing
+from ..model.scenes.catalogue import load_scene
+from ..model.scenes.scene import Scene, scene_light
+from ..model.shared.constants import SPEED_OF_LIGHT_M_S
+from ..model.shared.quantities import Numbers
+from .plot_style import new_figure, save_figure, style
+
+ROWS = COLS = 32
+KLUX, SEEDS = 50.0, (1, 2, 3)
+METHODS = "matched", "planes"
+FORMATS = "id", "full"
+FAR_SCALE = 3.0
+REFLECTIVITY = 0.4
+TEXTURE_SEED, TEXTURE_PIXELS, TEXTURES = 3, 4, np.geomspace(0.06, 0.8, 8)
+CONFIDENCES, PIXELS_MIN = (
+    (0.0, 0.3, 0.5, 0.7, 0.85, 0.95, 0.99, 1.01),
+    30,
+)  # bins of the picture, and least pixels of one
+PICTURE = Path(__file__).parents[1] / "docs" / "images" / "depth_confidence.png"
+ORACLE_PIXELS, ORACLE_BINS = 2, 64  # to each side of a pixel; ticks around the truth
+
+
+@frozen(eq=False)
+class Row:
+    """Shares of wrong pixels of a scene in a format: beyond 3.45 cm and beyond 15 cm, by method; dropped: share of the events.
+
+    sure, right: of every pixel of all seeds, what planes say of their own result (float64[n]), and whether it is so (bool[n]).
+    """
+
+    scene: str
+    form: str
+    dropped: float
+    shares: dict[str, tuple[float, float]]
+    sure: np.ndarray
+    right: np.ndarray
+
+
+def analytic_scenes() -> dict[str, Scene]:
+    """Slanted planes, a roof, a box before a tilted wall, a wave; with even and with patched reflectivity; the five objects."""
+    y, x = np.mgrid[:ROWS, :COLS] + 0.5
+    x, y = x / COLS, y / ROWS
+    shapes = {
+        "plane, 5 to 6 m": 5 + x,
+        "plane, 4 to 8 m": 4 + 4 * x,
+        "plane, tilted both ways": 5 + (x + 2 * y) * 2 / 3,
+        "roof": 5 + 3 * np.abs(x - 0.5),
+        "tilted wall and box": np.where((np.abs(x - 0.5) < 0.16) & (np.abs(y - 0.45) < 0.19), 4.2, 5 + 2 * y),
+        "wave": 6 + 0.5 * np.sin(6.4 * x) * np.cos(5.3 * y),
+    }
+    patches = np.random.default_rng(TEXTURE_SEED).choice(TEXTURES, (ROWS // TEXTURE_PIXELS, COLS // TEXTURE_PIXELS))
+    texture = np.kron(patches, np.ones((TEXTURE_PIXELS, TEXTURE_PIXELS)))
+    scenes = {name: _scene(name, distance_m, REFLECTIVITY) for name, distance_m in shapes.items()}
+    for name in ("plane, 5 to 6 m", "tilted wall and box", "wave"):
+        patched = f"{name}, patches"
+        scenes[patched] = _scene(patched, shapes[name], texture)
+    return scenes | {"five objects": load_scene("five-objects", ROWS, COLS)}
+
+
+def file_scenes(sources: Iterable[str]) -> dict[str, Scene]:
+    """Each depth file as it is, and with its distances times `FAR_SCALE`."""
+    scenes = {}
+    for source in sources:
+        near = load_scene(source, ROWS, COLS)
+        far = f"{near.name}, {FAR_SCALE:g} times as far"
+        scenes[near.name] = near
+        scenes[far] = _scene(far, near.distance_m * FAR_SCALE, near.reflectivity)
+    return scenes
+
+
+def _scene(name: str, distance_m: np.ndarray, reflectivity: Numbers) -> Scene:
+    return Scene(name=name, distance_m=distance_m, reflectivity=np.broadcast_to(reflectivity, distance_m.shape))
+
+
+def measure(scene: Scene, form: str, seeds: Iterable[int] = SEEDS) -> Row:
+    """The means over the seeds."""
+    config = parse_config({"sensor": {"rows": ROWS, "cols": COLS}, "frame": {"format": form}})
+    shares: dict[str, list[tuple[float, float]]] = {}
+    dropped, committed, sure, right = 0, 0, [], []
+    for seed in seeds:
+        edges = generate_edges(
+            scene_light(scene, KLUX),
+            Spad(),
+            Timing.from_config(config),
+            pulses=config.pulses,
+            seed=seed,
+            workers=os.cpu_count() or 1,
+        )
+        result = golden_result(config, edges)
+        dropped, committed = dropped + result["dropped"].sum(), committed + result["committed"].sum()
+        depths = {method: estimate_depth(result, config, method=method) for method in METHODS}
+        found = {method: depth.depth_m[:, :, 0] for method, depth in depths.items()}
+        sure.append(depths["planes"].confidence[:, :, 0][scene.valid])
+        right.append(~wrong_pixels(found["planes"], scene.truth_m)[scene.valid])
+        found["oracle"] = oracle_m(result, config, scene)
+        for method, depth_m in found.items():
+            wrong = wrong_share(depth_m, scene.truth_m), wrong_share(depth_m, scene.truth_m, OTHER_SURFACE_M)
+            shares.setdefault(method, []).append(wrong)
+    means = {method: tuple(np.mean(values, axis=0).tolist()) for method, values in shares.items()}
+    return Row(scene.name, form, dropped / max(1, committed), means, np.concatenate(sure), np.concatenate(right))
+
+
+def oracle_m(result: dict[str, np.ndarray], config: Config, scene: Scene) -> np.ndarray:
+    """float64[rows, cols]: the true surface around each pixel, moved to its likeliest place."""
+    tick_m = config.tick_s * SPEED_OF_LIGHT_M_S / 2
+    sigma_ticks = pulse_sigma_ticks(config)
+    truth = np.nan_to_num(scene.truth_m) / tick_m
+    first = np.rint(truth).astype(np.int64) - ORACLE_BINS // 2
+    light = signal_per_pulse(scene.truth_m, scene.reflectivity[:, :, 0])
+    guess = Guess(by_subgroup(truth, config.sensor), by_subgroup(light, config.sensor))
+    grid = Grid(1, LIGHTS, np.full(len(LIGHTS), -np.log(len(LIGHTS)), np.float32))
+    events = frame_events(result, config, sigma_ticks)
+    level = log_likelihood(
+        events,
+        config,
+        sigma_ticks,
+        config.pulses,
+        grid,
+        unheard(events, config, config.pulses, sigma_ticks),
+        by_subgroup(first, config.sensor),
+        ORACLE_BINS,
+        guess=guess,
+    )[0]
+    level = np.where(scene.valid[:, :, None], level - level.max(axis=2, keepdims=True), 0)
+    around = np.pad(level, ((ORACLE_PIXELS, ORACLE_PIXELS), (ORACLE_PIXELS, ORACLE_PIXELS), (0, 0)))
+    size = 2 * ORACLE_PIXELS + 1
+    total = np.sum([around[r : r + ROWS, c : c + COLS] for r in range(size) for c in range(size)], axis=0)
+    chance = np.exp(total - total.max(axis=2, keepdims=True))
+    chance /= chance.sum(axis=2, keepdims=True)
+    moved = chance @ (np.arange(ORACLE_BINS) + 0.5 - ORACLE_BINS // 2) + np.rint(truth) - truth
+    return scene.truth_m + moved * tick_m
+
+
+def table(rows: Iterable[Row]) -> str:
+    """The rows as a Markdown table: per cent beyond 3.45 cm / beyond 15 cm."""
+    names = (*METHODS, "oracle")
+    lines = ["| scene | format | " + " | ".join(names) + " | dropped |", "| --- | --- |" + " ---: |" * (len(names) + 1)]
+    for row in rows:
+        shares = " | ".join("{:.1%} / {:.1%}".format(*row.shares[name]) for name in names)
+        lines.append(f"| {row.scene} | {row.form} | {shares} | {row.dropped:.0%} |")
+    return "\n".join(lines) + "\n"
+
+
+def draw_confidence(rows: Iterable[Row], path: Path) -> None:
+    """Of the pixels that are said to be so sure, how many are right; by format, all scenes together."""
+    rows = list(rows)
+    with style():
+        figure = new_figure(4.6, 4.2)
+        axis = figure.add_subplot()
+        axis.plot([0, 100], [0, 100], color="#999999", linewidth=0.8)
+        for form, mark in zip(FORMATS, "os"):
+            sure = np.concatenate([row.sure for row in rows if row.form == form])
+            right = np.concatenate([row.right for row in rows if row.form == form])
+            bins = [(sure >= low) & (sure < high) for low, high in pairwise(CONFIDENCES)]
+            bins = [chosen for chosen in bins if chosen.sum() >= PIXELS_MIN]
+            axis.plot(
+                [100 * sure[chosen].mean() for chosen in bins],
+                [100 * right[chosen].mean() for chosen in bins],
+                f"-{mark}",
+                label=form,
+            )
+        axis.set(xlabel="confidence in %", ylabel="pixels within 3.45 cm in %", xlim=(0, 101), ylim=(0, 101))
+        axis.legend()
+        save_figure(figure, path)
+
+
+def main(sources: list[str]) -> None:
+    scenes = analytic_scenes() | file_scenes(sources)
+    rows = [measure(scene, form) for scene in scenes.values() for form in FORMATS]
+    print(table(rows), end="")
+    draw_confidence(rows, PICTURE)
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

@@ -1,0 +1,59 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The link behind the streams: how much it takes, how evenly, and that all engines know it."""
+
+from fractions import Fraction
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from coincid.model.contract.config import parse_config
+from coincid.model.contract.link import link_share
+from coincid.model.contract.result import differences
+from coincid.model.shared.errors import InputError
+from coincid.tb.replay import replay
+
+from ..cases import SENSORS, trouble
+
+SMALL = {"sensor": SENSORS["coarse"], "frame": {"pulses": 3, "period": 40}, "subgroup": {"threshold": 1, "window": 4}}
+
+
+def configured(**frame):
+    return parse_config(SMALL | {"frame": SMALL["frame"] | frame})
+
+
+def test_share_is_that_of_a_beat_per_cycle():
+    assert link_share(8, 500) == Fraction(1, 4)
+    assert link_share(8, 125) == link_share(0, 500) == link_share(1000, 500) == 1
+    assert configured(link_gbps=8.0).link_share == Fraction(1, 4)
+
+
+@given(gbps=st.floats(0.5, 40), stalled=st.integers(0, 50))
+def test_beats_are_taken_evenly(gbps, stalled):
+    config = configured(link_gbps=gbps)
+    ready = config.tready(np.zeros(stalled, np.uint8))
+    if config.link_share == 1:
+        assert len(ready) == stalled and not ready.any()
+        return
+    assert not ready[:stalled].any() and len(ready) > config.frame_cycles + stalled
+    taken = np.cumsum(config.tready())
+    cycles = np.arange(1, len(taken) + 1)
+    assert np.all(taken <= cycles * float(config.link_share) + 1e-6)
+    assert np.all(taken > cycles * float(config.link_share) - 1 - 1e-6)
+
+
+def test_slow_link_fills_the_fifos_and_engines_agree():
+    slow, fast = configured(link_gbps=2.5), configured()
+    edges = trouble(slow, seed=5, per_subgroup_period=60)
+    found = {gbps: replay("golden", config, edges) for gbps, config in (("slow", slow), ("fast", fast))}
+    assert found["slow"]["dropped"].sum() > found["fast"]["dropped"].sum()
+    assert np.array_equal(found["slow"]["committed"], found["fast"]["committed"])
+    for engine in ("verilator", "icarus"):
+        assert not differences(found["slow"], replay(engine, slow, edges))
+
+
+@pytest.mark.parametrize("gbps", [-1, 0.001, float("nan"), "fast", True])
+def test_link_that_makes_no_sense_is_refused(gbps):
+    with pytest.raises(InputError, match="frame.link_gbps"):
+        configured(link_gbps=gbps)

@@ -1,0 +1,148 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The estimator of planes: its law, slopes, masks, returns, confidence, and the same bits for any number of threads."""
+
+import numpy as np
+import pytest
+
+from coincid.model.contract.config import parse_config
+from coincid.model.depth.estimate import estimate_depth
+from coincid.model.depth.quality import TOLERANCE_M, wrong_share
+from coincid.model.golden.frame import golden_result
+from coincid.model.light.photons import generate_edges
+from coincid.model.light.spad import Spad
+from coincid.model.light.timing import Timing
+from coincid.model.scenes.catalogue import load_scene
+from coincid.model.scenes.scene import Scene, scene_light
+
+ROWS, COLS = 16, 24
+DOWN_M, RIGHT_M = 0.02, -0.05  # slopes per pixel
+
+
+def tilted(near_m=6.0, reflectivity=0.4):
+    row, col = np.mgrid[:ROWS, :COLS]
+    return Scene(
+        name="tilted",
+        distance_m=near_m + DOWN_M * row - RIGHT_M * (COLS - col),
+        reflectivity=np.full((ROWS, COLS), reflectivity),
+    )
+
+
+def estimate(scene, klux=20.0, *, frame=None, subgroup=None, override=(), sensor=None, seed=1, spad=None, **options):
+    document = {
+        "sensor": {"rows": scene.rows, "cols": scene.cols} | (sensor or {}),
+        "frame": frame or {},
+        "subgroup": subgroup or {},
+        "override": list(override),
+    }
+    config = parse_config(document)
+    timing = Timing.from_config(config)
+    edges = generate_edges(scene_light(scene, klux), spad or Spad(), timing, pulses=config.pulses, seed=seed)
+    return estimate_depth(golden_result(config, edges), config, **options)
+
+
+def share(depth, scene, tolerance_m=TOLERANCE_M):
+    return wrong_share(depth.depth_m[:, :, 0], scene.truth_m, tolerance_m)
+
+
+@pytest.mark.parametrize(
+    "settings", [{}, {"coincidence": False}, {"threshold": 1}, {"threshold": 3}, {"window": 8}, {"window": 48}]
+)
+def test_a_tilted_plane_whatever_the_window(settings):
+    scene = tilted()
+    depth = estimate(scene, subgroup=settings)
+    assert share(depth, scene) < 0.03
+    assert abs(np.median(depth.depth_m[:, :, 0] - scene.truth_m)) < 0.01
+
+
+@pytest.mark.parametrize("near_m", [1.0, 2.0, 4.0])
+def test_much_light_leaves_no_bias(near_m):
+    """From 12 photons per pulse and pixel to less than one."""
+    scene = tilted(near_m, 0.5)
+    depth = estimate(scene, 50.0)
+    assert share(depth, scene) < 0.05
+    assert abs(np.median(depth.depth_m[:, :, 0] - scene.truth_m)) < 0.015
+
+
+def test_many_photons_leave_no_error():
+    scene = tilted()
+    depth = estimate(scene, 1.0, frame={"pulses": 1000})
+    assert np.percentile(np.abs(depth.depth_m[:, :, 0] - scene.truth_m), 99) < 0.02
+
+
+def test_slopes_and_standard_errors():
+    scene = tilted()
+    depth = estimate(scene)
+    down, right = np.moveaxis(depth.slope_m, 2, 0)
+    assert np.median(down) == pytest.approx(DOWN_M, abs=0.004) and np.median(right) == pytest.approx(RIGHT_M, abs=0.004)
+    error_m = np.abs(depth.depth_m[:, :, 0] - scene.truth_m)
+    assert 0.3 < np.median(error_m / depth.error_m[:, :, 0]) < 1.5
+
+
+@pytest.mark.parametrize("form", ["short", "full"])
+def test_other_formats(form):
+    scene = tilted()
+    depth = estimate(scene, frame={"format": form}, sensor={"streams": 6})
+    assert share(depth, scene) < (0.05 if form == "full" else 0.5)
+
+
+def test_offsets_tell_more_than_maps():
+    scene = tilted()
+    errors = [
+        np.abs(estimate(scene, frame={"format": form}, sensor={"streams": 6}).depth_m[:, :, 0] - scene.truth_m).mean()
+        for form in ("short", "id", "full")
+    ]
+    assert errors == sorted(errors, reverse=True)
+
+
+def test_masked_and_hot_pixels_take_their_surroundings():
+    scene = tilted()
+    dark_cps = np.zeros(ROWS * COLS)
+    dark_cps[[50, 200, 300]] = 5e6
+    depth = estimate(scene, override=[{"subgroups": [1], "mask": "ff00ffffffffffff"}], spad=Spad(dark_cps=dark_cps))
+    assert share(depth, scene) < 0.03
+
+
+def test_a_gate_hides_what_is_outside():
+    scene = tilted()
+    depth = estimate(scene, subgroup={"gating": True, "gate_start": 15, "gate_len": 20})
+    assert share(depth, scene) < 0.03
+
+
+def test_pane_and_wall():
+    scene = load_scene("two-returns:5,9", ROWS, COLS)
+    depth = estimate(scene, returns=2)
+    for target in range(2):
+        nearest = np.nanmin(np.abs(depth.depth_m - scene.distance_m[0, 0, target]), axis=2)
+        assert np.mean(nearest < TOLERANCE_M) > 0.9
+    alone = estimate(tilted(), returns=3)
+    assert alone.depth_m.shape == (ROWS, COLS, 3) and np.mean(~np.isnan(alone.depth_m[:, :, 1:])) < 0.01
+
+
+def test_edges_of_objects_stay_sharp():
+    row, col = np.mgrid[:ROWS, :COLS]
+    box = (row > 3) & (row < 11) & (col > 5) & (col < 15)
+    scene = Scene(name="box", distance_m=np.where(box, 4.0, 6 + 0.05 * row), reflectivity=np.full((ROWS, COLS), 0.4))
+    assert share(estimate(scene), scene) < 0.02
+
+
+def test_confidence_is_a_probability():
+    """Of pixels said to be so sure on average, as many are right, where many are wrong."""
+    row, col = np.mgrid[:ROWS, :COLS]
+    texture = np.random.default_rng(1).choice(np.geomspace(0.02, 0.5, 6), (ROWS, COLS))
+    scene = Scene(name="patches", distance_m=7 + 0.04 * col + 0.3 * (row > 8), reflectivity=texture)
+    sure, right = [], []
+    for seed in range(4):
+        depth = estimate(scene, 50.0, seed=seed)
+        sure.append(depth.confidence[:, :, 0].ravel())
+        right.append(np.abs(depth.depth_m[:, :, 0] - scene.truth_m).ravel() <= TOLERANCE_M)
+    sure, right = np.concatenate(sure), np.concatenate(right)
+    assert np.mean(sure) == pytest.approx(np.mean(right), abs=0.1)
+    assert right[sure > np.median(sure)].mean() > right[sure <= np.median(sure)].mean()
+
+
+def test_threads_change_nothing():
+    scene = tilted()
+    one, two, three = (estimate(scene, returns=2, workers=workers) for workers in (1, 2, 3))
+    for other in (two, three):
+        for name in ("depth_m", "confidence", "error_m", "slope_m"):
+            assert np.array_equal(getattr(one, name), getattr(other, name), equal_nan=True)

@@ -1,0 +1,158 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The exported C driver, compiled as it leaves the project: it drives the RTL (as a library), and decodes the frames that this sends."""
+
+import ctypes
+import subprocess
+
+import numpy as np
+import pytest
+
+from coincid.flow.register_files import HEADER, register_files
+from coincid.flow.release import C_DRIVER
+from coincid.host.driver import Driver
+from coincid.host.transport import RefusedError
+from coincid.model.contract.config import parse_config, sensor_table
+from coincid.model.contract.edges import Edges
+from coincid.model.contract.parameters import Sensor
+from coincid.model.contract.registers import COUNTER_NAMES
+from coincid.model.contract.stream import decode_frame
+from coincid.model.golden.frame import Golden
+from coincid.tb.batch import BatchSensor
+
+SENSOR = Sensor(rows=8, cols=16)
+FLAGS = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", "-O1"]
+READ = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p, ctypes.c_uint32, ctypes.POINTER(ctypes.c_uint32))
+WRITE = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p, ctypes.c_uint32, ctypes.c_uint32)
+REFUSED, TIMEOUT, BAD_STREAM = -1, -3, -4
+
+
+class Bus(ctypes.Structure):
+    _fields_ = [("context", ctypes.c_void_p), ("read", READ), ("write", WRITE)]
+
+
+class Info(ctypes.Structure):
+    _fields_ = [
+        (name, ctypes.c_uint32) for name in ("subgroups", "pixels", "minigroups", "record_bits", "record_stamp_bits")
+    ]
+
+
+class Packet(ctypes.Structure):
+    _fields_ = [
+        *((name, ctypes.c_int) for name in ("kind", "overrun")),
+        *((name, ctypes.c_uint32) for name in ("subgroup", "pulse", "count", "winner", "stamp")),
+        *((name, ctypes.c_void_p) for name in ("map", "offsets", "entries", "counters")),
+    ]
+
+
+@pytest.fixture(scope="module")
+def library(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("c")
+    for path in C_DRIVER:
+        (folder / path.name).write_text(path.read_text())
+    (folder / HEADER).write_text(register_files(SENSOR)[HEADER])
+    subprocess.run(["cc", *FLAGS, "-shared", "-fPIC", "-o", "driver.so", "coincid.c"], cwd=folder, check=True)
+    loaded = ctypes.CDLL(str(folder / "driver.so"))
+    loaded.coincid_counter.restype = loaded.coincid_offset.restype = ctypes.c_uint32
+    return loaded
+
+
+def bus_of(transport) -> Bus:
+    def read(_, address, value):
+        try:
+            value[0] = transport.read(address)
+        except RefusedError:
+            return 1
+        return 0
+
+    def write(_, address, value):
+        try:
+            transport.write(address, value)
+        except RefusedError:
+            return 1
+        return 0
+
+    return Bus(None, READ(read), WRITE(write))
+
+
+def packets(library, info, beats):
+    """Every packet of a frame, as plain tuples beside the C structure."""
+    at, raw = 0, np.ascontiguousarray(beats)
+    while at < len(raw):
+        packet = Packet()
+        start = ctypes.c_void_p(raw.ctypes.data + 8 * at)
+        length = library.coincid_decode(
+            ctypes.byref(info), SENSOR.subgroups, start, ctypes.c_size_t(len(raw) - at), ctypes.byref(packet)
+        )
+        assert length > 0
+        yield packet
+        at += length
+
+
+def test_the_driver_drives_and_decodes(library):
+    rng, golden, info = np.random.default_rng(1), Golden(SENSOR), Info()
+    of = parse_config(
+        {
+            "sensor": sensor_table(SENSOR),
+            "frame": {"period": 80, "pulses": 6, "format": "full", "minigroup_records": True, "mg_threshold": 1},
+        }
+    )
+    with BatchSensor(SENSOR) as rtl:
+        bus = bus_of(rtl)
+        assert library.coincid_probe(ctypes.byref(bus), ctypes.byref(info)) == 0
+        found = info.subgroups, info.pixels, info.minigroups, info.record_bits, info.record_stamp_bits
+        assert found == (SENSOR.subgroups, 64, 16, SENSOR.record_bits, SENSOR.record_stamp_bits)
+        assert library.coincid_wait(ctypes.byref(bus), 3) == TIMEOUT
+        Driver(rtl, SENSOR)["period"] = SENSOR.guard
+        assert library.coincid_start(ctypes.byref(bus)) == REFUSED
+        rtl.driver.programmed.forget()
+        highs = of.pulses, SENSOR.array_pixels, of.period_ticks
+        edges = Edges(*(rng.integers(0, high, 700) for high in highs))
+        rtl.frame(of, edges)
+        (beats,) = rtl.driver.receive()
+    assert np.array_equal(beats, golden.frame(of, edges).beats[0])
+    frame = decode_frame(beats, SENSOR, SENSOR.subgroups)
+    events = records = 0
+    for packet in packets(library, info, beats):
+        where = ctypes.byref(packet)
+        if packet.kind == 3:
+            assert frame.events[events, 1:].tolist() == [
+                getattr(packet, name) for name in ("overrun", "subgroup", "pulse", "count", "winner", "stamp")
+            ]
+            hits = [library.coincid_hit(where, i) for i in range(64)]
+            assert sum(bit << i for i, bit in enumerate(hits)) == int(frame.hits[events, 0])
+            assert [library.coincid_offset(where, g) for g in range(16)] == frame.offsets[events].tolist()
+            events += 1
+        elif packet.kind == 4:
+            assert [packet.subgroup, packet.pulse] == frame.records[records].tolist()
+            stamp, hit_map = ctypes.c_uint32(), ctypes.c_uint32()
+            for g in range(16):
+                library.coincid_entry(ctypes.byref(info), where, g, ctypes.byref(stamp), ctypes.byref(hit_map))
+                assert [stamp.value, hit_map.value] == frame.entries[records, g].tolist()
+            records += 1
+        elif packet.kind == 7:
+            counters = [
+                [library.coincid_counter(where, s, k) for k in range(len(COUNTER_NAMES))]
+                for s in range(SENSOR.subgroups)
+            ]
+            assert counters == frame.counters.tolist()
+    assert events == len(frame.events) > 20 and records == len(frame.records) > 5
+
+
+def test_what_is_no_packet(library):
+    info, packet = Info(2, 64, 16, 16, 12), Packet()
+    for kind, n, expected in (
+        (0, 1, BAD_STREAM),
+        (5, 1, BAD_STREAM),
+        (2, 1, 0),
+        (2, 2, 2),
+        (6, 1, 1),
+        (7, 12, 0),
+        (7, 13, 13),
+        (1, 0, 0),
+    ):
+        beats = np.zeros(20, np.uint64)
+        beats[0] = np.uint64(kind << 61)
+        done = library.coincid_decode(
+            ctypes.byref(info), 2, ctypes.c_void_p(beats.ctypes.data), ctypes.c_size_t(n), ctypes.byref(packet)
+        )
+        assert done == expected, (kind, n)

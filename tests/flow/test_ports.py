@@ -1,0 +1,119 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What integrators are told: the table of ports, an instance, the words, the cycle that `laser` marks, and the diagrams."""
+
+import re
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+from amaranth.hdl import ClockDomain, Module
+from amaranth.sim import Simulator
+
+from coincid.flow.ports import EXAMPLE, generated, instantiation, port_rows, with_parts
+from coincid.flow.release import README, release_files
+from coincid.hdl.export import FILE_LIST
+from coincid.hdl.sensor import FPGA_TOP, FlatSensor
+from coincid.hdl.views import view_at
+from coincid.model.contract.config import parse_config
+from coincid.model.contract.latency import BEAT_TO_PORT, COMMIT, GRANT_TO_BEAT, STORE_TO_GRANT
+from coincid.model.contract.packet import Kind, header_field
+from coincid.model.contract.parameters import TOP, Sensor
+from coincid.study.drawings import timing
+
+PAGE = Path(__file__).parents[2] / "docs" / "integrate.md"
+SMALL_FPGA = Sensor(rows=8, cols=8, phases=8, window_max=16)
+
+
+def test_the_page_has_what_the_rtl_says():
+    assert with_parts(PAGE.read_text(), generated(EXAMPLE)) == PAGE.read_text()
+
+
+@pytest.mark.parametrize(
+    "sensor, top, view",
+    [
+        (EXAMPLE, TOP, "polyphase"),
+        (SMALL_FPGA, FPGA_TOP, "polyphase"),
+        (Sensor(rows=8, cols=24, streams=3), TOP, "async"),
+    ],
+)
+def test_rows_are_the_ports_of_the_verilog(sensor, top, view):
+    view = view_at(view, 400)
+    sizes = {name: getattr(sensor, name) for name in ("rows", "cols", "phases", "window_max", "streams")}
+    config = parse_config({"sensor": sizes, "frame": {"clock_mhz": 400}})
+    files = release_files(config, view)
+    head = files[f"{top}.v"].partition(");")[0]
+    found = re.findall(r"^  (input|output) (?:\[(\d+):0\] )?(\w+)", head, re.MULTILINE)
+    rows = port_rows(sensor, top, view)
+    assert [(row.name, row.width, row.direction) for row in rows] == [
+        (name, int(high or 0) + 1, {"input": "in", "output": "out"}[kind]) for kind, high, name in found
+    ]
+    assert instantiation(sensor, top, view) in files[README]
+    assert all(row.meaning and bool(row.reset) == (row.direction == "out") for row in rows)
+
+
+def test_outputs_after_a_reset_are_as_told():
+    sensor = FlatSensor(EXAMPLE)
+    outputs = {port.name: port.width for port in sensor.netlist.ports if not port.is_input}
+    seen = []
+
+    async def bench(ctx):
+        ctx.set(sensor.s_axi_awvalid, 1)  # an access and beats under way are forgotten
+        await ctx.tick().repeat(5)
+        ctx.set(sensor.s_axi_awvalid, 0)
+        ctx.set(reset, 1)
+        await ctx.tick()
+        ctx.set(reset, 0)
+        for _ in range(3):
+            seen.append({name: ctx.get(getattr(sensor, name)) for name in outputs})
+            await ctx.tick()
+
+    top = Module()
+    domain = ClockDomain("sync")
+    top.domains += domain
+    top.submodules.sensor = sensor
+    reset = domain.rst
+    simulator = Simulator(top)
+    simulator.add_clock(2e-9)
+    simulator.add_testbench(bench)
+    simulator.run()
+    for row in port_rows(EXAMPLE):
+        if row.direction == "out":
+            first, _, later = row.reset.partition("; ")
+            assert seen[0][row.name] == int(first), row.name
+            assert seen[1][row.name] == int(first), row.name
+            assert bool(later) == (seen[2][row.name] == (1 << outputs[row.name]) - 1 != int(first)), row.name
+
+
+@pytest.mark.skipif(not shutil.which("iverilog"), reason="Icarus is not installed")
+def test_the_instance_compiles(tmp_path):
+    files = release_files(parse_config({"sensor": {"rows": 8, "cols": 16}}))
+    names = files[FILE_LIST].split()
+    for name in names:
+        (tmp_path / name).write_text(files[name])
+    (tmp_path / "user.v").write_text(f"module user;\n{instantiation(EXAMPLE)}endmodule\n")
+    command = ["iverilog", "-g2005", "-Wall", "-s", "user", "-o", "user.vvp", *names, "user.v"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
+    assert done.returncode == 0 and "port" not in done.stderr, done.stderr
+
+
+def test_the_diagrams_show_what_the_page_says():
+    trace = timing.simulate()
+    taken = [
+        (cycle - trace.frame, row["m_axis_tdata"])
+        for cycle, row in enumerate(trace.rows)
+        if row["m_axis_tvalid"] and row["m_axis_tready"]
+    ]
+    events = [(cycle, beat) for cycle, beat in taken if header_field(beat, "kind") == Kind.EVENT_ID]
+    (at, first), (stalled, second) = events
+    assert header_field(first, "stamp") == 22  # the edges that stood at the ports while `laser` was high
+    assert header_field(second, "stamp") == 10 * timing.PHASES + 1
+    close = (22 + 16 - 1) // timing.PHASES
+    assert at == close + COMMIT + STORE_TO_GRANT + GRANT_TO_BEAT + BEAT_TO_PORT == close + 17
+    assert stalled == timing.STALLED.stop
+    offered = [trace.rows[trace.frame + cycle] for cycle in range(27, timing.STALLED.stop)]
+    assert {(row["m_axis_tvalid"], row["m_axis_tdata"]) for row in offered} == {(1, second)}
+    refused = next(row for row in trace.rows if row["s_axi_bvalid"] and row["s_axi_bresp"])
+    assert refused["s_axi_bresp"] == 2
+    for picture in timing.PICTURES.values():
+        assert picture(trace).axes

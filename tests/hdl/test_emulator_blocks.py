@@ -1,0 +1,124 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Blocks of the emulator in Amaranth's simulator: the seeder with several lanes, and the AXI4-Lite slave."""
+
+import numpy as np
+import pytest
+from amaranth.sim import Simulator
+
+from coincid.hdl.axi import OKAY, SLVERR
+from coincid.hdl.emulator.source import Seeder
+from coincid.hdl.emulator.top import BUS_TOP, BusAccess, emulator_netlist
+from coincid.model.contract.emulator import LANE_PIXELS, SEED_BIT, STATE_BITS, Emulator
+from coincid.model.contract.parameters import Sensor
+from coincid.model.light.on_chip import _tables, advance, seeds
+
+
+@pytest.mark.parametrize("size", [4, 16])
+def test_seeder(size):
+    """What it sends makes the twin's states: with less than a lane of pixels, and with four lanes."""
+    sensor = Sensor(rows=size, cols=2 * size, phases=8, window_max=16, subgroup=(size, size), minigroup=(2, 2))
+    dut, seed, frame = Seeder(Emulator(sensor=sensor)), 0x1234_5678, 77
+    states = np.zeros((2, sensor.pixels), np.uint32)
+
+    async def watch(ctx):
+        ctx.set(dut.seed, seed)
+        ctx.set(dut.number, frame)
+        await ctx.tick().repeat(5)
+        ctx.set(dut.begin, 1)  # in the midst of the reset's own: starts over
+        await ctx.tick()
+        ctx.set(dut.begin, 0)
+        while True:
+            *_, busy, valid, subgroup, lane, first, last, bits = await ctx.tick().sample(
+                dut.busy, dut.out.valid, dut.out.subgroup, dut.out.lane, dut.out.first, dut.out.last, dut.out.bits
+            )
+            if valid:
+                mine = slice(LANE_PIXELS * lane, min(LANE_PIXELS * (lane + 1), sensor.pixels))
+                n = len(states[subgroup, mine])
+                took = np.array([bits >> i & 1 for i in range(n)], np.uint32)
+                before = np.zeros(n, np.uint32) if first else advance(states[subgroup, mine], _tables())
+                states[subgroup, mine] = (before ^ took << np.uint32(SEED_BIT)) | np.uint32(last << SEED_BIT)
+            elif not busy:
+                return
+
+    simulator = Simulator(dut)
+    simulator.add_clock(1e-8)
+    simulator.add_testbench(watch)
+    simulator.run()
+    assert STATE_BITS == 32
+    for s in range(2):
+        assert np.array_equal(states[s], seeds(seed, frame, s, sensor.pixels))
+
+
+def test_bus_slave():
+    """Accesses in turn, each answered once; refusals and partial writes answer SLVERR, and the latter go no further."""
+    dut = BusAccess()
+    memory, seen = {}, []
+
+    async def control(ctx):
+        while True:
+            *_, valid, write, address, value = await ctx.tick().sample(
+                dut.access.valid, dut.access.write, dut.access.address, dut.access.data
+            )
+            if valid and not ctx.get(dut.access.done):
+                for _ in range(len(seen) % 3):
+                    await ctx.tick()
+                seen.append(address)
+                refused = address >= 0x1000
+                if write and not refused:
+                    memory[address] = value
+                ctx.set(dut.access.refused, refused)
+                ctx.set(dut.access.value, memory.get(address, 0))
+                ctx.set(dut.access.done, 1)
+                await ctx.tick()
+                ctx.set(dut.access.done, 0)
+
+    async def write(ctx, address, value, strobe=0xF, data_first=False):
+        axi = dut.s_axi
+        channels = [(axi.awvalid, axi.awready), (axi.wvalid, axi.wready)]
+        ctx.set(axi.awaddr, address)
+        ctx.set(axi.wdata, value)
+        ctx.set(axi.wstrb, strobe)
+        for valid, ready in channels[::-1] if data_first else channels:
+            ctx.set(valid, 1)
+            await ctx.tick().until(ready)
+            ctx.set(valid, 0)
+        ctx.set(axi.bready, 1)
+        (response,) = await ctx.tick().sample(axi.bresp).until(axi.bvalid)
+        ctx.set(axi.bready, 0)
+        return response
+
+    async def read(ctx, address):
+        axi = dut.s_axi
+        ctx.set(axi.araddr, address)
+        ctx.set(axi.arvalid, 1)
+        await ctx.tick().until(axi.arready)
+        ctx.set(axi.arvalid, 0)
+        ctx.set(axi.rready, 1)
+        response, value = await ctx.tick().sample(axi.rresp, axi.rdata).until(axi.rvalid)
+        ctx.set(axi.rready, 0)
+        return response, value
+
+    async def master(ctx):
+        for k in range(6):
+            assert await write(ctx, 4 * k, 100 + k, data_first=k % 2 == 1) == OKAY
+        for k in range(6):
+            assert await read(ctx, 4 * k) == (OKAY, 100 + k)
+        assert await write(ctx, 0x1000, 1) == SLVERR
+        assert (await read(ctx, 0x1000))[0] == SLVERR
+        before = len(seen)
+        assert await write(ctx, 0, 7, strobe=0b0111) == SLVERR
+        assert len(seen) == before and await read(ctx, 0) == (OKAY, 100)
+        assert len(seen) == 15
+
+    simulator = Simulator(dut)
+    simulator.add_clock(1e-8)
+    simulator.add_testbench(control, background=True)
+    simulator.add_testbench(master)
+    simulator.run()
+
+
+def test_ports_of_the_tops():
+    emulator = Emulator(sensor=Sensor(rows=8, cols=16, phases=8, window_max=16))
+    assert [port.name for port in emulator_netlist(emulator).ports] == ["rx", "tx", "laser"]
+    ports = {port.name: port.width for port in emulator_netlist(emulator, serial=False).ports}
+    assert ports["bus_awaddr"] == 24 and ports["bus_wdata"] == 32 and BUS_TOP == "coincid_emulator_axi"

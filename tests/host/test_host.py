@@ -1,0 +1,215 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The host driver: names and ranges, a configuration, frames cut anywhere, refusals; over the RTL as a library and over a mapped file."""
+
+import numpy as np
+import pytest
+
+from coincid.host.driver import Driver, Status, read_sensor
+from coincid.host.frames import FrameAssembler
+from coincid.host.memory import MemoryTransport
+from coincid.host.names import find
+from coincid.host.programmed import Programmed, runs
+from coincid.host.transport import HostError, RefusedError
+from coincid.model.contract import registers
+from coincid.model.contract.config import parse_config, sensor_table
+from coincid.model.contract.edges import Edges
+from coincid.model.contract.parameters import Sensor
+from coincid.model.contract.registers import ADDRESS_BITS, BY_NAME, address
+from coincid.model.contract.result import ResultBuilder
+from coincid.model.contract.stream import StreamError, decode_frame
+from coincid.model.golden.frame import Golden
+from coincid.model.shared.errors import InputError
+from coincid.tb.batch import BatchSensor
+
+SENSOR = Sensor(rows=8, cols=16)
+
+
+def config(**tables):
+    return parse_config({"sensor": sensor_table(SENSOR)} | tables)
+
+
+def some_edges(of, seed: int, n: int = 600) -> Edges:
+    rng = np.random.default_rng(seed)
+    highs = of.pulses, of.sensor.array_pixels, of.period_ticks
+    return Edges(*(rng.integers(0, high, n) for high in highs))
+
+
+class Memory:
+    """A transport to a dictionary, which notes what was written."""
+
+    def __init__(self):
+        self.words = registers.reset_values(SENSOR)
+        self.words |= {address(r.name): r.reset(SENSOR) for r in registers.GLOBAL if r.access.name == "CONSTANT"}
+        self.words |= {address("status"): 0}
+        self.written = []
+
+    def read(self, at):
+        return self.words[at]
+
+    def write(self, at, value):
+        self.written.append((at, value))
+        self.words[at] = value
+
+    def receive(self, stream):
+        return np.zeros(0, np.uint64)
+
+
+@pytest.mark.parametrize(
+    "key, where",
+    [
+        ("period", address("period")),
+        (("auto_bounds", 2), address("auto_bounds", index=2)),
+        (("threshold", 1), address("threshold", 1)),
+        (("mask", 1, 1), address("mask", 1, 1)),
+        (("mask", 1), address("mask", 1, 0)),
+        (("opened", 0), address("opened", 0)),
+    ],
+)
+def test_names(key, where):
+    assert find(SENSOR, key).address == where
+
+
+@pytest.mark.parametrize(
+    "key, says",
+    [
+        ("periods", "must be one of"),
+        ("threshold", "must be written as"),
+        (("threshold", 2), "from 0 to 1"),
+        (("mask", 0, 2), "from 0 to 1"),
+        (("auto_bounds", 6), "from 0 to 5"),
+        (("period", 0, 1), "too many"),
+    ],
+)
+def test_names_that_are_none(key, says):
+    with pytest.raises(InputError, match=says):
+        find(SENSOR, key)
+
+
+@pytest.mark.parametrize(
+    "key, value, says",
+    [
+        (("threshold", 1), 0, r"threshold\[1\] = 0: must be an integer from 1 to 64"),
+        (("threshold", 1), 65, "from 1 to 64"),
+        ("period", 1025, "from 1 to 1024"),
+        ("period", 2.5, "must be an integer"),
+        ("period", True, "must be an integer"),
+        ("id", 1, "read-only"),
+        (("opened", 0), 1, "read-only"),
+    ],
+)
+def test_ranges_are_checked_before_the_bus(key, value, says):
+    memory = Memory()
+    driver = Driver(memory, SENSOR)
+    with pytest.raises(InputError, match=says):
+        driver[key] = value
+    assert not memory.written
+
+
+def test_only_what_changes_is_written():
+    memory = Memory()
+    driver = Driver(memory, fresh=True)
+    assert driver.sensor == SENSOR
+    of = config(frame={"period": 99}, subgroup={"threshold": 3})
+    assert driver.program(of) == len(memory.written) > 3
+    assert all(memory.words[at] == value for at, value in of.register_writes())
+    assert driver.program(of) == 0
+    driver["threshold", 1] = np.int64(2)
+    assert driver.program(of) == 1 and memory.words[address("threshold", 1)] == 3
+    with pytest.raises(InputError, match="the sensor is"):
+        driver.program(parse_config({}))
+
+
+def test_runs():
+    assert runs([(8, 1), (12, 2), (20, 3), (16, 4), (20, 5)]) == [(8, [1, 2]), (20, [3]), (16, [4, 5])]
+    known = Programmed({4: 1})
+    assert known.pending([(4, 1), (8, 0)]) == [(8, 0)]
+    known.forget()
+    assert known.pending([(4, 1)]) == [(4, 1)]
+
+
+def test_no_sensor():
+    memory = Memory()
+    memory.words[address("id")] = 0
+    with pytest.raises(HostError, match="no sensor"):
+        read_sensor(memory)
+    memory = Memory()
+    memory.words[address("version")] += 1 << 16
+    with pytest.raises(HostError, match="version"):
+        read_sensor(memory)
+
+
+def test_a_sensor_in_use():
+    """Registers, refusals and frames of the RTL, by driver alone, as the golden model has them."""
+    of = config(frame={"period": 80, "pulses": 6, "format": "full", "minigroup_records": True})
+    golden = Golden(SENSOR)
+    with BatchSensor(SENSOR) as rtl:
+        driver = Driver(rtl)
+        assert driver.sensor == SENSOR
+        assert driver["threshold", 1] == BY_NAME["threshold"].reset(SENSOR)
+        driver["threshold", 1] = 5
+        assert driver["threshold", 1] == 5
+        driver["period"] = SENSOR.guard
+        with pytest.raises(RefusedError) as refused:
+            driver.start()
+        assert refused.value.reasons == ("start_period",)
+        assert driver.status() == Status(busy=False, done=False)
+        rtl.driver.programmed.forget()
+        for seed in range(3):
+            edges = some_edges(of, seed)
+            trace = golden.frame(of, edges)
+            rtl.frame(of, edges)
+            (beats,) = driver.receive()
+            assert np.array_equal(beats, trace.beats[0])
+            for s in range(SENSOR.subgroups):
+                assert [driver[name, s] for name in registers.COUNTER_NAMES] == trace.counters[s].tolist()
+        assert driver.status() == Status(busy=False, done=False)
+        with pytest.raises(HostError, match="nothing more came"):
+            driver.receive(seconds=0.05)
+
+
+def test_frames_cut_anywhere():
+    golden, rng = Golden(SENSOR), np.random.default_rng(1)
+    of = config(frame={"period": 80, "pulses": 6, "format": "id", "minigroup_records": True, "frames": 3})
+    traces = [golden.frame(of, some_edges(of, seed)) for seed in range(3)]
+    stream = np.concatenate([trace.beats[0] for trace in traces])
+    assembler, at = FrameAssembler(SENSOR), 0
+    while at < len(stream):
+        n = int(rng.integers(1, 30))
+        assembler.add(stream[at : at + n])
+        at += n
+    assert len(assembler.frames) == 3
+    result = ResultBuilder(of)
+    for trace, beats in zip(traces, assembler.frames):
+        assert np.array_equal(beats, trace.beats[0])
+        result.add([beats])
+    arrays = result.arrays()
+    assert len(arrays["stamp"]) == sum(len(trace.commit_cycle) for trace in traces)
+    assert (arrays["commit_cycle"] == -1).all()
+    assert np.array_equal(arrays["opened"], [trace.counters[:, 0] for trace in traces])
+    assert decode_frame(assembler.frames[1], SENSOR, 2).number == 1
+    assembler.add(stream[:5])
+    with pytest.raises(StreamError, match="beat 5"):
+        assembler.add(stream[:1])
+    assembler.add(stream)
+    assert len(assembler.frames) == 6
+
+
+def test_mapped_file(tmp_path):
+    """A file of plain memory: every word goes to its place, and a sticky status bit is a refusal."""
+    path, base = tmp_path / "uio", 1 << 16
+    path.write_bytes(bytes(base + (1 << ADDRESS_BITS)))
+    image = np.memmap(path, np.uint32, "r+", offset=base)
+    for at, value in Memory().words.items():
+        image[at // 4] = value
+    of = config(frame={"period": 99}, subgroup={"threshold": 3, "mask": "f0f"})
+    with MemoryTransport(path, base) as transport:
+        driver = Driver(transport)
+        assert driver.sensor == SENSOR
+        driver.program(of)
+        assert all(image[at // 4] == value for at, value in of.register_writes())
+        image[address("status") // 4] = 1 << BY_NAME["status"].bit("bad_value")
+        with pytest.raises(RefusedError) as refused:
+            driver["period"] = 50
+        assert refused.value.reasons == ("bad_value",)
+    with pytest.raises(InputError, match="cannot be mapped"):
+        MemoryTransport(tmp_path / "none")

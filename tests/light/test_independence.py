@@ -1,0 +1,96 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Random draws are independent of each other: of pixels, pulses, avalanches, sides and purposes. Two that share a number show in their ranks."""
+
+import itertools
+
+import numpy as np
+from scipy import stats
+
+from coincid.model.light.light import Light
+from coincid.model.light.photons import generate_edges
+from coincid.model.light.spad import Spad
+from coincid.model.light.timing import Timing
+from coincid.model.shared.constants import SPEED_OF_LIGHT_M_S
+
+LEVEL = 1e-3  # of a test of all its pairs together
+TIMING = Timing(clock_hz=10e9, phases=64, period_cycles=5000)  # 500 ns in ticks of 1.6 ps
+ALWAYS = 40.0  # photons a pulse: a pixel that fires in every one
+APART_M = 6.0  # of targets: 40 ns, five dead times
+
+
+def assert_independent(columns: dict[str, np.ndarray]) -> None:
+    """No pair of columns (one row a pulse) has ranks that go together, in a row or from a row to the next."""
+    ranks = {name: stats.rankdata(column) for name, column in columns.items()}
+    ranks = {name: (rank - rank.mean()) / rank.std() for name, rank in ranks.items()}
+    pairs = [(a, b, 0) for a, b in itertools.combinations(ranks, 2)] + [(a, b, 1) for a in ranks for b in ranks]
+    limit = stats.norm.isf(LEVEL / 2 / len(pairs))
+    for a, b, lag in pairs:
+        n = len(ranks[a]) - lag
+        together = float(ranks[a][lag:] @ ranks[b][:n]) / np.sqrt(n)
+        assert abs(together) < limit, f"{a} goes with {b}{' of the pulse before' if lag else ''}: {together:.1f} sigma"
+
+
+def first_ticks(edges, pixel, pulses, low=0, high=1 << 62):
+    """The first tick in [low, high) of a pixel in every pulse; -1 where there is none."""
+    mine = (edges.pixel == pixel) & (edges.tick >= low) & (edges.tick < high)
+    first = np.full(pulses, 1 << 62)
+    np.minimum.at(first, edges.pulse[mine], edges.tick[mine])
+    return np.where(first == 1 << 62, -1, first)
+
+
+def test_sides_and_successive_avalanches_of_crosstalk():
+    """A pixel that fires three times a pulse: which of its neighbours each of the three strikes."""
+    pulses, distances_m = 6000, np.array([10.0, 10.0 + APART_M, 10.0 + 2 * APART_M])
+    signal, distance = np.zeros((25, 3)), np.broadcast_to(distances_m, (25, 3))
+    signal[12] = ALWAYS
+    light = Light(
+        rows=5, cols=5, distance_m=distance, signal_per_pulse=signal, background_cps=0.0, system_fwhm_s=10e-12
+    )
+    spad = Spad(jitter_fwhm_s=0, crosstalk_probability=0.25)
+    edges = generate_edges(light, spad, TIMING, pulses=pulses, seed=3)
+    half = APART_M / SPEED_OF_LIGHT_M_S / TIMING.tick_s
+    struck = {}
+    for avalanche, distance_m in enumerate(distances_m):
+        at = 2 * distance_m / SPEED_OF_LIGHT_M_S / TIMING.tick_s
+        for side, pixel in (("above", 7), ("left", 11), ("right", 13), ("below", 17)):
+            struck[f"{side} of avalanche {avalanche}"] = first_ticks(edges, pixel, pulses, at - half, at + half) >= 0
+    assert all(0.2 < column.mean() < 0.3 for column in struck.values())
+    assert_independent(struck)
+
+
+def test_pixels_and_pulses():
+    """When neighbours and others first see light, how often, and the same a pulse later: 12 pixels that look alike."""
+    pulses = 5000
+    light = Light(rows=3, cols=4, distance_m=20.0, signal_per_pulse=0.7, background_cps=2e6)
+    edges = generate_edges(light, Spad(), TIMING, pulses=pulses, seed=4)
+    columns = {f"pixel {pixel}, first edge": first_ticks(edges, pixel, pulses) for pixel in range(12)}
+    n = np.bincount(edges.pixel * pulses + edges.pulse, minlength=12 * pulses).reshape(12, pulses)
+    assert_independent(columns)
+    assert_independent({f"pixel {pixel}, edges": n[pixel] for pixel in range(12)})
+
+
+def test_purposes_of_one_avalanche():
+    """Of an avalanche: its jitter, whether it leaves a carrier, when that comes free, and the neighbours it strikes."""
+    pulses, distance_m = 12_000, 20.0
+    signal = np.zeros(25)
+    signal[12] = ALWAYS
+    light = Light(
+        rows=5, cols=5, distance_m=distance_m, signal_per_pulse=signal, background_cps=0.0, system_fwhm_s=300e-12
+    )
+    spad = Spad(jitter_fwhm_s=300e-12, afterpulse_probability=0.3, afterpulse_s=30e-9, crosstalk_probability=0.25)
+    edges = generate_edges(light, spad, TIMING, pulses=pulses, seed=5)
+    at = 2 * distance_m / SPEED_OF_LIGHT_M_S / TIMING.tick_s
+    near = 1.5e-9 / TIMING.tick_s
+    own = first_ticks(edges, 12, pulses, at - near, at + near)
+    released = first_ticks(edges, 12, pulses, at + near)
+    columns = {"jitter": own, "carrier": released >= 0}
+    columns |= {
+        f"side {side}": first_ticks(edges, pixel, pulses, at - near, at + near) >= 0
+        for side, pixel in enumerate((7, 11, 13, 17))
+    }
+    assert np.all(own >= 0) and 0.1 < columns["carrier"].mean() < 0.3
+    assert_independent(columns)
+    some = released >= 0  # the pulses with a carrier: when it came free
+    assert_independent(
+        {name: column[some] for name, column in columns.items() if name != "carrier"} | {"release": released[some]}
+    )

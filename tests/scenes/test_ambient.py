@@ -1,0 +1,69 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Ambient light across the picture: every form, resampled, in the background of every kind of scene; and what is wrong in it."""
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from coincid.model.scenes.ambient import ambient_klux
+from coincid.model.scenes.catalogue import load_scene
+from coincid.model.scenes.scene import scene_light
+from coincid.model.shared.errors import InputError
+
+
+def test_numbers_and_halves():
+    assert ambient_klux("50", 4, 4) == ambient_klux(50, 4, 4) == 50
+    half = ambient_klux("2|100", 3, 6)
+    assert np.all(half[:, :3] == 2) and np.all(half[:, 3:] == 100)
+
+
+def test_array_in_klux_takes_the_mean_of_what_a_pixel_covers(tmp_path):
+    klux = np.arange(24.0).reshape(4, 6)
+    path = tmp_path / "sun.npy"
+    np.save(path, klux)
+    assert np.array_equal(ambient_klux(str(path), 4, 6), klux)
+    assert np.array_equal(ambient_klux(str(path), 2, 3), klux.reshape(2, 2, 3, 2).mean(axis=(1, 3)))
+    assert np.array_equal(ambient_klux(str(path), 8, 12), klux.repeat(2, 0).repeat(2, 1))
+    assert np.array_equal(ambient_klux(str(path), 4, 4), klux[:, 1:5])  # the middle, in the sensor's aspect ratio
+
+
+@pytest.mark.parametrize("depth, white", [(np.uint8, 255), (np.uint16, 65535)])
+def test_grey_picture_has_its_white_level(tmp_path, depth, white):
+    path = tmp_path / "sun.png"
+    Image.fromarray(np.array([[0, white], [white, 0]], depth)).save(path)
+    assert np.array_equal(ambient_klux(f"{path},120", 2, 2), [[0, 120], [120, 0]])
+
+
+def test_background_follows_map_and_reflectivity():
+    scene = load_scene("five-objects", 32, 32)
+    light, dark = scene_light(scene, "10|100"), scene_light(scene, 10)
+    ratio = (light.background_cps / dark.background_cps).reshape(32, 32)
+    assert ratio[:, :16] == pytest.approx(1) and ratio[:, 16:] == pytest.approx(10)
+    assert dark.background_cps == pytest.approx(1.226e6 / 5 * scene.reflectivity.ravel() / 0.4)
+    assert scene_light(scene, 10, background="even").background_cps == pytest.approx(1.226e6 / 5)
+    assert np.array_equal(light.signal_per_pulse, dark.signal_per_pulse)
+
+
+def test_what_is_wrong_is_named(tmp_path):
+    colour, negative, flat = tmp_path / "colour.png", tmp_path / "negative.npy", tmp_path / "flat.npy"
+    Image.fromarray(np.zeros((4, 4, 3), np.uint8)).save(colour)
+    np.save(negative, np.full((4, 4), -1.0))
+    np.save(flat, np.ones(4))
+    for source, message in {
+        "-1": "klux = -1.0: must be a number of at least 0",
+        "nan": "klux = nan",
+        "bright": "klux = 'bright': must be a number, LOW|HIGH",
+        "1|2|3": "klux = '1|2|3': must be a number",
+        "1|x": "klux = '1|x': must be a number",
+        "2|-5": "klux = -5.0",
+        str(colour): "needs its white level in klux",
+        f"{colour},100": "mode RGB, must be grey",
+        f"{colour},-1": "klux = -1.0",
+        str(negative): "klux[0, 0] = -1.0: must be of at least 0",
+        str(flat): "must hold numbers in two dimensions",
+        "nowhere.npy": "nowhere.npy: no such file",
+        "nowhere.png,5": "nowhere.png: no such file",
+    }.items():
+        with pytest.raises(InputError) as raised:
+            ambient_klux(source, 4, 4)
+        assert message in str(raised.value)

@@ -1,0 +1,133 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which way is up, absolutely: a letter F drawn here stands the same way in the scene, at the ports, in the words and in the picture.
+
+A scene that is mirrored or turned together with its light agrees with itself; only a drawing tells. (Ray-traced scenes through a camera:
+`test_raytrace.py::test_users_camera`.)
+"""
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from coincid.model.contract.config import parse_config
+from coincid.model.contract.ports import port_bits
+from coincid.model.contract.stream import decode_frame
+from coincid.model.depth.estimate import estimate_depth
+from coincid.model.golden.frame import Golden, golden_result
+from coincid.model.light.photons import generate_edges
+from coincid.model.light.spad import Spad
+from coincid.model.light.timing import Timing
+from coincid.model.scenes.catalogue import load_scene
+from coincid.model.scenes.scene import scene_light
+from coincid.model.shared.constants import SPEED_OF_LIGHT_M_S
+
+NEAR_M, FAR_M = 5.0, 8.0
+LETTER = (
+    np.array(
+        [
+            list(row)
+            for row in (
+                "................",
+                "................",
+                "...#########....",
+                "...#########....",
+                "...##...........",
+                "...##...........",
+                "...##...........",
+                "...#######......",
+                "...#######......",
+                "...##...........",
+                "...##...........",
+                "...##...........",
+                "...##...........",
+                "................",
+                "................",
+                "................",
+            )
+        ]
+    )
+    == "#"
+)
+ROWS, COLS = LETTER.shape
+CONFIG = parse_config(
+    {
+        "sensor": {"rows": ROWS, "cols": COLS},
+        "frame": {"pulses": 60, "format": "full", "minigroup_records": True, "mg_threshold": 1},
+        "subgroup": {"threshold": 1},
+    }
+)
+
+
+def built_in(folder):
+    return load_scene("letter-f", ROWS, COLS)
+
+
+def picture_file(folder):
+    Image.fromarray((1000 * np.where(LETTER, NEAR_M, FAR_M)).astype(np.uint16)).save(folder / "f.png")
+    return load_scene(str(folder / "f.png"), ROWS, COLS, reflectivity=0.4)
+
+
+def array_file(folder):
+    np.save(folder / "f.npy", np.where(LETTER, NEAR_M, FAR_M))
+    return load_scene(str(folder / "f.npy"), ROWS, COLS, reflectivity=0.4)
+
+
+def coloured_file(folder):
+    """The letter in the colour, not in the distance."""
+    np.save(folder / "wall.npy", np.full(LETTER.shape, NEAR_M))
+    Image.fromarray(np.where(LETTER, 200, 20).astype(np.uint8)).save(folder / "letter.png")
+    return load_scene(f"{folder / 'wall.npy'},{folder / 'letter.png'}", ROWS, COLS)
+
+
+@pytest.mark.parametrize("scene", [built_in, picture_file, array_file])
+def test_letter_stands_the_same_way_from_the_scene_to_the_picture(scene, tmp_path):
+    scene = scene(tmp_path)
+    assert scene.truth_m == pytest.approx(np.where(LETTER, NEAR_M, FAR_M))
+    light = scene_light(scene, 0.0)
+    edges = generate_edges(light, Spad(), Timing(), pulses=CONFIG.pulses, seed=1)
+    config, between = CONFIG, round((NEAR_M + FAR_M) / SPEED_OF_LIGHT_M_S / CONFIG.tick_s)
+    near = edges.tick < between
+
+    # At the ports: subgroups of 8 x 8 in rows, pixels in rows inside, as the contract counts them.
+    at = port_bits(config, edges)
+    pixel = at.bit // config.sensor.phases
+    row, col = at.subgroup // 2 * 8 + pixel // 8, at.subgroup % 2 * 8 + pixel % 8
+    assert_drawn(row[near], col[near], LETTER)
+    assert_drawn(row[~near], col[~near], ~LETTER)
+
+    # In the words: hit maps of the events, maps of the minigroup records.
+    (beats,) = Golden(config.sensor).frame(config, edges).beats
+    words = decode_frame(beats, config.sensor, config.sensor.subgroups)
+    subgroup, stamp = words.events[:, 2], words.events[:, 6]
+    hits = words.hits[:, 0][:, None] >> np.arange(64, dtype=np.uint64) & np.uint64(1)
+    event, pixel = np.nonzero(hits)
+    row, col = subgroup[event] // 2 * 8 + pixel // 8, subgroup[event] % 2 * 8 + pixel % 8
+    early = stamp[event] < between
+    assert_drawn(row[early], col[early], LETTER)
+    assert_drawn(row[~early], col[~early], ~LETTER)
+    record, minigroup, bit = np.nonzero(words.entries[:, :, 1][:, :, None] >> np.arange(4) & 1)
+    where = words.records[record, 0]
+    row = where // 2 * 8 + minigroup // 4 * 2 + bit // 2
+    col = where % 2 * 8 + minigroup % 4 * 2 + bit % 2
+    early = words.entries[record, minigroup, 0] * (config.sensor.phases // 4) < between
+    assert_drawn(row[early], col[early], LETTER)
+
+    # In the picture.
+    depth_m = estimate_depth(golden_result(config, edges), config).depth_m[:, :, 0]
+    assert np.mean(np.abs(depth_m - np.where(LETTER, NEAR_M, FAR_M)) < 0.5) > 0.95
+
+
+def test_letter_in_the_colour(tmp_path):
+    scene = coloured_file(tmp_path)
+    assert np.array_equal(scene.reflectivity[:, :, 0] > 0.2, LETTER)
+    edges = generate_edges(scene_light(scene, 0.0), Spad(), Timing(), pulses=200, seed=1)
+    seen = np.bincount(edges.pixel, minlength=ROWS * COLS).reshape(ROWS, COLS)
+    assert seen[LETTER].min() > seen[~LETTER].max()
+
+
+def assert_drawn(row, col, drawing):
+    """Most pixels of the drawing are there, and hardly any other."""
+    seen = np.zeros(drawing.shape, np.int64)
+    np.add.at(seen, (row, col), 1)
+    assert np.mean(seen[drawing] > 0) > 0.95
+    assert seen[~drawing].sum() <= 0.02 * seen.sum()

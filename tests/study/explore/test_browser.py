@@ -1,0 +1,331 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The explorer in a real Chromium: every control, every click, and what may go wrong. Skipped where there is no Chromium."""
+
+import re
+import shutil
+import signal
+from urllib.parse import parse_qsl, urlsplit
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import coincid
+from coincid.study.explore.controls import CONTROLS
+
+from .served import SMALL, explorer
+from .values import other_value
+
+CHROMIUM = shutil.which("chromium")
+pytestmark = [pytest.mark.skipif(CHROMIUM is None, reason="chromium is not installed (scripts/setup chromium)")]
+FLAGS = (
+    "--no-sandbox",
+    "--disable-gpu",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+)
+PATIENCE_MS = 240_000
+SHOWN = "document.body.dataset.state === 'shown'"
+
+
+@pytest.fixture(scope="module")
+def address():
+    with explorer(*SMALL) as (_, address):
+        yield address
+
+
+@pytest.fixture(scope="module")
+def chromium():
+    from playwright.sync_api import sync_playwright
+
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=list(FLAGS))
+        yield browser
+        browser.close()
+
+
+@pytest.fixture
+def tabs(chromium):
+    """Opens tabs; at the end no console has an error, and nothing but this machine was asked."""
+    context = chromium.new_context(viewport={"width": 1280, "height": 800}, accept_downloads=True)
+    context.set_default_timeout(PATIENCE_MS)
+    errors, requests, forgiven = [], [], []
+
+    def new_tab(address, ready=True):
+        tab = context.new_page()
+        tab.on("console", lambda message: message.type == "error" and errors.append(message.text))
+        tab.on("pageerror", lambda error: errors.append(str(error)))
+        tab.on("request", lambda request: requests.append(request.url))
+        tab.goto(address)
+        if ready:
+            shown(tab)
+        return tab
+
+    new_tab.forgive = forgiven.append
+    yield new_tab
+    context.close()
+    assert [error for error in errors if not any(text in error for text in forgiven)] == []
+    assert [url for url in requests if not url.startswith(("http://127.0.0.1:", "data:", "blob:", "file:"))] == []
+
+
+def shown(tab):
+    tab.wait_for_function(SHOWN, timeout=PATIENCE_MS)
+
+
+def put(tab, name, value):
+    """Sets a control as a user does, opened first where its group is closed."""
+    field = tab.locator(f"#controls [name='{name}']")
+    field.evaluate("(one) => { one.closest('details').open = true; }")
+    kind = field.evaluate("(one) => one.type")
+    if kind == "checkbox":
+        field.set_checked(value)
+    elif kind == "select-one":
+        field.select_option(str(value))
+    else:
+        field.fill(str(value))
+
+
+def number(tab, label):
+    """A row of the numbers: its cells."""
+    rows = tab.evaluate(
+        "[...document.querySelectorAll('#numbers tbody tr')].map((r) => [...r.children].map((c) => c.textContent.trim()))"
+    )
+    return next(cells[1:] for cells in rows if cells[0] == label)
+
+
+def story(tab):
+    return tab.locator("#story").text_content()
+
+
+def click_map(tab, name, row, col):
+    """Clicks a pixel of a map: the plot inside its frame is found by what Bokeh says of it."""
+    x, y = tab.evaluate(
+        """([name, row, col]) => {
+          const view = Bokeh.index.find_one_by_id?.(Bokeh.documents[0].get_model_by_name(name).id)
+            ?? Object.values(Bokeh.index.roots ?? Bokeh.index).find((v) => v.model.name === name);
+          const box = view.el.getBoundingClientRect();
+          return [box.x + view.frame.x_scale.compute(col), box.y + view.frame.y_scale.compute(row)];
+        }""",
+        [f"map_{name}", row, col],
+    )
+    tab.mouse.click(x, y)
+
+
+def figure_title(tab, name):
+    return tab.evaluate("(name) => Bokeh.documents[0].get_model_by_name(name).title.text", name)
+
+
+def points(tab, name):
+    """How many edges the timeline shows, or events the histogram."""
+    return tab.evaluate(
+        """(name) => Bokeh.documents[0].get_model_by_name(name).renderers.map((r) => Object.values(r.data_source.data)[0].length)""",
+        name,
+    )
+
+
+SMALL_TOO = {"pulses": 30, "cols": 24}  # legal with the others' other values
+
+
+def test_every_control_reaches_what_is_computed(tabs, address):
+    tab = tabs(address)
+    values = {control.name: other_value(control) for control in CONTROLS} | SMALL_TOO
+    for name, value in values.items():
+        put(tab, name, value)
+    shown(tab)
+    assert dict(parse_qsl(urlsplit(tab.url).query)) == {name: str(value) for name, value in values.items()}
+    tab.click("[data-do=reset]")
+    shown(tab)
+    assert "five-objects, 50 klux, 100 pulses, threshold 2 " in tab.locator("#status").text_content()
+
+
+def test_a_result_is_shown_only_beside_its_own_settings(tabs, address):
+    tab = tabs(address)
+    put(tab, "threshold", 5)
+    assert tab.evaluate("document.body.dataset.state") == "asked"  # at once, before the server knows
+    opacity = tab.evaluate("getComputedStyle(document.getElementById('results')).opacity")
+    assert float(opacity) < 0.1
+    for threshold in (6, 7, 3):
+        put(tab, "threshold", threshold)
+    shown(tab)
+    assert "threshold 3" in tab.locator("#status").text_content()
+    assert number(tab, "mean threshold") == ["3.00"]
+
+
+def test_the_threshold_and_the_dark_object(tabs, address):
+    tab = tabs(address)
+    for number_of_try, text in ((0, "found the FIFO full"), (2, r"9\d% of the pixels are wrong.*, 0%\.")):
+        tab.locator("[data-try]").nth(number_of_try).click()
+        shown(tab)
+        assert re.search(text, story(tab))
+    rows = tab.locator("#objects tbody tr").all_text_contents()
+    assert re.search(r"9\d\.\d%", rows[0]) and "0.0%" in rows[-1]
+
+
+def test_a_click_picks_a_pixel_and_its_subgroup(tabs, address):
+    tab = tabs(address)
+    click_map(tab, "depth_m", 3, 12)
+    tab.wait_for_function(
+        "Bokeh.documents[0].get_model_by_name('histogram').title.text.startsWith('pixel row 3, column 12')"
+    )
+    tab.wait_for_function(
+        "Bokeh.documents[0].get_model_by_name('timeline').title.text.startsWith('subgroup 1, pulse 0')"
+    )
+    assert max(points(tab, "timeline")) > 1
+    tab.fill("[data-look=pulse]", "7")
+    tab.wait_for_function(
+        "Bokeh.documents[0].get_model_by_name('timeline').title.text.startsWith('subgroup 1, pulse 7')"
+    )
+    tab.fill("[data-look=row]", "99")
+    tab.wait_for_function(
+        "document.getElementById('looked').textContent.includes('row = 99: must be an integer from 0 to 15')"
+    )
+
+
+def test_pulses_and_frames_play(tabs, address):
+    tab = tabs(address)
+    put(tab, "frames", 3)
+    put(tab, "auto", True)
+    shown(tab)
+    assert tab.locator("#film").is_visible()
+    for name in ("pulse", "frame"):
+        before = tab.evaluate(f"link.told.look?.{name} ?? link.answer.look.{name}")
+        tab.click(f"[data-play={name}]")
+        tab.wait_for_function(f"link.told.look && link.told.look.{name} !== {before}")
+        tab.click(f"[data-play={name}]")
+
+
+def test_illegal_values_say_what_is_legal(tabs, address):
+    tab = tabs(address)
+    put(tab, "threshold", 999)
+    tab.wait_for_selector("#refused:not([hidden])")
+    assert tab.locator("#refused").text_content() == "subgroup.threshold = 999: must be an integer from 1 to 64"
+    assert "illegal" in tab.locator("[data-control=threshold]").get_attribute("class")
+    assert tab.locator("#results").evaluate("(one) => getComputedStyle(one).opacity") == "0.06"
+    put(tab, "threshold", "")
+    tab.wait_for_function("document.getElementById('refused').textContent.startsWith('threshold: is empty')")
+    put(tab, "threshold", 2)
+    shown(tab)
+    assert tab.locator("#refused").is_hidden()
+
+
+def test_uploads(tabs, address, tmp_path):
+    tab = tabs(address)
+    depth, bad = tmp_path / "depth.png", tmp_path / "<b>.png"
+    Image.fromarray(np.full((64, 64), 3000, np.uint16)).save(depth)
+    Image.new("L", (64, 64), 9).save(bad)
+    tab.set_input_files("#u-depth", bad)
+    tab.wait_for_selector("#refused:not([hidden])")
+    assert "8 bit" in tab.locator("#refused").text_content() and "<b>.png" in tab.locator("#refused").text_content()
+    tab.set_input_files("#u-depth", depth)
+    shown(tab)
+    assert "truth 3.00 m" in figure_title(tab, "histogram")
+
+
+def test_two_settings_side_by_side(tabs, address):
+    tab = tabs(address)
+    tab.click("[data-do=keep_a]")
+    tab.wait_for_selector("body[data-ab]")
+    put(tab, "threshold", 5)
+    shown(tab)
+    assert figure_title(tab, "map_a_depth_m") == "A: depth, m" and figure_title(tab, "map_depth_m") == "B: depth, m"
+    assert tab.locator("[data-map=map_a_error_m]").is_visible() and tab.locator("[data-map=map_truth_m]").is_hidden()
+    assert number(tab, "mean threshold") == ["5.00", "2.00"]
+    tab.select_option("[data-look=which]", "A")
+    tab.wait_for_function("Bokeh.documents[0].get_model_by_name('timeline').title.text.endsWith('needs 2 pixels')")
+    put(tab, "cols", 24)
+    shown(tab)
+    tab.fill("[data-look=col]", "20")  # A has 16
+    tab.wait_for_function("Bokeh.documents[0].get_model_by_name('histogram').title.text.includes('column 15')")
+    tab.click("[data-do=drop_a]")
+    tab.wait_for_selector("body:not([data-ab])")
+    assert tab.locator("[data-map=map_a_depth_m]").is_hidden() and tab.locator("[data-map=map_truth_m]").is_visible()
+
+
+def test_what_is_saved(tabs, address):
+    tab = tabs(address)
+    for kind, start in (("toml", b"[sensor]"), ("csv", b"subgroup,pulse"), ("png", b"\x89PNG")):
+        with tab.expect_download() as download:
+            tab.select_option("#save", kind)
+        with open(download.value.path(), "rb") as file:
+            assert file.read(16).startswith(start)
+    tab.select_option("#save", "command")
+    tab.wait_for_selector("#said:not([hidden])")
+    assert tab.locator("#said").text_content() == "coincid explore --set pulses=20 --set rows=16 --set cols=16"
+
+
+def test_the_rtl_agrees(tabs, address):
+    tab = tabs(f"{address}?rows=8&cols=16&pulses=5")  # a sensor that other tests compile, too
+    tab.click("[data-do=rtl]")
+    tab.wait_for_function("document.getElementById('rtl').textContent.startsWith('Every word agrees')")
+
+
+def test_two_tabs_do_not_disturb_each_other(tabs, address):
+    first, second = tabs(address), tabs(address)
+    put(first, "threshold", 4)
+    put(second, "threshold", 6)
+    for tab, threshold in ((first, "4.00"), (second, "6.00")):
+        shown(tab)
+        assert number(tab, "mean threshold") == [threshold]
+
+
+def test_themes_and_keyboard(tabs, address):
+    tab = tabs(address)
+    before = tab.evaluate("getComputedStyle(document.body).backgroundColor")
+    tab.locator("#theme").focus()
+    tab.keyboard.press("Enter")
+    assert tab.evaluate("getComputedStyle(document.body).backgroundColor") != before
+    tab.locator("#controls [name=threshold]").focus()
+    tab.keyboard.press("ArrowUp")
+    shown(tab)
+    assert number(tab, "mean threshold") == ["3.00"]
+
+
+def test_a_server_that_was_killed_and_started_again(tabs):
+    tabs.forgive("ERR_CONNECTION")
+    tabs.forgive("WebSocket")
+    tabs.forgive("onnection")
+    with explorer(*SMALL) as (process, address):
+        tab = tabs(address)
+        put(tab, "threshold", 4)
+        shown(tab)
+        process.send_signal(signal.SIGKILL)
+        process.wait()
+        tab.wait_for_selector("#gone:not([hidden])")
+    with explorer(*SMALL, port=address.rstrip("/").rpartition(":")[2]):
+        tab.wait_for_function("document.getElementById('gone')?.hidden === true && " + SHOWN)
+        assert number(tab, "mean threshold") == ["4.00"]
+
+
+def test_a_report_needs_no_server(tabs, tmp_path):
+    from coincid.study.explore.run import Explorer
+    from coincid.study.explore.settings import check_settings
+    from coincid.study.show.report import write_report
+
+    explored = Explorer().run(check_settings({"rows": 16, "cols": 16, "pulses": 10, "gating": True, "frames": 2}))
+    views = [explored.view(k) for k in range(2)]
+    write_report(tmp_path / "report.html", "a <run>", views)
+    tab = tabs(f"file://{tmp_path}/report.html", ready=False)
+    tab.wait_for_function("document.getElementById('story')?.textContent.length > 0")
+    click_map(tab, "truth_m", 9, 4)
+    tab.wait_for_function(
+        "Bokeh.documents[0].get_model_by_name('histogram').title.text.startsWith('pixel row 9, column 4')"
+    )
+    tab.select_option("[data-look=frame]", "1")
+    tab.fill("[data-look=pulse]", "3")
+    tab.wait_for_function(
+        "Bokeh.documents[0].get_model_by_name('timeline').title.text.startsWith('subgroup 2, pulse 3')"
+    )
+    period = views[1].timeline.period(2, 3)
+    shown_edges, shown_windows = tab.evaluate("[all.timeline.edges.data.y.length, all.timeline.windows.data.count]")
+    assert shown_edges == len(period.tick) and shown_windows == period.windows.count.tolist()
+    assert tab.evaluate("all.timeline.fill.data.fill.slice(0, -1)") == period.fill.tolist()
+    assert tab.evaluate("all.histogram.bars.data.pixel") == views[1].histogram(9, 4)[0].tolist()
+
+
+def test_a_notebooks_page_needs_no_server(tabs, tmp_path):
+    config = coincid.parse_config({"sensor": {"rows": 8, "cols": 8}, "frame": {"pulses": 5}})
+    coincid.simulate(config, "flat:5,0.5").timeline(0, 3).save(tmp_path / "period.html")
+    tab = tabs(f"file://{tmp_path}/period.html", ready=False)
+    tab.wait_for_function("Bokeh.documents[0]?.get_model_by_name('timeline')")
+    assert figure_title(tab, "timeline") == "subgroup 0, pulse 3: a window needs 2 pixels"

@@ -1,0 +1,133 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Runs of the explorer: the golden model's result, stages that are kept, and answers to the newest question only."""
+
+import threading
+import tomllib
+
+import numpy as np
+import pytest
+
+from coincid.model.contract.config import parse_config
+from coincid.model.contract.result import differences
+from coincid.model.golden.frame import golden_result
+from coincid.study.explore.out import SAVES, events_csv
+from coincid.study.explore.run import Explorer, Runner, check_on_rtl
+from coincid.study.explore.settings import check_settings
+
+SMALL = {"rows": 16, "cols": 16, "pulses": 20}
+
+
+def test_a_run_is_the_golden_models_whatever_was_run_before():
+    explorer = Explorer()
+    gated = {"gating": True, "spad_gate": True}
+    for values in (
+        {},
+        {"threshold": 4},
+        {"klux": 5.0},
+        {"gating": True},
+        gated,
+        {"frames": 3, "auto": True},
+        {"phases": 16},
+        {},
+    ):
+        explored = explorer.run(check_settings(SMALL | values))
+        fresh = Explorer().run(check_settings(SMALL | values))
+        assert not differences(explored.arrays, fresh.arrays)
+        assert not differences(explored.arrays, golden_result(explored.settings.config, explored.edges))
+
+
+def test_a_new_threshold_asks_for_no_new_photons():
+    explorer = Explorer()
+    first, second = (explorer.run(check_settings(SMALL | {"threshold": threshold})) for threshold in (2, 3))
+    third = explorer.run(check_settings(SMALL | {"seed": 2}))
+    assert first.edges is second.edges and third.edges is not first.edges
+
+
+def test_the_dark_object_beside_the_bright_one_is_lost_at_a_high_threshold():
+    explorer = Explorer()
+    for threshold, lost in ((2, False), (5, True)):
+        view = explorer.run(check_settings({"threshold": threshold})).view()
+        dark, bright = view.objects[0], view.objects[-1]
+        assert dark.signal < bright.signal
+        assert (dark.wrong_share > 0.9) == lost and bright.wrong_share < 0.05
+
+
+def test_numbers_agree_with_each_other():
+    view = Explorer().run(check_settings(SMALL | {"coincidence": False, "fifo_depth": 1})).view()
+    numbers = view.numbers
+    assert numbers["opened"] == numbers["committed"] + numbers["rejected"]
+    assert numbers["committed"] == numbers["events"] + numbers["dropped"] and numbers["dropped"] > 0
+    assert numbers["bits"] == 64 * numbers["beats"] and 0 < numbers["sun_share"] <= 1
+    assert view.drops[::8, ::8].sum() == numbers["dropped"]
+    of_pixel, of_subgroup = view.histogram(3, 5)
+    assert of_subgroup.sum() == view.events.bounds[1] and np.all(of_pixel <= of_subgroup)
+    hits = sum(view.histogram(row, col)[0].sum() for row in range(8) for col in range(8))
+    assert hits == view.events.count[: view.events.bounds[1]].sum()
+
+
+def test_progress_may_stop_a_run():
+    class Stop(Exception):
+        pass
+
+    seen = []
+
+    def progress(stage, share):
+        assert 0 <= share <= 1
+        seen.append(stage)
+        if stage == "golden model":
+            raise Stop
+
+    with pytest.raises(Stop):
+        Explorer().run(check_settings(SMALL), progress)
+    assert seen[0] == "scene" and "depth" not in seen
+
+
+def test_only_the_newest_answer_is_delivered():
+    got, begun, go, done = [], threading.Event(), threading.Event(), threading.Event()
+
+    def deliver(number, kind, outcome):
+        if kind != "progress":
+            got.append((number, kind, outcome))
+            done.set()
+
+    def slow(progress):
+        begun.set()
+        go.wait(60)
+        progress("late", 0.5)
+        return "old"
+
+    def bad(progress):
+        raise ValueError("of no use")
+
+    runner = Runner(deliver)
+    runner.start(slow)
+    assert begun.wait(60)
+    newest = runner.start(lambda progress: "new")
+    go.set()
+    assert done.wait(60)
+    assert got == [(newest, "done", "new")]
+    done.clear()
+    newest = runner.start(bad)
+    assert done.wait(60) and got[-1][:2] == (newest, "failed")
+    runner.close()
+
+
+def test_what_is_saved():
+    explored = Explorer().run(check_settings(SMALL))
+    for kind, save in SAVES.items():
+        name, media, content = save.make(explored, 0)
+        assert content and name.endswith(kind) and "/" in media
+    lines = events_csv(explored).splitlines()
+    assert len(lines) == 1 + len(explored.arrays["pulse"])
+    first = dict(zip(lines[0].split(","), lines[1].split(",")))
+    assert int(first["count"]) == int(first["hits"], 16).bit_count()
+    assert parse_config(tomllib.loads(SAVES["toml"].make(explored, 0)[2].decode())).pulses == SMALL["pulses"]
+
+
+def test_the_rtl_sends_the_same_words():
+    explored = Explorer().run(
+        check_settings(SMALL | {"rows": 8, "pulses": 5})
+    )  # a sensor that other tests compile, too
+    assert check_on_rtl(explored).startswith("Every word agrees: the RTL sent the same frame")
+    explored.arrays["count"][0] += 1
+    assert "count[0]" in check_on_rtl(explored)

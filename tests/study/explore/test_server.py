@@ -1,0 +1,51 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The explorer's server: who is answered, and how it ends."""
+
+import json
+import signal
+import subprocess
+import sys
+import urllib.request
+from urllib.error import HTTPError
+
+import pytest
+
+from .served import SMALL, explorer
+
+
+@pytest.fixture(scope="module")
+def address():
+    with explorer(*SMALL) as (_, address):
+        yield address
+
+
+@pytest.mark.parametrize(
+    "headers",
+    [
+        {"Origin": "http://example.org"},
+        {"Host": "example.org"},
+        {"Sec-Fetch-Site": "cross-site"},
+        {"Sec-Fetch-Site": "same-site", "Sec-Fetch-Mode": "no-cors"},
+    ],
+    ids=json.dumps,
+)
+def test_other_origins_are_refused(address, headers):
+    with pytest.raises(HTTPError, match="403"):
+        urllib.request.urlopen(urllib.request.Request(address, headers=headers))
+    link = {"Sec-Fetch-Site": "cross-site", "Sec-Fetch-Mode": "navigate", "Sec-Fetch-Dest": "document"}
+    with urllib.request.urlopen(urllib.request.Request(address, headers=link)) as page:
+        assert page.status == 200
+
+
+def test_a_port_in_use_is_named(address):
+    port = address.rstrip("/").rpartition(":")[2]
+    command = [sys.executable, "-m", "coincid", "explore", "--no-browser", "--port", port]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr == f"coincid: port = {port}: in use or not allowed, must be a free port from 1024 to 65535\n"
+
+
+def test_it_ends_without_a_complaint():
+    with explorer(*SMALL) as (process, _):
+        process.send_signal(signal.SIGTERM)
+        assert process.wait() in (0, 143)  # 143: the signal came before the server took signals

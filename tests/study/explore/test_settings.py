@@ -1,0 +1,163 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The explorer's settings: every control reaches what is simulated, everything illegal is refused with what is legal."""
+
+import tomllib
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from coincid.model.contract.config import parse_config
+from coincid.model.contract.parameters import Sensor
+from coincid.model.shared.errors import InputError
+from coincid.study.explore.controls import CONTROL, CONTROLS
+from coincid.study.explore.settings import check_settings, command, config_toml, given_settings
+from coincid.study.explore.uploads import BYTES_MAX, Uploads
+
+from .values import other_value
+
+
+@pytest.mark.parametrize("control", CONTROLS, ids=lambda control: control.name)
+def test_every_control_has_a_sentence_and_changes_the_settings(control):
+    assert control.sentence.endswith(".")
+    value = other_value(control)
+    settings = check_settings({control.name: value})
+    assert settings.changed == {control.name: value}
+    if control.where:
+        table, key = control.where
+        written = tomllib.loads(config_toml(settings))[table][key]
+        assert written == ([int(n) for n in value.split("x")] if control.name in ("subgroup", "minigroup") else value)
+
+
+@pytest.mark.parametrize("values", [{}, {"threshold": 5, "pulses": 50, "gating": True, "frames": 3, "subgroup": "4x4"}])
+def test_the_configuration_that_is_written_is_the_one_that_is_simulated(values):
+    settings = check_settings(values)
+    read = parse_config(tomllib.loads(config_toml(settings)))
+    assert read.sensor == settings.config.sensor and read.frame == settings.config.frame
+    assert read.register_writes() == settings.config.register_writes()
+
+
+def test_the_command_gives_the_same_settings_again():
+    settings = check_settings({"klux": 12.5, "scene": "two-targets", "gating": True, "sun": "left half"})
+    words = command(settings).split("--set ")[1:]
+    again = given_settings([word.strip().strip("'") for word in words])
+    assert again.values == settings.values
+
+
+@pytest.mark.parametrize(
+    "values, control, sentence",
+    [
+        ({"threshold": 65}, "threshold", "subgroup.threshold = 65: must be an integer from 1 to 64"),
+        ({"threshold": None}, "threshold", "threshold: is empty, must be a number from 1 to 64"),
+        ({"threshold": 1.5}, "threshold", "subgroup.threshold = 1.5: must be an integer from 1 to 64"),
+        ({"threshold": 17, "subgroup": "4x4"}, "threshold", "subgroup.threshold = 17: must be an integer from 1 to 16"),
+        ({"klux": -1}, "klux", "klux = -1: must be a number from 0 to 200"),
+        ({"klux": float("nan")}, "klux", "klux = nan: must be a number from 0 to 200"),
+        ({"pulses": 0}, "pulses", "pulses = 0: must be an integer from 1 to 10000"),
+        ({"rows": 30}, "subgroup", "sensor.subgroup = [8, 8]: must divide rows x cols = [30, 32] without rest"),
+        ({"scene": "moon"}, "scene", "scene = 'moon': must be one of five-objects"),
+        ({"gating": True, "gate_start": 300}, "gate_start", "subgroup.gate_start = 300: must be an integer from 0 to 249"),
+        ({"rows": 512, "cols": 512, "pulses": 10_000}, "pulses", "pulses = 10000: must be an integer from 1 to 128"),
+        ({"colour": 1}, None, "colour: unknown setting"),
+    ],
+)  # fmt: skip
+def test_illegal_values_name_the_control_and_what_is_legal(values, control, sentence):
+    with pytest.raises(InputError) as refused:
+        check_settings(values)
+    assert str(refused.value).startswith(sentence)
+    assert refused.value.control == control
+
+
+@pytest.mark.parametrize("given", ["threshold", "threshold=many", "moon=1", "depth_file=/none.png"])
+def test_commands_are_refused_with_a_sentence(given):
+    with pytest.raises(InputError, match="must be|no such file"):
+        given_settings([given])
+
+
+def test_distances_are_scaled_within_the_range():
+    near, far = (check_settings({"scale": scale}).scene().truth_m for scale in (1.0, 2.0))
+    assert np.allclose(far, 2 * near)
+    with pytest.raises(InputError, match="scale = 9: must be a number from .* to 7.7"):
+        check_settings({"scale": 9.0}).scene()
+
+
+def test_half_the_scene_lies_in_the_shade():
+    settings = check_settings({"scene": "flat", "sun": "left half", "shade_klux": 5.0})
+    background = settings.light(settings.scene()).background_cps.reshape(32, 32)
+    assert np.allclose(background[:, :16], 10 * background[:, 16:])
+
+
+def upload(tmp_path, kind, name, content):
+    return Uploads().with_file(kind, name, content, tmp_path)
+
+
+def png(tmp_path, picture):
+    path = tmp_path / "made.png"
+    picture.save(path)
+    return path.read_bytes()
+
+
+def npy(tmp_path, array):
+    path = tmp_path / "made.npy"
+    np.save(path, array)
+    return path.read_bytes()
+
+
+def test_an_uploaded_depth_picture_is_the_scene(tmp_path):
+    depth_mm = np.full((48, 64), 4000, np.uint16)
+    uploads = upload(tmp_path, "depth", "../../wall.png", png(tmp_path, Image.fromarray(depth_mm)))
+    assert uploads.depth.parent.parent == tmp_path  # a name cannot lead out of the folder
+    scene = check_settings({"scene": "upload"}, uploads).scene()
+    assert np.all(scene.truth_m == 4.0)
+
+
+def test_an_uploaded_picture_is_the_sun(tmp_path):
+    grey = np.zeros((64, 64), np.uint8)
+    grey[:32] = 255
+    settings = check_settings(
+        {"scene": "flat", "sun": "picture"}, upload(tmp_path, "sun", "sun.png", png(tmp_path, Image.fromarray(grey)))
+    )
+    background = settings.light(settings.scene()).background_cps.reshape(32, 32)
+    assert np.all(background[:16] == background.max()) and np.all(background[16:] == background.min())
+
+
+BAD = {
+    "8 bit": ("depth.png", lambda at: png(at, Image.new("L", (32, 32), 7)), "8 bit"),
+    "colour": ("depth.png", lambda at: png(at, Image.new("RGB", (32, 32))), "colour or 8 bit"),
+    "NaN": ("depth.npy", lambda at: npy(at, np.full((32, 32), np.nan)), "every sample is 0 or NaN"),
+    "not a picture": ("depth.png", lambda at: b"GIF? no", "is not a readable picture"),
+    "not an array": ("depth.npy", lambda at: b"\x93NUMPY", "is not a readable NPY file"),
+    "empty": ("depth.png", lambda at: b"", "holds 0 bytes"),
+    "too many bytes": ("depth.png", lambda at: bytes(BYTES_MAX + 1), "must hold 1 to"),
+    "100 megapixels": ("depth.png", lambda at: png(at, Image.new("I;16", (10_000, 10_000), 4000)), "x 10000 samples, must have 1 to 16"),
+    "17 mega samples": ("depth.npy", lambda at: npy(at, np.zeros((4100, 4100), np.uint8)), "4100 x 4100 samples"),
+    "no samples": ("depth.npy", lambda at: npy(at, np.zeros((0, 5))), "0 x 5 samples, must have 1 to 16 million"),
+    "a volume": ("depth.npy", lambda at: npy(at, np.ones((4, 4, 4))), "must hold numbers in two dimensions"),
+    "another kind": ("depth.exe", lambda at: b"MZ", "must be a picture"),
+    "beyond the range": ("depth.npy", lambda at: npy(at, np.full((32, 32), 4000.0)), "at or beyond the laser period's range"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("what", BAD)
+def test_bad_uploads_get_a_sentence(tmp_path, what):
+    name, content, sentence = BAD[what]
+    with pytest.raises(InputError, match=sentence):
+        check_settings({"scene": "upload"}, upload(tmp_path, "depth", name, content(tmp_path))).scene()
+
+
+def test_an_upload_that_is_missing_is_asked_for():
+    with pytest.raises(InputError, match="choose a depth picture"):
+        check_settings({"scene": "upload"}).scene()
+    settings = check_settings({"scene": "flat", "sun": "picture"})
+    with pytest.raises(InputError, match="choose a picture of the sun"):
+        settings.light(settings.scene())
+
+
+def test_ranges_are_those_of_the_parser():
+    for control in CONTROLS:
+        if control.where and control.kind == "integer" and control.low is not None:
+            for value in (control.low - 1, control.high + 1):
+                with pytest.raises(InputError):
+                    check_settings({control.name: value})
+    assert CONTROL["threshold"].span(Sensor(subgroup=(4, 4))) == "1 to 16 pixels"
+    assert CONTROL["klux"].span(Sensor()) == "0 to 200 klux"

@@ -1,0 +1,98 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`coincid emulate`: a scene on the emulator, simulated behind its pins; a mismatch is found; ports that are none."""
+
+import numpy as np
+import pytest
+from attrs import evolve
+from typer.testing import CliRunner
+
+from coincid.cli import app
+from coincid.host.emulator import EmulatorDriver
+from coincid.host.serial_link import SerialTransport
+from coincid.model.contract.config import load_config
+from coincid.study.emulate import Session, source_settings
+from coincid.study.run import scene_of
+from coincid.tb.emulator import PATIENCE_S, SimulatedPort, simulated
+from coincid.tb.errors import Mismatch
+
+SMALL = """
+[sensor]
+rows = 4
+cols = 8
+phases = 8
+window_max = 16
+subgroup = [4, 4]
+
+[frame]
+clock_mhz = 100
+period = 63
+pulses = 8
+
+[subgroup]
+window = 4
+"""
+
+
+@pytest.fixture
+def config_file(tmp_path):
+    path = tmp_path / "small.toml"
+    path.write_text(SMALL)
+    return path
+
+
+def test_a_scene(config_file, tmp_path):
+    out = tmp_path / "out"
+    arguments = [
+        "emulate",
+        "--simulate",
+        "--config",
+        str(config_file),
+        "--frames",
+        "2",
+        "--scene",
+        "flat:5",
+        "--out",
+        str(out),
+    ]
+    done = CliRunner().invoke(app, arguments)
+    assert done.exit_code == 0, done.output
+    assert "2 frames" in done.output and "all as the golden model predicts" in done.output
+    assert (out / "depth.png").stat().st_size > 1000
+
+
+def test_a_scene_as_settings():
+    config = load_config("emulator")
+    scene = scene_of(config, "flat:6,0.4")
+    settings = source_settings(config, scene, 50.0)
+    tick = round(2 * 6 / 299_792_458 / config.tick_s)
+    assert (settings.tick == tick).all()
+    assert (settings.level == round((1 - np.exp(-0.613 * (4 / 6) ** 2)) * 256)).all()
+    assert (settings.background == round((1 - np.exp(-1.226e6 * 10e-9)) * 65536)).all()
+    assert settings.dead_cycles == 1
+
+
+def test_a_wrong_word_is_found(config_file):
+    config = load_config(str(config_file))
+    scene = scene_of(config, "flat:5")
+    with SimulatedPort(simulated(config.sensor), config.clock_mhz) as port:
+        settings = source_settings(config, scene, 50.0)
+        session = Session(EmulatorDriver(SerialTransport(port, patience_s=PATIENCE_S)), config, settings)
+        session.frame()
+        session.settings = evolve(settings, background=settings.background + 1)
+        with pytest.raises(Mismatch, match=r"frame \d, beat"):
+            for _ in range(5):
+                session.frame()
+
+
+@pytest.mark.parametrize(
+    "arguments, says",
+    [
+        ([], "give either --port DEVICE or --simulate"),
+        (["--simulate", "--port", "/dev/null"], "give either"),
+        (["--port", "/dev/none"], "cannot be opened"),
+        (["--simulate", "--frames", "0"], "frames = 0"),
+    ],
+)
+def test_bad_input(arguments, says):
+    done = CliRunner().invoke(app, ["emulate", *arguments])
+    assert done.exit_code == 2 and says in done.output

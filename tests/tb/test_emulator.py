@@ -1,0 +1,338 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The emulator through its serial pins: frames word by word against the golden model and the source's twin, and a line that fails.
+
+The RTL runs behind its pins as a library; `tests/benches/emulator_bench.py` is at the pins themselves, under cocotb in Icarus.
+"""
+
+import re
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from coincid.hdl.emulator.top import SERIAL_TOP
+from coincid.host import serial_link
+from coincid.host.emulator import EmulatorDriver
+from coincid.host.serial_link import Deframer, SerialTransport, frame
+from coincid.host.transport import DeviceResetError, HostError, LinkError, RefusedError
+from coincid.model.contract.config import parse_config, sensor_table
+from coincid.model.contract.emulator import BUFFER_BASE, Emulator, background_address, echo_address, own_address
+from coincid.model.contract.parameters import Sensor
+from coincid.model.contract.serial_link import ESCAPE, FLAG, Operation
+from coincid.model.golden.frame import Golden
+from coincid.model.light.on_chip import SourceSettings, source_edges
+from coincid.model.shared.errors import InputError
+from coincid.study.emulate import Session
+from coincid.tb.emulator import PATIENCE_S, SimulatedPort, emulator_rtl
+from coincid.tb.toolchain import build
+
+from ..benches import BENCHES
+
+SENSOR = Sensor(rows=4, cols=8, phases=8, window_max=16, subgroup=(4, 4))
+EMULATOR = Emulator(sensor=SENSOR, buffer_beats=256, clocks_per_bit=4)
+CLOCK_MHZ = 100.0
+
+
+def config(pulses=4, **frame):
+    return parse_config(
+        {
+            "sensor": sensor_table(SENSOR),
+            "frame": {"period": 63, "pulses": pulses, "clock_mhz": CLOCK_MHZ, "format": "id"} | frame,
+            "subgroup": {"threshold": 2, "window": 4},
+        }
+    )
+
+
+def source(seed=1, background=3000) -> SourceSettings:
+    rng = np.random.default_rng(seed)
+    return SourceSettings(
+        background=np.array([background // 2, background]),
+        tick=rng.integers(0, 480, (2, 16)),
+        level=rng.integers(0, 256, (2, 16)),
+        spread=int(rng.integers(0, 5)),
+        dead_cycles=int(rng.integers(1, 16)),
+        seed=int(rng.integers(0, 1 << 32)),
+    )
+
+
+@pytest.fixture
+def port():
+    with SimulatedPort(EMULATOR, CLOCK_MHZ) as line:
+        yield line
+
+
+class BadLine:
+    """A port that loses, doubles and damages bytes, each with a probability, in both directions."""
+
+    def __init__(self, port, lose=0.0, double=0.0, damage=0.0, seed=1):
+        self.port, self.rates, self.rng = port, (lose, double, damage), np.random.default_rng(seed)
+        self.faults = 0
+
+    def spoilt(self, data: bytes) -> bytes:
+        lose, double, damage = self.rates
+        out = bytearray()
+        for byte, chance in zip(data, self.rng.random(len(data))):
+            self.faults += chance < lose + double + damage
+            if chance < lose:
+                continue
+            if chance < lose + double:
+                out += bytes([byte, byte])
+            elif chance < lose + double + damage:
+                out.append(byte ^ 1 << int(self.rng.integers(8)))
+            else:
+                out.append(byte)
+        return bytes(out)
+
+    def write(self, data):
+        self.port.write(self.spoilt(data))
+
+    def read(self):
+        return self.spoilt(self.port.read())
+
+    def now(self):
+        return self.port.now()
+
+
+def check_frames(driver, of, settings, numbers) -> int:
+    """Takes frames of these numbers, each word against the golden model; how many words."""
+    golden, words = Golden(SENSOR), 0
+    for number in numbers:
+        golden.frames = number
+        expected = golden.frame(of, source_edges(of, settings, number)).beats[0]
+        assert np.array_equal(driver.frame(), expected), number
+        words += len(expected)
+    return words
+
+
+def test_frames(port):
+    """Settings and seeds in turn; every word of every frame is predicted."""
+    driver, number = EmulatorDriver(SerialTransport(port, patience_s=PATIENCE_S)), 0
+    assert driver.sensor == SENSOR and driver.buffer_beats == EMULATOR.buffer_beats
+    words = 0
+    for seed, of in enumerate(
+        [
+            config(),
+            config(dither_bits=5, minigroup_records=True, pulses=2, format="full"),
+            config(period=40, format="short"),
+        ]
+    ):
+        settings = source(seed)
+        driver.program(of)
+        driver.write_settings(settings.register_writes(SENSOR))
+        words += check_frames(driver, of, settings, range(number, number + 3))
+        number += 3
+    assert words > 400 and driver["stalls"] == 0 and driver["link_errors"] == 0 and driver.transport.repeats == 0
+
+
+def test_registers(port):
+    driver = EmulatorDriver(SerialTransport(port, patience_s=PATIENCE_S))
+    for name, value in (("seed", 0xFFFF_FFFF), ("spread", 4), ("dead_cycles", 15)):
+        driver[name] = value
+        assert driver[name] == value
+    for at, value in ((echo_address(1, 15), (1 << 21) - 1), (background_address(1), 0xFFFF), (echo_address(0, 0), 5)):
+        driver.transport.write(at, value)
+        assert driver.transport.read(at) == value
+    with pytest.raises(InputError, match="spread = 5: must be an integer from 0 to 4"):
+        driver["spread"] = 5
+    with pytest.raises(InputError, match="read-only"):
+        driver["stalls"] = 0
+    raw = driver.transport
+    for at, value in (
+        (own_address("spread"), 5),
+        (own_address("dead_cycles"), 0),
+        (own_address("emulator_id"), 1),
+        (own_address("buffer_take"), 1),
+        (background_address(0), 1 << 16),
+        (echo_address(0, 0), 1 << 21),
+        (background_address(2), 0),
+        (background_address(0) + 4, 0),
+        (BUFFER_BASE, 0),
+        (0x400000, 0),
+        (own_address("seed") + 1, 0),
+        (0x3C, 0),  # of the sensor
+    ):
+        with pytest.raises(RefusedError):
+            raw.write(at, value)
+    for at in (
+        0x100100,
+        background_address(0) + 8,
+        background_address(2),
+        BUFFER_BASE + 8 * EMULATOR.buffer_beats,
+        0xF00000,
+        0x3C,
+    ):
+        with pytest.raises(RefusedError):
+            raw.read(at)
+    driver.clear()
+    with pytest.raises(
+        RefusedError, match=f"{own_address('dead_cycles') + 4:#08x}"
+    ):  # settings before the wrong word are written
+        raw.write_block(own_address("spread"), [3, 7, 1])
+    assert (driver["spread"], driver["dead_cycles"]) == (3, 7)
+    driver["period"] = SENSOR.guard
+    with pytest.raises(RefusedError) as refused:
+        driver.start()
+    assert refused.value.reasons == ("start_period",)
+
+
+def test_a_frame_larger_than_the_buffer(port):
+    """The sensor waits, which the stalls tell; nothing hangs, and the host gets a whole frame."""
+    driver = EmulatorDriver(SerialTransport(port, patience_s=PATIENCE_S))
+    of = config(pulses=40)
+    driver.program(of)
+    driver.write_settings(source(background=20000).register_writes(SENSOR))
+    beats = driver.frame()
+    assert len(beats) > EMULATOR.buffer_beats and driver["stalls"] > 0
+    settings = source(background=500)
+    driver.program(config())
+    driver.write_settings(settings.register_writes(SENSOR))
+    check_frames(driver, config(), settings, [1, 2])
+
+
+@pytest.mark.parametrize(
+    "faults", [{"lose": 0.003}, {"double": 0.003}, {"damage": 0.003}, {"lose": 0.002, "double": 0.002, "damage": 0.002}]
+)
+def test_a_line_that_spoils_bytes(port, faults):
+    """Every frame is right all the same: what is spoilt is asked for again."""
+    line = BadLine(port, seed=len(faults), **faults)
+    transport = SerialTransport(line, tries=30, patience_s=PATIENCE_S)
+    driver, of, settings = EmulatorDriver(transport), config(pulses=4), source(7)
+    driver.program(of)
+    driver.write_settings(settings.register_writes(SENSOR))
+    check_frames(driver, of, settings, range(2))
+    assert line.faults > 5 and transport.repeats > 3
+
+
+def test_a_start_that_is_answered_into_the_void_starts_once(port):
+    """The host asks again for what was done already: it is answered, not done again."""
+
+    class Deaf(BadLine):
+        deaf = False
+
+        def read(self):
+            data = self.port.read()
+            if self.deaf and data:
+                self.deaf, self.lost = False, self.lost + 1
+                while self.port.read():
+                    pass
+                return b""
+            return data
+
+        lost = 0
+
+    line = Deaf(port)
+    driver, of, settings = EmulatorDriver(SerialTransport(line, patience_s=PATIENCE_S)), config(pulses=3), source(3)
+    driver.program(of)
+    driver.write_settings(settings.register_writes(SENSOR))
+    golden = Golden(SENSOR)
+    for number in range(3):
+        line.deaf = True
+        driver.start()
+        (beats,) = driver.receive()
+        driver.finish()
+        golden.frames = number
+        assert np.array_equal(beats, golden.frame(of, source_edges(of, settings, number)).beats[0])
+    assert line.lost == 3 and driver.status().errors == ()
+
+
+def test_a_host_that_stops_reading(port):
+    """Answers that nobody reads are gone; the next question is answered."""
+    driver, of, settings = EmulatorDriver(SerialTransport(port, patience_s=PATIENCE_S)), config(), source(2)
+    driver.program(of)
+    driver.write_settings(settings.register_writes(SENSOR))
+    driver.start()
+    for _ in range(5):
+        port.write(frame(bytes([99, Operation.READ, 200, 0, 0, 0x30])))  # and does not listen
+    check = EmulatorDriver(driver.transport, SENSOR)
+    (beats,) = check.receive()
+    check.finish()
+    golden = Golden(SENSOR)
+    assert np.array_equal(beats, golden.frame(of, source_edges(of, settings, 0)).beats[0])
+
+
+def test_a_cable_that_is_pulled_in_a_frame(port):
+    """Nothing is answered while it is out; back in, a session goes on, and all words are right."""
+    transport = SerialTransport(port, tries=2, patience_s=PATIENCE_S)
+    session = Session(EmulatorDriver(transport), config(), source(4))
+    session.frame()
+    session.driver.start()
+    port.write(frame(bytes([0, Operation.READ, 255, 0, 0, 0x30]))[:-4])  # the last that goes through ends in the midst
+    port.connect(False)
+    with pytest.raises(LinkError, match="no right answer in 2 tries"):
+        session.driver.status()
+    port.connect(True)
+    session.driver.resume()
+    session._program()
+    for _ in range(2):
+        session.frame()
+    assert session.tally.frames == 3
+
+
+def test_a_reset_is_noticed(port):
+    """A device that was reset does nothing before it is greeted; a session programs it anew and goes on."""
+    session = Session(EmulatorDriver(SerialTransport(port, patience_s=PATIENCE_S)), config(), source(5))
+    session.frame()
+    port.reset()
+    with pytest.raises(DeviceResetError):
+        session.driver.status()
+    port.reset()
+    session.driver.status()  # greeted, and nothing was known of it
+    port.reset()
+    session.frame()
+    assert session.tally.recoveries >= 1 and session.tally.frames == 2
+
+
+def test_no_emulator():
+    class Nothing:
+        time = 0.0
+
+        def write(self, data):
+            pass
+
+        def read(self):
+            self.time += 1e-5
+            return b""
+
+        def now(self):
+            return self.time
+
+    with pytest.raises(HostError, match="no right answer in 3 tries"):
+        EmulatorDriver(SerialTransport(Nothing(), tries=3, patience_s=PATIENCE_S))
+
+
+def test_frames_of_bytes():
+    rng = np.random.default_rng(1)
+    bodies = [rng.integers(0, 256, n).astype(np.uint8).tobytes() for n in range(2, 60)] + [bytes([FLAG, ESCAPE] * 9)]
+    line, deframer, found = b"".join(map(frame, bodies)), Deframer(), []
+    for at in range(0, len(line), 7):
+        found += deframer.add(line[at : at + 7])
+    assert found == bodies and deframer.dropped == 0
+    right = 0
+    for _ in range(3000):  # a damaged frame is never taken for a right one
+        body = bodies[int(rng.integers(len(bodies)))]
+        spoilt = bytearray(frame(body))
+        for _ in range(int(rng.integers(1, 4))):
+            spoilt[int(rng.integers(1, len(spoilt) - 1))] = int(rng.integers(256))
+        right += sum(part != body for part in Deframer().add(bytes(spoilt)))
+    assert right == 0
+
+
+def test_pins_in_icarus(tmp_path):
+    """The same host software at the pins under cocotb, in Icarus; frames would take it minutes."""
+    compiled = build("icarus", emulator_rtl(EMULATOR), SERIAL_TOP, key="emulator-4x8")
+    compiled.run("emulator_bench", env={"PYTHONPATH": BENCHES}, out_dir=tmp_path, seed=1)
+
+
+def test_blocks_of_the_page_run(tmp_path, monkeypatch):
+    """Those of docs/board.md, with the simulated pins in place of the board."""
+    monkeypatch.chdir(tmp_path)
+    page = (Path(__file__).parents[2] / "docs" / "board.md").read_text()
+    export, drive = re.findall(r"^```python\n(.*?)^```", page, re.DOTALL | re.MULTILINE)
+    exec(compile(export, "board.md", "exec"), {})
+    assert any((tmp_path / "build" / "emulator").glob("*.v"))
+    monkeypatch.setattr(serial_link, "SerialPort", lambda device: SimulatedPort(EMULATOR, CLOCK_MHZ))
+    monkeypatch.setattr(serial_link, "SerialTransport", partial(SerialTransport, patience_s=PATIENCE_S))
+    names: dict = {}
+    exec(compile(drive, "board.md", "exec"), names)
+    assert len(names["beats"]) > 0

@@ -1,0 +1,44 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Every example runs by itself in a fresh process and draws something; those that need a program are skipped without it."""
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+EXAMPLES = Path(__file__).parents[1] / "examples"
+NEEDS = {"plot_09_cocotb.py": "iverilog"}
+DRAWN = """
+if __name__ == "__main__":
+    import matplotlib.pyplot
+
+    assert matplotlib.pyplot.get_fignums(), "no figure"
+"""  # processes that an example starts import it, too
+
+
+def test_every_example_is_listed():
+    listed = re.findall(r"\]\((\w+\.py)\)", (EXAMPLES / "README.md").read_text())
+    assert sorted(listed) == sorted(path.name for path in EXAMPLES.glob("*.py"))
+
+
+@pytest.mark.parametrize("example", sorted(EXAMPLES.glob("plot_*.py")), ids=lambda path: path.stem)
+def test_example_runs(example, tmp_path):
+    program = NEEDS.get(example.name)
+    if program and not shutil.which(program):
+        pytest.skip(f"{program} is not installed")
+    environment = os.environ | {
+        "MPLBACKEND": "agg",
+        "TMPDIR": str(tmp_path),
+        "PYTHONWARNINGS": "ignore:FigureCanvasAgg",
+    }
+    script = tmp_path / example.name
+    script.write_text(f"{example.read_text()}{DRAWN}")
+    done = subprocess.run(
+        [sys.executable, str(script)], cwd=EXAMPLES, env=environment, capture_output=True, text=True, timeout=800
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stdout

@@ -1,0 +1,62 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The documentation site builds without a warning: links and anchors lead somewhere, and docstrings are well formed.
+
+The examples do not run here (`test_examples.py` runs them), and without the tools of the site (scripts/setup docs) this is skipped.
+"""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+pytest.importorskip("sphinx_gallery", reason="the tools of the site (scripts/setup docs) are not installed")
+pytest.importorskip("myst_parser")
+
+
+def build(root, *options):
+    return subprocess.run(
+        [sys.executable, str(root / "docs" / "build.py"), "-D", "plot_gallery=0", *options],
+        capture_output=True,
+        text=True,
+    )
+
+
+@pytest.fixture
+def project(tmp_path):
+    """A copy of what the site is made from."""
+    root = tmp_path / "project"
+    for name in ("docs", "examples"):
+        (root / name).mkdir(parents=True)
+        for path in (ROOT / name).rglob("*"):
+            if path.is_file() and "__pycache__" not in path.parts:
+                copy = root / path.relative_to(ROOT)
+                copy.parent.mkdir(parents=True, exist_ok=True)
+                copy.write_bytes(path.read_bytes())
+    for path in ROOT.iterdir():
+        if path.is_file() and path.suffix in {".md", ".cff", ".toml", ""}:
+            (root / path.name).write_bytes(path.read_bytes())
+    return root
+
+
+def test_the_site_builds_without_a_warning_and_a_bad_link_is_one(project):
+    done = build(project)
+    assert done.returncode == 0, done.stderr
+    site = project / "build" / "docs"
+    for page in (
+        "index",
+        "README",
+        "docs/index",
+        "docs/contract",
+        "docs/integrate",
+        "api/coincid",
+        "gallery/index",
+        "search",
+    ):
+        assert (site / f"{page}.html").exists(), page
+    assert "estimate_depth" in (site / "api" / "coincid.html").read_text()
+    with open(project / "docs" / "depth.md", "a") as file:
+        file.write("\n[a heading that is not there](contract.md#nowhere)\n")
+    done = build(project)
+    assert done.returncode != 0 and "nowhere" in done.stderr

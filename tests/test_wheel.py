@@ -1,0 +1,78 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The built wheel holds everything that the program reads, and runs from where it is unpacked, away from the checkout."""
+
+import os
+import shutil
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+ROOMS = ("model", "hdl", "tb", "flow", "formal", "study")
+PRESETS_AND_SCENES = """
+import coincid
+from coincid.hdl.views import view_at
+
+assert {here!r} in coincid.__file__, coincid.__file__
+config = coincid.load_config("fpga")
+assert config.clock_mhz == 125 and coincid.load_scene("five-objects", 32, 32).valid.all()
+assert all(path.exists() for path in view_at("async", 500).macros)
+"""
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory):
+    """The wheel, built from a copy, so that the checkout stays as it is."""
+    folder = tmp_path_factory.mktemp("wheel")
+    source = folder / "source"
+    for name in (*ROOMS, "coincid"):
+        shutil.copytree(ROOT / name, source / name, ignore=shutil.ignore_patterns("__pycache__"))
+    for name in ("pyproject.toml", "setup.py", "README.md", "LICENSE", "NOTICE"):
+        shutil.copy(ROOT / name, source / name)
+    command = [
+        sys.executable,
+        "-m",
+        "pip",
+        "wheel",
+        ".",
+        "--no-deps",
+        "--no-build-isolation",
+        "--quiet",
+        "-w",
+        str(folder),
+    ]
+    done = subprocess.run(command, cwd=source, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    (built,) = folder.glob("*.whl")
+    return built
+
+
+def test_every_file_of_the_rooms_is_in_the_wheel(wheel):
+    names = set(zipfile.ZipFile(wheel).namelist())
+    files = [
+        path.relative_to(ROOT)
+        for room in ROOMS
+        for path in (ROOT / room).rglob("*")
+        if path.is_file() and "__pycache__" not in path.parts
+    ]
+    assert len(files) > 150
+    assert [str(path) for path in files if f"coincid/{path}" not in names] == []
+    for part in ("licenses/LICENSE", "licenses/NOTICE", "entry_points.txt"):
+        assert any(name.endswith(f".dist-info/{part}") for name in names), part
+
+
+def test_the_wheel_runs_by_itself(wheel, tmp_path):
+    site = tmp_path / "site"
+    zipfile.ZipFile(wheel).extractall(site)
+    environment = os.environ | {"PYTHONPATH": str(site), "COINCID_BUILD": str(tmp_path / "build")}
+    program = PRESETS_AND_SCENES.format(here=str(site))
+    done = subprocess.run(
+        [sys.executable, "-c", program], cwd=tmp_path, env=environment, capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr
+    command = [sys.executable, "-m", "coincid", "--help"]
+    done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True)
+    assert done.returncode == 0 and "explore" in done.stdout, done.stderr
