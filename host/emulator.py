@@ -7,7 +7,7 @@ import numpy as np
 
 from ..model.contract.emulator import BUFFER_BASE, EMULATOR_ID, EMULATOR_VERSION, OWN_BY_NAME, own_address
 from ..model.contract.parameters import Sensor
-from ..model.contract.registers import Access
+from ..model.contract.registers import WRITABLE, Access
 from ..model.shared.errors import InputError, check_integer
 from .driver import WAIT_SECONDS, Driver
 from .names import Key
