@@ -77,7 +77,7 @@ def controller(b: Bench):
     b.always((body.capacity == capacity) & (body.share == share), where=running)
     b.always(body.complete == Cat(b.past(last), b.past(last, 2)))
     b.always(body.committed == committed, where=beat != 0)
-    stands = ~b.past(done) & ~b.past(done, 2)
+    stands = ~b.past(done) & ~b.past(done, 2) & ~b.past(done, 3)
     b.always((body.wide == wide) & (body.narrow == narrow), where=(taken == SETTLED) & stands)
     b.cover(b.past(done) & (budget > b.past(budget)) & (b.past(body.total) > 5))
     b.cover(b.past(done) & b.past(too_much))

@@ -74,7 +74,9 @@ class Controller(Unit):
         state.narrowed = Signal(DATA_BITS)
         state.wide = Signal(DATA_BITS)
         state.narrow = Signal(DATA_BITS)
-        budget, step = Cat(1, self.budget), self.budget >> STEP_BITS  # the lowest bits carry a 1 into the sums
+        state.known = Signal(DATA_BITS)  # the vote and the sums take a cycle each
+        m.d.sync += state.known.eq(self.budget)
+        budget, step = Cat(1, state.known), state.known >> STEP_BITS  # the lowest bits carry a 1 into the sums
         wider, narrower = Signal(DATA_BITS), Signal(DATA_BITS)
         m.d.comb += [wider.eq(step), narrower.eq(~step)]
         m.d.sync += [
