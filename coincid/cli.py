@@ -481,14 +481,75 @@ def pnr(
 ) -> None:
     """Place and route a module of the FPGA preset on an ECP5, with five seeds. Exit code 1: a clock is missed."""
     with extra("rtl"):
-        from coincid.flow.pnr import write_page
+        from coincid.flow import boards, pnr
 
-    missed = write_page(_file(out))
+    _file(out)
+    board = boards.fpga_module()
+    placements = pnr.place(board)
+    pnr.write_page(board, placements, out)
     print(out)
+    _all_met(pnr.missed(board, placements))
+
+
+def _all_met(missed: list[str]) -> None:
+    """Tells every goal that was missed, and ends with exit code 1 where one was."""
     for line in missed:
         print(f"coincid: {line}", file=sys.stderr)
     if missed:
         raise typer.Exit(DIFFERS)
+
+
+@app.command()
+def emulator(
+    kind: Annotated[
+        str,
+        typer.Argument(
+            metavar="[KIND]", help="ulx3s: Verilog and bitstream for that board; serial, axi: Verilog alone, linted."
+        ),
+    ] = "ulx3s",
+    config: Annotated[
+        str | None,
+        typer.Option(
+            "--config",
+            metavar="FILE",
+            help="TOML file or preset; default: emulator, and emulator-axi for axi.",
+            show_default=False,
+        ),
+    ] = None,
+    buffer_beats: Annotated[int, typer.Option(metavar="N", help="Of the frame buffer.")] = 8192,
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder of Verilog, register map and bitstream.")] = Path(
+        "build/emulator"
+    ),
+    page: Annotated[Path, typer.Option(metavar="FILE", help="Of ulx3s: Markdown report of Fmax and use.")] = Path(
+        "docs/emulator-board.md"
+    ),
+) -> None:
+    """Build the emulator for a board. Exit code 1: lint found something, or a clock is missed with one of five seeds."""
+    from coincid.model.contract.config import load_config
+    from coincid.model.contract.emulator import Emulator
+
+    with extra("rtl"):
+        from coincid.flow import boards, emulator_release, lint, pnr
+    on_bus, on_board = kind == emulator_release.AXI, kind == emulator_release.BOARD
+    _file(page)
+    settings = load_config(config or ("emulator-axi" if on_bus else "emulator"))
+    files = emulator_release.emulator_release(settings, kind, buffer_beats)
+    written = emulator_release.write_emulator(_folder(out), files)
+    print(f"{out}: {len(written)} files, {sum(path.stat().st_size for path in written) / 1000:.0f} kB")
+    found = lint.lint_emulator(files, emulator_release.TOPS[kind])
+    for tool, complaints in found.items():
+        print(f"{tool}: {'clean' if not complaints else 'found'}")
+        print(complaints, end="")
+    if any(found.values()):
+        raise typer.Exit(DIFFERS)
+    if on_board:
+        board = boards.ulx3s(settings, Emulator.of(settings, buffer_beats))
+        placements = pnr.place(board)
+        bitstream = out / f"{board.top}.bit"
+        bitstream.write_bytes(pnr.fastest(placements).bitstream.read_bytes())
+        pnr.write_page(board, placements, page)
+        print(f"{bitstream}\n{page}")
+        _all_met(pnr.missed(board, placements))
 
 
 @app.command()
@@ -649,6 +710,9 @@ def emulate(
     simulate: Annotated[
         bool, typer.Option("--simulate", help="The emulator's RTL behind its serial pins instead.")
     ] = False,
+    netlist: Annotated[
+        bool, typer.Option("--netlist", help="With --simulate: the netlist of the FPGA of an ULX3S instead of the RTL.")
+    ] = False,
     scene: Annotated[str, typer.Option(metavar="SCENE", help="As of sim.")] = "five-objects",
     klux: KluxOption = None,
     config: Annotated[
@@ -675,6 +739,8 @@ def emulate(
 
     if (port is None) is not simulate:
         raise InputError("port: give either --port DEVICE or --simulate")
+    if netlist and not simulate:
+        raise InputError("netlist: goes with --simulate only")
     check_integer("frames", frames, 1, FRAMES_MAX)
     settings = load_config(config)
     if pulses is not None:
@@ -683,7 +749,9 @@ def emulate(
     if simulate:
         with extra("rtl"):
             from coincid.tb.emulator import PATIENCE_S, SimulatedPort, simulated
-        line: Any = SimulatedPort(simulated(settings.sensor), settings.clock_mhz)
+            from coincid.flow.gls import emulator_netlist
+        emulator, library = emulator_netlist(settings) if netlist else (simulated(settings.sensor), None)
+        line: Any = SimulatedPort(emulator, settings.clock_mhz, library)
         patience: dict[str, Any] = {"patience_s": PATIENCE_S}
     else:
         line, patience = SerialPort(str(port), baud), {}

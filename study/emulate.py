@@ -31,6 +31,7 @@ from ..tb.errors import Mismatch
 from .pictures import Panel, depth_row
 
 DEPTH = "depth.png"
+REDRAW_S = 1.0  # between two pictures
 METHOD = "matched"
 LEVEL_MAX = (1 << LEVEL_BITS) - 1
 RATE_MAX = (1 << RATE_BITS) - 1
@@ -148,6 +149,11 @@ class Session:
             shown, want = (f"{int(b[at]):#018x}" if at < len(b) else "nothing" for b in (beats, expected))
             raise Mismatch(f"frame {number}, beat {at}: {shown}, golden model {want}")
 
+    def draw(self, path: Path, scene: Scene) -> None:
+        """Draws the depth of all frames together beside the scene's; the picture appears whole."""
+        title = f"{self.tally.frames} frames of the emulator"
+        depth_row(path, [Panel(title, self.depth().depth_m[:, :, 0])], scene.truth_m)
+
     def depth(self) -> Depth:
         """The depth of all frames together."""
         return estimate_depth(self.result.arrays(), self.config, method=METHOD)
@@ -164,12 +170,17 @@ def emulate(
     seed: int = 1,
     tell: Callable[[Tally], None] = lambda tally: None,
 ) -> Tally:
-    """Programs a scene, takes frames, checks every word, and draws the depth of all frames into `out`. `tell` is called after each frame."""
+    """Programs a scene, takes frames, checks every word, and draws the depth of all frames so far into `out`, again every `REDRAW_S`.
+
+    `tell` is called after each frame.
+    """
     session = Session(driver, config, source_settings(config, scene, klux, seed=seed))
+    out.mkdir(parents=True, exist_ok=True)
+    drawn = time.monotonic()
     for _ in range(frames):
         session.frame()
         tell(session.tally)
-    depth = session.depth()
-    out.mkdir(parents=True, exist_ok=True)
-    depth_row(out / DEPTH, [Panel(f"{frames} frames of the emulator", depth.depth_m[:, :, 0])], scene.truth_m)
+        if session.tally.frames == frames or time.monotonic() - drawn > REDRAW_S:
+            session.draw(out / DEPTH, scene)
+            drawn = time.monotonic()
     return session.tally

@@ -4,11 +4,12 @@
 import ctypes
 import os
 import shutil
+from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
 
 from ..hdl.emulator.top import EMULATOR_LIST, SERIAL_TOP, emulator_files
-from ..model.contract.emulator import Emulator
+from ..model.contract.emulator import BUFFER_BEATS, Emulator
 from ..model.contract.parameters import Sensor
 from ..model.shared.folders import build_root
 from ..model.shared.sources import digest, sources_digest
@@ -24,9 +25,9 @@ RESET_CYCLES = 8
 SIMULATED_CLOCKS_PER_BIT = 4  # the fastest line
 
 
-def simulated(sensor: Sensor) -> Emulator:
+def simulated(sensor: Sensor, buffer_beats: int = BUFFER_BEATS) -> Emulator:
     """An emulator of `sensor` for simulation, with the fastest line."""
-    return Emulator(sensor=sensor, clocks_per_bit=SIMULATED_CLOCKS_PER_BIT)
+    return Emulator(sensor=sensor, buffer_beats=buffer_beats, clocks_per_bit=SIMULATED_CLOCKS_PER_BIT)
 
 
 def emulator_rtl(emulator: Emulator, serial: bool = True) -> list[Path]:
@@ -43,12 +44,17 @@ def emulator_rtl(emulator: Emulator, serial: bool = True) -> list[Path]:
 
 
 def build_emulator(emulator: Emulator) -> Path:
-    """The library of an emulator behind its pins, compiled once."""
+    """The library of an emulator's RTL behind its pins, compiled once."""
+    name = f"emulator-{emulator.sensor.rows}x{emulator.sensor.cols}"
+    return build_line(emulator_rtl(emulator), SERIAL_TOP, name, [toolchain.NOT_INLINED])
+
+
+def build_line(sources: Sequence[Path], top: str, name: str, options: Sequence[str] = ()) -> Path:
+    """The library of a design with the ports clk, rst, rx and tx, compiled once. options: of Verilator."""
     program = toolchain.verilator()
-    sources = emulator_rtl(emulator)
     texts = [part for path in sources for part in (path.name, path.read_text())]
-    key = digest(str(program), *VERILATOR, *COMPILER, *MAKE_OPTIONS, SOURCE.read_text(), *texts)
-    directory = build_root() / "batch" / f"emulator-{emulator.sensor.rows}x{emulator.sensor.cols}-{key}"
+    key = digest(str(program), top, *VERILATOR, *options, *COMPILER, *MAKE_OPTIONS, SOURCE.read_text(), *texts)
+    directory = build_root() / "batch" / f"{name}-{key}"
 
     def make(scratch: Path) -> None:
         log = directory.with_name(f"{directory.name}.log")
@@ -56,17 +62,7 @@ def build_emulator(emulator: Emulator) -> Path:
         for path in sources:
             shutil.copyfile(path, scratch / path.name)
         names = [path.name for path in sources]
-        flags = [
-            toolchain.NOT_INLINED,
-            "-CFLAGS",
-            "-fPIC",
-            "--top-module",
-            SERIAL_TOP,
-            "--prefix",
-            "Vemulator",
-            "--Mdir",
-            ".",
-        ]
+        flags = [*options, "-CFLAGS", "-fPIC", "--top-module", top, "--prefix", "Vemulator", "--Mdir", "."]
         toolchain.compile_in(scratch, log, [str(program), *VERILATOR, *flags, *names])
         targets = ["libVemulator.a", "libverilated.a"]
         jobs = str(os.cpu_count())
@@ -101,17 +97,19 @@ def _library(path: Path) -> ctypes.CDLL:
 
 
 class SimulatedPort:
-    """The serial port of a simulated emulator under reset and then in use: what the host's `SerialTransport` takes. A context manager.
+    """The serial port of a simulated emulator as it wakes up: what the host's `SerialTransport` takes. A context manager.
 
-    Its time is simulated: it passes in `read` alone. clock_mhz: of the emulator.
+    Its time is simulated: it passes in `read` alone. clock_mhz: of the emulator. library: of another design than the emulator's RTL, which
+    resets itself.
     """
 
-    def __init__(self, emulator: Emulator, clock_mhz: float):
+    def __init__(self, emulator: Emulator, clock_mhz: float, library: Path | None = None):
         self.emulator, self.clock_mhz = emulator, clock_mhz
-        self._library = _library(build_emulator(emulator))
+        self._library = _library(library or build_emulator(emulator))
         self._line = self._library.coincid_line_new(emulator.clocks_per_bit)
         self._room = ctypes.create_string_buffer(ROOM)
-        self.reset()
+        if library is None:
+            self.reset()
 
     def __enter__(self) -> "SimulatedPort":
         return self

@@ -14,6 +14,8 @@ was read or written since reset, so that a host that comes back knows whether it
 
 import enum
 
+BAUD = 3_000_000  # of a board's serial bridge
+BAUD_TOLERANCE = 0.02
 FLAG, ESCAPE, FLIP = 0x7E, 0x7D, 0x20
 CRC_BYTES = 4
 HEAD_BYTES = 6  # of a request
