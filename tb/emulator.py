@@ -19,15 +19,19 @@ from .batch import COMPILER, MAKE_OPTIONS, VERILATOR
 SOURCE = Path(__file__).with_name("emulator.cpp")
 LIBRARY = "libemulator.so"
 READ_CYCLES = 2000  # that a read without an answer waits
-PATIENCE_S = 100e-6  # for an answer at the simulated line, in simulated time
+PATIENCE_S = (
+    200e-6  # for an answer at the fastest simulated line, in simulated time: the longest request takes half of it
+)
 ROOM = 4096
 RESET_CYCLES = 8
 SIMULATED_CLOCKS_PER_BIT = 4  # the fastest line
 
 
-def simulated(sensor: Sensor, buffer_beats: int = BUFFER_BEATS) -> Emulator:
-    """An emulator of `sensor` for simulation, with the fastest line."""
-    return Emulator(sensor=sensor, buffer_beats=buffer_beats, clocks_per_bit=SIMULATED_CLOCKS_PER_BIT)
+def simulated(
+    sensor: Sensor, buffer_beats: int = BUFFER_BEATS, clocks_per_bit: int = SIMULATED_CLOCKS_PER_BIT
+) -> Emulator:
+    """An emulator of `sensor` for simulation, with the fastest line where none is given."""
+    return Emulator(sensor=sensor, buffer_beats=buffer_beats, clocks_per_bit=clocks_per_bit)
 
 
 def emulator_rtl(emulator: Emulator, serial: bool = True) -> list[Path]:
@@ -49,11 +53,17 @@ def build_emulator(emulator: Emulator) -> Path:
     return build_line(emulator_rtl(emulator), SERIAL_TOP, name, [toolchain.NOT_INLINED])
 
 
-def build_line(sources: Sequence[Path], top: str, name: str, options: Sequence[str] = ()) -> Path:
-    """The library of a design with the ports clk, rst, rx and tx, compiled once. options: of Verilator."""
+def build_line(
+    sources: Sequence[Path],
+    top: str,
+    name: str,
+    options: Sequence[str] = (),
+    make_options: Sequence[str] = MAKE_OPTIONS,
+) -> Path:
+    """The library of a design with the ports clk, rst, rx and tx, compiled once. options: of Verilator; make_options: of its make file."""
     program = toolchain.verilator()
     texts = [part for path in sources for part in (path.name, path.read_text())]
-    key = digest(str(program), top, *VERILATOR, *options, *COMPILER, *MAKE_OPTIONS, SOURCE.read_text(), *texts)
+    key = digest(str(program), top, *VERILATOR, *options, *COMPILER, *make_options, SOURCE.read_text(), *texts)
     directory = build_root() / "batch" / f"{name}-{key}"
 
     def make(scratch: Path) -> None:
@@ -66,7 +76,7 @@ def build_line(sources: Sequence[Path], top: str, name: str, options: Sequence[s
         toolchain.compile_in(scratch, log, [str(program), *VERILATOR, *flags, *names])
         targets = ["libVemulator.a", "libverilated.a"]
         jobs = str(os.cpu_count())
-        toolchain.compile_in(scratch, log, ["make", "-s", "-j", jobs, "-f", "Vemulator.mk", *MAKE_OPTIONS, *targets])
+        toolchain.compile_in(scratch, log, ["make", "-s", "-j", jobs, "-f", "Vemulator.mk", *make_options, *targets])
         include = ["-I.", f"-I{program.parents[1] / 'include'}"]
         command = ["g++", "-shared", *COMPILER, "-o", LIBRARY, str(SOURCE), *include, *targets, "-lpthread", "-latomic"]
         toolchain.compile_in(scratch, log, command)
