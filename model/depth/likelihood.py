@@ -1,25 +1,27 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How likely each time of a pixel's surface makes what the sensor's words say: the law that the estimator of planes rests on.
+"""Likelihood of the sensor's words as a function of each pixel's surface time, on which the estimator of planes rests.
 
-Our choice throughout; the paper (IV) takes the peak of every pixel's histogram. A pixel that sees a surface at time t with
-`light` photons per pulse fires at the first of them and is dead from then on. So it has fired by a time u with probability
+All of this is our own choice; the paper (IV) takes the peak of every pixel's histogram. A pixel that sees a surface at
+time t with `light` photons per pulse fires at the first of them and is dead from then on. So the probability that it has
+fired by time u is
 
     F(u) = 1 - exp(-light * Phi((u - t) / sigma)).
 
-The events of a pulse say when that was, for each pixel of the subgroup:
+The events of a pulse constrain the firing time of each pixel of the subgroup:
 
-- the winner fired at the stamp;
-- a pixel in the map fired inside the window, not before its minigroup's offset (format full), and at it if it was the first
-  of its minigroup: how likely that is follows from where the others are known to be, about;
-- a pixel outside the map fired neither inside the window nor while the tree waited for its first photon. Where the tree was
-  blind, between the window's end and the re-arming, it may have fired.
+- The winner fired at the stamp.
+- A pixel in the map fired inside the window, and not before its minigroup's offset (format full). It fired at that
+  offset if it was the first of its minigroup. The probability of this follows from the approximate surface times of the
+  other pixels.
+- A pixel outside the map did not fire inside the window, nor while the tree waited for its first photon. It may have
+  fired while the tree was blind, between the window's end and the re-arming.
 
-Where no event is near, the pixel did not fire, or it did and the window missed the threshold, or found the tree blind after a
-window that missed it. How often that is follows from the share of pulses with an event at that time. Drops come in bursts: the
-first windows of a pulse fill the FIFO, and those that follow are lost. So between two events of which the later one carries
-`overrun`, silence says nothing.
+If there is no event nearby, there are three possibilities: the pixel did not fire; it fired, and the window missed the
+threshold; or the tree was blind after such a window. Their frequencies follow from the share of pulses with an event at
+that time. Drops come in bursts: the first windows of a pulse fill the FIFO, and the following ones are lost. So silence
+between two events carries no information if the later event has `overrun` set.
 
-Everything is relative to a pixel that sees no surface, whose hits are background.
+All likelihoods are relative to a pixel that sees no surface, whose hits are background.
 """
 
 import math
@@ -37,15 +39,15 @@ from ..contract.windows import armed_cycle, close_cycle
 from ..shared.compiled import njit
 from .histograms import Events, by_subgroup
 
-REACH_SIGMAS = 4.0  # from a pulse's centre to where it begins and ends
+REACH_SIGMAS = 4.0  # from the centre of a pulse to its beginning and end
 DEAD_S = 8e-9  # dead time of a SPAD (paper II)
-RARE = 1e-6  # least probability: what the law does not know happens, too
-QUIET_RATE = 1e-7  # photons per tick and pixel, at least: no background is nowhere
+RARE = 1e-6  # lowest probability: effects that the law does not include happen, too
+QUIET_RATE = 1e-7  # photons per tick and pixel, at least: some background is everywhere
 BLIND_MAX = 0.95
 DROPPING_ROUNDS = 3
-RATES = np.geomspace(1e-3, 50, 200)  # photons of a subgroup and window that a share of events may stand for
-NEGLIGIBLE = -1.0  # log likelihood ratio below which the mean over the lights is not worth its exponentials
-ALIKE = 0.2  # pixels of a minigroup whose chances to have been first differ by less are taken together
+RATES = np.geomspace(1e-3, 50, 200)  # photons per subgroup and window, over which the share of events is tabulated
+NEGLIGIBLE = -1.0  # log likelihood ratio below which averaging over the lights is not worth its exponentials
+ALIKE = 0.2  # pixels of a minigroup are treated alike if their probabilities to have been first differ by less
 
 _FRACTION_BITS = 23  # of a float32
 _LOG = (
@@ -59,7 +61,7 @@ Spread = Callable[[Callable[[int], None], Iterable[int]], Iterable[None]]
 
 
 class Grid(NamedTuple):
-    """Times and lights at which the likelihood is taken.
+    """Times and lights at which the likelihood is computed.
 
     step: ticks between times, which are step * (k + 1/2). lights: float32[L], photons per pulse. prior: float32[L], log
     probability of each.
@@ -71,18 +73,18 @@ class Grid(NamedTuple):
 
 
 class Guess(NamedTuple):
-    """What is known of the pixels beforehand, [subgroups, pixels]: time in ticks (float64, NaN = nothing) and light."""
+    """Prior knowledge of the pixels, [subgroups, pixels]: time in ticks (float64, NaN = unknown) and light."""
 
     time: np.ndarray
     light: np.ndarray
 
 
 class Unheard(NamedTuple):
-    """Chances that a pixel which fires says nothing in a pulse without an event nearby, float32[subgroups, ticks] by its surface's time.
+    """Probabilities that a firing pixel leaves no trace in a pulse without an event nearby, by its surface's time.
 
-    missed: because its window misses the threshold, finds no armed tree, or is dropped. blind: because it finds no armed tree, at a
-    time at which a window would have been noticed. `_dropping`: between events of which the later one carries `overrun`; between
-    others nothing is dropped.
+    All are float32[subgroups, ticks]. missed: its window misses the threshold, finds the tree not armed, or is dropped.
+    blind: it finds the tree not armed, at a time at which a window would have been noticed. `_dropping`: between two
+    events of which the later one carries `overrun`; only there are windows dropped.
     """
 
     missed: np.ndarray
@@ -95,14 +97,14 @@ class _Law(NamedTuple):
     """Scalars of a subgroup; times in ticks."""
 
     window: int
-    told: int  # of the window's ticks, those whose hits are known: all, or the first (format short)
+    told: int  # ticks of the window whose hits are known: all of them, or the first (format short)
     phases: int
     rearm: int
-    offset: int  # ticks of an offset's step
+    offset: int  # ticks per step of an offset
     reach: int
     step: int
     noise: float  # background photons per tick and pixel
-    alive: float  # share of the pulses in which background has not fired the pixel before
+    alive: float  # share of the pulses in which background has not fired the pixel yet
     pulses: int
 
 
@@ -120,11 +122,12 @@ def log_likelihood(
     guess: Guess | None = None,
     spread: Spread = map,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(log likelihood ratio, likeliest light) of each pixel's times: float32 and uint8 (index), [rows, cols, bins].
+    """Return (log likelihood ratio, likeliest light) for each pixel's times: float32, uint8 (index), [rows, cols, bins].
 
-    pulses: in which the events came. never: `unheard` of them. first: int64[subgroups, pixels], index of the pixel's first time
-    in the grid. activity: float64[subgroups, pixels], background of each pixel over the mean (None: alike). guess: for offsets,
-    which are not used without it. spread: `map` of subgroups, of any order.
+    pulses: number of pulses in which the events came. never: from `unheard`, for the same events. first:
+    int64[subgroups, pixels], index of the pixel's first time in the grid. activity: float64[subgroups, pixels],
+    background of each pixel relative to the mean (None: all equal). guess: needed to use offsets; without it they are
+    ignored. spread: a `map` over subgroups that may use any order.
     """
     sensor = config.sensor
     reach = math.ceil(REACH_SIGMAS * sigma_ticks)
@@ -174,13 +177,13 @@ def log_likelihood(
 
 
 def _fired(lights: np.ndarray, sigma_ticks: float, reach: int) -> np.ndarray:
-    """float32[4 reach + 1, lights]: F at u - t = -reach to reach, in half ticks."""
+    """float32[4 reach + 1, lights]: F at u - t = -reach to reach, in steps of half a tick."""
     distance = np.arange(-2 * reach, 2 * reach + 1) / 2
     return -np.expm1(-special.ndtr(distance / sigma_ticks)[:, None] * lights).astype(np.float32)
 
 
 def _gate_opens(events: Events, config: Config) -> np.ndarray:
-    """int64[n]: tick at which the gate opened in each event's pulse, 0 where there is none."""
+    """int64[n]: tick at which the gate opened in each event's pulse, 0 without gating."""
     subgroup = np.repeat(np.arange(config.sensor.subgroups), np.diff(events.bounds))
     steps = 0
     if config.frame["gate_every"]:
@@ -190,12 +193,15 @@ def _gate_opens(events: Events, config: Config) -> np.ndarray:
 
 
 def unheard(events: Events, config: Config, pulses: int, sigma_ticks: float, spread: Spread = map) -> Unheard:
-    """What the subgroups' events say of photons that they do not show. pulses: in which the events came; spread: as of `log_likelihood`."""
+    """Estimate from the subgroups' events how often photons leave no trace.
+
+    pulses: number of pulses in which the events came; spread: as in `log_likelihood`.
+    """
     shape = (config.sensor.subgroups, config.period_ticks)
     missed, missed_dropping, blind, blind_dropping = (np.empty(shape, np.float32) for _ in range(4))
     after_rejected = (
         np.arange(config.sensor.phases) + config.sensor.rearm * config.sensor.phases
-    )  # ticks that one blinds until this phase
+    )  # mean blind ticks after a rejected window, by phase
 
     def of_subgroup(s: int) -> None:
         ticks, window = config.period_ticks, int(events.window[s])
@@ -211,7 +217,7 @@ def unheard(events: Events, config: Config, pulses: int, sigma_ticks: float, spr
             events.pulse[span] % pulses, stamp, armed, events.overrun[span], events.committed[s], pulses, config
         )
         dropped = 1 / kept
-        dropped *= events.committed[s] / max(1.0, dropped[stamp].sum())  # windows for one that was stored
+        dropped *= events.committed[s] / max(1.0, dropped[stamp].sum())  # windows per stored window
         covered = _share_between(stamp, stamp + window, ticks, pulses) * dropped / (1 - deaf)
         photons = np.maximum(np.interp(covered, commits, RATES), events.photon_rate[s] * window)
         commits, met = (np.interp(photons, RATES, of_rate) for of_rate in (commits, met))
@@ -231,7 +237,7 @@ def unheard(events: Events, config: Config, pulses: int, sigma_ticks: float, spr
 
 
 def armed_ticks(stamp: np.ndarray, window: int, config: Config) -> np.ndarray:
-    """int64[n]: tick from which the tree is armed again after events at `stamp`."""
+    """int64[n]: tick at which the tree is armed again after events at `stamp`."""
     phases = config.sensor.phases
     return armed_cycle(close_cycle(stamp, window, phases), config.sensor.rearm) * phases
 
@@ -245,10 +251,11 @@ def _while_dropping(
     pulses: int,
     config: Config,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(share of the windows that are stored, the same of those between two events of which the later one carries `overrun`), float64[ticks].
+    """Return (share of windows that are stored, the same between two events of which the later has `overrun`), float64[ticks].
 
-    After an event was stored the FIFO was full, and what came was dropped, until there was room; then nothing came before the next
-    event. When there was room follows from how often windows come; that follows from how many are stored.
+    After an event was stored, the FIFO was full, and windows were dropped until there was room. From then on, no window
+    came until the next event. The time at which there was room follows from the rate of windows, and this rate follows
+    from the share that is stored.
     """
     phases, cells = config.sensor.phases, config.period
     later = np.flatnonzero(overrun[1:]) + 1
@@ -268,15 +275,16 @@ def _while_dropping(
 
 @njit
 def _room_found(begin, end, rate):
-    """float64[cycles]: share of the intervals from `begin` to `end`, cycles of the frame, in which there was room before that cycle.
+    """float64[cycles]: share of the intervals from `begin` to `end` in which there was room before a cycle of the period.
 
-    rate: windows per cycle of the period. In each interval some windows came before there was room, and none after.
+    begin, end: cycles of the frame. rate: windows per cycle of the period. In each interval, windows came before there
+    was room, and none came after.
     """
     cells = len(rate)
     total = np.zeros(cells + 1)
     total[1:] = np.cumsum(rate)
     of_period, total = total[cells], total[:cells]
-    grown, shrunk = np.exp(total), np.exp(-total)  # of the windows since the period's begin
+    grown, shrunk = np.exp(total), np.exp(-total)  # windows since the period began
     found, number = np.zeros(cells), np.zeros(cells)
     sums = np.empty(cells * max(1, (np.max(end) if len(end) else 0) // cells + 1))
     for i in range(len(begin)):
@@ -304,18 +312,18 @@ def _room_found(begin, end, rate):
 
 
 def _over_pulse(of_photon: np.ndarray, sigma_ticks: float) -> np.ndarray:
-    """The mean over the times of the photons that a surface at each tick sends."""
+    """Return the mean over the arrival times of a surface's photons, for a surface at each tick."""
     return ndimage.gaussian_filter1d(of_photon, sigma_ticks, mode="nearest", truncate=REACH_SIGMAS)
 
 
 def _share_between(begin: np.ndarray, end: np.ndarray, ticks: int, pulses: int) -> np.ndarray:
-    """float64[ticks]: in how many of the pulses each tick lies in [begin, end) of an event."""
+    """float64[ticks]: share of the pulses in which a tick lies in [begin, end) of an event."""
     change = sum(sign * np.bincount(np.minimum(at, ticks), minlength=ticks + 1) for sign, at in ((1, begin), (-1, end)))
     return np.cumsum(change)[:ticks] / pulses
 
 
 def _gate_share(config: Config, s: int, cycle: np.ndarray) -> np.ndarray:
-    """Share of the pulses whose gate is open in each cycle."""
+    """Return the share of the pulses whose gate is open in each cycle."""
     start = config.gate_start[s] + np.zeros(1, np.int64)
     if config.frame["gate_every"]:
         pulse = np.arange(config.pulses)
@@ -326,7 +334,7 @@ def _gate_share(config: Config, s: int, cycle: np.ndarray) -> np.ndarray:
 
 @njit
 def _first_shares(stamp, winner, hits, offset, minigroup, law, time, light, sigma):
-    """float32[n, pixels]: chance that each hit pixel was the first of its minigroup: all others of it fired later."""
+    """float32[n, pixels]: probability that a hit pixel was the first of its minigroup, so that all others fired later."""
     n, pixels = len(stamp), len(minigroup)
     shares = np.zeros((n, pixels), np.float32)
     members = np.empty(pixels, np.int64)
@@ -346,7 +354,7 @@ def _first_shares(stamp, winner, hits, offset, minigroup, law, time, light, sigm
                     inside = _unfired(begin - time[i], light[i], sigma) - last
                     if inside > RARE:
                         later[number] = (_unfired(own - time[i], light[i], sigma) - last) / inside
-                    else:  # background, or nothing is known
+                    else:  # background, or an unknown surface
                         later[number] = (end - own) / (end - begin)
                     number += 1
             for j in range(number):
@@ -360,7 +368,7 @@ def _first_shares(stamp, winner, hits, offset, minigroup, law, time, light, sigm
 
 @njit(inline="always")
 def _unfired(distance, light, sigma):
-    """1 - F."""
+    """Return 1 - F."""
     return math.exp(-light * 0.5 * math.erfc(-distance / sigma * math.sqrt(0.5)))
 
 
@@ -390,14 +398,15 @@ def _add_events(
     total,
     touched,
 ):
-    """What a subgroup's events say: of pixels without a hit, returned as float32[times, lights], and of hits besides, in `total`.
+    """Return what a subgroup's events say about pixels without a hit, float32[times, lights]; add the hits to `total`.
 
-    total: float32[pixels, bins, lights], logarithms; it means something only where `touched`, bool[pixels, bins], says so. Events of
-    a pulse so near that a photon may belong to either are taken together, and a pixel's first hit among them counts.
+    total: float32[pixels, bins, lights], logarithms, valid only where `touched`, bool[pixels, bins], is set. Events of
+    the same pulse are treated together if they are so close that a photon may belong to either; then a pixel's first hit
+    among them counts.
     """
     n, times = len(stamp), missed.shape[1]
     pixels, bins, lights = total.shape
-    wanted = np.zeros(times + 1, np.int64)  # how many times of those before each are in some pixel's bins
+    wanted = np.zeros(times + 1, np.int64)  # running number of the times that are in some pixel's bins
     for i in range(pixels):
         wanted[max(0, first[i]) + 1 : max(0, first[i] + bins) + 1] = 1
     wanted = np.cumsum(wanted)
@@ -412,8 +421,8 @@ def _add_events(
             earliest = max(earliest, armed[e - 1])
         cycle = stamp[e] // law.phases * law.phases
         armed[e] = ((stamp[e] + law.window - 1) // law.phases + 1 + law.rearm) * law.phases
-        known[e] = min(stamp[e], max(earliest, cycle))  # the tree was armed and no photon came, from then on
-        # before, it was if it was not blind: no window ends later
+        known[e] = min(stamp[e], max(earliest, cycle))  # from then on, the tree was armed and no photon came
+        # before that, the tree was armed unless it was blind, because no window ends later
         quiet[e] = min(known[e], max(earliest, cycle - law.rearm * law.phases - law.window + 1))
     counted = np.full(pixels, -1, np.int64)
     begin, since, since_pulse = 0, 0, 0
@@ -462,7 +471,7 @@ def _add_events(
 
 @njit(inline="always")
 def _add_silence(silent, from_pulse, since, to_pulse, until):
-    """Counts the pulses without an event nearby, from time `since` of one pulse to time `until` of another."""
+    """Count the pulses without an event nearby, from time `since` of one pulse to time `until` of another."""
     silent[since] += 1
     silent[until] -= 1
     silent[0] += to_pulse - from_pulse
@@ -470,7 +479,7 @@ def _add_silence(silent, from_pulse, since, to_pulse, until):
 
 @njit
 def _subtract(law, unseen, k0, k1, e, begin, quiet, known, stamp, armed, overrun, missed, blind, fired):
-    """Takes from `unseen` what event e says of a pixel outside its map: it did not fire since the event before, and in the window."""
+    """Reduce `unseen` by event e: a pixel outside its map did not fire in the window, nor between the last event and it."""
     top = len(fired) - 1
     dropping = np.int64(overrun[e])
     for k in range(k0, k1):
@@ -492,7 +501,7 @@ def _subtract(law, unseen, k0, k1, e, begin, quiet, known, stamp, armed, overrun
 
 @njit
 def _subtract_after(law, unseen, k0, k1, armed, dropping, missed, fired):
-    """Takes from `unseen` what silence after the last event of a pulse says."""
+    """Reduce `unseen` by the silence after the last event of a pulse."""
     if dropping:
         return
     top = len(fired) - 1
@@ -508,7 +517,7 @@ def _add_hits(
     law, e, cluster, stamps, quiet, known, armed, overrun, winner, hits, offset, shares, minigroup, mask, activity,
     missed, blind, fired, before, unseen, product, logs, k0, k1, counted, first, total, touched,
 ):  # fmt: skip
-    """Adds what an event says of the pixels in its map; those of one kind share a row."""
+    """Add what an event says about the pixels in its map; pixels of the same kind share a row."""
     pixels, bins = total.shape[:2]
     stamp, dropping = stamps[e], np.int64(overrun[e])
     since = armed[e - 1] if e > cluster else -1
@@ -523,7 +532,7 @@ def _add_hits(
         _log(product, logs, low, high)
         _add(total[winner], touched[winner], logs, first[winner], low, high)
     groups = offset.shape[1] if len(shares) else 1
-    for group in range(groups):  # one after the other, as the pixels of one share rows
+    for group in range(groups):  # one at a time, because the pixels of a group share rows
         begin, own, of_row = stamp, stamp, np.float32(-1.0)
         if len(shares) and group != minigroup[winner] and offset[e, group] != OFFSET_NONE:
             begin = max(stamp, cycle + offset[e, group] * law.offset)
@@ -551,9 +560,9 @@ def _row(
     law, begin, own, until, share, noise, stamp, quiet, known, since, dropping,
     missed, blind, fired, before, unseen, product, k0, k1,
 ):  # fmt: skip
-    """product[k0:k1]: likelihood ratio of a hit in [begin, until), or before `own` if it was its minigroup's first.
+    """Compute product[k0:k1], the likelihood ratio of a hit in [begin, until), or before `own` if it was its minigroup's first.
 
-    It is over that of no hit, which all pixels get.
+    It is relative to the likelihood of no hit, which all pixels get.
     """
     top = len(fired) - 1
     alive, share = np.float32(law.alive), np.float32(share)
@@ -590,7 +599,7 @@ def _add(total, touched, row, first, k0, k1):
 
 @njit(error_model="numpy")
 def _log(values, logs, k0, k1):
-    """logs = log(values), from the float32's bits: exponent and a polynomial of the fraction."""
+    """Compute logs = log(values) from the bits of the float32: exponent and a polynomial of the fraction."""
     bits = values[k0:k1].reshape(-1).view(np.int32)
     out = logs[k0:k1].reshape(-1)
     c = _LOG
@@ -602,7 +611,7 @@ def _log(values, logs, k0, k1):
 
 @njit
 def _over_lights(common, total, touched, mask, first, prior, place, level, light):
-    """Logarithm of the mean over the lights, and the likeliest of them; nothing speaks for or against times of a masked pixel."""
+    """Compute the logarithm of the mean over the lights, and the likeliest light; a masked pixel favours no time."""
     times, lights = common.shape
     values = np.empty(lights, np.float32)
     level_of_all, light_of_all = np.empty(times, np.float32), np.empty(times, np.uint8)
@@ -626,7 +635,7 @@ def _over_lights(common, total, touched, mask, first, prior, place, level, light
 
 @njit
 def _mean(values):
-    """(logarithm of the sum, index of the largest)."""
+    """Return (logarithm of the sum, index of the largest)."""
     best = 0
     for x in range(len(values)):
         if values[x] > values[best]:
