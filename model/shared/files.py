@@ -47,7 +47,7 @@ def whole_file(path: FilePath, mode: str = "wb") -> Iterator[IO[Any]]:
 def write_npz(path: FilePath, arrays: dict[str, np.ndarray]) -> None:
     """Write `arrays` as a compressed NPZ whose bytes depend only on the arrays (`np.savez` writes no time stamp)."""
     with whole_file(path) as file:
-        np.savez_compressed(file, **arrays)  # no array is called allow_pickle
+        np.savez_compressed(file, **arrays)  # type: ignore[arg-type]  # no array is called allow_pickle
 
 
 def read_npz(path: FilePath, names: tuple[str, ...], optional: tuple[str, ...] = ()) -> dict[str, np.ndarray]:
