@@ -16,10 +16,11 @@ The events of a pulse constrain the firing time of each pixel of the subgroup:
 - A pixel outside the map did not fire inside the window, nor while the tree waited for its first photon. It may have
   fired while the tree was blind, between the window's end and the re-arming.
 
-If there is no event nearby, there are three possibilities: the pixel did not fire; it fired, and the window missed the
-threshold; or the tree was blind after such a window. Their frequencies follow from the share of pulses with an event at
-that time. Drops come in bursts: the first windows of a pulse fill the FIFO, and the following ones are lost. So silence
-between two events carries no information if the later event has `overrun` set.
+Where no event is near, the pixel did not fire, or it did and the window missed the threshold, or found the tree blind after a
+window that missed it. How often that is follows from the share of pulses with an event at that time. Drops come in bursts: the
+first windows of a pulse fill the FIFO, and those that follow are lost until there is room. So between two events of which the
+later one carries `overrun`, silence speaks only for the time after there was room again; when that was follows from how often
+windows come.
 
 All likelihoods are relative to a pixel that sees no surface, whose hits are background.
 """
@@ -44,10 +45,10 @@ DEAD_S = 8e-9  # dead time of a SPAD (paper II)
 RARE = 1e-6  # lowest probability: effects that the law does not include happen, too
 QUIET_RATE = 1e-7  # photons per tick and pixel, at least: some background is everywhere
 BLIND_MAX = 0.95
-DROPPING_ROUNDS = 3
-RATES = np.geomspace(1e-3, 50, 200)  # photons per subgroup and window, over which the share of events is tabulated
-NEGLIGIBLE = -1.0  # log likelihood ratio below which averaging over the lights is not worth its exponentials
-ALIKE = 0.2  # pixels of a minigroup are treated alike if their probabilities to have been first differ by less
+DROPPING_ROUNDS = 3  # in which the rate of windows and the share of them that is stored find each other
+RATES = np.geomspace(1e-3, 50, 200)  # photons of a subgroup and window that a share of events may stand for
+NEGLIGIBLE = -1.0  # log likelihood ratio below which the mean over the lights is not worth its exponentials
+ALIKE = 0.2  # pixels of a minigroup whose chances to have been first differ by less are taken together
 
 _FRACTION_BITS = 23  # of a float32
 _LOG = (
@@ -165,9 +166,9 @@ def log_likelihood(
         total = np.empty((sensor.pixels, bins, len(grid.lights)), np.float32)
         touched = np.zeros((sensor.pixels, bins), np.bool_)
         common = _add_events(
-            law, events.stamp[span], events.pulse[span] % pulses, events.winner[span], events.hits[span],
-            events.offset[span], events.overrun[span], opens[span], shares, minigroup, config.mask[s], activity[s],
-            chances[:2], chances[2:], fired, first[s], total, touched,
+            law, events.stamp[span], armed_ticks(events.stamp[span], window, config), events.pulse[span] % pulses,
+            events.winner[span], events.hits[span], events.offset[span], events.overrun[span], opens[span], shares,
+            minigroup, config.mask[s], activity[s], chances[:2], chances[2:], fired, first[s], total, touched,
         )  # fmt: skip
         _over_lights(common, total, touched, config.mask[s], first[s], grid.prior, place[s], level, light)
 
@@ -193,11 +194,8 @@ def _gate_opens(events: Events, config: Config) -> np.ndarray:
 
 
 def unheard(events: Events, config: Config, pulses: int, sigma_ticks: float, spread: Spread = map) -> Unheard:
-    """Estimate from the subgroups' events how often photons leave no trace.
-
-    pulses: number of pulses in which the events came; spread: as in `log_likelihood`.
-    """
-    shape = (config.sensor.subgroups, config.period_ticks)
+    """What the subgroups' events say of photons that they do not show. pulses: in which the events came; spread: as of `log_likelihood`."""
+    shape, reach = (config.sensor.subgroups, config.period_ticks), math.ceil(REACH_SIGMAS * sigma_ticks)
     missed, missed_dropping, blind, blind_dropping = (np.empty(shape, np.float32) for _ in range(4))
     after_rejected = (
         np.arange(config.sensor.phases) + config.sensor.rearm * config.sensor.phases
@@ -222,15 +220,26 @@ def unheard(events: Events, config: Config, pulses: int, sigma_ticks: float, spr
         photons = np.maximum(np.interp(covered, commits, RATES), events.photon_rate[s] * window)
         commits, met = (np.interp(photons, RATES, of_rate) for of_rate in (commits, met))
         seen = _gate_share(config, s, np.arange(ticks) // config.sensor.phases) if config.gating[s] else 1.0
-        reach = math.ceil(REACH_SIGMAS * sigma_ticks)
-        nearby = np.minimum(1, dropped * _share_between(np.maximum(0, stamp - reach), armed, ticks, pulses))
-        for of_tick, room, others in ((missed, 1.0, commits), (missed_dropping, found, np.maximum(commits, nearby))):
-            silent = deaf + (1 - deaf) * (1 - room * others)
+
+        def tell(
+            of_missed: np.ndarray,
+            of_blind: np.ndarray,
+            room: np.ndarray | float,
+            noticed: np.ndarray,
+            unarmed: np.ndarray,
+        ) -> None:
+            silent = deaf + (1 - deaf) * (1 - room * noticed)
             lost = (deaf + (1 - deaf) * (1 - room * met)) / np.maximum(silent, RARE)
-            of_tick[s] = _over_pulse(1 - seen * (1 - np.minimum(1, lost)), sigma_ticks)
-        busy = np.minimum(BLIND_MAX, deaf + dropped * _share_between(stamp, armed, ticks, pulses))
-        for of_tick, chance in ((blind, deaf), (blind_dropping, busy)):
-            of_tick[s] = _over_pulse(chance / (chance + (1 - chance) * np.exp(-photons)), sigma_ticks)
+            of_missed[s] = _over_pulse(1 - seen * (1 - np.minimum(1, lost)), sigma_ticks)
+            of_blind[s] = _over_pulse(unarmed / (unarmed + (1 - unarmed) * np.exp(-photons)), sigma_ticks)
+
+        tell(missed, blind, 1.0, commits, deaf)
+        if events.overrun[span].any():
+            nearby = np.minimum(1, dropped * _share_between(np.maximum(0, stamp - reach), armed, ticks, pulses))
+            busy = np.minimum(BLIND_MAX, deaf + dropped * _share_between(stamp, armed, ticks, pulses))
+            tell(missed_dropping, blind_dropping, found, np.maximum(commits, nearby), busy)
+        else:  # nothing asks for it
+            missed_dropping[s], blind_dropping[s] = missed[s], blind[s]
 
     list(spread(of_subgroup, range(config.sensor.subgroups)))
     return Unheard(missed, missed_dropping, blind, blind_dropping)
@@ -381,6 +390,7 @@ def _hit(hits, e, i):
 def _add_events(
     law,
     stamp,
+    armed,
     pulse,
     winner,
     hits,
@@ -414,15 +424,14 @@ def _add_events(
     unseen, before = np.empty_like(common), np.empty_like(common)
     product, logs = np.zeros_like(common), np.zeros_like(common)
     silent = np.zeros((2, times + 1), np.int64)  # change of the number of pulses without an event nearby, by `overrun`
-    armed, quiet, known = np.empty(n, np.int64), np.empty(n, np.int64), np.empty(n, np.int64)
+    quiet, known = np.empty(n, np.int64), np.empty(n, np.int64)
     for e in range(n):
         earliest = opens[e]
         if e and pulse[e - 1] == pulse[e]:
             earliest = max(earliest, armed[e - 1])
         cycle = stamp[e] // law.phases * law.phases
-        armed[e] = ((stamp[e] + law.window - 1) // law.phases + 1 + law.rearm) * law.phases
-        known[e] = min(stamp[e], max(earliest, cycle))  # from then on, the tree was armed and no photon came
-        # before that, the tree was armed unless it was blind, because no window ends later
+        known[e] = min(stamp[e], max(earliest, cycle))  # the tree was armed and no photon came, from then on
+        # before, it was if it was not blind: no window ends later
         quiet[e] = min(known[e], max(earliest, cycle - law.rearm * law.phases - law.window + 1))
     counted = np.full(pixels, -1, np.int64)
     begin, since, since_pulse = 0, 0, 0
@@ -477,19 +486,34 @@ def _add_silence(silent, from_pulse, since, to_pulse, until):
     silent[0] += to_pulse - from_pulse
 
 
+@njit(inline="always")
+def _at(law, k, tick, top):
+    """Row of `fired` for a tick, as a surface at time k of the grid sees it."""
+    return min(max(2 * (tick + law.reach) - (2 * k + 1) * law.step, 0), top)
+
+
+@njit(inline="always")
+def _before_stamp(law, k, since, quiet, known, dropping, missed, blind, top):
+    """What an event says of the time before its stamp: rows of `fired` that bound it, and how surely a photon would have been seen.
+
+    From row z to a by an event of its own, from a to b by making this event's stamp earlier. since: tick from which the tree was armed
+    after the event before, -1 where that is far.
+    """
+    a, b = _at(law, k, quiet, top), _at(law, k, known, top)
+    z = min(_at(law, k, since, top), a) if since >= 0 else 0
+    heard = np.float32(0 if dropping else law.alive * (1 - missed[0, k]))
+    sharp = np.float32(law.alive * (1 - blind[dropping, k]))
+    return z, a, b, heard, sharp
+
+
 @njit
 def _subtract(law, unseen, k0, k1, e, begin, quiet, known, stamp, armed, overrun, missed, blind, fired):
     """Reduce `unseen` by event e: a pixel outside its map did not fire in the window, nor between the last event and it."""
     top = len(fired) - 1
-    dropping = np.int64(overrun[e])
+    since, dropping, alive = armed[e - 1] if e > begin else -1, np.int64(overrun[e]), np.float32(law.alive)
     for k in range(k0, k1):
-        centre = (2 * k + 1) * law.step - 2 * law.reach
-        a, b = min(max(2 * quiet[e] - centre, 0), top), min(max(2 * known[e] - centre, 0), top)
-        c = min(max(2 * (stamp[e] + law.told) - centre, 0), top)
-        z = min(max(2 * armed[e - 1] - centre, 0), a) if e > begin else 0
-        heard = np.float32(0 if dropping else law.alive * (1 - missed[0, k]))
-        sharp = np.float32(law.alive * (1 - blind[dropping, k]))
-        alive = np.float32(law.alive)
+        z, a, b, heard, sharp = _before_stamp(law, k, since, quiet[e], known[e], dropping, missed, blind, top)
+        c = _at(law, k, stamp[e] + law.told, top)
         for x in range(unseen.shape[1]):
             left = unseen[k, x] - (
                 alive * (fired[c, x] - fired[b, x])
@@ -506,7 +530,7 @@ def _subtract_after(law, unseen, k0, k1, armed, dropping, missed, fired):
         return
     top = len(fired) - 1
     for k in range(k0, k1):
-        d = min(max(2 * armed - (2 * k + 1) * law.step + 2 * law.reach, 0), top)
+        d = _at(law, k, armed, top)
         heard = np.float32(law.alive * (1 - missed[0, k]))
         for x in range(unseen.shape[1]):
             unseen[k, x] = max(np.float32(RARE), unseen[k, x] - heard * (fired[top, x] - fired[d, x]))
@@ -568,13 +592,8 @@ def _row(
     alive, share = np.float32(law.alive), np.float32(share)
     background = np.float32(1 / (noise * (share * (own - begin) + (1 - share) * (until - begin))))
     for k in range(k0, k1):
-        centre = (2 * k + 1) * law.step - 2 * law.reach
-        a, b = min(max(2 * quiet - centre, 0), top), min(max(2 * known - centre, 0), top)
-        c, d = min(max(2 * begin - centre, 0), top), min(max(2 * own - centre, 0), top)
-        f = min(max(2 * until - centre, 0), top)
-        z = min(max(2 * since - centre, 0), a) if since >= 0 else 0
-        heard = np.float32(0 if dropping else law.alive * (1 - missed[0, k]))
-        sharp = np.float32(law.alive * (1 - blind[dropping, k]))
+        z, a, b, heard, sharp = _before_stamp(law, k, since, quiet, known, dropping, missed, blind, top)
+        c, d, f = _at(law, k, begin, top), _at(law, k, own, top), _at(law, k, until, top)
         for x in range(product.shape[1]):
             earlier = before[k, x] - (
                 heard * (fired[a, x] - fired[z, x])
