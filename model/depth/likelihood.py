@@ -16,11 +16,11 @@ The events of a pulse constrain the firing time of each pixel of the subgroup:
 - A pixel outside the map did not fire inside the window, nor while the tree waited for its first photon. It may have
   fired while the tree was blind, between the window's end and the re-arming.
 
-Where no event is near, the pixel did not fire, or it did and the window missed the threshold, or found the tree blind after a
-window that missed it. How often that is follows from the share of pulses with an event at that time. Drops come in bursts: the
-first windows of a pulse fill the FIFO, and those that follow are lost until there is room. So between two events of which the
-later one carries `overrun`, silence speaks only for the time after there was room again; when that was follows from how often
-windows come.
+If there is no event nearby, there are three possibilities: the pixel did not fire; it fired, and the window missed the
+threshold; or the tree was blind after such a window. Their frequencies follow from the share of pulses with an event at
+that time. Drops come in bursts: the first windows of a pulse fill the FIFO, and the following ones are lost until there
+is room again. So if the later of two events carries `overrun`, the silence between them is informative only from the
+time at which there was room; this time follows from the rate of windows.
 
 All likelihoods are relative to a pixel that sees no surface, whose hits are background.
 """
@@ -45,10 +45,10 @@ DEAD_S = 8e-9  # dead time of a SPAD (paper II)
 RARE = 1e-6  # lowest probability: effects that the law does not include happen, too
 QUIET_RATE = 1e-7  # photons per tick and pixel, at least: some background is everywhere
 BLIND_MAX = 0.95
-DROPPING_ROUNDS = 3  # in which the rate of windows and the share of them that is stored find each other
-RATES = np.geomspace(1e-3, 50, 200)  # photons of a subgroup and window that a share of events may stand for
-NEGLIGIBLE = -1.0  # log likelihood ratio below which the mean over the lights is not worth its exponentials
-ALIKE = 0.2  # pixels of a minigroup whose chances to have been first differ by less are taken together
+DROPPING_ROUNDS = 3  # rounds in which the rate of windows and the stored share of them converge
+RATES = np.geomspace(1e-3, 50, 200)  # photons per subgroup and window, over which the share of events is tabulated
+NEGLIGIBLE = -1.0  # log likelihood ratio below which averaging over the lights is not worth its exponentials
+ALIKE = 0.2  # pixels of a minigroup are treated alike if their probabilities to have been first differ by less
 
 _FRACTION_BITS = 23  # of a float32
 _LOG = (
@@ -194,7 +194,10 @@ def _gate_opens(events: Events, config: Config) -> np.ndarray:
 
 
 def unheard(events: Events, config: Config, pulses: int, sigma_ticks: float, spread: Spread = map) -> Unheard:
-    """What the subgroups' events say of photons that they do not show. pulses: in which the events came; spread: as of `log_likelihood`."""
+    """Estimate from the subgroups' events how often photons leave no trace.
+
+    pulses: number of pulses in which the events came; spread: as in `log_likelihood`.
+    """
     shape, reach = (config.sensor.subgroups, config.period_ticks), math.ceil(REACH_SIGMAS * sigma_ticks)
     missed, missed_dropping, blind, blind_dropping = (np.empty(shape, np.float32) for _ in range(4))
     after_rejected = (
@@ -238,7 +241,7 @@ def unheard(events: Events, config: Config, pulses: int, sigma_ticks: float, spr
             nearby = np.minimum(1, dropped * _share_between(np.maximum(0, stamp - reach), armed, ticks, pulses))
             busy = np.minimum(BLIND_MAX, deaf + dropped * _share_between(stamp, armed, ticks, pulses))
             tell(missed_dropping, blind_dropping, found, np.maximum(commits, nearby), busy)
-        else:  # nothing asks for it
+        else:  # not used
             missed_dropping[s], blind_dropping[s] = missed[s], blind[s]
 
     list(spread(of_subgroup, range(config.sensor.subgroups)))
@@ -430,8 +433,8 @@ def _add_events(
         if e and pulse[e - 1] == pulse[e]:
             earliest = max(earliest, armed[e - 1])
         cycle = stamp[e] // law.phases * law.phases
-        known[e] = min(stamp[e], max(earliest, cycle))  # the tree was armed and no photon came, from then on
-        # before, it was if it was not blind: no window ends later
+        known[e] = min(stamp[e], max(earliest, cycle))  # from then on, the tree was armed and no photon came
+        # before that, the tree was armed unless it was blind, because no window ends later
         quiet[e] = min(known[e], max(earliest, cycle - law.rearm * law.phases - law.window + 1))
     counted = np.full(pixels, -1, np.int64)
     begin, since, since_pulse = 0, 0, 0
@@ -488,16 +491,17 @@ def _add_silence(silent, from_pulse, since, to_pulse, until):
 
 @njit(inline="always")
 def _at(law, k, tick, top):
-    """Row of `fired` for a tick, as a surface at time k of the grid sees it."""
+    """Return the row of `fired` for a tick, for a surface at time k of the grid."""
     return min(max(2 * (tick + law.reach) - (2 * k + 1) * law.step, 0), top)
 
 
 @njit(inline="always")
 def _before_stamp(law, k, since, quiet, known, dropping, missed, blind, top):
-    """What an event says of the time before its stamp: rows of `fired` that bound it, and how surely a photon would have been seen.
+    """Return the rows of `fired` that bound the time before an event's stamp, and the chances to notice a photon there.
 
-    From row z to a by an event of its own, from a to b by making this event's stamp earlier. since: tick from which the tree was armed
-    after the event before, -1 where that is far.
+    Between rows z and a, the photon would have made an event of its own (chance `heard`); between a and b, it would have
+    made this event's stamp earlier (`sharp`). since: tick from which the tree was armed after the previous event, -1 if
+    that is far away.
     """
     a, b = _at(law, k, quiet, top), _at(law, k, known, top)
     z = min(_at(law, k, since, top), a) if since >= 0 else 0
