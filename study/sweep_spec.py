@@ -16,7 +16,8 @@ import numpy as np
 from attrs import frozen
 
 from .. import __version__
-from ..model.contract.config import PRESETS, Config, parse_config, read_toml
+from ..model.contract.config import Config, parse_config, read_toml
+from ..model.contract.preset_files import PRESETS
 from ..model.depth.estimate import METHODS
 from ..model.light.light import BACKGROUNDS
 from ..model.light.photons import edge_chunks
