@@ -310,7 +310,7 @@ def sweep(
         typer.Option(
             metavar="FILE",
             help=(
-                "Result (Parquet); default: build/SPEC.parquet. Beside it: a plot (PNG), and the finished points, from which a second start continues."
+                "Result (Parquet); default: build/SPEC.parquet. Beside it: a plot (PNG), and the finished points, where a second start goes on."
             ),
             show_default=False,
         ),
