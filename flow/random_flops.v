@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Flip-flops and latches of the netlists: they wake up at random, and take an unknown input at random.
+// Flip-flops and latches of the netlists: their initial values are random, and they take a random value for an unknown input.
 
 module \$_DFF_P_ (
     input D,

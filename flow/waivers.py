@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What Verilator's lint reports about generated Verilog and may: each waiver with its reason, as a control file. All else is an error."""
+"""Warnings of Verilator's lint that generated Verilog may cause, each with its reason, as a control file."""
 
 from ..hdl.views import View
 

@@ -1,9 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The emulator behind its serial pins, Verilated: a port for the host's serial transport, with no board."""
+"""The Verilated emulator behind its serial pins: a port for the host's serial transport, without a board."""
 
 import ctypes
-import os
-import shutil
 from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
@@ -14,14 +12,12 @@ from ..model.contract.parameters import Sensor
 from ..model.shared.folders import build_root
 from ..model.shared.sources import digest, sources_digest
 from . import toolchain
-from .batch import COMPILER, MAKE_OPTIONS, VERILATOR
+from .batch import COMPILER, verilated_unit
 
 SOURCE = Path(__file__).with_name("emulator.cpp")
 LIBRARY = "libemulator.so"
-READ_CYCLES = 2000  # that a read without an answer waits
-PATIENCE_S = (
-    200e-6  # for an answer at the fastest simulated line, in simulated time: the longest request takes half of it
-)
+READ_CYCLES = 2000  # time that a read waits for a byte
+PATIENCE_S = 200e-6  # for an answer on the fastest line, in simulated time; the longest request takes half of it
 ROOM = 4096
 RESET_CYCLES = 8
 SIMULATED_CLOCKS_PER_BIT = 4  # the fastest line
@@ -30,12 +26,12 @@ SIMULATED_CLOCKS_PER_BIT = 4  # the fastest line
 def simulated(
     sensor: Sensor, buffer_beats: int = BUFFER_BEATS, clocks_per_bit: int = SIMULATED_CLOCKS_PER_BIT
 ) -> Emulator:
-    """An emulator of `sensor` for simulation, with the fastest line where none is given."""
+    """Return an emulator of `sensor` for simulation, with the fastest line by default."""
     return Emulator(sensor=sensor, buffer_beats=buffer_beats, clocks_per_bit=clocks_per_bit)
 
 
 def emulator_rtl(emulator: Emulator, serial: bool = True) -> list[Path]:
-    """The emulator's Verilog files, emitted once for its parameters and the state of the sources."""
+    """Return the emulator's Verilog files, emitted once for its parameters and the state of the sources."""
     key = digest(repr(emulator), str(serial), sources_digest("hdl", "model.contract", "model.shared"))
 
     def emit(folder: Path) -> None:
@@ -48,41 +44,22 @@ def emulator_rtl(emulator: Emulator, serial: bool = True) -> list[Path]:
 
 
 def build_emulator(emulator: Emulator) -> Path:
-    """The library of an emulator's RTL behind its pins, compiled once."""
-    name = f"emulator-{emulator.sensor.rows}x{emulator.sensor.cols}"
-    return build_line(emulator_rtl(emulator), SERIAL_TOP, name, [toolchain.NOT_INLINED])
+    """Compile the library of an emulator's RTL behind its pins, once."""
+    return build_line(emulator_rtl(emulator), SERIAL_TOP, [toolchain.NOT_INLINED])
 
 
-def build_line(
-    sources: Sequence[Path],
-    top: str,
-    name: str,
-    options: Sequence[str] = (),
-    make_options: Sequence[str] = MAKE_OPTIONS,
-) -> Path:
-    """The library of a design with the ports clk, rst, rx and tx, compiled once. options: of Verilator; make_options: of its make file."""
-    program = toolchain.verilator()
-    texts = [part for path in sources for part in (path.name, path.read_text())]
-    key = digest(str(program), top, *VERILATOR, *options, *COMPILER, *make_options, SOURCE.read_text(), *texts)
-    directory = build_root() / "batch" / f"{name}-{key}"
+def build_line(sources: list[Path], top: str, options: Sequence[str] = ()) -> Path:
+    """Compile the library of a design with the ports clk, rst, rx and tx, once. options: for Verilator."""
+    unit = verilated_unit(top, "Vemulator", sources, options=options, archives=["libverilated.a"])
+    directory = build_root() / "batch" / f"emulator-{digest(unit.name, *COMPILER, SOURCE.read_text())}"
 
     def make(scratch: Path) -> None:
         log = directory.with_name(f"{directory.name}.log")
         log.unlink(missing_ok=True)
-        for path in sources:
-            shutil.copyfile(path, scratch / path.name)
-        names = [path.name for path in sources]
-        flags = [*options, "-CFLAGS", "-fPIC", "--top-module", top, "--prefix", "Vemulator", "--Mdir", "."]
-        toolchain.compile_in(scratch, log, [str(program), *VERILATOR, *flags, *names])
-        targets = ["libVemulator.a", "libverilated.a"]
-        jobs = str(os.cpu_count())
-        toolchain.compile_in(scratch, log, ["make", "-s", "-j", jobs, "-f", "Vemulator.mk", *make_options, *targets])
-        include = ["-I.", f"-I{program.parents[1] / 'include'}"]
-        command = ["g++", "-shared", *COMPILER, "-o", LIBRARY, str(SOURCE), *include, *targets, "-lpthread", "-latomic"]
-        toolchain.compile_in(scratch, log, command)
-        for path in scratch.iterdir():
-            if path.name != LIBRARY:
-                path.unlink()
+        archives = [str(unit / name) for name in ("libVemulator.a", "libverilated.a")]
+        include = [f"-I{unit}", f"-I{toolchain.verilator().parents[1] / 'include'}"]
+        command = ["g++", "-shared", *COMPILER, "-o", LIBRARY, str(SOURCE), *include, *archives]
+        toolchain.compile_in(scratch, log, [*command, "-lpthread", "-latomic"])
 
     return toolchain.build_once(directory, make) / LIBRARY
 
@@ -107,9 +84,9 @@ def _library(path: Path) -> ctypes.CDLL:
 
 
 class SimulatedPort:
-    """The serial port of a simulated emulator as it wakes up: what the host's `SerialTransport` takes. A context manager.
+    """Serial port of a simulated emulator, first under reset, then in use, for `SerialTransport`. A context manager.
 
-    Its time is simulated: it passes in `read` alone. clock_mhz: of the emulator. library: of another design than the emulator's RTL, which
+    Its time is simulated, and passes only in `read`. clock_mhz: of the emulator. library: a design in place of the emulator's RTL; it
     resets itself.
     """
 
@@ -129,25 +106,25 @@ class SimulatedPort:
         self._line = None
 
     def reset(self) -> None:
-        """Resets the emulator."""
+        """Reset the emulator."""
         self._library.coincid_line_reset(self._line, RESET_CYCLES)
 
     def connect(self, connected: bool) -> None:
-        """Pulls the cable, or puts it back."""
+        """Pull the cable, or plug it in again."""
         self._library.coincid_line_connect(self._line, connected)
 
     def write(self, data: bytes) -> None:
-        """Sends bytes, while time goes on."""
+        """Send bytes; time goes on while they are sent."""
         self._library.coincid_line_send(self._line, data, len(data))
 
     def read(self) -> bytes:
-        """What comes: as soon as a byte does, or nothing in `READ_CYCLES`."""
+        """Return the next byte as soon as it arrives, or nothing after `READ_CYCLES`."""
         n = self._library.coincid_line_run(self._line, READ_CYCLES, self._room, ROOM)
         return self._room.raw[:n]
 
     @property
     def cycles(self) -> int:
-        """Clock cycles that were simulated."""
+        """Return the number of simulated clock cycles."""
         return self._library.coincid_line_cycle(self._line)
 
     def now(self) -> float:
