@@ -83,7 +83,7 @@ def synthesize(board: Board) -> Path:
     """The folder with `NETLIST` and `NETLIST_VERILOG`, made once for the state of the Verilog. Raises `ToolchainError`."""
     script = f"read_verilog {' '.join(board.files)}\n"
     script += f"synth_lattice -family ecp5 {board.options} -top {board.top}\n"
-    script += f"write_json {NETLIST}\nsplitnets\nopt_clean -purge\nwrite_verilog -noattr {NETLIST_VERILOG}\n"
+    script += f"write_json {NETLIST}\nwrite_verilog -noattr {NETLIST_VERILOG}\n"
 
     def make(folder: Path) -> None:
         for name, text in board.files.items():
