@@ -28,7 +28,7 @@ def config(**frame):
     return parse_config(
         {
             "sensor": sensor_table(SENSOR),
-            "frame": {"period": 24, "pulses": 4, "clock_mhz": 100, "format": "id"} | frame,
+            "frame": {"period": 24, "pulses": 2, "clock_mhz": 100, "format": "id"} | frame,
             "subgroup": {"threshold": 2, "window": 4},
         }
     )
@@ -44,7 +44,7 @@ def test_the_netlist_boots_and_sends_frames():
         session = Session(EmulatorDriver(SerialTransport(port, patience_s=PATIENCE_S)), config(), settings)
         assert session.driver.sensor == SENSOR
         words = sum(len(session.frame()) for _ in range(2))
-        assert words > 25 and session.tally.recoveries == 0 and session.driver.transport.repeats == 0
+        assert words > 20 and session.tally.recoveries == 0 and session.driver.transport.repeats == 0
         port.reset()
         session.frame()
         assert session.tally.recoveries == 1 and session.tally.frames == 3
