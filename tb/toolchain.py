@@ -54,7 +54,7 @@ class ToolchainError(InputError):
 
 
 def build_once(directory: Path, make: Callable[[Path], None]) -> Path:
-    """Return `directory`, after `make(scratch)` has made it unless it exists.
+    """Return `directory`; `make(scratch)` makes it unless it exists.
 
     `make` fills a new folder beside it, which is then renamed: a failed or interrupted build leaves nothing that could
     be taken for a finished one. Processes that need the same folder wait for the first. Raises `ToolchainError` if the

@@ -198,11 +198,11 @@ def test_bad_input(five_objects):
         ({"source": "pixel", "method": "matched"}, "map, minigroup, subgroup"),
         ({"returns": 0}, "from 1 to 8"),
         ({"system_fwhm_s": 0}, "system_fwhm_s"),
-        ({"source": "minigroup", "method": "matched"}, "format full or with minigroup_records"),
+        ({"source": "minigroup", "method": "matched"}, "format full or minigroup_records"),
     ):
         with pytest.raises(InputError, match=words):
             depth_of(result, config, **options)
-    with pytest.raises(InputError, match="format id or full"):
+    with pytest.raises(InputError, match="format must be id or full"):
         depth_of({name: array for name, array in result.items() if name != "hits"}, config, method="matched")
     assert set(SOURCES) == {"map", "minigroup", "subgroup"}
 

@@ -258,7 +258,7 @@ def test_threshold_rises_with_the_activity():
         (dict(scheme=3), r"scheme = 3: must be one of 1, 2"),
         (dict(threshold=0), r"threshold = 0: must be an integer from 1 to 64"),
         (dict(window_ticks=200), r"window_ticks = 200: must be an integer from 1 to 128"),
-        (dict(noise_cps=-1.0), r"noise_cps\[0\] = -1.0: must be of at least 0"),
+        (dict(noise_cps=-1.0), r"noise_cps\[0\] = -1.0: must be at least 0"),
     ],
 )
 def test_bad_input_names_field_and_range(change, message):

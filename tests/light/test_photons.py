@@ -333,9 +333,9 @@ def test_dark_counts_and_hot_pixels():
         (lambda: light(signal=-1.0), r"signal_per_pulse\[0, 0\] = -1.0: must be from 0 to 10000"),
         (lambda: light(noise_cps=np.nan), r"background_cps\[0\] = nan: must be from 0 to 1e\+12"),
         (lambda: light(distance_m=np.ones(3)), r"distance_m: has shape \(3, 1\), must be \(64, 1\) or broadcast to it"),
-        (lambda: Light.from_scene(np.zeros((2, 2)), 0.4, 50), r"distance_m\[0, 0\] = 0.0: must be of at least 0.05"),
+        (lambda: Light.from_scene(np.zeros((2, 2)), 0.4, 50), r"distance_m\[0, 0\] = 0.0: must be at least 0.05"),
         (lambda: Light.from_scene(np.ones((2, 2)), 4, 50), r"reflectivity\[0, 0\] = 4.0: must be from 0 to 1"),
-        (lambda: background_cps(-1), r"klux = -1.0: must be of at least 0"),
+        (lambda: background_cps(-1), r"klux = -1.0: must be at least 0"),
         (
             lambda: Light.from_scene(np.ones((2, 2)), 0.4, 50, background="dark"),
             r"background = 'dark': must be one of reflected, even",

@@ -59,7 +59,7 @@ def test_what_is_wrong_is_named(tmp_path):
         str(colour): "needs its white level in klux",
         f"{colour},100": "mode RGB, must be grey",
         f"{colour},-1": "klux = -1.0",
-        str(negative): "klux[0, 0] = -1.0: must be of at least 0",
+        str(negative): "klux[0, 0] = -1.0: must be at least 0",
         str(flat): "must hold numbers in two dimensions",
         "nowhere.npy": "nowhere.npy: no such file",
         "nowhere.png,5": "nowhere.png: no such file",

@@ -110,7 +110,7 @@ def test_light_of_an_earlier_pulse():
         (dict(first=[0, 4, 3]), "first: must ascend"),
         (dict(start_s=[1e-9, 3e-9, 2e-9]), "start_s: must ascend in every pixel"),
         (dict(photons=[1.0, -1.0, 0.0]), "photons"),
-        (dict(first=[0, 1, 3]), "arrivals: are of 2 pixels, must be of 1"),
+        (dict(first=[0, 1, 3]), "arrivals: has 2 pixels, must have 1"),
     ],
 )
 def test_wrong_arrivals(wrong, words):

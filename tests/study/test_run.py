@@ -102,7 +102,7 @@ def test_normals_of_a_wall_look_along_the_axis():
     assert np.stack([middle[name] for name in ("nx", "ny", "nz")], axis=1) == pytest.approx(
         np.tile([0, 0, -1], (len(middle), 1)), abs=0.03
     )
-    with pytest.raises(coincid.InputError, match="method planes"):
+    with pytest.raises(coincid.InputError, match="method must be planes"):
         coincid.point_cloud(Depth(depth_m[:, :, None], np.ones((9, 9, 1))), normals=True)
 
 
