@@ -475,9 +475,9 @@ def gls() -> None:
 
 @app.command()
 def power(
-    out: Annotated[Path, typer.Option(metavar="FILE", help="Markdown page; the picture goes to images/ beside it.")] = Path(
-        "docs/power.md"
-    ),
+    out: Annotated[
+        Path, typer.Option(metavar="FILE", help="Markdown page; the picture goes to images/ beside it.")
+    ] = Path("docs/power.md"),
 ) -> None:
     """Measure the power of a subgroup in standard cells against the light on it, from frames that its netlist plays."""
     with extra("rtl"):
@@ -488,9 +488,9 @@ def power(
 
 @app.command()
 def layout(
-    out: Annotated[Path, typer.Option(metavar="FILE", help="Markdown page; the picture goes to images/ beside it.")] = Path(
-        "docs/layout.md"
-    ),
+    out: Annotated[
+        Path, typer.Option(metavar="FILE", help="Markdown page; the picture goes to images/ beside it.")
+    ] = Path("docs/layout.md"),
 ) -> None:
     """Lay a minigroup out in standard cells: placed, routed, checked, timed with its wires, and simulated with their delays."""
     with extra("rtl"):

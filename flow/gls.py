@@ -41,7 +41,11 @@ def netlist_build(sensor: Sensor, target: str, scopes: Sequence[str] = ()) -> to
         models = Path(folder) / f"{target}.v"
         models.write_text(cell_models(target))
         return toolchain.build(
-            "icarus", [synthesized.folder / "netlist.v", models], TOP, key=f"{target}-{sensor_key(sensor)}", scopes=scopes
+            "icarus",
+            [synthesized.folder / "netlist.v", models],
+            TOP,
+            key=f"{target}-{sensor_key(sensor)}",
+            scopes=scopes,
         )
 
 

@@ -109,7 +109,7 @@ def _script(target: str, names: list[str], top: str, units: list[str]) -> str:
     """Commands that map the sensor. An FPGA has initial values; nothing else does."""
     read = f"read_verilog -sv {' '.join(names)}"
     statistics = "tee -q -o stat.json stat -json" + f" -liberty {LIBERTY}" * (target == CELLS)
-    end = [statistics, "write_verilog -noexpr -noattr netlist.v", "write_json netlist.json"]
+    end = [statistics, "write_verilog -simple-lhs -noexpr -noattr netlist.v", "write_json netlist.json"]
     if target == ECP5:
         steps = f"synth_lattice -family ecp5 -noflatten -top {top} -run"  # its own abc9 cannot map blocks one by one
         mapping = [f"hierarchy -check -top {top}", f"{steps} begin:map_luts", "abc -lut 4 -dress", "clean"]

@@ -110,9 +110,7 @@ def snap(cell) -> None:
                 at = new + width
                 if new != x:
                     old = instance.getTransformation()
-                    instance.setTransformation(
-                        Transformation(old.getTx() + new - x, old.getTy(), old.getOrientation())
-                    )
+                    instance.setTransformation(Transformation(old.getTx() + new - x, old.getTy(), old.getOrientation()))
 
 
 def record(cell) -> None:

@@ -74,7 +74,9 @@ def simulate(sensor: Sensor, unit: Unit, layout: Layout, factor: float = 1.0) ->
     sdf = folder / SDF
     sdf.write_text(scaled((layout.folder / SDF).read_text(), factor))
     routed = (layout.folder / VERILOG).read_text()
-    (folder / "routed.v").write_text(f"`timescale 1ns/1ps\n{routed.replace(f'module {name} ', f'module {name}_routed ', 1)}")
+    (folder / "routed.v").write_text(
+        f"`timescale 1ns/1ps\n{routed.replace(f'module {name} ', f'module {name}_routed ', 1)}"
+    )
     (folder / f"{name}.v").write_text(wrapper(unit, routed, sdf))
     (folder / "cells.v").write_text(cell_models())
     others = [path for path in rtl(sensor) if path.stem != name]

@@ -22,7 +22,17 @@ WIDTH_UM = {1: 0.065, 2: 0.07, 3: 0.07, 4: 0.14, 5: 0.14, 6: 0.14}
 SPACE_UM = {1: 0.065, 2: 0.07, 3: 0.07, 4: 0.14, 5: 0.14, 6: 0.14}
 CUT_SPACE_UM = {1: 0.08, 2: 0.09, 3: 0.09, 4: 0.16, 5: 0.16}
 END_UM, ENDED_VIAS = 0.035, (1, 2, 3)  # metal beyond a via's cut, on two opposite sides
-COLOURS = {3: 0xC8B878, 1: 0x2E8B57, 9: 0xD04040, 11: 0x4A6FE3, 13: 0xD33F6A, 15: 0x11C638, 17: 0xEF9708, 19: 0x8D4FD0, 21: 0x0FCFC0}
+COLOURS = {
+    3: 0xC8B878,
+    1: 0x2E8B57,
+    9: 0xD04040,
+    11: 0x4A6FE3,
+    13: 0xD33F6A,
+    15: 0x11C638,
+    17: 0xEF9708,
+    19: 0x8D4FD0,
+    21: 0x0FCFC0,
+}
 PICTURE_PIXELS = 1100
 REPAIRS = 4  # rounds, each of which may leave something for the next
 Placed = dict[str, Any]  # what `place_route.record` wrote
@@ -42,7 +52,9 @@ def box(left: float, bottom: float, right: float, top: float) -> db.Box:
     return db.Box(*map(database, (left, bottom, right, top)))
 
 
-def draw(routed: Path, cells_gds: Path, placed: Placed, strips: Strips, widths_um: Mapping[str, float], top: str) -> db.Layout:
+def draw(
+    routed: Path, cells_gds: Path, placed: Placed, strips: Strips, widths_um: Mapping[str, float], top: str
+) -> db.Layout:
     """The whole block: cells with their pins' strips, fillers, the router's wires, a text at each port."""
     layout = db.Layout()
     layout.dbu = DBU_UM
@@ -77,7 +89,10 @@ def _library(layout: db.Layout, gds: Path, strips: Strips) -> dict[str, db.Cell]
                 region = db.Region(cell.begin_shapes_rec(index)).transformed(scale)
                 copy.shapes(layout.layer(info.layer, info.datatype)).insert(region)
         for strip in strips.get(cell.name, {}).values():
-            spans = {metal(1) + 1: (strip.via - HALF_WIRE_UM, strip.via + HALF_WIRE_UM), metal(2): (strip.low, strip.high)}
+            spans = {
+                metal(1) + 1: (strip.via - HALF_WIRE_UM, strip.via + HALF_WIRE_UM),
+                metal(2): (strip.low, strip.high),
+            }
             if not strip.fits:
                 spans[metal(1)] = strip.via - PAD_UM, strip.via + PAD_UM
             for layer, (low, high) in spans.items():
@@ -91,7 +106,9 @@ def _put(whole: db.Cell, cell: db.Cell, x: float, y: float, flipped: bool) -> No
     whole.insert(db.CellInstArray(cell.cell_index(), where))
 
 
-def _fillers(row: list[tuple[float, float]], width: float, widths_um: Mapping[str, float]) -> Iterator[tuple[str, float]]:
+def _fillers(
+    row: list[tuple[float, float]], width: float, widths_um: Mapping[str, float]
+) -> Iterator[tuple[str, float]]:
     """(cell, x) of the fillers of a row's gaps. row: (x, width) of its cells."""
     at = 0.0
     for x, wide in [*sorted(row), (width, 0.0)]:

@@ -10,7 +10,7 @@ import os
 import re
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -19,22 +19,11 @@ from attrs import asdict, frozen
 
 from ...hdl.export import units_files
 from ...hdl.unit import Unit
-from ...model.contract.config import Config
 from ...model.shared.errors import InputError
-from ...model.shared.files import whole_file
 from ...model.shared.folders import build_root
 from ...model.shared.sources import digest
 from ...tb.toolchain import ToolchainError, build_once
-from ..yosys import (
-    CELLS_VERSION,
-    LIBERTY,
-    TAIL_LINES,
-    cells_folder,
-    cells_script,
-    put_cells,
-    run_program,
-    run_yosys,
-)
+from ..yosys import CELLS_VERSION, LIBERTY, TAIL_LINES, cells_folder, cells_script, put_cells, run_program, run_yosys
 
 NEEDED = ("coriolis", "klayout")
 LEFS, GDS = ("rtk-tech.lef", "stdcells.lef"), "stdcells.gds"  # of `cells_folder`
@@ -145,11 +134,18 @@ def route(top: str, cells: Path, folder: Path, tell: Callable[[str], None]) -> A
     used = set(re.findall(r"^\.(?:gate|subckt) (\S+)", (folder / BLIF).read_text(), re.MULTILINE))
     used |= {"BUF_X8", "BUF_X1", "LOGIC0_X1", "LOGIC1_X1"}  # of the clock tree, of nets with many pins, of constants
     places = strips(cells / LEFS[1], used)
-    flat = {cell: {pin: [s.x, s.low, s.high, s.via, s.fits] for pin, s in pins.items()} for cell, pins in places.items()}
+    flat = {
+        cell: {pin: [s.x, s.low, s.high, s.via, s.fits] for pin, s in pins.items()} for cell, pins in places.items()
+    }
     (folder / STRIPS).write_text(json.dumps(flat))
     for attempt in ATTEMPTS:
         tell(f"{top}: placing and routing, {attempt.margin:.0%} of the area free")
-        job = {"blif": BLIF.removesuffix(".blif"), "lef": [str(cells / lef) for lef in LEFS], "strips": STRIPS, "clock": CLOCK}
+        job = {
+            "blif": BLIF.removesuffix(".blif"),
+            "lef": [str(cells / lef) for lef in LEFS],
+            "strips": STRIPS,
+            "clock": CLOCK,
+        }
         (folder / JOB).write_text(json.dumps(job | asdict(attempt)))
         if _coriolis(folder):
             return attempt

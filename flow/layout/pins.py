@@ -23,7 +23,11 @@ END_GAP = 70  # half the distance of two strips on one track
 SUPPLIES = ("VDD", "VSS")
 COMBINATIONS_MAX = 200_000
 CHOICES = 6  # tracks tried for a pin
-SHARED, NEAR, SHORT = 1000.0, 10.0, 1.0  # what a choice costs: two pins on one track too near, far enough; a via beyond its metal
+SHARED, NEAR, SHORT = (
+    1000.0,
+    10.0,
+    1.0,
+)  # what a choice costs: two pins on one track too near, far enough; a via beyond its metal
 
 
 @frozen

@@ -13,16 +13,7 @@ from coriolis.CRL import AllianceFramework, CellGauge, LefImport, RoutingGauge, 
 from coriolis.helpers import u
 from coriolis.helpers.overlay import CfgCache, UpdateSession
 from coriolis.helpers.technology import createBL, createVia, setEnclosures
-from coriolis.Hurricane import (
-    BasicLayer,
-    Box,
-    DataBase,
-    DbU,
-    Library,
-    NetExternalComponents,
-    Technology,
-    Vertical,
-)
+from coriolis.Hurricane import BasicLayer, Box, DataBase, DbU, Library, NetExternalComponents, Technology, Vertical
 
 SITE_UM, ROW_UM = 0.19, 1.4
 SITE_NAME = "LEF.FreePDK45_38x28_10R_NP_162NW_34O"
@@ -80,12 +71,7 @@ def _technology() -> None:
         )
         if i < METALS[-1]:
             createBL(
-                tech,
-                f"via{i}",
-                material.cut,
-                size=u(WIDTH_UM[i]),
-                spacing=u(CUT_SPACE_UM[i]),
-                gds2Layer=layer + 1,
+                tech, f"via{i}", material.cut, size=u(WIDTH_UM[i]), spacing=u(CUT_SPACE_UM[i]), gds2Layer=layer + 1
             )
     for i in METALS:
         metals[i].setBlockageLayer(createBL(tech, f"metal{i}.block", material.blockage, gds2Layer=100 + i))
