@@ -200,7 +200,6 @@ def sim(
     view: ViewOption = "polyphase",
 ) -> None:
     """Simulate frames of a scene and check every word against the golden model; write depth.png, events.npz and report.json."""
-    from coincid.model.scenes.catalogue import usual_klux
     from coincid.study.simulate import simulate
 
     settings = _config(config, clock_mhz)
@@ -215,7 +214,7 @@ def sim(
     simulate(
         scene,
         settings,
-        klux=usual_klux(scene) if klux is None else klux,
+        klux=_klux(klux, scene),
         background=background,
         seed=seed,
         engine=engine,
@@ -366,7 +365,6 @@ def photons(
     from coincid.model.light.spad import Spad
     from coincid.model.light.timing import Timing
     from coincid.model.recorded.exchange import check_suffix, write_edges
-    from coincid.model.scenes.catalogue import usual_klux
     from coincid.model.scenes.scene import scene_light
     from coincid.study.run import scene_of
 
@@ -375,7 +373,7 @@ def photons(
     timing, looked_at = Timing.from_config(settings), scene_of(settings, scene, scale)
     pulses = settings.frames * settings.pulses
     made = generate_edges(
-        scene_light(looked_at, usual_klux(scene) if klux is None else klux, background=background),
+        scene_light(looked_at, _klux(klux, scene), background=background),
         Spad(),
         timing,
         pulses=pulses,
@@ -694,7 +692,6 @@ def emulate(
     from coincid.host.emulator import EmulatorDriver
     from coincid.host.serial_link import SerialPort, SerialTransport
     from coincid.model.contract.config import FRAMES_MAX, load_config
-    from coincid.model.scenes.catalogue import usual_klux
     from coincid.study.emulate import DEPTH
     from coincid.study.emulate import emulate as run
     from coincid.study.run import scene_of
@@ -716,10 +713,15 @@ def emulate(
     with line, _progress(frames, "frames") as done:
         driver = EmulatorDriver(SerialTransport(line, **patience))
         tally = run(
-            driver, settings, looked_at, _folder(out), klux=usual_klux(scene) if klux is None else klux, frames=frames,
+            driver,
+            settings,
+            looked_at,
+            _folder(out),
+            klux=_klux(klux, scene),
+            frames=frames,
             seed=seed,
             tell=lambda so_far: done(so_far.frames),
-        )  # fmt: skip
+        )
         repeats = driver.transport.repeats  # type: ignore[attr-defined]
     print(f"{tally.frames} frames, {tally.beats} words, all as the golden model predicts")
     print(
@@ -740,6 +742,13 @@ def bench(
         from coincid.study.bench import benchmark, table
     check_integer("repeats", repeats, 1, REPEATS_MAX)
     print(table(benchmark(_file(out), repeats=repeats, tell=console.print)), end="")
+
+
+def _klux(given: str | None, scene: str) -> str | float:
+    """The ambient light of a scene: what is given, else the scene's usual one."""
+    from coincid.model.scenes.catalogue import usual_klux
+
+    return usual_klux(scene) if given is None else given
 
 
 def _config(path: str | None, clock_mhz: float | None) -> "Config":

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The sensor in Amaranth, one block a file, and its emission as Verilog."""
+"""The sensor in Amaranth, with one block per file, and its export as Verilog."""

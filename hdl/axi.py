@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""AXI4-Lite and AXI4-Stream, as far as the sensor's ports need them. Member names are the bus's own, in lower case."""
+"""AXI4-Lite and AXI4-Stream, as far as the sensor's ports need them. Members have the bus's own names in lower case."""
 
 from amaranth.lib.wiring import In, Out, Signature
 
@@ -9,7 +9,7 @@ from ..model.contract.registers import ADDRESS_BITS, DATA_BITS
 OKAY, SLVERR = 0, 2
 
 LITE = Signature(
-    {  # seen from the slave's side when flipped: members are the master's
+    {  # members are the master's; flipped, the signature is the slave's
         "awaddr": Out(ADDRESS_BITS),
         "awprot": Out(3),
         "awvalid": Out(1),

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What runs between the blocks: timing, settings, events. Layouts only; `latency.py` of the model says when."""
+"""Layouts of the signals between the blocks: timing, settings, events. `model/contract/latency.py` gives their timing."""
 
 from amaranth.lib import data, enum
 
@@ -10,44 +10,44 @@ from ..model.contract.registers import BY_NAME, DATA_BITS, SUBGROUP_STRIDE
 SUBGROUP_BITS = HEADER["subgroup"][1]
 PULSE_BITS = HEADER["pulse"][1]
 KIND_BITS = HEADER["kind"][1]
-WORD_BITS = bits_for(SUBGROUP_STRIDE // 4 - 1)  # of a word's number in a subgroup's register block
+WORD_BITS = bits_for(SUBGROUP_STRIDE // 4 - 1)  # width of a word's number within a subgroup's register block
 GATE_BITS = 16
 FRAME_SETTINGS = ("format", "minigroup_records", "mg_threshold", "mg_window")
 PLAN_SETTINGS = ("period", "pulses", "gate_step", "gate_every", "gate_steps", "dither_bits", "dither_seed")
 
 
 class Operation(enum.Enum, shape=4):  # type: ignore[call-arg]  # Amaranth's enumeration, with a shape
-    """What the configuration bus asks of every subgroup. Codes of even parity: one that is upset asks for nothing."""
+    """Commands of the configuration bus to every subgroup. All codes have even parity, so an upset code does nothing."""
 
     IDLE = 0b0000
-    WRITE = 0b0011  # data to a word of one subgroup
-    TAKE = 0b0101  # programmed settings become the frame's
-    BUDGET = 0b0110  # data is the budget of the stream that begins with the subgroup, and of no stream before it
+    WRITE = 0b0011  # write data to a word of one subgroup
+    TAKE = 0b0101  # the programmed settings take effect for the frame
+    BUDGET = 0b0110  # data is the budget of the stream that begins with this subgroup; earlier streams ignore it
     COMPARE = 0b1001  # data is a bound of the threshold controller
-    BEGIN = 0b1010  # the frame begins: threshold set, not below data where the controller sets it, and counters cleared
+    BEGIN = 0b1010  # begin the frame: clear the counters, set the threshold; data is the controller's lowest threshold
 
 
 class Send(enum.Enum, shape=2):  # type: ignore[call-arg]
-    """What the readout grants."""
+    """Kinds of packet that the readout grants."""
 
     EVENT = 0
     RECORD = 1
     COUNTERS = 2
 
 
-# parity: of the data of a write, as they stood at the register port.
+# `parity` is the parity of a write's data as they arrived at the register port.
 CONFIG_BUS = data.StructLayout(
     {"operation": Operation, "subgroup": SUBGROUP_BITS, "word": WORD_BITS, "data": DATA_BITS, "parity": 1}
 )
-# A beat of counters on its way out, and whether they are of a subgroup whose thresholds the controller sets.
+# A beat of counters on its way out. `controlled`: the threshold controller sets the threshold of its subgroup.
 COUNTED = data.StructLayout({"valid": 1, "beat": BEAT_BITS, "controlled": 1})
 
 
 def time_layout(sensor: Sensor) -> data.StructLayout:
-    """The sequencer's word for a cycle, three cycles ahead of the ports.
+    """The sequencer's word for one cycle, three cycles ahead of the ports.
 
-    running: the cycle belongs to a frame. start: it is a period's first. wrap: the cycle before it was a period's last.
-    may_open: windows may open. shift: progressive gating's shift in cycles, saturated at 2^coarse_bits.
+    running: the cycle belongs to a frame. start: it is the first of a period. wrap: the previous cycle was the last of
+    a period. may_open: windows may open. shift: shift of the progressive gate in cycles, saturated at 2^coarse_bits.
     """
     return data.StructLayout({"running": 1, "start": 1, "wrap": 1, "may_open": 1, "shift": sensor.coarse_bits + 1})
 
@@ -63,12 +63,12 @@ def plan_layout(sensor: Sensor) -> data.StructLayout:
 
 
 def _registers_layout(sensor: Sensor, names: tuple[str, ...]) -> data.StructLayout:
-    """Global registers, as wide as their highest legal value."""
+    """Global registers, each as wide as its highest legal value."""
     return data.StructLayout({name: bits_for(BY_NAME[name].high(sensor)) for name in names})
 
 
 def settings_layout(sensor: Sensor) -> data.StructLayout:
-    """A subgroup's settings."""
+    """The settings of a subgroup."""
     return data.StructLayout(
         {
             "coincidence": 1,
@@ -91,19 +91,19 @@ def window_layout(sensor: Sensor) -> data.StructLayout:
 
 
 def offsets_layout(sensor: Sensor) -> data.ArrayLayout:
-    """Coarse offsets of a window's minigroups; of those that are not in its map they are undefined."""
+    """Coarse offsets of a window's minigroups; undefined for minigroups that are not in its map."""
     return data.ArrayLayout(sensor.offset_bits, sensor.minigroups)
 
 
 def event_layout(sensor: Sensor) -> data.StructLayout:
-    """What the FIFO stores."""
+    """An event as the FIFO stores it."""
     return data.StructLayout(
         {"window": window_layout(sensor), "offsets": offsets_layout(sensor), "pulse": PULSE_BITS, "overrun": 1}
     )
 
 
 def entry_layout(sensor: Sensor) -> data.StructLayout:
-    """A minigroup's entry in a record; map 0: not latched."""
+    """A minigroup's entry in a record; a map of 0 means that it has not latched."""
     return data.StructLayout({"stamp": sensor.record_stamp_bits, "map": sensor.minigroup_pixels})
 
 

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Threshold controller of a stream ("fill the stream"): the budget that its subgroups share.
 
-The paper gives every subgroup a threshold of its own and does not say how it is found. That the controller shares what the stream carries,
-and by which rule, is our choice: `docs/contract.md` states it. Thresholds stand in the subgroups (`dpcu.py`), which are told the budget
-when the next frame begins.
+The paper gives every subgroup a threshold of its own and does not say how it is found. Our choice is a controller that
+shares the capacity of a stream; `docs/contract.md` states its rule. The thresholds themselves are in the subgroups
+(`dpcu.py`), which receive the budget when the next frame begins.
 """
 
 from types import SimpleNamespace
@@ -20,23 +20,23 @@ from .unit import Unit
 from .voted import Voted
 
 STEP_BITS = 4  # a budget changes by 1/16 of itself in a frame
-# Of the packet's beats of counters the one, and the word in it, where these stand; the sums wait for the later.
+# Beat and word of these counters in the packet; the sums wait for the later one.
 COMMITTED, LOWER = (divmod(COUNTER_NAMES.index(name), BEAT_BITS // COUNTER_BITS) for name in ("committed", "lower"))
-SETTLED = 4  # cycles from a frame's last beat of counters to the budget after it
+SETTLED = 4  # cycles from the last beat of counters in a frame to the new budget
 
 
 class Controller(Unit):
-    """Controller of a stream. It knows nothing of how many subgroups that has.
+    """Controller of a stream. It does not need to know how many subgroups the stream has.
 
     Ports
     -----
     command : in, configuration bus
-    capacity, share : in, as programmed; in force from TAKE on
-    counted : in, from the readout: the counters as they leave at the frame's end
+    capacity, share : in, as programmed; they take effect at TAKE
+    counted : in, from the readout: the counters as they leave at the end of the frame
     done : in, strobe: the frame has been delivered, at least `SETTLED` cycles after its last counters
-    budget : out, events for each subgroup; changes with `done`. Before the first frame it is the share
+    budget : out, events for each subgroup; changes with `done`. Before the first frame it equals the share
 
-    Reset forgets the budget.
+    Reset clears the budget.
     """
 
     unit_name = "coincid_controller"
@@ -64,7 +64,10 @@ class Controller(Unit):
         return m
 
     def _candidates(self, m):
-        """What the budget may become, known long before the counters: a step wider, within the capacity, or narrower, not below the share."""
+        """The two candidates for the next budget, ready long before the counters.
+
+        One is a step wider, up to the capacity; the other is a step narrower, down to the share.
+        """
         state = self.state
         state.capacity = Signal(DATA_BITS)
         state.share = Signal(DATA_BITS)
@@ -74,7 +77,7 @@ class Controller(Unit):
         state.narrowed = Signal(DATA_BITS)
         state.wide = Signal(DATA_BITS)
         state.narrow = Signal(DATA_BITS)
-        state.known = Signal(DATA_BITS)  # the vote and the sums take a cycle each
+        state.known = Signal(DATA_BITS)  # vote and sums take one cycle each
         m.d.sync += state.known.eq(self.budget)
         budget, step = Cat(1, state.known), state.known >> STEP_BITS  # the lowest bits carry a 1 into the sums
         wider, narrower = Signal(DATA_BITS), Signal(DATA_BITS)
@@ -87,10 +90,10 @@ class Controller(Unit):
         ]
 
     def _sums(self, m):
-        """Events of all subgroups, as committed and as they would be with the wider budget, one subgroup after the other.
+        """Sum up the events of all subgroups, one after the other: as committed, and as expected with the wider budget.
 
-        A subgroup's threshold would fall where the windows of the next lower one fit the budget; with a threshold of 1, `lower` says what
-        `committed` says. Both sums end at twice the highest capacity.
+        A subgroup's threshold would fall if the windows at the next lower threshold fit the budget. At a threshold of 1,
+        `lower` equals `committed`. Both sums saturate at twice the highest capacity.
         """
         state = self.state
         beats = layout(self.sensor).counter_beats
@@ -98,7 +101,7 @@ class Controller(Unit):
         state.committed = Signal(COUNTER_BITS)
         state.lower = Signal(COUNTER_BITS)
         state.controlled = Signal()
-        state.complete = Signal(2)  # the words above belong together; the words below do
+        state.complete = Signal(2)  # `committed` and `lower` belong together; `now` and `then` do
         state.now = Signal(COUNTER_BITS)
         state.then = Signal(COUNTER_BITS)
         state.total = Signal(DATA_BITS + 1)
@@ -125,7 +128,7 @@ class Controller(Unit):
             m.d.sync += [state.beat.eq(0), state.total.eq(0), state.more.eq(0)]
 
     def _budget(self, m):
-        """Less where too much was sent; more where all that would fall then still fits; from the first frame's share on."""
+        """Narrow the budget if too much was sent; widen it if everything would still fit; begin with the first share."""
         state = self.state
         state.fresh = fresh = Signal(init=1)
         state.budget = budget = Voted(m, "budget_kept", DATA_BITS)

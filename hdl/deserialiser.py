@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Deserialiser: SPAD levels to edge words, for FPGAs.
 
-The paper has no FPGA; our choice. A line is sampled at `phases` equidistant moments of the cycle by plain flip-flops
-on half as many clocks, at both edges of each, because that is what every FPGA has: 1 Gsample/s is beyond the input
-gearing of the smaller ones, and shifted clocks of 125 MHz are not. One PLL makes the clocks, four in the smaller
-families; so this front end goes to 8 phases.
+The paper has no FPGA; this block is our choice. Each line is sampled at `phases` equidistant moments of the cycle by
+plain flip-flops, on both edges of `phases` / 2 clocks. Every FPGA can do this: 1 Gsample/s is beyond the input gearing
+of the smaller ones, but shifted clocks of 125 MHz are not. One PLL makes the clocks. The PLLs of the smaller families
+make four, so this front end supports up to 8 phases.
 """
 
 from amaranth.hdl import Cat, ClockDomain, ClockSignal, Module, Signal
@@ -14,7 +14,7 @@ from ..model.contract.parameters import Sensor
 from .unit import Unit
 
 PHASES_MAX = 8  # four PLL outputs, both edges
-CYCLES = 2  # from the cycle of a rise at the pins to the cycle in which its edge word stands at the sensor's ports
+CYCLES = 2  # from a rise at the pins to its edge word at the sensor's ports
 
 
 class Deserialiser(Unit):
@@ -22,12 +22,14 @@ class Deserialiser(Unit):
 
     Ports
     -----
-    lines : in, pixels, levels of the SPADs, asynchronous: high from the avalanche for more than a tick, low for more than a tick before it
+    lines : in, pixels, levels of the SPADs, asynchronous: high for more than a tick from the avalanche on, and low for
+        more than a tick before it
     clocks : in, phases / 2 - 1; clock j (from 1) rises j ticks after the system clock, which is clock 0
     words : out, pixels * phases, edge words: bit k of a pixel = its line rose in tick k of the cycle `CYCLES` before
 
-    Sample j of a cycle (1 to `phases`) is taken j ticks after its beginning. It reaches the system clock in hops of at least half a cycle,
-    and passes two flip-flops before any logic sees it. No reset: what lines show is true at once.
+    Sample j of a cycle (1 to `phases`) is taken j ticks after the cycle begins. It reaches the system clock in hops of
+    at least half a cycle and passes two flip-flops before any logic sees it. There is no reset, because the state of
+    the lines is valid at any time.
     """
 
     unit_name = "coincid_deserialiser"
@@ -62,7 +64,7 @@ class Deserialiser(Unit):
         def rising(j):
             return f"pos_{j}" if j else "sync"
 
-        levels = []  # of a cycle's samples 1 to `phases`, all registered by the system clock two cycles after its beginning
+        levels = []  # a cycle's samples 1 to `phases`, all registered by the system clock two cycles after the cycle begins
         for j in range(1, phases + 1):
             if j < half:
                 held = flop(flop(self.lines, rising(j), f"sample_{j}"), "sync", f"held_{j}")

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""DPCU: judges every closed window, keeps the subgroup's threshold, and counts.
+"""DPCU: compares every closed window with the threshold, sets the subgroup's threshold, and counts.
 
 The paper (III-A): based on the chosen mode "a valid signal is generated when the mode-dependent condition is
 satisfied in order to write the data into the FIFO register"; the DPCUs "keep track of the number of photons detected
-within a coincidence window, allowing us to set different thresholds in every subgroup". How the thresholds are found
-(`controller.py`, of which the subgroup's part is here) and the loss counters are our choice.
+within a coincidence window, allowing us to set different thresholds in every subgroup". Our own choices are the loss
+counters and the way the thresholds are found (`controller.py`; the part of each subgroup is here).
 """
 
 from types import SimpleNamespace
@@ -20,7 +20,7 @@ from .unit import Unit
 
 
 def counter_bits(name: str, sensor: Sensor) -> int:
-    """Bits of a counter that can ever be other than 0: none counts more than a frame's cycles, except the photons."""
+    """Return the width of a counter. Only the photons can exceed the number of cycles in a frame."""
     periods = BY_NAME["pulses"].high(sensor)
     if name == "threshold_used":
         return sensor.count_bits
@@ -34,15 +34,15 @@ class Dpcu(Unit):
 
     Ports
     -----
-    settings : in, the frame's; operation, data : in, the configuration bus, registered
-    in_stream : in, a budget on it is of the stream of this subgroup, or of one that a later one replaces
-    window_ticks : out, the window in force (1 where coincidence is off)
-    start : in, a period's first cycle, two cycles ahead of the ports
+    settings : in, of the frame; operation, data : in, the configuration bus, registered
+    in_stream : in, a budget on the bus is for this subgroup's stream, or for an earlier one and is replaced later
+    window_ticks : out, the window in force (1 if coincidence is off)
+    start : in, first cycle of a period, two cycles ahead of the ports
     closed, window : in, from the tree (stage 7); commit, event : out, to the FIFO one cycle later (stage 8: the commit cycle)
     blind, stored, dropped, mg_stored, mg_dropped : in, strobes to count
     pulse : out, the period's number in the frame (stage 8)
     counters : out, in the order of the register table; settled a few cycles after the last window
-    controlled : out, the controller sets the threshold
+    controlled : out, the threshold controller sets the threshold
 
     Reset clears the counters.
     """
@@ -86,7 +86,7 @@ class Dpcu(Unit):
         return m
 
     def _judgement(self, m):
-        """Windows that meet the threshold go to the FIFO. Coincidence off is a window of one tick and a threshold of one."""
+        """Commit the windows that meet the threshold. Without coincidence, the window is one tick and the threshold one."""
         state = self.state
         state.threshold = threshold = Signal(self.sensor.count_bits, init=1)
         state.lower_threshold = lower_threshold = Signal(self.sensor.count_bits)
@@ -103,14 +103,14 @@ class Dpcu(Unit):
         m.d.comb += enough.eq(self.window.count >= threshold)
 
     def _pulses(self, m):
-        """The period's number: the strobe reaches stage 8 ten registers after it comes in."""
+        """Count the periods. The strobe reaches stage 8 ten registers after the input."""
         coming = Signal(9)
         m.d.sync += coming.eq((coming << 1) | self.start)
         with m.If(coming[-1]):
             m.d.sync += self.pulse.eq(self.pulse + 1)
 
     def _counters(self, m):
-        """Counters, a stage behind what they count, so that no adder hangs on the commit."""
+        """Count one stage behind the counted signals, so that no adder is in the path of the commit."""
         count = self.state.count
         judged = Signal()
         judged_count = Signal.like(self.window.count)
@@ -132,9 +132,9 @@ class Dpcu(Unit):
             saturating_add(m, count["photons"], judged_count)
 
     def _threshold(self, m):
-        """The frame's threshold: the programmed one, or the controller's, a step from the last frame's; clears what counts for a frame."""
+        """Set the frame's threshold: the programmed one, or one step from the last frame's; clear the frame's counters."""
         state, count, settings = self.state, self.state.count, self.settings
-        state.stays = stays = Signal()  # under the controller in the last frame
+        state.stays = stays = Signal()  # the controller was in charge in the last frame, too
         state.ceiling = ceiling = Signal(range(THRESHOLD_MAX + 1))
         state.rises = rises = Signal()
         state.falls = falls = Signal()
@@ -165,8 +165,8 @@ class Dpcu(Unit):
 
 
 def _step(threshold, rises, falls):
-    """One step from a threshold, from 1 to `THRESHOLD_MAX`. A programmed one may have been higher."""
-    threshold = threshold | (threshold == 0)  # which only an upset makes
+    """Return the threshold one step on, from 1 to `THRESHOLD_MAX`. A programmed threshold may have been higher."""
+    threshold = threshold | (threshold == 0)  # only an upset makes it 0
     up = Mux(threshold < THRESHOLD_MAX, threshold + 1, THRESHOLD_MAX)
     down = Mux(threshold > THRESHOLD_MAX, THRESHOLD_MAX, threshold - (threshold > 1))
     stay = Mux(threshold > THRESHOLD_MAX, THRESHOLD_MAX, threshold)

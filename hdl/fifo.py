@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Event FIFO: keeps the committed events of a subgroup until the readout takes them.
+"""Event FIFO: stores the committed events of a subgroup until the readout takes them.
 
-The paper (III-A) names a FIFO register that valid data is written into. Depth, dropping the new event when full, and
-the overrun flag are our choice.
+The paper (III-A) names a FIFO register that valid data is written into. Our choices are its depth, the overrun flag,
+and that a new event is dropped when the FIFO is full.
 """
 
 from types import SimpleNamespace
@@ -22,11 +22,12 @@ class EventFifo(Unit):
     Ports
     -----
     commit, event, offsets, pulse : in, an event to store (stage 8)
-    stored, dropped : out, what became of it, one cycle later
+    stored, dropped : out, the fate of the event, one cycle later
     head : out, the oldest event, read from its row in the same cycle; take : in, frees its place
+    frame_begin : in, clears the overrun memory
 
-    The event after a drop carries `overrun`. A frame begins with the FIFO empty, as the one before was read out
-    whole; frame_begin : in, clears the overrun memory, and whatever an upset left. Reset empties.
+    The first event after a drop carries `overrun`. The FIFO is empty when a frame begins, because the previous frame was
+    read out completely; `frame_begin` also clears anything that an upset left. Reset empties the FIFO.
     """
 
     unit_name = "coincid_fifo"
@@ -87,15 +88,15 @@ class EventFifo(Unit):
 
 
 class RecordBuffer(Unit):
-    """The place for one minigroup record of a subgroup.
+    """Buffer for one minigroup record of a subgroup.
 
     Ports
     -----
-    due : in, a period has ended; latched, entries : in, what its minigroups latched; pulse : in, its number
-    stored, dropped : out, what became of the record, one cycle later
-    record : out, valid from one cycle after it was stored; take, frame_begin : in, free its place
+    due : in, a period has ended; latched, entries : in, its minigroup records; pulse : in, its number
+    stored, dropped : out, the fate of the record, one cycle later
+    record : out, valid from one cycle after it was stored; take, frame_begin : in, free the buffer
 
-    Reset frees the place.
+    Reset frees the buffer.
     """
 
     unit_name = "coincid_record_buffer"

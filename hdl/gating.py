@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Gating: when a subgroup's edges count, and when its SPADs are on.
+"""Gating: selects the cycles in which a subgroup's edges count and its SPADs are on.
 
 The paper (III-A): every subgroup is "modelled to optionally operate under time-gating set electrically around the
 desired target range". Progressive gating (the shift) is our choice.
@@ -22,10 +22,10 @@ class Gating(Unit):
     -----
     timing : in, registered in the module: two cycles ahead of the ports
     settings : in
-    spad_gate : out, the gate is open, or gating is off (stage 0: the cycle in which the edges stand at the ports)
+    spad_gate : out, the gate is open, or gating is off (stage 0: the cycle in which the edges are at the ports)
     accept : out, a frame is running and the gate lets edges through (stage 1)
 
-    Reset closes the gate; with gating off `spad_gate` opens a cycle later.
+    Reset closes the gate. If gating is off, `spad_gate` opens one cycle later.
     """
 
     unit_name = "coincid_gating"
@@ -52,7 +52,7 @@ class Gating(Unit):
             start.eq(self.timing.start),
             running.eq((running << 1) | self.timing.running),
         ]
-        until = Signal.like(first)  # cycles before the gate opens, and that it then stays open
+        until = Signal.like(first)  # cycles until the gate opens, then cycles until it closes
         left = Signal(bus.GATE_BITS)
         until_now = Signal.like(until)
         left_now = Signal.like(left)

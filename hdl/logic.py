@@ -1,15 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Log-depth combinational helpers. Each names its intermediate values, so that nothing is emitted twice."""
+"""Combinational helpers of logarithmic depth. Each names its intermediate values, so nothing is emitted twice."""
 
 from collections.abc import Callable
 
 from amaranth.hdl import Cat, Module, Mux, Signal, Value
 
-SUM_PART = 11  # bits through which a carry of `carry_select` runs
+SUM_PART = 11  # bits through which a carry of `carry_select` ripples
 
 
 def tree(m: Module, items: list[Value], combine: Callable[[Value, Value], Value], name: str) -> Value:
-    """Combines `items` pairwise until one is left: depth log2 of their number."""
+    """Combine `items` pairwise until one is left; the depth is log2 of their number."""
     items = [Value.cast(item) for item in items]
     level = 0
     while len(items) > 1:
@@ -25,22 +25,22 @@ def tree(m: Module, items: list[Value], combine: Callable[[Value, Value], Value]
 
 
 def any_of(m: Module, items: list[Value], name: str) -> Value:
-    """OR of equally wide values."""
+    """Return the OR of equally wide values."""
     return tree(m, items, lambda a, b: a | b, name)
 
 
 def total(m: Module, numbers: list[Value], name: str) -> Value:
-    """Sum of numbers, by an adder tree."""
+    """Return the sum of numbers, by an adder tree."""
     return tree(m, numbers, lambda a, b: a + b, name)
 
 
 def popcount(m: Module, bits: Value, name: str) -> Value:
-    """Number of ones, by an adder tree."""
+    """Return the number of ones, by an adder tree."""
     return total(m, list(bits), name)
 
 
 def up_to(m: Module, bits: Value, name: str) -> Signal:
-    """Bit k of the result: any of bits 0...k."""
+    """Return a signal whose bit k says whether any of bits 0...k is one."""
     step, value = 1, bits
     while step < len(bits):
         wider = Signal(len(bits), name=f"{name}_{step}")
@@ -50,7 +50,7 @@ def up_to(m: Module, bits: Value, name: str) -> Signal:
 
 
 def first_one(m: Module, bits: Value, name: str) -> tuple[Value, Value]:
-    """Whether there is a one in `bits`, a power of two of them, and the index of the lowest; the last index where there is none."""
+    """Return whether `bits`, a power of two of them, holds a one, and the index of the lowest (if none, the last index)."""
     index: list[Value] = []
     part = bits
     while len(part) > 1:
@@ -63,16 +63,16 @@ def first_one(m: Module, bits: Value, name: str) -> tuple[Value, Value]:
 
 
 def first_index(m: Module, bits: Value, name: str) -> Value:
-    """Index of the lowest one of `bits`, a power of two of them; the last index where there is none. Shorter paths than `first_one`'s."""
+    """Return the index of the lowest one of `bits`, a power of two of them, or the last index; faster than `first_one`."""
 
-    def first_of_pair(low, high):  # an index, and above it whether there is a one
+    def first_of_pair(low, high):  # an index, with a bit above it that says whether there is a one
         return Cat(Mux(low[-1], low[:-1], high[:-1]), ~low[-1], low[-1] | high[-1])
 
     return tree(m, list(bits), first_of_pair, name)[:-1]
 
 
 def carry_select(m: Module, a: Value, b: Value, name: str) -> Value:
-    """a + b, with a carry out: parts of `SUM_PART` bits are added with either carry at once, and the carries choose among them."""
+    """Return a + b with a carry out. Parts of `SUM_PART` bits are added for both carries, and the real carry selects."""
     parts, carry = [], Value.cast(0)
     for begin in range(0, max(len(a), len(b)), SUM_PART):
         x, y = a[begin : begin + SUM_PART], b[begin : begin + SUM_PART]
@@ -92,12 +92,12 @@ def carry_select(m: Module, a: Value, b: Value, name: str) -> Value:
 
 
 def least(m: Module, numbers: list[Value], name: str) -> Value:
-    """The lowest of some numbers."""
+    """Return the lowest of some numbers."""
     return tree(m, numbers, lambda a, b: Mux(a < b, a, b), name)
 
 
 def saturating_add(m: Module, counter: Signal, amount: Value) -> None:
-    """Adds `amount` to `counter` at the clock, to its highest value at most."""
+    """Add `amount` to `counter` at the clock, and saturate."""
     total = Signal(len(counter) + 1, name=f"{counter.name}_next")
     amount = Value.cast(amount)
     wide = 2 * len(amount) > len(counter)
@@ -106,5 +106,5 @@ def saturating_add(m: Module, counter: Signal, amount: Value) -> None:
 
 
 def count_up(m: Module, counter: Signal, strobe: Value) -> None:
-    """Adds `strobe` to `counter` at the clock, unless it is at its highest value."""
+    """Add `strobe` to `counter` at the clock, and saturate."""
     m.d.sync += counter.eq(counter + (strobe & ~counter.all()))

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Memory: rows that are written now and then, and read at any time.
+"""Memory: rows that are written occasionally and can be read at any time.
 
-Simulation and FPGA have it as a memory (LUT RAM on an FPGA); silicon has rows of latches under the same name, at less than half the area
-of flip-flops. The paper names registers only; latches are our choice.
+In simulation and on FPGAs it is a memory (LUT RAM on an FPGA). In silicon, rows of latches stand under the same name,
+with less than half the area of flip-flops. The paper names only registers; the latches are our choice.
 """
 
 from amaranth.hdl import Module
@@ -19,10 +19,11 @@ class Memory(Unit):
     Ports
     -----
     write : in, data goes into row `to` at the cycle's end; data : in
-    row : in, what is read; value : out, that row, by logic only (without `to` and `row` where there is one row)
+    row : in, number of the row to read; value : out, that row, combinational (no `to` and `row` if there is one row)
 
-    `write`, `to` and `data` come from registers, over half a cycle of logic at most: the latches are open in the cycle's second half. So in
-    the cycle of its writing nobody may look at a row. No reset: what was never written is undefined.
+    `write`, `to` and `data` come from registers, through at most half a cycle of logic: the latches are open in the
+    second half of the cycle. A row must therefore not be used in the cycle in which it is written. There is no reset:
+    a row that was never written is undefined.
     """
 
     def __init__(self, depth: int, width: int):
@@ -42,7 +43,7 @@ class Memory(Unit):
         return m
 
     def latches(self) -> str:
-        """Verilog of the same block in latches; each row has a write line that is high in the second half of its cycle."""
+        """Return the block's Verilog with latches; each row has a write line that is high in the second half of its cycle."""
         ports = {"to": bits_for(self.depth - 1), "row": bits_for(self.depth - 1)} if self.depth > 1 else {}
         ranges = {"data": self.width} | ports
         lines = [f"module {self.unit_name} (clk, rst, write, value, {', '.join(ranges)});", "  input clk, rst, write;"]

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Minigroup: the leaf of the coincID tree, and the minigroup's own stamping circuit.
 
-The paper (III-A): the subgroup is clustered into minigroups; every minigroup "provides a coarse timestamp along with generating the spatial
-address/ID of the contributing events". The collection that latches a record, quarters of a cycle as the unit of its stamp, and the step of
-the coarse offsets are our choice.
+The paper (III-A): the subgroup is clustered into minigroups; every minigroup "provides a coarse timestamp along with
+generating the spatial address/ID of the contributing events". Our choices are the collection that latches a record, its
+stamp in quarters of a cycle, and the step of the coarse offsets.
 """
 
 from types import SimpleNamespace
@@ -19,26 +19,27 @@ from .unit import Unit, place
 
 
 class Minigroup(Unit):
-    """Leaf of `pixels` SPADs.
+    """Leaf of the tree with `minigroup_pixels` SPADs.
 
     Stages count from the port: edges at 1, the window at 2, hits and record at 3, map at 5, offset at 8.
 
     Ports
     -----
     words : in, pixels * phases bits, the SPADs' edge words; mask : in, pixels (stage 0)
-    root : out, phases, OR of the words of the pixels that are on (stage 0: straight from the port, to a register of the tree)
-    accept : in, gate open in a running frame (stage 1)
+    root : out, phases, OR of the words of the unmasked pixels (stage 0: straight from the port to a register of the tree)
+    accept : in, the gate is open and a frame is running (stage 1)
     whole : in, the window covers the cycle; part : in, it covers the phases before `end`; first : in, the cycle's first phase (stage 2)
-    at_first : out, pixels, the edge is at that phase (stage 2)
-    blind : out, an accepted pixel outside the window (stage 3)
+    at_first : out, pixels, the pixel's edge is at that phase (stage 2)
+    blind : out, an accepted edge lies outside the window (stage 3)
     opening : in, the window opened in this cycle (stage 4)
     hits : out, pixels, the window's map (stage 5)
     elapsed : in, cycles since the window opened (stage 7)
-    offset : out, coarse offset of the first counted edge, valid where hits was not 0 (stage 8, where the FIFO takes it)
-    frame : in, settings; may_open, wrap : in (stage 3); coarse : in, TDC coarse count (stage 4)
-    latched, entry : out, the period's record, to be taken while `wrap` (stage 3)
+    offset : out, coarse offset of the first counted edge, valid if hits was not 0 (stage 8, at which the FIFO takes it)
+    frame : in, settings; may_open, wrap : in (stage 3); coarse : in, coarse count of the TDC (stage 4)
+    latched, entry : out, the record of the period, to be taken during `wrap` (stage 3)
 
-    Reset clears the record circuit; the rest needs none, as nothing is accepted outside a frame and every window begins afresh.
+    Reset clears the record circuit. The rest needs no reset, because nothing is accepted outside a frame and every
+    window starts from an empty map.
     """
 
     unit_name = "coincid_minigroup"
@@ -81,9 +82,9 @@ class Minigroup(Unit):
         return m
 
     def _edges(self, m):
-        """Stages 1 and 2: of a pixel only its first edge in a cycle exists, so a word is encoded at the port, as valid and phase.
+        """Stages 1 and 2: encode each pixel's word at the port as valid and phase of its first edge.
 
-        The words have no register of their own: at 32 phases it would be the largest part of the sensor.
+        The words themselves are not registered: at 32 phases, that register would be the largest part of the sensor.
         """
         state, sensor = self.state, self.sensor
         pixels, phases = sensor.minigroup_pixels, sensor.phases
@@ -107,9 +108,9 @@ class Minigroup(Unit):
         ]
 
     def _hits(self, m):
-        """Stages 2 and 3: the pixels with an edge, which of them the window counts, and the step of the first of them.
+        """Stages 2 and 3: find the pixels with an edge, those that the window counts, and the step of the first edge.
 
-        A pixel without an edge has the last phase, so it is never earlier than one that has.
+        A pixel without an edge has the last phase, so it is never earlier than one with an edge.
         """
         state, sensor = self.state, self.sensor
         pixels = sensor.minigroup_pixels
@@ -129,9 +130,9 @@ class Minigroup(Unit):
         ]
 
     def _map(self, m):
-        """Stages 4 and 5: the map that the hits make.
+        """Stages 4 and 5: collect the hits in the map.
 
-        Edges that no window counts come behind those of the same cycle that one does. So the first counted one is the first.
+        In a cycle, edges that no window counts come after those that are counted. So the first edge is a counted one.
         """
         state, pixels = self.state, self.sensor.minigroup_pixels
         state.hit_4 = Signal(pixels, reset_less=True)
@@ -146,7 +147,7 @@ class Minigroup(Unit):
         self._offset(m, state.hit_4.any() & (self.opening | ~hits.any()), state.step_4)
 
     def _offset(self, m, begins, step_4):
-        """Stages 5 to 8: the offset of a window's first edge. On its way it is kept as strobe and step, which are fewer bits.
+        """Stages 5 to 8: form the offset of a window's first edge. It travels as strobe and step, which are fewer bits.
 
         begins: the edge is the minigroup's first in the window (stage 4).
         """
@@ -161,13 +162,13 @@ class Minigroup(Unit):
         m.d.comb += self.offset.eq(offset)
 
     def _record(self, m, platform, active, step_4):
-        """Stage 3: the collection of the minigroup's own stamping circuit.
+        """Stage 3: the record collection, which is the minigroup's own stamping circuit.
 
-        active: pixels with an edge in the cycle; step_4: of the first of these edges, a cycle later.
+        active: pixels with an edge in the cycle; step_4: step of the first of these edges, one cycle later.
         """
         state = self.state
         sensor, state, pixels = self.sensor, self.state, len(active)
-        state.left = left = Signal(2)  # cycles of the collection, behind this one
+        state.left = left = Signal(2)  # cycles of the collection after the present one
         state.seen = seen = Signal(pixels, reset_less=True)
         state.stamp = stamp = place(m, "stamp", Memory(1, sensor.record_stamp_bits), platform)
         state.started = Signal(reset_less=True)
@@ -185,9 +186,10 @@ class Minigroup(Unit):
             runs.eq(starts | (left != 0)),
             seen_next.eq(active | (seen & ~starts.replicate(pixels))),
             left_next.eq(Mux(starts, self.frame.mg_window, left) - 1),
-            # The stamp is written a cycle later, when it is known, and never while an entry is taken: its memory may be latches.
+            # The stamp is written one cycle later, when it is known, and never while an entry is taken: its memory may
+            # consist of latches.
             stamp.write.eq(state.started),
-            stamp.data.eq(Cat(step_4[-2:], self.coarse)),  # its quarter of the cycle
+            stamp.data.eq(Cat(step_4[-2:], self.coarse)),  # quarter of the cycle
             self.entry.map.eq(seen),
             self.entry.stamp.eq(stamp.value),
         ]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Module: subgroups 2k and 2k + 1 and the one always-on TDC they share (paper, Fig. 3: the generic block of the sensor)."""
+"""Module: subgroups 2k and 2k + 1 and the always-on TDC that they share (paper, Fig. 3: generic block of the sensor)."""
 
 from amaranth.hdl import Cat, ResetSignal, Signal
 from amaranth.hdl import Module as Design
@@ -14,15 +14,15 @@ from .views import POLYPHASE
 
 
 class SensorModule(Unit):
-    """A module: the sensor is an array of these, and what a simulator needs to compile once.
+    """Module. The sensor is an array of modules, so a simulator compiles the module only once.
 
     Ports
     -----
-    `shared_ports` of the subgroups; for line k `own_ports` with the suffix _k; number : in, the module's own.
-    Every input goes straight into a register, every output comes from one.
+    `shared_ports` of the subgroups; for line k `own_ports` with the suffix _k; number : in, the module's number.
+    Every input goes straight into a register, and every output comes from one.
 
-    view: the front end's, of `views.py`. `lines` = 1 makes the last module of an odd number of subgroups. Reset is
-    registered here, so it acts one cycle later.
+    view: view of the front end, from `views.py`. `lines` = 1 makes the last module of an odd number of subgroups. Reset
+    is registered here, so it acts one cycle later.
     """
 
     def __init__(self, sensor: Sensor, lines: int = 2, view=POLYPHASE):
@@ -37,7 +37,7 @@ class SensorModule(Unit):
     def elaborate(self, platform):
         m = Design()
         sensor = self.sensor
-        # Two registers, one of each sense, must agree on a reset: one that is upset resets nothing.
+        # Two registers of opposite polarity must agree on a reset, so an upset in one of them resets nothing.
         resets = Signal(init=1, reset_less=True)
         rests = Signal(reset_less=True)
         reset = Signal()

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Packetizer: sends a subgroup's events, minigroup records and counters as beats when the readout grants them.
 
-The word formats are the project's; the paper only says that stamps and IDs leave the subgroup.
+The word formats are our choice; the paper only says that stamps and IDs leave the subgroup.
 """
 
 from collections.abc import Callable
@@ -18,7 +18,7 @@ from .unit import Unit
 
 
 def header(**fields):
-    """A header beat from values; fields that are not given are 0."""
+    """Return a header beat made from values; fields that are not given are 0."""
     parts = []
     for name, (_, width) in sorted(HEADER.items(), key=lambda item: item[1]):
         field = Signal(width, name=f"field_{name}")
@@ -27,7 +27,7 @@ def header(**fields):
 
 
 def of_format(form, value: Callable[[Kind], int]):
-    """`value` of the kind of event that `form`, the format register, chooses."""
+    """Return `value` for the kind of event that `form`, the format register, selects."""
     *others, last = FORMATS.values()
     chosen = value(last)
     for number, kind in reversed(list(enumerate(others))):
@@ -36,14 +36,14 @@ def of_format(form, value: Callable[[Kind], int]):
 
 
 class Packetizer(Unit):
-    """Forms the beats of one subgroup.
+    """Packetizer of one subgroup.
 
     Ports
     -----
-    grant, send : in, registered: a packet of this kind begins now. Grants come no closer than the packets' lengths
-    frame : in, settings; subgroup : in, this one's number
-    head, record, counters : in; take_event, take_record : out, with the packet's last beat
-    controlled : in, the counters are of a subgroup under the threshold controller
+    grant, send : in, registered: a packet of this kind begins now. Grants are at least the length of a packet apart
+    frame : in, settings; subgroup : in, number of this subgroup
+    head, record, counters : in; take_event, take_record : out, with the last beat of the packet
+    controlled : in, the threshold controller sets the threshold of this subgroup
     valid, beat, beat_controlled : out, one cycle later; 0 while nothing is sent, so that the beats of all subgroups can be ORed
 
     Reset ends a packet.
@@ -95,7 +95,7 @@ class Packetizer(Unit):
         return m
 
     def _sequence(self, m):
-        """The packet under way: what is sent, and which beat. That a beat is the last is known a cycle before it."""
+        """Sequence the beats of the current packet. The last beat is recognised one cycle ahead."""
         state = self.state = SimpleNamespace()
         state.sending = Signal()
         state.send_before = Signal(bus.Send)
@@ -121,7 +121,7 @@ class Packetizer(Unit):
         ]
 
     def _last(self, send):
-        """Number of a packet's last beat."""
+        """Return the number of a packet's last beat."""
         parts = layout(self.sensor)
         of_event = of_format(self.frame.format, lambda kind: parts.length(kind) - 1)
         of_record = parts.length(Kind.RECORD) - 1

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Readout of a stream: round robin over its subgroups, a packet at a time, frame start and end packets, output buffer.
+"""Readout of a stream: round robin over its subgroups, one packet at a time; frame start and end packets; output buffer.
 
-The paper leaves the readout open. Round robin, credits and the buffer are our choice: subgroups tell what they
-stored, the readout counts it and grants packets of known length, so that their beats come back in order, without
+The paper leaves the readout open. Round robin, credits and the buffer are our choice: the subgroups report what they
+have stored, and the readout counts it and grants packets of known length. So their beats come back in order, without
 gaps, after a fixed time.
 """
 
@@ -21,35 +21,36 @@ from .logic import any_of, up_to
 from .packetizer import header, of_format
 from .unit import Unit
 
-CALM_CYCLES = 15  # without a grant, a beat on its way or one in the buffer: longer than any beat is on its way
+CALM_CYCLES = 15  # no grant, no beat on its way and none in the buffer for so long: more than any beat takes
 
 
 class Readout(Unit):
-    """Readout of the `subgroups` subgroups of a stream.
+    """Readout of a stream with `subgroups` subgroups.
 
     Ports
     -----
-    stored, record_stored : in, a bit a subgroup: an event, a record waits to be read
+    stored, record_stored : in, one bit per subgroup: an event or record has been stored
     grant : out, one-hot; send : out, what the granted subgroup sends
     valid, beat, beat_controlled : in, OR of the subgroups' beats
-    frame : in, settings; number : in, the frame's; frame_begin : in, strobe; finish : in, nothing more will be stored
+    frame : in, settings; number : in, frame number; frame_begin : in, strobe; finish : in, nothing more will be stored
     delivered : out, the end packet has left
-    counted : out, the end packet's counters on their way, for the threshold controller
+    counted : out, the counters of the end packet as they pass, for the threshold controller
     m_axis : AXI4-Stream master, `tlast` ends the frame
 
-    Next is the first subgroup with something to read at or after the pointer; the pointer then stands behind it. A
-    record goes before events, of which it would otherwise never find a gap. Latency: `model/contract/latency.py`. Reset
-    empties everything, and so does a frame's beginning, when all is empty unless an upset left something.
+    The next to be granted is the first subgroup at or after the pointer that has something to read; the pointer then
+    moves behind it. A record goes before events, because among events it would never find a gap. Latency:
+    `model/contract/latency.py`. Reset empties everything. The beginning of a frame does the same, although nothing can
+    be left by then except after an upset.
 
-    No upset makes it wait for ever: places that it took for full are free when nothing has moved for `CALM_CYCLES`, and a frame whose last beat
-    never came ends with a frame end packet without counters.
+    No upset makes the readout wait for ever. Places that it wrongly took for occupied are free again when nothing has
+    moved for `CALM_CYCLES`, and a frame whose last beat was lost ends with a frame end packet without counters.
     """
 
     def __init__(self, sensor: Sensor, subgroups: int):
         self.sensor = sensor
         self.subgroups = subgroups
         self.parts = layout(sensor)
-        self.depth = latency.output_depth(self.parts.longest)  # of the output buffer, in beats
+        self.depth = latency.output_depth(self.parts.longest)  # depth of the output buffer, in beats
         self.unit_name = f"coincid_readout_{subgroups}"
         super().__init__(
             {
@@ -81,7 +82,7 @@ class Readout(Unit):
         return m
 
     def _inputs(self, m):
-        """Registers behind the inputs. Outside a frame nothing counts: what the modules say when the sensor is reset is of the past."""
+        """Register the inputs. Outside a frame they are ignored: after a reset, the modules may still report old data."""
         state, n = self.state, self.subgroups
         state.in_frame = Signal()
         state.stored = Signal(n)
@@ -104,9 +105,9 @@ class Readout(Unit):
         ]
 
     def _arbiter(self, m):
-        """Who is next: the lowest of those at or after the pointer, else the lowest of all.
+        """Choose the next subgroup: the lowest waiting one at or after the pointer, otherwise the lowest of all.
 
-        What waits: events as a counter per subgroup, records as a bit.
+        Waiting events are a counter per subgroup, waiting records a bit.
         """
         state, n = self.state, self.subgroups
         state.take_event = Signal(n)
@@ -114,7 +115,7 @@ class Readout(Unit):
         state.records = Signal(n)
         state.waiting = Signal(n)
         state.at_or_after = Signal(n, init=-1)
-        state.from_chosen = Signal(n)  # the chosen one and all above
+        state.from_chosen = Signal(n)  # the chosen one and all above it
         state.chosen = Signal(n)
         state.chosen_record = Signal()
         ahead = Signal(n)
@@ -131,7 +132,7 @@ class Readout(Unit):
         ]
 
     def _credits(self, m, up, down):
-        """Counters, one per subgroup, kept as bit planes; returns which are not 0, from registers beside them."""
+        """Count per subgroup, in bit planes; return which counters are not 0, from registers beside the planes."""
         planes = [Signal(self.subgroups, name=f"events_{b}") for b in range(bits_for(self.sensor.fifo_depth))]
         carry, borrow = up & ~down, down & ~up
         for b, plane in enumerate(planes):
@@ -147,9 +148,12 @@ class Readout(Unit):
         return some
 
     def _room(self, m):
-        """When a packet may begin: the one before has been granted all its beats, and the buffer has room for any, or for the counters."""
+        """Decide when a packet may begin.
+
+        All beats of the previous one must be granted, and the buffer must have room for any word, or for the counters.
+        """
         state, parts = self.state, self.parts
-        state.left = Signal(range(parts.longest))  # beats that are still to be granted
+        state.left = Signal(range(parts.longest))  # beats still to be granted
         state.space = Signal(range(self.depth + 1), init=self.depth)
         state.free = Signal()
         state.free_for_counters = Signal()
@@ -176,7 +180,7 @@ class Readout(Unit):
             m.d.sync += [state.space.eq(self.depth), state.left.eq(0)]
 
     def _book(self, m, length, name, free):
-        """Books room for a packet that may begin. What it leaves is known for each length before it is known which one is granted."""
+        """Book room for a packet that may begin. What remains is computed for each length before the grant is known."""
         state = self.state
         after = Signal.like(state.space, name=f"space_after_{name}")
         m.d.comb += after.eq(state.space_now - length)
@@ -184,19 +188,19 @@ class Readout(Unit):
             m.d.comb += [state.left_next.eq(length - 1), state.space_next.eq(after), state.booked.eq(1)]
 
     def _packets(self, m):
-        """A frame's packets in their order: the start, events and records, the end, and the counters of every subgroup."""
+        """Send a frame's packets in order: start, events and records, end, counters of every subgroup."""
         state = self.state
-        state.own_kind = Signal(bus.KIND_BITS)  # of a packet of the readout's own that is granted
-        state.tail = Signal(self.subgroups)  # one-hot: whose counters are next
-        state.owes = Signal()  # the frame's last beat
-        state.filling = Signal()  # the frame's last beat, which got lost, comes again
+        state.own_kind = Signal(bus.KIND_BITS)  # kind of the readout's own packet that is granted
+        state.tail = Signal(self.subgroups)  # one-hot: the subgroup whose counters are next
+        state.owes = Signal()  # the frame's last beat has not left
+        state.filling = Signal()  # the frame's last beat was lost and is sent again
         m.d.sync += [self.grant.eq(0), self.delivered.eq(0)]
         with m.FSM() as state.machine:
             with m.State("idle"):
                 m.d.sync += self.delivered.eq(~state.owes)
                 with m.If(state.frame_begin):
                     m.next = "head"
-                with m.Elif(state.owes & state.finish):  # an upset led here
+                with m.Elif(state.owes & state.finish):  # only after an upset
                     m.next = "events"
             with m.State("head"):
                 self._book(m, 1, "start", state.free)
@@ -238,12 +242,12 @@ class Readout(Unit):
         m.d.comb += state.in_frame.eq(~state.machine.ongoing("idle"))
 
     def _begin_again(self, m):
-        """A frame begins although the one before has not ended: an upset led here."""
+        """Begin a frame although the previous one has not ended, which happens only after an upset."""
         with m.If(self.state.frame_begin):
             m.next = "head"
 
     def _grant_chosen(self, m):
-        """Grants the chosen subgroup's record or event, and moves the pointer behind it."""
+        """Grant the chosen subgroup's record or event, and move the pointer behind it."""
         state = self.state
         with m.If(state.chosen_record):
             self._book(m, self.parts.length(Kind.RECORD), "record", state.free)
@@ -261,14 +265,14 @@ class Readout(Unit):
             ]
 
     def _output(self, m):
-        """The stream's buffer. Beats come back in the order of the grants; the readout's own take the same time."""
+        """Buffer the stream. Beats come back in the order of the grants; the readout's own beats take the same time."""
         state, counter_beats = self.state, self.parts.counter_beats
         state.own = own = [Signal(bus.KIND_BITS, name=f"own_{k}") for k in range(latency.GRANT_TO_BEAT)]
         m.d.sync += [later.eq(now) for now, later in zip([state.own_kind, *own], own)]
         own_beat, fields = header(kind=own[-1], pulse=self.number)
         m.d.comb += fields
         is_own = own[-1].any()
-        state.to_end = to_end = Signal(range(counter_beats * self.subgroups + 1))  # beats after the frame end's header
+        state.to_end = to_end = Signal(range(counter_beats * self.subgroups + 1))  # beats after the end's header
         with m.If((own[-1] == Kind.FRAME_END) & ~state.filling):
             m.d.sync += to_end.eq(counter_beats * self.subgroups)
         with m.Elif(state.valid & (to_end != 0)):

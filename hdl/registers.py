@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Register front: AXI4-Lite slave, range checks, global registers, and the start of a frame. The map is `model/contract/registers.py`."""
+"""Register front: AXI4-Lite slave, range checks, global registers, start of a frame; map in `model/contract/registers.py`."""
 
 from types import SimpleNamespace
 
@@ -15,11 +15,11 @@ from .logic import any_of
 from .unit import Unit
 from .voted import Voted
 
-DECODE_CYCLES = 2  # an address stands in its register -> the decoder says what it means
-READ_CYCLES = 5  # the configuration bus names a word -> its data stand in this block's input register
-CHECK_CYCLES = 7  # from decoding a start: by then all subgroups' start checks have seen the write before it
-BLOCK_BITS = bits_for(SUBGROUP_STRIDE - 1)  # of an address inside a subgroup's block
-RESTING_CYCLES = 15  # of the sequencer, in which a frame that was started would have begun
+DECODE_CYCLES = 2  # from an address in its register to the result of its decoding
+READ_CYCLES = 5  # from a word's name on the configuration bus to its data in this block's input register
+CHECK_CYCLES = 7  # from decoding a start until the start checks of all subgroups have seen the write before it
+BLOCK_BITS = bits_for(SUBGROUP_STRIDE - 1)  # width of an address inside a subgroup's block
+RESTING_CYCLES = 15  # if the sequencer has rested for so long, a frame that was started has been lost
 CONTROL, STATUS = BY_NAME["control"], BY_NAME["status"]
 
 
@@ -28,16 +28,18 @@ class Registers(Unit):
 
     Ports
     -----
-    s_axi : AXI4-Lite slave, 32-bit data. One access at a time; address and data of a write may come in any order. A write that is refused
-        answers SLVERR, changes nothing and sets a sticky bit; a read of an unmapped address answers SLVERR with 0.
-    command : out, configuration bus to all subgroups; data : in, OR of their answers; gate_late, settings_upset : in, OR of their start checks
-    period : out, as programmed; frame : out, settings of the running frame; plan : out, the sequencer's
+    s_axi : AXI4-Lite slave, 32-bit data. One access at a time; address and data of a write may come in any order. A
+        write that is refused is answered with SLVERR, changes nothing and sets a sticky bit; a read of an unmapped
+        address is answered with SLVERR and 0.
+    command : out, configuration bus to all subgroups; data : in, OR of their answers
+    gate_late, settings_upset : in, OR of the subgroups' start checks
+    period : out, as programmed; frame : out, settings of the running frame; plan : out, settings of the sequencer
     start_frame, abort_frame : out, strobes; done : in, strobe; resting : in, the sequencer has no frame
     capacity, share_k : out, as programmed, to the threshold controller of stream k; budget_k : in, from it
 
-    Reset loads the table's reset values and forgets accesses under way. An upset delays an access or refuses it; none makes it wait for ever, and
-    what stands between master and slave is voted. A setting keeps the parity that its value had at the port: a start is refused where one
-    does not fit.
+    Reset loads the reset values of the table and drops accesses in progress. An upset may delay or refuse an access,
+    but none makes it wait for ever; the handshake with the master is voted. Each setting keeps the parity that its
+    value had at the port, and a start is refused if a parity does not match.
     """
 
     unit_name = "coincid_registers"
@@ -77,11 +79,11 @@ class Registers(Unit):
         return m
 
     def _write_channel(self, m):
-        """Address and data of a write, each held until the write is answered."""
+        """Hold address and data of a write until the write is answered."""
         axi, state = self.s_axi, self.state
         state.write_address = Signal(registers.ADDRESS_BITS)
         state.value = Signal(DATA_BITS)
-        state.parity = Signal()  # of the value as it stood at the port
+        state.parity = Signal()  # parity of the value at the port
         state.whole = Signal()  # all bytes of the word are to be written
         state.voted = [
             Voted(m, name) for name in ("held_address", "held_data", "held_read", "answered_write", "answered_read")
@@ -104,7 +106,7 @@ class Registers(Unit):
             m.d.comb += [state.answer_write.next.eq(0), held_address.next.eq(0), held_data.next.eq(0)]
 
     def _read_channel(self, m):
-        """The address of a read, held until the read is answered."""
+        """Hold the address of a read until the read is answered."""
         axi, state = self.s_axi, self.state
         state.read_address = Signal(registers.ADDRESS_BITS)
         state.held_read = state.keep_read.value
@@ -116,7 +118,7 @@ class Registers(Unit):
             m.d.comb += [state.answer_read.next.eq(0), state.keep_read.next.eq(0)]
 
     def _global_settings(self, m):
-        """The global block's settings as programmed, by name and index, and the status flags, by name."""
+        """The programmed settings of the global block, by name and index, and the status flags, by name."""
         state = self.state
         state.setting = {
             (register.name, index): Signal(
@@ -135,9 +137,10 @@ class Registers(Unit):
         m.d.comb += [getattr(self, f"share_{k}").eq(state.setting["share", k]) for k in range(self.sensor.streams)]
 
     def _decode(self, m):
-        """What the access's address means: it lies in a subgroup's block, is mapped, may be written, and takes the value.
+        """Decode the address: is it in a subgroup's block, mapped, writable, and is the value legal?
 
-        A register behind the address: which word it is, and which ranges hold the value. One more behind: what the table says of the word.
+        One register behind the address: which word it is, and which ranges hold the value. One register later: the
+        entries of the table for this word.
         """
         sensor, state = self.sensor, self.state
         state.address = Signal(registers.ADDRESS_BITS)
@@ -171,7 +174,7 @@ class Registers(Unit):
         ]
 
     def _ranges(self, m):
-        """(low, high) of every register that can be written -> registered: the value is between them. Many registers share a range."""
+        """Return a registered "value is in range" for each (low, high) of the writable registers; many share a range."""
         limits = {(r.low(self.sensor), r.high(self.sensor)) for r in BY_NAME.values() if r.access in WRITABLE}
         in_range = {(low, high): Signal(name=f"from_{low}_to_{high}") for low, high in sorted(limits)}
         value = self.state.value
@@ -179,7 +182,7 @@ class Registers(Unit):
         return in_range
 
     def _select(self, m):
-        """The global register at the address, as late as what the decoder says."""
+        """Select the global register at the address, at the same time as the decoder's result."""
         state = self.state
         state.found = Signal(DATA_BITS)
         content = state.setting | {("status", 0): Cat(state.flag[bits.name] for bits in STATUS.bits)}
@@ -191,7 +194,7 @@ class Registers(Unit):
         m.d.sync += state.found.eq(any_of(m, chosen, "found_of"))
 
     def _start_checks(self, m):
-        """What refuses a start, by the flag that then tells of it."""
+        """Conditions that refuse a start, by the flag that reports them."""
         bounds = [self.state.setting["auto_bounds", k] for k in range(AUTO_BOUNDS)]
         bounds_descend = Signal()
         gate_late = Signal()
@@ -211,16 +214,16 @@ class Registers(Unit):
         }
 
     def _accesses(self, m):
-        """One access at a time: reads, writes, and the write that starts a frame."""
+        """Carry out one access at a time: a read, a write, or the write that starts a frame."""
         axi, state = self.s_axi, self.state
-        state.wait = Signal(range(max(READ_CYCLES, CHECK_CYCLES) + 1))  # cycles of the access until now
-        state.sent = Signal(range(self.sensor.streams + AUTO_BOUNDS))  # words for the subgroups' thresholds
+        state.wait = Signal(range(max(READ_CYCLES, CHECK_CYCLES) + 1))  # cycles of the access so far
+        state.sent = Signal(range(self.sensor.streams + AUTO_BOUNDS))  # words sent for the subgroups' thresholds
         state.data = Signal(DATA_BITS)
-        state.same_address = Signal()  # the access is to what the master named
+        state.same_address = Signal()  # the address is the one that the master gave
         state.same_value = Signal()
         state.rested = Signal(range(RESTING_CYCLES + 1))
         state.plan_parity = Signal()
-        plan_upset = Signal()  # a frame whose plan is upset might last for hours
+        plan_upset = Signal()  # with an upset plan, a frame might last for hours
         m.d.sync += [
             plan_upset.eq(self.plan.as_value().xor() ^ state.plan_parity),
             state.same_address.eq(state.address == state.write_address),
@@ -252,7 +255,7 @@ class Registers(Unit):
             with m.State("write"):
                 m.next = "idle"
                 with m.If(~(state.held_write & state.same_address & (state.wait == DECODE_CYCLES))):
-                    pass  # an upset led here; what is held begins again
+                    pass  # only after an upset; the access that is held starts again
                 with m.Elif(state.writable & state.whole & state.legal & state.same_value):
                     self._respond(m, OKAY)
                     self._write(m)
@@ -273,7 +276,7 @@ class Registers(Unit):
                     m.d.sync += [self.command.operation.eq(bus.Operation.BEGIN), self.start_frame.eq(1)]
                     m.d.sync += self.command.data.eq(state.setting["threshold_floor", 0])
                     self._respond(m, OKAY)
-            with m.State("lost"):  # the one code that is no state: an upset there must not hang the bus
+            with m.State("lost"):  # the one code that is no state: after an upset, the bus must not hang
                 m.next = "idle"
         with m.If(
             ~(state.flag["busy"] & self.resting & (state.machine.ongoing("idle") | state.machine.ongoing("read")))
@@ -281,9 +284,7 @@ class Registers(Unit):
             m.d.sync += state.rested.eq(0)
         with m.Elif(state.rested != RESTING_CYCLES):
             m.d.sync += state.rested.eq(state.rested + 1)
-        with m.If(
-            self.done | (state.rested == RESTING_CYCLES)
-        ):  # the latter where an upset took the frame or the strobe
+        with m.If(self.done | (state.rested == RESTING_CYCLES)):  # `resting`: an upset took the frame or the strobe
             m.d.sync += [state.flag["busy"].eq(0), state.flag["done"].eq(1)]
 
     def _respond(self, m, response):
@@ -291,7 +292,7 @@ class Registers(Unit):
         m.d.sync += self.s_axi.bresp.eq(response)
 
     def _name_word(self):
-        """Asks the subgroups for the word at the address."""
+        """Ask the subgroups for the word at the address."""
         word, block = self.state.address[2:], self.state.address[BLOCK_BITS:]
         return [self.command.subgroup.eq(block - SUBGROUP_BASE // SUBGROUP_STRIDE), self.command.word.eq(word)]
 
@@ -306,7 +307,7 @@ class Registers(Unit):
             m.d.sync += state.flag["bad_address"].eq(1)
 
     def _refuse_write(self, m):
-        """Tells by a sticky flag why."""
+        """Report the reason of the refusal by a sticky flag."""
         state = self.state
         with m.If(~state.writable):
             m.d.sync += state.flag["bad_address"].eq(1)
@@ -316,7 +317,7 @@ class Registers(Unit):
             m.d.sync += state.flag["bad_value"].eq(1)
 
     def _write(self, m):
-        """Carries out a write: sends it to the subgroups, or changes what is global; a start is answered only after its checks."""
+        """Carry out a write: pass it to the subgroups, or change a global setting. A start waits for its checks."""
         state, value = self.state, self.state.value
         with m.If(state.in_subgroup):
             m.d.sync += [
@@ -340,7 +341,7 @@ class Registers(Unit):
                 m.next = "check"
 
     def _start_or_refuse(self, m):
-        """Takes the settings, or tells by a sticky flag what is wrong with them."""
+        """Take the settings, or report by a sticky flag what is wrong with them."""
         state = self.state
         with m.If(state.flag["busy"]):
             m.d.sync += state.flag["start_busy"].eq(1)
@@ -357,7 +358,7 @@ class Registers(Unit):
             m.next = "thresholds"
 
     def _send_for_thresholds(self, m):
-        """Sends the streams' budgets and then the controller's bounds to the subgroups, one per cycle."""
+        """Send the streams' budgets and then the controller's bounds to the subgroups, one per cycle."""
         state, streams = self.state, range(self.sensor.streams)
         firsts = [self.sensor.stream_subgroups(k).start for k in streams]
         words = [(bus.Operation.BUDGET, first, getattr(self, f"budget_{k}")) for k, first in zip(streams, firsts)]

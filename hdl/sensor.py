@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The sensor: an array of modules, a register front, a sequencer, and a readout per stream.
+"""The sensor: an array of modules, a register front, a sequencer, and one readout per stream.
 
-The wiring is a table (`Netlist`), because it has two uses: Verilog text for any size (an Amaranth top cannot have
-65,536 bits of ports), and an Amaranth design for Amaranth's own simulator.
+The wiring is a table (`Netlist`), because it is used twice: as Verilog text for any size (an Amaranth top cannot have
+65,536 bits of ports), and as an Amaranth design for Amaranth's own simulator.
 """
 
 from typing import Any
@@ -25,7 +25,7 @@ from .views import POLYPHASE
 
 FPGA_TOP = "coincid_fpga"
 CORE = "coincid_core"
-COMBINE = {"or": " | ", "and": " & ", "cat": ", "}  # how a net is made of others; cat: first = lowest bits
+COMBINE = {"or": " | ", "and": " & ", "cat": ", "}  # how nets are combined; cat: the first has the lowest bits
 
 
 @frozen
@@ -39,7 +39,11 @@ class Port:
 
 @define
 class Netlist:
-    """ports: of the top. instances: (name, unit, {unit's port: net or constant}). nets: name -> width. joins: net -> (operation, nets)."""
+    """Table of a top module's wiring.
+
+    ports: of the top. instances: (name, unit, {unit's port: net or constant}). nets: name -> width. joins: net ->
+    (operation, nets).
+    """
 
     ports: list[Port] = field(factory=list)
     instances: list[tuple[str, Unit, dict[str, Any]]] = field(factory=list)
@@ -47,7 +51,7 @@ class Netlist:
     joins: dict[str, tuple[str, list[Any]]] = field(factory=dict)
 
     def add(self, name: str, unit: Unit, **nets) -> None:
-        """Adds an instance. Ports that are not in `nets` connect to the net of their own name."""
+        """Add an instance. Ports that are not in `nets` connect to the net of the same name."""
         ports = {port: nets.pop(port, port) for port in unit.flat_ports()}
         assert not nets, f"{unit.unit_name} has no port {next(iter(nets))}"
         for port, net in ports.items():
@@ -57,15 +61,17 @@ class Netlist:
         self.instances.append((name, unit, ports))
 
     def join(self, net: str, operation: str, parts: list[str]) -> None:
-        """`net` is the OR, AND or concatenation of `parts`."""
+        """Make `net` the OR, AND or concatenation of `parts`."""
         widths = [self.nets[part] for part in parts]
         self.nets.setdefault(net, sum(widths) if operation == "cat" else widths[0])
         self.joins[net] = operation, parts
 
 
 def netlist(sensor: Sensor, levels: bool = False, view=POLYPHASE) -> Netlist:
-    """The sensor's wiring. `levels`: SPAD lines instead of edge words at the ports, and a deserialiser for every
-    subgroup. view: of `views.py`."""
+    """Return the sensor's wiring. view: from `views.py`.
+
+    levels: the ports are SPAD lines instead of edge words, and every subgroup has a deserialiser.
+    """
     n = Netlist()
     subgroups = range(sensor.subgroups)
 
@@ -142,28 +148,28 @@ def _range(width: int) -> str:
 
 
 def verilog(sensor: Sensor, view=POLYPHASE) -> tuple[str, dict[str, Unit]]:
-    """The top module as Verilog text, and the units that it instantiates, by name."""
+    """Return the top module as Verilog text, and the units that it instantiates, by name."""
     n = netlist(sensor, view=view)
     what = f"SPAD sensor of {sensor.rows} x {sensor.cols} pixels: wiring of its blocks."
     return module_text(TOP, what, n.ports, n.instances, n.nets, n.joins)
 
 
 def has_fpga_top(sensor: Sensor) -> bool:
-    """Whether SPAD lines can be sampled by clocks of an FPGA's PLL."""
+    """Return whether the clocks of an FPGA's PLL can sample the SPAD lines."""
     return sensor.phases <= PHASES_MAX
 
 
 def fpga_verilog(sensor: Sensor) -> tuple[str, dict[str, Unit]]:
-    """The top module for an FPGA, and the units that it instantiates: the sensor behind deserialisers."""
+    """Return the top module for an FPGA, the sensor behind deserialisers, and the units that it instantiates."""
     n = netlist(sensor, levels=True)
     what = f"SPAD sensor of {sensor.rows} x {sensor.cols} pixels behind deserialisers: wiring of its blocks."
     return module_text(FPGA_TOP, what, n.ports, n.instances, n.nets, n.joins)
 
 
 def core_verilog(sensor: Sensor) -> tuple[str, dict[str, Unit]]:
-    """The sensor without its modules, and the units: what is left to simulate where a program wires the modules itself.
+    """Return the sensor without its modules, and the units, for simulations in which a program wires the modules itself.
 
-    Its ports are those of the top, and per stream k what the modules and its readout exchange, under the names of the nets.
+    Its ports are those of the top and, per stream k, the signals between the modules and its readout, named as the nets.
     """
     n = netlist(sensor)
     instances = [instance for instance in n.instances if not isinstance(instance[1], SensorModule)]
@@ -182,7 +188,7 @@ def core_verilog(sensor: Sensor) -> tuple[str, dict[str, Unit]]:
 
 
 def module_text(name, comment, ports, instances, nets, joins) -> tuple[str, dict[str, Unit]]:
-    """A module of instances and joined nets as Verilog text, and the units that it instantiates."""
+    """Return a module of instances and joined nets as Verilog text, and the units that it instantiates."""
     port_names = {port.name for port in ports}
     lines = [f"// {comment}", f"module {name} (", "  input clk,", "  input rst,"]
     lines += [f"  {'input' if port.is_input else 'output'} {_range(port.width)}{port.name}," for port in ports]
@@ -211,15 +217,17 @@ def _expression(operation: str, parts: list[Any]) -> str:
         return str(parts[0])
     if operation == "cat":
         return "{" + ", ".join(reversed(parts)) + "}"
-    while len(parts) > 1:  # balanced, so that the depth is logarithmic as written
+    while len(parts) > 1:  # balanced, so that the text has logarithmic depth
         pairs = [f"({a}{COMBINE[operation]}{b})" for a, b in zip(parts[::2], parts[1::2])]
         parts = pairs + parts[len(parts) & ~1 :]
     return parts[0]
 
 
 class FlatSensor(wiring.Component):
-    """The sensor as one Amaranth design, for Amaranth's simulator. Ports as of the Verilog top; sizes are limited by
-    Amaranth's port width."""
+    """The sensor as one Amaranth design, for Amaranth's simulator.
+
+    It has the ports of the Verilog top. Amaranth's port width limits its size.
+    """
 
     def __init__(self, sensor: Sensor):
         self.netlist = netlist(sensor)

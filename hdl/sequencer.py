@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Frame sequencer: laser periods back to back, progressive gating, and the frame's beginning and end.
+"""Frame sequencer: back-to-back laser periods, progressive gating, and the frame's beginning and end.
 
 The paper gives the laser's repetition rate and the laser pulses of a frame; the sequencing is our choice.
 """
@@ -16,9 +16,9 @@ from . import bus
 from .unit import Unit
 from .voted import Voted
 
-LEAD = 3  # cycles that `time` runs ahead of the ports
-HEAD_TO_GRANT = 2  # `frame_begin` -> the readout's earliest grant
-END_TO_GRANT = 1  # `finish` -> the readout's earliest grant of the end packet
+LEAD = 3  # number of cycles that `timing` is ahead of the ports
+HEAD_TO_GRANT = 2  # from `frame_begin` to the readout's earliest grant
+END_TO_GRANT = 1  # from `finish` to the readout's earliest grant of the end packet
 
 
 class Sequencer(Unit):
@@ -27,16 +27,16 @@ class Sequencer(Unit):
     Ports
     -----
     plan : in, the frame's settings; start_frame, abort_frame : in, strobes
-    timing : out, what the cycle three cycles from now is; laser : out, high in cycle 0 of every period, at the ports' time
-    frame_begin : out, strobe to the readouts; number : out, the frame's; finish : out, the last event is on its way
+    timing : out, word of the cycle three cycles ahead; laser : out, high in cycle 0 of every period, in step with the ports
+    frame_begin : out, strobe to the readouts; number : out, frame number; finish : out, the last event is on its way
     delivered : in, all readouts have sent their end packets; done : out, strobe
+    resting : out, no frame is in progress
 
-    With dither the cycles between two periods belong to the frame but to no period: no edge counts in them. An abort in one makes the
-    period that follows the last.
-    resting : out, no frame is under way
+    With dither, the cycles between two periods belong to the frame but to no period, and no edge counts in them. An
+    abort in such a cycle makes the next period the last one.
 
-    Reset ends a frame at once and sets the frame number to 0. No upset makes a frame last for ever: counters that have gone past their end are at
-    it, and a frame whose periods are over ends. A start begins a frame whatever there was before.
+    Reset ends a frame at once and sets the frame number to 0. No upset makes a frame last for ever: a counter beyond its
+    end counts as being at its end, and a frame without a running period ends. A start begins a frame in any state.
     """
 
     unit_name = "coincid_sequencer"
@@ -70,7 +70,7 @@ class Sequencer(Unit):
         return m
 
     def _periods(self, m):
-        """Cycles of a period, and periods of the frame."""
+        """Count the cycles of a period and the periods of the frame."""
         state, settings, coarse_bits = self.state, self.plan, self.sensor.coarse_bits
         state.running = running = Signal()
         state.waiting = Signal()  # dither: between two periods
@@ -79,9 +79,9 @@ class Sequencer(Unit):
         state.wrap = Signal()
         state.cycle = cycle = Signal(coarse_bits + 1)
         state.pulse = pulse = Signal(bus.PULSE_BITS + 1)
-        state.start = Signal(2)  # waits a cycle for the registers below
+        state.start = Signal(2)  # one cycle of delay for the registers below
         state.aborted = Signal()
-        state.active = Signal()  # from a frame's beginning until it is done
+        state.active = Signal()  # from the beginning of a frame until it is done
         state.restart = state.start[-1]
         last_cycle = Signal.like(cycle)
         last_pulse = Signal.like(pulse)
@@ -104,7 +104,7 @@ class Sequencer(Unit):
             m.d.sync += [running.eq(1), cycle.eq(0), pulse.eq(0), state.aborted.eq(0), state.active.eq(1)]
 
     def _dither(self, m):
-        """Cycles that the next period still waits. An LFSR steps in every cycle of the periods."""
+        """Count the cycles until the next period. The LFSR steps in every cycle of the periods."""
         state = self.state
         state.lfsr = lfsr = Signal(LFSR_BITS)
         state.mask = Signal(DITHER_BITS_MAX)
@@ -145,7 +145,7 @@ class Sequencer(Unit):
             m.d.sync += [shift.eq(0), pulses.eq(0), steps.eq(0)]
 
     def _timing(self, m):
-        """What the subgroups hear of the cycle, and the laser and the frame's beginning, which go with the ports."""
+        """Form the subgroups' word for the cycle, and the laser and frame strobes, which are in step with the ports."""
         state = self.state
         in_period = Signal()
         last_open = Signal.like(state.cycle)
@@ -160,14 +160,14 @@ class Sequencer(Unit):
         ]
         laser = Signal(LEAD - 1)
         m.d.sync += [laser.eq((laser << 1) | self.timing.start), self.laser.eq(laser[-1])]
-        # `first` stands a cycle before `time` shows cycle 0, so LEAD + 1 cycles before the ports do.
+        # `first` comes one cycle before `timing` shows cycle 0, which is LEAD + 1 cycles before the ports.
         until_begin = Signal(LEAD + latency.FRAME_START - HEAD_TO_GRANT)
         m.d.sync += [until_begin.eq((until_begin << 1) | state.first), self.frame_begin.eq(until_begin[-1])]
 
     def _end(self, m):
-        """The frame's end: nothing more will be stored, all has been delivered, done."""
+        """End the frame: wait until nothing more is stored, then until everything is delivered; then `done`."""
         state = self.state
-        # `wrap` after the last period stands LEAD + 1 cycles before the first cycle after it.
+        # `wrap` after the last period comes LEAD + 1 cycles before the first cycle after it.
         state.to_finish = LEAD + 1 + latency.FINISH - END_TO_GRANT
         state.draining = draining = Signal()
         state.drained = drained = Signal(range(state.to_finish + 1))
@@ -182,7 +182,7 @@ class Sequencer(Unit):
         ]
         with m.If(draining & (drained < state.to_finish)):
             m.d.sync += drained.eq(drained + 1)
-        # Either is so in the cycle after the last period, and both are; one alone is an upset's.
+        # In the cycle after the last period both are set; after an upset, it may be only one of them.
         with m.If((state.active | state.wrap) & ~state.running & ~draining):
             m.d.sync += [draining.eq(1), drained.eq(1)]
         with m.If(self.finish & delivered):

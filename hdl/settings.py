@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Settings of a subgroup: its block of the register map, programmed and in force."""
+"""Settings of a subgroup: its block of the register map, as programmed and in force."""
 
 from types import SimpleNamespace
 
@@ -14,18 +14,19 @@ from .unit import Unit
 
 
 class SubgroupSettings(Unit):
-    """Register block of a subgroup. Ranges are checked before a write comes here.
+    """Register block of a subgroup. Ranges are checked before a write arrives here.
 
     Ports
     -----
-    command : in, configuration bus, registered; subgroup : in, this one's number; period : in, the programmed laser period
+    command : in, configuration bus, registered; subgroup : in, number of this subgroup; period : in, the programmed laser
+        period
     settings : out, in force since the last TAKE
     counters : in
-    data : out, two cycles after the bus named a word of this subgroup; 0 otherwise, so that all subgroups can be ORed
-    gate_late : out, gating on and gate_start not below the period, as programmed
-    upset : out, a programmed word has not the parity that was written with it
+    data : out, two cycles after the bus named a word of this subgroup; otherwise 0, so the data of all subgroups can be ORed
+    gate_late : out, as programmed, gating is on and gate_start is not below the period
+    upset : out, the parity of a programmed word differs from the one that was written with it
 
-    Reset loads the table's reset values.
+    Reset loads the reset values of the table.
     """
 
     unit_name = "coincid_settings"
@@ -60,7 +61,7 @@ class SubgroupSettings(Unit):
             m.d.sync += self.settings.eq(programmed)
         upsets = []
         write = selected & (self.command.operation == bus.Operation.WRITE)
-        shown = {}  # number of a word -> what it reads as
+        shown = {}  # number of a word -> value that a read returns
         for offset, register, index in registers.words(registers.SUBGROUP, self.sensor):
             if register.access is registers.Access.SETTING:
                 field = self._field(programmed, register, index)

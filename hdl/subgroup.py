@@ -21,7 +21,7 @@ from .views import POLYPHASE, View
 
 
 def shared_ports(sensor: Sensor) -> dict[str, Any]:
-    """What all subgroups hear: configuration bus, programmed period, frame settings, timing."""
+    """Inputs that all subgroups share: configuration bus, programmed period, frame settings, timing."""
     return {
         "command": In(bus.CONFIG_BUS),
         "period": In(sensor.coarse_bits + 1),
@@ -31,12 +31,13 @@ def shared_ports(sensor: Sensor) -> dict[str, Any]:
 
 
 def own_ports(sensor: Sensor, view: View = POLYPHASE) -> dict[str, Any]:
-    """What a subgroup has for itself.
+    """Ports that each subgroup has for itself.
 
-    words : in, the SPADs as the view has them (polyphase: edge words, pixels * phases); spad_gate : out, keeps the SPADs off while low
-    grant, send : in, from its stream's readout; valid, beat : out; beat_controlled : out, the beat is of a subgroup under the controller
-    stored, record_stored : out, an event or record waits to be read
-    data : out, register read; gate_late, upset : out, start checks
+    words : in, the SPADs in the view's form (polyphase: edge words, pixels * phases); spad_gate : out, low: SPADs are off
+    grant, send : in, from its stream's readout; valid, beat : out; beat_controlled : out, the beat is from a subgroup
+        whose threshold the controller sets
+    stored, record_stored : out, an event or record has been stored
+    data : out, result of a register read; gate_late, upset : out, start checks
     """
     return {
         "words": In(view.spad_bits(sensor)),
@@ -55,11 +56,11 @@ def own_ports(sensor: Sensor, view: View = POLYPHASE) -> dict[str, Any]:
 
 
 class Subgroup(Unit):
-    """A subgroup; settings, strobes and grants are registered here, and every output is a register's.
+    """Subgroup. Settings, strobes and grants are registered here, and every output comes from a register.
 
     Ports: `shared_ports`, `own_ports`, `subgroup` (in, its number), `line` (its TDC sampling line).
-    view: the front end's, of `views.py`.
-    Latency: `model/contract/latency.py`. Reset: every part's own.
+    view: view of the front end, from `views.py`.
+    Latency: `model/contract/latency.py`. Reset: as stated by each part.
     """
 
     def __init__(self, sensor: Sensor, view=POLYPHASE):
@@ -82,7 +83,7 @@ class Subgroup(Unit):
         records = place(m, "record_buffer", RecordBuffer(sensor), platform)
         packets = place(m, "packetizer", Packetizer(sensor), platform)
 
-        # Inputs go straight into registers. These need no reset, as what drives them has one.
+        # Inputs go straight into registers. These need no reset, because the registers that drive them have one.
         command, timing, frame, period, number, grant, send = (
             Signal.like(port, reset_less=True)
             for port in (self.command, self.timing, self.frame, self.period, self.subgroup, self.grant, self.send)

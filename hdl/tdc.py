@@ -2,9 +2,9 @@
 """TDC: one always-on coarse counter and the phase decode of two independent sampling lines.
 
 The paper (III-A): two subgroups "share a single always-on time-to-digital converter (TDC) with independent lines for
-timestamping"; the event samples its internal states. In this synchronous view the states are sampled every cycle and
-the first one that an event marks is decoded. The counter restarts with the laser trigger, so that its value is the
-time since then: our choice.
+timestamping"; the event samples its internal states. In this synchronous view, the states are sampled in every cycle,
+and the first one that an event marks is decoded. Our choice: the counter restarts with the laser trigger, so its value
+is the time since the trigger.
 """
 
 from types import SimpleNamespace
@@ -17,15 +17,15 @@ from .logic import first_one
 from .unit import Unit
 
 START_TO_PHASE = (
-    4  # from the module's registered start strobe (two cycles ahead of the ports) to stage 2, the decoded phase's
+    4  # from the module's registered start strobe (two cycles ahead of the ports) to the decoded phase at stage 2
 )
 
 
 def line_signature(sensor: Sensor) -> Signature:
-    """A sampling line, seen from the subgroup.
+    """Return a sampling line, seen from the subgroup.
 
-    root : out, phases, the sampled root of the tree (stage 1). any : in, an edge in the cycle; phase : in, its first phase;
-    coarse : in, the cycle's number in its period (all stage 2).
+    root : out, phases, the sampled root of the tree (stage 1). any : in, an edge in the cycle; phase : in, its first
+    phase; coarse : in, number of the cycle in its period (all stage 2).
     """
     return Signature(
         {"root": Out(sensor.phases), "any": In(1), "phase": In(sensor.phase_bits), "coarse": In(sensor.coarse_bits)}
@@ -33,14 +33,15 @@ def line_signature(sensor: Sensor) -> Signature:
 
 
 class Tdc(Unit):
-    """The TDC of a module.
+    """TDC of a module.
 
     Ports
     -----
-    start : in, a period's first cycle, registered in the module
-    line_0, line_1 : sampling lines (`line_signature`, seen from the other side); latency one cycle; neither sees the other
+    start : in, first cycle of a period, registered in the module
+    line_0, line_1 : sampling lines (`line_signature`, seen from the other side); latency one cycle; each is independent
+        of the other
 
-    Reset sets the coarse counter to 0; it counts from then on, frame or not.
+    Reset sets the coarse counter to 0; from then on it counts, with or without a frame.
     """
 
     def __init__(self, sensor: Sensor, lines: int = 2):

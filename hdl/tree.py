@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""CoincID tree: combines the minigroups to the subgroup's root, runs the coincidence window, and names its pixels.
+"""CoincID tree: combines the minigroups into the subgroup's root, runs the coincidence window, and identifies its pixels.
 
 The paper (III-A): the tree is "modelled to propagate events and perform coincidence along with generating the address
 or ID of the SPADs which contributed to an event"; after every detection it "resets itself, making it available for
@@ -21,21 +21,21 @@ from .unit import Unit, place
 
 
 class CoincidenceTree(Unit):
-    """The tree of a subgroup with its window.
+    """Tree of a subgroup with its coincidence window.
 
-    Stages count from the port, as in `Minigroup`; a window that closes in cycle c leaves at stage 7, that is in cycle c + 7.
+    Stages count from the port, as in `Minigroup`. A window that closes in cycle c leaves at stage 7, in cycle c + 7.
 
     Ports
     -----
     words : in, pixels * phases, edge words; mask : in (stage 0). accept : in (stage 1)
-    window_ticks : in, the coincidence window (1 where coincidence is off); frame : in, settings
+    window_ticks : in, the coincidence window (1 if coincidence is off); frame : in, settings
     timing : in, registered in the module, two cycles ahead of the ports
     line : the subgroup's TDC sampling line
-    closed : out, a window has closed: `window` holds it (stage 7); offsets : out, its minigroups' offsets (stage 8)
-    blind : out, a cycle with an edge that found the tree not armed (stage 5)
+    closed : out, a window has closed, and `window` holds it (stage 7); offsets : out, its minigroups' offsets (stage 8)
+    blind : out, a cycle with an edge while the tree was not armed (stage 5)
     record_due : out, a period has ended; latched, entries : out, its minigroups' records (stage 3)
 
-    Reset arms the tree. Between two windows of one subgroup there may be no cycle at all: the pipeline takes one a cycle.
+    Reset arms the tree. Two windows of one subgroup may follow each other without a gap: the pipeline takes one per cycle.
     """
 
     unit_name = "coincid_tree"
@@ -78,7 +78,7 @@ class CoincidenceTree(Unit):
         return m
 
     def _strobes(self, m):
-        """Timing strobes brought to stage 3: they come two cycles ahead of the ports, one register here makes it one."""
+        """Delay the timing strobes to stage 3: they come two cycles ahead of the ports; one register makes it one cycle."""
         state = self.state
         state.may_open = Signal(5)
         state.wrap = Signal(5)
@@ -92,12 +92,12 @@ class CoincidenceTree(Unit):
         m.d.comb += self.record_due.eq(state.wrap[-1])
 
     def _window(self, m):
-        """Stage 2: the window, and what of the cycle it covers. The loop at clock speed is only (open, left, rearm)."""
+        """Stage 2: the window, and the part of the cycle that it covers. The one-cycle loop is only (open, left, rearm)."""
         state, phases = self.state, self.sensor.phases
         state.window_open = window_open = Signal()
         state.left = left = Signal(
             range(self.sensor.window_max + phases)
-        )  # ticks of the window from this cycle's start
+        )  # ticks of the window from the start of this cycle
         state.rearm = rearm = Signal(range(self.sensor.rearm + 1))
         state.opening = opening = Signal()
         state.closing = closing = Signal()
@@ -121,7 +121,7 @@ class CoincidenceTree(Unit):
             m.d.sync += rearm.eq(rearm - 1)
 
     def _opened(self, m):
-        """Stages 3 to 5: stamp and winner of the opening edge, while the leaves collect the map; at stage 7 the cycles since, for their offsets."""
+        """Stages 3 to 5: stamp and winner of the opening edge. Stage 7: cycles since it, for the leaves' offsets."""
         state, sensor = self.state, self.sensor
         state.at_first = Signal(sensor.pixels)
         opening_3, state.opening_4, opening_5, opening_6 = (Signal(name=f"opening_{n}") for n in (3, 4, 5, 6))
@@ -150,7 +150,7 @@ class CoincidenceTree(Unit):
             m.d.sync += [later.eq(sooner) for sooner, later in zip(delayed, delayed[1:])]
 
     def _leaves(self, m):
-        """What goes to the minigroups, and what they say."""
+        """Connect the minigroups."""
         state, phases = self.state, self.sensor.phases
         state.hits = Signal(self.sensor.pixels)
         blind = Signal()
@@ -179,7 +179,7 @@ class CoincidenceTree(Unit):
         m.d.sync += [blind.eq(any_of(m, [leaf.blind for leaf in state.leaves], "blind_or")), self.blind.eq(blind)]
 
     def _closed(self, m):
-        """Stages 6 and 7: the count of a closed window, in two steps of equal depth. Data move every cycle; `closed` says when they count."""
+        """Stages 6 and 7: count a closed window in two steps of equal depth. Data move every cycle; `closed` marks them."""
         state, pixels = self.state, self.sensor.pixels
         closed_6 = Signal()
         half = Signal(bus.window_layout(self.sensor), reset_less=True)

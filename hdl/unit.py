@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Blocks that are emitted once and instantiated: the hierarchy of the Verilog is the hierarchy of the sensor."""
+"""Units: blocks that are emitted once and instantiated, so the Verilog has the hierarchy of the sensor."""
 
 from types import SimpleNamespace
 
@@ -8,15 +8,15 @@ from amaranth.lib import wiring
 
 
 class Unit(wiring.Component):
-    """A block with a stable Verilog name. `unit_name` differs where parameters beyond the sensor's differ.
+    """A block with a stable Verilog name. Variants by other parameters than the sensor's need different `unit_name`s.
 
-    state: registers and what else is inside, by name, for those who state something about them; `elaborate` makes it.
+    state: inner registers and signals by name, for proofs and tests; `elaborate` sets it.
     """
 
     unit_name: str
     state: SimpleNamespace
     clocked = True  # has the ports clk and rst
-    _MustUse__silence = True  # an instance may stand for the unit, which Amaranth would report as forgotten
+    _MustUse__silence = True  # an unused unit is fine where an instance replaces it; Amaranth would warn of it
 
     def flat_ports(self) -> dict[str, tuple[wiring.Flow, Signal]]:
         """Port name in the Verilog -> (direction, signal)."""
@@ -24,14 +24,14 @@ class Unit(wiring.Component):
 
 
 class Export:
-    """An elaboration platform: units become instances, and are noted in `units` to be emitted by themselves."""
+    """Elaboration platform that turns units into instances and collects them in `units`, to be emitted separately."""
 
     def __init__(self):
         self.units: dict[str, Unit] = {}
 
 
 def place(m: Module, name: str, unit: Unit, platform, reset=None) -> Unit:
-    """Puts `unit` into `m`: whole, or under an `Export` platform as an instance. `reset` replaces the domain's reset."""
+    """Put `unit` into `m`, as a submodule or, under an `Export` platform, as an instance. reset: replaces the domain's."""
     if not isinstance(platform, Export):
         m.submodules[name] = unit if reset is None else ResetInserter(reset)(unit)
         return unit

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The two views of the front end, one contract: what a subgroup and its module are built with. All behind the front end is shared.
+"""The two views of the front end behind one interface. Everything behind the front end is common to both.
 
-A view names the units of its front end and its TDC, how wide a subgroup's SPAD port is, how a front end hears SPADs and gate, and the
-Verilog that is not generated: cells (behaviour) and macros (black boxes).
+A view provides the units of its front end and its TDC, the width of a subgroup's SPAD port, the connection of the front
+end to SPADs and gate, and the Verilog that is not generated: cells (behaviour) and macros (black boxes).
 """
 
 from pathlib import Path
@@ -21,7 +21,7 @@ from .tree import CoincidenceTree
 
 @frozen
 class Polyphase:
-    """Synchronous: a SPAD gives one word of `phases` bits per cycle. For simulation, formal proof and FPGA."""
+    """Synchronous view: a SPAD gives one word of `phases` bits per cycle. For simulation, formal proof and FPGA."""
 
     name = "polyphase"
     prefix = "coincid_"
@@ -29,11 +29,11 @@ class Polyphase:
     macros: ClassVar[tuple[Path, ...]] = ()
 
     def at(self, clock_mhz: float) -> "Polyphase":
-        """The view at a system clock: cycles are all it knows."""
+        """Return the view at a system clock. It depends only on cycles, so it stays the same."""
         return self
 
     def spad_bits(self, sensor: Sensor) -> int:
-        """Width of a subgroup's SPAD port."""
+        """Return the width of a subgroup's SPAD port."""
         return sensor.pixels * sensor.phases
 
     def line_signature(self, sensor: Sensor):
@@ -46,13 +46,13 @@ class Polyphase:
         return CoincidenceTree(sensor)
 
     def hears(self, front, spads, mask, gating) -> list[Any]:
-        """Statements that connect a front end to the SPAD port, the mask and the gate."""
+        """Return the statements that connect a front end to the SPAD port, the mask and the gate."""
         return [front.words.eq(spads), front.mask.eq(mask), front.accept.eq(gating.accept)]
 
 
 @frozen
 class Asynchronous:
-    """Silicon: a SPAD is a line whose rising edges are avalanches."""
+    """Asynchronous view, for silicon: a SPAD is a line whose rising edges are avalanches."""
 
     circuit: Circuit = field(factory=Circuit)
     name = "async"
@@ -61,11 +61,11 @@ class Asynchronous:
     macros: ClassVar[tuple[Path, ...]] = (MACROS,)
 
     def at(self, clock_mhz: float) -> "Asynchronous":
-        """The view at a system clock. Raises `InputError`."""
+        """Return the view at a system clock. Raises `InputError`."""
         return evolve(self, circuit=evolve(self.circuit, clock_mhz=clock_mhz))
 
     def spad_bits(self, sensor: Sensor) -> int:
-        """Width of a subgroup's SPAD port."""
+        """Return the width of a subgroup's SPAD port."""
         return sensor.pixels
 
     def line_signature(self, sensor: Sensor):
@@ -78,7 +78,7 @@ class Asynchronous:
         return AsyncFrontEnd(sensor, self.circuit)
 
     def hears(self, front, spads, mask, gating) -> list[Any]:
-        """Statements that connect a front end to the SPAD port, the mask and the gate."""
+        """Return the statements that connect a front end to the SPAD port, the mask and the gate."""
         return [front.spad.eq(spads), front.mask.eq(mask), front.gate.eq(gating.spad_gate)]
 
 
@@ -88,5 +88,5 @@ VIEWS: dict[str, View] = {"polyphase": POLYPHASE, "async": Asynchronous()}
 
 
 def view_at(view: str | View, clock_mhz: float) -> View:
-    """A view, or one of `VIEWS` by its name, at a system clock. Raises `InputError`."""
+    """Return a view, or the one of `VIEWS` with this name, at a system clock. Raises `InputError`."""
     return (VIEWS[check_choice("view", view, tuple(VIEWS))] if isinstance(view, str) else view).at(clock_mhz)

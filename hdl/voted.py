@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Registers of which one flip-flop may be upset: three copies, and what two of them say."""
+"""Registers that tolerate the upset of one flip-flop: three copies and a majority vote."""
 
 from amaranth.hdl import Module, Signal
 
@@ -7,12 +7,12 @@ from .logic import any_of
 
 
 class Voted:
-    """A register in three copies; all hold what two of them say, so that an upset is gone after a cycle.
+    """A register in three copies. All of them load the majority, so an upset is gone after one cycle.
 
-    The copies differ in what they store, so that no synthesis takes them for one: as it is, inverted, and by turns both.
+    The copies store different codes, so that synthesis does not merge them: true, inverted, and alternating.
 
-    value : Signal, what the register says; next : Signal, what it will say, assigned in the domain `comb`, `value` where it is not;
-    agree : Signal, the copies do not differ
+    value : Signal, the register's value; next : Signal, its next value, assigned in the domain `comb` (default: `value`)
+    agree : Signal, the copies agree
     """
 
     def __init__(self, m: Module, name: str, width: int = 1, init: int = 0):

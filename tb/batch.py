@@ -98,8 +98,8 @@ def build_library(sensor: Sensor) -> Path:
         log.unlink(missing_ok=True)
         (scratch / "wiring.h").write_text(header)
         # All the time is spent in the modules: inlined, they run twice as fast. The core is what grows with the array.
-        module = _unit(MODULE, "Vmodule", for_module, archives=["libverilated.a"])
-        core = _unit(CORE, "Vcore", for_core, options=[toolchain.NOT_INLINED])
+        module = verilated_unit(MODULE, "Vmodule", for_module, archives=["libverilated.a"])
+        core = verilated_unit(CORE, "Vcore", for_core, options=[toolchain.NOT_INLINED])
         include = ["-I.", f"-I{module}", f"-I{core}", f"-I{program.parents[1] / 'include'}"]
         command = ["g++", "-shared", *COMPILER, "-o", LIBRARY, str(SOURCE), *include]
         archives = [core / "libVcore.a", module / "libVmodule.a", module / "libverilated.a"]
@@ -108,7 +108,7 @@ def build_library(sensor: Sensor) -> Path:
     return toolchain.build_once(directory, make) / LIBRARY
 
 
-def _unit(
+def verilated_unit(
     top: str, prefix: str, sources: list[Path], *, options: Sequence[str] = (), archives: Sequence[str] = ()
 ) -> Path:
     """A Verilated unit: its headers, its archive and those named, in a directory keyed by its sources and options."""

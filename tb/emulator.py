@@ -2,8 +2,6 @@
 """The emulator behind its serial pins, Verilated: a port for the host's serial transport, with no board."""
 
 import ctypes
-import os
-import shutil
 from functools import cache
 from pathlib import Path
 
@@ -13,7 +11,7 @@ from ..model.contract.parameters import Sensor
 from ..model.shared.folders import build_root
 from ..model.shared.sources import digest, sources_digest
 from . import toolchain
-from .batch import COMPILER, MAKE_OPTIONS, VERILATOR
+from .batch import COMPILER, verilated_unit
 
 SOURCE = Path(__file__).with_name("emulator.cpp")
 LIBRARY = "libemulator.so"
@@ -44,39 +42,18 @@ def emulator_rtl(emulator: Emulator, serial: bool = True) -> list[Path]:
 
 def build_emulator(emulator: Emulator) -> Path:
     """The library of an emulator behind its pins, compiled once."""
-    program = toolchain.verilator()
-    sources = emulator_rtl(emulator)
-    texts = [part for path in sources for part in (path.name, path.read_text())]
-    key = digest(str(program), *VERILATOR, *COMPILER, *MAKE_OPTIONS, SOURCE.read_text(), *texts)
-    directory = build_root() / "batch" / f"emulator-{emulator.sensor.rows}x{emulator.sensor.cols}-{key}"
+    unit = verilated_unit(
+        SERIAL_TOP, "Vemulator", emulator_rtl(emulator), options=[toolchain.NOT_INLINED], archives=["libverilated.a"]
+    )
+    directory = build_root() / "batch" / f"emulator-{digest(unit.name, *COMPILER, SOURCE.read_text())}"
 
     def make(scratch: Path) -> None:
         log = directory.with_name(f"{directory.name}.log")
         log.unlink(missing_ok=True)
-        for path in sources:
-            shutil.copyfile(path, scratch / path.name)
-        names = [path.name for path in sources]
-        flags = [
-            toolchain.NOT_INLINED,
-            "-CFLAGS",
-            "-fPIC",
-            "--top-module",
-            SERIAL_TOP,
-            "--prefix",
-            "Vemulator",
-            "--Mdir",
-            ".",
-        ]
-        toolchain.compile_in(scratch, log, [str(program), *VERILATOR, *flags, *names])
-        targets = ["libVemulator.a", "libverilated.a"]
-        jobs = str(os.cpu_count())
-        toolchain.compile_in(scratch, log, ["make", "-s", "-j", jobs, "-f", "Vemulator.mk", *MAKE_OPTIONS, *targets])
-        include = ["-I.", f"-I{program.parents[1] / 'include'}"]
-        command = ["g++", "-shared", *COMPILER, "-o", LIBRARY, str(SOURCE), *include, *targets, "-lpthread", "-latomic"]
-        toolchain.compile_in(scratch, log, command)
-        for path in scratch.iterdir():
-            if path.name != LIBRARY:
-                path.unlink()
+        archives = [str(unit / name) for name in ("libVemulator.a", "libverilated.a")]
+        include = [f"-I{unit}", f"-I{toolchain.verilator().parents[1] / 'include'}"]
+        command = ["g++", "-shared", *COMPILER, "-o", LIBRARY, str(SOURCE), *include, *archives]
+        toolchain.compile_in(scratch, log, [*command, "-lpthread", "-latomic"])
 
     return toolchain.build_once(directory, make) / LIBRARY
 

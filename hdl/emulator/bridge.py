@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Serial bridge: the emulator's address space over two pins. The link's law is `model/contract/serial_link.py`."""
+"""Serial bridge: access to the emulator's address space over two pins; protocol in `model/contract/serial_link.py`."""
 
 from types import SimpleNamespace
 
@@ -29,10 +29,11 @@ class SerialBridge(Unit):
 
     Ports
     -----
-    rx : in, tx : out, the serial line; access : out, to the control; errors : out, frames that came damaged
+    rx : in, tx : out, the serial line; access : out, to the control; errors : out, number of damaged frames
 
-    A request's bytes wait in a memory until its CRC has proved right; nothing is done before. What comes while a request is worked on is dropped, so
-    is what is damaged: the host asks again. Nothing here waits for the host, except for a request. Reset forgets the sequence number.
+    The bytes of a request wait in a memory until their CRC has been checked; nothing is executed before that. Damaged
+    requests are dropped, and so is everything that arrives while a request is being executed: the host then asks again.
+    The bridge waits for the host only between requests. Reset clears the sequence number.
     """
 
     unit_name = "coincid_serial_bridge"
@@ -70,15 +71,15 @@ class SerialBridge(Unit):
         return m
 
     def _obey(self, m, deframer, framer, get):
-        """Reads a request that has proved right, does it, and answers."""
+        """Read a request whose CRC was right, execute it, and send the answer."""
         access = self.access
         head = Signal(8 * HEAD_BYTES)
         length = Signal.like(deframer.length)
         at = Signal(range(BODY_BYTES_MAX + 1))
-        waited = Signal()  # the memory shows the byte at `at`
+        waited = Signal()  # one cycle until the memory shows the byte at `at`
         sequence, operation, count = head[:8], head[8:16], head[16:24]
         last, last_wrote, last_done, last_status = Signal(8), Signal(), Signal(8), Signal(Answer)
-        greeted, fresh = Signal(), Signal(init=1)  # fresh: nothing was read or written since reset
+        greeted, fresh = Signal(), Signal(init=1)  # fresh: no read or write since reset
         words, byte_of = Signal(8), Signal(range(WORD_BYTES))
         word = Signal(DATA_BITS)
         address = Signal(ADDRESS_BITS)
@@ -141,7 +142,7 @@ class SerialBridge(Unit):
                     m.next = "collect"
                 with m.Else():
                     m.d.sync += [last.eq(sequence), last_wrote.eq(0), fresh.eq(0)]
-            # A write: words out of the memory, one by one, and then the answer.
+            # A write: take the words out of the memory one by one, then answer.
             with m.State("collect"):
                 m.d.sync += waited.eq(~waited)
                 with m.If(waited):
@@ -163,7 +164,7 @@ class SerialBridge(Unit):
             with m.State("remember"):
                 m.d.sync += [last.eq(sequence), last_wrote.eq(1), last_done.eq(words), last_status.eq(status)]
                 m.next = "number"
-            # The answer.
+            # Send the answer.
             with m.State("number"):
                 m.d.comb += [framer.valid.eq(1), framer.byte.eq(sequence)]
                 with m.If(framer.ready):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Frame buffer: takes the sensor's beats at full speed, and keeps them until the host has read them, as often as it wants, and takes them out."""
+"""Frame buffer: takes the sensor's beats at full speed and keeps them until the host removes them; it may read them often."""
 
 from types import SimpleNamespace
 
@@ -15,16 +15,17 @@ from ..unit import Unit
 
 
 class FrameBuffer(Unit):
-    """Ring of beats.
+    """Ring buffer of beats.
 
     Ports
     -----
     s_axis : in, the sensor's stream; `tready` is low only while the buffer is full
-    level, first : out, beats that are not taken, and the place of the first of them; take : in, strobe, amount : in, beats to take, at most `level`
-    address : in, word of 32 bits to read, low half first; word : out, two cycles later
-    stalls : out, cycles in which the sensor waited; stays at its highest value
+    level, first : out, number of beats in the buffer, and address of the first
+    take : in, strobe: remove beats; amount : in, their number, at most `level`
+    address : in, number of the 32-bit word to read, low half of a beat first; word : out, two cycles later
+    stalls : out, number of cycles in which the sensor waited; saturates
 
-    Reset empties; what the memory holds stays.
+    Reset empties the buffer; the memory keeps its contents.
     """
 
     unit_name = "coincid_frame_buffer"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Control of the emulator: sends every access to the sensor, to the source's settings, to the frame buffer, or answers it."""
+"""Control of the emulator: routes each access to the sensor, the photon sources or the frame buffer, or answers it."""
 
 from types import SimpleNamespace
 
@@ -29,7 +29,8 @@ from ..unit import Unit, place
 from .buffer import FrameBuffer
 from .source import COMMON, SEED_BUS, Seeder, write_bus
 
-# `valid` until `done`, which stands for a cycle. refused: nothing was changed; value: of a read. Two cycles later at the earliest the next.
+# `valid` stays high until `done`, a strobe. `refused`: nothing was changed. `value`: the word that was read. The next
+# access may begin two cycles later.
 ACCESS = Signature(
     {
         "valid": Out(1),
@@ -41,7 +42,7 @@ ACCESS = Signature(
         "value": In(DATA_BITS),
     }
 )
-LOCAL_CYCLES = 4  # from an access to the answer of registers and memories
+LOCAL_CYCLES = 4  # from an access to the answer, for registers and memories
 REGIONS = {"sensor": SENSOR_BASE, "own": OWN_BASE, "source": SOURCE_BASE, "buffer": BUFFER_BASE}
 BLOCK_BITS = (SOURCE_STRIDE - 1).bit_length()
 
@@ -52,12 +53,13 @@ class EmulatorControl(Unit):
     Ports
     -----
     access : in, from the serial link or from a bus; one at a time
-    m_axi : out, AXI4-Lite master to the sensor; s_axis : in, its stream
-    number : in, of the sensor's frame; frame_done : in, strobe
+    m_axi : out, AXI4-Lite master to the sensor; s_axis : in, the sensor's stream
+    number : in, number of the sensor's frame; frame_done : in, strobe
     seed, write, common : out, to the photon sources; link_errors : in, from the serial link
 
-    An access to the sensor waits while the sources are being seeded, so a frame never begins in the midst of that. Every access is answered:
-    those that mean nothing, by `refused`. Reset forgets an access under way; the sources' settings stay as they are (an FPGA wakes with 0).
+    An access to the sensor waits while the sources are being seeded, so no frame begins before they are ready. Every
+    access is answered; an illegal one with `refused`. Reset drops an access in progress. The settings of the sources
+    are not reset (an FPGA powers up with 0).
     """
 
     unit_name = "coincid_emulator_control"
@@ -96,7 +98,7 @@ class EmulatorControl(Unit):
         return m
 
     def _settings(self, m, seeder):
-        """Settings of the emulator's own, by name."""
+        """The emulator's own settings, by name."""
         state = self.state
         state.setting = {
             r.name: Signal(r.high(self.emulator.sensor).bit_length(), init=r.reset(self.emulator.sensor), name=r.name)
@@ -104,7 +106,7 @@ class EmulatorControl(Unit):
             if r.access is Access.SETTING
         }
         state.reseed = Signal()
-        late = Signal()  # the frame's number changes with `frame_done`
+        late = Signal()  # the frame number changes with `frame_done`
         m.d.sync += late.eq(self.frame_done)
         m.d.comb += [seeder.seed.eq(state.setting["seed"]), seeder.begin.eq(state.reseed | late)]
         m.d.sync += [
@@ -113,7 +115,7 @@ class EmulatorControl(Unit):
         ]
 
     def _local(self, m, buffer, seeder):
-        """What an address outside the sensor means, and the word that stands there, registered."""
+        """Decode an address outside the sensor, and register the word that is read there."""
         state, access, sensor = self.state, self.access, self.emulator.sensor
         inside = access.address[:REGION_BITS]
         state.region = {}
@@ -145,7 +147,7 @@ class EmulatorControl(Unit):
         for word in words[1:]:
             found = found | word
         m.d.sync += state.own.eq(found)
-        # The sources keep no way back, so a memory here answers for them.
+        # The settings of the sources cannot be read back, so this memory keeps a copy.
         subgroup, block = inside[BLOCK_BITS:], inside[:BLOCK_BITS]
         pixel = (block - ECHO_OFFSET)[2:]
         state.subgroup, state.pixel = subgroup, pixel
@@ -179,7 +181,7 @@ class EmulatorControl(Unit):
         ]
         state.sources = Signal(DATA_BITS)
         m.d.sync += state.sources.eq(Mux(state.is_echo, echo_read.data, background_read.data))
-        # Ranges.
+        # Checks of the ranges.
         state.legal = Signal()
         checks = []
         for r in OWN:
@@ -215,7 +217,7 @@ class EmulatorControl(Unit):
         assert OWN_BY_NAME["buffer_take"].access is Access.PULSE
 
     def _accesses(self, m, buffer, seeder):
-        """One access at a time."""
+        """Carry out one access at a time."""
         state, access, axi = self.state, self.access, self.m_axi
         wait = Signal(range(LOCAL_CYCLES + 1))
         m.d.comb += [axi.bready.eq(1), axi.rready.eq(1), axi.wstrb.eq(0b1111), axi.awprot.eq(0), axi.arprot.eq(0)]
@@ -268,7 +270,7 @@ class EmulatorControl(Unit):
                     ]
                     with m.If(access.write & state.legal):
                         self._write(m, buffer)
-            with m.State("lost"):  # the one code that is no state: an upset there must not hang the bus
+            with m.State("lost"):  # the one code that is no state: after an upset, the bus must not hang
                 m.next = "idle"
 
     def _write(self, m, buffer):

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Photon source: the edge words of a subgroup's SPADs, made on the chip. Its twin is `model/light/on_chip.py`.
+"""Photon source: generates the edge words of a subgroup's SPADs on the chip; golden model: `model/light/on_chip.py`.
 
-Every pixel has a linear generator of 32 bits that steps once per cycle of a period. Its state decides on a background photon and that one's
-phase; in a period's first cycle on the echo, in the second on its place. The paper has no such thing; all of it is our choice.
+Every pixel has a linear generator of 32 bits that steps once in every cycle of a period. In each cycle, its state decides
+whether there is a background photon, and at which phase. In the first cycle of a period it also decides whether there
+is an echo, and in the second cycle at which tick. The paper has no such block; all of it is our choice.
 """
 
 from types import SimpleNamespace
@@ -34,7 +35,7 @@ from ...model.contract.parameters import Sensor, bits_for
 from .. import bus
 from ..unit import Unit
 
-SUBGROUP_BITS = 8  # of a subgroup's number in the emulator
+SUBGROUP_BITS = 8  # width of a subgroup's number in the emulator
 PIXEL_BITS = 8
 HALF = STATE_BITS
 SEED_BUS = data.StructLayout(
@@ -50,7 +51,7 @@ SEED_BUS = data.StructLayout(
 
 
 def write_bus(sensor: Sensor) -> data.StructLayout:
-    """A write to a setting of a source. echo: to a pixel's echo, else to the background."""
+    """A write to a setting of a source. echo: to the echo of one pixel; otherwise to the background."""
     return data.StructLayout(
         {
             "valid": 1,
@@ -64,19 +65,20 @@ def write_bus(sensor: Sensor) -> data.StructLayout:
 
 COMMON = data.StructLayout(
     {"spread": SPREAD_MAX, "dead": bits_for(DEAD_MAX - 1)}
-)  # spread: a mask of ticks; dead: cycles - 1
+)  # spread: a mask of ticks; dead: cycles of dead time - 1
 
 
 class Seeder(Unit):
-    """Seeds all generators for a frame, from the seed and the frame's number, by a block cipher.
+    """Seeder of all generators: computes a frame's states from the seed and the frame number with a block cipher.
 
     Ports
     -----
-    seed, number : in, of the source and of the frame; begin : in, strobe: either has changed
-    out : out, a step of a lane of a subgroup: a bit for each of its pixels' generators
-    busy : out, from the cycle after `begin` until all have been sent
+    seed, number : in, of the source and of the frame; begin : in, strobe: one of them has changed
+    out : out, one seeding step for one lane of a subgroup: one bit for the generator of each of its pixels
+    busy : out, from the cycle after `begin` until all bits have been sent
 
-    A block takes `ROUNDS` + 1 cycles; a subgroup has 32 blocks per 64 pixels. `begin` while busy starts over. Reset seeds, too.
+    A block takes `ROUNDS` + 1 cycles; a subgroup has 32 blocks per 64 pixels. `begin` while busy starts over. Seeding
+    also starts after a reset.
     """
 
     unit_name = "coincid_seeder"
@@ -115,7 +117,7 @@ class Seeder(Unit):
             self.out.first.eq(lane_step == 0),
             self.out.last.eq(lane_step == STATE_BITS - 1),
         ]
-        done = Signal()  # the cipher holds a finished block
+        done = Signal()  # a finished block of the cipher
         with m.If(turn == 0):
             with m.If(done):
                 m.d.sync += [self.out.valid.eq(1), done.eq(0), block.eq(block + 1)]
@@ -144,13 +146,14 @@ class PhotonSource(Unit):
 
     Ports
     -----
-    subgroup : in, its number
-    timing : in, the sequencer's word, three cycles ahead of the ports; seed : in, the seeder's; write : in, settings; common : in, settings of all
-    words : out, pixels * phases: the edge words that stand at the sensor's ports, of a pixel at most one edge per cycle
+    subgroup : in, the subgroup's number
+    timing : in, the sequencer's word, three cycles ahead of the ports; seed : in, from the seeder; write : in, a
+        setting of one source; common : in, settings of all sources
+    words : out, pixels * phases: edge words for the sensor's ports, with at most one edge per pixel and cycle
 
-    Settings are taken at once, and meant to change between frames only. A pixel's edge comes at the earlier of its background photon and its
-    echo, unless it is dead. Registers: timing, draw, word: so a word stands three cycles behind its `timing`. Reset leaves the settings as they
-    are (an FPGA wakes with 0) and forgets the cycle.
+    Settings take effect at once, but should change only between frames. A pixel's edge is the earlier of its background
+    photon and its echo, unless the pixel is dead. There are three registers from `timing` to the word: timing, draw,
+    word. Reset clears the cycle counter; the settings are not reset (an FPGA powers up with 0).
     """
 
     unit_name = "coincid_source"
@@ -181,7 +184,7 @@ class PhotonSource(Unit):
             is_later.eq(self.timing.running & (is_second | is_later) & ~self.timing.start),
             cycle.eq(Mux(self.timing.start, 0, cycle + 1)),
         ]
-        assert ECHO_FROM == 2  # the cycle from which `is_later`
+        assert ECHO_FROM == 2  # `is_later` begins in this cycle
         background = Signal(RATE_BITS, reset_less=True)
         mine, seeded = Signal(), Signal(SEED_BUS)
         written = Signal(write_bus(sensor))
@@ -209,7 +212,10 @@ class PhotonSource(Unit):
         return m
 
     def _generator(self, m, i, enable, first, bit, last):
-        """The state that the cycle draws from. Seeding: the first step forgets what was, each takes in a bit, the last excludes 0."""
+        """Return the state that the cycle draws from.
+
+        Seeding: the first step clears the old state, every step shifts in one bit, and the last step prevents the state 0.
+        """
         state = Signal(STATE_BITS, name=f"state_{i}", reset_less=True)
         following = Cat(state[taps[0]] ^ state[taps[1]] ^ (state[taps[2]] if len(taps) > 2 else 0) for taps in TAPS)
         following = following & (~first).replicate(STATE_BITS)
@@ -222,7 +228,7 @@ class PhotonSource(Unit):
         return state
 
     def _draw(self, m, i, state, echo, background, common, running, is_first, is_second, is_later, cycle):
-        """Registered: whether the pixel sees a photon in the cycle, and the phase of the first."""
+        """Decide, with registers, whether the pixel sees a photon in the cycle, and give the phase of the first one."""
         sensor = self.emulator.sensor
         phase_bits, stamp_bits = sensor.phase_bits, sensor.stamp_bits
         hit = Signal(name=f"hit_{i}")
@@ -247,7 +253,7 @@ class PhotonSource(Unit):
         return fires, phase
 
     def _word(self, m, i, fires, phase, common):
-        """Registered: the pixel's part of the word, 0 while it is dead."""
+        """Register the pixel's part of the word, which is 0 during the dead time."""
         phases = self.emulator.sensor.phases
         dead = Signal(len(common.dead), name=f"dead_{i}")
         word = Signal(phases, name=f"word_{i}")

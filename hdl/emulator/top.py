@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The emulator: the sensor, a photon source per subgroup, the frame buffer, and a serial line or an AXI4-Lite slave to the outside."""
+"""The emulator's top: sensor, one photon source per subgroup, frame buffer, and a serial line or AXI4-Lite slave."""
 
 from types import SimpleNamespace
 
@@ -19,7 +19,7 @@ from .source import PhotonSource
 
 SERIAL_TOP, BUS_TOP = "coincid_emulator", "coincid_emulator_axi"
 EMULATOR_LIST = "coincid_emulator.f"
-# As the sensor's, with the emulator's address space.
+# As on the sensor, but with the emulator's address space.
 WIDE_LITE = Signature(
     {
         name: type(member)(member.flow, ADDRESS_BITS) if name in ("awaddr", "araddr") else member
@@ -29,14 +29,14 @@ WIDE_LITE = Signature(
 
 
 class BusAccess(Unit):
-    """AXI4-Lite slave before the emulator's control.
+    """AXI4-Lite slave in front of the emulator's control.
 
     Ports
     -----
     s_axi : AXI4-Lite slave, 32-bit data, 24-bit addresses; access : out, to the control
 
-    One access at a time, reads and writes in turn where both wait. A write of less than a whole word answers SLVERR. Reset forgets
-    accesses under way.
+    One access at a time; if both wait, reads and writes take turns. A write of less than a whole word is answered with
+    SLVERR. Reset drops accesses in progress.
     """
 
     unit_name = "coincid_bus_access"
@@ -91,7 +91,7 @@ class BusAccess(Unit):
 
 
 def emulator_netlist(emulator: Emulator, serial: bool = True) -> Netlist:
-    """The emulator's wiring: that of the sensor, whose ports are nets here. serial: pins of a serial line, or else an AXI4-Lite slave."""
+    """Return the emulator's wiring, where the sensor's ports are nets. serial: pins of a serial line, not AXI4-Lite."""
     sensor = emulator.sensor
     n = netlist(sensor)
     outer = SerialBridge(emulator) if serial else BusAccess()
@@ -139,7 +139,7 @@ def emulator_netlist(emulator: Emulator, serial: bool = True) -> Netlist:
 
 
 def emulator_files(emulator: Emulator, serial: bool = True) -> dict[str, str]:
-    """File name -> text of an emulator's Verilog: a file per block and a file list. Equal parameters give equal bytes."""
+    """Return the emulator's Verilog by file name: one file per block, and a file list. It depends only on the parameters."""
     n = emulator_netlist(emulator, serial)
     name = SERIAL_TOP if serial else BUS_TOP
     sensor = emulator.sensor

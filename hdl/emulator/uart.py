@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Serial line: bytes as 8N1, and frames of bytes with their check. The line's law is `model/contract/serial_link.py`."""
+"""Serial line: bytes as 8N1, and frames of bytes with a CRC; protocol in `model/contract/serial_link.py`."""
 
 from types import SimpleNamespace
 
@@ -11,18 +11,19 @@ from amaranth.lib.wiring import In, Out
 from ...model.contract.serial_link import BODY_BYTES_MAX, CRC_BYTES, ESCAPE, FLAG, FLIP
 from ..unit import Unit
 
-BITS = 10  # of a byte on the line: start, eight, stop
+BITS = 10  # per byte on the line: start, eight data bits, stop
 
 
 class Receiver(Unit):
-    """Bytes from the line.
+    """Receiver of bytes from the line.
 
     Ports
     -----
-    rx : in, asynchronous, high where nothing comes; valid : out, strobe; byte : out; broken : out, with `valid`: the stop bit was missing
+    rx : in, asynchronous, high when idle
+    valid : out, strobe; byte : out; broken : out, with `valid`: the stop bit was missing
 
-    A bit is sampled in its middle, as its start was seen by the second of two flip-flops. A line that stays low gives broken bytes. Reset waits for
-    a start.
+    Each bit is sampled in its middle, counted from the start bit behind two flip-flops. A line that stays low gives
+    broken bytes. After a reset, the receiver waits for a start bit.
     """
 
     unit_name = "coincid_uart_receiver"
@@ -36,7 +37,7 @@ class Receiver(Unit):
         line = Signal(init=1)
         m.submodules.synchronizer = FFSynchronizer(self.rx, line, init=1)
         count = Signal(range(self.clocks))
-        left = Signal(range(BITS + 1))  # bits of the byte that are still to come
+        left = Signal(range(BITS + 1))  # bits of the byte still to come
         shift = Signal(BITS)
         before = Signal(init=1)
         m.d.sync += [self.valid.eq(0), before.eq(line)]
@@ -45,7 +46,7 @@ class Receiver(Unit):
                 m.d.sync += [left.eq(BITS), count.eq((self.clocks - 1) // 2)]
         with m.Elif(count == 0):
             m.d.sync += [count.eq(self.clocks - 1), shift.eq(Cat(shift[1:], line)), left.eq(left - 1)]
-            with m.If((left == BITS) & line):  # no start: a spike
+            with m.If((left == BITS) & line):  # a spike, not a start bit
                 m.d.sync += left.eq(0)
             with m.If(left == 1):
                 m.d.sync += [self.valid.eq(1), self.byte.eq(shift[2:]), self.broken.eq(~line)]
@@ -56,13 +57,13 @@ class Receiver(Unit):
 
 
 class Transmitter(Unit):
-    """Bytes to the line.
+    """Transmitter of bytes to the line.
 
     Ports
     -----
-    valid, byte : in; ready : out, the byte is taken in a cycle with both; tx : out, high where nothing goes
+    valid, byte : in; ready : out, the byte is taken in a cycle with both; tx : out, high when idle
 
-    Reset lets go of a byte under way.
+    Reset drops a byte in progress.
     """
 
     unit_name = "coincid_uart_transmitter"
@@ -92,16 +93,17 @@ class Transmitter(Unit):
 
 
 class Deframer(Unit):
-    """Finds frames in bytes, and says of each whether it is right.
+    """Finder and checker of frames in a stream of bytes.
 
     Ports
     -----
-    valid, byte, broken : in, from the receiver; hold : in, forget what comes: the next frame begins at the next flag
-    put, data, index : out, a byte of the body, and its place in it
-    right : out, strobe: a body has ended whose CRC is right; length : out, with it, bytes without the CRC
-    wrong : out, strobe: one has ended that is not
+    valid, byte, broken : in, from the receiver; hold : in, ignore what arrives; the next frame begins at the next flag
+    put, data, index : out, a byte of the body, and its place in the body
+    right : out, strobe: a body has ended, and its CRC is right; length : out, with `right`: bytes without the CRC
+    wrong : out, strobe: a body has ended that is not right
 
-    A body longer than any request is wrong, and so is one with a broken byte. Two flags in a row are no frame. Reset waits for a flag.
+    A body that is longer than any request is wrong, and so is one with a broken byte. Two flags in a row are not a
+    frame. After a reset, the deframer waits for a flag.
     """
 
     unit_name = "coincid_deframer"
@@ -158,14 +160,15 @@ class Deframer(Unit):
 
 
 class Framer(Unit):
-    """Makes frames of bytes.
+    """Encoder of bytes into frames.
 
     Ports
     -----
-    valid, byte, last : in; ready : out, a byte of a body is taken in a cycle with both; `last`: it ends the body
+    valid, byte, last : in; ready : out, a byte of a body is taken in a cycle with both; `last` marks the body's last byte
     out_valid, out_byte : out, out_ready : in, to the transmitter
 
-    Puts flags around the body, its CRC behind it, and escapes what needs it. Reset forgets a frame under way.
+    The framer puts flags around the body, appends the CRC, and escapes bytes where necessary. Reset drops a frame in
+    progress.
     """
 
     unit_name = "coincid_framer"
@@ -188,13 +191,13 @@ class Framer(Unit):
         m.submodules.crc = crc = CRC32_ISO_HDLC(8).create()
         tail = Signal(32)
         left = Signal(range(CRC_BYTES + 1))
-        escaped = Signal()  # the escape for the present byte has been sent
+        escaped = Signal()  # the escape of the current byte has been sent
         byte = Signal(8)
         special = Signal()
         m.d.comb += [crc.data.eq(self.byte), special.eq((byte == FLAG) | (byte == ESCAPE))]
 
         def send_body(m, sent):
-            """Sends `byte`, by an escape where it needs one; `sent` in the cycle in which that is done."""
+            """Send `byte`, escaped if necessary; `sent` is the action in the cycle in which it has gone."""
             m.d.comb += [
                 self.out_byte.eq(Mux(special, Mux(escaped, byte ^ FLIP, ESCAPE), byte)),
                 sent.eq(self.out_valid & self.out_ready & (~special | escaped)),

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The circuits of the asynchronous view: its cells and macros, their delays, and the structure that follows from the re-arm gap.
+"""Circuits of the asynchronous view: its cells, macros and delays, and the structure that follows from the re-arm gap.
 
-The paper shows no circuit; all of this is our choice. Behaviour of the cells: `async_cells.v`; contracts of the macros: docs/async.md.
+The paper shows no circuit; all of this is our choice. Behaviour of the cells: `async_cells.v`; requirements on the
+macros: docs/async.md.
 """
 
 from pathlib import Path
@@ -16,25 +17,26 @@ from ..logic import popcount
 
 CELLS = Path(__file__).with_name(
     "async_cells.v"
-)  # behaviour in femtoseconds, for simulation; cells alone under synthesis
+)  # behaviour in femtoseconds, for simulation; cells alone for synthesis
 MACROS = Path(__file__).with_name("async_macros.v")  # black boxes of the macros, for synthesis
-STEP_FS = SIZE_LIMITS["phases"][2]  # a cycle is a multiple of it, so that its ticks and its sixteenths are whole
-FS_MHZ = 1e9  # femtoseconds of a cycle of 1 MHz
-SLOWEST_MHZ = 1.0  # a cycle's femtoseconds are an integer of Verilog's 32 bits
-FASTEST_MHZ = 1000.0  # the cells' delays leave no time for more
-HIT_FS = 50_000  # SPAD edge to hit
-LEVEL_FS = 25_000  # a level of the OR tree
-SYNCHRONISER_REARM = 3  # shortest re-arm gap of a single window bank, which a two-flop synchroniser clears
-ERROR_BITS = 32  # of a border's mismatch in the generator's parameter
+STEP_FS = SIZE_LIMITS["phases"][2]  # a cycle is a multiple of this, so that its ticks and its sixteenths are integers
+FS_MHZ = 1e9  # femtoseconds in a cycle of 1 MHz
+SLOWEST_MHZ = 1.0  # below it, a cycle in femtoseconds does not fit into Verilog's 32-bit integers
+FASTEST_MHZ = 1000.0  # above it, the delays of the cells are too long
+HIT_FS = 50_000  # from a SPAD's edge to its hit
+LEVEL_FS = 25_000  # delay of one level of the OR tree
+SYNCHRONISER_REARM = 3  # shortest re-arm gap of a single window bank: two synchronising flops are in its clear
+ERROR_BITS = 32  # width of one boundary's mismatch in the generator's parameter
 
 
 @frozen(kw_only=True)
 class Circuit:
-    """What of the asynchronous view is a circuit's property. Raises `InputError`.
+    """Circuit properties of the asynchronous view. Raises `InputError`.
 
-    clock_mhz: system clock. banks: window banks, 1 or 2; None: one where the re-arm gap allows it. mismatch_fs: error of every border of
-    the phase generator (`phases` integers; none: 0). pixel_skew_fs: what each pixel's way to the tree is longer than nominal (`pixels`
-    integers; none: 0). delay_line: the window is a delay line instead of counted borders; gain_ppm: its error.
+    clock_mhz: system clock. banks: window banks, 1 or 2; None: one if the re-arm gap allows it. mismatch_fs: error of
+    every phase boundary of the generator (`phases` integers; none: 0). pixel_skew_fs: extra delay of each pixel's path
+    to the tree beyond nominal (`pixels` integers; none: 0). delay_line: the window is a delay line instead of counted
+    phase boundaries; gain_ppm: error of the delay line.
     """
 
     clock_mhz: float = real(CLOCK_MHZ, SLOWEST_MHZ, FASTEST_MHZ)
@@ -51,11 +53,11 @@ class Circuit:
 
     @property
     def clock_fs(self) -> int:
-        """A cycle of the system clock."""
+        """A cycle of the system clock in femtoseconds."""
         return clock_fs(self.clock_mhz)
 
     def banks_of(self, sensor: Sensor) -> int:
-        """Window banks of a sensor. Raises `InputError` where a single bank cannot honour its re-arm gap."""
+        """Return the number of window banks. Raises `InputError` if a single bank cannot keep to the re-arm gap."""
         banks = self.banks or (1 if sensor.rearm >= SYNCHRONISER_REARM else 2)
         if banks == 1 and sensor.rearm < SYNCHRONISER_REARM:
             raise InputError(
@@ -65,22 +67,22 @@ class Circuit:
 
 
 def clock_fs(clock_mhz: float, step_fs: int = STEP_FS) -> int:
-    """A cycle in femtoseconds, to the nearest multiple of `step_fs`."""
+    """Return a cycle in femtoseconds, rounded to a multiple of `step_fs`."""
     return max(1, round(FS_MHZ / clock_mhz / step_fs)) * step_fs
 
 
 def levels(count: int) -> int:
-    """Levels of an OR tree over `count` inputs."""
+    """Return the number of levels of an OR tree over `count` inputs."""
     return (count - 1).bit_length()
 
 
 def lag_fs(sensor: Sensor) -> int:
-    """From a SPAD's edge to the TDC's sampling flops; the phases lag the clock by as much (a replica in their way)."""
+    """Return the delay from a SPAD's edge to the TDC's sampling flops; a replica delays the phases by the same time."""
     return HIT_FS + LEVEL_FS * (levels(sensor.minigroup_pixels) + levels(sensor.minigroups))
 
 
 def hit_flop(m: Module, name: str, edge: Value, arm: Value, clear: Value, delay_fs: int = 0) -> Signal:
-    """A flop that `edge` sets while armed, until it is cleared."""
+    """Return a flop that `edge` sets while armed; it stays set until it is cleared."""
     hit = Signal(name=name)
     m.submodules[f"flop_{name}"] = Instance(
         "coincid_hit_flop", p_DELAY_FS=delay_fs, i_edge_in=edge, i_arm=arm, i_clear=clear, o_hit=hit
@@ -89,7 +91,7 @@ def hit_flop(m: Module, name: str, edge: Value, arm: Value, clear: Value, delay_
 
 
 def sample(m: Module, name: str, event: Value, data: Value) -> Signal:
-    """`data` as it was at the last rising edge of `event`."""
+    """Return `data` as it was at the last rising edge of `event`."""
     taken = Signal(len(data), name=name)
     m.submodules[f"sample_{name}"] = Instance(
         "coincid_sample", p_WIDTH=len(data), i_event_in=event, i_d=data, o_q=taken
@@ -98,22 +100,22 @@ def sample(m: Module, name: str, event: Value, data: Value) -> Signal:
 
 
 def johnson_number(m: Module, taps: Value, name: str) -> Value:
-    """Borders of the taps since the cycle's start, less the one at it: which part of the cycle it is. One wrong tap is one part."""
+    """Return the part of the cycle that the taps show, counted from 0. One wrong tap changes it by one part."""
     half, first_half = len(taps), taps[0]
-    run = Signal(range(half + 1), name=f"{name}_run")  # taps that have changed since the half cycle's start
+    run = Signal(range(half + 1), name=f"{name}_run")  # taps that have changed since the half cycle began
     m.d.comb += run.eq(popcount(m, taps ^ ~first_half.replicate(half), name))
     return (Mux(first_half, 0, half) + run - 1)[: half.bit_length()]
 
 
 def delayed(m: Module, name: str, signal: Value, delay_fs: int) -> Signal:
-    """`signal` through a matched delay."""
+    """Return `signal` through a matched delay."""
     later = Signal(name=name)
     m.submodules[f"delay_{name}"] = Instance("coincid_delay", p_DELAY_FS=delay_fs, i_a=signal, o_y=later)
     return later
 
 
 def or_tree(m: Module, name: str, inputs: list[Value]) -> Value:
-    """OR in levels of equal delay: where the inputs do not pair up, an OR with 0 stands in."""
+    """Return the OR, in levels of equal delay: an input without a partner is ORed with 0."""
     level = 0
     while len(inputs) > 1:
         nodes = []
@@ -129,9 +131,9 @@ def or_tree(m: Module, name: str, inputs: list[Value]) -> Value:
 
 
 def arbiter_rows(requests: int):
-    """Levels of an arbiter tree over requests 0...n-1: yields ([(node, a, b)], who passes this level alone or None).
+    """Yield an arbiter tree over requests 0...n-1, level by level, as ([(node, a, b)], alone).
 
-    a, b, who: a request, or n + a node's number.
+    a, b, alone: a request, or n + a node's number. `alone` has no partner at this level; None if there is no such one.
     """
     row, node = list(range(requests)), 0
     while len(row) > 1:

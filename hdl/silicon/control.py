@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Window control of the asynchronous view: which window bank is in force, when it may open, and what a cycle was.
+"""Window control of the asynchronous view: selects the window bank in force, arms the banks, and classifies each cycle.
 
-Capture, then validate: the banks open and end by events; what a cycle has brought is read half a cycle after its end, when every event of
-it has come to rest, by one flop a fact, and only those flops decide. So all that follows agrees with itself, whatever an event that meets
-a border has left. Structure and timing are our choice; docs/async.md draws them.
+Capture first, then validate. The banks open and end with events. What happened in a cycle is read half a cycle after its
+end, when every event has settled. One flop reads each fact, and only those flops decide. So everything that follows is
+consistent, even if an event at a cycle boundary left a flop in either state. Structure and timing are our choice;
+docs/async.md draws them.
 """
 
 from types import SimpleNamespace
@@ -21,19 +22,19 @@ class AsyncControl(Unit):
 
     Ports
     -----
-    parity : out, of the cycle that runs: which bank of hit flops listens
+    parity : out, parity of the current cycle, which selects the listening bank of hit flops
     may_open : in, windows may open in the next cycle
-    opened_b : in, bit q = bank b was opened by an edge in a cycle of parity q; ended_b : in, its window has ended
-    parity_b : in, parity of the cycle that it ended in
+    opened_b : in, bit q = an edge in a cycle of parity q has opened bank b; ended_b : in, the bank's window has ended
+    parity_b : in, parity of the cycle in which it ended
     armed_b : out, bit q = an edge in the cycle of parity q may open bank b
     current : out, the bank whose window is in force; it changes in mid-cycle
-    clearing_b : out, bank b is to be cleared in this cycle's last quarter
-    opening, closing, bank : out, of the cycle before the one that ends: a window opened, one closed, in this bank (from mid-cycle on)
+    clearing_b : out, bank b is cleared in the last quarter of this cycle
+    opening, closing, bank : out, from mid-cycle on, for the cycle before: a window opened, one closed, in this bank
 
-    With two banks the other one listens too, from every cycle's start, and is cleared at its end, unless the window turns out to
-    have closed in the cycle before: then it is the current one, and has missed nothing (R = 0). With one, the clear waits for a
-    synchroniser.
-    Reset makes bank 0 the current one, with no window.
+    With two banks, the other bank also listens from the start of every cycle and is cleared at its end. If the window
+    turns out to have closed in the cycle before, the other bank becomes the current one and has missed nothing (R = 0).
+    With one bank, the clear waits for a synchroniser.
+    Reset makes bank 0 the current one, without a window.
     """
 
     unit_name = "coincid_async_control"
@@ -54,7 +55,7 @@ class AsyncControl(Unit):
         )
 
     def of_current(self, name):
-        """The port `name` of the bank whose window is in force."""
+        """Return the port `name` of the bank whose window is in force."""
         banks = [getattr(self, f"{name}_{b}") for b in range(self.banks)]
         return Mux(self.current, *reversed(banks)) if self.banks == 2 else banks[0]
 
@@ -65,7 +66,7 @@ class AsyncControl(Unit):
         m.d.comb += [fall.clk.eq(ClockSignal()), fall.rst.eq(ResetSignal())]
         m.d.sync += self.parity.eq(~self.parity)
 
-        # Mid-cycle: the cycle before has come to rest.
+        # Mid-cycle: the events of the previous cycle have settled.
         before = Signal()
         window_open, read = Signal(), Signal()
         opening, closing = Signal(), Signal()
@@ -87,12 +88,12 @@ class AsyncControl(Unit):
                 m.d.fall += self.current.eq(~self.current)
             m.d.comb += [self.clearing_0.eq(self.current), self.clearing_1.eq(~self.current)]
         else:
-            first, second = Signal(), Signal()  # the synchroniser in the way of the clear
+            first, second = Signal(), Signal()  # the synchroniser in front of the clear
             m.d.sync += [first.eq(self.closing), second.eq(first)]
             m.d.fall += read.eq((read | closing) & ~second)
             m.d.comb += self.clearing_0.eq(second)
 
-        # Armed from a cycle's start; the level stays until the last event of the cycle has passed.
+        # Armed from the start of a cycle; the level stays until the last event of the cycle has passed.
         for b in range(self.banks):
             now = (self.current == b) & (hold == 0) if rearm else 1
             for q in range(2):

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Event tree of the asynchronous view: what the first edge of a cycle sets off.
+"""Event tree of the asynchronous view: passes the first edge of a cycle on to the TDC and the minigroups.
 
-The paper (III-A): the tree is "modelled to propagate events"; the propagated event is "passed to a shared TDC to sample the internal
-states", and every minigroup "provides a coarse timestamp". An arbiter tree beside it remembers who came first. Its circuits are our
-choice.
+The paper (III-A): the tree is "modelled to propagate events"; the propagated event is "passed to a shared TDC to sample
+the internal states", and every minigroup "provides a coarse timestamp". An arbiter tree beside it records which edge
+came first. The circuits are our choice.
 """
 
 from amaranth.hdl import Cat, Const, Instance, Module
@@ -15,12 +15,12 @@ from .circuit import HIT_FS, LEVEL_FS, arbiter_rows, delayed, lag_fs, levels, or
 
 
 def code_bits(sensor: Sensor) -> int:
-    """Bits that an event samples: phases, and the Gray count twice."""
+    """Return the number of bits that an event samples: phases, and the Gray count twice."""
     return sensor.phases // 2 + 2 * sensor.coarse_bits
 
 
 def mark_bits(sensor: Sensor) -> int:
-    """Bits that a minigroup samples: a tap every step of the coarse offsets, and half."""
+    """Return the number of bits that a minigroup samples: one tap per step of the coarse offsets, and `half`."""
     return sensor.offset_phases // 2 + 1
 
 
@@ -29,13 +29,13 @@ class EventTree(Unit):
 
     Ports
     -----
-    hits : in, pixels; phases, gray_a, gray_b, half : in, of the TDC
+    hits : in, pixels; phases, gray_a, gray_b, half : in, from the TDC
     root : out, some pixel was hit
     code : out, `code_bits` as the first hit sampled them: phases, gray_a, gray_b
-    marks : out, `mark_bits` a minigroup, as its first hit sampled them
-    later_first : out, a bit a node of the arbiter tree (`arbiter_rows`): the later of the two in order of index came first
+    marks : out, `mark_bits` per minigroup, as its first hit sampled them
+    later_first : out, one bit per node of the arbiter tree (`arbiter_rows`): the request of the higher index came first
 
-    It has no clock: `hits` cleared, it is as new.
+    The tree has no clock. Clearing `hits` returns it to its initial state.
     """
 
     unit_name = "coincid_async_tree"
@@ -77,6 +77,6 @@ class EventTree(Unit):
                     "coincid_mutex", i_a=requests[a], i_b=requests[b], o_second=self.later_first[k]
                 )
                 requests[sensor.pixels + k] = or_tree(m, f"request_{k}", [requests[a], requests[b]])
-            if alone is not None:  # as late as the others of its level
+            if alone is not None:  # with the same delay as the others of its level
                 requests[alone] = or_tree(m, f"wait_{level}", [requests[alone], Const(0)])
         return m

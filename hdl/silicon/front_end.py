@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Front end of the asynchronous view: hit flops that the SPADs clock, event trees, window banks, and the way to the clock.
+"""Front end of the asynchronous view: hit flops that the SPADs clock, event trees, window banks, and synchronisers.
 
-It stands where `CoincidenceTree` does and gives the same, in the same cycles. The paper (III-A, Fig. 3) draws this tree and shows
-no circuit; flops, banks and synchronisers are our choice, explained in docs/async.md.
+It replaces `CoincidenceTree` and has the same outputs in the same cycles. The paper (III-A, Fig. 3) draws this tree and
+shows no circuit; flops, banks and synchronisers are our choice, explained in docs/async.md.
 """
 
 from types import SimpleNamespace
@@ -22,17 +22,18 @@ from .tdc import line_signature
 
 
 class AsyncFrontEnd(Unit):
-    """The front end of a subgroup.
+    """Front end of a subgroup.
 
     Stages count from the SPADs' edges, as in `CoincidenceTree`: a window that closes in cycle c leaves at stage 7.
 
     Ports
     -----
-    spad : in, pixels, an edge rises; mask : in; gate : in, the gate is open, or gating is off (stage 0)
-    window_ticks, frame, timing : in; closed, window, offsets, blind, record_due, latched, entries : out, as of `CoincidenceTree`
+    spad : in, pixels, the rising edge is the avalanche; mask : in; gate : in, the gate is open, or gating is off (stage 0)
+    window_ticks, frame, timing : in; closed, window, offsets, blind, record_due, latched, entries : out, as in
+        `CoincidenceTree`
     line : the subgroup's TDC sampling line
 
-    Reset clears every flop that an event sets, at once, and arms the tree.
+    Reset at once clears every flop that an event sets, and arms the tree.
     """
 
     unit_name = "coincid_async_front"
@@ -74,7 +75,7 @@ class AsyncFrontEnd(Unit):
         parity = control.parity
         m.d.comb += control.may_open.eq(may_open[0])
 
-        # Two banks of hit flops take turns, a cycle each; one is read and cleared while the other listens.
+        # Two banks of hit flops take turns, one cycle each; one is read and cleared while the other listens.
         reset = Signal()
         m.d.comb += reset.eq(ResetSignal())
         flops, trees = [], []
@@ -102,7 +103,8 @@ class AsyncFrontEnd(Unit):
             ]
             trees.append(tree)
 
-        # Window banks: the first root opens, counted phases end it, and the end takes a picture of the hits, as late as itself.
+        # Window banks: the first root opens the window, counted phases end it, and its end samples the hits, which are
+        # delayed by as much as the end itself.
         late = lag_fs(sensor) + self.circuit.clock_fs // QUARTERS - HIT_FS
         parity_late = sample(m, "parity_late", line.mark, parity)
         shown = Mux(
@@ -117,9 +119,7 @@ class AsyncFrontEnd(Unit):
                 armed.eq(getattr(control, f"armed_{b}")),
                 clear.eq((line.wipe & getattr(control, f"clearing_{b}")) | reset),
             ]
-            if (
-                banks == 2
-            ):  # once it is known that the other bank's window goes on, what remains of the cycle opens nothing here
+            if banks == 2:  # once the other bank's window is known to go on, the rest of the cycle opens nothing here
                 m.d.comb += armed.eq(
                     getattr(control, f"armed_{b}")
                     & ((control.current == b).replicate(2) | Cat(~parity & ~line.shut, parity & ~line.shut))
@@ -146,8 +146,8 @@ class AsyncFrontEnd(Unit):
                 getattr(control, f"parity_{b}").eq(sample(m, f"ended_parity_{b}", ended, parity_late)),
             ]
 
-        # Half a cycle after a cycle everything of it has come to rest, and is read before it is cleared; stages 2 and 3 are the
-        # synchroniser.
+        # Half a cycle after a cycle, all its events have settled and are read before they are cleared. Stages 2 and 3
+        # are the synchroniser.
         before = Signal()
         m.d.comb += before.eq(~parity)
 
@@ -180,7 +180,7 @@ class AsyncFrontEnd(Unit):
         return m
 
     def _collect(self, m, platform, at, may_open, wrap):
-        """From what a cycle has brought (`at`, stage 3) to windows and records, at the clock. Returns its state."""
+        """Form windows and records, at the clock, from the facts about a cycle (`at`, stage 3). Return the state."""
         sensor, line = self.sensor, self.line
         window_open, inside = Signal(), Signal()
         hit = Signal(sensor.pixels)
@@ -190,7 +190,7 @@ class AsyncFrontEnd(Unit):
         ]
         m.d.sync += window_open.eq(inside & ~at["closing"])
 
-        # Stage 4 and 5: the winner, the stamp, and the leaves' part of the map.
+        # Stages 4 and 5: the winner, the stamp, and the leaves' part of the map.
         opening_4, closing_4, closed = Signal(), Signal(), Signal()
         opening_5, opening_6 = Signal(), Signal()
         elapsed = Signal(sensor.elapsed_bits)
@@ -237,7 +237,7 @@ class AsyncFrontEnd(Unit):
         m.d.sync += self.blind.eq(any_of(m, [leaf.blind for leaf in leaves], "blind_or"))
         m.d.comb += self.record_due.eq(wrap)
 
-        # Stage 6 and 7: number of pixels in the map, in two steps. Data move every cycle; `closed` says when they count.
+        # Stages 6 and 7: the number of pixels in the map, in two steps. Data move every cycle; `closed` marks valid ones.
         closed_6 = Signal()
         half = Signal(bus.window_layout(sensor))
         chunk = 1 << (bits_for(sensor.pixels - 1) + 1) // 2
@@ -270,7 +270,7 @@ class AsyncFrontEnd(Unit):
         )
 
     def _winner(self, m, later_first):
-        """Index of the pixel that came first, by the nodes of the arbiter tree."""
+        """Return the index of the pixel that came first, from the nodes of the arbiter tree."""
         index = {i: Const(i, self.sensor.winner_bits) for i in range(self.sensor.pixels)}
         top = 0
         for pairs, _ in arbiter_rows(self.sensor.pixels):
@@ -281,11 +281,11 @@ class AsyncFrontEnd(Unit):
         return index[top]
 
     def _stamp(self, m, at, opening_4):
-        """Stamp of the window that opened last (stage 5, at a register's end).
+        """Return the stamp of the window that opened last (stage 5, at a register's output).
 
-        The phases say where in its cycle the event was. Close to a border of the cycle the coarse count may be in transition: there
-        the copy that changes half a cycle later is taken, which is at rest. Which side of the border the event belongs to the hit
-        flops have decided.
+        The phases give the position of the event in its cycle. Near a cycle boundary, the coarse count may be in
+        transition. In this case the copy that changes half a cycle later is used, because it is stable there. The hit
+        flops have already decided on which side of the boundary the event lies.
         """
         sensor, line = self.sensor, self.line
         taps, bits = sensor.phases // 2, sensor.coarse_bits
@@ -302,7 +302,7 @@ class AsyncFrontEnd(Unit):
             coarse_b.eq(self._binary(gray_b)),
         ]
         quarter = phase_4[-2:]
-        lags = Signal()  # the copy still shows the cycle before
+        lags = Signal()  # the copy still shows the previous cycle
         m.d.comb += lags.eq(coarse_b[0] != parity_4)
         with m.If(opening_4):
             m.d.sync += [phase.eq(phase_4), coarse.eq(coarse_a), base.eq(base_4)]
@@ -315,7 +315,7 @@ class AsyncFrontEnd(Unit):
         return Cat(phase, (coarse - base)[:bits])
 
     def _binary(self, gray):
-        """Number that a Gray code stands for."""
+        """Return the number that a Gray code stands for."""
         return Cat(gray[k:].xor() for k in range(len(gray)))
 
 

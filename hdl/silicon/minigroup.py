@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Minigroup of the asynchronous view: its part of the ID map, and its record, from what its events sampled."""
+"""Minigroup of the asynchronous view: its part of the ID map, and its record, from the samples of its events."""
 
 from types import SimpleNamespace
 
@@ -15,16 +15,17 @@ from .event_tree import mark_bits
 
 
 class AsyncMinigroup(Minigroup):
-    """Minigroup behind the hit flops. The record circuit is the polyphase minigroup's.
+    """Minigroup behind the hit flops. Its record circuit is that of the polyphase minigroup.
 
     Ports
     -----
-    active : in, pixels with an edge in the cycle; mark : in, what the first of them sampled; parity : in, of the cycle (stage 3)
-    hit : in, pixels whose edge lies inside the window (stage 3)
-    opening : in, a window opened in this cycle; winner : in, its winner, one-hot (stage 4); elapsed : in, cycles since it did (stage 7)
+    active : in, pixels with an edge in the cycle; mark : in, sampled by the first of them; parity : in, of the cycle (stage 3)
+    hit : in, pixels whose edge is inside the window (stage 3)
+    opening : in, a window opened in this cycle; winner : in, its winner, one-hot (stage 4)
+    elapsed : in, cycles since the window opened (stage 7)
     hits : out, the window's map (stage 5); offset : out, the coarse offset of the first counted edge (stage 8)
     blind : out, an edge outside a window (stage 4)
-    frame, may_open, wrap : in; latched, entry : out, as of `Minigroup` (stage 3); coarse : in (stage 4)
+    frame, may_open, wrap : in; latched, entry : out, as in `Minigroup` (stage 3); coarse : in (stage 4)
     """
 
     unit_name = "coincid_async_minigroup"
@@ -69,7 +70,7 @@ class AsyncMinigroup(Minigroup):
         with m.If(self.opening):
             m.d.sync += hits.eq(
                 hit | self.winner
-            )  # the winner has opened the window: it is in the map whatever its flop says
+            )  # the winner opened the window, so it is always in the map, even if its hit flop missed
         with m.Else():
             m.d.sync += hits.eq(hits | hit)
         m.d.comb += self.hits.eq(hits)
@@ -80,9 +81,10 @@ class AsyncMinigroup(Minigroup):
         return m
 
     def _sampled_step(self, m):
-        """Step of the cycle in which the first edge came, from its mark.
+        """Return the step of the cycle in which the first edge came, from its mark.
 
-        The hit flops have decided which cycle the edge belongs to. A quarter that was read beyond that cycle's border is the border's.
+        The hit flops have already decided to which cycle the edge belongs. A quarter beyond that cycle's boundary is
+        therefore set to the quarter at the boundary.
         """
         *taps, half = self.mark
         step = Signal(self.sensor.step_bits)

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""TDC of the asynchronous view: one multiphase generator and one free-running Gray coarse counter, which events sample.
+"""TDC of the asynchronous view: a multiphase generator and a free-running Gray coarse counter, sampled by events.
 
-The paper (III-A): two subgroups "share a single always-on time-to-digital converter (TDC) with independent lines for timestamping"; the
-event samples its internal states. A Gray count read in transition, and the half-cycle copy that settles it, are our choice.
+The paper (III-A): two subgroups "share a single always-on time-to-digital converter (TDC) with independent lines for
+timestamping"; the event samples its internal states. The Gray code, and the copy half a cycle later that resolves a
+count in transition, are our choice.
 """
 
 from amaranth.hdl import ClockSignal, Const, Instance, Module, Signal
@@ -13,16 +14,17 @@ from ..tdc import START_TO_PHASE
 from ..unit import Unit
 from .circuit import ERROR_BITS, Circuit, lag_fs, sample
 
-STAGE = 3  # one behind the polyphase line's: of the cycle that `base` and `cycle` speak of
+STAGE = 3  # of the cycle that `base` and `cycle` describe: one later than in the polyphase line
 
 
 def line_signature(sensor: Sensor) -> Signature:
-    """A sampling line, seen from the subgroup: what its events sample, and what the cycle of stage 3 is called.
+    """Return a sampling line, seen from the subgroup: the sampled signals, and the cycle number at stage 3.
 
-    phases : in, phases/2 taps, each high for half a cycle from its border on; they lag the clock by `lag_fs`
-    gray_a, gray_b : in, coarse count in Gray code from the cycle's start, and half a cycle later; half : in, the latter's lowest bit
+    phases : in, phases / 2 taps, each high for half a cycle from its phase boundary on; they lag the clock by `lag_fs`
+    gray_a, gray_b : in, coarse count in Gray code: from the cycle's start, and half a cycle later; half : in, lowest bit
+        of gray_b
     mark, shut, wipe : in, strobes (docs/async.md)
-    base : in, the coarse count in cycle 0 of the period; cycle : in, the cycle's number in its period (stage 3)
+    base : in, coarse count in cycle 0 of the period; cycle : in, number of the cycle in its period (stage 3)
     """
     bits = sensor.coarse_bits
     return Signature(
@@ -41,14 +43,15 @@ def line_signature(sensor: Sensor) -> Signature:
 
 
 class AsyncTdc(Unit):
-    """The TDC of a module.
+    """TDC of a module.
 
     Ports
     -----
-    start : in, a period's first cycle, registered in the module
+    start : in, first cycle of a period, registered in the module
     line_0, line_1 : sampling lines (`line_signature`, seen from the other side); neither disturbs the other
 
-    Reset sets the coarse counter to 0; it never stops and never restarts, so that one bit of its Gray code changes at a time.
+    Reset sets the coarse counter to 0. The counter never stops and never restarts, so only one bit of its Gray code
+    changes at a time.
     """
 
     def __init__(self, sensor: Sensor, circuit: Circuit, lines: int = 2):

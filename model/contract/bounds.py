@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Default ceilings of the threshold controller: no threshold is higher than necessary to keep commits from noise alone
-rare. This is our own choice.
+"""Default upper limits of the threshold controller. This is our own choice.
 
-Evenly spread noise opens windows and fills them by the Poisson law: a window that opens in any phase of a cycle keeps
-the tree busy for `window_ticks + (phases - 1) / 2` ticks and the re-arm gap on average, and holds as many further
-photons as come in its length.
+No threshold is higher than is necessary to make commits from noise alone rare. Evenly spread noise opens windows and
+fills them by the Poisson law. If a window opens in any phase of a cycle with equal probability, it occupies the tree for
+`window_ticks + (phases - 1) / 2` ticks and the re-arm gap on average. It holds as many further photons as arrive during
+its length.
 """
 
 from functools import cache
@@ -15,20 +15,22 @@ from .parameters import guard_cycles
 from .registers import AUTO_BOUNDS, EVENTS_MAX
 
 NOISE_COMMITS_PER_PULSE = 0.25
-PHOTONS_PER_TICK = (1e-7, 10.0, 100_000)  # of a subgroup: lowest, highest, and how many in between are tried
+PHOTONS_PER_TICK = (1e-7, 10.0, 100_000)  # photons per tick of a subgroup: lowest, highest, number of values tried
 
 
 @cache
 def noise_bounds(
     *, phases: int, window_ticks: int, rearm_cycles: int, period_cycles: int, pulses: int
 ) -> tuple[int, ...]:
-    """`auto_bounds`: bound k is the number of opened windows from which on threshold 1 + k lets noise commit more than
-    `NOISE_COMMITS_PER_PULSE`, so that the next one may be needed."""
+    """`auto_bounds`: at bound k (from 1) opened windows, noise commits `NOISE_COMMITS_PER_PULSE` at threshold k.
+
+    So threshold k + 1 may be needed from there on.
+    """
     per_tick = np.geomspace(*PHOTONS_PER_TICK)
     open_ticks = phases * (period_cycles - guard_cycles(window_ticks, phases, rearm_cycles))
     busy_ticks = window_ticks + (phases - 1) / 2 + phases * rearm_cycles
     opened = pulses * open_ticks / (1 / per_tick + busy_ticks)
-    exactly = np.exp(-per_tick * window_ticks)  # chance of `others` further photons in a window
+    exactly = np.exp(-per_tick * window_ticks)  # probability of exactly `others` further photons in a window
     at_least = np.ones_like(per_tick)
     bounds = []
     for others in range(AUTO_BOUNDS):

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Configuration files: the sensor as built, the frame, and every subgroup's settings.
+"""Configuration files: the sensor as built, the frame, and the settings of every subgroup.
 
-Ranges and defaults are those of `parameters.py` and of the register table; combinations that make no sense are refused,
-as the start write refuses them.
+Ranges and defaults come from `parameters.py` and from the register table. Combinations that make no sense are refused,
+as the sensor refuses them at a start.
 """
 
 import re
@@ -44,7 +44,7 @@ FRAME_REGISTERS = (  # keys of [frame] that are registers
 BY_FRAME_LENGTH = (
     "auto_bounds",
     "capacity",
-)  # keys of [frame] in events of a frame; None: by the frame's other settings
+)  # keys of [frame] that count events per frame; None: the default follows from other settings of the frame
 SUBGROUP_INTEGERS = ("threshold", "window", "gate_start", "gate_len")
 MODE_BITS = tuple(bits.name for bits in MODE.bits)
 PRESETS = {path.stem: path for path in sorted((Path(__file__).parent / "presets").glob("*.toml"))}
@@ -144,7 +144,7 @@ class Config:
 
     @property
     def auto_bounds(self) -> np.ndarray:
-        """int64[6]: the controller's bounds, ascending; if the file has none, those for noise in the longest window."""
+        """int64[6]: the controller's bounds, ascending; by default, those for noise in the longest window."""
         bounds = self.frame["auto_bounds"] or noise_bounds(
             phases=self.sensor.phases,
             window_ticks=int(self.window.max()),
@@ -156,14 +156,14 @@ class Config:
 
     @property
     def capacity(self) -> int:
-        """Events that a stream carries in a frame; if the file does not say, as many as its link takes."""
+        """Events that a stream carries in a frame; by default, as many as its link takes."""
         given: int | None = self.frame["capacity"]
         return self.capacity_of(int(self.pulses * self.period * self.link_share)) if given is None else given
 
     def capacity_of(self, beats: int) -> int:
-        """Events that `beats` of a stream carry in a frame.
+        """Return the number of events that `beats` of a stream carry in a frame.
 
-        With minigroup records every subgroup may send one per pulse, before its events.
+        With minigroup records, every subgroup may send one record per pulse before its events.
         """
         parts = layout(self.sensor)
         if self.frame["minigroup_records"]:
@@ -182,14 +182,14 @@ class Config:
         return self.auto & self.coincidence
 
     def start_cycles(self) -> np.ndarray:
-        """int64[pulses + 1]: cycle in which each period of a frame begins, from 0 on; the last element is the end of the frame."""
+        """int64[pulses + 1]: cycle at which each period of a frame begins, starting at 0; the last element ends the frame."""
         starts = start_cycles(self.pulses, self.period, self.frame["dither_bits"], self.frame["dither_seed"])
         starts[-1] = starts[-2] + self.period
         return starts
 
     @property
     def frame_cycles(self) -> int:
-        """Cycles of a frame, from the first cycle of the first period to the last cycle of the last one."""
+        """Cycles in a frame, from the first cycle of the first period to the last cycle of the last one."""
         return int(self.start_cycles()[-1])
 
     @property
@@ -197,11 +197,10 @@ class Config:
         return self.period * self.sensor.phases
 
     def tready(self, receiver: np.ndarray | None = None) -> np.ndarray:
-        """uint8[n]: `tready` of every stream in each cycle of a frame, as the link and the receiver behind it determine
-        it; 1 from cycle n on.
+        """uint8[n]: `tready` of every stream in each cycle of a frame; 1 from cycle n on.
 
-        receiver: uint8[m], cycles in which the receiver behind the link takes a beat; from cycle m on, or if it is
-        None, it always does.
+        It follows from the link and the receiver behind it. receiver: uint8[m], the cycles in which the receiver takes a
+        beat; from cycle m on, or if it is None, it always takes one.
         """
         receiver = np.zeros(0, np.uint8) if receiver is None else np.asarray(receiver, np.uint8)
         share = self.link_share
@@ -213,13 +212,17 @@ class Config:
         return ready
 
     def with_frame(self, **settings: Any) -> "Config":
-        """A copy with other settings of the frame: keys and values of [frame]. Raises `InputError` with the key and its range."""
+        """Return a copy with other settings of the frame: keys and values of [frame].
+
+        Raises `InputError` with the key and its range.
+        """
         return evolve(self, frame=self.frame | _frame(settings, self.sensor))
 
     def with_settings(self, **settings: Any) -> "Config":
-        """A copy with other settings of the subgroups: keys and values of [subgroup].
+        """Return a copy with other settings of the subgroups: keys and values of [subgroup].
 
-        A list or an array gives one value per subgroup; masks may also be rows of booleans. Raises `InputError` with the key and its range.
+        A list or an array gives one value per subgroup; masks may also be rows of booleans. Raises `InputError` with the
+        key and its range.
         """
         columns: dict[str, Any] = {}
         for name, value in _known("subgroup", settings, SUBGROUP_KEYS).items():
@@ -235,7 +238,7 @@ class Config:
         return evolve(self, **columns)
 
     def with_pulses(self, pulses: int) -> "Config":
-        """A copy with another number of pulses per frame; settings in events per frame (`BY_FRAME_LENGTH`) change in proportion."""
+        """Return a copy with another number of pulses per frame; settings in events per frame change in proportion."""
         events = {name: self.frame[name] for name in BY_FRAME_LENGTH if self.frame[name] is not None}
         scaled = {
             name: np.minimum(np.multiply(value, pulses) // self.pulses, BY_NAME[name].high(self.sensor))
@@ -244,7 +247,7 @@ class Config:
         return self.with_frame(pulses=pulses, **scaled)
 
     def register_writes(self) -> list[tuple[int, int]]:
-        """(address, value) of every setting, as a driver programs them before a frame."""
+        """Return (address, value) of every setting, as a driver writes them before a frame."""
         frame = self.frame | {"format": FORMAT_NAMES.index(self.format)}
         writes = [(registers.address(name), int(frame[name])) for name in FRAME_REGISTERS]
         writes += [(registers.address("auto_bounds", index=i), int(bound)) for i, bound in enumerate(self.auto_bounds)]
@@ -286,7 +289,7 @@ def load_config(path: FilePath | None = None) -> Config:
 
 
 def read_toml(path: FilePath) -> dict[str, Any]:
-    """The TOML document in a file. Raises `InputError` that does not name it."""
+    """Return the TOML document in a file. Raises `InputError` without the file's name."""
     try:
         return tomllib.loads(Path(path).read_text(encoding="utf-8"))
     except FileNotFoundError:
@@ -375,7 +378,7 @@ def _frame_defaults(sensor: Sensor) -> dict[str, Any]:
 
 
 def _frame(given: dict[str, Any], sensor: Sensor) -> dict[str, Any]:
-    """Checked values of any keys of [frame]."""
+    """Return the checked values of some keys of [frame]."""
     checked: dict[str, Any] = {}
     for name, value in _known("frame", given, _frame_defaults(sensor)).items():
         where, value = f"frame.{name}", _plain(value)
@@ -405,7 +408,7 @@ def _bounds(where: str, value: object, sensor: Sensor) -> list[int]:
 
 
 def _setting(where: str, name: str, value: object, sensor: Sensor) -> np.ndarray | np.int64 | bool:
-    """The checked value of a key of [subgroup]; the mask becomes bool[pixels]."""
+    """Return the checked value of a key of [subgroup]; the mask becomes bool[pixels]."""
     if name == "mask":
         return _mask(where, value, sensor.pixels)
     if name in MODE_BITS:
@@ -414,12 +417,12 @@ def _setting(where: str, name: str, value: object, sensor: Sensor) -> np.ndarray
 
 
 def _column(value: np.ndarray | np.int64 | bool, sensor: Sensor) -> np.ndarray:
-    """The same value for every subgroup."""
+    """Return an array with the same value for every subgroup."""
     return np.repeat(np.asarray(value)[None], sensor.subgroups, axis=0)
 
 
 def _plain(value: object) -> object:
-    """A setting as a file would hold it: no NumPy types, no tuples."""
+    """Return a setting as a file would hold it: no NumPy types, no tuples."""
     if isinstance(value, np.ndarray | np.generic):
         return value.tolist()
     return list(value) if isinstance(value, tuple) else value
@@ -445,5 +448,5 @@ def _mask(where: str, value: object, pixels: int) -> np.ndarray:
 
 
 def sensor_table(sensor: Sensor) -> dict[str, Any]:
-    """The sensor's part of a configuration file."""
+    """Return the sensor's part of a configuration file."""
     return {name: list(value) if isinstance(value, tuple) else value for name, value in asdict(sensor).items()}

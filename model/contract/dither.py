@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Dither of the laser period: after each period the next trigger waits for a pseudo-random number of cycles.
+"""Dither of the laser period: after each period, the next trigger waits for a pseudo-random number of cycles.
 
-Light that repeats with the period of our laser, above all that of another LiDAR, then arrives at a different time of
-flight in every period. The paper has no such register; all of this is our own choice.
+Light that repeats with the period of our laser, above all the light of another LiDAR, then arrives at a different time
+of flight in every period. The paper has no such register; all of this is our own choice.
 """
 
 from functools import cache
@@ -14,11 +14,10 @@ DITHER_BITS_MAX = 8
 
 
 def start_cycles(pulses: int, period_cycles: int, bits: int = 0, seed: int = 1) -> np.ndarray:
-    """int64[pulses + 1]: cycle in which each period of a frame begins, counted from the start of the first one; the
-    last element is where one more would begin.
+    """int64[pulses + 1]: cycle at which each period of a frame begins, starting at 0.
 
-    The wait after a period is the low `bits` of the LFSR at its end. The LFSR begins at `seed` with the frame and steps
-    once per cycle of the periods, not while waiting.
+    The last element is where one more period would begin. The wait after a period is the low `bits` of the LFSR at its
+    end. The LFSR starts each frame at `seed` and steps once per cycle of the periods, not while waiting.
     """
     waits = np.zeros(pulses, np.int64)
     if bits:
@@ -31,7 +30,7 @@ def start_cycles(pulses: int, period_cycles: int, bits: int = 0, seed: int = 1) 
 
 @cache
 def _after(steps: int) -> np.ndarray:
-    """int64[2^16]: for each state of the LFSR the one `steps` steps later, by repeated squaring of a single step."""
+    """int64[2^16]: for each state of the LFSR, the state `steps` steps later, by repeated squaring of a single step."""
     state = np.arange(1 << LFSR_BITS)
     jump, result = state >> 1 ^ np.where(state & 1, LFSR_TAPS, 0), state
     while steps:

@@ -25,9 +25,9 @@ class Fate(enum.IntEnum):
 class Edges:
     """SPAD edges, one per element, in any order.
 
-    pulse: int64[n], laser pulse counted through the frames (frame = pulse // pulses). pixel: int64[n], row * cols +
+    pulse: int64[n], laser pulse, counted through the frames (frame = pulse // pulses). pixel: int64[n], row * cols +
     col. tick: int64[n], TDC ticks since the laser trigger of that pulse. offset_ps: float64[n], position of the edge in
-    its tick, from the tick's start; None: in its middle. It matters to the asynchronous view only.
+    its tick, from the tick's start; None: in the middle. It only matters to the asynchronous view.
     """
 
     pulse: np.ndarray
@@ -39,12 +39,12 @@ class Edges:
         return len(self.tick)
 
     def save(self, path: FilePath) -> None:
-        """Writes the edges as NPZ, whole or not at all."""
+        """Write the edges as NPZ, whole or not at all."""
         offset = {} if self.offset_ps is None else {"offset_ps": self.offset_ps}
         write_npz(path, {name: getattr(self, name) for name in NAMES} | offset)
 
     def frame(self, number: int, pulses: int) -> tuple["Edges", np.ndarray]:
-        """The edges of one frame, pulses counted from the frame's start, and their indices here."""
+        """Return the edges of one frame, with pulses counted from the frame's start, and their indices here."""
         index = np.flatnonzero(self.pulse // pulses == number)
         offset = None if self.offset_ps is None else self.offset_ps[index]
         return Edges(self.pulse[index] - number * pulses, self.pixel[index], self.tick[index], offset), index
@@ -54,11 +54,11 @@ NAMES = ("pulse", "pixel", "tick")
 
 
 def load_edges(path: FilePath, *, pixels: int, pulses: int, period_ticks: int) -> Edges:
-    """Reads and checks an edge file: pixel below `pixels`, tick below `period_ticks`, pulse below `pulses` (of all
-    frames).
+    """Read and check an edge file.
 
-    An array `offset_ps` may say where in its tick each edge is. Raises `InputError` naming the array, its first bad
-    element and the legal range.
+    Limits: pixel below `pixels`, tick below `period_ticks`, pulse below `pulses` (of all frames). An array `offset_ps`
+    may give the position of each edge in its tick. Raises `InputError` with the array, its first bad element and the
+    legal range.
     """
     arrays = read_npz(path, NAMES, optional=("offset_ps",))
     return checked_edges(arrays, pixels=pixels, pulses=pulses, period_ticks=period_ticks, source=f"{path}: ")
@@ -67,7 +67,7 @@ def load_edges(path: FilePath, *, pixels: int, pulses: int, period_ticks: int) -
 def checked_edges(
     arrays: dict[str, np.ndarray], *, pixels: int, pulses: int, period_ticks: int, source: str = ""
 ) -> Edges:
-    """`Edges` from equal-length integer arrays inside their ranges, else `InputError`."""
+    """Return `Edges` made from integer arrays of equal length and inside their ranges. Raises `InputError`."""
     for name in NAMES:
         array = arrays[name]
         if array.ndim != 1:

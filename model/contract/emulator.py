@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The emulator: the sensor with a photon source on the same chip. Its parameters, registers, and the source's arithmetic.
+"""The emulator, a sensor with photon sources on the same chip: parameters, registers, and arithmetic of a source.
 
-The paper has no such thing; all of it is our choice. The emulator's address space holds the sensor's registers at `SENSOR_BASE`, its own at
-`OWN_BASE`, the settings of subgroup s's source at `SOURCE_BASE + SOURCE_STRIDE * s`, and the beats of the frame buffer from `BUFFER_BASE` on.
+The paper has no such thing; all of it is our choice. The emulator's address space holds the registers of the sensor at
+`SENSOR_BASE`, its own at `OWN_BASE`, the settings of subgroup s's source at `SOURCE_BASE + SOURCE_STRIDE * s`, and the
+beats of the frame buffer from `BUFFER_BASE` on.
 """
 
 from attrs import field, frozen
@@ -12,13 +13,14 @@ from .parameters import Sensor
 from .registers import Access, Bits, Register
 
 ADDRESS_BITS = 24
-REGION_BITS = 20  # of an address inside a region; the bits above name the region
+REGION_BITS = 20  # bits of an address inside a region; the bits above select the region
 SENSOR_BASE, OWN_BASE, SOURCE_BASE, BUFFER_BASE = 0x000000, 0x100000, 0x200000, 0x300000
 SOURCE_STRIDE = 0x800
 EMULATOR_ID = 0x454D554C  # "EMUL"
 EMULATOR_VERSION = 0x00010000
 
-# The source. Every pixel has a generator: a linear one of 32 bits whose next bit i is the XOR of the bits `TAPS[i]`. Its period is 2^32 - 1.
+# The photon source. Every pixel has a linear generator of 32 bits. Its next bit i is the XOR of the bits `TAPS[i]`, and
+# its period is 2^32 - 1.
 STATE_BITS = 32
 TAPS = (
     (9, 18, 22), (17, 23, 28), (1, 2, 28), (3, 6, 30), (1, 12, 24), (1, 6, 8), (5, 21, 27), (18, 24, 31),
@@ -26,29 +28,30 @@ TAPS = (
     (16, 19, 27), (2, 8, 9), (4, 18, 26), (19, 21, 22), (3, 4, 8), (12, 13, 22), (11, 30, 31), (11, 14, 20),
     (4, 13, 27), (11, 23, 26), (0, 14, 22), (10, 25, 29), (5, 16, 27), (19, 21, 24), (7, 21, 28), (12, 29, 31),
 )  # fmt: skip
-SEED_BIT = 15  # where a generator takes in its seed, bit by bit
+SEED_BIT = 15  # bit of a generator at which its seed is shifted in
 LEVEL_LSB, LEVEL_BITS = (
     0,
     8,
-)  # of the state: what decides on an echo, in a period's first cycle; its low bits place it, in the second
-PHASE_LSB = 8  # of the state: the phase of a background photon
-RATE_LSB, RATE_BITS = 16, 16  # of the state: what decides on a background photon
+)  # bits of the state: in a period's first cycle they decide on an echo; in the second, the low ones place it
+PHASE_LSB = 8  # bits of the state: phase of a background photon
+RATE_LSB, RATE_BITS = 16, 16  # bits of the state: they decide on a background photon
 SPREAD_MAX = 4
 DEAD_MAX = 15
-ECHO_FROM = 2  # cycle of a period in which its echo can come first
+ECHO_FROM = 2  # first cycle of a period in which its echo can arrive
 
-# Seeds come from a block cipher: rounds of Speck64 (Beaulieu et al., 2013) with keys that count on from the seed.
+# Seeds come from a block cipher: rounds of Speck64 (Beaulieu et al., 2013), whose keys count upwards from the seed.
 ROUNDS = 20
 KEY_STEP = 0x9E3779B9
 ROTATE_RIGHT, ROTATE_LEFT = 8, 3
-LANE_PIXELS = 64  # that a block of the cipher feeds with a bit each
+LANE_PIXELS = 64  # pixels that share a block of the cipher, one bit each
 
 
 @frozen(kw_only=True)
 class Emulator:
-    """An emulator as built. sensor: what is emulated, with one stream. buffer_beats: of the frame buffer, a power of two.
+    """An emulator as built. Raises `InputError`.
 
-    clocks_per_bit: of the serial link. Raises `InputError`.
+    sensor: the emulated sensor, with one stream. buffer_beats: size of the frame buffer, a power of two. clocks_per_bit:
+    clock cycles per bit of the serial link.
     """
 
     sensor: Sensor
@@ -66,7 +69,7 @@ class Emulator:
 
     @property
     def lanes(self) -> int:
-        """Blocks of the cipher that a step of a subgroup's seeding takes."""
+        """Blocks of the cipher that one step of a subgroup's seeding takes."""
         return -(-self.sensor.pixels // LANE_PIXELS)
 
     @property
@@ -159,15 +162,15 @@ OWN_BY_NAME = {register.name: register for register in OWN}
 
 
 def own_address(name: str) -> int:
-    """Byte address of a register of the emulator's own."""
+    """Return the byte address of one of the emulator's own registers."""
     return OWN_BASE + OWN_BY_NAME[name].offset
 
 
 def background_address(subgroup: int) -> int:
-    """Byte address of a subgroup's background."""
+    """Return the byte address of a subgroup's background."""
     return SOURCE_BASE + SOURCE_STRIDE * subgroup
 
 
 def echo_address(subgroup: int, pixel: int) -> int:
-    """Byte address of the echo of a subgroup's pixel."""
+    """Return the byte address of the echo of a subgroup's pixel."""
     return background_address(subgroup) + ECHO_OFFSET + 4 * pixel

@@ -1,13 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The cycle contract between RTL and golden model: how many cycles a block's registers take. Our choice; the paper
-gives none.
+"""The latencies that RTL and golden model share: the number of cycles that each block takes.
 
-Cycles are counted at the sensor's ports: an edge word that is at the ports in cycle c belongs to cycle c, and all
-latencies count from there.
+They are our choice; the paper gives none. Cycles are counted at the sensor's ports: an edge word that is at the ports in
+cycle c belongs to cycle c, and all latencies count from there.
 """
 
-COMMIT = 8  # L: close cycle of a window -> cycle of its commit (the FIFO is written at that cycle's end)
-RECORD = 3  # first cycle after a period -> cycle in which the period's minigroup record is written
+COMMIT = 8  # L: close cycle of a window -> cycle of its commit (the FIFO is written at the end of that cycle)
+RECORD = 3  # first cycle after a period -> cycle in which the minigroup record of the period is written
 STORE_TO_GRANT = 3  # an event or record is stored -> earliest grant of the readout
 GRANT_TO_READ = (
     2  # grant -> the subgroup forms the packet's first beat; the last beat frees the event's or record's place
@@ -19,6 +18,6 @@ FINISH = 12  # first cycle after the last period -> earliest grant of the frame 
 
 
 def output_depth(longest_packet: int) -> int:
-    """Beats that a stream's output buffer holds: enough to keep the stream busy during the round trip of a grant."""
+    """Return the depth of a stream's output buffer in beats: enough to keep the stream busy while a grant takes effect."""
     round_trip = GRANT_TO_BEAT + BEAT_TO_PORT + 2
     return 1 << (2 * longest_packet + round_trip - 1).bit_length()

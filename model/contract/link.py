@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The link behind each stream: the part of the stream's bandwidth that the pins of the chip carry. `tready` models the
-pins.
+"""The link behind each stream: the part of the stream's bandwidth that the pins of the chip carry.
 
-The paper leaves the readout open; a link that is slower than 64 bits per cycle and takes beats at even distances is our
-own choice.
+`tready` models the pins. The paper leaves the readout open. Our own choice is a link that may be slower than 64 bits per
+cycle and takes beats at even distances.
 """
 
 from fractions import Fraction
@@ -14,18 +13,18 @@ from ..shared.errors import InputError
 from .packet import BEAT_BITS, layout
 from .parameters import LINK_GBPS_MAX, Sensor
 
-SHARE_MIN = Fraction(1, 1024)  # of the cycles: with less a frame takes for ever
-_DENOMINATOR_MAX = 1 << 20  # of the share: keeps its product with a cycle's number in 64 bits
+SHARE_MIN = Fraction(1, 1024)  # share of the cycles; with less, a frame would take for ever
+_DENOMINATOR_MAX = 1 << 20  # denominator of the share: keeps its product with a cycle number in 64 bits
 
 
 def link_share(link_gbps: float, clock_mhz: float) -> Fraction:
-    """Share of the cycles in which the link takes a beat, at most 1. link_gbps: of a stream; 0: as fast as the stream itself."""
+    """Return the share of the cycles in which the link takes a beat, at most 1. link_gbps: 0 is as fast as the stream."""
     share = Fraction(str(link_gbps)) / _stream_gbps(clock_mhz) if link_gbps else Fraction(1)
     return min(share, Fraction(1)).limit_denominator(_DENOMINATOR_MAX)
 
 
 def check_link(link_gbps: float, clock_mhz: float) -> None:
-    """Raises `InputError` if a link takes beats in a smaller share of the cycles than `SHARE_MIN`."""
+    """Raise `InputError` if the link takes beats in less than `SHARE_MIN` of the cycles."""
     low_gbps = float(_stream_gbps(clock_mhz) * SHARE_MIN)
     if 0 < link_gbps < low_gbps:
         raise InputError(
@@ -34,19 +33,21 @@ def check_link(link_gbps: float, clock_mhz: float) -> None:
 
 
 def _stream_gbps(clock_mhz: float) -> Fraction:
-    """What a stream gives: a beat per cycle."""
+    """Return the bandwidth of a stream, which is one beat per cycle."""
     return BEAT_BITS * Fraction(str(clock_mhz)) / 1000
 
 
 def beats_waiting_max(sensor: Sensor) -> int:
-    """Beats that a sensor may still have to send when a frame's last period ends."""
+    """Return the most beats that a sensor may still have to send when the last period of a frame ends."""
     parts = layout(sensor)
     return sensor.subgroups * ((sensor.fifo_depth + 2) * parts.longest + parts.counter_beats)
 
 
 def takes_beats(share: Fraction, cycles: int) -> np.ndarray:
-    """uint8[cycles]: whether a link takes a beat in a cycle. The link is ready at even distances, whether a beat is
-    offered or not: in cycle c if floor((c + 1) * share) is above floor(c * share).
+    """uint8[cycles]: whether a link takes a beat in a cycle.
+
+    The link is ready at even distances, with or without a beat: in cycle c if floor((c + 1) * share) is above
+    floor(c * share).
     """
     taken = np.arange(cycles + 1, dtype=np.int64) * share.numerator // share.denominator
     return np.diff(taken).astype(np.uint8)

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The words of the stream: one table of header fields for RTL and decoder, and the decoder.
+"""The words of the stream: one table of header fields, which RTL and decoder share.
 
-A packet is a header beat and, by its type, beats of map, offsets, minigroup entries or counters, lowest bits first.
+A packet is a header beat, followed by beats of map, offsets, minigroup entries or counters, lowest bits first.
 """
 
 import enum
@@ -44,7 +44,7 @@ HEADER = {  # field: (lowest bit, width); unused fields are 0
 
 
 def beats_for(bits: int) -> int:
-    """Beats that hold `bits`."""
+    """Return the number of beats that hold `bits`."""
     return -(-bits // BEAT_BITS)
 
 
@@ -82,7 +82,7 @@ class Layout:
 
 @cache
 def layout(sensor: Sensor) -> Layout:
-    """The packet layout of `sensor`."""
+    """Return the packet layout of `sensor`."""
     return Layout(
         hits_beats=beats_for(sensor.pixels),
         offset_beats=beats_for(sensor.minigroups * OFFSET_BITS),
@@ -92,6 +92,6 @@ def layout(sensor: Sensor) -> Layout:
 
 
 def header_field(beats: ArrayLike, name: str) -> np.ndarray:
-    """A header field of beats, as int64."""
+    """Return a header field of some beats, as int64."""
     lsb, width = HEADER[name]
     return ((np.asarray(beats, np.uint64) >> np.uint64(lsb)) & np.uint64((1 << width) - 1)).astype(np.int64)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is fixed when the sensor is built: sizes, phases, and everything that follows from them."""
+"""Parameters that are fixed when the sensor is built: sizes, phases, and everything that follows from them."""
 
 from collections.abc import Callable
 
@@ -8,11 +8,11 @@ from attrs import Factory, field, frozen
 from ..shared.errors import InputError, check_integer
 
 TOP = "coincid_sensor"  # the RTL's top module
-STAMP_FIELD_BITS = 15  # of the header: see packet.py, which lays the fields out
-QUARTERS = 4  # coarse stamps count quarters of a cycle, and offsets no larger parts of it
-OFFSET_NONE = 255  # a minigroup's offset byte where it was not hit
-RECORD_BITS = (16, 32)  # a minigroup record's entry takes the smaller that holds it
-SHORTEST_GUARD_CYCLES = 4  # a minigroup collection that opens last must close before the period does
+STAMP_FIELD_BITS = 15  # width of the header's field; packet.py lays the fields out
+QUARTERS = 4  # coarse stamps count quarters of a cycle, and a step of the offsets is at most a quarter
+OFFSET_NONE = 255  # offset byte of a minigroup that was not hit
+RECORD_BITS = (16, 32)  # an entry of a minigroup record takes the smaller size that holds it
+SHORTEST_GUARD_CYCLES = 4  # a minigroup collection that opens as late as possible must close before the period ends
 SIZE_LIMITS = {  # key: (default, lowest, highest)
     "rows": (32, 1, 4096),
     "cols": (32, 1, 4096),
@@ -24,16 +24,16 @@ SIZE_LIMITS = {  # key: (default, lowest, highest)
     "streams": (1, 1, 64),
     "offset_phases": (16, QUARTERS, 64),
 }
-CLOCK_MHZ = 500.0  # system clock of the preset `silicon`, and of a configuration that names none
+CLOCK_MHZ = 500.0  # system clock of the preset `silicon`, and default of a configuration
 CLOCK_MHZ_RANGE = (1e-3, 1e5)
-LINK_GBPS_MAX = 1e6  # of a stream
+LINK_GBPS_MAX = 1e6  # per stream
 SUBGROUP_PIXELS = (16, 256)
 MINIGROUP_PIXELS = (1, 16)
 SUBGROUPS_MAX = 4096  # the header's subgroup field has 12 bits
 
 
 def _limited(name: str, fits: Callable[["Sensor"], int] | None = None) -> int:
-    """A size with default and range of `SIZE_LIMITS`. fits: the highest default that the fields before it allow."""
+    """Return a field with default and range of `SIZE_LIMITS`. fits: highest default that the fields before it allow."""
     highest_default, low, high = SIZE_LIMITS[name]
     default = Factory(lambda self: min(highest_default, fits(self)), takes_self=True) if fits else highest_default
     size: int = field(
@@ -51,30 +51,30 @@ def _pair(default: tuple[int, int]) -> tuple[int, int]:
 
 
 def bits_for(highest: int) -> int:
-    """Bits that hold 0...`highest` (at least one)."""
+    """Return the number of bits that hold 0...`highest` (at least one)."""
     return max(1, int(highest).bit_length())
 
 
 def guard_cycles(window_ticks: int, phases: int, rearm_cycles: int) -> int:
-    """Cycles at the end of a period in which no window of this length may open, so that the tree is armed again at its end."""
+    """Return how long before a period's end no window of this length may open, so that the tree is armed at the end."""
     return max(SHORTEST_GUARD_CYCLES, -(-window_ticks // phases) + 1 + rearm_cycles)
 
 
 def _integer(value: object) -> int:
-    """`value`, or 0 where it is none: a default that depends on it is made before it is checked."""
+    """Return `value`, or 0 if it is not an integer, because defaults that depend on it are made before it is checked."""
     return value if type(value) is int else 0
 
 
 @frozen(kw_only=True)
 class Sensor:
-    """Parameters of the sensor as built. Raises `InputError` that names the parameter and its range.
+    """Parameters of the sensor as built. Raises `InputError` with the parameter and its range.
 
     rows, cols: SPADs. phases: ticks (TDC LSBs) of a clock cycle, a power of two. coarse_bits: width of the TDC's coarse
     counter (default: 10, or what fits a stamp beside the phases). window_max: longest coincidence window in ticks.
-    rearm: cycles R between the cycle a window closes in and the tree's re-arming. fifo_depth: events a subgroup's FIFO
-    holds. streams: AXI4-Streams. subgroup, minigroup: rows x cols in SPADs. offset_phases: steps of a cycle that the
-    minigroups' coarse offsets count, a power of two from 4 to `phases` (default: 16, or the phases where they are
-    fewer).
+    rearm: cycles R between the close cycle of a window and the re-arming of the tree. fifo_depth: events that a
+    subgroup's FIFO holds. streams: number of AXI4-Streams. subgroup, minigroup: rows x cols in SPADs. offset_phases:
+    steps per cycle of the minigroups' coarse offsets, a power of two from 4 to `phases` (default: 16, or `phases` if
+    that is less).
     """
 
     rows: int = _limited("rows")
@@ -156,17 +156,17 @@ class Sensor:
 
     @property
     def offset_ticks(self) -> int:
-        """Ticks of a step of the coarse offsets."""
+        """Ticks per step of the coarse offsets."""
         return self.phases // self.offset_phases
 
     @property
     def guard(self) -> int:
-        """Cycles G at a period's end in which no window opens, so that a period is self-contained."""
+        """Cycles G at the end of a period in which no window opens, so that each period is self-contained."""
         return guard_cycles(self.window_max, self.phases, self.rearm)
 
     @property
     def period_max(self) -> int:
-        """Longest laser period in cycles: what the coarse counter holds."""
+        """Longest laser period in cycles, limited by the coarse counter."""
         return 1 << self.coarse_bits
 
     @property
@@ -205,7 +205,7 @@ class Sensor:
 
     @property
     def elapsed_bits(self) -> int:
-        """Bits that count the cycles of a window behind its opening one (at least one)."""
+        """Bits that count the cycles of a window after its opening cycle (at least one)."""
         return max(1, self.offset_bits - self.step_bits)
 
     @property
@@ -219,20 +219,20 @@ class Sensor:
         return small if self.record_stamp_bits + self.minigroup_pixels <= small else large
 
     def members(self, minigroup: int) -> list[int]:
-        """A subgroup's pixels in one of its minigroups, in the minigroup's order."""
+        """Return a subgroup's pixels that belong to a minigroup, in the minigroup's order."""
         (_, sc), (mr, mc) = self.subgroup, self.minigroup
         row, col = divmod(minigroup, sc // mc)
         return [(row * mr + r) * sc + col * mc + c for r in range(mr) for c in range(mc)]
 
     def stream_of(self, subgroup: int) -> int:
-        """The stream by which the words of `subgroup` leave."""
+        """Return the stream that carries the words of `subgroup`."""
         return subgroup * self.streams // self.subgroups
 
     def stream_subgroups(self, stream: int) -> range:
-        """The subgroups whose words leave by `stream`; they are always contiguous."""
+        """Return the subgroups whose words `stream` carries; they are always contiguous."""
         n = self.subgroups
         return range(-(-stream * n // self.streams), -(-(stream + 1) * n // self.streams))
 
     def stream_name(self, stream: int) -> str:
-        """Prefix of the stream's ports."""
+        """Return the prefix of the stream's ports."""
         return "m_axis" if self.streams == 1 else f"m_axis{stream}"

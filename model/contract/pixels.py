@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Pixel numbering: the index rules of the contract, as tables.
+"""Pixel numbering: the index rules of the contract as tables.
 
-Pixels count row by row, over the array and inside a subgroup; so do subgroups over the array and minigroups inside a
-subgroup.
+Pixels are numbered row by row, both in the array and in a subgroup. The same holds for the subgroups in the array and
+the minigroups in a subgroup.
 """
 
 from typing import NamedTuple
@@ -13,7 +13,7 @@ from .parameters import Sensor
 
 
 class Pixels(NamedTuple):
-    """Tables by pixel: subgroup and number inside for a pixel of the array; minigroup and bit for one of a subgroup (int64)."""
+    """Tables by pixel, int64: subgroup and number in it for the array's pixels; minigroup and bit for a subgroup's."""
 
     subgroup: np.ndarray
     inside: np.ndarray
@@ -22,12 +22,12 @@ class Pixels(NamedTuple):
 
 
 def subgroup_image(values: np.ndarray, sensor: Sensor) -> np.ndarray:
-    """One value per subgroup, arranged as in the array: [subgroups down, subgroups across]."""
+    """Return one value per subgroup, arranged as in the array: [subgroups down, subgroups across]."""
     return values.reshape(sensor.rows // sensor.subgroup[0], sensor.cols // sensor.subgroup[1])
 
 
 def pixel_table(sensor: Sensor) -> Pixels:
-    """The tables of a sensor, by the index rules of the contract."""
+    """Return the tables of a sensor."""
     (sr, sc), (mr, mc) = sensor.subgroup, sensor.minigroup
     row, col = np.divmod(np.arange(sensor.array_pixels), sensor.cols)
     r, c = np.divmod(np.arange(sensor.pixels), sc)

@@ -13,7 +13,7 @@ from .pixels import pixel_table
 class PortBits(NamedTuple):
     """Places of edges, int64[n] each.
 
-    cycle: of the frame; subgroup: the one that the port belongs to; bit: position in the word of the port.
+    cycle: of the frame. subgroup: owner of the port. bit: position in the word of the port.
     """
 
     cycle: np.ndarray
@@ -22,7 +22,7 @@ class PortBits(NamedTuple):
 
 
 def port_bits(config: Config, edges: Edges) -> PortBits:
-    """The places of the edges of one frame, in the order of `edges`; bit i * phases + k is phase k of pixel i."""
+    """Return the places of a frame's edges, in the order of `edges`; bit i * phases + k is phase k of pixel i."""
     table = pixel_table(config.sensor)
     cycle_in_period, phase = np.divmod(edges.tick, config.sensor.phases)
     return PortBits(

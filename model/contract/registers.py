@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The register map: one table for RTL, configuration files, documentation, C header and test benches.
 
-Addresses are bytes. The global block stands at 0, the block of subgroup s at `SUBGROUP_BASE + SUBGROUP_STRIDE * s`.
-Ranges and reset values that depend on the sensor's parameters are functions of `Sensor`. Settings are taken at frame
-start; counters are valid while not busy.
+Addresses are bytes. The global block is at 0, the block of subgroup s at `SUBGROUP_BASE + SUBGROUP_STRIDE * s`. Ranges
+and reset values that depend on the sensor's parameters are functions of `Sensor`. Settings take effect at the start of a
+frame; counters are valid while the sensor is not busy.
 """
 
 import enum
@@ -22,9 +22,9 @@ MASK_BITS = 32
 COUNTER_BITS = 32
 AUTO_BOUNDS = 6
 ID_VALUE = 0x434F494E  # "COIN"
-VERSION_VALUE = 0x00020000  # major, minor: 16 bits each; a change of the map that software can see raises it
-THRESHOLD_MAX = 1 + AUTO_BOUNDS  # of the controller
-EVENTS_MAX = (1 << COUNTER_BITS) - 1  # that a counter tells of
+VERSION_VALUE = 0x00020000  # 16 bits each for major and minor; every change that software can see raises it
+THRESHOLD_MAX = 1 + AUTO_BOUNDS  # highest threshold of the controller
+EVENTS_MAX = (1 << COUNTER_BITS) - 1  # saturation value of a counter
 
 Value = Callable[[Sensor], int]
 
@@ -51,12 +51,12 @@ class Bits:
     lsb: int
     doc: str
     width: int = 1
-    clears: bool = False  # by writing 1
+    clears: bool = False  # writing 1 clears it
 
 
 @frozen(kw_only=True)
 class Register:
-    """A register or an array of `count` registers at consecutive words. `low`, `high`: the values that a write accepts."""
+    """A register, or an array of `count` registers at consecutive words. `low`, `high`: range that a write accepts."""
 
     name: str
     offset: int
@@ -69,7 +69,7 @@ class Register:
     bits: tuple[Bits, ...] = ()
 
     def bit(self, name: str) -> int:
-        """The lowest bit of the part called `name`."""
+        """Return the lowest bit of the part called `name`."""
         return next(bits.lsb for bits in self.bits if bits.name == name)
 
 
@@ -88,7 +88,7 @@ def _mask_full(sensor: Sensor) -> int:
 _CONSTANTS: tuple[tuple[str, str, Value], ...] = (
     ("rows", "SPAD rows of the sensor.", lambda s: s.rows),
     ("cols", "SPAD columns of the sensor.", lambda s: s.cols),
-    ("phases", "Ticks (TDC LSBs) of a clock cycle.", lambda s: s.phases),
+    ("phases", "Ticks (TDC LSBs) per clock cycle.", lambda s: s.phases),
     ("coarse_bits", "Width of the TDC's coarse counter.", lambda s: s.coarse_bits),
     ("window_max", "Longest coincidence window in ticks.", lambda s: s.window_max),
     ("rearm", "Re-arm gap R in cycles.", lambda s: s.rearm),
@@ -98,7 +98,7 @@ _CONSTANTS: tuple[tuple[str, str, Value], ...] = (
     ("subgroup_cols", "SPAD columns of a subgroup.", lambda s: s.subgroup[1]),
     ("minigroup_rows", "SPAD rows of a minigroup.", lambda s: s.minigroup[0]),
     ("minigroup_cols", "SPAD columns of a minigroup.", lambda s: s.minigroup[1]),
-    ("offset_phases", "Steps of a clock cycle that coarse offsets count.", lambda s: s.offset_phases),
+    ("offset_phases", "Steps per clock cycle of the coarse offsets.", lambda s: s.offset_phases),
 )
 
 GLOBAL: tuple[Register, ...] = (
@@ -121,8 +121,8 @@ GLOBAL: tuple[Register, ...] = (
         offset=0x40,
         access=Access.PULSE,
         high=3,
-        doc="Starts and ends a frame. A start that the checks refuse answers SLVERR and begins nothing.",
-        bits=(Bits("start", 0, "Begins a frame."), Bits("abort", 1, "Makes the running period the frame's last.")),
+        doc="Starts and ends a frame. A start that the checks refuse is answered with SLVERR and has no effect.",
+        bits=(Bits("start", 0, "Begins a frame."), Bits("abort", 1, "Makes the running period the last of the frame.")),
     ),
     Register(
         name="status",
@@ -142,13 +142,13 @@ GLOBAL: tuple[Register, ...] = (
             ),
             Bits("bad_strobe", 4, "A write of less than the whole word was refused.", clears=True),
             Bits("start_busy", 5, "A start was refused: busy.", clears=True),
-            Bits("start_period", 6, "A start was refused: period not above the guard G.", clears=True),
+            Bits("start_period", 6, "A start was refused: the period is not above the guard G.", clears=True),
             Bits("start_bounds", 7, "A start was refused: auto_bounds descend.", clears=True),
-            Bits("start_gate", 8, "A start was refused: gating on and gate_start not below the period.", clears=True),
+            Bits("start_gate", 8, "A start was refused: gating on, gate_start not below the period.", clears=True),
             Bits(
                 "start_upset",
                 9,
-                "A start was refused: a setting is not what was written; write all again.",
+                "A start was refused: a setting differs from what was written; write all settings again.",
                 clears=True,
             ),
         ),
@@ -166,7 +166,7 @@ GLOBAL: tuple[Register, ...] = (
         name="pulses",
         offset=0x4C,
         access=Access.SETTING,
-        doc="Laser periods of a frame.",
+        doc="Number of laser periods in a frame.",
         low=1,
         high=1 << 16,
         reset=100,
@@ -190,7 +190,7 @@ GLOBAL: tuple[Register, ...] = (
         name="mg_threshold",
         offset=0x58,
         access=Access.SETTING,
-        doc="Distinct pixels that latch a minigroup.",
+        doc="Number of distinct pixels at which a minigroup latches.",
         low=1,
         high=lambda s: s.minigroup_pixels,
         reset=lambda s: min(2, s.minigroup_pixels),
@@ -208,7 +208,7 @@ GLOBAL: tuple[Register, ...] = (
         name="gate_step",
         offset=0x60,
         access=Access.SETTING,
-        doc="Progressive gating: shift of a step, in cycles.",
+        doc="Progressive gating: shift per step, in cycles.",
         high=0xFFFF,
     ),
     Register(
@@ -216,7 +216,7 @@ GLOBAL: tuple[Register, ...] = (
         offset=0x64,
         access=Access.SETTING,
         high=0xFFFF,
-        doc="Progressive gating: pulses of a step; 0 turns it off.",
+        doc="Progressive gating: pulses per step; 0 turns it off.",
     ),
     Register(
         name="gate_steps",
@@ -225,7 +225,7 @@ GLOBAL: tuple[Register, ...] = (
         low=1,
         high=0xFFFF,
         reset=1,
-        doc="Progressive gating: steps until it starts over.",
+        doc="Progressive gating: number of steps before it starts over.",
     ),
     Register(
         name="auto_bounds",
@@ -233,14 +233,14 @@ GLOBAL: tuple[Register, ...] = (
         access=Access.SETTING,
         count=AUTO_BOUNDS,
         high=0xFFFF_FFFF,
-        doc="Threshold controller: the threshold is at most 1 + the number of bounds that `opened` of the frame before reaches. Must not descend.",
+        doc="Threshold controller: the threshold is at most 1 + the number of bounds that `opened` of the previous frame reaches. Must not descend.",
     ),
     Register(
         name="dither_bits",
         offset=0x84,
         access=Access.SETTING,
         high=DITHER_BITS_MAX,
-        doc="After each period but the last the next one waits for as many cycles as this many low bits of an LFSR say; 0: never.",
+        doc="Number of LFSR bits that give the wait between two periods, in cycles; 0: no wait.",
     ),
     Register(
         name="dither_seed",
@@ -249,7 +249,7 @@ GLOBAL: tuple[Register, ...] = (
         low=1,
         high=(1 << LFSR_BITS) - 1,
         reset=1,
-        doc="State of that LFSR at the frame's beginning.",
+        doc="State of that LFSR at the beginning of the frame.",
     ),
     Register(
         name="capacity",
@@ -265,7 +265,7 @@ GLOBAL: tuple[Register, ...] = (
         access=Access.SETTING,
         high=THRESHOLD_MAX,
         reset=1,
-        doc="Threshold controller: the lowest threshold; 0 is as 1.",
+        doc="Threshold controller: the lowest threshold; 0 has the effect of 1.",
     ),
     Register(
         name="share",
@@ -274,7 +274,7 @@ GLOBAL: tuple[Register, ...] = (
         count=lambda s: s.streams,
         high=EVENTS_MAX,
         reset=EVENTS_MAX,
-        doc="Threshold controller, stream i: capacity // its subgroups. Its budget begins with this and falls no lower.",
+        doc="Threshold controller, stream i: capacity // number of its subgroups. First value and lower limit of the budget.",
     ),
     Register(
         name="budget",
@@ -289,15 +289,15 @@ GLOBAL: tuple[Register, ...] = (
 COUNTERS: tuple[tuple[str, str], ...] = (  # in the order of the frame end packet
     ("opened", "Coincidence windows opened."),
     ("committed", "Windows that met the threshold."),
-    ("rejected", "Windows that did not."),
+    ("rejected", "Windows that did not meet the threshold."),
     ("stored", "Events written to the FIFO."),
     ("dropped", "Events lost to a full FIFO."),
-    ("blind", "Cycles with an edge that found the tree not armed."),
+    ("blind", "Cycles with an edge while the tree was not armed."),
     ("photons", "Sum of the counts of all windows."),
     ("mg_stored", "Minigroup records written."),
-    ("mg_dropped", "Minigroup records lost, the one before still waiting."),
-    ("threshold_used", "Threshold of the frame: the register's or the controller's."),
-    ("lower", "Windows that met the threshold less one."),
+    ("mg_dropped", "Minigroup records lost because the previous one was still waiting."),
+    ("threshold_used", "Threshold of the frame: from the register or from the controller."),
+    ("lower", "Windows that met the threshold minus one."),
 )
 COUNTER_NAMES = tuple(name for name, _ in COUNTERS)
 
@@ -319,7 +319,7 @@ SUBGROUP: tuple[Register, ...] = (
         name="threshold",
         offset=0x04,
         access=Access.SETTING,
-        doc="Distinct pixels that make a coincidence.",
+        doc="Number of distinct pixels that make a coincidence.",
         low=1,
         high=lambda s: s.pixels,
         reset=2,
@@ -363,26 +363,26 @@ MODE = BY_NAME["mode"]
 
 
 def words(table: tuple[Register, ...], sensor: Sensor) -> Iterator[tuple[int, Register, int]]:
-    """(byte offset, register, index in its array) of every word of a block."""
+    """Yield (byte offset, register, index in its array) for every word of a block."""
     for register in table:
         for index in range(register.count(sensor)):
             yield register.offset + 4 * index, register, index
 
 
 def address(name: str, subgroup: int = 0, index: int = 0) -> int:
-    """Byte address of a register word; `subgroup` counts for the registers of a subgroup only."""
+    """Return the byte address of a register word; `subgroup` only counts for the registers of a subgroup."""
     register = BY_NAME[name]
     base = SUBGROUP_BASE + SUBGROUP_STRIDE * subgroup if register in SUBGROUP else 0
     return base + register.offset + 4 * index
 
 
 def control(bit: str) -> tuple[int, int]:
-    """(address, value) of the write that sets a bit of `control`: `start` or `abort`."""
+    """Return (address, value) of the write that sets a bit of `control`: `start` or `abort`."""
     return address("control"), 1 << BY_NAME["control"].bit(bit)
 
 
 def reset_values(sensor: Sensor) -> dict[int, int]:
-    """Byte address -> value after reset, of every setting's words."""
+    """Return byte address -> value after reset, for the words of every setting."""
     values: dict[int, int] = {}
     for table, subgroups in ((GLOBAL, 1), (SUBGROUP, sensor.subgroups)):
         for _, register, index in words(table, sensor):

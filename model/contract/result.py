@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What left the sensor, as arrays: built from the beats of any engine, compared, written and read."""
+"""Results as arrays: built from the beats of any engine, compared, written and read."""
 
 from typing import Any
 
@@ -13,14 +13,14 @@ from .registers import COUNTER_NAMES
 from .stream import decode_frame
 
 EVENT_FIELDS = ("subgroup", "pulse", "stamp", "count", "winner", "overrun")
-EVENT_COLUMNS = (*EVENT_FIELDS, "commit_cycle")  # arrays with one value an event
+EVENT_COLUMNS = (*EVENT_FIELDS, "commit_cycle")  # arrays with one value per event
 RECORD_COLUMNS = ("mg_subgroup", "mg_pulse", "mg_stamp", "mg_map")
 COMMIT_UNKNOWN = np.int64(-1)  # commit cycle of an event that was received from a chip
-OPTIONAL = ("hits", "mg_offset", "fate")  # by format and engine
+OPTIONAL = ("hits", "mg_offset", "fate")  # present only in some formats or engines
 
 
 class ResultBuilder:
-    """Collects frames into the arrays of a result file."""
+    """Collector of frames for the arrays of a result file."""
 
     def __init__(self, config: Config):
         self.config = config
@@ -31,10 +31,10 @@ class ResultBuilder:
     def add(
         self, beats: list[np.ndarray], commit_subgroup: np.ndarray | None = None, commit_cycle: np.ndarray | None = None
     ) -> None:
-        """Adds a frame: its beats per stream, and its stored events' subgroups and commit cycles (time order in a subgroup).
+        """Add a frame: its beats per stream, and subgroups and commit cycles of its stored events (by time in a subgroup).
 
-        Without these the commit cycles are `COMMIT_UNKNOWN`: outside the chip nobody sees them.
-        Raises `StreamError` if the beats are not a frame, or `ValueError` if more or fewer events left than were stored.
+        Without the latter, the commit cycles are `COMMIT_UNKNOWN`, because they cannot be seen outside the chip. Raises
+        `StreamError` if the beats are not a frame, and `ValueError` if more or fewer events left than were stored.
         """
         sensor = self.config.sensor
         base = len(self._counters) * self.config.pulses
@@ -64,7 +64,7 @@ class ResultBuilder:
         self._counters.append(counters)
 
     def arrays(self) -> dict[str, np.ndarray]:
-        """The arrays of the result file, rows frame by frame, streams one after the other."""
+        """Return the arrays of the result file, with rows frame by frame, and stream by stream within a frame."""
         *fields, commit, hits, offsets = (np.concatenate(column) for column in zip(*self._events))
         result = dict(zip(EVENT_FIELDS, fields))
         result["overrun"] = result["overrun"].astype(bool)
@@ -82,9 +82,10 @@ class ResultBuilder:
 
 
 def events_table(arrays: dict[str, np.ndarray]) -> Any:
-    """One row per event: a pandas DataFrame if pandas is installed, otherwise a structured array.
+    """Return one row per event, as a pandas DataFrame if pandas is installed, otherwise as a structured array.
 
-    The columns are those of `EVENT_COLUMNS`. Row i belongs to row i of the arrays `hits` and `mg_offset`, which hold several values per event.
+    The columns are those of `EVENT_COLUMNS`. Row i belongs to row i of the arrays `hits` and `mg_offset`, which hold
+    several values per event.
     """
     columns = {name: arrays[name] for name in EVENT_COLUMNS}
     try:
@@ -95,22 +96,22 @@ def events_table(arrays: dict[str, np.ndarray]) -> Any:
 
 
 def stall(cycles: int) -> np.ndarray:
-    """`tready` low for the first `cycles` cycles of every frame."""
+    """Return a `tready` that is low for the first `cycles` cycles of every frame."""
     return np.zeros(cycles, np.uint8)
 
 
 def write_result(path: FilePath, arrays: dict[str, np.ndarray]) -> None:
-    """Writes a result file, whole or not at all."""
+    """Write a result file, whole or not at all."""
     write_npz(path, arrays)
 
 
 def read_result(path: FilePath) -> dict[str, np.ndarray]:
-    """The arrays of a result file. Raises `InputError` if the file is not a result."""
+    """Return the arrays of a result file. Raises `InputError` if the file is not a result."""
     return read_npz(path, (*EVENT_COLUMNS, *RECORD_COLUMNS, *COUNTER_NAMES), OPTIONAL)
 
 
 def differences(first: dict[str, np.ndarray], second: dict[str, np.ndarray]) -> list[str]:
-    """The differences of two results, one line per array; `fate`, which only the golden model knows, is left out."""
+    """Return the differences of two results, one line per array; `fate`, which only the golden model has, is left out."""
     lines = []
     for name in sorted((first.keys() | second.keys()) - {"fate"}):
         a, b = first.get(name), second.get(name)

@@ -1,31 +1,37 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The emulator's serial link: its frames, operations and statuses. Our choice; RTL and host software read this.
+"""The emulator's serial link: frames, operations and status codes, for RTL and host software. All of it is our choice.
 
-Bytes go as 8N1. A frame is `FLAG`, a body, `FLAG`; in the body `FLAG` and `ESCAPE` are sent as `ESCAPE` and the byte XOR `FLIP`. A body ends
-with its CRC-32 (ISO-HDLC, as in zlib), lowest byte first. A body that is not right is dropped without a word.
+Bytes are sent as 8N1. A frame is `FLAG`, a body, `FLAG`. Inside the body, `FLAG` and `ESCAPE` are sent as `ESCAPE`
+followed by the byte XOR `FLIP`. A body ends with its CRC-32 (ISO-HDLC, as in zlib), lowest byte first. A damaged body is
+dropped without an answer.
 
-Request: sequence number, operation, count, byte address (3 bytes, lowest first), and for WRITE `count` words, lowest byte first.
-Answer: the sequence number, then for READ the words, for WRITE a byte with the number of words written, and last the status. REFUSED: the sensor
-refused an access; those before it are done. The host has one request under way. A request carries the number after that of the one before it;
-one with the same number is the same request again: a READ is done again, a WRITE only answered again. Any other number is answered with
-SEQUENCE. After reset everything is answered with FRESH until a HELLO, which sets the number; a HELLO is answered with FRESH, too, where nothing
-was read or written since reset, so that a host that comes back knows whether its settings are still there.
+Request: sequence number, operation, count, byte address (3 bytes, lowest first), and for WRITE `count` words, lowest
+byte first.
+
+Answer: the sequence number; then, for READ, the words, and for WRITE, one byte with the number of words written; finally
+the status. REFUSED means that the sensor refused an access; the accesses before it are done.
+
+The host sends one request at a time, and each has the next sequence number. A request with the same number as the last
+one is a repetition: a READ is executed again, a WRITE is only answered again. Any other number is answered with
+SEQUENCE. After a reset, everything is answered with FRESH until a HELLO, which sets the number. A HELLO is also answered
+with FRESH if nothing was read or written since the reset, so a host that reconnects learns whether its settings are
+still there.
 """
 
 import enum
 
 FLAG, ESCAPE, FLIP = 0x7E, 0x7D, 0x20
 CRC_BYTES = 4
-HEAD_BYTES = 6  # of a request
+HEAD_BYTES = 6  # length of a request without data
 ADDRESS_BYTES = 3
 WORD_BYTES = 4
-WRITE_WORDS_MAX = 64  # of a request
+WRITE_WORDS_MAX = 64  # per request
 READ_WORDS_MAX = 255
 BODY_BYTES_MAX = HEAD_BYTES + WORD_BYTES * WRITE_WORDS_MAX + CRC_BYTES
 
 
 class Operation(enum.IntEnum):
-    """What a request asks for."""
+    """Operation that a request asks for."""
 
     HELLO = 0
     READ = 1

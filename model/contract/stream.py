@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Decoder of the stream: the beats of a frame back to events, minigroup records and counters, by the tables of `packet.py`."""
+"""Decoder of the stream: from the beats of a frame to events, minigroup records and counters, by `packet.py`'s tables."""
 
 import numpy as np
 from attrs import frozen
@@ -11,16 +11,16 @@ from .registers import COUNTER_NAMES
 
 
 class StreamError(Exception):
-    """Beats that are not a frame; the message says where."""
+    """Beats that are not a frame; the message gives the place."""
 
 
 @frozen(eq=False)
 class Frame:
     """One frame of one stream, decoded.
 
-    number: the frame's number in its packets. events: int64[n, 7], columns in the order of `HEADER`. hits: uint64[n,
-    map beats]; offsets: uint8[n, minigroups]. records: int64[k, 2], subgroup and pulse. entries: int64[k, minigroups,
-    2], stamp and map. counters: int64[subgroups of the stream, 11].
+    number: frame number in its packets. events: int64[n, 7], columns in the order of `HEADER`. hits: uint64[n, map
+    beats]; offsets: uint8[n, minigroups]. records: int64[k, 2], subgroup and pulse. entries: int64[k, minigroups, 2],
+    stamp and map. counters: int64[subgroups of the stream, 11].
     """
 
     number: int
@@ -33,9 +33,9 @@ class Frame:
 
 
 def decode_frame(beats: np.ndarray, sensor: Sensor, subgroups: int) -> Frame:
-    """Decodes the beats (uint64[n]) of one frame of a stream that carries `subgroups` subgroups.
+    """Decode the beats (uint64[n]) of one frame of a stream that carries `subgroups` subgroups.
 
-    Raises `StreamError` where the beats are not exactly a frame start, packets, and a frame end with its counters.
+    Raises `StreamError` if the beats are not exactly a frame start, packets, and a frame end with its counters.
     """
     parts = layout(sensor)
     kinds, starts = packet_starts(beats, sensor, subgroups)
@@ -71,7 +71,7 @@ def decode_frame(beats: np.ndarray, sensor: Sensor, subgroups: int) -> Frame:
 
 
 def packet_starts(beats: np.ndarray, sensor: Sensor, subgroups: int) -> tuple[np.ndarray, np.ndarray]:
-    """Kind and first beat of each packet between a frame's start and its end, int64[n] each. Raises `StreamError`."""
+    """Return kind and first beat of each packet between a frame's start and end, int64[n] each. Raises `StreamError`."""
     parts = layout(sensor)
     lengths = np.zeros(8, np.int64)
     for kind in (Kind.EVENT_SHORT, Kind.EVENT_ID, Kind.EVENT_FULL, Kind.RECORD):
@@ -84,13 +84,13 @@ def packet_starts(beats: np.ndarray, sensor: Sensor, subgroups: int) -> tuple[np
 
 
 def _split(beats: np.ndarray, dtype: type[np.unsignedinteger]) -> np.ndarray:
-    """Beats [n, m] (or [n, 0]) as little-endian items [n, m * items a beat]."""
+    """Return beats [n, m] (or [n, 0]) as little-endian items [n, m * items per beat]."""
     return np.ascontiguousarray(beats).astype("<u8").view(np.dtype(dtype).newbyteorder("<"))
 
 
 @njit
 def _packets(beats: np.ndarray, lengths: np.ndarray, end: int) -> tuple[np.ndarray, np.ndarray, int]:
-    """Kinds and first beats of the packets after the frame start up to `end`, and the first beat that is no header (or -1)."""
+    """Return kinds and first beats of the packets from the frame start to `end`, and the first beat that is no header (or -1)."""
     kinds, starts = np.empty(max(end, 0), np.int64), np.empty(max(end, 0), np.int64)
     n, at = 0, 1
     while at < end:

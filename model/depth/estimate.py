@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Estimates depth from a sensor's events.
+"""Estimation of depth from a sensor's events.
 
-Ref: paper IV: a histogram per pixel and its peak; Fig. 7 for what counts as right. The other methods are our own
+Ref: paper IV (a histogram per pixel, and its peak), Fig. 7 (tolerance of a right pixel). The other methods are our own
 choice.
 """
 
@@ -21,9 +21,9 @@ RETURNS_MAX = 8
 
 METHODS = {
     "maximum": "highest bin of the pixel's histogram",
-    "matched": "highest point of the histogram filtered with the pulse",
-    "background": "where hits exceed most what background explains, given when the tree could be armed at all",
-    "planes": "the likelihood of all events, and planes through it that neighbouring pixels share",
+    "matched": "highest point of the histogram after filtering with the pulse",
+    "background": "largest excess of hits over the expected background, corrected for the times when the tree is not armed",
+    "planes": "likelihood of all events, fitted by planes that neighbouring pixels share",
 }
 
 
@@ -36,12 +36,12 @@ class Depth:
     depth_m : numpy.ndarray
         float64[rows, cols, returns], in metres, the most likely return first; NaN = none.
     confidence : numpy.ndarray
-        float64[rows, cols, returns], from 0 to 1. For the first return it is the probability that the pixel's light came from there
-        (`planes`: that it is right by the paper's criterion); for the others, that they are no accident of the background.
+        float64[rows, cols, returns], from 0 to 1. For the first return, the probability that the pixel's light came from there
+        (`planes`: that it is right by the paper's criterion); for the others, that they are not accidental background.
     error_m : numpy.ndarray or None
-        float64[rows, cols, returns], standard error in metres; only of `planes`.
+        float64[rows, cols, returns], standard error in metres; only with `planes`.
     slope_m : numpy.ndarray or None
-        float64[rows, cols, 2], increase of the distance from row to row and from column to column, in metres; only of `planes`.
+        float64[rows, cols, 2], increase of the distance from row to row and from column to column, in metres; only with `planes`.
     """
 
     depth_m: np.ndarray
@@ -61,7 +61,7 @@ def estimate_depth(
     workers: int | None = None,
     system_fwhm_s: float = SYSTEM_FWHM_S,
 ) -> Depth:
-    """Estimate the distance of every pixel from what left the sensor.
+    """Estimate the distance of every pixel from the sensor's output.
 
     Parameters
     ----------
@@ -72,7 +72,7 @@ def estimate_depth(
     method : str
         `planes` (default), `maximum` (the paper's highest bin), `matched` or `background`; see docs/depth.md.
     source : str
-        What a pixel's histogram is made from: `map`, `minigroup` or `subgroup`. `planes` use all parts of an event in any case.
+        Origin of a pixel's histogram: `map`, `minigroup` or `subgroup`. `planes` always uses all parts of an event.
     frame : int or None
         Use the events of this frame only; None uses all of them.
     returns : int
@@ -80,7 +80,7 @@ def estimate_depth(
     workers : int or None
         Threads of `planes`; None is one per core. The number does not change the result.
     system_fwhm_s : float
-        Width of laser pulse and jitter together, in seconds.
+        FWHM of laser pulse and jitter combined, in seconds.
 
     Returns
     -------

@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Histograms of a sensor's events: per pixel from the ID map, per minigroup from its own stamps, per subgroup from the
-stamp alone.
+"""Histograms of a sensor's events, for each pixel from the ID map, the minigroup stamps, or the subgroup's stamp alone.
 
-Ref: paper III-A (stamp, ID map, minigroup stamps), IV (a histogram per pixel). Bins are ticks of the arrival
+Ref: paper III-A (stamp, ID map, minigroup stamps), IV (a histogram per pixel). Bins are ticks of the arrival time
 (`arrivals.py`).
 """
 
@@ -22,17 +21,17 @@ from .arrivals import SYSTEM_FWHM_S, arrival_ticks, lead_sigmas, photons_of, pul
 
 SOURCES = {
     "map": "the subgroup's stamp, for the pixels of the ID map",
-    "minigroup": "each minigroup's own coarse stamp, for its pixels: minigroup records, or else the offsets of full events",
+    "minigroup": "each minigroup's own coarse stamp, for its pixels: minigroup records or the offsets of full events",
     "subgroup": "the subgroup's stamp, for all its pixels",
 }
 
 
 @frozen(eq=False)
 class Events:
-    """Events of one frame or of all, ordered by subgroup; rows of subgroup s: bounds[s] to bounds[s + 1].
+    """Events of one frame or of all frames, ordered by subgroup; rows of subgroup s: bounds[s] to bounds[s + 1].
 
-    stamp, count: int64[n]. arrival: float64[n], ticks. hits: uint64[n, words]. offset: uint8[n, minigroups], no columns
-    where the format has none. Per subgroup: threshold, window (ticks; both 1 where coincidence is off), int64;
+    stamp, count: int64[n]. arrival: float64[n], ticks. hits: uint64[n, words]. offset: uint8[n, minigroups], without
+    columns if the format has no offsets. Per subgroup: threshold, window (ticks; both 1 if coincidence is off), int64;
     photon_rate: float64, photons per tick while the tree is armed, mostly background.
     """
 
@@ -53,15 +52,15 @@ class Events:
     committed: np.ndarray
 
     def maps(self, subgroup: int, pixels: int) -> np.ndarray:
-        """The ID maps of a subgroup's events as bool[n, pixels]."""
+        """Return the ID maps of a subgroup's events as bool[n, pixels]."""
         hits = np.ascontiguousarray(self.hits[self.bounds[subgroup] : self.bounds[subgroup + 1]], "<u8")
         return np.unpackbits(hits.view(np.uint8), axis=1, bitorder="little")[:, :pixels].astype(bool)
 
 
 def frame_events(arrays: dict[str, np.ndarray], config: Config, sigma_ticks: float, frame: int | None = None) -> Events:
-    """The events of a result (`result.py`) in one frame, or in all frames (None).
+    """Return the events of a result (`result.py`) in one frame, or in all frames (None).
 
-    Without an ID map (format short) an event's map holds its winner alone. Raises `InputError` if the result has no
+    Without an ID map (format short), the map of an event holds only its winner. Raises `InputError` if the result has no
     such frame.
     """
     frames = len(arrays["opened"])
@@ -93,18 +92,18 @@ def frame_events(arrays: dict[str, np.ndarray], config: Config, sigma_ticks: flo
 
 
 def _winner_map(winner: np.ndarray, sensor: Sensor) -> np.ndarray:
-    """uint64[n, words]: maps that hold the winner."""
+    """uint64[n, words]: maps that hold only the winner."""
     hits = np.zeros((len(winner), -(-sensor.pixels // BEAT_BITS)), np.uint64)
     hits[np.arange(len(winner)), winner // BEAT_BITS] = np.uint64(1) << (winner % BEAT_BITS).astype(np.uint64)
     return hits
 
 
 def _photon_rate(opened: np.ndarray, window: np.ndarray, config: Config) -> np.ndarray:
-    """Photons per tick of an armed tree, from the windows it opened in a period: the others fell into time it was not armed."""
+    """Estimate the photons per tick of an armed tree, from the windows per period; it is not armed after each window."""
     sensor = config.sensor
     blocked = (
         window + (sensor.phases - 1) / 2 + sensor.rearm * sensor.phases
-    )  # ticks from an opening to the re-arming, on average
+    )  # mean number of ticks from an opening to the re-arming
     armed = (config.period - sensor.guard) * sensor.phases - opened * blocked
     return opened / np.maximum(armed, 1)
 
@@ -112,7 +111,7 @@ def _photon_rate(opened: np.ndarray, window: np.ndarray, config: Config) -> np.n
 def subgroup_histograms(
     arrays: dict[str, np.ndarray], config: Config, sigma_ticks: float, *, source: str = "map", frame: int | None = None
 ) -> Iterator[np.ndarray]:
-    """Yields the histograms of each subgroup's pixels, int32[pixels, period_ticks]; only one subgroup is in memory at a time."""
+    """Yield the histograms of each subgroup's pixels, int32[pixels, period_ticks]; only one subgroup is held in memory."""
     return map(_histogram_maker(arrays, config, sigma_ticks, source, frame), range(config.sensor.subgroups))
 
 
@@ -125,7 +124,7 @@ def pixel_histogram(
     frame: int | None = None,
     system_fwhm_s: float = SYSTEM_FWHM_S,
 ) -> np.ndarray:
-    """The histogram of one pixel.
+    """Return the histogram of one pixel.
 
     Parameters
     ----------
@@ -157,11 +156,14 @@ def pixel_histogram(
 def _histogram_maker(
     arrays: dict[str, np.ndarray], config: Config, sigma_ticks: float, source: str, frame: int | None
 ) -> Callable[[int], np.ndarray]:
-    """What makes the histograms of a subgroup's pixels, int32[pixels, period_ticks]. Raises `InputError`."""
+    """Return a function that makes the histograms of a subgroup's pixels, int32[pixels, period_ticks].
+
+    Raises `InputError`.
+    """
     check_choice("source", source, tuple(SOURCES))
     sensor, events = config.sensor, frame_events(arrays, config, sigma_ticks, frame)
     if not events.mapped:
-        raise InputError("hits: the result has no ID map, must be of format id or full")
+        raise InputError("hits: the result has no ID map, its format must be id or full")
     records = (
         np.empty((0, sensor.minigroups)),
         np.empty((0, sensor.minigroups)),
@@ -171,9 +173,7 @@ def _histogram_maker(
     if use_records:
         records = _frame_records(arrays, config, frame)
     elif source == "minigroup" and not events.offset.shape[1]:
-        raise InputError(
-            "mg_offset: the result has no minigroup stamps, must be of format full or with minigroup_records"
-        )
+        raise InputError("mg_offset: the result has no minigroup stamps, it must have format full or minigroup_records")
     pixel = pixel_table(sensor)
     seen = np.arange(sensor.minigroup_pixels + 1)
     lead = sigma_ticks * lead_sigmas(np.maximum(photons_of(seen, sensor.minigroup_pixels), 1))
@@ -205,13 +205,13 @@ def _histogram_maker(
 
 
 def pixel_image(values: np.ndarray, sensor: Sensor) -> np.ndarray:
-    """[subgroups, pixels, ...] rearranged to [rows, cols, ...]."""
+    """Return [subgroups, pixels, ...] rearranged to [rows, cols, ...]."""
     table = pixel_table(sensor)
     return values[table.subgroup, table.inside].reshape(sensor.rows, sensor.cols, *values.shape[2:])
 
 
 def by_subgroup(image: np.ndarray, sensor: Sensor) -> np.ndarray:
-    """[rows, cols] rearranged to [subgroups, pixels]; the inverse of `pixel_image`."""
+    """Return [rows, cols] rearranged to [subgroups, pixels]; the inverse of `pixel_image`."""
     table = pixel_table(sensor)
     values = np.empty((sensor.subgroups, sensor.pixels), image.dtype)
     values[table.subgroup, table.inside] = image.ravel()
@@ -221,7 +221,7 @@ def by_subgroup(image: np.ndarray, sensor: Sensor) -> np.ndarray:
 def _frame_records(
     arrays: dict[str, np.ndarray], config: Config, frame: int | None
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Minigroup records of a frame ordered by subgroup: stamps and maps [n, minigroups], bounds [subgroups + 1]."""
+    """Return a frame's minigroup records by subgroup: stamps and maps [n, minigroups], bounds [subgroups + 1]."""
     chosen = np.ones(len(arrays["mg_pulse"]), bool) if frame is None else arrays["mg_pulse"] // config.pulses == frame
     row = np.flatnonzero(chosen)
     row = row[np.argsort(arrays["mg_subgroup"][row], kind="stable")]
@@ -231,7 +231,7 @@ def _frame_records(
 
 @njit
 def _add_events(histogram: np.ndarray, bins: np.ndarray, hits: np.ndarray, everywhere: bool) -> None:
-    """Counts each event in its bin, for the pixels of its map or for all."""
+    """Count each event in its bin, for the pixels of its map or for all pixels."""
     for e in range(len(bins)):
         for i in range(len(histogram)):
             if everywhere or hits[e, i // BEAT_BITS] >> np.uint64(i % BEAT_BITS) & np.uint64(1):
@@ -249,7 +249,7 @@ def _add_offsets(
     step: int,
     lead: np.ndarray,
 ) -> None:
-    """Counts each event where the pixel's minigroup was first hit: in the middle of an offset's step, later by `lead`."""
+    """Count each event at the first hit of the pixel's minigroup: the middle of the offset's step, moved later by `lead`."""
     pixels = len(histogram)
     seen = np.empty(offset.shape[1], np.int64)
     for e in range(len(stamp)):
@@ -267,7 +267,7 @@ def _add_offsets(
 def _add_records(
     histogram: np.ndarray, stamp: np.ndarray, maps: np.ndarray, pixel: Pixels, quarter: int, lead: np.ndarray
 ) -> None:
-    """Counts each record's minigroups in the middle of their quarter cycle, later by `lead`, for the pixels of their maps."""
+    """Count each record's minigroups at the middle of their quarter cycle, moved later by `lead`, for their maps' pixels."""
     for k in range(len(stamp)):
         for i in range(len(histogram)):
             g = pixel.minigroup[i]

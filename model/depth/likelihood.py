@@ -1,25 +1,28 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How likely each time of a pixel's surface makes what the sensor's words say: the law that the estimator of planes rests on.
+"""Likelihood of the sensor's words as a function of each pixel's surface time, on which the estimator of planes rests.
 
-Our choice throughout; the paper (IV) takes the peak of every pixel's histogram. A pixel that sees a surface at time t with
-`light` photons per pulse fires at the first of them and is dead from then on. So it has fired by a time u with probability
+All of this is our own choice; the paper (IV) takes the peak of every pixel's histogram. A pixel that sees a surface at
+time t with `light` photons per pulse fires at the first of them and is dead from then on. So the probability that it has
+fired by time u is
 
     F(u) = 1 - exp(-light * Phi((u - t) / sigma)).
 
-The events of a pulse say when that was, for each pixel of the subgroup:
+The events of a pulse constrain the firing time of each pixel of the subgroup:
 
-- the winner fired at the stamp;
-- a pixel in the map fired inside the window, not before its minigroup's offset (format full), and at it if it was the first
-  of its minigroup: how likely that is follows from where the others are known to be, about;
-- a pixel outside the map fired neither inside the window nor while the tree waited for its first photon. Where the tree was
-  blind, between the window's end and the re-arming, it may have fired.
+- The winner fired at the stamp.
+- A pixel in the map fired inside the window, and not before its minigroup's offset (format full). It fired at that
+  offset if it was the first of its minigroup. The probability of this follows from the approximate surface times of the
+  other pixels.
+- A pixel outside the map did not fire inside the window, nor while the tree waited for its first photon. It may have
+  fired while the tree was blind, between the window's end and the re-arming.
 
-Where no event is near, the pixel did not fire, or it did and the window missed the threshold, or found the tree blind after a
-window that missed it. How often that is follows from the share of pulses with an event at that time. Drops come in bursts: the
-first windows of a pulse fill the FIFO, and those that follow are lost. So between two events of which the later one carries
-`overrun`, silence says nothing.
+If there is no event nearby, there are three possibilities: the pixel did not fire; it fired, and the window missed the
+threshold; or the tree was blind after such a window. Their frequencies follow from the share of pulses with an event at
+that time. Drops come in bursts: the first windows of a pulse fill the FIFO, and the following ones are lost until there
+is room again. So if the later of two events carries `overrun`, the silence between them is informative only from the
+time at which there was room; this time follows from the rate of windows.
 
-Everything is relative to a pixel that sees no surface, whose hits are background.
+All likelihoods are relative to a pixel that sees no surface, whose hits are background.
 """
 
 import math
@@ -37,15 +40,15 @@ from ..contract.windows import armed_cycle, close_cycle
 from ..shared.compiled import njit
 from .histograms import Events, by_subgroup
 
-REACH_SIGMAS = 4.0  # from a pulse's centre to where it begins and ends
+REACH_SIGMAS = 4.0  # from the centre of a pulse to its beginning and end
 DEAD_S = 8e-9  # dead time of a SPAD (paper II)
-RARE = 1e-6  # least probability: what the law does not know happens, too
-QUIET_RATE = 1e-7  # photons per tick and pixel, at least: no background is nowhere
+RARE = 1e-6  # lowest probability: effects that the law does not include happen, too
+QUIET_RATE = 1e-7  # photons per tick and pixel, at least: some background is everywhere
 BLIND_MAX = 0.95
-DROPPING_ROUNDS = 3
-RATES = np.geomspace(1e-3, 50, 200)  # photons of a subgroup and window that a share of events may stand for
-NEGLIGIBLE = -1.0  # log likelihood ratio below which the mean over the lights is not worth its exponentials
-ALIKE = 0.2  # pixels of a minigroup whose chances to have been first differ by less are taken together
+DROPPING_ROUNDS = 3  # rounds in which the rate of windows and the stored share of them converge
+RATES = np.geomspace(1e-3, 50, 200)  # photons per subgroup and window, over which the share of events is tabulated
+NEGLIGIBLE = -1.0  # log likelihood ratio below which averaging over the lights is not worth its exponentials
+ALIKE = 0.2  # pixels of a minigroup are treated alike if their probabilities to have been first differ by less
 
 _FRACTION_BITS = 23  # of a float32
 _LOG = (
@@ -59,7 +62,7 @@ Spread = Callable[[Callable[[int], None], Iterable[int]], Iterable[None]]
 
 
 class Grid(NamedTuple):
-    """Times and lights at which the likelihood is taken.
+    """Times and lights at which the likelihood is computed.
 
     step: ticks between times, which are step * (k + 1/2). lights: float32[L], photons per pulse. prior: float32[L], log
     probability of each.
@@ -71,18 +74,18 @@ class Grid(NamedTuple):
 
 
 class Guess(NamedTuple):
-    """What is known of the pixels beforehand, [subgroups, pixels]: time in ticks (float64, NaN = nothing) and light."""
+    """Prior knowledge of the pixels, [subgroups, pixels]: time in ticks (float64, NaN = unknown) and light."""
 
     time: np.ndarray
     light: np.ndarray
 
 
 class Unheard(NamedTuple):
-    """Chances that a pixel which fires says nothing in a pulse without an event nearby, float32[subgroups, ticks] by its surface's time.
+    """Probabilities that a firing pixel leaves no trace in a pulse without an event nearby, by its surface's time.
 
-    missed: because its window misses the threshold, finds no armed tree, or is dropped. blind: because it finds no armed tree, at a
-    time at which a window would have been noticed. `_dropping`: between events of which the later one carries `overrun`; between
-    others nothing is dropped.
+    All are float32[subgroups, ticks]. missed: its window misses the threshold, finds the tree not armed, or is dropped.
+    blind: it finds the tree not armed, at a time at which a window would have been noticed. `_dropping`: between two
+    events of which the later one carries `overrun`; only there are windows dropped.
     """
 
     missed: np.ndarray
@@ -95,14 +98,14 @@ class _Law(NamedTuple):
     """Scalars of a subgroup; times in ticks."""
 
     window: int
-    told: int  # of the window's ticks, those whose hits are known: all, or the first (format short)
+    told: int  # ticks of the window whose hits are known: all of them, or the first (format short)
     phases: int
     rearm: int
-    offset: int  # ticks of an offset's step
+    offset: int  # ticks per step of an offset
     reach: int
     step: int
     noise: float  # background photons per tick and pixel
-    alive: float  # share of the pulses in which background has not fired the pixel before
+    alive: float  # share of the pulses in which background has not fired the pixel yet
     pulses: int
 
 
@@ -120,11 +123,12 @@ def log_likelihood(
     guess: Guess | None = None,
     spread: Spread = map,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(log likelihood ratio, likeliest light) of each pixel's times: float32 and uint8 (index), [rows, cols, bins].
+    """Return (log likelihood ratio, likeliest light) for each pixel's times: float32, uint8 (index), [rows, cols, bins].
 
-    pulses: in which the events came. never: `unheard` of them. first: int64[subgroups, pixels], index of the pixel's first time
-    in the grid. activity: float64[subgroups, pixels], background of each pixel over the mean (None: alike). guess: for offsets,
-    which are not used without it. spread: `map` of subgroups, of any order.
+    pulses: number of pulses in which the events came. never: from `unheard`, for the same events. first:
+    int64[subgroups, pixels], index of the pixel's first time in the grid. activity: float64[subgroups, pixels],
+    background of each pixel relative to the mean (None: all equal). guess: needed to use offsets; without it they are
+    ignored. spread: a `map` over subgroups that may use any order.
     """
     sensor = config.sensor
     reach = math.ceil(REACH_SIGMAS * sigma_ticks)
@@ -162,9 +166,9 @@ def log_likelihood(
         total = np.empty((sensor.pixels, bins, len(grid.lights)), np.float32)
         touched = np.zeros((sensor.pixels, bins), np.bool_)
         common = _add_events(
-            law, events.stamp[span], events.pulse[span] % pulses, events.winner[span], events.hits[span],
-            events.offset[span], events.overrun[span], opens[span], shares, minigroup, config.mask[s], activity[s],
-            chances[:2], chances[2:], fired, first[s], total, touched,
+            law, events.stamp[span], armed_ticks(events.stamp[span], window, config), events.pulse[span] % pulses,
+            events.winner[span], events.hits[span], events.offset[span], events.overrun[span], opens[span], shares,
+            minigroup, config.mask[s], activity[s], chances[:2], chances[2:], fired, first[s], total, touched,
         )  # fmt: skip
         _over_lights(common, total, touched, config.mask[s], first[s], grid.prior, place[s], level, light)
 
@@ -174,13 +178,13 @@ def log_likelihood(
 
 
 def _fired(lights: np.ndarray, sigma_ticks: float, reach: int) -> np.ndarray:
-    """float32[4 reach + 1, lights]: F at u - t = -reach to reach, in half ticks."""
+    """float32[4 reach + 1, lights]: F at u - t = -reach to reach, in steps of half a tick."""
     distance = np.arange(-2 * reach, 2 * reach + 1) / 2
     return -np.expm1(-special.ndtr(distance / sigma_ticks)[:, None] * lights).astype(np.float32)
 
 
 def _gate_opens(events: Events, config: Config) -> np.ndarray:
-    """int64[n]: tick at which the gate opened in each event's pulse, 0 where there is none."""
+    """int64[n]: tick at which the gate opened in each event's pulse, 0 without gating."""
     subgroup = np.repeat(np.arange(config.sensor.subgroups), np.diff(events.bounds))
     steps = 0
     if config.frame["gate_every"]:
@@ -190,12 +194,15 @@ def _gate_opens(events: Events, config: Config) -> np.ndarray:
 
 
 def unheard(events: Events, config: Config, pulses: int, sigma_ticks: float, spread: Spread = map) -> Unheard:
-    """What the subgroups' events say of photons that they do not show. pulses: in which the events came; spread: as of `log_likelihood`."""
-    shape = (config.sensor.subgroups, config.period_ticks)
+    """Estimate from the subgroups' events how often photons leave no trace.
+
+    pulses: number of pulses in which the events came; spread: as in `log_likelihood`.
+    """
+    shape, reach = (config.sensor.subgroups, config.period_ticks), math.ceil(REACH_SIGMAS * sigma_ticks)
     missed, missed_dropping, blind, blind_dropping = (np.empty(shape, np.float32) for _ in range(4))
     after_rejected = (
         np.arange(config.sensor.phases) + config.sensor.rearm * config.sensor.phases
-    )  # ticks that one blinds until this phase
+    )  # mean blind ticks after a rejected window, by phase
 
     def of_subgroup(s: int) -> None:
         ticks, window = config.period_ticks, int(events.window[s])
@@ -211,27 +218,38 @@ def unheard(events: Events, config: Config, pulses: int, sigma_ticks: float, spr
             events.pulse[span] % pulses, stamp, armed, events.overrun[span], events.committed[s], pulses, config
         )
         dropped = 1 / kept
-        dropped *= events.committed[s] / max(1.0, dropped[stamp].sum())  # windows for one that was stored
+        dropped *= events.committed[s] / max(1.0, dropped[stamp].sum())  # windows per stored window
         covered = _share_between(stamp, stamp + window, ticks, pulses) * dropped / (1 - deaf)
         photons = np.maximum(np.interp(covered, commits, RATES), events.photon_rate[s] * window)
         commits, met = (np.interp(photons, RATES, of_rate) for of_rate in (commits, met))
         seen = _gate_share(config, s, np.arange(ticks) // config.sensor.phases) if config.gating[s] else 1.0
-        reach = math.ceil(REACH_SIGMAS * sigma_ticks)
-        nearby = np.minimum(1, dropped * _share_between(np.maximum(0, stamp - reach), armed, ticks, pulses))
-        for of_tick, room, others in ((missed, 1.0, commits), (missed_dropping, found, np.maximum(commits, nearby))):
-            silent = deaf + (1 - deaf) * (1 - room * others)
+
+        def tell(
+            of_missed: np.ndarray,
+            of_blind: np.ndarray,
+            room: np.ndarray | float,
+            noticed: np.ndarray,
+            unarmed: np.ndarray,
+        ) -> None:
+            silent = deaf + (1 - deaf) * (1 - room * noticed)
             lost = (deaf + (1 - deaf) * (1 - room * met)) / np.maximum(silent, RARE)
-            of_tick[s] = _over_pulse(1 - seen * (1 - np.minimum(1, lost)), sigma_ticks)
-        busy = np.minimum(BLIND_MAX, deaf + dropped * _share_between(stamp, armed, ticks, pulses))
-        for of_tick, chance in ((blind, deaf), (blind_dropping, busy)):
-            of_tick[s] = _over_pulse(chance / (chance + (1 - chance) * np.exp(-photons)), sigma_ticks)
+            of_missed[s] = _over_pulse(1 - seen * (1 - np.minimum(1, lost)), sigma_ticks)
+            of_blind[s] = _over_pulse(unarmed / (unarmed + (1 - unarmed) * np.exp(-photons)), sigma_ticks)
+
+        tell(missed, blind, 1.0, commits, deaf)
+        if events.overrun[span].any():
+            nearby = np.minimum(1, dropped * _share_between(np.maximum(0, stamp - reach), armed, ticks, pulses))
+            busy = np.minimum(BLIND_MAX, deaf + dropped * _share_between(stamp, armed, ticks, pulses))
+            tell(missed_dropping, blind_dropping, found, np.maximum(commits, nearby), busy)
+        else:  # not used
+            missed_dropping[s], blind_dropping[s] = missed[s], blind[s]
 
     list(spread(of_subgroup, range(config.sensor.subgroups)))
     return Unheard(missed, missed_dropping, blind, blind_dropping)
 
 
 def armed_ticks(stamp: np.ndarray, window: int, config: Config) -> np.ndarray:
-    """int64[n]: tick from which the tree is armed again after events at `stamp`."""
+    """int64[n]: tick at which the tree is armed again after events at `stamp`."""
     phases = config.sensor.phases
     return armed_cycle(close_cycle(stamp, window, phases), config.sensor.rearm) * phases
 
@@ -245,10 +263,11 @@ def _while_dropping(
     pulses: int,
     config: Config,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(share of the windows that are stored, the same of those between two events of which the later one carries `overrun`), float64[ticks].
+    """Return (share of windows that are stored, the same between two events of which the later has `overrun`), float64[ticks].
 
-    After an event was stored the FIFO was full, and what came was dropped, until there was room; then nothing came before the next
-    event. When there was room follows from how often windows come; that follows from how many are stored.
+    After an event was stored, the FIFO was full, and windows were dropped until there was room. From then on, no window
+    came until the next event. The time at which there was room follows from the rate of windows, and this rate follows
+    from the share that is stored.
     """
     phases, cells = config.sensor.phases, config.period
     later = np.flatnonzero(overrun[1:]) + 1
@@ -268,15 +287,16 @@ def _while_dropping(
 
 @njit
 def _room_found(begin, end, rate):
-    """float64[cycles]: share of the intervals from `begin` to `end`, cycles of the frame, in which there was room before that cycle.
+    """float64[cycles]: share of the intervals from `begin` to `end` in which there was room before a cycle of the period.
 
-    rate: windows per cycle of the period. In each interval some windows came before there was room, and none after.
+    begin, end: cycles of the frame. rate: windows per cycle of the period. In each interval, windows came before there
+    was room, and none came after.
     """
     cells = len(rate)
     total = np.zeros(cells + 1)
     total[1:] = np.cumsum(rate)
     of_period, total = total[cells], total[:cells]
-    grown, shrunk = np.exp(total), np.exp(-total)  # of the windows since the period's begin
+    grown, shrunk = np.exp(total), np.exp(-total)  # windows since the period began
     found, number = np.zeros(cells), np.zeros(cells)
     sums = np.empty(cells * max(1, (np.max(end) if len(end) else 0) // cells + 1))
     for i in range(len(begin)):
@@ -304,18 +324,18 @@ def _room_found(begin, end, rate):
 
 
 def _over_pulse(of_photon: np.ndarray, sigma_ticks: float) -> np.ndarray:
-    """The mean over the times of the photons that a surface at each tick sends."""
+    """Return the mean over the arrival times of a surface's photons, for a surface at each tick."""
     return ndimage.gaussian_filter1d(of_photon, sigma_ticks, mode="nearest", truncate=REACH_SIGMAS)
 
 
 def _share_between(begin: np.ndarray, end: np.ndarray, ticks: int, pulses: int) -> np.ndarray:
-    """float64[ticks]: in how many of the pulses each tick lies in [begin, end) of an event."""
+    """float64[ticks]: share of the pulses in which a tick lies in [begin, end) of an event."""
     change = sum(sign * np.bincount(np.minimum(at, ticks), minlength=ticks + 1) for sign, at in ((1, begin), (-1, end)))
     return np.cumsum(change)[:ticks] / pulses
 
 
 def _gate_share(config: Config, s: int, cycle: np.ndarray) -> np.ndarray:
-    """Share of the pulses whose gate is open in each cycle."""
+    """Return the share of the pulses whose gate is open in each cycle."""
     start = config.gate_start[s] + np.zeros(1, np.int64)
     if config.frame["gate_every"]:
         pulse = np.arange(config.pulses)
@@ -326,7 +346,7 @@ def _gate_share(config: Config, s: int, cycle: np.ndarray) -> np.ndarray:
 
 @njit
 def _first_shares(stamp, winner, hits, offset, minigroup, law, time, light, sigma):
-    """float32[n, pixels]: chance that each hit pixel was the first of its minigroup: all others of it fired later."""
+    """float32[n, pixels]: probability that a hit pixel was the first of its minigroup, so that all others fired later."""
     n, pixels = len(stamp), len(minigroup)
     shares = np.zeros((n, pixels), np.float32)
     members = np.empty(pixels, np.int64)
@@ -346,7 +366,7 @@ def _first_shares(stamp, winner, hits, offset, minigroup, law, time, light, sigm
                     inside = _unfired(begin - time[i], light[i], sigma) - last
                     if inside > RARE:
                         later[number] = (_unfired(own - time[i], light[i], sigma) - last) / inside
-                    else:  # background, or nothing is known
+                    else:  # background, or an unknown surface
                         later[number] = (end - own) / (end - begin)
                     number += 1
             for j in range(number):
@@ -360,7 +380,7 @@ def _first_shares(stamp, winner, hits, offset, minigroup, law, time, light, sigm
 
 @njit(inline="always")
 def _unfired(distance, light, sigma):
-    """1 - F."""
+    """Return 1 - F."""
     return math.exp(-light * 0.5 * math.erfc(-distance / sigma * math.sqrt(0.5)))
 
 
@@ -373,6 +393,7 @@ def _hit(hits, e, i):
 def _add_events(
     law,
     stamp,
+    armed,
     pulse,
     winner,
     hits,
@@ -390,14 +411,15 @@ def _add_events(
     total,
     touched,
 ):
-    """What a subgroup's events say: of pixels without a hit, returned as float32[times, lights], and of hits besides, in `total`.
+    """Return what a subgroup's events say about pixels without a hit, float32[times, lights]; add the hits to `total`.
 
-    total: float32[pixels, bins, lights], logarithms; it means something only where `touched`, bool[pixels, bins], says so. Events of
-    a pulse so near that a photon may belong to either are taken together, and a pixel's first hit among them counts.
+    total: float32[pixels, bins, lights], logarithms, valid only where `touched`, bool[pixels, bins], is set. Events of
+    the same pulse are treated together if they are so close that a photon may belong to either; then a pixel's first hit
+    among them counts.
     """
     n, times = len(stamp), missed.shape[1]
     pixels, bins, lights = total.shape
-    wanted = np.zeros(times + 1, np.int64)  # how many times of those before each are in some pixel's bins
+    wanted = np.zeros(times + 1, np.int64)  # running number of the times that are in some pixel's bins
     for i in range(pixels):
         wanted[max(0, first[i]) + 1 : max(0, first[i] + bins) + 1] = 1
     wanted = np.cumsum(wanted)
@@ -405,15 +427,14 @@ def _add_events(
     unseen, before = np.empty_like(common), np.empty_like(common)
     product, logs = np.zeros_like(common), np.zeros_like(common)
     silent = np.zeros((2, times + 1), np.int64)  # change of the number of pulses without an event nearby, by `overrun`
-    armed, quiet, known = np.empty(n, np.int64), np.empty(n, np.int64), np.empty(n, np.int64)
+    quiet, known = np.empty(n, np.int64), np.empty(n, np.int64)
     for e in range(n):
         earliest = opens[e]
         if e and pulse[e - 1] == pulse[e]:
             earliest = max(earliest, armed[e - 1])
         cycle = stamp[e] // law.phases * law.phases
-        armed[e] = ((stamp[e] + law.window - 1) // law.phases + 1 + law.rearm) * law.phases
-        known[e] = min(stamp[e], max(earliest, cycle))  # the tree was armed and no photon came, from then on
-        # before, it was if it was not blind: no window ends later
+        known[e] = min(stamp[e], max(earliest, cycle))  # from then on, the tree was armed and no photon came
+        # before that, the tree was armed unless it was blind, because no window ends later
         quiet[e] = min(known[e], max(earliest, cycle - law.rearm * law.phases - law.window + 1))
     counted = np.full(pixels, -1, np.int64)
     begin, since, since_pulse = 0, 0, 0
@@ -462,25 +483,41 @@ def _add_events(
 
 @njit(inline="always")
 def _add_silence(silent, from_pulse, since, to_pulse, until):
-    """Counts the pulses without an event nearby, from time `since` of one pulse to time `until` of another."""
+    """Count the pulses without an event nearby, from time `since` of one pulse to time `until` of another."""
     silent[since] += 1
     silent[until] -= 1
     silent[0] += to_pulse - from_pulse
 
 
+@njit(inline="always")
+def _at(law, k, tick, top):
+    """Return the row of `fired` for a tick, for a surface at time k of the grid."""
+    return min(max(2 * (tick + law.reach) - (2 * k + 1) * law.step, 0), top)
+
+
+@njit(inline="always")
+def _before_stamp(law, k, since, quiet, known, dropping, missed, blind, top):
+    """Return the rows of `fired` that bound the time before an event's stamp, and the chances to notice a photon there.
+
+    Between rows z and a, the photon would have made an event of its own (chance `heard`); between a and b, it would have
+    made this event's stamp earlier (`sharp`). since: tick from which the tree was armed after the previous event, -1 if
+    that is far away.
+    """
+    a, b = _at(law, k, quiet, top), _at(law, k, known, top)
+    z = min(_at(law, k, since, top), a) if since >= 0 else 0
+    heard = np.float32(0 if dropping else law.alive * (1 - missed[0, k]))
+    sharp = np.float32(law.alive * (1 - blind[dropping, k]))
+    return z, a, b, heard, sharp
+
+
 @njit
 def _subtract(law, unseen, k0, k1, e, begin, quiet, known, stamp, armed, overrun, missed, blind, fired):
-    """Takes from `unseen` what event e says of a pixel outside its map: it did not fire since the event before, and in the window."""
+    """Reduce `unseen` by event e: a pixel outside its map did not fire in the window, nor between the last event and it."""
     top = len(fired) - 1
-    dropping = np.int64(overrun[e])
+    since, dropping, alive = armed[e - 1] if e > begin else -1, np.int64(overrun[e]), np.float32(law.alive)
     for k in range(k0, k1):
-        centre = (2 * k + 1) * law.step - 2 * law.reach
-        a, b = min(max(2 * quiet[e] - centre, 0), top), min(max(2 * known[e] - centre, 0), top)
-        c = min(max(2 * (stamp[e] + law.told) - centre, 0), top)
-        z = min(max(2 * armed[e - 1] - centre, 0), a) if e > begin else 0
-        heard = np.float32(0 if dropping else law.alive * (1 - missed[0, k]))
-        sharp = np.float32(law.alive * (1 - blind[dropping, k]))
-        alive = np.float32(law.alive)
+        z, a, b, heard, sharp = _before_stamp(law, k, since, quiet[e], known[e], dropping, missed, blind, top)
+        c = _at(law, k, stamp[e] + law.told, top)
         for x in range(unseen.shape[1]):
             left = unseen[k, x] - (
                 alive * (fired[c, x] - fired[b, x])
@@ -492,12 +529,12 @@ def _subtract(law, unseen, k0, k1, e, begin, quiet, known, stamp, armed, overrun
 
 @njit
 def _subtract_after(law, unseen, k0, k1, armed, dropping, missed, fired):
-    """Takes from `unseen` what silence after the last event of a pulse says."""
+    """Reduce `unseen` by the silence after the last event of a pulse."""
     if dropping:
         return
     top = len(fired) - 1
     for k in range(k0, k1):
-        d = min(max(2 * armed - (2 * k + 1) * law.step + 2 * law.reach, 0), top)
+        d = _at(law, k, armed, top)
         heard = np.float32(law.alive * (1 - missed[0, k]))
         for x in range(unseen.shape[1]):
             unseen[k, x] = max(np.float32(RARE), unseen[k, x] - heard * (fired[top, x] - fired[d, x]))
@@ -508,7 +545,7 @@ def _add_hits(
     law, e, cluster, stamps, quiet, known, armed, overrun, winner, hits, offset, shares, minigroup, mask, activity,
     missed, blind, fired, before, unseen, product, logs, k0, k1, counted, first, total, touched,
 ):  # fmt: skip
-    """Adds what an event says of the pixels in its map; those of one kind share a row."""
+    """Add what an event says about the pixels in its map; pixels of the same kind share a row."""
     pixels, bins = total.shape[:2]
     stamp, dropping = stamps[e], np.int64(overrun[e])
     since = armed[e - 1] if e > cluster else -1
@@ -523,7 +560,7 @@ def _add_hits(
         _log(product, logs, low, high)
         _add(total[winner], touched[winner], logs, first[winner], low, high)
     groups = offset.shape[1] if len(shares) else 1
-    for group in range(groups):  # one after the other, as the pixels of one share rows
+    for group in range(groups):  # one at a time, because the pixels of a group share rows
         begin, own, of_row = stamp, stamp, np.float32(-1.0)
         if len(shares) and group != minigroup[winner] and offset[e, group] != OFFSET_NONE:
             begin = max(stamp, cycle + offset[e, group] * law.offset)
@@ -551,21 +588,16 @@ def _row(
     law, begin, own, until, share, noise, stamp, quiet, known, since, dropping,
     missed, blind, fired, before, unseen, product, k0, k1,
 ):  # fmt: skip
-    """product[k0:k1]: likelihood ratio of a hit in [begin, until), or before `own` if it was its minigroup's first.
+    """Compute product[k0:k1], the likelihood ratio of a hit in [begin, until), or before `own` if it was its minigroup's first.
 
-    It is over that of no hit, which all pixels get.
+    It is relative to the likelihood of no hit, which all pixels get.
     """
     top = len(fired) - 1
     alive, share = np.float32(law.alive), np.float32(share)
     background = np.float32(1 / (noise * (share * (own - begin) + (1 - share) * (until - begin))))
     for k in range(k0, k1):
-        centre = (2 * k + 1) * law.step - 2 * law.reach
-        a, b = min(max(2 * quiet - centre, 0), top), min(max(2 * known - centre, 0), top)
-        c, d = min(max(2 * begin - centre, 0), top), min(max(2 * own - centre, 0), top)
-        f = min(max(2 * until - centre, 0), top)
-        z = min(max(2 * since - centre, 0), a) if since >= 0 else 0
-        heard = np.float32(0 if dropping else law.alive * (1 - missed[0, k]))
-        sharp = np.float32(law.alive * (1 - blind[dropping, k]))
+        z, a, b, heard, sharp = _before_stamp(law, k, since, quiet, known, dropping, missed, blind, top)
+        c, d, f = _at(law, k, begin, top), _at(law, k, own, top), _at(law, k, until, top)
         for x in range(product.shape[1]):
             earlier = before[k, x] - (
                 heard * (fired[a, x] - fired[z, x])
@@ -590,7 +622,7 @@ def _add(total, touched, row, first, k0, k1):
 
 @njit(error_model="numpy")
 def _log(values, logs, k0, k1):
-    """logs = log(values), from the float32's bits: exponent and a polynomial of the fraction."""
+    """Compute logs = log(values) from the bits of the float32: exponent and a polynomial of the fraction."""
     bits = values[k0:k1].reshape(-1).view(np.int32)
     out = logs[k0:k1].reshape(-1)
     c = _LOG
@@ -602,7 +634,7 @@ def _log(values, logs, k0, k1):
 
 @njit
 def _over_lights(common, total, touched, mask, first, prior, place, level, light):
-    """Logarithm of the mean over the lights, and the likeliest of them; nothing speaks for or against times of a masked pixel."""
+    """Compute the logarithm of the mean over the lights, and the likeliest light; a masked pixel favours no time."""
     times, lights = common.shape
     values = np.empty(lights, np.float32)
     level_of_all, light_of_all = np.empty(times, np.float32), np.empty(times, np.uint8)
@@ -626,7 +658,7 @@ def _over_lights(common, total, touched, mask, first, prior, place, level, light
 
 @njit
 def _mean(values):
-    """(logarithm of the sum, index of the largest)."""
+    """Return (logarithm of the sum, index of the largest)."""
     best = 0
     for x in range(len(values)):
         if values[x] > values[best]:

@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Planes through the likelihoods of neighbouring pixels: a time and two slopes for each, by PatchMatch with fixed steps.
+"""Planes through the likelihoods of neighbouring pixels: one time and two slopes per pixel, by PatchMatch with fixed steps.
 
-Ref: PatchMatch stereo (Bleyer, Rhemann, Rother 2011), here on likelihoods of time. A pixel's plane passes through its own
-likelihood, and through what its neighbours' probabilities say of it; one that is on another surface hardly matters. In every
-round each pixel tries its neighbours' planes and small steps of its own one; all of a round see the planes of the round before.
+Ref: PatchMatch stereo (Bleyer, Rhemann, Rother 2011), here applied to likelihoods of time. The plane of a pixel is scored
+by the pixel's own likelihood and by its neighbours' probabilities on the plane; a neighbour on another surface hardly
+matters. In every round, each pixel tries its neighbours' planes and small steps of its own plane. All pixels of a round
+see the planes of the previous round.
 """
 
 from functools import partial
@@ -14,27 +15,27 @@ import numpy as np
 from ..shared.compiled import njit
 from .seeds import Blocks
 
-WIDTHS = 1.3, 2.0, 3.0, 5.0  # pixels, of the Gaussian weight of a pixel's neighbours,
-WIDTH_TICKS = 2.0, 4.0, 10.0  # by how well it knows its own time: standard deviations between them
-WEIGHT_MIN = 0.05  # less is left out
+WIDTHS = 1.3, 2.0, 3.0, 5.0  # pixels: sigma of the Gaussian weight of a pixel's neighbours,
+WIDTH_TICKS = 2.0, 4.0, 10.0  # selected by the standard deviation of the pixel's own time: borders between the widths
+WEIGHT_MIN = 0.05  # lower weights are left out
 HALF = 8  # pixels to the farthest neighbour
-ON_PLANE = 30.0  # ticks: odds of a neighbour to be on the plane, per probability density of its time there
+ON_PLANE = 30.0  # ticks: odds that a neighbour is on the plane, per probability density of its time there
 SLOPE, SLOPE_MAX, SLOPE_COST = 3.0, 80.0, 0.5  # ticks per pixel; a steeper plane is rarer (Cauchy)
 ROUNDS = 6
-STEP_TICKS, STEP_SLOPE, SHRINK = 4.0, 2.0, 0.6  # first steps, and from round to round
-SAME = 1e-6  # ticks: planes that differ by less are one
-FINER = 2  # steps of a round, each half the one before
-TRUST = 0.5  # of a score: neighbours are not independent, and surfaces are not quite planes
-IMPROBABLE = -30.0  # log likelihood to the pixel's best: no neighbours can make up for less
+STEP_TICKS, STEP_SLOPE, SHRINK = 4.0, 2.0, 0.6  # first steps, and their factor from round to round
+SAME = 1e-6  # ticks: planes that differ by less are the same
+FINER = 2  # steps per round, each half of the one before
+TRUST = 0.5  # weight of a score: neighbours are not independent, and surfaces are not exactly planes
+IMPROBABLE = -30.0  # log likelihood relative to the pixel's best: no neighbours can make up for less
 _NEVER = np.float32(-1e9)
 
 
 class Field(NamedTuple):
-    """Pixels' likelihoods around their seeds.
+    """Likelihoods of the pixels around their seeds.
 
-    own: float32[rows, cols, bins], log likelihood. other: the same shape, what a neighbour adds to a plane's score there. first:
-    int64[rows, cols], tick of the first bin. taps: int64[widths, n, 2] and weights: float32[widths, n], the neighbours. width:
-    int64[rows, cols], which of them a pixel takes.
+    own: float32[rows, cols, bins], log likelihood. other: the same shape, what a neighbour adds to a plane's score there.
+    first: int64[rows, cols], tick of the first bin. taps: int64[widths, n, 2] and weights: float32[widths, n], the
+    neighbours. width: int64[rows, cols], index of the taps that a pixel uses.
     """
 
     own: np.ndarray
@@ -66,7 +67,7 @@ class Field(NamedTuple):
 
 
 class Planes(NamedTuple):
-    """time, in ticks, and slopes, in ticks per pixel, of each pixel's plane: float64[rows, cols]."""
+    """Plane of each pixel, float64[rows, cols]: time in ticks, and slopes in ticks per pixel."""
 
     time: np.ndarray
     down: np.ndarray
@@ -74,7 +75,7 @@ class Planes(NamedTuple):
 
 
 def fit_planes(field: Field, blocks: Blocks) -> Planes:
-    """The planes of all pixels. blocks: calls a function for (begin, end) of blocks of rows, in any order."""
+    """Fit the planes of all pixels. blocks: calls a function for (begin, end) of blocks of rows, in any order."""
     rows, cols, _ = field.own.shape
     peak = field.first + field.own.argmax(axis=2) + 0.5
     planes, tried = (Planes(*(np.zeros((rows, cols)) for _ in range(3))) for _ in range(2))
@@ -89,7 +90,7 @@ def fit_planes(field: Field, blocks: Blocks) -> Planes:
 
 @njit(inline="always")
 def _between(line, at):
-    """Linear interpolation at a fractional index; nothing outside."""
+    """Interpolate linearly at a fractional index; return a never-winning value outside."""
     k = int(np.floor(at))
     if k < 0 or k >= len(line) - 1:
         return np.float32(0.0)
@@ -99,7 +100,7 @@ def _between(line, at):
 
 @njit
 def _score(field, r, c, time, down, right):
-    """How well a plane fits at pixel (r, c) and around it."""
+    """Return the score of a plane at pixel (r, c) and around it."""
     rows, cols, bins = field.own.shape
     at = time - field.first[r, c] - 0.5
     if not 0 <= at < bins - 1 or abs(down) > SLOPE_MAX or abs(right) > SLOPE_MAX:
@@ -120,7 +121,7 @@ def _score(field, r, c, time, down, right):
 
 @njit
 def _start(field, peak, planes, begin, end):
-    """Each pixel's likeliest time, with the best of the slopes to its neighbours' ones."""
+    """Start each pixel at its likeliest time, with the best of the slopes towards its neighbours."""
     rows, cols = peak.shape
     for r in range(begin, end):
         for c in range(cols):
@@ -172,9 +173,9 @@ def _round(field, old, new, step, slope, begin, end):
 
 
 def posterior(field: Field, planes: Planes, tolerance_ticks: float, blocks: Blocks) -> tuple[np.ndarray, np.ndarray]:
-    """(confidence, error), float64[rows, cols]: probability that a pixel's time is within `tolerance_ticks`, its standard error.
+    """Return (confidence, error), float64[rows, cols]: P(time is within `tolerance_ticks`), standard error of the time.
 
-    Both given that its plane, or one beside it, has the right slopes and that its seed was right.
+    Both assume that the slopes of the pixel's plane, or of one beside it, are right, and that its seed was right.
     """
     confidence, error = np.zeros(planes.time.shape), np.full(planes.time.shape, np.nan)
     blocks(partial(_posterior, field, planes, tolerance_ticks, confidence, error))
@@ -209,7 +210,7 @@ def _posterior(field, planes, tolerance, confidence, error, begin, end):
 
 @njit
 def _others(field, planes, r, c, tolerance, top):
-    """How probable neighbours' planes are that pass farther from the pixel's time than `tolerance`, as multiples of its own."""
+    """Return the probability, relative to the pixel's own plane, of neighbours' planes that pass outside `tolerance`."""
     rows, cols = planes.time.shape
     odds = 0.0
     for rr in range(max(0, r - 1), min(rows, r + 2)):

@@ -10,22 +10,25 @@ from ..contract.windows import armed_cycle, close_cycle
 from ..shared.compiled import njit
 from .histograms import Events
 
-FILTER_SIGMAS = 4.0  # where the matched filter ends
-NEAR_SIGMAS = 1.5  # bins around a peak that its centre is taken from
-APART_SIGMAS = 4.0  # between returns of a pixel
+FILTER_SIGMAS = 4.0  # half width of the matched filter
+NEAR_SIGMAS = 1.5  # half width of the bins that determine the centre of a peak
+APART_SIGMAS = 4.0  # distance between the returns of a pixel
 ACCIDENT_MAX = 0.01  # probability that a second or further return is background
-LIVE_MIN = 0.05  # share of periods; below it, pile-up is beyond correction
+LIVE_MIN = 0.05  # share of periods; below it, pile-up cannot be corrected
 
 
 def pixel_peaks(
     histogram: np.ndarray, method: str, live: np.ndarray | None, sigma_ticks: float, returns: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(ticks, confidence), each float64[pixels, returns], from int32[pixels, bins]. live: float64[bins], `live_share`."""
+    """Return (ticks, confidence), each float64[pixels, returns], from int32[pixels, bins].
+
+    live: float64[bins], `live_share`.
+    """
     bins = histogram.shape[1]
     single = method == "maximum"
     half = 0 if single else int(FILTER_SIGMAS * sigma_ticks + 0.5)
     pulse = np.exp(-0.5 * (np.arange(-half, half + 1) / sigma_ticks) ** 2)
-    width = 1.0 if single else np.sqrt(2 * np.pi) * sigma_ticks  # a hit in the filter's middle counts 1
+    width = 1.0 if single else np.sqrt(2 * np.pi) * sigma_ticks  # a hit in the middle of the filter counts 1
     shape = np.ones(bins)
     if live is not None:
         shape = np.convolve(live / live.mean(), pulse / pulse.sum(), mode="same")
@@ -44,7 +47,7 @@ def pixel_peaks(
 
 @njit
 def _peaks(histogram, pulse, width, shape, live, by_evidence, near, apart, returns):
-    """Every pixel's peaks; only the bins that a hit's pulse reaches are looked at, for elsewhere nothing is above background."""
+    """Find every pixel's peaks. Only bins within a pulse of a hit are searched; no other bin is above the background."""
     pixels, bins = histogram.shape
     half = len(pulse) // 2
     ticks, confidence = np.full((pixels, returns), np.nan), np.zeros((pixels, returns))
@@ -67,7 +70,7 @@ def _peaks(histogram, pulse, width, shape, live, by_evidence, near, apart, retur
         highest = 0.0
         for n in range(number):
             highest = max(highest, seen[reached[n]])
-        per_bin = max(0.5, total - highest) / bins * width  # the peak is no background; half a hit at least
+        per_bin = max(0.5, total - highest) / bins * width  # the peak is not background; assume at least half a hit
         top = 0.0
         for n in range(number):
             j = reached[n]
@@ -105,7 +108,7 @@ def _peaks(histogram, pulse, width, shape, live, by_evidence, near, apart, retur
 
 @njit
 def _poisson_cdf(count, mean):
-    """Chance of at most `count` (an integer as a float)."""
+    """Return the probability of at most `count` (an integer as a float)."""
     term = total = math.exp(-mean)
     for k in range(1, int(count) + 1):
         term *= mean / k
@@ -116,10 +119,10 @@ def _poisson_cdf(count, mean):
 def live_share(arrays: dict[str, np.ndarray], events: Events, config: Config, frame: int | None) -> np.ndarray:
     """float64[subgroups, period_ticks]: share of the periods in which the tree could have opened a window at each tick.
 
-    A window keeps it from doing so until it is armed again: pile-up, and R's blind time. Committed windows are taken
-    where they were, at each tick where coincidence is off (the stamps are single photons: Coates' correction), else by
-    the cycle before (the arrival lies within the event's own window); rejected ones are spread over the period, unknown
-    as they are.
+    After a window opens, the tree cannot open another until it is armed again: this is pile-up, and the blind time of R.
+    Committed windows are taken at their times: to the tick if coincidence is off (the stamps are single photons: Coates'
+    correction), otherwise to the cycle before (the arrival is inside the event's own window). The times of rejected
+    windows are unknown, so they are spread over the period.
     """
     sensor, ticks = config.sensor, config.period_ticks
     frames = slice(None) if frame is None else slice(frame, frame + 1)

@@ -1,11 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Estimator for real geometry: the time of every pixel from the likelihood of all events, on planes that neighbours share.
 
-Our choice throughout. Steps:
+All of this is our own choice. The steps are:
 
-1. the likelihood of every time in coarse steps (`likelihood.py`), and from it the pixel's seed, by what its neighbours see (`seeds.py`);
-2. the likelihood in single ticks around the seeds. How bright pixels are is learned from the seeds;
-3. planes through it (`patchmatch.py`).
+1. the likelihood of every time in coarse steps (`likelihood.py`); from it and the neighbours' likelihoods, the pixel's
+   seed (`seeds.py`);
+2. the likelihood in single ticks around the seeds; the seeds also tell how bright the pixels are;
+3. planes through this likelihood (`patchmatch.py`).
 """
 
 import os
@@ -24,19 +25,19 @@ from .seeds import LEAST, Blocks, find_seeds
 COARSE_SIGMAS = 1.2  # step of the first grid
 COARSE_LIGHTS = np.geomspace(0.02, 40, 7).astype(np.float32)  # photons per pulse
 LIGHTS = np.geomspace(0.015, 60, 12).astype(np.float32)
-BINS_SIGMAS = 16.0  # of the bins around a seed
-LIGHT_FLOOR = 0.01  # share of the pixels that have a light that no other one has
-HOT = 2.0  # times the background from which on a pixel's own counts
-ACTIVITY_HITS = 10.0  # as many hits count as seen before any
+BINS_SIGMAS = 16.0  # width of the bins around a seed
+LIGHT_FLOOR = 0.01  # share of the pixels that is assumed for a light that no pixel has
+HOT = 2.0  # background relative to the mean from which on a pixel's own value is used
+ACTIVITY_HITS = 10.0  # weight of the prior, in hits
 BLOCK_ROWS = 4
-RETURN_SCORE = 12.0  # of a further return, with its neighbours: once in a hundred by accident,
-RETURN_LEVEL = 2.0  # and alone
-APART_SIGMAS = 4.0  # between returns, besides the window
+RETURN_SCORE = 12.0  # score of a further return with its neighbours: reached by accident once in a hundred,
+RETURN_LEVEL = 2.0  # and without them
+APART_SIGMAS = 4.0  # distance between returns, in addition to the window
 
 
 @frozen(eq=False)
 class Surfaces:
-    """What the pixels see, in ticks: time, error [rows, cols, returns]; confidence; slope [rows, cols, 2] down and to the right."""
+    """Surfaces of the pixels, in ticks: time, error [rows, cols, returns]; confidence; slope [rows, cols, 2] down and right."""
 
     time: np.ndarray
     confidence: np.ndarray
@@ -54,10 +55,10 @@ def find_surfaces(
     returns: int = 1,
     workers: int | None = None,
 ) -> Surfaces:
-    """The surfaces that the pixels see. pulses: in which the events came; workers: number of threads, which does not
-    change the result.
+    """Find the surfaces that the pixels see. pulses: number of pulses in which the events came; workers: threads.
 
-    confidence: probability that the first return is within `tolerance_ticks`, and that the others are no accident.
+    The number of threads does not change the result. confidence: probability that the first return is within
+    `tolerance_ticks`, and that the others are not accidental.
     """
     sensor = config.sensor
     with ThreadPoolExecutor(workers or os.cpu_count() or 1) as pool:
@@ -120,7 +121,7 @@ def find_surfaces(
 
 
 def _light_prior(light: np.ndarray) -> np.ndarray:
-    """float32[lights]: log probability of each of `LIGHTS`, from the pixels' likeliest of `COARSE_LIGHTS`."""
+    """float32[lights]: log probability of each of `LIGHTS`, from the pixels' likeliest light among `COARSE_LIGHTS`."""
     share = np.bincount(light, minlength=len(COARSE_LIGHTS)) / max(1, len(light))
     share = np.interp(np.log(LIGHTS), np.log(COARSE_LIGHTS), share)
     share = share / max(share.sum(), 1e-9) + LIGHT_FLOOR
@@ -128,7 +129,7 @@ def _light_prior(light: np.ndarray) -> np.ndarray:
 
 
 def _activity(events: Events, config: Config, seed: np.ndarray, sigma_ticks: float) -> np.ndarray:
-    """float64[subgroups, pixels]: background of each pixel over the mean, from its hits away from its seed; 1 unless hot."""
+    """float64[subgroups, pixels]: background of a pixel over the mean, from its hits away from its seed; 1 unless hot."""
     pixels = config.sensor.pixels
     activity = np.ones(seed.shape)
     for s in range(config.sensor.subgroups):
@@ -155,7 +156,7 @@ def _further(
     most: int,
     blocks: Blocks,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(time, confidence, error) [rows, cols, most] of the returns after the first, away from each other."""
+    """Return (time, confidence, error) [rows, cols, most] of the returns after the first, apart from each other."""
     rows, cols, times = level.shape
     found = np.full((rows, cols, most), np.nan)
     confidence, error = np.zeros(found.shape), np.full(found.shape, np.nan)

@@ -1,33 +1,33 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Measures the share of wrong pixels in a depth picture, and the error of the others.
+"""Quality of a depth picture: the share of wrong pixels, and the error of the others.
 
-Ref: paper IV, Fig. 7 for what counts as right.
+Ref: paper IV, Fig. 7, for the tolerance.
 """
 
 import numpy as np
 
 from ..shared.constants import SPEED_OF_LIGHT_M_S, SUCCESS_TOLERANCE_S
 
-OTHER_SURFACE_M = 0.15  # a pixel that is off by more took another surface, or background
+OTHER_SURFACE_M = 0.15  # an error above this means another surface, or background
 TOLERANCE_M = SUCCESS_TOLERANCE_S * SPEED_OF_LIGHT_M_S / 2
 
 
 def wrong_pixels(depth_m: np.ndarray, truth_m: np.ndarray, tolerance_m: float = TOLERANCE_M) -> np.ndarray:
-    """bool[rows, cols]: where |depth - truth| is above `tolerance_m` (default: `SUCCESS_TOLERANCE_S`, one way), or
-    there is no depth.
+    """bool[rows, cols]: the depth is missing, or |depth - truth| is above `tolerance_m`.
 
-    depth_m, truth_m: float64[rows, cols]; a pixel without truth (NaN) is not wrong.
+    depth_m, truth_m: float64[rows, cols]; a pixel without truth (NaN) is not wrong. tolerance_m: default is
+    `SUCCESS_TOLERANCE_S`, one way.
     """
     return ~np.isnan(truth_m) & ~(np.abs(depth_m - truth_m) <= tolerance_m)
 
 
 def wrong_share(depth_m: np.ndarray, truth_m: np.ndarray, tolerance_m: float = TOLERANCE_M) -> float:
-    """Share of wrong pixels among those with a truth."""
+    """Return the share of wrong pixels among those with a truth."""
     return float(wrong_pixels(depth_m, truth_m, tolerance_m).sum() / max(1, np.sum(~np.isnan(truth_m))))
 
 
 def range_error(depth_m: np.ndarray, truth_m: np.ndarray) -> tuple[float, float]:
-    """(bias, RMS) in metres of depth - truth (float64, any shape), over the pixels that have both; NaN if there are none."""
+    """Return (bias, RMS) in metres of depth - truth (float64, any shape), over the pixels with both; NaN if none."""
     error_m = (depth_m - truth_m)[~np.isnan(depth_m - truth_m)]
     if not len(error_m):
         return np.nan, np.nan

@@ -1,11 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Seeds: the approximate time of each pixel's surface. The likelihood of a pixel offers a few times, and the pixel
-chooses together with its neighbours.
+"""Seeds: the approximate time of each pixel's surface, chosen by the pixel together with its neighbours.
 
-Our choice throughout. A pixel's candidates are the highest peaks of its own likelihood and what the neighbours chose
-before. In the first round a neighbour speaks for a candidate as its own likelihood does, within limits. In later rounds
-it speaks by its choice, and the more the more alike the light of both is: a pixel without a hit speaks for the darkest
-of the surfaces beside it.
+All of this is our own choice. A pixel's candidates are the highest peaks of its own likelihood and the previous choices
+of its neighbours. In the first round, a neighbour supports a candidate by its own likelihood, within limits. In later
+rounds it supports its own choice, with a weight that grows with the similarity of the light of both. A pixel without a
+hit supports the darkest of the surfaces beside it.
 """
 
 from collections.abc import Callable
@@ -20,18 +19,18 @@ Blocks = Callable[
     [Callable[[int, int], None]], object
 ]  # calls a function for (begin, end) of blocks of rows, in any order
 
-CANDIDATES = 6  # of a pixel's own
+CANDIDATES = 6  # from a pixel's own likelihood
 NEAR = 2  # pixels to the farthest neighbour
-WIDTH = 1.0  # pixels, of the Gaussian weight of the neighbours
-KEPT = 8  # candidates after a round,
-PROBABLE = 1e-3  # as far as they are that probable
-LEVEL_MIN = 0.5  # of a candidate of its own
-SLACK = 1  # bins by which a surface may move from pixel to pixel
-LEAST, MOST = -1.0, 4.0  # limits of what a neighbour says in the first round
-AGREE = 30.0  # odds that a neighbour's probability counts with in later rounds,
+WIDTH = 1.0  # pixels: sigma of the Gaussian weight of the neighbours
+KEPT = 8  # candidates kept after a round,
+PROBABLE = 1e-3  # if they are at least that probable
+LEVEL_MIN = 0.5  # log likelihood ratio of a pixel's own candidate, at least
+SLACK = 1  # bins by which a surface may shift from pixel to pixel
+LEAST, MOST = -1.0, 4.0  # limits of a neighbour's support in the first round
+AGREE = 30.0  # odds by which a neighbour's choice counts in later rounds,
 ALIKE = np.array(
     [1.5, 1.2, 0.7, 0.4, 0.3, 0.2], np.float32
-)  # times this, by the difference of the lights' indices; the last: more
+)  # multiplied by this, by the difference of the lights' indices; the last is for all larger ones
 ROUNDS = 5
 _NEVER = np.float32(-1e9)
 _REACH = np.arange(-NEAR, NEAR + 1)
@@ -39,10 +38,10 @@ _WEIGHT = np.exp(-0.5 * (_REACH[:, None] ** 2 + _REACH**2) / WIDTH**2).astype(np
 
 
 class Seeds(NamedTuple):
-    """What the pixels chose.
+    """Choices of the pixels.
 
-    bin: int64[rows, cols], -1 where there is no candidate. score: float32[rows, cols], log likelihood ratio of the
-    choice to seeing nothing, with that of the neighbours within limits. others: (bins, chances) of all candidates,
+    bin: int64[rows, cols], -1 without a candidate. score: float32[rows, cols], log likelihood ratio of the choice to
+    seeing nothing, including the neighbours' support within limits. others: (bins, probabilities) of all candidates,
     int64 and float32 [rows, cols, KEPT], the likeliest first, -1 = none.
     """
 
@@ -51,14 +50,14 @@ class Seeds(NamedTuple):
     others: tuple[np.ndarray, np.ndarray]
 
     def chance(self, reach: int) -> np.ndarray:
-        """float32[rows, cols]: probability of the candidates within `reach` bins of the choice, including the choice."""
+        """float32[rows, cols]: total probability of the candidates within `reach` bins of the choice."""
         bins, chances = self.others
         near = (np.abs(bins - self.bin[:, :, None]) <= reach) & (bins >= 0)
         return np.minimum(1, np.where(near, chances, 0).sum(axis=2))
 
 
 def find_seeds(level: np.ndarray, light: np.ndarray, blocks: Blocks) -> Seeds:
-    """Seeds from level, float32[rows, cols, bins], and the likeliest light of each bin, uint8 of the same shape."""
+    """Find the seeds from level, float32[rows, cols, bins], and each bin's likeliest light, uint8 of the same shape."""
     rows, cols, _ = level.shape
     bins, tried = (np.full((rows, cols, KEPT), -1, np.int64) for _ in range(2))
     chances, chance = (np.zeros((rows, cols, KEPT), np.float32) for _ in range(2))
@@ -73,7 +72,7 @@ def find_seeds(level: np.ndarray, light: np.ndarray, blocks: Blocks) -> Seeds:
 
 @njit
 def _own(level, bins, begin, end):
-    """The highest peaks of each pixel in descending order."""
+    """Find the highest peaks of each pixel, in descending order."""
     cols, times = level.shape[1:]
     height = np.empty(CANDIDATES, np.float32)
     for r in range(begin, end):
@@ -96,7 +95,7 @@ def _own(level, bins, begin, end):
 
 @njit
 def _round(level, light, bins, chances, first, new_bins, new_chances, begin, end):
-    """Each pixel's candidates, the likeliest first, from those before and the neighbours' likeliest."""
+    """Compute each pixel's new candidates, the likeliest first, from the old ones and the neighbours' likeliest."""
     rows, cols, _ = level.shape
     at = np.empty(KEPT + (2 * NEAR + 1) ** 2, np.int64)
     total = np.empty(len(at), np.float32)
@@ -134,7 +133,7 @@ def _score(level, light, bins, chances, score, begin, end):
 
 @njit
 def _gather(bins, r, c, at):
-    """How many candidates a pixel has, and in `at` which: those before, and the neighbours' likeliest where they differ."""
+    """Return the number of a pixel's candidates and write them to `at`: the old ones, and the neighbours' likeliest."""
     rows, cols, _ = bins.shape
     number = 0
     while number < KEPT and bins[r, c, number] >= 0:
@@ -154,7 +153,7 @@ def _gather(bins, r, c, at):
 
 @njit
 def _support(level, light, bins, chances, first, r, c, k):
-    """What speaks for candidate k of pixel (r, c): its own likelihood and its neighbours."""
+    """Return the support for candidate k of pixel (r, c): from its own likelihood and from its neighbours."""
     rows, cols, times = level.shape
     total = _highest(level[r, c], k, 1)
     own = np.int64(light[r, c, k])

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Threshold controller of the golden model ("fill the stream"): it shares the capacity of a stream among its subgroups.
 
-A threshold only discards events, so it is raised where a stream cannot carry them all. Its inputs are the counters of
-the frame that has ended. They are taken before the FIFOs, so stalls do not change them. The rule is our choice; the
-paper has thresholds that differ by subgroup and does not say how they are found.
+A threshold can only discard events, so it is raised only if a stream cannot carry them all. The inputs are the counters
+of the previous frame. They are taken before the FIFOs, so stalls do not change them. The rule is our choice; the paper
+has thresholds that differ by subgroup and does not say how they are found.
 """
 
 import numpy as np
@@ -13,28 +13,28 @@ from ..contract.parameters import Sensor
 from ..contract.registers import THRESHOLD_MAX
 from .shape import COUNTER
 
-STEP = 16  # a budget changes by this part of itself in a frame
+STEP = 16  # in one frame, a budget changes by 1/16 of itself
 
 
 class Controller:
-    """The controller from reset on. budget: int64[streams], events for each of a stream's subgroups; None before the first frame."""
+    """Controller from reset on. budget: int64[streams], events for each subgroup of a stream; None before the first frame."""
 
     def __init__(self, sensor: Sensor):
         self.sensor = sensor
         self.budget: np.ndarray | None = None
-        self._controlled = np.zeros(sensor.subgroups, bool)  # in the frame before
+        self._controlled = np.zeros(sensor.subgroups, bool)  # in the previous frame
         self._counters = np.empty((0, len(COUNTER)), np.int64)
         self._stream = np.array([sensor.stream_of(s) for s in range(sensor.subgroups)])
 
     def begin(self, config: Config) -> np.ndarray:
-        """int64[subgroups]: the thresholds of the frame that begins. A subgroup that comes under the controller starts from its own."""
+        """int64[subgroups]: thresholds of the frame that begins. A newly controlled subgroup starts at its programmed one."""
         if self.budget is None:
             self.budget = config.shares
         stays = config.controlled & self._controlled
         return np.where(stays, self._next(config), config.threshold) if stays.any() else config.threshold
 
     def _next(self, config: Config) -> np.ndarray:
-        """int64[subgroups]: one step from the thresholds of the frame before, by its counters and the budget after it."""
+        """int64[subgroups]: thresholds one step from the previous frame's, by its counters and the budget after it."""
         assert self.budget is not None
         column = self._counters.T
         threshold, opened = column[COUNTER.threshold_used], column[COUNTER.opened]
@@ -47,7 +47,7 @@ class Controller:
         return np.maximum(floor, np.minimum(threshold + rises - falls, ceiling))
 
     def end(self, config: Config, counters: np.ndarray) -> np.ndarray:
-        """Takes the counters of a frame, int64[subgroups, counters]; returns the budgets after it."""
+        """Take the counters of a frame, int64[subgroups, counters], and return the budgets after it."""
         assert self.budget is not None
         self._controlled, self._counters = config.controlled, counters.copy()
         self.budget = np.array(
@@ -56,7 +56,7 @@ class Controller:
         return self.budget
 
     def _budget(self, config: Config, stream: int, budget: int) -> int:
-        """A stream's next budget: less where its subgroups sent too much, more where all may that would then send no more than it carries."""
+        """Return a stream's next budget: less if too much was sent, more if the stream can carry what would then be sent."""
         capacity, span = config.capacity, self.sensor.stream_subgroups(stream)
         of_stream = slice(span.start, span.stop)
         column = self._counters[of_stream].T

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Golden model: predicts every beat, commit cycle, drop, counter and edge fate of the sensor, cycle-accurate and event
-by event.
+"""Golden model: predicts every beat, commit cycle, drop, counter and edge fate of the sensor, exact to the cycle.
 
-A frame is two steps. `front_end` walks through each subgroup's edges in time order and yields the windows that met
-their threshold, the minigroup records, and the fates. `readout` plays one stream's FIFOs, round robin and output buffer
-on them and yields the beats. Latencies are those of `latency.py`; everything else is section III-A of the paper as docs/contract.md defines it.
+It works event by event, in two steps per frame. `front_end` goes through each subgroup's edges in the order of time and
+produces the windows that met their threshold, the minigroup records, and the fates. `readout` plays one stream's FIFOs,
+round robin and output buffer on them and produces the beats. Latencies are those of `latency.py`; everything else is
+section III-A of the paper as docs/contract.md defines it.
 """
 
 from collections.abc import Callable
@@ -26,11 +26,11 @@ from .shape import COUNTER, shape_of
 
 @frozen(eq=False)
 class Trace:
-    """What the ports show of one frame.
+    """One frame as the ports show it.
 
-    beats: per stream uint64[n]; beat_cycle: per stream int64[n], the cycle each beat is transferred in (the last one
-    has `tlast`). commit_subgroup, commit_cycle: int64[k], stored events, ordered by subgroup and then by time. fate:
-    uint8 per edge. counters: int64[subgroups, 11]. budget: int64[streams], the threshold controller's after the frame.
+    beats: per stream, uint64[n]; beat_cycle: per stream, int64[n], the cycle in which each beat is transferred (the last
+    one has `tlast`). commit_subgroup, commit_cycle: int64[k], stored events, ordered by subgroup and then by time. fate:
+    uint8 per edge. counters: int64[subgroups, 11]. budget: int64[streams], of the threshold controller after the frame.
     """
 
     beats: list[np.ndarray]
@@ -43,7 +43,7 @@ class Trace:
 
 
 class Golden:
-    """The sensor from reset on: plays frames in turn and keeps the state of the threshold controller between them."""
+    """Sensor from reset on. It plays frames in turn and keeps the state of the threshold controller between them."""
 
     def __init__(self, sensor: Sensor):
         self.sensor = sensor
@@ -52,10 +52,10 @@ class Golden:
         self._pixel = pixel_table(sensor)
 
     def frame(self, config: Config, edges: Edges, ready: np.ndarray | None = None, pulses: int | None = None) -> Trace:
-        """Runs one frame; `edges` counts pulses from the frame's start.
+        """Run one frame; the pulses of `edges` count from the frame's start.
 
         ready: uint8[n] or None; the receiver behind the streams' links (`contract/link.py`) takes a beat in cycle c if
-        ready[c] is 1, and always from cycle n on. pulses: fewer than the configuration has make an aborted frame.
+        ready[c] is 1, and always from cycle n on. pulses: fewer than the configuration has means an aborted frame.
         """
         sensor, shape = self.sensor, shape_of(config)
         timeline = _timeline(config)
@@ -92,7 +92,7 @@ class Golden:
 
 
 def _timeline(config: Config) -> Timeline:
-    """When a frame's periods begin, and how far progressive gating has shifted the gates by then."""
+    """Compute the first cycle of a frame's periods, and the shift of the progressive gates in them."""
     start, frame = config.start_cycles(), config.frame
     every = frame["gate_every"]
     steps = np.arange(len(start)) // every % frame["gate_steps"] if every else np.zeros(len(start), np.int64)
@@ -102,7 +102,7 @@ def _timeline(config: Config) -> Timeline:
 def golden_result(
     config: Config, edges: Edges, ready: np.ndarray | None = None, progress: Callable[[int], None] = lambda frames: None
 ) -> dict[str, np.ndarray]:
-    """Plays all frames of `config` through the golden model and returns the arrays of the result file, with `fate`.
+    """Play all frames of `config` through the golden model and return the arrays of the result file, with `fate`.
 
     `progress` is called after each frame.
     """

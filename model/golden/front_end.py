@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Front end of the golden model: each subgroup's edges in time order, to windows that met their threshold, minigroup
-records, and fates.
+"""Front end of the golden model: from each subgroup's edges, in the order of time, to events, minigroup records and fates.
 
-The edges of a subgroup pass several stages, each of which is one loop: `_accept` sorts out duplicates, masked and gated
-ones. The tree forms windows from the times of the accepted edges (`_open_windows`), and these become events by their
-pixels (`_commit`); the minigroups are independent of windows and collect for themselves (`_collect_records`).
+The edges of a subgroup pass several stages, each of which is one loop. `_accept` sorts out duplicate, masked and gated
+ones. The tree forms windows from the times of the accepted edges (`_open_windows`), and windows with enough pixels
+become events (`_commit`). The minigroups are independent of windows and make their own collections (`_collect_records`).
 """
 
 from collections import namedtuple
@@ -23,7 +22,7 @@ from .shape import COUNTER, Shape, row_type
 
 
 class _Key(NamedTuple):
-    """Lowest bits of the key's fields; the pixel inside is the lowest."""
+    """Lowest bit of each field of a sort key; the lowest field is the pixel."""
 
     pulse: int
     tick: int
@@ -32,17 +31,17 @@ class _Key(NamedTuple):
 _OPENING, _COUNTED, _DUPLICATE, _MASKED, _GATED, _BLIND = (int(fate) for fate in Fate)
 _KEY = _Key(pulse=23, tick=8)
 _TICK_MASK, _PIXEL_MASK = (1 << _KEY.pulse - _KEY.tick) - 1, (1 << _KEY.tick) - 1
-_WORD_BITS = (BEAT_BITS - 1).bit_length()  # of a pixel's number inside a word of the ID map
-_NEVER = -1  # a cycle before all
+_WORD_BITS = (BEAT_BITS - 1).bit_length()  # bits of a pixel's number inside a word of the ID map
+_NEVER = -1  # before all cycles
 
-# By subgroup, as the frame uses them. Threshold and window are 1 where coincidence is off.
+# By subgroup, as the frame uses them. Threshold and window are 1 if coincidence is off.
 Settings = namedtuple("Settings", "threshold window mask gating gate_start gate_len")
 # By pulse: the first cycle of its period, and the cycles that progressive gating adds to a gate's start.
 Timeline = namedtuple("Timeline", "start gate_shift")
 # Rows by subgroup, then time; bounds: int64[subgroups + 1]. Rows from bounds[-1] on are unused.
 Events = namedtuple("Events", "bounds row hits offsets")
 Records = namedtuple("Records", "bounds row entries")
-_EVENT = row_type("cycle pulse stamp count winner stored overrun free_at")  # the last three are the readout's
+_EVENT = row_type("cycle pulse stamp count winner stored overrun free_at")  # the last three belong to the readout
 _RECORD = row_type("cycle pulse")
 # By minigroup: the map of its collection (0: none), its coarse stamp, and the first cycle after it.
 _Collection = namedtuple("_Collection", "hits stamp end")
@@ -51,11 +50,10 @@ _close_cycle, _armed_cycle = njit(close_cycle), njit(armed_cycle)
 
 
 def time_order(edges: Edges, pixel: Pixels, shape: Shape):
-    """Sort keys (pulse, tick, pixel inside: see `_KEY`), by subgroup, then time; the edges' order; and the subgroups'
-    bounds in it.
+    """Return the sort keys (pulse, tick, pixel: see `_KEY`), the edges' order by subgroup and time, and its bounds.
 
-    A stable counting sort by subgroup keeps the order in time that edges mostly come in; where they do not, each
-    subgroup is sorted.
+    A stable counting sort by subgroup preserves the order of time, which edges mostly have already. Subgroups for which
+    this is not so are sorted.
     """
     key, order, bounds, in_time = _by_subgroup(
         edges.pulse, edges.pixel, edges.tick, pixel.subgroup, pixel.inside, shape.subgroups
@@ -90,14 +88,14 @@ def _by_subgroup(pulse, pixel, tick, subgroup_of, inside_of, subgroups):
 
 @njit
 def _fields(key):
-    """Pulse, tick and pixel inside the subgroup."""
+    """Return pulse, tick and pixel inside the subgroup."""
     return key >> _KEY.pulse, key >> _KEY.tick & _TICK_MASK, key & _PIXEL_MASK
 
 
 @njit
 def front_end(key, bounds, shape, settings, timeline, pixel, counters):
-    """Fates in time order, committed events and minigroup records of all subgroups; adds to `counters`."""
-    n, most = len(key), np.diff(bounds).max()  # edges, of all and of a subgroup
+    """Return fates in the order of time, events and minigroup records of all subgroups; add to `counters`."""
+    n, most = len(key), np.diff(bounds).max()  # edges: in total, and at most in a subgroup
     events, records = _room_for_events(n, shape), _room_for_records(n if shape.minigroup_records else 0, shape)
     fate, accepted, windows = np.empty(n, np.uint8), np.empty(most, np.int64), np.empty((most, 2), np.int64)
     seen_at = np.empty(shape.pixels, np.int64)
@@ -130,10 +128,9 @@ def _room_for_records(most, shape):
 
 @njit
 def _accept(s, key, shape, settings, timeline, seen_at, fate, accepted):
-    """Fates of the edges of subgroup `s` that go no further; returns the others' indices, which are written to
-    `accepted`.
+    """Set the fates of subgroup `s`'s edges that go no further; write the indices of the others to `accepted`.
 
-    seen_at: scratch, the cycle of the frame in which each pixel's last edge came.
+    Returns the written part. seen_at: scratch, cycle of the frame with the last edge of each pixel.
     """
     seen_at[:] = _NEVER
     n = 0
@@ -157,10 +154,9 @@ def _accept(s, key, shape, settings, timeline, seen_at, fate, accepted):
 
 @njit
 def _open_windows(s, key, accepted, shape, settings, timeline, fate, windows, counters):
-    """The tree of subgroup `s`: fates of `accepted` edges by their time alone, and the windows, which are written to
-    `windows`.
+    """The tree of subgroup `s`: set the fates of `accepted` edges by their times, and write the windows to `windows`.
 
-    Returns int64[n, 2]: the indices in `accepted` of each window's first edge and of the first one after it.
+    Returns int64[n, 2]: the indices in `accepted` of each window's first edge and of the first edge after the window.
     """
     window = settings.window[s]
     last_pulse, blind_at, armed_from = _NEVER, _NEVER, 0
@@ -194,9 +190,9 @@ def _open_windows(s, key, accepted, shape, settings, timeline, fate, windows, co
 
 @njit
 def _commit(s, key, accepted, windows, shape, settings, timeline, pixel, fate, events, counters):
-    """Distinct pixels of each window of subgroup `s`; those windows that meet the threshold become its events."""
+    """Count the distinct pixels of subgroup `s`'s windows; windows that meet the threshold become events."""
     window, threshold, minigroup, row = settings.window[s], settings.threshold[s], pixel.minigroup, events.bounds[s]
-    hits, offsets = events.hits, events.offsets  # of the row that comes next
+    hits, offsets = events.hits, events.offsets  # of the next row
     for first, stop in windows:
         hits[row] = 0
         offsets[row] = OFFSET_NONE
@@ -228,7 +224,7 @@ def _commit(s, key, accepted, windows, shape, settings, timeline, pixel, fate, e
 
 @njit
 def _collect_records(s, key, accepted, shape, timeline, pixel, records):
-    """The minigroups of subgroup `s`: a record for each period in which any of them latched."""
+    """The minigroups of subgroup `s`: make a record for each period in which any of them latched."""
     row = records.bounds[s]
     collected = _Collection(
         np.zeros(shape.minigroups, np.uint64),
@@ -248,11 +244,11 @@ def _collect_records(s, key, accepted, shape, timeline, pixel, records):
 
 @njit
 def _add(collected, g, bit, tick, shape):
-    """An edge of minigroup `g`: goes to its collection, or begins one."""
+    """Add an edge to the collection of minigroup `g`, or begin a collection with it."""
     cycle = tick >> shape.phase_bits
     if collected.hits[g] and cycle >= collected.end[g]:
         if _enough(collected.hits[g], shape.mg_threshold):
-            return  # the period's record is made
+            return  # the record of the period is complete
         collected.hits[g] = 0
     if not collected.hits[g]:
         if cycle >= shape.open_cycles:
@@ -263,7 +259,7 @@ def _add(collected, g, bit, tick, shape):
 
 @njit
 def _latch(collected, entries, shape):
-    """Empties the collections into a record's entries; whether any met the threshold."""
+    """Empty the collections into a record's entries; return whether any met the threshold."""
     latched = False
     for g in range(shape.minigroups):
         entries[g] = 0
@@ -276,7 +272,7 @@ def _latch(collected, entries, shape):
 
 @njit
 def _enough(hits, threshold):
-    """Whether a map holds at least `threshold` pixels (an empty one never does)."""
+    """Return whether a map holds at least `threshold` pixels (an empty one never does)."""
     count = 0
     while hits:
         hits &= hits - np.uint64(1)

@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Readout of the golden model: one stream's FIFOs, round robin and output buffer, to beats and the cycles of their
-transfer.
+"""Readout of the golden model: from one stream's FIFOs, through round robin and output buffer, to beats and their cycles.
 
-It proceeds from grant to grant. Whatever has been committed by then enters its FIFO or is dropped (`_admit_events`,
-`_admit_records`), the next requesting subgroup is chosen (`_arbitrate`), its packet is formed (`_form_packet`) and
-leaves as the receiver takes it (`_transfer`).
+It proceeds from grant to grant. Everything that has been committed by then enters its FIFO or is dropped
+(`_admit_events`, `_admit_records`). The next requesting subgroup is chosen (`_arbitrate`). Its packet is formed
+(`_form_packet`) and leaves as the receiver takes it (`_transfer`).
 """
 
 from collections import namedtuple
@@ -24,9 +23,9 @@ _RECORD, _FRAME_START, _FRAME_END = int(Kind.RECORD), int(Kind.FRAME_START), int
 _NONE = -1
 _NEVER = np.int64(1) << 62
 
-# What a subgroup has to send. Events: the next to be committed and their end, the next to be read, the oldest whose place is not known to be
-# free, how many have a place, and whether one was dropped since the last stored one. Records: the next to be emitted and their end, the one
-# that waits, and when its place is free. Then counters.
+# Queue of a subgroup. Events: the next to be committed and their end, the next to be read, the oldest whose place may
+# still be occupied, the number of occupied places, and whether one was dropped since the last stored one. Records: the
+# next to be written and their end, the waiting one, and when its place is free. Then the counters.
 _QUEUE = row_type(
     "next_event end_event read oldest level lost next_record end_record waiting place_free_at stored dropped mg_stored mg_dropped"
 )
@@ -34,11 +33,10 @@ _QUEUE = row_type(
 
 @njit
 def readout(first, n, shape, end, frame, events, records, counters, next_ready):
-    """Beats of the stream that carries subgroups `first`...`first + n - 1`, and the cycles of their transfer. end: of
-    the last period.
+    """Return the beats of the stream with subgroups `first`...`first + n - 1`, and the cycles of their transfer.
 
-    Decides which events and records are stored, as the FIFOs' fill at their commit demands: sets `events.row.stored`,
-    adds to `counters`.
+    end: end of the last period. The fill levels of the FIFOs decide which events and records are stored: this sets
+    `events.row.stored` and adds to `counters`.
     """
     queues = _queues(first, n, events.bounds, records.bounds)
     most = _beats(queues, shape)
@@ -84,7 +82,7 @@ def _queues(first, n, event_bounds, record_bounds):
 
 @njit
 def _beats(queues, shape):
-    """Beats of a frame where nothing is dropped."""
+    """Return the number of beats in a frame without drops."""
     beats = 2 + len(queues) * shape.counter_beats
     for queue in queues:
         beats += (queue.end_event - queue.next_event) * shape.event_beats
@@ -94,14 +92,14 @@ def _beats(queues, shape):
 
 @njit
 def _when_room(length, t, done, sent_at, shape):
-    """The first cycle from `t` on in which the output buffer has room for `length` more beats after `done`."""
+    """Return the first cycle from `t` on in which the output buffer has room for `length` more beats after `done`."""
     left = done + length - shape.output_depth
     return max(t, sent_at[left - 1] + 1) if left > 0 else t
 
 
 @njit(inline="always")
 def _arbitrate(t, pointer, queues, events, records, fifo_depth):
-    """The first subgroup, from `pointer` on and round, that asks in cycle `t`; if there is none, the cycle in which one may next."""
+    """Return the first subgroup, from `pointer` on and round, that requests in cycle `t`, or else the next possible cycle."""
     upcoming = _NEVER
     for k in range(len(queues)):
         chosen = (pointer + k) % len(queues)
@@ -119,7 +117,7 @@ def _arbitrate(t, pointer, queues, events, records, fifo_depth):
 
 @njit
 def _admit_events(queue, t, events, fifo_depth):
-    """Events that may be granted by cycle `t` enter the FIFO, or are dropped if it was full at their commit."""
+    """Move events that may be granted by cycle `t` into the FIFO, or drop them if it was full at their commit."""
     while queue.next_event < queue.end_event and events[queue.next_event].cycle + latency.STORE_TO_GRANT <= t:
         event = events[queue.next_event]
         while queue.oldest < queue.next_event and events[queue.oldest].free_at <= event.cycle:
@@ -131,7 +129,7 @@ def _admit_events(queue, t, events, fifo_depth):
             queue.level += 1
             queue.stored += 1
         else:
-            event.free_at = event.cycle  # it has no place
+            event.free_at = event.cycle  # a dropped event takes no place
             queue.dropped += 1
         queue.lost = not event.stored
         queue.next_event += 1
@@ -141,7 +139,7 @@ def _admit_events(queue, t, events, fifo_depth):
 
 @njit
 def _admit_records(queue, t, records):
-    """Records that may be granted by cycle `t` take the only place, or are dropped if it was taken."""
+    """Move records that may be granted by cycle `t` to the only place, or drop them if it was taken."""
     while queue.next_record < queue.end_record and records[queue.next_record].cycle + latency.STORE_TO_GRANT <= t:
         if queue.waiting == _NONE and queue.place_free_at <= records[queue.next_record].cycle:
             queue.waiting = queue.next_record
@@ -153,7 +151,7 @@ def _admit_records(queue, t, records):
 
 @njit(inline="always")
 def _form_packet(beats, done, subgroup, queue, t, shape, events, records):
-    """Puts the packet that is granted in cycle `t` into `beats`, a record before events; its place is freed. Returns its length."""
+    """Write the packet that is granted in cycle `t` to `beats`, a record before events; free its place; return its length."""
     if queue.waiting != _NONE:
         length = 1 + shape.record_beats
         beats[done] = _header(_RECORD, 0, subgroup, records.row[queue.waiting].pulse, 0, 0, 0)
@@ -188,7 +186,7 @@ def _header(kind, overrun, subgroup, pulse, count, winner, stamp):
 
 @njit
 def _pack(beats, items, bits):
-    """Packs `items` of `bits` each into `beats`, lowest bits first."""
+    """Pack `items` of `bits` each into `beats`, lowest bits first."""
     beats[:] = 0
     per_beat = BEAT_BITS // bits
     for k in range(len(items)):
@@ -203,7 +201,7 @@ def _count(counters, queue):
 
 @njit
 def _transfer(sent_at, done, length, t, next_ready):
-    """When the next `length` beats after `done` leave that are granted in cycle `t`: into `sent_at`. Returns how many are done then."""
+    """Write to `sent_at` when the `length` beats after `done`, granted in cycle `t`, leave; return the new `done`."""
     for k in range(done, done + length):
         earliest = t + latency.GRANT_TO_BEAT + k - done + latency.BEAT_TO_PORT
         if k:
@@ -213,6 +211,6 @@ def _transfer(sent_at, done, length, t, next_ready):
 
 
 def ready_times(ready: np.ndarray) -> np.ndarray:
-    """For each cycle, the first cycle from there on in which `tready` is high (it is always high after the end)."""
+    """Return, for each cycle, the first cycle from there on in which `tready` is high (always high after the end)."""
     following = np.where(ready != 0, np.arange(len(ready)), len(ready))
     return np.minimum.accumulate(following[::-1])[::-1].astype(np.int64)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The part of a configuration that the golden model's kernels need, as plain numbers."""
+"""The part of a configuration that the kernels of the golden model need, as plain numbers."""
 
 from collections import namedtuple
 from typing import Any
@@ -20,7 +20,7 @@ Shape = namedtuple(
 
 
 def row_type(columns: str) -> np.dtype:
-    """Rows of int64 `columns` that kernels handle by name: `row.column`."""
+    """Return the type of rows with int64 `columns`, which kernels access by name: `row.column`."""
     return np.dtype((np.record, [(column, np.int64) for column in columns.split()]))
 
 

@@ -1,15 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
 """Analytic model of detection in a subgroup: equations (3) to (18) of paper III-B, each in two forms of one signature.
 
-"literal": as printed. "corrected": as we derive it for the behaviour of the sensor; each docstring says where the two differ.
-Numbers and arrays broadcast. "Photons" of the corrected form are equivalent Poisson means: of a pixel that detects with
-probability p at most once, -log(1 - p).
+"literal": as printed. "corrected": as we derive it for the behaviour of the sensor; each docstring says where the two
+differ. Numbers and arrays broadcast. In the corrected form, "photons" are equivalent Poisson means: a pixel that detects
+at most once, with probability p, has -log(1 - p) photons.
 
-`histogram` puts them together: the expected histogram of every pixel of a subgroup around the time of flight, for scheme 1
-(no coincidence) and scheme 2. Its corrected form holds for any activity of a subgroup as long as
+`histogram` combines them: it is the expected histogram of every pixel of a subgroup around the time of flight, for
+scheme 1 (no coincidence) and scheme 2. Its corrected form holds for any activity of a subgroup under two conditions:
 
-* the window is shorter than the dead time (a pixel counts once in a window: exact), and the dead time shorter than the period,
-* noise_cps * dead_time_s stays below `VALID_DEAD_FRACTION`: pixels that just fired are taken for ready at the next window.
+* The window is shorter than the dead time (then it is exact that a pixel counts once per window), and the dead time is
+  shorter than the period.
+* noise_cps * dead_time_s stays below `VALID_DEAD_FRACTION`, because pixels that have just fired are assumed to be ready
+  at the next window.
 """
 
 from typing import Any, NamedTuple
@@ -31,9 +33,9 @@ from .timing import Timing
 
 VALID_DEAD_FRACTION = 0.05
 SCHEMES = (1, 2)  # 1: winner takes all, no coincidence; 2: coincidence
-THRESHOLDS = range(1, 8)  # as the paper's Fig. 7
+THRESHOLDS = range(1, 8)  # as in the paper's Fig. 7
 PRINTED_TIME_UNIT_S = (
-    1e-12  # (18) as printed depends on it: bins sum to 14.6 times the signal (sigma 212 ps), with s to 1.5e-5
+    1e-12  # of (18) as printed: with ps, the bins sum to 14.6 times the signal (sigma 212 ps), with s to 1.5e-5
 )
 
 _close_cycle, _armed_cycle = njit(close_cycle), njit(armed_cycle)
@@ -48,7 +50,7 @@ class Photons(NamedTuple):
 
 
 class Sizes(NamedTuple):
-    """Pixels of a minigroup and of a subgroup."""
+    """Number of pixels in a minigroup and in a subgroup."""
 
     minigroup: int = 4
     subgroup: int = 64
@@ -59,9 +61,9 @@ def effective_cps(
 ) -> tuple[Numbers, Numbers]:
     """(noise, signal) of a pixel after a non-paralyzable dead time, in counts per second. Text before (3).
 
-    Literal: each by itself, n / (1 + n t_d). Corrected: the SPAD is one; it is alive at the pulse with probability 1 /
-    (1 + n_b t_d) and then fires once, with probability 1 - exp(-signal per pulse); the time that costs is the noise's
-    loss.
+    Literal: each by itself, n / (1 + n t_d). Corrected: noise and signal share one SPAD. It is alive at the pulse with
+    probability 1 / (1 + n_b t_d) and then fires once, with probability 1 - exp(-signal per pulse). The dead time after
+    that is lost to the noise.
     """
     noise_cps, signal_cps = np.asarray(noise_cps, float), np.asarray(signal_cps, float)
     live = 1 / (1 + noise_cps * dead_time_s)
@@ -81,8 +83,8 @@ def noise_photons(
 ) -> Numbers:
     """(3): noise photons of a pixel in the coincidence window of `window_s`.
 
-    Literal: the dead time of `threshold` pixels, spread over all, shortens the window (below 0 taken as 0).
-    Corrected: dead times of distinct pixels shorten nothing.
+    Literal: the dead time of `threshold` pixels, spread over all pixels, shortens the window (a negative one is taken as
+    0). Corrected: dead times of distinct pixels do not shorten it.
     """
     if _literal(form):
         return effective_noise_cps * np.maximum(window_s - threshold * dead_time_s / pixels, 0)
@@ -97,7 +99,7 @@ def signal_photons(
     pixels: int,
     form: str,
 ) -> Numbers:
-    """(4): signal photons of a pixel in a laser period. Literal: dead time as in (3). Corrected: none of it."""
+    """(4): signal photons of a pixel in a laser period. Literal: with dead time as in (3). Corrected: without."""
     if _literal(form):
         return effective_signal_cps * np.maximum(1 / laser_hz - threshold * dead_time_s / pixels, 0)
     return _equivalent_mean(effective_signal_cps / laser_hz)
@@ -126,7 +128,7 @@ def minigroup_probability(
 ) -> Numbers:
     """(10): probability of threshold - 1 photons in a pixel's minigroup.
 
-    Literal: of all its pixels, Poisson. Corrected: of the others, distinct, binomial.
+    Literal: from all its pixels, Poisson. Corrected: from the other pixels, which must be distinct, binomial.
     """
     if _literal(form):
         return stats.poisson.pmf(threshold - 1, photons_minigroup)
@@ -147,9 +149,9 @@ def rest_probability(photons_rest: Numbers, threshold: int | np.ndarray, pixels_
 
 
 def others_probability(photons: Photons, threshold: int | np.ndarray, sizes: Sizes, form: str) -> Numbers:
-    """(13): probability that the other pixels of the subgroup bring the threshold - 1 detections that are missing.
+    """(13): probability that the other pixels of the subgroup contribute the missing threshold - 1 detections.
 
-    Literal: union of (10) and (12), independent. Corrected: at least threshold - 1 of the others, in any split.
+    Literal: union of (10) and (12), assumed independent. Corrected: at least threshold - 1 of the others, in any split.
     """
     if _literal(form):
         rest = rest_photons(photons.subgroup, photons.minigroup, form)
@@ -169,8 +171,8 @@ def signal_probability(
 ) -> Numbers:
     """(15): probability that a pixel detects a signal photon in an event, in the presence of noise.
 
-    Literal: no noise in the pixel, no noise event, a signal event. Corrected: of the other pixels, those that detect
-    signal and those that detect noise count alike.
+    Literal: no noise in the pixel, no noise event, a signal event. Corrected: the other pixels count whether they detect
+    signal or noise.
     """
     if _literal(form):
         quiet = (1 - pixel_probability(noise.pixel, form)) * (
@@ -182,7 +184,7 @@ def signal_probability(
 
 
 def windows_per_period(effective_noise_sg_cps: Numbers, period_s: float, busy_s: float, form: str) -> Numbers:
-    """Windows that noise opens in a laser period: (16a) takes one. Corrected: of a tree busy for `busy_s` with each."""
+    """Windows that noise opens in a laser period. (16a) assumes one. Corrected: each occupies the tree for `busy_s`."""
     if _literal(form):
         return np.ones_like(np.asarray(effective_noise_sg_cps, float))
     return effective_noise_sg_cps * period_s / (1 + effective_noise_sg_cps * busy_s)
@@ -207,13 +209,13 @@ def noise_counts(
 def signal_counts(
     noise: Photons, signal: Photons, threshold: int | np.ndarray, pulses: int, armed: Numbers, sizes: Sizes, form: str
 ) -> Numbers:
-    """(16b): signal counts of a pixel in a frame: (15) times `pulses`. Corrected: if the tree is armed, probability `armed`."""
+    """(16b): signal counts of a pixel in a frame: (15) times `pulses`. Corrected: times `armed`, P(the tree is armed)."""
     counts = signal_probability(noise, signal, threshold, sizes, form) * pulses
     return counts if _literal(form) else counts * armed
 
 
 def noise_per_bin(noise_counts: Numbers, laser_hz: float, jitter_s: float, lsb_s: float, form: str) -> Numbers:
-    """(17): noise counts in a bin of the histogram. Literal: in a time of `jitter_s`. Corrected: in one LSB, as (18)."""
+    """(17): noise counts in a bin of the histogram. Literal: in a time `jitter_s`. Corrected: in one LSB, as in (18)."""
     return noise_counts * laser_hz * (jitter_s if _literal(form) else lsb_s)
 
 
@@ -222,7 +224,7 @@ def signal_per_bin(
 ) -> Numbers:
     """(18): signal counts in the bin centred at `time_s`; `jitter_s` is the sigma.
 
-    Literal: the root over 2 pi jitter (see `PRINTED_TIME_UNIT_S`). Corrected: the Gaussian's integral over the bin.
+    Literal: the root is over 2 pi jitter (see `PRINTED_TIME_UNIT_S`). Corrected: integral of the Gaussian over the bin.
     """
     z = (np.asarray(time_s) - flight_s) / jitter_s
     if _literal(form):
@@ -233,7 +235,7 @@ def signal_per_bin(
 
 
 def busy_s(window_ticks: int, rearm_cycles: int, timing: Timing) -> float:
-    """Mean time from the opening of a window, in all phases with equal probability, to the start of the cycle in which the tree is armed again."""
+    """Mean time from the opening of a window, in a random phase, to the start of the cycle in which the tree is armed."""
     phase = np.arange(timing.phases)
     armed_ticks = armed_cycle(close_cycle(phase, window_ticks, timing.phases), rearm_cycles) * timing.phases
     return float(np.mean(armed_ticks - phase) * timing.tick_s)
@@ -254,15 +256,14 @@ def histogram(
     spad: Spad | None = None,
     system_fwhm_s: float = 500e-12,
 ) -> np.ndarray:
-    """Expected histogram of each pixel of one subgroup in a frame, float64[pixels, ticks]: stamps of the events it is
-    in.
+    """Expected histogram of each pixel of a subgroup in a frame, float64[pixels, ticks]: stamps of the pixel's events.
 
     distance_m (NaN: no target), signal_per_pulse, noise_cps: detected, before dead time; float64[pixels] or numbers.
-    Scheme 1 takes neither threshold nor window. Literal: (3) to (18), signal and noise on the grid of ticks; in scheme
-    1, where the paper estimates "a single photon", (9) for signal in a period and noise in a period (our reading).
-    Corrected: photons in each tick, the tree's states from armed to armed again, and the count of distinct pixels in
-    the window, so that stamps are those of first photons; exact except for the terms that the module's text names, and
-    for pixels of unequal light, whose count is taken as binomial with their mean.
+    Scheme 1 uses neither threshold nor window. Literal: (3) to (18), signal and noise on the grid of ticks; in scheme 1,
+    where the paper estimates "a single photon", (9) for signal in a period and noise in a period (our reading).
+    Corrected: photons in each tick, the states of the tree from armed to armed again, and the count of distinct pixels
+    in the window, so that stamps are those of first photons. It is exact except for the terms named in the module's
+    docstring, and for pixels of unequal light, whose count is assumed to be binomial with their mean.
     """
     sensor, timing, spad = sensor or Sensor(), timing or Timing(), spad or Spad()
     check_choice("scheme", scheme, SCHEMES)
@@ -294,8 +295,9 @@ def histogram(
 def success_probability(expected: np.ndarray, flight_s: float, timing: Timing) -> float:
     """Probability that the largest bin of a pixel's histogram lies within `SUCCESS_TOLERANCE_S` of the target.
 
-    expected: float64[ticks], mean counts, taken as independent and Poisson. The target is where the mean has its
-    maximum within a nanosecond of the time of flight: the lead of first photons counts as calibrated. Ties count half.
+    expected: float64[ticks], mean counts, assumed to be independent and Poisson. The target is where the mean has its
+    maximum within a nanosecond of the time of flight: the lead of first photons is assumed to be calibrated. Ties count
+    half.
     """
     time_s = (np.arange(len(expected)) + 0.5) * timing.tick_s
     near = np.abs(time_s - flight_s) < 1e-9
@@ -312,7 +314,7 @@ def success_probability(expected: np.ndarray, flight_s: float, timing: Timing) -
 def success_by_threshold(
     signal_per_pulse: float, noise_cps: float, distance_m: float, *, timing: Timing | None = None, **setting: Any
 ) -> np.ndarray:
-    """`success_probability` of a pixel in an evenly lit subgroup for each of `THRESHOLDS`: float64[7]. Setting: `histogram`."""
+    """`success_probability` of a pixel in an evenly lit subgroup, for each of `THRESHOLDS`: float64[7]. See `histogram`."""
     timing = timing or Timing()
     flight_s = 2 * distance_m / SPEED_OF_LIGHT_M_S
     return np.array(
@@ -328,21 +330,20 @@ def success_by_threshold(
 
 
 def expected_threshold(success: np.ndarray, slack: float = 0.01) -> int:
-    """The highest threshold whose success is within `slack` of the best one's: of equals, the one with the fewest
-    events.
+    """The highest threshold whose success is within `slack` of the best: among equals, the one with the fewest events.
 
-    Fig. 7 gives it against the activity; the paper does not say how it chooses (our choice).
+    Fig. 7 shows it against the activity. The paper does not say how it chooses; this rule is our choice.
     """
     return int(_tolerated(success, slack).max())
 
 
 def lowest_threshold(success: np.ndarray, slack: float = 0.01) -> int:
-    """The lowest threshold whose success is within `slack` of the best one's: the least that the light requires."""
+    """The lowest threshold whose success is within `slack` of the best: the lowest that the light requires."""
     return int(_tolerated(success, slack).min())
 
 
 def _tolerated(success: np.ndarray, slack: float) -> np.ndarray:
-    """Thresholds whose success is within `slack` of the best one's, ascending."""
+    """Thresholds whose success is within `slack` of the best, ascending."""
     return np.array(THRESHOLDS)[success >= success.max() - slack]
 
 
@@ -351,12 +352,12 @@ def _literal(form: str) -> bool:
 
 
 def _equivalent_mean(probability: Numbers) -> Numbers:
-    """The Poisson mean that detects at least one photon with `probability`."""
+    """Poisson mean at which at least one photon is detected with `probability`."""
     return -np.log1p(-np.minimum(probability, 1 - np.finfo(float).eps))
 
 
 def _share(photons: Numbers, pixels: int) -> Numbers:
-    """Probability that one of `pixels` equal pixels detects, which together have `photons`."""
+    """Probability that one of `pixels` equal pixels detects, if together they have `photons`."""
     return -np.expm1(-np.asarray(photons, float) / pixels)
 
 
@@ -418,7 +419,10 @@ def _corrected_histogram(
     spad: Spad,
     sigma_s: float,
 ) -> np.ndarray:
-    """Ticks as independent trials. `fired`: avalanches of each pixel up to each tick's start, at most one in a window."""
+    """Corrected form of `histogram`, with ticks as independent trials.
+
+    `fired` is the mean number of avalanches of each pixel until the start of each tick, at most one per window.
+    """
     ticks, n = timing.period_ticks, sensor.pixels
     border_s = np.arange(ticks + window_ticks + 1) * timing.tick_s
     live = (1 / (1 + noise_cps * spad.dead_time_s))[:, None]
@@ -427,7 +431,8 @@ def _corrected_histogram(
     start, after, end = fired[:, :ticks], fired[:, 1 : ticks + 1], fired[:, window_ticks : ticks + window_ticks]
     nobody = np.prod(1 - (after - start), axis=0)  # at this tick
     in_window, in_rest = end - start, end - after
-    # In the map of an event that this tick opens: in the window, but not with the window's first tick empty.
+    # A pixel is in the map of an event that this tick opens if it fires in the window, less the cases in which no pixel
+    # fires in the window's first tick.
     met, met_in_rest = (stats.binom.sf(threshold - 2, n - 1, share.mean(axis=0)) for share in (in_window, in_rest))
     armed = _armed(nobody, window_ticks, timing.phases, sensor.rearm, ticks - sensor.guard * timing.phases)
     return pulses * armed * (in_window * met - nobody * in_rest * met_in_rest)
@@ -435,7 +440,7 @@ def _corrected_histogram(
 
 @njit
 def _armed(nobody: np.ndarray, window_ticks: int, phases: int, rearm_cycles: int, open_ticks: int) -> np.ndarray:
-    """Probability that the tree is armed at each tick: at the period's start, and again some cycles after each opening."""
+    """Probability that the tree is armed at each tick: at the period's start, and some cycles after each opening."""
     armed, again, now = np.zeros(nobody.size), np.zeros(nobody.size), 1.0
     for t in range(open_ticks):
         now += again[t]

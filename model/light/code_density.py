@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Code density test: the widths of a TDC's taps from edges of uniform light, as in a measurement on silicon.
+"""Code density test: measures the widths of a TDC's taps with edges of uniform light, as on real silicon.
 
-Under light that is uniform in time each code collects counts in proportion to the width of its bin.
+Under light that is uniform in time, each code collects counts in proportion to the width of its bin.
 """
 
 import numpy as np
@@ -14,8 +14,8 @@ from ..shared.errors import InputError, check_integer
 class CodeDensity:
     """Result per phase, float64[phases], in LSB (clock cycle / phases).
 
-    dnl_lsb: width of each phase minus the mean width. inl_lsb: error of each phase's upper border, its running sum.
-    sigma_lsb: standard error of each width. edges: how many were counted.
+    dnl_lsb: width of each phase minus the mean width. inl_lsb: running sum of that, the error of each phase's upper
+    border. sigma_lsb: standard error of each width. edges: number of edges counted.
     """
 
     dnl_lsb: np.ndarray
@@ -25,9 +25,9 @@ class CodeDensity:
 
 
 def code_density(tick: np.ndarray, phases: int) -> CodeDensity:
-    """Measures the taps from the ticks (integers) of edges under uniform light.
+    """Measure the taps from the ticks (integers) of edges under uniform light.
 
-    Raises `InputError` with fewer than one edge a phase on average.
+    Raises `InputError` if there is less than one edge per phase on average.
     """
     check_integer("phases", phases, 2, 1024)
     tick = np.asarray(tick)

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Random numbers by counter: a number is a hash of (key, purpose, counter), regardless of when and where it is drawn.
+"""Counter-based random numbers: each is a hash of (key, purpose, counter), so the order of drawing does not matter.
 
-The hash is SplitMix64's output function (Steele, Lea, Flood 2014, with Stafford's constants), keys are chained hashes.
+The hash is the output function of SplitMix64 (Steele, Lea, Flood 2014, with Stafford's constants); keys are chained
+hashes.
 """
 
 import math
@@ -14,7 +15,7 @@ from ..shared.compiled import njit
 GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 Counter: TypeAlias = int | np.int64 | np.uint64
 _LAYERS = 256
-_LAST_X = 3.6541528853610088  # Marsaglia, Tsang 2000: where the tail begins with 256 layers
+_LAST_X = 3.6541528853610088  # Marsaglia, Tsang 2000: beginning of the tail with 256 layers
 _SHIFT_PURPOSE = np.uint64(40)
 
 
@@ -55,7 +56,7 @@ def exponential(key: np.uint64, purpose: int, counter: Counter) -> float:
 
 
 def _ziggurat() -> tuple[np.ndarray, np.ndarray]:
-    """Layer borders x and densities exp(-x^2/2) of the ziggurat for the normal law, its layers of equal area."""
+    """Layer borders x and densities exp(-x^2/2) of the ziggurat for the normal law; its layers have equal area."""
 
     def density(x: float) -> float:
         return math.exp(-x * x / 2)
@@ -73,7 +74,7 @@ _X, _DENSITY = _ziggurat()
 
 @njit(inline="always")
 def normal(key: np.uint64, purpose: int, counter: Counter) -> float:
-    """A normal number of variance 1 (ziggurat: 98.8 % of them cost one hash and one product)."""
+    """A normal number of variance 1 (ziggurat: 98.8 % of the numbers cost one hash and one product)."""
     bits = _bits(key, purpose, counter)
     layer = np.int64(bits & np.uint64(_LAYERS - 1))
     z = (2.0 * open_unit(bits) - 1.0) * _X[layer]
@@ -84,7 +85,7 @@ def normal(key: np.uint64, purpose: int, counter: Counter) -> float:
 
 @njit
 def _rare_normal(key: np.uint64, layer: np.int64, z: float) -> float:
-    """The other ways out of `normal`: the tail, a layer's wedge, or a new attempt."""
+    """The rare branches of `normal`: the tail, the wedge of a layer, or a new attempt."""
     attempt = 0
     while True:
         if layer == 0:

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Inputs of the photon model: light per pixel and its presets.
 
-Ref: paper II (SPAD, laser), IV (pulse of 500 to 520 ps FWHM). Effects the paper leaves out are off by default.
+Ref: paper II (SPAD, laser), IV (pulse of 500 to 520 ps FWHM). Effects that the paper leaves out are off by default.
 """
 
 import math
@@ -14,17 +14,15 @@ from numpy.typing import ArrayLike
 from ..shared.errors import InputError, check_integer
 from ..shared.quantities import Numbers, check_choice, given, real, real_array
 
-BACKGROUND_CPS_PER_KLUX = 1.226e6 / 50  # detected, per pixel; our preset: the level at which thresholds are selective
-SIGNAL_REFERENCE = 0.613  # detected photons per pulse and pixel, equation (1) at the two values below
+BACKGROUND_CPS_PER_KLUX = 1.226e6 / 50  # detected, per pixel; our preset: a level at which thresholds are selective
+SIGNAL_REFERENCE = 0.613  # detected photons per pulse and pixel by equation (1) at the two values below
 REFERENCE_DISTANCE_M = 4.0
 REFERENCE_REFLECTIVITY = 0.4
-NEAREST_M = 0.05  # of a scene: the signal grows without bound towards 0
-MUCH_SIGNAL = (
-    2.0  # photons of a pixel and pulse: it fires in nearly every pulse, and more light adds pile-up instead of depth
-)
-SIGNAL_MAX = 1e4  # photons of a pixel and pulse
+NEAREST_M = 0.05  # nearest surface of a scene: the signal grows without bound towards 0
+MUCH_SIGNAL = 2.0  # photons per pixel and pulse: it fires in nearly every pulse, and more light only adds pile-up
+SIGNAL_MAX = 1e4  # photons per pixel and pulse
 RATE_MAX_CPS = 1e12
-BACKGROUNDS = ("reflected", "even")  # as equation (2) has it; the same for every surface
+BACKGROUNDS = ("reflected", "even")  # by equation (2); the same for every surface
 
 
 def background_cps(klux: Numbers, reflectivity: ArrayLike = REFERENCE_REFLECTIVITY) -> Numbers:
@@ -39,11 +37,10 @@ def background_cps(klux: Numbers, reflectivity: ArrayLike = REFERENCE_REFLECTIVI
 
 
 def ambient_reflectivity(reflectivity: np.ndarray, background: str) -> np.ndarray:
-    """float64[pixels]: the reflectivity to which the background of each pixel is proportional.
+    """float64[pixels]: the reflectivity to which the background of each pixel is proportional. Raises `InputError`.
 
-    reflectivity: float64[pixels], of the surfaces that a pixel sees; NaN = unknown, which counts as
-    `REFERENCE_REFLECTIVITY`. background: one of `BACKGROUNDS`; with `even` every pixel has the reference reflectivity.
-    Raises `InputError`.
+    reflectivity: float64[pixels], of the pixel's surface; NaN = unknown, for which `REFERENCE_REFLECTIVITY` is used.
+    background: one of `BACKGROUNDS`; with `even`, every pixel has the reference reflectivity.
     """
     even = check_choice("background", background, BACKGROUNDS) == "even"
     return np.where(even | np.isnan(reflectivity), REFERENCE_REFLECTIVITY, reflectivity)
@@ -62,9 +59,9 @@ def signal_per_pulse(distance_m: ArrayLike, reflectivity: ArrayLike) -> np.ndarr
 class Interferer:
     """Another LiDAR whose pulses reach the sensor.
 
-    photons_per_pulse: detected of each of its pulses, a number or float64[pixels]. period_s: its own laser period.
-    phase_s: from our first trigger to the arrival of its first pulse; it has sent pulses before that, too. delay_s:
-    added for each pixel, a number or float64[pixels]. fwhm_s: of its pulse.
+    photons_per_pulse: detected photons of each of its pulses, a number or float64[pixels]. period_s: its own laser
+    period. phase_s: from our first trigger to the arrival of its first pulse; it has sent pulses before that, too.
+    delay_s: added for each pixel, a number or float64[pixels]. fwhm_s: width of its pulse.
     """
 
     photons_per_pulse: Numbers
@@ -76,12 +73,11 @@ class Interferer:
 
 @frozen(kw_only=True, eq=False)
 class Arrivals:
-    """Signal of any shape in time, in bins; the laser pulse's own shape comes on top. Pixel p has the bins first[p] to
-    first[p + 1].
+    """Signal of any shape in time, in bins. Pixel p has the bins first[p] to first[p + 1].
 
-    first: int64[pixels + 1]. start_s: float64[n], when each bin begins, ascending in a pixel, since the laser trigger
-    (beyond the laser period: light of an earlier pulse). photons: float64[n], mean detected per pulse. width_s: of a
-    bin, filled evenly.
+    The laser pulse's own shape is added to this. first: int64[pixels + 1]. start_s: float64[n], beginning of each bin
+    since the laser trigger, ascending in a pixel (beyond the laser period: light of an earlier pulse). photons:
+    float64[n], mean detected photons per pulse. width_s: width of a bin, which is filled evenly.
     """
 
     first: np.ndarray
@@ -104,7 +100,7 @@ class Arrivals:
 
 @frozen(kw_only=True, eq=False)
 class Light:
-    """What each of rows x cols pixels detects: PDE is applied, dead time is not. Arrays broadcast to the stated shapes.
+    """Light that each of rows x cols pixels detects: with the PDE, without the dead time. Arrays broadcast.
 
     Attributes
     ----------
@@ -122,7 +118,7 @@ class Light:
     range_ambiguity : bool
         True: light from beyond the laser period falls into a later period, as if the laser had been running before; False: it is lost.
     arrivals : Arrivals or None
-        More signal of any shape in time; its laser pulse has the width of the pixel's first target.
+        Additional signal of any shape in time; its laser pulse has the width of the pixel's first target.
     interferer : Interferer or None
         Another LiDAR.
     """
@@ -170,7 +166,7 @@ class Light:
         return total + np.diff(until[self.arrivals.first])
 
     def notes(self) -> tuple[str, ...]:
-        """Notes for the user: a signal far above the level that the sensor is made for."""
+        """Notes for the user: whether the signal is far above the level for which the sensor is made."""
         lit = self.total_signal[self.total_signal > 0]
         if not len(lit) or np.median(lit) <= MUCH_SIGNAL:
             return ()
@@ -191,11 +187,10 @@ class Light:
         background: str = BACKGROUNDS[0],
         **others: Any,
     ) -> "Light":
-        """Light of the presets.
+        """Return the light of the presets. Raises `InputError`.
 
         distance_m: float64[rows, cols] or [rows, cols, targets], NaN = no target; reflectivity: broadcast to it. klux:
-        ambient light, a number or float64[rows, cols]. background: one of `BACKGROUNDS`. others: fields. Raises
-        `InputError`.
+        ambient light, a number or float64[rows, cols]. background: one of `BACKGROUNDS`. others: fields of `Light`.
         """
         distance_m = np.asarray(distance_m, dtype=np.float64)
         if distance_m.ndim not in (2, 3):

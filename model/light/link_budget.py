@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Link budget: detected signal and background of a flash LiDAR pixel, and their ratio.
 
-Ref: paper II, equations (1) and (2), Fig. 2. Equation (2) is lost in print; we take it as (1) with the laser's power
-replaced by the sunlight on the target's area. Forms: "literal" scatters evenly into the half-space, 1/(2 pi d^2), as
-printed; "corrected" takes the target for the Lambertian one of the text, 1/(pi d^2) on the axis. Their factor of 2
+Ref: paper II, equations (1) and (2), Fig. 2. Equation (2) is missing in print; we take it as (1) with the sunlight on
+the target's area in place of the laser's power. Forms: "literal" scatters evenly into the half-space, 1/(2 pi d^2), as
+printed; "corrected" assumes the Lambertian target of the text, 1/(pi d^2) on the axis. The factor of 2 between them
 cancels in the ratio of signal to background, unless dead time limits the background (reading F).
 """
 
@@ -19,13 +19,13 @@ from .spad import Spad
 from .spectrum import FILTERS, SPECTRA, irradiance_w_m2
 
 FORMS = ("literal", "corrected")
-SBR_READINGS = {  # what Fig. 2 may mean by SBR; the paper says no more than that it is 0 dB at 4 m
+SBR_READINGS = {  # possible meanings of SBR in Fig. 2; the paper only says that it is 0 dB at 4 m
     "A": "ratio of the mean rates",
     "E": "photons of a laser pulse to background in the SPAD's jitter (FWHM)",
     "F": "photons of a laser pulse to background after dead time in a coincidence window",
 }
-COINCIDENCE_WINDOW_S = 5e-9  # of reading F: what brings 0 dB to 4 m
-DISTANCE_MIN_M = 1e-3  # of the equations; scenes end at `light.NEAREST_M`
+COINCIDENCE_WINDOW_S = 5e-9  # for reading F: the window that gives 0 dB at 4 m
+DISTANCE_MIN_M = 1e-3  # limit of the equations; scenes end at `light.NEAREST_M`
 
 
 @frozen(kw_only=True)
@@ -57,10 +57,10 @@ class Laser:
 
 @frozen(kw_only=True, eq=False)
 class LinkBudget:
-    """A link budget; what depends on the distance is a float or, for an array of distances, float64 of its shape.
+    """A link budget. Values that depend on the distance are floats or, for an array of distances, float64 of its shape.
 
     Rates: detected events per pixel and second before dead time (background_live_cps: after it). sbr_db: 10 log10 of
-    the ratio that `sbr_reading` names. Units and sources: `rows`.
+    the ratio that `sbr_reading` names. Units and sources are in `rows`.
     """
 
     distance_m: Numbers
@@ -83,11 +83,11 @@ class LinkBudget:
     sbr_db: Numbers
 
     def rows(self) -> list[tuple[str, object, str, str]]:
-        """The budget line by line: (name, value, unit, source)."""
+        """Return the budget line by line: (name, value, unit, source)."""
         return [(name, getattr(self, name), unit, source) for name, unit, source in _LINES]
 
     def json(self) -> dict[str, object]:
-        """Flat keys for a file; a ratio without background is None."""
+        """Return flat keys for a file; a ratio without background is None."""
         values = {name: getattr(self, name) for name in JSON_KEYS}
         return {
             name: None if isinstance(value, float) and not math.isfinite(value) else value
@@ -140,9 +140,9 @@ def link_budget(
     sbr_reading: str = "E",
     sbr_window_s: float | None = None,
 ) -> LinkBudget:
-    """The budget at `distance_m` (a number or an array), for a target of `reflectivity` under `klux` of sunlight.
+    """Return the budget at `distance_m` (a number or an array), for a target of `reflectivity` under `klux` of sunlight.
 
-    sbr_window_s: of readings E (default: the SPAD's jitter FWHM) and F (default: `COINCIDENCE_WINDOW_S`).
+    sbr_window_s: window of readings E (default: the SPAD's jitter FWHM) and F (default: `COINCIDENCE_WINDOW_S`).
     Raises `InputError` for values out of range and unknown names.
     """
     optics, laser, spad = optics or Optics(), laser or Laser(), spad or Spad()
@@ -207,5 +207,5 @@ def link_budget(
 
 
 def _plain(value: Numbers) -> Numbers:
-    """A float for what has no dimensions, else the array."""
+    """Return a float if the value has no dimensions, otherwise the array."""
     return float(value) if np.ndim(value) == 0 else value

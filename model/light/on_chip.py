@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Twin of the emulator's photon source (`hdl/emulator/source.py`): the same edges, bit by bit.
+"""Golden model of the emulator's photon source (`hdl/emulator/source.py`): the same edges, bit by bit.
 
-Light of a frame is a function of the settings, the seed and the frame's number. In every cycle of a period each pixel steps its generator
-and draws; a draw's bits are those of `contract/emulator.py`.
+The light of a frame is a function of the settings, the seed and the frame number. In every cycle of a period, each pixel
+steps its generator and draws; `contract/emulator.py` names the bits of a draw.
 """
 
 from functools import cache
@@ -45,9 +45,9 @@ MASK = (1 << STATE_BITS) - 1
 class SourceSettings:
     """Settings of the photon source. Raises `InputError`.
 
-    background: int64[subgroups], probability of a photon per pixel and cycle, in 2^-16. tick, level: int64[subgroups, pixels of one], where a
-    pixel's echo begins, and its probability in 2^-8. spread: an echo comes up to 2^spread - 1 ticks later. dead_cycles: from an edge to the
-    earliest next one of its pixel. seed: 32 bits.
+    background: int64[subgroups], probability of a photon per pixel and cycle, in 2^-16. tick, level: int64[subgroups,
+    pixels of one], earliest tick of a pixel's echo, and its probability in 2^-8. spread: an echo is up to 2^spread - 1
+    ticks late. dead_cycles: from an edge to the earliest next edge of its pixel. seed: 32 bits.
     """
 
     background: np.ndarray
@@ -67,7 +67,7 @@ class SourceSettings:
                 raise InputError(f"{name}: must hold integers from 0 to {high}")
 
     def register_writes(self, sensor: Sensor) -> list[tuple[int, int]]:
-        """(address, value) of every setting, in the emulator's address space. Raises `InputError` where a tick does not fit the sensor."""
+        """Return (address, value) of every setting, as seen by the emulator's host. Raises `InputError` for late ticks."""
         ticks = sensor.period_max * sensor.phases
         if self.tick.size and not 0 <= self.tick.min() <= self.tick.max() < ticks:
             raise InputError(f"tick: must hold integers from 0 to {ticks - 1}")
@@ -80,7 +80,7 @@ class SourceSettings:
 
 
 def source_edges(config: Config, settings: SourceSettings, frame: int) -> Edges:
-    """The edges of frame number `frame` since the sensor's reset, of its periods; pulses count from the frame's start."""
+    """Return the edges of frame number `frame` since the sensor's reset; pulses count from the frame's start."""
     sensor = config.sensor
     starts, table = config.start_cycles(), pixel_table(sensor)
     # Row and place of a subgroup's pixel in the array, for every subgroup and pixel.
@@ -110,7 +110,7 @@ def source_edges(config: Config, settings: SourceSettings, frame: int) -> Edges:
 
 
 def seeds(seed: int, frame: int, subgroup: int, pixels: int) -> np.ndarray:
-    """uint32[pixels]: the states of a subgroup's generators as a frame begins, none of them 0."""
+    """uint32[pixels]: states of a subgroup's generators at the start of a frame, none of them 0."""
     lanes = -(-pixels // LANE_PIXELS)
     blocks = cipher(seed, frame | subgroup << 16, np.arange(lanes * STATE_BITS))
     states = np.zeros(pixels, np.uint32)
@@ -126,7 +126,7 @@ def seeds(seed: int, frame: int, subgroup: int, pixels: int) -> np.ndarray:
 
 
 def cipher(seed: int, left: int, right: np.ndarray) -> np.ndarray:
-    """uint64[n]: the blocks (left, right[k]) under the key `seed`; the right half in the low bits."""
+    """uint64[n]: the blocks (left, right[k]) encrypted with the key `seed`; the right half is in the low bits."""
     y: np.ndarray = right.astype(np.uint32)
     x: np.ndarray = np.full_like(y, left)
     key = seed & MASK
@@ -145,8 +145,8 @@ def advance(states: np.ndarray, tables: np.ndarray) -> np.ndarray:
 
 @cache
 def _tables() -> np.ndarray:
-    """uint32[4, 256]: what a byte of a generator's state gives to the next one."""
-    columns = np.zeros(STATE_BITS, np.uint32)  # bit j of the state -> the bits of the next that it reaches
+    """uint32[4, 256]: contribution of each byte of a generator's state to the next state."""
+    columns = np.zeros(STATE_BITS, np.uint32)  # bit j of the state -> bits of the next state that depend on it
     for i, taps in enumerate(TAPS):
         for j in taps:
             columns[j] |= np.uint32(1 << i)
@@ -159,7 +159,7 @@ def _tables() -> np.ndarray:
 
 @njit
 def _walk(states, tables, starts, period, phases, background, tick, level, spread, dead_cycles):
-    """int64[n, 3]: pulse, pixel of the subgroup, tick of its edges, pixel by pixel in time order."""
+    """int64[n, 3]: pulse, pixel in the subgroup, and tick of its edges, pixel by pixel in the order of time."""
     found = np.empty((1024, 3), np.int64)
     n = 0
     pulses = len(starts) - 1

@@ -1,22 +1,22 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Photons to edges: a Monte Carlo of the SPAD array in continuous time, then TDC ticks.
+"""Photons to edges: a Monte Carlo simulation of the SPAD array in continuous time, then TDC ticks.
 
-Ref: paper II and IV (SPAD, laser pulse); the effects that the paper leaves out, and their order, are our choice.
+Ref: paper II and IV (SPAD, laser pulse). The effects that the paper leaves out, and their order, are our choice.
 
-Order of the effects, per pixel and laser pulse:
+The effects apply in this order, per pixel and laser pulse:
 
 1. photons that would fire the SPAD: background and dark counts (uniform), signal (a Gaussian pulse around the time of
    flight, or around a time drawn from bins, modulo the laser period), another LiDAR's pulses, carriers trapped by earlier
    avalanches (afterpulses), photons from avalanches of neighbours (crosstalk);
-2. SPAD gate: outside it nothing happens;
-3. dead time, carried on from pulse to pulse: which photons become avalanches;
+2. SPAD gate: outside it, nothing happens;
+3. dead time, which carries on from pulse to pulse: it decides which photons become avalanches;
 4. jitter of the avalanche's edge, modulo the laser period;
-5. the TDC's taps: time to tick.
+5. the TDC's taps: from time to tick.
 
 Every random number is a hash of (seed, pixel, pulse, purpose, counter), so neither chunks nor workers change the edges.
-Crosstalk couples the pixels: a first pass finds the avalanches without it and draws what they send to their four
-neighbours, a second pass walks all pixels again with the same photons and these. A crosstalk avalanche sends no
-crosstalk of its own (probability squared: neglected).
+Crosstalk couples the pixels. A first pass finds the avalanches without it and draws the photons that they send to their
+four neighbours. A second pass repeats the walk through all pixels with the same photons and with these. An avalanche
+caused by crosstalk sends no crosstalk of its own (its probability is squared, and neglected).
 """
 
 import math
@@ -36,24 +36,24 @@ from .spad import Spad, SpadGate
 from .timing import Timing
 from .walk import CARRIERS_MAX, LAW_SIZE, Arrays, Packing, Physics, unpacked, walk
 
-CHUNK_EDGES = 1 << 16  # edges made and sorted at a time: fits a core's cache
+CHUNK_EDGES = 1 << 16  # edges generated and sorted at a time: they fit a core's cache
 PULSES_MAX = 1 << 40
-DITHERED_PULSES_MAX = 1 << 24  # whose starts are kept
+DITHERED_PULSES_MAX = 1 << 24  # pulses whose starts are kept
 
 
 def generate_edges(light: Light, spad: Spad, timing: Timing, **options: Any) -> Edges:
-    """All edges of a number of laser pulses, sorted by (pulse, tick, pixel).
+    """Generate all edges of a number of laser pulses, sorted by (pulse, tick, pixel).
 
     Parameters
     ----------
     light : Light
-        What the pixels detect.
+        Light that the pixels detect.
     spad : Spad
         The detector.
     timing : Timing
         Clock, period and TDC.
     **options
-        `pulses` and `seed` (both needed), `pulse_start`, `gate`, `workers`: as in `edge_chunks`, which makes the same edges in chunks.
+        `pulses` and `seed` (both required), `pulse_start`, `gate`, `workers`: as in `edge_chunks`, which makes the same edges in chunks.
 
     Returns
     -------
@@ -80,9 +80,10 @@ def edge_chunks(
     workers: int = 1,
     chunk_pulses: int | None = None,
 ) -> Iterator[Edges]:
-    """Edges of laser pulses in chunks of whole pulses, each sorted by (pulse, tick, pixel).
+    """Generate the edges of laser pulses in chunks of whole pulses, each sorted by (pulse, tick, pixel).
 
-    All SPADs are ready at `pulse_start`; dead time and trapped carriers continue from chunk to chunk. Memory grows with the chunk only.
+    All SPADs are ready at `pulse_start`; dead time and trapped carriers continue from chunk to chunk. The memory needed
+    depends only on the chunk.
 
     Parameters
     ----------
@@ -95,11 +96,11 @@ def edge_chunks(
     pulse_start : int
         Number of the first pulse.
     gate : SpadGate or None
-        When the SPADs are on; None = always.
+        Times at which the SPADs are on; None = always.
     workers : int
         Threads that share the pixels. The number does not change the edges.
     chunk_pulses : int or None
-        Pulses of a chunk; None: about `CHUNK_EDGES` edges. The number does not change the edges.
+        Pulses per chunk; None: about `CHUNK_EDGES` edges. The number does not change the edges.
 
     Raises
     ------
@@ -122,7 +123,7 @@ def edge_chunks(
 
 
 def _chunks(walkers: list["_Walker"], pulses: range, chunk_pulses: int) -> Iterator[Edges]:
-    """For each chunk both passes over all blocks of pixels, then the order in time."""
+    """For each chunk, run both passes over all blocks of pixels, then sort by time."""
     physics, packing = walkers[0].physics, walkers[0].packing
     with ThreadPoolExecutor(len(walkers)) as pool:
         for first in pulses[::chunk_pulses]:
@@ -142,7 +143,7 @@ def _chunks(walkers: list["_Walker"], pulses: range, chunk_pulses: int) -> Itera
 def _in_ticks(
     light: Light, spad: Spad, timing: Timing, gate: SpadGate | None, pulse_stop: int
 ) -> tuple[Physics, Arrays]:
-    """Seconds, metres and rates to ticks and photons per period."""
+    """Convert seconds, metres and rates to ticks and photons per period."""
     tick_s, period_ticks, pixels = timing.tick_s, timing.period_ticks, light.pixels
     rate_cps = light.background_cps + real_array("dark_cps", spad.dark_cps, (pixels,), 0)
     pulse_variance_s2 = light.system_fwhm_s**2 - spad.jitter_fwhm_s**2
@@ -212,7 +213,7 @@ def _bins(light: Light, tick_s: float, period_ticks: int) -> tuple[np.ndarray, n
 
 
 class _Walker:
-    """A block of pixels and what they carry from chunk to chunk, in the sending pass of crosstalk and in the last."""
+    """A block of pixels and their state from chunk to chunk, for the sending pass of crosstalk and for the last pass."""
 
     def __init__(
         self,
@@ -226,7 +227,7 @@ class _Walker:
         self.physics, self.arrays, self.block, self.packing = physics, arrays, block, packing
         self.seed, self.edges_per_pulse = np.uint64(seed), edges_per_pulse
         brightest = (arrays.noise + arrays.signal_per_pulse + arrays.other * physics.others_per_pulse).max()
-        self.photons_max = int(brightest + 12 * math.sqrt(brightest)) + 64  # exceeded about never: then doubled
+        self.photons_max = int(brightest + 12 * math.sqrt(brightest)) + 64  # doubled if it is ever exceeded
         pixels = block[1] - block[0]
         fresh = np.zeros(pixels), np.full((pixels, CARRIERS_MAX if physics.afterpulse else 0), np.inf)
         self.state: dict[bool, tuple[np.ndarray, ...]] = {True: fresh, False: fresh}
@@ -234,7 +235,7 @@ class _Walker:
     def walk(
         self, span: tuple[int, int], received: tuple[np.ndarray, np.ndarray], sending: bool
     ) -> tuple[np.ndarray, ...]:
-        """Packed edges, or (with `sending`) where crosstalk goes and when: int64[n] and float64[n]."""
+        """Return packed edges or, with `sending`, the crosstalk's targets and times: int64[n] and float64[n]."""
         capacity = int(self.edges_per_pulse * span[1] * 1.1) + 1000
         while True:
             state = tuple(array.copy() for array in self.state[sending])

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The detector: SPAD, its gate, and dark counts that differ from pixel to pixel.
+"""The detector: SPAD, SPAD gate, and dark counts that differ from pixel to pixel.
 
 Ref: paper II. Effects that the paper leaves out are off by default.
 """
@@ -15,12 +15,12 @@ from ..shared.quantities import Numbers, check_real, real
 
 @frozen(kw_only=True, eq=False)
 class Spad:
-    """The detector. The defaults are those of the paper's section II; effects that the paper leaves out are off.
+    """The detector. The defaults come from section II of the paper; effects that the paper leaves out are off.
 
     Attributes
     ----------
     pdp, fill_factor : float
-        Photon detection probability and active share, for the link budget only (the rates of `Light` are detected ones).
+        Photon detection probability and active share of the area, for the link budget only (the rates of `Light` are detected ones).
     dead_time_s : float
         Time from an avalanche until the SPAD is ready again, in seconds.
     paralyzable : bool
@@ -28,9 +28,9 @@ class Spad:
     jitter_fwhm_s : float
         Gaussian jitter of an edge, in seconds.
     jitter_tail_fraction, jitter_tail_s : float
-        Share of the edges that are late by another, exponential time, and the mean of that time in seconds.
+        Share of the edges that are late by an additional, exponential time, and the mean of that time in seconds.
     dark_cps : float or numpy.ndarray
-        Dark count rate in counts per second, also float64[pixels] (see `dark_count_map`).
+        Dark count rate in counts per second, or float64[pixels] (see `dark_count_map`).
     afterpulse_probability, afterpulse_s : float
         Probability that an avalanche traps a carrier, and the mean time to its release in seconds. A carrier that is released while
         the SPAD is dead is lost.
@@ -53,11 +53,11 @@ class Spad:
 
 @frozen(kw_only=True, eq=False)
 class SpadGate:
-    """SPADs that are switched off outside the cycles [start, start + len) of a period: they have no avalanches and no
-    dead time there.
+    """Gate that switches SPADs off outside the cycles [start, start + len) of a period.
 
-    start_cycles, len_cycles, step_cycles: per pixel, int64[pixels] or a number. Progressive gating: pulse k of a frame
-    of frame_pulses adds step_cycles * ((k // every_pulses) mod steps) to the start; every_pulses = 0: never.
+    While off, they have no avalanches and no dead time. start_cycles, len_cycles, step_cycles: per pixel, int64[pixels]
+    or a number. Progressive gating: in pulse k of a frame of frame_pulses, the start is later by step_cycles * ((k //
+    every_pulses) mod steps); every_pulses = 0: never.
     """
 
     start_cycles: int | np.ndarray
@@ -73,7 +73,7 @@ class SpadGate:
 
     @classmethod
     def from_config(cls, config: Config) -> "SpadGate":
-        """The gates of a configuration as SPAD gates; open all the time where a subgroup's gating is off."""
+        """Return the gates of a configuration as SPAD gates, which are always open if a subgroup's gating is off."""
         subgroup, frame = pixel_table(config.sensor).subgroup, config.frame
         start, length, step = (
             np.where(config.gating, on, off)[subgroup]
@@ -90,7 +90,7 @@ class SpadGate:
 
 
 def dark_count_map(pixels: int, *, median_cps: float, hot_fraction: float, hot_cps: float, seed: int) -> np.ndarray:
-    """Dark count rates float64[pixels]: `median_cps`, and `hot_cps` in a random share `hot_fraction` of the pixels."""
+    """Dark count rates, float64[pixels]: `median_cps`, and `hot_cps` in a random share `hot_fraction` of the pixels."""
     check_integer("pixels", pixels, 1, 1 << 24)
     hot = round(pixels * check_real("hot_fraction", hot_fraction, 0, 1))
     dark_cps = np.full(pixels, check_real("median_cps", median_cps, 0))

@@ -2,8 +2,8 @@
 """Sunlight in the receiver's band: a solar spectrum scaled to an illuminance, through a bandpass filter.
 
 Ref: paper II ("solar spectral irradiance", 50 klux, 15 nm FWHM around 905 nm; Planck's law in the caption of Fig. 2).
-Spectra: ASTM G173-03 as pvlib ships it, and a black body. Photopic curve: the fit of Wyman, Sloan and Shirley (2013) to
-CIE 1931, good to 1 %.
+Spectra: ASTM G173-03 as shipped with pvlib, and a black body. Photopic curve: the fit of Wyman, Sloan and Shirley (2013)
+to CIE 1931, accurate to 1 %.
 """
 
 from functools import cache
@@ -21,7 +21,7 @@ TABLE_COLUMNS = {"am15g": "global", "am15d": "direct", "am0": "extraterrestrial"
 SPECTRA = (*TABLE_COLUMNS, "planck")
 FILTERS = ("box", "gaussian")
 
-_GRID_NM = np.arange(280.0, 4000.5, 0.5)  # the table's range, at its finest step
+_GRID_NM = np.arange(280.0, 4000.5, 0.5)  # range of the table, at its finest step
 _BAND_POINTS = 20_001
 _GAUSSIAN_REACH_SIGMA = 8.0
 
@@ -78,7 +78,7 @@ def _spectrum(name: str) -> tuple[np.ndarray, float]:
         exponent = PLANCK_J_S * SPEED_OF_LIGHT_M_S / (wavelength_m * BOLTZMANN_J_K * SUN_K)
         density = 1e-9 * 2 * np.pi * PLANCK_J_S * SPEED_OF_LIGHT_M_S**2 / wavelength_m**5 / np.expm1(exponent)
     else:
-        from pvlib.spectrum import get_reference_spectra  # here: importing pvlib takes a second
+        from pvlib.spectrum import get_reference_spectra  # here, because importing pvlib takes a second
 
         table = get_reference_spectra()
         density = np.interp(_GRID_NM, table.index.to_numpy(), table[TABLE_COLUMNS[name]].to_numpy())

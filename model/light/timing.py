@@ -27,9 +27,9 @@ class Timing:
     tap_width_lsb : numpy.ndarray or None
         float64[phases], widths of the TDC's phases, which sum to `phases`; None = all 1.
     dither_bits, dither_seed : int
-        How long the next trigger waits after a period (docs/contract.md).
+        Settings of the wait between two periods (docs/contract.md).
     frame_pulses : int
-        The wait starts again with every frame of so many pulses; 0: all pulses are one frame.
+        Number of pulses after which the sequence of waits starts again; 0: all pulses are one frame.
     """
 
     clock_hz: float = real(CLOCK_MHZ * 1e6, 1)
@@ -53,7 +53,7 @@ class Timing:
 
     @classmethod
     def from_config(cls, config: Config, tap_width_lsb: np.ndarray | None = None) -> "Timing":
-        """The configuration's clock, phases, period and dither."""
+        """Return clock, phases, period and dither of a configuration."""
         return cls(
             clock_hz=config.clock_mhz * 1e6,
             phases=config.sensor.phases,
@@ -78,14 +78,14 @@ class Timing:
 
     @property
     def range_m(self) -> float:
-        """Greatest distance from which light returns within the laser period: the unambiguous range of a stamp."""
+        """Largest distance from which light returns within the laser period: the unambiguous range of a stamp."""
         return SPEED_OF_LIGHT_M_S * self.period_s / 2
 
     def start_cycles(self, pulses: int) -> np.ndarray:
-        """int64[pulses + 1]: when each pulse's period begins, in cycles from the first one's on. Frames follow without a gap."""
+        """int64[pulses + 1]: start of each pulse's period, in cycles from the first one. Frames follow without a gap."""
         frame = start_cycles(self.frame_pulses or pulses, self.period_cycles, self.dither_bits, self.dither_seed)
         number, pulse = np.divmod(np.arange(pulses + 1), max(1, len(frame) - 1))
         return number * frame[-1] + frame[pulse]
 
 
-RANGE_M = Timing().range_m  # of the preset `silicon`
+RANGE_M = Timing().range_m  # with the preset `silicon`

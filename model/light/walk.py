@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The photon walk: each pixel through its laser pulses, photons to avalanches to edges. The code is compiled;
-`photons.py` describes it and calls it.
+"""The photon walk: takes each pixel through its laser pulses, from photons to avalanches to edges.
 
-Times are in ticks from the start of a pulse's period.
+The code is compiled; `photons.py` describes it and calls it. Times are in ticks from the start of a pulse's period.
 """
 
 import math
@@ -13,25 +12,25 @@ import numpy as np
 from ..shared.compiled import njit
 from .counter_random import exponential, key_of, normal, open_unit, uniform
 
-CARRIERS_MAX = 32  # trapped carriers of a pixel that outlive their pulse; more are lost
+CARRIERS_MAX = 32  # trapped carriers per pixel that outlive their pulse; further ones are lost
 GAP, SOURCE, SHAPE, JITTER, TAIL_SHARE, TAIL, TRAP, RELEASE, CROSSTALK, OTHER, OTHER_SHAPE, IN_BIN = range(
     1, 13
 )  # purposes
-POISSON_MEAN_MAX = 64.0  # a brighter pixel's count is drawn in parts, each by inversion of its law
+POISSON_MEAN_MAX = 64.0  # for a brighter pixel, the count is drawn in parts, each by inversion of its law
 LAW_SIZE = 256
-GAPS_FROM = 24.0  # photons of noise in a period from which on they come in order of time, by exponential gaps
-INSERTION_MAX = 32  # other photons up to which insertion beats sorting
+GAPS_FROM = 24.0  # noise photons per period above which they are drawn in the order of time, by exponential gaps
+INSERTION_MAX = 32  # number of other photons up to which insertion is faster than sorting
 
 
 class Packing(NamedTuple):
-    """An edge as one integer that sorts by (pulse, tick, pixel): the width of its lower fields."""
+    """Widths of the lower fields of an edge that is packed into one integer, which sorts by (pulse, tick, pixel)."""
 
     pixel_bits: int
     tick_bits: int
 
 
 class Physics(NamedTuple):
-    """Scalars of the walk; times in ticks. other_period_ticks: of another LiDAR, 0: there is none."""
+    """Scalars of the walk; times in ticks. other_period_ticks: laser period of another LiDAR, 0 without one."""
 
     period_ticks: float
     phases: int
@@ -53,25 +52,25 @@ class Physics(NamedTuple):
     bin_width: float
 
     def edges_per_pulse(self, arrays: "Arrays") -> np.ndarray:
-        """Approximate number of edges of each pixel in a period, from above; it only sets the size of buffers."""
+        """Upper estimate of the edges of each pixel in a period, which sets the size of buffers only."""
         photons = arrays.noise + arrays.signal_per_pulse + arrays.other * self.others_per_pulse
         photons *= 1 + 2 * self.afterpulse + 4 * self.crosstalk
         return np.minimum(photons, self.period_ticks / self.dead + 1) if self.dead else photons
 
     @property
     def others_per_pulse(self) -> float:
-        """Pulses of another LiDAR in a period, at most."""
+        """Highest number of pulses of another LiDAR in a period."""
         return self.period_ticks / self.other_period_ticks + 1 if self.other_period_ticks else 0.0
 
 
 class Arrays(NamedTuple):
     """Arrays of the walk: noise [pixels], signal [pixels, targets] in photons per period; the others in ticks.
 
-    centre, sigma: [pixels, targets]; laps: whole periods of the flight, [pixels, targets]. bin_first: int64[pixels +
-    1], where the bins of a pixel are; bin_start: when they begin; bin_photons: of a pixel's bins up to and with each
-    one. gate_start, gate_len, gate_step: [pixels]. taps: inner borders of the phases, empty = ideal. other,
-    other_first: photons of another LiDAR's pulse, and when the first came, [pixels]. starts: of the pulses' periods,
-    empty = one after the other.
+    centre, sigma: [pixels, targets]; laps: whole periods of the flight, [pixels, targets]. bin_first: int64[pixels + 1],
+    first bin of a pixel; bin_start: beginning of the bins; bin_photons: cumulative photons of a pixel's bins, including
+    the bin itself. gate_start, gate_len, gate_step: [pixels]. taps: inner borders of the phases, empty = ideal. other,
+    other_first: photons of another LiDAR's pulse, and time of the first one, [pixels]. starts: of the pulses' periods,
+    empty = back to back.
     """
 
     noise: np.ndarray
@@ -100,11 +99,10 @@ class Arrays(NamedTuple):
 
 
 class _Source(NamedTuple):
-    """A pixel's photons of noise, targets and bins, whose superposed Poisson processes are drawn as one. Photons in a
-    period.
+    """A pixel's photons of noise, targets and bins, drawn as one superposed Poisson process. Photons per period.
 
-    noise: 0 for a bright pixel, whose noise comes in order of time. binned: of all its bins. mean: of all; it is drawn
-    in equal `parts`.
+    noise: 0 for a bright pixel, whose noise is drawn in the order of time. binned: photons of all its bins. mean: of all
+    sources; it is drawn in equal `parts`.
     """
 
     noise: float
@@ -117,11 +115,11 @@ class _Source(NamedTuple):
 
 @njit(allocates=False, error_model="numpy")
 def walk(physics, arrays, block, seed, packing, span, received, sending, state, scratch, made):
-    """Walks each pixel of the block through the pulses of the span.
+    """Walk each pixel of the block through the pulses of the span; return the number of items made, or -1.
 
-    state: when each pixel is alive, and its carriers. scratch: for the law of a count, and for the photons of a pixel
-    and pulse in ascending time. made: for the items, keys and (with `sending`) times. Returns how many there are: all
-    are in `made` if they fit. -1: the photons are more than the scratch holds.
+    state: time from which each pixel is alive, and its carriers. scratch: for the law of a count, and for the photons of
+    a pixel and pulse in ascending time. made: for the items, keys and (with `sending`) times; all items are there if
+    they fit. -1: there are more photons than the scratch holds.
     """
     first_pulse, pulses = span
     (ready, carriers), (law, photons), (keys, times) = state, scratch, made
@@ -199,7 +197,7 @@ def _source(pixel, period_ticks, arrays):
 
 @njit(inline="always")
 def _draw_noise(key, noise_to_ticks, period_ticks, photons):
-    """A bright pixel's noise in order of time, by exponential gaps: into `photons`. Returns how many."""
+    """Write a bright pixel's noise to `photons` in the order of time, by exponential gaps; return its number."""
     n, t = 0, exponential(key, GAP, 0) * noise_to_ticks
     while t < period_ticks and n < photons.size:
         photons[n] = t
@@ -210,7 +208,7 @@ def _draw_noise(key, noise_to_ticks, period_ticks, photons):
 
 @njit(inline="always")
 def _draw_count(key, parts, law):
-    """A Poisson number, the sum of `parts` of the same law."""
+    """Return a Poisson number, the sum of `parts` of the same law."""
     count = 0
     for part in range(parts):
         u, k = open_unit(key_of(key, part) if part else key), 0
@@ -222,7 +220,7 @@ def _draw_count(key, parts, law):
 
 @njit(inline="always")
 def _draw_photons(key, count, n, pixel, pulse, source, physics, arrays, photons):
-    """Adds `count` photons of `source`, each of its own origin and time, to the ascending photons[:n]. Returns the new n."""
+    """Add `count` photons of `source`, with random origins and times, to the ascending photons[:n]; return the new n."""
     for i in range(count):
         mark = uniform(key, SOURCE, i) * source.mean
         if mark < source.noise:
@@ -241,7 +239,7 @@ def _draw_photons(key, count, n, pixel, pulse, source, physics, arrays, photons)
 
 @njit(inline="always")
 def _arrival(key, i, mark, binned, pixel, pulse, physics, arrays):
-    """When photon `i` comes, which is the target's or bin's that `mark` falls into; negative: in no period, for a gap before this one."""
+    """Return the arrival of photon `i`, of the target or bin to which `mark` belongs; negative: in the gap before the period."""
     period_ticks, signal, starts = physics.period_ticks, arrays.signal, arrays.starts
     target, last_target = 0, signal.shape[1] - 1
     while target < last_target and mark >= signal[pixel, target]:
@@ -257,7 +255,7 @@ def _arrival(key, i, mark, binned, pixel, pulse, physics, arrays):
         lap = np.int64(begins // period_ticks)
         begins -= lap * period_ticks
     t = begins + arrays.sigma[pixel, target] * normal(key, SHAPE, i)
-    if starts.size and lap:  # of an earlier pulse, whose distance in time varies
+    if starts.size and lap:  # from an earlier pulse, whose distance in time varies
         emitted = max(pulse - lap, 0)
         t += (pulse - emitted) * period_ticks - (starts[pulse] - starts[emitted])
         if not 0 <= t < period_ticks:
@@ -267,9 +265,9 @@ def _arrival(key, i, mark, binned, pixel, pulse, physics, arrays):
 
 @njit(inline="always")
 def _draw_others(key, n, since, mean, physics, photons):
-    """Adds photons of another LiDAR's pulses, of which the first came `since` ticks ago: `mean` per pulse. Returns the new n."""
+    """Add `mean` photons per pulse of another LiDAR, whose first pulse came `since` ticks ago; return the new n."""
     drawn = 0
-    t = -_modulo(since, physics.other_period_ticks)  # the last pulse before the period: its tail
+    t = -_modulo(since, physics.other_period_ticks)  # tail of the last pulse before the period
     while t < physics.period_ticks:
         sum_of_gaps = exponential(key, OTHER, drawn)
         while sum_of_gaps < mean:
@@ -285,7 +283,7 @@ def _draw_others(key, n, since, mean, physics, photons):
 
 @njit(inline="always")
 def _release(n, carriers, period_ticks, photons):
-    """Adds what trapped carriers release in this period; the others wait a period less. Returns the new n."""
+    """Add the photons of carriers that are released in this period; the others wait for the next; return the new n."""
     for slot in range(CARRIERS_MAX):
         if carriers[slot] < period_ticks:
             n = _insert(photons, n, carriers[slot])
@@ -296,7 +294,7 @@ def _release(n, carriers, period_ticks, photons):
 
 @njit(inline="always")
 def _lose(carriers, gap):
-    """Carriers that are released in the gap between two periods are lost."""
+    """Drop the carriers that are released in the gap between two periods."""
     for slot in range(CARRIERS_MAX):
         carriers[slot] -= gap
         if carriers[slot] < 0:
@@ -305,7 +303,7 @@ def _lose(carriers, gap):
 
 @njit(inline="always")
 def _gate_step(pulse, physics):
-    """How many steps progressive gating has gone."""
+    """Return the number of steps that progressive gating has moved."""
     return pulse % physics.frame_pulses // physics.gate_every % physics.gate_steps
 
 
@@ -313,10 +311,9 @@ def _gate_step(pulse, physics):
 def _avalanches(
     key, n, pixel, index, opens, closes, alive_at, done, physics, taps, packing, sending, carriers, photons, keys, times
 ):
-    """Photons to avalanches by gate and dead time, and these to edges, or (with `sending`) to crosstalk; afterpulses
-    join the photons.
+    """Turn photons into avalanches by gate and dead time, and these into edges or, with `sending`, into crosstalk.
 
-    Returns the new n, the time from which the SPAD is alive, and the number of items made.
+    Afterpulses join the photons. Returns the new n, the time from which the SPAD is alive, and the number of items made.
     """
     i, fired = 0, 0
     while i < n:
@@ -348,7 +345,7 @@ def _avalanches(
 
 @njit(inline="always")
 def _send(key, fired, t, pixel, index, done, physics, keys, times):
-    """Crosstalk of an avalanche: the neighbours that it reaches. Returns the number of items made."""
+    """Send the crosstalk of an avalanche to the neighbours that it reaches; return the number of items made."""
     for side in range(4):
         neighbour = _neighbour(pixel, side, physics.rows, physics.cols)
         if neighbour >= 0 and uniform(key, CROSSTALK, 4 * fired + side) < physics.crosstalk:
@@ -360,7 +357,7 @@ def _send(key, fired, t, pixel, index, done, physics, keys, times):
 
 @njit(inline="always")
 def _with_jitter(key, fired, t, physics):
-    """Time of an avalanche's edge."""
+    """Return the time of an avalanche's edge."""
     if physics.jitter > 0:
         t += physics.jitter * normal(key, JITTER, fired)
     if physics.tail_fraction > 0 and uniform(key, TAIL_SHARE, fired) < physics.tail_fraction:
@@ -370,7 +367,7 @@ def _with_jitter(key, fired, t, physics):
 
 @njit
 def _sort(photons, n):
-    """Sorts photons[:n] (Shell, with Ciura's gaps)."""
+    """Sort photons[:n] (Shell, with Ciura's gaps)."""
     for gap in (701, 301, 132, 57, 23, 10, 4, 1):
         for i in range(gap, n):
             t, k = photons[i], i
@@ -382,7 +379,7 @@ def _sort(photons, n):
 
 @njit
 def _poisson_law(mean, law):
-    """Fills law[k] with the chance of at most k, up to where it is 1 in float64."""
+    """Fill law[k] with the probability of at most k, until it is 1 in float64."""
     chance = math.exp(-mean)
     law[0], last = chance, 0
     while last < law.size - 1 and (chance > 1e-18 or last < mean):
@@ -394,7 +391,7 @@ def _poisson_law(mean, law):
 
 @njit(inline="always")
 def _insert(photons, n, t):
-    """Puts `t` into the ascending photons[:n] (a full one loses it) and returns n + 1, at most the size."""
+    """Insert `t` into the ascending photons[:n] (dropped if they are full) and return n + 1, or the size if less."""
     if n == photons.size:
         return n
     i = n
@@ -407,13 +404,13 @@ def _insert(photons, n, t):
 
 @njit(inline="always")
 def _modulo(t, period_ticks):
-    """`t` in [0, period_ticks]; the division is rarely needed."""
+    """Return `t` moved into [0, period_ticks]; the division is rarely needed."""
     return t if 0.0 <= t < period_ticks else t - period_ticks * np.floor(t / period_ticks)
 
 
 @njit(inline="always")
 def _tick(t, physics, taps):
-    """TDC code of time `t` in ticks; `taps`: the inner borders of the phases, empty = ideal."""
+    """Return the TDC code of time `t` in ticks; `taps`: the inner borders of the phases, empty = ideal."""
     if taps.size:
         cycle = np.floor(t / physics.phases)
         t = cycle * physics.phases + np.searchsorted(taps, t - cycle * physics.phases, side="right")
@@ -422,14 +419,14 @@ def _tick(t, physics, taps):
 
 @njit(inline="always")
 def _neighbour(pixel, side, rows, cols):
-    """Pixel above, left, right or below; -1 beyond the array."""
+    """Return the pixel above, left, right or below; -1 beyond the array."""
     row, col = pixel // cols + (side == 3) - (side == 0), pixel % cols + (side == 2) - (side == 1)
     return row * cols + col if 0 <= row < rows and 0 <= col < cols else -1
 
 
 @njit
 def unpacked(keys, first_pulse, packing):
-    """(pulse, pixel, tick) of packed edges."""
+    """Return (pulse, pixel, tick) of packed edges."""
     pixel_bits, tick_bits = packing
     pulse, pixel, tick = np.empty_like(keys), np.empty_like(keys), np.empty_like(keys)
     for i, key in enumerate(keys):

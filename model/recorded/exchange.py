@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Photons from other instruments and programs, edges for them: PTU, CSV, NPZ and HDF5.
+"""Exchange of photons and edges with other instruments and programs: PTU, CSV, NPZ and HDF5.
 
-Tables have named columns (CSV: a header line; NPZ, HDF5: one array each), other columns are ignored. Times end with their
-unit: `time_ps`, `time_ns`, `time_us`, `time_s`. They hold one of
+Tables have named columns (CSV: a header line; NPZ, HDF5: one array each); other columns are ignored. Names of times end
+with their unit: `time_ps`, `time_ns`, `time_us`, `time_s`. A table holds one of
 
 * `pulse, pixel, tick`: edges, as this project writes them;
 * `sync, channel, time_ps`: time since the laser's trigger number `sync`;
-* `channel, time_ps`: absolute times, the triggers among them as events of a channel of their own.
+* `channel, time_ps`: absolute times, with the triggers as events on a channel of their own.
 """
 
 import io
@@ -34,8 +34,9 @@ EXPECTED = "pulse, pixel, tick; or sync, channel, time_ps; or channel, time_ps (
 
 
 def read_recording(path: FilePath, sync_channel: int | None = None) -> Recording:
-    """The photons of a file of `SUFFIXES`. sync_channel: where absolute times have the laser's trigger (of T2 by default the
-    sync input). Raises `InputError` naming the file and what is wrong with it.
+    """Return the photons of a file. Raises `InputError` with the file's name and its fault.
+
+    sync_channel: channel of the laser's trigger among absolute times (T2: by default the sync input).
     """
     suffix = check_suffix(path)
     if suffix == ".ptu":
@@ -64,7 +65,7 @@ def read_recording(path: FilePath, sync_channel: int | None = None) -> Recording
 
 
 def write_edges(path: FilePath, edges: Edges, timing: Timing) -> None:
-    """Writes edges to a file of `SUFFIXES`, whole or not at all; the same bytes for the same edges."""
+    """Write edges to a file, whole or not at all; the same edges give the same bytes. The suffix selects the format."""
     suffix = check_suffix(path)
     if suffix == ".npz":
         edges.save(path)
@@ -90,7 +91,7 @@ def write_edges(path: FilePath, edges: Edges, timing: Timing) -> None:
 
 
 def check_suffix(path: FilePath) -> str:
-    """The file's kind, in lower case, else an `InputError`."""
+    """Return the kind of the file, which is its suffix in lower case. Raises `InputError`."""
     suffix = Path(path).suffix.lower()
     if suffix not in SUFFIXES:
         raise InputError(f"{path}: must end with one of {', '.join(SUFFIXES)}")
@@ -98,7 +99,7 @@ def check_suffix(path: FilePath) -> str:
 
 
 def parse_channels(text: str) -> dict[int, int]:
-    """Pixel by channel, from `CHANNEL:PIXEL,...` or a CSV file with the columns channel and pixel."""
+    """Return the pixel by channel, from `CHANNEL:PIXEL,...` or from a CSV file with the columns channel and pixel."""
     if text.lower().endswith(".csv"):
         names, read = _csv(text)
         if not {"channel", "pixel"} <= set(names):
@@ -141,7 +142,7 @@ def _of_syncs(
 
 
 def _integers(path: FilePath, name: str, values: np.ndarray) -> np.ndarray:
-    """`values` as int64, else an `InputError`."""
+    """Return `values` as int64. Raises `InputError`."""
     with np.errstate(invalid="ignore"):
         bad = np.flatnonzero(~((values == np.floor(values)) & (np.abs(values) < SYNC_MAX)))
     if len(bad):
@@ -156,7 +157,7 @@ def _not_negative(path: FilePath, name: str, values: np.ndarray) -> None:
 
 
 def _csv(path: FilePath) -> tuple[list[str], Read]:
-    """Column names of a CSV file, and a function that reads some of them as float64. Lines with # are comments."""
+    """Return the column names of a CSV file, and a function that reads columns as float64. Lines with # are comments."""
     try:
         with open(path, encoding="utf-8-sig") as file:
             lines = 1
@@ -191,13 +192,13 @@ def _npz(path: FilePath) -> tuple[list[str], Read]:
     try:
         with np.load(path, allow_pickle=False) as archive:
             names = list(archive.files)
-    except Exception:  # what is wrong is said below
+    except Exception:  # the fault is reported below
         names = list(NAMES)
     return names, lambda chosen: _columns(path, read_npz(path, chosen))
 
 
 def _hdf5(path: FilePath) -> tuple[list[str], Read]:
-    """Names of the datasets at the file's root, and a function that reads some of them."""
+    """Return the names of the datasets at the file's root, and a function that reads some of them."""
     try:
         with h5py.File(path, "r") as archive:
             names = [name for name, item in archive.items() if isinstance(item, h5py.Dataset)]
@@ -218,7 +219,7 @@ def _hdf5(path: FilePath) -> tuple[list[str], Read]:
 
 
 def _columns(path: FilePath, arrays: dict[str, np.ndarray]) -> Columns:
-    """The arrays as columns of numbers of equal length; integers beyond float64's are refused by `_integers`."""
+    """Return the arrays as numeric columns of equal length; `_integers` refuses integers beyond float64."""
     for name, array in arrays.items():
         if np.ndim(array) != 1 or array.dtype.kind not in "iuf":
             raise InputError(

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """PicoQuant PTU files: T3 and T2 recordings and scanned images to photons per sync; edges to T3.
 
-Ref: PicoQuant's unified file format. `ptufile` reads the header and undoes the overflows; what its decoder leaves out is
-done here: which records of T2 are syncs, and where in a scan a photon came.
+Ref: PicoQuant's unified file format. `ptufile` reads the header and resolves the overflows. Two things that its decoder
+leaves out are done here: finding the syncs among the records of T2, and the position of a photon in a scan.
 
-Inputs are numbered from 0 in both modes; the sync input has no number. A T3 time is a bin of the device, taken at its
-middle; a T2 time is the difference of two of its clock readings.
+Inputs are numbered from 0 in both modes; the sync input has no number. A T3 time is a bin of the device, and the middle
+of the bin is used; a T2 time is the difference of two clock readings.
 """
 
 import logging
@@ -22,13 +22,13 @@ from ..shared.files import FilePath, whole_file
 from .recordings import NO_SYNC, Recording, since_sync
 
 PS_PER_S = 1e12
-T2_SYNC = 1 << 6  # a record's upper 7 bits: special, input 0; PicoHarp has 4 bits, sync is input 0 of them
-CHANNEL_BITS, DTIME_BITS, NSYNC_BITS = 6, 15, 10  # of a written record, below the special bit
+T2_SYNC = 1 << 6  # upper 7 bits of a record: special, input 0; PicoHarp has only 4 bits, and its sync is input 0
+CHANNEL_BITS, DTIME_BITS, NSYNC_BITS = 6, 15, 10  # widths in a written record, below the special bit
 NO_SYNC_YET = np.int64(1) << 62
-OVERFLOW = (1 << CHANNEL_BITS + 1) - 1  # special and channel of a record that counts wraps of nsync
+OVERFLOW = (1 << CHANNEL_BITS + 1) - 1  # special bit and channel of a record that counts wraps of nsync
 MAGIC, VERSION = b"PQTTTR\0\0", b"1.0.00\0\0"
 INTEGER, REAL, EMPTY = 0x10000008, 0x20000008, 0xFFFF0008  # types of tags
-# What reading a damaged file raises.
+# Exceptions that a damaged file can cause.
 _BAD = (
     OSError,
     ValueError,
@@ -43,12 +43,13 @@ _BAD = (
 
 
 def read_ptu(path: FilePath, sync_channel: int | None = None) -> Recording:
-    """The photons of a PTU file. sync_channel: of T2, the input that carries the laser's trigger (None: the sync input).
+    """Return the photons of a PTU file. Raises `InputError`.
 
-    In an image recorded point by point the photons' channels are positions, row by row, and syncs count from the
-    beginning of each position's dwell; an image's next frames follow. Raises `InputError`.
+    sync_channel: in T2, the input that carries the laser's trigger (None: the sync input). In an image recorded point by
+    point, the photons' channels are positions, row by row. Syncs then count from the beginning of each position's dwell,
+    and continue through the further frames of the image.
     """
-    logging.getLogger("ptufile").setLevel(logging.CRITICAL)  # what is wrong is said by the errors below
+    logging.getLogger("ptufile").setLevel(logging.CRITICAL)  # the errors below report the fault
     try:
         with ptufile.PtuFile(path) as file:
             stored = (os.path.getsize(path) - file.record_offset) / 4
@@ -128,7 +129,7 @@ class _Scan:
         return cls(rows, cols, file.line_start_mask, file.line_stop_mask, file.frame_change_mask, file.is_bidirectional)
 
     def place(self, recording: Recording, time: np.ndarray, marker: np.ndarray, chosen: np.ndarray) -> Recording:
-        """`recording` with positions as channels and syncs that count in each position's dwell, then through the frames."""
+        """Return `recording` with positions as channels, and syncs that count in a position's dwell, then through frames."""
         begins, ends, changes = (time[(marker & mask) > 0] for mask in (self.start, self.stop, self.frame))
         ends = np.append(ends, -1)[np.searchsorted(ends, begins, side="right")]
         cut = (ends < begins) | (ends > np.append(begins[1:], NO_SYNC_YET))  # no stop before the next start
@@ -136,7 +137,7 @@ class _Scan:
             raise InputError("scan: the recording holds no whole line between its markers")
         ends = np.where(cut, begins, ends)
         first = np.searchsorted(begins, changes)
-        base = np.zeros(len(begins), np.int64)  # of each line, the first one of its frame
+        base = np.zeros(len(begins), np.int64)  # first line of each line's frame
         base[first[first < len(begins)]] = first[first < len(begins)]
         row = (np.arange(len(begins)) - np.maximum.accumulate(base)) % self.rows
         frame = np.cumsum(row == 0) - 1
@@ -164,7 +165,7 @@ class _Scan:
 
 
 def write_ptu(path: FilePath, edges: Edges, timing: Timing) -> None:
-    """Writes edges as a T3 recording (MultiHarp's records): sync = pulse, input = pixel, time bin = tick. Whole or not at all.
+    """Write edges as a T3 recording (MultiHarp's records), whole or not at all: sync = pulse, input = pixel, bin = tick.
 
     Raises `InputError` for pixels or ticks that the records cannot hold.
     """
@@ -175,7 +176,7 @@ def write_ptu(path: FilePath, edges: Edges, timing: Timing) -> None:
         if len(values) and values.max() >> bits:
             raise InputError(f"{path}: {name} = {values.max()}: must be from 0 to {(1 << bits) - 1} in a PTU file")
     wraps = np.diff(pulse >> NSYNC_BITS, prepend=0)
-    most = (1 << NSYNC_BITS) - 1  # wraps that a record can count
+    most = (1 << NSYNC_BITS) - 1  # wraps that one record can count
     before = -(-wraps // most)
     counts = np.full(before.sum(), most)
     counts[(np.cumsum(before) - 1)[before > 0]] = (wraps - (before - 1) * most)[before > 0]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Recorded photons, as any time tagger gives them, and how they become edges: sync to pulse, channel to pixel, time to tick."""
+"""Recorded photons from a time tagger, and their conversion to edges: sync to pulse, channel to pixel, time to tick."""
 
 import numpy as np
 from attrs import frozen
@@ -11,20 +11,20 @@ from ..shared.errors import InputError, check_integer
 from ..shared.quantities import check_real
 
 PS_PER_S = 1e12
-NO_SYNC = -1  # of a photon that belongs to no laser pulse
-FRACTION = 1e-6  # of a tick: what floating point may miss a tick's border by
-SAME_PERIOD = 1e-3  # relative difference of laser periods that goes without a note
-SYNC_MAX = 1 << 53  # integers up to which float64, in which tables are read, is exact
+NO_SYNC = -1  # sync of a photon that belongs to no laser pulse
+FRACTION = 1e-6  # of a tick: tolerance for rounding errors at the border of a tick
+SAME_PERIOD = 1e-3  # relative difference of laser periods up to which there is no note
+SYNC_MAX = 1 << 53  # tables are read as float64, which is exact for integers up to this
 
 
 @frozen(eq=False, kw_only=True)
 class Recording:
     """Photons of a time tagger, in any order.
 
-    sync: int64[n], number of the laser's trigger before each, `NO_SYNC` where there is none. channel: int64[n], input of the
-    tagger; with `grid` (rows, cols) the position in an image, row * cols + col. time_ps: float64[n] since the trigger.
-    period_ps: between triggers, None = unknown. kind: of recording, for people. outside: what `NO_SYNC` means.
-    in_ticks: the times are ticks already.
+    sync: int64[n], number of the last laser trigger before each photon, `NO_SYNC` if there is none. channel: int64[n],
+    input of the tagger; with `grid` (rows, cols), the position in an image, row * cols + col. time_ps: float64[n] since
+    the trigger. period_ps: between triggers, None = unknown. kind: description of the recording. outside: meaning of
+    `NO_SYNC`. in_ticks: the times already are ticks.
     """
 
     sync: np.ndarray
@@ -38,7 +38,7 @@ class Recording:
 
 
 def since_sync(time: np.ndarray, channel: np.ndarray, sync_time: np.ndarray, unit_ps: float, kind: str) -> Recording:
-    """A recording of absolute times: each photon belongs to the last trigger at or before it.
+    """Return a recording of absolute times: each photon belongs to the last trigger at or before it.
 
     time, sync_time: in `unit_ps`, any order; integers (or whole float64) keep the difference exact.
     """
@@ -57,12 +57,12 @@ def recorded_edges(
     first_sync: int = 0,
     delay_ps: float = 0.0,
 ) -> tuple[Edges, dict[str, int]]:
-    """The photons that fall into the frames, pixels and laser period of `config`, sorted by (pulse, tick, pixel), and how
-    many do not, by reason (the first that applies).
+    """Return the edges of a recording, sorted by (pulse, tick, pixel), and the number of photons lost, by reason.
 
-    channels: pixel of each channel; None = the channel's own number (an image: its rows and columns). first_sync: the one
-    that becomes pulse 0. delay_ps: of light and cables between trigger and sensor, taken off every time.
-    Raises `InputError` where nothing is left, and for options that do not fit the recording.
+    Edges are the photons within the frames, pixels and laser period of `config`; a lost photon counts for the first
+    reason that applies. channels: pixel of each channel; None = the channel's own number (an image: its rows and
+    columns). first_sync: the sync that becomes pulse 0. delay_ps: delay of light and cables between trigger and sensor,
+    subtracted from every time. Raises `InputError` if no photon is left, and for options that do not fit the recording.
     """
     check_integer("first-sync", first_sync, 0, SYNC_MAX)
     check_real("delay-ps", delay_ps, -np.inf)
@@ -96,12 +96,12 @@ def recorded_edges(
 
 
 def told(lost: dict[str, int]) -> str:
-    """What `recorded_edges` left out, for people."""
+    """Return a message about the photons that `recorded_edges` left out."""
     return "; ".join(f"{count:,} {reason}" for reason, count in lost.items() if count)
 
 
 def period_note(recording: Recording, timing: Timing) -> str:
-    """A sentence where the recording's laser period is not the frame's, else nothing."""
+    """Return a sentence if the recording's laser period differs from the frame's, else nothing."""
     period_ps = timing.period_s * PS_PER_S
     if recording.period_ps is None or abs(recording.period_ps - period_ps) <= SAME_PERIOD * period_ps:
         return ""
@@ -112,7 +112,7 @@ def period_note(recording: Recording, timing: Timing) -> str:
 
 
 def _pixels(recording: Recording, rows: int, cols: int, channels: dict[int, int] | None) -> np.ndarray:
-    """int64[n], pixel of each photon, -1 = none."""
+    """int64[n]: pixel of each photon, -1 = none."""
     if channels is None:
         row, col = (
             np.divmod(recording.channel, recording.grid[1]) if recording.grid else np.divmod(recording.channel, cols)

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Ambient light that differs across the picture: from what a user writes to klux for every pixel.
+"""Ambient light that differs across the picture: from the user's text to klux for every pixel.
 
-Ref: paper II, equation (2): background in proportion to the light. The forms, and the rules of the resampling, are our choice.
+Ref: paper II, equation (2): the background is proportional to the light. The forms, and the rules of the resampling, are
+our choice.
 """
 
 from pathlib import Path
@@ -15,15 +16,15 @@ from .image_files import centre_crop, check_picture_array, covered_samples, open
 
 Ambient: TypeAlias = str | float | np.ndarray
 AMBIENT_FORMS = "a number, LOW|HIGH (right half in the sun), FILE.npy in klux, or PICTURE,WHITE_KLUX (grey)"
-WHITE = {"L": 255, "I;16": 65535, "I;16B": 65535, "I": 65535}  # sample that stands for white, by a picture's mode
+WHITE = {"L": 255, "I;16": 65535, "I;16B": 65535, "I": 65535}  # value of white, by a picture's mode
 
 
 def ambient_klux(source: Ambient, rows: int, cols: int) -> Numbers:
-    """Klux of ambient light: a number, or float64[rows, cols].
+    """Return klux of ambient light: a number, or float64[rows, cols]. Raises `InputError`.
 
-    source: a number or an array that broadcasts to rows x cols; or a text of `AMBIENT_FORMS`. With LOW|HIGH the columns from the middle on
-    have HIGH. A file is cropped around its centre to the sensor's aspect ratio, and a pixel takes the mean of the samples that it
-    covers; a picture's samples are linear, 0 = dark. Raises `InputError`.
+    source: a number or an array that broadcasts to rows x cols; or a text of `AMBIENT_FORMS`. With LOW|HIGH, the columns
+    from the middle on have HIGH. A file is cropped around its centre to the sensor's aspect ratio, and a pixel takes the
+    mean of the samples that it covers. The samples of a picture are linear, with 0 = dark.
     """
     if not isinstance(source, str):
         return real_array("klux", source, (rows, cols), 0) if np.ndim(source) else check_real("klux", source, 0)
@@ -36,7 +37,7 @@ def ambient_klux(source: Ambient, rows: int, cols: int) -> Numbers:
 
 
 def told_klux(source: Ambient) -> float | str:
-    """What a report says of the light: the number, the text of another form, or an array's least and most."""
+    """Return a description of the light for reports: the number, the text of another form, or an array's range."""
     if isinstance(source, str):
         number = _number(source)
         return source if number is None else number
@@ -57,7 +58,7 @@ def _number(text: str) -> float | None:
 
 
 def _read_klux(source: str) -> np.ndarray:
-    """float64[height, width] of a file, in klux."""
+    """float64[height, width]: the samples of a file, in klux."""
     if source.lower().endswith(".npy"):
         samples = check_picture_array(source, read_array(source))
         return real_array(f"{source}: klux", samples, samples.shape, 0)
@@ -73,7 +74,7 @@ def _read_klux(source: str) -> np.ndarray:
 
 
 def _resampled(source: str, samples: np.ndarray, rows: int, cols: int) -> np.ndarray:
-    """float64[rows, cols]: the mean of what each pixel covers."""
+    """float64[rows, cols]: the mean of the samples that each pixel covers."""
     full_height, full_width = samples.shape
     top, left, height, width = centre_crop(full_height, full_width, rows, cols)
     row, col, pixel = covered_samples(height, width, rows, cols)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The catalogue of scenes: from what a user names to a `Scene`, whichever file makes it."""
+"""The catalogue of scenes: makes a `Scene` from the name or file that a user gives."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -33,7 +33,7 @@ USUAL_KLUX, DAYLIGHT_KLUX = 50.0, {"sun-and-shade": 100.0, "tunnel": 100.0}
 
 
 def usual_klux(source: str) -> float:
-    """Ambient light of a scene where none is given: full sun in those that are about sun and shade."""
+    """Return the ambient light of a scene if none is given: full sun in scenes about sun and shade."""
     return DAYLIGHT_KLUX.get(str(source).partition(":")[0], USUAL_KLUX)
 
 
@@ -47,21 +47,21 @@ def load_scene(
     scale: float = 1.0,
     range_m: float = RANGE_M,
 ) -> Scene:
-    """The scene that a name or a file describes, for rows x cols pixels.
+    """Return the scene that a name or a file describes, for rows x cols pixels.
 
     Parameters
     ----------
     source : str
         A built-in scene with parameters after a colon (`five-objects`, `letter-f`, `flat:DISTANCE,REFLECTIVITY`, `two-targets:NEAR,FAR`
-        in stripes, `two-returns:NEAR,FAR` in every pixel, `sun-and-shade:SHADE`, `tunnel:SHADE`; distances in metres, SHADE is the share
-        of the light in the shade); a depth file, `DEPTH` or `DEPTH,COLOUR` (see `depth_scene`); or a scene for the ray tracer, `ray:NAME`
-        or a Mitsuba file that ends with .xml.
+        in stripes, `two-returns:NEAR,FAR` in every pixel, `sun-and-shade:SHADE`, `tunnel:SHADE`; distances are in metres, and SHADE is
+        the share of the light that reaches the shade); a depth file, `DEPTH` or `DEPTH,COLOUR` (see `depth_scene`); or a scene for the
+        ray tracer, `ray:NAME` or a Mitsuba file that ends with .xml.
     rows, cols : int
         Size of the sensor in pixels.
     colour : str, Path or None
-        Picture for the reflectivities of a depth file.
+        Picture that gives the reflectivities of a depth file.
     reflectivity : float
-        Reflectivity where there is no such picture, 0 to 1.
+        Reflectivity without such a picture, 0 to 1.
     scale : float
         Factor for the distances of a depth file.
     range_m : float
@@ -102,7 +102,7 @@ def _is_built_in(source: str) -> bool:
 
 
 def _numbers(name: str, text: str, defaults: tuple[tuple[str, float], ...], range_m: float) -> list[float]:
-    """The comma-separated numbers after a built-in scene's name, the rest by default."""
+    """Return the comma-separated numbers after a built-in scene's name, and defaults for the rest."""
     given = text.split(",") if text else []
     if len(given) > len(defaults):
         form = ",".join(what for what, _ in defaults)

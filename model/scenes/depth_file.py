@@ -13,9 +13,9 @@ from ..shared.quantities import check_real
 from .image_files import centre_crop, check_picture_array, covered_samples, open_picture, read_array
 from .scene import REFLECTIVITY, Scene
 
-DARKEST, BRIGHTEST = 0.05, 0.8  # reflectivities that black and white of a colour picture stand for
-WRONG_SHARE_MAX = 0.1  # of a depth file's samples beyond the range or negative: more is another unit
-VALID_SHARE_MIN = 0.1  # of the sensor's pixels
+DARKEST, BRIGHTEST = 0.05, 0.8  # reflectivities of black and white in a colour picture
+WRONG_SHARE_MAX = 0.1  # share of a file's samples beyond the range or negative; with more, the unit is wrong
+VALID_SHARE_MIN = 0.1  # share of the sensor's pixels
 MM_PER_M = 1000
 SCALES = 1e-3, 1e3
 
@@ -30,14 +30,16 @@ def depth_scene(
     scale: float = 1.0,
     range_m: float = RANGE_M,
 ) -> Scene:
-    """A scene from a depth file: a 16-bit picture (PNG, TIFF) in millimetres, or NPY in metres (floats) or millimetres (integers).
+    """Return a scene from a depth file. Raises `InputError`.
 
-    The picture is cropped around its centre to the sensor's aspect ratio. A pixel of the sensor takes the nearest of the
-    samples it covers, with the reflectivity at that very sample: nothing is averaged across an edge. Samples that are 0,
-    NaN or negative, or at or beyond `range_m`, are left out, and noted.
-    scale: that all distances are multiplied by, before anything else.
-    colour: a picture of the same view; its luminance (linear light) stands for `DARKEST` to `BRIGHTEST`.
-    Raises `InputError` for a file that cannot be read, a colour picture as depth, and depth that is mostly unusable.
+    The file is a 16-bit picture (PNG, TIFF) in millimetres, or NPY in metres (floats) or millimetres (integers). The
+    picture is cropped around its centre to the sensor's aspect ratio. A pixel of the sensor takes the nearest of the
+    samples that it covers, with the reflectivity at that very sample: nothing is averaged across an edge. Samples that
+    are 0, NaN or negative, or at or beyond `range_m`, are left out, and noted.
+
+    scale: factor for all distances, applied first. colour: a picture of the same view; its luminance (linear light) maps
+    to `DARKEST` to `BRIGHTEST`. Errors are a file that cannot be read, a colour picture as depth, and mostly unusable
+    depth.
     """
     check_real("reflectivity", reflectivity, 0, 1)
     sample_m = _read_depth_m(depth) * check_real("scale", scale, *SCALES)
@@ -59,7 +61,7 @@ def depth_scene(
     if valid_share < 1:
         notes.append(f"{depth}: {np.isnan(distance_m).sum()} of {rows * cols} pixels without depth are masked")
     if colour is None:
-        notes.append(f"{depth}: reflectivity {reflectivity:g} everywhere, as no colour picture is given")
+        notes.append(f"{depth}: reflectivity {reflectivity:g} everywhere, because no colour picture is given")
         surface = np.full((rows, cols), float(reflectivity))
     else:
         albedo = _read_reflectivity(colour)
@@ -71,7 +73,7 @@ def depth_scene(
 
 
 def _usable(depth: FilePath, sample_m: np.ndarray, range_m: float) -> tuple[np.ndarray, list[str]]:
-    """`sample_m` with NaN where it is unusable, and what was."""
+    """Return `sample_m` with NaN for unusable samples, and notes about them."""
     missing = np.isnan(sample_m) | (sample_m == 0)
     negative = sample_m < 0
     far = sample_m >= range_m
@@ -99,22 +101,22 @@ def _usable(depth: FilePath, sample_m: np.ndarray, range_m: float) -> tuple[np.n
 
 
 def _nearest_surface(sample_m: np.ndarray, rows: int, cols: int) -> tuple[np.ndarray, np.ndarray]:
-    """For each pixel of the sensor (row, col) of the nearest sample that it covers; int64[rows, cols] each.
+    """Return (row, col) of the nearest sample that each pixel of the sensor covers; int64[rows, cols] each.
 
-    A picture with fewer samples than the sensor has pixels is repeated. NaN counts as farthest.
+    A picture with fewer samples than the sensor has pixels is repeated. NaN counts as the farthest.
     """
     height, width = sample_m.shape
     row, col, cell = covered_samples(height, width, rows, cols)
     far_first = np.argsort(-sample_m[row, col].ravel(), kind="stable")
     far_first = np.roll(far_first, np.isnan(sample_m[row, col]).sum())  # NaN sorts last, must be written first
     chosen = np.empty(rows * cols, np.int64)
-    chosen[cell.ravel()[far_first]] = far_first  # of several writes the last one stays: the nearest
+    chosen[cell.ravel()[far_first]] = far_first  # of several writes the last one wins: the nearest
     at_row, at_col = np.divmod(chosen, len(col))
     return row[at_row, 0].reshape(rows, cols), col[at_col].reshape(rows, cols)
 
 
 def _read_depth_m(path: FilePath) -> np.ndarray:
-    """float64[height, width] in metres; what is not a depth map is an `InputError`."""
+    """float64[height, width]: the depth map in metres. Raises `InputError`."""
     suffix = Path(path).suffix.lower()
     if suffix == ".exr":
         raise InputError(f"{path}: EXR is not read, must be a 16-bit PNG in millimetres or an NPY file in metres")
@@ -123,7 +125,7 @@ def _read_depth_m(path: FilePath) -> np.ndarray:
 
 
 def _read_grey(path: FilePath) -> np.ndarray:
-    """A picture's samples; colour and 8 bit are refused: they cannot be depth in millimetres."""
+    """Return the samples of a picture; colour and 8 bits are refused, because they cannot be depth in millimetres."""
     with open_picture(path) as picture:
         if picture.mode != "F" and not picture.mode.startswith("I"):
             raise InputError(

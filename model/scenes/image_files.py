@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Pictures and arrays as scenes' inputs: read with care, and cut to the sensor's aspect ratio."""
+"""Pictures and arrays as inputs of scenes: checked reading, and cropping to the sensor's aspect ratio."""
 
 import numpy as np
 from PIL import Image
@@ -9,7 +9,7 @@ from ..shared.files import FilePath
 
 
 def open_picture(path: FilePath) -> Image.Image:
-    """An opened and decoded picture. Raises `InputError`."""
+    """Return an opened and decoded picture. Raises `InputError`."""
     try:
         picture = Image.open(path)
         picture.load()
@@ -21,7 +21,7 @@ def open_picture(path: FilePath) -> Image.Image:
 
 
 def read_array(path: FilePath) -> np.ndarray:
-    """The array of an NPY file. Raises `InputError`."""
+    """Return the array of an NPY file. Raises `InputError`."""
     try:
         samples = np.load(path, allow_pickle=False)
     except FileNotFoundError:
@@ -34,7 +34,7 @@ def read_array(path: FilePath) -> np.ndarray:
 
 
 def check_picture_array(path: FilePath, samples: np.ndarray) -> np.ndarray:
-    """`samples` as [rows, cols] where they are numbers in two dimensions (a third of length 1 is dropped), else an `InputError`."""
+    """Return `samples` as a numeric [rows, cols]; a third dimension of length 1 is dropped. Raises `InputError`."""
     if samples.ndim == 3 and samples.shape[2] == 1:
         samples = samples[:, :, 0]
     if samples.ndim != 2 or not samples.size or samples.dtype.kind not in "iuf":
@@ -45,16 +45,16 @@ def check_picture_array(path: FilePath, samples: np.ndarray) -> np.ndarray:
 
 
 def centre_crop(height: int, width: int, rows: int, cols: int) -> tuple[int, int, int, int]:
-    """(top, left, height, width) of the largest centred part with the aspect ratio of rows x cols."""
+    """Return (top, left, height, width) of the largest centred part with the aspect ratio of rows x cols."""
     crop_height = max(1, min(height, round(width * rows / cols)))
     crop_width = max(1, min(width, round(height * cols / rows)))
     return (height - crop_height) // 2, (width - crop_width) // 2, crop_height, crop_width
 
 
 def covered_samples(height: int, width: int, rows: int, cols: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Which samples of a picture of height x width each of rows x cols pixels covers; (row, col, pixel) of every such pair.
+    """Return which samples of a picture of height x width each of rows x cols pixels covers, as (row, col, pixel).
 
-    int64: row[n, 1] and col[m] of the samples, pixel[n, m]. A picture with fewer samples than there are pixels is repeated.
+    int64: row[n, 1] and col[m] of the samples, pixel[n, m]. If there are fewer samples than pixels, they are repeated.
     """
     n, m = max(height, rows), max(width, cols)
     pixel = np.arange(n)[:, None] * rows // n * cols + np.arange(m) * cols // m

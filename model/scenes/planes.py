@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Scenes of planes that face the sensor.
 
-Ref: paper IV, Fig. 4; what the paper does not say of it, and the other scenes, are our choice.
+Ref: paper IV, Fig. 4; details that the paper does not give, and the other scenes, are our choice.
 """
 
 import numpy as np
@@ -14,7 +14,7 @@ STRIPE_PIXELS = 4  # of the scene `two-targets`: both surfaces in every subgroup
 
 @frozen
 class Plane:
-    """A rectangle that faces the sensor; its borders in shares of the picture, rows from the top, columns from the left."""
+    """A rectangle that faces the sensor; borders are shares of the picture, rows from the top, columns from the left."""
 
     label: int
     distance_m: float
@@ -25,8 +25,8 @@ class Plane:
     right: float = 1.0
 
 
-# Like the paper's Fig. 4: numbers and kinds of the objects, nearest and farthest distance are the paper's, the rest ours.
-# Borders stand in 1/32, off the borders of subgroups of 8 x 8, so that surfaces share subgroups.
+# After the paper's Fig. 4: numbers and kinds of the objects, nearest and farthest distance are from the paper, the rest is
+# ours. Borders are multiples of 1/32 and differ from those of subgroups of 8 x 8, so that surfaces share subgroups.
 FIVE_OBJECTS = (
     Plane(1, 9.7, 0.60),  # white wall
     Plane(2, 7.2, 0.08, 9 / 32, 21 / 32, 2 / 32, 13 / 32),  # dark object
@@ -43,7 +43,7 @@ LETTER_F = (
 
 
 def planes_scene(planes: tuple[Plane, ...], rows: int, cols: int, name: str) -> Scene:
-    """The nearest of `planes` at each pixel's centre; no target where there is none."""
+    """Return the nearest of `planes` at each pixel's centre; no target if there is none."""
     y, x = (np.arange(rows)[:, None] + 0.5) / rows, (np.arange(cols) + 0.5) / cols
     distance_m = np.full((rows, cols), np.nan)
     reflectivity, labels = np.zeros((rows, cols)), np.full((rows, cols), NO_OBJECT)
@@ -55,18 +55,18 @@ def planes_scene(planes: tuple[Plane, ...], rows: int, cols: int, name: str) -> 
 
 
 def flat(rows: int, cols: int, name: str, distance_m: float, reflectivity: float) -> Scene:
-    """A single plane that fills the picture."""
+    """Return a single plane that fills the picture."""
     return planes_scene((Plane(1, distance_m, reflectivity),), rows, cols, name)
 
 
 def two_targets(rows: int, cols: int, name: str, near_m: float, far_m: float, reflectivity: float) -> Scene:
-    """Stripes of `STRIPE_PIXELS` columns, the near surface first."""
+    """Return stripes of `STRIPE_PIXELS` columns, the near surface first."""
     far = np.broadcast_to(np.arange(cols) // STRIPE_PIXELS % 2, (rows, cols))
     distance_m = np.where(far, far_m, near_m)
     return Scene(name=name, distance_m=distance_m, reflectivity=reflectivity, labels=1 + far)
 
 
 def two_returns(rows: int, cols: int, name: str, near_m: float, far_m: float, reflectivity: float) -> Scene:
-    """A mesh before a wall: each gets half of every pixel's light."""
+    """Return a mesh in front of a wall: each gets half of every pixel's light."""
     distance_m = np.broadcast_to([near_m, far_m], (rows, cols, 2))
     return Scene(name=name, distance_m=distance_m, reflectivity=reflectivity / 2, labels=1)

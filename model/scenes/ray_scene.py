@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Ray-traced scenes by name or file: rendered, or found rendered before, and what the user should know of them.
+"""Ray-traced scenes by name or file: rendered now or taken from the cache, with notes for the user.
 
-Ref: paper V, "a simulator based on Monte Carlo ray tracing models"; everything else is our choice. Mitsuba and mitransient are an
-optional extra; nothing here imports them before a scene is asked for.
+Ref: paper V, "a simulator based on Monte Carlo ray tracing models"; everything else is our choice. Mitsuba and
+mitransient are an optional extra; nothing here imports them before a scene is requested.
 """
 
 import ctypes
@@ -28,10 +28,10 @@ if TYPE_CHECKING:
 
 PREFIX = "ray:"
 BUILT_IN = ("five-objects", "glass", "corner", "retroreflector", "fog")
-SCENES = Path(__file__).with_name("ray_scenes")  # of the built-in ones
+SCENES = Path(__file__).with_name("ray_scenes")  # folder of the built-in scenes
 PACKAGES = ("mitsuba", "mitransient", "drjit")
 INSTALL = "make raytrace (without a checkout: pip install 'coincid[raytrace]')"
-# By the names that the loader knows. What is missing here crashes: older ones do not know the code that Dr.Jit makes.
+# Names that the loader knows. Older versions are missing because they crash: they do not know the code that Dr.Jit emits.
 LLVM_LIBRARIES = (
     "libLLVM.so.19.1",
     "libLLVM.so.20.1",
@@ -41,21 +41,22 @@ LLVM_LIBRARIES = (
     "libLLVM.dylib",
 )
 LLVM_VARIABLE = "DRJIT_LIBLLVM_PATH"
-RECORDED_PERIODS = 2  # of the laser: light that comes even later is left out
-LOST_SHARE_MAX = 1e-3  # of what comes back, before it is worth a note
-DOUBTFUL_NEAR_M, DOUBTFUL_FAR_SHARE = 0.3, 0.5  # median distance, and share of the range, where metres are in doubt
+RECORDED_PERIODS = 2  # laser periods; light that arrives even later is left out
+LOST_SHARE_MAX = 1e-3  # share of the returning light up to which there is no note
+DOUBTFUL_NEAR_M, DOUBTFUL_FAR_SHARE = 0.3, 0.5  # limits of the median beyond which metres are in doubt
 
 
 def is_ray_scene(source: str) -> bool:
-    """Whether `source` names a scene for the ray tracer."""
+    """Return whether `source` names a scene for the ray tracer."""
     return source.startswith(PREFIX) or source.lower().endswith(".xml")
 
 
 def ray_scene(source: str, rows: int, cols: int, *, range_m: float, optics: Optics | None = None) -> Scene:
-    """The ray-traced scene `source`: `ray:NAME`, or a Mitsuba scene file (.xml, metres), rendered at rows x cols or found rendered.
+    """Return the ray-traced scene `source`, rendered at rows x cols or taken from the cache. Raises `InputError`.
 
-    range_m: what the laser period holds. optics: whose field of view the pixels share. Surfaces that cannot be told (none there, too
-    near, at or beyond the range) are masked and noted; their light stays. Raises `InputError`.
+    source: `ray:NAME`, or a Mitsuba scene file (.xml, metres). range_m: range of the laser period. optics: the pixels
+    share its field of view. Pixels without a usable surface (none, too near, at or beyond the range) are masked and
+    noted; their light stays.
     """
     optics = optics or Optics()
     path = _path(source)
@@ -100,7 +101,7 @@ def _path(source: str) -> Path:
 
 
 def _tracer() -> ModuleType:
-    """The module that needs the extra. Raises `InputError` where the extra or its LLVM is missing."""
+    """Return the module that needs the extra. Raises `InputError` if the extra or its LLVM is missing."""
     try:
         for package in PACKAGES:
             version(package)
@@ -115,7 +116,7 @@ def _tracer() -> ModuleType:
 
 
 def llvm_library() -> str:
-    """The LLVM that the loader finds, by its name there. Raises `InputError`."""
+    """Return the LLVM that the loader finds, by its name there. Raises `InputError`."""
     for name in LLVM_LIBRARIES:
         try:
             ctypes.CDLL(name)
@@ -128,14 +129,14 @@ def llvm_library() -> str:
 
 
 def _key(scene: "RayScene", rows: int, cols: int, view: dict[str, float]) -> str:
-    """Hash of all that decides the rendering: the scene's files, the view, the versions, and our own code."""
+    """Return a hash of everything that determines the rendering: scene files, view, versions, and our own code."""
     packages = [(name, version(name)) for name in PACKAGES]
     code = sources_digest("model.scenes")
     return digest(repr((rows, cols, view, packages, code)), *(content for _, content in sorted(scene.files.items())))
 
 
 def _surfaces(name: str, transient: Transient, range_m: float) -> tuple[np.ndarray, list[str]]:
-    """(distance_m with NaN where there is no truth, what there is to say about it)."""
+    """Return distance_m, with NaN where there is no truth, and notes about it."""
     surface_m = transient.surface_m
     there = np.isfinite(surface_m)
     near, far = there & (surface_m < NEAREST_M), there & (surface_m >= range_m)
@@ -170,7 +171,7 @@ def _surfaces(name: str, transient: Transient, range_m: float) -> tuple[np.ndarr
 
 
 def _about(name: str, scene: "RayScene", rows: int, cols: int, optics: Optics) -> list[str]:
-    """What of a user's file counts, and what does not."""
+    """Return notes on which parts of a user's file are used, and which are not."""
     first = "" if scene.cameras == 1 else f"the first of {scene.cameras} cameras, "
     kind = "" if scene.kind in ("perspective", "thinlens") else f" (a {scene.kind}, taken for a perspective one)"
     notes = [

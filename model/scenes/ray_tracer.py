@@ -1,12 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Rays: a Mitsuba scene to transients (`transient.py`), with mitransient's volumetric path tracer.
+"""Ray tracing: from a Mitsuba scene to transients (`transient.py`), with mitransient's volumetric path tracer.
 
-Ours are laser and camera: one point, the camera's, sees and lights rows x cols pixels of equal size on a plane that faces it.
-Each light path ends at a surface or in a medium that the laser shines on, there and back are added up, and so is what it brings:
-as integers, whose sum does not depend on the order, so that threads do not change a bit of the result.
+Laser and camera are our own. Both are at one point, which sees and lights rows x cols pixels of equal size on a plane
+that faces it. Each light path ends at a surface or in a medium that the laser lights. The way there and back is added
+up, and so is the light. The sums are integers, which do not depend on the order, so the number of threads does not
+change a bit of the result.
 
-Importing this module loads Mitsuba (`ray_scene.py` finds its LLVM before), in the variant `VARIANT`: one wavelength, where
-colours count as their luminance.
+Importing this module loads Mitsuba (`ray_scene.py` finds its LLVM first), in the variant `VARIANT`: one wavelength, and
+colours count by their luminance.
 """
 
 import math
@@ -32,24 +33,24 @@ mi.set_log_level(mi.LogLevel.Error)
 
 from mitransient.integrators.transient_prbvolpath import TransientPRBVolpathIntegrator  # noqa: E402 (wants the variant)
 
-SAMPLE_SIDE = 32  # samples of a pixel: its square, one in each cell of a grid
+SAMPLE_SIDE = 32  # samples of a pixel form a square of this side, one in each cell of a grid
 GEOMETRY_SIDE = 16  # the same for the surfaces alone
 VERTICES_MAX, ROULETTE_FROM = 24, 6
-CROSSINGS_MAX = 32  # panes, mirrors and borders of media in a row
-TABLE_BINS = 1 << 23  # bins that are filled at a time
-UNIT = 1 << 36  # of the integers that are added up: 1 / m2 of a sample
-STRENGTH_MAX_PER_M2 = 1e5  # of a sample
-CONE_SLACK = 1 + 1e-4  # the laser's border, against rounding
+CROSSINGS_MAX = 32  # panes, mirrors and borders of media that a path passes in a row
+TABLE_BINS = 1 << 23  # bins that are filled at the same time
+UNIT = 1 << 36  # of the integer sums: 1 / m2 of a sample
+STRENGTH_MAX_PER_M2 = 1e5  # limit for a sample
+CONE_SLACK = 1 + 1e-4  # tolerance for rounding at the border of the laser's beam
 STRAIGHT = mi.BSDFFlags.Null | mi.BSDFFlags.DeltaTransmission
 BIN_M = BIN_S * SPEED_OF_LIGHT_M_S
 _NOT_OURS = {mi.ObjectType.Emitter, mi.ObjectType.Integrator, mi.ObjectType.Film, mi.ObjectType.Sampler}
 
 
 class Retroreflective(mi.BSDF):
-    """BSDF `retroreflective`: sends `reflectance` (0.2) of the light back where it came from, within `divergence` (1 degree, sigma).
+    """BSDF `retroreflective`: sends `reflectance` (0.2) of the light back to its origin, within `divergence` (sigma, 1 degree).
 
-    The lobe is a von Mises-Fisher law around the direction of incidence. The defaults give 104 cd/lx/m2 where source and eye are at
-    one place, a road sign of the plainest sheeting; a white wall gives 0.3.
+    The lobe is a von Mises-Fisher law around the direction of incidence. The defaults give 104 cd/lx/m2 if source and
+    eye are at one place, like a road sign of the simplest sheeting; a white wall gives 0.3.
     """
 
     def __init__(self, props):
@@ -95,8 +96,9 @@ mi.register_bsdf("retroreflective", Retroreflective)
 class RayScene:
     """A parsed scene file (`path`) without its emitters, film, sampler and integrator.
 
-    position, axes: of the camera; columns of `axes` (float64[3, 3]): its left, up and forward. emitters: that were left out; cameras:
-    in the file, the first one counts; kind: its plugin. files: all that the scene is made of, by name.
+    position, axes: of the camera; columns of `axes` (float64[3, 3]): its left, up and forward. emitters: number of
+    emitters left out. cameras: number in the file; the first one is used. kind: its plugin. files: everything that the
+    scene is made of, by name.
     """
 
     path: Path
@@ -111,7 +113,7 @@ class RayScene:
 
 
 def read_scene(path: FilePath) -> RayScene:
-    """Parses a scene file. Raises `InputError`."""
+    """Parse a scene file. Raises `InputError`."""
     config = mi.parser.ParserConfig(VARIANT)
     config.merge_meshes = False
     try:
@@ -119,7 +121,7 @@ def read_scene(path: FilePath) -> RayScene:
             state = mi.parser.parse_file(config, str(path))
             mi.parser.transform_all(config, state)
             files = _contents(state)
-    except Exception as error:  # plugins raise what they like
+    except Exception as error:  # plugins raise any exception
         raise InputError(_one_line(path, error)) from None
     nodes = state.nodes
     kinds = [node.type for node in nodes]
@@ -146,7 +148,7 @@ def read_scene(path: FilePath) -> RayScene:
 
 @contextmanager
 def _files_beside(path: FilePath) -> Iterator[None]:
-    """What a scene names is looked for in its folder, too; for this scene only."""
+    """Add the scene's folder to the places where its files are searched, for this scene only."""
     before = mi.file_resolver()
     resolver = mi.FileResolver(before)
     resolver.prepend(str(Path(path).resolve().parent))
@@ -158,7 +160,7 @@ def _files_beside(path: FilePath) -> Iterator[None]:
 
 
 def _one_line(path: FilePath, error: Exception) -> str:
-    """Mitsuba's words about `path`, without the lines of its own source."""
+    """Return Mitsuba's message about `path`, without the lines of its own source."""
     words = " ".join(
         part.split("] ", 1)[-1] if part.startswith("[") else part.strip() for part in str(error).splitlines()
     )
@@ -166,7 +168,7 @@ def _one_line(path: FilePath, error: Exception) -> str:
 
 
 def _pose(path: FilePath, camera: Any) -> tuple[np.ndarray, np.ndarray]:
-    """Position and axes; scale and shear of the transform are dropped, a mirror image stays one."""
+    """Return position and axes; scale and shear of the transform are dropped, but a mirror image is kept."""
     if "to_world" not in camera.keys():
         return np.zeros(3), np.eye(3)
     matrix = np.array(camera["to_world"].matrix, np.float64)
@@ -177,7 +179,7 @@ def _pose(path: FilePath, camera: Any) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _contents(state: Any) -> dict[str, bytes]:
-    """The scene's files and what they name, by the names they are called."""
+    """Return the scene's files and those that they name, by the names that they use."""
     files = {str(path): Path(str(path)).read_bytes() for path in state.files}
     for node in state.nodes:
         for name in node.props.keys():
@@ -189,22 +191,24 @@ def _contents(state: Any) -> dict[str, bytes]:
 
 
 class _Lidar(TransientPRBVolpathIntegrator):
-    """Path tracer whose only light is the laser, at the camera; what it connects to the laser passes panes and media.
+    """Path tracer whose only light is the laser, at the camera. Connections to the laser pass panes and media.
 
-    It goes straight through what transmits without scattering: right for panes, not for lenses. Units: radiance for a laser of 1 W.
+    They go straight through surfaces that transmit without scattering, which is right for panes but not for lenses.
+    Units: radiance for a laser of 1 W.
     """
 
     def __init__(self, scene: RayScene, tan_h: float, tan_v: float):
         super().__init__(mi.Properties())
         self.max_depth, self.rr_depth, self.hide_emitters = VERTICES_MAX, ROULETTE_FROM, False
         self.tan_h, self.tan_v = tan_h, tan_v
-        # In memory, no literals: a product with the literal 0 gives that 0 the other's size, wherever else it stands (Dr.Jit 1.5.0).
+        # Variables and not literals: in a product with the literal 0, Dr.Jit 1.5.0 gives that literal the size of the
+        # other factor, wherever else it is used.
         self.position = mi.Point3f(*_opaque(scene.position))
         self.axes = [mi.Vector3f(*_opaque(axis)) for axis in scene.axes.T]
         self.inverse = [mi.Vector3f(*_opaque(row)) for row in np.linalg.inv(scene.axes)]
 
     def irradiance(self, p):
-        """W/m2 at `p` on a surface that faces the laser: a plane that faces the camera is lit evenly in the field of view."""
+        """Return W/m2 at `p` on a surface that faces the laser; a plane that faces the camera is lit evenly in the view."""
         local = mi.Vector3f(*(dr.dot(row, p - self.position) for row in self.inverse))
         reach = CONE_SLACK * local.z
         inside = (local.z > 0) & (dr.abs(local.x) <= self.tan_h * reach) & (dr.abs(local.y) <= self.tan_v * reach)
@@ -214,7 +218,7 @@ class _Lidar(TransientPRBVolpathIntegrator):
 
     @dr.syntax
     def sample_emitter(self, mei, si, active_medium, active_surface, scene, sampler, medium, channel, active, **_):
-        """(irradiance, direction to the laser) of the vertices in a medium and on surfaces."""
+        """Return (irradiance, direction to the laser) for vertices in a medium and on surfaces."""
         vertex = dr.zeros(mi.Interaction3f)
         vertex[active_medium] = mei
         vertex[active_surface] = si
@@ -257,8 +261,10 @@ class _Lidar(TransientPRBVolpathIntegrator):
 
     @dr.syntax
     def surfaces(self, scene, sampler, ray):
-        """(distance, ambient) of each ray: the way to the first surface that scatters, infinite into the sky; and what the ray
-        brings of light that is the same everywhere, of which media scatter all that they take."""
+        """Return (distance, ambient) of each ray.
+
+        distance: to the first surface that scatters, infinite into the sky. ambient: brightness of the ray under light
+        that is the same everywhere, where media scatter all light that they take."""
         active, through, medium = mi.Bool(True), mi.Float(1), dr.zeros(mi.MediumPtr)
         distance, clear, eta, crossings = mi.Float(0), mi.Float(1), mi.Float(1), mi.UInt32(0)
         while dr.hint(active, label="to the first surface"):
@@ -290,11 +296,11 @@ def _opaque(values: np.ndarray) -> list[Any]:
 
 
 def render(scene: RayScene, rows: int, cols: int, *, fov_h_deg: float, fov_v_deg: float, stop_s: float) -> Transient:
-    """The transients of rows x cols pixels that share the field of view, for flights up to `stop_s`. Raises `InputError`."""
+    """Return the transients of rows x cols pixels in the field of view, for flights up to `stop_s`. Raises `InputError`."""
     try:
         with _files_beside(scene.path):
             world = mi.parser.instantiate(scene.config, scene.state)
-    except Exception as error:  # plugins raise what they like
+    except Exception as error:  # plugins raise any exception
         raise InputError(_one_line(scene.path, error)) from None
     _check_media(world, scene.path)
     tan_h, tan_v = (math.tan(math.radians(angle) / 2) for angle in (fov_h_deg, fov_v_deg))
@@ -331,7 +337,7 @@ def render(scene: RayScene, rows: int, cols: int, *, fov_h_deg: float, fov_v_deg
 
 
 def _check_media(world: Any, path: FilePath) -> None:
-    """mitransient 1.3.1 does not count the way between the null collisions of a heterogeneous medium: its times are too short."""
+    """Refuse heterogeneous media: mitransient 1.3.1 omits the way between null collisions, so times are too short."""
     media = [
         medium for shape in world.shapes() for medium in (shape.interior_medium(), shape.exterior_medium()) if medium
     ]
@@ -342,7 +348,7 @@ def _check_media(world: Any, path: FilePath) -> None:
 
 
 def _rays(lidar: _Lidar, rows: int, cols: int, first: int, n: int, side: int, seed: int) -> tuple[Any, Any, Any]:
-    """(sampler, rays, pixel of each in the block): side x side rays of each of the pixels from `first` on, one in each cell of a grid."""
+    """Return (sampler, rays, pixel of each ray in the block): side x side rays for each pixel, one per cell of a grid."""
     lanes = n * side * side
     sampler = mi.load_dict({"type": "independent"})
     sampler.seed(seed, lanes)
@@ -360,10 +366,10 @@ def _rays(lidar: _Lidar, rows: int, cols: int, first: int, n: int, side: int, se
 def _histogram(
     lidar: _Lidar, world: Any, rows: int, cols: int, first: int, n: int, bins: int
 ) -> tuple[np.ndarray, int]:
-    """(uint64[n, bins], what comes later): sums over the samples of a pixel, in `UNIT`."""
+    """Return (uint64[n, bins], later light): sums over the samples of a pixel, in `UNIT`."""
     sampler, ray, local = _rays(lidar, rows, cols, first, n, SAMPLE_SIDE, seed=2 * first + 1)
     table, beyond = dr.zeros(mi.UInt64, n * bins), dr.zeros(mi.UInt64, 1)
-    to_strength = 4 * lidar.tan_h * lidar.tan_v  # radiance for 1 W to the unit of `Transient`
+    to_strength = 4 * lidar.tan_h * lidar.tan_v  # from radiance for 1 W to the unit of `Transient`
 
     def add_transient(radiance, way_m, _, active):
         value = mi.UInt64(dr.minimum(radiance.x * to_strength, STRENGTH_MAX_PER_M2) * UNIT + 0.5)

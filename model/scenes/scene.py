@@ -13,12 +13,12 @@ from .ambient import Ambient, ambient_klux
 from .transient import Transient
 
 NO_OBJECT = 0
-REFLECTIVITY = 0.4  # where nothing says another: that of the paper's flat target
+REFLECTIVITY = 0.4  # default: the reflectivity of the paper's flat target
 
 
 @frozen(kw_only=True, eq=False)
 class Scene:
-    """What rows x cols pixels look at.
+    """Scene that rows x cols pixels look at.
 
     Attributes
     ----------
@@ -29,13 +29,13 @@ class Scene:
     reflectivity : numpy.ndarray
         float64[rows, cols, targets], 0 to 1.
     labels : numpy.ndarray
-        int64[rows, cols], number of the object; `NO_OBJECT` where there are no objects.
+        int64[rows, cols], number of the object, or `NO_OBJECT`.
     sunlit : numpy.ndarray
         float64[rows, cols], share of the ambient light that reaches the surface, 0 to 1.
     notes : tuple of str
         Sentences that the user should read: what was cropped, masked or assumed.
     transient : Transient or None
-        Light of a ray-traced scene. Distance and reflectivity are then only the truth, and the light comes from here.
+        Light of a ray-traced scene. Distance and reflectivity are then only the truth; the light is taken from here.
 
     Raises
     ------
@@ -80,12 +80,12 @@ class Scene:
 
     @property
     def truth_m(self) -> np.ndarray:
-        """float64[rows, cols]: the nearest target's distance, NaN where a pixel is invalid."""
+        """float64[rows, cols]: distance of the nearest target, NaN where a pixel is invalid."""
         return np.fmin.reduce(self.distance_m, axis=2)
 
 
 def scene_light(scene: Scene, klux: Ambient, **others: Any) -> Light:
-    """The light of a scene, with the presets of docs/light.md.
+    """Return the light of a scene, with the presets of docs/light.md.
 
     Parameters
     ----------

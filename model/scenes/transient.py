@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Transients: what every pixel of a rendered scene sends back, sorted by time of flight.
+"""Transients: the light that every pixel of a rendered scene sends back, sorted by time of flight.
 
-The unit is equation (1)'s: a Lambertian surface of reflectivity r that fills the pixel at distance d sends back r / (pi d^2).
-So a transient knows nothing of laser, lens and detector, and the link budget turns it into photons.
+The unit is that of equation (1): a Lambertian surface of reflectivity r that fills the pixel at distance d sends back r /
+(pi d^2). So a transient is independent of laser, lens and detector, and the link budget turns it into photons.
 """
 
 import math
@@ -20,7 +20,7 @@ from ..shared.quantities import Numbers, real_array
 
 BIN_S = 15.625e-12  # a quarter of the preset's tick
 SURFACE_GAP_M = (
-    0.15  # surfaces farther apart are two: what light travels, there and back, in a coincidence window of 1 ns
+    0.15  # surfaces farther apart are distinct: the way of light, there and back, in a coincidence window of 1 ns
 )
 _ARRAYS = ("first", "index", "strength_per_m2", "ambient", "surface_m", "lost_per_m2")
 
@@ -29,10 +29,11 @@ _ARRAYS = ("first", "index", "strength_per_m2", "ambient", "surface_m", "lost_pe
 class Transient:
     """Transients of rows x cols pixels, sparse: those of pixel p are the bins first[p] to first[p + 1].
 
-    first: int64[pixels + 1]. index: int64[n], ascending in a pixel; bin i holds flights of [i, i + 1) x `BIN_S`, there and back.
-    strength_per_m2: float64[n], what comes back in the bin, in units of r / (pi d^2). ambient: float64[rows, cols], reflectivity
-    that the pixel shows under even light (1 = open sky). surface_m: float64[rows, cols], distance of the surface that fills most
-    of the pixel, from the geometry alone; infinite where there is none. lost_per_m2: of flights beyond the last bin, all pixels.
+    first: int64[pixels + 1]. index: int64[n], ascending in a pixel; bin i holds flights of [i, i + 1) x `BIN_S`, there
+    and back. strength_per_m2: float64[n], returned light in the bin, in units of r / (pi d^2). ambient: float64[rows,
+    cols], reflectivity of the pixel under even light (1 = open sky). surface_m: float64[rows, cols], distance of the
+    surface that fills most of the pixel, from the geometry alone; infinite if there is none. lost_per_m2: of flights
+    beyond the last bin, all pixels.
     """
 
     first: np.ndarray
@@ -52,12 +53,15 @@ class Transient:
 
     @property
     def total_per_m2(self) -> np.ndarray:
-        """float64[rows, cols]: all that comes back to each pixel."""
+        """float64[rows, cols]: all light that returns to each pixel."""
         sums = np.diff(np.r_[0, np.cumsum(self.strength_per_m2)][self.first])
         return sums.reshape(self.surface_m.shape)
 
     def depth_m(self) -> np.ndarray:
-        """float64[rows, cols]: distance at each pixel's strongest return, NaN without any: the mean flight around the brightest bin."""
+        """float64[rows, cols]: distance of each pixel's strongest return, from the mean flight around the brightest bin.
+
+        NaN without any return.
+        """
         near = round(SURFACE_GAP_M / (BIN_S * SPEED_OF_LIGHT_M_S / 2) / 2)
         depth_m = np.full(self.surface_m.size, np.nan)
         for pixel, (begin, end) in enumerate(zip(self.first, self.first[1:])):
@@ -76,7 +80,7 @@ class Transient:
         laser: Laser | None = None,
         **others: Any,
     ) -> Light:
-        """What the sensor detects: signal by the link budget, background by the preset, with `ambient` as the reflectivity.
+        """Return the detected light: signal by the link budget, background by the preset, with `ambient` as reflectivity.
 
         klux: ambient light, a number or float64[rows, cols]; background: one of `BACKGROUNDS`; others: fields of `Light`.
         """
@@ -101,16 +105,16 @@ class Transient:
 
 @cache
 def photons_per_strength(optics: Optics, laser: Laser) -> float:
-    """Detected photons of a pixel and pulse where 1 / m2 comes back: the link budget at 1 m, r = 1, which sends back 1 / pi.
+    """Return the detected photons per pixel and pulse if 1 / m2 returns: the budget at 1 m for r = 1, which returns 1 / pi.
 
-    As everywhere in the project the light of a pixel is that of a pixel of `optics.pixels`, whatever the array's size.
+    As everywhere in the project, a pixel has the light of one of `optics.pixels` pixels, whatever the size of the array.
     """
     budget = link_budget(1.0, 1.0, 0.0, optics=optics, laser=laser, form="corrected")
     return float(budget.signal_per_pulse) * math.pi
 
 
 def sparse(table: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(bins of each pixel, index, value) of what is not 0 in table[pixels, bins]; int64, int64, the table's type."""
+    """Return (bins of each pixel, index, value) of the nonzero entries of table[pixels, bins]; int64, int64, its type."""
     pixel, index = np.nonzero(table)
     return np.bincount(pixel, minlength=len(table)), index, table[pixel, index]
 
@@ -118,8 +122,8 @@ def sparse(table: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 def dominant_surface_m(samples_m: np.ndarray) -> np.ndarray:
     """float64[pixels] of float[pixels, samples]: mean distance of the surface that most samples of a pixel see.
 
-    Samples more than `SURFACE_GAP_M` apart, with none between, belong to different surfaces; of equals the nearest. Infinite
-    samples (the sky) are a surface of their own.
+    Samples more than `SURFACE_GAP_M` apart, without others between them, belong to different surfaces; among equals the
+    nearest one is taken. Infinite samples (the sky) are a surface of their own.
     """
     ordered = np.sort(samples_m.astype(np.float64), axis=1)
     surface_m = np.empty(len(ordered))

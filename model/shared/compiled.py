@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Numba for this project's kernels: compiled code is kept on disk until any source that it may be made of changes.
+"""Numba for this project's kernels: compiled code is kept on disk until one of its possible sources changes.
 
-Numba looks only at the file of the function that it is asked for, but a kernel takes in functions and constants of other files. A
-kernel's room, the contract and this room hold all that it may use, so their digest names the folder of its compiled code.
+Numba only checks the file of the compiled function itself, but a kernel includes functions and constants from other
+files. The kernel's room, the contract and this room hold everything that it may use, so the folder of its compiled code
+is named by their digest.
 """
 
 from collections.abc import Callable
@@ -16,7 +17,7 @@ from .errors import InputError
 from .folders import build_root
 from .sources import sources_digest
 
-_NUMBA: Any = numba.config  # reads its settings when it is imported, so that no type checker knows them
+_NUMBA: Any = numba.config  # it reads its settings at import, so type checkers do not know them
 _SHARED_BY_ALL = ("model.contract", "model.shared")
 _Kernel = TypeVar("_Kernel", bound=Callable[..., Any])
 
@@ -26,10 +27,10 @@ def njit(function: _Kernel) -> _Kernel: ...
 @overload
 def njit(*, allocates: bool = True, **options: Any) -> Callable[[_Kernel], _Kernel]: ...
 def njit(function: Callable[..., Any] | None = None, *, allocates: bool = True, **options: Any) -> Callable[..., Any]:
-    """`numba.njit`, with or without options, that keeps what it compiled and lets other threads run meanwhile.
+    """`numba.njit`, with or without options, with compiled code kept on disk and without the lock of the interpreter.
 
-    allocates=False: the function and what it calls make no array, and count no references to those that they are given. Where functions that
-    take many arrays are called for every photon, that costs more than they do.
+    allocates=False: the function and the functions it calls make no arrays, and do not count references to their
+    arguments. If functions with many array arguments are called for every photon, that counting costs more than they do.
     """
     if function is None:
         return partial(njit, allocates=allocates, **options)
@@ -37,7 +38,7 @@ def njit(function: Callable[..., Any] | None = None, *, allocates: bool = True, 
     folder = None if _NUMBA.DISABLE_JIT else _folder(_room(function.__module__))
     if folder is None:
         return numba.njit(**options)(function)
-    others = _NUMBA.CACHE_DIR  # where other packages keep theirs
+    others = _NUMBA.CACHE_DIR  # cache folder of other packages
     _NUMBA.CACHE_DIR = str(folder)
     try:
         return numba.njit(cache=True, **options)(function)
@@ -46,13 +47,13 @@ def njit(function: Callable[..., Any] | None = None, *, allocates: bool = True, 
 
 
 def _room(module: str) -> str:
-    """The package below `coincid` that holds `module`."""
+    """Return the package below `coincid` that holds `module`."""
     return module.rpartition(".")[0].partition(".")[2]
 
 
 @cache
 def _folder(room: str) -> Path | None:
-    """Where the compiled code of a room is kept; None where nothing can be written: then every process compiles anew."""
+    """Return the folder for a room's compiled code, or None if it cannot be written: then every process compiles anew."""
     try:
         return build_root() / "numba" / sources_digest(*sorted({room, *_SHARED_BY_ALL}))
     except InputError:

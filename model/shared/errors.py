@@ -3,16 +3,16 @@
 
 
 class InputError(ValueError):
-    """Input that makes no sense. The message names the field and its legal range; commands print it and exit with code 2."""
+    """Invalid input. The message names the field and its legal range; commands print it and exit with code 2."""
 
 
 def out_of_range(name: str, value: object, low: int, high: int, why: str = "") -> InputError:
-    """The error for `name` = `value` outside [`low`, `high`]; `why` says what sets the range."""
+    """Return the error for `name` = `value` outside [`low`, `high`]; `why` gives the reason for the range."""
     return InputError(f"{name} = {value!r}: must be an integer from {low} to {high}{f' ({why})' if why else ''}")
 
 
 def check_integer(name: str, value: object, low: int, high: int, why: str = "") -> int:
-    """`value` if it is an integer (a bool is not) from `low` to `high`, else an `InputError`."""
+    """Return `value` if it is an integer (a bool is not) from `low` to `high`. Raises `InputError`."""
     if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
         raise out_of_range(name, value, low, high, why)
     return value

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Optional dependencies: what is missing is told with the command that brings it."""
+"""Optional dependencies: if one is missing, the error names the command that installs it."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -9,10 +9,10 @@ from .errors import InputError
 
 @contextmanager
 def extra(name: str) -> Iterator[None]:
-    """For imports of what the extra `name` of pyproject.toml brings. Raises `InputError` where a package is missing."""
+    """Context for importing the packages of the extra `name` of pyproject.toml. Raises `InputError` if one is missing."""
     try:
         yield
     except ModuleNotFoundError as missing:
-        if str(missing.name).partition(".")[0] == "coincid":  # a mistake of ours
+        if str(missing.name).partition(".")[0] == "coincid":  # our own mistake
             raise
         raise InputError(f"{missing.name} is not installed; run: pip install 'coincid[{name}]'") from None

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Files that appear whole or not at all, and NPZ archives that are read with care."""
+"""Files that appear whole or not at all, and checked reading of NPZ archives."""
 
 import os
 import tempfile
@@ -20,9 +20,9 @@ FilePath: TypeAlias = str | os.PathLike[str]
 
 @contextmanager
 def whole_file(path: FilePath, mode: str = "wb") -> Iterator[IO[Any]]:
-    """Opens a file beside `path` and renames it to `path` when the block ends well; on any exception nothing is left.
+    """Open a file beside `path`, and rename it to `path` if the block ends well; after an exception nothing is left.
 
-    A folder that cannot be written to is an `InputError`.
+    Raises `InputError` if the folder cannot be written to.
     """
     path = Path(path)
     try:
@@ -45,15 +45,15 @@ def whole_file(path: FilePath, mode: str = "wb") -> Iterator[IO[Any]]:
 
 
 def write_npz(path: FilePath, arrays: dict[str, np.ndarray]) -> None:
-    """Writes `arrays` as a compressed NPZ whose bytes depend on the arrays alone (`np.savez` stamps no time)."""
+    """Write `arrays` as a compressed NPZ whose bytes depend only on the arrays (`np.savez` writes no time stamp)."""
     with whole_file(path) as file:
         np.savez_compressed(file, **arrays)  # type: ignore[arg-type]  # no array is called allow_pickle
 
 
 def read_npz(path: FilePath, names: tuple[str, ...], optional: tuple[str, ...] = ()) -> dict[str, np.ndarray]:
-    """The arrays `names` of an NPZ file, and of `optional` those that it has.
+    """Return the arrays `names` of an NPZ file, and those of `optional` that it has.
 
-    `InputError` if the file is missing, damaged, no NPZ, or lacks one of `names`.
+    Raises `InputError` if the file is missing, damaged, not an NPZ, or lacks one of `names`.
     """
     path = Path(path)
     try:

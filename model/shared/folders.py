@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where generated files go."""
+"""Folders of generated files."""
 
 import os
 import tempfile
@@ -9,16 +9,16 @@ from .errors import InputError
 
 
 def checkout() -> Path | None:
-    """The folder of pyproject.toml where the project runs from a checkout, None where it was installed without one."""
+    """Return the folder of pyproject.toml if the project runs from a checkout, otherwise None."""
     folder = Path(__file__).resolve().parents[2]
     return folder if (folder / "pyproject.toml").exists() else None
 
 
 def build_root() -> Path:
-    """The directory of everything generated: `$COINCID_BUILD`, else `build` beside pyproject.toml in a checkout, else
-    (the project was installed without a checkout) `coincid` in the user's cache directory.
+    """Return the folder of everything generated. Raises `InputError` if it cannot be written.
 
-    Raises `InputError` where it cannot be written.
+    It is `$COINCID_BUILD` if that is set; otherwise `build` beside pyproject.toml in a checkout, or `coincid` in the
+    user's cache folder if the project was installed without one.
     """
     if (chosen := os.environ.get("COINCID_BUILD")) is not None:
         root = Path(chosen).absolute()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Ctrl-C and SIGTERM as exceptions, wherever a program was started from, and worker processes that do not outlive one."""
+"""Ctrl-C and SIGTERM as exceptions, however a program was started, and worker processes that end with their parent."""
 
 import signal
 from collections.abc import Callable, Iterator
@@ -8,17 +8,17 @@ from contextlib import contextmanager
 from functools import partial
 from multiprocessing import active_children, get_context
 
-INTERRUPTED, TERMINATED = 130, 143  # exit codes: 128 and the signal's number
+INTERRUPTED, TERMINATED = 130, 143  # exit codes: 128 plus the number of the signal
 
 
 class Terminated(KeyboardInterrupt):
-    """SIGTERM: everything that cleans up behind Ctrl-C does so behind this."""
+    """SIGTERM. Code that cleans up after Ctrl-C also cleans up after this."""
 
 
 def interruptible() -> None:
-    """Makes SIGINT and SIGTERM raise in this process, even where its parent ignored them, as `nohup` and shells in the background do.
+    """Make SIGINT and SIGTERM raise in this process, even if its parent ignored them, as `nohup` and background shells do.
 
-    Programs that it starts get the signals' defaults. A second SIGTERM changes nothing: the first one's cleaning up goes on.
+    Programs that it starts get the default handling. A second SIGTERM changes nothing: the cleaning up goes on.
     """
     signal.signal(signal.SIGINT, signal.default_int_handler)
     signal.signal(signal.SIGTERM, _terminate)
@@ -33,7 +33,7 @@ def _terminate(number: int, frame: object) -> None:
 def worker_processes(
     workers: int, initializer: Callable[..., None] | None = None, *arguments: object
 ) -> Iterator[ProcessPoolExecutor]:
-    """A pool of new processes, each begun with `initializer`; where the block ends with an exception they are killed at their work."""
+    """A pool of new processes, each started with `initializer`. If the block ends with an exception, they are killed."""
     before = set(active_children())
     with ProcessPoolExecutor(workers, get_context("spawn"), partial(_begin, initializer, *arguments)) as pool:
         try:
@@ -46,7 +46,7 @@ def worker_processes(
 
 
 def _begin(initializer: Callable[..., None] | None, *arguments: object) -> None:
-    """In a worker: Ctrl-C of a terminal is for the process that started it."""
+    """Ignore Ctrl-C in a worker: it is for the process that started the worker."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     if initializer is not None:
         initializer(*arguments)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Physical quantities that are checked where they enter: attrs fields and arrays with a legal range."""
+"""Checked physical quantities: attrs fields and arrays with a legal range."""
 
 from math import inf, isfinite
 from typing import Any, TypeAlias, TypeVar
@@ -10,27 +10,27 @@ from numpy.typing import ArrayLike
 
 from .errors import InputError
 
-Numbers: TypeAlias = float | np.ndarray  # one, or one for each of many: they broadcast
+Numbers: TypeAlias = float | np.ndarray  # one number, or one for each of many: they broadcast
 _T = TypeVar("_T")
 
 
 def check_real(name: str, value: Any, low: float, high: float = inf) -> float:
-    """`value` as a float if it is finite and within [`low`, `high`], else an `InputError`."""
-    is_scalar: bool = np.isscalar(value)  # by a name: in the condition it would narrow Any to types without an order
+    """Return `value` as a float if it is finite and within [`low`, `high`]. Raises `InputError`."""
+    is_scalar: bool = np.isscalar(value)  # in the condition, it would narrow Any to unordered types
     if isinstance(value, (bool, str)) or not is_scalar or not low <= value <= high or not isfinite(value):
         raise InputError(f"{name} = {value!r}: must be a number {_range(low, high)}")
     return float(value)
 
 
 def check_choice(name: str, value: _T, choices: tuple[_T, ...]) -> _T:
-    """`value` if it is one of `choices`, else an `InputError`."""
+    """Return `value` if it is one of `choices`. Raises `InputError`."""
     if value not in choices:
         raise InputError(f"{name} = {value!r}: must be one of {', '.join(map(str, choices))}")
     return value
 
 
 def real(default: float, low: float, high: float = inf) -> float:
-    """An attrs field that holds a finite number within [`low`, `high`]."""
+    """Return an attrs field that holds a finite number within [`low`, `high`]."""
     checked: float = field(
         default=default, validator=lambda _, attribute, value: check_real(attribute.name, value, low, high)
     )
@@ -40,13 +40,13 @@ def real(default: float, low: float, high: float = inf) -> float:
 def real_array(
     name: str, value: ArrayLike, shape: tuple[int, ...], low: float, high: float = inf, *, nan: bool = False
 ) -> np.ndarray:
-    """`value` as a read-only float64 array broadcast to `shape`, all within [`low`, `high`] (or NaN with `nan`)."""
+    """Return `value` as a read-only float64 array of `shape` (by broadcasting) within [`low`, `high`], or NaN with `nan`."""
     try:
         array = np.asarray(value, dtype=np.float64)
     except (TypeError, ValueError):
         raise InputError(f"{name}: must hold numbers {_range(low, high)}") from None
     try:
-        array = np.array(np.broadcast_to(array, shape), order="C")  # a copy: the caller's stays writable
+        array = np.array(np.broadcast_to(array, shape), order="C")  # a copy, so that the caller's array stays writable
     except ValueError:
         raise InputError(f"{name}: has shape {array.shape}, must be {shape} or broadcast to it") from None
     bad = ~(np.isfinite(array) & (array >= low) & (array <= high))
@@ -60,7 +60,7 @@ def real_array(
 
 
 def given(value: ArrayLike) -> np.ndarray:
-    """Converter of an attrs field that `__attrs_post_init__` makes an array of: leaves `value` to that, and tells type checkers."""
+    """Converter of an attrs field that `__attrs_post_init__` turns into an array: keeps `value`, tells type checkers."""
     return value  # type: ignore[return-value]
 
 

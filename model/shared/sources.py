@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The project's own sources: where its rooms are, and digests that change with them.
+"""The project's own sources: the folders of its rooms, and digests that change with them.
 
-What is kept on disk because it was expensive to make (compiled designs, emitted Verilog, points of a sweep) carries such a digest
-in its name. Files are found by walking the rooms, so a file that moves or is new cannot be missed.
+Results that are expensive to compute (compiled designs, emitted Verilog, points of a sweep) are kept on disk with such a
+digest in their names. Files are found by walking the rooms, so a moved or new file cannot be missed.
 """
 
 import hashlib
@@ -14,7 +14,7 @@ IGNORED = {"__pycache__"}
 
 
 def digest(*parts: str | bytes) -> str:
-    """Twelve hex digits that change with any of `parts` or where one ends."""
+    """Return twelve hex digits that change if one of `parts`, or a border between them, changes."""
     total = hashlib.sha256()
     for part in parts:
         data = part.encode() if isinstance(part, str) else part
@@ -23,7 +23,7 @@ def digest(*parts: str | bytes) -> str:
 
 
 def room_files(*rooms: str) -> list[Path]:
-    """All files of the packages `rooms` below `coincid` ("hdl", "model.contract"), with those of the packages in them; sorted."""
+    """Return all files of the packages `rooms` below `coincid` ("hdl", "model.contract") and of their packages; sorted."""
     files = set()
     for room in rooms:
         spec = find_spec(f"coincid.{room}")
@@ -35,5 +35,5 @@ def room_files(*rooms: str) -> list[Path]:
 
 @cache
 def sources_digest(*rooms: str) -> str:
-    """Digest of all files of some rooms, as they were when this process first asked."""
+    """Return the digest of all files of some rooms, as they were when this process first asked."""
     return digest(*(part for path in room_files(*rooms) for part in (path.name, path.read_bytes())))
