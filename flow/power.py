@@ -130,9 +130,7 @@ def simulate(sensor: Sensor, frames: list[FrameJob]) -> Toggles:
     out = build_root() / "power" / sensor_key(sensor)
     play_in(build, frames, out)
     with (out / f"{TOP}.vcd").open() as lines:
-        return transitions(
-            lines, frames[0].config.pulses, [job.config.frame_cycles for job in frames], in_ps(frames)
-        )
+        return transitions(lines, frames[0].config.pulses, [job.config.frame_cycles for job in frames], in_ps(frames))
 
 
 def in_ps(frames: list[FrameJob]) -> int:

@@ -34,7 +34,6 @@ PIXELS = 64
 WIRE_FF = 0.34  # to an input: the mean of the routed minigroup, docs/layout.md
 MIDDLE_KLUX = 50.0
 KINDS = (("clock", "clock"), ("internal", "inside cells"), ("switching", "driven pins"), ("leakage", "leakage"))
-ATTRIBUTES = {label: name for name, label in KINDS}
 GATE = {"gating": True, "gate_start": 3, "gate_len": 25}  # 50 of 500 ns around the target's light
 
 
@@ -214,14 +213,13 @@ def draw(measured: list[Measured]) -> Figure:
         figure = new_figure(10.5, 4.6)
         by_block, by_kind = figure.subplots(1, 2, sharey=True)
         stacks = (
-            (by_block, [name for _, name in GROUPS], lambda one, name: one.groups[name].total),
-            (by_kind, [label for _, label in KINDS], lambda one, label: getattr(one.total, ATTRIBUTES[label])),
+            (by_block, {name: [one.groups[name].total for one in shown] for _, name in GROUPS}),
+            (by_kind, {label: [getattr(one.total, name) for one in shown] for name, label in KINDS}),
         )
-        for axis, labels, value in stacks:
+        for axis, values in stacks:
             below = np.zeros(len(shown))
-            colours = colormaps["viridis"](np.linspace(0.05, 0.95, len(labels)))
-            for label, colour in zip(labels, colours):
-                heights = np.array([value(one, label) for one in shown])
+            colours = colormaps["viridis"](np.linspace(0.05, 0.95, len(values)))
+            for (label, heights), colour in zip(values.items(), colours):
                 axis.bar(names, heights, bottom=below, label=label, color=colour, width=0.65)
                 below += heights
             axis.legend(loc="upper left", ncols=2, fontsize=7.5)

@@ -6,12 +6,14 @@ To be imported behind `technology.set_up`: Coriolis's modules make a database of
 
 import json
 from pathlib import Path
+from typing import Any
 
 from coriolis.helpers import u
 from coriolis.helpers.overlay import UpdateSession
 from coriolis.Hurricane import Box, DbU, Instance, Transformation
 from coriolis.plugins.block.block import Block
 from coriolis.plugins.block.configuration import BlockConf
+from coriolis.plugins.block.spares import Spares
 
 from .technology import ROW_UM, SITE_UM, TOP_METAL
 
@@ -26,7 +28,7 @@ def um(length: int) -> float:
 
 def build(cell, job) -> bool:
     """Places and routes; whether every net is routed."""
-    BlockConf.toXPitch = to_site
+    BlockConf.toXPitch = Spares.toXPitch = to_site
     return bool(SnappedBlock(configuration(cell, job)).doPnR())
 
 
@@ -90,7 +92,7 @@ class SnappedBlock(Block):
 
 def snap(cell) -> None:
     """In every row, each cell goes to the next site that is free, and no farther than the cells to its right allow."""
-    rows: dict[int, list] = {}
+    rows: dict[int, list[Any]] = {}
     for instance in cell.getInstances():
         box = instance.getAbutmentBox()
         fixed = instance.getPlacementStatus() == Instance.PlacementStatus.FIXED

@@ -191,7 +191,10 @@ class Wires:
 
     def part(self, layer: int, x: float, y: float) -> int | None:
         """Number of the connected part that has metal at a place; None: there is none."""
-        found = self._nets.probe_net(self._regions[layer], db.Point(round(x), round(y)))
+        at = db.Point(round(x), round(y))
+        if self._cell.begin_shapes_rec_overlapping(self._layers[layer], db.Box(at, at).enlarged(1)).at_end():
+            return None
+        found = self._nets.probe_net(self._regions[layer], at)
         return found.cluster_id if found else None
 
     def drawn(self, layer: int) -> db.Region:

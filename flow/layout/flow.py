@@ -23,6 +23,7 @@ from ...model.shared.errors import InputError
 from ...model.shared.folders import build_root
 from ...model.shared.sources import digest
 from ...tb.toolchain import ToolchainError, build_once
+from ..liberty import read_cells, supply_v
 from ..yosys import CELLS_VERSION, LIBERTY, TAIL_LINES, cells_folder, cells_script, put_cells, run_program, run_yosys
 
 NEEDED = ("coriolis", "klayout")
@@ -64,6 +65,7 @@ class Layout:
     width_um: float
     height_um: float
     buffers: int
+    clock_tree_mw: float
     nets: int
     wire_um: float
     wire_ff: float
@@ -132,7 +134,7 @@ def route(top: str, cells: Path, folder: Path, tell: Callable[[str], None]) -> A
     from .pins import strips
 
     used = set(re.findall(r"^\.(?:gate|subckt) (\S+)", (folder / BLIF).read_text(), re.MULTILINE))
-    used |= {"BUF_X8", "BUF_X1", "LOGIC0_X1", "LOGIC1_X1"}  # of the clock tree, of nets with many pins, of constants
+    used |= {"BUF_X4", "BUF_X1", "LOGIC0_X1", "LOGIC1_X1"}  # of the clock tree, of nets with many pins, of constants
     places = strips(cells / LEFS[1], used)
     flat = {
         cell: {pin: [s.x, s.low, s.high, s.via, s.fits] for pin, s in pins.items()} for cell, pins in places.items()
@@ -193,13 +195,15 @@ def finish(top: str, cells: Path, clock_mhz: float, attempt: Attempt, folder: Pa
     (folder / VERILOG).write_text(wires.netlist(top, placed))
     slack_ns, hold_ns = time_wires(top, clock_mhz, folder)
     real = [one["kind"] for one in placed["cells"] if not one["kind"].startswith("FILL")]
+    library = read_cells(folder / LIBERTY, set(real))
     facts = {
         "attempt": asdict(attempt),
         "cells": len(real),
         "cell_area_um2": sum(widths_um[kind] for kind in real) * drawn.ROW_UM,
         "width_um": placed["width"],
         "height_um": placed["height"],
-        "buffers": sum(kind == "BUF_X8" for kind in real),
+        "buffers": real.count(wires.CLOCK_BUFFER),
+        "clock_tree_mw": wires.clock_tree_mw(placed, wired, library, supply_v(folder / LIBERTY), clock_mhz),
         "nets": joined.nets,
         "wire_um": wired.length_um,
         "wire_ff": wired.capacitance_ff,

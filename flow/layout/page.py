@@ -66,7 +66,8 @@ def facts(layout: Layout, mapped_um2: float) -> list[tuple[str, str]]:
     return [
         ("cells before layout", f"{mapped_um2:,.0f} um2"),
         ("cells, clock tree and buffers included", f"{layout.cells}, {layout.cell_area_um2:,.0f} um2"),
-        ("buffers of clock tree and large nets", str(layout.buffers)),
+        ("buffers of the clock tree", str(layout.buffers)),
+        ("power of the clock tree, without the flip-flops' pins", f"{layout.clock_tree_mw:.2f} mW"),
         ("block", f"{layout.width_um:.1f} x {layout.height_um:.1f} um, {area:,.0f} um2"),
         ("share of the block that cells cover", f"{layout.cell_area_um2 / area:.0%}"),
         ("nets", str(layout.nets)),

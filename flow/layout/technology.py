@@ -190,10 +190,10 @@ def _settings() -> None:
         cfg.katana.longGlobalRipupLimit = RIPUP
         cfg.chip.padCoreSide = "South"
         cfg.clockTree.minimumSide = u(ROW_UM) * 6
-        cfg.clockTree.buffer = "BUF_X8"
+        cfg.clockTree.buffer = "BUF_X4"
         cfg.clockTree.placerEngine = "Etesian"
         cfg.block.spareSide = 10
-        cfg.spares.buffer = "BUF_X8"
+        cfg.spares.buffer = "BUF_X4"
         cfg.spares.maxSinks = 20
 
 

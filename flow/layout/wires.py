@@ -12,12 +12,15 @@ from pathlib import Path
 
 from attrs import frozen
 
+from ..liberty import Cell
 from .drawn import Placed, Strips, pin_places
 
 VIA_OHM, PIN_FF, WITHOUT_WIRE_OHM = 20.0, 0.05, 3.0
 OUTPUTS = {"Z", "ZN", "Q", "QN", "CO", "S", "GCK"}
 SELECTS = ("MUX",)  # cells whose S is an input
 FF_PER_PF = 1000
+CLOCK_BUFFER = "BUF_X4"  # nothing but the clock tree has it in a placed block
+MW_PER_FJ_MHZ = 1e-6
 
 
 @frozen
@@ -40,35 +43,28 @@ def metals(lef: Path) -> dict[int, Metal]:
 
 
 def lengths_um(routed: Path) -> dict[str, dict[int, float]]:
-    """Net -> metal -> length, of a routed DEF file."""
+    """Net -> metal -> length, of a routed DEF file; the clock's nets are special ones there."""
+    text = routed.read_text()
+    units = re.search(r"^UNITS DISTANCE MICRONS (\d+)", text, re.MULTILINE)
+    nets = re.findall(r"^((?:SPECIAL)?NETS) (.*?)^END \1", text, re.MULTILINE | re.DOTALL)
+    if units is None or not nets:
+        raise ValueError(f"{routed.name}: no units, or no nets")
     lengths: dict[str, dict[int, float]] = {}
-    units, net, level, at = 1.0, None, None, None
-    for line in routed.read_text().splitlines():
-        words = line.split()
-        if not words:
-            continue
-        if words[0] == "UNITS":
-            units = float(words[3])
-        elif words[0] in ("NETS", "END"):
-            net = None
-        elif words[0] == "-":
-            net, level = words[1], None
-            lengths.setdefault(net, defaultdict(float))
-            continue
-        if net is None or net not in lengths:
-            continue
-        start = re.search(r"(?:ROUTED|NEW) (\S+)", line)
-        if start:
-            named = re.fullmatch(r"metal(\d+)", start[1])
-            level, at = (int(named[1]) if named else None), None
-        if level is None:
-            continue
-        for x, y in re.findall(r"\( (\S+) (\S+)[^)]*\)", line):
-            here = (at[0] if x == "*" else int(x), at[1] if y == "*" else int(y))
-            if at is not None:
-                lengths[net][level] += (abs(here[0] - at[0]) + abs(here[1] - at[1])) / units
-            at = here
+    for net in (net for _, part in nets for net in re.split(r"^\s*- ", part, flags=re.MULTILINE)[1:]):
+        on = lengths.setdefault(net.split()[0], defaultdict(float))
+        for level, points in re.findall(r"(?:ROUTED|NEW)\s+metal(\d+)\s([^;]*?)(?=NEW|;|\Z)", net):
+            on[int(level)] += _way(re.findall(r"\( (\S+) (\S+)[^)]*\)", points)) / int(units[1])
     return lengths
+
+
+def _way(points: list[tuple[str, str]]) -> int:
+    """Length of a wire through points of a DEF file, where `*` repeats a coordinate."""
+    total, x, y = 0, 0, 0
+    for k, (next_x, next_y) in enumerate(points):
+        new = x if next_x == "*" else int(next_x), y if next_y == "*" else int(next_y)
+        total += abs(new[0] - x) + abs(new[1] - y) if k else 0
+        x, y = new
+    return total
 
 
 def is_output(kind: str, pin: str) -> bool:
@@ -77,12 +73,16 @@ def is_output(kind: str, pin: str) -> bool:
 
 @frozen
 class Wired:
-    """All wires of a block: SPEF text, their length, their capacitance, and the pins that they reach as inputs."""
+    """All wires of a block: SPEF text, their length, their capacitance by net, and the pins that they reach as inputs."""
 
     spef: str
     length_um: float
-    capacitance_ff: float
+    farads: Mapping[str, float]
     sinks: int
+
+    @property
+    def capacitance_ff(self) -> float:
+        return sum(self.farads.values())
 
 
 def wired(top: str, placed: Placed, strips: Strips, routed: Path, lef: Path) -> Wired:
@@ -97,8 +97,8 @@ def wired(top: str, placed: Placed, strips: Strips, routed: Path, lef: Path) -> 
         '*DESIGN_FLOW ""', "*DIVIDER /", "*DELIMITER :", "*BUS_DELIMITER [ ]", "*T_UNIT 1 NS", "*C_UNIT 1 FF",
         "*R_UNIT 1 OHM", "*L_UNIT 1 HENRY", "",
     ]  # fmt: skip
-    length = capacitance = 0.0
-    sinks_of_all = 0
+    length, sinks_of_all = 0.0, 0
+    of_net: dict[str, float] = {}
     for net, ends in pins.items():
         on = lengths.get(net, {})
         total = sum(on.values())
@@ -109,8 +109,9 @@ def wired(top: str, placed: Placed, strips: Strips, routed: Path, lef: Path) -> 
         port = placed["ports"].get(net)
         if drivers or port:
             lines += _net(net, farads, ohms, drivers[0] if drivers else None, sinks, port)
-            length, capacitance, sinks_of_all = length + total, capacitance + farads, sinks_of_all + len(sinks)
-    return Wired("\n".join(lines) + "\n", length, capacitance, sinks_of_all)
+            of_net[net] = farads
+            length, sinks_of_all = length + total, sinks_of_all + len(sinks)
+    return Wired("\n".join(lines) + "\n", length, of_net, sinks_of_all)
 
 
 def _net(
@@ -138,6 +139,28 @@ def _net(
             far = abs(ends[node][0] - driver[2]) + abs(ends[node][1] - driver[3])
         lines.append(f"{k} {root} {node} {far * ohms + VIA_OHM:.2f}")
     return [*lines, "*END", ""]
+
+
+def clock_tree_mw(placed: Placed, wires: Wired, cells: Mapping[str, Cell], supply_v: float, clock_mhz: float) -> float:
+    """Power of the clock tree: its buffers and all wires of the clock. The pins of flip-flops and latches are not in it.
+
+    Every net between the port and these pins moves twice in a cycle. cells: of `liberty.read_cells`.
+    """
+    tree = [one for one in placed["cells"] if one["kind"] == CLOCK_BUFFER]
+    loads = {one["nets"]["A"]: 0.0 for one in tree} | {one["nets"]["Z"]: 0.0 for one in tree}
+    pins = dict.fromkeys(loads, 0.0)
+    for one in placed["cells"]:
+        for pin, net in one["nets"].items():
+            if net in loads and not is_output(one["kind"], pin):
+                farads = cells[one["kind"]].pins[pin].capacitance_ff
+                loads[net] += farads
+                pins[net] += farads * (one["kind"] == CLOCK_BUFFER)
+    energy = 0.0
+    for one in tree:
+        net, own = one["nets"]["Z"], cells[CLOCK_BUFFER].pins["Z"].energies
+        energy += 2 * (own.at(loads[net] + wires.farads[net]) if own else 0.0)
+    energy += sum((pins[net] + wires.farads[net]) * supply_v**2 for net in loads)
+    return MW_PER_FJ_MHZ * energy * clock_mhz
 
 
 def netlist(top: str, placed: Placed) -> str:
