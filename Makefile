@@ -4,7 +4,7 @@ BIN := .venv/bin
 # Ignore an environment or search path that the caller has activated.
 unexport PYTHONPATH PYTHONHOME VIRTUAL_ENV
 
-# $(call option,scene,SCENE): --scene 'value' where SCENE= was given.
+# $(call option,scene,SCENE): --scene 'value' if SCENE= was given.
 option = $(if $(value $2),--$1 '$(value $2)')
 
 .PHONY: help setup sim explore check test formal upsets soak mutation coverage verilog synth gls power layout pnr cost lint figures compare modes raytrace bench clean emulate docs
@@ -26,23 +26,23 @@ help: ## this list
 setup: ## .venv with pinned versions, and nothing else
 	@scripts/setup
 
-sim: ## simulate a frame of the scene, every word checked against the golden model; results in build/sim/
+sim: ## simulate a frame of the scene and check every word against the golden model; results in build/sim/
 	@scripts/setup $(if $(findstring icarus,$(SIM))$(filter async,$(VIEW)),icarus)
 	@$(BIN)/coincid sim $(call option,engine,SIM) $(call option,scene,SCENE) $(call option,scale,SCALE) $(call option,threshold,THRESHOLD) \
 		$(call option,frames,FRAMES) $(call option,link-gbps,LINK_GBPS) $(call option,klux,KLUX) \
 		$(call option,pulses,PULSES) $(call option,config,CONFIG) $(call option,seed,SEED) \
 		$(call option,view,VIEW) $(if $(filter-out 0,$(WAVES)),--waves) --out build/sim
 
-explore: ## the effect of every setting, in the browser (PORT=5006)
+explore: ## show the effect of every setting in the browser (PORT=5006)
 	@scripts/setup
 	@$(BIN)/coincid explore $(call option,port,PORT)
 
-check: ## what one runs before a commit: style, and the tests of tests/quick.txt
+check: ## quick checks before a commit: style, and the tests of tests/quick.txt
 	@scripts/setup icarus
 	@$(BIN)/ruff check .
 	@$(BIN)/ruff format --check .
 	@$(BIN)/python -m pytest -n 2 $(PYTEST_ARGS) @tests/quick.txt
-emulate: ## the emulator simulated behind its serial pins, each word checked (PORT=/dev/ttyUSB0: on a board); depth in build/emulate/
+emulate: ## the simulated emulator behind its serial pins, every word checked (PORT=/dev/ttyUSB0: on a board); depth in build/emulate/
 	@scripts/setup
 	@$(BIN)/coincid emulate $(if $(PORT),--port '$(value PORT)',--simulate) $(call option,scene,SCENE) $(call option,klux,KLUX) \
 		$(call option,pulses,PULSES) $(call option,frames,FRAMES) $(call option,config,CONFIG) $(call option,seed,SEED)
@@ -55,7 +55,7 @@ formal: ## unbounded proofs of every block; logs in build/formal/ (NAMES="tdc tr
 	@scripts/setup
 	@$(BIN)/coincid formal $(NAMES)
 
-upsets: ## every flip-flop of a small sensor flips, with no reset: is it right again? (ARGS="--instants 8 --seed 2")
+upsets: ## flip every flip-flop of a small sensor without a reset, and check that it recovers (ARGS="--instants 8 --seed 2")
 	@scripts/setup
 	@$(BIN)/python -m tests.upsets $(ARGS)
 
@@ -63,7 +63,7 @@ soak: ## 1,000 frames under sunlight and at saturation, golden model and RTL in 
 	@scripts/setup
 	@$(BIN)/python -m tests.soak $(ARGS)
 
-mutation: ## mutations of RTL and golden model: does the regression find them? (ARGS="--seed 2 --rtl 500 --golden 1000")
+mutation: ## mutate RTL and golden model, and check that the regression notices (ARGS="--seed 2 --rtl 500 --golden 1000")
 	@scripts/setup icarus
 	@$(BIN)/python -m tests.mutation $(ARGS)
 	@$(BIN)/python -m tests.planted
@@ -92,7 +92,7 @@ layout: ## a minigroup placed, routed, checked, timed and simulated with its wir
 	@scripts/setup icarus cells layout
 	@$(BIN)/coincid layout
 
-pnr: ## a module of the FPGA preset placed and routed on an ECP5, into docs/place-and-route.md
+pnr: ## place and route a module of the FPGA preset on an ECP5, into docs/place-and-route.md
 	@scripts/setup
 	@$(BIN)/coincid pnr
 
@@ -126,7 +126,7 @@ modes: ## coincidence and gating, a target behind glass, 100 m: curves into buil
 raytrace: ## install what ray-traced scenes need (make sim SCENE=ray:corner)
 	@scripts/setup raytrace
 
-bench: ## how fast model and simulators run here: build/bench.json, and a table beside it
+bench: ## measure the speed of model and simulators on this machine: build/bench.json, and a table beside it
 	@scripts/setup icarus
 	@$(BIN)/coincid bench
 

@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Coincid: an open, cycle-accurate model of a SPAD direct time-of-flight sensor.
 
-What a notebook needs is here by name, and is imported when it is first used: `simulate` and the `Run` it returns, the configuration,
-scene and light that it is made from, and what is made of its result. Everything else is in the rooms, each of which imports only those
-before it: `coincid.model` (contract, golden model, light, scenes, depth; no HDL), `coincid.hdl` (RTL in Amaranth), `coincid.tb`
-(simulators, cocotb, scoreboards), `coincid.flow`, `coincid.formal`, `coincid.study`. The command line is `coincid.cli`.
+The names that a notebook needs are here, and are imported when they are first used: `simulate` and the `Run` that it
+returns; the configuration, scene and light from which a run is made; and functions for its result. Everything else is in
+the rooms, each of which imports only earlier ones: `coincid.model` (contract, golden model, light, scenes, depth; no
+HDL), `coincid.hdl` (RTL in Amaranth), `coincid.tb` (simulators, cocotb, scoreboards), `coincid.flow`, `coincid.formal`,
+`coincid.study`. The command line is `coincid.cli`.
 """
 
 from importlib import import_module

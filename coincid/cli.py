@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The `coincid` command: one sub-command per job. Commands check everything they are given before they build or
-simulate anything.
+"""The `coincid` command: one sub-command per job.
 
-Exit codes: 0 done; 1 the RTL differs from the golden model, or lint found something; 2 bad input or a missing tool (one
-line on stderr); 130 interrupted, 143 by SIGTERM. The machinery is imported by the command that needs it, so that
-`--help` is immediate.
+Commands check all their input before they build or simulate anything. Exit codes: 0 done; 1 the RTL differs from the
+golden model, or lint found something; 2 bad input or a missing tool (one line on stderr); 130 interrupted, 143 by
+SIGTERM. Each command imports the modules that it needs, so `--help` is immediate.
 """
 
 import contextlib
@@ -19,6 +18,7 @@ import typer
 from rich.console import Console
 from typer.core import TyperGroup
 
+from coincid.model.contract.preset_files import PRESETS
 from coincid.model.shared.errors import InputError, check_integer
 from coincid.model.shared.extras import extra
 from coincid.model.shared.interrupts import INTERRUPTED, TERMINATED, Terminated, interruptible
@@ -30,9 +30,9 @@ BAD_INPUT, DIFFERS = 2, 1
 STALL_CYCLES_MAX = 1 << 24
 PULSES_MAX = 1 << 16
 SEED_MAX = (1 << 32) - 1
-ASYNC_PULSES, ASYNC_FRAMES = 4, 1  # of `sim --view async`: Icarus needs some three minutes for them
-FRAMES_MAX = 1000  # of the controller
-LINK_GBPS = 8.0  # of `sim`, where neither it nor the configuration says: what such a chip's pins carry
+ASYNC_PULSES, ASYNC_FRAMES = 4, 1  # for `sim --view async`, for which Icarus needs about three minutes
+FRAMES_MAX = 1000  # for the controller
+LINK_GBPS = 8.0  # for `sim` if neither it nor the configuration sets the rate: what the pins of such a chip carry
 REPEATS_MAX = 1000
 WORKERS_MAX = 1 << 10
 
@@ -40,13 +40,13 @@ console = Console(stderr=True, highlight=False)
 
 
 class Progressed(Protocol):
-    """Tells a progress bar what is done, and a total that grew."""
+    """Updates a progress bar with the amount done, and with a total that grew."""
 
     def __call__(self, done: int, total: int | None = None) -> None: ...
 
 
 class Commands(TyperGroup):
-    """The group of commands; turns the errors that users are meant to read into messages and exit codes."""
+    """The group of commands; turns errors that are meant for users into messages and exit codes."""
 
     def invoke(self, ctx: Any) -> Any:
         try:
@@ -86,7 +86,7 @@ app = typer.Typer(
 )
 
 ConfigOption = Annotated[
-    str | None, typer.Option("--config", metavar="FILE", help="TOML file, or a preset: silicon, fpga.")
+    str | None, typer.Option("--config", metavar="FILE", help=f"TOML file, or a preset: {', '.join(PRESETS)}.")
 ]
 ClockOption = Annotated[
     float | None,
@@ -114,7 +114,7 @@ EngineOption = Annotated[
 ]
 
 ScaleOption = Annotated[
-    float, typer.Option("--scale", metavar="FACTOR", help="A depth file's distances are multiplied by it.")
+    float, typer.Option("--scale", metavar="FACTOR", help="Factor for the distances of a depth file.")
 ]
 
 
@@ -157,7 +157,7 @@ def sim(
         int | None,
         typer.Option(
             help=(
-                "Laser pulses of a frame; default: the configuration's. The controller's bounds, photons of a frame, change in proportion."
+                "Laser pulses per frame; default: the configuration's. The controller's bounds and the photons of a frame change in proportion."
             ),
             show_default=False,
         ),
@@ -165,15 +165,13 @@ def sim(
     threshold: Annotated[
         int | None,
         typer.Option(
-            help="Threshold of the frame that has one for all subgroups; default: the best of 1 to 7 for this scene.",
+            help="One threshold for all subgroups in the frame `fixed`; default: the best of 1 to 7 for this scene.",
             show_default=False,
         ),
     ] = None,
     frames: Annotated[
         int | None,
-        typer.Option(
-            help="Frames in which the controller settles, each with new photons; default: 8.", show_default=False
-        ),
+        typer.Option(help="Frames of new photons in which the controller settles; default: 8.", show_default=False),
     ] = None,
     link_gbps: Annotated[
         float | None,
@@ -312,7 +310,7 @@ def sweep(
         typer.Option(
             metavar="FILE",
             help=(
-                "Result (Parquet); default: build/SPEC.parquet. Beside it a plot (PNG), and the finished points: a second start goes on from there."
+                "Result (Parquet); default: build/SPEC.parquet. Beside it: a plot (PNG), and the finished points, where a second start goes on."
             ),
             show_default=False,
         ),
@@ -360,7 +358,7 @@ def photons(
     seed: Annotated[int, typer.Option(help="Seed of the photons.")] = 1,
     clock_mhz: ClockOption = None,
 ) -> None:
-    """Write the edges of a scene's photons in all frames of a configuration."""
+    """Write the photons of a scene, in all frames of a configuration, as edges."""
     from coincid.model.light.photons import generate_edges
     from coincid.model.light.spad import Spad
     from coincid.model.light.timing import Timing
@@ -451,7 +449,7 @@ def verilog(
 
 @app.command()
 def synth(
-    out: Annotated[Path, typer.Option(metavar="FILE", help="Markdown page of the presets' cost.")] = Path(
+    out: Annotated[Path, typer.Option(metavar="FILE", help="Markdown page with the cost of the presets.")] = Path(
         "docs/synthesis.md"
     ),
 ) -> None:
@@ -499,11 +497,11 @@ def layout(
 
 @app.command()
 def pnr(
-    out: Annotated[Path, typer.Option(metavar="FILE", help="Markdown report of Fmax and use.")] = Path(
+    out: Annotated[Path, typer.Option(metavar="FILE", help="Markdown report of Fmax and resources.")] = Path(
         "docs/place-and-route.md"
     ),
 ) -> None:
-    """Place and route a module of the FPGA preset on an ECP5, with five seeds. Exit code 1: a clock is missed."""
+    """Place and route a module of the FPGA preset on an ECP5, with five seeds. Exit code 1: a clock misses its goal."""
     with extra("rtl"):
         from coincid.flow.pnr import write_page
 
@@ -530,7 +528,7 @@ def cost(
 
 @app.command()
 def lint(config: ConfigOption = None, view: ViewOption = "polyphase") -> None:
-    """Check the exported Verilog with Verilator's lint, and with Icarus where it is installed."""
+    """Check the exported Verilog with Verilator's lint, and with Icarus if it is installed."""
     from coincid.model.contract.config import load_config
 
     settings = load_config(config)
@@ -628,7 +626,7 @@ def modes(
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder of the figures.")] = Path("build/modes"),
     rtl: Annotated[bool, typer.Option("--rtl", help="Check some frames on the RTL.")] = False,
 ) -> None:
-    """Coincidence and gating over background and distance, a target behind glass, 100 m: plots, their data (CSV) and a page."""
+    """Compare coincidence and gating over background and distance, behind glass and at 100 m: plots, data (CSV) and a page."""
     from coincid.study.figures import modes as run
 
     _folder(out)
@@ -657,7 +655,7 @@ def bandwidth(
         "build/bandwidth"
     ),
 ) -> None:
-    """Study the readout: beats per frame, streams that are needed, and losses with fewer, by an estimate and by the golden model."""
+    """Study the readout: beats per frame, streams needed, and losses with fewer, by an estimate and by the golden model."""
     from coincid.study.bandwidth import TABLE, study, write_study
 
     write_study(_folder(out), study(klux, threshold, size, tell=console.print))
@@ -671,9 +669,9 @@ def emulate(
         typer.Option(metavar="DEVICE", help="Serial port of the board, such as /dev/ttyUSB0.", show_default=False),
     ] = None,
     simulate: Annotated[
-        bool, typer.Option("--simulate", help="The emulator's RTL behind its serial pins instead.")
+        bool, typer.Option("--simulate", help="Use the emulator's simulated RTL behind its serial pins instead.")
     ] = False,
-    scene: Annotated[str, typer.Option(metavar="SCENE", help="As of sim.")] = "five-objects",
+    scene: Annotated[str, typer.Option(metavar="SCENE", help="Scene, as for sim.")] = "five-objects",
     klux: KluxOption = None,
     config: Annotated[
         str,
@@ -682,13 +680,13 @@ def emulate(
     frames: Annotated[int, typer.Option(metavar="N", help="Frames to take.")] = 20,
     pulses: Annotated[
         int | None,
-        typer.Option(metavar="N", help="Laser pulses of a frame; default: the configuration's.", show_default=False),
+        typer.Option(metavar="N", help="Laser pulses per frame; default: the configuration's.", show_default=False),
     ] = None,
-    seed: Annotated[int, typer.Option(help="Of the photon source.")] = 1,
-    baud: Annotated[int, typer.Option(help="Of the serial port.")] = 3_000_000,
+    seed: Annotated[int, typer.Option(help="Seed of the photon source.")] = 1,
+    baud: Annotated[int, typer.Option(help="Baud rate of the serial port.")] = 3_000_000,
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder of the depth picture.")] = Path("build/emulate"),
 ) -> None:
-    """Run the emulator on a board or simulated, and check each word that it sends against the golden model."""
+    """Run the emulator, on a board or simulated, and check each word from it against the golden model."""
     from coincid.host.emulator import EmulatorDriver
     from coincid.host.serial_link import SerialPort, SerialTransport
     from coincid.model.contract.config import FRAMES_MAX, load_config
@@ -737,7 +735,7 @@ def bench(
     ),
     repeats: Annotated[int, typer.Option(metavar="N", help="Number of rounds; the results are medians.")] = 5,
 ) -> None:
-    """Measure the speed of the model, the simulators, whole frames and builds from nothing; takes about ten minutes."""
+    """Measure the speed of the model, the simulators, whole frames and builds from scratch; takes about ten minutes."""
     with extra("rtl"):
         from coincid.study.bench import benchmark, table
     check_integer("repeats", repeats, 1, REPEATS_MAX)
@@ -745,14 +743,14 @@ def bench(
 
 
 def _klux(given: str | None, scene: str) -> str | float:
-    """The ambient light of a scene: what is given, else the scene's usual one."""
+    """Return the ambient light of a scene: the given one, else the usual one for the scene."""
     from coincid.model.scenes.catalogue import usual_klux
 
     return usual_klux(scene) if given is None else given
 
 
 def _config(path: str | None, clock_mhz: float | None) -> "Config":
-    """The configuration, at the clock of the command line where one is given."""
+    """Return the configuration, at the clock of the command line if it is given."""
     from coincid.model.contract.config import load_config
 
     config = load_config(path)
@@ -760,7 +758,7 @@ def _config(path: str | None, clock_mhz: float | None) -> "Config":
 
 
 def _file(path: Path) -> Path:
-    """`path` if a file can be made there; makes nothing."""
+    """Return `path` if a file can be made there; make nothing."""
     if path.is_dir():
         raise InputError(f"out = {str(path)!r}: is a folder, must be a file")
     _writable(path, path.parent)
@@ -768,7 +766,7 @@ def _file(path: Path) -> Path:
 
 
 def _folder(path: Path) -> Path:
-    """`path` if it is a folder to write to or can become one; makes nothing."""
+    """Return `path` if it is, or can become, a folder to write to; make nothing."""
     _writable(path, path)
     return path
 
@@ -782,7 +780,7 @@ def _writable(path: Path, folder: Path) -> None:
 
 @contextlib.contextmanager
 def _progress(cycles: int, what: str) -> Iterator[Progressed]:
-    """A progress bar on a terminal, nothing elsewhere."""
+    """Return a progress bar on a terminal, otherwise one that shows nothing."""
     from rich.progress import Progress
 
     with Progress(console=console, transient=True, disable=not console.is_terminal) as bar:
@@ -791,7 +789,7 @@ def _progress(cycles: int, what: str) -> Iterator[Progressed]:
 
 
 def main() -> None:
-    """The console script."""
+    """Entry point of the console script."""
     interruptible()
     try:
         app()

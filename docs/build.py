@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Builds the documentation site into build/docs/: `python docs/build.py`, which `make docs` runs.
 
-The pages are those that a Git host shows, in the same places, so that a link leads to the same page in both. Their copies, the
-pages of the API and the gallery's pages go into build/docs-source/. Every warning is an error: a link that leads nowhere,
-a heading that is not there, an example that fails.
+The pages are those that a Git host shows, in the same places, so a link leads to the same page in both. Copies of them,
+the pages of the API, and those of the gallery go into build/docs-source/. Every warning is an error: a dead link, a
+missing heading, an example that fails.
 """
 
 import sys
@@ -94,7 +94,7 @@ def heading(text: str, line: str = "=") -> str:
 
 
 def lay_out(files: dict[str, bytes]) -> None:
-    """Brings the sources to `files`. What has not changed keeps its time, and is not built again; what the gallery made stays."""
+    """Update the sources to `files`. Unchanged files keep their time and are not built again; the gallery's files stay."""
     for name, content in files.items():
         path = SOURCE / name
         if not path.exists() or path.read_bytes() != content:

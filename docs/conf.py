@@ -27,11 +27,11 @@ exclude_patterns = ["gallery/**.py", "gallery/**.ipynb", "gallery/**.md5"]
 default_role = "literal"  # docstrings have names in single backticks
 
 myst_heading_anchors = (
-    4  # the anchors of headings that a Git host makes, too: a link to one that is not there is a warning
+    4  # also the anchors that a Git host makes of headings, so that a link to a missing one is a warning
 )
 
 autodoc_member_order = "bysource"
-suppress_warnings = ["ref.python"]  # what the front door names is in its room, too: two targets of one name
+suppress_warnings = ["ref.python"]  # names of the front door are also in their rooms: two targets for one name
 autodoc_typehints_format = "short"
 python_use_unqualified_type_names = True
 napoleon_google_docstring = False
@@ -83,10 +83,10 @@ NUMPY_SECTIONS = {"Parameters", "Returns", "Raises", "Attributes", "Yields"}
 
 
 def plain_text(app, what, name, obj, options, lines):
-    """Docstrings are plain text with names in backticks: nothing else in them is markup, except headings and lists."""
+    """Treat docstrings as plain text with names in backticks, and with headings and lists, but no other markup."""
     underlined = [i for i, line in enumerate(lines) if re.fullmatch(r"\s*-{3,}\s*", line)]
     if any(lines[i - 1].strip() in NUMPY_SECTIONS for i in underlined):
-        return  # is napoleon's
+        return  # left to napoleon
     for i in underlined:
         lines[i - 1], lines[i] = lines[i - 1] + ":", ""
     if what == "property" and lines:
@@ -103,7 +103,7 @@ def plain_text(app, what, name, obj, options, lines):
 
 
 def as_written(paragraph):
-    """A paragraph whose lines are indented in steps keeps its lines; others flow."""
+    """Keep the lines of a paragraph that is indented in steps; let others flow."""
     rows = [row for row in paragraph.split("\n") if row.strip()]
     if not rows:
         return paragraph

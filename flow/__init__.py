@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What becomes of the RTL: synthesis, gate-level simulation, place and route, and what they cost. Only the command line imports it."""
+"""Flows after the RTL: synthesis, gate-level simulation, place and route. Only the command line imports this package."""

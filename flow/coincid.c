@@ -10,7 +10,7 @@ static uint32_t beats_for(uint32_t bits) { return (bits + 63u) / 64u; }
 
 static uint32_t field(uint64_t beat, unsigned low, unsigned width) { return (uint32_t)(beat >> low & ((1u << width) - 1u)); }
 
-/* Read-only registers of the array, their product, or 0 with *failed set. */
+/* Return a read-only register, or 0 with *failed set. */
 static uint32_t constant(const coincid_bus *bus, uint32_t address, int *failed) {
     uint32_t value = 0;
     if (bus->read(bus->context, address, &value)) *failed = 1;

@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0 */
-/* Minimal C driver of the sensor, and decoder of its stream. Plain C99, no allocation; addresses and bits come from coincid_regs.h. */
+/* Minimal C driver of the sensor, and decoder of its stream. Plain C99, no allocation; addresses and bits: coincid_regs.h. */
 #ifndef COINCID_H
 #define COINCID_H
 
@@ -12,14 +12,14 @@ extern "C" {
 
 enum { COINCID_OK = 0, COINCID_REFUSED = -1, COINCID_NO_SENSOR = -2, COINCID_TIMEOUT = -3, COINCID_BAD_STREAM = -4 };
 
-/* The way to the registers. Both return 0, or anything else where the sensor refused the access. */
+/* Access to the registers. Both functions return 0, or another value if the sensor refused the access. */
 typedef struct {
     void *context;
     int (*read)(void *context, uint32_t address, uint32_t *value);
     int (*write)(void *context, uint32_t address, uint32_t value);
 } coincid_bus;
 
-/* The sensor as built: read from it by coincid_probe. */
+/* The sensor as built, as coincid_probe reads it. */
 typedef struct {
     uint32_t subgroups, pixels, minigroups; /* pixels and minigroups of a subgroup */
     uint32_t record_bits, record_stamp_bits; /* of a minigroup's entry */
@@ -28,28 +28,28 @@ typedef struct {
 int coincid_probe(const coincid_bus *bus, coincid_sensor_info *info);
 int coincid_start(const coincid_bus *bus);
 int coincid_abort(const coincid_bus *bus);
-/* Reads the status up to `polls` times until the frame has been delivered, and clears the bit that tells of it. */
+/* Poll the status up to `polls` times until the frame has been delivered, then clear the `done` bit. */
 int coincid_wait(const coincid_bus *bus, uint32_t polls);
 
 enum { COINCID_EVENT_SHORT = 1, COINCID_EVENT_ID = 2, COINCID_EVENT_FULL = 3, COINCID_RECORD = 4, COINCID_FRAME_START = 6, COINCID_FRAME_END = 7 };
 
-/* A packet of the stream. map, offsets, entries and counters are beats of the stream; 0 where the kind has none. */
+/* A packet of the stream. map, offsets, entries and counters point to beats of the stream, or are 0 if the kind has none. */
 typedef struct {
     int kind, overrun;
-    uint32_t subgroup, pulse, count, winner, stamp; /* pulse: of the frame; of frame start and end the frame's number */
+    uint32_t subgroup, pulse, count, winner, stamp; /* pulse: in the frame; for frame start and end, the frame number */
     const uint64_t *map, *offsets, *entries, *counters;
 } coincid_packet;
 
-/* Decodes beats of a stream that carries `subgroups` subgroups, one packet per call. Returns the beats that the packet has, 0 where it is not whole
-   yet, or COINCID_BAD_STREAM. */
+/* Decode beats of a stream that carries `subgroups` subgroups, one packet per call. Return the number of beats in the packet,
+   0 if it is not complete yet, or COINCID_BAD_STREAM. */
 int coincid_decode(const coincid_sensor_info *info, uint32_t subgroups, const uint64_t *beats, size_t n, coincid_packet *packet);
 
-/* Pixel `pixel` is in a packet's map. Coarse offset of a minigroup, 255 where it was not hit. */
+/* Whether pixel `pixel` is in a packet's map. Coarse offset of a minigroup, or 255 if it was not hit. */
 int coincid_hit(const coincid_packet *packet, uint32_t pixel);
 uint32_t coincid_offset(const coincid_packet *packet, uint32_t minigroup);
-/* A minigroup's entry of a record: its stamp and its map, which is 0 where it was not latched. */
+/* Stamp and map of a minigroup's entry in a record; the map is 0 if the minigroup has not latched. */
 void coincid_entry(const coincid_sensor_info *info, const coincid_packet *packet, uint32_t minigroup, uint32_t *stamp, uint32_t *map);
-/* Counter `counter`, in the order of the registers, of the stream's subgroup `index`, of a frame end. */
+/* Counter `counter` (in the order of the registers) of subgroup `index` of the stream, from a frame end. */
 uint32_t coincid_counter(const coincid_packet *packet, uint32_t index, uint32_t counter);
 
 #ifdef __cplusplus

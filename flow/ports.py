@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The top modules' ports for those who integrate them: a table and an instantiation, from the RTL's own list of ports.
+"""Ports of the top modules, for integrators: a table and an instantiation, from the RTL's own list of ports.
 
-Names, widths and directions are the netlist's; what a port means and what it shows after a reset is said here, once.
-
+Names, widths and directions come from the netlist; meanings and values after a reset are defined here, once.
 `python -m coincid.flow.ports` renews these parts of docs/integrate.md.
 """
 
@@ -18,7 +17,7 @@ from ..model.contract.parameters import TOP, Sensor
 from ..model.contract.registers import COUNTER_NAMES
 from ..model.shared.folders import checkout
 
-EXAMPLE = Sensor(rows=8, cols=16)  # of docs/integrate.md: two subgroups, one module
+EXAMPLE = Sensor(rows=8, cols=16)  # for docs/integrate.md: two subgroups, one module
 
 _READY = "the port takes what its `valid` offers"
 _MEANINGS = {  # pattern of a port's name -> value after a reset (outputs only), meaning
@@ -47,7 +46,7 @@ _MEANINGS = {  # pattern of a port's name -> value after a reset (outputs only),
 
 @frozen
 class PortRow:
-    """A row of the table of ports. width: in bits. clock: that it belongs to. reset: value of an output after a reset."""
+    """A row of the table of ports. width: in bits. clock: of the port. reset: value of an output after a reset."""
 
     name: str
     width: int
@@ -58,7 +57,7 @@ class PortRow:
 
 
 def port_rows(sensor: Sensor, top: str = TOP, view: View = POLYPHASE) -> list[PortRow]:
-    """The ports of a top module, `clk` and `rst` first, in the order of its Verilog."""
+    """Return the ports of a top module, `clk` and `rst` first, in the order of its Verilog."""
     ports = [("clk", 1, True), ("rst", 1, True)]
     ports += [(port.name, port.width, port.is_input) for port in netlist(sensor, top == FPGA_TOP, view).ports]
     return [
@@ -94,7 +93,7 @@ def _meaning(name: str, sensor: Sensor, view: View) -> tuple[str, str]:
 
 
 def port_table(sensor: Sensor, top: str = TOP, view: View = POLYPHASE) -> str:
-    """The ports as a Markdown table; ports that differ by their number only share a row."""
+    """Return the ports as a Markdown table; ports that differ only by their number share a row."""
     rows: list[tuple[str, list[PortRow]]] = []
     for row in port_rows(sensor, top, view):
         family = re.sub(r"^(spad|line)_\d+$", r"\1_N", row.name)
@@ -116,7 +115,7 @@ def port_table(sensor: Sensor, top: str = TOP, view: View = POLYPHASE) -> str:
 
 
 def instantiation(sensor: Sensor, top: str = TOP, view: View = POLYPHASE) -> str:
-    """An instance of the top module in Verilog, with a wire of its own name at every port."""
+    """Return an instance of the top module in Verilog, with a wire of the same name at every port."""
     rows = port_rows(sensor, top, view)
     wires = [f"wire {f'[{row.width - 1}:0] ' if row.width > 1 else ''}{row.name};" for row in rows]
     ports = [f"  .{row.name}({row.name})" for row in rows]
@@ -124,7 +123,7 @@ def instantiation(sensor: Sensor, top: str = TOP, view: View = POLYPHASE) -> str
 
 
 def stream_words(sensor: Sensor) -> str:
-    """The beats of every packet of a sensor as Markdown."""
+    """Return a description of the beats of every packet of a sensor, as Markdown."""
     parts = layout(sensor)
     fields = ", ".join(
         f"[{low + width - 1}:{low}] {'type' if name == 'kind' else name}" for name, (low, width) in HEADER.items()
@@ -150,7 +149,7 @@ def stream_words(sensor: Sensor) -> str:
 
 
 def generated(sensor: Sensor) -> dict[str, str]:
-    """The parts of docs/integrate.md that are made from the RTL, by the name of their markers."""
+    """Return the generated parts of docs/integrate.md, by the names of their markers."""
     return {
         "ports": port_table(sensor),
         "instance": f"```verilog\n{instantiation(sensor)}```\n",
@@ -159,7 +158,7 @@ def generated(sensor: Sensor) -> dict[str, str]:
 
 
 def with_parts(page: str, parts: dict[str, str]) -> str:
-    """A page with its generated parts renewed: each stands between `<!-- begin NAME -->` and `<!-- end NAME -->`."""
+    """Return a page with its generated parts renewed; each is between `<!-- begin NAME -->` and `<!-- end NAME -->`."""
     for name, text in parts.items():
         head, begin, rest = page.partition(f"<!-- begin {name} -->\n")
         _, end, tail = rest.partition(f"<!-- end {name} -->\n")

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Flip-flops and latches of the netlists: they wake up at random, and take an unknown input at random. Where a simulation has delays, theirs
-// come from its SDF file.
+// Flip-flops and latches of the netlists: their initial values are random, and they take a random value for an unknown input.
+// Where a simulation has delays, theirs come from its SDF file.
 
 module \$_DFF_P_ (
     input D,

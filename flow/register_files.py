@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The register map for people and for tools, all from the one table of `model/contract/registers.py`.
+"""The register map for people and for tools, from the one table in `model/contract/registers.py`.
 
-Markdown, HTML, a C header, JSON, SystemRDL; and IP-XACT, which PeakRDL makes from the SystemRDL. The HTML is our own:
-PeakRDL's is an application of 7.8 MB; this page has 9 kB, and says what SystemRDL has no place for, the legal ranges.
+Formats: Markdown, HTML, a C header, JSON, SystemRDL; and IP-XACT, which PeakRDL makes from the SystemRDL. The HTML is
+our own: PeakRDL's is an application of 7.8 MB, while this page has 9 kB and includes the legal ranges, for which
+SystemRDL has no place.
 """
 
 import html
@@ -39,7 +40,7 @@ PREFIX, TOP = "COINCID", "coincid_sensor"
 
 
 def register_files(sensor: Sensor) -> dict[str, str]:
-    """File name -> text of the register map of `sensor`. Equal parameters give equal bytes."""
+    """Return the register map of `sensor` by file name. Equal parameters give equal bytes."""
     rdl = _systemrdl(sensor)
     return {
         MARKDOWN: _markdown(sensor),
@@ -52,7 +53,7 @@ def register_files(sensor: Sensor) -> dict[str, str]:
 
 
 def register_map(sensor: Sensor) -> dict[str, Any]:
-    """The map as plain data: addresses and offsets in bytes, ranges and reset values as built."""
+    """Return the map as plain data: addresses and offsets in bytes, ranges and reset values as built."""
     return {
         "data_bits": DATA_BITS,
         "address_bits": ADDRESS_BITS,
@@ -91,7 +92,7 @@ def _intro(sensor: Sensor) -> tuple[str, str]:
 
 
 def _blocks(sensor: Sensor) -> list[tuple[str, str, list[list[str]]]]:
-    """(title, text, rows of `HEAD`) of both blocks."""
+    """Return (title, text, rows of `HEAD`) for both blocks."""
     where = f"At {SUBGROUP_BASE:#x} + {SUBGROUP_STRIDE:#x} * s; offsets are within the block."
     return [
         ("Global block", "At 0.", _rows(GLOBAL, sensor)),

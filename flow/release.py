@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The folder of RTL that leaves the project: Verilog, its lists and constraints, a smoke test, the register map, a manifest."""
+"""Exported folder of RTL: Verilog, file lists and constraints, a smoke test, the register map, a manifest."""
 
 import hashlib
 import json
@@ -25,11 +25,11 @@ from .smoke import FPGA_SMOKE, SMOKE, smoke_test
 from .waivers import CONTROL_FILE, control_file
 
 MANIFEST, CORE, README = "manifest.json", f"{TOP}.core", "README.md"
-SYNTHESIS_LIST = "coincid_synthesis.f"  # of a view with macros
-CELLS_LIST, LATCHES = "coincid_cells.f", "_latches.v"  # for standard cells, and what its files of memories end in
-TIMESCALE = "1ps/1fs"  # of the same
-PORT_DELAY = 0.4  # of a period, outside the ports
-UNCERTAINTY = 0.05  # of a period
+SYNTHESIS_LIST = "coincid_synthesis.f"  # for a view with macros
+CELLS_LIST, LATCHES = "coincid_cells.f", "_latches.v"  # for standard cells; suffix of the files with their memories
+TIMESCALE = "1ps/1fs"  # for a view with macros
+PORT_DELAY = 0.4  # share of a period outside the ports
+UNCERTAINTY = 0.05  # share of a period
 DERIVED = ("array_pixels", "subgroups", "pixels", "minigroups", "guard", "stamp_bits", "period_max")
 C_DRIVER = tuple(
     Path(__file__).with_name(name) for name in ("coincid.h", "coincid.c")
@@ -50,7 +50,7 @@ PER_TOP = {TOP: SMOKE, FPGA_TOP: FPGA_SMOKE}
 
 
 def release_files(config: Config, view: str | View = POLYPHASE) -> dict[str, str]:
-    """File name -> text of a configuration's sensor at its clock. view: of `views.py`, or its name. Equal parameters give equal bytes."""
+    """Return the files of a configuration's sensor at its clock, by name. view: from `views.py`, or its name."""
     sensor, clock_mhz, view = config.sensor, config.clock_mhz, view_at(view, config.clock_mhz)
     rtl = verilog_files(sensor, view)
     lists = {TOP: rtl.pop(FILE_LIST).split()}
@@ -79,7 +79,7 @@ def release_files(config: Config, view: str | View = POLYPHASE) -> dict[str, str
 
 
 def latch_files(sensor: Sensor, view: View = POLYPHASE) -> dict[str, str]:
-    """File name -> text of the sensor's memories in latches: modules of the same names, under file names of their own."""
+    """Return the sensor's memories in latches, by file name: the same module names, but different file names."""
     with_latches, without = verilog_files(sensor, view, latches=True), verilog_files(sensor, view)
     return {_latched(name): text for name, text in with_latches.items() if text != without[name]}
 
@@ -133,12 +133,12 @@ def _constraints(sensor: Sensor, clock_mhz: float, top: str, view: View) -> str:
 
 
 def phase_clock(sensor: Sensor, j: int) -> str:
-    """Clock j > 0 of the deserialisers, as constraints call it: Verilog's name of a bit, or of a port of one bit."""
+    """Return the name of clock j > 0 of the deserialisers in constraints: a bit in Verilog, or a port of one bit."""
     return f"phase_clocks[{j - 1}]" if sensor.phases > 4 else "phase_clocks"
 
 
 def tool_options(view: View) -> dict[str, list[str]]:
-    """Options of the tools, by what they do. Delays of cells need a time scale; lint looks at what synthesis takes."""
+    """Return the tools' options, by purpose. Delays of cells need a time scale; lint sees the files for synthesis."""
     time = [f"--timescale {TIMESCALE}"] if view.macros else []
     return {
         "icarus": ["-g2012" if view.macros else "-g2005"],
@@ -148,7 +148,7 @@ def tool_options(view: View) -> dict[str, list[str]]:
 
 
 def _core(lists: dict[str, list[str]], view: View) -> str:
-    """FuseSoC's description: RTL and lint, and the smoke test on Icarus and Verilator, for every top."""
+    """Return FuseSoC's description: RTL and lint, and the smoke test on Icarus and Verilator, for every top."""
     sets, targets = [], []
     options = {tool: ", ".join(given) for tool, given in tool_options(view).items()}
     boxes = [path.name for path in view.macros]
@@ -292,9 +292,9 @@ def _manifest(sensor: Sensor, clock_mhz: float, lists: dict[str, list[str]], fil
 
 
 def write_release(folder: Path, config: Config, view: str | View = POLYPHASE) -> list[Path]:
-    """Writes the release of a configuration's sensor in a view to `folder`, which appears whole and replaces the release that stood there.
+    """Write the release of a configuration's sensor in a view to `folder`, which appears whole and replaces an old one.
 
-    Raises `InputError` where the folder cannot be written, or holds anything but an earlier release.
+    Raises `InputError` if the folder cannot be written, or contains anything but an earlier release.
     """
     given, folder = folder, Path(folder).resolve()
     if folder.exists() and not (folder.is_dir() and ((folder / FILE_LIST).exists() or not any(folder.iterdir()))):

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Clock domains and asynchronous resets of the asynchronous view, as Yosys finds them, and the constraints that go with them.
+"""Clock domains and asynchronous resets of the asynchronous view, as Yosys finds them, with their constraints.
 
-The netlist of a module with its macros as black boxes is what the report reads; nothing is said that is not in it. Latches are refused.
-OpenSTA reads the constraints and must have nothing to complain of: every object found, every flop clocked.
+The report is made only from the netlist of a module, with its macros as black boxes. Latches are refused. OpenSTA reads
+the constraints and must report no problem: every object is found, and every flop has a clock.
 """
 
 import json
@@ -31,7 +31,7 @@ LATCH = re.compile(r"\$_?(dlatch|adlatch|sr)")
 
 @frozen
 class Domain:
-    """Flops of one kind of clock. clock: its net, `*` for numbers; reset: net of an asynchronous reset, or ''."""
+    """Flops of one kind of clock. clock: its net, with `*` for numbers; reset: net of an asynchronous reset, or ''."""
 
     clock: str
     falling: bool
@@ -45,12 +45,12 @@ def _module(sensor: Sensor, view: Asynchronous) -> SensorModule:
 
 
 def top(sensor: Sensor) -> str:
-    """Name of the module that the report reads."""
+    """Return the name of the module that the report reads."""
     return _module(sensor, Asynchronous()).unit_name
 
 
 def netlist(sensor: Sensor, circuit: Circuit, folder: Path) -> dict[str, Any]:
-    """The flattened netlist of a module as Yosys writes it: cells generic, macros black boxes."""
+    """Return the flattened netlist of a module from Yosys: generic cells, and macros as black boxes."""
     view = Asynchronous(circuit)
     module = _module(sensor, view)
     files = units_files([module]) | {path.name: path.read_text() for path in (*view.cells, MACROS)}
@@ -66,7 +66,7 @@ def netlist(sensor: Sensor, circuit: Circuit, folder: Path) -> dict[str, Any]:
 
 
 def mapped(folder: Path, top: str) -> dict[str, int]:
-    """Standard cells and macros that the files of `netlist` in `folder` become: type -> number. Leaves the netlist, hierarchy kept."""
+    """Map the files of `netlist` in `folder`; return type -> number of cells and macros. The netlist keeps its hierarchy."""
     put_cells(folder)
     files = " ".join(sorted(path.name for path in folder.glob("*.v") if path.name not in (MAPPED, TIMED)))
     run_yosys(
@@ -87,12 +87,12 @@ def mapped(folder: Path, top: str) -> dict[str, int]:
 
 
 def timing(folder: Path, top: str, sdc: str) -> tuple[list[str], list[tuple[str, str, float, float]]]:
-    """What OpenSTA has to complain of in the constraints `sdc` on what `mapped` left, and the longest paths between clocks.
+    """Return OpenSTA's complaints about the constraints `sdc` on the netlist of `mapped`, and the longest paths.
 
-    Paths: (from clock, to clock, ns required, ns taken), without wires. Macros and the OR tree's gates are black boxes.
+    Paths: (from clock, to clock, ns required, ns taken), without wires. Macros and gates of the OR tree are black boxes.
     """
     text = (folder / MAPPED).read_text()
-    text = re.sub(r"#\(\n(?:    \..*\n)*  \) ", "", text)  # OpenSTA knows no parameters
+    text = re.sub(r"#\(\n(?:    \..*\n)*  \) ", "", text)  # OpenSTA does not know parameters
     text = re.sub(r"^module \S*coincid_or2.*?^endmodule\n", "", text, flags=re.MULTILINE | re.DOTALL)
     (folder / TIMED).write_text(text)
     pairs = [(a, b) for a in CLOCKS for b in CLOCKS]
@@ -120,12 +120,12 @@ def timing(folder: Path, top: str, sdc: str) -> tuple[list[str], list[tuple[str,
 
 
 def latches(module: dict[str, Any]) -> list[str]:
-    """Names of the latches in a netlist: there must be none, as the macros hold all that are meant."""
+    """Return the latches in a netlist. There must be none, because all intended ones are inside macros."""
     return sorted(name for name, cell in module["cells"].items() if LATCH.match(cell["type"]))
 
 
 def domains(module: dict[str, Any]) -> list[Domain]:
-    """The flops of a netlist by clock and asynchronous reset."""
+    """Return the flops of a netlist by clock and asynchronous reset."""
     names: dict[int, str] = {}
     for name, net in sorted(
         module["netnames"].items(), key=lambda item: (item[1].get("hide_name", 0), len(item[0]), item[0])
@@ -165,12 +165,12 @@ def domains(module: dict[str, Any]) -> list[Domain]:
 
 
 def general(name: str) -> str:
-    """A net's name without its instance's numbers."""
+    """Return a net's name without the numbers of its instance."""
     return re.sub(r"\d+", "*", re.sub(r"\$\d+", "", name))
 
 
 def report(sensor: Sensor, circuit: Circuit, module: dict[str, Any], paths: list[tuple[str, str, float, float]]) -> str:
-    """The report, Markdown. paths: of `timing`."""
+    """Return the report as Markdown. paths: from `timing`."""
     macros = Counter(cell["type"].split("$paramod")[-1].strip("\\").split("\\")[0] for cell in module["cells"].values())
     lines = [
         "# Clock domains and asynchronous resets of the asynchronous view",
@@ -200,13 +200,15 @@ def report(sensor: Sensor, circuit: Circuit, module: dict[str, Any], paths: list
 
 
 def module_constraints(sensor: Sensor, circuit: Circuit) -> str:
-    """SDC of the module that the report reads."""
+    """Return the SDC of the module that the report reads."""
     return f"create_clock -name {SYSTEM} -period {circuit.clock_fs / FS_PER_NS:g} [get_ports {SYSTEM}]\n{constraints(sensor, circuit, 'words_*')}"
 
 
 def write(sensor: Sensor, circuit: Circuit, folder: Path) -> list[Path]:
-    """Writes netlists, report and constraints of a sensor to `folder`; raises `ValueError` where a netlist has a latch, or the timing tool
-    complains of the constraints."""
+    """Write netlists, report and constraints of a sensor to `folder`.
+
+    Raises `ValueError` if a netlist has a latch, or if the timing tool complains about the constraints.
+    """
     module = netlist(sensor, circuit, folder)
     sdc = folder / "coincid_async.sdc"
     sdc.write_text(module_constraints(sensor, circuit))

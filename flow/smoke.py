@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Smoke test that ships with the Verilog: plain Verilog, no Python, prints PASS or FAIL.
+"""Smoke test that is shipped with the Verilog: plain Verilog without Python, which prints PASS or FAIL.
 
-It programs registers over AXI4-Lite, plays the edges of a frame and compares every word of the streams and the counters
-with what the golden model said at export. The bench stands in `smoke_*.v` and `smoke_bench.vh`; what depends on the sensor (its ports, edges
-and expected words, as tables) is written here and takes the place of their `include` lines.
+It programs registers over AXI4-Lite, plays the edges of a frame, and compares every word of the streams and the counters
+with the golden model's at the time of the export. The bench is in `smoke_*.v` and `smoke_bench.vh`. The parts that
+depend on the sensor (its ports, edges and expected words, as tables) are made here and replace the `include` lines.
 """
 
 import re
@@ -26,20 +26,20 @@ from ..tb.stimulus import line_toggles
 
 SMOKE, FPGA_SMOKE = "coincid_smoke", "coincid_fpga_smoke"
 PULSES = 4
-EDGES = 160  # of the frame, spread by a multiplicative sequence; and a burst of neighbours a pulse
+EDGES = 160  # in the frame, spread by a multiplicative sequence; in addition, a burst of neighbours per pulse
 SPREAD = 2_654_435_761  # Knuth's multiplier
 FOLDER = Path(__file__).parent
 BENCH = FOLDER / "smoke_bench.vh"
 WORDS, LINES, LEVELS = (
     FOLDER / f"smoke_{light}.v" for light in ("words", "lines", "levels")
-)  # what the light is at the ports
-STALL_CYCLES, STALL_EVERY = 300, 4  # in these cycles `tready` is low every fourth
-ADDRESSES = ("period", "status", "control")  # of the registers that the story names
+)  # name of the light at the ports
+STALL_CYCLES, STALL_EVERY = 300, 4  # in these cycles, `tready` is low every fourth cycle
+ADDRESSES = ("period", "status", "control")  # registers that the bench uses by name
 BITS = {"bad_value": "status", "done": "status", "start": "control"}
 
 
 def smoke_config(sensor: Sensor) -> Config:
-    """A short frame with everything on. Settings that need not differ from the reset values do not: less to program."""
+    """Return a short frame with everything on. Most settings keep their reset values: less to program."""
     played = _played(sensor)
     first_gate = {"gating": True, "gate_start": 3, "gate_len": sensor.guard + 8}
     reset = {name: registers.BY_NAME[name].reset(sensor) for name in ("threshold", "window", "gate_start", "gate_len")}
@@ -63,7 +63,7 @@ def smoke_config(sensor: Sensor) -> Config:
 
 
 def smoke_edges(config: Config) -> Edges:
-    """Edges on a few subgroups: a burst of four pixels within a tick or two at each pulse, and single ones. No pixel twice in a pulse."""
+    """Return a burst of four pixels within two ticks in each pulse, and single edges; no pixel fires twice per pulse."""
     sensor = config.sensor
     table = pixel_table(sensor)
     pixels = np.concatenate([np.flatnonzero(table.subgroup == s) for s in _played(sensor)])
@@ -81,12 +81,12 @@ def smoke_edges(config: Config) -> Edges:
 
 
 def _played(sensor: Sensor) -> list[int]:
-    """First, middle and last subgroup."""
+    """Return the first, middle and last subgroup."""
     return sorted({0, sensor.subgroups // 2, sensor.subgroups - 1})
 
 
 def smoke_test(sensor: Sensor, levels: bool = False, view: View = POLYPHASE) -> str:
-    """The test bench of the sensor; with `levels` that of the top for FPGAs, which gets SPAD levels in real time. view: of `views.py`."""
+    """Return the test bench of the sensor. levels: of the top for FPGAs, with SPAD levels in real time."""
     config = smoke_config(sensor)
     edges = smoke_edges(config)
     ready = np.arange(STALL_CYCLES) % STALL_EVERY != 0
@@ -109,7 +109,7 @@ def smoke_test(sensor: Sensor, levels: bool = False, view: View = POLYPHASE) -> 
 
 
 def _instance(sensor: Sensor, levels: bool, view: View) -> str:
-    """The sensor, its ports wired to the bench's signals; ports of SPADs that are not played are dark."""
+    """Return the instance of the sensor with the bench's signals; the SPAD ports of unused subgroups are dark."""
     played = _played(sensor)
     lit = {
         f"{'line' if levels else 'spad'}_{s}": f"spad[{played.index(s)}]" if s in played else "{LINES{1'b0}}"
@@ -125,7 +125,7 @@ def _instance(sensor: Sensor, levels: bool, view: View) -> str:
 
 
 def _sizes(sensor: Sensor, levels: bool, view: View) -> str:
-    """Numbers that the benches are written in."""
+    """Return the numbers that the benches use."""
     by_words = isinstance(view, Polyphase) and not levels
     sizes = {
         "STREAMS": sensor.streams,
@@ -143,7 +143,7 @@ def _sizes(sensor: Sensor, levels: bool, view: View) -> str:
 
 
 def _registers(config: Config, trace: Trace) -> str:
-    """Addresses and bits that the story names; what constants and counters must read, and the settings to write, with their addresses."""
+    """Return addresses and bits, expected values of constants and counters, and the settings to write."""
     sensor, by_name = config.sensor, registers.BY_NAME
     reset = registers.reset_values(sensor)
     lines = [f"  localparam [19:0] {name.upper()} = 20'h{registers.address(name):05x};" for name in ADDRESSES]
@@ -163,20 +163,20 @@ def _registers(config: Config, trace: Trace) -> str:
 
 
 def _word(row: tuple[int, int, str]) -> str:
-    """Address, value and name of a register as an entry of a table."""
+    """Return address, value and name of a register as an entry of a table."""
     address, value, name = row
     return f"{{20'h{address:05x}, 32'd{value}}};{'  // ' * bool(name)}{name}"
 
 
 def _beats(trace: Trace) -> str:
-    """The words of all streams, one after the other, and where those of each begin."""
+    """Return the words of all streams, one stream after the other, and the first word of each."""
     first = np.cumsum([0, *map(len, trace.beats)])
     beats = (f"64'h{int(beat):016x};" for stream in trace.beats for beat in stream)
     return _table("first", "integer", _numbers(first)) + _table("expected", "reg [63:0]", beats)
 
 
 def _flips(sensor: Sensor, time: np.ndarray, subgroup: np.ndarray, line: np.ndarray) -> str:
-    """Changes of the ports' lines in time order: when, at which of the played ports, which line."""
+    """Return the changes of the ports' lines in the order of time: time, number of the port, line."""
     port = np.searchsorted(_played(sensor), subgroup)
     order = np.lexsort((line, port, time))
     return (
@@ -191,21 +191,23 @@ def _numbers(values: np.ndarray) -> Iterable[str]:
 
 
 def _table(name: str, kind: str, entries: Iterable[str], count: str = "") -> str:
-    """A table with its contents, each with its semicolon; `count` names their number."""
+    """Return a table with its contents, each with its semicolon; `count` names their number."""
     filled = [f"    {name}[{k}] = {entry}" for k, entry in enumerate(entries)]
     counted = [f"  localparam {count} = {len(filled)};"] * bool(count)
     return "\n".join([*counted, f"  {kind} {name} [0:{len(filled) - 1}];", "  initial begin", *filled, "  end", ""])
 
 
 def _word_flips(config: Config, edges: Edges) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(cycle, subgroup, bit of its port's word): a bit is high in the cycle of its edge."""
+    """Return (cycle, subgroup, bit of its port's word): a bit is high in the cycle of its edge."""
     cycle, subgroup, bit = port_bits(config, edges)
     return np.concatenate([cycle, cycle + 1]), np.tile(subgroup, 2), np.tile(bit, 2)
 
 
 def _level_flips(config: Config, edges: Edges) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(tick, subgroup, line): a SPAD's level rises in its edge's tick, as much earlier as the deserialiser is late, and falls before the
-    period's end."""
+    """Return (tick, subgroup, line): a SPAD's level rises in the tick of its edge and falls before the period ends.
+
+    It rises earlier by the delay of the deserialiser.
+    """
     table, phases = pixel_table(config.sensor), config.sensor.phases
     start = config.start_cycles() * phases
     rise = start[edges.pulse] + edges.tick - deserialiser.CYCLES * phases

@@ -134,7 +134,7 @@
     whole = complete == STREAMS;
   end
 
-  // Light: at `flip_time` (in a unit of its own) the line `flip_line` of port `flip_port` changes.
+  // Light: at `flip_time` (its unit depends on the bench), the line `flip_line` of port `flip_port` changes.
   reg [LINES-1:0] spad [0:PORTS-1];
   integer next = 0;
   integer port;
@@ -148,7 +148,7 @@
     end
   endtask
 
-  // The story.
+  // The test itself.
   integer k;
 
   initial begin

@@ -10,7 +10,7 @@ module coincid_smoke;
 
   always #(HALF_PS) clk = !clk;
 
-  // Lines rise at their own time: `flip_time` counts femtoseconds from the beginning of cycle 0, which is known in its middle.
+  // Lines rise at their own times: `flip_time` counts femtoseconds from the start of cycle 0, which is known in its middle.
   realtime begun_ps;
 
   initial begin

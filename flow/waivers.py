@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What Verilator's lint reports about generated Verilog and may: each waiver with its reason, as a control file. All else is an error."""
+"""Warnings of Verilator's lint that generated Verilog may cause, each with its reason, as a control file."""
 
 from ..hdl.views import View
 
@@ -47,7 +47,7 @@ WAIVERS = (  # (rule, files, message, reason)
     ),
 )
 
-OF_CELLS = (  # more, where a view has cells and macros
+OF_CELLS = (  # additional ones for a view with cells and macros
     ("DECLFILENAME", "*async_*.v", "*", "cells and macros of the asynchronous view stand together"),
     ("UNDRIVEN", "*async_macros.v", "*", "a black box drives nothing"),
     ("UNUSEDPARAM", "*async_*.v", "*", "delays and errors of cells and macros are for simulation"),
@@ -55,7 +55,7 @@ OF_CELLS = (  # more, where a view has cells and macros
 
 
 def control_file(view: View) -> str:
-    """The waivers of a view of `views.py` in Verilator's language."""
+    """Return the waivers of a view from `views.py` in Verilator's language."""
     lines = ["`verilator_config"]
     for rule, files, message, reason in WAIVERS + (OF_CELLS if view.macros else ()):
         lines += [f"// {reason}", f'lint_off -rule {rule} -file "{files}" -match "{message}"']

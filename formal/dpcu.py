@@ -11,21 +11,21 @@ from ..model.contract.registers import AUTO_BOUNDS, COUNTER_BITS, COUNTER_NAMES,
 from .bench import Bench, proof
 from .sensors import SMALL
 
-FULL = (1 << COUNTER_BITS) - 1  # counters saturate: photons here,
-FULL_OF_CYCLES = (1 << counter_bits("opened", SMALL)) - 1  # and what counts a frame's cycles here
+FULL = (1 << COUNTER_BITS) - 1  # saturated counter of photons,
+FULL_OF_CYCLES = (1 << counter_bits("opened", SMALL)) - 1  # and of cycles in a frame
 
 
-BUDGETS = 3  # on the bus: of the stream before, of the subgroup's, of the one behind
+BUDGETS = 3  # on the bus: for the previous stream, for the subgroup's own, for the next one
 WORDS = BUDGETS + AUTO_BOUNDS
 
 
 def _reached(bounds, opened):
-    """How many bounds the opened windows reach."""
+    """Return the number of bounds that the opened windows reach."""
     return sum((bound <= opened for bound in bounds), start=0)
 
 
 def _least(*values):
-    """The lowest value."""
+    """Return the lowest value."""
     least, *others = values
     for other in others:
         least = Mux(other < least, other, least)
@@ -34,7 +34,7 @@ def _least(*values):
 
 @proof(depth=4, cover=28)
 def dpcu(b: Bench):
-    """Windows are committed exactly where the count meets the threshold; counters balance; the controller goes a step within its limits."""
+    """Windows are committed if and only if they meet the threshold; counters balance; the controller moves one step in its limits."""
     sensor, m = SMALL, b.m
     unit = Dpcu(sensor)
     settings, operation, data = Signal(bus.settings_layout(sensor)), Signal(bus.Operation), Signal(DATA_BITS)
@@ -52,14 +52,14 @@ def dpcu(b: Bench):
         closed=closed,
         window=window,
         stored=stored & b.past(unit.commit),
-        dropped=~stored & b.past(unit.commit),  # as proven of the FIFO
+        dropped=~stored & b.past(unit.commit),  # as proven for the FIFO
     )
     count = {name: unit.counters.word_select(i, COUNTER_BITS) for i, name in enumerate(COUNTER_NAMES)}
 
-    # The bus says TAKE, then names budgets and bounds, then BEGIN with the floor, between frames: when nothing is on its way.
+    # Between frames, when nothing is on its way, the bus says TAKE, then names budgets and bounds, then BEGIN with the floor.
     budget, bounds = b.constant(DATA_BITS), [b.constant(DATA_BITS) for _ in range(AUTO_BOUNDS)]
     floor = b.constant(range(THRESHOLD_MAX + 1))
-    step = Signal(range(WORDS + 2))  # 0: idle or TAKE; then the words; the last: BEGIN
+    step = Signal(range(WORDS + 2))  # 0: idle or TAKE; then the words; the last one: BEGIN
     take, begin = b.same("take", b.anything(1) & (step == 0)), b.same("begin", step == WORDS + 1)
     m.d.sync += step.eq(Mux(begin, 0, step + ((step != 0) | take)))
     m.d.comb += data.eq(b.anything(DATA_BITS))
@@ -85,9 +85,9 @@ def dpcu(b: Bench):
     b.assume(~closed, where=b.past(starting) | b.past(starting, 2) | b.past(starting, 3))
     b.assume_stable(settings.as_value(), where=~b.past(take))
     b.assume((settings.threshold != 0) & (settings.threshold <= sensor.pixels) & (settings.window != 0))
-    b.assume((window.count != 0) & (window.count <= sensor.pixels))  # as proven of the tree
+    b.assume((window.count != 0) & (window.count <= sensor.pixels))  # as proven for the tree
 
-    # The judgement.
+    # The comparison with the threshold.
     threshold = Mux(settings.coincidence, count["threshold_used"], 1)
     in_frame = b.same("in_frame", ~starting & ~b.past(starting) & ~b.past(starting, 2))
     b.always(unit.commit == b.past(closed & (window.count >= threshold)), where=b.past(in_frame))
@@ -96,7 +96,7 @@ def dpcu(b: Bench):
     b.always(body.threshold == threshold, where=in_frame & b.past(1, 3))
     b.always(body.lower_threshold + 1 == threshold, where=in_frame & begun)
 
-    # The balance. A commit is stored or dropped a cycle later.
+    # The balance of the counters. A commit is stored or dropped one cycle later.
     under = b.same("under", count["opened"] != FULL_OF_CYCLES)
     b.always(count["opened"] == count["committed"] + count["rejected"], where=under)
     b.always(count["committed"] == count["stored"] + count["dropped"] + b.past(unit.commit), where=under)
@@ -109,7 +109,7 @@ def dpcu(b: Bench):
             where=b.past(1),
         )
 
-    # The threshold: of the programmed one in the first frame under the controller, then from the last frame's.
+    # The threshold: one step from the programmed one in the first controlled frame, later from the previous frame's.
     now, before = settings.auto & settings.coincidence, Signal()
     with m.If(take):
         m.d.sync += before.eq(now)
@@ -137,14 +137,14 @@ def dpcu(b: Bench):
 
 @proof(depth=3, cover=8)
 def subgroup_settings(b: Bench):
-    """Settings change only at a TAKE, all at once; only a write to this subgroup programs them; others' reads give 0."""
+    """Settings change only at a TAKE, all at once. Only writes to this subgroup program them; reads of others give 0."""
     sensor, m = SMALL, b.m
     unit = SubgroupSettings(sensor)
     command, number = Signal(bus.CONFIG_BUS), b.constant(bus.SUBGROUP_BITS)
     m.d.comb += command.as_value().eq(b.anything(command.shape().size))
     write = command.operation == bus.Operation.WRITE
     b.assume(command.parity == command.data.xor(), where=write)
-    for offset, register, _ in registers.words(registers.SUBGROUP, sensor):  # as proven of the register front
+    for offset, register, _ in registers.words(registers.SUBGROUP, sensor):  # as proven for the register front
         b.assume(command.data <= register.high(sensor), where=write & (command.word == offset // 4))
     body = b.place("dut", unit, command=command, subgroup=number)
     b.always(~unit.upset)

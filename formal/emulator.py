@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Proofs of the emulator: frames on the serial line, the frame buffer, and the photon source.
 
-The check of a frame is the library's CRC, which these proofs take as any function of the bytes. The buffer's depth is a parameter of counters
-only. Pixels of a source do not know of each other, so what holds for one, whichever, holds for all.
+These proofs replace the CRC of a frame, which is the library's, by an arbitrary function of the bytes. The buffer's depth
+is only a parameter of counters. The pixels of a source are independent, so a proof for an arbitrary one holds for all.
 """
 
 from amaranth.hdl import Const, Mux, Signal
@@ -20,7 +20,7 @@ EMULATOR = Emulator(sensor=SMALL, buffer_beats=64)
 
 @proof(depth=2, cover=16)
 def deframer(b: Bench) -> None:
-    """A body is right only where its CRC is, no byte of it was broken, and it fits the memory; nothing is written beyond."""
+    """A body is right only if its CRC is, no byte is broken, and it fits the memory; nothing is written beyond."""
     m, unit = b.m, Deframer()
     valid, byte, broken, hold = Signal(), Signal(8), Signal(), Signal()
     m.d.comb += [signal.eq(b.anything(len(signal))) for signal in (valid, byte, broken, hold)]
@@ -51,7 +51,7 @@ def deframer(b: Bench) -> None:
 
 @proof(depth=2, cover=14)
 def framer(b: Bench) -> None:
-    """A flag stands at a frame's ends and nowhere in it, an escape before what it is for; what is offered stays until it is taken."""
+    """Flags are only at a frame's ends, escapes only where needed; an offered byte stays until it is taken."""
     m, unit = b.m, Framer()
     valid, byte, last, ready = Signal(), Signal(8), Signal(), Signal()
     m.d.comb += [signal.eq(b.anything(len(signal))) for signal in (valid, byte, last, ready)]
@@ -62,7 +62,7 @@ def framer(b: Bench) -> None:
     gone = b.same("gone", unit.out_valid & ready)
     b.always((unit.out_byte == FLAG) == ends, where=unit.out_valid)
     b.always(gone & ~ends, where=unit.ready)
-    escape = Signal()  # the byte before was an escape
+    escape = Signal()  # the previous byte was an escape
     with m.If(gone):
         m.d.sync += escape.eq(~ends & (unit.out_byte == ESCAPE))
     b.always(escape == body.escaped, where=body.machine.ongoing("body") | body.machine.ongoing("tail"))
@@ -75,7 +75,7 @@ def framer(b: Bench) -> None:
 
 @proof(depth=2, cover=8)
 def frame_buffer(b: Bench) -> None:
-    """The sensor waits only while the buffer is full; the beats that are not taken lie in a row, and none of them is written over."""
+    """The sensor waits only while the buffer is full; waiting beats are contiguous, and none is overwritten."""
     m, unit = b.m, FrameBuffer(EMULATOR)
     take, amount, comes = Signal(), Signal.like(unit.amount), Signal()
     m.d.comb += [signal.eq(b.anything(len(signal))) for signal in (take, amount, comes)]
@@ -94,7 +94,7 @@ def frame_buffer(b: Bench) -> None:
 
 @proof(depth=4, cover=10)
 def photon_source(b: Bench) -> None:
-    """A pixel has at most one edge per cycle, none while it is dead, and none outside the periods."""
+    """A pixel has at most one edge per cycle, none during its dead time, and none outside the periods."""
     m, unit = b.m, PhotonSource(EMULATOR)
     common, timing = Signal.like(unit.common.as_value()), Signal.like(unit.timing.as_value())
     m.d.comb += [common.eq(b.constant(len(common))), timing.eq(b.anything(len(timing)))]
@@ -105,7 +105,7 @@ def photon_source(b: Bench) -> None:
     word = b.same("word", words[:phases])
     b.always((word & (word - 1)) == 0)
     b.always(b.past(timing[0], 3), where=word != 0)  # the sequencer's `running`
-    left = Signal.like(dead)  # cycles in which the pixel is still dead
+    left = Signal.like(dead)  # cycles of dead time left
     with m.If(word != 0):
         m.d.sync += left.eq(dead)
     with m.Elif(left != 0):

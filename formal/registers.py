@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Proof of the register front: AXI4-Lite towards any master, one that breaks the rules included."""
+"""Proof of the register front: AXI4-Lite towards any master, even one that breaks the rules."""
 
 from amaranth.hdl import Cat, Mux, ResetSignal, Signal
 
@@ -14,13 +14,13 @@ from .sensors import SMALL
 SENT = SMALL.streams + AUTO_BOUNDS  # words for the thresholds: budgets and bounds
 WRITE_MAX = (
     1 + (READ_CYCLES + 2) + 3 + CHECK_CYCLES + SENT + 2
-)  # a read under way, decode, checks, words for the thresholds
-READ_MAX = (CHECK_CYCLES + 2) + SENT + 1 + (READ_CYCLES + 2)  # a write under way, the longest, first
+)  # after a read in progress: decode, checks, words for the thresholds
+READ_MAX = (CHECK_CYCLES + 2) + SENT + 1 + (READ_CYCLES + 2)  # after a write in progress, which may be the longest
 
 
 @proof(depth=3, cover=20)
 def register_front(b: Bench):
-    """AXI4-Lite with any master: one answer each, in bounded time; a refusal changes nothing; a running frame's settings stay."""
+    """AXI4-Lite with any master: one answer each, in bounded time; a refusal changes nothing; a frame's settings stay."""
     sensor, m = SMALL, b.m
     unit = Registers(sensor)
     axi = unit.s_axi
@@ -31,9 +31,9 @@ def register_front(b: Bench):
     busy = body.flag["busy"]
     b.assume(
         busy & ~state("thresholds") & ~state("begin"), where=done
-    )  # as proven of the sequencer: of a frame that was started
+    )  # as proven for the sequencer: only a frame that was started is done
 
-    # What was taken and not answered yet, counted at the port.
+    # Accesses that were taken and not answered yet, counted at the port.
     address, data, read = Signal(), Signal(), Signal()
     for held, valid, ready, response, accepted in (
         (address, axi.awvalid, axi.awready, axi.bvalid, axi.bready),
@@ -44,7 +44,7 @@ def register_front(b: Bench):
             m.d.sync += held.eq(0)
         with m.Elif(valid & ready):
             m.d.sync += held.eq(1)
-        b.always(ready == ~held)  # what is taken while another waits would be lost
+        b.always(ready == ~held)  # nothing is taken while another waits; it would be lost
     b.always(address & data, where=axi.bvalid)
     b.always(read, where=axi.rvalid)
     b.stable(Cat(axi.bvalid, axi.bresp), where=axi.bvalid & ~axi.bready)
@@ -55,7 +55,7 @@ def register_front(b: Bench):
     for voted in body.voted:
         b.always(voted.agree)
 
-    # The answer comes in time, whatever happens on the other channel.
+    # The answer comes in time, independent of the other channel.
     write_waits, read_waits = Signal(8), Signal(8)
     writing = b.same("writing", address & data & ~axi.bvalid)
     reading = b.same("reading", read & ~axi.rvalid)
@@ -66,7 +66,7 @@ def register_front(b: Bench):
     b.always(write_waits <= WRITE_MAX)
     b.always(read_waits <= READ_MAX)
 
-    # A setting changes only by a write that is answered with OKAY, and is always legal.
+    # A setting only changes by a write that is answered with OKAY, and is always legal.
     granted = axi.bvalid & (axi.bresp == OKAY)
     for (name, _), setting in body.setting.items():
         register = registers.BY_NAME[name]
@@ -82,7 +82,7 @@ def register_front(b: Bench):
     b.always(granted & busy, where=unit.start_frame)
     b.always(unit.start_frame == (operation == bus.Operation.BEGIN))
 
-    # What the table allows, and nothing else, is written and answered with OKAY; a start has its checks before it.
+    # Exactly what the table allows is written and answered with OKAY; a start is checked first.
     in_block = (body.write_address >= registers.SUBGROUP_BASE) & (
         body.write_address < registers.SUBGROUP_BASE + registers.SUBGROUP_STRIDE * sensor.subgroups
     )
@@ -101,7 +101,7 @@ def register_front(b: Bench):
     b.always(granted, where=b.past(state("write") & fits & ~starts))
     b.always(axi.bvalid & (axi.bresp == SLVERR), where=b.past(state("write") & ~fits))
 
-    # A frame's settings are taken when none is running, and stay until it is done.
+    # The settings of a frame are taken while none is running, and stay until it is done.
     in_force = Cat(unit.frame.as_value(), unit.plan.as_value())
     b.stable(in_force, where=busy)
     b.always(~b.past(busy) & busy & ~b.past(done), where=operation == bus.Operation.TAKE)
@@ -116,7 +116,7 @@ def register_front(b: Bench):
     b.always((unit.plan.period > sensor.guard) & (unit.plan.period <= sensor.period_max), where=busy)
     b.always((unit.plan.pulses != 0) & (unit.plan.gate_steps != 0), where=busy)
 
-    # A refusal leaves its mark: a sticky error.
+    # A refusal sets a sticky error bit.
     errors = Cat(flag for name, flag in body.flag.items() if name not in ("busy", "done"))
     b.always(errors.any(), where=axi.bvalid & ~b.past(axi.bvalid) & (axi.bresp == SLVERR))
     b.always(errors.any(), where=axi.rvalid & ~b.past(axi.rvalid) & (axi.rresp == SLVERR) & b.past(read))
@@ -136,7 +136,7 @@ def register_front(b: Bench):
     b.always((body.wait > DECODE_CYCLES) & (body.wait <= CHECK_CYCLES), where=state("check"))
     b.always((body.sent < SENT) & busy, where=state("thresholds"))
     b.always(busy, where=state("begin"))
-    # How far an access has come bounds how long it has been waiting.
+    # The progress of an access bounds the time that it has been waiting.
     before_write = READ_CYCLES + 3
     b.always(write_waits <= body.wait + 1, where=reading & state("read") & address & data & ~axi.bvalid)
     b.always(write_waits <= before_write, where=writing & state("idle"))
@@ -154,7 +154,7 @@ def register_front(b: Bench):
 
 @proof(depth=2, cover=45)
 def register_front_starts(b: Bench):
-    """Starts alone, of which nothing is proven here but that no read is answered: one begins a frame, the next finds the front busy."""
+    """With starts only, no read is answered; one start begins a frame, and the next one finds the front busy."""
     unit = Registers(SMALL)
     body = b.place(
         "dut",

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The sensors that proofs are about: as small as parameters allow, every structure in them twice at least."""
+"""Sensors for the proofs: as small as the parameters allow, but with every structure at least twice."""
 
 from ..model.contract.parameters import Sensor
 

@@ -1,20 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Bitwuzla as a program: the PyPI wheel is a library, yosys-smtbmc wants to talk SMT-LIB with a process.
+"""Bitwuzla as a program: the PyPI wheel is a library, but yosys-smtbmc needs a process that speaks SMT-LIB.
 
-`python -m coincid.formal.solver --lang smt2` reads commands on standard input and answers each at once.
+`python -m coincid.formal.solver --lang smt2` reads commands from standard input and answers each at once.
 """
 
 import re
 import sys
 from collections.abc import Iterable, Iterator
 
-HELP = "usage: bitwuzla --lang smt2"  # yosys-smtbmc looks for the option's name
-TOKEN = re.compile(r"\|[^|]*\||;.*|[()]")
+HELP = "usage: bitwuzla --lang smt2"  # yosys-smtbmc searches it for the option's name
 TOKEN = re.compile(r"\|[^|]*\||;.*|[()]")
 
 
 def commands(lines: Iterable[str]) -> Iterator[str]:
-    """The text's commands: lines until the parentheses outside of |symbols| and comments are balanced."""
+    """Yield the commands in a text: lines until the parentheses outside of |symbols| and comments are balanced."""
     command, depth = [], 0
     for line in lines:
         command.append(line)
@@ -26,7 +25,7 @@ def commands(lines: Iterable[str]) -> Iterator[str]:
 
 
 def main() -> None:
-    """Answers until the input ends, or `(exit)`."""
+    """Answer commands until the input ends, or until `(exit)`."""
     if "--help" in sys.argv:
         print(HELP)
         return
@@ -39,7 +38,7 @@ def main() -> None:
         words = command.split(";")[0].replace("(", " ").replace(")", " ").split()
         if words[:1] == ["exit"]:
             return
-        if words[:1] in (["push"], ["pop"]):  # through the parser, the binding loses count of the levels
+        if words[:1] in (["push"], ["pop"]):  # in the parser, the binding miscounts the levels
             getattr(parser.bitwuzla(), words[0])(int(words[1]) if len(words) > 1 else 1)
         elif words:
             parser.parse(command, False, False)

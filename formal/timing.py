@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Proofs of what keeps time: TDC, gate, sequencer."""
+"""Proofs of the blocks that keep time: TDC, gate, sequencer."""
 
 from amaranth.hdl import Mux, Signal
 
@@ -15,8 +15,8 @@ from .sensors import SMALL
 
 @proof(depth=START_TO_PHASE, cover=12)
 def tdc(b: Bench):
-    """A line's stamp is the first set phase of its own root, the other line's does not matter; the coarse count restarts with the laser."""
-    sensor, m = Sensor(), b.m  # in full size: 32 phases, two lines
+    """A line's stamp is the first set phase of its own root only; the coarse count restarts with the laser."""
+    sensor, m = Sensor(), b.m  # full size: 32 phases, two lines
     unit = Tdc(sensor)
     start, roots = Signal(), [Signal(sensor.phases, name=f"root_{k}") for k in range(2)]
     m.d.comb += [start.eq(b.anything(1)), *(root.eq(b.anything(sensor.phases)) for root in roots)]
@@ -37,7 +37,7 @@ def tdc(b: Bench):
 
 @proof(depth=3, cover=24)
 def gating(b: Bench):
-    """Edges pass exactly where a frame runs and, with gating on, inside [start + shift, start + shift + length); SPADs are on there."""
+    """Edges pass if and only if a frame runs and the gate is open (or off); the SPADs are on in the same cycles."""
     sensor, m = SMALL, b.m
     unit = Gating(sensor)
     timing, settings = Signal(bus.time_layout(sensor)), Signal(bus.settings_layout(sensor))
@@ -45,7 +45,7 @@ def gating(b: Bench):
     body = b.place("dut", unit, timing=timing, settings=settings)
     highest = (1 << sensor.coarse_bits) - 1
 
-    # A frame begins with a period, a period has at most 2^coarse_bits cycles, settings stay, the start checks have been passed.
+    # A frame begins with a period; a period has at most 2^coarse_bits cycles; settings stay and have passed the checks.
     cycle, shift = Signal(sensor.coarse_bits + 1), Signal(sensor.coarse_bits + 1)
     cycle_now = b.same("cycle_now", Mux(timing.start, 0, cycle + 1))
     shift_now = b.same("shift_now", Mux(timing.start, timing.shift, shift))
@@ -63,7 +63,7 @@ def gating(b: Bench):
     b.always(unit.accept == b.past(passes, 3))
     b.always(unit.spad_gate == b.past(inside, 2) | ~b.past(settings.gating), where=b.past(1, 2))
     b.always(~b.past(inside, 2), where=~unit.spad_gate)
-    # Invariants: what is left until the gate opens, and closes.
+    # Invariants: the cycles until the gate opens, and until it closes.
     c, f = b.past(cycle_now), b.past(opens)
     since = b.same("since", Mux(c > f, c - f, 0))
     here = b.past(running) & settings.gating
@@ -77,15 +77,17 @@ def gating(b: Bench):
 
 @proof(depth=6, cover=40)
 def sequencer(b: Bench):
-    """A frame is `pulses` periods of `period` cycles with the dither's waits between, or ends with the one it is aborted in; no window
-    opens in the guard or in a wait."""
+    """A frame has `pulses` periods of `period` cycles with dither waits, or ends with the aborted one; windows obey the guard.
+
+    No window opens in the guard or in a wait.
+    """
     sensor, m = SMALL, b.m
     unit = Sequencer(sensor)
     plan, start, abort, delivered = Signal(bus.plan_layout(sensor)), Signal(), Signal(), Signal()
     m.d.comb += [plan.eq(b.anything(plan.shape().size)), *(s.eq(b.anything(1)) for s in (start, abort, delivered))]
     body = b.place("dut", unit, plan=plan, start_frame=start, abort_frame=abort, delivered=delivered)
 
-    # A start comes when the frame before is done, and the plan, which the start checks have passed, stays.
+    # A start comes only after the previous frame is done. The plan stays, and has passed the start checks.
     busy = Signal()
     m.d.sync += busy.eq(Mux(start, 1, busy & ~unit.done))
     b.assume(~busy, where=start)
@@ -98,7 +100,7 @@ def sequencer(b: Bench):
     )
     b.assume((plan.gate_steps != 0) & (plan.dither_bits <= DITHER_BITS_MAX))
 
-    # The periods as the contract counts them: one cycle behind the sequencer's own counters, as `timing` is.
+    # The periods as the contract counts them, one cycle behind the sequencer's own counters, like `timing`.
     since, period, frame = Signal(sensor.coarse_bits + 1), Signal(bus.PULSE_BITS + 1), Signal()
     over, aborting = Signal(), Signal()
     timing = unit.timing
@@ -146,14 +148,14 @@ def sequencer(b: Bench):
     most = 1 << sensor.coarse_bits
     b.always(timing.shift == Mux(exact > most, most, exact), where=alive)
 
-    # The end: the frame is done once, after all streams have delivered, and the next one has the next number.
+    # The end: the frame is done once, after all streams have delivered, and the next frame has the next number.
     ending = Signal()
     m.d.sync += ending.eq(Mux(over & ~alive, 1, ending & ~unit.done))
     b.always(ending & b.past(delivered, 2), where=unit.done)
     b.always(~alive, where=unit.finish | unit.done)
     b.always(unit.number == (b.past(unit.number) + unit.done)[: bus.PULSE_BITS], where=b.past(1))
 
-    # Invariants: the sequencer's registers are a cycle ahead of what it says.
+    # Invariants: the sequencer's registers are one cycle ahead of its outputs.
     one_frame = body.running | body.start.any() | b.past(start) | body.draining | alive | unit.done | ending
     b.always(busy, where=one_frame & ~unit.done | unit.finish)
     b.always(b.past(body.running) == alive)

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Proofs of the coincID tree, against a specification that goes through a cycle tick by tick as the contract does; of minigroup records.
+"""Proofs of the coincID tree against a specification that follows the contract tick by tick, and of minigroup records.
 
-The subgroup is 4 x 4 pixels of four phases with a window of up to nine ticks: windows end in the cycle they open in, in the next and
-in the one after, at every phase. Larger ones differ in widths only: the window's arithmetic never looks at a pixel, and a pixel's at
-no other.
+The subgroup has 4 x 4 pixels, four phases, and a window of up to nine ticks. So windows end in the cycle in which they
+open, in the next one and in the one after that, at every phase. Larger sensors differ only in widths: the arithmetic of
+the window does not depend on any pixel, and that of a pixel does not depend on other pixels.
 """
 
 from types import SimpleNamespace
@@ -24,10 +24,10 @@ from .sensors import SMALL
 
 @frozen
 class Edges:
-    """Edges that count, as the contract says: of pixels that are on, where the gate lets them through. Those from before a reset are gone.
+    """Edges that count by the contract: from unmasked pixels, and inside the gate. A reset drops all earlier edges.
 
-    raw_1, raw_2: edge words of the pixels that are on, whatever the gate says; stage_1, stage_2, stage_3: of all edges that count, that many
-    cycles behind the port; fresh: stage 2 has seen no reset, nor stage 3 where `fresh_3`.
+    raw_1, raw_2: edge words of the unmasked pixels, independent of the gate; stage_1, stage_2, stage_3: of all edges that
+    count, so many cycles behind the port; fresh: no reset has reached stage 2; fresh_3: none has reached stage 3.
     """
 
     pixels: int
@@ -41,21 +41,21 @@ class Edges:
     fresh_3: Signal
 
     def words(self, stage, pixels=None) -> list[Any]:
-        """Words of some pixels (default: all)."""
+        """Return the words of some pixels (default: all)."""
         chosen = range(self.pixels) if pixels is None else pixels
         return [stage[i * self.phases : (i + 1) * self.phases] for i in chosen]
 
     def at(self, stage, phase: int):
-        """What happens at a phase, a bit a pixel."""
+        """Return the edges at a phase, one bit per pixel."""
         return Cat(word[phase] for word in self.words(stage))
 
     def root(self, stage):
-        """The OR of the words, a bit a phase."""
+        """Return the OR of the words, one bit per phase."""
         return Cat(self.at(stage, k).any() for k in range(self.phases))
 
 
 def _edges(b: Bench, words, mask, accept) -> Edges:
-    """What `words` at the port become; mask: at the port, accept: at stage 1."""
+    """Return the edges that `words` at the port become. mask: at the port, accept: at stage 1."""
     pixels = len(mask)
     phases = len(words) // pixels
     on = Cat(mask[i].replicate(phases) for i in range(pixels))
@@ -69,7 +69,7 @@ def _edges(b: Bench, words, mask, accept) -> Edges:
 
 
 def _first(word):
-    """The phase of a word's first edge; the last phase where there is none."""
+    """Return the phase of a word's first edge; the last phase if there is none."""
     first = len(word) - 1
     for k in reversed(range(len(word))):
         first = Mux(word[k], k, first)
@@ -77,7 +77,7 @@ def _first(word):
 
 
 def _leaf_holds(b: Bench, leaf: SimpleNamespace, edges: Edges, pixels=None) -> None:
-    """Invariants of a minigroup's pipeline: it holds its pixels' first edges, encoded."""
+    """State the invariants of a minigroup's pipeline: it holds the encoded first edges of its pixels."""
     for raw, phases, since in ((edges.raw_1, leaf.phases_1, 1), (edges.raw_2, leaf.phases_2, edges.fresh)):
         for word, phase in zip(edges.words(raw, pixels), phases):
             b.always(phase == _first(word), where=since)
@@ -90,7 +90,7 @@ def _leaf_holds(b: Bench, leaf: SimpleNamespace, edges: Edges, pixels=None) -> N
 
 
 def _place_tree(b: Bench, sensor: Sensor) -> SimpleNamespace:
-    """A tree on a TDC line, with any edges, any mask and gate, and a window of any legal length."""
+    """Place a tree with a TDC line, and any edges, any mask and gate, and a window of any legal length."""
     unit, clock = CoincidenceTree(sensor), Tdc(sensor, 1)
     words, mask, accept = Signal(sensor.pixels * sensor.phases), Signal(sensor.pixels), Signal()
     window_ticks, timing = Signal(sensor.window_bits), Signal(bus.time_layout(sensor))
@@ -117,7 +117,7 @@ def _place_tree(b: Bench, sensor: Sensor) -> SimpleNamespace:
 
 
 def _specification(b: Bench, dut: SimpleNamespace) -> SimpleNamespace:
-    """What the contract says of a cycle of stage 2. Returns its registers, and in `now` what they become."""
+    """Specify a cycle of stage 2 by the contract. Return its registers, and their next values in `now`."""
     sensor, edges = dut.unit.sensor, dut.edges
     spec = SimpleNamespace(
         open=Signal(),
@@ -127,14 +127,16 @@ def _specification(b: Bench, dut: SimpleNamespace) -> SimpleNamespace:
         stamp=Signal(sensor.stamp_bits),
         offsets=[Signal(sensor.offset_bits, name=f"offset_{g}") for g in range(sensor.minigroups)],
         elapsed=Signal(4),  # cycles since the window opened
-        not_armed=Signal(range(sensor.rearm + 2)),  # cycles until it is armed
+        not_armed=Signal(range(sensor.rearm + 2)),  # cycles until the tree is armed
     )
     now = {name: getattr(spec, name) for name in ("open", "left", "hits", "winner", "stamp", "offsets")}
     now |= {"elapsed": spec.elapsed + 1, "live": spec.open, "closed": C(0, 1), "blind": C(0, 1)}
     seen = C(0, sensor.pixels)
     for tick in range(sensor.phases):
         raw = edges.at(edges.stage_2, tick) & edges.fresh.replicate(sensor.pixels)
-        first = b.same(f"edges_at_{tick}", raw & ~seen)  # of several edges of a pixel in a cycle only the first exists
+        first = b.same(
+            f"edges_at_{tick}", raw & ~seen
+        )  # if a pixel has several edges in a cycle, only the first one exists
         seen = b.same(f"seen_{tick}", raw | seen)
         now = _tick(b, dut, now, tick, first, armed=(spec.not_armed == 0))
     for name in ("open", "left", "hits", "winner", "stamp", "elapsed"):
@@ -146,9 +148,10 @@ def _specification(b: Bench, dut: SimpleNamespace) -> SimpleNamespace:
 
 
 def _tick(b: Bench, dut: SimpleNamespace, before: dict[str, Any], tick: int, edges, armed) -> dict[str, Any]:
-    """The window after a tick with `edges` (a bit a pixel), from what it was `before`.
+    """Return the window after a tick with `edges` (one bit per pixel), from the window `before` the tick.
 
-    live: there was a window in this cycle; closed: one has ended in it; blind: an edge has found none and could not open one.
+    live: a window was open in this cycle; closed: a window has ended in it; blind: an edge found no window and could not
+    open one.
     """
     sensor, line = dut.unit.sensor, dut.unit.line
 
@@ -186,7 +189,7 @@ def _tick(b: Bench, dut: SimpleNamespace, before: dict[str, Any], tick: int, edg
 
 
 def _agrees(b: Bench, dut: SimpleNamespace, now: dict[str, Any]) -> None:
-    """The tree says what the contract says, five cycles later; and what follows for whoever reads a window."""
+    """State that the tree agrees with the specification, five cycles later, and that a closed window is consistent."""
     unit, window = dut.unit, dut.unit.window
     b.always(unit.closed == b.past(now["closed"], 5))
     for name, value in {name: now[name] for name in ("stamp", "winner", "hits")}.items():
@@ -201,7 +204,7 @@ def _agrees(b: Bench, dut: SimpleNamespace, now: dict[str, Any]) -> None:
 
 
 def _rearms(b: Bench, dut: SimpleNamespace, spec: SimpleNamespace) -> None:
-    """Self-reset: armed R cycles after the one a window closed in; and where no window may open for a guard, armed at its end."""
+    """State the self-reset: the tree is armed R cycles after the close cycle, and always at the end of a guard."""
     sensor, body = dut.unit.sensor, dut.body
     since_close = Signal(range(sensor.rearm + 2), init=sensor.rearm + 1)
     b.m.d.sync += since_close.eq(Mux(spec.now["closed"], 0, since_close + (since_close != sensor.rearm + 1)))
@@ -211,13 +214,15 @@ def _rearms(b: Bench, dut: SimpleNamespace, spec: SimpleNamespace) -> None:
     b.m.d.sync += guarded.eq(Mux(dut.may_open, 0, guarded + (guarded != sensor.guard)))
     at_rest = ~spec.open & (spec.not_armed == 0) & ~body.window_open & (body.rearm == 0)
     b.always(at_rest, where=guarded == sensor.guard)
-    closes_by = (sensor.window_max - 2) // sensor.phases + 1  # cycles after its opening in which a window is over
+    closes_by = (
+        sensor.window_max - 2
+    ) // sensor.phases + 1  # latest cycle after the opening one in which a window closes
     b.always(spec.left + guarded * sensor.phases <= sensor.window_max - 1, where=spec.open)
     b.always(spec.not_armed + guarded <= sensor.rearm + closes_by + 1, where=spec.not_armed != 0)
 
 
 def _holds(b: Bench, dut: SimpleNamespace, spec: SimpleNamespace) -> None:
-    """Invariants: state against state, then the pipeline."""
+    """State the invariants: specification against registers, then the pipeline."""
     sensor, body, edges, line, now = dut.unit.sensor, dut.body, dut.edges, dut.unit.line, spec.now
     b.always(body.window_open == spec.open)
     b.always((body.left == spec.left) & (spec.left != 0), where=spec.open)
@@ -252,21 +257,21 @@ def _tree(b: Bench, sensor: Sensor) -> None:
 
 @proof(depth=9, cover=20)
 def tree(b):
-    """Tree and TDC line do what the contract says tick by tick: windows, maps, counts, winners, stamps, offsets, re-arming."""
+    """Tree and TDC line obey the contract tick by tick: windows, maps, counts, winners, stamps, offsets, re-arming."""
     _tree(b, SMALL)
 
 
 @proof(depth=9, cover=20)
 def tree_without_gap(b):
-    """The same with R = 0, where a window may open in the cycle after another one closed."""
+    """The tree obeys the contract with R = 0, when a window may open in the cycle after another one closed."""
     _tree(b, evolve(SMALL, rearm=0))
 
 
 @proof(depth=4, cover=20)
 def minigroup_record(b):
-    """A minigroup latches the stamp of a collection's first edge and the map of its pixels if it has enough of them, once a period.
+    """A minigroup with enough pixels latches the first edge's stamp and the map of its collection, once per period.
 
-    The step that it finds for the coarse offset is that of the cycle's first edge; how the tree uses it is the tree's proof.
+    It also finds the step of a cycle's first edge for the coarse offset; the proof of the tree covers how it is used.
     """
     sensor, m = evolve(SMALL, phases=16, offset_phases=8), b.m  # so that ticks, steps and quarters of a cycle differ
     unit = Minigroup(sensor)
@@ -283,7 +288,7 @@ def minigroup_record(b):
     )
 
     edges = _edges(b, words, mask, accept)
-    # A reset closes the guard for longer than edges from before it take to pass.
+    # A reset closes the guard for longer than earlier edges take to pass.
     b.assume(~may_open, where=~edges.fresh_3)
     active = b.same("active_now", Cat(word.any() for word in edges.words(edges.stage_3)))
     b.always(b.last(unit.root) == edges.root(edges.raw_1))
@@ -293,7 +298,7 @@ def minigroup_record(b):
     m.d.sync += guarded.eq(Mux(may_open, 0, guarded + (guarded != 4)))
     b.assume(guarded == 4, where=wrap)
 
-    coarse = b.same("coarse", b.anything(sensor.coarse_bits))  # of stage 3; the minigroup hears it a cycle later
+    coarse = b.same("coarse", b.anything(sensor.coarse_bits))  # at stage 3; the minigroup receives it one cycle later
     m.d.comb += coarse_4.eq(b.last(coarse))
     latched, remaining, seen, stamp = Signal(), Signal(3), Signal(pixels), Signal(sensor.record_stamp_bits)
     latched_now = b.same("latched_now", latched & ~wrap)
@@ -310,7 +315,7 @@ def minigroup_record(b):
     b.always(unit.latched == latched)
     b.always((unit.entry.map == seen) & seen.any(), where=latched)
     b.always(unit.entry.stamp == stamp, where=latched & ~body.started)
-    b.always(~body.started, where=wrap)  # nobody looks at a stamp while it is written
+    b.always(~body.started, where=wrap)  # a stamp is never read while it is written
     b.always(body.left == remaining)
     b.always((body.seen == seen) & ~latched & seen.any(), where=remaining != 0)
     b.always(unit.entry.stamp == stamp, where=(remaining != 0) & ~body.started)

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Host software: what programs the sensor and reads its frames, in simulation and on a board."""
+"""Host software: programs the sensor and reads its frames, in simulation and on a board."""

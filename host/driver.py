@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The driver: registers by name, a configuration, and frames, over any transport."""
+"""Driver of the sensor: registers by name, configurations, and frames, over any transport."""
 
 import time
 from collections.abc import Callable
@@ -20,12 +20,12 @@ from .transport import HostError, RefusedError, Transport, write_block
 
 STATUS = BY_NAME["status"]
 ERRORS = tuple(bits.name for bits in STATUS.bits if bits.clears and bits.name != "done")
-WAIT_SECONDS = 10.0  # for a frame; the longest takes 2^16 periods of 2^13 cycles
+WAIT_SECONDS = 10.0  # per frame; the longest frame takes 2^16 periods of 2^13 cycles
 
 
 @frozen
 class Status:
-    """The sensor's state. errors: names of the sticky error bits that are set."""
+    """State of the sensor. errors: names of the sticky error bits that are set."""
 
     busy: bool
     done: bool
@@ -33,10 +33,10 @@ class Status:
 
 
 class Driver:
-    """A sensor as its software sees it.
+    """A sensor as its software sees it. Raises `HostError` if no sensor with a known register map answers.
 
-    transport: the way to it. sensor: its parameters as built; None: they are read from it. fresh: it comes from reset, so that what its
-    settings hold is known. Raises `HostError` where what answers is no sensor, or has another version of the register map.
+    transport: connection to the sensor. sensor: its parameters as built; None: they are read from it. fresh: the sensor
+    was just reset, so the values of its settings are known.
 
         driver["threshold", 3] = 2  # of subgroup 3; checked against the table before anything is sent
         driver["opened", 3]
@@ -51,24 +51,24 @@ class Driver:
         self._assemblers = [FrameAssembler(self.sensor, k) for k in range(self.sensor.streams)]
 
     def __getitem__(self, key: Key) -> int:
-        """Reads a register. Raises `InputError` where there is none of that name."""
+        """Read a register. Raises `InputError` if there is none of that name."""
         return self.transport.read(find(self.sensor, key).address)
 
     def __setitem__(self, key: Key, value: int) -> None:
-        """Writes a register. Raises `InputError` before anything is sent, or `RefusedError`."""
+        """Write a register. Raises `InputError` before anything is sent, or `RefusedError`."""
         word = find(self.sensor, key)
         self._write(word.address, word.checked(value))
         if word.register.access is Access.SETTING:
             self.programmed.note(word.address, int(value))
 
     def program(self, config: Config) -> int:
-        """Writes those settings of `config` that differ from what is known to be programmed; returns how many words."""
+        """Write the settings of `config` that differ from the known ones, and return the number of words written."""
         if config.sensor != self.sensor:
-            raise InputError(f"sensor: the configuration is of {config.sensor}, the sensor is {self.sensor}")
+            raise InputError(f"sensor: the configuration is for {config.sensor}, the sensor is {self.sensor}")
         return self.write_settings(config.register_writes())
 
     def write_settings(self, writes: list[tuple[int, int]]) -> int:
-        """Writes those of (address, value) that change something; returns how many words."""
+        """Write those of (address, value) that change something, and return the number of words written."""
         pending = self.programmed.pending(writes)
         for address, values in runs(pending):
             try:
@@ -80,26 +80,26 @@ class Driver:
         return len(pending)
 
     def start(self) -> None:
-        """Begins a frame. Raises `RefusedError` with the reasons where the sensor's checks refuse it."""
+        """Begin a frame. Raises `RefusedError` with the reasons if the sensor's checks refuse it."""
         self._write(*registers.control("start"))
 
     def abort(self) -> None:
-        """Makes the running period the frame's last."""
+        """Make the running period the last one of the frame."""
         self._write(*registers.control("abort"))
 
     def status(self) -> Status:
-        """Reads the status; clears nothing."""
+        """Read the status without clearing anything."""
         word = self["status"]
         is_set = {bits.name: bool(word >> bits.lsb & 1) for bits in STATUS.bits}
         return Status(is_set["busy"], is_set["done"], tuple(name for name in ERRORS if is_set[name]))
 
     def clear(self, *names: str) -> None:
-        """Clears sticky bits of the status, by name; without names, all of them."""
+        """Clear sticky bits of the status, by name; without names, all of them."""
         chosen = names or ("done", *ERRORS)
         self.transport.write(registers.address("status"), sum(1 << STATUS.bit(name) for name in chosen))
 
     def finish(self, seconds: float = WAIT_SECONDS, meanwhile: Callable[[], None] = lambda: None) -> None:
-        """Waits until the frame has been delivered, and clears `done`. meanwhile: called between two looks.
+        """Wait until the frame has been delivered, and clear `done`. meanwhile: called between two polls.
 
         Raises `HostError` after `seconds`.
         """
@@ -111,9 +111,9 @@ class Driver:
         self.clear("done")
 
     def receive(self, seconds: float = WAIT_SECONDS) -> list[np.ndarray]:
-        """The next whole frame: beats (uint64) per stream. `model/contract/stream.py` decodes them.
+        """Return the next whole frame: beats (uint64) per stream, for `model/contract/stream.py` to decode.
 
-        Raises `HostError` after `seconds` in which nothing more came, and `StreamError` where what came is no frame.
+        Raises `HostError` after `seconds` without further beats, and `StreamError` if the beats are not a frame.
         """
         end, waiting = time.monotonic() + seconds, list(self._assemblers)
         while waiting := [assembler for assembler in waiting if not assembler.frames]:
@@ -135,7 +135,7 @@ class Driver:
             raise self._explained(error) from None
 
     def _explained(self, error: RefusedError) -> RefusedError:
-        """The refusal with the sticky bits that tell of it, which are cleared."""
+        """Return the refusal with the sticky bits that explain it, which are cleared."""
         reasons = self.status().errors
         if reasons:
             self.clear(*reasons)
@@ -143,7 +143,7 @@ class Driver:
 
 
 def read_sensor(transport: Transport) -> Sensor:
-    """The parameters of the sensor at the other end, from its constants. Raises `HostError` where it is none that this driver knows."""
+    """Return the parameters of the connected sensor. Raises `HostError` if it is not one that this driver knows."""
 
     def constant(name: str) -> int:
         return transport.read(registers.address(name))

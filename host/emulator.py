@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Driver of the emulator: the sensor's driver, the photon source's settings, and frames out of the frame buffer."""
+"""Driver of the emulator: the sensor's driver, settings of the photon sources, and frames from the frame buffer."""
 
 import time
 
@@ -17,9 +17,9 @@ WORDS_PER_BEAT = 2
 
 
 class EmulatorDriver(Driver):
-    """An emulator as its software sees it: a sensor, with the emulator's own registers by name, and light of its own.
+    """An emulator as its software sees it: a sensor with its own light, and further registers by name.
 
-    Raises `HostError` where what answers is no emulator that this driver knows.
+    Raises `HostError` if no emulator answers that this driver knows.
     """
 
     def __init__(self, transport: Transport, sensor: Sensor | None = None):
@@ -35,11 +35,11 @@ class EmulatorDriver(Driver):
         super().__init__(transport, sensor)
 
     def __getitem__(self, key: Key) -> int:
-        """Reads a register, of the sensor or of the emulator's own."""
+        """Read a register of the sensor or of the emulator."""
         return self.transport.read(own_address(key)) if key in OWN_BY_NAME else super().__getitem__(key)
 
     def __setitem__(self, key: Key, value: int) -> None:
-        """Writes a register, of the sensor or of the emulator's own. Raises `InputError` before anything is sent."""
+        """Write a register of the sensor or of the emulator. Raises `InputError` before anything is sent."""
         if not isinstance(key, str) or key not in OWN_BY_NAME:
             super().__setitem__(key, value)
             return
@@ -52,11 +52,11 @@ class EmulatorDriver(Driver):
             self.programmed.note(own_address(key), checked)
 
     def waiting(self) -> np.ndarray:
-        """Takes the beats (uint64) that wait in the frame buffer out of it."""
+        """Remove the waiting beats (uint64) from the frame buffer, and return them."""
         first, level = self._buffer()
         beats = np.zeros(0, np.uint64)
         while level:
-            run = min(level, self.buffer_beats - first)  # up to the ring's end
+            run = min(level, self.buffer_beats - first)  # up to the end of the ring buffer
             words = read_block(self.transport, BUFFER_BASE + 4 * WORDS_PER_BEAT * first, WORDS_PER_BEAT * run)
             beats = np.concatenate([beats, np.array(words, "<u4").view("<u8")])
             self["buffer_take"] = run
@@ -64,12 +64,12 @@ class EmulatorDriver(Driver):
         return beats
 
     def _buffer(self) -> tuple[int, int]:
-        """Place of the first beat that waits, and how many do: of the latter there may be more by now."""
+        """Return address of the first waiting beat, and number of waiting beats; there may be more by now."""
         level = self["buffer_level"]
         return self["buffer_first"], level
 
     def receive(self, seconds: float = WAIT_SECONDS) -> list[np.ndarray]:
-        """The next whole frame: beats (uint64) of the one stream. Raises as `Driver.receive` does."""
+        """Return the next whole frame: beats (uint64) of the one stream. Raises the same errors as `Driver.receive`."""
         (assembler,) = self._assemblers
         end = time.monotonic() + seconds
         while not assembler.frames:
@@ -82,14 +82,14 @@ class EmulatorDriver(Driver):
         return [assembler.frames.pop(0)]
 
     def frame(self, seconds: float = WAIT_SECONDS) -> np.ndarray:
-        """Starts a frame, waits for it and returns its beats (uint64[n])."""
+        """Start a frame, wait for it, and return its beats (uint64[n])."""
         self.start()
         (beats,) = self.receive(seconds)
         self.finish(seconds)
         return beats
 
     def resume(self) -> None:
-        """Brings the emulator to rest after whatever went wrong: ends a frame under way, and drops what waits. Settings are to be programmed anew."""
+        """Recover after an error: end a running frame, and drop all waiting beats. Settings have to be programmed again."""
         self.programmed.forget()
         self._assemblers[0].forget()
         self._assemblers[0].frames.clear()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From beats to whole frames, wherever a transport happens to cut the stream."""
+"""Assembly of beats into whole frames, wherever a transport happens to cut the stream."""
 
 import numpy as np
 
@@ -11,9 +11,9 @@ LENGTHLESS = "not a packet header where one is due"
 
 
 class FrameAssembler:
-    """Cuts a stream into frames by its headers, as no transport keeps `tlast`.
+    """Cuts a stream into frames by its headers, because transports do not carry `tlast`.
 
-    stream: which of the sensor's. frames: whole frames (uint64[n] each) that nobody has taken yet.
+    stream: its number in the sensor. frames: whole frames (uint64[n] each) that have not been taken yet.
     """
 
     def __init__(self, sensor: Sensor, stream: int = 0):
@@ -27,10 +27,10 @@ class FrameAssembler:
             int(Kind.FRAME_END): 1 + parts.counter_beats * len(sensor.stream_subgroups(stream)),
         }
         self._beats = np.zeros(0, np.uint64)
-        self._at = 0  # the next header's place in them
+        self._at = 0  # place of the next header in them
 
     def add(self, beats: np.ndarray) -> None:
-        """Takes beats (uint64[n]) that follow those before. Raises `StreamError` where they cannot be a frame, and forgets them."""
+        """Append beats (uint64[n]) to the stream. If they cannot be a frame, drop them and raise `StreamError`."""
         self._beats = np.concatenate([self._beats, np.asarray(beats, np.uint64)])
         while self._at < len(self._beats):
             kind = int(header_field(self._beats[self._at], "kind"))
@@ -47,5 +47,5 @@ class FrameAssembler:
                 self._beats, self._at = self._beats[self._at :], 0
 
     def forget(self) -> None:
-        """Drops what is not a whole frame yet: the stream begins anew."""
+        """Drop an incomplete frame, because the stream begins anew."""
         self._beats, self._at = np.zeros(0, np.uint64), 0

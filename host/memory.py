@@ -20,13 +20,13 @@ ERROR_BITS = {bits.name: 1 << bits.lsb for bits in STATUS.bits if bits.clears an
 
 
 class MemoryTransport:
-    """Words by plain loads and stores. A context manager.
+    """Transport by plain loads and stores. A context manager.
 
-    path: of the file; base: byte offset of the sensor in it, a multiple of the page size; size: bytes to map.
+    path: of the file; base: byte offset of the sensor in it, a multiple of the page size; size: number of bytes to map.
 
-    A processor's store does not wait for the bus's answer, so a refusal is found in the sensor's sticky status bits, which are read
-    behind each write or run of writes. This transport alone has no stream: `receive` brings nothing. A design with a DMA engine overrides
-    it, and the emulator's buffer is read through its registers (`emulator.py`).
+    A processor's store does not wait for the answer of the bus. So the sensor's sticky status bits are read after each
+    write or run of writes, and they show a refusal. This transport has no stream, and `receive` returns nothing. A
+    design with a DMA engine overrides it; the emulator's buffer is read through its registers (`emulator.py`).
     """
 
     def __init__(self, path: FilePath, base: int = 0, size: int = 1 << ADDRESS_BITS):
@@ -49,15 +49,15 @@ class MemoryTransport:
         self._map.close()
 
     def read(self, address: int) -> int:
-        """The word at `address`."""
+        """Return the word at `address`."""
         return self._words[address // 4]
 
     def write(self, address: int, value: int) -> None:
-        """Makes the word at `address` be `value`. Raises `RefusedError` where the status tells of a refusal."""
+        """Write `value` to `address`. Raises `RefusedError` if the status shows a refusal."""
         self.write_block(address, [value])
 
     def write_block(self, address: int, values: Sequence[int]) -> None:
-        """The same for words from `address` on."""
+        """Write several words from `address` on. Raises the same error."""
         for i, value in enumerate(values):
             self._words[address // 4 + i] = value
         status = self._words[registers.address("status") // 4]
@@ -66,5 +66,5 @@ class MemoryTransport:
             raise RefusedError(f"write of {len(values)} words from {address:#07x} on", reasons)
 
     def receive(self, stream: int) -> np.ndarray:
-        """Nothing: see above."""
+        """Return no beats; see the class."""
         return np.zeros(0, np.uint64)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Registers by name: what `sensor["threshold", 3]` means, by the table of `model/contract/registers.py`."""
+"""Registers by name: finds the word of `sensor["threshold", 3]` in the table of `model/contract/registers.py`."""
 
 from typing import TypeAlias
 
@@ -15,7 +15,7 @@ Key: TypeAlias = str | tuple[str | int, ...]
 
 @frozen
 class Word:
-    """A word of the register map. name: as in messages; low, high: the values that a write accepts."""
+    """A word of the register map. name: as shown in messages; low, high: range that a write accepts."""
 
     name: str
     address: int
@@ -24,7 +24,7 @@ class Word:
     high: int
 
     def checked(self, value: object) -> int:
-        """`value` if the sensor takes it, else an `InputError` that names register and range."""
+        """Return `value` if the sensor accepts it. Raises `InputError` with register and range."""
         if self.register.access not in WRITABLE:
             raise InputError(f"{self.name}: is read-only ({self.register.access.value})")
         number = int(value) if hasattr(value, "__index__") and not isinstance(value, bool) else value
@@ -32,10 +32,10 @@ class Word:
 
 
 def find(sensor: Sensor, key: Key) -> Word:
-    """The word that `key` names: a register's name and, where it has them, the subgroup and the index in its array.
+    """Return the word that `key` names: a register's name and, if it has them, the subgroup and the index in its array.
 
-    `"period"`; `("auto_bounds", 2)`; `("threshold", 3)` of subgroup 3; `("mask", 3, 1)`: word 1 of subgroup 3's mask. An index left
-    out is 0. Raises `InputError` that names what is wrong and the legal range.
+    Examples: `"period"`; `("auto_bounds", 2)`; `("threshold", 3)` of subgroup 3; `("mask", 3, 1)`, word 1 of subgroup
+    3's mask. A missing index is 0. Raises `InputError` with the wrong part and the legal range.
     """
     name, *numbers = key if isinstance(key, tuple) else (key,)
     register = registers.BY_NAME.get(str(name))

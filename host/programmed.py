@@ -1,30 +1,30 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the sensor's registers hold, so that only what changes is written."""
+"""Record of the values in the sensor's registers, so that only changes are written."""
 
 from collections.abc import Iterable, Mapping
 
 
 class Programmed:
-    """Byte address -> value, of the settings that are known. Without transport: whoever writes notes what was written."""
+    """Byte address -> value, for the settings whose values are known. It has no transport; the caller records its writes."""
 
     def __init__(self, known: Mapping[int, int] | None = None):
         self._known = dict(known or {})
 
     def pending(self, writes: Iterable[tuple[int, int]]) -> list[tuple[int, int]]:
-        """Those of `writes` that change something, or may: (address, value), in order."""
+        """Return the (address, value) of `writes` that change something, or may do so, in order."""
         return [(address, value) for address, value in writes if self._known.get(address) != value]
 
     def note(self, address: int, value: int) -> None:
-        """`value` was written to `address`."""
+        """Record that `value` was written to `address`."""
         self._known[address] = value
 
     def forget(self, known: Mapping[int, int] | None = None) -> None:
-        """Nothing is known any more, except what is given: the sensor was reset, or somebody else wrote."""
+        """Forget everything except `known`, because the sensor was reset, or another program has written to it."""
         self._known = dict(known or {})
 
 
 def runs(writes: Iterable[tuple[int, int]]) -> list[tuple[int, list[int]]]:
-    """Writes as runs of consecutive words, in order: (first address, values)."""
+    """Group writes into runs of consecutive words, in order: (first address, values)."""
     found: list[tuple[int, list[int]]] = []
     for address, value in writes:
         if found and address == found[-1][0] + 4 * len(found[-1][1]):

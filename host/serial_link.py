@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Serial transport: the emulator's address space over a serial port. The link's law is `model/contract/serial_link.py`.
+"""Serial transport: access to the emulator's address space; protocol in `model/contract/serial_link.py`.
 
-One request is under way at a time, and it is asked again until it has its right answer: lost, doubled and damaged bytes cost time only.
+There is one request at a time, and it is repeated until its answer arrives. So lost, doubled and damaged bytes only cost
+time.
 """
 
 import time
@@ -34,34 +35,34 @@ BODY_MIN = 2 + CRC_BYTES  # sequence number and status
 
 
 class Port(Protocol):
-    """A line of bytes, as pyserial has it."""
+    """A line of bytes, with pyserial's interface."""
 
     def write(self, data: bytes) -> Any:
-        """Sends all of `data`."""
+        """Send all of `data`."""
 
     def read(self) -> bytes:
-        """What has come, at least a byte unless nothing came for some milliseconds."""
+        """Return the received bytes: at least one, unless nothing arrived for some milliseconds."""
 
     def now(self) -> float:
-        """Seconds on this line's clock."""
+        """Return the time of this line's clock in seconds."""
 
 
 def frame(body: bytes) -> bytes:
-    """A frame around a body: flags, escapes, check."""
+    """Return a frame around a body: flags, escapes, CRC."""
     body += zlib.crc32(body).to_bytes(CRC_BYTES, "little")
     inside = b"".join(bytes([ESCAPE, byte ^ FLIP]) if byte in (FLAG, ESCAPE) else bytes([byte]) for byte in body)
     return bytes([FLAG]) + inside + bytes([FLAG])
 
 
 class Deframer:
-    """Finds bodies in bytes, however these are cut. What is damaged is dropped. dropped: how many frames were."""
+    """Finder of bodies in a stream of bytes that is cut anywhere. dropped: number of damaged frames, which are dropped."""
 
     def __init__(self) -> None:
         self._inside = bytearray()
         self.dropped = 0
 
     def add(self, data: bytes) -> list[bytes]:
-        """The bodies, without their CRC, that `data` completes."""
+        """Return the bodies, without their CRC, that `data` completes."""
         *ended, rest = data.split(bytes([FLAG]))
         found = []
         for part in ended:
@@ -92,11 +93,12 @@ class Deframer:
 
 
 class SerialTransport:
-    """Words over a `Port`.
+    """Transport over a `Port`.
 
-    tries: of a request. patience_s: for an answer to begin, or to go on, on the port's clock. repeats: how often something had to be asked
-    again. Raises `LinkError` where no right answer came in `TRIES` tries, and
-    `DeviceResetError` where the device was reset behind the first request; both are forgotten by the next request, which greets anew.
+    tries: number of attempts per request. patience_s: time to wait for an answer to begin, or to go on, by the port's
+    clock. repeats: number of repeated requests so far. Raises `LinkError` after `tries` attempts without a right answer,
+    and `DeviceResetError` if the device was reset after the first request. In both cases, the next request greets the
+    device again.
     """
 
     def __init__(self, port: Port, tries: int = TRIES, patience_s: float = PATIENCE_S):
@@ -105,20 +107,18 @@ class SerialTransport:
         self._deframer = Deframer()
         self._sequence = 0
         self._greeted, self._used = False, False
-        self._read_words = (
-            READ_WORDS_MAX  # of a request: fewer where the line is bad, as a long answer seldom comes through
-        )
+        self._read_words = READ_WORDS_MAX  # per request; fewer on a bad line, where a long answer seldom arrives intact
 
     def read(self, address: int) -> int:
-        """The word at `address`."""
+        """Return the word at `address`."""
         return self.read_block(address, 1)[0]
 
     def write(self, address: int, value: int) -> None:
-        """Makes the word at `address` be `value`."""
+        """Write `value` to `address`."""
         self.write_block(address, [value])
 
     def read_block(self, address: int, words: int) -> list[int]:
-        """Words from `address` on."""
+        """Return `words` words from `address` on."""
         found: list[int] = []
         while len(found) < words:
             at, count = address + WORD_BYTES * len(found), min(words - len(found), self._read_words)
@@ -135,7 +135,7 @@ class SerialTransport:
         return found[:words]
 
     def write_block(self, address: int, values: Sequence[int]) -> None:
-        """Writes `values` from `address` on."""
+        """Write `values` from `address` on."""
         for begin in range(0, len(values), WRITE_WORDS_MAX):
             part = values[begin : begin + WRITE_WORDS_MAX]
             at = address + WORD_BYTES * begin
@@ -147,11 +147,11 @@ class SerialTransport:
                 raise LinkError(f"write to {at:#08x}: {content!r} of {len(part)} words")
 
     def receive(self, stream: int) -> np.ndarray:
-        """Nothing: the emulator's beats wait in its buffer (`emulator.py`)."""
+        """Return no beats; the emulator's beats wait in its buffer (`emulator.py`)."""
         return np.zeros(0, np.uint64)
 
     def _request(self, operation: Operation, count: int, address: int, data: bytes = b"") -> tuple[Answer, bytes]:
-        """Status and content of the answer, OKAY or REFUSED."""
+        """Return status (OKAY or REFUSED) and content of the answer."""
         if not self._greeted:
             status, _ = self._exchange(Operation.HELLO, 0, 0)
             self._greeted = True
@@ -169,14 +169,14 @@ class SerialTransport:
         return status, content
 
     def _exchange(self, operation: Operation, count: int, address: int, data: bytes = b"") -> tuple[Answer, bytes]:
-        """Asks until the answer to this very request has come."""
+        """Repeat the request until its own answer has arrived."""
         self._sequence = (self._sequence + 1) & 0xFF
         for attempt in range(self.tries):
             if attempt:
                 self.repeats += 1
                 if (
                     operation is Operation.READ
-                ):  # what was asked for before may still come, and has at least as many words
+                ):  # an answer to an earlier try may still arrive, and has at least as many words
                     count = self._read_words = max(1, count // 2)
             head = bytes([self._sequence, operation, count]) + address.to_bytes(ADDRESS_BYTES, "little")
             self.port.write(frame(head + data))
@@ -187,7 +187,7 @@ class SerialTransport:
         raise LinkError(f"no right answer in {self.tries} tries")
 
     def _answer(self) -> bytes | None:
-        """The answer to the present request; None where it does not come."""
+        """Return the answer to the current request, or None if it does not arrive."""
         end = self.port.now() + self.patience_s
         while self.port.now() < end:
             if data := self.port.read():
@@ -199,7 +199,7 @@ class SerialTransport:
 
 
 class SerialPort:
-    """A serial port of this computer, by pyserial. A context manager. Raises `InputError` where it cannot be opened."""
+    """A serial port of this computer, by pyserial. A context manager. Raises `InputError` if it cannot be opened."""
 
     def __init__(self, device: str, baud: int = BAUD):
         with extra("board"):
@@ -217,14 +217,14 @@ class SerialPort:
         self._serial.close()
 
     def write(self, data: bytes) -> None:
-        """Sends all of `data`. Raises `LinkError` where the port is gone."""
+        """Send all of `data`. Raises `LinkError` if the port is gone."""
         try:
             self._serial.write(data)
         except self._errors as error:
             raise LinkError(f"the serial port is gone ({error})") from None
 
     def read(self) -> bytes:
-        """What has come. Raises `LinkError` where the port is gone."""
+        """Return the received bytes. Raises `LinkError` if the port is gone."""
         try:
             return self._serial.read(max(1, self._serial.in_waiting))
         except self._errors as error:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The way to a sensor: reading and writing words, and the errors that this may end with."""
+"""Interface of a connection to a sensor: reading and writing words, and the errors that may occur."""
 
 from collections.abc import Callable, Sequence
 from typing import Protocol
@@ -8,11 +8,11 @@ import numpy as np
 
 
 class HostError(RuntimeError):
-    """Something between this program and the sensor went wrong; the message says what."""
+    """An error between this program and the sensor; the message describes it."""
 
 
 class RefusedError(HostError):
-    """The sensor refused an access (SLVERR). reasons: the sticky bits of `status` that tell why, where they were read."""
+    """The sensor refused an access (SLVERR). reasons: sticky bits of `status` that give the reason, if they were read."""
 
     def __init__(self, message: str, reasons: tuple[str, ...] = ()):
         super().__init__(f"{message}{f' ({chr(44).join(reasons)})' if reasons else ''}")
@@ -20,38 +20,38 @@ class RefusedError(HostError):
 
 
 class LinkError(HostError):
-    """The link gave no right answer, however often it was asked."""
+    """The link gave no right answer, despite all repetitions."""
 
 
 class DeviceResetError(HostError):
-    """The device was reset since it was greeted: what was programmed is lost."""
+    """The device was reset since the connection began, so its settings are lost."""
 
 
 class Transport(Protocol):
-    """Words at byte addresses, and beats. A refused access raises `RefusedError`, and changes nothing from the refused word on.
+    """Words at byte addresses, and beats. A refused access raises `RefusedError`.
 
-    A transport that moves runs of words faster than one by one also has the methods `read_block(address, words)` and
-    `write_block(address, values)`.
+    The refused word, and all words after it, stay unchanged. A transport that moves runs of words faster than single
+    ones also has the methods `read_block(address, words)` and `write_block(address, values)`.
     """
 
     def read(self, address: int) -> int:
-        """The word at `address`."""
+        """Return the word at `address`."""
 
     def write(self, address: int, value: int) -> None:
-        """Makes the word at `address` be `value`."""
+        """Write `value` to `address`."""
 
     def receive(self, stream: int) -> np.ndarray:
-        """Beats (uint64) of a stream that have come since the last call, in order; maybe none. Waits for nothing."""
+        """Return the beats (uint64) of a stream since the last call, in order; there may be none. Does not wait."""
 
 
 def read_block(transport: Transport, address: int, words: int) -> list[int]:
-    """Words from `address` on, by the fastest way that the transport has."""
+    """Return `words` words from `address` on, by the fastest way that the transport has."""
     whole: Callable[[int, int], list[int]] | None = getattr(transport, "read_block", None)
     return whole(address, words) if whole else [transport.read(address + 4 * i) for i in range(words)]
 
 
 def write_block(transport: Transport, address: int, values: Sequence[int]) -> None:
-    """Writes `values` from `address` on, by the fastest way that the transport has."""
+    """Write `values` from `address` on, by the fastest way that the transport has."""
     whole: Callable[[int, Sequence[int]], None] | None = getattr(transport, "write_block", None)
     if whole:
         whole(address, values)

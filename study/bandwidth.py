@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Readout bandwidth: the beats that a frame asks for, the streams that carry them, and what is lost with fewer.
+"""Readout bandwidth: the beats that a frame needs, the streams that carry them, and the losses with fewer streams.
 
-Demand has two sources: `estimate`, closed formulas from the light, and the golden model, which also knows what full
-FIFOs drop. The scene and the sizes are our choice; the paper leaves the readout open.
+The demand comes from two sources: `estimate`, closed formulas from the light, and the golden model, which also knows
+what full FIFOs drop. The scene and the sizes are our choice; the paper leaves the readout open.
 """
 
 import csv
@@ -52,12 +52,12 @@ OVERRUN = tuple(HEADER).index("overrun")
 
 @frozen
 class Row:
-    """A frame of the study. Beats: of all streams in a frame, `_estimated` and `_golden`. needed: streams, by the mean
-    of the estimate, and as the golden model loses nothing (0: not even with the most). Lost: shares, by the golden
-    model.
+    """A frame of the study. Beats are those of all streams in a frame, `_estimated` and by the `_golden` model.
 
-    format: of the events; with `records`, minigroup records too. lost_streams: number of streams of `lost_*`,
-    `overruns` (events that carry the flag) and `late_cycles` (from the last period's end to the frame's last beat).
+    needed: number of streams, by the mean of the estimate, and such that the golden model loses nothing (0: not even
+    with the most streams). Losses are shares, by the golden model. format: of the events; with `records`, minigroup
+    records are on, too. lost_streams: number of streams of `lost_*`, `overruns` (events that carry the flag) and
+    `late_cycles` (from the last period's end to the frame's last beat).
     """
 
     size: str
@@ -77,11 +77,10 @@ class Row:
 
 
 def estimate(config: Config, light: Light, timing: Timing, spad: Spad) -> tuple[np.ndarray, np.ndarray]:
-    """(committed events, minigroup records) of each subgroup in a laser period, float64[subgroups], without any
-    simulation.
+    """Return (committed events, minigroup records) of each subgroup in a laser period, float64[subgroups], by formulas.
 
-    Background opens windows at random; a pulse is seen if it finds the tree armed, or a window open. Surfaces that are
-    nearer to one another than the window count as one; pixels of a group are taken as equal, with its mean.
+    Background opens windows at random. A pulse is detected if it finds the tree armed, or a window open. Surfaces that
+    are closer to each other than the window count as one; pixels of a group are assumed to be equal, with its mean.
     """
     sensor, table = config.sensor, pixel_table(config.sensor)
     n, subgroups, laser_hz = sensor.pixels, sensor.subgroups, 1 / timing.period_s
@@ -134,9 +133,9 @@ def study(
     sizes: Sequence[str] | None = None,
     tell: Callable[[str], None] = lambda line: None,
 ) -> list[Row]:
-    """Rows of all combinations (None: the defaults above), each for 1, 2, 4... streams up to those that suffice.
+    """Return rows for all combinations (None: the defaults above), each for 1, 2, 4... streams up to a sufficient number.
 
-    `tell` gets a line per frame. Raises `InputError`.
+    `tell` is called with one line per frame. Raises `InputError`.
     """
     klux, thresholds, sizes = klux or KLUX, thresholds or THRESHOLDS, sizes or tuple(SIZES)
     for level in klux:
@@ -167,7 +166,7 @@ def study(
 def _with_streams(
     size: str, klux: float, threshold: int, config: Config, edges: Edges, expected: list[np.ndarray]
 ) -> list[Row]:
-    """Rows of one frame: with 1 stream, 2, ... until nothing is lost."""
+    """Return the rows of one frame: with 1 stream, 2, ... until nothing is lost."""
     measured, lost = [], (0.0, 0.0)
     for streams in STREAMS:
         if streams > config.sensor.subgroups:
@@ -218,7 +217,7 @@ def _share(part: np.ndarray, whole: np.ndarray) -> float:
 
 
 def write_study(out_dir: Path, rows: list[Row]) -> list[Path]:
-    """The rows as CSV, a Markdown table of what the sizes ask for and lose, and a plot. Returns the paths."""
+    """Write the rows as CSV, a Markdown table of demand and losses, and a plot. Return the paths."""
     out_dir = Path(out_dir)
     text = io.StringIO()
     names = [field.name for field in fields(Row)]
@@ -234,7 +233,7 @@ def write_study(out_dir: Path, rows: list[Row]) -> list[Path]:
 
 
 def table(rows: list[Row]) -> str:
-    """What each size and format asks for, and what one stream loses, at every background and threshold."""
+    """Return the demand of each size and format, and the losses of one stream, at every background and threshold."""
     head = (
         "size",
         "klux",
@@ -287,7 +286,7 @@ def _cell(value: object) -> str:
 
 
 def _plot(rows: list[Row]) -> Figure:
-    """What one size asks for against the background, and what every size loses against the number of streams."""
+    """Plot the demand of one size against the background, and the losses of all sizes against the number of streams."""
     config, figure = parse_config({}), new_figure(11, 5)
     demand, loss = figure.subplots(1, 2)
     for name, colour in zip(FORMAT_NAMES, SERIES[1::3]):

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How fast model and simulators run on this machine, side by side in one run: a flat JSON file, and a table beside it.
+"""Speed of the model and the simulators on this machine, side by side in one run: a flat JSON file and a table.
 
-A number is the median of several rounds. A round runs every engine once, so that whatever else the machine does meets
-all of them. `KEYS` says what is measured, and how.
+Each number is the median of several rounds. A round runs every engine once, so that other load on the machine affects
+all of them. `KEYS` lists what is measured, and how.
 """
 
 import json
@@ -45,7 +45,7 @@ SIZES = {
     "32x32": {"rows": 32, "cols": 32},
     "256x128": {"rows": 128, "cols": 256, "streams": 8},
 }  # name: keys of [sensor]
-PULSES = {"cocotb-verilator": 40, "cocotb-icarus": 8, "amaranth": 2}  # slow engines get the frame's beginning only
+PULSES = {"cocotb-verilator": 40, "cocotb-icarus": 8, "amaranth": 2}  # slow engines only get the beginning of the frame
 CYCLES_PER_S = "{}_cycles_per_s"
 KIB_PER_MIB = 1024
 
@@ -104,9 +104,9 @@ KEYS = {  # key: (unit, what it is)
 def benchmark(
     out: Path, *, repeats: int = REPEATS, tell: Callable[[str], None] = print
 ) -> dict[str, int | float | str]:
-    """Measures all of `KEYS`, writes them to `out` (JSON) and as a table beside it (.md), and returns them.
+    """Measure all of `KEYS`, write them to `out` (JSON) and to a table beside it (.md), and return them.
 
-    tell: gets a line at every stage. Raises `ToolchainError`, `SimulationError` and `Mismatch`.
+    tell: called with a line at every stage. Raises `ToolchainError`, `SimulationError` and `Mismatch`.
     """
     result: dict[str, Any] = _machine() | {"repeats": repeats}
     job = Job.of("32x32")
@@ -152,7 +152,7 @@ def benchmark(
 
 
 def table(result: dict[str, int | float | str]) -> str:
-    """The result as a Markdown table."""
+    """Return the result as a Markdown table."""
     rows = [f"| `{key}` | {_shown(result[key])} | {unit} | {text} |" for key, (unit, text) in KEYS.items()]
     return "\n".join(["| key | value | unit | |", "| --- | ---: | --- | --- |", *rows, ""])
 
@@ -165,7 +165,7 @@ def _shown(value: int | float | str) -> str:
 
 @frozen(eq=False)
 class Job:
-    """What every engine is given: preset `silicon` at a size, and its light."""
+    """Input of every engine: the preset `silicon` at a size, and its light."""
 
     config: Config
     timing: Timing
@@ -184,7 +184,7 @@ class Job:
 
 
 def _fast_rates(job: Job) -> dict[str, float]:
-    """Rates of the engines that play whole frames."""
+    """Measure the rates of the engines that play whole frames."""
     began = time.perf_counter()
     edges = job.edges()
     photons_s = time.perf_counter() - began
@@ -205,7 +205,7 @@ def _fast_rates(job: Job) -> dict[str, float]:
 
 
 def _rate(job: Job, edges: Edges, engine: str) -> float:
-    """Cycles per second of a slow engine, between the first and the last time that it tells its cycle."""
+    """Measure the cycles per second of a slow engine, between its first and its last progress message."""
     config = job.config.with_frame(pulses=PULSES[engine])
     chosen = edges.pulse < config.pulses
     edges = Edges(edges.pulse[chosen], edges.pixel[chosen], edges.tick[chosen])
@@ -224,10 +224,10 @@ def _rate(job: Job, edges: Edges, engine: str) -> float:
 
 
 def _whole_frames(size: str, repeats: int) -> dict[str, float]:
-    """Medians of frames from photons to depth, and the peak of this process's memory."""
+    """Measure the medians of frames from photons to depth, and the peak memory of this process."""
     job, rounds = Job.of(size), []
     build_library(job.config.sensor)
-    for _ in range(repeats + 1):  # the first loads what is compiled
+    for _ in range(repeats + 1):  # the first frame loads compiled code
         clock = [time.perf_counter()]
         edges = job.edges()
         clock.append(time.perf_counter())
@@ -242,9 +242,7 @@ def _whole_frames(size: str, repeats: int) -> dict[str, float]:
         rounds.append(
             {"photons_s": photons_s, "sensor_s": sensor_s, "depth_s": depth_s, "batch_s": clock[-1] - clock[0]}
         )
-    status = Path(
-        "/proc/self/status"
-    ).read_text()  # unlike getrusage, it knows nothing of the process that started this one
+    status = Path("/proc/self/status").read_text()  # unlike getrusage, it excludes the process that started this one
     peak_kib = int(status.partition("VmHWM:")[2].split()[0])
     return {
         f"frame_{size}_{name}": value
@@ -253,12 +251,12 @@ def _whole_frames(size: str, repeats: int) -> dict[str, float]:
 
 
 def _to_depth_s(name: str, repeats: int) -> float:
-    """Median time of a frame from photons through the golden model to depth."""
+    """Measure the median time of a frame from photons through the golden model to depth."""
     size, form, method = TO_DEPTH[name]
     job, times = Job.of(size), []
     config = job.config.with_frame(format=form)
     golden = Golden(config.sensor)
-    for _ in range(repeats + 1):  # the first loads what is compiled
+    for _ in range(repeats + 1):  # the first frame loads compiled code
         began = time.perf_counter()
         trace = golden.frame(config, job.edges())
         result = ResultBuilder(config)

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""This sensor and its rivals (`rivals.py`) on the same photons: depth, and the bits that it took.
+"""This sensor and its rivals (`rivals.py`) on the same photons: the depth, and the bits that it takes.
 
-What is the same for all: the edges, the macro-pixels, the window and threshold of those that have one, the FIFOs and the
-stream of those that send words, the memory (`MEMORY_BITS`) of those that keep histograms, and the estimator, a matched filter
-on every pixel's histogram. That of planes is shown with those whose words it has a law for.
+All schemes share the edges, the macro-pixels, and the estimator, a matched filter on every pixel's histogram. Schemes with
+a window and threshold use the same ones; those that send words have the same FIFOs and stream; those that keep histograms
+have the same memory (`MEMORY_BITS`). The estimator of planes is also shown for schemes whose words it can model.
 """
 
 import math
@@ -30,15 +30,15 @@ from .measures import stream_beats
 from .settling import SETTLING
 
 THRESHOLD, PULSES, RETURNS = 3, 100, 2
-FRAMES = SETTLING + 1  # the controller settles in the others, the last one counts
+FRAMES = SETTLING + 1  # the controller settles in the others; the last one counts
 ADDER_S = 1e-9  # clock of the adder
 FINE_S = 250e-12  # bins of the count-weighted histogram
-MEMORY_BITS = 32_000  # of a macro-pixel's histogram
-NEAR_BINS = 1  # around the peak of a coarse histogram that its centre is taken from
+MEMORY_BITS = 32_000  # per macro-pixel, for its histogram
+NEAR_BINS = 1  # around the peak of a coarse histogram, from which its centre is computed
 
 
 class Shot(NamedTuple):
-    """Photons for all schemes. edges: of all frames; photons: of the last, by macro-pixel. threshold: of those that have one."""
+    """Photons for all schemes. edges: of all frames; photons: of the last one, by macro-pixel. threshold: where used."""
 
     config: Config
     timing: Timing
@@ -53,7 +53,7 @@ class Shot(NamedTuple):
 
 
 class Found(NamedTuple):
-    """What a scheme made of a shot. depth_m: float64[rows, cols, RETURNS], the most likely first. bits: that left the chip in the frame."""
+    """Result of a scheme. depth_m: float64[rows, cols, RETURNS], the likeliest first. bits: sent off the chip per frame."""
 
     depth_m: np.ndarray
     bits: int
@@ -62,7 +62,7 @@ class Found(NamedTuple):
 def shoot(
     light: Light, seed: int, *, threshold: int = THRESHOLD, pulses: int = PULSES, timing: Timing | None = None
 ) -> Shot:
-    """Photons of `light` in `FRAMES` frames of a sensor of its size, silicon preset otherwise."""
+    """Return photons of `light` in `FRAMES` frames of a sensor of its size; otherwise the silicon preset."""
     config = parse_config(
         {
             "sensor": {"rows": light.rows, "cols": light.cols},
@@ -112,7 +112,7 @@ def _count_weighted(shot: Shot) -> Found:
 
 def _this(shot: Shot, settings: dict[str, Any], method: str = "matched", source: str = "map", **frame: Any) -> Found:
     config, edges = shot.config.with_settings(**settings).with_frame(**frame), shot.edges
-    if not config.auto.any():  # frames do not depend on those before
+    if not config.auto.any():  # then frames do not depend on earlier ones
         config, edges = config.with_frame(frames=1), edges.frame(FRAMES - 1, config.pulses)[0]
     arrays, last = golden_result(config, edges), config.frames - 1
     depth = estimate_depth(arrays, config, method=method, source=source, frame=last, returns=RETURNS)
@@ -138,7 +138,7 @@ SCHEMES: dict[str, Callable[[Shot], Found]] = {
 
 
 def _by_words(shot: Shot, words: rivals.Words, arrival: np.ndarray, form: str) -> Found:
-    """Depth from the words that the stream carries; `form`: which of this sensor's packets is as long."""
+    """Return depth from the words that the stream carries; `form`: format of this sensor with packets of the same length."""
     sensor, timing = shot.config.sensor, shot.timing
     beats = layout(sensor).length(FORMATS[form])
     sent = rivals.read_out(shot.photons, words, sensor, timing.phases, timing.period_cycles, beats)
@@ -150,7 +150,7 @@ def _by_words(shot: Shot, words: rivals.Words, arrival: np.ndarray, form: str) -
 
 
 def _by_memory(shot: Shot, histogram: np.ndarray, width: int) -> Found:
-    """Depth from a histogram for each macro-pixel, bins of `width` ticks: all its pixels get the same."""
+    """Return depth from one histogram per macro-pixel, in bins of `width` ticks: all its pixels get the same depth."""
     sensor = shot.config.sensor
     bits = histogram.shape[1] * (shot.photons.pulses * sensor.pixels).bit_length()
     if bits > MEMORY_BITS:
@@ -162,9 +162,10 @@ def _by_memory(shot: Shot, histogram: np.ndarray, width: int) -> Found:
 
 
 def coarse_peaks(histogram: np.ndarray, width: int, sigma_ticks: float) -> np.ndarray:
-    """float64[n, RETURNS], ticks, from int64[n, bins] of `width` ticks: highest bins less the median, centre over their neighbours.
+    """float64[n, RETURNS]: peaks in ticks of int64[n, bins] of `width` ticks.
 
-    Bins narrower than the pulse are filtered with it first; returns are as far apart as those of a pixel (`depth.py`).
+    Peaks are the highest bins above the median, with the centre computed over their neighbours. Bins narrower than the
+    pulse are first filtered with it; returns are as far apart as those of a pixel (`peaks.py`).
     """
     excess = histogram - np.median(histogram, axis=1, keepdims=True)
     near, apart = (max(NEAR_BINS, math.ceil(sigmas * sigma_ticks / width)) for sigmas in (NEAR_SIGMAS, APART_SIGMAS))

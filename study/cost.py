@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the paper's parameters cost: area, bits of an event and readout rate, and what the ID map and the minigroups' stamps take; and what
-the steps of the coarse offsets do.
+"""Cost of the paper's parameters: area, bits of an event and readout rate; share of the ID map and the minigroups' stamps.
 
-Area is that of a module (two subgroups and their TDC) per pixel, in NanGate 45 nm standard cells; SPADs and wires are not in it. Only ratios
-mean anything in another process.
+It also shows the effect of the steps of the coarse offsets. Area is that of a module (two subgroups and their TDC) per
+pixel, in NanGate 45 nm standard cells, without SPADs and wires. For another process, only ratios are meaningful.
 """
 
 import csv
@@ -26,7 +25,7 @@ from ..model.contract.parameters import CLOCK_MHZ, Sensor
 from ..model.shared.files import whole_file
 from .plot_style import legend_below, new_figure, save_figure, style
 
-SWEEPS: dict[str, tuple[str, list[Any]]] = {  # parameter: its label, and the values beside the default's
+SWEEPS: dict[str, tuple[str, list[Any]]] = {  # parameter: its label, and the values besides the default
     "subgroup": ("pixels of a subgroup (bits of threshold and count)", [(4, 4), (8, 4), (8, 8), (16, 16)]),
     "minigroup": ("pixels of a minigroup", [(1, 1), (2, 2), (4, 4)]),
     "phases": ("phases of a clock cycle", [8, 16, 32, 64]),
@@ -37,21 +36,21 @@ TABLE, OFFSETS_TABLE, PICTURE = "cost.csv", "cost_offsets.csv", "cost.png"
 
 
 def module_sensor(**parameters: Any) -> Sensor:
-    """A sensor of one module. With 64 phases the coarse counter gives up a bit, for the stamp's field of the word."""
+    """Return a sensor of one module. With 64 phases, the coarse counter has one bit less, so that the stamp fits its field."""
     sensor = Sensor(rows=16, cols=32, **parameters)
     rows, cols = sensor.subgroup
     return evolve(sensor, rows=rows, cols=2 * cols)
 
 
 def area_per_pixel_um2(sensor: Sensor) -> float:
-    """Of a module, in standard cells."""
+    """Return the area of a module per pixel, in standard cells."""
     netlist = synthesize(sensor, CELLS)
     blocks = [block for block in netlist.blocks.values() if not block.name.startswith(OUTSIDE)]
     return sum(block.instances * block.area_um2 for block in blocks) / (2 * sensor.pixels)
 
 
 def point(sensor: Sensor) -> dict[str, float]:
-    """The costs of a sensor's parameters: area, and per word format bits of an event and million events per second of a stream."""
+    """Return a sensor's costs: area, and per word format bits of an event and million events per second of a stream."""
     beats = {name: layout(sensor).length(kind) for name, kind in FORMATS.items()}
     return (
         {"area_um2_per_pixel": round(area_per_pixel_um2(sensor), 1), "threshold_bits": sensor.count_bits}
@@ -61,7 +60,7 @@ def point(sensor: Sensor) -> dict[str, float]:
 
 
 def sweep() -> list[dict[str, Any]]:
-    """A row per point of `SWEEPS`."""
+    """Return one row per point of `SWEEPS`."""
     rows = []
     for parameter, (_, values) in SWEEPS.items():
         for value in values:
@@ -71,7 +70,7 @@ def sweep() -> list[dict[str, Any]]:
 
 
 def offsets() -> list[dict[str, Any]]:
-    """A row per number of steps of the coarse offsets: area, levels of a minigroup, and bits of an event, in the FIFO and in full format."""
+    """Return one row per number of offset steps: area, levels of a minigroup, and bits of an event in FIFO and full format."""
     rows = []
     for steps in OFFSET_PHASES:
         sensor = module_sensor(offset_phases=steps)
@@ -89,7 +88,7 @@ def offsets() -> list[dict[str, Any]]:
 
 
 def shares() -> dict[str, float]:
-    """Share of a subgroup's area that goes when the words are without a part: ID map, offsets of minigroups, records of minigroups."""
+    """Return the share of a subgroup's area that each part of the words takes: ID map, offsets, minigroup records."""
     sensor = Sensor()
     event, window = bus.event_layout(sensor), bus.window_layout(sensor)
     base = event["window"].offset
@@ -103,7 +102,7 @@ def shares() -> dict[str, float]:
 
 
 def _subgroup_area_um2(sensor: Sensor, cut: tuple[str, int, int] | None) -> float:
-    """Area of a flattened subgroup. `cut`: (packetizer's input, lowest bit, width) that is held at 0; what only served it goes."""
+    """Return the area of a flattened subgroup. cut: (packetizer's input, lowest bit, width), held at 0 and optimised away."""
     name, changed = f"{Packetizer.unit_name}.v", {}
     if cut:
         changed[name] = _without(units_files([Packetizer(sensor)])[name], Packetizer(sensor), *cut)
@@ -111,7 +110,7 @@ def _subgroup_area_um2(sensor: Sensor, cut: tuple[str, int, int] | None) -> floa
 
 
 def _without(text: str, unit: Packetizer, port: str, lowest: int, width: int) -> str:
-    """Verilog of a unit whose input `port` has `width` bits from `lowest` on at 0."""
+    """Return the Verilog of a unit whose input `port` has `width` bits at 0, from `lowest` on."""
     inner = f"{unit.unit_name}_whole"
     ports = {"clk": (True, 1), "rst": (True, 1)} | {
         name: (flow.name == "In", len(signal.as_value() if hasattr(signal, "as_value") else signal))
@@ -137,7 +136,7 @@ def _without(text: str, unit: Packetizer, port: str, lowest: int, width: int) ->
 
 
 def write_pages(folder: Path) -> list[str]:
-    """Writes tables and picture of the sweeps to `folder`; returns lines that say what map and stamps take."""
+    """Write tables and picture of the sweeps to `folder`; return lines with the shares of map and stamps."""
     rows = sweep()
     for name, table in ((TABLE, rows), (OFFSETS_TABLE, offsets())):
         _write_table(folder / name, table)

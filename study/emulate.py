@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The emulator in use: a scene on its photon source, frames from it, and each word against the golden model.
+"""The emulator in use: plays a scene on its photon sources, takes frames, and checks each word with the golden model.
 
-On a board (`--port`) or simulated behind its serial pins (`--simulate`), with the same host software.
+It runs on a board (`--port`), or simulated behind its serial pins (`--simulate`), with the same host software.
 """
 
 import time
@@ -38,10 +38,10 @@ RECOVERIES_MAX = 5  # in a row
 
 
 def source_settings(config: Config, scene: Scene, klux: Ambient, *, spread: int = 1, seed: int = 1) -> SourceSettings:
-    """What the photon source has to be set to for a scene: echoes at the targets' ticks, background by subgroup.
+    """Return the settings of the photon sources for a scene: echoes at the targets' ticks, background by subgroup.
 
-    A pixel has its nearest target; an echo's probability is that of at least a photon, at most 255/256. A subgroup's background is its
-    pixels' mean. Raises `InputError`.
+    A pixel sees its nearest target. The probability of an echo is that of at least one photon, at most 255/256. The
+    background of a subgroup is the mean of its pixels. Raises `InputError`.
     """
     sensor, timing = config.sensor, Timing.from_config(config)
     light = scene_light(scene, klux, background=BACKGROUNDS[0])
@@ -69,7 +69,7 @@ def source_settings(config: Config, scene: Scene, klux: Ambient, *, spread: int 
 
 @define
 class Tally:
-    """What has come: frames and beats, all as predicted; link recoveries; seconds since the first start."""
+    """Tally of a session: frames and beats, all as predicted; recoveries of the link; seconds since the first start."""
 
     frames: int = field(default=0)
     beats: int = field(default=0)
@@ -79,14 +79,14 @@ class Tally:
 
 
 class Session:
-    """An emulator that is programmed once, and gives frames that are checked as they come.
+    """An emulator that is programmed once and delivers frames, which are checked as they arrive.
 
-    Raises `InputError` where the settings are not those of the emulator's sensor.
+    Raises `InputError` if the settings do not fit the emulator's sensor.
     """
 
     def __init__(self, driver: EmulatorDriver, config: Config, settings: SourceSettings):
         if config.auto.any():
-            raise InputError("subgroup.auto = true: the emulator's check follows no controller, must be false")
+            raise InputError("subgroup.auto = true: the emulator is checked without the controller, must be false")
         self.driver, self.config, self.settings = driver, config, settings
         self.golden, self.result, self.tally = Golden(config.sensor), ResultBuilder(config), Tally()
         self._begun: float | None = None
@@ -100,10 +100,10 @@ class Session:
         self._stalls = self.driver["stalls"]
 
     def frame(self) -> np.ndarray:
-        """The next frame's beats (uint64[n]), each as the golden model predicts it.
+        """Return the next frame's beats (uint64[n]), each as the golden model predicts it.
 
-        Recovers from a link that fails and from a reset of the device, at the price of frames. Raises `Mismatch` where a word differs, and
-        `LinkError` where recovery fails.
+        After an error of the link or a reset of the device, it recovers and may lose frames. Raises `Mismatch` if a word
+        differs, and `LinkError` if the recovery fails.
         """
         self._begun = time.monotonic() if self._begun is None else self._begun
         for _ in range(RECOVERIES_MAX):
@@ -135,7 +135,7 @@ class Session:
                 return
             except (LinkError, DeviceResetError):
                 continue
-        raise LinkError(f"the emulator does not come back in {RECOVERIES_MAX} tries")
+        raise LinkError(f"the emulator does not recover in {RECOVERIES_MAX} tries")
 
     def _check(self, beats: np.ndarray) -> None:
         number = int(beats[0]) >> 32 & 0xFFFF
@@ -149,7 +149,7 @@ class Session:
             raise Mismatch(f"frame {number}, beat {at}: {shown}, golden model {want}")
 
     def depth(self) -> Depth:
-        """The depth of all frames together."""
+        """Return the depth of all frames together."""
         return estimate_depth(self.result.arrays(), self.config, method=METHOD)
 
 
@@ -164,7 +164,10 @@ def emulate(
     seed: int = 1,
     tell: Callable[[Tally], None] = lambda tally: None,
 ) -> Tally:
-    """Programs a scene, takes frames, checks every word, and draws the depth of all frames into `out`. `tell` is called after each frame."""
+    """Program a scene, take frames, check every word, and draw the depth of all frames into `out`.
+
+    `tell` is called after each frame.
+    """
     session = Session(driver, config, source_settings(config, scene, klux, seed=seed))
     for _ in range(frames):
         session.frame()

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the depth of a subgroup's FIFO is worth: committed events that full FIFOs drop. `python -m coincid.study.fifo_depth` prints the
-table of `docs/silicon.md`.
+"""Effect of the FIFO depth of a subgroup: share of the committed events that full FIFOs drop.
 
-Golden model, 32 x 32 pixels, one stream at a beat per cycle. The longer the packets, the later a place is free again. The controller
-(`auto`) shares the stream among the subgroups and is given frames to settle in.
+`python -m coincid.study.fifo_depth` prints the table of `docs/silicon.md`. It uses the golden model, 32 x 32 pixels, and
+one stream with a beat per cycle. The longer the packets, the later a place becomes free again. The controller (`auto`)
+shares the stream among the subgroups and first gets frames to settle.
 """
 
 from collections.abc import Iterator
@@ -31,7 +31,7 @@ SETTINGS = (
 
 
 def dropped_share(config: Config, edges: Edges) -> float:
-    """Share of the committed events that full FIFOs drop, over `WATCHED` frames."""
+    """Return the share of the committed events that full FIFOs drop, over `WATCHED` frames."""
     golden, committed, dropped = Golden(config.sensor), 0, 0
     for number in range(SETTLING + WATCHED):
         counters = golden.frame(config, edges.frame(number, config.pulses)[0]).counters
@@ -42,7 +42,7 @@ def dropped_share(config: Config, edges: Edges) -> float:
 
 
 def table(backgrounds: tuple[float, ...] = KLUX) -> Iterator[str]:
-    """Rows of Markdown, one for each light and setting; a column for each depth."""
+    """Yield the rows of a Markdown table: one for each light and setting, with one column for each depth."""
     yield f"| klux | setting | {' | '.join(f'{depth} places' for depth in DEPTHS)} |"
     yield "| ---: | --- |" + " ---: |" * len(DEPTHS)
     plain = parse_config({})

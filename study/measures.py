@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One frame in numbers: what an architect compares sensors by.
+"""One frame in numbers: measures by which an architect compares sensors.
 
 Our choice; `wrong_share` is that of the paper's Fig. 7.
 """
@@ -15,7 +15,7 @@ MEASURES = {  # name: (type, meaning); all are of one frame
     "edges": (int, "avalanches of all SPADs"),
     "opened": (int, "coincidence windows"),
     "committed": (int, "windows that met their threshold"),
-    "rejected": (int, "windows that did not"),
+    "rejected": (int, "windows that did not meet their threshold"),
     "events": (int, "committed windows that were stored and left the sensor"),
     "dropped": (int, "committed windows that found their FIFO full"),
     "overruns": (int, "events with the overrun flag: gaps in a subgroup's events"),
@@ -48,10 +48,10 @@ COUNTED = {  # measure: counter that it is the sum of
 def measures(
     config: Config, arrays: dict[str, np.ndarray], frame: int, edges: int, depth_m: np.ndarray, truth_m: np.ndarray
 ) -> dict[str, int | float | None]:
-    """`MEASURES` of a frame; None where there is nothing to divide by.
+    """Return `MEASURES` of a frame; None if there is nothing to divide by.
 
-    arrays: of a result (`result.py`). edges: number of the frame's. depth_m, truth_m: float64[rows, cols], NaN = none; shares of
-    pixels are of those with a truth.
+    arrays: of a result (`result.py`). edges: number of edges of the frame. depth_m, truth_m: float64[rows, cols], NaN =
+    none; shares of pixels are relative to those with a truth.
     """
     counts = {name: int(arrays[counter][frame].sum()) for name, counter in COUNTED.items()}
     of_frame = arrays["pulse"] // config.pulses == frame
@@ -78,9 +78,9 @@ def measures(
 
 
 def stream_beats(config: Config, events: np.ndarray, records: np.ndarray) -> np.ndarray:
-    """Number[streams]: beats of a frame, its start and end with the counters included.
+    """Number[streams]: beats of a frame, including its start, end and counters.
 
-    events, records: number[subgroups], events and minigroup records that leave.
+    events, records: number[subgroups], events and minigroup records that leave the sensor.
     """
     sensor = config.sensor
     payload, counter_beats = payload_beats(config, events, records), layout(sensor).counter_beats
@@ -89,7 +89,7 @@ def stream_beats(config: Config, events: np.ndarray, records: np.ndarray) -> np.
 
 
 def payload_beats(config: Config, events: np.ndarray, records: np.ndarray) -> np.ndarray:
-    """Number[subgroups]: the beats of events and minigroup records alone; arguments as of `stream_beats`."""
+    """Number[subgroups]: the beats of events and minigroup records alone; arguments as in `stream_beats`."""
     parts = layout(config.sensor)
     return events * parts.length(FORMATS[config.format]) + records * parts.length(Kind.RECORD)
 

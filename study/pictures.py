@@ -16,9 +16,9 @@ from ..model.shared.files import FilePath
 from .plot_style import DEPTH_MAP, INVALID_COLOUR, new_figure, save_figure, style
 
 PANEL_IN = 3.1
-PANELS_ACROSS = 5  # then a second row begins
+PANELS_ACROSS = 5  # panels per row
 BLOCK_MAP, BLOCK_MAX = "Blues", 10  # light enough for black numbers up to the controller's highest threshold
-SCALE_MARGIN = 0.05  # of the range of depths, on both sides of the colour bar
+SCALE_MARGIN = 0.05  # relative to the range of depths, on both sides of the colour bar
 
 
 @frozen(eq=False)
@@ -38,7 +38,7 @@ def depth_row(
     blocks: tuple[str, np.ndarray] | None = None,
     tolerance_m: float = TOLERANCE_M,
 ) -> list[float]:
-    """Writes `draw_row` to `path` (.png or .svg), and returns the share of wrong pixels of each panel."""
+    """Write `draw_row` to `path` (.png or .svg), and return the share of wrong pixels of each panel."""
     figure, shares = draw_row(panels, truth_m, heading, blocks=blocks, tolerance_m=tolerance_m)
     save_figure(figure, path)
     return shares
@@ -52,11 +52,12 @@ def draw_row(
     blocks: tuple[str, np.ndarray] | None = None,
     tolerance_m: float = TOLERANCE_M,
 ) -> tuple[Figure, list[float]]:
-    """The truth and `panels` side by side, at most five in a row: the figure, and the share of wrong pixels of each panel.
+    """Draw the truth and `panels` side by side, at most five per row; return the figure, and each panel's wrong share.
 
-    blocks: title and small integers [subgroups down, across], which a last panel shows as numbers on the subgroups.
-    One metres-to-colour scale, which spans the truth: what lies beyond it takes the colour at its end. Pixels without a
-    truth are grey with a cross, without an estimate grey. Titles give the share of wrong pixels (`depth.wrong_share`).
+    blocks: title and small integers [subgroups down, across], which the last panel shows as numbers on the subgroups.
+    All panels share one scale from metres to colour. It spans the truth; depths beyond it have the colour of its end.
+    Pixels without an estimate are grey, those without a truth grey with a cross. Titles give the share of wrong pixels
+    (`wrong_share`).
     """
     shares = [wrong_share(panel.depth_m, truth_m, tolerance_m) for panel in panels]
     near_m, far_m = np.nanmin(truth_m), np.nanmax(truth_m)
@@ -101,7 +102,7 @@ def draw_row(
 
 
 def _draw_blocks(axis: Axes, title: str, blocks: np.ndarray, shape: tuple[int, ...]) -> None:
-    """Numbers on the array's subgroups; the higher, the darker."""
+    """Draw numbers on the array's subgroups; the higher, the darker."""
     rows, cols = shape
     extent = (-0.5, cols - 0.5, rows - 0.5, -0.5)
     axis.imshow(blocks, cmap=BLOCK_MAP, vmin=0, vmax=BLOCK_MAX, extent=extent)

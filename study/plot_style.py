@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How every picture looks, and how it is written: whole or not at all, the same bytes for the same data."""
+"""Common style of all pictures, and writing them: whole or not at all, with the same bytes for the same data."""
 
 import io
 from contextlib import AbstractContextManager
@@ -28,11 +28,11 @@ STYLE: dict[Any, Any] = {
     "image.interpolation": "nearest",
     "figure.dpi": 120,
     "savefig.dpi": 120,
-    "svg.hashsalt": "coincid",  # element names are hashes of this and a count: the same in every run
+    "svg.hashsalt": "coincid",  # element names are hashes of this and a counter: the same in every run
     "svg.fonttype": "none",
 }
-DEPTH_MAP, INVALID_COLOUR = "viridis_r", "#d9d9d9"  # near is dark; grey is in no part of the map
-SOURCES: dict[str, dict[str, Any]] = {  # of a number, and how it is drawn
+DEPTH_MAP, INVALID_COLOUR = "viridis_r", "#d9d9d9"  # near is dark; grey does not occur in the map
+SOURCES: dict[str, dict[str, Any]] = {  # source of a number, and its style
     "literal": {"color": "#d95f02", "linestyle": "--"},
     "corrected": {"color": "#1b9e77", "linestyle": "-"},
     "Monte Carlo": {"color": "#222222", "linestyle": "", "marker": "o"},
@@ -53,17 +53,17 @@ _UNDATED = {"png": {"Software": None}, "svg": {"Date": None, "Creator": None}}
 
 
 def style(**others: Any) -> AbstractContextManager[None]:
-    """A context in which figures are made in the common style; `others` are rc parameters by name, `_` for `.`."""
+    """Return a context in which figures have the common style; `others` are rc parameters by name, `_` for `.`."""
     return matplotlib.rc_context(STYLE | {name.replace("_", ".", 1): value for name, value in others.items()})
 
 
 def new_figure(width_in: float, height_in: float) -> Figure:
-    """A figure without any window or global state; call it within `style`."""
+    """Return a figure without a window or global state; call it within `style`."""
     return Figure(figsize=(width_in, height_in), layout="constrained")
 
 
 def legend_below(figure: Figure, columns: int = 6) -> None:
-    """One legend for all axes, below them; each label once."""
+    """Draw one legend for all axes, below them; each label once."""
     entries: dict[str, Any] = {}
     for axis in figure.axes:
         entries |= {label: handle for handle, label in zip(*axis.get_legend_handles_labels()) if label not in entries}
@@ -71,7 +71,7 @@ def legend_below(figure: Figure, columns: int = 6) -> None:
 
 
 def share_axis(axis: Axes, **others: Any) -> None:
-    """Shares from 0 to 1 upwards, spread where they are small: linear below one in a thousand, then logarithmic; `others` go to `set`."""
+    """Scale an axis for shares from 0 to 1: linear below one in a thousand, then logarithmic; `others` go to `set`."""
     axis.set(**others)
     axis.set_yscale("symlog", linthresh=1e-3, linscale=0.4)
     axis.set_ylim(0, 1)
@@ -79,7 +79,7 @@ def share_axis(axis: Axes, **others: Any) -> None:
 
 
 def save_figure(figure: Figure, *paths: FilePath) -> None:
-    """Writes `figure` to each path (.png or .svg)."""
+    """Write `figure` to each path (.png or .svg)."""
     for path in map(Path, paths):
         content = figure_bytes(figure, path.suffix[1:])
         with whole_file(path) as file:
@@ -87,7 +87,7 @@ def save_figure(figure: Figure, *paths: FilePath) -> None:
 
 
 def figure_bytes(figure: Figure, kind: str) -> bytes:
-    """`figure` as a file of the kind png or svg."""
+    """Return `figure` as the bytes of a png or svg file."""
     with style():
         data = io.BytesIO()
         figure.savefig(data, format=kind, metadata=_UNDATED[kind])

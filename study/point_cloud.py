@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Depth as a cloud of points in space, and as a PLY file that any viewer of clouds opens."""
+"""Depth as a cloud of points in space, and as a PLY file for any viewer of point clouds."""
 
 import numpy as np
 
@@ -14,15 +14,15 @@ POINT_WITH_NORMAL = np.dtype([(name, "<f4") for name in (*_FIELDS, *_NORMAL)])
 
 
 def point_cloud(depth: Depth, optics: Optics | None = None, *, normals: bool = False) -> np.ndarray:
-    """One point in space per depth: row by row, the returns of a pixel one after the other; pixels without depth have none.
+    """Return one point in space per depth, row by row, with the returns of a pixel together; no point without depth.
 
-    A pixel sees along the ray through its middle, and its depth is the length along that ray.
+    A pixel looks along the ray through its middle, and its depth is the length along that ray.
 
     Parameters
     ----------
     depth : Depth
     optics : Optics or None
-        Its field of view is shared by the pixels, which are evenly spaced in the plane of the sensor; None: that of the paper.
+        The pixels share its field of view and are evenly spaced in the plane of the sensor; None: that of the paper.
     normals : bool
         Whether to add the unit normal of the surface, towards the sensor (NaN where the slope is not known).
 
@@ -35,10 +35,10 @@ def point_cloud(depth: Depth, optics: Optics | None = None, *, normals: bool = F
     Raises
     ------
     InputError
-        If normals are asked for and the depth has no slopes.
+        If normals are requested and the depth has no slopes.
     """
     if normals and depth.slope_m is None:
-        raise InputError("normals: the depth has no slopes, must be of method planes")
+        raise InputError("normals: the depth has no slopes, its method must be planes")
     optics = optics or Optics()
     rows, cols, _ = depth.depth_m.shape
     right, down = np.meshgrid(_tangents(cols, optics.fov_h_deg), _tangents(rows, optics.fov_v_deg))
@@ -60,7 +60,7 @@ def _normals(
 ) -> np.ndarray:
     """float64[rows, cols, returns, 3]: of first returns only. right, down: tangents; ray: unit vectors [rows, cols, 3]."""
     length = 1 / ray[:, :, 2]
-    along = []  # how a point of the surface moves from row to row, and from column to column
+    along = []  # movement of a point of the surface from row to row, and from column to column
     for axis, tangent in enumerate((down, right)):
         step = np.gradient(tangent, axis=axis) if tangent.shape[axis] > 1 else np.zeros_like(tangent)
         unit = np.zeros_like(ray)
@@ -76,12 +76,12 @@ def _normals(
 
 
 def _tangents(pixels: int, fov_deg: float) -> np.ndarray:
-    """Of the angles between the axis and the middles of pixels that share a field of view."""
+    """Return the tangents of the angles between the axis and the middles of pixels that share a field of view."""
     return (2 * np.arange(pixels) + 1 - pixels) / pixels * np.tan(np.radians(fov_deg) / 2)
 
 
 def write_ply(path: FilePath, points: np.ndarray) -> None:
-    """Writes points (`point_cloud`) as binary PLY, whole or not at all."""
+    """Write points (`point_cloud`) as binary PLY, whole or not at all."""
     header = ["ply", "format binary_little_endian 1.0", "comment metres; x right, y down, z forward"]
     fields = [f"property float {name}" for name in points.dtype.names or ()]
     header += [f"element vertex {len(points)}", *fields, "end_header", ""]

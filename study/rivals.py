@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Other ways from edges to depth, on the same edges, each as small as its idea; and the bandwidth that those which send
-words share.
+"""Other schemes from edges to depth, on the same edges, each in its simplest form; and the bandwidth that words share.
 
-A macro-pixel is a subgroup: every scheme sees its pixels' edges and nothing else. Some send words, a stamp for a run of
-photons, through FIFOs and a stream like this sensor's; some sum up a histogram for each macro-pixel on the chip and
-send it at the frame's end. The ideas are known from the literature in many forms; these forms are our choice.
+A macro-pixel is a subgroup: every scheme sees the edges of its pixels and nothing else. Some schemes send words (one stamp
+for a group of photons) through FIFOs and a stream like this sensor's. Others sum up a histogram for each macro-pixel on
+the chip and send it at the end of the frame. The ideas are known from the literature in many forms; these forms are our
+choice.
 """
 
 from collections.abc import Iterator
@@ -19,15 +19,15 @@ from ..model.contract.windows import armed_cycle, close_cycle
 from ..model.depth.arrivals import lead_sigmas, photons_of
 from ..model.shared.compiled import njit
 
-REARM_CYCLES = 0  # a rival's tree is armed again from the cycle after its window
+REARM_CYCLES = 0  # a rival's tree is armed again in the cycle after its window
 _close_cycle, _armed_cycle = njit(close_cycle), njit(armed_cycle)
 
 
 class Photons(NamedTuple):
     """One frame's edges by subgroup, then pulse, tick and pixel; int64[n].
 
-    pulse: subgroup * pulses + the laser pulse of the frame. inside: the pixel in the subgroup. pulses: of the frame.
-    subgroups; pixels: of each.
+    pulse: subgroup * pulses + the laser pulse of the frame. inside: the pixel in the subgroup. pulses: number in the
+    frame. subgroups; pixels: number in each.
     """
 
     pulse: np.ndarray
@@ -43,10 +43,10 @@ class Photons(NamedTuple):
 
 
 class Words(NamedTuple):
-    """What a scheme sends: each word stands for the photons [start, stop), has the stamp of one of them (tick) and
-    their pixels; int64[n].
+    """Words that a scheme sends, int64[n].
 
-    The order is that of the photons: by subgroup, then time.
+    Each word stands for the photons [start, stop), and has the stamp of one of them (tick) and their pixels. The order is
+    that of the photons: by subgroup, then time.
     """
 
     start: np.ndarray
@@ -58,7 +58,7 @@ class Words(NamedTuple):
 
 
 def macro_pixels(edges: Edges, sensor: Sensor, pulses: int) -> Photons:
-    """The edges of one frame (pulses counted from its start) as the subgroups see them."""
+    """Return the edges of one frame (pulses counted from its start) as the subgroups see them."""
     pixel = pixel_table(sensor)
     pulse, inside = pixel.subgroup[edges.pixel] * pulses + edges.pulse, pixel.inside[edges.pixel]
     order = np.lexsort((inside, edges.tick, pulse))
@@ -66,12 +66,12 @@ def macro_pixels(edges: Edges, sensor: Sensor, pulses: int) -> Photons:
 
 
 def winner_takes_all(photons: Photons, phases: int) -> Words:
-    """The first photon of an armed tree, which is armed again from the next cycle: the paper's scheme 1."""
+    """Take the first photon of an armed tree, which is armed again in the next cycle: the paper's scheme 1."""
     return windows(photons, 1, phases)
 
 
 def windows(photons: Photons, window: int, phases: int) -> Words:
-    """This sensor's windows, whatever their count: `window` ticks from any photon of an armed tree on; armed again from the cycle after."""
+    """Take this sensor's windows, with any count: `window` ticks from a photon of an armed tree; armed in the next cycle."""
     return Words(*_windows(photons.pulse, photons.tick, window, phases))
 
 
@@ -94,7 +94,7 @@ def _windows(
 
 
 def sliding_window(photons: Photons, window: int, threshold: int) -> Words:
-    """`threshold` photons within `window` ticks make a word, stamped at the last of them, and are used up."""
+    """Make a word of `threshold` photons within `window` ticks, stamped at the last of them; each photon counts once."""
     return Words(*_sliding(photons.pulse, photons.tick, window, threshold))
 
 
@@ -115,7 +115,7 @@ def _sliding(
 
 
 def fixed_windows(photons: Photons, window: int, threshold: int) -> Words:
-    """Time is cut every `window` ticks from the trigger on; a piece with `threshold` photons is a word, stamped at its first."""
+    """Cut time every `window` ticks from the trigger on; a piece with `threshold` photons is a word, stamped at its first."""
     piece = photons.tick // window
     start = np.flatnonzero((np.diff(photons.pulse, prepend=-1) != 0) | (np.diff(piece, prepend=-1) != 0))
     stop = np.append(start[1:], len(piece))
@@ -123,18 +123,18 @@ def fixed_windows(photons: Photons, window: int, threshold: int) -> Words:
 
 
 def last_hit(photons: Photons) -> Words:
-    """The last photon of each period, which has overwritten those before."""
+    """Take the last photon of each period, which has overwritten the earlier ones."""
     last = np.flatnonzero(np.diff(photons.pulse, append=-1))
     return Words(last, last + 1, photons.tick[last])
 
 
 def photon_counts(photons: Photons, clock: int, bins: int) -> np.ndarray:
-    """int64[subgroups, bins]: an adder counts the macro-pixel's photons in every clock of `clock` ticks, a histogram sums the counts."""
+    """int64[subgroups, bins]: sums of the macro-pixel's photons in every clock of `clock` ticks, counted by an adder."""
     return _summed(photons, photons.subgroup, photons.tick // clock, None, bins)
 
 
 def count_weighted(photons: Photons, words: Words, arrival: np.ndarray, width: int, bins: int) -> np.ndarray:
-    """int64[subgroups, bins] of `width` ticks: each word adds its count where it arrived (ticks): weights instead of a threshold."""
+    """int64[subgroups, bins] of `width` ticks: each word adds its count at its arrival: a weight instead of a threshold."""
     at = np.minimum(arrival.astype(np.int64) // width, bins - 1)
     return _summed(photons, photons.subgroup[words.start], at, words.stop - words.start, bins)
 
@@ -144,7 +144,7 @@ def _summed(photons: Photons, subgroup: np.ndarray, at: np.ndarray, weight: np.n
 
 
 def counted_arrival(photons: Photons, words: Words, sigma_ticks: float) -> np.ndarray:
-    """Arrivals in ticks, float64[n], for words stamped at their first photon: later by its expected lead (`arrivals.py`)."""
+    """Arrivals in ticks, float64[n], of words stamped at their first photon: later by its expected lead (`arrivals.py`)."""
     return (
         words.stamp
         + 0.5
@@ -153,10 +153,10 @@ def counted_arrival(photons: Photons, words: Words, sigma_ticks: float) -> np.nd
 
 
 def read_out(photons: Photons, words: Words, sensor: Sensor, phases: int, period: int, beats: int) -> np.ndarray:
-    """bool[n]: which words find a place in their subgroup's FIFO, that the stream empties, a word of `beats` cycles at
-    a time, round robin.
+    """bool[n]: whether a word finds a place in its subgroup's FIFO.
 
-    As in this sensor, except for its latencies of a few cycles. period: cycles.
+    The stream empties the FIFOs round robin, with `beats` cycles per word, as in this sensor except for latencies of a
+    few cycles. period: cycles.
     """
     subgroup = photons.subgroup[words.start]
     cycle = photons.pulse[words.start] % photons.pulses * period + words.stamp // phases
@@ -201,7 +201,7 @@ def _serve(cycle: np.ndarray, bounds: np.ndarray, depth: int, beats: int, stored
 def pixel_histograms(
     photons: Photons, words: Words, arrival: np.ndarray, sensor: Sensor, period_ticks: int
 ) -> Iterator[np.ndarray]:
-    """For each subgroup its pixels' histograms, int32[pixels, period_ticks]: a word counts at its arrival, for its photons' pixels."""
+    """Yield the histograms of each subgroup's pixels, int32[pixels, period_ticks]: words count at arrival for their pixels."""
     size = words.stop - words.start
     of_word = np.repeat(np.arange(len(size)), size)
     photon = np.arange(len(of_word)) + np.repeat(words.start - np.cumsum(size) + size, size)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A run from the scene to what left the sensor, with what one asks of it next: the front door of the library."""
+"""A run from the scene to the sensor's output, with methods for the usual next steps: the front door of the library."""
 
 import os
 from pathlib import Path
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 @frozen(eq=False, kw_only=True)
 class Run:
-    """A simulated run: its inputs, and what left the sensor in all its frames.
+    """A simulated run: its inputs, and the sensor's output of all its frames.
 
     `simulate` returns it. Arguments and errors of the methods are those of the functions that they name.
 
@@ -54,51 +54,51 @@ class Run:
     result: dict[str, np.ndarray]
 
     def depth(self, **options: Any) -> Depth:
-        """Distance of every pixel; the options are those of `estimate_depth` (`frame`, `method`, `returns`)."""
+        """Estimate the distance of every pixel; the options are those of `estimate_depth` (`frame`, `method`, `returns`)."""
         return estimate_depth(self.result, self.config, **options)
 
     def events(self) -> Any:
-        """One row per event that left the sensor; see `events_table`."""
+        """Return one row per event that left the sensor; see `events_table`."""
         return events_table(self.result)
 
     def histogram(self, pixel: int, **options: Any) -> "PixelHistogram":
-        """Hits of one pixel per tick (see `pixel_histogram`); in a notebook it is drawn, with the truth and the candidates."""
+        """Return hits of one pixel per tick (see `pixel_histogram`); a notebook draws it with truth and candidates."""
         from .show.notebook import PixelHistogram
 
         return PixelHistogram.of(self, pixel, **options)
 
     def point_cloud(self, optics: Optics | None = None, *, normals: bool = False, **options: Any) -> np.ndarray:
-        """Points in space; `options` are those of `estimate_depth`. See `point_cloud`."""
+        """Return points in space; `options` are those of `estimate_depth`. See `point_cloud`."""
         return point_cloud(self.depth(**options), optics, normals=normals)
 
     def to_pandas(self) -> Any:
-        """The same as `events`, under the name that pandas users look for."""
+        """Return the same as `events`, under the name that pandas users expect."""
         return self.events()
 
     def plot(self, **options: Any) -> "Shown":
-        """All views of one frame, linked to each other, for a notebook (`frame`, `method`)."""
+        """Return all views of one frame, linked to each other, for a notebook (`frame`, `method`)."""
         from .show.notebook import plot
 
         return plot(self, **options)
 
     def timeline(self, subgroup: int, pulse: int, **options: Any) -> "Shown":
-        """Every edge and window of one subgroup in one laser period, for a notebook (`frame`)."""
+        """Return every edge and window of one subgroup in one laser period, for a notebook (`frame`)."""
         from .show.notebook import plot_timeline
 
         return plot_timeline(self, subgroup, pulse, **options)
 
     def _repr_html_(self) -> str:
-        """What a notebook shows of the run: `show.notebook.summary`."""
+        """Return what a notebook shows of the run: `show.notebook.summary`."""
         from .show.notebook import summary
 
         return summary(self)
 
     def to_ply(self, path: str | Path, **options: Any) -> None:
-        """Writes `point_cloud` as a PLY file."""
+        """Write `point_cloud` as a PLY file."""
         write_ply(path, self.point_cloud(**options))
 
     def save(self, path: str | Path) -> None:
-        """Writes the result file (NPZ), whole or not at all."""
+        """Write the result file (NPZ), whole or not at all."""
         write_result(path, self.result)
 
 
@@ -119,7 +119,7 @@ def simulate(
     Parameters
     ----------
     config : Config, str, Path or None
-        A configuration, or what `load_config` accepts: a TOML file, a preset (`silicon`, `fpga`), or None for the defaults.
+        A configuration, or what `load_config` accepts: a TOML file, the name of a preset, or None for the defaults.
     scene : Scene or str
         A scene, or what `load_scene` accepts: a built-in scene, a depth file, or a ray-traced scene.
     klux : float, numpy.ndarray or str
@@ -158,6 +158,6 @@ def simulate(
 
 
 def scene_of(config: Config, source: str, scale: float = 1.0) -> Scene:
-    """The scene that `source` names (see `load_scene`, also for `scale`), as the pixels of a configuration see it."""
+    """Return the scene that `source` names (see `load_scene`, also for `scale`), as the pixels of a configuration see it."""
     sensor = config.sensor
     return load_scene(source, sensor.rows, sensor.cols, scale=scale, range_m=Timing.from_config(config).range_m)

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Does the threshold controller settle, and how much does it move afterwards? `python -m coincid.study.settling` prints the table of
-`docs/controller.md`.
+"""Settling of the threshold controller, and its movement afterwards.
 
-Light that does not change has two meanings. The same photons in every frame show the rule by itself: it settles where thresholds and budget
-come back to what they were, and what it does until then is its limit cycle. New photons in every frame show what chance does to it.
+`python -m coincid.study.settling` prints the table of `docs/controller.md`. Constant light has two meanings. The same
+photons in every frame show the rule by itself: it has settled when thresholds and budget return to earlier values, and
+the sequence in between is its limit cycle. New photons in every frame show the effect of chance.
 """
 
 from collections.abc import Iterator
@@ -23,14 +23,14 @@ from ..model.scenes.catalogue import load_scene
 from ..model.scenes.scene import scene_light
 
 SCENE, PARTS, SEED = "five-objects", (1, 4, 16), 1
-KLUX = ((5.0, 5.0), (20.0, 20.0), (50.0, 50.0), (100.0, 100.0), (5.0, 100.0))  # of the left half, and the right one
-FRAMES_MAX = 200  # of the same photons
-SETTLING = 8  # frames after which those count that show the controller
+KLUX = ((5.0, 5.0), (20.0, 20.0), (50.0, 50.0), (100.0, 100.0), (5.0, 100.0))  # in the left half, and in the right one
+FRAMES_MAX = 200  # with the same photons
+SETTLING = 8  # frames before those that are evaluated
 WATCHED = 32  # frames of new photons after that
 
 
 class State(NamedTuple):
-    """After a frame. thresholds: int64[subgroups], of the frame; budget: after it; load: events committed, by the stream's capacity."""
+    """State after a frame. thresholds: int64[subgroups], of the frame; budget: after it; load: commits over capacity."""
 
     thresholds: np.ndarray
     budget: int
@@ -38,7 +38,7 @@ class State(NamedTuple):
 
 
 class Cycle(NamedTuple):
-    """What comes again with the same photons: after how many frames, how long it is, and what moves in it."""
+    """Limit cycle with the same photons: the number of frames before it, its length, and what moves in it."""
 
     begins: int
     frames: int
@@ -47,7 +47,7 @@ class Cycle(NamedTuple):
 
 
 def states(config: Config, frames: Iterator[Edges]) -> Iterator[State]:
-    """The controller from reset on, over frames of edges; one stream."""
+    """Yield the state of the controller from reset on, over frames of edges; one stream."""
     golden = Golden(config.sensor)
     for edges in frames:
         trace = golden.frame(config, edges)
@@ -56,7 +56,7 @@ def states(config: Config, frames: Iterator[Edges]) -> Iterator[State]:
 
 
 def limit_cycle(config: Config, edges: Edges) -> Cycle | None:
-    """What the same photons in every frame lead to; None: nothing came again in `FRAMES_MAX` frames."""
+    """Return the limit cycle for the same photons in every frame; None: no state returned within `FRAMES_MAX` frames."""
     seen: dict[tuple[int, ...], int] = {}
     history: list[State] = []
     for number, state in enumerate(states(config, (edges for _ in range(FRAMES_MAX)))):
@@ -70,7 +70,7 @@ def limit_cycle(config: Config, edges: Edges) -> Cycle | None:
 
 
 def table(backgrounds: tuple[tuple[float, float], ...] = KLUX) -> Iterator[str]:
-    """Rows of Markdown, one for each background and part of a beat per cycle that the stream carries."""
+    """Yield the rows of a Markdown table: one for each background and capacity, as a part of one beat per cycle."""
     yield "| klux | capacity | same photons: settles after | limit cycle | load | new photons: thresholds that move per frame | range of one | load |"
     yield "| ---: | ---: | ---: | --- | ---: | ---: | ---: | ---: |"
     for klux in backgrounds:

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The main job: a scene, its light, frames through the sensor in three schemes, and the depth that each of them gives.
+"""The main job: a scene, its light, frames through the sensor in three schemes, and the depth from each of them.
 
-`off`: coincidence off (the paper's scheme 1). `fixed`: one threshold for all subgroups. `auto`: the controller's thresholds, after
-frames of new photons in which it settles. The frames that are compared see the same photons. Every beat and commit of the RTL is
-checked against the golden model while it runs.
+`off`: coincidence off (the paper's scheme 1). `fixed`: one threshold for all subgroups. `auto`: the controller's
+thresholds, after frames of new photons in which it settles. The compared frames see the same photons. Every beat and
+commit of the RTL is checked against the golden model while it runs.
 """
 
 import json
@@ -52,8 +52,8 @@ if TYPE_CHECKING:
     from ..hdl.views import View
 
 EVENTS, REPORT, PAGE = "events.npz", "report.json", "report.html"
-METHOD = "planes"  # by which the best fixed threshold is chosen
-PICTURES = {  # file: (estimator of `model/depth/estimate.py`, what the report's keys end with, heading)
+METHOD = "planes"  # used to choose the best fixed threshold
+PICTURES = {  # file: (estimator of `model/depth/estimate.py`, suffix of the report's keys, heading)
     "depth.png": (METHOD, "", "planes through the likelihood of all events"),
     "depth_peak.png": ("maximum", "_peak", "peak of every pixel's histogram, as in the paper"),
 }
@@ -63,16 +63,17 @@ SCHEMES = {  # name: (title, settings that it overrides), in the order of the fr
     "auto": ("controller", {"coincidence": True, "auto": True}),
 }
 SLOW_ENGINES, SLOW_SETTLING = ("icarus", "cocotb-icarus"), 2
-DEFAULT_THRESHOLD = 2  # of a configuration that names none
+DEFAULT_THRESHOLD = 2  # of a configuration that does not set it
 Progressed = Callable[[int], None]
 
 
 @frozen(eq=False)
 class Frames:
-    """What the sensor made of the frames of a `Plan`.
+    """Output of the sensor for the frames of a `Plan`.
 
-    arrays: of the result file (`model/contract/result.py`), frame k = frame k of the plan. cycles: of all frames; checked: beats and
-    commits that were compared; seconds: that the engine took. wave: the waveform or None. traces: the golden model's frames.
+    arrays: of the result file (`model/contract/result.py`), frame k = frame k of the plan. cycles: of all frames;
+    checked: number of beats and commits compared; seconds: time that the engine took. wave: the waveform or None.
+    traces: the golden model's frames.
     """
 
     traces: list[Trace]
@@ -85,7 +86,7 @@ class Frames:
 
 @frozen(eq=False)
 class Plan:
-    """The frames to play: configuration and edges of each, and which of them stands for each of `SCHEMES` in the comparison."""
+    """The frames to play: configuration and edges of each, and the frame that stands for each of `SCHEMES`."""
 
     configs: list[Config]
     edges: list[Edges]
@@ -98,7 +99,7 @@ class Plan:
 
 
 def plan_frames(config: Config, edges: Edges, threshold: ArrayLike, settling: int) -> Plan:
-    """`off` and `fixed` at `threshold` on the last frame's photons, then `settling` frames of `auto`; edges: of `settling` frames."""
+    """Plan `off` and `fixed` at `threshold` on the last frame's photons, then `settling` frames of `auto` on `edges`."""
     thresholds = {"fixed": {"threshold": threshold}}
     configs = {
         name: config.with_frame(frames=1).with_settings(**settings, **thresholds.get(name, {}))
@@ -113,7 +114,7 @@ def plan_frames(config: Config, edges: Edges, threshold: ArrayLike, settling: in
 
 
 def best_threshold(config: Config, edges: Edges, truth_m: np.ndarray) -> int:
-    """The threshold of 1 to 7 for all subgroups that leaves the fewest pixels wrong; the lowest of equal ones. By the golden model."""
+    """Return the threshold from 1 to 7 that leaves the fewest wrong pixels, the lowest among equals, by the golden model."""
     _, settings = SCHEMES["fixed"]
     wrong = {}
     for threshold in range(1, min(THRESHOLD_MAX, config.sensor.pixels) + 1):
@@ -132,10 +133,10 @@ def run_frames(
     progress: Progressed = lambda cycles: None,
     view: "str | View" = DEFAULT_VIEW,
 ) -> Frames:
-    """Plays a plan's frames through an engine of `replay.ENGINES`; a simulator's log goes to `out`.
+    """Play a plan's frames through an engine of `replay.ENGINES`; a simulator's log goes to `out`.
 
-    `progress` gets the cycles done; view: as of `replay.chosen_view`. Raises `Mismatch` at the first difference between RTL and golden
-    model, `SimulationError`, `toolchain.ToolchainError`.
+    `progress` gets the cycles done; view: as in `replay.chosen_view`. Raises `Mismatch` at the first difference between
+    RTL and golden model, `SimulationError`, `toolchain.ToolchainError`.
     """
     chosen = chosen_view(engine, view, plan.configs[0].clock_mhz)
     golden = Golden(plan.configs[0].sensor)
@@ -158,7 +159,7 @@ def run_frames(
 
 
 def _cycles(frame: Recorded | Trace) -> int:
-    """Cycles of a frame, to its last beat."""
+    """Return the cycles of a frame, up to its last beat."""
     return getattr(frame, "cycles", None) or 1 + max(int(cycles[-1]) for cycles in frame.beat_cycle)
 
 
@@ -179,16 +180,17 @@ def simulate(
     scale: float = 1.0,
     view: "str | View" = DEFAULT_VIEW,
 ) -> dict[str, Any]:
-    """Simulates a scene; leaves `PICTURES`, report.html, events.npz and report.json in `out` and returns the report.
+    """Simulate a scene; leave `PICTURES`, report.html, events.npz and report.json in `out`, and return the report.
 
-    source: what `load_scene` takes; klux: what `ambient_klux` takes; background: one of `BACKGROUNDS`. threshold: of `fixed`; None: the
-    configuration's where it programs others than the default, else the best of 1 to 7 for this scene. settling: frames of `auto`
-    (None: `SETTLING`). spad_gate: gating keeps the SPADs off outside the gate. events.npz: a result file of all frames, in the order of
-    `plan_frames`. Raises `InputError`, and what `run_frames` raises; after a `Mismatch` only the report is there, with `mismatches` = 1.
+    source: for `load_scene`; klux: for `ambient_klux`; background: one of `BACKGROUNDS`. threshold: of `fixed`; None: the
+    configuration's threshold if it differs from the default, else the best of 1 to 7 for this scene. settling: frames of
+    `auto` (None: `SETTLING`). spad_gate: gating keeps the SPADs off outside the gate. events.npz: a result file of all
+    frames, in the order of `plan_frames`. Raises `InputError`, and the errors of `run_frames`; after a `Mismatch`, only
+    the report exists, with `mismatches` = 1.
     """
     shown = chosen_view(engine, view, config.clock_mhz)
     if config.format == "short":
-        raise InputError("frame.format = 'short': must be id or full, as depth comes from the ID map")
+        raise InputError("frame.format = 'short': must be id or full, because depth needs the ID map")
     if threshold is not None:
         config = config.with_settings(threshold=threshold)
     settling = settling or (SLOW_SETTLING if engine in SLOW_ENGINES else SETTLING)
@@ -232,7 +234,7 @@ def simulate(
         try:
             frames = run_frames(plan, engine, out, waves=waves, progress=bar.done, view=view)
         except Mismatch as mismatch:
-            for path in results:  # of an earlier run
+            for path in results:  # from an earlier run
                 path.unlink(missing_ok=True)
             _write_report(out, {"mismatches": 1, "mismatch": str(mismatch)} | given)
             raise
@@ -250,7 +252,7 @@ def simulate(
     if frames.wave:
         written += [out / frames.wave.name, *views(out / frames.wave.name)]
     else:
-        for path in out.glob(f"{TOP}.*"):  # of an earlier run
+        for path in out.glob(f"{TOP}.*"):  # from an earlier run
             path.unlink()
     _tell(console, (*scene.notes, *light.notes()), config, titles, report, written)
     return report
@@ -259,12 +261,12 @@ def simulate(
 def _write_page(
     path: Path, heading: str, titles: dict[str, str], plan: Plan, frames: Frames, scene: Scene, light: Light
 ) -> bool:
-    """Writes the views of the frames that are compared as one HTML file; False where the extra `explore` is not installed."""
+    """Write the views of the compared frames as one HTML file; return False if the extra `explore` is not installed."""
     try:
         with extra("explore"):
             from .show.report import write_report
     except InputError:
-        path.unlink(missing_ok=True)  # of an earlier run
+        path.unlink(missing_ok=True)  # from an earlier run
         return False
     parts = [
         frame_view(titles[name], plan.configs[k], scene, light, plan.edges[k], frames.traces[k], frames.arrays, frame=k)
@@ -277,7 +279,7 @@ def _write_page(
 def _pictures(
     out: Path, heading: str, titles: dict[str, str], plan: Plan, frames: Frames, truth_m: np.ndarray
 ) -> dict[str, float]:
-    """Writes `PICTURES`; the shares of wrong pixels, by the paper's criterion and by 15 cm, under the report's keys."""
+    """Write `PICTURES`; return the shares of wrong pixels, by the paper's criterion and by 15 cm, under the report's keys."""
     shares: dict[str, float] = {}
     blocks = subgroup_image(_thresholds(plan, frames, "auto"), plan.configs[0].sensor)
     for file, (method, suffix, what) in PICTURES.items():
@@ -296,7 +298,7 @@ def _pictures(
 
 
 def settings_of(config: Config) -> dict[str, Any]:
-    """The configuration in the shape of its file; a subgroup's setting is a list where subgroups differ."""
+    """Return the configuration in the shape of its file; a subgroup's setting is a list if subgroups differ."""
     sensor = {
         attribute.name: getattr(config.sensor, attribute.name) for attribute in type(config.sensor).__attrs_attrs__
     }
@@ -310,7 +312,7 @@ def settings_of(config: Config) -> dict[str, Any]:
 
 
 def _report(plan: Plan, frames: Frames) -> dict[str, Any]:
-    """Flat keys; numbers are of all frames together, or end with the scheme."""
+    """Return flat keys; numbers are for all frames together, or for one scheme if they end with its name."""
     arrays = frames.arrays
     report = {
         "cycles": frames.cycles,
@@ -335,7 +337,7 @@ def _report(plan: Plan, frames: Frames) -> dict[str, Any]:
 
 
 def _thresholds(plan: Plan, frames: Frames, scheme: str) -> np.ndarray:
-    """int64[subgroups]: what a window had to hold in the frame that stands for a scheme."""
+    """int64[subgroups]: thresholds in the frame that stands for a scheme."""
     k = plan.shown[scheme]
     return np.where(plan.configs[k].coincidence, frames.arrays["threshold_used"][k], 1)
 
@@ -351,7 +353,7 @@ def _span(values: np.ndarray) -> str:
 
 
 class _Bar:
-    """Progress in stages; a terminal sees a bar, anything else a line a stage."""
+    """Progress in stages: a bar on a terminal, otherwise one line per stage."""
 
     def __init__(self, console: Console):
         self.console = console
@@ -392,7 +394,7 @@ def _tell(
     report: dict[str, Any],
     written: list[Path],
 ) -> None:
-    """The table at the end."""
+    """Print the table at the end."""
     table = Table(box=None, header_style="bold", pad_edge=False)
     table.add_column("frame", no_wrap=True)
     for title in ("threshold", "events", "dropped", "link load", "wrong pixels", "by peaks"):

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How much of real geometry comes out wrong: surfaces that slant, bend and hide each other, by every estimator, beside a bound.
+"""Errors in real geometry: surfaces that slant, bend and hide each other, with every estimator, and with a bound.
 
-`python -m coincid.study.surfaces [DEPTH,COLOUR ...]` prints a table and draws docs/images/depth_confidence.png. The scenes are
-analytic; a depth file (with its colour picture after a comma) is taken as it is and at three times the distance. The bound is an
-oracle: it knows the shape of the true surface around a pixel and only moves it to where the photons make it likeliest, so it errs
-as far as they leave it open.
+`python -m coincid.study.surfaces [DEPTH,COLOUR ...]` prints a table and draws docs/images/depth_confidence.png. The
+scenes are analytic. A depth file (with its colour picture after a comma) is used as it is, and at three times the
+distance. The bound is an oracle: it knows the shape of the true surface around a pixel and only moves it to its
+likeliest place. So its remaining error is what the photons leave open.
 """
 
 import os
@@ -44,16 +44,16 @@ TEXTURE_SEED, TEXTURE_PIXELS, TEXTURES = 3, 4, np.geomspace(0.06, 0.8, 8)
 CONFIDENCES, PIXELS_MIN = (
     (0.0, 0.3, 0.5, 0.7, 0.85, 0.95, 0.99, 1.01),
     30,
-)  # bins of the picture, and least pixels of one
+)  # bins of the picture, and least number of pixels per bin
 PICTURE = Path(__file__).parents[1] / "docs" / "images" / "depth_confidence.png"
 ORACLE_PIXELS, ORACLE_BINS = 2, 64  # to each side of a pixel; ticks around the truth
 
 
 @frozen(eq=False)
 class Row:
-    """Shares of wrong pixels of a scene in a format: beyond 3.45 cm and beyond 15 cm, by method; dropped: share of the events.
+    """Shares of wrong pixels of a scene in a format: beyond 3.45 cm and beyond 15 cm, by method; dropped: share of events.
 
-    sure, right: of every pixel of all seeds, what planes say of their own result (float64[n]), and whether it is so (bool[n]).
+    sure, right: for every pixel of all seeds, the confidence of planes (float64[n]), and whether it is right (bool[n]).
     """
 
     scene: str
@@ -65,7 +65,7 @@ class Row:
 
 
 def analytic_scenes() -> dict[str, Scene]:
-    """Slanted planes, a roof, a box before a tilted wall, a wave; with even and with patched reflectivity; the five objects."""
+    """Return slanted planes, a roof, a box before a tilted wall, a wave, with even and patched reflectivity; five objects."""
     y, x = np.mgrid[:ROWS, :COLS] + 0.5
     x, y = x / COLS, y / ROWS
     shapes = {
@@ -86,7 +86,7 @@ def analytic_scenes() -> dict[str, Scene]:
 
 
 def file_scenes(sources: Iterable[str]) -> dict[str, Scene]:
-    """Each depth file as it is, and with its distances times `FAR_SCALE`."""
+    """Return each depth file as it is, and with its distances times `FAR_SCALE`."""
     scenes = {}
     for source in sources:
         near = load_scene(source, ROWS, COLS)
@@ -101,7 +101,7 @@ def _scene(name: str, distance_m: np.ndarray, reflectivity: Numbers) -> Scene:
 
 
 def measure(scene: Scene, form: str, seeds: Iterable[int] = SEEDS) -> Row:
-    """The means over the seeds."""
+    """Return the means over the seeds."""
     config = parse_config({"sensor": {"rows": ROWS, "cols": COLS}, "frame": {"format": form}})
     shares: dict[str, list[tuple[float, float]]] = {}
     dropped, committed, sure, right = 0, 0, [], []
@@ -160,7 +160,7 @@ def oracle_m(result: dict[str, np.ndarray], config: Config, scene: Scene) -> np.
 
 
 def table(rows: Iterable[Row]) -> str:
-    """The rows as a Markdown table: per cent beyond 3.45 cm / beyond 15 cm."""
+    """Return the rows as a Markdown table: per cent beyond 3.45 cm / beyond 15 cm."""
     names = (*METHODS, "oracle")
     lines = ["| scene | format | " + " | ".join(names) + " | dropped |", "| --- | --- |" + " ---: |" * (len(names) + 1)]
     for row in rows:
@@ -170,7 +170,7 @@ def table(rows: Iterable[Row]) -> str:
 
 
 def draw_confidence(rows: Iterable[Row], path: Path) -> None:
-    """Of the pixels that are said to be so sure, how many are right; by format, all scenes together."""
+    """Draw the share of right pixels against their stated confidence, by format, for all scenes together."""
     rows = list(rows)
     with style():
         figure = new_figure(4.6, 4.2)

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Sweeps: a grid of points on Dask workers, each from photons to depth, into one Parquet file.
 
-Finished points are kept beside the result, a small file each under the digest of everything that it depends on. So a sweep
-that was killed goes on where it was, a changed SPEC runs what is new in it, and the result has the same bytes either way.
+Finished points are kept beside the result, in a small file each, under the digest of everything that the point depends
+on. So a sweep that was killed continues where it stopped, a changed SPEC only runs its new points, and the result has
+the same bytes either way.
 """
 
 import contextlib
@@ -39,8 +40,8 @@ from .sweep_spec import CLOCK, FRAME_CLOCK, Point, Spec, photons_of, versions
 
 LOOPBACK = "127.0.0.1"
 CONNECT_S = 10
-DEAF_TO_CTRL_C = "import signal\nsignal.signal(signal.SIGINT, signal.SIG_IGN)"  # a worker's: the sweep ends it
-LOST_WORKERS_MAX = 20  # that a point may have been on: then it is the point that kills them
+DEAF_TO_CTRL_C = "import signal\nsignal.signal(signal.SIGINT, signal.SIG_IGN)"  # for a worker: the sweep ends it
+LOST_WORKERS_MAX = 20  # workers that a point may lose; after that, the point is assumed to kill them
 LOCK = "lock"
 Found: TypeAlias = dict[str, int | float | None]  # `MEASURES` of a point
 COLUMN_TYPES = {int: pa.int64(), float: pa.float64()}
@@ -49,12 +50,12 @@ METADATA = "coincid"  # key of the Parquet file's metadata
 
 
 class SchedulerLost(SimulationError):
-    """The scheduler went away in the middle of a sweep."""
+    """The scheduler was lost during a sweep."""
 
 
 @frozen
 class Summary:
-    """rows: of the result. kept: points that were finished before. failed: why, by the point's name."""
+    """Summary of a sweep. rows: of the result. kept: points finished before. failed: reason by the point's name."""
 
     rows: int
     kept: int
@@ -70,11 +71,11 @@ def sweep(
     scheduler: str | None = None,
     progress: Callable[[int], None] = lambda done: None,
 ) -> Summary:
-    """Runs the points of `spec` that are not finished, and writes the table and its plot (`out` with .png).
+    """Run the points of `spec` that are not finished, and write the table and its plot (`out` with .png).
 
-    workers: processes of a cluster on this machine, unless `scheduler` is the address of another. progress: called with the
-    number of points done. A point that fails has no row, and runs again next time. Raises `InputError` (another sweep writes
-    `out`; nothing answers at `scheduler`) and `SchedulerLost`.
+    workers: number of processes of a cluster on this machine, unless `scheduler` is the address of another. progress:
+    called with the number of points done. A point that fails has no row, and runs again next time. Raises `InputError`
+    (another sweep writes `out`; nothing answers at `scheduler`) and `SchedulerLost`.
     """
     plot = out.with_suffix(".png")
     with Finished(out) as finished:
@@ -94,7 +95,7 @@ def sweep(
         if found:
             write_table(out, spec, found)
             write_plot(plot, title, spec, found)
-        else:  # nothing of an earlier sweep is left to be taken for this one's
+        else:  # no result of an earlier sweep is left that could be taken for this one's
             out.unlink(missing_ok=True)
             plot.unlink(missing_ok=True)
     return Summary(sum(point.key in found for point in spec.points), before, dict(sorted(failed.items())))
@@ -103,9 +104,9 @@ def sweep(
 def run_point(
     settings: dict[str, Any], document: dict[str, Any], scene: Scene, klux: Numbers, expected: dict[str, str]
 ) -> Found:
-    """A point's `MEASURES`, of its last frame: photons, engine, depth. Runs on a worker.
+    """Return a point's `MEASURES` of its last frame: photons, engine, depth. Runs on a worker.
 
-    Raises `RuntimeError` if `versions` are not as `expected`: the worker would give other numbers than the others.
+    Raises `RuntimeError` if `versions` are not as `expected`, because the worker would give different numbers.
     """
     if (own := versions(settings["engine"])) != expected:
         raise RuntimeError(f"the worker's versions are not the sweep's: {own}, {expected}")
@@ -118,7 +119,7 @@ def run_point(
 
 
 class Finished:
-    """The finished points of a result file, in a folder beside it; a context manager that no two sweeps enter at once."""
+    """Finished points of a result file, in a folder beside it; a context manager that only one sweep can enter at a time."""
 
     def __init__(self, out: Path):
         self.folder = out.with_name(f"{out.name}.points")
@@ -133,7 +134,7 @@ class Finished:
             raise InputError(f"out = {str(self._out)!r}: another sweep is writing it") from None
         except OSError as error:
             raise InputError(f"out = {str(self._out)!r}: cannot be written: {error.strerror}") from None
-        for path in self.folder.glob(".*"):  # of a sweep that was killed while it wrote
+        for path in self.folder.glob(".*"):  # from a sweep that was killed while it wrote
             path.unlink()
         return self
 
@@ -141,7 +142,7 @@ class Finished:
         self._lock.release()
 
     def load(self, key: str) -> Found | None:
-        """What was kept under `key`, None if nothing readable."""
+        """Return the measures kept under `key`, or None if there are none that can be read."""
         try:
             kept = json.loads(self._path(key).read_text())
         except (OSError, ValueError):
@@ -158,13 +159,13 @@ class Finished:
 
 @contextlib.contextmanager
 def cluster(workers: int, scheduler: str | None = None) -> Iterator[Client]:
-    """A client of the scheduler at an address, or of a cluster of `workers` processes that ends with the block."""
+    """Return a client of the scheduler at an address, or of a cluster of `workers` processes that ends with the block."""
     with contextlib.ExitStack() as stack:
         if scheduler is not None:
             _check_address(scheduler)
         else:
             stack.enter_context(dask.config.set({"distributed.scheduler.allowed-failures": LOST_WORKERS_MAX}))
-            # Loopback only. Without a dashboard the scheduler still serves its health page: on any free port.
+            # Loopback only. Even without a dashboard, the scheduler serves its health page, on any free port.
             scheduler = stack.enter_context(
                 LocalCluster(
                     n_workers=workers,
@@ -179,7 +180,7 @@ def cluster(workers: int, scheduler: str | None = None) -> Iterator[Client]:
             )
         logging.getLogger("distributed.client").setLevel(
             logging.CRITICAL
-        )  # a lost scheduler is told by `SchedulerLost`
+        )  # a lost scheduler is reported by `SchedulerLost`
         try:
             client = Client(scheduler, timeout=CONNECT_S, set_as_default=False)
         except OSError as error:
@@ -188,7 +189,7 @@ def cluster(workers: int, scheduler: str | None = None) -> Iterator[Client]:
 
 
 def _check_address(scheduler: str) -> None:
-    """Before a client is made: one with an address that makes no sense does not end."""
+    """Check an address before a client is made, because a client with an invalid address does not end."""
     try:
         scheme, place = parse_address(scheduler, strict=True)
         parse_host_port(place)
@@ -199,11 +200,11 @@ def _check_address(scheduler: str) -> None:
 
 
 def results(points: list[Point], client: Client) -> Iterator[tuple[Point, Found | None, str]]:
-    """Runs points on the client's workers; yields each as it comes, with its measures, or with None and why. Raises `SchedulerLost`."""
+    """Run points on the client's workers; yield each with its measures, or with None and a reason. Raises `SchedulerLost`."""
     scenes: dict[int, Future[Any]] = {}
     running: dict[Future[Any], Point] = {}
     for point in points:
-        # A task of its own: sent once, and made again where the worker that held it is lost.
+        # A task of its own: sent once, and computed again if the worker that held it is lost.
         scene = scenes.get(id(point.scene)) or client.submit(_itself, point.scene, pure=False)
         scenes[id(point.scene)] = scene
         given = (point.settings, point.document, scene, point.klux, versions(point.settings["engine"]))
@@ -211,7 +212,7 @@ def results(points: list[Point], client: Client) -> Iterator[tuple[Point, Found 
     for task in as_completed(list(running), loop=client.loop):
         point = running.pop(task)
         try:
-            found, why = task.result(), ""  # which runs again where the worker that still held it is lost
+            found, why = task.result(), ""  # which runs again if the worker that held it is lost
         except FutureCancelledError:
             raise SchedulerLost("the Dask scheduler is gone; finished points are kept: start the sweep again") from None
         except Exception as error:
@@ -231,17 +232,17 @@ def _reason(error: BaseException) -> str:
 
 
 def _swept(values: list[Any], real: bool) -> pa.Array:
-    """A column of swept values. real: numbers are real ones; beside texts (light that differs across the picture) they are texts, too."""
+    """Return a column of swept values. real: numbers are floats; if some values are texts (light maps), all are texts."""
     if real and any(isinstance(value, str) for value in values):
         return pa.array([value if isinstance(value, str) else f"{value:g}" for value in values], pa.string())
     return pa.array(values, pa.float64() if real else None)
 
 
 def write_table(path: Path, spec: Spec, found: dict[str, Found]) -> None:
-    """Writes a row for each point of `spec` that `found` has by key; the bytes depend on these two alone.
+    """Write a row for each point of `spec` that `found` has by key; the bytes depend only on these two.
 
-    Columns: the swept values, `MEASURES`, the point's whole configuration as JSON, and its key. The file's metadata, under `METADATA`:
-    base, axes and versions as JSON.
+    Columns: the swept values, `MEASURES`, the point's whole configuration as JSON, and its key. The file's metadata,
+    under `METADATA`: base, axes and versions as JSON.
     """
     points = [point for point in spec.points if point.key in found]
     columns, fields = [], []

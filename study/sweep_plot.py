@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The summary of a sweep: one axis across, one as lines, the others as bands."""
+"""Summary plot of a sweep: one axis across, one as lines, the others as bands."""
 
 from pathlib import Path
 from typing import Any
@@ -21,10 +21,10 @@ PANELS = {  # measure: (label of its axis, factor)
 }
 ACROSS = 3
 WIDTH_IN, HEIGHT_IN = 3.6, 2.7  # of a panel
-LOG_RATIO = 20  # largest to smallest value from which an axis is logarithmic
-BRIGHTEST = 0.9  # of the colour map's range: its end is hard to see on white
-REPEATS = {"seed"}  # what an axis of these alone sweeps is noise: a band, wherever it stands
-LABELS = {  # key: (what it is, unit), where the key does not say so
+LOG_RATIO = 20  # ratio of the largest to the smallest value above which an axis is logarithmic
+BRIGHTEST = 0.9  # share of the colour map's range that is used, because its end is hard to see on white
+REPEATS = {"seed"}  # an axis of only these shows noise, so it becomes a band, wherever it stands
+LABELS = {  # key: (meaning, unit), if the key itself does not say so
     "klux": ("background light", "klux"),
     "clock_mhz": ("system clock", "MHz"),
     "frame.clock_mhz": ("system clock", "MHz"),
@@ -58,10 +58,10 @@ LABELS = {  # key: (what it is, unit), where the key does not say so
 
 
 def write_plot(path: Path, title: str, spec: Spec, found: dict[str, dict[str, Any]]) -> None:
-    """Draws `PANELS` of the points that `found` has by key into `path` (.png); the bytes depend on the arguments alone.
+    """Draw `PANELS` of the points that `found` has by key into `path` (.png); the bytes depend only on the arguments.
 
-    The first axis of the SPEC runs across and the second makes the lines, an axis of seeds only where there is no other.
-    Lines are means over the other axes, bands reach from least to most.
+    The first axis of the SPEC runs across and the second makes the lines; an axis of seeds is used only if there is no
+    other. Lines are means over the other axes, and bands span minimum and maximum.
     """
     order = sorted(range(len(spec.axes)), key=lambda i: set(spec.axes[i]) <= REPEATS)
     across, lines = (spec.axes[i] if i is not None else {} for i in (order + [None, None])[:2])
@@ -96,7 +96,7 @@ def write_plot(path: Path, title: str, spec: Spec, found: dict[str, dict[str, An
 
 
 def _scale(axis: Axes, swept: dict[str, list[Any]]) -> np.ndarray:
-    """Where the values of an axis of the SPEC stand; sets scale and ticks."""
+    """Return the positions of the values of an axis of the SPEC; set scale and ticks."""
     texts, values = _texts(swept) or [""], next(iter(swept.values()), [])
     numeric = len(swept) == 1 and all(
         isinstance(value, (int, float)) and not isinstance(value, bool) for value in values
@@ -110,7 +110,7 @@ def _scale(axis: Axes, swept: dict[str, list[Any]]) -> np.ndarray:
 
 
 def _span(cell: list[dict[str, Any]], measure: str) -> tuple[float, float, float]:
-    """Least, mean and most of a measure; NaN where no point has it."""
+    """Return minimum, mean and maximum of a measure; NaN if no point has it."""
     values = [point[measure] for point in cell if point[measure] is not None]
     return (min(values), float(np.mean(values)), max(values)) if values else (np.nan,) * 3
 
@@ -123,7 +123,7 @@ def _texts(swept: dict[str, list[Any]]) -> list[str]:
 
 
 def _label(swept: dict[str, list[Any]]) -> str:
-    """What an axis of the SPEC sweeps, with units."""
+    """Return what an axis of the SPEC sweeps, with units."""
     parts = []
     for key in swept:
         name, unit = LABELS.get(key, ("", ""))

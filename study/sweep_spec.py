@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a sweep runs: the points of its SPEC file, every one checked before the first runs.
+"""Points of a sweep, from its SPEC file; all are checked before the first one runs.
 
-A SPEC is a configuration file with more keys: `SETTINGS`, `config` (a file or preset that its tables are laid over), and
-[[axis]] tables. The keys of an axis vary together, axes are crossed, and the first varies slowest.
+A SPEC is a configuration file with additional keys: `SETTINGS`, `config` (a file or preset that its tables extend), and
+[[axis]] tables. The keys of an axis vary together. The axes are crossed, and the first one varies slowest.
 """
 
 import json
@@ -16,7 +16,8 @@ import numpy as np
 from attrs import frozen
 
 from .. import __version__
-from ..model.contract.config import PRESETS, Config, parse_config, read_toml
+from ..model.contract.config import Config, parse_config, read_toml
+from ..model.contract.preset_files import PRESETS
 from ..model.depth.estimate import METHODS
 from ..model.light.light import BACKGROUNDS
 from ..model.light.photons import edge_chunks
@@ -31,8 +32,8 @@ from ..model.shared.quantities import Numbers, check_choice, check_real
 from ..model.shared.sources import digest, sources_digest
 from .simulate import settings_of
 
-TABLES = ("sensor", "frame", "subgroup")  # of the configuration, whose keys may be swept
-SETTINGS = {  # of a point, beside its configuration: default
+TABLES = ("sensor", "frame", "subgroup")  # tables of the configuration whose keys may be swept
+SETTINGS = {  # of a point, in addition to its configuration: default
     "scene": "five-objects",
     "klux": 50.0,
     "background": BACKGROUNDS[0],
@@ -44,14 +45,15 @@ SETTINGS = {  # of a point, beside its configuration: default
 CLOCK, FRAME_CLOCK = "clock_mhz", "frame.clock_mhz"  # one key: a SPEC may write it outside its table
 ENGINES = ("golden", "verilator")
 POINTS_MAX = 100_000
-SEED_MAX = (1 << 63) - 1  # a column of the result holds it
+SEED_MAX = (1 << 63) - 1  # limit of a column of the result
 
 
 @frozen(kw_only=True, eq=False)
 class Point:
-    """One point. name, values: what is swept. at: its index along each axis. document: of its configuration. scene: what the pixels look
-    at. klux: ambient light, a number or float64[rows, cols]. settings: all there is to know, the configuration in the shape of its file.
-    key: digest of what the numbers depend on.
+    """One point. name, values: of the swept keys. at: its index along each axis. document: of its configuration.
+
+    scene: what the pixels look at. klux: ambient light, a number or float64[rows, cols]. settings: everything that
+    defines the point, in the shape of a file. key: digest of everything that the numbers depend on.
     """
 
     name: str
@@ -74,19 +76,19 @@ class Spec:
 
     @property
     def keys(self) -> dict[str, Point]:
-        """Points by key: those with the same content are run once."""
+        """Return the points by key; points with the same content run once."""
         return {point.key: point for point in reversed(self.points)}
 
 
 @cache
 def versions(engine: str) -> dict[str, str]:
-    """What an engine's numbers depend on, whatever the settings; `code` is a digest of the sources."""
+    """Return everything that an engine's numbers depend on besides settings; `code` is a digest of the sources."""
     code = sources_digest("model", "study", *(() if engine == "golden" else ("hdl", "host", "tb")))
     return {"coincid": __version__, "code": code} | {name: version(name) for name in ("numba", "numpy", "scipy")}
 
 
 def read_spec(path: FilePath) -> Spec:
-    """Reads and checks a SPEC file; `InputError` names the point, its field and the legal range."""
+    """Read and check a SPEC file. Raises `InputError` with the point, its field and the legal range."""
     try:
         document = read_toml(path)
         axes = _axes(document.pop("axis", []))
@@ -100,7 +102,7 @@ def read_spec(path: FilePath) -> Spec:
 
 
 def _axes(tables: object) -> list[dict[str, list[Any]]]:
-    """[[axis]] tables as lists of values by key, `subgroup.threshold` or `klux`."""
+    """Return the [[axis]] tables as lists of values by key, such as `subgroup.threshold` or `klux`."""
     if not isinstance(tables, list) or not all(isinstance(table, dict) for table in tables):
         raise InputError("axis: must be written as [[axis]]")
     axes: list[dict[str, list[Any]]] = []
@@ -138,12 +140,12 @@ def _axes(tables: object) -> list[dict[str, list[Any]]]:
 
 
 def _placed(name: str) -> str:
-    """A key by its table."""
+    """Return a key with its table."""
     return FRAME_CLOCK if name == CLOCK else name
 
 
 def _place_clock(document: dict[str, Any]) -> None:
-    """Moves the clock of a document into its table."""
+    """Move the clock of a document into its table."""
     if CLOCK in document and isinstance(frame := document.setdefault("frame", {}), dict):
         if CLOCK in frame:
             raise InputError(f"{CLOCK}: {FRAME_CLOCK} is given, too, must be one of them")
@@ -155,7 +157,7 @@ def _length(axis: dict[str, list[Any]]) -> int:
 
 
 def _resolved(document: dict[str, Any]) -> dict[str, Any]:
-    """`document` with the tables of its `config` below its own, overrides after those of the file."""
+    """Return `document` with the tables of its `config` below its own, and its overrides after those of the file."""
     document = dict(document)
     given = document.pop("config", None)
     if given is None:
@@ -185,13 +187,13 @@ def _configuration(given: str) -> dict[str, Any]:
 def _point(
     document: dict[str, Any], axes: list[dict[str, list[Any]]], at: tuple[int, ...], scenes: Callable[..., Scene]
 ) -> Point:
-    """The checked point of `document` at an index along each axis. scenes: `load_scene` that remembers."""
+    """Return the checked point of `document` at an index along each axis. scenes: a `load_scene` with a cache."""
     document, values = dict(document), {name: listed[i] for axis, i in zip(axes, at) for name, listed in axis.items()}
     for name, value in values.items():
         table, dot, key = _placed(name).partition(".")
         if not dot:
             document[name] = value
-        elif isinstance(document.setdefault(table, {}), dict):  # else `parse_config` says what is wrong
+        elif isinstance(document.setdefault(table, {}), dict):  # otherwise `parse_config` reports the fault
             document[table] = document[table] | {key: value}
     name = " ".join(f"{name}={_shown(value)}" for name, value in values.items()) or "the only point"
     try:
@@ -199,11 +201,11 @@ def _point(
         settings = _settings({name: document.pop(name, default) for name, default in SETTINGS.items()})
         config = parse_config(document)
         if config.format == "short":
-            raise InputError("frame.format = 'short': must be id or full, as depth comes from the ID map")
+            raise InputError("frame.format = 'short': must be id or full, because depth needs the ID map")
         range_m = Timing.from_config(config).range_m
         scene = scenes(settings["scene"], config.sensor.rows, config.sensor.cols, range_m=range_m)
         klux = ambient_klux(settings["klux"], scene.rows, scene.cols)
-        edge_chunks(**photons_of(settings, config, scene, klux))  # checks everything, makes nothing yet
+        edge_chunks(**photons_of(settings, config, scene, klux))  # checks everything, but makes nothing yet
     except InputError as error:
         raise InputError(f"point {name}: {error}") from None
     settings["configuration"] = settings_of(config)
@@ -224,7 +226,7 @@ def _point(
 
 
 def photons_of(settings: dict[str, Any], config: Config, scene: Scene, klux: Numbers) -> dict[str, Any]:
-    """Arguments of `generate_edges` for all frames of a point."""
+    """Return the arguments of `generate_edges` for all frames of a point."""
     return {
         "light": scene_light(scene, klux, background=settings["background"]),
         "spad": Spad(),
@@ -236,7 +238,7 @@ def photons_of(settings: dict[str, Any], config: Config, scene: Scene, klux: Num
 
 
 def _settings(given: dict[str, Any]) -> dict[str, Any]:
-    """Checked values of `SETTINGS`, of one type each."""
+    """Return the checked values of `SETTINGS`, each of one type."""
     if not isinstance(given["scene"], str):
         raise InputError(f"scene = {given['scene']!r}: must be a string")
     if not isinstance(given["spad_gate"], bool):

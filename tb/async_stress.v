@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Stress of the asynchronous front end, for Icarus: random edges at every scale, and what must hold of every word.
+// Stress test of the asynchronous front end, for Icarus: random edges at every scale, and checks of every word.
 //
-// +edges=N: how many; +seed=N. Prints the counts as a line of JSON.
+// +edges=N: number of edges; +seed=N. Prints the counts as one line of JSON.
 `timescale 1ps / 1fs
 module async_stress;
   `include "front.vh"
@@ -18,7 +18,7 @@ module async_stress;
   reg bright = 0;
   reg [2:0] light = 4;
 
-  // Edges until there are enough; then, when all is quiet, a single one that must be answered.
+  // Random edges, up to the requested number; then, at rest, a single edge that must give a word.
   initial begin
     if (!$value$plusargs("edges=%d", wanted)) wanted = 10000;
     if (!$value$plusargs("seed=%d", seed)) seed = 1;
@@ -66,7 +66,7 @@ module async_stress;
     end
   endgenerate
 
-  // A laser period, and what may change between two of them.
+  // A laser period, and the settings that may change between two periods.
   integer k;
   always @(posedge clk) begin
     cycle <= cycle == PERIOD_CYCLES - 1 ? 0 : cycle + 1;
@@ -100,7 +100,7 @@ module async_stress;
     end
   endfunction
 
-  // Every word, and none for too long.
+  // Check every word, and that the wait for one is never too long.
   always @(posedge clk) begin
     since <= closed || !bright || rst ? 0 : since + 1;
     if (since > 4 * PERIOD_CYCLES) begin

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Batch engine: the sensor's modules and its core, each compiled once by Verilator, wired and stepped here.
 //
-// Every output of a module and of the core comes from a register. So a clock edge needs no settling between them: take all outputs, set all
-// inputs, step everything. That this equals the top module's wiring is shown by the tests.
+// Every output of a module and of the core comes from a register, so nothing has to settle between two clock edges: take all
+// outputs, set all inputs, step everything. The tests show that this equals the wiring of the top module.
 //
 // wiring.h is generated: sizes, and the names of the ports that depend on the number of streams.
 
@@ -29,7 +29,7 @@ constexpr int SPINS = 100000;                 // some ten cycles' time, before a
 constexpr int ALONE = 300;                   // cycles without help after a wait as long as that
 enum Status { RUNNING = 0, DELIVERED = 1, HANGS = 2 };
 
-// Bits of a port, whatever type Verilator gives it.
+// Bits of a port, for any type that Verilator gives it.
 template <class T> uint32_t* words_of(T& port) {
     if constexpr (std::is_class_v<T>) return port.data();
     else return reinterpret_cast<uint32_t*>(&port);
@@ -47,8 +47,8 @@ template <class T> void clear(T& port) {
     else port = 0;
 }
 
-// A rising clock edge. Nothing happens at a falling one, and to evaluate it would take as long as the logic behind the inputs takes. So
-// Verilator is told that the clock had fallen.
+// A rising clock edge. Nothing happens at a falling edge, but evaluating it would take as long as the logic behind the
+// inputs. So Verilator is only told that the clock has fallen.
 template <class Model> void rise(Model& model) {
     model.rootp->__Vtrigprevexpr___TOP__clk__0 = 0;
     model.clk = 1;
@@ -60,9 +60,9 @@ int stream_of(int subgroup) { return int(int64_t(subgroup) * STREAMS / SUBGROUPS
 struct Beat { uint64_t data; int64_t cycle; };
 struct Commit { int64_t subgroup, cycle; };
 
-// A part of the modules, and what they say to the core in a cycle. Every thread begins with parts of its own and goes on with what the others
-// have not taken. Where other programs keep a thread from running, the first one does without it, for a while even without asking: a busy
-// machine costs the second core, and not more.
+// A part of the modules, and their outputs to the core in a cycle. Every thread begins with its own parts and then takes parts
+// that the others have not started. If other programs keep a thread from running, the first one works alone, and for a while
+// does not even ask. So a busy machine costs no more than the second core.
 struct alignas(64) Part {
     std::atomic<uint64_t> claimed{0}, done{0};  // the last cycle that somebody took, and finished
     uint64_t beat[STREAMS];
@@ -117,7 +117,7 @@ public:
         }
     }
 
-    // A frame: edges by subgroup, then cycle; bit = pixel * phases + phase. Starts it; `run` goes on.
+    // Start a frame; `run` continues it. Edges are sorted by subgroup, then cycle; bit = pixel * phases + phase.
     int start(const int64_t* cycle, const int32_t* bit, const int64_t* bounds, const uint8_t* ready, int64_t ready_cycles, int64_t frame_cycles,
               int64_t limit, uint32_t control, uint32_t start_value) {
         cycle_of_.assign(cycle, cycle + bounds[SUBGROUPS]);
@@ -183,7 +183,7 @@ private:
         write_response_ = 0;
     }
 
-    // One clock edge for everything.
+    // One clock edge of the whole sensor.
     void step() {
         gather();
         bool aw = core_->s_axi_awvalid && core_->s_axi_awready, w = core_->s_axi_wvalid && core_->s_axi_wready;
@@ -217,7 +217,7 @@ private:
         if (b) { core_->s_axi_bready = 0; write_busy_ = false; write_response_ = response; }
     }
 
-    // The joins of the modules' outputs, as the top module has them.
+    // Join the modules' outputs as the top module does.
     void gather() {
         core_->data = 0;
         core_->gate_late = core_->settings_upset = 0;
@@ -266,13 +266,13 @@ private:
         if (Line<LINE>::record_stored(module)) part.record_stored.push_back(subgroup);
     }
 
-    // A thread's share of a cycle.
+    // Do a thread's share of a cycle.
     void take_all(int thread, uint64_t epoch) {
         int parts = parts_.size(), first = parts * thread / threads_;
         for (int i = 0; i < parts; i++) take((first + i) % parts, epoch);
     }
 
-    // Steps the modules of a part, unless another thread has taken them in this cycle.
+    // Step the modules of a part, unless another thread has taken them in this cycle.
     void take(int number, uint64_t epoch) {
         Part& part = parts_[number];
         uint64_t before = epoch - 1;

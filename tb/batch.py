@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Batch engine: whole frames through the Verilated sensor, without Python in the loop.
+"""Batch engine: plays whole frames through the Verilated sensor, without Python in the loop.
 
-The repeated unit (a module) and the rest (the core) are compiled once each and wired in C++ (`batch.cpp`), so the
-build does not grow with the array. Registers are programmed over the real AXI4-Lite port; beats come back with the
-cycles of their transfer.
+The repeated unit (a module) and the rest (the core) are compiled once each and wired in C++ (`batch.cpp`), so the build
+does not grow with the array. Registers are programmed over the real AXI4-Lite port; beats come back with the cycles of
+their transfer.
 """
 
 import ctypes
@@ -35,17 +35,17 @@ from .rtl import rtl_in_two, sensor_key
 SOURCE = Path(__file__).with_name("batch.cpp")
 LIBRARY = "libcoincid.so"
 MODULE = "coincid_module"
-CHUNK_CYCLES = 20_000  # between two looks at progress and Ctrl-C
-MODULES_A_THREAD = 2  # fewer are not worth a thread
+CHUNK_CYCLES = 20_000  # between two checks of progress and Ctrl-C
+MODULES_A_THREAD = 2  # fewer modules are not worth a thread
 RUNNING, DELIVERED, HANGS = range(3)
 VERILATOR = ("--cc", *toolchain.VERILATOR_OPTIONS)
 COMPILER = ("-std=gnu++20", "-O2", "-fPIC")
-# A unit is one file for the compiler: apart, forty small ones and two precompiled headers take twice as long.
+# Each unit is one file for the compiler: separate, forty small files and two precompiled headers take twice as long.
 MAKE_OPTIONS = ("VM_PARALLEL_BUILDS=0", "OPT_FAST=-O2", "OPT_GLOBAL=-O2")
 
 
 def wiring_header(sensor: Sensor) -> str:
-    """What `batch.cpp` needs to know of a sensor."""
+    """Return the C++ header that describes a sensor to `batch.cpp`."""
     n = sensor.subgroups
     firsts = [sensor.stream_subgroups(stream).start for stream in range(sensor.streams)]
     most = max(len(sensor.stream_subgroups(stream)) for stream in range(sensor.streams))
@@ -82,12 +82,12 @@ def wiring_header(sensor: Sensor) -> str:
 
 
 def build_library(sensor: Sensor) -> Path:
-    """The engine's library for a sensor, compiled once."""
+    """Compile the engine's library for a sensor, once."""
     program = toolchain.verilator()
     for_core, for_module = rtl_in_two(sensor)
     if sensor.subgroups % 2:
-        # The module does not depend on the array, so sensors of all sizes share its library. An odd number of subgroups
-        # ends with half a module: here a whole one of which nothing is asked, so it comes from a sensor that has one.
+        # The module does not depend on the array, so sensors of all sizes share its library. If the number of subgroups is
+        # odd, the last module is a whole one that is used by half, taken from a sensor that has one.
         _, for_module = rtl_in_two(evolve(sensor, rows=2 * sensor.rows))
     header = wiring_header(sensor)
     key = _key(header, SOURCE.read_text(), sources=[*for_core, *for_module])
@@ -97,7 +97,7 @@ def build_library(sensor: Sensor) -> Path:
         log = directory.with_name(f"{directory.name}.log")
         log.unlink(missing_ok=True)
         (scratch / "wiring.h").write_text(header)
-        # All the time is spent in the modules: inlined, they run twice as fast. The core is what grows with the array.
+        # Nearly all time is spent in the modules; inlined, they run twice as fast. The core is what grows with the array.
         module = verilated_unit(MODULE, "Vmodule", for_module, archives=["libverilated.a"])
         core = verilated_unit(CORE, "Vcore", for_core, options=[toolchain.NOT_INLINED])
         include = ["-I.", f"-I{module}", f"-I{core}", f"-I{program.parents[1] / 'include'}"]
@@ -111,7 +111,7 @@ def build_library(sensor: Sensor) -> Path:
 def verilated_unit(
     top: str, prefix: str, sources: list[Path], *, options: Sequence[str] = (), archives: Sequence[str] = ()
 ) -> Path:
-    """A Verilated unit: its headers, its archive and those named, in a directory keyed by its sources and options."""
+    """Verilate a unit: its headers, its archive and the named files, in a folder keyed by its sources and options."""
     program = toolchain.verilator()
     directory = build_root() / "batch" / f"{top}-{_key(top, *options, sources=sources)}"
 
@@ -162,9 +162,9 @@ def _library(path: Path) -> ctypes.CDLL:
 
 
 class BatchSensor:
-    """A sensor under reset and then in use: registers, frames. A context manager; `threads` share the modules.
+    """A sensor, first under reset, then in use. A context manager; `threads` share the modules.
 
-    It is a transport of the host driver, which programs it; a frame needs light, so `frame` starts one.
+    It is a transport of the host driver, which programs it. A frame needs light, so `frame` starts it.
     """
 
     def __init__(self, sensor: Sensor, threads: int | None = None):
@@ -185,19 +185,19 @@ class BatchSensor:
         self._engine = None
 
     def write(self, address: int, value: int) -> None:
-        """Writes a register; raises `RefusedError` where the sensor answers SLVERR."""
+        """Write a register. Raises `RefusedError` if the sensor answers SLVERR."""
         if self._library.coincid_write(self._engine, address, value):
             raise RefusedError(f"write of {value:#x} to {address:#07x}: SLVERR")
 
     def read(self, address: int) -> int:
-        """Reads a register; raises `RefusedError` where the sensor answers SLVERR."""
+        """Read a register. Raises `RefusedError` if the sensor answers SLVERR."""
         value = ctypes.c_uint32()
         if self._library.coincid_read(self._engine, address, value):
             raise RefusedError(f"read of {address:#07x}: SLVERR")
         return value.value
 
     def receive(self, stream: int) -> np.ndarray:
-        """Beats (uint64) of the frame that was played last, once."""
+        """Return the beats (uint64) of the last frame, once."""
         beats, self._beats[stream] = self._beats[stream], np.zeros(0, np.uint64)
         return beats
 
@@ -208,7 +208,7 @@ class BatchSensor:
         ready: np.ndarray | None = None,
         progress: Callable[[int], None] = lambda cycle: None,
     ) -> Recorded:
-        """Programs the settings, plays a frame and returns what it showed, as `cosim.SensorBench.play` does."""
+        """Program the settings, play a frame, and return its record, as `cosim.SensorBench.play` does."""
         self.driver.program(config)
         ready = np.ascontiguousarray(config.tready(ready))
         cycle, bit, bounds = _by_subgroup(config, edges)
@@ -245,7 +245,7 @@ class BatchSensor:
         return Recorded(beats, cycles, commits[:, 0], commits[:, 1], max(int(c[-1]) for c in cycles) + 1)
 
     def _rows(self, get: Callable[..., int], *which: int) -> np.ndarray:
-        """Pairs of 64-bit words that the engine keeps, as uint64[n, 2]."""
+        """Return pairs of 64-bit words that the engine keeps, as uint64[n, 2]."""
         pointer = ctypes.c_void_p()
         n = get(self._engine, *which, ctypes.byref(pointer))
         if not n:
@@ -254,7 +254,7 @@ class BatchSensor:
 
 
 def _by_subgroup(config: Config, edges: Edges) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Cycle (int64[n]) and bit of the port word (int32[n]) of every edge, by subgroup, then cycle; and the subgroups' bounds."""
+    """Return cycle (int64[n]) and port bit (int32[n]) of every edge by subgroup, then cycle, and the subgroups' bounds."""
     cycle, subgroup, bit = port_bits(config, edges)
     order = np.argsort(subgroup * config.frame_cycles + cycle, kind="stable")
     bounds = np.concatenate([[0], np.cumsum(np.bincount(subgroup, minlength=config.sensor.subgroups))])

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The cocotb test that plays frames through the sensor. It runs inside the simulator; `replay.py` starts it.
 
-The test bench acts at falling edges: what it reads there are the cycle's outputs, what it writes is taken by the
-rising edge that ends the cycle.
+The test bench acts at falling edges: there it reads the outputs of the cycle, and its new values are taken by the rising
+edge that ends the cycle.
 """
 
 import os
@@ -43,7 +43,7 @@ PROGRESS_CYCLES = 500
 
 
 class SensorBench:
-    """Handles of the sensor, its register master, and the frame player."""
+    """Handles of the sensor, the master of its register bus, and the frame player."""
 
     step_fs = 2 * FS_PER_PS  # half cycles are whole picoseconds, the simulation's time step
 
@@ -59,7 +59,7 @@ class SensorBench:
         self.programmed = Programmed()
 
     async def reset(self) -> None:
-        """Starts the clock and resets; the programmed settings are unknown to the bench afterwards."""
+        """Start the clock and reset the sensor; afterwards the bench does not know the programmed settings."""
         for line in (*self.spad, *self.tready):
             line.value = 0
         self.dut.rst.value = 1
@@ -72,21 +72,21 @@ class SensorBench:
         self.programmed.forget()
 
     async def write(self, name: str, value: int, subgroup: int = 0, index: int = 0) -> None:
-        """Writes a register; a refused write raises cocotb-bus's `AXIProtocolError`."""
+        """Write a register. A refused write raises cocotb-bus's `AXIProtocolError`."""
         await self.axi.write(registers.address(name, subgroup, index), value)
 
     async def read(self, name: str, subgroup: int = 0, index: int = 0) -> int:
-        """Reads a register."""
+        """Read a register."""
         return int(await self.axi.read(registers.address(name, subgroup, index)))
 
     async def program(self, config: Config) -> None:
-        """Writes the settings that differ from what was programmed before."""
+        """Write the settings that differ from those programmed before."""
         for address, value in self.programmed.pending(config.register_writes()):
             await self.axi.write(address, value)
             self.programmed.note(address, value)
 
     def shine(self, config: Config, edges: Edges) -> dict[int, list[tuple[int, int]]]:
-        """The words that `play` drives, by cycle of the frame."""
+        """Return the words that `play` drives, by cycle of the frame."""
         return port_words(config, edges)
 
     async def play(
@@ -97,7 +97,7 @@ class SensorBench:
         board: Scoreboard | None = None,
         progress: Callable[[int], None] = lambda cycle: None,
     ) -> Recorded:
-        """Plays a frame and returns what it showed. `board` raises at the first difference from the golden model."""
+        """Play a frame and return its record. `board` raises at the first difference from the golden model."""
         sensor = self.sensor
         words = self.shine(config, edges)
         ready = config.tready(ready)
@@ -181,7 +181,7 @@ class SensorBench:
 
 
 class LineBench(SensorBench):
-    """Bench of the asynchronous view: every edge rises at its own picosecond. light: the task that sees to it."""
+    """Bench of the asynchronous view: every edge rises at its own picosecond, driven by the task `light`."""
 
     step_fs = STEP_FS
 
@@ -195,7 +195,7 @@ class LineBench(SensorBench):
             await falling
             if int(self.dut.timing.value) & start:
                 break
-        now = self.cycle_fs // 2 - LEAD * self.cycle_fs  # of this falling edge, cycle 0 of the frame is 0
+        now = self.cycle_fs // 2 - LEAD * self.cycle_fs  # time of this falling edge; cycle 0 of the frame begins at 0
         for at, subgroup, word in zip(*levels):
             if at > now:
                 await Timer(at - now, "fs")
@@ -205,7 +205,7 @@ class LineBench(SensorBench):
 
 @cocotb.test()
 async def play_job(dut: Any) -> None:
-    """Plays the job that the environment names and leaves its records beside it; or else the first difference, as text."""
+    """Play the job named in the environment and leave its records beside it, or else the first difference, as text."""
     path = Path(os.environ[JOB_VARIABLE])
     job, lines = load_job(path)
     bench = (LineBench if lines else SensorBench)(dut, job[0].config.sensor, job[0].config.clock_mhz)

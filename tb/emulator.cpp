@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// The emulator behind its two serial pins, as a library: bytes go in and come out at the line's speed, bit by bit. See emulator.py.
+// The emulator behind its two serial pins, as a library: bytes pass at the speed of the line, bit by bit. See emulator.py.
 #include <cstdint>
 #include <deque>
 #include "Vemulator.h"
@@ -70,7 +70,7 @@ void coincid_line_connect(Line* line, int connected) {
     if (!connected) line->out.clear();
 }
 void coincid_line_send(Line* line, const uint8_t* bytes, int64_t n) { line->out.insert(line->out.end(), bytes, bytes + n); }
-// Runs until a byte has come or as many cycles have passed, and on while the line is busy; returns how many bytes came.
+// Run until a byte has arrived or so many cycles have passed, and on while the line is busy; return the number of bytes.
 int64_t coincid_line_run(Line* line, int64_t cycles, uint8_t* bytes, int64_t room) {
     int64_t end = line->cycle + cycles, n = 0;
     while (line->cycle < end && line->in.empty()) line->step();

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The emulator behind its serial pins, Verilated: a port for the host's serial transport, with no board."""
+"""The Verilated emulator behind its serial pins: a port for the host's serial transport, without a board."""
 
 import ctypes
 from functools import cache
@@ -15,20 +15,20 @@ from .batch import COMPILER, verilated_unit
 
 SOURCE = Path(__file__).with_name("emulator.cpp")
 LIBRARY = "libemulator.so"
-READ_CYCLES = 2000  # that a read without an answer waits
-PATIENCE_S = 100e-6  # for an answer at the simulated line, in simulated time
+READ_CYCLES = 2000  # time that a read waits for a byte
+PATIENCE_S = 100e-6  # for an answer on the simulated line, in simulated time
 ROOM = 4096
 RESET_CYCLES = 8
 SIMULATED_CLOCKS_PER_BIT = 4  # the fastest line
 
 
 def simulated(sensor: Sensor) -> Emulator:
-    """An emulator of `sensor` for simulation, with the fastest line."""
+    """Return an emulator of `sensor` for simulation, with the fastest line."""
     return Emulator(sensor=sensor, clocks_per_bit=SIMULATED_CLOCKS_PER_BIT)
 
 
 def emulator_rtl(emulator: Emulator, serial: bool = True) -> list[Path]:
-    """The emulator's Verilog files, emitted once for its parameters and the state of the sources."""
+    """Return the emulator's Verilog files, emitted once for its parameters and the state of the sources."""
     key = digest(repr(emulator), str(serial), sources_digest("hdl", "model.contract", "model.shared"))
 
     def emit(folder: Path) -> None:
@@ -41,7 +41,7 @@ def emulator_rtl(emulator: Emulator, serial: bool = True) -> list[Path]:
 
 
 def build_emulator(emulator: Emulator) -> Path:
-    """The library of an emulator behind its pins, compiled once."""
+    """Compile the library of an emulator behind its pins, once."""
     unit = verilated_unit(
         SERIAL_TOP, "Vemulator", emulator_rtl(emulator), options=[toolchain.NOT_INLINED], archives=["libverilated.a"]
     )
@@ -78,9 +78,9 @@ def _library(path: Path) -> ctypes.CDLL:
 
 
 class SimulatedPort:
-    """The serial port of a simulated emulator under reset and then in use: what the host's `SerialTransport` takes. A context manager.
+    """Serial port of a simulated emulator, first under reset, then in use, for `SerialTransport`. A context manager.
 
-    Its time is simulated: it passes in `read` alone. clock_mhz: of the emulator.
+    Its time is simulated, and passes only in `read`. clock_mhz: of the emulator.
     """
 
     def __init__(self, emulator: Emulator, clock_mhz: float):
@@ -98,25 +98,25 @@ class SimulatedPort:
         self._line = None
 
     def reset(self) -> None:
-        """Resets the emulator."""
+        """Reset the emulator."""
         self._library.coincid_line_reset(self._line, RESET_CYCLES)
 
     def connect(self, connected: bool) -> None:
-        """Pulls the cable, or puts it back."""
+        """Pull the cable, or plug it in again."""
         self._library.coincid_line_connect(self._line, connected)
 
     def write(self, data: bytes) -> None:
-        """Sends bytes, while time goes on."""
+        """Send bytes; time goes on while they are sent."""
         self._library.coincid_line_send(self._line, data, len(data))
 
     def read(self) -> bytes:
-        """What comes: as soon as a byte does, or nothing in `READ_CYCLES`."""
+        """Return the next byte as soon as it arrives, or nothing after `READ_CYCLES`."""
         n = self._library.coincid_line_run(self._line, READ_CYCLES, self._room, ROOM)
         return self._room.raw[:n]
 
     @property
     def cycles(self) -> int:
-        """Clock cycles that were simulated."""
+        """Return the number of simulated clock cycles."""
         return self._library.coincid_line_cycle(self._line)
 
     def now(self) -> float:

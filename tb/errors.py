@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a run of the RTL may end with."""
+"""Errors of a run of the RTL."""
 
 from pathlib import Path
 
@@ -9,9 +9,9 @@ class Mismatch(AssertionError):
 
 
 class SimulationError(RuntimeError):
-    """A cocotb test failed, none ran, or the simulator ended abnormally. The message ends with the log's tail.
+    """A cocotb test failed, none ran, or the simulator ended abnormally. The message ends with the end of the log.
 
-    `log` is the simulator's log, `wave` the waveform; None where there is none.
+    `log` is the simulator's log, `wave` the waveform; None if there is none.
     """
 
     def __init__(self, message: str, log: Path | None = None, wave: Path | None = None):

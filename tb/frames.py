@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A frame to play, and what was recorded: input and output of all ways of running the RTL."""
+"""A frame to play, and its record: input and output of all ways of running the RTL."""
 
 import pickle
 from pathlib import Path
@@ -13,18 +13,18 @@ from ..model.contract.latency import FINISH
 from ..model.contract.link import beats_waiting_max
 from ..model.golden.frame import Trace
 
-JOB_VARIABLE = "COINCID_JOB"  # of the simulator's environment: path of the job
-RESULT, MISMATCH = ".result", ".mismatch"  # suffixes of what a job leaves beside it
-PROGRESS = "@cycle"  # a line of the simulator's output that a progress bar reads
-STORED_TO_COMMIT = 1  # the subgroup's `stored` strobe stands a cycle after the commit
+JOB_VARIABLE = "COINCID_JOB"  # environment variable of the simulator: path of the job
+RESULT, MISMATCH = ".result", ".mismatch"  # suffixes of the files that a job leaves beside it
+PROGRESS = "@cycle"  # line of the simulator's output for a progress bar
+STORED_TO_COMMIT = 1  # the subgroup's `stored` strobe comes one cycle after the commit
 
 
 @frozen(eq=False)
 class FrameJob:
-    """A frame to play. expected: the golden model's prediction, checked on the fly; None: only recorded.
+    """A frame to play. expected: the golden model's prediction, checked on the fly; None: the frame is only recorded.
 
-    ready: uint8[n], what stands behind the streams' links takes a beat in cycle c where ready[c] is 1, and from cycle n
-    on.
+    ready: uint8[n], the receiver behind the streams' links takes a beat in cycle c if ready[c] is 1, and always from
+    cycle n on.
     """
 
     config: Config
@@ -35,7 +35,7 @@ class FrameJob:
 
 @define(eq=False)
 class Recorded:
-    """What a frame showed: per stream beats (uint64) and their cycles; stored events by subgroup, then time."""
+    """Record of a frame: per stream beats (uint64) and their cycles; stored events by subgroup, then time."""
 
     beats: list[np.ndarray]
     beat_cycle: list[np.ndarray]
@@ -46,17 +46,19 @@ class Recorded:
 
 
 def save_job(path: Path, frames: list[FrameJob], lines: bool = False) -> dict[str, str]:
-    """Writes frames for `cosim.py` to play; returns the environment in which it finds them. lines: whether SPAD lines
-    rise at their own picosecond (the view with delays)."""
+    """Write frames for `cosim.py` to play, and return the environment in which it finds them.
+
+    lines: SPAD lines rise at their own picosecond (for the view with delays).
+    """
     path.write_bytes(pickle.dumps((frames, lines)))
     return {JOB_VARIABLE: str(path)}
 
 
 def load_job(path: Path) -> tuple[list[FrameJob], bool]:
-    """What `save_job` wrote: frames and lines."""
+    """Return frames and lines as given to `save_job`."""
     return pickle.loads(path.read_bytes())
 
 
 def cycle_limit(config: Config, ready_cycles: int) -> int:
-    """Cycles after which any frame must have ended: a sensor that needs more has hung."""
+    """Return the number of cycles after which any frame must have ended; a sensor that needs more hangs."""
     return config.frame_cycles + ready_cycles + FINISH + 2 * beats_waiting_max(config.sensor) + 1000

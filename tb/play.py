@@ -19,7 +19,7 @@ COCOTB = {"cocotb-verilator": "verilator", "cocotb-icarus": "icarus", "icarus": 
 
 
 def prepare(engine: str, sensor: Sensor, waves: bool = False, view: View = POLYPHASE) -> None:
-    """Compiles what `engine` needs for `play`, where it is not there yet."""
+    """Compile everything that `engine` needs for `play`, unless it is there already."""
     if _batch(engine, waves):
         build_library(sensor)
     else:
@@ -27,12 +27,12 @@ def prepare(engine: str, sensor: Sensor, waves: bool = False, view: View = POLYP
 
 
 def _batch(engine: str, waves: bool) -> bool:
-    """Whether frames run in the batch engine, which has no waveform."""
+    """Return whether frames run in the batch engine, which has no waveform."""
     return engine == "verilator" and not waves
 
 
 def build_sensor(sensor: Sensor, simulator: str, waves: bool = False, view: View = POLYPHASE) -> toolchain.Build:
-    """The sensor in a view of `hdl/views.py`, compiled for a simulator, or found compiled."""
+    """Return the sensor in a view from `hdl/views.py`, compiled for a simulator, now or earlier."""
     public = [f"{TOP}.stored_of_*"] + [f"{TOP}.timing"] * (view != POLYPHASE)
     return toolchain.build(
         simulator,
@@ -54,11 +54,11 @@ def play(
     progress: Callable[[int], None] | None = None,
     view: View = POLYPHASE,
 ) -> tuple[list[Recorded], Path | None]:
-    """Plays frames of one sensor through its RTL; returns what each showed, and the waveform. `progress` gets cycles done.
+    """Play frames of one sensor through its RTL; return their records, and the waveform. `progress` gets cycles done.
 
-    engine: of `replay.ENGINES`, without golden; view: of `hdl/views.py`; with `waves`, cocotb stands in for the batch engine. Raises
-    `Mismatch` at the first difference from a frame's expectation, `SimulationError` for any
-    other failure, and `toolchain.ToolchainError`.
+    engine: from `replay.ENGINES`, without golden; view: from `hdl/views.py`; with `waves`, cocotb replaces the batch
+    engine. Raises `Mismatch` at the first difference from a frame's expectation, `SimulationError` for any other
+    failure, and `toolchain.ToolchainError`.
     """
     if _batch(engine, waves):
         return _play_batch(frames, progress or (lambda cycles: None)), None
@@ -75,7 +75,7 @@ def play_in(
     lines: bool = False,
     progress: Callable[[int], None] | None = None,
 ) -> tuple[list[Recorded], toolchain.Run]:
-    """Plays frames in a compiled simulator by the cocotb test; `lines` as in `save_job`, the rest as in `play`."""
+    """Play frames in a compiled simulator by the cocotb test; `lines` as in `save_job`, the rest as in `play`."""
 
     def line(text: str) -> None:
         if progress and text.startswith(PROGRESS):
@@ -95,7 +95,7 @@ def play_in(
 
 def _play_batch(frames: list[FrameJob], progress: Callable[[int], None]) -> list[Recorded]:
     def since(start: int) -> Callable[[int], None]:
-        """Of a frame that starts when `start` cycles are done."""
+        """Return a callback for a frame that starts when `start` cycles are done."""
         return lambda cycle: progress(start + cycle)
 
     records, before = [], 0

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The sensor in Amaranth's own simulator: the slowest way to run it, and the only one that no Verilog is part of."""
+"""The sensor in Amaranth's own simulator: the slowest way to run it, and the only one without any Verilog."""
 
 from collections.abc import Callable
 
@@ -16,7 +16,7 @@ from .stimulus import port_words
 
 
 async def write_register(ctx: SimulatorContext, dut: FlatSensor, address: int, value: int) -> None:
-    """A write over the sensor's AXI4-Lite port, whose `wstrb` and `bready` are set; ends with the cycle of the answer."""
+    """Write over the sensor's AXI4-Lite port, with `wstrb` and `bready` set; return in the cycle of the answer."""
     ctx.set(dut.s_axi_awaddr, address)
     ctx.set(dut.s_axi_wdata, value)
     channels = [(dut.s_axi_awvalid, dut.s_axi_awready), (dut.s_axi_wvalid, dut.s_axi_wready)]
@@ -34,9 +34,10 @@ async def write_register(ctx: SimulatorContext, dut: FlatSensor, address: int, v
 def play(
     config: Config, edges: Edges, progress: Callable[[int], None] = lambda cycle: None
 ) -> tuple[list[np.ndarray], list[np.ndarray]]:
-    """Programs the sensor, plays a frame with `tready` high, and returns per stream the beats (uint64) and their cycles (int64).
+    """Program the sensor, play a frame with `tready` high, and return per stream the beats (uint64) and cycles (int64).
 
-    progress: called with the number of each cycle of the frame as it begins. Raises `SimulationError` if the frame never ends.
+    progress: called at the beginning of each cycle of the frame with its number. Raises `SimulationError` if the frame
+    does not end.
     """
     sensor = config.sensor
     dut, words = FlatSensor(sensor), port_words(config, edges)

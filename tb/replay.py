@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Runs frames through an engine: the golden model, or the RTL in a simulator.
 
-The golden model needs no RTL tool: nothing of the RTL is imported before an engine that runs it is asked for.
+The golden model needs no RTL tool: no part of the RTL is imported before an engine is requested that runs it.
 """
 
 import tempfile
@@ -23,21 +23,21 @@ if TYPE_CHECKING:
     from ..hdl.views import View
 
 ENGINES = ("golden", "verilator", "icarus", "cocotb-verilator", "cocotb-icarus")  # verilator: the batch engine
-LINE_ENGINES = ("icarus", "cocotb-icarus", "cocotb-verilator")  # of the view with delays
+LINE_ENGINES = ("icarus", "cocotb-icarus", "cocotb-verilator")  # for the view with delays
 DEFAULT_VIEW = "polyphase"
 
 
 def chosen_view(engine: str, view: "str | View", clock_mhz: float) -> "View | None":
-    """The view of `hdl/views.py` that `engine` runs, at a system clock; None for the golden model, which has none.
+    """Return the view from `hdl/views.py` that `engine` runs, at a system clock; None for the golden model.
 
-    view: its name, or a view of a circuit of one's own. Raises `InputError`, also where the RTL's tools are missing.
+    view: its name, or a view of a custom circuit. Raises `InputError`, also if the tools of the RTL are missing.
     """
     check_choice("engine", engine, ENGINES)
     if engine == "golden" and view == DEFAULT_VIEW:
         return None
     with extra("rtl"):
         from ..hdl.views import POLYPHASE, view_at
-        from . import play  # noqa: F401, what it needs is there
+        from . import play  # noqa: F401, its dependencies are there
     found = view_at(view, clock_mhz)
     check_choice("engine", engine, ENGINES if found == POLYPHASE else LINE_ENGINES)
     return None if engine == "golden" else found
@@ -63,7 +63,7 @@ def replay(
     ready : numpy.ndarray or None
         uint8[n]: whether the receiver takes a beat in each of the first n cycles of a frame; None: always.
     progress : callable or None
-        Is called with the number of cycles done.
+        Called with the number of cycles done.
     view : str or View
         `polyphase` or `async`; see `chosen_view`.
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The sensor's Verilog for simulation: emitted once for its parameters, and kept."""
+"""The sensor's Verilog for simulation, emitted once for its parameters and kept."""
 
 from pathlib import Path
 
@@ -15,7 +15,7 @@ CORE_LIST = f"{CORE}.f"
 
 
 def sensor_key(sensor: Sensor, view: View = POLYPHASE) -> str:
-    """Names a build for people: the view and the parameters that differ from the defaults come after the size."""
+    """Return a readable name for a build: the size, then the view and the parameters that differ from the defaults."""
     default = Sensor()
     parts = [f"{sensor.rows}x{sensor.cols}"]
     for name in (
@@ -36,12 +36,12 @@ def sensor_key(sensor: Sensor, view: View = POLYPHASE) -> str:
 
 
 def rtl(sensor: Sensor, view: View = POLYPHASE) -> list[Path]:
-    """The sensor's Verilog files in a view of `hdl/views.py`, emitted once for its parameters and the state of the sources."""
+    """Return the sensor's Verilog files in a view, emitted once for its parameters and the state of the sources."""
     return _listed(_emitted(sensor, view), FILE_LIST)
 
 
 def rtl_in_two(sensor: Sensor) -> tuple[list[Path], list[Path]]:
-    """The same for a program that wires the modules itself: files of the core (`hdl/sensor.py`), and files of a module."""
+    """Return the files of the core (`hdl/sensor.py`), and of a module, for a program that wires the modules itself."""
     core = _listed(_emitted(sensor), CORE_LIST)
     in_core = {TOP, *(path.stem for path in core)}
     return core, [path for path in rtl(sensor) if path.stem not in in_core]

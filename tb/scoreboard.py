@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Scoreboard: compares what the RTL shows with what the golden model predicted, and says where they part in a designer's words."""
+"""Scoreboard: compares the RTL with the golden model's prediction, and reports the first difference in a designer's terms."""
 
 import numpy as np
 
@@ -12,7 +12,7 @@ from .frames import Recorded
 
 
 def locate(beats: np.ndarray, index: int, sensor: Sensor) -> tuple[int, int]:
-    """(first beat of the packet that beat `index` of a frame belongs to, its kind); counters belong to the frame end."""
+    """Return (first beat of the packet with beat `index` of a frame, its kind); counters belong to the frame end."""
     parts, at = layout(sensor), 0
     while True:
         kind = int(header_field(beats[at], "kind"))
@@ -23,8 +23,10 @@ def locate(beats: np.ndarray, index: int, sensor: Sensor) -> tuple[int, int]:
 
 
 def check(sensor: Sensor, expected: Trace, record: Recorded, frame: int = 0) -> int:
-    """Checks a whole frame's record; returns how many beats and commits were compared. Raises `Mismatch` at the first
-    difference in time."""
+    """Check a whole frame's record and return the number of beats and commits compared.
+
+    Raises `Mismatch` at the first difference in time.
+    """
     streams = range(sensor.streams)
     if (
         all(np.array_equal(record.beats[k], expected.beats[k]) for k in streams)
@@ -51,7 +53,7 @@ def check(sensor: Sensor, expected: Trace, record: Recorded, frame: int = 0) -> 
 
 
 class Scoreboard:
-    """Checks one frame against its `Trace`, beat by beat and commit by commit, as they come."""
+    """Checks one frame against its `Trace`, beat by beat and commit by commit, as they arrive."""
 
     def __init__(self, sensor: Sensor, expected: Trace, frame: int = 0):
         self.sensor, self.expected, self.frame = sensor, expected, frame
@@ -62,7 +64,7 @@ class Scoreboard:
         self._commit_index = [0] * sensor.subgroups
 
     def beat(self, stream: int, cycle: int, data: int, last: bool) -> None:
-        """A beat that was transferred. Raises `Mismatch` at the first difference."""
+        """Check a beat that was transferred. Raises `Mismatch` at the first difference."""
         index, beats = self.beats[stream], self.expected.beats[stream]
         if index >= len(beats):
             raise Mismatch(
@@ -79,7 +81,7 @@ class Scoreboard:
         self.checked += 1
 
     def commit(self, subgroup: int, cycle: int) -> None:
-        """An event that was stored."""
+        """Check an event that was stored."""
         index, due = self._commit_index[subgroup], self._commits[subgroup]
         if index >= len(due) or due[index] != cycle:
             expected = f"golden model in cycle {due[index]}" if index < len(due) else "golden model stores none"
@@ -90,7 +92,7 @@ class Scoreboard:
         self.checked += 1
 
     def finish(self) -> None:
-        """The frame is over. Raises `Mismatch` where something is missing."""
+        """End the frame. Raises `Mismatch` if something is missing."""
         for stream, beats in enumerate(self.expected.beats):
             if self.beats[stream] != len(beats):
                 raise Mismatch(

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Edges as the words that stand at the sensor's ports, or as the levels of SPAD lines."""
+"""Edges as words at the sensor's ports, or as levels of SPAD lines."""
 
 import numpy as np
 from attrs import evolve
@@ -15,7 +15,7 @@ FS_PER_PS = 1000
 
 
 def port_words(config: Config, edges: Edges) -> dict[int, list[tuple[int, int]]]:
-    """Cycle of the frame -> [(subgroup, word)] of the subgroups with an edge in it, as `port_bits` numbers its bits."""
+    """Return cycle of the frame -> [(subgroup, word)] for subgroups with an edge in it; `port_bits` numbers the bits."""
     cycle, subgroup, bit = port_bits(config, edges)
     order = np.lexsort((subgroup, cycle))
     words: dict[int, list[tuple[int, int]]] = {}
@@ -31,12 +31,12 @@ def port_words(config: Config, edges: Edges) -> dict[int, list[tuple[int, int]]]
 
 
 def tick_ps(config: Config) -> float:
-    """Length of a tick in the circuits of the asynchronous view."""
+    """Return the length of a tick in the circuits of the asynchronous view."""
     return clock_fs(config.clock_mhz) / config.sensor.phases / FS_PER_PS
 
 
 def check_offsets(config: Config, edges: Edges) -> None:
-    """Raises `InputError` where an edge's offset leaves its tick."""
+    """Raise `InputError` if an edge's offset lies outside its tick."""
     if edges.offset_ps is not None:
         bad = np.flatnonzero(edges.offset_ps > tick_ps(config))
         if len(bad):
@@ -46,16 +46,16 @@ def check_offsets(config: Config, edges: Edges) -> None:
 
 
 def off_centre(config: Config, edges: Edges, seed: int) -> Edges:
-    """The same edges anywhere in their ticks, at random."""
+    """Return the same edges at random positions in their ticks."""
     offset = np.random.default_rng(seed).uniform(0, tick_ps(config), len(edges))
     return evolve(edges, offset_ps=offset)
 
 
 def line_toggles(config: Config, edges: Edges) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Edges as changes of SPAD lines: (time in femtoseconds from the frame's start, subgroup, line in it), int64[n] each, in time order.
+    """Return the changes of the SPAD lines: (time in fs from the frame's start, subgroup, line), int64[n], by time.
 
-    A line rises at its edge and stays high for a quarter of a tick, or half of the way to its next edge where that is less.
-    An offset at a tick's very border counts as a femtosecond inside it, as the integer tick says.
+    A line rises at its edge and stays high for a quarter of a tick, or until half the time to its next edge if that is
+    less. An offset at the border of a tick counts as one femtosecond inside, in agreement with the integer tick.
     """
     sensor = config.sensor
     cycle_fs = clock_fs(config.clock_mhz)
@@ -73,7 +73,7 @@ def line_toggles(config: Config, edges: Edges) -> tuple[np.ndarray, np.ndarray, 
     high = np.full(len(rise), max(1, tick_fs // 4))
     same = pixel[1:] == pixel[:-1]
     high[:-1][same] = np.minimum(high[:-1], np.diff(rise) // 2)[same]
-    alone = high > 0  # an edge a femtosecond before the next of its line is none
+    alone = high > 0  # an edge one femtosecond before the next one on its line is dropped
     rise, pixel, high = rise[alone], pixel[alone], high[alone]
     time, subgroup, line = np.concatenate([rise, rise + high]), table.subgroup[pixel], table.inside[pixel]
     order = np.lexsort((np.tile(subgroup, 2), time))
@@ -81,7 +81,7 @@ def line_toggles(config: Config, edges: Edges) -> tuple[np.ndarray, np.ndarray, 
 
 
 def line_levels(config: Config, edges: Edges) -> tuple[list[int], list[int], list[int]]:
-    """The same as levels: (time in femtoseconds from the frame's start, subgroup, the word on its lines from then on), in time order."""
+    """Return the levels: (time in fs from the frame's start, subgroup, word on its lines from then on), by time."""
     levels = [0] * config.sensor.subgroups
     at: list[tuple[int, int, int]] = []
     for t, s, line in zip(*(column.tolist() for column in line_toggles(config, edges))):

@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Stress of the asynchronous front end: any edges whatsoever, random at every scale, and flops that fall to either side where they may.
+"""Stress test of the asynchronous front end: arbitrary edges, random at every scale, and flops that fall to either side.
 
-The front end and its TDC run alone under Icarus. Every SPAD line is a random process of its own: bursts of femtoseconds, gaps of cycles,
-edges on the very borders of cycles and ticks; mask, gate and window change between periods, and resets fall into it. A word is wrong where
-its map is empty, its winner is not in the map, or its count is not the map's. The front end is locked up where it shows no word for longer
-than it may, or does not answer a single edge when all is quiet. The bench stands in `async_stress.v`.
+The front end and its TDC run alone under Icarus. Every SPAD line is a random process of its own: bursts of femtoseconds,
+gaps of cycles, edges exactly at the borders of cycles and ticks. Mask, gate and window change between periods, and there
+are random resets. A word is wrong if its map is empty, its winner is not in the map, or its count is not that of the
+map. The front end is locked up if it shows no word for too long, or does not respond to a single edge at rest. The bench
+is `async_stress.v`.
 
 `python -m coincid.tb.stress EDGES [SEED]` prints the counts.
 """
@@ -28,20 +29,20 @@ from ..model.shared.sources import digest
 from . import toolchain
 
 BENCH = Path(__file__).with_name("async_stress.v")
-INCLUDE = "front.vh"  # what benches of a front end include
+INCLUDE = "front.vh"  # file that benches of a front end include
 EDGES_MAX = 1 << 31
-APERTURE_PS = 20  # of a flop that has just met its data
-DRIVEN = ("spad", "mask", "gate", "window_ticks")  # what a bench drives, and the fields of these
+APERTURE_PS = 20  # of a flop whose data has just changed
+DRIVEN = ("spad", "mask", "gate", "window_ticks")  # ports that a bench drives, and their fields
 FIELDS = ("frame", "timing")
-SHOWN = "window"  # whose fields a bench reads
+SHOWN = "window"  # port whose fields a bench reads
 
 
 def stress(
     edges: int, seed: int = 1, *, sensor: Sensor | None = None, circuit: Circuit | None = None
 ) -> dict[str, int]:
-    """Runs `edges` random edges: counts of edges, windows, records, wrong words and lock-ups.
+    """Run `edges` random edges; return the numbers of edges, windows, records, wrong words and lock-ups.
 
-    Raises `toolchain.ToolchainError` where Icarus is missing or fails.
+    Raises `toolchain.ToolchainError` if Icarus is missing or fails.
     """
     check_integer("edges", edges, 1, EDGES_MAX)
     front = Front(sensor or Sensor(rows=8, cols=8), circuit or Circuit())
@@ -57,10 +58,11 @@ def run_bench(
     arguments: Sequence[str] = (),
     aperture: bool = False,
 ) -> list[str]:
-    """The lines that a bench prints under Icarus: a Verilog file whose module has the file's name.
+    """Return the lines that a bench prints under Icarus: a Verilog file whose module has the file's name.
 
-    files: name -> text of what it instantiates (.v) and includes (.vh). parameters: of the module. arguments: of the simulator.
-    aperture: flops may fall to either side when their data has just moved. Raises `toolchain.ToolchainError`.
+    files: name -> text of the files that it instantiates (.v) and includes (.vh). parameters: of the module. arguments:
+    of the simulator. aperture: flops may fall to either side if their data has just changed. Raises
+    `toolchain.ToolchainError`.
     """
     top, files = bench.stem, {**files, bench.name: bench.read_text()}
     options = [f"-P{top}.{name}={value.bit_length() + 1}'d{value}" for name, value in (parameters or {}).items()]
@@ -84,7 +86,7 @@ def run_bench(
 
 
 class Front:
-    """A front end with its TDC and nothing else, for benches that include `INCLUDE`."""
+    """A front end with only its TDC, for benches that include `INCLUDE`."""
 
     def __init__(self, sensor: Sensor, circuit: Circuit):
         view = Asynchronous(circuit)
@@ -92,14 +94,15 @@ class Front:
         self.front, self.tdc = view.front_end(sensor), view.tdc(sensor, 1)
 
     def files(self) -> dict[str, str]:
-        """All files except the bench."""
+        """Return all files except the bench."""
         cells = {path.name: path.read_text() for path in self.cells}
         return units_files([self.front, self.tdc]) | cells | {INCLUDE: self.include()}
 
     def include(self) -> str:
-        """The part of a bench's module that depends on the sensor: clock, front end and TDC, sizes, and signals by the fields' names.
+        """Return the part of a bench that depends on the sensor: clock, front end and TDC, sizes, and named signals.
 
-        The bench drives `rst`, `start_tdc`, `DRIVEN` and the fields of `FIELDS`; it reads the other ports and the fields of `SHOWN`.
+        The bench drives `rst`, `start_tdc`, `DRIVEN` and the fields of `FIELDS`; it reads the other ports and the fields
+        of `SHOWN`.
         """
         sensor = self.sensor
         sizes = {

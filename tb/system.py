@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""System packages (Debian): installed where that is allowed, otherwise named with the one command that brings them.
+"""System packages (Debian): installed if that is allowed; otherwise an error names the command that installs them.
 
-Standard library only, because the set-up runs this file as a script before anything is installed:
+This file uses only the standard library, because the set-up runs it as a script before anything is installed:
 `python3 tb/system.py PACKAGE...`.
 """
 
@@ -13,14 +13,14 @@ from shutil import which
 
 
 class MissingPackagesError(OSError):
-    """Packages are missing and may not be installed from here; the message holds the command that brings them."""
+    """Packages are missing and cannot be installed from here; the message contains the command that installs them."""
 
 
 def system_packages(*names: str) -> None:
-    """Install the Debian packages `names`: as root, or by a `sudo` that asks no password.
+    """Install the Debian packages `names`: as root, or by a `sudo` that asks for no password.
 
-    Raises `MissingPackagesError`, whose message is one line with the command to run, where neither is possible, where
-    there is no apt-get, or where apt-get fails.
+    Raises `MissingPackagesError` if neither is possible, if there is no apt-get, or if apt-get fails. Its message is one
+    line with the command to run.
     """
     root = os.geteuid() == 0
     sudo = "sudo " if which("sudo") and not root else ""

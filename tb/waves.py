@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Views of a waveform: reads the hierarchy of an FST file and writes what GTKWave and Surfer should show of it, block by block."""
+"""Views of a waveform: reads the hierarchy of an FST file, and writes block-by-block views for GTKWave and Surfer."""
 
 import zlib
 from collections.abc import Iterator
@@ -14,7 +14,7 @@ from ..model.shared.files import whole_file
 HIERARCHY, HIERARCHY_LZ4, HIERARCHY_LZ4_TWICE = 4, 6, 7  # block types of the FST format
 SCOPE, UPSCOPE, ATTRIBUTE, END_ATTRIBUTE = 254, 255, 252, 253  # tags of the hierarchy; lower ones are variables
 
-# What is worth seeing of each block, in the order of a photon's way; names are those of the Verilog.
+# Signals worth seeing in each block, in the order of a photon's path; names are those of the Verilog.
 Block: TypeAlias = tuple[str, str, tuple[str, ...]]  # title, scope below the top, signals
 BLOCKS: tuple[Block, ...] = (
     (
@@ -62,7 +62,7 @@ BLOCKS: tuple[Block, ...] = (
 
 @frozen
 class Variable:
-    """A variable of a waveform: `path` with its scopes, as viewers name it (a vector ends with its range), and its width."""
+    """A variable of a waveform: `path` with its scopes, as viewers name it (a vector ends with its range), and width."""
 
     path: str
     width: int
@@ -73,18 +73,18 @@ class Variable:
         return self.path.partition("[")[0].rstrip()
 
 
-Group: TypeAlias = tuple[str, list[Variable]]  # title, what the waveform has of its signals
+Group: TypeAlias = tuple[str, list[Variable]]  # title, the signals of it that are in the waveform
 
 
 def hierarchy(fst: Path) -> list[Variable]:
-    """All variables of an FST file, in its order. Raises `ValueError` where it has no hierarchy."""
+    """Return all variables of an FST file, in its order. Raises `ValueError` if it has no hierarchy."""
     with open(fst, "rb") as file:
         while header := file.read(9):
             kind, length = header[0], int.from_bytes(header[1:], "big") - 8
             if kind in (HIERARCHY, HIERARCHY_LZ4, HIERARCHY_LZ4_TWICE):
                 return list(_variables(_unpacked(kind, file.read(length))))
             file.seek(length, 1)
-    raise ValueError(f"{fst}: has no hierarchy: the simulation was not ended, or this is no FST file")
+    raise ValueError(f"{fst}: has no hierarchy: the simulation did not end properly, or this is not an FST file")
 
 
 def _unpacked(kind: int, block: bytes) -> bytes:
@@ -96,11 +96,11 @@ def _unpacked(kind: int, block: bytes) -> bytes:
 
 
 def _lz4(block: bytes) -> bytes:
-    """An LZ4 block, decompressed: runs of literals, each followed by a copy of what came before."""
+    """Return a decompressed LZ4 block: runs of literals, each followed by a copy of earlier bytes."""
     out, at = bytearray(), 0
 
     def length(nibble: int) -> int:
-        """A run's length: 15 goes on in the next byte, and 255 there in the one after it."""
+        """Return the length of a run: 15 continues in the next byte, and each 255 in the byte after it."""
         nonlocal at
         total, more = nibble, nibble == 15
         while more:
@@ -173,9 +173,9 @@ def _variables(text: bytes) -> Iterator[Variable]:
 
 
 def views(fst: Path, blocks: tuple[Block, ...] = BLOCKS) -> list[Path]:
-    """Writes views of `fst` beside it, for GTKWave (.gtkw) and Surfer (.sucl), and returns their paths.
+    """Write views of `fst` beside it, for GTKWave (.gtkw) and Surfer (.sucl), and return their paths.
 
-    A signal that the waveform does not have (its sensor has no such block) is left out.
+    Signals that are not in the waveform (because the sensor lacks the block) are left out.
     """
     known: dict[str, Variable] = {}
     for variable in hierarchy(fst):
@@ -194,7 +194,7 @@ def views(fst: Path, blocks: tuple[Block, ...] = BLOCKS) -> list[Path]:
 
 
 def _below_top(path: str) -> str:
-    """The path below the top module, in whatever scope a simulator puts that."""
+    """Return the path below the top module, in whatever scope a simulator puts the top."""
     return path.partition(f"{TOP}.")[2]
 
 
@@ -210,6 +210,6 @@ def _gtkwave(fst: Path, groups: list[Group]) -> str:
 def _surfer(groups: list[Group]) -> str:
     lines = []
     for title, variables in groups:
-        lines.append("divider_add " + title.replace(" ", "_"))  # a command takes one word
+        lines.append("divider_add " + title.replace(" ", "_"))  # the command takes only one word
         lines += [f"variable_add {variable.name}" for variable in variables]
     return "\n".join([*lines, "zoom_fit"]) + "\n"

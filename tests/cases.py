@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Random configurations and edges that look for trouble: ties, window and gate boundaries, guards, overfull FIFOs."""
+"""Random configurations and edges that provoke trouble: ties, window and gate boundaries, guards, overfull FIFOs."""
 
 import itertools
 
@@ -10,7 +10,7 @@ from coincid.model.contract.config import Config, parse_config
 from coincid.model.contract.edges import Edges
 from coincid.model.contract.pixels import pixel_table
 
-SENSORS = {  # small ones, so that a case is fast; between them every parameter leaves its default
+SENSORS = {  # small ones, so that a case is fast; together they change every parameter from its default
     "default": {"rows": 8, "cols": 16},
     "one": {"rows": 8, "cols": 8, "offset_phases": 32},
     "coarse": {"rows": 8, "cols": 16, "phases": 8, "window_max": 16, "rearm": 2, "fifo_depth": 2},
@@ -57,7 +57,7 @@ SENSORS = {  # small ones, so that a case is fast; between them every parameter 
         "streams": 2,
     },
 }
-# Of fault and mutation tests, which run slow simulators over and over: two subgroups of 16 pixels.
+# For fault and mutation tests, which run slow simulators many times: two subgroups of 16 pixels.
 SMALL = {
     "rows": 4,
     "cols": 8,
@@ -72,7 +72,7 @@ SMALL = {
 
 @st.composite
 def configurations(draw, sensor: dict, frames_max: int = 2) -> Config:
-    """Any legal configuration of a sensor: modes, thresholds, windows, gates, masks and formats, differing between subgroups."""
+    """Draw any legal configuration of a sensor, with settings that differ between subgroups."""
     built = parse_config({"sensor": sensor, "frame": {"period": 100}}).sensor
     period = draw(st.integers(built.guard + 1, min(built.period_max, built.guard + 60)))
     ends = [ticks for ticks in (1, built.phases, built.window_max) if ticks <= built.window_max]
@@ -83,7 +83,7 @@ def configurations(draw, sensor: dict, frames_max: int = 2) -> Config:
             "coincidence": st.booleans(),
             "gating": st.booleans(),
             "auto": st.booleans(),
-            "threshold": st.integers(1, 9),  # above the controller's highest, too
+            "threshold": st.integers(1, 9),  # including values above the controller's highest
             "window": window,
             "gate_start": st.integers(0, period - 1),
             "gate_len": st.one_of(st.integers(0, period + 3), st.integers(0, 15).map(lambda bit: 1 << bit)),
@@ -118,7 +118,7 @@ def configurations(draw, sensor: dict, frames_max: int = 2) -> Config:
 
 @st.composite
 def controlled(draw, sensor: dict, frames: int) -> Config:
-    """Frames of a sensor whose thresholds the controller sets, with a capacity that is now too small and now not."""
+    """Draw frames of a sensor under the threshold controller, with a capacity that is sometimes too small."""
     built = parse_config({"sensor": sensor, "frame": {"period": 100}}).sensor
     alone = {"subgroups": draw(st.lists(st.integers(0, built.subgroups - 1), max_size=1))}
     return parse_config(
@@ -144,7 +144,7 @@ def controlled(draw, sensor: dict, frames: int) -> Config:
 
 
 def scarce(sensor: dict) -> list[Config]:
-    """Frames in a row of a stream that carries now more and now less, so that budgets and thresholds go up and down."""
+    """Return consecutive frames of a stream with changing capacity, so that budgets and thresholds rise and fall."""
     config = parse_config(
         {
             "sensor": sensor,
@@ -158,7 +158,7 @@ def scarce(sensor: dict) -> list[Config]:
 
 
 def modes(sensor: dict) -> list[Config]:
-    """A configuration of every mode (coincidence, gating, auto) in every format."""
+    """Return a configuration for every mode (coincidence, gating, auto) in every format."""
     switches = itertools.product((False, True), (False, True), (False, True), ("short", "id", "full"))
     return [
         parse_config(
@@ -185,7 +185,7 @@ def modes(sensor: dict) -> list[Config]:
 
 
 def gate_bits(sensor: dict) -> Config:
-    """A frame whose gates begin at times with every bit set in one subgroup or the other."""
+    """Return a frame in which every bit of a gate's start is set in one subgroup or the other."""
     built = parse_config({"sensor": sensor, "frame": {"period": 100}}).sensor
     odd = 0x5555 & (built.period_max - 1)
     even = 0xAAAA & (built.period_max - 1)
@@ -200,7 +200,7 @@ def gate_bits(sensor: dict) -> Config:
 
 
 def overfull(sensor: dict) -> Config:
-    """A frame that, with a stream that stalls, drops events and records, stores some again, and drops once more."""
+    """Return a frame that, with a stalling stream, drops events and records, stores some again, and drops once more."""
     return parse_config(
         {
             "sensor": sensor,
@@ -211,7 +211,7 @@ def overfull(sensor: dict) -> Config:
 
 
 def lengthy(sensor: dict) -> Config:
-    """A frame of so many pulses, with so many gate steps, that counters leave their low bits."""
+    """Return a frame with so many pulses and gate steps that counters exceed their low bits."""
     built = parse_config({"sensor": sensor, "frame": {"period": 100}}).sensor
     return parse_config(
         {
@@ -232,7 +232,7 @@ def lengthy(sensor: dict) -> Config:
 
 
 def trouble(config: Config, seed: int, per_subgroup_period: float) -> Edges:
-    """Edges that crowd where rules meet, on average `per_subgroup_period` a subgroup and period."""
+    """Return edges that crowd at rule boundaries, on average `per_subgroup_period` per subgroup and period."""
     rng = np.random.default_rng(seed)
     sensor, periods = config.sensor, config.frames * config.pulses
     n = rng.poisson(per_subgroup_period * sensor.subgroups * periods)
@@ -241,7 +241,7 @@ def trouble(config: Config, seed: int, per_subgroup_period: float) -> Edges:
     if n:
         table = pixel_table(sensor)
         pixel = rng.integers(0, sensor.array_pixels, n)
-        # A half of the edges stands at a distance from another edge at which something changes.
+        # Half of the edges are at a distance from another edge at which a rule changes.
         near = rng.random(n) < 0.5
         other = rng.integers(0, n, n)
         window = config.window[table.subgroup[pixel[other]]]
@@ -262,7 +262,7 @@ def trouble(config: Config, seed: int, per_subgroup_period: float) -> Edges:
         neighbours = np.flatnonzero(near & (rng.random(n) < 0.8))
         members = [np.flatnonzero(table.subgroup == s) for s in range(sensor.subgroups)]
         pixel[neighbours] = [rng.choice(members[table.subgroup[pixel[other[k]]]]) for k in neighbours]
-        # Some stand at the edges of gate, guard and period.
+        # Some are at the borders of gate, guard and period.
         special = np.concatenate(
             [
                 np.array([0, config.period - 1, config.period - sensor.guard, config.period - sensor.guard - 1]),
@@ -282,7 +282,7 @@ def trouble(config: Config, seed: int, per_subgroup_period: float) -> Edges:
 
 
 def ready_pattern(seed: int, kind: str, cycles: int) -> np.ndarray:
-    """`tready` patterns: always, stalled from the start, at random, in bursts."""
+    """Return `tready` patterns: always ready, stalled from the start, random, in bursts."""
     rng = np.random.default_rng(seed)
     if kind == "always":
         return np.zeros(0, np.uint8)

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Hypothesis under pytest: reproducible by default, settable from outside.
 
-`--hypothesis-seed=N` chooses other random examples (default 0, so that every run tests the same);
-`HYPOTHESIS_PROFILE=thorough` tries ten times as many where a test does not fix their number. `--no-skips` makes a test that is skipped fail:
-where all extras are installed, none is. A failure ends with the command that repeats it.
+`--hypothesis-seed=N` chooses other random examples (default 0, so that every run tests the same ones).
+`HYPOTHESIS_PROFILE=thorough` tries ten times as many unless a test fixes their number. `--no-skips` makes a skipped test
+fail; with all extras installed, no test is skipped. A failure ends with the command that repeats it.
 """
 
 import os
@@ -15,7 +15,7 @@ import pytest
 
 DEFAULT_SEED = "0"
 
-# No deadline: a first example may compile. The blob repeats a failure without the database of examples.
+# No deadline, because a first example may compile. The blob repeats a failure without the database of examples.
 hypothesis.settings.register_profile("coincid", deadline=None, print_blob=True)
 hypothesis.settings.register_profile("thorough", deadline=None, print_blob=True, max_examples=1000)
 
@@ -58,7 +58,7 @@ def pytest_runtest_makereport(item: pytest.Item) -> Iterator[None]:
 
 
 def _repeat(item: pytest.Item) -> str:
-    """The command that runs `item` again with the seeds that it had."""
+    """Return the command that runs `item` again with the same seeds."""
     option = item.config.option
     seeds = [f"--hypothesis-seed={option.hypothesis_seed}"]
     if isinstance(seed := getattr(option, "randomly_seed", None), int):

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the regression reaches: situations of the contract, lines and toggles of the RTL, lines of Python; fails under a goal.
+"""Coverage of the regression: situations of the contract, lines and toggles of the RTL, lines of Python; fails below a goal.
 
 `python -m tests.coverage [functional] [rtl] [python]` (default: all).
 
-Situations are counted on the golden model's traces, which RTL and plain model equal beat by beat and fate by fate; so one table does
-for all engines and needs no simulator, where cocotb-coverage would count in one of them.
+Situations are counted on the golden model's traces, which equal those of RTL and plain model beat by beat and fate by
+fate. So one table covers all engines and needs no simulator, while cocotb-coverage would count in only one of them.
 """
 
 import collections
@@ -39,20 +39,20 @@ from .benches import BENCHES
 from .cases import READY_KINDS, SENSORS, SMALL, configurations, modes, ready_pattern, scarce, trouble
 from .mutation import frames
 
-SEED, EXAMPLES = 1, 120  # frames a sensor
-LINE_GOAL, TOGGLE_GOAL = 0.99, 0.83  # of the RTL
-# Not counted as toggles: the generator's own nets; high bits of counters, which fault_bench.py reaches by force; constants of an instance;
-# signals that AXI4-Lite has and the sensor does not use.
+SEED, EXAMPLES = 1, 120  # frames per sensor
+LINE_GOAL, TOGGLE_GOAL = 0.99, 0.83  # for the RTL
+# Not counted as toggles: the generator's own nets; high bits of counters, which fault_bench.py forces; constants of an
+# instance; signals of AXI4-Lite that the sensor does not use.
 NO_TOGGLE = re.compile(
     r"__024|_next\b|^counters|^number|^subgroup\[|prot|^(opened|committed|rejected|stored|dropped|blind|photons|mg_stored|mg_dropped|lower)\w*\["
 )
-PYTHON_GOALS = {  # share of lines; those left are refusals that other tests provoke through the command line
+PYTHON_GOALS = {  # share of lines; the others are refusals that other tests provoke through the command line
     "model/golden": 1.0,
     "model/contract": 0.9,
     "hdl": 0.9,
 }
 MODES = [f"coincidence={c} gating={g} auto={a}" for c, g, a in itertools.product((0, 1), repeat=3)]
-SITUATIONS = {  # name -> how often at least
+SITUATIONS = {  # name -> required number
     **{f"{mode}, {name}": 10 for mode in MODES for name in FORMAT_NAMES},
     **{f"fate {fate.name.lower()}": 100 for fate in Fate},
     **{f"stream {kind}": 10 for kind in READY_KINDS},
@@ -84,7 +84,7 @@ SITUATIONS = {  # name -> how often at least
 
 
 def situations(config: Config, edges, trace: Trace, ready: str, counts: collections.Counter) -> None:
-    """Adds what happened in a frame."""
+    """Count what happened in a frame."""
     sensor, table = config.sensor, pixel_table(config.sensor)
     c = {name: trace.counters[:, k] for k, name in enumerate(COUNTER_NAMES)}
     for s in range(sensor.subgroups):
@@ -137,7 +137,7 @@ def situations(config: Config, edges, trace: Trace, ready: str, counts: collecti
 
 
 def steps(config: Config, before: Trace, after: Trace, counts: collections.Counter) -> None:
-    """Adds what the threshold controller did between two frames."""
+    """Count what the threshold controller did between two frames."""
     used = COUNTER_NAMES.index("threshold_used")
     threshold = (after.counters[:, used] - before.counters[:, used])[config.controlled]
     for name, step in (("threshold", threshold), ("budget", after.budget - before.budget)):
@@ -146,7 +146,7 @@ def steps(config: Config, before: Trace, after: Trace, counts: collections.Count
 
 
 def functional() -> list[str]:
-    """Holes of the situations."""
+    """Return the situations that were not covered."""
     counts: collections.Counter = collections.Counter()
     for name in ("default", "tiny", "coarse", "odd"):
         sensor = SENSORS[name]
@@ -194,7 +194,7 @@ def functional() -> list[str]:
 
 
 def rtl_coverage() -> list[str]:
-    """Holes of the RTL's lines and toggles, after the frames of the mutation test and the tests of the ports."""
+    """Return uncovered lines and toggles of the RTL, after the frames of the mutation test and the tests of the ports."""
     sensor = parse_config({"sensor": SMALL}).sensor
     sources = rtl(sensor)
     build = toolchain.build(
@@ -243,7 +243,7 @@ def rtl_coverage() -> list[str]:
 
 
 def python_coverage() -> list[str]:
-    """Holes of Python's lines: golden model (without Numba, which coverage.py cannot look into) and what emits the RTL."""
+    """Return uncovered lines of Python: golden model (without Numba, because coverage.py cannot see it) and RTL emission."""
     root = Path(__file__).parents[1]
     with tempfile.TemporaryDirectory(prefix="coincid-") as scratch:
         environment = os.environ | {"COVERAGE_FILE": f"{scratch}/data", "NUMBA_DISABLE_JIT": "1"}
@@ -266,7 +266,7 @@ def python_coverage() -> list[str]:
             "register_files",
             "smoke",
             "deserialiser",
-        )  # other views, and exports: tests of their own
+        )  # other views and exports have tests of their own
         mine = [
             of
             for path, of in files.items()
@@ -284,7 +284,7 @@ def python_coverage() -> list[str]:
 
 
 def emit() -> list[str]:
-    """Emits every sensor of the regression, for its lines."""
+    """Emit every sensor of the regression, to cover its lines."""
     for sensor in SENSORS.values():
         built = parse_config({"sensor": sensor, "frame": {"period": 100}}).sensor
         verilog_files(built)

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Judges a mutant of the golden model: `python -m tests.judge MODULE SOURCE JOBS` fails where a frame differs from what was recorded.
+"""Judge of mutants of the golden model: `python -m tests.judge MODULE SOURCE JOBS` fails if a frame differs from its record.
 
-SOURCE takes the place of the module MODULE before anything imports it. JOBS: a file of frames, by sensor.
+SOURCE replaces the module MODULE before anything imports it. JOBS: a file of frames, by sensor.
 """
 
 import importlib.util
@@ -13,7 +13,7 @@ import numpy as np
 
 
 def put_in_place(module: str, source: Path) -> None:
-    """Imports `source` as `module`."""
+    """Import `source` as `module`."""
     spec = importlib.util.spec_from_file_location(module, source)
     mutant = importlib.util.module_from_spec(spec)
     sys.modules[module] = mutant
@@ -21,7 +21,7 @@ def put_in_place(module: str, source: Path) -> None:
 
 
 def differs(jobs: Path) -> bool:
-    """Whether the golden model makes anything else of the jobs than was recorded."""
+    """Return whether the golden model's result differs from the record of any job."""
     from coincid.model.golden.frame import Golden
     from coincid.tb.frames import load_job
 

@@ -1,14 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Does the regression see what it should? Bugs are put into RTL and golden model, one at a time, and the regression has to notice.
+"""Mutation test of the regression: bugs are put into RTL and golden model, one at a time, and the regression must notice.
 
-`python -m tests.mutation [--seed N] [--rtl N] [--golden N] [--planted]` writes build/mutation/report.md and fails below `GOAL`.
+`python -m tests.mutation [--seed N] [--rtl N] [--golden N] [--planted]` writes build/mutation/report.md and fails below
+`GOAL`.
 
-* RTL: Yosys mutates cells of the emitted Verilog (`mutate`), block by block, as many as the block is large. The regression is frames
-  against the golden model in Icarus, then, for those that survive, cocotb tests of ports and counters. Survivors that Yosys proves to
-  be equal to the block (`equiv_induct`) are equivalent; so are those of `EQUIVALENT`, each for its reason.
-* Golden model: its syntax tree is mutated here. mutmut and cosmic-ray start a test run for every mutant, and Numba compiles all
-  functions again; without Numba, and held against the same frames' recorded beats and fates, a mutant takes a second.
-* Planted bugs are those that people make, by name: `planted.py`.
+* RTL: Yosys mutates cells of the emitted Verilog (`mutate`), block by block, in proportion to the size of the block. The
+  regression consists of frames against the golden model in Icarus; then, for the survivors, of cocotb tests of ports and
+  counters. Survivors that Yosys proves to be equal to the block (`equiv_induct`) are equivalent; so are those of
+  `EQUIVALENT`, each with its reason.
+* Golden model: its syntax tree is mutated here. mutmut and cosmic-ray would start a test run for every mutant, and Numba
+  would compile all functions again. Without Numba, and compared with recorded beats and fates of the same frames, a
+  mutant takes a second.
+* Planted bugs are typical human mistakes, by name: `planted.py`.
 """
 
 import argparse
@@ -54,9 +57,9 @@ from .cases import (
 GOAL = 0.95
 FRAMES = 60
 CASES_SEED = 2026
-SECONDS_MAX = 240  # of a mutant in one bench: a design that hangs is seen, too
-RTL_MUTANTS, GOLDEN_MUTANTS = 120, 120  # of the sampled mode
-GOLDEN_SOURCES = {  # module -> file, of all that the golden model computes with
+SECONDS_MAX = 240  # for a mutant in one bench: a design that hangs is also noticed
+RTL_MUTANTS, GOLDEN_MUTANTS = 120, 120  # number in the sampled mode
+GOLDEN_SOURCES = {  # module -> file, for everything that the golden model uses for its computation
     f"coincid.model.{path.parent.name}.{path.stem}": path
     for path in room_files("model.golden", "model.contract")
     if path.suffix == ".py" and (path.parent.name == "golden" or path.stem in ("pixels", "windows"))
@@ -66,7 +69,7 @@ BENCH_SENSOR, FAULT_SOURCES = (
     "COINCID_BENCH_SENSOR",
     "COINCID_FAULT_SOURCES",
 )  # read by sensor_bench.py and fault_bench.py
-# Mutants that no test can see, by block and a part of Yosys's description; why.
+# Mutants that no test can notice, by block and a part of Yosys's description; with the reason.
 EQUIVALENT: tuple[tuple[str, str, str], ...] = (
     (
         "coincid_gating",
@@ -115,7 +118,7 @@ EQUIVALENT: tuple[tuple[str, str, str], ...] = (
 
 @frozen
 class Fate:
-    """What became of a mutant. by: the bench that noticed, 'equal' where it is none, '' where it survived."""
+    """Fate of a mutant. by: the bench that noticed it, 'equal' if it is equivalent, '' if it survived."""
 
     where: str
     what: str
@@ -123,12 +126,12 @@ class Fate:
 
 
 def excuse(where: str, what: str) -> str:
-    """Why a mutant is known to be equivalent; '' where it is not."""
+    """Return why a mutant is known to be equivalent, or ''."""
     return next((f"equal: {why}" for of, part, why in EQUIVALENT if of == where and part in what), "")
 
 
 def frames(sensor: dict = SMALL) -> list[FrameJob]:
-    """The regression's frames of a sensor: the same in every run."""
+    """Return the regression's frames for a sensor, the same in every run."""
     jobs: list[FrameJob] = []
     golden = Golden(parse_config({"sensor": sensor}).sensor)
 
@@ -164,7 +167,7 @@ def frames(sensor: dict = SMALL) -> list[FrameJob]:
 
 
 def sample(total: int, items: list, rng: np.random.Generator) -> list:
-    """`total` of the items, in their order; all of them where there are no more."""
+    """Return `total` of the items in their order, or all of them if there are fewer."""
     chosen = rng.choice(len(items), min(total, len(items)), replace=False)
     return [items[k] for k in sorted(chosen)]
 
@@ -237,7 +240,7 @@ class Mutator(ast.NodeTransformer):
 
     def visit_Assign(self, node):
         self.generic_visit(node)
-        # Where a loop's variables begin anew is what a forgotten assignment would break.
+        # A reset of a loop's variables is where a forgotten assignment would do harm.
         if node.col_offset > 4 and self._turn(node, f"{ast.unparse(node)}: left out"):
             return ast.copy_location(ast.Pass(), node)
         return node
@@ -247,7 +250,7 @@ class Mutator(ast.NodeTransformer):
 
 
 def _mutated(path: Path, number: int = -1) -> tuple[ast.Module, Mutator]:
-    """A file's syntax tree with one mutation, and what did it."""
+    """Return a file's syntax tree with one mutation, and the transformer."""
     source = path.read_text()
     tree, mutator = ast.parse(source), Mutator(source, number)
     for node in ast.walk(tree):
@@ -257,7 +260,7 @@ def _mutated(path: Path, number: int = -1) -> tuple[ast.Module, Mutator]:
 
 
 def golden_mutant(number: int) -> tuple[str, str, str]:
-    """Module of a mutant of the golden model, its source, and what was changed; all empty where there are no more."""
+    """Return module, source and description of a mutant of the golden model; all are empty if there are no more."""
     for module, path in GOLDEN_SOURCES.items():
         tree, mutator = _mutated(path, number)
         if mutator.done:
@@ -267,12 +270,12 @@ def golden_mutant(number: int) -> tuple[str, str, str]:
 
 
 def golden_mutants() -> int:
-    """How many mutants of the golden model there are."""
+    """Return the number of mutants of the golden model."""
     return sum(_mutated(path)[1].count for path in GOLDEN_SOURCES.values())
 
 
 def run_golden(number: int, module: str, text: str, what: str, folder: Path, jobs: Path) -> Fate:
-    """The fate of a mutant of the golden model."""
+    """Return the fate of a mutant of the golden model."""
     source = folder / f"golden_{number}.py"
     source.write_text(text)
     command = [sys.executable, "-m", "tests.judge", module, str(source), str(jobs)]
@@ -287,7 +290,7 @@ def run_golden(number: int, module: str, text: str, what: str, folder: Path, job
 
 
 def rtl_mutants(total: int, folder: Path, seed_: int) -> list[tuple[str, str, Path]]:
-    """(block, Yosys's description, file) of mutants of every block, as many as its size asks for."""
+    """Return (block, Yosys's description, file) of mutants of every block, in proportion to its size."""
     files = {path.stem: path for path in rtl(parse_config({"sensor": SMALL}).sensor) if path.stem != TOP}
     sizes = {name: len(zlib.compress(path.read_bytes())) for name, path in files.items()}
     mutants = []
@@ -296,7 +299,7 @@ def rtl_mutants(total: int, folder: Path, seed_: int) -> list[tuple[str, str, Pa
         work = folder / name
         work.mkdir(parents=True, exist_ok=True)
         (work / "block.v").write_bytes(path.read_bytes())
-        # What a block instantiates stays a black box, as its file has only the instance.
+        # Sub-blocks stay black boxes, because the file of a block contains only their instances.
         modules = [other.read_text() for stem, other in files.items() if stem != name]
         (work / "boxes.v").write_text("".join(_box(text, seen) for text in modules for seen in [set()]))
         used = "read_verilog -lib boxes.v; " if re.search(r"^  coincid_\w+ ", path.read_text(), re.MULTILINE) else ""
@@ -312,7 +315,7 @@ def rtl_mutants(total: int, folder: Path, seed_: int) -> list[tuple[str, str, Pa
 
 
 def _box(text: str, seen: set) -> str:
-    """The modules of a file as ports only."""
+    """Return the modules of a file with only their ports."""
     boxes = []
     for module in re.findall(r"^module .*?^endmodule", text, re.MULTILINE | re.DOTALL):
         head = module[: module.index(";") + 1]
@@ -322,7 +325,7 @@ def _box(text: str, seen: set) -> str:
 
 
 def icarus(sources: list[Path], folder: Path) -> Path:
-    """Compiles Verilog with Icarus, uncached: a mutant is used once."""
+    """Compile Verilog with Icarus, uncached, because a mutant is used only once."""
     folder.mkdir(parents=True, exist_ok=True)
     command = ["iverilog", "-g2012", "-o", "sim.vvp", "-s", TOP, *map(str, sources)]
     (folder / "timescale.f").write_text(f"+timescale+{toolchain.TIMESCALE}\n")
@@ -332,7 +335,7 @@ def icarus(sources: list[Path], folder: Path) -> Path:
 
 
 def simulate(folder: Path, module: str, env: dict) -> bool:
-    """Whether the cocotb tests of `module` pass; a simulation that takes too long has failed."""
+    """Return whether the cocotb tests of `module` pass; a simulation that takes too long has failed."""
     build = toolchain.Build("icarus", TOP, folder, False)
     program = (
         "import sys, json, pathlib; from coincid.tb.toolchain import Build; a = json.loads(sys.argv[1]);"
@@ -356,7 +359,7 @@ def simulate(folder: Path, module: str, env: dict) -> bool:
 
 
 def run_rtl(sources: list[Path], folder: Path, jobs: list[FrameJob]) -> str:
-    """The bench that notices a difference in the sensor of these files, or ''."""
+    """Return the bench that notices a difference in the sensor of these files, or ''."""
     try:
         icarus(sources, folder)
     except subprocess.CalledProcessError:
@@ -376,7 +379,7 @@ def run_rtl(sources: list[Path], folder: Path, jobs: list[FrameJob]) -> str:
 
 
 def is_equal(mutant: Path) -> bool:
-    """Whether Yosys proves that a mutated block is the block."""
+    """Return whether Yosys proves that a mutated block equals the block."""
     name, work = mutant.parent.name, mutant.parent
     boxes = "read_verilog -lib boxes.v; " if (work / "boxes.v").stat().st_size else ""
     script = (
@@ -396,7 +399,7 @@ def is_equal(mutant: Path) -> bool:
 
 
 def mutate_rtl(total: int, folder: Path, jobs: list[FrameJob], seed_: int, tell) -> list[Fate]:
-    """Fates of mutants of the RTL. Raises where the blocks as they are do not pass after the same treatment."""
+    """Return fates of mutants of the RTL. Raises if the unchanged blocks do not pass after the same treatment."""
     mutants = rtl_mutants(total, folder, seed_)
     original = rtl(parse_config({"sensor": SMALL}).sensor)
     whole = [folder / path.stem / "whole.v" if path.stem != TOP else path for path in original]
@@ -418,7 +421,7 @@ def mutate_rtl(total: int, folder: Path, jobs: list[FrameJob], seed_: int, tell)
 
 
 def report(fates: list[Fate], seed_: int) -> tuple[str, float]:
-    """The report as Markdown, and the lowest kill rate of RTL and golden model."""
+    """Return the report as Markdown, and the lower kill rate of RTL and golden model."""
     lines = [
         f"# Mutants, seed {seed_}",
         "",
@@ -475,7 +478,7 @@ def main() -> None:
         numbers = sample(given_.golden, list(range(golden_mutants())), rng)
         fates = list(
             pool.map(golden, [(number, *golden_mutant(number)) for number in numbers])
-        )  # parsed here: threads must not
+        )  # parsed here, because threads must not
     if given_.rtl:
         fates += mutate_rtl(given_.rtl, folder / "rtl", jobs, given_.seed, tell)
     text, rate = report(fates, given_.seed)

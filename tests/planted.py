@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Bugs that people make, planted one at a time: each must be caught by the regression or by a proof.
+"""Typical human mistakes, planted one at a time: each must be caught by the regression or by a proof.
 
-`python -m tests.planted [--all] [NAMES]` puts each into a copy of the sources and runs what has to notice, all of it part of `make test`
-or `make formal`, until something does; with `--all`, everything has to. `test_planted.py` keeps the list in step with the sources.
+`python -m tests.planted [--all] [NAMES]` plants each bug in a copy of the sources and runs the proofs and tests that must
+notice it, all of them part of `make test` or `make formal`, until one does; with `--all`, every one must.
+`test_planted.py` keeps the list in step with the sources.
 """
 
 import os
@@ -29,7 +30,7 @@ ALIGNMENTS = ("tests/tb/test_cosim.py", "-k", "every_alignment")
 
 @frozen
 class Bug:
-    """A planted bug: in `file`, `old` (which occurs once) becomes `new`. proofs, tests: that must notice, each alone."""
+    """A planted bug: in `file`, `old` (which occurs once) becomes `new`. proofs, tests: each must notice it alone."""
 
     name: str
     file: str
@@ -440,7 +441,7 @@ BUGS = (
 
 
 def copy_of_sources(folder: Path) -> None:
-    """The packages and tests, laid out so that they are found before the installed ones."""
+    """Copy packages and tests so that they are found before the installed ones."""
     shutil.copytree(ROOT / "coincid", folder / "coincid", ignore=shutil.ignore_patterns("__pycache__"))
     for package in PACKAGES:
         shutil.copytree(ROOT / package, folder / "coincid" / package, ignore=shutil.ignore_patterns("__pycache__"))
@@ -450,7 +451,7 @@ def copy_of_sources(folder: Path) -> None:
 
 
 def plant(bug: Bug, folder: Path) -> None:
-    """Puts a bug into a copy."""
+    """Put a bug into a copy of the sources."""
     path = folder / bug.file
     text = path.read_text()
     assert text.count(bug.old) == 1, f"{bug.name}: {bug.file} has {text.count(bug.old)} times {bug.old!r}"
@@ -458,7 +459,7 @@ def plant(bug: Bug, folder: Path) -> None:
 
 
 def caught_by(bug: Bug, thorough: bool) -> dict[str, bool]:
-    """What was to notice a bug -> whether it did; up to the first that does, unless `thorough`."""
+    """Return proof or test -> whether it noticed a bug; up to the first that does, unless `thorough`."""
     with tempfile.TemporaryDirectory(prefix="coincid-planted-") as scratch:
         folder = Path(scratch)
         copy_of_sources(folder)

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Soak: many frames in a row, golden model and RTL (batch engine) in step, under sunlight and at saturation.
+"""Soak test: many consecutive frames, golden model and RTL (batch engine) in step, in sunlight and at saturation.
 
-`python -m tests.soak [--frames N] [--pulses N] [--seed N]` plays a whole array; a short form is part of the regression.
+`python -m tests.soak [--frames N] [--pulses N] [--seed N]` uses a whole array; a short form is part of the regression.
 """
 
 import argparse
@@ -21,19 +21,19 @@ from coincid.tb.batch import BatchSensor
 from coincid.tb.scoreboard import check
 
 KLUX = 50.0
-DEAD_TICKS = 128  # 8 ns: at saturation a pixel fires again as soon as it can
+DEAD_TICKS = 128  # 8 ns: at saturation, a pixel fires again as soon as it can
 LIGHTS = ("sun", "saturation")
 
 
 def sunlight(config: Config, frame: int, seed: int) -> Edges:
-    """Edges of a frame: five objects under `KLUX`."""
+    """Return the edges of a frame: five objects under `KLUX`."""
     timing = Timing.from_config(config)
     scene = load_scene("five-objects", config.sensor.rows, config.sensor.cols, range_m=timing.range_m)
     return generate_edges(scene_light(scene, KLUX), Spad(), timing, pulses=config.pulses, seed=seed + frame)
 
 
 def saturation(config: Config, frame: int, seed: int) -> Edges:
-    """Edges of a frame in which every pixel fires every 8 ns, each from a moment of its own on."""
+    """Return the edges of a frame in which every pixel fires every 8 ns, each with a phase of its own."""
     pixels = config.sensor.array_pixels
     first = np.random.default_rng([seed, frame]).integers(0, DEAD_TICKS, pixels)
     total = config.pulses * config.period_ticks
@@ -43,9 +43,9 @@ def saturation(config: Config, frame: int, seed: int) -> Edges:
 
 
 def soak(config: Config, light: str, frames: int, seed: int, tell=lambda frame, edges, checked: None) -> int:
-    """Plays `frames` frames; returns how many beats and commits were equal. Raises `Mismatch` at the first that is not.
+    """Play `frames` frames; return the number of equal beats and commits. Raises `Mismatch` at the first difference.
 
-    Back-pressure changes from frame to frame, so that FIFOs overflow in some; the threshold controller is on.
+    Back-pressure changes from frame to frame, so FIFOs overflow in some; the threshold controller is on.
     """
     golden, checked = Golden(config.sensor), 0
     make = {"sun": sunlight, "saturation": saturation}[light]
@@ -61,7 +61,7 @@ def soak(config: Config, light: str, frames: int, seed: int, tell=lambda frame, 
 
 
 def configuration(sensor: dict, pulses: int) -> Config:
-    """What is soaked: everything on that a frame can have."""
+    """Return a configuration with everything on that a frame can have."""
     frame = {
         "pulses": pulses,
         "format": "full",

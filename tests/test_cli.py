@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The `coincid` command at its edge: what bad input gets, what is left behind, what replay and export write."""
+"""The edge of the `coincid` command: bad input, remaining files, and the output of replay and export."""
 
 import contextlib
 import io
@@ -47,7 +47,7 @@ PULSES, PIXELS, PERIOD_TICKS = 6, 128, 40 * 32
 
 
 def run(*arguments):
-    """The command's result, in this process."""
+    """Return the command's result, in this process."""
     return CliRunner().invoke(app, [str(argument) for argument in arguments])
 
 
@@ -60,7 +60,7 @@ def some_edges(n=200):
 
 @pytest.fixture
 def files(tmp_path):
-    """A folder with a good configuration and good edges."""
+    """Return a folder with a good configuration and good edges."""
     (tmp_path / "config.toml").write_text(CONFIG)
     np.savez(tmp_path / "edges.npz", **some_edges())
     return tmp_path
@@ -80,7 +80,7 @@ def replay(folder, *more):
 
 
 def assert_refused(result, *words):
-    """Exit code 2 and one line that has all `words`."""
+    """Check for exit code 2 and one line that contains all `words`."""
     assert result.exit_code == 2, (result.output, result.exception)
     assert isinstance(result.exception, SystemExit)
     assert result.stderr.count("\n") == 1
@@ -166,7 +166,7 @@ def truncated(data):
 
 
 def damaged(data):
-    """The archive whole, an array's bytes changed."""
+    """Return the intact archive with the bytes of an array changed."""
     middle = len(data) // 3
     return data[:middle] + bytes(256 - b if b else 1 for b in data[middle : middle + 40]) + data[middle + 40 :]
 
@@ -291,7 +291,7 @@ def test_bad_options_of_sim(files, options, words):
 @pytest.mark.parametrize("number, code", [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
 @pytest.mark.parametrize(
     "inherited", [signal.SIG_DFL, signal.SIG_IGN]
-)  # of a terminal's command, of one in the background
+)  # for a command on a terminal, and for one in the background
 def test_interrupt_leaves_nothing(files, number, code, inherited):
     (files / "edges.npz").unlink()
     os.mkfifo(files / "edges.npz")
@@ -309,7 +309,7 @@ def test_interrupt_leaves_nothing(files, number, code, inherited):
 
 @contextlib.contextmanager
 def disposition(number, action):
-    """What programs that are started in the block inherit for a signal."""
+    """Set what programs started in the block inherit for a signal."""
     before = signal.signal(number, action)
     try:
         yield
@@ -351,7 +351,7 @@ def test_budget_for_programs_and_people():
 
 @pytest.fixture(scope="module")
 def exports(tmp_path_factory):
-    """Exports of the default sensor, of it again in another process, and of 64 x 64: name -> {file: bytes}."""
+    """Exports of the default sensor, of the same in another process, and of 64 x 64: name -> {file: bytes}."""
     folder = tmp_path_factory.mktemp("rtl")
     (folder / "large.toml").write_text("[sensor]\nrows = 64\ncols = 64\n")
     assert run("verilog", "--out", folder / "default").exit_code == 0
@@ -442,7 +442,7 @@ def test_register_files_agree_with_the_register_table(exports, tmp_path):
 
 @pytest.mark.parametrize("name", SENSORS)
 def test_lint_is_clean(tmp_path, name):
-    """Everything that is not waived, for sensors that between them leave every default."""
+    """Nothing is found except waived warnings, for sensors that together change every parameter from its default."""
     config = tmp_path / "config.toml"
     config.write_text(
         "[sensor]\n" + "".join(f"{key} = {value}\n" for key, value in SENSORS[name].items()) + "[frame]\nperiod = 100\n"
@@ -461,7 +461,7 @@ def test_lint_finds_what_is_not_waived(files, monkeypatch):
 
 
 def test_every_waiver_is_needed():
-    """One that no sensor needs hides what is to come."""
+    """A waiver that no sensor needs would hide future warnings."""
     small = {"rows": 8, "cols": 8}
     for wanted, cases in (
         (WAIVERS, [(small, POLYPHASE), (SENSORS["tiny"], POLYPHASE)]),

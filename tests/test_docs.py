@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the documentation says is so: snippets run, tables agree with the code, links lead somewhere."""
+"""The documentation is true: snippets run, tables agree with the code, links lead somewhere."""
 
 import contextlib
 import io
@@ -23,7 +23,7 @@ PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 
 
 def rows(page, title):
-    """Cells of the table whose head begins with `title`."""
+    """Return the cells of the table whose head begins with `title`."""
     text = page.read_text().split(f"| {title} |", 1)[1]
     table = re.match(r"(?:.*\|\n)+", text)[0].splitlines()[2:]
     return [[cell.strip().strip("`") for cell in line.strip("|").split("|")] for line in table]
@@ -40,12 +40,12 @@ def test_readme_snippet_runs():
 
 
 def blocks(page, language):
-    """The fenced blocks of a page in a language; "": without one."""
+    """Return the fenced blocks of a page in a language; "": without one."""
     return re.findall(rf"^```{language}\n(.*?)^```", page.read_text(), re.DOTALL | re.MULTILINE)
 
 
 def test_all_python_blocks_are_tested():
-    """By this file, and by `test_light_doc.py` and `tb/test_emulator.py`: a block on another page wants a test, too."""
+    """By this file, `test_light_doc.py` and `tb/test_emulator.py`; a block on another page needs a test, too."""
     tested = {"README.md", "light.md", "explorer.md", "sweeps.md", "board.md"}
     assert {page.name for page in PAGES if blocks(page, "python")} == tested
 
@@ -75,7 +75,7 @@ def test_sweep_blocks_run(tmp_path, monkeypatch):
 
 
 def test_recording_example_runs(tmp_path, monkeypatch):
-    """The commands of the page's example, in turn."""
+    """Run the commands of the page's example, one after the other."""
     monkeypatch.chdir(tmp_path)
     (example,) = [block for block in blocks(ROOT / "docs" / "recordings.md", "") if block.startswith("printf")]
     first, *commands = example.splitlines()
@@ -90,7 +90,7 @@ def test_recording_example_runs(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_commands_in_blocks_have_their_options(page):
-    """Every option that a block gives to `coincid` is one of that command."""
+    """Every option that a block gives to `coincid` exists in that command."""
     commands = {command.name: command for command in get_command(app).commands.values()}
     for block in blocks(page, ""):
         for line in block.replace("\\\n", " ").splitlines():
@@ -106,9 +106,9 @@ def test_latency_table():
 
 
 def test_waveform_picture_shows_the_stages():
-    """The simulation behind the picture: each stage where the page says, and the word that it decodes."""
+    """In the simulation behind the picture, each stage is where the page says, and so is the decoded word."""
     values = picture.simulate()
-    opens, closes = picture.EDGES[1][1], picture.EDGES[-1][1]  # cycles of the window of four photons
+    opens, closes = picture.EDGES[1][1], picture.EDGES[-1][1]  # cycles of the window with four photons
 
     def first(name, begin):
         return next(cycle for cycle, value in enumerate(values[name]) if cycle >= begin and value)

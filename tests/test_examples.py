@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Every example runs by itself in a fresh process and draws something; those that need a program are skipped without it."""
+"""Every example runs by itself in a fresh process and draws something; it is skipped if a program that it needs is missing."""
 
 import os
 import re
@@ -17,7 +17,7 @@ if __name__ == "__main__":
     import matplotlib.pyplot
 
     assert matplotlib.pyplot.get_fignums(), "no figure"
-"""  # processes that an example starts import it, too
+"""  # processes started by an example import it, too
 
 
 def test_every_example_is_listed():

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The layers: who may import whom, and no cycle between files. Import lines are read, lazy ones inside functions, too."""
+"""The layers: permitted imports, and no cycle between files. All import lines are read, also lazy ones inside functions."""
 
 import ast
 import subprocess
@@ -12,7 +12,7 @@ import pytest
 
 from coincid.model.shared.sources import room_files
 
-ROOMS = {  # room: the rooms whose files it may import, besides its own
+ROOMS = {  # room: the rooms whose files it may import, in addition to its own
     "model.shared": (),
     "model.contract": ("model.shared",),
     "model.golden": ("model.contract", "model.shared"),
@@ -36,14 +36,14 @@ OPTIONAL = ("mitsuba", "mitransient", "drjit")  # of the extra `raytrace`
 
 
 def module_name(path: Path, room: str) -> str:
-    """Dotted name of a file of `room`."""
+    """Return the dotted name of a file of `room`."""
     inside = path.with_suffix("").parts[-1 - path.parts[::-1].index(room.split(".")[-1]) :][1:]
     return ".".join(["coincid", room, *(part for part in inside if part != "__init__")])
 
 
 @cache
 def imports() -> dict[str, set[str]]:
-    """Module -> modules of the project that it imports, for all rooms."""
+    """Return module -> modules of the project that it imports, for all rooms."""
     files = {
         module_name(path, room): path
         for room in ("model", "host", "hdl", "tb", "flow", "formal", "study")
@@ -103,7 +103,7 @@ def test_no_cycle_between_files():
 
 @pytest.mark.parametrize("room", NEVER)
 def test_rooms_do_not_load(room):
-    """Imports a whole room in a fresh process: what it needs is then there, and nothing else."""
+    """Import a whole room in a fresh process: then everything that it needs is loaded, and nothing else."""
     modules = [module for module in imports() if inside(module, room)]
     program = (
         "import importlib, sys\n"
@@ -119,7 +119,7 @@ def test_rooms_do_not_load(room):
 
 
 def test_kernels_take_in_only_what_renews_their_compiled_code():
-    """`compiled.py` keeps compiled code under a digest of a kernel's own room, the contract and `model.shared`."""
+    """`compiled.py` names compiled code by a digest of the kernel's own room, the contract and `model.shared`."""
     holders = {module for module, targets in imports().items() if "coincid.model.shared.compiled" in targets}
     assert len(holders) > 5
     wrong = [

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The page on light: its code runs, and what it prints is what the page says."""
+"""The page on light: its code runs, and prints what the page says."""
 
 import contextlib
 import io

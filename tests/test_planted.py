@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The list of planted bugs is in step with the sources, and the mutators mutate."""
+"""The list of planted bugs agrees with the sources, and the mutators do mutate."""
 
 import ast
 

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The documentation site builds without a warning: links and anchors lead somewhere, and docstrings are well formed.
+"""The documentation site builds without a warning: links and anchors lead somewhere, and docstrings are well-formed.
 
-The examples do not run here (`test_examples.py` runs them), and without the tools of the site (scripts/setup docs) this is skipped.
+The examples do not run here (`test_examples.py` runs them). Without the tools of the site (scripts/setup docs), this test
+is skipped.
 """
 
 import subprocess
@@ -25,7 +26,7 @@ def build(root, *options):
 
 @pytest.fixture
 def project(tmp_path):
-    """A copy of what the site is made from."""
+    """Copy the files from which the site is made."""
     root = tmp_path / "project"
     for name in ("docs", "examples"):
         (root / name).mkdir(parents=True)

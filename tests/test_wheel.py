@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The built wheel holds everything that the program reads, and runs from where it is unpacked, away from the checkout."""
+"""The built wheel contains everything that the program reads, and runs where it is unpacked, away from the checkout."""
 
 import os
 import shutil
@@ -25,7 +25,7 @@ assert all(path.exists() for path in view_at("async", 500).macros)
 
 @pytest.fixture(scope="module")
 def wheel(tmp_path_factory):
-    """The wheel, built from a copy, so that the checkout stays as it is."""
+    """Build the wheel from a copy, so that the checkout stays unchanged."""
     folder = tmp_path_factory.mktemp("wheel")
     source = folder / "source"
     for name in (*ROOMS, "coincid"):

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// A sensor under Verilator whose flip-flops may be flipped, and a host that uses it: it programs, starts frames, takes the streams, and
-// writes its settings again where the sensor tells of an error. `upsets.py` says which flip-flop and when, and judges.
+// A Verilated sensor whose flip-flops can be flipped, and a host that uses it: it programs, starts frames, takes the streams,
+// and writes its settings again if the sensor reports an error. `upsets.py` chooses flip-flop and time, and judges.
 #include <array>
 #include <cstdint>
 #include <cstring>
@@ -13,7 +13,7 @@
 #include "verilated.h"
 #include "verilated_syms.h"
 
-// Of Verilator's own: computes all that hangs on registers anew; `eval` does so only for what hangs on ports and clocks.
+// From Verilator: computes everything behind the registers again; `eval` only does so behind ports and clocks.
 void Vtop___024root___eval_settle(Vtop___024root* self);
 
 namespace {
@@ -56,7 +56,7 @@ public:
     void setting(uint32_t address, uint32_t value) { settings_.push_back({address, value}); }
     void recipe(Recipe recipe) { recipes_.push_back(std::move(recipe)); }
 
-    // Bit `bit` of what was found as `flop` flips in cycle `cycle` from now on.
+    // Flip bit `bit` of `flop`, as found, in cycle `cycle` counted from now.
     void upset(int flop, int64_t byte, int bit, int64_t cycle) {
         flop_ = vars_[flop] + byte;
         bit_ = bit;
@@ -110,7 +110,7 @@ public:
         return FINE;
     }
 
-    // Starts a frame and takes what it sends. Where the sensor tells of an error, the host clears it and writes all settings again.
+    // Start a frame and take its output. If the sensor reports an error, the host clears it and writes all settings again.
     int frame(int number) {
         const Recipe& of = recipes_[number];
         int response = 0;
@@ -157,7 +157,7 @@ public:
         }
         for_each_spad([](auto& spad) { spad = 0; });
         if (!outcome && !all_ended) outcome = WITHOUT_LAST;
-        // Then status says so.
+        // Then the status shows it.
         for (int64_t wait = 0; wait <= of.limit; wait++) {
             if (int broken = read(STATUS, &status, &response)) return broken;
             if (!(status & BUSY)) break;
@@ -185,7 +185,7 @@ public:
         return outcome;
     }
 
-    // Whether every setting reads as it was written.
+    // Return whether every setting reads as it was written.
     int check_settings() {
         uint32_t value = 0;
         int response = 0;
@@ -217,7 +217,7 @@ private:
         spads(*top_, [&](int s, auto& spad) { if (s == edge.subgroup) spad |= uint64_t(1) << edge.bit; });
     }
 
-    // What stands in the registers flips just after the clock edge.
+    // Registers flip just after the clock edge.
     void step() {
         top_->clk = 1;
         top_->eval();

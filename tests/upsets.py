@@ -1,15 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One upset heals itself: every flip-flop of a small sensor flips, at sampled moments, with no reset, and the sensor is right again.
+"""Recovery from single upsets: every flip-flop of a small sensor is flipped, without a reset, and the sensor recovers.
 
-`python -m tests.upsets [--instants N] [--seed S] [--only TEXT]` flips every flip-flop of two sensors N times. A trial is three frames: in the first,
-in the starts, or in between, one flip-flop flips; the third, the second that is started after it, must show every word in its cycle, laser and gates
-as ever. No access of the register bus waits, and every frame ends.
+`python -m tests.upsets [--instants N] [--seed S] [--only TEXT]` flips every flip-flop of two sensors N times. A trial has
+three frames. One flip-flop flips in the first frame, in its start, or in between. The third frame, the second one that is
+started after the flip, must show every word in its cycle, and laser and gates as usual. Every access of the register bus
+is answered, and every frame ends.
 
-The host does what a host can do: where a start is refused or the status tells of an error, it clears the status, writes all its settings again and
-goes on. It never resets the sensor, and writes nothing where the sensor tells it nothing.
+The host does what a host can do: if a start is refused or the status shows an error, it clears the status, writes all its
+settings again and continues. It never resets the sensor, and writes nothing unless the sensor shows an error.
 
-What need not come back: the frame number, which goes on counting from where it is, and thresholds and budgets of the controller, whose loop goes on
-from where it is; frames with the controller are judged by the golden model with the thresholds that they show.
+Two things need not recover: the frame number, which continues from its value, and thresholds and budgets of the
+controller, whose loop continues from its state. Frames with the controller are judged by the golden model with the
+thresholds that they show.
 """
 
 import argparse
@@ -68,7 +70,7 @@ MODULE = re.compile(r"^module (\\?\S+)\s*\(.*?^endmodule", re.MULTILINE | re.DOT
 
 
 def cases() -> dict[str, Config]:
-    """What the sensor is set to do, by name: between them every kind of packet, gating and its steps, dither, the controller."""
+    """Return the sensor's settings, by name: together they cover every kind of packet, gating, dither, the controller."""
     frame = {"period": 24, "pulses": 4, "format": "full", "minigroup_records": True, "mg_threshold": 1}
     return {
         "steps": parse_config(
@@ -111,7 +113,7 @@ class Flop:
 
 
 def flops_of_modules(sources: list[Path]) -> tuple[dict[str, list[Flop]], dict[str, list[tuple[str, str]]]]:
-    """By module: its own flip-flops, and the modules it instantiates with the instances' names."""
+    """Return by module its own flip-flops, and the modules that it instantiates with the instances' names."""
     found: dict[str, list[Flop]] = {}
     instances = {}
     for path in sources:
@@ -127,7 +129,7 @@ def flops_of_modules(sources: list[Path]) -> tuple[dict[str, list[Flop]], dict[s
 
 
 def flops(sources: list[Path]) -> list[Flop]:
-    """Every flip-flop of the design."""
+    """Return every flip-flop of the design."""
     found, instances = flops_of_modules(sources)
     result, todo = [], [("", TOP)]
     while todo:
@@ -138,7 +140,7 @@ def flops(sources: list[Path]) -> list[Flop]:
 
 
 def ports_header(sensor: Sensor) -> str:
-    """What `upsets.cpp` needs to know of a sensor."""
+    """Return the header that describes a sensor to `upsets.cpp`."""
     axes = [
         f"    visit({k}, {', '.join(f'top.{sensor.stream_name(k)}_{wire}' for wire in ('tdata', 'tvalid', 'tready', 'tlast'))});"
         for k in range(sensor.streams)
@@ -162,7 +164,7 @@ def ports_header(sensor: Sensor) -> str:
 
 
 def _archives(sensor: Sensor) -> Path:
-    """The sensor's Verilated model with its flip-flops open to be changed: headers and archives, compiled once."""
+    """Return the sensor's Verilated model with writable flip-flops: headers and archives, compiled once."""
     program, sources = toolchain.verilator(), rtl(sensor)
     contents = [part for path in sources for part in (path.name, path.read_text())]
     directory = (
@@ -190,7 +192,7 @@ def _archives(sensor: Sensor) -> Path:
 
 @cache
 def library(sensor: Sensor) -> ctypes.CDLL:
-    """The sensor with its host, compiled once."""
+    """Compile the sensor with its host, once."""
     include, header, archives = toolchain.verilator().parents[1] / "include", ports_header(sensor), _archives(sensor)
     directory = build_root() / "upsets" / f"host-{digest(str(archives), *COMPILER, header, SOURCE.read_text())}"
 
@@ -228,7 +230,7 @@ def library(sensor: Sensor) -> ctypes.CDLL:
 
 @define
 class Shown:
-    """What a frame showed: per stream its beats and their cycles, the laser's cycles, and a digest of the gates."""
+    """Record of a frame: per stream its beats and their cycles, the laser's cycles, and a digest of the gates."""
 
     beats: list[np.ndarray]
     cycles: list[np.ndarray]
@@ -236,7 +238,7 @@ class Shown:
     gates: int
 
     def equals(self, other: "Shown") -> bool:
-        """Whether all is the same, except for the frame's number."""
+        """Return whether everything is the same, except the frame number."""
         return (self.lasers, self.gates) == (other.lasers, other.gates) and all(
             np.array_equal(without_number(a), without_number(b)) for a, b in zip(self.beats, other.beats)
         )
@@ -244,7 +246,7 @@ class Shown:
 
 @frozen
 class Failure:
-    """A trial that did not heal."""
+    """A trial after which the sensor did not recover."""
 
     flop: Flop
     bit: int
@@ -257,8 +259,9 @@ class Failure:
 
 @define
 class Report:
-    """trials: flips done; changed: those whose first frame shows them, counted without the controller. failures: those that did not
-    heal. outcomes: of frames in which and after which it happened, by name."""
+    """Counts of a campaign. trials: flips made; changed: those whose first frame shows them (without the controller).
+
+    failures: trials without recovery. outcomes: number of frames with each outcome during and after the flip, by name."""
 
     trials: int = 0
     changed: int = 0
@@ -267,7 +270,7 @@ class Report:
 
 
 class Campaign:
-    """A sensor with one setting, three frames to play, and what these show."""
+    """A sensor with one setting, three frames to play, and their expected records."""
 
     def __init__(self, config: Config, seed: int = 0):
         self.config, self.sensor = config, config.sensor
@@ -303,7 +306,7 @@ class Campaign:
             np.ascontiguousarray(column[order], kind)
             for column, kind in ((cycle, np.int64), (subgroup, np.int32), (bit, np.int32))
         ]
-        # A period or a frame that an upset makes longer goes to the end of its counter.
+        # A period or a frame that an upset makes longer lasts until the end of its counter.
         longest = 2 * self.config.pulses * 2 * self.sensor.period_max
         limit = 2 * cycle_limit(self.config, len(ready)) + longest
         pointers = [column.ctypes.data for column in columns]
@@ -312,12 +315,12 @@ class Campaign:
         )
 
     def refresh(self) -> None:
-        """A reset, and all settings."""
+        """Reset the sensor, and write all settings."""
         self._library.upsets_reset(self._host)
         assert self._library.upsets_program(self._host) == 0
 
     def index(self, flop: Flop) -> int:
-        """What the library calls a flip-flop; -1 where Verilator has removed it, as nothing hangs on it."""
+        """Return the library's number of a flip-flop, or -1 if Verilator has removed it as unused."""
         if flop not in self._indices:
             parts = ["TOP", TOP, *filter(None, flop.path.split("."))]
             scope = ".".join(map(as_verilog, parts))
@@ -325,7 +328,7 @@ class Campaign:
         return self._indices[flop]
 
     def play(self, recipe: int) -> Shown:
-        """Plays a frame that must be fine."""
+        """Play a frame that must be right."""
         outcome = self._library.upsets_frame(self._host, recipe)
         assert outcome == 0, OUTCOMES[outcome]
         return self.shown()
@@ -347,7 +350,7 @@ class Campaign:
         return Shown(beats, cycles, lasers, self._library.upsets_gates(self._host))
 
     def trial(self, flop: Flop, word: int, bit: int, cycle: int, report: Report) -> None:
-        """Flips a flip-flop `cycle` cycles from the beginning of a frame, and judges the second frame that is started after it."""
+        """Flip a flip-flop `cycle` cycles after the beginning of a frame, and judge the second frame that is started after."""
         width = 8 if flop.bits <= 8 else 16 if flop.bits <= 16 else 32 * -(-flop.bits // 32)
         width = 64 if 32 < flop.bits <= 64 else width
         self._library.upsets_upset(self._host, self.index(flop), word * width // 8, bit, cycle)
@@ -374,7 +377,7 @@ class Campaign:
             self.refresh()
 
     def difference(self, shown: Shown, expected: Shown) -> str:
-        """What a frame shows otherwise than it should; '' where nothing."""
+        """Return how a frame differs from the expected one, or ''."""
         if shown.lasers != expected.lasers:
             return "laser"
         if shown.gates != expected.gates:
@@ -405,7 +408,7 @@ class Campaign:
         return ""
 
     def _counters(self, beats: np.ndarray, stream: int) -> np.ndarray:
-        """The counters of a frame, int64[subgroups of the stream, counters]; none where there is no whole frame."""
+        """Return the counters of a frame, int64[subgroups of the stream, counters]; empty if there is no whole frame."""
         try:
             return decode_frame(beats, self.sensor, len(self.sensor.stream_subgroups(stream))).counters
         except ValueError:
@@ -413,12 +416,12 @@ class Campaign:
 
 
 def as_verilog(name: str) -> str:
-    """A name as Verilog escapes it where it must."""
+    """Return a name as Verilog escapes it, if necessary."""
     return f"\\{name} " if "$" in name else name
 
 
 def without_number(beats: np.ndarray) -> np.ndarray:
-    """The beats of a frame with the frame number in its first and last header cleared."""
+    """Return the beats of a frame with the frame number in its first and last header cleared."""
     lowest, width = HEADER["pulse"]
     kind, _ = HEADER["kind"]
     kinds = beats >> np.uint64(kind)
@@ -427,7 +430,7 @@ def without_number(beats: np.ndarray) -> np.ndarray:
 
 
 def every_bit(campaign: Campaign, only: str = "") -> list[tuple[Flop, int, int]]:
-    """(flip-flop, word, bit) of all whose path contains `only`, as far as they are in the model."""
+    """Return (flip-flop, word, bit) for all in the model whose path contains `only`."""
     return [
         (flop, word, bit)
         for flop in flops(rtl(campaign.sensor))

@@ -1,14 +1,14 @@
 // SPDX-License-Identifier: Apache-2.0
-// Cells and macros of the asynchronous front end, behavioural, delays in femtoseconds.
+// Cells and macros of the asynchronous front end: behavioural models with delays in femtoseconds.
 //
-// Cells go through synthesis as they stand: every flop of the front end that is not clocked by the system clock is one of them, and none
-// holds a latch. Macros (coincid_phases, coincid_window, coincid_delay, coincid_mutex) are drawn by a circuit designer; the flow takes
-// their black boxes (async_macros.v). What each of them must meet is in docs/async.md. With COINCID_APERTURE_PS defined, flops whose data
-// has moved less than that before their edge take either value, at random.
+// Cells go through synthesis as they are. Every flop of the front end that is not clocked by the system clock is one of
+// them, and none contains a latch. Macros (coincid_phases, coincid_window, coincid_delay, coincid_mutex) are drawn by a
+// circuit designer; the flow uses their black boxes (async_macros.v). docs/async.md has the requirements on each of them.
+// With COINCID_APERTURE_PS defined, a flop takes a random value if its data has changed less than that before its clock edge.
 
 `timescale 1ps / 1fs
 
-// A SPAD's flop, and the flop that opens a window: set by the edge while armed, until it is cleared. An edge during the clear does nothing.
+// The flop of a SPAD, and the flop that opens a window: set by the edge while armed, until cleared. Edges during the clear are ignored.
 module coincid_hit_flop #(parameter DELAY_FS = 0) (input edge_in, input arm, input clear, output reg hit);
 `ifdef SYNTHESIS
   always @(posedge edge_in or posedge clear)
@@ -30,7 +30,7 @@ module coincid_hit_flop #(parameter DELAY_FS = 0) (input edge_in, input arm, inp
 `endif
 endmodule
 
-// Flops clocked by an event: the sampling line of the TDC, the picture that a window's end takes.
+// Flops clocked by an event: the sampling line of the TDC, and the snapshot taken at the end of a window.
 module coincid_sample #(parameter WIDTH = 1) (input event_in, input [WIDTH-1:0] d, output reg [WIDTH-1:0] q);
 `ifndef SYNTHESIS
   initial q = {WIDTH{1'b0}};
@@ -58,8 +58,8 @@ module coincid_or2 #(parameter DELAY_FS = 0) (input a, input b, output y);
 endmodule
 
 `ifndef SYNTHESIS
-// Multiphase generator: PHASES borders a clock cycle from PHASES/2 taps, each tap high for half a cycle from its border on.
-// MISMATCH_FS: signed, 32 bit a border. The strobes sequence the front end: mark falls between two borders.
+// Multiphase generator: PHASES borders per clock cycle from PHASES/2 taps; each tap is high for half a cycle from its border on.
+// MISMATCH_FS: signed, 32 bits per border. The strobes sequence the front end: mark falls between two borders.
 module coincid_phases #(
   parameter PHASES = 32, parameter CLOCK_FS = 2000000, parameter LAG_FS = 0, parameter [32*PHASES-1:0] MISMATCH_FS = 0
 ) (input clk, output reg [PHASES/2-1:0] phases, output reg mark, output reg shut, output reg wipe);
@@ -90,7 +90,7 @@ module coincid_phases #(
 endmodule
 
 // Window: `ended` rises `ticks` + PHASES/4 borders after `start`, and falls with it.
-// LINE = 1: a delay line of (ticks - 1/2 + PHASES/4) LSB with an error of GAIN_PPM instead, for the study.
+// LINE = 1: for the study, a delay line of (ticks - 1/2 + PHASES/4) LSB with an error of GAIN_PPM instead.
 module coincid_window #(
   parameter PHASES = 32, parameter BITS = 8, parameter CLOCK_FS = 2000000, parameter LINE = 0, parameter GAIN_PPM = 0
 ) (input start, input [BITS-1:0] ticks, input [PHASES/2-1:0] phases, output reg ended);
@@ -122,13 +122,13 @@ module coincid_window #(
   end endgenerate
 endmodule
 
-// Matched delay: every edge of `a` again DELAY_FS later, however close they follow each other.
+// Matched delay: repeats every edge of `a` DELAY_FS later, however close the edges are.
 module coincid_delay #(parameter DELAY_FS = 0) (input a, output reg y);
   initial y = 1'b0;
   always @(a) y <= #(DELAY_FS / 1000.0) a;
 endmodule
 
-// Mutual exclusion: `second` says that request b came before request a. Requests less than TIE_FS apart count as a tie, which a wins.
+// Mutual exclusion: `second` means that request b came before request a. Requests less than TIE_FS apart count as a tie, which a wins.
 module coincid_mutex #(parameter TIE_FS = 0, parameter DELAY_FS = 0) (input a, input b, output second);
   real a_at, b_at;
   initial begin a_at = 0; b_at = 0; end

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Black boxes of the asynchronous front end's macros, for synthesis. Behaviour: async_cells.v; contracts: docs/async.md.
+// Black boxes of the asynchronous front end's macros, for synthesis. Behaviour: async_cells.v; requirements: docs/async.md.
 
 (* blackbox *)
 module coincid_phases #(

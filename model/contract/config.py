@@ -24,6 +24,7 @@ from .dither import start_cycles
 from .link import beats_waiting_max, check_link, link_share, takes_beats
 from .packet import FORMAT_NAMES, FORMATS, Kind, layout
 from .parameters import CLOCK_MHZ, CLOCK_MHZ_RANGE, LINK_GBPS_MAX, SIZE_LIMITS, Sensor
+from .preset_files import PRESETS
 from .registers import AUTO_BOUNDS, BY_NAME, MASK_BITS, MODE
 
 FRAMES_MAX = 1 << 16  # the frame number has 16 bits
@@ -47,7 +48,6 @@ BY_FRAME_LENGTH = (
 )  # keys of [frame] that count events per frame; None: the default follows from other settings of the frame
 SUBGROUP_INTEGERS = ("threshold", "window", "gate_start", "gate_len")
 MODE_BITS = tuple(bits.name for bits in MODE.bits)
-PRESETS = {path.stem: path for path in sorted((Path(__file__).parent / "presets").glob("*.toml"))}
 
 
 SUBGROUP_KEYS = (*MODE_BITS, *SUBGROUP_INTEGERS, "mask")
@@ -269,7 +269,7 @@ def load_config(path: FilePath | None = None) -> Config:
     Parameters
     ----------
     path : str, Path or None
-        A TOML file, the name of a preset (`silicon`, `fpga`), or None for the defaults.
+        A TOML file, the name of a preset (`PRESETS`), or None for the defaults.
 
     Returns
     -------

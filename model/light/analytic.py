@@ -106,13 +106,13 @@ def signal_photons(
 
 
 def group_photons(photons: Numbers, form: str) -> Numbers:
-    """(5), (6): photons of a minigroup (subgroup) from those of its pixels (minigroups), along the last axis. One form."""
+    """(5), (6): photons of a minigroup (subgroup) from those of its pixels (minigroups), along the last axis. Both forms agree."""
     _literal(form)
     return np.sum(photons, axis=-1)
 
 
 def count_probability(k: int | np.ndarray, rate_cps: Numbers, time_s: Numbers, form: str) -> Numbers:
-    """(7): probability of `k` photons. One form."""
+    """(7): probability of `k` photons. Both forms agree."""
     _literal(form)
     return stats.poisson.pmf(k, rate_cps * time_s)
 
@@ -136,7 +136,7 @@ def minigroup_probability(
 
 
 def rest_photons(photons_subgroup: Numbers, photons_minigroup: Numbers, form: str) -> Numbers:
-    """(11): photons of the subgroup outside the minigroup. One form."""
+    """(11): photons of the subgroup outside the minigroup. Both forms agree."""
     _literal(form)
     return photons_subgroup - photons_minigroup
 

@@ -150,7 +150,7 @@ class Light:
             checked = real_array(name, getattr(self, name), shape, 0, highest, nan=name == "distance_m")
             object.__setattr__(self, name, checked)
         if self.arrivals is not None and len(self.arrivals.first) != self.pixels + 1:
-            raise InputError(f"arrivals: are of {len(self.arrivals.first) - 1} pixels, must be of {self.pixels}")
+            raise InputError(f"arrivals: has {len(self.arrivals.first) - 1} pixels, must have {self.pixels}")
 
     @property
     def pixels(self) -> int:

@@ -264,7 +264,8 @@ class _Lidar(TransientPRBVolpathIntegrator):
         """Return (distance, ambient) of each ray.
 
         distance: to the first surface that scatters, infinite into the sky. ambient: brightness of the ray under light
-        that is the same everywhere, where media scatter all light that they take."""
+        that is the same everywhere, where media scatter all light that they take.
+        """
         active, through, medium = mi.Bool(True), mi.Float(1), dr.zeros(mi.MediumPtr)
         distance, clear, eta, crossings = mi.Float(0), mi.Float(1), mi.Float(1), mi.UInt32(0)
         while dr.hint(active, label="to the first surface"):

@@ -54,7 +54,8 @@ def real_array(
         bad &= ~np.isnan(array)
     if bad.any():
         where = tuple(int(i) for i in np.argwhere(bad)[0])
-        raise InputError(f"{name}{list(where) or ''} = {array[where]}: must be {_range(low, high)}{' or NaN' * nan}")
+        legal = _range(low, high).removeprefix("of ") + " or NaN" * nan
+        raise InputError(f"{name}{list(where) or ''} = {array[where]}: must be {legal}")
     array.flags.writeable = False
     return array
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Programs that draw the documents' pictures: `python -m coincid.study.drawings.NAME`. They write into docs/images of the checkout."""
+"""Programs that draw the documents' pictures into docs/images: `python -m coincid.study.drawings.NAME`."""
 
 from pathlib import Path
 
@@ -8,8 +8,8 @@ from ...model.shared.folders import checkout
 
 
 def image(name: str) -> Path:
-    """Where the picture called `name` stands. Raises `InputError` where the project runs without its checkout."""
+    """Return the path of the picture called `name`. Raises `InputError` if the project runs without its checkout."""
     folder = checkout()
     if folder is None:
-        raise InputError("docs/images: pictures of the documents are drawn in a checkout of the project")
+        raise InputError("docs/images: the pictures of the documents can only be drawn in a checkout of the project")
     return folder / "docs" / "images" / name

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-  // A frame that never ends, all pixels on, windows of a tick.
+  // A frame without end, with all pixels on and windows of one tick.
   task wake;
     begin
       mask = {PIXELS{1'b1}};

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Single edges around the border of two cycles, for Icarus: prints the offset's number, and how many words and wrong words came of it.
+// Single edges around the border of two cycles, for Icarus: prints the number of the offset, of words, and of wrong words.
 `timescale 1ps / 1fs
 module async_reset;
   parameter EVENTS = 600;

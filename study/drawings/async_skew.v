@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Single edges of all pixels in turn, for Icarus: prints pixel, time of the edge in ps and the stamp that it got.
+// Single edges of all pixels in turn, for Icarus: prints pixel, time of the edge in ps, and its stamp.
 `timescale 1ps / 1fs
 module async_skew;
   parameter EVENTS = 480;

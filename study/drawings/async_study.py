@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Pictures of docs/async.md. `python -m coincid.study.drawings.async_study [NAME ...]` simulates and draws them again:
-timing, tdc, skew, window, metastability, reset.
+"""Pictures of docs/async.md: timing, tdc, skew, window, metastability, reset.
 
-Every picture but the first is measured on the Verilog of the cells or of the front end, under Icarus.
+`python -m coincid.study.drawings.async_study [NAME ...]` simulates and draws them again. All pictures except the first are
+measured on the Verilog of the cells or of the front end, under Icarus.
 """
 
 import sys
@@ -23,18 +23,18 @@ SENSOR = Sensor()
 CLOCK_FS = Circuit().clock_fs
 TICK_PS = CLOCK_FS / SENSOR.phases / FS_PER_PS
 CYCLE_PS = CLOCK_FS / FS_PER_PS
-SIGMA_PS = 0.1 * TICK_PS  # of a tap's border, in the example
-TAU_PS, APERTURE_WINDOW_PS = 20.0, 20.0  # a flop's time constant of resolution, and its aperture: assumed
-EDGES_CPS, WINDOWS_CPS = 64e6, 16e6  # of a subgroup in full sunlight, about
+SIGMA_PS = 0.1 * TICK_PS  # of the border of a tap, in the example
+TAU_PS, APERTURE_WINDOW_PS = 20.0, 20.0  # resolution time constant and aperture of a flop: assumed values
+EDGES_CPS, WINDOWS_CPS = 64e6, 16e6  # of a subgroup in full sunlight, approximate
 
 
 def bench(picture: str) -> Path:
-    """The bench that measures what a picture shows."""
+    """Return the bench that measures the content of a picture."""
     return Path(__file__).with_name(f"async_{picture}.v")
 
 
 def quiet() -> dict[str, str]:
-    """What benches of a front end in an endless frame include."""
+    """Return the files that benches of a front end in an endless frame include."""
     path = Path(__file__).with_name("async_quiet.vh")
     return {path.name: path.read_text()}
 
@@ -44,12 +44,12 @@ def cells() -> dict[str, str]:
 
 
 def taps(seed: int) -> np.ndarray:
-    """Errors of the borders of an example generator, in ps; those of a tap's rise and fall are independent."""
+    """Return the errors of an example generator's borders, in ps; those of a tap's rise and fall are independent."""
     return np.random.default_rng(seed).normal(0, SIGMA_PS, SENSOR.phases)
 
 
 def timing() -> None:
-    """A window that closes in its own cycle, and the next one, in two banks."""
+    """Draw two windows in two banks: one that closes in its own cycle, and the next one."""
     lag = lag_fs(SENSOR) / CLOCK_FS
     rows: list[tuple[str, list[tuple[float, float]], str]] = [  # name, when it is high, colour
         ("clk", [(k, k + 0.5) for k in range(5)], "#222222"),
@@ -81,7 +81,7 @@ def timing() -> None:
 
 
 def tdc() -> None:
-    """DNL and INL of a generator with mismatched taps, by the code density test on its sampling line, and the bias of stamps."""
+    """Draw DNL and INL of a generator with mismatched taps, by the code density test on its line, and the stamps' bias."""
     errors, events = taps(1), 40_000
     packed = sum(int(round(e * FS_PER_PS)) % (1 << ERROR_BITS) << ERROR_BITS * k for k, e in enumerate(errors))
     half = SENSOR.phases // 2
@@ -127,7 +127,7 @@ def tdc() -> None:
 
 
 def skew() -> None:
-    """Stamps of pixels whose ways to the tree differ, and of a tree without mismatch, phases uniform."""
+    """Draw the stamps of pixels with different delays to the tree, and of a tree without mismatch, at uniform phases."""
     sensor = Sensor(rows=4, cols=4, subgroup=(4, 4))
     way_ps = np.round(np.random.default_rng(2).normal(0, 25, sensor.pixels)) + 80
     front = Front(sensor, Circuit(pixel_skew_fs=tuple(int(w * FS_PER_PS) for w in way_ps)))
@@ -156,7 +156,7 @@ def skew() -> None:
 
 
 def window() -> None:
-    """Where a window ends against where it should: borders counted, and delay lines with an error of gain."""
+    """Draw the error of a window's end, for counted borders, and for delay lines with a gain error."""
     cases = (("borders counted", 0, 0), ("line, exact", 1, 0), ("line, +0.4 %", 1, 4000), ("line, +1 %", 1, 10000))
     starts, ticks = 400, SENSOR.window_max
     results = {}
@@ -184,7 +184,7 @@ def window() -> None:
 
 
 def metastability() -> None:
-    """Mean time between unresolved flops against the time they are given (formula), and where the design's flops stand."""
+    """Draw the mean time between failures against the time to resolve (formula), and the flops of the design."""
     lag = lag_fs(SENSOR) / CLOCK_FS
     points = {  # cycles to resolve in, events per second, borders per cycle that they can meet
         "hit at a cycle's border, read at mid-cycle": (0.5, EDGES_CPS, 1),
@@ -215,10 +215,10 @@ def metastability() -> None:
 
 
 def reset() -> None:
-    """Single edges at a cycle's border, where one bank of hit flops stops listening and the other begins; flops may fall either way."""
+    """Draw single edges at the border of two cycles, where the banks of hit flops change; flops may fall to either side."""
     sensor = Sensor(rows=4, cols=4, subgroup=(4, 4))
     front = Front(sensor, Circuit())
-    offsets = np.arange(-60, 61, 5)  # ps, as async_reset.v steps through them
+    offsets = np.arange(-60, 61, 5)  # ps, with the same steps as async_reset.v
     trials = 24
     parameters = {"EVENTS": len(offsets) * trials, "OFFSETS": len(offsets)}
     lines = run_bench(bench("reset"), front.files() | quiet(), parameters=parameters, aperture=True)

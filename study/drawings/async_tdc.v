@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// A generator with mismatched taps and a sampling line, for Icarus: prints the phases that it samples at random times.
+// A generator with mismatched taps, and a sampling line, for Icarus: prints the phases that the line samples at random times.
 `timescale 1ps / 1fs
 module async_tdc;
   parameter PHASES = 32;

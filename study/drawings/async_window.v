@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// The end of a window, for Icarus: prints when each begins and when it ends, in ps. LINE, GAIN_PPM: of coincid_window.
+// Windows, for Icarus: prints the beginning and the end of each in ps. LINE, GAIN_PPM: as in coincid_window.
 `timescale 1ps / 1fs
 module async_window;
   parameter PHASES = 32;

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Draws blocks.svg: the sensor's blocks and what runs between them.
+"""Draws blocks.svg: the sensor's blocks and the signals between them.
 
 python -m coincid.study.drawings.blocks
 """

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Draws ray-NAME.png for each ray-traced scene of the project: its truth, and its depth through the RTL. Needs `make raytrace`.
+"""Draws ray-NAME.png for each ray-traced scene: its truth, and its depth through the RTL. Needs `make raytrace`.
 
 python -m coincid.study.drawings.raytrace [NAME ...]
 """
@@ -26,11 +26,11 @@ from ..simulate import SCHEMES, plan_frames, run_frames
 from . import image
 
 KLUX, PULSES, SEED = 50, 400, 1
-WINDOW_M = 1e-9 * SPEED_OF_LIGHT_M_S / 2  # what a coincidence window of 1 ns holds: nearer surfaces are one to it
+WINDOW_M = 1e-9 * SPEED_OF_LIGHT_M_S / 2  # surfaces closer than a coincidence window of 1 ns are one to it
 
 
 def draw(name: str) -> list[tuple[float, float]]:
-    """Writes the picture; (wrong by more than a window, wrong as in the paper's Fig. 7) of each scheme."""
+    """Write the picture; return (wrong by more than a window, wrong by the paper's criterion) for each scheme."""
     config = load_config(None).with_pulses(PULSES)
     timing = Timing.from_config(config)
     scene = load_scene(PREFIX + name, config.sensor.rows, config.sensor.cols)

@@ -29,14 +29,14 @@ Row = dict[str, int]  # port -> value in a cycle
 
 @frozen
 class Trace:
-    """Values of all ports by cycle, and the cycles in which something begins: the accesses, cycle 0 of the frame."""
+    """Values of all ports by cycle, and the cycles in which the accesses and the frame's cycle 0 begin."""
 
     rows: list[Row]
     accesses: list[int]
     frame: int
 
     def values(self, name: str, begin: int, end: int) -> list[int]:
-        """Of a port, in the cycles from `begin` to before `end`."""
+        """Return the values of a port in the cycles from `begin` to before `end`."""
         return [row[name] for row in self.rows[begin:end]]
 
 
@@ -51,7 +51,7 @@ def config() -> Config:
 
 
 def simulate() -> Trace:
-    """Writes and reads a register, has a write refused, then plays a frame of two laser periods."""
+    """Write and read a register, have a write refused, then play a frame of two laser periods."""
     of = config()
     sensor = FlatSensor(of.sensor)
     rows: list[Row] = []
@@ -113,13 +113,16 @@ def simulate() -> Trace:
     simulator.add_clock(CLOCK_S)
     simulator.add_testbench(host)
     simulator.add_testbench(spads, background=True)
-    simulator.add_testbench(watch, background=True)  # last, so it sees what the others set in this cycle
+    simulator.add_testbench(watch, background=True)  # last, so it sees the values that the others set in this cycle
     simulator.run()
     return Trace(rows, accesses, next(cycle for cycle, row in enumerate(rows) if row["laser"]))
 
 
 def draw(lines: Sequence[tuple[str, Sequence[object], str]], title: str, first: int = 0) -> Figure:
-    """A timing diagram. lines: name, a value per cycle (bits as bool, texts in boxes, None: nothing), note; first: number of the first cycle."""
+    """Draw a timing diagram whose first cycle has the number `first`.
+
+    lines: name, one value per cycle (bits as bool, texts in boxes, None: nothing), note.
+    """
     cycles = len(lines[0][1])
     figure, axes = plt.subplots(figsize=(12, 0.42 * len(lines) + 0.9))
     for cycle in range(cycles + 1):
@@ -175,12 +178,12 @@ def bits(values: Sequence[int]) -> list[bool]:
 
 
 def while_valid(values: Sequence[int], valid: Sequence[int], told: Callable[[int], str]) -> list[str | None]:
-    """Texts of a bus where its `valid` is high."""
+    """Return the texts of a bus in the cycles in which its `valid` is high."""
     return [told(value) if on else None for value, on in zip(values, valid)]
 
 
 def register_access(trace: Trace) -> Figure:
-    """A write, a read, and a write that is refused."""
+    """Draw a write, a read, and a write that is refused."""
     begin, end = trace.accesses[0] - 1, trace.accesses[3]
 
     def of(name: str) -> list[int]:
@@ -208,7 +211,7 @@ def register_access(trace: Trace) -> Figure:
 
 
 def frame_start(trace: Trace) -> Figure:
-    """From the start write to the first words, with the cycle that `laser` marks."""
+    """Draw a frame's start from the write to the first words, with the cycle that `laser` marks."""
     begin = trace.accesses[-1] - 1
     end = trace.frame + PERIOD + 4
     words = trace.values("spad_0", begin, end)
@@ -233,7 +236,7 @@ def frame_start(trace: Trace) -> Figure:
 
 
 def event_packet(trace: Trace) -> Figure:
-    """An event: from the edges to its beats."""
+    """Draw an event, from its edges to its beats."""
     begin, end = trace.frame, trace.frame + 24
     words = trace.values("spad_0", begin, end)
     pixels = [str(word.bit_count()) if word else None for word in words]
@@ -254,7 +257,7 @@ def event_packet(trace: Trace) -> Figure:
 
 
 def back_pressure(trace: Trace) -> Figure:
-    """A stream that stalls: a beat that is offered stays as it is until it is taken."""
+    """Draw a stream that stalls: an offered beat does not change until it is taken."""
     begin, end = trace.frame + 16, trace.frame + 40
     return draw(
         [
@@ -268,7 +271,7 @@ def back_pressure(trace: Trace) -> Figure:
 
 
 def _packets(trace: Trace, begin: int, end: int) -> list[str | None]:
-    """What the stream's beats are: S frame start, E event, M map, F frame end, C counters; numbered, so that each has its own box."""
+    """Return the type of each beat: S frame start, E event, M map, F frame end, C counters; numbers keep boxes apart."""
     texts: list[str | None] = []
     following, number, open_beat = "", 0, False
     for row in trace.rows[:end]:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Draws waveform.svg: how a photon becomes a word. The values come from a simulation of the RTL, 8 x 8 pixels, in Amaranth's simulator.
+"""Draws waveform.svg, how a photon becomes a word, from a simulation of the RTL (8 x 8 pixels) in Amaranth's simulator.
 
 python -m coincid.study.drawings.waveform
 """
@@ -25,7 +25,7 @@ from ...tb.stimulus import port_words
 from . import image
 
 PHASES = 32
-EDGES = (  # (pixel, cycle, phase): a background photon by itself, then four photons of a laser pulse
+EDGES = (  # (pixel, cycle, phase): a single background photon, then four photons of a laser pulse
     (37, 3, 20),
     (9, 8, 22),
     (10, 8, 25),
@@ -34,7 +34,7 @@ EDGES = (  # (pixel, cycle, phase): a background photon by itself, then four pho
 )
 SHOWN_CYCLES = 30
 CLOCK_S = Timing().tick_s * PHASES
-SIGNALS = {  # name here: path in the simulation
+SIGNALS = {  # name in the picture: path in the simulation
     "clk": "clk",
     "laser": "laser",
     "spad": "spad_0",
@@ -53,7 +53,7 @@ INK, FAINT, PALE, SIGNAL, NOISE = "#1b1f24", "#c4cad1", "#eef0f3", "#c8501e", "#
 
 
 def simulate() -> dict[str, list[int]]:
-    """One period of one subgroup: the value of every signal in each cycle, from the laser trigger on."""
+    """Simulate one period of one subgroup; return the value of every signal in each cycle from the laser trigger on."""
     config = parse_config({"sensor": {"rows": 8, "cols": 8, "phases": PHASES}, "frame": {"period": 40, "pulses": 1}})
     pixel, cycle, phase = np.array(EDGES).T
     words = port_words(config, Edges(np.zeros_like(pixel), pixel, cycle * PHASES + phase))
@@ -86,7 +86,7 @@ def simulate() -> dict[str, list[int]]:
 
 
 def covered(values: dict[str, list[int]]) -> list[int]:
-    """The phases of every cycle that a window covers, a bit each; in the cycle that opens it, it begins with the edge."""
+    """Return the phases of every cycle that a window covers, one bit each; the window begins at its first edge."""
     words = []
     for is_open, opening, first, end in zip(values["open"], values["opening"], values["first"], values["end"]):
         begin = 0 if is_open else first
@@ -95,7 +95,7 @@ def covered(values: dict[str, list[int]]) -> list[int]:
 
 
 def sampled(vcd: Path) -> dict[str, list[int]]:
-    """Values of `SIGNALS` at the end of every clock cycle."""
+    """Return the values of `SIGNALS` at the end of every clock cycle."""
     wanted = {f"bench.top.{path}": name for name, path in SIGNALS.items()}
     names: dict[str, list[str | None]] = {}  # identifier in the file -> signals
     now, rows, scope = dict.fromkeys(SIGNALS, 0), [], []
@@ -111,13 +111,13 @@ def sampled(vcd: Path) -> dict[str, list[int]]:
             value, code = (words[0][1:], words[1]) if line[0] == "b" else (line[0], line[1:])
             for name in filter(None, names.get(code, ())):
                 if name == "clk" and value == "1":
-                    rows.append(dict(now))  # of the cycle that ends here
+                    rows.append(dict(now))  # values of the cycle that ends here
                 now[name] = int(value, 2)
     return {name: [row[name] for row in rows] for name in SIGNALS}
 
 
 def draw(values: dict[str, list[int]]) -> Figure:
-    """The picture; time in clock cycles, inside which the words of 32 phases are drawn phase by phase."""
+    """Draw the picture over clock cycles; words of 32 phases are drawn phase by phase inside their cycle."""
     figure, axes = plt.subplots(figsize=(12, 6.6))
     spads = [f"SPAD {pixel}" for pixel, _, _ in sorted(EDGES, key=lambda edge: edge[1:])]
     rows = ["laser", *spads, "root", "window", "ID map", "closed", "commit", "tdata"]
@@ -138,7 +138,7 @@ def draw(values: dict[str, list[int]]) -> Figure:
         axes.text(SHOWN_CYCLES + 0.4, y + 0.3, notes.get(row, ""), ha="left", va="center", color=NOISE, fontsize=8.5)
 
     def wave(row: str, bits: list[int], steps: int, color: str = INK) -> None:
-        """A line of bits, `steps` of them a cycle."""
+        """Draw a line of bits with `steps` bits per cycle."""
         turns = [0, *(np.flatnonzero(np.diff(bits)) + 1), len(bits)]
         x = np.array(turns) / steps
         y = level[row] + 0.6 * np.array([bits[at] for at in turns[:-1]] + [bits[-1]])
@@ -149,7 +149,7 @@ def draw(values: dict[str, list[int]]) -> Figure:
         return [word >> offset + k & 1 for word in words for k in range(PHASES)]
 
     def bus(row: str, texts: Sequence[object], color: str = INK) -> None:
-        """Boxes with a text a cycle; None: nothing."""
+        """Draw boxes with one text per cycle; None: no box."""
         begin = 0
         for cycle in range(1, len(texts) + 1):
             if cycle == len(texts) or texts[cycle] != texts[begin]:
@@ -190,7 +190,7 @@ def draw(values: dict[str, list[int]]) -> Figure:
         x, align = (cycle - 0.2, "right") if text == "event" else (cycle + 1.2, "left")
         axes.text(x, level["tdata"] + 0.3, text, ha=align, va="center", fontsize=8.5, color=color)
 
-    # The first photon of each window on its way down the pipeline.
+    # The first photon of each window on its way through the pipeline.
     for (_, cycle, phase), color in ((EDGES[0], NOISE), (EDGES[1], SIGNAL)):
         x = cycle + phase / PHASES
         pixel = next(p for p, c, k in EDGES if (c, k) == (cycle, phase))

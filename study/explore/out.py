@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What can be taken along from the explorer: the configuration, the events, the picture, the report."""
+"""Downloads from the explorer: the configuration, the events, the picture, the report."""
 
 import csv
 import io
@@ -20,14 +20,14 @@ File: TypeAlias = tuple[str, str, bytes]  # name, media type, content
 
 @frozen
 class Save:
-    """Something to save. label: on the page; make(explored, frame): what the browser saves."""
+    """A download. label: on the page; make(explored, frame): returns the file that the browser saves."""
 
     label: str
     make: Callable[[Explored, int], File]
 
 
 def events_csv(explored: Explored) -> str:
-    """A line per event of all frames; hits: the ID map as hex digits, bit i = pixel i of the subgroup."""
+    """Return one line per event of all frames; hits: the ID map as hex digits, bit i = pixel i of the subgroup."""
     arrays = explored.arrays
     text = io.StringIO()
     lines = csv.writer(text, lineterminator="\n")
@@ -39,7 +39,7 @@ def events_csv(explored: Explored) -> str:
 
 
 def picture_png(explored: Explored, frame: int) -> bytes:
-    """Truth and depth of a frame, as `make sim` draws them."""
+    """Return truth and depth of a frame, as `make sim` draws them."""
     view, settings = explored.view(frame), explored.settings
     heading = f"{explored.scene.name}, {settings.values['klux']:g} klux"
     figure, _ = draw_row([Panel(settings.values["method"], view.depth_m)], view.truth_m, heading)

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// The explorer's page: what stands in the controls goes to the server, what comes back is shown only if it answers what stands there.
+// The explorer's page: sends the controls' values to the server, and shows an answer only if it belongs to the current values.
 let link = null;        // the model that page and server share (page.py)
 let asked = 0;          // number of the latest question; every keystroke in a control is a new one
 let waiting = 0;        // timer: a question leaves when typing pauses

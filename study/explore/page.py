@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One browser tab of the explorer: settings come from the page, a thread computes, and the views show what answers the newest settings.
+"""One browser tab of the explorer: settings come from the page, a thread computes, the views show the newest result.
 
-The page's script numbers its questions, with every keystroke, and shows an answer only if its number is the newest one's.
+The page's script numbers its requests, at every keystroke, and shows an answer only if its number is that of the newest
+request.
 """
 
 import base64
@@ -34,17 +35,17 @@ from .uploads import Uploads
 
 FIRST_LOOK = {"row": 14, "col": 10, "pulse": 0, "frame": 0, "which": "B"}
 TRIES = (  # name, settings, what to look for
-    ("1 Every photon", {"coincidence": False}, "Without coincidence sunlight fills the FIFOs; what comes after it is dropped."),
+    ("1 Every photon", {"coincidence": False}, "Without coincidence, sunlight fills the FIFOs, and later events are dropped."),
     ("2 Threshold 2", {"threshold": 2}, "Two pixels must fire within 1 ns: most sunlight is gone, dark objects are still there."),
-    ("3 Threshold 5", {"threshold": 5}, "Nearly all sunlight is gone, and the dark object with it: its light is too weak to fire five pixels."),
-    ("4 Controller", {"auto": True, "frames": 8}, "Every subgroup finds its own threshold, frame by frame: play the frames."),
+    ("3 Threshold 5", {"threshold": 5}, "Nearly all sunlight is gone, and so is the dark object: its light is too weak to fire five pixels."),
+    ("4 Controller", {"auto": True, "frames": 8}, "Every subgroup gets its own threshold, frame by frame: play the frames."),
     ("5 Peaks only", {"threshold": 2, "method": "maximum"},
-     "The same events, with the highest bin of each pixel's histogram for its depth, as in the paper."),
+     "The same events, but depth is the highest bin of each pixel's histogram, as in the paper."),
 )  # fmt: skip
 
 
 class Link(DataModel):  # type: ignore[misc]  # Bokeh comes with an extra
-    """What page and server share. The page writes asked and order, the server the rest; all are small dictionaries."""
+    """State shared by page and server. The page writes asked and order, the server the rest; all are small dictionaries."""
 
     start = Dict(String, AnyValue)
     defaults = Dict(String, AnyValue)
@@ -73,7 +74,7 @@ class Page:
         self.views = Views(compared=True)
         self.link = Link(start=DEFAULTS | (start or {}), defaults=DEFAULTS)
         self.uploads = uploads or Uploads()
-        self.bad_uploads: dict[str, str] = {}  # kind: what is wrong with it
+        self.bad_uploads: dict[str, str] = {}  # kind: fault of the file
         self.look: dict[str, Any] = dict(FIRST_LOOK)
         self._shown: Explored | None = None
         self.a: Explored | None = None
@@ -86,7 +87,7 @@ class Page:
         self.views.on_pick(self._picked)
         self.link.on_change("asked", lambda attribute, old, new: self._asked(new))
         self.link.on_change("order", lambda attribute, old, new: self._ordered(new))
-        self.views.histogram.figure.tags = [self.link]  # makes it a part of the document
+        self.views.histogram.figure.tags = [self.link]  # makes it part of the document
         with doc.models.freeze():
             for root in self.views.roots():
                 doc.add_root(root)
@@ -105,12 +106,12 @@ class Page:
         self._folder.cleanup()
 
     def _soon(self, call: Callable[..., None], *what: object) -> None:
-        """Calls in the document's thread."""
+        """Call in the document's thread."""
         self.doc.add_next_tick_callback(partial(call, *what))
 
     @property
     def shown(self) -> Explored:
-        """What the views show. Nothing asks for it before there is something."""
+        """Return what the views show. It is only used when there is something to show."""
         assert self._shown is not None
         return self._shown
 
@@ -129,7 +130,7 @@ class Page:
         self._asked_by_run = {self._runner.start(lambda progress: self._explorer.run(settings, progress)): self.number}
 
     def _check_uploads(self, values: dict[str, str]) -> None:
-        """Raises `SettingError` if `values` ask for a picture that was refused."""
+        """Raise `SettingError` if `values` need a picture that was refused."""
         for kind, control, asking in (
             ("depth", "scene", "upload"),
             ("colour", "scene", "upload"),
@@ -167,11 +168,11 @@ class Page:
         self._point()
 
     def _a_view(self) -> FrameView | None:
-        """A's frame beside the one that is looked at, or its last one."""
+        """Return A's frame beside the current one, or its last frame."""
         return None if self.a is None else self.a.view(min(self.look["frame"], self.a.settings.config.frames - 1))
 
     def _point(self) -> None:
-        """Shows what `look` says of a pixel and a pulse; A may have fewer of them: then its last one."""
+        """Show the pixel and pulse of `look`; if A has fewer, its last one is shown."""
         look = self.look
         view = (self._a_view() if look["which"] == "A" else None) or self.shown.view(look["frame"])
         ends = view.config.sensor.rows, view.config.sensor.cols, view.config.pulses
@@ -191,7 +192,7 @@ class Page:
         self.link.told = {"number": self.number} | self._said()
 
     def _said(self) -> dict[str, Any]:
-        """What stands in words and numbers beside the views."""
+        """Return the words and numbers beside the views."""
         settings, view, a_view = self.shown.settings, self.shown.view(self.look["frame"]), self._a_view()
         views, heads = ([view], [""]) if a_view is None else ([view, a_view], ["B", "A"])
         return {
@@ -209,7 +210,7 @@ class Page:
             "look": self.look,
         }
 
-    # What buttons and fields order
+    # Orders from buttons and fields
 
     def _ordered(self, order: dict[str, Any]) -> None:
         name, what = order["name"], order["what"]
@@ -256,7 +257,7 @@ class Page:
             self.link.looked = {"text": str(error)}
 
     def _step(self, name: str) -> None:
-        """The next pulse or frame; after the last one the first."""
+        """Go to the next pulse or frame; after the last one comes the first."""
         config = self.shown.settings.config
         count = config.pulses if name == "pulse" else config.frames
         self._look(name, str((self.look[name] + 1) % count))
@@ -288,7 +289,7 @@ class Page:
 
 
 def _summary(settings: Settings) -> str:
-    """The settings that matter most, and all that are not at their default."""
+    """Return the most important settings, and all that differ from their default."""
     values = settings.values
     first = [values["scene"], f"{values['klux']:g} klux", f"{values['pulses']} pulses"]
     if values["coincidence"]:
@@ -301,7 +302,7 @@ def _summary(settings: Settings) -> str:
 
 
 def _variables(views: Views) -> dict[str, Any]:
-    """What the template is filled with."""
+    """Return the variables of the template."""
     return {
         "views_html": Environment(loader=FileSystemLoader(SHOW)).get_template("views.html"),
         "css": FILES["page.css"] + Path(__file__).with_name("page.css").read_text(),

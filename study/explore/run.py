@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Settings through scene, photons and golden model, in stages that are kept: a new threshold asks for no new photons.
+"""Runs settings through scene, photons and golden model, in stages that are kept: a new threshold needs no new photons.
 
-Runs happen in a thread. Each has a number, and only the newest one's outcome is handed out, so that a late answer is never taken for
-the answer to other settings.
+Runs happen in a thread. Each has a number, and only the newest one's outcome is delivered, so that a late answer is never
+shown for other settings.
 """
 
 import os
@@ -27,21 +27,22 @@ from ..show.frame import FrameView, frame_view
 from .controls import CONTROLS
 from .settings import Settings
 
-KEPT = 3  # of each stage: the present settings, those before, and A's
+KEPT = 3  # of each stage: for the present settings, the previous ones, and A's
 EDGES_MAX = 30_000_000  # of all frames: about a gigabyte
-PHOTON_GROUPS = ("Scene", "Light", "SPAD")  # of controls that change the photons; time and gate besides
+PHOTON_GROUPS = ("Scene", "Light", "SPAD")  # groups of controls that change the photons, in addition to time and gate
 Progress: TypeAlias = Callable[[str, float], None]
 Deliver: TypeAlias = Callable[[int, str, Any], None]
 
 
 class CancelledError(Exception):
-    """Nobody waits for this run any more."""
+    """A run whose outcome is no longer needed."""
 
 
 @frozen(eq=False)
 class Explored:
-    """What the settings led to. edges: of all frames; traces: of each frame, from the golden model; arrays: of the result file.
+    """Result of the settings. edges: of all frames; traces: of each frame, from the golden model; arrays: as in a result file.
 
+    seconds: from settings to result.
     seconds: from settings to result.
     """
 
@@ -55,7 +56,7 @@ class Explored:
     _views: dict[tuple[int, str], FrameView] = field(factory=dict)
 
     def view(self, frame: int = 0) -> FrameView:
-        """Views of a frame with the settings' estimator."""
+        """Return the views of a frame with the settings' estimator."""
         config, method = self.settings.config, self.settings.values["method"]
         if (frame, method) not in self._views:
             self._views[frame, method] = frame_view(
@@ -73,13 +74,16 @@ class Explored:
 
 
 class Explorer:
-    """Makes `Explored` of `Settings` and keeps what the stages made."""
+    """Computes `Explored` from `Settings` and keeps the results of the stages."""
 
     def __init__(self) -> None:
         self._kept: dict[str, OrderedDict[Hashable, Any]] = {}
 
     def run(self, settings: Settings, progress: Progress = lambda stage, share: None) -> Explored:
-        """All frames of `settings`, the last one's views included. progress(stage, share from 0 to 1) may raise to stop it. Raises `InputError`."""
+        """Run all frames of `settings`, and compute the views of the last one. Raises `InputError`.
+
+        progress(stage, share from 0 to 1) may raise an exception to stop the run.
+        """
         began = time.perf_counter()
         photons = _photon_key(settings)
         scene, light, edges = self._stage("photons", photons, lambda: _photons(settings, progress))
@@ -102,7 +106,7 @@ class Explorer:
 
 
 def _photon_key(settings: Settings) -> Hashable:
-    """What the edges depend on."""
+    """Return everything that the edges depend on."""
     values, sensor = settings.values, settings.config.sensor
     light = tuple(values[c.name] for c in CONTROLS if c.group in PHOTON_GROUPS)
     gate = tuple((c.name, values[c.name]) for c in CONTROLS if c.group == "Gate") if values["spad_gate"] else ()
@@ -136,7 +140,7 @@ def _photons(settings: Settings, progress: Progress) -> tuple[Scene, Light, Edge
 
 
 def _frames(settings: Settings, edges: Edges, progress: Progress) -> tuple[list[Trace], dict[str, np.ndarray]]:
-    """As `golden_result`, with the traces kept."""
+    """Do the same as `golden_result`, but keep the traces."""
     config = settings.config
     model, result, traces = Golden(config.sensor), ResultBuilder(config), []
     for number in range(config.frames):
@@ -148,8 +152,8 @@ def _frames(settings: Settings, edges: Edges, progress: Progress) -> tuple[list[
 
 
 def check_on_rtl(explored: Explored, progress: Progress = lambda stage, share: None) -> str:
-    """Plays the same edges through the Verilated RTL; says that every word agrees, or where it does not. Raises what `replay` does."""
-    from ...tb.replay import replay  # may bring the simulators' machinery, which nobody else here needs
+    """Play the same edges through the Verilated RTL; return that all words agree, or the differences. Raises as `replay`."""
+    from ...tb.replay import replay  # it may load the simulators, which only this function needs
 
     config = explored.settings.config
     progress("RTL: emitted and compiled once", 0.0)
@@ -165,10 +169,10 @@ def check_on_rtl(explored: Explored, progress: Progress = lambda stage, share: N
 
 
 class Runner:
-    """Runs in one thread, one after the other; asking for another one gives up those before it.
+    """Runs jobs in one thread, one after the other; a new job cancels the earlier ones.
 
-    deliver(number, kind, outcome): called from the thread; kind "progress" with (stage, share), "done" with what the work returned, or
-    "failed" with the exception; never for a number that is not the newest when it is called.
+    deliver(number, kind, outcome) is called from the thread: kind "progress" with (stage, share), "done" with the return
+    value, or "failed" with the exception. It is never called for a number that is no longer the newest.
     """
 
     def __init__(self, deliver: Deliver) -> None:
@@ -178,7 +182,7 @@ class Runner:
         self.newest = 0
 
     def start(self, work: Callable[[Progress], object]) -> int:
-        """Starts `work(progress)`; its number."""
+        """Start `work(progress)` and return its number."""
         with self._lock:
             self.newest += 1
             number = self.newest
@@ -186,7 +190,7 @@ class Runner:
         return number
 
     def cancel(self) -> None:
-        """Gives up whatever runs."""
+        """Cancel the current job."""
         with self._lock:
             self.newest += 1
 
@@ -205,6 +209,6 @@ class Runner:
             say("done", work(lambda stage, share: say("progress", (stage, share))))
         except CancelledError:
             pass
-        except Exception as error:  # whatever it is, the page says it
+        except Exception as error:  # the page shows any exception
             if number == self.newest:
                 self._deliver(number, "failed", error)

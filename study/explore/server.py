@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The explorer's server: this machine only, and nothing but the page that it served itself may talk to it."""
+"""The explorer's server: it serves this machine only, and accepts requests only from its own pages."""
 
 import errno
 import logging
@@ -23,12 +23,12 @@ from .page import Page
 from .settings import Settings, values_of_text
 
 ADDRESS, PORT = "127.0.0.1", 5006
-PORTS_TRIED = 20  # from `PORT` on, where none is named
+PORTS_TRIED = 20  # from `PORT` on, if none is given
 MESSAGE_BYTES_MAX = 64 << 20  # an upload in base64, with room to spare
 
 
 class Guarded(BokehTornado):  # type: ignore[misc]  # Bokeh comes with an extra
-    """Answers requests to its own address from its own pages; refuses those of other sites, whatever name leads here."""
+    """Answers requests to its own address from its own pages, and refuses those of other sites, under any host name."""
 
     hosts: frozenset[str] = frozenset()
 
@@ -41,11 +41,11 @@ class Guarded(BokehTornado):  # type: ignore[misc]  # Bokeh comes with an extra
         origin, site = headers.get("Origin"), headers.get("Sec-Fetch-Site", "none")
         own = host in self.hosts and (origin is None or origin.removeprefix("http://") in self.hosts)
         opened = headers.get("Sec-Fetch-Mode") == "navigate" and headers.get("Sec-Fetch-Dest") == "document"
-        return own and (site in ("none", "same-origin") or opened)  # a link elsewhere may open the page
+        return own and (site in ("none", "same-origin") or opened)  # a link on another site may open the page
 
 
 def make_server(port: int | None = None, start: Settings | None = None) -> tuple[BaseServer, str]:
-    """A server that listens, and its address. start: what a page begins with. Raises `InputError`: no such port."""
+    """Return a listening server, and its address. start: initial settings of a page. Raises `InputError` for a bad port."""
     sockets, port = _sockets(port)
     hosts = frozenset(f"{name}:{port}" for name in (ADDRESS, "localhost"))
 
@@ -57,7 +57,7 @@ def make_server(port: int | None = None, start: Settings | None = None) -> tuple
         try:
             given = values_of_text({name: text for name, text in arguments.items() if not name.startswith("bokeh-")})
         except InputError:
-            given = {}  # an old link: the page says what it shows
+            given = {}  # an old link: the page shows a message
         Page(doc, (start.values if start else {}) | given, start.uploads if start else None)
 
     tornado = Guarded(
@@ -73,7 +73,7 @@ def make_server(port: int | None = None, start: Settings | None = None) -> tuple
 
 
 def _sockets(port: int | None) -> tuple[list[socket], int]:
-    """Listening sockets and their port: the one named, or the first free one."""
+    """Return listening sockets and their port: the given one, or the first free one."""
     if port is not None:
         check_integer("port", port, 0, 65535)
     for tried in [port] if port is not None else range(PORT, PORT + PORTS_TRIED):
@@ -88,10 +88,10 @@ def _sockets(port: int | None) -> tuple[list[socket], int]:
 
 
 def serve(port: int | None, *, browser: bool, start: Settings) -> None:
-    """Serves until interrupted."""
+    """Serve until interrupted."""
     server, address = make_server(port, start)
     server.start()
-    for name in ("bokeh", "tornado.access"):  # a closed tab, a refused request: no concern of who reads the terminal
+    for name in ("bokeh", "tornado.access"):  # closed tabs and refused requests do not matter at the terminal
         logging.getLogger(name).setLevel(logging.ERROR)
     print(f"Coincid explorer: {address} (Ctrl-C ends it)", flush=True)
     if browser:

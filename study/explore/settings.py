@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From what the controls say to what is simulated: checked, with the range in every refusal; and back to text that repeats it."""
+"""Conversion of the controls' values to checked settings, whose errors give the range; and back to text that repeats them."""
 
 import re
 from math import isfinite
@@ -26,7 +26,7 @@ PERCENT, KILO = 100, 1000
 
 
 class SettingError(InputError):
-    """An `InputError` that knows its control, or None where several have part in it."""
+    """An `InputError` that knows its control, or None if it involves several."""
 
     def __init__(self, message: str, control: str | None):
         super().__init__(message)
@@ -35,7 +35,7 @@ class SettingError(InputError):
 
 @frozen(eq=False)
 class Settings:
-    """Checked settings. values: by control, all of `CONTROLS`. uploads: the files that the scene is made of."""
+    """Checked settings. values: by control, for all of `CONTROLS`. uploads: files from which the scene is made."""
 
     values: dict[str, Any]
     uploads: Uploads
@@ -45,7 +45,7 @@ class Settings:
 
     @property
     def changed(self) -> dict[str, Value | None]:
-        """Values that differ from their default."""
+        """Return the values that differ from their default."""
         return {name: value for name, value in self.values.items() if value != DEFAULTS[name]}
 
     @property
@@ -53,7 +53,7 @@ class Settings:
         return SpadGate.from_config(self.config) if self.values["spad_gate"] else None
 
     def scene(self) -> Scene:
-        """The scene at the sensor's size. Raises `InputError`."""
+        """Return the scene at the sensor's size. Raises `InputError`."""
         values, sensor = self.values, self.config.sensor
         name = values["scene"]
         if name == "upload":
@@ -87,7 +87,7 @@ class Settings:
         return evolve(scene, distance_m=scaled_m)
 
     def light(self, scene: Scene) -> Light:
-        """The light of `scene`, sun and shade included. Raises `InputError`."""
+        """Return the light of `scene`, including sun and shade. Raises `InputError`."""
         values = self.values
         share = np.ones((scene.rows, scene.cols))
         if values["sun"] == "left half":
@@ -100,7 +100,7 @@ class Settings:
 
 
 def check_settings(values: dict[str, Any], uploads: Uploads | None = None) -> Settings:
-    """`Settings` of the controls' values; those that are missing are at their default. Raises `SettingError`."""
+    """Return `Settings` from the controls' values; missing ones get their default. Raises `SettingError`."""
     for name in values:
         if name not in CONTROL:
             raise SettingError(f"{name}: unknown setting, must be one of {', '.join(CONTROL)}", None)
@@ -125,7 +125,7 @@ def check_settings(values: dict[str, Any], uploads: Uploads | None = None) -> Se
 
 
 def _checked(control: Control, value: Any) -> Any:
-    """`value` as the control's kind. What the configuration's parser checks is left to it."""
+    """Return `value` in the type of its control. Checks of the configuration's parser are left to that parser."""
     try:
         if control.kind == "choice":
             return check_choice(control.name, value, control.choices)
@@ -145,7 +145,7 @@ def _checked(control: Control, value: Any) -> Any:
 
 
 def _document(values: dict[str, Any]) -> dict[str, dict[str, Any]]:
-    """The configuration file as its parsed TOML, with the default pulses."""
+    """Return the configuration file as parsed TOML, with the default pulses."""
     document: dict[str, dict[str, Any]] = {"sensor": {}, "frame": {"frames": values["frames"]}, "subgroup": {}}
     for control in CONTROLS:
         if control.where:
@@ -160,13 +160,13 @@ def _document(values: dict[str, Any]) -> dict[str, dict[str, Any]]:
 
 
 def _control_of(message: str) -> str | None:
-    """The control that a message of the configuration's parser names first."""
+    """Return the control that a message of the configuration's parser names first."""
     found = re.match(r"(sensor|frame|subgroup)\.(\w+)", message)
     return found[2] if found and found[2] in CONTROL else None
 
 
 def config_toml(settings: Settings) -> str:
-    """The configuration file of `settings`."""
+    """Return the configuration file of `settings`."""
     document, lines = _document(settings.values), []
     document["frame"] |= {name: value for name, value in settings.config.frame.items() if value is not None}
     for table, values in document.items():
@@ -179,7 +179,7 @@ def _toml(value: object) -> str:
 
 
 def command(settings: Settings) -> str:
-    """The command that shows these settings again; uploaded pictures are named by their file's name."""
+    """Return the command that shows these settings again; uploaded pictures appear under their file names."""
     given = [f"{name}={value}" for name, value in settings.changed.items()]
     given += [f"{name}_file={Path(path).name}" for name, path in settings.uploads.files().items()]
     return " ".join(["coincid explore", *(f"--set {_quoted(text)}" for text in given)])
@@ -190,12 +190,12 @@ def _quoted(text: str) -> str:
 
 
 def query(settings: Settings) -> str:
-    """The changed settings as a URL's query string."""
+    """Return the changed settings as a URL's query string."""
     return urlencode({name: str(value) for name, value in settings.changed.items()})
 
 
 def given_settings(given: list[str]) -> Settings:
-    """`Settings` from a command's NAME=VALUE, where NAME is a control's, or an upload's with `_file`. Raises `SettingError`."""
+    """Return `Settings` from a command's NAME=VALUE; NAME is a control, or an upload with `_file`. Raises `SettingError`."""
     text: dict[str, str] = {}
     uploads = Uploads()
     for one in given:
@@ -210,7 +210,7 @@ def given_settings(given: list[str]) -> Settings:
 
 
 def values_of_text(given: dict[str, str]) -> dict[str, Any]:
-    """Values of controls from text (a command's, a URL's). Raises `SettingError`."""
+    """Return the values of controls from the text of a command or URL. Raises `SettingError`."""
     values = {}
     for name, text in given.items():
         control = CONTROL.get(name)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Files that come through the browser: kept in a folder of their own, checked for size before anything decodes them."""
+"""Files uploaded in the browser: kept in a folder of their own, and checked for size before they are decoded."""
 
 import tempfile
 import warnings
@@ -14,32 +14,32 @@ from ...model.shared.quantities import check_choice
 
 BYTES_MAX = 32 << 20
 SAMPLES_MAX = 16_000_000  # of a picture
-NAME_MAX = 60  # characters that any file system takes
-FORMATS = ("PNG", "TIFF", "JPEG")  # that are looked into, whatever the name says
+NAME_MAX = 60  # any file system accepts names of this length
+FORMATS = ("PNG", "TIFF", "JPEG")  # formats that are accepted, whatever the file's name
 PICTURES = (".png", ".jpg", ".jpeg", ".tif", ".tiff")
 KINDS = {"depth": (".png", ".tif", ".tiff", ".npy"), "colour": PICTURES, "sun": PICTURES}
 
 
 @frozen
 class Uploads:
-    """Paths of the depth picture, the colour picture beside it, and the picture of sun and shade; None = none."""
+    """Paths of the depth picture, its colour picture, and the picture of sun and shade; None = not uploaded."""
 
     depth: Path | None = None
     colour: Path | None = None
     sun: Path | None = None
 
     def files(self) -> dict[str, Path]:
-        """Those that are there."""
+        """Return the files that exist, by kind."""
         return {kind: getattr(self, kind) for kind in KINDS if getattr(self, kind) is not None}
 
     def named(self, text: str) -> str:
-        """`text` with the files' names in place of their paths, which are none of the user's."""
+        """Return `text` with the files' names in place of their paths, which are internal."""
         for path in self.files().values():
             text = text.replace(str(path), path.name)
         return text
 
     def with_file(self, kind: str, name: str, content: bytes, folder: Path) -> "Uploads":
-        """These and `content`, written to `folder` under the last part of `name`. Raises `InputError`, also for what is no picture."""
+        """Return a copy with `content`, written to `folder` under the last part of `name`. Raises `InputError`."""
         check_choice("upload", kind, tuple(KINDS))
         name = "".join(c for c in Path(name.replace("\\", "/")).name if c.isprintable())[-NAME_MAX:]
         suffix = Path(name).suffix.lower()
@@ -47,19 +47,19 @@ class Uploads:
             raise InputError(f"{name}: must be a picture ({', '.join(KINDS[kind])})")
         if not 0 < len(content) <= BYTES_MAX:
             raise InputError(f"{name}: holds {len(content)} bytes, must hold 1 to {BYTES_MAX}")
-        path = Path(tempfile.mkdtemp(dir=folder)) / name  # a path of its own: results are kept by it
+        path = Path(tempfile.mkdtemp(dir=folder)) / name  # a path of its own, because results are cached by path
         path.write_bytes(content)
         return self.with_path(kind, path)
 
     def with_path(self, kind: str, path: Path) -> "Uploads":
-        """These and the file at `path`. Raises `InputError` if it is missing, too large, or no picture."""
+        """Return a copy with the file at `path`. Raises `InputError` if it is missing, too large, or not a picture."""
         if not path.is_file():
             raise InputError(f"{path}: no such file")
         _check_samples(path)
         return evolve(self, **{kind: path})
 
     def sun_share(self, rows: int, cols: int) -> np.ndarray:
-        """float64[rows, cols]: 0 (shade) to 1 (sun), the picture's brightness over each pixel."""
+        """float64[rows, cols]: 0 (shade) to 1 (sun), the picture's mean brightness over each pixel."""
         assert self.sun is not None
         try:
             with Image.open(self.sun, formats=FORMATS) as picture:
@@ -70,13 +70,13 @@ class Uploads:
 
 
 def _check_samples(path: Path) -> None:
-    """Refuses what is no picture, and what would be too large decoded; neither is decoded here."""
+    """Refuse files that are not pictures, or would be too large when decoded, without decoding them."""
     try:
         if path.suffix.lower() == ".npy":
             shape = np.lib.format.open_memmap(path, mode="r").shape
         else:
             with warnings.catch_warnings():
-                warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # the size is judged here
+                warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # the size is checked here
                 with Image.open(path, formats=FORMATS) as picture:
                     shape = picture.size
     except Image.DecompressionBombError:
@@ -92,6 +92,6 @@ def _of_size(path: Path, size: str) -> InputError:
 
 
 def _unreadable(path: Path, error: Exception) -> InputError:
-    """For whatever a library finds wrong with a file that anybody may have made."""
+    """Return the error for any fault that a library finds in a file; the file may come from anybody."""
     kind = "NPY file" if path.suffix.lower() == ".npy" else "picture (PNG, TIFF, JPEG)"
     return InputError(f"{path.name}: is not a readable {kind} ({error})".replace(str(path), path.name))

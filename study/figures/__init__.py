@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The paper's figures and the architect's questions, from the equations, Monte Carlo through the golden model, and the RTL."""
+"""The paper's figures and an architect's questions, from the equations, Monte Carlo through the golden model, and the RTL."""
 
 from collections.abc import Callable
 from functools import partial
@@ -11,11 +11,11 @@ from . import architect, four_modes, interference, light, reconstruction, rivals
 from .cases import Engine, Progress, Runner
 from .page import Section, write_page, write_section
 
-TITLE = "Coincid: the paper's figures, and what an architect asks"
-INTRODUCTION = """<p>Each figure from the equations as printed (literal), as corrected, and from a Monte Carlo of photons through
-the golden model; pictures link to SVG. Light of the presets: 1.226e6 background counts per second and pixel at 50 klux, 0.613
-signal photons per pulse and pixel at 4 m and 40 %. The scene's objects have the paper's ranges of distance and reflectivity;
-where they stand is our choice. Numbers that we chose to fit the paper are called fitted.</p>"""
+TITLE = "Coincid: the paper's figures, and an architect's questions"
+INTRODUCTION = """<p>Each figure is made from the equations as printed (literal), as corrected, and from a Monte Carlo of photons through
+the golden model; the pictures link to SVG. The light is that of the presets: 1.226e6 background counts per second and pixel at 50
+klux, 0.613 signal photons per pulse and pixel at 4 m and 40 %. The scene's objects have the paper's ranges of distance and
+reflectivity; their places are our choice. Numbers that we chose to fit the paper are called fitted.</p>"""
 
 COMPARISON = (
     rivals.background,
@@ -26,12 +26,12 @@ COMPARISON = (
     interference.interference,
 )
 MODES_TITLE = "Coincid: coincidence, gating, and 100 m"
-MODES_INTRODUCTION = """<p>Flat targets on 16 x 16 pixels through photons, golden model and depth; a link of 2 Gbit/s, a quarter of what
-<code>make sim</code> gives 32 x 32. Background in proportion to the target's reflectivity, as in equation (2) of the paper.</p>"""
+MODES_INTRODUCTION = """<p>Flat targets on 16 x 16 pixels through photons, golden model and depth; the link has 2 Gbit/s, a quarter of the link
+that <code>make sim</code> gives 32 x 32. The background is proportional to the target's reflectivity, as in equation (2) of the paper.</p>"""
 RIVALS_TITLE = "Coincid: other schemes on the same photons"
-RIVALS_INTRODUCTION = """<p>Every scheme sees the same edges: macro-pixels of 8 x 8, 100 laser pulses, window 1 ns, threshold 3 where it
-has one, a matched filter on every pixel's histogram; words go through 16 places per subgroup and one stream of 64 bit per cycle,
-histograms on the chip have 32 kbit a macro-pixel. What wins where and why: docs/rivals.md.</p>"""
+RIVALS_INTRODUCTION = """<p>Every scheme sees the same edges: macro-pixels of 8 x 8, 100 laser pulses, window 1 ns, threshold 3 if it
+has one, a matched filter on every pixel's histogram. Words pass 16 places per subgroup and one stream of 64 bit per cycle;
+histograms on the chip have 32 kbit per macro-pixel. docs/rivals.md explains which scheme wins where, and why.</p>"""
 
 
 def make(
@@ -40,12 +40,11 @@ def make(
     progress: Progress = lambda done, total: None,
     workers: int | None = None,
 ) -> list[Path]:
-    """Writes all figures (PNG, SVG), their data (CSV) and `index.html` into `out_dir`; returns the paths, the page
-    last.
+    """Write all figures (PNG, SVG), their data (CSV) and `index.html` to `out_dir`; return the paths, the page last.
 
-    replay: runs edges through the RTL as `golden_result` does through the model, for figures 6 and 8; None: without
-    RTL. progress(done, total) is called after each frame; `total` grows. workers: processes, all cores by default; the
-    files do not depend on it. Each file appears whole or not at all.
+    replay: runs edges through the RTL as `golden_result` does through the model, for figures 6 and 8; None: without RTL.
+    progress(done, total) is called after each frame; `total` grows. workers: number of processes, all cores by default;
+    the files do not depend on it. Each file appears whole or not at all.
     """
     return _write(
         out_dir,
@@ -70,7 +69,7 @@ def make(
 
 
 def compare(out_dir: FilePath, progress: Progress = lambda done, total: None, workers: int | None = None) -> list[Path]:
-    """Like `make`, the comparison with other schemes and a second LiDAR's interference."""
+    """Make the comparison with other schemes and the interference of a second LiDAR; arguments as in `make`."""
     return _write(out_dir, RIVALS_TITLE, RIVALS_INTRODUCTION, COMPARISON, progress, workers)
 
 
@@ -80,7 +79,7 @@ def modes(
     progress: Progress = lambda done, total: None,
     workers: int | None = None,
 ) -> list[Path]:
-    """Like `make`, the four modes; `replay` checks some frames of each section on the RTL."""
+    """Make the four modes; arguments as in `make`. `replay` checks some frames of each section on the RTL."""
     families = tuple(partial(family, replay=replay) for family in four_modes.FAMILIES)
     return _write(out_dir, MODES_TITLE, MODES_INTRODUCTION, families, progress, workers)
 

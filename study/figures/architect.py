@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What an architect asks of the sensor: background, re-arm gap and window, FIFO and bandwidth, two targets, noisy SPADs."""
+"""An architect's questions: background, re-arm gap and window, FIFO and bandwidth, two targets, noisy SPADs."""
 
 from collections.abc import Iterable, Sequence
 from typing import Any, TypeAlias
@@ -14,12 +14,12 @@ from ..settling import SETTLING
 from .cases import MANY, PULSES, Case, Outcome, Runner, Table, mean_of, vary
 from .page import Comparison, Row, Section
 
-Outcomes: TypeAlias = dict[tuple[Any, ...], list[Outcome]]  # by what was varied
+Outcomes: TypeAlias = dict[tuple[Any, ...], list[Outcome]]  # by the varied settings
 METHODS = ("planes", "matched")
 MARKS = ("-o", "--s")  # of the methods
 KLUX = (1.0, 2.0, 5.0, 10.0, 20.0, 35.0, 50.0, 75.0, 100.0)
 THRESHOLDS = tuple(range(1, 8))
-SEEDS, FEW_SEEDS = 6, 2  # of the study of the background, of the others
+SEEDS, FEW_SEEDS = 6, 2  # for the study of the background, for the others
 GOAL_KLUX, GOAL_SHARE = 50.0, 0.07
 SHOWN_THRESHOLDS = {2: SERIES[0], 3: SERIES[3], 5: SERIES[5]}
 REARM, WINDOWS = tuple(range(8)), (4, 8, 16, 32, 64, 128)
@@ -34,7 +34,7 @@ BANDWIDTHS = (("short", 1), ("id", 1), ("full", 1), ("id", 2), ("id", 4))  # for
 BANDWIDTH_THRESHOLD = 2
 NEAR_M, STEPS_M = 5.0, (0.05, 0.10, 0.15, 0.2, 0.25, 0.3, 0.4, 0.6, 1.0)
 TWO_KLUX = (5.0, 50.0)
-TWO_SOURCES: dict[str, tuple[Table, str]] = {  # what tells two targets apart: settings of the frame, method
+TWO_SOURCES: dict[str, tuple[Table, str]] = {  # ways to tell two targets apart: settings of the frame, method
     "ID map, planes": ({}, "planes"),
     "ID map, matched": ({}, "matched"),
     "records off: subgroup's stamp alone": ({}, "matched/subgroup"),
@@ -45,11 +45,11 @@ DARK_CPS = (0.0, 1e3, 1e4, 1e5, 1e6, 5e6)
 HOT_SHARES, HOT_CPS = (0.0, 0.01, 0.02, 0.05, 0.1, 0.2), 5e6
 CROSSTALK = (0.0, 0.005, 0.01, 0.02, 0.05, 0.1)
 BOTH_PULSES = (PULSES, MANY * PULSES)
-ALSO_MANY = f"the CSV has {MANY * PULSES} pulses too"
+ALSO_MANY = f"the CSV also has {MANY * PULSES} pulses"
 
 
 def background(run: Runner) -> Section:
-    """Thresholds 1 to 7, the controller and an oracle, from 1 to 100 klux."""
+    """Compare thresholds 1 to 7, the controller and an oracle, from 1 to 100 klux."""
     settings = {str(threshold): {"threshold": threshold} for threshold in THRESHOLDS} | {"off": {"coincidence": False}}
     cases = {}
     for pulses, klux in _pairs(BOTH_PULSES, KLUX):
@@ -70,12 +70,12 @@ def background(run: Runner) -> Section:
     ]
     rows += [(*key, *_wrong(outcomes), _events(outcomes), _dropped(outcomes)) for key, outcomes in table.items()]
     text = f"""<p>Controller: the threshold of each subgroup after {SETTLING} frames of other photons of the same light, with the capacity of one
-beat per cycle. Oracle: for each subgroup the threshold with the fewest events among those with the fewest wrong pixels, known from the truth. Events:
-that left the sensor; one stream carries 2.5e8 a second with ID maps. Mean of {SEEDS} seeds, one with {MANY * PULSES} pulses, where capacity and
-bounds are {MANY} times as high.</p>
-<p>What limits: bandwidth limits low thresholds in much light, photons limit high ones (the dark objects few), and the estimator limits whoever
-looks at a pixel alone. The controller sends what the stream carries, so it has many events where there is little light, and no fewer than it must
-where there is much.</p>"""
+beat per cycle. Oracle: for each subgroup, the threshold with the fewest events among those with the fewest wrong pixels, known from the truth.
+Events: events that left the sensor; one stream carries 2.5e8 per second with ID maps. Mean of {SEEDS} seeds, or one seed with {MANY * PULSES}
+pulses, where capacity and bounds are {MANY} times as high.</p>
+<p>Limits: bandwidth limits low thresholds in bright light; photons limit high thresholds (dark objects give few); and the estimator is the limit
+if each pixel is evaluated alone. The controller sends what the stream carries, so it has many events in dim light, and in bright light no fewer
+than it must.</p>"""
     return Section(
         "background",
         "Background: thresholds, controller, oracle",
@@ -94,7 +94,7 @@ where there is much.</p>"""
 
 
 def rearm_and_window(run: Runner) -> Section:
-    """The tree's blind time and the length of the coincidence window."""
+    """Vary the tree's blind time and the length of the coincidence window."""
     values = [*(("rearm", value) for value in REARM), *(("window", value) for value in WINDOWS)]
     keys = [(pulses, *value, threshold) for pulses, value, threshold in _pairs(BOTH_PULSES, values, SHOWN_THRESHOLDS)]
     table = run.table(
@@ -132,8 +132,8 @@ def rearm_and_window(run: Runner) -> Section:
         "rearm_window",
         "Re-arm gap R and window W",
         """<p>Five objects at 50 klux. R costs the signal of pulses in which noise has just closed a window; fewer noise events
-leave the sensor, too. A short window sees a part of the pulse only; a long one counts more noise, blinds the tree for longer
-and takes surfaces together.</p>""",
+leave the sensor, too. A short window sees only a part of the pulse; a long one counts more noise, blinds the tree for longer
+and merges surfaces.</p>""",
         [
             (
                 "rearm_window",
@@ -146,7 +146,7 @@ and takes surfaces together.</p>""",
 
 
 def fifo_and_bandwidth(run: Runner) -> Section:
-    """Events lost to full FIFOs, by depth and by what the streams carry."""
+    """Measure the events lost to full FIFOs, by depth and by the capacity of the streams."""
     cases = {}
     for pulses in BOTH_PULSES:
         for (klux, threshold), depth in _pairs(DEPTH_CASES, DEPTHS):
@@ -156,7 +156,7 @@ def fifo_and_bandwidth(run: Runner) -> Section:
         for (form, streams), klux in _pairs(BANDWIDTHS, KLUX):
             methods = (
                 () if form == "short" else ("planes",)
-            )  # without an ID map there is no depth, but events are lost alike
+            )  # without an ID map there is no depth, but the losses are the same
             cases[pulses, klux, BANDWIDTH_THRESHOLD, 16, form, streams] = vary(
                 Case(klux=klux, methods=methods),
                 pulses=pulses,
@@ -203,16 +203,16 @@ def fifo_and_bandwidth(run: Runner) -> Section:
     return Section(
         "fifo_bandwidth",
         "FIFO depth and readout bandwidth",
-        """<p>A stream carries a 64-bit beat per cycle: in a laser period of 250 cycles 250 events of format short, 125 with ID maps,
-62 with offsets too, for all 16 subgroups. Above that rate no FIFO helps; below it, a few events of depth take up what chance
-piles up.</p>""",
+        """<p>A stream carries a 64-bit beat per cycle: in a laser period of 250 cycles, these are 250 events of format short, 125
+with ID maps, or 62 with offsets, too, for all 16 subgroups. Above that rate no FIFO helps; below it, a depth of a few events
+absorbs random bursts.</p>""",
         [("fifo_bandwidth", figure, f"Share of events dropped, {PULSES} pulses; {ALSO_MANY}")],
         rows,
     )
 
 
 def two_targets(run: Runner) -> Section:
-    """Two surfaces in one subgroup, by what tells them apart."""
+    """Measure two surfaces in one subgroup, by the way to tell them apart."""
     table = run.table(
         {
             (pulses, klux, name, step_m): vary(
@@ -243,17 +243,17 @@ def two_targets(run: Runner) -> Section:
     return Section(
         "two_targets",
         "Two targets in one subgroup, minigroup records on and off",
-        """<p>Stripes of 4 columns at 5 m and a step behind. One event takes both surfaces if they are nearer to each other than the
-window (1 ns, 15 cm): its stamp is the nearer one's. The minigroups' own stamps tell them apart, but are no sharper than
-500 ps (7.5 cm): they win at about 10 cm and lose where the window does the job. Between the window's end and the re-arm the
-tree is blind (up to 30 cm), which costs events of the far surface, but no record of its minigroups.</p>""",
+        """<p>Stripes of 4 columns at 5 m and a step behind. One event covers both surfaces if they are closer to each other than the
+window (1 ns, 15 cm), and its stamp is that of the nearer one. The minigroups' own stamps tell them apart, but are no sharper
+than 500 ps (7.5 cm): they win at about 10 cm and lose where the window is sufficient. Between the window's end and the re-arm,
+the tree is blind (up to 30 cm), which costs events of the far surface, but no record of its minigroups.</p>""",
         [("two_targets", figure, f"Share of wrong pixels against the step, {PULSES} pulses; {ALSO_MANY}")],
         rows,
     )
 
 
 def noisy_spads(run: Runner) -> Section:
-    """Dark counts, hot pixels and crosstalk."""
+    """Vary dark counts, hot pixels and crosstalk."""
     hot = [
         Spad(dark_cps=dark_count_map(1024, median_cps=0, hot_fraction=share, hot_cps=HOT_CPS, seed=1))
         for share in HOT_SHARES
@@ -304,17 +304,17 @@ def noisy_spads(run: Runner) -> Section:
     return Section(
         "noisy_spads",
         "Dark counts, hot pixels, crosstalk",
-        """<p>Five objects at 50 klux (1.2e6 background counts a second in a pixel). Crosstalk fakes coincidences: an avalanche brings
-a neighbour along, so one noise photon meets a threshold of 2. A hot pixel opens windows and blinds the tree for the others,
-but counts once in a coincidence. With threshold 5 the estimator of planes finds object 2 (13 % of the pixels) or does not: noise that
-helps its few photons over the threshold helps.</p>""",
+        """<p>Five objects at 50 klux (1.2e6 background counts per second in a pixel). Crosstalk fakes coincidences: an avalanche fires
+a neighbour, so one noise photon meets a threshold of 2. A hot pixel opens windows and blinds the tree for the others, but counts
+only once in a coincidence. With threshold 5, the estimator of planes either finds object 2 (13 % of the pixels) or does not, and
+noise that lifts its few photons over the threshold helps.</p>""",
         [("noisy_spads", figure, f"Share of wrong pixels (above) and events (below), {PULSES} pulses; {ALSO_MANY}")],
         rows,
     )
 
 
 def _pairs(first: Iterable[Any], *others: Iterable[Any]) -> list[tuple[Any, ...]]:
-    """All combinations, the last one running fastest."""
+    """Return all combinations, with the last one varying fastest."""
     combinations: list[tuple[Any, ...]] = [(one,) for one in first]
     for other in others:
         combinations = [(*so_far, one) for so_far in combinations for one in other]
@@ -322,7 +322,7 @@ def _pairs(first: Iterable[Any], *others: Iterable[Any]) -> list[tuple[Any, ...]
 
 
 def _wrong(outcomes: list[Outcome]) -> list[float]:
-    """Mean share of wrong pixels by each of the case's methods."""
+    """Return the mean share of wrong pixels for each of the case's methods."""
     methods = outcomes[0].case.methods
     return [float(np.mean([outcome.wrong_share(method) for outcome in outcomes])) for method in methods]
 
@@ -336,7 +336,7 @@ def _dropped(outcomes: list[Outcome]) -> float:
 
 
 def _oracle(fixed: dict[int, list[Outcome]]) -> tuple[int, ...]:
-    """For each subgroup the threshold with the fewest wrong pixels, of equals (a tenth of a pixel) the one with the fewest events."""
+    """Return for each subgroup the threshold with the fewest wrong pixels, and among equals (0.1 pixels) the fewest events."""
     sensor = next(iter(fixed.values()))[0].case.config().sensor
     (sr, sc), cols = sensor.subgroup, sensor.cols // sensor.subgroup[1]
     best = []
@@ -419,7 +419,7 @@ def _goal(table: Outcomes) -> Comparison:
 
 
 def _against_best(table: Outcomes, klux: float) -> Comparison:
-    """The controller against the fixed threshold with the fewest wrong pixels."""
+    """Compare the controller with the fixed threshold that has the fewest wrong pixels."""
     fixed = min(
         (table[PULSES, klux, str(threshold)] for threshold in THRESHOLDS),
         key=lambda one: (_wrong(one)[0], _events(one)),

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One Monte Carlo frame: a scene's photons through the sensor to depth, and many of them on all cores."""
+"""One Monte Carlo frame, from a scene's photons through the sensor to depth, and many of them on all cores."""
 
 import os
 from collections.abc import Callable, Hashable, Iterable, Sequence
@@ -23,21 +23,21 @@ from ...model.scenes.scene import Scene, scene_light
 from ...model.shared.interrupts import worker_processes
 
 Engine = Callable[[Config, Edges], dict[str, np.ndarray]]
-Progress = Callable[[int, int], None]  # cases done, cases in all
+Progress = Callable[[int, int], None]  # cases done, cases in total
 Table: TypeAlias = dict[str, Any]  # of a configuration file
 _Key = TypeVar("_Key", bound=Hashable)
 _Item = TypeVar("_Item")
 _Result = TypeVar("_Result")
 
-PULSES, MANY = 100, 8  # pulses of a frame (paper IV), and how many times as many show what is noise
+PULSES, MANY = 100, 8  # pulses of a frame (paper IV); factor for a second run, which shows what is noise
 
 
 @frozen(kw_only=True, eq=False)
 class Case:
-    """What one frame is made of. sensor, frame, subgroup: tables of the configuration file. threshold: per subgroup, or None.
+    """Input of one frame. sensor, frame, subgroup: tables of the configuration file. threshold: per subgroup, or None.
 
-    methods: of `depth.METHODS`, or `METHOD/SOURCE` with another source of histograms than the map. With several frames
-    (for the controller) the last one counts.
+    methods: of `METHODS`, or `METHOD/SOURCE` with another source of histograms than the map. With several frames (for
+    the controller), only the last one counts.
     """
 
     scene: str = "five-objects"
@@ -59,7 +59,7 @@ class Case:
 
 @frozen(kw_only=True, eq=False)
 class Outcome:
-    """What became of a case: depth in metres by method, float64[rows, cols]; counts of the last frame, int64[subgroups]."""
+    """Result of a case: depth in metres by method, float64[rows, cols]; counts of the last frame, int64[subgroups]."""
 
     case: Case
     scene: Scene
@@ -89,7 +89,7 @@ class Outcome:
 
 
 def run_case(case: Case, engine: Engine = golden_result) -> Outcome:
-    """Photons, sensor (`engine`: golden model or RTL), depth."""
+    """Run photons, sensor (`engine`: golden model or RTL) and depth."""
     config = case.config()
     scene, timing = load_scene(case.scene, config.sensor.rows, config.sensor.cols), Timing.from_config(config)
     edges = generate_edges(
@@ -113,7 +113,7 @@ def run_case(case: Case, engine: Engine = golden_result) -> Outcome:
 
 
 class Runner:
-    """Runs cases on `workers` processes, in order, and counts them; outcomes do not depend on the number of workers."""
+    """Runs cases on `workers` processes, in order, and counts them; results do not depend on the number of workers."""
 
     def __init__(self, workers: int | None = None, progress: Progress = lambda done, total: None):
         self.workers = workers or os.cpu_count() or 1
@@ -131,16 +131,16 @@ class Runner:
         self._processes.__exit__(*raised)
 
     def run(self, cases: Iterable[Case]) -> list[Outcome]:
-        """Outcomes of `cases`, in their order."""
+        """Return the outcomes of `cases`, in their order."""
         return self.map(run_case, cases)
 
     def table(self, cases: dict[_Key, list[Case]]) -> dict[_Key, list[Outcome]]:
-        """Outcomes by key."""
+        """Return the outcomes by key."""
         outcomes = iter(self.run([case for group in cases.values() for case in group]))
         return {key: [next(outcomes) for _ in group] for key, group in cases.items()}
 
     def map(self, function: Callable[[_Item], _Result], items: Iterable[_Item]) -> list[_Result]:
-        """`function` (of a module) of each item."""
+        """Return `function` (of a module) of each item."""
         tasks = list(items)
         self.total += len(tasks)
         results = []
@@ -161,7 +161,7 @@ def vary(
     subgroup: Table | None = None,
     **others: Any,
 ) -> list[Case]:
-    """`case` with more settings, for several seeds; `others` are fields of `Case`."""
+    """Return `case` with further settings, for several seeds; `others` are fields of `Case`."""
     changed = evolve(
         case,
         sensor=case.sensor | (sensor or {}),

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The paper's four modes, coincidence x gating, with both kinds of gate; targets that only a gate finds; progressive gating to 100 m.
+"""The paper's four modes, coincidence x gating, with both kinds of gate; targets that need a gate; progressive gating to 100 m.
 
-Ref: paper III-A ("four different modes of operation with coincidence and gating", "time-gating ... around the desired target range").
-Targets are flat and fill the picture. What is found, and every number that the paper does not give, is our choice.
+Ref: paper III-A ("four different modes of operation with coincidence and gating", "time-gating ... around the desired
+target range"). Targets are flat and fill the picture. The criteria, and all numbers that the paper does not give, are our
+choice.
 """
 
 import math
@@ -55,7 +56,7 @@ DISTANCES_M, REFLECTIVITY = (3.0, 5.0, 8.0, 12.0, 16.0, 20.0, 25.0, 30.0), 0.4
 KLUX, SEEDS = (1.0, 10.0, 50.0, 100.0), 2
 
 PANE_M, PANE_PHOTONS = 4.0, (0.0, 0.1, 0.3, 1.0, 3.0, 10.0)  # per pulse and pixel
-BEHIND_M, BEHIND_GATE_M, PANE_KLUX = 4.9, 0.6, 10.0  # nearer to the pane than the SPAD's dead time of 8 ns: 1.2 m
+BEHIND_M, BEHIND_GATE_M, PANE_KLUX = 4.9, 0.6, 10.0  # closer to the pane than the SPAD's dead time of 8 ns: 1.2 m
 
 FAR_M, FAR_KLUX, FAR_REFLECTIVITIES = 100.0, 10.0, (0.1, 0.4)
 POWERS = (1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)  # times the preset's laser: 5 nJ per pulse for 32 x 32 pixels
@@ -75,7 +76,7 @@ FOUND_SHARE = 0.9  # of the pixels, within 15 cm
 
 @frozen(kw_only=True)
 class Shot:
-    """One frame of flat targets. distance_m, signal, ambient: of each target what detects as mean photons per pulse, and its reflectivity.
+    """One frame of flat targets. distance_m, signal, ambient: of each target: mean photons per pulse, and reflectivity.
 
     sensor: as in a configuration file. spad_gate: the gate switches the SPADs off.
     """
@@ -96,7 +97,7 @@ class Shot:
         return parse_config({"sensor": SENSOR, "frame": frame, "subgroup": dict(self.subgroup)})
 
     def edges(self, config: Config) -> Edges:
-        """The frame's photons as edges."""
+        """Return the frame's photons as edges."""
         light = Light(
             rows=SENSOR["rows"],
             cols=SENSOR["cols"],
@@ -112,7 +113,7 @@ class Shot:
 
 @frozen(kw_only=True)
 class Seen:
-    """By method: share of pixels right within the paper's 3.45 cm and within 15 cm, RMS error of the latter; events that left, and dropped."""
+    """Results by method: share of pixels right within 3.45 cm (the paper's) and 15 cm, RMS error of the latter; events, drops."""
 
     right: dict[str, float]
     found: dict[str, float]
@@ -122,7 +123,7 @@ class Seen:
 
 
 def look(shot: Shot) -> Seen:
-    """Photons, golden model and depth of a shot."""
+    """Run photons, golden model and depth of a shot."""
     config = shot.config()
     arrays = golden_result(config, shot.edges(config))
     truth_m = np.full((SENSOR["rows"], SENSOR["cols"]), shot.truth_m)
@@ -138,14 +139,14 @@ def look(shot: Shot) -> Seen:
 
 
 def same_on_rtl(shot: Shot, replay: Engine) -> bool:
-    """Whether the RTL gives the golden model's arrays."""
+    """Return whether the RTL gives the golden model's arrays."""
     config = shot.config()
     edges = shot.edges(config)
     return not differences(golden_result(config, edges), replay(config, edges))
 
 
 def background(run: Runner, replay: Engine | None = None) -> Section:
-    """All modes over distance, from 1 to 100 klux."""
+    """Run all modes over distance, from 1 to 100 klux."""
     table = {
         (mode, klux, distance_m): [
             _flat(mode, klux, distance_m, HALF_GATE_M, seed=seed) for seed in range(1, SEEDS + 1)
@@ -181,8 +182,8 @@ def background(run: Runner, replay: Engine | None = None) -> Section:
     return Section(
         "modes",
         "Four modes, two kinds of gate",
-        f"""<p>A flat target of {REFLECTIVITY:.0%} that fills the picture, {PULSES} laser pulses, threshold {THRESHOLD} where coincidence is on, a
-gate of {2 * HALF_GATE_M:g} m around the target where gating is on. A logic gate ignores edges outside; a SPAD gate keeps the SPADs off, so
+        f"""<p>A flat target of {REFLECTIVITY:.0%} that fills the picture, {PULSES} laser pulses, threshold {THRESHOLD} with coincidence, and a
+gate of {2 * HALF_GATE_M:g} m around the target with gating. A logic gate ignores edges outside; a SPAD gate keeps the SPADs off, so
 that none is dead when the gate opens. {_checks(replay, list(table.values()))}</p>""",
         [
             (
@@ -197,7 +198,7 @@ that none is dead when the gate opens. {_checks(replay, list(table.values()))}</
 
 
 def glass(run: Runner, replay: Engine | None = None) -> Section:
-    """A target behind a pane of glass that sends light back."""
+    """Run a target behind a pane of glass that reflects light."""
     table = {
         (mode, photons): [
             _flat(mode, PANE_KLUX, BEHIND_M, BEHIND_GATE_M, pane_photons=photons, seed=seed)
@@ -230,16 +231,16 @@ def glass(run: Runner, replay: Engine | None = None) -> Section:
     return Section(
         "modes_glass",
         "Behind a pane",
-        f"""<p>A target of {REFLECTIVITY:.0%} at {BEHIND_M:g} m, {BEHIND_M - PANE_M:.1f} m behind a pane, at {PANE_KLUX:g} klux; the gate reaches
+        f"""<p>A target of {REFLECTIVITY:.0%} at {BEHIND_M:g} m, {BEHIND_M - PANE_M:.1f} m behind a pane, at {PANE_KLUX:g} klux; the gate extends
 {BEHIND_GATE_M:g} m to both sides of the target. A SPAD that fired at the pane is dead for 8 ns, 1.2 m: it does not see the target, and a
-logic gate does not help it. Only a gate that keeps the SPADs off at the pane does. {_checks(replay, list(table.values()))}</p>""",
+logic gate does not help. Only a gate that keeps the SPADs off at the pane helps. {_checks(replay, list(table.values()))}</p>""",
         [("modes_glass", figure, "Pixels that see the target against the pane's light")],
         rows,
     )
 
 
 def far(run: Runner, replay: Engine | None = None) -> Section:
-    """What it takes to see 100 m at 10 klux, by gate schedule."""
+    """Find the laser pulse needed to see 100 m at 10 klux, by gate schedule."""
     table = {
         (reflectivity, schedule, pulses, threshold, power): [
             _far(reflectivity, schedule, pulses, threshold, power, seed) for seed in range(1, SEEDS + 1)
@@ -278,9 +279,9 @@ def far(run: Runner, replay: Engine | None = None) -> Section:
         "modes_far",
         "100 m at 10 klux",
         f"""<p>A flat target at {FAR_M:g} m, {FAR_KLUX:g} klux, laser period of {FAR_FRAME["period"]} cycles (108 m); the best of coincidence off and
-thresholds 1 to 3, depth by planes. The scan has {SCAN["gate_steps"]} positions of 12 m, so that each gets a tenth of the pulses; a gate
-around the target is what a scan goes on with when it has found something. The laser is that of the paper (10 mW at 2 MHz, 5 nJ per
-pulse, over 32 x 32 pixels) times a factor; an array of more pixels in the same field of view needs so much more.
+thresholds 1 to 3, depth by planes. The scan has {SCAN["gate_steps"]} positions of 12 m, so each gets a tenth of the pulses. The gate around
+the target shows how a scan can continue after it has found something. The laser is that of the paper (10 mW at 2 MHz, 5 nJ per
+pulse, over 32 x 32 pixels) times a factor; an array with more pixels in the same field of view needs proportionally more.
 {_checks(replay, list(table.values()))}</p>""",
         [("modes_far", figure, "Pixels that see a target at 100 m against the laser's pulse")],
         rows,
@@ -338,7 +339,7 @@ def _cycle_m() -> float:
 
 
 def _cycles(distance_m: float) -> int:
-    """Cycle in which light from a distance arrives."""
+    """Return the cycle in which light from a distance arrives."""
     return int(distance_m / _cycle_m())
 
 
@@ -348,13 +349,13 @@ def _looked(run: Runner, table: dict[Any, list[Shot]]) -> dict[Any, list[Seen]]:
 
 
 def _checks(replay: Engine | None, groups: Sequence[list[Shot]]) -> str:
-    """Some of the shots through the RTL, and what to say of it. Raises `AssertionError` where a word differs."""
+    """Play some of the shots on the RTL, and return a sentence about it. Raises `AssertionError` if a word differs."""
     if replay is None:
         return ""
     chosen = [groups[int(k)][0] for k in np.linspace(0, len(groups) - 1, SPOT_CHECKS)]
     same = [same_on_rtl(shot, replay) for shot in chosen if shot.config().pulses <= FAR_PULSES[0]]
     assert all(same), "the RTL differs from the golden model"
-    return f"{len(same)} of these frames also went through the RTL: every word is the golden model's."
+    return f"{len(same)} of these frames were also played on the RTL: every word equals the golden model's."
 
 
 def _names() -> list[str]:
@@ -386,7 +387,7 @@ def _reach(shares: Sequence[float]) -> str:
 def _best(
     seen: dict[Any, list[Seen]], reflectivity: float, schedule: str, pulses: int, power: float
 ) -> tuple[float, int]:
-    """(share of pixels that see the target, threshold) of the threshold with most such pixels, then with most right ones."""
+    """Return (share of pixels that see the target, threshold) for the threshold with most of them, then with most right ones."""
     ranked = []
     for threshold in FAR_THRESHOLDS:
         many = seen[reflectivity, schedule, pulses, threshold, power]
@@ -398,7 +399,7 @@ def _best(
 def _need(
     seen: dict[Any, list[Seen]], reflectivity: float, schedule: str, pulses: int, best: Sequence[tuple[float, int]]
 ) -> str:
-    """The least laser pulse that finds the target, with the threshold and the precision."""
+    """Return the weakest laser pulse that finds the target, with the threshold and the precision."""
     for power, (share, threshold) in zip(POWERS, best):
         if share >= FOUND_SHARE:
             rms_m = _mean(seen[reflectivity, schedule, pulses, threshold, power], "rms_m", "planes")

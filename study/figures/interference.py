@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A second LiDAR in the scene, and whether a laser period that changes from pulse to pulse pays."""
+"""A second LiDAR in the scene, and the benefit of a laser period that changes from pulse to pulse."""
 
 from typing import NamedTuple, TypeAlias
 
@@ -17,11 +17,18 @@ from .rivals import STYLES
 
 SIDE, KLUX, SEEDS = 32, 20.0, 3
 SHOWN = ("winner: planes", "this: fixed", "this: controller", "this: fixed planes", "this: controller planes")
-PHOTONS = (0.0, 0.02, 0.05, 0.2, 0.5, 1.0)  # of a pixel and pulse of the other; 0.23 is our own from white at 10 m
+PHOTONS = (
+    0.0,
+    0.02,
+    0.05,
+    0.2,
+    0.5,
+    1.0,
+)  # of the other, per pixel and pulse; our own signal from white at 10 m is 0.23
 OFFSETS = (0.0, 1e-5, 1e-4, 1e-3, 1e-2, 1e-1)  # of the other's laser period, relative
 DITHER_BITS = (0, 1, 2, 3, 4, 6)
 PHOTONS_SHOWN, OFFSET_SHOWN, BITS_SHOWN = 0.2, 0.0, (0, 2, 4)
-PHASE_SHARE = (0.07, 0.11, 0.6)  # of the period, one a seed: before, among and behind the objects
+PHASE_SHARE = (0.07, 0.11, 0.6)  # share of the period, one per seed: before, among and behind the objects
 Key: TypeAlias = tuple[float, float, int]  # of tasks: photons, offset, bits
 
 
@@ -34,12 +41,12 @@ class Task(NamedTuple):
 
 class Result(NamedTuple):
     wrong: dict[str, float]
-    ghosts: dict[str, float]  # share of pixels at one depth that is no object's: the most frequent such depth
+    ghosts: dict[str, float]  # share of pixels at the most frequent depth that belongs to no object
     bits: dict[str, int]
 
 
 def run_task(task: Task) -> Result:
-    """All of `SHOWN` on the same photons of five objects and another LiDAR that shines on every pixel at once."""
+    """Run all of `SHOWN` on the same photons of five objects and another LiDAR that lights every pixel at the same time."""
     scene = load_scene("five-objects", SIDE, SIDE)
     timing = Timing(dither_bits=task.bits)
     other = Interferer(
@@ -59,13 +66,13 @@ def run_task(task: Task) -> Result:
 
 
 def _same_and_wrong(depth_m: np.ndarray, truth_m: np.ndarray) -> float:
-    """Largest share of pixels that are wrong by more than half a metre and agree within 30 cm: a ghost."""
+    """Return the largest share of pixels that are wrong by over half a metre and agree within 30 cm: a ghost."""
     wrong = depth_m[np.abs(depth_m - truth_m) > 0.5]
     return float(np.bincount((wrong / 0.3).astype(np.int64), minlength=1).max() / truth_m.size) if wrong.size else 0.0
 
 
 def interference(run: Runner) -> Section:
-    """Wrong share against the other's light, its period, and the dither."""
+    """Show the wrong share against the other LiDAR's light, its period, and the dither."""
     keys = {
         "photons per pixel and pulse of the other LiDAR": [
             (photons, OFFSET_SHOWN, bits) for photons in PHOTONS for bits in BITS_SHOWN

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Figs. 2 and 5 of the paper: rates and signal to background over distance; the pulse that comes back."""
+"""Figs. 2 and 5 of the paper: rates and signal to background over distance; the returning pulse."""
 
 import numpy as np
 from scipy import special
@@ -26,7 +26,7 @@ PAPER_FWHM_PS = "500 to 520 ps"
 
 
 def figure_2(run: Runner) -> Section:
-    """Detected rates of a pixel, and where the ratio of signal to background is 0 dB."""
+    """Show the detected rates of a pixel, and the distance at which signal to background is 0 dB."""
     budgets = {
         (form, reading): link_budget(DISTANCE_M, REFLECTIVITY, KLUX, form=form, sbr_reading=reading)
         for form in FORMS
@@ -103,8 +103,8 @@ def figure_2(run: Runner) -> Section:
         f"""<p>Flat target of {REFLECTIVITY:.0%} reflectivity under {KLUX:g} klux, equations (1) and (2). Readings of the
 ratio: A, of the mean rates; E, photons of a pulse to background in the SPAD's jitter (100 ps); F, to background after dead
 time in a window of {COINCIDENCE_WINDOW_S * 1e9:g} ns. Monte Carlo counts avalanches at the literal rates: at most one of a
-pulse's photons fires a pixel, and raw sunlight keeps it dead 98 % of the time, so that all light together detects no more
-than background alone.</p>""",
+pulse's photons fires a pixel, and unfiltered sunlight keeps it dead for 98 % of the time, so all light together detects no
+more than background alone.</p>""",
         [("fig2", figure, "Events per pixel and second (left) and signal to background (right) against distance")],
         rows,
         [
@@ -124,7 +124,7 @@ than background alone.</p>""",
 
 
 def figure_5(run: Runner) -> Section:
-    """The returning pulse: energy over time for the scene's objects, and its width as the TDC sees it."""
+    """Show the returning pulse: energy over time for the scene's objects, and its width as seen by the TDC."""
     scene = load_scene("five-objects", 32, 32)
     light, labels = scene_light(scene, 0), scene.labels.ravel()
     objects = {int(label): int(np.flatnonzero(labels == label)[0]) for label in np.unique(labels)}
@@ -200,9 +200,9 @@ def figure_5(run: Runner) -> Section:
     right.legend(loc="center right")
     return Section(
         "fig5",
-        "Fig. 5: the pulse that comes back",
+        "Fig. 5: the returning pulse",
         """<p>Energy of the laser pulse from each of the scene's objects, and the distribution of a pixel's avalanches, which
-is what the TDC can see of it. Pulse and jitter together are given as 500 ps FWHM.</p>""",
+is what the TDC sees of the pulse. Pulse and jitter together are given as 500 ps FWHM.</p>""",
         [
             (
                 "fig5",
@@ -242,14 +242,14 @@ is what the TDC can see of it. Pulse and jitter together are given as 500 ps FWH
 
 
 def _zero_m(form: str, reading: str) -> float:
-    """Distance at which the ratio is 0 dB, in metres."""
+    """Return the distance at which the ratio is 0 dB, in metres."""
     distance_m = np.geomspace(0.05, 50, 4000)
     sbr_db = link_budget(distance_m, REFLECTIVITY, KLUX, form=form, sbr_reading=reading).sbr_db
     return float(np.interp(0, -sbr_db, distance_m))
 
 
 def _detected_cps(task: tuple[float, int]) -> tuple[int, float, float, float, float]:
-    """(pulses, distance, rates of a pixel with signal alone, background alone, both) at raw light, after dead time."""
+    """Return (pulses, distance, rates of a pixel with signal alone, background alone, both) at raw light, after dead time."""
     distance_m, pulses = task
     budget, timing = link_budget(distance_m, REFLECTIVITY, KLUX), Timing()
 
@@ -271,7 +271,7 @@ def _detected_cps(task: tuple[float, int]) -> tuple[int, float, float, float, fl
 
 
 def _pulse_width(task: tuple[int, int]) -> tuple[int, int, float, float, float, list[float], list[float]]:
-    """(object, pulses, FWHM in ps and its standard error, distance, histogram: offsets in ps and counts over the largest)."""
+    """Return (object, pulses, FWHM in ps, its standard error, distance, histogram: offsets in ps, counts over the largest)."""
     label, pulses = task
     scene, timing = load_scene("five-objects", 32, 32), Timing()
     pixels = np.flatnonzero(scene.labels.ravel() == label)
@@ -288,7 +288,7 @@ def _pulse_width(task: tuple[int, int]) -> tuple[int, int, float, float, float, 
 
 
 def _first_photon_fwhm_s(photons: float, sigma_s: float) -> float:
-    """2.355 standard deviations of the first of a Poisson number of photons of a Gaussian pulse."""
+    """Return 2.355 standard deviations of the first of a Poisson number of photons of a Gaussian pulse."""
     z = np.linspace(-8, 8, 4001)
     density = np.exp(-(z**2) / 2 - photons * special.ndtr(z))
     mean = np.average(z, weights=density)

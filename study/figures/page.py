@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Sections of the page: pictures, their data, and our numbers next to the paper's; how they become files."""
+"""Sections of the page: pictures, their data, and our numbers next to the paper's; and writing them to files."""
 
 import csv
 import html
@@ -19,7 +19,7 @@ Row: TypeAlias = Sequence[object]  # of a CSV
 
 @frozen
 class Comparison:
-    """One of the paper's numbers: what it says, what each of our sources gives, and why they differ."""
+    """One number of the paper: its text, the number from each of our sources, and why they differ."""
 
     quantity: str
     paper: str
@@ -29,7 +29,7 @@ class Comparison:
 
 @frozen(eq=False)
 class Section:
-    """A part of the page. name: stem of its files. figures: (stem, figure, caption). rows: the CSV's, header first."""
+    """A part of the page. name: stem of its files. figures: (stem, figure, caption). rows: of the CSV, header first."""
 
     name: str
     title: str
@@ -40,7 +40,7 @@ class Section:
 
 
 def write_section(out_dir: Path, section: Section) -> None:
-    """PNG and SVG of every figure and the CSV."""
+    """Write PNG and SVG of every figure, and the CSV."""
     for stem, figure, _ in section.figures:
         save_figure(figure, out_dir / f"{stem}.png", out_dir / f"{stem}.svg")
     text = io.StringIO()
@@ -49,7 +49,7 @@ def write_section(out_dir: Path, section: Section) -> None:
 
 
 def write_page(out_dir: Path, title: str, introduction: str, sections: Sequence[Section]) -> None:
-    """`index.html` for sections that are written."""
+    """Write `index.html` for sections whose files exist."""
     body = "\n".join(_section_html(section) for section in sections)
     links = " · ".join(f'<a href="#{section.name}">{html.escape(section.title)}</a>' for section in sections)
     _write(

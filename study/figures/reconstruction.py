@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Figs. 6 and 8 of the paper: the scene reconstructed without coincidence, with one threshold, with other sizes of groups."""
+"""Figs. 6 and 8 of the paper: the scene reconstructed without coincidence, with one threshold, with other group sizes."""
 
 import numpy as np
 
@@ -17,15 +17,15 @@ from .page import Comparison, Row, Section
 
 METHODS = ("maximum", "matched", "background", "planes")
 SEEDS = 4
-RIGHT = 0.5  # of an object's pixels: then we call it reconstructed
-PANELS_6: dict[str, tuple[float, Table, str]] = {  # panel: klux, settings of the subgroups, what the paper says
+RIGHT = 0.5  # share of an object's pixels at which we call it reconstructed
+PANELS_6: dict[str, tuple[float, Table, str]] = {  # panel: klux, settings of the subgroups, the paper's text
     "a": (5.0, {"coincidence": False}, "up to 11.9 % wrong; objects 1, 3, 4 right"),
     "b": (50.0, {"threshold": 5}, "objects 1, 3, 4 right"),
     "c": (50.0, {"threshold": 2}, "objects 2, 5 right"),
 }
 KLUX_8 = 50.0
 THRESHOLDS_8 = (1, 2, 3, 4, 5, 7)
-PANELS_8 = {  # panel: subgroup, minigroup; the paper names those of (c) only, (a) and (b) are our choice
+PANELS_8 = {  # panel: subgroup, minigroup; the paper gives only those of (c), (a) and (b) are our choice
     "a": ((16, 16), (4, 4)),
     "b": ((4, 4), (2, 2)),
     "c": ((8, 8), (2, 2)),
@@ -35,9 +35,9 @@ STREAMS_8 = 4
 
 TEXT_6 = f"""<p>The scene of five objects in {PULSES} pulses. Wrong: |error| above 230 ps, {100 * TOLERANCE_M:.3g} cm.
 Analytic: the expected histograms of every pixel, filled with Poisson counts, highest bin; the lead of first photons is
-taken off, as a calibration would. Monte Carlo: photons through the golden model, then one of the estimators: highest bin
-of the pixel's histogram (maximum, the paper's), filtered with the pulse (matched), against the background that pile-up
-leaves (background), and planes. In the tables the mean of {SEEDS} seeds.</p>"""
+subtracted, as a calibration would do. Monte Carlo: photons through the golden model, then one of the estimators: highest bin
+of the pixel's histogram (maximum, the paper's), filtered with the pulse (matched), against the background left by pile-up
+(background), and planes. The tables show the mean of {SEEDS} seeds.</p>"""
 WHY_6 = {
     "a": "The paper gives every pixel its own window and peak. In the sensor an event without coincidence carries about one "
     "pixel, so a pixel gets a 64th of its subgroup's events: its highest bin is mostly noise, and early where the "
@@ -49,8 +49,8 @@ WHY_6 = {
     "these spread over 8000 bins. In the paper noise takes the only window of a pulse away from the signal (16a). "
     "Objects 2 and 5 are worst with the highest bin, as they have 2 photons in a pixel; a filter helps them.",
 }
-TEXT_8 = f"""<p>The scene at {KLUX_8:g} klux with subgroups and minigroups of other sizes; of the thresholds
-{", ".join(map(str, THRESHOLDS_8))} each estimator gets its best. The paper names the sizes of (c), 8x8 and 2x2; those of
+TEXT_8 = f"""<p>The scene at {KLUX_8:g} klux with subgroups and minigroups of other sizes; each estimator gets its best
+of the thresholds {", ".join(map(str, THRESHOLDS_8))}. The paper names the sizes of (c), 8x8 and 2x2; those of
 (a) and (b) are our choice. Events leave by {STREAMS_8} streams here, so that bandwidth limits no size. matched/minigroup:
 the minigroups' coarse stamps (500 ps) instead of the subgroup's.</p>"""
 WHY_8 = {
@@ -63,7 +63,7 @@ WHY_8 = {
 
 
 def figure_6(run: Runner, replay: Engine | None = None) -> Section:
-    """Scheme 1 at 5 klux; thresholds 5 and 2 at 50 klux."""
+    """Show scheme 1 at 5 klux, and thresholds 5 and 2 at 50 klux."""
     rows: list[Row] = [("panel", "klux", "source", "pulses", "estimator", "object", "wrong_share")]
     figures, comparisons = [], []
     for panel, (klux, settings, paper) in PANELS_6.items():
@@ -102,7 +102,7 @@ def figure_6(run: Runner, replay: Engine | None = None) -> Section:
 
 
 def figure_8(run: Runner, replay: Engine | None = None) -> Section:
-    """Sizes of subgroups and minigroups, each at its best threshold."""
+    """Show sizes of subgroups and minigroups, each at its best threshold."""
     rows: list[Row] = [
         ("panel", "subgroup", "minigroup", "source", "pulses", "threshold", "estimator", "wrong_share", "events_per_s")
     ]
@@ -196,7 +196,7 @@ def figure_8(run: Runner, replay: Engine | None = None) -> Section:
 
 
 def _labels(panel: str) -> tuple[str, str, str]:
-    """First columns of Fig. 8's CSV: panel, subgroup, minigroup."""
+    """Return the first columns of Fig. 8's CSV: panel, subgroup, minigroup."""
     (rows, cols), (minigroup_rows, minigroup_cols) = PANELS_8[panel]
     return panel, f"{rows}x{cols}", f"{minigroup_rows}x{minigroup_cols}"
 
@@ -206,7 +206,7 @@ def _mean_wrong(outcomes: list[Outcome], method: str) -> np.ndarray:
 
 
 def _object_rows(start: tuple[object, ...], wrong: np.ndarray, scene: Scene) -> list[Row]:
-    """Rows of Fig. 6's CSV: wrong share of each object, and of all."""
+    """Return the rows of Fig. 6's CSV: wrong share of each object, and of all."""
     objects = [(int(label), float(wrong[scene.labels == label].mean())) for label in np.unique(scene.labels)]
     return [(*start, label, share) for label, share in (*objects, ("all", float(wrong.mean())))]
 
@@ -222,7 +222,7 @@ def _same_depth(rtl: Outcome, golden: Outcome) -> str:
 
 
 def _analytic(task: tuple[str, Case]) -> tuple[np.ndarray, np.ndarray]:
-    """(share of `SEEDS` draws in which a pixel is wrong, depth of the first draw), float64[rows, cols], by the highest bin."""
+    """Return (share of `SEEDS` draws in which a pixel is wrong, first draw's depth), float64[rows, cols], by the highest bin."""
     form, case = task
     config, timing = case.config(), Timing()
     sensor, table = config.sensor, pixel_table(config.sensor)
@@ -256,7 +256,7 @@ def _analytic(task: tuple[str, Case]) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _lead_s(expected: np.ndarray, flight_s: np.ndarray, timing: Timing) -> np.ndarray:
-    """By how much each pixel's expected histogram peaks before its time of flight, looked for within a nanosecond."""
+    """Return how early each pixel's expected histogram peaks before its time of flight, searched within a nanosecond."""
     time_s = (np.arange(expected.shape[1]) + 0.5) * timing.tick_s
     near = np.abs(time_s - flight_s[:, None]) < 1e-9
     return flight_s - time_s[np.where(near, expected, -1).argmax(axis=1)]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The sensor against its rivals (`comparison.py`): background, range, two targets, a retroreflector, bits."""
+"""The sensor and its rivals (`comparison.py`): background, range, two targets, a retroreflector, bits."""
 
 from collections.abc import Hashable
 from typing import TypeVar
@@ -17,14 +17,14 @@ from ..plot_style import legend_below, new_figure, share_axis
 from .cases import Runner
 from .page import Row, Section
 
-SIDE, SMALL = 32, 16  # pixels; of two targets and of the sign, which are the same in every subgroup
+SIDE, SMALL = 32, 16  # pixels; small arrays for two targets and the sign, which are the same in every subgroup
 KLUX = (1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)
 SEEDS, FEW_SEEDS = 3, 2
 BUILT_IN = ("five-objects", "letter-f", "flat:10,0.4", "two-targets:5,9", "two-returns:5,9")
 BUILT_IN_KLUX = 50.0
 DISTANCES_M, RANGE_KLUX, RANGE_REFLECTIVITY = (2.0, 5.0, 10.0, 15.0, 20.0, 25.0, 30.0, 40.0), (10.0, 100.0), 0.4
-DETECTED_M = 0.15  # of the truth: within one window
-THRESHOLDS = (2, 3, 4, 5)  # of the plot of bits
+DETECTED_M = 0.15  # from the truth: within one window
+THRESHOLDS = (2, 3, 4, 5)  # in the plot of bits
 WITH_THRESHOLD = ("sliding window", "fixed windows", "this: fixed")
 NEAR_M, TWO_KLUX = 5.0, 20.0
 STEPS_M = (
@@ -37,8 +37,8 @@ STEPS_M = (
     0.4,
     0.6,
     1.0,
-)  # above twice the tolerance: else a depth between both is right
-GAINS, BEHIND_M = (1.0, 10.0, 100.0, 1000.0), (0.3, 3.0)  # of the sign against white; of the dark target behind it
+)  # above twice the tolerance, because otherwise a depth between both is right
+GAINS, BEHIND_M = (1.0, 10.0, 100.0, 1000.0), (0.3, 3.0)  # of the sign against white; dark target's distance behind it
 SIGN_M, DARK, SIGN, STRAY, RETRO_KLUX = 6.0, 0.1, slice(4, 12), 1e-3, 20.0  # a quarter of each subgroup sees the sign
 
 STYLES = {
@@ -61,14 +61,14 @@ Task = tuple[Light, int, int, tuple[str, ...]]  # seed, threshold, schemes
 
 
 def found(task: Task) -> dict[str, Found]:
-    """What each scheme makes of the same photons."""
+    """Return the result of each scheme on the same photons."""
     light, seed, threshold, names = task
     shot = shoot(light, seed, threshold=threshold)
     return {name: SCHEMES[name](shot) for name in names}
 
 
 def background(run: Runner) -> Section:
-    """Wrong share and bits against background, and wrong share against bits for several thresholds."""
+    """Show wrong share and bits against background, and wrong share against bits for several thresholds."""
     scene = load_scene("five-objects", SIDE, SIDE)
     table = _table(run, {klux: scene_light(scene, klux) for klux in KLUX}, SEEDS)
     shares, bits = {}, {}
@@ -120,7 +120,7 @@ def background(run: Runner) -> Section:
 
 
 def built_in(run: Runner) -> Section:
-    """Wrong share of every built-in scene."""
+    """Show the wrong share of every built-in scene."""
     scenes = {name: load_scene(name, SIDE, SIDE) for name in BUILT_IN}
     table = _table(run, {name: scene_light(scene, BUILT_IN_KLUX) for name, scene in scenes.items()}, FEW_SEEDS)
     rows: list[Row] = [("scene", "scheme", "wrong_share", "second_surface_share", "bits_per_frame")]
@@ -166,7 +166,7 @@ def built_in(run: Runner) -> Section:
 
 
 def ranging(run: Runner) -> Section:
-    """Detection, bias and precision of a flat target against its distance."""
+    """Show detection, bias and precision of a flat target against its distance."""
     keys = [(klux, distance_m) for klux in RANGE_KLUX for distance_m in DISTANCES_M]
     scenes = {
         distance_m: load_scene(f"flat:{distance_m},{RANGE_REFLECTIVITY}", SIDE, SIDE) for distance_m in DISTANCES_M
@@ -227,7 +227,7 @@ def ranging(run: Runner) -> Section:
 
 
 def two_targets(run: Runner) -> Section:
-    """Two surfaces in every macro-pixel, in stripes of 4 columns."""
+    """Show two surfaces in every macro-pixel, in stripes of 4 columns."""
     scenes = {step_m: load_scene(f"two-targets:{NEAR_M},{NEAR_M + step_m:.4g}", SMALL, SMALL) for step_m in STEPS_M}
     table = _table(run, {step_m: scene_light(scene, TWO_KLUX) for step_m, scene in scenes.items()}, FEW_SEEDS)
     rows: list[Row] = [("scheme", "step_m", "wrong_share", "wrong_in_both_returns_share")]
@@ -264,7 +264,7 @@ def two_targets(run: Runner) -> Section:
 
 
 def retroreflector(run: Runner) -> Section:
-    """A dark target around and behind a retroreflective sign, whose light strays onto all pixels."""
+    """Show a dark target around and behind a retroreflective sign, whose light strays onto all pixels."""
     keys = [(behind_m, gain) for behind_m in BEHIND_M for gain in GAINS]
     table = _table(run, {key: sign_light(*key) for key in keys}, FEW_SEEDS)
     dark = np.ones((SMALL, SMALL), bool)
@@ -327,7 +327,7 @@ def retroreflector(run: Runner) -> Section:
 
 
 def sign_light(behind_m: float, gain: float) -> Light:
-    """A dark wall `behind_m` behind a sign of 8 x 8 pixels at a corner of four subgroups; gain: against a white Lambertian target."""
+    """Return a dark wall `behind_m` behind a sign of 8 x 8 pixels at a corner of four subgroups; gain: over a white target."""
     sign = np.zeros((SMALL, SMALL), bool)
     sign[SIGN, SIGN] = True
     of_sign = gain * float(signal_per_pulse(SIGN_M, 1.0))
@@ -344,20 +344,20 @@ def sign_light(behind_m: float, gain: float) -> Light:
 
 
 def _table(run: Runner, lights: dict[_Key, Light], seeds: int) -> dict[_Key, list[dict[str, Found]]]:
-    """What the schemes make of each light, for several seeds."""
+    """Return the schemes' results for each light, for several seeds."""
     tasks = [(light, seed + 1, THRESHOLD, tuple(SCHEMES)) for light in lights.values() for seed in range(seeds)]
     made = iter(run.map(found, tasks))
     return {key: [next(made) for _ in range(seeds)] for key in lights}
 
 
 def _wrong_any(depth_m: np.ndarray, distance_m: np.ndarray) -> float:
-    """Share of pixels of which no return (last axis) is within the tolerance of any of its targets (last axis)."""
+    """Return the share of pixels in which no return (last axis) is within the tolerance of any target (last axis)."""
     apart = np.abs(depth_m[:, :, :, None] - distance_m[:, :, None, :])
     return float(1 - (apart <= TOLERANCE_M).any(axis=(2, 3)).mean())
 
 
 def _both(depth_m: np.ndarray, distance_m: np.ndarray) -> float:
-    """Share of pixels of which every target is among the returns."""
+    """Return the share of pixels in which every target is among the returns."""
     return float(
         (np.abs(depth_m[:, :, :, None] - distance_m[:, :, None, :]) <= TOLERANCE_M).any(axis=2).all(axis=2).mean()
     )

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Fig. 7 of the paper: the thresholds that serve an activity as well as the best one, the highest and the lowest of them."""
+"""Fig. 7 of the paper: the highest and the lowest threshold that serve an activity as well as the best one."""
 
 from collections.abc import Iterable
 from typing import TypeAlias
@@ -15,31 +15,31 @@ from .cases import MANY, PULSES, Case, Runner, mean_of, vary
 from .page import Comparison, Row, Section
 
 DISTANCE_M = 9.7
-SIGNAL = np.geomspace(0.015, 0.235, 9)  # photons of a pixel and pulse: 0.23 is a reflectivity of 0.9 at 9.7 m
+SIGNAL = np.geomspace(0.015, 0.235, 9)  # photons per pixel and pulse: 0.23 is a reflectivity of 0.9 at 9.7 m
 KLUX = (5.0, 50.0)
 WINDOW_TICKS, PIXELS, SEEDS = 16, 64, 3
 Chosen: TypeAlias = dict[
     tuple[str, float, int], list[tuple[int, int]]
 ]  # (highest, lowest) threshold by source, klux and pulses, one pair for each of `SIGNAL`
-READINGS = (  # threshold, what the paper says of it, why ours differs
+READINGS = (  # threshold, the paper's text about it, why ours differs
     (
         "highest",
         "rises with activity, 1 to 7",
-        "Rises as in the paper in the corrected form and in Monte Carlo; with more pulses every threshold leaves fewer errors. "
-        "The literal form has one noise window per pulse, a 500th of what there is, so that nothing calls for a high "
-        "threshold, and asks for exactly th - 1 others.",
+        "Rises as in the paper in the corrected form and in Monte Carlo; with more pulses, every threshold leaves fewer errors. "
+        "The literal form has one noise window per pulse, a 500th of the real number, so that nothing requires a high "
+        "threshold, and it asks for exactly th - 1 others.",
     ),
     (
         "lowest",
         "-",
         "Rises by at most two or three in the middle of the range, where 100 pulses leave errors, and falls again: a bright target "
-        "tolerates a high threshold, it does not need one. With more pulses the lowest is 1 everywhere.",
+        "tolerates a high threshold, but does not need one. With more pulses, the lowest threshold is 1 everywhere.",
     ),
 )
 
 
 def figure_7(run: Runner) -> Section:
-    """Best thresholds against activity: flat targets of growing reflectivity, under two backgrounds."""
+    """Show the best thresholds against activity: flat targets of growing reflectivity, under two backgrounds."""
     rows: list[Row] = [
         (
             "source",
@@ -87,7 +87,7 @@ def figure_7(run: Runner) -> Section:
         "Fig. 7: threshold against activity",
         f"""<p>Flat targets at {DISTANCE_M} m, of growing reflectivity: the highest threshold with which a pixel's highest bin
 is right (230 ps) as often as with the best threshold, within 1 %, and the lowest such threshold. The paper does not say how it
-chooses: the highest is our reading. Success of Monte Carlo is the share of right pixels of a 16x16 array and {SEEDS} seeds.</p>""",
+chooses; the highest is our reading. Success of Monte Carlo is the share of right pixels of a 16x16 array and {SEEDS} seeds.</p>""",
         [
             (
                 "fig7",
@@ -117,7 +117,7 @@ def _success(task: tuple[float, float, str]) -> np.ndarray:
 
 
 def _simulated(run: Runner, klux: float, pulses: int) -> np.ndarray:
-    """Share of right pixels, float64[signals, 7] by threshold."""
+    """Return the share of right pixels, float64[signals, 7] by threshold."""
     cases = {}
     for signal in SIGNAL:
         reflectivity = signal / signal_per_pulse(DISTANCE_M, 1.0)
@@ -145,7 +145,7 @@ def _add(
     activity_cps: np.ndarray,
     success: Iterable[np.ndarray],
 ) -> None:
-    """Rows of the CSV, and the thresholds chosen."""
+    """Add rows to the CSV, and return the chosen thresholds."""
     shares = [np.asarray(one) for one in success]
     chosen[source, klux, pulses] = [(expected_threshold(one), lowest_threshold(one)) for one in shares]
     for signal, activity, thresholds, one in zip(SIGNAL, activity_cps, chosen[source, klux, pulses], shares):
@@ -153,6 +153,6 @@ def _add(
 
 
 def _ends(chosen: list[tuple[int, int]], which: int) -> str:
-    """The thresholds (`which`: 0 the highest, 1 the lowest) at the least and the greatest activity, and the most between them."""
+    """Return the thresholds (`which`: 0 highest, 1 lowest) at lowest and highest activity, and the maximum in between."""
     first, last, most = chosen[0][which], chosen[-1][which], max(pair[which] for pair in chosen)
     return f"{first} to {last}" + (f", {most} between them" if most > max(first, last) else "")

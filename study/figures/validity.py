@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where the corrected equations stop to describe the sensor: expected counts of a pixel against Monte Carlo."""
+"""Limits of the corrected equations: expected counts of a pixel against Monte Carlo."""
 
 from typing import Any
 
@@ -22,14 +22,14 @@ from .page import Comparison, Row, Section
 KLUX = (1.0, 5.0, 20.0, 50.0, 100.0, 200.0, 400.0, 1000.0, 2000.0)
 DISTANCE_M, SIGNAL = 9.7, 0.05  # 3.2 photons per pulse in the subgroup: a dark object
 THRESHOLDS, WINDOW_TICKS, PULSES = (2, 5), 16, 1000
-AROUND_S = 2e-9  # of the time of flight: what counts as signal
+AROUND_S = 2e-9  # around the time of flight: counts as signal
 SENSOR: dict[str, Any] = {"rows": 8, "cols": 8, "fifo_depth": 1024}
 PIXELS = 64
 COUNTS = ("signal", "noise")
 
 
 def validity(run: Runner) -> Section:
-    """Counts of a pixel near the target and elsewhere, as a ratio to Monte Carlo, against background."""
+    """Show counts of a pixel near the target and elsewhere, as a ratio to Monte Carlo, against background."""
     keys = [
         (pulses, threshold, klux) for pulses in (PULSES, MANY * PULSES) for threshold in THRESHOLDS for klux in KLUX
     ]
@@ -84,14 +84,14 @@ def validity(run: Runner) -> Section:
         "validity",
         "Where the corrected equations end",
         f"""<p>A dark target ({PIXELS * SIGNAL:.1f} photons per pulse in the subgroup) at {DISTANCE_M} m: mean counts per pixel and pulse
-within {AROUND_S * 1e9:g} ns of the time of flight, and elsewhere, over those of Monte Carlo. The corrected form takes pixels that have just
-fired for ready at the next window, which it states to hold while noise times dead time stays below {VALID_DEAD_FRACTION:g}, up to
-{limit_klux:.0f} klux here. Bars: standard error of Monte Carlo.</p>""",
+within {AROUND_S * 1e9:g} ns of the time of flight, and elsewhere, relative to those of Monte Carlo. The corrected form assumes that pixels
+that have just fired are ready at the next window. It claims to hold while noise times dead time is below {VALID_DEAD_FRACTION:g}, here up
+to {limit_klux:.0f} klux. Bars: standard error of Monte Carlo.</p>""",
         [
             (
                 "validity",
                 figure,
-                f"Ratio of analytic counts to Monte Carlo, {MANY * PULSES} pulses; the CSV has {PULSES} too",
+                f"Ratio of analytic counts to Monte Carlo, {MANY * PULSES} pulses; the CSV also has {PULSES}",
             )
         ],
         rows,
@@ -100,8 +100,8 @@ fired for ready at the next window, which it states to hold while noise times de
                 "largest deviation within the stated validity",
                 "-",
                 {form: f"{value:.1%}" for form, value in worst.items()},
-                "Corrected: with the statistics of Monte Carlo. Literal: (16a) takes one window of noise a pulse, where there are "
-                "some hundred; (18) divides by the root of the jitter, so that the signal's bins sum to 14.6 times what they should; "
+                "Corrected: with the statistics of Monte Carlo. Literal: (16a) assumes one window of noise per pulse, while there are "
+                "some hundred; (18) divides by the root of the jitter, so that the signal's bins sum to 14.6 times the right value; "
                 "no mixed coincidences in (13) and (15).",
             )
         ],
@@ -109,7 +109,7 @@ fired for ready at the next window, which it states to hold while noise times de
 
 
 def _counts(task: tuple[int, int, float]) -> tuple[list[float], dict[str, list[float]]]:
-    """Counts of a pixel and pulse near the target and elsewhere: (Monte Carlo, by form)."""
+    """Return the counts of a pixel and pulse near the target and elsewhere: (Monte Carlo, by form)."""
     pulses, threshold, klux = task
     config = parse_config(
         {"sensor": SENSOR, "frame": {"pulses": pulses}, "subgroup": {"threshold": threshold, "window": WINDOW_TICKS}}
@@ -118,7 +118,7 @@ def _counts(task: tuple[int, int, float]) -> tuple[list[float], dict[str, list[f
     light = Light(rows=8, cols=8, distance_m=DISTANCE_M, signal_per_pulse=SIGNAL, background_cps=background_cps(klux))
     result = golden_result(config, generate_edges(light, Spad(), timing, pulses=pulses, seed=1))
     flight_s = 2 * DISTANCE_M / SPEED_OF_LIGHT_M_S
-    share_left = result["stored"].sum() / max(1, result["committed"].sum())  # what a full FIFO drops is no matter here
+    share_left = result["stored"].sum() / max(1, result["committed"].sum())  # drops of a full FIFO are excluded here
     near = np.abs((result["stamp"] + 0.5) * timing.tick_s - flight_s) < AROUND_S
     measured = [float(result["count"][part].sum() / (PIXELS * pulses * share_left)) for part in (near, ~near)]
     time_s = (np.arange(config.period_ticks) + 0.5) * timing.tick_s
@@ -141,7 +141,7 @@ def _counts(task: tuple[int, int, float]) -> tuple[list[float], dict[str, list[f
 
 
 def _ratio(expected: float, measured: float, pulses: int) -> tuple[float, float]:
-    """`expected` over `measured` counts of a pixel and pulse, and the standard error from the number of counts."""
+    """Return `expected` over `measured` counts of a pixel and pulse, and the standard error from the number of counts."""
     if not measured:
         return float("nan"), float("nan")
     ratio = expected / measured
@@ -149,5 +149,5 @@ def _ratio(expected: float, measured: float, pulses: int) -> tuple[float, float]
 
 
 def _seen(measured: float, pulses: int, least: int) -> bool:
-    """Whether at least `least` counts stand behind the mean `measured`."""
+    """Return whether the mean `measured` is based on at least `least` counts."""
     return measured * PIXELS * pulses >= least

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The views of a frame as Bokeh figures that know of each other: maps, a pixel's histogram, one laser period of a subgroup.
+"""The views of a frame as linked Bokeh figures: maps, a pixel's histogram, one laser period of a subgroup.
 
-The same figures stand in the explorer, in `report.html` and in notebooks. Colours are CSS variables of the page (`study/show/page.css`), so
-that a theme changes them all; fates and verdicts differ in shape or hatching, too. Colours: Okabe and Ito's, which colour-blind people can
-tell apart, and the maps viridis and cividis, of which that is known.
+The same figures appear in the explorer, in `report.html` and in notebooks. Colours are CSS variables of the page
+(`study/show/page.css`), so a theme changes them all. Fates and verdicts also differ in shape or hatching. The colours are
+those of Okabe and Ito, and the maps viridis and cividis; colour-blind people can tell both apart.
 """
 
 from collections.abc import Callable
@@ -36,7 +36,7 @@ from ...model.shared.constants import SPEED_OF_LIGHT_M_S
 from .frame import HISTOGRAM_BIN_M, FrameView
 from .timeline import Period, Verdict
 
-Columns: TypeAlias = dict[str, Any]  # of a source
+Columns: TypeAlias = dict[str, Any]  # columns of a source
 
 STYLESHEET = """
 :host {
@@ -70,14 +70,14 @@ ERROR_PALETTE = tuple(  # blue, white, orange: too near, right, too far
     for start, end in (((0, 114, 178), (247, 247, 247)), ((247, 247, 247), (213, 94, 0)))
     for share in np.linspace(0, 1, 64)
 )
-ERROR_SHOWN_M = 0.5  # beyond it the colour stays
+ERROR_SHOWN_M = 0.5  # the colour saturates here
 COUNTS = ("threshold", "drops")  # maps of whole numbers
-WHOLE_COLOURS_MAX = 8  # whole numbers up to this have a colour each
-COMPARED = ("depth_m", "error_m", "drops")  # maps that are shown where two frames are
+WHOLE_COLOURS_MAX = 8  # up to this value, each whole number has a colour of its own
+COMPARED = ("depth_m", "error_m", "drops")  # maps that are shown when two frames are compared
 NO_VALUE = "#8c8c8c"
-MIDDLE_INK = "#7d8791"  # of words that no CSS variable reaches: to be read on light and dark
+MIDDLE_INK = "#7d8791"  # for text that CSS variables do not reach: readable on light and dark
 MAP_SIZE_PX, BAR_WIDTH_PX = 172, 8
-DEPTH_MARGIN = 0.05  # of the truth's span, on both sides of the colour scale
+DEPTH_MARGIN = 0.05  # relative to the truth's span, on both sides of the colour scale
 CHOICE_MARKS = ("diamond", "circle")  # the chosen return, the others
 
 
@@ -116,7 +116,7 @@ TOOLTIPS = [
 
 
 def map_columns(view: FrameView) -> Columns:
-    """The source of the maps: one row, every column a picture."""
+    """Return the source of the maps: one row, every column a picture."""
     sensor = view.config.sensor
     row, col = np.indices((sensor.rows, sensor.cols))
     pictures = {name: getattr(view, name).astype(np.float32) for name in MAPS}
@@ -128,7 +128,7 @@ def map_columns(view: FrameView) -> Columns:
 
 
 def map_scales(views: list[FrameView]) -> dict[str, tuple[float, float]]:
-    """(low, high) of every map's colours, the same for all `views`, so that they can be compared."""
+    """Return (low, high) of every map's colours, the same for all `views`, so that they can be compared."""
     near_m = min((np.nanmin(view.truth_m) for view in views if not np.isnan(view.truth_m).all()), default=0.0)
     far_m = max((np.nanmax(view.truth_m) for view in views if not np.isnan(view.truth_m).all()), default=1.0)
     margin_m = max(DEPTH_MARGIN * (far_m - near_m), TOLERANCE_M)
@@ -144,7 +144,7 @@ def map_scales(views: list[FrameView]) -> dict[str, tuple[float, float]]:
 
 
 def cursor_columns(view: FrameView, row: int, col: int) -> tuple[Columns, Columns]:
-    """(frame around the pixel, frame around its subgroup), as sources of rectangles."""
+    """Return (frame around the pixel, frame around its subgroup), as sources of rectangles."""
     height, width = view.config.sensor.subgroup
     top, left = row // height * height, col // width * width
     pixel = {"x": [col], "y": [row], "w": [1], "h": [1]}
@@ -153,7 +153,7 @@ def cursor_columns(view: FrameView, row: int, col: int) -> tuple[Columns, Column
 
 
 class MapFigure:
-    """A picture of the array, one of `MAPS`; click and hover. name: of the figure. source: holds `map_columns`."""
+    """A picture of the array, one of `MAPS`, with click and hover. name: of the figure. source: holds `map_columns`."""
 
     def __init__(
         self, kind: MapKind, name: str, source: ColumnDataSource, cursor: ColumnDataSource, around: ColumnDataSource
@@ -205,12 +205,12 @@ class MapFigure:
         plot.add_layout(bar, "right")
 
     def show(self, view: FrameView, scale: tuple[float, float], prefix: str = "") -> None:
-        """Fits title, colours and ranges to `view`, whose columns the source will hold. scale: (low, high) of the colours."""
+        """Set title, colours and ranges for `view`, whose columns the source will hold. scale: (low, high) of the colours."""
         self.figure.title.text = prefix + self.kind.title
         (low, high), palette = scale, self.kind.palette
         if self.kind.name in COUNTS and high <= WHOLE_COLOURS_MAX:
             low, high, palette = low - 0.5, high + 0.5, cividis(int(high) + 1)
-        if self._palette != palette:  # Bokeh checks every colour
+        if self._palette != palette:  # because Bokeh checks every colour
             self._palette = self.mapper.palette = palette
         self.mapper.update(low=low, high=high)
         sensor = view.config.sensor
@@ -219,7 +219,7 @@ class MapFigure:
 
 
 def histogram_columns(view: FrameView, row: int, col: int) -> tuple[Columns, Columns, Columns]:
-    """(bars, returns, truth): sources of a pixel's histogram, distances in metres."""
+    """Return (bars, returns, truth): sources of a pixel's histogram, distances in metres."""
     of_pixel, of_subgroup = view.histogram(row, col)
     left = np.arange(len(of_pixel)) * HISTOGRAM_BIN_M
     bars = {"left": left, "right": left + HISTOGRAM_BIN_M, "pixel": of_pixel, "subgroup": of_subgroup}
@@ -229,7 +229,7 @@ def histogram_columns(view: FrameView, row: int, col: int) -> tuple[Columns, Col
 
 
 def return_columns(at_m: np.ndarray, confidence: np.ndarray) -> Columns:
-    """The source of a pixel's returns, the chosen one first."""
+    """Return the source of a pixel's returns, the chosen one first."""
     chosen = np.arange(len(at_m)) == 0
     return {
         "x": at_m,
@@ -246,7 +246,7 @@ def truth_of(view: FrameView, row: int, col: int) -> list[float]:
 
 
 class HistogramFigure:
-    """A pixel's events over distance, and behind them, paler and on their own scale, all of its subgroup's."""
+    """A pixel's events over distance, and behind them, paler and on a scale of their own, those of its subgroup."""
 
     def __init__(self, width: int = 480, height: int = 226):
         self.bars = ColumnDataSource({"left": [], "right": [], "pixel": [], "subgroup": []})
@@ -316,19 +316,19 @@ def histogram_title(view: FrameView, row: int, col: int) -> str:
 
 
 def light_columns(view: FrameView, subgroup: int) -> Columns:
-    """The source of when each pixel of a subgroup expects the laser's light, ns after the trigger."""
+    """Return the source of each pixel's expected arrival of the laser's light, in ns after the trigger."""
     table = pixel_table(view.config.sensor)
     chosen = (table.subgroup == subgroup) & ~np.isnan(view.truth_m.ravel())
     return {"x": 2e9 / SPEED_OF_LIGHT_M_S * view.truth_m.ravel()[chosen], "y": table.inside[chosen]}
 
 
 def commit_mark(verdict: Verdict) -> str:
-    """Marker below a window's commit, at the FIFO."""
+    """Return the marker below a window's commit, at the FIFO."""
     return {Verdict.COMMITTED: "inverted_triangle", Verdict.DROPPED: "x", Verdict.REJECTED: "dot"}[verdict]
 
 
 def period_columns(view: FrameView, period: Period) -> tuple[Columns, Columns, Columns, Columns]:
-    """(edges, windows, gate, fill): sources of one laser period, times in ns from the laser's trigger."""
+    """Return (edges, windows, gate, fill): sources of one laser period, times in ns from the laser's trigger."""
     sensor = view.config.sensor
     tick_ns = view.config.tick_s * 1e9
     cycle_ns = tick_ns * sensor.phases
@@ -366,7 +366,7 @@ def period_columns(view: FrameView, period: Period) -> tuple[Columns, Columns, C
 
 
 class TimelineFigure:
-    """One laser period of a subgroup: edges, windows, gate and commits above, the FIFO's fill below."""
+    """One laser period of a subgroup: edges, windows, gate and commits above, the fill level of the FIFO below."""
 
     def __init__(self, width: int = 480, height: int = 226):
         self.edges = ColumnDataSource({name: [] for name in ("x", "y", "colour", "marker", "fate")})
@@ -454,7 +454,7 @@ class TimelineFigure:
         self.fit(view)
 
     def fit(self, view: FrameView) -> None:
-        """Ranges for the sensor of `view`."""
+        """Set the ranges for the sensor of `view`."""
         sensor = view.config.sensor
         end_ns = view.config.period_ticks * view.config.tick_s * 1e9
         self.figure.x_range.update(start=0, end=end_ns)
@@ -487,7 +487,7 @@ def _legend_above(plot: figure) -> None:
 
 
 class Views:
-    """All figures, linked: a click on any map picks a pixel and its subgroup. compared: with maps of another frame, A, before them."""
+    """All figures, linked: a click on any map selects a pixel and its subgroup. compared: with maps of another frame, A."""
 
     def __init__(self, compared: bool = False) -> None:
         self.pictures, self.others = (ColumnDataSource(_no_picture()) for _ in range(2))
@@ -507,7 +507,7 @@ class Views:
     def show(
         self, view: FrameView, other: FrameView | None = None, scales: dict[str, tuple[float, float]] | None = None
     ) -> None:
-        """Shows all maps of a frame (B), and of another one (A) beside it."""
+        """Show all maps of a frame (B), and of another one (A) beside it."""
         scales = scales or map_scales([view] if other is None else [view, other])
         for one in self.maps:
             one.show(view, scales[one.kind.name], "" if other is None else "B: ")
@@ -518,18 +518,18 @@ class Views:
             self.others.data = map_columns(other)
 
     def pick(self, view: FrameView, row: int, col: int, pulse: int) -> None:
-        """Shows a pixel's histogram and its subgroup's laser period."""
+        """Show a pixel's histogram and its subgroup's laser period."""
         self.cursor.data, self.around.data = cursor_columns(view, row, col)
         self.histogram.show(view, row, col)
         self.timeline.show(view, view.subgroup_of(row, col), pulse)
 
     def on_pick(self, picked: Callable[[int, int], None]) -> None:
-        """Calls picked(row, col) for a click, where a server listens."""
+        """Call picked(row, col) after a click, for pages with a server."""
         for one in (*self.a_maps, *self.maps):
             one.figure.on_event(Tap, lambda event: picked(round(event.y), round(event.x)))
 
     def pick_in_page(self, code: CustomJS) -> None:
-        """Runs `code` for a click, where no server listens."""
+        """Run `code` after a click, for pages without a server."""
         for one in self.maps:
             one.figure.js_on_event(Tap, code)
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What can be looked at in one frame: maps, a pixel's histogram, a subgroup's laser period, numbers. Arrays only, nothing is drawn here."""
+"""The viewable content of one frame: maps, a pixel's histogram, a subgroup's laser period, numbers. Nothing is drawn here."""
 
 from inspect import signature
 
@@ -22,21 +22,21 @@ from ...model.shared.errors import check_integer
 from ..measures import measures
 from .timeline import Timeline, frame_timeline
 
-HISTOGRAM_BIN_M = 0.15  # of the histograms that are shown; estimators work on ticks
-COARSE_TOLERANCE_M = 0.15  # beside the paper's 230 ps
-LIGHT_SIGMAS = 4  # around a surface's arrival: an event outside holds background only
+HISTOGRAM_BIN_M = 0.15  # for display; estimators work on ticks
+COARSE_TOLERANCE_M = 0.15  # in addition to the paper's 230 ps
+LIGHT_SIGMAS = 4  # around a surface's arrival: an event outside contains only background
 DEFAULT_METHOD: str = signature(estimate_depth).parameters["method"].default
-CANDIDATES = 4  # returns of a pixel that are shown, the chosen one first
+CANDIDATES = 4  # number of returns shown per pixel, the chosen one first
 
 
 def metres_per_tick(config: Config) -> float:
-    """Distance that light goes to and fro within a tick."""
+    """Return the distance that light covers there and back within a tick."""
     return config.tick_s * SPEED_OF_LIGHT_M_S / 2
 
 
 @frozen(kw_only=True)
 class ObjectView:
-    """What became of an object. distance_m, reflectivity: medians; signal: median of the photons per pixel and pulse."""
+    """Results of an object. distance_m, reflectivity: medians; signal: median of the photons per pixel and pulse."""
 
     name: str
     pixels: int
@@ -48,12 +48,13 @@ class ObjectView:
 
 @frozen(eq=False)
 class FrameView:
-    """One frame, ready to be looked at.
+    """One frame, ready to be displayed.
 
-    Maps, float64[rows, cols]: truth_m, depth_m, error_m (depth - truth) and confidence, NaN = none; threshold (pixels that a window of the
-    subgroup had to hold) and drops (events that the subgroup's FIFO had no place for); reflectivity (NaN = no target); signal and
-    background, mean photons that the pixel detects in a laser period. candidate_m, candidate_confidence: float64[rows, cols, CANDIDATES].
-    numbers: of `study/measures.py`, and a few more. objects: see `seen_objects`.
+    Maps, float64[rows, cols]: truth_m, depth_m, error_m (depth - truth) and confidence, NaN = none; threshold (pixels
+    that a window of the subgroup needed) and drops (events that the subgroup's full FIFO dropped); reflectivity (NaN =
+    no target); signal and background, mean photons that the pixel detects in a laser period. candidate_m,
+    candidate_confidence: float64[rows, cols, CANDIDATES]. numbers: from `study/measures.py`, and a few more. objects: see
+    `seen_objects`.
     """
 
     title: str
@@ -76,11 +77,11 @@ class FrameView:
 
     @property
     def range_m(self) -> float:
-        """What a laser period holds."""
+        """Range of a laser period in metres."""
         return self.config.period_ticks * metres_per_tick(self.config)
 
     def subgroup_of(self, row: int, col: int) -> int:
-        """The subgroup of a pixel. Raises `InputError`."""
+        """Return the subgroup of a pixel. Raises `InputError`."""
         sensor = self.config.sensor
         check_integer("row", row, 0, sensor.rows - 1)
         check_integer("col", col, 0, sensor.cols - 1)
@@ -97,7 +98,7 @@ class FrameView:
         return int(np.ceil(self.range_m / HISTOGRAM_BIN_M))
 
     def histogram(self, row: int, col: int) -> tuple[np.ndarray, np.ndarray]:
-        """(of the pixel, of its subgroup): events by distance, int64[bins] of `HISTOGRAM_BIN_M` each. Raises `InputError`."""
+        """Return events by distance, (of the pixel, of its subgroup): int64[bins] of `HISTOGRAM_BIN_M`. Raises `InputError`."""
         subgroup = self.subgroup_of(row, col)
         inside = pixel_table(self.config.sensor).inside[row * self.config.sensor.cols + col]
         bins = self.event_bins()[self.events.bounds[subgroup] : self.events.bounds[subgroup + 1]]
@@ -117,7 +118,7 @@ def frame_view(
     frame: int = 0,
     method: str = DEFAULT_METHOD,
 ) -> FrameView:
-    """The views of frame `frame` of a result. edges: the frame's, pulses from its start on; trace: how the golden model played it."""
+    """Return the views of frame `frame` of a result. edges: of the frame, with its own pulse count; trace: by the golden model."""
     sensor = config.sensor
     found = estimate_depth(arrays, config, method=method, frame=frame, returns=CANDIDATES)
     depth_m, truth_m = found.depth_m[:, :, 0], scene.truth_m
@@ -148,7 +149,7 @@ def frame_view(
 
 
 def _of_subgroups(values: np.ndarray, config: Config) -> np.ndarray:
-    """float64[rows, cols] from a value per subgroup."""
+    """float64[rows, cols] from one value per subgroup."""
     sensor = config.sensor
     return pixel_image(np.broadcast_to(values[:, None], (sensor.subgroups, sensor.pixels)), sensor).astype(np.float64)
 
@@ -164,7 +165,7 @@ def _numbers(
 
 
 def _sun_share(events: Events, scene: Scene, config: Config, sigma_ticks: float) -> float | None:
-    """Share of the events that came when no surface in view of their subgroup sends light; None without events."""
+    """Return the share of the events that came when no visible surface sends light; None without events."""
     subgroup_of = pixel_table(config.sensor).subgroup
     arrival = scene.distance_m.reshape(config.sensor.array_pixels, -1) / metres_per_tick(config)
     alone = 0
@@ -178,8 +179,9 @@ def _sun_share(events: Events, scene: Scene, config: Config, sigma_ticks: float)
 
 
 def seen_objects(scene: Scene, light: Light, depth_m: np.ndarray) -> list[ObjectView]:
-    """The objects, that with the least light first. A scene without objects is split in two: pixels with less and with more
-    signal than the median.
+    """Return the objects, with the darkest first.
+
+    A scene without objects is split in two: pixels with less signal than the median, and pixels with more.
     """
     truth_m, valid = scene.truth_m, scene.valid
     signal = light.signal_per_pulse.sum(axis=1).reshape(valid.shape)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A run in a notebook: a summary that needs nothing but itself, and the explorer's figures, each in a frame of its own without any network."""
+"""A run in a notebook: a self-contained summary, and the explorer's figures, each in a frame of its own without network."""
 
 import base64
 from collections.abc import Callable
@@ -27,7 +27,7 @@ from .words import number_rows, story
 
 
 class Run(Protocol):
-    """What is shown of a run (`study/run.py`)."""
+    """The parts of a run (`study/run.py`) that are shown."""
 
     @property
     def config(self) -> Config: ...
@@ -43,7 +43,7 @@ class Run(Protocol):
 
 @frozen
 class Shown:
-    """A page that shows itself in a notebook. html: self-contained; height_px: of the frame that it is shown in."""
+    """A page that displays itself in a notebook. html: self-contained; height_px: height of its frame."""
 
     html: str
     height_px: int
@@ -54,13 +54,13 @@ class Shown:
         )
 
     def save(self, path: FilePath) -> None:
-        """Writes the page, whole or not at all."""
+        """Write the page, whole or not at all."""
         with whole_file(path, "w") as file:
             file.write(self.html)
 
 
 def run_view(run: Run, frame: int = 0, method: str = DEFAULT_METHOD) -> FrameView:
-    """The views of a frame of a run, with what the golden model shows of the frames up to it. Raises `InputError`."""
+    """Return the views of a frame of a run, with the golden model's traces of the frames so far. Raises `InputError`."""
     config = run.config
     check_integer("frame", frame, 0, config.frames - 1)
     golden = Golden(config.sensor)
@@ -73,7 +73,7 @@ def run_view(run: Run, frame: int = 0, method: str = DEFAULT_METHOD) -> FrameVie
 
 
 def summary(run: Run) -> str:
-    """HTML: the first frame's truth and depth, and its numbers."""
+    """Return HTML: the first frame's truth and depth, and its numbers."""
     view = run_view(run)
     figure, _ = draw_row([Panel("depth", view.depth_m)], view.truth_m, run.scene.name)
     picture = base64.b64encode(figure_bytes(figure, "png")).decode()
@@ -85,7 +85,7 @@ def summary(run: Run) -> str:
 
 
 def plot(run: Run, frame: int = 0, method: str = DEFAULT_METHOD) -> Shown:
-    """All views of a frame, linked as in `report.html`."""
+    """Return all views of a frame, linked as in `report.html`."""
     with extra("explore"):
         from .report import report_html
 
@@ -93,13 +93,13 @@ def plot(run: Run, frame: int = 0, method: str = DEFAULT_METHOD) -> Shown:
 
 
 class PixelHistogram(np.ndarray):
-    """`pixel_histogram` of a run, int32[period_ticks], which shows itself in a notebook with truth, candidates and what was chosen."""
+    """`pixel_histogram` of a run, int32[period_ticks]; a notebook shows it with truth, candidates and the chosen return."""
 
-    draw: Callable[[], Shown] | None  # None of what was computed from it
+    draw: Callable[[], Shown] | None  # None for arrays computed from it
 
     @classmethod
     def of(cls, run: Run, pixel: int, *, source: str = "map", frame: int | None = None) -> "PixelHistogram":
-        """Of pixel row * cols + column; frame None: hits of all frames, drawn with the first one's depth. Raises `InputError`."""
+        """Return that of pixel row * cols + column; frame None: hits of all frames, drawn with the first one's depth."""
         hits = pixel_histogram(run.result, run.config, pixel, source=source, frame=frame).view(cls)
         hits.draw = partial(plot_histogram, run, pixel, frame or 0)
         return hits
@@ -108,7 +108,7 @@ class PixelHistogram(np.ndarray):
         self.draw = None
 
     def _repr_html_(self) -> str | None:
-        """None where there is no picture: then a notebook prints the array."""
+        """Return None if there is no picture: then a notebook prints the array."""
         try:
             return None if self.draw is None else self.draw()._repr_html_()
         except InputError:  # the extra `explore` is not installed
@@ -116,7 +116,7 @@ class PixelHistogram(np.ndarray):
 
 
 def plot_histogram(run: Run, pixel: int, frame: int = 0, method: str = DEFAULT_METHOD) -> Shown:
-    """A pixel's histogram with truth, candidates and what was chosen; pixel = row * cols + column."""
+    """Return a pixel's histogram with truth, candidates and the chosen return; pixel = row * cols + column."""
     with extra("explore"):
         from .figures import HistogramFigure
 
@@ -128,7 +128,7 @@ def plot_histogram(run: Run, pixel: int, frame: int = 0, method: str = DEFAULT_M
 
 
 def plot_timeline(run: Run, subgroup: int, pulse: int, frame: int = 0) -> Shown:
-    """One laser period of a subgroup: edges with their fates, windows, gate, commits, FIFO."""
+    """Return one laser period of a subgroup: edges with their fates, windows, gate, commits, FIFO."""
     with extra("explore"):
         from .figures import TimelineFigure
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Files that make up pages: style and scripts, read once."""
+"""Files of which pages are made: style and scripts, read once."""
 
 from pathlib import Path
 

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// report.html: what a click or a field asks for is looked up in the tables that the report holds (report.py).
+// report.html: looks up the data for a click or a field in the tables of the report (report.py).
 let all = null;
 const PLAY_MS = 450;
 const place = (name) => document.querySelector(`[data-look="${name}"]`);

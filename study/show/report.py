@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """`report.html`: the views of a run in one file that needs no server and no network, to be sent to a colleague.
 
-What the page's script picks from is what `timeline.py` and `frame.py` made: it looks up, and computes nothing.
+The page's script computes nothing; it only looks up data from `timeline.py` and `frame.py`.
 """
 
 import json
@@ -35,18 +35,18 @@ from .page import FILES, SHOW
 from .timeline import Windows, gate_of
 from .words import OBJECT_HEADS, number_rows, object_table, story
 
-EDGES_MAX = 2_000_000  # of a report, about 10 MB; of more, the first pulses are kept
+EDGES_MAX = 2_000_000  # per report, about 10 MB; if there are more, only the first pulses are kept
 
 
 def write_report(path: FilePath, heading: str, views: list[FrameView]) -> None:
-    """Writes the report of `views`, which are of one sensor and scene, whole or not at all."""
+    """Write the report of `views`, which are of one sensor and scene, whole or not at all."""
     html = report_html(heading, views)
     with whole_file(path, "w") as file:
         file.write(html)
 
 
 def report_html(heading: str, views: list[FrameView]) -> str:
-    """The report as HTML."""
+    """Return the report as HTML."""
     figures, first = Views(), views[0]
     scales = map_scales(views)
     pulses = _pulses_kept(views)
@@ -117,13 +117,13 @@ def _parts(figures: object, *names: str) -> dict[str, Any]:
 
 
 def _pulses_kept(views: list[FrameView]) -> int:
-    """Of how many pulses the edges fit the report."""
+    """Return the number of pulses whose edges fit the report."""
     pulses = views[0].config.pulses
     return max(1, min(pulses, EDGES_MAX * pulses // max(1, sum(len(view.timeline.tick) for view in views))))
 
 
 def _sources(view: FrameView, pulses: int) -> dict[str, Any]:
-    """What a page looks up of a frame. Periods are counted subgroup * pulses + pulse with the pulses that are kept."""
+    """Return the data of a frame that a page looks up. Period numbers are subgroup * pulses + pulse, of kept pulses."""
     line = view.timeline
     edges, edge_bounds = _first_pulses(line.edge_bounds, view.config.pulses, pulses)
     opened, window_bounds = _first_pulses(line.window_bounds, view.config.pulses, pulses)
@@ -167,7 +167,7 @@ def _sources(view: FrameView, pulses: int) -> dict[str, Any]:
 
 
 def _first_pulses(bounds: np.ndarray, pulses: int, kept: int) -> tuple[np.ndarray, np.ndarray]:
-    """(indices, bounds) of what belongs to the first `kept` pulses of every subgroup."""
+    """Return (indices, bounds) of the part that belongs to the first `kept` pulses of every subgroup."""
     sizes = np.diff(bounds).reshape(-1, pulses)
     chosen = np.repeat((np.arange(sizes.size) % pulses) < kept, sizes.ravel())
     return np.flatnonzero(chosen), np.concatenate([[0], np.cumsum(sizes[:, :kept])])

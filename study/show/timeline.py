@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What happened inside the subgroups in a frame: every edge with its fate, every window with its verdict, every FIFO's fill.
+"""Events inside the subgroups in a frame: every edge with its fate, every window with its verdict, every FIFO's fill level.
 
-Nothing is simulated here: windows are put together again from the edges' fates, and commits and departures are read from what the
-golden model shows of the frame at its ports. Our choice of what to show; the terms are the contract's (paper III-A).
+Nothing is simulated here. Windows are reassembled from the edges' fates; commits and departures are read from the golden
+model's record of the ports. The selection is our choice; the terms are those of the contract (paper III-A).
 """
 
 import enum
@@ -20,12 +20,12 @@ from ...model.contract.stream import packet_starts
 from ...model.golden.frame import Trace
 from ...model.shared.errors import check_integer
 
-# A packet's last beat frees its place in the FIFO so many cycles before it can be at the port (no stall, so it is there then).
+# The last beat of a packet frees its place in the FIFO this many cycles before it is at the port (without stalls).
 _FREED_BEFORE_PORT = latency.GRANT_TO_BEAT + latency.BEAT_TO_PORT - latency.GRANT_TO_READ - 1
 
 
 class Verdict(enum.IntEnum):
-    """What became of a window."""
+    """Fate of a window."""
 
     COMMITTED = 0
     REJECTED = 1
@@ -36,8 +36,8 @@ class Verdict(enum.IntEnum):
 class Windows:
     """Windows in the order of the edges that opened them, arrays [n].
 
-    start, end: int64, ticks of their period; the window is [start, end). count: int64, distinct pixels. verdict: uint8, `Verdict`. commit:
-    int64, cycles from the period's first one to the commit that was or would have been.
+    start, end: int64, ticks of their period; the window is [start, end). count: int64, distinct pixels. verdict: uint8,
+    `Verdict`. commit: int64, cycles from the start of the period to the commit, real or hypothetical.
     """
 
     start: np.ndarray
@@ -51,10 +51,11 @@ class Windows:
 class Timeline:
     """One frame, by subgroup, then laser period, then time; period k = subgroup * pulses + pulse.
 
-    Edges, arrays [edges]: tick (int64, of its period), pixel (int64, inside the subgroup), fate (uint8); those of period k stand at
-    edge_bounds[k] to edge_bounds[k + 1]. windows: likewise with window_bounds. start_cycles: int64[pulses], when periods begin.
-    FIFOs: fill_cycle (int64, of the frame) is when a fill changes, fill (int64) what it is from then on; those of subgroup s stand at
-    fill_bounds[s] to fill_bounds[s + 1], and the first says 0 in cycle 0. threshold: int64[subgroups], pixels that a window had to hold.
+    Edges, arrays [edges]: tick (int64, in its period), pixel (int64, in the subgroup), fate (uint8); period k has
+    edge_bounds[k] to edge_bounds[k + 1]. windows: likewise, with window_bounds. start_cycles: int64[pulses], first cycles
+    of the periods. FIFOs: fill_cycle (int64, of the frame) is the time of a change, fill (int64) the level from then on;
+    subgroup s has fill_bounds[s] to fill_bounds[s + 1], starting with level 0 in cycle 0. threshold: int64[subgroups],
+    number of pixels that a window needed.
     """
 
     config: Config
@@ -71,7 +72,7 @@ class Timeline:
     threshold: np.ndarray
 
     def period(self, subgroup: int, pulse: int) -> "Period":
-        """One laser period of one subgroup. Raises `InputError`."""
+        """Return one laser period of one subgroup. Raises `InputError`."""
         sensor, pulses = self.config.sensor, self.config.pulses
         check_integer("subgroup", subgroup, 0, sensor.subgroups - 1)
         check_integer("pulse", pulse, 0, pulses - 1)
@@ -96,9 +97,9 @@ class Timeline:
 
 @frozen(eq=False)
 class Period:
-    """One laser period of one subgroup: the arrays of `Timeline`, fill_cycle from the period's first cycle on.
+    """One laser period of one subgroup: the arrays of `Timeline`, with fill_cycle counted from the period's first cycle.
 
-    gate_cycles: (first, last + 1) of the gate, None where gating is off.
+    gate_cycles: (first, last + 1) of the gate, None if gating is off.
     """
 
     tick: np.ndarray
@@ -112,7 +113,7 @@ class Period:
 
 
 def gate_of(config: Config, subgroup: int, pulse: int) -> tuple[int, int] | None:
-    """The gate of a subgroup at a pulse of the frame in cycles of the period, (first, last + 1); None where gating is off."""
+    """Return a subgroup's gate at a pulse of the frame in cycles of the period, (first, last + 1); None if gating is off."""
     if not config.gating[subgroup]:
         return None
     frame = config.frame
@@ -122,7 +123,7 @@ def gate_of(config: Config, subgroup: int, pulse: int) -> tuple[int, int] | None
 
 
 def frame_timeline(config: Config, edges: Edges, trace: Trace) -> Timeline:
-    """The timeline of a frame that the golden model has played without stalls. edges: the frame's, pulses from its start on."""
+    """Return the timeline of a frame that the golden model played without stalls. edges: with the frame's own pulse count."""
     sensor, pulses = config.sensor, config.pulses
     table = pixel_table(sensor)
     subgroup, inside = table.subgroup[edges.pixel], table.inside[edges.pixel]
@@ -171,14 +172,14 @@ def _windows(
 
 
 def _key(subgroup: np.ndarray, cycle: np.ndarray) -> np.ndarray:
-    """One integer per (subgroup, cycle); no subgroup commits twice in a cycle."""
+    """Return one integer per (subgroup, cycle); a subgroup commits at most once per cycle."""
     return subgroup.astype(np.int64) << 48 | cycle
 
 
 def _fill(config: Config, trace: Trace) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(fill_cycle, fill, fill_bounds) of `Timeline`: up with every stored event, down when its place is free again.
+    """Return (fill_cycle, fill, fill_bounds) of `Timeline`: up at every stored event, down when its place is free again.
 
-    An event's place that is free in a commit's cycle takes that commit.
+    A place that becomes free in the cycle of a commit can take that commit.
     """
     gone_subgroup, gone_cycle = _departures(config, trace)
     subgroups = np.arange(config.sensor.subgroups)
@@ -186,12 +187,12 @@ def _fill(config: Config, trace: Trace) -> tuple[np.ndarray, np.ndarray, np.ndar
     cycle = np.concatenate([np.zeros_like(subgroups), trace.commit_cycle, gone_cycle])
     change = np.repeat([0, 1, -1], [len(subgroups), len(trace.commit_cycle), len(gone_cycle)])
     order = np.lexsort((change, cycle, subgroup))
-    # Every event that came has gone by the frame's end, so the sum over the subgroups before is 0.
+    # Every event has left by the end of the frame, so the sum over the earlier subgroups is 0.
     return cycle[order], np.cumsum(change[order]), np.searchsorted(subgroup[order], np.arange(len(subgroups) + 1))
 
 
 def _departures(config: Config, trace: Trace) -> tuple[np.ndarray, np.ndarray]:
-    """(subgroup, cycle) of the frame in which each event's place in its FIFO is free again, int64[events]."""
+    """Return (subgroup, cycle of the frame) in which each event's place in its FIFO becomes free, int64[events]."""
     sensor, parts = config.sensor, layout(config.sensor)
     subgroup, cycle = [], []
     for stream, (beats, at) in enumerate(zip(trace.beats, trace.beat_cycle)):

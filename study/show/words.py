@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Numbers of a frame in words and tables: what the explorer and `report.html` say beside the pictures."""
+"""Numbers of a frame in words and tables, for the explorer and `report.html`."""
 
 from collections.abc import Callable
 from typing import TypeAlias
@@ -25,7 +25,7 @@ OBJECT_HEADS = ("", "reflects", "distance", "photons", "wrong")
 
 
 def number_rows(*views: FrameView) -> list[list[str]]:
-    """A row per number: label, then each view's."""
+    """Return one row per number: label, then the value of each view."""
     return [[label, *(_said(view.numbers[name], form) for view in views)] for label, name, form in NUMBERS]
 
 
@@ -34,7 +34,7 @@ def _said(value: float | None, form: _Form) -> str:
 
 
 def object_table(*views: FrameView) -> list[list[str]]:
-    """A row per object of the first view: name, reflectivity, distance, signal, and its wrong share in each view."""
+    """Return one row per object of the first view: name, reflectivity, distance, signal, and its wrong share in each view."""
     wrong = [{one.name: one.wrong_share for one in view.objects} for view in views]
     return [
         [
@@ -49,12 +49,12 @@ def object_table(*views: FrameView) -> list[list[str]]:
 
 
 def story(view: FrameView) -> str:
-    """What happened in the frame, in two or three sentences."""
+    """Return two or three sentences about the frame."""
     numbers = view.numbers
     dropped = f", and {numbers['dropped']:,} found the FIFO full and were dropped" if numbers["dropped"] else ""
     text = f"Of {numbers['opened']:,} windows {numbers['committed']:,} met their threshold{dropped}."
     if numbers["sun_share"] is not None:
-        text += f" {numbers['sun_share']:.0%} of the events hold sunlight only."
+        text += f" {numbers['sun_share']:.0%} of the events contain only sunlight."
     if len(view.objects) > 1:
         dark, bright = view.objects[0], view.objects[-1]
         text += (

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""cocotb benches of the regression: the tests beside this folder start a simulator, which imports these by name."""
+"""cocotb benches of the regression: the tests in the folders beside it start a simulator, which imports them by name."""
 
 from pathlib import Path
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""cocotb tests of the asynchronous view: resets and aborts in the middle of frames, the SPADs firing all the while."""
+"""cocotb tests of the asynchronous view: resets and aborts in the middle of frames, while the SPADs keep firing."""
 
 import random
 
@@ -18,7 +18,7 @@ ALWAYS = np.zeros(0, np.uint8)  # the stream is ready in every cycle
 
 
 async def begun(dut, pulses: int):
-    """A bench with a frame under way, its light on, in cycle 0; its configuration and edges."""
+    """Return a bench with a running frame and its light, in cycle 0; and its configuration and edges."""
     bench = LineBench(dut, config().sensor)
     await bench.reset()
     frame = {"period": 60, "pulses": pulses, "format": "full", "minigroup_records": True}
@@ -61,7 +61,7 @@ async def resets_in_any_cycle(dut):
         record = await bench.play(of, edges, ALWAYS, Scoreboard(of.sensor, trace))
         assert record.checked > 50
         await FallingEdge(dut.clk)
-        dut.rst.value = 1  # the controller's memory goes with it
+        dut.rst.value = 1  # this also clears the controller's memory
         await FallingEdge(dut.clk)
         dut.rst.value = 0
         bench.programmed.forget()

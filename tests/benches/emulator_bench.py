@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""cocotb test of the emulator's pins: the host software, as it is, talks to them bit by bit, and a byte is lost on the way."""
+"""cocotb test of the emulator's pins: the unchanged host software talks to them bit by bit, and one byte is lost."""
 
 from collections import deque
 
@@ -17,11 +17,11 @@ from coincid.tb.emulator import PATIENCE_S
 SENSOR = Sensor(rows=4, cols=8, phases=8, window_max=16, subgroup=(4, 4))
 CLOCK_NS, CLOCKS_PER_BIT = 10, 4
 BIT_NS = CLOCK_NS * CLOCKS_PER_BIT
-WAIT_NS = 20_000  # that a read waits for a byte
+WAIT_NS = 20_000  # time that a read waits for a byte
 
 
 class Pins:
-    """A port of the host's transport at the pins. lose: numbers of bytes, from the first on, that get lost on the way in."""
+    """A port at the pins for the host's transport. lose: numbers of the bytes that are lost on the way in."""
 
     def __init__(self, dut, lose=()):
         self.dut, self.bytes, self.lose, self.sent = dut, deque(), set(lose), 0

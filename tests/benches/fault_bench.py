@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""cocotb tests of the sensor under faults: stalls, masters that break rules, resets in any cycle, upsets. Icarus: they look inside.
+"""cocotb tests of the sensor under faults: stalls, illegal masters, resets in any cycle, upsets. On Icarus, to see inside.
 
-Whatever happens, the register bus answers, and after a reset the sensor is as new.
+In all cases the register bus answers, and after a reset the sensor works like a new one.
 """
 
 import itertools
@@ -28,7 +28,7 @@ from coincid.tb.stimulus import port_words
 
 SOURCES = "COINCID_FAULT_SOURCES"  # the design's files, as JSON
 RESETS, UPSETS = 12, 16
-ANSWER_CYCLES = 60  # of the bus, at most; the proof says fewer
+ANSWER_CYCLES = 60  # limit for the bus; the proof has a lower one
 FLOP = re.compile(r"^  reg (?:\[(\d+):0\] )?\\?(\S+)\s+= \d+'", re.MULTILINE)
 INSTANCE = re.compile(r"^  (coincid_\w+|\\coincid_\S+ ) ?\\?(\S+)\s+\(", re.MULTILINE)
 MODULE = re.compile(r"^module (\\?\S+)\s*\(.*?^endmodule", re.MULTILINE | re.DOTALL)
@@ -43,7 +43,7 @@ def busy_config():
 
 
 async def pulse_reset(bench: SensorBench) -> None:
-    """A reset of one cycle, and quiet inputs after it."""
+    """Apply a reset of one cycle, with quiet inputs after it."""
     await FallingEdge(bench.dut.clk)
     bench.dut.rst.value = 1
     for line in bench.spad:
@@ -56,7 +56,7 @@ async def pulse_reset(bench: SensorBench) -> None:
         ("arvalid", 0),
         ("bready", 1),
         ("rready", 1),
-    ):  # as the bench's master has them
+    ):  # as the bench's master sets them
         getattr(bench.dut, f"s_axi_{name}").value = value
     await FallingEdge(bench.dut.clk)
     bench.dut.rst.value = 0
@@ -66,7 +66,7 @@ async def pulse_reset(bench: SensorBench) -> None:
 
 
 async def works(bench: SensorBench, of, edges, trace) -> None:
-    """The sensor plays a frame as a new one does."""
+    """Check that the sensor plays a frame like a new one."""
     record = await bench.play(of, edges, np.zeros(0, np.uint8), Scoreboard(of.sensor, trace))
     assert record.checked > 50
 
@@ -80,7 +80,7 @@ async def fresh(dut):
 
 
 async def run_into(bench, of, edges, cycles: int) -> None:
-    """Starts a frame and plays its first cycles, with a stream that stalls at random."""
+    """Start a frame and play its first cycles, with a stream that stalls at random."""
     await bench.program(of)
     await bench.write("control", 1)
     words = port_words(of, edges)
@@ -99,7 +99,7 @@ async def run_into(bench, of, edges, cycles: int) -> None:
 
 
 async def bus_answers(dut) -> int:
-    """Reads the id, whatever the bus was doing; the cycles until some answer came."""
+    """Read the id, whatever the bus was doing; return the number of cycles until an answer came."""
     for name, value in (("awvalid", 0), ("wvalid", 0), ("bready", 1), ("araddr", 0), ("arvalid", 1), ("rready", 1)):
         getattr(dut, f"s_axi_{name}").value = value
     for cycle in range(ANSWER_CYCLES):
@@ -131,7 +131,7 @@ async def a_stream_that_stalls_for_ever(dut):
 
 @cocotb.test()
 async def masters_that_break_the_rules(dut):
-    """Valid goes down before ready, addresses and data change while they wait, strobes are partial, answers are not fetched."""
+    """Valid falls before ready, addresses and data change while they wait, strobes are partial, answers are not taken."""
     bench, of, edges, trace = await fresh(dut)
     for _ in range(4):
         waiting = {}
@@ -141,7 +141,7 @@ async def masters_that_break_the_rules(dut):
             for name in ("awvalid", "wvalid", "arvalid", "bready", "rready"):
                 getattr(dut, f"s_axi_{name}").value = random.random() < 0.4
             await FallingEdge(dut.clk)
-            for channel in ("b", "r"):  # the sensor keeps them all the same
+            for channel in ("b", "r"):  # the sensor keeps both anyway
                 valid = getattr(dut, f"s_axi_{channel}valid").value == 1
                 answer = (
                     int(getattr(dut, f"s_axi_{channel}resp").value),
@@ -152,7 +152,7 @@ async def masters_that_break_the_rules(dut):
                 waiting.pop(channel, None)
                 if valid and getattr(dut, f"s_axi_{channel}ready").value == 0:
                     waiting[channel] = answer
-            waiting = {}  # the next inputs decide whether the answer is fetched at the coming edge
+            waiting = {}  # the next inputs decide whether the answer is taken at the coming edge
         await bus_answers(dut)
         assert dut.s_axi_rvalid.value == 0
         await pulse_reset(bench)
@@ -169,7 +169,7 @@ async def resets_in_any_cycle(dut):
 
 
 def flip_flops(sources: list[str]) -> list[tuple[str, str, int]]:
-    """(path of the instance, register, bits) of every flip-flop of the design."""
+    """Return (path of the instance, register, bits) for every flip-flop of the design."""
     flops, instances = {}, {}
     for path in sources:
         for module in MODULE.finditer(open(path).read()):
@@ -195,14 +195,14 @@ def handle(dut, path: str, name: str):
 
 
 def change(dut, path: str, name: str, how) -> None:
-    """Overwrites a register with `how` of its value."""
+    """Overwrite a register with `how` of its value."""
     register = handle(dut, path, name)
     register.value = how(int(register.value))
 
 
 @cocotb.test()
 async def upsets_of_any_flip_flop(dut):
-    """A flipped bit in any cycle of a frame: the bus goes on answering, and a reset repairs everything."""
+    """With a flipped bit in any cycle of a frame, the bus keeps answering, and a reset repairs everything."""
     bench, of, edges, trace = await fresh(dut)
     flops = flip_flops(json.loads(os.environ[SOURCES]))
     weights = [bits for _, _, bits in flops]
@@ -219,7 +219,7 @@ async def upsets_of_any_flip_flop(dut):
 
 @cocotb.test()
 async def upsets_of_the_register_front(dut):
-    """The block that must not hang, register by register and bit by bit, in the middle of accesses."""
+    """Flip every bit of every register in the block that must not hang, in the middle of accesses."""
     bench, of, edges, trace = await fresh(dut)
     control = [flop for flop in flip_flops(json.loads(os.environ[SOURCES])) if flop[0] == "registers" and flop[2] <= 4]
     assert len(control) > 15
@@ -238,23 +238,23 @@ async def upsets_of_the_register_front(dut):
 
 @cocotb.test()
 async def counters_in_full_width(dut):
-    """Counters that no frame of a test reaches: all their bits leave by the stream and by the bus, and they stop at their highest value.
+    """Force counters to values that no test frame reaches: all bits leave by stream and bus, and the counters saturate.
 
-    The threshold controller makes of them what the golden model's does."""
+    The threshold controller treats them as the golden model does."""
     bench, of, edges, trace = await fresh(dut)
     controller, used = Controller(of.sensor), COUNTER_NAMES.index("threshold_used")
     bounds = [0, 0x1234_5678, 0x5A5A_A5A5, 0x5A5A_A5FF, 0xA5A5_5A5A, 0xFFFF_FFFF]
     bench.axi = Queue(bench.axi)
     dpcu = [handle(dut, f"module_0.subgroup_{s}", "dpcu") for s in range(2)]
     flops = flip_flops(json.loads(os.environ[SOURCES]))
-    registers_of = {  # counter: its register, whose name has a suffix where a port is called the same, and its bits
+    registers_of = {  # counter: its register (with a suffix if a port has the same name), and its bits
         register.partition("$")[0]: (register, bits)
         for path, register, bits in flops
         if path == "module_0.subgroup_0.dpcu"
     }
     names = {
         name: registers_of[name] for name in COUNTER_NAMES if name != "threshold_used"
-    }  # that one is in force already
+    }  # that one is already in force
     assert all(bits == counter_bits(name, of.sensor) for name, (_, bits) in names.items())
     for value, capacity in itertools.product(
         (0xFFFF_FFFF, 0xA5A5_5A5A, 0x5A5A_A5A5, 0x1357_9BDF), (0xFFFF_FFFF, 0x9876_5432)
@@ -287,7 +287,7 @@ async def counters_in_full_width(dut):
 
 @cocotb.test()
 async def pulse_numbers_in_full_width(dut):
-    """Frames that go on at a pulse number that no frame of a test reaches: events and records carry it, and the last pulse is the last."""
+    """Continue frames at a high pulse number: events and records carry it, and the last pulse ends the frame."""
     bench, of, edges, trace = await fresh(dut)
     usual = decode_frame(trace.beats[0], of.sensor, 2)
     for jump in (0xFFFF - (of.pulses - 1), 0xA5A5, 0x5A5A):

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The subgroup of docs/contract.md, sentence by sentence and tick by tick, in plain Python. The golden model is compared with it.
+"""The subgroup of docs/contract.md in plain Python, sentence by sentence and tick by tick, to check the golden model.
 
-It knows nothing of FIFOs and readout: it lists all windows that met their threshold, all minigroup records, and each edge's fate.
+It does not include FIFOs and readout: it lists all windows that met their threshold, all minigroup records, and each
+edge's fate.
 """
 
 from collections import defaultdict
@@ -11,7 +12,7 @@ from coincid.model.contract.edges import Fate
 
 
 def where(config: Config, pixel: int) -> tuple[int, int, int, int]:
-    """(subgroup, pixel inside, minigroup, pixel in minigroup)."""
+    """Return (subgroup, pixel in it, minigroup, pixel in the minigroup)."""
     s = config.sensor
     (sr, sc), (mr, mc) = s.subgroup, s.minigroup
     row, col = divmod(pixel, s.cols)
@@ -135,7 +136,7 @@ class PlainSubgroup:
 
 
 def period_starts(config: Config) -> list[int]:
-    """Cycle in which each period of a frame begins."""
+    """Return the cycle in which each period of a frame begins."""
     starts, register, at = [], config.frame["dither_seed"], 0
     for _ in range(config.pulses):
         starts.append(at)
@@ -197,7 +198,7 @@ class PlainController:
 
 
 def plain_run(config: Config, edges) -> tuple[list[list[PlainSubgroup]], list[int]]:
-    """Every frame's subgroups, and the fates."""
+    """Return every frame's subgroups, and the fates."""
     fate = [None] * len(edges)
     grouped = defaultdict(list)
     for number, (pulse, pixel, tick) in enumerate(zip(edges.pulse.tolist(), edges.pixel.tolist(), edges.tick.tolist())):

@@ -46,7 +46,7 @@ async def fresh(dut) -> SensorBench:
 
 
 async def refused(access, bench: SensorBench, sticky: str) -> None:
-    """`access` answers SLVERR and sets the sticky bit, which a write of 1 clears and a write of 0 does not."""
+    """Check that `access` gets SLVERR and sets the sticky bit; writing 1 clears the bit, writing 0 does not."""
     try:
         await access
     except AXIProtocolError:
@@ -62,7 +62,7 @@ async def refused(access, bench: SensorBench, sticky: str) -> None:
 
 
 def all_words(sensor):
-    """(name, index, register, subgroup) of every word of the map."""
+    """Yield (name, index, register, subgroup) for every word of the map."""
     for _, register, index in registers.words(registers.GLOBAL, sensor):
         yield register, index, 0
     for subgroup in range(sensor.subgroups):
@@ -81,7 +81,7 @@ async def reset_values_and_constants(dut):
 async def settings_keep_what_is_written_and_refuse_the_rest(dut):
     bench = await fresh(dut)
     settings = [word for word in all_words(bench.sensor) if word[0].access is Access.SETTING]
-    for high_half in (True, False):  # of the legal values, so that every bit is seen both ways beside the others'
+    for high_half in (True, False):  # of the legal values: every bit takes both values, beside others
         written = {}
         for register, index, subgroup in settings:
             low, high = register.low(bench.sensor), register.high(bench.sensor)
@@ -141,7 +141,7 @@ async def starts_that_make_no_sense(dut):
     await bench.write("gate_start", 100, subgroup=1)
     await bench.write("mode", 0b011, subgroup=1)
     await refused(start(), bench, "start_gate")
-    await bench.write("mode", 0b001, subgroup=1)  # with gating off a late gate is nobody's concern
+    await bench.write("mode", 0b001, subgroup=1)  # with gating off, a late gate does not matter
     dut.m_axis_tready.value = 1
     await start()
     await refused_while_busy(bench)
@@ -164,7 +164,7 @@ async def refused_while_busy(bench):
 async def control_ignores_zeros(dut):
     bench = await fresh(dut)
     await bench.write("control", 0)
-    await bench.write("control", 2)  # an abort of nothing
+    await bench.write("control", 2)  # an abort without a frame
     await ClockCycles(dut.clk, 50)
     assert await bench.read("status") == 0 and dut.laser.value == 0
 
@@ -206,7 +206,7 @@ async def writes_do_not_disturb_a_running_frame(dut):
 
 
 class Queue:
-    """A register master that several tasks share: an access waits until the one before has ended."""
+    """A register master that several tasks share: an access waits until the previous one has ended."""
 
     def __init__(self, axi):
         self._axi, self._lock = axi, cocotb.triggers.Lock()
@@ -221,7 +221,10 @@ class Queue:
 
 
 async def received(bench, light, each=lambda cycle: None) -> list[int]:
-    """Beats of the frame that is in cycle 0, its stream always ready. light: the words of a cycle by subgroup; each: called in each."""
+    """Return the beats of the frame that is in cycle 0, with its stream always ready.
+
+    light: the words of a cycle by subgroup; each: called in each cycle.
+    """
     dut, beats, cycle = bench.dut, [], 0
     dut.m_axis_tready.value = 1
     while True:
@@ -267,7 +270,7 @@ async def abort_ends_the_running_period(dut):
     assert beats == trace.beats[0].tolist()
     while not await bench.read("status") >> STATUS.bit("done") & 1:
         pass
-    trace = golden.frame(of, edges)  # thresholds and budget go on from the aborted frame
+    trace = golden.frame(of, edges)  # thresholds and budget continue from the aborted frame
     assert trace.counters[:, registers.COUNTER_NAMES.index("threshold_used")].max() > 1
     await bench.play(of, edges, np.zeros(0, np.uint8), Scoreboard(of.sensor, trace))
     assert await bench.read("budget") == trace.budget[0]
@@ -275,7 +278,7 @@ async def abort_ends_the_running_period(dut):
 
 @cocotb.test()
 async def budgets_follow_the_capacity(dut):
-    """From frame to frame, as the golden model's: they begin with the share, and a capacity counts from the frame that it is programmed for."""
+    """Budgets follow the golden model from frame to frame: they begin with the share, and a new capacity counts at once."""
     bench = await fresh(dut)
     golden, budgets = Golden(bench.sensor), []
     for number, capacity in enumerate((100, 100, 40, 40, 2**32 - 1, 2**32 - 1, 60, 0, 200)):
@@ -333,7 +336,7 @@ async def a_reset_at_any_time_leaves_a_fresh_sensor(dut):
 
 @cocotb.test()
 async def gate_output_leads_the_spads(dut):
-    """`spad_gate` is high exactly in the cycles whose edges the gate lets through, and always with gating off."""
+    """`spad_gate` is high exactly in the cycles whose edges the gate accepts, and always if gating is off."""
     bench = await fresh(dut)
     of = config(
         frame={"period": 40, "pulses": 6, "gate_step": 7, "gate_every": 2, "gate_steps": 2, "dither_bits": 3},
@@ -377,7 +380,7 @@ async def no_edge_counts_between_two_periods(dut):
 
 @cocotb.test()
 async def independent_master_and_sink(dut):
-    """cocotbext-axi configures a frame, and reads it as packets and as registers."""
+    """Configure a frame with cocotbext-axi, and read it as packets and as registers."""
     await fresh(dut)
     sensor = config().sensor
     master = AxiLiteMaster(AxiLiteBus.from_prefix(dut, "s_axi"), dut.clk, dut.rst)

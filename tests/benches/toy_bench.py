@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What test_toolchain.py runs inside the simulators: a cocotb test of its `toy` that behaves as BEHAVE says."""
+"""The cocotb test that test_toolchain.py runs in the simulators, on its `toy`; BEHAVE selects its behaviour."""
 
 import os
 import random

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The configuration: settings by the file's names and values, in files and in Python, and what follows from the clock."""
+"""The configuration: settings by the names and values of the file, in files and in Python, and their consequences."""
 
 import numpy as np
 import pytest
@@ -156,8 +156,9 @@ def test_default_bounds(frame, window, bounds):
 
 @pytest.mark.parametrize(("window", "rearm"), [(16, 0), (16, 2), (40, 0), (100, 1)])
 def test_default_bounds_keep_noise_rare(window, rearm):
-    """Counted photon by photon: the threshold that the bounds demand lets noise commit a quarter of a window per pulse or less, the
-    next lower one more."""
+    """Count photon by photon: with the threshold that the bounds demand, noise commits at most a quarter of a window per pulse.
+
+    With the next lower threshold, it commits more."""
     config = parse_config({"sensor": {"rearm": rearm, "window_max": 100}, "subgroup": {"window": window}})
     rng = np.random.default_rng(1)
     periods, counts = 400, []

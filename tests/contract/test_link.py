@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The link behind the streams: how much it takes, how evenly, and that all engines know it."""
+"""The link behind the streams: its rate, its even spacing, and that all engines use it."""
 
 from fractions import Fraction
 

@@ -25,7 +25,7 @@ SIGMA_TICKS = 500e-12 * SIGMA_PER_FWHM / TICK_S
 
 
 def capture(scene, klux, *, sensor=None, frame=None, subgroup=None, seed=1):
-    """(scene, configuration, result) of one run."""
+    """Return (scene, configuration, result) of one run."""
     config = parse_config({"sensor": sensor or {}, "frame": frame or {}, "subgroup": subgroup or {}})
     scene = load_scene(scene, config.sensor.rows, config.sensor.cols)
     edges = generate_edges(
@@ -44,7 +44,7 @@ def share(scene, config, result, **options):
 
 @pytest.fixture(scope="module")
 def five_objects():
-    """At 50 klux: results with coincidence off and at thresholds 1 to 3."""
+    """Return results at 50 klux, with coincidence off and at thresholds 1 to 3."""
     return {
         name: capture("five-objects", 50, subgroup=settings)
         for name, settings in (("off", {"coincidence": False}), *((th, {"threshold": th}) for th in (1, 2, 3)))
@@ -187,7 +187,7 @@ def test_confidence_and_repetition(five_objects, method):
     assert np.array_equal(depth.depth_m, again.depth_m, equal_nan=True)
     assert np.all((depth.confidence >= 0) & (depth.confidence <= 1))
     wrong = wrong_pixels(depth.depth_m[:, :, 0], scene.truth_m)
-    if method != "planes":  # which makes hardly any mistake here
+    if method != "planes":  # which makes hardly any errors here
         assert depth.confidence[:, :, 0][~wrong].mean() > depth.confidence[:, :, 0][wrong].mean() + 0.2
 
 
@@ -198,11 +198,11 @@ def test_bad_input(five_objects):
         ({"source": "pixel", "method": "matched"}, "map, minigroup, subgroup"),
         ({"returns": 0}, "from 1 to 8"),
         ({"system_fwhm_s": 0}, "system_fwhm_s"),
-        ({"source": "minigroup", "method": "matched"}, "format full or with minigroup_records"),
+        ({"source": "minigroup", "method": "matched"}, "format full or minigroup_records"),
     ):
         with pytest.raises(InputError, match=words):
             depth_of(result, config, **options)
-    with pytest.raises(InputError, match="format id or full"):
+    with pytest.raises(InputError, match="format must be id or full"):
         depth_of({name: array for name, array in result.items() if name != "hits"}, config, method="matched")
     assert set(SOURCES) == {"map", "minigroup", "subgroup"}
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The estimator of planes: its law, slopes, masks, returns, confidence, and the same bits for any number of threads."""
+"""The estimator of planes: its likelihood, slopes, masks, returns, confidence, and identical bits for any number of threads."""
 
 import numpy as np
 import pytest
@@ -56,7 +56,7 @@ def test_a_tilted_plane_whatever_the_window(settings):
 
 @pytest.mark.parametrize("near_m", [1.0, 2.0, 4.0])
 def test_much_light_leaves_no_bias(near_m):
-    """From 12 photons per pulse and pixel to less than one."""
+    """The bias stays small from 12 photons per pulse and pixel to less than one."""
     scene = tilted(near_m, 0.5)
     depth = estimate(scene, 50.0)
     assert share(depth, scene) < 0.05
@@ -126,7 +126,7 @@ def test_edges_of_objects_stay_sharp():
 
 
 def test_confidence_is_a_probability():
-    """Of pixels said to be so sure on average, as many are right, where many are wrong."""
+    """The share of right pixels equals their mean confidence, in a scene with many wrong ones."""
     row, col = np.mgrid[:ROWS, :COLS]
     texture = np.random.default_rng(1).choice(np.geomspace(0.02, 0.5, 6), (ROWS, COLS))
     scene = Scene(name="patches", distance_m=7 + 0.04 * col + 0.3 * (row > 8), reflectivity=texture)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The exported C driver, compiled as it leaves the project: it drives the RTL (as a library), and decodes the frames that this sends."""
+"""The exported C driver, compiled as it leaves the project: it drives the RTL (as a library) and decodes its frames."""
 
 import ctypes
 import subprocess
@@ -75,7 +75,7 @@ def bus_of(transport) -> Bus:
 
 
 def packets(library, info, beats):
-    """Every packet of a frame, as plain tuples beside the C structure."""
+    """Return every packet of a frame as plain tuples, decoded beside the C structure."""
     at, raw = 0, np.ascontiguousarray(beats)
     while at < len(raw):
         packet = Packet()

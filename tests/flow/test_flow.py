@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Flows on one small block: what a netlist says of cells and depth, and that it behaves."""
+"""Flows on one small block: the cells and depth of its netlist, and its behaviour."""
 
 import json
 import shutil
@@ -97,7 +97,7 @@ def test_netlist_behaves(target):
 
 @needs_cells
 def test_a_timing_tool_takes_the_constraints_of_the_asynchronous_view(tmp_path):
-    """`write` raises where OpenSTA complains, as it does of what it does not find; every clock times something."""
+    """OpenSTA accepts the constraints (`write` raises if it complains), and every clock has a timed path."""
     report, sdc = write(SMALL, Circuit(), tmp_path)
     text = report.read_text()
     assert "Latches outside the macros: 0." in text

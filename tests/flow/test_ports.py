@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What integrators are told: the table of ports, an instance, the words, the cycle that `laser` marks, and the diagrams."""
+"""Information for integrators: the table of ports, an instance, the words, the cycle that `laser` marks, and the diagrams."""
 
 import re
 import shutil
@@ -58,7 +58,7 @@ def test_outputs_after_a_reset_are_as_told():
     seen = []
 
     async def bench(ctx):
-        ctx.set(sensor.s_axi_awvalid, 1)  # an access and beats under way are forgotten
+        ctx.set(sensor.s_axi_awvalid, 1)  # an access and beats in progress are dropped
         await ctx.tick().repeat(5)
         ctx.set(sensor.s_axi_awvalid, 0)
         ctx.set(reset, 1)
@@ -106,7 +106,7 @@ def test_the_diagrams_show_what_the_page_says():
     ]
     events = [(cycle, beat) for cycle, beat in taken if header_field(beat, "kind") == Kind.EVENT_ID]
     (at, first), (stalled, second) = events
-    assert header_field(first, "stamp") == 22  # the edges that stood at the ports while `laser` was high
+    assert header_field(first, "stamp") == 22  # the edges at the ports while `laser` was high
     assert header_field(second, "stamp") == 10 * timing.PHASES + 1
     close = (22 + 16 - 1) // timing.PHASES
     assert at == close + COMMIT + STORE_TO_GRANT + GRANT_TO_BEAT + BEAT_TO_PORT == close + 17

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The release folder by itself: it compiles, lints and passes its smoke test without this project, and its parts agree."""
+"""The release folder by itself: it compiles, lints and passes its smoke test without this project, and it is consistent."""
 
 import hashlib
 import json
@@ -29,7 +29,7 @@ from coincid.tb.rtl import rtl
 
 from ..cases import SENSORS
 
-SMALL = {  # the presets' circuits, a module of each
+SMALL = {  # the presets' circuits, one module of each
     "silicon": {"rows": 8, "cols": 16},
     "fpga": {"rows": 8, "cols": 8, "phases": 8, "window_max": 16},
     "async": {"rows": 8, "cols": 16},
@@ -49,7 +49,7 @@ def document(name):
 
 @pytest.fixture(scope="module")
 def releases(tmp_path_factory):
-    """A folder per preset, written in turn by one process."""
+    """Write one folder per preset, one after the other in one process."""
     folder = tmp_path_factory.mktemp("release")
     for name in SMALL:
         write_release(folder / name, config(name), VIEWS.get(name, POLYPHASE))
@@ -57,7 +57,7 @@ def releases(tmp_path_factory):
 
 
 def alone(command, folder, path=""):
-    """Runs a shell command in `folder` with nothing of this project's environment, and no Python, at hand."""
+    """Run a shell command in `folder`, without this project's environment and without Python."""
     programs = Path(folder).parent / "programs"
     programs.mkdir(exist_ok=True)
     for program in PROGRAMS.split():
@@ -112,8 +112,8 @@ def test_smoke_test_of_other_sensors(name, tmp_path):
 @pytest.mark.parametrize(
     ("file", "old", "new"),
     [
-        (f"{SMOKE}.v", "64'hc0", "64'hc1"),  # another word is expected
-        ("coincid_tree.v", "~ to_border", "to_border"),  # the RTL is another
+        (f"{SMOKE}.v", "64'hc0", "64'hc1"),  # expect another word
+        ("coincid_tree.v", "~ to_border", "to_border"),  # change the RTL
         (f"{SMOKE}.v", "32'd1129269582", "32'd0"),  # a constant register
     ],
 )
@@ -148,7 +148,7 @@ def test_fusesoc_runs_the_core(releases, tmp_path, target):
 
 
 def test_presets_of_one_process_do_not_mix(releases, tmp_path):
-    """Each as a process of its own writes it, and no file of one is the other's."""
+    """Each equals the export of a process of its own, and contains no file of another preset."""
     script = (
         "import sys\n"
         "from coincid.flow.release import write_release\n"
@@ -185,7 +185,7 @@ def test_exported_verilog_is_what_the_other_tests_simulate(releases):
 
 
 def addresses(compiler):
-    """(name, subgroup or None, address) of every register, arrays unrolled."""
+    """Return (name, subgroup or None, address) of every register, with arrays unrolled."""
     for node in compiler.elaborate().descendants(unroll=True):
         if isinstance(node, RegNode):
             in_subgroup = node.parent.inst_name == "subgroup"

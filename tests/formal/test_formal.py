@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The provers: a proof that holds, one that does not, one that is vacuous, and the solver's reader."""
+"""The prover: a proof that holds, one that does not, a vacuous one, and the solver's parser of commands."""
 
 import pytest
 from amaranth.hdl import Signal

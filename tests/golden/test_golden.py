@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The golden model against the plain model, and its own laws."""
+"""The golden model against the plain model, and laws that it must obey."""
 
 import numpy as np
 import pytest
@@ -41,7 +41,7 @@ def test_plain_model(sensor, data):
             assert len(records) == result["mg_stored"][f, s]
             assert len(plain.records) == result["mg_stored"][f, s] + result["mg_dropped"][f, s]
             left = iter(plain.records)
-            for row in records:  # a subsequence: what is missing was dropped
+            for row in records:  # a subsequence: missing ones were dropped
                 pulse, expected = next(r for r in left if r[0] == result["mg_pulse"][row] - f * config.pulses)
                 got = {
                     g: (int(result["mg_stamp"][row, g]), int(result["mg_map"][row, g]))
@@ -52,7 +52,7 @@ def test_plain_model(sensor, data):
 
 
 def _check_rows(config, result, rows, events, frame):
-    """Rows are the events in order, gaps counted as dropped, and the first row after a gap, and no other, has `overrun`."""
+    """Check that rows are the events in order, gaps are counted as dropped, and only the first after a gap has `overrun`."""
     starts, at = period_starts(config), 0
     for row in rows:
         gap = 0
@@ -71,7 +71,7 @@ def _check_rows(config, result, rows, events, frame):
 @pytest.mark.parametrize("sensor", ("one", "odd", "tiny", "wide"))
 @given(data=st.data())
 def test_controller(sensor, data):
-    """Thresholds and budgets over many frames of light that changes, against the plain model's."""
+    """Thresholds and budgets equal those of the plain model over many frames of changing light."""
     config = data.draw(controlled(SENSORS[sensor], frames=8))
     edges = trouble(config, data.draw(seeds), data.draw(densities))
     keep = np.random.default_rng(data.draw(seeds)).random(config.frames)[edges.pulse // config.pulses]
@@ -107,7 +107,7 @@ def test_laws(sensor, data):
 
 
 def test_abort_is_a_shorter_frame():
-    """A frame that is aborted in period k shows what a frame of k + 1 pulses shows."""
+    """A frame that is aborted in period k equals a frame of k + 1 pulses."""
     config = parse_config({"sensor": SENSORS["default"], "frame": {"pulses": 6}})
     edges = trouble(config, 3, 10)
     early = edges.pulse < 4

@@ -15,7 +15,7 @@ from coincid.model.light.on_chip import _tables, advance, seeds
 
 @pytest.mark.parametrize("size", [4, 16])
 def test_seeder(size):
-    """What it sends makes the twin's states: with less than a lane of pixels, and with four lanes."""
+    """The seeder makes the states of the golden model: with less than a lane of pixels, and with four lanes."""
     sensor = Sensor(rows=size, cols=2 * size, phases=8, window_max=16, subgroup=(size, size), minigroup=(2, 2))
     dut, seed, frame = Seeder(Emulator(sensor=sensor)), 0x1234_5678, 77
     states = np.zeros((2, sensor.pixels), np.uint32)
@@ -24,7 +24,7 @@ def test_seeder(size):
         ctx.set(dut.seed, seed)
         ctx.set(dut.number, frame)
         await ctx.tick().repeat(5)
-        ctx.set(dut.begin, 1)  # in the midst of the reset's own: starts over
+        ctx.set(dut.begin, 1)  # during the seeding after the reset: it starts over
         await ctx.tick()
         ctx.set(dut.begin, 0)
         while True:
@@ -50,7 +50,7 @@ def test_seeder(size):
 
 
 def test_bus_slave():
-    """Accesses in turn, each answered once; refusals and partial writes answer SLVERR, and the latter go no further."""
+    """Accesses take turns and are answered once; refusals and partial writes get SLVERR, and the latter have no effect."""
     dut = BusAccess()
     memory, seen = {}, []
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The sensor under faults: the tests of `fault_bench.py`, in Icarus, where a bench may look inside."""
+"""The sensor under faults: the tests of `fault_bench.py`, on Icarus, where a bench can see inside."""
 
 import json
 

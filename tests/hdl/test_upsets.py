@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One upset heals itself: a sample of the campaign of `tests/upsets.py` (`make upsets`: all of it)."""
+"""Recovery from single upsets: a sample of the campaign in `tests/upsets.py` (`make upsets` runs all of it)."""
 
 import random
 
@@ -23,5 +23,5 @@ def test_one_upset_heals_itself(name):
         campaign.trial(flop, word, bit, rng.randrange(campaign.span), report)
     campaign.close()
     if name == "steps":
-        assert report.changed > TRIALS // 20  # the upsets are real
+        assert report.changed > TRIALS // 20  # the upsets have an effect
     assert not report.failures, "\n".join(map(str, report.failures))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The host driver: names and ranges, a configuration, frames cut anywhere, refusals; over the RTL as a library and over a mapped file."""
+"""The host driver: names and ranges, configurations, frames cut anywhere, refusals; over the RTL library and a mapped file."""
 
 import numpy as np
 import pytest
@@ -35,7 +35,7 @@ def some_edges(of, seed: int, n: int = 600) -> Edges:
 
 
 class Memory:
-    """A transport to a dictionary, which notes what was written."""
+    """A transport to a dictionary that records the writes."""
 
     def __init__(self):
         self.words = registers.reset_values(SENSOR)
@@ -139,7 +139,7 @@ def test_no_sensor():
 
 
 def test_a_sensor_in_use():
-    """Registers, refusals and frames of the RTL, by driver alone, as the golden model has them."""
+    """Registers, refusals and frames of the RTL, used only through the driver, equal the golden model's."""
     of = config(frame={"period": 80, "pulses": 6, "format": "full", "minigroup_records": True})
     golden = Golden(SENSOR)
     with BatchSensor(SENSOR) as rtl:
@@ -195,7 +195,7 @@ def test_frames_cut_anywhere():
 
 
 def test_mapped_file(tmp_path):
-    """A file of plain memory: every word goes to its place, and a sticky status bit is a refusal."""
+    """In a file of plain memory, every word goes to its place, and a sticky status bit means a refusal."""
     path, base = tmp_path / "uio", 1 << 16
     path.write_bytes(bytes(base + (1 << ADDRESS_BITS)))
     image = np.memmap(path, np.uint32, "r+", offset=base)

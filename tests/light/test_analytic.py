@@ -35,12 +35,14 @@ def test_effective_rates():
     noise, signal = analytic.effective_cps(6.37e9, 1.226e6, DEAD_S, 2e6, LITERAL)
     assert noise == pytest.approx(1.2259e8, rel=1e-4) and signal == pytest.approx(1.2141e6, rel=1e-4)
     _, signal = analytic.effective_cps(6.37e9, 1.226e6, DEAD_S, 2e6, CORRECTED)
-    assert signal == pytest.approx(2e6 * (1 - math.exp(-0.613)) / (1 + 6.37e9 * DEAD_S))  # blinded by noise
+    assert signal == pytest.approx(
+        2e6 * (1 - math.exp(-0.613)) / (1 + 6.37e9 * DEAD_S)
+    )  # reduced by the noise's dead time
 
 
 def test_photons_in_window_and_period():
     assert analytic.noise_photons(1e8, 1e-9, 2, DEAD_S, 64, LITERAL) == pytest.approx(0.075)
-    assert analytic.noise_photons(1e8, 0.2e-9, 2, DEAD_S, 64, LITERAL) == 0  # printed: negative
+    assert analytic.noise_photons(1e8, 0.2e-9, 2, DEAD_S, 64, LITERAL) == 0  # as printed: negative
     assert analytic.noise_photons(1e8, 1e-9, 2, DEAD_S, 64, CORRECTED) == pytest.approx(-math.log(0.9))
     assert analytic.signal_photons(1.2e6, 2e6, 4, DEAD_S, 64, LITERAL) == pytest.approx(0.5994)
     assert analytic.pixel_probability(
@@ -73,7 +75,7 @@ def test_group_probabilities():
     assert analytic.count_probability(2, 1e9, 1e-9, LITERAL) == pytest.approx(math.exp(-1) / 2)
     assert analytic.pixel_probability(0.5, LITERAL) == pytest.approx(0.5 * math.exp(-0.5))
     assert analytic.minigroup_probability(0.4, 3, 4, LITERAL) == pytest.approx(0.08 * math.exp(-0.4))
-    assert analytic.minigroup_probability(0.4, 5, 4, LITERAL) > 0  # four others detect in a minigroup that has three
+    assert analytic.minigroup_probability(0.4, 5, 4, LITERAL) > 0  # four others detect in a minigroup with three
     assert analytic.minigroup_probability(0.4, 5, 4, CORRECTED) == 0
     assert analytic.rest_photons(6.4, 0.4, LITERAL) == 6.0
     assert analytic.rest_probability(6.0, 2, 60, LITERAL) == pytest.approx(6 * math.exp(-6))
@@ -96,7 +98,7 @@ def test_bins_of_the_histogram():
     sigma_s, lsb_s, flight_s = 212e-12, 50e-12, 30e-9
     time_s = np.arange(0, 60e-9, lsb_s)
     per_bin = [analytic.signal_per_bin(1.0, time_s, flight_s, sigma_s, lsb_s, form) for form in (LITERAL, CORRECTED)]
-    assert per_bin[0].sum() == pytest.approx(14.6, rel=5e-3)  # the root spans the sigma, time in ps
+    assert per_bin[0].sum() == pytest.approx(14.6, rel=5e-3)  # the root spans the sigma, with time in ps
     assert per_bin[1].sum() == pytest.approx(1.0)
     noise = [analytic.noise_per_bin(10.0, 2e6, sigma_s, lsb_s, form) for form in (LITERAL, CORRECTED)]
     assert noise == [pytest.approx(4.24e-3), pytest.approx(1e-3)]
@@ -117,7 +119,7 @@ def test_busy_time(window_ticks, rearm, ticks):
 
 
 def simulated(signal, noise_cps, threshold, window_ticks, rearm, scheme, pulses):
-    """Counts of a pixel's histogram at each tick, the mean over an evenly lit array; photons through the golden model."""
+    """Return counts of a pixel's histogram at each tick, the mean over an evenly lit array, by the golden model."""
     config = parse_config(
         {
             "sensor": {"rearm": rearm},
@@ -170,7 +172,9 @@ def test_corrected_histogram_is_that_of_photons_through_the_sensor(case):
     peak = slice(flight - 20, flight + 12)
     quiet = np.r_[200 : flight - 100, flight + 400 : 7800]
     for part in (peak, quiet):
-        error = 4 * math.sqrt(expected[part].sum() * (threshold + 1) / 1024)  # counts come in events of some pixels
+        error = 4 * math.sqrt(
+            expected[part].sum() * (threshold + 1) / 1024
+        )  # each event contributes counts of several pixels
         assert found[part].sum() == pytest.approx(expected[part].sum(), rel=model_error, abs=error)
     ticks = np.arange(peak.start, peak.stop)
     spread = 20 / math.sqrt(found[peak].sum() * 16)
@@ -182,7 +186,7 @@ def test_corrected_histogram_is_that_of_photons_through_the_sensor(case):
 def test_closed_forms_agree_with_the_histogram_where_few_windows_open():
     noise_cps, threshold, window_ticks, pulses, timing, n = 1e5, 2, 16, 1000, Timing(), Sizes()
     effective, _ = analytic.effective_cps(noise_cps, 0, DEAD_S, 2e6, CORRECTED)
-    window_s = (window_ticks - 0.5) * timing.tick_s  # the opening photon lies anywhere in the window's first tick
+    window_s = (window_ticks - 0.5) * timing.tick_s  # the opening photon is anywhere in the window's first tick
     noise = photons(analytic.noise_photons(effective, window_s, threshold, DEAD_S, 64, CORRECTED))
     open_s = (timing.period_cycles - Sensor().guard) / timing.clock_hz
     windows = analytic.windows_per_period(64 * effective, open_s, analytic.busy_s(window_ticks, 0, timing), CORRECTED)
@@ -191,7 +195,7 @@ def test_closed_forms_agree_with_the_histogram_where_few_windows_open():
     assert histogram(DISTANCE_M, 0.0, noise_cps, **setting)[0].sum() == pytest.approx(counts, rel=5e-3)
     signal, none = photons(0.05), photons(0.0)
     counts = analytic.signal_counts(none, signal, threshold, pulses, 1.0, n, CORRECTED)
-    # A window as long as the pulse catches all of it.
+    # A window as long as the pulse contains all of it.
     setting |= dict(window_ticks=64)
     assert histogram(DISTANCE_M, 0.05, 0.0, **setting)[0].sum() == pytest.approx(counts, rel=5e-3)
 
@@ -212,7 +216,7 @@ def test_literal_histogram_is_the_printed_chain():
 
 
 def test_pixels_of_a_subgroup_keep_their_own_targets():
-    """Half of the subgroup sees a near target, a pixel sees none."""
+    """Half of the subgroup sees a near target; one pixel sees no target."""
     distance_m = np.where(np.arange(64) % 8 < 4, 10.0, 20.0)
     distance_m[0] = np.nan
     found = histogram(distance_m, 0.2, 0.0, threshold=3, window_ticks=16, pulses=100, form=CORRECTED)
@@ -236,7 +240,7 @@ def test_success_probability_counts_largest_bins():
 
 
 def test_threshold_rises_with_the_activity():
-    """Fig. 7: at 50 klux the threshold that still succeeds goes from the lowest to the highest."""
+    """Fig. 7: at 50 klux, the highest threshold that still succeeds rises from the lowest to the highest value."""
     found = [
         analytic.expected_threshold(
             analytic.success_by_threshold(signal, 1.226e6, DISTANCE_M, window_ticks=16, pulses=100, form=CORRECTED)
@@ -254,7 +258,7 @@ def test_threshold_rises_with_the_activity():
         (dict(scheme=3), r"scheme = 3: must be one of 1, 2"),
         (dict(threshold=0), r"threshold = 0: must be an integer from 1 to 64"),
         (dict(window_ticks=200), r"window_ticks = 200: must be an integer from 1 to 128"),
-        (dict(noise_cps=-1.0), r"noise_cps\[0\] = -1.0: must be of at least 0"),
+        (dict(noise_cps=-1.0), r"noise_cps\[0\] = -1.0: must be at least 0"),
     ],
 )
 def test_bad_input_names_field_and_range(change, message):

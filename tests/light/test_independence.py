@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Random draws are independent of each other: of pixels, pulses, avalanches, sides and purposes. Two that share a number show in their ranks."""
+"""Random draws are independent: of pixels, pulses, avalanches, sides and purposes. Shared numbers show in rank correlations."""
 
 import itertools
 
@@ -12,14 +12,14 @@ from coincid.model.light.spad import Spad
 from coincid.model.light.timing import Timing
 from coincid.model.shared.constants import SPEED_OF_LIGHT_M_S
 
-LEVEL = 1e-3  # of a test of all its pairs together
+LEVEL = 1e-3  # of a test, for all its pairs together
 TIMING = Timing(clock_hz=10e9, phases=64, period_cycles=5000)  # 500 ns in ticks of 1.6 ps
-ALWAYS = 40.0  # photons a pulse: a pixel that fires in every one
-APART_M = 6.0  # of targets: 40 ns, five dead times
+ALWAYS = 40.0  # photons per pulse: such a pixel fires in every one
+APART_M = 6.0  # between targets: 40 ns, five dead times
 
 
 def assert_independent(columns: dict[str, np.ndarray]) -> None:
-    """No pair of columns (one row a pulse) has ranks that go together, in a row or from a row to the next."""
+    """Check that no pair of columns (one row per pulse) has correlated ranks, within a row or between successive rows."""
     ranks = {name: stats.rankdata(column) for name, column in columns.items()}
     ranks = {name: (rank - rank.mean()) / rank.std() for name, rank in ranks.items()}
     pairs = [(a, b, 0) for a, b in itertools.combinations(ranks, 2)] + [(a, b, 1) for a in ranks for b in ranks]
@@ -31,7 +31,7 @@ def assert_independent(columns: dict[str, np.ndarray]) -> None:
 
 
 def first_ticks(edges, pixel, pulses, low=0, high=1 << 62):
-    """The first tick in [low, high) of a pixel in every pulse; -1 where there is none."""
+    """Return the first tick in [low, high) of a pixel in every pulse, or -1."""
     mine = (edges.pixel == pixel) & (edges.tick >= low) & (edges.tick < high)
     first = np.full(pulses, 1 << 62)
     np.minimum.at(first, edges.pulse[mine], edges.tick[mine])
@@ -39,7 +39,7 @@ def first_ticks(edges, pixel, pulses, low=0, high=1 << 62):
 
 
 def test_sides_and_successive_avalanches_of_crosstalk():
-    """A pixel that fires three times a pulse: which of its neighbours each of the three strikes."""
+    """For a pixel that fires three times per pulse: which neighbours each of the three avalanches hits."""
     pulses, distances_m = 6000, np.array([10.0, 10.0 + APART_M, 10.0 + 2 * APART_M])
     signal, distance = np.zeros((25, 3)), np.broadcast_to(distances_m, (25, 3))
     signal[12] = ALWAYS
@@ -59,7 +59,7 @@ def test_sides_and_successive_avalanches_of_crosstalk():
 
 
 def test_pixels_and_pulses():
-    """When neighbours and others first see light, how often, and the same a pulse later: 12 pixels that look alike."""
+    """For 12 equal pixels: first times and counts of neighbours and others, and the same one pulse later."""
     pulses = 5000
     light = Light(rows=3, cols=4, distance_m=20.0, signal_per_pulse=0.7, background_cps=2e6)
     edges = generate_edges(light, Spad(), TIMING, pulses=pulses, seed=4)
@@ -70,7 +70,7 @@ def test_pixels_and_pulses():
 
 
 def test_purposes_of_one_avalanche():
-    """Of an avalanche: its jitter, whether it leaves a carrier, when that comes free, and the neighbours it strikes."""
+    """For one avalanche: its jitter, whether it traps a carrier, the carrier's release, and the neighbours it hits."""
     pulses, distance_m = 12_000, 20.0
     signal = np.zeros(25)
     signal[12] = ALWAYS
@@ -90,7 +90,7 @@ def test_purposes_of_one_avalanche():
     }
     assert np.all(own >= 0) and 0.1 < columns["carrier"].mean() < 0.3
     assert_independent(columns)
-    some = released >= 0  # the pulses with a carrier: when it came free
+    some = released >= 0  # the pulses with a carrier, and its release
     assert_independent(
         {name: column[some] for name, column in columns.items() if name != "carrier"} | {"release": released[some]}
     )

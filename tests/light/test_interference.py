@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A second LiDAR's photons and the dithered laser period, against what can be worked out by hand."""
+"""A second LiDAR's photons, and the dithered laser period, against results by hand."""
 
 import numpy as np
 import pytest
@@ -34,7 +34,7 @@ def same(a, b):
 
 
 def test_photons_of_the_other_are_poisson():
-    """One pulse of it in each of our periods: as many photons as it says, at its phase, apart by the pixels' delays."""
+    """With one foreign pulse in each of our periods: the stated number of photons, at its phase, with the pixels' delays."""
     delay_s = np.arange(64) * 1e-9
     edges = edges_of(
         dark(interferer=Interferer(photons_per_pulse=0.7, phase_s=100.03e-9, delay_s=delay_s, **SHARP)), Timing()
@@ -49,7 +49,7 @@ def test_photons_of_the_other_are_poisson():
 @pytest.mark.parametrize("period_s", [137.03e-9, 499.99e-9, 500.5e-9, 1.7e-6])
 @pytest.mark.parametrize("bits", [0, 3])
 def test_pulses_of_the_other_come_when_they_must(period_s, bits):
-    """Every pulse of the other, and nothing else: at phase + k * period on a clock that began with our first trigger."""
+    """All foreign pulses, and nothing else, arrive at phase + k * period, on a clock that starts at our first trigger."""
     timing = Timing(dither_bits=bits)
     edges = edges_of(
         dark(interferer=Interferer(photons_per_pulse=40, period_s=period_s, phase_s=33.0123e-9, **SHARP)), timing
@@ -76,7 +76,7 @@ def waits_of(pulses, bits):
 
 
 def test_the_wait_is_the_registers():
-    """The LFSR has all states but 0; waits are its low bits at the ends of the periods, counted step by step."""
+    """The LFSR takes all states except 0; waits are its low bits at the ends of the periods, counted step by step."""
     state, states = 1, set()
     for _ in range(1 << LFSR_BITS):
         states.add(state)
@@ -104,15 +104,15 @@ def test_every_frame_waits_alike():
 
 
 def test_dither_leaves_what_is_in_range_alone():
-    """Our own light and the background do not care when the pulse began."""
+    """Our own light and the background do not depend on when the pulse began."""
     wall = Light(rows=8, cols=8, distance_m=20.0, signal_per_pulse=0.3, background_cps=1e6)
     assert same(edges_of(wall, Timing()), edges_of(wall, Timing(dither_bits=5)))
     dead = edges_of(wall, Timing(dither_bits=5), Spad())
-    assert len(dead) >= len(edges_of(wall, Timing(), Spad()))  # a wait gives SPADs time to recover
+    assert len(dead) >= len(edges_of(wall, Timing(), Spad()))  # SPADs recover during a wait
 
 
 def test_dither_spreads_what_is_out_of_range():
-    """A target beyond the laser period answers the pulse before, or falls into the wait after it."""
+    """A target beyond the laser period answers the previous pulse, or falls into the wait after it."""
     timing = Timing(dither_bits=4)
     flight_s = timing.period_s + 20e-9
     far = Light(rows=8, cols=8, distance_m=flight_s * SPEED_OF_LIGHT_M_S / 2, signal_per_pulse=5.0, system_fwhm_s=0.0)
@@ -153,7 +153,7 @@ def test_bad_values():
 
 
 def test_dither_pays():
-    """The study's core: a ghost in most pixels without dither, about none with it."""
+    """The core of the study: a ghost in most pixels without dither, almost none with it."""
     with Runner(1) as run:
         without, with_it = run.map(run_task, [Task(0.2, 0.0, 0, 1), Task(0.2, 0.0, 4, 1)])
     assert without.ghosts["this: fixed planes"] > 0.5 > 0.2 > with_it.wrong["this: fixed planes"]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Link budget against hand-checked numbers, to four digits."""
+"""The link budget against numbers checked by hand, to four digits."""
 
 import numpy as np
 import pytest
@@ -83,13 +83,13 @@ def test_distance_of_0_db(reading, spectrum, distance_m):
         return link_budget(d, 0.4, 50, spectrum=spectrum, form=form, sbr_reading=reading).sbr_db
 
     assert brentq(sbr_db, 0.01, 50) == pytest.approx(distance_m, rel=3e-3)
-    more_of_dead_time_db = 10 * np.log10(2) if reading == "F" else 0  # elsewhere the factor of the forms cancels
+    more_of_dead_time_db = 10 * np.log10(2) if reading == "F" else 0  # elsewhere, the factor between the forms cancels
     assert sbr_db(4.0, "corrected") == pytest.approx(sbr_db(4.0) + more_of_dead_time_db, abs=0.05)
 
 
 @given(st.floats(0.5, 50), st.floats(0.01, 1), st.floats(0.1, 120))
 def test_laws(distance_m, reflectivity, klux):
-    """Inverse square, linear in reflectivity, power and light; an array of distances is its elements."""
+    """Inverse square law; linear in reflectivity, power and light; an array of distances equals its elements."""
     budget = link_budget(distance_m, reflectivity, klux)
     farther, darker = link_budget(2 * distance_m, reflectivity, klux), link_budget(distance_m, reflectivity / 2, klux)
     brighter = link_budget(distance_m, reflectivity, 2 * klux)
@@ -119,7 +119,7 @@ def test_dark_counts_are_background():
 @pytest.mark.parametrize(
     "make, message",
     [
-        (lambda: link_budget(0, 0.4, 50), r"distance_m = 0.0: must be of at least 0.001"),
+        (lambda: link_budget(0, 0.4, 50), r"distance_m = 0.0: must be at least 0.001"),
         (lambda: link_budget(4, 1.4, 50), r"reflectivity = 1.4: must be a number from 0 to 1"),
         (lambda: link_budget(4, 0.4, -1), r"klux = -1: must be a number of at least 0"),
         (

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The photon source's twin: the generator's period, seeds, and the statistics of 10^7 draws.
+"""The golden model of the photon source: the generator's period, seeds, and the statistics of 10^7 draws.
 
-That it is the RTL's twin, `tests/tb/test_emulator.py` shows.
+`tests/tb/test_emulator.py` shows that it equals the RTL.
 """
 
 import numpy as np
@@ -14,7 +14,7 @@ from coincid.model.contract.emulator import LEVEL_BITS, RATE_BITS, SEED_BIT, STA
 from coincid.model.light.on_chip import SourceSettings, _tables, advance, cipher, seeds, source_edges
 from coincid.model.shared.errors import InputError
 
-LIKELY = 1e-4  # a right source fails a test this often; seeds are fixed, so each of these does or does not, for ever
+LIKELY = 1e-4  # probability that a correct source fails a test; with fixed seeds, the result is always the same
 FACTORS = (3, 5, 17, 257, 65537)  # of 2^32 - 1
 
 
@@ -39,7 +39,7 @@ def source(of, background=0, tick=100, level=0, **settings) -> SourceSettings:
 
 
 def compose(a: list[int], b: list[int]) -> list[int]:
-    """The matrix product of rows as integers over the field of two elements."""
+    """Return the matrix product of rows as integers over the field of two elements."""
     rows = []
     for row in a:
         total = 0
@@ -85,7 +85,7 @@ def test_seeds_differ_in_all_and_are_never_0():
 
 
 def test_cipher_changes_half_of_the_bits():
-    """A bit of key, left or right half changes each bit of a block half of the time."""
+    """One bit of the key, or of either half, changes each bit of a block half of the time."""
     rights = np.arange(2000)
     base = cipher(5, 7, rights)
     for changed in (cipher(5 ^ 1 << 31, 7, rights), cipher(5, 7 ^ 1 << 16, rights), cipher(5, 7, rights ^ 1)):
@@ -95,11 +95,11 @@ def test_cipher_changes_half_of_the_bits():
 
 
 def test_background():
-    """10^7 draws: rate, uniformity over ticks, and no pixel, pulse or neighbour that stands out."""
+    """In 10^7 draws: the rate, uniformity over ticks, and no pixel, pulse or neighbour that stands out."""
     of = config(pulses=2000)
     rates = np.array([2000, 6000])
     edges = source_edges(of, source(of, background=rates, seed=3), 0)
-    draws = 2000 * 40 * 64  # of a subgroup
+    draws = 2000 * 40 * 64  # per subgroup
     assert 2 * draws >= 10**7
     subgroup = edges.pixel % 16 // 8
     for s, rate in enumerate(rates):
@@ -115,7 +115,7 @@ def test_background():
 
 
 def test_pixels_and_cycles_are_independent():
-    """At one rate: pairs of pixels, and of cycles of one pixel, by chi-square; and spectra of neighbours, which have nothing in common."""
+    """Pairs of pixels, and pairs of cycles of a pixel, by chi-square; the spectra of neighbours are unrelated."""
     of = config(pulses=2000)
     edges = source_edges(of, source(of, background=8000, seed=5), 1)
     seen = np.zeros((128, 2000 * 40), np.int8)
@@ -136,7 +136,7 @@ def test_pixels_and_cycles_are_independent():
 
 
 def test_triples_of_pixels_coincide_as_chance_has_it():
-    """What a coincidence sensor would notice: the number of pixels of a subgroup that fire in a cycle is binomial."""
+    """The number of pixels of a subgroup that fire in a cycle is binomial, which matters for a coincidence sensor."""
     of = config(pulses=2000)
     edges = source_edges(of, source(of, background=3000, seed=7), 2)
     mine = edges.pixel % 16 < 8
@@ -149,7 +149,7 @@ def test_triples_of_pixels_coincide_as_chance_has_it():
 
 
 def test_echo():
-    """Probability per pixel, uniform over its ticks, independent from pulse to pulse; none before the second cycle."""
+    """Probability per pixel, uniform over its ticks, independent from pulse to pulse; no echo before the second cycle."""
     of = config(pulses=6000)
     levels = np.tile(np.arange(64) * 4, (2, 1))
     edges = source_edges(of, source(of, tick=101, level=levels, spread=3, seed=9), 0)
@@ -163,7 +163,7 @@ def test_echo():
         assert half.ravel()[0] == 0 and (z**2).sum() < stats.chi2(63).isf(LIKELY)
     seen = np.zeros((128, 6000), np.int8)
     seen[edges.pixel, edges.pulse] = 1
-    of_level = seen[32:33]  # one row: a pixel with an echo in half of the pulses
+    of_level = seen[32:33]  # one row: pixels with an echo in half of the pulses
     table = np.bincount(2 * of_level[0, :-1] + of_level[0, 1:], minlength=4).reshape(2, 2)
     assert stats.chi2_contingency(table, correction=False).pvalue > LIKELY
     assert len(source_edges(of, source(of, tick=15, level=255), 0)) == 0

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Photons against closed forms that hold exactly, at a level of 0.1 % with fixed seeds."""
+"""Photons against exact closed forms, at a level of 0.1 % with fixed seeds."""
 
 import math
 
@@ -20,7 +20,7 @@ from coincid.model.shared.errors import InputError
 
 LEVEL = 1e-3
 BARE = Spad(dead_time_s=0, jitter_fwhm_s=0)
-FINE = Timing(clock_hz=10e9, phases=64, period_cycles=5000)  # 500 ns in ticks of 1.6 ps: as good as continuous time
+FINE = Timing(clock_hz=10e9, phases=64, period_cycles=5000)  # 500 ns in ticks of 1.6 ps: practically continuous time
 EVERYTHING = Spad(
     paralyzable=True,
     jitter_tail_fraction=0.1,
@@ -43,17 +43,17 @@ def edges_of(light, spad=BARE, timing=FINE, *, seed=1, **options):
 
 
 def time_s(edges, timing=FINE):
-    """Times since the edges' laser triggers, spread evenly over each tick: continuous, as the tests want them."""
+    """Return times since the edges' laser triggers, spread evenly over each tick, because the tests need continuous times."""
     return (edges.tick + np.random.default_rng(0).random(len(edges))) * timing.tick_s
 
 
 def counts(edges, pixels, pulses):
-    """Edges of every pixel and pulse, int64[pixels * pulses]."""
+    """Return the number of edges of every pixel and pulse, int64[pixels * pulses]."""
     return np.bincount(edges.pixel * pulses + edges.pulse, minlength=pixels * pulses)
 
 
 def assert_law(observed, law, level=LEVEL):
-    """Chi-square of integer samples against a discrete law; rare classes are joined at the ends."""
+    """Chi-square test of integer samples against a discrete law; rare classes are joined at the ends."""
     values = np.arange(observed.max() + 1)
     expected = law.pmf(values) * len(observed)
     low, high = np.flatnonzero(expected >= 5)[[0, -1]]
@@ -92,7 +92,7 @@ def test_dead_time_leaves_the_known_rate(paralyzable, dead_fraction):
         expected, variance = photons * math.exp(-x), photons * math.exp(-x) * (1 - 2 * x * math.exp(-x))
     else:
         expected, variance = photons / (1 + x), photons / (1 + x) ** 3
-    at_the_start = 64  # at most one count a pixel, for it starts ready
+    at_the_start = 64  # at most one more count per pixel, because it starts ready
     assert_mean(n, expected + at_the_start / 2, math.sqrt(variance) + at_the_start / 2)
 
 
@@ -105,7 +105,7 @@ def test_gaps_after_the_dead_time_are_exponential_across_pulses():
 
 @pytest.mark.parametrize("signal", [0.02, 0.1, 0.613])
 def test_distinct_pixels_of_a_subgroup_are_binomial(signal):
-    """A SPAD fires at most once a laser pulse: of 64 pixels, each with probability 1 - exp(-signal)."""
+    """A SPAD fires at most once per laser period: of 64 pixels, each with probability 1 - exp(-signal)."""
     pulses = 4000
     edges = edges_of(light(signal=signal), Spad(), pulses=pulses)
     assert_law(np.bincount(edges.pulse, minlength=pulses), stats.binom(64, -math.expm1(-signal)))
@@ -113,7 +113,7 @@ def test_distinct_pixels_of_a_subgroup_are_binomial(signal):
 
 @pytest.mark.parametrize("threshold", [1, 2, 3, 5, 7])
 def test_threshold_tail_of_noise_in_a_window(threshold):
-    """Chance that at least `threshold` of 64 pixels fire within a fixed window."""
+    """Probability that at least `threshold` of 64 pixels fire within a fixed window."""
     window_ticks, rate_cps, pulses = 640, 2e7, 20_000
     timing = Timing(clock_hz=10e9, phases=64, period_cycles=50)
     edges = edges_of(light(noise_cps=rate_cps), timing=timing, pulses=pulses)
@@ -147,7 +147,7 @@ def test_pulse_and_jitter_add_up_to_the_system_width(jitter_fwhm_s):
 
 
 def test_jitter_of_one_avalanche_is_the_spads_alone():
-    """The laser pulse has no width here: what is left of the spread is jitter and tail."""
+    """The laser pulse has no width here, so the spread is only jitter and tail."""
     fraction, tail_s, sigma_s = 0.2, 300e-12, 100e-12 * SIGMA_PER_FWHM
     spad = Spad(jitter_tail_fraction=fraction, jitter_tail_s=tail_s)
     edges = edges_of(light(distance_m=20.0, signal=5.0, system_fwhm_s=100e-12), spad, pulses=1000)
@@ -176,7 +176,7 @@ def test_crosstalk_reaches_four_neighbours_with_its_probability():
 
 
 def test_crosstalk_meets_the_neighbours_dead_time():
-    """Two pixels that always fire at different times within a dead time: the later is struck only while it is ready."""
+    """Two pixels always fire within a dead time of each other: crosstalk fires the later one only while it is ready."""
     spad = Spad(jitter_fwhm_s=0, crosstalk_probability=0.25)
     early, late = 20.0, 20.3  # 2 ns apart
     scene = light(1, 2, distance_m=np.array([early, late]), signal=40.0, system_fwhm_s=50e-12)
@@ -188,7 +188,7 @@ def test_crosstalk_meets_the_neighbours_dead_time():
     assert stats.binomtest(int(struck.sum()), pulses, 0.25).pvalue > LEVEL
 
 
-@pytest.mark.parametrize("distance_m", [20.0, 74.0])  # the second: carriers outlive their pulse
+@pytest.mark.parametrize("distance_m", [20.0, 74.0])  # with the second, carriers outlive their pulse
 def test_afterpulses(distance_m):
     probability, trap_s, pulses = 0.1, 30e-9, 5000
     spad = Spad(jitter_fwhm_s=0, afterpulse_probability=probability, afterpulse_s=trap_s)
@@ -253,7 +253,7 @@ def test_progressive_gate_moves_with_the_pulse_in_the_frame():
 
 
 def test_gates_of_a_configuration():
-    """A gated subgroup steps through its period, one without gating is open all the time."""
+    """A gated subgroup steps through its period; one without gating is always open."""
     config = parse_config(
         {
             "sensor": {"rows": 8, "cols": 16},
@@ -294,7 +294,7 @@ def test_code_density_finds_the_taps():
     width_to_edges = found.edges / 32
     assert stats.chisquare((found.dnl_lsb + 1) * width_to_edges, width_lsb * width_to_edges).pvalue > LEVEL
     assert np.all(np.abs(found.dnl_lsb + 1 - width_lsb) < 4.5 * found.sigma_lsb)
-    border_sigma_lsb = 32 * 0.5 / math.sqrt(found.edges)  # of the middle one, the least sure
+    border_sigma_lsb = 32 * 0.5 / math.sqrt(found.edges)  # of the middle border, the least certain
     assert np.all(np.abs(found.inl_lsb - np.cumsum(width_lsb - 1)) < 4.5 * border_sigma_lsb)
 
 
@@ -311,7 +311,7 @@ def test_presets():
     even = Light.from_scene([[4.0, 8.0]], [[0.4, 0.1]], np.array([[50, 100]]), background="even")
     assert even.background_cps == pytest.approx([1.226e6, 2 * 1.226e6])
     mesh = Light.from_scene([[[4.0, 8.0], [4.0, np.nan]]], 0.3, 50)
-    assert mesh.background_cps == pytest.approx([1.5 * 1.226e6, 0.75 * 1.226e6])  # what both targets send back
+    assert mesh.background_cps == pytest.approx([1.5 * 1.226e6, 0.75 * 1.226e6])  # the light that both targets reflect
 
 
 def test_dark_counts_and_hot_pixels():
@@ -333,9 +333,9 @@ def test_dark_counts_and_hot_pixels():
         (lambda: light(signal=-1.0), r"signal_per_pulse\[0, 0\] = -1.0: must be from 0 to 10000"),
         (lambda: light(noise_cps=np.nan), r"background_cps\[0\] = nan: must be from 0 to 1e\+12"),
         (lambda: light(distance_m=np.ones(3)), r"distance_m: has shape \(3, 1\), must be \(64, 1\) or broadcast to it"),
-        (lambda: Light.from_scene(np.zeros((2, 2)), 0.4, 50), r"distance_m\[0, 0\] = 0.0: must be of at least 0.05"),
+        (lambda: Light.from_scene(np.zeros((2, 2)), 0.4, 50), r"distance_m\[0, 0\] = 0.0: must be at least 0.05"),
         (lambda: Light.from_scene(np.ones((2, 2)), 4, 50), r"reflectivity\[0, 0\] = 4.0: must be from 0 to 1"),
-        (lambda: background_cps(-1), r"klux = -1.0: must be of at least 0"),
+        (lambda: background_cps(-1), r"klux = -1.0: must be at least 0"),
         (
             lambda: Light.from_scene(np.ones((2, 2)), 0.4, 50, background="dark"),
             r"background = 'dark': must be one of reflected, even",

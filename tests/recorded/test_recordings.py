@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Recorded photons: PTU files and tables become edges; edges come back from every format; what is wrong is said."""
+"""Recorded photons: PTU files and tables become edges; edges survive a round trip through every format; errors are reported."""
 
 import struct
 
@@ -36,7 +36,7 @@ def edges(*rows):
 
 
 def ptu(path, records, *, mode=2, kind=GENERIC_T2, clock_s=1e-12, bin_s=1e-12, **more):
-    """A PTU file of the least that the format asks for."""
+    """Write a minimal PTU file."""
     tags = {
         "Measurement_Mode": mode,
         "Measurement_SubMode": 1,
@@ -66,7 +66,7 @@ def t3(special, channel, dtime, nsync):
 
 
 def test_t3_by_hand(tmp_path):
-    """Bins of 125 ps are two ticks: the middle of a bin is the later one. An overflow is 1024 syncs."""
+    """Bins of 125 ps are two ticks; the middle of a bin is in the later one. An overflow is 1024 syncs."""
     records = [
         t3(0, 3, 0, 1),
         t3(0, 3, 100, 2),
@@ -92,7 +92,7 @@ def test_t3_by_hand(tmp_path):
 
 @pytest.mark.parametrize(("kind", "wrap"), [(GENERIC_T2, 1 << 25), (HYDRAHARP_T2, 33552000)])
 def test_t2_by_hand(tmp_path, kind, wrap):
-    """Input 0 is not the sync input; a photon belongs to the last sync, also across an overflow of the clock."""
+    """Input 0 is not the sync input; a photon belongs to the last sync, even across an overflow of the clock."""
     sync = 500_000
     records = [
         t2(0, 0, 10),
@@ -116,7 +116,7 @@ def test_t2_by_hand(tmp_path, kind, wrap):
 
 
 def test_t2_of_the_picoharp(tmp_path):
-    """4 bits of channel, of which 0 is the sync input; 4 ps."""
+    """4 bits of channel, with 0 as the sync input; 4 ps."""
     records = [0 << 28 | 1000, 1 << 28 | 1000 + 16, 2 << 28 | 1000 + 32]
     found, _ = edges_of(ptu(tmp_path / "a.ptu", records, kind=PICOHARP_T2, clock_s=4e-12))
     assert found == [(0, 0, 1), (0, 1, 2)]
@@ -124,7 +124,7 @@ def test_t2_of_the_picoharp(tmp_path):
 
 @pytest.mark.parametrize("both_ways", [False, True])
 def test_scan_by_another_writer(tmp_path, both_ways):
-    """ptufile's own writer makes an image from histograms: each position gets its photons, each a pulse of its own."""
+    """ptufile's own writer makes an image from histograms: each position has its photons, each with a pulse of its own."""
     rng = np.random.default_rng(3)
     counts = rng.poisson(0.02, (2, 6, 5, 1, 100)).astype(np.uint16)  # images, lines, positions, channels, bins
     path = tmp_path / "scan.ptu"
@@ -185,7 +185,7 @@ def test_edges_come_back_from_every_format(tmp_path_factory, suffix, rows):
 
 @given(pulses=st.lists(st.integers(0, 3 << 20), min_size=1, max_size=20))
 def test_syncs_of_a_long_recording(tmp_path_factory, pulses):
-    """The records' counter of syncs wraps at 1024, and the wraps' counter too."""
+    """The records' sync counter wraps at 1024, and the counter of wraps does, too."""
     path = tmp_path_factory.mktemp("edges") / "long.ptu"
     write_edges(path, edges(*((pulse, 63, 1) for pulse in pulses)), TIMING)
     assert read_recording(path).sync.tolist() == sorted(pulses)
@@ -219,7 +219,7 @@ def test_bad_tables(tmp_path, name):
 
 @pytest.mark.parametrize("suffix", SUFFIXES)
 def test_damaged_files(tmp_path, suffix):
-    """Cut short anywhere, or with a byte changed: read, or refused with a message."""
+    """A file that is cut anywhere, or has a changed byte, is read or refused with a message."""
     rng = np.random.default_rng(1)
     path = tmp_path / f"edges{suffix}"
     write_edges(path, edges(*((pulse, pulse, 50 * pulse) for pulse in range(40))), TIMING)
@@ -284,7 +284,7 @@ def test_channel_maps(tmp_path):
 
 @pytest.mark.parametrize("suffix", [".ptu", ".csv"])
 def test_recording_replays_alike_through_model_and_rtl(tmp_path, suffix):
-    """From a scene's photons to a recording and back to edges, at the command line."""
+    """From a scene's photons to a recording and back to edges, on the command line."""
     (tmp_path / "small.toml").write_text("[sensor]\nrows = 8\ncols = 8\n[frame]\npulses = 20\nframes = 2\n")
     more = ("--config", str(tmp_path / "small.toml"))
 

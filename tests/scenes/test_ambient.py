@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Ambient light across the picture: every form, resampled, in the background of every kind of scene; and what is wrong in it."""
+"""Ambient light across the picture: every form, resampled, in the background of every kind of scene; and faulty inputs."""
 
 import numpy as np
 import pytest
@@ -24,7 +24,7 @@ def test_array_in_klux_takes_the_mean_of_what_a_pixel_covers(tmp_path):
     assert np.array_equal(ambient_klux(str(path), 4, 6), klux)
     assert np.array_equal(ambient_klux(str(path), 2, 3), klux.reshape(2, 2, 3, 2).mean(axis=(1, 3)))
     assert np.array_equal(ambient_klux(str(path), 8, 12), klux.repeat(2, 0).repeat(2, 1))
-    assert np.array_equal(ambient_klux(str(path), 4, 4), klux[:, 1:5])  # the middle, in the sensor's aspect ratio
+    assert np.array_equal(ambient_klux(str(path), 4, 4), klux[:, 1:5])  # the middle, with the sensor's aspect ratio
 
 
 @pytest.mark.parametrize("depth, white", [(np.uint8, 255), (np.uint16, 65535)])
@@ -59,7 +59,7 @@ def test_what_is_wrong_is_named(tmp_path):
         str(colour): "needs its white level in klux",
         f"{colour},100": "mode RGB, must be grey",
         f"{colour},-1": "klux = -1.0",
-        str(negative): "klux[0, 0] = -1.0: must be of at least 0",
+        str(negative): "klux[0, 0] = -1.0: must be at least 0",
         str(flat): "must hold numbers in two dimensions",
         "nowhere.npy": "nowhere.npy: no such file",
         "nowhere.png,5": "nowhere.png: no such file",

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which way is up, absolutely: a letter F drawn here stands the same way in the scene, at the ports, in the words and in the picture.
+"""Absolute orientation: a letter F stands the same way in the scene, at the ports, in the words and in the picture.
 
-A scene that is mirrored or turned together with its light agrees with itself; only a drawing tells. (Ray-traced scenes through a camera:
-`test_raytrace.py::test_users_camera`.)
+A scene that is mirrored or turned together with its light is self-consistent, so only a drawing can tell. For ray-traced
+scenes with a camera, see `test_raytrace.py::test_users_camera`.
 """
 
 import numpy as np
@@ -73,7 +73,7 @@ def array_file(folder):
 
 
 def coloured_file(folder):
-    """The letter in the colour, not in the distance."""
+    """Write a depth file with the letter in the colour, not in the distance."""
     np.save(folder / "wall.npy", np.full(LETTER.shape, NEAR_M))
     Image.fromarray(np.where(LETTER, 200, 20).astype(np.uint8)).save(folder / "letter.png")
     return load_scene(f"{folder / 'wall.npy'},{folder / 'letter.png'}", ROWS, COLS)
@@ -88,14 +88,14 @@ def test_letter_stands_the_same_way_from_the_scene_to_the_picture(scene, tmp_pat
     config, between = CONFIG, round((NEAR_M + FAR_M) / SPEED_OF_LIGHT_M_S / CONFIG.tick_s)
     near = edges.tick < between
 
-    # At the ports: subgroups of 8 x 8 in rows, pixels in rows inside, as the contract counts them.
+    # At the ports: subgroups of 8 x 8 in rows, and pixels in rows inside them, as in the contract.
     at = port_bits(config, edges)
     pixel = at.bit // config.sensor.phases
     row, col = at.subgroup // 2 * 8 + pixel // 8, at.subgroup % 2 * 8 + pixel % 8
     assert_drawn(row[near], col[near], LETTER)
     assert_drawn(row[~near], col[~near], ~LETTER)
 
-    # In the words: hit maps of the events, maps of the minigroup records.
+    # In the words: hit maps of the events, and maps of the minigroup records.
     (beats,) = Golden(config.sensor).frame(config, edges).beats
     words = decode_frame(beats, config.sensor, config.sensor.subgroups)
     subgroup, stamp = words.events[:, 2], words.events[:, 6]
@@ -126,7 +126,7 @@ def test_letter_in_the_colour(tmp_path):
 
 
 def assert_drawn(row, col, drawing):
-    """Most pixels of the drawing are there, and hardly any other."""
+    """Check that most pixels of the drawing are there, and hardly any others."""
     seen = np.zeros(drawing.shape, np.int64)
     np.add.at(seen, (row, col), 1)
     assert np.mean(seen[drawing] > 0) > 0.95

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Ray-traced scenes: transients to edges, what happens without the extra, and with it the renderer against closed forms."""
+"""Ray-traced scenes: transients to edges, behaviour without the extra, and the renderer against closed forms."""
 
 import math
 import re
@@ -36,7 +36,7 @@ BINS_PER_TICK = round(Timing().tick_s / BIN_S)
 
 
 def synthetic(table, surface_m=5.0, ambient=0.4):
-    """A transient from strengths [rows, cols, bins]."""
+    """Return a transient from strengths [rows, cols, bins]."""
     rows, cols, bins = table.shape
     counts, index, strength = sparse(table.reshape(rows * cols, bins))
     surface_m, ambient = np.broadcast_to(surface_m, (rows, cols)).copy(), np.broadcast_to(ambient, (rows, cols)).copy()
@@ -46,12 +46,12 @@ def synthetic(table, surface_m=5.0, ambient=0.4):
 
 
 def photons_in(light):
-    """float64[pixels]: photons per pulse of the light's bins."""
+    """float64[pixels]: photons per pulse in the light's bins."""
     return np.diff(np.r_[0, np.cumsum(light.arrivals.photons)][light.arrivals.first])
 
 
 def test_energy_is_conserved_from_transient_to_edges():
-    """Chi-square over (pixel, tick), and over the counts of single pulses: the edges are those photons, Poisson."""
+    """Chi-square over (pixel, tick), and over the counts of single pulses: the edges are those photons, Poisson-distributed."""
     random = np.random.default_rng(1)
     table = np.zeros((4, 4, 4000 * BINS_PER_TICK))
     for row in table.reshape(16, -1):
@@ -69,7 +69,7 @@ def test_energy_is_conserved_from_transient_to_edges():
 
 
 def test_one_unit_is_equation_1():
-    """What a Lambertian surface sends back, r / (pi d^2), makes the link budget's photons, in the corrected form."""
+    """The return of a Lambertian surface, r / (pi d^2), gives the link budget's photons, in the corrected form."""
     table = np.zeros((1, 1, 2000))
     table[0, 0, 1700] = 0.4 / (math.pi * 4.0**2)
     light = synthetic(table).light(50)
@@ -80,7 +80,7 @@ def test_one_unit_is_equation_1():
 @settings(max_examples=20)
 @given(photons=st.lists(st.floats(0.01, 3), min_size=1, max_size=4), seed=st.integers(0, 99))
 def test_bins_without_width_are_targets(photons, seed):
-    """The same edges, whether a distribution is given as targets or as bins."""
+    """The edges are the same, whether a distribution is given as targets or as bins."""
     start_s = 40e-9 * np.arange(1, len(photons) + 1)
     common = dict(rows=1, cols=1, background_cps=2e6)
     targets = Light(distance_m=start_s[None] * SPEED_OF_LIGHT_M_S / 2, signal_per_pulse=np.array([photons]), **common)
@@ -95,7 +95,7 @@ def test_bins_without_width_are_targets(photons, seed):
 
 
 def test_light_of_an_earlier_pulse():
-    """Beyond the laser period it comes in the next one, or not at all where the model says so."""
+    """Light from beyond the laser period arrives in the next one, or is lost if the model says so."""
     arrivals = Arrivals(first=[0, 1], start_s=[Timing().period_s + 100e-9], photons=[5.0], width_s=BIN_S)
     dark = dict(rows=1, cols=1, distance_m=np.nan, signal_per_pulse=0.0, system_fwhm_s=0.0, arrivals=arrivals)
     edges = generate_edges(Light(**dark), BARE, Timing(), pulses=20, seed=1)
@@ -110,7 +110,7 @@ def test_light_of_an_earlier_pulse():
         (dict(first=[0, 4, 3]), "first: must ascend"),
         (dict(start_s=[1e-9, 3e-9, 2e-9]), "start_s: must ascend in every pixel"),
         (dict(photons=[1.0, -1.0, 0.0]), "photons"),
-        (dict(first=[0, 1, 3]), "arrivals: are of 2 pixels, must be of 1"),
+        (dict(first=[0, 1, 3]), "arrivals: has 2 pixels, must have 1"),
     ],
 )
 def test_wrong_arrivals(wrong, words):
@@ -156,7 +156,7 @@ def test_transient_file_and_depth(tmp_path):
 
 @pytest.fixture
 def stub(monkeypatch, tmp_path):
-    """A renderer that hands out `stub.transient` for any file, and counts; the extra is not needed."""
+    """A renderer that returns `stub.transient` for any file, and counts its calls; it does not need the extra."""
     monkeypatch.setenv("COINCID_BUILD", str(tmp_path / "build"))
     made = SimpleNamespace(
         renders=0, contents=b"1", path=tmp_path / "scene.xml", transient=synthetic(np.ones((2, 2, 10)))
@@ -258,7 +258,7 @@ def test_unknown_scene(source, words):
 
 @pytest.fixture(scope="module")
 def tracer():
-    """The renderer; tests that want it are skipped without the extra."""
+    """The renderer; tests that need it are skipped without the extra."""
     try:
         version("mitransient")
         return ray_scene._tracer()
@@ -287,11 +287,11 @@ def rendered(tracer, path, rows=8, cols=8, stop_s=1e-6):
 
 @pytest.mark.parametrize("distance_m", [1, 4, 10, 50])
 def test_flat_wall_is_the_link_budget(tracer, tmp_path, distance_m):
-    """Rate within 2 %, in the corrected form; range within a tick."""
+    """The rate is right within 2 %, in the corrected form; the range within a tick."""
     transient = rendered(tracer, scene_file(tmp_path / "wall.xml", wall(distance_m)))
     budget = link_budget(float(distance_m), 0.4, 0, form="corrected")
     assert photons_in(transient.light(0)) == pytest.approx(np.full(64, budget.signal_per_pulse), rel=0.02)
-    across = (np.arange(8 * 64) + 0.5) / 256 - 1  # of the field of view, 64 points a pixel
+    across = (np.arange(8 * 64) + 0.5) / 256 - 1  # of the field of view, 64 points per pixel
     square = (across * math.tan(math.pi / 8)) ** 2
     from_geometry_m = distance_m * np.sqrt(1 + square[:, None] + square).reshape(8, 64, 8, 64).mean(axis=(1, 3))
     weighed = np.add.reduceat(transient.strength_per_m2 * (transient.index + 0.5), transient.first[:-1])
@@ -302,7 +302,7 @@ def test_flat_wall_is_the_link_budget(tracer, tmp_path, distance_m):
 
 
 def test_the_renderer_agrees_with_mitsubas_own(tracer):
-    """All light of a corner and of the five objects, many bounces, against the path integrator and a projector: one constant for both."""
+    """Compare all light of a corner and of the five objects with the path integrator and a projector; one common constant."""
     import mitsuba as mi
 
     ratios = []
@@ -319,13 +319,13 @@ def test_the_renderer_agrees_with_mitsubas_own(tracer):
             mi.render(mi.load_dict(same), integrator=mi.load_dict({"type": "path", "max_depth": 24}), spp=4096)
         )[:, :, 0]
         ratios.append(rendered(tracer, ray_scene.SCENES / f"{name}.xml").total_per_m2 / steady)
-    assert np.allclose(ratios, 1 / math.pi, rtol=0.06)  # pixels; Mitsuba's projector counts pi times the irradiance
+    assert np.allclose(ratios, 1 / math.pi, rtol=0.06)  # pixels; Mitsuba's projector gives pi times the irradiance
     assert np.mean(ratios, axis=(1, 2)) == pytest.approx([1 / math.pi] * 2, rel=0.005)
 
 
 @pytest.mark.parametrize(("target", "ball_at"), [("1,2,8", (2, 3, 8)), ("4,2,7", (4.8, 3, 6.4))])
 def test_users_camera(tracer, tmp_path, target, ball_at):
-    """Where it stands and looks counts, its film does not; the picture has its left on the left, its top at the top."""
+    """The camera's position and direction are used, its film is not; left is left and top is top in the picture."""
     ball = (
         '<shape type="sphere"><bsdf type="diffuse"/><float name="radius" value="0.5"/>'
         '<transform name="to_world"><translate x="1" y="1" z="5"/></transform></shape>'
@@ -347,7 +347,7 @@ def test_users_camera(tracer, tmp_path, target, ball_at):
 
 
 def test_files_beside_a_scene(tracer, tmp_path, monkeypatch):
-    """A mesh and an included file are the ones of the scene's own folder, and part of what a rendering is kept by."""
+    """Meshes and included files come from the scene's own folder, and belong to the key of a cached rendering."""
     monkeypatch.setenv("COINCID_BUILD", str(tmp_path / "build"))
     truth_m = []
     for folder, z in (("a", 4), ("b", 6), ("b", 8)):
@@ -381,7 +381,7 @@ def test_threads_do_not_change_a_bit(tracer):
 
 
 def test_depth_of_single_returns_is_the_geometrys(tracer):
-    """Five objects: within a tick wherever the pixel and its neighbours see one surface."""
+    """For the five objects, depth is right within a tick wherever a pixel and its neighbours see one surface."""
     transient = rendered(tracer, ray_scene.SCENES / "five-objects.xml", 32, 32, stop_s=0.5e-6)
     depth_m, surface_m = transient.depth_m(), transient.surface_m
     single = ndimage.maximum_filter(surface_m, 3) - ndimage.minimum_filter(surface_m, 3) < 0.2
@@ -394,14 +394,14 @@ def test_depth_of_single_returns_is_the_geometrys(tracer):
 
 
 def test_pane_and_fog_take_their_share(tracer, tmp_path):
-    """A pane passes what Fresnel says, there and back; fog takes exp(-2 sigma d) of the wall's own light, and shines in the sun."""
+    """A pane transmits by Fresnel's law, there and back; fog takes exp(-2 sigma d) of the wall's light, and glows in the sun."""
     clear = rendered(tracer, scene_file(tmp_path / "clear.xml", wall(10)))
     pane = (
         '<shape type="rectangle"><bsdf type="thindielectric"/><transform name="to_world"><scale value="9"/><translate z="3"/>'
         "</transform></shape>"
     )
     behind = rendered(tracer, scene_file(tmp_path / "pane.xml", wall(10) + pane))
-    once = (1.000277 - 1.5046) ** 2 / (1.000277 + 1.5046) ** 2  # Mitsuba's air and BK7, straight on
+    once = (1.000277 - 1.5046) ** 2 / (1.000277 + 1.5046) ** 2  # Mitsuba's air and BK7, at normal incidence
     passes = (1 - once) / (1 + once)
     assert (behind.total_per_m2 / clear.total_per_m2)[3:5, 3:5] == pytest.approx(np.full((2, 2), passes**2), rel=0.03)
     fog = (
@@ -443,7 +443,7 @@ def test_broken_scenes(tracer, tmp_path, body, words):
 
 
 def test_a_scene_runs_from_photon_to_depth(tracer, tmp_path, monkeypatch):
-    """A file of the user's, by the command: a ball before a wall, each at its depth."""
+    """A user's file, on the command line: a ball before a wall, each at its depth."""
     monkeypatch.setenv("COINCID_BUILD", str(tmp_path / "build"))
     ball = '<shape type="sphere"><bsdf type="diffuse"/><float name="radius" value="1"/><point name="center" x="0" y="0" z="5"/></shape>'
     path = scene_file(tmp_path / "ball.xml", wall(9) + ball)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Scenes: built-in ones, and depth files that are good, damaged or something else."""
+"""Scenes: built-in ones, and depth files that are good, damaged or not depth files."""
 
 import numpy as np
 import pytest
@@ -33,7 +33,7 @@ def test_five_objects_has_the_papers_ranges():
     for label in range(1, 6):
         assert len(np.unique(scene.truth_m[scene.labels == label])) == 1
     subgroups = scene.labels.reshape(4, 8, 4, 8).swapaxes(1, 2).reshape(16, 64)
-    assert sum(len(np.unique(labels)) > 1 for labels in subgroups) >= 8  # edges matter
+    assert sum(len(np.unique(labels)) > 1 for labels in subgroups) >= 8  # edges are visible to the sensor
 
 
 @pytest.mark.parametrize("size", [(8, 8), (16, 16), (32, 16), (64, 64)])
@@ -53,7 +53,7 @@ def test_letter_f_is_no_image_of_itself():
 def test_sun_and_shade_has_dark_and_bright_things_on_both_sides():
     scene = load_scene("sun-and-shade:0.05", 32, 32)
     assert set(np.unique(scene.sunlit)) == {0.05, 1.0}
-    assert np.all(np.diff(scene.sunlit, axis=1) >= 0)  # the sun stands on the right
+    assert np.all(np.diff(scene.sunlit, axis=1) >= 0)  # the sun is on the right
     for side in (0.05, 1.0):
         reflectivity = scene.reflectivity[scene.sunlit == side]
         assert reflectivity.min() <= 0.12 and reflectivity.max() >= 0.4
@@ -130,7 +130,7 @@ def test_picture_in_millimetres_and_array_in_metres_are_the_same(tmp_path):
 
 
 def test_scaled_distances_and_too_much_signal(tmp_path):
-    """A wall at 1 m sends ten times what the sensor is made for, at 3 m about as much."""
+    """A wall at 1 m sends ten times the signal that the sensor is made for; at 3 m about the right one."""
     np.save(tmp_path / "wall.npy", np.full((4, 4), 1.0))
     near, far = (load_scene(str(tmp_path / "wall.npy"), 4, 4, scale=scale) for scale in (1.0, 3.0))
     assert np.array_equal(far.distance_m, 3 * near.distance_m) and any("times 3" in note for note in far.notes)

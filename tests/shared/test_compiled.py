@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Compiled code is made anew when a file that it is made of changes, is kept otherwise, and needs no folder to be kept in."""
+"""Compiled code is renewed when a file that it depends on changes, is kept otherwise, and does not require a folder."""
 
 import os
 import subprocess
@@ -9,7 +9,8 @@ import pytest
 
 from ..planted import copy_of_sources
 
-# A kernel of `study` that takes in the contract's arithmetic: with windows of one cycle, the second photon opens the second window.
+# A kernel of `study` that uses the contract's arithmetic: with windows of one cycle, the second photon opens the second
+# window.
 PROGRAM = """
 import numba, numpy as np
 from coincid.study import rivals
@@ -23,7 +24,7 @@ REARM = "close + 1 + rearm_cycles"
 
 @pytest.fixture
 def run(tmp_path):
-    """Runs `PROGRAM` on a copy of the sources; what it prints: stamps of windows, and whether its code was found compiled."""
+    """Run `PROGRAM` on a copy of the sources; return its output: stamps of windows, and whether compiled code was found."""
     copy_of_sources(tmp_path)
     environment = {name: value for name, value in os.environ.items() if not name.startswith("NUMBA_")}
     environment |= {"PYTHONPATH": str(tmp_path), "COINCID_BUILD": str(tmp_path / "build")}

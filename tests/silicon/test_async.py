@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The asynchronous view: equal to golden model and polyphase view at tick centres, within a tick off them, never a wrong word."""
+"""The asynchronous view: equal to golden model and polyphase view at tick centres, elsewhere within a tick, no wrong words."""
 
 import json
 import re
@@ -72,7 +72,7 @@ def test_both_views_show_the_same_beats_and_commits(window, tmp_path):
 
 
 def bursts(settings, seed, ticks):
-    """One burst a period, of every third pixel or so."""
+    """Return one burst per period, of about every third pixel."""
     rng = np.random.default_rng(seed)
     pulse, pixel = np.nonzero(rng.random((settings.pulses, settings.sensor.array_pixels)) < 0.3)
     start = rng.integers(0, 20 * settings.sensor.phases, settings.pulses)
@@ -80,9 +80,10 @@ def bursts(settings, seed, ticks):
 
 
 def assert_within_a_tick(settings, edges, golden, found):
-    """The stamp may differ by a tick; only pixels within a tick of a window's end may be in or out; the winner came within a tick of t0.
+    """Check that stamps differ by at most a tick, that only pixels within a tick of a window's end may be in or out of it,
+    and that the winner came within a tick of t0.
 
-    That is of a period's first window: an edge that is in one and out of the other may open the next.
+    This holds for a period's first window: an edge that is in one and out of the other may open the next.
     """
     golden, found = (
         {
@@ -130,7 +131,7 @@ def test_edges_anywhere_in_their_ticks(circuit):
 
 
 def test_nominal_circuits_keep_the_ticks_of_dense_edges():
-    """With borders in their places only the winner may differ: the arbiter knows who came first in a tick."""
+    """With exact borders, only the winner may differ, because the arbiter knows who came first in a tick."""
     settings = config()
     edges = off_centre(settings, trouble(settings, 5, 20.0), 6)
     found = replay("icarus", settings, edges, view=Asynchronous())
@@ -138,7 +139,7 @@ def test_nominal_circuits_keep_the_ticks_of_dense_edges():
 
 
 def test_verilator_agrees():
-    settings = config(SMALL, pulses=3)  # compiling delays takes its time
+    settings = config(SMALL, pulses=3)  # delays take long to compile
     edges = trouble(settings, 7, 20.0)
     assert not differences(
         replay("golden", settings, edges), replay("cocotb-verilator", settings, edges, view=Asynchronous())
@@ -146,7 +147,7 @@ def test_verilator_agrees():
 
 
 def test_resets_and_aborts_in_the_middle_of_frames(tmp_path):
-    """The tests of `async_bench.py`."""
+    """Run the tests of `async_bench.py`."""
     sensor = parse_config({"sensor": SMALL}).sensor
     env = {"PYTHONPATH": BENCHES, "COINCID_BENCH_SENSOR": json.dumps(SMALL)}
     build_sensor(sensor, "icarus", view=Asynchronous()).run("async_bench", env=env, out_dir=tmp_path, seed=1)
@@ -161,7 +162,7 @@ def test_a_single_bank_needs_its_gap():
 
 
 def test_levels_rise_once_an_edge():
-    """A line rises as often as its pixel has edges at different times, each time at its femtosecond."""
+    """A line rises as often as its pixel has edges at different times, each time at the exact femtosecond."""
     settings = config()
     edges = off_centre(settings, trouble(settings, 1, 30.0), 2)
     times, _, words = line_levels(settings, edges)
@@ -180,14 +181,14 @@ def test_levels_rise_once_an_edge():
 
 @pytest.mark.parametrize("rearm", (0, 3))
 def test_no_edge_pattern_makes_a_wrong_word_or_locks_up(rearm):
-    """Short form; `python -m coincid.tb.stress 10000000` is the long one."""
+    """Short form of `python -m coincid.tb.stress 10000000`."""
     found = stress(60_000, seed=rearm + 1, sensor=Sensor(rows=8, cols=8, rearm=rearm))
     assert found["wrong"] == found["locked"] == 0
     assert found["edges"] >= 60_000 and found["windows"] > 50 and found["records"] > 0 and found["resets"] > 0
 
 
 def test_domains_are_those_meant(tmp_path):
-    """Every flop has the clock or an event that is meant to be one, there is no latch, and clears reach hit and opening flops only."""
+    """Every flop has an intended clock or event; there is no latch; clears only reach hit and opening flops."""
     sensor = Sensor(rows=4, cols=4, subgroup=(4, 4))
     module = netlist(sensor, Circuit(), tmp_path)
     assert not latches(module)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The bandwidth study: estimate and golden model agree, and what it says about streams holds."""
+"""The bandwidth study: estimate and golden model agree, and its statements about streams hold."""
 
 import csv
 from pathlib import Path
@@ -27,7 +27,7 @@ PAGE = Path(__file__).parents[2] / "docs" / "performance.md"
     ("klux", "threshold", "window"), [(0, 1, 16), (20, 1, 1), (20, 2, 16), (50, 3, 40), (100, 2, 16), (100, 4, 64)]
 )
 def test_estimate_is_what_the_golden_model_counts(klux, threshold, window):
-    """Over many pulses, on planes at several distances, within what the estimate leaves out."""
+    """Over many pulses, on planes at several distances, the difference is within what the estimate leaves out."""
     config = parse_config(
         {
             "sensor": {"rows": 16, "cols": 32},

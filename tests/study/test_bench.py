@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The benchmark: it measures what it documents, and its slowest engine plays the sensor too. No times are asserted."""
+"""The benchmark: it measures what it documents, and its slowest engine plays the sensor, too. No times are asserted."""
 
 import json
 import re
@@ -17,7 +17,7 @@ from coincid.tb.scoreboard import check
 
 from ..cases import trouble
 
-ASKED = {  # what other programs look for in the file
+ASKED = {  # keys that other programs look for in the file
     "batch_cycles_per_s",
     "cocotb_verilator_cycles_per_s",
     "cocotb_icarus_cycles_per_s",
@@ -67,7 +67,7 @@ def test_page_shows_every_key():
 
 
 def test_benchmark_measures_every_key(tmp_path, monkeypatch):
-    """Everything but the engines themselves, which take minutes."""
+    """Measure everything except the engines themselves, which take minutes."""
     numbers = iter(range(1, 1000))
 
     def measured(*names):

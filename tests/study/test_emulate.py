@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`coincid emulate`: a scene on the emulator, simulated behind its pins; a mismatch is found; ports that are none."""
+"""`coincid emulate`: a scene on the emulator, simulated behind its pins; a mismatch is found; bad ports are refused."""
 
 import numpy as np
 import pytest

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Figures: cases on one or two workers, files of a section and of the page. The figures themselves are looked at."""
+"""Figures: cases on one or two workers, files of a section and of the page. The figures themselves are not tested."""
 
 import csv
 import html.parser

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Rivals on the same edges: each against an example worked by hand; what they share; the comparison's files."""
+"""Rivals on the same edges: each against an example by hand; their common parts; the files of the comparison."""
 
 import numpy as np
 import pytest
@@ -68,7 +68,7 @@ def test_macro_pixels_sort_by_subgroup_then_time():
 
 
 def test_winner_takes_all_by_hand():
-    """100 is in cycle 3, which ends at 127: 105 to 118 find the tree unarmed; 130 is the first of cycle 4. Both at 47 are stamped."""
+    """100 is in cycle 3, which ends at 127: 105 to 118 find the tree not armed; 130 is the first of cycle 4. Both at 47 are stamped."""
     assert told(winner_takes_all(photons(), PHASES), photons()) == [
         (0, 0, 100, [0]),
         (0, 0, 130, [9]),
@@ -88,7 +88,7 @@ def test_windows_by_hand():
 
 
 def test_sliding_window_by_hand():
-    """Three within 16 ticks: at 112 for the first time, which uses up 100 to 112; 118, 130 and 140 lie too far apart."""
+    """Three photons within 16 ticks: first at 112, which uses up 100 to 112; 118, 130 and 140 are too far apart."""
     assert told(sliding_window(photons(), 16, 3), photons()) == [(0, 0, 112, [0, 1, 8]), (0, 1, 49, [4, 5, 6])]
     assert told(sliding_window(photons(), 24, 3), photons()) == [
         (0, 0, 112, [0, 1, 8]),
@@ -139,7 +139,7 @@ def test_count_weighted_by_hand():
 
 
 def test_arrival_of_counted_words():
-    """One photon is where it is; the more photons, the earlier the first of them."""
+    """One photon stays where it is; the more photons, the earlier the first of them."""
     of = photons([(0, k, 100) for k in range(4)] + [(1, 0, 100)], 2)
     lead = counted_arrival(of, windows(of, 16, PHASES), 10.0) - 100.5
     assert lead[1] == pytest.approx(0) and 5 < lead[0] < 15
@@ -165,8 +165,8 @@ def test_pixel_histograms_by_hand():
 
 
 def test_readout_by_hand():
-    """A FIFO of two words, two cycles a word. Cycle 3: both subgroups store one, subgroup 0 is served to cycle 5, subgroup 1 to 7.
-    Cycle 4: subgroup 0 stores two words in its empty FIFO, the third is lost.
+    """A FIFO of two words, two cycles per word. Cycle 3: both subgroups store one; subgroup 0 is served until cycle 5,
+    subgroup 1 until 7. Cycle 4: subgroup 0 stores two words in its empty FIFO, and the third is lost.
     """
     sensor = Sensor(rows=8, cols=16, fifo_depth=2)
     edges = [(0, 0, 96), (0, 8, 96), (0, 1, 128), (0, 2, 129), (0, 3, 130), (0, 4, 9 * 32)]
@@ -180,9 +180,9 @@ def test_readout_by_hand():
 @settings(max_examples=25)
 @given(seed=st.integers(0, 1000), window=st.sampled_from((1, 5, 16, 64)), threshold=st.integers(1, 3))
 def test_windows_are_the_golden_models(seed, window, threshold):
-    """Without a full FIFO, and away from the guard at the period's end."""
+    """They are equal without a full FIFO, and away from the guard at the period's end."""
     rng = np.random.default_rng(seed)
-    keys = rng.choice(3 * 128 * 60, 150, replace=False)  # a pixel has one edge a cycle at most
+    keys = rng.choice(3 * 128 * 60, 150, replace=False)  # a pixel has at most one edge per cycle
     edges = Edges(keys // (128 * 60), keys // 60 % 128, keys % 60 * PHASES + rng.integers(0, PHASES, 150))
     config = parse_config(
         {
@@ -207,7 +207,7 @@ def test_windows_are_the_golden_models(seed, window, threshold):
 
 
 def test_coarse_peaks():
-    """The centre of a peak over its neighbours, less the median; the second peak next."""
+    """The centre of a peak over its neighbours, above the median; then the second peak."""
     histogram = np.full((1, 40), 5)
     histogram[0, [10, 11, 30]] += [30, 10, 20]
     assert coarse_peaks(histogram, 16, 3.4)[0] == pytest.approx([16 * (10.5 * 30 + 11.5 * 10) / 40, 16 * 30.5])

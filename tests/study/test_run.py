@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The front door: `import coincid`, what a run gives, and that the golden model needs no RTL tool."""
+"""The front door: `import coincid`, the methods of a run, and that the golden model needs no RTL tool."""
 
 import subprocess
 import sys
@@ -45,9 +45,9 @@ def test_a_saved_run_is_read_back(run, tmp_path):
 
 def test_histogram_of_a_pixel(run):
     of_subgroups = np.stack(list(subgroup_histograms(run.result, run.config, pulse_sigma_ticks(run.config))))
-    row, col = 9, 5  # the second subgroup's
+    row, col = 9, 5  # in the second subgroup
     assert np.array_equal(run.histogram(8 * row + col), of_subgroups[1, 8 * (row - 8) + col])
-    assert run.histogram(0)[:2]._repr_html_() is None  # of a part there is no picture
+    assert run.histogram(0)[:2]._repr_html_() is None  # a part of it has no picture
     with pytest.raises(coincid.InputError, match="pixel = 128: must be an integer from 0 to 127"):
         run.histogram(128)
 
@@ -92,7 +92,7 @@ def test_points_lie_where_their_pixels_look():
 
 
 def test_normals_of_a_wall_look_along_the_axis():
-    """A wall across the axis: its distance along the rays grows to the sides."""
+    """For a wall across the axis, the distance along the rays grows to the sides."""
     tangent = (2 * np.arange(9) - 8) / 9
     depth_m = 3 * np.sqrt(1 + tangent[:, None] ** 2 + tangent**2)
     slope_m = np.stack(np.gradient(depth_m, edge_order=2), axis=2)
@@ -102,7 +102,7 @@ def test_normals_of_a_wall_look_along_the_axis():
     assert np.stack([middle[name] for name in ("nx", "ny", "nz")], axis=1) == pytest.approx(
         np.tile([0, 0, -1], (len(middle), 1)), abs=0.03
     )
-    with pytest.raises(coincid.InputError, match="method planes"):
+    with pytest.raises(coincid.InputError, match="method must be planes"):
         coincid.point_cloud(Depth(depth_m[:, :, None], np.ones((9, 9, 1))), normals=True)
 
 
@@ -132,7 +132,7 @@ def test_names_of_the_front_door():
 
 
 def python(program, *arguments):
-    """Runs a program in a process where no RTL tool can be imported."""
+    """Run a program in a process in which no RTL tool can be imported."""
     block = "import sys\n" + "".join(f"sys.modules[{name!r}] = None\n" for name in RTL_TOOLS)
     return subprocess.run(
         [sys.executable, "-c", block + program, *map(str, arguments)], capture_output=True, text=True, check=False

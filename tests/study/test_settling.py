@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The threshold controller with light that does not change: it settles, within what the stream carries."""
+"""The threshold controller in constant light: it settles, within the capacity of the stream."""
 
 import numpy as np
 import pytest
@@ -14,7 +14,7 @@ from coincid.study.settling import limit_cycle, table
 
 @pytest.fixture(scope="module")
 def shaded():
-    """A frame of a sensor of nine subgroups, each in a light of its own, from shade to sun."""
+    """Return a frame of a sensor with nine subgroups, each in light of its own, from shade to sun."""
     sensor = {"rows": 24, "cols": 24}
     config = parse_config(
         {"sensor": sensor, "frame": {"pulses": 40, "auto_bounds": [0] * 6}, "subgroup": {"auto": True}}

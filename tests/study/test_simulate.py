@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The main job: files, report, every beat checked, the letter F the right way round, what a difference leaves, views of the waveform."""
+"""The main job: files, report, every beat checked, orientation of a letter F, behaviour after a mismatch, waveform views."""
 
 import io
 import json
@@ -20,14 +20,15 @@ from coincid.study.simulate import EVENTS, PAGE, PICTURES, REPORT, SCHEMES, simu
 from coincid.tb import waves
 from coincid.tb.toolchain import SIMULATORS
 
-# Sensors that other tests compile too. Rows and columns differ, so that swapping them shows; the period holds the letter's 8 m.
+# Sensors that other tests compile, too. Rows and columns differ, so that swapping them shows; the period covers the
+# letter's 8 m.
 LETTER = {"sensor": {"rows": 8, "cols": 16}, "frame": {"period": 40, "pulses": 60}}
 SMALL = {"sensor": {"rows": 8, "cols": 8}, "frame": {"period": 60, "pulses": 4}}
 TRACED = {  # waveforms are slow to compile
     "sensor": {"rows": 4, "cols": 8, "subgroup": [4, 4], "phases": 8, "coarse_bits": 9},
     "frame": {"period": 60, "pulses": 4},
 }
-FRAMES = 3  # in which the controller settles
+FRAMES = 3  # frames in which the controller settles
 SHOWN = {"off": 0, "fixed": 1, "auto": 1 + FRAMES}  # frame of the result file that stands for each scheme
 KEYS = {
     "cycles",
@@ -90,11 +91,11 @@ def test_frames_see_the_same_light_under_their_own_thresholds(tmp_path):
     report, _ = run(tmp_path, document, klux=50.0)
     arrays = arrays_of(tmp_path)
     assert report["threshold_off"] == [1]
-    assert report["threshold_fixed"] == [3]  # the configuration names it
+    assert report["threshold_fixed"] == [3]  # set by the configuration
     assert report["threshold_auto"] == arrays["threshold_used"][-1].tolist()
-    assert arrays["photons"][1].tolist() == arrays["photons"][-1].tolist()  # of the same edges, whatever the threshold
-    assert arrays["photons"][1].tolist() != arrays["photons"][-2].tolist()  # the controller settles on others
-    assert arrays["threshold_used"][2].tolist() == [3]  # where it begins
+    assert arrays["photons"][1].tolist() == arrays["photons"][-1].tolist()  # the same edges, whatever the threshold
+    assert arrays["photons"][1].tolist() != arrays["photons"][-2].tolist()  # the controller settles on other photons
+    assert arrays["threshold_used"][2].tolist() == [3]  # the initial value
     assert 1 in arrays["count"][arrays["pulse"] // 4 == 0]
     assert (arrays["count"][arrays["pulse"] // 4 == 1] >= 3).all()
 
@@ -112,7 +113,7 @@ def test_fixed_threshold_is_named_or_the_best_of_all(tmp_path):
 
 
 def test_the_controller_wins_on_the_default_scene(tmp_path):
-    """Sun beside shade on a link of 8 Gbit/s: what the job is there to show."""
+    """Sun beside shade on a link of 8 Gbit/s: the case that the job demonstrates."""
     arguments = ["sim", "--engine", "golden", "--out", str(tmp_path)]
     assert CliRunner().invoke(app, arguments).exit_code == 0
     report = json.loads((tmp_path / REPORT).read_text())
@@ -137,7 +138,7 @@ def test_letter_f_comes_out_as_it_went_in(tmp_path, engine):
     truth_m = load_scene("letter-f", 8, 16).truth_m
     assert not any(np.array_equal(truth_m, other) for other in (truth_m[::-1], truth_m[:, ::-1], truth_m[::-1, ::-1]))
     for name in SCHEMES:
-        assert report[f"wrong_share_{name}"] < 0.1, name  # another way round a fifth of the pixels would be
+        assert report[f"wrong_share_{name}"] < 0.1, name  # wrongly oriented: a fifth
     assert report["checked"] > report["events"] or engine == "golden"
     config = parse_config(LETTER).with_settings(coincidence=True)
     depth_m = estimate_depth(arrays_of(tmp_path), config, frame=1).depth_m[:, :, 0]
@@ -170,7 +171,7 @@ def test_words_without_id_map_are_refused(tmp_path):
 
 def test_a_difference_stops_the_run_and_is_told(tmp_path, monkeypatch):
     class Wrong(job.Golden):
-        """A golden model that expects one more pixel in the count of the last frame's first event."""
+        """A golden model that expects one pixel more in the count of the last frame's first event."""
 
         def frame(self, *arguments):
             trace = super().frame(*arguments)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Sweeps: rows and columns, what is kept and what runs again, kills of the sweep and of workers, bad specs, the example."""
+"""Sweeps: rows and columns, kept and repeated points, kills of the sweep and of workers, bad specs, the example."""
 
 import contextlib
 import json
@@ -54,12 +54,12 @@ klux = [5, 50]
 subgroup.threshold = [1, 2, 3]
 """
 )
-KILL_S = 120  # a bound that only a broken sweep meets
+KILL_S = 120  # only a broken sweep reaches this limit
 
 
 @pytest.fixture(scope="module")
 def threads():
-    """A client of workers in this process, which see what tests patch."""
+    """A client of workers in this process, which see patches made by tests."""
     with (
         LocalCluster(n_workers=1, threads_per_worker=1, processes=False, dashboard_address=None) as local,
         Client(local) as client,
@@ -75,7 +75,7 @@ def quick(monkeypatch, threads):
 
 @pytest.fixture(scope="module")
 def cluster():
-    """A client of a cluster of two processes, and the addresses that it listens on."""
+    """A client of a cluster of two processes, and the addresses on which it listens."""
     before = listening()
     with job.cluster(2) as client:
         yield client, listening() - before
@@ -87,7 +87,7 @@ def processes(cluster):
 
 
 def listening():
-    """(IP, port) of what this process and its children listen on."""
+    """Return (IP, port) on which this process and its children listen."""
     this = psutil.Process()
     sockets = [
         socket for process in (this, *this.children(recursive=True)) for socket in process.net_connections("inet")
@@ -96,7 +96,7 @@ def listening():
 
 
 def sweep(folder, spec=GRID, *options, name="s"):
-    """The command's result; the table is `table(folder)`."""
+    """Run the command and return its result; the table is `table(folder)`."""
     (folder / f"{name}.toml").write_text(spec)
     arguments = ["sweep", folder / f"{name}.toml", "--out", folder / f"{name}.parquet", *options]
     return CliRunner().invoke(app, [str(argument) for argument in arguments])
@@ -107,7 +107,7 @@ def table(folder, name="s"):
 
 
 def files(folder, name="s"):
-    """What a sweep leaves, but the finished points."""
+    """Return the files that a sweep leaves, except the finished points."""
     return [(folder / f"{name}{suffix}").read_bytes() for suffix in (".parquet", ".png")]
 
 
@@ -138,7 +138,7 @@ def test_a_row_a_point_in_the_order_of_the_axes(tmp_path, quick):
 
 
 def test_measures_are_those_of_the_last_frame(tmp_path, quick):
-    """By another way: from the result's arrays, at two frames of the controller, in full format with records."""
+    """Compute them in another way: from the result's arrays, for two frames of the controller, in full format with records."""
     spec = (
         BASE.replace("flat:5,0.4", "letter-f")
         + """
@@ -310,7 +310,7 @@ def test_lost_workers_lose_nothing(tmp_path, quick, processes):
     victims = []
 
     def kill_one(done):
-        if done in (1, 3):  # points are finished, others are not
+        if done in (1, 3):  # some points are finished, others are not
             others = (child for child in psutil.Process().children() if child.pid not in victims)
             victims.append(next(child.pid for child in others if any("spawn_main" in word for word in child.cmdline())))
             os.kill(victims[-1], signal.SIGKILL)

@@ -27,23 +27,23 @@ from ..cases import (
 )
 
 ENGINES = ("verilator", "cocotb-verilator", "icarus")
-# cocotb under Verilator shows that the two go together, which does not depend on the sensor: one of a stream and one of three.
+# cocotb under Verilator shows that the two work together, which does not depend on the sensor: one and three streams.
 BUILDS = [
     (sensor, engine)
     for sensor in SENSORS
     for engine in ENGINES
     if engine != "cocotb-verilator" or sensor in ("one", "tiny")
 ]
-FRAMES = 12  # a simulation: its start costs more than a frame does
+FRAMES = 12  # per simulation, whose start costs more than a frame
 
 seeds = st.integers(0, 2**32 - 1)
 
 
 @st.composite
 def frames(draw, sensor: dict) -> list[FrameJob]:
-    """Frames in turn, with settings, edges and back-pressure of their own; the golden model's memory goes from one to the next.
+    """Draw consecutive frames with settings, edges and back-pressure of their own; the golden model keeps its memory.
 
-    In the later half the threshold controller has every frame, with now more and now less capacity.
+    In the later half, the threshold controller acts in every frame, with changing capacity.
     """
     configs = [draw(configurations(sensor, frames_max=1)) for _ in range(FRAMES // 2)]
     led = draw(controlled(sensor, frames=1))
@@ -70,7 +70,7 @@ def test_random_frames(sensor, engine, tmp_path_factory, data):
 
 @pytest.mark.parametrize("sensor", ("default", "tiny"))
 def test_every_mode_in_every_format(sensor, tmp_path):
-    """Each twice in a row, so that the controller has a frame to follow."""
+    """Play each twice in a row, so that the controller has a frame to follow."""
     jobs, golden = [], None
     configs = [config for config in modes(SENSORS[sensor]) for _ in range(2)]
     configs += [case(SENSORS[sensor]) for case in (gate_bits, overfull, lengthy)]
@@ -84,7 +84,7 @@ def test_every_mode_in_every_format(sensor, tmp_path):
 
 
 def test_sizes_reach_every_parameter():
-    """The sensors of the random tests leave every default somewhere."""
+    """Together, the sensors of the random tests change every parameter from its default."""
     default = Sensor()
     built = [
         Sensor(**{k: tuple(v) if isinstance(v, list) else v for k, v in sensor.items()}) for sensor in SENSORS.values()
@@ -95,9 +95,9 @@ def test_sizes_reach_every_parameter():
 
 
 def test_every_alignment_of_storing_and_freeing(tmp_path):
-    """A place becomes free before, in and after the very cycle of the next commit or record: the stall moves it by a cycle from frame to frame.
+    """A place becomes free before, in and after the cycle of the next commit or record; the stall moves it by one cycle.
 
-    The outcome changes between two such frames, so one of them is the equality; model and RTL agree in all.
+    The outcome changes between two such frames, so one of them is the exact tie; model and RTL agree in all.
     """
     config = parse_config(
         {

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The emulator through its serial pins: frames word by word against the golden model and the source's twin, and a line that fails.
+"""The emulator through its serial pins: frames word by word against the golden models, and a bad line.
 
-The RTL runs behind its pins as a library; `tests/benches/emulator_bench.py` is at the pins themselves, under cocotb in Icarus.
+The RTL runs behind its pins as a library; `tests/benches/emulator_bench.py` works at the pins themselves, with cocotb in
+Icarus.
 """
 
 import re
@@ -63,7 +64,7 @@ def port():
 
 
 class BadLine:
-    """A port that loses, doubles and damages bytes, each with a probability, in both directions."""
+    """A port that loses, doubles and damages bytes in both directions, with given probabilities."""
 
     def __init__(self, port, lose=0.0, double=0.0, damage=0.0, seed=1):
         self.port, self.rates, self.rng = port, (lose, double, damage), np.random.default_rng(seed)
@@ -95,7 +96,7 @@ class BadLine:
 
 
 def check_frames(driver, of, settings, numbers) -> int:
-    """Takes frames of these numbers, each word against the golden model; how many words."""
+    """Take frames of these numbers and check each word with the golden model; return the number of words."""
     golden, words = Golden(SENSOR), 0
     for number in numbers:
         golden.frames = number
@@ -106,7 +107,7 @@ def check_frames(driver, of, settings, numbers) -> int:
 
 
 def test_frames(port):
-    """Settings and seeds in turn; every word of every frame is predicted."""
+    """Vary settings and seeds; every word of every frame is predicted."""
     driver, number = EmulatorDriver(SerialTransport(port, patience_s=PATIENCE_S)), 0
     assert driver.sensor == SENSOR and driver.buffer_beats == EMULATOR.buffer_beats
     words = 0
@@ -150,7 +151,7 @@ def test_registers(port):
         (BUFFER_BASE, 0),
         (0x400000, 0),
         (own_address("seed") + 1, 0),
-        (0x3C, 0),  # of the sensor
+        (0x3C, 0),  # in the sensor's address space
     ):
         with pytest.raises(RefusedError):
             raw.write(at, value)
@@ -177,7 +178,7 @@ def test_registers(port):
 
 
 def test_a_frame_larger_than_the_buffer(port):
-    """The sensor waits, which the stalls tell; nothing hangs, and the host gets a whole frame."""
+    """The sensor waits, as the stalls show; nothing hangs, and the host gets a whole frame."""
     driver = EmulatorDriver(SerialTransport(port, patience_s=PATIENCE_S))
     of = config(pulses=40)
     driver.program(of)
@@ -194,7 +195,7 @@ def test_a_frame_larger_than_the_buffer(port):
     "faults", [{"lose": 0.003}, {"double": 0.003}, {"damage": 0.003}, {"lose": 0.002, "double": 0.002, "damage": 0.002}]
 )
 def test_a_line_that_spoils_bytes(port, faults):
-    """Every frame is right all the same: what is spoilt is asked for again."""
+    """Every frame is right anyway, because damaged frames are requested again."""
     line = BadLine(port, seed=len(faults), **faults)
     transport = SerialTransport(line, tries=30, patience_s=PATIENCE_S)
     driver, of, settings = EmulatorDriver(transport), config(pulses=4), source(7)
@@ -205,7 +206,7 @@ def test_a_line_that_spoils_bytes(port, faults):
 
 
 def test_a_start_that_is_answered_into_the_void_starts_once(port):
-    """The host asks again for what was done already: it is answered, not done again."""
+    """The host repeats a request that was already executed: it is answered, but not executed again."""
 
     class Deaf(BadLine):
         deaf = False
@@ -237,13 +238,13 @@ def test_a_start_that_is_answered_into_the_void_starts_once(port):
 
 
 def test_a_host_that_stops_reading(port):
-    """Answers that nobody reads are gone; the next question is answered."""
+    """Answers that nobody reads are lost; the next request is answered."""
     driver, of, settings = EmulatorDriver(SerialTransport(port, patience_s=PATIENCE_S)), config(), source(2)
     driver.program(of)
     driver.write_settings(settings.register_writes(SENSOR))
     driver.start()
     for _ in range(5):
-        port.write(frame(bytes([99, Operation.READ, 200, 0, 0, 0x30])))  # and does not listen
+        port.write(frame(bytes([99, Operation.READ, 200, 0, 0, 0x30])))  # and does not read the answer
     check = EmulatorDriver(driver.transport, SENSOR)
     (beats,) = check.receive()
     check.finish()
@@ -252,12 +253,12 @@ def test_a_host_that_stops_reading(port):
 
 
 def test_a_cable_that_is_pulled_in_a_frame(port):
-    """Nothing is answered while it is out; back in, a session goes on, and all words are right."""
+    """Nothing is answered while the cable is out; when it is back, a session continues, and all words are right."""
     transport = SerialTransport(port, tries=2, patience_s=PATIENCE_S)
     session = Session(EmulatorDriver(transport), config(), source(4))
     session.frame()
     session.driver.start()
-    port.write(frame(bytes([0, Operation.READ, 255, 0, 0, 0x30]))[:-4])  # the last that goes through ends in the midst
+    port.write(frame(bytes([0, Operation.READ, 255, 0, 0, 0x30]))[:-4])  # the last one is incomplete
     port.connect(False)
     with pytest.raises(LinkError, match="no right answer in 2 tries"):
         session.driver.status()
@@ -270,14 +271,14 @@ def test_a_cable_that_is_pulled_in_a_frame(port):
 
 
 def test_a_reset_is_noticed(port):
-    """A device that was reset does nothing before it is greeted; a session programs it anew and goes on."""
+    """A device that was reset does nothing before a HELLO; a session programs it again and continues."""
     session = Session(EmulatorDriver(SerialTransport(port, patience_s=PATIENCE_S)), config(), source(5))
     session.frame()
     port.reset()
     with pytest.raises(DeviceResetError):
         session.driver.status()
     port.reset()
-    session.driver.status()  # greeted, and nothing was known of it
+    session.driver.status()  # greeted for the first time
     port.reset()
     session.frame()
     assert session.tally.recoveries >= 1 and session.tally.frames == 2
@@ -319,13 +320,13 @@ def test_frames_of_bytes():
 
 
 def test_pins_in_icarus(tmp_path):
-    """The same host software at the pins under cocotb, in Icarus; frames would take it minutes."""
+    """Run the same host software at the pins under cocotb, in Icarus; frames would take it minutes."""
     compiled = build("icarus", emulator_rtl(EMULATOR), SERIAL_TOP, key="emulator-4x8")
     compiled.run("emulator_bench", env={"PYTHONPATH": BENCHES}, out_dir=tmp_path, seed=1)
 
 
 def test_blocks_of_the_page_run(tmp_path, monkeypatch):
-    """Those of docs/board.md, with the simulated pins in place of the board."""
+    """Run the blocks of docs/board.md, with simulated pins in place of the board."""
     monkeypatch.chdir(tmp_path)
     page = (Path(__file__).parents[2] / "docs" / "board.md").read_text()
     export, drive = re.findall(r"^```python\n(.*?)^```", page, re.DOTALL | re.MULTILINE)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Builds and runs of a toy design on both simulators, and what goes wrong."""
+"""Builds and runs of a toy design on both simulators, and possible errors."""
 
 import errno
 import multiprocessing
@@ -99,7 +99,7 @@ def test_waves_are_fst(simulator, toy, tmp_path):
 )
 def test_what_is_no_pass_raises(simulator, toy, tmp_path, behave, reason):
     built = build(simulator, toy)
-    run(built, tmp_path)  # good results of an earlier run must not be taken for those of this one
+    run(built, tmp_path)  # good results of an earlier run must not be taken for this run's
     with pytest.raises(SimulationError, match=reason) as caught:
         run(built, tmp_path, behave)
     assert caught.value.log.is_file() and str(caught.value.log) in str(caught.value)
@@ -183,7 +183,7 @@ def test_failed_build_is_no_build(tmp_path, error):
 
 
 def stand_in_compilers(calls, first_hangs=False):
-    """In place of `compile_in`: notes its program, and leaves what that one would. The first call may never return."""
+    """Replace `compile_in`: record its program, and leave what that would leave. The first call may never return."""
 
     def compile_in(cwd, log, command):
         program = Path(command[0]).name

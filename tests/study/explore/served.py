@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A served explorer, for tests."""
+"""An explorer that is being served, for tests."""
 
 import subprocess
 import sys
@@ -10,7 +10,7 @@ SMALL = ("rows=16", "cols=16", "pulses=20")
 
 @contextmanager
 def explorer(*settings, port=0):
-    """A served explorer: (process, address)."""
+    """Serve an explorer; return (process, address)."""
     words = [word for setting in settings for word in ("--set", setting)]
     command = [sys.executable, "-m", "coincid", "explore", "--port", str(port), "--no-browser", *words]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The explorer in a real Chromium: every control, every click, and what may go wrong. Skipped where there is no Chromium."""
+"""The explorer in a real Chromium: every control, every click, and possible errors. Skipped if there is no Chromium."""
 
 import re
 import shutil
@@ -47,7 +47,7 @@ def chromium():
 
 @pytest.fixture
 def tabs(chromium):
-    """Opens tabs; at the end no console has an error, and nothing but this machine was asked."""
+    """Open tabs; at the end, check that no console has an error, and that no other machine was contacted."""
     context = chromium.new_context(viewport={"width": 1280, "height": 800}, accept_downloads=True)
     context.set_default_timeout(PATIENCE_MS)
     errors, requests, forgiven = [], [], []
@@ -74,7 +74,7 @@ def shown(tab):
 
 
 def put(tab, name, value):
-    """Sets a control as a user does, opened first where its group is closed."""
+    """Set a control as a user does; open its group first if it is closed."""
     field = tab.locator(f"#controls [name='{name}']")
     field.evaluate("(one) => { one.closest('details').open = true; }")
     kind = field.evaluate("(one) => one.type")
@@ -87,7 +87,7 @@ def put(tab, name, value):
 
 
 def number(tab, label):
-    """A row of the numbers: its cells."""
+    """Return the cells of a row of the numbers."""
     rows = tab.evaluate(
         "[...document.querySelectorAll('#numbers tbody tr')].map((r) => [...r.children].map((c) => c.textContent.trim()))"
     )
@@ -99,7 +99,7 @@ def story(tab):
 
 
 def click_map(tab, name, row, col):
-    """Clicks a pixel of a map: the plot inside its frame is found by what Bokeh says of it."""
+    """Click a pixel of a map; Bokeh tells where the plot is inside its frame."""
     x, y = tab.evaluate(
         """([name, row, col]) => {
           const view = Bokeh.index.find_one_by_id?.(Bokeh.documents[0].get_model_by_name(name).id)
@@ -117,14 +117,14 @@ def figure_title(tab, name):
 
 
 def points(tab, name):
-    """How many edges the timeline shows, or events the histogram."""
+    """Return the number of edges in the timeline, or of events in the histogram."""
     return tab.evaluate(
         """(name) => Bokeh.documents[0].get_model_by_name(name).renderers.map((r) => Object.values(r.data_source.data)[0].length)""",
         name,
     )
 
 
-SMALL_TOO = {"pulses": 30, "cols": 24}  # legal with the others' other values
+SMALL_TOO = {"pulses": 30, "cols": 24}  # legal with the other controls' other values
 
 
 def test_every_control_reaches_what_is_computed(tabs, address):
@@ -142,7 +142,7 @@ def test_every_control_reaches_what_is_computed(tabs, address):
 def test_a_result_is_shown_only_beside_its_own_settings(tabs, address):
     tab = tabs(address)
     put(tab, "threshold", 5)
-    assert tab.evaluate("document.body.dataset.state") == "asked"  # at once, before the server knows
+    assert tab.evaluate("document.body.dataset.state") == "asked"  # at once, before the server has answered
     opacity = tab.evaluate("getComputedStyle(document.getElementById('results')).opacity")
     assert float(opacity) < 0.1
     for threshold in (6, 7, 3):
@@ -235,7 +235,7 @@ def test_two_settings_side_by_side(tabs, address):
     tab.wait_for_function("Bokeh.documents[0].get_model_by_name('timeline').title.text.endsWith('needs 2 pixels')")
     put(tab, "cols", 24)
     shown(tab)
-    tab.fill("[data-look=col]", "20")  # A has 16
+    tab.fill("[data-look=col]", "20")  # A has only 16 columns
     tab.wait_for_function("Bokeh.documents[0].get_model_by_name('histogram').title.text.includes('column 15')")
     tab.click("[data-do=drop_a]")
     tab.wait_for_selector("body:not([data-ab])")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Runs of the explorer: the golden model's result, stages that are kept, and answers to the newest question only."""
+"""Runs of the explorer: the golden model's result, cached stages, and answers only to the newest request."""
 
 import threading
 import tomllib

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The explorer's server: who is answered, and how it ends."""
+"""The explorer's server: which requests it answers, and how it ends."""
 
 import json
 import signal
@@ -48,4 +48,4 @@ def test_a_port_in_use_is_named(address):
 def test_it_ends_without_a_complaint():
     with explorer(*SMALL) as (process, _):
         process.send_signal(signal.SIGTERM)
-        assert process.wait() in (0, 143)  # 143: the signal came before the server took signals
+        assert process.wait() in (0, 143)  # 143: the signal came before the server had installed its handler

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The explorer's settings: every control reaches what is simulated, everything illegal is refused with what is legal."""
+"""The explorer's settings: every control reaches the simulation, and illegal values are refused with the legal range."""
 
 import tomllib
 

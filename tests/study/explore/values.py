@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Values of controls that are not their defaults."""
+"""Values of controls that differ from their defaults."""
 
 from coincid.model.shared.errors import InputError
 from coincid.study.explore.controls import Control
@@ -17,7 +17,7 @@ OTHER = {
 
 
 def other_value(control: Control):
-    """A legal value that is not the default: the next one that the others allow."""
+    """Return a legal value that is not the default: the next one that the other controls allow."""
     if control.name in OTHER:
         return OTHER[control.name]
     if control.kind == "switch":

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The timeline against the golden model's counters and events, whatever the settings."""
+"""The timeline against the golden model's counters and events, for many settings."""
 
 import numpy as np
 import pytest
@@ -12,7 +12,7 @@ from coincid.model.shared.errors import InputError
 from coincid.study.show.timeline import Verdict, frame_timeline
 
 SENSOR = {"rows": 8, "cols": 16, "subgroup": [8, 8], "fifo_depth": 4}
-BUSY = {  # name: document; edges are many, so that FIFOs overflow
+BUSY = {  # name: document; there are many edges, so that FIFOs overflow
     "every photon": {"subgroup": {"coincidence": False}},
     "threshold 2": {"subgroup": {"threshold": 2}},
     "gated": {"frame": {"gate_step": 3, "gate_every": 2, "gate_steps": 5}, "subgroup": {"gating": True, "gate_start": 5, "gate_len": 9}},
@@ -24,7 +24,7 @@ BUSY = {  # name: document; edges are many, so that FIFOs overflow
 
 
 def played(document, edges_per_period=60, seed=7):
-    """(config, edges, trace) of one frame with uniformly random edges."""
+    """Return (config, edges, trace) of one frame with uniformly random edges."""
     document = {"frame": {"period": 40, "pulses": 6}, **document}
     document["frame"] = {"period": 40, "pulses": 6} | document["frame"]
     config = parse_config(document | {"sensor": SENSOR | document.get("sensor", {})})

@@ -1,0 +1,131 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Is the controller worth its place? `python -m coincid.study.thresholds [DEPTH,COLOUR ...]` prints the table of `docs/controller.md`.
+
+In each scene and light all thresholds of 1 to 7 see the same photons as the controller, after frames in which it settles. The best of the
+seven, chosen in hindsight for each scene, is what a constant can reach at most; the best one for all scenes is what one can program.
+"""
+
+import os
+import sys
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from ..model.contract.config import parse_config
+from ..model.contract.registers import THRESHOLD_MAX
+from ..model.contract.result import ResultBuilder
+from ..model.depth.estimate import estimate_depth
+from ..model.depth.quality import wrong_share
+from ..model.golden.frame import Golden, golden_result
+from ..model.light.photons import generate_edges
+from ..model.light.spad import Spad
+from ..model.light.timing import Timing
+from ..model.scenes.ambient import Ambient
+from ..model.scenes.catalogue import load_scene
+from ..model.scenes.scene import scene_light
+from .settling import SETTLING
+
+METHODS = {"planes": "planes", "maximum": "peaks"}  # estimator: what the table calls it
+SCENES: tuple[tuple[str, Ambient], ...] = (
+    ("five-objects", 20.0),
+    ("five-objects", 50.0),
+    ("five-objects", 100.0),
+    ("five-objects", "2|100"),
+    ("letter-f", 50.0),
+    ("flat:7", "10|100"),
+    ("sun-and-shade", 60.0),
+    ("sun-and-shade", 100.0),
+    ("tunnel", 100.0),
+)
+FILE_KLUX: tuple[Ambient, ...] = (50.0, "5|100")  # in which depth files are seen
+THRESHOLDS = range(1, THRESHOLD_MAX + 1)
+SEED = 1
+
+
+class Stream(NamedTuple):
+    """A sensor and what its stream's link carries: pixels to a side, and Gbit/s."""
+
+    pixels: int
+    link_gbps: float
+
+
+STREAMS = Stream(32, 32), Stream(32, 8), Stream(64, 32)
+
+
+class Shares(NamedTuple):
+    """Shares of wrong pixels in a scene, by the paper's criterion. fixed: float64[7], of the thresholds from 1 on."""
+
+    fixed: np.ndarray
+    controller: float
+
+
+def shares(source: str, klux: Ambient, stream: Stream) -> dict[str, Shares]:
+    """By estimator of `METHODS`."""
+    sensor = {"rows": stream.pixels, "cols": stream.pixels, "streams": 1}
+    config = parse_config({"sensor": sensor, "frame": {"link_gbps": stream.link_gbps}})
+    scene = load_scene(source, stream.pixels, stream.pixels)
+    edges = generate_edges(
+        scene_light(scene, klux),
+        Spad(),
+        Timing.from_config(config),
+        pulses=SETTLING * config.pulses,
+        seed=SEED,
+        workers=os.cpu_count() or 1,
+    )
+    frames = [edges.frame(number, config.pulses)[0] for number in range(SETTLING)]
+    constant = [config.with_settings(auto=False, threshold=threshold) for threshold in THRESHOLDS]
+    results = [golden_result(one, frames[-1]) for one in constant]
+    controlled = config.with_settings(auto=True)
+    golden, settled = Golden(config.sensor), ResultBuilder(controlled)
+    for photons in frames:
+        trace = golden.frame(controlled, photons)
+        settled.add(trace.beats, trace.commit_subgroup, trace.commit_cycle)
+    arrays = settled.arrays()
+
+    def wrong(method: str) -> Shares:
+        found = [estimate_depth(result, one, method=method) for result, one in zip(results, constant)]
+        last = estimate_depth(arrays, controlled, method=method, frame=SETTLING - 1)
+        *fixed, controller = (wrong_share(depth.depth_m[:, :, 0], scene.truth_m) for depth in (*found, last))
+        return Shares(np.array(fixed), controller)
+
+    return {method: wrong(method) for method in METHODS}
+
+
+def table(scenes: Sequence[tuple[str, Ambient]] = SCENES, streams: Sequence[Stream] = STREAMS) -> Iterator[str]:
+    """Rows of Markdown: the mean over the scenes by stream and estimator, and the scene in which the controller is farthest behind."""
+    yield "| pixels | link, Gbit/s | estimator | best of each scene | controller | one constant for all | controller behind the best, at most |"
+    yield "| --- | ---: | --- | ---: | ---: | ---: | --- |"
+    for stream in streams:
+        found = [shares(*scene, stream) for scene in scenes]
+        for method, name in METHODS.items():
+            fixed = np.array([one[method].fixed for one in found])
+            controller = np.array([one[method].controller for one in found])
+            constant = fixed.mean(axis=0)
+            behind = 100 * (controller - fixed.min(axis=1))
+            source, klux = scenes[int(behind.argmax())]
+            cells = (
+                f"{stream.pixels} x {stream.pixels}",
+                f"{stream.link_gbps:g}",
+                name,
+                f"{fixed.min(axis=1).mean():.1%}",
+                f"{controller.mean():.1%}",
+                f"{constant.min():.1%} (threshold {THRESHOLDS[int(constant.argmin())]})",
+                f"{behind.max():.1f} points ({Path(source).name}, {_klux(klux)})",
+            )
+            yield f"| {' | '.join(cells)} |"
+
+
+def _klux(klux: Ambient) -> str:
+    return f"{klux if isinstance(klux, str) else format(klux, 'g')} klux".replace("|", " and ")
+
+
+def main() -> None:
+    files = [(source, klux) for source in sys.argv[1:] for klux in FILE_KLUX]
+    for line in table((*SCENES, *files)):
+        print(line, flush=True)
+
+
+if __name__ == "__main__":
+    main()
