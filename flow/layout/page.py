@@ -85,10 +85,10 @@ def facts(layout: Layout, mapped_um2: float) -> list[tuple[str, str]]:
 PAGE = """\
 # Layout of a minigroup
 
-Written by `make layout`, which takes about two minutes: the minigroup of the preset `silicon` (2 x 2 pixels,
-32 phases), polyphase view, in NanGate 45 nm cells. Yosys maps it, Coriolis places it, builds its
-clock tree and routes it, KLayout merges the cells' own layouts and checks the result, OpenSTA times
-it. What it means for the sensor is in [silicon.md](silicon.md).
+Written by `make layout`, which takes about two minutes: the minigroup of the preset `silicon`
+(2 x 2 pixels, 32 phases), polyphase view, in NanGate 45 nm cells. Yosys maps it, Coriolis places
+it, builds its clock tree and routes it, KLayout merges the cells' own layouts and checks the
+result, OpenSTA times it. What it means for the sensor is in [silicon.md](silicon.md).
 
 ![The routed minigroup](images/{picture})
 
