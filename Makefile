@@ -7,7 +7,11 @@ unexport PYTHONPATH PYTHONHOME VIRTUAL_ENV
 # $(call option,scene,SCENE): --scene 'value' if SCENE= was given.
 option = $(if $(value $2),--$1 '$(value $2)')
 
+<<<<<<< HEAD
 .PHONY: help setup sim explore check test formal upsets soak mutation coverage verilog synth gls power layout pnr cost lint figures compare modes raytrace bench clean emulate docs
+=======
+.PHONY: help setup sim explore check test formal upsets soak mutation coverage verilog synth gls pnr cost lint figures compare modes raytrace bench clean emulate emulator docs
+>>>>>>> origin/main
 
 help: ## this list
 	@echo 'make TARGET [OPTION=value ...]'
@@ -95,6 +99,10 @@ layout: ## a minigroup placed, routed, checked, timed and simulated with its wir
 pnr: ## place and route a module of the FPGA preset on an ECP5, into docs/place-and-route.md
 	@scripts/setup
 	@$(BIN)/coincid pnr
+
+emulator: ## the emulator for an ULX3S: Verilog and bitstream in build/emulator/, five seeds placed and routed, into docs/emulator-board.md
+	@scripts/setup
+	@$(BIN)/coincid emulator $(call option,config,CONFIG)
 
 cost: ## area, bits and rates against the paper's parameters, into docs/images/cost.png and .csv
 	@scripts/setup cells

@@ -34,6 +34,7 @@ ASYNC_PULSES, ASYNC_FRAMES = 4, 1  # for `sim --view async`, for which Icarus ne
 FRAMES_MAX = 1000  # for the controller
 LINK_GBPS = 8.0  # for `sim` if neither it nor the configuration sets the rate: what the pins of such a chip carry
 REPEATS_MAX = 1000
+BAUD_MAX = 100_000_000
 WORKERS_MAX = 1 << 10
 
 console = Console(stderr=True, highlight=False)
@@ -503,14 +504,75 @@ def pnr(
 ) -> None:
     """Place and route a module of the FPGA preset on an ECP5, with five seeds. Exit code 1: a clock misses its goal."""
     with extra("rtl"):
-        from coincid.flow.pnr import write_page
+        from coincid.flow import boards, pnr
 
-    missed = write_page(_file(out))
+    _file(out)
+    board = boards.fpga_module()
+    placements = pnr.place(board)
+    pnr.write_page(board, placements, out)
     print(out)
+    _all_met(pnr.missed(board, placements))
+
+
+def _all_met(missed: list[str]) -> None:
+    """Tells every goal that was missed, and ends with exit code 1 where one was."""
     for line in missed:
         print(f"coincid: {line}", file=sys.stderr)
     if missed:
         raise typer.Exit(DIFFERS)
+
+
+@app.command()
+def emulator(
+    kind: Annotated[
+        str,
+        typer.Argument(
+            metavar="[KIND]", help="ulx3s: Verilog and bitstream for that board; serial, axi: Verilog alone, linted."
+        ),
+    ] = "ulx3s",
+    config: Annotated[
+        str | None,
+        typer.Option(
+            "--config",
+            metavar="FILE",
+            help="TOML file or preset; default: emulator, and emulator-axi for axi.",
+            show_default=False,
+        ),
+    ] = None,
+    buffer_beats: Annotated[int, typer.Option(metavar="N", help="Of the frame buffer.")] = 8192,
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder of Verilog, register map and bitstream.")] = Path(
+        "build/emulator"
+    ),
+    page: Annotated[Path, typer.Option(metavar="FILE", help="Of ulx3s: Markdown report of Fmax and use.")] = Path(
+        "docs/emulator-board.md"
+    ),
+) -> None:
+    """Build the emulator for a board. Exit code 1: lint found something, or a clock is missed with one of five seeds."""
+    from coincid.model.contract.config import load_config
+    from coincid.model.contract.emulator import Emulator
+
+    with extra("rtl"):
+        from coincid.flow import boards, emulator_release, lint, pnr
+    on_bus, on_board = kind == emulator_release.AXI, kind == emulator_release.BOARD
+    _file(page)
+    settings = load_config(config or ("emulator-axi" if on_bus else "emulator"))
+    files = emulator_release.emulator_release(settings, kind, buffer_beats)
+    written = emulator_release.write_emulator(_folder(out), files)
+    print(f"{out}: {len(written)} files, {sum(path.stat().st_size for path in written) / 1000:.0f} kB")
+    found = lint.lint_emulator(files, emulator_release.TOPS[kind])
+    for tool, complaints in found.items():
+        print(f"{tool}: {'clean' if not complaints else 'found'}")
+        print(complaints, end="")
+    if any(found.values()):
+        raise typer.Exit(DIFFERS)
+    if on_board:
+        board = boards.ulx3s(settings, Emulator.of(settings, buffer_beats))
+        placements = pnr.place(board)
+        bitstream = out / f"{board.top}.bit"
+        bitstream.write_bytes(pnr.fastest(placements).bitstream.read_bytes())
+        pnr.write_page(board, placements, page)
+        print(f"{bitstream}\n{page}")
+        _all_met(pnr.missed(board, placements))
 
 
 @app.command()
@@ -671,7 +733,10 @@ def emulate(
     simulate: Annotated[
         bool, typer.Option("--simulate", help="Use the emulator's simulated RTL behind its serial pins instead.")
     ] = False,
-    scene: Annotated[str, typer.Option(metavar="SCENE", help="Scene, as for sim.")] = "five-objects",
+    netlist: Annotated[
+        bool, typer.Option("--netlist", help="With --simulate: the netlist of the FPGA of an ULX3S instead of the RTL.")
+    ] = False,
+    scene: Annotated[str, typer.Option(metavar="SCENE", help="As of sim.")] = "five-objects",
     klux: KluxOption = None,
     config: Annotated[
         str,
@@ -682,20 +747,28 @@ def emulate(
         int | None,
         typer.Option(metavar="N", help="Laser pulses per frame; default: the configuration's.", show_default=False),
     ] = None,
-    seed: Annotated[int, typer.Option(help="Seed of the photon source.")] = 1,
-    baud: Annotated[int, typer.Option(help="Baud rate of the serial port.")] = 3_000_000,
+    seed: Annotated[int, typer.Option(help="Of the photon source.")] = 1,
+    baud: Annotated[
+        int | None,
+        typer.Option(
+            help="Of the serial line; default: 3,000,000, and simulated as fast as it can be.", show_default=False
+        ),
+    ] = None,
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder of the depth picture.")] = Path("build/emulate"),
 ) -> None:
     """Run the emulator, on a board or simulated, and check each word from it against the golden model."""
     from coincid.host.emulator import EmulatorDriver
     from coincid.host.serial_link import SerialPort, SerialTransport
     from coincid.model.contract.config import FRAMES_MAX, load_config
+    from coincid.model.contract.serial_link import BAUD
     from coincid.study.emulate import DEPTH
     from coincid.study.emulate import emulate as run
     from coincid.study.run import scene_of
 
     if (port is None) is not simulate:
         raise InputError("port: give either --port DEVICE or --simulate")
+    if netlist and not simulate:
+        raise InputError("netlist: goes with --simulate only")
     check_integer("frames", frames, 1, FRAMES_MAX)
     settings = load_config(config)
     if pulses is not None:
@@ -703,11 +776,22 @@ def emulate(
     looked_at = scene_of(settings, scene)
     if simulate:
         with extra("rtl"):
-            from coincid.tb.emulator import PATIENCE_S, SimulatedPort, simulated
-        line: Any = SimulatedPort(simulated(settings.sensor), settings.clock_mhz)
-        patience: dict[str, Any] = {"patience_s": PATIENCE_S}
+            from coincid.flow.gls import emulator_netlist
+            from coincid.tb.emulator import PATIENCE_S, SIMULATED_CLOCKS_PER_BIT, SimulatedPort, simulated
+        clocks = (
+            SIMULATED_CLOCKS_PER_BIT
+            if baud is None
+            else round(settings.clock_mhz * 1e6 / check_integer("baud", baud, 1, BAUD_MAX))
+        )
+        built, library = (
+            emulator_netlist(settings, clocks_per_bit=clocks)
+            if netlist
+            else (simulated(settings.sensor, clocks_per_bit=clocks), None)
+        )
+        line: Any = SimulatedPort(built, settings.clock_mhz, library)
+        patience: dict[str, Any] = {"patience_s": PATIENCE_S * clocks / SIMULATED_CLOCKS_PER_BIT}
     else:
-        line, patience = SerialPort(str(port), baud), {}
+        line, patience = SerialPort(str(port), BAUD if baud is None else baud), {}
     with line, _progress(frames, "frames") as done:
         driver = EmulatorDriver(SerialTransport(line, **patience))
         tally = run(
@@ -721,6 +805,8 @@ def emulate(
             tell=lambda so_far: done(so_far.frames),
         )
         repeats = driver.transport.repeats  # type: ignore[attr-defined]
+        if simulate:
+            print(f"{tally.seconds_on_line / tally.frames * 1e3:.3g} ms of simulated time per frame")
     print(f"{tally.frames} frames, {tally.beats} words, all as the golden model predicts")
     print(
         f"{tally.frames / tally.seconds:.1f} frames per second; {repeats} requests repeated, {tally.recoveries} recoveries"

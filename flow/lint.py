@@ -5,18 +5,22 @@ import os
 import shutil
 import subprocess
 import tempfile
+from collections.abc import Mapping
 from pathlib import Path
 
+from ..hdl.emulator.ulx3s import BOARD_TOP
 from ..hdl.export import fpga_files
 from ..hdl.sensor import FPGA_TOP, has_fpga_top
 from ..hdl.views import POLYPHASE, View
 from ..model.contract.parameters import TOP, Sensor
 from ..tb import toolchain
 from ..tb.rtl import rtl
+from .emulator_release import verilog_of
 from .release import tool_options
 from .smoke import FPGA_SMOKE, SMOKE, smoke_test
 from .waivers import CONTROL_FILE, control_file
 
+PLL_MODEL = Path(__file__).with_name("ecp5_pll.v")
 VERILATOR = ("--lint-only", "--timing", "--quiet-stats")
 
 
@@ -43,6 +47,28 @@ def lint(sensor: Sensor, view: View = POLYPHASE) -> dict[str, str]:
                 found["icarus"] += _complaints(
                     ["iverilog", "-g2005", "-Wall", "-s", top, "-o", os.devnull, *names], folder
                 )
+    return found
+
+
+def lint_emulator(files: Mapping[str, str], top: str) -> dict[str, str]:
+    """Tool -> what it found in an emulator as `emulator_release` gives it; of a board's cells the ports alone are known. Raises `ToolchainError`."""
+    names = verilog_of(dict(files))
+    options = [part for option in tool_options(POLYPHASE)["lint"] for part in option.split()]
+    found = {}
+    with tempfile.TemporaryDirectory(prefix="coincid-") as folder:
+        for name in (*names, CONTROL_FILE):
+            (Path(folder) / name).write_text(files[name])
+        boxes = [PLL_MODEL.name] if top == BOARD_TOP else []
+        for box in boxes:
+            (Path(folder) / box).write_text(PLL_MODEL.read_text())
+        given = [CONTROL_FILE, *names, *boxes]
+        found["verilator"] = _complaints(
+            [str(toolchain.verilator()), *VERILATOR, *options, "--top-module", top, *given], folder
+        )
+        if shutil.which("iverilog"):
+            found["icarus"] = _complaints(
+                ["iverilog", "-g2005", "-Wall", "-s", top, "-o", os.devnull, *given[1:]], folder
+            )
     return found
 
 

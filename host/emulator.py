@@ -19,10 +19,10 @@ WORDS_PER_BEAT = 2
 class EmulatorDriver(Driver):
     """An emulator as its software sees it: a sensor with its own light, and further registers by name.
 
-    Raises `HostError` if no emulator answers that this driver knows.
+    transport, sensor, fresh: as of `Driver`. Raises `HostError` where what answers is no emulator that this driver knows.
     """
 
-    def __init__(self, transport: Transport, sensor: Sensor | None = None):
+    def __init__(self, transport: Transport, sensor: Sensor | None = None, *, fresh: bool = False):
         found = transport.read(own_address("emulator_id"))
         if found != EMULATOR_ID:
             raise HostError(f"no emulator: its ID is {found:#010x}, must be {EMULATOR_ID:#010x}")
@@ -32,7 +32,7 @@ class EmulatorDriver(Driver):
                 f"emulator's registers of version {version >> 16}: this driver knows {EMULATOR_VERSION >> 16}"
             )
         self.buffer_beats = transport.read(own_address("buffer_beats"))
-        super().__init__(transport, sensor)
+        super().__init__(transport, sensor, fresh=fresh)
 
     def __getitem__(self, key: Key) -> int:
         """Read a register of the sensor or of the emulator."""
@@ -88,17 +88,20 @@ class EmulatorDriver(Driver):
         self.finish(seconds)
         return beats
 
-    def resume(self) -> None:
-        """Recover after an error: end a running frame, and drop all waiting beats. Settings have to be programmed again."""
+    def resume(self, seconds: float = WAIT_SECONDS) -> None:
+        """Brings the emulator to rest after whatever went wrong: ends a frame under way, and drops what waits. Settings are to be programmed anew.
+
+        Raises `HostError` where the frame does not end in `seconds`.
+        """
         self.programmed.forget()
         self._assemblers[0].forget()
         self._assemblers[0].frames.clear()
         if self.status().busy:
             self.abort()
-        end = time.monotonic() + WAIT_SECONDS
+        end = time.monotonic() + seconds
         while self.status().busy:
             self.waiting()
             if time.monotonic() > end:
-                raise HostError(f"the sensor is still busy {WAIT_SECONDS:g} s after an abort")
+                raise HostError(f"the sensor is still busy {seconds:g} s after an abort")
         self.waiting()
         self.clear()

@@ -14,6 +14,7 @@ import numpy as np
 
 from ..model.contract.serial_link import (
     ADDRESS_BYTES,
+    BAUD,
     CRC_BYTES,
     ESCAPE,
     FLAG,
@@ -30,7 +31,6 @@ from .transport import DeviceResetError, LinkError, RefusedError
 
 TRIES = 10
 PATIENCE_S = 0.25
-BAUD = 3_000_000
 BODY_MIN = 2 + CRC_BYTES  # sequence number and status
 
 

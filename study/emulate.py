@@ -31,6 +31,7 @@ from ..tb.errors import Mismatch
 from .pictures import Panel, depth_row
 
 DEPTH = "depth.png"
+REDRAW_S = 1.0  # between two pictures
 METHOD = "matched"
 LEVEL_MAX = (1 << LEVEL_BITS) - 1
 RATE_MAX = (1 << RATE_BITS) - 1
@@ -69,13 +70,14 @@ def source_settings(config: Config, scene: Scene, klux: Ambient, *, spread: int 
 
 @define
 class Tally:
-    """Tally of a session: frames and beats, all as predicted; recoveries of the link; seconds since the first start."""
+    """What has come: frames and beats, all as predicted; link recoveries; seconds since the first start, of this computer and on the line's clock."""
 
     frames: int = field(default=0)
     beats: int = field(default=0)
     events: int = field(default=0)
     recoveries: int = field(default=0)
     seconds: float = field(default=0.0)
+    seconds_on_line: float = field(default=0.0)
 
 
 class Session:
@@ -89,7 +91,7 @@ class Session:
             raise InputError("subgroup.auto = true: the emulator is checked without the controller, must be false")
         self.driver, self.config, self.settings = driver, config, settings
         self.golden, self.result, self.tally = Golden(config.sensor), ResultBuilder(config), Tally()
-        self._begun: float | None = None
+        self._begun: tuple[float, float] | None = None
         self._stalls = 0
         driver.resume()
         self._program()
@@ -105,7 +107,7 @@ class Session:
         After an error of the link or a reset of the device, it recovers and may lose frames. Raises `Mismatch` if a word
         differs, and `LinkError` if the recovery fails.
         """
-        self._begun = time.monotonic() if self._begun is None else self._begun
+        self._begun = self._now() if self._begun is None else self._begun
         for _ in range(RECOVERIES_MAX):
             try:
                 beats = self.driver.frame()
@@ -124,8 +126,13 @@ class Session:
         self.result.add([beats])
         self.tally.frames += 1
         self.tally.beats += len(beats)
-        self.tally.seconds = time.monotonic() - self._begun
+        self.tally.seconds, self.tally.seconds_on_line = (now - begun for now, begun in zip(self._now(), self._begun))
         return beats
+
+    def _now(self) -> tuple[float, float]:
+        """Seconds of this computer, and on the line's clock, which is another one where the line is simulated."""
+        port = getattr(self.driver.transport, "port", None)
+        return time.monotonic(), port.now() if port else time.monotonic()
 
     def _recover(self) -> None:
         for _ in range(RECOVERIES_MAX):
@@ -148,6 +155,11 @@ class Session:
             shown, want = (f"{int(b[at]):#018x}" if at < len(b) else "nothing" for b in (beats, expected))
             raise Mismatch(f"frame {number}, beat {at}: {shown}, golden model {want}")
 
+    def draw(self, path: Path, scene: Scene) -> None:
+        """Draws the depth of all frames together beside the scene's; the picture appears whole."""
+        title = f"{self.tally.frames} frames of the emulator"
+        depth_row(path, [Panel(title, self.depth().depth_m[:, :, 0])], scene.truth_m)
+
     def depth(self) -> Depth:
         """Return the depth of all frames together."""
         return estimate_depth(self.result.arrays(), self.config, method=METHOD)
@@ -164,15 +176,17 @@ def emulate(
     seed: int = 1,
     tell: Callable[[Tally], None] = lambda tally: None,
 ) -> Tally:
-    """Program a scene, take frames, check every word, and draw the depth of all frames into `out`.
+    """Programs a scene, takes frames, checks every word, and draws the depth of all frames so far into `out`, again every `REDRAW_S`.
 
     `tell` is called after each frame.
     """
     session = Session(driver, config, source_settings(config, scene, klux, seed=seed))
+    out.mkdir(parents=True, exist_ok=True)
+    drawn = time.monotonic()
     for _ in range(frames):
         session.frame()
         tell(session.tally)
-    depth = session.depth()
-    out.mkdir(parents=True, exist_ok=True)
-    depth_row(out / DEPTH, [Panel(f"{frames} frames of the emulator", depth.depth_m[:, :, 0])], scene.truth_m)
+        if session.tally.frames == frames or time.monotonic() - drawn > REDRAW_S:
+            session.draw(out / DEPTH, scene)
+            drawn = time.monotonic()
     return session.tally

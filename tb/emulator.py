@@ -2,11 +2,12 @@
 """The Verilated emulator behind its serial pins: a port for the host's serial transport, without a board."""
 
 import ctypes
+from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
 
 from ..hdl.emulator.top import EMULATOR_LIST, SERIAL_TOP, emulator_files
-from ..model.contract.emulator import Emulator
+from ..model.contract.emulator import BUFFER_BEATS, Emulator
 from ..model.contract.parameters import Sensor
 from ..model.shared.folders import build_root
 from ..model.shared.sources import digest, sources_digest
@@ -16,15 +17,17 @@ from .batch import COMPILER, verilated_unit
 SOURCE = Path(__file__).with_name("emulator.cpp")
 LIBRARY = "libemulator.so"
 READ_CYCLES = 2000  # time that a read waits for a byte
-PATIENCE_S = 100e-6  # for an answer on the simulated line, in simulated time
+PATIENCE_S = 200e-6  # for an answer on the fastest line, in simulated time; the longest request takes half of it
 ROOM = 4096
 RESET_CYCLES = 8
 SIMULATED_CLOCKS_PER_BIT = 4  # the fastest line
 
 
-def simulated(sensor: Sensor) -> Emulator:
-    """Return an emulator of `sensor` for simulation, with the fastest line."""
-    return Emulator(sensor=sensor, clocks_per_bit=SIMULATED_CLOCKS_PER_BIT)
+def simulated(
+    sensor: Sensor, buffer_beats: int = BUFFER_BEATS, clocks_per_bit: int = SIMULATED_CLOCKS_PER_BIT
+) -> Emulator:
+    """Return an emulator of `sensor` for simulation, with the fastest line by default."""
+    return Emulator(sensor=sensor, buffer_beats=buffer_beats, clocks_per_bit=clocks_per_bit)
 
 
 def emulator_rtl(emulator: Emulator, serial: bool = True) -> list[Path]:
@@ -41,10 +44,13 @@ def emulator_rtl(emulator: Emulator, serial: bool = True) -> list[Path]:
 
 
 def build_emulator(emulator: Emulator) -> Path:
-    """Compile the library of an emulator behind its pins, once."""
-    unit = verilated_unit(
-        SERIAL_TOP, "Vemulator", emulator_rtl(emulator), options=[toolchain.NOT_INLINED], archives=["libverilated.a"]
-    )
+    """Compile the library of an emulator's RTL behind its pins, once."""
+    return build_line(emulator_rtl(emulator), SERIAL_TOP, [toolchain.NOT_INLINED])
+
+
+def build_line(sources: list[Path], top: str, options: Sequence[str] = ()) -> Path:
+    """Compile the library of a design with the ports clk, rst, rx and tx, once. options: for Verilator."""
+    unit = verilated_unit(top, "Vemulator", sources, options=options, archives=["libverilated.a"])
     directory = build_root() / "batch" / f"emulator-{digest(unit.name, *COMPILER, SOURCE.read_text())}"
 
     def make(scratch: Path) -> None:
@@ -80,15 +86,17 @@ def _library(path: Path) -> ctypes.CDLL:
 class SimulatedPort:
     """Serial port of a simulated emulator, first under reset, then in use, for `SerialTransport`. A context manager.
 
-    Its time is simulated, and passes only in `read`. clock_mhz: of the emulator.
+    Its time is simulated, and passes only in `read`. clock_mhz: of the emulator. library: a design in place of the emulator's RTL; it
+    resets itself.
     """
 
-    def __init__(self, emulator: Emulator, clock_mhz: float):
+    def __init__(self, emulator: Emulator, clock_mhz: float, library: Path | None = None):
         self.emulator, self.clock_mhz = emulator, clock_mhz
-        self._library = _library(build_emulator(emulator))
+        self._library = _library(library or build_emulator(emulator))
         self._line = self._library.coincid_line_new(emulator.clocks_per_bit)
         self._room = ctypes.create_string_buffer(ROOM)
-        self.reset()
+        if library is None:
+            self.reset()
 
     def __enter__(self) -> "SimulatedPort":
         return self

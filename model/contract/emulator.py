@@ -9,13 +9,16 @@ beats of the frame buffer from `BUFFER_BASE` on.
 from attrs import field, frozen
 
 from ..shared.errors import InputError, check_integer
+from .config import Config
 from .parameters import Sensor
 from .registers import Access, Bits, Register
+from .serial_link import BAUD, BAUD_TOLERANCE
 
 ADDRESS_BITS = 24
 REGION_BITS = 20  # bits of an address inside a region; the bits above select the region
 SENSOR_BASE, OWN_BASE, SOURCE_BASE, BUFFER_BASE = 0x000000, 0x100000, 0x200000, 0x300000
 SOURCE_STRIDE = 0x800
+BUFFER_BEATS, BUFFER_BEATS_MAX = 8192, 1 << 16  # of a frame buffer that nobody chose, and of the largest
 EMULATOR_ID = 0x454D554C  # "EMUL"
 EMULATOR_VERSION = 0x00010000
 
@@ -55,17 +58,29 @@ class Emulator:
     """
 
     sensor: Sensor
-    buffer_beats: int = field(default=8192)
+    buffer_beats: int = field(default=BUFFER_BEATS)
     clocks_per_bit: int = field(default=33)  # 3 Mbaud at 100 MHz
 
     def __attrs_post_init__(self) -> None:
         if self.sensor.streams != 1:
             raise InputError(f"sensor.streams = {self.sensor.streams}: must be 1 in an emulator")
         check_integer("subgroups", self.sensor.subgroups, 1, 1 << 8)
-        check_integer("buffer_beats", self.buffer_beats, 64, 1 << 16)
+        check_integer("buffer_beats", self.buffer_beats, 64, BUFFER_BEATS_MAX)
         if self.buffer_beats & (self.buffer_beats - 1):
-            raise InputError(f"buffer_beats = {self.buffer_beats}: must be a power of two from 64 to {1 << 16}")
+            raise InputError(
+                f"buffer_beats = {self.buffer_beats}: must be a power of two from 64 to {BUFFER_BEATS_MAX}"
+            )
         check_integer("clocks_per_bit", self.clocks_per_bit, 4, 1 << 16)
+
+    @classmethod
+    def of(cls, config: Config, buffer_beats: int = BUFFER_BEATS) -> "Emulator":
+        """The emulator of a configuration's sensor, with a line of `BAUD` at its clock. Raises `InputError` where the clock cannot make that."""
+        clocks = config.clock_mhz * 1e6 / BAUD
+        if clocks < 4 or abs(clocks / round(clocks) - 1) > BAUD_TOLERANCE:
+            raise InputError(
+                f"frame.clock_mhz = {config.clock_mhz:g}: does not make {BAUD} baud to {BAUD_TOLERANCE:.0%}"
+            )
+        return cls(sensor=config.sensor, buffer_beats=buffer_beats, clocks_per_bit=round(clocks))
 
     @property
     def lanes(self) -> int:

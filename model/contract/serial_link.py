@@ -20,6 +20,8 @@ still there.
 
 import enum
 
+BAUD = 3_000_000  # of a board's serial bridge
+BAUD_TOLERANCE = 0.02
 FLAG, ESCAPE, FLIP = 0x7E, 0x7D, 0x20
 CRC_BYTES = 4
 HEAD_BYTES = 6  # length of a request without data

@@ -3,6 +3,8 @@
 
 import ctypes
 import subprocess
+import tempfile
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -44,16 +46,22 @@ class Packet(ctypes.Structure):
     ]
 
 
-@pytest.fixture(scope="module")
-def library(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("c")
-    for path in C_DRIVER:
-        (folder / path.name).write_text(path.read_text())
-    (folder / HEADER).write_text(register_files(SENSOR)[HEADER])
-    subprocess.run(["cc", *FLAGS, "-shared", "-fPIC", "-o", "driver.so", "coincid.c"], cwd=folder, check=True)
-    loaded = ctypes.CDLL(str(folder / "driver.so"))
+def compiled_driver(sensor) -> ctypes.CDLL:
+    """The C driver and the register header of a sensor, as a library."""
+    with tempfile.TemporaryDirectory(prefix="coincid-") as name:
+        folder = Path(name)
+        for path in C_DRIVER:
+            (folder / path.name).write_text(path.read_text())
+        (folder / HEADER).write_text(register_files(sensor)[HEADER])
+        subprocess.run(["cc", *FLAGS, "-shared", "-fPIC", "-o", "driver.so", "coincid.c"], cwd=folder, check=True)
+        loaded = ctypes.CDLL(str(folder / "driver.so"))
     loaded.coincid_counter.restype = loaded.coincid_offset.restype = ctypes.c_uint32
     return loaded
+
+
+@pytest.fixture(scope="module")
+def library():
+    return compiled_driver(SENSOR)
 
 
 def bus_of(transport) -> Bus:

@@ -115,7 +115,7 @@ def test_a_timing_tool_takes_the_constraints_of_the_asynchronous_view(tmp_path):
 
 @pytest.mark.parametrize("reached_mhz, code", [(125.1, 0), (124.9, 1)])
 def test_pnr_names_the_seed_that_misses(monkeypatch, tmp_path, reached_mhz, code):
-    def placed(netlist, seed):
+    def placed(board, netlist, seed):
         folder = tmp_path / str(seed)
         folder.mkdir()
         hop = {"type": "logic", "delay": 7.9, "from": {"cell": "a"}, "to": {"cell": "b"}}
@@ -124,10 +124,10 @@ def test_pnr_names_the_seed_that_misses(monkeypatch, tmp_path, reached_mhz, code
         path = {"from": "posedge clk", "to": "posedge clk", "path": [hop]}
         report = {"fmax": fmax, "utilization": used, "critical_paths": [path]}
         (folder / "report.json").write_text(json.dumps(report))
-        (folder / "board.bit").write_bytes(b"bits")
+        (folder / pnr.BITSTREAM).write_bytes(b"bits")
         return pnr.Placement(seed, folder)
 
-    monkeypatch.setattr(pnr, "synthesize", lambda: tmp_path)
+    monkeypatch.setattr(pnr, "synthesize", lambda board: tmp_path)
     monkeypatch.setattr(pnr, "place_and_route", placed)
     result = CliRunner().invoke(app, ["pnr", "--out", str(tmp_path / "page.md")])
     assert result.exit_code == code

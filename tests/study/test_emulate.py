@@ -10,6 +10,7 @@ from coincid.cli import app
 from coincid.host.emulator import EmulatorDriver
 from coincid.host.serial_link import SerialTransport
 from coincid.model.contract.config import load_config
+from coincid.study import emulate
 from coincid.study.emulate import Session, source_settings
 from coincid.study.run import scene_of
 from coincid.tb.emulator import PATIENCE_S, SimulatedPort, simulated
@@ -60,6 +61,17 @@ def test_a_scene(config_file, tmp_path):
     assert (out / "depth.png").stat().st_size > 1000
 
 
+def test_the_picture_is_drawn_while_frames_come(config_file, tmp_path, monkeypatch):
+    """With no time between two pictures: one per frame, each with all frames so far."""
+    config, titles = load_config(str(config_file)), []
+    monkeypatch.setattr(emulate, "REDRAW_S", 0.0)
+    monkeypatch.setattr(emulate, "depth_row", lambda path, panels, truth_m: titles.append(panels[0].title))
+    with SimulatedPort(simulated(config.sensor), config.clock_mhz) as port:
+        driver = EmulatorDriver(SerialTransport(port, patience_s=PATIENCE_S))
+        emulate.emulate(driver, config, scene_of(config, "flat:5"), tmp_path, klux=50.0, frames=3)
+    assert titles == [f"{n} frames of the emulator" for n in (1, 2, 3)]
+
+
 def test_a_scene_as_settings():
     config = load_config("emulator")
     scene = scene_of(config, "flat:6,0.4")
@@ -91,6 +103,7 @@ def test_a_wrong_word_is_found(config_file):
         (["--simulate", "--port", "/dev/null"], "give either"),
         (["--port", "/dev/none"], "cannot be opened"),
         (["--simulate", "--frames", "0"], "frames = 0"),
+        (["--port", "/dev/none", "--netlist"], "netlist: goes with --simulate only"),
     ],
 )
 def test_bad_input(arguments, says):

@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The emulator through its serial pins: frames word by word against the golden models, and a bad line.
 
-The RTL runs behind its pins as a library; `tests/benches/emulator_bench.py` works at the pins themselves, with cocotb in
-Icarus.
+The RTL runs behind its pins as a library; `tests/benches/emulator_bench.py` is at the pins themselves, under cocotb.
 """
 
 import re
@@ -26,9 +25,9 @@ from coincid.model.light.on_chip import SourceSettings, source_edges
 from coincid.model.shared.errors import InputError
 from coincid.study.emulate import Session
 from coincid.tb.emulator import PATIENCE_S, SimulatedPort, emulator_rtl
-from coincid.tb.toolchain import build
+from coincid.tb.toolchain import SIMULATORS, build
 
-from ..benches import BENCHES
+from ..benches import BENCHES, emulator_bench
 
 SENSOR = Sensor(rows=4, cols=8, phases=8, window_max=16, subgroup=(4, 4))
 EMULATOR = Emulator(sensor=SENSOR, buffer_beats=256, clocks_per_bit=4)
@@ -319,9 +318,15 @@ def test_frames_of_bytes():
     assert right == 0
 
 
-def test_pins_in_icarus(tmp_path):
-    """Run the same host software at the pins under cocotb, in Icarus; frames would take it minutes."""
-    compiled = build("icarus", emulator_rtl(EMULATOR), SERIAL_TOP, key="emulator-4x8")
+@pytest.mark.parametrize("simulator", SIMULATORS)
+def test_pins(simulator, tmp_path):
+    """The same host software at the pins under cocotb, frames and a line with every fault."""
+    emulator = Emulator(
+        sensor=emulator_bench.SENSOR,
+        buffer_beats=emulator_bench.BUFFER_BEATS,
+        clocks_per_bit=emulator_bench.CLOCKS_PER_BIT,
+    )
+    compiled = build(simulator, emulator_rtl(emulator), SERIAL_TOP, key="emulator-4x4")
     compiled.run("emulator_bench", env={"PYTHONPATH": BENCHES}, out_dir=tmp_path, seed=1)
 
 

@@ -1,0 +1,96 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What is placed and routed: a module of the FPGA preset on a large ECP5, and the emulator on an ULX3S."""
+
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+from attrs import evolve
+
+from ..hdl.emulator.top import EMULATOR_LIST
+from ..hdl.emulator.ulx3s import BOARD_TOP, board_files, board_pins
+from ..hdl.export import FILE_LIST, fpga_files, verilog_files
+from ..model.contract.config import Config, load_config
+from ..model.contract.emulator import Emulator
+from ..model.contract.parameters import TOP
+from .pnr import NEXTPNR, Board
+from .yosys import wheel_folder
+
+WRAPPER = Path(__file__).with_name("ecp5.v")
+PADS = "share/trellis/database/ECP5/LFE5UM5G-85F/iodb.json"  # of the device of `fpga_module`, in the wheel of nextpnr
+PACKAGE = "CABGA756"
+
+
+def fpga_module() -> Board:
+    """A module of the FPGA preset, two subgroups, with registers, readout and deserialisers. Raises `ToolchainError` without nextpnr."""
+    preset = load_config("fpga")
+    sensor = evolve(preset.sensor, rows=8, cols=16)
+    files = verilog_files(sensor) | fpga_files(sensor) | {WRAPPER.name: WRAPPER.read_text()}
+    del files[FILE_LIST], files[f"{TOP}.v"]
+    return Board(
+        title="The FPGA preset placed and routed",
+        command="make pnr",
+        what="a module (two subgroups, their TDC, FIFOs, deserialisers), readout, registers and a PLL",
+        chip=f"ECP5 um5g-85k, {PACKAGE}, speed grade 8",
+        top="coincid_ecp5",
+        files=files,
+        pins=_along_the_edge(),
+        device=("--um5g-85k", "--package", PACKAGE, "--speed", "8"),
+        goal_mhz=preset.clock_mhz,
+    )
+
+
+def _along_the_edge() -> str:
+    """Where the wrapper's ports leave the chip, as constraints: in their order along its edge, as on a board.
+
+    Without them nextpnr scatters the ports at random, and the logic behind them follows. Only the clock's pin is left to it.
+    """
+    sites = json.loads((wheel_folder(NEXTPNR) / PADS).read_text())["packages"][PACKAGE]
+    right = max(site["col"] for site in sites.values())
+
+    def clockwise(item: tuple[str, dict[str, Any]]) -> tuple[int, int, str]:
+        """Side and place on it, from the lower left corner on."""
+        row, col, pad = item[1]["row"], item[1]["col"], item[1]["pio"]
+        return (
+            (0, -row, pad)
+            if col == 0
+            else (1, col, pad)
+            if row == 0
+            else (2, row, pad)
+            if col == right
+            else (3, -col, pad)
+        )
+
+    ports = re.findall(r"(?:input|output) (?:\[(\d+):0\] )?(\w+)", WRAPPER.read_text())
+    bits = [
+        f"{name}[{k}]" if msb else name for msb, name in ports for k in range(int(msb or 0) + 1) if name != "clk_in"
+    ]
+    along = (site for site, _ in sorted(sites.items(), key=clockwise))
+    return "".join(f'LOCATE COMP "{bit}" SITE "{site}";\n' for bit, site in zip(bits, along))
+
+
+def ulx3s(config: Config, emulator: Emulator | None = None, options: str = "") -> Board:
+    """The emulator of a configuration's sensor at its clock, on an ULX3S. Raises `InputError`.
+
+    emulator: in place of the one that `Emulator.of` gives. options: of the synthesis.
+    """
+    emulator = emulator or Emulator.of(config)
+    files = board_files(emulator, config.clock_mhz)
+    del files[EMULATOR_LIST]
+    sensor = config.sensor
+    return Board(
+        title="The emulator on an ULX3S",
+        command="make emulator",
+        what=(
+            f"the emulator of {sensor.rows} x {sensor.cols} pixels in {sensor.subgroups} subgroups, {sensor.phases} phases, with photon "
+            f"source, a frame buffer of {emulator.buffer_beats} beats, serial line and a PLL"
+        ),
+        chip="ECP5 LFE5U-85F, CABGA381, speed grade 6",
+        top=BOARD_TOP,
+        files=files,
+        pins=board_pins(),
+        device=("--85k", "--package", "CABGA381", "--speed", "6"),
+        goal_mhz=config.clock_mhz,
+        options=options,
+    )

@@ -1,0 +1,53 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The emulator as it leaves the project: Verilog with a file list, waivers for lint, the sensor's register map, and the C driver.
+
+For an ULX3S (`ulx3s`, with its pins), with two pins of a serial line for another board (`serial`), or with an AXI4-Lite slave (`axi`).
+"""
+
+from pathlib import Path
+
+from ..hdl.emulator.top import BUS_TOP, EMULATOR_LIST, SERIAL_TOP, emulator_files
+from ..hdl.emulator.ulx3s import BOARD_TOP, board_files, board_pins
+from ..hdl.views import POLYPHASE
+from ..model.contract.config import Config
+from ..model.contract.emulator import Emulator
+from ..model.shared.errors import InputError
+from ..model.shared.files import whole_file
+from .register_files import register_files
+from .release import C_DRIVER
+from .waivers import CONTROL_FILE, control_file
+
+BOARD, SERIAL, AXI = "ulx3s", "serial", "axi"
+TOPS = {BOARD: BOARD_TOP, SERIAL: SERIAL_TOP, AXI: BUS_TOP}
+PINS = f"{BOARD_TOP}.lpf"
+
+
+def emulator_verilog(config: Config, kind: str, buffer_beats: int) -> dict[str, str]:
+    """File name -> text of an emulator's Verilog, and a file list. Raises `InputError`."""
+    if kind not in TOPS:
+        raise InputError(f"kind = {kind!r}: must be one of {', '.join(TOPS)}")
+    if kind == AXI:  # has no serial line, so any clock will do
+        return emulator_files(Emulator(sensor=config.sensor, buffer_beats=buffer_beats), serial=False)
+    emulator = Emulator.of(config, buffer_beats)
+    return board_files(emulator, config.clock_mhz) if kind == BOARD else emulator_files(emulator)
+
+
+def emulator_release(config: Config, kind: str, buffer_beats: int) -> dict[str, str]:
+    """File name -> text of everything. Equal parameters give equal bytes. Raises `InputError`."""
+    files = emulator_verilog(config, kind, buffer_beats) | register_files(config.sensor)
+    files |= {CONTROL_FILE: control_file(POLYPHASE, emulator=True)} | {path.name: path.read_text() for path in C_DRIVER}
+    return files | ({PINS: board_pins()} if kind == BOARD else {})
+
+
+def write_emulator(folder: Path, files: dict[str, str]) -> list[Path]:
+    """Writes the files, each whole; returns their paths."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, text in files.items():
+        with whole_file(folder / name, "w") as file:
+            file.write(text)
+    return [folder / name for name in files]
+
+
+def verilog_of(files: dict[str, str]) -> list[str]:
+    """The Verilog files' names, as the list has them."""
+    return files[EMULATOR_LIST].split()

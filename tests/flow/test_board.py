@@ -1,0 +1,96 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The emulator for a board: its netlist boots and sends frames as predicted, its Verilog lints, its PLL and pins are the board's."""
+
+import re
+
+import numpy as np
+import pytest
+
+from coincid.flow.boards import ulx3s
+from coincid.flow.emulator_release import PINS, TOPS, emulator_release
+from coincid.flow.gls import emulator_netlist
+from coincid.flow.lint import lint_emulator
+from coincid.hdl.emulator.ulx3s import BOARD_TOP, OSCILLATOR_MHZ, pll
+from coincid.host.emulator import EmulatorDriver
+from coincid.host.serial_link import SerialTransport
+from coincid.model.contract.config import load_config, parse_config, sensor_table
+from coincid.model.contract.emulator import Emulator
+from coincid.model.contract.parameters import Sensor
+from coincid.model.light.on_chip import SourceSettings
+from coincid.model.shared.errors import InputError
+from coincid.study.emulate import Session
+from coincid.tb.emulator import PATIENCE_S, SimulatedPort
+
+SENSOR = Sensor(rows=4, cols=4, phases=4, window_max=4, coarse_bits=6, fifo_depth=4, subgroup=(4, 4), minigroup=(4, 4))
+
+
+def config(**frame):
+    return parse_config(
+        {
+            "sensor": sensor_table(SENSOR),
+            "frame": {"period": 24, "pulses": 2, "clock_mhz": 100, "format": "id"} | frame,
+            "subgroup": {"threshold": 2, "window": 4},
+        }
+    )
+
+
+def test_the_netlist_boots_and_sends_frames():
+    """The FPGA's cells behind the board's pins, from their initial values; no reset, and later one by the button."""
+    settings = SourceSettings(
+        background=np.array([6000]), tick=np.full((1, 16), 30), level=np.full((1, 16), 128), spread=2, seed=3
+    )
+    emulator, library = emulator_netlist(config(), 64)
+    with SimulatedPort(emulator, 100, library) as port:
+        session = Session(EmulatorDriver(SerialTransport(port, patience_s=PATIENCE_S)), config(), settings)
+        assert session.driver.sensor == SENSOR
+        words = sum(len(session.frame()) for _ in range(2))
+        assert words > 20 and session.tally.recoveries == 0 and session.driver.transport.repeats == 0
+        port.reset()
+        session.frame()
+        assert session.tally.recoveries == 1 and session.tally.frames == 3
+
+
+@pytest.mark.parametrize("kind", TOPS)
+def test_what_is_exported_lints(kind):
+    files = emulator_release(config(), kind, 64)
+    assert f"module {TOPS[kind]} " in files[f"{TOPS[kind]}.v"] and "registers.md" in files
+    assert not any(lint_emulator(files, TOPS[kind]).values())
+
+
+def test_lint_finds_what_is_wrong():
+    files = emulator_release(config(), "axi", 64)
+    files[f"{TOPS['axi']}.v"] = files[f"{TOPS['axi']}.v"].replace("  output laser", "  input nothing,\n  output laser")
+    assert "nothing" in lint_emulator(files, TOPS["axi"])["verilator"]
+
+
+@pytest.mark.parametrize("clock_mhz", [50, 62.5, 80, 100, 120, 125])
+def test_pll(clock_mhz):
+    found = pll(clock_mhz)
+    assert OSCILLATOR_MHZ * found.feedback / found.reference == clock_mhz
+    assert 400 <= clock_mhz * found.output <= 800
+
+
+@pytest.mark.parametrize("clock_mhz, says", [(101.3, "the board's PLL does not make it"), (20, "6.67|baud")])
+def test_clocks_that_do_not_go(clock_mhz, says):
+    of = config(clock_mhz=clock_mhz)
+    with pytest.raises(InputError, match=says):
+        ulx3s(of)
+
+
+def test_bad_kind():
+    with pytest.raises(InputError, match="kind = 'zynq': must be one of ulx3s, serial, axi"):
+        emulator_release(config(), "zynq", 64)
+
+
+def test_the_presets_are_what_a_board_needs():
+    of = load_config("emulator")
+    assert Emulator.of(of).clocks_per_bit == 33 and pll(of.clock_mhz).feedback == 4
+    assert load_config("emulator-axi").sensor.subgroups > of.sensor.subgroups
+
+
+def test_every_port_of_the_board_has_its_pin():
+    files = emulator_release(config(), "ulx3s", 64)
+    ports = re.findall(r"^  (?:input|output) (?:\[(\d+):0\] )?(\w+)", files[f"{BOARD_TOP}.v"], re.MULTILINE)
+    bits = {f"{name}[{k}]" if msb else name for msb, name in ports for k in range(int(msb or 0) + 1)}
+    located = re.findall(r'^LOCATE COMP "(.*)" SITE "(\w+)";$', files[PINS], re.MULTILINE)
+    assert {bit for bit, _ in located} == bits and len({site for _, site in located}) == len(bits) == 13

@@ -1,0 +1,192 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Three clients read the same frames: the Python driver, the C driver, and one that is written from the documents alone.
+
+The latter, `Client`, takes nothing from the project: framing and addresses of docs/board.md, registers of registers.md, words of
+docs/contract.md are spelled out here, so that a page that says too little, or another thing than the RTL does, is found.
+"""
+
+import ctypes
+
+import numpy as np
+import pytest
+
+from coincid.host.emulator import EmulatorDriver
+from coincid.host.serial_link import SerialTransport
+from coincid.model.contract.config import parse_config, sensor_table
+from coincid.model.contract.emulator import Emulator
+from coincid.model.contract.parameters import Sensor
+from coincid.model.golden.frame import Golden
+from coincid.model.light.on_chip import SourceSettings, source_edges
+from coincid.tb.emulator import PATIENCE_S, SimulatedPort
+
+from ..flow.test_c_driver import Info, bus_of, compiled_driver
+
+SENSOR = Sensor(rows=4, cols=8, phases=8, window_max=16, subgroup=(4, 4))
+EMULATOR = Emulator(sensor=SENSOR, buffer_beats=64, clocks_per_bit=4)
+PERIOD, PULSES, WINDOW, THRESHOLD = 50, 5, 4, 2
+SEED, SPREAD, DEAD, BACKGROUNDS, ECHO_TICK, ECHO_LEVEL = 77, 2, 3, (1500, 4000), 130, 200
+
+
+class Client:
+    """Speaks docs/board.md over anything that writes and reads bytes."""
+
+    def __init__(self, line):
+        self.line, self.number, self.heard = line, 0, b""
+        status, _ = self.ask(0, 0, 0)
+        assert status in (0, 3)
+
+    @staticmethod
+    def crc(data):
+        """Polynomial 0x04c11db7, the lowest bit of a byte first."""
+        value = 0xFFFFFFFF
+        for byte in data:
+            value ^= byte
+            for _ in range(8):
+                value = value >> 1 ^ (0xEDB88320 if value & 1 else 0)  # the polynomial's bits in reverse
+        return value ^ 0xFFFFFFFF
+
+    def ask(self, operation, count, address, words=()):
+        """Status and content of the answer."""
+        body = bytes([self.number, operation, count, address & 0xFF, address >> 8 & 0xFF, address >> 16])
+        for word in words:
+            body += bytes(word >> shift & 0xFF for shift in (0, 8, 16, 24))
+        check = self.crc(body)
+        body += bytes(check >> shift & 0xFF for shift in (0, 8, 16, 24))
+        body = body.replace(b"\x7d", b"\x7d\x5d").replace(b"\x7e", b"\x7d\x5e")
+        self.line.write(b"\x7e" + body + b"\x7e")
+        answer = self.answer()
+        assert answer[0] == self.number
+        self.number = (self.number + 1) % 256
+        return answer[-1], answer[1:-1]
+
+    def answer(self):
+        for _ in range(1000):
+            self.heard += self.line.read()
+            parts = self.heard.split(b"\x7e")
+            for inside in parts[1:-1]:
+                body = inside.replace(b"\x7d\x5e", b"\x7e").replace(b"\x7d\x5d", b"\x7d")
+                if len(body) > 5 and self.crc(body[:-4]) == int.from_bytes(body[-4:], "little"):
+                    self.heard = b""
+                    return body[:-4]
+        raise AssertionError("no answer")
+
+    def read(self, address, count=1):
+        status, content = self.ask(1, count, address)
+        assert status == 0 and len(content) == 4 * count
+        return [int.from_bytes(content[at : at + 4], "little") for at in range(0, 4 * count, 4)]
+
+    def write(self, address, *values):
+        status, content = self.ask(2, len(values), address, values)
+        assert (status, content) == (0, bytes([len(values)]))
+
+    def program(self):
+        assert self.read(0x000000) == [0x434F494E]  # COIN
+        assert self.read(0x100000) == [0x454D554C]  # EMUL
+        self.write(0x48, PERIOD, PULSES, 1)  # period, pulses, format: id
+        for subgroup, background in enumerate(BACKGROUNDS):
+            self.write(0x1000 + 0x80 * subgroup + 4, THRESHOLD, WINDOW)
+            self.write(0x200000 + 0x800 * subgroup, background)
+            self.write(0x200400 + 0x800 * subgroup, *[ECHO_TICK << 8 | ECHO_LEVEL] * 16)
+        self.write(0x10000C, SEED, SPREAD, DEAD)
+
+    def frame(self):
+        """The beats of a frame, header by header until the frame end packet is whole."""
+        (places,) = self.read(0x100008)
+        self.write(0x40, 1)
+        beats = []
+        for _ in range(1000):
+            if self.ended(beats):
+                break
+            level, first = self.read(0x100018, 2)
+            if not level:
+                continue
+            run = min(level, places - first, 127)
+            words = self.read(0x300000 + 8 * first, 2 * run)
+            beats += [low | high << 32 for low, high in zip(words[::2], words[1::2])]
+            self.write(0x100020, run)
+        assert self.read(0x44)[0] == 2  # done
+        self.write(0x44, 2)
+        return beats
+
+    @staticmethod
+    def ended(beats):
+        at = 0
+        while at < len(beats):
+            kind = beats[at] >> 61
+            if kind == 7:
+                return len(beats) - at == 1 + 2 * 6  # two subgroups' 11 counters, two per beat
+            at += {6: 1, 2: 2}[kind]  # frame start; header and map of 16 pixels
+        return False
+
+
+def python_frame(line):
+    driver = EmulatorDriver(SerialTransport(line, patience_s=PATIENCE_S))
+    driver.program(CONFIG)
+    driver.write_settings(SETTINGS.register_writes(SENSOR))
+    return driver.frame().tolist()
+
+
+def documented_frame(line):
+    client = Client(line)
+    client.program()
+    return client.frame()
+
+
+def c_frame(line):
+    """Programmed and read by words; probed, started and waited for by the C driver."""
+    transport = SerialTransport(line, patience_s=PATIENCE_S)
+    library, bus, info = compiled_driver(SENSOR), bus_of(transport), Info()
+    assert library.coincid_probe(ctypes.byref(bus), ctypes.byref(info)) == 0 and info.pixels == 16
+    for address, value in [*CONFIG.register_writes(), *SETTINGS.register_writes(SENSOR)]:
+        transport.write(address, value)
+    assert library.coincid_start(ctypes.byref(bus)) == 0
+    driver = EmulatorDriver(transport)
+    (beats,) = driver.receive()
+    assert library.coincid_wait(ctypes.byref(bus), 1000) == 0
+    return beats.tolist()
+
+
+CONFIG = parse_config(
+    {
+        "sensor": sensor_table(SENSOR),
+        "frame": {"period": PERIOD, "pulses": PULSES, "clock_mhz": 100, "format": "id"},
+        "subgroup": {"threshold": THRESHOLD, "window": WINDOW},
+    }
+)
+SETTINGS = SourceSettings(
+    background=np.array(BACKGROUNDS),
+    tick=np.full((2, 16), ECHO_TICK),
+    level=np.full((2, 16), ECHO_LEVEL),
+    spread=SPREAD,
+    dead_cycles=DEAD,
+    seed=SEED,
+)
+
+
+@pytest.mark.parametrize("client", [python_frame, c_frame, documented_frame])
+def test_clients_read_the_same_frame(client):
+    """That of the golden model; it fills the buffer's ring more than once, so the ring is read across its end."""
+    expected = Golden(SENSOR).frame(CONFIG, source_edges(CONFIG, SETTINGS, 0)).beats[0].tolist()
+    assert len(expected) > 12
+    with SimulatedPort(EMULATOR, 100) as line:
+        assert client(line) == expected
+
+
+def test_the_documented_client_follows_the_rules_of_the_line():
+    """A repeated write is answered, not done again; a wrong number is told; a reset is noticed."""
+    with SimulatedPort(EMULATOR, 100) as line:
+        client = Client(line)
+        client.program()
+        beats = client.frame()
+        client.number = (client.number - 1) % 256  # of the write to status
+        assert client.ask(2, 1, 0x44, [2]) == (0, b"\x01")
+        client.number = (client.number + 7) % 256
+        assert client.ask(1, 1, 0) == (2, b"")
+        line.reset()
+        assert client.ask(1, 1, 0) == (3, b"")
+        again = Client(line)
+        again.program()
+        assert again.frame() == beats
+        assert again.ask(1, 2, 0x0C0000) == (1, b"")
+        assert again.ask(2, 3, 0x100010, [4, 16, 5]) == (1, b"\x01")
+        assert again.ask(5, 1, 0) == (4, b"")
