@@ -7,11 +7,7 @@ unexport PYTHONPATH PYTHONHOME VIRTUAL_ENV
 # $(call option,scene,SCENE): --scene 'value' if SCENE= was given.
 option = $(if $(value $2),--$1 '$(value $2)')
 
-<<<<<<< HEAD
-.PHONY: help setup sim explore check test formal upsets soak mutation coverage verilog synth gls power layout pnr cost lint figures compare modes raytrace bench clean emulate docs
-=======
-.PHONY: help setup sim explore check test formal upsets soak mutation coverage verilog synth gls pnr cost lint figures compare modes raytrace bench clean emulate emulator docs
->>>>>>> origin/main
+.PHONY: help setup sim explore check test formal upsets soak mutation coverage verilog synth gls power layout pnr cost lint figures compare modes raytrace bench clean emulate emulator docs
 
 help: ## this list
 	@echo 'make TARGET [OPTION=value ...]'
