@@ -188,12 +188,14 @@ def _levels(folder: Path, top: str, units: list[str]) -> dict[str, int]:
 PAGE = """\
 # Cost of the RTL
 
-Written by `make synth` (Yosys {yosys}); a change of cost shows in the difference of this file. What the numbers say is in
-[cost.md](cost.md).
+Written by `make synth` (Yosys {yosys}); a change of cost shows in the difference of
+this file. What the numbers say is in [cost.md](cost.md) and [silicon.md](silicon.md).
 
-Every kind of block is synthesized once; numbers are of one, without its sub-blocks, and the last row is the whole sensor. Gates: two-input
-gates, with plain flip-flops. Levels: such gates on the longest path into the block's registers, from wherever it comes. Cells and area:
-NanGate 45 nm standard cells, flip-flops and latches included; the memories are latches there, RAM on an FPGA, and flip-flops among the gates.
+Every kind of block is synthesized once; numbers are of one, without its sub-blocks, and the last
+row is the whole sensor. Gates: two-input gates, with plain flip-flops. Levels: such gates on the
+longest path into the block's registers, from wherever it comes. Cells and area: NanGate 45 nm
+standard cells, flip-flops and latches included; the memories are latches there, RAM on an FPGA, and
+flip-flops among the gates.
 
 """
 
@@ -240,9 +242,11 @@ def report(name: str, config: Config) -> str:
 WHOLE = """\
 ### Whole blocks
 
-Each of them synthesized alone and flattened, in both views. NanGate 45 nm, typical corner (1.1 V, 25 degrees C; the only corner of the
-library that the registries carry); slack at {clock:g} ns by OpenSTA, without wires, with an ideal clock and no uncertainty. The pitch is that of
-a square that holds a pixel's share. SPADs and wires are not in it, and macros of the asynchronous view count as black boxes without area.
+Each of them synthesized alone and flattened, in both views. NanGate 45 nm, typical corner (1.1 V,
+25 degrees C; the only corner of the library that the registries carry). Slack is the least at
+{clock:g} ns by OpenSTA, without wires, with an ideal clock and no uncertainty; the half-cycle paths of
+the latches count. The pitch is that of a square that holds a pixel's share. SPADs and wires are not
+in it, and macros of the asynchronous view count as black boxes without area.
 """
 
 

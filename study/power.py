@@ -267,7 +267,7 @@ In the two rows with a gate the SPADs are off outside of it, as the output `spad
 
 ## Clock gates
 
-At {middle:g} klux the clock takes {share} of a subgroup's power. The second column is the part of the
+At {middle:g} klux the clock takes {share} of a subgroup's power. The last column is the part of the
 clock's power that goes into cycles in which a flip-flop does not change: the most that clock gates
 can save, as a gate has a cost of its own. Nothing gates a clock today.
 
@@ -275,7 +275,8 @@ can save, as a gate has a cost of its own. Nothing gates a clock today.
 
 ## What is not in it
 
-* Clock tree and the wires between blocks. Glitches: the simulation has no delays.
+* The clock tree: [layout.md](layout.md) has that of a minigroup. Wires longer than inside a
+  minigroup. Glitches: the simulation has no delays.
 * Readout, controller and registers, which a sensor has once, and the TDC of a module.
 * SPADs, their quenching circuits, level shifters, and the macros of the asynchronous view.
 * Other corners: leakage grows with heat, and the library has 25 degrees C only.
