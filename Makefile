@@ -7,7 +7,7 @@ unexport PYTHONPATH PYTHONHOME VIRTUAL_ENV
 # $(call option,scene,SCENE): --scene 'value' if SCENE= was given.
 option = $(if $(value $2),--$1 '$(value $2)')
 
-.PHONY: help setup sim explore check test formal upsets soak mutation coverage verilog synth gls pnr cost lint figures compare modes raytrace bench clean emulate emulator docs
+.PHONY: help setup sim explore check test formal upsets soak mutation coverage verilog synth gls power layout pnr cost lint figures compare modes raytrace bench clean emulate emulator docs
 
 help: ## this list
 	@echo 'make TARGET [OPTION=value ...]'
@@ -83,6 +83,14 @@ synth: ## cells, area, logic depth and LUTs of every block, into docs/synthesis.
 gls: ## gate-level simulation: netlists of gates and standard cells against the golden model
 	@scripts/setup icarus cells
 	@$(BIN)/coincid gls
+
+power: ## mW of a subgroup and its blocks against the light, from frames on its netlist, into docs/power.md
+	@scripts/setup icarus cells
+	@$(BIN)/coincid power
+
+layout: ## a minigroup placed, routed, checked, timed and simulated with its wires, into docs/layout.md
+	@scripts/setup icarus cells layout
+	@$(BIN)/coincid layout
 
 pnr: ## place and route a module of the FPGA preset on an ECP5, into docs/place-and-route.md
 	@scripts/setup

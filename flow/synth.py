@@ -18,6 +18,7 @@ from attrs import frozen
 
 from ..hdl.export import FILE_LIST, fpga_files, verilog_files
 from ..hdl.minigroup import Minigroup
+from ..hdl.module import SensorModule
 from ..hdl.sensor import FPGA_TOP, has_fpga_top, netlist
 from ..hdl.silicon.minigroup import AsyncMinigroup
 from ..hdl.subgroup import Subgroup
@@ -111,7 +112,7 @@ def _script(target: str, names: list[str], top: str, units: list[str]) -> str:
     """Return the commands that map the sensor. Only an FPGA has initial values."""
     read = f"read_verilog -sv {' '.join(names)}"
     statistics = "tee -q -o stat.json stat -json" + f" -liberty {LIBERTY}" * (target == CELLS)
-    end = [statistics, "write_verilog -noexpr -noattr netlist.v", "write_json netlist.json"]
+    end = [statistics, "write_verilog -simple-lhs -noexpr -noattr netlist.v", "write_json netlist.json"]
     if target == ECP5:
         steps = f"synth_lattice -family ecp5 -noflatten -top {top} -run"  # its own abc9 cannot map blocks one by one
         mapping = [f"hierarchy -check -top {top}", f"{steps} begin:map_luts", "abc -lut 4 -dress", "clean"]
@@ -187,12 +188,14 @@ def _levels(folder: Path, top: str, units: list[str]) -> dict[str, int]:
 PAGE = """\
 # Cost of the RTL
 
-Written by `make synth` (Yosys {yosys}); a change of cost shows in the difference of this file. What the numbers say is in
-[cost.md](cost.md).
+Written by `make synth` (Yosys {yosys}); a change of cost shows in the difference of
+this file. What the numbers say is in [cost.md](cost.md) and [silicon.md](silicon.md).
 
-Every kind of block is synthesized once; numbers are of one, without its sub-blocks, and the last row is the whole sensor. Gates: two-input
-gates, with plain flip-flops. Levels: such gates on the longest path into the block's registers, from wherever it comes. Cells and area:
-NanGate 45 nm standard cells, flip-flops and latches included; the memories are latches there, RAM on an FPGA, and flip-flops among the gates.
+Every kind of block is synthesized once; numbers are of one, without its sub-blocks, and the last
+row is the whole sensor. Gates: two-input gates, with plain flip-flops. Levels: such gates on the
+longest path into the block's registers, from wherever it comes. Cells and area: NanGate 45 nm
+standard cells, flip-flops and latches included; the memories are latches there, RAM on an FPGA, and
+flip-flops among the gates.
 
 """
 
@@ -239,9 +242,11 @@ def report(name: str, config: Config) -> str:
 WHOLE = """\
 ### Whole blocks
 
-Each of them synthesized alone and flattened. NanGate 45 nm, typical corner (1.1 V, 25 degrees C; the only corner of the library that the
-registries carry); slack at {clock:g} ns by OpenSTA, without wires, with an ideal clock and no uncertainty. The pitch is that of a square that
-holds a pixel's share; SPADs, macros and wires are not in it.
+Each of them synthesized alone and flattened, in both views. NanGate 45 nm, typical corner (1.1 V,
+25 degrees C; the only corner of the library that the registries carry). Slack is the least at
+{clock:g} ns by OpenSTA, without wires, with an ideal clock and no uncertainty; the half-cycle paths of
+the latches count. The pitch is that of a square that holds a pixel's share. SPADs and wires are not
+in it, and macros of the asynchronous view count as black boxes without area.
 """
 
 
@@ -263,8 +268,11 @@ def whole_blocks(config: Config, sensor_netlist: Netlist) -> list[str]:
             ]
             row += [sum(block.macros.values()), round(block.area_um2), f"{share:.0f}", f"{math.sqrt(share):.1f}"]
             lines.append(f"| {' | '.join(map(str, row))} | {slack_ns(block.folder, unit.unit_name, clock_ns):+.2f} |")
-    lines += ["", "| block of the sensor with its sub-blocks, hierarchy kept | slack ns |", "| --- | ---: |"]
+    lines += ["", "Outside the modules, with their sub-blocks:", "", "| block | slack ns |", "| --- | ---: |"]
+    module = SensorModule(sensor, min(2, sensor.subgroups)).unit_name
     for name in sensor_netlist.units:
+        if name == module:
+            continue  # above; with its blocks apart, no net between them is buffered
         lines.append(f"| {name.removeprefix(PREFIX)} | {slack_ns(sensor_netlist.folder, name, clock_ns):+.2f} |")
     return [*lines, ""]
 
@@ -273,7 +281,13 @@ def view_blocks(sensor: Sensor, view: View) -> list[tuple[Unit, int]]:
     """Return the whole blocks of a view that the table shows, and the pixels of each."""
     front = view.front_end(sensor)
     leaf = Minigroup(sensor) if view == POLYPHASE else AsyncMinigroup(sensor)
-    return [(leaf, sensor.minigroup_pixels), (front, sensor.pixels), (Subgroup(sensor, view), sensor.pixels)]
+    module = SensorModule(sensor, min(2, sensor.subgroups), view)
+    return [
+        (leaf, sensor.minigroup_pixels),
+        (front, sensor.pixels),
+        (Subgroup(sensor, view), sensor.pixels),
+        (module, module.lines * sensor.pixels),
+    ]
 
 
 def _mapped(block: Block, fpga: bool) -> list[int]:

@@ -1,8 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Is the controller worth its place? `python -m coincid.study.thresholds [DEPTH,COLOUR ...]` prints the table of `docs/controller.md`.
+"""The controller compared with constant thresholds.
 
-In each scene and light all thresholds of 1 to 7 see the same photons as the controller, after frames in which it settles. The best of the
-seven, chosen in hindsight for each scene, is what a constant can reach at most; the best one for all scenes is what one can program.
+`python -m coincid.study.thresholds [DEPTH,COLOUR ...]` prints the table of `docs/controller.md`. In each scene and light,
+all thresholds from 1 to 7 see the same photons as the controller after the frames in which it settles. The best of the
+seven, chosen in hindsight for each scene, is the best that a constant can reach; the best one for all scenes is what a
+user can program.
 """
 
 import os
@@ -27,7 +29,7 @@ from ..model.scenes.catalogue import load_scene
 from ..model.scenes.scene import scene_light
 from .settling import SETTLING
 
-METHODS = {"planes": "planes", "maximum": "peaks"}  # estimator: what the table calls it
+METHODS = {"planes": "planes", "maximum": "peaks"}  # estimator: its name in the table
 SCENES: tuple[tuple[str, Ambient], ...] = (
     ("five-objects", 20.0),
     ("five-objects", 50.0),
@@ -39,13 +41,13 @@ SCENES: tuple[tuple[str, Ambient], ...] = (
     ("sun-and-shade", 100.0),
     ("tunnel", 100.0),
 )
-FILE_KLUX: tuple[Ambient, ...] = (50.0, "5|100")  # in which depth files are seen
+FILE_KLUX: tuple[Ambient, ...] = (50.0, "5|100")  # light for depth files
 THRESHOLDS = range(1, THRESHOLD_MAX + 1)
 SEED = 1
 
 
 class Stream(NamedTuple):
-    """A sensor and what its stream's link carries: pixels to a side, and Gbit/s."""
+    """A sensor and the rate of its stream's link: pixels per side, and Gbit/s."""
 
     pixels: int
     link_gbps: float
@@ -55,14 +57,14 @@ STREAMS = Stream(32, 32), Stream(32, 8), Stream(64, 32)
 
 
 class Shares(NamedTuple):
-    """Shares of wrong pixels in a scene, by the paper's criterion. fixed: float64[7], of the thresholds from 1 on."""
+    """Shares of wrong pixels in a scene, by the paper's criterion. fixed: float64[7], for the thresholds from 1 on."""
 
     fixed: np.ndarray
     controller: float
 
 
 def shares(source: str, klux: Ambient, stream: Stream) -> dict[str, Shares]:
-    """By estimator of `METHODS`."""
+    """Return the shares by estimator of `METHODS`."""
     sensor = {"rows": stream.pixels, "cols": stream.pixels, "streams": 1}
     config = parse_config({"sensor": sensor, "frame": {"link_gbps": stream.link_gbps}})
     scene = load_scene(source, stream.pixels, stream.pixels)
@@ -94,7 +96,7 @@ def shares(source: str, klux: Ambient, stream: Stream) -> dict[str, Shares]:
 
 
 def table(scenes: Sequence[tuple[str, Ambient]] = SCENES, streams: Sequence[Stream] = STREAMS) -> Iterator[str]:
-    """Rows of Markdown: the mean over the scenes by stream and estimator, and the scene in which the controller is farthest behind."""
+    """Yield Markdown rows: means over the scenes by stream and estimator, and the controller's worst scene."""
     yield "| pixels | link, Gbit/s | estimator | best of each scene | controller | one constant for all | controller behind the best, at most |"
     yield "| --- | ---: | --- | ---: | ---: | ---: | --- |"
     for stream in streams:

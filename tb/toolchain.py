@@ -163,12 +163,13 @@ class Run:
 
 @dataclass(frozen=True)
 class Build:
-    """A compiled design: its `simulator`, `top` module, the `directory` that holds it, whether it dumps `waves`."""
+    """A compiled design: its `simulator`, `top` module, the `directory` that holds it, whether it dumps `waves`, or a VCD of some scopes."""
 
     simulator: str
     top: str
     directory: Path
     waves: bool
+    vcd: bool = False
 
     def run(
         self,
@@ -205,7 +206,8 @@ class Build:
             environment["COCOTB_TRUST_INERTIAL_WRITES"] = "1"  # Verilator's own inertial writes are right, and faster
         else:
             vpi = cocotb_config.lib_entry("vpi", "icarus")
-            command = ["vvp", "-n", "-m", vpi, str(program), "-fst" if self.waves else "-none"]
+            dumped_as = "-fst" if self.waves else "-vcd" if self.vcd else "-none"
+            command = ["vvp", "-n", "-m", vpi, str(program), dumped_as]
         code = _execute(command, out_dir, log, environment, echo)
         dumped = wave if wave.exists() else None
         if (reason := _failure(results, code)) is not None:
@@ -224,6 +226,7 @@ def build(
     vlt: Sequence[Path | str] = (),
     delays: bool = False,
     options: Sequence[str] = (),
+    scopes: Sequence[str] = (),
 ) -> Build:
     """Compile the Verilog files `sources` with the module `top` for `simulator` ("verilator" or "icarus"), once.
 
@@ -234,7 +237,8 @@ def build(
         names, `*` and `?` allowed. Under Icarus everything is visible.
     vlt: further Verilator control files.
     delays: the sources have delays, in the units that they declare themselves; Icarus always respects them.
-    options: of Verilator, such as `--coverage-line`, with which every run leaves coverage.dat in its `out_dir`.
+    options: of the compiler, such as Verilator's `--coverage-line`, with which every run leaves coverage.dat in its `out_dir`.
+    scopes: for Icarus: instances, as Verilog paths from the top, whose own nets every run dumps into <top>.vcd of its `out_dir`.
     Raises `ToolchainError` if a tool is missing and cannot be installed, or if the design does not compile.
     """
     if simulator not in SIMULATORS:
@@ -251,10 +255,11 @@ def build(
         tools, command = _verilator_command([*options, *controls, *files], top, waves, delays)
         files |= controls
     else:
-        tools, command = _icarus_command([*files], top, waves)
+        tools, command = _icarus_command([*options, *files], top, waves or bool(scopes))
         files |= {"timescale.f": f"+timescale+{TIMESCALE}\n".encode()}
-        if waves:
-            dump = f'module coincid_dump; initial begin $dumpfile("{top}.fst"); $dumpvars(0, {top}); end endmodule\n'
+        if waves or scopes:
+            name, what = (f"{top}.fst", f"0, {top}") if waves else (f"{top}.vcd", f"1, {', '.join(scopes)}")
+            dump = f'module coincid_dump; initial begin $dumpfile("{name}"); $dumpvars({what}); end endmodule\n'
             files["coincid_dump.v"] = dump.encode()
     contents = [part for name, data in files.items() for part in (name, data)]
     directory = build_root() / simulator / f"{key}-{digest(*tools, *command, *MAKE_OPTIONS, *contents)}"
@@ -271,7 +276,7 @@ def build(
             if path.name not in {*files, SIM_FILE[simulator]}:
                 path.unlink()
 
-    return Build(simulator, top, build_once(directory, make), waves)
+    return Build(simulator, top, build_once(directory, make), waves, bool(scopes))
 
 
 def _verilator_command(
@@ -290,9 +295,9 @@ def _verilator_command(
     ]  # fmt: skip
 
 
-def _icarus_command(names: Sequence[str], top: str, waves: bool) -> tuple[list[str], list[str]]:
+def _icarus_command(names: Sequence[str], top: str, dumps: bool) -> tuple[list[str], list[str]]:
     _require_programs({"iverilog": "iverilog"})
-    dump = ["-s", "coincid_dump", "coincid_dump.v"] if waves else []
+    dump = ["-s", "coincid_dump", "coincid_dump.v"] if dumps else []
     return [_first_line("iverilog", "-V")], [
         "iverilog", "-g2012", "-f", "timescale.f", "-o", SIM_FILE["icarus"], "-s", top, *dump, *names
     ]  # fmt: skip

@@ -5,6 +5,7 @@ The page's script computes nothing; it only looks up data from `timeline.py` and
 """
 
 import json
+import re
 from typing import Any
 
 import numpy as np
@@ -35,6 +36,9 @@ from .page import FILES, SHOW
 from .timeline import Windows, gate_of
 from .words import OBJECT_HEADS, number_rows, object_table, story
 
+RANDOM_NAME = re.compile(
+    r"\b[0-9a-f]{8}(?:-[0-9a-f]{4}){3}-[0-9a-f]{12}\b"
+)  # by which Bokeh tells pages and their parts apart
 EDGES_MAX = 2_000_000  # per report, about 10 MB; if there are more, only the first pulses are kept
 
 
@@ -92,7 +96,7 @@ def report_html(heading: str, views: list[FrameView]) -> str:
     doc.js_on_event(DocumentReady, CustomJS(args=args, code="report({" + ", ".join(args) + "})"))
     figures.pick_in_page(CustomJS(code="picked(Math.round(cb_obj.y), Math.round(cb_obj.x))"))
     folder = Environment(loader=FileSystemLoader(SHOW))
-    return file_html(
+    html = file_html(
         doc,
         INLINE,
         heading,
@@ -110,6 +114,13 @@ def report_html(heading: str, views: list[FrameView]) -> str:
             "pulses": pulses,
         },
     )
+    return _numbered(html)
+
+
+def _numbered(html: str) -> str:
+    """Return the page with its random names numbered, so that the same run gives the same bytes."""
+    numbers: dict[str, str] = {}
+    return RANDOM_NAME.sub(lambda name: numbers.setdefault(name[0], f"name-{len(numbers)}"), html)
 
 
 def _parts(figures: object, *names: str) -> dict[str, Any]:

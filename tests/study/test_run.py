@@ -178,7 +178,9 @@ def test_commands_need_no_rtl_tool(command, tmp_path):
         assert "pip install 'coincid[rtl]'" in done.stderr
 
 
-@pytest.mark.parametrize("command", ["verilog", "lint", "synth", "gls", "pnr", "cost", "formal", "bench"])
+@pytest.mark.parametrize(
+    "command", ["verilog", "lint", "synth", "gls", "power", "layout", "pnr", "cost", "formal", "bench"]
+)
 def test_commands_that_need_the_rtl_say_what_is_missing(command, tmp_path):
     done = python("import os\nfrom coincid.cli import main\nos.chdir(sys.argv.pop(1))\nmain()", tmp_path, command)
     assert (done.returncode, done.stderr.count("\n")) == (2, 1), done.stderr

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The controller against constant thresholds: where sun and shade meet on a scarce link, it is better than each of them."""
+"""The controller against constant thresholds: it beats each of them where sun and shade meet on a scarce link."""
 
 from coincid.study.thresholds import THRESHOLDS, Stream, shares, table
 

@@ -1,0 +1,145 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A block for Coriolis: size, clock tree, room for the router, cells on their sites, and a record of where they are.
+
+To be imported behind `technology.set_up`: Coriolis's modules make a database of their own where there is none.
+"""
+
+import json
+from pathlib import Path
+from typing import Any
+
+from coriolis.helpers import u
+from coriolis.helpers.overlay import UpdateSession
+from coriolis.Hurricane import Box, DbU, Instance, Transformation
+from coriolis.plugins.block.block import Block
+from coriolis.plugins.block.configuration import BlockConf
+from coriolis.plugins.block.spares import Spares
+
+from .technology import ROW_UM, SITE_UM, TOP_METAL
+
+PLACED = "placed.json"
+RING_ROWS, RING_SITES = 2, 16  # left free around the cells
+SITE = u(SITE_UM)
+
+
+def um(length: int) -> float:
+    return round(DbU.toPhysical(length, DbU.UnitPowerMicro), 4)
+
+
+def build(cell, job) -> bool:
+    """Places and routes; whether every net is routed."""
+    BlockConf.toXPitch = Spares.toXPitch = to_site
+    return bool(SnappedBlock(configuration(cell, job)).doPnR())
+
+
+def configuration(cell, job) -> BlockConf:
+    """Size, clock tree, and how many tracks the global router leaves to the detailed one. Pins stay at their cells."""
+    conf = BlockConf(cell, ioPins=[], ioPads=[])
+    conf.cfg.etesian.bloat = "disabled"
+    conf.cfg.etesian.uniformDensity = True
+    conf.cfg.etesian.aspectRatio = 1.0
+    conf.cfg.etesian.spaceMargin = job.margin
+    conf.cfg.etesian.densityVariation = 0.15
+    conf.cfg.anabatic.topRoutingLayer = TOP_METAL
+    conf.cfg.anabatic.searchHalo = 4
+    conf.cfg.anabatic.globalIterations = 20
+    conf.cfg.katana.hTracksReservedLocal = job.tracks_reserved[0]
+    conf.cfg.katana.vTracksReservedLocal = job.tracks_reserved[1]
+    conf.cfg.katana.hTracksReservedMin = conf.cfg.katana.vTracksReservedMin = job.tracks_reserved[2]
+    conf.cfg.katana.trackFill = 0
+    conf.cfg.katana.runRealignStage = True
+    conf.cfg.katana.dumpMeasures = True
+    conf.cfg.block.spareSide = u(ROW_UM * 10)
+    conf.editor = None
+    conf.useSpares = conf.useClockTree = conf.useHFNS = True
+    conf.bColumns = conf.bRows = 2
+    conf.useHTree(job.clock)
+    width, height = core_size_um(cell, job.margin)
+    conf.coreSize = u(width), u(height)
+    conf.placeArea = Box(
+        u(RING_SITES / 2 * SITE_UM),
+        u(RING_ROWS * ROW_UM),
+        u(width - RING_SITES / 2 * SITE_UM),
+        u(height - RING_ROWS * ROW_UM),
+    )
+    return conf
+
+
+def core_size_um(cell, margin: float) -> tuple[float, float]:
+    """About a square, an even number of rows, with `margin` of the cells' area left free, and the ring."""
+    length = sum(um(instance.getMasterCell().getAbutmentBox().getWidth()) for instance in cell.getInstances())
+    rows = int((length * ROW_UM * (1 + margin)) ** 0.5 / ROW_UM + 0.999)
+    rows += rows % 2
+    sites = int(length * (1 + margin) / rows / SITE_UM + 1) + RING_ROWS * RING_SITES
+    return round(sites * SITE_UM, 3), (rows + 2 * RING_ROWS) * ROW_UM
+
+
+def to_site(self, x: int, superior: bool = False) -> int:
+    return (x + SITE - 1) // SITE * SITE if superior else x // SITE * SITE
+
+
+class SnappedBlock(Block):
+    """Coriolis's own steps, with the cells moved to the sites of their rows behind placement, and a record of where they are."""
+
+    def place(self):
+        super().place()
+        snap(self.conf.cell)
+
+    def route(self):
+        record(self.conf.cell)
+        return super().route()
+
+
+def snap(cell) -> None:
+    """In every row, each cell goes to the next site that is free, and no farther than the cells to its right allow."""
+    rows: dict[int, list[Any]] = {}
+    for instance in cell.getInstances():
+        box = instance.getAbutmentBox()
+        fixed = instance.getPlacementStatus() == Instance.PlacementStatus.FIXED
+        rows.setdefault(box.getYMin(), []).append((box.getXMin(), instance.getName(), box.getWidth(), fixed, instance))
+    with UpdateSession():
+        for row in rows.values():
+            row.sort(key=lambda item: item[:2])
+            limit, latest = cell.getAbutmentBox().getXMax(), []
+            for x, _, width, fixed, _ in reversed(row):
+                limit = x if fixed else (limit - width) // SITE * SITE
+                latest.append(limit)
+            at = 0
+            for (x, name, width, fixed, instance), limit in zip(row, reversed(latest)):
+                new = x if fixed else min(max((x + SITE // 2) // SITE * SITE, at), limit)
+                if new < at:
+                    raise ValueError(f"{name}: no room in its row")
+                at = new + width
+                if new != x:
+                    old = instance.getTransformation()
+                    instance.setTransformation(Transformation(old.getTx() + new - x, old.getTy(), old.getOrientation()))
+
+
+def record(cell) -> None:
+    """Writes `PLACED`: the box, every cell with its place, orientation and nets by pin, every port's direction."""
+    box = cell.getAbutmentBox()
+    cells = []
+    for instance in cell.getInstances():
+        where = instance.getAbutmentBox()
+        nets = {
+            plug.getMasterNet().getName(): plug.getNet().getName()
+            for plug in instance.getPlugs()
+            if plug.getNet() is not None and not plug.getMasterNet().isSupply()
+        }
+        cells.append(
+            {
+                "name": instance.getName(),
+                "kind": instance.getMasterCell().getName(),
+                "x": um(where.getXMin()),
+                "y": um(where.getYMin()),
+                "flipped": str(instance.getTransformation().getOrientation()) == "6",
+                "nets": nets,
+            }
+        )
+    ports = {
+        net.getName(): "output" if str(net.getDirection()) == "2" else "input"
+        for net in cell.getNets()
+        if net.isExternal() and not net.isSupply()
+    }
+    whole = {"width": um(box.getWidth()), "height": um(box.getHeight()), "cells": cells, "ports": ports}
+    Path(PLACED).write_text(json.dumps(whole))

@@ -1,0 +1,88 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A routed block with its delays in place of the block's Verilog, in the sensor, under the bench that the RTL passes.
+
+The rest of the sensor is RTL without delays. So what it sends to the block comes `INPUT_NS` after the clock's edge, as from flip-flops: the
+block's own clock arrives later than the port's, behind its tree.
+"""
+
+import re
+from pathlib import Path
+
+from ...hdl.unit import Unit
+from ...model.contract.parameters import TOP, Sensor
+from ...model.shared.folders import build_root
+from ...tb import toolchain
+from ...tb.play import play_in
+from ...tb.rtl import rtl, sensor_key
+from ..gls import FRAMES, cell_models, random_frames
+from .flow import CLOCK, SDF, VERILOG, Layout
+
+INPUT_NS = 0.4
+
+
+def wrapper(unit: Unit, routed: str, sdf: Path) -> str:
+    """A module with the block's ports around its routed netlist, whose ports are single bits."""
+    ports = {CLOCK: (True, 1), "rst": (True, 1)} | {
+        name: (way.name == "In", len(signal.as_value() if hasattr(signal, "as_value") else signal))
+        for name, (way, signal) in unit.flat_ports().items()
+    }
+    kept = set(re.findall(r"^  (?:input|output) (\w+);", routed, re.MULTILINE))
+    lines = ["`timescale 1ns/1ps", f"module {unit.unit_name} ({', '.join(map(escaped, ports))});"]
+    pins = []
+    for name, (is_input, bits) in ports.items():
+        lines.append(f"  {'input' if is_input else 'output'} [{bits - 1}:0] {escaped(name)};")
+        inner = escaped(name)
+        if is_input and name != CLOCK:
+            inner = f"late_{name}"
+            lines += [f"  wire [{bits - 1}:0] {inner};", f"  assign #{INPUT_NS} {inner} = {escaped(name)};"]
+        for bit in range(bits):
+            pin = f"{name}_{bit}" if bits > 1 else name
+            if pin in kept:
+                pins.append(f"    .{pin}({inner}[{bit}])")
+                kept.discard(pin)
+            elif not is_input:
+                raise toolchain.ToolchainError(f"{unit.unit_name}: the layout lost the output {pin}")
+    if kept:
+        raise toolchain.ToolchainError(f"{unit.unit_name}: the layout has ports that the block has not: {sorted(kept)}")
+    lines += [f"  {unit.unit_name}_routed routed (", ",\n".join(pins), "  );"]
+    lines += [f'  initial $sdf_annotate("{sdf}", routed);', "endmodule", ""]
+    return "\n".join(lines)
+
+
+def escaped(name: str) -> str:
+    """A Verilog name that may be a keyword."""
+    return f"\\{name} "
+
+
+def scaled(sdf: str, factor: float) -> str:
+    """SDF text with every delay times a factor."""
+    return re.sub(
+        r"\(([-\d.]+):([-\d.]+):([-\d.]+)\)",
+        lambda found: "(" + ":".join(f"{factor * float(value):.4f}" for value in found.groups()) + ")",
+        sdf,
+    )
+
+
+def simulate(sensor: Sensor, unit: Unit, layout: Layout, factor: float = 1.0) -> tuple[int, int]:
+    """Plays random frames through a sensor whose blocks of this kind are the routed one, its delays times `factor`.
+
+    Returns (words and commits checked, cycles). Raises `Mismatch` at the first difference, as delays that are too long lead to.
+    """
+    name = unit.unit_name
+    folder = layout.folder / f"delays-{factor:g}"
+    folder.mkdir(exist_ok=True)
+    sdf = folder / SDF
+    sdf.write_text(scaled((layout.folder / SDF).read_text(), factor))
+    routed = (layout.folder / VERILOG).read_text()
+    (folder / "routed.v").write_text(
+        f"`timescale 1ns/1ps\n{routed.replace(f'module {name} ', f'module {name}_routed ', 1)}"
+    )
+    (folder / f"{name}.v").write_text(wrapper(unit, routed, sdf))
+    (folder / "cells.v").write_text(cell_models())
+    others = [path for path in rtl(sensor) if path.stem != name]
+    sources = [*others, folder / f"{name}.v", folder / "routed.v", folder / "cells.v"]
+    build = toolchain.build(
+        "icarus", sources, TOP, key=f"routed-{sensor_key(sensor)}-{factor:g}", options=["-gspecify"]
+    )
+    records, _ = play_in(build, random_frames(sensor, FRAMES), build_root() / "gls" / f"routed-{factor:g}")
+    return sum(record.checked for record in records), sum(record.cycles for record in records)

@@ -1,0 +1,243 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Layout of a minigroup: from Verilog to a routed GDS that is checked, timed with its wires, and simulated with these delays.
+
+The standard cells are NanGate's 45 nm, the placer and router Coriolis's, the checks KLayout's, the timing OpenSTA's. Coriolis runs in a process
+of its own with a time limit; where it does not route everything, the next of `ATTEMPTS` is tried, and after the last one the flow fails.
+"""
+
+import json
+import os
+import re
+import subprocess
+import sys
+from collections.abc import Callable
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+from attrs import asdict, frozen
+
+from ...hdl.export import units_files
+from ...hdl.unit import Unit
+from ...model.shared.errors import InputError
+from ...model.shared.folders import build_root
+from ...model.shared.sources import digest
+from ...tb.toolchain import ToolchainError, build_once
+from ..liberty import read_cells, supply_v
+from ..yosys import CELLS_VERSION, LIBERTY, TAIL_LINES, cells_folder, cells_script, put_cells, run_program, run_yosys
+
+NEEDED = ("coriolis", "klayout")
+LEFS, GDS = ("rtk-tech.lef", "stdcells.lef"), "stdcells.gds"  # of `cells_folder`
+BLIF, MAPPED = "mapped.blif", "mapped.v"
+VERILOG, SPEF, SDF, FINAL = "routed.v", "routed.spef", "routed.sdf", "routed.gds"
+PLACED, STRIPS, JOB, LOG = "placed.json", "strips.json", "job.json", "coriolis.log"
+LIMIT_S = 300  # of one attempt
+NOT_ROUTED = 3  # exit code of `place_route.py`
+CLOCK = "clk"
+
+
+@frozen
+class Attempt:
+    """Room for the router. margin: share of free area; um2_per_pin: to which cells are widened; tracks_reserved: horizontal and vertical
+    tracks that the global router leaves to the detailed one, and the least number anywhere."""
+
+    margin: float
+    um2_per_pin: float
+    tracks_reserved: tuple[int, int, int]
+
+
+ATTEMPTS = (
+    Attempt(0.45, 0.70, (4, 5, 3)),
+    Attempt(0.45, 0.83, (5, 6, 4)),
+    Attempt(0.45, 1.00, (6, 7, 5)),
+    Attempt(0.60, 1.20, (6, 7, 5)),
+)
+
+
+@frozen
+class Layout:
+    """A routed block. `folder` has its files; slacks are of paths between registers, in ns."""
+
+    folder: Path
+    attempt: Attempt
+    cells: int
+    cell_area_um2: float
+    width_um: float
+    height_um: float
+    buffers: int
+    clock_tree_mw: float
+    nets: int
+    wire_um: float
+    wire_ff: float
+    sinks: int
+    slack_ns: float
+    hold_ns: float
+    rules: list[tuple[str, int]]
+
+
+def require_tools() -> Path:
+    """Folder of the standard cells. Raises `InputError` where cells, router or checker are missing."""
+    cells = cells_folder()
+    missing = [name for name in NEEDED if find_spec(name) is None]
+    if cells is None or missing:
+        raise InputError("the tools for layouts are not installed; run: scripts/setup cells layout")
+    return cells
+
+
+def lay_out(unit: Unit, clock_mhz: float, tell: Callable[[str], None]) -> Layout:
+    """The layout of a block without sub-blocks' borders, made once for the state of its Verilog."""
+    cells, files = require_tools(), units_files([unit], latches=True)
+    own = (path.read_text() for path in sorted(Path(__file__).parent.glob("*.py")))
+    key = digest(CELLS_VERSION, str(clock_mhz), *own, *(part for item in sorted(files.items()) for part in item))
+
+    def make(folder: Path) -> None:
+        for name, text in files.items():
+            (folder / name).write_text(text)
+        map_for_router(unit.unit_name, list(files), folder)
+        attempt = route(unit.unit_name, cells, folder, tell)
+        finish(unit.unit_name, cells, clock_mhz, attempt, folder)
+
+    folder = build_once(build_root() / "layout" / f"{unit.unit_name}-{key}", make)
+    facts = json.loads((folder / "facts.json").read_text())
+    facts["attempt"] = Attempt(**facts["attempt"])
+    return Layout(folder=folder, **facts)
+
+
+def map_for_router(top: str, files: list[str], folder: Path) -> None:
+    """The block in standard cells as BLIF: single nets, plain names, constants from cells."""
+    put_cells(folder)
+    run_yosys(
+        "\n".join(
+            [
+                f"read_verilog -sv {' '.join(files)}",
+                *cells_script(top, flatten=True),
+                "setundef -zero",
+                "hilomap -singleton -hicell LOGIC1_X1 Z -locell LOGIC0_X1 Z",
+                "opt_clean -purge",
+                "splitnets -ports -format _",
+                "splitnets -format _",
+                "rename -hide */w:*",
+                "rename -enumerate -pattern n% */w:*",
+                "rename -hide */c:*",
+                "rename -enumerate -pattern u% */c:*",
+                f"write_verilog -simple-lhs -noattr -noexpr {MAPPED}",
+                f"write_blif -buf BUF_X1 A Z {BLIF}",
+                "",
+            ]
+        ),
+        folder,
+    )
+
+
+def route(top: str, cells: Path, folder: Path, tell: Callable[[str], None]) -> Attempt:
+    """Places and routes the BLIF file of `folder`; the attempt that succeeded. Raises `ToolchainError` where none does."""
+    from .pins import strips
+
+    used = set(re.findall(r"^\.(?:gate|subckt) (\S+)", (folder / BLIF).read_text(), re.MULTILINE))
+    used |= {"BUF_X4", "BUF_X1", "LOGIC0_X1", "LOGIC1_X1"}  # of the clock tree, of nets with many pins, of constants
+    places = strips(cells / LEFS[1], used)
+    flat = {
+        cell: {pin: [s.x, s.low, s.high, s.via, s.fits] for pin, s in pins.items()} for cell, pins in places.items()
+    }
+    (folder / STRIPS).write_text(json.dumps(flat))
+    for attempt in ATTEMPTS:
+        tell(f"{top}: placing and routing, {attempt.margin:.0%} of the area free")
+        job = {
+            "blif": BLIF.removesuffix(".blif"),
+            "lef": [str(cells / lef) for lef in LEFS],
+            "strips": STRIPS,
+            "clock": CLOCK,
+        }
+        (folder / JOB).write_text(json.dumps(job | asdict(attempt)))
+        if _coriolis(folder):
+            return attempt
+    tail = "\n".join((folder / LOG).read_text(errors="replace").splitlines()[-TAIL_LINES:])
+    raise ToolchainError(f"{top}: {len(ATTEMPTS)} attempts did not route every net\n{tail}")
+
+
+def _coriolis(folder: Path) -> bool:
+    """Whether the job of `folder` ended in time with everything routed."""
+    command = [sys.executable, "-m", "coincid.flow.layout.place_route", JOB]
+    with (folder / LOG).open("a") as log:
+        try:
+            environment = os.environ | {"PYTHONHASHSEED": "0"}
+            done = subprocess.run(
+                command, cwd=folder, stdout=log, stderr=log, timeout=LIMIT_S, check=False, env=environment
+            )
+        except subprocess.TimeoutExpired:
+            return False
+    if done.returncode not in (0, NOT_ROUTED):
+        tail = (folder / LOG).read_text(errors="replace").splitlines()[-TAIL_LINES:]
+        raise ToolchainError("\n".join([f"Coriolis failed in {folder}", *tail]))
+    return done.returncode == 0
+
+
+def finish(top: str, cells: Path, clock_mhz: float, attempt: Attempt, folder: Path) -> None:
+    """Draws, checks and times the routed block of `folder`. Raises `ToolchainError` on an open or a short."""
+    from . import drawn, wires
+    from .pins import Strip, cell_widths_um
+
+    placed: dict[str, Any] = json.loads((folder / PLACED).read_text())
+    stored = json.loads((folder / STRIPS).read_text())
+    strips = {cell: {pin: Strip(*values) for pin, values in pins.items()} for cell, pins in stored.items()}
+    widths_um = cell_widths_um(cells / LEFS[1])
+    layout = drawn.draw(folder / f"{top}.gds", cells / GDS, placed, strips, widths_um, top)
+    joined = drawn.connect(layout, top, placed, strips)
+    if joined.opens or joined.shorts or joined.off:
+        raise ToolchainError(
+            f"{top}: {len(joined.opens)} open nets {joined.opens[:5]}, {len(joined.shorts)} shorts {joined.shorts[:5]}, "
+            f"{joined.off} pins without metal"
+        )
+    layout.write(str(folder / FINAL))
+    drawn.draw_picture(folder / FINAL, folder / f"{top}.png")
+    wired = wires.wired(top, placed, strips, folder / f"{top}_export.def", cells / LEFS[0])
+    (folder / SPEF).write_text(wired.spef)
+    (folder / VERILOG).write_text(wires.netlist(top, placed))
+    slack_ns, hold_ns = time_wires(top, clock_mhz, folder)
+    real = [one["kind"] for one in placed["cells"] if not one["kind"].startswith("FILL")]
+    library = read_cells(folder / LIBERTY, set(real))
+    facts = {
+        "attempt": asdict(attempt),
+        "cells": len(real),
+        "cell_area_um2": sum(widths_um[kind] for kind in real) * drawn.ROW_UM,
+        "width_um": placed["width"],
+        "height_um": placed["height"],
+        "buffers": real.count(wires.CLOCK_BUFFER),
+        "clock_tree_mw": wires.clock_tree_mw(placed, wired, library, supply_v(folder / LIBERTY), clock_mhz),
+        "nets": joined.nets,
+        "wire_um": wired.length_um,
+        "wire_ff": wired.capacitance_ff,
+        "sinks": wired.sinks,
+        "slack_ns": slack_ns,
+        "hold_ns": hold_ns,
+        "rules": drawn.check_rules(layout, top),
+    }
+    (folder / "facts.json").write_text(json.dumps(facts, indent=1))
+
+
+def time_wires(top: str, clock_mhz: float, folder: Path) -> tuple[float, float]:
+    """Slack of the longest and of the shortest path between registers with wires and clock tree, in ns; writes the delays as SDF."""
+    script = f"""\
+read_liberty {LIBERTY}
+read_verilog {VERILOG}
+link_design {top}
+create_clock -name clk -period {1000 / clock_mhz:g} [get_ports {CLOCK}]
+set_input_transition 0.05 [all_inputs]
+set_load 0.005 [all_outputs]
+read_spef {SPEF}
+set_propagated_clock [all_clocks]
+report_checks -path_delay max -format full
+puts "SHORTEST"
+report_checks -path_delay min -format full
+write_sdf {SDF}
+"""
+    (folder / "time.tcl").write_text(script)
+    report = run_program(["sta", "-exit", "time.tcl"], folder, "sta")
+    # Every group of paths has a report; the latches' write lines are one.
+    slacks = [[float(n) for n in re.findall(r"(-?[\d.]+) +slack", part)] for part in report.split("SHORTEST")]
+    if not all(slacks) or "Error" in report:
+        raise ToolchainError(f"sta: no timing of {top}: {report[-500:]}")
+    sdf = (folder / SDF).read_text()
+    # Icarus ignores a triplet whose middle is empty: of one corner all three are the same.
+    (folder / SDF).write_text(re.sub(r"\(([-\d.]+)::([-\d.]+)\)", r"(\1:\2:\2)", sdf))
+    return min(slacks[0]), min(slacks[1])

@@ -1,0 +1,161 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Where a router reaches the pins of the standard cells: a via on the pin's metal1, and on it a vertical strip of metal2 on a track.
+
+The router stalls on the library's own metal1 shapes. So every pin gets a strip of metal2 as tall as the cell allows, and wires begin at
+metal3. Lengths are in units of the layout database.
+"""
+
+import itertools
+import re
+from collections.abc import Collection
+from pathlib import Path
+
+import klayout.db as db
+from attrs import frozen
+
+UNITS_PER_UM = 2000
+TRACK, FIRST_TRACK = 380, 190  # vertical tracks of metal2
+STEP = 10  # of the heights that are tried for a via
+HALF = 70  # half a wire of metal2, and half a via's side
+PAD_HALF = 140  # half the length of the metal1 that a via wants
+LOWEST, HIGHEST = 280, 2520  # ends of a strip: clear of the supply rails
+END_GAP = 70  # half the distance of two strips on one track
+SUPPLIES = ("VDD", "VSS")
+COMBINATIONS_MAX = 200_000
+CHOICES = 6  # tracks tried for a pin
+SHARED, NEAR, SHORT = (
+    1000.0,
+    10.0,
+    1.0,
+)  # what a choice costs: two pins on one track too near, far enough; a via beyond its metal
+
+
+@frozen
+class Strip:
+    """A pin's metal2 from `low` to `high` on the track at `x`, and its via's height, in um from the cell's corner.
+
+    fits: the pin's own metal1 is all that the via needs.
+    """
+
+    x: float
+    low: float
+    high: float
+    via: float
+    fits: bool
+
+
+@frozen
+class Place:
+    """A track that crosses a pin's metal, the via's height there, and whether the metal reaches far enough beyond the via."""
+
+    x: int
+    y: int
+    fits: bool
+
+
+def pin_metal(lef: Path) -> dict[str, dict[str, db.Region]]:
+    """Cell -> pin -> its metal1, as a LEF file has it; without supplies."""
+    cells: dict[str, dict[str, db.Region]] = {}
+    cell = pin = None
+    for line in lef.read_text().splitlines():
+        match line.split():
+            case ["MACRO", name]:
+                cells[name], cell = {}, name
+            case ["PIN", name]:
+                pin = None if name in SUPPLIES else name
+            case ["END", name] if name == pin:
+                pin = None
+            case ["OBS"]:
+                pin = None
+            case ["POLYGON" | "RECT" as kind, *numbers] if cell and pin:
+                at = [round(float(n) * UNITS_PER_UM) for n in numbers if n != ";"]
+                points = [db.Point(*at[i : i + 2]) for i in range(0, len(at), 2)]
+                shape = db.Polygon(db.Box(*points)) if kind == "RECT" else db.Polygon(points)
+                cells[cell].setdefault(pin, db.Region()).insert(shape)
+    for pins in cells.values():
+        for region in pins.values():
+            region.merge()
+    return cells
+
+
+def cell_widths_um(lef: Path) -> dict[str, float]:
+    """Cell -> its width."""
+    found = re.findall(r"^MACRO (\w+).*?SIZE ([\d.]+) BY", lef.read_text(), re.MULTILINE | re.DOTALL)
+    return {name: float(width) for name, width in found}
+
+
+def strips(lef: Path, cells: Collection[str]) -> dict[str, dict[str, Strip]]:
+    """Cell -> pin -> strip, for the pins of some cells of a LEF file."""
+    return {cell: _cell_strips(pins) for cell, pins in sorted(pin_metal(lef).items()) if pins and cell in cells}
+
+
+def _cell_strips(pins: dict[str, db.Region]) -> dict[str, Strip]:
+    places = {pin: _places(metal) for pin, metal in pins.items()}
+    choices = itertools.islice(itertools.product(*places.values()), COMBINATIONS_MAX)
+    best = min(choices, key=_cost)
+    return {pin: _strip(place, [other for other in best if other is not place]) for pin, place in zip(places, best)}
+
+
+def _places(metal: db.Region) -> list[Place]:
+    """Tracks on which a via stands on a pin's metal; the best first."""
+    box, found = metal.bbox(), []
+    for k in range((box.left - FIRST_TRACK) // TRACK, box.right // TRACK + 2):
+        x = FIRST_TRACK + TRACK * k
+        column = db.Region(db.Box(x - HALF, box.bottom, x + HALF, box.top)) & metal
+        spans = [
+            (piece.bbox().bottom, piece.bbox().top)
+            for polygon in column.merged().each()
+            for piece in (db.Polygon(shape) for shape in polygon.decompose_trapezoids())
+            if piece.bbox().width() == 2 * HALF
+        ]
+        for low, high in _joined(spans):
+            if high - low >= 2 * HALF:
+                middle = (low + high) // 20 * 10
+                heights = range(-(-(low + HALF) // STEP) * STEP, high - HALF + 1, STEP)
+                y = min((y for y in heights if _fits(metal, x, y)), key=lambda y: abs(y - middle), default=None)
+                found.append((high - low, Place(x, middle if y is None else y, y is not None)))
+    found.sort(key=lambda item: (not item[1].fits, -item[0], item[1].x))
+    if not found:
+        raise ValueError(f"no track crosses the pin at {box}")
+    return [place for _, place in found[:CHOICES]]
+
+
+def _fits(metal: db.Region, x: int, y: int) -> bool:
+    """Whether metal reaches beyond a via on two opposite sides."""
+    pads = (PAD_HALF, HALF), (HALF, PAD_HALF)
+    return any((db.Region(db.Box(x - dx, y - dy, x + dx, y + dy)) - metal).is_empty() for dx, dy in pads)
+
+
+def _joined(spans: list[tuple[int, int]]) -> list[tuple[int, int]]:
+    """Spans that touch, as one."""
+    joined: list[tuple[int, int]] = []
+    for low, high in sorted(spans):
+        if joined and low <= joined[-1][1]:
+            joined[-1] = joined[-1][0], max(high, joined[-1][1])
+        else:
+            joined.append((low, high))
+    return joined
+
+
+def _cost(chosen: tuple[Place, ...]) -> float:
+    cost = sum(0.0 if place.fits else SHORT for place in chosen)
+    for one, other in itertools.combinations(chosen, 2):
+        if one.x == other.x:
+            cost += NEAR if abs(one.y - other.y) > 2 * (PAD_HALF + END_GAP) else SHARED
+        elif abs(one.x - other.x) == TRACK:
+            cost += 0.1
+    return cost
+
+
+def _strip(place: Place, others: list[Place]) -> Strip:
+    low, high = LOWEST, HIGHEST
+    for other in others:
+        if other.x == place.x:
+            middle = (other.y + place.y) // 2
+            if other.y > place.y:
+                high = min(high, middle // 10 * 10 - END_GAP)
+            else:
+                low = max(low, -(-middle // 10) * 10 + END_GAP)
+    low, high = min(low, place.y - PAD_HALF), max(high, place.y + PAD_HALF)
+    x, low_um, high_um, via = (value / UNITS_PER_UM for value in (place.x, low, high, place.y))
+    return Strip(x, low_um, high_um, via, place.fits)

@@ -1,0 +1,177 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Wires of a routed block as resistances and capacitances, and its netlist as Verilog.
+
+Not an extraction: a net's capacitance is that of its length on each metal, by the LEF file's values for area and edge; its resistance to each
+pin is that of the direct way there. Coupling to neighbours is not in it.
+"""
+
+import re
+from collections import defaultdict
+from collections.abc import Mapping
+from pathlib import Path
+
+from attrs import frozen
+
+from ..liberty import Cell
+from .drawn import Placed, Strips, pin_places
+
+VIA_OHM, PIN_FF, WITHOUT_WIRE_OHM = 20.0, 0.05, 3.0
+OUTPUTS = {"Z", "ZN", "Q", "QN", "CO", "S", "GCK"}
+SELECTS = ("MUX",)  # cells whose S is an input
+FF_PER_PF = 1000
+CLOCK_BUFFER = "BUF_X4"  # nothing but the clock tree has it in a placed block
+MW_PER_FJ_MHZ = 1e-6
+
+
+@frozen
+class Metal:
+    """Of a layer: fF per um of a wire of its width, and ohm per um."""
+
+    farads: float
+    ohms: float
+
+
+def metals(lef: Path) -> dict[int, Metal]:
+    """The routing layers of a technology's LEF file."""
+    found = {}
+    for number, body in re.findall(r"^LAYER metal(\d+)\n(.*?)^END metal\d+", lef.read_text(), re.MULTILINE | re.DOTALL):
+        value = {name: float(number) for name, number in re.findall(r"(\w+) ([\d.eE+-]+) ;", body)}
+        width = value["WIDTH"]
+        capacitance = value["CPERSQDIST"] * width + 2 * value["EDGECAPACITANCE"]
+        found[int(number)] = Metal(FF_PER_PF * capacitance, value["RPERSQ"] / width)
+    return found
+
+
+def lengths_um(routed: Path) -> dict[str, dict[int, float]]:
+    """Net -> metal -> length, of a routed DEF file; the clock's nets are special ones there."""
+    text = routed.read_text()
+    units = re.search(r"^UNITS DISTANCE MICRONS (\d+)", text, re.MULTILINE)
+    nets = re.findall(r"^((?:SPECIAL)?NETS) (.*?)^END \1", text, re.MULTILINE | re.DOTALL)
+    if units is None or not nets:
+        raise ValueError(f"{routed.name}: no units, or no nets")
+    lengths: dict[str, dict[int, float]] = {}
+    for net in (net for _, part in nets for net in re.split(r"^\s*- ", part, flags=re.MULTILINE)[1:]):
+        on = lengths.setdefault(net.split()[0], defaultdict(float))
+        for level, points in re.findall(r"(?:ROUTED|NEW)\s+metal(\d+)\s([^;]*?)(?=NEW|;|\Z)", net):
+            on[int(level)] += _way(re.findall(r"\( (\S+) (\S+)[^)]*\)", points)) / int(units[1])
+    return lengths
+
+
+def _way(points: list[tuple[str, str]]) -> int:
+    """Length of a wire through points of a DEF file, where `*` repeats a coordinate."""
+    total, x, y = 0, 0, 0
+    for k, (next_x, next_y) in enumerate(points):
+        new = x if next_x == "*" else int(next_x), y if next_y == "*" else int(next_y)
+        total += abs(new[0] - x) + abs(new[1] - y) if k else 0
+        x, y = new
+    return total
+
+
+def is_output(kind: str, pin: str) -> bool:
+    return pin in OUTPUTS and not (pin == "S" and kind.startswith(SELECTS))
+
+
+@frozen
+class Wired:
+    """All wires of a block: SPEF text, their length, their capacitance by net, and the pins that they reach as inputs."""
+
+    spef: str
+    length_um: float
+    farads: Mapping[str, float]
+    sinks: int
+
+    @property
+    def capacitance_ff(self) -> float:
+        return sum(self.farads.values())
+
+
+def wired(top: str, placed: Placed, strips: Strips, routed: Path, lef: Path) -> Wired:
+    """The wires of a routed block."""
+    layer, lengths = metals(lef), lengths_um(routed)
+    kinds = {one["name"]: one["kind"] for one in placed["cells"]}
+    pins: dict[str, list[tuple[str, str, float, float]]] = defaultdict(list)
+    for net, cell, pin, x, y in pin_places(placed, strips):
+        pins[net].append((cell, pin, x, y))
+    lines = [
+        '*SPEF "IEEE 1481-1998"', f'*DESIGN "{top}"', '*DATE ""', '*VENDOR ""', '*PROGRAM "coincid"', '*VERSION ""',
+        '*DESIGN_FLOW ""', "*DIVIDER /", "*DELIMITER :", "*BUS_DELIMITER [ ]", "*T_UNIT 1 NS", "*C_UNIT 1 FF",
+        "*R_UNIT 1 OHM", "*L_UNIT 1 HENRY", "",
+    ]  # fmt: skip
+    length, sinks_of_all = 0.0, 0
+    of_net: dict[str, float] = {}
+    for net, ends in pins.items():
+        on = lengths.get(net, {})
+        total = sum(on.values())
+        ohms = sum(layer[i].ohms * um for i, um in on.items()) / total if total else WITHOUT_WIRE_OHM
+        farads = sum(layer[i].farads * um for i, um in on.items()) + PIN_FF * len(ends)
+        drivers = [end for end in ends if is_output(kinds[end[0]], end[1])]
+        sinks = [end for end in ends if end not in drivers]
+        port = placed["ports"].get(net)
+        if drivers or port:
+            lines += _net(net, farads, ohms, drivers[0] if drivers else None, sinks, port)
+            of_net[net] = farads
+            length, sinks_of_all = length + total, sinks_of_all + len(sinks)
+    return Wired("\n".join(lines) + "\n", length, of_net, sinks_of_all)
+
+
+def _net(
+    net: str,
+    farads: float,
+    ohms: float,
+    driver: tuple[str, str, float, float] | None,
+    sinks: list[tuple[str, str, float, float]],
+    port: str | None,
+) -> list[str]:
+    """A net as a star of resistances around its driver."""
+    root = f"{driver[0]}:{driver[1]}" if driver else net
+    ends = {f"{cell}:{pin}": (x, y) for cell, pin, x, y in sinks}
+    lines = [f"*D_NET {net} {farads:.4f}", "*CONN"]
+    if port:
+        lines.append(f"*P {net} {'O' if driver else 'I'}")
+    if driver:
+        lines.append(f"*I {root} O")
+    lines += [f"*I {end} I" for end in ends]
+    nodes = [root, *ends, *([net] if port and driver else [])]
+    lines += ["*CAP", *(f"{k} {node} {farads / len(nodes):.5f}" for k, node in enumerate(nodes, 1)), "*RES"]
+    for k, node in enumerate(nodes[1:], 1):
+        far = 1.0
+        if driver and node in ends:
+            far = abs(ends[node][0] - driver[2]) + abs(ends[node][1] - driver[3])
+        lines.append(f"{k} {root} {node} {far * ohms + VIA_OHM:.2f}")
+    return [*lines, "*END", ""]
+
+
+def clock_tree_mw(placed: Placed, wires: Wired, cells: Mapping[str, Cell], supply_v: float, clock_mhz: float) -> float:
+    """Power of the clock tree: its buffers and all wires of the clock. The pins of flip-flops and latches are not in it.
+
+    Every net between the port and these pins moves twice in a cycle. cells: of `liberty.read_cells`.
+    """
+    tree = [one for one in placed["cells"] if one["kind"] == CLOCK_BUFFER]
+    loads = {one["nets"]["A"]: 0.0 for one in tree} | {one["nets"]["Z"]: 0.0 for one in tree}
+    pins = dict.fromkeys(loads, 0.0)
+    for one in placed["cells"]:
+        for pin, net in one["nets"].items():
+            if net in loads and not is_output(one["kind"], pin):
+                farads = cells[one["kind"]].pins[pin].capacitance_ff
+                loads[net] += farads
+                pins[net] += farads * (one["kind"] == CLOCK_BUFFER)
+    energy = 0.0
+    for one in tree:
+        net, own = one["nets"]["Z"], cells[CLOCK_BUFFER].pins["Z"].energies
+        energy += 2 * (own.at(loads[net] + wires.farads[net]) if own else 0.0)
+    energy += sum((pins[net] + wires.farads[net]) * supply_v**2 for net in loads)
+    return MW_PER_FJ_MHZ * energy * clock_mhz
+
+
+def netlist(top: str, placed: Placed) -> str:
+    """Verilog of the placed cells, without fillers."""
+    ports: Mapping[str, str] = placed["ports"]
+    cells = [one for one in placed["cells"] if not one["kind"].startswith("FILL")]
+    nets = sorted({net for one in cells for net in one["nets"].values()} - set(ports))
+    lines = [f"module {top} ({', '.join(ports)});", *(f"  {way} {name};" for name, way in ports.items())]
+    lines += [f"  wire {net};" for net in nets]
+    lines += [
+        f"  {one['kind']} {one['name']} ({', '.join(f'.{pin}({net})' for pin, net in one['nets'].items())});"
+        for one in cells
+    ]
+    return "\n".join([*lines, "endmodule", ""])

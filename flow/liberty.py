@@ -1,0 +1,143 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Energies, capacitances and leakage of standard cells, as a liberty file has them.
+
+Energies are in fJ for one transition, at an input slew of `SLEW_NS`; the mean of rise and fall, and of the conditions that the file tells
+apart. A clock pin's are those of a flip-flop whose data rest, a data pin's those of a flip-flop whose clock is low: what data that move cost
+more behind a clock's edge is there.
+"""
+
+import re
+from collections.abc import Collection, Iterator, Mapping
+from pathlib import Path
+
+import numpy as np
+from attrs import field, frozen
+
+SLEW_NS = 0.02
+STATEMENT = re.compile(
+    r'\s*(?:(?P<group>\w+)\s*\((?P<of>[^)]*)\)\s*\{|(?P<end>\})|(?P<name>\w+)\s*:\s*(?P<value>"[^"]*"|[^;]+);'
+    r"|(?P<list>\w+)\s*\((?P<items>[^)]*)\)\s*;)",
+    re.DOTALL,
+)
+CLOCKS = ("CK", "G", "GN")  # pins that open a flip-flop or latch
+DATA = "D"
+AT_REST = re.compile(r"!D & !Q\b|(?<!!)\bD & Q\b")  # a flip-flop's data equal its output
+
+
+@frozen
+class Group:
+    """A group of the file: its argument, values by name, groups inside by name."""
+
+    of: str
+    values: dict[str, str] = field(factory=dict)
+    groups: dict[str, list["Group"]] = field(factory=dict)
+
+
+@frozen
+class Energies:
+    """A table over loads in fF; with one load where the file's has none. fj: energy of a transition."""
+
+    loads_ff: np.ndarray
+    fj: np.ndarray
+
+    def at(self, load_ff: float) -> float:
+        return float(np.interp(load_ff, self.loads_ff, self.fj))
+
+
+@frozen
+class Pin:
+    """capacitance_ff: of an input; energies: of a transition of this pin, None where the file has none; clock: it clocks its cell."""
+
+    output: bool
+    capacitance_ff: float
+    energies: Energies | None
+    clock: bool
+
+
+@frozen
+class Cell:
+    """A standard cell; leakage_nw: mean of its states."""
+
+    leakage_nw: float
+    pins: Mapping[str, Pin]
+
+
+def read_cells(path: Path, names: Collection[str]) -> dict[str, Cell]:
+    """Some cells of a liberty file. Raises `ValueError` where one is missing."""
+    text = path.read_text()
+    starts = [(found[1], found.start()) for found in re.finditer(r"^\s*cell \((\w+)\) \{", text, re.MULTILINE)]
+    ends = [*(at for _, at in starts[1:]), len(text)]
+    cells = {name: _cell(_parsed(text[at:end])) for (name, at), end in zip(starts, ends) if name in names}
+    if missing := sorted(set(names) - set(cells)):
+        raise ValueError(f"{path.name}: no cell {missing[0]}")
+    return cells
+
+
+def supply_v(path: Path) -> float:
+    found = re.search(r"nom_voltage\s*:\s*([\d.]+)", path.read_text())
+    if found is None:
+        raise ValueError(f"{path.name}: no nom_voltage")
+    return float(found[1])
+
+
+def _parsed(text: str) -> Group:
+    """The first group of a text."""
+    text = text.replace("\\\n", " ")
+    stack = [Group("")]
+    for found in STATEMENT.finditer(text):
+        if found["group"]:
+            inner = Group(found["of"].strip(' "'))
+            stack[-1].groups.setdefault(found["group"], []).append(inner)
+            stack.append(inner)
+        elif found["end"]:
+            stack.pop()
+            if len(stack) == 1:
+                break
+        elif found["name"]:
+            stack[-1].values[found["name"]] = found["value"].strip(' "')
+        else:
+            stack[-1].values[found["list"]] = found["items"]
+    return next(iter(stack[0].groups.values()))[0]
+
+
+def _cell(group: Group) -> Cell:
+    return Cell(float(group.values["cell_leakage_power"]), {pin.of: _pin(pin) for pin in group.groups.get("pin", [])})
+
+
+def _pin(group: Group) -> Pin:
+    name = group.of
+    powers = group.groups.get("internal_power", [])
+    if name in CLOCKS:
+        powers = [power for power in powers if AT_REST.search(power.values.get("when", "D & Q"))] or powers
+    elif name == DATA:
+        powers = [power for power in powers if re.search(r"!(CK|G)\b", power.values.get("when", "!CK"))] or powers
+    tables = [table for power in powers for table in _tables(power)]
+    return Pin(
+        output=group.values["direction"] == "output",
+        capacitance_ff=float(group.values.get("capacitance", 0)),
+        energies=_mean(tables) if tables else None,
+        clock=group.values.get("clock") == "true",
+    )
+
+
+def _tables(power: Group) -> Iterator[Energies]:
+    """Rise and fall, at `SLEW_NS`."""
+    for name in ("rise_power", "fall_power"):
+        for table in power.groups.get(name, []):
+            values = _numbers(table.values["values"])
+            if "index_1" not in table.values:
+                yield Energies(np.zeros(1), values)
+                continue
+            slews = _numbers(table.values["index_1"])
+            loads = _numbers(table.values["index_2"]) if "index_2" in table.values else np.zeros(1)
+            rows = values.reshape(len(slews), len(loads))
+            yield Energies(loads, np.array([np.interp(SLEW_NS, slews, column) for column in rows.T]))
+
+
+def _mean(tables: list[Energies]) -> Energies:
+    loads = max((table.loads_ff for table in tables), key=len)
+    return Energies(loads, np.mean([[table.at(load) for load in loads] for table in tables], axis=0))
+
+
+def _numbers(text: str) -> np.ndarray:
+    return np.array([float(number) for number in re.findall(r"-?[\d.]+(?:e[+-]?\d+)?", text)])

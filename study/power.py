@@ -1,0 +1,283 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Power of a subgroup against the light that falls on it, and what threshold, gate and a gated clock save.
+
+A sensor of one subgroup in standard cells plays one short frame for each case; `flow/power.py` says how a frame becomes milliwatts. The light
+is a target at the reference distance under ambient light, with the paper's SPAD.
+"""
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from attrs import field, frozen
+from matplotlib import colormaps
+from matplotlib.figure import Figure
+
+from ..flow.power import Power, design, power, simulate
+from ..model.contract.config import Config, parse_config, sensor_table
+from ..model.contract.edges import Edges
+from ..model.contract.parameters import Sensor
+from ..model.golden.frame import Golden
+from ..model.light.light import REFERENCE_DISTANCE_M, REFERENCE_REFLECTIVITY, Light
+from ..model.light.photons import generate_edges
+from ..model.light.spad import Spad, SpadGate
+from ..model.light.timing import Timing
+from ..model.shared.files import whole_file
+from ..tb.frames import FrameJob
+from .plot_style import new_figure, save_figure, style
+
+PULSES, SEED = 2, 1
+SATURATION_KLUX = 1e5  # every SPAD fires as soon as its dead time is over
+PICTURE = "power.png"
+PIXELS = 64
+WIRE_FF = 0.34  # to an input: the mean of the routed minigroup, docs/layout.md
+MIDDLE_KLUX = 50.0
+KINDS = (("clock", "clock"), ("internal", "inside cells"), ("switching", "driven pins"), ("leakage", "leakage"))
+GATE = {"gating": True, "gate_start": 3, "gate_len": 25}  # 50 of 500 ns around the target's light
+
+
+@frozen
+class Case:
+    """Light on a subgroup and its settings. klux: None: no light at all."""
+
+    name: str
+    klux: float | None
+    subgroup: Mapping[str, Any] = field(factory=dict)
+    frame: Mapping[str, Any] = field(factory=dict)
+
+
+LIGHT = (
+    Case("dark", None),
+    Case("5 klux", 5.0),
+    Case("50 klux", 50.0),
+    Case("100 klux", 100.0),
+    Case("saturation", SATURATION_KLUX),
+)
+AT_KLUX = 100.0
+SETTINGS = (
+    Case("coincidence off", AT_KLUX, {"coincidence": False}),
+    Case("threshold 1", AT_KLUX, {"threshold": 1}),
+    Case("threshold 4", AT_KLUX, {"threshold": 4}),
+    Case("gate of 50 ns", AT_KLUX, GATE),
+    Case("full format", AT_KLUX, frame={"format": "full"}),
+    Case("minigroup records", AT_KLUX, frame={"minigroup_records": True}),
+    Case("saturation, gate of 50 ns", SATURATION_KLUX, GATE),
+)
+CASES = (*LIGHT, *SETTINGS)
+GROUPS = (  # what the table calls blocks: the innermost instance that begins so decides
+    ("minigroup", "minigroups (16)"),
+    ("tree", "tree"),
+    ("fifo", "FIFO"),
+    ("dpcu", "DPCU"),
+    ("record_buffer", "record buffer"),
+    ("packetizer", "packetizer"),
+    ("settings", "settings"),
+    ("gating", "gate"),
+    ("subgroup", "ports' registers"),
+)
+
+
+def configuration(case: Case) -> Config:
+    """The preset's sensor with one subgroup, for a short frame."""
+    sensor = Sensor(rows=8, cols=8)
+    return parse_config(
+        {
+            "sensor": sensor_table(sensor),
+            "frame": {"pulses": PULSES} | dict(case.frame),
+            "subgroup": dict(case.subgroup),
+        }
+    )
+
+
+def edges(case: Case, config: Config) -> Edges:
+    """SPAD edges of the frame. A gate switches the SPADs off, as the output `spad_gate` does."""
+    shape = config.sensor.rows, config.sensor.cols
+    distance_m = np.full(shape, np.nan if case.klux is None else REFERENCE_DISTANCE_M)
+    light = Light.from_scene(distance_m, np.full(shape, REFERENCE_REFLECTIVITY), case.klux or 0.0)
+    gate = SpadGate.from_config(config)
+    return generate_edges(light, Spad(), Timing.from_config(config), pulses=config.pulses, seed=SEED, gate=gate)
+
+
+@frozen
+class Measured:
+    """A case with its edges per pixel and second, the subgroup's power by the groups' names, and its total with wires, in mW."""
+
+    case: Case
+    edges_cps: float
+    groups: dict[str, Power]
+    wired: float
+
+    @property
+    def total(self) -> Power:
+        return sum(self.groups.values(), Power())
+
+
+def group_of(block: str) -> str | None:
+    """The group that a block is of, by its instances; None: it is not in a subgroup."""
+    instances = block.split(".")
+    if not any(instance.startswith("subgroup") for instance in instances):
+        return None
+    return next(name for instance in reversed(instances) for begin, name in GROUPS if instance.startswith(begin))
+
+
+def _grouped(blocks: dict[str, Power]) -> dict[str, Power]:
+    groups = {name: Power() for _, name in GROUPS}
+    for block, one in blocks.items():
+        name = group_of(block)
+        if name:
+            groups[name] += one
+    return groups
+
+
+def measure(tell: Callable[[str], None]) -> list[Measured]:
+    """Power of the subgroup in every case."""
+    golden, jobs = Golden(configuration(CASES[0]).sensor), []
+    for case in CASES:
+        config = configuration(case)
+        given = edges(case, config)
+        jobs.append(FrameJob(config, given, golden.frame(config, given)))
+    config = jobs[0].config
+    whole = design(config.sensor)
+    tell(f"simulating {len(jobs)} frames of {config.frame_cycles} cycles on the netlist")
+    toggles = simulate(config.sensor, jobs)
+    measured = []
+    for number, (case, job) in enumerate(zip(CASES, jobs)):
+        cycles = job.config.frame_cycles
+        seconds = cycles / (config.clock_mhz * 1e6)
+        groups, wired = (
+            _grouped(power(whole, toggles, number, cycles, config.clock_mhz, wire_ff)) for wire_ff in (0.0, WIRE_FF)
+        )
+        rate_cps = len(job.edges) / config.sensor.pixels / seconds
+        measured.append(Measured(case, rate_cps, groups, sum(wired.values(), Power()).total))
+        tell(f"{case.name}: {measured[-1].total.total:.2f} mW")
+    return measured
+
+
+def write_page(path: Path, tell: Callable[[str], None]) -> None:
+    """Measures, and writes the page, and the picture to `images/` beside it."""
+    measured = measure(tell)
+    images = path.parent / "images"
+    images.mkdir(exist_ok=True)
+    save_figure(draw(measured), images / PICTURE)
+    with whole_file(path, "w") as file:
+        file.write(page(measured))
+
+
+def page(measured: list[Measured]) -> str:
+    """The page, Markdown."""
+    by_light = measured[: len(LIGHT)]
+    others = measured[len(LIGHT) :]
+    names = [one.case.name for one in by_light]
+    middle = next(one for one in by_light if one.case.klux == MIDDLE_KLUX)
+    reference = next(one for one in by_light if one.case.klux == AT_KLUX)
+    brightest = by_light[-1]
+    blocks = [[name, *(f"{one.groups[name].total:.2f}" for one in by_light)] for _, name in GROUPS]
+    blocks.append(["**subgroup**", *(f"**{one.total.total:.2f}**" for one in by_light)])
+    blocks.append(["with wires", *(f"{one.wired:.2f}" for one in by_light)])
+    blocks.append(["uW per pixel", *(f"{1000 * one.total.total / PIXELS:.0f}" for one in by_light)])
+    blocks.append(["edges per pixel and us", *(f"{one.edges_cps / 1e6:.2f}" for one in by_light)])
+    kinds = [[label, *(f"{getattr(one.total, name):.2f}" for one in by_light)] for name, label in KINDS]
+    settings = []
+    for one in others:
+        base = brightest if one.case.klux == SATURATION_KLUX else reference
+        saved = base.total.total - one.total.total
+        settings.append([one.case.name, f"{one.total.total:.2f}", f"{saved:+.2f}", f"{saved / base.total.total:+.1%}"])
+    gates = [[name, f"{middle.groups[name].clock:.2f}", f"{middle.groups[name].idle:.2f}"] for _, name in GROUPS]
+    gates.append(["**subgroup**", f"**{middle.total.clock:.2f}**", f"**{middle.total.idle:.2f}**"])
+    return PAGE.format(
+        pulses=PULSES,
+        picture=PICTURE,
+        wire=WIRE_FF,
+        klux=AT_KLUX,
+        middle=MIDDLE_KLUX,
+        default=f"{reference.total.total:.2f}",
+        share=f"{middle.total.clock / middle.total.total:.0%}",
+        blocks=_table(["block", *names], blocks),
+        kinds=_table(["kind", *names], kinds),
+        settings=_table(["setting", "mW", "saves mW", "share"], settings),
+        gates=_table(["block", "clock, mW", "of it in cycles without a change, mW"], gates),
+    )
+
+
+def _table(head: list[str], rows: list[list[str]]) -> str:
+    lines = [head, ["---", *["---:"] * (len(head) - 1)], *rows]
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+
+
+def draw(measured: list[Measured]) -> Figure:
+    """Stacked bars: blocks, and kinds of power, against the light."""
+    shown = measured[: len(LIGHT)]
+    names = [one.case.name for one in shown]
+    with style():
+        figure = new_figure(10.5, 4.6)
+        by_block, by_kind = figure.subplots(1, 2, sharey=True)
+        stacks = (
+            (by_block, {name: [one.groups[name].total for one in shown] for _, name in GROUPS}),
+            (by_kind, {label: [getattr(one.total, name) for one in shown] for name, label in KINDS}),
+        )
+        for axis, values in stacks:
+            below = np.zeros(len(shown))
+            colours = colormaps["viridis"](np.linspace(0.05, 0.95, len(values)))
+            for (label, heights), colour in zip(values.items(), colours):
+                axis.bar(names, heights, bottom=below, label=label, color=colour, width=0.65)
+                below += heights
+            axis.legend(loc="upper left", ncols=2, fontsize=7.5)
+            axis.set_ylim(0, 1.45 * max(one.total.total for one in shown))
+        by_block.set_ylabel("mW per subgroup of 64 pixels")
+    return figure
+
+
+PAGE = """\
+# Power
+
+Written by `make power`: the sensor's netlist in NanGate 45 nm cells, with one subgroup of 8 x 8
+pixels, 32 phases and 500 MHz, plays a frame of {pulses} laser pulses for each case on Icarus, checked
+against the golden model. The transitions of every net, times the library's energies and pin
+capacitances, and its leakage make the power (`flow/power.py`, `flow/liberty.py`). Typical corner:
+1.1 V, 25 degrees C.
+
+The light is that of [light.md](light.md): a target at 4 m under ambient light, the paper's SPAD;
+dark is no photon at all, in saturation every SPAD fires as soon as its dead time is over. The
+settings are the defaults.
+
+![Power of a subgroup against the light, by block and by kind](images/{picture})
+
+## By block
+
+mW; *with wires* adds {wire:g} fF of wire to every input, as in the routed minigroup
+([layout.md](layout.md)).
+
+{blocks}
+
+## By kind
+
+{kinds}
+
+*Clock* is what flip-flops and latches take as their clock moves, with their clock pins;
+*inside cells* and *driven pins* are those of all other transitions.
+
+## What settings save
+
+At {klux:g} klux the default settings take {default} mW.
+
+{settings}
+
+In the two rows with a gate the SPADs are off outside of it, as the output `spad_gate` asks for.
+
+## Clock gates
+
+At {middle:g} klux the clock takes {share} of a subgroup's power. The last column is the part of the
+clock's power that goes into cycles in which a flip-flop does not change: the most that clock gates
+can save, as a gate has a cost of its own. Nothing gates a clock today.
+
+{gates}
+
+## What is not in it
+
+* The clock tree: [layout.md](layout.md) has that of a minigroup. Wires longer than inside a
+  minigroup. Glitches: the simulation has no delays.
+* Readout, controller and registers, which a sensor has once, and the TDC of a module.
+* SPADs, their quenching circuits, level shifters, and the macros of the asynchronous view.
+* Other corners: leakage grows with heat, and the library has 25 degrees C only.
+"""

@@ -1,0 +1,139 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Power: what a liberty file and a VCD say, and the sum of both for a few cells that one can add up by hand."""
+
+import numpy as np
+import pytest
+
+from coincid.flow.liberty import Cell, Energies, Pin, read_cells, supply_v
+from coincid.flow.power import Design, Instance, power, transitions
+from coincid.flow.yosys import LIBERTY, cells_folder
+from coincid.study.power import group_of
+from coincid.tb.toolchain import ToolchainError
+
+LIBRARY = """
+library (toy) {
+  nom_voltage : 1.00;
+  cell (BUF) {
+    cell_leakage_power : 7.5;
+    pin (A) { direction : input; capacitance : 2.0; }
+    pin (Z) {
+      direction : output;
+      internal_power () {
+        related_pin : "A";
+        rise_power(t) { index_1 ("0.01,0.03"); index_2 ("1.0,3.0"); values ("1.0,2.0", \\
+          "3.0,4.0"); }
+        fall_power(t) { index_1 ("0.01,0.03"); index_2 ("1.0,3.0"); values ("3.0,4.0", \\
+          "5.0,6.0"); }
+      }
+    }
+  }
+  cell (OTHER) { cell_leakage_power : 1; }
+}
+"""
+
+VCD = """\
+$timescale 1ps $end
+$scope module top $end
+$var wire 1 ! laser $end
+$var wire 2 " bus [1:0] $end
+$scope module inner $end
+$var wire 1 # net $end
+$upscope $end
+$upscope $end
+$enddefinitions $end
+#0
+0!
+b0 "
+0#
+#1000
+1#
+b11 "
+#2000
+1!
+b1 "
+#3000
+0!
+0#
+#6000
+1!
+b10 "
+1#
+#9000
+0#
+"""
+
+
+def test_liberty_at_its_slew_and_load(tmp_path):
+    path = tmp_path / "toy.lib"
+    path.write_text(LIBRARY)
+    cell = read_cells(path, {"BUF"})["BUF"]
+    assert supply_v(path) == 1.0
+    assert cell.leakage_nw == 7.5
+    assert cell.pins["A"] == Pin(False, 2.0, None, False)
+    assert cell.pins["Z"].energies.at(1.0) == pytest.approx(3.0)  # mean of rise and fall, halfway between the slews
+    assert cell.pins["Z"].energies.at(2.0) == pytest.approx(3.5)
+    assert cell.pins["Z"].energies.at(100.0) == pytest.approx(4.0)
+    with pytest.raises(ValueError, match="toy.lib: no cell NAND"):
+        read_cells(path, {"NAND"})
+
+
+def test_transitions_of_frames_only():
+    toggles = transitions(VCD.splitlines(keepends=True), 1, [3, 2], 1000)
+    assert toggles["laser"].tolist() == [[2], [1]]
+    assert toggles["inner.net"].tolist() == [[1], [1]]  # not what came before a frame, nor after it
+    assert toggles["bus"].tolist() == [[0, 1], [1, 1]]
+    with pytest.raises(ToolchainError, match="2 frames of 3"):
+        transitions(VCD.splitlines(keepends=True), 1, [3, 2, 2], 1000)
+
+
+def flop_and_buffer():
+    """clk clocks a flip-flop, whose output drives a buffer that drives nothing."""
+    table = Energies(np.zeros(1), np.ones(1))
+    library = {
+        "DFF": Cell(
+            1000.0,
+            {
+                "CK": Pin(False, 1.0, Energies(np.zeros(1), np.full(1, 3.0)), True),
+                "Q": Pin(True, 0.0, table, False),
+                "QN": Pin(True, 0.0, table, False),
+            },
+        ),
+        "BUF": Cell(0.0, {"A": Pin(False, 4.0, None, False), "Z": Pin(True, 0.0, table, False)}),
+    }
+    instances = [Instance("a", "DFF", {"CK": 2, "Q": 3}), Instance("a.b", "BUF", {"A": 3, "Z": 4})]
+    names = {2: [("clk", 0)], 3: [("q", 0), ("a.q", 0)], 4: [("a.z", 1)]}
+    return Design(["", "a", "a.b"], instances, names, library, 2.0)
+
+
+def test_sum_by_hand():
+    toggles = {"clk": np.array([[20]]), "a.q": np.array([[5]]), "a.z": np.array([[0, 5]])}
+    of = power(flop_and_buffer(), toggles, 0, 10, 100.0)
+    per_fj = 1e-6 * 100.0 / 10
+    assert of["a"].clock == pytest.approx(per_fj * (20 * 3.0 + 20 * 2.0 * 1.0))
+    assert of["a"].internal == pytest.approx(per_fj * (5 * 1.0 + 5 * 1.0))  # Q, and QN with it
+    assert of["a"].switching == pytest.approx(per_fj * 5 * 2.0 * 4.0)
+    assert of["a"].leakage == pytest.approx(1e-3)
+    assert of["a"].idle == pytest.approx(of["a"].clock / 2)
+    assert of["a.b"].total == pytest.approx(per_fj * 5 * 1.0)
+    wired = power(flop_and_buffer(), toggles, 0, 10, 100.0, wire_ff=4.0)
+    assert wired["a"].switching == pytest.approx(2 * of["a"].switching)
+    with pytest.raises(ToolchainError, match="does not show a.z"):
+        power(flop_and_buffer(), {"clk": toggles["clk"], "q": toggles["a.q"]}, 0, 10, 100.0)
+
+
+def test_blocks_of_the_table():
+    assert group_of("module_0.subgroup_0.tree.minigroup_3.stamp") == "minigroups (16)"
+    assert group_of("module_0.subgroup_0.fifo.storage") == "FIFO"
+    assert group_of("module_0.subgroup_0") == "ports' registers"
+    assert group_of("module_0.tdc") is None
+    assert group_of("readout_0") is None
+
+
+@pytest.mark.skipif(cells_folder() is None, reason="standard cells (scripts/setup cells) are not installed")
+def test_a_flip_flop_of_the_library():
+    """Energies that stand in the file: the clock pin's of data at rest, between its tables' second and third slew."""
+    flop = read_cells(cells_folder() / LIBERTY, {"DFF_X1"})["DFF_X1"]
+    clock = flop.pins["CK"]
+    assert clock.clock
+    assert clock.energies.at(0) == pytest.approx((2.434 + 4.495 + 2.623 + 4.264) / 4, abs=0.01)
+    assert flop.leakage_nw == pytest.approx(79.11, abs=0.01)
