@@ -107,11 +107,12 @@ class Readout(Unit):
             state.beat.eq(self.beat),
             state.beat_controlled.eq(self.beat_controlled),
             state.event_length.eq(of_format(self.frame.format, self.parts.length)),
-            *(
-                need.eq(of_format(self.frame.format, lambda kind, beats=beats: self.parts.length(kind) + beats))
-                for beats, need in zip(self.rooms, state.event_needs)
-            ),
+            *(need.eq(self._event_and(beats)) for beats, need in zip(self.rooms, state.event_needs)),
         ]
+
+    def _event_and(self, beats):
+        """Beats of an event in the frame's format, and some more."""
+        return of_format(self.frame.format, lambda kind: self.parts.length(kind) + beats)
 
     def _arbiter(self, m):
         """Choose the next subgroup: the lowest waiting one at or after the pointer, otherwise the lowest of all.
