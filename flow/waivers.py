@@ -59,6 +59,10 @@ OF_EMULATOR = (  # more, in the emulator
         )
         for block in ("deframer", "framer", "uart_receiver", "lights")
     ),
+    *(
+        (rule, "*ecp5_pll.v", "*", "the chip's PLL has a name of its own, and dividers that its model does not need")
+        for rule in ("DECLFILENAME", "UNUSEDPARAM")
+    ),
     ("VARHIDDEN", "*framer.v", "*", "the library's CRC has a port of its own name"),
     ("WIDTHTRUNC", "*coincid_frame_buffer.v", "Operator ASSIGNW*", "a part of a word is written as a shift"),
 )

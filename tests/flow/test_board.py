@@ -60,7 +60,7 @@ def test_what_is_exported_lints(kind):
 
 def test_lint_finds_what_is_wrong():
     files = emulator_release(config(), "axi", 64)
-    files[f"{TOPS['axi']}.v"] = files[f"{TOPS['axi']}.v"].replace("  output laser", "  input nothing,\n  output laser")
+    files[f"{TOPS['axi']}.v"] = files[f"{TOPS['axi']}.v"].replace("  output laser", "  output nothing,\n  output laser")
     assert "nothing" in lint_emulator(files, TOPS["axi"])["verilator"]
 
 
