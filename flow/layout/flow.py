@@ -34,6 +34,7 @@ PLACED, STRIPS, JOB, LOG = "placed.json", "strips.json", "job.json", "coriolis.l
 LIMIT_S = 300  # of one attempt
 NOT_ROUTED = 3  # exit code of `place_route.py`
 CLOCK = "clk"
+BEHIND = ("page", "delays")  # files that do not change a layout
 
 
 @frozen
@@ -87,7 +88,7 @@ def require_tools() -> Path:
 def lay_out(unit: Unit, clock_mhz: float, tell: Callable[[str], None]) -> Layout:
     """The layout of a block without sub-blocks' borders, made once for the state of its Verilog."""
     cells, files = require_tools(), units_files([unit], latches=True)
-    own = (path.read_text() for path in sorted(Path(__file__).parent.glob("*.py")))
+    own = (path.read_text() for path in sorted(Path(__file__).parent.glob("*.py")) if path.stem not in BEHIND)
     key = digest(CELLS_VERSION, str(clock_mhz), *own, *(part for item in sorted(files.items()) for part in item))
 
     def make(folder: Path) -> None:

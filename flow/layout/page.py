@@ -4,6 +4,8 @@
 from collections.abc import Callable
 from pathlib import Path
 
+from PIL import Image
+
 from ...hdl.minigroup import Minigroup
 from ...model.contract.config import load_config
 from ...model.contract.parameters import Sensor
@@ -15,6 +17,7 @@ from .flow import FINAL, Layout, lay_out
 
 PICTURE = "layout-minigroup.png"
 SMALL = Sensor(rows=8, cols=8)  # of the simulation: 16 minigroups
+COLOURS = 32  # of the picture
 TOO_SLOW = 4.0  # factor on all delays that no cycle has room for
 
 
@@ -45,8 +48,9 @@ def write_page(path: Path, tell: Callable[[str], None]) -> None:
     )
     images = path.parent / "images"
     images.mkdir(exist_ok=True)
+    picture = Image.open(layout.folder / f"{unit.unit_name}.png").convert("RGB").quantize(COLOURS)
     with whole_file(images / PICTURE) as file:
-        file.write((layout.folder / f"{unit.unit_name}.png").read_bytes())
+        picture.save(file, format="png", optimize=True)
     with whole_file(path, "w") as file:
         file.write(text)
 
