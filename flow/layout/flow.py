@@ -19,6 +19,7 @@ from attrs import asdict, frozen
 
 from ...hdl.export import units_files
 from ...hdl.unit import Unit
+from ...hdl.views import POLYPHASE, View
 from ...model.shared.errors import InputError
 from ...model.shared.folders import build_root
 from ...model.shared.sources import digest
@@ -85,9 +86,10 @@ def require_tools() -> Path:
     return cells
 
 
-def lay_out(unit: Unit, clock_mhz: float, tell: Callable[[str], None]) -> Layout:
-    """The layout of a block without sub-blocks' borders, made once for the state of its Verilog."""
+def lay_out(unit: Unit, clock_mhz: float, tell: Callable[[str], None], view: View = POLYPHASE) -> Layout:
+    """The layout of a block without sub-blocks' borders, made once for the state of its Verilog. Macros have no layout."""
     cells, files = require_tools(), units_files([unit], latches=True)
+    files |= {path.name: path.read_text() for path in (*view.cells, *view.macros)}
     own = (path.read_text() for path in sorted(Path(__file__).parent.glob("*.py")) if path.stem not in BEHIND)
     key = digest(CELLS_VERSION, str(clock_mhz), *own, *(part for item in sorted(files.items()) for part in item))
 
