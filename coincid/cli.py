@@ -809,7 +809,7 @@ def emulate(
             print(f"{tally.seconds_on_line / tally.frames * 1e3:.3g} ms of simulated time per frame")
     print(f"{tally.frames} frames, {tally.beats} words, all as the golden model predicts")
     print(
-        f"{tally.frames / tally.seconds:.1f} frames per second; {repeats} requests repeated, {tally.recoveries} recoveries"
+        f"{tally.frames / tally.seconds:.3g} frames per second; {repeats} requests repeated, {tally.recoveries} recoveries"
     )
     print(out / DEPTH)
 

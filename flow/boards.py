@@ -90,7 +90,7 @@ def ulx3s(config: Config, emulator: Emulator | None = None, options: str = "") -
         top=BOARD_TOP,
         files=files,
         pins=board_pins(),
-        device=("--85k", "--package", "CABGA381", "--speed", "6"),
+        device=("--85k", "--package", "CABGA381", "--speed", "6", "--router", "router2"),
         goal_mhz=config.clock_mhz,
         options=options,
     )

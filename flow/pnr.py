@@ -33,8 +33,8 @@ PAGE_COLUMNS = 100
 class Board:
     """What is placed on what. title, command, what, chip: words of its page.
 
-    top: module of the Verilog `files` (name -> text). pins: constraints (LPF). device: options of nextpnr that name the chip. goal_mhz: that
-    every clock must reach. options: of the synthesis.
+    top: module of the Verilog `files` (name -> text). pins: constraints (LPF). device: options of nextpnr for the chip, and for its
+    router. goal_mhz: that every clock must reach. options: of the synthesis.
     """
 
     title: str

@@ -123,6 +123,10 @@ def readout(b: Bench):
     stored_beats = b.same(
         "stored_beats", body.buffer.level - body.buffer.r_rdy
     )  # the library's FIFO holds one more in a register
+    for room, beats in zip(body.room, unit.rooms):
+        b.always(room == (body.space >= beats))
+    for need, beats in zip(body.event_needs, unit.rooms):
+        b.always(need == body.event_length + beats)
     b.always(body.space + body.left + on_the_way + body.buffer.level == unit.depth)
     b.always(
         (stored_beats >= 0) & (stored_beats <= unit.depth) & (body.left < PARTS.longest) & (body.space <= unit.depth)

@@ -50,6 +50,7 @@ class Readout(Unit):
         self.sensor = sensor
         self.subgroups = subgroups
         self.parts = layout(sensor)
+        self.rooms = self.parts.longest_word, self.parts.counter_beats  # beats of the longest word, and of counters
         self.depth = latency.output_depth(self.parts.longest)  # depth of the output buffer, in beats
         self.unit_name = f"coincid_readout_{subgroups}"
         super().__init__(
@@ -93,6 +94,10 @@ class Readout(Unit):
         state.beat = Signal(BEAT_BITS)
         state.beat_controlled = Signal()
         state.event_length = Signal(range(self.parts.longest + 1))
+        # Space that leaves room for a word, or for counters, behind an event.
+        state.event_needs = [
+            Signal(range(2 * self.parts.longest + 1), init=beats, name=f"event_and_{beats}") for beats in self.rooms
+        ]
         m.d.sync += [
             state.stored.eq(self.stored & state.in_frame.replicate(n)),
             state.record_stored.eq(self.record_stored & state.in_frame.replicate(n)),
@@ -102,7 +107,12 @@ class Readout(Unit):
             state.beat.eq(self.beat),
             state.beat_controlled.eq(self.beat_controlled),
             state.event_length.eq(of_format(self.frame.format, self.parts.length)),
+            *(need.eq(self._event_and(beats)) for beats, need in zip(self.rooms, state.event_needs)),
         ]
+
+    def _event_and(self, beats):
+        """Beats of an event in the frame's format, and some more."""
+        return of_format(self.frame.format, lambda kind: self.parts.length(kind) + beats)
 
     def _arbiter(self, m):
         """Choose the next subgroup: the lowest waiting one at or after the pointer, otherwise the lowest of all.
@@ -150,10 +160,13 @@ class Readout(Unit):
     def _room(self, m):
         """Decide when a packet may begin.
 
-        All beats of the previous one must be granted, and the buffer must have room for any word, or for the counters.
+        All beats of the previous one must be granted, and the buffer must have room for any word, or for the counters. Registers beside
+        the space know of either room, so no grant waits for a comparison.
         """
-        state, parts = self.state, self.parts
-        state.left = Signal(range(parts.longest))  # beats still to be granted
+        state = self.state
+        state.room = [Signal(init=1, name=f"room_for_{beats}") for beats in self.rooms]
+        state.room_next = [Signal(name=f"room_next_for_{beats}") for beats in self.rooms]
+        state.left = Signal(range(self.parts.longest))  # beats still to be granted
         state.space = Signal(range(self.depth + 1), init=self.depth)
         state.free = Signal()
         state.free_for_counters = Signal()
@@ -161,13 +174,15 @@ class Readout(Unit):
         state.left_next = Signal.like(state.left)
         state.space_next = Signal.like(state.space)
         m.d.comb += [
-            state.free.eq((state.left == 0) & (state.space >= parts.longest_word)),
-            state.free_for_counters.eq((state.left == 0) & (state.space >= parts.counter_beats)),
+            state.free.eq((state.left == 0) & state.room[0]),
+            state.free_for_counters.eq((state.left == 0) & state.room[1]),
+            *(after.eq(state.space_now >= beats) for after, beats in zip(state.room_next, self.rooms)),
             state.space_now.eq(state.space + (self.m_axis.tvalid & self.m_axis.tready)),
             state.left_next.eq(state.left - (state.left != 0)),
             state.space_next.eq(state.space_now),
         ]
         m.d.sync += [state.left.eq(state.left_next), state.space.eq(state.space_next)]
+        m.d.sync += [room.eq(after) for room, after in zip(state.room, state.room_next)]
         state.calm = Signal(range(CALM_CYCLES + 1))
         state.booked = Signal()
         with m.If(self.m_axis.tvalid | state.valid | (state.left != 0) | state.booked):
@@ -175,17 +190,24 @@ class Readout(Unit):
         with m.Elif(state.calm != CALM_CYCLES):
             m.d.sync += state.calm.eq(state.calm + 1)
         with m.Else():
-            m.d.sync += state.space.eq(self.depth)
+            m.d.sync += [state.space.eq(self.depth), *(room.eq(1) for room in state.room)]
         with m.If(state.frame_begin):
-            m.d.sync += [state.space.eq(self.depth), state.left.eq(0)]
+            m.d.sync += [state.space.eq(self.depth), state.left.eq(0), *(room.eq(1) for room in state.room)]
 
-    def _book(self, m, length, name, free):
-        """Book room for a packet that may begin. What remains is computed for each length before the grant is known."""
+    def _book(self, m, length, name, free, needs=None):
+        """Book room for a packet that may begin. What remains is computed for each length before the grant is known.
+
+        needs: for each of `rooms`, the space that leaves it behind the packet.
+        """
         state = self.state
         after = Signal.like(state.space, name=f"space_after_{name}")
         m.d.comb += after.eq(state.space_now - length)
+        leaves = [Signal(name=f"{name}_leaves_{beats}") for beats in self.rooms]
+        needs = needs or [length + beats for beats in self.rooms]
+        m.d.comb += [left.eq(state.space_now >= need) for need, left in zip(needs, leaves)]
         with m.If(free):
             m.d.comb += [state.left_next.eq(length - 1), state.space_next.eq(after), state.booked.eq(1)]
+            m.d.comb += [room.eq(left) for room, left in zip(state.room_next, leaves)]
 
     def _packets(self, m):
         """Send a frame's packets in order: start, events and records, end, counters of every subgroup."""
@@ -252,7 +274,7 @@ class Readout(Unit):
         with m.If(state.chosen_record):
             self._book(m, self.parts.length(Kind.RECORD), "record", state.free)
         with m.Else():
-            self._book(m, state.event_length, "event", state.free)
+            self._book(m, state.event_length, "event", state.free, state.event_needs)
         with m.If(state.free):
             m.d.comb += [
                 state.take_record.eq(state.chosen & state.records),

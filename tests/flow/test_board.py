@@ -41,6 +41,7 @@ def test_the_netlist_boots_and_sends_frames():
     )
     emulator, library = emulator_netlist(config(), 64)
     with SimulatedPort(emulator, 100, library) as port:
+        assert port.read() == b""  # the PLL locks in this time
         session = Session(EmulatorDriver(SerialTransport(port, patience_s=PATIENCE_S)), config(), settings)
         assert session.driver.sensor == SENSOR
         words = sum(len(session.frame()) for _ in range(2))
