@@ -19,6 +19,7 @@ from attrs import asdict, frozen
 
 from ...hdl.export import units_files
 from ...hdl.unit import Unit
+from ...hdl.views import POLYPHASE, View
 from ...model.shared.errors import InputError
 from ...model.shared.folders import build_root
 from ...model.shared.sources import digest
@@ -34,6 +35,7 @@ PLACED, STRIPS, JOB, LOG = "placed.json", "strips.json", "job.json", "coriolis.l
 LIMIT_S = 300  # of one attempt
 NOT_ROUTED = 3  # exit code of `place_route.py`
 CLOCK = "clk"
+BEHIND = ("page", "delays")  # files that do not change a layout
 
 
 @frozen
@@ -84,10 +86,11 @@ def require_tools() -> Path:
     return cells
 
 
-def lay_out(unit: Unit, clock_mhz: float, tell: Callable[[str], None]) -> Layout:
-    """The layout of a block without sub-blocks' borders, made once for the state of its Verilog."""
+def lay_out(unit: Unit, clock_mhz: float, tell: Callable[[str], None], view: View = POLYPHASE) -> Layout:
+    """The layout of a block without sub-blocks' borders, made once for the state of its Verilog. Macros have no layout."""
     cells, files = require_tools(), units_files([unit], latches=True)
-    own = (path.read_text() for path in sorted(Path(__file__).parent.glob("*.py")))
+    files |= {path.name: path.read_text() for path in (*view.cells, *view.macros)}
+    own = (path.read_text() for path in sorted(Path(__file__).parent.glob("*.py")) if path.stem not in BEHIND)
     key = digest(CELLS_VERSION, str(clock_mhz), *own, *(part for item in sorted(files.items()) for part in item))
 
     def make(folder: Path) -> None:

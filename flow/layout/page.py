@@ -1,10 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """The page of `make layout`: what was laid out, which rules hold, timing and simulation with wires, and what is not there."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
+from PIL import Image
+
 from ...hdl.minigroup import Minigroup
+from ...hdl.silicon.minigroup import AsyncMinigroup
+from ...hdl.unit import Unit
+from ...hdl.views import POLYPHASE, VIEWS, View
 from ...model.contract.config import load_config
 from ...model.contract.parameters import Sensor
 from ...model.shared.files import whole_file
@@ -13,31 +18,31 @@ from ..mapped import map_block, slack_ns
 from .delays import INPUT_NS, simulate
 from .flow import FINAL, Layout, lay_out
 
-PICTURE = "layout-minigroup.png"
+PICTURE, PREFIX = "layout-{}.png", "coincid_"
 SMALL = Sensor(rows=8, cols=8)  # of the simulation: 16 minigroups
+COLOURS = 32  # of the picture
 TOO_SLOW = 4.0  # factor on all delays that no cycle has room for
 
 
 def write_page(path: Path, tell: Callable[[str], None]) -> None:
-    """Lays the silicon preset's minigroup out and writes what came of it, and the picture to `images/` beside the page."""
+    """Lays the silicon preset's minigroups out and writes what came of it, and the pictures to `images/` beside the page."""
     config = load_config("silicon")
-    unit, clock_ns = Minigroup(config.sensor), 1000 / config.clock_mhz
-    layout = lay_out(unit, config.clock_mhz, tell)
-    mapped = map_block(unit)
+    clock_ns = 1000 / config.clock_mhz
+    units: list[tuple[Unit, View]] = [(Minigroup(config.sensor), POLYPHASE)]
+    units.append((AsyncMinigroup(config.sensor), VIEWS["async"].at(config.clock_mhz)))
+    layouts = [lay_out(unit, config.clock_mhz, tell, view) for unit, view in units]
+    mapped = [map_block(unit, view) for unit, view in units]
+    slacks = [slack_ns(block.folder, block.name, clock_ns) for block in mapped]
     tell("simulating the sensor with the routed minigroups and their delays")
-    checked, cycles = simulate(SMALL, Minigroup(SMALL), layout)
-    broken = breaks(Minigroup(SMALL), layout)
-    if not broken:
+    checked, cycles = simulate(SMALL, Minigroup(SMALL), layouts[0])
+    if not breaks(Minigroup(SMALL), layouts[0]):
         raise Mismatch(f"delays of {TOO_SLOW:g} times the layout's change nothing: they are not in force")
     text = PAGE.format(
         gds=FINAL,
-        picture=PICTURE,
-        rows="\n".join(f"| {name} | {value} |" for name, value in facts(layout, mapped.area_um2)),
-        slack=slack_ns(mapped.folder, unit.unit_name, clock_ns),
-        routed_slack=layout.slack_ns,
-        hold=layout.hold_ns,
+        rows=_table(facts(layout, block.area_um2) for layout, block in zip(layouts, mapped)),
+        timing=_table(times(layout, slack) for layout, slack in zip(layouts, slacks)),
         clock=clock_ns,
-        rules="\n".join(f"| {name} | {found} |" for name, found in layout.rules),
+        rules=_table([(name, str(found)) for name, found in layout.rules] for layout in layouts),
         checked=checked,
         cycles=cycles,
         factor=TOO_SLOW,
@@ -45,8 +50,10 @@ def write_page(path: Path, tell: Callable[[str], None]) -> None:
     )
     images = path.parent / "images"
     images.mkdir(exist_ok=True)
-    with whole_file(images / PICTURE) as file:
-        file.write((layout.folder / f"{unit.unit_name}.png").read_bytes())
+    for (unit, _), layout in zip(units, layouts):
+        picture = Image.open(layout.folder / f"{unit.unit_name}.png").convert("RGB").quantize(COLOURS)
+        with whole_file(images / PICTURE.format(unit.unit_name.removeprefix(PREFIX))) as file:
+            picture.save(file, format="png", optimize=True)
     with whole_file(path, "w") as file:
         file.write(text)
 
@@ -60,25 +67,39 @@ def breaks(unit: Minigroup, layout: Layout) -> bool:
     return False
 
 
+def _table(columns: Iterable[list[tuple[str, str]]]) -> str:
+    """Rows of Markdown from columns with the same names."""
+    first, *others = columns
+    values = [dict(column) for column in others]
+    return "\n".join(f"| {' | '.join([name, value, *(column[name] for column in values)])} |" for name, value in first)
+
+
 def facts(layout: Layout, mapped_um2: float) -> list[tuple[str, str]]:
-    """The rows of the page's first table."""
+    """What was laid out."""
     area = layout.width_um * layout.height_um
     return [
-        ("cells before layout", f"{mapped_um2:,.0f} um2"),
-        ("cells, clock tree and buffers included", f"{layout.cells}, {layout.cell_area_um2:,.0f} um2"),
+        ("cells before layout, um2", f"{mapped_um2:,.0f}"),
+        ("cells with the clock tree", str(layout.cells)),
+        ("their area, um2", f"{layout.cell_area_um2:,.0f}"),
         ("buffers of the clock tree", str(layout.buffers)),
-        ("power of the clock tree, without the flip-flops' pins", f"{layout.clock_tree_mw:.2f} mW"),
-        ("block", f"{layout.width_um:.1f} x {layout.height_um:.1f} um, {area:,.0f} um2"),
+        ("power of the clock tree, without the flip-flops' pins, mW", f"{layout.clock_tree_mw:.2f}"),
+        ("block, um", f"{layout.width_um:.1f} x {layout.height_um:.1f}"),
+        ("block, um2", f"{area:,.0f}"),
         ("share of the block that cells cover", f"{layout.cell_area_um2 / area:.0%}"),
         ("nets", str(layout.nets)),
-        (
-            "wire",
-            f"{layout.wire_um / 1000:.2f} mm, {layout.wire_um / layout.sinks:.1f} um for each input that it reaches",
-        ),
-        (
-            "capacitance of the wires",
-            f"{layout.wire_ff:.0f} fF, {layout.wire_ff / layout.sinks:.2f} fF for each such input",
-        ),
+        ("wire, mm", f"{layout.wire_um / 1000:.2f}"),
+        ("wire for each input that it reaches, um", f"{layout.wire_um / layout.sinks:.1f}"),
+        ("capacitance of the wires, fF", f"{layout.wire_ff:.0f}"),
+        ("capacitance for each such input, fF", f"{layout.wire_ff / layout.sinks:.2f}"),
+    ]
+
+
+def times(layout: Layout, mapped_slack_ns: float) -> list[tuple[str, str]]:
+    """Slacks in ns."""
+    return [
+        ("longest, before layout: no wires, ideal clock", f"{mapped_slack_ns:+.2f}"),
+        ("longest, with wires and clock tree", f"{layout.slack_ns:+.2f}"),
+        ("shortest (hold), with wires and clock tree", f"{layout.hold_ns:+.2f}"),
     ]
 
 
@@ -86,17 +107,19 @@ PAGE = """\
 # Layout of a minigroup
 
 Written by `make layout`, which takes about two minutes: the minigroup of the preset `silicon`
-(2 x 2 pixels, 32 phases), polyphase view, in NanGate 45 nm cells. Yosys maps it, Coriolis places
-it, builds its clock tree and routes it, KLayout merges the cells' own layouts and checks the
-result, OpenSTA times it. What it means for the sensor is in [silicon.md](silicon.md).
+(2 x 2 pixels, 32 phases) of both views, in NanGate 45 nm cells. Yosys maps it, Coriolis places it,
+builds its clock tree and routes it, KLayout merges the cells' own layouts and checks the result,
+OpenSTA times it. What it means for the sensor is in [silicon.md](silicon.md).
 
-![The routed minigroup](images/{picture})
+| polyphase | asynchronous |
+| --- | --- |
+| ![The routed minigroup](images/layout-minigroup.png) | ![The routed minigroup of the asynchronous view](images/layout-async_minigroup.png) |
 
-The picture shows the routed block: cells (dark), metal3 (green), metal4 (orange), metal5 and
-metal6. `{gds}` in the build folder is its GDS.
+The pictures show the routed blocks: cells (dark), metal3 (green), metal4 (orange), metal5 and
+metal6. `{gds}` in the build folder is the GDS.
 
-| | |
-| --- | ---: |
+| | polyphase | asynchronous |
+| --- | ---: | ---: |
 {rows}
 
 Cells cover so little because the router stops a few nets short of the end where pins are denser.
@@ -107,8 +130,8 @@ Every cell is widened until each of its pins has room; fillers take that room in
 Opens: 0. Shorts: 0. The wires (metal2 to metal6) are extracted from the GDS and compared with the
 placed netlist, pin by pin; the flow fails on any difference.
 
-| rule | violations |
-| --- | ---: |
+| rule: violations | polyphase | asynchronous |
+| --- | ---: | ---: |
 {rules}
 
 Values are those of the cells' LEF file, for wires of least width. Not checked: rules for wide
@@ -117,11 +140,11 @@ supply: rows share rails of metal1, and there is no power mesh above them.
 
 ## Timing
 
-| path between registers, cycle of {clock:g} ns | slack in ns |
-| --- | ---: |
-| longest, before layout: no wires, ideal clock | {slack:+.2f} |
-| longest, with wires and clock tree | {routed_slack:+.2f} |
-| shortest (hold), with wires and clock tree | {hold:+.2f} |
+Slack of paths of the clock in ns, at a cycle of {clock:g} ns:
+
+| path | polyphase | asynchronous |
+| --- | ---: | ---: |
+{timing}
 
 The longest path is the half cycle to the latches of the record's stamp. A wire's capacitance is
 that of its length on each metal, its resistance that of the direct way to each pin. Coupling
@@ -129,15 +152,16 @@ between wires is not in it, nor any corner except the typical one.
 
 ## Simulation
 
-OpenSTA writes the delays as SDF. A sensor of 8 x 8 pixels, whose 16 minigroups are the routed
-netlist with these delays, plays the random frames of `make gls` on Icarus: {checked} words and commits in
-{cycles} cycles, 0 mismatches. Inputs of a minigroup come {input:g} ns after the clock's edge, as from
-flip-flops. With all delays {factor:g} times as long the same bench fails, so the delays are in force.
-Icarus ignores two parts of the SDF: delays of single wires, and setup and hold checks.
+OpenSTA writes the delays as SDF. A sensor of 8 x 8 pixels in the polyphase view, whose 16
+minigroups are the routed netlist with these delays, plays the random frames of `make gls` on
+Icarus: {checked} words and commits in {cycles} cycles, 0 mismatches. Inputs of a minigroup come
+{input:g} ns after the clock's edge, as from flip-flops. With all delays {factor:g} times as long
+the same bench fails, so the delays are in force. Icarus ignores two parts of the SDF: delays of
+single wires, and setup and hold checks.
 
 ## What is not there
 
-* The minigroup of the asynchronous view: its macros have no layout.
-* Tree and subgroup. Flat, they place, and do not route in an hour. They would need minigroups as
-  macros, with pins at their borders.
+* The asynchronous minigroup under its bench with its delays. The macros around it have no layout.
+* Tree and subgroup. In an earlier study they were placed flat, and did not route in an hour. They
+  need minigroups as macros, with pins at their borders.
 """
