@@ -4,6 +4,7 @@
 from types import SimpleNamespace
 
 from amaranth.hdl import Cat, Module, Mux, Signal
+from amaranth.lib.fifo import SyncFIFOBuffered
 from amaranth.lib.memory import Memory
 from amaranth.lib.wiring import In, Out
 
@@ -22,6 +23,9 @@ from ..logic import saturating_add
 from ..unit import Unit, place
 from .control import ACCESS
 from .uart import Deframer, Framer, Receiver, Transmitter
+
+LAST = 1 << 8  # beside the byte on its way to the framer
+ANSWER_DEPTH = 2  # bytes of an answer on their way to the framer, which no path of logic passes
 
 
 class SerialBridge(Unit):
@@ -49,6 +53,7 @@ class SerialBridge(Unit):
         transmitter = place(m, "transmitter", Transmitter(clocks), platform)
         deframer = place(m, "deframer", Deframer(), platform)
         framer = place(m, "framer", Framer(), platform)
+        m.submodules.answer = answer = SyncFIFOBuffered(width=len(framer.byte) + 1, depth=ANSWER_DEPTH)
         m.submodules.request = memory = Memory(shape=8, depth=1 << (BODY_BYTES_MAX - 1).bit_length(), init=[])
         put, get = memory.write_port(), memory.read_port()
         m.d.comb += [
@@ -64,13 +69,16 @@ class SerialBridge(Unit):
             transmitter.byte.eq(framer.out_byte),
             framer.out_ready.eq(transmitter.ready),
             self.tx.eq(transmitter.tx),
+            framer.valid.eq(answer.r_rdy),
+            Cat(framer.byte, framer.last).eq(answer.r_data),
+            answer.r_en.eq(framer.ready),
         ]
         with m.If(deframer.wrong):
             saturating_add(m, self.errors, 1)
-        self._obey(m, deframer, framer, get)
+        self._obey(m, deframer, answer, get)
         return m
 
-    def _obey(self, m, deframer, framer, get):
+    def _obey(self, m, deframer, answer, get):
         """Read a request whose CRC was right, execute it, and send the answer."""
         access = self.access
         head = Signal(8 * HEAD_BYTES)
@@ -166,8 +174,8 @@ class SerialBridge(Unit):
                 m.next = "number"
             # Send the answer.
             with m.State("number"):
-                m.d.comb += [framer.valid.eq(1), framer.byte.eq(sequence)]
-                with m.If(framer.ready):
+                m.d.comb += [answer.w_en.eq(1), answer.w_data.eq(sequence)]
+                with m.If(answer.w_rdy):
                     m.next = "status"
                     with m.If(status != Answer.OKAY):
                         with m.If((operation == Operation.WRITE) & (status == Answer.REFUSED)):
@@ -177,8 +185,8 @@ class SerialBridge(Unit):
                     with m.Elif(operation == Operation.READ):
                         m.next = "read"
             with m.State("written"):
-                m.d.comb += [framer.valid.eq(1), framer.byte.eq(words)]
-                with m.If(framer.ready):
+                m.d.comb += [answer.w_en.eq(1), answer.w_data.eq(words)]
+                with m.If(answer.w_rdy):
                     m.next = "status"
             with m.State("read"):
                 m.d.sync += access.valid.eq(~access.done)
@@ -189,15 +197,15 @@ class SerialBridge(Unit):
                         m.d.sync += status.eq(Answer.REFUSED)
                         m.next = "status"
             with m.State("word"):
-                m.d.comb += [framer.valid.eq(1), framer.byte.eq(word[:8])]
-                with m.If(framer.ready):
+                m.d.comb += [answer.w_en.eq(1), answer.w_data.eq(word[:8])]
+                with m.If(answer.w_rdy):
                     m.d.sync += [word.eq(word >> 8), byte_of.eq(byte_of + 1)]
                     with m.If(byte_of == WORD_BYTES - 1):
                         m.next = "read"
                         with m.If(words == count):
                             m.next = "status"
             with m.State("status"):
-                m.d.comb += [framer.valid.eq(1), framer.byte.eq(status), framer.last.eq(1)]
-                with m.If(framer.ready):
+                m.d.comb += [answer.w_en.eq(1), answer.w_data.eq(status | LAST)]
+                with m.If(answer.w_rdy):
                     m.next = "listen"
         self.state = SimpleNamespace(machine=machine, last=last, fresh=fresh, greeted=greeted, status=status)
