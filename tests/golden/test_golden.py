@@ -11,6 +11,7 @@ from coincid.model.contract.edges import Edges, Fate
 from coincid.model.contract.latency import COMMIT
 from coincid.model.contract.parameters import OFFSET_NONE, STAMP_FIELD_BITS
 from coincid.model.golden.frame import Golden, golden_result
+from coincid.model.golden.shape import COUNTER
 
 from ..benches.plain_model import period_starts, plain_run
 from ..cases import READY_KINDS, SENSORS, configurations, controlled, ready_pattern, trouble
@@ -81,6 +82,18 @@ def test_controller(sensor, data):
     result = golden_result(config, edges, ready_pattern(0, "stalled", 200))
     for name in ("opened", "committed", "lower", "threshold_used"):
         assert result[name].tolist() == [[getattr(plain, name) for plain in subgroups] for subgroups in frames], name
+
+
+def test_budget_stays_between_share_and_capacity():
+    """Too many events leave the budget at the share, where a step would be more than nothing; darkness takes it to the capacity."""
+    frame = {"pulses": 20, "capacity": 100}
+    config = parse_config({"sensor": SENSORS["default"], "frame": frame, "subgroup": {"auto": True, "threshold": 1}})
+    golden, dark = Golden(config.sensor), trouble(config, 0, 0.0)
+    bright = golden.frame(config, trouble(config, 3, 20.0))
+    assert bright.counters[:, COUNTER.committed].sum() > config.capacity
+    assert bright.budget.tolist() == config.shares.tolist() == [50]
+    budgets = [int(golden.frame(config, dark).budget[0]) for _ in range(30)]
+    assert budgets == sorted(budgets) and budgets[0] == 50 + 50 // 16 + 1 and budgets[-1] == config.capacity
 
 
 @pytest.mark.parametrize("sensor", ("default", "tiny"))
