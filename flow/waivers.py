@@ -57,7 +57,7 @@ OF_EMULATOR = (  # more, in the emulator
             "*",
             "the library's parts stand in the file of the block that uses them",
         )
-        for block in ("deframer", "framer", "uart_receiver", "lights")
+        for block in ("deframer", "framer", "serial_bridge", "uart_receiver", "lights")
     ),
     *(
         (rule, "*ecp5_pll.v", "*", "the chip's PLL has a name of its own, and dividers that its model does not need")
