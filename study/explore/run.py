@@ -43,7 +43,6 @@ class Explored:
     """Result of the settings. edges: of all frames; traces: of each frame, from the golden model; arrays: as in a result file.
 
     seconds: from settings to result.
-    seconds: from settings to result.
     """
 
     settings: Settings
