@@ -41,7 +41,6 @@ SPEED = "+strash;ifraig;scorr;dc2;strash;if,-g,-K,6;strash;dch,-f;map,-B,0.9"
 PREFIX = "coincid_"
 FLOPS = re.compile(r"\$_DFF|DFF|TRELLIS_FF")
 GATES, CELLS, ECP5 = "gates", "nangate45", "ecp5"
-TARGETS = (GATES, CELLS, ECP5)
 
 
 @frozen

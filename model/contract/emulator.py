@@ -157,22 +157,7 @@ OWN: tuple[Register, ...] = (
         bits=(Bits("seeding", 0, "Busy."),),
     ),
 )
-BACKGROUND = Register(
-    name="background",
-    offset=0x00,
-    access=Access.SETTING,
-    high=(1 << RATE_BITS) - 1,
-    doc="Background: probability of a photon per pixel and cycle, in 2^-16.",
-)
-ECHO_OFFSET = 0x400
-ECHO = Register(  # one per pixel; its range depends on the build
-    name="echo",
-    offset=ECHO_OFFSET,
-    access=Access.SETTING,
-    doc="Of a pixel: tick of the echo << 8 | its probability in 2^-8.",
-    count=lambda sensor: sensor.pixels,
-    high=lambda sensor: (1 << LEVEL_BITS + sensor.stamp_bits) - 1,
-)
+ECHO_OFFSET = 0x400  # of the pixels' echoes from their subgroup's background
 OWN_BY_NAME = {register.name: register for register in OWN}
 
 

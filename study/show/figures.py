@@ -245,6 +245,25 @@ def truth_of(view: FrameView, row: int, col: int) -> list[float]:
     return [] if np.isnan(truth_m) else [float(truth_m)]
 
 
+def _axes_figure(**options: Any) -> figure:
+    """Return a figure with ranges from 0 to 1 and a toolbar inside, along whose x axis one moves and zooms."""
+    plot = figure(
+        x_range=Range1d(0, 1),
+        y_range=Range1d(0, 1),
+        tools=[PanTool(dimensions="width"), WheelZoomTool(dimensions="width"), ResetTool()],
+        toolbar_location="right",
+        stylesheets=[STYLESHEET],
+        background_fill_color=None,
+        border_fill_color=None,
+        **options,
+    )
+    plot.toolbar.update(logo=None, autohide=True)
+    plot.toolbar_inner = True
+    plot.title.text_font_size = "12px"
+    plot.grid.visible = False
+    return plot
+
+
 class HistogramFigure:
     """A pixel's events over distance, and behind them, paler and on a scale of their own, those of its subgroup."""
 
@@ -252,26 +271,15 @@ class HistogramFigure:
         self.bars = ColumnDataSource({"left": [], "right": [], "pixel": [], "subgroup": []})
         self.returns = ColumnDataSource(return_columns(np.empty(0), np.empty(0)))
         self.truth = ColumnDataSource({"x": []})
-        self.figure = plot = figure(
+        self.figure = plot = _axes_figure(
             title="click a pixel",
             width=width,
             height=height,
-            x_range=Range1d(0, 1),
-            y_range=Range1d(0, 1),
             x_axis_label="distance in m",
             y_axis_label="events of the pixel",
-            tools=[PanTool(dimensions="width"), WheelZoomTool(dimensions="width"), ResetTool()],
             active_scroll=None,
-            toolbar_location="right",
-            stylesheets=[STYLESHEET],
-            background_fill_color=None,
-            border_fill_color=None,
             name="histogram",
         )
-        plot.toolbar.update(logo=None, autohide=True)
-        plot.toolbar_inner = True
-        plot.title.text_font_size = "12px"
-        plot.grid.visible = False
         self.subgroup_range = Range1d(0, 1)
         plot.extra_y_ranges = {"subgroup": self.subgroup_range}
         plot.add_layout(
@@ -377,24 +385,9 @@ class TimelineFigure:
             {"x": [0, 0], "fill": [0, 0]}
         )  # Bokeh 3.9 paints a stepped area without points forever
         self.light = ColumnDataSource({"x": [], "y": []})
-        self.figure = plot = figure(
-            title="click a subgroup",
-            width=width,
-            height=height - 80,
-            x_range=Range1d(0, 1),
-            y_range=Range1d(0, 1),
-            y_axis_label="pixel",
-            tools=[PanTool(dimensions="width"), WheelZoomTool(dimensions="width"), ResetTool()],
-            toolbar_location="right",
-            stylesheets=[STYLESHEET],
-            background_fill_color=None,
-            border_fill_color=None,
-            name="timeline",
+        self.figure = plot = _axes_figure(
+            title="click a subgroup", width=width, height=height - 80, y_axis_label="pixel", name="timeline"
         )
-        plot.toolbar.update(logo=None, autohide=True)
-        plot.toolbar_inner = True
-        plot.title.text_font_size = "12px"
-        plot.grid.visible = False
         plot.xaxis.visible = False
         gate = plot.quad(
             left="left", right="right", top=1e6, bottom=-1e6, source=self.gate,
