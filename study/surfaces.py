@@ -148,7 +148,7 @@ def oracle_m(result: dict[str, np.ndarray], config: Config, scene: Scene) -> np.
         by_subgroup(first, config.sensor),
         ORACLE_BINS,
         guess=guess,
-    )[0]
+    ).level
     level = np.where(scene.valid[:, :, None], level - level.max(axis=2, keepdims=True), 0)
     around = np.pad(level, ((ORACLE_PIXELS, ORACLE_PIXELS), (ORACLE_PIXELS, ORACLE_PIXELS), (0, 0)))
     size = 2 * ORACLE_PIXELS + 1

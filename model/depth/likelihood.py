@@ -27,7 +27,7 @@ All likelihoods are relative to a pixel that sees no surface, whose hits are bac
 
 import math
 from collections.abc import Callable, Iterable
-from typing import NamedTuple
+from typing import NamedTuple, Protocol, TypeVar
 
 import numpy as np
 from scipy import ndimage, special
@@ -47,6 +47,9 @@ QUIET_RATE = 1e-7  # photons per tick and pixel, at least: some background is ev
 BLIND_MAX = 0.95
 DROPPING_ROUNDS = 3  # rounds in which the rate of windows and the stored share of them converge
 RATES = np.geomspace(1e-3, 50, 200)  # photons per subgroup and window, over which the share of events is tabulated
+LIGHT_FLOOR = 0.01  # share of the pixels that is assumed for a light that no pixel has
+LEARNING_ROUNDS = 30  # in which the shares of the lights converge
+FAINT = -15.0  # log likelihood relative to the best time: less likely times add nothing
 NEGLIGIBLE = -1.0  # log likelihood ratio below which averaging over the lights is not worth its exponentials
 ALIKE = 0.2  # pixels of a minigroup are treated alike if their probabilities to have been first differ by less
 
@@ -58,18 +61,32 @@ _LOG = (
 )  # log(1 + x), error below 1e-7
 
 
-Spread = Callable[[Callable[[int], None], Iterable[int]], Iterable[None]]
+Result = TypeVar("Result")
+
+
+class Spread(Protocol):
+    """A `map` that may use any order."""
+
+    def __call__(self, function: Callable[[int], Result], items: Iterable[int], /) -> Iterable[Result]: ...
 
 
 class Grid(NamedTuple):
     """Times and lights at which the likelihood is computed.
 
     step: ticks between times, which are step * (k + 1/2). lights: float32[L], photons per pulse. prior: float32[L], log
-    probability of each.
+    probability of each; None: learned from the pixels whose time the guess knows.
     """
 
     step: int
     lights: np.ndarray
+    prior: np.ndarray | None
+
+
+class Levels(NamedTuple):
+    """Log likelihood ratio, float32, and index of the likeliest light, uint8, both [rows, cols, bins]; the lights' prior."""
+
+    level: np.ndarray
+    light: np.ndarray
     prior: np.ndarray
 
 
@@ -122,13 +139,13 @@ def log_likelihood(
     activity: np.ndarray | None = None,
     guess: Guess | None = None,
     spread: Spread = map,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return (log likelihood ratio, likeliest light) for each pixel's times: float32, uint8 (index), [rows, cols, bins].
+) -> Levels:
+    """Return the log likelihood ratio of each pixel's times, as a mean over the lights, and the likeliest light at each.
 
     pulses: number of pulses in which the events came. never: from `unheard`, for the same events. first:
     int64[subgroups, pixels], index of the pixel's first time in the grid. activity: float64[subgroups, pixels],
-    background of each pixel relative to the mean (None: all equal). guess: needed to use offsets; without it they are
-    ignored. spread: a `map` over subgroups that may use any order.
+    background of each pixel relative to the mean (None: all equal). guess: needed to use offsets, which are ignored
+    without it, and to learn the prior. spread: a `map` over subgroups that may use any order.
     """
     sensor = config.sensor
     reach = math.ceil(REACH_SIGMAS * sigma_ticks)
@@ -140,7 +157,7 @@ def log_likelihood(
         activity = np.ones((sensor.subgroups, sensor.pixels))
     opens = _gate_opens(events, config)
 
-    def of_subgroup(s: int) -> None:
+    def evidence(s: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         span = slice(events.bounds[s], events.bounds[s + 1])
         noise = max(events.photon_rate[s] / sensor.pixels, QUIET_RATE)
         window = int(events.window[s])
@@ -170,11 +187,34 @@ def log_likelihood(
             events.winner[span], events.hits[span], events.offset[span], events.overrun[span], opens[span], shares,
             minigroup, config.mask[s], activity[s], chances[:2], chances[2:], fired, first[s], total, touched,
         )  # fmt: skip
-        _over_lights(common, total, touched, config.mask[s], first[s], grid.prior, place[s], level, light)
+        return common, total, touched
 
-    list(spread(of_subgroup, range(sensor.subgroups)))
+    def average(s: int, prior: np.ndarray, of_lights: tuple[np.ndarray, np.ndarray, np.ndarray]) -> None:
+        _over_lights(*of_lights, config.mask[s], first[s], prior, place[s], level, light)
+
+    subgroups = range(sensor.subgroups)
+    if grid.prior is not None:
+        prior = grid.prior
+        list(spread(lambda s: average(s, prior, evidence(s)), subgroups))
+    else:
+        assert guess is not None
+        found = list(spread(evidence, subgroups))
+        known = config.mask & ~np.isnan(guess.time)
+        prior = _learned(np.concatenate(list(spread(lambda s: _of_lights(*found[s], known[s], first[s]), subgroups))))
+        list(spread(lambda s: average(s, prior, found[s]), subgroups))
     shape = (sensor.rows, sensor.cols, bins)
-    return level.reshape(shape), light.reshape(shape)
+    return Levels(level.reshape(shape), light.reshape(shape), prior)
+
+
+def _learned(of_lights: np.ndarray) -> np.ndarray:
+    """float32[lights]: log share of the pixels with each light; the shares make the pixels, float32[n, lights], likeliest."""
+    chance = np.exp(of_lights - of_lights.max(axis=1, keepdims=True, initial=-np.inf), dtype=np.float64)
+    share = np.full(chance.shape[1], 1 / chance.shape[1])
+    for _ in range(LEARNING_ROUNDS if len(chance) else 0):
+        of_pixel = chance * share
+        share = (of_pixel / of_pixel.sum(axis=1, keepdims=True)).mean(axis=0)
+    share += LIGHT_FLOOR
+    return np.log(share / share.sum()).astype(np.float32)
 
 
 def _fired(lights: np.ndarray, sigma_ticks: float, reach: int) -> np.ndarray:
@@ -630,6 +670,32 @@ def _log(values, logs, k0, k1):
         x = np.float32(bits[j] & np.int32((1 << _FRACTION_BITS) - 1)) * np.float32(1 / (1 << _FRACTION_BITS))
         y = c[0] + x * (c[1] + x * (c[2] + x * (c[3] + x * (c[4] + x * (c[5] + x * (c[6] + x * c[7]))))))
         out[j] = y + np.float32(math.log(2)) * np.float32((bits[j] >> np.int32(_FRACTION_BITS)) - np.int32(127))
+
+
+@njit
+def _of_lights(common, total, touched, known, first):
+    """float32[known pixels, lights]: logarithm of the sum of a pixel's likelihoods over its times."""
+    times, lights = common.shape
+    found = np.empty((known.sum(), lights), np.float32)
+    line = np.empty((total.shape[1], lights), np.float32)
+    number = 0
+    for i in range(len(total)):
+        if not known[i]:
+            continue
+        top = np.full(lights, -np.inf, np.float32)
+        low, high = max(0, -first[i]), min(total.shape[1], times - first[i])
+        for k in range(low, high):
+            for x in range(lights):
+                line[k, x] = common[first[i] + k, x] + (total[i, k, x] if touched[i, k] else np.float32(0))
+                top[x] = max(top[x], line[k, x])
+        ratio = np.zeros(lights, np.float32)
+        for k in range(low, high):
+            for x in range(lights):
+                if line[k, x] > top[x] + FAINT:
+                    ratio[x] += math.exp(line[k, x] - top[x])
+        found[number] = top + np.log(ratio)
+        number += 1
+    return found
 
 
 @njit

@@ -5,20 +5,21 @@ All of this is our own choice. The steps are:
 
 1. the likelihood of every time in coarse steps (`likelihood.py`); from it and the neighbours' likelihoods, the pixel's
    seed (`seeds.py`);
-2. the likelihood in single ticks around the seeds; the seeds also tell how bright the pixels are;
+2. the likelihood in single ticks around the seeds, and how bright the pixels are in general;
 3. planes through this likelihood (`patchmatch.py`).
 """
 
 import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 
 import numpy as np
 from attrs import frozen
 
 from ..contract.config import Config
 from .histograms import Events, by_subgroup
-from .likelihood import Grid, Guess, log_likelihood, unheard
+from .likelihood import Grid, Guess, Levels, log_likelihood, unheard
 from .patchmatch import Field, fit_planes, posterior
 from .seeds import LEAST, Blocks, find_seeds
 
@@ -26,7 +27,6 @@ COARSE_SIGMAS = 1.2  # step of the first grid
 COARSE_LIGHTS = np.geomspace(0.02, 40, 7).astype(np.float32)  # photons per pulse
 LIGHTS = np.geomspace(0.015, 60, 12).astype(np.float32)
 BINS_SIGMAS = 16.0  # width of the bins around a seed
-LIGHT_FLOOR = 0.01  # share of the pixels that is assumed for a light that no pixel has
 HOT = 2.0  # background relative to the mean from which on a pixel's own value is used
 ACTIVITY_HITS = 10.0  # weight of the prior, in hits
 BLOCK_ROWS = 4
@@ -71,7 +71,7 @@ def find_surfaces(
         coarse = Grid(step, COARSE_LIGHTS, np.full(len(COARSE_LIGHTS), -np.log(len(COARSE_LIGHTS)), np.float32))
         never = unheard(events, config, pulses, sigma_ticks, pool.map)
         everywhere = np.zeros((sensor.subgroups, sensor.pixels), np.int64)
-        level, lights = log_likelihood(
+        level, lights, _ = log_likelihood(
             events,
             config,
             sigma_ticks,
@@ -90,15 +90,15 @@ def find_surfaces(
         activity = _activity(events, config, guess.time, sigma_ticks)
         bins = round(BINS_SIGMAS * sigma_ticks)
         first = np.where(np.isnan(seed), 0, seed).astype(np.int64) - bins // 2
-        fine = Grid(1, LIGHTS, _light_prior(light[found.bin >= 0]))
 
-        def around(first: np.ndarray) -> np.ndarray:
+        def around(first: np.ndarray, prior: np.ndarray | None = None) -> Levels:
             return log_likelihood(
-                events, config, sigma_ticks, pulses, fine, never, by_subgroup(first, sensor), bins,
+                events, config, sigma_ticks, pulses, Grid(1, LIGHTS, prior), never, by_subgroup(first, sensor), bins,
                 activity=activity, guess=guess, spread=pool.map,
-            )[0]  # fmt: skip
+            )  # fmt: skip
 
-        field = Field.of(around(first), first)
+        levels = around(first)
+        field = Field.of(levels.level, first)
         planes = fit_planes(field, blocks)
         confidence, error = posterior(field, planes, tolerance_ticks, blocks)
         time = planes.time[:, :, None]
@@ -113,19 +113,12 @@ def find_surfaces(
         ]
         if returns > 1:
             apart = events.window.max() + APART_SIGMAS * sigma_ticks
-            further = _further(level, lights, step, planes.time, apart, around, bins, returns - 1, blocks)
+            again = partial(around, prior=levels.prior)
+            further = _further(level, lights, step, planes.time, apart, again, bins, returns - 1, blocks)
             parts = [np.concatenate(pair, axis=2) for pair in zip(parts, further)]
     slope = np.where(seen, np.stack([planes.down, planes.right], axis=2), np.nan)
     time_of, sure, error_of = parts
     return Surfaces(time_of, sure, error_of, slope)
-
-
-def _light_prior(light: np.ndarray) -> np.ndarray:
-    """float32[lights]: log probability of each of `LIGHTS`, from the pixels' likeliest light among `COARSE_LIGHTS`."""
-    share = np.bincount(light, minlength=len(COARSE_LIGHTS)) / max(1, len(light))
-    share = np.interp(np.log(LIGHTS), np.log(COARSE_LIGHTS), share)
-    share = share / max(share.sum(), 1e-9) + LIGHT_FLOOR
-    return np.log(share / share.sum()).astype(np.float32)
 
 
 def _activity(events: Events, config: Config, seed: np.ndarray, sigma_ticks: float) -> np.ndarray:
@@ -151,7 +144,7 @@ def _further(
     step: int,
     time: np.ndarray,
     apart: float,
-    around: Callable[[np.ndarray], np.ndarray],
+    around: Callable[[np.ndarray], Levels],
     bins: int,
     most: int,
     blocks: Blocks,
@@ -170,7 +163,7 @@ def _further(
         if not there.any():
             break
         first = np.where(there, middle[seeds.bin], 0.0).astype(np.int64) - bins // 2
-        field = Field.of(around(first), first)
+        field = Field.of(around(first).level, first)
         planes = fit_planes(field, blocks)
         found[:, :, k] = taken = np.where(there, planes.time, np.nan)
         error[:, :, k] = np.where(there, posterior(field, planes, 0.0, blocks)[1], np.nan)

@@ -5,14 +5,20 @@ import numpy as np
 import pytest
 
 from coincid.model.contract.config import parse_config
+from coincid.model.depth.arrivals import pulse_sigma_ticks
 from coincid.model.depth.estimate import estimate_depth
+from coincid.model.depth.histograms import by_subgroup, frame_events
+from coincid.model.depth.likelihood import Grid, Guess, log_likelihood, unheard
+from coincid.model.depth.planes import LIGHTS
 from coincid.model.depth.quality import TOLERANCE_M, wrong_share
 from coincid.model.golden.frame import golden_result
+from coincid.model.light.light import signal_per_pulse
 from coincid.model.light.photons import generate_edges
 from coincid.model.light.spad import Spad
 from coincid.model.light.timing import Timing
 from coincid.model.scenes.catalogue import load_scene
 from coincid.model.scenes.scene import Scene, scene_light
+from coincid.model.shared.constants import SPEED_OF_LIGHT_M_S
 
 ROWS, COLS = 16, 24
 DOWN_M, RIGHT_M = 0.02, -0.05  # slopes per pixel
@@ -61,6 +67,28 @@ def test_much_light_leaves_no_bias(near_m):
     depth = estimate(scene, 50.0)
     assert share(depth, scene) < 0.05
     assert abs(np.median(depth.depth_m[:, :, 0] - scene.truth_m)) < 0.015
+
+
+@pytest.mark.parametrize("link_gbps", [0.0, 1.0])
+def test_the_light_is_learned_from_the_frame(link_gbps):
+    """Also where the link drops most windows, and single pixels say little about their light."""
+    scene = tilted(1.5, 0.3)
+    config = parse_config({"sensor": {"rows": ROWS, "cols": COLS}, "frame": {"link_gbps": link_gbps}})
+    edges = generate_edges(scene_light(scene, 50.0), Spad(), Timing.from_config(config), pulses=config.pulses, seed=1)
+    result = golden_result(config, edges)
+    assert (result["dropped"].sum() > result["stored"].sum()) == (link_gbps > 0)
+    sigma_ticks = pulse_sigma_ticks(config)
+    events = frame_events(result, config, sigma_ticks)
+    time = by_subgroup(scene.truth_m / (config.tick_s * SPEED_OF_LIGHT_M_S / 2), config.sensor)
+    light = by_subgroup(signal_per_pulse(scene.truth_m, scene.reflectivity[:, :, 0]), config.sensor)
+    levels = log_likelihood(
+        events, config, sigma_ticks, config.pulses, Grid(1, LIGHTS, None), unheard(events, config, config.pulses, sigma_ticks),
+        np.rint(time).astype(np.int64) - 8, 16, guess=Guess(time, light),
+    )  # fmt: skip
+    share = np.exp(levels.prior)
+    assert share.sum() == pytest.approx(1, abs=1e-5)
+    near = (light.min() / 2 < LIGHTS) & (light.max() * 2 > LIGHTS)
+    assert share[near].sum() > 0.75
 
 
 def test_many_photons_leave_no_error():
