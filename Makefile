@@ -41,7 +41,7 @@ check: ## quick checks before a commit: style, and the tests of tests/quick.txt
 	@scripts/setup icarus
 	@$(BIN)/ruff check .
 	@$(BIN)/ruff format --check .
-	@$(BIN)/python -m pytest -n 2 $(PYTEST_ARGS) @tests/quick.txt
+	@$(BIN)/python -m pytest -n 2 --dist loadgroup $(PYTEST_ARGS) @tests/quick.txt
 emulate: ## the simulated emulator behind its serial pins, every word checked (PORT=/dev/ttyUSB0: on a board); depth in build/emulate/
 	@scripts/setup
 	@$(BIN)/coincid emulate $(if $(PORT),--port '$(value PORT)',--simulate) $(call option,scene,SCENE) $(call option,klux,KLUX) \
@@ -49,7 +49,7 @@ emulate: ## the simulated emulator behind its serial pins, every word checked (P
 
 test: ## the whole regression, on both simulators
 	@scripts/setup icarus
-	@$(BIN)/python -m pytest -n 2 $(PYTEST_ARGS)
+	@$(BIN)/python -m pytest -n 2 --dist loadgroup $(PYTEST_ARGS)
 
 formal: ## unbounded proofs of every block; logs in build/formal/ (NAMES="tdc tree": only these)
 	@scripts/setup

@@ -15,16 +15,15 @@ from coincid.flow.release import release_files
 from coincid.flow.synth import GATES, synthesize
 
 SIZES = {
+    "4 phases, FIFO of 2": {"phases": 4, "fifo_depth": 2, "window_max": 16},
     "8 phases, FIFO of 4": {"phases": 8, "fifo_depth": 4, "window_max": 16},
-    "16 phases, FIFO of 16": {"phases": 16},
 }
 base = {"rows": 4, "cols": 8, "subgroup": [4, 4]}
-netlists = {}
-for name, changed in SIZES.items():
-    config = coincid.parse_config({"sensor": base | changed})
-    verilog = [text for file, text in release_files(config).items() if file.endswith(".v")]
-    netlists[name] = synthesize(config.sensor, GATES)
-    print(f"{name}: {len(verilog)} Verilog files, {sum(text.count(chr(10)) for text in verilog)} lines")
+configs = {name: coincid.parse_config({"sensor": base | changed}) for name, changed in SIZES.items()}
+name, config = next(iter(configs.items()))
+verilog = [text for file, text in release_files(config).items() if file.endswith(".v")]
+print(f"{name}: {len(verilog)} Verilog files, {sum(text.count(chr(10)) for text in verilog)} lines")
+netlists = {name: synthesize(config.sensor, GATES) for name, config in configs.items()}
 
 # %%
 # `synthesize` maps to two-input gates with Yosys. `coincid synth` writes the same table for standard cells and an ECP5 FPGA.

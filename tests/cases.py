@@ -12,7 +12,7 @@ from coincid.model.contract.pixels import pixel_table
 
 SENSORS = {  # small ones, so that a case is fast; together they change every parameter from its default
     "default": {"rows": 8, "cols": 16},
-    "one": {"rows": 8, "cols": 8, "offset_phases": 32},
+    "one": {"rows": 8, "cols": 8},
     "coarse": {"rows": 8, "cols": 16, "phases": 8, "window_max": 16, "rearm": 2, "fifo_depth": 2},
     "tiny": {
         "rows": 12,
@@ -33,7 +33,7 @@ SENSORS = {  # small ones, so that a case is fast; together they change every pa
         "phases": 64,
         "coarse_bits": 7,
         "window_max": 200,
-        "offset_phases": 32,
+        "offset_phases": 64,
         "streams": 2,
     },
     "wide": {

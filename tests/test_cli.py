@@ -31,6 +31,7 @@ from coincid.model.contract.result import differences, stall
 from coincid.model.golden.frame import golden_result
 
 from .cases import SENSORS
+from .releases import small_releases
 
 CONFIG = """
 [sensor]
@@ -351,31 +352,35 @@ def test_budget_for_programs_and_people():
 
 @pytest.fixture(scope="module")
 def exports(tmp_path_factory):
-    """Exports of the default sensor, of the same in another process, and of 64 x 64: name -> {file: bytes}."""
+    """Exports of the default sensor over an earlier export, of the same in another process, and of 8 x 16 pixels: name -> {file: bytes}."""
     folder = tmp_path_factory.mktemp("rtl")
-    (folder / "large.toml").write_text("[sensor]\nrows = 64\ncols = 64\n")
+    (folder / "default").mkdir()
+    (folder / "default" / FILE_LIST).write_text("stale.v\n")
+    (folder / "default" / "stale.v").write_text("module stale; endmodule\n")
     assert run("verilog", "--out", folder / "default").exit_code == 0
-    assert run("verilog", "--out", folder / "large", "--config", folder / "large.toml").exit_code == 0
     again = [sys.executable, "-m", "coincid", "verilog", "--out", "again"]
     subprocess.run(again, cwd=folder, env=os.environ | {"PYTHONHASHSEED": "17"}, check=True)
-    return {
-        name: {path.name: path.read_bytes() for path in (folder / name).iterdir()}
-        for name in ("default", "again", "large")
-    }
+    assert sorted(path.name for path in folder.iterdir()) == ["again", "default"]
+    folders = {"default": folder / "default", "again": folder / "again", "small": small_releases() / "silicon"}
+    return {name: {path.name: path.read_bytes() for path in of.iterdir()} for name, of in folders.items()}
 
 
-def test_export_is_the_same_every_time(exports):
+@pytest.mark.xdist_group("exports")
+def test_export_is_the_same_every_time_and_replaces_an_earlier_one(exports):
+    assert "stale.v" not in exports["default"]
     assert exports["default"] == exports["again"]
 
 
+@pytest.mark.xdist_group("exports")
 def test_export_does_not_grow_with_the_array(exports):
-    default, large = (
+    small, default = (
         sum(len(exports[key][name]) for name in exports[key][FILE_LIST].decode().split())
-        for key in ("default", "large")
+        for key in ("small", "default")
     )
-    assert large <= 1.3 * default
+    assert default <= 1.3 * small
 
 
+@pytest.mark.xdist_group("exports")
 def test_export_has_the_files_that_its_list_names(exports):
     for files in exports.values():
         listed = files[FILE_LIST].decode().split()
@@ -386,6 +391,7 @@ def test_export_has_the_files_that_its_list_names(exports):
         assert f"{TOP}.v" in listed
 
 
+@pytest.mark.xdist_group("exports")
 def test_export_names_no_place_of_this_machine(exports):
     places = {
         os.getcwd(),
@@ -399,24 +405,13 @@ def test_export_names_no_place_of_this_machine(exports):
         assert not [place for place in places if len(place) > 1 and place.encode() in data], name
 
 
-def test_export_replaces_an_earlier_one_and_nothing_else(tmp_path):
-    small = tmp_path / "small.toml"
-    small.write_text("[sensor]\nrows = 8\ncols = 8\n")
-    out = tmp_path / "rtl"
-    out.mkdir()
-    (out / FILE_LIST).write_text("stale.v\n")
-    (out / "stale.v").write_text("module stale; endmodule\n")
-    assert run("verilog", "--out", out, "--config", small).exit_code == 0
-    assert (out / f"{TOP}.v").exists()
-    assert not (out / "stale.v").exists()
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["rtl", "small.toml"]
-
-    (tmp_path / "mine").mkdir()
-    (tmp_path / "mine" / "thesis.tex").write_text("x")
-    assert_refused(run("verilog", "--out", tmp_path / "mine", "--config", small), "mine", "empty")
-    assert (tmp_path / "mine" / "thesis.tex").exists()
+def test_export_replaces_nothing_but_an_export(tmp_path):
+    (tmp_path / "thesis.tex").write_text("x")
+    assert_refused(run("verilog", "--out", tmp_path), tmp_path.name, "empty")
+    assert (tmp_path / "thesis.tex").exists()
 
 
+@pytest.mark.xdist_group("exports")
 def test_register_files_agree_with_the_register_table(exports, tmp_path):
     files, sensor = exports["default"], parse_config({}).sensor
     described = json.loads(files[JSON])

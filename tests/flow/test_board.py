@@ -2,6 +2,8 @@
 """The emulator for a board: its netlist boots and sends frames as predicted, its Verilog lints, its PLL and pins are the board's."""
 
 import re
+from functools import cache
+from types import MappingProxyType
 
 import numpy as np
 import pytest
@@ -51,15 +53,22 @@ def test_the_netlist_boots_and_sends_frames():
         assert session.tally.recoveries == 1 and session.tally.frames == 3
 
 
+@cache
+def released(kind):
+    return MappingProxyType(emulator_release(config(), kind, 64))
+
+
+@pytest.mark.xdist_group("boards")
 @pytest.mark.parametrize("kind", TOPS)
 def test_what_is_exported_lints(kind):
-    files = emulator_release(config(), kind, 64)
+    files = released(kind)
     assert f"module {TOPS[kind]} " in files[f"{TOPS[kind]}.v"] and "registers.md" in files
     assert not any(lint_emulator(files, TOPS[kind]).values())
 
 
+@pytest.mark.xdist_group("boards")
 def test_lint_finds_what_is_wrong():
-    files = emulator_release(config(), "axi", 64)
+    files = dict(released("axi"))
     files[f"{TOPS['axi']}.v"] = files[f"{TOPS['axi']}.v"].replace("  output laser", "  output nothing,\n  output laser")
     assert "nothing" in lint_emulator(files, TOPS["axi"])["verilator"]
 
@@ -89,8 +98,9 @@ def test_the_presets_are_what_a_board_needs():
     assert load_config("emulator-axi").sensor.subgroups > of.sensor.subgroups
 
 
+@pytest.mark.xdist_group("boards")
 def test_every_port_of_the_board_has_its_pin():
-    files = emulator_release(config(), "ulx3s", 64)
+    files = released("ulx3s")
     ports = re.findall(r"^  (?:input|output) (?:\[(\d+):0\] )?(\w+)", files[f"{BOARD_TOP}.v"], re.MULTILINE)
     bits = {f"{name}[{k}]" if msb else name for msb, name in ports for k in range(int(msb or 0) + 1)}
     located = re.findall(r'^LOCATE COMP "(.*)" SITE "(\w+)";$', files[PINS], re.MULTILINE)

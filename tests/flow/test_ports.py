@@ -14,41 +14,43 @@ from coincid.flow.ports import EXAMPLE, generated, instantiation, port_rows, wit
 from coincid.flow.release import README, release_files
 from coincid.hdl.export import FILE_LIST
 from coincid.hdl.sensor import FPGA_TOP, FlatSensor
-from coincid.hdl.views import view_at
+from coincid.hdl.views import POLYPHASE, view_at
 from coincid.model.contract.config import parse_config
 from coincid.model.contract.latency import BEAT_TO_PORT, COMMIT, GRANT_TO_BEAT, STORE_TO_GRANT
 from coincid.model.contract.packet import Kind, header_field
-from coincid.model.contract.parameters import TOP, Sensor
+from coincid.model.contract.parameters import TOP
 from coincid.study.drawings import timing
 
+from ..releases import document, small_releases
+
 PAGE = Path(__file__).parents[2] / "docs" / "integrate.md"
-SMALL_FPGA = Sensor(rows=8, cols=8, phases=8, window_max=16)
 
 
 def test_the_page_has_what_the_rtl_says():
     assert with_parts(PAGE.read_text(), generated(EXAMPLE)) == PAGE.read_text()
 
 
-@pytest.mark.parametrize(
-    "sensor, top, view",
-    [
-        (EXAMPLE, TOP, "polyphase"),
-        (SMALL_FPGA, FPGA_TOP, "polyphase"),
-        (Sensor(rows=8, cols=24, streams=3), TOP, "async"),
-    ],
-)
-def test_rows_are_the_ports_of_the_verilog(sensor, top, view):
-    view = view_at(view, 400)
-    sizes = {name: getattr(sensor, name) for name in ("rows", "cols", "phases", "window_max", "streams")}
-    config = parse_config({"sensor": sizes, "frame": {"clock_mhz": 400}})
-    files = release_files(config, view)
-    head = files[f"{top}.v"].partition(");")[0]
+@pytest.mark.parametrize("name, top", [("silicon", TOP), ("fpga", FPGA_TOP)])
+def test_rows_are_the_ports_of_the_verilog(name, top):
+    folder = small_releases() / name
+    check_rows(parse_config(document(name)).sensor, top, POLYPHASE, lambda file: (folder / file).read_text())
+
+
+def test_rows_are_the_ports_of_several_streams_and_cells():
+    table = {"rows": 8, "cols": 24, "streams": 3}
+    config, view = parse_config({"sensor": table, "frame": {"clock_mhz": 400}}), view_at("async", 400)
+    check_rows(config.sensor, TOP, view, release_files(config, view).__getitem__)
+
+
+def check_rows(sensor, top, view, text):
+    """Check the rows against the release whose files `text` returns by name."""
+    head = text(f"{top}.v").partition(");")[0]
     found = re.findall(r"^  (input|output) (?:\[(\d+):0\] )?(\w+)", head, re.MULTILINE)
     rows = port_rows(sensor, top, view)
     assert [(row.name, row.width, row.direction) for row in rows] == [
         (name, int(high or 0) + 1, {"input": "in", "output": "out"}[kind]) for kind, high, name in found
     ]
-    assert instantiation(sensor, top, view) in files[README]
+    assert instantiation(sensor, top, view) in text(README)
     assert all(row.meaning and bool(row.reset) == (row.direction == "out") for row in rows)
 
 
@@ -87,12 +89,10 @@ def test_outputs_after_a_reset_are_as_told():
 
 @pytest.mark.skipif(not shutil.which("iverilog"), reason="Icarus is not installed")
 def test_the_instance_compiles(tmp_path):
-    files = release_files(parse_config({"sensor": {"rows": 8, "cols": 16}}))
-    names = files[FILE_LIST].split()
-    for name in names:
-        (tmp_path / name).write_text(files[name])
+    folder = small_releases() / "silicon"
+    files = [str(folder / name) for name in (folder / FILE_LIST).read_text().split()]
     (tmp_path / "user.v").write_text(f"module user;\n{instantiation(EXAMPLE)}endmodule\n")
-    command = ["iverilog", "-g2005", "-Wall", "-s", "user", "-o", "user.vvp", *names, "user.v"]
+    command = ["iverilog", "-g2005", "-Wall", "-s", "user", "-o", "user.vvp", *files, "user.v"]
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
     assert done.returncode == 0 and "port" not in done.stderr, done.stderr
 

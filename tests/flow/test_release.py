@@ -19,7 +19,6 @@ from coincid.flow.register_files import IP_XACT, RDL
 from coincid.flow.release import MANIFEST, write_release
 from coincid.flow.smoke import FPGA_SMOKE, SMOKE
 from coincid.hdl.sensor import FPGA_TOP
-from coincid.hdl.views import POLYPHASE, VIEWS
 from coincid.model.contract.config import load_config, parse_config
 from coincid.model.contract.parameters import TOP
 from coincid.model.contract.registers import BY_NAME, SUBGROUP, Access, address
@@ -28,13 +27,8 @@ from coincid.tb import toolchain
 from coincid.tb.rtl import rtl
 
 from ..cases import SENSORS
+from ..releases import CLOCK_MHZ, SMALL, document, small_releases
 
-SMALL = {  # the presets' circuits, one module of each
-    "silicon": {"rows": 8, "cols": 16},
-    "fpga": {"rows": 8, "cols": 8, "phases": 8, "window_max": 16},
-    "async": {"rows": 8, "cols": 16},
-}
-CLOCK_MHZ = {"silicon": 500, "fpga": 125, "async": 400}
 TOPS = [("silicon", TOP, SMOKE), ("fpga", TOP, SMOKE), ("fpga", FPGA_TOP, FPGA_SMOKE), ("async", TOP, SMOKE)]
 PROGRAMS = "iverilog vvp sh dirname"
 
@@ -43,17 +37,10 @@ def config(name):
     return parse_config(document(name))
 
 
-def document(name):
-    return {"sensor": SMALL[name], "frame": {"clock_mhz": CLOCK_MHZ[name]}}
-
-
 @pytest.fixture(scope="module")
 def releases(tmp_path_factory):
-    """Write one folder per preset, one after the other in one process."""
-    folder = tmp_path_factory.mktemp("release")
-    for name in SMALL:
-        write_release(folder / name, config(name), VIEWS.get(name, POLYPHASE))
-    return folder
+    """A copy, because simulators write to it."""
+    return Path(shutil.copytree(small_releases(), tmp_path_factory.mktemp("release") / "all"))
 
 
 def alone(command, folder, path=""):
@@ -99,7 +86,7 @@ def test_smoke_test_passes_on_verilator(releases):
     assert done.returncode == 0
 
 
-@pytest.mark.parametrize("name", ["tiny", "wide"])
+@pytest.mark.parametrize("name", ["tiny", "odd"])
 def test_smoke_test_of_other_sensors(name, tmp_path):
     folder = tmp_path / "rtl"
     write_release(folder, parse_config({"sensor": SENSORS[name], "frame": {"period": 100}}))
@@ -156,7 +143,7 @@ def test_presets_of_one_process_do_not_mix(releases, tmp_path):
         "from coincid.model.contract.config import parse_config\n"
         "write_release(sys.argv[1], parse_config(eval(sys.argv[2])), VIEWS.get(sys.argv[3], POLYPHASE))"
     )
-    for name in SMALL:
+    for name in list(SMALL)[1:]:  # the first has none before it in its process
         subprocess.run([sys.executable, "-c", script, tmp_path / name, repr(document(name)), name], check=True)
         for path in (tmp_path / name).iterdir():
             assert path.read_bytes() == (releases / name / path.name).read_bytes(), path.name

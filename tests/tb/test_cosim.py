@@ -32,7 +32,7 @@ BUILDS = [
     (sensor, engine)
     for sensor in SENSORS
     for engine in ENGINES
-    if engine != "cocotb-verilator" or sensor in ("one", "tiny")
+    if engine != "cocotb-verilator" or sensor in ("default", "tiny")
 ]
 FRAMES = 12  # per simulation, whose start costs more than a frame
 

@@ -1,0 +1,35 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Release folders of small sensors, written once for the state of the sources, for all tests that look at them."""
+
+from pathlib import Path
+
+from coincid.flow.release import write_release
+from coincid.hdl.views import POLYPHASE, VIEWS
+from coincid.model.contract.config import parse_config
+from coincid.model.shared.folders import build_root
+from coincid.model.shared.sources import digest, sources_digest
+from coincid.tb.toolchain import build_once
+
+SMALL = {  # the presets' circuits, one module of each
+    "silicon": {"rows": 8, "cols": 16},
+    "fpga": {"rows": 8, "cols": 8, "phases": 8, "window_max": 16},
+    "async": {"rows": 8, "cols": 16},
+}
+CLOCK_MHZ = {"silicon": 500, "fpga": 125, "async": 400}
+
+
+def document(name):
+    return {"sensor": SMALL[name], "frame": {"clock_mhz": CLOCK_MHZ[name]}}
+
+
+def small_releases() -> Path:
+    """Return a folder with one release per name in `SMALL`, written one after the other in one process."""
+
+    def make(folder):
+        for name in SMALL:
+            write_release(folder / name, parse_config(document(name)), VIEWS.get(name, POLYPHASE))
+
+    key = digest(
+        repr([document(name) for name in SMALL]), sources_digest("hdl", "flow", "model.contract", "model.shared")
+    )
+    return build_once(build_root() / "releases" / key, make)
