@@ -190,7 +190,8 @@ def log_likelihood(
         return common, total, touched
 
     def average(s: int, prior: np.ndarray, of_lights: tuple[np.ndarray, np.ndarray, np.ndarray]) -> None:
-        _over_lights(*of_lights, config.mask[s], first[s], prior, place[s], level, light)
+        of_subgroup = _of_met(prior) if events.threshold[s] > 1 else prior
+        _over_lights(*of_lights, config.mask[s], first[s], of_subgroup, place[s], level, light)
 
     subgroups = range(sensor.subgroups)
     if grid.prior is not None:
@@ -204,6 +205,14 @@ def log_likelihood(
         list(spread(lambda s: average(s, prior, found[s]), subgroups))
     shape = (sensor.rows, sensor.cols, bins)
     return Levels(level.reshape(shape), light.reshape(shape), prior)
+
+
+def _of_met(prior: np.ndarray) -> np.ndarray:
+    """Return the prior for windows that met a threshold above 1: no light counts as rarer than a brighter one.
+
+    Among these windows, dark pixels are hit more often than the law says, and look brighter than they are.
+    """
+    return np.maximum.accumulate(prior[::-1])[::-1]
 
 
 def _learned(of_lights: np.ndarray) -> np.ndarray:

@@ -94,7 +94,7 @@ def test_the_light_is_learned_from_the_frame(link_gbps):
 def test_many_photons_leave_no_error():
     scene = tilted()
     depth = estimate(scene, 1.0, frame={"pulses": 1000})
-    assert np.percentile(np.abs(depth.depth_m[:, :, 0] - scene.truth_m), 99) < 0.02
+    assert np.percentile(np.abs(depth.depth_m[:, :, 0] - scene.truth_m), 99) < 0.025
 
 
 def test_slopes_and_standard_errors():
