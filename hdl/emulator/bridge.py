@@ -92,17 +92,21 @@ class SerialBridge(Unit):
         word = Signal(DATA_BITS)
         address = Signal(ADDRESS_BITS)
         status = Signal(Answer)
-        repeated, follows = Signal(), Signal()
         m.d.comb += [
             get.addr.eq(at),
-            repeated.eq(sequence == last),
-            follows.eq(sequence == (last + 1)[:8]),
             access.address.eq(address),
             access.data.eq(word),
             access.write.eq(operation == Operation.WRITE),
         ]
-        is_read, is_write = Signal(), Signal()
-        m.d.comb += [
+        # What a request is, in registers, so that no decision waits for a comparison.
+        short, is_hello, is_read, is_write, repeated, follows = (Signal() for _ in range(6))
+        is_last = Signal()  # the word on its way is the request's last
+        m.d.sync += [
+            short.eq(length < HEAD_BYTES),
+            is_hello.eq((operation == Operation.HELLO) & (length == HEAD_BYTES)),
+            repeated.eq(sequence == last),
+            follows.eq(sequence == (last + 1)[:8]),
+            is_last.eq(words + 1 == count),
             is_read.eq(
                 (operation == Operation.READ) & (length == HEAD_BYTES) & (count != 0) & (count <= READ_WORDS_MAX)
             ),
@@ -127,13 +131,15 @@ class SerialBridge(Unit):
                 with m.If(waited):
                     m.d.sync += [head.eq(Cat(head[8:], get.data)), at.eq(at + 1)]
                     with m.If(at == HEAD_BYTES - 1):
-                        m.next = "look"
+                        m.next = "weigh"
+            with m.State("weigh"):
+                m.next = "look"
             with m.State("look"):
                 m.d.sync += [words.eq(0), byte_of.eq(0), address.eq(head[24:]), waited.eq(0), status.eq(Answer.OKAY)]
                 m.next = "number"
-                with m.If(length < HEAD_BYTES):
+                with m.If(short):
                     m.d.sync += status.eq(Answer.UNKNOWN)
-                with m.Elif((operation == Operation.HELLO) & (length == HEAD_BYTES)):
+                with m.Elif(is_hello):
                     m.d.sync += [last.eq(sequence), greeted.eq(1), last_wrote.eq(0)]
                     m.d.sync += status.eq(Mux(fresh, Answer.FRESH, Answer.OKAY))
                 with m.Elif(~greeted):
@@ -167,7 +173,7 @@ class SerialBridge(Unit):
                     with m.Else():
                         m.d.sync += words.eq(words + 1)
                         m.next = "collect"
-                        with m.If(words == count - 1):
+                        with m.If(is_last):
                             m.next = "remember"
             with m.State("remember"):
                 m.d.sync += [last.eq(sequence), last_wrote.eq(1), last_done.eq(words), last_status.eq(status)]
@@ -191,7 +197,7 @@ class SerialBridge(Unit):
             with m.State("read"):
                 m.d.sync += access.valid.eq(~access.done)
                 with m.If(access.done):
-                    m.d.sync += [address.eq(address + WORD_BYTES), word.eq(access.value), words.eq(words + 1)]
+                    m.d.sync += [address.eq(address + WORD_BYTES), word.eq(access.value)]
                     m.next = "word"
                     with m.If(access.refused):
                         m.d.sync += status.eq(Answer.REFUSED)
@@ -201,8 +207,9 @@ class SerialBridge(Unit):
                 with m.If(answer.w_rdy):
                     m.d.sync += [word.eq(word >> 8), byte_of.eq(byte_of + 1)]
                     with m.If(byte_of == WORD_BYTES - 1):
+                        m.d.sync += words.eq(words + 1)
                         m.next = "read"
-                        with m.If(words == count):
+                        with m.If(is_last):
                             m.next = "status"
             with m.State("status"):
                 m.d.comb += [answer.w_en.eq(1), answer.w_data.eq(status | LAST)]

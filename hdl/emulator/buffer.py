@@ -3,7 +3,7 @@
 
 from types import SimpleNamespace
 
-from amaranth.hdl import Module, Signal
+from amaranth.hdl import Cat, Module, Signal
 from amaranth.lib.memory import Memory
 from amaranth.lib.wiring import In, Out
 
@@ -22,10 +22,11 @@ class FrameBuffer(Unit):
     s_axis : in, the sensor's stream; `tready` is low only while the buffer is full
     level, first : out, number of beats in the buffer, and address of the first
     take : in, strobe: remove beats; amount : in, their number, at most `level`
-    address : in, number of the 32-bit word to read, low half of a beat first; word : out, two cycles later
+    address : in, number of the 32-bit word to read, low half of a beat first; word : out, three cycles later
     stalls : out, number of cycles in which the sensor waited; saturates
 
-    Reset empties the buffer; the memory keeps its contents.
+    A beat is in the memory two cycles after it has been taken from the stream. Reset empties the buffer; the memory
+    keeps its contents.
     """
 
     unit_name = "coincid_frame_buffer"
@@ -51,20 +52,24 @@ class FrameBuffer(Unit):
         m.submodules.beats = beats = Memory(shape=BEAT_BITS, depth=self.depth, init=[])
         write, read = beats.write_port(), beats.read_port()
         behind = Signal(range(self.depth))
-        high = Signal()
+        high = Signal(2)
+        beat = Signal(BEAT_BITS)
+        full = Signal()  # a register beside the level, so that the sensor does not wait for a comparison
         taken = Signal()
         m.d.comb += [
-            self.s_axis.tready.eq(self.level != self.depth),
+            self.s_axis.tready.eq(~full),
             taken.eq(self.s_axis.tvalid & self.s_axis.tready),
-            write.addr.eq(behind),
-            write.data.eq(self.s_axis.tdata),
-            write.en.eq(taken),
             read.addr.eq(self.address[1:]),
             read.en.eq(1),
         ]
         m.d.sync += [
-            high.eq(self.address[0]),
-            self.word.eq(read.data.word_select(high, DATA_BITS)),
+            full.eq((full | (self.s_axis.tvalid & (self.level == self.depth - 1))) & ~(self.take & self.amount.any())),
+            write.addr.eq(behind),  # the block RAMs are far apart, so registers stand on either side of them
+            write.data.eq(self.s_axis.tdata),
+            write.en.eq(taken),
+            high.eq(Cat(self.address[0], high)),
+            beat.eq(read.data),
+            self.word.eq(beat.word_select(high[1], DATA_BITS)),
             behind.eq(behind + taken),
             self.level.eq(self.level + taken - (self.amount & self.take.replicate(len(self.amount)))),
         ]
@@ -72,5 +77,5 @@ class FrameBuffer(Unit):
             m.d.sync += self.first.eq(self.first + self.amount)
         with m.If(self.s_axis.tvalid & ~self.s_axis.tready & ~self.stalls.all()):
             m.d.sync += self.stalls.eq(self.stalls + 1)
-        self.state = SimpleNamespace(behind=behind, beats=beats)
+        self.state = SimpleNamespace(behind=behind, full=full, beats=beats)
         return m

@@ -181,14 +181,19 @@ class EmulatorControl(Unit):
         ]
         state.sources = Signal(DATA_BITS)
         m.d.sync += state.sources.eq(Mux(state.is_echo, echo_read.data, background_read.data))
-        # Checks of the ranges.
+        # Checks of the ranges: first of each, then of the one that is meant.
         state.legal = Signal()
+        fits = {
+            r.name: (access.data >= r.low(sensor)) & (access.data <= r.high(sensor))
+            for r in OWN
+            if r.access is Access.SETTING
+        }
+        fits["buffer_take"] = access.data <= buffer.level
         checks = []
-        for r in OWN:
-            if r.access is Access.SETTING:
-                low, high = r.low(sensor), r.high(sensor)
-                checks.append(state.named[r.name] & (access.data >= low) & (access.data <= high))
-        checks.append(state.named["buffer_take"] & (access.data <= buffer.level))
+        for name, in_range in fits.items():
+            fit = Signal(name=f"fits_{name}")
+            m.d.sync += fit.eq(in_range)
+            checks.append(state.named[name] & fit)
         m.d.sync += state.legal.eq(
             Mux(
                 state.region["own"],
