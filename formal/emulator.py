@@ -5,7 +5,7 @@ These proofs replace the CRC of a frame, which is the library's, by an arbitrary
 is only a parameter of counters. The pixels of a source are independent, so a proof for an arbitrary one holds for all.
 """
 
-from amaranth.hdl import Const, Mux, Signal
+from amaranth.hdl import Cat, Const, Mux, Signal
 
 from ..hdl.emulator.buffer import FrameBuffer
 from ..hdl.emulator.source import PhotonSource
@@ -25,11 +25,14 @@ def deframer(b: Bench) -> None:
     valid, byte, broken, hold = Signal(), Signal(8), Signal(), Signal()
     m.d.comb += [signal.eq(b.anything(len(signal))) for signal in (valid, byte, broken, hold)]
     body = b.place("dut", unit, valid=valid, byte=byte, broken=broken, hold=hold)
-    flag = b.same("flag", valid & ~broken & (byte == FLAG))
+    b.always(Cat(body.came, body.byte, body.broken) == b.past(Cat(valid, byte, broken)))
+    came, byte, broken = body.came, body.byte, body.broken
+    b.always((body.is_flag == (~broken & (byte == FLAG))) & (body.is_escape == (byte == ESCAPE)), where=body.came)
+    flag = b.same("flag", came & ~broken & (byte == FLAG))
     in_frame, spoilt, put = Signal(), Signal(), Signal(range(BODY_BYTES_MAX + 2))
     with m.If(flag):
         m.d.sync += [in_frame.eq(1), spoilt.eq(0), put.eq(0)]
-    with m.Elif(valid & in_frame):
+    with m.Elif(came & in_frame):
         m.d.sync += spoilt.eq(spoilt | broken | (put == BODY_BYTES_MAX))
         with m.If(unit.put):
             m.d.sync += put.eq(put + 1)
@@ -46,7 +49,7 @@ def deframer(b: Bench) -> None:
     b.always(~(unit.right & unit.wrong))
     b.always(unit.length == b.past(put - CRC_BYTES), where=unit.right)
     b.cover(unit.wrong & b.past(spoilt))
-    b.cover(unit.put & b.past(valid & (byte == ESCAPE)))
+    b.cover(unit.put & b.past(came & (byte == ESCAPE)))
 
 
 @proof(depth=2, cover=14)
@@ -62,6 +65,9 @@ def framer(b: Bench) -> None:
     gone = b.same("gone", unit.out_valid & ready)
     b.always((unit.out_byte == FLAG) == ends, where=unit.out_valid)
     b.always(gone & ~ends, where=unit.ready)
+    b.always(body.special == ((body.byte == FLAG) | (body.byte == ESCAPE)), where=body.weighed)
+    b.always(~body.weighed | body.machine.ongoing("body") | body.machine.ongoing("tail"))
+    b.always(~body.weighed | valid, where=body.machine.ongoing("body"))
     escape = Signal()  # the previous byte was an escape
     with m.If(gone):
         m.d.sync += escape.eq(~ends & (unit.out_byte == ESCAPE))

@@ -103,7 +103,7 @@ class Deframer(Unit):
     wrong : out, strobe: a body has ended that is not right
 
     A body that is longer than any request is wrong, and so is one with a broken byte. Two flags in a row are not a
-    frame. After a reset, the deframer waits for a flag.
+    frame. Outputs are of the byte that came a cycle before. After a reset, the deframer waits for a flag.
     """
 
     unit_name = "coincid_deframer"
@@ -130,23 +130,29 @@ class Deframer(Unit):
         m.submodules.crc = crc = CRC32_ISO_HDLC(8).create()
         listening, escaped, bad = Signal(), Signal(), Signal()
         count = Signal.like(self.length)
+        came, byte, broken, is_flag, is_escape = Signal(), Signal(8), Signal(), Signal(), Signal()
         m.d.comb += [
-            crc.data.eq(Mux(escaped, self.byte ^ FLIP, self.byte)),
+            crc.data.eq(Mux(escaped, byte ^ FLIP, byte)),
             self.data.eq(crc.data),
             self.index.eq(count),
         ]
         m.d.sync += [self.right.eq(0), self.wrong.eq(0), self.length.eq(count - CRC_BYTES)]
-        is_flag, is_escape = Signal(), Signal()
-        m.d.comb += [is_flag.eq(self.byte == FLAG), is_escape.eq(self.byte == ESCAPE)]
-        with m.If(self.valid):
-            with m.If(~self.broken & is_flag):
+        m.d.sync += [
+            came.eq(self.valid),
+            byte.eq(self.byte),
+            broken.eq(self.broken),
+            is_flag.eq(~self.broken & (self.byte == FLAG)),
+            is_escape.eq(self.byte == ESCAPE),
+        ]
+        with m.If(came):
+            with m.If(is_flag):
                 m.d.comb += crc.start.eq(1)
                 m.d.sync += [listening.eq(1), escaped.eq(0), bad.eq(0), count.eq(0)]
                 with m.If(listening & (count != 0)):
                     fine = ~bad & ~escaped & (count > CRC_BYTES) & crc.match_detected
                     m.d.sync += [self.right.eq(fine), self.wrong.eq(~fine)]
             with m.Elif(listening):
-                with m.If(self.broken | (count == BODY_BYTES_MAX)):
+                with m.If(broken | (count == BODY_BYTES_MAX)):
                     m.d.sync += [bad.eq(1), count.eq(Mux(count == 0, 1, count))]
                 with m.Elif(is_escape & ~escaped):
                     m.d.sync += [escaped.eq(1), count.eq(count)]
@@ -155,7 +161,18 @@ class Deframer(Unit):
                     m.d.sync += [escaped.eq(0), count.eq(count + 1)]
         with m.If(self.hold):
             m.d.sync += [listening.eq(0), self.right.eq(0), self.wrong.eq(0)]
-        self.state = SimpleNamespace(listening=listening, escaped=escaped, bad=bad, count=count, crc=crc)
+        self.state = SimpleNamespace(
+            came=came,
+            byte=byte,
+            broken=broken,
+            is_flag=is_flag,
+            is_escape=is_escape,
+            listening=listening,
+            escaped=escaped,
+            bad=bad,
+            count=count,
+            crc=crc,
+        )
         return m
 
 
@@ -167,8 +184,8 @@ class Framer(Unit):
     valid, byte, last : in; ready : out, a byte of a body is taken in a cycle with both; `last` marks the body's last byte
     out_valid, out_byte : out, out_ready : in, to the transmitter
 
-    The framer puts flags around the body, appends the CRC, and escapes bytes where necessary. Reset drops a frame in
-    progress.
+    The framer puts flags around the body, appends the CRC, and escapes bytes where necessary. It looks at a byte for one
+    cycle before it sends it. Reset drops a frame in progress.
     """
 
     unit_name = "coincid_framer"
@@ -193,16 +210,19 @@ class Framer(Unit):
         left = Signal(range(CRC_BYTES + 1))
         escaped = Signal()  # the escape of the current byte has been sent
         byte = Signal(8)
-        special = Signal()
-        m.d.comb += [crc.data.eq(self.byte), special.eq((byte == FLAG) | (byte == ESCAPE))]
+        weighed, special = Signal(), Signal()  # registers: whether `special` is that of `byte`
+        m.d.comb += crc.data.eq(self.byte)
+        m.d.sync += [special.eq((byte == FLAG) | (byte == ESCAPE)), weighed.eq(0)]
 
-        def send_body(m, sent):
-            """Send `byte`, escaped if necessary; `sent` is the action in the cycle in which it has gone."""
+        def send_body(m, comes, sent):
+            """Send `byte` when it `comes`, escaped if necessary; `sent` is high in the cycle in which it has gone."""
+            m.d.sync += weighed.eq(comes & ~sent)
             m.d.comb += [
+                self.out_valid.eq(weighed),
                 self.out_byte.eq(Mux(special, Mux(escaped, byte ^ FLIP, ESCAPE), byte)),
-                sent.eq(self.out_valid & self.out_ready & (~special | escaped)),
+                sent.eq(weighed & self.out_ready & (~special | escaped)),
             ]
-            with m.If(self.out_valid & self.out_ready):
+            with m.If(weighed & self.out_ready):
                 m.d.sync += escaped.eq(special & ~escaped)
 
         with m.FSM() as machine:
@@ -212,8 +232,8 @@ class Framer(Unit):
                 with m.If(self.valid & self.out_ready):
                     m.next = "body"
             with m.State("body"):
-                m.d.comb += [byte.eq(self.byte), self.out_valid.eq(self.valid)]
-                send_body(m, self.ready)
+                m.d.comb += byte.eq(self.byte)
+                send_body(m, self.valid, self.ready)
                 m.d.comb += crc.valid.eq(self.ready)
                 with m.If(self.ready & self.last):
                     m.next = "check"
@@ -221,9 +241,9 @@ class Framer(Unit):
                 m.d.sync += [tail.eq(crc.crc), left.eq(CRC_BYTES), escaped.eq(0)]
                 m.next = "tail"
             with m.State("tail"):
-                m.d.comb += [byte.eq(tail[:8]), self.out_valid.eq(1)]
+                m.d.comb += byte.eq(tail[:8])
                 sent = Signal()
-                send_body(m, sent)
+                send_body(m, Const(1), sent)
                 with m.If(sent):
                     m.d.sync += [tail.eq(tail >> 8), left.eq(left - 1)]
                     with m.If(left == 1):
@@ -232,5 +252,7 @@ class Framer(Unit):
                 m.d.comb += [self.out_byte.eq(FLAG), self.out_valid.eq(1)]
                 with m.If(self.out_ready):
                     m.next = "idle"
-        self.state = SimpleNamespace(machine=machine, crc=crc, escaped=escaped, left=left)
+        self.state = SimpleNamespace(
+            machine=machine, crc=crc, escaped=escaped, left=left, byte=byte, weighed=weighed, special=special
+        )
         return m
