@@ -162,9 +162,13 @@ def sequencer(b: Bench):
     b.always(~frame, where=waits != 0)
     b.always(since == 0, where=waits != 0)
     b.always(b.past(body.left) == waits, where=alive)
+    b.always(body.waiting == (body.left != 0))
     b.always(b.past(body.lfsr) == lfsr, where=alive)
     b.always(body.mask == b.past((1 << plan.dither_bits) - 1), where=b.past(1))
     b.always((b.past(body.pulses) == pulses) & (b.past(body.steps) == steps), where=alive)
+    b.always(
+        b.past(body.step) == ((plan.gate_every != 0) & (pulses == plan.gate_every - 1)), where=frame & (since != 0)
+    )
     b.always((steps < plan.gate_steps) & (exact <= (steps << bus.GATE_BITS) - steps), where=alive)
     b.always(body.aborted == aborting)
     b.always(ending == b.past(body.draining))

@@ -8,7 +8,7 @@ gaps, after a fixed time.
 
 from types import SimpleNamespace
 
-from amaranth.hdl import Cat, Module, Mux, ResetInserter, Signal
+from amaranth.hdl import Cat, Const, Module, Mux, ResetInserter, Signal
 from amaranth.lib import fifo
 from amaranth.lib.wiring import In, Out
 
@@ -144,13 +144,12 @@ class Readout(Unit):
     def _credits(self, m, up, down):
         """Count per subgroup, in bit planes; return which counters are not 0, from registers beside the planes."""
         planes = [Signal(self.subgroups, name=f"events_{b}") for b in range(bits_for(self.sensor.fifo_depth))]
-        carry, borrow = up & ~down, down & ~up
+        carries, borrows = Signal(self.subgroups), Signal(self.subgroups)
+        m.d.comb += [carries.eq(up & ~down), borrows.eq(down & ~up)]
+        ones = zeros = ~Const(0, self.subgroups)  # whether all planes below are; known before the grant is
         for b, plane in enumerate(planes):
-            carry_in = Signal(self.subgroups, name=f"carry_{b}")
-            borrow_in = Signal(self.subgroups, name=f"borrow_{b}")
-            m.d.comb += [carry_in.eq(carry), borrow_in.eq(borrow)]
-            m.d.sync += plane.eq(plane ^ carry_in ^ borrow_in)
-            carry, borrow = carry_in & plane, borrow_in & ~plane
+            m.d.sync += plane.eq(plane ^ (carries & ones) ^ (borrows & zeros))
+            ones, zeros = ones & plane, zeros & ~plane
         some = Signal(self.subgroups, name="some_events")
         several = any_of(m, planes[1:], "several_of") if len(planes) > 1 else 0
         m.d.sync += some.eq(up | (some & (~down | several)))

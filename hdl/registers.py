@@ -196,18 +196,20 @@ class Registers(Unit):
     def _start_checks(self, m):
         """Conditions that refuse a start, by the flag that reports them."""
         bounds = [self.state.setting["auto_bounds", k] for k in range(AUTO_BOUNDS)]
+        period_short = Signal()
         bounds_descend = Signal()
         gate_late = Signal()
         settings_upset = Signal()
         own_upset = Signal(len(self.state.setting))
         m.d.sync += [
+            period_short.eq(self.period <= self.sensor.guard),
             bounds_descend.eq(any_of(m, [low > high for low, high in zip(bounds, bounds[1:])], "descends")),
             gate_late.eq(self.gate_late),
             own_upset.eq(Cat(word.xor() ^ self.state.setting_parity[key] for key, word in self.state.setting.items())),
             settings_upset.eq(self.settings_upset | own_upset.any()),
         ]
         self.state.failed = {
-            "start_period": self.period <= self.sensor.guard,
+            "start_period": period_short,
             "start_bounds": bounds_descend,
             "start_gate": gate_late,
             "start_upset": settings_upset,

@@ -110,16 +110,16 @@ class Sequencer(Unit):
         state.mask = Signal(DITHER_BITS_MAX)
         state.left = left = Signal(DITHER_BITS_MAX)
         following = Signal(LFSR_BITS)
-        m.d.comb += [following.eq((lfsr >> 1) ^ Mux(lfsr[0], LFSR_TAPS, 0)), state.waiting.eq(left != 0)]
+        m.d.comb += following.eq((lfsr >> 1) ^ Mux(lfsr[0], LFSR_TAPS, 0))
         m.d.sync += state.mask.eq((1 << self.plan.dither_bits) - 1)
-        with m.If(left != 0):
-            m.d.sync += left.eq(left - 1)
+        with m.If(state.waiting):
+            m.d.sync += [left.eq(left - 1), state.waiting.eq(left > 1)]
         with m.Elif(state.running):
             m.d.sync += lfsr.eq(following)
             with m.If(state.ends):
-                m.d.sync += left.eq(following & state.mask)
+                m.d.sync += [left.eq(following & state.mask), state.waiting.eq((following & state.mask).any())]
         with m.If(state.restart):
-            m.d.sync += [lfsr.eq(self.plan.dither_seed), left.eq(0)]
+            m.d.sync += [lfsr.eq(self.plan.dither_seed), left.eq(0), state.waiting.eq(0)]
 
     def _shift(self, m):
         """Progressive gating: the gate's shift in this period, saturated where no gate can open any more."""
@@ -129,11 +129,9 @@ class Sequencer(Unit):
         state.steps = steps = Signal(bus.GATE_BITS)
         beyond = 1 << coarse_bits
         more = Signal(bus.GATE_BITS + 1)
-        step = Signal()
-        m.d.comb += [
-            more.eq(shift + settings.gate_step),
-            step.eq((settings.gate_every != 0) & (pulses == settings.gate_every - 1)),
-        ]
+        state.step = step = Signal()  # a register: `pulses` changes at the end of a period only
+        m.d.comb += more.eq(shift + settings.gate_step)
+        m.d.sync += step.eq((settings.gate_every != 0) & (pulses == settings.gate_every - 1))
         with m.If(state.ends):
             m.d.sync += pulses.eq(Mux(step, 0, pulses + 1))
             with m.If(step):

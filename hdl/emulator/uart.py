@@ -131,11 +131,7 @@ class Deframer(Unit):
         listening, escaped, bad = Signal(), Signal(), Signal()
         count = Signal.like(self.length)
         came, byte, broken, is_flag, is_escape = Signal(), Signal(8), Signal(), Signal(), Signal()
-        m.d.comb += [
-            crc.data.eq(Mux(escaped, byte ^ FLIP, byte)),
-            self.data.eq(crc.data),
-            self.index.eq(count),
-        ]
+        m.d.comb += [crc.data.eq(Mux(escaped, byte ^ FLIP, byte)), self.data.eq(crc.data), self.index.eq(count)]
         m.d.sync += [self.right.eq(0), self.wrong.eq(0), self.length.eq(count - CRC_BYTES)]
         m.d.sync += [
             came.eq(self.valid),
