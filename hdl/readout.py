@@ -147,7 +147,7 @@ class Readout(Unit):
         carries, borrows = Signal(self.subgroups), Signal(self.subgroups)
         m.d.comb += [carries.eq(up & ~down), borrows.eq(down & ~up)]
         ones = zeros = ~Const(0, self.subgroups)  # whether all planes below are; known before the grant is
-        for b, plane in enumerate(planes):
+        for plane in planes:
             m.d.sync += plane.eq(plane ^ (carries & ones) ^ (borrows & zeros))
             ones, zeros = ones & plane, zeros & ~plane
         some = Signal(self.subgroups, name="some_events")
@@ -169,16 +169,19 @@ class Readout(Unit):
         state.space = Signal(range(self.depth + 1), init=self.depth)
         state.free = Signal()
         state.free_for_counters = Signal()
-        state.space_now = Signal.like(state.space)
+        state.gone = Signal()
         state.left_next = Signal.like(state.left)
         state.space_next = Signal.like(state.space)
         m.d.comb += [
             state.free.eq((state.left == 0) & state.room[0]),
             state.free_for_counters.eq((state.left == 0) & state.room[1]),
-            *(after.eq(state.space_now >= beats) for after, beats in zip(state.room_next, self.rooms)),
-            state.space_now.eq(state.space + (self.m_axis.tvalid & self.m_axis.tready)),
+            *(
+                after.eq(self._of_space(lambda space, beats=beats: space >= beats))
+                for after, beats in zip(state.room_next, self.rooms)
+            ),
+            state.gone.eq(self.m_axis.tvalid & self.m_axis.tready),
             state.left_next.eq(state.left - (state.left != 0)),
-            state.space_next.eq(state.space_now),
+            state.space_next.eq(self._of_space(lambda space: space)),
         ]
         m.d.sync += [state.left.eq(state.left_next), state.space.eq(state.space_next)]
         m.d.sync += [room.eq(after) for room, after in zip(state.room, state.room_next)]
@@ -193,6 +196,11 @@ class Readout(Unit):
         with m.If(state.frame_begin):
             m.d.sync += [state.space.eq(self.depth), state.left.eq(0), *(room.eq(1) for room in state.room)]
 
+    def _of_space(self, function):
+        """Return `function` of the space with the place of a beat that leaves now; `tready` selects, and no carry waits for it."""
+        state = self.state
+        return Mux(state.gone, function(state.space + 1), function(state.space))
+
     def _book(self, m, length, name, free, needs=None):
         """Book room for a packet that may begin. What remains is computed for each length before the grant is known.
 
@@ -200,10 +208,12 @@ class Readout(Unit):
         """
         state = self.state
         after = Signal.like(state.space, name=f"space_after_{name}")
-        m.d.comb += after.eq(state.space_now - length)
+        m.d.comb += after.eq(self._of_space(lambda space: space - length))
         leaves = [Signal(name=f"{name}_leaves_{beats}") for beats in self.rooms]
         needs = needs or [length + beats for beats in self.rooms]
-        m.d.comb += [left.eq(state.space_now >= need) for need, left in zip(needs, leaves)]
+        m.d.comb += [
+            left.eq(self._of_space(lambda space, need=need: space >= need)) for need, left in zip(needs, leaves)
+        ]
         with m.If(free):
             m.d.comb += [state.left_next.eq(length - 1), state.space_next.eq(after), state.booked.eq(1)]
             m.d.comb += [room.eq(left) for room, left in zip(state.room_next, leaves)]
