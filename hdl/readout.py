@@ -94,9 +94,10 @@ class Readout(Unit):
         state.beat = Signal(BEAT_BITS)
         state.beat_controlled = Signal()
         state.event_length = Signal(range(self.parts.longest + 1))
-        # Space that leaves room for a word, or for counters, behind an event.
-        state.event_needs = [
-            Signal(range(2 * self.parts.longest + 1), init=beats, name=f"event_and_{beats}") for beats in self.rooms
+        state.event_last = Signal(range(self.parts.longest))  # number of an event's last beat
+        # More space than this leaves room for a word, or for counters, behind an event.
+        state.event_exceeds = [
+            Signal(range(2 * self.parts.longest), init=beats - 1, name=f"event_and_{beats}") for beats in self.rooms
         ]
         m.d.sync += [
             state.stored.eq(self.stored & state.in_frame.replicate(n)),
@@ -107,7 +108,8 @@ class Readout(Unit):
             state.beat.eq(self.beat),
             state.beat_controlled.eq(self.beat_controlled),
             state.event_length.eq(of_format(self.frame.format, self.parts.length)),
-            *(need.eq(self._event_and(beats)) for beats, need in zip(self.rooms, state.event_needs)),
+            state.event_last.eq(self._event_and(-1)),
+            *(beyond.eq(self._event_and(beats - 1)) for beats, beyond in zip(self.rooms, state.event_exceeds)),
         ]
 
     def _event_and(self, beats):
@@ -175,13 +177,10 @@ class Readout(Unit):
         m.d.comb += [
             state.free.eq((state.left == 0) & state.room[0]),
             state.free_for_counters.eq((state.left == 0) & state.room[1]),
-            *(
-                after.eq(self._of_space(lambda space, beats=beats: space >= beats))
-                for after, beats in zip(state.room_next, self.rooms)
-            ),
+            *(after.eq(self._space_exceeds(beats - 1)) for after, beats in zip(state.room_next, self.rooms)),
             state.gone.eq(self.m_axis.tvalid & self.m_axis.tready),
             state.left_next.eq(state.left - (state.left != 0)),
-            state.space_next.eq(self._of_space(lambda space: space)),
+            state.space_next.eq(Mux(state.gone, state.space + 1, state.space)),
         ]
         m.d.sync += [state.left.eq(state.left_next), state.space.eq(state.space_next)]
         m.d.sync += [room.eq(after) for room, after in zip(state.room, state.room_next)]
@@ -196,26 +195,30 @@ class Readout(Unit):
         with m.If(state.frame_begin):
             m.d.sync += [state.space.eq(self.depth), state.left.eq(0), *(room.eq(1) for room in state.room)]
 
-    def _of_space(self, function):
-        """Return `function` of the space with the place of a beat that leaves now; `tready` selects, and no carry waits for it."""
-        state = self.state
-        return Mux(state.gone, function(state.space + 1), function(state.space))
+    def _space_exceeds(self, beats):
+        """Return whether there is space for more than `beats`, with the place of a beat that leaves now.
 
-    def _book(self, m, length, name, free, needs=None):
-        """Book room for a packet that may begin. What remains is computed for each length before the grant is known.
-
-        needs: for each of `rooms`, the space that leaves it behind the packet.
+        No carry waits for the stream's `tready`; it only selects.
         """
         state = self.state
+        return Mux(state.gone, state.space >= beats, state.space > beats)
+
+    def _book(self, m, length, name, free):
+        """Book room for a packet that may begin. What remains is computed for each length before the grant is known.
+
+        length: None for an event.
+        """
+        state = self.state
+        if length is None:
+            length, last, exceeds = state.event_length, state.event_last, state.event_exceeds
+        else:
+            last, exceeds = length - 1, [length + beats - 1 for beats in self.rooms]
         after = Signal.like(state.space, name=f"space_after_{name}")
-        m.d.comb += after.eq(self._of_space(lambda space: space - length))
+        m.d.comb += after.eq(Mux(state.gone, state.space - last, state.space - length))
         leaves = [Signal(name=f"{name}_leaves_{beats}") for beats in self.rooms]
-        needs = needs or [length + beats for beats in self.rooms]
-        m.d.comb += [
-            left.eq(self._of_space(lambda space, need=need: space >= need)) for need, left in zip(needs, leaves)
-        ]
+        m.d.comb += [left.eq(self._space_exceeds(beats)) for beats, left in zip(exceeds, leaves)]
         with m.If(free):
-            m.d.comb += [state.left_next.eq(length - 1), state.space_next.eq(after), state.booked.eq(1)]
+            m.d.comb += [state.left_next.eq(last), state.space_next.eq(after), state.booked.eq(1)]
             m.d.comb += [room.eq(left) for room, left in zip(state.room_next, leaves)]
 
     def _packets(self, m):
@@ -283,7 +286,7 @@ class Readout(Unit):
         with m.If(state.chosen_record):
             self._book(m, self.parts.length(Kind.RECORD), "record", state.free)
         with m.Else():
-            self._book(m, state.event_length, "event", state.free, state.event_needs)
+            self._book(m, None, "event", state.free)
         with m.If(state.free):
             m.d.comb += [
                 state.take_record.eq(state.chosen & state.records),

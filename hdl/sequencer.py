@@ -129,13 +129,17 @@ class Sequencer(Unit):
         state.steps = steps = Signal(bus.GATE_BITS)
         beyond = 1 << coarse_bits
         more = Signal(bus.GATE_BITS + 1)
-        state.step = step = Signal()  # a register: `pulses` changes at the end of a period only
+        state.step = step = Signal()  # registers: `pulses` and `steps` change at the end of a period only
+        state.last_step = last_step = Signal()
         m.d.comb += more.eq(shift + settings.gate_step)
-        m.d.sync += step.eq((settings.gate_every != 0) & (pulses == settings.gate_every - 1))
+        m.d.sync += [
+            step.eq((settings.gate_every != 0) & (pulses == settings.gate_every - 1)),
+            last_step.eq(steps == settings.gate_steps - 1),
+        ]
         with m.If(state.ends):
             m.d.sync += pulses.eq(Mux(step, 0, pulses + 1))
             with m.If(step):
-                with m.If(steps == settings.gate_steps - 1):
+                with m.If(last_step):
                     m.d.sync += [steps.eq(0), shift.eq(0)]
                 with m.Else():
                     m.d.sync += [steps.eq(steps + 1), shift.eq(Mux(more >= beyond, beyond, more))]
