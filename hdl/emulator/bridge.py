@@ -25,6 +25,7 @@ from .control import ACCESS
 from .uart import Deframer, Framer, Receiver, Transmitter
 
 LAST = 1 << 8  # beside the byte on its way to the framer
+FETCH_CYCLES = 2  # from the place of a byte of the request to the byte
 ANSWER_DEPTH = 2  # bytes of an answer on their way to the framer, which no path of logic passes
 
 
@@ -84,7 +85,9 @@ class SerialBridge(Unit):
         head = Signal(8 * HEAD_BYTES)
         length = Signal.like(deframer.length)
         at = Signal(range(BODY_BYTES_MAX + 1))
-        waited = Signal()  # one cycle until the memory shows the byte at `at`
+        waited = Signal(range(FETCH_CYCLES + 1))
+        byte = Signal(8)  # at `at`
+        m.d.sync += byte.eq(get.data)
         sequence, operation, count = head[:8], head[8:16], head[16:24]
         last, last_wrote, last_done, last_status = Signal(8), Signal(), Signal(8), Signal(Answer)
         greeted, fresh = Signal(), Signal(init=1)  # fresh: no read or write since reset
@@ -127,15 +130,15 @@ class SerialBridge(Unit):
                     m.d.sync += length.eq(deframer.length)
                     m.next = "head"
             with m.State("head"):
-                m.d.sync += waited.eq(~waited)
-                with m.If(waited):
-                    m.d.sync += [head.eq(Cat(head[8:], get.data)), at.eq(at + 1)]
+                m.d.sync += waited.eq(waited + 1)
+                with m.If(waited == FETCH_CYCLES):
+                    m.d.sync += [head.eq(Cat(head[8:], byte)), at.eq(at + 1), waited.eq(0)]
                     with m.If(at == HEAD_BYTES - 1):
                         m.next = "weigh"
             with m.State("weigh"):
                 m.next = "look"
             with m.State("look"):
-                m.d.sync += [words.eq(0), byte_of.eq(0), address.eq(head[24:]), waited.eq(0), status.eq(Answer.OKAY)]
+                m.d.sync += [words.eq(0), byte_of.eq(0), address.eq(head[24:]), status.eq(Answer.OKAY)]
                 m.next = "number"
                 with m.If(short):
                     m.d.sync += status.eq(Answer.UNKNOWN)
@@ -158,15 +161,15 @@ class SerialBridge(Unit):
                     m.d.sync += [last.eq(sequence), last_wrote.eq(0), fresh.eq(0)]
             # A write: take the words out of the memory one by one, then answer.
             with m.State("collect"):
-                m.d.sync += waited.eq(~waited)
-                with m.If(waited):
-                    m.d.sync += [word.eq(Cat(word[8:], get.data)), at.eq(at + 1), byte_of.eq(byte_of + 1)]
+                m.d.sync += waited.eq(waited + 1)
+                with m.If(waited == FETCH_CYCLES):
+                    m.d.sync += [word.eq(Cat(word[8:], byte)), at.eq(at + 1), byte_of.eq(byte_of + 1), waited.eq(0)]
                     with m.If(byte_of == WORD_BYTES - 1):
                         m.next = "write"
             with m.State("write"):
                 m.d.sync += access.valid.eq(~access.done)
                 with m.If(access.done):
-                    m.d.sync += [address.eq(address + WORD_BYTES), waited.eq(0)]
+                    m.d.sync += address.eq(address + WORD_BYTES)
                     with m.If(access.refused):
                         m.d.sync += status.eq(Answer.REFUSED)
                         m.next = "remember"
