@@ -8,9 +8,10 @@ from typing import Any
 
 from attrs import evolve
 
-from ..hdl.emulator.top import EMULATOR_LIST
+from ..hdl.emulator.top import EMULATOR_LIST, emulator_netlist
 from ..hdl.emulator.ulx3s import BOARD_TOP, board_files, board_pins
 from ..hdl.export import FILE_LIST, fpga_files, verilog_files
+from ..hdl.subgroup import Subgroup
 from ..model.contract.config import Config, load_config
 from ..model.contract.emulator import Emulator
 from ..model.contract.parameters import TOP
@@ -79,6 +80,7 @@ def ulx3s(config: Config, emulator: Emulator | None = None, options: str = "") -
     files = board_files(emulator, config.clock_mhz)
     del files[EMULATOR_LIST]
     sensor = config.sensor
+    blocks = {unit.unit_name for _, unit, _ in emulator_netlist(emulator).instances}
     return Board(
         title="The emulator on an ULX3S",
         command="make emulator",
@@ -93,4 +95,5 @@ def ulx3s(config: Config, emulator: Emulator | None = None, options: str = "") -
         device=("--85k", "--package", "CABGA381", "--speed", "6", "--router", "router2"),
         goal_mhz=config.clock_mhz,
         options=options,
+        apart=tuple(sorted(blocks | {Subgroup(sensor).unit_name})),
     )

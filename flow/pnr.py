@@ -35,7 +35,8 @@ class Board:
     """What is placed on what. title, command, what, chip: words of its page.
 
     top: module of the Verilog `files` (name -> text). pins: constraints (LPF). device: options of nextpnr for the chip, and for its
-    router. goal_mhz: that every clock must reach. options: of the synthesis.
+    router. goal_mhz: that every clock must reach. options: of the synthesis. apart: modules that are synthesized
+    by themselves; between instances of one, registers of equal contents would otherwise become one, with wires across the chip.
     """
 
     title: str
@@ -48,6 +49,7 @@ class Board:
     device: tuple[str, ...]
     goal_mhz: float
     options: str = field(default="")
+    apart: tuple[str, ...] = field(default=())
 
 
 @frozen
@@ -83,6 +85,7 @@ def _delay_ns(path: dict[str, Any]) -> float:
 def synthesize(board: Board) -> Path:
     """The folder with `NETLIST` and `NETLIST_VERILOG`, made once for the state of the Verilog. Raises `ToolchainError`."""
     script = f"read_verilog {' '.join(board.files)}\n"
+    script += "".join(f"setattr -mod -set keep_hierarchy 1 {module}\n" for module in board.apart)
     synth = f"synth_lattice -family ecp5 {board.options} -top {board.top} -run"
     script += f"{synth} begin:map_luts\nabc9 -W {WIRE_PS}\nclean\n{synth} map_cells:\n"
     script += f"write_json {NETLIST}\nwrite_verilog -noattr {NETLIST_VERILOG}\n"

@@ -95,14 +95,10 @@ class SerialBridge(Unit):
         word = Signal(DATA_BITS)
         address = Signal(ADDRESS_BITS)
         status = Signal(Answer)
-        m.d.comb += [
-            get.addr.eq(at),
-            access.address.eq(address),
-            access.data.eq(word),
-            access.write.eq(operation == Operation.WRITE),
-        ]
+        m.d.comb += [get.addr.eq(at), access.address.eq(address), access.data.eq(word)]
         # What a request is, in registers, so that no decision waits for a comparison.
         short, is_hello, is_read, is_write, repeated, follows = (Signal() for _ in range(6))
+        m.d.comb += access.write.eq(is_write)
         is_last = Signal()  # the word on its way is the request's last
         m.d.sync += [
             short.eq(length < HEAD_BYTES),
@@ -186,12 +182,9 @@ class SerialBridge(Unit):
                 m.d.comb += [answer.w_en.eq(1), answer.w_data.eq(sequence)]
                 with m.If(answer.w_rdy):
                     m.next = "status"
-                    with m.If(status != Answer.OKAY):
-                        with m.If((operation == Operation.WRITE) & (status == Answer.REFUSED)):
-                            m.next = "written"
-                    with m.Elif(operation == Operation.WRITE):
+                    with m.If(is_write & ((status == Answer.OKAY) | (status == Answer.REFUSED))):
                         m.next = "written"
-                    with m.Elif(operation == Operation.READ):
+                    with m.Elif(is_read & (status == Answer.OKAY)):
                         m.next = "read"
             with m.State("written"):
                 m.d.comb += [answer.w_en.eq(1), answer.w_data.eq(words)]
