@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Module: subgroups 2k and 2k + 1 and the always-on TDC that they share (paper, Fig. 3: generic block of the sensor)."""
 
-from amaranth.hdl import Cat, ResetSignal, Signal
+from amaranth.hdl import Cat, Signal
 from amaranth.hdl import Module as Design
 from amaranth.lib import wiring
 from amaranth.lib.wiring import In
@@ -11,6 +11,7 @@ from . import bus
 from .subgroup import Subgroup, own_ports, shared_ports
 from .unit import Unit, place
 from .views import POLYPHASE
+from .voted import agreed_reset
 
 
 class SensorModule(Unit):
@@ -22,7 +23,7 @@ class SensorModule(Unit):
     Every input goes straight into a register, and every output comes from one.
 
     view: view of the front end, from `views.py`. `lines` = 1 makes the last module of an odd number of subgroups. Reset
-    is registered here, so it acts one cycle later.
+    is registered, here and in each subgroup, so it acts one cycle later.
     """
 
     def __init__(self, sensor: Sensor, lines: int = 2, view=POLYPHASE):
@@ -37,17 +38,12 @@ class SensorModule(Unit):
     def elaborate(self, platform):
         m = Design()
         sensor = self.sensor
-        # Two registers of opposite polarity must agree on a reset, so an upset in one of them resets nothing.
-        resets = Signal(init=1, reset_less=True)
-        rests = Signal(reset_less=True)
-        reset = Signal()
         start = Signal(reset_less=True)
-        m.d.sync += [resets.eq(ResetSignal()), rests.eq(~ResetSignal()), start.eq(self.timing.start)]
-        m.d.comb += reset.eq(resets & ~rests)
-        tdc = place(m, "tdc", self.view.tdc(sensor, self.lines), platform, reset)
+        m.d.sync += start.eq(self.timing.start)
+        tdc = place(m, "tdc", self.view.tdc(sensor, self.lines), platform, agreed_reset(m))
         m.d.comb += tdc.start.eq(start)
         for k in range(self.lines):
-            subgroup = place(m, f"subgroup_{k}", Subgroup(sensor, self.view), platform, reset)
+            subgroup = place(m, f"subgroup_{k}", Subgroup(sensor, self.view), platform)
             m.d.comb += subgroup.subgroup.eq(Cat(k, self.number))
             m.d.comb += [getattr(subgroup, name).eq(getattr(self, name)) for name in shared_ports(sensor)]
             for name, member in own_ports(sensor, self.view).items():

@@ -18,6 +18,7 @@ from .packetizer import Packetizer
 from .settings import SubgroupSettings
 from .unit import Unit, place
 from .views import POLYPHASE, View
+from .voted import agreed_reset
 
 
 def shared_ports(sensor: Sensor) -> dict[str, Any]:
@@ -74,14 +75,14 @@ class Subgroup(Unit):
 
     def elaborate(self, platform):
         m = Module()
-        sensor = self.sensor
-        settings = place(m, "settings", SubgroupSettings(sensor), platform)
-        gating = place(m, "gating", Gating(sensor), platform)
-        tree = place(m, "tree", self.view.front_end(sensor), platform)
-        dpcu = place(m, "dpcu", Dpcu(sensor), platform)
-        events = place(m, "fifo", EventFifo(sensor), platform)
-        records = place(m, "record_buffer", RecordBuffer(sensor), platform)
-        packets = place(m, "packetizer", Packetizer(sensor), platform)
+        sensor, reset = self.sensor, agreed_reset(m)
+        settings = place(m, "settings", SubgroupSettings(sensor), platform, reset)
+        gating = place(m, "gating", Gating(sensor), platform, reset)
+        tree = place(m, "tree", self.view.front_end(sensor), platform, reset)
+        dpcu = place(m, "dpcu", Dpcu(sensor), platform, reset)
+        events = place(m, "fifo", EventFifo(sensor), platform, reset)
+        records = place(m, "record_buffer", RecordBuffer(sensor), platform, reset)
+        packets = place(m, "packetizer", Packetizer(sensor), platform, reset)
 
         # Inputs go straight into registers. These need no reset, because the registers that drive them have one.
         command, timing, frame, period, number, grant, send = (

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Registers that tolerate the upset of one flip-flop: three copies and a majority vote."""
+"""Registers that tolerate the upset of one flip-flop: three copies and a majority vote; a reset in two."""
 
-from amaranth.hdl import Module, Signal
+from amaranth.hdl import Module, ResetSignal, Signal
 
 from .logic import any_of
 
@@ -37,3 +37,13 @@ class Voted:
             inverse.eq(~self.next),
             by_turns.eq(self.next ^ (~turn).replicate(width)),
         ]
+
+
+def agreed_reset(m: Module) -> Signal:
+    """Return the reset, one cycle later. Two registers of opposite polarity must agree on it, so an upset in one resets nothing."""
+    resets = Signal(init=1, reset_less=True)
+    rests = Signal(reset_less=True)
+    reset = Signal()
+    m.d.sync += [resets.eq(ResetSignal()), rests.eq(~ResetSignal())]
+    m.d.comb += reset.eq(resets & ~rests)
+    return reset

@@ -187,6 +187,7 @@ class PhotonSource(Unit):
         assert ECHO_FROM == 2  # `is_later` begins in this cycle
         background = Signal(RATE_BITS, reset_less=True)
         mine, seeded = Signal(), Signal(SEED_BUS)
+        seeds = [self._lane(m, lane, seeded) for lane in range(self.emulator.lanes)]
         written = Signal(write_bus(sensor))
         m.d.sync += [seeded.eq(self.seed), seeded.valid.eq(self.seed.valid & (self.seed.subgroup == self.subgroup))]
         m.d.sync += [written.eq(self.write), mine.eq(self.write.valid & (self.write.subgroup == self.subgroup))]
@@ -197,11 +198,7 @@ class PhotonSource(Unit):
         self.state = SimpleNamespace(generators=[], dead=[], cycle=cycle)
         for i in range(sensor.pixels):
             lane, place = divmod(i, LANE_PIXELS)
-            step = Signal(name=f"seeds_{i}")
-            m.d.comb += step.eq(seeded.valid & (seeded.lane == lane))
-            state = self._generator(
-                m, i, running | step, step & seeded.first, step & seeded.bits[place], step & seeded.last
-            )
+            state = self._generator(m, i, seeds[lane], place)
             echo = Signal(LEVEL_BITS + sensor.stamp_bits, name=f"echo_{i}", reset_less=True)
             with m.If(mine & written.echo & (written.pixel == i)):
                 m.d.sync += echo.eq(written.data)
@@ -211,19 +208,36 @@ class PhotonSource(Unit):
             self._word(m, i, fires, phase, common)
         return m
 
-    def _generator(self, m, i, enable, first, bit, last):
-        """Return the state that the cycle draws from.
+    def _lane(self, m, lane, seeded):
+        """Registers for the generators of a lane: whether they step, and what a step of the seeding does to them."""
+        seeds = Signal(name=f"seeds_{lane}")
+        step = SimpleNamespace(
+            enable=Signal(name=f"steps_{lane}"),
+            first=Signal(name=f"first_{lane}"),
+            last=Signal(name=f"last_{lane}"),
+            bits=Signal(LANE_PIXELS, name=f"bits_{lane}"),
+        )
+        m.d.comb += seeds.eq(seeded.valid & (seeded.lane == lane))
+        m.d.sync += [
+            step.enable.eq(self.timing.running | seeds),
+            step.first.eq(seeds & seeded.first),
+            step.last.eq(seeds & seeded.last),
+            step.bits.eq(seeded.bits & seeds.replicate(LANE_PIXELS)),
+        ]
+        return step
+
+    def _generator(self, m, i, step, place):
+        """Return the state that the cycle draws from. step: of its lane; place: in the lane.
 
         Seeding: the first step clears the old state, every step shifts in one bit, and the last step prevents the state 0.
         """
         state = Signal(STATE_BITS, name=f"state_{i}", reset_less=True)
         following = Cat(state[taps[0]] ^ state[taps[1]] ^ (state[taps[2]] if len(taps) > 2 else 0) for taps in TAPS)
-        following = following & (~first).replicate(STATE_BITS)
-        change = Signal(STATE_BITS, name=f"next_{i}")
-        m.d.comb += change.eq(following)
-        m.d.comb += change[SEED_BIT].eq((following[SEED_BIT] ^ bit) | last)
-        with m.If(enable):
-            m.d.sync += state.eq(change)
+        with m.If(step.enable):
+            m.d.sync += state.eq(following)
+            with m.If(step.first):
+                m.d.sync += state.eq(0)
+            m.d.sync += state[SEED_BIT].eq((following[SEED_BIT] & ~step.first) ^ step.bits[place] | step.last)
         self.state.generators.append(state)
         return state
 

@@ -3,7 +3,7 @@
 
 from types import SimpleNamespace
 
-from amaranth.hdl import Module, Mux, Signal
+from amaranth.hdl import Module, Mux, ResetSignal, Signal
 from amaranth.lib.wiring import In, Out, Signature
 
 from ...model.contract.emulator import ADDRESS_BITS, Emulator
@@ -90,6 +90,28 @@ class BusAccess(Unit):
         return m
 
 
+class LocalReset(Unit):
+    """Reset of one block, a register beside it: on an FPGA, the reset is a net like any other.
+
+    Ports
+    -----
+    held : out, the reset, one cycle later
+    """
+
+    unit_name = "coincid_local_reset"
+
+    def __init__(self):
+        super().__init__({"held": Out(1)})
+
+    def elaborate(self, platform):
+        m = Module()
+        held = Signal(init=1, reset_less=True)
+        m.d.sync += held.eq(ResetSignal())
+        m.d.comb += self.held.eq(held)
+        self.state = SimpleNamespace(held=held)
+        return m
+
+
 def emulator_netlist(emulator: Emulator, serial: bool = True) -> Netlist:
     """Return the emulator's wiring, where the sensor's ports are nets. serial: pins of a serial line, not AXI4-Lite."""
     sensor = emulator.sensor
@@ -135,6 +157,10 @@ def emulator_netlist(emulator: Emulator, serial: bool = True) -> Netlist:
         net = port if serial else f"bus_{port.split('__')[1]}"
         n.ports.append(Port(net, n.nets[net], outer.flat_ports()[port][0].name == "In"))
     n.ports.append(Port("laser", 1, False))
+    reset = LocalReset()
+    for name, _, ports in list(n.instances):
+        ports["rst"] = f"rst_{name}"
+        n.add(f"reset_{name}", reset, held=ports["rst"])
     return n
 
 
