@@ -61,7 +61,7 @@ class Subgroup(Unit):
 
     Ports: `shared_ports`, `own_ports`, `subgroup` (in, its number), `line` (its TDC sampling line).
     view: view of the front end, from `views.py`.
-    Latency: `model/contract/latency.py`. Reset: as stated by each part.
+    Latency: `model/contract/latency.py`. Reset is registered here, so it acts one cycle later, as stated by each part.
     """
 
     def __init__(self, sensor: Sensor, view=POLYPHASE):

@@ -82,7 +82,7 @@ class SerialBridge(Unit):
     def _obey(self, m, deframer, answer, get):
         """Read a request whose CRC was right, execute it, and send the answer."""
         access = self.access
-        head = Signal(8 * HEAD_BYTES)
+        head = Signal(8 * HEAD_BYTES, reset_less=True)
         length = Signal.like(deframer.length)
         at = Signal(range(BODY_BYTES_MAX + 1))
         waited = Signal(range(FETCH_CYCLES + 1))
@@ -92,8 +92,8 @@ class SerialBridge(Unit):
         last, last_wrote, last_done, last_status = Signal(8), Signal(), Signal(8), Signal(Answer)
         greeted, fresh = Signal(), Signal(init=1)  # fresh: no read or write since reset
         words, byte_of = Signal(8), Signal(range(WORD_BYTES))
-        word = Signal(DATA_BITS)
-        address = Signal(ADDRESS_BITS)
+        word = Signal(DATA_BITS, reset_less=True)
+        address = Signal(ADDRESS_BITS, reset_less=True)
         status = Signal(Answer)
         m.d.comb += [get.addr.eq(at), access.address.eq(address), access.data.eq(word)]
         # What a request is, in registers, so that no decision waits for a comparison.

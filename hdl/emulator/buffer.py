@@ -53,7 +53,8 @@ class FrameBuffer(Unit):
         write, read = beats.write_port(), beats.read_port()
         behind = Signal(range(self.depth))
         high = Signal(2)
-        beat = Signal(BEAT_BITS)
+        stored, beat = (Signal(BEAT_BITS, name=name, reset_less=True) for name in ("stored", "beat"))
+        place = Signal.like(behind, reset_less=True)
         full = Signal()  # a register beside the level, so that the sensor does not wait for a comparison
         taken = Signal()
         m.d.comb += [
@@ -61,11 +62,13 @@ class FrameBuffer(Unit):
             taken.eq(self.s_axis.tvalid & self.s_axis.tready),
             read.addr.eq(self.address[1:]),
             read.en.eq(1),
+            write.addr.eq(place),
+            write.data.eq(stored),
         ]
         m.d.sync += [
             full.eq((full | (self.s_axis.tvalid & (self.level == self.depth - 1))) & ~(self.take & self.amount.any())),
-            write.addr.eq(behind),  # the block RAMs are far apart, so registers stand on either side of them
-            write.data.eq(self.s_axis.tdata),
+            place.eq(behind),  # the block RAMs are far apart, so registers stand on either side of them
+            stored.eq(self.s_axis.tdata),
             write.en.eq(taken),
             high.eq(Cat(self.address[0], high)),
             beat.eq(read.data),

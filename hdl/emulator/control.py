@@ -131,7 +131,7 @@ class EmulatorControl(Unit):
             "link_errors": self.link_errors,
             "seeding": seeder.busy,
         }
-        state.own = Signal(DATA_BITS)
+        state.own = Signal(DATA_BITS, reset_less=True)
         state.named = {r.name: Signal(name=f"named_{r.name}") for r in OWN}
         for r in OWN:
             m.d.sync += state.named[r.name].eq(inside == r.offset)
@@ -179,7 +179,7 @@ class EmulatorControl(Unit):
             buffer.address.eq(inside[2:]),
             buffer.amount.eq(access.data),
         ]
-        state.sources = Signal(DATA_BITS)
+        state.sources = Signal(DATA_BITS, reset_less=True)
         m.d.sync += state.sources.eq(Mux(state.is_echo, echo_read.data, background_read.data))
         # Checks of the ranges: first of each, then of the one that is meant.
         state.legal = Signal()

@@ -98,7 +98,7 @@ class Seeder(Unit):
     def elaborate(self, platform):
         m = Module()
         subgroups, blocks = self.emulator.sensor.subgroups, self.emulator.lanes * STATE_BITS
-        left, right, key = Signal(HALF), Signal(HALF), Signal(HALF)
+        left, right, key = (Signal(HALF, name=name, reset_less=True) for name in ("left", "right", "key"))
         turn = Signal(range(ROUNDS + 1))  # 0: load
         block, subgroup = Signal(range(blocks + 1)), Signal(SUBGROUP_BITS)
         rotated = Signal(HALF)
@@ -186,14 +186,15 @@ class PhotonSource(Unit):
         ]
         assert ECHO_FROM == 2  # `is_later` begins in this cycle
         background = Signal(RATE_BITS, reset_less=True)
-        mine, seeded = Signal(), Signal(SEED_BUS)
+        # Inputs and data go into registers that need no reset, because those that drive or use them have one.
+        mine, seeded = Signal(reset_less=True), Signal(SEED_BUS, reset_less=True)
         seeds = [self._lane(m, lane, seeded) for lane in range(self.emulator.lanes)]
-        written = Signal(write_bus(sensor))
+        written = Signal(write_bus(sensor), reset_less=True)
         m.d.sync += [seeded.eq(self.seed), seeded.valid.eq(self.seed.valid & (self.seed.subgroup == self.subgroup))]
         m.d.sync += [written.eq(self.write), mine.eq(self.write.valid & (self.write.subgroup == self.subgroup))]
         with m.If(mine & ~written.echo):
             m.d.sync += background.eq(written.data)
-        common = Signal(COMMON)
+        common = Signal(COMMON, reset_less=True)
         m.d.sync += common.eq(self.common)
         self.state = SimpleNamespace(generators=[], dead=[], cycle=cycle)
         for i in range(sensor.pixels):
@@ -212,10 +213,10 @@ class PhotonSource(Unit):
         """Registers for the generators of a lane: whether they step, and what a step of the seeding does to them."""
         seeds = Signal(name=f"seeds_{lane}")
         step = SimpleNamespace(
-            enable=Signal(name=f"steps_{lane}"),
-            first=Signal(name=f"first_{lane}"),
-            last=Signal(name=f"last_{lane}"),
-            bits=Signal(LANE_PIXELS, name=f"bits_{lane}"),
+            enable=Signal(name=f"steps_{lane}", reset_less=True),
+            first=Signal(name=f"first_{lane}", reset_less=True),
+            last=Signal(name=f"last_{lane}", reset_less=True),
+            bits=Signal(LANE_PIXELS, name=f"bits_{lane}", reset_less=True),
         )
         m.d.comb += seeds.eq(seeded.valid & (seeded.lane == lane))
         m.d.sync += [
@@ -245,8 +246,8 @@ class PhotonSource(Unit):
         """Decide, with registers, whether the pixel sees a photon in the cycle, and give the phase of the first one."""
         sensor = self.emulator.sensor
         phase_bits, stamp_bits = sensor.phase_bits, sensor.stamp_bits
-        hit = Signal(name=f"hit_{i}")
-        arrival = Signal(stamp_bits + 1, name=f"arrival_{i}")
+        hit = Signal(name=f"hit_{i}", reset_less=True)
+        arrival = Signal(stamp_bits + 1, name=f"arrival_{i}", reset_less=True)
         level, tick = echo[:LEVEL_BITS], echo[LEVEL_BITS:]
         with m.If(is_first):
             m.d.sync += hit.eq(state[LEVEL_LSB : LEVEL_LSB + LEVEL_BITS] < level)
@@ -255,7 +256,7 @@ class PhotonSource(Unit):
         by_light = Signal(name=f"by_light_{i}")
         by_echo = Signal(name=f"by_echo_{i}")
         light_phase, echo_phase = state[PHASE_LSB : PHASE_LSB + phase_bits], arrival[:phase_bits]
-        fires, phase = Signal(name=f"fires_{i}"), Signal(phase_bits, name=f"phase_{i}")
+        fires, phase = Signal(name=f"fires_{i}"), Signal(phase_bits, name=f"phase_{i}", reset_less=True)
         m.d.comb += [
             by_light.eq(state[RATE_LSB : RATE_LSB + RATE_BITS] < background),
             by_echo.eq(hit & is_later & (arrival[phase_bits:] == cycle)),

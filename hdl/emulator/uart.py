@@ -202,7 +202,7 @@ class Framer(Unit):
     def elaborate(self, platform):
         m = Module()
         m.submodules.crc = crc = CRC32_ISO_HDLC(8).create()
-        tail = Signal(32)
+        tail = Signal(32, reset_less=True)
         left = Signal(range(CRC_BYTES + 1))
         escaped = Signal()  # the escape of the current byte has been sent
         byte = Signal(8)
