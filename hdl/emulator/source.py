@@ -190,8 +190,10 @@ class PhotonSource(Unit):
         mine, seeded = Signal(reset_less=True), Signal(SEED_BUS, reset_less=True)
         seeds = [self._lane(m, lane, seeded) for lane in range(self.emulator.lanes)]
         written = Signal(write_bus(sensor), reset_less=True)
+        value = Signal.like(written.data, reset_less=True)
         m.d.sync += [seeded.eq(self.seed), seeded.valid.eq(self.seed.valid & (self.seed.subgroup == self.subgroup))]
         m.d.sync += [written.eq(self.write), mine.eq(self.write.valid & (self.write.subgroup == self.subgroup))]
+        m.d.sync += value.eq(written.data)
         with m.If(mine & ~written.echo):
             m.d.sync += background.eq(written.data)
         common = Signal(COMMON, reset_less=True)
@@ -201,8 +203,10 @@ class PhotonSource(Unit):
             lane, place = divmod(i, LANE_PIXELS)
             state = self._generator(m, i, seeds[lane], place)
             echo = Signal(LEVEL_BITS + sensor.stamp_bits, name=f"echo_{i}", reset_less=True)
-            with m.If(mine & written.echo & (written.pixel == i)):
-                m.d.sync += echo.eq(written.data)
+            writes = Signal(name=f"writes_{i}", reset_less=True)
+            m.d.sync += writes.eq(mine & written.echo & (written.pixel == i))
+            with m.If(writes):
+                m.d.sync += echo.eq(value)
             fires, phase = self._draw(
                 m, i, state, echo, background, common, running, is_first, is_second, is_later, cycle
             )
