@@ -197,13 +197,15 @@ class Registers(Unit):
         """Conditions that refuse a start, by the flag that reports them."""
         bounds = [self.state.setting["auto_bounds", k] for k in range(AUTO_BOUNDS)]
         period_short = Signal()
+        descends = Signal(AUTO_BOUNDS - 1)
         bounds_descend = Signal()
         gate_late = Signal()
         settings_upset = Signal()
         own_upset = Signal(len(self.state.setting))
         m.d.sync += [
             period_short.eq(self.period <= self.sensor.guard),
-            bounds_descend.eq(any_of(m, [low > high for low, high in zip(bounds, bounds[1:])], "descends")),
+            descends.eq(Cat(low > high for low, high in zip(bounds, bounds[1:]))),
+            bounds_descend.eq(descends.any()),
             gate_late.eq(self.gate_late),
             own_upset.eq(Cat(word.xor() ^ self.state.setting_parity[key] for key, word in self.state.setting.items())),
             settings_upset.eq(self.settings_upset | own_upset.any()),

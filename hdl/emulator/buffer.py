@@ -22,7 +22,7 @@ class FrameBuffer(Unit):
     s_axis : in, the sensor's stream; `tready` is low only while the buffer is full
     level, first : out, number of beats in the buffer, and address of the first
     take : in, strobe: remove beats; amount : in, their number, at most `level`
-    address : in, number of the 32-bit word to read, low half of a beat first; word : out, three cycles later
+    address : in, number of the 32-bit word to read, low half of a beat first; word : out, four cycles later
     stalls : out, number of cycles in which the sensor waited; saturates
 
     A beat is in the memory two cycles after it has been taken from the stream. Reset empties the buffer; the memory
@@ -52,7 +52,8 @@ class FrameBuffer(Unit):
         m.submodules.beats = beats = Memory(shape=BEAT_BITS, depth=self.depth, init=[])
         write, read = beats.write_port(), beats.read_port()
         behind = Signal(range(self.depth))
-        high = Signal(2)
+        high = Signal(3)
+        row = Signal(range(self.depth), reset_less=True)
         stored, beat = (Signal(BEAT_BITS, name=name, reset_less=True) for name in ("stored", "beat"))
         place = Signal.like(behind, reset_less=True)
         full = Signal()  # a register beside the level, so that the sensor does not wait for a comparison
@@ -60,7 +61,7 @@ class FrameBuffer(Unit):
         m.d.comb += [
             self.s_axis.tready.eq(~full),
             taken.eq(self.s_axis.tvalid & self.s_axis.tready),
-            read.addr.eq(self.address[1:]),
+            read.addr.eq(row),
             read.en.eq(1),
             write.addr.eq(place),
             write.data.eq(stored),
@@ -70,9 +71,10 @@ class FrameBuffer(Unit):
             place.eq(behind),  # the block RAMs are far apart, so registers stand on either side of them
             stored.eq(self.s_axis.tdata),
             write.en.eq(taken),
+            row.eq(self.address[1:]),
             high.eq(Cat(self.address[0], high)),
             beat.eq(read.data),
-            self.word.eq(beat.word_select(high[1], DATA_BITS)),
+            self.word.eq(beat.word_select(high[-1], DATA_BITS)),
             behind.eq(behind + taken),
             self.level.eq(self.level + taken - (self.amount & self.take.replicate(len(self.amount)))),
         ]
