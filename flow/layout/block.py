@@ -20,6 +20,10 @@ from .technology import ROW_UM, SITE_UM, TOP_METAL
 PLACED = "placed.json"
 RING_ROWS, RING_SITES = 2, 16  # left free around the cells
 SITE = u(SITE_UM)
+SPREAD, SPREAD_OF_MACROS = (
+    0.15,
+    0.80,
+)  # free share that the placer may leave in one place; else it widens the cells until they fill all
 
 
 def um(length: int) -> float:
@@ -29,17 +33,19 @@ def um(length: int) -> float:
 def build(cell, job) -> bool:
     """Places and routes; whether every net is routed."""
     BlockConf.toXPitch = Spares.toXPitch = to_site
-    return bool(SnappedBlock(configuration(cell, job)).doPnR())
+    if job.floorplan:
+        fix_macros(cell, job.floorplan)
+    return bool((PlacedBlock if job.floorplan else SnappedBlock)(configuration(cell, job)).doPnR())
 
 
 def configuration(cell, job) -> BlockConf:
     """Size, clock tree, and how many tracks the global router leaves to the detailed one. Pins stay at their cells."""
-    conf = BlockConf(cell, ioPins=[], ioPads=[])
+    conf, plan = BlockConf(cell, ioPins=[], ioPads=[]), job.floorplan
     conf.cfg.etesian.bloat = "disabled"
     conf.cfg.etesian.uniformDensity = True
     conf.cfg.etesian.aspectRatio = 1.0
     conf.cfg.etesian.spaceMargin = job.margin
-    conf.cfg.etesian.densityVariation = 0.15
+    conf.cfg.etesian.densityVariation = SPREAD_OF_MACROS if plan else SPREAD
     conf.cfg.anabatic.topRoutingLayer = TOP_METAL
     conf.cfg.anabatic.searchHalo = 4
     conf.cfg.anabatic.globalIterations = 20
@@ -51,10 +57,11 @@ def configuration(cell, job) -> BlockConf:
     conf.cfg.katana.dumpMeasures = True
     conf.cfg.block.spareSide = u(ROW_UM * 10)
     conf.editor = None
-    conf.useSpares = conf.useClockTree = conf.useHFNS = True
+    conf.useSpares = conf.useClockTree = True
+    conf.useHFNS = not plan  # Coriolis crashes on nets of macros
     conf.bColumns = conf.bRows = 2
     conf.useHTree(job.clock)
-    width, height = core_size_um(cell, job.margin)
+    width, height = (plan["width"], plan["height"]) if plan else core_size_um(cell, job.margin)
     conf.coreSize = u(width), u(height)
     conf.placeArea = Box(
         u(RING_SITES / 2 * SITE_UM),
@@ -63,6 +70,17 @@ def configuration(cell, job) -> BlockConf:
         u(height - RING_ROWS * ROW_UM),
     )
     return conf
+
+
+def fix_macros(cell, plan: dict[str, Any]) -> None:
+    """The macros on their grid, in the order of their names."""
+    macros = [instance for instance in cell.getInstances() if instance.getMasterCell().getName() == plan["kind"]]
+    with UpdateSession():
+        for k, instance in enumerate(sorted(macros, key=lambda instance: instance.getName())):
+            row, column = divmod(k, plan["columns"])
+            x, y = plan["x"] + column * plan["dx"], plan["y"] + row * plan["dy"]
+            instance.setTransformation(Transformation(u(x), u(y)))
+            instance.setPlacementStatus(Instance.PlacementStatus.FIXED)
 
 
 def core_size_um(cell, margin: float) -> tuple[float, float]:
@@ -88,6 +106,14 @@ class SnappedBlock(Block):
     def route(self):
         record(self.conf.cell)
         return super().route()
+
+
+class PlacedBlock(SnappedBlock):
+    """Only placed, with a clock tree."""
+
+    def route(self):
+        record(self.conf.cell)
+        return False
 
 
 def snap(cell) -> None:

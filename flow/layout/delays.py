@@ -6,9 +6,11 @@ block's own clock arrives later than the port's, behind its tree.
 """
 
 import re
+from collections.abc import Mapping
 from pathlib import Path
 
 from ...hdl.unit import Unit
+from ...hdl.views import POLYPHASE, View
 from ...model.contract.parameters import TOP, Sensor
 from ...model.shared.folders import build_root
 from ...tb import toolchain
@@ -20,13 +22,16 @@ from .flow import CLOCK, SDF, VERILOG, Layout
 INPUT_NS = 0.4
 
 
-def wrapper(unit: Unit, routed: str, sdf: Path) -> str:
-    """A module with the block's ports around its routed netlist, whose ports are single bits."""
+def shell(unit: Unit, routed: Mapping[str, str], inputs_ns: float = 0.0, sdf: Path | None = None) -> str:
+    """A module with the block's ports around its routed netlist, whose ports `routed` (name -> direction) are single bits.
+
+    inputs_ns: delay of all inputs but the clock; sdf: delays of the netlist.
+    """
     ports = {CLOCK: (True, 1), "rst": (True, 1)} | {
         name: (way.name == "In", len(signal.as_value() if hasattr(signal, "as_value") else signal))
         for name, (way, signal) in unit.flat_ports().items()
     }
-    kept = set(re.findall(r"^  (?:input|output) (\w+);", routed, re.MULTILINE))
+    kept, late = set(routed), f"#{inputs_ns} " * bool(inputs_ns)
     lines = ["`timescale 1ns/1ps", f"module {unit.unit_name} ({', '.join(map(escaped, ports))});"]
     pins = []
     for name, (is_input, bits) in ports.items():
@@ -34,7 +39,7 @@ def wrapper(unit: Unit, routed: str, sdf: Path) -> str:
         inner = escaped(name)
         if is_input and name != CLOCK:
             inner = f"late_{name}"
-            lines += [f"  wire [{bits - 1}:0] {inner};", f"  assign #{INPUT_NS} {inner} = {escaped(name)};"]
+            lines += [f"  wire [{bits - 1}:0] {inner};", f"  assign {late}{inner} = {escaped(name)};"]
         for bit in range(bits):
             pin = f"{name}_{bit}" if bits > 1 else name
             if pin in kept:
@@ -45,7 +50,7 @@ def wrapper(unit: Unit, routed: str, sdf: Path) -> str:
     if kept:
         raise toolchain.ToolchainError(f"{unit.unit_name}: the layout has ports that the block has not: {sorted(kept)}")
     lines += [f"  {unit.unit_name}_routed routed (", ",\n".join(pins), "  );"]
-    lines += [f'  initial $sdf_annotate("{sdf}", routed);', "endmodule", ""]
+    lines += [f'  initial $sdf_annotate("{sdf}", routed);'] * bool(sdf) + ["endmodule", ""]
     return "\n".join(lines)
 
 
@@ -63,7 +68,9 @@ def scaled(sdf: str, factor: float) -> str:
     )
 
 
-def simulate(sensor: Sensor, unit: Unit, layout: Layout, factor: float = 1.0) -> tuple[int, int]:
+def simulate(
+    sensor: Sensor, unit: Unit, layout: Layout, factor: float = 1.0, view: View = POLYPHASE
+) -> tuple[int, int]:
     """Plays random frames through a sensor whose blocks of this kind are the routed one, its delays times `factor`.
 
     Returns (words and commits checked, cycles). Raises `Mismatch` at the first difference, as delays that are too long lead to.
@@ -74,15 +81,17 @@ def simulate(sensor: Sensor, unit: Unit, layout: Layout, factor: float = 1.0) ->
     sdf = folder / SDF
     sdf.write_text(scaled((layout.folder / SDF).read_text(), factor))
     routed = (layout.folder / VERILOG).read_text()
+    ports = {port: way for way, port in re.findall(r"^  (input|output) (\w+);", routed, re.MULTILINE)}
     (folder / "routed.v").write_text(
         f"`timescale 1ns/1ps\n{routed.replace(f'module {name} ', f'module {name}_routed ', 1)}"
     )
-    (folder / f"{name}.v").write_text(wrapper(unit, routed, sdf))
+    (folder / f"{name}.v").write_text(shell(unit, ports, INPUT_NS, sdf))
     (folder / "cells.v").write_text(cell_models())
-    others = [path for path in rtl(sensor) if path.stem != name]
+    others = [path for path in rtl(sensor, view) if path.stem != name]
     sources = [*others, folder / f"{name}.v", folder / "routed.v", folder / "cells.v"]
     build = toolchain.build(
-        "icarus", sources, TOP, key=f"routed-{sensor_key(sensor)}-{factor:g}", options=["-gspecify"]
+        "icarus", sources, TOP, key=f"routed-{sensor_key(sensor, view)}-{factor:g}", options=["-gspecify"]
     )
-    records, _ = play_in(build, random_frames(sensor, FRAMES), build_root() / "gls" / f"routed-{factor:g}")
+    out_dir = build_root() / "gls" / f"routed-{sensor_key(sensor, view)}-{factor:g}"
+    records, _ = play_in(build, random_frames(sensor, FRAMES), out_dir, lines=view != POLYPHASE)
     return sum(record.checked for record in records), sum(record.cycles for record in records)

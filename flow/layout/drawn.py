@@ -147,6 +147,19 @@ def pin_places(placed: Placed, strips: Strips) -> Iterator[tuple[str, str, str, 
                 yield net, one["name"], pin, one["x"] + strip.x, one["y"] + y
 
 
+def placed_strips(placed: Placed, strips: Strips) -> Iterator[tuple[str, Strip]]:
+    """(net, strip where it is in the block) of every pin."""
+    for one in placed["cells"]:
+        for pin, net in one["nets"].items():
+            strip = strips.get(one["kind"], {}).get(pin)
+            if strip and one["flipped"]:
+                low, high, via = (one["y"] + ROW_UM - y for y in (strip.high, strip.low, strip.via))
+                yield net, Strip(one["x"] + strip.x, low, high, via, strip.fits)
+            elif strip:
+                low, high, via = (one["y"] + y for y in (strip.low, strip.high, strip.via))
+                yield net, Strip(one["x"] + strip.x, low, high, via, strip.fits)
+
+
 def port_places(placed: Placed, strips: Strips) -> dict[str, tuple[float, float]]:
     """Port -> where its net has a pin."""
     places: dict[str, tuple[float, float]] = {}

@@ -10,10 +10,10 @@ import os
 import re
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from attrs import asdict, frozen
 
@@ -27,15 +27,18 @@ from ...tb.toolchain import ToolchainError, build_once
 from ..liberty import read_cells, supply_v
 from ..yosys import CELLS_VERSION, LIBERTY, TAIL_LINES, cells_folder, cells_script, put_cells, run_program, run_yosys
 
+if TYPE_CHECKING:
+    from .pins import Strip
+
 NEEDED = ("coriolis", "klayout")
 LEFS, GDS = ("rtk-tech.lef", "stdcells.lef"), "stdcells.gds"  # of `cells_folder`
 BLIF, MAPPED = "mapped.blif", "mapped.v"
 VERILOG, SPEF, SDF, FINAL = "routed.v", "routed.spef", "routed.sdf", "routed.gds"
-PLACED, STRIPS, JOB, LOG = "placed.json", "strips.json", "job.json", "coriolis.log"
+PLACED, STRIPS, JOB, LOG, FACTS = "placed.json", "strips.json", "job.json", "coriolis.log", "facts.json"
 LIMIT_S = 300  # of one attempt
 NOT_ROUTED = 3  # exit code of `place_route.py`
 CLOCK = "clk"
-BEHIND = ("page", "delays")  # files that do not change a layout
+BEHIND = ("page", "delays", "hierarchy")  # files that do not change a layout
 
 
 @frozen
@@ -101,7 +104,7 @@ def lay_out(unit: Unit, clock_mhz: float, tell: Callable[[str], None], view: Vie
         finish(unit.unit_name, cells, clock_mhz, attempt, folder)
 
     folder = build_once(build_root() / "layout" / f"{unit.unit_name}-{key}", make)
-    facts = json.loads((folder / "facts.json").read_text())
+    facts = json.loads((folder / FACTS).read_text())
     facts["attempt"] = Attempt(**facts["attempt"])
     return Layout(folder=folder, **facts)
 
@@ -134,38 +137,59 @@ def map_for_router(top: str, files: list[str], folder: Path) -> None:
 
 def route(top: str, cells: Path, folder: Path, tell: Callable[[str], None]) -> Attempt:
     """Places and routes the BLIF file of `folder`; the attempt that succeeded. Raises `ToolchainError` where none does."""
-    from .pins import strips
-
-    used = set(re.findall(r"^\.(?:gate|subckt) (\S+)", (folder / BLIF).read_text(), re.MULTILINE))
-    used |= {"BUF_X4", "BUF_X1", "LOGIC0_X1", "LOGIC1_X1"}  # of the clock tree, of nets with many pins, of constants
-    places = strips(cells / LEFS[1], used)
-    flat = {
-        cell: {pin: [s.x, s.low, s.high, s.via, s.fits] for pin, s in pins.items()} for cell, pins in places.items()
-    }
-    (folder / STRIPS).write_text(json.dumps(flat))
     for attempt in ATTEMPTS:
         tell(f"{top}: placing and routing, {attempt.margin:.0%} of the area free")
-        job = {
-            "blif": BLIF.removesuffix(".blif"),
-            "lef": [str(cells / lef) for lef in LEFS],
-            "strips": STRIPS,
-            "clock": CLOCK,
-        }
-        (folder / JOB).write_text(json.dumps(job | asdict(attempt)))
-        if _coriolis(folder):
+        write_job(folder, cells, attempt)
+        if run_coriolis(folder, LIMIT_S):
             return attempt
     tail = "\n".join((folder / LOG).read_text(errors="replace").splitlines()[-TAIL_LINES:])
     raise ToolchainError(f"{top}: {len(ATTEMPTS)} attempts did not route every net\n{tail}")
 
 
-def _coriolis(folder: Path) -> bool:
+def write_job(
+    folder: Path,
+    cells: Path,
+    attempt: Attempt,
+    floorplan: Mapping[str, Any] | None = None,
+    macros: "dict[str, dict[str, Strip]] | None" = None,
+    *lefs: Path,
+) -> None:
+    """Writes what Coriolis is to do with the BLIF file of `folder`. macros: name -> port -> strip; `lefs` are theirs."""
+    from .pins import strips
+
+    used = set(re.findall(r"^\.(?:gate|subckt) (\S+)", (folder / BLIF).read_text(), re.MULTILINE))
+    used |= {"BUF_X4", "BUF_X1", "LOGIC0_X1", "LOGIC1_X1"}  # of the clock tree, of nets with many pins, of constants
+    places = strips(cells / LEFS[1], used) | (macros or {})
+    flat = {
+        cell: {pin: [s.x, s.low, s.high, s.via, s.fits] for pin, s in pins.items()} for cell, pins in places.items()
+    }
+    (folder / STRIPS).write_text(json.dumps(flat))
+    job = {
+        "blif": BLIF.removesuffix(".blif"),
+        "lef": [str(path) for path in (*(cells / lef for lef in LEFS), *lefs)],
+        "strips": STRIPS,
+        "clock": CLOCK,
+        "floorplan": floorplan,
+    }
+    (folder / JOB).write_text(json.dumps(job | asdict(attempt)))
+
+
+def read_strips(folder: Path) -> "dict[str, dict[str, Strip]]":
+    """The strips that `write_job` wrote."""
+    from .pins import Strip
+
+    stored = json.loads((folder / STRIPS).read_text())
+    return {cell: {pin: Strip(*values) for pin, values in pins.items()} for cell, pins in stored.items()}
+
+
+def run_coriolis(folder: Path, limit_s: float) -> bool:
     """Whether the job of `folder` ended in time with everything routed."""
     command = [sys.executable, "-m", "coincid.flow.layout.place_route", JOB]
     with (folder / LOG).open("a") as log:
         try:
             environment = os.environ | {"PYTHONHASHSEED": "0"}
             done = subprocess.run(
-                command, cwd=folder, stdout=log, stderr=log, timeout=LIMIT_S, check=False, env=environment
+                command, cwd=folder, stdout=log, stderr=log, timeout=limit_s, check=False, env=environment
             )
         except subprocess.TimeoutExpired:
             return False
@@ -178,11 +202,10 @@ def _coriolis(folder: Path) -> bool:
 def finish(top: str, cells: Path, clock_mhz: float, attempt: Attempt, folder: Path) -> None:
     """Draws, checks and times the routed block of `folder`. Raises `ToolchainError` on an open or a short."""
     from . import drawn, wires
-    from .pins import Strip, cell_widths_um
+    from .pins import cell_widths_um
 
     placed: dict[str, Any] = json.loads((folder / PLACED).read_text())
-    stored = json.loads((folder / STRIPS).read_text())
-    strips = {cell: {pin: Strip(*values) for pin, values in pins.items()} for cell, pins in stored.items()}
+    strips = read_strips(folder)
     widths_um = cell_widths_um(cells / LEFS[1])
     layout = drawn.draw(folder / f"{top}.gds", cells / GDS, placed, strips, widths_um, top)
     joined = drawn.connect(layout, top, placed, strips)
@@ -193,7 +216,8 @@ def finish(top: str, cells: Path, clock_mhz: float, attempt: Attempt, folder: Pa
         )
     layout.write(str(folder / FINAL))
     drawn.draw_picture(folder / FINAL, folder / f"{top}.png")
-    wired = wires.wired(top, placed, strips, folder / f"{top}_export.def", cells / LEFS[0])
+    lengths = wires.lengths_um(folder / f"{top}_export.def")
+    wired = wires.wired(top, placed, strips, lengths, cells / LEFS[0])
     (folder / SPEF).write_text(wired.spef)
     (folder / VERILOG).write_text(wires.netlist(top, placed))
     slack_ns, hold_ns = time_wires(top, clock_mhz, folder)
@@ -215,7 +239,7 @@ def finish(top: str, cells: Path, clock_mhz: float, attempt: Attempt, folder: Pa
         "hold_ns": hold_ns,
         "rules": drawn.check_rules(layout, top),
     }
-    (folder / "facts.json").write_text(json.dumps(facts, indent=1))
+    (folder / FACTS).write_text(json.dumps(facts, indent=1))
 
 
 def time_wires(top: str, clock_mhz: float, folder: Path) -> tuple[float, float]:

@@ -229,9 +229,9 @@ def _replace_pin(net, metal2, x: float, low: float, high: float) -> None:
 def _widen(cell, um2_per_pin: float) -> None:
     """Room for the pins: a cell grows to the right, where fillers come in the end."""
     pins = sum(1 for net in cell.getNets() if net.isExternal() and not net.isSupply())
-    if not pins or cell.getName().startswith("FILL"):
-        return
     box, site = cell.getAbutmentBox(), u(SITE_UM)
+    if not pins or cell.getName().startswith("FILL") or box.getHeight() > u(ROW_UM):
+        return
     width, needed = box.getWidth(), u(pins * um2_per_pin / ROW_UM)
     if needed > width:
         width += (needed - width + site - 1) // site * site

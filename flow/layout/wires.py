@@ -21,6 +21,7 @@ SELECTS = ("MUX",)  # cells whose S is an input
 FF_PER_PF = 1000
 CLOCK_BUFFER = "BUF_X4"  # nothing but the clock tree has it in a placed block
 MW_PER_FJ_MHZ = 1e-6
+Lengths = dict[str, dict[int, float]]  # net -> metal -> um
 
 
 @frozen
@@ -42,14 +43,14 @@ def metals(lef: Path) -> dict[int, Metal]:
     return found
 
 
-def lengths_um(routed: Path) -> dict[str, dict[int, float]]:
+def lengths_um(routed: Path) -> Lengths:
     """Net -> metal -> length, of a routed DEF file; the clock's nets are special ones there."""
     text = routed.read_text()
     units = re.search(r"^UNITS DISTANCE MICRONS (\d+)", text, re.MULTILINE)
     nets = re.findall(r"^((?:SPECIAL)?NETS) (.*?)^END \1", text, re.MULTILINE | re.DOTALL)
     if units is None or not nets:
         raise ValueError(f"{routed.name}: no units, or no nets")
-    lengths: dict[str, dict[int, float]] = {}
+    lengths: Lengths = {}
     for net in (net for _, part in nets for net in re.split(r"^\s*- ", part, flags=re.MULTILINE)[1:]):
         on = lengths.setdefault(net.split()[0], defaultdict(float))
         for level, points in re.findall(r"(?:ROUTED|NEW)\s+metal(\d+)\s([^;]*?)(?=NEW|;|\Z)", net):
@@ -85,9 +86,9 @@ class Wired:
         return sum(self.farads.values())
 
 
-def wired(top: str, placed: Placed, strips: Strips, routed: Path, lef: Path) -> Wired:
-    """The wires of a routed block."""
-    layer, lengths = metals(lef), lengths_um(routed)
+def wired(top: str, placed: Placed, strips: Strips, lengths: Lengths, lef: Path) -> Wired:
+    """The wires of a block, of these lengths."""
+    layer = metals(lef)
     kinds = {one["name"]: one["kind"] for one in placed["cells"]}
     pins: dict[str, list[tuple[str, str, float, float]]] = defaultdict(list)
     for net, cell, pin, x, y in pin_places(placed, strips):

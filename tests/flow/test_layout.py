@@ -10,7 +10,7 @@ from coincid.flow.yosys import cells_folder
 
 pya = pytest.importorskip("klayout.db", reason="the layout tools (scripts/setup layout) are not installed")
 
-from coincid.flow.layout import drawn, pins  # noqa: E402
+from coincid.flow.layout import drawn, hierarchy, pins  # noqa: E402
 from coincid.flow.layout.delays import scaled  # noqa: E402
 
 DEF = """\
@@ -125,10 +125,51 @@ def _named(given):
     return layout, "top", placed, strips
 
 
+def test_macros_meet_sites_and_rows_alike_and_do_not_touch():
+    plan = hierarchy.floorplan("M", 60.42, 61.6, 16)
+    for name, step in (("x", 0.19), ("dx", 0.19), ("x", 0.3), ("dx", 0.3), ("y", 2.8), ("dy", 2.8), ("y", 0.3)):
+        assert plan[name] / step == pytest.approx(round(plan[name] / step))
+    assert plan["dx"] >= 60.42 + hierarchy.CHANNEL_UM and plan["dy"] >= 61.6 + hierarchy.CHANNEL_UM
+    assert plan["width"] == pytest.approx(2 * plan["x"] + 3 * plan["dx"] + 60.42)
+
+
+def test_unused_inputs_are_no_ports_of_a_macro():
+    netlist = "module m (a, b, z);\n  input a;\n  input b;\n  output z;\n  INV_X1 u1 (.A(b), .ZN(z));\nendmodule\n"
+    assert hierarchy.used_ports(netlist) == {"b": "input", "z": "output"}
+
+
+def test_a_block_with_macros_becomes_flat():
+    strips = {"INV": {"A": pins.Strip(0.1, 0.2, 0.9, 0.5, True), "ZN": pins.Strip(0.3, 0.2, 0.9, 0.5, True)}}
+
+    def inverter(name, x, a, zn):
+        return {"name": name, "kind": "INV", "x": x, "y": 0.0, "flipped": False, "nets": {"A": a, "ZN": zn}}
+
+    inner = {"cells": [inverter("u1", 1.0, "in", "n1"), inverter("u2", 2.0, "n1", "out")]}
+    macro_pins = {"in": pins.Strip(1.1, 0.2, 0.9, 0.5, True), "out": pins.Strip(2.3, 0.2, 0.9, 0.5, True)}
+    macro = hierarchy.Macro("M", inner, strips, {"n1": {4: 0.9}, "out": {3: 0.2}}, macro_pins)
+    placed = {
+        "cells": [
+            {"name": "one", "kind": "M", "x": 10.0, "y": 0.0, "flipped": False, "nets": {"in": "a", "out": "b"}},
+            inverter("u1", 0.0, "b", "a"),
+        ]
+    }
+    cells = {one["name"]: (one["x"], one["nets"]) for one in hierarchy.flat(placed, macro)["cells"]}
+    assert cells == {
+        "u1": (0.0, {"A": "b", "ZN": "a"}),
+        "m0_u1": (11.0, {"A": "a", "ZN": "m0_n1"}),
+        "m0_u2": (12.0, {"A": "m0_n1", "ZN": "b"}),
+    }
+    reach = hierarchy.estimates_um(placed, strips | {"M": macro_pins})
+    assert reach == pytest.approx({"a": hierarchy.DETOUR * 10.8, "b": hierarchy.DETOUR * 12.2})
+    lengths = hierarchy.lengths_um(placed, macro, {"b": 8.0})
+    assert {net: dict(on) for net, on in lengths.items()} == {"b": {3: 2.2, 4: 2.0, 5: 2.0, 6: 2.0}, "m0_n1": {4: 0.9}}
+
+
 @pytest.mark.skipif(cells_folder() is None, reason="standard cells (scripts/setup cells) are not installed")
-def test_a_small_minigroup_is_routed():
+def test_a_small_minigroup_is_routed_and_its_tree_placed():
     from coincid.flow.layout.flow import PLACED, lay_out
     from coincid.hdl.minigroup import Minigroup
+    from coincid.hdl.tree import CoincidenceTree
     from coincid.model.contract.parameters import Sensor
 
     small = Sensor(rows=4, cols=4, subgroup=(4, 4), minigroup=(1, 2), phases=4, window_max=8, fifo_depth=1)
@@ -140,3 +181,7 @@ def test_a_small_minigroup_is_routed():
     real = [one for one in placed["cells"] if not one["kind"].startswith("FILL")]
     assert len(real) == layout.cells
     assert {one["x"] % 0.19 < 1e-6 or 0.19 - one["x"] % 0.19 < 1e-6 for one in real} == {True}
+    tree = hierarchy.lay_out(CoincidenceTree(small), Minigroup(small), layout, 500.0, print)
+    assert tree.macros == small.minigroups and tree.buffers
+    assert tree.cell_area_um2 + tree.macros * layout.width_um * layout.height_um < tree.width_um * tree.height_um
+    assert 0 < tree.slack_ns < layout.slack_ns + 0.1

@@ -1,0 +1,224 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Blocks above a minigroup: routed minigroups as macros on a grid, the block's own cells placed in the channels between them, a clock tree.
+
+Their wires are estimated, because the router does not close them: a net is `DETOUR` times half the perimeter of the box around its pins long.
+Timing is of the whole block, with the macros' routed wires inside them.
+"""
+
+import json
+import math
+import re
+from collections import defaultdict
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+from attrs import frozen
+
+from ...hdl.export import units_files
+from ...hdl.unit import Unit
+from ...model.shared.folders import build_root
+from ...model.shared.sources import digest
+from ...tb.toolchain import ToolchainError, build_once
+from ..yosys import CELLS_VERSION
+from . import drawn, wires
+from .delays import shell
+from .drawn import Placed, Strips
+from .flow import (
+    BLIF,
+    FACTS,
+    LEFS,
+    PLACED,
+    SPEF,
+    VERILOG,
+    Attempt,
+    Layout,
+    map_for_router,
+    read_strips,
+    require_tools,
+    run_coriolis,
+    time_wires,
+    write_job,
+)
+from .pins import Strip, cell_widths_um
+
+MACRO_LEF = "macro.lef"
+ROOM = Attempt(0.45, 0.83, (5, 6, 4))  # around the block's own cells
+LIMIT_S = 400  # of the placer
+COLUMNS = 4  # of macros
+CHANNEL_UM, BORDER_UM = 26.0, 16.0  # least widths between macros, and around them
+STEP_UM = 5.7, 8.4  # in x and y: here sites or pairs of rows, and tracks of every metal, repeat
+DETOUR = 1.23  # of the tree's nets, as far as Coriolis routed them
+ESTIMATED_ON = 3, 4, 5, 6  # metals of an estimated wire, alike long on each
+
+
+@frozen
+class Hierarchy:
+    """A placed block with its macros. Cells, nets and wires are its own, without the macros'; slacks are of all paths between registers."""
+
+    folder: Path
+    macros: int
+    cells: int
+    cell_area_um2: float
+    width_um: float
+    height_um: float
+    buffers: int
+    nets: int
+    wire_um: float
+    slack_ns: float
+    hold_ns: float
+
+
+@frozen
+class Macro:
+    """A routed block from above. pins: port -> a strip of metal2 where it is reached."""
+
+    kind: str
+    placed: Placed
+    strips: Strips
+    lengths: wires.Lengths
+    pins: dict[str, Strip]
+
+
+def lay_out(unit: Unit, leaf: Unit, layout: Layout, clock_mhz: float, tell: Callable[[str], None]) -> Hierarchy:
+    """A block, placed once for the state of its Verilog; its units of `leaf`'s kind are the routed `layout`. Raises `ToolchainError`."""
+    cells, files = require_tools(), units_files([unit], latches=True)
+    ports, kind = used_ports((layout.folder / VERILOG).read_text()), f"{leaf.unit_name}_routed"
+    files[f"{leaf.unit_name}.v"] = shell(leaf, ports)
+    declared = "".join(f"  {way} {name};\n" for name, way in ports.items())
+    files["macro.v"] = f"(* blackbox *)\nmodule {kind} ({', '.join(ports)});\n{declared}endmodule\n"
+    own = (path.read_text() for path in sorted(Path(__file__).parent.glob("*.py")) if path.stem != "page")
+    state = CELLS_VERSION, str(clock_mhz), layout.folder.name
+    key = digest(*state, *own, *(part for item in sorted(files.items()) for part in item))
+
+    def make(folder: Path) -> None:
+        for name, text in files.items():
+            (folder / name).write_text(text)
+        tell(f"{unit.unit_name}: placing it around its minigroups")
+        map_for_router(unit.unit_name, list(files), folder)
+        macro = read_macro(leaf.unit_name, layout, ports)
+        (folder / MACRO_LEF).write_text(macro_lef(macro, ports))
+        number = len(re.findall(rf"^\.\w+ {kind} ", (folder / BLIF).read_text(), re.MULTILINE))
+        plan = floorplan(kind, layout.width_um, layout.height_um, number)
+        write_job(folder, cells, ROOM, plan, {kind: macro.pins}, folder / MACRO_LEF)
+        run_coriolis(folder, LIMIT_S)
+        if not (folder / PLACED).exists():
+            raise ToolchainError(f"{unit.unit_name}: not placed within {LIMIT_S} s")
+        _finish(unit.unit_name, macro, cells, clock_mhz, folder)
+
+    folder = build_once(build_root() / "layout" / f"{unit.unit_name}-{key}", make)
+    return Hierarchy(folder=folder, **json.loads((folder / FACTS).read_text()))
+
+
+def used_ports(netlist: str) -> dict[str, str]:
+    """Port -> direction, of a routed netlist; without the inputs that no cell has."""
+    used = set(re.findall(r"\.\w+\((\w+)\)", netlist))
+    ports = re.findall(r"^  (input|output) (\w+);", netlist, re.MULTILINE)
+    return {name: way for way, name in ports if name in used}
+
+
+def floorplan(kind: str, width_um: float, height_um: float, macros: int) -> dict[str, Any]:
+    """The macros' grid and the block's size, in um. All macros meet sites, rows and tracks alike."""
+    x, y = (math.ceil(BORDER_UM / step) * step for step in STEP_UM)
+    dx, dy = (math.ceil((size + CHANNEL_UM) / step) * step for size, step in zip((width_um, height_um), STEP_UM))
+    rows = math.ceil(macros / COLUMNS)
+    sizes = x, y, dx, dy, 2 * x + (COLUMNS - 1) * dx + width_um, 2 * y + (rows - 1) * dy + height_um
+    names = "x", "y", "dx", "dy", "width", "height"
+    return {"kind": kind, "columns": COLUMNS} | {name: round(um, 4) for name, um in zip(names, sizes)}
+
+
+def read_macro(name: str, layout: Layout, ports: Mapping[str, str]) -> Macro:
+    """A routed block, with one of its pins for every port."""
+    placed, strips = json.loads((layout.folder / PLACED).read_text()), read_strips(layout.folder)
+    pins: dict[str, Strip] = {}
+    for net, strip in drawn.placed_strips(placed, strips):
+        if net in ports:
+            pins.setdefault(net, strip)
+    return Macro(f"{name}_routed", placed, strips, wires.lengths_um(layout.folder / f"{name}_export.def"), pins)
+
+
+def macro_lef(macro: Macro, ports: Mapping[str, str]) -> str:
+    """A macro for the placer: its size, and its ports' strips."""
+    lines = ["VERSION 5.7 ;", f"MACRO {macro.kind}", "  CLASS BLOCK ;", "  ORIGIN 0 0 ;"]
+    lines += [f"  SIZE {macro.placed['width']} BY {macro.placed['height']} ;"]
+    half = drawn.HALF_WIRE_UM
+    for port, way in ports.items():
+        strip = macro.pins[port]
+        lines += [
+            f"  PIN {port}",
+            f"    DIRECTION {way.upper()} ;",
+            "    USE SIGNAL ;",
+            "    PORT",
+            "      LAYER metal2 ;",
+        ]
+        lines += [f"        RECT {strip.x - half:.4f} {strip.low:.4f} {strip.x + half:.4f} {strip.high:.4f} ;"]
+        lines += ["    END", f"  END {port}"]
+    for supply, use in (("VDD", "POWER"), ("VSS", "GROUND")):
+        lines += [f"  PIN {supply}", "    DIRECTION INOUT ;", f"    USE {use} ;", f"  END {supply}"]
+    return "\n".join([*lines, f"END {macro.kind}", "", "END LIBRARY", ""])
+
+
+def macros_of(placed: Placed, macro: Macro) -> list[dict[str, Any]]:
+    """The macros of a placed block, in the order of their names."""
+    return sorted((one for one in placed["cells"] if one["kind"] == macro.kind), key=lambda one: one["name"])
+
+
+def flat(placed: Placed, macro: Macro) -> Placed:
+    """The placed block with its macros' cells in their place. Cells and nets inside macro number k have the prefix `m<k>_`."""
+    cells = [one for one in placed["cells"] if one["kind"] != macro.kind]
+    for k, one in enumerate(macros_of(placed, macro)):
+        for inner in macro.placed["cells"]:
+            place = {"name": f"m{k}_{inner['name']}", "x": inner["x"] + one["x"], "y": inner["y"] + one["y"]}
+            nets = {pin: one["nets"].get(net, f"m{k}_{net}") for pin, net in inner["nets"].items()}
+            cells.append(inner | place | {"nets": nets})
+    return placed | {"cells": cells}
+
+
+def lengths_um(placed: Placed, macro: Macro, estimated_um: Mapping[str, float]) -> wires.Lengths:
+    """Net -> metal -> length, of the flat block: the macros' own wires, and the estimated ones above them."""
+    lengths: wires.Lengths = defaultdict(lambda: defaultdict(float))
+    for net, um in estimated_um.items():
+        for metal in ESTIMATED_ON:
+            lengths[net][metal] += um / len(ESTIMATED_ON)
+    for k, one in enumerate(macros_of(placed, macro)):
+        for net, on in macro.lengths.items():
+            for metal, um in on.items():
+                lengths[one["nets"].get(net, f"m{k}_{net}")][metal] += um
+    return lengths
+
+
+def estimates_um(placed: Placed, strips: Strips) -> dict[str, float]:
+    """Net -> estimated length, of all nets between two or more pins of cells and macros."""
+    ends: dict[str, list[tuple[float, float]]] = defaultdict(list)
+    for net, strip in drawn.placed_strips(placed, strips):
+        ends[net].append((strip.x, strip.via))
+    return {
+        net: DETOUR * sum(max(along) - min(along) for along in zip(*places))
+        for net, places in ends.items()
+        if len(places) > 1
+    }
+
+
+def _finish(top: str, macro: Macro, cells: Path, clock_mhz: float, folder: Path) -> None:
+    """Times the placed block of `folder`, and draws its cells."""
+    placed: Placed = json.loads((folder / PLACED).read_text())
+    strips = read_strips(folder) | dict(macro.strips)
+    estimated_um, whole, widths_um = estimates_um(placed, strips), flat(placed, macro), cell_widths_um(cells / LEFS[1])
+    wired = wires.wired(top, whole, strips, lengths_um(placed, macro, estimated_um), cells / LEFS[0])
+    (folder / SPEF).write_text(wired.spef)
+    (folder / VERILOG).write_text(wires.netlist(top, whole))
+    slack_ns, hold_ns = time_wires(top, clock_mhz, folder)
+    own = [one["kind"] for one in placed["cells"] if one["kind"] != macro.kind and not one["kind"].startswith("FILL")]
+    facts = {
+        "macros": len(macros_of(placed, macro)),
+        "cells": len(own),
+        "cell_area_um2": sum(widths_um[kind] for kind in own) * drawn.ROW_UM,
+        "width_um": placed["width"],
+        "height_um": placed["height"],
+        "buffers": own.count(wires.CLOCK_BUFFER),
+        "nets": len(estimated_um),
+        "wire_um": sum(estimated_um.values()),
+        "slack_ns": slack_ns,
+        "hold_ns": hold_ns,
+    }
+    (folder / FACTS).write_text(json.dumps(facts, indent=1))
