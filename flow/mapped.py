@@ -24,6 +24,15 @@ from .yosys import CELLS_VERSION, LIBERTY, cells_script, put_cells, run_program,
 FLOP, LATCH = re.compile(r"S?DFF"), re.compile(r"DL[HL]|TLAT")
 MACRO = re.compile(r"(?:\$paramod\S*\\)?(coincid_(?:phases|window|delay|mutex))\b")
 NETLIST = "netlist.v"
+LONGEST_PATHS = """\
+puts "FLOPS"
+report_checks -path_delay max -to [all_registers -edge_triggered -data_pins]
+puts "LATCHES"
+set latches [all_registers -level_sensitive -data_pins]
+if {[llength $latches]} {report_checks -path_delay max -to $latches}
+puts "OPENING"
+report_checks -path_delay max -path_group **clock_gating_default**
+"""
 
 
 @frozen
@@ -89,21 +98,22 @@ read_liberty {LIBERTY}
 read_verilog {block}.timed.v
 link_design {block}
 create_clock -name clk -period {clock_ns} [get_ports clk]
-puts "FLOPS"
-report_checks -path_delay max -to [all_registers -edge_triggered -data_pins]
-puts "LATCHES"
-set latches [all_registers -level_sensitive -data_pins]
-if {{[llength $latches]}} {{report_checks -path_delay max -to $latches}}
-puts "OPENING"
-report_checks -path_delay max -path_group **clock_gating_default**
-"""
+{LONGEST_PATHS}"""
     (folder / f"{block}.tcl").write_text(script)
     report = run_program(["sta", "-exit", f"{block}.tcl"], folder, "sta")
-    head, *parts = re.split(r"^(?:FLOPS|LATCHES|OPENING)$", report, flags=re.MULTILINE)
     errors = [line for line in report.splitlines() if line.startswith("Error")]
-    found = [re.findall(r"(-?[\d.]+) +slack", part) for part in parts]
-    if errors or not found[0]:
+    found = least_slack_ns(report)
+    if errors or found is None:
         raise toolchain.ToolchainError(f"sta: {(errors or [f'no path in {block}'])[0]}")
+    return found
+
+
+def least_slack_ns(report: str) -> float | None:
+    """Return the least slack of what `LONGEST_PATHS` reported; None: there is no path."""
+    _, *parts = re.split(r"^(?:FLOPS|LATCHES|OPENING)$", report, flags=re.MULTILINE)
+    found = [re.findall(r"(-?[\d.]+) +slack", part) for part in parts]
+    if not found[0]:
+        return None
     slacks = [float(n) for n in found[0] + found[2]]
     lent = re.findall(r"^(?:max|actual) time borrow +(-?[\d.]+)", parts[1], re.MULTILINE)
     slacks += [float(lent[0]) - float(lent[1])] if len(lent) == 2 else [float(n) for n in found[1]]

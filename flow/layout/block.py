@@ -57,10 +57,10 @@ def configuration(cell, job) -> BlockConf:
     conf.cfg.katana.dumpMeasures = True
     conf.cfg.block.spareSide = u(ROW_UM * 10)
     conf.editor = None
-    conf.useSpares = conf.useClockTree = True
-    conf.useHFNS = not plan  # Coriolis crashes on nets of macros
+    conf.useSpares = conf.useClockTree = conf.useHFNS = not plan  # the last crashes on nets of macros
     conf.bColumns = conf.bRows = 2
-    conf.useHTree(job.clock)
+    if not plan:
+        conf.useHTree(job.clock)
     width, height = (plan["width"], plan["height"]) if plan else core_size_um(cell, job.margin)
     conf.coreSize = u(width), u(height)
     conf.placeArea = Box(

@@ -25,6 +25,7 @@ from ...model.shared.folders import build_root
 from ...model.shared.sources import digest
 from ...tb.toolchain import ToolchainError, build_once
 from ..liberty import read_cells, supply_v
+from ..mapped import LONGEST_PATHS, least_slack_ns
 from ..yosys import CELLS_VERSION, LIBERTY, TAIL_LINES, cells_folder, cells_script, put_cells, run_program, run_yosys
 
 if TYPE_CHECKING:
@@ -38,7 +39,7 @@ PLACED, STRIPS, JOB, LOG, FACTS = "placed.json", "strips.json", "job.json", "cor
 LIMIT_S = 300  # of one attempt
 NOT_ROUTED = 3  # exit code of `place_route.py`
 CLOCK = "clk"
-BEHIND = ("page", "delays", "hierarchy")  # files that do not change a layout
+BEHIND = ("page", "delays", "hierarchy", "buffers")  # files that do not change a layout
 
 
 @frozen
@@ -253,18 +254,17 @@ set_input_transition 0.05 [all_inputs]
 set_load 0.005 [all_outputs]
 read_spef {SPEF}
 set_propagated_clock [all_clocks]
-report_checks -path_delay max -format full
-puts "SHORTEST"
+{LONGEST_PATHS}puts "SHORTEST"
 report_checks -path_delay min -format full
 write_sdf {SDF}
 """
     (folder / "time.tcl").write_text(script)
     report = run_program(["sta", "-exit", "time.tcl"], folder, "sta")
-    # Every group of paths has a report; the latches' write lines are one.
-    slacks = [[float(n) for n in re.findall(r"(-?[\d.]+) +slack", part)] for part in report.split("SHORTEST")]
-    if not all(slacks) or "Error" in report:
+    longest, shortest = report.split("SHORTEST")
+    slack_ns, holds = least_slack_ns(longest), re.findall(r"(-?[\d.]+) +slack", shortest)
+    if slack_ns is None or not holds or "Error" in report:
         raise ToolchainError(f"sta: no timing of {top}: {report[-500:]}")
     sdf = (folder / SDF).read_text()
     # Icarus ignores a triplet whose middle is empty: of one corner all three are the same.
     (folder / SDF).write_text(re.sub(r"\(([-\d.]+)::([-\d.]+)\)", r"(\1:\2:\2)", sdf))
-    return min(slacks[0]), min(slacks[1])
+    return slack_ns, min(map(float, holds))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Blocks above a minigroup: routed minigroups as macros on a grid, the block's own cells placed in the channels between them, a clock tree.
+"""Blocks above a minigroup: routed minigroups as macros on a grid, the block's own cells and buffers in the channels between them.
 
 Their wires are estimated, because the router does not close them: a net is `DETOUR` times half the perimeter of the box around its pins long.
 Timing is of the whole block, with the macros' routed wires inside them.
@@ -8,7 +8,7 @@ Timing is of the whole block, with the macros' routed wires inside them.
 import json
 import math
 import re
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -21,11 +21,12 @@ from ...model.shared.folders import build_root
 from ...model.shared.sources import digest
 from ...tb.toolchain import ToolchainError, build_once
 from ..yosys import CELLS_VERSION
-from . import drawn, wires
+from . import buffers, drawn, wires
 from .delays import shell
 from .drawn import Placed, Strips
 from .flow import (
     BLIF,
+    CLOCK,
     FACTS,
     LEFS,
     PLACED,
@@ -199,12 +200,28 @@ def estimates_um(placed: Placed, strips: Strips) -> dict[str, float]:
     }
 
 
+def drivers_lost(whole: Placed) -> list[str]:
+    """Nets of a flat block that not exactly one cell or port drives."""
+    drivers = Counter({port: 1 for port, way in whole["ports"].items() if way == "input"})
+    nets = set()
+    for one in whole["cells"]:
+        nets.update(one["nets"].values())
+        drivers.update(net for pin, net in one["nets"].items() if wires.is_output(one["kind"], pin))
+    return sorted(net for net in nets if drivers[net] != 1)
+
+
 def _finish(top: str, macro: Macro, cells: Path, clock_mhz: float, folder: Path) -> None:
     """Times the placed block of `folder`, and draws its cells."""
+    strips, widths_um = read_strips(folder) | dict(macro.strips), cell_widths_um(cells / LEFS[1])
+    widths_um[macro.kind] = macro.placed["width"]
+    outputs = [port for port, way in macro.placed["ports"].items() if way == "output"]
     placed: Placed = json.loads((folder / PLACED).read_text())
-    strips = read_strips(folder) | dict(macro.strips)
-    estimated_um, whole, widths_um = estimates_um(placed, strips), flat(placed, macro), cell_widths_um(cells / LEFS[1])
+    floating = drivers_lost(flat(placed, macro))  # as Yosys left them
+    placed = buffers.grow(placed, CLOCK, strips, widths_um, macro.kind, outputs, macro.placed["height"])
+    estimated_um, whole = estimates_um(placed, strips), flat(placed, macro)
     wired = wires.wired(top, whole, strips, lengths_um(placed, macro, estimated_um), cells / LEFS[0])
+    if lost := set(drivers_lost(whole)) - set(floating):
+        raise ToolchainError(f"{top}: buffers left nets without a driver, or with several: {sorted(lost)[:5]}")
     (folder / SPEF).write_text(wired.spef)
     (folder / VERILOG).write_text(wires.netlist(top, whole))
     slack_ns, hold_ns = time_wires(top, clock_mhz, folder)

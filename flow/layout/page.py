@@ -8,6 +8,7 @@ from PIL import Image
 
 from ...hdl.minigroup import Minigroup
 from ...hdl.silicon.minigroup import AsyncMinigroup
+from ...hdl.subgroup import Subgroup
 from ...hdl.tree import CoincidenceTree
 from ...hdl.unit import Unit
 from ...hdl.views import POLYPHASE, VIEWS, View
@@ -17,6 +18,7 @@ from ...model.shared.files import whole_file
 from ...tb.errors import Mismatch
 from ..mapped import map_block, slack_ns
 from . import hierarchy
+from .buffers import FANOUT_MAX
 from .delays import INPUT_NS, simulate
 from .flow import FINAL, Layout, lay_out
 from .hierarchy import DETOUR, Hierarchy
@@ -36,7 +38,10 @@ def write_page(path: Path, tell: Callable[[str], None]) -> None:
     layouts = [lay_out(unit, config.clock_mhz, tell, view) for unit, view in units]
     mapped = [map_block(unit, view) for unit, view in units]
     slacks = [slack_ns(block.folder, block.name, clock_ns) for block in mapped]
-    tree = hierarchy.lay_out(CoincidenceTree(config.sensor), units[0][0], layouts[0], config.clock_mhz, tell)
+    placed = [
+        hierarchy.lay_out(unit, units[0][0], layouts[0], config.clock_mhz, tell)
+        for unit in (CoincidenceTree(config.sensor), Subgroup(config.sensor))
+    ]
     small = Minigroup(SMALL), AsyncMinigroup(SMALL)
     played = [
         played_with_delays(unit, view, layout, tell)
@@ -49,7 +54,8 @@ def write_page(path: Path, tell: Callable[[str], None]) -> None:
         clock=clock_ns,
         rules=_table([(name, str(found)) for name, found in layout.rules] for layout in layouts),
         played=_table(played),
-        tree=_table([above(tree)]),
+        above=_table(map(above, placed)),
+        fanout=FANOUT_MAX,
         detour=DETOUR,
         factor=TOO_SLOW,
         input=INPUT_NS,
@@ -104,18 +110,18 @@ def facts(layout: Layout, mapped_um2: float) -> list[tuple[str, str]]:
     ]
 
 
-def above(tree: Hierarchy) -> list[tuple[str, str]]:
-    """The placed tree."""
+def above(block: Hierarchy) -> list[tuple[str, str]]:
+    """A placed block."""
     return [
-        ("minigroups as macros", str(tree.macros)),
-        ("other cells, with the clock tree", f"{tree.cells:,}"),
-        ("their area, um2", f"{tree.cell_area_um2:,.0f}"),
-        ("buffers of the clock tree above the macros", str(tree.buffers)),
-        ("block, um", f"{tree.width_um:.1f} x {tree.height_um:.1f}"),
-        ("nets above the macros", f"{tree.nets:,}"),
-        ("their wires, estimated, mm", f"{tree.wire_um / 1000:.0f}"),
-        ("slack of the longest path, ns", f"{tree.slack_ns:+.2f}"),
-        ("slack of the shortest path (hold), ns", f"{tree.hold_ns:+.2f}"),
+        ("minigroups as macros", str(block.macros)),
+        ("other cells, with the added buffers", f"{block.cells:,}"),
+        ("their area, um2", f"{block.cell_area_um2:,.0f}"),
+        ("added buffers", str(block.buffers)),
+        ("block, um", f"{block.width_um:.1f} x {block.height_um:.1f}"),
+        ("nets above the macros", f"{block.nets:,}"),
+        ("their wires, estimated, mm", f"{block.wire_um / 1000:.0f}"),
+        ("slack of the longest path, ns", f"{block.slack_ns:+.2f}"),
+        ("slack of the shortest path (hold), ns", f"{block.hold_ns:+.2f}"),
     ]
 
 
@@ -129,9 +135,9 @@ def times(layout: Layout, mapped_slack_ns: float) -> list[tuple[str, str]]:
 
 
 PAGE = """\
-# Layout of a minigroup and its tree
+# Layout of minigroup, tree and subgroup
 
-Written by `make layout`, which takes about three minutes: the minigroup of the preset `silicon`
+Written by `make layout`, which takes about four minutes: the minigroup of the preset `silicon`
 (2 x 2 pixels, 32 phases) of both views, in NanGate 45 nm cells. Yosys maps it, Coriolis places it,
 builds its clock tree and routes it, KLayout merges the cells' own layouts and checks the result,
 OpenSTA times it. What it means for the sensor is in [silicon.md](silicon.md).
@@ -189,29 +195,29 @@ Inputs of a minigroup come {input:g} ns after the clock's edge, as from flip-flo
 of the SDF: delays of single wires, and setup and hold checks. The macros of the asynchronous view
 around its minigroups have no layout; they are their behavioural Verilog, with its delays.
 
-## Tree
+## Tree and subgroup
 
-The tree of the polyphase view is placed, not routed. Its 16 minigroups are the routed block as a
-macro, on a grid of 4 x 4; its own cells stand in the channels between them, and Coriolis builds a
-clock tree above those of the macros.
+Tree and subgroup of the polyphase view are placed, not routed. Their 16 minigroups are the routed
+block as a macro, on a grid of 4 x 4. Coriolis places the other cells in the channels between them.
+The flow then adds the clock tree above the macros' own, and buffers below nets of more than
+{fanout} cells; they stand in free places of the rows.
 
-| | tree |
-| --- | ---: |
-{tree}
+| | tree | subgroup |
+| --- | ---: | ---: |
+{above}
 
-Timing is of the whole tree: inside the macros with their routed wires, above them with estimated
+Timing is of the whole block: inside the macros with their routed wires, above them with estimated
 ones. An estimated wire is {detour:g} times half the perimeter of the box around its pins. That is
-what the wires took where Coriolis did route the tree, over and through the macros: within two
-minutes 96 to 99 % of the nets in several attempts, all but those that it could not reach at their
-pins inside a macro. So this is not part of the flow. Placer and router run in a process of their own with a time limit; where
-one does not end in time, or leaves nets open in every attempt, the flow ends with an error. A
-negative slack of the shortest path is a hold violation: the flow puts no delays into such paths.
+what the wires took where Coriolis routed the tree, over and through the macros. There it finished,
+within two minutes, 96 to 99 % of the nets in several attempts; it did not reach the others at their
+pins inside a macro. So this is not part of the flow. Placer and router run in a process of their
+own with a time limit; where one does not end in time, or leaves nets open in every attempt, the
+flow ends with an error.
 
 ## What is not there
 
-* Routed wires above a minigroup. The minigroup would need pins at its border, or free tracks over
-  them; with pins at its border Coriolis left 25 to 49 short segments open there.
-* The subgroup: its cells are placed around the same macros in a minute, but the clock tree that
-  Coriolis builds between macros has four leaves, too few for its flip-flops (slack -2.2 ns).
-* The tree of the asynchronous view: its hit flops and event trees need matched wires.
+* Routed wires above a minigroup. A minigroup would need pins at its border, or free tracks over its
+  pins. With pins at its border, Coriolis left 25 to 49 short pieces of wire open there.
+* The tree of the asynchronous view. Its event trees need matched wires, and its macros a layout.
+* Several corners, and a power mesh ([silicon.md](silicon.md)).
 """

@@ -2,6 +2,7 @@
 """Layout: wires of a DEF file, pins that a router reaches, what the checks find, and a small block from Verilog to a checked GDS."""
 
 import json
+from collections import Counter, defaultdict
 
 import pytest
 
@@ -10,7 +11,7 @@ from coincid.flow.yosys import cells_folder
 
 pya = pytest.importorskip("klayout.db", reason="the layout tools (scripts/setup layout) are not installed")
 
-from coincid.flow.layout import drawn, hierarchy, pins  # noqa: E402
+from coincid.flow.layout import buffers, drawn, hierarchy, pins  # noqa: E402
 from coincid.flow.layout.delays import scaled  # noqa: E402
 
 DEF = """\
@@ -163,6 +164,36 @@ def test_a_block_with_macros_becomes_flat():
     assert reach == pytest.approx({"a": hierarchy.DETOUR * 10.8, "b": hierarchy.DETOUR * 12.2})
     lengths = hierarchy.lengths_um(placed, macro, {"b": 8.0})
     assert {net: dict(on) for net, on in lengths.items()} == {"b": {3: 2.2, 4: 2.0, 5: 2.0, 6: 2.0}, "m0_n1": {4: 0.9}}
+
+
+def test_buffers_stand_between_a_net_and_its_many_cells():
+    strips = {
+        "BUF_X4": {"A": pins.Strip(0.1, 0.2, 0.9, 0.5, True)},
+        "DFF_X1": {"CK": pins.Strip(0.1, 0.2, 0.9, 0.5, True)},
+    }
+    flops = [
+        {
+            "name": f"f{k}",
+            "kind": "DFF_X1",
+            "x": 3.8 * (k % 10),
+            "y": 1.4 * (k // 10),
+            "flipped": False,
+            "nets": {"CK": "clk"},
+        }
+        for k in range(100)
+    ]
+    placed = {"cells": flops, "ports": {"clk": "input"}, "width": 38.0, "height": 14.0}
+    found = buffers.grow(placed, "clk", strips, {"DFF_X1": 1.9, "BUF_X4": 0.95}, "macro", [], 0.0)
+    assert hierarchy.drivers_lost(found) == []
+    below = Counter(one["nets"]["CK"] for one in found["cells"] if one["kind"] == "DFF_X1")
+    assert max(below.values()) <= buffers.SINKS_MAX and sum(below.values()) == 100
+    added = [one for one in found["cells"] if one["kind"] == "BUF_X4"]
+    assert 0 < sum(one["nets"]["A"] == "clk" for one in added) <= buffers.BUFFERS_MAX
+    rows = defaultdict(list)
+    for one in found["cells"]:
+        rows[one["y"]].append((one["x"], one["x"] + (0.95 if one["kind"] == "BUF_X4" else 1.9)))
+    for row in map(sorted, rows.values()):
+        assert all(left[1] <= right[0] + 1e-9 for left, right in zip(row, row[1:]))
 
 
 @pytest.mark.skipif(cells_folder() is None, reason="standard cells (scripts/setup cells) are not installed")

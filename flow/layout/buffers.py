@@ -1,0 +1,118 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Buffers of a placed block with macros: its clock tree, and trees below other nets with many cells.
+
+Sinks near each other share a buffer, and buffers near each other the next one. A buffer stands in the free place of a row that is nearest to the
+middle of what it drives. All flip-flops are below the same number of buffers; macros have a tree of their own inside.
+"""
+
+import re
+from collections import defaultdict
+from collections.abc import Collection, Mapping
+from typing import Any
+
+from .drawn import ROW_UM, SITE_UM, Placed, Strips, pin_places
+from .wires import CLOCK_BUFFER, is_output
+
+SINKS_MAX, BUFFERS_MAX = 16, 8  # of a buffer: cells, and other buffers or what hangs at their level
+FANOUT_MAX = 10  # of a net without buffers
+EARLY_LEVELS = 2  # how many more buffers flip-flops have before them than macros and the gates that open latches
+FLOP = re.compile("DFF|DL[HL]")
+Sink = tuple[float, float, dict[str, Any], str]  # x, y, cell, its pin
+Gaps = dict[int, list[tuple[float, float]]]  # row -> (from, to) of what is free
+
+
+def grow(
+    placed: Placed,
+    clock: str,
+    strips: Strips,
+    widths_um: Mapping[str, float],
+    macro: str,
+    outputs: Collection[str],
+    height_um: float,
+) -> Placed:
+    """The placed block with a clock tree, and with buffers below all nets of more than `FANOUT_MAX` cells.
+
+    macro: kind of the macros, with these outputs, so high.
+    """
+    cells = {one["name"]: one for one in placed["cells"]}
+    sinks: dict[str, list[Sink]] = defaultdict(list)
+    for net, name, pin, x, y in pin_places(placed, strips):
+        kind = cells[name]["kind"]
+        if not (pin in outputs if kind == macro else is_output(kind, pin)):
+            sinks[net].append((x, y, cells[name], pin))
+    gaps, width_um = free_places(placed, widths_um, macro, height_um), widths_um[CLOCK_BUFFER]
+    added = []
+    for net, ends in sorted(sinks.items()):
+        if net == clock:
+            early = [end for end in ends if not FLOP.match(end[2]["kind"])]
+            added += tree(net, [end for end in ends if FLOP.match(end[2]["kind"])], early, gaps, width_um)
+        elif len(ends) > FANOUT_MAX:
+            added += tree(net, ends, [], gaps, width_um)
+    return placed | {"cells": [*placed["cells"], *added]}
+
+
+def tree(net: str, level: list[Sink], early: list[Sink], gaps: Gaps, width_um: float) -> list[dict[str, Any]]:
+    """Buffers between a net's driver and its sinks, whose nets change. early: sinks that hang `EARLY_LEVELS` higher than the others."""
+    added: list[dict[str, Any]] = []
+    number, limit = 0, SINKS_MAX
+    while early or len(level) > (BUFFERS_MAX if number else 0):
+        groups, level = near(level, limit), []
+        for group in groups:
+            name = f"{net}_tree_{len(added)}"
+            buffer = _place(group, gaps, width_um) | {"name": f"tree_{name}", "nets": {"A": net, "Z": name}}
+            for _, _, cell, pin in group:
+                cell["nets"][pin] = name
+            added.append(buffer)
+            level.append((buffer["x"], buffer["y"], buffer, "A"))
+        number, limit = number + 1, BUFFERS_MAX
+        if number == EARLY_LEVELS:
+            level, early = level + early, []
+    return added
+
+
+def near(sinks: list[Sink], most: int) -> list[list[Sink]]:
+    """Halves the sinks along the longer side of their box until no group has more than `most`; all groups come from as many halvings."""
+    groups = [sinks]
+    while max(map(len, groups)) > most:
+        groups = [half for group in groups for half in _halves(group)]
+    return groups
+
+
+def _halves(sinks: list[Sink]) -> tuple[list[Sink], list[Sink]]:
+    xs, ys = [sink[0] for sink in sinks], [sink[1] for sink in sinks]
+    wide = max(xs) - min(xs) >= max(ys) - min(ys)
+    ordered = sorted(sinks, key=lambda sink: (sink[0] if wide else sink[1], sink[2]["name"]))
+    return ordered[: len(sinks) // 2], ordered[len(sinks) // 2 :]
+
+
+def free_places(placed: Placed, widths_um: Mapping[str, float], macro: str, height_um: float) -> Gaps:
+    """What cells and macros leave free of every row."""
+    taken: dict[int, list[tuple[float, float]]] = defaultdict(list)
+    for one in placed["cells"]:
+        if not one["kind"].startswith("FILL"):
+            row, rows = round(one["y"] / ROW_UM), round(height_um / ROW_UM) if one["kind"] == macro else 1
+            for k in range(row, row + rows):
+                taken[k].append((one["x"], one["x"] + widths_um[one["kind"]]))
+    gaps: Gaps = {}
+    for row in range(round(placed["height"] / ROW_UM)):
+        ends = [0.0, *(to for _, to in sorted(taken[row]))], [*(at for at, _ in sorted(taken[row])), placed["width"]]
+        gaps[row] = list(zip(*ends, strict=True))
+    return gaps
+
+
+def _place(group: list[Sink], gaps: Gaps, width_um: float) -> dict[str, Any]:
+    """A buffer in the free place nearest to the middle of a group; the place is taken."""
+    x, y = sum(sink[0] for sink in group) / len(group), sum(sink[1] for sink in group) / len(group)
+
+    def away(place: tuple[int, int]) -> float:
+        row, k = place
+        at, to = gaps[row][k]
+        return abs(row * ROW_UM - y) + abs(min(max(x, at), to - width_um) - x)
+
+    fitting = ((row, k) for row, free in gaps.items() for k, (at, to) in enumerate(free) if to - at >= width_um)
+    row, k = min(fitting, key=away)
+    at, to = gaps[row].pop(k)
+    left = round(at + round((min(max(x, at), to - width_um) - at) / SITE_UM - 0.5) * SITE_UM, 4)
+    left = max(left, at)
+    gaps[row] += [(at, left), (left + width_um, to)]
+    return {"kind": CLOCK_BUFFER, "x": left, "y": round(row * ROW_UM, 4), "flipped": row % 2 == 1}
