@@ -8,6 +8,7 @@ block's own clock arrives later than the port's, behind its tree.
 import re
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Protocol
 
 from ...hdl.unit import Unit
 from ...hdl.views import POLYPHASE, View
@@ -17,9 +18,16 @@ from ...tb import toolchain
 from ...tb.play import play_in
 from ...tb.rtl import rtl, sensor_key
 from ..gls import FRAMES, cell_models, random_frames
-from .flow import CLOCK, SDF, VERILOG, Layout
+from .flow import CLOCK, SDF, VERILOG
 
 INPUT_NS = 0.4
+
+
+class Routed(Protocol):
+    """A block whose folder has its netlist and delays."""
+
+    @property
+    def folder(self) -> Path: ...
 
 
 def shell(unit: Unit, routed: Mapping[str, str], inputs_ns: float = 0.0, sdf: Path | None = None) -> str:
@@ -31,7 +39,7 @@ def shell(unit: Unit, routed: Mapping[str, str], inputs_ns: float = 0.0, sdf: Pa
         name: (way.name == "In", len(signal.as_value() if hasattr(signal, "as_value") else signal))
         for name, (way, signal) in unit.flat_ports().items()
     }
-    kept, late = set(routed), f"#{inputs_ns} " * bool(inputs_ns)
+    kept, late = {name.replace("__", "_") for name in routed}, f"#{inputs_ns} " * bool(inputs_ns)
     lines = ["`timescale 1ns/1ps", f"module {unit.unit_name} ({', '.join(map(escaped, ports))});"]
     pins = []
     for name, (is_input, bits) in ports.items():
@@ -41,7 +49,7 @@ def shell(unit: Unit, routed: Mapping[str, str], inputs_ns: float = 0.0, sdf: Pa
             inner = f"late_{name}"
             lines += [f"  wire [{bits - 1}:0] {inner};", f"  assign {late}{inner} = {escaped(name)};"]
         for bit in range(bits):
-            pin = f"{name}_{bit}" if bits > 1 else name
+            pin = (f"{name}_{bit}" if bits > 1 else name).replace("__", "_")  # as Coriolis has it
             if pin in kept:
                 pins.append(f"    .{pin}({inner}[{bit}])")
                 kept.discard(pin)
@@ -69,7 +77,7 @@ def scaled(sdf: str, factor: float) -> str:
 
 
 def simulate(
-    sensor: Sensor, unit: Unit, layout: Layout, factor: float = 1.0, view: View = POLYPHASE
+    sensor: Sensor, unit: Unit, layout: Routed, factor: float = 1.0, view: View = POLYPHASE
 ) -> tuple[int, int]:
     """Plays random frames through a sensor whose blocks of this kind are the routed one, its delays times `factor`.
 

@@ -47,7 +47,11 @@ def write_page(path: Path, tell: Callable[[str], None]) -> None:
         played_with_delays(unit, view, layout, tell)
         for unit, (_, view), layout in zip(small, units, layouts, strict=True)
     ]
+    tell("simulating the sensor with the placed subgroup and its delays")
+    subgroup_checked, subgroup_cycles = simulate(SMALL, Subgroup(SMALL), placed[1])
     text = PAGE.format(
+        subgroup_checked=subgroup_checked,
+        subgroup_cycles=subgroup_cycles,
         gds=FINAL,
         rows=_table(facts(layout, block.area_um2) for layout, block in zip(layouts, mapped)),
         timing=_table(times(layout, slack) for layout, slack in zip(layouts, slacks)),
@@ -137,7 +141,7 @@ def times(layout: Layout, mapped_slack_ns: float) -> list[tuple[str, str]]:
 PAGE = """\
 # Layout of minigroup, tree and subgroup
 
-Written by `make layout`, which takes about four minutes: the minigroup of the preset `silicon`
+Written by `make layout`, which takes about three minutes: the minigroup of the preset `silicon`
 (2 x 2 pixels, 32 phases) of both views, in NanGate 45 nm cells. Yosys maps it, Coriolis places it,
 builds its clock tree and routes it, KLayout merges the cells' own layouts and checks the result,
 OpenSTA times it. What it means for the sensor is in [silicon.md](silicon.md).
@@ -205,6 +209,9 @@ The flow then adds the clock tree above the macros' own, and buffers below nets 
 | | tree | subgroup |
 | --- | ---: | ---: |
 {above}
+
+A sensor whose subgroup is this netlist, with its delays, plays the same random frames:
+{subgroup_checked} words and commits in {subgroup_cycles} cycles, 0 mismatches.
 
 Timing is of the whole block: inside the macros with their routed wires, above them with estimated
 ones. An estimated wire is {detour:g} times half the perimeter of the box around its pins. That is
