@@ -33,7 +33,7 @@ SENSORS = {  # small ones, so that a case is fast; together they change every pa
         "phases": 64,
         "coarse_bits": 7,
         "window_max": 200,
-        "offset_phases": 64,
+        "offset_phases": 32,
         "streams": 2,
     },
     "wide": {
