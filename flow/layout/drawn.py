@@ -137,27 +137,23 @@ def _wires(layout: db.Layout, whole: db.Cell, routed: Path) -> None:
         whole.shapes(layout.layer(metal(4), 0)).insert(shape.bbox().enlarged(database(HALF_WIRE_UM)))
 
 
-def pin_places(placed: Placed, strips: Strips) -> Iterator[tuple[str, str, str, float, float]]:
-    """(net, cell's name, pin, x, y) of every pin's via, in um."""
+def placed_strips(placed: Placed, strips: Strips) -> Iterator[tuple[str, str, str, Strip]]:
+    """(net, cell's name, pin, its strip where it is in the block) of every pin."""
     for one in placed["cells"]:
         for pin, net in one["nets"].items():
             strip = strips.get(one["kind"], {}).get(pin)
             if strip:
-                y = ROW_UM - strip.via if one["flipped"] else strip.via
-                yield net, one["name"], pin, one["x"] + strip.x, one["y"] + y
+                low, high, via = strip.low, strip.high, strip.via
+                if one["flipped"]:
+                    low, high, via = ROW_UM - high, ROW_UM - low, ROW_UM - via
+                y = one["y"]
+                yield net, one["name"], pin, Strip(one["x"] + strip.x, y + low, y + high, y + via, strip.fits)
 
 
-def placed_strips(placed: Placed, strips: Strips) -> Iterator[tuple[str, Strip]]:
-    """(net, strip where it is in the block) of every pin."""
-    for one in placed["cells"]:
-        for pin, net in one["nets"].items():
-            strip = strips.get(one["kind"], {}).get(pin)
-            if strip and one["flipped"]:
-                low, high, via = (one["y"] + ROW_UM - y for y in (strip.high, strip.low, strip.via))
-                yield net, Strip(one["x"] + strip.x, low, high, via, strip.fits)
-            elif strip:
-                low, high, via = (one["y"] + y for y in (strip.low, strip.high, strip.via))
-                yield net, Strip(one["x"] + strip.x, low, high, via, strip.fits)
+def pin_places(placed: Placed, strips: Strips) -> Iterator[tuple[str, str, str, float, float]]:
+    """(net, cell's name, pin, x, y) of every pin's via, in um."""
+    for net, name, pin, strip in placed_strips(placed, strips):
+        yield net, name, pin, strip.x, strip.via
 
 
 def port_places(placed: Placed, strips: Strips) -> dict[str, tuple[float, float]]:

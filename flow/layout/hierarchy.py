@@ -132,7 +132,7 @@ def read_macro(name: str, layout: Layout, ports: Mapping[str, str]) -> Macro:
     """A routed block, with one of its pins for every port."""
     placed, strips = json.loads((layout.folder / PLACED).read_text()), read_strips(layout.folder)
     pins: dict[str, Strip] = {}
-    for net, strip in drawn.placed_strips(placed, strips):
+    for net, _, _, strip in drawn.placed_strips(placed, strips):
         if net in ports:
             pins.setdefault(net, strip)
     return Macro(f"{name}_routed", placed, strips, wires.lengths_um(layout.folder / f"{name}_export.def"), pins)
@@ -191,8 +191,8 @@ def lengths_um(placed: Placed, macro: Macro, estimated_um: Mapping[str, float]) 
 def estimates_um(placed: Placed, strips: Strips) -> dict[str, float]:
     """Net -> estimated length, of all nets between two or more pins of cells and macros."""
     ends: dict[str, list[tuple[float, float]]] = defaultdict(list)
-    for net, strip in drawn.placed_strips(placed, strips):
-        ends[net].append((strip.x, strip.via))
+    for net, _, _, x, y in drawn.pin_places(placed, strips):
+        ends[net].append((x, y))
     return {
         net: DETOUR * sum(max(along) - min(along) for along in zip(*places))
         for net, places in ends.items()
