@@ -22,12 +22,16 @@ def document(name):
     return {"sensor": SMALL[name], "frame": {"clock_mhz": CLOCK_MHZ[name]}}
 
 
+def config(name):
+    return parse_config(document(name))
+
+
 def small_releases() -> Path:
     """Return a folder with one release per name in `SMALL`, written one after the other in one process."""
 
     def make(folder):
         for name in SMALL:
-            write_release(folder / name, parse_config(document(name)), VIEWS.get(name, POLYPHASE))
+            write_release(folder / name, config(name), VIEWS.get(name, POLYPHASE))
 
     key = digest(
         repr([document(name) for name in SMALL]), sources_digest("hdl", "flow", "model.contract", "model.shared")

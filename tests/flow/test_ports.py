@@ -21,7 +21,7 @@ from coincid.model.contract.packet import Kind, header_field
 from coincid.model.contract.parameters import TOP
 from coincid.study.drawings import timing
 
-from ..releases import document, small_releases
+from ..releases import config, small_releases
 
 PAGE = Path(__file__).parents[2] / "docs" / "integrate.md"
 
@@ -33,13 +33,13 @@ def test_the_page_has_what_the_rtl_says():
 @pytest.mark.parametrize("name, top", [("silicon", TOP), ("fpga", FPGA_TOP)])
 def test_rows_are_the_ports_of_the_verilog(name, top):
     folder = small_releases() / name
-    check_rows(parse_config(document(name)).sensor, top, POLYPHASE, lambda file: (folder / file).read_text())
+    check_rows(config(name).sensor, top, POLYPHASE, lambda file: (folder / file).read_text())
 
 
 def test_rows_are_the_ports_of_several_streams_and_cells():
     table = {"rows": 8, "cols": 24, "streams": 3}
-    config, view = parse_config({"sensor": table, "frame": {"clock_mhz": 400}}), view_at("async", 400)
-    check_rows(config.sensor, TOP, view, release_files(config, view).__getitem__)
+    of, view = parse_config({"sensor": table, "frame": {"clock_mhz": 400}}), view_at("async", 400)
+    check_rows(of.sensor, TOP, view, release_files(of, view).__getitem__)
 
 
 def check_rows(sensor, top, view, text):

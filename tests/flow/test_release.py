@@ -27,14 +27,10 @@ from coincid.tb import toolchain
 from coincid.tb.rtl import rtl
 
 from ..cases import SENSORS
-from ..releases import CLOCK_MHZ, SMALL, document, small_releases
+from ..releases import CLOCK_MHZ, SMALL, config, document, small_releases
 
 TOPS = [("silicon", TOP, SMOKE), ("fpga", TOP, SMOKE), ("fpga", FPGA_TOP, FPGA_SMOKE), ("async", TOP, SMOKE)]
 PROGRAMS = "iverilog vvp sh dirname"
-
-
-def config(name):
-    return parse_config(document(name))
 
 
 @pytest.fixture(scope="module")
