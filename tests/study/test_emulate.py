@@ -77,9 +77,10 @@ def test_a_scene_as_settings():
     scene = scene_of(config, "flat:6,0.4")
     settings = source_settings(config, scene, 50.0)
     tick = round(2 * 6 / 299_792_458 / config.tick_s)
+    cycle_s = 1e-6 / config.clock_mhz
     assert (settings.tick == tick).all()
     assert (settings.level == round((1 - np.exp(-0.613 * (4 / 6) ** 2)) * 256)).all()
-    assert (settings.background == round((1 - np.exp(-1.226e6 * 10e-9)) * 65536)).all()
+    assert (settings.background == round((1 - np.exp(-1.226e6 * cycle_s)) * 65536)).all()
     assert settings.dead_cycles == 1
 
 
