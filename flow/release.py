@@ -11,7 +11,7 @@ from pathlib import Path
 from attrs import asdict
 
 from ..hdl import deserialiser
-from ..hdl.export import FILE_LIST, fpga_files, verilog_files
+from ..hdl.export import FILE_LIST, fpga_files, latch_files, verilog_files
 from ..hdl.sensor import FPGA_TOP, Port, has_fpga_top, netlist
 from ..hdl.views import POLYPHASE, Asynchronous, View, view_at
 from ..model.contract import latency
@@ -71,17 +71,11 @@ def release_files(config: Config, view: str | View = POLYPHASE) -> dict[str, str
     if view.macros:
         boxes = {path.name: path.read_text() for path in view.macros}
         files |= boxes | {SYNTHESIS_LIST: _list([*lists[TOP], *boxes])}
-    latches = latch_files(sensor, view)
+    latches = {_latched(name): text for name, text in latch_files(sensor, view).items()}
     names = [latched if (latched := _latched(name)) in latches else name for name in lists[TOP]]
     files |= latches | {CELLS_LIST: _list([*names, *(path.name for path in view.macros)])}
     files |= {CORE: _core(lists, view), README: _readme(sensor, clock_mhz, lists, view)}
     return dict(sorted(files.items())) | {MANIFEST: _manifest(sensor, clock_mhz, lists, files, view)}
-
-
-def latch_files(sensor: Sensor, view: View = POLYPHASE) -> dict[str, str]:
-    """Return the sensor's memories in latches, by file name: the same module names, but different file names."""
-    with_latches, without = verilog_files(sensor, view, latches=True), verilog_files(sensor, view)
-    return {_latched(name): text for name, text in with_latches.items() if text != without[name]}
 
 
 def _latched(name: str) -> str:

