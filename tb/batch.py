@@ -8,8 +8,7 @@ their transfer.
 
 import ctypes
 import os
-import shutil
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import cache
 from pathlib import Path
 
@@ -35,6 +34,7 @@ from .rtl import rtl_in_two, sensor_key
 SOURCE = Path(__file__).with_name("batch.cpp")
 LIBRARY = "libcoincid.so"
 MODULE = "coincid_module"
+RUN_TIME = "libverilated.a"
 CHUNK_CYCLES = 20_000  # between two checks of progress and Ctrl-C
 MODULES_A_THREAD = 2  # fewer modules are not worth a thread
 RUNNING, DELIVERED, HANGS = range(3)
@@ -83,50 +83,55 @@ def wiring_header(sensor: Sensor) -> str:
 
 def build_library(sensor: Sensor) -> Path:
     """Compile the engine's library for a sensor, once."""
-    program = toolchain.verilator()
     for_core, for_module = rtl_in_two(sensor)
     if sensor.subgroups % 2:
         # The module does not depend on the array, so sensors of all sizes share its library. If the number of subgroups is
         # odd, the last module is a whole one that is used by half, taken from a sensor that has one.
         _, for_module = rtl_in_two(evolve(sensor, rows=2 * sensor.rows))
     header = wiring_header(sensor)
-    key = _key(header, SOURCE.read_text(), sources=[*for_core, *for_module])
+    # Nearly all time is spent in the modules; inlined, they run twice as fast. The core is what grows with the array.
+    module = verilated_unit(MODULE, "Vmodule", for_module)
+    core = verilated_unit(CORE, "Vcore", for_core, [toolchain.NOT_INLINED])
+    key = _key(header, SOURCE.read_text(), module.name, core.name)
     directory = build_root() / "batch" / f"{sensor_key(sensor)}-{key}"
 
     def make(scratch: Path) -> None:
         log = directory.with_name(f"{directory.name}.log")
         log.unlink(missing_ok=True)
         (scratch / "wiring.h").write_text(header)
-        # Nearly all time is spent in the modules; inlined, they run twice as fast. The core is what grows with the array.
-        module = verilated_unit(MODULE, "Vmodule", for_module, archives=["libverilated.a"])
-        core = verilated_unit(CORE, "Vcore", for_core, options=[toolchain.NOT_INLINED])
-        include = ["-I.", f"-I{module}", f"-I{core}", f"-I{program.parents[1] / 'include'}"]
+        include = ["-I.", f"-I{module}", f"-I{core}", f"-I{toolchain.verilator().parents[1] / 'include'}"]
         command = ["g++", "-shared", *COMPILER, "-o", LIBRARY, str(SOURCE), *include]
-        archives = [core / "libVcore.a", module / "libVmodule.a", module / "libverilated.a"]
+        archives = [core / "libVcore.a", module / "libVmodule.a", run_time()]
         toolchain.compile_in(scratch, log, [*command, *map(str, archives), "-lpthread", "-latomic"])
 
     return toolchain.build_once(directory, make) / LIBRARY
 
 
-def verilated_unit(
-    top: str, prefix: str, sources: list[Path], *, options: Sequence[str] = (), archives: Sequence[str] = ()
-) -> Path:
-    """Verilate a unit: its headers, its archive and the named files, in a folder keyed by its sources and options."""
-    program = toolchain.verilator()
-    directory = build_root() / "batch" / f"{top}-{_key(top, *options, sources=sources)}"
+def verilated_unit(top: str, prefix: str, sources: list[Path], options: Sequence[str] = ()) -> Path:
+    """Verilate a unit: its headers and archive, in a folder keyed by its sources and options."""
+    return _archive(f"lib{prefix}.a", top, prefix, {path.name: path.read_text() for path in sources}, options)
+
+
+def run_time() -> Path:
+    """Return the archive of Verilator's run-time library, the same one for every unit."""
+    top = "coincid_nothing"
+    return _archive(RUN_TIME, top, "Vnothing", {f"{top}.v": f"module {top}; endmodule\n"}) / RUN_TIME
+
+
+def _archive(archive: str, top: str, prefix: str, sources: Mapping[str, str], options: Sequence[str] = ()) -> Path:
+    """Return a folder with an archive that Verilator's make file builds for the `sources`, and their headers."""
+    contents = (part for item in sources.items() for part in item)
+    directory = build_root() / "batch" / f"{top}-{_key(archive, top, *options, *contents)}"
 
     def make(scratch: Path) -> None:
         log = directory.with_name(f"{directory.name}.log")
         log.unlink(missing_ok=True)
-        for path in sources:
-            shutil.copyfile(path, scratch / path.name)
-        names = [path.name for path in sources]
+        for name, text in sources.items():
+            (scratch / name).write_text(text)
         flags = [*options, "-CFLAGS", "-fPIC", "--top-module", top, "--prefix", prefix, "--Mdir", "."]
-        toolchain.compile_in(scratch, log, [str(program), *VERILATOR, *flags, *names])
+        toolchain.compile_in(scratch, log, [str(toolchain.verilator()), *VERILATOR, *flags, *sources])
         jobs = str(os.cpu_count())
-        toolchain.compile_in(
-            scratch, log, ["make", "-s", "-j", jobs, "-f", f"{prefix}.mk", *MAKE_OPTIONS, f"lib{prefix}.a", *archives]
-        )
+        toolchain.compile_in(scratch, log, ["make", "-s", "-j", jobs, "-f", f"{prefix}.mk", *MAKE_OPTIONS, archive])
         for path in scratch.iterdir():
             if path.suffix not in (".h", ".a"):
                 path.unlink()
@@ -134,9 +139,8 @@ def verilated_unit(
     return toolchain.build_once(directory, make)
 
 
-def _key(*parts: str, sources: list[Path]) -> str:
-    contents = [part for path in sources for part in (path.name, path.read_text())]
-    return digest(str(toolchain.verilator()), *VERILATOR, *COMPILER, *MAKE_OPTIONS, *parts, *contents)
+def _key(*parts: str) -> str:
+    return digest(str(toolchain.verilator()), *VERILATOR, *COMPILER, *MAKE_OPTIONS, *parts)
 
 
 @cache

@@ -12,7 +12,7 @@ from ..model.contract.parameters import Sensor
 from ..model.shared.folders import build_root
 from ..model.shared.sources import digest, sources_digest
 from . import toolchain
-from .batch import COMPILER, verilated_unit
+from .batch import COMPILER, run_time, verilated_unit
 
 SOURCE = Path(__file__).with_name("emulator.cpp")
 LIBRARY = "libemulator.so"
@@ -50,16 +50,17 @@ def build_emulator(emulator: Emulator) -> Path:
 
 def build_line(sources: list[Path], top: str, options: Sequence[str] = ()) -> Path:
     """Compile the library of a design with the ports clk, rst, rx and tx, once. options: for Verilator."""
-    unit = verilated_unit(top, "Vemulator", sources, options=options, archives=["libverilated.a"])
+    unit = verilated_unit(top, "Vemulator", sources, options)
     directory = build_root() / "batch" / f"emulator-{digest(unit.name, *COMPILER, SOURCE.read_text())}"
 
     def make(scratch: Path) -> None:
         log = directory.with_name(f"{directory.name}.log")
         log.unlink(missing_ok=True)
-        archives = [str(unit / name) for name in ("libVemulator.a", "libverilated.a")]
         include = [f"-I{unit}", f"-I{toolchain.verilator().parents[1] / 'include'}"]
-        command = ["g++", "-shared", *COMPILER, "-o", LIBRARY, str(SOURCE), *include, *archives]
-        toolchain.compile_in(scratch, log, [*command, "-lpthread", "-latomic"])
+        command = ["g++", "-shared", *COMPILER, "-o", LIBRARY, str(SOURCE), *include]
+        toolchain.compile_in(
+            scratch, log, [*command, str(unit / "libVemulator.a"), str(run_time()), "-lpthread", "-latomic"]
+        )
 
     return toolchain.build_once(directory, make) / LIBRARY
 
