@@ -41,7 +41,7 @@ RUNNING, DELIVERED, HANGS = range(3)
 VERILATOR = ("--cc", *toolchain.VERILATOR_OPTIONS)
 COMPILER = ("-std=gnu++20", "-O2", "-fPIC")
 # Each unit is one file for the compiler: separate, forty small files and two precompiled headers take twice as long.
-MAKE_OPTIONS = ("VM_PARALLEL_BUILDS=0", "OPT_FAST=-O2", "OPT_GLOBAL=-O2")
+MAKE_OPTIONS = ("VM_PARALLEL_BUILDS=0", f"OPT_FAST={toolchain.OPTIMISE}", "OPT_GLOBAL=-O2")
 
 
 def wiring_header(sensor: Sensor) -> str:

@@ -14,6 +14,9 @@ import hypothesis
 import pytest
 
 DEFAULT_SEED = "0"
+os.environ.setdefault(
+    "COINCID_OPTIMISE", "-O1"
+)  # here compiling takes longer than running; commands that tests start do it, too
 
 # No deadline, because a first example may compile. The blob repeats a failure without the database of examples.
 hypothesis.settings.register_profile("coincid", deadline=None, print_blob=True)
