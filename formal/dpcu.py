@@ -129,7 +129,7 @@ def dpcu(b: Bench):
     b.always(unit.controlled == now)
     b.always(body.stays == before)
     for k in range(AUTO_BOUNDS + 1):
-        b.always(body.ceiling == 1 + _reached(bounds[:k], opened), where=step == 1 + BUDGETS + k)
+        b.always(body.ceiling + body.reached == 1 + _reached(bounds[:k], opened), where=step == 1 + BUDGETS + k)
     b.always((body.rises == (committed > budget)) & (body.falls == (lower <= budget)), where=step > 2)
     b.cover(unit.commit & (used == 3) & now & before)
     b.cover((count["rejected"] == 2) & (count["dropped"] == 1))
@@ -158,6 +158,6 @@ def subgroup_settings(b: Bench):
     )
     b.always(unit.data == 0, where=b.past(1, 2) & ~b.past(command.subgroup == number, 2))
     b.always(unit.gate_late == b.past(body.programmed.gating & (body.programmed.gate_start >= unit.period)))
-    b.always(body.word.all(), where=b.past(1) & ~b.past(command.subgroup == number))
+    b.always(~body.named.any(), where=b.past(1) & ~b.past(command.subgroup == number))
     b.cover(taken & (unit.settings.threshold == 5))
     b.cover(unit.data == 7)

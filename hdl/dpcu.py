@@ -135,7 +135,9 @@ class Dpcu(Unit):
         """Set the frame's threshold: the programmed one, or one step from the last frame's; clear the frame's counters."""
         state, count, settings = self.state, self.state.count, self.settings
         state.stays = stays = Signal()  # the controller was in charge in the last frame, too
-        state.ceiling = ceiling = Signal(range(THRESHOLD_MAX + 1))
+        state.ceiling = ceiling = Signal(range(THRESHOLD_MAX + 1))  # of the bounds compared so far, without the last
+        state.reached = reached = Signal()
+        raised = Signal.like(ceiling)
         state.rises = rises = Signal()
         state.falls = falls = Signal()
         state.stepped = stepped = Signal(range(THRESHOLD_MAX + 1))
@@ -143,17 +145,20 @@ class Dpcu(Unit):
         floor = self.data[: len(stepped)]
         m.d.comb += [
             self.controlled.eq(settings.auto & settings.coincidence),
-            bounded.eq(Mux(stepped < ceiling, stepped, ceiling)),
+            raised.eq(ceiling + reached),
+            bounded.eq(Mux(stepped < raised, stepped, raised)),
         ]
-        m.d.sync += stepped.eq(_step(count["threshold_used"][: self.sensor.count_bits], rises, falls))
+        m.d.sync += [
+            reached.eq((self.operation == bus.Operation.COMPARE) & (count["opened"] >= self.data)),
+            ceiling.eq(raised),
+            stepped.eq(_step(count["threshold_used"][: self.sensor.count_bits], rises, falls)),
+        ]
         with m.Switch(self.operation):
             with m.Case(bus.Operation.TAKE):
                 m.d.sync += [stays.eq(self.controlled), ceiling.eq(1)]
             with m.Case(bus.Operation.BUDGET):
                 with m.If(self.in_stream):
                     m.d.sync += [rises.eq(count["committed"] > self.data), falls.eq(count["lower"] <= self.data)]
-            with m.Case(bus.Operation.COMPARE):
-                m.d.sync += ceiling.eq(ceiling + (count["opened"] >= self.data))
             with m.Case(bus.Operation.BEGIN):
                 m.d.sync += [counter.eq(0) for counter in count.values()]
                 m.d.sync += [

@@ -10,6 +10,7 @@ from ..model.contract import registers
 from ..model.contract.parameters import Sensor
 from ..model.contract.registers import COUNTER_BITS, COUNTER_NAMES, DATA_BITS, MASK_BITS
 from . import bus
+from .logic import any_of
 from .unit import Unit
 
 
@@ -50,13 +51,8 @@ class SubgroupSettings(Unit):
         m = Module()
         programmed = Signal(bus.settings_layout(self.sensor), init=self._reset())
         selected = Signal()
-        word = Signal(bus.WORD_BITS)
         m.d.comb += selected.eq(self.command.subgroup == self.subgroup)
-        m.d.sync += [
-            word.eq(Mux(selected, self.command.word, ~0)),
-            self.data.eq(0),
-            self.gate_late.eq(programmed.gating & (programmed.gate_start >= self.period)),
-        ]
+        m.d.sync += [self.gate_late.eq(programmed.gating & (programmed.gate_start >= self.period))]
         with m.If(self.command.operation == bus.Operation.TAKE):
             m.d.sync += self.settings.eq(programmed)
         upsets = []
@@ -74,12 +70,14 @@ class SubgroupSettings(Unit):
             else:
                 field = self.counters.word_select(COUNTER_NAMES.index(register.name), COUNTER_BITS)
             shown[offset // 4] = field
-        with m.Switch(word):
-            for number, field in shown.items():
-                with m.Case(number):
-                    m.d.sync += self.data.eq(field)
-        m.d.sync += self.upset.eq(Cat(upsets).any())
-        self.state = SimpleNamespace(programmed=programmed, word=word, upsets=upsets)
+        named = Signal(len(shown))  # a bit per word, so that no decoder is in the path of a read
+        values = [Mux(bit, field, 0) for bit, field in zip(named, shown.values())]
+        m.d.sync += [
+            named.eq(Cat(selected & (self.command.word == number) for number in shown)),
+            self.data.eq(any_of(m, values, "shown")),
+            self.upset.eq(Cat(upsets).any()),
+        ]
+        self.state = SimpleNamespace(programmed=programmed, named=named, upsets=upsets)
         return m
 
     def _field(self, settings, register, index):
