@@ -9,7 +9,7 @@ from typing import Any
 from attrs import evolve
 
 from ..hdl.emulator.top import EMULATOR_LIST, emulator_netlist
-from ..hdl.emulator.ulx3s import BOARD_TOP, board_files, board_pins
+from ..hdl.emulator.ulx3s import BOARD_TOP, OSCILLATOR_MHZ, board_files, board_pins
 from ..hdl.export import FILE_LIST, fpga_files, verilog_files
 from ..hdl.subgroup import Subgroup
 from ..model.contract.config import Config, load_config
@@ -21,6 +21,7 @@ from .yosys import wheel_folder
 WRAPPER = Path(__file__).with_name("ecp5.v")
 PADS = "share/trellis/database/ECP5/LFE5UM5G-85F/iodb.json"  # of the device of `fpga_module`, in the wheel of nextpnr
 PACKAGE = "CABGA756"
+RESERVE = 1.05  # the router stops where it meets its goal, so the emulator's is a faster clock than its own
 
 
 def fpga_module() -> Board:
@@ -91,17 +92,18 @@ def ulx3s(config: Config, emulator: Emulator | None = None, options: str = "") -
         chip="ECP5 LFE5U-85F, CABGA381, speed grade 6",
         top=BOARD_TOP,
         files=files,
-        pins=board_pins(),
+        pins=board_pins(RESERVE * OSCILLATOR_MHZ),
         device=(
             "--85k",
             "--package",
             "CABGA381",
             "--speed",
             "6",
+            "--placer",
+            "static",
             "--router",
             "router2",
-            "--placer-heap-timingweight",
-            "30",
+            "--tmg-ripup",
         ),
         goal_mhz=config.clock_mhz,
         options=options,

@@ -34,8 +34,8 @@ WIRE_PS = 900  # of a wire behind a LUT, for abc; with the 300 of `synth_lattice
 class Board:
     """What is placed on what. title, command, what, chip: words of its page.
 
-    top: module of the Verilog `files` (name -> text). pins: constraints (LPF). device: options of nextpnr for the chip, and for its
-    router. goal_mhz: that every clock must reach. options: of the synthesis. apart: modules that are synthesized
+    top: module of the Verilog `files` (name -> text). pins: constraints (LPF). device: options of nextpnr for the chip, its placer
+    and its router. goal_mhz: that every clock must reach. options: of the synthesis. apart: modules that are synthesized
     by themselves; between instances of one, registers of equal contents would otherwise become one, with wires across the chip.
     """
 

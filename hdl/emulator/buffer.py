@@ -56,10 +56,10 @@ class FrameBuffer(Unit):
         row = Signal(range(self.depth), reset_less=True)
         stored, beat = (Signal(BEAT_BITS, name=name, reset_less=True) for name in ("stored", "beat"))
         place = Signal.like(behind, reset_less=True)
-        full = Signal()  # a register beside the level, so that the sensor does not wait for a comparison
+        room = Signal(init=1)  # a register beside the level, so that the sensor does not wait for a comparison
         taken = Signal()
         m.d.comb += [
-            self.s_axis.tready.eq(~full),
+            self.s_axis.tready.eq(room),
             taken.eq(self.s_axis.tvalid & self.s_axis.tready),
             read.addr.eq(row),
             read.en.eq(1),
@@ -67,7 +67,7 @@ class FrameBuffer(Unit):
             write.data.eq(stored),
         ]
         m.d.sync += [
-            full.eq((full | (self.s_axis.tvalid & (self.level == self.depth - 1))) & ~(self.take & self.amount.any())),
+            room.eq((room & ~(self.s_axis.tvalid & (self.level == self.depth - 1))) | (self.take & self.amount.any())),
             place.eq(behind),  # the block RAMs are far apart, so registers stand on either side of them
             stored.eq(self.s_axis.tdata),
             write.en.eq(taken),
@@ -82,5 +82,5 @@ class FrameBuffer(Unit):
             m.d.sync += self.first.eq(self.first + self.amount)
         with m.If(self.s_axis.tvalid & ~self.s_axis.tready & ~self.stalls.all()):
             m.d.sync += self.stalls.eq(self.stalls + 1)
-        self.state = SimpleNamespace(behind=behind, full=full, beats=beats)
+        self.state = SimpleNamespace(behind=behind, room=room, beats=beats)
         return m

@@ -136,9 +136,9 @@ def board_files(emulator: Emulator, clock_mhz: float) -> dict[str, str]:
     return files | {EMULATOR_LIST: "".join(f"{name}\n" for name in files)}
 
 
-def board_pins() -> str:
+def board_pins(oscillator_mhz: float = OSCILLATOR_MHZ) -> str:
     """The board's pins and its oscillator, as constraints (LPF)."""
-    lines = [f'FREQUENCY PORT "clk_25mhz" {OSCILLATOR_MHZ} MHZ;']
+    lines = [f'FREQUENCY PORT "clk_25mhz" {oscillator_mhz:g} MHZ;']
     for port, (sites, buffer) in PINS.items():
         for k, site in enumerate(sites):
             bit = f"{port}[{k}]" if len(sites) > 1 else port

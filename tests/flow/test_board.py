@@ -94,7 +94,7 @@ def test_bad_kind():
 
 def test_the_presets_are_what_a_board_needs():
     of = load_config("emulator")
-    assert Emulator.of(of).clocks_per_bit == 25 and pll(of.clock_mhz).feedback == 3
+    assert Emulator.of(of).clocks_per_bit == 33 and pll(of.clock_mhz).feedback == 4
     assert load_config("emulator-axi").sensor.subgroups > of.sensor.subgroups
 
 
