@@ -21,7 +21,7 @@ from .yosys import wheel_folder
 WRAPPER = Path(__file__).with_name("ecp5.v")
 PADS = "share/trellis/database/ECP5/LFE5UM5G-85F/iodb.json"  # of the device of `fpga_module`, in the wheel of nextpnr
 PACKAGE = "CABGA756"
-RESERVE = 1.05  # the router stops where it meets its goal, so the emulator's is a faster clock than its own
+RESERVE = 1.02  # the router stops where it meets its goal, so the emulator's is a faster clock than its own
 
 
 def fpga_module() -> Board:
