@@ -426,7 +426,7 @@ BUGS = (
     Bug(
         "buffer-overrun",
         "hdl/emulator/buffer.py",
-        "self.s_axis.tready.eq(~full)",
+        "self.s_axis.tready.eq(room)",
         "self.s_axis.tready.eq(1)",
         ("frame_buffer",),
     ),

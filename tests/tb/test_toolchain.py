@@ -226,7 +226,8 @@ def test_batch_library_is_built_once_whoever_wants_it_and_whoever_is_killed(tmp_
         process.join()
     assert [process.exitcode for process in processes] == [0] * 4
     calls = (tmp_path / "calls").read_text().splitlines()
-    assert sorted(calls) == ["g++ True", "make False", "make False", "verilator False", "verilator False"]
+    units = 3  # core, module, and Verilator's run-time library
+    assert sorted(calls) == ["g++ True", *units * ["make False"], *units * ["verilator False"]]
     assert not list(empty_build_root.rglob("*.part*"))
 
 
