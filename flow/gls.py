@@ -40,7 +40,7 @@ BOARD_BENCH = Path(__file__).with_name("ulx3s_bench.v")
 PLL_MODEL = Path(__file__).with_name("ecp5_pll.v")
 FPGA_CELLS = "share/lattice/cells_sim_ecp5.v"
 # For Verilator: what the published models begin with and the times in them; their includes; a netlist is long and its simulation short.
-NETLIST_OPTIONS = "-Wno-INITIALDLY", "-Wno-SPECIFYIGN", "-Wno-UNOPTFLAT", "-DNO_INCLUDES", "-CFLAGS", "-O1"
+NETLIST_OPTIONS = "-Wno-INITIALDLY", "-Wno-SPECIFYIGN", "-Wno-UNOPTFLAT", "-DNO_INCLUDES", "-CFLAGS", "-O0"
 NETLIST_BEATS = 256  # of the frame buffer, in LUTs
 PULSES = 8
 EDGES_A_CYCLE = 0.4
