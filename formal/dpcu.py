@@ -137,7 +137,7 @@ def dpcu(b: Bench):
 
 @proof(depth=3, cover=8)
 def subgroup_settings(b: Bench):
-    """Settings change only at a TAKE, all at once. Only writes to this subgroup program them; reads of others give 0."""
+    """Settings change only at a TAKE, all at once. Only writes to this subgroup program them. A read gives the word, of others 0."""
     sensor, m = SMALL, b.m
     unit = SubgroupSettings(sensor)
     command, number = Signal(bus.CONFIG_BUS), b.constant(bus.SUBGROUP_BITS)
@@ -146,7 +146,8 @@ def subgroup_settings(b: Bench):
     b.assume(command.parity == command.data.xor(), where=write)
     for offset, register, _ in registers.words(registers.SUBGROUP, sensor):  # as proven for the register front
         b.assume(command.data <= register.high(sensor), where=write & (command.word == offset // 4))
-    body = b.place("dut", unit, command=command, subgroup=number)
+    counters = b.anything(len(unit.counters))
+    body = b.place("dut", unit, command=command, subgroup=number, counters=counters)
     b.always(~unit.upset)
     for upset in body.upsets:
         b.always(~upset)
@@ -158,6 +159,8 @@ def subgroup_settings(b: Bench):
     )
     b.always(unit.data == 0, where=b.past(1, 2) & ~b.past(command.subgroup == number, 2))
     b.always(unit.gate_late == b.past(body.programmed.gating & (body.programmed.gate_start >= unit.period)))
+    for word, value in body.shown.items():
+        b.always(unit.data == b.last(value), where=b.past((command.subgroup == number) & (command.word == word), 2))
     b.always(~body.named.any(), where=b.past(1) & ~b.past(command.subgroup == number))
     b.cover(taken & (unit.settings.threshold == 5))
     b.cover(unit.data == 7)

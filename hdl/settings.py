@@ -80,7 +80,7 @@ class SubgroupSettings(Unit):
             self.upset.eq(Cat(upsets).any()),
         ]
         m.d.comb += self.data.eq(data)
-        self.state = SimpleNamespace(programmed=programmed, named=named, upsets=upsets)
+        self.state = SimpleNamespace(programmed=programmed, named=named, shown=shown, upsets=upsets)
         return m
 
     def _field(self, settings, register, index):
