@@ -89,17 +89,15 @@ class Dpcu(Unit):
         """Commit the windows that meet the threshold. Without coincidence, the window is one tick and the threshold one."""
         state = self.state
         state.threshold = threshold = Signal(self.sensor.count_bits, init=1)
-        state.lower_threshold = lower_threshold = Signal(self.sensor.count_bits, reset_less=True)
+        state.lower_threshold = lower_threshold = Signal(self.sensor.count_bits)
         state.meets_lower = Signal()
         enough = Signal()
-        event = Signal.like(self.window, reset_less=True)  # used only with `commit`
-        m.d.comb += self.event.eq(event)
         m.d.sync += [
             self.window_ticks.eq(Mux(self.settings.coincidence, self.settings.window, 1)),
             threshold.eq(Mux(self.settings.coincidence, state.count["threshold_used"], 1)),
             lower_threshold.eq(threshold - 1),
             self.commit.eq(self.closed & enough),
-            event.eq(self.window),
+            self.event.eq(self.window),
             state.meets_lower.eq(self.closed & (self.window.count >= lower_threshold)),
         ]
         m.d.comb += enough.eq(self.window.count >= threshold)
@@ -115,7 +113,7 @@ class Dpcu(Unit):
         """Count one stage behind the counted signals, so that no adder is in the path of the commit."""
         count = self.state.count
         judged = Signal()
-        judged_count = Signal.like(self.window.count, reset_less=True)
+        judged_count = Signal.like(self.window.count)
         m.d.sync += [judged.eq(self.closed), judged_count.eq(self.window.count)]
         strobes = {
             "opened": judged,
@@ -142,7 +140,7 @@ class Dpcu(Unit):
         raised = Signal.like(ceiling)
         state.rises = rises = Signal()
         state.falls = falls = Signal()
-        state.stepped = stepped = Signal(range(THRESHOLD_MAX + 1), reset_less=True)
+        state.stepped = stepped = Signal(range(THRESHOLD_MAX + 1))
         bounded = Signal.like(stepped)
         floor = self.data[: len(stepped)]
         m.d.comb += [

@@ -70,16 +70,13 @@ class SubgroupSettings(Unit):
             else:
                 field = self.counters.word_select(COUNTER_NAMES.index(register.name), COUNTER_BITS)
             shown[offset // 4] = field
-        # Neither needs a reset, because the bus has one.
-        data = Signal(DATA_BITS, reset_less=True)
-        named = Signal(len(shown), reset_less=True)  # a bit per word, so that no decoder is in the path of a read
+        named = Signal(len(shown))  # a bit per word, so that no decoder is in the path of a read
         values = [Mux(bit, field, 0) for bit, field in zip(named, shown.values())]
         m.d.sync += [
             named.eq(Cat(selected & (self.command.word == number) for number in shown)),
-            data.eq(any_of(m, values, "shown")),
+            self.data.eq(any_of(m, values, "shown")),
             self.upset.eq(Cat(upsets).any()),
         ]
-        m.d.comb += self.data.eq(data)
         self.state = SimpleNamespace(programmed=programmed, named=named, shown=shown, upsets=upsets)
         return m
 

@@ -82,9 +82,7 @@ class CoincidenceTree(Unit):
         state = self.state
         state.may_open = Signal(5)
         state.wrap = Signal(5)
-        coarse_3, state.coarse_4 = (
-            Signal(self.sensor.coarse_bits, name=f"coarse_{n}", reset_less=True) for n in (3, 4)
-        )
+        coarse_3, state.coarse_4 = (Signal(self.sensor.coarse_bits, name=f"coarse_{n}") for n in (3, 4))
         m.d.sync += [
             state.may_open.eq((state.may_open << 1) | self.timing.may_open),
             state.wrap.eq((state.wrap << 1) | self.timing.wrap),
@@ -184,12 +182,10 @@ class CoincidenceTree(Unit):
         """Stages 6 and 7: count a closed window in two steps of equal depth. Data move every cycle; `closed` marks them."""
         state, pixels = self.state, self.sensor.pixels
         closed_6 = Signal()
-        half, window = (
-            Signal(bus.window_layout(self.sensor), name=name, reset_less=True) for name in ("half", "whole")
-        )
+        half = Signal(bus.window_layout(self.sensor), reset_less=True)
         chunk = 1 << (bits_for(pixels - 1) + 1) // 2
         chunks = [state.hits[at : at + chunk] for at in range(0, pixels, chunk)]
-        counts = [Signal(range(len(part) + 1), name=f"count_{k}", reset_less=True) for k, part in enumerate(chunks)]
+        counts = [Signal(range(len(part) + 1), name=f"count_{k}") for k, part in enumerate(chunks)]
         m.d.sync += [
             closed_6.eq(state.closed),
             self.closed.eq(closed_6),
@@ -197,9 +193,8 @@ class CoincidenceTree(Unit):
             half.hits.eq(state.hits),
             half.winner.eq(state.winners[-1]),
             *(count.eq(popcount(m, part, f"ones_{k}")) for k, (count, part) in enumerate(zip(counts, chunks))),
-            window.stamp.eq(half.stamp),
-            window.hits.eq(half.hits),
-            window.winner.eq(half.winner),
-            window.count.eq(total(m, counts, "count_sum")),
+            self.window.stamp.eq(half.stamp),
+            self.window.hits.eq(half.hits),
+            self.window.winner.eq(half.winner),
+            self.window.count.eq(total(m, counts, "count_sum")),
         ]
-        m.d.comb += self.window.eq(window)
