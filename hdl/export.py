@@ -30,8 +30,7 @@ def verilog_files(sensor: Sensor, view=POLYPHASE, latches: bool = False) -> dict
 
     A view's cells come as behavioural models. latches: make memories of rows of latches, for standard cells.
     """
-    blocks = _sensor_blocks(sensor, view)
-    return dict(blocks.files) | (blocks.latches if latches else {})
+    return _sensor_blocks(sensor, view).chosen(latches)
 
 
 def latch_files(sensor: Sensor, view=POLYPHASE) -> dict[str, str]:
@@ -45,6 +44,10 @@ class _Blocks:
 
     files: dict[str, str]
     latches: dict[str, str]
+
+    def chosen(self, latches: bool) -> dict[str, str]:
+        """A copy of the files, where the memories are latches or not."""
+        return self.files | (self.latches if latches else {})
 
 
 @lru_cache(maxsize=SENSORS_KEPT)
@@ -70,8 +73,7 @@ def core_files(sensor: Sensor) -> tuple[str, list[str]]:
 
 def units_files(units: list[Unit], latches: bool = False) -> dict[str, str]:
     """Return the files of some blocks and of all that they instantiate. latches: as in `verilog_files`."""
-    blocks = _emitted({unit.unit_name: unit for unit in units})
-    return blocks.files | (blocks.latches if latches else {})
+    return _emitted({unit.unit_name: unit for unit in units}).chosen(latches)
 
 
 def _emitted(pending: dict[str, Unit]) -> _Blocks:

@@ -14,9 +14,8 @@ import hypothesis
 import pytest
 
 DEFAULT_SEED = "0"
-os.environ.setdefault(
-    "COINCID_OPTIMISE", "-O1"
-)  # here compiling takes longer than running; commands that tests start do it, too
+# Here compiling takes longer than running. In the environment, so that commands that tests start do it, too.
+os.environ.setdefault("COINCID_OPTIMISE", "-O1")
 
 # No deadline, because a first example may compile. The blob repeats a failure without the database of examples.
 hypothesis.settings.register_profile("coincid", deadline=None, print_blob=True)
