@@ -6,12 +6,11 @@ from collections import Counter, defaultdict
 
 import pytest
 
-from coincid.flow.layout import wires
 from coincid.flow.yosys import cells_folder
 
 pya = pytest.importorskip("klayout.db", reason="the layout tools (scripts/setup layout) are not installed")
 
-from coincid.flow.layout import buffers, drawn, hierarchy, pins  # noqa: E402
+from coincid.flow.layout import buffers, drawn, hierarchy, pins, wires  # noqa: E402
 from coincid.flow.layout.delays import scaled  # noqa: E402
 
 DEF = """\
