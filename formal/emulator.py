@@ -7,10 +7,11 @@ is only a parameter of counters. The pixels of a source are independent, so a pr
 
 from amaranth.hdl import Cat, Const, Mux, Signal
 
-from ..hdl.emulator.buffer import FrameBuffer
+from ..hdl.emulator.buffer import FrameBuffer, StreamSlice
 from ..hdl.emulator.source import PhotonSource
 from ..hdl.emulator.uart import Deframer, Framer
 from ..model.contract.emulator import Emulator
+from ..model.contract.packet import BEAT_BITS
 from ..model.contract.serial_link import BODY_BYTES_MAX, CRC_BYTES, ESCAPE, FLAG
 from .bench import Bench, proof
 from .sensors import SMALL
@@ -96,6 +97,23 @@ def frame_buffer(b: Bench) -> None:
         unit.level == b.last(unit.level) + b.past(stored) - Mux(b.past(take), b.last(amount), 0), where=b.past(Const(1))
     )
     b.cover(take & (amount > 2) & comes)
+
+
+@proof(depth=2, cover=8)
+def stream_slice(b: Bench) -> None:
+    """All beats leave in their order, and none is lost or doubled; a beat that waits stays as it is."""
+    m, unit = b.m, StreamSlice()
+    comes, ready = Signal(), Signal()
+    taken, left = Signal(BEAT_BITS), Signal(BEAT_BITS)  # beats that came and that left; a beat is its number
+    m.d.comb += [signal.eq(b.anything(1)) for signal in (comes, ready)]
+    body = b.place("dut", unit, s_axis__tvalid=comes, s_axis__tdata=taken, m_axis__tready=ready)
+    m.d.sync += [taken.eq(taken + (comes & unit.s_axis.tready)), left.eq(left + (unit.m_axis.tvalid & ready))]
+    b.always(taken == (left + body.valid + body.kept)[:BEAT_BITS])
+    b.always(unit.m_axis.tdata == left, where=unit.m_axis.tvalid)
+    b.always(body.valid & (body.spare == (left + 1)[:BEAT_BITS]), where=body.kept)
+    held = b.same("held", unit.m_axis.tvalid & ~ready)
+    b.always(unit.m_axis.tvalid, where=b.past(held))
+    b.cover(body.kept & ready)
 
 
 @proof(depth=4, cover=10)

@@ -1,9 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Frame buffer: takes the sensor's beats at full speed and keeps them until the host removes them; it may read them often."""
+"""Frame buffer: takes the sensor's beats at full speed and keeps them until the host removes them; it may read them often.
+
+Between the two there is a register slice, because on an FPGA they are far apart.
+"""
 
 from types import SimpleNamespace
 
-from amaranth.hdl import Cat, Module, Signal
+from amaranth.hdl import Cat, Module, Mux, Signal
 from amaranth.lib.memory import Memory
 from amaranth.lib.wiring import In, Out
 
@@ -12,6 +15,44 @@ from ...model.contract.packet import BEAT_BITS
 from ...model.contract.registers import DATA_BITS
 from ..axi import STREAM
 from ..unit import Unit
+
+
+class StreamSlice(Unit):
+    """Registers in a stream, in both directions: data, `tvalid` and `tready`.
+
+    Ports
+    -----
+    s_axis : in, a stream; m_axis : out, its beats, one cycle later, without `tlast`, which stays 0
+
+    It takes a beat in every cycle. A second register keeps the beat that comes while `tready` does not yet say that the
+    output waits. Reset empties both.
+    """
+
+    unit_name = "coincid_stream_slice"
+
+    def __init__(self):
+        super().__init__({"s_axis": In(STREAM), "m_axis": Out(STREAM)})
+
+    def elaborate(self, platform):
+        m = Module()
+        data, spare = (Signal(BEAT_BITS, name=name, reset_less=True) for name in ("data", "spare"))
+        valid, kept = Signal(), Signal()
+        comes, waits = Signal(), Signal()
+        m.d.comb += [
+            self.s_axis.tready.eq(~kept),
+            self.m_axis.tdata.eq(data),
+            self.m_axis.tvalid.eq(valid),
+            comes.eq(self.s_axis.tvalid & ~kept),
+            waits.eq(valid & ~self.m_axis.tready),
+        ]
+        with m.If(~kept):
+            m.d.sync += spare.eq(self.s_axis.tdata)
+        with m.If(waits):
+            m.d.sync += kept.eq(kept | comes)
+        with m.Else():
+            m.d.sync += [valid.eq(kept | comes), kept.eq(0), data.eq(Mux(kept, spare, self.s_axis.tdata))]
+        self.state = SimpleNamespace(data=data, spare=spare, valid=valid, kept=kept)
+        return m
 
 
 class FrameBuffer(Unit):
@@ -23,7 +64,7 @@ class FrameBuffer(Unit):
     level, first : out, number of beats in the buffer, and address of the first
     take : in, strobe: remove beats; amount : in, their number, at most `level`
     address : in, number of the 32-bit word to read, low half of a beat first; word : out, four cycles later
-    stalls : out, number of cycles in which the sensor waited; saturates
+    stalls : out, number of cycles in which a beat waited; saturates
 
     A beat is in the memory two cycles after it has been taken from the stream. Reset empties the buffer; the memory
     keeps its contents.

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 from amaranth.hdl import Cat, Const, Module, Mux, Signal
 from amaranth.lib.memory import Memory
-from amaranth.lib.wiring import In, Out, Signature
+from amaranth.lib.wiring import In, Out, Signature, connect, flipped
 
 from ...model.contract.emulator import (
     ADDRESS_BITS,
@@ -26,7 +26,7 @@ from ...model.contract.registers import DATA_BITS, Access
 from .. import bus
 from ..axi import LITE, OKAY, STREAM
 from ..unit import Unit, place
-from .buffer import FrameBuffer
+from .buffer import FrameBuffer, StreamSlice
 from .source import COMMON, SEED_BUS, Seeder, write_bus
 
 # `valid` stays high until `done`, a strobe. `refused`: nothing was changed. `value`: the word that was read. The next
@@ -85,10 +85,10 @@ class EmulatorControl(Unit):
         self.state = SimpleNamespace()
         buffer = place(m, "buffer", FrameBuffer(self.emulator), platform)
         seeder = place(m, "seeder", Seeder(self.emulator), platform)
-        for name in ("tdata", "tvalid", "tlast"):
-            m.d.comb += getattr(buffer.s_axis, name).eq(getattr(self.s_axis, name))
+        between = place(m, "slice", StreamSlice(), platform)
+        connect(m, flipped(self.s_axis), between.s_axis)
+        connect(m, between.m_axis, buffer.s_axis)
         m.d.comb += [
-            self.s_axis.tready.eq(buffer.s_axis.tready),
             seeder.number.eq(self.number),
             self.seed.eq(seeder.out),
         ]
