@@ -5,8 +5,13 @@ Ref: PatchMatch stereo (Bleyer, Rhemann, Rother 2011), here applied to likelihoo
 by the pixel's own likelihood and by its neighbours' probabilities on the plane; a neighbour on another surface hardly
 matters. In every round, each pixel tries its neighbours' planes and small steps of its own plane. All pixels of a round
 see the planes of the previous round.
+
+The light of a pixel whose surface slants comes back spread over the distances that the pixel sees. So a field may have
+likelihoods for pulses 1, 2, 4, ... times as wide as the laser's. Then the slopes of a plane choose between them, and
+planes are those of space, seen in perspective: from pixel to pixel, 1 / time changes evenly instead of the time.
 """
 
+from collections.abc import Sequence
 from functools import partial
 from typing import NamedTuple
 
@@ -15,14 +20,16 @@ import numpy as np
 from ..shared.compiled import njit
 from .seeds import Blocks
 
-WIDTHS = 1.3, 2.0, 3.0, 5.0  # pixels: sigma of the Gaussian weight of a pixel's neighbours,
-WIDTH_TICKS = 2.0, 4.0, 10.0  # selected by the standard deviation of the pixel's own time: borders between the widths
+REACHES = 1.3, 2.0, 3.0, 5.0  # pixels: sigma of the Gaussian weight of a pixel's neighbours,
+REACH_TICKS = 2.0, 4.0, 10.0  # selected by the standard deviation of the pixel's own time: borders between the reaches
 WEIGHT_MIN = 0.05  # lower weights are left out
 HALF = 8  # pixels to the farthest neighbour
-ON_PLANE = 30.0  # ticks: odds that a neighbour is on the plane, per probability density of its time there
-SLOPE, SLOPE_MAX, SLOPE_COST = 3.0, 80.0, 0.5  # ticks per pixel; a steeper plane is rarer (Cauchy)
+ON_PLANE = 60.0  # bins: odds that a neighbour is on the plane, per probability of its bin there
+SLOPE, SLOPE_MAX, SLOPE_COST = 3.0, 130.0, 0.2  # ticks per pixel; a steeper plane is rarer (Cauchy)
 ROUNDS = 6
 STEP_TICKS, STEP_SLOPE, SHRINK = 4.0, 2.0, 0.6  # first steps, and their factor from round to round
+BOX = 12**-0.5  # standard deviation of an even distribution of width 1: of a pixel's light, over its slope
+AHEAD_MAX = 0.7  # of the time: the tangent of a plane in perspective is followed no farther
 SAME = 1e-6  # ticks: planes that differ by less are the same
 FINER = 2  # steps per round, each half of the one before
 TRUST = 0.5  # weight of a score: neighbours are not independent, and surfaces are not exactly planes
@@ -31,38 +38,53 @@ _NEVER = np.float32(-1e9)
 
 
 class Field(NamedTuple):
-    """Likelihoods of the pixels around their seeds.
+    """Likelihoods of the pixels around their seeds, in bins of 1, 2, 4, ... ticks for pulses as many times as wide.
 
-    own: float32[rows, cols, bins], log likelihood. other: the same shape, what a neighbour adds to a plane's score there.
-    first: int64[rows, cols], tick of the first bin. taps: int64[widths, n, 2] and weights: float32[widths, n], the
-    neighbours. width: int64[rows, cols], index of the taps that a pixel uses.
+    own: float32[widths, rows, cols, bins], log likelihood relative to `best`, float32[rows, cols]. other: the same
+    shape, what a neighbour adds to a plane's score there. first: int64[widths, rows, cols], tick at which the first bin
+    begins. scale: bins per tick; a tuple, so that code for a single width is compiled without the others. sigma_ticks: of
+    the laser's pulse. taps: int64[reaches, n, 2] and weights: float32[reaches, n], the neighbours. reach: int64[rows,
+    cols], index of the taps that a pixel uses.
     """
 
     own: np.ndarray
+    best: np.ndarray
     other: np.ndarray
     first: np.ndarray
+    scale: tuple[float, ...]
+    sigma_ticks: float
     taps: np.ndarray
     weights: np.ndarray
-    width: np.ndarray
+    reach: np.ndarray
 
     @classmethod
-    def of(cls, level: np.ndarray, first: np.ndarray) -> "Field":
-        own = level - level.max(axis=2, keepdims=True)
-        chance = np.exp(own)
-        chance /= chance.sum(axis=2, keepdims=True)
-        bins = np.arange(level.shape[2], dtype=np.float32)
-        mean = chance @ bins
-        deviation = np.sqrt(np.maximum(chance @ bins**2 - mean**2, 0))
-        reach = np.arange(-HALF, HALF + 1)
-        dr, dc = (part.ravel() for part in np.meshgrid(reach, reach, indexing="ij"))
-        weights = np.exp(-0.5 * (dr**2 + dc**2) / np.array(WIDTHS)[:, None] ** 2).astype(np.float32)
+    def of(cls, levels: Sequence[np.ndarray], first: Sequence[np.ndarray], sigma_ticks: float) -> "Field":
+        level = np.stack(levels)
+        best = level.max(axis=(0, 3))
+        of_width = level.max(axis=3, keepdims=True)
+        chance = np.exp(level - of_width)
+        chance /= chance.sum(axis=3, keepdims=True)
+        bins = np.arange(level.shape[3], dtype=np.float32)
+        mean = chance[0] @ bins
+        deviation = np.sqrt(np.maximum(chance[0] @ bins**2 - mean**2, 0))
+        steps = np.arange(-HALF, HALF + 1)
+        dr, dc = (part.ravel() for part in np.meshgrid(steps, steps, indexing="ij"))
+        weights = np.exp(-0.5 * (dr**2 + dc**2) / np.array(REACHES)[:, None] ** 2).astype(np.float32)
         weights[:, (dr == 0) & (dc == 0)] = 0
         order = np.argsort(-weights, axis=1, kind="stable")
         taps = np.stack([dr, dc], axis=1)[order]
         weights = np.take_along_axis(weights, order, 1)
         weights[weights < WEIGHT_MIN] = 0
         return cls(
-            own, np.log1p(np.float32(ON_PLANE) * chance), first, taps, weights, np.searchsorted(WIDTH_TICKS, deviation)
+            level - best[:, :, None],
+            best,
+            np.log1p(np.float32(ON_PLANE) * chance * np.exp(of_width - best[:, :, None])),
+            np.stack(first),
+            tuple(0.5**k for k in range(len(level))),
+            sigma_ticks,
+            taps,
+            weights,
+            np.searchsorted(REACH_TICKS, deviation),
         )
 
 
@@ -76,10 +98,10 @@ class Planes(NamedTuple):
 
 def fit_planes(field: Field, blocks: Blocks) -> Planes:
     """Fit the planes of all pixels. blocks: calls a function for (begin, end) of blocks of rows, in any order."""
-    rows, cols, _ = field.own.shape
-    peak = field.first + field.own.argmax(axis=2) + 0.5
+    widths, rows, cols, _ = field.own.shape
+    peaks = field.first + (field.own.argmax(axis=3) + 0.5) * 2.0 ** np.arange(widths)[:, None, None]
     planes, tried = (Planes(*(np.zeros((rows, cols)) for _ in range(3))) for _ in range(2))
-    blocks(partial(_start, field, peak, planes))
+    blocks(partial(_start, field, peaks, planes))
     step, slope = STEP_TICKS, STEP_SLOPE
     for _ in range(ROUNDS):
         blocks(partial(_round, field, planes, tried, step, slope))
@@ -88,58 +110,136 @@ def fit_planes(field: Field, blocks: Blocks) -> Planes:
     return planes
 
 
-@njit(inline="always")
-def _between(line, at):
-    """Interpolate linearly at a fractional index; return a never-winning value outside."""
-    k = int(np.floor(at))
-    if k < 0 or k >= len(line) - 1:
-        return np.float32(0.0)
-    share = np.float32(at - k)
-    return (1 - share) * line[k] + share * line[k + 1]
+@njit
+def doublings(down, right, sigma_ticks):
+    """Return how often the pulse from a plane is twice as wide as the laser's, a logarithm; slopes may be arrays."""
+    return 0.5 * np.log2(1 + (down**2 + right**2) * (BOX / sigma_ticks) ** 2)
+
+
+def level_on(field: Field, planes: Planes) -> np.ndarray:
+    """float64[rows, cols]: log likelihood of each pixel on its plane."""
+    level = np.zeros(planes.time.shape)
+    _level_on(field, planes, level)
+    return level
 
 
 @njit
+def _level_on(field, planes, level):
+    rows, cols = level.shape
+    for r in range(rows):
+        for c in range(cols):
+            width = _width(field, planes.down[r, c], planes.right[r, c])
+            level[r, c] = field.best[r, c] + _own(field, width, r, c, planes.time[r, c])
+
+
+@njit(inline="always")
+def _between(lines, k, r, c, at):
+    """Interpolate a pixel's line linearly at a fractional index; return a never-winning value outside."""
+    j = int(np.floor(at))
+    if j < 0 or j >= lines.shape[3] - 1:
+        return np.float32(0.0)
+    share = np.float32(at - j)
+    return (1 - share) * lines[k, r, c, j] + share * lines[k, r, c, j + 1]
+
+
+@njit(inline="always")
+def _along(field, time, by):
+    """Return the time on a plane at the pixel where its tangent has changed by `by` ticks."""
+    if len(field.scale) == 1:
+        return time + by
+    return time / (1 - min(AHEAD_MAX, by / max(time, 1.0)))
+
+
+@njit(inline="always")
+def _steeper(field, time, there):
+    """Return how many times as steep a plane is where its time is another."""
+    if len(field.scale) == 1:
+        return 1.0
+    return (there / max(time, 1.0)) ** 2
+
+
+@njit(inline="always")
+def _width(field, down, right):
+    """Return the width of the pulse from a plane as a fractional index."""
+    if len(field.scale) == 1:
+        return 0.0
+    return min(len(field.scale) - 1.0, doublings(down, right, field.sigma_ticks))
+
+
+@njit(inline="always")
+def _bin(field, k, r, c, time):
+    """Return where a time is among a pixel's bins of width k: 0 is the middle of the first."""
+    return (time - field.first[k, r, c]) * field.scale[k] - 0.5
+
+
+@njit(inline="always")
+def _inside(field, width, r, c, time):
+    """Return whether a time is between the middles of a pixel's bins."""
+    return 0 <= _bin(field, int(width), r, c, time) < field.own.shape[3] - 1
+
+
+@njit(inline="always")
+def _own(field, width, r, c, time):
+    """Interpolate a pixel's own level at a time and a width."""
+    k = int(width)
+    value = _between(field.own, k, r, c, _bin(field, k, r, c, time))
+    if len(field.scale) > 1:
+        following = min(k + 1, len(field.scale) - 1)
+        more = _between(field.own, following, r, c, _bin(field, following, r, c, time))
+        value += np.float32(width - k) * (more - value)
+    return value
+
+
+@njit(inline="always")  # a call would pass the whole field
 def _score(field, r, c, time, down, right):
     """Return the score of a plane at pixel (r, c) and around it."""
-    rows, cols, bins = field.own.shape
-    at = time - field.first[r, c] - 0.5
-    if not 0 <= at < bins - 1 or abs(down) > SLOPE_MAX or abs(right) > SLOPE_MAX:
+    _, rows, cols, _ = field.own.shape
+    width = _width(field, down, right)
+    if not _inside(field, width, r, c, time) or abs(down) > SLOPE_MAX or abs(right) > SLOPE_MAX:
         return _NEVER
-    total = _between(field.own[r, c], at)
+    total = _own(field, width, r, c, time)
     total -= np.float32(SLOPE_COST * np.log((1 + (down / SLOPE) ** 2) * (1 + (right / SLOPE) ** 2)))
-    width = field.width[r, c]
+    reach, k = field.reach[r, c], int(width)
+    share, following = np.float32(width - k), min(k + 1, len(field.scale) - 1)
     for j in range(field.weights.shape[1]):
-        weight = field.weights[width, j]
+        weight = field.weights[reach, j]
         if weight == 0:
             break
-        rr, cc = r + field.taps[width, j, 0], c + field.taps[width, j, 1]
+        rr, cc = r + field.taps[reach, j, 0], c + field.taps[reach, j, 1]
         if 0 <= rr < rows and 0 <= cc < cols:
-            here = time + down * (rr - r) + right * (cc - c)
-            total += weight * _between(field.other[rr, cc], here - field.first[rr, cc] - 0.5)
+            here = _along(field, time, down * (rr - r) + right * (cc - c))
+            value = _between(field.other, k, rr, cc, _bin(field, k, rr, cc, here))
+            if len(field.scale) > 1:
+                more = _between(field.other, following, rr, cc, _bin(field, following, rr, cc, here))
+                value += share * (more - value)
+            total += weight * value
     return total
 
 
 @njit
-def _start(field, peak, planes, begin, end):
-    """Start each pixel at its likeliest time, with the best of the slopes towards its neighbours."""
-    rows, cols = peak.shape
+def _start(field, peaks, planes, begin, end):
+    """Start each pixel at its likeliest time for one of the widths, with the best of the slopes towards its neighbours."""
+    widths, rows, cols = peaks.shape
     for r in range(begin, end):
         for c in range(cols):
             top = _NEVER
-            for i in range(4):  # none, up, down, both
-                up, low = r - (i % 2), r + (i // 2)
-                if up < 0 or low >= rows:
-                    continue
-                down = (peak[low, c] - peak[up, c]) / max(1, low - up)
-                for j in range(4):
-                    left, far = c - (j % 2), c + (j // 2)
-                    if left < 0 or far >= cols:
+            planes.time[r, c] = peaks[0, r, c]
+            for k in range(widths):
+                peak = peaks[k]
+                for i in range(4):  # none, up, down, both
+                    up, low = r - (i % 2), r + (i // 2)
+                    if up < 0 or low >= rows:
                         continue
-                    right = (peak[r, far] - peak[r, left]) / max(1, far - left)
-                    score = _score(field, r, c, peak[r, c], down, right)
-                    if score > top or not i + j:
-                        top = score
-                        planes.time[r, c], planes.down[r, c], planes.right[r, c] = peak[r, c], down, right
+                    down = (peak[low, c] - peak[up, c]) / max(1, low - up)
+                    for j in range(4):
+                        left, far = c - (j % 2), c + (j // 2)
+                        if left < 0 or far >= cols:
+                            continue
+                        right = (peak[r, far] - peak[r, left]) / max(1, far - left)
+                        score = _score(field, r, c, peak[r, c], down, right)
+                        if score > top:
+                            top = score
+                            planes.time[r, c], planes.down[r, c], planes.right[r, c] = peak[r, c], down, right
 
 
 @njit
@@ -154,7 +254,9 @@ def _round(field, old, new, step, slope, begin, end):
                     if rr == r and cc == c:
                         continue
                     a, b = old.down[rr, cc], old.right[rr, cc]
-                    t = old.time[rr, cc] - a * (rr - r) - b * (cc - c)
+                    t = _along(field, old.time[rr, cc], a * (r - rr) + b * (c - cc))
+                    steeper = _steeper(field, old.time[rr, cc], t)
+                    a, b = a * steeper, b * steeper
                     if abs(t - time) < SAME and abs(a - down) < SAME and abs(b - right) < SAME:
                         continue
                     score = _score(field, r, c, t, a, b)
@@ -184,17 +286,19 @@ def posterior(field: Field, planes: Planes, tolerance_ticks: float, blocks: Bloc
 
 @njit
 def _posterior(field, planes, tolerance, confidence, error, begin, end):
-    bins = field.own.shape[2]
+    bins = field.own.shape[3]
     score = np.empty(2 * bins + 1, np.float64)
     for r in range(begin, end):
         for c in range(planes.time.shape[1]):
             time = planes.time[r, c]
+            down, right = planes.down[r, c], planes.right[r, c]
+            width = _width(field, down, right)
             top = -1e30
             for j in range(2 * bins + 1):
-                at = time + j - bins - field.first[r, c] - 0.5
+                there = time + j - bins
                 score[j] = _NEVER
-                if 0 <= at < bins - 1 and _between(field.own[r, c], at) > IMPROBABLE:
-                    score[j] = _score(field, r, c, time + j - bins, planes.down[r, c], planes.right[r, c])
+                if _inside(field, width, r, c, there) and _own(field, width, r, c, there) > IMPROBABLE:
+                    score[j] = _score(field, r, c, there, down, right)
                 top = max(top, score[j])
             others = _others(field, planes, r, c, tolerance, top)
             total, near, mean, square = 0.0, 0.0, 0.0, 0.0
@@ -216,7 +320,9 @@ def _others(field, planes, r, c, tolerance, top):
     for rr in range(max(0, r - 1), min(rows, r + 2)):
         for cc in range(max(0, c - 1), min(cols, c + 2)):
             down, right = planes.down[rr, cc], planes.right[rr, cc]
-            time = planes.time[rr, cc] - down * (rr - r) - right * (cc - c)
+            time = _along(field, planes.time[rr, cc], down * (r - rr) + right * (c - cc))
+            steeper = _steeper(field, planes.time[rr, cc], time)
+            down, right = down * steeper, right * steeper
             if abs(time - planes.time[r, c]) > tolerance:
                 odds = max(odds, np.exp(TRUST * (_score(field, r, c, time, down, right) - top)))
     return odds

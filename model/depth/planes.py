@@ -6,7 +6,9 @@ All of this is our own choice. The steps are:
 1. the likelihood of every time in coarse steps (`likelihood.py`); from it and the neighbours' likelihoods, the pixel's
    seed (`seeds.py`);
 2. the likelihood in single ticks around the seeds, and how bright the pixels are in general;
-3. planes through this likelihood (`patchmatch.py`).
+3. planes through this likelihood (`patchmatch.py`);
+4. if many of them slant: likelihoods for the wider pulses that slanted surfaces send back, and planes through these.
+   They are taken if they make the events likelier. So a scene that has one distance per pixel keeps its narrow pulses.
 """
 
 import os
@@ -20,13 +22,16 @@ from attrs import frozen
 from ..contract.config import Config
 from .histograms import Events, by_subgroup
 from .likelihood import Grid, Guess, Levels, log_likelihood, unheard
-from .patchmatch import Field, fit_planes, posterior
+from .patchmatch import Field, doublings, fit_planes, level_on, posterior
 from .seeds import LEAST, Blocks, find_seeds
 
 COARSE_SIGMAS = 1.2  # step of the first grid
 COARSE_LIGHTS = np.geomspace(0.02, 40, 7).astype(np.float32)  # photons per pulse
 LIGHTS = np.geomspace(0.015, 60, 12).astype(np.float32)
 BINS_SIGMAS = 16.0  # width of the bins around a seed
+WIDTHS = 4  # of pulses: the laser's, and those of slanted surfaces, each twice as wide as the one before
+SLANTED, SLANTED_SHARE = 0.25, 0.05  # pulses so much wider, and the share of such pixels, make these widths worth a try
+SPREAD_GAIN = 0.1  # mean log likelihood of a pixel by which slopes that spread the pulse must be likelier
 HOT = 2.0  # background relative to the mean from which on a pixel's own value is used
 ACTIVITY_HITS = 10.0  # weight of the prior, in hits
 BLOCK_ROWS = 4
@@ -89,17 +94,25 @@ def find_surfaces(
         guess = Guess(by_subgroup(seed, sensor), COARSE_LIGHTS[by_subgroup(light, sensor)].astype(np.float64))
         activity = _activity(events, config, guess.time, sigma_ticks)
         bins = round(BINS_SIGMAS * sigma_ticks)
-        first = np.where(np.isnan(seed), 0, seed).astype(np.int64) - bins // 2
+        middle = np.nan_to_num(seed)
+        first = _first(middle, 1, bins)
 
-        def around(first: np.ndarray, prior: np.ndarray | None = None) -> Levels:
+        def around(width: int, first: np.ndarray, prior: np.ndarray | None = None) -> Levels:
             return log_likelihood(
-                events, config, sigma_ticks, pulses, Grid(1, LIGHTS, prior), never, by_subgroup(first, sensor), bins,
+                events, config, width * sigma_ticks, pulses, Grid(width, LIGHTS, prior), never, by_subgroup(first, sensor), bins,
                 activity=activity, guess=guess, spread=pool.map,
             )  # fmt: skip
 
-        levels = around(first)
-        field = Field.of(levels.level, first)
+        levels = around(1, first)
+        field = Field.of([levels.level], [first], sigma_ticks)
         planes = fit_planes(field, blocks)
+        slanted = doublings(planes.down, planes.right, sigma_ticks) > SLANTED
+        if slanted.mean() > SLANTED_SHARE:
+            again = partial(around, prior=levels.prior)
+            wide = _in_perspective(levels.level, middle, again, sigma_ticks)
+            in_space = fit_planes(wide, blocks)
+            if np.mean(level_on(wide, in_space) - level_on(field, planes)) > SPREAD_GAIN:
+                field, planes = wide, in_space
         confidence, error = posterior(field, planes, tolerance_ticks, blocks)
         time = planes.time[:, :, None]
         seen = (found.bin >= 0)[:, :, None]
@@ -113,12 +126,28 @@ def find_surfaces(
         ]
         if returns > 1:
             apart = events.window.max() + APART_SIGMAS * sigma_ticks
-            again = partial(around, prior=levels.prior)
-            further = _further(level, lights, step, planes.time, apart, again, bins, returns - 1, blocks)
+            again = partial(around, 1, prior=levels.prior)
+            further = _further(level, lights, step, planes.time, apart, again, sigma_ticks, bins, returns - 1, blocks)
             parts = [np.concatenate(pair, axis=2) for pair in zip(parts, further)]
     slope = np.where(seen, np.stack([planes.down, planes.right], axis=2), np.nan)
     time_of, sure, error_of = parts
     return Surfaces(time_of, sure, error_of, slope)
+
+
+def _first(middle: np.ndarray, width: int, bins: int) -> np.ndarray:
+    """int64[rows, cols]: the first of `bins` around a time in ticks, as the number of bins of `width` ticks before it."""
+    return np.floor(middle / width).astype(np.int64) - bins // 2
+
+
+def _in_perspective(
+    level: np.ndarray, middle: np.ndarray, around: Callable[[int, np.ndarray], Levels], sigma_ticks: float
+) -> Field:
+    """Return the field of all widths of pulses. level: of the laser's; middle: float64[rows, cols], ticks."""
+    bins = level.shape[2]
+    widths = [2**k for k in range(WIDTHS)]
+    firsts = [_first(middle, width, bins) for width in widths]
+    wider = [around(width, first).level for width, first in zip(widths[1:], firsts[1:])]
+    return Field.of([level, *wider], [width * first for width, first in zip(widths, firsts)], sigma_ticks)
 
 
 def _activity(events: Events, config: Config, seed: np.ndarray, sigma_ticks: float) -> np.ndarray:
@@ -145,6 +174,7 @@ def _further(
     time: np.ndarray,
     apart: float,
     around: Callable[[np.ndarray], Levels],
+    sigma_ticks: float,
     bins: int,
     most: int,
     blocks: Blocks,
@@ -163,7 +193,7 @@ def _further(
         if not there.any():
             break
         first = np.where(there, middle[seeds.bin], 0.0).astype(np.int64) - bins // 2
-        field = Field.of(around(first).level, first)
+        field = Field.of([around(first).level], [first], sigma_ticks)
         planes = fit_planes(field, blocks)
         found[:, :, k] = taken = np.where(there, planes.time, np.nan)
         error[:, :, k] = np.where(there, posterior(field, planes, 0.0, blocks)[1], np.nan)

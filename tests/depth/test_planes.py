@@ -18,6 +18,7 @@ from coincid.model.light.spad import Spad
 from coincid.model.light.timing import Timing
 from coincid.model.scenes.catalogue import load_scene
 from coincid.model.scenes.scene import Scene, scene_light
+from coincid.model.scenes.transient import BIN_S, Transient, sparse
 from coincid.model.shared.constants import SPEED_OF_LIGHT_M_S
 
 ROWS, COLS = 16, 24
@@ -95,6 +96,38 @@ def test_many_photons_leave_no_error():
     scene = tilted()
     depth = estimate(scene, 1.0, frame={"pulses": 1000})
     assert np.percentile(np.abs(depth.depth_m[:, :, 0] - scene.truth_m), 99) < 0.025
+
+
+def floor(far_m, near_m=4.0, rows=32, cols=16, reflectivity=0.4, parts=64):
+    """A floor in perspective: the light of a pixel comes from all distances that it sees, nearer parts are brighter."""
+    inner = (np.arange(rows * parts) + 0.5) / parts  # rows, and places in them
+    distance_m = 1 / (1 / far_m + (1 / near_m - 1 / far_m) * inner / rows)
+    bins = (distance_m * 2 / SPEED_OF_LIGHT_M_S / BIN_S).astype(np.int64)
+    table = np.zeros((rows, bins.max() + 1))
+    np.add.at(table, (np.arange(len(bins)) // parts, bins), reflectivity / (np.pi * distance_m**2) / parts)
+    number, index, strength = sparse(np.repeat(table, cols, axis=0))
+    truth_m = np.repeat(distance_m.reshape(rows, parts).mean(axis=1)[:, None], cols, axis=1)
+    light = Transient(
+        first=np.r_[0, np.cumsum(number)],
+        index=index,
+        strength_per_m2=strength,
+        ambient=np.full((rows, cols), reflectivity),
+        surface_m=truth_m,
+    )
+    return Scene(name="floor", distance_m=truth_m, reflectivity=light.ambient, transient=light)
+
+
+@pytest.mark.parametrize(("far_m", "wrong_max"), [(9.0, 0.05), (14.0, 0.25)])
+def test_the_pulse_of_a_slanted_surface_is_spread(far_m, wrong_max):
+    """The far pixels of these floors see a third of a metre of depth each, and a whole metre."""
+    scene = floor(far_m)
+    assert share(estimate(scene), scene) < wrong_max
+
+
+def test_pixels_that_see_one_distance_each_keep_narrow_pulses():
+    scene = floor(9.0)
+    points = Scene(name="points", distance_m=scene.truth_m, reflectivity=scene.reflectivity)
+    assert share(estimate(points), points) < 0.03
 
 
 def test_slopes_and_standard_errors():
