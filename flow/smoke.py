@@ -33,6 +33,7 @@ BENCH = FOLDER / "smoke_bench.vh"
 WORDS, LINES, LEVELS = (
     FOLDER / f"smoke_{light}.v" for light in ("words", "lines", "levels")
 )  # name of the light at the ports
+PATIENCE = 50  # cycles per cycle of the frame, beat and access to a register, until the bench gives up
 STALL_CYCLES, STALL_EVERY = 300, 4  # in these cycles, `tready` is low every fourth cycle
 ADDRESSES = ("period", "status", "control")  # registers that the bench uses by name
 BITS = {"bad_value": "status", "done": "status", "start": "control"}
@@ -99,7 +100,7 @@ def smoke_test(sensor: Sensor, levels: bool = False, view: View = POLYPHASE) -> 
         bench, flips = LINES, line_toggles(config.with_frame(clock_mhz=view.circuit.clock_mhz), edges)
     included = {
         BENCH.name: BENCH.read_text(),
-        "smoke_tables.vh": _sizes(sensor, levels, view)
+        "smoke_tables.vh": _sizes(config, trace, levels, view)
         + _registers(config, trace)
         + _beats(trace)
         + _flips(sensor, *flips),
@@ -124,8 +125,10 @@ def _instance(sensor: Sensor, levels: bool, view: View) -> str:
     return f"  {FPGA_TOP if levels else TOP} sensor (\n{pins}\n  );\n"
 
 
-def _sizes(sensor: Sensor, levels: bool, view: View) -> str:
+def _sizes(config: Config, trace: Trace, levels: bool, view: View) -> str:
     """Return the numbers that the benches use."""
+    sensor = config.sensor
+    work = config.pulses * config.period + sum(map(len, trace.beats)) + sum(map(len, _accesses(config, trace).values()))
     by_words = isinstance(view, Polyphase) and not levels
     sizes = {
         "STREAMS": sensor.streams,
@@ -134,6 +137,7 @@ def _sizes(sensor: Sensor, levels: bool, view: View) -> str:
         "LINES": sensor.pixels * (sensor.phases if by_words else 1),
         "STALL_CYCLES": STALL_CYCLES,
         "STALL_EVERY": STALL_EVERY,
+        "TIMEOUT_CYCLES": PATIENCE * work,
     }
     if levels:
         sizes["PHASES"] = sensor.phases
@@ -142,14 +146,10 @@ def _sizes(sensor: Sensor, levels: bool, view: View) -> str:
     return "".join(f"  localparam {name} = {value};\n" for name, value in sizes.items())
 
 
-def _registers(config: Config, trace: Trace) -> str:
-    """Return addresses and bits, expected values of constants and counters, and the settings to write."""
-    sensor, by_name = config.sensor, registers.BY_NAME
+def _accesses(config: Config, trace: Trace) -> dict[str, list[tuple[int, int, str]]]:
+    """Return (address, value, comment) of constants and counters to read, and of the settings to write."""
+    sensor = config.sensor
     reset = registers.reset_values(sensor)
-    lines = [f"  localparam [19:0] {name.upper()} = 20'h{registers.address(name):05x};" for name in ADDRESSES]
-    lines += [
-        f"  localparam [31:0] {bit.upper()} = 32'd{1 << by_name[register].bit(bit)};" for bit, register in BITS.items()
-    ]
     constants = [(r.offset, r.reset(sensor), r.name) for r in registers.GLOBAL if r.access is registers.Access.CONSTANT]
     settings = [(address, value, "") for address, value in config.register_writes() if reset[address] != value]
     counters = [
@@ -157,8 +157,20 @@ def _registers(config: Config, trace: Trace) -> str:
         for s in _played(sensor)
         for name, value in zip(registers.COUNTER_NAMES, trace.counters[s].tolist())
     ]
-    words = {"constant": constants, "setting": settings, "counter": counters}
-    tables = (_table(name, "reg [51:0]", map(_word, rows), f"{name.upper()}S") for name, rows in words.items())
+    return {"constant": constants, "setting": settings, "counter": counters}
+
+
+def _registers(config: Config, trace: Trace) -> str:
+    """Return addresses and bits, expected values of constants and counters, and the settings to write."""
+    by_name = registers.BY_NAME
+    lines = [f"  localparam [19:0] {name.upper()} = 20'h{registers.address(name):05x};" for name in ADDRESSES]
+    lines += [
+        f"  localparam [31:0] {bit.upper()} = 32'd{1 << by_name[register].bit(bit)};" for bit, register in BITS.items()
+    ]
+    tables = (
+        _table(name, "reg [51:0]", map(_word, rows), f"{name.upper()}S")
+        for name, rows in _accesses(config, trace).items()
+    )
     return "\n".join([*lines, *tables])
 
 

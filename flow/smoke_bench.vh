@@ -41,8 +41,6 @@
     end
   endtask
 
-  localparam TIMEOUT_CYCLES = 200000;
-
   initial begin
     repeat (TIMEOUT_CYCLES) @(posedge clk);
     $display("FAIL: no end after %0d cycles", TIMEOUT_CYCLES);
