@@ -88,10 +88,7 @@ class EmulatorControl(Unit):
         between = place(m, "slice", StreamSlice(), platform)
         connect(m, flipped(self.s_axis), between.s_axis)
         connect(m, between.m_axis, buffer.s_axis)
-        m.d.comb += [
-            seeder.number.eq(self.number),
-            self.seed.eq(seeder.out),
-        ]
+        m.d.comb += [seeder.number.eq(self.number), self.seed.eq(seeder.out)]
         self._settings(m, seeder)
         self._local(m, buffer, seeder)
         self._accesses(m, buffer, seeder)

@@ -144,7 +144,7 @@ OWN: tuple[Register, ...] = (
         name="stalls",
         offset=0x24,
         access=Access.COUNTER,
-        doc="Cycles since reset in which the sensor waited for the full buffer: frames with one are not as predicted.",
+        doc="Cycles since reset in which a beat waited for the full buffer: frames with one may not be as predicted.",
     ),
     Register(
         name="link_errors", offset=0x28, access=Access.COUNTER, doc="Frames of the serial link that came damaged."
