@@ -23,7 +23,9 @@ from coincid.tb.cosim import SensorBench
 from coincid.tb.scoreboard import Scoreboard
 from coincid.tb.stimulus import port_words
 
-SENSOR = json.loads(os.environ.get("COINCID_BENCH_SENSOR", '{"rows": 8, "cols": 16}'))  # set by mutation.py
+SENSOR = json.loads(
+    os.environ.get("COINCID_BENCH_SENSOR", '{"rows": 8, "cols": 16}')
+)  # set by test_ports.py and mutation.py
 STATUS = registers.BY_NAME["status"]
 NOTHING = Edges(*(np.zeros(0, np.int64) for _ in range(3)))
 
@@ -243,7 +245,7 @@ async def received(bench, light, each=lambda cycle: None) -> list[int]:
 @cocotb.test()
 async def abort_ends_the_running_period(dut):
     bench = await fresh(dut)
-    frame = {"period": 100, "pulses": 50, "format": "id", "auto_bounds": [0] * 6, "capacity": 40}
+    frame = {"period": 100, "pulses": 50, "format": "id", "auto_bounds": [0] * 6, "capacity": 20}
     of = config(frame=frame, subgroup={"threshold": 1, "auto": True})
     edges = some_edges(of, 7, 1000)
     bench.axi = Queue(bench.axi)
