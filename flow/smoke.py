@@ -38,6 +38,8 @@ STALL_CYCLES, STALL_EVERY = 300, 4  # in these cycles, `tready` is low every fou
 ADDRESSES = ("period", "status", "control")  # registers that the bench uses by name
 BITS = {"bad_value": "status", "done": "status", "start": "control"}
 
+Accesses = dict[str, list[tuple[int, int, str]]]  # (address, value, comment) of registers, by kind
+
 
 def smoke_config(sensor: Sensor) -> Config:
     """Return a short frame with everything on. Most settings keep their reset values: less to program."""
@@ -92,6 +94,7 @@ def smoke_test(sensor: Sensor, levels: bool = False, view: View = POLYPHASE) -> 
     edges = smoke_edges(config)
     ready = np.arange(STALL_CYCLES) % STALL_EVERY != 0
     trace = Golden(sensor).frame(config, edges, ready.astype(np.uint8))
+    accesses = _accesses(config, trace)
     if levels:
         bench, flips = LEVELS, _level_flips(config, edges)
     elif isinstance(view, Polyphase):
@@ -100,8 +103,8 @@ def smoke_test(sensor: Sensor, levels: bool = False, view: View = POLYPHASE) -> 
         bench, flips = LINES, line_toggles(config.with_frame(clock_mhz=view.circuit.clock_mhz), edges)
     included = {
         BENCH.name: BENCH.read_text(),
-        "smoke_tables.vh": _sizes(config, trace, levels, view)
-        + _registers(config, trace)
+        "smoke_tables.vh": _sizes(config, trace, accesses, levels, view)
+        + _registers(accesses)
         + _beats(trace)
         + _flips(sensor, *flips),
         "smoke_sensor.vh": _instance(sensor, levels, view),
@@ -125,10 +128,10 @@ def _instance(sensor: Sensor, levels: bool, view: View) -> str:
     return f"  {FPGA_TOP if levels else TOP} sensor (\n{pins}\n  );\n"
 
 
-def _sizes(config: Config, trace: Trace, levels: bool, view: View) -> str:
+def _sizes(config: Config, trace: Trace, accesses: Accesses, levels: bool, view: View) -> str:
     """Return the numbers that the benches use."""
     sensor = config.sensor
-    work = config.pulses * config.period + sum(map(len, trace.beats)) + sum(map(len, _accesses(config, trace).values()))
+    work = config.pulses * config.period + sum(map(len, trace.beats)) + sum(map(len, accesses.values()))
     by_words = isinstance(view, Polyphase) and not levels
     sizes = {
         "STREAMS": sensor.streams,
@@ -146,8 +149,8 @@ def _sizes(config: Config, trace: Trace, levels: bool, view: View) -> str:
     return "".join(f"  localparam {name} = {value};\n" for name, value in sizes.items())
 
 
-def _accesses(config: Config, trace: Trace) -> dict[str, list[tuple[int, int, str]]]:
-    """Return (address, value, comment) of constants and counters to read, and of the settings to write."""
+def _accesses(config: Config, trace: Trace) -> Accesses:
+    """Return the constants and counters to read, and the settings to write."""
     sensor = config.sensor
     reset = registers.reset_values(sensor)
     constants = [(r.offset, r.reset(sensor), r.name) for r in registers.GLOBAL if r.access is registers.Access.CONSTANT]
@@ -160,17 +163,14 @@ def _accesses(config: Config, trace: Trace) -> dict[str, list[tuple[int, int, st
     return {"constant": constants, "setting": settings, "counter": counters}
 
 
-def _registers(config: Config, trace: Trace) -> str:
+def _registers(accesses: Accesses) -> str:
     """Return addresses and bits, expected values of constants and counters, and the settings to write."""
     by_name = registers.BY_NAME
     lines = [f"  localparam [19:0] {name.upper()} = 20'h{registers.address(name):05x};" for name in ADDRESSES]
     lines += [
         f"  localparam [31:0] {bit.upper()} = 32'd{1 << by_name[register].bit(bit)};" for bit, register in BITS.items()
     ]
-    tables = (
-        _table(name, "reg [51:0]", map(_word, rows), f"{name.upper()}S")
-        for name, rows in _accesses(config, trace).items()
-    )
+    tables = (_table(name, "reg [51:0]", map(_word, rows), f"{name.upper()}S") for name, rows in accesses.items())
     return "\n".join([*lines, *tables])
 
 

@@ -104,11 +104,11 @@ def find_surfaces(
             )  # fmt: skip
 
         levels = around(1, first)
+        again = partial(around, prior=levels.prior)
         field = Field.of([levels.level], [first], sigma_ticks)
         planes = fit_planes(field, blocks)
         slanted = doublings(planes.down, planes.right, sigma_ticks) > SLANTED
         if slanted.mean() > SLANTED_SHARE:
-            again = partial(around, prior=levels.prior)
             wide = _in_perspective(levels.level, middle, again, sigma_ticks)
             in_space = fit_planes(wide, blocks)
             if np.mean(level_on(wide, in_space) - level_on(field, planes)) > SPREAD_GAIN:
@@ -126,8 +126,8 @@ def find_surfaces(
         ]
         if returns > 1:
             apart = events.window.max() + APART_SIGMAS * sigma_ticks
-            again = partial(around, 1, prior=levels.prior)
-            further = _further(level, lights, step, planes.time, apart, again, sigma_ticks, bins, returns - 1, blocks)
+            narrow = partial(again, 1)
+            further = _further(level, lights, step, planes.time, apart, narrow, sigma_ticks, bins, returns - 1, blocks)
             parts = [np.concatenate(pair, axis=2) for pair in zip(parts, further)]
     slope = np.where(seen, np.stack([planes.down, planes.right], axis=2), np.nan)
     time_of, sure, error_of = parts
@@ -192,7 +192,7 @@ def _further(
         there = (seeds.bin >= 0) & (seeds.score > RETURN_SCORE) & (own > RETURN_LEVEL)
         if not there.any():
             break
-        first = np.where(there, middle[seeds.bin], 0.0).astype(np.int64) - bins // 2
+        first = _first(np.where(there, middle[seeds.bin], 0.0), 1, bins)
         field = Field.of([around(first).level], [first], sigma_ticks)
         planes = fit_planes(field, blocks)
         found[:, :, k] = taken = np.where(there, planes.time, np.nan)

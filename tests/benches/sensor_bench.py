@@ -23,9 +23,7 @@ from coincid.tb.cosim import SensorBench
 from coincid.tb.scoreboard import Scoreboard
 from coincid.tb.stimulus import port_words
 
-SENSOR = json.loads(
-    os.environ.get("COINCID_BENCH_SENSOR", '{"rows": 8, "cols": 16}')
-)  # set by test_ports.py and mutation.py
+SENSOR = json.loads(os.environ["COINCID_BENCH_SENSOR"])  # set by whoever runs a bench
 STATUS = registers.BY_NAME["status"]
 NOTHING = Edges(*(np.zeros(0, np.int64) for _ in range(3)))
 

@@ -18,8 +18,10 @@ from coincid.model.light.spad import Spad
 from coincid.model.light.timing import Timing
 from coincid.model.scenes.catalogue import load_scene
 from coincid.model.scenes.scene import Scene, scene_light
-from coincid.model.scenes.transient import BIN_S, Transient, sparse
+from coincid.model.scenes.transient import BIN_S
 from coincid.model.shared.constants import SPEED_OF_LIGHT_M_S
+
+from ..transients import synthetic
 
 ROWS, COLS = 16, 24
 DOWN_M, RIGHT_M = 0.02, -0.05  # slopes per pixel
@@ -105,15 +107,8 @@ def floor(far_m, near_m=4.0, rows=32, cols=16, reflectivity=0.4, parts=64):
     bins = (distance_m * 2 / SPEED_OF_LIGHT_M_S / BIN_S).astype(np.int64)
     table = np.zeros((rows, bins.max() + 1))
     np.add.at(table, (np.arange(len(bins)) // parts, bins), reflectivity / (np.pi * distance_m**2) / parts)
-    number, index, strength = sparse(np.repeat(table, cols, axis=0))
     truth_m = np.repeat(distance_m.reshape(rows, parts).mean(axis=1)[:, None], cols, axis=1)
-    light = Transient(
-        first=np.r_[0, np.cumsum(number)],
-        index=index,
-        strength_per_m2=strength,
-        ambient=np.full((rows, cols), reflectivity),
-        surface_m=truth_m,
-    )
+    light = synthetic(np.repeat(table[:, None], cols, axis=1), truth_m, reflectivity)
     return Scene(name="floor", distance_m=truth_m, reflectivity=light.ambient, transient=light)
 
 

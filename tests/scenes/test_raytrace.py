@@ -24,25 +24,17 @@ from coincid.model.light.timing import Timing
 from coincid.model.scenes import ray_scene
 from coincid.model.scenes.catalogue import RANGE_M, load_scene
 from coincid.model.scenes.scene import scene_light
-from coincid.model.scenes.transient import BIN_S, Transient, dominant_surface_m, sparse
+from coincid.model.scenes.transient import BIN_S, Transient, dominant_surface_m
 from coincid.model.shared.constants import SPEED_OF_LIGHT_M_S
 from coincid.model.shared.errors import InputError
+
+from ..transients import synthetic
 
 LEVEL = 1e-3
 BARE = Spad(dead_time_s=0, jitter_fwhm_s=0)
 BIN_M = BIN_S * SPEED_OF_LIGHT_M_S / 2
 TICK_M = Timing().tick_s * SPEED_OF_LIGHT_M_S / 2
 BINS_PER_TICK = round(Timing().tick_s / BIN_S)
-
-
-def synthetic(table, surface_m=5.0, ambient=0.4):
-    """Return a transient from strengths [rows, cols, bins]."""
-    rows, cols, bins = table.shape
-    counts, index, strength = sparse(table.reshape(rows * cols, bins))
-    surface_m, ambient = np.broadcast_to(surface_m, (rows, cols)).copy(), np.broadcast_to(ambient, (rows, cols)).copy()
-    return Transient(
-        first=np.r_[0, np.cumsum(counts)], index=index, strength_per_m2=strength, surface_m=surface_m, ambient=ambient
-    )
 
 
 def photons_in(light):
