@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from coincid.model.contract.config import Config, parse_config
 from coincid.model.contract.edges import Edges
 from coincid.model.contract.pixels import pixel_table
+from coincid.model.contract.registers import BY_NAME
 
 SENSORS = {  # small ones, so that a case is fast; together they change every parameter from its default
     "default": {"rows": 8, "cols": 16},
@@ -184,17 +185,68 @@ def modes(sensor: dict) -> list[Config]:
     ]
 
 
-def gate_bits(sensor: dict) -> Config:
-    """Return a frame in which every bit of a gate's start is set in one subgroup or the other."""
+def gate_bits(sensor: dict) -> list[Config]:
+    """Return frames in which every bit of a gate's start and length decides in one subgroup or the other."""
     built = parse_config({"sensor": sensor, "frame": {"period": 100}}).sensor
-    odd = 0x5555 & (built.period_max - 1)
-    even = 0xAAAA & (built.period_max - 1)
+    highest = built.period_max - 1
+    starts = [
+        parse_config(
+            {
+                "sensor": sensor,
+                "frame": {"period": built.period_max, "pulses": 1},
+                "subgroup": {"gating": True, "gate_start": 0x5555 & highest, "gate_len": 40, "threshold": 1},
+                "override": [{"subgroups": [1], "gate_start": 0xAAAA & highest}],
+            }
+        )
+    ]
+    lengths = [
+        parse_config(
+            {
+                "sensor": sensor,
+                "frame": {"period": built.period_max, "pulses": 1},
+                "subgroup": {"gating": True, "gate_start": 0, "gate_len": 1 << bit, "threshold": 1},
+                "override": [{"subgroups": [1], "gate_len": 2 << bit}],
+            }
+        )
+        for bit in range(0, BY_NAME["gate_len"].high(built).bit_length(), 2)
+    ]
+    return starts + lengths
+
+
+def collections(sensor: dict) -> list[Config]:
+    """Return a frame for every length of a minigroup's collection, with records that need two pixels, if there are two."""
+    built = parse_config({"sensor": sensor, "frame": {"period": 100}}).sensor
+    register = BY_NAME["mg_window"]
+    return [
+        parse_config(
+            {
+                "sensor": sensor,
+                "frame": {
+                    "period": 60,
+                    "pulses": 16,
+                    "minigroup_records": True,
+                    "mg_threshold": min(2, built.minigroup_pixels),
+                    "mg_window": cycles,
+                },
+            }
+        )
+        for cycles in range(register.low(built), register.high(built) + 1)
+    ]
+
+
+def dithered(sensor: dict) -> Config:
+    """Return a frame whose waits between periods use every bit."""
+    built = parse_config({"sensor": sensor, "frame": {"period": 100}}).sensor
     return parse_config(
         {
             "sensor": sensor,
-            "frame": {"period": built.period_max, "pulses": 1},
-            "subgroup": {"gating": True, "gate_start": odd, "gate_len": 40, "threshold": 1},
-            "override": [{"subgroups": [1], "gate_start": even}],
+            "frame": {
+                "period": built.guard + 8,
+                "pulses": 20,
+                "dither_bits": BY_NAME["dither_bits"].high(built),
+                "dither_seed": 0xACE1,
+            },
+            "subgroup": {"threshold": 1},
         }
     )
 

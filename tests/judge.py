@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Judge of mutants of the golden model: `python -m tests.judge MODULE SOURCE JOBS` fails if a frame differs from its record.
+"""Judge of mutants of the golden model: `python -m tests.judge MODULE SOURCE JOBS` fails if the regression notices it.
 
-SOURCE replaces the module MODULE before anything imports it. JOBS: a file of frames, by sensor.
+SOURCE replaces the module MODULE before anything imports it. First every frame of JOBS, by sensor, must equal its
+record; then the tests of the golden model must pass.
 """
 
 import importlib.util
@@ -10,6 +11,10 @@ from itertools import groupby
 from pathlib import Path
 
 import numpy as np
+import pytest
+
+GOLDEN_TESTS = Path(__file__).parent / "golden"
+PYTEST_OPTIONS = ("-q", "-x", "-p", "no:randomly", "-p", "no:xdist", "-p", "no:cacheprovider", "--hypothesis-seed=0")
 
 
 def put_in_place(module: str, source: Path) -> None:
@@ -42,4 +47,4 @@ def _equal(shown, expected) -> bool:
 
 if __name__ == "__main__":
     put_in_place(sys.argv[1], Path(sys.argv[2]))
-    sys.exit(differs(Path(sys.argv[3])))
+    sys.exit(differs(Path(sys.argv[3])) or pytest.main([*PYTEST_OPTIONS, str(GOLDEN_TESTS)]) != pytest.ExitCode.OK)

@@ -10,7 +10,6 @@ import numpy as np
 
 from ..contract.config import Config
 from ..contract.parameters import Sensor
-from ..contract.registers import THRESHOLD_MAX
 from .shape import COUNTER
 
 STEP = 16  # in one frame, a budget changes by 1/16 of itself
@@ -40,9 +39,9 @@ class Controller:
         threshold, opened = column[COUNTER.threshold_used], column[COUNTER.opened]
         committed, lower = column[COUNTER.committed], column[COUNTER.lower]
         budget = self.budget[self._stream]
-        rises = (committed > budget) & (threshold < THRESHOLD_MAX)
-        falls = (committed <= budget) & (threshold > 1) & (lower <= budget)
-        ceiling = 1 + np.searchsorted(config.auto_bounds, opened, side="right")
+        rises = committed > budget
+        falls = ~rises & (lower <= budget)
+        ceiling = 1 + np.searchsorted(config.auto_bounds, opened, side="right")  # at most THRESHOLD_MAX
         floor = max(1, config.frame["threshold_floor"])
         return np.maximum(floor, np.minimum(threshold + rises - falls, ceiling))
 
@@ -60,9 +59,9 @@ class Controller:
         capacity, span = config.capacity, self.sensor.stream_subgroups(stream)
         of_stream = slice(span.start, span.stop)
         column = self._counters[of_stream].T
-        threshold, committed, lower = (column[k] for k in (COUNTER.threshold_used, COUNTER.committed, COUNTER.lower))
+        committed, lower = column[COUNTER.committed], column[COUNTER.lower]  # equal at a threshold of 1
         wide = min(budget + budget // STEP + 1, capacity)
-        would_fall = config.controlled[of_stream] & (threshold > 1) & (lower <= wide)
+        would_fall = config.controlled[of_stream] & (lower <= wide)
         if committed.sum() > capacity:
             return max(budget - budget // STEP, int(config.shares[stream]))
         return wide if np.where(would_fall, lower, committed).sum() <= capacity else budget

@@ -12,15 +12,17 @@ import re
 
 import cocotb
 import numpy as np
-from cocotb.triggers import ClockCycles, FallingEdge
-from sensor_bench import Queue, config, received, some_edges
+from cocotb.triggers import ClockCycles, FallingEdge, ReadOnly
+from cocotb_bus.drivers.amba import AXIProtocolError
+from sensor_bench import NOTHING, STATUS, Queue, config, received, some_edges
+from sensor_bench import fresh as fresh_bench
 
 from coincid.hdl.dpcu import counter_bits
 from coincid.model.contract.packet import HEADER
 from coincid.model.contract.parameters import TOP
-from coincid.model.contract.registers import COUNTER_NAMES, ID_VALUE
+from coincid.model.contract.registers import AUTO_BOUNDS, COUNTER_NAMES, DATA_BITS, ID_VALUE, THRESHOLD_MAX
 from coincid.model.contract.stream import decode_frame
-from coincid.model.golden.controller import Controller
+from coincid.model.golden.controller import STEP, Controller
 from coincid.model.golden.frame import Golden
 from coincid.tb.cosim import SensorBench
 from coincid.tb.scoreboard import Scoreboard
@@ -236,53 +238,225 @@ async def upsets_of_the_register_front(dut):
     await works(bench, of, edges, trace)
 
 
-@cocotb.test()
-async def counters_in_full_width(dut):
-    """Force counters to values that no test frame reaches: all bits leave by stream and bus, and the counters saturate.
+def put(dut, path: str, name: str, bits: int, value: int) -> None:
+    """Set a voted register, in all three copies."""
+    full = (1 << bits) - 1
+    turn = full * int(handle(dut, path, f"{name}_turn").value)
+    for copy, code in (("plain", 0), ("inverse", full), ("by_turns", turn)):
+        handle(dut, path, f"{name}_{copy}").value = value ^ code
 
-    The threshold controller treats them as the golden model does."""
+
+def voted(flops) -> list[tuple[str, str, int]]:
+    """Return (path of the instance, register, bits) for every register in three copies."""
+    return [(path, name.removesuffix("_plain"), bits) for path, name, bits in flops if name.endswith("_plain")]
+
+
+@cocotb.test()
+async def copies_agree_and_outvote_one(dut):
+    """Without an upset, the copies of a voted register agree in every cycle; one wrong copy changes nothing and heals."""
     bench, of, edges, trace = await fresh(dut)
-    controller, used = Controller(of.sensor), COUNTER_NAMES.index("threshold_used")
-    bounds = [0, 0x1234_5678, 0x5A5A_A5A5, 0x5A5A_A5FF, 0xA5A5_5A5A, 0xFFFF_FFFF]
-    bench.axi = Queue(bench.axi)
-    dpcu = [handle(dut, f"module_0.subgroup_{s}", "dpcu") for s in range(2)]
     flops = flip_flops(json.loads(os.environ[SOURCES]))
-    registers_of = {  # counter: its register (with a suffix if a port has the same name), and its bits
+    kept = voted(flops)
+    assert len(kept) >= 7  # five of the bus, frame number, budget
+    agree = {(path, name): handle(dut, path, f"{name}_agree") for path, name, _ in kept}
+    watching = True
+
+    async def watch():
+        while watching:
+            await FallingEdge(dut.clk)
+            for at, line in agree.items():
+                assert line.value == 1, f"the copies of {at} differ"
+
+    watcher = cocotb.start_soon(watch())
+    await pulse_reset(bench)
+    await works(bench, of, edges, trace)
+    await pulse_reset(bench)
+    await ClockCycles(dut.clk, 2)
+    watching = False
+    await watcher
+    for path, name, bits in kept:
+        for copy, cycles in itertools.product(("plain", "inverse", "by_turns"), (1, 2)):  # both values of the turn
+            await ClockCycles(dut.clk, cycles)
+            await FallingEdge(dut.clk)
+            value = int(handle(dut, path, name).value)
+            change(dut, path, f"{name}_{copy}", lambda code, bits=bits: code ^ 1 << random.randrange(bits))
+            await ReadOnly()
+            assert int(handle(dut, path, name).value) == value and agree[path, name].value == 0, f"{name}_{copy}"
+            await FallingEdge(dut.clk)
+            assert int(handle(dut, path, name).value) == value and agree[path, name].value == 1, f"{name}_{copy}"
+    await works(bench, of, edges, trace)
+
+
+@cocotb.test()
+async def writes_that_are_upset(dut):
+    """Flip a bit of a value on its way from the port to a setting, in every cycle of the access.
+
+    The write is refused, or the setting is right, or the next start is refused."""
+    bench = await fresh_bench(dut)
+    outcomes = []
+    for cycle in range(2 * ANSWER_CYCLES // 3):
+        wanted = random.getrandbits(32)
+        await bench.program(config())
+        writing = cocotb.start_soon(refuses(bench.write("capacity", wanted)))
+        await ClockCycles(dut.clk, cycle + 1)
+        if writing.done():
+            break
+        await FallingEdge(dut.clk)
+        change(dut, "registers", "value", lambda value: value ^ 1 << random.randrange(32))
+        if await writing:
+            outcomes.append("refused")
+        elif await bench.read("capacity") == wanted:
+            outcomes.append("right")
+        else:
+            assert (
+                await refuses(bench.write("control", 1)) and await bench.read("status") >> STATUS.bit("start_upset") & 1
+            )
+            outcomes.append("start refused")
+        await pulse_reset(bench)
+    assert outcomes.count("refused") >= 2 and outcomes.count("start refused") <= 2, outcomes
+
+
+async def refuses(access) -> bool:
+    """Return whether an access gets SLVERR."""
+    try:
+        await access
+    except AXIProtocolError:
+        return True
+    return False
+
+
+def counter_registers(sensor) -> dict[str, tuple[str, int]]:
+    """Return for every counter its register in the DPCU (with a suffix if a port has the same name), and its bits."""
+    flops = flip_flops(json.loads(os.environ[SOURCES]))
+    of_dpcu = {
         register.partition("$")[0]: (register, bits)
         for path, register, bits in flops
         if path == "module_0.subgroup_0.dpcu"
     }
-    names = {
-        name: registers_of[name] for name in COUNTER_NAMES if name != "threshold_used"
-    }  # that one is already in force
-    assert all(bits == counter_bits(name, of.sensor) for name, (_, bits) in names.items())
-    for value, capacity in itertools.product(
-        (0xFFFF_FFFF, 0xA5A5_5A5A, 0x5A5A_A5A5, 0x1357_9BDF), (0xFFFF_FFFF, 0x9876_5432)
-    ):
-        of = of.with_frame(capacity=capacity, auto_bounds=bounds)
-        thresholds = controller.begin(of)
-        await bench.program(of)
-        playing = cocotb.start_soon(bench.play(of, edges, np.zeros(0, np.uint8)))
-        for _ in range(200):
-            await FallingEdge(dut.clk)
-            if dut.laser.value == 1:
-                break
-        await ClockCycles(dut.clk, of.period * of.pulses - 2)
+    # `threshold_used` is already in force.
+    names = {name: of_dpcu[name] for name in COUNTER_NAMES if name != "threshold_used"}
+    assert all(bits == counter_bits(name, sensor) for name, (_, bits) in names.items())
+    return names
+
+
+async def frame_with_counters(bench, of, edges, registers, values: list[dict]) -> np.ndarray:
+    """Play a frame, set the counters of each subgroup shortly before its end, and return what the stream says of them."""
+    dut = bench.dut
+    await bench.program(of)
+    playing = cocotb.start_soon(bench.play(of, edges, np.zeros(0, np.uint8)))
+    for _ in range(200):
         await FallingEdge(dut.clk)
-        for unit in dpcu:
-            for register, bits in names.values():
-                unit[register].value = value & (1 << bits) - 1
-        record = await playing
-        counters = decode_frame(record.beats[0], of.sensor, 2).counters
-        controller.end(of, counters)
-        assert await bench.read("budget") == controller.budget[0]
-        assert counters[:, used].tolist() == thresholds.tolist()
+        if dut.laser.value == 1:
+            break
+    await ClockCycles(dut.clk, of.period * of.pulses - 2)
+    await FallingEdge(dut.clk)
+    for s, of_subgroup in enumerate(values):
+        for name, value in of_subgroup.items():
+            register, bits = registers[name]
+            handle(dut, f"module_0.subgroup_{s}.dpcu", register).value = value & (1 << bits) - 1
+    record = await playing
+    return decode_frame(record.beats[0], of.sensor, of.sensor.subgroups).counters
+
+
+@cocotb.test()
+async def counters_in_full_width(dut):
+    """Force counters to values that no test frame reaches: all bits leave by stream and bus, and the counters saturate."""
+    bench, of, edges, trace = await fresh(dut)
+    bench.axi = Queue(bench.axi)
+    names = counter_registers(of.sensor)
+    for value in (0xFFFF_FFFF, 0xA5A5_5A5A, 0x5A5A_A5A5, 0x1357_9BDF):
+        counters = await frame_with_counters(bench, of, edges, names, [dict.fromkeys(names, value)] * 2)
         for s in range(2):
             for name, (_, bits) in names.items():
                 highest = (1 << bits) - 1
                 shown = int(counters[s, COUNTER_NAMES.index(name)])
                 assert shown == await bench.read(name, s), name
                 assert value & highest <= shown <= min((value & highest) + 80, highest), f"{name}: {shown:#x}"
+
+
+DECISIONS = ("off", "bounds", "budget", "sums", "low_budget", "lower")
+
+
+def decisive_frames(led, alone, highest: int) -> list[tuple]:
+    """Return (decision, bit, configuration, budget) of frames in a row; `decisive_counters` says what the decisions are.
+
+    led, alone: configurations with the controller and without it. highest: what a counter can be."""
+    frames, bit = [], 0
+    before = "lower"
+    for k, decision in itertools.product(range(DATA_BITS), DECISIONS):
+        capacity = random.getrandbits(DATA_BITS) if decision == "off" else random.randint(highest // 2, highest)
+        bounds = [random.randint(0, highest) for _ in range(AUTO_BOUNDS)]
+        bounds[0] |= bit
+        budget = random.getrandbits(DATA_BITS) if decision == "sums" else random.randint(11 * capacity // 12, capacity)
+        budget = {"budget": budget & highest | bit, "low_budget": budget & highest & ~bit}.get(before, budget)
+        of = (alone if decision == "off" else led).with_frame(capacity=capacity, auto_bounds=sorted(bounds))
+        bit, before = 1 << k, decision
+        frames.append((decision, bit, of, budget))
+    return frames
+
+
+def decisive_counters(decision: str, bit: int, now, then, highest: int) -> list[dict]:
+    """Return the counters of two subgroups for which a bit decides.
+
+    decision: what is decided: the thresholds of the next frame by the bounds or by the budget (with the bit set or clear), the
+    budget by the sums of what was committed or by `lower`; or 'off': no controller, and the next frame begins with the
+    programmed thresholds. now, then: (configuration, budget) of the frame and of the one after it."""
+    capacity, wide = now[0].capacity, min(now[1] + now[1] // STEP + 1, now[0].capacity)
+    bounds, budget = then[0].auto_bounds.tolist(), then[1]
+    among = [bound ^ bit for bound in bounds if bound & bit], [bound for bound in bounds if not bound & bit]
+    first, nothing, many = random.randint(0, capacity ^ bit), (0, 0), (highest, highest)
+    committed, lower, opened = {
+        "off": (nothing, nothing, nothing),
+        "bounds": (nothing, many, [random.choice(values or bounds) for values in among]),
+        "budget": ((budget, budget ^ bit), (budget ^ bit, budget), many),
+        "sums": ((first, (capacity ^ bit) - first),) * 2 + (many,),
+        "low_budget": ((budget, budget ^ bit), (budget ^ bit, budget), many),
+        "lower": (nothing, (wide ^ bit, wide // 2), many),
+    }[decision]
+    return [
+        {name: min(value, highest) for name, value in zip(("committed", "lower", "opened"), values)}
+        for values in zip(committed, lower, opened)
+    ]
+
+
+@cocotb.test()
+async def controller_in_full_width(dut):
+    """The threshold controller treats counters, budgets, capacities and bounds as the golden model does, bit by bit."""
+    bench = await fresh_bench(dut)
+    flops = flip_flops(json.loads(os.environ[SOURCES]))
+    at = next(path for path, name, _ in voted(flops) if name == "budget_kept")
+    names = counter_registers(bench.sensor)
+    highest = (1 << names["committed"][1]) - 1
+    frame = {"period": 60, "pulses": 1, "threshold_floor": 2}
+    led, alone = (config(frame=frame, subgroup={"threshold": THRESHOLD_MAX, "auto": auto}) for auto in (True, False))
+    controller, used = Controller(led.sensor), COUNTER_NAMES.index("threshold_used")
+    frames = decisive_frames(led, alone, highest)
+    for (decision, bit, of, budget), then in zip(frames, frames[1:]):
+        await bench.program(of)
+        if controller.budget is not None:  # before the first frame it is the share
+            put(dut, at, "budget_kept", DATA_BITS, budget)
+            controller.budget[:] = budget
+        thresholds = controller.begin(of)
+        counters = decisive_counters(decision, bit, (of, int(controller.budget[0])), then[2:], highest)
+        shown = await frame_with_counters(bench, of, NOTHING, names, counters)
+        assert shown[:, used].tolist() == thresholds.tolist(), (decision, bit)
+        controller.end(of, shown)
+        assert await bench.read("budget") == controller.budget[0], (decision, bit)
+
+
+@cocotb.test()
+async def frame_numbers_in_full_width(dut):
+    """Continue with a high frame number: the frames' first and last beats carry it, and the next frame the next one."""
+    bench = await fresh_bench(dut)
+    of = config(frame={"period": 60, "pulses": 1})
+    _, width = HEADER["pulse"]
+    for bit in range(width):
+        number = (2 << bit) - 1  # one more changes all bits up to the next one
+        put(dut, "sequencer", "number_kept", width, number)
+        for expected in (number, number + 1):
+            record = await bench.play(of, NOTHING, np.zeros(0, np.uint8))
+            shown = decode_frame(record.beats[0], of.sensor, of.sensor.subgroups).number
+            assert shown == expected & (1 << width) - 1
 
 
 @cocotb.test()

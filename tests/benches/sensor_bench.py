@@ -72,13 +72,17 @@ def all_words(sensor):
 
 @cocotb.test()
 async def reset_values_and_constants(dut):
-    bench = await fresh(dut)
+    await check_reset_values(await fresh(dut))
+
+
+async def check_reset_values(bench: SensorBench) -> None:
     for register, index, subgroup in all_words(bench.sensor):
         assert await bench.read(register.name, subgroup, index) == register.reset(bench.sensor), register.name
 
 
 @cocotb.test()
 async def settings_keep_what_is_written_and_refuse_the_rest(dut):
+    """After a reset, they have their first values again."""
     bench = await fresh(dut)
     settings = [word for word in all_words(bench.sensor) if word[0].access is Access.SETTING]
     for high_half in (True, False):  # of the legal values: every bit takes both values, beside others
@@ -100,6 +104,12 @@ async def settings_keep_what_is_written_and_refuse_the_rest(dut):
         for bad in {register.low(bench.sensor) - 1, register.high(bench.sensor) + 1} - {-1, 1 << 32}:
             await refused(bench.write(register.name, bad, subgroup, index), bench, "bad_value")
         assert await bench.read(register.name, subgroup, index) == value, register.name
+    await FallingEdge(dut.clk)
+    dut.rst.value = 1
+    await FallingEdge(dut.clk)
+    dut.rst.value = 0
+    await ClockCycles(dut.clk, 3)
+    await check_reset_values(bench)
 
 
 @cocotb.test()

@@ -10,10 +10,11 @@ from coincid.model.contract.config import parse_config
 from coincid.model.contract.edges import Edges, Fate
 from coincid.model.contract.latency import COMMIT
 from coincid.model.contract.parameters import OFFSET_NONE, STAMP_FIELD_BITS
+from coincid.model.golden.controller import STEP, Controller
 from coincid.model.golden.frame import Golden, golden_result
 from coincid.model.golden.shape import COUNTER
 
-from ..benches.plain_model import period_starts, plain_run
+from ..benches.plain_model import PlainController, PlainSubgroup, period_starts, plain_run
 from ..cases import READY_KINDS, SENSORS, configurations, controlled, ready_pattern, trouble
 
 seeds = st.integers(0, 2**32 - 1)
@@ -82,6 +83,43 @@ def test_controller(sensor, data):
     result = golden_result(config, edges, ready_pattern(0, "stalled", 200))
     for name in ("opened", "committed", "lower", "threshold_used"):
         assert result[name].tolist() == [[getattr(plain, name) for plain in subgroups] for subgroups in frames], name
+
+
+@given(data=st.data())
+def test_controller_at_ties(data):
+    """Counters at, just below and just above what they are compared with lead to the plain model's budgets and thresholds."""
+    config = data.draw(controlled(SENSORS["odd"], frames=1))
+    rng = np.random.default_rng(data.draw(seeds))
+    controller, plain, sensor = Controller(config.sensor), PlainController(config), config.sensor
+    stream_of = np.array([sensor.stream_of(s) for s in range(sensor.subgroups)])
+    for _ in range(12):
+        threshold = controller.begin(config)
+        assert threshold.tolist() == plain.threshold
+        counters = np.zeros((sensor.subgroups, len(COUNTER)), np.int64)
+        counters[:, COUNTER.threshold_used] = threshold
+        wide = np.minimum(controller.budget + controller.budget // STEP + 1, config.capacity)
+        for name, choices in (
+            ("opened", np.tile(config.auto_bounds, (sensor.subgroups, 1))),
+            ("committed", np.stack([controller.budget, wide, 0 * wide], axis=1)[stream_of]),
+            ("lower", np.stack([controller.budget, wide, wide], axis=1)[stream_of]),
+        ):
+            chosen = rng.integers(0, choices.shape[1], sensor.subgroups)
+            ties = choices[np.arange(sensor.subgroups), chosen] + rng.integers(-1, 2, sensor.subgroups)
+            counters[:, COUNTER._fields.index(name)] = np.maximum(ties, 0)
+        for stream in range(sensor.streams):  # often, the sum is the capacity
+            last, others = np.flatnonzero(stream_of == stream)[-1], np.flatnonzero(stream_of == stream)[:-1]
+            left = config.capacity - counters[others, COUNTER.committed].sum() + rng.integers(-1, 2)
+            if left >= 0 and rng.random() < 0.5:
+                counters[last, COUNTER.committed] = left
+        alone = threshold == 1  # the lowest threshold keeps every window
+        counters[alone, COUNTER.lower] = counters[alone, COUNTER.committed]
+        frames = [PlainSubgroup(config, s, int(threshold[s])) for s in range(sensor.subgroups)]
+        for s, frame in enumerate(frames):
+            for name in ("opened", "committed", "lower"):
+                setattr(frame, name, int(counters[s, COUNTER._fields.index(name)]))
+        budget = controller.end(config, counters)
+        plain.frame_ended(frames)
+        assert budget.tolist() == [plain.budget[stream] for stream in range(sensor.streams)]
 
 
 def test_budget_stays_between_share_and_capacity():

@@ -16,8 +16,10 @@ from coincid.tb.play import play
 from ..cases import (
     READY_KINDS,
     SENSORS,
+    collections,
     configurations,
     controlled,
+    dithered,
     gate_bits,
     lengthy,
     modes,
@@ -73,7 +75,8 @@ def test_every_mode_in_every_format(sensor, tmp_path):
     """Play each twice in a row, so that the controller has a frame to follow."""
     jobs, golden = [], None
     configs = [config for config in modes(SENSORS[sensor]) for _ in range(2)]
-    configs += [case(SENSORS[sensor]) for case in (gate_bits, overfull, lengthy)]
+    configs += [*gate_bits(SENSORS[sensor]), *collections(SENSORS[sensor])]
+    configs += [case(SENSORS[sensor]) for case in (overfull, lengthy, dithered)]
     for number, config in enumerate(configs):
         golden = golden or Golden(config.sensor)
         edges = trouble(config, number, 12.0 * config.period / 60)
