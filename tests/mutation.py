@@ -108,6 +108,7 @@ EQUIVALENT: dict[tuple[str, str], tuple[tuple[str, str], ...]] = {
     ("golden", ""): (
         ("t, pointer = latency.FRAME_START + 1, 0", "nothing is committed so early that it could be granted then"),
         ("bounds = np.zeros(subgroups + 1, np.int64)`: 1: one more", "a bound that nobody reads"),
+        ("armed_from = _NEVER, _NEVER, 0`: 0: one more", "the first edge of the first pulse sets it"),
         ("beats += (queue.end_record", "room for more beats, which is cut off"),
         ("beats += (queue.end_event", "room for more beats, which is cut off"),
     ),
