@@ -34,6 +34,8 @@ SAME = 1e-6  # ticks: planes that differ by less are the same
 FINER = 2  # steps per round, each half of the one before
 TRUST = 0.5  # weight of a score: neighbours are not independent, and surfaces are not exactly planes
 IMPROBABLE = -30.0  # log likelihood relative to the pixel's best: no neighbours can make up for less
+PART = 8  # taps: after each part of them a plane is given up that cannot win any more
+SLACK = 1e-3  # of a score: more than its rounding errors
 _NEVER = np.float32(-1e9)
 
 
@@ -44,7 +46,8 @@ class Field(NamedTuple):
     shape, what a neighbour adds to a plane's score there. first: int64[widths, rows, cols], tick at which the first bin
     begins. scale: bins per tick; a tuple, so that code for a single width is compiled without the others. sigma_ticks: of
     the laser's pulse. taps: int64[reaches, n, 2] and weights: float32[reaches, n], the neighbours. reach: int64[rows,
-    cols], index of the taps that a pixel uses.
+    cols], index of the taps that a pixel uses. left: float32[rows, cols, parts], the most that a part of the taps and
+    those after it can add to a score.
     """
 
     own: np.ndarray
@@ -56,6 +59,7 @@ class Field(NamedTuple):
     taps: np.ndarray
     weights: np.ndarray
     reach: np.ndarray
+    left: np.ndarray
 
     @classmethod
     def of(cls, levels: Sequence[np.ndarray], first: Sequence[np.ndarray], sigma_ticks: float) -> "Field":
@@ -75,32 +79,59 @@ class Field(NamedTuple):
         taps = np.stack([dr, dc], axis=1)[order]
         weights = np.take_along_axis(weights, order, 1)
         weights[weights < WEIGHT_MIN] = 0
+        other = np.log1p(np.float32(ON_PLANE) * chance * np.exp(of_width - best[:, :, None]))
+        reach = np.searchsorted(REACH_TICKS, deviation)
         return cls(
             level - best[:, :, None],
             best,
-            np.log1p(np.float32(ON_PLANE) * chance * np.exp(of_width - best[:, :, None])),
+            other,
             np.stack(first),
             tuple(0.5**k for k in range(len(level))),
             sigma_ticks,
             taps,
             weights,
-            np.searchsorted(REACH_TICKS, deviation),
+            reach,
+            _left(other.max(axis=(0, 3)), taps, weights, reach),
         )
 
 
+@njit
+def _left(highest, taps, weights, reach):
+    """Return `Field.left`. highest: float32[rows, cols], the most that a pixel adds as a neighbour."""
+    rows, cols = reach.shape
+    left = np.zeros((rows, cols, -(-weights.shape[1] // PART)), np.float32)
+    for r in range(rows):
+        for c in range(cols):
+            total = np.float32(0)
+            for j in range(weights.shape[1] - 1, -1, -1):
+                rr, cc = r + taps[reach[r, c], j, 0], c + taps[reach[r, c], j, 1]
+                if 0 <= rr < rows and 0 <= cc < cols:
+                    total += weights[reach[r, c], j] * highest[rr, cc]
+                if j % PART == 0:
+                    left[r, c, j // PART] = total
+    return left
+
+
 class Planes(NamedTuple):
-    """Plane of each pixel, float64[rows, cols]: time in ticks, and slopes in ticks per pixel."""
+    """Plane of each pixel, [rows, cols]: time in ticks, slopes in ticks per pixel, score; is it new in this round?"""
 
     time: np.ndarray
     down: np.ndarray
     right: np.ndarray
+    score: np.ndarray
+    new: np.ndarray
+
+    @classmethod
+    def empty(cls, rows: int, cols: int) -> "Planes":
+        time, down, right, score = (np.zeros((rows, cols)) for _ in range(4))
+        return cls(time, down, right, score, np.ones((rows, cols), bool))
 
 
 def fit_planes(field: Field, blocks: Blocks) -> Planes:
     """Fit the planes of all pixels. blocks: calls a function for (begin, end) of blocks of rows, in any order."""
     widths, rows, cols, _ = field.own.shape
     peaks = field.first + (field.own.argmax(axis=3) + 0.5) * 2.0 ** np.arange(widths)[:, None, None]
-    planes, tried = (Planes(*(np.zeros((rows, cols)) for _ in range(3))) for _ in range(2))
+    planes, tried = Planes.empty(rows, cols), Planes.empty(rows, cols)
     blocks(partial(_start, field, peaks, planes))
     step, slope = STEP_TICKS, STEP_SLOPE
     for _ in range(ROUNDS):
@@ -123,26 +154,26 @@ def level_on(field: Field, planes: Planes) -> np.ndarray:
     return level
 
 
-@njit
+@njit(allocates=False)
 def _level_on(field, planes, level):
     rows, cols = level.shape
     for r in range(rows):
         for c in range(cols):
             width = _width(field, planes.down[r, c], planes.right[r, c])
-            level[r, c] = field.best[r, c] + _own(field, width, r, c, planes.time[r, c])
+            level[r, c] = field.best[r, c] + _level(field, field.own, width, r, c, planes.time[r, c])
 
 
-@njit(inline="always")
+@njit(inline="always", allocates=False)
 def _between(lines, k, r, c, at):
     """Interpolate a pixel's line linearly at a fractional index; return a never-winning value outside."""
-    j = int(np.floor(at))
-    if j < 0 or j >= lines.shape[3] - 1:
+    if not 0 <= at < lines.shape[3] - 1:
         return np.float32(0.0)
+    j = int(at)
     share = np.float32(at - j)
     return (1 - share) * lines[k, r, c, j] + share * lines[k, r, c, j + 1]
 
 
-@njit(inline="always")
+@njit(inline="always", allocates=False)
 def _along(field, time, by):
     """Return the time on a plane at the pixel where its tangent has changed by `by` ticks."""
     if len(field.scale) == 1:
@@ -150,7 +181,7 @@ def _along(field, time, by):
     return time / (1 - min(AHEAD_MAX, by / max(time, 1.0)))
 
 
-@njit(inline="always")
+@njit(inline="always", allocates=False)
 def _steeper(field, time, there):
     """Return how many times as steep a plane is where its time is another."""
     if len(field.scale) == 1:
@@ -158,7 +189,7 @@ def _steeper(field, time, there):
     return (there / max(time, 1.0)) ** 2
 
 
-@njit(inline="always")
+@njit(inline="always", allocates=False)
 def _width(field, down, right):
     """Return the width of the pulse from a plane as a fractional index."""
     if len(field.scale) == 1:
@@ -166,57 +197,63 @@ def _width(field, down, right):
     return min(len(field.scale) - 1.0, doublings(down, right, field.sigma_ticks))
 
 
-@njit(inline="always")
+@njit(inline="always", allocates=False)
 def _bin(field, k, r, c, time):
     """Return where a time is among a pixel's bins of width k: 0 is the middle of the first."""
     return (time - field.first[k, r, c]) * field.scale[k] - 0.5
 
 
-@njit(inline="always")
+@njit(inline="always", allocates=False)
 def _inside(field, width, r, c, time):
     """Return whether a time is between the middles of a pixel's bins."""
     return 0 <= _bin(field, int(width), r, c, time) < field.own.shape[3] - 1
 
 
-@njit(inline="always")
-def _own(field, width, r, c, time):
-    """Interpolate a pixel's own level at a time and a width."""
+@njit(inline="always", allocates=False)
+def _level(field, lines, width, r, c, time):
+    """Interpolate a pixel's line at a time and between two widths."""
     k = int(width)
-    value = _between(field.own, k, r, c, _bin(field, k, r, c, time))
+    value = _between(lines, k, r, c, _bin(field, k, r, c, time))
     if len(field.scale) > 1:
         following = min(k + 1, len(field.scale) - 1)
-        more = _between(field.own, following, r, c, _bin(field, following, r, c, time))
+        more = _between(lines, following, r, c, _bin(field, following, r, c, time))
         value += np.float32(width - k) * (more - value)
     return value
 
 
-@njit(inline="always")  # a call would pass the whole field
-def _score(field, r, c, time, down, right):
-    """Return the score of a plane at pixel (r, c) and around it."""
+@njit(inline="always", allocates=False)
+def _plane_of(field, planes, rr, cc, r, c):
+    """Return time and slopes at pixel (r, c) of the plane of pixel (rr, cc)."""
+    time, down, right = planes.time[rr, cc], planes.down[rr, cc], planes.right[rr, cc]
+    there = _along(field, time, down * (r - rr) + right * (c - cc))
+    steeper = _steeper(field, time, there)
+    return there, down * steeper, right * steeper
+
+
+@njit(inline="always", allocates=False)
+def _score(field, r, c, time, down, right, least):
+    """Return the score of a plane at pixel (r, c) and around it, or less than `least` if it is less."""
     _, rows, cols, _ = field.own.shape
     width = _width(field, down, right)
     if not _inside(field, width, r, c, time) or abs(down) > SLOPE_MAX or abs(right) > SLOPE_MAX:
         return _NEVER
-    total = _own(field, width, r, c, time)
+    total = _level(field, field.own, width, r, c, time)
     total -= np.float32(SLOPE_COST * np.log((1 + (down / SLOPE) ** 2) * (1 + (right / SLOPE) ** 2)))
-    reach, k = field.reach[r, c], int(width)
-    share, following = np.float32(width - k), min(k + 1, len(field.scale) - 1)
+    reach = field.reach[r, c]
     for j in range(field.weights.shape[1]):
         weight = field.weights[reach, j]
         if weight == 0:
             break
+        if j % PART == 0 and total + field.left[r, c, j // PART] < least - SLACK:
+            return _NEVER
         rr, cc = r + field.taps[reach, j, 0], c + field.taps[reach, j, 1]
         if 0 <= rr < rows and 0 <= cc < cols:
             here = _along(field, time, down * (rr - r) + right * (cc - c))
-            value = _between(field.other, k, rr, cc, _bin(field, k, rr, cc, here))
-            if len(field.scale) > 1:
-                more = _between(field.other, following, rr, cc, _bin(field, following, rr, cc, here))
-                value += share * (more - value)
-            total += weight * value
+            total += weight * _level(field, field.other, width, rr, cc, here)
     return total
 
 
-@njit
+@njit(allocates=False)
 def _start(field, peaks, planes, begin, end):
     """Start each pixel at its likeliest time for one of the widths, with the best of the slopes towards its neighbours."""
     widths, rows, cols = peaks.shape
@@ -236,30 +273,27 @@ def _start(field, peaks, planes, begin, end):
                         if left < 0 or far >= cols:
                             continue
                         right = (peak[r, far] - peak[r, left]) / max(1, far - left)
-                        score = _score(field, r, c, peak[r, c], down, right)
+                        score = _score(field, r, c, peak[r, c], down, right, top)
                         if score > top:
                             top = score
                             planes.time[r, c], planes.down[r, c], planes.right[r, c] = peak[r, c], down, right
+            planes.score[r, c] = top
 
 
-@njit
+@njit(allocates=False)
 def _round(field, old, new, step, slope, begin, end):
     rows, cols = old.time.shape
     for r in range(begin, end):
         for c in range(cols):
-            time, down, right = old.time[r, c], old.down[r, c], old.right[r, c]
-            top = _score(field, r, c, time, down, right)
+            time, down, right, top = old.time[r, c], old.down[r, c], old.right[r, c], old.score[r, c]
             for rr in range(max(0, r - 1), min(rows, r + 2)):
                 for cc in range(max(0, c - 1), min(cols, c + 2)):
-                    if rr == r and cc == c:
+                    if (rr == r and cc == c) or not old.new[rr, cc]:  # tried in the round before
                         continue
-                    a, b = old.down[rr, cc], old.right[rr, cc]
-                    t = _along(field, old.time[rr, cc], a * (r - rr) + b * (c - cc))
-                    steeper = _steeper(field, old.time[rr, cc], t)
-                    a, b = a * steeper, b * steeper
+                    t, a, b = _plane_of(field, old, rr, cc, r, c)
                     if abs(t - time) < SAME and abs(a - down) < SAME and abs(b - right) < SAME:
                         continue
-                    score = _score(field, r, c, t, a, b)
+                    score = _score(field, r, c, t, a, b, top)
                     if score > top:
                         top, time, down, right = score, t, a, b
             by, tilt = step, slope
@@ -267,11 +301,12 @@ def _round(field, old, new, step, slope, begin, end):
                 for j in range(6):
                     t = time + by * ((j == 0) - (j == 1))
                     a, b = down + tilt * ((j == 2) - (j == 3)), right + tilt * ((j == 4) - (j == 5))
-                    score = _score(field, r, c, t, a, b)
+                    score = _score(field, r, c, t, a, b, top)
                     if score > top:
                         top, time, down, right = score, t, a, b
                 by, tilt = by / 2, tilt / 2
-            new.time[r, c], new.down[r, c], new.right[r, c] = time, down, right
+            new.new[r, c] = top > old.score[r, c]
+            new.time[r, c], new.down[r, c], new.right[r, c], new.score[r, c] = time, down, right, top
 
 
 def posterior(field: Field, planes: Planes, tolerance_ticks: float, blocks: Blocks) -> tuple[np.ndarray, np.ndarray]:
@@ -280,25 +315,26 @@ def posterior(field: Field, planes: Planes, tolerance_ticks: float, blocks: Bloc
     Both assume that the slopes of the pixel's plane, or of one beside it, are right, and that its seed was right.
     """
     confidence, error = np.zeros(planes.time.shape), np.full(planes.time.shape, np.nan)
-    blocks(partial(_posterior, field, planes, tolerance_ticks, confidence, error))
+    score = np.empty((len(error), 2 * field.own.shape[3] + 1))
+    blocks(partial(_posterior, field, planes, tolerance_ticks, confidence, error, score))
     return confidence, error
 
 
-@njit
-def _posterior(field, planes, tolerance, confidence, error, begin, end):
+@njit(allocates=False)
+def _posterior(field, planes, tolerance, confidence, error, scores, begin, end):
     bins = field.own.shape[3]
-    score = np.empty(2 * bins + 1, np.float64)
     for r in range(begin, end):
+        score = scores[r]
         for c in range(planes.time.shape[1]):
             time = planes.time[r, c]
             down, right = planes.down[r, c], planes.right[r, c]
             width = _width(field, down, right)
-            top = -1e30
+            top = planes.score[r, c]
             for j in range(2 * bins + 1):
                 there = time + j - bins
                 score[j] = _NEVER
-                if _inside(field, width, r, c, there) and _own(field, width, r, c, there) > IMPROBABLE:
-                    score[j] = _score(field, r, c, there, down, right)
+                if _inside(field, width, r, c, there) and _level(field, field.own, width, r, c, there) > IMPROBABLE:
+                    score[j] = _score(field, r, c, there, down, right, top + IMPROBABLE)
                 top = max(top, score[j])
             others = _others(field, planes, r, c, tolerance, top)
             total, near, mean, square = 0.0, 0.0, 0.0, 0.0
@@ -312,17 +348,14 @@ def _posterior(field, planes, tolerance, confidence, error, begin, end):
             error[r, c] = np.sqrt(max(0.0, square / total - (mean / total) ** 2) + 1 / 12)
 
 
-@njit
+@njit(allocates=False)
 def _others(field, planes, r, c, tolerance, top):
     """Return the probability, relative to the pixel's own plane, of neighbours' planes that pass outside `tolerance`."""
     rows, cols = planes.time.shape
     odds = 0.0
     for rr in range(max(0, r - 1), min(rows, r + 2)):
         for cc in range(max(0, c - 1), min(cols, c + 2)):
-            down, right = planes.down[rr, cc], planes.right[rr, cc]
-            time = _along(field, planes.time[rr, cc], down * (r - rr) + right * (c - cc))
-            steeper = _steeper(field, planes.time[rr, cc], time)
-            down, right = down * steeper, right * steeper
+            time, down, right = _plane_of(field, planes, rr, cc, r, c)
             if abs(time - planes.time[r, c]) > tolerance:
-                odds = max(odds, np.exp(TRUST * (_score(field, r, c, time, down, right) - top)))
+                odds = max(odds, np.exp(TRUST * (_score(field, r, c, time, down, right, _NEVER) - top)))
     return odds
