@@ -427,13 +427,13 @@ def _first_shares(stamp, winner, hits, offset, minigroup, law, time, light, sigm
     return shares
 
 
-@njit(inline="always")
+@njit(allocates=False)
 def _unfired(distance, light, sigma):
     """Return 1 - F."""
     return math.exp(-light * 0.5 * math.erfc(-distance / sigma * math.sqrt(0.5)))
 
 
-@njit(inline="always")
+@njit(allocates=False)
 def _hit(hits, e, i):
     return hits[e, i // BEAT_BITS] >> np.uint64(i % BEAT_BITS) & np.uint64(1) != 0
 
@@ -530,7 +530,7 @@ def _add_events(
     return common
 
 
-@njit(inline="always")
+@njit(allocates=False)
 def _add_silence(silent, from_pulse, since, to_pulse, until):
     """Count the pulses without an event nearby, from time `since` of one pulse to time `until` of another."""
     silent[since] += 1
@@ -538,13 +538,13 @@ def _add_silence(silent, from_pulse, since, to_pulse, until):
     silent[0] += to_pulse - from_pulse
 
 
-@njit(inline="always")
+@njit(allocates=False)
 def _at(law, k, tick, top):
     """Return the row of `fired` for a tick, for a surface at time k of the grid."""
     return min(max(2 * (tick + law.reach) - (2 * k + 1) * law.step, 0), top)
 
 
-@njit(inline="always")
+@njit(allocates=False)
 def _before_stamp(law, k, since, quiet, known, dropping, missed, blind, top):
     """Return the rows of `fired` that bound the time before an event's stamp, and the chances to notice a photon there.
 
@@ -559,7 +559,7 @@ def _before_stamp(law, k, since, quiet, known, dropping, missed, blind, top):
     return z, a, b, heard, sharp
 
 
-@njit
+@njit(allocates=False)
 def _subtract(law, unseen, k0, k1, e, begin, quiet, known, stamp, armed, overrun, missed, blind, fired):
     """Reduce `unseen` by event e: a pixel outside its map did not fire in the window, nor between the last event and it."""
     top = len(fired) - 1
@@ -576,7 +576,7 @@ def _subtract(law, unseen, k0, k1, e, begin, quiet, known, stamp, armed, overrun
             unseen[k, x] = max(np.float32(RARE), left)
 
 
-@njit
+@njit(allocates=False)
 def _subtract_after(law, unseen, k0, k1, armed, dropping, missed, fired):
     """Reduce `unseen` by the silence after the last event of a pulse."""
     if dropping:
@@ -589,7 +589,7 @@ def _subtract_after(law, unseen, k0, k1, armed, dropping, missed, fired):
             unseen[k, x] = max(np.float32(RARE), unseen[k, x] - heard * (fired[top, x] - fired[d, x]))
 
 
-@njit
+@njit(allocates=False)
 def _add_hits(
     law, e, cluster, stamps, quiet, known, armed, overrun, winner, hits, offset, shares, minigroup, mask, activity,
     missed, blind, fired, before, unseen, product, logs, k0, k1, counted, first, total, touched,
@@ -632,7 +632,7 @@ def _add_hits(
             _add(total[i], touched[i], logs, first[i], low, high)
 
 
-@njit
+@njit(allocates=False)
 def _row(
     law, begin, own, until, share, noise, stamp, quiet, known, since, dropping,
     missed, blind, fired, before, unseen, product, k0, k1,
@@ -657,7 +657,7 @@ def _row(
             product[k, x] = (alive * inside * background + max(np.float32(RARE), earlier)) / unseen[k, x]
 
 
-@njit
+@njit(allocates=False)
 def _add(total, touched, row, first, k0, k1):
     for k in range(max(k0, first), min(k1, first + total.shape[0])):
         if touched[k - first]:
@@ -669,7 +669,7 @@ def _add(total, touched, row, first, k0, k1):
                 total[k - first, x] = row[k, x]
 
 
-@njit(error_model="numpy")
+@njit(allocates=False, error_model="numpy")
 def _log(values, logs, k0, k1):
     """Compute logs = log(values) from the bits of the float32: exponent and a polynomial of the fraction."""
     bits = values[k0:k1].reshape(-1).view(np.int32)
@@ -731,7 +731,7 @@ def _over_lights(common, total, touched, mask, first, prior, place, level, light
                 level[p, k], light[p, k] = _mean(values)
 
 
-@njit
+@njit(allocates=False)
 def _mean(values):
     """Return (logarithm of the sum, index of the largest)."""
     best = 0

@@ -163,7 +163,7 @@ def _level_on(field, planes, level):
             level[r, c] = field.best[r, c] + _level(field, field.own, width, r, c, planes.time[r, c])
 
 
-@njit(inline="always", allocates=False)
+@njit(allocates=False)
 def _between(lines, k, r, c, at):
     """Interpolate a pixel's line linearly at a fractional index; return a never-winning value outside."""
     if not 0 <= at < lines.shape[3] - 1:
@@ -173,7 +173,7 @@ def _between(lines, k, r, c, at):
     return (1 - share) * lines[k, r, c, j] + share * lines[k, r, c, j + 1]
 
 
-@njit(inline="always", allocates=False)
+@njit(allocates=False)
 def _along(field, time, by):
     """Return the time on a plane at the pixel where its tangent has changed by `by` ticks."""
     if len(field.scale) == 1:
@@ -181,7 +181,7 @@ def _along(field, time, by):
     return time / (1 - min(AHEAD_MAX, by / max(time, 1.0)))
 
 
-@njit(inline="always", allocates=False)
+@njit(allocates=False)
 def _steeper(field, time, there):
     """Return how many times as steep a plane is where its time is another."""
     if len(field.scale) == 1:
@@ -189,7 +189,7 @@ def _steeper(field, time, there):
     return (there / max(time, 1.0)) ** 2
 
 
-@njit(inline="always", allocates=False)
+@njit(allocates=False)
 def _width(field, down, right):
     """Return the width of the pulse from a plane as a fractional index."""
     if len(field.scale) == 1:
@@ -197,19 +197,19 @@ def _width(field, down, right):
     return min(len(field.scale) - 1.0, doublings(down, right, field.sigma_ticks))
 
 
-@njit(inline="always", allocates=False)
+@njit(allocates=False)
 def _bin(field, k, r, c, time):
     """Return where a time is among a pixel's bins of width k: 0 is the middle of the first."""
     return (time - field.first[k, r, c]) * field.scale[k] - 0.5
 
 
-@njit(inline="always", allocates=False)
+@njit(allocates=False)
 def _inside(field, width, r, c, time):
     """Return whether a time is between the middles of a pixel's bins."""
     return 0 <= _bin(field, int(width), r, c, time) < field.own.shape[3] - 1
 
 
-@njit(inline="always", allocates=False)
+@njit(allocates=False)
 def _level(field, lines, width, r, c, time):
     """Interpolate a pixel's line at a time and between two widths."""
     k = int(width)
@@ -221,7 +221,7 @@ def _level(field, lines, width, r, c, time):
     return value
 
 
-@njit(inline="always", allocates=False)
+@njit(allocates=False)
 def _plane_of(field, planes, rr, cc, r, c):
     """Return time and slopes at pixel (r, c) of the plane of pixel (rr, cc)."""
     time, down, right = planes.time[rr, cc], planes.down[rr, cc], planes.right[rr, cc]
@@ -230,7 +230,7 @@ def _plane_of(field, planes, rr, cc, r, c):
     return there, down * steeper, right * steeper
 
 
-@njit(inline="always", allocates=False)
+@njit(allocates=False)
 def _score(field, r, c, time, down, right, least):
     """Return the score of a plane at pixel (r, c) and around it, or less than `least` if it is less."""
     _, rows, cols, _ = field.own.shape
