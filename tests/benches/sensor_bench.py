@@ -147,7 +147,15 @@ async def starts_that_make_no_sense(dut):
     await bench.write("period", 100)
     await bench.write("auto_bounds", 100_000, index=2)
     await refused(start(), bench, "start_bounds")
-    await bench.write("auto_bounds", int(of.auto_bounds[2]), index=2)
+    for bit in range(registers.DATA_BITS):  # two neighbours differ in one bit, and are in the wrong order
+        value = random.getrandbits(registers.DATA_BITS) & ~(1 << bit)
+        for low in range(registers.AUTO_BOUNDS - 1):
+            bounds = [value if k != low else value | 1 << bit for k in range(registers.AUTO_BOUNDS)]
+            for index, bound in enumerate(bounds):
+                await bench.write("auto_bounds", bound, index=index)
+            await refused(start(), bench, "start_bounds")
+    bench.programmed.forget()
+    await bench.program(of)
     await bench.write("gate_start", 100, subgroup=1)
     await bench.write("mode", 0b011, subgroup=1)
     await refused(start(), bench, "start_gate")
