@@ -356,28 +356,30 @@ def icarus(sources: list[Path], folder: Path) -> Path:
     return folder
 
 
+SIMULATE = """\
+import json, pathlib, sys
+from coincid.model.shared.interrupts import interruptible
+from coincid.tb.toolchain import Build
+top, folder, module, env = json.loads(sys.argv[1])
+interruptible()  # so that the simulator ends with this process
+Build("icarus", top, pathlib.Path(folder), False).run(module, env=env, out_dir=folder, seed=1)
+"""
+
+
 def simulate(folder: Path, module: str, env: dict) -> bool:
     """Return whether the cocotb tests of `module` pass; a simulation that takes too long has failed."""
-    build = toolchain.Build("icarus", TOP, folder, False)
-    program = (
-        "import sys, json, pathlib; from coincid.tb.toolchain import Build; a = json.loads(sys.argv[1]);"
-        "Build('icarus', a['top'], pathlib.Path(a['folder']), False).run(a['module'], env=a['env'], out_dir=a['folder'], seed=1)"
-    )
-    arguments = json.dumps({"top": build.top, "folder": str(folder), "module": module, "env": env})
     process = subprocess.Popen(
-        [sys.executable, "-c", program, arguments],
+        [sys.executable, "-c", SIMULATE, json.dumps([TOP, str(folder), module, env])],
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
-        start_new_session=True,
     )
     try:
         return process.wait(SECONDS_MAX) == 0
-    except BaseException as error:
-        os.killpg(process.pid, 9)
+    except subprocess.TimeoutExpired:
+        return False
+    finally:
+        process.terminate()
         process.wait()
-        if isinstance(error, subprocess.TimeoutExpired):
-            return False
-        raise
 
 
 def run_rtl(sources: list[Path], folder: Path, jobs: list[FrameJob]) -> str:
