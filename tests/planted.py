@@ -345,8 +345,8 @@ BUGS = (
     Bug(
         "golden-rises-early",
         "model/golden/controller.py",
-        "(committed > budget)",
-        "(committed >= budget)",
+        "rises = committed > budget",
+        "rises = committed >= budget",
         (),
         (GOLDEN, FRAMES),
     ),

@@ -265,8 +265,7 @@ def voted(flops) -> list[tuple[str, str, int]]:
 async def copies_agree_and_outvote_one(dut):
     """Without an upset, the copies of a voted register agree in every cycle; one wrong copy changes nothing and heals."""
     bench, of, edges, trace = await fresh(dut)
-    flops = flip_flops(json.loads(os.environ[SOURCES]))
-    kept = voted(flops)
+    kept = voted(flip_flops(json.loads(os.environ[SOURCES])))
     assert len(kept) >= 7  # five of the bus, frame number, budget
     watching = True
 
@@ -304,7 +303,7 @@ async def writes_that_are_upset(dut):
     The write is refused, or the setting is right, or the next start is refused."""
     bench = await fresh_bench(dut)
     outcomes = []
-    for cycle in range(2 * ANSWER_CYCLES // 3):
+    for cycle in range(ANSWER_CYCLES):
         wanted = random.getrandbits(32)
         await bench.program(config())
         writing = cocotb.start_soon(refuses(bench.write("capacity", wanted)))
@@ -433,8 +432,8 @@ def decisive_counters(decision: str, bit: int, now, then, highest: int) -> list[
 async def controller_in_full_width(dut):
     """The threshold controller treats counters, budgets, capacities and bounds as the golden model does, bit by bit."""
     bench = await fresh_bench(dut)
-    flops = flip_flops(json.loads(os.environ[SOURCES]))
-    at = next(path for path, name, _ in voted(flops) if name == "budget_kept")
+    kept = voted(flip_flops(json.loads(os.environ[SOURCES])))
+    at = next(path for path, name, _ in kept if name == "budget_kept")
     names = counter_registers(bench.sensor)
     highest = (1 << names["committed"][1]) - 1
     frame = {"period": 60, "pulses": 1, "threshold_floor": 2}
