@@ -7,7 +7,9 @@ from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 
 from coincid.model.contract.config import parse_config
+from coincid.model.contract.edges import Edges
 from coincid.model.contract.parameters import SIZE_LIMITS, Sensor
+from coincid.model.contract.pixels import pixel_table
 from coincid.model.contract.registers import COUNTER_NAMES
 from coincid.model.golden.frame import Golden
 from coincid.tb.frames import FrameJob
@@ -25,6 +27,7 @@ from ..cases import (
     modes,
     overfull,
     ready_pattern,
+    scarce,
     trouble,
 )
 
@@ -83,6 +86,23 @@ def test_every_mode_in_every_format(sensor, tmp_path):
         ready = ready_pattern(number, READY_KINDS[number % len(READY_KINDS)], 400)
         jobs.append(FrameJob(config, edges, golden.frame(config, edges, ready), ready))
     records, _ = play(jobs, "verilator", tmp_path)
+    assert all(record.checked for record in records)
+
+
+@pytest.mark.parametrize("sensor, engine", [("tiny", "icarus")])
+def test_streams_have_budgets_of_their_own(sensor, engine, tmp_path):
+    """Only the first stream sees light, so the streams' budgets differ, and its thresholds follow its own."""
+    golden, jobs, budgets = None, [], []
+    for number, config in enumerate(scarce(SENSORS[sensor])):
+        golden = golden or Golden(config.sensor)
+        edges = trouble(config, number, 25.0)
+        lit = np.isin(pixel_table(config.sensor).subgroup[edges.pixel], config.sensor.stream_subgroups(0))
+        edges = Edges(edges.pulse[lit], edges.pixel[lit], edges.tick[lit])
+        trace = golden.frame(config, edges)
+        budgets.append(trace.budget)
+        jobs.append(FrameJob(config, edges, trace, np.zeros(0, np.uint8)))
+    assert np.any(np.array(budgets)[:, 0] != np.array(budgets)[:, -1])
+    records, _ = play(jobs, engine, tmp_path)
     assert all(record.checked for record in records)
 
 
