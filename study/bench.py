@@ -208,7 +208,7 @@ def _rate(job: Job, edges: Edges, engine: str) -> float:
     """Measure the cycles per second of a slow engine, between its first and its last progress message."""
     config = job.config.with_frame(pulses=PULSES[engine])
     chosen = edges.pulse < config.pulses
-    edges = Edges(edges.pulse[chosen], edges.pixel[chosen], edges.tick[chosen])
+    edges = edges.take(chosen)
     seen = []
 
     def progress(cycle: int) -> None:

@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 
 from coincid.model.contract.config import Config, parse_config
 from coincid.model.contract.edges import Edges
+from coincid.model.contract.parameters import Sensor
 from coincid.model.contract.pixels import pixel_table
 from coincid.model.contract.registers import BY_NAME
 
@@ -71,10 +72,15 @@ SMALL = {
 }
 
 
+def built_sensor(sensor: dict) -> Sensor:
+    """Return the sensor of a table; its highest period may be below the default one."""
+    return parse_config({"sensor": sensor, "frame": {"period": 100}}).sensor
+
+
 @st.composite
 def configurations(draw, sensor: dict, frames_max: int = 2) -> Config:
     """Draw any legal configuration of a sensor, with settings that differ between subgroups."""
-    built = parse_config({"sensor": sensor, "frame": {"period": 100}}).sensor
+    built = built_sensor(sensor)
     period = draw(st.integers(built.guard + 1, min(built.period_max, built.guard + 60)))
     ends = [ticks for ticks in (1, built.phases, built.window_max) if ticks <= built.window_max]
     window = st.one_of(st.integers(1, built.window_max), st.sampled_from(ends))
@@ -120,7 +126,7 @@ def configurations(draw, sensor: dict, frames_max: int = 2) -> Config:
 @st.composite
 def controlled(draw, sensor: dict, frames: int) -> Config:
     """Draw frames of a sensor under the threshold controller, with a capacity that is sometimes too small."""
-    built = parse_config({"sensor": sensor, "frame": {"period": 100}}).sensor
+    built = built_sensor(sensor)
     alone = {"subgroups": draw(st.lists(st.integers(0, built.subgroups - 1), max_size=1))}
     return parse_config(
         {
@@ -187,35 +193,28 @@ def modes(sensor: dict) -> list[Config]:
 
 def gate_bits(sensor: dict) -> list[Config]:
     """Return frames in which every bit of a gate's start and length decides in one subgroup or the other."""
-    built = parse_config({"sensor": sensor, "frame": {"period": 100}}).sensor
-    highest = built.period_max - 1
-    starts = [
-        parse_config(
+    built = built_sensor(sensor)
+    highest, length = built.period_max - 1, BY_NAME["gate_len"].high(built).bit_length()
+
+    def gates(of_all: dict, of_second: dict) -> Config:
+        return parse_config(
             {
                 "sensor": sensor,
                 "frame": {"period": built.period_max, "pulses": 1},
-                "subgroup": {"gating": True, "gate_start": 0x5555 & highest, "gate_len": 40, "threshold": 1},
-                "override": [{"subgroups": [1], "gate_start": 0xAAAA & highest}],
+                "subgroup": {"gating": True, "threshold": 1} | of_all,
+                "override": [{"subgroups": [1]} | of_second],
             }
         )
+
+    return [
+        gates({"gate_start": 0x5555 & highest, "gate_len": 40}, {"gate_start": 0xAAAA & highest}),
+        *(gates({"gate_start": 0, "gate_len": 1 << bit}, {"gate_len": 2 << bit}) for bit in range(0, length, 2)),
     ]
-    lengths = [
-        parse_config(
-            {
-                "sensor": sensor,
-                "frame": {"period": built.period_max, "pulses": 1},
-                "subgroup": {"gating": True, "gate_start": 0, "gate_len": 1 << bit, "threshold": 1},
-                "override": [{"subgroups": [1], "gate_len": 2 << bit}],
-            }
-        )
-        for bit in range(0, BY_NAME["gate_len"].high(built).bit_length(), 2)
-    ]
-    return starts + lengths
 
 
 def collections(sensor: dict) -> list[Config]:
     """Return a frame for every length of a minigroup's collection, with records that need two pixels, if there are two."""
-    built = parse_config({"sensor": sensor, "frame": {"period": 100}}).sensor
+    built = built_sensor(sensor)
     register = BY_NAME["mg_window"]
     return [
         parse_config(
@@ -236,7 +235,7 @@ def collections(sensor: dict) -> list[Config]:
 
 def dithered(sensor: dict) -> Config:
     """Return a frame whose waits between periods use every bit."""
-    built = parse_config({"sensor": sensor, "frame": {"period": 100}}).sensor
+    built = built_sensor(sensor)
     return parse_config(
         {
             "sensor": sensor,
@@ -264,7 +263,7 @@ def overfull(sensor: dict) -> Config:
 
 def lengthy(sensor: dict) -> Config:
     """Return a frame with so many pulses and gate steps that counters exceed their low bits."""
-    built = parse_config({"sensor": sensor, "frame": {"period": 100}}).sensor
+    built = built_sensor(sensor)
     return parse_config(
         {
             "sensor": sensor,

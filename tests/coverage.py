@@ -35,8 +35,8 @@ from coincid.tb import toolchain
 from coincid.tb.frames import save_job
 from coincid.tb.rtl import rtl
 
-from .benches import BENCHES
-from .cases import READY_KINDS, SENSORS, SMALL, configurations, modes, ready_pattern, scarce, trouble
+from .benches import bench_environment
+from .cases import READY_KINDS, SENSORS, SMALL, built_sensor, configurations, modes, ready_pattern, scarce, trouble
 from .mutation import frames
 
 SEED, EXAMPLES = 1, 120  # frames per sensor
@@ -209,7 +209,7 @@ def rtl_coverage() -> list[str]:
     with tempfile.TemporaryDirectory(prefix="coincid-") as scratch:
         benches = {
             "coincid.tb.cosim": save_job(Path(scratch) / "job", frames()),
-            "sensor_bench": {"PYTHONPATH": BENCHES, "COINCID_BENCH_SENSOR": json.dumps(SMALL)},
+            "sensor_bench": bench_environment(SMALL),
         }
         for module, env in benches.items():
             folder = Path(scratch) / module
@@ -286,7 +286,7 @@ def python_coverage() -> list[str]:
 def emit() -> list[str]:
     """Emit every sensor of the regression, to cover its lines."""
     for sensor in SENSORS.values():
-        built = parse_config({"sensor": sensor, "frame": {"period": 100}}).sensor
+        built = built_sensor(sensor)
         verilog_files(built)
         reset_values(built)
     return []

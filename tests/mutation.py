@@ -40,7 +40,7 @@ from coincid.tb import toolchain
 from coincid.tb.frames import FrameJob, save_job
 from coincid.tb.rtl import rtl
 
-from .benches import BENCHES
+from .benches import bench_environment
 from .cases import (
     READY_KINDS,
     SENSORS,
@@ -66,10 +66,6 @@ GOLDEN_SOURCES = {  # module -> file, for everything that the golden model uses 
     for path in room_files("model.golden", "model.contract")
     if path.suffix == ".py" and (path.parent.name == "golden" or path.stem in ("pixels", "windows"))
 }
-BENCH_SENSOR, FAULT_SOURCES = (
-    "COINCID_BENCH_SENSOR",
-    "COINCID_FAULT_SOURCES",
-)  # read by sensor_bench.py and fault_bench.py
 # Mutants that no test can notice, with the reason: those of a block by a part of Yosys's description, and those of the
 # golden model by a part of the line. A block's are of the Verilog with this digest; another version has other names.
 EQUIVALENT: dict[tuple[str, str], tuple[tuple[str, str], ...]] = {
@@ -390,13 +386,9 @@ def run_rtl(sources: list[Path], folder: Path, jobs: list[FrameJob]) -> str:
         return "compiler"
     if not simulate(folder, "coincid.tb.cosim", save_job(folder / "job", jobs)):
         return "frames"
-    if not simulate(folder, "sensor_bench", {"PYTHONPATH": BENCHES, BENCH_SENSOR: json.dumps(SMALL)}):
+    env = bench_environment(SMALL, sources)
+    if not simulate(folder, "sensor_bench", env):
         return "ports"
-    env = {
-        "PYTHONPATH": BENCHES,
-        BENCH_SENSOR: json.dumps(SMALL),
-        FAULT_SOURCES: json.dumps([str(path) for path in sources]),
-    }
     if not simulate(folder, "fault_bench", env):
         return "faults"
     return ""

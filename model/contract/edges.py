@@ -4,7 +4,7 @@
 import enum
 
 import numpy as np
-from attrs import frozen
+from attrs import evolve, frozen
 
 from ..shared.errors import InputError
 from ..shared.files import FilePath, read_npz, write_npz
@@ -43,11 +43,16 @@ class Edges:
         offset = {} if self.offset_ps is None else {"offset_ps": self.offset_ps}
         write_npz(path, {name: getattr(self, name) for name in NAMES} | offset)
 
+    def take(self, chosen: np.ndarray) -> "Edges":
+        """Return the edges that an array of indices, or of bool, chooses."""
+        offset = None if self.offset_ps is None else self.offset_ps[chosen]
+        return Edges(self.pulse[chosen], self.pixel[chosen], self.tick[chosen], offset)
+
     def frame(self, number: int, pulses: int) -> tuple["Edges", np.ndarray]:
         """Return the edges of one frame, with pulses counted from the frame's start, and their indices here."""
         index = np.flatnonzero(self.pulse // pulses == number)
-        offset = None if self.offset_ps is None else self.offset_ps[index]
-        return Edges(self.pulse[index] - number * pulses, self.pixel[index], self.tick[index], offset), index
+        own = self.take(index)
+        return evolve(own, pulse=own.pulse - number * pulses), index
 
 
 NAMES = ("pulse", "pixel", "tick")

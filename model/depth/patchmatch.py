@@ -102,11 +102,11 @@ def _left(highest, taps, weights, reach):
     left = np.zeros((rows, cols, -(-weights.shape[1] // PART)), np.float32)
     for r in range(rows):
         for c in range(cols):
-            total = np.float32(0)
+            own, total = reach[r, c], np.float32(0)
             for j in range(weights.shape[1] - 1, -1, -1):
-                rr, cc = r + taps[reach[r, c], j, 0], c + taps[reach[r, c], j, 1]
+                rr, cc = r + taps[own, j, 0], c + taps[own, j, 1]
                 if 0 <= rr < rows and 0 <= cc < cols:
-                    total += weights[reach[r, c], j] * highest[rr, cc]
+                    total += weights[own, j] * highest[rr, cc]
                 if j % PART == 0:
                     left[r, c, j // PART] = total
     return left

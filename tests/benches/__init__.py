@@ -1,6 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
 """cocotb benches of the regression: the tests in the folders beside it start a simulator, which imports them by name."""
 
+import json
+from collections.abc import Iterable
 from pathlib import Path
 
 BENCHES = str(Path(__file__).parent)  # of the simulator's PYTHONPATH
+
+
+def bench_environment(sensor: dict, sources: Iterable[Path] = ()) -> dict[str, str]:
+    """Return what a bench reads from its environment. sensor: table of a configuration; sources: the design's files.
+
+    `fault_bench.py` needs the files, because it looks for flip-flops in them."""
+    return {
+        "PYTHONPATH": BENCHES,
+        "COINCID_BENCH_SENSOR": json.dumps(sensor),
+        "COINCID_FAULT_SOURCES": json.dumps([str(path) for path in sources]),
+    }

@@ -8,7 +8,6 @@ import numpy as np
 from cocotb.triggers import ClockCycles, FallingEdge, RisingEdge
 from sensor_bench import config, some_edges
 
-from coincid.model.contract.edges import Edges
 from coincid.model.golden.frame import Golden
 from coincid.tb.cosim import LineBench
 from coincid.tb.scoreboard import Scoreboard
@@ -89,6 +88,6 @@ async def abort_ends_the_running_period(dut):
     await receiving
     go_dark(bench)
     early = edges.pulse < 3
-    trace = Golden(of.sensor).frame(of, Edges(edges.pulse[early], edges.pixel[early], edges.tick[early]), pulses=3)
+    trace = Golden(of.sensor).frame(of, edges.take(early), pulses=3)
     assert beats == trace.beats[0].tolist()
     assert len(beats) > 50

@@ -13,8 +13,7 @@ import re
 import cocotb
 import numpy as np
 from cocotb.triggers import ClockCycles, FallingEdge, ReadOnly
-from cocotb_bus.drivers.amba import AXIProtocolError
-from sensor_bench import NOTHING, STATUS, Queue, config, received, some_edges
+from sensor_bench import NOTHING, STATUS, Queue, config, laser_fires, received, refuses, reset_cycle, some_edges
 from sensor_bench import fresh as fresh_bench
 
 from coincid.hdl.dpcu import counter_bits
@@ -28,7 +27,7 @@ from coincid.tb.cosim import SensorBench
 from coincid.tb.scoreboard import Scoreboard
 from coincid.tb.stimulus import port_words
 
-SOURCES = "COINCID_FAULT_SOURCES"  # the design's files, as JSON
+SOURCES = json.loads(os.environ["COINCID_FAULT_SOURCES"])  # the design's files
 RESETS, UPSETS = 12, 16
 ANSWER_CYCLES = 60  # limit for the bus; the proof has a lower one
 FLOP = re.compile(r"^  reg (?:\[(\d+):0\] )?\\?(\S+)\s+= \d+'", re.MULTILINE)
@@ -47,10 +46,7 @@ def busy_config():
 async def pulse_reset(bench: SensorBench) -> None:
     """Apply a reset of one cycle, with quiet inputs after it."""
     await FallingEdge(bench.dut.clk)
-    bench.dut.rst.value = 1
-    for line in bench.spad:
-        line.value = 0
-    for line in bench.tready:
+    for line in (*bench.spad, *bench.tready):
         line.value = 0
     for name, value in (
         ("awvalid", 0),
@@ -60,10 +56,7 @@ async def pulse_reset(bench: SensorBench) -> None:
         ("rready", 1),
     ):  # as the bench's master sets them
         getattr(bench.dut, f"s_axi_{name}").value = value
-    await FallingEdge(bench.dut.clk)
-    bench.dut.rst.value = 0
-    bench.programmed.forget()
-    await ClockCycles(bench.dut.clk, 4)
+    await reset_cycle(bench)
     assert bench.dut.m_axis_tvalid.value == 0 and bench.dut.laser.value == 0
 
 
@@ -74,9 +67,7 @@ async def works(bench: SensorBench, of, edges, trace) -> None:
 
 
 async def fresh(dut):
-    bench = SensorBench(dut, config().sensor)
-    await bench.reset()
-    of = busy_config()
+    bench, of = await fresh_bench(dut), busy_config()
     edges = some_edges(of, 3, 300)
     return bench, of, edges, Golden(of.sensor).frame(of, edges)
 
@@ -86,10 +77,7 @@ async def run_into(bench, of, edges, cycles: int) -> None:
     await bench.program(of)
     await bench.write("control", 1)
     words = port_words(of, edges)
-    for _ in range(100):
-        if bench.dut.laser.value == 1:
-            break
-        await FallingEdge(bench.dut.clk)
+    await laser_fires(bench.dut)
     for cycle in range(cycles):
         now = dict(words.get(cycle, ()))
         for s, line in enumerate(bench.spad):
@@ -170,10 +158,10 @@ async def resets_in_any_cycle(dut):
         await works(bench, of, edges, trace)
 
 
-def flip_flops(sources: list[str]) -> list[tuple[str, str, int]]:
+def flip_flops() -> list[tuple[str, str, int]]:
     """Return (path of the instance, register, bits) for every flip-flop of the design."""
     flops, instances = {}, {}
-    for path in sources:
+    for path in SOURCES:
         for module in MODULE.finditer(open(path).read()):
             name = module[1].lstrip("\\")
             flops[name] = [
@@ -206,7 +194,7 @@ def change(dut, path: str, name: str, how) -> None:
 async def upsets_of_any_flip_flop(dut):
     """With a flipped bit in any cycle of a frame, the bus keeps answering, and a reset repairs everything."""
     bench, of, edges, trace = await fresh(dut)
-    flops = flip_flops(json.loads(os.environ[SOURCES]))
+    flops = flip_flops()
     weights = [bits for _, _, bits in flops]
     assert sum(weights) > 3000
     for _ in range(UPSETS):
@@ -223,7 +211,7 @@ async def upsets_of_any_flip_flop(dut):
 async def upsets_of_the_register_front(dut):
     """Flip every bit of every register in the block that must not hang, in the middle of accesses."""
     bench, of, edges, trace = await fresh(dut)
-    control = [flop for flop in flip_flops(json.loads(os.environ[SOURCES])) if flop[0] == "registers" and flop[2] <= 4]
+    control = [flop for flop in flip_flops() if flop[0] == "registers" and flop[2] <= 4]
     assert len(control) > 15
     for path, name, bits in control:
         for bit in range(bits):
@@ -244,8 +232,9 @@ def codes(dut, path: str, name: str, bits: int) -> dict[str, int]:
     return {"plain": 0, "inverse": full, "by_turns": full * int(handle(dut, path, f"{name}_turn").value)}
 
 
-def put(dut, path: str, name: str, bits: int, value: int) -> None:
+async def put(dut, path: str, name: str, bits: int, value: int) -> None:
     """Set a voted register, in all three copies."""
+    await FallingEdge(dut.clk)
     for copy, code in codes(dut, path, name, bits).items():
         handle(dut, path, f"{name}_{copy}").value = value ^ code
 
@@ -256,16 +245,16 @@ def copies(dut, path: str, name: str, bits: int) -> set[int]:
     return {int(handle(dut, path, f"{name}_{copy}").value) ^ code for copy, code in of_copies}
 
 
-def voted(flops) -> list[tuple[str, str, int]]:
+def voted() -> list[tuple[str, str, int]]:
     """Return (path of the instance, register, bits) for every register in three copies."""
-    return [(path, name.removesuffix("_plain"), bits) for path, name, bits in flops if name.endswith("_plain")]
+    return [(path, name.removesuffix("_plain"), bits) for path, name, bits in flip_flops() if name.endswith("_plain")]
 
 
 @cocotb.test()
 async def copies_agree_and_outvote_one(dut):
     """Without an upset, the copies of a voted register agree in every cycle; one wrong copy changes nothing and heals."""
     bench, of, edges, trace = await fresh(dut)
-    kept = voted(flip_flops(json.loads(os.environ[SOURCES])))
+    kept = voted()
     assert len(kept) >= 7  # five of the bus, frame number, budget
     watching = True
 
@@ -325,21 +314,11 @@ async def writes_that_are_upset(dut):
     assert outcomes.count("refused") >= 2 and outcomes.count("start refused") <= 2, outcomes
 
 
-async def refuses(access) -> bool:
-    """Return whether an access gets SLVERR."""
-    try:
-        await access
-    except AXIProtocolError:
-        return True
-    return False
-
-
 def counter_registers(sensor) -> dict[str, tuple[str, int]]:
     """Return for every counter its register in the DPCU (with a suffix if a port has the same name), and its bits."""
-    flops = flip_flops(json.loads(os.environ[SOURCES]))
     of_dpcu = {
         register.partition("$")[0]: (register, bits)
-        for path, register, bits in flops
+        for path, register, bits in flip_flops()
         if path == "module_0.subgroup_0.dpcu"
     }
     # `threshold_used` is already in force.
@@ -353,10 +332,7 @@ async def frame_with_counters(bench, of, edges, registers, values: list[dict]) -
     dut = bench.dut
     await bench.program(of)
     playing = cocotb.start_soon(bench.play(of, edges, np.zeros(0, np.uint8)))
-    for _ in range(200):
-        await FallingEdge(dut.clk)
-        if dut.laser.value == 1:
-            break
+    await laser_fires(dut)
     await ClockCycles(dut.clk, of.period * of.pulses - 2)
     await FallingEdge(dut.clk)
     for s, of_subgroup in enumerate(values):
@@ -390,8 +366,7 @@ def decisive_frames(led, alone, highest: int) -> list[tuple]:
     """Return (decision, bit, configuration, budget) of frames in a row; `decisive_counters` says what the decisions are.
 
     led, alone: configurations with the controller and without it. highest: what a counter can be."""
-    frames, bit = [], 0
-    before = "lower"
+    frames, bit, before = [], 0, ""
     for k, decision in itertools.product(range(DATA_BITS), DECISIONS):
         capacity = random.getrandbits(DATA_BITS) if decision == "off" else random.randint(highest // 2, highest)
         bounds = [random.randint(0, highest) for _ in range(AUTO_BOUNDS)]
@@ -414,12 +389,13 @@ def decisive_counters(decision: str, bit: int, now, then, highest: int) -> list[
     bounds, budget = then[0].auto_bounds.tolist(), then[1]
     among = [bound ^ bit for bound in bounds if bound & bit], [bound for bound in bounds if not bound & bit]
     first, nothing, many = random.randint(0, capacity ^ bit), (0, 0), (highest, highest)
+    at_budget = (budget, budget ^ bit), (budget ^ bit, budget), many
     committed, lower, opened = {
         "off": (nothing, nothing, nothing),
         "bounds": (nothing, many, [random.choice(values or bounds) for values in among]),
-        "budget": ((budget, budget ^ bit), (budget ^ bit, budget), many),
+        "budget": at_budget,
         "sums": ((first, (capacity ^ bit) - first),) * 2 + (many,),
-        "low_budget": ((budget, budget ^ bit), (budget ^ bit, budget), many),
+        "low_budget": at_budget,
         "lower": (nothing, (wide ^ bit, wide // 2), many),
     }[decision]
     return [
@@ -432,8 +408,7 @@ def decisive_counters(decision: str, bit: int, now, then, highest: int) -> list[
 async def controller_in_full_width(dut):
     """The threshold controller treats counters, budgets, capacities and bounds as the golden model does, bit by bit."""
     bench = await fresh_bench(dut)
-    kept = voted(flip_flops(json.loads(os.environ[SOURCES])))
-    at = next(path for path, name, _ in kept if name == "budget_kept")
+    at = next(path for path, name, _ in voted() if name == "budget_kept")
     names = counter_registers(bench.sensor)
     highest = (1 << names["committed"][1]) - 1
     frame = {"period": 60, "pulses": 1, "threshold_floor": 2}
@@ -441,9 +416,8 @@ async def controller_in_full_width(dut):
     controller, used = Controller(led.sensor), COUNTER_NAMES.index("threshold_used")
     frames = decisive_frames(led, alone, highest)
     for (decision, bit, of, budget), then in zip(frames, frames[1:]):
-        await bench.program(of)
         if controller.budget is not None:  # before the first frame it is the share
-            put(dut, at, "budget_kept", DATA_BITS, budget)
+            await put(dut, at, "budget_kept", DATA_BITS, budget)
             controller.budget[:] = budget
         thresholds = controller.begin(of)
         counters = decisive_counters(decision, bit, (of, int(controller.budget[0])), then[2:], highest)
@@ -461,7 +435,7 @@ async def frame_numbers_in_full_width(dut):
     _, width = HEADER["pulse"]
     for bit in range(width):
         number = (2 << bit) - 1  # one more changes all bits up to the next one
-        put(dut, "sequencer", "number_kept", width, number)
+        await put(dut, "sequencer", "number_kept", width, number)
         for expected in (number, number + 1):
             record = await bench.play(of, NOTHING, np.zeros(0, np.uint8))
             shown = decode_frame(record.beats[0], of.sensor, of.sensor.subgroups).number
@@ -477,8 +451,7 @@ async def pulse_numbers_in_full_width(dut):
         await pulse_reset(bench)
         await bench.program(of.with_frame(pulses=of.pulses + jump))
         await bench.write("control", 1)
-        while dut.laser.value == 0:
-            await FallingEdge(dut.clk)
+        await laser_fires(dut)
         words = port_words(of, edges)
 
         def leap(cycle, jump=jump):

@@ -1,15 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """The sensor's ports under cocotb: the tests of `sensor_bench.py`, on both simulators."""
 
-import json
-
 import pytest
 
 from coincid.model.contract.config import parse_config
 from coincid.tb.play import build_sensor
 from coincid.tb.toolchain import SIMULATORS
 
-from ..benches import BENCHES
+from ..benches import bench_environment
 from ..cases import SMALL
 
 BENCH_SENSORS = {"icarus": SMALL, "verilator": {"rows": 8, "cols": 16}}  # the mutants are small sensors on Icarus
@@ -18,7 +16,5 @@ BENCH_SENSORS = {"icarus": SMALL, "verilator": {"rows": 8, "cols": 16}}  # the m
 @pytest.mark.parametrize("simulator", SIMULATORS)
 def test_ports(simulator, tmp_path):
     sensor = BENCH_SENSORS[simulator]
-    env = {"PYTHONPATH": BENCHES, "COINCID_BENCH_SENSOR": json.dumps(sensor)}
-    build_sensor(parse_config({"sensor": sensor}).sensor, simulator).run(
-        "sensor_bench", env=env, out_dir=tmp_path, seed=1
-    )
+    build = build_sensor(parse_config({"sensor": sensor}).sensor, simulator)
+    build.run("sensor_bench", env=bench_environment(sensor), out_dir=tmp_path, seed=1)

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The asynchronous view: equal to golden model and polyphase view at tick centres, elsewhere within a tick, no wrong words."""
 
-import json
 import re
 
 import numpy as np
@@ -26,7 +25,7 @@ from coincid.tb.replay import replay
 from coincid.tb.stimulus import line_levels, off_centre, tick_ps
 from coincid.tb.stress import stress
 
-from ..benches import BENCHES
+from ..benches import bench_environment
 from ..cases import SENSORS, SMALL, trouble
 from ..tb.test_cosim import frames
 
@@ -149,8 +148,8 @@ def test_verilator_agrees():
 def test_resets_and_aborts_in_the_middle_of_frames(tmp_path):
     """Run the tests of `async_bench.py`."""
     sensor = parse_config({"sensor": SMALL}).sensor
-    env = {"PYTHONPATH": BENCHES, "COINCID_BENCH_SENSOR": json.dumps(SMALL)}
-    build_sensor(sensor, "icarus", view=Asynchronous()).run("async_bench", env=env, out_dir=tmp_path, seed=1)
+    build = build_sensor(sensor, "icarus", view=Asynchronous())
+    build.run("async_bench", env=bench_environment(SMALL), out_dir=tmp_path, seed=1)
 
 
 def test_a_single_bank_needs_its_gap():
