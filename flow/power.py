@@ -10,12 +10,14 @@ delays, so a net moves at most once for each edge of the clock: glitches are not
 
 import json
 from bisect import bisect_right
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Mapping
+from io import BufferedIOBase
 from pathlib import Path
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 from attrs import frozen
+from vcd.reader import TokenKind, tokenize
 
 from ..model.contract.parameters import TOP, Sensor
 from ..model.shared.folders import build_root
@@ -129,8 +131,8 @@ def simulate(sensor: Sensor, frames: list[FrameJob]) -> Toggles:
     build = netlist_build(sensor, CELLS, scopes)
     out = build_root() / "power" / sensor_key(sensor)
     play_in(build, frames, out)
-    with (out / f"{TOP}.vcd").open() as lines:
-        return transitions(lines, frames[0].config.pulses, [job.config.frame_cycles for job in frames], in_ps(frames))
+    with (out / f"{TOP}.vcd").open("rb") as vcd:
+        return transitions(vcd, frames[0].config.pulses, [job.config.frame_cycles for job in frames], in_ps(frames))
 
 
 def in_ps(frames: list[FrameJob]) -> int:
@@ -138,60 +140,46 @@ def in_ps(frames: list[FrameJob]) -> int:
     return round(1e6 / frames[0].config.clock_mhz)
 
 
-def transitions(lines: Iterable[str], pulses: int, frame_cycles: list[int], cycle_ps: int) -> Toggles:
+def transitions(vcd: BufferedIOBase, pulses: int, frame_cycles: list[int], cycle_ps: int) -> Toggles:
     """Transitions of every net of a VCD in each frame. A frame begins as `LASER` rises for its first pulse."""
-    reader = iter(lines)
-    nets, widths, laser = _declared(reader)
-    begins: list[int] = []
-    counts = {code: np.zeros((len(frame_cycles), width), np.int64) for code, width in widths.items()}
+    nets: dict[str, str] = {}  # net -> identifier in the file
+    counts: dict[str, np.ndarray] = {}
     last: dict[str, np.ndarray] = {}
+    begins: list[int] = []
+    scope: list[str] = []
     now, rises, frame = 0, 0, -1
-    for line in reader:
-        kind = line[0]
-        if kind == "#":
-            now = int(line[1:])
+    for kind, _, declared in tokenize(vcd):
+        data: Any = declared  # its type depends on the kind
+        if kind is TokenKind.SCOPE:
+            scope.append(data.ident.lstrip("\\"))
+        elif kind is TokenKind.UPSCOPE:
+            scope.pop()
+        elif kind is TokenKind.VAR:
+            nets[".".join([*scope[1:], data.reference.lstrip("\\")])] = data.id_code
+            counts[data.id_code] = np.zeros((len(frame_cycles), data.size), np.int64)
+        elif kind is TokenKind.CHANGE_TIME:
+            now = data
             frame = bisect_right(begins, now) - 1
             if frame >= 0 and now >= begins[frame] + frame_cycles[frame] * cycle_ps:
                 frame = -1
-        elif kind in "01":
-            code = line[1:-1]
-            if code == laser and kind == "1":
+        elif kind is TokenKind.CHANGE_SCALAR and data.value in "01":
+            if data.id_code == nets[LASER] and data.value == "1":
                 if rises % pulses == 0:
                     begins.append(now)
                     frame = len(begins) - 1
                 rises += 1
             if frame >= 0:
-                counts[code][frame, 0] += 1
-        elif kind == "b":
-            text, code = line[1:-1].split(" ")
-            value = np.frombuffer(text.rjust(widths[code], "0").encode(), np.uint8)[::-1]
-            if frame >= 0 and code in last:
-                counts[code][frame] += value != last[code]
-            last[code] = value
+                counts[data.id_code][frame, 0] += 1
+        elif kind is TokenKind.CHANGE_VECTOR:
+            count = counts[data.id_code]
+            text = data.value if isinstance(data.value, str) else f"{data.value:b}"  # a number, unless bits are x or z
+            value = np.frombuffer(text.rjust(count.shape[1], "0").encode(), np.uint8)[::-1]
+            if frame >= 0 and data.id_code in last:
+                count[frame] += value != last[data.id_code]
+            last[data.id_code] = value
     if len(begins) != len(frame_cycles):
         raise ToolchainError(f"power: the simulation shows {len(begins)} frames of {len(frame_cycles)}")
     return {name: counts[code] for name, code in nets.items()}
-
-
-def _declared(reader: Iterator[str]) -> tuple[dict[str, str], dict[str, int], str]:
-    """Net -> code; code -> width; code of `LASER`. Reads up to the end of the definitions."""
-    nets: dict[str, str] = {}
-    widths: dict[str, int] = {}
-    scope: list[str] = []
-    for line in reader:
-        words = line.split()
-        if not words:
-            continue
-        if words[0] == "$scope":
-            scope.append(words[2].lstrip("\\"))
-        elif words[0] == "$upscope":
-            scope.pop()
-        elif words[0] == "$var":
-            nets[".".join([*scope[1:], words[4].lstrip("\\")])] = words[3]
-            widths[words[3]] = int(words[2])
-        elif words[0] == "$enddefinitions":
-            break
-    return nets, widths, nets[LASER]
 
 
 def power(

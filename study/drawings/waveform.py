@@ -12,6 +12,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from amaranth.sim import Simulator, SimulatorContext
 from matplotlib.figure import Figure
+from pywellen import Waveform
 
 from ...hdl.sensor import FlatSensor
 from ...model.contract import registers
@@ -96,24 +97,10 @@ def covered(values: dict[str, list[int]]) -> list[int]:
 
 def sampled(vcd: Path) -> dict[str, list[int]]:
     """Return the values of `SIGNALS` at the end of every clock cycle."""
-    wanted = {f"bench.top.{path}": name for name, path in SIGNALS.items()}
-    names: dict[str, list[str | None]] = {}  # identifier in the file -> signals
-    now, rows, scope = dict.fromkeys(SIGNALS, 0), [], []
-    for line in vcd.read_text().splitlines():
-        words = line.split()
-        if words[0] == "$scope":
-            scope.append(words[2])
-        elif words[0] == "$upscope":
-            scope.pop()
-        elif words[0] == "$var":
-            names.setdefault(words[3], []).append(wanted.get(".".join([*scope, words[4]])))
-        elif line[0] in "01b":
-            value, code = (words[0][1:], words[1]) if line[0] == "b" else (line[0], line[1:])
-            for name in filter(None, names.get(code, ())):
-                if name == "clk" and value == "1":
-                    rows.append(dict(now))  # values of the cycle that ends here
-                now[name] = int(value, 2)
-    return {name: [row[name] for row in rows] for name in SIGNALS}
+    waveform = Waveform(str(vcd))
+    signals = {name: waveform[f"bench.top.{path}"].signal for name, path in SIGNALS.items()}
+    ends = [time - 1 for time, value in signals["clk"] if value and time]
+    return {name: [signal.value_at(end) for end in ends] for name, signal in signals.items()}
 
 
 def draw(values: dict[str, list[int]]) -> Figure:

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Power: what a liberty file and a VCD say, and the sum of both for a few cells that one can add up by hand."""
 
+from io import BytesIO
+
 import numpy as np
 import pytest
 
@@ -31,7 +33,7 @@ library (toy) {
 }
 """
 
-VCD = """\
+VCD = b"""\
 $timescale 1ps $end
 $scope module top $end
 $var wire 1 ! laser $end
@@ -78,12 +80,12 @@ def test_liberty_at_its_slew_and_load(tmp_path):
 
 
 def test_transitions_of_frames_only():
-    toggles = transitions(VCD.splitlines(keepends=True), 1, [3, 2], 1000)
+    toggles = transitions(BytesIO(VCD), 1, [3, 2], 1000)
     assert toggles["laser"].tolist() == [[2], [1]]
     assert toggles["inner.net"].tolist() == [[1], [1]]  # not what came before a frame, nor after it
     assert toggles["bus"].tolist() == [[0, 1], [1, 1]]
     with pytest.raises(ToolchainError, match="2 frames of 3"):
-        transitions(VCD.splitlines(keepends=True), 1, [3, 2, 2], 1000)
+        transitions(BytesIO(VCD), 1, [3, 2, 2], 1000)
 
 
 def flop_and_buffer():
