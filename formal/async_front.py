@@ -5,76 +5,36 @@ All cells and macros are cut away: hit flops, roots, arbiters, window ends, samp
 half cycle. So the proof covers every pattern of edges, every delay, and every flop that falls to the wrong side. What
 remains is the control, and the logic that collects words at the clock. A step is half a clock cycle: registers with a
 rising clock edge move in one step, those with a falling edge in the next.
-`python -m coincid.formal.async_front` proves it for both structures.
 """
 
-import os
-import shutil
-import subprocess
-import sys
-from typing import Any
+from functools import partial
 
-from amaranth.back import rtlil
 from amaranth.hdl import Assert, Assume, Cover, EnableInserter, Module, ResetInserter, Signal
 from amaranth.hdl._ast import AnySeq
+from attrs import evolve
 
 from ..hdl.logic import popcount
-from ..hdl.silicon.circuit import SYNCHRONISER_REARM, Circuit
+from ..hdl.silicon.circuit import CELLS, MACROS, SYNCHRONISER_REARM, Circuit
 from ..hdl.silicon.control import AsyncControl
 from ..hdl.silicon.front_end import AsyncFrontEnd
 from ..model.contract.parameters import Sensor
-from ..model.shared.folders import build_root
-from .bench import elaborated
-from .prove import _programs
+from .bench import KEPT, PROOFS, Proof, elaborated
 
 DEPTH = 14  # half cycles of the induction
 COVER = 40  # half cycles within which a window with two pixels, not all in its first cycle, comes out
-SMALL: dict[str, Any] = {
-    "rows": 4,
-    "cols": 4,
-    "subgroup": (4, 4),
-    "minigroup": (2, 2),
-    "phases": 4,
-    "coarse_bits": 3,
-    "window_max": 8,
-}
+SMALL = Sensor(rows=4, cols=4, subgroup=(4, 4), minigroup=(2, 2), phases=4, coarse_bits=3, window_max=8)
 SCRIPT = """\
-[tasks]
-prove
-cover
-
-[options]
-prove: mode prove
-cover: mode cover
-prove: depth {depth}
-cover: depth {cover}
-
-[engines]
-smtbmc bitwuzla
-
-[script]
-read_rtlil bench.il
-read_verilog -sv -DSYNTHESIS -lib cells.v macros.v
-hierarchy -top bench
-proc
-flatten
 cutpoint -blackbox
 # Steps are half cycles: an enable selects the flops that move in a step, and all have the same clock.
 setparam -set CLK_POLARITY 1'1 t:$*dff*
-setattr -unset init w:* w:started w:rising %u %d
-prep -top bench
-
-[files]
-bench.il
-cells.v
-macros.v
 """
 
 
 def bench(sensor: Sensor, circuit: Circuit) -> Module:
     """Return the front end with free events, and the statements about it."""
     m = Module()
-    started, rising, reset = Signal(name="started", reset_less=True), Signal(name="rising", reset_less=True), Signal()
+    started, rising = (Signal(name=f"{KEPT}{name}", reset_less=True) for name in ("started", "rising"))
+    reset = Signal()
     m.d.sync += [started.eq(started | rising), rising.eq(~rising)]
     m.d.comb += [reset.eq(AnySeq(1)), Assume(started | reset)]
     front = AsyncFrontEnd(sensor, circuit)
@@ -142,31 +102,18 @@ def _control_returns(m: Module, control: AsyncControl, started: Signal) -> None:
         m.d.comb += Assert(~started | (state.hold < max(2, control.sensor.rearm)))
 
 
-def prove(sensor: Sensor, circuit: Circuit, name: str) -> bool:
-    """Return whether the proof holds; its log stays in `build_root()/formal/NAME`."""
-    from ..hdl.silicon.circuit import CELLS, MACROS
-
-    root = build_root() / "formal"
-    programs, folder = _programs(root / "bin"), root / name
-    shutil.rmtree(folder, ignore_errors=True)
-    folder.mkdir(parents=True)
-    (folder / "bench.il").write_text(rtlil.convert(bench(sensor, circuit), name="bench", ports=[]))
-    for target, source in (("cells.v", CELLS), ("macros.v", MACROS)):
-        shutil.copyfile(source, folder / target)
-    (folder / "bench.sby").write_text(SCRIPT.format(depth=DEPTH, cover=COVER))
-    environment = os.environ | {"PATH": f"{programs}{os.pathsep}{os.environ['PATH']}"}
-    with (folder / "log").open("w") as log:
-        return not subprocess.run(
-            [programs / "sby", "-f", "bench.sby"], cwd=folder, env=environment, stdout=log, stderr=log
-        ).returncode
-
-
-STRUCTURES = {
-    "async_two_banks": (Sensor(**SMALL), Circuit()),
-    "async_one_bank": (Sensor(**SMALL, rearm=SYNCHRONISER_REARM), Circuit()),
-}
-
-if __name__ == "__main__":
-    verdicts = {name: prove(*structure, name) for name, structure in STRUCTURES.items()}
-    print("\n".join(f"{name}: {'proven' if holds else 'NOT PROVEN'}" for name, holds in verdicts.items()))
-    sys.exit(not all(verdicts.values()))
+for _name, _states, _sensor, _circuit in (
+    (
+        "async_two_banks",
+        "Asynchronous front end: whatever its events leave behind, its words are whole.",
+        SMALL,
+        Circuit(),
+    ),
+    (
+        "async_one_bank",
+        "The same, with one bank, which is cleared.",
+        evolve(SMALL, rearm=SYNCHRONISER_REARM),
+        Circuit(),
+    ),
+):
+    PROOFS[_name] = Proof(_name, _states, partial(bench, _sensor, _circuit), DEPTH, COVER, (CELLS, MACROS), SCRIPT)

@@ -6,7 +6,8 @@ states what must hold. Reset is an input like any other, so proofs hold for a re
 power-on, the only assumption is that reset is asserted in the first cycle, so a missing reset shows as well.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from pathlib import Path
 from types import SimpleNamespace
 
 from amaranth.hdl import Assert, Assume, Cover, Module, ResetSignal, Signal, Value
@@ -15,27 +16,38 @@ from attrs import field, frozen
 
 from ..hdl.unit import Unit
 
-STARTED = "after_reset"
+KEPT = "bench_"  # begin of the names of registers that keep their value at power-on
 PROOFS: dict[str, "Proof"] = {}
 
 
 @frozen
 class Proof:
-    """Bench of a block. depth: of the induction; cover: cycles within which every situation to be covered occurs."""
+    """What is proven, and how.
+
+    build: returns the module; depth: of the induction; cover: steps within which every situation to be covered occurs;
+    models: Verilog of cells, whose outputs may have any value; script: further commands of Yosys.
+    """
 
     name: str
     states: str
-    build: Callable[["Bench"], None] = field(repr=False)
+    build: Callable[[], Module] = field(repr=False)
     depth: int
     cover: int
+    models: Sequence[Path] = ()
+    script: str = ""
 
 
 def proof(depth: int = 2, cover: int = 10):
     """Register a function of a `Bench` as a proof, under its name; the first line of its docstring is the statement."""
 
     def register(build):
+        def module():
+            bench = Bench()
+            build(bench)
+            return bench.m
+
         name = build.__name__
-        PROOFS[name] = Proof(name, build.__doc__.splitlines()[0], build, depth, cover)
+        PROOFS[name] = Proof(name, build.__doc__.splitlines()[0], module, depth, cover)
         return build
 
     return register
@@ -46,7 +58,7 @@ class Bench:
 
     def __init__(self):
         self.m = Module()
-        self.started = Signal(reset_less=True, name=STARTED)
+        self.started = Signal(reset_less=True, name=f"{KEPT}started")
         self.m.d.sync += self.started.eq(1)
         self.m.d.comb += Assume(self.started | ResetSignal())
 

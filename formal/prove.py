@@ -19,7 +19,7 @@ from ..model.shared.errors import InputError
 from ..model.shared.folders import build_root
 from ..tb.toolchain import ToolchainError
 from . import blocks  # noqa: F401  (registers the proofs)
-from .bench import PROOFS, STARTED, Bench, Proof
+from .bench import KEPT, PROOFS, Proof
 
 SECONDS_MAX = 900  # per proof; none needs a fifth of it
 PROGRAMS = {  # name that SymbiYosys looks for -> command of this Python
@@ -46,16 +46,19 @@ smtbmc bitwuzla
 
 [script]
 read_rtlil bench.il
+{models}
 hierarchy -top bench
 proc
 flatten
+{script}
 # Power-on: every register and memory may have any value, except the bench's own registers.
-setattr -unset init w:* w:{started} %d
+setattr -unset init w:* w:{kept}* %d
 delete t:$meminit*
 prep -top bench
 
 [files]
 bench.il
+{files}
 """
 
 
@@ -109,10 +112,16 @@ def _programs(folder: Path) -> Path:
 def _run(proof: Proof, folder: Path, programs: Path) -> Verdict:
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
-    bench = Bench()
-    proof.build(bench)
-    (folder / "bench.il").write_text(rtlil.convert(bench.m, name="bench", ports=[]))
-    (folder / "bench.sby").write_text(SCRIPT.format(depth=proof.depth, cover=proof.cover, started=STARTED))
+    (folder / "bench.il").write_text(rtlil.convert(proof.build(), name="bench", ports=[]))
+    script = SCRIPT.format(
+        depth=proof.depth,
+        cover=proof.cover,
+        models="".join(f"read_verilog -sv -DSYNTHESIS -lib {path.name}\n" for path in proof.models),
+        script=proof.script,
+        kept=KEPT,
+        files="\n".join(map(str, proof.models)),
+    )
+    (folder / "bench.sby").write_text(script)
     environment = os.environ | {"PATH": f"{programs}{os.pathsep}{os.environ['PATH']}"}
     begin = time.monotonic()
     with (folder / "log").open("w") as log:

@@ -1,23 +1,26 @@
 # SPDX-License-Identifier: Apache-2.0
 """The prover: a proof that holds, one that does not, a vacuous one, and the solver's parser of commands."""
 
+from functools import partial
+
 import pytest
 from amaranth.hdl import Signal
 from typer.testing import CliRunner
 
 from coincid.cli import app
-from coincid.formal.bench import PROOFS, Proof
+from coincid.formal.bench import PROOFS, Bench, Proof
 from coincid.formal.prove import prove
 from coincid.formal.solver import commands
 
 
-def _counter(b, highest, reached):
-    count = Signal(4)
+def _counter(highest, reached):
+    b, count = Bench(), Signal(4)
     b.m.d.sync += count.eq(count + 1)
     with b.m.If(count == 9):
         b.m.d.sync += count.eq(0)
     b.always(count <= highest)
     b.cover(count == reached)
+    return b.m
 
 
 @pytest.mark.parametrize(
@@ -25,7 +28,7 @@ def _counter(b, highest, reached):
 )
 def test_verdicts(monkeypatch, highest, reached, complaint):
     name = f"counter_{highest}_{reached}"
-    monkeypatch.setitem(PROOFS, name, Proof(name, "A counter.", lambda b: _counter(b, highest, reached), 2, 14))
+    monkeypatch.setitem(PROOFS, name, Proof(name, "A counter.", partial(_counter, highest, reached), 2, 14))
     (verdict,) = prove([name])
     assert (verdict.statements, verdict.situations) == (1, 1)
     assert complaint in verdict.reason if complaint else not verdict.reason
