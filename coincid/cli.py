@@ -360,12 +360,12 @@ def photons(
     clock_mhz: ClockOption = None,
 ) -> None:
     """Write the photons of a scene, in all frames of a configuration, as edges."""
+    from coincid.lab.setup import scene_of
     from coincid.model.light.photons import generate_edges
     from coincid.model.light.spad import Spad
     from coincid.model.light.timing import Timing
     from coincid.model.recorded.exchange import check_suffix, write_edges
     from coincid.model.scenes.scene import scene_light
-    from coincid.study.run import scene_of
 
     settings = _config(config, clock_mhz)
     check_suffix(_file(out))
@@ -759,11 +759,11 @@ def emulate(
     """Run the emulator, on a board or simulated, and check each word from it against the golden model."""
     from coincid.host.emulator import EmulatorDriver
     from coincid.host.serial_link import SerialPort, SerialTransport
+    from coincid.lab.setup import scene_of
     from coincid.model.contract.config import FRAMES_MAX, load_config
     from coincid.model.contract.serial_link import BAUD
     from coincid.study.emulate import DEPTH
     from coincid.study.emulate import emulate as run
-    from coincid.study.run import scene_of
 
     if (port is None) is not simulate:
         raise InputError("port: give either --port DEVICE or --simulate")

@@ -17,6 +17,7 @@ from attrs import asdict, evolve, fields, frozen
 from matplotlib.figure import Figure
 from scipy import stats
 
+from ..lab.measures import payload_beats, stream_beats
 from ..model.contract.config import Config, parse_config
 from ..model.contract.edges import Edges
 from ..model.contract.packet import FORMAT_NAMES, HEADER
@@ -37,7 +38,6 @@ from ..model.shared.constants import SPEED_OF_LIGHT_M_S
 from ..model.shared.errors import check_integer
 from ..model.shared.files import whole_file
 from ..model.shared.quantities import check_choice
-from .measures import payload_beats, stream_beats
 from .plot_style import SERIES, new_figure, save_figure, style
 
 SCENE, SEED, CORRECTED = "five-objects", 1, FORMS[1]

@@ -12,6 +12,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from ..lab.measures import stream_beats
+from ..lab.setup import SETTLING
 from ..model.contract.config import Config, parse_config
 from ..model.contract.edges import Edges
 from ..model.contract.packet import BEAT_BITS, FORMATS, layout
@@ -26,8 +28,6 @@ from ..model.light.spad import Spad
 from ..model.light.timing import Timing
 from ..model.shared.constants import SIGMA_PER_FWHM, SPEED_OF_LIGHT_M_S
 from . import rivals
-from .measures import stream_beats
-from .settling import SETTLING
 
 THRESHOLD, PULSES, RETURNS = 3, 100, 2
 FRAMES = SETTLING + 1  # the controller settles in the others; the last one counts

@@ -8,15 +8,8 @@ shares the stream among the subgroups and first gets frames to settle.
 
 from collections.abc import Iterator
 
-from ..model.contract.config import Config, parse_config
-from ..model.contract.edges import Edges
-from ..model.golden.frame import Golden
-from ..model.golden.shape import COUNTER
-from ..model.light.photons import generate_edges
-from ..model.light.spad import Spad
-from ..model.light.timing import Timing
-from ..model.scenes.catalogue import load_scene
-from ..model.scenes.scene import scene_light
+from ..lab.run import Kept, Run
+from ..lab.setup import Setup
 
 SCENE, SEED = "five-objects", 1
 DEPTHS = (2, 4, 8, 16, 32)
@@ -30,14 +23,12 @@ SETTINGS = (
 )
 
 
-def dropped_share(config: Config, edges: Edges) -> float:
+def dropped_share(run: Run) -> float:
     """Return the share of the committed events that full FIFOs drop, over `WATCHED` frames."""
-    golden, committed, dropped = Golden(config.sensor), 0, 0
-    for number in range(SETTLING + WATCHED):
-        counters = golden.frame(config, edges.frame(number, config.pulses)[0]).counters
-        if number >= SETTLING:
-            committed += int(counters[:, COUNTER.committed].sum())
-            dropped += int(counters[:, COUNTER.dropped].sum())
+    dropped, committed = (
+        sum(int(frame.counter(name).sum()) for frame in map(run.frame, range(-WATCHED, 0)))
+        for name in ("dropped", "committed")
+    )
     return dropped / committed if committed else 0.0
 
 
@@ -45,16 +36,16 @@ def table(backgrounds: tuple[float, ...] = KLUX) -> Iterator[str]:
     """Yield the rows of a Markdown table: one for each light and setting, with one column for each depth."""
     yield f"| klux | setting | {' | '.join(f'{depth} places' for depth in DEPTHS)} |"
     yield "| ---: | --- |" + " ---: |" * len(DEPTHS)
-    plain = parse_config({})
-    sensor, frames = plain.sensor, SETTLING + WATCHED
     for klux in backgrounds:
-        light = scene_light(load_scene(SCENE, sensor.rows, sensor.cols), klux)
-        edges = generate_edges(light, Spad(), Timing.from_config(plain), pulses=plain.pulses * frames, seed=SEED)
+        kept = Kept()
         for name, subgroup, form in SETTINGS:
             shares = []
             for depth in DEPTHS:
-                given = {"sensor": {"fifo_depth": depth}, "frame": {"format": form}, "subgroup": subgroup}
-                shares.append(dropped_share(parse_config(given), edges))
+                frame = {"format": form, "frames": SETTLING + WATCHED}
+                setup = Setup.of(
+                    SCENE, sensor={"fifo_depth": depth}, frame=frame, subgroup=subgroup, klux=klux, seed=SEED
+                )
+                shares.append(dropped_share(Run(setup, kept=kept)))
             yield f"| {klux:g} | {name} | {' | '.join(f'{100 * share:.2f} %' for share in shares)} |"
 
 

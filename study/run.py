@@ -6,29 +6,23 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from attrs import frozen
 
+from ..lab import run as lab
+from ..lab.setup import Setup, scene_of
 from ..model.contract.config import Config, load_config
-from ..model.contract.edges import Edges
 from ..model.contract.result import events_table, write_result
-from ..model.depth.estimate import Depth, estimate_depth
-from ..model.light.light import BACKGROUNDS, Light
+from ..model.light.light import BACKGROUNDS
 from ..model.light.link_budget import Optics
-from ..model.light.photons import generate_edges
 from ..model.light.spad import Spad
-from ..model.light.timing import Timing
 from ..model.scenes.ambient import Ambient
-from ..model.scenes.catalogue import load_scene
-from ..model.scenes.scene import Scene, scene_light
-from ..tb.replay import replay
+from ..model.scenes.scene import Scene
 from .point_cloud import point_cloud, write_ply
 
 if TYPE_CHECKING:
     from .show.notebook import PixelHistogram, Shown
 
 
-@frozen(eq=False, kw_only=True)
-class Run:
+class Run(lab.Run):
     """A simulated run: its inputs, and the sensor's output of all its frames.
 
     `simulate` returns it. Arguments and errors of the methods are those of the functions that they name.
@@ -46,16 +40,6 @@ class Run:
     result : dict of str to numpy.ndarray
         The arrays of the result file, of all frames (docs/contract.md, "Files").
     """
-
-    config: Config
-    scene: Scene
-    light: Light
-    edges: Edges
-    result: dict[str, np.ndarray]
-
-    def depth(self, **options: Any) -> Depth:
-        """Estimate the distance of every pixel; the options are those of `estimate_depth` (`frame`, `method`, `returns`)."""
-        return estimate_depth(self.result, self.config, **options)
 
     def events(self) -> Any:
         """Return one row per event that left the sensor; see `events_table`."""
@@ -144,20 +128,15 @@ def simulate(
         If an argument is out of range; the message names the field and its legal range.
     """
     config = config if isinstance(config, Config) else load_config(config)
-    scene = scene if isinstance(scene, Scene) else scene_of(config, scene)
-    light = scene_light(scene, klux, background=background)
-    edges = generate_edges(
-        light,
-        spad or Spad(),
-        Timing.from_config(config),
-        pulses=config.frames * config.pulses,
+    setup = Setup(
+        config=config,
+        scene=scene if isinstance(scene, Scene) else scene_of(config, scene),
+        klux=klux,
+        background=background,
         seed=seed,
-        workers=os.cpu_count() or 1,
+        spad=spad or Spad(),
+        engine=engine,
     )
-    return Run(config=config, scene=scene, light=light, edges=edges, result=replay(engine, config, edges))
-
-
-def scene_of(config: Config, source: str, scale: float = 1.0) -> Scene:
-    """Return the scene that `source` names (see `load_scene`, also for `scale`), as the pixels of a configuration see it."""
-    sensor = config.sensor
-    return load_scene(source, sensor.rows, sensor.cols, scale=scale, range_m=Timing.from_config(config).range_m)
+    run = Run(setup, workers=os.cpu_count() or 1)
+    _ = run.result  # so that errors come from here
+    return run

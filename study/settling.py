@@ -10,22 +10,17 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
-from attrs import evolve
 
-from ..model.contract.config import Config, parse_config
+from ..lab.run import Run
+from ..lab.setup import SETTLING, Setup
+from ..model.contract.config import Config
 from ..model.contract.edges import Edges
-from ..model.golden.frame import Golden
+from ..model.golden.frame import Golden, Trace
 from ..model.golden.shape import COUNTER
-from ..model.light.photons import generate_edges
-from ..model.light.spad import Spad
-from ..model.light.timing import Timing
-from ..model.scenes.catalogue import load_scene
-from ..model.scenes.scene import scene_light
 
 SCENE, PARTS, SEED = "five-objects", (1, 4, 16), 1
 KLUX = ((5.0, 5.0), (20.0, 20.0), (50.0, 50.0), (100.0, 100.0), (5.0, 100.0))  # in the left half, and in the right one
 FRAMES_MAX = 200  # with the same photons
-SETTLING = 8  # frames before those that are evaluated
 WATCHED = 32  # frames of new photons after that
 
 
@@ -46,26 +41,25 @@ class Cycle(NamedTuple):
     load: float
 
 
-def states(config: Config, frames: Iterator[Edges]) -> Iterator[State]:
-    """Yield the state of the controller from reset on, over frames of edges; one stream."""
-    golden = Golden(config.sensor)
-    for edges in frames:
-        trace = golden.frame(config, edges)
-        committed = int(trace.counters[:, COUNTER.committed].sum())
-        yield State(trace.counters[:, COUNTER.threshold_used], int(trace.budget[0]), committed / config.capacity)
+def state(config: Config, trace: Trace) -> State:
+    """Return the state of the controller after a frame; one stream."""
+    committed = int(trace.counters[:, COUNTER.committed].sum())
+    return State(trace.counters[:, COUNTER.threshold_used], int(trace.budget[0]), committed / config.capacity)
 
 
 def limit_cycle(config: Config, edges: Edges) -> Cycle | None:
     """Return the limit cycle for the same photons in every frame; None: no state returned within `FRAMES_MAX` frames."""
     seen: dict[tuple[int, ...], int] = {}
     history: list[State] = []
-    for number, state in enumerate(states(config, (edges for _ in range(FRAMES_MAX)))):
-        key = (*state.thresholds.tolist(), state.budget)
+    golden = Golden(config.sensor)
+    for number in range(FRAMES_MAX):
+        now = state(config, golden.frame(config, edges))
+        key = (*now.thresholds.tolist(), now.budget)
         if key in seen:
             thresholds = np.array([one.thresholds for one in history[seen[key] :]])
-            return Cycle(seen[key], number - seen[key], int(np.ptp(thresholds, axis=0).astype(bool).sum()), state.load)
+            return Cycle(seen[key], number - seen[key], int(np.ptp(thresholds, axis=0).astype(bool).sum()), now.load)
         seen[key] = number
-        history.append(state)
+        history.append(now)
     return None
 
 
@@ -78,22 +72,16 @@ def table(backgrounds: tuple[tuple[float, float], ...] = KLUX) -> Iterator[str]:
 
 
 def _rows(left_klux: float, right_klux: float) -> Iterator[str]:
-    config = parse_config({"subgroup": {"auto": True}})
-    sensor, pulses = config.sensor, config.pulses
-    scene = load_scene(SCENE, sensor.rows, sensor.cols)
-    left, right = (scene_light(scene, klux) for klux in (left_klux, right_klux))
-    is_left = np.arange(sensor.array_pixels) % sensor.cols < sensor.cols // 2
-    light = evolve(left, background_cps=np.where(is_left, left.background_cps, right.background_cps))
-    total = SETTLING + WATCHED
-    edges = generate_edges(light, Spad(), Timing.from_config(config), pulses=pulses * total, seed=SEED)
-    frames = [edges.frame(number, pulses)[0] for number in range(total)]
+    klux = f"{left_klux:g}|{right_klux:g}"
+    start = Run(Setup.of(SCENE, frame={"frames": SETTLING + WATCHED}, subgroup={"auto": True}, klux=klux, seed=SEED))
+    sensor, capacity = start.config.sensor, start.config.capacity
     for part in PARTS:
-        narrow = config.with_frame(capacity=config.capacity // part)
-        cycle = limit_cycle(narrow, frames[0])
-        watched = list(states(narrow, iter(frames)))[SETTLING:]
-        thresholds = np.array([state.thresholds for state in watched])
+        narrow = start.but(frame={"capacity": capacity // part})
+        cycle = limit_cycle(narrow.config, narrow.frame_edges(0))
+        watched = [state(narrow.config, trace) for trace in narrow.traces[SETTLING:]]
+        thresholds = np.array([one.thresholds for one in watched])
         moves = np.abs(np.diff(thresholds, axis=0)).astype(bool).sum(axis=1).mean()
-        load = np.array([state.load for state in watched])
+        load = np.array([one.load for one in watched])
         spread = np.ptp(thresholds, axis=0).max()
         yield (
             f"| {_klux(left_klux, right_klux)} | {_part(part)} | {_cycle(cycle)} | {moves:.1f} of {sensor.subgroups} | {spread} | "

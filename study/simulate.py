@@ -20,21 +20,19 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, SpinnerColumn, TaskID, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
+from ..lab.measures import Number
+from ..lab.run import Frame, Run
+from ..lab.setup import SETTLING, Setup, fixed_thresholds, scene_of
 from ..model.contract.config import SUBGROUP_INTEGERS, Config
 from ..model.contract.edges import Edges
 from ..model.contract.parameters import TOP
 from ..model.contract.pixels import subgroup_image
-from ..model.contract.registers import THRESHOLD_MAX
 from ..model.contract.result import ResultBuilder, write_result
-from ..model.depth.estimate import estimate_depth
-from ..model.depth.quality import OTHER_SURFACE_M, wrong_share
-from ..model.golden.frame import Golden, Trace, golden_result
-from ..model.light.light import BACKGROUNDS, Light
-from ..model.light.photons import generate_edges
-from ..model.light.spad import Spad, SpadGate
+from ..model.depth.estimate import DEFAULT_METHOD
+from ..model.golden.frame import Golden, Trace
+from ..model.light.light import BACKGROUNDS
 from ..model.light.timing import Timing
 from ..model.scenes.ambient import Ambient, told_klux
-from ..model.scenes.scene import Scene, scene_light
 from ..model.shared.errors import InputError
 from ..model.shared.extras import extra
 from ..model.shared.files import whole_file
@@ -42,19 +40,15 @@ from ..tb.errors import Mismatch
 from ..tb.frames import FrameJob, Recorded
 from ..tb.replay import DEFAULT_VIEW, chosen_view
 from ..tb.waves import views
-from .measures import stream_beats
 from .pictures import Panel, depth_row
-from .run import scene_of
-from .settling import SETTLING
 from .show.frame import frame_view
 
 if TYPE_CHECKING:
     from ..hdl.views import View
 
 EVENTS, REPORT, PAGE = "events.npz", "report.json", "report.html"
-METHOD = "planes"  # used to choose the best fixed threshold
 PICTURES = {  # file: (estimator of `model/depth/estimate.py`, suffix of the report's keys, heading)
-    "depth.png": (METHOD, "", "planes through the likelihood of all events"),
+    "depth.png": (DEFAULT_METHOD, "", "planes through the likelihood of all events"),
     "depth_peak.png": ("maximum", "_peak", "peak of every pixel's histogram, as in the paper"),
 }
 SCHEMES = {  # name: (title, settings that it overrides), in the order of the frames
@@ -97,6 +91,23 @@ class Plan:
         """Cycles of all frames' periods."""
         return sum(config.frame_cycles for config in self.configs)
 
+    def seen(self, played: Frames, run: Run) -> dict[str, Frame]:
+        """Return the frame that stands for each scheme. run: of the photons."""
+        shift = np.repeat(np.arange(len(self.edges)) * run.config.pulses, list(map(len, self.edges)))
+        pulse, pixel, tick = (np.concatenate([getattr(e, n) for e in self.edges]) for n in ("pulse", "pixel", "tick"))
+        edges = Edges(pulse + shift, pixel, tick)
+        given: dict[str, Any] = {
+            "light": run.light,
+            "result": played.arrays,
+            "traces": played.traces,
+            "workers": run.workers,
+        }
+        configs = {name: self.configs[k].with_frame(frames=len(self.edges)) for name, k in self.shown.items()}
+        return {
+            name: Run(run.setup.but(config=config, edges=edges), **given).frame(self.shown[name])
+            for name, config in configs.items()
+        }
+
 
 def plan_frames(config: Config, edges: Edges, threshold: ArrayLike, settling: int) -> Plan:
     """Plan `off` and `fixed` at `threshold` on the last frame's photons, then `settling` frames of `auto` on `edges`."""
@@ -113,15 +124,14 @@ def plan_frames(config: Config, edges: Edges, threshold: ArrayLike, settling: in
     )
 
 
-def best_threshold(config: Config, edges: Edges, truth_m: np.ndarray) -> int:
-    """Return the threshold from 1 to 7 that leaves the fewest wrong pixels, the lowest among equals, by the golden model."""
+def best_threshold(run: Run) -> int:
+    """Return the threshold that leaves the fewest wrong pixels of the last frame, the lowest among equals, by the golden model."""
     _, settings = SCHEMES["fixed"]
-    wrong = {}
-    for threshold in range(1, min(THRESHOLD_MAX, config.sensor.pixels) + 1):
-        tried = config.with_frame(frames=1).with_settings(**settings, threshold=threshold)
-        arrays = golden_result(tried, edges)
-        wrong[threshold] = wrong_share(estimate_depth(arrays, tried, method=METHOD).depth_m[:, :, 0], truth_m)
-    return min(wrong, key=lambda threshold: (wrong[threshold], threshold))
+    wrong = {
+        threshold: run.alone(-1, subgroup=settings | {"threshold": threshold})["wrong_share"]
+        for threshold in fixed_thresholds(run.config.sensor)
+    }
+    return min(wrong, key=lambda threshold: (wrong[threshold] or 0.0, threshold))
 
 
 def run_frames(
@@ -194,10 +204,17 @@ def simulate(
     if threshold is not None:
         config = config.with_settings(threshold=threshold)
     settling = settling or (SLOW_SETTLING if engine in SLOW_ENGINES else SETTLING)
-    timing, scene = Timing.from_config(config), scene_of(config, source, scale)
-    light = scene_light(scene, klux, background=background)
-    ambient = told_klux(klux)
-    gate = SpadGate.from_config(config) if spad_gate else None
+    timing, ambient = Timing.from_config(config), told_klux(klux)
+    setup = Setup(
+        config=config.with_frame(frames=settling),
+        scene=scene_of(config, source, scale),
+        klux=klux,
+        background=background,
+        seed=seed,
+        spad_gate=spad_gate,
+    )
+    run = Run(setup, workers=os.cpu_count() or 1)
+    scene, light = run.scene, run.light
     given = {
         "scene": scene.name,
         "scale": scale,
@@ -216,14 +233,11 @@ def simulate(
     results = [out / name for name in (*PICTURES, EVENTS, PAGE)]
     with _Bar(console) as bar:
         bar.stage("photons")
-        edges = generate_edges(
-            light, Spad(), timing, pulses=settling * config.pulses, seed=seed, gate=gate, workers=os.cpu_count() or 1
-        )
+        edges = run.edges
         fixed = config.threshold
         if threshold is None and np.all(fixed == DEFAULT_THRESHOLD):
             bar.stage("best threshold")
-            last, _ = edges.frame(settling - 1, config.pulses)
-            fixed = np.full_like(fixed, best_threshold(config, last, scene.truth_m))
+            fixed = np.full_like(fixed, best_threshold(run))
         plan = plan_frames(config, edges, fixed, settling)
         if shown is not None:
             bar.stage("RTL: emitted and compiled once")
@@ -242,11 +256,12 @@ def simulate(
         titles = {name: title.format(threshold=_span(fixed)) for name, (title, _) in SCHEMES.items()}
         ambient_shown = ambient if isinstance(ambient, str) else f"{ambient:g}"
         heading = f"{scene.name}, {ambient_shown} klux, {config.pulses} laser pulses"
-        shares = _pictures(out, heading, titles, plan, frames, scene.truth_m)
+        seen = plan.seen(frames, run)
+        shares = _pictures(out, heading, titles, seen)
     write_result(out / EVENTS, frames.arrays)
-    if not _write_page(out / PAGE, heading, titles, plan, frames, scene, light):
+    if not _write_page(out / PAGE, heading, titles, seen):
         results.remove(out / PAGE)
-    report = _report(plan, frames) | shares | given
+    report = _report(plan, frames, seen) | shares | given
     _write_report(out, report)
     written = [*results, out / REPORT]
     if frames.wave:
@@ -258,9 +273,7 @@ def simulate(
     return report
 
 
-def _write_page(
-    path: Path, heading: str, titles: dict[str, str], plan: Plan, frames: Frames, scene: Scene, light: Light
-) -> bool:
+def _write_page(path: Path, heading: str, titles: dict[str, str], seen: dict[str, Frame]) -> bool:
     """Write the views of the compared frames as one HTML file; return False if the extra `explore` is not installed."""
     try:
         with extra("explore"):
@@ -268,32 +281,22 @@ def _write_page(
     except InputError:
         path.unlink(missing_ok=True)  # from an earlier run
         return False
-    parts = [
-        frame_view(titles[name], plan.configs[k], scene, light, plan.edges[k], frames.traces[k], frames.arrays, frame=k)
-        for name, k in plan.shown.items()
-    ]
-    write_report(path, heading, parts)
+    write_report(path, heading, [frame_view(titles[name], frame) for name, frame in seen.items()])
     return True
 
 
-def _pictures(
-    out: Path, heading: str, titles: dict[str, str], plan: Plan, frames: Frames, truth_m: np.ndarray
-) -> dict[str, float]:
+def _pictures(out: Path, heading: str, titles: dict[str, str], seen: dict[str, Frame]) -> dict[str, Number]:
     """Write `PICTURES`; return the shares of wrong pixels, by the paper's criterion and by 15 cm, under the report's keys."""
-    shares: dict[str, float] = {}
-    blocks = subgroup_image(_thresholds(plan, frames, "auto"), plan.configs[0].sensor)
+    shares: dict[str, Number] = {}
+    auto = seen["auto"]
+    blocks = "the controller's thresholds", subgroup_image(auto.threshold, auto.config.sensor)
     for file, (method, suffix, what) in PICTURES.items():
-        panels = [
-            Panel(titles[name], estimate_depth(frames.arrays, plan.configs[k], method=method, frame=k).depth_m[:, :, 0])
-            for name, k in plan.shown.items()
-        ]
-        depth_row(out / file, panels, truth_m, f"{heading}: {what}", blocks=("the controller's thresholds", blocks))
-        for name, panel in zip(SCHEMES, panels):
+        frames = {name: frame.by(method) for name, frame in seen.items()}
+        panels = [Panel(titles[name], frame.depth_m) for name, frame in frames.items()]
+        depth_row(out / file, panels, auto.truth_m, f"{heading}: {what}", blocks=blocks)
+        for name, frame in frames.items():
             key = f"wrong_share_{name}{suffix}"
-            shares |= {
-                key: wrong_share(panel.depth_m, truth_m),
-                f"{key}_15cm": wrong_share(panel.depth_m, truth_m, OTHER_SURFACE_M),
-            }
+            shares |= {key: frame["wrong_share"], f"{key}_15cm": frame["wrong_share_15cm"]}
     return shares
 
 
@@ -311,10 +314,10 @@ def settings_of(config: Config) -> dict[str, Any]:
     }
 
 
-def _report(plan: Plan, frames: Frames) -> dict[str, Any]:
+def _report(plan: Plan, frames: Frames, seen: dict[str, Frame]) -> dict[str, Any]:
     """Return flat keys; numbers are for all frames together, or for one scheme if they end with its name."""
     arrays = frames.arrays
-    report = {
+    report: dict[str, Any] = {
         "cycles": frames.cycles,
         "edges": sum(map(len, plan.edges)),
         "events": len(arrays["pulse"]),
@@ -324,22 +327,14 @@ def _report(plan: Plan, frames: Frames) -> dict[str, Any]:
         "cycles_per_s": round(frames.cycles / frames.seconds, 1),
         "seconds": round(frames.seconds, 3),
     }
-    for name, k in plan.shown.items():
-        config = plan.configs[k]
-        beats = stream_beats(config, arrays["stored"][k], arrays["mg_stored"][k])
+    for name, frame in seen.items():
         report |= {
-            f"events_{name}": int(arrays["stored"][k].sum()),
-            f"dropped_{name}": int(arrays["dropped"][k].sum()),
-            f"load_{name}": float(beats.max() / (config.frame_cycles * config.link_share)),
-            f"threshold_{name}": _thresholds(plan, frames, name).tolist(),
+            f"events_{name}": frame["events"],
+            f"dropped_{name}": frame["dropped"],
+            f"load_{name}": frame["link_load"],
+            f"threshold_{name}": frame.threshold.tolist(),
         }
     return report
-
-
-def _thresholds(plan: Plan, frames: Frames, scheme: str) -> np.ndarray:
-    """int64[subgroups]: thresholds in the frame that stands for a scheme."""
-    k = plan.shown[scheme]
-    return np.where(plan.configs[k].coincidence, frames.arrays["threshold_used"][k], 1)
 
 
 def _write_report(out: Path, report: dict[str, Any]) -> None:

@@ -16,20 +16,17 @@ from pathlib import Path
 import numpy as np
 from attrs import frozen
 
-from ..model.contract.config import Config, parse_config
+from ..lab.run import Run
+from ..lab.setup import Setup
+from ..model.contract.config import Config
 from ..model.depth.arrivals import pulse_sigma_ticks
-from ..model.depth.estimate import estimate_depth
 from ..model.depth.histograms import by_subgroup, frame_events
 from ..model.depth.likelihood import Grid, Guess, log_likelihood, unheard
 from ..model.depth.planes import LIGHTS
 from ..model.depth.quality import OTHER_SURFACE_M, wrong_pixels, wrong_share
-from ..model.golden.frame import golden_result
 from ..model.light.light import signal_per_pulse
-from ..model.light.photons import generate_edges
-from ..model.light.spad import Spad
-from ..model.light.timing import Timing
 from ..model.scenes.catalogue import load_scene
-from ..model.scenes.scene import Scene, scene_light
+from ..model.scenes.scene import Scene
 from ..model.shared.constants import SPEED_OF_LIGHT_M_S
 from ..model.shared.quantities import Numbers
 from .plot_style import new_figure, save_figure, style
@@ -102,25 +99,20 @@ def _scene(name: str, distance_m: np.ndarray, reflectivity: Numbers) -> Scene:
 
 def measure(scene: Scene, form: str, seeds: Iterable[int] = SEEDS) -> Row:
     """Return the means over the seeds."""
-    config = parse_config({"sensor": {"rows": ROWS, "cols": COLS}, "frame": {"format": form}})
+    start = Run(
+        Setup.of(scene, sensor={"rows": ROWS, "cols": COLS}, frame={"format": form}, klux=KLUX),
+        workers=os.cpu_count() or 1,
+    )
     shares: dict[str, list[tuple[float, float]]] = {}
     dropped, committed, sure, right = 0, 0, [], []
     for seed in seeds:
-        edges = generate_edges(
-            scene_light(scene, KLUX),
-            Spad(),
-            Timing.from_config(config),
-            pulses=config.pulses,
-            seed=seed,
-            workers=os.cpu_count() or 1,
-        )
-        result = golden_result(config, edges)
-        dropped, committed = dropped + result["dropped"].sum(), committed + result["committed"].sum()
-        depths = {method: estimate_depth(result, config, method=method) for method in METHODS}
+        run = start.but(seed=seed)
+        dropped, committed = dropped + run.result["dropped"].sum(), committed + run.result["committed"].sum()
+        depths = {method: run.depth(method) for method in METHODS}
         found = {method: depth.depth_m[:, :, 0] for method, depth in depths.items()}
         sure.append(depths["planes"].confidence[:, :, 0][scene.valid])
         right.append(~wrong_pixels(found["planes"], scene.truth_m)[scene.valid])
-        found["oracle"] = oracle_m(result, config, scene)
+        found["oracle"] = oracle_m(run.result, run.config, scene)
         for method, depth_m in found.items():
             wrong = wrong_share(depth_m, scene.truth_m), wrong_share(depth_m, scene.truth_m, OTHER_SURFACE_M)
             shares.setdefault(method, []).append(wrong)

@@ -5,31 +5,26 @@ A SPEC is a configuration file with additional keys: `SETTINGS`, `config` (a fil
 [[axis]] tables. The keys of an axis vary together. The axes are crossed, and the first one varies slowest.
 """
 
-import json
 import math
 from collections.abc import Callable, Iterable
 from functools import cache
-from importlib.metadata import version
 from typing import Any
 
 import numpy as np
 from attrs import frozen
 
-from .. import __version__
-from ..model.contract.config import Config, parse_config, read_toml
+from ..lab.setup import SEED_MAX, Setup
+from ..model.contract.config import parse_config, read_toml
 from ..model.contract.preset_files import PRESETS
-from ..model.depth.estimate import METHODS
+from ..model.depth.estimate import DEFAULT_METHOD, METHODS
 from ..model.light.light import BACKGROUNDS
-from ..model.light.photons import edge_chunks
-from ..model.light.spad import Spad, SpadGate
 from ..model.light.timing import Timing
 from ..model.scenes.ambient import ambient_klux
 from ..model.scenes.catalogue import load_scene
-from ..model.scenes.scene import Scene, scene_light
+from ..model.scenes.scene import Scene
 from ..model.shared.errors import InputError, check_integer
 from ..model.shared.files import FilePath
-from ..model.shared.quantities import Numbers, check_choice, check_real
-from ..model.shared.sources import digest, sources_digest
+from ..model.shared.quantities import check_choice, check_real
 from .simulate import settings_of
 
 TABLES = ("sensor", "frame", "subgroup")  # tables of the configuration whose keys may be swept
@@ -39,31 +34,31 @@ SETTINGS = {  # of a point, in addition to its configuration: default
     "background": BACKGROUNDS[0],
     "seed": 1,
     "engine": "golden",
-    "method": "planes",
+    "method": DEFAULT_METHOD,
     "spad_gate": False,
 }
 CLOCK, FRAME_CLOCK = "clock_mhz", "frame.clock_mhz"  # one key: a SPEC may write it outside its table
 ENGINES = ("golden", "verilator")
 POINTS_MAX = 100_000
-SEED_MAX = (1 << 63) - 1  # limit of a column of the result
 
 
 @frozen(kw_only=True, eq=False)
 class Point:
-    """One point. name, values: of the swept keys. at: its index along each axis. document: of its configuration.
+    """One point. name, values: of the swept keys. at: its index along each axis.
 
-    scene: what the pixels look at. klux: ambient light, a number or float64[rows, cols]. settings: everything that
-    defines the point, in the shape of a file. key: digest of everything that the numbers depend on.
+    settings: everything that defines the point, in the shape of a file. setup: the same, checked.
     """
 
     name: str
     values: dict[str, Any]
     at: tuple[int, ...]
-    document: dict[str, Any]
     settings: dict[str, Any]
-    scene: Scene
-    klux: Numbers
-    key: str
+    setup: Setup
+
+    @property
+    def key(self) -> str:
+        """Digest of everything that the numbers depend on."""
+        return self.setup.key
 
 
 @frozen(eq=False)
@@ -78,13 +73,6 @@ class Spec:
     def keys(self) -> dict[str, Point]:
         """Return the points by key; points with the same content run once."""
         return {point.key: point for point in reversed(self.points)}
-
-
-@cache
-def versions(engine: str) -> dict[str, str]:
-    """Return everything that an engine's numbers depend on besides settings; `code` is a digest of the sources."""
-    code = sources_digest("model", "study", *(() if engine == "golden" else ("hdl", "host", "tb")))
-    return {"coincid": __version__, "code": code} | {name: version(name) for name in ("numba", "numpy", "scipy")}
 
 
 def read_spec(path: FilePath) -> Spec:
@@ -204,37 +192,19 @@ def _point(
             raise InputError("frame.format = 'short': must be id or full, because depth needs the ID map")
         range_m = Timing.from_config(config).range_m
         scene = scenes(settings["scene"], config.sensor.rows, config.sensor.cols, range_m=range_m)
-        klux = ambient_klux(settings["klux"], scene.rows, scene.cols)
-        edge_chunks(**photons_of(settings, config, scene, klux))  # checks everything, but makes nothing yet
+        setup = Setup(
+            config=config,
+            scene=scene,
+            klux=ambient_klux(settings["klux"], scene.rows, scene.cols),
+            estimators=(settings["method"],),
+            **{key: settings[key] for key in ("background", "spad_gate", "seed", "engine")},
+        )
+        setup.photons.check()
     except InputError as error:
         raise InputError(f"point {name}: {error}") from None
     settings["configuration"] = settings_of(config)
     values = values | {key: settings[key] for key in values if key in SETTINGS}
-    looks: tuple[bytes | str, ...] = (
-        np.asarray(klux).tobytes(),
-        scene.sunlit.tobytes(),
-        scene.distance_m.tobytes(),
-        scene.reflectivity.tobytes(),
-        str(scene.distance_m.shape),
-    )
-    if scene.transient is not None:
-        looks += tuple(
-            array.tobytes() for array in (scene.transient.first, scene.transient.index, scene.transient.strength_per_m2)
-        )
-    key = digest(json.dumps([settings, versions(settings["engine"])], sort_keys=True), *looks)
-    return Point(name=name, values=values, at=at, document=document, settings=settings, scene=scene, klux=klux, key=key)
-
-
-def photons_of(settings: dict[str, Any], config: Config, scene: Scene, klux: Numbers) -> dict[str, Any]:
-    """Return the arguments of `generate_edges` for all frames of a point."""
-    return {
-        "light": scene_light(scene, klux, background=settings["background"]),
-        "spad": Spad(),
-        "timing": Timing.from_config(config),
-        "pulses": config.frames * config.pulses,
-        "seed": settings["seed"],
-        "gate": SpadGate.from_config(config) if settings["spad_gate"] else None,
-    }
+    return Point(name=name, values=values, at=at, settings=settings, setup=setup)
 
 
 def _settings(given: dict[str, Any]) -> dict[str, Any]:

@@ -15,19 +15,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..model.contract.config import parse_config
-from ..model.contract.registers import THRESHOLD_MAX
-from ..model.contract.result import ResultBuilder
-from ..model.depth.estimate import estimate_depth
-from ..model.depth.quality import wrong_share
-from ..model.golden.frame import Golden, golden_result
-from ..model.light.photons import generate_edges
-from ..model.light.spad import Spad
-from ..model.light.timing import Timing
+from ..lab.run import Run
+from ..lab.setup import SETTLING, Setup, fixed_thresholds
+from ..model.contract.parameters import Sensor
 from ..model.scenes.ambient import Ambient
-from ..model.scenes.catalogue import load_scene
-from ..model.scenes.scene import scene_light
-from .settling import SETTLING
 
 METHODS = {"planes": "planes", "maximum": "peaks"}  # estimator: its name in the table
 SCENES: tuple[tuple[str, Ambient], ...] = (
@@ -42,7 +33,7 @@ SCENES: tuple[tuple[str, Ambient], ...] = (
     ("tunnel", 100.0),
 )
 FILE_KLUX: tuple[Ambient, ...] = (50.0, "5|100")  # light for depth files
-THRESHOLDS = range(1, THRESHOLD_MAX + 1)
+THRESHOLDS = fixed_thresholds(Sensor())
 SEED = 1
 
 
@@ -65,32 +56,20 @@ class Shares(NamedTuple):
 
 def shares(source: str, klux: Ambient, stream: Stream) -> dict[str, Shares]:
     """Return the shares by estimator of `METHODS`."""
-    sensor = {"rows": stream.pixels, "cols": stream.pixels, "streams": 1}
-    config = parse_config({"sensor": sensor, "frame": {"link_gbps": stream.link_gbps}})
-    scene = load_scene(source, stream.pixels, stream.pixels)
-    edges = generate_edges(
-        scene_light(scene, klux),
-        Spad(),
-        Timing.from_config(config),
-        pulses=SETTLING * config.pulses,
+    setup = Setup.of(
+        source,
+        sensor={"rows": stream.pixels, "cols": stream.pixels, "streams": 1},
+        frame={"link_gbps": stream.link_gbps, "frames": SETTLING},
+        subgroup={"auto": True},
+        klux=klux,
         seed=SEED,
-        workers=os.cpu_count() or 1,
     )
-    frames = [edges.frame(number, config.pulses)[0] for number in range(SETTLING)]
-    constant = [config.with_settings(auto=False, threshold=threshold) for threshold in THRESHOLDS]
-    results = [golden_result(one, frames[-1]) for one in constant]
-    controlled = config.with_settings(auto=True)
-    golden, settled = Golden(config.sensor), ResultBuilder(controlled)
-    for photons in frames:
-        trace = golden.frame(controlled, photons)
-        settled.add(trace.beats, trace.commit_subgroup, trace.commit_cycle)
-    arrays = settled.arrays()
+    run = Run(setup, workers=os.cpu_count() or 1)
+    fixed = [run.alone(-1, subgroup={"auto": False, "threshold": threshold}) for threshold in THRESHOLDS]
 
     def wrong(method: str) -> Shares:
-        found = [estimate_depth(result, one, method=method) for result, one in zip(results, constant)]
-        last = estimate_depth(arrays, controlled, method=method, frame=SETTLING - 1)
-        *fixed, controller = (wrong_share(depth.depth_m[:, :, 0], scene.truth_m) for depth in (*found, last))
-        return Shares(np.array(fixed), controller)
+        *constant, controller = (one.frame(estimator=method)["wrong_share"] for one in (*fixed, run))
+        return Shares(np.array(constant), controller or 0.0)
 
     return {method: wrong(method) for method in METHODS}
 

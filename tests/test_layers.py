@@ -25,11 +25,13 @@ ROOMS = {  # room: the rooms whose files it may import, in addition to its own
     "tb": ("hdl", "host", "model.golden", "model.contract", "model.shared"),
     "flow": ("tb", "hdl", "host", "model.golden", "model.contract", "model.shared"),
     "formal": ("tb", "hdl", "model.contract", "model.shared"),
-    "study": ("flow", "tb", "hdl", "host", "model"),
+    "lab": ("tb", "hdl", "model"),
+    "study": ("lab", "flow", "tb", "hdl", "host", "model"),
 }
 NEVER = {  # room: packages that it must not even load
     "hdl": ("numba", "scipy", "matplotlib", "cocotb", "coincid.model.golden"),
     "host": ("amaranth", "cocotb", "serial", "matplotlib", "coincid.hdl", "coincid.tb"),
+    "lab": ("matplotlib", "bokeh"),
     "model": ("amaranth", "cocotb", "matplotlib", "coincid.hdl", "coincid.tb"),
 }
 OPTIONAL = ("mitsuba", "mitransient", "drjit")  # of the extra `raytrace`
@@ -46,7 +48,7 @@ def imports() -> dict[str, set[str]]:
     """Return module -> modules of the project that it imports, for all rooms."""
     files = {
         module_name(path, room): path
-        for room in ("model", "host", "hdl", "tb", "flow", "formal", "study")
+        for room in ("model", "host", "hdl", "tb", "flow", "formal", "lab", "study")
         for path in room_files(room)
         if path.suffix == ".py"
     }

@@ -25,6 +25,7 @@ METHODS = {
     "background": "largest excess of hits over the expected background, corrected for the times when the tree is not armed",
     "planes": "likelihood of all events, fitted by planes that neighbouring pixels share",
 }
+DEFAULT_METHOD = "planes"
 
 
 @frozen(eq=False)
@@ -54,7 +55,7 @@ def estimate_depth(
     arrays: dict[str, np.ndarray],
     config: Config,
     *,
-    method: str = "planes",
+    method: str = DEFAULT_METHOD,
     source: str = "map",
     frame: int | None = None,
     returns: int = 1,

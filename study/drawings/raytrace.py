@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ...lab.setup import SETTLING
 from ...model.contract.config import load_config
 from ...model.depth.estimate import estimate_depth
 from ...model.depth.quality import wrong_share
@@ -21,7 +22,6 @@ from ...model.scenes.ray_scene import BUILT_IN, PREFIX
 from ...model.scenes.scene import scene_light
 from ...model.shared.constants import SPEED_OF_LIGHT_M_S
 from ..pictures import Panel, depth_row
-from ..settling import SETTLING
 from ..simulate import SCHEMES, plan_frames, run_frames
 from . import image
 

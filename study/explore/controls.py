@@ -15,12 +15,11 @@ from ...model.contract.config import FRAME_REGISTERS, MODE_BITS, SUBGROUP_INTEGE
 from ...model.contract.packet import FORMAT_NAMES
 from ...model.contract.parameters import SIZE_LIMITS, Sensor
 from ...model.contract.registers import BY_NAME, MODE
-from ...model.depth.estimate import METHODS
+from ...model.depth.estimate import DEFAULT_METHOD, METHODS
 from ...model.light.light import NEAREST_M
 from ...model.light.timing import RANGE_M
 from ...model.scenes.catalogue import BUILT_IN
 from ...model.scenes.daylight import SHADE
-from ..show.frame import DEFAULT_METHOD
 
 SIZES = ("4x4", "4x8", "8x4", "8x8", "8x16", "16x8", "16x16")
 MINIGROUP_SIZES = ("1x1", "1x2", "2x1", "2x2", "2x4", "4x2", "4x4")

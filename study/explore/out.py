@@ -28,7 +28,7 @@ class Save:
 
 def events_csv(explored: Explored) -> str:
     """Return one line per event of all frames; hits: the ID map as hex digits, bit i = pixel i of the subgroup."""
-    arrays = explored.arrays
+    arrays = explored.run.result
     text = io.StringIO()
     lines = csv.writer(text, lineterminator="\n")
     lines.writerow([*EVENT_COLUMNS, "hits"])
@@ -41,7 +41,7 @@ def events_csv(explored: Explored) -> str:
 def picture_png(explored: Explored, frame: int) -> bytes:
     """Return truth and depth of a frame, as `make sim` draws them."""
     view, settings = explored.view(frame), explored.settings
-    heading = f"{explored.scene.name}, {settings.values['klux']:g} klux"
+    heading = f"{explored.run.scene.name}, {settings.values['klux']:g} klux"
     figure, _ = draw_row([Panel(settings.values["method"], view.depth_m)], view.truth_m, heading)
     return figure_bytes(figure, "png")
 

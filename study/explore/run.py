@@ -8,28 +8,20 @@ shown for other settings.
 import os
 import threading
 import time
-from collections import OrderedDict
-from collections.abc import Callable, Hashable
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, TypeAlias
 
-import numpy as np
-from attrs import astuple, field, frozen
+from attrs import evolve, field, frozen
 
-from ...model.contract.edges import Edges
-from ...model.contract.result import ResultBuilder, differences
-from ...model.golden.frame import Golden, Trace
-from ...model.light.light import Light
-from ...model.light.photons import edge_chunks
-from ...model.scenes.scene import Scene
+from ...lab.run import Kept, Run
+from ...model.contract.result import differences
 from ...model.shared.errors import InputError
 from ..show.frame import FrameView, frame_view
-from .controls import CONTROLS
 from .settings import Settings
 
 KEPT = 3  # of each stage: for the present settings, the previous ones, and A's
 EDGES_MAX = 30_000_000  # of all frames: about a gigabyte
-PHOTON_GROUPS = ("Scene", "Light", "SPAD")  # groups of controls that change the photons, in addition to time and gate
 Progress: TypeAlias = Callable[[str, float], None]
 Deliver: TypeAlias = Callable[[int, str, Any], None]
 
@@ -40,129 +32,62 @@ class CancelledError(Exception):
 
 @frozen(eq=False)
 class Explored:
-    """Result of the settings. edges: of all frames; traces: of each frame, from the golden model; arrays: as in a result file.
-
-    seconds: from settings to result.
-    """
+    """Result of the settings. seconds: from settings to result."""
 
     settings: Settings
-    scene: Scene
-    light: Light
-    edges: Edges
-    traces: list[Trace]
-    arrays: dict[str, np.ndarray]
-    seconds: float
-    _views: dict[tuple[int, str], FrameView] = field(factory=dict)
+    run: Run
+    seconds: float = 0.0
+    _views: dict[int, FrameView] = field(factory=dict)
 
     def view(self, frame: int = 0) -> FrameView:
         """Return the views of a frame with the settings' estimator."""
-        config, method = self.settings.config, self.settings.values["method"]
-        if (frame, method) not in self._views:
-            self._views[frame, method] = frame_view(
-                f"frame {frame}",
-                config,
-                self.scene,
-                self.light,
-                self.edges.frame(frame, config.pulses)[0],
-                self.traces[frame],
-                self.arrays,
-                frame=frame,
-                method=method,
-            )
-        return self._views[frame, method]
+        if frame not in self._views:
+            self._views[frame] = frame_view(f"frame {frame}", self.run.frame(frame))
+        return self._views[frame]
 
 
 class Explorer:
-    """Computes `Explored` from `Settings` and keeps the results of the stages."""
+    """Computes `Explored` from `Settings` and keeps photons and frames of the golden model."""
 
     def __init__(self) -> None:
-        self._kept: dict[str, OrderedDict[Hashable, Any]] = {}
+        self._kept = Kept(KEPT)
 
     def run(self, settings: Settings, progress: Progress = lambda stage, share: None) -> Explored:
         """Run all frames of `settings`, and compute the views of the last one. Raises `InputError`.
 
         progress(stage, share from 0 to 1) may raise an exception to stop the run.
         """
+
+        def watch(stage: str, share: float, edges: int) -> None:
+            progress(stage, share)
+            if edges > EDGES_MAX:
+                raise InputError(
+                    f"edges: more than {EDGES_MAX:,} in so much light; must be fewer here (fewer pulses, or coincid sim)"
+                )
+
         began = time.perf_counter()
-        photons = _photon_key(settings)
-        scene, light, edges = self._stage("photons", photons, lambda: _photons(settings, progress))
-        chosen = tuple((c.name, settings.values[c.name]) for c in CONTROLS if c.where)
-        traces, arrays = self._stage("frames", (photons, chosen), lambda: _frames(settings, edges, progress))
+        progress("scene", 0.0)
+        run = Run(settings.setup(), kept=self._kept, workers=os.cpu_count() or 1, watch=watch)
+        _ = run.result
         progress("depth", 0.0)
-        explored = Explored(settings, scene, light, edges, traces, arrays, 0.0)
+        explored = Explored(settings, run)
         explored.view(settings.config.frames - 1)
-        object.__setattr__(explored, "seconds", time.perf_counter() - began)
-        return explored
-
-    def _stage(self, name: str, key: Hashable, make: Callable[[], Any]) -> Any:
-        kept = self._kept.setdefault(name, OrderedDict())
-        if key not in kept:
-            kept[key] = make()
-            while len(kept) > KEPT:
-                kept.popitem(last=False)
-        kept.move_to_end(key)
-        return kept[key]
-
-
-def _photon_key(settings: Settings) -> Hashable:
-    """Return everything that the edges depend on."""
-    values, sensor = settings.values, settings.config.sensor
-    light = tuple(values[c.name] for c in CONTROLS if c.group in PHOTON_GROUPS)
-    gate = tuple((c.name, values[c.name]) for c in CONTROLS if c.group == "Gate") if values["spad_gate"] else ()
-    return sensor.rows, sensor.cols, astuple(settings.timing), light, gate, settings.uploads
-
-
-def _photons(settings: Settings, progress: Progress) -> tuple[Scene, Light, Edges]:
-    progress("scene", 0.0)
-    scene = settings.scene()
-    light = settings.light(scene)
-    pulses = settings.config.pulses * settings.config.frames
-    chunks, made = [], 0
-    for chunk in edge_chunks(
-        light,
-        settings.spad,
-        settings.timing,
-        pulses=pulses,
-        seed=settings.values["seed"],
-        gate=settings.spad_gate,
-        workers=os.cpu_count() or 1,
-    ):
-        chunks.append(chunk)
-        made += len(chunk)
-        if made > EDGES_MAX:
-            raise InputError(
-                f"edges: more than {EDGES_MAX:,} in so much light; must be fewer here (fewer pulses, or coincid sim)"
-            )
-        progress("photons", float(chunk.pulse[-1] + 1) / pulses if len(chunk) else 0.0)
-    names = ("pulse", "pixel", "tick")
-    return scene, light, Edges(*(np.concatenate([getattr(chunk, name) for chunk in chunks]) for name in names))
-
-
-def _frames(settings: Settings, edges: Edges, progress: Progress) -> tuple[list[Trace], dict[str, np.ndarray]]:
-    """Do the same as `golden_result`, but keep the traces."""
-    config = settings.config
-    model, result, traces = Golden(config.sensor), ResultBuilder(config), []
-    for number in range(config.frames):
-        progress("golden model", number / config.frames)
-        trace = model.frame(config, edges.frame(number, config.pulses)[0])
-        result.add(trace.beats, trace.commit_subgroup, trace.commit_cycle)
-        traces.append(trace)
-    return traces, result.arrays()
+        return evolve(explored, seconds=time.perf_counter() - began)
 
 
 def check_on_rtl(explored: Explored, progress: Progress = lambda stage, share: None) -> str:
     """Play the same edges through the Verilated RTL; return that all words agree, or the differences. Raises as `replay`."""
     from ...tb.replay import replay  # it may load the simulators, which only this function needs
 
-    config = explored.settings.config
+    run, config = explored.run, explored.settings.config
     progress("RTL: emitted and compiled once", 0.0)
     cycles = config.frame_cycles * config.frames
-    found = replay("verilator", config, explored.edges, progress=lambda done: progress("RTL", min(1.0, done / cycles)))
-    lines = differences(found, explored.arrays)
+    found = replay("verilator", config, run.edges, progress=lambda done: progress("RTL", min(1.0, done / cycles)))
+    lines = differences(found, run.result)
     if lines:
         return "The RTL and the golden model differ: " + "; ".join(lines)
-    words = sum(len(beats) for trace in explored.traces for beats in trace.beats)
-    events = len(explored.arrays["pulse"])
+    words = sum(len(beats) for trace in run.traces for beats in trace.beats)
+    events = len(run.result["pulse"])
     frames = "frame" if config.frames == 1 else f"{config.frames} frames"
     return f"Every word agrees: the RTL sent the same {frames}, {words:,} words with {events:,} events, each in the same cycle of commit."
 

@@ -10,9 +10,10 @@ from urllib.parse import urlencode
 import numpy as np
 from attrs import evolve, frozen
 
+from ...lab.setup import Setup
 from ...model.contract.config import Config, parse_config
 from ...model.light.light import NEAREST_M, Light
-from ...model.light.spad import Spad, SpadGate
+from ...model.light.spad import Spad
 from ...model.light.timing import Timing
 from ...model.scenes.catalogue import load_scene
 from ...model.scenes.scene import Scene, scene_light
@@ -48,9 +49,18 @@ class Settings:
         """Return the values that differ from their default."""
         return {name: value for name, value in self.values.items() if value != DEFAULTS[name]}
 
-    @property
-    def spad_gate(self) -> SpadGate | None:
-        return SpadGate.from_config(self.config) if self.values["spad_gate"] else None
+    def setup(self) -> Setup:
+        """Return the experiment. Raises `InputError`."""
+        scene = self.scene()
+        return Setup(
+            config=self.config,
+            scene=scene,
+            light=self.light(scene),
+            spad=self.spad,
+            spad_gate=self.values["spad_gate"],
+            seed=self.values["seed"],
+            estimators=(self.values["method"],),
+        )
 
     def scene(self) -> Scene:
         """Return the scene at the sensor's size. Raises `InputError`."""

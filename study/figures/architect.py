@@ -8,9 +8,9 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from ...lab.setup import SETTLING
 from ...model.light.spad import Spad, dark_count_map
 from ..plot_style import SERIES, legend_below, new_figure, share_axis
-from ..settling import SETTLING
 from .cases import MANY, PULSES, Case, Outcome, Runner, Table, mean_of, vary
 from .page import Comparison, Row, Section
 

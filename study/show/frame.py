@@ -1,31 +1,25 @@
 # SPDX-License-Identifier: Apache-2.0
 """The viewable content of one frame: maps, a pixel's histogram, a subgroup's laser period, numbers. Nothing is drawn here."""
 
-from inspect import signature
-
 import numpy as np
 from attrs import frozen
 
+from ...lab.measures import SWEPT
+from ...lab.run import Frame
 from ...model.contract.config import Config
-from ...model.contract.edges import Edges
-from ...model.contract.packet import BEAT_BITS
 from ...model.contract.pixels import pixel_table
 from ...model.depth.arrivals import SYSTEM_FWHM_S, pulse_sigma_ticks
-from ...model.depth.estimate import estimate_depth
 from ...model.depth.histograms import Events, frame_events, pixel_image
-from ...model.depth.quality import wrong_pixels, wrong_share
-from ...model.golden.frame import Trace
+from ...model.depth.quality import wrong_pixels
 from ...model.light.light import Light
 from ...model.scenes.scene import Scene
 from ...model.shared.constants import SPEED_OF_LIGHT_M_S
 from ...model.shared.errors import check_integer
-from ..measures import measures
 from .timeline import Timeline, frame_timeline
 
 HISTOGRAM_BIN_M = 0.15  # for display; estimators work on ticks
-COARSE_TOLERANCE_M = 0.15  # in addition to the paper's 230 ps
 LIGHT_SIGMAS = 4  # around a surface's arrival: an event outside contains only background
-DEFAULT_METHOD: str = signature(estimate_depth).parameters["method"].default
+SHOWN = (*SWEPT, "bits", "wrong_share_15cm")  # measures
 CANDIDATES = 4  # number of returns shown per pixel, the chosen one first
 
 
@@ -53,7 +47,7 @@ class FrameView:
     Maps, float64[rows, cols]: truth_m, depth_m, error_m (depth - truth) and confidence, NaN = none; threshold (pixels
     that a window of the subgroup needed) and drops (events that the subgroup's full FIFO dropped); reflectivity (NaN =
     no target); signal and background, mean photons that the pixel detects in a laser period. candidate_m,
-    candidate_confidence: float64[rows, cols, CANDIDATES]. numbers: from `study/measures.py`, and a few more. objects: see
+    candidate_confidence: float64[rows, cols, CANDIDATES]. numbers: measures (`lab/measures.py`), and `sun_share`. objects: see
     `seen_objects`.
     """
 
@@ -106,44 +100,33 @@ class FrameView:
         return np.bincount(bins[hit], minlength=self.histogram_bins), np.bincount(bins, minlength=self.histogram_bins)
 
 
-def frame_view(
-    title: str,
-    config: Config,
-    scene: Scene,
-    light: Light,
-    edges: Edges,
-    trace: Trace,
-    arrays: dict[str, np.ndarray],
-    *,
-    frame: int = 0,
-    method: str = DEFAULT_METHOD,
-) -> FrameView:
-    """Return the views of frame `frame` of a result. edges: of the frame, with its own pulse count; trace: by the golden model."""
-    sensor = config.sensor
-    found = estimate_depth(arrays, config, method=method, frame=frame, returns=CANDIDATES)
-    depth_m, truth_m = found.depth_m[:, :, 0], scene.truth_m
+def frame_view(title: str, frame: Frame) -> FrameView:
+    """Return the views of a frame, as its estimator sees it."""
+    run, config, scene = frame.run, frame.config, frame.run.scene
+    found, light = frame.depth(CANDIDATES), run.light
+    depth_m, shape = found.depth_m[:, :, 0], (config.sensor.rows, config.sensor.cols)
     sigma_ticks = pulse_sigma_ticks(config, SYSTEM_FWHM_S)
     period_s = config.period_ticks * config.tick_s
     nearest = np.where(np.isnan(scene.distance_m), np.inf, scene.distance_m).argmin(axis=2)[:, :, None]
-    events = frame_events(arrays, config, sigma_ticks, frame)
+    events = frame_events(run.result, config, sigma_ticks, frame.number)
+    numbers = {name: frame[name] for name in SHOWN} | {"sun_share": _sun_share(events, scene, config, sigma_ticks)}
     return FrameView(
         title=title,
         config=config,
-        truth_m=truth_m,
+        truth_m=frame.truth_m,
         depth_m=depth_m,
-        error_m=depth_m - truth_m,
+        error_m=depth_m - frame.truth_m,
         confidence=np.where(np.isnan(depth_m), np.nan, found.confidence[:, :, 0]),
-        threshold=_of_subgroups(np.where(config.coincidence, arrays["threshold_used"][frame], 1), config),
-        drops=_of_subgroups(arrays["dropped"][frame], config),
+        threshold=_of_subgroups(frame.threshold, config),
+        drops=_of_subgroups(frame.counter("dropped"), config),
         reflectivity=np.where(scene.valid, np.take_along_axis(scene.reflectivity, nearest, 2)[:, :, 0], np.nan),
-        signal=light.signal_per_pulse.sum(axis=1).reshape(sensor.rows, sensor.cols),
-        background=light.background_cps.reshape(sensor.rows, sensor.cols) * period_s,
+        signal=light.signal_per_pulse.sum(axis=1).reshape(shape),
+        background=light.background_cps.reshape(shape) * period_s,
         candidate_m=found.depth_m,
         candidate_confidence=found.confidence,
         events=events,
-        timeline=frame_timeline(config, edges, trace),
-        numbers=_numbers(config, arrays, frame, len(edges), depth_m, truth_m)
-        | {"sun_share": _sun_share(events, scene, config, sigma_ticks)},
+        timeline=frame_timeline(config, frame.edges, frame.trace),
+        numbers=numbers,
         objects=seen_objects(scene, light, depth_m),
     )
 
@@ -152,16 +135,6 @@ def _of_subgroups(values: np.ndarray, config: Config) -> np.ndarray:
     """float64[rows, cols] from one value per subgroup."""
     sensor = config.sensor
     return pixel_image(np.broadcast_to(values[:, None], (sensor.subgroups, sensor.pixels)), sensor).astype(np.float64)
-
-
-def _numbers(
-    config: Config, arrays: dict[str, np.ndarray], frame: int, edges: int, depth_m: np.ndarray, truth_m: np.ndarray
-) -> dict[str, int | float | None]:
-    found, known = measures(config, arrays, frame, edges, depth_m, truth_m), ~np.isnan(truth_m)
-    return found | {
-        "bits": BEAT_BITS * int(found["beats"] or 0),
-        "wrong_share_coarse": wrong_share(depth_m, truth_m, COARSE_TOLERANCE_M) if known.any() else None,
-    }
 
 
 def _sun_share(events: Events, scene: Scene, config: Config, sigma_ticks: float) -> float | None:

@@ -5,40 +5,21 @@ import base64
 from collections.abc import Callable
 from functools import partial
 from html import escape
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from attrs import frozen
 
-from ...model.contract.config import Config
-from ...model.contract.edges import Edges
+from ...lab.run import Run
 from ...model.depth.histograms import pixel_histogram
-from ...model.golden.frame import Golden
-from ...model.light.light import Light
-from ...model.scenes.scene import Scene
 from ...model.shared.errors import InputError, check_integer
 from ...model.shared.extras import extra
 from ...model.shared.files import FilePath, whole_file
 from ..pictures import Panel, draw_row
 from ..plot_style import figure_bytes
-from .frame import DEFAULT_METHOD, FrameView, frame_view
+from .frame import FrameView, frame_view
 from .page import FILES
 from .words import number_rows, story
-
-
-class Run(Protocol):
-    """The parts of a run (`study/run.py`) that are shown."""
-
-    @property
-    def config(self) -> Config: ...
-    @property
-    def scene(self) -> Scene: ...
-    @property
-    def light(self) -> Light: ...
-    @property
-    def edges(self) -> Edges: ...
-    @property
-    def result(self) -> dict[str, np.ndarray]: ...
 
 
 @frozen
@@ -59,17 +40,10 @@ class Shown:
             file.write(self.html)
 
 
-def run_view(run: Run, frame: int = 0, method: str = DEFAULT_METHOD) -> FrameView:
-    """Return the views of a frame of a run, with the golden model's traces of the frames so far. Raises `InputError`."""
-    config = run.config
-    check_integer("frame", frame, 0, config.frames - 1)
-    golden = Golden(config.sensor)
-    for number in range(frame + 1):
-        edges, _ = run.edges.frame(number, config.pulses)
-        trace = golden.frame(config, edges)
-    return frame_view(
-        f"frame {frame}", config, run.scene, run.light, edges, trace, run.result, frame=frame, method=method
-    )
+def run_view(run: Run, frame: int = 0, method: str | None = None) -> FrameView:
+    """Return the views of a frame of a run; method: None is the run's first estimator. Raises `InputError`."""
+    check_integer("frame", frame, 0, run.config.frames - 1)
+    return frame_view(f"frame {frame}", run.frame(frame, method))
 
 
 def summary(run: Run) -> str:
@@ -84,7 +58,7 @@ def summary(run: Run) -> str:
     )
 
 
-def plot(run: Run, frame: int = 0, method: str = DEFAULT_METHOD) -> Shown:
+def plot(run: Run, frame: int = 0, method: str | None = None) -> Shown:
     """Return all views of a frame, linked as in `report.html`."""
     with extra("explore"):
         from .report import report_html
@@ -115,7 +89,7 @@ class PixelHistogram(np.ndarray):
             return None
 
 
-def plot_histogram(run: Run, pixel: int, frame: int = 0, method: str = DEFAULT_METHOD) -> Shown:
+def plot_histogram(run: Run, pixel: int, frame: int = 0, method: str | None = None) -> Shown:
     """Return a pixel's histogram with truth, candidates and the chosen return; pixel = row * cols + column."""
     with extra("explore"):
         from .figures import HistogramFigure

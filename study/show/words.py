@@ -19,7 +19,7 @@ NUMBERS: tuple[tuple[str, str, _Form], ...] = (  # label, name in `FrameView.num
     ("stream load", "stream_load", _SHARE),
     ("mean threshold", "threshold_mean", _NUMBER),
     ("wrong, above 3.4 cm", "wrong_share", _SHARE),
-    ("wrong, above 15 cm", "wrong_share_coarse", _SHARE),
+    ("wrong, above 15 cm", "wrong_share_15cm", _SHARE),
 )
 OBJECT_HEADS = ("", "reflects", "distance", "photons", "wrong")
 

@@ -9,6 +9,7 @@ import pytest
 from typer.testing import CliRunner
 
 from coincid.cli import app
+from coincid.lab.measures import stream_beats
 from coincid.model.contract.config import parse_config
 from coincid.model.contract.packet import FORMAT_NAMES
 from coincid.model.contract.registers import COUNTER_NAMES
@@ -18,7 +19,6 @@ from coincid.model.light.photons import generate_edges
 from coincid.model.light.spad import Spad
 from coincid.model.light.timing import Timing
 from coincid.study import bandwidth
-from coincid.study.measures import stream_beats
 
 PAGE = Path(__file__).parents[2] / "docs" / "performance.md"
 

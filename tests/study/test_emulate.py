@@ -9,10 +9,10 @@ from typer.testing import CliRunner
 from coincid.cli import app
 from coincid.host.emulator import EmulatorDriver
 from coincid.host.serial_link import SerialTransport
+from coincid.lab.setup import scene_of
 from coincid.model.contract.config import load_config
 from coincid.study import emulate
 from coincid.study.emulate import Session, source_settings
-from coincid.study.run import scene_of
 from coincid.tb.emulator import PATIENCE_S, SimulatedPort, simulated
 from coincid.tb.errors import Mismatch
 

@@ -19,6 +19,8 @@ from PIL import Image
 from typer.testing import CliRunner
 
 from coincid.cli import app
+from coincid.lab import dask_workers
+from coincid.lab.measures import MEASURES, SWEPT, Measure
 from coincid.model.contract.config import parse_config
 from coincid.model.contract.packet import FORMATS, Kind, layout
 from coincid.model.depth.estimate import estimate_depth
@@ -30,7 +32,6 @@ from coincid.model.light.timing import Timing
 from coincid.model.scenes.catalogue import load_scene
 from coincid.model.scenes.scene import scene_light
 from coincid.study import sweep as job
-from coincid.study.measures import MEASURES
 from coincid.study.sweep_spec import SETTINGS, read_spec
 
 from ..test_docs import rows
@@ -70,14 +71,14 @@ def threads():
 @pytest.fixture
 def quick(monkeypatch, threads):
     """Sweeps run in this process."""
-    monkeypatch.setattr(job, "cluster", lambda workers, scheduler=None: contextlib.nullcontext(threads))
+    monkeypatch.setattr(dask_workers, "cluster", lambda workers, scheduler=None: contextlib.nullcontext(threads))
 
 
 @pytest.fixture(scope="module")
 def cluster():
     """A client of a cluster of two processes, and the addresses on which it listens."""
     before = listening()
-    with job.cluster(2) as client:
+    with dask_workers.cluster(2) as client:
         yield client, listening() - before
 
 
@@ -121,7 +122,7 @@ def test_a_row_a_point_in_the_order_of_the_axes(tmp_path, quick):
     found = table(tmp_path)
     assert found["klux"].to_pylist() == [5.0] * 3 + [50.0] * 3
     assert found["subgroup.threshold"].to_pylist() == [1, 2, 3] * 2
-    assert found.column_names == ["klux", "subgroup.threshold", *MEASURES, "settings", "point"]
+    assert found.column_names == ["klux", "subgroup.threshold", *SWEPT, "settings", "point"]
     metadata = json.loads(found.schema.metadata[job.METADATA.encode()])
     assert metadata["axes"] == [{"klux": [5, 50]}, {"subgroup.threshold": [1, 2, 3]}]
     assert metadata["base"]["sensor"] == {"rows": 8, "cols": 8}
@@ -220,9 +221,9 @@ def test_the_clock_is_the_configurations(tmp_path):
     clocks = [point.settings["configuration"]["frame"]["clock_mhz"] for point in read_spec(spec).points]
     assert clocks == [250, 250]
     spec.write_text("[frame]\nclock_mhz = 250\n[[axis]]\nclock_mhz = [100, 200]\n")
-    assert [parse_config(point.document).clock_mhz for point in read_spec(spec).points] == [100, 200]
+    assert [point.setup.config.clock_mhz for point in read_spec(spec).points] == [100, 200]
     spec.write_text("[[axis]]\nconfig = ['fpga', 'silicon']\n")
-    assert [parse_config(point.document).clock_mhz for point in read_spec(spec).points] == [125, 500]
+    assert [point.setup.config.clock_mhz for point in read_spec(spec).points] == [125, 500]
 
 
 def test_only_new_points_run_and_stale_ones_are_not_in_the_result(tmp_path, quick):
@@ -254,23 +255,23 @@ def test_a_point_knows_what_a_scene_file_holds(tmp_path):
 
 
 def test_a_point_that_fails_is_named_and_the_others_are_kept(tmp_path, quick, monkeypatch):
-    right = job.measures
+    right = MEASURES["edges"]
 
-    def wrong(config, *others):
-        if (config.threshold == 2).all():
+    def wrong(frame):
+        if (frame.config.threshold == 2).all():
             raise OSError("no such\nluck")
-        return right(config, *others)
+        return right.of(frame)
 
-    monkeypatch.setattr(job, "measures", wrong)
+    monkeypatch.setitem(MEASURES, "edges", Measure(int, "edges", wrong))
     result = sweep(tmp_path)
     assert result.exit_code == 1
     assert result.stderr.splitlines() == [
         f"coincid: point klux={klux} subgroup.threshold=2: OSError: no such luck" for klux in (5, 50)
     ]
     assert table(tmp_path)["subgroup.threshold"].to_pylist() == [1, 3, 1, 3]
-    monkeypatch.setattr(job, "measures", right)
+    monkeypatch.setitem(MEASURES, "edges", right)
     assert "6 of 6 points, 4 of them finished before" in sweep(tmp_path).stdout
-    monkeypatch.setattr(job, "measures", lambda *_: 1 / 0)
+    monkeypatch.setitem(MEASURES, "edges", Measure(int, "edges", lambda frame: 1 / 0))
     assert sweep(tmp_path, GRID.replace("flat:5", "flat:4")).exit_code == 1
     assert not (tmp_path / "s.parquet").exists()
 
@@ -278,7 +279,7 @@ def test_a_point_that_fails_is_named_and_the_others_are_kept(tmp_path, quick, mo
 def test_rows_of_the_rtl_are_those_of_the_golden_model(tmp_path, quick):
     spec = BASE.replace("cols = 8", "cols = 16") + '[[axis]]\nengine = ["golden", "verilator"]\n'
     assert sweep(tmp_path, spec).exit_code == 0
-    golden, rtl = table(tmp_path).select([*MEASURES]).to_pylist()
+    golden, rtl = table(tmp_path).select([*SWEPT]).to_pylist()
     assert golden == rtl
 
 
@@ -316,7 +317,7 @@ def test_lost_workers_lose_nothing(tmp_path, quick, processes):
             os.kill(victims[-1], signal.SIGKILL)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(job, "cluster", lambda workers, scheduler=None: contextlib.nullcontext(processes))
+        patch.setattr(dask_workers, "cluster", lambda workers, scheduler=None: contextlib.nullcontext(processes))
         summary = job.sweep(
             read_spec(tmp_path / "s.toml"), tmp_path / "lost" / "s.parquet", workers=2, title="s", progress=kill_one
         )
@@ -327,7 +328,7 @@ def test_lost_workers_lose_nothing(tmp_path, quick, processes):
 
 def test_a_cluster_of_its_own_listens_on_loopback_only(cluster):
     assert len(cluster[1]) > 2
-    assert {host for host, _ in cluster[1]} == {job.LOOPBACK}
+    assert {host for host, _ in cluster[1]} == {dask_workers.LOOPBACK}
 
 
 def test_a_scheduler_elsewhere(tmp_path, processes):
@@ -418,7 +419,7 @@ def test_outputs_that_cannot_be(tmp_path):
 
 def test_the_documentation_has_the_columns_and_settings():
     page = DOCS / "sweeps.md"
-    assert [name for name, _ in rows(page, "column")] == [*MEASURES]
+    assert [name for name, _ in rows(page, "column")] == [*SWEPT]
     assert {name: default for name, default, _ in rows(page, "setting")} == {
         name: json.dumps(default) for name, default in {"config": None, **SETTINGS}.items()
     }

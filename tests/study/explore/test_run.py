@@ -32,15 +32,15 @@ def test_a_run_is_the_golden_models_whatever_was_run_before():
     ):
         explored = explorer.run(check_settings(SMALL | values))
         fresh = Explorer().run(check_settings(SMALL | values))
-        assert not differences(explored.arrays, fresh.arrays)
-        assert not differences(explored.arrays, golden_result(explored.settings.config, explored.edges))
+        assert not differences(explored.run.result, fresh.run.result)
+        assert not differences(explored.run.result, golden_result(explored.settings.config, explored.run.edges))
 
 
 def test_a_new_threshold_asks_for_no_new_photons():
     explorer = Explorer()
     first, second = (explorer.run(check_settings(SMALL | {"threshold": threshold})) for threshold in (2, 3))
     third = explorer.run(check_settings(SMALL | {"seed": 2}))
-    assert first.edges is second.edges and third.edges is not first.edges
+    assert first.run.edges is second.run.edges and third.run.edges is not first.run.edges
 
 
 def test_the_dark_object_beside_the_bright_one_is_lost_at_a_high_threshold():
@@ -118,7 +118,7 @@ def test_what_is_saved():
         name, media, content = save.make(explored, 0)
         assert content and name.endswith(kind) and "/" in media
     lines = events_csv(explored).splitlines()
-    assert len(lines) == 1 + len(explored.arrays["pulse"])
+    assert len(lines) == 1 + len(explored.run.result["pulse"])
     first = dict(zip(lines[0].split(","), lines[1].split(",")))
     assert int(first["count"]) == int(first["hits"], 16).bit_count()
     assert parse_config(tomllib.loads(SAVES["toml"].make(explored, 0)[2].decode())).pulses == SMALL["pulses"]
@@ -129,5 +129,5 @@ def test_the_rtl_sends_the_same_words():
         check_settings(SMALL | {"rows": 8, "pulses": 5})
     )  # a sensor that other tests compile, too
     assert check_on_rtl(explored).startswith("Every word agrees: the RTL sent the same frame")
-    explored.arrays["count"][0] += 1
+    explored.run.result["count"][0] += 1
     assert "count[0]" in check_on_rtl(explored)

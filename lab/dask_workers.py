@@ -1,0 +1,122 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The workers of a Dask cluster, on this machine or elsewhere, for a campaign."""
+
+import contextlib
+import logging
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import dask
+from attrs import evolve
+from distributed import Client, Future, LocalCluster, as_completed
+from distributed.client import FutureCancelledError
+from distributed.comm.addressing import parse_address, parse_host_port
+from distributed.comm.registry import backends
+from distributed.scheduler import KilledWorker
+
+from ..model.scenes.scene import Scene
+from ..model.shared.errors import InputError
+from ..tb.errors import SimulationError
+from .campaign import Played, Read, read_one
+from .setup import Setup, versions
+
+LOOPBACK = "127.0.0.1"
+CONNECT_S = 10
+DEAF_TO_CTRL_C = "import signal\nsignal.signal(signal.SIGINT, signal.SIG_IGN)"  # for a worker: the campaign ends it
+LOST_WORKERS_MAX = 20  # workers that a setup may lose; after that, the setup is assumed to kill them
+
+
+class SchedulerLost(SimulationError):
+    """The scheduler was lost during a campaign."""
+
+
+class Dask:
+    """Workers of the scheduler at an address, or of a cluster of `workers` processes that lives as long as a campaign."""
+
+    def __init__(self, workers: int, scheduler: str | None = None) -> None:
+        self.workers, self.scheduler = workers, scheduler
+
+    def play(self, read: Read, setups: Sequence[Setup]) -> Iterator[Played]:
+        """As `Workers.play`. Raises `InputError` (no scheduler answers) and `SchedulerLost`."""
+        if not setups:
+            return
+        with cluster(min(self.workers, len(setups)), self.scheduler) as client:
+            scenes: dict[int, Future[Any]] = {}
+            running: dict[Future[Any], int] = {}
+            for number, setup in enumerate(setups):
+                # A task of its own: sent once, and computed again if the worker that held it is lost.
+                scene = scenes.get(id(setup.scene)) or client.submit(_itself, setup.scene, pure=False)
+                scenes[id(setup.scene)] = scene
+                given = read, evolve(setup, scene=None), scene, versions(setup.engine)
+                running[client.submit(_read_one, *given, pure=False)] = number
+            for task in as_completed(list(running), loop=client.loop):
+                outcome, error = None, None
+                try:
+                    outcome = task.result()  # runs again if the worker that held it is lost
+                except FutureCancelledError:
+                    raise SchedulerLost(
+                        "the Dask scheduler is gone; finished points are kept: start the sweep again"
+                    ) from None
+                except Exception as why:
+                    error = why
+                yield running.pop(task), outcome, error
+
+
+def _itself(scene: Scene | None) -> Scene | None:
+    return scene
+
+
+def _read_one(read: Read, setup: Setup, scene: Scene | None, expected: dict[str, str]) -> Any:
+    """Raises `RuntimeError` if this worker's versions are not as `expected`, because its numbers would be different."""
+    if (own := versions(setup.engine)) != expected:
+        raise RuntimeError(f"the worker's versions are not the sweep's: {own}, {expected}")
+    return read_one(read, evolve(setup, scene=scene))
+
+
+def reason(error: BaseException) -> str:
+    """Return an error of a setup as one line."""
+    if isinstance(error, KilledWorker):
+        return "every worker that ran it was lost"
+    text = " ".join(str(error).split())
+    return text if isinstance(error, InputError) else f"{type(error).__name__}: {text}"
+
+
+@contextlib.contextmanager
+def cluster(workers: int, scheduler: str | None = None) -> Iterator[Client]:
+    """Return a client of the scheduler at an address, or of a cluster of `workers` processes that ends with the block."""
+    with contextlib.ExitStack() as stack:
+        if scheduler is not None:
+            _check_address(scheduler)
+        else:
+            stack.enter_context(dask.config.set({"distributed.scheduler.allowed-failures": LOST_WORKERS_MAX}))
+            # Loopback only. Even without a dashboard, the scheduler serves its health page, on any free port.
+            scheduler = stack.enter_context(
+                LocalCluster(
+                    n_workers=workers,
+                    threads_per_worker=1,
+                    host=LOOPBACK,
+                    memory_limit=None,
+                    silence_logs="CRITICAL",
+                    preload=DEAF_TO_CTRL_C,
+                    dashboard_address=None,
+                    scheduler_kwargs={"dashboard": False, "dashboard_address": f"{LOOPBACK}:0"},
+                )
+            )
+        # A lost scheduler is reported by `SchedulerLost`.
+        logging.getLogger("distributed.client").setLevel(logging.CRITICAL)
+        try:
+            client = Client(scheduler, timeout=CONNECT_S, set_as_default=False)
+        except OSError as error:
+            raise InputError(f"scheduler = {scheduler!r}: no Dask scheduler answers ({error})") from None
+        yield stack.enter_context(client)
+
+
+def _check_address(scheduler: str) -> None:
+    """Check an address before a client is made, because a client with an invalid address does not end."""
+    try:
+        scheme, place = parse_address(scheduler, strict=True)
+        parse_host_port(place)
+        if scheme not in backends:
+            raise ValueError(f"{scheme}: none of {', '.join(backends)}")
+    except ValueError as error:
+        raise InputError(f"scheduler = {scheduler!r}: must be an address such as tcp://HOST:8786 ({error})") from None

@@ -1,0 +1,167 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Every number of a frame, defined once: its type, its meaning, its formula.
+
+Our choice; `wrong_share` is that of the paper's Fig. 7.
+"""
+
+from collections.abc import Callable
+from typing import Any, TypeAlias
+
+import numpy as np
+from attrs import frozen
+
+from ..model.contract.config import Config
+from ..model.contract.packet import BEAT_BITS, FORMATS, Kind, layout
+from ..model.depth.quality import OTHER_SURFACE_M, TOLERANCE_M, range_error, wrong_pixels, wrong_share
+from ..model.shared.constants import SUCCESS_TOLERANCE_S
+
+Number: TypeAlias = int | float | None
+Frame: TypeAlias = Any  # of `run.py`, which imports this file
+
+
+@frozen
+class Measure:
+    """A number of one frame. kind: int or float. of: its formula; None where there is nothing to divide by."""
+
+    kind: type
+    meaning: str
+    of: Callable[[Frame], Number]
+
+
+def _sum(counter: str) -> Callable[[Frame], int]:
+    return lambda frame: int(frame.counter(counter).sum())
+
+
+def _share(part: str, *whole: str) -> Callable[[Frame], float | None]:
+    def share(frame: Frame) -> float | None:
+        total = sum(map(frame.__getitem__, whole))
+        return frame[part] / total if total else None
+
+    return share
+
+
+def _wrong(tolerance_m: float) -> Callable[[Frame], float | None]:
+    return lambda frame: wrong_share(frame.depth_m, frame.truth_m, tolerance_m) if _known(frame).any() else None
+
+
+def _known(frame: Frame) -> np.ndarray:
+    return ~np.isnan(frame.truth_m)
+
+
+def _depth_share(frame: Frame) -> float | None:
+    known = _known(frame)
+    return int(np.sum(known & ~np.isnan(frame.depth_m))) / int(known.sum()) if known.any() else None
+
+
+def _error(which: int, tolerance_m: float = np.inf) -> Callable[[Frame], float | None]:
+    """Return bias (0) or RMS (1) of the pixels that are not off by more than `tolerance_m`."""
+
+    def error(frame: Frame) -> float | None:
+        near = _known(frame) & ~wrong_pixels(frame.depth_m, frame.truth_m, tolerance_m)
+        value = range_error(frame.depth_m[near], frame.truth_m[near])[which]
+        return None if np.isnan(value) else value
+
+    return error
+
+
+def _asked(frame: Frame) -> int:
+    records = frame.counter("mg_stored") + frame.counter("mg_dropped")
+    return int(stream_beats(frame.config, frame.counter("committed"), records).sum())
+
+
+def _late(frame: Frame) -> int:
+    return max(int(cycles[-1]) for cycles in frame.trace.beat_cycle) + 1 - frame.config.frame_cycles
+
+
+_PAPERS = f"{SUCCESS_TOLERANCE_S * 1e12:.0f} ps ({TOLERANCE_M * 100:.1f} cm)"
+_FAR = f"{OTHER_SURFACE_M * 100:.0f} cm"
+_SWEPT: dict[str, tuple[type, str, Callable[[Frame], Number]]] = {
+    "edges": (int, "avalanches of all SPADs", lambda frame: len(frame.edges)),
+    "opened": (int, "coincidence windows", _sum("opened")),
+    "committed": (int, "windows that met their threshold", _sum("committed")),
+    "rejected": (int, "windows that did not meet their threshold", _sum("rejected")),
+    "events": (int, "committed windows that were stored and left the sensor", _sum("stored")),
+    "dropped": (int, "committed windows that found their FIFO full", _sum("dropped")),
+    "overruns": (
+        int,
+        "events with the overrun flag: gaps in a subgroup's events",
+        lambda frame: int(frame.run.result["overrun"][frame.events].sum()),
+    ),
+    "blind_cycles": (
+        int,
+        "cycles with an edge between a window's end and the re-arming, over all subgroups",
+        _sum("blind"),
+    ),
+    "photons": (int, "sum of the counts of all windows", _sum("photons")),
+    "mg_records": (int, "minigroup records that left the sensor", _sum("mg_stored")),
+    "mg_dropped": (int, "minigroup records that were dropped", _sum("mg_dropped")),
+    "threshold_mean": (
+        float,
+        "threshold in pixels, mean of the subgroups",
+        lambda frame: float(frame.threshold.mean()),
+    ),
+    "commits_per_pulse": (
+        float,
+        "committed windows of the sensor per laser pulse",
+        lambda frame: frame["committed"] / frame.config.pulses,
+    ),
+    "dropped_share": (float, "share of the committed windows that were dropped", _share("dropped", "committed")),
+    "beats": (int, "beats of all streams", lambda frame: int(frame.beats.sum())),
+    "stream_load": (
+        float,
+        "beats of the busiest stream per cycle of the frame",
+        lambda frame: float(frame.beats.max()) / frame.config.frame_cycles,
+    ),
+    "wrong_share": (float, f"share of pixels without depth, or off by more than {_PAPERS}", _wrong(TOLERANCE_M)),
+    "depth_share": (float, "share of pixels with depth", _depth_share),
+    "bias_m": (float, "mean error of range, pixels with depth", _error(0)),
+    "rms_m": (float, "RMS error of range, pixels with depth", _error(1)),
+    "right_bias_m": (float, "mean error of range, pixels that are not wrong", _error(0, TOLERANCE_M)),
+    "right_rms_m": (float, "RMS error of range, pixels that are not wrong", _error(1, TOLERANCE_M)),
+}
+_OTHERS: dict[str, tuple[type, str, Callable[[Frame], Number]]] = {
+    "bits": (int, "bits of all streams", lambda frame: BEAT_BITS * frame["beats"]),
+    "link_load": (
+        float,
+        "beats of the busiest stream, as a share of those that its link takes during the frame",
+        lambda frame: float(frame.beats.max() / (frame.config.frame_cycles * frame.config.link_share)),
+    ),
+    "capacity_share": (
+        float,
+        "committed windows as a share of the controller's capacity, all streams",
+        lambda frame: frame["committed"] / (frame.config.capacity * frame.config.sensor.streams),
+    ),
+    "beats_asked": (int, "beats of all streams if nothing were dropped", _asked),
+    "mg_dropped_share": (
+        float,
+        "share of the minigroup records that were dropped",
+        _share("mg_dropped", "mg_records", "mg_dropped"),
+    ),
+    "late_cycles": (int, "cycles from the end of the last period to the last beat", _late),
+    "events_per_s": (
+        float,
+        "events that left the sensor per second of the frame",
+        lambda frame: frame["events"] * frame.config.clock_mhz * 1e6 / frame.config.frame_cycles,
+    ),
+    "wrong_share_15cm": (float, f"share of pixels without depth, or off by more than {_FAR}", _wrong(OTHER_SURFACE_M)),
+    "found_rms_m": (float, f"RMS error of range, pixels that are off by at most {_FAR}", _error(1, OTHER_SURFACE_M)),
+}
+SWEPT = tuple(_SWEPT)  # the columns of a sweep
+MEASURES = {name: Measure(*rest) for name, rest in (_SWEPT | _OTHERS).items()}
+
+
+def stream_beats(config: Config, events: np.ndarray, records: np.ndarray) -> np.ndarray:
+    """Number[streams]: beats of a frame, including its start, end and counters.
+
+    events, records: number[subgroups], events and minigroup records that leave the sensor.
+    """
+    sensor = config.sensor
+    payload, counter_beats = payload_beats(config, events, records), layout(sensor).counter_beats
+    subgroups = [sensor.stream_subgroups(stream) for stream in range(sensor.streams)]
+    return np.array([2 + payload[of_stream].sum() + len(of_stream) * counter_beats for of_stream in subgroups])
+
+
+def payload_beats(config: Config, events: np.ndarray, records: np.ndarray) -> np.ndarray:
+    """Number[subgroups]: the beats of events and minigroup records alone; arguments as in `stream_beats`."""
+    parts = layout(config.sensor)
+    return events * parts.length(FORMATS[config.format]) + records * parts.length(Kind.RECORD)

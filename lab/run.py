@@ -1,0 +1,210 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What came out: a run computes each stage when it is first asked for, and its frames give the measures."""
+
+from collections import OrderedDict
+from collections.abc import Callable, Hashable
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from ..model.contract.config import Config
+from ..model.contract.edges import Edges
+from ..model.contract.registers import COUNTER_NAMES
+from ..model.contract.result import ResultBuilder
+from ..model.depth.estimate import Depth, estimate_depth
+from ..model.depth.quality import wrong_pixels
+from ..model.golden.frame import Golden, Trace
+from ..model.light.light import Light
+from ..model.scenes.scene import Scene
+from ..tb.replay import replay
+from .measures import MEASURES, Number, stream_beats
+from .setup import Setup, Watch, fingerprint, unwatched
+
+
+class Kept:
+    """The latest results of each stage, by the digest of what they depend on, so that runs may share them."""
+
+    def __init__(self, size: int = 1) -> None:
+        self.size = size
+        self._stages: dict[str, OrderedDict[Hashable, Any]] = {}
+
+    def get(self, stage: str, key: Hashable, make: Callable[[], Any]) -> Any:
+        """Return the result under `key`, made if it is not there."""
+        kept = self._stages.setdefault(stage, OrderedDict())
+        if key not in kept:
+            kept[key] = make()
+            while len(kept) > self.size:
+                kept.popitem(last=False)
+        kept.move_to_end(key)
+        return kept[key]
+
+
+class Run:
+    """The outcome of a setup: light, edges, traces, result, depth.
+
+    kept: shares photons and golden frames with other runs. workers: threads for photons and depth, which do not change
+    the numbers. watch: sees the progress, and may raise to end the run. given: stages whose outcome is there already,
+    such as the `result` of a file or of a board.
+    """
+
+    def __init__(
+        self, setup: Setup, *, kept: Kept | None = None, workers: int = 1, watch: Watch = unwatched, **given: Any
+    ) -> None:
+        self.setup, self.kept, self.workers, self.watch = setup, kept or Kept(), workers, watch
+        self.__dict__ |= given
+        self._frames: dict[tuple[int, str | None], Frame] = {}
+
+    def but(self, **changes: Any) -> "Run":
+        """Return the run of a changed setup (`Setup.but`), which takes over the photons if they stay the same."""
+        return Run(self.setup.but(**changes), kept=self.kept, workers=self.workers, watch=self.watch)
+
+    def alone(self, number: int, **changes: Any) -> "Run":
+        """Return the run of one frame's photons from reset on, with a changed setup."""
+        setup = self.setup.but(edges=self.frame_edges(number), frame={"frames": 1}).but(**changes)
+        return Run(setup, workers=self.workers, watch=self.watch)
+
+    @property
+    def config(self) -> Config:
+        """The checked configuration."""
+        return self.setup.config
+
+    @property
+    def scene(self) -> Scene:
+        """What the pixels see."""
+        assert self.setup.scene is not None, "a setup without a scene has no truth"
+        return self.setup.scene
+
+    @cached_property
+    def light(self) -> Light:
+        """Detected signal and background of every pixel."""
+        return self.setup.photons.light
+
+    @cached_property
+    def edges(self) -> Edges:
+        """All avalanches, of all frames."""
+        if self.setup.edges is not None:
+            return self.setup.edges
+        photons = self.setup.photons
+        return self.kept.get("photons", photons.key, lambda: photons.edges(self.workers, self.watch))
+
+    @cached_property
+    def _of_frame(self) -> list[Any]:
+        """Index of each frame's edges: slices if they are in order, as generated ones are."""
+        pulse, pulses, frames = self.edges.pulse, self.config.pulses, self.config.frames
+        if np.all(pulse[1:] >= pulse[:-1]):
+            bounds = np.searchsorted(pulse, np.arange(frames + 1) * pulses)
+            return list(map(slice, bounds[:-1], bounds[1:]))
+        return [np.flatnonzero(pulse // pulses == number) for number in range(frames)]
+
+    def frame_edges(self, number: int) -> Edges:
+        """Return the edges of one frame (from the end, if negative), with pulses counted from its start."""
+        number %= self.config.frames
+        own = self.edges.take(self._of_frame[number])
+        return Edges(own.pulse - number * self.config.pulses, own.pixel, own.tick, own.offset_ps)
+
+    @cached_property
+    def traces(self) -> list[Trace]:
+        """The golden model's frames, whichever engine plays."""
+        if self.setup.edges is not None:
+            return self._golden_frames()
+        return self.kept.get("frames", (self.setup.photons.key, fingerprint(self.config)), self._golden_frames)
+
+    def _golden_frames(self) -> list[Trace]:
+        model, frames, traces = Golden(self.config.sensor), self.config.frames, []
+        for number in range(frames):
+            self.watch("golden model", number / frames, len(self.edges))
+            traces.append(model.frame(self.config, self.frame_edges(number)))
+        return traces
+
+    @cached_property
+    def result(self) -> dict[str, np.ndarray]:
+        """The arrays of the result file, of all frames (docs/contract.md, "Files"), by the setup's engine."""
+        if self.setup.engine != "golden":
+            return replay(self.setup.engine, self.config, self.edges, view=self.setup.view)
+        built, fate = ResultBuilder(self.config), np.empty(len(self.edges), np.uint8)
+        for own, trace in zip(self._of_frame, self.traces):
+            fate[own] = trace.fate
+            built.add(trace.beats, trace.commit_subgroup, trace.commit_cycle)
+        return built.arrays() | {"fate": fate}
+
+    def depth(self, estimator: str | None = None, **options: Any) -> Depth:
+        """Estimate the distance of every pixel, by METHOD or METHOD/SOURCE; options: of `estimate_depth`, in new arrays."""
+        method, _, source = (estimator or self.setup.estimators[0]).partition("/")
+        given: dict[str, Any] = {"method": method, "source": source or "map", "workers": self.workers} | options
+        return estimate_depth(self.result, self.config, **given)
+
+    def frame(self, number: int = -1, estimator: str | None = None) -> "Frame":
+        """Return one frame (from the end, if negative), seen by an estimator; None: the setup's first."""
+        key = number % self.config.frames, estimator or next(iter(self.setup.estimators), None)
+        return self._frames.setdefault(key, Frame(self, *key))
+
+    def __getitem__(self, measure: str) -> Number:
+        """Return a measure of the last frame."""
+        return self.frame()[measure]
+
+
+class Frame:
+    """One frame of a run, seen by one estimator: `frame["wrong_share"]` is a measure, by its name in `MEASURES`."""
+
+    def __init__(self, run: Run, number: int, estimator: str | None) -> None:
+        self.run, self.number, self.estimator, self.config = run, number, estimator, run.config
+
+    def __getitem__(self, measure: str) -> Number:
+        return MEASURES[measure].of(self)
+
+    def by(self, estimator: str) -> "Frame":
+        """Return the frame as another estimator sees it."""
+        return self.run.frame(self.number, estimator)
+
+    @property
+    def trace(self) -> Trace:
+        """The golden model's frame."""
+        return self.run.traces[self.number]
+
+    @cached_property
+    def edges(self) -> Edges:
+        """The frame's edges, with pulses counted from its start."""
+        return self.run.frame_edges(self.number)
+
+    @cached_property
+    def events(self) -> np.ndarray:
+        """int64[n]: the rows of the result that belong to the frame."""
+        return np.flatnonzero(self.run.result["pulse"] // self.config.pulses == self.number)
+
+    def counter(self, name: str) -> np.ndarray:
+        """int64[subgroups]: a counter of the frame; golden frames have it before there is a result."""
+        if self.run.setup.engine == "golden" and "result" not in self.run.__dict__:
+            return self.trace.counters[:, COUNTER_NAMES.index(name)]
+        return self.run.result[name][self.number]
+
+    @cached_property
+    def beats(self) -> np.ndarray:
+        """int64[streams]: beats that left."""
+        return stream_beats(self.config, self.counter("stored"), self.counter("mg_stored"))
+
+    @cached_property
+    def threshold(self) -> np.ndarray:
+        """int64[subgroups]: pixels that a window needed; 1 with coincidence off."""
+        return np.where(self.config.coincidence, self.counter("threshold_used"), 1)
+
+    def depth(self, returns: int = 1) -> Depth:
+        """Return the frame's depth. The first return does not depend on their number, so measures take it from here."""
+        found = self.run.depth(self.estimator, frame=self.number, returns=returns)
+        self.__dict__.setdefault("depth_m", found.depth_m[:, :, 0])
+        return found
+
+    @cached_property
+    def depth_m(self) -> np.ndarray:
+        """float64[rows, cols]: the likeliest distance; NaN = none."""
+        return self.depth().depth_m[:, :, 0]
+
+    @property
+    def truth_m(self) -> np.ndarray:
+        """float64[rows, cols]: the distance that is right; NaN = none."""
+        return self.run.scene.truth_m
+
+    @cached_property
+    def wrong(self) -> np.ndarray:
+        """bool[rows, cols]: the pixels that are wrong by the paper's criterion (`wrong_pixels`)."""
+        return wrong_pixels(self.depth_m, self.truth_m)

@@ -1,0 +1,199 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What is tried: a scene and its light, the detector, a configuration, an engine, and estimators. Nothing is computed here."""
+
+from collections.abc import Callable
+from functools import cache, cached_property
+from importlib.metadata import version
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from attrs import Attribute, evolve, field, frozen, has
+
+from .. import __version__
+from ..model.contract.config import Config, parse_config
+from ..model.contract.edges import Edges
+from ..model.contract.parameters import Sensor
+from ..model.contract.registers import THRESHOLD_MAX
+from ..model.depth.estimate import DEFAULT_METHOD
+from ..model.light.light import BACKGROUNDS, Light
+from ..model.light.photons import edge_chunks
+from ..model.light.spad import Spad, SpadGate
+from ..model.light.timing import Timing
+from ..model.scenes.ambient import Ambient
+from ..model.scenes.catalogue import load_scene
+from ..model.scenes.scene import Scene, scene_light
+from ..model.shared.sources import digest, sources_digest
+from ..tb.replay import DEFAULT_VIEW
+
+if TYPE_CHECKING:
+    from ..hdl.views import View
+
+SETTLING = 8  # frames of new photons under the controller; the last one counts
+SEED_MAX = (1 << 63) - 1  # so that a column of a table holds a seed
+Watch = Callable[[str, float, int], None]  # stage, share of it that is done, edges so far; it may raise to end a run
+
+
+def unwatched(stage: str, share: float, edges: int) -> None:
+    """Ignore the progress of a run."""
+
+
+@frozen(kw_only=True, eq=False)
+class Photons:
+    """Everything that the avalanches depend on, and nothing else: thresholds, formats and FIFOs are not part of it."""
+
+    light: Light
+    spad: Spad
+    timing: Timing
+    pulses: int
+    seed: int
+    gate: SpadGate | None
+
+    @property
+    def key(self) -> str:
+        """Digest of the content: equal keys mean equal edges."""
+        return fingerprint(self)
+
+    def check(self) -> None:
+        """Raise `InputError` if a value is out of range; generate nothing."""
+        edge_chunks(**_fields(self))
+
+    def edges(self, workers: int = 1, watch: Watch = unwatched) -> Edges:
+        """Generate the edges; the number of threads, `workers`, does not change them."""
+        chunks, made = [], 0
+        for chunk in edge_chunks(**_fields(self), workers=workers):
+            chunks.append(chunk)
+            made += len(chunk)
+            watch("photons", float(chunk.pulse[-1] + 1) / self.pulses if len(chunk) else 0.0, made)
+        return Edges(
+            *(np.concatenate([getattr(chunk, name) for chunk in chunks]) for name in ("pulse", "pixel", "tick"))
+        )
+
+
+@frozen(kw_only=True, eq=False)
+class Setup:
+    """One experiment. It may begin at the scene, at the light, or at the edges.
+
+    Attributes
+    ----------
+    config : Config
+        The sensor, its frames and settings.
+    scene : Scene or None
+        What the pixels look at, and the truth that depth is compared with.
+    klux, background
+        Ambient light on the scene, as of `scene_light`.
+    light : Light or None
+        Light of every pixel, instead of `klux` and `background`.
+    spad : Spad
+        The detector.
+    spad_gate : bool
+        The gate switches the SPADs off, instead of ignoring their edges.
+    seed : int
+        Seed of the photons.
+    edges : Edges or None
+        Avalanches of all frames, instead of everything above that makes them.
+    engine : str
+        What plays the sensor, as of `tb.replay`.
+    view : str or View
+        Front end of the RTL, as of `tb.replay`.
+    estimators : tuple of str
+        METHOD or METHOD/SOURCE of `estimate_depth`; measures are those of the first one. Without any there is no depth.
+    """
+
+    config: Config
+    scene: Scene | None = None
+    klux: Ambient = 50.0
+    background: str = BACKGROUNDS[0]
+    light: Light | None = None
+    spad: Spad = field(factory=Spad)
+    spad_gate: bool = False
+    seed: int = 1
+    edges: Edges | None = None
+    engine: str = "golden"
+    view: "str | View" = DEFAULT_VIEW
+    estimators: tuple[str, ...] = (DEFAULT_METHOD,)
+
+    @classmethod
+    def of(
+        cls,
+        scene: Scene | str | None = None,
+        *,
+        sensor: dict[str, Any] | None = None,
+        frame: dict[str, Any] | None = None,
+        subgroup: dict[str, Any] | None = None,
+        **fields: Any,
+    ) -> "Setup":
+        """Return the setup of a scene, or of its name, and of the tables of a configuration file. Raises `InputError`."""
+        config = parse_config({"sensor": sensor or {}, "frame": frame or {}, "subgroup": subgroup or {}})
+        return cls(config=config, scene=scene_of(config, scene) if isinstance(scene, str) else scene, **fields)
+
+    def but(
+        self, *, frame: dict[str, Any] | None = None, subgroup: dict[str, Any] | None = None, **fields: Any
+    ) -> "Setup":
+        """Return a copy with other settings, given as tables of a configuration file, and with other fields."""
+        config: Config = fields.pop("config", self.config)
+        return evolve(self, config=config.with_frame(**frame or {}).with_settings(**subgroup or {}), **fields)
+
+    @property
+    def photons(self) -> Photons:
+        """The photons of all frames. Raises `InputError`."""
+        light = self.light
+        if light is None:
+            assert self.scene is not None, "photons need a scene or a light"
+            light = scene_light(self.scene, self.klux, background=self.background)
+        return Photons(
+            light=light,
+            spad=self.spad,
+            timing=Timing.from_config(self.config),
+            pulses=self.config.frames * self.config.pulses,
+            seed=self.seed,
+            gate=SpadGate.from_config(self.config) if self.spad_gate else None,
+        )
+
+    @cached_property
+    def key(self) -> str:
+        """Digest of everything that the outcome depends on, the sources of the project included."""
+        edges = self.photons.key if self.edges is None else fingerprint(self.edges)
+        rest = (self.scene, self.config, self.engine, self.view, self.estimators, versions(self.engine))
+        return digest(edges, *map(fingerprint, rest))
+
+
+def scene_of(config: Config, source: str, scale: float = 1.0) -> Scene:
+    """Return the scene that `source` names (see `load_scene`, also for `scale`), as the pixels of a configuration see it."""
+    sensor = config.sensor
+    return load_scene(source, sensor.rows, sensor.cols, scale=scale, range_m=Timing.from_config(config).range_m)
+
+
+def seeded(setup: Setup, seeds: int) -> list[Setup]:
+    """Return a setup with the seeds from 1 on."""
+    return [setup.but(seed=seed + 1) for seed in range(seeds)]
+
+
+def fixed_thresholds(sensor: Sensor) -> range:
+    """Return the thresholds among which the controller chooses."""
+    return range(1, min(THRESHOLD_MAX, sensor.pixels) + 1)
+
+
+@cache
+def versions(engine: str) -> dict[str, str]:
+    """Return the versions on which an engine's numbers depend; `code` is a digest of the sources, without any drawing."""
+    code = sources_digest("model", "lab", *(() if engine == "golden" else ("hdl", "host", "tb")))
+    return {"coincid": __version__, "code": code} | {name: version(name) for name in ("numba", "numpy", "scipy")}
+
+
+def fingerprint(value: Any) -> str:
+    """Return a digest of the content of nested attrs classes, arrays, containers and plain values."""
+    if has(type(value)):
+        return digest(type(value).__qualname__, *map(fingerprint, _fields(value).values()))
+    if isinstance(value, np.ndarray):
+        return digest(f"{value.dtype} {value.shape}", np.ascontiguousarray(value).tobytes())
+    if isinstance(value, dict):
+        return digest("dict", *(fingerprint(each) for pair in sorted(value.items()) for each in pair))
+    if isinstance(value, list | tuple):
+        return digest("list", *map(fingerprint, value))
+    assert value is None or isinstance(value, bool | int | float | str), f"{type(value)}: its content is not known"
+    return digest(repr(value))
+
+
+def _fields(value: Any) -> dict[str, Any]:
+    attributes: tuple[Attribute[Any], ...] = type(value).__attrs_attrs__
+    return {each.name: getattr(value, each.name) for each in attributes}

@@ -1,0 +1,173 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Digests of results, one for each way from a scene to numbers: the same input, parameters and seed give the same result.
+
+A change that means to change a result says so in CHANGELOG.md and renews the digests:
+`python -m tests.study.test_results` prints them. Floats count to six digits, because processors differ in the last one.
+"""
+
+import hashlib
+import json
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+from typer.testing import CliRunner
+
+import coincid
+from coincid.cli import app
+from coincid.study import fifo_depth, settling, surfaces, thresholds
+from coincid.study.explore.run import Explorer
+from coincid.study.explore.settings import check_settings
+from coincid.study.figures import architect, four_modes, interference, reconstruction, rivals, validity
+from coincid.study.figures.cases import Runner
+from coincid.study.plot_style import style
+
+SMALL = {"sensor": {"rows": 8, "cols": 16}, "frame": {"period": 60, "pulses": 40}}
+TIMES = ("cycles_per_s", "seconds")  # of the report
+SWEEP = """
+scene = "flat:5,0.4"
+[sensor]
+rows = 8
+cols = 16
+[frame]
+period = 60
+pulses = 40
+[[axis]]
+klux = [5, 50]
+[[axis]]
+subgroup.threshold = [1, 3]
+"""
+
+
+def command(*arguments: str) -> None:
+    done = CliRunner().invoke(app, list(arguments))
+    assert done.exit_code == 0, done.output
+
+
+def library(folder: Path) -> Any:
+    config = coincid.parse_config(SMALL | {"subgroup": {"auto": True}}).with_frame(frames=2, format="full")
+    run = coincid.simulate(config, "five-objects", klux=20, seed=3)
+    depth = run.depth(frame=1)
+    return run.result, run.edges.pulse, run.edges.pixel, run.edges.tick, depth.depth_m, depth.confidence
+
+
+def sim(folder: Path) -> Any:
+    config = folder / "small.toml"
+    config.write_text("[sensor]\nrows = 8\ncols = 16\n")
+    command(
+        "sim", "--engine", "golden", "--config", str(config), "--pulses", "40", "--frames", "2", "--out", str(folder)
+    )
+    report = json.loads((folder / "report.json").read_text())
+    with np.load(folder / "events.npz") as events:
+        return {name: value for name, value in report.items() if name not in TIMES}, dict(events)
+
+
+def sweep(folder: Path) -> Any:
+    spec, out = folder / "spec.toml", folder / "out.parquet"
+    spec.write_text(SWEEP)
+    command("sweep", str(spec), "--out", str(out), "--workers", "1")
+    return pq.read_table(out).drop_columns(["point"]).to_pydict()
+
+
+def bandwidth(folder: Path) -> Any:
+    command("bandwidth", "--klux", "50", "--threshold", "3", "--size", "32x32", "--out", str(folder))
+    return (folder / "bandwidth.csv").read_text(), (folder / "bandwidth.md").read_text()
+
+
+def explorer(folder: Path) -> Any:
+    view = Explorer().run(check_settings({"rows": 16, "cols": 16, "pulses": 40, "klux": 20.0, "threshold": 3})).view()
+    return view.numbers, view.depth_m, view.threshold, [one.wrong_share for one in view.objects]
+
+
+def section(function: Callable[..., Any], **constants: Any) -> Callable[[Path], Any]:
+    """Return the rows of a figure, with other constants of its module."""
+
+    def rows(folder: Path) -> Any:
+        with pytest.MonkeyPatch.context() as patch, style(), Runner(1) as run:
+            module = sys.modules[function.__module__]
+            for name, value in constants.items():
+                patch.setattr(module, name, value)
+            return list(function(run).rows)
+
+    return rows
+
+
+def surface(folder: Path) -> Any:
+    row = surfaces.measure(surfaces.analytic_scenes()["roof"], "id", seeds=(2,))
+    return row.dropped, row.shares, row.sure, row.right
+
+
+RESULTS: dict[str, tuple[Callable[[Path], Any], str]] = {
+    "library": (library, "16beb6fb16261d2b"),
+    "sim": (sim, "bc8d570e05fdeae6"),
+    "sweep": (sweep, "a9feb8a6334f4d60"),
+    "bandwidth": (bandwidth, "cfd0ecfacc8e2289"),
+    "explorer": (explorer, "dee4b0783e1eb357"),
+    "thresholds": (
+        lambda folder: list(thresholds.table((("flat:7", 50.0),), (thresholds.Stream(16, 8),))),
+        "74a7d697fa74f4e1",
+    ),
+    "fifo depth": (lambda folder: list(fifo_depth.table((50.0,))), "f8d6dc157b231ab2"),
+    "settling": (lambda folder: list(settling.table(((20.0, 20.0),))), "c19b9642a47a6ee5"),
+    "surfaces": (surface, "025886838c28382d"),
+    "background": (
+        section(architect.background, KLUX=(20.0, 50.0, 100.0), SEEDS=1, MANY=1, BOTH_PULSES=(100,)),
+        "a0131579dc1e531e",
+    ),
+    "two targets": (section(architect.two_targets, STEPS_M=(0.15, 0.6), TWO_KLUX=(5.0,), MANY=1), "1bc1b1b3ee198906"),
+    "bandwidth figure": (
+        section(architect.fifo_and_bandwidth, DEPTHS=(2, 16), FEW_SEEDS=1, MANY=1, BOTH_PULSES=(100,)),
+        "0119a0a19eb9f6ad",
+    ),
+    "modes": (section(four_modes.background, KLUX=(10.0, 50.0), DISTANCES_M=(5.0,), SEEDS=1), "340a5112f4b31e43"),
+    "far": (
+        section(four_modes.far, POWERS=(20.0,), FAR_PULSES=(200, 300), FAR_THRESHOLDS=(0, 2), SEEDS=1),
+        "4242764c268d7966",
+    ),
+    "figure 8": (section(reconstruction.figure_8, THRESHOLDS_8=(2, 3), SEEDS=1, MANY=1), "1996049c9f75e13c"),
+    "validity": (section(validity.validity, THRESHOLDS=(2,)), "f389b30fd7c85558"),
+    "rivals": (section(rivals.ranging, DISTANCES_M=(5.0, 20.0), FEW_SEEDS=1), "b14926ea03514214"),
+    "interference": (
+        section(
+            interference.interference,
+            PHOTONS=(0.0, 0.2),
+            OFFSETS=(0.0, 1e-3),
+            BITS_SHOWN=(0, 2),
+            DITHER_BITS=(0, 2),
+            SEEDS=1,
+        ),
+        "b4ed476fd95e4cba",
+    ),
+}
+
+
+def digest(result: Any) -> str:
+    return hashlib.sha256(json.dumps(plain(result), sort_keys=True).encode()).hexdigest()[:16]
+
+
+def plain(value: Any) -> Any:
+    """Return a result in JSON's types, with floats to six digits."""
+    if isinstance(value, dict):
+        return {str(name): plain(each) for name, each in value.items()}
+    if isinstance(value, np.ndarray):
+        return [str(value.dtype), plain(value.tolist())]
+    if isinstance(value, list | tuple):
+        return [plain(each) for each in value]
+    return f"{value:.6g}" if isinstance(value, float) else value
+
+
+@pytest.mark.parametrize("name", RESULTS)
+def test_same_result(name, tmp_path):
+    make, expected = RESULTS[name]
+    assert digest(make(tmp_path)) == expected
+
+
+if __name__ == "__main__":
+    for name, (make, _) in RESULTS.items():
+        with TemporaryDirectory() as folder:
+            print(f"{name}: {digest(make(Path(folder)))}", flush=True)
