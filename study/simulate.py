@@ -24,7 +24,6 @@ from ..lab.measures import Number
 from ..lab.run import Frame, Run
 from ..lab.setup import SETTLING, Setup, fixed_thresholds, scene_of
 from ..model.contract.config import SUBGROUP_INTEGERS, Config
-from ..model.contract.edges import Edges
 from ..model.contract.parameters import TOP
 from ..model.contract.pixels import subgroup_image
 from ..model.contract.result import ResultBuilder, write_result
@@ -62,66 +61,25 @@ Progressed = Callable[[int], None]
 
 
 @frozen(eq=False)
-class Frames:
-    """Output of the sensor for the frames of a `Plan`.
+class Played:
+    """All frames of the schemes, one after the other in one sensor.
 
-    arrays: of the result file (`model/contract/result.py`), frame k = frame k of the plan. cycles: of all frames;
-    checked: number of beats and commits compared; seconds: time that the engine took. wave: the waveform or None.
-    traces: the golden model's frames.
+    runs: of each scheme, whose last frame stands for it; with the golden model's traces. arrays: of the result file
+    (`model/contract/result.py`) of all frames. cycles: of all frames; checked: number of beats and commits compared;
+    seconds: time that the engine took. wave: the waveform or None.
     """
 
-    traces: list[Trace]
+    runs: dict[str, Run]
     arrays: dict[str, np.ndarray]
     cycles: int
     checked: int
     seconds: float
     wave: Path | None
 
-
-@frozen(eq=False)
-class Plan:
-    """The frames to play: configuration and edges of each, and the frame that stands for each of `SCHEMES`."""
-
-    configs: list[Config]
-    edges: list[Edges]
-    shown: dict[str, int]
-
     @property
-    def cycles(self) -> int:
-        """Cycles of all frames' periods."""
-        return sum(config.frame_cycles for config in self.configs)
-
-    def seen(self, played: Frames, run: Run) -> dict[str, Frame]:
-        """Return the frame that stands for each scheme. run: of the photons."""
-        shift = np.repeat(np.arange(len(self.edges)) * run.config.pulses, list(map(len, self.edges)))
-        pulse, pixel, tick = (np.concatenate([getattr(e, n) for e in self.edges]) for n in ("pulse", "pixel", "tick"))
-        edges = Edges(pulse + shift, pixel, tick)
-        given: dict[str, Any] = {
-            "light": run.light,
-            "result": played.arrays,
-            "traces": played.traces,
-            "workers": run.workers,
-        }
-        configs = {name: self.configs[k].with_frame(frames=len(self.edges)) for name, k in self.shown.items()}
-        return {
-            name: Run(run.setup.but(config=config, edges=edges), **given).frame(self.shown[name])
-            for name, config in configs.items()
-        }
-
-
-def plan_frames(config: Config, edges: Edges, threshold: ArrayLike, settling: int) -> Plan:
-    """Plan `off` and `fixed` at `threshold` on the last frame's photons, then `settling` frames of `auto` on `edges`."""
-    thresholds = {"fixed": {"threshold": threshold}}
-    configs = {
-        name: config.with_frame(frames=1).with_settings(**settings, **thresholds.get(name, {}))
-        for name, (_, settings) in SCHEMES.items()
-    }
-    photons = [edges.frame(k, config.pulses)[0] for k in range(settling)]
-    return Plan(
-        configs=[configs["off"], configs["fixed"], *[configs["auto"]] * settling],
-        edges=[photons[-1], photons[-1], *photons],
-        shown={"off": 0, "fixed": 1, "auto": 1 + settling},
-    )
+    def frames(self) -> dict[str, Frame]:
+        """The frame that stands for each scheme."""
+        return {name: run.frame() for name, run in self.runs.items()}
 
 
 def best_threshold(run: Run) -> int:
@@ -134,38 +92,53 @@ def best_threshold(run: Run) -> int:
     return min(wrong, key=lambda threshold: (wrong[threshold] or 0.0, threshold))
 
 
-def run_frames(
-    plan: Plan,
+def scheme_runs(run: Run, threshold: ArrayLike) -> dict[str, Run]:
+    """Return the run of each scheme: `off` and `fixed` at `threshold` see the photons of the last frame, `auto` those of all."""
+    golden, runs = Golden(run.config.sensor), {}
+    for name, (_, settings) in SCHEMES.items():
+        if name == "auto":
+            own = run.but(subgroup=settings)
+        else:
+            own = run.alone(-1, subgroup=settings | ({"threshold": threshold} if name == "fixed" else {}))
+        traces = [golden.frame(own.config, own.frame_edges(k)) for k in range(own.config.frames)]
+        runs[name] = Run(own.setup, workers=run.workers, light=run.light, edges=own.edges, traces=traces)
+    return runs
+
+
+def play_schemes(
+    run: Run,
+    threshold: ArrayLike,
     engine: str,
     out: Path,
     *,
     waves: bool = False,
     progress: Progressed = lambda cycles: None,
     view: "str | View" = DEFAULT_VIEW,
-) -> Frames:
-    """Play a plan's frames through an engine of `replay.ENGINES`; a simulator's log goes to `out`.
+) -> Played:
+    """Play the frames of `scheme_runs` through an engine of `replay.ENGINES`; a simulator's log goes to `out`.
 
     `progress` gets the cycles done; view: as in `replay.chosen_view`. Raises `Mismatch` at the first difference between
     RTL and golden model, `SimulationError`, `toolchain.ToolchainError`.
     """
-    chosen = chosen_view(engine, view, plan.configs[0].clock_mhz)
-    golden = Golden(plan.configs[0].sensor)
+    chosen = chosen_view(engine, view, run.config.clock_mhz)
     wave: Path | None = None
     began = time.perf_counter()
-    traces = [golden.frame(config, edges) for config, edges in zip(plan.configs, plan.edges)]
-    shown: Sequence[Trace | Recorded] = traces
+    runs = scheme_runs(run, threshold)
+    jobs = [
+        FrameJob(one.config, one.frame_edges(k), trace) for one in runs.values() for k, trace in enumerate(one.traces)
+    ]
+    frames: Sequence[Trace | Recorded] = [trace for one in runs.values() for trace in one.traces]
     if chosen is not None:
         from ..tb.play import play
 
         began = time.perf_counter()
-        jobs = [FrameJob(*job) for job in zip(plan.configs, plan.edges, traces)]
-        shown, wave = play(jobs, engine, out, waves=waves, progress=progress, view=chosen)
+        frames, wave = play(jobs, engine, out, waves=waves, progress=progress, view=chosen)
     seconds = time.perf_counter() - began
-    result = ResultBuilder(plan.configs[0])
-    for frame in shown:
+    result = ResultBuilder(run.config)
+    for frame in frames:
         result.add(frame.beats, frame.commit_subgroup, frame.commit_cycle)
-    checked = sum(getattr(frame, "checked", 0) for frame in shown)
-    return Frames(traces, result.arrays(), sum(map(_cycles, shown)), checked, seconds, wave)
+    checked = sum(getattr(frame, "checked", 0) for frame in frames)
+    return Played(runs, result.arrays(), sum(map(_cycles, frames)), checked, seconds, wave)
 
 
 def _cycles(frame: Recorded | Trace) -> int:
@@ -195,7 +168,7 @@ def simulate(
     source: for `load_scene`; klux: for `ambient_klux`; background: one of `BACKGROUNDS`. threshold: of `fixed`; None: the
     configuration's threshold if it differs from the default, else the best of 1 to 7 for this scene. settling: frames of
     `auto` (None: `SETTLING`). spad_gate: gating keeps the SPADs off outside the gate. events.npz: a result file of all
-    frames, in the order of `plan_frames`. Raises `InputError`, and the errors of `run_frames`; after a `Mismatch`, only
+    frames, in the order of `SCHEMES`. Raises `InputError`, and the errors of `run_frames`; after a `Mismatch`, only
     the report exists, with `mismatches` = 1.
     """
     shown = chosen_view(engine, view, config.clock_mhz)
@@ -214,9 +187,8 @@ def simulate(
         spad_gate=spad_gate,
     )
     run = Run(setup, workers=os.cpu_count() or 1)
-    scene, light = run.scene, run.light
     given = {
-        "scene": scene.name,
+        "scene": run.scene.name,
         "scale": scale,
         "klux": ambient,
         "background": background,
@@ -233,20 +205,20 @@ def simulate(
     results = [out / name for name in (*PICTURES, EVENTS, PAGE)]
     with _Bar(console) as bar:
         bar.stage("photons")
-        edges = run.edges
+        _ = run.edges
         fixed = config.threshold
         if threshold is None and np.all(fixed == DEFAULT_THRESHOLD):
             bar.stage("best threshold")
             fixed = np.full_like(fixed, best_threshold(run))
-        plan = plan_frames(config, edges, fixed, settling)
         if shown is not None:
             bar.stage("RTL: emitted and compiled once")
             from ..tb.play import prepare
 
             prepare(engine, config.sensor, waves, shown)
-        bar.stage(f"{len(plan.configs)} frames on {engine}", plan.cycles)
+        total = len(SCHEMES) - 1 + settling
+        bar.stage(f"{total} frames on {engine}", total * config.frame_cycles)
         try:
-            frames = run_frames(plan, engine, out, waves=waves, progress=bar.done, view=view)
+            played = play_schemes(run, fixed, engine, out, waves=waves, progress=bar.done, view=view)
         except Mismatch as mismatch:
             for path in results:  # from an earlier run
                 path.unlink(missing_ok=True)
@@ -255,21 +227,20 @@ def simulate(
         bar.stage("depth")
         titles = {name: title.format(threshold=_span(fixed)) for name, (title, _) in SCHEMES.items()}
         ambient_shown = ambient if isinstance(ambient, str) else f"{ambient:g}"
-        heading = f"{scene.name}, {ambient_shown} klux, {config.pulses} laser pulses"
-        seen = plan.seen(frames, run)
-        shares = _pictures(out, heading, titles, seen)
-    write_result(out / EVENTS, frames.arrays)
-    if not _write_page(out / PAGE, heading, titles, seen):
+        heading = f"{run.scene.name}, {ambient_shown} klux, {config.pulses} laser pulses"
+        shares = _pictures(out, heading, titles, played.frames)
+    write_result(out / EVENTS, played.arrays)
+    if not _write_page(out / PAGE, heading, titles, played.frames):
         results.remove(out / PAGE)
-    report = _report(plan, frames, seen) | shares | given
+    report = _report(played) | shares | given
     _write_report(out, report)
     written = [*results, out / REPORT]
-    if frames.wave:
-        written += [out / frames.wave.name, *views(out / frames.wave.name)]
+    if played.wave:
+        written += [out / played.wave.name, *views(out / played.wave.name)]
     else:
         for path in out.glob(f"{TOP}.*"):  # from an earlier run
             path.unlink()
-    _tell(console, (*scene.notes, *light.notes()), config, titles, report, written)
+    _tell(console, (*run.scene.notes, *run.light.notes()), config, titles, report, written)
     return report
 
 
@@ -314,20 +285,20 @@ def settings_of(config: Config) -> dict[str, Any]:
     }
 
 
-def _report(plan: Plan, frames: Frames, seen: dict[str, Frame]) -> dict[str, Any]:
+def _report(played: Played) -> dict[str, Any]:
     """Return flat keys; numbers are for all frames together, or for one scheme if they end with its name."""
-    arrays = frames.arrays
+    arrays = played.arrays
     report: dict[str, Any] = {
-        "cycles": frames.cycles,
-        "edges": sum(map(len, plan.edges)),
+        "cycles": played.cycles,
+        "edges": sum(len(run.edges) for run in played.runs.values()),
         "events": len(arrays["pulse"]),
         "dropped": int(arrays["dropped"].sum()),
         "mismatches": 0,
-        "checked": frames.checked,
-        "cycles_per_s": round(frames.cycles / frames.seconds, 1),
-        "seconds": round(frames.seconds, 3),
+        "checked": played.checked,
+        "cycles_per_s": round(played.cycles / played.seconds, 1),
+        "seconds": round(played.seconds, 3),
     }
-    for name, frame in seen.items():
+    for name, frame in played.frames.items():
         report |= {
             f"events_{name}": frame["events"],
             f"dropped_{name}": frame["dropped"],

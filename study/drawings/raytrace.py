@@ -10,19 +10,14 @@ from pathlib import Path
 
 import numpy as np
 
-from ...lab.setup import SETTLING
+from ...lab.run import Run
+from ...lab.setup import SETTLING, Setup, scene_of
 from ...model.contract.config import load_config
-from ...model.depth.estimate import estimate_depth
 from ...model.depth.quality import wrong_share
-from ...model.light.photons import generate_edges
-from ...model.light.spad import Spad
-from ...model.light.timing import Timing
-from ...model.scenes.catalogue import load_scene
 from ...model.scenes.ray_scene import BUILT_IN, PREFIX
-from ...model.scenes.scene import scene_light
 from ...model.shared.constants import SPEED_OF_LIGHT_M_S
 from ..pictures import Panel, depth_row
-from ..simulate import SCHEMES, plan_frames, run_frames
+from ..simulate import SCHEMES, play_schemes
 from . import image
 
 KLUX, PULSES, SEED = 50, 400, 1
@@ -31,14 +26,12 @@ WINDOW_M = 1e-9 * SPEED_OF_LIGHT_M_S / 2  # surfaces closer than a coincidence w
 
 def draw(name: str) -> list[tuple[float, float]]:
     """Write the picture; return (wrong by more than a window, wrong by the paper's criterion) for each scheme."""
-    config = load_config(None).with_pulses(PULSES)
-    timing = Timing.from_config(config)
-    scene = load_scene(PREFIX + name, config.sensor.rows, config.sensor.cols)
-    edges = generate_edges(scene_light(scene, KLUX), Spad(), timing, pulses=SETTLING * PULSES, seed=SEED)
-    plan = plan_frames(config, edges, config.threshold, SETTLING)
+    config = load_config(None).with_pulses(PULSES).with_frame(frames=SETTLING)
+    scene = scene_of(config, PREFIX + name)
+    run = Run(Setup(config=config, scene=scene, klux=KLUX, seed=SEED))
     with tempfile.TemporaryDirectory() as folder:
-        frames = run_frames(plan, "verilator", Path(folder))
-    depths = [estimate_depth(frames.arrays, plan.configs[k], frame=k).depth_m[:, :, 0] for k in plan.shown.values()]
+        frames = play_schemes(run, config.threshold, "verilator", Path(folder)).frames
+    depths = [frame.depth_m for frame in frames.values()]
     panels = [
         Panel(title.format(threshold=np.unique(config.threshold)[0]), depth)
         for (title, _), depth in zip(SCHEMES.values(), depths)
