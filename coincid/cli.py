@@ -12,7 +12,7 @@ import sys
 from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Protocol
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.console import Console
@@ -25,6 +25,7 @@ from coincid.model.shared.interrupts import INTERRUPTED, TERMINATED, Terminated,
 
 if TYPE_CHECKING:
     from coincid.model.contract.config import Config
+    from coincid.study.progress import Bar
 
 BAD_INPUT, DIFFERS = 2, 1
 STALL_CYCLES_MAX = 1 << 24
@@ -38,12 +39,6 @@ BAUD_MAX = 100_000_000
 WORKERS_MAX = 1 << 10
 
 console = Console(stderr=True, highlight=False)
-
-
-class Progressed(Protocol):
-    """Updates a progress bar with the amount done, and with a total that grew."""
-
-    def __call__(self, done: int, total: int | None = None) -> None: ...
 
 
 class Commands(TyperGroup):
@@ -292,8 +287,8 @@ def replay(
             from coincid.tb.stimulus import off_centre
         given = off_centre(settings, given, check_integer("offset_seed", offset_seed, 0, SEED_MAX))
 
-    with _progress(pulses * settings.period, f"{len(given)} edges, {settings.frames} frames, {engine}") as done:
-        result = run(engine, settings, given, low(stall), done, view=view)
+    with _progress(pulses * settings.period, f"{len(given)} edges, {settings.frames} frames, {engine}") as bar:
+        result = run(engine, settings, given, low(stall), bar.done, view=view)
     write_result(out, result)
     print(
         f"{out}: {len(result['pulse'])} events and {len(result['mg_pulse'])} minigroup records of {len(given)} edges, "
@@ -339,8 +334,8 @@ def sweep(
     grid = read_spec(spec)
     with extra("sweep"):
         from coincid.study.sweep import sweep as run
-    with _progress(len(grid.keys), spec.name) as done:
-        summary = run(grid, out, workers=workers, scheduler=scheduler, title=spec.stem, progress=done)
+    with _progress(len(grid.keys), spec.name) as bar:
+        summary = run(grid, out, workers=workers, scheduler=scheduler, title=spec.stem, progress=bar.done)
     for name, why in summary.failed.items():
         print(f"coincid: point {name}: {why}", file=sys.stderr)
     print(f"{out}: {summary.rows} of {len(grid.points)} points, {summary.kept} of them finished before")
@@ -665,8 +660,8 @@ def figures(
         from coincid.tb.replay import replay as run
 
         engine = partial(run, "verilator")
-    with _progress(0, "frames") as done:
-        files = make(out, engine, done)
+    with _progress(0, "frames") as bar:
+        files = make(out, engine, bar.done)
     print(files[-1])
 
 
@@ -678,8 +673,8 @@ def compare(
     from coincid.study.figures import compare as run
 
     _folder(out)
-    with _progress(0, "photons") as done:
-        files = run(out, done)
+    with _progress(0, "photons") as bar:
+        files = run(out, bar.done)
     print(files[-1])
 
 
@@ -697,8 +692,8 @@ def modes(
         from coincid.tb.replay import replay
 
         engine = partial(replay, "verilator")
-    with _progress(0, "frames") as done:
-        files = run(out, engine, done)
+    with _progress(0, "frames") as bar:
+        files = run(out, engine, bar.done)
     print(files[-1])
 
 
@@ -792,7 +787,7 @@ def emulate(
         patience: dict[str, Any] = {"patience_s": PATIENCE_S * clocks / SIMULATED_CLOCKS_PER_BIT}
     else:
         line, patience = SerialPort(str(port), BAUD if baud is None else baud), {}
-    with line, _progress(frames, "frames") as done:
+    with line, _progress(frames, "frames") as bar:
         driver = EmulatorDriver(SerialTransport(line, **patience))
         tally = run(
             driver,
@@ -802,7 +797,7 @@ def emulate(
             klux=_klux(klux, scene),
             frames=frames,
             seed=seed,
-            tell=lambda so_far: done(so_far.frames),
+            tell=lambda so_far: bar.done(so_far.frames),
         )
         repeats = driver.transport.repeats  # type: ignore[attr-defined]
         if simulate:
@@ -865,13 +860,13 @@ def _writable(path: Path, folder: Path) -> None:
 
 
 @contextlib.contextmanager
-def _progress(cycles: int, what: str) -> Iterator[Progressed]:
+def _progress(cycles: int, what: str) -> "Iterator[Bar]":
     """Return a progress bar on a terminal, otherwise one that shows nothing."""
-    from rich.progress import Progress
+    from coincid.study.progress import Bar
 
-    with Progress(console=console, transient=True, disable=not console.is_terminal) as bar:
-        task = bar.add_task(what, total=cycles)
-        yield lambda done, total=None: bar.update(task, completed=done, total=total)
+    with Bar(console) as bar:
+        bar.stage(what, cycles)
+        yield bar
 
 
 def main() -> None:

@@ -17,7 +17,6 @@ import numpy as np
 from attrs import frozen
 from numpy.typing import ArrayLike
 from rich.console import Console
-from rich.progress import BarColumn, Progress, SpinnerColumn, TaskID, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
 from ..lab.measures import Number
@@ -40,6 +39,7 @@ from ..tb.frames import FrameJob, Recorded
 from ..tb.replay import DEFAULT_VIEW, chosen_view
 from ..tb.waves import views
 from .pictures import Panel, depth_row
+from .progress import Bar
 from .show.frame import frame_view
 
 if TYPE_CHECKING:
@@ -203,7 +203,7 @@ def simulate(
         "configuration": settings_of(config),
     }
     results = [out / name for name in (*PICTURES, EVENTS, PAGE)]
-    with _Bar(console) as bar:
+    with Bar(console, lines=True) as bar:
         bar.stage("photons")
         _ = run.edges
         fixed = config.threshold
@@ -316,40 +316,6 @@ def _write_report(out: Path, report: dict[str, Any]) -> None:
 def _span(values: np.ndarray) -> str:
     low, high = values.min(), values.max()
     return f"{low}" if low == high else f"{low} to {high}"
-
-
-class _Bar:
-    """Progress in stages: a bar on a terminal, otherwise one line per stage."""
-
-    def __init__(self, console: Console):
-        self.console = console
-        columns = (
-            SpinnerColumn(),
-            TextColumn("{task.description}"),
-            BarColumn(),
-            TextColumn("{task.percentage:>3.0f} %"),
-            TimeElapsedColumn(),
-        )
-        self.progress = Progress(*columns, console=console, transient=True, disable=not console.is_terminal)
-        self.task: TaskID | None = None
-
-    def __enter__(self) -> "_Bar":
-        self.progress.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.progress.stop()
-
-    def stage(self, name: str, total: int | None = None) -> None:
-        if self.task is not None:
-            self.progress.remove_task(self.task)
-        self.task = self.progress.add_task(name, total=total)
-        if self.progress.disable:
-            self.console.print(name)
-
-    def done(self, amount: int) -> None:
-        if self.task is not None:
-            self.progress.update(self.task, completed=amount)
 
 
 def _tell(
