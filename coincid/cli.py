@@ -19,7 +19,7 @@ from rich.console import Console
 from typer.core import TyperGroup
 
 from coincid.model.contract.preset_files import PRESETS
-from coincid.model.shared.errors import InputError, check_integer
+from coincid.model.shared.errors import SEED_MAX, InputError, check_integer
 from coincid.model.shared.extras import extra
 from coincid.model.shared.interrupts import INTERRUPTED, TERMINATED, Terminated, interruptible
 
@@ -30,7 +30,6 @@ if TYPE_CHECKING:
 BAD_INPUT, DIFFERS = 2, 1
 STALL_CYCLES_MAX = 1 << 24
 PULSES_MAX = 1 << 16
-SEED_MAX = (1 << 32) - 1
 ASYNC_PULSES, ASYNC_FRAMES = 4, 1  # for `sim --view async`, for which Icarus needs about three minutes
 FRAMES_MAX = 1000  # for the controller
 LINK_GBPS = 8.0  # for `sim` if neither it nor the configuration sets the rate: what the pins of such a chip carry

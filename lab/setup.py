@@ -29,7 +29,6 @@ if TYPE_CHECKING:
     from ..hdl.views import View
 
 SETTLING = 8  # frames of new photons under the controller; the last one counts
-SEED_MAX = (1 << 63) - 1  # so that a column of a table holds a seed
 Watch = Callable[[str, float, int], None]  # stage, share of it that is done, edges so far; it may raise to end a run
 
 

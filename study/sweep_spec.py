@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from attrs import frozen
 
-from ..lab.setup import SEED_MAX, Setup
+from ..lab.setup import Setup
 from ..model.contract.config import parse_config, read_toml
 from ..model.contract.preset_files import PRESETS
 from ..model.depth.estimate import DEFAULT_METHOD, METHODS
@@ -22,7 +22,7 @@ from ..model.light.timing import Timing
 from ..model.scenes.ambient import ambient_klux
 from ..model.scenes.catalogue import load_scene
 from ..model.scenes.scene import Scene
-from ..model.shared.errors import InputError, check_integer
+from ..model.shared.errors import SEED_MAX, InputError, check_integer
 from ..model.shared.files import FilePath
 from ..model.shared.quantities import check_choice, check_real
 from .simulate import settings_of

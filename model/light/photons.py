@@ -29,7 +29,7 @@ import numpy as np
 
 from ..contract.edges import Edges
 from ..shared.constants import SIGMA_PER_FWHM, SPEED_OF_LIGHT_M_S
-from ..shared.errors import InputError, check_integer
+from ..shared.errors import SEED_MAX, InputError, check_integer
 from ..shared.quantities import real_array
 from .light import SIGNAL_MAX, Interferer, Light
 from .spad import Spad, SpadGate
@@ -109,7 +109,7 @@ def edge_chunks(
     """
     check_integer("pulses", pulses, 1, PULSES_MAX)
     check_integer("pulse_start", pulse_start, 0, PULSES_MAX)
-    check_integer("seed", seed, 0, (1 << 64) - 1)
+    check_integer("seed", seed, 0, SEED_MAX)
     check_integer("workers", workers, 1, 256)
     physics, arrays = _in_ticks(light, spad, timing, gate, pulse_start + pulses)
     edges_per_pulse = physics.edges_per_pulse(arrays)

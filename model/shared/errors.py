@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The one exception that a user is meant to read."""
 
+SEED_MAX = (1 << 63) - 1  # of random numbers: what a column of a table holds
+
 
 class InputError(ValueError):
     """Invalid input. The message names the field and its legal range; commands print it and exit with code 2."""

@@ -20,6 +20,7 @@ from ...model.light.light import NEAREST_M
 from ...model.light.timing import RANGE_M
 from ...model.scenes.catalogue import BUILT_IN
 from ...model.scenes.daylight import SHADE
+from ...model.shared.errors import SEED_MAX
 
 SIZES = ("4x4", "4x8", "8x4", "8x8", "8x16", "16x8", "16x16")
 MINIGROUP_SIZES = ("1x1", "1x2", "2x1", "2x2", "2x4", "4x2", "4x4")
@@ -35,7 +36,7 @@ SCENES = {  # name: controls that are the scene's parameters
 } | {"upload": ("reflectivity",)}
 SUN = ("everywhere", "left half", "picture")
 SLIDERS = {"klux": 100, "threshold": 16, "window": 64}  # control: upper end of its slider
-PULSES_MAX, FRAMES_MAX, KLUX_MAX, SEED_MAX = 10_000, 64, 200, (1 << 32) - 1
+PULSES_MAX, FRAMES_MAX, KLUX_MAX = 10_000, 64, 200
 FURTHER = "Further"  # group of the settings that are not described here
 
 Value: TypeAlias = int | float | str | bool
