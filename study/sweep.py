@@ -10,25 +10,22 @@ import json
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import Any
 
-import pyarrow as pa
 import pyarrow.parquet as pq
 from attrs import frozen
 from filelock import FileLock, Timeout
 
 from ..lab.campaign import KeptFiles, campaign, read_measures
 from ..lab.dask_workers import Dask, reason
-from ..lab.measures import MEASURES, SWEPT, Number
+from ..lab.measures import SWEPT, Number
 from ..lab.setup import versions
+from ..lab.table import to_table
 from ..model.shared.errors import InputError
 from ..model.shared.files import whole_file
 from .sweep_plot import write_plot
-from .sweep_spec import CLOCK, FRAME_CLOCK, Spec
+from .sweep_spec import Spec
 
 LOCK = "lock"
-COLUMN_TYPES = {int: pa.int64(), float: pa.float64()}
-REAL_SETTINGS = ("klux", CLOCK, FRAME_CLOCK)
 METADATA = "coincid"  # key of the Parquet file's metadata
 
 
@@ -102,38 +99,23 @@ class Finished(KeptFiles):
         self._lock.release()
 
 
-def _swept(values: list[Any], real: bool) -> pa.Array:
-    """Return a column of swept values. real: numbers are floats; if some values are texts (light maps), all are texts."""
-    if real and any(isinstance(value, str) for value in values):
-        return pa.array([value if isinstance(value, str) else f"{value:g}" for value in values], pa.string())
-    return pa.array(values, pa.float64() if real else None)
-
-
 def write_table(path: Path, spec: Spec, found: dict[str, dict[str, Number]]) -> None:
     """Write a row for each point of `spec` that `found` has by key; the bytes depend only on these two.
 
-    Columns: the swept values, `SWEPT`, the point's whole configuration as JSON, and its key. The file's metadata,
+    Columns: the swept values, `SWEPT`, the point's settings as JSON, and its key. The file's metadata,
     under `METADATA`: base, axes and versions as JSON.
     """
     points = [point for point in spec.points if point.key in found]
-    columns, fields = [], []
-    for name in points[0].values if points else ():
-        column = _swept([point.values[name] for point in points], real=name in REAL_SETTINGS)
-        columns.append(column)
-        fields.append(pa.field(name, column.type, metadata={"meaning": "swept"}))
-    for name in SWEPT:
-        columns.append(pa.array([found[point.key][name] for point in points], COLUMN_TYPES[MEASURES[name].kind]))
-        fields.append(pa.field(name, columns[-1].type, metadata={"meaning": MEASURES[name].meaning}))
-    for name, meaning, text in (
-        ("settings", "everything that was set, as JSON", lambda point: json.dumps(point.settings)),
-        ("point", "name of the point's file", lambda point: point.key),
-    ):
-        columns.append(pa.array(map(text, points), pa.string()))
-        fields.append(pa.field(name, pa.string(), metadata={"meaning": meaning}))
-    engines = sorted({point.settings["engine"] for point in points})
+    table = to_table(
+        [point.values for point in points],
+        [found[point.key] for point in points],
+        settings=("everything that was set, as JSON", [json.dumps(point.settings) for point in points]),
+        point=("name of the point's file", [point.key for point in points]),
+    )
+    engines = sorted({point.setup.engine for point in points})
     described = json.dumps(
         {"base": spec.base, "axes": spec.axes, "versions": {engine: versions(engine) for engine in engines}}
     )
-    table = pa.table(columns, schema=pa.schema(fields, metadata={METADATA: described}))
+    table = table.replace_schema_metadata({METADATA: described})
     with whole_file(path) as file:
         pq.write_table(table, file)

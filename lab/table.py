@@ -1,0 +1,40 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Outcomes of a campaign as one labelled table (Arrow; `.to_pandas()` for notebooks). Needs the extra `sweep`."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import pyarrow as pa
+
+from .measures import MEASURES, Number
+
+COLUMN_TYPES = {int: pa.int64(), float: pa.float64()}
+REAL_SETTINGS = ("klux", "clock_mhz", "frame.clock_mhz")  # an integer among their values is a float
+
+
+def to_table(
+    varied: Sequence[Mapping[str, Any]], found: Sequence[Mapping[str, Number]], **texts: tuple[str, list[str]]
+) -> pa.Table:
+    """Return one row per setup: the values that vary, then its measures. Each column knows its meaning.
+
+    varied, found: of each setup, all with the same names; names of `found` are those of `MEASURES`. A measure without a
+    value is null, so counts stay integers. texts: further columns by name, each with its meaning and its values.
+    """
+    columns, fields = [], []
+    for name in varied[0] if varied else ():
+        columns.append(_varied([values[name] for values in varied], real=name in REAL_SETTINGS))
+        fields.append(pa.field(name, columns[-1].type, metadata={"meaning": "swept"}))
+    for name in found[0] if found else ():
+        columns.append(pa.array([outcome[name] for outcome in found], COLUMN_TYPES[MEASURES[name].kind]))
+        fields.append(pa.field(name, columns[-1].type, metadata={"meaning": MEASURES[name].meaning}))
+    for name, (meaning, values) in texts.items():
+        columns.append(pa.array(values, pa.string()))
+        fields.append(pa.field(name, pa.string(), metadata={"meaning": meaning}))
+    return pa.table(columns, schema=pa.schema(fields))
+
+
+def _varied(values: list[Any], real: bool) -> pa.Array:
+    """Return a column of values. real: numbers are floats; if some values are texts (light maps), all are texts."""
+    if real and any(isinstance(value, str) for value in values):
+        return pa.array([value if isinstance(value, str) else f"{value:g}" for value in values], pa.string())
+    return pa.array(values, pa.float64() if real else None)
