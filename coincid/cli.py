@@ -754,8 +754,9 @@ def emulate(
     from coincid.host.emulator import EmulatorDriver
     from coincid.host.serial_link import SerialPort, SerialTransport
     from coincid.lab.setup import scene_of
-    from coincid.model.contract.config import FRAMES_MAX, load_config
+    from coincid.model.contract.config import load_config
     from coincid.model.contract.serial_link import BAUD
+    from coincid.model.contract.settings import FRAMES_MAX
     from coincid.study.emulate import DEPTH
     from coincid.study.emulate import emulate as run
 

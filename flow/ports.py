@@ -12,9 +12,9 @@ from attrs import frozen
 from ..hdl.deserialiser import CYCLES
 from ..hdl.sensor import FPGA_TOP, netlist
 from ..hdl.views import POLYPHASE, View
+from ..model.contract.counters import COUNTER_NAMES
 from ..model.contract.packet import FORMATS, HEADER, Kind, layout
 from ..model.contract.parameters import TOP, Sensor
-from ..model.contract.registers import COUNTER_NAMES
 from ..model.shared.folders import checkout
 
 EXAMPLE = Sensor(rows=8, cols=16)  # for docs/integrate.md: two subgroups, one module

@@ -17,6 +17,7 @@ from ..hdl.sensor import FPGA_TOP, netlist
 from ..hdl.views import POLYPHASE, Polyphase, View
 from ..model.contract import registers
 from ..model.contract.config import Config, parse_config, sensor_table
+from ..model.contract.counters import COUNTER_NAMES
 from ..model.contract.edges import Edges
 from ..model.contract.parameters import TOP, Sensor
 from ..model.contract.pixels import pixel_table
@@ -158,7 +159,7 @@ def _accesses(config: Config, trace: Trace) -> Accesses:
     counters = [
         (registers.address(name, s), value, f"{name} of subgroup {s}")
         for s in _played(sensor)
-        for name, value in zip(registers.COUNTER_NAMES, trace.counters[s].tolist())
+        for name, value in zip(COUNTER_NAMES, trace.counters[s].tolist())
     ]
     return {"constant": constants, "setting": settings, "counter": counters}
 

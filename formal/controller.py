@@ -5,8 +5,9 @@ from amaranth.hdl import Cat, Mux, Signal
 
 from ..hdl import bus
 from ..hdl.controller import SETTLED, Controller
+from ..model.contract.counters import COUNTER_BITS, COUNTER_NAMES
 from ..model.contract.packet import BEAT_BITS
-from ..model.contract.registers import COUNTER_BITS, COUNTER_NAMES, DATA_BITS
+from ..model.contract.registers import DATA_BITS
 from .bench import Bench, proof
 from .sensors import SMALL
 

@@ -7,7 +7,9 @@ from ..hdl import bus
 from ..hdl.dpcu import Dpcu, counter_bits
 from ..hdl.settings import SubgroupSettings
 from ..model.contract import registers
-from ..model.contract.registers import AUTO_BOUNDS, COUNTER_BITS, COUNTER_NAMES, DATA_BITS, THRESHOLD_MAX
+from ..model.contract.counters import COUNTER_BITS, COUNTER_NAMES
+from ..model.contract.registers import DATA_BITS
+from ..model.contract.settings import AUTO_BOUNDS, THRESHOLD_MAX
 from .bench import Bench, proof
 from .sensors import SMALL
 

@@ -7,7 +7,8 @@ from ..hdl import bus
 from ..hdl.axi import OKAY, SLVERR
 from ..hdl.registers import BLOCK_BITS, CHECK_CYCLES, DECODE_CYCLES, READ_CYCLES, Registers
 from ..model.contract import registers
-from ..model.contract.registers import AUTO_BOUNDS, WRITABLE
+from ..model.contract.registers import WRITABLE
+from ..model.contract.settings import AUTO_BOUNDS
 from .bench import Bench, proof
 from .sensors import SMALL
 

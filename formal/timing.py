@@ -9,6 +9,7 @@ from ..hdl.sequencer import LEAD, Sequencer
 from ..hdl.tdc import START_TO_PHASE, Tdc
 from ..model.contract.dither import DITHER_BITS_MAX, LFSR_BITS, LFSR_TAPS
 from ..model.contract.parameters import Sensor
+from ..model.contract.settings import GATE_BITS
 from .bench import Bench, proof
 from .sensors import SMALL
 
@@ -136,7 +137,7 @@ def sequencer(b: Bench):
     b.always(period < plan.pulses, where=alive)
 
     # Progressive gating: the exact shift, saturated where no gate can open.
-    exact, pulses, steps = Signal(2 * bus.GATE_BITS), Signal(bus.GATE_BITS), Signal(bus.GATE_BITS)
+    exact, pulses, steps = Signal(2 * GATE_BITS), Signal(GATE_BITS), Signal(GATE_BITS)
     with m.If(b.past(start, 3)):
         m.d.sync += [exact.eq(0), pulses.eq(0), steps.eq(0)]
     with m.Elif(last):
@@ -170,7 +171,7 @@ def sequencer(b: Bench):
         b.past(body.step) == ((plan.gate_every != 0) & (pulses == plan.gate_every - 1)), where=frame & (since != 0)
     )
     b.always(b.past(body.last_step) == (steps == plan.gate_steps - 1), where=frame & (since != 0))
-    b.always((steps < plan.gate_steps) & (exact <= (steps << bus.GATE_BITS) - steps), where=alive)
+    b.always((steps < plan.gate_steps) & (exact <= (steps << GATE_BITS) - steps), where=alive)
     b.always(body.aborted == aborting)
     b.always(ending == b.past(body.draining))
     b.always(body.draining == (body.drained != 0))

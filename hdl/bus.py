@@ -6,12 +6,13 @@ from amaranth.lib import data, enum
 from ..model.contract.packet import BEAT_BITS, HEADER
 from ..model.contract.parameters import Sensor, bits_for
 from ..model.contract.registers import BY_NAME, DATA_BITS, SUBGROUP_STRIDE
+from ..model.contract.settings import SUBGROUP
+from ..model.contract.table import Kind
 
 SUBGROUP_BITS = HEADER["subgroup"][1]
 PULSE_BITS = HEADER["pulse"][1]
 KIND_BITS = HEADER["kind"][1]
 WORD_BITS = bits_for(SUBGROUP_STRIDE // 4 - 1)  # width of a word's number within a subgroup's register block
-GATE_BITS = 16
 FRAME_SETTINGS = ("format", "minigroup_records", "mg_threshold", "mg_window")
 PLAN_SETTINGS = ("period", "pulses", "gate_step", "gate_every", "gate_steps", "dither_bits", "dither_seed")
 
@@ -71,14 +72,8 @@ def settings_layout(sensor: Sensor) -> data.StructLayout:
     """The settings of a subgroup."""
     return data.StructLayout(
         {
-            "coincidence": 1,
-            "gating": 1,
-            "auto": 1,
-            "threshold": sensor.count_bits,
-            "window": sensor.window_bits,
-            "gate_start": GATE_BITS,
-            "gate_len": GATE_BITS,
-            "mask": sensor.pixels,
+            name: sensor.pixels if setting.kind is Kind.MASK else bits_for(setting.limits(sensor)[1])
+            for name, setting in SUBGROUP.items()
         }
     )
 

@@ -11,9 +11,10 @@ from types import SimpleNamespace
 from amaranth.hdl import Cat, Module, Mux, Signal
 from amaranth.lib.wiring import In, Out
 
+from ..model.contract.counters import COUNTER_BITS, COUNTER_NAMES
 from ..model.contract.packet import BEAT_BITS, layout
 from ..model.contract.parameters import Sensor
-from ..model.contract.registers import COUNTER_BITS, COUNTER_NAMES, DATA_BITS
+from ..model.contract.registers import DATA_BITS
 from . import bus
 from .logic import carry_select, saturating_add
 from .unit import Unit

@@ -12,8 +12,10 @@ from types import SimpleNamespace
 from amaranth.hdl import Module, Mux, Signal
 from amaranth.lib.wiring import In, Out
 
+from ..model.contract.counters import COUNTER_BITS, COUNTER_NAMES
 from ..model.contract.parameters import Sensor, bits_for
-from ..model.contract.registers import BY_NAME, COUNTER_BITS, COUNTER_NAMES, DATA_BITS, THRESHOLD_MAX
+from ..model.contract.registers import BY_NAME, DATA_BITS
+from ..model.contract.settings import THRESHOLD_MAX
 from . import bus
 from .logic import count_up, saturating_add
 from .unit import Unit

@@ -11,6 +11,7 @@ from amaranth.hdl import Module, Mux, Signal
 from amaranth.lib.wiring import In, Out
 
 from ..model.contract.parameters import Sensor
+from ..model.contract.settings import GATE_BITS
 from . import bus
 from .unit import Unit
 
@@ -53,7 +54,7 @@ class Gating(Unit):
             running.eq((running << 1) | self.timing.running),
         ]
         until = Signal.like(first)  # cycles until the gate opens, then cycles until it closes
-        left = Signal(bus.GATE_BITS)
+        left = Signal(GATE_BITS)
         until_now = Signal.like(until)
         left_now = Signal.like(left)
         inside = Signal()

@@ -10,9 +10,9 @@ from types import SimpleNamespace
 from amaranth.hdl import Cat, Module, Mux, Signal
 from amaranth.lib.wiring import In, Out
 
+from ..model.contract.counters import COUNTER_BITS, COUNTER_NAMES
 from ..model.contract.packet import BEAT_BITS, FORMATS, HEADER, OFFSET_BITS, Kind, layout
 from ..model.contract.parameters import OFFSET_NONE, Sensor
-from ..model.contract.registers import COUNTER_BITS, COUNTER_NAMES
 from . import bus
 from .unit import Unit
 

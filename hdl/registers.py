@@ -8,7 +8,8 @@ from amaranth.lib.wiring import In, Out
 
 from ..model.contract import registers
 from ..model.contract.parameters import Sensor, bits_for
-from ..model.contract.registers import AUTO_BOUNDS, BY_NAME, DATA_BITS, SUBGROUP_BASE, SUBGROUP_STRIDE, WRITABLE, Access
+from ..model.contract.registers import BY_NAME, DATA_BITS, SUBGROUP_BASE, SUBGROUP_STRIDE, WRITABLE, Access
+from ..model.contract.settings import AUTO_BOUNDS
 from . import bus
 from .axi import LITE, OKAY, SLVERR
 from .logic import any_of

@@ -12,6 +12,7 @@ from amaranth.lib.wiring import In, Out
 from ..model.contract import latency
 from ..model.contract.dither import DITHER_BITS_MAX, LFSR_BITS, LFSR_TAPS
 from ..model.contract.parameters import Sensor
+from ..model.contract.settings import GATE_BITS
 from . import bus
 from .unit import Unit
 from .voted import Voted
@@ -125,10 +126,10 @@ class Sequencer(Unit):
         """Progressive gating: the gate's shift in this period, saturated where no gate can open any more."""
         state, settings, coarse_bits = self.state, self.plan, self.sensor.coarse_bits
         state.shift = shift = Signal(coarse_bits + 1)
-        state.pulses = pulses = Signal(bus.GATE_BITS)
-        state.steps = steps = Signal(bus.GATE_BITS)
+        state.pulses = pulses = Signal(GATE_BITS)
+        state.steps = steps = Signal(GATE_BITS)
         beyond = 1 << coarse_bits
-        more = Signal(bus.GATE_BITS + 1)
+        more = Signal(GATE_BITS + 1)
         state.step = step = Signal()  # registers: `pulses` and `steps` change at the end of a period only
         state.last_step = last_step = Signal()
         m.d.comb += more.eq(shift + settings.gate_step)

@@ -7,8 +7,9 @@ from amaranth.hdl import Cat, Module, Mux, Signal, Value
 from amaranth.lib.wiring import In, Out
 
 from ..model.contract import registers
-from ..model.contract.parameters import Sensor
-from ..model.contract.registers import COUNTER_BITS, COUNTER_NAMES, DATA_BITS, MASK_BITS
+from ..model.contract.counters import COUNTER_BITS, COUNTER_NAMES
+from ..model.contract.parameters import MASK_BITS, Sensor
+from ..model.contract.registers import DATA_BITS
 from . import bus
 from .logic import any_of
 from .unit import Unit

@@ -10,8 +10,9 @@ from attrs import field, frozen
 
 from ..model.contract import registers
 from ..model.contract.config import Config
-from ..model.contract.parameters import SIZE_LIMITS, Sensor
+from ..model.contract.parameters import SENSOR, Sensor
 from ..model.contract.registers import BY_NAME, ID_VALUE, VERSION_VALUE, Access
+from ..model.contract.table import Kind, Setting
 from ..model.shared.errors import InputError
 from .frames import FrameAssembler
 from .names import Key, find
@@ -152,8 +153,10 @@ def read_sensor(transport: Transport) -> Sensor:
         raise HostError(f"no sensor: its ID is {found:#010x}, must be {ID_VALUE:#010x}")
     if (found := constant("version")) >> 16 != VERSION_VALUE >> 16:
         raise HostError(f"register map of version {found >> 16}: this driver knows {VERSION_VALUE >> 16}")
-    sizes: dict[str, Any] = {name: constant(name) for name in SIZE_LIMITS}
-    groups: dict[str, Any] = {
-        name: (constant(f"{name}_rows"), constant(f"{name}_cols")) for name in ("subgroup", "minigroup")
-    }
-    return Sensor(**sizes, **groups)
+
+    def parameter(setting: Setting) -> int | tuple[int, int]:
+        name = setting.name
+        return (constant(f"{name}_rows"), constant(f"{name}_cols")) if setting.kind is Kind.SIZE else constant(name)
+
+    values: dict[str, Any] = {name: parameter(setting) for name, setting in SENSOR.items()}
+    return Sensor(**values)

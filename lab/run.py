@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from ..model.contract.config import Config
+from ..model.contract.counters import COUNTER_NAMES
 from ..model.contract.edges import Edges
-from ..model.contract.registers import COUNTER_NAMES
 from ..model.contract.result import ResultBuilder
 from ..model.depth.estimate import Depth, estimate_depth
 from ..model.depth.quality import wrong_pixels

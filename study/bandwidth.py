@@ -19,11 +19,11 @@ from scipy import stats
 
 from ..lab.measures import payload_beats, stream_beats
 from ..model.contract.config import Config, parse_config
+from ..model.contract.counters import COUNTER_NAMES
 from ..model.contract.edges import Edges
 from ..model.contract.packet import FORMAT_NAMES, HEADER
 from ..model.contract.parameters import Sensor
 from ..model.contract.pixels import pixel_table
-from ..model.contract.registers import COUNTER_NAMES
 from ..model.contract.stream import decode_frame
 from ..model.golden.frame import Golden
 from ..model.light.analytic import busy_s, effective_cps, windows_per_period

@@ -22,10 +22,11 @@ from rich.table import Table
 from ..lab.measures import Number
 from ..lab.run import Frame, Run
 from ..lab.setup import SETTLING, Setup, fixed_thresholds, scene_of
-from ..model.contract.config import SUBGROUP_INTEGERS, Config
+from ..model.contract.config import Config
 from ..model.contract.parameters import TOP
 from ..model.contract.pixels import subgroup_image
 from ..model.contract.result import ResultBuilder, write_result
+from ..model.contract.settings import SUBGROUP
 from ..model.depth.estimate import DEFAULT_METHOD
 from ..model.golden.frame import Golden, Trace
 from ..model.light.light import BACKGROUNDS
@@ -276,7 +277,7 @@ def settings_of(config: Config) -> dict[str, Any]:
     sensor = {
         attribute.name: getattr(config.sensor, attribute.name) for attribute in type(config.sensor).__attrs_attrs__
     }
-    subgroup = {name: getattr(config, name).tolist() for name in ("coincidence", "gating", "auto", *SUBGROUP_INTEGERS)}
+    subgroup = {name: getattr(config, name).tolist() for name in SUBGROUP}
     subgroup["mask"] = [f"{sum(1 << int(i) for i in np.flatnonzero(mask)):x}" for mask in config.mask]
     return {
         "sensor": sensor,

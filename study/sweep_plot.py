@@ -8,6 +8,7 @@ import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 
+from ..model.contract.config import SETTINGS
 from .plot_style import legend_below, new_figure, save_figure, style
 from .sweep_spec import Spec
 
@@ -24,36 +25,10 @@ WIDTH_IN, HEIGHT_IN = 3.6, 2.7  # of a panel
 LOG_RATIO = 20  # ratio of the largest to the smallest value above which an axis is logarithmic
 BRIGHTEST = 0.9  # share of the colour map's range that is used, because its end is hard to see on white
 REPEATS = {"seed"}  # an axis of only these shows noise, so it becomes a band, wherever it stands
-LABELS = {  # key: (meaning, unit), if the key itself does not say so
+LABELS = {setting.key: ("", setting.unit) for setting in SETTINGS.values()} | {  # key: (meaning, unit)
     "klux": ("background light", "klux"),
     "clock_mhz": ("system clock", "MHz"),
     "frame.clock_mhz": ("system clock", "MHz"),
-} | {
-    key: ("", unit)
-    for unit, keys in {
-        "pixels": (
-            "subgroup.threshold",
-            "frame.mg_threshold",
-            "sensor.rows",
-            "sensor.cols",
-            "sensor.subgroup",
-            "sensor.minigroup",
-        ),
-        "ticks": ("subgroup.window", "sensor.window_max"),
-        "ticks per cycle": ("sensor.phases",),
-        "cycles": (
-            "sensor.rearm",
-            "frame.period",
-            "frame.mg_window",
-            "frame.gate_step",
-            "subgroup.gate_start",
-            "subgroup.gate_len",
-        ),
-        "laser pulses": ("frame.pulses", "frame.gate_every"),
-        "events": ("sensor.fifo_depth",),
-        "bits": ("sensor.coarse_bits",),
-    }.items()
-    for key in keys
 }
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 from ..hdl.export import FILE_LIST, core_files, verilog_files
 from ..hdl.sensor import CORE
 from ..hdl.views import POLYPHASE, View
-from ..model.contract.parameters import TOP, Sensor
+from ..model.contract.parameters import SENSOR, TOP, Sensor
 from ..model.shared.folders import build_root
 from ..model.shared.sources import digest, sources_digest
 from . import toolchain
@@ -18,19 +18,9 @@ def sensor_key(sensor: Sensor, view: View = POLYPHASE) -> str:
     """Return a readable name for a build: the size, then the view and the parameters that differ from the defaults."""
     default = Sensor()
     parts = [f"{sensor.rows}x{sensor.cols}"]
-    for name in (
-        "phases",
-        "coarse_bits",
-        "window_max",
-        "rearm",
-        "fifo_depth",
-        "streams",
-        "subgroup",
-        "minigroup",
-        "offset_phases",
-    ):
+    for name in SENSOR:
         value = getattr(sensor, name)
-        if value != getattr(default, name):
+        if name not in ("rows", "cols") and value != getattr(default, name):
             parts.append(name + ("x".join(map(str, value)) if isinstance(value, tuple) else str(value)))
     return "-".join(parts + [view.name] * (view != POLYPHASE))
 

@@ -3,9 +3,9 @@
 
 import numpy as np
 
+from ..model.contract.counters import COUNTER_BITS, COUNTER_NAMES
 from ..model.contract.packet import BEAT_BITS, HEADER, Kind, header_field, layout
 from ..model.contract.parameters import Sensor
-from ..model.contract.registers import COUNTER_BITS, COUNTER_NAMES
 from ..model.golden.frame import Trace
 from .errors import Mismatch
 from .frames import Recorded

@@ -28,9 +28,11 @@ from attrs import define, evolve, field, frozen
 
 from coincid.model.contract import registers
 from coincid.model.contract.config import Config, parse_config
+from coincid.model.contract.counters import COUNTER_NAMES
 from coincid.model.contract.packet import HEADER, Kind
 from coincid.model.contract.parameters import TOP, Sensor
 from coincid.model.contract.ports import port_bits
+from coincid.model.contract.settings import THRESHOLD_MAX
 from coincid.model.contract.stream import decode_frame
 from coincid.model.golden.frame import Golden
 from coincid.model.shared.folders import build_root
@@ -49,7 +51,7 @@ MAKE_OPTIONS = ("OPT_FAST=-O1", "OPT_SLOW=-O0", "OPT_GLOBAL=-O1")
 OUTCOMES = ("fine", "the bus waits", "never done", "start refused", "no laser", "no tlast", "error told")
 WAITS = (1, 2)  # outcomes that no upset may have
 GAP = 30  # idle cycles between a trial's frames
-USED = registers.COUNTER_NAMES.index("threshold_used")
+USED = COUNTER_NAMES.index("threshold_used")
 
 SMALL = {
     "rows": 12,
@@ -386,11 +388,7 @@ class Campaign:
         if self.config.controlled.any():
             used = [counters[:, USED] for counters in map(self._counters, shown.beats, range(self.sensor.streams))]
             threshold = np.concatenate(used)
-            if (
-                len(threshold) != self.sensor.subgroups
-                or threshold.min() < 1
-                or threshold.max() > registers.THRESHOLD_MAX
-            ):
+            if len(threshold) != self.sensor.subgroups or threshold.min() < 1 or threshold.max() > THRESHOLD_MAX:
                 return f"thresholds {threshold.tolist()}"
             led = evolve(self.config, threshold=threshold, auto=np.zeros_like(self.config.auto))
             trace = Golden(self.sensor).frame(led, self.edges[2], self.ready[2])
@@ -412,7 +410,7 @@ class Campaign:
         try:
             return decode_frame(beats, self.sensor, len(self.sensor.stream_subgroups(stream))).counters
         except ValueError:
-            return np.zeros((0, len(registers.COUNTER_NAMES)), np.int64)
+            return np.zeros((0, len(COUNTER_NAMES)), np.int64)
 
 
 def as_verilog(name: str) -> str:

@@ -10,7 +10,7 @@ from pathlib import Path
 from amaranth.hdl import Const, Instance, Module, Mux, Signal, Value
 from attrs import field, frozen
 
-from ...model.contract.parameters import CLOCK_MHZ, SIZE_LIMITS, Sensor
+from ...model.contract.parameters import CLOCK_MHZ, PHASES_MAX, Sensor
 from ...model.shared.errors import InputError
 from ...model.shared.quantities import real
 from ..logic import popcount
@@ -19,7 +19,7 @@ CELLS = Path(__file__).with_name(
     "async_cells.v"
 )  # behaviour in femtoseconds, for simulation; cells alone for synthesis
 MACROS = Path(__file__).with_name("async_macros.v")  # black boxes of the macros, for synthesis
-STEP_FS = SIZE_LIMITS["phases"][2]  # a cycle is a multiple of this, so that its ticks and its sixteenths are integers
+STEP_FS = PHASES_MAX  # a cycle is a multiple of this, so that its ticks and its sixteenths are integers
 FS_MHZ = 1e9  # femtoseconds in a cycle of 1 MHz
 SLOWEST_MHZ = 1.0  # below it, a cycle in femtoseconds does not fit into Verilog's 32-bit integers
 FASTEST_MHZ = 1000.0  # above it, the delays of the cells are too long

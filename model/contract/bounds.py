@@ -11,8 +11,9 @@ from functools import cache
 
 import numpy as np
 
+from .counters import EVENTS_MAX
 from .parameters import guard_cycles
-from .registers import AUTO_BOUNDS, EVENTS_MAX
+from .settings import AUTO_BOUNDS
 
 NOISE_COMMITS_PER_PULSE = 0.25
 PHOTONS_PER_TICK = (1e-7, 10.0, 100_000)  # photons per tick of a subgroup: lowest, highest, number of values tried

@@ -1,13 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Configuration files: the sensor as built, the frame, and the settings of every subgroup.
 
-Ranges and defaults come from `parameters.py` and from the register table. Combinations that make no sense are refused,
-as the sensor refuses them at a start.
+Keys, ranges and defaults come from the tables of `parameters.py` and `settings.py`. Combinations that make no sense are
+refused, as the sensor refuses them at a start.
 """
 
-import re
 import tomllib
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -17,44 +16,25 @@ from attrs import asdict, evolve, frozen
 
 from ..shared.errors import InputError, check_integer, out_of_range
 from ..shared.files import FilePath
-from ..shared.quantities import check_choice, check_real
 from . import registers
 from .bounds import noise_bounds
 from .dither import start_cycles
 from .link import beats_waiting_max, check_link, link_share, takes_beats
-from .packet import FORMAT_NAMES, FORMATS, Kind, layout
-from .parameters import CLOCK_MHZ, CLOCK_MHZ_RANGE, LINK_GBPS_MAX, SIZE_LIMITS, Sensor
+from .packet import FORMATS, Kind, layout
+from .parameters import MASK_BITS, SENSOR, Sensor
 from .preset_files import PRESETS
-from .registers import AUTO_BOUNDS, BY_NAME, MASK_BITS, MODE
+from .registers import MODE
+from .settings import FRAME, SUBGROUP, SWITCHES, SubgroupSettings, frame_defaults
+from .table import Kind as ValueKind
+from .table import Setting
 
-FRAMES_MAX = 1 << 16  # the frame number has 16 bits
-FRAME_REGISTERS = (  # keys of [frame] that are registers
-    "period",
-    "pulses",
-    "format",
-    "minigroup_records",
-    "mg_threshold",
-    "mg_window",
-    "gate_step",
-    "gate_every",
-    "gate_steps",
-    "dither_bits",
-    "dither_seed",
-    "threshold_floor",
-)
-BY_FRAME_LENGTH = (
-    "auto_bounds",
-    "capacity",
-)  # keys of [frame] that count events per frame; None: the default follows from other settings of the frame
-SUBGROUP_INTEGERS = ("threshold", "window", "gate_start", "gate_len")
-MODE_BITS = tuple(bits.name for bits in MODE.bits)
-
-
-SUBGROUP_KEYS = (*MODE_BITS, *SUBGROUP_INTEGERS, "mask")
+TABLES = {"sensor": SENSOR, "frame": FRAME, "subgroup": SUBGROUP}
+SETTINGS = SENSOR | FRAME | SUBGROUP  # every key of a table stands in one table only
+PER_FRAME = tuple(name for name, setting in FRAME.items() if setting.derived)
 
 
 @frozen(eq=False, kw_only=True)
-class Config:
+class Config(SubgroupSettings):
     """A checked configuration: the sensor as built, the frame, and the settings of every subgroup.
 
     `load_config` and `parse_config` make it; `with_frame` and `with_settings` make changed copies.
@@ -65,16 +45,10 @@ class Config:
         Parameters of the sensor as built.
     frame : dict
         The table [frame] of the file; every key has a value.
-    coincidence, gating, auto : numpy.ndarray
-        bool[subgroups].
-    threshold : numpy.ndarray
-        int64[subgroups], in pixels.
-    window : numpy.ndarray
-        int64[subgroups], in ticks.
-    gate_start, gate_len : numpy.ndarray
-        int64[subgroups], in cycles.
-    mask : numpy.ndarray
-        bool[subgroups, pixels of a subgroup], True = on.
+    given : frozenset of str
+        The keys that were written, such as `subgroup.threshold`; all others have their defaults.
+    coincidence, threshold, ... : numpy.ndarray
+        The settings of `SubgroupSettings`.
 
     Raises
     ------
@@ -84,14 +58,7 @@ class Config:
 
     sensor: Sensor
     frame: dict[str, Any]
-    coincidence: np.ndarray
-    gating: np.ndarray
-    auto: np.ndarray
-    threshold: np.ndarray
-    window: np.ndarray
-    gate_start: np.ndarray
-    gate_len: np.ndarray
-    mask: np.ndarray
+    given: frozenset[str] = frozenset()
 
     def __attrs_post_init__(self) -> None:
         guard, period = self.sensor.guard, self.period
@@ -216,7 +183,8 @@ class Config:
 
         Raises `InputError` with the key and its range.
         """
-        return evolve(self, frame=self.frame | _frame(settings, self.sensor))
+        frame = self.frame | _frame(settings, self.sensor)
+        return evolve(self, frame=frame, given=self.given | _keys("frame", settings))
 
     def with_settings(self, **settings: Any) -> "Config":
         """Return a copy with other settings of the subgroups: keys and values of [subgroup].
@@ -225,51 +193,56 @@ class Config:
         key and its range.
         """
         columns: dict[str, Any] = {}
-        for name, value in _known("subgroup", settings, SUBGROUP_KEYS).items():
-            where, values = f"subgroup.{name}", _plain(value)
-            if not isinstance(values, list):
-                columns[name] = _column(_setting(where, name, values, self.sensor), self.sensor)
-            elif len(values) != self.sensor.subgroups:
-                raise InputError(f"{where}: has {len(values)} values, must have one or {self.sensor.subgroups}")
+        for name, value in _known("subgroup", settings, SUBGROUP).items():
+            setting, many = SUBGROUP[name], isinstance(value, list | tuple | np.ndarray) and np.ndim(value) > 0
+            if not many:
+                columns[name] = _column(setting, value, self.sensor)
+            elif len(value) != self.sensor.subgroups:
+                raise InputError(f"{setting.key}: has {len(value)} values, must have one or {self.sensor.subgroups}")
             else:
-                columns[name] = np.array(
-                    [_setting(f"{where}[{s}]", name, one, self.sensor) for s, one in enumerate(values)]
-                )
-        return evolve(self, **columns)
+                values = [setting.checked(f"{setting.key}[{s}]", one, self.sensor) for s, one in enumerate(value)]
+                columns[name] = np.array(values)
+        return evolve(self, **columns, given=self.given | _keys("subgroup", settings))
 
     def with_pulses(self, pulses: int) -> "Config":
         """Return a copy with another number of pulses per frame; settings in events per frame change in proportion."""
-        events = {name: self.frame[name] for name in BY_FRAME_LENGTH if self.frame[name] is not None}
+        events = {name: self.frame[name] for name in PER_FRAME if self.frame[name] is not None}
         scaled = {
-            name: np.minimum(np.multiply(value, pulses) // self.pulses, BY_NAME[name].high(self.sensor))
+            name: np.minimum(np.multiply(value, pulses) // self.pulses, FRAME[name].limits(self.sensor)[1])
             for name, value in events.items()
         }
         return self.with_frame(pulses=pulses, **scaled)
 
     def register_writes(self) -> list[tuple[int, int]]:
         """Return (address, value) of every setting, as a driver writes them before a frame."""
-        frame = self.frame | {"format": FORMAT_NAMES.index(self.format)}
-        writes = [(registers.address(name), int(frame[name])) for name in FRAME_REGISTERS]
-        writes += [(registers.address("auto_bounds", index=i), int(bound)) for i, bound in enumerate(self.auto_bounds)]
-        writes.append((registers.address("capacity"), self.capacity))
+        writes = []
+        derived = {"auto_bounds": self.auto_bounds, "capacity": self.capacity}
+        for name, value in (self.frame | derived).items():
+            setting = FRAME[name]
+            if setting.offset is not None:
+                words = np.atleast_1d(setting.choices.index(value) if setting.choices else value)
+                writes += [(registers.address(name, index=i), int(word)) for i, word in enumerate(words)]
         writes += [(registers.address("share", index=k), int(share)) for k, share in enumerate(self.shares)]
-        mode = sum(getattr(self, name).astype(np.int64) << MODE.bit(name) for name in MODE_BITS)
+        mode = sum(getattr(self, name).astype(np.int64) << switch.bit for name, switch in SWITCHES.items())
+        integers = [name for name, setting in SUBGROUP.items() if setting.kind is ValueKind.INTEGER]
         for s in range(self.sensor.subgroups):
-            writes.append((registers.address("mode", s), int(mode[s])))
-            writes += [(registers.address(name, s), int(getattr(self, name)[s])) for name in SUBGROUP_INTEGERS]
+            writes.append((registers.address(MODE.name, s), int(mode[s])))
+            writes += [(registers.address(name, s), int(getattr(self, name)[s])) for name in integers]
             bits = sum(1 << int(i) for i in np.flatnonzero(self.mask[s]))
-            for w in range(-(-self.sensor.pixels // MASK_BITS)):
+            for w in range(self.sensor.mask_words):
                 writes.append((registers.address("mask", s, w), bits >> MASK_BITS * w & ((1 << MASK_BITS) - 1)))
         return writes
 
 
-def load_config(path: FilePath | None = None) -> Config:
+def load_config(path: FilePath | None = None, changes: Mapping[str, Any] | None = None) -> Config:
     """Read a configuration.
 
     Parameters
     ----------
     path : str, Path or None
         A TOML file, the name of a preset (`PRESETS`), or None for the defaults.
+    changes : dict or None
+        Values by key, such as {"window_max": 8}, which replace those of the file.
 
     Returns
     -------
@@ -280,12 +253,21 @@ def load_config(path: FilePath | None = None) -> Config:
     InputError
         If the file cannot be read, or a setting is unknown or out of range; the message names the key and its range.
     """
-    if path is None:
-        return parse_config({})
+    document: dict[str, Any] = {}
     try:
-        return parse_config(read_toml(PRESETS.get(str(path), path)))
+        if path is not None:
+            document = read_toml(PRESETS.get(str(path), path))
+            parse_config(document)
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
+    if not changes:
+        return parse_config(document)
+    for name, value in changes.items():
+        if name not in SETTINGS:
+            raise InputError(f"{name}: unknown setting, must be one of {', '.join(SETTINGS)}")
+        table = SETTINGS[name].table
+        document[table] = document.get(table, {}) | {name: value}
+    return parse_config(document)
 
 
 def read_toml(path: FilePath) -> dict[str, Any]:
@@ -323,27 +305,19 @@ def parse_config(document: dict[str, Any]) -> Config:
             raise InputError(f"[{name}]: unknown table, must be one of {', '.join(tables)}")
         if not isinstance(value, tables[name]):
             raise InputError(f"{name}: must be written as {'[[override]]' if name == 'override' else f'[{name}]'}")
-    sensor = _sensor(document.get("sensor", {}))
-    frame = _frame(_frame_defaults(sensor) | document.get("frame", {}), sensor)
-    default = {
-        "coincidence": True,
-        "gating": False,
-        "auto": False,
-        "threshold": 2,
-        "window": 16,
-        "gate_start": 0,
-        "gate_len": frame["period"],
-        "mask": f"{(1 << sensor.pixels) - 1:x}",
-    }
-    common = default | _known("subgroup", document.get("subgroup", {}), default)
+    written = {table: _known(table, document.get(table, {}), settings) for table, settings in TABLES.items()}
+    sensor = Sensor(**written["sensor"])
+    frame = frame_defaults(sensor) | _frame(written["frame"], sensor)
     columns = {
-        name: _column(_setting(f"subgroup.{name}", name, value, sensor), sensor) for name, value in common.items()
+        name: _column(setting, written["subgroup"].get(name, setting.default_of(sensor, frame)), sensor)
+        for name, setting in SUBGROUP.items()
     }
+    given = frozenset().union(*(_keys(table, keys) for table, keys in written.items()))
     for number, override in enumerate(document.get("override", [])):
         where = f"override[{number}]"
         if not isinstance(override, dict):
             raise InputError(f"{where}: must be a table")
-        values = _known(where, override, {"subgroups": None} | default)
+        values = _known(where, override, ("subgroups", *SUBGROUP))
         chosen = values.pop("subgroups", None)
         if not isinstance(chosen, list):
             raise InputError(
@@ -352,8 +326,9 @@ def parse_config(document: dict[str, Any]) -> Config:
         for s in chosen:
             check_integer(f"{where}.subgroups", s, 0, sensor.subgroups - 1)
         for name, value in values.items():
-            columns[name][chosen] = _setting(f"{where}.{name}", name, value, sensor)
-    return Config(sensor=sensor, frame=frame, **columns)
+            columns[name][chosen] = SUBGROUP[name].checked(f"{where}.{name}", value, sensor)
+        given |= _keys("subgroup", values)
+    return Config(sensor=sensor, frame=frame, given=given, **columns)
 
 
 def _known(section: str, given: dict[str, Any], legal: Collection[str]) -> dict[str, Any]:
@@ -363,88 +338,19 @@ def _known(section: str, given: dict[str, Any], legal: Collection[str]) -> dict[
     return dict(given)
 
 
-def _sensor(given: dict[str, Any]) -> Sensor:
-    return Sensor(**_known("sensor", given, (*SIZE_LIMITS, "subgroup", "minigroup")))
-
-
-def _frame_defaults(sensor: Sensor) -> dict[str, Any]:
-    return {"frames": 1, "clock_mhz": CLOCK_MHZ, "link_gbps": 0.0} | {
-        **{name: BY_NAME[name].reset(sensor) for name in FRAME_REGISTERS},
-        "period": 250,
-        "format": "id",
-        "minigroup_records": False,
-        **dict.fromkeys(BY_FRAME_LENGTH),
-    }
+def _keys(table: str, names: Collection[str]) -> frozenset[str]:
+    return frozenset(f"{table}.{name}" for name in names)
 
 
 def _frame(given: dict[str, Any], sensor: Sensor) -> dict[str, Any]:
     """Return the checked values of some keys of [frame]."""
-    checked: dict[str, Any] = {}
-    for name, value in _known("frame", given, _frame_defaults(sensor)).items():
-        where, value = f"frame.{name}", _plain(value)
-        if name == "frames":
-            checked[name] = check_integer(where, value, 1, FRAMES_MAX)
-        elif name == "clock_mhz":
-            checked[name] = check_real(where, value, *CLOCK_MHZ_RANGE)
-        elif name == "link_gbps":
-            checked[name] = check_real(where, value, 0, LINK_GBPS_MAX)
-        elif name == "format":
-            checked[name] = check_choice(where, value, FORMAT_NAMES)
-        elif name == "minigroup_records":
-            checked[name] = _boolean(where, value)
-        elif name in BY_FRAME_LENGTH and value is None:
-            checked[name] = None
-        elif name == "auto_bounds":
-            checked[name] = _bounds(where, value, sensor)
-        else:
-            checked[name] = _register_value(where, name, value, sensor)
-    return checked
+    settings = {FRAME[name]: value for name, value in _known("frame", given, FRAME).items()}
+    return {setting.name: setting.checked(setting.key, value, sensor) for setting, value in settings.items()}
 
 
-def _bounds(where: str, value: object, sensor: Sensor) -> list[int]:
-    if not isinstance(value, list) or len(value) != AUTO_BOUNDS:
-        raise InputError(f"{where} = {value!r}: must be {AUTO_BOUNDS} integers that do not descend")
-    return [_register_value(where, "auto_bounds", bound, sensor) for bound in value]
-
-
-def _setting(where: str, name: str, value: object, sensor: Sensor) -> np.ndarray | np.int64 | bool:
-    """Return the checked value of a key of [subgroup]; the mask becomes bool[pixels]."""
-    if name == "mask":
-        return _mask(where, value, sensor.pixels)
-    if name in MODE_BITS:
-        return _boolean(where, value)
-    return np.int64(_register_value(where, name, value, sensor))
-
-
-def _column(value: np.ndarray | np.int64 | bool, sensor: Sensor) -> np.ndarray:
-    """Return an array with the same value for every subgroup."""
-    return np.repeat(np.asarray(value)[None], sensor.subgroups, axis=0)
-
-
-def _plain(value: object) -> object:
-    """Return a setting as a file would hold it: no NumPy types, no tuples."""
-    if isinstance(value, np.ndarray | np.generic):
-        return value.tolist()
-    return list(value) if isinstance(value, tuple) else value
-
-
-def _register_value(where: str, name: str, value: object, sensor: Sensor) -> int:
-    register = BY_NAME[name]
-    return check_integer(where, value, register.low(sensor), register.high(sensor))
-
-
-def _boolean(where: str, value: object) -> bool:
-    if not isinstance(value, bool):
-        raise InputError(f"{where} = {value!r}: must be true or false")
-    return value
-
-
-def _mask(where: str, value: object, pixels: int) -> np.ndarray:
-    if isinstance(value, list) and len(value) == pixels and all(isinstance(on, bool) for on in value):
-        return np.array(value)
-    if not isinstance(value, str) or not re.fullmatch(r"(0[xX])?[0-9a-fA-F]+", value) or int(value, 16) >> pixels:
-        raise InputError(f"{where} = {value!r}: must be a string of hex digits below 2^{pixels} (bit i = pixel i)")
-    return np.array([int(value, 16) >> i & 1 for i in range(pixels)], bool)
+def _column(setting: Setting, value: Any, sensor: Sensor) -> np.ndarray:
+    """Return an array with the same checked value for every subgroup."""
+    return np.repeat(np.asarray(setting.checked(setting.key, value, sensor))[None], sensor.subgroups, axis=0)
 
 
 def sensor_table(sensor: Sensor) -> dict[str, Any]:

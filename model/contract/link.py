@@ -11,7 +11,8 @@ import numpy as np
 
 from ..shared.errors import InputError
 from .packet import BEAT_BITS, layout
-from .parameters import LINK_GBPS_MAX, Sensor
+from .parameters import Sensor
+from .settings import LINK_GBPS_MAX
 
 SHARE_MIN = Fraction(1, 1024)  # share of the cycles; with less, a frame would take for ever
 _DENOMINATOR_MAX = 1 << 20  # denominator of the share: keeps its product with a cycle number in 64 bits

@@ -11,8 +11,8 @@ import numpy as np
 from attrs import frozen
 from numpy.typing import ArrayLike
 
+from .counters import COUNTER_BITS, COUNTER_NAMES
 from .parameters import Sensor
-from .registers import COUNTER_BITS, COUNTER_NAMES
 
 BEAT_BITS = 64
 OFFSET_BITS = 8
@@ -31,6 +31,7 @@ class Kind(enum.IntEnum):
 
 FORMATS = {"short": Kind.EVENT_SHORT, "id": Kind.EVENT_ID, "full": Kind.EVENT_FULL}
 FORMAT_NAMES = tuple(FORMATS)  # in the order of the format register's values
+FORMATS_TOLD = "0 short, 1 id (map), 2 full (map and offsets)"
 
 HEADER = {  # field: (lowest bit, width); unused fields are 0
     "kind": (61, 3),

@@ -1,53 +1,23 @@
 # SPDX-License-Identifier: Apache-2.0
 """Parameters that are fixed when the sensor is built: sizes, phases, and everything that follows from them."""
 
-from collections.abc import Callable
+from typing import Any
 
 from attrs import Factory, field, frozen
 
-from ..shared.errors import InputError, check_integer
+from ..shared.errors import InputError
+from .table import Kind, Limit, number, settings_of_class
 
 TOP = "coincid_sensor"  # the RTL's top module
 STAMP_FIELD_BITS = 15  # width of the header's field; packet.py lays the fields out
+MASK_BITS = 32  # pixels of a register of the mask
 QUARTERS = 4  # coarse stamps count quarters of a cycle, and a step of the offsets is at most a quarter
+PHASES_MAX = 64
 OFFSET_NONE = 255  # offset byte of a minigroup that was not hit
 RECORD_BITS = (16, 32)  # an entry of a minigroup record takes the smaller size that holds it
 SHORTEST_GUARD_CYCLES = 4  # a minigroup collection that opens as late as possible must close before the period ends
-SIZE_LIMITS = {  # key: (default, lowest, highest)
-    "rows": (32, 1, 4096),
-    "cols": (32, 1, 4096),
-    "phases": (32, 4, 64),
-    "coarse_bits": (10, 3, 13),
-    "window_max": (128, 1, 1024),
-    "rearm": (0, 0, 15),
-    "fifo_depth": (16, 1, 1024),
-    "streams": (1, 1, 64),
-    "offset_phases": (16, QUARTERS, 64),
-}
 CLOCK_MHZ = 500.0  # system clock of the preset `silicon`, and default of a configuration
-CLOCK_MHZ_RANGE = (1e-3, 1e5)
-LINK_GBPS_MAX = 1e6  # per stream
-SUBGROUP_PIXELS = (16, 256)
-MINIGROUP_PIXELS = (1, 16)
 SUBGROUPS_MAX = 4096  # the header's subgroup field has 12 bits
-
-
-def _limited(name: str, fits: Callable[["Sensor"], int] | None = None) -> int:
-    """Return a field with default and range of `SIZE_LIMITS`. fits: highest default that the fields before it allow."""
-    highest_default, low, high = SIZE_LIMITS[name]
-    default = Factory(lambda self: min(highest_default, fits(self)), takes_self=True) if fits else highest_default
-    size: int = field(
-        default=default,
-        validator=lambda _, attribute, value: check_integer(f"sensor.{attribute.name}", value, low, high),
-    )
-    return size
-
-
-def _pair(default: tuple[int, int]) -> tuple[int, int]:
-    pair: tuple[int, int] = field(
-        default=default, converter=lambda value: tuple(value) if isinstance(value, list) else value
-    )
-    return pair
 
 
 def bits_for(highest: int) -> int:
@@ -60,55 +30,72 @@ def guard_cycles(window_ticks: int, phases: int, rearm_cycles: int) -> int:
     return max(SHORTEST_GUARD_CYCLES, -(-window_ticks // phases) + 1 + rearm_cycles)
 
 
-def _integer(value: object) -> int:
-    """Return `value`, or 0 if it is not an integer, because defaults that depend on it are made before it is checked."""
-    return value if type(value) is int else 0
+def _integer(default: int, low: int, high: Limit, **columns: Any) -> Any:
+    """Return a field that holds an integer; the default is `default`, but not more than the fields before it allow."""
+
+    def default_of(sensor: "Sensor") -> int:
+        try:
+            return min(default, number(high, sensor))
+        except TypeError:  # a field before it is of a wrong type, which is refused later
+            return default
+
+    metadata = {"kind": Kind.INTEGER, "default": default, "low": low, "high": high} | columns
+    return field(default=Factory(default_of, takes_self=True), metadata=metadata)
+
+
+def _size(default: tuple[int, int], **columns: Any) -> Any:
+    """Return a field that holds (rows, cols); its registers are NAME_rows and NAME_cols."""
+    return field(
+        default=default,
+        converter=lambda value: tuple(value) if isinstance(value, list) else value,
+        metadata={"kind": Kind.SIZE, "default": default, "unit": "pixels"} | columns,
+    )
 
 
 @frozen(kw_only=True)
 class Sensor:
-    """Parameters of the sensor as built. Raises `InputError` with the parameter and its range.
+    """Parameters of the sensor as built: the keys of [sensor]; `SENSOR` has their meanings, units and limits.
 
-    rows, cols: SPADs. phases: ticks (TDC LSBs) of a clock cycle, a power of two. coarse_bits: width of the TDC's coarse
-    counter (default: 10, or what fits a stamp beside the phases). window_max: longest coincidence window in ticks.
-    rearm: cycles R between the close cycle of a window and the re-arming of the tree. fifo_depth: events that a
-    subgroup's FIFO holds. streams: number of AXI4-Streams. subgroup, minigroup: rows x cols in SPADs. offset_phases:
-    steps per cycle of the minigroups' coarse offsets, a power of two from 4 to `phases` (default: 16, or `phases` if
-    that is less).
+    Raises `InputError` with the parameter and its range. Parameters that do not fit together are reported under the name
+    of one that differs from its default, because that one was chosen.
     """
 
-    rows: int = _limited("rows")
-    cols: int = _limited("cols")
-    phases: int = _limited("phases")
-    coarse_bits: int = _limited("coarse_bits", fits=lambda self: STAMP_FIELD_BITS - bits_for(_integer(self.phases) - 1))
-    window_max: int = _limited("window_max")
-    rearm: int = _limited("rearm")
-    fifo_depth: int = _limited("fifo_depth")
-    streams: int = _limited("streams")
-    subgroup: tuple[int, int] = _pair((8, 8))
-    minigroup: tuple[int, int] = _pair((2, 2))
-    offset_phases: int = _limited("offset_phases", fits=lambda self: _integer(self.phases))
+    rows: int = _integer(32, 1, 4096, unit="pixels", offset=0x08, doc="SPAD rows of the sensor.")
+    cols: int = _integer(32, 1, 4096, unit="pixels", offset=0x0C, doc="SPAD columns of the sensor.")
+    phases: int = _integer(
+        32, 4, PHASES_MAX, unit="ticks per cycle", offset=0x10, doc="Ticks (TDC LSBs) per clock cycle."
+    )
+    coarse_bits: int = _integer(
+        10, 3, "coarse_bits_max", unit="bits", offset=0x14, doc="Width of the TDC's coarse counter."
+    )
+    window_max: int = _integer(128, 1, 1024, unit="ticks", offset=0x18, doc="Longest coincidence window in ticks.")
+    rearm: int = _integer(0, 0, 15, unit="cycles", offset=0x1C, doc="Re-arm gap R in cycles.")
+    fifo_depth: int = _integer(16, 1, 1024, unit="events", offset=0x20, doc="Events that a subgroup's FIFO holds.")
+    streams: int = _integer(1, 1, 64, offset=0x24, doc="AXI4-Streams.")
+    subgroup: tuple[int, int] = _size((8, 8), low=16, high=256, offset=0x28, doc="SPADs of a subgroup, rows x columns.")
+    minigroup: tuple[int, int] = _size((2, 2), low=1, high=16, offset=0x30, doc="SPADs of a minigroup, rows x columns.")
+    offset_phases: int = _integer(
+        16, QUARTERS, "phases", offset=0x38, doc="Steps per clock cycle of the coarse offsets."
+    )
 
     def __attrs_post_init__(self) -> None:
-        for name, highest in (("phases", SIZE_LIMITS["phases"][2]), ("offset_phases", self.phases)):
+        for setting in SENSOR.values():
+            setting.checked(setting.key, getattr(self, setting.name), self)
+        for name, highest in (("phases", PHASES_MAX), ("offset_phases", self.phases)):
             steps = getattr(self, name)
-            if steps & (steps - 1) or steps > highest:
+            if steps & (steps - 1):
                 raise InputError(f"sensor.{name} = {steps}: must be a power of two from {QUARTERS} to {highest}")
-        for name, outer, outer_name, (low, high) in (
-            ("subgroup", (self.rows, self.cols), "rows x cols", SUBGROUP_PIXELS),
-            ("minigroup", self.subgroup, "subgroup", MINIGROUP_PIXELS),
+        for part, whole, sizes in (
+            ("subgroup", ("rows", "cols"), (self.rows, self.cols)),
+            ("minigroup", ("subgroup", "subgroup"), self.subgroup),
         ):
-            size = getattr(self, name)
-            legal = isinstance(size, tuple) and len(size) == 2 and all(type(n) is int and n > 0 for n in size)
-            if not legal or not low <= size[0] * size[1] <= high:
-                raise InputError(f"sensor.{name} = {size!r}: must be [rows, cols] of {low} to {high} pixels")
-            if outer[0] % size[0] or outer[1] % size[1]:
-                raise InputError(f"sensor.{name} = {list(size)}: must divide {outer_name} = {list(outer)} without rest")
-        if self.stamp_bits > STAMP_FIELD_BITS:
-            highest = STAMP_FIELD_BITS - self.phase_bits
-            raise InputError(
-                f"sensor.coarse_bits = {self.coarse_bits}: must be an integer from 3 to {highest} with {self.phases} phases"
-            )
+            for name, size, step in zip(whole, sizes, getattr(self, part)):
+                if size % step:
+                    shown = " x ".join(dict.fromkeys(whole))
+                    raise self._refused(
+                        (part, name),
+                        f"{part} = {list(getattr(self, part))} must divide {shown} = {list(sizes)} without rest",
+                    )
         if self.offset_max >= OFFSET_NONE:
             highest = OFFSET_NONE * self.offset_ticks - self.phases + 1
             raise InputError(
@@ -116,8 +103,8 @@ class Sensor:
                 f" {self.phases} and sensor.offset_phases = {self.offset_phases}, so that offsets fit 8 bits"
             )
         if self.subgroups > SUBGROUPS_MAX:
-            raise InputError(
-                f"sensor.rows, sensor.cols: make {self.subgroups} subgroups, must be at most {SUBGROUPS_MAX}"
+            raise self._refused(
+                ("rows", "cols", "subgroup"), f"there are {self.subgroups} subgroups, must be at most {SUBGROUPS_MAX}"
             )
         if self.streams > self.subgroups:
             raise InputError(
@@ -127,6 +114,17 @@ class Sensor:
             raise InputError(
                 f"sensor.coarse_bits = {self.coarse_bits}: 2^coarse_bits must be above the guard of {self.guard} cycles"
             )
+
+    def _refused(self, names: tuple[str, ...], why: str) -> InputError:
+        """Return the error for parameters that do not fit together. At least one of them is not the default."""
+        chosen = next(name for name in names if getattr(self, name) != SENSOR[name].default_of(self, {}))
+        value = getattr(self, chosen)
+        return InputError(f"sensor.{chosen} = {list(value) if isinstance(value, tuple) else value}: {why}")
+
+    @property
+    def coarse_bits_max(self) -> int:
+        """Widest coarse counter whose stamps fit the header."""
+        return STAMP_FIELD_BITS - self.phase_bits
 
     @property
     def pixels(self) -> int:
@@ -172,6 +170,16 @@ class Sensor:
     @property
     def phase_bits(self) -> int:
         return bits_for(self.phases - 1)
+
+    @property
+    def mask_words(self) -> int:
+        """Registers that hold the mask of a subgroup."""
+        return -(-self.pixels // MASK_BITS)
+
+    @property
+    def mask_word_max(self) -> int:
+        """Highest value of such a register."""
+        return (1 << min(MASK_BITS, self.pixels)) - 1
 
     @property
     def stamp_bits(self) -> int:
@@ -236,3 +244,6 @@ class Sensor:
     def stream_name(self, stream: int) -> str:
         """Return the prefix of the stream's ports."""
         return "m_axis" if self.streams == 1 else f"m_axis{stream}"
+
+
+SENSOR = settings_of_class(Sensor, "sensor")

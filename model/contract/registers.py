@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The register map: one table for RTL, configuration files, documentation, C header and test benches.
+"""The register map for RTL, documentation, C header and test benches; registers of settings come from the settings' tables.
 
 Addresses are bytes. The global block is at 0, the block of subgroup s at `SUBGROUP_BASE + SUBGROUP_STRIDE * s`. Ranges
 and reset values that depend on the sensor's parameters are functions of `Sensor`. Settings take effect at the start of a
@@ -11,20 +11,18 @@ from collections.abc import Callable, Iterator
 
 from attrs import field, frozen
 
-from .dither import DITHER_BITS_MAX, LFSR_BITS
-from .parameters import Sensor
+from . import settings
+from .counters import COUNTERS, EVENTS_MAX
+from .parameters import SENSOR, Sensor
+from .settings import SWITCHES, frame_defaults
+from .table import Kind, Setting, number
 
 DATA_BITS = 32
 ADDRESS_BITS = 20
 SUBGROUP_BASE = 0x1000
 SUBGROUP_STRIDE = 0x80
-MASK_BITS = 32
-COUNTER_BITS = 32
-AUTO_BOUNDS = 6
 ID_VALUE = 0x434F494E  # "COIN"
 VERSION_VALUE = 0x00020000  # 16 bits each for major and minor; every change that software can see raises it
-THRESHOLD_MAX = 1 + AUTO_BOUNDS  # highest threshold of the controller
-EVENTS_MAX = (1 << COUNTER_BITS) - 1  # saturation value of a counter
 
 Value = Callable[[Sensor], int]
 
@@ -73,33 +71,39 @@ class Register:
         return next(bits.lsb for bits in self.bits if bits.name == name)
 
 
-def _gate_doc(what: str) -> str:
-    return f"Gate: {what}, in cycles."
+def _constants(setting: Setting) -> list[Register]:
+    """Return the registers of a parameter of the sensor; a size has two."""
+    name, offset = setting.name, setting.offset or 0
+    if setting.kind is not Kind.SIZE:
+        return [_constant(name, offset, setting.doc, lambda s: getattr(s, name))]
+    return [
+        _constant(f"{name}_rows", offset, f"SPAD rows of a {name}.", lambda s: getattr(s, name)[0]),
+        _constant(f"{name}_cols", offset + 4, f"SPAD columns of a {name}.", lambda s: getattr(s, name)[1]),
+    ]
 
 
-def _mask_words(sensor: Sensor) -> int:
-    return -(-sensor.pixels // MASK_BITS)
+def _constant(name: str, offset: int, doc: str, value: Value) -> Register:
+    return Register(name=name, offset=offset, access=Access.CONSTANT, doc=doc, reset=value)
 
 
-def _mask_full(sensor: Sensor) -> int:
-    return (1 << min(MASK_BITS, sensor.pixels)) - 1
+def _settings(table: dict[str, Setting]) -> list[Register]:
+    """Return the registers of a table of settings, by address."""
+    found = [_setting(setting, setting.offset) for setting in table.values() if setting.offset is not None]
+    return sorted(found, key=lambda register: register.offset)
 
 
-_CONSTANTS: tuple[tuple[str, str, Value], ...] = (
-    ("rows", "SPAD rows of the sensor.", lambda s: s.rows),
-    ("cols", "SPAD columns of the sensor.", lambda s: s.cols),
-    ("phases", "Ticks (TDC LSBs) per clock cycle.", lambda s: s.phases),
-    ("coarse_bits", "Width of the TDC's coarse counter.", lambda s: s.coarse_bits),
-    ("window_max", "Longest coincidence window in ticks.", lambda s: s.window_max),
-    ("rearm", "Re-arm gap R in cycles.", lambda s: s.rearm),
-    ("fifo_depth", "Events that a subgroup's FIFO holds.", lambda s: s.fifo_depth),
-    ("streams", "AXI4-Streams.", lambda s: s.streams),
-    ("subgroup_rows", "SPAD rows of a subgroup.", lambda s: s.subgroup[0]),
-    ("subgroup_cols", "SPAD columns of a subgroup.", lambda s: s.subgroup[1]),
-    ("minigroup_rows", "SPAD rows of a minigroup.", lambda s: s.minigroup[0]),
-    ("minigroup_cols", "SPAD columns of a minigroup.", lambda s: s.minigroup[1]),
-    ("offset_phases", "Steps per clock cycle of the coarse offsets.", lambda s: s.offset_phases),
-)
+def _setting(setting: Setting, offset: int) -> Register:
+    return Register(
+        name=setting.name,
+        offset=offset,
+        access=Access.SETTING,
+        doc=setting.doc,
+        low=lambda s: setting.limits(s)[0],
+        high=lambda s: setting.limits(s)[1],
+        reset=lambda s: setting.reset_of(s, frame_defaults(s)),
+        count=lambda s: number(setting.count, s),
+    )
+
 
 GLOBAL: tuple[Register, ...] = (
     Register(
@@ -112,10 +116,7 @@ GLOBAL: tuple[Register, ...] = (
         doc="Version of this map: major << 16 | minor.",
         reset=VERSION_VALUE,
     ),
-    *(
-        Register(name=name, offset=0x08 + 4 * i, access=Access.CONSTANT, doc=doc, reset=value)
-        for i, (name, doc, value) in enumerate(_CONSTANTS)
-    ),
+    *(register for setting in SENSOR.values() for register in _constants(setting)),
     Register(
         name="control",
         offset=0x40,
@@ -153,120 +154,7 @@ GLOBAL: tuple[Register, ...] = (
             ),
         ),
     ),
-    Register(
-        name="period",
-        offset=0x48,
-        access=Access.SETTING,
-        doc="Laser period in cycles. Must be above the guard G at a start.",
-        low=1,
-        high=lambda s: s.period_max,
-        reset=lambda s: min(250, s.period_max),
-    ),
-    Register(
-        name="pulses",
-        offset=0x4C,
-        access=Access.SETTING,
-        doc="Number of laser periods in a frame.",
-        low=1,
-        high=1 << 16,
-        reset=100,
-    ),
-    Register(
-        name="format",
-        offset=0x50,
-        access=Access.SETTING,
-        high=2,
-        reset=1,
-        doc="Event words: 0 short, 1 id (map), 2 full (map and offsets).",
-    ),
-    Register(
-        name="minigroup_records",
-        offset=0x54,
-        access=Access.SETTING,
-        high=1,
-        doc="1: minigroups have their own stamps, and a subgroup sends at most one record per period.",
-    ),
-    Register(
-        name="mg_threshold",
-        offset=0x58,
-        access=Access.SETTING,
-        doc="Number of distinct pixels at which a minigroup latches.",
-        low=1,
-        high=lambda s: s.minigroup_pixels,
-        reset=lambda s: min(2, s.minigroup_pixels),
-    ),
-    Register(
-        name="mg_window",
-        offset=0x5C,
-        access=Access.SETTING,
-        doc="Cycles of a minigroup's collection.",
-        low=1,
-        high=4,
-        reset=2,
-    ),
-    Register(
-        name="gate_step",
-        offset=0x60,
-        access=Access.SETTING,
-        doc="Progressive gating: shift per step, in cycles.",
-        high=0xFFFF,
-    ),
-    Register(
-        name="gate_every",
-        offset=0x64,
-        access=Access.SETTING,
-        high=0xFFFF,
-        doc="Progressive gating: pulses per step; 0 turns it off.",
-    ),
-    Register(
-        name="gate_steps",
-        offset=0x68,
-        access=Access.SETTING,
-        low=1,
-        high=0xFFFF,
-        reset=1,
-        doc="Progressive gating: number of steps before it starts over.",
-    ),
-    Register(
-        name="auto_bounds",
-        offset=0x6C,
-        access=Access.SETTING,
-        count=AUTO_BOUNDS,
-        high=0xFFFF_FFFF,
-        doc="Threshold controller: the threshold is at most 1 + the number of bounds that `opened` of the previous frame reaches. Must not descend.",
-    ),
-    Register(
-        name="dither_bits",
-        offset=0x84,
-        access=Access.SETTING,
-        high=DITHER_BITS_MAX,
-        doc="Number of LFSR bits that give the wait between two periods, in cycles; 0: no wait.",
-    ),
-    Register(
-        name="dither_seed",
-        offset=0x88,
-        access=Access.SETTING,
-        low=1,
-        high=(1 << LFSR_BITS) - 1,
-        reset=1,
-        doc="State of that LFSR at the beginning of the frame.",
-    ),
-    Register(
-        name="capacity",
-        offset=0x8C,
-        access=Access.SETTING,
-        high=EVENTS_MAX,
-        reset=EVENTS_MAX,
-        doc="Threshold controller: events that a stream carries in a frame.",
-    ),
-    Register(
-        name="threshold_floor",
-        offset=0x90,
-        access=Access.SETTING,
-        high=THRESHOLD_MAX,
-        reset=1,
-        doc="Threshold controller: the lowest threshold; 0 has the effect of 1.",
-    ),
+    *_settings(settings.FRAME),
     Register(
         name="share",
         offset=0x100,
@@ -286,71 +174,19 @@ GLOBAL: tuple[Register, ...] = (
     ),
 )
 
-COUNTERS: tuple[tuple[str, str], ...] = (  # in the order of the frame end packet
-    ("opened", "Coincidence windows opened."),
-    ("committed", "Windows that met the threshold."),
-    ("rejected", "Windows that did not meet the threshold."),
-    ("stored", "Events written to the FIFO."),
-    ("dropped", "Events lost to a full FIFO."),
-    ("blind", "Cycles with an edge while the tree was not armed."),
-    ("photons", "Sum of the counts of all windows."),
-    ("mg_stored", "Minigroup records written."),
-    ("mg_dropped", "Minigroup records lost because the previous one was still waiting."),
-    ("threshold_used", "Threshold of the frame: from the register or from the controller."),
-    ("lower", "Windows that met the threshold minus one."),
+MODE = Register(
+    name="mode",
+    offset=0x00,
+    access=Access.SETTING,
+    high=(1 << len(SWITCHES)) - 1,
+    reset=sum(switch.default << switch.bit for switch in SWITCHES.values()),
+    doc="The four modes are coincidence x gating.",
+    bits=tuple(Bits(name, switch.bit, switch.doc) for name, switch in SWITCHES.items()),
 )
-COUNTER_NAMES = tuple(name for name, _ in COUNTERS)
 
 SUBGROUP: tuple[Register, ...] = (
-    Register(
-        name="mode",
-        offset=0x00,
-        access=Access.SETTING,
-        high=7,
-        reset=1,
-        doc="The four modes are coincidence x gating.",
-        bits=(
-            Bits("coincidence", 0, "0: winner takes all (window 1, threshold 1)."),
-            Bits("gating", 1, "1: edges outside the gate are ignored."),
-            Bits("auto", 2, "1: the controller sets the threshold."),
-        ),
-    ),
-    Register(
-        name="threshold",
-        offset=0x04,
-        access=Access.SETTING,
-        doc="Number of distinct pixels that make a coincidence.",
-        low=1,
-        high=lambda s: s.pixels,
-        reset=2,
-    ),
-    Register(
-        name="window",
-        offset=0x08,
-        access=Access.SETTING,
-        doc="Coincidence window in ticks.",
-        low=1,
-        high=lambda s: s.window_max,
-        reset=lambda s: min(16, s.window_max),
-    ),
-    Register(name="gate_start", offset=0x0C, access=Access.SETTING, doc=_gate_doc("first cycle"), high=0xFFFF),
-    Register(
-        name="gate_len",
-        offset=0x10,
-        access=Access.SETTING,
-        doc=_gate_doc("length"),
-        high=0xFFFF,
-        reset=lambda s: min(250, s.period_max),
-    ),
-    Register(
-        name="mask",
-        offset=0x14,
-        access=Access.SETTING,
-        count=_mask_words,
-        high=_mask_full,
-        reset=_mask_full,
-        doc="Pixel mask: bit i of word w is pixel 32 w + i; 1 = on.",
-    ),
+    MODE,
+    *_settings(settings.SUBGROUP),
     *(
         Register(name=name, offset=0x40 + 4 * i, access=Access.COUNTER, doc=doc)
         for i, (name, doc) in enumerate(COUNTERS)
@@ -359,7 +195,6 @@ SUBGROUP: tuple[Register, ...] = (
 
 BY_NAME = {register.name: register for register in (*GLOBAL, *SUBGROUP)}
 WRITABLE = (Access.SETTING, Access.PULSE, Access.STATUS)
-MODE = BY_NAME["mode"]
 
 
 def words(table: tuple[Register, ...], sensor: Sensor) -> Iterator[tuple[int, Register, int]]:

@@ -7,9 +7,9 @@ import numpy as np
 
 from ..shared.files import FilePath, read_npz, write_npz
 from .config import Config
+from .counters import COUNTER_NAMES
 from .packet import HEADER
 from .parameters import OFFSET_NONE
-from .registers import COUNTER_NAMES
 from .stream import decode_frame
 
 EVENT_FIELDS = ("subgroup", "pulse", "stamp", "count", "winner", "overrun")

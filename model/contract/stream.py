@@ -5,9 +5,9 @@ import numpy as np
 from attrs import frozen
 
 from ..shared.compiled import njit
+from .counters import COUNTER_NAMES
 from .packet import HEADER, Kind, header_field, layout
 from .parameters import OFFSET_NONE, Sensor
-from .registers import COUNTER_NAMES
 
 
 class StreamError(Exception):

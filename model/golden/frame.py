@@ -13,10 +13,10 @@ import numpy as np
 from attrs import frozen
 
 from ..contract.config import Config
+from ..contract.counters import COUNTER_NAMES
 from ..contract.edges import Edges
 from ..contract.parameters import Sensor
 from ..contract.pixels import pixel_table
-from ..contract.registers import COUNTER_NAMES
 from ..contract.result import ResultBuilder
 from .controller import Controller
 from .front_end import Settings, Timeline, front_end, time_order

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 
 from ..contract import latency
+from ..contract.counters import COUNTER_BITS
 from ..contract.packet import BEAT_BITS, HEADER, OFFSET_BITS, Kind
-from ..contract.registers import COUNTER_BITS
 from ..shared.compiled import njit
 from .shape import COUNTER, row_type
 

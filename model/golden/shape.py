@@ -8,8 +8,8 @@ import numpy as np
 
 from ..contract import latency
 from ..contract.config import Config
+from ..contract.counters import COUNTER_NAMES
 from ..contract.packet import FORMATS, layout
-from ..contract.registers import COUNTER_NAMES
 
 Shape = namedtuple(
     "Shape",

@@ -1,20 +1,21 @@
 # SPDX-License-Identifier: Apache-2.0
 """The explorer's controls: one table of all settings, each with its unit, range and a sentence.
 
-Settings of the configuration file have the range, and by default also the default value and the sentence, of the
-configuration's own tables, whose parser checks them (`settings.py`). The other settings have their range here. Settings
-of the file that are not described here come last, automatically.
+Settings of the configuration file have the range and the unit, and by default also the default value and the sentence,
+of the configuration's own tables, whose parser checks them (`settings.py`). The other settings have their range here.
+Settings of the file that are not described here come last, automatically.
 """
 
 from collections.abc import Iterable
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 from attrs import frozen
 
-from ...model.contract.config import FRAME_REGISTERS, MODE_BITS, SUBGROUP_INTEGERS, parse_config
+from ...model.contract.config import SETTINGS, parse_config
 from ...model.contract.packet import FORMAT_NAMES
-from ...model.contract.parameters import SIZE_LIMITS, Sensor
-from ...model.contract.registers import BY_NAME, MODE
+from ...model.contract.parameters import SENSOR, Sensor
+from ...model.contract.settings import FRAME, SUBGROUP
+from ...model.contract.table import Kind
 from ...model.depth.estimate import DEFAULT_METHOD, METHODS
 from ...model.light.light import NEAREST_M
 from ...model.light.timing import RANGE_M
@@ -47,7 +48,7 @@ class Control:
     """A setting of the explorer.
 
     kind: "integer", "real", "choice" or "switch"; choices: of a choice. default: None if it may be empty. low, high:
-    legal range, for a register that of the default sensor. where: table and key of the configuration file, or None if it
+    legal range, of a key of the file that of the default sensor. where: table and key of the configuration file, or None if it
     is not in the file. step: of a click or an arrow key.
     """
 
@@ -66,15 +67,8 @@ class Control:
 
     def span(self, sensor: Sensor) -> str:
         """Return range and unit."""
-        low, high = self.low, self.high
-        if self.of_register:
-            low, high = BY_NAME[self.name].low(sensor), BY_NAME[self.name].high(sensor)
+        low, high = SETTINGS[self.name].limits(sensor) if self.where else (self.low, self.high)
         return f"{low:.10g} to {high:.10g} {self.unit}".strip()
-
-    @property
-    def of_register(self) -> bool:
-        """Return whether it is an integer register, whose range depends on the sensor."""
-        return self.kind == "integer" and self.where is not None and self.where[0] != "sensor"
 
     @property
     def slide(self) -> float:
@@ -134,82 +128,31 @@ def _choice(
     )
 
 
-def _size(name: str, group: str = FURTHER, label: str = "", unit: str = "", sentence: str = "") -> Control:
-    """Return the control of a key of [sensor]."""
-    default, low, high = SIZE_LIMITS[name]
+def _key(name: str, group: str = FURTHER, label: str = "", sentence: str = "", default: int | None = None) -> Control:
+    """Return the control of a key of the configuration file that is an integer, a real number or a switch."""
+    setting = SETTINGS[name]
+    low, high = setting.limits(_DEFAULTS.sensor)
     return Control(
         name=name,
         group=group,
-        label=label or _label(name),
-        default=default,
+        label=label or name.replace("_", " ").capitalize(),
+        default=setting.default_of(_DEFAULTS.sensor, _DEFAULTS.frame) if default is None else default,
         low=low,
         high=high,
-        unit=unit,
-        sentence=sentence or BY_NAME[name].doc,
-        kind="integer",
-        where=("sensor", name),
+        unit=setting.unit,
+        sentence=(sentence or setting.doc) + " Empty: derived from the other settings." * setting.derived,
+        kind=setting.kind.value,
+        where=(setting.table, name),
     )
-
-
-def _switch(name: str, group: str = FURTHER, label: str = "", sentence: str = "") -> Control:
-    """Return the control of a key of [subgroup] or [frame] that is true or false."""
-    table, default = _in_file(name)
-    doc = next((bits.doc for bits in MODE.bits if bits.name == name), "") or BY_NAME[name].doc
-    return Control(
-        name=name,
-        group=group,
-        label=label or _label(name),
-        default=default,
-        sentence=sentence or doc,
-        kind="switch",
-        where=(table, name),
-    )
-
-
-def _register(
-    name: str, group: str = FURTHER, label: str = "", unit: str = "", sentence: str = "", default: int | None = None
-) -> Control:
-    """Return the control of a key of [subgroup] or [frame] that is an integer register."""
-    (table, value), register, sensor = _in_file(name), BY_NAME[name], _DEFAULTS.sensor
-    return Control(
-        name=name,
-        group=group,
-        label=label or _label(name),
-        default=value if default is None else default,
-        low=register.low(sensor),
-        high=register.high(sensor),
-        unit=unit,
-        sentence=(sentence or register.doc) + ("" if value is not None else " Empty: derived from the other settings."),
-        kind="integer",
-        where=(table, name),
-    )
-
-
-def _in_file(name: str) -> tuple[str, Any]:
-    """Return (table of the configuration file, default) of a key of [subgroup] or [frame]."""
-    if name in _DEFAULTS.frame:
-        return "frame", _DEFAULTS.frame[name]
-    return "subgroup", getattr(_DEFAULTS, name)[0].item()
-
-
-def _label(name: str) -> str:
-    return name.replace("_", " ").capitalize()
-
-
-def _known(name: str) -> Control:
-    """Return the control of a key of the configuration file that is not described here."""
-    if name in SIZE_LIMITS:
-        return _size(name)
-    return _switch(name) if isinstance(_in_file(name)[1], bool) else _register(name)
 
 
 _DESCRIBED: tuple[Control, ...] = (
-    _switch("coincidence", "Threshold", "Coincidence",
-            "On: photons count only if enough pixels of a subgroup fire within a window. Off: every photon is an event."),
-    _register("threshold", "Threshold", "Threshold", "pixels",
-              "Pixels that must fire within a window. Low lets sunlight through, high loses dark and far objects."),
-    _switch("auto", "Threshold", "Controller", "Sets every subgroup's threshold anew after each frame; watch it over several frames."),
-    _register("window", "Threshold", "Window", "ticks", "How long the tree waits for more pixels after a first photon; 16 ticks are 1 ns."),
+    _key("coincidence", "Threshold", "Coincidence",
+         "On: photons count only if enough pixels of a subgroup fire within a window. Off: every photon is an event."),
+    _key("threshold", "Threshold", "Threshold",
+         "Pixels that must fire within a window. Low lets sunlight through, high loses dark and far objects."),
+    _key("auto", "Threshold", "Controller", "Sets every subgroup's threshold anew after each frame; watch it over several frames."),
+    _key("window", "Threshold", "Window", "How long the tree waits for more pixels after a first photon; 16 ticks are 1 ns."),
     _choice("scene", "Scene", "Scene", SCENES, "What the sensor looks at: planes that face it, or your own depth picture."),
     _real("near_m", "Scene", "Distance, near", 5.0, NEAREST_M, round(RANGE_M, 1), "m", 0.5, "For the scenes flat, two-targets and two-returns."),
     _real("far_m", "Scene", "Distance, far", 9.0, NEAREST_M, round(RANGE_M, 1), "m", 0.5, "Farther surface of two-targets and two-returns."),
@@ -224,23 +167,23 @@ _DESCRIBED: tuple[Control, ...] = (
     _integer("pulses", "Light", "Laser pulses", 100, 1, PULSES_MAX, "Per frame. More pulses give more light and a longer frame.", step=10),
     _integer("frames", "Light", "Frames", 1, 1, FRAMES_MAX, "One after the other, to show how the controller's thresholds settle."),
     _integer("seed", "Light", "Seed", 1, 0, SEED_MAX, "For all random numbers: the same seed gives the same photons."),
-    _size("rows", "Sensor", "Rows", "SPADs", "SPADs of the array from top to bottom."),
-    _size("cols", "Sensor", "Columns", "SPADs", "SPADs of the array from left to right."),
+    _key("rows", "Sensor", "Rows", "SPADs of the array from top to bottom."),
+    _key("cols", "Sensor", "Columns", "SPADs of the array from left to right."),
     _choice("subgroup", "Sensor", "Subgroup", SIZES, "SPADs that share a coincidence tree and a threshold, rows x columns.", "8x8", "sensor"),
     _choice("minigroup", "Sensor", "Minigroup", MINIGROUP_SIZES,
           "SPADs that share a coarse time stamp of their own, rows x columns.", "2x2", "sensor"),
-    _size("fifo_depth", "Sensor", "FIFO depth", "events", "Events of a subgroup that can wait for the stream; more are dropped."),
-    _size("streams", "Sensor", "Streams", "", "Outputs of the sensor, which share the subgroups."),
+    _key("fifo_depth", "Sensor", "FIFO depth", "Events of a subgroup that can wait for the stream; more are dropped."),
+    _key("streams", "Sensor", "Streams", "Outputs of the sensor, which share the subgroups."),
     _choice("format", "Sensor", "Format", [name for name in FORMAT_NAMES if name != "short"],
             "Content of an event: id: which pixels fired; full: also the minigroups' time stamps. Depth needs the pixels.", "id", "frame"),
-    _switch("gating", "Gate", "Gating", "Light outside the gate is ignored."),
-    _register("gate_start", "Gate", "Gate start", "cycles", "First cycle of the gate; a cycle is 2 ns, 0.3 m.", 20),
-    _register("gate_len", "Gate", "Gate length", "cycles", "Length of the gate.", 60),
+    _key("gating", "Gate", "Gating", "Light outside the gate is ignored."),
+    _key("gate_start", "Gate", "Gate start", "First cycle of the gate; a cycle is 2 ns, 0.3 m.", 20),
+    _key("gate_len", "Gate", "Gate length", "Length of the gate.", 60),
     Control(name="spad_gate", group="Gate", label="SPADs off outside", default=False, kind="switch",
             sentence="The gate keeps the SPADs themselves off, so that none is dead when it opens."),
-    _register("gate_step", "Gate", "Progressive: step", "cycles", "The gate moves later by this many cycles ..."),
-    _register("gate_every", "Gate", "Progressive: every", "pulses", "... after every so many pulses (0: never) ..."),
-    _register("gate_steps", "Gate", "Progressive: positions", "", "... and returns to the start after so many positions."),
+    _key("gate_step", "Gate", "Progressive: step", "The gate moves later by this many cycles ..."),
+    _key("gate_every", "Gate", "Progressive: every", "... after every so many pulses (0: never) ..."),
+    _key("gate_steps", "Gate", "Progressive: positions", "... and returns to the start after so many positions."),
     _real("dead_ns", "SPAD", "Dead time", 8.0, 0, 1000, "ns", 1, "Time for which a SPAD is blind after an avalanche."),
     _real("jitter_ps", "SPAD", "Jitter", 100.0, 0, 500, "ps", 50,
           "Width (FWHM) of an avalanche's delay; combined with the laser pulse, it is 500 ps."),
@@ -252,11 +195,9 @@ _DESCRIBED: tuple[Control, ...] = (
           f"From events to depth: {'; '.join(f'{name}: {what}' for name, what in METHODS.items())}.", DEFAULT_METHOD),
 )  # fmt: skip
 _NAMES = {control.name for control in _DESCRIBED}
-_EMPTY = [
-    name for name, value in _DEFAULTS.frame.items() if value is None and BY_NAME[name].count(_DEFAULTS.sensor) == 1
-]
-_IN_FILE = (*MODE_BITS, *SUBGROUP_INTEGERS, *FRAME_REGISTERS, *_EMPTY, *SIZE_LIMITS)
-CONTROLS = (*_DESCRIBED, *(_known(name) for name in _IN_FILE if name not in _NAMES))
+_SIMPLE = (Kind.INTEGER, Kind.REAL, Kind.SWITCH)
+_FURTHER = [name for name, setting in (SUBGROUP | FRAME | SENSOR).items() if setting.kind in _SIMPLE]
+CONTROLS = (*_DESCRIBED, *(_key(name) for name in _FURTHER if name not in _NAMES))
 CONTROL = {control.name: control for control in CONTROLS}
 GROUPS = tuple(dict.fromkeys(control.group for control in CONTROLS))
 DEFAULTS = {control.name: control.default for control in CONTROLS}

@@ -11,7 +11,9 @@ import numpy as np
 from attrs import evolve, frozen
 
 from ...lab.setup import Setup
-from ...model.contract.config import Config, parse_config
+from ...model.contract.config import SETTINGS, Config, parse_config, sensor_table
+from ...model.contract.settings import SUBGROUP
+from ...model.contract.table import Kind
 from ...model.light.light import NEAREST_M, Light
 from ...model.light.spad import Spad
 from ...model.light.timing import Timing
@@ -155,17 +157,13 @@ def _checked(control: Control, value: Any) -> Any:
 
 
 def _document(values: dict[str, Any]) -> dict[str, dict[str, Any]]:
-    """Return the configuration file as parsed TOML, with the default pulses."""
+    """Return the configuration file as parsed TOML, with the default pulses; the file's defaults are not written."""
     document: dict[str, dict[str, Any]] = {"sensor": {}, "frame": {"frames": values["frames"]}, "subgroup": {}}
     for control in CONTROLS:
-        if control.where:
+        value = values[control.name]
+        if control.where and (value != control.default or value != SETTINGS[control.name].default):
             table, key = control.where
-            value = values[control.name]
-            if value is None:
-                continue
-            if key in ("subgroup", "minigroup"):
-                value = [int(n) for n in value.split("x")]
-            document[table][key] = value
+            document[table][key] = [int(n) for n in value.split("x")] if SETTINGS[key].kind is Kind.SIZE else value
     return document
 
 
@@ -177,8 +175,12 @@ def _control_of(message: str) -> str | None:
 
 def config_toml(settings: Settings) -> str:
     """Return the configuration file of `settings`."""
-    document, lines = _document(settings.values), []
-    document["frame"] |= {name: value for name, value in settings.config.frame.items() if value is not None}
+    config, lines = settings.config, []
+    document = {
+        "sensor": sensor_table(config.sensor),
+        "frame": {name: value for name, value in config.frame.items() if value is not None},
+        "subgroup": {name: getattr(config, name)[0].item() for name in SUBGROUP if name in CONTROL},
+    }
     for table, values in document.items():
         lines += [f"[{table}]", *(f"{key} = {_toml(value)}" for key, value in values.items()), ""]
     return "\n".join(lines)

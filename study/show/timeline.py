@@ -12,10 +12,10 @@ from attrs import frozen
 
 from ...model.contract import latency
 from ...model.contract.config import Config
+from ...model.contract.counters import COUNTER_NAMES
 from ...model.contract.edges import Edges, Fate
 from ...model.contract.packet import FORMATS, Kind, header_field, layout
 from ...model.contract.pixels import pixel_table
-from ...model.contract.registers import COUNTER_NAMES
 from ...model.contract.stream import packet_starts
 from ...model.golden.frame import Trace
 from ...model.shared.errors import check_integer

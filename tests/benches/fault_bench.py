@@ -17,9 +17,11 @@ from sensor_bench import NOTHING, STATUS, Queue, config, laser_fires, received, 
 from sensor_bench import fresh as fresh_bench
 
 from coincid.hdl.dpcu import counter_bits
+from coincid.model.contract.counters import COUNTER_NAMES
 from coincid.model.contract.packet import HEADER
 from coincid.model.contract.parameters import TOP
-from coincid.model.contract.registers import AUTO_BOUNDS, COUNTER_NAMES, DATA_BITS, ID_VALUE, THRESHOLD_MAX
+from coincid.model.contract.registers import DATA_BITS, ID_VALUE
+from coincid.model.contract.settings import AUTO_BOUNDS, THRESHOLD_MAX
 from coincid.model.contract.stream import decode_frame
 from coincid.model.golden.controller import STEP, Controller
 from coincid.model.golden.frame import Golden

@@ -15,8 +15,10 @@ from plain_model import period_starts
 
 from coincid.model.contract import registers
 from coincid.model.contract.config import parse_config
+from coincid.model.contract.counters import COUNTER_NAMES
 from coincid.model.contract.edges import Edges
 from coincid.model.contract.registers import Access, address
+from coincid.model.contract.settings import AUTO_BOUNDS
 from coincid.model.contract.stream import decode_frame
 from coincid.model.golden.frame import Golden
 from coincid.tb.cosim import SensorBench
@@ -142,7 +144,7 @@ async def addresses_that_are_not_there(dut):
         0x3C,
         0xFFC,
         address("mask", 0, 1) + 4,
-        address(registers.COUNTER_NAMES[-1], 1) + 4,
+        address(COUNTER_NAMES[-1], 1) + 4,
         last,
         0xFFFFC,
         address("period") + 2,
@@ -175,8 +177,8 @@ async def starts_that_make_no_sense(dut):
     await refused(start(), bench, "start_bounds")
     for bit in range(registers.DATA_BITS):  # two neighbours differ in one bit, and are in the wrong order
         value = random.getrandbits(registers.DATA_BITS) & ~(1 << bit)
-        await write_bounds([value] * registers.AUTO_BOUNDS)
-        for low in range(registers.AUTO_BOUNDS - 1):
+        await write_bounds([value] * AUTO_BOUNDS)
+        for low in range(AUTO_BOUNDS - 1):
             await bench.write("auto_bounds", value | 1 << bit, index=low)
             await refused(start(), bench, "start_bounds")
             await bench.write("auto_bounds", value, index=low)
@@ -309,7 +311,7 @@ async def abort_ends_the_running_period(dut):
     while not await bench.read("status") >> STATUS.bit("done") & 1:
         pass
     trace = golden.frame(of, edges)  # thresholds and budget continue from the aborted frame
-    assert trace.counters[:, registers.COUNTER_NAMES.index("threshold_used")].max() > 1
+    assert trace.counters[:, COUNTER_NAMES.index("threshold_used")].max() > 1
     await bench.play(of, edges, np.zeros(0, np.uint8), Scoreboard(of.sensor, trace))
     assert await bench.read("budget") == trace.budget[0]
 
@@ -438,5 +440,5 @@ async def independent_master_and_sink(dut):
     while not status >> STATUS.bit("done") & 1:
         status = int.from_bytes((await master.read(address("status"), 4)).data, "little")
     for s in range(sensor.subgroups):
-        for i, name in enumerate(registers.COUNTER_NAMES):
+        for i, name in enumerate(COUNTER_NAMES):
             assert int.from_bytes((await master.read(address(name, s), 4)).data, "little") == frame.counters[s, i], name

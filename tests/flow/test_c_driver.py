@@ -14,9 +14,9 @@ from coincid.flow.release import C_DRIVER
 from coincid.host.driver import Driver
 from coincid.host.transport import RefusedError
 from coincid.model.contract.config import parse_config, sensor_table
+from coincid.model.contract.counters import COUNTER_NAMES
 from coincid.model.contract.edges import Edges
 from coincid.model.contract.parameters import Sensor
-from coincid.model.contract.registers import COUNTER_NAMES
 from coincid.model.contract.stream import decode_frame
 from coincid.model.golden.frame import Golden
 from coincid.tb.batch import BatchSensor

@@ -12,6 +12,7 @@ from coincid.host.programmed import Programmed, runs
 from coincid.host.transport import HostError, RefusedError
 from coincid.model.contract import registers
 from coincid.model.contract.config import parse_config, sensor_table
+from coincid.model.contract.counters import COUNTER_NAMES
 from coincid.model.contract.edges import Edges
 from coincid.model.contract.parameters import Sensor
 from coincid.model.contract.registers import ADDRESS_BITS, BY_NAME, address
@@ -161,7 +162,7 @@ def test_a_sensor_in_use():
             (beats,) = driver.receive()
             assert np.array_equal(beats, trace.beats[0])
             for s in range(SENSOR.subgroups):
-                assert [driver[name, s] for name in registers.COUNTER_NAMES] == trace.counters[s].tolist()
+                assert [driver[name, s] for name in COUNTER_NAMES] == trace.counters[s].tolist()
         assert driver.status() == Status(busy=False, done=False)
         with pytest.raises(HostError, match="nothing more came"):
             driver.receive(seconds=0.05)

@@ -11,8 +11,8 @@ from typer.testing import CliRunner
 from coincid.cli import app
 from coincid.lab.measures import stream_beats
 from coincid.model.contract.config import parse_config
+from coincid.model.contract.counters import COUNTER_NAMES
 from coincid.model.contract.packet import FORMAT_NAMES
-from coincid.model.contract.registers import COUNTER_NAMES
 from coincid.model.golden.frame import Golden
 from coincid.model.light.light import Light
 from coincid.model.light.photons import generate_edges

@@ -7,9 +7,9 @@ from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 
 from coincid.model.contract.config import parse_config
-from coincid.model.contract.parameters import SIZE_LIMITS, Sensor
+from coincid.model.contract.counters import COUNTER_NAMES
+from coincid.model.contract.parameters import SENSOR, Sensor
 from coincid.model.contract.pixels import pixel_table
-from coincid.model.contract.registers import COUNTER_NAMES
 from coincid.model.golden.frame import Golden
 from coincid.tb.frames import FrameJob
 from coincid.tb.play import play
@@ -109,7 +109,7 @@ def test_sizes_reach_every_parameter():
     built = [
         Sensor(**{k: tuple(v) if isinstance(v, list) else v for k, v in sensor.items()}) for sensor in SENSORS.values()
     ]
-    for name in (*SIZE_LIMITS, "subgroup", "minigroup"):
+    for name in SENSOR:
         assert any(getattr(sensor, name) != getattr(default, name) for sensor in built), name
     assert np.any([sensor.subgroups % 2 for sensor in built])
 

@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 from coincid.model.contract.config import parse_config
+from coincid.model.contract.counters import COUNTER_NAMES
 from coincid.model.contract.edges import Edges, Fate
-from coincid.model.contract.registers import COUNTER_NAMES
 from coincid.model.golden.frame import Golden
 from coincid.model.shared.errors import InputError
 from coincid.study.show.timeline import Verdict, frame_timeline

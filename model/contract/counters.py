@@ -1,0 +1,20 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The counters of a subgroup, which registers and frame end packets hold."""
+
+COUNTER_BITS = 32
+EVENTS_MAX = (1 << COUNTER_BITS) - 1  # saturation value of a counter
+
+COUNTERS: tuple[tuple[str, str], ...] = (  # in the order of the frame end packet
+    ("opened", "Coincidence windows opened."),
+    ("committed", "Windows that met the threshold."),
+    ("rejected", "Windows that did not meet the threshold."),
+    ("stored", "Events written to the FIFO."),
+    ("dropped", "Events lost to a full FIFO."),
+    ("blind", "Cycles with an edge while the tree was not armed."),
+    ("photons", "Sum of the counts of all windows."),
+    ("mg_stored", "Minigroup records written."),
+    ("mg_dropped", "Minigroup records lost because the previous one was still waiting."),
+    ("threshold_used", "Threshold of the frame: from the register or from the controller."),
+    ("lower", "Windows that met the threshold minus one."),
+)
+COUNTER_NAMES = tuple(name for name, _ in COUNTERS)

@@ -1,0 +1,175 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The settings of a sensor that is built: keys of [frame] and [subgroup], each described in one place.
+
+A setting's register, legal range and reset value, its place in the file, its field on the way to the subgroups, its control
+in the explorer, its axis in plots and its row in the documents follow from here.
+"""
+
+from typing import Any
+
+import numpy as np
+from attrs import field, frozen
+
+from .counters import EVENTS_MAX
+from .dither import DITHER_BITS_MAX, LFSR_BITS
+from .packet import FORMAT_NAMES, FORMATS_TOLD
+from .parameters import CLOCK_MHZ, Sensor
+from .table import NO_BIT, Kind, settings_of_class
+
+AUTO_BOUNDS = 6
+THRESHOLD_MAX = 1 + AUTO_BOUNDS  # highest threshold of the controller
+FRAMES_MAX = 1 << 16  # the frame number has 16 bits
+CLOCK_MHZ_RANGE = (1e-3, 1e5)
+LINK_GBPS_MAX = 1e6  # per stream
+GATE_BITS = 16
+GATE_MAX = (1 << GATE_BITS) - 1  # of a gate's cycles, pulses and steps
+CONTROLLER = "Threshold controller"
+GATE = "Progressive gating"
+
+
+def _setting(kind: Kind, doc: str, **columns: Any) -> Any:
+    return field(metadata={"kind": kind, "doc": doc} | columns)
+
+
+def _integer(doc: str, **columns: Any) -> Any:
+    return _setting(Kind.INTEGER, doc, **columns)
+
+
+def _switch(default: bool, doc: str, **columns: Any) -> Any:
+    return _setting(Kind.SWITCH, doc, default=default, **columns)
+
+
+@frozen
+class FrameSettings:
+    """Keys of [frame]."""
+
+    frames: int = _integer("Number of frames.", default=1, low=1, high=FRAMES_MAX)
+    clock_mhz: float = _setting(
+        Kind.REAL, "System clock.", default=CLOCK_MHZ, unit="MHz", low=CLOCK_MHZ_RANGE[0], high=CLOCK_MHZ_RANGE[1]
+    )
+    link_gbps: float = _setting(
+        Kind.REAL,
+        "Rate of the link behind each stream; 0: as fast as the stream.",
+        default=0.0,
+        unit="Gbit/s",
+        high=LINK_GBPS_MAX,
+    )
+    period: int = _integer(
+        "Laser period in cycles. Must be above the guard G at a start.",
+        default=250,
+        unit="cycles",
+        low=1,
+        high="period_max",
+        offset=0x48,
+    )
+    pulses: int = _integer(
+        "Number of laser periods in a frame.", default=100, unit="laser pulses", low=1, high=1 << 16, offset=0x4C
+    )
+    format: str = _setting(
+        Kind.CHOICE, f"Event words: {FORMATS_TOLD}.", default="id", choices=FORMAT_NAMES, offset=0x50
+    )
+    minigroup_records: bool = _switch(
+        False, "1: minigroups have their own stamps, and a subgroup sends at most one record per period.", offset=0x54
+    )
+    mg_threshold: int = _integer(
+        "Number of distinct pixels at which a minigroup latches.",
+        default=2,
+        unit="pixels",
+        low=1,
+        high="minigroup_pixels",
+        offset=0x58,
+    )
+    mg_window: int = _integer(
+        "Cycles of a minigroup's collection.", default=2, unit="cycles", low=1, high=4, offset=0x5C
+    )
+    gate_step: int = _integer(
+        f"{GATE}: shift per step, in cycles.", default=0, unit="cycles", high=GATE_MAX, offset=0x60
+    )
+    gate_every: int = _integer(
+        f"{GATE}: pulses per step; 0 turns it off.", default=0, unit="laser pulses", high=GATE_MAX, offset=0x64
+    )
+    gate_steps: int = _integer(
+        f"{GATE}: number of steps before it starts over.", default=1, low=1, high=GATE_MAX, offset=0x68
+    )
+    dither_bits: int = _integer(
+        "Number of LFSR bits that give the wait between two periods, in cycles; 0: no wait.",
+        default=0,
+        high=DITHER_BITS_MAX,
+        offset=0x84,
+    )
+    dither_seed: int = _integer(
+        "State of that LFSR at the beginning of the frame.", default=1, low=1, high=(1 << LFSR_BITS) - 1, offset=0x88
+    )
+    threshold_floor: int = _integer(
+        f"{CONTROLLER}: the lowest threshold; 0 has the effect of 1.",
+        default=1,
+        unit="pixels",
+        high=THRESHOLD_MAX,
+        offset=0x90,
+    )
+    auto_bounds: list[int] | None = _setting(
+        Kind.INTEGERS,
+        f"{CONTROLLER}: the threshold is at most 1 + the number of bounds that `opened` of the previous frame reaches."
+        " Must not descend.",
+        derived=True,
+        unit="windows",
+        high=EVENTS_MAX,
+        count=AUTO_BOUNDS,
+        reset=0,
+        offset=0x6C,
+    )
+    capacity: int | None = _integer(
+        f"{CONTROLLER}: events that a stream carries in a frame.",
+        derived=True,
+        unit="events",
+        high=EVENTS_MAX,
+        reset=EVENTS_MAX,
+        offset=0x8C,
+    )
+
+
+@frozen(eq=False, kw_only=True)
+class SubgroupSettings:
+    """Keys of [subgroup], each with a value for every subgroup: bool or int64[subgroups]; mask: bool[subgroups, pixels].
+
+    Switches come first, because they are bits of one register.
+    """
+
+    coincidence: np.ndarray = _switch(True, "0: winner takes all (window 1, threshold 1).", bit=0)
+    gating: np.ndarray = _switch(False, "1: edges outside the gate are ignored.", bit=1)
+    auto: np.ndarray = _switch(False, "1: the controller sets the threshold.", bit=2)
+    threshold: np.ndarray = _integer(
+        "Number of distinct pixels that make a coincidence.",
+        default=2,
+        unit="pixels",
+        low=1,
+        high="pixels",
+        offset=0x04,
+    )
+    window: np.ndarray = _integer(
+        "Coincidence window in ticks.", default=16, unit="ticks", low=1, high="window_max", offset=0x08
+    )
+    gate_start: np.ndarray = _integer(
+        "Gate: first cycle, in cycles.", default=0, unit="cycles", high=GATE_MAX, offset=0x0C
+    )
+    gate_len: np.ndarray = _integer(
+        "Gate: length, in cycles.", follows="period", unit="cycles", high=GATE_MAX, offset=0x10
+    )
+    mask: np.ndarray = _setting(
+        Kind.MASK,
+        "Pixel mask: bit i of word w is pixel 32 w + i; 1 = on.",
+        high="mask_word_max",
+        reset="mask_word_max",
+        count="mask_words",
+        offset=0x14,
+    )
+
+
+FRAME = settings_of_class(FrameSettings, "frame")
+SUBGROUP = settings_of_class(SubgroupSettings, "subgroup")
+SWITCHES = {name: setting for name, setting in SUBGROUP.items() if setting.bit != NO_BIT}
+
+
+def frame_defaults(sensor: Sensor) -> dict[str, Any]:
+    """Return the settings of a frame for which nothing is written."""
+    return {name: setting.default_of(sensor, {}) for name, setting in FRAME.items()}

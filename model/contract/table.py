@@ -1,0 +1,159 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Settings as data: everything that files, registers, commands, explorer and documents say about a key is in its `Setting`.
+
+The attributes of `Sensor`, `FrameSettings` and `SubgroupSettings` carry it as metadata.
+"""
+
+import enum
+import re
+from typing import Any, TypeAlias
+
+import numpy as np
+from attrs import fields, frozen
+
+from ..shared.errors import InputError, check_integer
+from ..shared.quantities import check_choice, check_real
+
+NO_BIT = -1
+Limit: TypeAlias = float | str  # a number, or the name of an attribute of `Sensor` that holds it
+
+
+class Kind(enum.StrEnum):
+    """What a file holds under a key."""
+
+    INTEGER = "integer"
+    REAL = "real"
+    SWITCH = "switch"
+    CHOICE = "choice"  # its register holds the number of the choice
+    INTEGERS = "integers"  # a list of `count`
+    SIZE = "size"  # [rows, cols]
+    MASK = "mask"  # hex digits; bit i = pixel i
+
+
+@frozen(kw_only=True)
+class Setting:
+    """A key of the configuration file.
+
+    default: never above the highest legal value. follows: key of [frame] whose value is the default. derived: the default
+    is None, follows from the finished configuration, and counts something per frame. low, high: legal range. count: of integers, and of its
+    register's words. offset: of its register, or of the first one. bit: of a switch in the register `mode`. reset: of its
+    register; None: the default.
+    """
+
+    name: str
+    table: str
+    kind: Kind
+    doc: str
+    default: Any = None
+    follows: str = ""
+    derived: bool = False
+    unit: str = ""
+    low: Limit = 0
+    high: Limit = 1
+    choices: tuple[str, ...] = ()
+    count: Limit = 1
+    offset: int | None = None
+    bit: int = NO_BIT
+    reset: Limit | None = None
+
+    @property
+    def key(self) -> str:
+        """Return the key with its table, as messages have it."""
+        return f"{self.table}.{self.name}"
+
+    def limits(self, sensor: Any) -> tuple[Any, Any]:
+        """Return the lowest and the highest legal value; of a choice, their numbers."""
+        if self.kind is Kind.CHOICE:
+            return 0, len(self.choices) - 1
+        return number(self.low, sensor), number(self.high, sensor)
+
+    def default_of(self, sensor: Any, frame: dict[str, Any]) -> Any:
+        """Return the value of a key that is not written. frame: values of [frame]."""
+        if self.kind is Kind.MASK:
+            return f"{(1 << sensor.pixels) - 1:x}"
+        default = frame[self.follows] if self.follows else self.default
+        return min(default, self.limits(sensor)[1]) if self.kind is Kind.INTEGER and default is not None else default
+
+    def reset_of(self, sensor: Any, frame: dict[str, Any]) -> int:
+        """Return the value of a word of its register after a reset. frame: values of [frame]."""
+        if self.reset is not None:
+            return int(number(self.reset, sensor))
+        default = self.default_of(sensor, frame)
+        return self.choices.index(default) if self.kind is Kind.CHOICE else int(default)
+
+    def checked(self, where: str, value: Any, sensor: Any) -> Any:
+        """Return the checked value of the key; the mask becomes bool[pixels]. Raises `InputError` that names `where`."""
+        value = _plain(value)
+        if value is None and self.derived:
+            return None
+        return _CHECKS[self.kind](self, where, value, sensor)
+
+
+def number(limit: Limit, sensor: Any) -> Any:
+    """Return the number that a limit stands for."""
+    return getattr(sensor, limit) if isinstance(limit, str) else limit
+
+
+def settings_of_class(of: type, table: str) -> dict[str, Setting]:
+    """Return the settings that the attributes of a class describe, by name. table: of the configuration file."""
+    return {a.name: Setting(name=a.name, table=table, **a.metadata) for a in fields(of) if a.metadata}
+
+
+def _plain(value: Any) -> Any:
+    """Return a value as a file would hold it: no NumPy types, no tuples."""
+    if isinstance(value, np.ndarray | np.generic):
+        return value.tolist()
+    return list(value) if isinstance(value, tuple) else value
+
+
+def _integer(setting: Setting, where: str, value: Any, sensor: Any) -> int:
+    return check_integer(where, value, *setting.limits(sensor))
+
+
+def _real(setting: Setting, where: str, value: Any, sensor: Any) -> float:
+    return check_real(where, value, *setting.limits(sensor))
+
+
+def _switch(setting: Setting, where: str, value: Any, sensor: Any) -> bool:
+    if not isinstance(value, bool):
+        raise InputError(f"{where} = {value!r}: must be true or false")
+    return value
+
+
+def _choice(setting: Setting, where: str, value: Any, sensor: Any) -> str:
+    return check_choice(where, value, setting.choices)
+
+
+def _integers(setting: Setting, where: str, value: Any, sensor: Any) -> list[int]:
+    count, (low, high) = number(setting.count, sensor), setting.limits(sensor)
+    if not isinstance(value, list) or len(value) != count:
+        raise InputError(f"{where} = {value!r}: must be {count} integers from {low} to {high}")
+    return [check_integer(where, item, low, high) for item in value]
+
+
+def _size(setting: Setting, where: str, value: Any, sensor: Any) -> tuple[int, int]:
+    low, high = setting.limits(sensor)
+    legal = isinstance(value, list) and len(value) == 2 and all(type(n) is int and n > 0 for n in value)
+    if not legal or not low <= value[0] * value[1] <= high:
+        raise InputError(f"{where} = {value!r}: must be [rows, cols] of {low} to {high} pixels")
+    return value[0], value[1]
+
+
+def _mask(setting: Setting, where: str, value: Any, sensor: Any) -> np.ndarray:
+    pixels = sensor.pixels
+    if isinstance(value, list) and len(value) == pixels and all(isinstance(on, bool) for on in value):
+        return np.array(value)
+    if not isinstance(value, str) or not re.fullmatch(r"(0[xX])?[0-9a-fA-F]+", value) or int(value, 16) >> pixels:
+        raise InputError(f"{where} = {value!r}: must be a string of hex digits below 2^{pixels} (bit i = pixel i)")
+    return np.array([int(value, 16) >> i & 1 for i in range(pixels)], bool)
+
+
+_CHECKS = {
+    Kind.INTEGER: _integer,
+    Kind.REAL: _real,
+    Kind.SWITCH: _switch,
+    Kind.CHOICE: _choice,
+    Kind.INTEGERS: _integers,
+    Kind.SIZE: _size,
+    Kind.MASK: _mask,
+}
