@@ -83,6 +83,15 @@ app = typer.Typer(
 ConfigOption = Annotated[
     str | None, typer.Option("--config", metavar="FILE", help=f"TOML file, or a preset: {', '.join(PRESETS)}.")
 ]
+SetOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--set",
+        metavar="NAME=VALUE",
+        help="A setting of the configuration, such as threshold=3 or format=full, instead of the file's; repeatable.",
+        show_default=False,
+    ),
+]
 ClockOption = Annotated[
     float | None,
     typer.Option(
@@ -160,7 +169,7 @@ def sim(
     threshold: Annotated[
         int | None,
         typer.Option(
-            help="One threshold for all subgroups in the frame `fixed`; default: the best of 1 to 7 for this scene.",
+            help="One threshold for all subgroups in the frame `fixed`; default: the configuration's if it gives one, else the best of 1 to 7.",
             show_default=False,
         ),
     ] = None,
@@ -177,6 +186,7 @@ def sim(
         ),
     ] = None,
     config: ConfigOption = None,
+    changes: SetOption = None,
     seed: Annotated[int, typer.Option(help="Seed of the photons.")] = 1,
     engine: EngineOption = "verilator",
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder of the results.")] = Path("build/sim"),
@@ -195,7 +205,7 @@ def sim(
     """Simulate frames of a scene and check every word against the golden model; write depth.png, events.npz and report.json."""
     from coincid.study.simulate import simulate
 
-    settings = _config(config, clock_mhz)
+    settings = _config(config, changes, clock_mhz)
     if view == "async":
         engine = "icarus" if engine == "verilator" else engine
         pulses = ASYNC_PULSES if pulses is None else pulses
@@ -251,6 +261,7 @@ def replay(
     edges: Annotated[Path, typer.Option(metavar="FILE", help="Edges (NPZ: pulse, pixel, tick).")],
     out: Annotated[Path, typer.Option(metavar="FILE", help="Result (NPZ); appears whole.")],
     config: ConfigOption = None,
+    changes: SetOption = None,
     engine: EngineOption = "golden",
     stall: Annotated[int, typer.Option(metavar="N", help="Keep tready low for the first N cycles of every frame.")] = 0,
     view: ViewOption = "polyphase",
@@ -266,7 +277,6 @@ def replay(
     ] = None,
 ) -> None:
     """Run an edge file through the golden model or the RTL and write what leaves the sensor."""
-    from coincid.model.contract.config import load_config
     from coincid.model.contract.edges import load_edges
     from coincid.model.contract.result import stall as low
     from coincid.model.contract.result import write_result
@@ -276,7 +286,7 @@ def replay(
     if view == "async" and engine == "golden":
         engine = "icarus"  # the golden model has no views
     check_integer("stall", stall, 0, STALL_CYCLES_MAX)
-    settings = load_config(config)
+    settings = _config(config, changes)
     chosen_view(engine, view, settings.clock_mhz)
     pulses = settings.frames * settings.pulses
     given = load_edges(edges, pixels=settings.sensor.array_pixels, pulses=pulses, period_ticks=settings.period_ticks)
@@ -350,6 +360,7 @@ def photons(
     klux: KluxOption = None,
     background: BackgroundOption = "reflected",
     config: ConfigOption = None,
+    changes: SetOption = None,
     seed: Annotated[int, typer.Option(help="Seed of the photons.")] = 1,
     clock_mhz: ClockOption = None,
 ) -> None:
@@ -361,7 +372,7 @@ def photons(
     from coincid.model.recorded.exchange import check_suffix, write_edges
     from coincid.model.scenes.scene import scene_light
 
-    settings = _config(config, clock_mhz)
+    settings = _config(config, changes, clock_mhz)
     check_suffix(_file(out))
     timing, looked_at = Timing.from_config(settings), scene_of(settings, scene, scale)
     pulses = settings.frames * settings.pulses
@@ -386,6 +397,7 @@ def edges(
     ],
     out: Annotated[Path, typer.Option(metavar="FILE", help="Edges: .npz, .csv, .h5 or (up to 64 pixels) .ptu.")],
     config: ConfigOption = None,
+    changes: SetOption = None,
     channels: Annotated[
         str | None,
         typer.Option(
@@ -406,7 +418,7 @@ def edges(
     from coincid.model.recorded.exchange import check_suffix, parse_channels, read_recording, write_edges
     from coincid.model.recorded.recordings import period_note, recorded_edges, told
 
-    settings = _config(config, clock_mhz)
+    settings = _config(config, changes, clock_mhz)
     check_suffix(_file(out))
     timing = Timing.from_config(settings)
     pixel_of = None if channels is None else parse_channels(channels)
@@ -430,12 +442,11 @@ def verilog(
         Path, typer.Option(metavar="DIR", help="Folder; appears whole, and replaces an earlier export.")
     ] = Path("build/rtl"),
     config: ConfigOption = None,
+    changes: SetOption = None,
     view: ViewOption = "polyphase",
 ) -> None:
     """Export the synthesizable Verilog, one file per block, with file lists, constraints, register map and smoke test."""
-    from coincid.model.contract.config import load_config
-
-    settings = load_config(config)
+    settings = _config(config, changes)
     with extra("rtl"):
         from coincid.flow.release import write_release
     files = write_release(out, settings, view)
@@ -533,6 +544,7 @@ def emulator(
             show_default=False,
         ),
     ] = None,
+    changes: SetOption = None,
     buffer_beats: Annotated[int, typer.Option(metavar="N", help="Of the frame buffer.")] = 8192,
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder of Verilog, register map and bitstream.")] = Path(
         "build/emulator"
@@ -542,14 +554,13 @@ def emulator(
     ),
 ) -> None:
     """Build the emulator for a board. Exit code 1: lint found something, or a clock is missed with one of five seeds."""
-    from coincid.model.contract.config import load_config
     from coincid.model.contract.emulator import Emulator
 
     with extra("rtl"):
         from coincid.flow import boards, emulator_release, lint, pnr
     on_bus, on_board = kind == emulator_release.AXI, kind == emulator_release.BOARD
     _file(page)
-    settings = load_config(config or ("emulator-axi" if on_bus else "emulator"))
+    settings = _config(config or ("emulator-axi" if on_bus else "emulator"), changes)
     files = emulator_release.emulator_release(settings, kind, buffer_beats)
     written = emulator_release.write_emulator(_folder(out), files)
     print(f"{out}: {len(written)} files, {sum(path.stat().st_size for path in written) / 1000:.0f} kB")
@@ -583,11 +594,9 @@ def cost(
 
 
 @app.command()
-def lint(config: ConfigOption = None, view: ViewOption = "polyphase") -> None:
+def lint(config: ConfigOption = None, changes: SetOption = None, view: ViewOption = "polyphase") -> None:
     """Check the exported Verilog with Verilator's lint, and with Icarus if it is installed."""
-    from coincid.model.contract.config import load_config
-
-    settings = load_config(config)
+    settings = _config(config, changes)
     with extra("rtl"):
         from coincid.flow.lint import lint as run
         from coincid.hdl.views import view_at
@@ -736,6 +745,7 @@ def emulate(
         str,
         typer.Option("--config", metavar="FILE", help="TOML file or preset; its sensor must be the one on the board."),
     ] = "emulator",
+    changes: SetOption = None,
     frames: Annotated[int, typer.Option(metavar="N", help="Frames to take.")] = 20,
     pulses: Annotated[
         int | None,
@@ -754,7 +764,6 @@ def emulate(
     from coincid.host.emulator import EmulatorDriver
     from coincid.host.serial_link import SerialPort, SerialTransport
     from coincid.lab.setup import scene_of
-    from coincid.model.contract.config import load_config
     from coincid.model.contract.serial_link import BAUD
     from coincid.model.contract.settings import FRAMES_MAX
     from coincid.study.emulate import DEPTH
@@ -765,7 +774,7 @@ def emulate(
     if netlist and not simulate:
         raise InputError("netlist: goes with --simulate only")
     check_integer("frames", frames, 1, FRAMES_MAX)
-    settings = load_config(config)
+    settings = _config(config, changes)
     if pulses is not None:
         settings = settings.with_frame(pulses=pulses)
     looked_at = scene_of(settings, scene)
@@ -830,11 +839,11 @@ def _klux(given: str | None, scene: str) -> str | float:
     return usual_klux(scene) if given is None else given
 
 
-def _config(path: str | None, clock_mhz: float | None) -> "Config":
-    """Return the configuration, at the clock of the command line if it is given."""
-    from coincid.model.contract.config import load_config
+def _config(path: str | None, changes: list[str] | None = None, clock_mhz: float | None = None) -> "Config":
+    """Return the configuration with the settings of the command line."""
+    from coincid.model.contract.config import changes_of_text, load_config
 
-    config = load_config(path)
+    config = load_config(path, changes_of_text(changes or []))
     return config if clock_mhz is None else config.with_frame(clock_mhz=clock_mhz)
 
 

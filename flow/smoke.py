@@ -46,7 +46,6 @@ def smoke_config(sensor: Sensor) -> Config:
     """Return a short frame with everything on. Most settings keep their reset values: less to program."""
     played = _played(sensor)
     first_gate = {"gating": True, "gate_start": 3, "gate_len": sensor.guard + 8}
-    reset = {name: registers.BY_NAME[name].reset(sensor) for name in ("threshold", "window", "gate_start", "gate_len")}
     return parse_config(
         {
             "sensor": sensor_table(sensor),
@@ -57,7 +56,7 @@ def smoke_config(sensor: Sensor) -> Config:
                 "minigroup_records": True,
                 "mg_threshold": 1,
             },
-            "subgroup": reset,
+            "subgroup": {"gate_len": registers.BY_NAME["gate_len"].reset(sensor)},
             "override": [
                 {"subgroups": played[-1:], "threshold": 1},
                 {"subgroups": played[:1], **first_gate, "threshold": 3},

@@ -235,8 +235,8 @@ def test_output_that_is_a_folder(files):
 
 
 def test_result_is_the_golden_models(files):
-    assert replay(files, "--stall", 100).exit_code == 0
-    config = load_config(files / "config.toml")
+    assert replay(files, "--stall", 100, "--set", "threshold=1", "--set", "format=full").exit_code == 0
+    config = load_config(files / "config.toml").with_settings(threshold=1).with_frame(format="full")
     expected = golden_result(config, Edges(**some_edges()), stall(100))
     with np.load(files / "out" / "result.npz") as found:
         assert not differences(dict(found), expected)

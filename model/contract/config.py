@@ -242,7 +242,7 @@ def load_config(path: FilePath | None = None, changes: Mapping[str, Any] | None 
     path : str, Path or None
         A TOML file, the name of a preset (`PRESETS`), or None for the defaults.
     changes : dict or None
-        Values by key, such as {"window_max": 8}, which replace those of the file.
+        Values by key of `SETTINGS`, such as {"window_max": 8}, which replace those of the file's tables.
 
     Returns
     -------
@@ -260,14 +260,26 @@ def load_config(path: FilePath | None = None, changes: Mapping[str, Any] | None 
             parse_config(document)
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
-    if not changes:
-        return parse_config(document)
-    for name, value in changes.items():
-        if name not in SETTINGS:
-            raise InputError(f"{name}: unknown setting, must be one of {', '.join(SETTINGS)}")
+    for name, value in (changes or {}).items():
         table = SETTINGS[name].table
         document[table] = document.get(table, {}) | {name: value}
     return parse_config(document)
+
+
+def changes_of_text(given: Collection[str]) -> dict[str, Any]:
+    """Return values by key from texts NAME=VALUE, as a command line has them. Raises `InputError`.
+
+    A VALUE is written as in a file, but needs no quotes.
+    """
+    changes = {}
+    for text in given:
+        name, equals, value = text.partition("=")
+        if not equals:
+            raise InputError(f"--set {text}: must be NAME=VALUE")
+        if name not in SETTINGS:
+            raise InputError(f"--set {text}: unknown setting, must be one of {', '.join(SETTINGS)}")
+        changes[name] = SETTINGS[name].of_text(value)
+    return changes
 
 
 def read_toml(path: FilePath) -> dict[str, Any]:

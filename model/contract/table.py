@@ -6,6 +6,7 @@ The attributes of `Sensor`, `FrameSettings` and `SubgroupSettings` carry it as m
 
 import enum
 import re
+import tomllib
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -80,6 +81,17 @@ class Setting:
             return int(number(self.reset, sensor))
         default = self.default_of(sensor, frame)
         return self.choices.index(default) if self.kind is Kind.CHOICE else int(default)
+
+    def of_text(self, text: str) -> Any:
+        """Return the value that a text stands for, as a file would hold it; nothing is checked."""
+        if self.kind in (Kind.CHOICE, Kind.MASK):
+            return text
+        if self.kind is Kind.SIZE:
+            text = f"[{text.strip('[]').replace('x', ',')}]"
+        try:
+            return tomllib.loads(f"value = {text}")["value"]
+        except tomllib.TOMLDecodeError:
+            return text
 
     def checked(self, where: str, value: Any, sensor: Any) -> Any:
         """Return the checked value of the key; the mask becomes bool[pixels]. Raises `InputError` that names `where`."""

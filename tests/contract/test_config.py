@@ -4,7 +4,7 @@
 import numpy as np
 import pytest
 
-from coincid.model.contract.config import load_config, parse_config
+from coincid.model.contract.config import SETTINGS, changes_of_text, load_config, parse_config
 from coincid.model.contract.packet import FORMAT_NAMES
 from coincid.model.contract.registers import address
 from coincid.model.contract.windows import armed_cycle, close_cycle
@@ -225,3 +225,64 @@ def test_steps_of_a_cycle_that_offsets_count(sensor, steps):
 def test_steps_that_no_sensor_is_built_with(sensor, words):
     with pytest.raises(InputError, match=words):
         parse_config({"sensor": sensor})
+
+
+@pytest.mark.parametrize(
+    ("document", "settings"),
+    [
+        ({"sensor": {"window_max": 8}}, {"window": 8}),
+        ({"sensor": {"coarse_bits": 7}}, {"period": 128, "gate_len": 128}),
+        ({"sensor": {"minigroup": [1, 1]}}, {"mg_threshold": 1}),
+        ({"frame": {"period": 100}}, {"gate_len": 100}),
+        ({"sensor": {"phases": 64}}, {"coarse_bits": 9}),
+    ],
+)
+def test_defaults_follow_what_is_written(document, settings):
+    config = parse_config(document)
+    tables = {"sensor": vars_of(config.sensor), "frame": config.frame, "subgroup": vars_of(config)}
+    for name, value in settings.items():
+        assert np.all(tables[SETTINGS[name].table][name] == value), name
+    assert config.given == {f"{table}.{name}" for table, values in document.items() for name in values}
+
+
+def vars_of(instance):
+    return {attribute.name: getattr(instance, attribute.name) for attribute in type(instance).__attrs_attrs__}
+
+
+@pytest.mark.parametrize(
+    ("sensor", "named"),
+    [
+        ({"rows": 30}, "sensor.rows = 30: "),
+        ({"cols": 4}, "sensor.cols = 4: "),
+        ({"subgroup": [3, 8], "rows": 33}, "sensor.subgroup = [3, 8]: "),
+        ({"rows": 4096, "cols": 512}, "sensor.rows = 4096: "),
+        ({"phases": 4, "coarse_bits": 3}, "sensor.coarse_bits = 3: "),
+    ],
+)
+def test_a_message_names_a_key_that_was_written(sensor, named):
+    with pytest.raises(InputError) as error:
+        parse_config({"sensor": sensor})
+    assert str(error.value).startswith(named)
+
+
+def test_what_was_written_is_known():
+    config = parse_config({"subgroup": {"window": 16}, "override": [{"subgroups": [3], "threshold": 2}]})
+    assert config.given == {"subgroup.window", "subgroup.threshold"}
+    assert config.with_frame(pulses=100).with_settings(auto=False).given == config.given | {
+        "frame.pulses",
+        "subgroup.auto",
+    }
+
+
+def test_settings_as_text():
+    given = ["threshold=3", "format=full", "mask=10", "auto=true", "link_gbps=8", "subgroup=4x4", "minigroup=[2,4]"]
+    given += ["auto_bounds=[1, 2, 3, 4, 5, 6]"]
+    config = load_config("fpga", changes_of_text(given))
+    assert (config.sensor.subgroup, config.sensor.minigroup, config.period) == ((4, 4), (2, 4), 63)
+    assert (config.format, config.frame["link_gbps"], config.auto_bounds.tolist()) == ("full", 8.0, [1, 2, 3, 4, 5, 6])
+    assert (
+        np.all(config.threshold == 3) and np.all(config.auto) and np.all(config.mask[:, 4]) and config.mask.sum() == 64
+    )
+    for text, words in (("threshold", "NAME=VALUE"), ("moon=1", "unknown"), ("threshold=many", "from 1 to 64")):
+        with pytest.raises(InputError, match=words):
+            load_config(None, changes_of_text([text]))
