@@ -57,7 +57,6 @@ SCHEMES = {  # name: (title, settings that it overrides), in the order of the fr
     "auto": ("controller", {"coincidence": True, "auto": True}),
 }
 SLOW_ENGINES, SLOW_SETTLING = ("icarus", "cocotb-icarus"), 2
-DEFAULT_THRESHOLD = 2  # of a configuration that does not set it
 Progressed = Callable[[int], None]
 
 
@@ -167,7 +166,7 @@ def simulate(
     """Simulate a scene; leave `PICTURES`, report.html, events.npz and report.json in `out`, and return the report.
 
     source: for `load_scene`; klux: for `ambient_klux`; background: one of `BACKGROUNDS`. threshold: of `fixed`; None: the
-    configuration's threshold if it differs from the default, else the best of 1 to 7 for this scene. settling: frames of
+    threshold that the configuration gives, else the best of 1 to 7 for this scene. settling: frames of
     `auto` (None: `SETTLING`). spad_gate: gating keeps the SPADs off outside the gate. events.npz: a result file of all
     frames, in the order of `SCHEMES`. Raises `InputError`, and the errors of `run_frames`; after a `Mismatch`, only
     the report exists, with `mismatches` = 1.
@@ -208,7 +207,7 @@ def simulate(
         bar.stage("photons")
         _ = run.edges
         fixed = config.threshold
-        if threshold is None and np.all(fixed == DEFAULT_THRESHOLD):
+        if "subgroup.threshold" not in config.given:
             bar.stage("best threshold")
             fixed = np.full_like(fixed, best_threshold(run))
         if shown is not None:
