@@ -194,5 +194,6 @@ def fingerprint(value: Any) -> str:
 
 
 def _fields(value: Any) -> dict[str, Any]:
+    """Return the fields that count when instances are compared."""
     attributes: tuple[Attribute[Any], ...] = type(value).__attrs_attrs__
-    return {each.name: getattr(value, each.name) for each in attributes}
+    return {each.name: getattr(value, each.name) for each in attributes if each.eq}

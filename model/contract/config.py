@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from attrs import asdict, evolve, frozen
+from attrs import asdict, evolve, field, frozen
 
 from ..shared.errors import InputError, check_integer, out_of_range
 from ..shared.files import FilePath
@@ -58,7 +58,7 @@ class Config(SubgroupSettings):
 
     sensor: Sensor
     frame: dict[str, Any]
-    given: frozenset[str] = frozenset()
+    given: frozenset[str] = field(default=frozenset(), eq=False)  # it changes no result
 
     def __attrs_post_init__(self) -> None:
         guard, period = self.sensor.guard, self.period
