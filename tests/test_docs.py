@@ -1,10 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """The documentation is true: snippets run, tables agree with the code, links lead somewhere."""
 
+import ast
 import contextlib
 import io
 import re
 import shlex
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -46,7 +49,7 @@ def blocks(page, language):
 
 def test_all_python_blocks_are_tested():
     """By this file, `test_light_doc.py` and `tb/test_emulator.py`; a block on another page needs a test, too."""
-    tested = {"README.md", "light.md", "explorer.md", "sweeps.md", "board.md"}
+    tested = {"README.md", "light.md", "explorer.md", "experiments.md", "sweeps.md", "board.md"}
     assert {page.name for page in PAGES if blocks(page, "python")} == tested
 
 
@@ -57,6 +60,17 @@ def test_notebook_block_runs(tmp_path, monkeypatch):
     names = {}
     exec(compile(code, "explorer.md", "exec"), names)
     assert len(names["run"].events()) > 0 and (tmp_path / "points.ply").exists()
+
+
+def test_a_study_is_one_file(tmp_path):
+    """The page's study runs as a program, on all cores, and draws."""
+    (code,) = blocks(ROOT / "docs" / "experiments.md", "python")
+    (tmp_path / "thresholds.py").write_text(code)
+    done = subprocess.run([sys.executable, "thresholds.py"], cwd=tmp_path, capture_output=True, text=True, check=True)
+    table = ast.literal_eval(done.stdout)
+    assert list(table) == ["klux", "threshold", "wrong_share", "events_per_s"]
+    assert table["wrong_share"][1] < 0.1 < table["wrong_share"][3]
+    assert (tmp_path / "thresholds.png").exists()
 
 
 def test_sweep_blocks_run(tmp_path, monkeypatch):
