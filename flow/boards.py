@@ -8,9 +8,9 @@ from typing import Any
 
 from attrs import evolve
 
-from ..hdl.emulator.top import EMULATOR_LIST, emulator_netlist
+from ..hdl.emulator.top import EMULATOR_LIST, EmulatorTop
 from ..hdl.emulator.ulx3s import BOARD_TOP, OSCILLATOR_MHZ, board_files, board_pins
-from ..hdl.export import FILE_LIST, fpga_files, verilog_files
+from ..hdl.export import FILE_LIST, fpga_files, instantiated, verilog_files
 from ..hdl.subgroup import Subgroup
 from ..model.contract.config import Config, load_config
 from ..model.contract.emulator import Emulator
@@ -81,7 +81,6 @@ def ulx3s(config: Config, emulator: Emulator | None = None, options: str = "") -
     files = board_files(emulator, config.clock_mhz)
     del files[EMULATOR_LIST]
     sensor = config.sensor
-    blocks = {unit.unit_name for _, unit, _ in emulator_netlist(emulator).instances}
     return Board(
         title="The emulator on an ULX3S",
         command="make emulator",
@@ -107,5 +106,5 @@ def ulx3s(config: Config, emulator: Emulator | None = None, options: str = "") -
         ),
         goal_mhz=config.clock_mhz,
         options=options,
-        apart=tuple(sorted(blocks | {Subgroup(sensor).unit_name})),
+        apart=tuple(sorted({*instantiated(EmulatorTop(emulator)), Subgroup(sensor).unit_name})),
     )

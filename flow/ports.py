@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Ports of the top modules, for integrators: a table and an instantiation, from the RTL's own list of ports.
 
-Names, widths and directions come from the netlist; meanings and values after a reset are defined here, once.
+Names, widths and directions come from the RTL; meanings and values after a reset are defined here, once.
 `python -m coincid.flow.ports` renews these parts of docs/integrate.md.
 """
 
@@ -10,7 +10,7 @@ import re
 from attrs import frozen
 
 from ..hdl.deserialiser import CYCLES
-from ..hdl.sensor import FPGA_TOP, netlist
+from ..hdl.sensor import FPGA_TOP, SensorTop
 from ..hdl.views import POLYPHASE, View
 from ..model.contract.counters import COUNTER_NAMES
 from ..model.contract.packet import FORMATS, HEADER, Kind, layout
@@ -59,7 +59,7 @@ class PortRow:
 def port_rows(sensor: Sensor, top: str = TOP, view: View = POLYPHASE) -> list[PortRow]:
     """Return the ports of a top module, `clk` and `rst` first, in the order of its Verilog."""
     ports = [("clk", 1, True), ("rst", 1, True)]
-    ports += [(port.name, port.width, port.is_input) for port in netlist(sensor, top == FPGA_TOP, view).ports]
+    ports += [(port.name, port.width, port.is_input) for port in SensorTop(sensor, view, top == FPGA_TOP).ports()]
     return [
         PortRow(name, width, "in" if is_input else "out", _clock(name, view), *_meaning(name, sensor, view))
         for name, width, is_input in ports

@@ -12,7 +12,8 @@ from attrs import asdict
 
 from ..hdl import deserialiser
 from ..hdl.export import FILE_LIST, fpga_files, latch_files, verilog_files
-from ..hdl.sensor import FPGA_TOP, Port, has_fpga_top, netlist
+from ..hdl.sensor import FPGA_TOP, SensorTop, has_fpga_top
+from ..hdl.unit import Port
 from ..hdl.views import POLYPHASE, Asynchronous, View, view_at
 from ..model.contract import latency
 from ..model.contract.config import Config
@@ -103,7 +104,7 @@ def _constraints(sensor: Sensor, clock_mhz: float, top: str, view: View) -> str:
             lines.append(
                 f"create_clock -name phase_{j} -period $period -waveform {edges} [get_ports {{{phase_clock(sensor, j)}}}]"
             )
-    ports = [port for port in netlist(sensor, top == FPGA_TOP, view).ports if port.name != "phase_clocks"]
+    ports = [port for port in SensorTop(sensor, view, top == FPGA_TOP).ports() if port.name != "phase_clocks"]
     events = {f"spad_{s}" for s in range(sensor.subgroups)} if view.macros else set()  # clocks of their own
     timed = [
         Port("rst", 1, True),

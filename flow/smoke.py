@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from ..hdl import deserialiser
-from ..hdl.sensor import FPGA_TOP, netlist
+from ..hdl.sensor import FPGA_TOP, SensorTop
 from ..hdl.views import POLYPHASE, Polyphase, View
 from ..model.contract import registers
 from ..model.contract.config import Config, parse_config, sensor_table
@@ -123,7 +123,7 @@ def _instance(sensor: Sensor, levels: bool, view: View) -> str:
         name = sensor.stream_name(stream)
         lit |= {f"{name}_{wire}": f"{wire}[{stream}]" for wire in ("tvalid", "tready", "tlast")}
         lit[f"{name}_tdata"] = f"tdata[{64 * stream}+:64]"
-    names = ["clk", "rst", *(port.name for port in netlist(sensor, levels, view).ports)]
+    names = ["clk", "rst", *(port.name for port in SensorTop(sensor, view, levels).ports())]
     pins = ",\n".join(f"    .{name}({lit.get(name, name)})" for name in names)
     return f"  {FPGA_TOP if levels else TOP} sensor (\n{pins}\n  );\n"
 

@@ -16,10 +16,10 @@ from pathlib import Path
 
 from attrs import frozen
 
-from ..hdl.export import FILE_LIST, fpga_files, verilog_files
+from ..hdl.export import FILE_LIST, fpga_files, instantiated, verilog_files
 from ..hdl.minigroup import Minigroup
 from ..hdl.module import SensorModule
-from ..hdl.sensor import FPGA_TOP, has_fpga_top, netlist
+from ..hdl.sensor import FPGA_TOP, SensorTop, has_fpga_top
 from ..hdl.silicon.minigroup import AsyncMinigroup
 from ..hdl.subgroup import Subgroup
 from ..hdl.unit import Unit
@@ -92,7 +92,7 @@ def synthesize(sensor: Sensor, target: str, top: str = TOP) -> Netlist:
     if top == FPGA_TOP:
         files |= fpga_files(sensor)
         del files[f"{TOP}.v"]
-    units = sorted({unit.unit_name for _, unit, _ in netlist(sensor, levels=top == FPGA_TOP).instances})
+    units = instantiated(SensorTop(sensor, levels=top == FPGA_TOP))
     script = _script(target, list(files), top, units)
     key = digest(script, CELLS_VERSION * (target == CELLS), *(part for item in sorted(files.items()) for part in item))
 

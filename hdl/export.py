@@ -1,23 +1,28 @@
 # SPDX-License-Identifier: Apache-2.0
 """Verilog export: one file per block, stable names, and identical bytes for identical parameters."""
 
+import gc
 import re
+from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import lru_cache
 
 from amaranth.back import rtlil
+from amaranth.hdl import Fragment
+from amaranth.hdl._ir import PortDirection
+from amaranth.lib.wiring import In, Out
 from attrs import frozen
 
-from ..model.contract.parameters import TOP, Sensor
+from ..model.contract.parameters import Sensor
 from ..model.shared.licence import SPDX
-from .deserialiser import Deserialiser
 from .memory import Memory
-from .sensor import FPGA_TOP, core_verilog, fpga_verilog
-from .sensor import verilog as sensor_verilog
+from .sensor import SensorTop
 from .to_verilog import to_verilog
 from .unit import Export, Unit
 from .views import POLYPHASE
 
 FILE_LIST = "coincid.f"
+DIRECTIONS = {In: PortDirection.Input, Out: PortDirection.Output}
 SENSORS_KEPT = 4  # in memory: an export, its netlists and its tests use the same one
 START = r"""  reg \1 ;
   /* verilator lint_off INITIALDLY */
@@ -52,44 +57,66 @@ class _Blocks:
 
 @lru_cache(maxsize=SENSORS_KEPT)
 def _sensor_blocks(sensor: Sensor, view) -> _Blocks:
-    top, units = sensor_verilog(sensor, view)
-    blocks = _emitted(units)
-    files = blocks.files | {f"{TOP}.v": _licensed(top)} | {path.name: path.read_text() for path in view.cells}
+    blocks = _emitted([SensorTop(sensor, view)])
+    files = blocks.files | {path.name: path.read_text() for path in view.cells}
     return _Blocks(files | {FILE_LIST: "".join(f"{name}\n" for name in files)}, blocks.latches)
 
 
 def fpga_files(sensor: Sensor) -> dict[str, str]:
-    """Return the top for an FPGA by file name, and the blocks that `verilog_files` lacks. Empty if there is no such top."""
-    top, units = fpga_verilog(sensor)
-    deserialiser = {name: unit for name, unit in units.items() if isinstance(unit, Deserialiser)}
-    return _emitted(deserialiser).files | {f"{FPGA_TOP}.v": _licensed(top)}
-
-
-def core_files(sensor: Sensor) -> tuple[str, list[str]]:
-    """Return the sensor without its modules (module `CORE`), and the names of the files that it needs."""
-    text, units = core_verilog(sensor)
-    return text, [f"{name}.v" for name in sorted(units)]
+    """Return the top for an FPGA by file name, and the blocks that `verilog_files` lacks."""
+    files = units_files([SensorTop(sensor, levels=True)])
+    return {name: files[name] for name in sorted(files.keys() - verilog_files(sensor).keys())}
 
 
 def units_files(units: list[Unit], latches: bool = False) -> dict[str, str]:
     """Return the files of some blocks and of all that they instantiate. latches: as in `verilog_files`."""
-    return _emitted({unit.unit_name: unit for unit in units}).chosen(latches)
+    return _emitted(units).chosen(latches)
 
 
-def _emitted(pending: dict[str, Unit]) -> _Blocks:
+def instantiated(unit: Unit) -> list[str]:
+    """Return the names of the units that a unit instantiates."""
+    platform = Export()
+    Fragment.get(unit, platform)
+    return sorted(platform.units)
+
+
+def _emitted(units: list[Unit]) -> _Blocks:
     """Return the files of these units and of all that they instantiate."""
-    designs, latches, platform = {}, {}, Export()
-    while pending:
-        name, unit = pending.popitem()
-        if name not in designs:
-            platform.units = {}
-            designs[name] = rtlil.convert(unit, name=name, platform=platform, emit_src=False)
-            if isinstance(unit, Memory):
-                latches[f"{name}.v"] = _licensed(unit.latches())
-            pending |= platform.units
+    pending = {unit.unit_name: unit for unit in units}
+    designs, latches = {}, {}
+    with _garbage_left():
+        while pending:
+            name, unit = pending.popitem()
+            if name not in designs:
+                platform = Export()
+                designs[name] = _design(unit, platform)
+                if isinstance(unit, Memory):
+                    latches[f"{name}.v"] = _licensed(unit.latches())
+                pending |= platform.units
     texts = to_verilog(designs.values())
     files = {f"{name}.v": _licensed(_stable(text)) for name, text in zip(designs, texts)}
     return _Blocks(dict(sorted(files.items())), latches)
+
+
+def _design(unit: Unit, platform: Export) -> str:
+    """Return a unit in Yosys's own language."""
+    fragment = Fragment.get(unit, platform)
+    ports = {
+        port: (platform.pads.get(port, value), DIRECTIONS[flow]) for port, (flow, value) in unit.flat_ports().items()
+    }
+    return rtlil.convert_fragment(fragment, ports, unit.unit_name, emit_src=False)[0]
+
+
+@contextmanager
+def _garbage_left() -> Iterator[None]:
+    """Look for no garbage. Amaranth makes millions of objects that are all needed, and searching them takes half of its time."""
+    was_enabled = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if was_enabled:
+            gc.enable()
 
 
 def _licensed(text: str) -> str:

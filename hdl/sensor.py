@@ -1,17 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The sensor: an array of modules, a register front, a sequencer, and one readout per stream.
+"""The sensor: an array of modules, a register front, a sequencer, and one readout and threshold controller per stream."""
 
-The wiring is a table (`Netlist`), because it is used twice: as Verilog text for any size (an Amaranth top cannot have
-65,536 bits of ports), and as an Amaranth design for Amaranth's own simulator.
-"""
-
+from collections.abc import Callable
+from functools import partial
 from typing import Any
 
-from amaranth.hdl import Cat, Module, Signal, Value
+from amaranth.hdl import Cat, Const, Module, ValueLike
 from amaranth.lib import wiring
-from attrs import define, field, frozen
+from amaranth.lib.wiring import In, Out, Signature
 
 from ..model.contract.parameters import TOP, Sensor
+from ..model.contract.registers import DATA_BITS
+from . import bus
+from .axi import LITE, STREAM
 from .controller import Controller
 from .deserialiser import PHASES_MAX, Deserialiser
 from .logic import any_of
@@ -19,139 +20,98 @@ from .module import SensorModule
 from .readout import Readout
 from .registers import Registers
 from .sequencer import Sequencer
-from .subgroup import own_ports
-from .unit import Unit
+from .subgroup import own_ports, shared_ports
+from .unit import Export, Unit, place
 from .views import POLYPHASE
 
 FPGA_TOP = "coincid_fpga"
 CORE = "coincid_core"
-COMBINE = {"or": " | ", "and": " & ", "cat": ", "}  # how nets are combined; cat: the first has the lowest bits
+LISTED = ("stored", "record_stored")  # reach a readout with one bit per subgroup
+COMBINED = ("valid", "beat", "beat_controlled")  # reach a readout as the OR of its subgroups'
+GRANTED = ("grant", "send")  # from a readout to its subgroups
+
+Put = Callable[..., Any]  # `place` in a design: put(name, unit, **inputs)
 
 
-@frozen
-class Port:
-    """A port of the top module."""
-
-    name: str
-    width: int
-    is_input: bool
+def outer_ports(sensor: Sensor) -> dict[str, Any]:
+    """Ports of the sensor towards its software: registers, laser, streams."""
+    streams = {sensor.stream_name(k): Out(STREAM) for k in range(sensor.streams)}
+    return {"s_axi": In(LITE), "laser": Out(1)} | streams
 
 
-@define
-class Netlist:
-    """Table of a top module's wiring.
+def inner_ports(sensor: Sensor) -> dict[str, Any]:
+    """Ports of the core towards the modules.
 
-    ports: of the top. instances: (name, unit, {unit's port: net or constant}). nets: name -> width. joins: net ->
-    (operation, nets).
+    `shared_ports`, as outputs; data, gate_late, settings_upset : in, OR of all subgroups'; per stream k, of its
+    subgroups: `LISTED`_of_k, `COMBINED`_of_k : in; `GRANTED`_of_k : out.
+    """
+    ports = {name: Out(member.shape) for name, member in shared_ports(sensor).items()}
+    ports |= {"data": In(DATA_BITS), "gate_late": In(1), "settings_upset": In(1)}
+    own = own_ports(sensor)
+    for k in range(sensor.streams):
+        n = len(sensor.stream_subgroups(k))
+        ports |= {f"{name}_of_{k}": In(n) for name in LISTED}
+        ports |= {f"{name}_of_{k}": In(own[name].shape) for name in COMBINED}
+        ports |= {f"grant_of_{k}": Out(n), f"send_of_{k}": Out(bus.Send)}
+    return ports
+
+
+class Core(Unit):
+    """The sensor without its modules, for simulations in which a program wires the modules itself.
+
+    Ports: `outer_ports`, `inner_ports`.
     """
 
-    ports: list[Port] = field(factory=list)
-    instances: list[tuple[str, Unit, dict[str, Any]]] = field(factory=list)
-    nets: dict[str, int] = field(factory=dict)
-    joins: dict[str, tuple[str, list[Any]]] = field(factory=dict)
+    unit_name, separator = CORE, "_"
 
-    def add(self, name: str, unit: Unit, **nets) -> None:
-        """Add an instance. Ports that are not in `nets` connect to the net of the same name."""
-        ports = {port: nets.pop(port, port) for port in unit.flat_ports()}
-        assert not nets, f"{unit.unit_name} has no port {next(iter(nets))}"
-        for port, net in ports.items():
-            if isinstance(net, str):
-                width = len(Value.cast(unit.flat_ports()[port][1]))
-                assert self.nets.setdefault(net, width) == width, f"{net}: widths differ"
-        self.instances.append((name, unit, ports))
+    def __init__(self, sensor: Sensor):
+        self.sensor = sensor
+        super().__init__(outer_ports(sensor) | inner_ports(sensor))
 
-    def join(self, net: str, operation: str, parts: list[str]) -> None:
-        """Make `net` the OR, AND or concatenation of `parts`."""
-        widths = [self.nets[part] for part in parts]
-        self.nets.setdefault(net, sum(widths) if operation == "cat" else widths[0])
-        self.joins[net] = operation, parts
+    def elaborate(self, platform):
+        m = Module()
+        wire_core(m, partial(place, m, platform=platform), self.sensor, self, self)
+        return m
 
 
-def netlist(sensor: Sensor, levels: bool = False, view=POLYPHASE) -> Netlist:
-    """Return the sensor's wiring. view: from `views.py`.
+class SensorTop(Unit):
+    """The sensor.
 
-    levels: the ports are SPAD lines instead of edge words, and every subgroup has a deserialiser.
+    Ports: `outer_ports`; spad_gate : out, bit s is the gate of subgroup s; spad_s : in, SPADs of subgroup s in the view's
+    form.
+
+    levels: instead of spad_s, line_s : in, levels of the SPADs of subgroup s, which has a deserialiser, and
+    phase_clocks : in, its clocks.
     """
-    n = Netlist()
-    subgroups = range(sensor.subgroups)
 
-    def flat(unit, member, prefix):
-        return {
-            port: f"{prefix}_{port.split('__')[-1]}" for port in unit.flat_ports() if port.startswith(f"{member}__")
+    separator = "_"
+
+    def __init__(self, sensor: Sensor, view=POLYPHASE, levels: bool = False):
+        self.sensor, self.view, self.levels = sensor, view, levels
+        self.unit_name = FPGA_TOP if levels else TOP
+        self.spads = {
+            f"{'line' if levels else 'spad'}_{s}": sensor.pixels if levels else view.spad_bits(sensor)
+            for s in range(sensor.subgroups)
         }
+        clocks = {"phase_clocks": In(sensor.phases // 2 - 1)} if levels else {}
+        spads = {name: In(bits) for name, bits in self.spads.items()}
+        super().__init__(outer_ports(sensor) | {"spad_gate": Out(sensor.subgroups)} | clocks | spads)
 
-    registers, sequencer = Registers(sensor), Sequencer(sensor)
-    n.add("registers", registers, **flat(registers, "s_axi", "s_axi"))
-    n.add("sequencer", sequencer)
-    for k in range(0, sensor.subgroups, 2):
-        lines = min(2, sensor.subgroups - k)
-        own = {f"{name}_{j}": f"{name}_{k + j}" for j in range(lines) for name in own_ports(sensor)}
-        own |= {f"words_{j}": f"spad_{k + j}" for j in range(lines)}
-        own |= {f"send_{j}": f"send_of_{sensor.stream_of(k + j)}" for j in range(lines)}
-        n.add(f"module_{k // 2}", SensorModule(sensor, lines, view), number=k // 2, **own)
-    for stream in range(sensor.streams):
-        members = sensor.stream_subgroups(stream)
-        readout = Readout(sensor, len(members))
-        for name in ("stored", "record_stored"):
-            n.join(f"{name}_of_{stream}", "cat", [f"{name}_{s}" for s in members])
-        for name in ("valid", "beat", "beat_controlled"):
-            n.join(f"{name}_of_{stream}", "or", [f"{name}_{s}" for s in members])
-        of_stream = {
-            name: f"{name}_of_{stream}"
-            for name in (
-                "stored", "record_stored", "valid", "beat", "beat_controlled", "grant", "send", "delivered", "counted"
-            )
-        }  # fmt: skip
-        n.add(f"readout_{stream}", readout, **of_stream, **flat(readout, "m_axis", sensor.stream_name(stream)))
-        n.add(
-            f"controller_{stream}",
-            Controller(sensor),
-            share=f"share_{stream}",
-            counted=f"counted_of_{stream}",
-            budget=f"budget_{stream}",
-        )
-        for i, s in enumerate(members):
-            n.nets[f"grant_{s}"] = 1
-            n.joins[f"grant_{s}"] = (
-                ("bit", [f"grant_of_{stream}", i]) if len(members) > 1 else ("or", [f"grant_of_{stream}"])
-            )
-    n.join("delivered", "and", [f"delivered_of_{stream}" for stream in range(sensor.streams)])
-    n.join("data", "or", [f"data_{s}" for s in subgroups])
-    n.join("gate_late", "or", [f"gate_late_{s}" for s in subgroups])
-    n.join("settings_upset", "or", [f"upset_{s}" for s in subgroups])
-    n.join("spad_gate", "cat", [f"spad_gate_{s}" for s in subgroups])
-
-    inputs: list[str] = []
-    outputs = ["laser", "spad_gate"]
-    for port, (flow, _) in registers.flat_ports().items():
-        if port.startswith("s_axi__"):
-            (inputs if flow is wiring.In else outputs).append(f"s_axi_{port.split('__')[1]}")
-    for stream in range(sensor.streams):
-        name = sensor.stream_name(stream)
-        inputs.append(f"{name}_tready")
-        outputs += [f"{name}_tdata", f"{name}_tvalid", f"{name}_tlast"]
-    if levels:
-        deserialiser = Deserialiser(sensor)
-        for s in subgroups:
-            n.add(f"deserialiser_{s}", deserialiser, lines=f"line_{s}", words=f"spad_{s}", clocks="phase_clocks")
-        inputs += ["phase_clocks", *(f"line_{s}" for s in subgroups)]
-    else:
-        inputs += [f"spad_{s}" for s in subgroups]
-    n.ports = [Port(name, n.nets[name], True) for name in inputs] + [
-        Port(name, n.nets[name], False) for name in outputs
-    ]
-    return n
-
-
-def _range(width: int) -> str:
-    return f"[{width - 1}:0] " if width > 1 else ""
-
-
-def verilog(sensor: Sensor, view=POLYPHASE) -> tuple[str, dict[str, Unit]]:
-    """Return the top module as Verilog text, and the units that it instantiates, by name."""
-    n = netlist(sensor, view=view)
-    what = f"SPAD sensor of {sensor.rows} x {sensor.cols} pixels: wiring of its blocks."
-    return module_text(TOP, what, n.ports, n.instances, n.nets, n.joins)
+    def elaborate(self, platform):
+        m = Module()
+        put = partial(place, m, platform=platform)
+        words = [
+            platform.pad(name, bits) if isinstance(platform, Export) else getattr(self, name)
+            for name, bits in self.spads.items()
+        ]
+        if self.levels:
+            words = [
+                put(f"deserialiser_{s}", Deserialiser(self.sensor), lines=lines, clocks=self.phase_clocks).words
+                for s, lines in enumerate(words)
+            ]
+        _, gates = wire_sensor(m, put, self.sensor, self, words, self.view)
+        m.d.comb += self.spad_gate.eq(gates)
+        return m
 
 
 def has_fpga_top(sensor: Sensor) -> bool:
@@ -159,104 +119,94 @@ def has_fpga_top(sensor: Sensor) -> bool:
     return sensor.phases <= PHASES_MAX
 
 
-def fpga_verilog(sensor: Sensor) -> tuple[str, dict[str, Unit]]:
-    """Return the top module for an FPGA, the sensor behind deserialisers, and the units that it instantiates."""
-    n = netlist(sensor, levels=True)
-    what = f"SPAD sensor of {sensor.rows} x {sensor.cols} pixels behind deserialisers: wiring of its blocks."
-    return module_text(FPGA_TOP, what, n.ports, n.instances, n.nets, n.joins)
-
-
-def core_verilog(sensor: Sensor) -> tuple[str, dict[str, Unit]]:
-    """Return the sensor without its modules, and the units, for simulations in which a program wires the modules itself.
-
-    Its ports are those of the top and, per stream k, the signals between the modules and its readout, named as the nets.
-    """
-    n = netlist(sensor)
-    instances = [instance for instance in n.instances if not isinstance(instance[1], SensorModule)]
-    driven = {
-        name for _, unit, ports in instances for port, name in ports.items() if unit.flat_ports()[port][0] is wiring.Out
-    }
-    used = {
-        name for _, unit, ports in instances for port, name in ports.items() if unit.flat_ports()[port][0] is wiring.In
-    }
-    joins = {net: n.joins[net] for net in ("delivered",)}
-    ports = [Port(name, n.nets[name], True) for name in sorted(used - driven - joins.keys())]
-    ports += [Port(name, n.nets[name], False) for name in sorted(driven)]
-    return module_text(
-        CORE, "SPAD sensor: registers, sequencer and readout.", ports, instances, {"delivered": 1}, joins
+def wire_core(m: Module, put: Put, sensor: Sensor, outer: Any, inner: Any) -> Sequencer:
+    """Put the blocks of the core into `m`, between `outer_ports` and `inner_ports`, and return the sequencer."""
+    registers, sequencer = Registers(sensor), Sequencer(sensor)
+    readouts = [Readout(sensor, len(sensor.stream_subgroups(k))) for k in range(sensor.streams)]
+    controllers = [Controller(sensor) for _ in readouts]
+    put(
+        "registers",
+        registers,
+        data=inner.data,
+        gate_late=inner.gate_late,
+        settings_upset=inner.settings_upset,
+        done=sequencer.done,
+        resting=sequencer.resting,
+        **{f"budget_{k}": controller.budget for k, controller in enumerate(controllers)},
     )
-
-
-def module_text(name, comment, ports, instances, nets, joins) -> tuple[str, dict[str, Unit]]:
-    """Return a module of instances and joined nets as Verilog text, and the units that it instantiates."""
-    port_names = {port.name for port in ports}
-    lines = [f"// {comment}", f"module {name} (", "  input clk,", "  input rst,"]
-    lines += [f"  {'input' if port.is_input else 'output'} {_range(port.width)}{port.name}," for port in ports]
-    lines[-1] = lines[-1].rstrip(",")
-    lines.append(");")
-    lines += [f"  wire {_range(width)}{net};" for net, width in sorted(nets.items()) if net not in port_names]
-    lines += [f"  assign {net} = {_expression(operation, parts)};" for net, (operation, parts) in sorted(joins.items())]
-    units: dict[str, Unit] = {}
-    for instance, unit, connections in instances:
-        units.setdefault(unit.unit_name, unit)
-        lines.append(f"  {unit.unit_name} {instance} (")
-        for port, net in ({"clk": "clk", "rst": "rst"} | connections).items():
-            if not isinstance(net, str):
-                net = f"{len(Value.cast(unit.flat_ports()[port][1]))}'d{net}"
-            lines.append(f"    .{port}({net}),")
-        lines[-1] = lines[-1].rstrip(",")
-        lines.append("  );")
-    lines.append("endmodule")
-    return "\n".join(lines) + "\n", units
-
-
-def _expression(operation: str, parts: list[Any]) -> str:
-    if operation == "bit":
-        return f"{parts[0]}[{parts[1]}]"
-    if operation == "constant":
-        return str(parts[0])
-    if operation == "cat":
-        return "{" + ", ".join(reversed(parts)) + "}"
-    while len(parts) > 1:  # balanced, so that the text has logarithmic depth
-        pairs = [f"({a}{COMBINE[operation]}{b})" for a, b in zip(parts[::2], parts[1::2])]
-        parts = pairs + parts[len(parts) & ~1 :]
-    return parts[0]
-
-
-class FlatSensor(wiring.Component):
-    """The sensor as one Amaranth design, for Amaranth's simulator.
-
-    It has the ports of the Verilog top. Amaranth's port width limits its size.
-    """
-
-    def __init__(self, sensor: Sensor):
-        self.netlist = netlist(sensor)
-        super().__init__(
-            {port.name: (wiring.In if port.is_input else wiring.Out)(port.width) for port in self.netlist.ports}
+    put(
+        "sequencer",
+        sequencer,
+        plan=registers.plan,
+        start_frame=registers.start_frame,
+        abort_frame=registers.abort_frame,
+        delivered=Cat(readout.delivered for readout in readouts).all(),
+    )
+    wiring.connect(m, wiring.flipped(outer.s_axi), registers.s_axi)
+    m.d.comb += [
+        outer.laser.eq(sequencer.laser),
+        inner.command.eq(registers.command),
+        inner.period.eq(registers.period),
+        inner.frame.eq(registers.frame),
+        inner.timing.eq(sequencer.timing),
+    ]
+    for k, (readout, controller) in enumerate(zip(readouts, controllers)):
+        put(
+            f"readout_{k}",
+            readout,
+            frame=registers.frame,
+            number=sequencer.number,
+            frame_begin=sequencer.frame_begin,
+            finish=sequencer.finish,
+            **{name: getattr(inner, f"{name}_of_{k}") for name in (*LISTED, *COMBINED)},
         )
+        put(
+            f"controller_{k}",
+            controller,
+            command=registers.command,
+            capacity=registers.capacity,
+            share=getattr(registers, f"share_{k}"),
+            counted=readout.counted,
+            done=sequencer.done,
+        )
+        wiring.connect(m, wiring.flipped(getattr(outer, sensor.stream_name(k))), readout.m_axis)
+        m.d.comb += [getattr(inner, f"{name}_of_{k}").eq(getattr(readout, name)) for name in GRANTED]
+    return sequencer
 
-    def elaborate(self, platform):
-        m = Module()
-        n = self.netlist
-        inputs = {port.name for port in n.ports if port.is_input}
-        nets = {
-            name: getattr(self, name) if name in inputs else Signal(width, name=name) for name, width in n.nets.items()
-        }
-        for net, (operation, parts) in n.joins.items():
-            if operation == "bit":
-                value = nets[parts[0]][parts[1]]
-            elif operation == "cat":
-                value = Cat(nets[part] for part in parts)
-            else:
-                values = [nets[part] if operation == "or" else ~nets[part] for part in parts]
-                value = any_of(m, values, f"{net}_join")
-                value = value if operation == "or" else ~value
-            m.d.comb += nets[net].eq(value)
-        for name, unit, connections in n.instances:
-            m.submodules[name] = unit
-            for port, (flow, signal) in unit.flat_ports().items():
-                net = nets[connections[port]] if isinstance(connections[port], str) else connections[port]
-                signal = Value.cast(signal)
-                m.d.comb += signal.eq(net) if flow is wiring.In else net.eq(signal)
-        m.d.comb += [getattr(self, port.name).eq(nets[port.name]) for port in n.ports if not port.is_input]
-        return m
+
+def wire_sensor(
+    m: Module, put: Put, sensor: Sensor, outer: Any, words: list[ValueLike], view=POLYPHASE
+) -> tuple[Sequencer, Cat]:
+    """Put the blocks of the sensor into `m`, behind `outer_ports`, and return the sequencer and the subgroups' gates.
+
+    words: the SPADs of every subgroup, in the view's form.
+    """
+    inner: Any = Signature(inner_ports(sensor)).create(path=())
+    sequencer = wire_core(m, put, sensor, outer, inner)
+    subgroups = range(sensor.subgroups)
+    own: list[dict[str, Any]] = []  # of every subgroup, its ports
+    for k in subgroups[::2]:
+        lines = subgroups[k : k + 2]
+        module = SensorModule(sensor, len(lines), view)
+        inputs = {name: getattr(inner, name) for name in shared_ports(sensor)}
+        for j, s in enumerate(lines):
+            stream = sensor.stream_of(s)
+            inputs[f"words_{j}"] = words[s]
+            inputs[f"grant_{j}"] = getattr(inner, f"grant_of_{stream}")[sensor.stream_subgroups(stream).index(s)]
+            inputs[f"send_{j}"] = getattr(inner, f"send_of_{stream}")
+            own.append({name: getattr(module, f"{name}_{j}") for name in own_ports(sensor)})
+        put(f"module_{k // 2}", module, number=Const(k // 2, module.number.shape()), **inputs)
+
+    def combine(port, name, members):
+        m.d.comb += getattr(inner, port).eq(any_of(m, [own[s][name] for s in members], f"{port}_from"))
+
+    combine("data", "data", subgroups)
+    combine("gate_late", "gate_late", subgroups)
+    combine("settings_upset", "upset", subgroups)
+    for k in range(sensor.streams):
+        members = sensor.stream_subgroups(k)
+        for name in COMBINED:
+            combine(f"{name}_of_{k}", name, members)
+        for name in LISTED:
+            m.d.comb += getattr(inner, f"{name}_of_{k}").eq(Cat(own[s][name] for s in members))
+    return sequencer, Cat(ports["spad_gate"] for ports in own)

@@ -2,9 +2,31 @@
 """Units: blocks that are emitted once and instantiated, so the Verilog has the hierarchy of the sensor."""
 
 from types import SimpleNamespace
+from typing import Any
 
-from amaranth.hdl import ClockSignal, Instance, Module, ResetInserter, ResetSignal, Signal
+from amaranth.hdl import (
+    ClockSignal,
+    Instance,
+    IOPort,
+    IOValue,
+    Module,
+    ResetInserter,
+    ResetSignal,
+    Signal,
+    Value,
+    ValueLike,
+)
 from amaranth.lib import wiring
+from attrs import field, frozen
+
+
+@frozen
+class Port:
+    """A port of a unit in the Verilog."""
+
+    name: str
+    width: int
+    is_input: bool
 
 
 class Unit(wiring.Component):
@@ -16,28 +38,63 @@ class Unit(wiring.Component):
     unit_name: str
     state: SimpleNamespace
     clocked = True  # has the ports clk and rst
+    separator = "__"  # in the Verilog, between the names of an interface and of its members
     _MustUse__silence = True  # an unused unit is fine where an instance replaces it; Amaranth would warn of it
 
+    def __init__(self, ports: dict[str, Any]):
+        super().__init__(ports)
+        for name, (_, signal) in self.flat_ports().items():
+            signal.name = name
+
     def flat_ports(self) -> dict[str, tuple[wiring.Flow, Signal]]:
-        """Port name in the Verilog -> (direction, signal)."""
-        return {"__".join(map(str, path)): (member.flow, value) for path, member, value in self.signature.flatten(self)}
+        """Port name in the Verilog -> (direction, signal); without clock and reset."""
+        return {
+            self.separator.join(map(str, path)): (member.flow, Value.cast(value))
+            for path, member, value in self.signature.flatten(self)
+        }
+
+    def ports(self) -> list[Port]:
+        """Return the ports in the Verilog, without clock and reset."""
+        return [Port(name, len(value), flow is wiring.In) for name, (flow, value) in self.flat_ports().items()]
 
 
+@frozen
 class Export:
-    """Elaboration platform that turns units into instances and collects them in `units`, to be emitted separately."""
+    """Elaboration platform that turns units into instances and collects them in `units`, to be emitted separately.
 
-    def __init__(self):
-        self.units: dict[str, Unit] = {}
+    pads: inputs of the emitted unit that go straight to an instance. Amaranth numbers the bits of all other inputs
+    together, with 16 bits, which is too little for the SPADs of a large sensor.
+    """
+
+    units: dict[str, Unit] = field(factory=dict)
+    pads: dict[str, IOPort] = field(factory=dict)
+
+    def pad(self, name: str, width: int) -> IOPort:
+        """Return the input `name` of the emitted unit as a pad."""
+        return self.pads.setdefault(name, IOPort(width, name=name))
 
 
-def place(m: Module, name: str, unit: Unit, platform, reset=None) -> Unit:
-    """Put `unit` into `m`, as a submodule or, under an `Export` platform, as an instance. reset: replaces the domain's."""
+def place(m: Module, name: str, unit: Unit, platform, reset=None, **inputs: ValueLike | IOPort) -> Unit:
+    """Put `unit` into `m`, as a submodule or, under an `Export` platform, as an instance.
+
+    reset: replaces the domain's. inputs: what drives the unit's inputs of these names, in full width; the caller
+    connects the other ports.
+    """
+    ports = unit.flat_ports()
+    given = {port: value if isinstance(value, IOValue) else Value.cast(value) for port, value in inputs.items()}
+    for port, value in given.items():
+        flow, signal = ports[port]
+        assert flow is wiring.In, f"{unit.unit_name}: {port} is an output"
+        assert len(value) == len(signal), f"{unit.unit_name}: {port} has {len(signal)} bits, not {len(value)}"
     if not isinstance(platform, Export):
         m.submodules[name] = unit if reset is None else ResetInserter(reset)(unit)
+        m.d.comb += [ports[port][1].eq(value) for port, value in given.items()]
         return unit
     platform.units.setdefault(unit.unit_name, unit)
-    ports = {f"{'i' if flow is wiring.In else 'o'}_{port}": value for port, (flow, value) in unit.flat_ports().items()}
+    connected = {
+        f"{'i' if flow is wiring.In else 'o'}_{port}": given.get(port, signal) for port, (flow, signal) in ports.items()
+    }
     if unit.clocked:
-        ports |= {"i_clk": ClockSignal(), "i_rst": ResetSignal() if reset is None else reset}
-    m.submodules[name] = Instance(unit.unit_name, **ports)
+        connected |= {"i_clk": ClockSignal(), "i_rst": ResetSignal() if reset is None else reset}
+    m.submodules[name] = Instance(unit.unit_name, **connected)
     return unit

@@ -13,9 +13,8 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
-from attrs import evolve
 
-from ..hdl.sensor import CORE
+from ..hdl.sensor import COMBINED, CORE, GRANTED, LISTED
 from ..hdl.subgroup import own_ports
 from ..host.driver import Driver
 from ..host.transport import RefusedError
@@ -52,10 +51,7 @@ def wiring_header(sensor: Sensor) -> str:
     visits = []
     for stream in range(sensor.streams):
         axis = [f"core.{sensor.stream_name(stream)}_{wire}" for wire in ("tdata", "tvalid", "tready", "tlast")]
-        nets = [
-            f"core.{net}_of_{stream}"
-            for net in ("stored", "record_stored", "valid", "beat", "beat_controlled", "grant", "send")
-        ]
+        nets = [f"core.{net}_of_{stream}" for net in (*LISTED, *COMBINED, *GRANTED)]
         visits.append(f"    visit({stream}, {', '.join(axis + nets)});")
     lines = ["template <int LINE> struct Line;"]
     for line in range(2):
@@ -84,12 +80,10 @@ def wiring_header(sensor: Sensor) -> str:
 def build_library(sensor: Sensor) -> Path:
     """Compile the engine's library for a sensor, once."""
     for_core, for_module = rtl_in_two(sensor)
-    if sensor.subgroups % 2:
-        # The module does not depend on the array, so sensors of all sizes share its library. If the number of subgroups is
-        # odd, the last module is a whole one that is used by half, taken from a sensor that has one.
-        _, for_module = rtl_in_two(evolve(sensor, rows=2 * sensor.rows))
     header = wiring_header(sensor)
-    # Nearly all time is spent in the modules; inlined, they run twice as fast. The core is what grows with the array.
+    # The module does not depend on the array, so sensors of all sizes share its library. If the number of subgroups is odd,
+    # the last module is used by half. Nearly all time is spent in the modules; inlined, they run twice as fast. The core is
+    # what grows with the array.
     module = verilated_unit(MODULE, "Vmodule", for_module)
     core = verilated_unit(CORE, "Vcore", for_core, [toolchain.NOT_INLINED])
     key = _key(header, SOURCE.read_text(), module.name, core.name)

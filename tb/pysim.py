@@ -6,7 +6,7 @@ from collections.abc import Callable
 import numpy as np
 from amaranth.sim import Simulator, SimulatorContext
 
-from ..hdl.sensor import FlatSensor
+from ..hdl.sensor import SensorTop
 from ..model.contract import registers
 from ..model.contract.config import Config
 from ..model.contract.edges import Edges
@@ -15,17 +15,17 @@ from .frames import cycle_limit
 from .stimulus import port_words
 
 
-async def write_register(ctx: SimulatorContext, dut: FlatSensor, address: int, value: int) -> None:
+async def write_register(ctx: SimulatorContext, dut: SensorTop, address: int, value: int) -> None:
     """Write over the sensor's AXI4-Lite port, with `wstrb` and `bready` set; return in the cycle of the answer."""
-    ctx.set(dut.s_axi_awaddr, address)
-    ctx.set(dut.s_axi_wdata, value)
-    channels = [(dut.s_axi_awvalid, dut.s_axi_awready), (dut.s_axi_wvalid, dut.s_axi_wready)]
+    ctx.set(dut.s_axi.awaddr, address)
+    ctx.set(dut.s_axi.wdata, value)
+    channels = [(dut.s_axi.awvalid, dut.s_axi.awready), (dut.s_axi.wvalid, dut.s_axi.wready)]
     for valid, _ in channels:
         ctx.set(valid, 1)
     answered = False
     while not answered:
         taken = [valid for valid, ready in channels if ctx.get(valid) and ctx.get(ready)]
-        answered = bool(ctx.get(dut.s_axi_bvalid))
+        answered = bool(ctx.get(dut.s_axi.bvalid))
         await ctx.tick()
         for valid in taken:
             ctx.set(valid, 0)
@@ -40,21 +40,21 @@ def play(
     does not end.
     """
     sensor = config.sensor
-    dut, words = FlatSensor(sensor), port_words(config, edges)
+    dut, words = SensorTop(sensor), port_words(config, edges)
     frame_cycles = config.frame_cycles
     names = [sensor.stream_name(stream) for stream in range(sensor.streams)]
     beats: list[list[int]] = [[] for _ in names]
     beat_cycle: list[list[int]] = [[] for _ in names]
 
     async def host(ctx: SimulatorContext) -> None:
-        ctx.set(dut.s_axi_wstrb, 0xF)
-        ctx.set(dut.s_axi_bready, 1)
+        ctx.set(dut.s_axi.wstrb, 0xF)
+        ctx.set(dut.s_axi.bready, 1)
         for address, value in [*config.register_writes(), registers.control("start")]:
             await write_register(ctx, dut, address, value)
 
     async def frame(ctx: SimulatorContext) -> None:
         streams = [
-            [getattr(dut, f"{name}_{wire}") for wire in ("tvalid", "tdata", "tlast", "tready")] for name in names
+            [getattr(getattr(dut, name), wire) for wire in ("tvalid", "tdata", "tlast", "tready")] for name in names
         ]
         spads = [getattr(dut, f"spad_{s}") for s in range(sensor.subgroups)]
         for *_, ready in streams:

@@ -1,17 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
 """The sensor's Verilog for simulation, emitted once for its parameters and kept."""
 
+from collections.abc import Callable
 from pathlib import Path
 
-from ..hdl.export import FILE_LIST, core_files, verilog_files
-from ..hdl.sensor import CORE
+from ..hdl.export import FILE_LIST, units_files, verilog_files
+from ..hdl.module import SensorModule
+from ..hdl.sensor import Core
+from ..hdl.unit import Unit
 from ..hdl.views import POLYPHASE, View
-from ..model.contract.parameters import SENSOR, TOP, Sensor
+from ..model.contract.parameters import SENSOR, Sensor
 from ..model.shared.folders import build_root
 from ..model.shared.sources import digest, sources_digest
 from . import toolchain
-
-CORE_LIST = f"{CORE}.f"
 
 
 def sensor_key(sensor: Sensor, view: View = POLYPHASE) -> str:
@@ -27,30 +28,26 @@ def sensor_key(sensor: Sensor, view: View = POLYPHASE) -> str:
 
 def rtl(sensor: Sensor, view: View = POLYPHASE) -> list[Path]:
     """Return the sensor's Verilog files in a view, emitted once for its parameters and the state of the sources."""
-    return _listed(_emitted(sensor, view), FILE_LIST)
+    folder = _emitted(sensor_key(sensor, view), repr((sensor, view)), lambda: verilog_files(sensor, view))
+    return [folder / name for name in (folder / FILE_LIST).read_text().split()]
 
 
 def rtl_in_two(sensor: Sensor) -> tuple[list[Path], list[Path]]:
-    """Return the files of the core (`hdl/sensor.py`), and of a module, for a program that wires the modules itself."""
-    core = _listed(_emitted(sensor), CORE_LIST)
-    in_core = {TOP, *(path.stem for path in core)}
-    return core, [path for path in rtl(sensor) if path.stem not in in_core]
+    """Return the files of the core (`hdl/sensor.py`) and of a module of two subgroups, for a program that wires the modules."""
+
+    def files(unit: Unit) -> list[Path]:
+        name = f"{sensor_key(sensor)}-{unit.unit_name}"
+        return sorted(_emitted(name, repr(sensor), lambda: units_files([unit])).iterdir())
+
+    return files(Core(sensor)), files(SensorModule(sensor))
 
 
-def _emitted(sensor: Sensor, view: View = POLYPHASE) -> Path:
-    parts = [repr(sensor)] if view == POLYPHASE else [repr(sensor), repr(view)]
-    key = digest(*parts, sources_digest("hdl", "model.contract", "model.shared"), Path(__file__).read_bytes())
+def _emitted(name: str, parameters: str, files: Callable[[], dict[str, str]]) -> Path:
+    """Return the folder with the `files`, called `name` and keyed by the parameters and the state of the sources."""
+    key = digest(name, parameters, sources_digest("hdl", "model.contract", "model.shared"), Path(__file__).read_bytes())
 
     def emit(directory: Path) -> None:
-        files = verilog_files(sensor, view)
-        if view == POLYPHASE:
-            core_text, of_core = core_files(sensor)
-            files |= {f"{CORE}.v": core_text, CORE_LIST: "".join(f"{name}\n" for name in (f"{CORE}.v", *of_core))}
-        for name, text in files.items():
-            (directory / name).write_text(text)
+        for file, text in files().items():
+            (directory / file).write_text(text)
 
-    return toolchain.build_once(build_root() / "verilog" / f"{sensor_key(sensor, view)}-{key}", emit)
-
-
-def _listed(directory: Path, file_list: str) -> list[Path]:
-    return [directory / name for name in (directory / file_list).read_text().split()]
+    return toolchain.build_once(build_root() / "verilog" / f"{name}-{key}", emit)

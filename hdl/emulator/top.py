@@ -3,16 +3,16 @@
 
 from types import SimpleNamespace
 
-from amaranth.hdl import Module, Mux, ResetSignal, Signal
+from amaranth.hdl import Const, Module, Mux, ResetSignal, Signal
+from amaranth.lib import wiring
 from amaranth.lib.wiring import In, Out, Signature
 
 from ...model.contract.emulator import ADDRESS_BITS, Emulator
 from ...model.contract.registers import DATA_BITS
-from ...model.shared.licence import SPDX
 from ..axi import LITE, OKAY, SLVERR
 from ..export import units_files
-from ..sensor import Netlist, Port, module_text, netlist
-from ..unit import Unit
+from ..sensor import outer_ports, wire_sensor
+from ..unit import Unit, place
 from .bridge import SerialBridge
 from .control import ACCESS, EmulatorControl
 from .source import PhotonSource
@@ -112,64 +112,70 @@ class LocalReset(Unit):
         return m
 
 
-def emulator_netlist(emulator: Emulator, serial: bool = True) -> Netlist:
-    """Return the emulator's wiring, where the sensor's ports are nets. serial: pins of a serial line, not AXI4-Lite."""
-    sensor = emulator.sensor
-    n = netlist(sensor)
-    outer = SerialBridge(emulator) if serial else BusAccess()
-    control = EmulatorControl(emulator)
+class EmulatorTop(Unit):
+    """The emulator.
 
-    def to(unit, member, prefix):
-        return {port: f"{prefix}_{port.split('__')[1]}" for port in unit.flat_ports() if port.startswith(f"{member}__")}
+    Ports
+    -----
+    rx : in, tx : out, a serial line; or, if not `serial`, bus : AXI4-Lite slave
+    laser : out, the sensor's
 
-    n.nets["errors"] = DATA_BITS
-    n.add(
-        "control",
-        control,
-        **to(control, "access", "access"),
-        **to(control, "m_axi", "s_axi"),
-        **to(control, "s_axis", sensor.stream_name(0)),
-        frame_done="done",
-        seed="source_seed",
-        write="source_write",
-        common="source_common",
-        link_errors="errors",
-    )
-    n.add("outer", outer, **to(outer, "access", "access"), **({} if serial else to(outer, "s_axi", "bus")))
-    source = PhotonSource(emulator)
-    for s in range(sensor.subgroups):
-        n.add(
-            f"source_{s}",
-            source,
-            subgroup=s,
-            words=f"spad_{s}",
-            seed="source_seed",
-            write="source_write",
-            common="source_common",
+    Every block has a register of its own for its reset.
+    """
+
+    separator = "_"
+
+    def __init__(self, emulator: Emulator, serial: bool = True):
+        self.emulator, self.serial = emulator, serial
+        self.unit_name = SERIAL_TOP if serial else BUS_TOP
+        super().__init__(({"rx": In(1), "tx": Out(1)} if serial else {"bus": In(WIDE_LITE)}) | {"laser": Out(1)})
+
+    def elaborate(self, platform):
+        m = Module()
+
+        def put(name, unit, **inputs):
+            held = place(m, f"reset_{name}", LocalReset(), platform).held
+            return place(m, name, unit, platform, held, **inputs)
+
+        sensor, outer = self.emulator.sensor, Signature(outer_ports(self.emulator.sensor)).create(path=())
+        sources = [PhotonSource(self.emulator) for _ in range(sensor.subgroups)]
+        sequencer, _ = wire_sensor(m, put, sensor, outer, [source.words for source in sources])
+        link, errors = self._link(m, put)
+        control = put(
+            "control",
+            EmulatorControl(self.emulator),
+            number=sequencer.number,
+            frame_done=sequencer.done,
+            link_errors=errors,
         )
-    if not serial:
-        n.joins["errors"] = ("constant", [0])
-    names = [port for port in outer.flat_ports() if port in ("rx", "tx")]
-    if not serial:
-        names = [port for port in outer.flat_ports() if port.startswith("s_axi__")]
-    n.ports = []
-    for port in names:
-        net = port if serial else f"bus_{port.split('__')[1]}"
-        n.ports.append(Port(net, n.nets[net], outer.flat_ports()[port][0].name == "In"))
-    n.ports.append(Port("laser", 1, False))
-    reset = LocalReset()
-    for name, _, ports in list(n.instances):
-        ports["rst"] = f"rst_{name}"
-        n.add(f"reset_{name}", reset, held=ports["rst"])
-    return n
+        for s, source in enumerate(sources):
+            put(
+                f"source_{s}",
+                source,
+                subgroup=Const(s, source.subgroup.shape()),
+                timing=sequencer.timing,
+                seed=control.seed,
+                write=control.write,
+                common=control.common,
+            )
+        wiring.connect(m, link.access, control.access)
+        wiring.connect(m, control.m_axi, outer.s_axi)
+        wiring.connect(m, getattr(outer, sensor.stream_name(0)), control.s_axis)
+        m.d.comb += self.laser.eq(outer.laser)
+        return m
+
+    def _link(self, m, put):
+        """Place the block that talks to the host; return it and its number of damaged frames."""
+        if not self.serial:
+            access = put("outer", BusAccess())
+            wiring.connect(m, wiring.flipped(self.bus), access.s_axi)
+            return access, Const(0, DATA_BITS)
+        bridge = put("outer", SerialBridge(self.emulator), rx=self.rx)
+        m.d.comb += self.tx.eq(bridge.tx)
+        return bridge, bridge.errors
 
 
 def emulator_files(emulator: Emulator, serial: bool = True) -> dict[str, str]:
     """Return the emulator's Verilog by file name: one file per block, and a file list. It depends only on the parameters."""
-    n = emulator_netlist(emulator, serial)
-    name = SERIAL_TOP if serial else BUS_TOP
-    sensor = emulator.sensor
-    what = f"Emulator of a SPAD sensor of {sensor.rows} x {sensor.cols} pixels: wiring of its blocks."
-    text, units = module_text(name, what, n.ports, n.instances, n.nets, n.joins)
-    files = units_files(list(units.values())) | {f"{name}.v": f"// {SPDX}\n{text}"}
+    files = units_files([EmulatorTop(emulator, serial)])
     return files | {EMULATOR_LIST: "".join(f"{file}\n" for file in files)}

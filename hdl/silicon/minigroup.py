@@ -33,7 +33,7 @@ class AsyncMinigroup(Minigroup):
     def __init__(self, sensor: Sensor):
         self.sensor = sensor
         pixels = sensor.minigroup_pixels
-        Unit.__init__(  # type: ignore[call-arg]  # it is Amaranth's
+        Unit.__init__(
             self,
             {
                 "active": In(pixels),

@@ -13,7 +13,7 @@ from attrs import frozen
 from matplotlib.figure import Figure
 
 from ...hdl.axi import OKAY
-from ...hdl.sensor import FlatSensor
+from ...hdl.sensor import SensorTop
 from ...model.contract import registers
 from ...model.contract.config import Config, parse_config
 from ...model.contract.packet import Kind, header_field
@@ -53,10 +53,10 @@ def config() -> Config:
 def simulate() -> Trace:
     """Write and read a register, have a write refused, then play a frame of two laser periods."""
     of = config()
-    sensor = FlatSensor(of.sensor)
+    sensor = SensorTop(of.sensor)
     rows: list[Row] = []
     accesses: list[int] = []
-    ports = [port.name for port in sensor.netlist.ports]
+    ports = {name: value for name, (_, value) in sensor.flat_ports().items()}
 
     async def write(ctx: SimulatorContext, address: int, value: int) -> None:
         accesses.append(len(rows) - 1)
@@ -64,21 +64,21 @@ def simulate() -> Trace:
 
     async def read(ctx: SimulatorContext, address: int) -> None:
         accesses.append(len(rows) - 1)
-        ctx.set(sensor.s_axi_araddr, address)
-        ctx.set(sensor.s_axi_arvalid, 1)
+        ctx.set(sensor.s_axi.araddr, address)
+        ctx.set(sensor.s_axi.arvalid, 1)
         answered = False
         while not answered:
-            taken = ctx.get(sensor.s_axi_arvalid) and ctx.get(sensor.s_axi_arready)
-            answered = bool(ctx.get(sensor.s_axi_rvalid))
+            taken = ctx.get(sensor.s_axi.arvalid) and ctx.get(sensor.s_axi.arready)
+            answered = bool(ctx.get(sensor.s_axi.rvalid))
             await ctx.tick()
             if taken:
-                ctx.set(sensor.s_axi_arvalid, 0)
+                ctx.set(sensor.s_axi.arvalid, 0)
 
     async def host(ctx: SimulatorContext) -> None:
-        ctx.set(sensor.s_axi_wstrb, 0xF)
-        ctx.set(sensor.s_axi_bready, 1)
-        ctx.set(sensor.s_axi_rready, 1)
-        ctx.set(sensor.m_axis_tready, 1)
+        ctx.set(sensor.s_axi.wstrb, 0xF)
+        ctx.set(sensor.s_axi.bready, 1)
+        ctx.set(sensor.s_axi.rready, 1)
+        ctx.set(sensor.m_axis.tready, 1)
         await ctx.tick().repeat(4)
         threshold = registers.address("threshold")
         await write(ctx, threshold, 2)
@@ -100,13 +100,13 @@ def simulate() -> Trace:
             if cycle >= 0:
                 word = sum(1 << (pixel * PHASES + phase) for pixel, phase in EDGES.get(cycle, ()))
                 ctx.set(sensor.spad_0, word)
-                ctx.set(sensor.m_axis_tready, int(cycle not in STALLED))
+                ctx.set(sensor.m_axis.tready, int(cycle not in STALLED))
                 cycle += 1
             await ctx.tick()
 
     async def watch(ctx: SimulatorContext) -> None:
         while True:
-            rows.append({name: int(ctx.get(getattr(sensor, name))) for name in ports})
+            rows.append({name: int(ctx.get(value)) for name, value in ports.items()})
             await ctx.tick()
 
     simulator = Simulator(sensor)

@@ -14,7 +14,7 @@ from amaranth.sim import Simulator, SimulatorContext
 from matplotlib.figure import Figure
 from pywellen import Waveform
 
-from ...hdl.sensor import FlatSensor
+from ...hdl.sensor import SensorTop
 from ...model.contract import registers
 from ...model.contract.config import parse_config
 from ...model.contract.edges import Edges
@@ -58,12 +58,12 @@ def simulate() -> dict[str, list[int]]:
     config = parse_config({"sensor": {"rows": 8, "cols": 8, "phases": PHASES}, "frame": {"period": 40, "pulses": 1}})
     pixel, cycle, phase = np.array(EDGES).T
     words = port_words(config, Edges(np.zeros_like(pixel), pixel, cycle * PHASES + phase))
-    sensor = FlatSensor(config.sensor)
+    sensor = SensorTop(config.sensor)
 
     async def host(ctx: SimulatorContext) -> None:
-        ctx.set(sensor.m_axis_tready, 1)
-        ctx.set(sensor.s_axi_wstrb, 0xF)
-        ctx.set(sensor.s_axi_bready, 1)
+        ctx.set(sensor.m_axis.tready, 1)
+        ctx.set(sensor.s_axi.wstrb, 0xF)
+        ctx.set(sensor.s_axi.bready, 1)
         for address, value in [*config.register_writes(), registers.control("start")]:
             await write_register(ctx, sensor, address, value)
 
