@@ -62,14 +62,15 @@ def released(kind):
 @pytest.mark.parametrize("kind", TOPS)
 def test_what_is_exported_lints(kind):
     files = released(kind)
-    assert f"module {TOPS[kind]} " in files[f"{TOPS[kind]}.v"] and "registers.md" in files
+    assert f"module {TOPS[kind]}" in files[f"{TOPS[kind]}.v"] and "registers.md" in files
     assert not any(lint_emulator(files, TOPS[kind]).values())
 
 
 @pytest.mark.xdist_group("boards")
 def test_lint_finds_what_is_wrong():
     files = dict(released("axi"))
-    files[f"{TOPS['axi']}.v"] = files[f"{TOPS['axi']}.v"].replace("  output laser", "  output nothing,\n  output laser")
+    text = files[f"{TOPS['axi']}.v"].replace("(", "(nothing, ", 1)
+    files[f"{TOPS['axi']}.v"] = text.replace("  output laser;", "  output nothing;\n  output laser;")
     assert "nothing" in lint_emulator(files, TOPS["axi"])["verilator"]
 
 
