@@ -132,7 +132,7 @@ class Setup:
         config: Config = fields.pop("config", self.config)
         return evolve(self, config=config.with_frame(**frame or {}).with_settings(**subgroup or {}), **fields)
 
-    @property
+    @cached_property
     def photons(self) -> Photons:
         """The photons of all frames. Raises `InputError`."""
         light = self.light
@@ -151,9 +151,7 @@ class Setup:
     @cached_property
     def key(self) -> str:
         """Digest of everything that the outcome depends on, the sources of the project included."""
-        edges = self.photons.key if self.edges is None else fingerprint(self.edges)
-        rest = (self.scene, self.config, self.engine, self.view, self.estimators, versions(self.engine))
-        return digest(edges, *map(fingerprint, rest))
+        return fingerprint(self, versions(self.engine))
 
 
 def scene_of(config: Config, source: str, scale: float = 1.0) -> Scene:
@@ -179,18 +177,27 @@ def versions(engine: str) -> dict[str, str]:
     return {"coincid": __version__, "code": code} | {name: version(name) for name in ("numba", "numpy", "scipy")}
 
 
-def fingerprint(value: Any) -> str:
+def fingerprint(*values: Any) -> str:
     """Return a digest of the content of nested attrs classes, arrays, containers and plain values."""
-    if has(type(value)):
-        return digest(type(value).__qualname__, *map(fingerprint, _fields(value).values()))
-    if isinstance(value, np.ndarray):
-        return digest(f"{value.dtype} {value.shape}", np.ascontiguousarray(value).tobytes())
-    if isinstance(value, dict):
-        return digest("dict", *(fingerprint(each) for pair in sorted(value.items()) for each in pair))
-    if isinstance(value, list | tuple):
-        return digest("list", *map(fingerprint, value))
-    assert value is None or isinstance(value, bool | int | float | str), f"{type(value)}: its content is not known"
-    return digest(repr(value))
+    parts: list[str | bytes] = []
+    pending = list(values)
+    while pending:
+        value = pending.pop()
+        if isinstance(value, np.ndarray):
+            parts += [f"{value.dtype} {value.shape}", np.ascontiguousarray(value).tobytes()]
+            continue
+        inner: list[Any] = []
+        if has(type(value)):
+            inner = list(_fields(value).values())
+        elif isinstance(value, dict):
+            inner = [each for pair in sorted(value.items()) for each in pair]
+        elif isinstance(value, list | tuple):
+            inner = list(value)
+        else:
+            assert value is None or isinstance(value, bool | int | float | str), f"{type(value)}: unknown content"
+        parts.append(f"{type(value).__qualname__} {len(inner)}" if inner else repr(value))
+        pending += inner
+    return digest(*parts)
 
 
 def _fields(value: Any) -> dict[str, Any]:

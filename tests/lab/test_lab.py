@@ -1,0 +1,141 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Setups, runs, measures and campaigns: stages in time, digests of content, the same outcomes from all workers."""
+
+from functools import partial
+
+import numpy as np
+import pytest
+
+from coincid.lab.campaign import KeptFiles, Processes, campaign, grouped, read_measures
+from coincid.lab.dask_workers import Dask
+from coincid.lab.measures import MEASURES, SWEPT
+from coincid.lab.run import Kept, Run
+from coincid.lab.setup import Setup, seeded
+from coincid.lab.table import to_table
+from coincid.model.contract.edges import Edges
+from coincid.model.golden.frame import golden_result
+from coincid.model.light.spad import Spad
+from coincid.model.shared.errors import InputError
+
+SMALL = {"sensor": {"rows": 8, "cols": 16}, "frame": {"period": 60, "pulses": 20, "frames": 2}}
+NAMES = ("events", "wrong_share", "events_per_s")
+read = partial(read_measures, names=NAMES)
+
+
+def small(**fields):
+    return Setup.of("flat:5,0.4", **SMALL, **fields)
+
+
+def test_a_stage_is_computed_when_it_is_first_asked_for():
+    run = Run(small(klux=20.0))
+    assert run.frame().counter("stored").sum() > 0
+    assert "traces" in run.__dict__ and "result" not in run.__dict__
+    assert run["events"] == run.result["stored"][-1].sum()
+    assert run.frame(0)["events"] == run.result["stored"][0].sum()
+
+
+def test_a_run_is_the_golden_models_for_edges_in_any_order():
+    run = Run(small(klux=20.0))
+    shuffled = run.edges.take(np.random.default_rng(1).permutation(len(run.edges)))
+    other = Run(run.setup.but(edges=shuffled))
+    for one in (run, other):
+        expected = golden_result(one.config, one.edges)
+        assert all(np.array_equal(one.result[name], expected[name]) for name in expected)
+    early, late = other.frame_edges(0), other.frame_edges(-1)
+    assert len(early) + len(late) == len(shuffled) and late.pulse.max() < 20
+
+
+def test_a_changed_setting_keeps_the_photons_and_another_seed_does_not():
+    run = Run(small(), kept=Kept(2))
+    assert run.but(subgroup={"threshold": 3}).edges is run.edges
+    assert run.but(seed=2).edges is not run.edges
+    alone = run.alone(-1, subgroup={"threshold": 3})
+    assert alone.config.frames == 1 and np.array_equal(alone.edges.tick, run.frame_edges(1).tick)
+
+
+def test_equal_content_has_equal_keys_and_every_field_counts():
+    setup = small()
+    assert setup.key == small().key
+    edges = Edges(*(np.zeros(1, np.int64) for _ in range(3)))
+    changes = {
+        "klux": 5.0,
+        "background": "even",
+        "light": Run(setup).light,
+        "spad": Spad(dead_time_s=9e-9),
+        "spad_gate": True,
+        "seed": 2,
+        "edges": edges,
+        "engine": "verilator",
+        "view": "async",
+        "estimators": ("maximum",),
+        "scene": Setup.of("flat:6,0.4", **SMALL).scene,
+        "config": setup.config.with_settings(threshold=3),
+    }
+    assert changes.keys() == {field.name for field in Setup.__attrs_attrs__}
+    keys = {name: setup.but(**{name: value}).key for name, value in changes.items()}
+    assert len({setup.key, *keys.values()}) == 1 + len(changes)
+
+
+def test_every_measure_has_its_type():
+    run = Run(small(klux=50.0))
+    for name, measure in MEASURES.items():
+        assert type(run[name]) in (measure.kind, type(None)), name
+    assert run["committed"] == run["events"] + run["dropped"] and run["opened"] == run["committed"] + run["rejected"]
+    assert run["stream_load"] <= run["link_load"] and run["wrong_share_15cm"] <= run["wrong_share"]
+    assert run["beats"] <= run["beats_asked"] and run["bits"] == 64 * run["beats"]
+
+
+def test_measures_know_waits_and_missing_truth():
+    waits = Run(small().but(frame={"dither_bits": 6, "frames": 1}))
+    assert waits["stream_load"] == pytest.approx(waits.frame().beats.max() / waits.config.frame_cycles)
+    assert waits.config.frame_cycles > 20 * 60
+    nowhere = Run(Setup.of("letter-f", **SMALL)).but(subgroup={"mask": "0"})
+    assert nowhere["dropped_share"] is None and nowhere["wrong_share"] == 1
+
+
+def test_outcomes_do_not_depend_on_the_workers(tmp_path):
+    groups = {"few": seeded(small(), 2), "off": [small().but(subgroup={"coincidence": False})]}
+    found, counted = [], []
+    for workers in (Processes(1, lambda *done: counted.append(done)), Processes(2)):
+        with workers:
+            found.append(grouped(groups, read, workers))
+    found.append(grouped(groups, read, Dask(1)))
+    assert found[0] == found[1] == found[2]
+    assert counted == [(1, 3), (2, 3), (3, 3)]
+    assert [len(group) for group in found[0].values()] == [2, 1]
+
+
+def test_a_campaign_continues_and_plays_equal_setups_once(tmp_path):
+    kept, asked = KeptFiles(tmp_path, NAMES), []
+
+    def counted(run):
+        asked.append(run.setup.seed)
+        return read(run)
+
+    with Processes(1) as workers:
+        first = campaign({seed: small(seed=seed) for seed in (1, 2)}, counted, workers, kept=kept)
+        (tmp_path / f"{small(seed=2).key}.json").write_text("{")  # spoilt
+        setups = {"a": small(seed=1), "b": small(seed=2), "c": small(seed=3), "again": small(seed=3)}
+        told = []
+        second = campaign(setups, counted, workers, kept=kept, progress=told.append)
+    assert asked == [1, 2, 2, 3] and told == [1, 2, 3]
+    assert (second["a"], second["b"]) == (first[1], first[2]) and second["c"] == second["again"]
+
+
+def test_an_error_is_raised_or_collected():
+    setups = {"good": small(), "bad": small().but(estimators=("guess",))}
+    with Processes(2) as workers:
+        with pytest.raises(InputError, match="guess"):
+            campaign(setups, read, workers)
+        failed = {}
+        assert campaign(setups, read, workers, failed=failed).keys() == {"good"}
+    assert failed.keys() == {"bad"} and isinstance(failed["bad"], InputError)
+
+
+def test_a_table_has_types_and_meanings():
+    found = [Run(small(klux=klux)).frame() for klux in (5.0, 20.0)]
+    rows = [{name: frame[name] for name in SWEPT} for frame in found]
+    table = to_table([{"klux": 5}, {"klux": 20}], rows, note=("of the test", ["a", "b"]))
+    assert table.column_names == ["klux", *SWEPT, "note"]
+    assert str(table.schema.field("klux").type) == "double" and str(table.schema.field("events").type) == "int64"
+    assert table.schema.field("events").metadata[b"meaning"].decode() == MEASURES["events"].meaning
