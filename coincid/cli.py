@@ -663,13 +663,8 @@ def figures(
     from coincid.study.figures import make
 
     _folder(out)
-    engine = None
-    if rtl:
-        from coincid.tb.replay import replay as run
-
-        engine = partial(run, "verilator")
     with _progress(0, "frames") as bar:
-        files = make(out, engine, bar.done)
+        files = make(out, "verilator" if rtl else None, bar.done)
     print(files[-1])
 
 
@@ -695,13 +690,8 @@ def modes(
     from coincid.study.figures import modes as run
 
     _folder(out)
-    engine = None
-    if rtl:
-        from coincid.tb.replay import replay
-
-        engine = partial(replay, "verilator")
     with _progress(0, "frames") as bar:
-        files = run(out, engine, bar.done)
+        files = run(out, "verilator" if rtl else None, bar.done)
     print(files[-1])
 
 

@@ -48,6 +48,14 @@ def _known(frame: Frame) -> np.ndarray:
     return ~np.isnan(frame.truth_m)
 
 
+def _not(share: str) -> Callable[[Frame], float | None]:
+    return lambda frame: None if frame[share] is None else 1 - frame[share]
+
+
+def _per_s(measure: str) -> Callable[[Frame], float]:
+    return lambda frame: frame[measure] * frame.config.clock_mhz * 1e6 / frame.config.frame_cycles
+
+
 def _depth_share(frame: Frame) -> float | None:
     known = _known(frame)
     return int(np.sum(known & ~np.isnan(frame.depth_m))) / int(known.sum()) if known.any() else None
@@ -138,12 +146,11 @@ _OTHERS: dict[str, tuple[type, str, Callable[[Frame], Number]]] = {
         _share("mg_dropped", "mg_records", "mg_dropped"),
     ),
     "late_cycles": (int, "cycles from the end of the last period to the last beat", _late),
-    "events_per_s": (
-        float,
-        "events that left the sensor per second of the frame",
-        lambda frame: frame["events"] * frame.config.clock_mhz * 1e6 / frame.config.frame_cycles,
-    ),
+    "events_per_s": (float, "events that left the sensor per second of the frame", _per_s("events")),
+    "records_per_s": (float, "minigroup records that left the sensor per second of the frame", _per_s("mg_records")),
+    "right_share": (float, f"share of pixels with depth, off by at most {_PAPERS}", _not("wrong_share")),
     "wrong_share_15cm": (float, f"share of pixels without depth, or off by more than {_FAR}", _wrong(OTHER_SURFACE_M)),
+    "found_share": (float, f"share of pixels with depth, off by at most {_FAR}", _not("wrong_share_15cm")),
     "found_rms_m": (float, f"RMS error of range, pixels that are off by at most {_FAR}", _error(1, OTHER_SURFACE_M)),
 }
 SWEPT = tuple(_SWEPT)  # the columns of a sweep

@@ -11,22 +11,17 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
+from attrs import evolve
 
-from ..lab.measures import stream_beats
-from ..lab.setup import SETTLING
-from ..model.contract.config import Config, parse_config
-from ..model.contract.edges import Edges
+from ..lab.run import Run
+from ..lab.setup import SETTLING, Setup
 from ..model.contract.packet import BEAT_BITS, FORMATS, layout
-from ..model.depth.arrivals import SYSTEM_FWHM_S
-from ..model.depth.estimate import estimate_depth
+from ..model.depth.arrivals import pulse_sigma_ticks
 from ..model.depth.histograms import pixel_image
 from ..model.depth.peaks import APART_SIGMAS, NEAR_SIGMAS, pixel_peaks
-from ..model.golden.frame import golden_result
 from ..model.light.light import Light
-from ..model.light.photons import generate_edges
-from ..model.light.spad import Spad
 from ..model.light.timing import Timing
-from ..model.shared.constants import SIGMA_PER_FWHM, SPEED_OF_LIGHT_M_S
+from ..model.shared.constants import SPEED_OF_LIGHT_M_S
 from . import rivals
 
 THRESHOLD, PULSES, RETURNS = 3, 100, 2
@@ -37,19 +32,14 @@ MEMORY_BITS = 32_000  # per macro-pixel, for its histogram
 NEAR_BINS = 1  # around the peak of a coarse histogram, from which its centre is computed
 
 
-class Shot(NamedTuple):
-    """Photons for all schemes. edges: of all frames; photons: of the last one, by macro-pixel. threshold: where used."""
+class Shot:
+    """Photons for all schemes. run: this sensor's, of all frames; photons: of the last one, by macro-pixel."""
 
-    config: Config
-    timing: Timing
-    edges: Edges
-    photons: rivals.Photons
-    sigma_ticks: float
-    threshold: int
-
-    @property
-    def window(self) -> int:
-        return int(self.config.window[0])
+    def __init__(self, run: Run) -> None:
+        self.run, self.config = run, run.config
+        self.photons = rivals.macro_pixels(run.frame_edges(-1), run.config.sensor, run.config.pulses)
+        self.window, self.threshold = int(self.config.window[0]), int(self.config.threshold[0])
+        self.sigma_ticks = pulse_sigma_ticks(self.config)
 
 
 class Found(NamedTuple):
@@ -59,25 +49,23 @@ class Found(NamedTuple):
     bits: int
 
 
-def shoot(
-    light: Light, seed: int, *, threshold: int = THRESHOLD, pulses: int = PULSES, timing: Timing | None = None
-) -> Shot:
-    """Return photons of `light` in `FRAMES` frames of a sensor of its size; otherwise the silicon preset."""
-    config = parse_config(
-        {
-            "sensor": {"rows": light.rows, "cols": light.cols},
-            "frame": {"pulses": pulses, "frames": FRAMES},
-            "subgroup": {"threshold": threshold},
-        }
+def compared(light: Light, threshold: int = THRESHOLD, timing: Timing | None = None, seed: int = 1) -> Setup:
+    """Return `FRAMES` frames of `light` on a sensor of its size; otherwise the silicon preset.
+
+    timing: of the laser, if it is not that of the sensor.
+    """
+    setup = Setup.of(
+        sensor={"rows": light.rows, "cols": light.cols},
+        frame={"pulses": PULSES, "frames": FRAMES},
+        subgroup={"threshold": threshold},
+        light=light,
+        seed=seed,
     )
-    timing = timing or Timing.from_config(config)
-    edges = generate_edges(light, Spad(), timing, pulses=pulses * FRAMES, seed=seed)
-    photons = rivals.macro_pixels(edges.frame(FRAMES - 1, pulses)[0], config.sensor, pulses)
-    return Shot(config, timing, edges, photons, SYSTEM_FWHM_S * SIGMA_PER_FWHM / timing.tick_s, threshold)
+    return setup if timing is None else setup.but(edges=evolve(setup.photons, timing=timing).edges())
 
 
 def _winner_takes_all(shot: Shot) -> Found:
-    words = rivals.winner_takes_all(shot.photons, shot.timing.phases)
+    words = rivals.winner_takes_all(shot.photons, shot.config.sensor.phases)
     return _by_words(shot, words, words.stamp + 0.5, "short")
 
 
@@ -97,27 +85,25 @@ def _last_hit(shot: Shot) -> Found:
 
 
 def _photon_counts(shot: Shot) -> Found:
-    clock = round(ADDER_S / shot.timing.tick_s)
-    return _by_memory(shot, rivals.photon_counts(shot.photons, clock, -(-shot.timing.period_ticks // clock)), clock)
+    clock = round(ADDER_S / shot.config.tick_s)
+    return _by_memory(shot, rivals.photon_counts(shot.photons, clock, -(-shot.config.period_ticks // clock)), clock)
 
 
 def _count_weighted(shot: Shot) -> Found:
-    width = round(FINE_S / shot.timing.tick_s)
-    words = rivals.windows(shot.photons, shot.window, shot.timing.phases)
+    width = round(FINE_S / shot.config.tick_s)
+    words = rivals.windows(shot.photons, shot.window, shot.config.sensor.phases)
     arrival = rivals.counted_arrival(shot.photons, words, shot.sigma_ticks)
     return _by_memory(
-        shot, rivals.count_weighted(shot.photons, words, arrival, width, -(-shot.timing.period_ticks // width)), width
+        shot, rivals.count_weighted(shot.photons, words, arrival, width, -(-shot.config.period_ticks // width)), width
     )
 
 
-def _this(shot: Shot, settings: dict[str, Any], method: str = "matched", source: str = "map", **frame: Any) -> Found:
-    config, edges = shot.config.with_settings(**settings).with_frame(**frame), shot.edges
-    if not config.auto.any():  # then frames do not depend on earlier ones
-        config, edges = config.with_frame(frames=1), edges.frame(FRAMES - 1, config.pulses)[0]
-    arrays, last = golden_result(config, edges), config.frames - 1
-    depth = estimate_depth(arrays, config, method=method, source=source, frame=last, returns=RETURNS)
-    beats = stream_beats(config, arrays["stored"][last], arrays["mg_stored"][last])
-    return Found(depth.depth_m, int(beats.sum()) * BEAT_BITS)
+def _this(shot: Shot, subgroup: dict[str, Any], estimator: str = "matched", **frame: Any) -> Found:
+    run = shot.run.but(subgroup=subgroup, frame=frame)
+    if not run.config.auto.any():  # then frames do not depend on earlier ones
+        run = run.alone(-1)
+    last = run.frame(estimator=estimator)
+    return Found(last.depth(RETURNS).depth_m, int(last["bits"] or 0))
 
 
 SCHEMES: dict[str, Callable[[Shot], Found]] = {
@@ -129,20 +115,20 @@ SCHEMES: dict[str, Callable[[Shot], Found]] = {
     "count-weighted": _count_weighted,
     "this: fixed": lambda shot: _this(shot, {}),
     "this: controller": lambda shot: _this(shot, {"auto": True}),
-    "this: pooled": lambda shot: _this(shot, {}, source="subgroup"),
-    "this: minigroups": lambda shot: _this(shot, {}, source="minigroup", minigroup_records=True),
-    "winner: planes": lambda shot: _this(shot, {"coincidence": False}, method="planes", format="short"),
-    "this: fixed planes": lambda shot: _this(shot, {}, method="planes"),
-    "this: controller planes": lambda shot: _this(shot, {"auto": True}, method="planes"),
+    "this: pooled": lambda shot: _this(shot, {}, "matched/subgroup"),
+    "this: minigroups": lambda shot: _this(shot, {}, "matched/minigroup", minigroup_records=True),
+    "winner: planes": lambda shot: _this(shot, {"coincidence": False}, "planes", format="short"),
+    "this: fixed planes": lambda shot: _this(shot, {}, "planes"),
+    "this: controller planes": lambda shot: _this(shot, {"auto": True}, "planes"),
 }
 
 
 def _by_words(shot: Shot, words: rivals.Words, arrival: np.ndarray, form: str) -> Found:
     """Return depth from the words that the stream carries; `form`: format of this sensor with packets of the same length."""
-    sensor, timing = shot.config.sensor, shot.timing
+    config, sensor = shot.config, shot.config.sensor
     beats = layout(sensor).length(FORMATS[form])
-    sent = rivals.read_out(shot.photons, words, sensor, timing.phases, timing.period_cycles, beats)
-    histograms = rivals.pixel_histograms(shot.photons, words.chosen(sent), arrival[sent], sensor, timing.period_ticks)
+    sent = rivals.read_out(shot.photons, words, sensor, sensor.phases, config.period, beats)
+    histograms = rivals.pixel_histograms(shot.photons, words.chosen(sent), arrival[sent], sensor, config.period_ticks)
     ticks = np.stack(
         [pixel_peaks(histogram, "matched", None, shot.sigma_ticks, RETURNS)[0] for histogram in histograms]
     )
@@ -194,4 +180,4 @@ def _pulse_shape(sigma: float) -> np.ndarray:
 
 
 def _metres(shot: Shot, ticks: np.ndarray) -> np.ndarray:
-    return ticks * shot.timing.tick_s * SPEED_OF_LIGHT_M_S / 2
+    return ticks * shot.config.tick_s * SPEED_OF_LIGHT_M_S / 2

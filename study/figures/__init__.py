@@ -5,10 +5,10 @@ from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
+from ...lab.campaign import Processes, Progress
 from ...model.shared.files import FilePath
 from ..plot_style import style
 from . import architect, four_modes, interference, light, reconstruction, rivals, thresholds, validity
-from .cases import Engine, Progress, Runner
 from .page import Section, write_page, write_section
 
 TITLE = "Coincid: the paper's figures, and an architect's questions"
@@ -36,13 +36,13 @@ histograms on the chip have 32 kbit per macro-pixel. docs/rivals.md explains whi
 
 def make(
     out_dir: FilePath,
-    replay: Engine | None = None,
+    engine: str | None = None,
     progress: Progress = lambda done, total: None,
     workers: int | None = None,
 ) -> list[Path]:
     """Write all figures (PNG, SVG), their data (CSV) and `index.html` to `out_dir`; return the paths, the page last.
 
-    replay: runs edges through the RTL as `golden_result` does through the model, for figures 6 and 8; None: without RTL.
+    engine: runs the RTL for figures 6 and 8, as of `tb.replay`; None: without RTL.
     progress(done, total) is called after each frame; `total` grows. workers: number of processes, all cores by default;
     the files do not depend on it. Each file appears whole or not at all.
     """
@@ -53,9 +53,9 @@ def make(
         (
             light.figure_2,
             light.figure_5,
-            partial(reconstruction.figure_6, replay=replay),
+            partial(reconstruction.figure_6, engine=engine),
             thresholds.figure_7,
-            partial(reconstruction.figure_8, replay=replay),
+            partial(reconstruction.figure_8, engine=engine),
             validity.validity,
             architect.background,
             architect.rearm_and_window,
@@ -75,12 +75,12 @@ def compare(out_dir: FilePath, progress: Progress = lambda done, total: None, wo
 
 def modes(
     out_dir: FilePath,
-    replay: Engine | None = None,
+    engine: str | None = None,
     progress: Progress = lambda done, total: None,
     workers: int | None = None,
 ) -> list[Path]:
-    """Make the four modes; arguments as in `make`. `replay` checks some frames of each section on the RTL."""
-    families = tuple(partial(family, replay=replay) for family in four_modes.FAMILIES)
+    """Make the four modes; arguments as in `make`. `engine` checks some frames of each section on the RTL."""
+    families = tuple(partial(family, engine=engine) for family in four_modes.FAMILIES)
     return _write(out_dir, MODES_TITLE, MODES_INTRODUCTION, families, progress, workers)
 
 
@@ -88,13 +88,13 @@ def _write(
     out_dir: FilePath,
     title: str,
     introduction: str,
-    families: tuple[Callable[[Runner], Section], ...],
+    families: tuple[Callable[[Processes], Section], ...],
     progress: Progress,
     workers: int | None,
 ) -> list[Path]:
     folder = Path(out_dir)
     sections = []
-    with style(), Runner(workers, progress) as run:
+    with style(), Processes(workers, progress) as run:
         for family in families:
             sections.append(family(run))
             write_section(folder, sections[-1])

@@ -1,176 +1,66 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One Monte Carlo frame, from a scene's photons through the sensor to depth, and many of them on all cores."""
+"""Setups of the figures, and what a figure reads of a run."""
 
-import os
-from collections.abc import Callable, Hashable, Iterable, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from contextlib import ExitStack
-from typing import Any, TypeAlias, TypeVar
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
-from attrs import evolve, field, frozen
 
-from ...model.contract.config import Config, parse_config
-from ...model.contract.edges import Edges
-from ...model.depth.estimate import estimate_depth
-from ...model.depth.quality import wrong_pixels
-from ...model.golden.frame import golden_result
-from ...model.light.photons import generate_edges
-from ...model.light.spad import Spad
-from ...model.light.timing import Timing
-from ...model.scenes.catalogue import load_scene
-from ...model.scenes.scene import Scene, scene_light
-from ...model.shared.interrupts import worker_processes
+from ...lab.run import Run
+from ...lab.setup import Setup, seeded
+from .page import Row
 
-Engine = Callable[[Config, Edges], dict[str, np.ndarray]]
-Progress = Callable[[int, int], None]  # cases done, cases in total
-Table: TypeAlias = dict[str, Any]  # of a configuration file
-_Key = TypeVar("_Key", bound=Hashable)
-_Item = TypeVar("_Item")
-_Result = TypeVar("_Result")
-
+SCENE = "five-objects"
 PULSES, MANY = 100, 8  # pulses of a frame (paper IV); factor for a second run, which shows what is noise
+OF_SENSOR = ("events", "dropped", "dropped_share", "events_per_s", "records_per_s")
+OF_DEPTH = ("wrong_share", "right_share", "found_share", "found_rms_m")
 
 
-@frozen(kw_only=True, eq=False)
-class Case:
-    """Input of one frame. sensor, frame, subgroup: tables of the configuration file. threshold: per subgroup, or None.
+class Outcome(NamedTuple):
+    """The last frame of a run.
 
-    methods: of `METHODS`, or `METHOD/SOURCE` with another source of histograms than the map. With several frames (for
-    the controller), only the last one counts.
+    measures: by name, those of `OF_DEPTH` of the first estimator; of each as NAME_ESTIMATOR. NaN: nothing to divide by.
+    depth_m, wrong: float64[rows, cols] and bool[rows, cols], by estimator. stored: events, int64[subgroups].
     """
 
-    scene: str = "five-objects"
-    klux: float = 50.0
-    seed: int = 1
-    sensor: Table = field(factory=dict)
-    frame: Table = field(factory=dict)
-    subgroup: Table = field(factory=dict)
-    threshold: tuple[int, ...] | None = None
-    methods: tuple[str, ...] = ("planes",)
-    spad: Spad = field(factory=Spad)
-
-    def config(self) -> Config:
-        config = parse_config(
-            {"sensor": self.sensor, "frame": {"pulses": PULSES} | self.frame, "subgroup": self.subgroup}
-        )
-        return config if self.threshold is None else config.with_settings(threshold=self.threshold)
-
-
-@frozen(kw_only=True, eq=False)
-class Outcome:
-    """Result of a case: depth in metres by method, float64[rows, cols]; counts of the last frame, int64[subgroups]."""
-
-    case: Case
-    scene: Scene
+    measures: dict[str, float]
     depth_m: dict[str, np.ndarray]
-    opened: np.ndarray
-    committed: np.ndarray
+    wrong: dict[str, np.ndarray]
     stored: np.ndarray
-    photons: np.ndarray
-    threshold: np.ndarray
-    mg_stored: np.ndarray
-    frame_s: float
-
-    def wrong(self, method: str) -> np.ndarray:
-        """bool[rows, cols]."""
-        return wrong_pixels(self.depth_m[method], self.scene.truth_m)
-
-    def wrong_share(self, method: str) -> float:
-        return float(self.wrong(method)[self.scene.valid].mean())
-
-    def wrong_by_object(self, method: str) -> dict[int, float]:
-        wrong, labels = self.wrong(method), self.scene.labels
-        return {int(label): float(wrong[labels == label].mean()) for label in np.unique(labels)}
-
-    @property
-    def events_per_s(self) -> float:
-        return float(self.stored.sum() / self.frame_s)
 
 
-def run_case(case: Case, engine: Engine = golden_result) -> Outcome:
-    """Run photons, sensor (`engine`: golden model or RTL) and depth."""
-    config = case.config()
-    scene, timing = load_scene(case.scene, config.sensor.rows, config.sensor.cols), Timing.from_config(config)
-    edges = generate_edges(
-        scene_light(scene, case.klux), case.spad, timing, pulses=config.pulses * config.frames, seed=case.seed
-    )
-    arrays, last = engine(config, edges), config.frames - 1
-    depth_m = {}
-    for name in case.methods:
-        method, _, source = name.partition("/")
-        depth = estimate_depth(arrays, config, method=method, source=source or "map", frame=last)
-        depth_m[name] = depth.depth_m[:, :, 0]
-    counts = {name: arrays[name][last] for name in ("opened", "committed", "stored", "photons", "mg_stored")}
+def outcome(run: Run) -> Outcome:
+    """Read a run, for a campaign."""
+    frames = {name: run.frame(estimator=name) for name in run.setup.estimators}
+    measures = {name: run[name] for name in (OF_SENSOR + OF_DEPTH if frames else OF_SENSOR)}
+    measures |= {f"{name}_{estimator}": frame[name] for estimator, frame in frames.items() for name in OF_DEPTH}
     return Outcome(
-        case=case,
-        scene=scene,
-        depth_m=depth_m,
-        threshold=arrays["threshold_used"][last],
-        frame_s=config.pulses * timing.period_s,
-        **counts,
+        {name: np.nan if value is None else value for name, value in measures.items()},
+        {name: frame.depth_m for name, frame in frames.items()},
+        {name: frame.wrong for name, frame in frames.items()},
+        run.frame().counter("stored"),
     )
 
 
-class Runner:
-    """Runs cases on `workers` processes, in order, and counts them; results do not depend on the number of workers."""
-
-    def __init__(self, workers: int | None = None, progress: Progress = lambda done, total: None):
-        self.workers = workers or os.cpu_count() or 1
-        self.progress = progress
-        self.done = self.total = 0
-        self._pool: ProcessPoolExecutor | None = None
-        self._processes = ExitStack()
-
-    def __enter__(self) -> "Runner":
-        if self.workers > 1:
-            self._pool = self._processes.enter_context(worker_processes(self.workers))
-        return self
-
-    def __exit__(self, *raised: Any) -> None:
-        self._processes.__exit__(*raised)
-
-    def run(self, cases: Iterable[Case]) -> list[Outcome]:
-        """Return the outcomes of `cases`, in their order."""
-        return self.map(run_case, cases)
-
-    def table(self, cases: dict[_Key, list[Case]]) -> dict[_Key, list[Outcome]]:
-        """Return the outcomes by key."""
-        outcomes = iter(self.run([case for group in cases.values() for case in group]))
-        return {key: [next(outcomes) for _ in group] for key, group in cases.items()}
-
-    def map(self, function: Callable[[_Item], _Result], items: Iterable[_Item]) -> list[_Result]:
-        """Return `function` (of a module) of each item."""
-        tasks = list(items)
-        self.total += len(tasks)
-        results = []
-        for result in self._pool.map(function, tasks) if self._pool else map(function, tasks):
-            results.append(result)
-            self.done += 1
-            self.progress(self.done, self.total)
-        return results
+def cases(
+    seeds: int = 1, pulses: int = PULSES, *, scene: str = SCENE, frame: dict[str, Any] | None = None, **others: Any
+) -> list[Setup]:
+    """Return setups with the seeds from 1 on, only one of them with other than `PULSES`; `others`: of `Setup.of`."""
+    setup = Setup.of(scene, frame={"pulses": pulses} | (frame or {}), **others)
+    return seeded(setup, seeds if pulses == PULSES else 1)
 
 
-def vary(
-    case: Case,
-    seeds: int = 1,
-    *,
-    pulses: int = PULSES,
-    sensor: Table | None = None,
-    frame: Table | None = None,
-    subgroup: Table | None = None,
-    **others: Any,
-) -> list[Case]:
-    """Return `case` with further settings, for several seeds; `others` are fields of `Case`."""
-    changed = evolve(
-        case,
-        sensor=case.sensor | (sensor or {}),
-        subgroup=case.subgroup | (subgroup or {}),
-        frame=case.frame | {"pulses": pulses} | (frame or {}),
-        **others,
-    )
-    return [evolve(changed, seed=seed + 1) for seed in range(seeds)]
+def mean(outcomes: Sequence[Outcome], measure: str) -> float:
+    """Return the mean of a measure."""
+    return float(np.mean([one.measures[measure] for one in outcomes]))
 
 
-def mean_of(items: Sequence[_Item], value: Callable[[_Item], float]) -> float:
-    return float(np.mean([value(item) for item in items]))
+def mean_rows(
+    keys: Sequence[str], measures: Sequence[str], table: Mapping[tuple[Any, ...], Sequence[Outcome]]
+) -> list[Row]:
+    """Return the rows of a CSV: one per key of `table`, with the means of measures; empty where outcomes have none."""
+    rows: list[Row] = [(*keys, *measures)]
+    for key, outcomes in table.items():
+        has = outcomes[0].measures
+        rows.append((*key, *(mean(outcomes, name) if name in has else "" for name in measures)))
+    return rows

@@ -1,30 +1,26 @@
 # SPDX-License-Identifier: Apache-2.0
 """A second LiDAR in the scene, and the benefit of a laser period that changes from pulse to pulse."""
 
+from itertools import product
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
+from ...lab.campaign import Processes
+from ...lab.run import Run
 from ...model.depth.quality import wrong_share
 from ...model.light.light import Interferer, Light
 from ...model.light.timing import Timing
 from ...model.scenes.catalogue import load_scene
-from ..comparison import PULSES, SCHEMES, shoot
+from ..comparison import PULSES, SCHEMES, Shot, compared
 from ..plot_style import SERIES, legend_below, new_figure, share_axis
-from .cases import Runner, mean_of
-from .page import Row, Section
+from .cases import SCENE
+from .page import Row, Section, section
 from .rivals import STYLES
 
 SIDE, KLUX, SEEDS = 32, 20.0, 3
 SHOWN = ("winner: planes", "this: fixed", "this: controller", "this: fixed planes", "this: controller planes")
-PHOTONS = (
-    0.0,
-    0.02,
-    0.05,
-    0.2,
-    0.5,
-    1.0,
-)  # of the other, per pixel and pulse; our own signal from white at 10 m is 0.23
+PHOTONS = (0.0, 0.02, 0.05, 0.2, 0.5, 1.0)  # of the other, per pixel and pulse; our own from white at 10 m: 0.23
 OFFSETS = (0.0, 1e-5, 1e-4, 1e-3, 1e-2, 1e-1)  # of the other's laser period, relative
 DITHER_BITS = (0, 1, 2, 3, 4, 6)
 PHOTONS_SHOWN, OFFSET_SHOWN, BITS_SHOWN = 0.2, 0.0, (0, 2, 4)
@@ -47,7 +43,7 @@ class Result(NamedTuple):
 
 def run_task(task: Task) -> Result:
     """Run all of `SHOWN` on the same photons of five objects and another LiDAR that lights every pixel at the same time."""
-    scene = load_scene("five-objects", SIDE, SIDE)
+    scene = load_scene(SCENE, SIDE, SIDE)
     timing = Timing(dither_bits=task.bits)
     other = Interferer(
         photons_per_pulse=task.photons,
@@ -55,7 +51,7 @@ def run_task(task: Task) -> Result:
         phase_s=PHASE_SHARE[task.seed - 1] * timing.period_s,
     )
     light = Light.from_scene(scene.distance_m, scene.reflectivity, KLUX, interferer=other if task.photons else None)
-    shot = shoot(light, task.seed, timing=timing)
+    shot = Shot(Run(compared(light, timing=timing, seed=task.seed)))
     found = {name: SCHEMES[name](shot) for name in SHOWN}
     depths = {name: one.depth_m[:, :, 0] for name, one in found.items()}
     return Result(
@@ -71,14 +67,12 @@ def _same_and_wrong(depth_m: np.ndarray, truth_m: np.ndarray) -> float:
     return float(np.bincount((wrong / 0.3).astype(np.int64), minlength=1).max() / truth_m.size) if wrong.size else 0.0
 
 
-def interference(run: Runner) -> Section:
+def interference(run: Processes) -> Section:
     """Show the wrong share against the other LiDAR's light, its period, and the dither."""
     keys = {
-        "photons per pixel and pulse of the other LiDAR": [
-            (photons, OFFSET_SHOWN, bits) for photons in PHOTONS for bits in BITS_SHOWN
-        ],
-        "its laser period longer by": [(PHOTONS_SHOWN, offset, bits) for offset in OFFSETS for bits in BITS_SHOWN],
-        "longest wait in cycles": [(PHOTONS_SHOWN, OFFSET_SHOWN, bits) for bits in DITHER_BITS],
+        "photons per pixel and pulse of the other LiDAR": [*product(PHOTONS, [OFFSET_SHOWN], BITS_SHOWN)],
+        "its laser period longer by": [*product([PHOTONS_SHOWN], OFFSETS, BITS_SHOWN)],
+        "longest wait in cycles": [*product([PHOTONS_SHOWN], [OFFSET_SHOWN], DITHER_BITS)],
     }
     wanted = list(dict.fromkeys(key for part in keys.values() for key in part))
     made = iter(run.map(run_task, [Task(*key, seed + 1) for key in wanted for seed in range(SEEDS)]))
@@ -97,18 +91,9 @@ def interference(run: Runner) -> Section:
     ]
     for key, results in table.items():
         frame_us = Timing(dither_bits=key[2]).start_cycles(PULSES)[-1] / Timing().clock_hz * 1e6
-        rows += [
-            (
-                name,
-                *key,
-                float(frame_us),
-                *(
-                    float(np.mean([getattr(one, part)[name] for one in results]))
-                    for part in ("wrong", "ghosts", "bits")
-                ),
-            )
-            for name in SHOWN
-        ]
+        for name in SHOWN:
+            means = (float(np.mean([part[name] for part in parts])) for parts in zip(*results))
+            rows.append((name, *key, float(frame_us), *means))
     figure = new_figure(15, 5)
     left, middle, right = figure.subplots(1, 3, sharey=True)
     colours = dict(zip(BITS_SHOWN, (SERIES[0], SERIES[3], SERIES[5])))
@@ -117,47 +102,31 @@ def interference(run: Runner) -> Section:
             chosen = [key for key in part if key[2] == bits]
             for name, line in (("this: fixed planes", "-o"), ("this: fixed", "--o")):
                 wait = f"wait of 0 to {(1 << bits) - 1} cycles" if bits else "no wait"
-                axis.plot(
-                    [key[at] for key in chosen],
-                    _shares(table, chosen, name),
-                    line,
-                    color=colours[bits],
-                    label=f"{wait}, {name}",
-                )
+                shares, label_of = _shares(table, chosen, name), f"{wait}, {name}"
+                axis.plot([key[at] for key in chosen], shares, line, color=colours[bits], label=label_of)
         share_axis(axis, xlabel=label)
         axis.set_xscale("symlog", linthresh=part[len(BITS_SHOWN)][at], linscale=0.3)
         axis.set_xlim(left=0)
     for name in SHOWN:
         colour, line, marker = STYLES[name]
         chosen = keys["longest wait in cycles"]
-        right.plot(
-            [(1 << key[2]) - 1 for key in chosen],
-            _shares(table, chosen, name),
-            line,
-            marker=marker,
-            color=colour,
-            label=name,
-        )
+        waits = [(1 << key[2]) - 1 for key in chosen]
+        right.plot(waits, _shares(table, chosen, name), line, marker=marker, color=colour, label=name)
     share_axis(right, xlabel="longest wait in cycles", title=f"{PHOTONS_SHOWN:g} photons, same period")
     right.set_xscale("symlog", linthresh=1)
     right.set_xlim(left=0)
     left.set(ylabel="share of wrong pixels", title="same period")
     middle.set_title(f"{PHOTONS_SHOWN:g} photons")
     legend_below(figure, 4)
-    return Section(
+    return section(
         "interference",
         "A second LiDAR, with and without dither of the laser period",
         "",
-        [
-            (
-                "interference",
-                figure,
-                f"Five objects at {KLUX:g} klux, {PULSES} pulses, {SEEDS} phases of the other LiDAR",
-            )
-        ],
+        figure,
+        f"Five objects at {KLUX:g} klux, {PULSES} pulses, {SEEDS} phases of the other LiDAR",
         rows,
     )
 
 
 def _shares(table: dict[Key, list[Result]], keys: list[Key], name: str) -> list[float]:
-    return [mean_of(table[key], lambda one: one.wrong[name]) for key in keys]
+    return [float(np.mean([one.wrong[name] for one in table[key]])) for key in keys]

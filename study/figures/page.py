@@ -39,6 +39,13 @@ class Section:
     comparisons: Sequence[Comparison] = field(default=())
 
 
+def section(
+    name: str, title: str, text: str, figure: Figure, caption: str, rows: Sequence[Row], *comparisons: Comparison
+) -> Section:
+    """Return a section with one figure, which has the section's name."""
+    return Section(name, title, text, [(name, figure, caption)], rows, comparisons)
+
+
 def write_section(out_dir: Path, section: Section) -> None:
     """Write PNG and SVG of every figure, and the CSV."""
     for stem, figure, _ in section.figures:

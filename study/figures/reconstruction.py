@@ -1,24 +1,29 @@
 # SPDX-License-Identifier: Apache-2.0
 """Figs. 6 and 8 of the paper: the scene reconstructed without coincidence, with one threshold, with other group sizes."""
 
+from itertools import product
+from typing import Any
+
 import numpy as np
 
+from ...lab.campaign import Processes, grouped
+from ...lab.run import Run
+from ...lab.setup import Setup
 from ...model.contract.pixels import pixel_table
 from ...model.depth.quality import TOLERANCE_M
 from ...model.light.analytic import histogram
 from ...model.light.link_budget import FORMS
 from ...model.light.timing import Timing
-from ...model.scenes.catalogue import load_scene
-from ...model.scenes.scene import Scene, scene_light
+from ...model.scenes.scene import Scene
 from ...model.shared.constants import SPEED_OF_LIGHT_M_S
 from ..pictures import Panel, draw_row
-from .cases import MANY, PULSES, Case, Engine, Outcome, Runner, Table, mean_of, run_case, vary
+from .cases import MANY, PULSES, Outcome, cases, mean, outcome
 from .page import Comparison, Row, Section
 
 METHODS = ("maximum", "matched", "background", "planes")
 SEEDS = 4
 RIGHT = 0.5  # share of an object's pixels at which we call it reconstructed
-PANELS_6: dict[str, tuple[float, Table, str]] = {  # panel: klux, settings of the subgroups, the paper's text
+PANELS_6: dict[str, tuple[float, dict[str, Any], str]] = {  # panel: klux, settings of the subgroups, the paper's text
     "a": (5.0, {"coincidence": False}, "up to 11.9 % wrong; objects 1, 3, 4 right"),
     "b": (50.0, {"threshold": 5}, "objects 1, 3, 4 right"),
     "c": (50.0, {"threshold": 2}, "objects 2, 5 right"),
@@ -62,133 +67,90 @@ WHY_8 = {
 }
 
 
-def figure_6(run: Runner, replay: Engine | None = None) -> Section:
+def figure_6(run: Processes, engine: str | None = None) -> Section:
     """Show scheme 1 at 5 klux, and thresholds 5 and 2 at 50 klux."""
     rows: list[Row] = [("panel", "klux", "source", "pulses", "estimator", "object", "wrong_share")]
     figures, comparisons = [], []
     for panel, (klux, settings, paper) in PANELS_6.items():
-        case = Case(klux=klux, subgroup=settings, methods=METHODS)
-        measured = run.table(
-            {
-                ("Monte Carlo", PULSES): vary(case, SEEDS),
-                ("Monte Carlo", MANY * PULSES): vary(case, pulses=MANY * PULSES),
-            }
-        )
-        analytic = dict(zip(FORMS, run.map(_analytic, [(form, case) for form in FORMS])))
+        setups = {
+            ("Monte Carlo", pulses): cases(SEEDS, pulses, klux=klux, subgroup=settings, estimators=METHODS)
+            for pulses in (PULSES, MANY * PULSES)
+        }
+        measured, first = grouped(setups, outcome, run), setups["Monte Carlo", PULSES][0]
+        analytic = dict(zip(FORMS, run.map(_analytic, [(form, first) for form in FORMS])))
         one, many = (outcomes[0] for outcomes in measured.values())
-        if replay:
-            measured["RTL", PULSES] = [run_case(one.case, replay)]
+        if engine:
+            measured["RTL", PULSES] = [outcome(Run(first.but(engine=engine)))]
+        scene = Run(first).scene
         for form in FORMS:
-            rows += _object_rows((panel, klux, form, PULSES, "maximum"), analytic[form][0], one.scene)
+            rows += _object_rows((panel, klux, form, PULSES, "maximum"), analytic[form][0], scene)
         for (source, pulses), outcomes in measured.items():
             for method in METHODS:
-                rows += _object_rows((panel, klux, source, pulses, method), _mean_wrong(outcomes, method), one.scene)
+                rows += _object_rows((panel, klux, source, pulses, method), _mean_wrong(outcomes, method), scene)
         name = "coincidence off" if panel == "a" else f"threshold {settings['threshold']}"
         shown = [Panel(f"analytic, {form}", analytic[form][1]) for form in FORMS]
         shown += [Panel(f"Monte Carlo, {method}", one.depth_m[method]) for method in METHODS]
-        shown += [Panel("RTL, planes", measured["RTL", PULSES][0].depth_m["planes"])] if replay else []
-        shown += [Panel(f"{MANY * PULSES} pulses, matched", many.depth_m["matched"])]
-        figure, _ = draw_row(shown, one.scene.truth_m, f"{name}, {klux:g} klux, {PULSES} pulses")
+        ours = {f"analytic, {form}": _summary(analytic[form][0], scene) for form in FORMS}
+        for method in METHODS:
+            wrong = _mean_wrong(measured["Monte Carlo", PULSES], method)
+            ours[f"Monte Carlo, {method}"] = _summary(wrong, scene)
+        if engine:
+            _add_rtl(shown, ours, measured["RTL", PULSES][0], one)
+        shown.append(Panel(f"{MANY * PULSES} pulses, matched", many.depth_m["matched"]))
+        figure, _ = draw_row(shown, scene.truth_m, f"{name}, {klux:g} klux, {PULSES} pulses")
         figures.append((f"fig6{panel}", figure, f"Fig. 6{panel}: {name}, {klux:g} klux"))
-        ours = {f"analytic, {form}": _summary(analytic[form][0], one.scene) for form in FORMS}
-        ours |= {
-            f"Monte Carlo, {method}": _summary(_mean_wrong(measured["Monte Carlo", PULSES], method), one.scene)
-            for method in METHODS
-        }
-        if replay:
-            ours["RTL"] = _same_depth(measured["RTL", PULSES][0], one)
         comparisons.append(Comparison(f"6{panel}: {name}, {klux:g} klux", paper, ours, WHY_6[panel]))
     return Section("fig6", "Fig. 6: without coincidence, and with one threshold", TEXT_6, figures, rows, comparisons)
 
 
-def figure_8(run: Runner, replay: Engine | None = None) -> Section:
+def figure_8(run: Processes, engine: str | None = None) -> Section:
     """Show sizes of subgroups and minigroups, each at its best threshold."""
     rows: list[Row] = [
         ("panel", "subgroup", "minigroup", "source", "pulses", "threshold", "estimator", "wrong_share", "events_per_s")
     ]
     figures, comparisons = [], []
-    cases = {
-        panel: Case(
-            klux=KLUX_8,
-            frame={"format": "full"},
-            methods=METHODS_8,
-            sensor={"subgroup": list(subgroup), "minigroup": list(minigroup), "streams": STREAMS_8},
-        )
-        for panel, (subgroup, minigroup) in PANELS_8.items()
-    }
-    every = [(panel, threshold) for panel in PANELS_8 for threshold in THRESHOLDS_8]
-    by_threshold = run.table(
-        {(panel, threshold): vary(cases[panel], SEEDS, subgroup={"threshold": threshold}) for panel, threshold in every}
-    )
-    tasks = [(form, by_threshold[key][0].case) for key in every for form in FORMS]
-    analytic = dict(zip(((*key, form) for key in every for form in FORMS), run.map(_analytic, tasks)))
+
+    def setups(panel: str, threshold: int, pulses: int = PULSES) -> list[Setup]:
+        subgroup, minigroup = map(list, PANELS_8[panel])
+        sensor = {"subgroup": subgroup, "minigroup": minigroup, "streams": STREAMS_8}
+        settings: dict[str, Any] = {"sensor": sensor, "frame": {"format": "full"}, "subgroup": {"threshold": threshold}}
+        return cases(SEEDS, pulses, klux=KLUX_8, estimators=METHODS_8, **settings)
+
+    every = {key: setups(*key) for key in product(PANELS_8, THRESHOLDS_8)}
+    by_threshold = grouped(every, outcome, run)
+    tasks = {(*key, form): (form, group[0]) for key, group in every.items() for form in FORMS}
+    analytic = dict(zip(tasks, run.map(_analytic, tasks.values())))
     best: dict[tuple[str, str], tuple[float, int]] = {}  # (wrong share, threshold) by panel and source
-    for panel, threshold in every:
-        outcomes = by_threshold[panel, threshold]
+    for (panel, threshold), outcomes in by_threshold.items():
         for form in FORMS:
             wrong = float(analytic[panel, threshold, form][0].mean())
             rows.append((*_labels(panel), form, PULSES, threshold, "maximum", wrong, ""))
             best[panel, form] = min(best.get((panel, form), (np.inf, 0)), (wrong, threshold))
+        rows += _rows_8(panel, "Monte Carlo", PULSES, threshold, outcomes)
         for method in METHODS_8:
-            wrong = float(_mean_wrong(outcomes, method).mean())
-            events_per_s = mean_of(outcomes, lambda outcome: outcome.events_per_s)
-            rows.append((*_labels(panel), "Monte Carlo", PULSES, threshold, method, wrong, events_per_s))
+            wrong = mean(outcomes, f"wrong_share_{method}")
             best[panel, method] = min(best.get((panel, method), (np.inf, 0)), (wrong, threshold))
-    many = run.table(
-        {
-            panel: vary(cases[panel], pulses=MANY * PULSES, subgroup={"threshold": best[panel, "matched"][1]})
-            for panel in PANELS_8
-        }
-    )
-    for panel, (outcome,) in many.items():
-        threshold = best[panel, "matched"][1]
-        rows += [
-            (
-                *_labels(panel),
-                "Monte Carlo",
-                MANY * PULSES,
-                threshold,
-                method,
-                outcome.wrong_share(method),
-                outcome.events_per_s,
-            )
-            for method in METHODS_8
-        ]
-        shown = [
-            Panel(
-                f"{method}, threshold {best[panel, method][1]}",
-                by_threshold[panel, best[panel, method][1]][0].depth_m[method],
-            )
-            for method in METHODS_8
-        ]
-        shown.append(Panel(f"{MANY * PULSES} pulses, matched, threshold {threshold}", outcome.depth_m["matched"]))
+    matched = {panel: best[panel, "matched"][1] for panel in PANELS_8}
+    many = grouped({panel: setups(panel, matched[panel], MANY * PULSES) for panel in PANELS_8}, outcome, run)
+    for panel, outcomes in many.items():
+        rows += _rows_8(panel, "Monte Carlo", MANY * PULSES, matched[panel], outcomes)
+        shown, ours = [], {}
+        for form in FORMS:
+            ours[f"analytic, {form}"] = "{:.1%} (threshold {})".format(*best[panel, form])
+        for method in METHODS_8:
+            share, threshold = best[panel, method]
+            shown.append(Panel(f"{method}, threshold {threshold}", by_threshold[panel, threshold][0].depth_m[method]))
+            ours[f"Monte Carlo, {method}"] = f"{share:.1%} (threshold {threshold})"
+        depth_m = outcomes[0].depth_m["matched"]
+        shown.append(Panel(f"{MANY * PULSES} pulses, matched, threshold {matched[panel]}", depth_m))
+        if engine:
+            threshold = best[panel, "planes"][1]
+            rtl = outcome(Run(every[panel, threshold][0].but(engine=engine)))
+            rows += _rows_8(panel, "RTL", PULSES, threshold, [rtl])
+            _add_rtl(shown, ours, rtl, by_threshold[panel, threshold][0])
         _, subgroup, minigroup = _labels(panel)
         title = f"subgroup {subgroup}, minigroup {minigroup}, {KLUX_8:g} klux"
-        ours = {
-            name: f"{best[panel, key][0]:.1%} (threshold {best[panel, key][1]})"
-            for name, key in (
-                *((f"analytic, {form}", form) for form in FORMS),
-                *((f"Monte Carlo, {method}", method) for method in METHODS_8),
-            )
-        }
-        if replay:
-            golden = by_threshold[panel, best[panel, "planes"][1]][0]
-            rtl = run_case(golden.case, replay)
-            rows += [
-                (
-                    *_labels(panel),
-                    "RTL",
-                    PULSES,
-                    best[panel, "planes"][1],
-                    method,
-                    rtl.wrong_share(method),
-                    rtl.events_per_s,
-                )
-                for method in METHODS_8
-            ]
-            shown.append(Panel("RTL, planes", rtl.depth_m["planes"]))
-            ours["RTL"] = _same_depth(rtl, golden)
-        figure, _ = draw_row(shown, outcome.scene.truth_m, title)
+        figure, _ = draw_row(shown, Run(every[panel, threshold][0]).scene.truth_m, title)
         figures.append((f"fig8{panel}", figure, f"Fig. 8{panel}: {title}: each estimator at its best threshold"))
         paper = "7 % wrong" if panel == "c" else "worse than (c)"
         comparisons.append(Comparison(f"8{panel}: {title}", paper, ours, WHY_8[panel]))
@@ -201,8 +163,14 @@ def _labels(panel: str) -> tuple[str, str, str]:
     return panel, f"{rows}x{cols}", f"{minigroup_rows}x{minigroup_cols}"
 
 
+def _rows_8(panel: str, source: str, pulses: int, threshold: int, outcomes: list[Outcome]) -> list[Row]:
+    """Return rows of Fig. 8's CSV, one per estimator."""
+    start, events_per_s = (*_labels(panel), source, pulses, threshold), mean(outcomes, "events_per_s")
+    return [(*start, method, mean(outcomes, f"wrong_share_{method}"), events_per_s) for method in METHODS_8]
+
+
 def _mean_wrong(outcomes: list[Outcome], method: str) -> np.ndarray:
-    return np.mean([outcome.wrong(method) for outcome in outcomes], axis=0)
+    return np.mean([one.wrong[method] for one in outcomes], axis=0)
 
 
 def _object_rows(start: tuple[object, ...], wrong: np.ndarray, scene: Scene) -> list[Row]:
@@ -216,18 +184,18 @@ def _summary(wrong: np.ndarray, scene: Scene) -> str:
     return f"{wrong.mean():.1%} wrong; right: {', '.join(right) or 'none'}"
 
 
-def _same_depth(rtl: Outcome, golden: Outcome) -> str:
+def _add_rtl(shown: list[Panel], ours: dict[str, str], rtl: Outcome, golden: Outcome) -> None:
+    """Add the RTL's panel, and whether its depth is the golden model's."""
+    shown.append(Panel("RTL, planes", rtl.depth_m["planes"]))
     same = all(np.array_equal(rtl.depth_m[method], golden.depth_m[method], equal_nan=True) for method in golden.depth_m)
-    return "the same depth in every pixel" if same else "differs from the golden model"
+    ours["RTL"] = "the same depth in every pixel" if same else "differs from the golden model"
 
 
-def _analytic(task: tuple[str, Case]) -> tuple[np.ndarray, np.ndarray]:
+def _analytic(task: tuple[str, Setup]) -> tuple[np.ndarray, np.ndarray]:
     """Return (share of `SEEDS` draws in which a pixel is wrong, first draw's depth), float64[rows, cols], by the highest bin."""
-    form, case = task
-    config, timing = case.config(), Timing()
-    sensor, table = config.sensor, pixel_table(config.sensor)
-    scene = load_scene(case.scene, sensor.rows, sensor.cols)
-    light = scene_light(scene, case.klux)
+    form, setup = task
+    config, run, timing = setup.config, Run(setup), Timing()
+    sensor, light, table = config.sensor, run.light, pixel_table(config.sensor)
     depth_m = np.full((SEEDS, sensor.array_pixels), np.nan)
     for s in range(sensor.subgroups):
         pixel = np.flatnonzero(table.subgroup == s)
@@ -247,11 +215,11 @@ def _analytic(task: tuple[str, Case]) -> tuple[np.ndarray, np.ndarray]:
         )
         lead_s = _lead_s(expected, flight_s, timing)
         for draw in range(SEEDS):
-            counts = np.random.default_rng([case.seed, draw, s]).poisson(expected)
+            counts = np.random.default_rng([setup.seed, draw, s]).poisson(expected)
             peak_s = np.where(counts.any(axis=1), (counts.argmax(axis=1) + 0.5) * timing.tick_s, np.nan)
             depth_m[draw, pixel] = (peak_s + lead_s) * SPEED_OF_LIGHT_M_S / 2
     pictures_m = depth_m.reshape(SEEDS, sensor.rows, sensor.cols)
-    wrong = ~(np.abs(pictures_m - scene.truth_m) <= TOLERANCE_M)
+    wrong = ~(np.abs(pictures_m - run.scene.truth_m) <= TOLERANCE_M)
     return wrong.mean(axis=0), pictures_m[0]
 
 

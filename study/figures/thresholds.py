@@ -2,17 +2,19 @@
 """Fig. 7 of the paper: the highest and the lowest threshold that serve an activity as well as the best one."""
 
 from collections.abc import Iterable
+from itertools import product
 from typing import TypeAlias
 
 import numpy as np
 
+from ...lab.campaign import Processes, grouped
 from ...model.light.analytic import THRESHOLDS, expected_threshold, lowest_threshold, success_by_threshold
 from ...model.light.light import background_cps, signal_per_pulse
 from ...model.light.link_budget import FORMS
 from ...model.light.timing import Timing
 from ..plot_style import SOURCES, legend_below, new_figure
-from .cases import MANY, PULSES, Case, Runner, mean_of, vary
-from .page import Comparison, Row, Section
+from .cases import MANY, PULSES, cases, mean, outcome
+from .page import Comparison, Row, Section, section
 
 DISTANCE_M = 9.7
 SIGNAL = np.geomspace(0.015, 0.235, 9)  # photons per pixel and pulse: 0.23 is a reflectivity of 0.9 at 9.7 m
@@ -38,7 +40,7 @@ READINGS = (  # threshold, the paper's text about it, why ours differs
 )
 
 
-def figure_7(run: Runner) -> Section:
+def figure_7(run: Processes) -> Section:
     """Show the best thresholds against activity: flat targets of growing reflectivity, under two backgrounds."""
     rows: list[Row] = [
         (
@@ -82,21 +84,16 @@ def figure_7(run: Runner) -> Section:
         "Monte Carlo": ("Monte Carlo", PULSES),
         "Monte Carlo, 8x": ("Monte Carlo", MANY * PULSES),
     }
-    return Section(
+    return section(
         "fig7",
         "Fig. 7: threshold against activity",
         f"""<p>Flat targets at {DISTANCE_M} m, of growing reflectivity: the highest threshold with which a pixel's highest bin
 is right (230 ps) as often as with the best threshold, within 1 %, and the lowest such threshold. The paper does not say how it
 chooses; the highest is our reading. Success of Monte Carlo is the share of right pixels of a 16x16 array and {SEEDS} seeds.</p>""",
-        [
-            (
-                "fig7",
-                figure,
-                "Highest and lowest threshold within 1 % of the best, against the activity of a subgroup, at 5 and 50 klux",
-            )
-        ],
+        figure,
+        "Highest and lowest threshold within 1 % of the best, against the activity of a subgroup, at 5 and 50 klux",
         rows,
-        [
+        *(
             Comparison(
                 f"{which} threshold within 1 % of the best, {klux:g} klux",
                 paper,
@@ -105,7 +102,7 @@ chooses; the highest is our reading. Success of Monte Carlo is the share of righ
             )
             for klux in KLUX
             for i, (which, paper, why) in enumerate(READINGS)
-        ],
+        ),
     )
 
 
@@ -116,23 +113,21 @@ def _success(task: tuple[float, float, str]) -> np.ndarray:
     )
 
 
-def _simulated(run: Runner, klux: float, pulses: int) -> np.ndarray:
+def _simulated(run: Processes, klux: float, pulses: int) -> np.ndarray:
     """Return the share of right pixels, float64[signals, 7] by threshold."""
-    cases = {}
-    for signal in SIGNAL:
+    setups = {}
+    for signal, threshold in product(SIGNAL, THRESHOLDS):
         reflectivity = signal / signal_per_pulse(DISTANCE_M, 1.0)
-        case = Case(
+        setups[signal, threshold] = cases(
+            SEEDS,
+            pulses,
             scene=f"flat:{DISTANCE_M},{reflectivity:.6f}",
             klux=klux,
             sensor={"rows": 16, "cols": 16},
-            methods=("maximum",),
+            subgroup={"threshold": threshold, "window": WINDOW_TICKS},
+            estimators=("maximum",),
         )
-        for threshold in THRESHOLDS:
-            settings = {"threshold": threshold, "window": WINDOW_TICKS}
-            cases[signal, threshold] = vary(case, SEEDS if pulses == PULSES else 1, pulses=pulses, subgroup=settings)
-    success = [
-        1 - mean_of(outcomes, lambda outcome: outcome.wrong_share("maximum")) for outcomes in run.table(cases).values()
-    ]
+    success = [1 - mean(outcomes, "wrong_share") for outcomes in grouped(setups, outcome, run).values()]
     return np.reshape(success, (len(SIGNAL), len(THRESHOLDS)))
 
 

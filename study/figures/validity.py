@@ -1,39 +1,35 @@
 # SPDX-License-Identifier: Apache-2.0
 """Limits of the corrected equations: expected counts of a pixel against Monte Carlo."""
 
-from typing import Any
+from itertools import product
 
 import numpy as np
 
-from ...model.contract.config import parse_config
-from ...model.contract.parameters import Sensor
-from ...model.golden.frame import golden_result
+from ...lab.campaign import Processes, campaign
+from ...lab.run import Run
+from ...lab.setup import Setup
 from ...model.light.analytic import VALID_DEAD_FRACTION, histogram
 from ...model.light.light import Light, background_cps
 from ...model.light.link_budget import FORMS
-from ...model.light.photons import generate_edges
 from ...model.light.spad import Spad
 from ...model.light.timing import Timing
 from ...model.shared.constants import SPEED_OF_LIGHT_M_S
 from ..plot_style import SERIES, SOURCES, legend_below, new_figure
-from .cases import MANY, Runner
-from .page import Comparison, Row, Section
+from .cases import MANY
+from .page import Comparison, Row, Section, section
 
 KLUX = (1.0, 5.0, 20.0, 50.0, 100.0, 200.0, 400.0, 1000.0, 2000.0)
 DISTANCE_M, SIGNAL = 9.7, 0.05  # 3.2 photons per pulse in the subgroup: a dark object
 THRESHOLDS, WINDOW_TICKS, PULSES = (2, 5), 16, 1000
 AROUND_S = 2e-9  # around the time of flight: counts as signal
-SENSOR: dict[str, Any] = {"rows": 8, "cols": 8, "fifo_depth": 1024}
 PIXELS = 64
 COUNTS = ("signal", "noise")
 
 
-def validity(run: Runner) -> Section:
+def validity(run: Processes) -> Section:
     """Show counts of a pixel near the target and elsewhere, as a ratio to Monte Carlo, against background."""
-    keys = [
-        (pulses, threshold, klux) for pulses in (PULSES, MANY * PULSES) for threshold in THRESHOLDS for klux in KLUX
-    ]
-    counted = dict(zip(keys, run.map(_counts, keys)))
+    setups = {key: _setup(*key) for key in product((PULSES, MANY * PULSES), THRESHOLDS, KLUX)}
+    counted = campaign(setups, _counts, run)
     ratios = [name for form in FORMS for name in (f"{form}_to_monte_carlo", f"{form}_standard_error")]
     rows: list[Row] = [("pulses", "threshold", "klux", "counts", "monte_carlo", *FORMS, *ratios)]
     for key, (measured, expected) in counted.items():
@@ -80,47 +76,41 @@ def validity(run: Runner) -> Section:
         )
         for form in FORMS
     }
-    return Section(
+    return section(
         "validity",
         "Where the corrected equations end",
         f"""<p>A dark target ({PIXELS * SIGNAL:.1f} photons per pulse in the subgroup) at {DISTANCE_M} m: mean counts per pixel and pulse
 within {AROUND_S * 1e9:g} ns of the time of flight, and elsewhere, relative to those of Monte Carlo. The corrected form assumes that pixels
 that have just fired are ready at the next window. It claims to hold while noise times dead time is below {VALID_DEAD_FRACTION:g}, here up
 to {limit_klux:.0f} klux. Bars: standard error of Monte Carlo.</p>""",
-        [
-            (
-                "validity",
-                figure,
-                f"Ratio of analytic counts to Monte Carlo, {MANY * PULSES} pulses; the CSV also has {PULSES}",
-            )
-        ],
+        figure,
+        f"Ratio of analytic counts to Monte Carlo, {MANY * PULSES} pulses; the CSV also has {PULSES}",
         rows,
-        [
-            Comparison(
-                "largest deviation within the stated validity",
-                "-",
-                {form: f"{value:.1%}" for form, value in worst.items()},
-                "Corrected: with the statistics of Monte Carlo. Literal: (16a) assumes one window of noise per pulse, while there are "
-                "some hundred; (18) divides by the root of the jitter, so that the signal's bins sum to 14.6 times the right value; "
-                "no mixed coincidences in (13) and (15).",
-            )
-        ],
+        Comparison(
+            "largest deviation within the stated validity",
+            "-",
+            {form: f"{value:.1%}" for form, value in worst.items()},
+            "Corrected: with the statistics of Monte Carlo. Literal: (16a) assumes one window of noise per pulse, while there are "
+            "some hundred; (18) divides by the root of the jitter, so that the signal's bins sum to 14.6 times the right value; "
+            "no mixed coincidences in (13) and (15).",
+        ),
     )
 
 
-def _counts(task: tuple[int, int, float]) -> tuple[list[float], dict[str, list[float]]]:
-    """Return the counts of a pixel and pulse near the target and elsewhere: (Monte Carlo, by form)."""
-    pulses, threshold, klux = task
-    config = parse_config(
-        {"sensor": SENSOR, "frame": {"pulses": pulses}, "subgroup": {"threshold": threshold, "window": WINDOW_TICKS}}
-    )
-    timing = Timing.from_config(config)
+def _setup(pulses: int, threshold: int, klux: float) -> Setup:
+    sensor = {"rows": 8, "cols": 8, "fifo_depth": 1024}
+    subgroup = {"threshold": threshold, "window": WINDOW_TICKS}
     light = Light(rows=8, cols=8, distance_m=DISTANCE_M, signal_per_pulse=SIGNAL, background_cps=background_cps(klux))
-    result = golden_result(config, generate_edges(light, Spad(), timing, pulses=pulses, seed=1))
+    return Setup.of(sensor=sensor, frame={"pulses": pulses}, subgroup=subgroup, light=light)
+
+
+def _counts(run: Run) -> tuple[list[float], dict[str, list[float]]]:
+    """Return the counts of a pixel and pulse near the target and elsewhere: (Monte Carlo, by form)."""
+    config, result, timing = run.config, run.result, Timing.from_config(run.config)
     flight_s = 2 * DISTANCE_M / SPEED_OF_LIGHT_M_S
-    share_left = result["stored"].sum() / max(1, result["committed"].sum())  # drops of a full FIFO are excluded here
+    share_left = 1 - (run["dropped_share"] or 0.0)  # drops of a full FIFO are excluded here
     near = np.abs((result["stamp"] + 0.5) * timing.tick_s - flight_s) < AROUND_S
-    measured = [float(result["count"][part].sum() / (PIXELS * pulses * share_left)) for part in (near, ~near)]
+    measured = [float(result["count"][part].sum() / (PIXELS * config.pulses * share_left)) for part in (near, ~near)]
     time_s = (np.arange(config.period_ticks) + 0.5) * timing.tick_s
     near = np.abs(time_s - flight_s) < AROUND_S
     expected = {}
@@ -128,12 +118,12 @@ def _counts(task: tuple[int, int, float]) -> tuple[list[float], dict[str, list[f
         mean = histogram(
             DISTANCE_M,
             SIGNAL,
-            background_cps(klux),
-            threshold=threshold,
+            run.light.background_cps[0],
+            threshold=int(config.threshold[0]),
             window_ticks=WINDOW_TICKS,
             pulses=1,
             form=form,
-            sensor=Sensor(**SENSOR),
+            sensor=config.sensor,
             timing=timing,
         )[0]
         expected[form] = [float(mean[part].sum()) for part in (near, ~near)]

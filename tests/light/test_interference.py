@@ -13,7 +13,6 @@ from coincid.model.light.spad import Spad
 from coincid.model.light.timing import Timing
 from coincid.model.shared.constants import SPEED_OF_LIGHT_M_S
 from coincid.model.shared.errors import InputError
-from coincid.study.figures.cases import Runner
 from coincid.study.figures.interference import Task, run_task
 
 LEVEL = 1e-3
@@ -154,6 +153,5 @@ def test_bad_values():
 
 def test_dither_pays():
     """The core of the study: a ghost in most pixels without dither, almost none with it."""
-    with Runner(1) as run:
-        without, with_it = run.map(run_task, [Task(0.2, 0.0, 0, 1), Task(0.2, 0.0, 4, 1)])
+    without, with_it = run_task(Task(0.2, 0.0, 0, 1)), run_task(Task(0.2, 0.0, 4, 1))
     assert without.ghosts["this: fixed planes"] > 0.5 > 0.2 > with_it.wrong["this: fixed planes"]

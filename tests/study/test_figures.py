@@ -7,13 +7,19 @@ import html.parser
 import numpy as np
 import pytest
 
-from coincid.model.golden.frame import golden_result
+from coincid.lab.campaign import Processes, grouped
+from coincid.lab.run import Run
 from coincid.study.figures import light, reconstruction
-from coincid.study.figures.cases import Case, Runner, run_case, vary
+from coincid.study.figures.cases import cases, mean, mean_rows, outcome
 from coincid.study.figures.page import Comparison, Section, write_page, write_section
 from coincid.study.plot_style import new_figure, style
 
-SMALL = Case(scene="letter-f", klux=20, sensor={"rows": 8, "cols": 16}, methods=("planes", "matched/subgroup"))
+SMALL = {
+    "scene": "letter-f",
+    "klux": 20,
+    "sensor": {"rows": 8, "cols": 16},
+    "estimators": ("planes", "matched/subgroup"),
+}
 
 
 def section(value=0.1):
@@ -34,30 +40,33 @@ def section(value=0.1):
 
 
 def test_outcomes_do_not_depend_on_the_workers():
-    cases = {"few": vary(SMALL, 2, pulses=40), "off": vary(SMALL, subgroup={"coincidence": False})}
+    setups = {"few": cases(2, **SMALL), "off": cases(subgroup={"coincidence": False}, **SMALL)}
     tables = []
     for workers in (1, 2):
         calls = []
-        with Runner(workers, lambda done, total, calls=calls: calls.append((done, total))) as run:
-            tables.append(run.table(cases))
+        with Processes(workers, lambda done, total, calls=calls: calls.append((done, total))) as run:
+            tables.append(grouped(setups, outcome, run))
         assert calls == [(1, 3), (2, 3), (3, 3)]
     for name, outcomes in tables[0].items():
         for one, two in zip(outcomes, tables[1][name]):
-            assert one.case.seed == two.case.seed and np.array_equal(one.stored, two.stored)
+            assert one.measures == two.measures and np.array_equal(one.stored, two.stored)
             assert all(
-                np.array_equal(one.depth_m[method], two.depth_m[method], equal_nan=True) for method in SMALL.methods
+                np.array_equal(one.depth_m[each], two.depth_m[each], equal_nan=True) for each in SMALL["estimators"]
             )
 
 
-def test_a_case_is_what_it_says():
-    (case,) = vary(SMALL, pulses=20, subgroup={"threshold": 3}, frame={"frames": 2})
-    outcome = run_case(case)
-    assert outcome.threshold.tolist() == [3, 3] and outcome.frame_s == pytest.approx(20 * 500e-9)
-    assert np.all(outcome.committed <= outcome.opened)
-    assert 0 <= outcome.wrong_share("planes") <= outcome.wrong_share("matched/subgroup") <= 1
-    assert set(outcome.wrong_by_object("planes")) == {1, 2}
+def test_rows_are_means_over_seeds():
+    assert [one.seed for one in cases(2, **SMALL)] == [1, 2]
+    (setup,) = cases(2, 20, subgroup={"threshold": 3}, frame={"frames": 2}, **SMALL)
+    (blind,) = cases(1, 20, frame={"format": "short"}, **SMALL | {"estimators": ()})
+    found, without = outcome(Run(setup)), outcome(Run(blind))
+    assert found.stored.sum() == found.measures["events"] == found.measures["events_per_s"] * 20 * 500e-9
+    assert found.measures["wrong_share"] == found.measures["wrong_share_planes"] == found.wrong["planes"].mean()
+    assert mean([found, found], "events") == found.measures["events"]
+    rows = mean_rows(("key",), ("dropped", "wrong_share"), {("one",): [found], ("two",): [without]})
+    assert rows == [("key", "dropped", "wrong_share"), ("one", 0.0, found.measures["wrong_share"]), ("two", 0.0, "")]
     with pytest.raises(ValueError, match="threshold"):
-        run_case(vary(SMALL, subgroup={"threshold": 0})[0])
+        cases(subgroup={"threshold": 0})
 
 
 def test_files_of_a_section_have_the_same_bytes_again(tmp_path):
@@ -96,8 +105,8 @@ def test_paper_figures_with_a_second_engine(monkeypatch):
     monkeypatch.setattr(reconstruction, "PANELS_6", {"c": reconstruction.PANELS_6["c"]})
     monkeypatch.setattr(light, "MONTE_CARLO_M", (32.0,))
     monkeypatch.setattr(light, "SIDE", 1)
-    with style(), Runner(1) as run:
-        six = reconstruction.figure_6(run, replay=golden_result)
+    with style(), Processes(1) as run:
+        six = reconstruction.figure_6(run, engine="golden")
         two, five = light.figure_2(run), light.figure_5(run)
     assert six.comparisons[0].ours["RTL"] == "the same depth in every pixel"
     shares = {(row[2], row[3], row[4]): row[6] for row in six.rows[1:] if row[5] == "all"}

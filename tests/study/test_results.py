@@ -20,11 +20,11 @@ from typer.testing import CliRunner
 
 import coincid
 from coincid.cli import app
+from coincid.lab.campaign import Processes
 from coincid.study import fifo_depth, settling, surfaces, thresholds
 from coincid.study.explore.run import Explorer
 from coincid.study.explore.settings import check_settings
 from coincid.study.figures import architect, four_modes, interference, reconstruction, rivals, validity
-from coincid.study.figures.cases import Runner
 from coincid.study.plot_style import style
 
 SMALL = {"sensor": {"rows": 8, "cols": 16}, "frame": {"period": 60, "pulses": 40}}
@@ -88,7 +88,7 @@ def section(function: Callable[..., Any], **constants: Any) -> Callable[[Path], 
     """Return the rows of a figure, with other constants of its module."""
 
     def rows(folder: Path) -> Any:
-        with pytest.MonkeyPatch.context() as patch, style(), Runner(1) as run:
+        with pytest.MonkeyPatch.context() as patch, style(), Processes(1) as run:
             module = sys.modules[function.__module__]
             for name, value in constants.items():
                 patch.setattr(module, name, value)

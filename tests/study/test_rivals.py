@@ -6,13 +6,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from coincid.lab.run import Run
 from coincid.model.contract.config import parse_config
 from coincid.model.contract.edges import Edges, Fate
 from coincid.model.contract.parameters import Sensor
 from coincid.model.golden.frame import golden_result
 from coincid.model.light.light import Light
 from coincid.study import comparison, figures
-from coincid.study.comparison import SCHEMES, coarse_peaks, shoot
+from coincid.study.comparison import SCHEMES, Shot, coarse_peaks, compared
 from coincid.study.figures import rivals as studies
 from coincid.study.rivals import (
     Words,
@@ -216,7 +217,7 @@ def test_coarse_peaks():
 
 @pytest.fixture(scope="module")
 def wall():
-    return shoot(Light(rows=16, cols=16, distance_m=6.0, signal_per_pulse=0.2, background_cps=2e3), 1)
+    return Shot(Run(compared(Light(rows=16, cols=16, distance_m=6.0, signal_per_pulse=0.2, background_cps=2e3))))
 
 
 @pytest.mark.parametrize("name", SCHEMES)
