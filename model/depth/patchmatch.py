@@ -312,7 +312,8 @@ def _round(field, old, new, step, slope, begin, end):
 def posterior(field: Field, planes: Planes, tolerance_ticks: float, blocks: Blocks) -> tuple[np.ndarray, np.ndarray]:
     """Return (confidence, error), float64[rows, cols]: P(time is within `tolerance_ticks`), standard error of the time.
 
-    Both assume that the slopes of the pixel's plane, or of one beside it, are right, and that its seed was right.
+    Both assume that the slopes of the pixel's plane, or of one beside it, are right, and that its seed was right. Where
+    the pixel's own light rules out all times near its plane, the confidence is 0 and the error NaN.
     """
     confidence, error = np.zeros(planes.time.shape), np.full(planes.time.shape, np.nan)
     score = np.empty((len(error), 2 * field.own.shape[3] + 1))
@@ -344,6 +345,8 @@ def _posterior(field, planes, tolerance, confidence, error, scores, begin, end):
                 mean += weight * off
                 square += weight * off * off
                 near += weight * min(1.0, max(0.0, tolerance + 0.5 - abs(off)))
+            if total == 0:
+                continue
             confidence[r, c] = near / total / (1 + others)
             error[r, c] = np.sqrt(max(0.0, square / total - (mean / total) ** 2) + 1 / 12)
 

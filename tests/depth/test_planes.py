@@ -4,20 +4,18 @@
 import numpy as np
 import pytest
 
+from coincid.lab.run import Run
+from coincid.lab.setup import Setup
 from coincid.model.contract.config import parse_config
 from coincid.model.depth.arrivals import pulse_sigma_ticks
-from coincid.model.depth.estimate import estimate_depth
 from coincid.model.depth.histograms import by_subgroup, frame_events
 from coincid.model.depth.likelihood import Grid, Guess, log_likelihood, unheard
 from coincid.model.depth.planes import LIGHTS
 from coincid.model.depth.quality import TOLERANCE_M, wrong_share
-from coincid.model.golden.frame import golden_result
-from coincid.model.light.light import signal_per_pulse
-from coincid.model.light.photons import generate_edges
+from coincid.model.light.light import Light, signal_per_pulse
 from coincid.model.light.spad import Spad
-from coincid.model.light.timing import Timing
 from coincid.model.scenes.catalogue import load_scene
-from coincid.model.scenes.scene import Scene, scene_light
+from coincid.model.scenes.scene import Scene
 from coincid.model.scenes.transient import BIN_S
 from coincid.model.shared.constants import SPEED_OF_LIGHT_M_S
 
@@ -43,10 +41,8 @@ def estimate(scene, klux=20.0, *, frame=None, subgroup=None, override=(), sensor
         "subgroup": subgroup or {},
         "override": list(override),
     }
-    config = parse_config(document)
-    timing = Timing.from_config(config)
-    edges = generate_edges(scene_light(scene, klux), spad or Spad(), timing, pulses=config.pulses, seed=seed)
-    return estimate_depth(golden_result(config, edges), config, **options)
+    setup = Setup(config=parse_config(document), scene=scene, klux=klux, seed=seed, spad=spad or Spad())
+    return Run(setup).depth(**options)
 
 
 def share(depth, scene, tolerance_m=TOLERANCE_M):
@@ -76,9 +72,8 @@ def test_much_light_leaves_no_bias(near_m):
 def test_the_light_is_learned_from_the_frame(link_gbps):
     """Also where the link drops most windows, and single pixels say little about their light."""
     scene = tilted(1.5, 0.3)
-    config = parse_config({"sensor": {"rows": ROWS, "cols": COLS}, "frame": {"link_gbps": link_gbps}})
-    edges = generate_edges(scene_light(scene, 50.0), Spad(), Timing.from_config(config), pulses=config.pulses, seed=1)
-    result = golden_result(config, edges)
+    run = Run(Setup.of(scene, sensor={"rows": ROWS, "cols": COLS}, frame={"link_gbps": link_gbps}))
+    config, result = run.config, run.result
     assert (result["dropped"].sum() > result["stored"].sum()) == (link_gbps > 0)
     sigma_ticks = pulse_sigma_ticks(config)
     events = frame_events(result, config, sigma_ticks)
@@ -179,6 +174,15 @@ def test_edges_of_objects_stay_sharp():
     box = (row > 3) & (row < 11) & (col > 5) & (col < 15)
     scene = Scene(name="box", distance_m=np.where(box, 4.0, 6 + 0.05 * row), reflectivity=np.full((ROWS, COLS), 0.4))
     assert share(estimate(scene), scene) < 0.02
+
+
+def test_no_confidence_where_a_pixel_rules_out_its_plane():
+    """Some pixels see only the pane before a wall, but their neighbours' plane is that of the wall."""
+    signal = np.array([[0.3, 0.4]])
+    light = Light(rows=16, cols=16, distance_m=[[4.0, 4.9]], signal_per_pulse=signal, background_cps=2.5e5)
+    depth = Run(Setup.of(sensor={"rows": 16, "cols": 16}, light=light)).depth()
+    ruled_out = np.isnan(depth.error_m[:, :, 0])
+    assert ruled_out.any() and not depth.confidence[ruled_out].any() and not np.isnan(depth.depth_m).any()
 
 
 def test_confidence_is_a_probability():
