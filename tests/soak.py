@@ -9,14 +9,10 @@ import time
 
 import numpy as np
 
+from coincid.lab.setup import Setup, scene_of
 from coincid.model.contract.config import Config, parse_config
 from coincid.model.contract.edges import Edges
 from coincid.model.golden.frame import Golden
-from coincid.model.light.photons import generate_edges
-from coincid.model.light.spad import Spad
-from coincid.model.light.timing import Timing
-from coincid.model.scenes.catalogue import load_scene
-from coincid.model.scenes.scene import scene_light
 from coincid.tb.batch import BatchSensor
 from coincid.tb.scoreboard import check
 
@@ -27,9 +23,8 @@ LIGHTS = ("sun", "saturation")
 
 def sunlight(config: Config, frame: int, seed: int) -> Edges:
     """Return the edges of a frame: five objects under `KLUX`."""
-    timing = Timing.from_config(config)
-    scene = load_scene("five-objects", config.sensor.rows, config.sensor.cols, range_m=timing.range_m)
-    return generate_edges(scene_light(scene, KLUX), Spad(), timing, pulses=config.pulses, seed=seed + frame)
+    scene = scene_of(config, "five-objects")
+    return Setup(config=config, scene=scene, klux=KLUX, seed=seed + frame).photons.edges()
 
 
 def saturation(config: Config, frame: int, seed: int) -> Edges:

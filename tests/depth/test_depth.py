@@ -5,17 +5,15 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from coincid.lab.run import Run
+from coincid.lab.setup import Setup
 from coincid.model.contract.config import parse_config
 from coincid.model.depth.arrivals import lead_sigmas, photons_of
 from coincid.model.depth.estimate import METHODS, estimate_depth
 from coincid.model.depth.histograms import SOURCES, subgroup_histograms
 from coincid.model.depth.quality import TOLERANCE_M, range_error, wrong_pixels, wrong_share
-from coincid.model.golden.frame import golden_result
-from coincid.model.light.photons import generate_edges
 from coincid.model.light.spad import Spad
 from coincid.model.light.timing import Timing
-from coincid.model.scenes.catalogue import load_scene
-from coincid.model.scenes.scene import scene_light
 from coincid.model.shared.constants import SIGMA_PER_FWHM
 from coincid.model.shared.errors import InputError
 from coincid.study.pictures import Panel, depth_row
@@ -24,14 +22,10 @@ TICK_S = Timing().tick_s
 SIGMA_TICKS = 500e-12 * SIGMA_PER_FWHM / TICK_S
 
 
-def capture(scene, klux, *, sensor=None, frame=None, subgroup=None, seed=1):
+def capture(scene, klux, **others):
     """Return (scene, configuration, result) of one run."""
-    config = parse_config({"sensor": sensor or {}, "frame": frame or {}, "subgroup": subgroup or {}})
-    scene = load_scene(scene, config.sensor.rows, config.sensor.cols)
-    edges = generate_edges(
-        scene_light(scene, klux), Spad(), Timing.from_config(config), pulses=config.pulses * config.frames, seed=seed
-    )
-    return scene, config, golden_result(config, edges)
+    run = Run(Setup.of(scene, klux=klux, **others))
+    return run.scene, run.config, run.result
 
 
 def depth_of(result, config, **options):
@@ -163,20 +157,16 @@ def test_frames_are_told_apart():
 
 
 def test_hot_and_masked_pixels():
-    scene = load_scene("five-objects", 32, 32)
     dark_cps = np.zeros(1024)
     dark_cps[[100, 500, 900]] = 5e6
     config = parse_config({"override": [{"subgroups": [0], "mask": "0"}]})
-    edges = generate_edges(scene_light(scene, 20), Spad(dark_cps=dark_cps), Timing(), pulses=100, seed=1)
-    depth_m = depth_of(golden_result(config, edges), config)
-    assert wrong_share(depth_m[8:], scene.truth_m[8:]) < 0.01
+    frame = Run(Setup.of("five-objects", klux=20, spad=Spad(dark_cps=dark_cps)).but(config=config)).frame()
+    assert wrong_share(frame.depth_m[8:], frame.truth_m[8:]) < 0.01
 
 
 @pytest.mark.parametrize("method", METHODS)
 def test_nothing_seen_is_no_depth(method):
-    config = parse_config({"sensor": {"rows": 8, "cols": 16}})
-    edges = generate_edges(scene_light(load_scene("flat:5,0", 8, 16), 0), Spad(), Timing(), pulses=100, seed=1)
-    depth = estimate_depth(golden_result(config, edges), config, method=method)
+    depth = Run(Setup.of("flat:5,0", sensor={"rows": 8, "cols": 16}, klux=0)).depth(method)
     assert np.isnan(depth.depth_m).all() and not depth.confidence.any()
 
 

@@ -9,16 +9,12 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from coincid.lab.run import Run
+from coincid.lab.setup import Setup
 from coincid.model.contract.config import parse_config
 from coincid.model.contract.ports import port_bits
 from coincid.model.contract.stream import decode_frame
-from coincid.model.depth.estimate import estimate_depth
-from coincid.model.golden.frame import Golden, golden_result
-from coincid.model.light.photons import generate_edges
-from coincid.model.light.spad import Spad
-from coincid.model.light.timing import Timing
 from coincid.model.scenes.catalogue import load_scene
-from coincid.model.scenes.scene import scene_light
 from coincid.model.shared.constants import SPEED_OF_LIGHT_M_S
 
 NEAR_M, FAR_M = 5.0, 8.0
@@ -83,9 +79,8 @@ def coloured_file(folder):
 def test_letter_stands_the_same_way_from_the_scene_to_the_picture(scene, tmp_path):
     scene = scene(tmp_path)
     assert scene.truth_m == pytest.approx(np.where(LETTER, NEAR_M, FAR_M))
-    light = scene_light(scene, 0.0)
-    edges = generate_edges(light, Spad(), Timing(), pulses=CONFIG.pulses, seed=1)
-    config, between = CONFIG, round((NEAR_M + FAR_M) / SPEED_OF_LIGHT_M_S / CONFIG.tick_s)
+    run = Run(Setup(config=CONFIG, scene=scene, klux=0.0))
+    config, edges, between = run.config, run.edges, round((NEAR_M + FAR_M) / SPEED_OF_LIGHT_M_S / CONFIG.tick_s)
     near = edges.tick < between
 
     # At the ports: subgroups of 8 x 8 in rows, and pixels in rows inside them, as in the contract.
@@ -96,7 +91,7 @@ def test_letter_stands_the_same_way_from_the_scene_to_the_picture(scene, tmp_pat
     assert_drawn(row[~near], col[~near], ~LETTER)
 
     # In the words: hit maps of the events, and maps of the minigroup records.
-    (beats,) = Golden(config.sensor).frame(config, edges).beats
+    (beats,) = run.frame().trace.beats
     words = decode_frame(beats, config.sensor, config.sensor.subgroups)
     subgroup, stamp = words.events[:, 2], words.events[:, 6]
     hits = words.hits[:, 0][:, None] >> np.arange(64, dtype=np.uint64) & np.uint64(1)
@@ -113,14 +108,13 @@ def test_letter_stands_the_same_way_from_the_scene_to_the_picture(scene, tmp_pat
     assert_drawn(row[early], col[early], LETTER)
 
     # In the picture.
-    depth_m = estimate_depth(golden_result(config, edges), config).depth_m[:, :, 0]
-    assert np.mean(np.abs(depth_m - np.where(LETTER, NEAR_M, FAR_M)) < 0.5) > 0.95
+    assert np.mean(np.abs(run.frame().depth_m - np.where(LETTER, NEAR_M, FAR_M)) < 0.5) > 0.95
 
 
 def test_letter_in_the_colour(tmp_path):
     scene = coloured_file(tmp_path)
     assert np.array_equal(scene.reflectivity[:, :, 0] > 0.2, LETTER)
-    edges = generate_edges(scene_light(scene, 0.0), Spad(), Timing(), pulses=200, seed=1)
+    edges = Setup(config=CONFIG.with_pulses(200), scene=scene, klux=0.0).photons.edges()
     seen = np.bincount(edges.pixel, minlength=ROWS * COLS).reshape(ROWS, COLS)
     assert seen[LETTER].min() > seen[~LETTER].max()
 
