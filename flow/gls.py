@@ -105,7 +105,7 @@ def random_frames(sensor: Sensor, frames: int, seed: int = 1) -> list[FrameJob]:
                 "frame": {
                     "period": period,
                     "pulses": PULSES,
-                    "format": FORMAT_NAMES[n % 3],
+                    "format": FORMAT_NAMES[n % len(FORMAT_NAMES)],
                     "minigroup_records": n % 2 == 1,
                     "mg_threshold": 1 + n % 2,
                     "auto_bounds": [0, 0, 0, 20, 40, 80],

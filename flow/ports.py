@@ -13,7 +13,19 @@ from ..hdl.deserialiser import CYCLES
 from ..hdl.sensor import FPGA_TOP, SensorTop
 from ..hdl.views import POLYPHASE, View
 from ..model.contract.counters import COUNTER_NAMES
-from ..model.contract.packet import FORMATS, HEADER, Kind, layout
+from ..model.contract.packet import (
+    BEAT_BITS,
+    ENTRIES,
+    FORMATS,
+    FRAME_END,
+    FRAME_START,
+    HEADER,
+    MAP,
+    OFFSETS,
+    RECORD,
+    Field,
+    layout,
+)
 from ..model.contract.parameters import TOP, Sensor
 from ..model.shared.folders import checkout
 
@@ -124,27 +136,31 @@ def instantiation(sensor: Sensor, top: str = TOP, view: View = POLYPHASE) -> str
 
 def stream_words(sensor: Sensor) -> str:
     """Return a description of the beats of every packet of a sensor, as Markdown."""
-    parts = layout(sensor)
+    lengths = layout(sensor)
     fields = ", ".join(
         f"[{low + width - 1}:{low}] {'type' if name == 'kind' else name}" for name, (low, width) in HEADER.items()
     )
     counters = ", ".join(f"`{name}`" for name in COUNTER_NAMES)
-    rows = [
-        (Kind.FRAME_START, "frame start", 1, "nothing; `pulse` holds the frame's number"),
-        (FORMATS["short"], "event, format short", parts.length(Kind.EVENT_SHORT), "nothing"),
-        (FORMATS["id"], "event, format id", parts.length(Kind.EVENT_ID), "the map"),
-        (FORMATS["full"], "event, format full", parts.length(Kind.EVENT_FULL), "the map, then the offsets"),
-        (Kind.RECORD, "minigroup record", parts.length(Kind.RECORD), "the minigroups' entries"),
-        (Kind.FRAME_END, "frame end", 1, f"{parts.counter_beats} beats per subgroup of the stream: its counters"),
+    rows = [(FRAME_START, "frame start", 1, "nothing; `pulse` holds the frame's number")]
+    for name, packet in FORMATS.items():
+        behind = ", then ".join(f"the {field.name}" for field in packet.fields if field.aligned) or "nothing"
+        rows.append((packet, f"event, format {name}", lengths.length(packet), behind))
+    rows += [
+        (RECORD, "minigroup record", lengths.length(RECORD), "the minigroups' entries"),
+        (FRAME_END, "frame end", 1, f"{lengths.counter_beats} beats per subgroup of the stream: its counters"),
     ]
+
+    def beats(field: Field) -> int:
+        return -(-field.bits(sensor) // BEAT_BITS)
+
     told = f"""
-* Map, {parts.hits_beats} beats: bit i of beat w is pixel 64 w + i.
-* Offsets, {parts.offset_beats} beats: a byte per minigroup, eight in a beat; 255 means not hit.
-* Entries, {parts.record_beats} beats: {sensor.record_bits} bits per minigroup, the map above the stamp; map 0 means nothing latched.
+* Map, {beats(MAP)} beats: bit i of beat w is pixel 64 w + i.
+* Offsets, {beats(OFFSETS)} beats: a byte per minigroup, eight in a beat; 255 means not hit.
+* Entries, {beats(ENTRIES)} beats: {sensor.record_bits} bits per minigroup, the map above the stamp; map 0 means nothing latched.
 * Counters, 32 bits each, two in a beat, lowest bits first: {counters}.
 """
     table = ["| type | packet | beats | after the header |", "| ---: | --- | ---: | --- |"]
-    table += [f"| {int(kind)} | {name} | {beats} | {after} |" for kind, name, beats, after in rows]
+    table += [f"| {packet.code} | {name} | {length} | {after} |" for packet, name, length, after in rows]
     return f"The first beat of every packet is a header: {fields}.\n\n" + "\n".join(table) + "\n" + told
 
 

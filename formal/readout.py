@@ -11,33 +11,44 @@ from ..hdl.controller import SETTLED
 from ..hdl.packetizer import Packetizer
 from ..hdl.readout import Readout
 from ..model.contract import latency
-from ..model.contract.packet import FORMAT_NAMES, FORMATS, HEADER, Kind, layout
+from ..model.contract.packet import FORMATS, FRAME_END, FRAME_START, KIND_LSB, RECORD, layout, parts_of
+from ..model.contract.parameters import bits_for
 from .bench import Bench, proof
 from .sensors import SMALL
 
 N = 3
 PARTS = layout(SMALL)
+HIGHEST_FORMAT = len(FORMATS) - 1
 SUBGROUP_TO_BEAT = latency.GRANT_TO_BEAT - 2  # from a grant's register to the beat at the readout's input
 
 
 def _length(send, form):
     """Return the beats of a packet by the contract, independent of the RTL's multiplexer."""
     event = 0
-    for number, name in enumerate(FORMAT_NAMES):
-        event = Mux(form == number, PARTS.length(FORMATS[name]), event)
-    record = PARTS.length(Kind.RECORD)
+    for number, packet in enumerate(FORMATS.values()):
+        event = Mux(form == number, PARTS.length(packet), event)
+    record = PARTS.length(RECORD)
     return Mux(send == bus.Send.EVENT, event, Mux(send == bus.Send.RECORD, record, PARTS.counter_beats))
+
+
+def _carries(b: Bench, beat, index, packet, fields, where):
+    """Demand that beat `index` of a packet, formed in the last cycle, holds these fields where it should."""
+    for part in parts_of(SMALL, packet):
+        if part.field in fields:
+            value = fields[part.field][part.shift : part.shift + part.width]
+            shown = beat[part.lsb : part.lsb + part.width]
+            b.always(shown == b.past(value), where=where & (index == part.beat))
 
 
 @proof(depth=4, cover=14)
 def readout(b: Bench):
     """One grant at a time, after at most n - 1 others; no overflow, no leak of places; `tlast` ends the frame; AXI4-Stream."""
     m, unit = b.m, Readout(SMALL, N)
-    frame, form = Signal(bus.frame_layout(SMALL)), b.constant(2)
+    frame, form = Signal(bus.frame_layout(SMALL)), b.constant(bits_for(HIGHEST_FORMAT))
     stored, record_stored, ready, finish, begin = Signal(N), Signal(N), Signal(), Signal(), Signal()
     m.d.comb += [signal.eq(b.anything(len(signal))) for signal in (stored, record_stored, ready, finish, begin)]
     m.d.comb += frame.format.eq(form)
-    b.assume(form <= 2)
+    b.assume(form <= HIGHEST_FORMAT)
 
     # The subgroups: the beats of a granted packet come without gaps, after a fixed time.
     rest = Signal(range(PARTS.longest + 1))
@@ -153,7 +164,7 @@ def readout(b: Bench):
 
     # `tlast` marks the last beat of the last subgroup's counters after the frame end's header, and no other beat.
     expected = Signal(range(N * PARTS.counter_beats + 1))
-    ends_here = body.own[-1] == Kind.FRAME_END
+    ends_here = body.own[-1] == FRAME_END.code
     with m.If(ends_here):
         m.d.sync += expected.eq(N * PARTS.counter_beats)
     with m.Elif(body.buffer.w_en & (expected != 0)):
@@ -162,7 +173,7 @@ def readout(b: Bench):
     in_counters, in_flush = body.machine.ongoing("counters"), body.machine.ongoing("flush")
     ungranted = b.same("ungranted", Mux(in_counters, sum((Mux(body.tail[s], N - s, 0) for s in range(N)), start=0), 0))
     to_come = b.same("to_come", ungranted * PARTS.counter_beats + body.left)
-    is_end = [b.same(f"own_{k}_ends", kind == Kind.FRAME_END) for k, kind in enumerate(body.own)]
+    is_end = [b.same(f"own_{k}_ends", kind == FRAME_END.code) for k, kind in enumerate(body.own)]
     end_coming = b.same("end_coming", Cat(is_end).any())
     for k, here in enumerate(is_end):
         b.always(to_come + sum(pipe[:k], start=0) == N * PARTS.counter_beats, where=here)
@@ -183,16 +194,21 @@ def readout(b: Bench):
     axis = unit.m_axis
     waits = axis.tvalid & ~ready
     b.stable(Cat(axis.tvalid, axis.tdata, axis.tlast), where=waits)
-    b.cover(axis.tvalid & (axis.tdata[61:] == int(Kind.FRAME_START)) & ready)
+    b.cover(axis.tvalid & (axis.tdata[KIND_LSB:] == FRAME_START.code) & ready)
 
 
 @proof(depth=3, cover=12)
 def packetizer(b: Bench):
     """A grant gives a packet of exact length without gaps; its last beat, and no other, frees the place."""
     m, unit = b.m, Packetizer(SMALL)
-    grant, send, frame, form = Signal(), Signal(bus.Send), Signal(bus.frame_layout(SMALL)), b.constant(2)
+    grant, send, frame, form = (
+        Signal(),
+        Signal(bus.Send),
+        Signal(bus.frame_layout(SMALL)),
+        b.constant(bits_for(HIGHEST_FORMAT)),
+    )
     m.d.comb += [grant.eq(b.anything(1)), send.as_value().eq(b.anything(2)), frame.format.eq(form)]
-    b.assume((form <= 2) & (send.as_value() <= 2))
+    b.assume((form <= HIGHEST_FORMAT) & (send.as_value() <= 2))
     body = b.place("dut", unit, grant=grant, send=send, frame=frame)
     rest, kind = Signal(range(PARTS.longest + 1)), Signal(bus.Send)
     b.assume(~grant, where=rest != 0)  # as proven for the readout
@@ -211,19 +227,21 @@ def packetizer(b: Bench):
     b.always(body.sending == (rest != 0))
     b.always(body.at_last == (rest == 1), where=rest != 0)
     b.always((body.send_before == kind) & (body.index_before + rest == _length(kind, form)), where=rest != 0)
-    for fmt, name in enumerate(FORMAT_NAMES):
-        first = b.past(grant & (send == bus.Send.EVENT) & (form == fmt))
-        b.always(unit.beat[61:] == int(FORMATS[name]), where=first)
-        b.cover(b.past(unit.take_event) & (form == fmt))
-    window = unit.head.window
-    of_event = {name: window[name] for name in ("stamp", "count", "winner")} | {
-        name: unit.head[name] for name in ("overrun", "pulse")
-    }
-    for sent, fields in ((bus.Send.EVENT, of_event), (bus.Send.RECORD, {"pulse": unit.record.pulse})):
-        for name, value in (fields | {"subgroup": unit.subgroup}).items():
-            lowest, width = HEADER[name]
-            b.always(unit.beat[lowest : lowest + width] == b.past(value), where=b.past(grant & (send == sent)))
-    second = b.past(now == bus.Send.EVENT) & b.past(grant, 2) & (form != 0) & b.past(active)
-    b.always(unit.beat == b.past(unit.head.window.hits), where=second)
+    window, of_now = (
+        unit.head.window,
+        {send: b.past(active & (now == send)) for send in (bus.Send.EVENT, bus.Send.RECORD)},
+    )
+    of_event = {name: window[name] for name in ("stamp", "count", "winner")} | {"map": window.hits}
+    of_event |= {name: unit.head[name] for name in ("overrun", "pulse")} | {"subgroup": unit.subgroup}
+    of_record = {"pulse": unit.record.pulse, "subgroup": unit.subgroup}
+    index = Signal(range(PARTS.longest))  # of the beat that was formed in the last cycle
+    m.d.sync += index.eq(Mux(grant, 0, index + 1))
+    b.always(index + 1 == body.index_before, where=rest != 0)
+    for number, packet in enumerate(FORMATS.values()):
+        of_format = of_now[bus.Send.EVENT] & (form == number)
+        b.always(unit.beat[KIND_LSB:] == packet.code, where=of_format & (index == 0))
+        b.cover(b.past(unit.take_event) & (form == number))
+        _carries(b, unit.beat, index, packet, of_event, of_format)
+    _carries(b, unit.beat, index, RECORD, of_record, of_now[bus.Send.RECORD])
     b.cover(b.past(unit.take_record))
     b.cover(b.past(rest == 1) & (b.past(now) == bus.Send.COUNTERS))

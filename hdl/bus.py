@@ -11,7 +11,6 @@ from ..model.contract.table import Kind
 
 SUBGROUP_BITS = HEADER["subgroup"][1]
 PULSE_BITS = HEADER["pulse"][1]
-KIND_BITS = HEADER["kind"][1]
 WORD_BITS = bits_for(SUBGROUP_STRIDE // 4 - 1)  # width of a word's number within a subgroup's register block
 FRAME_SETTINGS = ("format", "minigroup_records", "mg_threshold", "mg_window")
 PLAN_SETTINGS = ("period", "pulses", "gate_step", "gate_every", "gate_steps", "dither_bits", "dither_seed")

@@ -4,34 +4,70 @@
 The word formats are our choice; the paper only says that stamps and IDs leave the subgroup.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
+from itertools import groupby
 from types import SimpleNamespace
 
-from amaranth.hdl import Cat, Module, Mux, Signal
+from amaranth.hdl import Cat, Const, Module, Mux, Signal, Value
 from amaranth.lib.wiring import In, Out
 
 from ..model.contract.counters import COUNTER_BITS, COUNTER_NAMES
-from ..model.contract.packet import BEAT_BITS, FORMATS, HEADER, OFFSET_BITS, Kind, layout
+from ..model.contract.packet import (
+    BEAT_BITS,
+    FORMATS,
+    KIND_BITS,
+    KIND_LSB,
+    OFFSETS,
+    RECORD,
+    Packet,
+    Part,
+    layout,
+    parts_of,
+)
 from ..model.contract.parameters import OFFSET_NONE, Sensor
 from . import bus
 from .unit import Unit
 
 
-def header(**fields):
-    """Return a header beat made from values; fields that are not given are 0."""
-    parts = []
-    for name, (_, width) in sorted(HEADER.items(), key=lambda item: item[1]):
-        field = Signal(width, name=f"field_{name}")
-        parts.append((field, fields.get(name, 0)))
-    return Cat(field for field, _ in parts), [field.eq(value) for field, value in parts]
+def numbers(m, sensor: Sensor, packets: Collection[Packet], kind, **values) -> dict[str, Value]:
+    """Return the kind and the numbers of packets as signals of their fields' widths; what is not given is 0."""
+    widths = {field.name: field.bits(sensor) for packet in packets for field in packet.fields if not field.aligned}
+    signals = {name: Signal(width, name=f"field_{name}") for name, width in (widths | {"kind": KIND_BITS}).items()}
+    m.d.comb += [signal.eq((values | {"kind": kind}).get(name, 0)) for name, signal in signals.items()]
+    return signals
 
 
-def of_format(form, value: Callable[[Kind], int]):
-    """Return `value` for the kind of event that `form`, the format register, selects."""
+def formed(sensor: Sensor, packets: Collection[Packet], fields: dict[str, Value]) -> dict[Packet, list[Value]]:
+    """Return the beats of packets with these fields, as the table places them. Equal beats are the same object."""
+    made: dict[tuple[Part, ...], Value] = {}
+    beats: dict[Packet, list[Value]] = {packet: [] for packet in packets}
+    for packet in packets:
+        for beat, group in groupby(parts_of(sensor, packet), lambda part: part.beat):
+            parts = tuple(group)
+            if beat == 0:
+                parts += (Part("kind", KIND_BITS, 0, 0, KIND_LSB),)
+            if parts not in made:
+                made[parts] = _placed(parts, fields)
+            beats[packet].append(made[parts])
+    return beats
+
+
+def _placed(parts: tuple[Part, ...], fields: dict[str, Value]) -> Value:
+    """Return a beat that consists of parts of fields."""
+    pieces, bit = [], 0
+    for part in parts:
+        piece = fields[part.field][part.shift : part.shift + part.width]
+        pieces += [Const(0, part.lsb - bit)] * (part.lsb > bit) + [piece]
+        bit = part.lsb + part.width
+    return Cat(*pieces)
+
+
+def of_format(form, value: Callable[[Packet], int]):
+    """Return `value` for the packet of events that `form`, the format register, selects."""
     *others, last = FORMATS.values()
     chosen = value(last)
-    for number, kind in reversed(list(enumerate(others))):
-        chosen = Mux(form == number, value(kind), chosen)
+    for number, packet in reversed(list(enumerate(others))):
+        chosen = Mux(form == number, value(packet), chosen)
     return chosen
 
 
@@ -122,17 +158,20 @@ class Packetizer(Unit):
 
     def _last(self, send):
         """Return the number of a packet's last beat."""
-        parts = layout(self.sensor)
-        of_event = of_format(self.frame.format, lambda kind: parts.length(kind) - 1)
-        of_record = parts.length(Kind.RECORD) - 1
-        return Mux(send == bus.Send.EVENT, of_event, Mux(send == bus.Send.RECORD, of_record, parts.counter_beats - 1))
+        lengths = layout(self.sensor)
+        of_event = of_format(self.frame.format, lambda packet: lengths.length(packet) - 1)
+        of_record = lengths.length(RECORD) - 1
+        return Mux(send == bus.Send.EVENT, of_event, Mux(send == bus.Send.RECORD, of_record, lengths.counter_beats - 1))
 
     def _event_beats(self, m):
         window = self.head.window
-        kind = Signal(bus.KIND_BITS)
-        m.d.comb += kind.eq(of_format(self.frame.format, int))
-        beat, fields = header(
-            kind=kind,
+        kind = Signal(KIND_BITS)
+        m.d.comb += kind.eq(of_format(self.frame.format, lambda packet: packet.code))
+        fields = numbers(
+            m,
+            self.sensor,
+            FORMATS.values(),
+            kind,
             overrun=self.head.overrun,
             subgroup=self.subgroup,
             pulse=self.head.pulse,
@@ -140,24 +179,30 @@ class Packetizer(Unit):
             winner=window.winner,
             stamp=window.stamp,
         )
-        m.d.comb += fields
         offsets = []
         for g in range(self.sensor.minigroups):
             hit = Cat(window.hits[i] for i in self.sensor.members(g)).any()
-            offset = Signal(OFFSET_BITS, name=f"offset_{g}")
+            offset = Signal(OFFSETS.width, name=f"offset_{g}")
             m.d.comb += offset.eq(Mux(hit, self.head.offsets[g], OFFSET_NONE))
             offsets.append(offset)
-        return [beat, *_beats(window.hits), *_beats(Cat(offsets))]
+        beats = formed(self.sensor, FORMATS.values(), fields | {"map": window.hits, "offsets": Cat(offsets)})
+        longest = max(beats.values(), key=len)
+        return [self._of_formats(k, beats, longest[k]) for k in range(len(longest))]
+
+    def _of_formats(self, k, beats, beat):
+        """Return beat `k` of an event in the frame's format; formats without one may show any, such as `beat`."""
+        of_packet = {packet: each[k] if k < len(each) else beat for packet, each in beats.items()}
+        same = all(each is beat for each in of_packet.values())
+        return beat if same else of_format(self.frame.format, of_packet.__getitem__)
 
     def _record_beats(self, m):
-        beat, fields = header(kind=Kind.RECORD, subgroup=self.subgroup, pulse=self.record.pulse)
-        m.d.comb += fields
+        fields = numbers(m, self.sensor, [RECORD], RECORD.code, subgroup=self.subgroup, pulse=self.record.pulse)
         entries = []
         for g in range(self.sensor.minigroups):
             entry = Signal(self.sensor.record_bits, name=f"entry_{g}")
             m.d.comb += entry.eq(self.record.entries[g].as_value())
             entries.append(entry)
-        return [beat, *_beats(Cat(entries))]
+        return formed(self.sensor, [RECORD], fields | {"entries": Cat(entries)})[RECORD]
 
 
 def _beats(value):

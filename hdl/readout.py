@@ -13,12 +13,12 @@ from amaranth.lib import fifo
 from amaranth.lib.wiring import In, Out
 
 from ..model.contract import latency
-from ..model.contract.packet import BEAT_BITS, Kind, layout
+from ..model.contract.packet import BEAT_BITS, FRAME_END, FRAME_START, KIND_BITS, RECORD, layout
 from ..model.contract.parameters import Sensor, bits_for
 from . import bus
 from .axi import STREAM
 from .logic import any_of, up_to
-from .packetizer import header, of_format
+from .packetizer import formed, numbers, of_format
 from .unit import Unit
 
 CALM_CYCLES = 15  # no grant, no beat on its way and none in the buffer for so long: more than any beat takes
@@ -114,7 +114,7 @@ class Readout(Unit):
 
     def _event_and(self, beats):
         """Beats of an event in the frame's format, and some more."""
-        return of_format(self.frame.format, lambda kind: self.parts.length(kind) + beats)
+        return of_format(self.frame.format, lambda packet: self.parts.length(packet) + beats)
 
     def _arbiter(self, m):
         """Choose the next subgroup: the lowest waiting one at or after the pointer, otherwise the lowest of all.
@@ -224,7 +224,7 @@ class Readout(Unit):
     def _packets(self, m):
         """Send a frame's packets in order: start, events and records, end, counters of every subgroup."""
         state = self.state
-        state.own_kind = Signal(bus.KIND_BITS)  # kind of the readout's own packet that is granted
+        state.own_kind = Signal(KIND_BITS)  # kind of the readout's own packet that is granted
         state.tail = Signal(self.subgroups)  # one-hot: the subgroup whose counters are next
         state.owes = Signal()  # the frame's last beat has not left
         state.filling = Signal()  # the frame's last beat was lost and is sent again
@@ -240,7 +240,7 @@ class Readout(Unit):
                 self._book(m, 1, "start", state.free)
                 m.d.sync += state.at_or_after.eq(~0)
                 with m.If(state.free):
-                    m.d.comb += state.own_kind.eq(Kind.FRAME_START)
+                    m.d.comb += state.own_kind.eq(FRAME_START.code)
                     m.next = "events"
                 self._begin_again(m)
             with m.State("events"):
@@ -250,7 +250,7 @@ class Readout(Unit):
                     self._book(m, 1, "end", state.free)
                     m.d.sync += state.tail.eq(1)
                     with m.If(state.free):
-                        m.d.comb += state.own_kind.eq(Kind.FRAME_END)
+                        m.d.comb += state.own_kind.eq(FRAME_END.code)
                         m.next = "counters"
                 self._begin_again(m)
             with m.State("counters"):
@@ -265,7 +265,7 @@ class Readout(Unit):
                 with m.If((state.left == 0) & (state.space == self.depth)):
                     with m.If(state.owes):
                         self._book(m, 1, "fill", state.free)
-                        m.d.comb += state.own_kind.eq(Kind.FRAME_END)
+                        m.d.comb += state.own_kind.eq(FRAME_END.code)
                         m.d.sync += state.filling.eq(1)
                     with m.Else():
                         m.next = "idle"
@@ -284,7 +284,7 @@ class Readout(Unit):
         """Grant the chosen subgroup's record or event, and move the pointer behind it."""
         state = self.state
         with m.If(state.chosen_record):
-            self._book(m, self.parts.length(Kind.RECORD), "record", state.free)
+            self._book(m, self.parts.length(RECORD), "record", state.free)
         with m.Else():
             self._book(m, None, "event", state.free)
         with m.If(state.free):
@@ -301,13 +301,13 @@ class Readout(Unit):
     def _output(self, m):
         """Buffer the stream. Beats come back in the order of the grants; the readout's own beats take the same time."""
         state, counter_beats = self.state, self.parts.counter_beats
-        state.own = own = [Signal(bus.KIND_BITS, name=f"own_{k}") for k in range(latency.GRANT_TO_BEAT)]
+        state.own = own = [Signal(KIND_BITS, name=f"own_{k}") for k in range(latency.GRANT_TO_BEAT)]
         m.d.sync += [later.eq(now) for now, later in zip([state.own_kind, *own], own)]
-        own_beat, fields = header(kind=own[-1], pulse=self.number)
-        m.d.comb += fields
+        fields = numbers(m, self.sensor, [FRAME_START], own[-1], pulse=self.number)
+        (own_beat,) = formed(self.sensor, [FRAME_START], fields)[FRAME_START]
         is_own = own[-1].any()
         state.to_end = to_end = Signal(range(counter_beats * self.subgroups + 1))  # beats after the end's header
-        with m.If((own[-1] == Kind.FRAME_END) & ~state.filling):
+        with m.If((own[-1] == FRAME_END.code) & ~state.filling):
             m.d.sync += to_end.eq(counter_beats * self.subgroups)
         with m.Elif(state.valid & (to_end != 0)):
             m.d.sync += to_end.eq(to_end - 1)

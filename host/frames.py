@@ -3,7 +3,7 @@
 
 import numpy as np
 
-from ..model.contract.packet import Kind, header_field, layout
+from ..model.contract.packet import FRAME_END, FRAME_START, header_field, layout
 from ..model.contract.parameters import Sensor
 from ..model.contract.stream import StreamError
 
@@ -19,13 +19,7 @@ class FrameAssembler:
     def __init__(self, sensor: Sensor, stream: int = 0):
         self.stream = stream
         self.frames: list[np.ndarray] = []
-        parts = layout(sensor)
-        kinds = (Kind.EVENT_SHORT, Kind.EVENT_ID, Kind.EVENT_FULL, Kind.RECORD)
-        self._lengths = {int(kind): parts.length(kind) for kind in kinds}
-        self._lengths |= {
-            int(Kind.FRAME_START): 1,
-            int(Kind.FRAME_END): 1 + parts.counter_beats * len(sensor.stream_subgroups(stream)),
-        }
+        self._lengths = layout(sensor).lengths(len(sensor.stream_subgroups(stream)))
         self._beats = np.zeros(0, np.uint64)
         self._at = 0  # place of the next header in them
 
@@ -34,15 +28,15 @@ class FrameAssembler:
         self._beats = np.concatenate([self._beats, np.asarray(beats, np.uint64)])
         while self._at < len(self._beats):
             kind = int(header_field(self._beats[self._at], "kind"))
-            length = self._lengths.get(kind)
-            if length is None or (kind == Kind.FRAME_START) != (self._at == 0):
+            length = int(self._lengths[kind])
+            if length == 0 or (kind == FRAME_START.code) != (self._at == 0):
                 at = self._at
                 self.forget()
                 raise StreamError(f"beat {at} of a frame: {LENGTHLESS}")
             if self._at + length > len(self._beats):
                 return
             self._at += length
-            if kind == Kind.FRAME_END:
+            if kind == FRAME_END.code:
                 self.frames.append(self._beats[: self._at].copy())
                 self._beats, self._at = self._beats[self._at :], 0
 

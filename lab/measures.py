@@ -11,7 +11,7 @@ import numpy as np
 from attrs import frozen
 
 from ..model.contract.config import Config
-from ..model.contract.packet import BEAT_BITS, FORMATS, Kind, layout
+from ..model.contract.packet import BEAT_BITS, FORMATS, RECORD, layout
 from ..model.depth.quality import OTHER_SURFACE_M, TOLERANCE_M, range_error, wrong_pixels, wrong_share
 from ..model.shared.constants import SUCCESS_TOLERANCE_S
 
@@ -171,4 +171,4 @@ def stream_beats(config: Config, events: np.ndarray, records: np.ndarray) -> np.
 def payload_beats(config: Config, events: np.ndarray, records: np.ndarray) -> np.ndarray:
     """Number[subgroups]: the beats of events and minigroup records alone; arguments as in `stream_beats`."""
     parts = layout(config.sensor)
-    return events * parts.length(FORMATS[config.format]) + records * parts.length(Kind.RECORD)
+    return events * parts.length(FORMATS[config.format]) + records * parts.length(RECORD)

@@ -20,7 +20,7 @@ from ..hdl.export import units_files
 from ..hdl.minigroup import Minigroup
 from ..hdl.packetizer import Packetizer
 from ..hdl.subgroup import Subgroup
-from ..model.contract.packet import BEAT_BITS, FORMATS, Kind, layout
+from ..model.contract.packet import BEAT_BITS, FORMATS, layout
 from ..model.contract.parameters import CLOCK_MHZ, Sensor
 from ..model.shared.files import whole_file
 from .plot_style import legend_below, new_figure, save_figure, style
@@ -81,7 +81,7 @@ def offsets() -> list[dict[str, Any]]:
                 "area_um2_per_pixel": round(area_per_pixel_um2(sensor), 1),
                 "minigroup_levels": synthesize(sensor, GATES).blocks[Minigroup.unit_name].levels,
                 "fifo_bits": bus.event_layout(sensor).size,
-                "bits_full": BEAT_BITS * layout(sensor).length(Kind.EVENT_FULL),
+                "bits_full": BEAT_BITS * layout(sensor).length(FORMATS["full"]),
             }
         )
     return rows

@@ -172,8 +172,7 @@ def simulate(
     the report exists, with `mismatches` = 1.
     """
     shown = chosen_view(engine, view, config.clock_mhz)
-    if config.format == "short":
-        raise InputError("frame.format = 'short': must be id or full, because depth needs the ID map")
+    config.check_map()
     if threshold is not None:
         config = config.with_settings(threshold=threshold)
     settling = settling or (SLOW_SETTLING if engine in SLOW_ENGINES else SETTLING)

@@ -188,8 +188,7 @@ def _point(
         document = _resolved(document)
         settings = _settings({name: document.pop(name, default) for name, default in SETTINGS.items()})
         config = parse_config(document)
-        if config.format == "short":
-            raise InputError("frame.format = 'short': must be id or full, because depth needs the ID map")
+        config.check_map()
         range_m = Timing.from_config(config).range_m
         scene = scenes(settings["scene"], config.sensor.rows, config.sensor.cols, range_m=range_m)
         setup = Setup(

@@ -4,8 +4,9 @@
 import numpy as np
 
 from ..model.contract.counters import COUNTER_BITS, COUNTER_NAMES
-from ..model.contract.packet import BEAT_BITS, HEADER, Kind, header_field, layout
+from ..model.contract.packet import FRAME_END, FRAME_START, KIND_BITS, KIND_LSB, PACKETS, header_field, layout, parts_of
 from ..model.contract.parameters import Sensor
+from ..model.contract.stream import packet_fields
 from ..model.golden.frame import Trace
 from .errors import Mismatch
 from .frames import Recorded
@@ -13,13 +14,12 @@ from .frames import Recorded
 
 def locate(beats: np.ndarray, index: int, sensor: Sensor) -> tuple[int, int]:
     """Return (first beat of the packet with beat `index` of a frame, its kind); counters belong to the frame end."""
-    parts, at = layout(sensor), 0
+    lengths, at = layout(sensor).lengths(sensor.subgroups), 0
     while True:
         kind = int(header_field(beats[at], "kind"))
-        length = 1 if kind == Kind.FRAME_START else len(beats) - at if kind == Kind.FRAME_END else parts.length(kind)
-        if index < at + length:
+        if index < at + lengths[kind] or kind == FRAME_END.code:
             return at, kind
-        at += length
+        at += int(lengths[kind])
 
 
 def check(sensor: Sensor, expected: Trace, record: Recorded, frame: int = 0) -> int:
@@ -107,20 +107,20 @@ class Scoreboard:
     def _where(self, stream: int, index: int, cycle: int) -> str:
         beats = self.expected.beats[stream]
         start, kind = locate(beats, index, self.sensor)
-        subgroup, pulse = (int(header_field(beats[start], name)) for name in ("subgroup", "pulse"))
-        of = f"subgroup {subgroup}, pulse {pulse}" if kind in (1, 2, 3, 4) else "all subgroups"
-        return f"frame {self.frame}, stream {stream}, {of}, cycle {cycle}, {Kind(kind).name.lower()} packet, beat {index - start} of it"
+        of = "all subgroups"
+        if PACKETS[kind] not in (FRAME_START, FRAME_END):
+            fields = packet_fields(beats, np.array([start]), self.sensor, PACKETS[kind])
+            of = ", ".join(f"{name} {fields[name][0, 0]}" for name in ("subgroup", "pulse") if name in fields)
+        packet = f"{PACKETS[kind].name} packet, beat {index - start} of it"
+        return f"frame {self.frame}, stream {stream}, {of}, cycle {cycle}, {packet}"
 
     def _explain(self, stream: int, index: int, cycle: int, data: int) -> None:
-        beats, parts = self.expected.beats[stream], layout(self.sensor)
+        beats, counter_beats = self.expected.beats[stream], layout(self.sensor).counter_beats
         expected = int(beats[index])
         start, kind = locate(beats, index, self.sensor)
-        where, offset = self._where(stream, index, cycle), index - start
-        if offset == 0:
-            fields = [(name, int(header_field(data, name)), int(header_field(expected, name))) for name in HEADER]
-            differing = "; ".join(f"{name} is {got}, golden model {want}" for name, got, want in fields if got != want)
-        elif kind == Kind.FRAME_END:
-            word, high = divmod(offset - 1, parts.counter_beats)
+        where, beat = self._where(stream, index, cycle), index - start
+        if beat and kind == FRAME_END.code:
+            word, high = divmod(beat - 1, counter_beats)
             low_part = (data ^ expected) & ((1 << COUNTER_BITS) - 1)
             shift = 0 if low_part else COUNTER_BITS
             name = COUNTER_NAMES[2 * high + (shift > 0)]
@@ -128,6 +128,13 @@ class Scoreboard:
             got, want = (value >> shift & ((1 << COUNTER_BITS) - 1) for value in (data, expected))
             differing = f"counter {name} of subgroup {subgroup} is {got}, golden model {want}"
         else:
-            part = "entries" if kind == Kind.RECORD else "map" if offset <= parts.hits_beats else "offsets"
-            differing = f"{part} is {data:#0{BEAT_BITS // 4 + 2}x}, golden model {expected:#0{BEAT_BITS // 4 + 2}x}"
+            parts = [part for part in parts_of(self.sensor, PACKETS[kind]) if part.beat == beat]
+            fields = [(part.field, part.lsb, part.width) for part in reversed(parts)]
+            differing = f"{data:#018x}, golden model {expected:#018x}"
+            told = []
+            for name, lsb, width in [("kind", KIND_LSB, KIND_BITS)] * (beat == 0) + fields:
+                got, want = (value >> lsb & ((1 << width) - 1) for value in (data, expected))
+                if got != want:
+                    told.append(f"{name} is {got}, golden model {want}" if beat == 0 else f"{name} is {differing}")
+            differing = "; ".join(told) or differing
         raise Mismatch(f"{where}: {differing}")

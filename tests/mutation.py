@@ -143,7 +143,7 @@ def frames(sensor: dict = SMALL) -> list[FrameJob]:
         k = len(jobs)
         if k >= FRAMES:
             return
-        config = config.with_frame(pulses=2 + k % 4, format=FORMAT_NAMES[k % 3])
+        config = config.with_frame(pulses=2 + k % 4, format=FORMAT_NAMES[k % len(FORMAT_NAMES)])
         edges = trouble(config, draw, (4.0, 12.0, 25.0, 1.0)[k % 4])
         ready = ready_pattern(draw, READY_KINDS[k % len(READY_KINDS)], config.pulses * config.period + 100)
         jobs.append(FrameJob(config, edges, golden.frame(config, edges, ready), ready))

@@ -16,7 +16,7 @@ from typer.testing import CliRunner
 
 from coincid.cli import app
 from coincid.model.contract import latency
-from coincid.model.contract.packet import HEADER, Kind, header_field
+from coincid.model.contract.packet import FORMATS, HEADER, header_field
 from coincid.study.drawings import waveform as picture
 from coincid.study.sweep import sweep
 from coincid.study.sweep_spec import read_spec
@@ -137,7 +137,7 @@ def test_waveform_picture_shows_the_stages():
     assert first("tvalid", opens) == sent
     fields = {name: header_field(values["tdata"][sent], name) for name in HEADER}
     assert fields == {
-        "kind": Kind.EVENT_ID,
+        "kind": FORMATS["id"].code,
         "overrun": 0,
         "subgroup": 0,
         "pulse": 0,

@@ -29,7 +29,7 @@ from attrs import define, evolve, field, frozen
 from coincid.model.contract import registers
 from coincid.model.contract.config import Config, parse_config
 from coincid.model.contract.counters import COUNTER_NAMES
-from coincid.model.contract.packet import HEADER, Kind
+from coincid.model.contract.packet import FRAME_END, FRAME_START, HEADER
 from coincid.model.contract.parameters import TOP, Sensor
 from coincid.model.contract.ports import port_bits
 from coincid.model.contract.settings import THRESHOLD_MAX
@@ -423,7 +423,7 @@ def without_number(beats: np.ndarray) -> np.ndarray:
     lowest, width = HEADER["pulse"]
     kind, _ = HEADER["kind"]
     kinds = beats >> np.uint64(kind)
-    own = (kinds == int(Kind.FRAME_START)) | (kinds == int(Kind.FRAME_END))
+    own = (kinds == FRAME_START.code) | (kinds == FRAME_END.code)
     return np.where(own, beats & ~np.uint64(((1 << width) - 1) << lowest), beats)
 
 

@@ -20,13 +20,12 @@ from . import registers
 from .bounds import noise_bounds
 from .dither import start_cycles
 from .link import beats_waiting_max, check_link, link_share, takes_beats
-from .packet import FORMATS, Kind, layout
+from .packet import FORMATS, RECORD, WITH_MAP, layout
 from .parameters import MASK_BITS, SENSOR, Sensor
 from .preset_files import PRESETS
 from .registers import MODE
 from .settings import FRAME, SUBGROUP, SWITCHES, SubgroupSettings, frame_defaults
-from .table import Kind as ValueKind
-from .table import Setting
+from .table import Kind, Setting
 
 TABLES = {"sensor": SENSOR, "frame": FRAME, "subgroup": SUBGROUP}
 SETTINGS = SENSOR | FRAME | SUBGROUP  # every key of a table stands in one table only
@@ -109,6 +108,12 @@ class Config(SubgroupSettings):
         """Name of the event format."""
         return self.frame["format"]
 
+    def check_map(self) -> None:
+        """Raise `InputError` if the events of the format have no map, which depth needs."""
+        if self.format not in WITH_MAP:
+            legal = " or ".join(WITH_MAP)
+            raise InputError(f"frame.format = {self.format!r}: must be {legal}, because depth needs the ID map")
+
     @property
     def auto_bounds(self) -> np.ndarray:
         """int64[6]: the controller's bounds, ascending; by default, those for noise in the longest window."""
@@ -135,7 +140,7 @@ class Config(SubgroupSettings):
         parts = layout(self.sensor)
         if self.frame["minigroup_records"]:
             subgroups = max(len(self.sensor.stream_subgroups(stream)) for stream in range(self.sensor.streams))
-            beats -= self.pulses * subgroups * parts.length(Kind.RECORD)
+            beats -= self.pulses * subgroups * parts.length(RECORD)
         return max(0, beats) // parts.length(FORMATS[self.format])
 
     @property
@@ -224,7 +229,7 @@ class Config(SubgroupSettings):
                 writes += [(registers.address(name, index=i), int(word)) for i, word in enumerate(words)]
         writes += [(registers.address("share", index=k), int(share)) for k, share in enumerate(self.shares)]
         mode = sum(getattr(self, name).astype(np.int64) << switch.bit for name, switch in SWITCHES.items())
-        integers = [name for name, setting in SUBGROUP.items() if setting.kind is ValueKind.INTEGER]
+        integers = [name for name, setting in SUBGROUP.items() if setting.kind is Kind.INTEGER]
         for s in range(self.sensor.subgroups):
             writes.append((registers.address(MODE.name, s), int(mode[s])))
             writes += [(registers.address(name, s), int(getattr(self, name)[s])) for name in integers]

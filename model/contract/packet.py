@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The words of the stream: one table of header fields, which RTL and decoder share.
+"""The packets of the stream: one table of their fields, from which golden model, RTL, decoders, C header and documents are made.
 
-A packet is a header beat, followed by beats of map, offsets, minigroup entries or counters, lowest bits first.
+The kind of a packet stands in the highest bits of its first beat. Its fields fill the other bits, lowest first, in the
+order of the table.
 """
 
-import enum
 from functools import cache
 
 import numpy as np
@@ -12,87 +12,147 @@ from attrs import frozen
 from numpy.typing import ArrayLike
 
 from .counters import COUNTER_BITS, COUNTER_NAMES
-from .parameters import Sensor
+from .parameters import STAMP_FIELD_BITS, SUBGROUPS_MAX, Sensor, bits_for
+from .table import Limit, number
 
 BEAT_BITS = 64
-OFFSET_BITS = 8
+KIND_BITS = 3
+KIND_LSB = BEAT_BITS - KIND_BITS
 
 
-class Kind(enum.IntEnum):
-    """Type of a packet."""
+@frozen
+class Field:
+    """A field of a packet: `items` numbers of `width` bits each. aligned: it begins with a new beat."""
 
-    EVENT_SHORT = 1
-    EVENT_ID = 2
-    EVENT_FULL = 3
-    RECORD = 4
-    FRAME_START = 6
-    FRAME_END = 7
+    name: str
+    width: Limit
+    doc: str = ""
+    items: Limit = 1
+    aligned: bool = False
+
+    def bits(self, sensor: Sensor) -> int:
+        """Return the width of all items together."""
+        return int(number(self.width, sensor) * number(self.items, sensor))
 
 
-FORMATS = {"short": Kind.EVENT_SHORT, "id": Kind.EVENT_ID, "full": Kind.EVENT_FULL}
-FORMAT_NAMES = tuple(FORMATS)  # in the order of the format register's values
-FORMATS_TOLD = "0 short, 1 id (map), 2 full (map and offsets)"
+@frozen(eq=False)
+class Packet:
+    """A packet: its kind, its name, and its fields. doc: what an event format holds besides the header."""
 
-HEADER = {  # field: (lowest bit, width); unused fields are 0
-    "kind": (61, 3),
-    "overrun": (60, 1),
-    "subgroup": (48, 12),
-    "pulse": (32, 16),
-    "count": (23, 9),
-    "winner": (15, 8),
-    "stamp": (0, 15),
+    code: int
+    name: str
+    fields: tuple[Field, ...]
+    doc: str = ""
+
+    def has(self, name: str) -> bool:
+        """Return whether it has a field of this name."""
+        return any(field.name == name for field in self.fields)
+
+
+@frozen
+class Part:
+    """Bits of a field that stand in one beat: `width` bits of its value, from bit `shift` on, at bit `lsb` of `beat`.
+
+    A part never crosses a multiple of 64 bits in the value.
+    """
+
+    field: str
+    width: int
+    shift: int
+    beat: int
+    lsb: int
+
+
+_STAMP = Field("stamp", STAMP_FIELD_BITS, "opening tick")
+_WINNER = Field("winner", 8, "pixel in the subgroup")
+_COUNT = Field("count", 9, "distinct pixels")
+_PULSE = Field("pulse", 16, "in the frame; frame start and end: frame number")
+_SUBGROUP = Field("subgroup", bits_for(SUBGROUPS_MAX - 1))
+_OVERRUN = Field("overrun", 1, "events were dropped before this one")
+_HEADER = _STAMP, _WINNER, _COUNT, _PULSE, _SUBGROUP, _OVERRUN
+MAP = Field("map", 1, "", "pixels", aligned=True)
+OFFSETS = Field("offsets", 8, "", "minigroups", aligned=True)
+ENTRIES = Field("entries", "record_bits", "", "minigroups", aligned=True)
+_COUNTERS = Field(
+    "counters", COUNTER_BITS, "", len(COUNTER_NAMES), aligned=True
+)  # once for every subgroup of the stream
+
+FORMATS = {  # packets of events, in the order of the format register's values
+    "short": Packet(1, "event_short", _HEADER),
+    "id": Packet(2, "event_id", (*_HEADER, MAP), "map"),
+    "full": Packet(3, "event_full", (*_HEADER, MAP, OFFSETS), "map and offsets"),
 }
+FORMAT_NAMES = tuple(FORMATS)
+WITH_MAP = tuple(name for name, packet in FORMATS.items() if packet.has("map"))  # formats from which depth can be made
+RECORD = Packet(4, "record", (*_HEADER, ENTRIES))
+FRAME_START = Packet(6, "frame_start", _HEADER)
+FRAME_END = Packet(7, "frame_end", (*_HEADER, _COUNTERS))
+PACKETS = {packet.code: packet for packet in (*FORMATS.values(), RECORD, FRAME_START, FRAME_END)}
 
 
-def beats_for(bits: int) -> int:
-    """Return the number of beats that hold `bits`."""
-    return -(-bits // BEAT_BITS)
+@cache
+def parts_of(sensor: Sensor, packet: Packet) -> tuple[Part, ...]:
+    """Return where the fields of a packet stand, in the order of its bits."""
+    parts, bit = [], 0  # bits are counted without those of the kind
+    for field in packet.fields:
+        shift, bits = 0, field.bits(sensor)
+        if field.aligned:
+            bit = -(-(bit + KIND_BITS) // BEAT_BITS) * BEAT_BITS - KIND_BITS
+        while shift < bits:
+            at = bit if bit < KIND_LSB else bit + KIND_BITS
+            room = KIND_LSB - at if at < KIND_LSB else BEAT_BITS - at % BEAT_BITS
+            width = min(room, bits - shift, BEAT_BITS - shift % BEAT_BITS)
+            parts.append(Part(field.name, width, shift, *divmod(at, BEAT_BITS)))
+            bit, shift = bit + width, shift + width
+    return tuple(parts)
+
+
+HEADER = {"kind": (KIND_LSB, KIND_BITS)} | {  # field of the usual header: (lowest bit, width)
+    part.field: (part.lsb, part.width) for part in reversed(parts_of(Sensor(), FRAME_START))
+}
 
 
 @frozen
 class Layout:
-    """Beats of the parts of a packet for one sensor."""
+    """Lengths of a sensor's packets in beats."""
 
-    hits_beats: int
-    offset_beats: int
-    record_beats: int
-    counter_beats: int
+    sensor: Sensor
+
+    def length(self, packet: Packet, subgroups: int = 1) -> int:
+        """Beats of a packet with its header. subgroups: of the stream."""
+        after_header = max(part.beat for part in parts_of(self.sensor, packet))
+        return 1 + after_header * (subgroups if packet is FRAME_END else 1)
+
+    @property
+    def counter_beats(self) -> int:
+        """Beats of the counters of a subgroup."""
+        return self.length(FRAME_END) - 1
 
     @property
     def longest_word(self) -> int:
         """Beats of the longest event or record."""
-        return max(self.length(Kind.EVENT_FULL), self.length(Kind.RECORD))
+        return max(self.length(packet) for packet in (*FORMATS.values(), RECORD))
 
     @property
     def longest(self) -> int:
         """Beats of the longest packet that a subgroup sends."""
         return max(self.longest_word, self.counter_beats)
 
-    def length(self, kind: int) -> int:
-        """Beats of an event or record packet with its header."""
-        return (
-            1
-            + {
-                Kind.EVENT_SHORT: 0,
-                Kind.EVENT_ID: self.hits_beats,
-                Kind.EVENT_FULL: self.hits_beats + self.offset_beats,
-                Kind.RECORD: self.record_beats,
-            }[Kind(kind)]
-        )
+    def lengths(self, subgroups: int) -> np.ndarray:
+        """int64[kinds]: beats of the packets of a stream with `subgroups` subgroups; 0: there is no such kind."""
+        lengths = np.zeros(1 << KIND_BITS, np.int64)
+        for code, packet in PACKETS.items():
+            lengths[code] = self.length(packet, subgroups)
+        return lengths
 
 
 @cache
 def layout(sensor: Sensor) -> Layout:
-    """Return the packet layout of `sensor`."""
-    return Layout(
-        hits_beats=beats_for(sensor.pixels),
-        offset_beats=beats_for(sensor.minigroups * OFFSET_BITS),
-        record_beats=beats_for(sensor.minigroups * sensor.record_bits),
-        counter_beats=beats_for(len(COUNTER_NAMES) * COUNTER_BITS),
-    )
+    """Return the packet lengths of `sensor`."""
+    return Layout(sensor)
 
 
 def header_field(beats: ArrayLike, name: str) -> np.ndarray:
-    """Return a header field of some beats, as int64."""
+    """Return a field of the usual header, from the first beats of some packets, as int64."""
     lsb, width = HEADER[name]
     return ((np.asarray(beats, np.uint64) >> np.uint64(lsb)) & np.uint64((1 << width) - 1)).astype(np.int64)

@@ -8,7 +8,7 @@ import numpy as np
 from ..shared.files import FilePath, read_npz, write_npz
 from .config import Config
 from .counters import COUNTER_NAMES
-from .packet import HEADER
+from .packet import FORMATS, HEADER
 from .parameters import OFFSET_NONE
 from .stream import decode_frame
 
@@ -69,9 +69,10 @@ class ResultBuilder:
         result = dict(zip(EVENT_FIELDS, fields))
         result["overrun"] = result["overrun"].astype(bool)
         result["commit_cycle"] = commit
-        if self.config.format != "short":
+        packet = FORMATS[self.config.format]
+        if packet.has("map"):
             result["hits"] = hits
-        if self.config.format == "full":
+        if packet.has("offsets"):
             result["mg_offset"] = offsets
         subgroup, pulse, entries = (np.concatenate(column) for column in zip(*self._records))
         result |= {"mg_subgroup": subgroup, "mg_pulse": pulse}

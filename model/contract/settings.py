@@ -12,7 +12,7 @@ from attrs import field, frozen
 
 from .counters import EVENTS_MAX
 from .dither import DITHER_BITS_MAX, LFSR_BITS
-from .packet import FORMAT_NAMES, FORMATS_TOLD
+from .packet import FORMATS
 from .parameters import CLOCK_MHZ, Sensor
 from .table import NO_BIT, Kind, settings_of_class
 
@@ -25,6 +25,7 @@ GATE_BITS = 16
 GATE_MAX = (1 << GATE_BITS) - 1  # of a gate's cycles, pulses and steps
 CONTROLLER = "Threshold controller"
 GATE = "Progressive gating"
+_FORMATS_TOLD = ", ".join(f"{n} {name}" + f" ({of.doc})" * bool(of.doc) for n, (name, of) in enumerate(FORMATS.items()))
 
 
 def _setting(kind: Kind, doc: str, **columns: Any) -> Any:
@@ -66,7 +67,7 @@ class FrameSettings:
         "Number of laser periods in a frame.", default=100, unit="laser pulses", low=1, high=1 << 16, offset=0x4C
     )
     format: str = _setting(
-        Kind.CHOICE, f"Event words: {FORMATS_TOLD}.", default="id", choices=FORMAT_NAMES, offset=0x50
+        Kind.CHOICE, f"Event words: {_FORMATS_TOLD}.", default="id", choices=tuple(FORMATS), offset=0x50
     )
     minigroup_records: bool = _switch(
         False, "1: minigroups have their own stamps, and a subgroup sends at most one record per period.", offset=0x54

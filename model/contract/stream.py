@@ -1,13 +1,30 @@
 # SPDX-License-Identifier: Apache-2.0
 """Decoder of the stream: from the beats of a frame to events, minigroup records and counters, by `packet.py`'s tables."""
 
+from itertools import groupby
+from typing import Any
+
 import numpy as np
 from attrs import frozen
 
 from ..shared.compiled import njit
 from .counters import COUNTER_NAMES
-from .packet import HEADER, Kind, header_field, layout
+from .packet import (
+    BEAT_BITS,
+    FORMATS,
+    FRAME_END,
+    FRAME_START,
+    HEADER,
+    KIND_LSB,
+    RECORD,
+    Packet,
+    header_field,
+    layout,
+    parts_of,
+)
 from .parameters import OFFSET_NONE, Sensor
+
+COLUMN = {name: column for column, name in enumerate(HEADER)}  # of `Frame.events`
 
 
 class StreamError(Exception):
@@ -37,30 +54,36 @@ def decode_frame(beats: np.ndarray, sensor: Sensor, subgroups: int) -> Frame:
 
     Raises `StreamError` if the beats are not exactly a frame start, packets, and a frame end with its counters.
     """
-    parts = layout(sensor)
     kinds, starts = packet_starts(beats, sensor, subgroups)
-    tail = 1 + parts.counter_beats * subgroups
+    tail = layout(sensor).length(FRAME_END, subgroups)
     head, end = beats[0], beats[len(beats) - tail]
-    if header_field(head, "kind") != Kind.FRAME_START or header_field(end, "kind") != Kind.FRAME_END:
+    if header_field(head, "kind") != FRAME_START.code or header_field(end, "kind") != FRAME_END.code:
         raise StreamError("the frame does not begin with a frame start and end with a frame end")
     if header_field(head, "pulse") != header_field(end, "pulse"):
         raise StreamError("frame start and frame end have different numbers")
 
-    at = starts[kinds != Kind.RECORD]
-    has_hits = kinds[kinds != Kind.RECORD] >= Kind.EVENT_ID
-    has_offsets = kinds[kinds != Kind.RECORD] == Kind.EVENT_FULL
-    events = np.stack([header_field(beats[at], name) for name in HEADER], axis=1)
-    hits = np.zeros((len(at), parts.hits_beats), np.uint64)
-    hits[has_hits] = beats[at[has_hits, None] + 1 + np.arange(parts.hits_beats)]
-    offsets = np.full((len(at), sensor.minigroups), OFFSET_NONE, np.uint8)
-    where = at[has_offsets, None] + 1 + parts.hits_beats + np.arange(parts.offset_beats)
-    offsets[has_offsets] = _split(beats[where], np.uint8)[:, : sensor.minigroups]
+    is_record = kinds == RECORD.code
+    event_at, event_kinds = starts[~is_record], kinds[~is_record]
+    events = np.zeros((len(event_at), len(HEADER)), np.int64)
+    events[:, COLUMN["kind"]] = event_kinds
+    hits = np.zeros((len(event_at), -(-sensor.pixels // BEAT_BITS)), np.uint64)
+    offsets = np.full((len(event_at), sensor.minigroups), OFFSET_NONE, np.uint8)
+    for packet in FORMATS.values():
+        chosen: Any = event_kinds == packet.code
+        if not chosen.any():
+            continue
+        chosen = slice(None) if chosen.all() else chosen
+        values = packet_fields(beats, event_at[chosen], sensor, packet)
+        if "map" in values:
+            hits[chosen] = values.pop("map")
+        if "offsets" in values:
+            offsets[chosen] = _split(values.pop("offsets"), np.uint8)[:, : sensor.minigroups]
+        for name, value in values.items():
+            events[chosen, COLUMN[name]] = value[:, 0]
 
-    at = starts[kinds == Kind.RECORD]
-    records = np.stack([header_field(beats[at], name) for name in ("subgroup", "pulse")], axis=1)
-    raw = _split(
-        beats[at[:, None] + 1 + np.arange(parts.record_beats)], np.uint16 if sensor.record_bits == 16 else np.uint32
-    )
+    values = packet_fields(beats, starts[is_record], sensor, RECORD)
+    records = np.concatenate([values["subgroup"], values["pulse"]], axis=1).astype(np.int64)
+    raw = _split(values["entries"], np.uint16 if sensor.record_bits == 16 else np.uint32)
     raw = raw[:, : sensor.minigroups].astype(np.int64)
     entries = np.stack([raw & ((1 << sensor.record_stamp_bits) - 1), raw >> sensor.record_stamp_bits], axis=2)
 
@@ -70,13 +93,24 @@ def decode_frame(beats: np.ndarray, sensor: Sensor, subgroups: int) -> Frame:
     return Frame(int(header_field(head, "pulse")), events, hits, offsets, records, entries, counters)
 
 
+def packet_fields(beats: np.ndarray, at: np.ndarray, sensor: Sensor, packet: Packet) -> dict[str, np.ndarray]:
+    """Return the fields of the packets that begin at the beats `at`, as uint64[packets, words], lowest bits first."""
+    words = {field.name: -(-field.bits(sensor) // BEAT_BITS) for field in packet.fields}
+    values = {name: np.zeros((len(at), n), np.uint64) for name, n in words.items()}
+    for beat, parts in groupby(parts_of(sensor, packet), lambda part: part.beat):
+        column = beats[at + beat]
+        for part in parts:
+            word, shift = divmod(part.shift, BEAT_BITS)
+            bits = column >> np.uint64(part.lsb) & np.uint64((1 << part.width) - 1)
+            values[part.field][:, word] |= bits << np.uint64(shift)
+    return values
+
+
 def packet_starts(beats: np.ndarray, sensor: Sensor, subgroups: int) -> tuple[np.ndarray, np.ndarray]:
     """Return kind and first beat of each packet between a frame's start and end, int64[n] each. Raises `StreamError`."""
-    parts = layout(sensor)
-    lengths = np.zeros(8, np.int64)
-    for kind in (Kind.EVENT_SHORT, Kind.EVENT_ID, Kind.EVENT_FULL, Kind.RECORD):
-        lengths[kind] = parts.length(kind)
-    end = len(beats) - 1 - parts.counter_beats * subgroups
+    lengths = layout(sensor).lengths(subgroups)
+    end = len(beats) - lengths[FRAME_END.code]
+    lengths[[FRAME_START.code, FRAME_END.code]] = 0
     kinds, starts, bad = _packets(beats, lengths, end)
     if bad >= 0 or end <= 0:
         raise StreamError(f"beat {max(bad, 0)} of {len(beats)}: not a packet header where one is due")
@@ -94,7 +128,7 @@ def _packets(beats: np.ndarray, lengths: np.ndarray, end: int) -> tuple[np.ndarr
     kinds, starts = np.empty(max(end, 0), np.int64), np.empty(max(end, 0), np.int64)
     n, at = 0, 1
     while at < end:
-        kind = np.int64(beats[at] >> np.uint64(61))
+        kind = np.int64(beats[at] >> np.uint64(KIND_LSB))
         if lengths[kind] == 0:
             return kinds[:n], starts[:n], at
         kinds[n], starts[n] = kind, at

@@ -114,7 +114,7 @@ def _room_for_events(most, shape):
     return Events(
         np.zeros(shape.subgroups + 1, np.int64),
         np.empty(most, _EVENT),
-        np.empty((most, shape.hits_beats), np.uint64),
+        np.empty((most, shape.hits_words), np.uint64),
         np.empty((most, shape.minigroups), np.uint8),
     )
 

@@ -6,20 +6,17 @@ It proceeds from grant to grant. Everything that has been committed by then ente
 (`_form_packet`) and leaves as the receiver takes it (`_transfer`).
 """
 
-from collections import namedtuple
-from typing import Any
-
 import numpy as np
 
 from ..contract import latency
 from ..contract.counters import COUNTER_BITS
-from ..contract.packet import BEAT_BITS, HEADER, OFFSET_BITS, Kind
+from ..contract.packet import BEAT_BITS, FRAME_END, FRAME_START, KIND_LSB, OFFSETS, RECORD
 from ..shared.compiled import njit
-from .shape import COUNTER, row_type
+from .shape import ARRAY, COUNTER, NUMBER, row_type
 
-# A table names the fields.
-_LSB: Any = namedtuple("_LSB", tuple(HEADER))(*(lsb for lsb, _ in HEADER.values()))  # type: ignore[arg-type]
-_RECORD, _FRAME_START, _FRAME_END = int(Kind.RECORD), int(Kind.FRAME_START), int(Kind.FRAME_END)
+_RECORD, _FRAME_START, _FRAME_END = RECORD.code, FRAME_START.code, FRAME_END.code
+_OFFSET_BITS = OFFSETS.width
+_ALL = np.uint64(0xFFFF_FFFF_FFFF_FFFF)
 _NONE = -1
 _NEVER = np.int64(1) << 62
 
@@ -41,14 +38,18 @@ def readout(first, n, shape, end, frame, events, records, counters, next_ready):
     queues = _queues(first, n, events.bounds, records.bounds)
     most = _beats(queues, shape)
     beats, sent_at = np.empty(most, np.uint64), np.empty(most, np.int64)
-    beats[0] = _header(_FRAME_START, 0, 0, frame, 0, 0, 0)
+    values = np.zeros(ARRAY + shape.longest_word, np.uint64)
+    values[NUMBER.pulse] = frame
+    _encode(beats[:1], _FRAME_START, values, shape.frame_parts)
     done = _transfer(sent_at, 0, 1, latency.FRAME_START, next_ready)
     t, pointer = latency.FRAME_START + 1, 0
     while True:
         t = _when_room(shape.longest_word, t, done, sent_at, shape)
         chosen, upcoming = _arbitrate(t, pointer, queues, events.row, records.row, shape.fifo_depth)
         if chosen != _NONE:
-            length = _form_packet(beats, done, first + chosen, queues[chosen], t, shape, events, records)
+            values[:] = 0
+            values[NUMBER.subgroup] = first + chosen
+            length = _form_packet(beats[done:], values, queues[chosen], t, shape, events, records)
             done = _transfer(sent_at, done, length, t, next_ready)
             t, pointer = t + length, (chosen + 1) % n
         elif upcoming < _NEVER:
@@ -56,7 +57,9 @@ def readout(first, n, shape, end, frame, events, records, counters, next_ready):
         else:
             break
     t = max(t, end + latency.FINISH)
-    beats[done] = _header(_FRAME_END, 0, 0, frame, 0, 0, 0)
+    values[:] = 0
+    values[NUMBER.pulse] = frame
+    _encode(beats[done : done + 1], _FRAME_END, values, shape.frame_parts)
     done = _transfer(sent_at, done, 1, t, next_ready)
     t += 1
     for s in range(n):
@@ -86,7 +89,7 @@ def _beats(queues, shape):
     beats = 2 + len(queues) * shape.counter_beats
     for queue in queues:
         beats += (queue.end_event - queue.next_event) * shape.event_beats
-        beats += (queue.end_record - queue.next_record) * (1 + shape.record_beats)
+        beats += (queue.end_record - queue.next_record) * shape.record_beats
     return beats
 
 
@@ -150,43 +153,40 @@ def _admit_records(queue, t, records):
 
 
 @njit(inline="always")
-def _form_packet(beats, done, subgroup, queue, t, shape, events, records):
+def _form_packet(beats, values, queue, t, shape, events, records):
     """Write the packet that is granted in cycle `t` to `beats`, a record before events; free its place; return its length."""
     if queue.waiting != _NONE:
-        length = 1 + shape.record_beats
-        beats[done] = _header(_RECORD, 0, subgroup, records.row[queue.waiting].pulse, 0, 0, 0)
-        _pack(beats[done + 1 : done + length], records.entries[queue.waiting], shape.record_bits)
+        length = shape.record_beats
+        values[NUMBER.pulse] = records.row[queue.waiting].pulse
+        _pack(values[ARRAY:], records.entries[queue.waiting], shape.record_bits)
+        _encode(beats[:length], _RECORD, values, shape.record_parts)
         queue.waiting, queue.place_free_at = _NONE, t + latency.GRANT_TO_READ + length
         return length
-    event, length = events.row[queue.read], shape.event_beats
-    beats[done] = _header(
-        shape.event_kind, event.overrun, subgroup, event.pulse, event.count, event.winner, event.stamp
-    )
-    if length > 1:
-        beats[done + 1 : done + 1 + shape.hits_beats] = events.hits[queue.read]
-    if length > 1 + shape.hits_beats:
-        _pack(beats[done + 1 + shape.hits_beats : done + length], events.offsets[queue.read], OFFSET_BITS)
+    event, length, behind_map = events.row[queue.read], shape.event_beats, ARRAY + shape.hits_words
+    values[NUMBER.overrun], values[NUMBER.pulse], values[NUMBER.stamp] = event.overrun, event.pulse, event.stamp
+    values[NUMBER.count], values[NUMBER.winner] = event.count, event.winner
+    values[ARRAY:behind_map] = events.hits[queue.read]
+    if shape.event_has_offsets:
+        _pack(values[behind_map:], events.offsets[queue.read], _OFFSET_BITS)
+    _encode(beats[:length], shape.event_code, values, shape.event_parts)
     event.free_at = t + latency.GRANT_TO_READ + length
     queue.read += 1
     return length
 
 
 @njit
-def _header(kind, overrun, subgroup, pulse, count, winner, stamp):
-    return (
-        (np.uint64(kind) << np.uint64(_LSB.kind))
-        | (np.uint64(overrun) << np.uint64(_LSB.overrun))
-        | (np.uint64(subgroup) << np.uint64(_LSB.subgroup))
-        | (np.uint64(pulse) << np.uint64(_LSB.pulse))
-        | (np.uint64(count) << np.uint64(_LSB.count))
-        | (np.uint64(winner) << np.uint64(_LSB.winner))
-        | np.uint64(stamp)
-    )
+def _encode(beats, code, values, parts):
+    """Write a packet of this kind to `beats`. parts: which bits of `values` stand where."""
+    beats[:] = 0
+    beats[0] = np.uint64(code) << np.uint64(KIND_LSB)
+    for part in parts:
+        bits = values[part.word] >> np.uint64(part.shift) & _ALL >> np.uint64(BEAT_BITS - part.width)
+        beats[part.beat] |= bits << np.uint64(part.lsb)
 
 
 @njit
 def _pack(beats, items, bits):
-    """Pack `items` of `bits` each into `beats`, lowest bits first."""
+    """Pack `items` of `bits` each into words, lowest bits first."""
     beats[:] = 0
     per_beat = BEAT_BITS // bits
     for k in range(len(items)):

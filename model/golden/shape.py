@@ -9,13 +9,15 @@ import numpy as np
 from ..contract import latency
 from ..contract.config import Config
 from ..contract.counters import COUNTER_NAMES
-from ..contract.packet import FORMATS, layout
+from ..contract.packet import BEAT_BITS, FORMATS, FRAME_START, RECORD, Packet, layout, parts_of
+from ..contract.parameters import Sensor
 
 Shape = namedtuple(
     "Shape",
     "subgroups pixels minigroups phases phase_bits quarter_bits offset_tick_bits period open_cycles rearm fifo_depth "
     "minigroup_records mg_threshold mg_window record_bits record_stamp_bits "
-    "event_kind event_beats hits_beats record_beats counter_beats longest_word output_depth",
+    "event_code event_parts event_beats event_has_offsets hits_words record_parts record_beats frame_parts "
+    "counter_beats longest_word output_depth",
 )
 
 
@@ -28,9 +30,30 @@ def row_type(columns: str) -> np.dtype:
 COUNTER: Any = namedtuple("COUNTER", COUNTER_NAMES)(*range(len(COUNTER_NAMES)))
 
 
+# A packet's values before it is formed, in words of 64 bits: the numbers of the header, then map and offsets, or entries.
+NUMBERS = tuple(field.name for field in FRAME_START.fields)
+NUMBER: Any = namedtuple("NUMBER", NUMBERS)(*range(len(NUMBERS)))
+ARRAY = len(NUMBERS)  # where the map or the entries begin
+_PART = row_type("word shift width beat lsb")
+
+
+def _part_rows(sensor: Sensor, packet: Packet) -> np.ndarray:
+    """Return where the fields of a packet stand, as rows: `width` bits of a word, from bit `shift` on, go to a beat."""
+    first = NUMBER._asdict() | {"map": ARRAY, "offsets": ARRAY + _words(sensor.pixels), "entries": ARRAY}
+    rows = [
+        (first[part.field] + part.shift // BEAT_BITS, part.shift % BEAT_BITS, part.width, part.beat, part.lsb)
+        for part in parts_of(sensor, packet)
+    ]
+    return np.array(rows, _PART)
+
+
+def _words(bits: int) -> int:
+    return -(-bits // BEAT_BITS)
+
+
 def shape_of(config: Config) -> Shape:
     sensor, frame = config.sensor, config.frame
-    parts, kind = layout(sensor), FORMATS[config.format]
+    lengths, packet = layout(sensor), FORMATS[config.format]
     return Shape(
         subgroups=sensor.subgroups,
         pixels=sensor.pixels,
@@ -46,13 +69,17 @@ def shape_of(config: Config) -> Shape:
         minigroup_records=int(frame["minigroup_records"]),
         mg_threshold=frame["mg_threshold"],
         mg_window=frame["mg_window"],
-        event_kind=int(kind),
-        event_beats=parts.length(kind),
-        hits_beats=parts.hits_beats,
-        record_beats=parts.record_beats,
-        counter_beats=parts.counter_beats,
-        longest_word=parts.longest_word,
+        event_code=packet.code,
+        event_parts=_part_rows(sensor, packet),
+        event_beats=lengths.length(packet),
+        event_has_offsets=packet.has("offsets"),
+        hits_words=_words(sensor.pixels),
+        record_parts=_part_rows(sensor, RECORD),
+        record_beats=lengths.length(RECORD),
+        frame_parts=_part_rows(sensor, FRAME_START),
+        counter_beats=lengths.counter_beats,
+        longest_word=lengths.longest_word,
         record_bits=sensor.record_bits,
         record_stamp_bits=sensor.record_stamp_bits,
-        output_depth=latency.output_depth(parts.longest),
+        output_depth=latency.output_depth(lengths.longest),
     )

@@ -16,7 +16,7 @@ from ...hdl.axi import OKAY
 from ...hdl.sensor import SensorTop
 from ...model.contract import registers
 from ...model.contract.config import Config, parse_config
-from ...model.contract.packet import Kind, header_field
+from ...model.contract.packet import FORMATS, FRAME_END, FRAME_START, header_field
 from ...tb.pysim import write_register
 from . import image
 from .waveform import CLOCK_S, FAINT, INK, NOISE, PALE, PHASES, SIGNAL
@@ -241,7 +241,7 @@ def event_packet(trace: Trace) -> Figure:
     words = trace.values("spad_0", begin, end)
     pixels = [str(word.bit_count()) if word else None for word in words]
     header = next(
-        beat for beat in trace.values("m_axis_tdata", begin, end) if header_field(beat, "kind") == Kind.EVENT_ID
+        beat for beat in trace.values("m_axis_tdata", begin, end) if header_field(beat, "kind") == FORMATS["id"].code
     )
     stamp, count, winner = (int(header_field(header, name)) for name in ("stamp", "count", "winner"))
     return draw(
@@ -281,7 +281,7 @@ def _packets(trace: Trace, begin: int, end: int) -> list[str | None]:
         if not open_beat:
             number += 1
             kind = int(header_field(row["m_axis_tdata"], "kind"))
-            name = following or {Kind.FRAME_START: "S", Kind.EVENT_ID: "E", Kind.FRAME_END: "F"}[Kind(kind)]
+            name = following or {FRAME_START.code: "S", FORMATS["id"].code: "E", FRAME_END.code: "F"}[kind]
             following = {"E": "M", "F": "C", "C": "C"}.get(name, "")
         texts.append(name + "\u200b" * (number % 2))
         open_beat = not row["m_axis_tready"]

@@ -18,7 +18,7 @@ from ...hdl.sensor import SensorTop
 from ...model.contract import registers
 from ...model.contract.config import parse_config
 from ...model.contract.edges import Edges
-from ...model.contract.packet import Kind, header_field
+from ...model.contract.packet import FORMATS, header_field
 from ...model.light.timing import Timing
 from ...model.shared.constants import SPEED_OF_LIGHT_M_S
 from ...tb.pysim import write_register
@@ -168,7 +168,7 @@ def draw(values: dict[str, list[int]]) -> Figure:
     wave("commit", values["commit"], 1, SIGNAL)
     axes.plot([0, SHOWN_CYCLES], [level["tdata"] + 0.3] * 2, color=FAINT, lw=1.2, zorder=0)
     beats = [(cycle, data) for cycle, (valid, data) in enumerate(zip(values["tvalid"], values["tdata"])) if valid]
-    event = next(cycle for cycle, data in beats if header_field(data, "kind") == Kind.EVENT_ID)
+    event = next(cycle for cycle, data in beats if header_field(data, "kind") == FORMATS["id"].code)
     for cycle, _ in beats:
         text, color = (
             ("event", SIGNAL) if cycle == event else ("map", SIGNAL) if cycle == event + 1 else ("frame start", INK)

@@ -12,7 +12,7 @@ from typing import TypeAlias
 from attrs import frozen
 
 from ...model.contract.config import SETTINGS, parse_config
-from ...model.contract.packet import FORMAT_NAMES
+from ...model.contract.packet import WITH_MAP
 from ...model.contract.parameters import SENSOR, Sensor
 from ...model.contract.settings import FRAME, SUBGROUP
 from ...model.contract.table import Kind
@@ -174,7 +174,7 @@ _DESCRIBED: tuple[Control, ...] = (
           "SPADs that share a coarse time stamp of their own, rows x columns.", "2x2", "sensor"),
     _key("fifo_depth", "Sensor", "FIFO depth", "Events of a subgroup that can wait for the stream; more are dropped."),
     _key("streams", "Sensor", "Streams", "Outputs of the sensor, which share the subgroups."),
-    _choice("format", "Sensor", "Format", [name for name in FORMAT_NAMES if name != "short"],
+    _choice("format", "Sensor", "Format", WITH_MAP,
             "Content of an event: id: which pixels fired; full: also the minigroups' time stamps. Depth needs the pixels.", "id", "frame"),
     _key("gating", "Gate", "Gating", "Light outside the gate is ignored."),
     _key("gate_start", "Gate", "Gate start", "First cycle of the gate; a cycle is 2 ns, 0.3 m.", 20),

@@ -14,7 +14,7 @@ from ...model.contract import latency
 from ...model.contract.config import Config
 from ...model.contract.counters import COUNTER_NAMES
 from ...model.contract.edges import Edges, Fate
-from ...model.contract.packet import FORMATS, Kind, header_field, layout
+from ...model.contract.packet import FORMATS, RECORD, header_field, layout
 from ...model.contract.pixels import pixel_table
 from ...model.contract.stream import packet_starts
 from ...model.golden.frame import Trace
@@ -197,7 +197,7 @@ def _departures(config: Config, trace: Trace) -> tuple[np.ndarray, np.ndarray]:
     subgroup, cycle = [], []
     for stream, (beats, at) in enumerate(zip(trace.beats, trace.beat_cycle)):
         kinds, starts = packet_starts(beats, sensor, len(sensor.stream_subgroups(stream)))
-        starts = starts[kinds != Kind.RECORD]
+        starts = starts[kinds != RECORD.code]
         last = starts + parts.length(FORMATS[config.format]) - 1
         subgroup.append(header_field(beats[starts], "subgroup"))
         cycle.append(at[last] - _FREED_BEFORE_PORT)

@@ -17,7 +17,7 @@ from coincid.hdl.sensor import FPGA_TOP, SensorTop
 from coincid.hdl.views import POLYPHASE, view_at
 from coincid.model.contract.config import parse_config
 from coincid.model.contract.latency import BEAT_TO_PORT, COMMIT, GRANT_TO_BEAT, STORE_TO_GRANT
-from coincid.model.contract.packet import Kind, header_field
+from coincid.model.contract.packet import FORMATS, header_field
 from coincid.model.contract.parameters import TOP
 from coincid.study.drawings import timing
 
@@ -103,7 +103,7 @@ def test_the_diagrams_show_what_the_page_says():
         for cycle, row in enumerate(trace.rows)
         if row["m_axis_tvalid"] and row["m_axis_tready"]
     ]
-    events = [(cycle, beat) for cycle, beat in taken if header_field(beat, "kind") == Kind.EVENT_ID]
+    events = [(cycle, beat) for cycle, beat in taken if header_field(beat, "kind") == FORMATS["id"].code]
     (at, first), (stalled, second) = events
     assert header_field(first, "stamp") == 22  # the edges at the ports while `laser` was high
     assert header_field(second, "stamp") == 10 * timing.PHASES + 1

@@ -22,7 +22,7 @@ from coincid.cli import app
 from coincid.lab import dask_workers
 from coincid.lab.measures import MEASURES, SWEPT, Measure
 from coincid.model.contract.config import parse_config
-from coincid.model.contract.packet import FORMATS, Kind, layout
+from coincid.model.contract.packet import FORMATS, RECORD, layout
 from coincid.model.depth.estimate import estimate_depth
 from coincid.model.depth.quality import wrong_share
 from coincid.model.golden.frame import golden_result
@@ -169,7 +169,7 @@ def test_measures_are_those_of_the_last_frame(tmp_path, quick):
     assert row["mg_records"] == np.sum(arrays["mg_pulse"] >= 10) > 0
     assert row["committed"] == row["events"] + row["dropped"] == 10 * row["commits_per_pulse"]
     parts = layout(config.sensor)
-    packets = row["events"] * parts.length(FORMATS["full"]) + row["mg_records"] * parts.length(Kind.RECORD)
+    packets = row["events"] * parts.length(FORMATS["full"]) + row["mg_records"] * parts.length(RECORD)
     assert row["beats"] == packets + 2 + parts.counter_beats
     assert row["stream_load"] == row["beats"] / 400
     depth_m = estimate_depth(arrays, config, frame=1).depth_m[:, :, 0]
