@@ -3,12 +3,26 @@
 
 #include "coincid_regs.h"
 
-#define COUNTERS 11u
-#define COUNTER_BEATS ((COUNTERS * 32u + 63u) / 64u)
+#define KIND_LSB (64u - COINCID_KIND_BITS)
+#define COUNTER_BEATS beats_for(COINCID_COUNTERS * 32u)
 
 static uint32_t beats_for(uint32_t bits) { return (bits + 63u) / 64u; }
 
-static uint32_t field(uint64_t beat, unsigned low, unsigned width) { return (uint32_t)(beat >> low & ((1u << width) - 1u)); }
+/* Return `width` bits (at most 32) of a packet of n beats, from bit `*bit` on, and move `*bit` behind them. Bits of the kind do not count;
+   what lies behind the n beats is 0. */
+static uint32_t number(const uint64_t *beats, size_t n, uint32_t *bit, unsigned width) {
+    uint64_t value = 0;
+    unsigned k;
+    for (k = 0; k < width;) {
+        const uint32_t at = *bit < KIND_LSB ? *bit : *bit + COINCID_KIND_BITS;
+        const uint32_t room = at < KIND_LSB ? KIND_LSB - at : 64u - at % 64u;
+        const unsigned taken = room < width - k ? room : width - k;
+        if (at / 64u < n) value |= (beats[at / 64u] >> at % 64u & (((uint64_t)1 << taken) - 1u)) << k;
+        *bit += taken;
+        k += taken;
+    }
+    return (uint32_t)value;
+}
 
 /* Return a read-only register, or 0 with *failed set. */
 static uint32_t constant(const coincid_bus *bus, uint32_t address, int *failed) {
@@ -53,39 +67,24 @@ int coincid_wait(const coincid_bus *bus, uint32_t polls) {
 }
 
 int coincid_decode(const coincid_sensor_info *info, uint32_t subgroups, const uint64_t *beats, size_t n, coincid_packet *packet) {
-    const uint32_t map = beats_for(info->pixels), offsets = beats_for(info->minigroups * 8u);
-    const uint32_t entries = beats_for(info->minigroups * info->record_bits);
     coincid_packet found = {0};
-    uint32_t length = 1;
+    uint32_t length = 0, bit = 0, times = 1;
     if (!n) return 0;
-    found.kind = (int)field(beats[0], 61, 3);
-    found.overrun = (int)field(beats[0], 60, 1);
-    found.subgroup = field(beats[0], 48, 12);
-    found.pulse = field(beats[0], 32, 16);
-    found.count = field(beats[0], 23, 9);
-    found.winner = field(beats[0], 15, 8);
-    found.stamp = field(beats[0], 0, 15);
+    found.kind = (int)(beats[0] >> KIND_LSB);
     switch (found.kind) {
-    case COINCID_EVENT_FULL:
-        found.offsets = beats + 1 + map;
-        length += offsets; /* fall through */
-    case COINCID_EVENT_ID:
-        found.map = beats + 1;
-        length += map; /* fall through */
-    case COINCID_EVENT_SHORT:
-    case COINCID_FRAME_START:
+#define NUMBER(name, width) found.name = number(beats, n, &bit, width);
+#define ITEMS(name, width, items)                                                  \
+    found.name = beats + beats_for(bit + COINCID_KIND_BITS);                        \
+    bit = 64u * beats_for(bit + COINCID_KIND_BITS) - COINCID_KIND_BITS + (width) * (items);
+#define PACKET(kind, count, fields) \
+    case kind:                      \
+        fields times = count;       \
         break;
-    case COINCID_RECORD:
-        found.entries = beats + 1;
-        length += entries;
-        break;
-    case COINCID_FRAME_END:
-        found.counters = beats + 1;
-        length += COUNTER_BEATS * subgroups;
-        break;
+        COINCID_PACKETS(PACKET, NUMBER, ITEMS)
     default:
         return COINCID_BAD_STREAM;
     }
+    length = 1u + (beats_for(bit + COINCID_KIND_BITS) - 1u) * times;
     if (length > n) return 0;
     *packet = found;
     return (int)length;

@@ -6,6 +6,8 @@
 #include <stddef.h>
 #include <stdint.h>
 
+#include "coincid_packets.h"
+
 #ifdef __cplusplus
 extern "C" {
 #endif
@@ -31,9 +33,7 @@ int coincid_abort(const coincid_bus *bus);
 /* Poll the status up to `polls` times until the frame has been delivered, then clear the `done` bit. */
 int coincid_wait(const coincid_bus *bus, uint32_t polls);
 
-enum { COINCID_EVENT_SHORT = 1, COINCID_EVENT_ID = 2, COINCID_EVENT_FULL = 3, COINCID_RECORD = 4, COINCID_FRAME_START = 6, COINCID_FRAME_END = 7 };
-
-/* A packet of the stream. map, offsets, entries and counters point to beats of the stream, or are 0 if the kind has none. */
+/* A packet of the stream, of a kind of coincid_packets.h. map, offsets, entries and counters point to beats of the stream, or are 0 if the kind has none. */
 typedef struct {
     int kind, overrun;
     uint32_t subgroup, pulse, count, winner, stamp; /* pulse: in the frame; for frame start and end, the frame number */

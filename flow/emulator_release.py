@@ -13,8 +13,8 @@ from ..model.contract.config import Config
 from ..model.contract.emulator import Emulator
 from ..model.shared.errors import InputError
 from ..model.shared.files import whole_file
+from .c_driver import c_driver
 from .register_files import register_files
-from .release import C_DRIVER
 from .waivers import CONTROL_FILE, control_file
 
 BOARD, SERIAL, AXI = "ulx3s", "serial", "axi"
@@ -35,7 +35,7 @@ def emulator_verilog(config: Config, kind: str, buffer_beats: int) -> dict[str, 
 def emulator_release(config: Config, kind: str, buffer_beats: int) -> dict[str, str]:
     """File name -> text of everything. Equal parameters give equal bytes. Raises `InputError`."""
     files = emulator_verilog(config, kind, buffer_beats) | register_files(config.sensor)
-    files |= {CONTROL_FILE: control_file(POLYPHASE, emulator=True)} | {path.name: path.read_text() for path in C_DRIVER}
+    files |= {CONTROL_FILE: control_file(POLYPHASE, emulator=True)} | c_driver()
     return files | ({PINS: board_pins()} if kind == BOARD else {})
 
 

@@ -2,7 +2,7 @@
 """Ports of the top modules, for integrators: a table and an instantiation, from the RTL's own list of ports.
 
 Names, widths and directions come from the RTL; meanings and values after a reset are defined here, once.
-`python -m coincid.flow.ports` renews these parts of docs/integrate.md.
+`python -m coincid.flow.ports` renews these parts of docs/integrate.md, and the tables of docs/contract.md.
 """
 
 import re
@@ -28,6 +28,7 @@ from ..model.contract.packet import (
 )
 from ..model.contract.parameters import TOP, Sensor
 from ..model.shared.folders import checkout
+from .contract_tables import contract_parts
 
 EXAMPLE = Sensor(rows=8, cols=16)  # for docs/integrate.md: two subgroups, one module
 
@@ -173,6 +174,11 @@ def generated(sensor: Sensor) -> dict[str, str]:
     }
 
 
+def pages() -> dict[str, dict[str, str]]:
+    """Return the generated parts of the pages in docs/, by page and by the names of their markers."""
+    return {"integrate.md": generated(EXAMPLE), "contract.md": contract_parts()}
+
+
 def with_parts(page: str, parts: dict[str, str]) -> str:
     """Return a page with its generated parts renewed; each is between `<!-- begin NAME -->` and `<!-- end NAME -->`."""
     for name, text in parts.items():
@@ -185,6 +191,7 @@ def with_parts(page: str, parts: dict[str, str]) -> str:
 if __name__ == "__main__":
     folder = checkout()
     if folder is None:
-        raise SystemExit("docs/integrate.md: is renewed in a checkout of the project")
-    path = folder / "docs" / "integrate.md"
-    path.write_text(with_parts(path.read_text(), generated(EXAMPLE)))
+        raise SystemExit("docs/: is renewed in a checkout of the project")
+    for page, parts in pages().items():
+        path = folder / "docs" / page
+        path.write_text(with_parts(path.read_text(), parts))

@@ -19,6 +19,7 @@ from ..model.contract import latency
 from ..model.contract.config import Config
 from ..model.contract.parameters import TOP, Sensor
 from ..model.shared.errors import InputError
+from .c_driver import c_driver
 from .constraints import constraints as async_constraints
 from .ports import instantiation, port_table, stream_words
 from .register_files import register_files
@@ -32,9 +33,6 @@ TIMESCALE = "1ps/1fs"  # for a view with macros
 PORT_DELAY = 0.4  # share of a period outside the ports
 UNCERTAINTY = 0.05  # share of a period
 DERIVED = ("array_pixels", "subgroups", "pixels", "minigroups", "guard", "stamp_bits", "period_max")
-C_DRIVER = tuple(
-    Path(__file__).with_name(name) for name in ("coincid.h", "coincid.c")
-)  # beside them: the register header
 RULES = """## Reset, clock, and the cycle that `laser` marks
 
 * There is one clock. Inputs are sampled and outputs change at the rising edge of `clk`.
@@ -56,7 +54,7 @@ def release_files(config: Config, view: str | View = POLYPHASE) -> dict[str, str
     rtl = verilog_files(sensor, view)
     lists = {TOP: rtl.pop(FILE_LIST).split()}
     files = rtl | register_files(sensor) | {CONTROL_FILE: control_file(view)}
-    files |= {path.name: path.read_text() for path in C_DRIVER}
+    files |= c_driver()
     if view is POLYPHASE and has_fpga_top(sensor):
         fpga = fpga_files(sensor)
         files |= fpga

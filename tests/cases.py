@@ -8,9 +8,12 @@ from hypothesis import strategies as st
 
 from coincid.model.contract.config import Config, parse_config
 from coincid.model.contract.edges import Edges
+from coincid.model.contract.packet import FORMAT_NAMES
 from coincid.model.contract.parameters import Sensor
 from coincid.model.contract.pixels import pixel_table
 from coincid.model.contract.registers import BY_NAME
+from coincid.model.contract.settings import FRAME, SUBGROUP
+from coincid.model.contract.table import Kind, Setting
 
 SENSORS = {  # small ones, so that a case is fast; together they change every parameter from its default
     "default": {"rows": 8, "cols": 16},
@@ -73,8 +76,17 @@ SMALL = {
 
 
 def built_sensor(sensor: dict) -> Sensor:
-    """Return the sensor of a table; its highest period may be below the default one."""
-    return parse_config({"sensor": sensor, "frame": {"period": 100}}).sensor
+    """Return the sensor of a table."""
+    return parse_config({"sensor": sensor}).sensor
+
+
+def legal_values(setting: Setting, sensor: Sensor) -> st.SearchStrategy:
+    """Return all legal values of a setting as a file has them."""
+    if setting.kind is Kind.MASK:
+        return st.integers(0, (1 << sensor.pixels) - 1).map("{:x}".format)
+    if setting.kind is Kind.SWITCH:
+        return st.booleans()
+    return st.sampled_from(setting.choices) if setting.choices else st.integers(*setting.limits(sensor))
 
 
 @st.composite
@@ -83,39 +95,32 @@ def configurations(draw, sensor: dict, frames_max: int = 2) -> Config:
     built = built_sensor(sensor)
     period = draw(st.integers(built.guard + 1, min(built.period_max, built.guard + 60)))
     ends = [ticks for ticks in (1, built.phases, built.window_max) if ticks <= built.window_max]
-    window = st.one_of(st.integers(1, built.window_max), st.sampled_from(ends))
-    settings = st.fixed_dictionaries(
-        {},
-        optional={
-            "coincidence": st.booleans(),
-            "gating": st.booleans(),
-            "auto": st.booleans(),
-            "threshold": st.integers(1, 9),  # including values above the controller's highest
-            "window": window,
-            "gate_start": st.integers(0, period - 1),
-            "gate_len": st.one_of(st.integers(0, period + 3), st.integers(0, 15).map(lambda bit: 1 << bit)),
-            "mask": st.integers(0, (1 << built.pixels) - 1).map("{:x}".format),
-        },
-    )
-    frame = {
-        "frames": draw(st.integers(1, frames_max)),
-        "period": period,
-        "pulses": draw(st.integers(1, 6)),
-        "link_gbps": draw(st.sampled_from((0.0, 0.0, 0.0, 9.0, 24.7))),
-        "format": draw(st.sampled_from(("short", "id", "full"))),
-        "minigroup_records": draw(st.booleans()),
-        "mg_threshold": draw(st.integers(1, min(3, built.minigroup_pixels))),
-        "mg_window": draw(st.integers(1, 4)),
-        "gate_step": draw(st.integers(0, 40)),
-        "gate_every": draw(st.integers(0, 3)),
-        "gate_steps": draw(st.integers(1, 3)),
-        "dither_bits": draw(st.integers(0, 5)),
-        "dither_seed": draw(st.integers(1, 0xFFFF)),
-        "auto_bounds": sorted(draw(st.lists(st.integers(0, 300), min_size=6, max_size=6))),
-        "capacity": draw(st.integers(0, 400)),
-        "threshold_floor": draw(st.sampled_from((0, 1, 1, 1, 2, 4, 7))),
+    rare = {  # where few of the legal values are worth trying
+        "frames": st.integers(1, frames_max),
+        "period": st.just(period),
+        "pulses": st.integers(1, 6),
+        "clock_mhz": st.just(500.0),
+        "link_gbps": st.sampled_from((0.0, 0.0, 0.0, 9.0, 24.7)),
+        "mg_threshold": st.integers(1, min(3, built.minigroup_pixels)),
+        "gate_step": st.integers(0, 40),
+        "gate_every": st.integers(0, 3),
+        "gate_steps": st.integers(1, 3),
+        "dither_bits": st.integers(0, 5),
+        "auto_bounds": st.lists(st.integers(0, 300), min_size=6, max_size=6).map(sorted),
+        "capacity": st.integers(0, 400),
+        "threshold_floor": st.sampled_from((0, 1, 1, 1, 2, 4, 7)),
+        "threshold": st.integers(1, 9),  # including values above the controller's highest
+        "window": st.one_of(st.integers(1, built.window_max), st.sampled_from(ends)),
+        "gate_start": st.integers(0, period - 1),
+        "gate_len": st.one_of(st.integers(0, period + 3), st.integers(0, 15).map(lambda bit: 1 << bit)),
     }
-    base = {"window": draw(window)} | draw(settings)
+    frame, of_subgroup = (
+        {name: rare[name] if name in rare else legal_values(setting, built) for name, setting in table.items()}
+        for table in (FRAME, SUBGROUP)
+    )
+    settings = st.fixed_dictionaries({}, optional=of_subgroup)
+    frame = draw(st.fixed_dictionaries(frame))
+    base = {"window": draw(rare["window"])} | draw(settings)
     overrides = [
         {"subgroups": draw(st.lists(st.integers(0, built.subgroups - 1), min_size=1, max_size=2))} | draw(settings)
         for _ in range(draw(st.integers(0, 2)))
@@ -166,7 +171,7 @@ def scarce(sensor: dict) -> list[Config]:
 
 def modes(sensor: dict) -> list[Config]:
     """Return a configuration for every mode (coincidence, gating, auto) in every format."""
-    switches = itertools.product((False, True), (False, True), (False, True), ("short", "id", "full"))
+    switches = itertools.product((False, True), (False, True), (False, True), FORMAT_NAMES)
     return [
         parse_config(
             {

@@ -148,11 +148,6 @@ def test_waveform_picture_shows_the_stages():
     assert values["tdata"][sent + 1] == sum(1 << pixel for pixel, *_ in picture.EDGES[1:])
 
 
-def test_header_table():
-    table = {name: bits for name, bits, _ in rows(ROOT / "docs" / "contract.md", "header field")}
-    assert table == {name: f"{lsb + width - 1}:{lsb}" for name, (lsb, width) in HEADER.items()}
-
-
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_links_lead_to_files(page):
     for target in re.findall(r"\]\(([^)#:]+)(?:#[^)]*)?\)", page.read_text()):

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from coincid.flow.c_driver import c_driver
 from coincid.flow.register_files import HEADER, register_files
-from coincid.flow.release import C_DRIVER
 from coincid.host.driver import Driver
 from coincid.host.transport import RefusedError
 from coincid.model.contract.config import parse_config, sensor_table
@@ -50,9 +50,8 @@ def compiled_driver(sensor) -> ctypes.CDLL:
     """The C driver and the register header of a sensor, as a library."""
     with tempfile.TemporaryDirectory(prefix="coincid-") as name:
         folder = Path(name)
-        for path in C_DRIVER:
-            (folder / path.name).write_text(path.read_text())
-        (folder / HEADER).write_text(register_files(sensor)[HEADER])
+        for file, text in (c_driver() | {HEADER: register_files(sensor)[HEADER]}).items():
+            (folder / file).write_text(text)
         subprocess.run(["cc", *FLAGS, "-shared", "-fPIC", "-o", "driver.so", "coincid.c"], cwd=folder, check=True)
         loaded = ctypes.CDLL(str(folder / "driver.so"))
     loaded.coincid_counter.restype = loaded.coincid_offset.restype = ctypes.c_uint32

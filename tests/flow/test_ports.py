@@ -10,7 +10,7 @@ import pytest
 from amaranth.hdl import ClockDomain, Module
 from amaranth.sim import Simulator
 
-from coincid.flow.ports import EXAMPLE, generated, instantiation, port_rows, with_parts
+from coincid.flow.ports import EXAMPLE, instantiation, pages, port_rows, with_parts
 from coincid.flow.release import README, release_files
 from coincid.hdl.export import FILE_LIST
 from coincid.hdl.sensor import FPGA_TOP, SensorTop
@@ -23,11 +23,14 @@ from coincid.study.drawings import timing
 
 from ..releases import config, small_releases
 
-PAGE = Path(__file__).parents[2] / "docs" / "integrate.md"
+DOCS = Path(__file__).parents[2] / "docs"
 
 
-def test_the_page_has_what_the_rtl_says():
-    assert with_parts(PAGE.read_text(), generated(EXAMPLE)) == PAGE.read_text()
+@pytest.mark.parametrize("page", pages())
+def test_the_page_has_what_tables_and_rtl_say(page):
+    text = (DOCS / page).read_text()
+    assert with_parts(text, pages()[page]) == text
+    assert all(f"<!-- begin {name} -->" in text for name in pages()[page])
 
 
 @pytest.mark.parametrize("name, top", [("silicon", TOP), ("fpga", FPGA_TOP)])

@@ -1,0 +1,60 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The exported C driver: its sources, and a header with the packets of the stream, from the table in `model/contract/packet.py`."""
+
+from pathlib import Path
+
+from ..model.contract.counters import COUNTER_NAMES
+from ..model.contract.packet import FRAME_END, KIND_BITS, PACKETS, Packet
+from ..model.contract.table import Limit
+from ..model.shared.licence import SPDX
+
+SOURCES = tuple(Path(__file__).with_name(name) for name in ("coincid.h", "coincid.c"))
+PACKETS_HEADER = "coincid_packets.h"
+
+
+def c_driver() -> dict[str, str]:
+    """Return the files of the driver, which fits every sensor, by name. Beside them it needs the register header."""
+    return {path.name: path.read_text() for path in SOURCES} | {PACKETS_HEADER: _packets_header()}
+
+
+def _packets_header() -> str:
+    kinds = ", ".join(f"{_kind(packet)} = {code}" for code, packet in PACKETS.items())
+    lines = [
+        f"/* {SPDX} */",
+        "/* Packets of the stream. The kind is in the highest bits of the first beat; the fields fill the other bits, lowest",
+        "   first: NUMBER(name, bits), or ITEMS(name, bits of an item, items), which begin with a new beat. */",
+        "#ifndef COINCID_PACKETS_H",
+        "#define COINCID_PACKETS_H",
+        "",
+        f"#define COINCID_KIND_BITS {KIND_BITS}u",
+        f"#define COINCID_COUNTERS {len(COUNTER_NAMES)}u /* of a subgroup, in a frame end */",
+        f"enum {{ {kinds} }};",
+        "",
+        "/* PACKET(kind, times, fields): whatever follows the first beat comes `times` times. */",
+        "#define COINCID_PACKETS(PACKET, NUMBER, ITEMS) \\",
+        " \\\n".join(f"    {_packet(packet)}" for packet in PACKETS.values()),
+        "",
+        "#endif",
+        "",
+    ]
+    return "\n".join(lines)
+
+
+def _kind(packet: Packet) -> str:
+    return f"COINCID_{packet.name.upper()}"
+
+
+def _packet(packet: Packet) -> str:
+    fields = [
+        f"ITEMS({field.name}, {_number(field.width)}, {_number(field.items)})"
+        if field.aligned
+        else f"NUMBER({field.name}, {_number(field.width)})"
+        for field in packet.fields
+    ]
+    times = "subgroups" if packet is FRAME_END else "1u"
+    return f"PACKET({_kind(packet)}, {times}, {' '.join(fields)})"
+
+
+def _number(limit: Limit) -> str:
+    """Return a number, or the field of `coincid_sensor_info` that holds it."""
+    return f"info->{limit}" if isinstance(limit, str) else f"{limit}u"

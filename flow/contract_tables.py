@@ -1,0 +1,62 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The generated tables of docs/contract.md: the keys of the configuration file, and the header of the stream's packets."""
+
+from ..model.contract.config import TABLES
+from ..model.contract.packet import FORMATS, FRAME_END, FRAME_START, HEADER, RECORD
+from ..model.contract.table import Kind, Limit, Setting
+
+
+def contract_parts() -> dict[str, str]:
+    """Return the generated parts of the page, by the names of their markers."""
+    return {"header": _header_table()} | {f"settings of {table}": _settings_table(table) for table in TABLES}
+
+
+def _settings_table(table: str) -> str:
+    rows = [
+        f"| `{name}` | {_default(setting)} | {_legal(setting)} | {setting.unit} | {setting.doc} |"
+        for name, setting in TABLES[table].items()
+    ]
+    return (
+        "\n".join([f"| `[{table}]` | default | legal | unit | meaning |", "| --- | --- | --- | --- | --- |", *rows])
+        + "\n"
+    )
+
+
+def _default(setting: Setting) -> str:
+    if setting.kind is Kind.MASK:
+        return "all on"
+    if setting.derived:
+        return "see above"
+    default = setting.default
+    if setting.follows:
+        return f"`{setting.follows}`"
+    if isinstance(default, bool):
+        return str(default).lower()
+    return str(list(default) if isinstance(default, tuple) else default)
+
+
+def _legal(setting: Setting) -> str:
+    if setting.kind is Kind.SWITCH:
+        return "true, false"
+    if setting.kind is Kind.CHOICE:
+        return ", ".join(setting.choices)
+    if setting.kind is Kind.MASK:
+        return "hex digits"
+    numbers = f"{_number(setting.low)} to {_number(setting.high)}"
+    if setting.kind is Kind.SIZE:
+        return f"[rows, cols] of {numbers}"
+    return f"{setting.count} integers, {numbers}" if setting.kind is Kind.INTEGERS else numbers
+
+
+def _number(limit: Limit) -> str:
+    return f"`{limit}`" if isinstance(limit, str) else f"{limit:.10g}"
+
+
+def _header_table() -> str:
+    docs = {field.name: field.doc for field in FRAME_START.fields}
+    kinds = ", ".join(f"{of.code} {name}{f' (with {of.doc})' * bool(of.doc)}" for name, of in FORMATS.items())
+    docs["kind"] = (
+        f"event: {kinds}; {RECORD.code} minigroup record, {FRAME_START.code} frame start, {FRAME_END.code} frame end"
+    )
+    rows = [f"| `{name}` | {lsb + width - 1}:{lsb} | {docs[name]} |" for name, (lsb, width) in HEADER.items()]
+    return "\n".join(["| header field | bits | |", "| --- | --- | --- |", *rows]) + "\n"
