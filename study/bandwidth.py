@@ -10,6 +10,7 @@ import io
 import math
 import os
 from collections.abc import Callable, Sequence
+from itertools import cycle
 from pathlib import Path
 
 import numpy as np
@@ -289,7 +290,7 @@ def _plot(rows: list[Row]) -> Figure:
     """Plot the demand of one size against the background, and the losses of all sizes against the number of streams."""
     config, figure = parse_config({}), new_figure(11, 5)
     demand, loss = figure.subplots(1, 2)
-    for name, colour in zip(FORMAT_NAMES, SERIES[1::3]):
+    for name, colour in zip(FORMAT_NAMES, cycle(SERIES[1::3])):
         for threshold, line, mark in zip(THRESHOLDS, ("-", "--", ":"), "os^"):
             shown = (SHOWN_SIZE, name, threshold, False, 1)
             of = [row for row in rows if (row.size, row.format, row.threshold, row.records, row.lost_streams) == shown]

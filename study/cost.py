@@ -7,6 +7,7 @@ pixel, in NanGate 45 nm standard cells, without SPADs and wires. For another pro
 
 import csv
 import io
+from itertools import cycle
 from pathlib import Path
 from typing import Any
 
@@ -162,7 +163,7 @@ def _draw(rows: list[dict[str, Any]]) -> Figure:
             at = [row["value"] for row in points]
             area, bits, rate = grid[:, column]
             area.plot(at, [row["area_um2_per_pixel"] / 1000 for row in points], "o-", color="#222222")
-            for name, colour in zip(FORMATS, ("#1b9e77", "#d95f02", "#7570b3")):
+            for name, colour in zip(FORMATS, cycle(("#1b9e77", "#d95f02", "#7570b3"))):
                 bits.plot(at, [row[f"bits_{name}"] for row in points], "o-", color=colour, label=f"format {name}")
                 rate.plot(
                     at, [row[f"mevents_per_s_{name}"] for row in points], "o-", color=colour, label=f"format {name}"

@@ -88,7 +88,7 @@ def packets(library, info, beats):
         packet = Packet()
         start = ctypes.c_void_p(raw.ctypes.data + 8 * at)
         length = library.coincid_decode(
-            ctypes.byref(info), SENSOR.subgroups, start, ctypes.c_size_t(len(raw) - at), ctypes.byref(packet)
+            ctypes.byref(info), info.subgroups, start, ctypes.c_size_t(len(raw) - at), ctypes.byref(packet)
         )
         assert length > 0
         yield packet
