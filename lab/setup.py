@@ -28,7 +28,7 @@ from ..tb.replay import DEFAULT_VIEW
 if TYPE_CHECKING:
     from ..hdl.views import View
 
-SETTLING = 8  # frames of new photons under the controller; the last one counts
+SETTLING = 7  # frames of new photons under the controller before the one that counts
 Watch = Callable[[str, float, int], None]  # stage, share of it that is done, edges so far; it may raise to end a run
 
 

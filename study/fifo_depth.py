@@ -9,12 +9,12 @@ shares the stream among the subgroups and first gets frames to settle.
 from collections.abc import Iterator
 
 from ..lab.run import Kept, Run
-from ..lab.setup import Setup
+from ..lab.setup import SETTLING, Setup
 
 SCENE, SEED = "five-objects", 1
 DEPTHS = (2, 4, 8, 16, 32)
 KLUX = (5.0, 50.0, 100.0)
-SETTLING, WATCHED = 6, 4  # frames
+WATCHED = 4  # frames, after the controller has settled
 SETTINGS = (
     ("threshold 2, map", {"threshold": 2}, "id"),
     ("threshold 3, map", {"threshold": 3}, "id"),

@@ -167,7 +167,7 @@ def simulate(
 
     source: for `load_scene`; klux: for `ambient_klux`; background: one of `BACKGROUNDS`. threshold: of `fixed`; None: the
     threshold that the configuration gives, else the best of 1 to 7 for this scene. settling: frames of
-    `auto` (None: `SETTLING`). spad_gate: gating keeps the SPADs off outside the gate. events.npz: a result file of all
+    `auto`, of which the last one counts (None: `SETTLING` and that one). spad_gate: gating keeps the SPADs off outside the gate. events.npz: a result file of all
     frames, in the order of `SCHEMES`. Raises `InputError`, and the errors of `run_frames`; after a `Mismatch`, only
     the report exists, with `mismatches` = 1.
     """
@@ -175,7 +175,7 @@ def simulate(
     config.check_map()
     if threshold is not None:
         config = config.with_settings(threshold=threshold)
-    settling = settling or (SLOW_SETTLING if engine in SLOW_ENGINES else SETTLING)
+    settling = settling or (SLOW_SETTLING if engine in SLOW_ENGINES else SETTLING + 1)
     timing, ambient = Timing.from_config(config), told_klux(klux)
     setup = Setup(
         config=config.with_frame(frames=settling),

@@ -59,7 +59,7 @@ def shares(source: str, klux: Ambient, stream: Stream) -> dict[str, Shares]:
     setup = Setup.of(
         source,
         sensor={"rows": stream.pixels, "cols": stream.pixels, "streams": 1},
-        frame={"link_gbps": stream.link_gbps, "frames": SETTLING},
+        frame={"link_gbps": stream.link_gbps, "frames": SETTLING + 1},
         subgroup={"auto": True},
         klux=klux,
         seed=SEED,

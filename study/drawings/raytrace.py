@@ -26,7 +26,7 @@ WINDOW_M = 1e-9 * SPEED_OF_LIGHT_M_S / 2  # surfaces closer than a coincidence w
 
 def draw(name: str) -> list[tuple[float, float]]:
     """Write the picture; return (wrong by more than a window, wrong by the paper's criterion) for each scheme."""
-    config = load_config(None).with_pulses(PULSES).with_frame(frames=SETTLING)
+    config = load_config(None).with_pulses(PULSES).with_frame(frames=SETTLING + 1)
     scene = scene_of(config, PREFIX + name)
     run = Run(Setup(config=config, scene=scene, klux=KLUX, seed=SEED))
     with tempfile.TemporaryDirectory() as folder:
