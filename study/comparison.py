@@ -11,7 +11,6 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
-from attrs import evolve
 
 from ..lab.run import Run
 from ..lab.setup import SETTLING, Setup
@@ -20,7 +19,6 @@ from ..model.depth.arrivals import pulse_sigma_ticks
 from ..model.depth.histograms import pixel_image
 from ..model.depth.peaks import APART_SIGMAS, NEAR_SIGMAS, pixel_peaks
 from ..model.light.light import Light
-from ..model.light.timing import Timing
 from ..model.shared.constants import SPEED_OF_LIGHT_M_S
 from . import rivals
 
@@ -49,19 +47,15 @@ class Found(NamedTuple):
     bits: int
 
 
-def compared(light: Light, threshold: int = THRESHOLD, timing: Timing | None = None, seed: int = 1) -> Setup:
-    """Return `FRAMES` frames of `light` on a sensor of its size; otherwise the silicon preset.
-
-    timing: of the laser, if it is not that of the sensor.
-    """
-    setup = Setup.of(
+def compared(light: Light, threshold: int = THRESHOLD, seed: int = 1, **frame: Any) -> Setup:
+    """Return `FRAMES` frames of `light` on a sensor of its size; otherwise the silicon preset. frame: further settings."""
+    return Setup.of(
         sensor={"rows": light.rows, "cols": light.cols},
-        frame={"pulses": PULSES, "frames": FRAMES},
+        frame={"pulses": PULSES, "frames": FRAMES} | frame,
         subgroup={"threshold": threshold},
         light=light,
         seed=seed,
     )
-    return setup if timing is None else setup.but(edges=evolve(setup.photons, timing=timing).edges())
 
 
 def _winner_takes_all(shot: Shot) -> Found:

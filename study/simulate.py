@@ -166,10 +166,10 @@ def simulate(
     """Simulate a scene; leave `PICTURES`, report.html, events.npz and report.json in `out`, and return the report.
 
     source: for `load_scene`; klux: for `ambient_klux`; background: one of `BACKGROUNDS`. threshold: of `fixed`; None: the
-    threshold that the configuration gives, else the best of 1 to 7 for this scene. settling: frames of
-    `auto`, of which the last one counts (None: `SETTLING` and that one). spad_gate: gating keeps the SPADs off outside the gate. events.npz: a result file of all
-    frames, in the order of `SCHEMES`. Raises `InputError`, and the errors of `run_frames`; after a `Mismatch`, only
-    the report exists, with `mismatches` = 1.
+    configuration's, if it gives one, else the best of 1 to 7 for this scene. settling: frames of `auto`, of which the
+    last one counts (None: `SETTLING` and that one). spad_gate: gating keeps the SPADs off outside the gate. events.npz: a
+    result file of all frames, in the order of `SCHEMES`. Raises `InputError`, and the errors of `play_schemes`; after a
+    `Mismatch`, only the report exists, with `mismatches` = 1.
     """
     shown = chosen_view(engine, view, config.clock_mhz)
     config.check_map()

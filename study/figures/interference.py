@@ -44,14 +44,14 @@ class Result(NamedTuple):
 def run_task(task: Task) -> Result:
     """Run all of `SHOWN` on the same photons of five objects and another LiDAR that lights every pixel at the same time."""
     scene = load_scene(SCENE, SIDE, SIDE)
-    timing = Timing(dither_bits=task.bits)
+    timing = Timing()
     other = Interferer(
         photons_per_pulse=task.photons,
         period_s=timing.period_s * (1 + task.offset),
         phase_s=PHASE_SHARE[task.seed - 1] * timing.period_s,
     )
     light = Light.from_scene(scene.distance_m, scene.reflectivity, KLUX, interferer=other if task.photons else None)
-    shot = Shot(Run(compared(light, timing=timing, seed=task.seed)))
+    shot = Shot(Run(compared(light, seed=task.seed, dither_bits=task.bits)))
     found = {name: SCHEMES[name](shot) for name in SHOWN}
     depths = {name: one.depth_m[:, :, 0] for name, one in found.items()}
     return Result(

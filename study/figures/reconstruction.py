@@ -10,7 +10,7 @@ from ...lab.campaign import Processes, grouped
 from ...lab.run import Run
 from ...lab.setup import Setup
 from ...model.contract.pixels import pixel_table
-from ...model.depth.quality import TOLERANCE_M
+from ...model.depth.quality import TOLERANCE_M, wrong_pixels
 from ...model.light.analytic import histogram
 from ...model.light.link_budget import FORMS
 from ...model.light.timing import Timing
@@ -194,7 +194,7 @@ def _add_rtl(shown: list[Panel], ours: dict[str, str], rtl: Outcome, golden: Out
 def _analytic(task: tuple[str, Setup]) -> tuple[np.ndarray, np.ndarray]:
     """Return (share of `SEEDS` draws in which a pixel is wrong, first draw's depth), float64[rows, cols], by the highest bin."""
     form, setup = task
-    config, run, timing = setup.config, Run(setup), Timing()
+    config, run, timing = setup.config, Run(setup), Timing.from_config(setup.config)
     sensor, light, table = config.sensor, run.light, pixel_table(config.sensor)
     depth_m = np.full((SEEDS, sensor.array_pixels), np.nan)
     for s in range(sensor.subgroups):
@@ -219,7 +219,7 @@ def _analytic(task: tuple[str, Setup]) -> tuple[np.ndarray, np.ndarray]:
             peak_s = np.where(counts.any(axis=1), (counts.argmax(axis=1) + 0.5) * timing.tick_s, np.nan)
             depth_m[draw, pixel] = (peak_s + lead_s) * SPEED_OF_LIGHT_M_S / 2
     pictures_m = depth_m.reshape(SEEDS, sensor.rows, sensor.cols)
-    wrong = ~(np.abs(pictures_m - run.scene.truth_m) <= TOLERANCE_M)
+    wrong = wrong_pixels(pictures_m, run.scene.truth_m)
     return wrong.mean(axis=0), pictures_m[0]
 
 

@@ -112,12 +112,12 @@ RESULTS: dict[str, tuple[Callable[[Path], Any], str]] = {
         lambda folder: list(thresholds.table((("flat:7", 50.0),), (thresholds.Stream(16, 8),))),
         "74a7d697fa74f4e1",
     ),
-    "fifo depth": (lambda folder: list(fifo_depth.table((50.0,))), "f8d6dc157b231ab2"),
-    "settling": (lambda folder: list(settling.table(((20.0, 20.0),))), "c19b9642a47a6ee5"),
+    "fifo depth": (lambda folder: list(fifo_depth.table((50.0,))), "934c623c8d26ff6b"),
+    "settling": (lambda folder: list(settling.table(((20.0, 20.0),))), "8c8bc0a9bed5e93f"),
     "surfaces": (surface, "025886838c28382d"),
     "background": (
         section(architect.background, KLUX=(20.0, 50.0, 100.0), SEEDS=1, MANY=1, BOTH_PULSES=(100,)),
-        "a0131579dc1e531e",
+        "b60b45f24d9a151b",
     ),
     "two targets": (section(architect.two_targets, STEPS_M=(0.15, 0.6), TWO_KLUX=(5.0,), MANY=1), "1bc1b1b3ee198906"),
     "bandwidth figure": (
@@ -131,7 +131,7 @@ RESULTS: dict[str, tuple[Callable[[Path], Any], str]] = {
     ),
     "figure 8": (section(reconstruction.figure_8, THRESHOLDS_8=(2, 3), SEEDS=1, MANY=1), "1996049c9f75e13c"),
     "validity": (section(validity.validity, THRESHOLDS=(2,)), "f389b30fd7c85558"),
-    "rivals": (section(rivals.ranging, DISTANCES_M=(5.0, 20.0), FEW_SEEDS=1), "b14926ea03514214"),
+    "rivals": (section(rivals.ranging, DISTANCES_M=(5.0, 20.0), FEW_SEEDS=1), "128e6a96b6d6846d"),
     "interference": (
         section(
             interference.interference,
@@ -141,7 +141,7 @@ RESULTS: dict[str, tuple[Callable[[Path], Any], str]] = {
             DITHER_BITS=(0, 2),
             SEEDS=1,
         ),
-        "b4ed476fd95e4cba",
+        "0798bb214eaad812",
     ),
 }
 
