@@ -36,406 +36,272 @@ class Bug:
     file: str
     old: str
     new: str
-    proofs: tuple[str, ...] = ()
-    tests: tuple[tuple[str, ...], ...] = ()
+    proofs: tuple[str, ...]
+    tests: tuple[tuple[str, ...], ...]
+
+
+def planted(
+    file: str,
+    mistakes: dict[str, tuple[str, str]],
+    proofs: tuple[str, ...] = (),
+    tests: tuple[tuple[str, ...], ...] = (),
+) -> list[Bug]:
+    """Return the bugs of a file that the same checks must notice; mistakes: name -> (old, new)."""
+    return [Bug(name, file, old, new, proofs, tests) for name, (old, new) in mistakes.items()]
 
 
 BUGS = (
-    Bug(
-        "window-long",
+    *planted(
         "hdl/tree.py",
-        "self.line.phase + self.window_ticks)",
-        "self.line.phase + self.window_ticks + 1)",
-        ("tree",),
-        (FRAMES,),
+        {
+            "window-long": ("self.line.phase + self.window_ticks)", "self.line.phase + self.window_ticks + 1)"),
+            "window-edge": ("closing.eq(live & (end <= phases))", "closing.eq(live & (end < phases))"),
+            "tie-highest": ('first_index(m, one_of, "winner")', '~first_index(m, one_of[::-1], "winner")'),
+            "rearm-late": ("rearm.eq(self.sensor.rearm)", "rearm.eq(self.sensor.rearm + 1)"),
+        },
+        proofs=("tree",),
+        tests=(FRAMES,),
     ),
-    Bug(
-        "window-edge",
+    *planted(
         "hdl/tree.py",
-        "closing.eq(live & (end <= phases))",
-        "closing.eq(live & (end < phases))",
-        ("tree",),
-        (FRAMES,),
+        {"tree-not-reset": ("window_open = Signal()", "window_open = Signal(reset_less=True)")},
+        proofs=("tree",),
     ),
-    Bug(
-        "tie-highest",
-        "hdl/tree.py",
-        'first_index(m, one_of, "winner")',
-        '~first_index(m, one_of[::-1], "winner")',
-        ("tree",),
-        (FRAMES,),
-    ),
-    Bug("tree-not-reset", "hdl/tree.py", "window_open = Signal()", "window_open = Signal(reset_less=True)", ("tree",)),
-    Bug(
-        "rearm-late",
-        "hdl/tree.py",
-        "rearm.eq(self.sensor.rearm)",
-        "rearm.eq(self.sensor.rearm + 1)",
-        ("tree",),
-        (FRAMES,),
-    ),
-    Bug(
-        "hits-toggle",
+    *planted(
         "hdl/minigroup.py",
-        "hits.eq(state.hit_4 | (hits & ~self",
-        "hits.eq(state.hit_4 ^ (hits & ~self",
-        ("tree",),
-        (FRAMES,),
+        {"hits-toggle": ("hits.eq(state.hit_4 | (hits & ~self", "hits.eq(state.hit_4 ^ (hits & ~self")},
+        proofs=("tree",),
+        tests=(FRAMES,),
     ),
-    Bug(
-        "mask-ignored",
+    *planted(
         "hdl/minigroup.py",
-        "root.eq(word & on.replicate(phases))",
-        "root.eq(word)",
-        ("minigroup_record",),
-        (FRAMES,),
+        {
+            "mask-ignored": ("root.eq(word & on.replicate(phases))", "root.eq(word)"),
+            "mg-threshold": (">= self.frame.mg_threshold", "> self.frame.mg_threshold"),
+        },
+        proofs=("minigroup_record",),
+        tests=(FRAMES,),
     ),
-    Bug(
-        "mg-threshold",
-        "hdl/minigroup.py",
-        ">= self.frame.mg_threshold",
-        "> self.frame.mg_threshold",
-        ("minigroup_record",),
-        (FRAMES,),
-    ),
-    Bug(
-        "tdc-lines-swapped",
+    *planted(
         "hdl/tdc.py",
-        'first_one(m, line.root, f"first_{k}")',
-        'first_one(m, getattr(self, f"line_{self.lines - 1 - k}").root, f"first_{k}")',
-        ("tdc",),
-        (FRAMES,),
+        {
+            "tdc-lines-swapped": (
+                'first_one(m, line.root, f"first_{k}")',
+                'first_one(m, getattr(self, f"line_{self.lines - 1 - k}").root, f"first_{k}")',
+            ),
+            "tdc-line-shared": (
+                'first_one(m, line.root, f"first_{k}")',
+                'first_one(m, self.line_0.root, f"first_{k}")',
+            ),
+        },
+        proofs=("tdc",),
+        tests=(FRAMES,),
     ),
-    Bug(
-        "tdc-line-shared",
-        "hdl/tdc.py",
-        'first_one(m, line.root, f"first_{k}")',
-        'first_one(m, self.line_0.root, f"first_{k}")',
-        ("tdc",),
-        (FRAMES,),
-    ),
-    Bug("overrun-dropped", "hdl/fifo.py", "event.overrun.eq(lost)", "event.overrun.eq(0)", ("event_fifo",), (FRAMES,)),
-    Bug("overrun-not-reset", "hdl/fifo.py", "lost = Signal()", "lost = Signal(reset_less=True)", ("event_fifo",)),
-    Bug(
-        "fifo-one-short",
+    *planted(
         "hdl/fifo.py",
-        "room.eq(level != depth)",
-        "room.eq(level < depth - 1)",
-        ("event_fifo",),
-        (FRAMES,),
+        {
+            "overrun-dropped": ("event.overrun.eq(lost)", "event.overrun.eq(0)"),
+            "fifo-one-short": ("room.eq(level != depth)", "room.eq(level < depth - 1)"),
+        },
+        proofs=("event_fifo",),
+        tests=(FRAMES,),
     ),
-    Bug(
-        "record-overwritten",
+    *planted(
         "hdl/fifo.py",
-        "with m.If(comes & ~waiting):",
-        "with m.If(comes):",
-        ("record_buffer",),
-        (FRAMES,),
+        {"overrun-not-reset": ("lost = Signal()", "lost = Signal(reset_less=True)")},
+        proofs=("event_fifo",),
     ),
-    Bug(
-        "settings-mid-frame",
+    *planted(
+        "hdl/fifo.py",
+        {"record-overwritten": ("with m.If(comes & ~waiting):", "with m.If(comes):")},
+        proofs=("record_buffer",),
+        tests=(FRAMES,),
+    ),
+    *planted(
         "hdl/settings.py",
-        "with m.If(self.command.operation == bus.Operation.TAKE):",
-        "with m.If(self.command.operation != bus.Operation.BEGIN):",
-        ("subgroup_settings",),
-        (PORTS,),
+        {
+            "settings-mid-frame": (
+                "with m.If(self.command.operation == bus.Operation.TAKE):",
+                "with m.If(self.command.operation != bus.Operation.BEGIN):",
+            )
+        },
+        proofs=("subgroup_settings",),
+        tests=(PORTS,),
     ),
-    Bug(
-        "pulses-mid-frame",
+    *planted(
         "hdl/registers.py",
-        'm.d.comb += self.period.eq(state.setting["period", 0])',
-        'm.d.comb += self.period.eq(state.setting["period", 0])\n        m.d.sync += self.plan.pulses.eq(state.setting["pulses", 0])',
-        ("register_front",),
-        (PORTS,),
+        {
+            "pulses-mid-frame": (
+                'm.d.comb += self.period.eq(state.setting["period", 0])',
+                'm.d.comb += self.period.eq(state.setting["period", 0])\n        m.d.sync += self.plan.pulses.eq(state.setting["pulses", 0])',
+            ),
+            "register-range-short": ("(value <= high)", "(value < high)"),
+        },
+        proofs=("register_front",),
+        tests=(PORTS,),
     ),
-    Bug(
-        "threshold-above",
-        "hdl/dpcu.py",
-        "self.window.count >= threshold",
-        "self.window.count > threshold",
-        ("dpcu",),
-        (FRAMES,),
-    ),
-    Bug(
-        "lower-as-committed",
-        "hdl/dpcu.py",
-        "lower_threshold.eq(threshold - 1)",
-        "lower_threshold.eq(threshold)",
-        ("dpcu",),
-        (FRAMES,),
-    ),
-    Bug(
-        "ceiling-above",
-        "hdl/dpcu.py",
-        'count["opened"] >= self.data',
-        'count["opened"] > self.data',
-        ("dpcu",),
-        (FRAMES,),
-    ),
-    Bug(
-        "threshold-rises-early",
-        "hdl/dpcu.py",
-        'count["committed"] > self.data',
-        'count["committed"] >= self.data',
-        ("dpcu",),
-        (FRAMES,),
-    ),
-    Bug(
-        "threshold-below-floor", "hdl/dpcu.py", "Mux(bounded < floor, floor, bounded)", "bounded", ("dpcu",), (FRAMES,)
-    ),
-    Bug(
-        "controller-keeps-others-threshold",
-        "hdl/dpcu.py",
-        "Mux(self.controlled & stays,",
-        "Mux(self.controlled,",
-        ("dpcu",),
-        (FRAMES,),
-    ),
-    Bug("budget-of-last-stream", "hdl/subgroup.py", "number >= command.subgroup", "1", (), (FRAMES,)),
-    Bug(
-        "budget-beyond-capacity",
-        "hdl/controller.py",
-        "Mux(state.widened < state.capacity, state.widened, state.capacity)",
-        "state.widened",
-        ("controller",),
-        (FRAMES,),
-    ),
-    Bug(
-        "budget-below-share",
-        "hdl/controller.py",
-        "Mux(state.narrowed > state.share, state.narrowed, state.share)",
-        "state.narrowed",
-        ("controller",),
-        (FRAMES,),
-    ),
-    Bug(
-        "sums-not-cleared",
-        "hdl/controller.py",
-        "state.beat.eq(0), state.total.eq(0), state.more.eq(0)",
-        "state.beat.eq(0), state.more.eq(0)",
-        ("controller",),
-        (FRAMES,),
-    ),
-    Bug(
-        "uncontrolled-would-fall",
-        "hdl/controller.py",
-        "Mux(state.controlled & (state.lower <= state.wide)",
-        "Mux((state.lower <= state.wide)",
-        ("controller",),
-        (FRAMES,),
-    ),
-    Bug(
-        "too-much-too-late",
-        "hdl/controller.py",
-        "state.total > state.capacity",
-        "state.total >= state.capacity",
-        ("controller",),
-        (FRAMES,),
-    ),
-    Bug("gate-late", "hdl/gating.py", "until_now == 0", "until_now <= 1", ("gating",), (FRAMES,)),
-    Bug(
-        "guard-short",
-        "hdl/sequencer.py",
-        "self.plan.period - self.sensor.guard",
-        "self.plan.period - self.sensor.guard + 1",
-        ("sequencer",),
-        (FRAMES,),
-    ),
-    Bug(
-        "abort-lost",
-        "hdl/sequencer.py",
-        "with m.If(state.aborted | self.abort_frame |",
-        "with m.If(self.abort_frame |",
-        ("sequencer",),
-        (PORTS,),
-    ),
-    Bug("strobe-ignored", "hdl/registers.py", "axi.wstrb.all()", "axi.wstrb.any()", (), (PORTS,)),
-    Bug(
-        "answer-withdrawn",
+    *planted("hdl/registers.py", {"strobe-ignored": ("axi.wstrb.all()", "axi.wstrb.any()")}, tests=(PORTS,)),
+    *planted(
         "hdl/registers.py",
-        "with m.If(axi.bvalid & axi.bready):",
-        "with m.If(axi.bvalid):",
-        ("register_front",),
+        {"answer-withdrawn": ("with m.If(axi.bvalid & axi.bready):", "with m.If(axi.bvalid):")},
+        proofs=("register_front",),
     ),
-    Bug(
-        "take-early",
+    *planted(
+        "hdl/dpcu.py",
+        {
+            "threshold-above": ("self.window.count >= threshold", "self.window.count > threshold"),
+            "lower-as-committed": ("lower_threshold.eq(threshold - 1)", "lower_threshold.eq(threshold)"),
+            "ceiling-above": ('count["opened"] >= self.data', 'count["opened"] > self.data'),
+            "threshold-rises-early": ('count["committed"] > self.data', 'count["committed"] >= self.data'),
+            "threshold-below-floor": ("Mux(bounded < floor, floor, bounded)", "bounded"),
+            "controller-keeps-others-threshold": ("Mux(self.controlled & stays,", "Mux(self.controlled,"),
+        },
+        proofs=("dpcu",),
+        tests=(FRAMES,),
+    ),
+    *planted("hdl/subgroup.py", {"budget-of-last-stream": ("number >= command.subgroup", "1")}, tests=(FRAMES,)),
+    *planted(
+        "hdl/controller.py",
+        {
+            "budget-beyond-capacity": (
+                "Mux(state.widened < state.capacity, state.widened, state.capacity)",
+                "state.widened",
+            ),
+            "budget-below-share": ("Mux(state.narrowed > state.share, state.narrowed, state.share)", "state.narrowed"),
+            "sums-not-cleared": (
+                "state.beat.eq(0), state.total.eq(0), state.more.eq(0)",
+                "state.beat.eq(0), state.more.eq(0)",
+            ),
+            "uncontrolled-would-fall": (
+                "Mux(state.controlled & (state.lower <= state.wide)",
+                "Mux((state.lower <= state.wide)",
+            ),
+            "too-much-too-late": ("state.total > state.capacity", "state.total >= state.capacity"),
+        },
+        proofs=("controller",),
+        tests=(FRAMES,),
+    ),
+    *planted("hdl/gating.py", {"gate-late": ("until_now == 0", "until_now <= 1")}, proofs=("gating",), tests=(FRAMES,)),
+    *planted(
+        "hdl/sequencer.py",
+        {"guard-short": ("self.plan.period - self.sensor.guard", "self.plan.period - self.sensor.guard + 1")},
+        proofs=("sequencer",),
+        tests=(FRAMES,),
+    ),
+    *planted(
+        "hdl/sequencer.py",
+        {"abort-lost": ("with m.If(state.aborted | self.abort_frame |", "with m.If(self.abort_frame |")},
+        proofs=("sequencer",),
+        tests=(PORTS,),
+    ),
+    *planted(
         "hdl/packetizer.py",
-        "at_last.eq(state.index + 1 == self._last",
-        "at_last.eq(state.index + 2 >= self._last",
-        ("packetizer",),
-        (FRAMES,),
+        {"take-early": ("at_last.eq(state.index + 1 == self._last", "at_last.eq(state.index + 2 >= self._last")},
+        proofs=("packetizer",),
+        tests=(FRAMES,),
     ),
-    Bug(
-        "golden-window-long",
+    *planted(
         "model/golden/front_end.py",
-        "tick >= opening + window:",
-        "tick > opening + window:",
-        (),
-        (GOLDEN, FRAMES),
+        {
+            "golden-window-long": ("tick >= opening + window:", "tick > opening + window:"),
+            "golden-tie-highest": (
+                "hits[row, word] |= bit\n",
+                "hits[row, word], winner = hits[row, word] | bit, inside if tick == opening else winner\n",
+            ),
+            "golden-gate-late": ("gate_start <= cycle <", "gate_start < cycle <"),
+            "golden-threshold-above": ("count < threshold:", "count <= threshold:"),
+            "golden-neighbours-stamp": ("opening, count, winner\n", "opening ^ 1, count, winner\n"),
+            "golden-other-settings": ("settings.gate_start[s]", "settings.gate_start[0]"),
+            "golden-lower-as-committed": ("count >= threshold - 1", "count >= threshold"),
+        },
+        tests=(GOLDEN, FRAMES),
     ),
-    Bug(
-        "golden-tie-highest",
+    *planted(
         "model/golden/front_end.py",
-        "hits[row, word] |= bit\n",
-        "hits[row, word], winner = hits[row, word] | bit, inside if tick == opening else winner\n",
-        (),
-        (GOLDEN, FRAMES),
+        {"golden-not-rearmed": ("last_pulse, armed_from = pulse, 0\n", "last_pulse = pulse\n")},
+        tests=(GOLDEN,),
     ),
-    Bug(
-        "golden-not-rearmed",
-        "model/golden/front_end.py",
-        "last_pulse, armed_from = pulse, 0\n",
-        "last_pulse = pulse\n",
-        (),
-        (GOLDEN,),
+    *planted(
+        "model/contract/windows.py",
+        {"golden-rearm-early": ("close + 1 + rearm", "close + rearm")},
+        tests=(GOLDEN, FRAMES),
     ),
-    Bug("golden-rearm-early", "model/contract/windows.py", "close + 1 + rearm", "close + rearm", (), (GOLDEN, FRAMES)),
-    Bug(
-        "golden-guard-short",
+    *planted(
         "model/golden/shape.py",
-        "config.period - sensor.guard",
-        "config.period - sensor.guard + 1",
-        (),
-        (GOLDEN, FRAMES),
+        {"golden-guard-short": ("config.period - sensor.guard", "config.period - sensor.guard + 1")},
+        tests=(GOLDEN, FRAMES),
     ),
-    Bug(
-        "golden-gate-late",
-        "model/golden/front_end.py",
-        "gate_start <= cycle <",
-        "gate_start < cycle <",
-        (),
-        (GOLDEN, FRAMES),
-    ),
-    Bug(
-        "golden-threshold-above",
-        "model/golden/front_end.py",
-        "count < threshold:",
-        "count <= threshold:",
-        (),
-        (GOLDEN, FRAMES),
-    ),
-    Bug(
-        "golden-neighbours-stamp",
-        "model/golden/front_end.py",
-        "opening, count, winner\n",
-        "opening ^ 1, count, winner\n",
-        (),
-        (GOLDEN, FRAMES),
-    ),
-    Bug(
-        "golden-overrun-dropped", "model/golden/readout.py", "_NEVER, queue.lost", "_NEVER, False", (), (GOLDEN, FRAMES)
-    ),
-    Bug(
-        "golden-other-settings",
-        "model/golden/front_end.py",
-        "settings.gate_start[s]",
-        "settings.gate_start[0]",
-        (),
-        (GOLDEN, FRAMES),
-    ),
-    Bug("golden-ceiling", "model/golden/controller.py", 'side="right"', 'side="left"', (), (GOLDEN, FRAMES)),
-    Bug(
-        "golden-lower-as-committed",
-        "model/golden/front_end.py",
-        "count >= threshold - 1",
-        "count >= threshold",
-        (),
-        (GOLDEN, FRAMES),
-    ),
-    Bug(
-        "golden-rises-early",
-        "model/golden/controller.py",
-        "rises = committed > budget",
-        "rises = committed >= budget",
-        (),
-        (GOLDEN, FRAMES),
-    ),
-    Bug(
-        "golden-budget-below-share",
-        "model/golden/controller.py",
-        "return max(budget - budget // STEP, int(config.shares[stream]))",
-        "return budget - budget // STEP",
-        (),
-        (GOLDEN, FRAMES),
-    ),
-    Bug(
-        "golden-budget-beyond-capacity",
-        "model/golden/controller.py",
-        "min(budget + budget // STEP + 1, capacity)",
-        "budget + budget // STEP + 1",
-        (),
-        (GOLDEN, FRAMES),
-    ),
-    Bug(
-        "golden-old-budget",
-        "model/golden/controller.py",
-        "column[COUNTER.committed], column[COUNTER.lower]\n        budget = self.budget[self._stream]",
-        "column[COUNTER.committed], column[COUNTER.lower]\n        budget = config.shares[self._stream]",
-        (),
-        (GOLDEN, FRAMES),
-    ),
-    Bug(
-        "golden-record-finds-no-place",
+    *planted(
         "model/golden/readout.py",
-        "queue.place_free_at <= records",
-        "queue.place_free_at < records",
-        (),
-        (ALIGNMENTS,),
+        {"golden-overrun-dropped": ("_NEVER, queue.lost", "_NEVER, False")},
+        tests=(GOLDEN, FRAMES),
     ),
-    Bug(
-        "golden-event-finds-no-place",
+    *planted(
         "model/golden/readout.py",
-        "events[queue.oldest].free_at <= event.cycle",
-        "events[queue.oldest].free_at < event.cycle",
-        (),
-        (ALIGNMENTS,),
+        {
+            "golden-record-finds-no-place": ("queue.place_free_at <= records", "queue.place_free_at < records"),
+            "golden-event-finds-no-place": (
+                "events[queue.oldest].free_at <= event.cycle",
+                "events[queue.oldest].free_at < event.cycle",
+            ),
+        },
+        tests=(ALIGNMENTS,),
     ),
-    Bug(
-        "scene-mirrored",
+    *planted(
+        "model/golden/readout.py",
+        {"golden-fifo-deep": ("queue.level < fifo_depth", "queue.level <= fifo_depth")},
+        tests=(FRAMES,),
+    ),
+    *planted(
+        "model/golden/controller.py",
+        {
+            "golden-ceiling": ('side="right"', 'side="left"'),
+            "golden-rises-early": ("rises = committed > budget", "rises = committed >= budget"),
+            "golden-budget-below-share": (
+                "return max(budget - budget // STEP, int(config.shares[stream]))",
+                "return budget - budget // STEP",
+            ),
+            "golden-budget-beyond-capacity": (
+                "min(budget + budget // STEP + 1, capacity)",
+                "budget + budget // STEP + 1",
+            ),
+            "golden-old-budget": (
+                "column[COUNTER.committed], column[COUNTER.lower]\n        budget = self.budget[self._stream]",
+                "column[COUNTER.committed], column[COUNTER.lower]\n        budget = config.shares[self._stream]",
+            ),
+        },
+        tests=(GOLDEN, FRAMES),
+    ),
+    *planted(
         "model/scenes/planes.py",
-        "(np.arange(cols) + 0.5) / cols",
-        "(np.arange(cols)[::-1] + 0.5) / cols",
-        (),
-        (ORIENTATION,),
+        {"scene-mirrored": ("(np.arange(cols) + 0.5) / cols", "(np.arange(cols)[::-1] + 0.5) / cols")},
+        tests=(ORIENTATION,),
     ),
-    Bug(
-        "crosstalk-draws-shared",
+    *planted(
         "model/light/walk.py",
-        "uniform(key, CROSSTALK, 4 * fired + side)",
-        "uniform(key, CROSSTALK, fired + side)",
-        (),
-        (INDEPENDENCE,),
+        {
+            "crosstalk-draws-shared": (
+                "uniform(key, CROSSTALK, 4 * fired + side)",
+                "uniform(key, CROSSTALK, fired + side)",
+            )
+        },
+        tests=(INDEPENDENCE,),
     ),
-    Bug("tlast-early", "hdl/readout.py", "to_end == 1)", "to_end == 2)", ("readout",), (FRAMES,)),
-    Bug("register-range-short", "hdl/registers.py", "(value <= high)", "(value < high)", ("register_front",), (PORTS,)),
-    Bug(
-        "golden-fifo-deep",
-        "model/golden/readout.py",
-        "queue.level < fifo_depth",
-        "queue.level <= fifo_depth",
-        (),
-        (FRAMES,),
-    ),
-    Bug(
-        "serial-unchecked",
+    *planted("hdl/readout.py", {"tlast-early": ("to_end == 1)", "to_end == 2)")}, proofs=("readout",), tests=(FRAMES,)),
+    *planted(
         "hdl/emulator/uart.py",
-        "(count > CRC_BYTES) & crc.match_detected",
-        "(count > CRC_BYTES)",
-        ("deframer",),
+        {"serial-unchecked": ("(count > CRC_BYTES) & crc.match_detected", "(count > CRC_BYTES)")},
+        proofs=("deframer",),
     ),
-    Bug(
-        "buffer-overrun",
+    *planted(
         "hdl/emulator/buffer.py",
-        "self.s_axis.tready.eq(room)",
-        "self.s_axis.tready.eq(1)",
-        ("frame_buffer",),
+        {"buffer-overrun": ("self.s_axis.tready.eq(room)", "self.s_axis.tready.eq(1)")},
+        proofs=("frame_buffer",),
     ),
-    Bug(
-        "source-dead",
+    *planted(
         "hdl/emulator/source.py",
-        "[dead.eq(common.dead), word",
-        "[dead.eq(common.dead >> 1), word",
-        ("photon_source",),
+        {"source-dead": ("[dead.eq(common.dead), word", "[dead.eq(common.dead >> 1), word")},
+        proofs=("photon_source",),
     ),
 )
 
