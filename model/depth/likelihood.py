@@ -112,7 +112,7 @@ class Unheard(NamedTuple):
 
 
 class _Law(NamedTuple):
-    """Scalars of a subgroup; times in ticks."""
+    """What holds for all events of a subgroup; times in ticks."""
 
     window: int
     told: int  # ticks of the window whose hits are known: all of them, or the first (format short)
@@ -124,6 +124,64 @@ class _Law(NamedTuple):
     noise: float  # background photons per tick and pixel
     alive: float  # share of the pulses in which background has not fired the pixel yet
     pulses: int
+    missed: np.ndarray  # float32[2, times]: of `Unheard`, otherwise and while dropping
+    blind: np.ndarray  # the same
+    fired: np.ndarray  # of `_fired`
+
+
+class _Events(NamedTuple):
+    """Events of a subgroup, by event; times in ticks.
+
+    Events of the same pulse are treated together, as a cluster, if a photon may belong to either.
+    """
+
+    stamp: np.ndarray
+    armed: np.ndarray  # the tree is armed again
+    pulse: np.ndarray
+    winner: np.ndarray
+    hits: np.ndarray
+    offset: np.ndarray
+    overrun: np.ndarray
+    known: np.ndarray  # from then on until the stamp, the tree was armed and no photon came
+    quiet: np.ndarray  # before that, from then on, the tree was armed unless it was blind, because no window ends later
+    since: np.ndarray  # `armed` of the previous event of the cluster, -1 for the first one
+    shares: np.ndarray  # of `_first_shares`, or empty
+
+
+class _Pixels(NamedTuple):
+    """Pixels of a subgroup, and what the events that hit them say, float32[pixels, bins, lights], logarithms.
+
+    total: valid only where `touched`, bool[pixels, bins], is set.
+    """
+
+    minigroup: np.ndarray
+    mask: np.ndarray
+    activity: np.ndarray
+    first: np.ndarray
+    total: np.ndarray
+    touched: np.ndarray
+    counted: np.ndarray  # first event of the cluster in which the pixel was hit last
+
+
+class _Rows(NamedTuple):
+    """Workspace of a cluster, float32[times, lights].
+
+    unseen: likelihood of no hit; before: the same before the present event; product, logs: of a pixel with a hit.
+    """
+
+    unseen: np.ndarray
+    before: np.ndarray
+    product: np.ndarray
+    logs: np.ndarray
+
+
+class _Hit(NamedTuple):
+    """A hit in [begin, until), or before `own` with the probability `share` of having been its minigroup's first."""
+
+    begin: int
+    own: int
+    until: int
+    share: np.float32
 
 
 def log_likelihood(
@@ -157,10 +215,10 @@ def log_likelihood(
         activity = np.ones((sensor.subgroups, sensor.pixels))
     opens = _gate_opens(events, config)
 
-    def evidence(s: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        span = slice(events.bounds[s], events.bounds[s + 1])
+    def evidence(s: int) -> tuple[np.ndarray, _Pixels]:
         noise = max(events.photon_rate[s] / sensor.pixels, QUIET_RATE)
         window = int(events.window[s])
+        chances = np.stack([of_tick[s, grid.step // 2 :: grid.step] for of_tick in never])
         law = _Law(
             window=window,
             told=window if events.mapped else 1,
@@ -172,37 +230,38 @@ def log_likelihood(
             noise=noise,
             alive=1 - min(BLIND_MAX, noise * DEAD_S / config.tick_s),
             pulses=pulses,
+            missed=chances[:2],
+            blind=chances[2:],
+            fired=fired,
         )
-        chances = np.stack([of_tick[s, grid.step // 2 :: grid.step] for of_tick in never])
-        shares = np.empty((0, 0), np.float32)
+        own = _events_of(s, events, law, opens, config)
         if guess is not None and events.offset.shape[1]:
-            shares = _first_shares(
-                events.stamp[span], events.winner[span], events.hits[span], events.offset[span], minigroup, law,
-                guess.time[s], guess.light[s], sigma_ticks,
-            )  # fmt: skip
-        total = np.empty((sensor.pixels, bins, len(grid.lights)), np.float32)
-        touched = np.zeros((sensor.pixels, bins), np.bool_)
-        common = _add_events(
-            law, events.stamp[span], armed_ticks(events.stamp[span], window, config), events.pulse[span] % pulses,
-            events.winner[span], events.hits[span], events.offset[span], events.overrun[span], opens[span], shares,
-            minigroup, config.mask[s], activity[s], chances[:2], chances[2:], fired, first[s], total, touched,
-        )  # fmt: skip
-        return common, total, touched
+            own = own._replace(shares=_first_shares(law, own, minigroup, guess.time[s], guess.light[s], sigma_ticks))
+        pixels = _Pixels(
+            minigroup=minigroup,
+            mask=config.mask[s],
+            activity=activity[s],
+            first=first[s],
+            total=np.empty((sensor.pixels, bins, len(grid.lights)), np.float32),
+            touched=np.zeros((sensor.pixels, bins), np.bool_),
+            counted=np.full(sensor.pixels, -1),
+        )
+        return _add_events(law, own, pixels), pixels
 
-    def average(s: int, prior: np.ndarray, of_lights: tuple[np.ndarray, np.ndarray, np.ndarray]) -> None:
+    def average(s: int, prior: np.ndarray, common: np.ndarray, pixels: _Pixels) -> None:
         of_subgroup = _of_met(prior) if events.threshold[s] > 1 else prior
-        _over_lights(*of_lights, config.mask[s], first[s], of_subgroup, place[s], level, light)
+        _over_lights(common, pixels, of_subgroup, place[s], level, light)
 
     subgroups = range(sensor.subgroups)
     if grid.prior is not None:
         prior = grid.prior
-        list(spread(lambda s: average(s, prior, evidence(s)), subgroups))
+        list(spread(lambda s: average(s, prior, *evidence(s)), subgroups))
     else:
         assert guess is not None
         found = list(spread(evidence, subgroups))
         known = config.mask & ~np.isnan(guess.time)
-        prior = _learned(np.concatenate(list(spread(lambda s: _of_lights(*found[s], known[s], first[s]), subgroups))))
-        list(spread(lambda s: average(s, prior, found[s]), subgroups))
+        prior = _learned(np.concatenate(list(spread(lambda s: _of_lights(*found[s], known[s]), subgroups))))
+        list(spread(lambda s: average(s, prior, *found[s]), subgroups))
     shape = (sensor.rows, sensor.cols, bins)
     return Levels(level.reshape(shape), light.reshape(shape), prior)
 
@@ -240,6 +299,31 @@ def _gate_opens(events: Events, config: Config) -> np.ndarray:
         steps = events.pulse % config.pulses // config.frame["gate_every"] % config.frame["gate_steps"]
     opens = (config.gate_start[subgroup] + config.frame["gate_step"] * steps) * config.sensor.phases
     return np.where(config.gating[subgroup], opens, 0)
+
+
+def _events_of(s: int, events: Events, law: _Law, opens: np.ndarray, config: Config) -> _Events:
+    """Return the events of subgroup s, without shares; opens: from `_gate_opens`."""
+    span = slice(events.bounds[s], events.bounds[s + 1])
+    stamp, pulse = events.stamp[span], events.pulse[span] % law.pulses
+    armed = armed_ticks(stamp, law.window, config)
+    previous = np.full(len(stamp), -1)  # `armed` of the event before, if it was in the same pulse
+    previous[1:][pulse[1:] == pulse[:-1]] = armed[:-1][pulse[1:] == pulse[:-1]]
+    earliest, cycle = np.maximum(opens[span], previous), stamp // law.phases * law.phases
+    known = np.minimum(stamp, np.maximum(earliest, cycle))
+    quiet = np.minimum(known, np.maximum(earliest, cycle - law.rearm * law.phases - law.window + 1))
+    return _Events(
+        stamp=stamp,
+        armed=armed,
+        pulse=pulse,
+        winner=events.winner[span],
+        hits=events.hits[span],
+        offset=events.offset[span],
+        overrun=events.overrun[span],
+        known=known,
+        quiet=quiet,
+        since=np.where(quiet <= previous + 2 * law.reach, previous, -1),
+        shares=np.empty((0, 0), np.float32),
+    )
 
 
 def unheard(events: Events, config: Config, pulses: int, sigma_ticks: float, spread: Spread = map) -> Unheard:
@@ -394,8 +478,9 @@ def _gate_share(config: Config, s: int, cycle: np.ndarray) -> np.ndarray:
 
 
 @njit
-def _first_shares(stamp, winner, hits, offset, minigroup, law, time, light, sigma):
+def _first_shares(law, events, minigroup, time, light, sigma):
     """float32[n, pixels]: probability that a hit pixel was the first of its minigroup, so that all others fired later."""
+    stamp, winner, hits, offset = events.stamp, events.winner, events.hits, events.offset
     n, pixels = len(stamp), len(minigroup)
     shares = np.zeros((n, pixels), np.float32)
     members = np.empty(pixels, np.int64)
@@ -439,59 +524,29 @@ def _hit(hits, e, i):
 
 
 @njit
-def _add_events(
-    law,
-    stamp,
-    armed,
-    pulse,
-    winner,
-    hits,
-    offset,
-    overrun,
-    opens,
-    shares,
-    minigroup,
-    mask,
-    activity,
-    missed,
-    blind,
-    fired,
-    first,
-    total,
-    touched,
-):
-    """Return what a subgroup's events say about pixels without a hit, float32[times, lights]; add the hits to `total`.
+def _add_events(law, events, pixels):
+    """Return what a subgroup's events say about pixels without a hit, float32[times, lights]; add the hits to `pixels`.
 
-    total: float32[pixels, bins, lights], logarithms, valid only where `touched`, bool[pixels, bins], is set. Events of
-    the same pulse are treated together if they are so close that a photon may belong to either; then a pixel's first hit
-    among them counts.
+    In each cluster of events, a pixel's first hit counts.
     """
-    n, times = len(stamp), missed.shape[1]
-    pixels, bins, lights = total.shape
+    pulse, armed, overrun, first = events.pulse, events.armed, events.overrun, pixels.first
+    n, times = len(pulse), law.missed.shape[1]
+    bins, lights = pixels.total.shape[1:]
     wanted = np.zeros(times + 1, np.int64)  # running number of the times that are in some pixel's bins
-    for i in range(pixels):
+    for i in range(len(first)):
         wanted[max(0, first[i]) + 1 : max(0, first[i] + bins) + 1] = 1
     wanted = np.cumsum(wanted)
     common = np.zeros((times, lights), np.float32)
     unseen, before = np.empty_like(common), np.empty_like(common)
     product, logs = np.zeros_like(common), np.zeros_like(common)
+    rows = _Rows(unseen, before, product, logs)
     silent = np.zeros((2, times + 1), np.int64)  # change of the number of pulses without an event nearby, by `overrun`
-    quiet, known = np.empty(n, np.int64), np.empty(n, np.int64)
-    for e in range(n):
-        earliest = opens[e]
-        if e and pulse[e - 1] == pulse[e]:
-            earliest = max(earliest, armed[e - 1])
-        cycle = stamp[e] // law.phases * law.phases
-        known[e] = min(stamp[e], max(earliest, cycle))  # from then on, the tree was armed and no photon came
-        # before that, the tree was armed unless it was blind, because no window ends later
-        quiet[e] = min(known[e], max(earliest, cycle - law.rearm * law.phases - law.window + 1))
-    counted = np.full(pixels, -1, np.int64)
     begin, since, since_pulse = 0, 0, 0
     while begin < n:
         end = begin + 1
-        while end < n and pulse[end] == pulse[begin] and quiet[end] <= armed[end - 1] + 2 * law.reach:
+        while end < n and events.since[end] >= 0:
             end += 1
-        k0 = min(times, max(0, (quiet[begin] - law.reach) // law.step))
+        k0 = min(times, max(0, (events.quiet[begin] - law.reach) // law.step))
         k1 = min(times, (armed[end - 1] + law.reach) // law.step + 1)
         _add_silence(silent[np.int64(overrun[begin])], since_pulse, since, pulse[begin], k0)
         since, since_pulse = k1, pulse[begin]
@@ -504,20 +559,17 @@ def _add_events(
             unseen[k0:k1] = 1
             before[k0:k1] = 1
             for e in range(begin, end):
-                _subtract(law, unseen, k0, k1, e, begin, quiet, known, stamp, armed, overrun, missed, blind, fired)
-            _subtract_after(law, unseen, k0, k1, armed[end - 1], dropping, missed, fired)
+                _subtract(law, events, e, unseen, k0, k1)
+            _subtract_after(law, armed[end - 1], dropping, unseen, k0, k1)
             _log(unseen, logs, k0, k1)
             common[k0:k1] += logs[k0:k1]
             for e in range(begin, end):
-                _add_hits(
-                    law, e, begin, stamp, quiet, known, armed, overrun, winner[e], hits, offset, shares, minigroup, mask,
-                    activity, missed, blind, fired, before, unseen, product, logs, k0, k1, counted, first, total, touched,
-                )  # fmt: skip
-                _subtract(law, before, k0, k1, e, begin, quiet, known, stamp, armed, overrun, missed, blind, fired)
+                _add_hits(law, events, e, begin, pixels, rows, k0, k1)
+                _subtract(law, events, e, before, k0, k1)
         begin = end
     _add_silence(silent[np.int64(n > 0 and overrun[n - 1])], since_pulse, since, law.pulses, 0)
-    always = fired[len(fired) - 1]
-    for change, chance in zip(silent, missed):
+    always = law.fired[len(law.fired) - 1]
+    for change, chance in zip(silent, law.missed):
         for k in range(times):
             for x in range(lights):
                 product[k, x] = max(np.float32(RARE), 1 - law.alive * (1 - chance[k]) * always[x])
@@ -539,34 +591,33 @@ def _add_silence(silent, from_pulse, since, to_pulse, until):
 
 
 @njit(allocates=False)
-def _at(law, k, tick, top):
+def _at(law, k, tick):
     """Return the row of `fired` for a tick, for a surface at time k of the grid."""
-    return min(max(2 * (tick + law.reach) - (2 * k + 1) * law.step, 0), top)
+    return min(max(2 * (tick + law.reach) - (2 * k + 1) * law.step, 0), len(law.fired) - 1)
 
 
 @njit(allocates=False)
-def _before_stamp(law, k, since, quiet, known, dropping, missed, blind, top):
+def _before_stamp(law, k, since, quiet, known, dropping):
     """Return the rows of `fired` that bound the time before an event's stamp, and the chances to notice a photon there.
 
     Between rows z and a, the photon would have made an event of its own (chance `heard`); between a and b, it would have
-    made this event's stamp earlier (`sharp`). since: tick from which the tree was armed after the previous event, -1 if
-    that is far away.
+    made this event's stamp earlier (`sharp`).
     """
-    a, b = _at(law, k, quiet, top), _at(law, k, known, top)
-    z = min(_at(law, k, since, top), a) if since >= 0 else 0
-    heard = np.float32(0 if dropping else law.alive * (1 - missed[0, k]))
-    sharp = np.float32(law.alive * (1 - blind[dropping, k]))
+    a, b = _at(law, k, quiet), _at(law, k, known)
+    z = min(_at(law, k, since), a) if since >= 0 else 0
+    heard = np.float32(0 if dropping else law.alive * (1 - law.missed[0, k]))
+    sharp = np.float32(law.alive * (1 - law.blind[dropping, k]))
     return z, a, b, heard, sharp
 
 
 @njit(allocates=False)
-def _subtract(law, unseen, k0, k1, e, begin, quiet, known, stamp, armed, overrun, missed, blind, fired):
+def _subtract(law, events, e, unseen, k0, k1):
     """Reduce `unseen` by event e: a pixel outside its map did not fire in the window, nor between the last event and it."""
-    top = len(fired) - 1
-    since, dropping, alive = armed[e - 1] if e > begin else -1, np.int64(overrun[e]), np.float32(law.alive)
+    fired, alive, told = law.fired, np.float32(law.alive), events.stamp[e] + law.told
+    since, quiet, known, dropping = events.since[e], events.quiet[e], events.known[e], np.int64(events.overrun[e])
     for k in range(k0, k1):
-        z, a, b, heard, sharp = _before_stamp(law, k, since, quiet[e], known[e], dropping, missed, blind, top)
-        c = _at(law, k, stamp[e] + law.told, top)
+        z, a, b, heard, sharp = _before_stamp(law, k, since, quiet, known, dropping)
+        c = _at(law, k, told)
         for x in range(unseen.shape[1]):
             left = unseen[k, x] - (
                 alive * (fired[c, x] - fired[b, x])
@@ -577,45 +628,45 @@ def _subtract(law, unseen, k0, k1, e, begin, quiet, known, stamp, armed, overrun
 
 
 @njit(allocates=False)
-def _subtract_after(law, unseen, k0, k1, armed, dropping, missed, fired):
+def _subtract_after(law, armed, dropping, unseen, k0, k1):
     """Reduce `unseen` by the silence after the last event of a pulse."""
     if dropping:
         return
-    top = len(fired) - 1
+    fired, top = law.fired, len(law.fired) - 1
     for k in range(k0, k1):
-        d = _at(law, k, armed, top)
-        heard = np.float32(law.alive * (1 - missed[0, k]))
+        d = _at(law, k, armed)
+        heard = np.float32(law.alive * (1 - law.missed[0, k]))
         for x in range(unseen.shape[1]):
             unseen[k, x] = max(np.float32(RARE), unseen[k, x] - heard * (fired[top, x] - fired[d, x]))
 
 
 @njit(allocates=False)
-def _add_hits(
-    law, e, cluster, stamps, quiet, known, armed, overrun, winner, hits, offset, shares, minigroup, mask, activity,
-    missed, blind, fired, before, unseen, product, logs, k0, k1, counted, first, total, touched,
-):  # fmt: skip
-    """Add what an event says about the pixels in its map; pixels of the same kind share a row."""
-    pixels, bins = total.shape[:2]
-    stamp, dropping = stamps[e], np.int64(overrun[e])
-    since = armed[e - 1] if e > cluster else -1
+def _add_hits(law, events, e, cluster, pixels, rows, k0, k1):
+    """Add what event e says about the pixels in its map; pixels of the same kind share a row."""
+    mask, activity, first, counted = pixels.mask, pixels.activity, pixels.first, pixels.counted
+    bins, offset, shares = pixels.total.shape[1], events.offset, events.shares
+    stamp, winner = events.stamp[e], events.winner[e]
     cycle, end = stamp // law.phases * law.phases, stamp + law.window
     if mask[winner] and counted[winner] != cluster:
         counted[winner] = cluster
         low, high = max(k0, first[winner]), min(k1, first[winner] + bins)
-        _row(
-            law, stamp, stamp, stamp + 1, 0.0, law.noise * activity[winner], stamp, quiet[e], known[e],
-            since, dropping, missed, blind, fired, before, unseen, product, low, high,
-        )  # fmt: skip
-        _log(product, logs, low, high)
-        _add(total[winner], touched[winner], logs, first[winner], low, high)
+        at_stamp = _Hit(stamp, stamp, stamp + 1, np.float32(0))
+        _row(law, events, e, at_stamp, law.noise * activity[winner], rows, low, high)
+        _add(pixels.total[winner], pixels.touched[winner], rows.logs, first[winner], low, high)
     groups = offset.shape[1] if len(shares) else 1
     for group in range(groups):  # one at a time, because the pixels of a group share rows
         begin, own, of_row = stamp, stamp, np.float32(-1.0)
-        if len(shares) and group != minigroup[winner] and offset[e, group] != OFFSET_NONE:
+        if len(shares) and group != pixels.minigroup[winner] and offset[e, group] != OFFSET_NONE:
             begin = max(stamp, cycle + offset[e, group] * law.offset)
             own = min(end, cycle + (offset[e, group] + 1) * law.offset)
-        for i in range(pixels):
-            if groups > 1 and minigroup[i] != group or not mask[i] or counted[i] == cluster or not _hit(hits, e, i):
+        for i in range(len(first)):
+            if (
+                groups > 1
+                and pixels.minigroup[i] != group
+                or not mask[i]
+                or counted[i] == cluster
+                or not _hit(events.hits, e, i)
+            ):
                 continue
             counted[i] = cluster
             share = shares[e, i] if own > begin else np.float32(0.0)
@@ -623,30 +674,24 @@ def _add_hits(
             if activity[i] != 1:
                 low, high, of_row = max(k0, first[i]), min(k1, first[i] + bins), np.float32(-1.0)
             if of_row < 0 or abs(share - of_row) > ALIKE:
-                _row(
-                    law, begin, own, end, share, law.noise * activity[i], stamp, quiet[e], known[e],
-                    since, dropping, missed, blind, fired, before, unseen, product, low, high,
-                )  # fmt: skip
-                _log(product, logs, low, high)
+                _row(law, events, e, _Hit(begin, own, end, share), law.noise * activity[i], rows, low, high)
                 of_row = share if activity[i] == 1 else np.float32(-1.0)
-            _add(total[i], touched[i], logs, first[i], low, high)
+            _add(pixels.total[i], pixels.touched[i], rows.logs, first[i], low, high)
 
 
 @njit(allocates=False)
-def _row(
-    law, begin, own, until, share, noise, stamp, quiet, known, since, dropping,
-    missed, blind, fired, before, unseen, product, k0, k1,
-):  # fmt: skip
-    """Compute product[k0:k1], the likelihood ratio of a hit in [begin, until), or before `own` if it was its minigroup's first.
+def _row(law, events, e, hit, noise, rows, k0, k1):
+    """Compute logs[k0:k1] of `rows`: the likelihood ratio of a hit of event e.
 
     It is relative to the likelihood of no hit, which all pixels get.
     """
-    top = len(fired) - 1
-    alive, share = np.float32(law.alive), np.float32(share)
-    background = np.float32(1 / (noise * (share * (own - begin) + (1 - share) * (until - begin))))
+    fired, before, unseen, product = law.fired, rows.before, rows.unseen, rows.product
+    alive, share = np.float32(law.alive), hit.share
+    background = np.float32(1 / (noise * (share * (hit.own - hit.begin) + (1 - share) * (hit.until - hit.begin))))
+    since, quiet, known, dropping = events.since[e], events.quiet[e], events.known[e], np.int64(events.overrun[e])
     for k in range(k0, k1):
-        z, a, b, heard, sharp = _before_stamp(law, k, since, quiet, known, dropping, missed, blind, top)
-        c, d, f = _at(law, k, begin, top), _at(law, k, own, top), _at(law, k, until, top)
+        z, a, b, heard, sharp = _before_stamp(law, k, since, quiet, known, dropping)
+        c, d, f = _at(law, k, hit.begin), _at(law, k, hit.own), _at(law, k, hit.until)
         for x in range(product.shape[1]):
             earlier = before[k, x] - (
                 heard * (fired[a, x] - fired[z, x])
@@ -655,6 +700,7 @@ def _row(
             )
             inside = fired[f, x] + share * (fired[d, x] - fired[f, x]) - fired[c, x]
             product[k, x] = (alive * inside * background + max(np.float32(RARE), earlier)) / unseen[k, x]
+    _log(product, rows.logs, k0, k1)
 
 
 @njit(allocates=False)
@@ -682,8 +728,9 @@ def _log(values, logs, k0, k1):
 
 
 @njit
-def _of_lights(common, total, touched, known, first):
+def _of_lights(common, pixels, known):
     """float32[known pixels, lights]: logarithm of the sum of a pixel's likelihoods over its times."""
+    total, touched, first = pixels.total, pixels.touched, pixels.first
     times, lights = common.shape
     found = np.empty((known.sum(), lights), np.float32)
     line = np.empty((total.shape[1], lights), np.float32)
@@ -708,8 +755,9 @@ def _of_lights(common, total, touched, known, first):
 
 
 @njit
-def _over_lights(common, total, touched, mask, first, prior, place, level, light):
+def _over_lights(common, pixels, prior, place, level, light):
     """Compute the logarithm of the mean over the lights, and the likeliest light; a masked pixel favours no time."""
+    total, touched, mask, first = pixels.total, pixels.touched, pixels.mask, pixels.first
     times, lights = common.shape
     values = np.empty(lights, np.float32)
     level_of_all, light_of_all = np.empty(times, np.float32), np.empty(times, np.uint8)

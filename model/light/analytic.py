@@ -277,18 +277,9 @@ def histogram(
     fill = _literal_histogram if _literal(form) else _corrected_histogram
     if scheme == 1:
         threshold, window_ticks = 1, 1
+    sigma_s = system_fwhm_s * SIGMA_PER_FWHM
     return fill(
-        flight_s,
-        signal,
-        noise_cps,
-        threshold,
-        window_ticks,
-        pulses,
-        scheme,
-        sensor,
-        timing,
-        spad,
-        system_fwhm_s * SIGMA_PER_FWHM,
+        _Case(flight_s, signal, noise_cps, threshold, window_ticks, pulses, scheme, sensor, timing, spad, sigma_s)
     )
 
 
@@ -361,41 +352,45 @@ def _share(photons: Numbers, pixels: int) -> Numbers:
     return -np.expm1(-np.asarray(photons, float) / pixels)
 
 
-def _literal_histogram(
-    flight_s: np.ndarray,
-    signal: np.ndarray,
-    noise_cps: np.ndarray,
-    threshold: int,
-    window_ticks: int,
-    pulses: int,
-    scheme: int,
-    sensor: Sensor,
-    timing: Timing,
-    spad: Spad,
-    sigma_s: float,
-) -> np.ndarray:
+class _Case(NamedTuple):
+    """Arguments of `histogram`, checked. flight_s, signal (photons per pulse), noise_cps: float64[pixels]."""
+
+    flight_s: np.ndarray
+    signal: np.ndarray
+    noise_cps: np.ndarray
+    threshold: int
+    window_ticks: int
+    pulses: int
+    scheme: int
+    sensor: Sensor
+    timing: Timing
+    spad: Spad
+    sigma_s: float
+
+
+def _literal_histogram(of: _Case) -> np.ndarray:
     """Equations (3) to (18) as printed, on the grid of ticks."""
-    form, laser_hz, sizes = FORMS[0], 1 / timing.period_s, Sizes(sensor.minigroup_pixels, sensor.pixels)
-    window_s = timing.period_s if scheme == 1 else window_ticks * timing.tick_s
-    dead = (threshold, spad.dead_time_s, sensor.pixels, form)
+    form, laser_hz, sizes = FORMS[0], 1 / of.timing.period_s, Sizes(of.sensor.minigroup_pixels, of.sensor.pixels)
+    window_s = of.timing.period_s if of.scheme == 1 else of.window_ticks * of.timing.tick_s
+    dead = (of.threshold, of.spad.dead_time_s, of.sensor.pixels, form)
     effective_noise_cps, effective_signal_cps = effective_cps(
-        noise_cps, signal * laser_hz, spad.dead_time_s, laser_hz, form
+        of.noise_cps, of.signal * laser_hz, of.spad.dead_time_s, laser_hz, form
     )
-    of_noise = _grouped(noise_photons(effective_noise_cps, window_s, *dead), sensor)
-    of_signal = _grouped(signal_photons(effective_signal_cps, laser_hz, *dead), sensor)
-    if scheme == 1:
+    of_noise = _grouped(noise_photons(effective_noise_cps, window_s, *dead), of.sensor)
+    of_signal = _grouped(signal_photons(effective_signal_cps, laser_hz, *dead), of.sensor)
+    if of.scheme == 1:
         detects_noise = pixel_probability(of_noise.pixel, form)
-        counts = pulses * detects_noise, pulses * (1 - detects_noise) * pixel_probability(of_signal.pixel, form)
+        counts = of.pulses * detects_noise, of.pulses * (1 - detects_noise) * pixel_probability(of_signal.pixel, form)
     else:
         windows = windows_per_period(of_noise.subgroup, 0, 0, form)
         counts = (
-            noise_counts(of_noise, threshold, pulses, windows, sizes, form),
-            signal_counts(of_noise, of_signal, threshold, pulses, 1, sizes, form),
+            noise_counts(of_noise, of.threshold, of.pulses, windows, sizes, form),
+            signal_counts(of_noise, of_signal, of.threshold, of.pulses, 1, sizes, form),
         )
     per_pixel_noise, per_pixel_signal = (np.asarray(part)[:, None] for part in counts)
-    time_s = (np.arange(timing.period_ticks) + 0.5) * timing.tick_s
-    floor = noise_per_bin(per_pixel_noise, laser_hz, sigma_s, timing.tick_s, form)
-    peak = signal_per_bin(per_pixel_signal, time_s, flight_s[:, None], sigma_s, timing.tick_s, form)
+    time_s = (np.arange(of.timing.period_ticks) + 0.5) * of.timing.tick_s
+    floor = noise_per_bin(per_pixel_noise, laser_hz, of.sigma_s, of.timing.tick_s, form)
+    peak = signal_per_bin(per_pixel_signal, time_s, of.flight_s[:, None], of.sigma_s, of.timing.tick_s, form)
     return np.asarray(floor + peak)
 
 
@@ -406,36 +401,26 @@ def _grouped(photons: Numbers, sensor: Sensor) -> Photons:
     return Photons(photons, sums[minigroup], float(np.sum(sums)))
 
 
-def _corrected_histogram(
-    flight_s: np.ndarray,
-    signal: np.ndarray,
-    noise_cps: np.ndarray,
-    threshold: int,
-    window_ticks: int,
-    pulses: int,
-    scheme: int,
-    sensor: Sensor,
-    timing: Timing,
-    spad: Spad,
-    sigma_s: float,
-) -> np.ndarray:
+def _corrected_histogram(of: _Case) -> np.ndarray:
     """Corrected form of `histogram`, with ticks as independent trials.
 
     `fired` is the mean number of avalanches of each pixel until the start of each tick, at most one per window.
     """
-    ticks, n = timing.period_ticks, sensor.pixels
-    border_s = np.arange(ticks + window_ticks + 1) * timing.tick_s
-    live = (1 / (1 + noise_cps * spad.dead_time_s))[:, None]
-    pulse = special.ndtr((border_s - flight_s[:, None]) / sigma_s)
-    fired = live * (noise_cps[:, None] * border_s - np.expm1(-signal[:, None] * pulse))
-    start, after, end = fired[:, :ticks], fired[:, 1 : ticks + 1], fired[:, window_ticks : ticks + window_ticks]
+    ticks, n = of.timing.period_ticks, of.sensor.pixels
+    border_s = np.arange(ticks + of.window_ticks + 1) * of.timing.tick_s
+    live = (1 / (1 + of.noise_cps * of.spad.dead_time_s))[:, None]
+    pulse = special.ndtr((border_s - of.flight_s[:, None]) / of.sigma_s)
+    fired = live * (of.noise_cps[:, None] * border_s - np.expm1(-of.signal[:, None] * pulse))
+    start, after, end = fired[:, :ticks], fired[:, 1 : ticks + 1], fired[:, of.window_ticks : ticks + of.window_ticks]
     nobody = np.prod(1 - (after - start), axis=0)  # at this tick
     in_window, in_rest = end - start, end - after
     # A pixel is in the map of an event that this tick opens if it fires in the window, less the cases in which no pixel
     # fires in the window's first tick.
-    met, met_in_rest = (stats.binom.sf(threshold - 2, n - 1, share.mean(axis=0)) for share in (in_window, in_rest))
-    armed = _armed(nobody, window_ticks, timing.phases, sensor.rearm, ticks - sensor.guard * timing.phases)
-    return pulses * armed * (in_window * met - nobody * in_rest * met_in_rest)
+    met, met_in_rest = (stats.binom.sf(of.threshold - 2, n - 1, share.mean(axis=0)) for share in (in_window, in_rest))
+    armed = _armed(
+        nobody, of.window_ticks, of.timing.phases, of.sensor.rearm, ticks - of.sensor.guard * of.timing.phases
+    )
+    return of.pulses * armed * (in_window * met - nobody * in_rest * met_in_rest)
 
 
 @njit

@@ -34,7 +34,7 @@ from ..shared.quantities import real_array
 from .light import SIGNAL_MAX, Interferer, Light
 from .spad import Spad, SpadGate
 from .timing import Timing
-from .walk import CARRIERS_MAX, LAW_SIZE, Arrays, Packing, Physics, unpacked, walk
+from .walk import CARRIERS_MAX, LAW_SIZE, Arrays, Made, Packing, Physics, unpacked, walk
 
 CHUNK_EDGES = 1 << 16  # edges generated and sorted at a time: they fit a core's cache
 PULSES_MAX = 1 << 40
@@ -239,25 +239,13 @@ class _Walker:
         capacity = int(self.edges_per_pulse * span[1] * 1.1) + 1000
         while True:
             state = tuple(array.copy() for array in self.state[sending])
-            made = np.empty(capacity, np.int64), np.empty(capacity)
+            made = Made(self.packing, sending, np.empty(capacity, np.int64), np.empty(capacity))
             scratch = np.empty(LAW_SIZE), np.empty(self.photons_max)
-            n = walk(
-                self.physics,
-                self.arrays,
-                self.block,
-                self.seed,
-                self.packing,
-                span,
-                received,
-                sending,
-                state,
-                scratch,
-                made,
-            )
+            n = walk(self.physics, self.arrays, self.block, self.seed, span, received, state, scratch, made)
             if n < 0:
                 self.photons_max *= 2
             elif n > capacity:
                 capacity = n
             else:
                 self.state[sending] = state
-                return tuple(array[:n] for array in made)
+                return made.keys[:n], made.times[:n]

@@ -13,9 +13,8 @@ from ..shared.compiled import njit
 from .counter_random import exponential, key_of, normal, open_unit, uniform
 
 CARRIERS_MAX = 32  # trapped carriers per pixel that outlive their pulse; further ones are lost
-GAP, SOURCE, SHAPE, JITTER, TAIL_SHARE, TAIL, TRAP, RELEASE, CROSSTALK, OTHER, OTHER_SHAPE, IN_BIN = range(
-    1, 13
-)  # purposes
+# Purposes of random numbers.
+GAP, SOURCE, SHAPE, JITTER, TAIL_SHARE, TAIL, TRAP, RELEASE, CROSSTALK, OTHER, OTHER_SHAPE, IN_BIN = range(1, 13)
 POISSON_MEAN_MAX = 64.0  # for a brighter pixel, the count is drawn in parts, each by inversion of its law
 LAW_SIZE = 256
 GAPS_FROM = 24.0  # noise photons per period above which they are drawn in the order of time, by exponential gaps
@@ -27,6 +26,15 @@ class Packing(NamedTuple):
 
     pixel_bits: int
     tick_bits: int
+
+
+class Made(NamedTuple):
+    """Room for what a walk makes: packed edges or, with `sending`, the crosstalk's targets and times."""
+
+    packing: Packing
+    sending: bool
+    keys: np.ndarray
+    times: np.ndarray
 
 
 class Physics(NamedTuple):
@@ -114,15 +122,15 @@ class _Source(NamedTuple):
 
 
 @njit(allocates=False, error_model="numpy")
-def walk(physics, arrays, block, seed, packing, span, received, sending, state, scratch, made):
+def walk(physics, arrays, block, seed, span, received, state, scratch, made):
     """Walk each pixel of the block through the pulses of the span; return the number of items made, or -1.
 
     state: time from which each pixel is alive, and its carriers. scratch: for the law of a count, and for the photons of
-    a pixel and pulse in ascending time. made: for the items, keys and (with `sending`) times; all items are there if
-    they fit. -1: there are more photons than the scratch holds.
+    a pixel and pulse in ascending time. made: has all items if they fit. -1: there are more photons than the scratch
+    holds.
     """
     first_pulse, pulses = span
-    (ready, carriers), (law, photons), (keys, times) = state, scratch, made
+    (ready, carriers), (law, photons) = state, scratch
     received_where, received_time = received
     period_ticks, starts = physics.period_ticks, arrays.starts
     done = 0
@@ -156,24 +164,9 @@ def walk(physics, arrays, block, seed, packing, span, received, sending, state, 
             opens = arrays.gate_start[pixel]
             if physics.gate_every > 0:
                 opens += arrays.gate_step[pixel] * _gate_step(pulse, physics)
-            n, alive_at, done = _avalanches(
-                key,
-                n,
-                pixel,
-                index,
-                opens,
-                opens + arrays.gate_len[pixel],
-                alive_at,
-                done,
-                physics,
-                arrays.taps,
-                packing,
-                sending,
-                trapped,
-                photons,
-                keys,
-                times,
-            )
+            gate = opens, opens + arrays.gate_len[pixel]
+            at = key, pixel, index
+            n, alive_at, done = _avalanches(n, at, gate, alive_at, done, physics, arrays.taps, trapped, photons, made)
             if n >= photons.size:
                 return -1
             alive_at = max(alive_at - period_ticks - gap, 0.0)
@@ -308,13 +301,13 @@ def _gate_step(pulse, physics):
 
 
 @njit(inline="always")
-def _avalanches(
-    key, n, pixel, index, opens, closes, alive_at, done, physics, taps, packing, sending, carriers, photons, keys, times
-):
+def _avalanches(n, at, gate, alive_at, done, physics, taps, carriers, photons, made):
     """Turn photons into avalanches by gate and dead time, and these into edges or, with `sending`, into crosstalk.
 
-    Afterpulses join the photons. Returns the new n, the time from which the SPAD is alive, and the number of items made.
+    at: key, pixel and index of the pulse. Afterpulses join the photons. Returns the new n, the time from which the SPAD
+    is alive, and the number of items made.
     """
+    (key, pixel, index), (opens, closes), packing = at, gate, made.packing
     i, fired = 0, 0
     while i < n:
         t = photons[i]
@@ -332,25 +325,26 @@ def _avalanches(
                 n = _insert(photons, n, released)
             else:
                 carriers[np.argmax(carriers)] = released - physics.period_ticks  # a free slot is infinite
-        if sending:
-            done = _send(key, fired, t, pixel, index, done, physics, keys, times)
+        if made.sending:
+            done = _send(at, fired, t, done, physics, made)
         else:
-            if done < keys.size:
+            if done < made.keys.size:
                 tick = _tick(_modulo(_with_jitter(key, fired, t, physics), physics.period_ticks), physics, taps)
-                keys[done] = (((index << packing.tick_bits) + tick) << packing.pixel_bits) + pixel
+                made.keys[done] = (((index << packing.tick_bits) + tick) << packing.pixel_bits) + pixel
             done += 1
         fired += 1
     return n, alive_at, done
 
 
 @njit(inline="always")
-def _send(key, fired, t, pixel, index, done, physics, keys, times):
+def _send(at, fired, t, done, physics, made):
     """Send the crosstalk of an avalanche to the neighbours that it reaches; return the number of items made."""
+    key, pixel, index = at
     for side in range(4):
         neighbour = _neighbour(pixel, side, physics.rows, physics.cols)
         if neighbour >= 0 and uniform(key, CROSSTALK, 4 * fired + side) < physics.crosstalk:
-            if done < keys.size:
-                keys[done], times[done] = (neighbour << 32) + index, t
+            if done < made.keys.size:
+                made.keys[done], made.times[done] = (neighbour << 32) + index, t
             done += 1
     return done
 
