@@ -148,6 +148,15 @@ class _Events(NamedTuple):
     shares: np.ndarray  # of `_first_shares`, or empty
 
 
+class _Silence(NamedTuple):
+    """The time before an event's stamp: three of its `_Events`, and whether windows were dropped then."""
+
+    since: int
+    quiet: int
+    known: int
+    dropping: int
+
+
 class _Pixels(NamedTuple):
     """Pixels of a subgroup, and what the events that hit them say, float32[pixels, bins, lights], logarithms.
 
@@ -597,26 +606,31 @@ def _at(law, k, tick):
 
 
 @njit(allocates=False)
-def _before_stamp(law, k, since, quiet, known, dropping):
+def _silence(events, e):
+    return _Silence(events.since[e], events.quiet[e], events.known[e], np.int64(events.overrun[e]))
+
+
+@njit(allocates=False)
+def _before_stamp(law, k, silence):
     """Return the rows of `fired` that bound the time before an event's stamp, and the chances to notice a photon there.
 
     Between rows z and a, the photon would have made an event of its own (chance `heard`); between a and b, it would have
     made this event's stamp earlier (`sharp`).
     """
-    a, b = _at(law, k, quiet), _at(law, k, known)
-    z = min(_at(law, k, since), a) if since >= 0 else 0
-    heard = np.float32(0 if dropping else law.alive * (1 - law.missed[0, k]))
-    sharp = np.float32(law.alive * (1 - law.blind[dropping, k]))
+    a, b = _at(law, k, silence.quiet), _at(law, k, silence.known)
+    z = min(_at(law, k, silence.since), a) if silence.since >= 0 else 0
+    heard = np.float32(0 if silence.dropping else law.alive * (1 - law.missed[0, k]))
+    sharp = np.float32(law.alive * (1 - law.blind[silence.dropping, k]))
     return z, a, b, heard, sharp
 
 
 @njit(allocates=False)
 def _subtract(law, events, e, unseen, k0, k1):
     """Reduce `unseen` by event e: a pixel outside its map did not fire in the window, nor between the last event and it."""
-    fired, alive, told = law.fired, np.float32(law.alive), events.stamp[e] + law.told
-    since, quiet, known, dropping = events.since[e], events.quiet[e], events.known[e], np.int64(events.overrun[e])
+    fired, alive = law.fired, np.float32(law.alive)
+    silence, told = _silence(events, e), events.stamp[e] + law.told
     for k in range(k0, k1):
-        z, a, b, heard, sharp = _before_stamp(law, k, since, quiet, known, dropping)
+        z, a, b, heard, sharp = _before_stamp(law, k, silence)
         c = _at(law, k, told)
         for x in range(unseen.shape[1]):
             left = unseen[k, x] - (
@@ -645,13 +659,13 @@ def _add_hits(law, events, e, cluster, pixels, rows, k0, k1):
     """Add what event e says about the pixels in its map; pixels of the same kind share a row."""
     mask, activity, first, counted = pixels.mask, pixels.activity, pixels.first, pixels.counted
     bins, offset, shares = pixels.total.shape[1], events.offset, events.shares
-    stamp, winner = events.stamp[e], events.winner[e]
+    silence, stamp, winner = _silence(events, e), events.stamp[e], events.winner[e]
     cycle, end = stamp // law.phases * law.phases, stamp + law.window
     if mask[winner] and counted[winner] != cluster:
         counted[winner] = cluster
         low, high = max(k0, first[winner]), min(k1, first[winner] + bins)
         at_stamp = _Hit(stamp, stamp, stamp + 1, np.float32(0))
-        _row(law, events, e, at_stamp, law.noise * activity[winner], rows, low, high)
+        _row(law, silence, at_stamp, law.noise * activity[winner], rows, low, high)
         _add(pixels.total[winner], pixels.touched[winner], rows.logs, first[winner], low, high)
     groups = offset.shape[1] if len(shares) else 1
     for group in range(groups):  # one at a time, because the pixels of a group share rows
@@ -674,23 +688,22 @@ def _add_hits(law, events, e, cluster, pixels, rows, k0, k1):
             if activity[i] != 1:
                 low, high, of_row = max(k0, first[i]), min(k1, first[i] + bins), np.float32(-1.0)
             if of_row < 0 or abs(share - of_row) > ALIKE:
-                _row(law, events, e, _Hit(begin, own, end, share), law.noise * activity[i], rows, low, high)
+                _row(law, silence, _Hit(begin, own, end, share), law.noise * activity[i], rows, low, high)
                 of_row = share if activity[i] == 1 else np.float32(-1.0)
             _add(pixels.total[i], pixels.touched[i], rows.logs, first[i], low, high)
 
 
 @njit(allocates=False)
-def _row(law, events, e, hit, noise, rows, k0, k1):
-    """Compute logs[k0:k1] of `rows`: the likelihood ratio of a hit of event e.
+def _row(law, silence, hit, noise, rows, k0, k1):
+    """Compute logs[k0:k1] of `rows`: the likelihood ratio of a hit of an event.
 
     It is relative to the likelihood of no hit, which all pixels get.
     """
     fired, before, unseen, product = law.fired, rows.before, rows.unseen, rows.product
     alive, share = np.float32(law.alive), hit.share
     background = np.float32(1 / (noise * (share * (hit.own - hit.begin) + (1 - share) * (hit.until - hit.begin))))
-    since, quiet, known, dropping = events.since[e], events.quiet[e], events.known[e], np.int64(events.overrun[e])
     for k in range(k0, k1):
-        z, a, b, heard, sharp = _before_stamp(law, k, since, quiet, known, dropping)
+        z, a, b, heard, sharp = _before_stamp(law, k, silence)
         c, d, f = _at(law, k, hit.begin), _at(law, k, hit.own), _at(law, k, hit.until)
         for x in range(product.shape[1]):
             earlier = before[k, x] - (
