@@ -6,7 +6,7 @@ import itertools
 import numpy as np
 from hypothesis import strategies as st
 
-from coincid.model.contract.config import Config, parse_config
+from coincid.model.contract.config import Config, parse_config, sensor_table
 from coincid.model.contract.edges import Edges
 from coincid.model.contract.packet import FORMAT_NAMES
 from coincid.model.contract.parameters import Sensor
@@ -75,6 +75,14 @@ SMALL = {
 }
 
 
+def configured(
+    sensor: dict | Sensor, frame: dict | None = None, subgroup: dict | None = None, *override: dict
+) -> Config:
+    """Return the configuration of a file with these tables."""
+    table = sensor_table(sensor) if isinstance(sensor, Sensor) else sensor
+    return parse_config({"sensor": table, "frame": frame or {}, "subgroup": subgroup or {}, "override": list(override)})
+
+
 def built_sensor(sensor: dict) -> Sensor:
     """Return the sensor of a table."""
     return parse_config({"sensor": sensor}).sensor
@@ -133,37 +141,29 @@ def controlled(draw, sensor: dict, frames: int) -> Config:
     """Draw frames of a sensor under the threshold controller, with a capacity that is sometimes too small."""
     built = built_sensor(sensor)
     alone = {"subgroups": draw(st.lists(st.integers(0, built.subgroups - 1), max_size=1))}
-    return parse_config(
+    return configured(
+        sensor,
         {
-            "sensor": sensor,
-            "frame": {
-                "frames": frames,
-                "period": built.guard + draw(st.integers(4, 40)),
-                "pulses": draw(st.integers(1, 5)),
-                "format": "full",
-                "auto_bounds": [0] + sorted(draw(st.lists(st.integers(0, 60), min_size=5, max_size=5))),
-                "capacity": draw(st.integers(0, 60)) * built.subgroups,
-                "threshold_floor": draw(st.integers(0, 2)),
-            },
-            "subgroup": {
-                "auto": True,
-                "threshold": draw(st.integers(1, 9)),
-                "window": draw(st.integers(1, built.window_max)),
-            },
-            "override": [alone | draw(st.sampled_from(({"auto": False}, {"coincidence": False})))],
-        }
+            "frames": frames,
+            "period": built.guard + draw(st.integers(4, 40)),
+            "pulses": draw(st.integers(1, 5)),
+            "format": "full",
+            "auto_bounds": [0] + sorted(draw(st.lists(st.integers(0, 60), min_size=5, max_size=5))),
+            "capacity": draw(st.integers(0, 60)) * built.subgroups,
+            "threshold_floor": draw(st.integers(0, 2)),
+        },
+        {"auto": True, "threshold": draw(st.integers(1, 9)), "window": draw(st.integers(1, built.window_max))},
+        alone | draw(st.sampled_from(({"auto": False}, {"coincidence": False}))),
     )
 
 
 def scarce(sensor: dict) -> list[Config]:
     """Return consecutive frames of a stream with changing capacity, so that budgets and thresholds rise and fall."""
-    config = parse_config(
-        {
-            "sensor": sensor,
-            "frame": {"period": 60, "pulses": 4, "auto_bounds": [0, 0, 3, 20, 40, 60]},
-            "subgroup": {"auto": True, "threshold": 1},
-            "override": [{"subgroups": [0], "threshold": 12}],
-        }
+    config = configured(
+        sensor,
+        {"period": 60, "pulses": 4, "auto_bounds": [0, 0, 3, 20, 40, 60]},
+        {"auto": True, "threshold": 1},
+        {"subgroups": [0], "threshold": 12},
     )
     capacities = (10, 10, 10, 6, 6, 24, 24, 24, 24, 24, 40, 40, 16, 16, 60, 60)
     return [config.with_frame(capacity=capacity, threshold_floor=int(capacity == 60) * 3) for capacity in capacities]
@@ -173,24 +173,16 @@ def modes(sensor: dict) -> list[Config]:
     """Return a configuration for every mode (coincidence, gating, auto) in every format."""
     switches = itertools.product((False, True), (False, True), (False, True), FORMAT_NAMES)
     return [
-        parse_config(
+        configured(
+            sensor,
             {
-                "sensor": sensor,
-                "frame": {
-                    "period": 60,
-                    "pulses": 3,
-                    "format": name,
-                    "minigroup_records": True,
-                    "auto_bounds": [4, 8, 16, 32, 64, 128],
-                },
-                "subgroup": {
-                    "coincidence": coincidence,
-                    "gating": gating,
-                    "auto": auto,
-                    "gate_start": 8,
-                    "gate_len": 30,
-                },
-            }
+                "period": 60,
+                "pulses": 3,
+                "format": name,
+                "minigroup_records": True,
+                "auto_bounds": [4, 8, 16, 32, 64, 128],
+            },
+            {"coincidence": coincidence, "gating": gating, "auto": auto, "gate_start": 8, "gate_len": 30},
         )
         for coincidence, gating, auto, name in switches
     ]
@@ -202,13 +194,11 @@ def gate_bits(sensor: dict) -> list[Config]:
     highest, length = built.period_max - 1, BY_NAME["gate_len"].high(built).bit_length()
 
     def gates(of_all: dict, of_second: dict) -> Config:
-        return parse_config(
-            {
-                "sensor": sensor,
-                "frame": {"period": built.period_max, "pulses": 1},
-                "subgroup": {"gating": True, "threshold": 1} | of_all,
-                "override": [{"subgroups": [1]} | of_second],
-            }
+        return configured(
+            sensor,
+            {"period": built.period_max, "pulses": 1},
+            {"gating": True, "threshold": 1} | of_all,
+            {"subgroups": [1]} | of_second,
         )
 
     return [
@@ -222,17 +212,15 @@ def collections(sensor: dict) -> list[Config]:
     built = built_sensor(sensor)
     register = BY_NAME["mg_window"]
     return [
-        parse_config(
+        configured(
+            sensor,
             {
-                "sensor": sensor,
-                "frame": {
-                    "period": 60,
-                    "pulses": 16,
-                    "minigroup_records": True,
-                    "mg_threshold": min(2, built.minigroup_pixels),
-                    "mg_window": cycles,
-                },
-            }
+                "period": 60,
+                "pulses": 16,
+                "minigroup_records": True,
+                "mg_threshold": min(2, built.minigroup_pixels),
+                "mg_window": cycles,
+            },
         )
         for cycles in range(register.low(built), register.high(built) + 1)
     ]
@@ -241,49 +229,43 @@ def collections(sensor: dict) -> list[Config]:
 def dithered(sensor: dict) -> Config:
     """Return a frame whose waits between periods use every bit."""
     built = built_sensor(sensor)
-    return parse_config(
+    return configured(
+        sensor,
         {
-            "sensor": sensor,
-            "frame": {
-                "period": built.guard + 8,
-                "pulses": 20,
-                "dither_bits": BY_NAME["dither_bits"].high(built),
-                "dither_seed": 0xACE1,
-            },
-            "subgroup": {"threshold": 1},
-        }
+            "period": built.guard + 8,
+            "pulses": 20,
+            "dither_bits": BY_NAME["dither_bits"].high(built),
+            "dither_seed": 0xACE1,
+        },
+        {"threshold": 1},
     )
 
 
 def overfull(sensor: dict) -> Config:
     """Return a frame that, with a stalling stream, drops events and records, stores some again, and drops once more."""
-    return parse_config(
-        {
-            "sensor": sensor,
-            "frame": {"period": 60, "pulses": 8, "format": "full", "minigroup_records": True, "mg_threshold": 1},
-            "subgroup": {"threshold": 1, "window": 4},
-        }
+    return configured(
+        sensor,
+        {"period": 60, "pulses": 8, "format": "full", "minigroup_records": True, "mg_threshold": 1},
+        {"threshold": 1, "window": 4},
     )
 
 
 def lengthy(sensor: dict) -> Config:
     """Return a frame with so many pulses and gate steps that counters exceed their low bits."""
     built = built_sensor(sensor)
-    return parse_config(
+    return configured(
+        sensor,
         {
-            "sensor": sensor,
-            "frame": {
-                "period": built.guard + 6,
-                "pulses": 300,
-                "format": "id",
-                "minigroup_records": True,
-                "mg_threshold": 1,
-                "gate_every": 2,
-                "gate_step": 1,
-                "gate_steps": 40,
-            },
-            "subgroup": {"threshold": 1, "window": 2, "gating": True, "gate_start": 0, "gate_len": 3},
-        }
+            "period": built.guard + 6,
+            "pulses": 300,
+            "format": "id",
+            "minigroup_records": True,
+            "mg_threshold": 1,
+            "gate_every": 2,
+            "gate_step": 1,
+            "gate_steps": 40,
+        },
+        {"threshold": 1, "window": 2, "gating": True, "gate_start": 0, "gate_len": 3},
     )
 
 

@@ -10,11 +10,13 @@ import time
 import numpy as np
 
 from coincid.lab.setup import Setup, scene_of
-from coincid.model.contract.config import Config, parse_config
+from coincid.model.contract.config import Config
 from coincid.model.contract.edges import Edges
 from coincid.model.golden.frame import Golden
 from coincid.tb.batch import BatchSensor
 from coincid.tb.scoreboard import check
+
+from .cases import configured
 
 KLUX = 50.0
 DEAD_TICKS = 128  # 8 ns: at saturation, a pixel fires again as soon as it can
@@ -65,16 +67,12 @@ def configuration(sensor: dict, pulses: int) -> Config:
         "gate_step": 5,
         "gate_steps": 4,
     }
-    return parse_config(
-        {
-            "sensor": sensor,
-            "frame": frame,
-            "subgroup": {"auto": True},
-            "override": [
-                {"subgroups": [1], "gating": True, "gate_start": 40, "gate_len": 150},
-                {"subgroups": [0], "coincidence": False},
-            ],
-        }
+    return configured(
+        sensor,
+        frame,
+        {"auto": True},
+        {"subgroups": [1], "gating": True, "gate_start": 40, "gate_len": 150},
+        {"subgroups": [0], "coincidence": False},
     )
 
 

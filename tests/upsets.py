@@ -27,7 +27,7 @@ import numpy as np
 from attrs import define, evolve, field, frozen
 
 from coincid.model.contract import registers
-from coincid.model.contract.config import Config, parse_config
+from coincid.model.contract.config import Config
 from coincid.model.contract.counters import COUNTER_NAMES
 from coincid.model.contract.packet import FRAME_END, FRAME_START, HEADER
 from coincid.model.contract.parameters import TOP, Sensor
@@ -41,7 +41,7 @@ from coincid.tb import toolchain
 from coincid.tb.frames import cycle_limit
 from coincid.tb.rtl import rtl, sensor_key
 
-from .cases import trouble
+from .cases import configured, trouble
 
 SOURCE = Path(__file__).with_suffix(".cpp")
 LIBRARY = "libupsets.so"
@@ -75,28 +75,18 @@ def cases() -> dict[str, Config]:
     """Return the sensor's settings, by name: together they cover every kind of packet, gating, dither, the controller."""
     frame = {"period": 24, "pulses": 4, "format": "full", "minigroup_records": True, "mg_threshold": 1}
     return {
-        "steps": parse_config(
-            {
-                "sensor": SMALL,
-                "frame": frame | {"gate_step": 2, "gate_every": 1, "gate_steps": 3},
-                "subgroup": {"threshold": 2, "window": 6},
-                "override": [{"subgroups": [1], "gating": True, "gate_start": 3, "gate_len": 9, "threshold": 1}],
-            }
+        "steps": configured(
+            SMALL,
+            frame | {"gate_step": 2, "gate_every": 1, "gate_steps": 3},
+            {"threshold": 2, "window": 6},
+            {"subgroups": [1], "gating": True, "gate_start": 3, "gate_len": 9, "threshold": 1},
         ),
-        "led": parse_config(
-            {
-                "sensor": SMALL,
-                "frame": frame
-                | {
-                    "format": "id",
-                    "dither_bits": 3,
-                    "dither_seed": 9,
-                    "capacity": 20,
-                    "auto_bounds": [0, 1, 4, 6, 9, 12],
-                },
-                "subgroup": {"threshold": 2, "window": 6, "auto": True},
-                "override": [{"subgroups": [2], "coincidence": False, "auto": False}],
-            }
+        "led": configured(
+            SMALL,
+            frame
+            | {"format": "id", "dither_bits": 3, "dither_seed": 9, "capacity": 20, "auto_bounds": [0, 1, 4, 6, 9, 12]},
+            {"threshold": 2, "window": 6, "auto": True},
+            {"subgroups": [2], "coincidence": False, "auto": False},
         ),
     }
 

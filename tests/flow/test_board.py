@@ -15,7 +15,7 @@ from coincid.flow.lint import lint_emulator
 from coincid.hdl.emulator.ulx3s import BOARD_TOP, OSCILLATOR_MHZ, pll
 from coincid.host.emulator import EmulatorDriver
 from coincid.host.serial_link import SerialTransport
-from coincid.model.contract.config import load_config, parse_config, sensor_table
+from coincid.model.contract.config import load_config
 from coincid.model.contract.emulator import Emulator
 from coincid.model.contract.parameters import Sensor
 from coincid.model.light.on_chip import SourceSettings
@@ -23,16 +23,14 @@ from coincid.model.shared.errors import InputError
 from coincid.study.emulate import Session
 from coincid.tb.emulator import PATIENCE_S, SimulatedPort
 
+from ..cases import configured
+
 SENSOR = Sensor(rows=4, cols=4, phases=4, window_max=4, coarse_bits=6, fifo_depth=4, subgroup=(4, 4), minigroup=(4, 4))
 
 
 def config(**frame):
-    return parse_config(
-        {
-            "sensor": sensor_table(SENSOR),
-            "frame": {"period": 24, "pulses": 2, "clock_mhz": 100, "format": "id"} | frame,
-            "subgroup": {"threshold": 2, "window": 4},
-        }
+    return configured(
+        SENSOR, {"period": 24, "pulses": 2, "clock_mhz": 100, "format": "id"} | frame, {"threshold": 2, "window": 4}
     )
 
 

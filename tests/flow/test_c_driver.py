@@ -13,13 +13,14 @@ from coincid.flow.c_driver import c_driver
 from coincid.flow.register_files import HEADER, register_files
 from coincid.host.driver import Driver
 from coincid.host.transport import RefusedError
-from coincid.model.contract.config import parse_config, sensor_table
 from coincid.model.contract.counters import COUNTER_NAMES
 from coincid.model.contract.edges import Edges
 from coincid.model.contract.parameters import Sensor
 from coincid.model.contract.stream import decode_frame
 from coincid.model.golden.frame import Golden
 from coincid.tb.batch import BatchSensor
+
+from ..cases import configured
 
 SENSOR = Sensor(rows=8, cols=16)
 FLAGS = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", "-O1"]
@@ -97,12 +98,7 @@ def packets(library, info, beats):
 
 def test_the_driver_drives_and_decodes(library):
     rng, golden, info = np.random.default_rng(1), Golden(SENSOR), Info()
-    of = parse_config(
-        {
-            "sensor": sensor_table(SENSOR),
-            "frame": {"period": 80, "pulses": 6, "format": "full", "minigroup_records": True, "mg_threshold": 1},
-        }
-    )
+    of = configured(SENSOR, {"period": 80, "pulses": 6, "format": "full", "minigroup_records": True, "mg_threshold": 1})
     with BatchSensor(SENSOR) as rtl:
         bus = bus_of(rtl)
         assert library.coincid_probe(ctypes.byref(bus), ctypes.byref(info)) == 0

@@ -12,13 +12,13 @@ import pytest
 
 from coincid.host.emulator import EmulatorDriver
 from coincid.host.serial_link import SerialTransport
-from coincid.model.contract.config import parse_config, sensor_table
 from coincid.model.contract.emulator import Emulator
 from coincid.model.contract.parameters import Sensor
 from coincid.model.golden.frame import Golden
 from coincid.model.light.on_chip import SourceSettings, source_edges
 from coincid.tb.emulator import PATIENCE_S, SimulatedPort
 
+from ..cases import configured
 from ..flow.test_c_driver import Info, bus_of, compiled_driver
 
 SENSOR = Sensor(rows=4, cols=8, phases=8, window_max=16, subgroup=(4, 4))
@@ -146,12 +146,10 @@ def c_frame(line):
     return beats.tolist()
 
 
-CONFIG = parse_config(
-    {
-        "sensor": sensor_table(SENSOR),
-        "frame": {"period": PERIOD, "pulses": PULSES, "clock_mhz": 100, "format": "id"},
-        "subgroup": {"threshold": THRESHOLD, "window": WINDOW},
-    }
+CONFIG = configured(
+    SENSOR,
+    {"period": PERIOD, "pulses": PULSES, "clock_mhz": 100, "format": "id"},
+    {"threshold": THRESHOLD, "window": WINDOW},
 )
 SETTINGS = SourceSettings(
     background=np.array(BACKGROUNDS),

@@ -9,7 +9,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
-from coincid.model.contract.config import parse_config
 from coincid.model.contract.edges import Fate
 from coincid.model.contract.parameters import Sensor
 from coincid.model.golden.frame import Golden
@@ -21,6 +20,8 @@ from coincid.model.light.spad import Spad
 from coincid.model.light.timing import Timing
 from coincid.model.shared.constants import SIGMA_PER_FWHM, SPEED_OF_LIGHT_M_S
 from coincid.model.shared.errors import InputError
+
+from ..cases import configured
 
 LITERAL, CORRECTED = analytic.FORMS
 DISTANCE_M = 20.0
@@ -120,12 +121,10 @@ def test_busy_time(window_ticks, rearm, ticks):
 
 def simulated(signal, noise_cps, threshold, window_ticks, rearm, scheme, pulses):
     """Return counts of a pixel's histogram at each tick, the mean over an evenly lit array, by the golden model."""
-    config = parse_config(
-        {
-            "sensor": {"rearm": rearm},
-            "frame": {"pulses": pulses},
-            "subgroup": {"threshold": threshold, "window": window_ticks, "coincidence": scheme == 2},
-        }
+    config = configured(
+        {"rearm": rearm},
+        {"pulses": pulses},
+        {"threshold": threshold, "window": window_ticks, "coincidence": scheme == 2},
     )
     light = Light(rows=32, cols=32, distance_m=DISTANCE_M, signal_per_pulse=signal, background_cps=noise_cps)
     edges = generate_edges(light, Spad(), Timing(), pulses=pulses, seed=1)

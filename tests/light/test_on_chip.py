@@ -9,22 +9,21 @@ import pytest
 from attrs import evolve
 from scipy import stats
 
-from coincid.model.contract.config import parse_config
 from coincid.model.contract.emulator import LEVEL_BITS, RATE_BITS, SEED_BIT, STATE_BITS, TAPS
 from coincid.model.light.on_chip import SourceSettings, _tables, advance, cipher, seeds, source_edges
 from coincid.model.shared.errors import InputError
+
+from ..cases import configured
 
 LIKELY = 1e-4  # probability that a correct source fails a test; with fixed seeds, the result is always the same
 FACTORS = (3, 5, 17, 257, 65537)  # of 2^32 - 1
 
 
 def config(pulses: int, period: int = 40, **frame):
-    return parse_config(
-        {
-            "sensor": {"rows": 8, "cols": 16, "phases": 8, "window_max": 16},
-            "frame": {"period": period, "pulses": pulses} | frame,
-            "subgroup": {"window": 2},
-        }
+    return configured(
+        {"rows": 8, "cols": 16, "phases": 8, "window_max": 16},
+        {"period": period, "pulses": pulses} | frame,
+        {"window": 2},
     )
 
 

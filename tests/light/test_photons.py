@@ -9,7 +9,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
-from coincid.model.contract.config import parse_config
 from coincid.model.light.code_density import code_density
 from coincid.model.light.light import Light, background_cps, signal_per_pulse
 from coincid.model.light.photons import edge_chunks, generate_edges
@@ -17,6 +16,8 @@ from coincid.model.light.spad import Spad, SpadGate, dark_count_map
 from coincid.model.light.timing import Timing
 from coincid.model.shared.constants import SIGMA_PER_FWHM, SPEED_OF_LIGHT_M_S
 from coincid.model.shared.errors import InputError
+
+from ..cases import configured
 
 LEVEL = 1e-3
 BARE = Spad(dead_time_s=0, jitter_fwhm_s=0)
@@ -254,12 +255,11 @@ def test_progressive_gate_moves_with_the_pulse_in_the_frame():
 
 def test_gates_of_a_configuration():
     """A gated subgroup steps through its period; one without gating is always open."""
-    config = parse_config(
-        {
-            "sensor": {"rows": 8, "cols": 16},
-            "frame": {"gate_step": 20, "gate_every": 1, "gate_steps": 2, "pulses": 6},
-            "override": [{"subgroups": [1], "gating": True, "gate_start": 30, "gate_len": 10}],
-        }
+    config = configured(
+        {"rows": 8, "cols": 16},
+        {"gate_step": 20, "gate_every": 1, "gate_steps": 2, "pulses": 6},
+        {},
+        {"subgroups": [1], "gating": True, "gate_start": 30, "gate_len": 10},
     )
     timing = Timing.from_config(config)
     assert (timing.period_ticks, timing.tick_s) == (8000, 62.5e-12)

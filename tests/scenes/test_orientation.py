@@ -11,11 +11,12 @@ from PIL import Image
 
 from coincid.lab.run import Run
 from coincid.lab.setup import Setup
-from coincid.model.contract.config import parse_config
 from coincid.model.contract.ports import port_bits
 from coincid.model.contract.stream import decode_frame
 from coincid.model.scenes.catalogue import load_scene
 from coincid.model.shared.constants import SPEED_OF_LIGHT_M_S
+
+from ..cases import configured
 
 NEAR_M, FAR_M = 5.0, 8.0
 LETTER = (
@@ -45,12 +46,10 @@ LETTER = (
     == "#"
 )
 ROWS, COLS = LETTER.shape
-CONFIG = parse_config(
-    {
-        "sensor": {"rows": ROWS, "cols": COLS},
-        "frame": {"pulses": 60, "format": "full", "minigroup_records": True, "mg_threshold": 1},
-        "subgroup": {"threshold": 1},
-    }
+CONFIG = configured(
+    {"rows": ROWS, "cols": COLS},
+    {"pulses": 60, "format": "full", "minigroup_records": True, "mg_threshold": 1},
+    {"threshold": 1},
 )
 
 

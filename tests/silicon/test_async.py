@@ -26,7 +26,7 @@ from coincid.tb.stimulus import line_levels, off_centre, tick_ps
 from coincid.tb.stress import stress
 
 from ..benches import bench_environment
-from ..cases import SENSORS, SMALL, trouble
+from ..cases import SENSORS, SMALL, configured, trouble
 from ..tb.test_cosim import frames
 
 BUILDS = {name: (sensor, None) for name, sensor in SENSORS.items()} | {"wide, two banks": (SENSORS["wide"], 2)}
@@ -35,13 +35,7 @@ FULL = {"format": "full", "minigroup_records": True, "mg_threshold": 1}
 
 def config(sensor=None, window=12, pulses=8, **subgroup):
     sensor = sensor or SENSORS["one"]
-    return parse_config(
-        {
-            "sensor": sensor,
-            "frame": {"period": 40, "pulses": pulses} | FULL,
-            "subgroup": {"window": window, "threshold": 1} | subgroup,
-        }
-    )
+    return configured(sensor, {"period": 40, "pulses": pulses} | FULL, {"window": window, "threshold": 1} | subgroup)
 
 
 @pytest.mark.parametrize("build", BUILDS)

@@ -20,6 +20,8 @@ from coincid.model.light.spad import Spad
 from coincid.model.light.timing import Timing
 from coincid.study import bandwidth
 
+from ..cases import configured
+
 PAGE = Path(__file__).parents[2] / "docs" / "performance.md"
 
 
@@ -28,13 +30,11 @@ PAGE = Path(__file__).parents[2] / "docs" / "performance.md"
 )
 def test_estimate_is_what_the_golden_model_counts(klux, threshold, window):
     """Over many pulses, on planes at several distances, the difference is within what the estimate leaves out."""
-    config = parse_config(
-        {
-            "sensor": {"rows": 16, "cols": 32},
-            "frame": {"pulses": 2000, "minigroup_records": True},
-            "subgroup": {"threshold": threshold, "window": window},
-            "override": [{"subgroups": [1], "coincidence": False}],
-        }
+    config = configured(
+        {"rows": 16, "cols": 32},
+        {"pulses": 2000, "minigroup_records": True},
+        {"threshold": threshold, "window": window},
+        {"subgroups": [1], "coincidence": False},
     )
     distance_m = np.repeat([[4.0] * 12 + [7.0] * 12 + [9.0] * 8], 16, axis=0)
     light, timing = Light.from_scene(distance_m, 0.3, klux), Timing.from_config(config)

@@ -7,7 +7,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from coincid.lab.run import Run
-from coincid.model.contract.config import parse_config
 from coincid.model.contract.edges import Edges, Fate
 from coincid.model.contract.parameters import Sensor
 from coincid.model.golden.frame import golden_result
@@ -29,6 +28,8 @@ from coincid.study.rivals import (
     windows,
     winner_takes_all,
 )
+
+from ..cases import configured
 
 SENSOR = Sensor(rows=8, cols=16)
 PHASES, PERIOD = 32, 250
@@ -185,12 +186,10 @@ def test_windows_are_the_golden_models(seed, window, threshold):
     rng = np.random.default_rng(seed)
     keys = rng.choice(3 * 128 * 60, 150, replace=False)  # a pixel has at most one edge per cycle
     edges = Edges(keys // (128 * 60), keys // 60 % 128, keys % 60 * PHASES + rng.integers(0, PHASES, 150))
-    config = parse_config(
-        {
-            "sensor": {"rows": 8, "cols": 16, "fifo_depth": 512},
-            "frame": {"pulses": 3, "period": 100},
-            "subgroup": {"window": window, "threshold": threshold},
-        }
+    config = configured(
+        {"rows": 8, "cols": 16, "fifo_depth": 512},
+        {"pulses": 3, "period": 100},
+        {"window": window, "threshold": threshold},
     )
     arrays = golden_result(config, edges)
     of = macro_pixels(edges, config.sensor, 3)

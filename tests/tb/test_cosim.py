@@ -6,7 +6,6 @@ import pytest
 from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 
-from coincid.model.contract.config import parse_config
 from coincid.model.contract.counters import COUNTER_NAMES
 from coincid.model.contract.parameters import SENSOR, Sensor
 from coincid.model.contract.pixels import pixel_table
@@ -19,6 +18,7 @@ from ..cases import (
     SENSORS,
     collections,
     configurations,
+    configured,
     controlled,
     dithered,
     gate_bits,
@@ -119,12 +119,10 @@ def test_every_alignment_of_storing_and_freeing(tmp_path):
 
     The outcome changes between two such frames, so one of them is the exact tie; model and RTL agree in all.
     """
-    config = parse_config(
-        {
-            "sensor": SENSORS["tiny"],
-            "frame": {"period": 40, "pulses": 6, "format": "full", "minigroup_records": True, "mg_threshold": 1},
-            "subgroup": {"threshold": 1, "window": 4},
-        }
+    config = configured(
+        SENSORS["tiny"],
+        {"period": 40, "pulses": 6, "format": "full", "minigroup_records": True, "mg_threshold": 1},
+        {"threshold": 1, "window": 4},
     )
     golden, jobs, counters = Golden(config.sensor), [], []
     edges = trouble(config, 5, 12.0)

@@ -16,7 +16,6 @@ from coincid.host import serial_link
 from coincid.host.emulator import EmulatorDriver
 from coincid.host.serial_link import Deframer, SerialTransport, frame
 from coincid.host.transport import DeviceResetError, HostError, LinkError, RefusedError
-from coincid.model.contract.config import parse_config, sensor_table
 from coincid.model.contract.emulator import BUFFER_BASE, Emulator, background_address, echo_address, own_address
 from coincid.model.contract.parameters import Sensor
 from coincid.model.contract.serial_link import ESCAPE, FLAG, Operation
@@ -28,6 +27,7 @@ from coincid.tb.emulator import PATIENCE_S, SimulatedPort, emulator_rtl
 from coincid.tb.toolchain import SIMULATORS, build
 
 from ..benches import BENCHES, emulator_bench
+from ..cases import configured
 
 SENSOR = Sensor(rows=4, cols=8, phases=8, window_max=16, subgroup=(4, 4))
 EMULATOR = Emulator(sensor=SENSOR, buffer_beats=256, clocks_per_bit=4)
@@ -35,12 +35,10 @@ CLOCK_MHZ = 100.0
 
 
 def config(pulses=4, **frame):
-    return parse_config(
-        {
-            "sensor": sensor_table(SENSOR),
-            "frame": {"period": 63, "pulses": pulses, "clock_mhz": CLOCK_MHZ, "format": "id"} | frame,
-            "subgroup": {"threshold": 2, "window": 4},
-        }
+    return configured(
+        SENSOR,
+        {"period": 63, "pulses": pulses, "clock_mhz": CLOCK_MHZ, "format": "id"} | frame,
+        {"threshold": 2, "window": 4},
     )
 
 
