@@ -39,7 +39,8 @@ from ..model.shared.constants import SPEED_OF_LIGHT_M_S
 from ..model.shared.errors import check_integer
 from ..model.shared.files import whole_file
 from ..model.shared.quantities import check_choice
-from .plot_style import SERIES, new_figure, save_figure, style
+from .palette import SERIES
+from .plot_style import new_figure, save_figure, style
 
 SCENE, SEED, CORRECTED = "five-objects", 1, FORMS[1]
 SIZES = {"32x32": (32, 32), "64x64": (64, 64), "256x128": (128, 256)}  # rows, cols

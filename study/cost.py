@@ -24,6 +24,7 @@ from ..hdl.subgroup import Subgroup
 from ..model.contract.packet import BEAT_BITS, FORMATS, layout
 from ..model.contract.parameters import CLOCK_MHZ, Sensor
 from ..model.shared.files import whole_file
+from .palette import GREEN, INK, ORANGE, VIOLET
 from .plot_style import legend_below, new_figure, save_figure, style
 
 SWEEPS: dict[str, tuple[str, list[Any]]] = {  # parameter: its label, and the values besides the default
@@ -162,8 +163,8 @@ def _draw(rows: list[dict[str, Any]]) -> Figure:
             points = [row for row in rows if row["parameter"] == parameter]
             at = [row["value"] for row in points]
             area, bits, rate = grid[:, column]
-            area.plot(at, [row["area_um2_per_pixel"] / 1000 for row in points], "o-", color="#222222")
-            for name, colour in zip(FORMATS, cycle(("#1b9e77", "#d95f02", "#7570b3"))):
+            area.plot(at, [row["area_um2_per_pixel"] / 1000 for row in points], "o-", color=INK)
+            for name, colour in zip(FORMATS, cycle((GREEN, ORANGE, VIOLET))):
                 bits.plot(at, [row[f"bits_{name}"] for row in points], "o-", color=colour, label=f"format {name}")
                 rate.plot(
                     at, [row[f"mevents_per_s_{name}"] for row in points], "o-", color=colour, label=f"format {name}"

@@ -13,7 +13,8 @@ from matplotlib.patches import Rectangle
 
 from ..model.depth.quality import TOLERANCE_M, wrong_pixels, wrong_share
 from ..model.shared.files import FilePath
-from .plot_style import DEPTH_MAP, INVALID_COLOUR, new_figure, save_figure, style
+from .palette import ALARM, NO_VALUE
+from .plot_style import DEPTH_MAP, new_figure, save_figure, style
 
 PANEL_IN = 3.1
 PANELS_ACROSS = 5  # panels per row
@@ -71,7 +72,7 @@ def draw_row(
         figure = new_figure(PANEL_IN * across + 0.9, (height_in + 0.75) * down + (0.6 if heading else 0.35))
         grid = figure.subplots(down, across, squeeze=False)
         axes = grid.ravel()
-        colours = matplotlib.colormaps[DEPTH_MAP].with_extremes(bad=INVALID_COLOUR)
+        colours = matplotlib.colormaps[DEPTH_MAP].with_extremes(bad=NO_VALUE)
         for axis, panel in zip(axes, (Panel("truth", truth_m), *panels)):
             image = axis.imshow(panel.depth_m, cmap=colours, vmin=near_m - margin_m, vmax=far_m + margin_m)
             for row, col in np.argwhere(np.isnan(truth_m)):
@@ -90,7 +91,7 @@ def draw_row(
             axis.set_title(f"{panel.title}\n{share:.1%} of pixels wrong")
             wrong = np.argwhere(wrong_pixels(panel.depth_m, truth_m, tolerance_m))
             frames = [Rectangle((col - 0.5, row - 0.5), 1, 1) for row, col in wrong]
-            axis.add_collection(PatchCollection(frames, facecolor="none", edgecolor="#e31a1c", linewidth=0.5))
+            axis.add_collection(PatchCollection(frames, facecolor="none", edgecolor=ALARM, linewidth=0.5))
         figure.colorbar(image, ax=list(axes), label="depth in m", extend="both", pad=0.01)
         notes = f"red frames: wrong, |error| > {100 * tolerance_m:.3g} cm"
         if np.isnan(truth_m).any():

@@ -11,12 +11,14 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from ..model.shared.files import FilePath, whole_file
+from .palette import GREEN, INK, LEGEND_PT, ORANGE, PINK, TEXT_PT, TITLE_PT, VIOLET
 
+HASH_SALT = "coincid"  # element names of an SVG are hashes of this and a counter: the same in every run
 STYLE: dict[Any, Any] = {
-    "font.size": 10,
-    "axes.titlesize": 11,
-    "axes.labelsize": 10,
-    "legend.fontsize": 8.5,
+    "font.size": TEXT_PT,
+    "axes.titlesize": TITLE_PT,
+    "axes.labelsize": TEXT_PT,
+    "legend.fontsize": LEGEND_PT,
     "legend.frameon": False,
     "axes.spines.top": False,
     "axes.spines.right": False,
@@ -28,27 +30,17 @@ STYLE: dict[Any, Any] = {
     "image.interpolation": "nearest",
     "figure.dpi": 120,
     "savefig.dpi": 120,
-    "svg.hashsalt": "coincid",  # element names are hashes of this and a counter: the same in every run
+    "svg.hashsalt": HASH_SALT,
     "svg.fonttype": "none",
 }
-DEPTH_MAP, INVALID_COLOUR = "viridis_r", "#d9d9d9"  # near is dark; grey does not occur in the map
+DEPTH_MAP = "viridis_r"  # near is dark
 SOURCES: dict[str, dict[str, Any]] = {  # source of a number, and its style
-    "literal": {"color": "#d95f02", "linestyle": "--"},
-    "corrected": {"color": "#1b9e77", "linestyle": "-"},
-    "Monte Carlo": {"color": "#222222", "linestyle": "", "marker": "o"},
-    "RTL": {"color": "#e7298a", "linestyle": "", "marker": "x"},
-    "paper": {"color": "#7570b3", "linestyle": ":", "marker": "s"},
+    "literal": {"color": ORANGE, "linestyle": "--"},
+    "corrected": {"color": GREEN, "linestyle": "-"},
+    "Monte Carlo": {"color": INK, "linestyle": "", "marker": "o"},
+    "RTL": {"color": PINK, "linestyle": "", "marker": "x"},
+    "paper": {"color": VIOLET, "linestyle": ":", "marker": "s"},
 }
-SERIES = (
-    "#440154",
-    "#46327e",
-    "#365c8d",
-    "#277f8e",
-    "#1fa187",
-    "#4ac16d",
-    "#a0da39",
-    "#fde725",
-)  # ordered: dark to bright
 _UNDATED = {"png": {"Software": None}, "svg": {"Date": None, "Creator": None}}
 
 

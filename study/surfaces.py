@@ -29,6 +29,7 @@ from ..model.scenes.catalogue import load_scene
 from ..model.scenes.scene import Scene
 from ..model.shared.constants import SPEED_OF_LIGHT_M_S
 from ..model.shared.quantities import Numbers
+from .palette import GREY
 from .plot_style import new_figure, save_figure, style
 
 ROWS = COLS = 32
@@ -167,7 +168,7 @@ def draw_confidence(rows: Iterable[Row], path: Path) -> None:
     with style():
         figure = new_figure(4.6, 4.2)
         axis = figure.add_subplot()
-        axis.plot([0, 100], [0, 100], color="#999999", linewidth=0.8)
+        axis.plot([0, 100], [0, 100], color=GREY, linewidth=0.8)
         for form, mark in zip(FORMATS, "os"):
             sure = np.concatenate([row.sure for row in rows if row.form == form])
             right = np.concatenate([row.right for row in rows if row.form == form])

@@ -14,9 +14,7 @@ from fnmatch import fnmatch
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
-from coincid.cli import app
 from coincid.flow.lint import lint
 from coincid.flow.register_files import HEADER, JSON, MARKDOWN
 from coincid.flow.release import CELLS_LIST
@@ -31,6 +29,7 @@ from coincid.model.contract.result import differences, stall
 from coincid.model.golden.frame import golden_result
 
 from .cases import SENSORS
+from .command import assert_refused, command
 from .releases import small_releases
 
 CONFIG = """
@@ -45,11 +44,6 @@ pulses = 3
 window = 12
 """
 PULSES, PIXELS, PERIOD_TICKS = 6, 128, 40 * 32
-
-
-def run(*arguments):
-    """Return the command's result, in this process."""
-    return CliRunner().invoke(app, [str(argument) for argument in arguments])
 
 
 def some_edges(n=200):
@@ -68,25 +62,8 @@ def files(tmp_path):
 
 
 def replay(folder, *more):
-    return run(
-        "replay",
-        "--config",
-        folder / "config.toml",
-        "--edges",
-        folder / "edges.npz",
-        "--out",
-        folder / "out" / "result.npz",
-        *more,
-    )
-
-
-def assert_refused(result, *words):
-    """Check for exit code 2 and one line that contains all `words`."""
-    assert result.exit_code == 2, (result.output, result.exception)
-    assert isinstance(result.exception, SystemExit)
-    assert result.stderr.count("\n") == 1
-    for word in words:
-        assert word in result.stderr
+    words = f"replay --config {folder}/config.toml --edges {folder}/edges.npz --out {folder}/out/result.npz"
+    return command(words, *more)
 
 
 BAD_CONFIGS = {
@@ -112,24 +89,19 @@ BAD_CONFIGS = {
 
 
 @pytest.mark.parametrize("name", BAD_CONFIGS)
-@pytest.mark.parametrize("command", ["replay", "sim", "verilog", "lint"])
-def test_bad_configuration(files, name, command):
+@pytest.mark.parametrize("job", ["replay", "sim", "verilog", "lint"])
+def test_bad_configuration(files, name, job):
     text, *words = BAD_CONFIGS[name]
     (files / "config.toml").write_text(text)
-    more = {"replay": ("--edges", files / "edges.npz"), "lint": ()}.get(command, ())
-    out = () if command == "lint" else ("--out", files / "out" / "x")
-    assert_refused(run(command, "--config", files / "config.toml", *more, *out), "config.toml", *words)
+    more = {"replay": ("--edges", files / "edges.npz"), "lint": ()}.get(job, ())
+    out = () if job == "lint" else ("--out", files / "out" / "x")
+    assert_refused(command(job, "--config", files / "config.toml", *more, *out), "config.toml", *words)
     assert not (files / "out").exists()
 
 
 def test_missing_configuration_names_the_presets(files):
-    assert_refused(
-        run("verilog", "--config", files / "none.toml", "--out", files / "out"),
-        "none.toml",
-        "no such file",
-        "silicon",
-        "fpga",
-    )
+    result = command(f"verilog --config {files}/none.toml --out {files}/out")
+    assert_refused(result, "none.toml", "no such file", "silicon", "fpga")
 
 
 def one(name, value, dtype=np.int64):
@@ -221,16 +193,16 @@ def test_options_that_the_command_line_refuses(files, options):
     assert not (files / "out").exists()
 
 
-@pytest.mark.parametrize("command", ["replay", "sim", "verilog"])
-def test_output_below_a_file(files, command):
-    more = ("--edges", files / "edges.npz") if command == "replay" else ()
-    result = run(command, "--config", files / "config.toml", *more, "--out", files / "edges.npz" / "out.npz")
+@pytest.mark.parametrize("job", ["replay", "sim", "verilog"])
+def test_output_below_a_file(files, job):
+    more = ("--edges", files / "edges.npz") if job == "replay" else ()
+    result = command(job, "--config", files / "config.toml", *more, "--out", files / "edges.npz" / "out.npz")
     assert_refused(result, "out.npz", "cannot be written")
     assert sorted(path.name for path in files.iterdir()) == ["config.toml", "edges.npz"]
 
 
 def test_output_that_is_a_folder(files):
-    result = run("replay", "--config", files / "config.toml", "--edges", files / "edges.npz", "--out", files)
+    result = command("replay", "--config", files / "config.toml", "--edges", files / "edges.npz", "--out", files)
     assert_refused(result, "is a folder")
 
 
@@ -285,7 +257,7 @@ def test_empty_edge_file_is_an_empty_frame(files, dtype):
     ],
 )
 def test_bad_options_of_sim(files, options, words):
-    assert_refused(run("sim", "--out", files / "out", *options), *words)
+    assert_refused(command("sim", "--out", files / "out", *options), *words)
     assert not (files / "out").exists()
 
 
@@ -297,9 +269,10 @@ def test_interrupt_leaves_nothing(files, number, code, inherited):
     (files / "edges.npz").unlink()
     os.mkfifo(files / "edges.npz")
     arguments = ["replay", "--config", "config.toml", "--edges", "edges.npz", "--out", "out/result.npz"]
-    command = [sys.executable, "-m", "coincid", *arguments]
     with disposition(number, inherited):
-        process = subprocess.Popen(command, cwd=files, stderr=subprocess.PIPE, text=True)
+        process = subprocess.Popen(
+            [sys.executable, "-m", "coincid", *arguments], cwd=files, stderr=subprocess.PIPE, text=True
+        )
     with process, open(files / "edges.npz", "wb"):  # opens when the command does, which then waits for bytes
         process.send_signal(number)
         stderr = process.communicate(timeout=60)[1]
@@ -329,25 +302,12 @@ def test_budget_for_programs_and_people():
         "sbr_db",
         "sbr_reading",
     }
-    result = run(
-        "budget",
-        "--distance-m",
-        4,
-        "--reflectivity",
-        0.4,
-        "--klux",
-        50,
-        "--spectrum",
-        "planck",
-        "--form",
-        "corrected",
-        "--json",
-    )
+    result = command("budget --distance-m 4 --reflectivity 0.4 --klux 50 --spectrum planck --form corrected --json")
     assert set(json.loads(result.stdout)) == keys
-    text = run("budget").stdout
+    text = command("budget").stdout
     assert all(key in text for key in keys)
-    assert_refused(run("budget", "--form", "printed"), "form = 'printed'", "literal", "corrected")
-    assert_refused(run("budget", "--reflectivity", 2), "reflectivity = 2", "from 0 to 1")
+    assert_refused(command("budget", "--form", "printed"), "form = 'printed'", "literal", "corrected")
+    assert_refused(command("budget", "--reflectivity", 2), "reflectivity = 2", "from 0 to 1")
 
 
 @pytest.fixture(scope="module")
@@ -357,7 +317,7 @@ def exports(tmp_path_factory):
     (folder / "default").mkdir()
     (folder / "default" / FILE_LIST).write_text("stale.v\n")
     (folder / "default" / "stale.v").write_text("module stale; endmodule\n")
-    assert run("verilog", "--out", folder / "default").exit_code == 0
+    assert command("verilog", "--out", folder / "default").exit_code == 0
     again = [sys.executable, "-m", "coincid", "verilog", "--out", "again"]
     subprocess.run(again, cwd=folder, env=os.environ | {"PYTHONHASHSEED": "17"}, check=True)
     assert sorted(path.name for path in folder.iterdir()) == ["again", "default"]
@@ -407,7 +367,7 @@ def test_export_names_no_place_of_this_machine(exports):
 
 def test_export_replaces_nothing_but_an_export(tmp_path):
     (tmp_path / "thesis.tex").write_text("x")
-    assert_refused(run("verilog", "--out", tmp_path), tmp_path.name, "empty")
+    assert_refused(command("verilog", "--out", tmp_path), tmp_path.name, "empty")
     assert (tmp_path / "thesis.tex").exists()
 
 
@@ -442,14 +402,14 @@ def test_lint_is_clean(tmp_path, name):
     config.write_text(
         "[sensor]\n" + "".join(f"{key} = {value}\n" for key, value in SENSORS[name].items()) + "[frame]\nperiod = 100\n"
     )
-    result = run("lint", "--config", config)
+    result = command("lint", "--config", config)
     assert result.exit_code == 0, result.output
     assert result.stdout.splitlines()[0] == "verilator: clean"
 
 
 def test_lint_finds_what_is_not_waived(files, monkeypatch):
     monkeypatch.setattr("coincid.flow.lint.control_file", lambda view: "`verilator_config\n")
-    result = run("lint", "--config", files / "config.toml")
+    result = command("lint", "--config", files / "config.toml")
     assert result.exit_code == 1
     assert "verilator: found" in result.stdout
     assert "%Warning-PROCASSINIT: coincid_" in result.stdout

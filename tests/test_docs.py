@@ -5,14 +5,12 @@ import ast
 import contextlib
 import io
 import re
-import shlex
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 from typer.main import get_command
-from typer.testing import CliRunner
 
 from coincid.cli import app
 from coincid.model.contract import latency
@@ -20,6 +18,8 @@ from coincid.model.contract.packet import FORMATS, HEADER, header_field
 from coincid.study.drawings import waveform as picture
 from coincid.study.sweep import sweep
 from coincid.study.sweep_spec import read_spec
+
+from .command import command
 
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
@@ -92,13 +92,13 @@ def test_recording_example_runs(tmp_path, monkeypatch):
     """Run the commands of the page's example, one after the other."""
     monkeypatch.chdir(tmp_path)
     (example,) = [block for block in blocks(ROOT / "docs" / "recordings.md", "") if block.startswith("printf")]
-    first, *commands = example.splitlines()
+    first, *lines = example.splitlines()
     toml, name = re.fullmatch(r"printf '(.*)' > (\S+)", first).groups()
     (tmp_path / name).write_text(toml.replace("\\n", "\n"))
-    for command in commands:
-        program, *arguments = shlex.split(command)
-        result = CliRunner().invoke(app, arguments)
-        assert program == "coincid" and result.exit_code == 0, (command, result.output)
+    for line in lines:
+        program, words = line.split(maxsplit=1)
+        result = command(words)
+        assert program == "coincid" and result.exit_code == 0, (line, result.output)
     assert (tmp_path / "result.npz").exists()
 
 

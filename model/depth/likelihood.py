@@ -607,7 +607,7 @@ def _at(law, k, tick):
 
 @njit(allocates=False)
 def _silence(events, e):
-    return _Silence(events.since[e], events.quiet[e], events.known[e], np.int64(events.overrun[e]))
+    return _Silence(events.since[e], events.quiet[e], events.known[e], int(events.overrun[e]))
 
 
 @njit(allocates=False)

@@ -3,8 +3,12 @@
 
 from pathlib import Path
 
+from matplotlib import rc_context
+from matplotlib.figure import Figure
+
 from ...model.shared.errors import InputError
 from ...model.shared.folders import checkout
+from ..plot_style import HASH_SALT
 
 
 def image(name: str) -> Path:
@@ -13,3 +17,9 @@ def image(name: str) -> Path:
     if folder is None:
         raise InputError("docs/images: the pictures of the documents can only be drawn in a checkout of the project")
     return folder / "docs" / "images" / name
+
+
+def save(figure: Figure, name: str) -> None:
+    """Write an SVG picture, its text as outlines: the same bytes for the same figure."""
+    with rc_context({"svg.hashsalt": HASH_SALT}):
+        figure.savefig(image(name), metadata={"Date": None})

@@ -16,6 +16,7 @@ from ...model.light.code_density import code_density
 from ...model.shared.quantities import Numbers
 from ...tb.stimulus import FS_PER_PS
 from ...tb.stress import APERTURE_PS, Front, run_bench
+from ..palette import GREEN, INK, LIGHT_GREY, ORANGE, PALE_GREY, PINK, VIOLET
 from ..plot_style import legend_below, new_figure, save_figure, style
 from . import image
 
@@ -52,15 +53,15 @@ def timing() -> None:
     """Draw two windows in two banks: one that closes in its own cycle, and the next one."""
     lag = lag_fs(SENSOR) / CLOCK_FS
     rows: list[tuple[str, list[tuple[float, float]], str]] = [  # name, when it is high, colour
-        ("clk", [(k, k + 0.5) for k in range(5)], "#222222"),
-        ("phases[0]", [(k + lag, k + lag + 0.5) for k in range(5)], "#222222"),
-        ("SPAD a", [(0.55, 0.6)], "#d95f02"),
-        ("SPAD b", [(0.8, 0.85)], "#d95f02"),
-        ("SPAD c (next window)", [(1.05, 1.1)], "#e7298a"),
-        ("hits, even cycles", [(0.57, 1.75)], "#1b9e77"),
-        ("hits, odd cycles", [(1.07, 2.75)], "#1b9e77"),
-        ("root, even", [(0.55 + lag, 1.77)], "#7570b3"),
-        ("root, odd", [(1.05 + lag, 2.77)], "#7570b3"),
+        ("clk", [(k, k + 0.5) for k in range(5)], INK),
+        ("phases[0]", [(k + lag, k + lag + 0.5) for k in range(5)], INK),
+        ("SPAD a", [(0.55, 0.6)], ORANGE),
+        ("SPAD b", [(0.8, 0.85)], ORANGE),
+        ("SPAD c (next window)", [(1.05, 1.1)], PINK),
+        ("hits, even cycles", [(0.57, 1.75)], GREEN),
+        ("hits, odd cycles", [(1.07, 2.75)], GREEN),
+        ("root, even", [(0.55 + lag, 1.77)], VIOLET),
+        ("root, odd", [(1.05 + lag, 2.77)], VIOLET),
         ("bank 0 ended (picture)", [(1.0 + lag + 0.25, 1.78)], "#365c8d"),
         ("bank 1 open (listened from cycle 1 on)", [(1.05 + lag, 4.9)], "#365c8d"),
         ("mark", [(k + lag + 0.25 + 1 / 64, k + lag + 0.75) for k in range(5)], "#888888"),
@@ -102,21 +103,21 @@ def tdc() -> None:
     with style():
         figure = new_figure(9, 3.2)
         left, right = figure.subplots(1, 2)
-        left.bar(np.arange(SENSOR.phases), truth, color="#bbbbbb", label="borders as given")
+        left.bar(np.arange(SENSOR.phases), truth, color=LIGHT_GREY, label="borders as given")
         left.errorbar(
             np.arange(SENSOR.phases),
             found.dnl_lsb,
             2 * found.sigma_lsb,
             fmt="o",
-            color="#1b9e77",
+            color=GREEN,
             label="DNL, code density (2 sigma)",
         )
-        left.plot(np.arange(SENSOR.phases), found.inl_lsb, color="#d95f02", label="INL")
+        left.plot(np.arange(SENSOR.phases), found.inl_lsb, color=ORANGE, label="INL")
         left.set_xlabel("phase")
         left.set_ylabel("LSB")
         left.legend()
-        right.plot(np.arange(SENSOR.phases), centre, "o-", color="#7570b3")
-        right.axhline(0, color="#222222", linewidth=0.8)
+        right.plot(np.arange(SENSOR.phases), centre, "o-", color=VIOLET)
+        right.axhline(0, color=INK, linewidth=0.8)
         right.set_xlabel("phase")
         right.set_ylabel("bias of the stamp in ps")
         right.set_title(f"rms {np.sqrt((centre**2).mean()):.1f} ps, {len(tick)} events")
@@ -143,12 +144,12 @@ def skew() -> None:
     with style():
         figure = new_figure(8.5, 3.2)
         left, right = figure.subplots(1, 2)
-        left.plot(way_ps, bias, "o", color="#1b9e77")
-        left.plot([0, 150], [0, 150], color="#222222", linewidth=0.8, label="as long as the way")
+        left.plot(way_ps, bias, "o", color=GREEN)
+        left.plot([0, 150], [0, 150], color=INK, linewidth=0.8, label="as long as the way")
         left.set_xlabel("extra way to the tree in ps")
         left.set_ylabel("bias of the stamp in ps")
         left.legend()
-        right.hist(error[pixel == 0] - error[pixel == 0].mean(), bins=20, color="#7570b3")
+        right.hist(error[pixel == 0] - error[pixel == 0].mean(), bins=20, color=VIOLET)
         right.set_xlabel("error of one pixel's stamps in ps")
         right.set_title(f"sigma {error[pixel == 0].std():.1f} ps; a tick gives {TICK_PS / np.sqrt(12):.1f} ps")
         save_figure(figure, image("async_skew.png"))
@@ -172,9 +173,9 @@ def window() -> None:
         figure = new_figure(8, 3.2)
         axis = figure.subplots()
         at = np.linspace(-1.5, 2, 400)
-        for (name, error), colour in zip(results.items(), ("#1b9e77", "#7570b3", "#d95f02", "#e7298a")):
+        for (name, error), colour in zip(results.items(), (GREEN, VIOLET, ORANGE, PINK)):
             axis.plot(at, [(error > x).mean() for x in at], color=colour, label=name)
-        axis.axvspan(-1, 1, color="#eeeeee", zorder=0, label="a tick either way")
+        axis.axvspan(-1, 1, color=PALE_GREY, zorder=0, label="a tick either way")
         axis.set_xlabel(f"edge against the end of a window of {ticks} ticks, in ticks")
         axis.set_ylabel("share that is counted")
         axis.legend()
@@ -203,8 +204,8 @@ def metastability() -> None:
         axis = figure.subplots()
         for borders, line in ((1, "-"), (SENSOR.phases, "--")):
             label = f"borders that an event can meet in a cycle: {borders}"
-            axis.semilogy(given, years(given, WINDOWS_CPS, borders), line, color="#222222", label=label)
-        for (name, point), colour in zip(points.items(), ("#1b9e77", "#d95f02", "#7570b3", "#e7298a")):
+            axis.semilogy(given, years(given, WINDOWS_CPS, borders), line, color=INK, label=label)
+        for (name, point), colour in zip(points.items(), (GREEN, ORANGE, VIOLET, PINK)):
             axis.plot(point[0], years(*point), "o", color=colour, label=name)
             print(f"metastability: {name}: {point[0] * CYCLE_PS:.0f} ps, {years(*point):.1e} years a subgroup")
         axis.set_title(f"tau {TAU_PS:g} ps, aperture {APERTURE_WINDOW_PS:g} ps: assumed")
@@ -227,7 +228,7 @@ def reset() -> None:
         figure = new_figure(8, 3.2)
         axis = figure.subplots()
         bottom = np.zeros(len(offsets))
-        for count, name, colour in ((1, "one word", "#1b9e77"), (2, "two words", "#d95f02"), (0, "none", "#bbbbbb")):
+        for count, name, colour in ((1, "one word", GREEN), (2, "two words", ORANGE), (0, "none", LIGHT_GREY)):
             share = np.array([(words[index == k] == count).mean() for k in range(len(offsets))])
             axis.bar(offsets, share, 4.6, bottom, color=colour, label=name)
             bottom += share

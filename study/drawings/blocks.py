@@ -10,9 +10,9 @@ import matplotlib.pyplot as plt
 from matplotlib.figure import Figure
 from matplotlib.patches import FancyBboxPatch
 
-from . import image
+from ..palette import DEEP_INK, FRAME, FRAME_LINE, NOTE, OURS, PAPER, WIRE
+from . import save
 
-INK, NOTE, LINE, PAPER, OURS, FRAME = "#1b1f24", "#5b6673", "#3a434d", "#fbe3d6", "#ffffff", "#f5f6f8"
 BLOCKS = {  # name: (x, y, width, height, title, notes, from the paper?)
     "spads": (0.2, 3.35, 2.0, 2.5, "SPADs", "32 x 32, a line each:\n8 x 8 a subgroup", True),
     "gate": (3.2, 5.0, 1.9, 1.0, "gating, mask", "logic gate, SPAD gate,\nprogressive", True),
@@ -71,7 +71,7 @@ def draw() -> Figure:
     ):
         axes.add_patch(
             FancyBboxPatch(
-                (x, y), width, height, boxstyle="round,pad=0,rounding_size=0.12", fc=FRAME, ec="#b9c0c8", lw=1
+                (x, y), width, height, boxstyle="round,pad=0,rounding_size=0.12", fc=FRAME, ec=FRAME_LINE, lw=1
             )
         )
         axes.text(x + 0.12, y + 0.08, text, fontsize=9, color=NOTE, style="italic", va="bottom")
@@ -83,25 +83,25 @@ def draw() -> Figure:
                 height,
                 boxstyle="round,pad=0,rounding_size=0.08",
                 fc=PAPER if paper else OURS,
-                ec=LINE,
+                ec=WIRE,
                 lw=1.3,
             )
         )
         lines = notes.count("\n") + 1
         centre, top = x + width / 2, y + height / 2 + 0.125 * lines
-        axes.text(centre, top, title, ha="center", va="center", fontsize=10.5, weight="bold", color=INK)
+        axes.text(centre, top, title, ha="center", va="center", fontsize=10.5, weight="bold", color=DEEP_INK)
         axes.text(centre, top - 0.17, notes, ha="center", va="top", fontsize=8.3, color=NOTE, linespacing=1.25)
     for points, label, at, align in WIRES:
         *start, end = points
-        axes.plot(*zip(*points), color=LINE, lw=1.3, solid_capstyle="butt", zorder=3)
-        arrow = {"arrowstyle": "-|>", "color": LINE, "lw": 1.3, "shrinkA": 0, "shrinkB": 0, "mutation_scale": 11}
+        axes.plot(*zip(*points), color=WIRE, lw=1.3, solid_capstyle="butt", zorder=3)
+        arrow = {"arrowstyle": "-|>", "color": WIRE, "lw": 1.3, "shrinkA": 0, "shrinkB": 0, "mutation_scale": 11}
         axes.annotate("", end, start[-1], arrowprops=arrow, zorder=3)
         if at:
             axes.text(
                 *at,
                 label,
                 fontsize=8.3,
-                color=INK,
+                color=DEEP_INK,
                 ha=align,
                 va="bottom" if align == "center" else "center",
                 linespacing=1.1,
@@ -111,7 +111,7 @@ def draw() -> Figure:
         (8.8, OURS, "our choice altogether"),
     ):
         axes.add_patch(
-            FancyBboxPatch((x, 0.12), 0.35, 0.25, boxstyle="round,pad=0,rounding_size=0.05", fc=color, ec=LINE, lw=1)
+            FancyBboxPatch((x, 0.12), 0.35, 0.25, boxstyle="round,pad=0,rounding_size=0.05", fc=color, ec=WIRE, lw=1)
         )
         axes.text(x + 0.5, 0.245, text, fontsize=8.6, color=NOTE, va="center")
     axes.set_xlim(0, 16.2)
@@ -122,5 +122,4 @@ def draw() -> Figure:
 
 
 if __name__ == "__main__":
-    plt.rcParams.update({"svg.hashsalt": "coincid", "font.family": "DejaVu Sans"})
-    draw().savefig(image("blocks.svg"), metadata={"Date": None})
+    save(draw(), "blocks.svg")

@@ -18,8 +18,9 @@ from ...model.contract import registers
 from ...model.contract.config import Config, parse_config
 from ...model.contract.packet import FORMATS, FRAME_END, FRAME_START, header_field
 from ...tb.pysim import write_register
-from . import image
-from .waveform import CLOCK_S, FAINT, INK, NOISE, PALE, PHASES, SIGNAL
+from ..palette import DEEP_INK, FAINT, NOISE, PALE, SIGNAL
+from . import save
+from .waveform import CLOCK_S, PHASES
 
 EDGES = {0: ((9, 22), (10, 25), (18, 30)), 3: ((37, 4),), 10: ((5, 1), (6, 2))}  # cycle: (pixel, phase)
 STALLED = range(26, 33)  # cycles of the frame in which `tready` is low
@@ -129,13 +130,19 @@ def draw(lines: Sequence[tuple[str, Sequence[object], str]], title: str, first: 
         axes.axvline(cycle, color=PALE, lw=0.8, zorder=0)
     for i, (name, values, note) in enumerate(lines):
         y = -float(i)
-        axes.text(-0.3, y + 0.3, name, ha="right", va="center", color=INK, fontsize=9, family="monospace")
+        axes.text(-0.3, y + 0.3, name, ha="right", va="center", color=DEEP_INK, fontsize=9, family="monospace")
         axes.text(cycles + 0.3, y + 0.3, note, ha="left", va="center", color=NOISE, fontsize=8.5)
         if isinstance(values[0], bool):
             bits = np.array(values, int)
-            axes.step(np.arange(cycles + 1), y + 0.6 * np.append(bits, bits[-1]), where="post", color=INK, lw=1.3)
+            axes.step(np.arange(cycles + 1), y + 0.6 * np.append(bits, bits[-1]), where="post", color=DEEP_INK, lw=1.3)
             axes.fill_between(
-                np.arange(cycles + 1), y, y + 0.6 * np.append(bits, bits[-1]), step="post", color=INK, alpha=0.15, lw=0
+                np.arange(cycles + 1),
+                y,
+                y + 0.6 * np.append(bits, bits[-1]),
+                step="post",
+                color=DEEP_INK,
+                alpha=0.15,
+                lw=0,
             )
         else:
             axes.plot([0, cycles], [y + 0.3] * 2, color=FAINT, lw=1.2, zorder=0)
@@ -297,7 +304,6 @@ PICTURES: dict[str, Callable[[Trace], Figure]] = {
 
 
 if __name__ == "__main__":
-    plt.rcParams.update({"svg.hashsalt": "coincid", "font.family": "DejaVu Sans"})
     trace = simulate()
     for name, picture in PICTURES.items():
-        picture(trace).savefig(image(name), metadata={"Date": None})
+        save(picture(trace), name)

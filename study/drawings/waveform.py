@@ -23,7 +23,8 @@ from ...model.light.timing import Timing
 from ...model.shared.constants import SPEED_OF_LIGHT_M_S
 from ...tb.pysim import write_register
 from ...tb.stimulus import port_words
-from . import image
+from ..palette import DEEP_INK, FAINT, NOISE, PALE, SIGNAL
+from . import save
 
 PHASES = 32
 EDGES = (  # (pixel, cycle, phase): a single background photon, then four photons of a laser pulse
@@ -50,7 +51,6 @@ SIGNALS = {  # name in the picture: path in the simulation
     "closed": "module_0.subgroup_0.dpcu.closed",
     "commit": "module_0.subgroup_0.dpcu.commit",
 }
-INK, FAINT, PALE, SIGNAL, NOISE = "#1b1f24", "#c4cad1", "#eef0f3", "#c8501e", "#6b7683"
 
 
 def simulate() -> dict[str, list[int]]:
@@ -121,10 +121,10 @@ def draw(values: dict[str, list[int]]) -> Figure:
     for cycle in range(SHOWN_CYCLES + 1):
         axes.axvline(cycle, color=PALE, lw=0.8, zorder=0)
     for row, y in level.items():
-        axes.text(-0.5, y + 0.3, row, ha="right", va="center", color=INK, fontsize=10, weight="bold")
+        axes.text(-0.5, y + 0.3, row, ha="right", va="center", color=DEEP_INK, fontsize=10, weight="bold")
         axes.text(SHOWN_CYCLES + 0.4, y + 0.3, notes.get(row, ""), ha="left", va="center", color=NOISE, fontsize=8.5)
 
-    def wave(row: str, bits: list[int], steps: int, color: str = INK) -> None:
+    def wave(row: str, bits: list[int], steps: int, color: str = DEEP_INK) -> None:
         """Draw a line of bits with `steps` bits per cycle."""
         turns = [0, *(np.flatnonzero(np.diff(bits)) + 1), len(bits)]
         x = np.array(turns) / steps
@@ -135,7 +135,7 @@ def draw(values: dict[str, list[int]]) -> Figure:
     def phases(words: list[int], offset: int = 0) -> list[int]:
         return [word >> offset + k & 1 for word in words for k in range(PHASES)]
 
-    def bus(row: str, texts: Sequence[object], color: str = INK) -> None:
+    def bus(row: str, texts: Sequence[object], color: str = DEEP_INK) -> None:
         """Draw boxes with one text per cycle; None: no box."""
         begin = 0
         for cycle in range(1, len(texts) + 1):
@@ -171,7 +171,11 @@ def draw(values: dict[str, list[int]]) -> Figure:
     event = next(cycle for cycle, data in beats if header_field(data, "kind") == FORMATS["id"].code)
     for cycle, _ in beats:
         text, color = (
-            ("event", SIGNAL) if cycle == event else ("map", SIGNAL) if cycle == event + 1 else ("frame start", INK)
+            ("event", SIGNAL)
+            if cycle == event
+            else ("map", SIGNAL)
+            if cycle == event + 1
+            else ("frame start", DEEP_INK)
         )
         bus("tdata", ["" if c == cycle else None for c in range(SHOWN_CYCLES)], color)
         x, align = (cycle - 0.2, "right") if text == "event" else (cycle + 1.2, "left")
@@ -211,6 +215,4 @@ def draw(values: dict[str, list[int]]) -> Figure:
 
 
 if __name__ == "__main__":
-    plt.rcParams.update({"svg.hashsalt": "coincid", "font.family": "DejaVu Sans"})
-    picture = draw(simulate())
-    picture.savefig(image("waveform.svg"), metadata={"Date": None})
+    save(draw(simulate()), "waveform.svg")

@@ -14,7 +14,8 @@ from ...lab.setup import SETTLING
 from ...model.contract.parameters import Sensor
 from ...model.depth.histograms import by_subgroup
 from ...model.light.spad import Spad, dark_count_map
-from ..plot_style import SERIES, legend_below, new_figure, share_axis
+from ..palette import ALARM, GREY, INK, LIGHT_GREY, SERIES
+from ..plot_style import legend_below, new_figure, share_axis
 from .cases import MANY, PULSES, Outcome, cases, mean, mean_rows, outcome
 from .page import Comparison, Section, section
 
@@ -299,17 +300,17 @@ def _background_figure(table: Outcomes, pulses: int) -> Figure:
     axes = figure.subplots(1, 3)
     names = {"off": "coincidence off"} | {str(threshold): f"threshold {threshold}" for threshold in THRESHOLDS}
     styles = {
-        "off": ("#999999", "-.", ""),
+        "off": (GREY, "-.", ""),
         **{str(th): (SERIES[th - 1], "-", "") for th in THRESHOLDS},
-        "controller": ("#e31a1c", "-", "o"),
-        "oracle": ("#222222", ":", "x"),
+        "controller": (ALARM, "-", "o"),
+        "oracle": (INK, ":", "x"),
     }
     for setting, (colour, line, marker) in styles.items():
         for axis, measure, unit in zip(axes, (*WRONG, "events_per_s"), (1, 1, 1e6)):
             values = [mean(table[pulses, klux, setting], measure) / unit for klux in KLUX]
             axis.plot(KLUX, values, line, marker=marker, color=colour, label=names.get(setting, setting))
     for axis, title in zip(axes, ("estimator of planes", "matched filter")):
-        axis.axhline(GOAL_SHARE, color="#bbbbbb", linewidth=1)
+        axis.axhline(GOAL_SHARE, color=LIGHT_GREY, linewidth=1)
         axis.set(ylabel="share of wrong pixels", title=f"{title} (grey: {GOAL_SHARE:.0%})")
         share_axis(axis)
     axes[2].set(ylabel="events that leave the sensor in 1e6/s", title="events", yscale="log")

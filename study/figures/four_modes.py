@@ -23,7 +23,8 @@ from ...model.contract.result import differences
 from ...model.light.light import Light, background_cps, signal_per_pulse
 from ...model.light.timing import Timing
 from ...model.shared.constants import SPEED_OF_LIGHT_M_S
-from ..plot_style import SERIES, legend_below, new_figure
+from ..palette import GREY, INK, SERIES
+from ..plot_style import legend_below, new_figure
 from .cases import PULSES, Outcome, mean, mean_rows, outcome
 from .page import Comparison, Row, Section, section
 
@@ -39,8 +40,8 @@ MODES = {  # name: coincidence, kind of gate
     "coincidence, SPAD gate": (True, "spad"),
 }
 MODE_STYLE = {
-    "neither": ("#999999", ":"),
-    "coincidence": ("#222222", "-"),
+    "neither": (GREY, ":"),
+    "coincidence": (INK, "-"),
     "logic gate": (SERIES[2], ":"),
     "SPAD gate": (SERIES[4], ":"),
     "coincidence, logic gate": (SERIES[2], "-"),
@@ -150,7 +151,7 @@ def far(run: Processes, engine: str | None = None) -> Section:
     needs: dict[str, dict[str, str]] = {}
     for line, reflectivity in zip(axes, FAR_REFLECTIVITIES):
         for axis, pulses in zip(line, FAR_PULSES):
-            for (schedule, name), colour in zip(SCHEDULES.items(), ("#999999", SERIES[2], SERIES[4])):
+            for (schedule, name), colour in zip(SCHEDULES.items(), (GREY, SERIES[2], SERIES[4])):
                 best = [_best(table, reflectivity, schedule, pulses, power) for power in POWERS]
                 shares = [mean(outcomes, "found_share_planes") for _, outcomes in best]
                 axis.plot([PULSE_NJ * power for power in POWERS], shares, "-o", color=colour, label=name)

@@ -13,7 +13,8 @@ from ...model.light.light import Interferer, Light
 from ...model.light.timing import Timing
 from ...model.scenes.catalogue import load_scene
 from ..comparison import PULSES, SCHEMES, Shot, compared
-from ..plot_style import SERIES, legend_below, new_figure, share_axis
+from ..palette import SERIES
+from ..plot_style import legend_below, new_figure, share_axis
 from .cases import SCENE
 from .page import Row, Section, section
 from .rivals import STYLES

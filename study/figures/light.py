@@ -13,7 +13,8 @@ from ...model.light.spad import Spad
 from ...model.light.timing import Timing
 from ...model.shared.constants import SIGMA_PER_FWHM, SPEED_OF_LIGHT_M_S
 from ...model.shared.quantities import Numbers
-from ..plot_style import SERIES, SOURCES, new_figure
+from ..palette import DARK_GREY, SERIES
+from ..plot_style import SOURCES, new_figure
 from .cases import MANY, PULSES, cases
 from .page import Comparison, Row, Section, section
 
@@ -67,7 +68,7 @@ def figure_2(run: Processes) -> Section:
         background_cps = np.full(len(DISTANCE_M), budget.background_rate_cps)
         left.loglog(DISTANCE_M, background_cps, **style, alpha=0.45, label=f"background, {form}")
     live = budgets["literal", "A"].background_live_cps
-    left.axhline(live, color="#777777", linewidth=1, label="background after dead time")
+    left.axhline(live, color=DARK_GREY, linewidth=1, label="background after dead time")
     for pulses, marker in ((PULSES, "o"), (MANY * PULSES, "+")):
         points = [row[1:] for row in simulated if row[0] == pulses]
         at, signal_cps, _, both_cps = zip(*points)
@@ -82,7 +83,7 @@ def figure_2(run: Processes) -> Section:
     for reading, line in zip("AEF", ("-", "--", ":")):
         colour = SERIES[2 * "AEF".index(reading)]
         right.semilogx(DISTANCE_M, budgets["literal", reading].sbr_db, line, color=colour, label=f"reading {reading}")
-    right.axhline(0, color="#777777", linewidth=1)
+    right.axhline(0, color=DARK_GREY, linewidth=1)
     right.axvline(4, color=SOURCES["paper"]["color"], linestyle=":", label="paper: 0 dB at 4 m")
     right.set(xlabel="distance in m", ylabel="signal to background in dB", title="signal to background")
     right.legend()

@@ -12,6 +12,7 @@ from ...model.light.analytic import THRESHOLDS, expected_threshold, lowest_thres
 from ...model.light.light import background_cps, signal_per_pulse
 from ...model.light.link_budget import FORMS
 from ...model.light.timing import Timing
+from ..palette import GREY, INK
 from ..plot_style import SOURCES, legend_below, new_figure
 from .cases import MANY, PULSES, cases, mean, outcome
 from .page import Comparison, Row, Section, section
@@ -69,7 +70,7 @@ def figure_7(run: Processes) -> Section:
             success = _simulated(run, klux, pulses)
             _add(rows, chosen, "Monte Carlo", klux, pulses, activity_cps, success)
             for which, colour, thresholds in zip(
-                ("highest", "lowest"), ("#222222", "#999999"), np.transpose(chosen["Monte Carlo", klux, pulses])
+                ("highest", "lowest"), (INK, GREY), np.transpose(chosen["Monte Carlo", klux, pulses])
             ):
                 label = f"Monte Carlo, {pulses} pulses: {which}"
                 axis.semilogx(activity_cps, thresholds, marker, color=colour, markersize=7, label=label)

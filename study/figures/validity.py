@@ -14,7 +14,8 @@ from ...model.light.link_budget import FORMS
 from ...model.light.spad import Spad
 from ...model.light.timing import Timing
 from ...model.shared.constants import SPEED_OF_LIGHT_M_S
-from ..plot_style import SERIES, SOURCES, legend_below, new_figure
+from ..palette import DARK_GREY, LIGHT_GREY, SERIES
+from ..plot_style import SOURCES, legend_below, new_figure
 from .cases import MANY
 from .page import Comparison, Row, Section, section
 
@@ -57,8 +58,8 @@ def validity(run: Processes) -> Section:
                     marker="o",
                     label=f"threshold {threshold}, {form}",
                 )
-        axis.axvline(limit_klux, color="#777777", linewidth=1, label="stated validity of corrected")
-        axis.axhline(1, color="#bbbbbb", linewidth=1)
+        axis.axvline(limit_klux, color=DARK_GREY, linewidth=1, label="stated validity of corrected")
+        axis.axhline(1, color=LIGHT_GREY, linewidth=1)
         axis.set(
             xlabel="background in klux",
             ylabel="analytic / Monte Carlo",

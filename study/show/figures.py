@@ -33,6 +33,20 @@ from ...model.contract.edges import Fate
 from ...model.contract.pixels import pixel_table
 from ...model.depth.quality import TOLERANCE_M
 from ...model.shared.constants import SPEED_OF_LIGHT_M_S
+from ..palette import (
+    AMBER,
+    BLUE,
+    GREY,
+    LABEL_PX,
+    MAUVE,
+    NO_VALUE_ON_PAGE,
+    PAGE_INK,
+    SKY,
+    TEAL,
+    TEXT_PX,
+    TITLE_PX,
+    VERMILION,
+)
 from .frame import HISTOGRAM_BIN_M, FrameView
 from .timeline import Period, Verdict
 
@@ -47,24 +61,24 @@ STYLESHEET = """
 }
 """
 FATES = {  # of an edge: (colour, marker, meaning)
-    Fate.OPENING: ("#d55e00", "triangle", "opened a window"),
-    Fate.COUNTED: ("#0072b2", "circle", "counted in a window"),
-    Fate.DUPLICATE: ("#56b4e9", "x", "the pixel was counted already"),
-    Fate.MASKED: ("#999999", "dash", "pixel masked off"),
-    Fate.GATED: ("#e69f00", "square_pin", "outside the gate"),
-    Fate.BLIND: ("#cc79a7", "inverted_triangle", "tree not armed"),
+    Fate.OPENING: (VERMILION, "triangle", "opened a window"),
+    Fate.COUNTED: (BLUE, "circle", "counted in a window"),
+    Fate.DUPLICATE: (SKY, "x", "the pixel was counted already"),
+    Fate.MASKED: (GREY, "dash", "pixel masked off"),
+    Fate.GATED: (AMBER, "square_pin", "outside the gate"),
+    Fate.BLIND: (MAUVE, "inverted_triangle", "tree not armed"),
 }
 VERDICTS = {  # of a window: (colour, hatching, meaning)
-    Verdict.COMMITTED: ("#009e73", " ", "committed"),
-    Verdict.REJECTED: ("#999999", "/", "rejected: too few pixels"),
-    Verdict.DROPPED: ("#d55e00", "x", "dropped: FIFO full"),
+    Verdict.COMMITTED: (TEAL, " ", "committed"),
+    Verdict.REJECTED: (GREY, "/", "rejected: too few pixels"),
+    Verdict.DROPPED: (VERMILION, "x", "dropped: FIFO full"),
 }
 _SHAPES = {"triangle": "▲", "circle": "●", "x": "×", "dash": "▬", "square_pin": "■", "inverted_triangle": "▼"}
 FATE_MARKS = [
     (_SHAPES[marker], colour, meaning) for colour, marker, meaning in FATES.values()
 ]  # of the key beside the figures
 VERDICT_MARKS = [(sign, colour, meaning) for sign, (colour, _, meaning) in zip("▌▨▩", VERDICTS.values())]
-TRUTH, CHOSEN, OTHER = "#d55e00", "#009e73", "#56b4e9"
+TRUTH, CHOSEN, OTHER = VERMILION, TEAL, SKY
 ERROR_PALETTE = tuple(  # blue, white, orange: too near, right, too far
     "#" + "".join(f"{round(a + (b - a) * share):02x}" for a, b in zip(start, end))
     for start, end in (((0, 114, 178), (247, 247, 247)), ((247, 247, 247), (213, 94, 0)))
@@ -74,8 +88,6 @@ ERROR_SHOWN_M = 0.5  # the colour saturates here
 COUNTS = ("threshold", "drops")  # maps of whole numbers
 WHOLE_COLOURS_MAX = 8  # up to this value, each whole number has a colour of its own
 COMPARED = ("depth_m", "error_m", "drops")  # maps that are shown when two frames are compared
-NO_VALUE = "#8c8c8c"
-MIDDLE_INK = "#7d8791"  # for text that CSS variables do not reach: readable on light and dark
 MAP_SIZE_PX, BAR_WIDTH_PX = 172, 8
 DEPTH_MARGIN = 0.05  # relative to the truth's span, on both sides of the colour scale
 CHOICE_MARKS = ("diamond", "circle")  # the chosen return, the others
@@ -160,7 +172,7 @@ class MapFigure:
     ) -> None:
         self.kind = kind
         self._palette = kind.palette
-        self.mapper = LinearColorMapper(palette=kind.palette, low=0, high=1, nan_color=NO_VALUE)
+        self.mapper = LinearColorMapper(palette=kind.palette, low=0, high=1, nan_color=NO_VALUE_ON_PAGE)
         self.figure = plot = figure(
             title=kind.title,
             width=MAP_SIZE_PX + 40,
@@ -175,7 +187,7 @@ class MapFigure:
             name=name,
         )
         plot.grid.visible = plot.axis.visible = False
-        plot.title.text_font_size = "12px"
+        plot.title.text_font_size = TITLE_PX
         plot.min_border = 4
         image = plot.image(kind.name, x="x", y="y", dw="dw", dh="dh", source=source, color_mapper=self.mapper)
         plot.hover.renderers = [image]
@@ -197,9 +209,9 @@ class MapFigure:
             ticker=BasicTicker(desired_num_ticks=5, min_interval=1 if kind.name in COUNTS else 0),
             width=BAR_WIDTH_PX,
             padding=2,
-            major_label_text_font_size="10px",
+            major_label_text_font_size=TEXT_PX,
             background_fill_color=None,
-            major_label_text_color=MIDDLE_INK,
+            major_label_text_color=PAGE_INK,
             stylesheets=[STYLESHEET],
         )
         plot.add_layout(bar, "right")
@@ -259,7 +271,7 @@ def _axes_figure(**options: Any) -> figure:
     )
     plot.toolbar.update(logo=None, autohide=True)
     plot.toolbar_inner = True
-    plot.title.text_font_size = "12px"
+    plot.title.text_font_size = TITLE_PX
     plot.grid.visible = False
     return plot
 
@@ -287,11 +299,11 @@ class HistogramFigure:
         )
         plot.quad(
             left="left", right="right", top="subgroup", bottom=0, source=self.bars, y_range_name="subgroup",
-            fill_color="#999999", fill_alpha=0.45, line_color=None, legend_label="its subgroup's events",
+            fill_color=GREY, fill_alpha=0.45, line_color=None, legend_label="its subgroup's events",
         )  # fmt: skip
         bars = plot.quad(
             left="left", right="right", top="pixel", bottom=0, source=self.bars,
-            fill_color="#0072b2", line_color="#0072b2", legend_label="the pixel's events",
+            fill_color=BLUE, line_color=BLUE, legend_label="the pixel's events",
         )  # fmt: skip
         plot.vspan("x", source=self.truth, line_color=TRUTH, line_width=2, line_dash="dashed", legend_label="truth")
         marks = plot.scatter(
@@ -391,7 +403,7 @@ class TimelineFigure:
         plot.xaxis.visible = False
         gate = plot.quad(
             left="left", right="right", top=1e6, bottom=-1e6, source=self.gate,
-            fill_color="#e69f00", fill_alpha=0.18, line_color=None,
+            fill_color=AMBER, fill_alpha=0.18, line_color=None,
         )  # fmt: skip
         gate.level = "underlay"
         bars = plot.quad(
@@ -400,11 +412,9 @@ class TimelineFigure:
         )  # fmt: skip
         plot.text(
             "middle", "top", text="count", source=self.windows, text_align="center", text_baseline="bottom",
-            text_font_size="10px", text_color="colour",
+            text_font_size=TEXT_PX, text_color="colour",
         )  # fmt: skip
-        plot.scatter(
-            "x", "y", source=self.light, marker="dash", angle=np.pi / 2, size=5, line_color="#999999", line_width=2
-        )
+        plot.scatter("x", "y", source=self.light, marker="dash", angle=np.pi / 2, size=5, line_color=GREY, line_width=2)
         marks = plot.scatter("x", "y", source=self.edges, marker="marker", size=7, fill_color="colour", line_color="colour")  # fmt: skip
         plot.add_tools(
             HoverTool(renderers=[marks], tooltips=[("edge", "pixel @y, @x{0.00} ns"), ("fate", "@fate")]),
@@ -428,15 +438,15 @@ class TimelineFigure:
         self.fill_ticker = FixedTicker(ticks=[])
         self.below.yaxis.ticker = self.fill_ticker
         self.below.varea_step(
-            "x", y1=0, y2="fill", source=self.fill, fill_color="#0072b2", fill_alpha=0.4, step_mode="after"
+            "x", y1=0, y2="fill", source=self.fill, fill_color=BLUE, fill_alpha=0.4, step_mode="after"
         )
-        self.below.step("x", "fill", source=self.fill, mode="after", line_color="#0072b2")
+        self.below.step("x", "fill", source=self.fill, mode="after", line_color=BLUE)
         self.below.scatter(
             "commit", 0, source=self.windows, marker="commit_mark", size=8, fill_color="colour", line_color="colour"
         )
         for one in (plot, self.below):
             one.min_border_left = 50
-            one.axis.axis_label_text_font_size = "11px"
+            one.axis.axis_label_text_font_size = LABEL_PX
 
     def show(self, view: FrameView, subgroup: int, pulse: int) -> None:
         period = view.timeline.period(subgroup, pulse)
@@ -466,7 +476,7 @@ def _legend_above(plot: figure) -> None:
     plot.add_layout(legend, "above")
     legend.update(
         orientation="horizontal",
-        label_text_font_size="10px",
+        label_text_font_size=TEXT_PX,
         glyph_height=12,
         glyph_width=12,
         label_height=12,
@@ -475,7 +485,7 @@ def _legend_above(plot: figure) -> None:
         spacing=8,
         background_fill_color=None,
         border_line_color=None,
-        label_text_color=MIDDLE_INK,
+        label_text_color=PAGE_INK,
     )
 
 

@@ -5,9 +5,7 @@ import json
 import shutil
 
 import pytest
-from typer.testing import CliRunner
 
-from coincid.cli import app
 from coincid.flow import pnr
 from coincid.flow.gls import gate_level
 from coincid.flow.levels import longest_paths
@@ -17,6 +15,8 @@ from coincid.flow.yosys import cells_folder, run_yosys
 from coincid.hdl.silicon.circuit import Circuit
 from coincid.model.contract.parameters import Sensor
 from coincid.tb.toolchain import ToolchainError
+
+from ..command import command
 
 SMALL = Sensor(rows=4, cols=4, subgroup=(4, 4), minigroup=(2, 2), phases=4, window_max=8, fifo_depth=1, coarse_bits=6)
 TOY = """
@@ -129,7 +129,7 @@ def test_pnr_names_the_seed_that_misses(monkeypatch, tmp_path, reached_mhz, code
 
     monkeypatch.setattr(pnr, "synthesize", lambda board: tmp_path)
     monkeypatch.setattr(pnr, "place_and_route", placed)
-    result = CliRunner().invoke(app, ["pnr", "--out", str(tmp_path / "page.md")])
+    result = command("pnr --out", tmp_path / "page.md")
     assert result.exit_code == code
     assert ("seed 3: clk reaches 124.9 MHz" in result.stderr) == bool(code)
     assert f"| clk | 130.0 | 130.0 | {reached_mhz} | 130.0 | 130.0 |" in (tmp_path / "page.md").read_text()

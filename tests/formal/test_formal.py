@@ -5,12 +5,12 @@ from functools import partial
 
 import pytest
 from amaranth.hdl import Signal
-from typer.testing import CliRunner
 
-from coincid.cli import app
 from coincid.formal.bench import PROOFS, Bench, Proof
 from coincid.formal.prove import prove
 from coincid.formal.solver import commands
+
+from ..command import assert_refused, command
 
 
 def _counter(highest, reached):
@@ -35,8 +35,7 @@ def test_verdicts(monkeypatch, highest, reached, complaint):
 
 
 def test_unknown_proof():
-    result = CliRunner().invoke(app, ["formal", "nothing"])
-    assert result.exit_code == 2
+    assert_refused(command("formal nothing"), "nothing")
 
 
 def test_commands_end_where_parentheses_balance():

@@ -9,9 +9,7 @@ import ptufile
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from typer.testing import CliRunner
 
-from coincid.cli import app
 from coincid.model.contract.config import parse_config
 from coincid.model.contract.edges import NAMES, Edges, load_edges
 from coincid.model.contract.result import differences
@@ -20,6 +18,8 @@ from coincid.model.recorded.exchange import SUFFIXES, parse_channels, read_recor
 from coincid.model.recorded.recordings import period_note, recorded_edges
 from coincid.model.shared.errors import InputError
 from coincid.tb.replay import replay
+
+from ..command import assert_refused, command
 
 CONFIG = parse_config({"sensor": {"rows": 8, "cols": 8}, "frame": {"pulses": 20, "frames": 2}})
 TIMING = Timing.from_config(CONFIG)
@@ -286,15 +286,14 @@ def test_channel_maps(tmp_path):
 def test_recording_replays_alike_through_model_and_rtl(tmp_path, suffix):
     """From a scene's photons to a recording and back to edges, on the command line."""
     (tmp_path / "small.toml").write_text("[sensor]\nrows = 8\ncols = 8\n[frame]\npulses = 20\nframes = 2\n")
-    more = ("--config", str(tmp_path / "small.toml"))
 
-    def run(*arguments):
-        result = CliRunner().invoke(app, [*map(str, arguments), *more])
+    def run(*words):
+        result = command(*words, "--config", tmp_path / "small.toml")
         assert result.exit_code == 0, result.output
         return result.stdout
 
-    told = run("photons", "--scene", "flat:4,0.4", "--klux", 20, "--out", tmp_path / f"recorded{suffix}")
-    run("photons", "--scene", "flat:4,0.4", "--klux", 20, "--out", tmp_path / "photons.npz")
+    told = run("photons --scene flat:4,0.4 --klux 20 --out", tmp_path / f"recorded{suffix}")
+    run("photons --scene flat:4,0.4 --klux 20 --out", tmp_path / "photons.npz")
     assert (
         told.split()[1]
         == run("edges", tmp_path / f"recorded{suffix}", "--out", tmp_path / "edges.npz").splitlines()[-1].split()[1]
@@ -311,6 +310,5 @@ def test_errors_at_the_command_line(tmp_path):
         (("--out", tmp_path / "out.npz", "--channels", "7:0"), "a.csv: channels: channel 7 is not"),
         (("--out", tmp_path / "out.npz", "--first-sync", "-1"), "first-sync = -1"),
     ):
-        result = CliRunner().invoke(app, ["edges", str(tmp_path / "a.csv"), *map(str, arguments)])
-        assert result.exit_code == 2 and words in result.stderr and result.stderr.count("\n") == 1
+        assert_refused(command("edges", tmp_path / "a.csv", *arguments), words)
     assert [path.name for path in tmp_path.iterdir()] == ["a.csv"]

@@ -11,9 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import ndimage, stats
-from typer.testing import CliRunner
 
-from coincid.cli import app
 from coincid.model.contract.config import load_config
 from coincid.model.depth.estimate import estimate_depth
 from coincid.model.light.light import Arrivals, Light
@@ -28,6 +26,7 @@ from coincid.model.scenes.transient import BIN_S, Transient, dominant_surface_m
 from coincid.model.shared.constants import SPEED_OF_LIGHT_M_S
 from coincid.model.shared.errors import InputError
 
+from ..command import command
 from ..transients import synthetic
 
 LEVEL = 1e-3
@@ -224,7 +223,7 @@ def test_without_the_extra(monkeypatch, tmp_path):
         raise PackageNotFoundError(name)
 
     monkeypatch.setattr(ray_scene, "version", missing)
-    told = CliRunner().invoke(app, ["sim", "--scene", "ray:corner", "--engine", "golden", "--out", str(tmp_path)])
+    told = command("sim --scene ray:corner --engine golden --out", tmp_path)
     assert told.exit_code == 2
     assert told.stderr == (
         "coincid: ray-traced scenes need mitsuba, which is not installed; run: make raytrace "
@@ -440,23 +439,8 @@ def test_a_scene_runs_from_photon_to_depth(tracer, tmp_path, monkeypatch):
     ball = '<shape type="sphere"><bsdf type="diffuse"/><float name="radius" value="1"/><point name="center" x="0" y="0" z="5"/></shape>'
     path = scene_file(tmp_path / "ball.xml", wall(9) + ball)
     (tmp_path / "small.toml").write_text("[sensor]\nrows = 16\ncols = 16\n")
-    told = CliRunner().invoke(
-        app,
-        [
-            "sim",
-            "--scene",
-            str(path),
-            "--engine",
-            "golden",
-            "--klux",
-            "2",
-            "--pulses",
-            "200",
-            "--config",
-            str(tmp_path / "small.toml"),
-            "--out",
-            str(tmp_path / "out"),
-        ],
+    told = command(
+        f"sim --scene {path} --engine golden --klux 2 --pulses 200 --config {tmp_path}/small.toml --out {tmp_path}/out"
     )
     assert told.exit_code == 0, told.output
     config = load_config(tmp_path / "small.toml").with_pulses(200)

@@ -6,9 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
-from coincid.cli import app
 from coincid.lab.measures import stream_beats
 from coincid.model.contract.config import parse_config
 from coincid.model.contract.counters import COUNTER_NAMES
@@ -21,6 +19,7 @@ from coincid.model.light.timing import Timing
 from coincid.study import bandwidth
 
 from ..cases import configured
+from ..command import command
 
 PAGE = Path(__file__).parents[2] / "docs" / "performance.md"
 
@@ -74,8 +73,7 @@ def test_page_has_the_table_of_the_command():
 
 
 def test_command_writes_table_data_and_plot(tmp_path):
-    arguments = ["--klux", "50", "--threshold", "2", "--size", "32x32", "--out", str(tmp_path)]
-    result = CliRunner().invoke(app, ["bandwidth", *arguments])
+    result = command("bandwidth --klux 50 --threshold 2 --size 32x32 --out", tmp_path)
     assert result.exit_code == 0 and (tmp_path / bandwidth.TABLE).read_text() in result.output
     with (tmp_path / bandwidth.CSV).open() as file:
         shown = {(row["klux"], row["threshold"], row["format"], row["records"]) for row in csv.DictReader(file)}
@@ -92,5 +90,5 @@ def test_command_writes_table_data_and_plot(tmp_path):
     ],
 )
 def test_bad_input_is_told_before_anything_runs(arguments, message, tmp_path):
-    result = CliRunner().invoke(app, ["bandwidth", *arguments, "--out", str(tmp_path / "out")])
+    result = command("bandwidth", *arguments, "--out", tmp_path / "out")
     assert result.exit_code == 2 and message in result.output and not (tmp_path / "out").exists()

@@ -4,9 +4,7 @@
 import numpy as np
 import pytest
 from attrs import evolve
-from typer.testing import CliRunner
 
-from coincid.cli import app
 from coincid.host.emulator import EmulatorDriver
 from coincid.host.serial_link import SerialTransport
 from coincid.lab.setup import scene_of
@@ -15,6 +13,8 @@ from coincid.study import emulate
 from coincid.study.emulate import Session, source_settings
 from coincid.tb.emulator import PATIENCE_S, SimulatedPort, simulated
 from coincid.tb.errors import Mismatch
+
+from ..command import command
 
 SMALL = """
 [sensor]
@@ -43,19 +43,7 @@ def config_file(tmp_path):
 
 def test_a_scene(config_file, tmp_path):
     out = tmp_path / "out"
-    arguments = [
-        "emulate",
-        "--simulate",
-        "--config",
-        str(config_file),
-        "--frames",
-        "2",
-        "--scene",
-        "flat:5",
-        "--out",
-        str(out),
-    ]
-    done = CliRunner().invoke(app, arguments)
+    done = command(f"emulate --simulate --config {config_file} --frames 2 --scene flat:5 --out {out}")
     assert done.exit_code == 0, done.output
     assert "2 frames" in done.output and "all as the golden model predicts" in done.output
     assert (out / "depth.png").stat().st_size > 1000
@@ -108,5 +96,5 @@ def test_a_wrong_word_is_found(config_file):
     ],
 )
 def test_bad_input(arguments, says):
-    done = CliRunner().invoke(app, ["emulate", *arguments])
+    done = command("emulate", *arguments)
     assert done.exit_code == 2 and says in done.output

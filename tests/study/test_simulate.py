@@ -9,9 +9,7 @@ import numpy as np
 import pytest
 from pywellen import Waveform
 from rich.console import Console
-from typer.testing import CliRunner
 
-from coincid.cli import app
 from coincid.model.contract.config import parse_config
 from coincid.model.contract.parameters import TOP
 from coincid.model.depth.estimate import estimate_depth
@@ -21,6 +19,8 @@ from coincid.study import simulate as job
 from coincid.study.simulate import EVENTS, PAGE, PICTURES, REPORT, SCHEMES, simulate
 from coincid.tb import waves
 from coincid.tb.toolchain import SIMULATORS
+
+from ..command import assert_refused, command
 
 # Sensors that other tests compile, too. Rows and columns differ, so that swapping them shows; the period covers the
 # letter's 8 m.
@@ -116,8 +116,7 @@ def test_fixed_threshold_is_named_or_the_best_of_all(tmp_path):
 
 def test_the_controller_wins_on_the_default_scene(tmp_path):
     """Sun beside shade on a link of 8 Gbit/s: the case that the job demonstrates."""
-    arguments = ["sim", "--engine", "golden", "--out", str(tmp_path)]
-    assert CliRunner().invoke(app, arguments).exit_code == 0
+    assert command("sim --engine golden --out", tmp_path).exit_code == 0
     report = json.loads((tmp_path / REPORT).read_text())
     assert report["configuration"]["frame"]["link_gbps"] == 8.0
     assert report["wrong_share_auto"] < 0.7 * report["wrong_share_fixed"] < 0.2 * report["wrong_share_off"]
@@ -168,9 +167,7 @@ def test_spad_gate_leaves_fewer_edges(tmp_path):
 
 def test_words_without_id_map_are_refused(tmp_path):
     (tmp_path / "config.toml").write_text('[frame]\nformat = "short"\n')
-    result = CliRunner().invoke(app, ["sim", "--config", str(tmp_path / "config.toml"), "--out", str(tmp_path / "out")])
-    assert result.exit_code == 2
-    assert "frame.format = 'short'" in result.stderr
+    assert_refused(command(f"sim --config {tmp_path}/config.toml --out {tmp_path}/out"), "frame.format = 'short'")
     assert not (tmp_path / "out").exists()
 
 
@@ -186,19 +183,10 @@ def test_a_difference_stops_the_run_and_is_told(tmp_path, monkeypatch):
 
     (tmp_path / "config.toml").write_text("[sensor]\nrows = 8\ncols = 8\n[frame]\nperiod = 60\npulses = 4\n")
     out = tmp_path / "out"
-    arguments = [
-        "sim",
-        "--scene",
-        "flat:5,0.4",
-        "--config",
-        str(tmp_path / "config.toml"),
-        "--out",
-        str(out),
-        "--engine",
-    ]
-    assert CliRunner().invoke(app, [*arguments, "golden"]).exit_code == 0
+    words = f"sim --scene flat:5,0.4 --config {tmp_path}/config.toml --out {out} --engine"
+    assert command(words, "golden").exit_code == 0
     monkeypatch.setattr(job, "Golden", Wrong)
-    result = CliRunner().invoke(app, [*arguments, "icarus"])
+    result = command(words, "icarus")
     assert result.exit_code == 1
     assert result.stderr.count("\n") == 1
     for word in ("frame 2", "subgroup 0", "pulse 0", "cycle", "count is", "golden model", "sim.log"):

@@ -1,0 +1,26 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Colours and sizes of all pictures, those of Matplotlib and those of Bokeh. Colours of pages: `study/show/page.css`."""
+
+# Lines and areas beside the data.
+INK, DARK_GREY, GREY, LIGHT_GREY, PALE_GREY = "#222222", "#777777", "#999999", "#bbbbbb", "#eeeeee"
+NO_VALUE = "#d9d9d9"  # does not occur in the map of depths
+NO_VALUE_ON_PAGE, PAGE_INK = "#8c8c8c", "#7d8791"  # readable on light and dark
+
+# Names without an order: ColorBrewer's Dark2.
+GREEN, ORANGE, VIOLET, PINK = "#1b9e77", "#d95f02", "#7570b3", "#e7298a"
+
+# Fates, verdicts and surfaces, for colour-blind people, too: Okabe and Ito.
+BLUE, SKY, TEAL, AMBER, VERMILION, MAUVE = "#0072b2", "#56b4e9", "#009e73", "#e69f00", "#d55e00", "#cc79a7"
+
+# Values with an order, dark to bright: viridis.
+SERIES = ("#440154", "#46327e", "#365c8d", "#277f8e", "#1fa187", "#4ac16d", "#a0da39", "#fde725")
+
+ALARM = "#e31a1c"  # what is wrong, or needs a look
+
+# Drawings of circuits and waveforms.
+DEEP_INK, WIRE, NOTE, NOISE = "#1b1f24", "#3a434d", "#5b6673", "#6b7683"
+FRAME_LINE, FAINT, PALE, FRAME = "#b9c0c8", "#c4cad1", "#eef0f3", "#f5f6f8"
+SIGNAL, PAPER, OURS = "#c8501e", "#fbe3d6", "#ffffff"
+
+TEXT_PT, TITLE_PT, LEGEND_PT = 10, 11, 8.5  # Matplotlib
+TEXT_PX, LABEL_PX, TITLE_PX = "10px", "11px", "12px"  # Bokeh
