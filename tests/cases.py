@@ -16,63 +16,32 @@ from coincid.model.contract.settings import FRAME, SUBGROUP
 from coincid.model.contract.table import Kind, Setting
 
 SENSORS = {  # small ones, so that a case is fast; together they change every parameter from its default
-    "default": {"rows": 8, "cols": 16},
-    "one": {"rows": 8, "cols": 8},
-    "coarse": {"rows": 8, "cols": 16, "phases": 8, "window_max": 16, "rearm": 2, "fifo_depth": 2},
-    "tiny": {
-        "rows": 12,
-        "cols": 4,
-        "subgroup": [4, 4],
-        "minigroup": [1, 1],
-        "phases": 4,
-        "window_max": 20,
-        "rearm": 1,
-        "fifo_depth": 1,
-        "streams": 3,
-    },
-    "fine": {
-        "rows": 16,
-        "cols": 4,
-        "subgroup": [8, 4],
-        "minigroup": [4, 4],
-        "phases": 64,
-        "coarse_bits": 7,
-        "window_max": 200,
-        "offset_phases": 32,
-        "streams": 2,
-    },
-    "wide": {
-        "rows": 16,
-        "cols": 16,
-        "subgroup": [16, 16],
-        "minigroup": [2, 2],
-        "phases": 16,
-        "rearm": 3,
-        "fifo_depth": 5,
-        "offset_phases": 4,
-    },
-    "odd": {
-        "rows": 6,
-        "cols": 15,
-        "subgroup": [6, 3],
-        "minigroup": [2, 3],
-        "phases": 16,
-        "window_max": 33,
-        "offset_phases": 8,
-        "streams": 2,
-    },
+    "default": dict(rows=8, cols=16),
+    "one": dict(rows=8, cols=8),
+    "coarse": dict(rows=8, cols=16, phases=8, window_max=16, rearm=2, fifo_depth=2),
+    "tiny": dict(
+        rows=12, cols=4, subgroup=[4, 4], minigroup=[1, 1], phases=4, window_max=20, rearm=1, fifo_depth=1, streams=3
+    ),
+    "fine": dict(
+        rows=16,
+        cols=4,
+        subgroup=[8, 4],
+        minigroup=[4, 4],
+        phases=64,
+        coarse_bits=7,
+        window_max=200,
+        offset_phases=32,
+        streams=2,
+    ),
+    "wide": dict(
+        rows=16, cols=16, subgroup=[16, 16], minigroup=[2, 2], phases=16, rearm=3, fifo_depth=5, offset_phases=4
+    ),
+    "odd": dict(
+        rows=6, cols=15, subgroup=[6, 3], minigroup=[2, 3], phases=16, window_max=33, offset_phases=8, streams=2
+    ),
 }
 # For fault and mutation tests, which run slow simulators many times: two subgroups of 16 pixels.
-SMALL = {
-    "rows": 4,
-    "cols": 8,
-    "subgroup": [4, 4],
-    "phases": 8,
-    "coarse_bits": 9,
-    "window_max": 100,
-    "rearm": 1,
-    "fifo_depth": 3,
-}
+SMALL = dict(rows=4, cols=8, subgroup=[4, 4], phases=8, coarse_bits=9, window_max=100, rearm=1, fifo_depth=3)
 
 
 def configured(
@@ -175,13 +144,7 @@ def modes(sensor: dict) -> list[Config]:
     return [
         configured(
             sensor,
-            {
-                "period": 60,
-                "pulses": 3,
-                "format": name,
-                "minigroup_records": True,
-                "auto_bounds": [4, 8, 16, 32, 64, 128],
-            },
+            dict(period=60, pulses=3, format=name, minigroup_records=True, auto_bounds=[4, 8, 16, 32, 64, 128]),
             {"coincidence": coincidence, "gating": gating, "auto": auto, "gate_start": 8, "gate_len": 30},
         )
         for coincidence, gating, auto, name in switches
@@ -231,12 +194,7 @@ def dithered(sensor: dict) -> Config:
     built = built_sensor(sensor)
     return configured(
         sensor,
-        {
-            "period": built.guard + 8,
-            "pulses": 20,
-            "dither_bits": BY_NAME["dither_bits"].high(built),
-            "dither_seed": 0xACE1,
-        },
+        dict(period=built.guard + 8, pulses=20, dither_bits=BY_NAME["dither_bits"].high(built), dither_seed=0xACE1),
         {"threshold": 1},
     )
 

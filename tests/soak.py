@@ -59,14 +59,7 @@ def soak(config: Config, light: str, frames: int, seed: int, tell=lambda frame, 
 
 def configuration(sensor: dict, pulses: int) -> Config:
     """Return a configuration with everything on that a frame can have."""
-    frame = {
-        "pulses": pulses,
-        "format": "full",
-        "minigroup_records": True,
-        "gate_every": 3,
-        "gate_step": 5,
-        "gate_steps": 4,
-    }
+    frame = dict(pulses=pulses, format="full", minigroup_records=True, gate_every=3, gate_step=5, gate_steps=4)
     return configured(
         sensor,
         frame,

@@ -53,18 +53,18 @@ WAITS = (1, 2)  # outcomes that no upset may have
 GAP = 30  # idle cycles between a trial's frames
 USED = COUNTER_NAMES.index("threshold_used")
 
-SMALL = {
-    "rows": 12,
-    "cols": 4,
-    "subgroup": [4, 4],
-    "minigroup": [2, 2],
-    "phases": 4,
-    "offset_phases": 4,
-    "window_max": 8,
-    "coarse_bits": 6,
-    "fifo_depth": 2,
-    "streams": 2,
-}
+SMALL = dict(
+    rows=12,
+    cols=4,
+    subgroup=[4, 4],
+    minigroup=[2, 2],
+    phases=4,
+    offset_phases=4,
+    window_max=8,
+    coarse_bits=6,
+    fifo_depth=2,
+    streams=2,
+)
 FLOP = re.compile(r"^  reg (?:\[(\d+):0\] )?\\?(\S+)\s+= \d+'", re.MULTILINE)
 MEMORY = re.compile(r"^  reg \[(\d+):0\] \\?(\S+)\s+\[(\d+):0\];", re.MULTILINE)
 INSTANCE = re.compile(r"^  (coincid_\w+|\\coincid_\S+ ) ?\\?(\S+)\s+\(", re.MULTILINE)

@@ -8,7 +8,6 @@ import itertools
 import json
 import os
 import random
-import re
 
 import cocotb
 import numpy as np
@@ -19,7 +18,6 @@ from sensor_bench import fresh as fresh_bench
 from coincid.hdl.dpcu import counter_bits
 from coincid.model.contract.counters import COUNTER_NAMES
 from coincid.model.contract.packet import HEADER
-from coincid.model.contract.parameters import TOP
 from coincid.model.contract.registers import DATA_BITS, ID_VALUE
 from coincid.model.contract.settings import AUTO_BOUNDS, THRESHOLD_MAX
 from coincid.model.contract.stream import decode_frame
@@ -29,12 +27,10 @@ from coincid.tb.cosim import SensorBench
 from coincid.tb.scoreboard import Scoreboard
 from coincid.tb.stimulus import port_words
 
-SOURCES = json.loads(os.environ["COINCID_FAULT_SOURCES"])  # the design's files
+# (path of the instance, register, bits) for every flip-flop of the design
+FLOPS = [tuple(flop) for flop in json.loads(os.environ["COINCID_BENCH_FLOPS"])]
 RESETS, UPSETS = 12, 16
 ANSWER_CYCLES = 60  # limit for the bus; the proof has a lower one
-FLOP = re.compile(r"^  reg (?:\[(\d+):0\] )?\\?(\S+)\s+= \d+'", re.MULTILINE)
-INSTANCE = re.compile(r"^  (coincid_\w+|\\coincid_\S+ ) ?\\?(\S+)\s+\(", re.MULTILINE)
-MODULE = re.compile(r"^module (\\?\S+)\s*\(.*?^endmodule", re.MULTILINE | re.DOTALL)
 
 
 def busy_config():
@@ -160,26 +156,6 @@ async def resets_in_any_cycle(dut):
         await works(bench, of, edges, trace)
 
 
-def flip_flops() -> list[tuple[str, str, int]]:
-    """Return (path of the instance, register, bits) for every flip-flop of the design."""
-    flops, instances = {}, {}
-    for path in SOURCES:
-        for module in MODULE.finditer(open(path).read()):
-            name = module[1].lstrip("\\")
-            flops[name] = [
-                (register, int(top or 0) + 1)
-                for top, register in FLOP.findall(module[0])
-                if not register.startswith("$")
-            ]
-            instances[name] = [(of.strip().lstrip("\\"), inner) for of, inner in INSTANCE.findall(module[0])]
-    found, todo = [], [("", TOP)]
-    while todo:
-        at, name = todo.pop()
-        found += [(at, register, bits) for register, bits in flops[name]]
-        todo += [(f"{at}.{inner}".lstrip("."), of) for of, inner in instances[name]]
-    return found
-
-
 def handle(dut, path: str, name: str):
     for part in filter(None, path.split(".")):
         dut = dut[part]
@@ -196,12 +172,11 @@ def change(dut, path: str, name: str, how) -> None:
 async def upsets_of_any_flip_flop(dut):
     """With a flipped bit in any cycle of a frame, the bus keeps answering, and a reset repairs everything."""
     bench, of, edges, trace = await fresh(dut)
-    flops = flip_flops()
-    weights = [bits for _, _, bits in flops]
+    weights = [bits for _, _, bits in FLOPS]
     assert sum(weights) > 3000
     for _ in range(UPSETS):
         await run_into(bench, of, edges, random.randrange(1, of.period * of.pulses))
-        path, name, bits = random.choices(flops, weights)[0]
+        path, name, bits = random.choices(FLOPS, weights)[0]
         change(dut, path, name, lambda value, bits=bits: value ^ 1 << random.randrange(bits))
         await ClockCycles(dut.clk, 20)
         await bus_answers(dut)
@@ -213,7 +188,7 @@ async def upsets_of_any_flip_flop(dut):
 async def upsets_of_the_register_front(dut):
     """Flip every bit of every register in the block that must not hang, in the middle of accesses."""
     bench, of, edges, trace = await fresh(dut)
-    control = [flop for flop in flip_flops() if flop[0] == "registers" and flop[2] <= 4]
+    control = [flop for flop in FLOPS if flop[0] == "registers" and flop[2] <= 4]
     assert len(control) > 15
     for path, name, bits in control:
         for bit in range(bits):
@@ -249,7 +224,7 @@ def copies(dut, path: str, name: str, bits: int) -> set[int]:
 
 def voted() -> list[tuple[str, str, int]]:
     """Return (path of the instance, register, bits) for every register in three copies."""
-    return [(path, name.removesuffix("_plain"), bits) for path, name, bits in flip_flops() if name.endswith("_plain")]
+    return [(path, name.removesuffix("_plain"), bits) for path, name, bits in FLOPS if name.endswith("_plain")]
 
 
 @cocotb.test()
@@ -320,7 +295,7 @@ def counter_registers(sensor) -> dict[str, tuple[str, int]]:
     """Return for every counter its register in the DPCU (with a suffix if a port has the same name), and its bits."""
     of_dpcu = {
         register.partition("$")[0]: (register, bits)
-        for path, register, bits in flip_flops()
+        for path, register, bits in FLOPS
         if path == "module_0.subgroup_0.dpcu"
     }
     # `threshold_used` is already in force.

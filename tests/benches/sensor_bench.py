@@ -219,14 +219,7 @@ async def writes_do_not_disturb_a_running_frame(dut):
     )
     edges = some_edges(of, 5, 1500)
     other = config(
-        frame={
-            "period": 60,
-            "pulses": 2,
-            "format": "short",
-            "minigroup_records": True,
-            "gate_every": 1,
-            "gate_step": 3,
-        },
+        frame=dict(period=60, pulses=2, format="short", minigroup_records=True, gate_every=1, gate_step=3),
         subgroup={"threshold": 5, "window": 100, "coincidence": False, "mask": "1", "gate_len": 1},
     )
 

@@ -30,16 +30,9 @@ FRAME = {
     "capacity": 4000,
     "threshold_floor": 2,
 }
-SUBGROUP = {
-    "coincidence": False,
-    "gating": True,
-    "auto": True,
-    "threshold": 3,
-    "window": 20,
-    "gate_start": 4,
-    "gate_len": 9,
-    "mask": "ff00ff",
-}
+SUBGROUP = dict(
+    coincidence=False, gating=True, auto=True, threshold=3, window=20, gate_start=4, gate_len=9, mask="ff00ff"
+)
 
 
 def same(one, other):

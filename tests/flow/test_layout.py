@@ -171,14 +171,7 @@ def test_buffers_stand_between_a_net_and_its_many_cells():
         "DFF_X1": {"CK": pins.Strip(0.1, 0.2, 0.9, 0.5, True)},
     }
     flops = [
-        {
-            "name": f"f{k}",
-            "kind": "DFF_X1",
-            "x": 3.8 * (k % 10),
-            "y": 1.4 * (k // 10),
-            "flipped": False,
-            "nets": {"CK": "clk"},
-        }
+        dict(name=f"f{k}", kind="DFF_X1", x=3.8 * (k % 10), y=1.4 * (k // 10), flipped=False, nets={"CK": "clk"})
         for k in range(100)
     ]
     placed = {"cells": flops, "ports": {"clk": "input"}, "width": 38.0, "height": 14.0}

@@ -5,15 +5,7 @@ from coincid.model.shared.errors import InputError
 from coincid.study.explore.controls import Control
 from coincid.study.explore.settings import check_settings
 
-OTHER = {
-    "scene": "two-targets",
-    "rows": 16,
-    "cols": 64,
-    "subgroup": "4x8",
-    "minigroup": "4x4",
-    "format": "full",
-    "method": "maximum",
-}
+OTHER = dict(scene="two-targets", rows=16, cols=64, subgroup="4x8", minigroup="4x4", format="full", method="maximum")
 
 
 def other_value(control: Control):
