@@ -4,6 +4,7 @@
 import itertools
 
 import numpy as np
+from hypothesis import HealthCheck, Phase, settings
 from hypothesis import strategies as st
 
 from coincid.model.contract.config import Config, parse_config, sensor_table
@@ -287,6 +288,17 @@ def ready_pattern(seed: int, kind: str, cycles: int) -> np.ndarray:
     if kind == "random":
         return (rng.random(cycles) < rng.uniform(0.05, 0.9)).astype(np.uint8)
     return np.repeat(rng.random(cycles // 16 + 1) < 0.5, 16).astype(np.uint8)
+
+
+def generated(examples: int) -> settings:
+    """Return settings with which a program draws so many examples: the same in every run, without pytest."""
+    return settings(
+        max_examples=examples,
+        phases=[Phase.generate],
+        database=None,
+        deadline=None,
+        suppress_health_check=list(HealthCheck),
+    )
 
 
 READY_KINDS = ("always", "stalled", "random", "bursts")

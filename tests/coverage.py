@@ -18,7 +18,7 @@ import tempfile
 from pathlib import Path
 
 import numpy as np
-from hypothesis import HealthCheck, Phase, given, seed, settings
+from hypothesis import given, seed
 from hypothesis import strategies as st
 
 from coincid.hdl.export import verilog_files
@@ -37,7 +37,18 @@ from coincid.tb.frames import save_job
 from coincid.tb.rtl import rtl
 
 from .benches import bench_environment
-from .cases import READY_KINDS, SENSORS, SMALL, built_sensor, configurations, modes, ready_pattern, scarce, trouble
+from .cases import (
+    READY_KINDS,
+    SENSORS,
+    SMALL,
+    built_sensor,
+    configurations,
+    generated,
+    modes,
+    ready_pattern,
+    scarce,
+    trouble,
+)
 from .mutation import frames
 
 SEED, EXAMPLES = 1, 120  # frames per sensor
@@ -153,13 +164,7 @@ def functional() -> list[str]:
         sensor = SENSORS[name]
 
         @seed(SEED)
-        @settings(
-            max_examples=EXAMPLES,
-            phases=[Phase.generate],
-            database=None,
-            deadline=None,
-            suppress_health_check=list(HealthCheck),
-        )
+        @generated(EXAMPLES)
         @given(
             config=configurations(sensor, frames_max=1),
             draw=st.integers(0, 2**32 - 1),

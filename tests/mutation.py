@@ -27,7 +27,7 @@ from pathlib import Path
 
 import numpy as np
 from attrs import frozen
-from hypothesis import HealthCheck, Phase, given, seed, settings
+from hypothesis import given, seed
 from hypothesis import strategies as st
 
 from coincid.flow.yosys import run_yosys
@@ -49,6 +49,7 @@ from .cases import (
     configurations,
     dithered,
     gate_bits,
+    generated,
     lengthy,
     overfull,
     ready_pattern,
@@ -68,46 +69,38 @@ GOLDEN_SOURCES = {  # module -> file, for everything that the golden model uses 
 }
 # Mutants that no test can notice, with the reason: those of a block by a part of Yosys's description, and those of the
 # golden model by a part of the line. A block's are of the Verilog with this digest; another version has other names.
-EQUIVALENT: dict[tuple[str, str], tuple[tuple[str, str], ...]] = {
-    ("coincid_gating", "bed553bc9403"): (
-        (
-            "$procmux$59 -port B",
-            "reset value of the cycles until the gate opens, which a period's start loads before use",
+EQUIVALENT: dict[tuple[str, str], dict[str, str]] = {
+    ("coincid_gating", "bed553bc9403"): {
+        "$procmux$59 -port B": "reset value of the cycles until the gate opens, which a period's start loads before use"
+    },
+    ("coincid_module", "42d2fe762421"): {
+        "$procdff$11 -port Q -portbit 0 -wire resets": (
+            "reset of the TDC: a period's start sets it, and no window opens before"
+        )
+    },
+    ("coincid_readout_2", "af2d0fa141b1"): {
+        "$procmux$1026 -port Y": (
+            "postpones the calm that repairs the space after an upset; a frame's beginning repairs it, too"
         ),
-    ),
-    ("coincid_module", "42d2fe762421"): (
-        (
-            "$procdff$11 -port Q -portbit 0 -wire resets",
-            "reset of the TDC: a period's start sets it, and no window opens before",
+        "$procmux$1897 -port B -portbit 3 -ctrlbit 12": (
+            "a code that is no state leads to another one, and that one on: an upset heals a cycle later"
         ),
-    ),
-    ("coincid_readout_2", "af2d0fa141b1"): (
-        (
-            "$procmux$1026 -port Y",
-            "postpones the calm that repairs the space after an upset; a frame's beginning repairs it, too",
+        "$procmux$1973 -port S": (
+            "room at a frame's beginning: there is always some after a frame's end, and the calm repairs it after an upset"
         ),
-        (
-            "$procmux$1897 -port B -portbit 3 -ctrlbit 12",
-            "a code that is no state leads to another one, and that one on: an upset heals a cycle later",
-        ),
-        (
-            "$procmux$1973 -port S",
-            "room at a frame's beginning: there is always some after a frame's end, and the calm repairs it after an upset",
-        ),
-    ),
-    ("coincid_tree", "f8268e1ce8e6"): (
-        (
-            "$procmux$407 -port B -portbit 0 -ctrlbit 1 ",
-            "which one of a pair is first, if none of the pair is: another pair is chosen then",
-        ),
-    ),
-    ("golden", ""): (
-        ("t, pointer = latency.FRAME_START + 1, 0", "nothing is committed so early that it could be granted then"),
-        ("bounds = np.zeros(subgroups + 1, np.int64)`: 1: one more", "a bound that nobody reads"),
-        ("armed_from = _NEVER, _NEVER, 0`: 0: one more", "the first edge of the first pulse sets it"),
-        ("beats += (queue.end_record", "room for more beats, which is cut off"),
-        ("beats += (queue.end_event", "room for more beats, which is cut off"),
-    ),
+    },
+    ("coincid_tree", "f8268e1ce8e6"): {
+        "$procmux$407 -port B -portbit 0 -ctrlbit 1 ": (
+            "which one of a pair is first, if none of the pair is: another pair is chosen then"
+        )
+    },
+    ("golden", ""): {
+        "t, pointer = latency.FRAME_START + 1, 0": "nothing is committed so early that it could be granted then",
+        "bounds = np.zeros(subgroups + 1, np.int64)`: 1: one more": "a bound that nobody reads",
+        "armed_from = _NEVER, _NEVER, 0`: 0: one more": "the first edge of the first pulse sets it",
+        "beats += (queue.end_record": "room for more beats, which is cut off",
+        "beats += (queue.end_event": "room for more beats, which is cut off",
+    },
 }
 
 
@@ -122,7 +115,7 @@ class Fate:
 
 def excuse(where: str, what: str, version: str = "") -> str:
     """Return why a mutant is known to be equivalent, or ''. version: digest of the block's Verilog."""
-    return next((f"equal: {why}" for part, why in EQUIVALENT.get((where, version), ()) if part in what), "")
+    return next((f"equal: {why}" for part, why in EQUIVALENT.get((where, version), {}).items() if part in what), "")
 
 
 def frames(sensor: dict = SMALL) -> list[FrameJob]:
@@ -131,13 +124,7 @@ def frames(sensor: dict = SMALL) -> list[FrameJob]:
     golden = Golden(parse_config({"sensor": sensor}).sensor)
 
     @seed(CASES_SEED)
-    @settings(
-        max_examples=FRAMES,
-        phases=[Phase.generate],
-        database=None,
-        deadline=None,
-        suppress_health_check=list(HealthCheck),
-    )
+    @generated(FRAMES)
     @given(config=configurations(sensor, frames_max=1), draw=st.integers(0, 2**32 - 1))
     def collect(config, draw):
         k = len(jobs)

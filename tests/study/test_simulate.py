@@ -208,7 +208,9 @@ def test_views_name_signals_of_the_waveform(tmp_path, simulator):
     gtkwave = (tmp_path / f"{TOP}.gtkw").read_text().splitlines()
     shown = [line for line in gtkwave if line.startswith(TOP)]
     assert [line[1:] for line in gtkwave if line.startswith("-")] == [title for title, _, _ in waves.BLOCKS]
-    wanted = [f"{TOP}.{scope}.{name}".replace("..", ".") for _, scope, signals in waves.BLOCKS for name in signals]
+    wanted = [
+        f"{TOP}.{scope}.{name}".replace("..", ".") for _, scope, signals in waves.BLOCKS for name in signals.split()
+    ]
     assert shown == [f"{path}[{widths[path] - 1}:0]" if widths[path] > 1 else path for path in wanted]
     surfer = (tmp_path / f"{TOP}.sucl").read_text().splitlines()
     assert [line.split()[1] for line in surfer if line.startswith("variable_add")] == wanted
