@@ -7,6 +7,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+from attrs import evolve
 
 from ..model.contract.config import Config
 from ..model.contract.counters import COUNTER_NAMES
@@ -101,7 +102,7 @@ class Run:
         """Return the edges of one frame (from the end, if negative), with pulses counted from its start."""
         number %= self.config.frames
         own = self.edges.take(self._of_frame[number])
-        return Edges(own.pulse - number * self.config.pulses, own.pixel, own.tick, own.offset_ps)
+        return evolve(own, pulse=own.pulse - number * self.config.pulses) if number else own
 
     @cached_property
     def traces(self) -> list[Trace]:
