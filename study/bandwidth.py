@@ -5,39 +5,33 @@ The demand comes from two sources: `estimate`, closed formulas from the light, a
 what full FIFOs drop. The scene and the sizes are our choice; the paper leaves the readout open.
 """
 
-import csv
-import io
 import math
 import os
 from collections.abc import Callable, Sequence
-from itertools import cycle
+from itertools import cycle, product
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-from attrs import asdict, evolve, fields, frozen
+from attrs import astuple, evolve, fields, frozen
 from matplotlib.figure import Figure
 from scipy import stats
 
 from ..lab.measures import payload_beats, stream_beats
+from ..lab.run import Run
+from ..lab.setup import Setup
 from ..model.contract.config import Config, parse_config
-from ..model.contract.counters import COUNTER_NAMES
-from ..model.contract.edges import Edges
-from ..model.contract.packet import FORMAT_NAMES, HEADER
+from ..model.contract.packet import FORMAT_NAMES
 from ..model.contract.parameters import Sensor
 from ..model.contract.pixels import pixel_table
-from ..model.contract.stream import decode_frame
-from ..model.golden.frame import Golden
 from ..model.light.analytic import busy_s, effective_cps, windows_per_period
 from ..model.light.light import Light, background_cps
 from ..model.light.link_budget import FORMS
-from ..model.light.photons import generate_edges
 from ..model.light.spad import Spad
 from ..model.light.timing import Timing
-from ..model.scenes.catalogue import load_scene
-from ..model.scenes.scene import scene_light
 from ..model.shared.constants import SPEED_OF_LIGHT_M_S
 from ..model.shared.errors import check_integer
-from ..model.shared.files import whole_file
+from ..model.shared.files import whole_file, write_csv
 from ..model.shared.quantities import check_choice
 from .palette import SERIES
 from .plot_style import new_figure, save_figure, style
@@ -49,7 +43,13 @@ THRESHOLDS = (2, 3, 5)
 STREAMS = (1, 2, 4, 8, 16, 32, 64)
 CSV, TABLE, PLOT = "bandwidth.csv", "bandwidth.md", "bandwidth.png"
 SHOWN_KLUX, SHOWN_THRESHOLD, SHOWN_SIZE = 50.0, 2, "32x32"
-OVERRUN = tuple(HEADER).index("overrun")
+MEASURED = {  # columns: names of `MEASURES`
+    "beats_golden": "beats_asked",
+    "lost_events": "dropped_share",
+    "lost_records": "mg_dropped_share",
+    "overruns": "overruns",
+    "late_cycles": "late_cycles",
+}
 
 
 @frozen
@@ -146,89 +146,49 @@ def study(
         check_integer("threshold", threshold, 1, Sensor().pixels)
     for size in sizes:
         check_choice("size", size, tuple(SIZES))
-    spad, rows = Spad(), []
-    for size in sizes:
-        base = parse_config({"sensor": dict(zip(("rows", "cols"), SIZES[size]))})
-        timing = Timing.from_config(base)
-        scene = load_scene(SCENE, base.sensor.rows, base.sensor.cols)
-        for level in klux:
-            light = scene_light(scene, level)
-            tell(f"{size}, {level:g} klux")
-            edges = generate_edges(light, spad, timing, pulses=base.pulses, seed=SEED, workers=os.cpu_count() or 1)
-            for threshold in thresholds:
-                for records in (False, True):
-                    config = base.with_settings(threshold=threshold).with_frame(minigroup_records=records)
-                    expected = [base.pulses * each for each in estimate(config, light, timing, spad)]
-                    for name in FORMAT_NAMES:
-                        named = config.with_frame(format=name)
-                        rows += _with_streams(size, level, threshold, named, edges, expected)
+    rows = []
+    for size, level in product(sizes, klux):
+        tell(f"{size}, {level:g} klux")
+        sensor = dict(zip(("rows", "cols"), SIZES[size]))
+        start = Run(Setup.of(SCENE, sensor=sensor, klux=level, seed=SEED), workers=os.cpu_count() or 1)
+        for threshold, records, form in product(thresholds, (False, True), FORMAT_NAMES):
+            frame = {"minigroup_records": records, "format": form}
+            rows += _with_streams(size, level, start.but(subgroup={"threshold": threshold}, frame=frame))
     return rows
 
 
-def _with_streams(
-    size: str, klux: float, threshold: int, config: Config, edges: Edges, expected: list[np.ndarray]
-) -> list[Row]:
+def _with_streams(size: str, klux: float, run: Run) -> list[Row]:
     """Return the rows of one frame: with 1 stream, 2, ... until nothing is lost."""
-    measured, lost = [], (0.0, 0.0)
-    for streams in STREAMS:
-        if streams > config.sensor.subgroups:
-            break
-        config = evolve(config, sensor=evolve(config.sensor, streams=streams))
-        trace = Golden(config.sensor).frame(config, edges)
-        count = dict(zip(COUNTER_NAMES, trace.counters.T))
-        committed, records = count["committed"], count["mg_stored"] + count["mg_dropped"]
-        decoded = (
-            decode_frame(stream, config.sensor, len(config.sensor.stream_subgroups(k)))
-            for k, stream in enumerate(trace.beats)
-        )
-        overruns = sum(int(frame.events[:, OVERRUN].sum()) for frame in decoded)
-        late = max(int(cycle[-1]) for cycle in trace.beat_cycle) + 1 - config.pulses * config.period
-        lost = _share(count["dropped"], committed), _share(count["mg_dropped"], records)
-        measured.append((streams, stream_beats(config, committed, records).sum(), *lost, overruns, late))
-        if not any(lost):
-            break
-    needed = 0 if any(lost) else streams
-    one = evolve(config, sensor=evolve(config.sensor, streams=1))
-    estimated = float(stream_beats(one, *expected).sum())
-    by_mean = math.ceil(
-        payload_beats(config, *expected).sum() / (config.pulses * config.period)
-    )  # counters leave after the last period
-    return [
-        Row(
-            size,
-            klux,
-            threshold,
-            config.format,
-            config.frame["minigroup_records"],
-            estimated,
-            int(measured[0][1]),
-            by_mean,
-            needed,
-            streams,
-            lost_events,
-            lost_records,
-            overruns,
-            late,
-        )
-        for streams, _, lost_events, lost_records, overruns, late in measured
+    config, measured, lossless = run.config, list[dict[str, Any]](), False
+    expected = [
+        config.pulses * each for each in estimate(config, run.light, Timing.from_config(config), run.setup.spad)
     ]
-
-
-def _share(part: np.ndarray, whole: np.ndarray) -> float:
-    return int(part.sum()) / max(int(whole.sum()), 1)
+    for streams in STREAMS:
+        if lossless or streams > config.sensor.subgroups:
+            break
+        frame = run.but(config=evolve(config, sensor=evolve(config.sensor, streams=streams))).frame()
+        lossless = not (frame["dropped"] or frame["mg_dropped"])
+        measured.append({name: frame[measure] or 0 for name, measure in MEASURED.items()} | {"lost_streams": streams})
+    beats = payload_beats(config, *expected).sum()  # counters leave after the last period
+    common: dict[str, Any] = {
+        "size": size,
+        "klux": klux,
+        "threshold": int(config.threshold[0]),
+        "format": config.format,
+        "records": config.frame["minigroup_records"],
+        "beats_estimated": float(stream_beats(config, *expected).sum()),
+        "needed_estimated": math.ceil(beats / config.frame_cycles),
+        "needed_golden": measured[-1]["lost_streams"] if lossless else 0,
+    }
+    return [Row(**each | common | {"beats_golden": measured[0]["beats_golden"]}) for each in measured]
 
 
 def write_study(out_dir: Path, rows: list[Row]) -> list[Path]:
     """Write the rows as CSV, a Markdown table of demand and losses, and a plot. Return the paths."""
     out_dir = Path(out_dir)
-    text = io.StringIO()
-    names = [field.name for field in fields(Row)]
-    csv.writer(text, lineterminator="\n").writerows(
-        [names, *([_cell(value) for value in asdict(row).values()] for row in rows)]
-    )
-    for name, content in ((CSV, text.getvalue()), (TABLE, table(rows))):
-        with whole_file(out_dir / name, "w") as file:
-            file.write(content)
+    write_csv(out_dir / CSV, [[field.name for field in fields(Row)], *map(astuple, rows)])
+    with whole_file(out_dir / TABLE, "w") as file:
+        file.write(table(rows))
     with style():
         save_figure(_plot(rows), out_dir / PLOT)
     return [out_dir / name for name in (CSV, TABLE, PLOT)]
@@ -281,10 +241,6 @@ def _streams(row: Row) -> str:
 
 def _percent(share: float) -> str:
     return f"{share:.1%}" if share else "0"
-
-
-def _cell(value: object) -> str:
-    return f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
 def _plot(rows: list[Row]) -> Figure:

@@ -20,17 +20,12 @@ from typing import Any, TypeVar
 import numpy as np
 from attrs import frozen
 
+from ..lab.setup import Photons, Setup
 from ..model.contract.config import Config, parse_config
 from ..model.contract.edges import Edges
 from ..model.contract.result import ResultBuilder
 from ..model.depth.estimate import estimate_depth
 from ..model.golden.frame import Golden
-from ..model.light.light import Light
-from ..model.light.photons import generate_edges
-from ..model.light.spad import Spad
-from ..model.light.timing import Timing
-from ..model.scenes.catalogue import load_scene
-from ..model.scenes.scene import scene_light
 from ..model.shared.files import whole_file
 from ..model.shared.interrupts import worker_processes
 from ..tb import pysim
@@ -165,22 +160,18 @@ def _shown(value: int | float | str) -> str:
 
 @frozen(eq=False)
 class Job:
-    """Input of every engine: the preset `silicon` at a size, and its light."""
+    """Input of every engine: the preset `silicon` at a size, and its photons."""
 
     config: Config
-    timing: Timing
-    light: Light
+    photons: Photons
 
     @classmethod
     def of(cls, size: str) -> "Job":
-        config = parse_config({"sensor": SIZES[size]})
-        scene = load_scene(SCENE, config.sensor.rows, config.sensor.cols)
-        return cls(config, Timing.from_config(config), scene_light(scene, KLUX))
+        setup = Setup.of(SCENE, sensor=SIZES[size], klux=KLUX, seed=SEED)
+        return cls(setup.config, setup.photons)
 
     def edges(self) -> Edges:
-        return generate_edges(
-            self.light, Spad(), self.timing, pulses=self.config.pulses, seed=SEED, workers=os.cpu_count() or 1
-        )
+        return self.photons.edges(os.cpu_count() or 1)
 
 
 def _fast_rates(job: Job) -> dict[str, float]:

@@ -15,14 +15,11 @@ from matplotlib import colormaps
 from matplotlib.figure import Figure
 
 from ..flow.power import Power, design, power, simulate
-from ..model.contract.config import Config, parse_config, sensor_table
-from ..model.contract.edges import Edges
-from ..model.contract.parameters import Sensor
+from ..lab.run import Run
+from ..lab.setup import Setup
 from ..model.golden.frame import Golden
-from ..model.light.light import REFERENCE_DISTANCE_M, REFERENCE_REFLECTIVITY, Light
-from ..model.light.photons import generate_edges
-from ..model.light.spad import Spad, SpadGate
-from ..model.light.timing import Timing
+from ..model.light.light import REFERENCE_DISTANCE_M, REFERENCE_REFLECTIVITY
+from ..model.scenes.scene import Scene
 from ..model.shared.files import whole_file
 from ..tb.frames import FrameJob
 from .plot_style import new_figure, save_figure, style
@@ -30,7 +27,7 @@ from .plot_style import new_figure, save_figure, style
 PULSES, SEED = 2, 1
 SATURATION_KLUX = 1e5  # every SPAD fires as soon as its dead time is over
 PICTURE = "power.png"
-PIXELS = 64
+SIDE, PIXELS = 8, 64
 WIRE_FF = 0.34  # to an input: the mean of the routed minigroup, docs/layout.md
 MIDDLE_KLUX = 50.0
 KINDS = (("clock", "clock"), ("internal", "inside cells"), ("switching", "driven pins"), ("leakage", "leakage"))
@@ -78,25 +75,19 @@ GROUPS = (  # what the table calls blocks: the innermost instance that begins so
 )
 
 
-def configuration(case: Case) -> Config:
-    """The preset's sensor with one subgroup, for a short frame."""
-    sensor = Sensor(rows=8, cols=8)
-    return parse_config(
-        {
-            "sensor": sensor_table(sensor),
-            "frame": {"pulses": PULSES} | dict(case.frame),
-            "subgroup": dict(case.subgroup),
-        }
-    )
-
-
-def edges(case: Case, config: Config) -> Edges:
-    """SPAD edges of the frame. A gate switches the SPADs off, as the output `spad_gate` does."""
-    shape = config.sensor.rows, config.sensor.cols
+def setup(case: Case) -> Setup:
+    """A short frame of the preset's sensor with one subgroup. A gate switches the SPADs off, as the output `spad_gate` does."""
+    shape = SIDE, SIDE
     distance_m = np.full(shape, np.nan if case.klux is None else REFERENCE_DISTANCE_M)
-    light = Light.from_scene(distance_m, np.full(shape, REFERENCE_REFLECTIVITY), case.klux or 0.0)
-    gate = SpadGate.from_config(config)
-    return generate_edges(light, Spad(), Timing.from_config(config), pulses=config.pulses, seed=SEED, gate=gate)
+    return Setup.of(
+        Scene(name=case.name, distance_m=distance_m, reflectivity=np.full(shape, REFERENCE_REFLECTIVITY)),
+        sensor={"rows": SIDE, "cols": SIDE},
+        frame={"pulses": PULSES} | dict(case.frame),
+        subgroup=dict(case.subgroup),
+        klux=case.klux or 0.0,
+        spad_gate=True,
+        seed=SEED,
+    )
 
 
 @frozen
@@ -132,12 +123,9 @@ def _grouped(blocks: dict[str, Power]) -> dict[str, Power]:
 
 def measure(tell: Callable[[str], None]) -> list[Measured]:
     """Power of the subgroup in every case."""
-    golden, jobs = Golden(configuration(CASES[0]).sensor), []
-    for case in CASES:
-        config = configuration(case)
-        given = edges(case, config)
-        jobs.append(FrameJob(config, given, golden.frame(config, given)))
-    config = jobs[0].config
+    runs = [Run(setup(case)) for case in CASES]
+    config, golden = runs[0].config, Golden(runs[0].config.sensor)  # one, because it numbers the frames
+    jobs = [FrameJob(run.config, run.edges, golden.frame(run.config, run.edges)) for run in runs]
     whole = design(config.sensor)
     tell(f"simulating {len(jobs)} frames of {config.frame_cycles} cycles on the netlist")
     toggles = simulate(config.sensor, jobs)

@@ -1,12 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Files that appear whole or not at all, and checked reading of NPZ archives."""
+"""Files that appear whole or not at all, CSV, and checked reading of NPZ archives."""
 
+import csv
 import os
 import tempfile
 import tokenize
 import zipfile
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import IO, Any, TypeAlias
@@ -42,6 +43,14 @@ def whole_file(path: FilePath, mode: str = "wb") -> Iterator[IO[Any]]:
         if isinstance(error, OSError):
             raise InputError(f"{path}: cannot be written: {error.strerror}") from None
         raise
+
+
+def write_csv(path: FilePath, rows: Iterable[Iterable[object]]) -> None:
+    """Write rows as CSV, with floats to six digits."""
+    with whole_file(path, "w") as file:
+        csv.writer(file, lineterminator="\n").writerows(
+            [f"{value:.6g}" if isinstance(value, float) else str(value) for value in row] for row in rows
+        )
 
 
 def write_npz(path: FilePath, arrays: dict[str, np.ndarray]) -> None:

@@ -1,9 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Sections of the page: pictures, their data, and our numbers next to the paper's; and writing them to files."""
 
-import csv
 import html
-import io
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TypeAlias
@@ -11,7 +9,7 @@ from typing import TypeAlias
 from attrs import field, frozen
 from matplotlib.figure import Figure
 
-from ...model.shared.files import whole_file
+from ...model.shared.files import whole_file, write_csv
 from ..plot_style import save_figure
 
 Row: TypeAlias = Sequence[object]  # of a CSV
@@ -50,18 +48,14 @@ def write_section(out_dir: Path, section: Section) -> None:
     """Write PNG and SVG of every figure, and the CSV."""
     for stem, figure, _ in section.figures:
         save_figure(figure, out_dir / f"{stem}.png", out_dir / f"{stem}.svg")
-    text = io.StringIO()
-    csv.writer(text, lineterminator="\n").writerows([_cell(value) for value in row] for row in section.rows)
-    _write(out_dir / f"{section.name}.csv", text.getvalue())
+    write_csv(out_dir / f"{section.name}.csv", section.rows)
 
 
 def write_page(out_dir: Path, title: str, introduction: str, sections: Sequence[Section]) -> None:
     """Write `index.html` for sections whose files exist."""
     body = "\n".join(_section_html(section) for section in sections)
     links = " · ".join(f'<a href="#{section.name}">{html.escape(section.title)}</a>' for section in sections)
-    _write(
-        out_dir / "index.html",
-        f"""<!doctype html>
+    page = f"""<!doctype html>
 <html lang="en">
 <meta charset="utf-8">
 <title>{html.escape(title)}</title>
@@ -79,8 +73,9 @@ th {{ background: #f3f3f3; }}
 <p>{links}</p>
 {body}
 </html>
-""",
-    )
+"""
+    with whole_file(out_dir / "index.html") as file:
+        file.write(page.encode())
 
 
 def _section_html(section: Section) -> str:
@@ -110,12 +105,3 @@ def _comparison_html(comparisons: Sequence[Comparison]) -> str:
         for one in comparisons
     )
     return f"<table>\n<tr>{head}</tr>\n{rows}\n</table>\n"
-
-
-def _cell(value: object) -> str:
-    return f"{value:.6g}" if isinstance(value, float) else str(value)
-
-
-def _write(path: Path, text: str) -> None:
-    with whole_file(path) as file:
-        file.write(text.encode())
