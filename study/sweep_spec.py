@@ -24,7 +24,7 @@ from ..model.scenes.catalogue import load_scene
 from ..model.scenes.scene import Scene
 from ..model.shared.errors import SEED_MAX, InputError, check_integer
 from ..model.shared.files import FilePath
-from ..model.shared.quantities import check_choice, check_real
+from ..model.shared.quantities import check_choice, check_real, check_switch
 from .simulate import settings_of
 
 TABLES = ("sensor", "frame", "subgroup")  # tables of the configuration whose keys may be swept
@@ -210,8 +210,7 @@ def _settings(given: dict[str, Any]) -> dict[str, Any]:
     """Return the checked values of `SETTINGS`, each of one type."""
     if not isinstance(given["scene"], str):
         raise InputError(f"scene = {given['scene']!r}: must be a string")
-    if not isinstance(given["spad_gate"], bool):
-        raise InputError(f"spad_gate = {given['spad_gate']!r}: must be true or false")
+    check_switch("spad_gate", given["spad_gate"])
     return given | {
         "klux": given["klux"] if isinstance(given["klux"], str) else check_real("klux", given["klux"], 0),
         "background": check_choice("background", given["background"], BACKGROUNDS),

@@ -14,12 +14,11 @@ from .counters import EVENTS_MAX
 from .dither import DITHER_BITS_MAX, LFSR_BITS
 from .packet import FORMATS
 from .parameters import CLOCK_MHZ, Sensor
-from .table import NO_BIT, Kind, settings_of_class
+from .table import NO_BIT, Kind, Limit, settings_of_class
 
 AUTO_BOUNDS = 6
 THRESHOLD_MAX = 1 + AUTO_BOUNDS  # highest threshold of the controller
 FRAMES_MAX = 1 << 16  # the frame number has 16 bits
-CLOCK_MHZ_RANGE = (1e-3, 1e5)
 LINK_GBPS_MAX = 1e6  # per stream
 GATE_BITS = 16
 GATE_MAX = (1 << GATE_BITS) - 1  # of a gate's cycles, pulses and steps
@@ -32,8 +31,8 @@ def _setting(kind: Kind, doc: str, **columns: Any) -> Any:
     return field(metadata={"kind": kind, "doc": doc} | columns)
 
 
-def _integer(doc: str, **columns: Any) -> Any:
-    return _setting(Kind.INTEGER, doc, **columns)
+def _integer(default: int | None, low: Limit, high: Limit, doc: str, **columns: Any) -> Any:
+    return _setting(Kind.INTEGER, doc, default=default, low=low, high=high, **columns)
 
 
 def _switch(default: bool, doc: str, **columns: Any) -> Any:
@@ -42,12 +41,10 @@ def _switch(default: bool, doc: str, **columns: Any) -> Any:
 
 @frozen
 class FrameSettings:
-    """Keys of [frame]."""
+    """Keys of [frame]. Numbers: default, lowest and highest legal value."""
 
-    frames: int = _integer("Number of frames.", default=1, low=1, high=FRAMES_MAX)
-    clock_mhz: float = _setting(
-        Kind.REAL, "System clock.", default=CLOCK_MHZ, unit="MHz", low=CLOCK_MHZ_RANGE[0], high=CLOCK_MHZ_RANGE[1]
-    )
+    frames: int = _integer(1, 1, FRAMES_MAX, "Number of frames.")
+    clock_mhz: float = _setting(Kind.REAL, "System clock.", default=CLOCK_MHZ, unit="MHz", low=1e-3, high=1e5)
     link_gbps: float = _setting(
         Kind.REAL,
         "Rate of the link behind each stream; 0: as fast as the stream.",
@@ -56,16 +53,14 @@ class FrameSettings:
         high=LINK_GBPS_MAX,
     )
     period: int = _integer(
+        250,
+        1,
+        "period_max",
         "Laser period in cycles. Must be above the guard G at a start.",
-        default=250,
         unit="cycles",
-        low=1,
-        high="period_max",
         offset=0x48,
     )
-    pulses: int = _integer(
-        "Number of laser periods in a frame.", default=100, unit="laser pulses", low=1, high=1 << 16, offset=0x4C
-    )
+    pulses: int = _integer(100, 1, 1 << 16, "Number of laser periods in a frame.", unit="laser pulses", offset=0x4C)
     format: str = _setting(
         Kind.CHOICE, f"Event words: {_FORMATS_TOLD}.", default="id", choices=tuple(FORMATS), offset=0x50
     )
@@ -73,40 +68,26 @@ class FrameSettings:
         False, "1: minigroups have their own stamps, and a subgroup sends at most one record per period.", offset=0x54
     )
     mg_threshold: int = _integer(
-        "Number of distinct pixels at which a minigroup latches.",
-        default=2,
-        unit="pixels",
-        low=1,
-        high="minigroup_pixels",
-        offset=0x58,
+        2, 1, "minigroup_pixels", "Number of distinct pixels at which a minigroup latches.", unit="pixels", offset=0x58
     )
-    mg_window: int = _integer(
-        "Cycles of a minigroup's collection.", default=2, unit="cycles", low=1, high=4, offset=0x5C
-    )
-    gate_step: int = _integer(
-        f"{GATE}: shift per step, in cycles.", default=0, unit="cycles", high=GATE_MAX, offset=0x60
-    )
+    mg_window: int = _integer(2, 1, 4, "Cycles of a minigroup's collection.", unit="cycles", offset=0x5C)
+    gate_step: int = _integer(0, 0, GATE_MAX, f"{GATE}: shift per step, in cycles.", unit="cycles", offset=0x60)
     gate_every: int = _integer(
-        f"{GATE}: pulses per step; 0 turns it off.", default=0, unit="laser pulses", high=GATE_MAX, offset=0x64
+        0, 0, GATE_MAX, f"{GATE}: pulses per step; 0 turns it off.", unit="laser pulses", offset=0x64
     )
-    gate_steps: int = _integer(
-        f"{GATE}: number of steps before it starts over.", default=1, low=1, high=GATE_MAX, offset=0x68
-    )
+    gate_steps: int = _integer(1, 1, GATE_MAX, f"{GATE}: number of steps before it starts over.", offset=0x68)
     dither_bits: int = _integer(
+        0,
+        0,
+        DITHER_BITS_MAX,
         "Number of LFSR bits that give the wait between two periods, in cycles; 0: no wait.",
-        default=0,
-        high=DITHER_BITS_MAX,
         offset=0x84,
     )
     dither_seed: int = _integer(
-        "State of that LFSR at the beginning of the frame.", default=1, low=1, high=(1 << LFSR_BITS) - 1, offset=0x88
+        1, 1, (1 << LFSR_BITS) - 1, "State of that LFSR at the beginning of the frame.", offset=0x88
     )
     threshold_floor: int = _integer(
-        f"{CONTROLLER}: the lowest threshold; 0 has the effect of 1.",
-        default=1,
-        unit="pixels",
-        high=THRESHOLD_MAX,
-        offset=0x90,
+        1, 0, THRESHOLD_MAX, f"{CONTROLLER}: the lowest threshold; 0 has the effect of 1.", unit="pixels", offset=0x90
     )
     auto_bounds: list[int] | None = _setting(
         Kind.INTEGERS,
@@ -120,10 +101,12 @@ class FrameSettings:
         offset=0x6C,
     )
     capacity: int | None = _integer(
+        None,
+        0,
+        EVENTS_MAX,
         f"{CONTROLLER}: events that a stream carries in a frame.",
         derived=True,
         unit="events",
-        high=EVENTS_MAX,
         reset=EVENTS_MAX,
         offset=0x8C,
     )
@@ -140,21 +123,12 @@ class SubgroupSettings:
     gating: np.ndarray = _switch(False, "1: edges outside the gate are ignored.", bit=1)
     auto: np.ndarray = _switch(False, "1: the controller sets the threshold.", bit=2)
     threshold: np.ndarray = _integer(
-        "Number of distinct pixels that make a coincidence.",
-        default=2,
-        unit="pixels",
-        low=1,
-        high="pixels",
-        offset=0x04,
+        2, 1, "pixels", "Number of distinct pixels that make a coincidence.", unit="pixels", offset=0x04
     )
-    window: np.ndarray = _integer(
-        "Coincidence window in ticks.", default=16, unit="ticks", low=1, high="window_max", offset=0x08
-    )
-    gate_start: np.ndarray = _integer(
-        "Gate: first cycle, in cycles.", default=0, unit="cycles", high=GATE_MAX, offset=0x0C
-    )
+    window: np.ndarray = _integer(16, 1, "window_max", "Coincidence window in ticks.", unit="ticks", offset=0x08)
+    gate_start: np.ndarray = _integer(0, 0, GATE_MAX, "Gate: first cycle, in cycles.", unit="cycles", offset=0x0C)
     gate_len: np.ndarray = _integer(
-        "Gate: length, in cycles.", follows="period", unit="cycles", high=GATE_MAX, offset=0x10
+        None, 0, GATE_MAX, "Gate: length, in cycles.", follows="period", unit="cycles", offset=0x10
     )
     mask: np.ndarray = _setting(
         Kind.MASK,

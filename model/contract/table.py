@@ -13,7 +13,7 @@ import numpy as np
 from attrs import fields, frozen
 
 from ..shared.errors import InputError, check_integer
-from ..shared.quantities import check_choice, check_real
+from ..shared.quantities import check_choice, check_real, check_switch
 
 NO_BIT = -1
 Limit: TypeAlias = float | str  # a number, or the name of an attribute of `Sensor` that holds it
@@ -98,7 +98,23 @@ class Setting:
         value = _plain(value)
         if value is None and self.derived:
             return None
-        return _CHECKS[self.kind](self, where, value, sensor)
+        low, high = self.limits(sensor)
+        match self.kind:
+            case Kind.REAL:
+                return check_real(where, value, low, high)
+            case Kind.SWITCH:
+                return check_switch(where, value)
+            case Kind.CHOICE:
+                return check_choice(where, value, self.choices)
+            case Kind.INTEGERS:
+                if not isinstance(value, list) or len(value) != self.count:
+                    raise InputError(f"{where} = {value!r}: must be {self.count} integers from {low} to {high}")
+                return [check_integer(where, item, low, high) for item in value]
+            case Kind.SIZE:
+                return _checked_size(where, value, low, high)
+            case Kind.MASK:
+                return _checked_mask(where, value, sensor.pixels)
+        return check_integer(where, value, low, high)
 
 
 def number(limit: Limit, sensor: Any) -> Any:
@@ -118,54 +134,16 @@ def _plain(value: Any) -> Any:
     return list(value) if isinstance(value, tuple) else value
 
 
-def _integer(setting: Setting, where: str, value: Any, sensor: Any) -> int:
-    return check_integer(where, value, *setting.limits(sensor))
-
-
-def _real(setting: Setting, where: str, value: Any, sensor: Any) -> float:
-    return check_real(where, value, *setting.limits(sensor))
-
-
-def _switch(setting: Setting, where: str, value: Any, sensor: Any) -> bool:
-    if not isinstance(value, bool):
-        raise InputError(f"{where} = {value!r}: must be true or false")
-    return value
-
-
-def _choice(setting: Setting, where: str, value: Any, sensor: Any) -> str:
-    return check_choice(where, value, setting.choices)
-
-
-def _integers(setting: Setting, where: str, value: Any, sensor: Any) -> list[int]:
-    count, (low, high) = number(setting.count, sensor), setting.limits(sensor)
-    if not isinstance(value, list) or len(value) != count:
-        raise InputError(f"{where} = {value!r}: must be {count} integers from {low} to {high}")
-    return [check_integer(where, item, low, high) for item in value]
-
-
-def _size(setting: Setting, where: str, value: Any, sensor: Any) -> tuple[int, int]:
-    low, high = setting.limits(sensor)
+def _checked_size(where: str, value: Any, low: int, high: int) -> tuple[int, int]:
     legal = isinstance(value, list) and len(value) == 2 and all(type(n) is int and n > 0 for n in value)
     if not legal or not low <= value[0] * value[1] <= high:
         raise InputError(f"{where} = {value!r}: must be [rows, cols] of {low} to {high} pixels")
     return value[0], value[1]
 
 
-def _mask(setting: Setting, where: str, value: Any, sensor: Any) -> np.ndarray:
-    pixels = sensor.pixels
+def _checked_mask(where: str, value: Any, pixels: int) -> np.ndarray:
     if isinstance(value, list) and len(value) == pixels and all(isinstance(on, bool) for on in value):
         return np.array(value)
     if not isinstance(value, str) or not re.fullmatch(r"(0[xX])?[0-9a-fA-F]+", value) or int(value, 16) >> pixels:
         raise InputError(f"{where} = {value!r}: must be a string of hex digits below 2^{pixels} (bit i = pixel i)")
     return np.array([int(value, 16) >> i & 1 for i in range(pixels)], bool)
-
-
-_CHECKS = {
-    Kind.INTEGER: _integer,
-    Kind.REAL: _real,
-    Kind.SWITCH: _switch,
-    Kind.CHOICE: _choice,
-    Kind.INTEGERS: _integers,
-    Kind.SIZE: _size,
-    Kind.MASK: _mask,
-}

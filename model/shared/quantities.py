@@ -29,6 +29,13 @@ def check_choice(name: str, value: _T, choices: tuple[_T, ...]) -> _T:
     return value
 
 
+def check_switch(name: str, value: Any) -> bool:
+    """Return `value` if it is a bool. Raises `InputError`."""
+    if not isinstance(value, bool):
+        raise InputError(f"{name} = {value!r}: must be true or false")
+    return value
+
+
 def real(default: float, low: float, high: float = inf) -> float:
     """Return an attrs field that holds a finite number within [`low`, `high`]."""
     checked: float = field(

@@ -43,7 +43,7 @@ FURTHER = "Further"  # group of the settings that are not described here
 Value: TypeAlias = int | float | str | bool
 
 
-@frozen(kw_only=True)
+@frozen
 class Control:
     """A setting of the explorer.
 
@@ -82,68 +82,31 @@ _DEFAULTS = parse_config({})
 def _integer(
     name: str, group: str, label: str, default: int, low: int, high: int, sentence: str, step: int = 1
 ) -> Control:
-    return Control(
-        name=name,
-        group=group,
-        label=label,
-        default=default,
-        low=low,
-        high=high,
-        sentence=sentence,
-        step=step,
-        kind="integer",
-    )
+    return Control(name, group, label, sentence, "integer", default, "", low, high, step)
 
 
 def _real(
     name: str, group: str, label: str, default: float, low: float, high: float, unit: str, step: float, sentence: str
 ) -> Control:
-    return Control(
-        name=name,
-        group=group,
-        label=label,
-        default=default,
-        low=low,
-        high=high,
-        unit=unit,
-        step=step,
-        sentence=sentence,
-        kind="real",
-    )
+    return Control(name, group, label, sentence, "real", default, unit, low, high, step)
 
 
 def _choice(
     name: str, group: str, label: str, choices: Iterable[str], sentence: str, default: str = "", table: str = ""
 ) -> Control:
-    chosen = tuple(choices)
-    return Control(
-        name=name,
-        group=group,
-        label=label,
-        default=default or chosen[0],
-        sentence=sentence,
-        kind="choice",
-        choices=chosen,
-        where=(table, name) if table else None,
-    )
+    chosen, where = tuple(choices), (table, name) if table else None
+    return Control(name, group, label, sentence, "choice", default or chosen[0], choices=chosen, where=where)
 
 
 def _key(name: str, group: str = FURTHER, label: str = "", sentence: str = "", default: int | None = None) -> Control:
     """Return the control of a key of the configuration file that is an integer, a real number or a switch."""
     setting = SETTINGS[name]
-    low, high = setting.limits(_DEFAULTS.sensor)
-    return Control(
-        name=name,
-        group=group,
-        label=label or name.replace("_", " ").capitalize(),
-        default=setting.default_of(_DEFAULTS.sensor, _DEFAULTS.frame) if default is None else default,
-        low=low,
-        high=high,
-        unit=setting.unit,
-        sentence=(sentence or setting.doc) + " Empty: derived from the other settings." * setting.derived,
-        kind=setting.kind.value,
-        where=(setting.table, name),
-    )
+    if default is None:
+        default = setting.default_of(_DEFAULTS.sensor, _DEFAULTS.frame)
+    label = label or name.replace("_", " ").capitalize()
+    sentence = (sentence or setting.doc) + " Empty: derived from the other settings." * setting.derived
+    limits, where = setting.limits(_DEFAULTS.sensor), (setting.table, name)
+    return Control(name, group, label, sentence, setting.kind.value, default, setting.unit, *limits, where=where)
 
 
 _DESCRIBED: tuple[Control, ...] = (

@@ -3,9 +3,9 @@
 
 import numpy as np
 import pytest
+from attrs import asdict
 
-from coincid.model.contract.config import SETTINGS, changes_of_text, load_config, parse_config
-from coincid.model.contract.packet import FORMAT_NAMES
+from coincid.model.contract.config import changes_of_text, load_config, parse_config
 from coincid.model.contract.registers import address
 from coincid.model.contract.windows import armed_cycle, close_cycle
 from coincid.model.light.timing import Timing
@@ -108,11 +108,6 @@ def test_subgroup_settings_that_are_refused(settings, words):
         parse_config({}).with_settings(**settings)
     for word in words:
         assert word in str(error.value)
-
-
-@pytest.mark.parametrize("name", FORMAT_NAMES)
-def test_the_registers_number_of_a_format(name):
-    assert (address("format"), FORMAT_NAMES.index(name)) in parse_config({}).with_frame(format=name).register_writes()
 
 
 @pytest.mark.parametrize(
@@ -232,14 +227,9 @@ def test_steps_that_no_sensor_is_built_with(sensor, words):
 )
 def test_defaults_follow_what_is_written(document, settings):
     config = parse_config(document)
-    tables = {"sensor": vars_of(config.sensor), "frame": config.frame, "subgroup": vars_of(config)}
-    for name, value in settings.items():
-        assert np.all(tables[SETTINGS[name].table][name] == value), name
+    found = asdict(config.sensor) | config.frame | {name: getattr(config, name) for name in SUBGROUP}
+    assert all(np.all(found[name] == value) for name, value in settings.items())
     assert config.given == {f"{table}.{name}" for table, values in document.items() for name in values}
-
-
-def vars_of(instance):
-    return {attribute.name: getattr(instance, attribute.name) for attribute in type(instance).__attrs_attrs__}
 
 
 @pytest.mark.parametrize(
