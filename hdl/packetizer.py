@@ -31,8 +31,11 @@ from .unit import Unit
 
 def numbers(m, sensor: Sensor, packets: Collection[Packet], kind, **values) -> dict[str, Value]:
     """Return the kind and the numbers of packets as signals of their fields' widths; what is not given is 0."""
-    widths = {field.name: field.bits(sensor) for packet in packets for field in packet.fields if not field.aligned}
-    signals = {name: Signal(width, name=f"field_{name}") for name, width in (widths | {"kind": KIND_BITS}).items()}
+    widths: dict[str, int] = {}
+    for field in (field for packet in packets for field in packet.fields if not field.aligned):
+        widths[field.name] = max(widths.get(field.name, 0), field.bits(sensor))
+    widths["kind"] = KIND_BITS
+    signals = {name: Signal(width, name=f"field_{name}") for name, width in widths.items()}
     m.d.comb += [signal.eq((values | {"kind": kind}).get(name, 0)) for name, signal in signals.items()]
     return signals
 

@@ -14,9 +14,9 @@ from ...model.contract import latency
 from ...model.contract.config import Config
 from ...model.contract.counters import COUNTER_NAMES
 from ...model.contract.edges import Edges, Fate
-from ...model.contract.packet import FORMATS, RECORD, header_field, layout
+from ...model.contract.packet import FORMATS, RECORD, layout
 from ...model.contract.pixels import pixel_table
-from ...model.contract.stream import packet_starts
+from ...model.contract.stream import packet_fields, packet_starts
 from ...model.golden.frame import Trace
 from ...model.shared.errors import check_integer
 
@@ -193,12 +193,11 @@ def _fill(config: Config, trace: Trace) -> tuple[np.ndarray, np.ndarray, np.ndar
 
 def _departures(config: Config, trace: Trace) -> tuple[np.ndarray, np.ndarray]:
     """Return (subgroup, cycle of the frame) in which each event's place in its FIFO becomes free, int64[events]."""
-    sensor, parts = config.sensor, layout(config.sensor)
+    sensor, packet = config.sensor, FORMATS[config.format]
     subgroup, cycle = [], []
     for stream, (beats, at) in enumerate(zip(trace.beats, trace.beat_cycle)):
         kinds, starts = packet_starts(beats, sensor, len(sensor.stream_subgroups(stream)))
         starts = starts[kinds != RECORD.code]
-        last = starts + parts.length(FORMATS[config.format]) - 1
-        subgroup.append(header_field(beats[starts], "subgroup"))
-        cycle.append(at[last] - _FREED_BEFORE_PORT)
+        subgroup.append(packet_fields(beats, starts, sensor, packet)["subgroup"][:, 0].astype(np.int64))
+        cycle.append(at[starts + layout(sensor).length(packet) - 1] - _FREED_BEFORE_PORT)
     return np.concatenate(subgroup), np.concatenate(cycle)
