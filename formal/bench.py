@@ -8,16 +8,24 @@ power-on, the only assumption is that reset is asserted in the first cycle, so a
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from types import SimpleNamespace
+from typing import Any, Protocol, TypeVar
 
 from amaranth.hdl import Assert, Assume, Cover, Module, ResetSignal, Signal, Value
 from amaranth.hdl._ast import AnyConst, AnySeq  # the language's only names for free values
 from attrs import field, frozen
 
-from ..hdl.unit import Unit
-
 KEPT = "bench_"  # begin of the names of registers that keep their value at power-on
 PROOFS: dict[str, "Proof"] = {}
+State = TypeVar("State", covariant=True)
+
+
+class Stateful(Protocol[State]):
+    """A `Unit` whose inner registers a proof may read."""
+
+    signature: Any
+
+    @property
+    def state(self) -> State: ...
 
 
 @frozen
@@ -116,7 +124,7 @@ class Bench:
         """Return an input that may have any value, but the same in all cycles."""
         return AnyConst(shape)
 
-    def place(self, name: str, unit: Unit, **inputs) -> SimpleNamespace:
+    def place(self, name: str, unit: Stateful[State], **inputs) -> State:
         """Place `unit` and return its state. Ports get the values in `inputs` (None: no driver), or else any value."""
         for path, member, value in unit.signature.flatten(unit):
             port = "__".join(map(str, path))

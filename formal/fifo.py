@@ -21,7 +21,7 @@ def _event_fifo(b: Bench, depth: int) -> None:
     m.d.comb += [signal.eq(b.anything(1)) for signal in (commit, take, begin)]
     body = b.place("dut", unit, commit=commit, take=take, frame_begin=begin)
     elaborated(body.rows)
-    memory = body.rows.state
+    memory = body.rows.rows
 
     # The readout only takes an event that is at the head, and a frame begins with an empty FIFO.
     level = Signal(range(depth + 1))

@@ -175,6 +175,6 @@ def register_front_starts(b: Bench):
     b.assume(~ResetSignal())
     for voted in body.voted:
         b.always(voted.agree)
-    b.always(~body.held_read & ~unit.s_axi.rvalid)
+    b.always(~body.keep_read.value & ~unit.s_axi.rvalid)
     b.cover(unit.start_frame & b.past(body.flag["busy"]))
     b.cover(unit.s_axi.bvalid & body.flag["start_busy"])

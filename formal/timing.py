@@ -5,7 +5,7 @@ from amaranth.hdl import Mux, Signal
 
 from ..hdl import bus
 from ..hdl.gating import Gating
-from ..hdl.sequencer import LEAD, Sequencer
+from ..hdl.sequencer import LEAD, TO_FINISH, Sequencer
 from ..hdl.tdc import START_TO_PHASE, Tdc
 from ..model.contract.dither import DITHER_BITS_MAX, LFSR_BITS, LFSR_TAPS
 from ..model.contract.parameters import Sensor
@@ -178,8 +178,8 @@ def sequencer(b: Bench):
     b.always(body.active == (body.running | body.wrap | body.draining), where=~body.running | ~body.wrap)
     b.always(body.active, where=body.running)
     b.always(body.number.agree)
-    b.always(unit.finish == (body.drained == body.to_finish))
-    b.always(body.drained <= body.to_finish)
+    b.always(unit.finish == (body.drained == TO_FINISH))
+    b.always(body.drained <= TO_FINISH)
     b.always(~body.running & ~body.start.any(), where=body.draining)
     b.always(b.past(body.cycle) == since, where=alive)
     b.always(b.past(body.pulse) == period, where=alive)

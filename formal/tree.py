@@ -6,7 +6,6 @@ open, in the next one and in the one after that, at every phase. Larger sensors 
 the window does not depend on any pixel, and that of a pixel does not depend on other pixels.
 """
 
-from types import SimpleNamespace
 from typing import Any
 
 from amaranth.hdl import C, Cat, Mux, Signal
@@ -14,9 +13,9 @@ from amaranth.lib import wiring
 from attrs import evolve, frozen
 
 from ..hdl import bus
-from ..hdl.minigroup import Minigroup
+from ..hdl.minigroup import Minigroup, MinigroupState
 from ..hdl.tdc import Tdc
-from ..hdl.tree import CoincidenceTree
+from ..hdl.tree import CoincidenceTree, TreeState
 from ..model.contract.parameters import QUARTERS, Sensor
 from .bench import Bench, elaborated, proof
 from .sensors import SMALL
@@ -76,7 +75,7 @@ def _first(word):
     return first
 
 
-def _leaf_holds(b: Bench, leaf: SimpleNamespace, edges: Edges, pixels=None) -> None:
+def _leaf_holds(b: Bench, leaf: MinigroupState, edges: Edges, pixels=None) -> None:
     """State the invariants of a minigroup's pipeline: it holds the encoded first edges of its pixels."""
     for raw, phases, since in ((edges.raw_1, leaf.phases_1, 1), (edges.raw_2, leaf.phases_2, edges.fresh)):
         for word, phase in zip(edges.words(raw, pixels), phases):
@@ -89,7 +88,38 @@ def _leaf_holds(b: Bench, leaf: SimpleNamespace, edges: Edges, pixels=None) -> N
         b.always(valid == Cat(word.any() for word in edges.words(stage, pixels)), where=since)
 
 
-def _place_tree(b: Bench, sensor: Sensor) -> SimpleNamespace:
+@frozen
+class Placed:
+    """A tree on the bench: what it sees, and the pixels of its minigroups; may_open: at stage 2."""
+
+    unit: CoincidenceTree
+    body: TreeState
+    edges: Edges
+    window_ticks: Signal
+    may_open: Signal
+    members: list[Any]
+
+
+class Specification:
+    """Registers of the specification, and their next values, `now`.
+
+    elapsed: cycles since the window opened; not_armed: cycles until the tree is armed.
+    """
+
+    now: dict[str, Any]
+
+    def __init__(self, sensor: Sensor):
+        self.open = Signal()
+        self.left = Signal(range(sensor.window_max + 1))
+        self.hits = Signal(sensor.pixels)
+        self.winner = Signal(sensor.winner_bits)
+        self.stamp = Signal(sensor.stamp_bits)
+        self.offsets = [Signal(sensor.offset_bits, name=f"offset_{g}") for g in range(sensor.minigroups)]
+        self.elapsed = Signal(4)
+        self.not_armed = Signal(range(sensor.rearm + 2))
+
+
+def _place_tree(b: Bench, sensor: Sensor) -> Placed:
     """Place a tree with a TDC line, and any edges, any mask and gate, and a window of any legal length."""
     unit, clock = CoincidenceTree(sensor), Tdc(sensor, 1)
     words, mask, accept = Signal(sensor.pixels * sensor.phases), Signal(sensor.pixels), Signal()
@@ -106,7 +136,7 @@ def _place_tree(b: Bench, sensor: Sensor) -> SimpleNamespace:
         elaborated(leaf)
     b.place("tdc", clock, line_0__root=None)
     wiring.connect(b.m, unit.line, clock.line_0)
-    return SimpleNamespace(
+    return Placed(
         unit=unit,
         body=body,
         edges=_edges(b, words, mask, accept),
@@ -116,19 +146,10 @@ def _place_tree(b: Bench, sensor: Sensor) -> SimpleNamespace:
     )
 
 
-def _specification(b: Bench, dut: SimpleNamespace) -> SimpleNamespace:
+def _specification(b: Bench, dut: Placed) -> Specification:
     """Specify a cycle of stage 2 by the contract. Return its registers, and their next values in `now`."""
     sensor, edges = dut.unit.sensor, dut.edges
-    spec = SimpleNamespace(
-        open=Signal(),
-        left=Signal(range(sensor.window_max + 1)),
-        hits=Signal(sensor.pixels),
-        winner=Signal(sensor.winner_bits),
-        stamp=Signal(sensor.stamp_bits),
-        offsets=[Signal(sensor.offset_bits, name=f"offset_{g}") for g in range(sensor.minigroups)],
-        elapsed=Signal(4),  # cycles since the window opened
-        not_armed=Signal(range(sensor.rearm + 2)),  # cycles until the tree is armed
-    )
+    spec = Specification(sensor)
     now = {name: getattr(spec, name) for name in ("open", "left", "hits", "winner", "stamp", "offsets")}
     now |= {"elapsed": spec.elapsed + 1, "live": spec.open, "closed": C(0, 1), "blind": C(0, 1)}
     seen = C(0, sensor.pixels)
@@ -147,7 +168,7 @@ def _specification(b: Bench, dut: SimpleNamespace) -> SimpleNamespace:
     return spec
 
 
-def _tick(b: Bench, dut: SimpleNamespace, before: dict[str, Any], tick: int, edges, armed) -> dict[str, Any]:
+def _tick(b: Bench, dut: Placed, before: dict[str, Any], tick: int, edges, armed) -> dict[str, Any]:
     """Return the window after a tick with `edges` (one bit per pixel), from the window `before` the tick.
 
     live: a window was open in this cycle; closed: a window has ended in it; blind: an edge found no window and could not
@@ -188,7 +209,7 @@ def _tick(b: Bench, dut: SimpleNamespace, before: dict[str, Any], tick: int, edg
     }
 
 
-def _agrees(b: Bench, dut: SimpleNamespace, now: dict[str, Any]) -> None:
+def _agrees(b: Bench, dut: Placed, now: dict[str, Any]) -> None:
     """State that the tree agrees with the specification, five cycles later, and that a closed window is consistent."""
     unit, window = dut.unit, dut.unit.window
     b.always(unit.closed == b.past(now["closed"], 5))
@@ -203,7 +224,7 @@ def _agrees(b: Bench, dut: SimpleNamespace, now: dict[str, Any]) -> None:
     b.always(window.count == sum(window.hits, start=0), where=unit.closed)
 
 
-def _rearms(b: Bench, dut: SimpleNamespace, spec: SimpleNamespace) -> None:
+def _rearms(b: Bench, dut: Placed, spec: Specification) -> None:
     """State the self-reset: the tree is armed R cycles after the close cycle, and always at the end of a guard."""
     sensor, body = dut.unit.sensor, dut.body
     since_close = Signal(range(sensor.rearm + 2), init=sensor.rearm + 1)
@@ -221,7 +242,7 @@ def _rearms(b: Bench, dut: SimpleNamespace, spec: SimpleNamespace) -> None:
     b.always(spec.not_armed + guarded <= sensor.rearm + closes_by + 1, where=spec.not_armed != 0)
 
 
-def _holds(b: Bench, dut: SimpleNamespace, spec: SimpleNamespace) -> None:
+def _holds(b: Bench, dut: Placed, spec: Specification) -> None:
     """State the invariants: specification against registers, then the pipeline."""
     sensor, body, edges, line, now = dut.unit.sensor, dut.body, dut.edges, dut.unit.line, spec.now
     b.always(body.window_open == spec.open)

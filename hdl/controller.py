@@ -6,8 +6,6 @@ shares the capacity of a stream; `docs/contract.md` states its rule. The thresho
 (`dpcu.py`), which receive the budget when the next frame begins.
 """
 
-from types import SimpleNamespace
-
 from amaranth.hdl import Cat, Module, Mux, Signal
 from amaranth.lib.wiring import In, Out
 
@@ -24,6 +22,38 @@ STEP_BITS = 4  # a budget changes by 1/16 of itself in a frame
 # Beat and word of these counters in the packet; the sums wait for the later one.
 COMMITTED, LOWER = (divmod(COUNTER_NAMES.index(name), BEAT_BITS // COUNTER_BITS) for name in ("committed", "lower"))
 SETTLED = 4  # cycles from the last beat of counters in a frame to the new budget
+
+
+class ControllerState:
+    """Inner registers and signals of a controller.
+
+    take: the settings take effect. known: the budget, a cycle later, because vote and sums take one cycle each. complete:
+    `committed` and `lower` belong together; `now` and `then` do. fresh: no frame has been taken since reset.
+    """
+
+    budget: Voted
+
+    def __init__(self, sensor: Sensor):
+        self.take = Signal()
+        self.capacity = Signal(DATA_BITS)
+        self.share = Signal(DATA_BITS)
+        self.widened = Signal(DATA_BITS + 1)
+        self.narrowed = Signal(DATA_BITS)
+        self.wide = Signal(DATA_BITS)
+        self.narrow = Signal(DATA_BITS)
+        self.known = Signal(DATA_BITS)
+        self.beat = Signal(range(layout(sensor).counter_beats))
+        self.committed = Signal(COUNTER_BITS)
+        self.lower = Signal(COUNTER_BITS)
+        self.controlled = Signal()
+        self.complete = Signal(2)
+        self.now = Signal(COUNTER_BITS)
+        self.then = Signal(COUNTER_BITS)
+        self.total = Signal(DATA_BITS + 1)
+        self.more = Signal(DATA_BITS + 1)
+        self.fresh = Signal(init=1)
+        self.too_much = Signal()
+        self.fits = Signal()
 
 
 class Controller(Unit):
@@ -54,10 +84,10 @@ class Controller(Unit):
                 "budget": Out(DATA_BITS),
             }
         )
+        self.state = ControllerState(sensor)
 
     def elaborate(self, platform):
         m = Module()
-        self.state = SimpleNamespace(take=Signal())
         m.d.comb += self.state.take.eq(self.command.operation == bus.Operation.TAKE)
         self._candidates(m)
         self._sums(m)
@@ -70,15 +100,8 @@ class Controller(Unit):
         One is a step wider, up to the capacity; the other is a step narrower, down to the share.
         """
         state = self.state
-        state.capacity = Signal(DATA_BITS)
-        state.share = Signal(DATA_BITS)
         with m.If(state.take):
             m.d.sync += [state.capacity.eq(self.capacity), state.share.eq(self.share)]
-        state.widened = Signal(DATA_BITS + 1)
-        state.narrowed = Signal(DATA_BITS)
-        state.wide = Signal(DATA_BITS)
-        state.narrow = Signal(DATA_BITS)
-        state.known = Signal(DATA_BITS)  # vote and sums take one cycle each
         m.d.sync += state.known.eq(self.budget)
         budget, step = Cat(1, state.known), state.known >> STEP_BITS  # the lowest bits carry a 1 into the sums
         wider, narrower = Signal(DATA_BITS), Signal(DATA_BITS)
@@ -98,15 +121,6 @@ class Controller(Unit):
         """
         state = self.state
         beats = layout(self.sensor).counter_beats
-        state.beat = Signal(range(beats))
-        state.committed = Signal(COUNTER_BITS)
-        state.lower = Signal(COUNTER_BITS)
-        state.controlled = Signal()
-        state.complete = Signal(2)  # `committed` and `lower` belong together; `now` and `then` do
-        state.now = Signal(COUNTER_BITS)
-        state.then = Signal(COUNTER_BITS)
-        state.total = Signal(DATA_BITS + 1)
-        state.more = Signal(DATA_BITS + 1)
         whole = Signal()
         for counter, (beat, word) in ((state.committed, COMMITTED), (state.lower, LOWER)):
             with m.If(self.counted.valid & (state.beat == beat)):
@@ -131,15 +145,12 @@ class Controller(Unit):
     def _budget(self, m):
         """Narrow the budget if too much was sent; widen it if everything would still fit; begin with the first share."""
         state = self.state
-        state.fresh = fresh = Signal(init=1)
         state.budget = budget = Voted(m, "budget_kept", DATA_BITS)
         m.d.comb += self.budget.eq(budget.value)
-        state.too_much = Signal()
-        state.fits = Signal()
         m.d.sync += [state.too_much.eq(state.total > state.capacity), state.fits.eq(state.more <= state.capacity)]
         with m.If(state.take):
-            m.d.sync += fresh.eq(0)
-        with m.If(fresh):
+            m.d.sync += state.fresh.eq(0)
+        with m.If(state.fresh):
             m.d.comb += budget.next.eq(self.share)
         with m.Elif(self.done & state.too_much):
             m.d.comb += budget.next.eq(state.narrow)

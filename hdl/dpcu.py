@@ -7,8 +7,6 @@ within a coincidence window, allowing us to set different thresholds in every su
 counters and the way the thresholds are found (`controller.py`; the part of each subgroup is here).
 """
 
-from types import SimpleNamespace
-
 from amaranth.hdl import Module, Mux, Signal
 from amaranth.lib.wiring import In, Out
 
@@ -29,6 +27,26 @@ def counter_bits(name: str, sensor: Sensor) -> int:
     if name in ("mg_stored", "mg_dropped"):
         return bits_for(periods)
     return COUNTER_BITS if name == "photons" else min(COUNTER_BITS, bits_for(periods * sensor.period_max))
+
+
+class DpcuState:
+    """Inner registers and signals of a DPCU.
+
+    count: the counters, by name. stays: the controller was in charge in the last frame, too. ceiling: of the bounds compared
+    so far, without the last, which is `reached`. rises, falls, stepped: the controller's step of the threshold.
+    """
+
+    def __init__(self, sensor: Sensor):
+        self.count = {name: Signal(counter_bits(name, sensor), name=name) for name in COUNTER_NAMES}
+        self.threshold = Signal(sensor.count_bits, init=1)
+        self.lower_threshold = Signal(sensor.count_bits)
+        self.meets_lower = Signal()
+        self.stays = Signal()
+        self.ceiling = Signal(range(THRESHOLD_MAX + 1))
+        self.reached = Signal()
+        self.rises = Signal()
+        self.falls = Signal()
+        self.stepped = Signal(range(THRESHOLD_MAX + 1))
 
 
 class Dpcu(Unit):
@@ -75,12 +93,12 @@ class Dpcu(Unit):
                 "controlled": Out(1),
             }
         )
+        self.state = DpcuState(sensor)
 
     def elaborate(self, platform):
         m = Module()
-        self.state = SimpleNamespace()
-        self.state.count = count = {name: Signal(counter_bits(name, self.sensor), name=name) for name in COUNTER_NAMES}
-        m.d.comb += [self.counters.word_select(i, COUNTER_BITS).eq(count[name]) for i, name in enumerate(COUNTER_NAMES)]
+        for i, counter in enumerate(self.state.count.values()):
+            m.d.comb += self.counters.word_select(i, COUNTER_BITS).eq(counter)
         self._judgement(m)
         self._pulses(m)
         self._counters(m)
@@ -90,19 +108,16 @@ class Dpcu(Unit):
     def _judgement(self, m):
         """Commit the windows that meet the threshold. Without coincidence, the window is one tick and the threshold one."""
         state = self.state
-        state.threshold = threshold = Signal(self.sensor.count_bits, init=1)
-        state.lower_threshold = lower_threshold = Signal(self.sensor.count_bits)
-        state.meets_lower = Signal()
         enough = Signal()
         m.d.sync += [
             self.window_ticks.eq(Mux(self.settings.coincidence, self.settings.window, 1)),
-            threshold.eq(Mux(self.settings.coincidence, state.count["threshold_used"], 1)),
-            lower_threshold.eq(threshold - 1),
+            state.threshold.eq(Mux(self.settings.coincidence, state.count["threshold_used"], 1)),
+            state.lower_threshold.eq(state.threshold - 1),
             self.commit.eq(self.closed & enough),
             self.event.eq(self.window),
-            state.meets_lower.eq(self.closed & (self.window.count >= lower_threshold)),
+            state.meets_lower.eq(self.closed & (self.window.count >= state.lower_threshold)),
         ]
-        m.d.comb += enough.eq(self.window.count >= threshold)
+        m.d.comb += enough.eq(self.window.count >= state.threshold)
 
     def _pulses(self, m):
         """Count the periods. The strobe reaches stage 8 ten registers after the input."""
@@ -136,36 +151,33 @@ class Dpcu(Unit):
     def _threshold(self, m):
         """Set the frame's threshold: the programmed one, or one step from the last frame's; clear the frame's counters."""
         state, count, settings = self.state, self.state.count, self.settings
-        state.stays = stays = Signal()  # the controller was in charge in the last frame, too
-        state.ceiling = ceiling = Signal(range(THRESHOLD_MAX + 1))  # of the bounds compared so far, without the last
-        state.reached = reached = Signal()
-        raised = Signal.like(ceiling)
-        state.rises = rises = Signal()
-        state.falls = falls = Signal()
-        state.stepped = stepped = Signal(range(THRESHOLD_MAX + 1))
-        bounded = Signal.like(stepped)
-        floor = self.data[: len(stepped)]
+        raised = Signal.like(state.ceiling)
+        bounded = Signal.like(state.stepped)
+        floor = self.data[: len(state.stepped)]
         m.d.comb += [
             self.controlled.eq(settings.auto & settings.coincidence),
-            raised.eq(ceiling + reached),
-            bounded.eq(Mux(stepped < raised, stepped, raised)),
+            raised.eq(state.ceiling + state.reached),
+            bounded.eq(Mux(state.stepped < raised, state.stepped, raised)),
         ]
         m.d.sync += [
-            reached.eq((self.operation == bus.Operation.COMPARE) & (count["opened"] >= self.data)),
-            ceiling.eq(raised),
-            stepped.eq(_step(count["threshold_used"][: self.sensor.count_bits], rises, falls)),
+            state.reached.eq((self.operation == bus.Operation.COMPARE) & (count["opened"] >= self.data)),
+            state.ceiling.eq(raised),
+            state.stepped.eq(_step(count["threshold_used"][: self.sensor.count_bits], state.rises, state.falls)),
         ]
         with m.Switch(self.operation):
             with m.Case(bus.Operation.TAKE):
-                m.d.sync += [stays.eq(self.controlled), ceiling.eq(1)]
+                m.d.sync += [state.stays.eq(self.controlled), state.ceiling.eq(1)]
             with m.Case(bus.Operation.BUDGET):
                 with m.If(self.in_stream):
-                    m.d.sync += [rises.eq(count["committed"] > self.data), falls.eq(count["lower"] <= self.data)]
+                    m.d.sync += [
+                        state.rises.eq(count["committed"] > self.data),
+                        state.falls.eq(count["lower"] <= self.data),
+                    ]
             with m.Case(bus.Operation.BEGIN):
                 m.d.sync += [counter.eq(0) for counter in count.values()]
                 m.d.sync += [
                     count["threshold_used"].eq(
-                        Mux(self.controlled & stays, Mux(bounded < floor, floor, bounded), settings.threshold)
+                        Mux(self.controlled & state.stays, Mux(bounded < floor, floor, bounded), settings.threshold)
                     ),
                     self.pulse.eq(~0),
                 ]

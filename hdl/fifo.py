@@ -5,8 +5,6 @@ The paper (III-A) names a FIFO register that valid data is written into. Our cho
 and that a new event is dropped when the FIFO is full.
 """
 
-from types import SimpleNamespace
-
 from amaranth.hdl import Module, Mux, Signal
 from amaranth.lib.wiring import In, Out
 
@@ -14,6 +12,18 @@ from ..model.contract.parameters import Sensor
 from . import bus
 from .memory import Memory
 from .unit import Unit, place
+
+
+class EventFifoState:
+    """Rows, places of the next event to write and to read, number of events, and whether events were lost since the last one."""
+
+    def __init__(self, sensor: Sensor):
+        depth = sensor.fifo_depth
+        self.rows = Memory(depth, bus.event_layout(sensor).size)
+        self.to = Signal(range(depth))
+        self.row = Signal(range(depth))
+        self.level = Signal(range(depth + 1))
+        self.lost = Signal()
 
 
 class EventFifo(Unit):
@@ -47,44 +57,47 @@ class EventFifo(Unit):
                 "take": In(1),
             }
         )
+        self.state = EventFifoState(sensor)
 
     def elaborate(self, platform):
         m = Module()
-        depth = self.sensor.fifo_depth
-        layout = bus.event_layout(self.sensor)
-        rows = place(m, "storage", Memory(depth, layout.size), platform)
-        to, row = Signal(range(depth)), Signal(range(depth))
-        level = Signal(range(depth + 1))
-        lost = Signal()
+        depth, state = self.sensor.fifo_depth, self.state
+        rows = place(m, "storage", state.rows, platform)
         room = Signal()
-        event = Signal(layout)
+        event = Signal(bus.event_layout(self.sensor))
         m.d.comb += [
-            room.eq(level != depth),
+            room.eq(state.level != depth),
             event.window.eq(self.event),
             event.offsets.eq(self.offsets),
             event.pulse.eq(self.pulse),
-            event.overrun.eq(lost),
+            event.overrun.eq(state.lost),
             rows.write.eq(self.commit & room),
             rows.data.eq(event),
             self.head.eq(rows.value),
         ]
         if depth > 1:
-            m.d.comb += [rows.to.eq(to), rows.row.eq(row)]
+            m.d.comb += [rows.to.eq(state.to), rows.row.eq(state.row)]
             with m.If(rows.write):
-                m.d.sync += to.eq(Mux(to == depth - 1, 0, to + 1))
+                m.d.sync += state.to.eq(Mux(state.to == depth - 1, 0, state.to + 1))
             with m.If(self.take):
-                m.d.sync += row.eq(Mux(row == depth - 1, 0, row + 1))
+                m.d.sync += state.row.eq(Mux(state.row == depth - 1, 0, state.row + 1))
         m.d.sync += [
-            level.eq(level + rows.write - self.take),
+            state.level.eq(state.level + rows.write - self.take),
             self.stored.eq(self.commit & room),
             self.dropped.eq(self.commit & ~room),
         ]
         with m.If(self.frame_begin):
-            m.d.sync += [lost.eq(0), level.eq(0), to.eq(0), row.eq(0)]
+            m.d.sync += [state.lost.eq(0), state.level.eq(0), state.to.eq(0), state.row.eq(0)]
         with m.Elif(self.commit):
-            m.d.sync += lost.eq(~room)
-        self.state = SimpleNamespace(rows=rows, to=to, row=row, level=level, lost=lost)
+            m.d.sync += state.lost.eq(~room)
         return m
+
+
+class RecordBufferState:
+    """Whether a record waits to be read."""
+
+    def __init__(self):
+        self.waiting = Signal()
 
 
 class RecordBuffer(Unit):
@@ -117,10 +130,11 @@ class RecordBuffer(Unit):
                 "frame_begin": In(1),
             }
         )
+        self.state = RecordBufferState()
 
     def elaborate(self, platform):
         m = Module()
-        waiting = Signal()
+        waiting = self.state.waiting
         comes = Signal()
         layout = bus.record_layout(self.sensor)
         place_of_one = place(m, "row", Memory(1, layout.size), platform)
@@ -140,5 +154,4 @@ class RecordBuffer(Unit):
             m.d.sync += waiting.eq(1)
         with m.Elif(self.take | self.frame_begin):
             m.d.sync += waiting.eq(0)
-        self.state = SimpleNamespace(waiting=waiting)
         return m

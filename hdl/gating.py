@@ -5,8 +5,6 @@ The paper (III-A): every subgroup is "modelled to optionally operate under time-
 desired target range". Progressive gating (the shift) is our choice.
 """
 
-from types import SimpleNamespace
-
 from amaranth.hdl import Module, Mux, Signal
 from amaranth.lib.wiring import In, Out
 
@@ -14,6 +12,16 @@ from ..model.contract.parameters import Sensor
 from ..model.contract.settings import GATE_BITS
 from . import bus
 from .unit import Unit
+
+
+class GatingState:
+    """Strobes of the frame and its period, and the cycles until the gate opens and closes."""
+
+    def __init__(self, sensor: Sensor):
+        self.start = Signal()
+        self.running = Signal(2)
+        self.until_now = Signal(sensor.coarse_bits + 2)
+        self.left_now = Signal(GATE_BITS)
 
 
 class Gating(Unit):
@@ -41,33 +49,29 @@ class Gating(Unit):
                 "accept": Out(1),
             }
         )
+        self.state = GatingState(sensor)
 
     def elaborate(self, platform):
         m = Module()
-        coarse_bits = self.sensor.coarse_bits
+        coarse_bits, state = self.sensor.coarse_bits, self.state
         first = Signal(coarse_bits + 2)
-        start = Signal()
-        running = Signal(2)
         m.d.sync += [
             first.eq(self.settings.gate_start[:coarse_bits] + self.timing.shift),
-            start.eq(self.timing.start),
-            running.eq((running << 1) | self.timing.running),
+            state.start.eq(self.timing.start),
+            state.running.eq((state.running << 1) | self.timing.running),
         ]
         until = Signal.like(first)  # cycles until the gate opens, then cycles until it closes
         left = Signal(GATE_BITS)
-        until_now = Signal.like(until)
-        left_now = Signal.like(left)
         inside = Signal()
         m.d.comb += [
-            until_now.eq(Mux(start, first, until)),
-            left_now.eq(Mux(start, self.settings.gate_len, left)),
-            inside.eq(running[0] & (until_now == 0) & (left_now != 0)),
+            state.until_now.eq(Mux(state.start, first, until)),
+            state.left_now.eq(Mux(state.start, self.settings.gate_len, left)),
+            inside.eq(state.running[0] & (state.until_now == 0) & (state.left_now != 0)),
         ]
         m.d.sync += [
-            until.eq(until_now - (until_now != 0)),
-            left.eq(left_now - inside),
+            until.eq(state.until_now - (state.until_now != 0)),
+            left.eq(state.left_now - inside),
             self.spad_gate.eq(inside | ~self.settings.gating),
-            self.accept.eq(running[1] & self.spad_gate),
+            self.accept.eq(state.running[1] & self.spad_gate),
         ]
-        self.state = SimpleNamespace(until_now=until_now, left_now=left_now, running=running, start=start)
         return m

@@ -39,7 +39,7 @@ class Memory(Unit):
         m.d.comb += [writes.en.eq(self.write), writes.data.eq(self.data), self.value.eq(reads.data)]
         if self.depth > 1:
             m.d.comb += [writes.addr.eq(self.to), reads.addr.eq(self.row)]
-        self.state = rows
+        self.rows = rows
         return m
 
     def latches(self) -> str:

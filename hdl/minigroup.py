@@ -6,8 +6,6 @@ generating the spatial address/ID of the contributing events". Our choices are t
 stamp in quarters of a cycle, and the step of the coarse offsets.
 """
 
-from types import SimpleNamespace
-
 from amaranth.hdl import Cat, Module, Mux, Signal
 from amaranth.lib.wiring import In, Out
 
@@ -18,133 +16,20 @@ from .memory import Memory
 from .unit import Unit, place
 
 
-class Minigroup(Unit):
-    """Leaf of the tree with `minigroup_pixels` SPADs.
-
-    Stages count from the port: edges at 1, the window at 2, hits and record at 3, map at 5, offset at 8.
-
-    Ports
-    -----
-    words : in, pixels * phases bits, the SPADs' edge words; mask : in, pixels (stage 0)
-    root : out, phases, OR of the words of the unmasked pixels (stage 0: straight from the port to a register of the tree)
-    accept : in, the gate is open and a frame is running (stage 1)
-    whole : in, the window covers the cycle; part : in, it covers the phases before `end`; first : in, the cycle's first phase (stage 2)
-    at_first : out, pixels, the pixel's edge is at that phase (stage 2)
-    blind : out, an accepted edge lies outside the window (stage 3)
-    opening : in, the window opened in this cycle (stage 4)
-    hits : out, pixels, the window's map (stage 5)
-    elapsed : in, cycles since the window opened (stage 7)
-    offset : out, coarse offset of the first counted edge, valid if hits was not 0 (stage 8, at which the FIFO takes it)
-    frame : in, settings; may_open, wrap : in (stage 3); coarse : in, coarse count of the TDC (stage 4)
-    latched, entry : out, the record of the period, to be taken during `wrap` (stage 3)
-
-    Reset clears the record circuit. The rest needs no reset, because nothing is accepted outside a frame and every
-    window starts from an empty map.
-    """
-
-    unit_name = "coincid_minigroup"
+class RecordState:
+    """Registers of a record collection. left: cycles of it after the present one; seen: its map; started: one cycle ago."""
 
     def __init__(self, sensor: Sensor):
-        self.sensor = sensor
-        pixels, phases = sensor.minigroup_pixels, sensor.phases
-        super().__init__(
-            {
-                "words": In(pixels * phases),
-                "mask": In(pixels),
-                "accept": In(1),
-                "root": Out(phases),
-                "whole": In(1),
-                "part": In(1),
-                "end": In(sensor.phase_bits),
-                "first": In(sensor.phase_bits),
-                "at_first": Out(pixels),
-                "blind": Out(1),
-                "opening": In(1),
-                "elapsed": In(sensor.elapsed_bits),
-                "hits": Out(pixels),
-                "offset": Out(sensor.offset_bits),
-                "frame": In(bus.frame_layout(sensor)),
-                "may_open": In(1),
-                "wrap": In(1),
-                "coarse": In(sensor.coarse_bits),
-                "latched": Out(1),
-                "entry": Out(bus.entry_layout(sensor)),
-            }
-        )
+        self.left = Signal(2)
+        self.seen = Signal(sensor.minigroup_pixels, reset_less=True)
+        self.stamp = Memory(1, sensor.record_stamp_bits)
+        self.started = Signal(reset_less=True)
 
-    def elaborate(self, platform):
-        m = Module()
-        self.state = SimpleNamespace()
-        self._edges(m)
-        self._hits(m)
-        self._map(m)
-        self._record(m, platform, self.state.active, self.state.step_4)
-        return m
 
-    def _edges(self, m):
-        """Stages 1 and 2: encode each pixel's word at the port as valid and phase of its first edge.
+class Recorder(Unit):
+    """What minigroups have in common in both views: coarse offsets, and the minigroup's own stamping circuit."""
 
-        The words themselves are not registered: at 32 phases, that register would be the largest part of the sensor.
-        """
-        state, sensor = self.state, self.sensor
-        pixels, phases = sensor.minigroup_pixels, sensor.phases
-        state.valid_1, state.valid_2 = (Signal(pixels, name=f"valid_{n}", reset_less=True) for n in (1, 2))
-        state.phases_1, state.phases_2 = (
-            [Signal(sensor.phase_bits, name=f"phase_{n}_{i}", reset_less=True) for i in range(pixels)] for n in (1, 2)
-        )
-        roots = [Signal(phases, name=f"root_{i}") for i in range(pixels)]
-        for i, root in enumerate(roots):
-            word, on = self.words.word_select(i, phases), self.mask[i]
-            valid, phase = first_one(m, word, f"first_{i}")
-            m.d.comb += root.eq(word & on.replicate(phases))
-            m.d.sync += [
-                state.valid_1[i].eq(valid & on),
-                state.phases_1[i].eq(phase | ~on.replicate(sensor.phase_bits)),
-            ]
-        m.d.comb += self.root.eq(any_of(m, roots, "root_or"))
-        m.d.sync += [
-            state.valid_2.eq(state.valid_1 & self.accept.replicate(pixels)),
-            *(phase_2.eq(phase_1) for phase_1, phase_2 in zip(state.phases_1, state.phases_2)),
-        ]
-
-    def _hits(self, m):
-        """Stages 2 and 3: find the pixels with an edge, those that the window counts, and the step of the first edge.
-
-        A pixel without an edge has the last phase, so it is never earlier than one with an edge.
-        """
-        state, sensor = self.state, self.sensor
-        pixels = sensor.minigroup_pixels
-        state.active = Signal(pixels, reset_less=True)
-        state.hit_3 = Signal(pixels, reset_less=True)
-        state.step = Signal(sensor.step_bits, reset_less=True)
-        before_end = Cat(phase < self.end for phase in state.phases_2)
-        steps = [phase[-sensor.step_bits :] for phase in state.phases_2]
-        m.d.comb += [
-            self.at_first.eq(state.valid_2 & Cat(phase == self.first for phase in state.phases_2)),
-            self.blind.eq((state.active & ~state.hit_3).any()),
-        ]
-        m.d.sync += [
-            state.active.eq(state.valid_2),
-            state.hit_3.eq(state.valid_2 & (self.whole.replicate(pixels) | (self.part.replicate(pixels) & before_end))),
-            state.step.eq(least(m, steps, "first_step")),
-        ]
-
-    def _map(self, m):
-        """Stages 4 and 5: collect the hits in the map.
-
-        In a cycle, edges that no window counts come after those that are counted. So the first edge is a counted one.
-        """
-        state, pixels = self.state, self.sensor.minigroup_pixels
-        state.hit_4 = Signal(pixels, reset_less=True)
-        state.step_4 = Signal.like(state.step)
-        state.hits = hits = Signal(pixels, reset_less=True)
-        m.d.sync += [
-            state.hit_4.eq(state.hit_3),
-            state.step_4.eq(state.step),
-            hits.eq(state.hit_4 | (hits & ~self.opening.replicate(pixels))),
-        ]
-        m.d.comb += self.hits.eq(hits)
-        self._offset(m, state.hit_4.any() & (self.opening | ~hits.any()), state.step_4)
+    state: RecordState
 
     def _offset(self, m, begins, step_4):
         """Stages 5 to 8: form the offset of a window's first edge. It travels as strobe and step, which are fewer bits.
@@ -166,12 +51,9 @@ class Minigroup(Unit):
 
         active: pixels with an edge in the cycle; step_4: step of the first of these edges, one cycle later.
         """
-        state = self.state
-        sensor, state, pixels = self.sensor, self.state, len(active)
-        state.left = left = Signal(2)  # cycles of the collection after the present one
-        state.seen = seen = Signal(pixels, reset_less=True)
-        state.stamp = stamp = place(m, "stamp", Memory(1, sensor.record_stamp_bits), platform)
-        state.started = Signal(reset_less=True)
+        state, pixels = self.state, len(active)
+        left, seen = state.left, state.seen
+        stamp = place(m, "stamp", state.stamp, platform)
         starts = Signal()
         runs = Signal()
         seen_next = Signal(pixels)
@@ -200,3 +82,142 @@ class Minigroup(Unit):
             m.d.sync += [seen.eq(seen_next), left.eq(left_next)]
             with m.If(left_next == 0):
                 m.d.sync += self.latched.eq(popcount(m, seen_next, "seen_count") >= self.frame.mg_threshold)
+
+
+class MinigroupState(RecordState):
+    """Inner registers of a minigroup. Numbers are those of stages; active: pixels with an edge (stage 3)."""
+
+    def __init__(self, sensor: Sensor):
+        super().__init__(sensor)
+        pixels, bits = sensor.minigroup_pixels, sensor.phase_bits
+        self.valid_1 = Signal(pixels, reset_less=True)
+        self.valid_2 = Signal(pixels, reset_less=True)
+        self.phases_1 = [Signal(bits, name=f"phase_1_{i}", reset_less=True) for i in range(pixels)]
+        self.phases_2 = [Signal(bits, name=f"phase_2_{i}", reset_less=True) for i in range(pixels)]
+        self.active = Signal(pixels, reset_less=True)
+        self.hit_3 = Signal(pixels, reset_less=True)
+        self.step = Signal(sensor.step_bits, reset_less=True)
+        self.hit_4 = Signal(pixels, reset_less=True)
+        self.step_4 = Signal.like(self.step)
+        self.hits = Signal(pixels, reset_less=True)
+
+
+class Minigroup(Recorder):
+    """Leaf of the tree with `minigroup_pixels` SPADs.
+
+    Stages count from the port: edges at 1, the window at 2, hits and record at 3, map at 5, offset at 8.
+
+    Ports
+    -----
+    words : in, pixels * phases bits, the SPADs' edge words; mask : in, pixels (stage 0)
+    root : out, phases, OR of the words of the unmasked pixels (stage 0: straight from the port to a register of the tree)
+    accept : in, the gate is open and a frame is running (stage 1)
+    whole : in, the window covers the cycle; part : in, it covers the phases before `end`; first : in, the cycle's first phase (stage 2)
+    at_first : out, pixels, the pixel's edge is at that phase (stage 2)
+    blind : out, an accepted edge lies outside the window (stage 3)
+    opening : in, the window opened in this cycle (stage 4)
+    hits : out, pixels, the window's map (stage 5)
+    elapsed : in, cycles since the window opened (stage 7)
+    offset : out, coarse offset of the first counted edge, valid if hits was not 0 (stage 8, at which the FIFO takes it)
+    frame : in, settings; may_open, wrap : in (stage 3); coarse : in, coarse count of the TDC (stage 4)
+    latched, entry : out, the record of the period, to be taken during `wrap` (stage 3)
+
+    Reset clears the record circuit. The rest needs no reset, because nothing is accepted outside a frame and every
+    window starts from an empty map.
+    """
+
+    unit_name = "coincid_minigroup"
+    state: MinigroupState
+
+    def __init__(self, sensor: Sensor):
+        self.sensor = sensor
+        pixels, phases = sensor.minigroup_pixels, sensor.phases
+        super().__init__(
+            {
+                "words": In(pixels * phases),
+                "mask": In(pixels),
+                "accept": In(1),
+                "root": Out(phases),
+                "whole": In(1),
+                "part": In(1),
+                "end": In(sensor.phase_bits),
+                "first": In(sensor.phase_bits),
+                "at_first": Out(pixels),
+                "blind": Out(1),
+                "opening": In(1),
+                "elapsed": In(sensor.elapsed_bits),
+                "hits": Out(pixels),
+                "offset": Out(sensor.offset_bits),
+                "frame": In(bus.frame_layout(sensor)),
+                "may_open": In(1),
+                "wrap": In(1),
+                "coarse": In(sensor.coarse_bits),
+                "latched": Out(1),
+                "entry": Out(bus.entry_layout(sensor)),
+            }
+        )
+        self.state = MinigroupState(sensor)
+
+    def elaborate(self, platform):
+        m = Module()
+        self._edges(m)
+        self._hits(m)
+        self._map(m)
+        self._record(m, platform, self.state.active, self.state.step_4)
+        return m
+
+    def _edges(self, m):
+        """Stages 1 and 2: encode each pixel's word at the port as valid and phase of its first edge.
+
+        The words themselves are not registered: at 32 phases, that register would be the largest part of the sensor.
+        """
+        state, sensor = self.state, self.sensor
+        pixels, phases = sensor.minigroup_pixels, sensor.phases
+        roots = [Signal(phases, name=f"root_{i}") for i in range(pixels)]
+        for i, root in enumerate(roots):
+            word, on = self.words.word_select(i, phases), self.mask[i]
+            valid, phase = first_one(m, word, f"first_{i}")
+            m.d.comb += root.eq(word & on.replicate(phases))
+            m.d.sync += [
+                state.valid_1[i].eq(valid & on),
+                state.phases_1[i].eq(phase | ~on.replicate(sensor.phase_bits)),
+            ]
+        m.d.comb += self.root.eq(any_of(m, roots, "root_or"))
+        m.d.sync += [
+            state.valid_2.eq(state.valid_1 & self.accept.replicate(pixels)),
+            *(phase_2.eq(phase_1) for phase_1, phase_2 in zip(state.phases_1, state.phases_2)),
+        ]
+
+    def _hits(self, m):
+        """Stages 2 and 3: find the pixels with an edge, those that the window counts, and the step of the first edge.
+
+        A pixel without an edge has the last phase, so it is never earlier than one with an edge.
+        """
+        state, sensor = self.state, self.sensor
+        pixels = sensor.minigroup_pixels
+        before_end = Cat(phase < self.end for phase in state.phases_2)
+        steps = [phase[-sensor.step_bits :] for phase in state.phases_2]
+        m.d.comb += [
+            self.at_first.eq(state.valid_2 & Cat(phase == self.first for phase in state.phases_2)),
+            self.blind.eq((state.active & ~state.hit_3).any()),
+        ]
+        m.d.sync += [
+            state.active.eq(state.valid_2),
+            state.hit_3.eq(state.valid_2 & (self.whole.replicate(pixels) | (self.part.replicate(pixels) & before_end))),
+            state.step.eq(least(m, steps, "first_step")),
+        ]
+
+    def _map(self, m):
+        """Stages 4 and 5: collect the hits in the map.
+
+        In a cycle, edges that no window counts come after those that are counted. So the first edge is a counted one.
+        """
+        state, pixels = self.state, self.sensor.minigroup_pixels
+        hits = state.hits
+        m.d.sync += [
+            state.hit_4.eq(state.hit_3),
+            state.step_4.eq(state.step),
+            hits.eq(state.hit_4 | (hits & ~self.opening.replicate(pixels))),
+        ]
+        m.d.comb += self.hits.eq(hits)
+        self._offset(m, state.hit_4.any() & (self.opening | ~hits.any()), state.step_4)

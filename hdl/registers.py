@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Register front: AXI4-Lite slave, range checks, global registers, start of a frame; map in `model/contract/registers.py`."""
 
-from types import SimpleNamespace
+from typing import Any
 
 from amaranth.hdl import Cat, Const, Module, Mux, Signal
 from amaranth.lib.wiring import In, Out
@@ -22,6 +22,61 @@ CHECK_CYCLES = 7  # from decoding a start until the start checks of all subgroup
 BLOCK_BITS = bits_for(SUBGROUP_STRIDE - 1)  # width of an address inside a subgroup's block
 RESTING_CYCLES = 15  # if the sequencer has rested for so long, a frame that was started has been lost
 CONTROL, STATUS = BY_NAME["control"], BY_NAME["status"]
+
+
+class RegistersState:
+    """Inner registers and signals of the register front.
+
+    whole: all bytes of the word are to be written; parity: of the value at the port. setting, setting_parity: the programmed
+    settings of the global block, by name and index; flag: of the status; named: the word that the address names; failed:
+    conditions that refuse a start, by the flag that reports them. wait: cycles of the access so far; sent: words sent for the
+    subgroups' thresholds; same_address, same_value: address and value are those that the master gave.
+    """
+
+    voted: list[Voted]
+    keep_read: Voted
+    answer_write: Voted
+    answer_read: Voted
+    failed: dict[str, Signal]
+    machine: Any
+
+    def __init__(self, sensor: Sensor):
+        self.write_address = Signal(registers.ADDRESS_BITS)
+        self.value = Signal(DATA_BITS)
+        self.parity = Signal()
+        self.whole = Signal()
+        self.held_write = Signal()
+        self.read_address = Signal(registers.ADDRESS_BITS)
+        self.setting = {
+            (register.name, index): Signal(
+                bits_for(register.high(sensor)), init=register.reset(sensor), name=f"{register.name}_{index}"
+            )
+            for _, register, index in registers.words(registers.GLOBAL, sensor)
+            if register.access is Access.SETTING
+        }
+        self.setting_parity = {
+            key: Signal(init=setting.init.bit_count() & 1, name=f"parity_of_{setting.name}")
+            for key, setting in self.setting.items()
+        }
+        self.flag = {bits.name: Signal(name=f"status_{bits.name}") for bits in STATUS.bits}
+        self.address = Signal(registers.ADDRESS_BITS)
+        self.in_subgroup = Signal()
+        self.mapped = Signal()
+        self.writable = Signal()
+        self.legal = Signal()
+        self.named = {
+            (register.name, index): Signal(name=f"named_{register.name}_{index}")
+            for table in (registers.GLOBAL, registers.SUBGROUP)
+            for _, register, index in registers.words(table, sensor)
+        }
+        self.found = Signal(DATA_BITS)
+        self.wait = Signal(range(max(READ_CYCLES, CHECK_CYCLES) + 1))
+        self.sent = Signal(range(sensor.streams + AUTO_BOUNDS))
+        self.data = Signal(DATA_BITS)
+        self.same_address = Signal()
+        self.same_value = Signal()
+        self.rested = Signal(range(RESTING_CYCLES + 1))
+        self.plan_parity = Signal()
 
 
 class Registers(Unit):
@@ -66,10 +121,10 @@ class Registers(Unit):
             | {f"share_{k}": Out(DATA_BITS) for k in range(sensor.streams)}
             | {f"budget_{k}": In(DATA_BITS) for k in range(sensor.streams)}
         )
+        self.state = RegistersState(sensor)
 
     def elaborate(self, platform):
         m = Module()
-        self.state = SimpleNamespace()
         self._write_channel(m)
         self._read_channel(m)
         self._global_settings(m)
@@ -82,15 +137,10 @@ class Registers(Unit):
     def _write_channel(self, m):
         """Hold address and data of a write until the write is answered."""
         axi, state = self.s_axi, self.state
-        state.write_address = Signal(registers.ADDRESS_BITS)
-        state.value = Signal(DATA_BITS)
-        state.parity = Signal()  # parity of the value at the port
-        state.whole = Signal()  # all bytes of the word are to be written
         state.voted = [
             Voted(m, name) for name in ("held_address", "held_data", "held_read", "answered_write", "answered_read")
         ]
         held_address, held_data, state.keep_read, state.answer_write, state.answer_read = state.voted
-        state.held_write = Signal()
         m.d.comb += [
             axi.awready.eq(~held_address.value),
             axi.wready.eq(~held_data.value),
@@ -109,9 +159,7 @@ class Registers(Unit):
     def _read_channel(self, m):
         """Hold the address of a read until the read is answered."""
         axi, state = self.s_axi, self.state
-        state.read_address = Signal(registers.ADDRESS_BITS)
-        state.held_read = state.keep_read.value
-        m.d.comb += [axi.arready.eq(~state.held_read), axi.rvalid.eq(state.answer_read.value)]
+        m.d.comb += [axi.arready.eq(~state.keep_read.value), axi.rvalid.eq(state.answer_read.value)]
         with m.If(axi.arvalid & axi.arready):
             m.d.comb += state.keep_read.next.eq(1)
             m.d.sync += state.read_address.eq(axi.araddr)
@@ -119,20 +167,8 @@ class Registers(Unit):
             m.d.comb += [state.answer_read.next.eq(0), state.keep_read.next.eq(0)]
 
     def _global_settings(self, m):
-        """The programmed settings of the global block, by name and index, and the status flags, by name."""
+        """Give the programmed settings to those that do not wait for a frame."""
         state = self.state
-        state.setting = {
-            (register.name, index): Signal(
-                bits_for(register.high(self.sensor)), init=register.reset(self.sensor), name=f"{register.name}_{index}"
-            )
-            for _, register, index in registers.words(registers.GLOBAL, self.sensor)
-            if register.access is Access.SETTING
-        }
-        state.setting_parity = {
-            key: Signal(init=setting.init.bit_count() & 1, name=f"parity_of_{setting.name}")
-            for key, setting in state.setting.items()
-        }
-        state.flag = {bits.name: Signal(name=f"status_{bits.name}") for bits in STATUS.bits}
         m.d.comb += self.period.eq(state.setting["period", 0])
         m.d.comb += self.capacity.eq(state.setting["capacity", 0])
         m.d.comb += [getattr(self, f"share_{k}").eq(state.setting["share", k]) for k in range(self.sensor.streams)]
@@ -144,16 +180,10 @@ class Registers(Unit):
         entries of the table for this word.
         """
         sensor, state = self.sensor, self.state
-        state.address = Signal(registers.ADDRESS_BITS)
-        state.in_subgroup = Signal()
-        state.mapped = Signal()
-        state.writable = Signal()
-        state.legal = Signal()
         in_block = Signal()
         m.d.comb += in_block.eq(
             (state.address >= SUBGROUP_BASE) & (state.address < SUBGROUP_BASE + SUBGROUP_STRIDE * sensor.subgroups)
         )
-        state.named = {}
         mapped, writable, legal = [], [], []
         in_range = self._ranges(m)
         for table, where, key in (
@@ -161,7 +191,7 @@ class Registers(Unit):
             (registers.SUBGROUP, in_block, state.address[:BLOCK_BITS]),
         ):
             for offset, register, index in registers.words(table, sensor):
-                word = state.named[register.name, index] = Signal(name=f"named_{register.name}_{index}")
+                word = state.named[register.name, index]
                 m.d.sync += word.eq(where & (key == offset))
                 mapped.append(word)
                 if register.access in WRITABLE:
@@ -185,7 +215,6 @@ class Registers(Unit):
     def _select(self, m):
         """Select the global register at the address, at the same time as the decoder's result."""
         state = self.state
-        state.found = Signal(DATA_BITS)
         content = state.setting | {("status", 0): Cat(state.flag[bits.name] for bits in STATUS.bits)}
         content |= {("budget", k): getattr(self, f"budget_{k}") for k in range(self.sensor.streams)}
         for _, register, index in registers.words(registers.GLOBAL, self.sensor):
@@ -221,13 +250,6 @@ class Registers(Unit):
     def _accesses(self, m):
         """Carry out one access at a time: a read, a write, or the write that starts a frame."""
         axi, state = self.s_axi, self.state
-        state.wait = Signal(range(max(READ_CYCLES, CHECK_CYCLES) + 1))  # cycles of the access so far
-        state.sent = Signal(range(self.sensor.streams + AUTO_BOUNDS))  # words sent for the subgroups' thresholds
-        state.data = Signal(DATA_BITS)
-        state.same_address = Signal()  # the address is the one that the master gave
-        state.same_value = Signal()
-        state.rested = Signal(range(RESTING_CYCLES + 1))
-        state.plan_parity = Signal()
         plan_upset = Signal()  # with an upset plan, a frame might last for hours
         m.d.sync += [
             plan_upset.eq(self.plan.as_value().xor() ^ state.plan_parity),
@@ -245,13 +267,13 @@ class Registers(Unit):
                 with m.If(state.held_write & ~axi.bvalid):
                     m.d.sync += state.address.eq(state.write_address)
                     m.next = "decode"
-                with m.Elif(state.held_read & ~axi.rvalid):
+                with m.Elif(state.keep_read.value & ~axi.rvalid):
                     m.d.sync += state.address.eq(state.read_address)
                     m.next = "read"
             with m.State("read"):
                 m.d.sync += self._name_word()
                 with m.If(state.wait == READ_CYCLES):
-                    with m.If(state.held_read):
+                    with m.If(state.keep_read.value):
                         self._answer_read(m)
                     m.next = "idle"
             with m.State("decode"):

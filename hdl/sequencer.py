@@ -4,8 +4,6 @@
 The paper gives the laser's repetition rate and the laser pulses of a frame; the sequencing is our choice.
 """
 
-from types import SimpleNamespace
-
 from amaranth.hdl import Module, Mux, Signal
 from amaranth.lib.wiring import In, Out
 
@@ -20,6 +18,43 @@ from .voted import Voted
 LEAD = 3  # number of cycles that `timing` is ahead of the ports
 HEAD_TO_GRANT = 2  # from `frame_begin` to the readout's earliest grant
 END_TO_GRANT = 1  # from `finish` to the readout's earliest grant of the end packet
+# Cycles from `wrap` after the last period, which comes LEAD + 1 cycles before the first cycle after it, to `finish`.
+TO_FINISH = LEAD + 1 + latency.FINISH - END_TO_GRANT
+
+
+class SequencerState:
+    """Inner registers and signals of a sequencer.
+
+    waiting: between two periods; left: cycles of this wait. start: the strobe, delayed for the registers behind it.
+    active: from the beginning of a frame until it is done. step, last_step: registers, because `pulses` and `steps` change at
+    the end of a period only. draining, drained: the frame is ending, and for how long it has been.
+    """
+
+    number: Voted
+
+    def __init__(self, sensor: Sensor):
+        coarse_bits = sensor.coarse_bits
+        self.running = Signal()
+        self.waiting = Signal()
+        self.ends = Signal()
+        self.first = Signal()
+        self.wrap = Signal()
+        self.cycle = Signal(coarse_bits + 1)
+        self.pulse = Signal(bus.PULSE_BITS + 1)
+        self.start = Signal(2)
+        self.restart = self.start[-1]
+        self.aborted = Signal()
+        self.active = Signal()
+        self.lfsr = Signal(LFSR_BITS)
+        self.mask = Signal(DITHER_BITS_MAX)
+        self.left = Signal(DITHER_BITS_MAX)
+        self.shift = Signal(coarse_bits + 1)
+        self.pulses = Signal(GATE_BITS)
+        self.steps = Signal(GATE_BITS)
+        self.step = Signal()
+        self.last_step = Signal()
+        self.draining = Signal()
+        self.drained = Signal(range(TO_FINISH + 1))
 
 
 class Sequencer(Unit):
@@ -59,10 +94,10 @@ class Sequencer(Unit):
                 "resting": Out(1),
             }
         )
+        self.state = SequencerState(sensor)
 
     def elaborate(self, platform):
         m = Module()
-        self.state = SimpleNamespace()
         self._periods(m)
         self._dither(m)
         self._shift(m)
@@ -72,80 +107,67 @@ class Sequencer(Unit):
 
     def _periods(self, m):
         """Count the cycles of a period and the periods of the frame."""
-        state, settings, coarse_bits = self.state, self.plan, self.sensor.coarse_bits
-        state.running = running = Signal()
-        state.waiting = Signal()  # dither: between two periods
-        state.ends = ends = Signal()
-        state.first = Signal()
-        state.wrap = Signal()
-        state.cycle = cycle = Signal(coarse_bits + 1)
-        state.pulse = pulse = Signal(bus.PULSE_BITS + 1)
-        state.start = Signal(2)  # one cycle of delay for the registers below
-        state.aborted = Signal()
-        state.active = Signal()  # from the beginning of a frame until it is done
-        state.restart = state.start[-1]
-        last_cycle = Signal.like(cycle)
-        last_pulse = Signal.like(pulse)
+        state, settings = self.state, self.plan
+        last_cycle = Signal.like(state.cycle)
+        last_pulse = Signal.like(state.pulse)
         m.d.sync += [
             last_cycle.eq(settings.period - 1),
             last_pulse.eq(settings.pulses - 1),
             state.start.eq((state.start << 1) | self.start_frame),
-            cycle.eq(Mux(ends | state.waiting, 0, cycle + 1)),
-            state.wrap.eq(ends),
+            state.cycle.eq(Mux(state.ends | state.waiting, 0, state.cycle + 1)),
+            state.wrap.eq(state.ends),
             state.first.eq(state.restart),
         ]
-        m.d.comb += ends.eq(running & ~state.waiting & (cycle >= last_cycle))
-        with m.If(self.abort_frame & running):
+        m.d.comb += state.ends.eq(state.running & ~state.waiting & (state.cycle >= last_cycle))
+        with m.If(self.abort_frame & state.running):
             m.d.sync += state.aborted.eq(1)
-        with m.If(ends):
-            m.d.sync += pulse.eq(pulse + 1)
-            with m.If(state.aborted | self.abort_frame | (pulse >= last_pulse)):
-                m.d.sync += running.eq(0)
+        with m.If(state.ends):
+            m.d.sync += state.pulse.eq(state.pulse + 1)
+            with m.If(state.aborted | self.abort_frame | (state.pulse >= last_pulse)):
+                m.d.sync += state.running.eq(0)
         with m.If(state.restart):
-            m.d.sync += [running.eq(1), cycle.eq(0), pulse.eq(0), state.aborted.eq(0), state.active.eq(1)]
+            m.d.sync += [
+                state.running.eq(1),
+                state.cycle.eq(0),
+                state.pulse.eq(0),
+                state.aborted.eq(0),
+                state.active.eq(1),
+            ]
 
     def _dither(self, m):
         """Count the cycles until the next period. The LFSR steps in every cycle of the periods."""
         state = self.state
-        state.lfsr = lfsr = Signal(LFSR_BITS)
-        state.mask = Signal(DITHER_BITS_MAX)
-        state.left = left = Signal(DITHER_BITS_MAX)
         following = Signal(LFSR_BITS)
-        m.d.comb += following.eq((lfsr >> 1) ^ Mux(lfsr[0], LFSR_TAPS, 0))
+        m.d.comb += following.eq((state.lfsr >> 1) ^ Mux(state.lfsr[0], LFSR_TAPS, 0))
         m.d.sync += state.mask.eq((1 << self.plan.dither_bits) - 1)
         with m.If(state.waiting):
-            m.d.sync += [left.eq(left - 1), state.waiting.eq(left > 1)]
+            m.d.sync += [state.left.eq(state.left - 1), state.waiting.eq(state.left > 1)]
         with m.Elif(state.running):
-            m.d.sync += lfsr.eq(following)
+            m.d.sync += state.lfsr.eq(following)
             with m.If(state.ends):
-                m.d.sync += [left.eq(following & state.mask), state.waiting.eq((following & state.mask).any())]
+                m.d.sync += [state.left.eq(following & state.mask), state.waiting.eq((following & state.mask).any())]
         with m.If(state.restart):
-            m.d.sync += [lfsr.eq(self.plan.dither_seed), left.eq(0), state.waiting.eq(0)]
+            m.d.sync += [state.lfsr.eq(self.plan.dither_seed), state.left.eq(0), state.waiting.eq(0)]
 
     def _shift(self, m):
         """Progressive gating: the gate's shift in this period, saturated where no gate can open any more."""
         state, settings, coarse_bits = self.state, self.plan, self.sensor.coarse_bits
-        state.shift = shift = Signal(coarse_bits + 1)
-        state.pulses = pulses = Signal(GATE_BITS)
-        state.steps = steps = Signal(GATE_BITS)
         beyond = 1 << coarse_bits
         more = Signal(GATE_BITS + 1)
-        state.step = step = Signal()  # registers: `pulses` and `steps` change at the end of a period only
-        state.last_step = last_step = Signal()
-        m.d.comb += more.eq(shift + settings.gate_step)
+        m.d.comb += more.eq(state.shift + settings.gate_step)
         m.d.sync += [
-            step.eq((settings.gate_every != 0) & (pulses == settings.gate_every - 1)),
-            last_step.eq(steps == settings.gate_steps - 1),
+            state.step.eq((settings.gate_every != 0) & (state.pulses == settings.gate_every - 1)),
+            state.last_step.eq(state.steps == settings.gate_steps - 1),
         ]
         with m.If(state.ends):
-            m.d.sync += pulses.eq(Mux(step, 0, pulses + 1))
-            with m.If(step):
-                with m.If(last_step):
-                    m.d.sync += [steps.eq(0), shift.eq(0)]
+            m.d.sync += state.pulses.eq(Mux(state.step, 0, state.pulses + 1))
+            with m.If(state.step):
+                with m.If(state.last_step):
+                    m.d.sync += [state.steps.eq(0), state.shift.eq(0)]
                 with m.Else():
-                    m.d.sync += [steps.eq(steps + 1), shift.eq(Mux(more >= beyond, beyond, more))]
+                    m.d.sync += [state.steps.eq(state.steps + 1), state.shift.eq(Mux(more >= beyond, beyond, more))]
         with m.If(state.restart):
-            m.d.sync += [shift.eq(0), pulses.eq(0), steps.eq(0)]
+            m.d.sync += [state.shift.eq(0), state.pulses.eq(0), state.steps.eq(0)]
 
     def _timing(self, m):
         """Form the subgroups' word for the cycle, and the laser and frame strobes, which are in step with the ports."""
@@ -170,26 +192,28 @@ class Sequencer(Unit):
     def _end(self, m):
         """End the frame: wait until nothing more is stored, then until everything is delivered; then `done`."""
         state = self.state
-        # `wrap` after the last period comes LEAD + 1 cycles before the first cycle after it.
-        state.to_finish = LEAD + 1 + latency.FINISH - END_TO_GRANT
-        state.draining = draining = Signal()
-        state.drained = drained = Signal(range(state.to_finish + 1))
         state.number = number = Voted(m, "number_kept", bus.PULSE_BITS)
         m.d.comb += self.number.eq(number.value)
         delivered = Signal()
         m.d.sync += [
             delivered.eq(self.delivered),
             self.done.eq(0),
-            self.finish.eq(draining & (drained >= state.to_finish - 1)),
-            self.resting.eq(~(state.start.any() | state.active | draining | self.done)),
+            self.finish.eq(state.draining & (state.drained >= TO_FINISH - 1)),
+            self.resting.eq(~(state.start.any() | state.active | state.draining | self.done)),
         ]
-        with m.If(draining & (drained < state.to_finish)):
-            m.d.sync += drained.eq(drained + 1)
+        with m.If(state.draining & (state.drained < TO_FINISH)):
+            m.d.sync += state.drained.eq(state.drained + 1)
         # In the cycle after the last period both are set; after an upset, it may be only one of them.
-        with m.If((state.active | state.wrap) & ~state.running & ~draining):
-            m.d.sync += [draining.eq(1), drained.eq(1)]
+        with m.If((state.active | state.wrap) & ~state.running & ~state.draining):
+            m.d.sync += [state.draining.eq(1), state.drained.eq(1)]
         with m.If(self.finish & delivered):
-            m.d.sync += [self.finish.eq(0), state.active.eq(0), draining.eq(0), drained.eq(0), self.done.eq(1)]
+            m.d.sync += [
+                self.finish.eq(0),
+                state.active.eq(0),
+                state.draining.eq(0),
+                state.drained.eq(0),
+                self.done.eq(1),
+            ]
             m.d.comb += number.next.eq(number.value + 1)
         with m.If(state.restart):
-            m.d.sync += [self.finish.eq(0), draining.eq(0), drained.eq(0)]
+            m.d.sync += [self.finish.eq(0), state.draining.eq(0), state.drained.eq(0)]

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Settings of a subgroup: its block of the register map, as programmed and in force."""
 
-from types import SimpleNamespace
+from typing import Any
 
 from amaranth.hdl import Cat, Module, Mux, Signal, Value
 from amaranth.lib.wiring import In, Out
@@ -13,6 +13,20 @@ from ..model.contract.registers import DATA_BITS
 from . import bus
 from .logic import any_of
 from .unit import Unit
+
+
+class SettingsState:
+    """Inner registers and signals of a register block.
+
+    programmed: the settings; named: a bit per word, so that no decoder is in the path of a read; shown: number of a word ->
+    value that a read returns; upsets: a bit per programmed word whose parity is wrong.
+    """
+
+    def __init__(self, sensor: Sensor):
+        self.programmed = Signal(bus.settings_layout(sensor), init=_reset(sensor))
+        self.named = Signal(sum(1 for _ in registers.words(registers.SUBGROUP, sensor)))
+        self.shown: dict[int, Any] = {}
+        self.upsets: list[Any] = []
 
 
 class SubgroupSettings(Unit):
@@ -47,18 +61,17 @@ class SubgroupSettings(Unit):
                 "upset": Out(1),
             }
         )
+        self.state = SettingsState(sensor)
 
     def elaborate(self, platform):
         m = Module()
-        programmed = Signal(bus.settings_layout(self.sensor), init=self._reset())
+        programmed, named, shown = self.state.programmed, self.state.named, self.state.shown
         selected = Signal()
         m.d.comb += selected.eq(self.command.subgroup == self.subgroup)
         m.d.sync += [self.gate_late.eq(programmed.gating & (programmed.gate_start >= self.period))]
         with m.If(self.command.operation == bus.Operation.TAKE):
             m.d.sync += self.settings.eq(programmed)
-        upsets = []
         write = selected & (self.command.operation == bus.Operation.WRITE)
-        shown = {}  # number of a word -> value that a read returns
         for offset, register, index in registers.words(registers.SUBGROUP, self.sensor):
             if register.access is registers.Access.SETTING:
                 field = self._field(programmed, register, index)
@@ -67,18 +80,16 @@ class SubgroupSettings(Unit):
                 )
                 with m.If(write & (self.command.word == offset // 4)):
                     m.d.sync += [field.eq(self.command.data), parity.eq(self.command.parity)]
-                upsets.append(Value.cast(field).xor() ^ parity)
+                self.state.upsets.append(Value.cast(field).xor() ^ parity)
             else:
                 field = self.counters.word_select(COUNTER_NAMES.index(register.name), COUNTER_BITS)
             shown[offset // 4] = field
-        named = Signal(len(shown))  # a bit per word, so that no decoder is in the path of a read
         values = [Mux(bit, field, 0) for bit, field in zip(named, shown.values())]
         m.d.sync += [
             named.eq(Cat(selected & (self.command.word == number) for number in shown)),
             self.data.eq(any_of(m, values, "shown")),
-            self.upset.eq(Cat(upsets).any()),
+            self.upset.eq(Cat(self.state.upsets).any()),
         ]
-        self.state = SimpleNamespace(programmed=programmed, named=named, shown=shown, upsets=upsets)
         return m
 
     def _field(self, settings, register, index):
@@ -89,15 +100,15 @@ class SubgroupSettings(Unit):
             return settings.mask[index * MASK_BITS : (index + 1) * MASK_BITS]
         return settings[register.name]
 
-    def _reset(self):
-        reset = {
-            register.name: register.reset(self.sensor)
-            for register in registers.SUBGROUP
-            if register.access is registers.Access.SETTING and register.name not in ("mode", "mask")
-        }
-        mode = registers.MODE.reset(self.sensor)
-        return (
-            reset
-            | {bits.name: mode >> bits.lsb & 1 for bits in registers.MODE.bits}
-            | {"mask": (1 << self.sensor.pixels) - 1}
-        )
+
+def _reset(sensor: Sensor) -> dict[str, int]:
+    """Return the settings after a reset."""
+    reset = {
+        register.name: register.reset(sensor)
+        for register in registers.SUBGROUP
+        if register.access is registers.Access.SETTING and register.name not in ("mode", "mask")
+    }
+    mode = registers.MODE.reset(sensor)
+    return (
+        reset | {bits.name: mode >> bits.lsb & 1 for bits in registers.MODE.bits} | {"mask": (1 << sensor.pixels) - 1}
+    )

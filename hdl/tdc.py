@@ -7,8 +7,6 @@ and the first one that an event marks is decoded. Our choice: the counter restar
 is the time since the trigger.
 """
 
-from types import SimpleNamespace
-
 from amaranth.hdl import Module, Signal
 from amaranth.lib.wiring import In, Out, Signature
 
@@ -44,6 +42,8 @@ class Tdc(Unit):
     Reset sets the coarse counter to 0; from then on it counts, with or without a frame.
     """
 
+    state = None  # proofs read only its ports
+
     def __init__(self, sensor: Sensor, lines: int = 2):
         self.sensor = sensor
         self.lines = lines
@@ -62,5 +62,4 @@ class Tdc(Unit):
             some, phase = first_one(m, line.root, f"first_{k}")
             m.d.comb += line.coarse.eq(coarse)
             m.d.sync += [line.any.eq(some), line.phase.eq(phase)]
-        self.state = SimpleNamespace(coarse=coarse)
         return m

@@ -7,8 +7,6 @@ the successive detection". Window arithmetic, the lowest index as winner, and th
 choice.
 """
 
-from types import SimpleNamespace
-
 from amaranth.hdl import C, Cat, Module, Mux, Signal
 from amaranth.lib.wiring import In, Out
 
@@ -18,6 +16,34 @@ from .logic import any_of, first_index, popcount, total
 from .minigroup import Minigroup
 from .tdc import line_signature
 from .unit import Unit, place
+
+
+class TreeState:
+    """Inner registers and signals of a tree. Numbers are those of stages; `may_open` and `wrap` have a bit for each stage.
+
+    left: ticks of the window from the start of the cycle, end: the same for a window that may just open; whole, part: the
+    window covers all of the cycle, or the phases before its end; stamps, winners: of stages 3 to 5.
+    """
+
+    def __init__(self, sensor: Sensor):
+        self.leaves = [Minigroup(sensor) for _ in range(sensor.minigroups)]
+        self.may_open = Signal(5)
+        self.wrap = Signal(5)
+        self.coarse_4 = Signal(sensor.coarse_bits)
+        self.window_open = Signal()
+        self.left = Signal(range(sensor.window_max + sensor.phases))
+        self.rearm = Signal(range(sensor.rearm + 1))
+        self.opening = Signal()
+        self.closing = Signal()
+        self.end = Signal.like(self.left)
+        self.whole, self.part = Signal(), Signal()
+        self.at_first = Signal(sensor.pixels)
+        self.opening_4 = Signal()
+        self.closed = Signal()
+        self.elapsed = Signal(sensor.elapsed_bits)
+        self.stamps = [Signal(sensor.stamp_bits, name=f"stamp_{n}") for n in (3, 4, 5)]
+        self.winners = [Signal(sensor.winner_bits, name=f"winner_{n}") for n in (3, 4, 5)]
+        self.hits = Signal(sensor.pixels)
 
 
 class CoincidenceTree(Unit):
@@ -60,12 +86,13 @@ class CoincidenceTree(Unit):
                 "entries": Out(bus.record_layout(sensor)["entries"].shape),
             }
         )
+        self.state = TreeState(sensor)
 
     def elaborate(self, platform):
         m = Module()
         sensor = self.sensor
-        self.state = SimpleNamespace()
-        self.state.leaves = [place(m, f"minigroup_{g}", Minigroup(sensor), platform) for g in range(sensor.minigroups)]
+        for g, leaf in enumerate(self.state.leaves):
+            place(m, f"minigroup_{g}", leaf, platform)
         # Root: sampled at stage 1, and decoded by the TDC line behind it.
         root = Signal(sensor.phases, reset_less=True)
         m.d.sync += root.eq(any_of(m, [leaf.root for leaf in self.state.leaves], "root_or"))
@@ -80,9 +107,7 @@ class CoincidenceTree(Unit):
     def _strobes(self, m):
         """Delay the timing strobes to stage 3: they come two cycles ahead of the ports; one register makes it one cycle."""
         state = self.state
-        state.may_open = Signal(5)
-        state.wrap = Signal(5)
-        coarse_3, state.coarse_4 = (Signal(self.sensor.coarse_bits, name=f"coarse_{n}") for n in (3, 4))
+        coarse_3 = Signal.like(state.coarse_4)
         m.d.sync += [
             state.may_open.eq((state.may_open << 1) | self.timing.may_open),
             state.wrap.eq((state.wrap << 1) | self.timing.wrap),
@@ -94,42 +119,28 @@ class CoincidenceTree(Unit):
     def _window(self, m):
         """Stage 2: the window, and the part of the cycle that it covers. The one-cycle loop is only (open, left, rearm)."""
         state, phases = self.state, self.sensor.phases
-        state.window_open = window_open = Signal()
-        state.left = left = Signal(
-            range(self.sensor.window_max + phases)
-        )  # ticks of the window from the start of this cycle
-        state.rearm = rearm = Signal(range(self.sensor.rearm + 1))
-        state.opening = opening = Signal()
-        state.closing = closing = Signal()
-        state.end = end = Signal.like(left)
         live, to_border = Signal(), Signal()
-        state.whole, state.part = Signal(), Signal()
         m.d.comb += [
-            opening.eq(~window_open & (rearm == 0) & state.may_open[-2] & self.line.any),
-            live.eq(opening | window_open),
-            end.eq(Mux(window_open, left, self.line.phase + self.window_ticks)),
-            closing.eq(live & (end <= phases)),
-            to_border.eq(end >= phases),
+            state.opening.eq(~state.window_open & (state.rearm == 0) & state.may_open[-2] & self.line.any),
+            live.eq(state.opening | state.window_open),
+            state.end.eq(Mux(state.window_open, state.left, self.line.phase + self.window_ticks)),
+            state.closing.eq(live & (state.end <= phases)),
+            to_border.eq(state.end >= phases),
             state.whole.eq(live & to_border),
             state.part.eq(live & ~to_border),
         ]
         with m.If(live):
-            m.d.sync += [left.eq(end - phases), window_open.eq(~closing)]
-        with m.If(closing):
-            m.d.sync += rearm.eq(self.sensor.rearm)
-        with m.Elif(rearm != 0):
-            m.d.sync += rearm.eq(rearm - 1)
+            m.d.sync += [state.left.eq(state.end - phases), state.window_open.eq(~state.closing)]
+        with m.If(state.closing):
+            m.d.sync += state.rearm.eq(self.sensor.rearm)
+        with m.Elif(state.rearm != 0):
+            m.d.sync += state.rearm.eq(state.rearm - 1)
 
     def _opened(self, m):
         """Stages 3 to 5: stamp and winner of the opening edge. Stage 7: cycles since it, for the leaves' offsets."""
         state, sensor = self.state, self.sensor
-        state.at_first = Signal(sensor.pixels)
-        opening_3, state.opening_4, opening_5, opening_6 = (Signal(name=f"opening_{n}") for n in (3, 4, 5, 6))
+        opening_3, opening_5, opening_6 = (Signal(name=f"opening_{n}") for n in (3, 5, 6))
         closing_3, closing_4 = Signal(), Signal()
-        state.closed = Signal()
-        state.elapsed = Signal.like(state.leaves[0].elapsed)
-        state.stamps = [Signal(sensor.stamp_bits, name=f"stamp_{n}") for n in (3, 4, 5)]
-        state.winners = [Signal(sensor.winner_bits, name=f"winner_{n}") for n in (3, 4, 5)]
         m.d.sync += [
             opening_3.eq(state.opening),
             state.opening_4.eq(opening_3),
@@ -152,7 +163,6 @@ class CoincidenceTree(Unit):
     def _leaves(self, m):
         """Connect the minigroups."""
         state, phases = self.state, self.sensor.phases
-        state.hits = Signal(self.sensor.pixels)
         blind = Signal()
         for g, leaf in enumerate(state.leaves):
             members = self.sensor.members(g)

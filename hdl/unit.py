@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Units: blocks that are emitted once and instantiated, so the Verilog has the hierarchy of the sensor."""
 
-from types import SimpleNamespace
 from typing import Any
 
 from amaranth.hdl import (
@@ -32,11 +31,10 @@ class Port:
 class Unit(wiring.Component):
     """A block with a stable Verilog name. Variants by other parameters than the sensor's need different `unit_name`s.
 
-    state: inner registers and signals by name, for proofs and tests; `elaborate` sets it.
+    Blocks whose inner registers and signals are read by several functions, or by proofs, keep them in `state`.
     """
 
     unit_name: str
-    state: SimpleNamespace
     clocked = True  # has the ports clk and rst
     separator = "__"  # in the Verilog, between the names of an interface and of its members
     _MustUse__silence = True  # an unused unit is fine where an instance replaces it; Amaranth would warn of it

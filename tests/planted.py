@@ -55,7 +55,7 @@ BUGS = (
         "hdl/tree.py",
         {
             "window-long": ("self.line.phase + self.window_ticks)", "self.line.phase + self.window_ticks + 1)"),
-            "window-edge": ("closing.eq(live & (end <= phases))", "closing.eq(live & (end < phases))"),
+            "window-edge": ("closing.eq(live & (state.end <= phases))", "closing.eq(live & (state.end < phases))"),
             "tie-highest": ('first_index(m, one_of, "winner")', '~first_index(m, one_of[::-1], "winner")'),
             "rearm-late": ("rearm.eq(self.sensor.rearm)", "rearm.eq(self.sensor.rearm + 1)"),
         },
@@ -100,8 +100,8 @@ BUGS = (
     *planted(
         "hdl/fifo.py",
         {
-            "overrun-dropped": ("event.overrun.eq(lost)", "event.overrun.eq(0)"),
-            "fifo-one-short": ("room.eq(level != depth)", "room.eq(level < depth - 1)"),
+            "overrun-dropped": ("event.overrun.eq(state.lost)", "event.overrun.eq(0)"),
+            "fifo-one-short": ("room.eq(state.level != depth)", "room.eq(state.level < depth - 1)"),
         },
         proofs=("event_fifo",),
         tests=(FRAMES,),
@@ -149,12 +149,12 @@ BUGS = (
     *planted(
         "hdl/dpcu.py",
         {
-            "threshold-above": ("self.window.count >= threshold", "self.window.count > threshold"),
-            "lower-as-committed": ("lower_threshold.eq(threshold - 1)", "lower_threshold.eq(threshold)"),
+            "threshold-above": ("self.window.count >= state.threshold", "self.window.count > state.threshold"),
+            "lower-as-committed": ("lower_threshold.eq(state.threshold - 1)", "lower_threshold.eq(state.threshold)"),
             "ceiling-above": ('count["opened"] >= self.data', 'count["opened"] > self.data'),
             "threshold-rises-early": ('count["committed"] > self.data', 'count["committed"] >= self.data'),
             "threshold-below-floor": ("Mux(bounded < floor, floor, bounded)", "bounded"),
-            "controller-keeps-others-threshold": ("Mux(self.controlled & stays,", "Mux(self.controlled,"),
+            "controller-keeps-others-threshold": ("Mux(self.controlled & state.stays,", "Mux(self.controlled,"),
         },
         proofs=("dpcu",),
         tests=(FRAMES,),
@@ -290,7 +290,7 @@ BUGS = (
     *planted("hdl/readout.py", {"tlast-early": ("to_end == 1)", "to_end == 2)")}, proofs=("readout",), tests=(FRAMES,)),
     *planted(
         "hdl/emulator/uart.py",
-        {"serial-unchecked": ("(count > CRC_BYTES) & crc.match_detected", "(count > CRC_BYTES)")},
+        {"serial-unchecked": ("(state.count > CRC_BYTES) & crc.match_detected", "(state.count > CRC_BYTES)")},
         proofs=("deframer",),
     ),
     *planted(

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Serial bridge: access to the emulator's address space over two pins; protocol in `model/contract/serial_link.py`."""
 
-from types import SimpleNamespace
-
 from amaranth.hdl import Cat, Module, Mux, Signal
 from amaranth.lib.fifo import SyncFIFOBuffered
 from amaranth.lib.memory import Memory
@@ -118,7 +116,7 @@ class SerialBridge(Unit):
         ]
         m.d.comb += deframer.hold.eq(1)
         m.d.sync += access.valid.eq(0)
-        with m.FSM() as machine:
+        with m.FSM():
             with m.State("listen"):
                 m.d.comb += deframer.hold.eq(deframer.right)
                 m.d.sync += [at.eq(0), waited.eq(0)]
@@ -211,4 +209,3 @@ class SerialBridge(Unit):
                 m.d.comb += [answer.w_en.eq(1), answer.w_data.eq(status | LAST)]
                 with m.If(answer.w_rdy):
                     m.next = "listen"
-        self.state = SimpleNamespace(machine=machine, last=last, fresh=fresh, greeted=greeted, status=status)

@@ -4,8 +4,6 @@
 Between the two there is a register slice, because on an FPGA they are far apart.
 """
 
-from types import SimpleNamespace
-
 from amaranth.hdl import Cat, Module, Mux, Signal
 from amaranth.lib.memory import Memory
 from amaranth.lib.wiring import In, Out
@@ -15,6 +13,15 @@ from ...model.contract.packet import BEAT_BITS
 from ...model.contract.registers import DATA_BITS
 from ..axi import STREAM
 from ..unit import Unit
+
+
+class SliceState:
+    """Whether there is a beat at the output; the second register, and whether it keeps a beat."""
+
+    def __init__(self):
+        self.valid = Signal()
+        self.spare = Signal(BEAT_BITS, reset_less=True)
+        self.kept = Signal()
 
 
 class StreamSlice(Unit):
@@ -32,11 +39,12 @@ class StreamSlice(Unit):
 
     def __init__(self):
         super().__init__({"s_axis": In(STREAM), "m_axis": Out(STREAM)})
+        self.state = SliceState()
 
     def elaborate(self, platform):
         m = Module()
-        data, spare = (Signal(BEAT_BITS, name=name, reset_less=True) for name in ("data", "spare"))
-        valid, kept = Signal(), Signal()
+        valid, spare, kept = self.state.valid, self.state.spare, self.state.kept
+        data = Signal(BEAT_BITS, reset_less=True)
         comes, waits = Signal(), Signal()
         m.d.comb += [
             self.s_axis.tready.eq(~kept),
@@ -51,8 +59,14 @@ class StreamSlice(Unit):
             m.d.sync += kept.eq(kept | comes)
         with m.Else():
             m.d.sync += [valid.eq(kept | comes), kept.eq(0), data.eq(Mux(kept, spare, self.s_axis.tdata))]
-        self.state = SimpleNamespace(data=data, spare=spare, valid=valid, kept=kept)
         return m
+
+
+class BufferState:
+    """Address behind the last beat."""
+
+    def __init__(self, depth: int):
+        self.behind = Signal(range(depth))
 
 
 class FrameBuffer(Unit):
@@ -87,12 +101,13 @@ class FrameBuffer(Unit):
                 "stalls": Out(DATA_BITS),
             }
         )
+        self.state = BufferState(self.depth)
 
     def elaborate(self, platform):
         m = Module()
         m.submodules.beats = beats = Memory(shape=BEAT_BITS, depth=self.depth, init=[])
         write, read = beats.write_port(), beats.read_port()
-        behind = Signal(range(self.depth))
+        behind = self.state.behind
         high = Signal(3)
         row = Signal(range(self.depth), reset_less=True)
         stored, beat = (Signal(BEAT_BITS, name=name, reset_less=True) for name in ("stored", "beat"))
@@ -123,5 +138,4 @@ class FrameBuffer(Unit):
             m.d.sync += self.first.eq(self.first + self.amount)
         with m.If(self.s_axis.tvalid & ~self.s_axis.tready & ~self.stalls.all()):
             m.d.sync += self.stalls.eq(self.stalls + 1)
-        self.state = SimpleNamespace(behind=behind, room=room, beats=beats)
         return m

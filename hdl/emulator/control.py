@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Control of the emulator: routes each access to the sensor, the photon sources or the frame buffer, or answers it."""
 
-from types import SimpleNamespace
+from functools import reduce
+from operator import or_
+from typing import Any
 
 from amaranth.hdl import Cat, Const, Module, Mux, Signal
 from amaranth.lib.memory import Memory
@@ -22,6 +24,7 @@ from ...model.contract.emulator import (
     SOURCE_STRIDE,
     Emulator,
 )
+from ...model.contract.parameters import Sensor
 from ...model.contract.registers import DATA_BITS, Access
 from .. import bus
 from ..axi import LITE, OKAY, STREAM
@@ -47,6 +50,35 @@ REGIONS = {"sensor": SENSOR_BASE, "own": OWN_BASE, "source": SOURCE_BASE, "buffe
 BLOCK_BITS = (SOURCE_STRIDE - 1).bit_length()
 
 
+class ControlState:
+    """Inner registers and signals of the control.
+
+    setting: the emulator's own settings; region, named: what the address names; own, sources: the word that is read there.
+    subgroup, pixel: that an address of the sources names; is_echo, is_background: it is that of an echo, or of the
+    background. legal: of a write; mapped: of a read. reseed: the sources are to be seeded.
+    """
+
+    subgroup: Any
+    pixel: Any
+    echo_write: Any
+    background_write: Any
+
+    def __init__(self, sensor: Sensor):
+        self.setting = {
+            r.name: Signal(r.high(sensor).bit_length(), init=r.reset(sensor), name=r.name)
+            for r in OWN
+            if r.access is Access.SETTING
+        }
+        self.reseed = Signal()
+        self.region = {name: Signal(name=f"in_{name}") for name in REGIONS}
+        self.own = Signal(DATA_BITS, reset_less=True)
+        self.named = {r.name: Signal(name=f"named_{r.name}") for r in OWN}
+        self.is_echo, self.is_background, self.aligned = Signal(), Signal(), Signal()
+        self.sources = Signal(DATA_BITS, reset_less=True)
+        self.legal = Signal()
+        self.mapped = Signal()
+
+
 class EmulatorControl(Unit):
     """Control of the emulator.
 
@@ -66,6 +98,7 @@ class EmulatorControl(Unit):
 
     def __init__(self, emulator: Emulator):
         self.emulator = emulator
+        self.echo_bits = LEVEL_BITS + emulator.sensor.stamp_bits
         super().__init__(
             {
                 "access": In(ACCESS),
@@ -79,10 +112,10 @@ class EmulatorControl(Unit):
                 "link_errors": In(DATA_BITS),
             }
         )
+        self.state = ControlState(emulator.sensor)
 
     def elaborate(self, platform):
         m = Module()
-        self.state = SimpleNamespace()
         buffer = place(m, "buffer", FrameBuffer(self.emulator), platform)
         seeder = place(m, "seeder", Seeder(self.emulator), platform)
         between = place(m, "slice", StreamSlice(), platform)
@@ -90,19 +123,16 @@ class EmulatorControl(Unit):
         connect(m, between.m_axis, buffer.s_axis)
         m.d.comb += [seeder.number.eq(self.number), self.seed.eq(seeder.out)]
         self._settings(m, seeder)
-        self._local(m, buffer, seeder)
+        self._decode(m)
+        self._own(m, buffer, seeder)
+        self._sources(m, buffer)
+        self._checks(m, buffer)
         self._accesses(m, buffer, seeder)
         return m
 
     def _settings(self, m, seeder):
-        """The emulator's own settings, by name."""
+        """What the emulator's own settings do."""
         state = self.state
-        state.setting = {
-            r.name: Signal(r.high(self.emulator.sensor).bit_length(), init=r.reset(self.emulator.sensor), name=r.name)
-            for r in OWN
-            if r.access is Access.SETTING
-        }
-        state.reseed = Signal()
         late = Signal()  # the frame number changes with `frame_done`
         m.d.sync += late.eq(self.frame_done)
         m.d.comb += [seeder.seed.eq(state.setting["seed"]), seeder.begin.eq(state.reseed | late)]
@@ -111,16 +141,28 @@ class EmulatorControl(Unit):
             self.common.dead.eq(state.setting["dead_cycles"] - 1),
         ]
 
-    def _local(self, m, buffer, seeder):
-        """Decode an address outside the sensor, and register the word that is read there."""
+    def _decode(self, m):
+        """Register what an address outside the sensor names."""
         state, access, sensor = self.state, self.access, self.emulator.sensor
         inside = access.address[:REGION_BITS]
-        state.region = {}
         for name, base in REGIONS.items():
-            state.region[name] = Signal(name=f"in_{name}")
             m.d.sync += state.region[name].eq(access.address[REGION_BITS:] == base >> REGION_BITS)
-        content = {name: signal for name, signal in state.setting.items()}
-        content |= {
+        for r in OWN:
+            m.d.sync += state.named[r.name].eq(inside == r.offset)
+        block = inside[:BLOCK_BITS]
+        state.subgroup, state.pixel = inside[BLOCK_BITS:], (block - ECHO_OFFSET)[2:]
+        exists = state.subgroup < sensor.subgroups
+        m.d.sync += [
+            state.is_echo.eq(exists & (block >= ECHO_OFFSET) & (block < ECHO_OFFSET + 4 * sensor.pixels)),
+            state.is_background.eq(exists & (block == 0)),
+            state.aligned.eq(access.address[:2] == 0),
+        ]
+
+    def _own(self, m, buffer, seeder):
+        """Register the word that is read at an address of the emulator's own registers."""
+        state = self.state
+        content = {r.name: Const(r.reset(self.emulator.sensor), DATA_BITS) for r in OWN if r.access is Access.CONSTANT}
+        content |= state.setting | {
             "buffer_beats": Const(self.emulator.buffer_beats, DATA_BITS),
             "buffer_level": buffer.level,
             "buffer_first": buffer.first,
@@ -128,95 +170,53 @@ class EmulatorControl(Unit):
             "link_errors": self.link_errors,
             "seeding": seeder.busy,
         }
-        state.own = Signal(DATA_BITS, reset_less=True)
-        state.named = {r.name: Signal(name=f"named_{r.name}") for r in OWN}
-        for r in OWN:
-            m.d.sync += state.named[r.name].eq(inside == r.offset)
-        words = []
-        for r in OWN:
-            value = (
-                Const(r.reset(sensor), DATA_BITS)
-                if r.access is Access.CONSTANT and r.name not in content
-                else content.get(r.name, Const(0, DATA_BITS))
-            )
-            words.append(Mux(state.named[r.name], value, 0))
-        found = words[0]
-        for word in words[1:]:
-            found = found | word
-        m.d.sync += state.own.eq(found)
-        # The settings of the sources cannot be read back, so this memory keeps a copy.
-        subgroup, block = inside[BLOCK_BITS:], inside[:BLOCK_BITS]
-        pixel = (block - ECHO_OFFSET)[2:]
-        state.subgroup, state.pixel = subgroup, pixel
-        state.is_echo, state.is_background, state.aligned = Signal(), Signal(), Signal()
-        m.d.sync += [
-            state.is_echo.eq(
-                (subgroup < sensor.subgroups) & (block >= ECHO_OFFSET) & (block < ECHO_OFFSET + 4 * sensor.pixels)
-            ),
-            state.is_background.eq((subgroup < sensor.subgroups) & (block == 0)),
-            state.aligned.eq(access.address[:2] == 0),
-        ]
-        width = LEVEL_BITS + sensor.stamp_bits
+        words = [Mux(state.named[r.name], content.get(r.name, Const(0, DATA_BITS)), 0) for r in OWN]
+        m.d.sync += state.own.eq(reduce(or_, words))
+
+    def _sources(self, m, buffer):
+        """Keep a copy of the sources' settings, which cannot be read back, and register the word that is read there."""
+        state, access, sensor = self.state, self.access, self.emulator.sensor
         places = 1 << (sensor.pixels - 1).bit_length()
-        m.submodules.echoes = echoes = Memory(shape=width, depth=sensor.subgroups * places, init=[])
+        m.submodules.echoes = echoes = Memory(shape=self.echo_bits, depth=sensor.subgroups * places, init=[])
         m.submodules.backgrounds = backgrounds = Memory(shape=RATE_BITS, depth=max(2, sensor.subgroups), init=[])
         state.echo_write, state.background_write = echoes.write_port(), backgrounds.write_port()
         echo_read, background_read = echoes.read_port(), backgrounds.read_port()
         at_echo = Signal(range(sensor.subgroups * places))
-        m.d.comb += at_echo.eq(Cat(pixel[: places.bit_length() - 1], subgroup))
-        for port, at in (
-            (state.echo_write, at_echo), (echo_read, at_echo), (state.background_write, subgroup), (background_read, subgroup)
-        ):  # fmt: skip
-            m.d.comb += port.addr.eq(at)
-        m.d.comb += [
-            echo_read.en.eq(1),
-            background_read.en.eq(1),
-            state.echo_write.data.eq(access.data),
-            state.background_write.data.eq(access.data),
-            buffer.address.eq(inside[2:]),
-            buffer.amount.eq(access.data),
-        ]
-        state.sources = Signal(DATA_BITS, reset_less=True)
+        m.d.comb += at_echo.eq(Cat(state.pixel[: places.bit_length() - 1], state.subgroup))
+        for write, read, at in (
+            (state.echo_write, echo_read, at_echo),
+            (state.background_write, background_read, state.subgroup),
+        ):
+            m.d.comb += [write.addr.eq(at), write.data.eq(access.data), read.addr.eq(at), read.en.eq(1)]
+        m.d.comb += [buffer.address.eq(access.address[2:REGION_BITS]), buffer.amount.eq(access.data)]
         m.d.sync += state.sources.eq(Mux(state.is_echo, echo_read.data, background_read.data))
-        # Checks of the ranges: first of each, then of the one that is meant.
-        state.legal = Signal()
+
+    def _checks(self, m, buffer):
+        """Check a write's value: first the range of each register, then of the one that is meant. Check a read's address."""
+        state, access, sensor = self.state, self.access, self.emulator.sensor
         fits = {
             r.name: (access.data >= r.low(sensor)) & (access.data <= r.high(sensor))
             for r in OWN
             if r.access is Access.SETTING
         }
+        assert OWN_BY_NAME["buffer_take"].access is Access.PULSE
         fits["buffer_take"] = access.data <= buffer.level
         checks = []
         for name, in_range in fits.items():
             fit = Signal(name=f"fits_{name}")
             m.d.sync += fit.eq(in_range)
             checks.append(state.named[name] & fit)
-        m.d.sync += state.legal.eq(
-            Mux(
-                state.region["own"],
-                Cat(checks).any(),
-                state.region["source"]
-                & (
-                    (state.is_echo & (access.data < 1 << width))
-                    | (state.is_background & (access.data < 1 << RATE_BITS))
-                ),
-            )
-            & state.aligned
-        )
-        state.mapped = Signal()
-        places_in_buffer = self.emulator.buffer_beats * 8
-        m.d.sync += state.mapped.eq(
-            state.aligned
-            & (
-                (state.region["own"] & Cat(state.named.values()).any())
-                | (state.region["source"] & (state.is_echo | state.is_background))
-                | (
-                    state.region["buffer"]
-                    & (inside < places_in_buffer if places_in_buffer < 1 << REGION_BITS else Const(1))
-                )
-            )
-        )
-        assert OWN_BY_NAME["buffer_take"].access is Access.PULSE
+        of_echo = state.is_echo & (access.data < 1 << self.echo_bits)
+        of_background = state.is_background & (access.data < 1 << RATE_BITS)
+        of_source = state.region["source"] & (of_echo | of_background)
+        beats = access.address[:REGION_BITS] < self.emulator.buffer_beats * 8
+        in_own = state.region["own"] & Cat(state.named.values()).any()
+        in_source = state.region["source"] & (state.is_echo | state.is_background)
+        in_buffer = state.region["buffer"] & beats
+        m.d.sync += [
+            state.legal.eq(Mux(state.region["own"], Cat(checks).any(), of_source) & state.aligned),
+            state.mapped.eq(state.aligned & (in_own | in_source | in_buffer)),
+        ]
 
     def _accesses(self, m, buffer, seeder):
         """Carry out one access at a time."""
@@ -234,7 +234,7 @@ class EmulatorControl(Unit):
             valid, ready = getattr(axi, f"{channel}valid"), getattr(axi, f"{channel}ready")
             with m.If(valid & ready):
                 m.d.sync += valid.eq(0)
-        with m.FSM() as state.machine:
+        with m.FSM():
             with m.State("idle"):
                 m.d.sync += wait.eq(0)
                 with m.If(access.valid & ~access.done):

@@ -6,8 +6,6 @@ whether there is a background photon, and at which phase. In the first cycle of 
 is an echo, and in the second cycle at which tick. The paper has no such block; all of it is our choice.
 """
 
-from types import SimpleNamespace
-
 from amaranth.hdl import Cat, Module, Mux, Signal
 from amaranth.lib import data
 from amaranth.lib.wiring import In, Out
@@ -137,8 +135,24 @@ class Seeder(Unit):
             ]
         with m.If(self.begin):
             m.d.sync += [self.busy.eq(1), self.out.valid.eq(0), turn.eq(0), done.eq(0), block.eq(0), subgroup.eq(0)]
-        self.state = SimpleNamespace(left=left, right=right, turn=turn, block=block)
         return m
+
+
+class LaneState:
+    """Registers for the generators of a lane: whether they step, and what a step of the seeding does to them."""
+
+    def __init__(self, lane: int):
+        self.enable = Signal(name=f"steps_{lane}", reset_less=True)
+        self.first = Signal(name=f"first_{lane}", reset_less=True)
+        self.last = Signal(name=f"last_{lane}", reset_less=True)
+        self.bits = Signal(LANE_PIXELS, name=f"bits_{lane}", reset_less=True)
+
+
+class SourceState:
+    """Cycles of dead time left, by pixel."""
+
+    def __init__(self, sensor: Sensor):
+        self.dead = [Signal(COMMON["dead"].width, name=f"dead_{i}") for i in range(sensor.pixels)]
 
 
 class PhotonSource(Unit):
@@ -171,6 +185,7 @@ class PhotonSource(Unit):
                 "words": Out(sensor.pixels * sensor.phases),
             }
         )
+        self.state = SourceState(sensor)
 
     def elaborate(self, platform):
         m = Module()
@@ -198,7 +213,6 @@ class PhotonSource(Unit):
             m.d.sync += background.eq(written.data)
         common = Signal(COMMON, reset_less=True)
         m.d.sync += common.eq(self.common)
-        self.state = SimpleNamespace(generators=[], dead=[], cycle=cycle)
         for i in range(sensor.pixels):
             lane, place = divmod(i, LANE_PIXELS)
             state = self._generator(m, i, seeds[lane], place)
@@ -214,14 +228,8 @@ class PhotonSource(Unit):
         return m
 
     def _lane(self, m, lane, seeded):
-        """Registers for the generators of a lane: whether they step, and what a step of the seeding does to them."""
-        seeds = Signal(name=f"seeds_{lane}")
-        step = SimpleNamespace(
-            enable=Signal(name=f"steps_{lane}", reset_less=True),
-            first=Signal(name=f"first_{lane}", reset_less=True),
-            last=Signal(name=f"last_{lane}", reset_less=True),
-            bits=Signal(LANE_PIXELS, name=f"bits_{lane}", reset_less=True),
-        )
+        """Return the registers of a lane."""
+        seeds, step = Signal(name=f"seeds_{lane}"), LaneState(lane)
         m.d.comb += seeds.eq(seeded.valid & (seeded.lane == lane))
         m.d.sync += [
             step.enable.eq(self.timing.running | seeds),
@@ -243,7 +251,6 @@ class PhotonSource(Unit):
             with m.If(step.first):
                 m.d.sync += state.eq(0)
             m.d.sync += state[SEED_BIT].eq((following[SEED_BIT] & ~step.first) ^ step.bits[place] | step.last)
-        self.state.generators.append(state)
         return state
 
     def _draw(self, m, i, state, echo, background, common, running, is_first, is_second, is_later, cycle):
@@ -274,9 +281,8 @@ class PhotonSource(Unit):
     def _word(self, m, i, fires, phase, common):
         """Register the pixel's part of the word, which is 0 during the dead time."""
         phases = self.emulator.sensor.phases
-        dead = Signal(len(common.dead), name=f"dead_{i}")
+        dead = self.state.dead[i]
         word = Signal(phases, name=f"word_{i}")
-        self.state.dead.append(dead)
         m.d.sync += word.eq(0)
         with m.If(dead != 0):
             m.d.sync += dead.eq(dead - 1)

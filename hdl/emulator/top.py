@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The emulator's top: sensor, one photon source per subgroup, frame buffer, and a serial line or AXI4-Lite slave."""
 
-from types import SimpleNamespace
-
 from amaranth.hdl import Const, Module, Mux, ResetSignal, Signal
 from amaranth.lib import wiring
 from amaranth.lib.wiring import In, Out, Signature
@@ -86,7 +84,6 @@ class BusAccess(Unit):
                         m.d.sync += [axi.bvalid.eq(1), axi.bresp.eq(response)]
                     with m.Else():
                         m.d.sync += [axi.rvalid.eq(1), axi.rresp.eq(response), axi.rdata.eq(access.value)]
-        self.state = SimpleNamespace(wrote=wrote)
         return m
 
 
@@ -108,7 +105,6 @@ class LocalReset(Unit):
         held = Signal(init=1, reset_less=True)
         m.d.sync += held.eq(ResetSignal())
         m.d.comb += self.held.eq(held)
-        self.state = SimpleNamespace(held=held)
         return m
 
 

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Serial line: bytes as 8N1, and frames of bytes with a CRC; protocol in `model/contract/serial_link.py`."""
 
-from types import SimpleNamespace
+from typing import Any
 
 from amaranth.hdl import Cat, Const, Module, Mux, Signal
 from amaranth.lib.cdc import FFSynchronizer
@@ -52,7 +52,6 @@ class Receiver(Unit):
                 m.d.sync += [self.valid.eq(1), self.byte.eq(shift[2:]), self.broken.eq(~line)]
         with m.Else():
             m.d.sync += count.eq(count - 1)
-        self.state = SimpleNamespace(left=left, count=count, shift=shift)
         return m
 
 
@@ -88,8 +87,23 @@ class Transmitter(Unit):
             m.d.sync += [count.eq(self.clocks - 1), left.eq(left - 1), shift.eq(shift >> 1)]
         with m.Else():
             m.d.sync += count.eq(count - 1)
-        self.state = SimpleNamespace(left=left, count=count, shift=shift)
         return m
+
+
+class DeframerState:
+    """Inner registers of a deframer: the byte that came and what it is; the frame so far."""
+
+    def __init__(self):
+        self.crc = CRC32_ISO_HDLC(8).create()
+        self.came = Signal()
+        self.byte = Signal(8)
+        self.broken = Signal()
+        self.is_flag = Signal()
+        self.is_escape = Signal()
+        self.listening = Signal()
+        self.escaped = Signal()
+        self.bad = Signal()
+        self.count = Signal(BODY_BYTES_MAX.bit_length())
 
 
 class Deframer(Unit):
@@ -124,52 +138,55 @@ class Deframer(Unit):
                 "wrong": Out(1),
             }
         )
+        self.state = DeframerState()
 
     def elaborate(self, platform):
         m = Module()
-        m.submodules.crc = crc = CRC32_ISO_HDLC(8).create()
-        listening, escaped, bad = Signal(), Signal(), Signal()
-        count = Signal.like(self.length)
-        came, byte, broken, is_flag, is_escape = Signal(), Signal(8), Signal(), Signal(), Signal()
-        m.d.comb += [crc.data.eq(Mux(escaped, byte ^ FLIP, byte)), self.data.eq(crc.data), self.index.eq(count)]
-        m.d.sync += [self.right.eq(0), self.wrong.eq(0), self.length.eq(count - CRC_BYTES)]
-        m.d.sync += [
-            came.eq(self.valid),
-            byte.eq(self.byte),
-            broken.eq(self.broken),
-            is_flag.eq(~self.broken & (self.byte == FLAG)),
-            is_escape.eq(self.byte == ESCAPE),
+        state = self.state
+        m.submodules.crc = crc = state.crc
+        m.d.comb += [
+            crc.data.eq(Mux(state.escaped, state.byte ^ FLIP, state.byte)),
+            self.data.eq(crc.data),
+            self.index.eq(state.count),
         ]
-        with m.If(came):
-            with m.If(is_flag):
+        m.d.sync += [self.right.eq(0), self.wrong.eq(0), self.length.eq(state.count - CRC_BYTES)]
+        m.d.sync += [
+            state.came.eq(self.valid),
+            state.byte.eq(self.byte),
+            state.broken.eq(self.broken),
+            state.is_flag.eq(~self.broken & (self.byte == FLAG)),
+            state.is_escape.eq(self.byte == ESCAPE),
+        ]
+        with m.If(state.came):
+            with m.If(state.is_flag):
                 m.d.comb += crc.start.eq(1)
-                m.d.sync += [listening.eq(1), escaped.eq(0), bad.eq(0), count.eq(0)]
-                with m.If(listening & (count != 0)):
-                    fine = ~bad & ~escaped & (count > CRC_BYTES) & crc.match_detected
+                m.d.sync += [state.listening.eq(1), state.escaped.eq(0), state.bad.eq(0), state.count.eq(0)]
+                with m.If(state.listening & (state.count != 0)):
+                    fine = ~state.bad & ~state.escaped & (state.count > CRC_BYTES) & crc.match_detected
                     m.d.sync += [self.right.eq(fine), self.wrong.eq(~fine)]
-            with m.Elif(listening):
-                with m.If(broken | (count == BODY_BYTES_MAX)):
-                    m.d.sync += [bad.eq(1), count.eq(Mux(count == 0, 1, count))]
-                with m.Elif(is_escape & ~escaped):
-                    m.d.sync += [escaped.eq(1), count.eq(count)]
+            with m.Elif(state.listening):
+                with m.If(state.broken | (state.count == BODY_BYTES_MAX)):
+                    m.d.sync += [state.bad.eq(1), state.count.eq(Mux(state.count == 0, 1, state.count))]
+                with m.Elif(state.is_escape & ~state.escaped):
+                    m.d.sync += [state.escaped.eq(1), state.count.eq(state.count)]
                 with m.Else():
                     m.d.comb += [self.put.eq(1), crc.valid.eq(1)]
-                    m.d.sync += [escaped.eq(0), count.eq(count + 1)]
+                    m.d.sync += [state.escaped.eq(0), state.count.eq(state.count + 1)]
         with m.If(self.hold):
-            m.d.sync += [listening.eq(0), self.right.eq(0), self.wrong.eq(0)]
-        self.state = SimpleNamespace(
-            came=came,
-            byte=byte,
-            broken=broken,
-            is_flag=is_flag,
-            is_escape=is_escape,
-            listening=listening,
-            escaped=escaped,
-            bad=bad,
-            count=count,
-            crc=crc,
-        )
+            m.d.sync += [state.listening.eq(0), self.right.eq(0), self.wrong.eq(0)]
         return m
+
+
+class FramerState:
+    """Inner signals of a framer. escaped: the escape of the current byte has been sent; weighed: `special` is that of `byte`."""
+
+    machine: Any
+
+    def __init__(self):
+        self.escaped = Signal()
+        self.byte = Signal(8)
+        self.weighed = Signal()
+        self.special = Signal()
 
 
 class Framer(Unit):
@@ -198,46 +215,45 @@ class Framer(Unit):
                 "out_ready": In(1),
             }
         )
+        self.state = FramerState()
 
     def elaborate(self, platform):
         m = Module()
+        state = self.state
         m.submodules.crc = crc = CRC32_ISO_HDLC(8).create()
         tail = Signal(32, reset_less=True)
         left = Signal(range(CRC_BYTES + 1))
-        escaped = Signal()  # the escape of the current byte has been sent
-        byte = Signal(8)
-        weighed, special = Signal(), Signal()  # registers: whether `special` is that of `byte`
         m.d.comb += crc.data.eq(self.byte)
-        m.d.sync += [special.eq((byte == FLAG) | (byte == ESCAPE)), weighed.eq(0)]
+        m.d.sync += [state.special.eq((state.byte == FLAG) | (state.byte == ESCAPE)), state.weighed.eq(0)]
 
         def send_body(m, comes, sent):
             """Send `byte` when it `comes`, escaped if necessary; `sent` is high in the cycle in which it has gone."""
-            m.d.sync += weighed.eq(comes & ~sent)
+            m.d.sync += state.weighed.eq(comes & ~sent)
             m.d.comb += [
-                self.out_valid.eq(weighed),
-                self.out_byte.eq(Mux(special, Mux(escaped, byte ^ FLIP, ESCAPE), byte)),
-                sent.eq(weighed & self.out_ready & (~special | escaped)),
+                self.out_valid.eq(state.weighed),
+                self.out_byte.eq(Mux(state.special, Mux(state.escaped, state.byte ^ FLIP, ESCAPE), state.byte)),
+                sent.eq(state.weighed & self.out_ready & (~state.special | state.escaped)),
             ]
-            with m.If(weighed & self.out_ready):
-                m.d.sync += escaped.eq(special & ~escaped)
+            with m.If(state.weighed & self.out_ready):
+                m.d.sync += state.escaped.eq(state.special & ~state.escaped)
 
-        with m.FSM() as machine:
+        with m.FSM() as state.machine:
             with m.State("idle"):
                 m.d.comb += [self.out_byte.eq(FLAG), self.out_valid.eq(self.valid), crc.start.eq(1)]
-                m.d.sync += escaped.eq(0)
+                m.d.sync += state.escaped.eq(0)
                 with m.If(self.valid & self.out_ready):
                     m.next = "body"
             with m.State("body"):
-                m.d.comb += byte.eq(self.byte)
+                m.d.comb += state.byte.eq(self.byte)
                 send_body(m, self.valid, self.ready)
                 m.d.comb += crc.valid.eq(self.ready)
                 with m.If(self.ready & self.last):
                     m.next = "check"
             with m.State("check"):
-                m.d.sync += [tail.eq(crc.crc), left.eq(CRC_BYTES), escaped.eq(0)]
+                m.d.sync += [tail.eq(crc.crc), left.eq(CRC_BYTES), state.escaped.eq(0)]
                 m.next = "tail"
             with m.State("tail"):
-                m.d.comb += byte.eq(tail[:8])
+                m.d.comb += state.byte.eq(tail[:8])
                 sent = Signal()
                 send_body(m, Const(1), sent)
                 with m.If(sent):
@@ -248,7 +264,4 @@ class Framer(Unit):
                 m.d.comb += [self.out_byte.eq(FLAG), self.out_valid.eq(1)]
                 with m.If(self.out_ready):
                     m.next = "idle"
-        self.state = SimpleNamespace(
-            machine=machine, crc=crc, escaped=escaped, left=left, byte=byte, weighed=weighed, special=special
-        )
         return m

@@ -4,8 +4,6 @@
 The board's pins are those of its published constraints (emard/ulx3s, version 2.0 and later).
 """
 
-from types import SimpleNamespace
-
 from amaranth.hdl import Cat, Const, Module, Signal
 from amaranth.lib.cdc import FFSynchronizer
 from amaranth.lib.wiring import In, Out
@@ -91,7 +89,6 @@ class Lights(Unit):
         with m.If(turn):
             m.d.sync += shown.eq(seen)
         m.d.comb += self.led.eq(Cat(blocks[-1], shown, Const(0, 4)))
-        self.state = SimpleNamespace(count=count, shown=shown)
         return m
 
 

@@ -7,14 +7,23 @@ consistent, even if an event at a cycle boundary left a flop in either state. St
 docs/async.md draws them.
 """
 
-from types import SimpleNamespace
-
 from amaranth.hdl import ClockDomain, ClockSignal, Module, Mux, ResetSignal, Signal
 from amaranth.lib.wiring import In, Out
 
 from ...model.contract.parameters import Sensor
 from ..unit import Unit
 from .circuit import Circuit
+
+
+class AsyncControlState:
+    """What the control knows of the window in force in mid-cycle; hold: cycles until the banks are armed again."""
+
+    def __init__(self, sensor: Sensor):
+        self.window_open = Signal()
+        self.read = Signal()
+        self.opening = Signal()
+        self.closing = Signal()
+        self.hold = Signal(range(sensor.rearm + 1))
 
 
 class AsyncControl(Unit):
@@ -53,6 +62,7 @@ class AsyncControl(Unit):
             }
             | {f"{name}_{b}": member for b in range(self.banks) for name, member in per_bank.items()}
         )
+        self.state = AsyncControlState(sensor)
 
     def of_current(self, name):
         """Return the port `name` of the bank whose window is in force."""
@@ -61,43 +71,41 @@ class AsyncControl(Unit):
 
     def elaborate(self, platform):
         m = Module()
-        rearm, two = self.sensor.rearm, self.banks == 2
+        state, rearm, two = self.state, self.sensor.rearm, self.banks == 2
         m.domains.fall = fall = ClockDomain("fall", clk_edge="neg", local=True)
         m.d.comb += [fall.clk.eq(ClockSignal()), fall.rst.eq(ResetSignal())]
         m.d.sync += self.parity.eq(~self.parity)
 
         # Mid-cycle: the events of the previous cycle have settled.
         before = Signal()
-        window_open, read = Signal(), Signal()
-        opening, closing = Signal(), Signal()
-        hold = Signal(range(rearm + 1))
         m.d.comb += [
             before.eq(~self.parity),
-            opening.eq(Mux(before, *reversed(self.of_current("opened"))) & ~window_open & ~read),
-            closing.eq((opening | window_open) & self.of_current("ended") & (self.of_current("parity") == before)),
+            state.opening.eq(Mux(before, *reversed(self.of_current("opened"))) & ~state.window_open & ~state.read),
+            state.closing.eq(
+                (state.opening | state.window_open) & self.of_current("ended") & (self.of_current("parity") == before)
+            ),
         ]
         m.d.fall += [
-            window_open.eq((opening | window_open) & ~closing),
-            self.opening.eq(opening),
-            self.closing.eq(closing),
+            state.window_open.eq((state.opening | state.window_open) & ~state.closing),
+            self.opening.eq(state.opening),
+            self.closing.eq(state.closing),
             self.bank.eq(self.current),
-            hold.eq(Mux(closing, max(rearm - 1, 0), hold - (hold != 0))),
+            state.hold.eq(Mux(state.closing, max(rearm - 1, 0), state.hold - (state.hold != 0))),
         ]
         if two:
-            with m.If(closing):
+            with m.If(state.closing):
                 m.d.fall += self.current.eq(~self.current)
             m.d.comb += [self.clearing_0.eq(self.current), self.clearing_1.eq(~self.current)]
         else:
             first, second = Signal(), Signal()  # the synchroniser in front of the clear
             m.d.sync += [first.eq(self.closing), second.eq(first)]
-            m.d.fall += read.eq((read | closing) & ~second)
+            m.d.fall += state.read.eq((state.read | state.closing) & ~second)
             m.d.comb += self.clearing_0.eq(second)
 
         # Armed from the start of a cycle; the level stays until the last event of the cycle has passed.
         for b in range(self.banks):
-            now = (self.current == b) & (hold == 0) if rearm else 1
+            now = (self.current == b) & (state.hold == 0) if rearm else 1
             for q in range(2):
                 with m.If(self.parity != q):
                     m.d.sync += getattr(self, f"armed_{b}")[q].eq(self.may_open & now)
-        self.state = SimpleNamespace(window_open=window_open, read=read, closing=closing, hold=hold)
         return m

@@ -5,8 +5,6 @@ It replaces `CoincidenceTree` and has the same outputs in the same cycles. The p
 shows no circuit; flops, banks and synchronisers are our choice, explained in docs/async.md.
 """
 
-from types import SimpleNamespace
-
 from amaranth.hdl import Cat, ClockDomain, ClockSignal, Const, Instance, Module, Mux, ResetSignal, Signal
 from amaranth.lib.wiring import In, Out
 
@@ -19,6 +17,29 @@ from .control import AsyncControl
 from .event_tree import EventTree, mark_bits
 from .minigroup import AsyncMinigroup
 from .tdc import line_signature
+
+
+class FrontEndState:
+    """Control, and what is formed at the clock. Numbers are those of stages.
+
+    inside: a window was open in the cycle (stage 3); half, counts: a window whose pixels have been counted in parts (stage 6).
+    """
+
+    def __init__(self, sensor: Sensor, circuit: Circuit):
+        self.control = AsyncControl(sensor, circuit)
+        self.window_open = Signal()
+        self.inside = Signal()
+        self.opening_4 = Signal()
+        self.closing_4 = Signal()
+        self.closed = Signal()
+        self.closed_6 = Signal()
+        self.elapsed = Signal(sensor.elapsed_bits)
+        self.winner = Signal(sensor.winner_bits)
+        self.hits = Signal(sensor.pixels)
+        self.half = Signal(bus.window_layout(sensor))
+        chunk = 1 << (bits_for(sensor.pixels - 1) + 1) // 2
+        self.chunks = [self.hits[k : k + chunk] for k in range(0, sensor.pixels, chunk)]
+        self.counts = [Signal(range(len(part) + 1), name=f"count_{k}") for k, part in enumerate(self.chunks)]
 
 
 class AsyncFrontEnd(Unit):
@@ -58,6 +79,7 @@ class AsyncFrontEnd(Unit):
                 "entries": Out(bus.record_layout(sensor)["entries"].shape),
             }
         )
+        self.state = FrontEndState(sensor, circuit)
 
     def elaborate(self, platform):
         m = Module()
@@ -71,7 +93,8 @@ class AsyncFrontEnd(Unit):
             wrap.eq((wrap << 1) | self.timing.wrap),
             running.eq((running << 1) | self.timing.running),
         ]
-        control = place(m, "control", AsyncControl(sensor, self.circuit), platform)
+        control = self.state.control
+        place(m, "control", control, platform)
         parity = control.parity
         m.d.comb += control.may_open.eq(may_open[0])
 
@@ -175,41 +198,36 @@ class AsyncFrontEnd(Unit):
             flag = name in ("opening", "closing")
             first, stage_3[name] = (Signal(len(value), name=f"{name}_{n}", reset_less=not flag) for n in (2, 3))
             m.d.sync += [first.eq(value), stage_3[name].eq(first)]
-        self.state = self._collect(m, platform, stage_3, may_open[-1], wrap[-1])
-        self.state.control = control
+        self._collect(m, platform, stage_3, may_open[-1], wrap[-1])
         return m
 
     def _collect(self, m, platform, at, may_open, wrap):
-        """Form windows and records, at the clock, from the facts about a cycle (`at`, stage 3). Return the state."""
-        sensor, line = self.sensor, self.line
-        window_open, inside = Signal(), Signal()
+        """Form windows and records, at the clock, from the facts about a cycle (`at`, stage 3)."""
+        state, sensor, line = self.state, self.sensor, self.line
         hit = Signal(sensor.pixels)
         m.d.comb += [
-            inside.eq(at["opening"] | window_open),
-            hit.eq(Mux(at["closing"], at["picture"], at["active"]) & inside.replicate(sensor.pixels)),
+            state.inside.eq(at["opening"] | state.window_open),
+            hit.eq(Mux(at["closing"], at["picture"], at["active"]) & state.inside.replicate(sensor.pixels)),
         ]
-        m.d.sync += window_open.eq(inside & ~at["closing"])
+        m.d.sync += state.window_open.eq(state.inside & ~at["closing"])
 
         # Stages 4 and 5: the winner, the stamp, and the leaves' part of the map.
-        opening_4, closing_4, closed = Signal(), Signal(), Signal()
         opening_5, opening_6 = Signal(), Signal()
-        elapsed = Signal(sensor.elapsed_bits)
-        winner_4, winner = Signal(sensor.winner_bits), Signal(sensor.winner_bits)
+        winner_4 = Signal(sensor.winner_bits)
         m.d.sync += [
-            opening_4.eq(at["opening"]),
-            closing_4.eq(at["closing"] & inside),
-            closed.eq(closing_4),
-            opening_5.eq(opening_4),
+            state.opening_4.eq(at["opening"]),
+            state.closing_4.eq(at["closing"] & state.inside),
+            state.closed.eq(state.closing_4),
+            opening_5.eq(state.opening_4),
             opening_6.eq(opening_5),
-            elapsed.eq(Mux(opening_6, 0, elapsed + 1)),
+            state.elapsed.eq(Mux(opening_6, 0, state.elapsed + 1)),
         ]
         m.d.sync += winner_4.eq(self._winner(m, at["first"]))
-        with m.If(opening_4):
-            m.d.sync += winner.eq(winner_4)
-        stamp = self._stamp(m, at, opening_4)
+        with m.If(state.opening_4):
+            m.d.sync += state.winner.eq(winner_4)
+        stamp = self._stamp(m, at, state.opening_4)
         is_winner = Signal(sensor.pixels)
         m.d.comb += is_winner.eq(1 << winner_4)
-        hits = Signal(sensor.pixels)
         coarse_4 = Signal(sensor.coarse_bits)
         m.d.sync += coarse_4.eq(line.cycle)
         leaves = []
@@ -223,8 +241,8 @@ class AsyncFrontEnd(Unit):
                 leaf.winner.eq(Cat(is_winner[i] for i in members)),
                 leaf.mark.eq(at["marks"].word_select(g, mark_bits(sensor))),
                 leaf.parity.eq(at["parity"]),
-                leaf.opening.eq(opening_4),
-                leaf.elapsed.eq(elapsed),
+                leaf.opening.eq(state.opening_4),
+                leaf.elapsed.eq(state.elapsed),
                 leaf.frame.eq(self.frame),
                 leaf.may_open.eq(may_open),
                 leaf.wrap.eq(wrap),
@@ -232,42 +250,27 @@ class AsyncFrontEnd(Unit):
                 self.offsets[g].eq(leaf.offset),
                 self.latched[g].eq(leaf.latched),
                 self.entries[g].eq(leaf.entry),
-                *(hits[i].eq(leaf.hits[j]) for j, i in enumerate(members)),
+                *(state.hits[i].eq(leaf.hits[j]) for j, i in enumerate(members)),
             ]
         m.d.sync += self.blind.eq(any_of(m, [leaf.blind for leaf in leaves], "blind_or"))
         m.d.comb += self.record_due.eq(wrap)
 
         # Stages 6 and 7: the number of pixels in the map, in two steps. Data move every cycle; `closed` marks valid ones.
-        closed_6 = Signal()
-        half = Signal(bus.window_layout(sensor))
-        chunk = 1 << (bits_for(sensor.pixels - 1) + 1) // 2
-        chunks = [hits[k : k + chunk] for k in range(0, sensor.pixels, chunk)]
-        counts = [Signal(range(len(part) + 1), name=f"count_{k}") for k, part in enumerate(chunks)]
         m.d.sync += [
-            closed_6.eq(closed),
-            self.closed.eq(closed_6),
-            half.stamp.eq(stamp),
-            half.hits.eq(hits),
-            half.winner.eq(winner),
-            *(count.eq(popcount(m, part, f"ones_{k}")) for k, (count, part) in enumerate(zip(counts, chunks))),
-            self.window.stamp.eq(half.stamp),
-            self.window.hits.eq(half.hits),
-            self.window.winner.eq(half.winner),
-            self.window.count.eq(total(m, counts, "count_sum")),
+            state.closed_6.eq(state.closed),
+            self.closed.eq(state.closed_6),
+            state.half.stamp.eq(stamp),
+            state.half.hits.eq(state.hits),
+            state.half.winner.eq(state.winner),
+            *(
+                count.eq(popcount(m, part, f"ones_{k}"))
+                for k, (count, part) in enumerate(zip(state.counts, state.chunks))
+            ),
+            self.window.stamp.eq(state.half.stamp),
+            self.window.hits.eq(state.half.hits),
+            self.window.winner.eq(state.half.winner),
+            self.window.count.eq(total(m, state.counts, "count_sum")),
         ]
-        return SimpleNamespace(
-            window_open=window_open,
-            inside=inside,
-            opening_4=opening_4,
-            closing_4=closing_4,
-            closed=closed,
-            closed_6=closed_6,
-            elapsed=elapsed,
-            winner=winner,
-            hits=hits,
-            counts=counts,
-            half=half,
-        )
 
     def _winner(self, m, later_first):
         """Return the index of the pixel that came first, from the nodes of the arbiter tree."""

@@ -1,20 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
 """Minigroup of the asynchronous view: its part of the ID map, and its record, from the samples of its events."""
 
-from types import SimpleNamespace
-
 from amaranth.hdl import Cat, Module, Mux, Signal
 from amaranth.lib.wiring import In, Out
 
 from ...model.contract.parameters import QUARTERS, Sensor
 from .. import bus
-from ..minigroup import Minigroup
-from ..unit import Unit
+from ..minigroup import Recorder, RecordState
 from .circuit import johnson_number
 from .event_tree import mark_bits
 
 
-class AsyncMinigroup(Minigroup):
+class AsyncMinigroup(Recorder):
     """Minigroup behind the hit flops. Its record circuit is that of the polyphase minigroup.
 
     Ports
@@ -33,8 +30,8 @@ class AsyncMinigroup(Minigroup):
     def __init__(self, sensor: Sensor):
         self.sensor = sensor
         pixels = sensor.minigroup_pixels
-        Unit.__init__(
-            self,
+        self.state = RecordState(sensor)
+        super().__init__(
             {
                 "active": In(pixels),
                 "mark": In(mark_bits(sensor)),
@@ -52,7 +49,7 @@ class AsyncMinigroup(Minigroup):
                 "coarse": In(sensor.coarse_bits),
                 "latched": Out(1),
                 "entry": Out(bus.entry_layout(sensor)),
-            },
+            }
         )
 
     def elaborate(self, platform):
@@ -76,7 +73,6 @@ class AsyncMinigroup(Minigroup):
         m.d.comb += self.hits.eq(hits)
         self._offset(m, hit.any() & (self.opening | ~hits.any()), step_4)
 
-        self.state = SimpleNamespace()
         self._record(m, platform, self.active, step_4)
         return m
 
