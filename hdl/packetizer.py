@@ -6,7 +6,6 @@ The word formats are our choice; the paper only says that stamps and IDs leave t
 
 from collections.abc import Callable, Collection
 from itertools import groupby
-from types import SimpleNamespace
 
 from amaranth.hdl import Cat, Const, Module, Mux, Signal, Value
 from amaranth.lib.wiring import In, Out
@@ -74,6 +73,19 @@ def of_format(form, value: Callable[[Packet], int]):
     return chosen
 
 
+class PacketizerState:
+    """Kind and number of the beat that is sent; the same of the beat before, whether more follow, and whether one does."""
+
+    def __init__(self, sensor: Sensor):
+        self.sending = Signal()
+        self.send_before = Signal(bus.Send)
+        self.index_before = Signal(range(layout(sensor).longest + 1))
+        self.at_last = Signal()
+        self.active = Signal()
+        self.send = Signal(bus.Send)
+        self.index = Signal.like(self.index_before)
+
+
 class Packetizer(Unit):
     """Packetizer of one subgroup.
 
@@ -109,6 +121,7 @@ class Packetizer(Unit):
                 "beat_controlled": Out(1),
             }
         )
+        self.state = PacketizerState(sensor)
 
     def elaborate(self, platform):
         m = Module()
@@ -135,14 +148,7 @@ class Packetizer(Unit):
 
     def _sequence(self, m):
         """Sequence the beats of the current packet. The last beat is recognised one cycle ahead."""
-        state = self.state = SimpleNamespace()
-        state.sending = Signal()
-        state.send_before = Signal(bus.Send)
-        state.index_before = Signal(range(layout(self.sensor).longest + 1))
-        state.at_last = Signal()
-        state.active = Signal()
-        state.send = Signal(bus.Send)
-        state.index = Signal.like(state.index_before)
+        state = self.state
         ends = Signal()
         m.d.comb += [
             state.active.eq(self.grant | state.sending),

@@ -6,7 +6,7 @@ have stored, and the readout counts it and grants packets of known length. So th
 gaps, after a fixed time.
 """
 
-from types import SimpleNamespace
+from typing import Any
 
 from amaranth.hdl import Cat, Const, Module, Mux, ResetInserter, Signal
 from amaranth.lib import fifo
@@ -22,6 +22,63 @@ from .packetizer import formed, numbers, of_format
 from .unit import Unit
 
 CALM_CYCLES = 15  # no grant, no beat on its way and none in the buffer for so long: more than any beat takes
+
+
+class ReadoutState:
+    """Inner registers and signals of a readout.
+
+    in_frame: outside of it, inputs are ignored. event_length, event_last: beats of an event, and number of its last one;
+    event_exceeds: more space than this leaves room for a word, or for counters, behind an event. planes: bits of the number of
+    events that wait in each subgroup; some_events: which numbers are not 0. at_or_after: the pointer, as all subgroups from
+    it on; from_chosen: the chosen one and all above it. room: for a word and for counters; left: beats still to be granted.
+    own: kind of the readout's own packet on its way, from `own_kind`, which is granted, to the output. tail: one-hot, the
+    subgroup whose counters are next; owes: the frame's last beat has not left; filling: it was lost and is sent again;
+    to_end: beats after the end's header.
+    """
+
+    machine: Any
+    buffer: fifo.SyncFIFOBuffered
+
+    def __init__(self, readout: "Readout"):
+        n, longest, rooms, depth = readout.subgroups, readout.parts.longest, readout.rooms, readout.depth
+        self.in_frame = Signal()
+        self.stored = Signal(n)
+        self.record_stored = Signal(n)
+        self.frame_begin = Signal()
+        self.finish = Signal()
+        self.valid = Signal()
+        self.beat = Signal(BEAT_BITS)
+        self.beat_controlled = Signal()
+        self.event_length = Signal(range(longest + 1))
+        self.event_last = Signal(range(longest))
+        self.event_exceeds = [Signal(range(2 * longest), init=beats - 1, name=f"event_and_{beats}") for beats in rooms]
+        self.take_event = Signal(n)
+        self.take_record = Signal(n)
+        self.records = Signal(n)
+        self.waiting = Signal(n)
+        self.at_or_after = Signal(n, init=-1)
+        self.from_chosen = Signal(n)
+        self.chosen = Signal(n)
+        self.chosen_record = Signal()
+        self.planes = [Signal(n, name=f"events_{b}") for b in range(bits_for(readout.sensor.fifo_depth))]
+        self.some_events = Signal(n)
+        self.room = [Signal(init=1, name=f"room_for_{beats}") for beats in rooms]
+        self.room_next = [Signal(name=f"room_next_for_{beats}") for beats in rooms]
+        self.left = Signal(range(longest))
+        self.space = Signal(range(depth + 1), init=depth)
+        self.free = Signal()
+        self.free_for_counters = Signal()
+        self.gone = Signal()
+        self.left_next = Signal.like(self.left)
+        self.space_next = Signal.like(self.space)
+        self.calm = Signal(range(CALM_CYCLES + 1))
+        self.booked = Signal()
+        self.own_kind = Signal(KIND_BITS)
+        self.tail = Signal(n)
+        self.owes = Signal()
+        self.filling = Signal()
+        self.own = [Signal(KIND_BITS, name=f"own_{k}") for k in range(latency.GRANT_TO_BEAT)]
+        self.to_end = Signal(range(readout.parts.counter_beats * n + 1))
 
 
 class Readout(Unit):
@@ -71,10 +128,10 @@ class Readout(Unit):
                 "m_axis": Out(STREAM),
             }
         )
+        self.state = ReadoutState(self)
 
     def elaborate(self, platform):
         m = Module()
-        self.state = SimpleNamespace()
         self._inputs(m)
         self._arbiter(m)
         self._room(m)
@@ -85,20 +142,6 @@ class Readout(Unit):
     def _inputs(self, m):
         """Register the inputs. Outside a frame they are ignored: after a reset, the modules may still report old data."""
         state, n = self.state, self.subgroups
-        state.in_frame = Signal()
-        state.stored = Signal(n)
-        state.record_stored = Signal(n)
-        state.frame_begin = Signal()
-        state.finish = Signal()
-        state.valid = Signal()
-        state.beat = Signal(BEAT_BITS)
-        state.beat_controlled = Signal()
-        state.event_length = Signal(range(self.parts.longest + 1))
-        state.event_last = Signal(range(self.parts.longest))  # number of an event's last beat
-        # More space than this leaves room for a word, or for counters, behind an event.
-        state.event_exceeds = [
-            Signal(range(2 * self.parts.longest), init=beats - 1, name=f"event_and_{beats}") for beats in self.rooms
-        ]
         m.d.sync += [
             state.stored.eq(self.stored & state.in_frame.replicate(n)),
             state.record_stored.eq(self.record_stored & state.in_frame.replicate(n)),
@@ -121,21 +164,13 @@ class Readout(Unit):
 
         Waiting events are a counter per subgroup, waiting records a bit.
         """
-        state, n = self.state, self.subgroups
-        state.take_event = Signal(n)
-        state.take_record = Signal(n)
-        state.records = Signal(n)
-        state.waiting = Signal(n)
-        state.at_or_after = Signal(n, init=-1)
-        state.from_chosen = Signal(n)  # the chosen one and all above it
-        state.chosen = Signal(n)
-        state.chosen_record = Signal()
-        ahead = Signal(n)
-        some_events = self._credits(m, state.stored, state.take_event)
+        state = self.state
+        ahead = Signal(self.subgroups)
+        self._credits(m, state.stored, state.take_event)
         m.d.sync += state.records.eq((state.records & ~state.take_record) | state.record_stored)
         with m.If(state.frame_begin):
             m.d.sync += [plane.eq(0) for plane in (*state.planes, state.records)]
-        m.d.comb += [state.waiting.eq(some_events | state.records), ahead.eq(state.waiting & state.at_or_after)]
+        m.d.comb += [state.waiting.eq(state.some_events | state.records), ahead.eq(state.waiting & state.at_or_after)]
         from_ahead, from_all = up_to(m, ahead, "from_ahead"), up_to(m, state.waiting, "from_all")
         m.d.comb += [
             state.from_chosen.eq(Mux(from_ahead[-1], from_ahead, from_all)),
@@ -144,19 +179,16 @@ class Readout(Unit):
         ]
 
     def _credits(self, m, up, down):
-        """Count per subgroup, in bit planes; return which counters are not 0, from registers beside the planes."""
-        planes = [Signal(self.subgroups, name=f"events_{b}") for b in range(bits_for(self.sensor.fifo_depth))]
+        """Count per subgroup, in bit planes; registers beside the planes know which counters are not 0."""
+        planes, some = self.state.planes, self.state.some_events
         carries, borrows = Signal(self.subgroups), Signal(self.subgroups)
         m.d.comb += [carries.eq(up & ~down), borrows.eq(down & ~up)]
         ones = zeros = ~Const(0, self.subgroups)  # whether all planes below are; known before the grant is
         for plane in planes:
             m.d.sync += plane.eq(plane ^ (carries & ones) ^ (borrows & zeros))
             ones, zeros = ones & plane, zeros & ~plane
-        some = Signal(self.subgroups, name="some_events")
         several = any_of(m, planes[1:], "several_of") if len(planes) > 1 else 0
         m.d.sync += some.eq(up | (some & (~down | several)))
-        self.state.planes, self.state.some_events = planes, some
-        return some
 
     def _room(self, m):
         """Decide when a packet may begin.
@@ -165,15 +197,6 @@ class Readout(Unit):
         the space know of either room, so no grant waits for a comparison.
         """
         state = self.state
-        state.room = [Signal(init=1, name=f"room_for_{beats}") for beats in self.rooms]
-        state.room_next = [Signal(name=f"room_next_for_{beats}") for beats in self.rooms]
-        state.left = Signal(range(self.parts.longest))  # beats still to be granted
-        state.space = Signal(range(self.depth + 1), init=self.depth)
-        state.free = Signal()
-        state.free_for_counters = Signal()
-        state.gone = Signal()
-        state.left_next = Signal.like(state.left)
-        state.space_next = Signal.like(state.space)
         m.d.comb += [
             state.free.eq((state.left == 0) & state.room[0]),
             state.free_for_counters.eq((state.left == 0) & state.room[1]),
@@ -184,8 +207,6 @@ class Readout(Unit):
         ]
         m.d.sync += [state.left.eq(state.left_next), state.space.eq(state.space_next)]
         m.d.sync += [room.eq(after) for room, after in zip(state.room, state.room_next)]
-        state.calm = Signal(range(CALM_CYCLES + 1))
-        state.booked = Signal()
         with m.If(self.m_axis.tvalid | state.valid | (state.left != 0) | state.booked):
             m.d.sync += state.calm.eq(0)
         with m.Elif(state.calm != CALM_CYCLES):
@@ -224,10 +245,6 @@ class Readout(Unit):
     def _packets(self, m):
         """Send a frame's packets in order: start, events and records, end, counters of every subgroup."""
         state = self.state
-        state.own_kind = Signal(KIND_BITS)  # kind of the readout's own packet that is granted
-        state.tail = Signal(self.subgroups)  # one-hot: the subgroup whose counters are next
-        state.owes = Signal()  # the frame's last beat has not left
-        state.filling = Signal()  # the frame's last beat was lost and is sent again
         m.d.sync += [self.grant.eq(0), self.delivered.eq(0)]
         with m.FSM() as state.machine:
             with m.State("idle"):
@@ -301,12 +318,11 @@ class Readout(Unit):
     def _output(self, m):
         """Buffer the stream. Beats come back in the order of the grants; the readout's own beats take the same time."""
         state, counter_beats = self.state, self.parts.counter_beats
-        state.own = own = [Signal(KIND_BITS, name=f"own_{k}") for k in range(latency.GRANT_TO_BEAT)]
+        own, to_end = state.own, state.to_end
         m.d.sync += [later.eq(now) for now, later in zip([state.own_kind, *own], own)]
         fields = numbers(m, self.sensor, [FRAME_START], own[-1], pulse=self.number)
         (own_beat,) = formed(self.sensor, [FRAME_START], fields)[FRAME_START]
         is_own = own[-1].any()
-        state.to_end = to_end = Signal(range(counter_beats * self.subgroups + 1))  # beats after the end's header
         with m.If((own[-1] == FRAME_END.code) & ~state.filling):
             m.d.sync += to_end.eq(counter_beats * self.subgroups)
         with m.Elif(state.valid & (to_end != 0)):
