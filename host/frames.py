@@ -5,9 +5,7 @@ import numpy as np
 
 from ..model.contract.packet import FRAME_END, FRAME_START, header_field, layout
 from ..model.contract.parameters import Sensor
-from ..model.contract.stream import StreamError
-
-LENGTHLESS = "not a packet header where one is due"
+from ..model.contract.stream import NO_HEADER, StreamError
 
 
 class FrameAssembler:
@@ -32,7 +30,7 @@ class FrameAssembler:
             if length == 0 or (kind == FRAME_START.code) != (self._at == 0):
                 at = self._at
                 self.forget()
-                raise StreamError(f"beat {at} of a frame: {LENGTHLESS}")
+                raise StreamError(f"beat {at} of a frame: {NO_HEADER}")
             if self._at + length > len(self._beats):
                 return
             self._at += length

@@ -22,7 +22,7 @@ from rich.table import Table
 from ..lab.measures import Number
 from ..lab.run import Frame, Run
 from ..lab.setup import SETTLING, Setup, fixed_thresholds, scene_of
-from ..model.contract.config import Config
+from ..model.contract.config import Config, sensor_table
 from ..model.contract.parameters import TOP
 from ..model.contract.pixels import subgroup_image
 from ..model.contract.result import ResultBuilder, write_result
@@ -272,13 +272,10 @@ def _pictures(out: Path, heading: str, titles: dict[str, str], seen: dict[str, F
 
 def settings_of(config: Config) -> dict[str, Any]:
     """Return the configuration in the shape of its file; a subgroup's setting is a list if subgroups differ."""
-    sensor = {
-        attribute.name: getattr(config.sensor, attribute.name) for attribute in type(config.sensor).__attrs_attrs__
-    }
     subgroup = {name: getattr(config, name).tolist() for name in SUBGROUP}
     subgroup["mask"] = [f"{sum(1 << int(i) for i in np.flatnonzero(mask)):x}" for mask in config.mask]
     return {
-        "sensor": sensor,
+        "sensor": sensor_table(config.sensor),
         "frame": config.frame | {"auto_bounds": config.auto_bounds.tolist(), "capacity": config.capacity},
         "subgroup": {name: v[0] if len(set(v)) == 1 else v for name, v in subgroup.items()},
     }

@@ -67,25 +67,12 @@ def replay(folder, *more):
     return command(words, *more)
 
 
-BAD_CONFIGS = {
+BAD_CONFIGS = {  # tests/contract/test_config.py has the others
     "unknown key": ("[subgroup]\nthreshhold = 2", "threshhold", "threshold"),
     "unknown table": ("[subgroups]\nthreshold = 2", "subgroups", "subgroup"),
-    "threshold 0": ("[subgroup]\nthreshold = 0", "subgroup.threshold = 0", "from 1 to 64"),
-    "threshold above the pixels": ("[subgroup]\nthreshold = 65", "subgroup.threshold = 65", "from 1 to 64"),
-    "negative window": ("[subgroup]\nwindow = -1", "subgroup.window = -1", "from 1 to 128"),
-    "fraction": ("[subgroup]\nwindow = 1.5", "subgroup.window = 1.5", "integer"),
-    "text for a number": ('[frame]\npulses = "many"', "frame.pulses = 'many'", "from 1 to 65536"),
-    "gate past the period": (
-        "[frame]\nperiod = 50\n[subgroup]\ngating = true\ngate_start = 50",
-        "gate_start = 50",
-        "from 0 to 49",
-    ),
-    "period within the guard": ("[frame]\nperiod = 5", "frame.period = 5", "from 6 to 1024"),
     "rows without subgroups": ("[sensor]\nrows = 12", "subgroup", "divide"),
-    "bounds that descend": ("[frame]\nauto_bounds = [2, 1, 3, 4, 5, 6]", "auto_bounds", "descend"),
     "override of nothing": ("[[override]]\nsubgroups = [16]", "override[0].subgroups = 16", "from 0 to 15"),
     "not TOML": ("threshold:", "TOML"),
-    "empty mask": ('[subgroup]\nmask = ""', "mask", "hex"),
 }
 
 

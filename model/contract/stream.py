@@ -24,6 +24,7 @@ from .packet import (
 )
 from .parameters import OFFSET_NONE, Sensor
 
+NO_HEADER = "not a packet header where one is due"
 COLUMN = {name: column for column, name in enumerate(HEADER)}  # of `Frame.events`
 
 
@@ -113,7 +114,7 @@ def packet_starts(beats: np.ndarray, sensor: Sensor, subgroups: int) -> tuple[np
     lengths[[FRAME_START.code, FRAME_END.code]] = 0
     kinds, starts, bad = _packets(beats, lengths, end)
     if bad >= 0 or end <= 0:
-        raise StreamError(f"beat {max(bad, 0)} of {len(beats)}: not a packet header where one is due")
+        raise StreamError(f"beat {max(bad, 0)} of {len(beats)}: {NO_HEADER}")
     return kinds, starts
 
 

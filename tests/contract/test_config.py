@@ -100,6 +100,8 @@ def test_frame_settings_that_are_refused(settings, words):
         ({"coincidence": 1}, ("subgroup.coincidence = 1", "true or false")),
         ({"mask": 255}, ("subgroup.mask = 255", "hex digits")),
         ({"mask": "g"}, ("subgroup.mask = 'g'", "hex digits")),
+        ({"mask": ""}, ("subgroup.mask = ''", "hex digits")),
+        ({"window": -1}, ("subgroup.window = -1", "from 1 to 128")),
         ({"gating": True, "gate_start": 250}, ("gate_start = 250", "from 0 to 249")),
     ],
 )
