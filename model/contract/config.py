@@ -229,10 +229,10 @@ class Config(SubgroupSettings):
                 writes += [(registers.address(name, index=i), int(word)) for i, word in enumerate(words)]
         writes += [(registers.address("share", index=k), int(share)) for k, share in enumerate(self.shares)]
         mode = sum(getattr(self, name).astype(np.int64) << switch.bit for name, switch in SWITCHES.items())
-        integers = [name for name, setting in SUBGROUP.items() if setting.kind is Kind.INTEGER]
+        numbers = [name for name, of in SUBGROUP.items() if of.offset is not None and of.kind is not Kind.MASK]
         for s in range(self.sensor.subgroups):
             writes.append((registers.address(MODE.name, s), int(mode[s])))
-            writes += [(registers.address(name, s), int(getattr(self, name)[s])) for name in integers]
+            writes += [(registers.address(name, s), int(getattr(self, name)[s])) for name in numbers]
             bits = sum(1 << int(i) for i in np.flatnonzero(self.mask[s]))
             for w in range(self.sensor.mask_words):
                 writes.append((registers.address("mask", s, w), bits >> MASK_BITS * w & ((1 << MASK_BITS) - 1)))
