@@ -71,7 +71,7 @@ def map_block(unit: Unit, view: View = POLYPHASE, changed: Mapping[str, str] | N
         for name, text in files.items():
             (folder / name).write_text(text)
         put_cells(folder)
-        run_yosys(script, folder)
+        run_yosys(folder, script)
 
     key = digest(script, CELLS_VERSION, *(part for item in sorted(files.items()) for part in item))
     folder = toolchain.build_once(build_root() / "mapped" / f"{unit.unit_name}-{key}", make)

@@ -93,7 +93,7 @@ def synthesize(board: Board) -> Path:
     def make(folder: Path) -> None:
         for name, text in board.files.items():
             (folder / name).write_text(text)
-        run_yosys(script, folder)
+        run_yosys(folder, script)
 
     key = digest(script, *(part for item in sorted(board.files.items()) for part in item))
     return toolchain.build_once(build_root() / "pnr" / f"{board.top}-{key}", make)

@@ -12,11 +12,12 @@ import json
 from bisect import bisect_right
 from collections.abc import Mapping
 from io import BufferedIOBase
+from operator import add
 from pathlib import Path
 from typing import Any, TypeAlias
 
 import numpy as np
-from attrs import frozen
+from attrs import astuple, frozen
 from vcd.reader import TokenKind, tokenize
 
 from ..model.contract.parameters import TOP, Sensor
@@ -56,13 +57,7 @@ class Power:
         return self.clock + self.internal + self.switching + self.leakage
 
     def __add__(self, other: "Power") -> "Power":
-        return Power(
-            self.clock + other.clock,
-            self.internal + other.internal,
-            self.switching + other.switching,
-            self.leakage + other.leakage,
-            self.idle + other.idle,
-        )
+        return Power(*map(add, astuple(self), astuple(other)))
 
 
 @frozen
@@ -92,17 +87,14 @@ def design(sensor: Sensor) -> Design:
     def make(folder: Path) -> None:
         for name in (LIBERTY, NETLIST):
             (folder / name).write_bytes((synthesized.folder / name).read_bytes())
-        script = [
-            "read_liberty -lib",
-            LIBERTY,
-            "\nread_verilog",
-            NETLIST,
-            "\nhierarchy -top",
-            TOP,
-            "\nflatten\nwrite_json",
-            FLAT,
-        ]
-        run_yosys(" ".join(script) + "\n", folder)
+        run_yosys(
+            folder,
+            f"read_liberty -lib {LIBERTY}",
+            f"read_verilog {NETLIST}",
+            f"hierarchy -top {TOP}",
+            "flatten",
+            f"write_json {FLAT}",
+        )
 
     folder = build_once(synthesized.folder.with_name(f"{synthesized.folder.name}-flat"), make)
     module = json.loads((folder / FLAT).read_text())["modules"][TOP]

@@ -58,9 +58,12 @@ def netlist(sensor: Sensor, circuit: Circuit, folder: Path) -> dict[str, Any]:
     for name, text in files.items():
         (folder / name).write_text(text)
     run_yosys(
-        f"read_verilog -sv {' '.join(files)}\nhierarchy -check -top {module.unit_name}\nproc\nflatten\nopt_clean\nmemory -nomap\n"
-        "check -assert\nwrite_json netlist.json\n",
         folder,
+        f"read_verilog -sv {' '.join(files)}",
+        f"hierarchy -check -top {module.unit_name}",
+        "proc; flatten; opt_clean; memory -nomap",
+        "check -assert",
+        "write_json netlist.json",
     )
     return json.loads((folder / "netlist.json").read_text())["modules"][module.unit_name]
 
@@ -70,18 +73,13 @@ def mapped(folder: Path, top: str) -> dict[str, int]:
     put_cells(folder)
     files = " ".join(sorted(path.name for path in folder.glob("*.v") if path.name not in (MAPPED, TIMED)))
     run_yosys(
-        "\n".join(
-            [
-                f"read_liberty -lib {LIBERTY}",
-                f"read_verilog -sv {files}",
-                *cells_script(top),
-                "check -assert",
-                "tee -q -o cells.json stat -json",
-                f"write_verilog -noexpr -noattr -simple-lhs {MAPPED}",
-                "",
-            ]
-        ),
         folder,
+        f"read_liberty -lib {LIBERTY}",
+        f"read_verilog -sv {files}",
+        *cells_script(top),
+        "check -assert",
+        "tee -q -o cells.json stat -json",
+        f"write_verilog -noexpr -noattr -simple-lhs {MAPPED}",
     )
     return json.loads((folder / "cells.json").read_text())["design"]["num_cells_by_type"]
 

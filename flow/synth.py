@@ -101,7 +101,7 @@ def synthesize(sensor: Sensor, target: str, top: str = TOP) -> Netlist:
             (folder / name).write_text(text)
         if target == CELLS:
             put_cells(folder)
-        run_yosys(script, folder)
+        run_yosys(folder, script)
 
     folder = toolchain.build_once(build_root() / "synth" / f"{sensor_key(sensor)}-{target}-{key}", make)
     return Netlist(target, folder, units, _blocks(folder, top, units if target == GATES else []))

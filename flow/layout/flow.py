@@ -114,25 +114,20 @@ def map_for_router(top: str, files: list[str], folder: Path) -> None:
     """The block in standard cells as BLIF: single nets, plain names, constants from cells."""
     put_cells(folder)
     run_yosys(
-        "\n".join(
-            [
-                f"read_verilog -sv {' '.join(files)}",
-                *cells_script(top, flatten=True),
-                "setundef -zero",
-                "hilomap -singleton -hicell LOGIC1_X1 Z -locell LOGIC0_X1 Z",
-                "opt_clean -purge",
-                "splitnets -ports -format _",
-                "splitnets -format _",
-                "rename -hide */w:*",
-                "rename -enumerate -pattern n% */w:*",
-                "rename -hide */c:*",
-                "rename -enumerate -pattern u% */c:*",
-                f"write_verilog -simple-lhs -noattr -noexpr {MAPPED}",
-                f"write_blif -buf BUF_X1 A Z {BLIF}",
-                "",
-            ]
-        ),
         folder,
+        f"read_verilog -sv {' '.join(files)}",
+        *cells_script(top, flatten=True),
+        "setundef -zero",
+        "hilomap -singleton -hicell LOGIC1_X1 Z -locell LOGIC0_X1 Z",
+        "opt_clean -purge",
+        "splitnets -ports -format _",
+        "splitnets -format _",
+        "rename -hide */w:*",
+        "rename -enumerate -pattern n% */w:*",
+        "rename -hide */c:*",
+        "rename -enumerate -pattern u% */c:*",
+        f"write_verilog -simple-lhs -noattr -noexpr {MAPPED}",
+        f"write_blif -buf BUF_X1 A Z {BLIF}",
     )
 
 

@@ -48,7 +48,7 @@ needs_cells = pytest.mark.skipif(
 
 def test_depth_by_block(tmp_path):
     (tmp_path / "toy.v").write_text(TOY)
-    run_yosys(TOY_SCRIPT, tmp_path)
+    run_yosys(tmp_path, TOY_SCRIPT)
     paths = longest_paths(json.loads((tmp_path / "toy.json").read_text())["modules"]["toy"])
     assert {block: path.levels for block, path in paths.items()} == {
         "": 1,
@@ -70,7 +70,7 @@ def test_a_loop_is_reported():
 
 def test_yosys_errors_are_told(tmp_path):
     with pytest.raises(ToolchainError, match="no-such-command"):
-        run_yosys("no-such-command\n", tmp_path)
+        run_yosys(tmp_path, "no-such-command")
 
 
 def test_blocks_of_a_small_sensor():
