@@ -7,7 +7,7 @@ have the same memory (`MEMORY_BITS`). The estimator of planes is also shown for 
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -19,6 +19,7 @@ from ..model.depth.arrivals import pulse_sigma_ticks
 from ..model.depth.histograms import pixel_image
 from ..model.depth.peaks import APART_SIGMAS, NEAR_SIGMAS, pixel_peaks
 from ..model.light.light import Light
+from ..model.scenes.scene import Scene
 from ..model.shared.constants import SPEED_OF_LIGHT_M_S
 from . import rivals
 
@@ -47,14 +48,15 @@ class Found(NamedTuple):
     bits: int
 
 
-def compared(light: Light, threshold: int = THRESHOLD, seed: int = 1, **frame: Any) -> Setup:
-    """Return `FRAMES` frames of `light` on a sensor of its size; otherwise the silicon preset. frame: further settings."""
+def compared(
+    seen: Scene | Light, threshold: int = THRESHOLD, frame: dict[str, Any] | None = None, **fields: Any
+) -> Setup:
+    """Return `FRAMES` frames on a sensor of the size of `seen`; otherwise the silicon preset. fields: of `Setup`."""
     return Setup.of(
-        sensor={"rows": light.rows, "cols": light.cols},
-        frame={"pulses": PULSES, "frames": FRAMES} | frame,
+        sensor={"rows": seen.rows, "cols": seen.cols},
+        frame={"pulses": PULSES, "frames": FRAMES} | (frame or {}),
         subgroup={"threshold": threshold},
-        light=light,
-        seed=seed,
+        **{"scene" if isinstance(seen, Scene) else "light": seen} | fields,
     )
 
 
@@ -115,6 +117,12 @@ SCHEMES: dict[str, Callable[[Shot], Found]] = {
     "this: fixed planes": lambda shot: _this(shot, {}, "planes"),
     "this: controller planes": lambda shot: _this(shot, {"auto": True}, "planes"),
 }
+
+
+def schemes(run: Run, names: Sequence[str] = tuple(SCHEMES)) -> dict[str, Found]:
+    """Return the result of each scheme on the same photons."""
+    shot = Shot(run)
+    return {name: SCHEMES[name](shot) for name in names}
 
 
 def _by_words(shot: Shot, words: rivals.Words, arrival: np.ndarray, form: str) -> Found:

@@ -6,13 +6,15 @@ from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
-from ...lab.campaign import Processes
+from ...lab.campaign import Processes, grouped
 from ...lab.run import Run
+from ...lab.setup import Setup
 from ...model.depth.quality import wrong_share
-from ...model.light.light import Interferer, Light
+from ...model.light.light import Interferer
 from ...model.light.timing import Timing
 from ...model.scenes.catalogue import load_scene
-from ..comparison import PULSES, SCHEMES, Shot, compared
+from ...model.scenes.scene import scene_light
+from ..comparison import PULSES, compared, schemes
 from ..palette import SERIES
 from ..plot_style import legend_below, new_figure, share_axis
 from .cases import SCENE
@@ -26,14 +28,7 @@ OFFSETS = (0.0, 1e-5, 1e-4, 1e-3, 1e-2, 1e-1)  # of the other's laser period, re
 DITHER_BITS = (0, 1, 2, 3, 4, 6)
 PHOTONS_SHOWN, OFFSET_SHOWN, BITS_SHOWN = 0.2, 0.0, (0, 2, 4)
 PHASE_SHARE = (0.07, 0.11, 0.6)  # share of the period, one per seed: before, among and behind the objects
-Key: TypeAlias = tuple[float, float, int]  # of tasks: photons, offset, bits
-
-
-class Task(NamedTuple):
-    photons: float
-    offset: float
-    bits: int
-    seed: int
+Key: TypeAlias = tuple[float, float, int]  # photons, offset, bits
 
 
 class Result(NamedTuple):
@@ -42,22 +37,23 @@ class Result(NamedTuple):
     bits: dict[str, int]
 
 
-def run_task(task: Task) -> Result:
-    """Run all of `SHOWN` on the same photons of five objects and another LiDAR that lights every pixel at the same time."""
-    scene = load_scene(SCENE, SIDE, SIDE)
-    timing = Timing()
+def setup(photons: float, offset: float, bits: int, seed: int) -> Setup:
+    """Return five objects and another LiDAR that lights every pixel at the same time."""
+    scene, period_s = load_scene(SCENE, SIDE, SIDE), Timing().period_s
     other = Interferer(
-        photons_per_pulse=task.photons,
-        period_s=timing.period_s * (1 + task.offset),
-        phase_s=PHASE_SHARE[task.seed - 1] * timing.period_s,
+        photons_per_pulse=photons, period_s=period_s * (1 + offset), phase_s=PHASE_SHARE[seed - 1] * period_s
     )
-    light = Light.from_scene(scene.distance_m, scene.reflectivity, KLUX, interferer=other if task.photons else None)
-    shot = Shot(Run(compared(light, seed=task.seed, dither_bits=task.bits)))
-    found = {name: SCHEMES[name](shot) for name in SHOWN}
+    light = scene_light(scene, KLUX, interferer=other if photons else None)
+    return compared(scene, light=light, seed=seed, frame={"dither_bits": bits})
+
+
+def look(run: Run) -> Result:
+    """Return the result of `SHOWN` on the same photons."""
+    found, truth_m = schemes(run, SHOWN), run.scene.truth_m
     depths = {name: one.depth_m[:, :, 0] for name, one in found.items()}
     return Result(
-        {name: wrong_share(depth, scene.truth_m) for name, depth in depths.items()},
-        {name: _same_and_wrong(depth, scene.truth_m) for name, depth in depths.items()},
+        {name: wrong_share(depth, truth_m) for name, depth in depths.items()},
+        {name: _same_and_wrong(depth, truth_m) for name, depth in depths.items()},
         {name: one.bits for name, one in found.items()},
     )
 
@@ -76,8 +72,7 @@ def interference(run: Processes) -> Section:
         "longest wait in cycles": [*product([PHOTONS_SHOWN], [OFFSET_SHOWN], DITHER_BITS)],
     }
     wanted = list(dict.fromkeys(key for part in keys.values() for key in part))
-    made = iter(run.map(run_task, [Task(*key, seed + 1) for key in wanted for seed in range(SEEDS)]))
-    table = {key: [next(made) for _ in range(SEEDS)] for key in wanted}
+    table = grouped({key: [setup(*key, seed + 1) for seed in range(SEEDS)] for key in wanted}, look, run)
     rows: list[Row] = [
         (
             "scheme",

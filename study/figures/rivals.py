@@ -11,13 +11,11 @@ from matplotlib.axes import Axes
 from numpy.typing import ArrayLike
 
 from ...lab.campaign import Processes, campaign, grouped
-from ...lab.run import Run
-from ...lab.setup import seeded
+from ...lab.setup import Setup, seeded
 from ...model.depth.quality import OTHER_SURFACE_M, TOLERANCE_M, wrong_pixels, wrong_share
 from ...model.light.light import Light, background_cps, signal_per_pulse
 from ...model.scenes.catalogue import load_scene
-from ...model.scenes.scene import scene_light
-from ..comparison import PULSES, RETURNS, SCHEMES, THRESHOLD, Found, Shot, compared
+from ..comparison import PULSES, RETURNS, SCHEMES, THRESHOLD, Found, compared, schemes
 from ..plot_style import legend_below, new_figure, share_axis
 from .cases import SCENE
 from .page import Row, Section, section
@@ -54,24 +52,13 @@ STYLES = {
 }
 
 
-def found(run: Run, names: Sequence[str] = tuple(SCHEMES)) -> dict[str, Found]:
-    """Return the result of each scheme on the same photons."""
-    shot = Shot(run)
-    return {name: SCHEMES[name](shot) for name in names}
-
-
 def background(run: Processes) -> Section:
     """Show wrong share and bits against background, and wrong share against bits for several thresholds."""
     scene = load_scene(SCENE, SIDE, SIDE)
-    table = _table(run, {klux: scene_light(scene, klux) for klux in KLUX}, SEEDS)
-    swept = campaign(
-        {
-            (klux, threshold): compared(scene_light(scene, klux), threshold)
-            for klux, threshold in product((10.0, BUILT_IN_KLUX), THRESHOLDS)
-        },
-        partial(found, names=WITH_THRESHOLD),
-        run,
-    )
+    table = _table(run, {klux: compared(scene, klux=klux) for klux in KLUX}, SEEDS)
+    keys = product((10.0, BUILT_IN_KLUX), THRESHOLDS)
+    others = {(klux, threshold): compared(scene, threshold, klux=klux) for klux, threshold in keys}
+    swept = campaign(others, partial(schemes, names=WITH_THRESHOLD), run)
     rows: list[Row] = [("scheme", "klux", "threshold", "wrong_share", "standard_error", "bits_per_frame")]
     shares, bits = {}, {}
     for name, klux in product(SCHEMES, KLUX):
@@ -112,7 +99,7 @@ def background(run: Processes) -> Section:
 def built_in(run: Processes) -> Section:
     """Show the wrong share of every built-in scene."""
     scenes = {name: load_scene(name, SIDE, SIDE) for name in BUILT_IN}
-    table = _table(run, {name: scene_light(scene, BUILT_IN_KLUX) for name, scene in scenes.items()}, FEW_SEEDS)
+    table = _table(run, {name: compared(scene, klux=BUILT_IN_KLUX) for name, scene in scenes.items()}, FEW_SEEDS)
     rows: list[Row] = [("scene", "scheme", "wrong_share", "second_surface_share", "bits_per_frame")]
     figure = new_figure(12, 4.6)
     axis = figure.subplots()
@@ -142,11 +129,11 @@ def built_in(run: Processes) -> Section:
 
 def ranging(run: Processes) -> Section:
     """Show detection, bias and precision of a flat target against its distance."""
-    lights = {
-        (klux, distance_m): scene_light(load_scene(f"flat:{distance_m},{RANGE_REFLECTIVITY}", SIDE, SIDE), klux)
+    setups = {
+        (klux, distance_m): compared(load_scene(f"flat:{distance_m},{RANGE_REFLECTIVITY}", SIDE, SIDE), klux=klux)
         for klux, distance_m in product(RANGE_KLUX, DISTANCES_M)
     }
-    table = _table(run, lights, FEW_SEEDS)
+    table = _table(run, setups, FEW_SEEDS)
     rows: list[Row] = [
         ("scheme", "klux", "distance_m", "detected_share", "bias_m", "precision_m", "wrong_share", "bits_per_frame")
     ]
@@ -186,7 +173,7 @@ def ranging(run: Processes) -> Section:
 def two_targets(run: Processes) -> Section:
     """Show two surfaces in every macro-pixel, in stripes of 4 columns."""
     scenes = {step_m: load_scene(f"two-targets:{NEAR_M},{NEAR_M + step_m:.4g}", SMALL, SMALL) for step_m in STEPS_M}
-    table = _table(run, {step_m: scene_light(scene, TWO_KLUX) for step_m, scene in scenes.items()}, FEW_SEEDS)
+    table = _table(run, {step_m: compared(scene, klux=TWO_KLUX) for step_m, scene in scenes.items()}, FEW_SEEDS)
     rows: list[Row] = [("scheme", "step_m", "wrong_share", "wrong_in_both_returns_share")]
     figure = new_figure(11, 4.8)
     axes = figure.subplots(1, 2, sharey=True)
@@ -219,7 +206,7 @@ def two_targets(run: Processes) -> Section:
 
 def retroreflector(run: Processes) -> Section:
     """Show a dark target around and behind a retroreflective sign, whose light strays onto all pixels."""
-    table = _table(run, {key: sign_light(*key) for key in product(BEHIND_M, GAINS)}, FEW_SEEDS)
+    table = _table(run, {key: compared(sign_light(*key)) for key in product(BEHIND_M, GAINS)}, FEW_SEEDS)
     dark = np.ones((SMALL, SMALL), bool)
     dark[SIGN, SIGN] = False
     rows: list[Row] = [
@@ -279,9 +266,9 @@ def sign_light(behind_m: float, gain: float) -> Light:
     )
 
 
-def _table(run: Processes, lights: Mapping[Any, Light], seeds: int) -> dict[Any, list[dict[str, Found]]]:
-    """Return the schemes' results for each light, for several seeds."""
-    return grouped({key: seeded(compared(light), seeds) for key, light in lights.items()}, found, run)
+def _table(run: Processes, setups: Mapping[Any, Setup], seeds: int) -> dict[Any, list[dict[str, Found]]]:
+    """Return the schemes' results of each setup, for several seeds."""
+    return grouped({key: seeded(setup, seeds) for key, setup in setups.items()}, schemes, run)
 
 
 def _bits(ones: Sequence[dict[str, Found]], scheme: str) -> float:
