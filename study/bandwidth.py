@@ -78,6 +78,23 @@ class Row:
     late_cycles: int
 
 
+COLUMNS: tuple[tuple[str, Callable[[Row, Row], object]], ...] = (  # of the table: row, row with records
+    ("size", lambda row, also: row.size),
+    ("klux", lambda row, also: f"{row.klux:g}"),
+    ("threshold", lambda row, also: row.threshold),
+    ("format", lambda row, also: row.format),
+    ("beats per frame: estimate", lambda row, also: f"{row.beats_estimated:,.0f}"),
+    ("golden", lambda row, also: f"{row.beats_golden:,}"),
+    ("streams: estimate", lambda row, also: row.needed_estimated),
+    ("golden", lambda row, also: _streams(row)),
+    ("lost with one", lambda row, also: _percent(row.lost_events)),
+    ("with records: streams: estimate", lambda row, also: also.needed_estimated),
+    ("golden", lambda row, also: _streams(also)),
+    ("events lost with one", lambda row, also: _percent(also.lost_events)),
+    ("records lost with one", lambda row, also: _percent(also.lost_records)),
+)
+
+
 def estimate(config: Config, light: Light, timing: Timing, spad: Spad) -> tuple[np.ndarray, np.ndarray]:
     """Return (committed events, minigroup records) of each subgroup in a laser period, float64[subgroups], by formulas.
 
@@ -196,42 +213,13 @@ def write_study(out_dir: Path, rows: list[Row]) -> list[Path]:
 
 def table(rows: list[Row]) -> str:
     """Return the demand of each size and format, and the losses of one stream, at every background and threshold."""
-    head = (
-        "size",
-        "klux",
-        "threshold",
-        "format",
-        "beats per frame: estimate",
-        "golden",
-        "streams: estimate",
-        "golden",
-        "lost with one",
-        "with records: streams: estimate",
-        "golden",
-        "events lost with one",
-        "records lost with one",
-    )
-    lines = [f"| {' | '.join(head)} |", "| --- | ---: | ---: | --- |" + " ---: |" * (len(head) - 4)]
+    titles = [title for title, _ in COLUMNS]
+    lines = [f"| {' | '.join(titles)} |", "| --- | ---: | ---: | --- |" + " ---: |" * (len(titles) - 4)]
     one = {(row.size, row.klux, row.threshold, row.format, row.records): row for row in rows if row.lost_streams == 1}
     for key, row in one.items():
         if not row.records:
-            also = one[*key[:-1], True]
-            cells = (
-                row.size,
-                f"{row.klux:g}",
-                row.threshold,
-                row.format,
-                f"{row.beats_estimated:,.0f}",
-                f"{row.beats_golden:,}",
-                row.needed_estimated,
-                _streams(row),
-                _percent(row.lost_events),
-                also.needed_estimated,
-                _streams(also),
-                _percent(also.lost_events),
-                _percent(also.lost_records),
-            )
-            lines.append(f"| {' | '.join(map(str, cells))} |")
+            cells = (str(cell(row, one[*key[:-1], True])) for _, cell in COLUMNS)
+            lines.append(f"| {' | '.join(cells)} |")
     return "\n".join([*lines, ""])
 
 
@@ -251,15 +239,9 @@ def _plot(rows: list[Row]) -> Figure:
         for threshold, line, mark in zip(THRESHOLDS, ("-", "--", ":"), "os^"):
             shown = (SHOWN_SIZE, name, threshold, False, 1)
             of = [row for row in rows if (row.size, row.format, row.threshold, row.records, row.lost_streams) == shown]
-            klux = [row.klux for row in of]
+            klux, label = [row.klux for row in of], f"{name}, threshold {threshold}"
             demand.plot(klux, [row.beats_estimated / config.pulses for row in of], line, color=colour)
-            demand.plot(
-                klux,
-                [row.beats_golden / config.pulses for row in of],
-                mark,
-                color=colour,
-                label=f"{name}, threshold {threshold}",
-            )
+            demand.plot(klux, [row.beats_golden / config.pulses for row in of], mark, color=colour, label=label)
     demand.axhline(config.period, color="black", linewidth=1)
     demand.annotate("what one stream carries", (KLUX[0], config.period), xytext=(0, 3), textcoords="offset points")
     demand.set(

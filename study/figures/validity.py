@@ -49,24 +49,12 @@ def validity(run: Processes) -> Section:
                     if _seen(measured[i], MANY * PULSES, 100)
                 ]
                 at, ratio, error = np.transpose(points)
-                axis.errorbar(
-                    at,
-                    ratio,
-                    error,
-                    color=colour,
-                    linestyle=SOURCES[form]["linestyle"],
-                    marker="o",
-                    label=f"threshold {threshold}, {form}",
-                )
+                look = {"color": colour, "linestyle": SOURCES[form]["linestyle"], "marker": "o"}
+                axis.errorbar(at, ratio, error, **look, label=f"threshold {threshold}, {form}")
         axis.axvline(limit_klux, color=DARK_GREY, linewidth=1, label="stated validity of corrected")
         axis.axhline(1, color=LIGHT_GREY, linewidth=1)
-        axis.set(
-            xlabel="background in klux",
-            ylabel="analytic / Monte Carlo",
-            title=f"{name} counts of a pixel",
-            xscale="log",
-            yscale="log",
-        )
+        axis.set(xlabel="background in klux", ylabel="analytic / Monte Carlo", xscale="log", yscale="log")
+        axis.set_title(f"{name} counts of a pixel")
     legend_below(figure, 5)
     worst = {
         form: max(
