@@ -86,12 +86,12 @@ def frame_buffer(b: Bench) -> None:
     m, unit = b.m, FrameBuffer(EMULATOR)
     take, amount, comes = Signal(), Signal.like(unit.amount), Signal()
     m.d.comb += [signal.eq(b.anything(len(signal))) for signal in (take, amount, comes)]
-    body = b.place("dut", unit, take=take, amount=amount, s_axis__tvalid=comes)
+    behind = b.place("dut", unit, take=take, amount=amount, s_axis__tvalid=comes)
     b.assume(amount <= unit.level, where=take)
     depth = EMULATOR.buffer_beats
     b.always(unit.level <= depth)
     b.always(unit.s_axis.tready == (unit.level != depth))
-    b.always(((unit.first + unit.level) % depth) == body.behind)
+    b.always(((unit.first + unit.level) % depth) == behind)
     stored = b.same("stored_now", comes & unit.s_axis.tready)
     b.always(
         unit.level == b.last(unit.level) + b.past(stored) - Mux(b.past(take), b.last(amount), 0), where=b.past(Const(1))
@@ -122,7 +122,7 @@ def photon_source(b: Bench) -> None:
     m, unit = b.m, PhotonSource(EMULATOR)
     common, timing = Signal.like(unit.common.as_value()), Signal.like(unit.timing.as_value())
     m.d.comb += [common.eq(b.constant(len(common))), timing.eq(b.anything(len(timing)))]
-    body = b.place("dut", unit, common=common, timing=timing)
+    dead_times = b.place("dut", unit, common=common, timing=timing)
     dead = b.same("dead", common[4:])
     words = b.same("words", unit.words)
     phases = SMALL.phases
@@ -135,6 +135,6 @@ def photon_source(b: Bench) -> None:
     with m.Elif(left != 0):
         m.d.sync += left.eq(left - 1)
     b.always(word == 0, where=left != 0)
-    b.always(body.dead[0] == Mux(word != 0, dead, Mux(left == 0, 0, left - 1)))
+    b.always(dead_times[0] == Mux(word != 0, dead, Mux(left == 0, 0, left - 1)))
     b.cover(word != 0)
     b.cover((word != 0) & (dead == 2))

@@ -93,13 +93,6 @@ class EventFifo(Unit):
         return m
 
 
-class RecordBufferState:
-    """Whether a record waits to be read."""
-
-    def __init__(self):
-        self.waiting = Signal()
-
-
 class RecordBuffer(Unit):
     """Buffer for one minigroup record of a subgroup.
 
@@ -130,11 +123,11 @@ class RecordBuffer(Unit):
                 "frame_begin": In(1),
             }
         )
-        self.state = RecordBufferState()
+        self.state = Signal(name="waiting")  # whether a record waits to be read
 
     def elaborate(self, platform):
         m = Module()
-        waiting = self.state.waiting
+        waiting = self.state
         comes = Signal()
         layout = bus.record_layout(self.sensor)
         place_of_one = place(m, "row", Memory(1, layout.size), platform)

@@ -29,6 +29,7 @@ CORE = "coincid_core"
 LISTED = ("stored", "record_stored")  # reach a readout with one bit per subgroup
 COMBINED = ("valid", "beat", "beat_controlled")  # reach a readout as the OR of its subgroups'
 GRANTED = ("grant", "send")  # from a readout to its subgroups
+ANSWERED = ("data", "gate_late", "settings_upset")  # reach the registers as the OR of all subgroups'
 
 Put = Callable[..., Any]  # `place` in a design: put(name, unit, **inputs)
 
@@ -124,51 +125,20 @@ def wire_core(m: Module, put: Put, sensor: Sensor, outer: Any, inner: Any) -> Se
     registers, sequencer = Registers(sensor), Sequencer(sensor)
     readouts = [Readout(sensor, len(sensor.stream_subgroups(k))) for k in range(sensor.streams)]
     controllers = [Controller(sensor) for _ in readouts]
-    put(
-        "registers",
-        registers,
-        data=inner.data,
-        gate_late=inner.gate_late,
-        settings_upset=inner.settings_upset,
-        done=sequencer.done,
-        resting=sequencer.resting,
-        **{f"budget_{k}": controller.budget for k, controller in enumerate(controllers)},
-    )
-    put(
-        "sequencer",
-        sequencer,
-        plan=registers.plan,
-        start_frame=registers.start_frame,
-        abort_frame=registers.abort_frame,
-        delivered=Cat(readout.delivered for readout in readouts).all(),
-    )
+    nets: dict[str, Any] = registers.outputs() | sequencer.outputs()
+    nets |= {name: getattr(inner, name) for name in ANSWERED}
+    nets |= {f"budget_{k}": controller.budget for k, controller in enumerate(controllers)}
+    nets["delivered"] = Cat(readout.delivered for readout in readouts).all()
+    put("registers", registers, **registers.fed(nets))
+    put("sequencer", sequencer, **sequencer.fed(nets))
     wiring.connect(m, wiring.flipped(outer.s_axi), registers.s_axi)
-    m.d.comb += [
-        outer.laser.eq(sequencer.laser),
-        inner.command.eq(registers.command),
-        inner.period.eq(registers.period),
-        inner.frame.eq(registers.frame),
-        inner.timing.eq(sequencer.timing),
-    ]
+    m.d.comb += outer.laser.eq(sequencer.laser)
+    m.d.comb += [getattr(inner, name).eq(nets[name]) for name in shared_ports(sensor)]
     for k, (readout, controller) in enumerate(zip(readouts, controllers)):
-        put(
-            f"readout_{k}",
-            readout,
-            frame=registers.frame,
-            number=sequencer.number,
-            frame_begin=sequencer.frame_begin,
-            finish=sequencer.finish,
-            **{name: getattr(inner, f"{name}_of_{k}") for name in (*LISTED, *COMBINED)},
-        )
-        put(
-            f"controller_{k}",
-            controller,
-            command=registers.command,
-            capacity=registers.capacity,
-            share=getattr(registers, f"share_{k}"),
-            counted=readout.counted,
-            done=sequencer.done,
-        )
+        nets |= {name: getattr(inner, f"{name}_of_{k}") for name in (*LISTED, *COMBINED)}
+        nets |= {"share": getattr(registers, f"share_{k}"), "counted": readout.counted}
+        put(f"readout_{k}", readout, **readout.fed(nets))
+        put(f"controller_{k}", controller, **controller.fed(nets))
         wiring.connect(m, wiring.flipped(getattr(outer, sensor.stream_name(k))), readout.m_axis)
         m.d.comb += [getattr(inner, f"{name}_of_{k}").eq(getattr(readout, name)) for name in GRANTED]
     return sequencer

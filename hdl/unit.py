@@ -51,6 +51,15 @@ class Unit(wiring.Component):
             for path, member, value in self.signature.flatten(self)
         }
 
+    def outputs(self) -> dict[str, Signal]:
+        """Return the outputs by name."""
+        return {name: signal for name, (flow, signal) in self.flat_ports().items() if flow is wiring.Out}
+
+    def fed(self, nets: dict[str, Any]) -> dict[str, Any]:
+        """Return those of the nets that have the name of an input."""
+        inputs = {name for name, (flow, _) in self.flat_ports().items() if flow is wiring.In}
+        return {name: net for name, net in nets.items() if name in inputs}
+
     def ports(self) -> list[Port]:
         """Return the ports in the Verilog, without clock and reset."""
         return [Port(name, len(value), flow is wiring.In) for name, (flow, value) in self.flat_ports().items()]

@@ -27,6 +27,41 @@ FETCH_CYCLES = 2  # from the place of a byte of the request to the byte
 ANSWER_DEPTH = 2  # bytes of an answer on their way to the framer, which no path of logic passes
 
 
+class BridgeState:
+    """Registers of the bridge.
+
+    head, length: of the request; at: place of the byte that is fetched from it, waited: for so many cycles. words, byte_of:
+    done, of the request, and of the word on its way; is_last: this word is the last one. last, last_*: of the last request.
+    fresh: no read or write since reset; greeted: a host has said hello.
+    """
+
+    def __init__(self):
+        self.head = Signal(8 * HEAD_BYTES, reset_less=True)
+        self.sequence, self.operation, self.count = (self.head[8 * k : 8 * k + 8] for k in range(3))
+        self.length = Signal(BODY_BYTES_MAX.bit_length())
+        self.at = Signal(range(BODY_BYTES_MAX + 1))
+        self.waited = Signal(range(FETCH_CYCLES + 1))
+        self.byte = Signal(8)
+        self.last = Signal(8)
+        self.last_wrote = Signal()
+        self.last_done = Signal(8)
+        self.last_status = Signal(Answer)
+        self.greeted = Signal()
+        self.fresh = Signal(init=1)
+        self.words = Signal(8)
+        self.byte_of = Signal(range(WORD_BYTES))
+        self.word = Signal(DATA_BITS, reset_less=True)
+        self.address = Signal(ADDRESS_BITS, reset_less=True)
+        self.status = Signal(Answer)
+        self.short = Signal()
+        self.is_hello = Signal()
+        self.is_read = Signal()
+        self.is_write = Signal()
+        self.is_last = Signal()
+        self.repeated = Signal()
+        self.follows = Signal()
+
+
 class SerialBridge(Unit):
     """Serial bridge.
 
@@ -44,6 +79,7 @@ class SerialBridge(Unit):
     def __init__(self, emulator: Emulator):
         self.emulator = emulator
         super().__init__({"rx": In(1), "tx": Out(1, init=1), "access": Out(ACCESS), "errors": Out(DATA_BITS)})
+        self.state = BridgeState()
 
     def elaborate(self, platform):
         m = Module()
@@ -74,138 +110,152 @@ class SerialBridge(Unit):
         ]
         with m.If(deframer.wrong):
             saturating_add(m, self.errors, 1)
-        self._obey(m, deframer, answer, get)
+        m.d.comb += get.addr.eq(self.state.at)
+        m.d.sync += self.state.byte.eq(get.data)
+        self._obey(m, deframer, answer)
         return m
 
-    def _obey(self, m, deframer, answer, get):
-        """Read a request whose CRC was right, execute it, and send the answer."""
-        access = self.access
-        head = Signal(8 * HEAD_BYTES, reset_less=True)
-        length = Signal.like(deframer.length)
-        at = Signal(range(BODY_BYTES_MAX + 1))
-        waited = Signal(range(FETCH_CYCLES + 1))
-        byte = Signal(8)  # at `at`
-        m.d.sync += byte.eq(get.data)
-        sequence, operation, count = head[:8], head[8:16], head[16:24]
-        last, last_wrote, last_done, last_status = Signal(8), Signal(), Signal(8), Signal(Answer)
-        greeted, fresh = Signal(), Signal(init=1)  # fresh: no read or write since reset
-        words, byte_of = Signal(8), Signal(range(WORD_BYTES))
-        word = Signal(DATA_BITS, reset_less=True)
-        address = Signal(ADDRESS_BITS, reset_less=True)
-        status = Signal(Answer)
-        m.d.comb += [get.addr.eq(at), access.address.eq(address), access.data.eq(word)]
-        # What a request is, in registers, so that no decision waits for a comparison.
-        short, is_hello, is_read, is_write, repeated, follows = (Signal() for _ in range(6))
-        m.d.comb += access.write.eq(is_write)
-        is_last = Signal()  # the word on its way is the request's last
+    def _weigh(self, m):
+        """Register what a request is, so that no decision waits for a comparison."""
+        state = self.state
+        alone = state.length == HEAD_BYTES
+        with_words = state.length == HEAD_BYTES + WORD_BYTES * state.count
         m.d.sync += [
-            short.eq(length < HEAD_BYTES),
-            is_hello.eq((operation == Operation.HELLO) & (length == HEAD_BYTES)),
-            repeated.eq(sequence == last),
-            follows.eq(sequence == (last + 1)[:8]),
-            is_last.eq(words + 1 == count),
-            is_read.eq(
-                (operation == Operation.READ) & (length == HEAD_BYTES) & (count != 0) & (count <= READ_WORDS_MAX)
+            state.short.eq(state.length < HEAD_BYTES),
+            state.is_hello.eq((state.operation == Operation.HELLO) & alone),
+            state.repeated.eq(state.sequence == state.last),
+            state.follows.eq(state.sequence == (state.last + 1)[:8]),
+            state.is_last.eq(state.words + 1 == state.count),
+            state.is_read.eq(
+                (state.operation == Operation.READ) & alone & (state.count != 0) & (state.count <= READ_WORDS_MAX)
             ),
-            is_write.eq(
-                (operation == Operation.WRITE)
-                & (length == HEAD_BYTES + WORD_BYTES * count)
-                & (count != 0)
-                & (count <= WRITE_WORDS_MAX)
+            state.is_write.eq(
+                (state.operation == Operation.WRITE)
+                & with_words
+                & (state.count != 0)
+                & (state.count <= WRITE_WORDS_MAX)
             ),
         ]
+
+    def _obey(self, m, deframer, answer):
+        """Read a request whose CRC was right, execute it, and send the answer."""
+        state, access = self.state, self.access
+        self._weigh(m)
+        m.d.comb += [access.address.eq(state.address), access.data.eq(state.word), access.write.eq(state.is_write)]
         m.d.comb += deframer.hold.eq(1)
         m.d.sync += access.valid.eq(0)
         with m.FSM():
-            with m.State("listen"):
-                m.d.comb += deframer.hold.eq(deframer.right)
-                m.d.sync += [at.eq(0), waited.eq(0)]
-                with m.If(deframer.right):
-                    m.d.sync += length.eq(deframer.length)
-                    m.next = "head"
-            with m.State("head"):
-                m.d.sync += waited.eq(waited + 1)
-                with m.If(waited == FETCH_CYCLES):
-                    m.d.sync += [head.eq(Cat(head[8:], byte)), at.eq(at + 1), waited.eq(0)]
-                    with m.If(at == HEAD_BYTES - 1):
-                        m.next = "weigh"
+            self._receive(m, deframer)
             with m.State("weigh"):
                 m.next = "look"
             with m.State("look"):
-                m.d.sync += [words.eq(0), byte_of.eq(0), address.eq(head[24:]), status.eq(Answer.OKAY)]
-                m.next = "number"
-                with m.If(short):
-                    m.d.sync += status.eq(Answer.UNKNOWN)
-                with m.Elif(is_hello):
-                    m.d.sync += [last.eq(sequence), greeted.eq(1), last_wrote.eq(0)]
-                    m.d.sync += status.eq(Mux(fresh, Answer.FRESH, Answer.OKAY))
-                with m.Elif(~greeted):
-                    m.d.sync += status.eq(Answer.FRESH)
-                with m.Elif(~is_read & ~is_write):
-                    m.d.sync += status.eq(Answer.UNKNOWN)
-                with m.Elif(~repeated & ~follows):
-                    m.d.sync += status.eq(Answer.SEQUENCE)
-                with m.Elif(is_write & repeated):
-                    m.d.sync += [words.eq(last_done), status.eq(Mux(last_wrote, last_status, Answer.SEQUENCE))]
-                    m.next = "number"
-                with m.Elif(is_write):
-                    m.d.sync += fresh.eq(0)
-                    m.next = "collect"
+                self._look(m)
+            self._execute_write(m)
+            self._send(m, answer)
+
+    def _receive(self, m, deframer):
+        """States that wait for a request and read its head out of the memory."""
+        state = self.state
+        with m.State("listen"):
+            m.d.comb += deframer.hold.eq(deframer.right)
+            m.d.sync += [state.at.eq(0), state.waited.eq(0)]
+            with m.If(deframer.right):
+                m.d.sync += state.length.eq(deframer.length)
+                m.next = "head"
+        with m.State("head"):
+            m.d.sync += state.waited.eq(state.waited + 1)
+            with m.If(state.waited == FETCH_CYCLES):
+                m.d.sync += [
+                    state.head.eq(Cat(state.head[8:], state.byte)),
+                    state.at.eq(state.at + 1),
+                    state.waited.eq(0),
+                ]
+                with m.If(state.at == HEAD_BYTES - 1):
+                    m.next = "weigh"
+
+    def _look(self, m):
+        """Decide what a request needs: words, or only an answer."""
+        state = self.state
+        m.d.sync += [state.words.eq(0), state.byte_of.eq(0), state.address.eq(state.head[24:])]
+        m.d.sync += state.status.eq(Answer.OKAY)
+        m.next = "number"
+        with m.If(state.short):
+            m.d.sync += state.status.eq(Answer.UNKNOWN)
+        with m.Elif(state.is_hello):
+            m.d.sync += [state.last.eq(state.sequence), state.greeted.eq(1), state.last_wrote.eq(0)]
+            m.d.sync += state.status.eq(Mux(state.fresh, Answer.FRESH, Answer.OKAY))
+        with m.Elif(~state.greeted):
+            m.d.sync += state.status.eq(Answer.FRESH)
+        with m.Elif(~state.is_read & ~state.is_write):
+            m.d.sync += state.status.eq(Answer.UNKNOWN)
+        with m.Elif(~state.repeated & ~state.follows):
+            m.d.sync += state.status.eq(Answer.SEQUENCE)
+        with m.Elif(state.is_write & state.repeated):
+            m.d.sync += state.words.eq(state.last_done)
+            m.d.sync += state.status.eq(Mux(state.last_wrote, state.last_status, Answer.SEQUENCE))
+        with m.Elif(state.is_write):
+            m.d.sync += state.fresh.eq(0)
+            m.next = "collect"
+        with m.Else():
+            m.d.sync += [state.last.eq(state.sequence), state.last_wrote.eq(0), state.fresh.eq(0)]
+
+    def _execute_write(self, m):
+        """States that take the words of a write out of the memory and write them, one by one."""
+        state, access = self.state, self.access
+        with m.State("collect"):
+            m.d.sync += state.waited.eq(state.waited + 1)
+            with m.If(state.waited == FETCH_CYCLES):
+                m.d.sync += [state.word.eq(Cat(state.word[8:], state.byte)), state.at.eq(state.at + 1)]
+                m.d.sync += [state.byte_of.eq(state.byte_of + 1), state.waited.eq(0)]
+                with m.If(state.byte_of == WORD_BYTES - 1):
+                    m.next = "write"
+        with m.State("write"):
+            m.d.sync += access.valid.eq(~access.done)
+            with m.If(access.done):
+                m.d.sync += state.address.eq(state.address + WORD_BYTES)
+                with m.If(access.refused):
+                    m.d.sync += state.status.eq(Answer.REFUSED)
+                    m.next = "remember"
                 with m.Else():
-                    m.d.sync += [last.eq(sequence), last_wrote.eq(0), fresh.eq(0)]
-            # A write: take the words out of the memory one by one, then answer.
-            with m.State("collect"):
-                m.d.sync += waited.eq(waited + 1)
-                with m.If(waited == FETCH_CYCLES):
-                    m.d.sync += [word.eq(Cat(word[8:], byte)), at.eq(at + 1), byte_of.eq(byte_of + 1), waited.eq(0)]
-                    with m.If(byte_of == WORD_BYTES - 1):
-                        m.next = "write"
-            with m.State("write"):
-                m.d.sync += access.valid.eq(~access.done)
-                with m.If(access.done):
-                    m.d.sync += address.eq(address + WORD_BYTES)
-                    with m.If(access.refused):
-                        m.d.sync += status.eq(Answer.REFUSED)
+                    m.d.sync += state.words.eq(state.words + 1)
+                    m.next = "collect"
+                    with m.If(state.is_last):
                         m.next = "remember"
-                    with m.Else():
-                        m.d.sync += words.eq(words + 1)
-                        m.next = "collect"
-                        with m.If(is_last):
-                            m.next = "remember"
-            with m.State("remember"):
-                m.d.sync += [last.eq(sequence), last_wrote.eq(1), last_done.eq(words), last_status.eq(status)]
-                m.next = "number"
-            # Send the answer.
-            with m.State("number"):
-                m.d.comb += [answer.w_en.eq(1), answer.w_data.eq(sequence)]
-                with m.If(answer.w_rdy):
+        with m.State("remember"):
+            m.d.sync += [state.last.eq(state.sequence), state.last_wrote.eq(1)]
+            m.d.sync += [state.last_done.eq(state.words), state.last_status.eq(state.status)]
+            m.next = "number"
+
+    def _send(self, m, answer):
+        """States that send the answer; the words of a read are read meanwhile."""
+        state, access = self.state, self.access
+        with m.State("number"), self._sending(m, answer, state.sequence):
+            m.next = "status"
+            with m.If(state.is_write & ((state.status == Answer.OKAY) | (state.status == Answer.REFUSED))):
+                m.next = "written"
+            with m.Elif(state.is_read & (state.status == Answer.OKAY)):
+                m.next = "read"
+        with m.State("written"), self._sending(m, answer, state.words):
+            m.next = "status"
+        with m.State("read"):
+            m.d.sync += access.valid.eq(~access.done)
+            with m.If(access.done):
+                m.d.sync += [state.address.eq(state.address + WORD_BYTES), state.word.eq(access.value)]
+                m.next = "word"
+                with m.If(access.refused):
+                    m.d.sync += state.status.eq(Answer.REFUSED)
                     m.next = "status"
-                    with m.If(is_write & ((status == Answer.OKAY) | (status == Answer.REFUSED))):
-                        m.next = "written"
-                    with m.Elif(is_read & (status == Answer.OKAY)):
-                        m.next = "read"
-            with m.State("written"):
-                m.d.comb += [answer.w_en.eq(1), answer.w_data.eq(words)]
-                with m.If(answer.w_rdy):
+        with m.State("word"), self._sending(m, answer, state.word[:8]):
+            m.d.sync += [state.word.eq(state.word >> 8), state.byte_of.eq(state.byte_of + 1)]
+            with m.If(state.byte_of == WORD_BYTES - 1):
+                m.d.sync += state.words.eq(state.words + 1)
+                m.next = "read"
+                with m.If(state.is_last):
                     m.next = "status"
-            with m.State("read"):
-                m.d.sync += access.valid.eq(~access.done)
-                with m.If(access.done):
-                    m.d.sync += [address.eq(address + WORD_BYTES), word.eq(access.value)]
-                    m.next = "word"
-                    with m.If(access.refused):
-                        m.d.sync += status.eq(Answer.REFUSED)
-                        m.next = "status"
-            with m.State("word"):
-                m.d.comb += [answer.w_en.eq(1), answer.w_data.eq(word[:8])]
-                with m.If(answer.w_rdy):
-                    m.d.sync += [word.eq(word >> 8), byte_of.eq(byte_of + 1)]
-                    with m.If(byte_of == WORD_BYTES - 1):
-                        m.d.sync += words.eq(words + 1)
-                        m.next = "read"
-                        with m.If(is_last):
-                            m.next = "status"
-            with m.State("status"):
-                m.d.comb += [answer.w_en.eq(1), answer.w_data.eq(status | LAST)]
-                with m.If(answer.w_rdy):
-                    m.next = "listen"
+        with m.State("status"), self._sending(m, answer, state.status | LAST):
+            m.next = "listen"
+
+    def _sending(self, m, answer, byte):
+        """Offer a byte of the answer; return the condition that it is taken."""
+        m.d.comb += [answer.w_en.eq(1), answer.w_data.eq(byte)]
+        return m.If(answer.w_rdy)

@@ -62,13 +62,6 @@ class StreamSlice(Unit):
         return m
 
 
-class BufferState:
-    """Address behind the last beat."""
-
-    def __init__(self, depth: int):
-        self.behind = Signal(range(depth))
-
-
 class FrameBuffer(Unit):
     """Ring buffer of beats.
 
@@ -101,13 +94,13 @@ class FrameBuffer(Unit):
                 "stalls": Out(DATA_BITS),
             }
         )
-        self.state = BufferState(self.depth)
+        self.state = Signal(range(self.depth), name="behind")  # address behind the last beat
 
     def elaborate(self, platform):
         m = Module()
         m.submodules.beats = beats = Memory(shape=BEAT_BITS, depth=self.depth, init=[])
         write, read = beats.write_port(), beats.read_port()
-        behind = self.state.behind
+        behind = self.state
         high = Signal(3)
         row = Signal(range(self.depth), reset_less=True)
         stored, beat = (Signal(BEAT_BITS, name=name, reset_less=True) for name in ("stored", "beat"))

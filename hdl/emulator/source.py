@@ -148,13 +148,6 @@ class LaneState:
         self.bits = Signal(LANE_PIXELS, name=f"bits_{lane}", reset_less=True)
 
 
-class SourceState:
-    """Cycles of dead time left, by pixel."""
-
-    def __init__(self, sensor: Sensor):
-        self.dead = [Signal(COMMON["dead"].width, name=f"dead_{i}") for i in range(sensor.pixels)]
-
-
 class PhotonSource(Unit):
     """Photon source of a subgroup.
 
@@ -185,7 +178,8 @@ class PhotonSource(Unit):
                 "words": Out(sensor.pixels * sensor.phases),
             }
         )
-        self.state = SourceState(sensor)
+        # Cycles of dead time left, by pixel.
+        self.state = [Signal(COMMON["dead"].width, name=f"dead_{i}") for i in range(sensor.pixels)]
 
     def elaborate(self, platform):
         m = Module()
@@ -281,7 +275,7 @@ class PhotonSource(Unit):
     def _word(self, m, i, fires, phase, common):
         """Register the pixel's part of the word, which is 0 during the dead time."""
         phases = self.emulator.sensor.phases
-        dead = self.state.dead[i]
+        dead = self.state[i]
         word = Signal(phases, name=f"word_{i}")
         m.d.sync += word.eq(0)
         with m.If(dead != 0):

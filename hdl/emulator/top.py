@@ -137,23 +137,11 @@ class EmulatorTop(Unit):
         sources = [PhotonSource(self.emulator) for _ in range(sensor.subgroups)]
         sequencer, _ = wire_sensor(m, put, sensor, outer, [source.words for source in sources])
         link, errors = self._link(m, put)
-        control = put(
-            "control",
-            EmulatorControl(self.emulator),
-            number=sequencer.number,
-            frame_done=sequencer.done,
-            link_errors=errors,
-        )
+        control = EmulatorControl(self.emulator)
+        put("control", control, number=sequencer.number, frame_done=sequencer.done, link_errors=errors)
+        light = {"timing": sequencer.timing, "seed": control.seed, "write": control.write, "common": control.common}
         for s, source in enumerate(sources):
-            put(
-                f"source_{s}",
-                source,
-                subgroup=Const(s, source.subgroup.shape()),
-                timing=sequencer.timing,
-                seed=control.seed,
-                write=control.write,
-                common=control.common,
-            )
+            put(f"source_{s}", source, subgroup=Const(s, source.subgroup.shape()), **light)
         wiring.connect(m, link.access, control.access)
         wiring.connect(m, control.m_axi, outer.s_axi)
         wiring.connect(m, getattr(outer, sensor.stream_name(0)), control.s_axis)
