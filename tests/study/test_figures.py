@@ -1,13 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Figures: cases on one or two workers, files of a section and of the page. The figures themselves are not tested."""
+"""Figures: what they read of runs, files of a section and of the page. The figures themselves are not tested."""
 
 import csv
 import html.parser
 
-import numpy as np
 import pytest
 
-from coincid.lab.campaign import Processes, grouped
+from coincid.lab.campaign import Processes
 from coincid.lab.run import Run
 from coincid.study.figures import light, reconstruction
 from coincid.study.figures.cases import cases, mean, mean_rows, outcome
@@ -37,22 +36,6 @@ def section(value=0.1):
             Comparison("other", "-", {"RTL": "3"}, ""),
         ],
     )
-
-
-def test_outcomes_do_not_depend_on_the_workers():
-    setups = {"few": cases(2, **SMALL), "off": cases(subgroup={"coincidence": False}, **SMALL)}
-    tables = []
-    for workers in (1, 2):
-        calls = []
-        with Processes(workers, lambda done, total, calls=calls: calls.append((done, total))) as run:
-            tables.append(grouped(setups, outcome, run))
-        assert calls == [(1, 3), (2, 3), (3, 3)]
-    for name, outcomes in tables[0].items():
-        for one, two in zip(outcomes, tables[1][name]):
-            assert one.measures == two.measures and np.array_equal(one.stored, two.stored)
-            assert all(
-                np.array_equal(one.depth_m[each], two.depth_m[each], equal_nan=True) for each in SMALL["estimators"]
-            )
 
 
 def test_rows_are_means_over_seeds():

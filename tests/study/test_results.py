@@ -24,7 +24,7 @@ from coincid.lab.campaign import Processes
 from coincid.study import fifo_depth, settling, surfaces, thresholds
 from coincid.study.explore.run import Explorer
 from coincid.study.explore.settings import check_settings
-from coincid.study.figures import architect, four_modes, interference, reconstruction, rivals, validity
+from coincid.study.figures import architect, four_modes, interference, reconstruction
 from coincid.study.plot_style import style
 
 SMALL = {"sensor": {"rows": 8, "cols": 16}, "frame": {"period": 60, "pulses": 40}}
@@ -115,23 +115,9 @@ RESULTS: dict[str, tuple[Callable[[Path], Any], str]] = {
     "fifo depth": (lambda folder: list(fifo_depth.table((50.0,))), "934c623c8d26ff6b"),
     "settling": (lambda folder: list(settling.table(((20.0, 20.0),))), "8c8bc0a9bed5e93f"),
     "surfaces": (surface, "025886838c28382d"),
-    "background": (
-        section(architect.background, KLUX=(20.0, 50.0, 100.0), SEEDS=1, MANY=1, BOTH_PULSES=(100,)),
-        "b60b45f24d9a151b",
-    ),
     "two targets": (section(architect.two_targets, STEPS_M=(0.15, 0.6), TWO_KLUX=(5.0,), MANY=1), "1bc1b1b3ee198906"),
-    "bandwidth figure": (
-        section(architect.fifo_and_bandwidth, DEPTHS=(2, 16), FEW_SEEDS=1, MANY=1, BOTH_PULSES=(100,)),
-        "0119a0a19eb9f6ad",
-    ),
     "modes": (section(four_modes.background, KLUX=(10.0, 50.0), DISTANCES_M=(5.0,), SEEDS=1), "340a5112f4b31e43"),
-    "far": (
-        section(four_modes.far, POWERS=(20.0,), FAR_PULSES=(200, 300), FAR_THRESHOLDS=(0, 2), SEEDS=1),
-        "4242764c268d7966",
-    ),
     "figure 8": (section(reconstruction.figure_8, THRESHOLDS_8=(2, 3), SEEDS=1, MANY=1), "1996049c9f75e13c"),
-    "validity": (section(validity.validity, THRESHOLDS=(2,)), "f389b30fd7c85558"),
-    "rivals": (section(rivals.ranging, DISTANCES_M=(5.0, 20.0), FEW_SEEDS=1), "128e6a96b6d6846d"),
     "interference": (
         section(
             interference.interference,

@@ -9,7 +9,7 @@ from coincid.model.light.light import Light
 from coincid.model.light.photons import generate_edges
 from coincid.model.light.spad import Spad
 from coincid.model.light.timing import Timing
-from coincid.study.settling import limit_cycle, table
+from coincid.study.settling import limit_cycle
 
 
 @pytest.fixture(scope="module")
@@ -31,9 +31,3 @@ def test_the_same_photons_settle_without_a_limit_cycle(shaded, capacity):
     cycle = limit_cycle(config.with_frame(capacity=capacity), edges)
     assert cycle is not None and cycle.frames == 1 and cycle.subgroups == 0
     assert 0 < cycle.load <= 1
-
-
-def test_table_has_a_row_for_every_capacity():
-    head, rule, *rows = table(((20.0, 20.0),))
-    assert len(rows) == 3
-    assert {line.count("|") for line in (head, rule, *rows)} == {9}
