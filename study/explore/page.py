@@ -206,7 +206,7 @@ class Page:
             "ab": self.a is not None,
             "a_says": f"A: {_summary(self.a.settings)}" if self.a is not None else "",
             "frames": settings.config.frames,
-            "spans": {c.name: c.span(settings.config.sensor) for c in CONTROLS if c.where and c.kind == "integer"},
+            "spans": {c.name: settings.told(c) for c in CONTROLS if c.where and c.kind == "integer"},
             "look": self.look,
         }
 

@@ -51,6 +51,16 @@ class Settings:
         """Return the values that differ from their default."""
         return {name: value for name, value in self.values.items() if value != DEFAULTS[name]}
 
+    def told(self, control: Control) -> str:
+        """Return range and unit of a control of the configuration; and its value, if that is less than the default shown."""
+        assert control.where is not None
+        table, key = control.where
+        config, shown = self.config, self.values[control.name]
+        value = {"sensor": config.sensor, "subgroup": config}.get(table)
+        now = config.frame[key] if value is None else np.ravel(getattr(value, key))[0]
+        range_told = control.span(config.sensor)
+        return range_told if shown is None or now == shown else f"{range_told}; now {now}"
+
     def setup(self) -> Setup:
         """Return the experiment. Raises `InputError`."""
         scene = self.scene()

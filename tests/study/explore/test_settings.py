@@ -161,3 +161,14 @@ def test_ranges_are_those_of_the_parser():
                     check_settings({control.name: value})
     assert CONTROL["threshold"].span(Sensor(subgroup=(4, 4))) == "1 to 16 pixels"
     assert CONTROL["klux"].span(Sensor()) == "0 to 200 klux"
+
+
+def test_a_default_that_does_not_fit_says_what_counts():
+    told = {
+        name: check_settings({"window_max": 8, "coarse_bits": 7}).told(CONTROL[name])
+        for name in ("window", "period", "rows")
+    }
+    assert told["window"] == "1 to 8 ticks; now 8" and told["period"] == "1 to 128 cycles; now 128"
+    assert "now" not in told["rows"]
+    integers = [control for control in CONTROLS if control.where and control.kind == "integer"]
+    assert all("now" not in check_settings({}).told(control) for control in integers)
