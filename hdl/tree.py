@@ -7,8 +7,10 @@ the successive detection". Window arithmetic, the lowest index as winner, and th
 choice.
 """
 
+from typing import Any
+
 from amaranth.hdl import C, Cat, Module, Mux, Signal
-from amaranth.lib.wiring import In, Out
+from amaranth.lib.wiring import In, Out, Signature
 
 from ..model.contract.parameters import Sensor, bits_for
 from . import bus
@@ -16,6 +18,23 @@ from .logic import any_of, first_index, popcount, total
 from .minigroup import Minigroup
 from .tdc import line_signature
 from .unit import Unit, place
+
+
+def front_ports(sensor: Sensor, line: Signature) -> dict[str, Any]:
+    """Ports of a front end except those towards its SPADs, in every view. line: its sampling line."""
+    return {
+        "window_ticks": In(sensor.window_bits),
+        "frame": In(bus.frame_layout(sensor)),
+        "timing": In(bus.time_layout(sensor)),
+        "line": Out(line),
+        "closed": Out(1),
+        "window": Out(bus.window_layout(sensor)),
+        "offsets": Out(bus.offsets_layout(sensor)),
+        "blind": Out(1),
+        "record_due": Out(1),
+        "latched": Out(sensor.minigroups),
+        "entries": Out(bus.record_layout(sensor)["entries"].shape),
+    }
 
 
 class TreeState:
@@ -69,22 +88,8 @@ class CoincidenceTree(Unit):
     def __init__(self, sensor: Sensor):
         self.sensor = sensor
         super().__init__(
-            {
-                "words": In(sensor.pixels * sensor.phases),
-                "mask": In(sensor.pixels),
-                "accept": In(1),
-                "window_ticks": In(sensor.window_bits),
-                "frame": In(bus.frame_layout(sensor)),
-                "timing": In(bus.time_layout(sensor)),
-                "line": Out(line_signature(sensor)),
-                "closed": Out(1),
-                "window": Out(bus.window_layout(sensor)),
-                "offsets": Out(bus.offsets_layout(sensor)),
-                "blind": Out(1),
-                "record_due": Out(1),
-                "latched": Out(sensor.minigroups),
-                "entries": Out(bus.record_layout(sensor)["entries"].shape),
-            }
+            {"words": In(sensor.pixels * sensor.phases), "mask": In(sensor.pixels), "accept": In(1)}
+            | front_ports(sensor, line_signature(sensor))
         )
         self.state = TreeState(sensor)
 

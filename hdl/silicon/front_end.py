@@ -6,11 +6,12 @@ shows no circuit; flops, banks and synchronisers are our choice, explained in do
 """
 
 from amaranth.hdl import Cat, ClockDomain, ClockSignal, Const, Instance, Module, Mux, ResetSignal, Signal
-from amaranth.lib.wiring import In, Out
+from amaranth.lib.wiring import In
 
 from ...model.contract.parameters import QUARTERS, Sensor, bits_for
 from .. import bus
 from ..logic import any_of, popcount, total
+from ..tree import front_ports
 from ..unit import Unit, place
 from .circuit import HIT_FS, Circuit, arbiter_rows, delayed, hit_flop, johnson_number, lag_fs, sample
 from .control import AsyncControl
@@ -62,22 +63,8 @@ class AsyncFrontEnd(Unit):
     def __init__(self, sensor: Sensor, circuit: Circuit):
         self.sensor, self.circuit = sensor, circuit
         super().__init__(
-            {
-                "spad": In(sensor.pixels),
-                "mask": In(sensor.pixels),
-                "gate": In(1),
-                "window_ticks": In(sensor.window_bits),
-                "frame": In(bus.frame_layout(sensor)),
-                "timing": In(bus.time_layout(sensor)),
-                "line": Out(line_signature(sensor)),
-                "closed": Out(1),
-                "window": Out(bus.window_layout(sensor)),
-                "offsets": Out(bus.offsets_layout(sensor)),
-                "blind": Out(1),
-                "record_due": Out(1),
-                "latched": Out(sensor.minigroups),
-                "entries": Out(bus.record_layout(sensor)["entries"].shape),
-            }
+            {"spad": In(sensor.pixels), "mask": In(sensor.pixels), "gate": In(1)}
+            | front_ports(sensor, line_signature(sensor))
         )
         self.state = FrontEndState(sensor, circuit)
 
