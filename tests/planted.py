@@ -40,269 +40,157 @@ class Bug:
     tests: tuple[tuple[str, ...], ...]
 
 
-def planted(
-    file: str,
-    mistakes: dict[str, tuple[str, str]],
-    proofs: tuple[str, ...] = (),
-    tests: tuple[tuple[str, ...], ...] = (),
-) -> list[Bug]:
-    """Return the bugs of a file that the same checks must notice; mistakes: name -> (old, new)."""
-    return [Bug(name, file, old, new, proofs, tests) for name, (old, new) in mistakes.items()]
-
-
-BUGS = (
-    *planted(
-        "hdl/tree.py",
-        {
-            "window-long": ("self.line.phase + self.window_ticks)", "self.line.phase + self.window_ticks + 1)"),
-            "window-edge": ("closing.eq(live & (state.end <= phases))", "closing.eq(live & (state.end < phases))"),
-            "tie-highest": ('first_index(m, one_of, "winner")', '~first_index(m, one_of[::-1], "winner")'),
-            "rearm-late": ("rearm.eq(self.sensor.rearm)", "rearm.eq(self.sensor.rearm + 1)"),
-        },
-        proofs=("tree",),
-        tests=(FRAMES,),
-    ),
-    *planted(
-        "hdl/tree.py",
-        {"tree-not-reset": ("window_open = Signal()", "window_open = Signal(reset_less=True)")},
-        proofs=("tree",),
-    ),
-    *planted(
-        "hdl/minigroup.py",
-        {"hits-toggle": ("hits.eq(state.hit_4 | (hits & ~self", "hits.eq(state.hit_4 ^ (hits & ~self")},
-        proofs=("tree",),
-        tests=(FRAMES,),
-    ),
-    *planted(
-        "hdl/minigroup.py",
-        {
-            "mask-ignored": ("root.eq(word & on.replicate(phases))", "root.eq(word)"),
-            "mg-threshold": (">= self.frame.mg_threshold", "> self.frame.mg_threshold"),
-        },
-        proofs=("minigroup_record",),
-        tests=(FRAMES,),
-    ),
-    *planted(
-        "hdl/tdc.py",
-        {
-            "tdc-lines-swapped": (
-                'first_one(m, line.root, f"first_{k}")',
-                'first_one(m, getattr(self, f"line_{self.lines - 1 - k}").root, f"first_{k}")',
-            ),
-            "tdc-line-shared": (
-                'first_one(m, line.root, f"first_{k}")',
-                'first_one(m, self.line_0.root, f"first_{k}")',
-            ),
-        },
-        proofs=("tdc",),
-        tests=(FRAMES,),
-    ),
-    *planted(
-        "hdl/fifo.py",
-        {
-            "overrun-dropped": ("event.overrun.eq(state.lost)", "event.overrun.eq(0)"),
-            "fifo-one-short": ("room.eq(state.level != depth)", "room.eq(state.level < depth - 1)"),
-        },
-        proofs=("event_fifo",),
-        tests=(FRAMES,),
-    ),
-    *planted(
-        "hdl/fifo.py",
-        {"overrun-not-reset": ("lost = Signal()", "lost = Signal(reset_less=True)")},
-        proofs=("event_fifo",),
-    ),
-    *planted(
-        "hdl/fifo.py",
-        {"record-overwritten": ("with m.If(comes & ~waiting):", "with m.If(comes):")},
-        proofs=("record_buffer",),
-        tests=(FRAMES,),
-    ),
-    *planted(
-        "hdl/settings.py",
-        {
-            "settings-mid-frame": (
-                "with m.If(self.command.operation == bus.Operation.TAKE):",
-                "with m.If(self.command.operation != bus.Operation.BEGIN):",
-            )
-        },
-        proofs=("subgroup_settings",),
-        tests=(PORTS,),
-    ),
-    *planted(
-        "hdl/registers.py",
-        {
-            "pulses-mid-frame": (
-                'm.d.comb += self.period.eq(state.setting["period", 0])',
-                'm.d.comb += self.period.eq(state.setting["period", 0])\n        m.d.sync += self.plan.pulses.eq(state.setting["pulses", 0])',
-            ),
-            "register-range-short": ("(value <= high)", "(value < high)"),
-        },
-        proofs=("register_front",),
-        tests=(PORTS,),
-    ),
-    *planted("hdl/registers.py", {"strobe-ignored": ("axi.wstrb.all()", "axi.wstrb.any()")}, tests=(PORTS,)),
-    *planted(
-        "hdl/registers.py",
-        {"answer-withdrawn": ("with m.If(axi.bvalid & axi.bready):", "with m.If(axi.bvalid):")},
-        proofs=("register_front",),
-    ),
-    *planted(
-        "hdl/dpcu.py",
-        {
-            "threshold-above": ("self.window.count >= state.threshold", "self.window.count > state.threshold"),
-            "lower-as-committed": ("lower_threshold.eq(state.threshold - 1)", "lower_threshold.eq(state.threshold)"),
-            "ceiling-above": ('count["opened"] >= self.data', 'count["opened"] > self.data'),
-            "threshold-rises-early": ('count["committed"] > self.data', 'count["committed"] >= self.data'),
-            "threshold-below-floor": ("Mux(bounded < floor, floor, bounded)", "bounded"),
-            "controller-keeps-others-threshold": ("Mux(self.controlled & state.stays,", "Mux(self.controlled,"),
-        },
-        proofs=("dpcu",),
-        tests=(FRAMES,),
-    ),
-    *planted("hdl/subgroup.py", {"budget-of-last-stream": ("number >= command.subgroup", "1")}, tests=(FRAMES,)),
-    *planted(
-        "hdl/controller.py",
-        {
-            "budget-beyond-capacity": (
-                "Mux(state.widened < state.capacity, state.widened, state.capacity)",
-                "state.widened",
-            ),
-            "budget-below-share": ("Mux(state.narrowed > state.share, state.narrowed, state.share)", "state.narrowed"),
-            "sums-not-cleared": (
-                "state.beat.eq(0), state.total.eq(0), state.more.eq(0)",
-                "state.beat.eq(0), state.more.eq(0)",
-            ),
-            "uncontrolled-would-fall": (
-                "Mux(state.controlled & (state.lower <= state.wide)",
-                "Mux((state.lower <= state.wide)",
-            ),
-            "too-much-too-late": ("state.total > state.capacity", "state.total >= state.capacity"),
-        },
-        proofs=("controller",),
-        tests=(FRAMES,),
-    ),
-    *planted("hdl/gating.py", {"gate-late": ("until_now == 0", "until_now <= 1")}, proofs=("gating",), tests=(FRAMES,)),
-    *planted(
-        "hdl/sequencer.py",
-        {"guard-short": ("self.plan.period - self.sensor.guard", "self.plan.period - self.sensor.guard + 1")},
-        proofs=("sequencer",),
-        tests=(FRAMES,),
-    ),
-    *planted(
-        "hdl/sequencer.py",
-        {"abort-lost": ("with m.If(state.aborted | self.abort_frame |", "with m.If(self.abort_frame |")},
-        proofs=("sequencer",),
-        tests=(PORTS,),
-    ),
-    *planted(
-        "hdl/packetizer.py",
-        {"take-early": ("at_last.eq(state.index + 1 == self._last", "at_last.eq(state.index + 2 >= self._last")},
-        proofs=("packetizer",),
-        tests=(FRAMES,),
-    ),
-    *planted(
-        "model/golden/front_end.py",
-        {
-            "golden-window-long": ("tick >= opening + window:", "tick > opening + window:"),
-            "golden-tie-highest": (
-                "hits[row, word] |= bit\n",
-                "hits[row, word], winner = hits[row, word] | bit, inside if tick == opening else winner\n",
-            ),
-            "golden-gate-late": ("gate_start <= cycle <", "gate_start < cycle <"),
-            "golden-threshold-above": ("count < threshold:", "count <= threshold:"),
-            "golden-neighbours-stamp": ("opening, count, winner\n", "opening ^ 1, count, winner\n"),
-            "golden-other-settings": ("settings.gate_start[s]", "settings.gate_start[0]"),
-            "golden-lower-as-committed": ("count >= threshold - 1", "count >= threshold"),
-        },
-        tests=(GOLDEN, FRAMES),
-    ),
-    *planted(
-        "model/golden/front_end.py",
-        {"golden-not-rearmed": ("last_pulse, armed_from = pulse, 0\n", "last_pulse = pulse\n")},
-        tests=(GOLDEN,),
-    ),
-    *planted(
-        "model/contract/windows.py",
-        {"golden-rearm-early": ("close + 1 + rearm", "close + rearm")},
-        tests=(GOLDEN, FRAMES),
-    ),
-    *planted(
-        "model/golden/shape.py",
-        {"golden-guard-short": ("config.period - sensor.guard", "config.period - sensor.guard + 1")},
-        tests=(GOLDEN, FRAMES),
-    ),
-    *planted(
-        "model/golden/readout.py",
-        {"golden-overrun-dropped": ("_NEVER, queue.lost", "_NEVER, False")},
-        tests=(GOLDEN, FRAMES),
-    ),
-    *planted(
-        "model/golden/readout.py",
-        {
-            "golden-record-finds-no-place": ("queue.place_free_at <= records", "queue.place_free_at < records"),
-            "golden-event-finds-no-place": (
-                "events[queue.oldest].free_at <= event.cycle",
-                "events[queue.oldest].free_at < event.cycle",
-            ),
-        },
-        tests=(ALIGNMENTS,),
-    ),
-    *planted(
-        "model/golden/readout.py",
-        {"golden-fifo-deep": ("queue.level < fifo_depth", "queue.level <= fifo_depth")},
-        tests=(FRAMES,),
-    ),
-    *planted(
-        "model/golden/controller.py",
-        {
-            "golden-ceiling": ('side="right"', 'side="left"'),
-            "golden-rises-early": ("rises = committed > budget", "rises = committed >= budget"),
-            "golden-budget-below-share": (
-                "return max(budget - budget // STEP, int(config.shares[stream]))",
-                "return budget - budget // STEP",
-            ),
-            "golden-budget-beyond-capacity": (
-                "min(budget + budget // STEP + 1, capacity)",
-                "budget + budget // STEP + 1",
-            ),
-            "golden-old-budget": (
-                "column[COUNTER.committed], column[COUNTER.lower]\n        budget = self.budget[self._stream]",
-                "column[COUNTER.committed], column[COUNTER.lower]\n        budget = config.shares[self._stream]",
-            ),
-        },
-        tests=(GOLDEN, FRAMES),
-    ),
-    *planted(
-        "model/scenes/planes.py",
-        {"scene-mirrored": ("(np.arange(cols) + 0.5) / cols", "(np.arange(cols)[::-1] + 0.5) / cols")},
-        tests=(ORIENTATION,),
-    ),
-    *planted(
-        "model/light/walk.py",
-        {
-            "crosstalk-draws-shared": (
-                "uniform(key, CROSSTALK, 4 * fired + side)",
-                "uniform(key, CROSSTALK, fired + side)",
-            )
-        },
-        tests=(INDEPENDENCE,),
-    ),
-    *planted("hdl/readout.py", {"tlast-early": ("to_end == 1)", "to_end == 2)")}, proofs=("readout",), tests=(FRAMES,)),
-    *planted(
-        "hdl/emulator/uart.py",
-        {"serial-unchecked": ("(state.count > CRC_BYTES) & crc.match_detected", "(state.count > CRC_BYTES)")},
-        proofs=("deframer",),
-    ),
-    *planted(
-        "hdl/emulator/buffer.py",
-        {"buffer-overrun": ("self.s_axis.tready.eq(room)", "self.s_axis.tready.eq(1)")},
-        proofs=("frame_buffer",),
-    ),
-    *planted(
-        "hdl/emulator/source.py",
-        {"source-dead": ("[dead.eq(common.dead), word", "[dead.eq(common.dead >> 1), word")},
-        proofs=("photon_source",),
-    ),
+MISTAKES: dict[tuple[str, tuple[str, ...], tuple[tuple[str, ...], ...]], dict[str, tuple[str, str]]] = {
+    # (file, proofs, tests): {name: (old, new)}
+    ("hdl/tree.py", ("tree",), (FRAMES,)): {
+        "window-long": ("self.line.phase + self.window_ticks)", "self.line.phase + self.window_ticks + 1)"),
+        "window-edge": ("closing.eq(live & (state.end <= phases))", "closing.eq(live & (state.end < phases))"),
+        "tie-highest": ('first_index(m, one_of, "winner")', '~first_index(m, one_of[::-1], "winner")'),
+        "rearm-late": ("rearm.eq(self.sensor.rearm)", "rearm.eq(self.sensor.rearm + 1)"),
+    },
+    ("hdl/tree.py", ("tree",), ()): {
+        "tree-not-reset": ("window_open = Signal()", "window_open = Signal(reset_less=True)")
+    },
+    ("hdl/minigroup.py", ("tree",), (FRAMES,)): {
+        "hits-toggle": ("hits.eq(state.hit_4 | (hits & ~self", "hits.eq(state.hit_4 ^ (hits & ~self")
+    },
+    ("hdl/minigroup.py", ("minigroup_record",), (FRAMES,)): {
+        "mask-ignored": ("root.eq(word & on.replicate(phases))", "root.eq(word)"),
+        "mg-threshold": (">= self.frame.mg_threshold", "> self.frame.mg_threshold"),
+    },
+    ("hdl/tdc.py", ("tdc",), (FRAMES,)): {
+        "tdc-lines-swapped": (
+            'first_one(m, line.root, f"first_{k}")',
+            'first_one(m, getattr(self, f"line_{self.lines - 1 - k}").root, f"first_{k}")',
+        ),
+        "tdc-line-shared": ('first_one(m, line.root, f"first_{k}")', 'first_one(m, self.line_0.root, f"first_{k}")'),
+    },
+    ("hdl/fifo.py", ("event_fifo",), (FRAMES,)): {
+        "overrun-dropped": ("event.overrun.eq(state.lost)", "event.overrun.eq(0)"),
+        "fifo-one-short": ("room.eq(state.level != depth)", "room.eq(state.level < depth - 1)"),
+    },
+    ("hdl/fifo.py", ("event_fifo",), ()): {"overrun-not-reset": ("lost = Signal()", "lost = Signal(reset_less=True)")},
+    ("hdl/fifo.py", ("record_buffer",), (FRAMES,)): {
+        "record-overwritten": ("with m.If(comes & ~waiting):", "with m.If(comes):")
+    },
+    ("hdl/settings.py", ("subgroup_settings",), (PORTS,)): {
+        "settings-mid-frame": (
+            "with m.If(self.command.operation == bus.Operation.TAKE):",
+            "with m.If(self.command.operation != bus.Operation.BEGIN):",
+        )
+    },
+    ("hdl/registers.py", ("register_front",), (PORTS,)): {
+        "pulses-mid-frame": (
+            'm.d.comb += self.period.eq(state.setting["period", 0])',
+            'm.d.comb += self.period.eq(state.setting["period", 0])\n        m.d.sync += self.plan.pulses.eq(state.setting["pulses", 0])',
+        ),
+        "register-range-short": ("(value <= high)", "(value < high)"),
+    },
+    ("hdl/registers.py", (), (PORTS,)): {"strobe-ignored": ("axi.wstrb.all()", "axi.wstrb.any()")},
+    ("hdl/registers.py", ("register_front",), ()): {
+        "answer-withdrawn": ("with m.If(axi.bvalid & axi.bready):", "with m.If(axi.bvalid):")
+    },
+    ("hdl/dpcu.py", ("dpcu",), (FRAMES,)): {
+        "threshold-above": ("self.window.count >= state.threshold", "self.window.count > state.threshold"),
+        "lower-as-committed": ("lower_threshold.eq(state.threshold - 1)", "lower_threshold.eq(state.threshold)"),
+        "ceiling-above": ('count["opened"] >= self.data', 'count["opened"] > self.data'),
+        "threshold-rises-early": ('count["committed"] > self.data', 'count["committed"] >= self.data'),
+        "threshold-below-floor": ("Mux(bounded < floor, floor, bounded)", "bounded"),
+        "controller-keeps-others-threshold": ("Mux(self.controlled & state.stays,", "Mux(self.controlled,"),
+    },
+    ("hdl/subgroup.py", (), (FRAMES,)): {"budget-of-last-stream": ("number >= command.subgroup", "1")},
+    ("hdl/controller.py", ("controller",), (FRAMES,)): {
+        "budget-beyond-capacity": (
+            "Mux(state.widened < state.capacity, state.widened, state.capacity)",
+            "state.widened",
+        ),
+        "budget-below-share": ("Mux(state.narrowed > state.share, state.narrowed, state.share)", "state.narrowed"),
+        "sums-not-cleared": (
+            "state.beat.eq(0), state.total.eq(0), state.more.eq(0)",
+            "state.beat.eq(0), state.more.eq(0)",
+        ),
+        "uncontrolled-would-fall": (
+            "Mux(state.controlled & (state.lower <= state.wide)",
+            "Mux((state.lower <= state.wide)",
+        ),
+        "too-much-too-late": ("state.total > state.capacity", "state.total >= state.capacity"),
+    },
+    ("hdl/gating.py", ("gating",), (FRAMES,)): {"gate-late": ("until_now == 0", "until_now <= 1")},
+    ("hdl/sequencer.py", ("sequencer",), (FRAMES,)): {
+        "guard-short": ("self.plan.period - self.sensor.guard", "self.plan.period - self.sensor.guard + 1")
+    },
+    ("hdl/sequencer.py", ("sequencer",), (PORTS,)): {
+        "abort-lost": ("with m.If(state.aborted | self.abort_frame |", "with m.If(self.abort_frame |")
+    },
+    ("hdl/packetizer.py", ("packetizer",), (FRAMES,)): {
+        "take-early": ("at_last.eq(state.index + 1 == self._last", "at_last.eq(state.index + 2 >= self._last")
+    },
+    ("model/golden/front_end.py", (), (GOLDEN, FRAMES)): {
+        "golden-window-long": ("tick >= opening + window:", "tick > opening + window:"),
+        "golden-tie-highest": (
+            "hits[row, word] |= bit\n",
+            "hits[row, word], winner = hits[row, word] | bit, inside if tick == opening else winner\n",
+        ),
+        "golden-gate-late": ("gate_start <= cycle <", "gate_start < cycle <"),
+        "golden-threshold-above": ("count < threshold:", "count <= threshold:"),
+        "golden-neighbours-stamp": ("opening, count, winner\n", "opening ^ 1, count, winner\n"),
+        "golden-other-settings": ("settings.gate_start[s]", "settings.gate_start[0]"),
+        "golden-lower-as-committed": ("count >= threshold - 1", "count >= threshold"),
+    },
+    ("model/golden/front_end.py", (), (GOLDEN,)): {
+        "golden-not-rearmed": ("last_pulse, armed_from = pulse, 0\n", "last_pulse = pulse\n")
+    },
+    ("model/contract/windows.py", (), (GOLDEN, FRAMES)): {"golden-rearm-early": ("close + 1 + rearm", "close + rearm")},
+    ("model/golden/shape.py", (), (GOLDEN, FRAMES)): {
+        "golden-guard-short": ("config.period - sensor.guard", "config.period - sensor.guard + 1")
+    },
+    ("model/golden/readout.py", (), (GOLDEN, FRAMES)): {
+        "golden-overrun-dropped": ("_NEVER, queue.lost", "_NEVER, False")
+    },
+    ("model/golden/readout.py", (), (ALIGNMENTS,)): {
+        "golden-record-finds-no-place": ("queue.place_free_at <= records", "queue.place_free_at < records"),
+        "golden-event-finds-no-place": (
+            "events[queue.oldest].free_at <= event.cycle",
+            "events[queue.oldest].free_at < event.cycle",
+        ),
+    },
+    ("model/golden/readout.py", (), (FRAMES,)): {
+        "golden-fifo-deep": ("queue.level < fifo_depth", "queue.level <= fifo_depth")
+    },
+    ("model/golden/controller.py", (), (GOLDEN, FRAMES)): {
+        "golden-ceiling": ('side="right"', 'side="left"'),
+        "golden-rises-early": ("rises = committed > budget", "rises = committed >= budget"),
+        "golden-budget-below-share": (
+            "return max(budget - budget // STEP, int(config.shares[stream]))",
+            "return budget - budget // STEP",
+        ),
+        "golden-budget-beyond-capacity": ("min(budget + budget // STEP + 1, capacity)", "budget + budget // STEP + 1"),
+        "golden-old-budget": (
+            "column[COUNTER.committed], column[COUNTER.lower]\n        budget = self.budget[self._stream]",
+            "column[COUNTER.committed], column[COUNTER.lower]\n        budget = config.shares[self._stream]",
+        ),
+    },
+    ("model/scenes/planes.py", (), (ORIENTATION,)): {
+        "scene-mirrored": ("(np.arange(cols) + 0.5) / cols", "(np.arange(cols)[::-1] + 0.5) / cols")
+    },
+    ("model/light/walk.py", (), (INDEPENDENCE,)): {
+        "crosstalk-draws-shared": ("uniform(key, CROSSTALK, 4 * fired + side)", "uniform(key, CROSSTALK, fired + side)")
+    },
+    ("hdl/readout.py", ("readout",), (FRAMES,)): {"tlast-early": ("to_end == 1)", "to_end == 2)")},
+    ("hdl/emulator/uart.py", ("deframer",), ()): {
+        "serial-unchecked": ("(state.count > CRC_BYTES) & crc.match_detected", "(state.count > CRC_BYTES)")
+    },
+    ("hdl/emulator/buffer.py", ("frame_buffer",), ()): {
+        "buffer-overrun": ("self.s_axis.tready.eq(room)", "self.s_axis.tready.eq(1)")
+    },
+    ("hdl/emulator/source.py", ("photon_source",), ()): {
+        "source-dead": ("[dead.eq(common.dead), word", "[dead.eq(common.dead >> 1), word")
+    },
+}
+BUGS = tuple(
+    Bug(name, file, old, new, proofs, tests)
+    for (file, proofs, tests), mistakes in MISTAKES.items()
+    for name, (old, new) in mistakes.items()
 )
 
 

@@ -407,8 +407,8 @@ def test_every_waiver_is_needed():
                 patch.setattr("coincid.flow.lint.control_file", lambda view: "`verilator_config\n")
                 found += lint(parse_config({"sensor": sensor}).sensor, view)["verilator"]
         files_of = {(rule, file) for rule, file in re.findall(r"%Warning-(\w+): ([\w.]+):", found)}
-        for rule, files, *_ in wanted:
-            assert any(rule == other and fnmatch(file, files) for other, file in files_of), (rule, files)
+        for waiver in wanted:
+            assert any(waiver.rule == rule and fnmatch(file, waiver.files) for rule, file in files_of), waiver
 
 
 def test_lint_of_the_asynchronous_view_is_clean():
