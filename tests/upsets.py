@@ -93,12 +93,13 @@ def cases() -> dict[str, Config]:
 
 @frozen
 class Flop:
-    """A register of an instance, or a word of a memory. path: of the instance in the Verilog."""
+    """A register of an instance, or a memory of some words. path: of the instance in the Verilog."""
 
     path: str
     name: str
     bits: int
     words: int = 1
+    memory: bool = False
 
     def __str__(self) -> str:
         return f"{self.path}.{self.name}"
@@ -111,11 +112,11 @@ def flops_of_modules(sources: list[Path]) -> tuple[dict[str, list[Flop]], dict[s
     for path in sources:
         for module in MODULE.finditer(path.read_text()):
             text, name = module[0], module[1].lstrip("\\")
-            found[name] = [
-                Flop("", register, int(top or 0) + 1)
-                for top, register in FLOP.findall(text)
-                if not register.startswith("$")
-            ] + [Flop("", register, int(top) + 1, int(last) + 1) for top, register, last in MEMORY.findall(text)]
+            kept = [(top, register) for top, register in FLOP.findall(text) if not register.startswith("$")]
+            found[name] = [Flop("", register, int(top or 0) + 1) for top, register in kept]
+            found[name] += [
+                Flop("", memory, int(top) + 1, int(last) + 1, True) for top, memory, last in MEMORY.findall(text)
+            ]
             instances[name] = [(of.strip().lstrip("\\"), inner) for of, inner in INSTANCE.findall(text)]
     return found, instances
 
@@ -126,7 +127,7 @@ def flops(sources: list[Path]) -> list[Flop]:
     result, todo = [], [("", TOP)]
     while todo:
         at, name = todo.pop()
-        result += [Flop(at, flop.name, flop.bits, flop.words) for flop in found[name]]
+        result += [evolve(flop, path=at) for flop in found[name]]
         todo += [(f"{at}.{inner}".lstrip("."), of) for of, inner in instances[name]]
     return sorted(result, key=str)
 
@@ -138,32 +139,28 @@ def ports_header(sensor: Sensor) -> str:
         for k in range(sensor.streams)
     ]
     control = registers.BY_NAME["control"]
-    return "\n".join(
-        [
-            "#pragma once",
-            f"constexpr int STREAMS = {sensor.streams};",
-            f"constexpr uint32_t CONTROL = {registers.address('control')}, START = {1 << control.bit('start')};",
-            f"constexpr uint32_t STATUS = {registers.address('status')};",
-            "template <class Visit> void for_each_stream(Vtop& top, Visit visit) {",
-            *axes,
-            "}",
-            "template <class Visit> void spads(Vtop& top, Visit visit) {",
-            *(f"    visit({s}, top.spad_{s});" for s in range(sensor.subgroups)),
-            "}",
-            "",
-        ]
-    )
+    lines = [
+        "#pragma once",
+        f"constexpr int STREAMS = {sensor.streams};",
+        f"constexpr uint32_t CONTROL = {registers.address('control')}, START = {1 << control.bit('start')};",
+        f"constexpr uint32_t STATUS = {registers.address('status')};",
+        "template <class Visit> void for_each_stream(Vtop& top, Visit visit) {",
+        *axes,
+        "}",
+        "template <class Visit> void spads(Vtop& top, Visit visit) {",
+        *(f"    visit({s}, top.spad_{s});" for s in range(sensor.subgroups)),
+        "}",
+        "",
+    ]
+    return "\n".join(lines)
 
 
 def _archives(sensor: Sensor) -> Path:
     """Return the sensor's Verilated model with writable flip-flops: headers and archives, compiled once."""
     program, sources = toolchain.verilator(), rtl(sensor)
     contents = [part for path in sources for part in (path.name, path.read_text())]
-    directory = (
-        build_root()
-        / "upsets"
-        / f"{sensor_key(sensor)}-{digest(str(program), *VERILATOR, *COMPILER, *MAKE_OPTIONS, *contents)}"
-    )
+    key = digest(str(program), *VERILATOR, *COMPILER, *MAKE_OPTIONS, *contents)
+    directory = build_root() / "upsets" / f"{sensor_key(sensor)}-{key}"
 
     def make(scratch: Path) -> None:
         log = directory.with_name(f"{directory.name}.log")
@@ -444,23 +441,21 @@ def main(arguments: list[str]) -> int:
         rng = random.Random(options.seed)
         lost = [str(flop) for flop in flops(rtl(config.sensor)) if campaign.index(flop) < 0]
         targets = every_bit(campaign, options.only)
-        print(
-            f"{name}: {len(targets)} flip-flops, {campaign.span} cycles; not in the model: {', '.join(lost) or 'none'}"
-        )
+        absent = ", ".join(lost) or "none"
+        print(f"{name}: {len(targets)} flip-flops, {campaign.span} cycles; not in the model: {absent}")
         for flop, word, bit in targets:
             for _ in range(options.instants):
                 campaign.trial(flop, word, bit, rng.randrange(campaign.span), report)
         campaign.close()
-        print(
-            f"{name}: {report.trials} trials, {report.changed} seen in their frame, {len(report.failures)} did not heal"
-        )
+        unhealed = len(report.failures)
+        print(f"{name}: {report.trials} trials, {report.changed} seen in their frame, {unhealed} did not heal")
         for outcome, count in sorted(report.outcomes.items()):
             print(f"  {outcome}: {count}")
         by_flop = Counter(str(failure.flop) for failure in report.failures)
         first = {str(failure.flop): failure for failure in reversed(report.failures)}
         for flop, count in by_flop.most_common():
             print(f"  {count:4} {first[flop]}")
-        bad += len(report.failures)
+        bad += unhealed
     return 1 if bad else 0
 
 

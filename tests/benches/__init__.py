@@ -14,7 +14,7 @@ def bench_environment(sensor: dict, sources: Sequence[Path] = ()) -> dict[str, s
     """Return what a bench reads from its environment.
 
     sensor: table of a configuration; sources: the design's files, for `fault_bench.py`, which flips its flip-flops."""
-    registers = [(flop.path, flop.name, flop.bits) for flop in flops(sources) if flop.words == 1] if sources else []
+    registers = [(flop.path, flop.name, flop.bits) for flop in flops(sources) if not flop.memory] if sources else []
     return {
         "PYTHONPATH": BENCHES,
         "COINCID_BENCH_SENSOR": json.dumps(sensor),
