@@ -28,14 +28,8 @@ from ..model.contract.registers import (
 )
 from ..model.shared.licence import SPDX
 
-MARKDOWN, HTML, HEADER, JSON, RDL, IP_XACT = (
-    "registers.md",
-    "registers.html",
-    "coincid_regs.h",
-    "registers.json",
-    "registers.rdl",
-    "registers.xml",
-)
+MARKDOWN, HTML, HEADER = "registers.md", "registers.html", "coincid_regs.h"
+JSON, RDL, IP_XACT = "registers.json", "registers.rdl", "registers.xml"
 PREFIX, TOP = "COINCID", "coincid_sensor"
 
 
@@ -110,16 +104,8 @@ def _rows(registers: tuple[Register, ...], sensor: Sensor) -> list[list[str]]:
         reset = "" if register.access is Access.COUNTER else str(register.reset(sensor))
         rows.append([offset, register.name, register.access.name.lower(), legal, reset, register.doc])
         for bits in register.bits:
-            rows.append(
-                [
-                    "",
-                    f"bit {bits.lsb}: {bits.name}",
-                    "",
-                    "",
-                    "",
-                    f"{bits.doc}{' Write 1 to clear.' if bits.clears else ''}",
-                ]
-            )
+            meaning = f"{bits.doc}{' Write 1 to clear.' if bits.clears else ''}"
+            rows.append(["", f"bit {bits.lsb}: {bits.name}", "", "", "", meaning])
     return rows
 
 

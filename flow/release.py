@@ -187,24 +187,18 @@ def _core(lists: dict[str, list[str]], view: View) -> str:
         ]
     if boxes:
         sets += ["  boxes:", "    files:", *(f"      - {name}" for name in boxes), "    file_type: verilogSource"]
-    return "\n".join(
-        [
-            "CAPI=2:",
-            f"name: coincid:sensor:{TOP}:{version('coincid')}",
-            "description: SPAD direct time-of-flight sensor with coincidence detection",
-            "",
-            "filesets:",
-            "  waivers:",
-            "    files:",
-            f"      - {CONTROL_FILE}",
-            "    file_type: vlt",
-            *sets,
-            "",
-            "targets:",
-            *targets,
-            "",
-        ]
-    )
+    head = [
+        "CAPI=2:",
+        f"name: coincid:sensor:{TOP}:{version('coincid')}",
+        "description: SPAD direct time-of-flight sensor with coincidence detection",
+        "",
+        "filesets:",
+        "  waivers:",
+        "    files:",
+        f"      - {CONTROL_FILE}",
+        "    file_type: vlt",
+    ]
+    return "\n".join([*head, *sets, "", "targets:", *targets, ""])
 
 
 def _readme(sensor: Sensor, clock_mhz: float, lists: dict[str, list[str]], view: View) -> str:
@@ -264,24 +258,19 @@ def _readme(sensor: Sensor, clock_mhz: float, lists: dict[str, list[str]], view:
 
 
 def _manifest(sensor: Sensor, clock_mhz: float, lists: dict[str, list[str]], files: dict[str, str], view: View) -> str:
-    return (
-        json.dumps(
-            {
-                "name": TOP,
-                "version": version("coincid"),
-                "view": view.name,
-                "tops": list(lists),
-                "clock_mhz": int(clock_mhz) if clock_mhz.is_integer() else clock_mhz,
-                "parameters": asdict(sensor),
-                "derived": {name: getattr(sensor, name) for name in DERIVED},
-                "latency_cycles": {name.lower(): value for name, value in vars(latency).items() if name.isupper()}
-                | ({"deserialiser": deserialiser.CYCLES} if FPGA_TOP in lists else {}),
-                "sha256": {name: hashlib.sha256(text.encode()).hexdigest() for name, text in sorted(files.items())},
-            },
-            indent=2,
-        )
-        + "\n"
-    )
+    facts = {
+        "name": TOP,
+        "version": version("coincid"),
+        "view": view.name,
+        "tops": list(lists),
+        "clock_mhz": int(clock_mhz) if clock_mhz.is_integer() else clock_mhz,
+        "parameters": asdict(sensor),
+        "derived": {name: getattr(sensor, name) for name in DERIVED},
+        "latency_cycles": {name.lower(): value for name, value in vars(latency).items() if name.isupper()}
+        | ({"deserialiser": deserialiser.CYCLES} if FPGA_TOP in lists else {}),
+        "sha256": {name: hashlib.sha256(text.encode()).hexdigest() for name, text in sorted(files.items())},
+    }
+    return json.dumps(facts, indent=2) + "\n"
 
 
 def write_release(folder: Path, config: Config, view: str | View = POLYPHASE) -> list[Path]:

@@ -31,9 +31,8 @@ EDGES = 160  # in the frame, spread by a multiplicative sequence; in addition, a
 SPREAD = 2_654_435_761  # Knuth's multiplier
 FOLDER = Path(__file__).parent
 BENCH = FOLDER / "smoke_bench.vh"
-WORDS, LINES, LEVELS = (
-    FOLDER / f"smoke_{light}.v" for light in ("words", "lines", "levels")
-)  # name of the light at the ports
+# By the light at the ports.
+WORDS, LINES, LEVELS = (FOLDER / f"smoke_{light}.v" for light in ("words", "lines", "levels"))
 PATIENCE = 50  # cycles per cycle of the frame, beat and access to a register, until the bench gives up
 STALL_CYCLES, STALL_EVERY = 300, 4  # in these cycles, `tready` is low every fourth cycle
 ADDRESSES = ("period", "status", "control")  # registers that the bench uses by name
@@ -46,21 +45,14 @@ def smoke_config(sensor: Sensor) -> Config:
     """Return a short frame with everything on. Most settings keep their reset values: less to program."""
     played = _played(sensor)
     first_gate = {"gating": True, "gate_start": 3, "gate_len": sensor.guard + 8}
+    period = min(2 * sensor.guard + 24, sensor.period_max)
+    first, last = {"subgroups": played[:1], **first_gate, "threshold": 3}, {"subgroups": played[-1:], "threshold": 1}
     return parse_config(
         {
             "sensor": sensor_table(sensor),
-            "frame": {
-                "period": min(2 * sensor.guard + 24, sensor.period_max),
-                "pulses": PULSES,
-                "format": "full",
-                "minigroup_records": True,
-                "mg_threshold": 1,
-            },
+            "frame": dict(period=period, pulses=PULSES, format="full", minigroup_records=True, mg_threshold=1),
             "subgroup": {"gate_len": registers.BY_NAME["gate_len"].reset(sensor)},
-            "override": [
-                {"subgroups": played[-1:], "threshold": 1},
-                {"subgroups": played[:1], **first_gate, "threshold": 3},
-            ],
+            "override": [last, first],
         }
     )
 

@@ -21,30 +21,13 @@ from ...model.shared.folders import build_root
 from ...model.shared.sources import digest
 from ...tb.toolchain import ToolchainError, build_once
 from ..yosys import CELLS_VERSION
-from . import buffers, drawn, wires
+from . import buffers, drawn, flow, wires
 from .delays import shell
 from .drawn import Placed, Strips
-from .flow import (
-    BLIF,
-    CLOCK,
-    FACTS,
-    LEFS,
-    PLACED,
-    SPEF,
-    VERILOG,
-    Attempt,
-    Layout,
-    map_for_router,
-    read_strips,
-    require_tools,
-    run_coriolis,
-    time_wires,
-    write_job,
-)
 from .pins import Strip, cell_widths_um
 
 MACRO_LEF = "macro.lef"
-ROOM = Attempt(0.45, 0.83, (5, 6, 4))  # around the block's own cells
+ROOM = flow.Attempt(0.45, 0.83, (5, 6, 4))  # around the block's own cells
 LIMIT_S = 400  # of the placer
 COLUMNS = 4  # of macros
 CHANNEL_UM, BORDER_UM = 26.0, 16.0  # least widths between macros, and around them
@@ -81,10 +64,10 @@ class Macro:
     pins: dict[str, Strip]
 
 
-def lay_out(unit: Unit, leaf: Unit, layout: Layout, clock_mhz: float, tell: Callable[[str], None]) -> Hierarchy:
+def lay_out(unit: Unit, leaf: Unit, layout: flow.Layout, clock_mhz: float, tell: Callable[[str], None]) -> Hierarchy:
     """A block, placed once for the state of its Verilog; its units of `leaf`'s kind are the routed `layout`. Raises `ToolchainError`."""
-    cells, files = require_tools(), units_files([unit], latches=True)
-    ports, kind = used_ports((layout.folder / VERILOG).read_text()), f"{leaf.unit_name}_routed"
+    cells, files = flow.require_tools(), units_files([unit], latches=True)
+    ports, kind = used_ports((layout.folder / flow.VERILOG).read_text()), f"{leaf.unit_name}_routed"
     files[f"{leaf.unit_name}.v"] = shell(leaf, ports)
     declared = "".join(f"  {way} {name};\n" for name, way in ports.items())
     files["macro.v"] = f"(* blackbox *)\nmodule {kind} ({', '.join(ports)});\n{declared}endmodule\n"
@@ -96,19 +79,19 @@ def lay_out(unit: Unit, leaf: Unit, layout: Layout, clock_mhz: float, tell: Call
         for name, text in files.items():
             (folder / name).write_text(text)
         tell(f"{unit.unit_name}: placing it around its minigroups")
-        map_for_router(unit.unit_name, list(files), folder)
+        flow.map_for_router(unit.unit_name, list(files), folder)
         macro = read_macro(leaf.unit_name, layout, ports)
         (folder / MACRO_LEF).write_text(macro_lef(macro, ports))
-        number = len(re.findall(rf"^\.\w+ {kind} ", (folder / BLIF).read_text(), re.MULTILINE))
+        number = len(re.findall(rf"^\.\w+ {kind} ", (folder / flow.BLIF).read_text(), re.MULTILINE))
         plan = floorplan(kind, layout.width_um, layout.height_um, number)
-        write_job(folder, cells, ROOM, plan, {kind: macro.pins}, folder / MACRO_LEF)
-        run_coriolis(folder, LIMIT_S)
-        if not (folder / PLACED).exists():
+        flow.write_job(folder, cells, ROOM, plan, {kind: macro.pins}, folder / MACRO_LEF)
+        flow.run_coriolis(folder, LIMIT_S)
+        if not (folder / flow.PLACED).exists():
             raise ToolchainError(f"{unit.unit_name}: not placed within {LIMIT_S} s")
         _finish(unit.unit_name, macro, cells, clock_mhz, folder)
 
     folder = build_once(build_root() / "layout" / f"{unit.unit_name}-{key}", make)
-    return Hierarchy(folder=folder, **json.loads((folder / FACTS).read_text()))
+    return Hierarchy(folder=folder, **json.loads((folder / flow.FACTS).read_text()))
 
 
 def used_ports(netlist: str) -> dict[str, str]:
@@ -128,9 +111,9 @@ def floorplan(kind: str, width_um: float, height_um: float, macros: int) -> dict
     return {"kind": kind, "columns": COLUMNS} | {name: round(um, 4) for name, um in zip(names, sizes)}
 
 
-def read_macro(name: str, layout: Layout, ports: Mapping[str, str]) -> Macro:
+def read_macro(name: str, layout: flow.Layout, ports: Mapping[str, str]) -> Macro:
     """A routed block, with one of its pins for every port."""
-    placed, strips = json.loads((layout.folder / PLACED).read_text()), read_strips(layout.folder)
+    placed, strips = json.loads((layout.folder / flow.PLACED).read_text()), flow.read_strips(layout.folder)
     pins: dict[str, Strip] = {}
     for net, _, _, strip in drawn.placed_strips(placed, strips):
         if net in ports:
@@ -212,19 +195,19 @@ def drivers_lost(whole: Placed) -> list[str]:
 
 def _finish(top: str, macro: Macro, cells: Path, clock_mhz: float, folder: Path) -> None:
     """Times the placed block of `folder`, and draws its cells."""
-    strips, widths_um = read_strips(folder) | dict(macro.strips), cell_widths_um(cells / LEFS[1])
+    strips, widths_um = flow.read_strips(folder) | dict(macro.strips), cell_widths_um(cells / flow.LEFS[1])
     widths_um[macro.kind] = macro.placed["width"]
     outputs = [port for port, way in macro.placed["ports"].items() if way == "output"]
-    placed: Placed = json.loads((folder / PLACED).read_text())
+    placed: Placed = json.loads((folder / flow.PLACED).read_text())
     floating = drivers_lost(flat(placed, macro))  # as Yosys left them
-    placed = buffers.grow(placed, CLOCK, strips, widths_um, macro.kind, outputs, macro.placed["height"])
+    placed = buffers.grow(placed, flow.CLOCK, strips, widths_um, macro.kind, outputs, macro.placed["height"])
     estimated_um, whole = estimates_um(placed, strips), flat(placed, macro)
-    wired = wires.wired(top, whole, strips, lengths_um(placed, macro, estimated_um), cells / LEFS[0])
+    wired = wires.wired(top, whole, strips, lengths_um(placed, macro, estimated_um), cells / flow.LEFS[0])
     if lost := set(drivers_lost(whole)) - set(floating):
         raise ToolchainError(f"{top}: buffers left nets without a driver, or with several: {sorted(lost)[:5]}")
-    (folder / SPEF).write_text(wired.spef)
-    (folder / VERILOG).write_text(wires.netlist(top, whole))
-    slack_ns, hold_ns = time_wires(top, clock_mhz, folder)
+    (folder / flow.SPEF).write_text(wired.spef)
+    (folder / flow.VERILOG).write_text(wires.netlist(top, whole))
+    slack_ns, hold_ns = flow.time_wires(top, clock_mhz, folder)
     own = [one["kind"] for one in placed["cells"] if one["kind"] != macro.kind and not one["kind"].startswith("FILL")]
     facts = {
         "macros": len(macros_of(placed, macro)),
@@ -238,4 +221,4 @@ def _finish(top: str, macro: Macro, cells: Path, clock_mhz: float, folder: Path)
         "slack_ns": slack_ns,
         "hold_ns": hold_ns,
     }
-    (folder / FACTS).write_text(json.dumps(facts, indent=1))
+    (folder / flow.FACTS).write_text(json.dumps(facts, indent=1))

@@ -308,16 +308,13 @@ def success_by_threshold(
     """`success_probability` of a pixel in an evenly lit subgroup, for each of `THRESHOLDS`: float64[7]. See `histogram`."""
     timing = timing or Timing()
     flight_s = 2 * distance_m / SPEED_OF_LIGHT_M_S
-    return np.array(
-        [
-            success_probability(
-                histogram(distance_m, signal_per_pulse, noise_cps, threshold=th, timing=timing, **setting)[0],
-                flight_s,
-                timing,
-            )
-            for th in THRESHOLDS
-        ]
-    )
+
+    def success(threshold: int) -> float:
+        light = distance_m, signal_per_pulse, noise_cps
+        expected = histogram(*light, threshold=threshold, timing=timing, **setting)[0]
+        return success_probability(expected, flight_s, timing)
+
+    return np.array([success(threshold) for threshold in THRESHOLDS])
 
 
 def expected_threshold(success: np.ndarray, slack: float = 0.01) -> int:

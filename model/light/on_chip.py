@@ -89,20 +89,9 @@ def source_edges(config: Config, settings: SourceSettings, frame: int) -> Edges:
     parts = []
     for s in range(sensor.subgroups):
         states = seeds(settings.seed, frame & 0xFFFF, s, sensor.pixels)
-        parts.append(
-            _walk(
-                states,
-                _tables(),
-                starts,
-                config.period,
-                sensor.phases,
-                int(settings.background[s]),
-                settings.tick[s].astype(np.int64),
-                settings.level[s].astype(np.int64),
-                (1 << settings.spread) - 1,
-                settings.dead_cycles,
-            )
-        )
+        tick, level = settings.tick[s].astype(np.int64), settings.level[s].astype(np.int64)
+        light = int(settings.background[s]), tick, level, (1 << settings.spread) - 1, settings.dead_cycles
+        parts.append(_walk(states, _tables(), starts, config.period, sensor.phases, *light))
     rows = np.concatenate(
         [np.column_stack([part[:, :1], pixel_of[s][part[:, 1]], part[:, 2]]) for s, part in enumerate(parts)]
     )
