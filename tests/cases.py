@@ -175,19 +175,9 @@ def collections(sensor: dict) -> list[Config]:
     """Return a frame for every length of a minigroup's collection, with records that need two pixels, if there are two."""
     built = built_sensor(sensor)
     register = BY_NAME["mg_window"]
-    return [
-        configured(
-            sensor,
-            {
-                "period": 60,
-                "pulses": 16,
-                "minigroup_records": True,
-                "mg_threshold": min(2, built.minigroup_pixels),
-                "mg_window": cycles,
-            },
-        )
-        for cycles in range(register.low(built), register.high(built) + 1)
-    ]
+    frame = dict(period=60, pulses=16, minigroup_records=True, mg_threshold=min(2, built.minigroup_pixels))
+    windows = range(register.low(built), register.high(built) + 1)
+    return [configured(sensor, frame | {"mg_window": cycles}) for cycles in windows]
 
 
 def dithered(sensor: dict) -> Config:
@@ -242,40 +232,32 @@ def trouble(config: Config, seed: int, per_subgroup_period: float) -> Edges:
         near = rng.random(n) < 0.5
         other = rng.integers(0, n, n)
         window = config.window[table.subgroup[pixel[other]]]
-        steps = np.stack(
-            [
-                np.zeros(n, np.int64),
-                np.ones(n, np.int64),
-                window - 1,
-                window,
-                window + 1,
-                np.full(n, sensor.phases),
-                sensor.phases * (sensor.rearm + 1) - tick[other] % sensor.phases,
-                np.full(n, config.frame["mg_window"] * sensor.phases),
-            ]
-        )
+        armed = sensor.phases * (sensor.rearm + 1) - tick[other] % sensor.phases
+        collected = config.frame["mg_window"] * sensor.phases
+        steps = np.stack(np.broadcast_arrays(0, 1, window - 1, window, window + 1, sensor.phases, armed, collected))
         tick = np.where(near, tick[other] + steps[rng.integers(0, len(steps), n), np.arange(n)], tick)
         pulse = np.where(near, pulse[other], pulse)
         neighbours = np.flatnonzero(near & (rng.random(n) < 0.8))
         members = [np.flatnonzero(table.subgroup == s) for s in range(sensor.subgroups)]
         pixel[neighbours] = [rng.choice(members[table.subgroup[pixel[other[k]]]]) for k in neighbours]
         # Some are at the borders of gate, guard and period.
-        special = np.concatenate(
-            [
-                np.array([0, config.period - 1, config.period - sensor.guard, config.period - sensor.guard - 1]),
-                config.gate_start,
-                config.gate_start + config.gate_len,
-                config.gate_start - 1,
-            ]
-        ).clip(0, config.period - 1)
+        start, guarded = config.gate_start, config.period - sensor.guard
+        special = np.r_[0, config.period - 1, guarded, guarded - 1, start, start + config.gate_len, start - 1]
+        special = special.clip(0, config.period - 1)
         at_special = rng.random(n) < 0.1
-        tick = np.where(
-            at_special, rng.choice(special, n) * sensor.phases + rng.choice((0, sensor.phases - 1), n), tick
-        )
+        border = rng.choice(special, n) * sensor.phases + rng.choice((0, sensor.phases - 1), n)
+        tick = np.where(at_special, border, tick)
         tick = tick.clip(0, config.period_ticks - 1)
     else:
         pixel = np.zeros(0, np.int64)
     return Edges(pulse.astype(np.int64), pixel.astype(np.int64), tick.astype(np.int64))
+
+
+def random_edges(config: Config, n: int, seed: int) -> Edges:
+    """Return `n` edges of a frame, evenly distributed."""
+    rng = np.random.default_rng(seed)
+    highs = config.pulses, config.sensor.array_pixels, config.period_ticks
+    return Edges(*(rng.integers(0, high, n) for high in highs))
 
 
 def ready_pattern(seed: int, kind: str, cycles: int) -> np.ndarray:

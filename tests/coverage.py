@@ -36,19 +36,8 @@ from coincid.tb import toolchain
 from coincid.tb.frames import save_job
 from coincid.tb.rtl import rtl
 
+from . import cases
 from .benches import bench_environment
-from .cases import (
-    READY_KINDS,
-    SENSORS,
-    SMALL,
-    built_sensor,
-    configurations,
-    generated,
-    modes,
-    ready_pattern,
-    scarce,
-    trouble,
-)
 from .mutation import frames
 
 SEED, EXAMPLES = 1, 120  # frames per sensor
@@ -63,11 +52,12 @@ PYTHON_GOALS = {  # share of lines; the others are refusals that other tests pro
     "model/contract": 0.9,
     "hdl": 0.9,
 }
+ELSEWHERE = "async", "release", "register_files", "smoke", "deserialiser"  # views and exports with tests of their own
 MODES = [f"coincidence={c} gating={g} auto={a}" for c, g, a in itertools.product((0, 1), repeat=3)]
 SITUATIONS = {  # name -> required number
     **{f"{mode}, {name}": 10 for mode in MODES for name in FORMAT_NAMES},
     **{f"fate {fate.name.lower()}": 100 for fate in Fate},
-    **{f"stream {kind}": 10 for kind in READY_KINDS},
+    **{f"stream {kind}": 10 for kind in cases.READY_KINDS},
     "edge at a window's last tick is counted": 20,
     "edge a tick after a window's end": 20,
     "window of a single tick": 20,
@@ -161,31 +151,29 @@ def functional() -> list[str]:
     """Return the situations that were not covered."""
     counts: collections.Counter = collections.Counter()
     for name in ("default", "tiny", "coarse", "odd"):
-        sensor = SENSORS[name]
+        sensor = cases.SENSORS[name]
 
         @seed(SEED)
-        @generated(EXAMPLES)
+        @cases.generated(EXAMPLES)
         @given(
-            config=configurations(sensor, frames_max=1),
-            draw=st.integers(0, 2**32 - 1),
-            kind=st.sampled_from(READY_KINDS),
+            cases.configurations(sensor, frames_max=1), st.integers(0, 2**32 - 1), st.sampled_from(cases.READY_KINDS)
         )
         def count(config, draw, kind):
-            edges = trouble(config, draw, 12.0)
+            edges = cases.trouble(config, draw, 12.0)
             golden = Golden(config.sensor)
-            ready = ready_pattern(draw, kind, config.pulses * config.period + 100)
+            ready = cases.ready_pattern(draw, kind, config.pulses * config.period + 100)
             for _ in range(2):  # the controller acts in the second
                 situations(config, edges, golden.frame(config, edges, ready), kind, counts)
 
         count()
         golden = None
-        for number, config in enumerate(config for config in modes(sensor) for _ in range(2)):
+        for number, config in enumerate(config for config in cases.modes(sensor) for _ in range(2)):
             golden = golden or Golden(config.sensor)
-            kind, edges = READY_KINDS[number % len(READY_KINDS)], trouble(config, number, 12.0)
-            situations(config, edges, golden.frame(config, edges, ready_pattern(number, kind, 400)), kind, counts)
+            kind, edges = cases.READY_KINDS[number % len(cases.READY_KINDS)], cases.trouble(config, number, 12.0)
+            situations(config, edges, golden.frame(config, edges, cases.ready_pattern(number, kind, 400)), kind, counts)
         golden, before = Golden(config.sensor), None
-        for config in scarce(sensor):
-            trace = golden.frame(config, trouble(config, 0, 25.0))
+        for config in cases.scarce(sensor):
+            trace = golden.frame(config, cases.trouble(config, 0, 25.0))
             if before:
                 steps(config, before, trace, counts)
             before = trace
@@ -201,28 +189,20 @@ def functional() -> list[str]:
 
 def rtl_coverage() -> list[str]:
     """Return uncovered lines and toggles of the RTL, after the frames of the mutation test and the tests of the ports."""
-    sensor = parse_config({"sensor": SMALL}).sensor
-    sources = rtl(sensor)
-    build = toolchain.build(
-        "verilator",
-        sources,
-        TOP,
-        key="coverage",
-        public=[f"{TOP}.stored_of_*"],
-        options=["--coverage-line", "--coverage-toggle"],
-    )
+    sensor = parse_config({"sensor": cases.SMALL}).sensor
+    options, public = ["--coverage-line", "--coverage-toggle"], [f"{TOP}.stored_of_*"]
+    build = toolchain.build("verilator", rtl(sensor), TOP, key="coverage", public=public, options=options)
     points: collections.Counter = collections.Counter()
     with tempfile.TemporaryDirectory(prefix="coincid-") as scratch:
         benches = {
             "coincid.tb.cosim": save_job(Path(scratch) / "job", frames()),
-            "sensor_bench": bench_environment(SMALL),
+            "sensor_bench": bench_environment(cases.SMALL),
         }
         for module, env in benches.items():
             folder = Path(scratch) / module
             build.run(module, env=env, out_dir=folder, seed=1)
-            for key, count in re.findall(
-                r"^C '(.*)' (\d+)$", (folder / "coverage.dat").read_text(errors="replace"), re.MULTILINE
-            ):
+            counted = (folder / "coverage.dat").read_text(errors="replace")
+            for key, count in re.findall(r"^C '(.*)' (\d+)$", counted, re.MULTILINE):
                 points[key] += int(count)
     holes = []
     for kind, goal in (("line", LINE_GOAL), ("toggle", TOGGLE_GOAL)):
@@ -239,10 +219,8 @@ def rtl_coverage() -> list[str]:
         print(f"rtl: {kind} {hit} of {total}, {hit / max(total, 1):.1%}")
         for block, of in sorted(blocks.items()):
             missed = [what for what, count in of if not count]
-            print(
-                f"  {block:26} {len(of) - len(missed)} of {len(of)}"
-                + (f", first holes: {', '.join(missed[:4])}" if missed else "")
-            )
+            first = f", first holes: {', '.join(missed[:4])}" if missed else ""
+            print(f"  {block:26} {len(of) - len(missed)} of {len(of)}{first}")
         if not total or hit < goal * total:
             holes.append(f"RTL {kind} coverage {hit} of {total}: goal {goal:.0%}; blocks and holes are listed above")
     return holes
@@ -255,28 +233,16 @@ def python_coverage() -> list[str]:
         environment = os.environ | {"COVERAGE_FILE": f"{scratch}/data", "NUMBA_DISABLE_JIT": "1"}
         run = [sys.executable, "-m", "coverage", "run", "--append", "--source=model,hdl"]
         tests = [*run, "-m", "pytest", "-q", "-p", "no:cacheprovider", "-x", "tests/golden/test_golden.py"]
-        subprocess.run(tests, cwd=root, env=environment, check=True)
-        subprocess.run([*run, "-m", "tests.coverage", "emit"], cwd=root, env=environment, check=True)
-        subprocess.run(
-            [sys.executable, "-m", "coverage", "json", "-q", "-o", f"{scratch}/report"],
-            cwd=root,
-            env=environment,
-            check=True,
-        )
+        report = [sys.executable, "-m", "coverage", "json", "-q", "-o", f"{scratch}/report"]
+        for command in (tests, [*run, "-m", "tests.coverage", "emit"], report):
+            subprocess.run(command, cwd=root, env=environment, check=True)
         files = json.loads(Path(f"{scratch}/report").read_text())["files"]
     holes = []
     for name, goal in PYTHON_GOALS.items():
-        other = (
-            "async",
-            "release",
-            "register_files",
-            "smoke",
-            "deserialiser",
-        )  # other views and exports have tests of their own
         mine = [
             of
             for path, of in files.items()
-            if path == name or path.startswith(f"{name}/") and not any(part in path for part in other)
+            if path == name or path.startswith(f"{name}/") and not any(part in path for part in ELSEWHERE)
         ]
         lines = sum(of["summary"]["num_statements"] for of in mine)
         missed = {path: of["missing_lines"] for path, of in files.items() if of in mine and of["missing_lines"]}
@@ -291,8 +257,8 @@ def python_coverage() -> list[str]:
 
 def emit() -> list[str]:
     """Emit every sensor of the regression, to cover its lines."""
-    for sensor in SENSORS.values():
-        built = built_sensor(sensor)
+    for sensor in cases.SENSORS.values():
+        built = cases.built_sensor(sensor)
         verilog_files(built)
         reset_values(built)
     return []

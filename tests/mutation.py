@@ -40,22 +40,8 @@ from coincid.tb import toolchain
 from coincid.tb.frames import FrameJob, save_job
 from coincid.tb.rtl import rtl
 
+from . import cases
 from .benches import bench_environment
-from .cases import (
-    READY_KINDS,
-    SENSORS,
-    SMALL,
-    collections,
-    configurations,
-    dithered,
-    gate_bits,
-    generated,
-    lengthy,
-    overfull,
-    ready_pattern,
-    scarce,
-    trouble,
-)
 
 GOAL = 0.95
 FRAMES = 60
@@ -118,34 +104,35 @@ def excuse(where: str, what: str, version: str = "") -> str:
     return next((f"equal: {why}" for part, why in EQUIVALENT.get((where, version), {}).items() if part in what), "")
 
 
-def frames(sensor: dict = SMALL) -> list[FrameJob]:
+def frames(sensor: dict = cases.SMALL) -> list[FrameJob]:
     """Return the regression's frames for a sensor, the same in every run."""
     jobs: list[FrameJob] = []
     golden = Golden(parse_config({"sensor": sensor}).sensor)
 
     @seed(CASES_SEED)
-    @generated(FRAMES)
-    @given(config=configurations(sensor, frames_max=1), draw=st.integers(0, 2**32 - 1))
+    @cases.generated(FRAMES)
+    @given(config=cases.configurations(sensor, frames_max=1), draw=st.integers(0, 2**32 - 1))
     def collect(config, draw):
         k = len(jobs)
         if k >= FRAMES:
             return
         config = config.with_frame(pulses=2 + k % 4, format=FORMAT_NAMES[k % len(FORMAT_NAMES)])
-        edges = trouble(config, draw, (4.0, 12.0, 25.0, 1.0)[k % 4])
-        ready = ready_pattern(draw, READY_KINDS[k % len(READY_KINDS)], config.pulses * config.period + 100)
+        edges = cases.trouble(config, draw, (4.0, 12.0, 25.0, 1.0)[k % 4])
+        kind = cases.READY_KINDS[k % len(cases.READY_KINDS)]
+        ready = cases.ready_pattern(draw, kind, config.pulses * config.period + 100)
         jobs.append(FrameJob(config, edges, golden.frame(config, edges, ready), ready))
 
     collect()
     always, late = np.zeros(0, np.uint8), np.arange(480) // 80 == 3
     for config, density, ready in (
-        *((config, 300.0, always) for config in gate_bits(sensor)),
-        *((config, 6.0, always) for config in collections(sensor)),
-        (dithered(sensor), 6.0, always),
-        (overfull(sensor), 40.0, late),
-        (lengthy(sensor), 2.0, always),
-        *((config, 25.0, always) for config in scarce(sensor)),
+        *((config, 300.0, always) for config in cases.gate_bits(sensor)),
+        *((config, 6.0, always) for config in cases.collections(sensor)),
+        (cases.dithered(sensor), 6.0, always),
+        (cases.overfull(sensor), 40.0, late),
+        (cases.lengthy(sensor), 2.0, always),
+        *((config, 25.0, always) for config in cases.scarce(sensor)),
     ):
-        edges = trouble(config, 0, density)
+        edges = cases.trouble(config, 0, density)
         jobs.append(FrameJob(config, edges, golden.frame(config, edges, ready), ready.astype(np.uint8)))
     return jobs
 
@@ -267,12 +254,10 @@ def run_golden(module: str, source: Path, jobs: Path) -> bool:
     command = [sys.executable, "-m", "tests.judge", module, str(source), str(jobs)]
     environment = os.environ | {"NUMBA_DISABLE_JIT": "1", "PYTHONWARNINGS": "ignore"}
     try:
-        code = subprocess.run(
-            command, env=environment, timeout=SECONDS_MAX, capture_output=True, check=False
-        ).returncode
+        done = subprocess.run(command, env=environment, timeout=SECONDS_MAX, capture_output=True, check=False)
     except subprocess.TimeoutExpired:
         return False
-    return code == 0
+    return done.returncode == 0
 
 
 def mutate_golden(numbers: list[int], folder: Path, jobs: Path, tell) -> list[Fate]:
@@ -296,7 +281,7 @@ def mutate_golden(numbers: list[int], folder: Path, jobs: Path, tell) -> list[Fa
 
 def rtl_mutants(total: int, folder: Path, seed_: int) -> list[tuple[str, str, Path]]:
     """Return (block, Yosys's description, file) of mutants of every block, in proportion to its size."""
-    files = {path.stem: path for path in rtl(parse_config({"sensor": SMALL}).sensor) if path.stem != TOP}
+    files = {path.stem: path for path in rtl(parse_config({"sensor": cases.SMALL}).sensor) if path.stem != TOP}
     sizes = {name: len(zlib.compress(path.read_bytes())) for name, path in files.items()}
     mutants = []
     for name, path in files.items():
@@ -351,11 +336,8 @@ Build("icarus", top, pathlib.Path(folder), False).run(module, env=env, out_dir=f
 
 def simulate(folder: Path, module: str, env: dict) -> bool:
     """Return whether the cocotb tests of `module` pass; a simulation that takes too long has failed."""
-    process = subprocess.Popen(
-        [sys.executable, "-c", SIMULATE, json.dumps([TOP, str(folder), module, env])],
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-    )
+    command = [sys.executable, "-c", SIMULATE, json.dumps([TOP, str(folder), module, env])]
+    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     try:
         return process.wait(SECONDS_MAX) == 0
     except subprocess.TimeoutExpired:
@@ -373,12 +355,9 @@ def run_rtl(sources: list[Path], folder: Path, jobs: list[FrameJob]) -> str:
         return "compiler"
     if not simulate(folder, "coincid.tb.cosim", save_job(folder / "job", jobs)):
         return "frames"
-    env = bench_environment(SMALL, sources)
-    if not simulate(folder, "sensor_bench", env):
-        return "ports"
-    if not simulate(folder, "fault_bench", env):
-        return "faults"
-    return ""
+    env = bench_environment(cases.SMALL, sources)
+    benches = {"ports": "sensor_bench", "faults": "fault_bench"}
+    return next((by for by, bench in benches.items() if not simulate(folder, bench, env)), "")
 
 
 def is_equal(mutant: Path) -> bool:
@@ -404,7 +383,7 @@ def is_equal(mutant: Path) -> bool:
 def mutate_rtl(total: int, folder: Path, jobs: list[FrameJob], seed_: int, tell) -> list[Fate]:
     """Return fates of mutants of the RTL. Raises if the unchanged blocks do not pass after the same treatment."""
     mutants = rtl_mutants(total, folder, seed_)
-    original = rtl(parse_config({"sensor": SMALL}).sensor)
+    original = rtl(parse_config({"sensor": cases.SMALL}).sensor)
     whole = [folder / path.stem / "whole.v" if path.stem != TOP else path for path in original]
     if by := run_rtl(whole, folder / "baseline", jobs):
         raise SystemExit(f"the RTL without mutation fails in {by}: see {folder / 'baseline'}")
@@ -426,12 +405,8 @@ def mutate_rtl(total: int, folder: Path, jobs: list[FrameJob], seed_: int, tell)
 
 def report(fates: list[Fate], seed_: int) -> tuple[str, float]:
     """Return the report as Markdown, and the lower kill rate of RTL and golden model."""
-    lines = [
-        f"# Mutants, seed {seed_}",
-        "",
-        "| where | mutants | killed | equivalent | survived |",
-        "| --- | --- | --- | --- | --- |",
-    ]
+    lines = [f"# Mutants, seed {seed_}", "", "| where | mutants | killed | equivalent | survived |"]
+    lines += ["| --- | --- | --- | --- | --- |"]
     rates = []
     for kind in ("rtl", "golden"):
         of = [fate for fate in fates if (fate.where == "golden") == (kind == "golden")]
@@ -445,29 +420,24 @@ def report(fates: list[Fate], seed_: int) -> tuple[str, float]:
             rates.append((sum(bool(fate.by) for fate in of) - equal) / (len(of) - equal))
             lines += ["", f"{kind}: {rates[-1]:.1%} of {len(of) - equal} that are not equivalent were killed.", ""]
     lines += ["## Survivors", "", *(f"* {fate.where}: {fate.what}" for fate in fates if not fate.by), ""]
-    lines += [
-        "## Equivalent",
-        "",
-        *(f"* {fate.where}: {fate.what} ({fate.by})" for fate in fates if fate.by.startswith("equal")),
-        "",
-    ]
-    return "\n".join(lines), min(rates, default=1.0)
+    lines += ["## Equivalent", ""]
+    lines += [f"* {fate.where}: {fate.what} ({fate.by})" for fate in fates if fate.by.startswith("equal")]
+    return "\n".join([*lines, ""]), min(rates, default=1.0)
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description="Mutation test of RTL and golden model")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--rtl", type=int, default=RTL_MUTANTS, help="mutants of the RTL, about")
-    parser.add_argument(
-        "--golden", type=int, default=GOLDEN_MUTANTS, help="mutants of the golden model; there are some 500"
-    )
+    parser.add_argument("--golden", type=int, default=GOLDEN_MUTANTS, help="mutants of the golden model, of some 500")
     given_ = parser.parse_args()
     folder = toolchain.build_root() / "mutation"
     subprocess.run(["rm", "-rf", str(folder)], check=True)
     folder.mkdir(parents=True)
     print(f"seed {given_.seed}: --seed repeats or changes the choice")
     jobs = frames()
-    save_job(folder / "jobs", [*jobs, *frames(SENSORS["odd"])])  # the second sensor has five subgroups and two streams
+    # The second sensor has five subgroups and two streams.
+    save_job(folder / "jobs", [*jobs, *frames(cases.SENSORS["odd"])])
     rng = np.random.default_rng(given_.seed)
 
     def tell(fate: Fate) -> None:

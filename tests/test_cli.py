@@ -22,7 +22,7 @@ from coincid.flow.waivers import OF_CELLS, WAIVERS
 from coincid.hdl.export import FILE_LIST
 from coincid.hdl.views import POLYPHASE, VIEWS
 from coincid.model.contract.config import load_config, parse_config
-from coincid.model.contract.edges import Edges
+from coincid.model.contract.edges import NAMES, Edges
 from coincid.model.contract.parameters import TOP
 from coincid.model.contract.registers import BY_NAME, address
 from coincid.model.contract.result import differences, stall
@@ -49,9 +49,7 @@ PULSES, PIXELS, PERIOD_TICKS = 6, 128, 40 * 32
 
 def some_edges(n=200):
     rng = np.random.default_rng(5)
-    return {
-        name: rng.integers(0, high, n) for name, high in (("pulse", PULSES), ("pixel", PIXELS), ("tick", PERIOD_TICKS))
-    }
+    return {name: rng.integers(0, high, n) for name, high in zip(NAMES, (PULSES, PIXELS, PERIOD_TICKS))}
 
 
 @pytest.fixture
@@ -141,8 +139,8 @@ def single_array(data):
 def other_archive(data):
     out = io.BytesIO()
     with zipfile.ZipFile(out, "w") as archive:
-        for name in ("pulse.npy", "pixel.npy", "tick.npy"):
-            archive.writestr(name, b"nothing")
+        for name in NAMES:
+            archive.writestr(f"{name}.npy", b"nothing")
     return out.getvalue()
 
 
@@ -204,18 +202,12 @@ def test_result_is_the_golden_models(files):
     assert [path.name for path in (files / "out").iterdir()] == ["result.npz"]
 
 
-def test_same_input_same_bytes(files):
+def test_same_input_same_bytes_and_an_earlier_result_stays_where_a_later_run_is_refused(files):
     path = files / "out" / "result.npz"
     replay(files)
     first = path.read_bytes()
     replay(files)
     assert path.read_bytes() == first
-
-
-def test_earlier_result_stays_where_a_later_run_is_refused(files):
-    path = files / "out" / "result.npz"
-    replay(files)
-    first = path.read_bytes()
     assert replay(files, "--stall", -1).exit_code == 2
     np.savez(files / "edges.npz", **one("tick", -1))
     assert replay(files).exit_code == 2
@@ -224,7 +216,7 @@ def test_earlier_result_stays_where_a_later_run_is_refused(files):
 
 @pytest.mark.parametrize("dtype", [np.int64, np.uint8, np.float64])
 def test_empty_edge_file_is_an_empty_frame(files, dtype):
-    np.savez(files / "edges.npz", **dict.fromkeys(("pulse", "pixel", "tick"), np.empty(0, dtype)))
+    np.savez(files / "edges.npz", **dict.fromkeys(NAMES, np.empty(0, dtype)))
     assert replay(files).exit_code == 0
     with np.load(files / "out" / "result.npz") as result:
         assert result["pulse"].shape == result["fate"].shape == (0,)
@@ -250,17 +242,14 @@ def test_bad_options_of_sim(files, options, words):
 
 
 @pytest.mark.parametrize("number, code", [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
-@pytest.mark.parametrize(
-    "inherited", [signal.SIG_DFL, signal.SIG_IGN]
-)  # for a command on a terminal, and for one in the background
+@pytest.mark.parametrize("inherited", [signal.SIG_DFL, signal.SIG_IGN])
 def test_interrupt_leaves_nothing(files, number, code, inherited):
+    """A signal is inherited as the default by a command on a terminal, and as ignored by one in the background."""
     (files / "edges.npz").unlink()
     os.mkfifo(files / "edges.npz")
-    arguments = ["replay", "--config", "config.toml", "--edges", "edges.npz", "--out", "out/result.npz"]
+    words = "-m coincid replay --config config.toml --edges edges.npz --out out/result.npz"
     with disposition(number, inherited):
-        process = subprocess.Popen(
-            [sys.executable, "-m", "coincid", *arguments], cwd=files, stderr=subprocess.PIPE, text=True
-        )
+        process = subprocess.Popen([sys.executable, *words.split()], cwd=files, stderr=subprocess.PIPE, text=True)
     with process, open(files / "edges.npz", "wb"):  # opens when the command does, which then waits for bytes
         process.send_signal(number)
         stderr = process.communicate(timeout=60)[1]
@@ -312,11 +301,10 @@ def test_export_is_the_same_every_time_and_replaces_an_earlier_one(exports):
 
 @pytest.mark.xdist_group("exports")
 def test_export_does_not_grow_with_the_array(exports):
-    small, default = (
-        sum(len(exports[key][name]) for name in exports[key][FILE_LIST].decode().split())
-        for key in ("small", "default")
-    )
-    assert default <= 1.3 * small
+    def size(files):
+        return sum(len(files[name]) for name in files[FILE_LIST].decode().split())
+
+    assert size(exports["default"]) <= 1.3 * size(exports["small"])
 
 
 @pytest.mark.xdist_group("exports")
@@ -324,22 +312,14 @@ def test_export_has_the_files_that_its_list_names(exports):
     for files in exports.values():
         listed = files[FILE_LIST].decode().split()
         for_cells = files[CELLS_LIST].decode().split() if CELLS_LIST in files else []
-        assert sorted({*listed, *for_cells}) == sorted(
-            name for name in files if name.endswith(".v") and "smoke" not in name
-        )
+        assert {*listed, *for_cells} == {name for name in files if name.endswith(".v") and "smoke" not in name}
         assert f"{TOP}.v" in listed
 
 
 @pytest.mark.xdist_group("exports")
 def test_export_names_no_place_of_this_machine(exports):
-    places = {
-        os.getcwd(),
-        os.path.expanduser("~"),
-        os.path.dirname(sys.executable),
-        os.path.dirname(np.__file__),
-        "/tmp/",
-        "/work/",
-    }
+    programs = os.path.dirname(sys.executable), os.path.dirname(np.__file__)
+    places = {os.getcwd(), os.path.expanduser("~"), *programs, "/tmp/", "/work/"}
     for name, data in exports["default"].items():
         assert not [place for place in places if len(place) > 1 and place.encode() in data], name
 
@@ -356,9 +336,8 @@ def test_register_files_agree_with_the_register_table(exports, tmp_path):
     described = json.loads(files[JSON])
     assert {register["name"] for register in described["global"] + described["subgroup"]} == set(BY_NAME)
     for register in described["subgroup"]:
-        assert described["subgroup_base"] + 3 * described["subgroup_stride"] + register["offset"] == address(
-            register["name"], 3
-        )
+        at = described["subgroup_base"] + 3 * described["subgroup_stride"] + register["offset"]
+        assert at == address(register["name"], 3)
     for name in BY_NAME:
         assert f"| {name} |".encode() in files[MARKDOWN]
 
@@ -378,9 +357,8 @@ def test_register_files_agree_with_the_register_table(exports, tmp_path):
 def test_lint_is_clean(tmp_path, name):
     """Nothing is found except waived warnings, for sensors that together change every parameter from its default."""
     config = tmp_path / "config.toml"
-    config.write_text(
-        "[sensor]\n" + "".join(f"{key} = {value}\n" for key, value in SENSORS[name].items()) + "[frame]\nperiod = 100\n"
-    )
+    sensor = "".join(f"{key} = {value}\n" for key, value in SENSORS[name].items())
+    config.write_text(f"[sensor]\n{sensor}[frame]\nperiod = 100\n")
     result = command("lint", "--config", config)
     assert result.exit_code == 0, result.output
     assert result.stdout.splitlines()[0] == "verilator: clean"

@@ -46,13 +46,8 @@ async def pulse_reset(bench: SensorBench) -> None:
     await FallingEdge(bench.dut.clk)
     for line in (*bench.spad, *bench.tready):
         line.value = 0
-    for name, value in (
-        ("awvalid", 0),
-        ("wvalid", 0),
-        ("arvalid", 0),
-        ("bready", 1),
-        ("rready", 1),
-    ):  # as the bench's master sets them
+    # As the bench's master sets them:
+    for name, value in (("awvalid", 0), ("wvalid", 0), ("arvalid", 0), ("bready", 1), ("rready", 1)):
         getattr(bench.dut, f"s_axi_{name}").value = value
     await reset_cycle(bench)
     assert bench.dut.m_axis_tvalid.value == 0 and bench.dut.laser.value == 0
@@ -131,10 +126,8 @@ async def masters_that_break_the_rules(dut):
             await FallingEdge(dut.clk)
             for channel in ("b", "r"):  # the sensor keeps both anyway
                 valid = getattr(dut, f"s_axi_{channel}valid").value == 1
-                answer = (
-                    int(getattr(dut, f"s_axi_{channel}resp").value),
-                    int(dut.s_axi_rdata.value) if channel == "r" else 0,
-                )
+                data = int(dut.s_axi_rdata.value) if channel == "r" else 0
+                answer = int(getattr(dut, f"s_axi_{channel}resp").value), data
                 if channel in waiting:
                     assert valid and answer == waiting[channel], f"answer on {channel} withdrawn"
                 waiting.pop(channel, None)
@@ -283,9 +276,8 @@ async def writes_that_are_upset(dut):
         elif await bench.read("capacity") == wanted:
             outcomes.append("right")
         else:
-            assert (
-                await refuses(bench.write("control", 1)) and await bench.read("status") >> STATUS.bit("start_upset") & 1
-            )
+            assert await refuses(bench.write("control", 1))
+            assert await bench.read("status") >> STATUS.bit("start_upset") & 1
             outcomes.append("start refused")
         await pulse_reset(bench)
     assert outcomes.count("refused") >= 2 and outcomes.count("start refused") <= 2, outcomes
@@ -293,11 +285,8 @@ async def writes_that_are_upset(dut):
 
 def counter_registers(sensor) -> dict[str, tuple[str, int]]:
     """Return for every counter its register in the DPCU (with a suffix if a port has the same name), and its bits."""
-    of_dpcu = {
-        register.partition("$")[0]: (register, bits)
-        for path, register, bits in FLOPS
-        if path == "module_0.subgroup_0.dpcu"
-    }
+    own = [flop[1:] for flop in FLOPS if flop[0] == "module_0.subgroup_0.dpcu"]
+    of_dpcu = {register.partition("$")[0]: (register, bits) for register, bits in own}
     # `threshold_used` is already in force.
     names = {name: of_dpcu[name] for name in COUNTER_NAMES if name != "threshold_used"}
     assert all(bits == counter_bits(name, sensor) for name, (_, bits) in names.items())
@@ -439,10 +428,7 @@ async def pulse_numbers_in_full_width(dut):
         beats = await received(bench, lambda cycle, words=words: dict(words.get(cycle, ())), leap)
         shown = decode_frame(np.array(beats, np.uint64), of.sensor, 2)
         column = list(HEADER).index("pulse")
-        for one, other in (
-            (shown.events[:, column], usual.events[:, column]),
-            (shown.records[:, 1], usual.records[:, 1]),
-        ):
+        for one, other in zip(*((frame.events[:, column], frame.records[:, 1]) for frame in (shown, usual))):
             assert len(one) == len(other) >= 2 * of.pulses
             assert all(a in (b, b + jump) for a, b in zip(one.tolist(), other.tolist()))
             assert one[-1] == of.pulses - 1 + jump

@@ -54,9 +54,8 @@ def test_what_counts_as_wrong():
 
 
 def test_range_error():
-    assert range_error(np.array([5.1, 4.9, np.nan, 7.0]), np.array([5.0, 5.0, 5.0, np.nan])) == pytest.approx(
-        (0.0, 0.1)
-    )
+    some_missing = np.array([5.1, 4.9, np.nan, 7.0]), np.array([5.0, 5.0, 5.0, np.nan])
+    assert range_error(*some_missing) == pytest.approx((0.0, 0.1))
     assert range_error(np.array([5.2, 5.0]), np.array([5.0, 5.0])) == pytest.approx((0.1, np.sqrt(0.02)))
     assert np.isnan(range_error(np.array([np.nan]), np.array([5.0]))).all()
 
@@ -87,10 +86,9 @@ def test_every_hit_is_in_the_histogram_of_its_pixel():
 
 @pytest.mark.parametrize("frame", [{"format": "full"}, {"minigroup_records": True, "mg_threshold": 1, "mg_window": 1}])
 def test_minigroups_tell_surfaces_apart_that_share_a_window(frame):
-    capture_ = capture("two-targets:5,5.1", 5, frame=frame)
-    assert (
-        share(*capture_, method="matched", source="minigroup") < 0.2 < share(*capture_, method="matched", source="map")
-    )
+    captured = capture("two-targets:5,5.1", 5, frame=frame)
+    by_minigroup, by_map = (share(*captured, method="matched", source=source) for source in ("minigroup", "map"))
+    assert by_minigroup < 0.2 < by_map
 
 
 @pytest.mark.parametrize(

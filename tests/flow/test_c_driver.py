@@ -14,18 +14,18 @@ from coincid.flow.register_files import HEADER, register_files
 from coincid.host.driver import Driver
 from coincid.host.transport import RefusedError
 from coincid.model.contract.counters import COUNTER_NAMES
-from coincid.model.contract.edges import Edges
 from coincid.model.contract.parameters import Sensor
 from coincid.model.contract.stream import decode_frame
 from coincid.model.golden.frame import Golden
 from coincid.tb.batch import BatchSensor
 
-from ..cases import configured
+from ..cases import configured, random_edges
 
 SENSOR = Sensor(rows=8, cols=16)
 FLAGS = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", "-O1"]
-READ = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p, ctypes.c_uint32, ctypes.POINTER(ctypes.c_uint32))
-WRITE = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p, ctypes.c_uint32, ctypes.c_uint32)
+U32 = ctypes.c_uint32
+READ = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p, U32, ctypes.POINTER(U32))
+WRITE = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p, U32, U32)
 REFUSED, TIMEOUT, BAD_STREAM = -1, -3, -4
 
 
@@ -34,15 +34,13 @@ class Bus(ctypes.Structure):
 
 
 class Info(ctypes.Structure):
-    _fields_ = [
-        (name, ctypes.c_uint32) for name in ("subgroups", "pixels", "minigroups", "record_bits", "record_stamp_bits")
-    ]
+    _fields_ = [(name, U32) for name in ("subgroups", "pixels", "minigroups", "record_bits", "record_stamp_bits")]
 
 
 class Packet(ctypes.Structure):
     _fields_ = [
         *((name, ctypes.c_int) for name in ("kind", "overrun")),
-        *((name, ctypes.c_uint32) for name in ("subgroup", "pulse", "count", "winner", "stamp")),
+        *((name, U32) for name in ("subgroup", "pulse", "count", "winner", "stamp")),
         *((name, ctypes.c_void_p) for name in ("map", "offsets", "entries", "counters")),
     ]
 
@@ -97,7 +95,7 @@ def packets(library, info, beats):
 
 
 def test_the_driver_drives_and_decodes(library):
-    rng, golden, info = np.random.default_rng(1), Golden(SENSOR), Info()
+    golden, info = Golden(SENSOR), Info()
     of = configured(SENSOR, {"period": 80, "pulses": 6, "format": "full", "minigroup_records": True, "mg_threshold": 1})
     with BatchSensor(SENSOR) as rtl:
         bus = bus_of(rtl)
@@ -108,8 +106,7 @@ def test_the_driver_drives_and_decodes(library):
         Driver(rtl, SENSOR)["period"] = SENSOR.guard
         assert library.coincid_start(ctypes.byref(bus)) == REFUSED
         rtl.driver.programmed.forget()
-        highs = of.pulses, SENSOR.array_pixels, of.period_ticks
-        edges = Edges(*(rng.integers(0, high, 700) for high in highs))
+        edges = random_edges(of, 700, seed=1)
         rtl.frame(of, edges)
         (beats,) = rtl.driver.receive()
     assert np.array_equal(beats, golden.frame(of, edges).beats[0])
@@ -133,26 +130,15 @@ def test_the_driver_drives_and_decodes(library):
                 assert [stamp.value, hit_map.value] == frame.entries[records, g].tolist()
             records += 1
         elif packet.kind == 7:
-            counters = [
-                [library.coincid_counter(where, s, k) for k in range(len(COUNTER_NAMES))]
-                for s in range(SENSOR.subgroups)
-            ]
-            assert counters == frame.counters.tolist()
+            for s, counters in enumerate(frame.counters.tolist()):
+                assert [library.coincid_counter(where, s, k) for k in range(len(COUNTER_NAMES))] == counters
     assert events == len(frame.events) > 20 and records == len(frame.records) > 5
 
 
 def test_what_is_no_packet(library):
     info, packet = Info(2, 64, 16, 16, 12), Packet()
-    for kind, n, expected in (
-        (0, 1, BAD_STREAM),
-        (5, 1, BAD_STREAM),
-        (2, 1, 0),
-        (2, 2, 2),
-        (6, 1, 1),
-        (7, 12, 0),
-        (7, 13, 13),
-        (1, 0, 0),
-    ):
+    right = ((2, 1, 0), (2, 2, 2), (6, 1, 1), (7, 12, 0), (7, 13, 13), (1, 0, 0))
+    for kind, n, expected in ((0, 1, BAD_STREAM), (5, 1, BAD_STREAM), *right):
         beats = np.zeros(20, np.uint64)
         beats[0] = np.uint64(kind << 61)
         done = library.coincid_decode(

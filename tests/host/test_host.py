@@ -13,7 +13,6 @@ from coincid.host.transport import HostError, RefusedError
 from coincid.model.contract import registers
 from coincid.model.contract.config import parse_config, sensor_table
 from coincid.model.contract.counters import COUNTER_NAMES
-from coincid.model.contract.edges import Edges
 from coincid.model.contract.parameters import Sensor
 from coincid.model.contract.registers import ADDRESS_BITS, BY_NAME, address
 from coincid.model.contract.result import ResultBuilder
@@ -22,17 +21,13 @@ from coincid.model.golden.frame import Golden
 from coincid.model.shared.errors import InputError
 from coincid.tb.batch import BatchSensor
 
+from ..cases import random_edges
+
 SENSOR = Sensor(rows=8, cols=16)
 
 
 def config(**tables):
     return parse_config({"sensor": sensor_table(SENSOR)} | tables)
-
-
-def some_edges(of, seed: int, n: int = 600) -> Edges:
-    rng = np.random.default_rng(seed)
-    highs = of.pulses, of.sensor.array_pixels, of.period_ticks
-    return Edges(*(rng.integers(0, high, n) for high in highs))
 
 
 class Memory:
@@ -156,7 +151,7 @@ def test_a_sensor_in_use():
         assert driver.status() == Status(busy=False, done=False)
         rtl.driver.programmed.forget()
         for seed in range(3):
-            edges = some_edges(of, seed)
+            edges = random_edges(of, 600, seed)
             trace = golden.frame(of, edges)
             rtl.frame(of, edges)
             (beats,) = driver.receive()
@@ -171,7 +166,7 @@ def test_a_sensor_in_use():
 def test_frames_cut_anywhere():
     golden, rng = Golden(SENSOR), np.random.default_rng(1)
     of = config(frame={"period": 80, "pulses": 6, "format": "id", "minigroup_records": True, "frames": 3})
-    traces = [golden.frame(of, some_edges(of, seed)) for seed in range(3)]
+    traces = [golden.frame(of, random_edges(of, 600, seed)) for seed in range(3)]
     stream = np.concatenate([trace.beats[0] for trace in traces])
     assembler, at = FrameAssembler(SENSOR), 0
     while at < len(stream):

@@ -36,9 +36,8 @@ def same(a, b):
 def test_photons_of_the_other_are_poisson():
     """With one foreign pulse in each of our periods: the stated number of photons, at its phase, with the pixels' delays."""
     delay_s = np.arange(64) * 1e-9
-    edges = edges_of(
-        dark(interferer=Interferer(photons_per_pulse=0.7, phase_s=100.03e-9, delay_s=delay_s, **SHARP)), Timing()
-    )
+    other = Interferer(photons_per_pulse=0.7, phase_s=100.03e-9, delay_s=delay_s, **SHARP)
+    edges = edges_of(dark(interferer=other), Timing())
     counts = np.bincount(edges.pixel * 400 + edges.pulse, minlength=64 * 400)
     seen = np.bincount(np.minimum(counts, 5))
     expected = stats.poisson(0.7).pmf(np.arange(5)) * counts.size
@@ -51,9 +50,8 @@ def test_photons_of_the_other_are_poisson():
 def test_pulses_of_the_other_come_when_they_must(period_s, bits):
     """All foreign pulses, and nothing else, arrive at phase + k * period, on a clock that starts at our first trigger."""
     timing = Timing(dither_bits=bits)
-    edges = edges_of(
-        dark(interferer=Interferer(photons_per_pulse=40, period_s=period_s, phase_s=33.0123e-9, **SHARP)), timing
-    )
+    other = Interferer(photons_per_pulse=40, period_s=period_s, phase_s=33.0123e-9, **SHARP)
+    edges = edges_of(dark(interferer=other), timing)
     start_s = timing.start_cycles(400) / timing.clock_hz
     k = np.arange(-2, start_s[-1] / period_s + 1)
     came_s = 33.0123e-9 + k * period_s
@@ -98,9 +96,8 @@ def test_every_frame_waits_alike():
     config = parse_config({"frame": {"frames": 3, "pulses": 7, "dither_bits": 5, "dither_seed": 99}})
     waits = np.diff(Timing.from_config(config).start_cycles(21)) - 250
     assert waits.any() and waits[:7].tolist() == waits[7:14].tolist() == waits[14:].tolist()
-    assert (
-        np.diff(config.start_cycles()).tolist() == (250 + np.r_[waits[:6], 0]).tolist()
-    )  # a frame ends with its last period
+    # A frame ends with its last period.
+    assert np.diff(config.start_cycles()).tolist() == (250 + np.r_[waits[:6], 0]).tolist()
 
 
 def test_dither_leaves_what_is_in_range_alone():
@@ -123,22 +120,14 @@ def test_dither_spreads_what_is_out_of_range():
 
 
 def test_neither_chunks_nor_workers_change_the_edges():
-    scene = Light(
-        rows=8,
-        cols=8,
-        distance_m=80.0,
-        signal_per_pulse=0.3,
-        background_cps=1e6,
-        interferer=Interferer(photons_per_pulse=0.5, period_s=333e-9, phase_s=70e-9),
-    )
+    other = Interferer(photons_per_pulse=0.5, period_s=333e-9, phase_s=70e-9)
+    scene = Light(rows=8, cols=8, distance_m=80.0, signal_per_pulse=0.3, background_cps=1e6, interferer=other)
     spad = Spad(afterpulse_probability=0.1, afterpulse_s=1e-6, crosstalk_probability=0.02)
     timing = Timing(dither_bits=4)
     whole = edges_of(scene, timing, spad)
     assert same(whole, edges_of(scene, timing, spad, workers=3))
     chunks = list(edge_chunks(scene, spad, timing, pulses=400, seed=1, chunk_pulses=37))
-    assert len(whole) == sum(map(len, chunks)) and np.array_equal(
-        whole.tick, np.concatenate([chunk.tick for chunk in chunks])
-    )
+    assert np.array_equal(whole.tick, np.concatenate([chunk.tick for chunk in chunks]))
 
 
 def test_bad_values():

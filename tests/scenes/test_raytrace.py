@@ -78,11 +78,8 @@ def test_bins_without_width_are_targets(photons, seed):
     arrivals = Arrivals(first=[0, len(photons)], start_s=start_s, photons=photons)
     bins = Light(distance_m=np.nan, signal_per_pulse=0.0, arrivals=arrivals, **common)
     a, b = (generate_edges(light, Spad(), Timing(), pulses=50, seed=seed) for light in (targets, bins))
-    assert (
-        np.array_equal(a.pulse, b.pulse)
-        and np.abs(a.tick - b.tick).max(initial=0) <= 1
-        and np.mean(a.tick == b.tick) > 0.9
-    )
+    assert np.array_equal(a.pulse, b.pulse)
+    assert np.abs(a.tick - b.tick).max(initial=0) <= 1 and np.mean(a.tick == b.tick) > 0.9
 
 
 def test_light_of_an_earlier_pulse():
@@ -112,18 +109,8 @@ def test_wrong_arrivals(wrong, words):
 
 def test_arrivals_may_restart_in_every_pixel():
     arrivals = Arrivals(first=[0, 2, 2, 3], start_s=[1e-9, 2e-9, 0.0], photons=[1.0, 1.0, 1.0])
-    assert (
-        len(
-            generate_edges(
-                Light(rows=1, cols=3, distance_m=np.nan, signal_per_pulse=0.0, arrivals=arrivals),
-                BARE,
-                Timing(),
-                pulses=200,
-                seed=1,
-            )
-        )
-        > 400
-    )
+    light = Light(rows=1, cols=3, distance_m=np.nan, signal_per_pulse=0.0, arrivals=arrivals)
+    assert len(generate_edges(light, BARE, Timing(), pulses=200, seed=1)) > 400
 
 
 def test_surface_that_fills_most_of_a_pixel():
@@ -149,9 +136,8 @@ def test_transient_file_and_depth(tmp_path):
 def stub(monkeypatch, tmp_path):
     """A renderer that returns `stub.transient` for any file, and counts its calls; it does not need the extra."""
     monkeypatch.setenv("COINCID_BUILD", str(tmp_path / "build"))
-    made = SimpleNamespace(
-        renders=0, contents=b"1", path=tmp_path / "scene.xml", transient=synthetic(np.ones((2, 2, 10)))
-    )
+    path, transient = tmp_path / "scene.xml", synthetic(np.ones((2, 2, 10)))
+    made = SimpleNamespace(renders=0, contents=b"1", path=path, transient=transient)
     made.path.touch()
 
     def render(*_, **__):
@@ -176,11 +162,8 @@ def test_rendered_once_for_each_content(stub):
 
 def test_what_is_overridden_is_said(stub):
     kept, emitters, metres = load_scene(str(stub.path), 2, 2).notes
-    assert (
-        "first of 2 cameras" in kept
-        and "orthographic, taken for a perspective one" in kept
-        and "45 x 45 degrees, 2 x 2 pixels" in kept
-    )
+    for words in ("first of 2 cameras", "orthographic, taken for a perspective one", "45 x 45 degrees, 2 x 2 pixels"):
+        assert words in kept
     assert "3 emitters left out" in emitters and "taken for metres" in metres and "warning" not in metres
 
 

@@ -11,23 +11,9 @@ from coincid.model.contract.edges import Edges, Fate
 from coincid.model.contract.parameters import Sensor
 from coincid.model.golden.frame import golden_result
 from coincid.model.light.light import Light
-from coincid.study import comparison, figures
+from coincid.study import comparison, figures, rivals
 from coincid.study.comparison import SCHEMES, Shot, coarse_peaks, compared
 from coincid.study.figures import rivals as studies
-from coincid.study.rivals import (
-    Words,
-    count_weighted,
-    counted_arrival,
-    fixed_windows,
-    last_hit,
-    macro_pixels,
-    photon_counts,
-    pixel_histograms,
-    read_out,
-    sliding_window,
-    windows,
-    winner_takes_all,
-)
 
 from ..cases import configured
 
@@ -51,7 +37,7 @@ EXAMPLE = [
 
 def photons(edges=EXAMPLE, pulses=2):
     columns = (np.array(column, np.int64) for column in zip(*edges))
-    return macro_pixels(Edges(*columns), SENSOR, pulses)
+    return rivals.macro_pixels(Edges(*columns), SENSOR, pulses)
 
 
 def told(words, of):
@@ -71,7 +57,7 @@ def test_macro_pixels_sort_by_subgroup_then_time():
 
 def test_winner_takes_all_by_hand():
     """100 is in cycle 3, which ends at 127: 105 to 118 find the tree not armed; 130 is the first of cycle 4. Both at 47 are stamped."""
-    assert told(winner_takes_all(photons(), PHASES), photons()) == [
+    assert told(rivals.winner_takes_all(photons(), PHASES), photons()) == [
         (0, 0, 100, [0]),
         (0, 0, 130, [9]),
         (0, 1, 47, [4, 5]),
@@ -81,7 +67,7 @@ def test_winner_takes_all_by_hand():
 
 def test_windows_by_hand():
     """Of 16 ticks: [100, 116), armed again at 128; [130, 146)."""
-    assert told(windows(photons(), 16, PHASES), photons()) == [
+    assert told(rivals.windows(photons(), 16, PHASES), photons()) == [
         (0, 0, 100, [0, 1, 8]),
         (0, 0, 130, [9, 3]),
         (0, 1, 47, [4, 5, 6]),
@@ -91,8 +77,8 @@ def test_windows_by_hand():
 
 def test_sliding_window_by_hand():
     """Three photons within 16 ticks: first at 112, which uses up 100 to 112; 118, 130 and 140 are too far apart."""
-    assert told(sliding_window(photons(), 16, 3), photons()) == [(0, 0, 112, [0, 1, 8]), (0, 1, 49, [4, 5, 6])]
-    assert told(sliding_window(photons(), 24, 3), photons()) == [
+    assert told(rivals.sliding_window(photons(), 16, 3), photons()) == [(0, 0, 112, [0, 1, 8]), (0, 1, 49, [4, 5, 6])]
+    assert told(rivals.sliding_window(photons(), 24, 3), photons()) == [
         (0, 0, 112, [0, 1, 8]),
         (0, 0, 140, [2, 9, 3]),
         (0, 1, 49, [4, 5, 6]),
@@ -101,23 +87,23 @@ def test_sliding_window_by_hand():
 
 def test_fixed_windows_by_hand():
     """Cuts at 96, 112, 128, 144: 112 and 118 belong to the second piece; 47 and 49 are cut apart at 48."""
-    assert told(fixed_windows(photons(), 16, 2), photons()) == [
+    assert told(rivals.fixed_windows(photons(), 16, 2), photons()) == [
         (0, 0, 100, [0, 1]),
         (0, 0, 112, [8, 2]),
         (0, 0, 130, [9, 3]),
         (0, 1, 47, [4, 5]),
         (1, 0, 100, [0, 1]),
     ]
-    assert told(fixed_windows(photons(), 16, 3), photons()) == []
+    assert told(rivals.fixed_windows(photons(), 16, 3), photons()) == []
 
 
 def test_last_hit_by_hand():
-    assert told(last_hit(photons()), photons()) == [(0, 0, 140, [3]), (0, 1, 49, [6]), (1, 0, 101, [1])]
+    assert told(rivals.last_hit(photons()), photons()) == [(0, 0, 140, [3]), (0, 1, 49, [6]), (1, 0, 101, [1])]
 
 
 def test_photon_counts_by_hand():
     """Clocks of 16 ticks: 47 is in the third, 49 in the fourth; 100 and 105 in the seventh."""
-    counts = photon_counts(photons(), 16, 500)
+    counts = rivals.photon_counts(photons(), 16, 500)
     assert {(int(s), int(b)): int(counts[s, b]) for s, b in np.argwhere(counts)} == {
         (0, 2): 2,
         (0, 3): 1,
@@ -130,8 +116,8 @@ def test_photon_counts_by_hand():
 
 def test_count_weighted_by_hand():
     """Bins of 4 ticks; the windows of 16 ticks that `test_windows_by_hand` has, with their counts."""
-    words = windows(photons(), 16, PHASES)
-    histogram = count_weighted(photons(), words, words.stamp + 0.5, 4, 2000)
+    words = rivals.windows(photons(), 16, PHASES)
+    histogram = rivals.count_weighted(photons(), words, words.stamp + 0.5, 4, 2000)
     assert {(int(s), int(b)): int(histogram[s, b]) for s, b in np.argwhere(histogram)} == {
         (0, 25): 3,
         (0, 32): 2,
@@ -143,13 +129,13 @@ def test_count_weighted_by_hand():
 def test_arrival_of_counted_words():
     """One photon stays where it is; the more photons, the earlier the first of them."""
     of = photons([(0, k, 100) for k in range(4)] + [(1, 0, 100)], 2)
-    lead = counted_arrival(of, windows(of, 16, PHASES), 10.0) - 100.5
+    lead = rivals.counted_arrival(of, rivals.windows(of, 16, PHASES), 10.0) - 100.5
     assert lead[1] == pytest.approx(0) and 5 < lead[0] < 15
 
 
 def test_pixel_histograms_by_hand():
-    words = windows(photons(), 16, PHASES)
-    first, second = pixel_histograms(photons(), words, words.stamp + 0.5, SENSOR, PERIOD * PHASES)
+    words = rivals.windows(photons(), 16, PHASES)
+    first, second = rivals.pixel_histograms(photons(), words, words.stamp + 0.5, SENSOR, PERIOD * PHASES)
     assert [(int(i), int(b)) for i, b in np.argwhere(first)] == [
         (0, 100),
         (1, 100),
@@ -173,10 +159,10 @@ def test_readout_by_hand():
     sensor = Sensor(rows=8, cols=16, fifo_depth=2)
     edges = [(0, 0, 96), (0, 8, 96), (0, 1, 128), (0, 2, 129), (0, 3, 130), (0, 4, 9 * 32)]
     columns = (np.array(column, np.int64) for column in zip(*edges))
-    of = macro_pixels(Edges(*columns), sensor, 1)
-    each = Words(np.arange(6), np.arange(6) + 1, of.tick)
+    of = rivals.macro_pixels(Edges(*columns), sensor, 1)
+    each = rivals.Words(np.arange(6), np.arange(6) + 1, of.tick)
     assert of.tick.tolist() == [96, 128, 129, 130, 288, 96]
-    assert read_out(of, each, sensor, PHASES, PERIOD, 2).tolist() == [True, True, True, False, True, True]
+    assert rivals.read_out(of, each, sensor, PHASES, PERIOD, 2).tolist() == [True, True, True, False, True, True]
 
 
 @settings(max_examples=25)
@@ -192,8 +178,8 @@ def test_windows_are_the_golden_models(seed, window, threshold):
         {"window": window, "threshold": threshold},
     )
     arrays = golden_result(config, edges)
-    of = macro_pixels(edges, config.sensor, 3)
-    words = windows(of, window, PHASES)
+    of = rivals.macro_pixels(edges, config.sensor, 3)
+    words = rivals.windows(of, window, PHASES)
     distinct = np.array([len(set(of.inside[a:b])) for a, b, _ in zip(*words)])
     words = words.chosen(distinct >= threshold)
     found = np.stack(

@@ -13,28 +13,13 @@ from coincid.model.golden.frame import Golden
 from coincid.tb.frames import FrameJob
 from coincid.tb.play import play
 
-from ..cases import (
-    READY_KINDS,
-    SENSORS,
-    collections,
-    configurations,
-    configured,
-    controlled,
-    dithered,
-    gate_bits,
-    lengthy,
-    modes,
-    overfull,
-    ready_pattern,
-    scarce,
-    trouble,
-)
+from .. import cases
 
 ENGINES = ("verilator", "cocotb-verilator", "icarus")
 # cocotb under Verilator shows that the two work together, which does not depend on the sensor: one and three streams.
 BUILDS = [
     (sensor, engine)
-    for sensor in SENSORS
+    for sensor in cases.SENSORS
     for engine in ENGINES
     if engine != "cocotb-verilator" or sensor in ("default", "tiny")
 ]
@@ -49,40 +34,43 @@ def frames(draw, sensor: dict) -> list[FrameJob]:
 
     In the later half, the threshold controller acts in every frame, with changing capacity.
     """
-    configs = [draw(configurations(sensor, frames_max=1)) for _ in range(FRAMES // 2)]
-    led = draw(controlled(sensor, frames=1))
+    configs = [draw(cases.configurations(sensor, frames_max=1)) for _ in range(FRAMES // 2)]
+    led = draw(cases.controlled(sensor, frames=1))
     configs += [led.with_frame(capacity=led.capacity * draw(st.integers(0, 3))) for _ in range(FRAMES // 2)]
     jobs, golden = [], Golden(led.sensor)
     for config in configs:
-        edges = trouble(config, draw(seeds), draw(st.sampled_from((0.0, 0.5, 4.0, 20.0, 40.0))))
-        ready = ready_pattern(draw(seeds), draw(st.sampled_from(READY_KINDS)), config.pulses * config.period + 200)
+        edges = cases.trouble(config, draw(seeds), draw(st.sampled_from((0.0, 0.5, 4.0, 20.0, 40.0))))
+        kind = st.sampled_from(cases.READY_KINDS)
+        ready = cases.ready_pattern(draw(seeds), draw(kind), config.pulses * config.period + 200)
         jobs.append(FrameJob(config, edges, golden.frame(config, edges, ready), ready))
     return jobs
+
+
+def assert_all_checked(records, jobs):
+    for record, job in zip(records, jobs, strict=True):
+        assert record.checked == sum(map(len, job.expected.beats)) + len(job.expected.commit_cycle)
 
 
 @pytest.mark.parametrize(("sensor", "engine"), BUILDS)
 @settings(max_examples=2, phases=(Phase.explicit, Phase.generate), suppress_health_check=list(HealthCheck))
 @given(data=st.data())
 def test_random_frames(sensor, engine, tmp_path_factory, data):
-    jobs = data.draw(frames(SENSORS[sensor]))
+    jobs = data.draw(frames(cases.SENSORS[sensor]))
     records, _ = play(jobs, engine, tmp_path_factory.mktemp(f"{sensor}-{engine}"))
-    assert all(
-        record.checked == sum(map(len, job.expected.beats)) + len(job.expected.commit_cycle)
-        for record, job in zip(records, jobs)
-    )
+    assert_all_checked(records, jobs)
 
 
 @pytest.mark.parametrize("sensor", ("default", "tiny"))
 def test_every_mode_in_every_format(sensor, tmp_path):
     """Play each twice in a row, so that the controller has a frame to follow."""
     jobs, golden = [], None
-    configs = [config for config in modes(SENSORS[sensor]) for _ in range(2)]
-    configs += [*gate_bits(SENSORS[sensor]), *collections(SENSORS[sensor])]
-    configs += [case(SENSORS[sensor]) for case in (overfull, lengthy, dithered)]
+    configs = [config for config in cases.modes(cases.SENSORS[sensor]) for _ in range(2)]
+    configs += [*cases.gate_bits(cases.SENSORS[sensor]), *cases.collections(cases.SENSORS[sensor])]
+    configs += [case(cases.SENSORS[sensor]) for case in (cases.overfull, cases.lengthy, cases.dithered)]
     for number, config in enumerate(configs):
         golden = golden or Golden(config.sensor)
-        edges = trouble(config, number, 12.0 * config.period / 60)
-        ready = ready_pattern(number, READY_KINDS[number % len(READY_KINDS)], 400)
+        edges = cases.trouble(config, number, 12.0 * config.period / 60)
+        ready = cases.ready_pattern(number, cases.READY_KINDS[number % len(cases.READY_KINDS)], 400)
         jobs.append(FrameJob(config, edges, golden.frame(config, edges, ready), ready))
     records, _ = play(jobs, "verilator", tmp_path)
     assert all(record.checked for record in records)
@@ -91,11 +79,11 @@ def test_every_mode_in_every_format(sensor, tmp_path):
 @pytest.mark.parametrize("sensor, engine", [("tiny", "icarus")])
 def test_streams_have_budgets_of_their_own(sensor, engine, tmp_path):
     """Only the first stream sees light, so the streams' budgets differ, and its thresholds follow its own."""
-    configs = scarce(SENSORS[sensor])
+    configs = cases.scarce(cases.SENSORS[sensor])
     built, jobs = configs[0].sensor, []
     golden = Golden(built)
     for number, config in enumerate(configs):
-        edges = trouble(config, number, 25.0)
+        edges = cases.trouble(config, number, 25.0)
         edges = edges.take(np.isin(pixel_table(built).subgroup[edges.pixel], built.stream_subgroups(0)))
         jobs.append(FrameJob(config, edges, golden.frame(config, edges), np.zeros(0, np.uint8)))
     assert any(job.expected.budget[0] != job.expected.budget[-1] for job in jobs)
@@ -107,7 +95,8 @@ def test_sizes_reach_every_parameter():
     """Together, the sensors of the random tests change every parameter from its default."""
     default = Sensor()
     built = [
-        Sensor(**{k: tuple(v) if isinstance(v, list) else v for k, v in sensor.items()}) for sensor in SENSORS.values()
+        Sensor(**{k: tuple(v) if isinstance(v, list) else v for k, v in sensor.items()})
+        for sensor in cases.SENSORS.values()
     ]
     for name in SENSOR:
         assert any(getattr(sensor, name) != getattr(default, name) for sensor in built), name
@@ -119,13 +108,13 @@ def test_every_alignment_of_storing_and_freeing(tmp_path):
 
     The outcome changes between two such frames, so one of them is the exact tie; model and RTL agree in all.
     """
-    config = configured(
-        SENSORS["tiny"],
+    config = cases.configured(
+        cases.SENSORS["tiny"],
         {"period": 40, "pulses": 6, "format": "full", "minigroup_records": True, "mg_threshold": 1},
         {"threshold": 1, "window": 4},
     )
     golden, jobs, counters = Golden(config.sensor), [], []
-    edges = trouble(config, 5, 12.0)
+    edges = cases.trouble(config, 5, 12.0)
     for stall in range(320):
         ready = np.zeros(stall, np.uint8)
         trace = golden.frame(config, edges, ready)

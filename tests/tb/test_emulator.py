@@ -92,6 +92,14 @@ class BadLine:
         return self.port.now()
 
 
+def programmed(line, of, settings, **transport):
+    """Return a driver whose emulator has these settings."""
+    driver = EmulatorDriver(SerialTransport(line, patience_s=PATIENCE_S, **transport))
+    driver.program(of)
+    driver.write_settings(settings.register_writes(SENSOR))
+    return driver
+
+
 def check_frames(driver, of, settings, numbers) -> int:
     """Take frames of these numbers and check each word with the golden model; return the number of words."""
     golden, words = Golden(SENSOR), 0
@@ -108,13 +116,8 @@ def test_frames(port):
     driver, number = EmulatorDriver(SerialTransport(port, patience_s=PATIENCE_S)), 0
     assert driver.sensor == SENSOR and driver.buffer_beats == EMULATOR.buffer_beats
     words = 0
-    for seed, of in enumerate(
-        [
-            config(),
-            config(dither_bits=5, minigroup_records=True, pulses=2, format="full"),
-            config(period=40, format="short"),
-        ]
-    ):
+    full = config(dither_bits=5, minigroup_records=True, pulses=2, format="full")
+    for seed, of in enumerate([config(), full, config(period=40, format="short")]):
         settings = source(seed)
         driver.program(of)
         driver.write_settings(settings.register_writes(SENSOR))
@@ -152,20 +155,13 @@ def test_registers(port):
     ):
         with pytest.raises(RefusedError):
             raw.write(at, value)
-    for at in (
-        0x100100,
-        background_address(0) + 8,
-        background_address(2),
-        BUFFER_BASE + 8 * EMULATOR.buffer_beats,
-        0xF00000,
-        0x3C,
-    ):
+    ends = background_address(0) + 8, background_address(2), BUFFER_BASE + 8 * EMULATOR.buffer_beats
+    for at in (0x100100, *ends, 0xF00000, 0x3C):
         with pytest.raises(RefusedError):
             raw.read(at)
     driver.clear()
-    with pytest.raises(
-        RefusedError, match=f"{own_address('dead_cycles') + 4:#08x}"
-    ):  # settings before the wrong word are written
+    # Settings before the wrong word are written.
+    with pytest.raises(RefusedError, match=f"{own_address('dead_cycles') + 4:#08x}"):
         raw.write_block(own_address("spread"), [3, 7, 1])
     assert (driver["spread"], driver["dead_cycles"]) == (3, 7)
     driver["period"] = SENSOR.guard
@@ -176,10 +172,7 @@ def test_registers(port):
 
 def test_a_frame_larger_than_the_buffer(port):
     """The sensor waits, as the stalls show; nothing hangs, and the host gets a whole frame."""
-    driver = EmulatorDriver(SerialTransport(port, patience_s=PATIENCE_S))
-    of = config(pulses=40)
-    driver.program(of)
-    driver.write_settings(source(background=20000).register_writes(SENSOR))
+    driver = programmed(port, config(pulses=40), source(background=20000))
     beats = driver.frame()
     assert len(beats) > EMULATOR.buffer_beats and driver["stalls"] > 0
     settings = source(background=500)
@@ -194,12 +187,10 @@ def test_a_frame_larger_than_the_buffer(port):
 def test_a_line_that_spoils_bytes(port, faults):
     """Every frame is right anyway, because damaged frames are requested again."""
     line = BadLine(port, seed=len(faults), **faults)
-    transport = SerialTransport(line, tries=30, patience_s=PATIENCE_S)
-    driver, of, settings = EmulatorDriver(transport), config(pulses=4), source(7)
-    driver.program(of)
-    driver.write_settings(settings.register_writes(SENSOR))
+    of, settings = config(pulses=4), source(7)
+    driver = programmed(line, of, settings, tries=30)
     check_frames(driver, of, settings, range(2))
-    assert line.faults > 5 and transport.repeats > 3
+    assert line.faults > 5 and driver.transport.repeats > 3
 
 
 def test_a_start_that_is_answered_into_the_void_starts_once(port):
@@ -219,10 +210,8 @@ def test_a_start_that_is_answered_into_the_void_starts_once(port):
 
         lost = 0
 
-    line = Deaf(port)
-    driver, of, settings = EmulatorDriver(SerialTransport(line, patience_s=PATIENCE_S)), config(pulses=3), source(3)
-    driver.program(of)
-    driver.write_settings(settings.register_writes(SENSOR))
+    line, of, settings = Deaf(port), config(pulses=3), source(3)
+    driver = programmed(line, of, settings)
     golden = Golden(SENSOR)
     for number in range(3):
         line.deaf = True
@@ -232,21 +221,6 @@ def test_a_start_that_is_answered_into_the_void_starts_once(port):
         golden.frames = number
         assert np.array_equal(beats, golden.frame(of, source_edges(of, settings, number)).beats[0])
     assert line.lost == 3 and driver.status().errors == ()
-
-
-def test_a_host_that_stops_reading(port):
-    """Answers that nobody reads are lost; the next request is answered."""
-    driver, of, settings = EmulatorDriver(SerialTransport(port, patience_s=PATIENCE_S)), config(), source(2)
-    driver.program(of)
-    driver.write_settings(settings.register_writes(SENSOR))
-    driver.start()
-    for _ in range(5):
-        port.write(frame(bytes([99, Operation.READ, 200, 0, 0, 0x30])))  # and does not read the answer
-    check = EmulatorDriver(driver.transport, SENSOR)
-    (beats,) = check.receive()
-    check.finish()
-    golden = Golden(SENSOR)
-    assert np.array_equal(beats, golden.frame(of, source_edges(of, settings, 0)).beats[0])
 
 
 def test_a_cable_that_is_pulled_in_a_frame(port):
@@ -319,11 +293,8 @@ def test_frames_of_bytes():
 @pytest.mark.parametrize("simulator", SIMULATORS)
 def test_pins(simulator, tmp_path):
     """The same host software at the pins under cocotb, frames and a line with every fault."""
-    emulator = Emulator(
-        sensor=emulator_bench.SENSOR,
-        buffer_beats=emulator_bench.BUFFER_BEATS,
-        clocks_per_bit=emulator_bench.CLOCKS_PER_BIT,
-    )
+    bench = emulator_bench
+    emulator = Emulator(sensor=bench.SENSOR, buffer_beats=bench.BUFFER_BEATS, clocks_per_bit=bench.CLOCKS_PER_BIT)
     compiled = build(simulator, emulator_rtl(emulator), SERIAL_TOP, key="emulator-4x4")
     compiled.run("emulator_bench", env={"PYTHONPATH": BENCHES}, out_dir=tmp_path, seed=1)
 

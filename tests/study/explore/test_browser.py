@@ -116,12 +116,15 @@ def figure_title(tab, name):
     return tab.evaluate("(name) => Bokeh.documents[0].get_model_by_name(name).title.text", name)
 
 
+def wait_for_title(tab, name, test):
+    """Wait until a figure's title passes `test`, a call of a method of JavaScript's strings."""
+    tab.wait_for_function(f"Bokeh.documents[0].get_model_by_name('{name}').title.text.{test}")
+
+
 def points(tab, name):
     """Return the number of edges in the timeline, or of events in the histogram."""
-    return tab.evaluate(
-        """(name) => Bokeh.documents[0].get_model_by_name(name).renderers.map((r) => Object.values(r.data_source.data)[0].length)""",
-        name,
-    )
+    lengths = "renderers.map((r) => Object.values(r.data_source.data)[0].length)"
+    return tab.evaluate(f"(name) => Bokeh.documents[0].get_model_by_name(name).{lengths}", name)
 
 
 SMALL_TOO = {"pulses": 30, "cols": 24}  # legal with the other controls' other values
@@ -165,17 +168,11 @@ def test_the_threshold_and_the_dark_object(tabs, address):
 def test_a_click_picks_a_pixel_and_its_subgroup(tabs, address):
     tab = tabs(address)
     click_map(tab, "depth_m", 3, 12)
-    tab.wait_for_function(
-        "Bokeh.documents[0].get_model_by_name('histogram').title.text.startsWith('pixel row 3, column 12')"
-    )
-    tab.wait_for_function(
-        "Bokeh.documents[0].get_model_by_name('timeline').title.text.startsWith('subgroup 1, pulse 0')"
-    )
+    wait_for_title(tab, "histogram", "startsWith('pixel row 3, column 12')")
+    wait_for_title(tab, "timeline", "startsWith('subgroup 1, pulse 0')")
     assert max(points(tab, "timeline")) > 1
     tab.fill("[data-look=pulse]", "7")
-    tab.wait_for_function(
-        "Bokeh.documents[0].get_model_by_name('timeline').title.text.startsWith('subgroup 1, pulse 7')"
-    )
+    wait_for_title(tab, "timeline", "startsWith('subgroup 1, pulse 7')")
     tab.fill("[data-look=row]", "99")
     tab.wait_for_function(
         "document.getElementById('looked').textContent.includes('row = 99: must be an integer from 0 to 15')"
@@ -232,11 +229,11 @@ def test_two_settings_side_by_side(tabs, address):
     assert tab.locator("[data-map=map_a_error_m]").is_visible() and tab.locator("[data-map=map_truth_m]").is_hidden()
     assert number(tab, "mean threshold") == ["5.00", "2.00"]
     tab.select_option("[data-look=which]", "A")
-    tab.wait_for_function("Bokeh.documents[0].get_model_by_name('timeline').title.text.endsWith('needs 2 pixels')")
+    wait_for_title(tab, "timeline", "endsWith('needs 2 pixels')")
     put(tab, "cols", 24)
     shown(tab)
     tab.fill("[data-look=col]", "20")  # A has only 16 columns
-    tab.wait_for_function("Bokeh.documents[0].get_model_by_name('histogram').title.text.includes('column 15')")
+    wait_for_title(tab, "histogram", "includes('column 15')")
     tab.click("[data-do=drop_a]")
     tab.wait_for_selector("body:not([data-ab])")
     assert tab.locator("[data-map=map_a_depth_m]").is_hidden() and tab.locator("[data-map=map_truth_m]").is_visible()
@@ -308,14 +305,10 @@ def test_a_report_needs_no_server(tabs, tmp_path):
     tab = tabs(f"file://{tmp_path}/report.html", ready=False)
     tab.wait_for_function("document.getElementById('story')?.textContent.length > 0")
     click_map(tab, "truth_m", 9, 4)
-    tab.wait_for_function(
-        "Bokeh.documents[0].get_model_by_name('histogram').title.text.startsWith('pixel row 9, column 4')"
-    )
+    wait_for_title(tab, "histogram", "startsWith('pixel row 9, column 4')")
     tab.select_option("[data-look=frame]", "1")
     tab.fill("[data-look=pulse]", "3")
-    tab.wait_for_function(
-        "Bokeh.documents[0].get_model_by_name('timeline').title.text.startsWith('subgroup 2, pulse 3')"
-    )
+    wait_for_title(tab, "timeline", "startsWith('subgroup 2, pulse 3')")
     period = views[1].timeline.period(2, 3)
     shown_edges, shown_windows = tab.evaluate("[all.timeline.edges.data.y.length, all.timeline.windows.data.count]")
     assert shown_edges == len(period.tick) and shown_windows == period.windows.count.tolist()

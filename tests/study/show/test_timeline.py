@@ -11,6 +11,8 @@ from coincid.model.golden.frame import Golden
 from coincid.model.shared.errors import InputError
 from coincid.study.show.timeline import Verdict, frame_timeline
 
+from ...cases import random_edges
+
 SENSOR = {"rows": 8, "cols": 16, "subgroup": [8, 8], "fifo_depth": 4}
 BUSY = {  # name: document; there are many edges, so that FIFOs overflow
     "every photon": {"subgroup": {"coincidence": False}},
@@ -28,13 +30,7 @@ def played(document, edges_per_period=60, seed=7):
     document = {"frame": {"period": 40, "pulses": 6}, **document}
     document["frame"] = {"period": 40, "pulses": 6} | document["frame"]
     config = parse_config(document | {"sensor": SENSOR | document.get("sensor", {})})
-    random = np.random.default_rng(seed)
-    n = edges_per_period * config.pulses
-    edges = Edges(
-        random.integers(config.pulses, size=n),
-        random.integers(config.sensor.array_pixels, size=n),
-        random.integers(config.period_ticks, size=n),
-    )
+    edges = random_edges(config, edges_per_period * config.pulses, seed)
     return config, edges, Golden(config.sensor).frame(config, edges)
 
 
