@@ -78,10 +78,10 @@ def _rows(left_klux: float, right_klux: float) -> Iterator[str]:
     for part in PARTS:
         narrow = start.but(frame={"capacity": capacity // part})
         cycle = limit_cycle(narrow.config, narrow.frame_edges(0))
-        watched = [state(narrow.config, trace) for trace in narrow.traces[SETTLING:]]
-        thresholds = np.array([one.thresholds for one in watched])
+        watched = [narrow.frame(number) for number in range(SETTLING, SETTLING + WATCHED)]
+        thresholds = np.array([one.threshold for one in watched])
         moves = np.abs(np.diff(thresholds, axis=0)).astype(bool).sum(axis=1).mean()
-        load = np.array([one.load for one in watched])
+        load = np.array([one["capacity_share"] for one in watched])
         spread = np.ptp(thresholds, axis=0).max()
         yield (
             f"| {_klux(left_klux, right_klux)} | {_part(part)} | {_cycle(cycle)} | {moves:.1f} of {sensor.subgroups} | {spread} | "
