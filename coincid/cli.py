@@ -104,18 +104,11 @@ ViewOption = Annotated[
         "--view",
         metavar="VIEW",
         help=(
-            "Front end of the RTL: polyphase (synchronous), or async (as on silicon: SPAD edges at their picosecond, on Icarus)."
+            "Front end of the RTL: polyphase (synchronous), or async (as on silicon: SPAD edges at their picosecond, on verilator or icarus)."
         ),
     ),
 ]
-EngineOption = Annotated[
-    str,
-    typer.Option(
-        "--engine",
-        metavar="ENGINE",
-        help=("golden (model), verilator (RTL as a library), icarus, cocotb-verilator (RTL under cocotb)."),
-    ),
-]
+ENGINES_HELP = "golden (model), sliced (RTL, the fast engine), verilator, icarus (whole RTL under cocotb); default: {}."
 
 ScaleOption = Annotated[
     float, typer.Option("--scale", metavar="FACTOR", help="Factor for the distances of a depth file.")
@@ -188,7 +181,14 @@ def sim(
     config: ConfigOption = None,
     changes: SetOption = None,
     seed: Annotated[int, typer.Option(help="Seed of the photons.")] = 1,
-    engine: EngineOption = "verilator",
+    engine: Annotated[
+        str | None,
+        typer.Option(
+            metavar="ENGINE",
+            help=ENGINES_HELP.format("sliced; with --waves verilator, with --view async icarus"),
+            show_default=False,
+        ),
+    ] = None,
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder of the results.")] = Path("build/sim"),
     waves: Annotated[
         bool, typer.Option("--waves", help="Also write a waveform (FST) and views of it for GTKWave and Surfer.")
@@ -207,7 +207,7 @@ def sim(
 
     settings = _config(config, changes, clock_mhz)
     if view == "async":
-        engine = "icarus" if engine == "verilator" else engine
+        engine = engine or "icarus"
         pulses = ASYNC_PULSES if pulses is None else pulses
         frames = ASYNC_FRAMES if frames is None else frames
     if pulses is not None:
@@ -220,7 +220,7 @@ def sim(
         klux=_klux(klux, scene),
         background=background,
         seed=seed,
-        engine=engine,
+        engine=engine or ("verilator" if waves else "sliced"),
         out=_folder(out),
         threshold=threshold,
         settling=frames if frames is None else check_integer("frames", frames, 1, FRAMES_MAX),
@@ -262,7 +262,12 @@ def replay(
     out: Annotated[Path, typer.Option(metavar="FILE", help="Result (NPZ); appears whole.")],
     config: ConfigOption = None,
     changes: SetOption = None,
-    engine: EngineOption = "golden",
+    engine: Annotated[
+        str | None,
+        typer.Option(
+            metavar="ENGINE", help=ENGINES_HELP.format("golden; with --view async icarus"), show_default=False
+        ),
+    ] = None,
     stall: Annotated[int, typer.Option(metavar="N", help="Keep tready low for the first N cycles of every frame.")] = 0,
     view: ViewOption = "polyphase",
     offset_seed: Annotated[
@@ -283,8 +288,7 @@ def replay(
     from coincid.tb.replay import chosen_view
     from coincid.tb.replay import replay as run
 
-    if view == "async" and engine == "golden":
-        engine = "icarus"  # the golden model has no views
+    engine = engine or ("icarus" if view == "async" else "golden")
     check_integer("stall", stall, 0, STALL_CYCLES_MAX)
     settings = _config(config, changes)
     chosen_view(engine, view, settings.clock_mhz)
@@ -664,7 +668,7 @@ def figures(
 
     _folder(out)
     with _progress(0, "frames") as bar:
-        files = make(out, "verilator" if rtl else None, bar.done)
+        files = make(out, "sliced" if rtl else None, bar.done)
     print(files[-1])
 
 
@@ -691,7 +695,7 @@ def modes(
 
     _folder(out)
     with _progress(0, "frames") as bar:
-        files = run(out, "verilator" if rtl else None, bar.done)
+        files = run(out, "sliced" if rtl else None, bar.done)
     print(files[-1])
 
 

@@ -26,7 +26,7 @@ write_edges(path, photons, timing)
 
 # %%
 # Channel k of the file is pixel k; photons that do not fit are counted by the reason. Then the sensor plays the edges:
-# "golden" is the golden model, "verilator" would be the RTL.
+# "golden" is the golden model, "sliced" would be the RTL.
 
 edges, lost = recorded_edges(read_recording(path), config, timing)
 print(f"{path.stat().st_size} bytes, {len(edges)} photons, left out: {lost}")

@@ -30,8 +30,9 @@ from ..model.shared.files import whole_file
 from ..model.shared.interrupts import worker_processes
 from ..tb import pysim
 from ..tb.batch import BatchSensor, build_library
+from ..tb.engines import SIMULATORS
 from ..tb.frames import FrameJob
-from ..tb.play import COCOTB, build_sensor, play
+from ..tb.play import build_sensor, play
 from ..tb.scoreboard import check
 
 SCENE, KLUX, SEED = "five-objects", 50.0, 1
@@ -40,7 +41,7 @@ SIZES = {
     "32x32": {"rows": 32, "cols": 32},
     "256x128": {"rows": 128, "cols": 256, "streams": 8},
 }  # name: keys of [sensor]
-PULSES = {"cocotb-verilator": 40, "cocotb-icarus": 8, "amaranth": 2}  # slow engines only get the beginning of the frame
+PULSES = {"cocotb_verilator": 40, "cocotb_icarus": 8, "amaranth": 2}  # slow engines only get the beginning of the frame
 CYCLES_PER_S = "{}_cycles_per_s"
 KIB_PER_MIB = 1024
 
@@ -57,8 +58,8 @@ _Result = TypeVar("_Result")
 _VERSIONS = {"amaranth": "Amaranth", "cocotb": "cocotb", "numba": "Numba", "numpy": "NumPy", "verilator": "Verilator"}
 KEYS = {  # key: (unit, what it is)
     "batch_cycles_per_s": ("cycles/s", "RTL in the batch engine, from the edges' arrays to the beats' arrays; with registers"),
-    "cocotb_verilator_cycles_per_s": ("cycles/s", _BEGINNING.format("Verilator under cocotb", PULSES["cocotb-verilator"])),
-    "cocotb_icarus_cycles_per_s": ("cycles/s", _BEGINNING.format("Icarus under cocotb", PULSES["cocotb-icarus"])),
+    "cocotb_verilator_cycles_per_s": ("cycles/s", _BEGINNING.format("Verilator under cocotb", PULSES["cocotb_verilator"])),
+    "cocotb_icarus_cycles_per_s": ("cycles/s", _BEGINNING.format("Icarus under cocotb", PULSES["cocotb_icarus"])),
     "amaranth_cycles_per_s": ("cycles/s", _BEGINNING.format("Amaranth's own simulator", PULSES["amaranth"])),
     "golden_cycles_per_s": ("cycles/s", "golden model, from the edges' arrays to the beats' arrays; one thread"),
     "golden_edges_per_s": ("edges/s", "the same in edges"),
@@ -108,17 +109,14 @@ def benchmark(
     edges = job.edges()
     result["edges"] = len(edges)
     tell("building")
-    for simulator in ("verilator", "icarus"):
+    for simulator in SIMULATORS:
         build_sensor(job.config.sensor, simulator)
     result |= _versions()
     _fast_rates(job)  # loads what is compiled
     rounds = []
     for number in range(repeats):
         tell(f"engines: round {number + 1} of {repeats}")
-        rounds.append(
-            _fast_rates(job)
-            | {CYCLES_PER_S.format(engine.replace("-", "_")): _rate(job, edges, engine) for engine in PULSES}
-        )
+        rounds.append(_fast_rates(job) | {CYCLES_PER_S.format(name): _rate(job, edges, name) for name in PULSES})
     result |= _medians(rounds)
     result["golden_edges_per_s"] = result["golden_cycles_per_s"] * len(edges) / (job.config.pulses * job.config.period)
     result["batch_per_cocotb_verilator"] = result["batch_cycles_per_s"] / result["cocotb_verilator_cycles_per_s"]
@@ -195,9 +193,9 @@ def _fast_rates(job: Job) -> dict[str, float]:
     }
 
 
-def _rate(job: Job, edges: Edges, engine: str) -> float:
+def _rate(job: Job, edges: Edges, name: str) -> float:
     """Measure the cycles per second of a slow engine, between its first and its last progress message."""
-    config = job.config.with_frame(pulses=PULSES[engine])
+    config = job.config.with_frame(pulses=PULSES[name])
     chosen = edges.pulse < config.pulses
     edges = edges.take(chosen)
     seen = []
@@ -205,7 +203,8 @@ def _rate(job: Job, edges: Edges, engine: str) -> float:
     def progress(cycle: int) -> None:
         seen.append((time.perf_counter(), cycle))
 
-    if engine in COCOTB:
+    engine = name.removeprefix("cocotb_")
+    if engine in SIMULATORS:
         with tempfile.TemporaryDirectory(prefix="coincid-") as folder:
             play([FrameJob(config, edges)], engine, Path(folder), progress=progress)
     else:

@@ -115,7 +115,7 @@ def simulate(
     spad : Spad or None
         The detector; None is the one of the paper.
     engine : str
-        `golden` (the model, no RTL tool needed), `verilator`, `icarus`, `cocotb-verilator` or `cocotb-icarus` (the RTL).
+        `golden` (the model, no RTL tool needed), `sliced`, `verilator` or `icarus` (the RTL).
 
     Returns
     -------

@@ -56,7 +56,7 @@ SCHEMES = {  # name: (title, settings that it overrides), in the order of the fr
     "fixed": ("one threshold: {threshold}", {"coincidence": True, "auto": False}),
     "auto": ("controller", {"coincidence": True, "auto": True}),
 }
-SLOW_ENGINES, SLOW_SETTLING = ("icarus", "cocotb-icarus"), 2
+SLOW_ENGINE, SLOW_SETTLING = "icarus", 2
 Progressed = Callable[[int], None]
 
 
@@ -115,7 +115,7 @@ def play_schemes(
     progress: Progressed = lambda cycles: None,
     view: "str | View" = DEFAULT_VIEW,
 ) -> Played:
-    """Play the frames of `scheme_runs` through an engine of `replay.ENGINES`; a simulator's log goes to `out`.
+    """Play the frames of `scheme_runs` through an engine of `tb/engines.py`; a simulator's log goes to `out`.
 
     `progress` gets the cycles done; view: as in `replay.chosen_view`. Raises `Mismatch` at the first difference between
     RTL and golden model, `SimulationError`, `toolchain.ToolchainError`.
@@ -171,11 +171,11 @@ def simulate(
     result file of all frames, in the order of `SCHEMES`. Raises `InputError`, and the errors of `play_schemes`; after a
     `Mismatch`, only the report exists, with `mismatches` = 1.
     """
-    shown = chosen_view(engine, view, config.clock_mhz)
+    shown = chosen_view(engine, view, config.clock_mhz, waves)
     config.check_map()
     if threshold is not None:
         config = config.with_settings(threshold=threshold)
-    settling = settling or (SLOW_SETTLING if engine in SLOW_ENGINES else SETTLING + 1)
+    settling = settling or (SLOW_SETTLING if engine == SLOW_ENGINE else SETTLING + 1)
     timing, ambient = Timing.from_config(config), told_klux(klux)
     setup = Setup(
         config=config.with_frame(frames=settling),

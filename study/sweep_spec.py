@@ -38,7 +38,7 @@ SETTINGS = {  # of a point, in addition to its configuration: default
     "spad_gate": False,
 }
 CLOCK, FRAME_CLOCK = "clock_mhz", "frame.clock_mhz"  # one key: a SPEC may write it outside its table
-ENGINES = ("golden", "verilator")
+ENGINES = ("golden", "sliced")
 POINTS_MAX = 100_000
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Plays frames through the RTL, in the batch engine or in a simulator under cocotb."""
+"""Plays frames through the RTL, in the sliced engine or in a simulator under cocotb."""
 
 import pickle
 import tempfile
@@ -15,20 +15,13 @@ from .frames import MISMATCH, PROGRESS, RESULT, FrameJob, Recorded, save_job
 from .rtl import rtl, sensor_key
 from .scoreboard import check
 
-COCOTB = {"cocotb-verilator": "verilator", "cocotb-icarus": "icarus", "icarus": "icarus"}  # engine -> simulator
-
 
 def prepare(engine: str, sensor: Sensor, waves: bool = False, view: View = POLYPHASE) -> None:
     """Compile everything that `engine` needs for `play`, unless it is there already."""
-    if _batch(engine, waves):
+    if engine == "sliced":
         build_library(sensor)
     else:
-        build_sensor(sensor, COCOTB.get(engine, "verilator"), waves, view)
-
-
-def _batch(engine: str, waves: bool) -> bool:
-    """Return whether frames run in the batch engine, which has no waveform."""
-    return engine == "verilator" and not waves
+        build_sensor(sensor, engine, waves, view)
 
 
 def build_sensor(sensor: Sensor, simulator: str, waves: bool = False, view: View = POLYPHASE) -> toolchain.Build:
@@ -56,13 +49,13 @@ def play(
 ) -> tuple[list[Recorded], Path | None]:
     """Play frames of one sensor through its RTL; return their records, and the waveform. `progress` gets cycles done.
 
-    engine: from `replay.ENGINES`, without golden; view: from `hdl/views.py`; with `waves`, cocotb replaces the batch
-    engine. Raises `Mismatch` at the first difference from a frame's expectation, `SimulationError` for any other
-    failure, and `toolchain.ToolchainError`.
+    engine: from `engines.py`, without golden; view and waves: as `replay.chosen_view` allows. Raises `Mismatch` at the
+    first difference from a frame's expectation, `SimulationError` for any other failure, and
+    `toolchain.ToolchainError`.
     """
-    if _batch(engine, waves):
-        return _play_batch(frames, progress or (lambda cycles: None)), None
-    build = build_sensor(frames[0].config.sensor, COCOTB.get(engine, "verilator"), waves, view)
+    if engine == "sliced":
+        return _play_sliced(frames, progress or (lambda cycles: None)), None
+    build = build_sensor(frames[0].config.sensor, engine, waves, view)
     records, run = play_in(build, frames, out_dir, lines=view != POLYPHASE, progress=progress)
     return records, run.wave
 
@@ -93,7 +86,7 @@ def play_in(
         return pickle.loads(job.with_suffix(RESULT).read_bytes()), run
 
 
-def _play_batch(frames: list[FrameJob], progress: Callable[[int], None]) -> list[Recorded]:
+def _play_sliced(frames: list[FrameJob], progress: Callable[[int], None]) -> list[Recorded]:
     def since(start: int) -> Callable[[int], None]:
         """Return a callback for a frame that starts when `start` cycles are done."""
         return lambda cycle: progress(start + cycle)

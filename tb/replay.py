@@ -15,31 +15,37 @@ from ..model.contract.config import Config
 from ..model.contract.edges import Edges
 from ..model.contract.result import ResultBuilder
 from ..model.golden.frame import golden_result
+from ..model.shared.errors import InputError
 from ..model.shared.extras import extra
 from ..model.shared.quantities import check_choice
+from .engines import ENGINES, SIMULATORS
 from .frames import FrameJob
 
 if TYPE_CHECKING:
     from ..hdl.views import View
 
-ENGINES = ("golden", "verilator", "icarus", "cocotb-verilator", "cocotb-icarus")  # verilator: the batch engine
-LINE_ENGINES = ("icarus", "cocotb-icarus", "cocotb-verilator")  # for the view with delays
 DEFAULT_VIEW = "polyphase"
 
 
-def chosen_view(engine: str, view: "str | View", clock_mhz: float) -> "View | None":
+def chosen_view(engine: str, view: "str | View", clock_mhz: float, waves: bool = False) -> "View | None":
     """Return the view from `hdl/views.py` that `engine` runs, at a system clock; None for the golden model.
 
-    view: its name, or a view of a custom circuit. Raises `InputError`, also if the tools of the RTL are missing.
+    view: its name, or a view of a custom circuit. waves: a waveform of the whole sensor is wanted. Raises `InputError`,
+    also if the engine cannot do it, or if the tools of the RTL are missing.
     """
     check_choice("engine", engine, ENGINES)
+    if waves and engine not in SIMULATORS:
+        raise InputError(
+            f"engine = {engine!r}: has no waveform of the whole sensor; {' and '.join(SIMULATORS)} have one"
+        )
     if engine == "golden" and view == DEFAULT_VIEW:
         return None
     with extra("rtl"):
         from ..hdl.views import POLYPHASE, view_at
         from . import play  # noqa: F401, its dependencies are there
     found = view_at(view, clock_mhz)
-    check_choice("engine", engine, ENGINES if found == POLYPHASE else LINE_ENGINES)
+    if found != POLYPHASE:
+        check_choice(f"engine of the view {found.name}", engine, SIMULATORS)
     return None if engine == "golden" else found
 
 
@@ -56,7 +62,7 @@ def replay(
     Parameters
     ----------
     engine : str
-        `golden`, `verilator`, `icarus`, `cocotb-verilator` or `cocotb-icarus`.
+        `golden`, `sliced`, `verilator` or `icarus`.
     config : Config
     edges : Edges
         The SPAD avalanches of all frames.

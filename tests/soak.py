@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Soak test: many consecutive frames, golden model and RTL (batch engine) in step, in sunlight and at saturation.
+"""Soak test: many consecutive frames, golden model and RTL (sliced engine) in step, in sunlight and at saturation.
 
 `python -m tests.soak [--frames N] [--pulses N] [--seed N]` uses a whole array; a short form is part of the regression.
 """

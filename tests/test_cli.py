@@ -163,7 +163,7 @@ def test_no_edge_file(files):
     ("options", "words"),
     [
         (("--stall", -1), ("stall = -1", "from 0 to")),
-        (("--engine", "modelsim"), ("engine = 'modelsim'", "golden, verilator, icarus")),
+        (("--engine", "cocotb-verilator"), ("engine = 'cocotb-verilator'", "golden, sliced, verilator, icarus")),
     ],
 )
 def test_bad_options(files, options, words):
@@ -232,7 +232,9 @@ def test_empty_edge_file_is_an_empty_frame(files, dtype):
         (("--klux", "nan"), ("klux = nan",)),
         (("--pulses", 0), ("pulses = 0", "from 1 to 65536")),
         (("--seed", -1), ("seed = -1", "from 0 to")),
-        (("--engine", "vcs"), ("engine = 'vcs'", "golden, verilator, icarus")),
+        (("--engine", "vcs"), ("engine = 'vcs'", "golden, sliced, verilator, icarus")),
+        (("--engine", "sliced", "--waves"), ("engine = 'sliced'", "waveform", "verilator and icarus")),
+        (("--engine", "sliced", "--view", "async"), ("async = 'sliced'", "verilator, icarus")),
         (("--clock-mhz", 0), ("clock",)),
     ],
 )

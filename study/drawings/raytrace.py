@@ -30,7 +30,7 @@ def draw(name: str) -> list[tuple[float, float]]:
     scene = scene_of(config, PREFIX + name)
     run = Run(Setup(config=config, scene=scene, klux=KLUX, seed=SEED))
     with tempfile.TemporaryDirectory() as folder:
-        frames = play_schemes(run, config.threshold, "verilator", Path(folder)).frames
+        frames = play_schemes(run, config.threshold, "sliced", Path(folder)).frames
     depths = [frame.depth_m for frame in frames.values()]
     panels = [
         Panel(title.format(threshold=np.unique(config.threshold)[0]), depth)

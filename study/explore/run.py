@@ -82,7 +82,7 @@ def check_on_rtl(explored: Explored, progress: Progress = lambda stage, share: N
     run, config = explored.run, explored.settings.config
     progress("RTL: emitted and compiled once", 0.0)
     cycles = config.frame_cycles * config.frames
-    found = replay("verilator", config, run.edges, progress=lambda done: progress("RTL", min(1.0, done / cycles)))
+    found = replay("sliced", config, run.edges, progress=lambda done: progress("RTL", min(1.0, done / cycles)))
     lines = differences(found, run.result)
     if lines:
         return "The RTL and the golden model differ: " + "; ".join(lines)

@@ -4,8 +4,8 @@
 import pytest
 
 from coincid.model.contract.config import parse_config
+from coincid.tb.engines import SIMULATORS
 from coincid.tb.play import build_sensor
-from coincid.tb.toolchain import SIMULATORS
 
 from ..benches import bench_environment
 from ..cases import SMALL

@@ -65,7 +65,7 @@ def test_equal_content_has_equal_keys_and_every_field_counts():
         "spad_gate": True,
         "seed": 2,
         "edges": edges,
-        "engine": "verilator",
+        "engine": "sliced",
         "view": "async",
         "estimators": ("maximum",),
         "scene": Setup.of("flat:6,0.4", **SMALL).scene,

@@ -123,9 +123,7 @@ def test_nominal_circuits_keep_the_ticks_of_dense_edges():
 def test_verilator_agrees():
     settings = config(SMALL, pulses=3)  # delays take long to compile
     edges = trouble(settings, 7, 20.0)
-    assert not differences(
-        replay("golden", settings, edges), replay("cocotb-verilator", settings, edges, view=Asynchronous())
-    )
+    assert not differences(replay("golden", settings, edges), replay("verilator", settings, edges, view=Asynchronous()))
 
 
 def test_resets_and_aborts_in_the_middle_of_frames(tmp_path):

@@ -150,7 +150,7 @@ def test_the_library_needs_no_rtl_tool():
         "config = coincid.parse_config({'sensor': {'rows': 8, 'cols': 8}, 'frame': {'pulses': 5}})\n"
         "print(len(coincid.simulate(config, 'flat:5,0.5').events()) > 0)\n"
         "try:\n"
-        "    coincid.simulate(config, 'flat:5,0.5', engine='verilator')\n"
+        "    coincid.simulate(config, 'flat:5,0.5', engine='sliced')\n"
         "except coincid.InputError as error:\n"
         "    print(error)\n"
     )
@@ -173,7 +173,7 @@ def test_commands_need_no_rtl_tool(command, tmp_path):
     done = python(program, tmp_path, *COMMANDS[command], "--config", "small.toml", *engine)
     assert done.returncode == 0, done.stderr
     if engine:
-        done = python(program, tmp_path, *COMMANDS[command], "--config", "small.toml", "--engine", "verilator")
+        done = python(program, tmp_path, *COMMANDS[command], "--config", "small.toml", "--engine", "sliced")
         assert (done.returncode, done.stderr.count("\n")) == (2, 1), done.stderr
         assert "pip install 'coincid[rtl]'" in done.stderr
 

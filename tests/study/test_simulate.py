@@ -18,7 +18,7 @@ from coincid.model.scenes.catalogue import load_scene
 from coincid.study import simulate as job
 from coincid.study.simulate import EVENTS, PAGE, PICTURES, REPORT, SCHEMES, simulate
 from coincid.tb import waves
-from coincid.tb.toolchain import SIMULATORS
+from coincid.tb.engines import ENGINES, SIMULATORS
 
 from ..command import assert_refused, command
 
@@ -136,7 +136,7 @@ def test_same_seed_same_bytes(tmp_path):
     assert a == b
 
 
-@pytest.mark.parametrize("engine", ["golden", "verilator", "cocotb-verilator", "icarus"])
+@pytest.mark.parametrize("engine", ENGINES)
 def test_letter_f_comes_out_as_it_went_in(tmp_path, engine):
     report, _ = run(tmp_path, LETTER, "letter-f", engine)
     truth_m = load_scene("letter-f", 8, 16).truth_m

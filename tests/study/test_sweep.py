@@ -275,7 +275,7 @@ def test_a_point_that_fails_is_named_and_the_others_are_kept(tmp_path, quick, mo
 
 
 def test_rows_of_the_rtl_are_those_of_the_golden_model(tmp_path, quick):
-    spec = BASE.replace("cols = 8", "cols = 16") + '[[axis]]\nengine = ["golden", "verilator"]\n'
+    spec = BASE.replace("cols = 8", "cols = 16") + '[[axis]]\nengine = ["golden", "sliced"]\n'
     assert sweep(tmp_path, spec).exit_code == 0
     golden, rtl = table(tmp_path).select([*SWEPT]).to_pylist()
     assert golden == rtl
@@ -386,7 +386,7 @@ BAD = {
         "another axis",
     ),
     "seed": ("[[axis]]\nseed = [-1]", "seed = -1", "from 0 to"),
-    "engine": ("[[axis]]\nengine = ['silver']", "engine = 'silver'", "golden, verilator"),
+    "engine": ("[[axis]]\nengine = ['silver']", "engine = 'silver'", "golden, sliced"),
     "method": ("method = 'best'", "method = 'best'", "planes"),
     "scene": ("scene = 'flat:99'", "DISTANCE = 99", "from 0.05 to"),
     "no ID map": ("[frame]\nformat = 'short'", "frame.format = 'short'", "id or full"),

@@ -24,7 +24,8 @@ from coincid.model.light.on_chip import SourceSettings, source_edges
 from coincid.model.shared.errors import InputError
 from coincid.study.emulate import Session
 from coincid.tb.emulator import PATIENCE_S, SimulatedPort, emulator_rtl
-from coincid.tb.toolchain import SIMULATORS, build
+from coincid.tb.engines import SIMULATORS
+from coincid.tb.toolchain import build
 
 from ..benches import BENCHES, emulator_bench
 from ..cases import configured

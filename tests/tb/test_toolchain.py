@@ -16,6 +16,7 @@ import pytest
 from coincid.model.contract.parameters import Sensor
 from coincid.model.shared.errors import InputError
 from coincid.tb import batch, toolchain
+from coincid.tb.engines import SIMULATORS
 from coincid.tb.errors import SimulationError
 from coincid.tb.system import MissingPackagesError, system_packages
 
@@ -36,7 +37,7 @@ module toy_inner(input [7:0] count);
 endmodule
 """
 
-each_simulator = pytest.mark.parametrize("simulator", toolchain.SIMULATORS)
+each_simulator = pytest.mark.parametrize("simulator", SIMULATORS)
 
 
 @pytest.fixture
