@@ -3,7 +3,7 @@
 
 from setuptools import find_packages, setup
 
-ROOMS = ("model", "host", "hdl", "tb", "flow", "formal", "lab", "study")
+ROOMS = ("model", "tools", "host", "hdl", "slices", "tb", "flow", "formal", "lab", "study")
 DATA = ["*.v", "*.vh", "*.cpp", "*.c", "*.h", "presets/*.toml", "ray_scenes/*.xml", "*.html", "*.css", "*.js"]
 
 setup(

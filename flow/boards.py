@@ -15,8 +15,8 @@ from ..hdl.subgroup import Subgroup
 from ..model.contract.config import Config, load_config
 from ..model.contract.emulator import Emulator
 from ..model.contract.parameters import TOP
+from ..tools.wheels import wheel_folder
 from .pnr import NEXTPNR, Board
-from .yosys import wheel_folder
 
 WRAPPER = Path(__file__).with_name("ecp5.v")
 PADS = "share/trellis/database/ECP5/LFE5UM5G-85F/iodb.json"  # of the device of `fpga_module`, in the wheel of nextpnr

@@ -27,11 +27,12 @@ from ..tb.emulator import SIMULATED_CLOCKS_PER_BIT, build_line, simulated
 from ..tb.frames import FrameJob
 from ..tb.play import play_in
 from ..tb.rtl import sensor_key
+from ..tools.wheels import wheel_folder
 from .boards import ulx3s
 from .pnr import NETLIST_VERILOG
 from .pnr import synthesize as synthesize_board
 from .synth import CELLS, GATES, synthesize
-from .yosys import CELL_MODELS, cells_folder, wheel_folder
+from .yosys import CELL_MODELS, cells_folder
 
 SENSOR = Sensor(rows=8, cols=8)
 FRAMES = 6

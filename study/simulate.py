@@ -118,7 +118,7 @@ def play_schemes(
     """Play the frames of `scheme_runs` through an engine of `tb/engines.py`; a simulator's log goes to `out`.
 
     `progress` gets the cycles done; view: as in `replay.chosen_view`. Raises `Mismatch` at the first difference between
-    RTL and golden model, `SimulationError`, `toolchain.ToolchainError`.
+    RTL and golden model, `SimulationError`, `ToolchainError`.
     """
     chosen = chosen_view(engine, view, run.config.clock_mhz)
     wave: Path | None = None

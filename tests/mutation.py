@@ -30,7 +30,6 @@ from attrs import frozen
 from hypothesis import given, seed
 from hypothesis import strategies as st
 
-from coincid.flow.yosys import run_yosys
 from coincid.model.contract.config import parse_config
 from coincid.model.contract.packet import FORMAT_NAMES
 from coincid.model.contract.parameters import TOP
@@ -39,6 +38,8 @@ from coincid.model.shared.sources import digest, room_files
 from coincid.tb import toolchain
 from coincid.tb.frames import FrameJob, save_job
 from coincid.tb.rtl import rtl
+from coincid.tools.build import ToolchainError
+from coincid.tools.wheels import run_yosys
 
 from . import cases
 from .benches import bench_environment
@@ -375,7 +376,7 @@ def is_equal(mutant: Path) -> bool:
         (scratch / path.name).write_bytes(path.read_bytes())
     try:
         run_yosys(scratch, script)
-    except toolchain.ToolchainError:
+    except ToolchainError:
         return False
     return True
 

@@ -19,7 +19,7 @@ from attrs import frozen
 from coincid.tb.toolchain import build_root
 
 ROOT = Path(__file__).parents[1]
-PACKAGES = ("model", "host", "hdl", "tb", "formal", "flow", "lab", "study")
+PACKAGES = ("model", "tools", "host", "hdl", "slices", "tb", "formal", "flow", "lab", "study")
 GOLDEN = ("tests/golden/test_golden.py",)  # golden model against the plain one
 FRAMES = ("tests/tb/test_cosim.py", "-k", "tiny-icarus or coarse-icarus")  # RTL against the golden model
 PORTS = ("tests/hdl/test_ports.py", "-k", "icarus")

@@ -8,7 +8,7 @@ from coincid.hdl.views import POLYPHASE, VIEWS
 from coincid.model.contract.config import parse_config
 from coincid.model.shared.folders import build_root
 from coincid.model.shared.sources import digest, sources_digest
-from coincid.tb.toolchain import build_once
+from coincid.tools.build import build_once
 
 SMALL = {  # the presets' circuits, one module of each
     "silicon": {"rows": 8, "cols": 16},

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1]
-ROOMS = ("model", "host", "hdl", "tb", "flow", "formal", "lab", "study")
+ROOMS = ("model", "tools", "host", "hdl", "slices", "tb", "flow", "formal", "lab", "study")
 PRESETS_AND_SCENES = """
 import coincid
 from coincid.hdl.views import view_at

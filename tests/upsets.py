@@ -40,6 +40,7 @@ from coincid.model.shared.sources import digest
 from coincid.tb import toolchain
 from coincid.tb.frames import cycle_limit
 from coincid.tb.rtl import rtl, sensor_key
+from coincid.tools.build import build_once, compile_in
 
 from .cases import configured, trouble
 
@@ -172,11 +173,11 @@ def _archives(sensor: Sensor) -> Path:
         ]
         (scratch / "public.vlt").write_text("\n".join(["`verilator_config", *public, ""]))
         names = ["--top-module", TOP, "--prefix", "Vtop", "--Mdir", ".", "public.vlt", *map(str, sources)]
-        toolchain.compile_in(scratch, log, [str(program), *VERILATOR, *names])
+        compile_in(scratch, log, [str(program), *VERILATOR, *names])
         targets = ["libVtop.a", "libverilated.a"]
-        toolchain.compile_in(scratch, log, ["make", "-s", "-j", "2", "-f", "Vtop.mk", *MAKE_OPTIONS, *targets])
+        compile_in(scratch, log, ["make", "-s", "-j", "2", "-f", "Vtop.mk", *MAKE_OPTIONS, *targets])
 
-    return toolchain.build_once(directory, make)
+    return build_once(directory, make)
 
 
 @cache
@@ -191,9 +192,9 @@ def library(sensor: Sensor) -> ctypes.CDLL:
         (scratch / "ports.h").write_text(header)
         command = ["g++", "-shared", *COMPILER, "-o", LIBRARY, str(SOURCE), "-I.", f"-I{archives}", f"-I{include}"]
         objects = [str(archives / name) for name in ("libVtop.a", "libverilated.a")]
-        toolchain.compile_in(scratch, log, [*command, f"-I{include / 'vltstd'}", *objects, "-lpthread", "-latomic"])
+        compile_in(scratch, log, [*command, f"-I{include / 'vltstd'}", *objects, "-lpthread", "-latomic"])
 
-    result = ctypes.CDLL(str(toolchain.build_once(directory, make) / LIBRARY))
+    result = ctypes.CDLL(str(build_once(directory, make) / LIBRARY))
     pointer, i64, u32 = ctypes.c_void_p, ctypes.c_int64, ctypes.c_uint32
     for name, answer, arguments in (
         ("new", pointer, []),

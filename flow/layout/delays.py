@@ -17,6 +17,7 @@ from ...model.shared.folders import build_root
 from ...tb import toolchain
 from ...tb.play import play_in
 from ...tb.rtl import rtl, sensor_key
+from ...tools.build import ToolchainError
 from ..gls import FRAMES, cell_models, random_frames
 from .flow import CLOCK, SDF, VERILOG
 
@@ -54,9 +55,9 @@ def shell(unit: Unit, routed: Mapping[str, str], inputs_ns: float = 0.0, sdf: Pa
                 pins.append(f"    .{pin}({inner}[{bit}])")
                 kept.discard(pin)
             elif not is_input:
-                raise toolchain.ToolchainError(f"{unit.unit_name}: the layout lost the output {pin}")
+                raise ToolchainError(f"{unit.unit_name}: the layout lost the output {pin}")
     if kept:
-        raise toolchain.ToolchainError(f"{unit.unit_name}: the layout has ports that the block has not: {sorted(kept)}")
+        raise ToolchainError(f"{unit.unit_name}: the layout has ports that the block has not: {sorted(kept)}")
     lines += [f"  {unit.unit_name}_routed routed (", ",\n".join(pins), "  );"]
     lines += [f'  initial $sdf_annotate("{sdf}", routed);'] * bool(sdf) + ["endmodule", ""]
     return "\n".join(lines)

@@ -23,10 +23,11 @@ from ...hdl.views import POLYPHASE, View
 from ...model.shared.errors import InputError
 from ...model.shared.folders import build_root
 from ...model.shared.sources import digest
-from ...tb.toolchain import ToolchainError, build_once
+from ...tools.build import ToolchainError, build_once
+from ...tools.wheels import TAIL_LINES, run_program, run_yosys
 from ..liberty import read_cells, supply_v
 from ..mapped import LONGEST_PATHS, least_slack_ns
-from ..yosys import CELLS_VERSION, LIBERTY, TAIL_LINES, cells_folder, cells_script, put_cells, run_program, run_yosys
+from ..yosys import CELLS_VERSION, LIBERTY, cells_folder, cells_script, put_cells
 
 if TYPE_CHECKING:
     from .pins import Strip

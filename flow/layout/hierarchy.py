@@ -19,7 +19,7 @@ from ...hdl.export import units_files
 from ...hdl.unit import Unit
 from ...model.shared.folders import build_root
 from ...model.shared.sources import digest
-from ...tb.toolchain import ToolchainError, build_once
+from ...tools.build import ToolchainError, build_once
 from ..yosys import CELLS_VERSION
 from . import buffers, drawn, flow, wires
 from .delays import shell

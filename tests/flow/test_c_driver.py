@@ -17,7 +17,7 @@ from coincid.model.contract.counters import COUNTER_NAMES
 from coincid.model.contract.parameters import Sensor
 from coincid.model.contract.stream import decode_frame
 from coincid.model.golden.frame import Golden
-from coincid.tb.batch import BatchSensor
+from coincid.tb.sliced import SlicedSensor
 
 from ..cases import configured, random_edges
 
@@ -97,7 +97,7 @@ def packets(library, info, beats):
 def test_the_driver_drives_and_decodes(library):
     golden, info = Golden(SENSOR), Info()
     of = configured(SENSOR, {"period": 80, "pulses": 6, "format": "full", "minigroup_records": True, "mg_threshold": 1})
-    with BatchSensor(SENSOR) as rtl:
+    with SlicedSensor(SENSOR) as rtl:
         bus = bus_of(rtl)
         assert library.coincid_probe(ctypes.byref(bus), ctypes.byref(info)) == 0
         found = info.subgroups, info.pixels, info.minigroups, info.record_bits, info.record_stamp_bits

@@ -11,10 +11,11 @@ from coincid.flow.gls import gate_level
 from coincid.flow.levels import longest_paths
 from coincid.flow.silicon_report import CLOCKS, timing, top, write
 from coincid.flow.synth import CELLS, ECP5, GATES, synthesize
-from coincid.flow.yosys import cells_folder, run_yosys
+from coincid.flow.yosys import cells_folder
 from coincid.hdl.silicon.circuit import Circuit
 from coincid.model.contract.parameters import Sensor
-from coincid.tb.toolchain import ToolchainError
+from coincid.tools.build import ToolchainError
+from coincid.tools.wheels import run_yosys
 
 from ..command import command
 

@@ -10,7 +10,7 @@ from coincid.flow.liberty import Cell, Energies, Pin, read_cells, supply_v
 from coincid.flow.power import Design, Instance, power, transitions
 from coincid.flow.yosys import LIBERTY, cells_folder
 from coincid.study.power import group_of
-from coincid.tb.toolchain import ToolchainError
+from coincid.tools.build import ToolchainError
 
 LIBRARY = """
 library (toy) {

