@@ -20,13 +20,15 @@ ROOMS = {  # room: the rooms whose files it may import, in addition to its own
     "model.scenes": ("model.light", "model.contract", "model.shared"),
     "model.depth": ("model.contract", "model.shared"),
     "model.recorded": ("model.light", "model.contract", "model.shared"),
+    "tools": ("model.shared",),
     "host": ("model.contract", "model.shared"),
     "hdl": ("model.contract", "model.shared"),
-    "tb": ("hdl", "host", "model.golden", "model.contract", "model.shared"),
-    "flow": ("tb", "hdl", "host", "model.golden", "model.contract", "model.shared"),
-    "formal": ("tb", "hdl", "model.contract", "model.shared"),
+    "slices": ("tools", "model.shared"),
+    "tb": ("slices", "tools", "hdl", "host", "model.golden", "model.contract", "model.shared"),
+    "flow": ("tb", "tools", "hdl", "host", "model.golden", "model.contract", "model.shared"),
+    "formal": ("tb", "tools", "hdl", "model.contract", "model.shared"),
     "lab": ("tb", "hdl", "model"),
-    "study": ("lab", "flow", "tb", "hdl", "host", "model"),
+    "study": ("lab", "flow", "tb", "tools", "hdl", "host", "model"),
 }
 NEVER = {  # room: packages that it must not even load
     "hdl": ("numba", "scipy", "matplotlib", "cocotb", "coincid.model.golden"),
@@ -48,7 +50,7 @@ def imports() -> dict[str, set[str]]:
     """Return module -> modules of the project that it imports, for all rooms."""
     files = {
         module_name(path, room): path
-        for room in ("model", "host", "hdl", "tb", "flow", "formal", "lab", "study")
+        for room in ("model", "tools", "host", "hdl", "slices", "tb", "flow", "formal", "lab", "study")
         for path in room_files(room)
         if path.suffix == ".py"
     }

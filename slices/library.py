@@ -1,0 +1,71 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Compiled slices: the C++ of a design, with a program around it, as a library that is built once."""
+
+import ctypes
+import subprocess
+from collections.abc import Sequence
+from functools import cache
+from pathlib import Path
+
+from ..model.shared.folders import build_root
+from ..model.shared.sources import digest
+from ..tools.build import build_once, compile_in, require_programs
+from .synthesis import SOURCE, Design
+
+HERE = Path(__file__).parent
+PLAIN = HERE / "plain.cpp"
+LIBRARY, OBJECT = "libslice.so", "slice.o"
+LANES = (64, 128, 256, 512)  # bits of a word
+COMPILER = ("-std=gnu++20", "-fPIC", "-Wno-psabi")
+OPTIMISE = "-O1"  # of a pass, which is straight code: more takes longer to compile and gains nothing
+PROCESSOR = "-march=native"
+
+
+@cache
+def processor(flag: str = PROCESSOR) -> str:
+    """Return what tells kinds of processors apart: code for one kind may have instructions that another lacks."""
+    require_programs({"g++": "g++"})
+    return digest(subprocess.run(["g++", flag, "-Q", "--help=target"], capture_output=True, check=True).stdout)
+
+
+def compiled(design: Design, lanes: int, flag: str = PROCESSOR) -> Path:
+    """Return the object of a design's pass for words of so many bits, compiled once for this kind of processor."""
+    directory = design.folder.with_name(f"{design.folder.name}-{lanes}-{processor(flag)}")
+
+    def make(scratch: Path) -> None:
+        log = directory.with_name(f"{directory.name}.log")
+        log.unlink(missing_ok=True)
+        include = [f"-I{design.folder}", f"-I{HERE}"]
+        command = ["g++", *COMPILER, flag, OPTIMISE, f"-DLANES={lanes}", *include]
+        compile_in(scratch, log, [*command, "-c", str(design.folder / SOURCE), "-o", OBJECT])
+
+    return build_once(directory, make) / OBJECT
+
+
+def library(
+    design: Design,
+    lanes: int,
+    program: Path = PLAIN,
+    header: str = "",
+    include: Sequence[Path] = (),
+    objects: Sequence[Path] = (),
+    flag: str = PROCESSOR,
+) -> ctypes.CDLL:
+    """Compile a design with the C++ `program` that plays it, once, and load the library.
+
+    header: text of its "wiring.h". include: further folders of headers. objects: further objects and archives.
+    """
+    slice_object = compiled(design, lanes, flag)
+    contents = (path.read_text() for path in (program, HERE / "lanes.h", HERE / "word.h"))
+    key = digest(*COMPILER, str(slice_object), *contents, header, *map(str, (*include, *objects)))
+    directory = build_root() / "slices" / f"{program.stem}-{key}"
+
+    def make(scratch: Path) -> None:
+        log = directory.with_name(f"{directory.name}.log")
+        log.unlink(missing_ok=True)
+        (scratch / "wiring.h").write_text(header)
+        folders = [f"-I{folder}" for folder in (".", design.folder, HERE, *include)]
+        command = ["g++", "-shared", *COMPILER, flag, "-O2", f"-DLANES={lanes}", *folders, "-o", LIBRARY, str(program)]
+        compile_in(scratch, log, [*command, str(slice_object), *map(str, objects)])
+
+    return ctypes.CDLL(str(build_once(directory, make) / LIBRARY))

@@ -1,0 +1,237 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Netlists of one clock: tables of up to three inputs, flip-flops, memories of rows, and instances of units.
+
+`read_netlist` takes Yosys's JSON. A net is a number: 0 and 1 are the constants, Yosys counts its own from 2. There are two
+states: what Yosys leaves undefined is 0.
+"""
+
+import json
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any, TypeAlias
+
+from attrs import define, field, frozen
+
+ZERO, ONE = 0, 1  # nets of the constants
+CLOCK = "clk"
+IGNORED = ("$scopeinfo",)
+Nets: TypeAlias = tuple[int, ...]
+
+
+class NetlistError(ValueError):
+    """A netlist that cannot be played in slices; the message names what stands in the way."""
+
+
+@frozen(eq=False)
+class Table:
+    """A function of up to three nets. bits: bit i is its value if the inputs, first one lowest, are the number i."""
+
+    inputs: Nets
+    outputs: Nets  # one
+    bits: int
+
+
+@frozen(eq=False)
+class Flop:
+    """A flip-flop: at a clock edge it takes reset_value if reset is 1, else data if enable is 1."""
+
+    data: int
+    output: int
+    enable: int = ONE
+    reset: int = ZERO
+    reset_value: int = 0
+    init: int = 0
+
+    @property
+    def inputs(self) -> Nets:
+        return self.data, self.enable, self.reset
+
+
+@frozen(eq=False)
+class Read:
+    """A port of a memory that shows the row at an address. outputs: the row's bits."""
+
+    memory: "Memory"
+    inputs: Nets  # the address
+    outputs: Nets
+
+
+@frozen
+class Store:
+    """A port of a memory that writes a row at a clock edge."""
+
+    address: Nets
+    data: Nets
+    enable: int
+
+    @property
+    def inputs(self) -> Nets:
+        return *self.address, *self.data, self.enable
+
+
+@define(eq=False)
+class Memory:
+    """Rows of bits. init: of every row, as a number. A store that comes later in `stores` wins."""
+
+    name: str
+    rows: int
+    width: int
+    init: list[int]
+    reads: list[Read] = field(factory=list)
+    stores: list[Store] = field(factory=list)
+
+
+@frozen(eq=False)
+class Instance:
+    """A unit inside a block. nets: of the block, by the unit's port."""
+
+    name: str
+    unit: str
+    nets: Mapping[str, Nets]
+
+
+@define(eq=False)
+class Block:
+    """A netlist. names: every signal that has a name, with its nets, lowest bit first."""
+
+    name: str
+    inputs: dict[str, Nets]
+    outputs: dict[str, Nets]
+    tables: list[Table]
+    flops: list[Flop]
+    memories: list[Memory]
+    instances: list[Instance]
+    names: dict[str, Nets]
+
+
+# Yosys's gates: the inputs' ports, first one lowest, and the function as in `Table.bits`.
+GATES = {
+    "$_BUF_": ("A", 0b10),
+    "$_NOT_": ("A", 0b01),
+    "$_AND_": ("AB", 0b1000),
+    "$_NAND_": ("AB", 0b0111),
+    "$_OR_": ("AB", 0b1110),
+    "$_NOR_": ("AB", 0b0001),
+    "$_XOR_": ("AB", 0b0110),
+    "$_XNOR_": ("AB", 0b1001),
+    "$_ANDNOT_": ("AB", 0b0010),
+    "$_ORNOT_": ("AB", 0b1011),
+    "$_MUX_": ("ABS", 0b11001010),
+}
+FLOPS = {  # as `dfflegalize` leaves them: the value at reset
+    "$_DFF_P_": 0,
+    "$_DFFE_PP_": 0,
+    "$_SDFF_PP0_": 0,
+    "$_SDFF_PP1_": 1,
+    "$_SDFFE_PP0P_": 0,
+    "$_SDFFE_PP1P_": 1,
+}
+
+
+def read_netlist(path: Path) -> dict[str, Block]:
+    """Return the blocks of a JSON netlist by name. Raises `NetlistError`."""
+    modules = json.loads(path.read_text())["modules"]
+    # Yosys escapes nothing in JSON; parameters of black boxes do not matter.
+    return {name: _block(name, module, modules) for name, module in modules.items()}
+
+
+def _nets(bits: Iterable[int | str]) -> Nets:
+    return tuple(bit if isinstance(bit, int) else int(bit == "1") for bit in bits)
+
+
+def _block(name: str, module: Mapping[str, Any], units: Mapping[str, Any]) -> Block:
+    ports = {port: (of["direction"] == "input", _nets(of["bits"])) for port, of in module["ports"].items()}
+    names = {signal: _nets(of["bits"]) for signal, of in module["netnames"].items() if not of.get("hide_name")}
+    block = Block(
+        name,
+        {port: nets for port, (is_input, nets) in ports.items() if is_input and port != CLOCK},
+        {port: nets for port, (is_input, nets) in ports.items() if not is_input},
+        [],
+        [],
+        [],
+        [],
+        names,
+    )
+    clock = ports[CLOCK][1] if CLOCK in ports else ()
+    inits = _inits(module)
+    for cell, of in module["cells"].items():
+        kind, nets = of["type"], {port: _nets(bits) for port, bits in of["connections"].items()}
+        if kind == "$lut":
+            block.tables.append(_reduced(nets["A"], nets["Y"], int(of["parameters"]["LUT"], 2)))
+        elif kind in GATES:
+            inputs, bits = GATES[kind]
+            block.tables.append(_reduced(tuple(nets[port][0] for port in inputs), nets["Y"], bits))
+        elif kind in FLOPS:
+            _check_clock(name, nets["C"], clock)
+            block.flops.append(
+                Flop(
+                    nets["D"][0],
+                    nets["Q"][0],
+                    nets.get("E", (ONE,))[0],
+                    nets.get("R", (ZERO,))[0],
+                    FLOPS[kind],
+                    inits.get(nets["Q"][0], 0),
+                )
+            )
+        elif kind == "$mem_v2":
+            block.memories.append(_memory(name, of["parameters"], nets, clock))
+        elif kind in units:
+            block.instances.append(Instance(cell, kind, {port: n for port, n in nets.items() if port != CLOCK}))
+        elif kind not in IGNORED:
+            raise NetlistError(f"{name}: a cell {kind}, which slices do not know")
+    return block
+
+
+def _check_clock(block: str, nets: Nets, clock: Nets) -> None:
+    if nets != clock:
+        raise NetlistError(f"{block}: a clock other than its port {CLOCK}")
+
+
+def _inits(module: Mapping[str, Any]) -> dict[int, int]:
+    """Return net -> initial value."""
+    found = {}
+    for of in module["netnames"].values():
+        for net, bit in zip(of["bits"], reversed(of["attributes"].get("init", ""))):
+            if bit in "01":
+                found[net] = int(bit)
+    return found
+
+
+def _reduced(inputs: Nets, outputs: Nets, bits: int) -> Table:
+    """Return a table without constant inputs, and without those that change nothing."""
+    kept = list(inputs)
+    for k in reversed(range(len(kept))):
+        low, high = (_half(bits, len(kept), k, value) for value in (0, 1))
+        if kept[k] in (ZERO, ONE):
+            bits = (low, high)[kept.pop(k)]
+        elif low == high:
+            bits = low
+            kept.pop(k)
+    return Table(tuple(kept), outputs, bits)
+
+
+def _half(bits: int, inputs: int, k: int, value: int) -> int:
+    """Return the function that is left if input `k` has a value."""
+    rows = [row for row in range(1 << inputs) if row >> k & 1 == value]
+    return sum((bits >> row & 1) << i for i, row in enumerate(rows))
+
+
+def _memory(block: str, parameters: Mapping[str, str], nets: Mapping[str, Nets], clock: Nets) -> Memory:
+    """Return a memory of Yosys's `$mem_v2`, whose reads need no clock."""
+    number = {key: int(value, 2) for key, value in parameters.items() if set(value) <= {"0", "1"}}
+    rows, width, bits = number["SIZE"], number["WIDTH"], number["ABITS"]
+    text = parameters["INIT"].replace("x", "0").replace("z", "0").zfill(rows * width)
+    init = [int(text[len(text) - (row + 1) * width : len(text) - row * width], 2) for row in range(rows)]
+    if number["RD_CLK_ENABLE"] or number["OFFSET"]:
+        raise NetlistError(f"{block}: a memory whose reads are clocked, or whose rows do not begin at 0")
+    memory = Memory(parameters["MEMID"].lstrip("\\"), rows, width, init)
+    for k in range(number["RD_PORTS"]):
+        address, data = nets["RD_ADDR"][k * bits :][:bits], nets["RD_DATA"][k * width :][:width]
+        memory.reads.append(Read(memory, address, data))
+    for k in range(number["WR_PORTS"]):
+        _check_clock(block, nets["WR_CLK"][k : k + 1], clock)
+        enables = set(nets["WR_EN"][k * width :][:width])
+        if len(enables) > 1:
+            raise NetlistError(f"{block}: memory {memory.name} writes parts of a row")
+        memory.stores.append(Store(nets["WR_ADDR"][k * bits :][:bits], nets["WR_DATA"][k * width :][:width], *enables))
+    return memory

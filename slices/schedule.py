@@ -1,0 +1,553 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The order in which a pass evaluates a block and updates its registers in place.
+
+A pass is a clock edge: everything that it computes reads the registers as they were before. A register is written once
+its readers have been computed, so that most need no second place; later readers get a copy (`Copy`). Flip-flops that
+share an enable, with the logic that only they need, are skipped if no lane enables them (`Guard`). Logic that is constant
+while some inputs are 0 is skipped if they are 0 in all lanes (`Lit`).
+"""
+
+from collections import defaultdict
+from collections.abc import Iterable, Mapping, Sequence
+from typing import TypeAlias
+
+from attrs import define, field, frozen
+
+from .netlist import ONE, ZERO, Block, Flop, Instance, Memory, NetlistError, Nets, Read, Store, Table
+
+ELSEWHERE = -1
+GUARD_MIN = 12  # flip-flops and nodes of a group for which it is worth asking whether any lane enables it
+
+
+@frozen(eq=False)
+class Lit:
+    """Tables that are constant while some inputs are 0. flag: its number, set if one of these inputs is 1 in any lane.
+
+    outputs: those of the tables that others read; dark: their values while all is 0.
+    """
+
+    flag: int
+    inputs: Nets
+    outputs: Nets
+    dark: Nets
+    tables: Sequence[Table]
+
+
+Node: TypeAlias = Table | Read | Lit
+
+
+@frozen(eq=False)
+class Copy:
+    """The present value of `net` gets a second name, because the register is written before its last reader comes."""
+
+    net: int
+    name: int
+
+
+@frozen(eq=False)
+class Evaluate:
+    """Compute a node. names: of inputs that have a second name; enable, reset: of the guard around it."""
+
+    node: Node
+    names: Mapping[int, int]
+    enable: int = ONE
+    reset: int = ZERO
+
+
+@frozen(eq=False)
+class Write:
+    """Update a flip-flop."""
+
+    flop: Flop
+    names: Mapping[int, int]
+
+
+@frozen(eq=False)
+class Put:
+    """Write a row of a memory in the lanes that enable it."""
+
+    memory: Memory
+    store: Store
+    names: Mapping[int, int]
+
+
+@frozen(eq=False)
+class Call:
+    """Update all instances of a unit, or, to settle, only compute their outputs."""
+
+    instances: Sequence[Instance]
+    names: Mapping[int, int]
+
+
+@frozen(eq=False)
+class Guard:
+    """Do `body` if any lane has enable or reset. If all lanes have reset, flip-flops without enable take their reset values."""
+
+    enable: int
+    reset: int
+    names: Mapping[int, int]
+    body: Sequence["Op"]
+    flops: Sequence[Flop]
+
+
+Op: TypeAlias = Copy | Evaluate | Write | Put | Call | Guard
+
+
+@define(eq=False)
+class _Group:
+    """Registers that are updated together: flip-flops, a port of a memory, or all instances of a unit."""
+
+    flops: Sequence[Flop] = ()
+    put: tuple[Memory, Store] | None = None
+    instances: Sequence[Instance] = ()
+    guarded: bool = False
+    own: list[Node] = field(factory=list)  # nodes that nothing else reads, in order
+
+    @property
+    def enable(self) -> int:
+        return self.flops[0].enable if self.guarded else ONE
+
+    @property
+    def reset(self) -> int:
+        return self.flops[0].reset if self.guarded else ZERO
+
+
+def in_order(nodes: Iterable[Node]) -> list[Node]:
+    """Return nodes so that each comes after those that it reads. Raises `NetlistError` if they form a loop."""
+    nodes = list(nodes)
+    producer = {net: node for node in nodes for net in node.outputs}
+    order: list[Node] = []
+    state: dict[Node, bool] = {}  # True: done
+    for root in nodes:
+        stack = [(root, iter(root.inputs))] if root not in state else []
+        for node, _ in stack:
+            state[node] = False
+        while stack:
+            node, inputs = stack[-1]
+            for net in inputs:
+                below = producer.get(net)
+                if below is None or state.get(below):
+                    continue
+                if below in state:
+                    raise NetlistError("a loop of logic without a register")
+                state[below] = False
+                stack.append((below, iter(below.inputs)))
+                break
+            else:
+                state[node] = True
+                order.append(node)
+                stack.pop()
+    return order
+
+
+def with_lit(block: Block, flags: Sequence[tuple[int, frozenset[int]]]) -> list[Node]:
+    """Return the tables of a block, gathered where they are dark together. flags: (number, inputs), smaller ones first."""
+    order = [node for node in in_order(block.tables) if isinstance(node, Table)]
+    chosen: dict[Table, int] = {}
+    dark: dict[int, int] = {}
+    for k, (_, zeros) in enumerate(flags):
+        known: dict[int, int] = dict.fromkeys(zeros, 0)
+        behind: set[int] = set()  # nets that depend on this Lit's tables, and are not among them
+        mine: set[int] = set()
+        for table in order:
+            value = _constant(table, known)
+            if value is not None:
+                known[table.outputs[0]] = value
+            if value is not None and table not in chosen and not behind & set(table.inputs):
+                chosen[table] = k
+                dark[table.outputs[0]] = value
+                mine.add(table.outputs[0])
+            elif (behind | mine) & set(table.inputs):
+                behind.add(table.outputs[0])
+    gathered: list[list[Table]] = [[] for _ in flags]
+    for table in order:
+        if table in chosen:
+            gathered[chosen[table]].append(table)
+    read_by: dict[int, set[int]] = defaultdict(set, {net: {ELSEWHERE} for net in _read_elsewhere(block)})
+    for table in order:
+        for net in table.inputs:
+            read_by[net].add(chosen.get(table, ELSEWHERE))
+    nodes: list[Node] = [table for table in order if table not in chosen]
+    for k, tables in enumerate(gathered):
+        own = {table.outputs[0] for table in tables}
+        inputs = {net for table in tables for net in table.inputs} - own
+        outputs = tuple(sorted(net for net in own if read_by[net] - {k}))
+        if tables:
+            nodes.append(Lit(flags[k][0], tuple(sorted(inputs)), outputs, tuple(dark[net] for net in outputs), tables))
+    return nodes
+
+
+def _read_elsewhere(block: Block) -> set[int]:
+    """Return the nets that something other than a table reads."""
+    found = {net for nets in block.outputs.values() for net in nets}
+    found |= {net for flop in block.flops for net in flop.inputs}
+    found |= {net for instance in block.instances for nets in instance.nets.values() for net in nets}
+    for memory in block.memories:
+        found |= {net for read in memory.reads for net in read.inputs}
+        found |= {net for store in memory.stores for net in store.inputs}
+    return found
+
+
+def _constant(table: Table, known: Mapping[int, int]) -> int | None:
+    """Return a table's value if the known inputs determine it."""
+    if not any(net in known for net in table.inputs):
+        return None
+    values = {
+        table.bits >> row & 1
+        for row in range(1 << len(table.inputs))
+        if all(known.get(net, row >> i & 1) == row >> i & 1 for i, net in enumerate(table.inputs))
+    }
+    return values.pop() if len(values) == 1 else None
+
+
+class Schedule:
+    """Operations of one pass through a block, in `ops`. homes: nets whose place is an input of an instance.
+
+    units: the blocks of the instances; nodes: from `with_lit`; second names are numbers below 0. outputs: whether the
+    pass also computes the outputs that are not registers, as they were before the edge.
+    """
+
+    def __init__(self, block: Block, units: Mapping[str, Block], nodes: Sequence[Node], outputs: bool = False):
+        self.block, self.units = block, units
+        self._shown = [net for nets in block.outputs.values() for net in nets] if outputs else []
+        self.ops: list[Op] = []
+        nodes = [*nodes, *(read for memory in block.memories for read in memory.reads)]
+        self._producer: dict[int, Node] = {net: node for node in nodes for net in node.outputs}
+        self._called: dict[int, str] = {}  # outputs of instances that their logic computes -> unit
+        registered: dict[int, str] = {}  # outputs of instances that are registers of theirs
+        for instance in block.instances:
+            unit = units[instance.unit]
+            flops = {flop.output for flop in unit.flops}
+            for port, nets in unit.outputs.items():
+                for net, inner in zip(instance.nets.get(port, ()), nets):
+                    (registered if inner in flops else self._called)[net] = instance.unit
+        self._groups = self._grouped()
+        live = self._live(nodes)
+        self._own(live)
+        self._producer = {net: node for node in live for net in node.outputs}
+        written = {flop.output for flop in block.flops} | set(registered)
+        self._writer = {flop.output: group for group in self._groups for flop in group.flops}
+        calls = {group.instances[0].unit: group for group in self._groups if group.instances}
+        self._writer |= {net: calls[unit] for net, unit in registered.items()}
+        self._calls = calls
+        self._readers: dict[int, int] = defaultdict(int)
+        for inputs in self._consumers(live):
+            for net in set(inputs) & written:
+                self._readers[net] += 1
+        feeds = {net for i in block.instances for port in units[i.unit].inputs for net in i.nets.get(port, ())}
+        given = {net for nets in block.inputs.values() for net in nets}
+        self.homes = feeds & (given | {flop.output for flop in block.flops})
+        self._names: dict[int, int] = {}
+        self._done: set[Node | _Group] = set()
+        self._alias = 0
+        self._need(self._shown, self.ops)
+        self._read(self._shown)
+        for group in self._readers_first(live):
+            self._update(group)
+
+    def _grouped(self) -> list[_Group]:
+        """Return the groups of registers; `_own` decides which are guarded."""
+        shared: dict[Nets, list[Flop]] = defaultdict(list)
+        for flop in self.block.flops:
+            shared[flop.enable, flop.reset].append(flop)
+        groups = []
+        for (enable, reset), flops in shared.items():
+            if (enable, reset) == (ONE, ZERO):
+                groups += [_Group([flop]) for flop in flops]
+            else:
+                groups.append(_Group(flops, guarded=True))
+        groups += [_Group(put=(memory, store)) for memory in self.block.memories for store in memory.stores]
+        by_unit: dict[str, list[Instance]] = defaultdict(list)
+        for instance in self.block.instances:
+            by_unit[instance.unit].append(instance)
+        return groups + [_Group(instances=instances) for instances in by_unit.values()]
+
+    def _inputs(self, group: _Group) -> list[int]:
+        """Return what a group's registers read."""
+        if group.put:
+            return list(group.put[1].inputs)
+        if group.instances:
+            ports = self.units[group.instances[0].unit].inputs
+            return [net for i in group.instances for port in ports for net in i.nets.get(port, ())]
+        return [net for flop in group.flops for net in flop.inputs]
+
+    def _live(self, nodes: Sequence[Node]) -> list[Node]:
+        """Return the nodes that some register reads, in order."""
+        todo = [*self._shown, *(net for group in self._groups for net in self._inputs(group))]
+        live: set[Node] = set()
+        while todo:
+            node = self._producer.get(todo.pop())
+            if node is not None and node not in live:
+                live.add(node)
+                todo += node.inputs
+        return [node for node in in_order(nodes) if node in live]
+
+    def _own(self, live: Sequence[Node]) -> None:
+        """Find the nodes that only one guarded group reads, and split guarded groups that are too small."""
+        owner = self._owners(live)
+        size: dict[_Group, int] = {group: len(group.flops) for group in self._groups}
+        for group in owner.values():
+            size[group] += 1
+        split = [group for group in self._groups if group.guarded and size[group] < GUARD_MIN]
+        self._groups = [group for group in self._groups if group not in split]
+        self._groups += [_Group([flop]) for group in split for flop in group.flops]
+        for node in live:
+            if node in owner and owner[node] not in split:
+                owner[node].own.append(node)
+        self._owner = {node: group for node, group in owner.items() if group not in split}
+
+    def _owners(self, live: Sequence[Node]) -> dict[Node, _Group]:
+        users: dict[int, set[_Group | None]] = defaultdict(set, {net: {None} for net in self._shown})
+        for group in self._groups:
+            if group.guarded:
+                for flop in group.flops:
+                    users[flop.data].add(group)
+                for net in (group.enable, group.reset):
+                    users[net].add(None)
+            else:
+                for net in self._inputs(group):
+                    users[net].add(None)
+        owner: dict[Node, _Group] = {}
+        for node in reversed(live):
+            of = {user for net in node.outputs for user in users[net]}
+            only = of.pop() if len(of) == 1 else None
+            if only is not None:
+                owner[node] = only
+            for net in node.inputs:
+                users[net].add(only)
+        return owner
+
+    def _consumers(self, live: Sequence[Node]) -> Iterable[Iterable[int]]:
+        """Return what each consumer reads: nodes, flip-flops, guards, ports of memories, calls."""
+        yield self._shown
+        yield from (node.inputs for node in live)
+        for group in self._groups:
+            if group.flops:
+                yield from ((flop.data,) if group.guarded else flop.inputs for flop in group.flops)
+                if group.guarded:
+                    yield (group.enable, group.reset)
+            else:
+                yield self._inputs(group)
+
+    def _readers_first(self, live: Sequence[Node]) -> list[_Group]:
+        """Return the groups so that most come after those that read their registers."""
+        number = {group: k for k, group in enumerate(self._groups)}
+        reached: dict[int, int] = defaultdict(int)  # net -> groups, as a number's bits
+        for group, k in number.items():
+            for net in self._inputs(group):
+                reached[net] |= 1 << k
+        for node in reversed(live):
+            of = 0
+            for net in node.outputs:
+                of |= reached[net]
+            for net in node.inputs:
+                reached[net] |= of
+        readers = [0] * len(self._groups)
+        for net, group in self._writer.items():
+            readers[number[group]] |= reached[net]
+        for net, unit in self._called.items():
+            readers[number[self._calls[unit]]] |= reached[net]
+        return [self._groups[k] for k in _children_first(readers)]
+
+    def _named(self, nets: Iterable[int]) -> dict[int, int]:
+        return {net: self._names[net] for net in nets if net in self._names}
+
+    def _read(self, nets: Iterable[int]) -> None:
+        for net in set(nets):
+            if net in self._readers:
+                self._readers[net] -= 1
+
+    def _need(self, nets: Iterable[int], into: list[Op], inside: _Group | None = None) -> None:
+        """Compute some nets. inside: only nodes of this guarded group, whose other inputs are there."""
+        for root in nets:
+            stack = [root]
+            while stack:
+                net = stack[-1]
+                if net in self._called and self._calls[self._called[net]] not in self._done:
+                    self._update(self._calls[self._called[net]])
+                node = self._producer.get(net)
+                if node is None or node in self._done:
+                    stack.pop()
+                    continue
+                missing = [x for x in node.inputs if self._missing(x)]
+                if missing:
+                    stack += missing
+                    continue
+                stack.pop()
+                self._done.add(node)
+                gates = (inside.enable, inside.reset) if inside else (ONE, ZERO)
+                into.append(Evaluate(node, self._named((*node.inputs, *gates)), *gates))
+                self._read(node.inputs)
+
+    def _missing(self, net: int) -> bool:
+        if net in self._called:
+            return self._calls[self._called[net]] not in self._done
+        node = self._producer.get(net)
+        return node is not None and node not in self._done
+
+    def _copy(self, net: int, into: list[Op]) -> None:
+        self._alias -= 1
+        into.append(Copy(net, self._alias))
+        self._names[net] = self._alias
+
+    def _update(self, group: _Group) -> None:
+        """Put a group's update into the pass, after everything that it needs."""
+        if group in self._done:
+            return
+        if self.homes & {flop.output for flop in group.flops}:
+            for call in self._calls.values():
+                self._update(call)
+        self._done.add(group)
+        if group.put:
+            self._put(group, *group.put)
+        elif group.instances:
+            self._call(group)
+        elif group.guarded:
+            self._guard(group)
+        else:
+            flop = group.flops[0]
+            self._need(flop.inputs, self.ops)
+            self._read(flop.inputs)
+            self._write(flop, self.ops)
+
+    def _write(self, flop: Flop, into: list[Op]) -> None:
+        names = self._named(flop.inputs)
+        if self._readers[flop.output] and flop.output not in self._names:
+            self._copy(flop.output, into)
+        into.append(Write(flop, names))
+
+    def _put(self, group: _Group, memory: Memory, store: Store) -> None:
+        for read in memory.reads:
+            if read in self._owner:
+                self._update(self._owner[read])
+            elif read.outputs[0] in self._producer and read not in self._done:
+                self._need(read.outputs[:1], self.ops)
+        self._need(store.inputs, self.ops)
+        self._read(store.inputs)
+        self.ops.append(Put(memory, store, self._named(store.inputs)))
+
+    def _call(self, group: _Group) -> None:
+        inputs = self._inputs(group)
+        if any(net in self._called and self._calls[self._called[net]] is group for net in self._cone(inputs)):
+            raise NetlistError(f"{group.instances[0].unit}: an output leads to an input without a register")
+        self._need(inputs, self.ops)
+        self._read(inputs)
+        names = self._named(inputs)
+        for net, writer in self._writer.items():
+            if writer is group and self._readers[net] and net not in self._names:
+                self._copy(net, self.ops)
+        self.ops.append(Call(group.instances, names))
+
+    def _cone(self, nets: Iterable[int]) -> set[int]:
+        """Return all nets from which some nets are computed, and themselves."""
+        seen, todo = set(nets), list(nets)
+        while todo:
+            node = self._producer.get(todo.pop())
+            for net in node.inputs if node else ():
+                if net not in seen:
+                    seen.add(net)
+                    todo.append(net)
+        return seen
+
+    def _guard(self, group: _Group) -> None:
+        own = set(group.own)
+        outer = [net for node in group.own for net in node.inputs] + [flop.data for flop in group.flops]
+        outer = [net for net in outer if self._producer.get(net) not in own]
+        self._need([*outer, group.enable, group.reset], self.ops)
+        self._read((group.enable, group.reset))
+        # Readers that come after the guard get their copies before it.
+        inside: dict[int, int] = defaultdict(int)
+        for inputs in (*(node.inputs for node in group.own), *((flop.data,) for flop in group.flops)):
+            for net in set(inputs):
+                inside[net] += 1
+        for flop in group.flops:
+            if self._readers[flop.output] > inside[flop.output] and flop.output not in self._names:
+                self._copy(flop.output, self.ops)
+        names = self._named((group.enable, group.reset))
+        body: list[Op] = []
+        kept = dict(self._names)
+        for flop in self._readers_within(group):
+            self._need((flop.data,), body, group)
+            self._read((flop.data,))
+            self._write(flop, body)
+        self._names = kept
+        self.ops.append(Guard(group.enable, group.reset, names, body, group.flops))
+
+    def _readers_within(self, group: _Group) -> list[Flop]:
+        """Return the flip-flops of a guarded group so that most come after those that read them."""
+        reached: dict[int, int] = defaultdict(int)
+        for k, flop in enumerate(group.flops):
+            reached[flop.data] |= 1 << k
+        for node in reversed(group.own):
+            of = 0
+            for net in node.outputs:
+                of |= reached[net]
+            for net in node.inputs:
+                reached[net] |= of
+        readers = [reached[flop.output] for flop in group.flops]
+        return [group.flops[k] for k in _children_first(readers)]
+
+
+def settling(block: Block, units: Mapping[str, Block], nodes: Sequence[Node]) -> list[Op]:
+    """Return the operations that compute a block's outputs, and update nothing."""
+    nodes = [*nodes, *(read for memory in block.memories for read in memory.reads)]
+    producer: dict[int, Node | str] = {net: node for node in nodes for net in node.outputs}
+    by_unit: dict[str, list[Instance]] = defaultdict(list)
+    for instance in block.instances:
+        by_unit[instance.unit].append(instance)
+        kept = {flop.output for flop in units[instance.unit].flops}
+        for port, nets in units[instance.unit].outputs.items():
+            outer = instance.nets.get(port, ())
+            producer |= {net: instance.unit for net, inner in zip(outer, nets) if inner not in kept}
+    ops: list[Op] = []
+    done: set[Node | str] = set()
+    stack = [net for nets in block.outputs.values() for net in nets]
+    entered: set[Node | str] = set()
+    while stack:
+        of = producer.get(stack[-1])
+        if of is None or of in done:
+            stack.pop()
+            continue
+        if isinstance(of, str):
+            inputs = [net for i in by_unit[of] for port in units[of].inputs for net in i.nets.get(port, ())]
+        else:
+            inputs = list(of.inputs)
+        missing = [net for net in inputs if net in producer and producer[net] not in done]
+        if missing:
+            if of in entered:
+                raise NetlistError("a loop of logic without a register, or through a unit")
+            entered.add(of)
+            stack += missing
+            continue
+        stack.pop()
+        done.add(of)
+        ops.append(Call(by_unit[of], {}) if isinstance(of, str) else Evaluate(of, {}))
+    return ops
+
+
+def _children_first(children: Sequence[int]) -> list[int]:
+    """Return numbers so that most come after their children. children: of each, as a number's bits."""
+    order: list[int] = []
+    seen: set[int] = set()
+    for start in range(len(children)):
+        stack = [] if start in seen else [(start, _bits(children[start]))]
+        seen.add(start)
+        while stack:
+            k, rest = stack[-1]
+            for child in rest:
+                if child not in seen:
+                    seen.add(child)
+                    stack.append((child, _bits(children[child])))
+                    break
+            else:
+                order.append(k)
+                stack.pop()
+    return order
+
+
+def _bits(number: int) -> Iterable[int]:
+    """Return the positions of a number's ones, lowest first."""
+    while number:
+        lowest = number & -number
+        yield lowest.bit_length() - 1
+        number ^= lowest

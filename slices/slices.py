@@ -1,0 +1,82 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Slices of any netlist, from Python: every lane is a copy of the design with inputs and registers of its own."""
+
+import ctypes
+from collections.abc import Sequence
+
+import numpy as np
+
+from .library import PROCESSOR, library
+from .probe import Probe, numbers
+from .synthesis import Design
+
+
+class Slices:
+    """Lanes of a design, from power-up. Registers have their initial values, inputs are 0. A context manager.
+
+    lanes: 64, 128, 256 or 512. flag: g++'s choice of a processor.
+    """
+
+    def __init__(self, design: Design, lanes: int = 64, flag: str = PROCESSOR):
+        self.lanes = lanes
+        self.probe = Probe(design.emission())
+        self._layout = self.probe.layout
+        self._library = library(design, lanes, flag=flag)
+        pointer = ctypes.c_void_p
+        for name, answer, arguments in (
+            ("new", pointer, []),
+            ("delete", None, [pointer]),
+            ("words", ctypes.POINTER(ctypes.c_uint64), [pointer]),
+            ("flags", ctypes.POINTER(ctypes.c_uint8), [pointer]),
+            ("step", None, [pointer, ctypes.c_int64]),
+            ("record", None, [pointer, ctypes.c_int, ctypes.c_int64, pointer]),
+        ):
+            function = getattr(self._library, f"slice_{name}")
+            function.restype, function.argtypes = answer, arguments
+        self._slice = self._library.slice_new()
+        self.words = np.ctypeslib.as_array(self._library.slice_words(self._slice), (self._layout.words, lanes // 64))
+        self._flags = np.ctypeslib.as_array(self._library.slice_flags(self._slice), (max(1, self._layout.flags),))
+        self.step(0)
+
+    def __enter__(self) -> "Slices":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        del self.words, self._flags
+        self._library.slice_delete(self._slice)
+
+    def set(self, port: str, values: Sequence[int] | int) -> None:
+        """Set an input. values: a number for every lane, or one for all of them."""
+        self._put(self._layout.inputs[port], values)
+        for word, flags in zip(self._layout.inputs[port], self._layout.lit.get(port, ())):
+            self._flags[flags] |= self.words[word].any()
+
+    def get(self, port: str) -> list[int]:
+        """Return an output's number in every lane."""
+        return numbers(self.words[self._layout.outputs[port]])
+
+    def peek(self, name: str) -> list[int]:
+        """Return a signal's number in every lane, for any signal of `probe.signals`."""
+        return numbers(self.probe.values(self.words, [name])[name])
+
+    def poke(self, name: str, values: Sequence[int] | int) -> None:
+        """Set a register. values: a number for every lane, or one for all of them."""
+        self._put(self.probe.words(name), values)
+
+    def step(self, edges: int = 1) -> None:
+        """Let clock edges come, after which the outputs are what registers and inputs make of them."""
+        self._library.slice_step(self._slice, edges)
+
+    def record(self, lane: int, edges: int = 1) -> np.ndarray:
+        """Let clock edges come, and return the lane's samples before each, uint64[edges, m], for `waves`."""
+        samples = np.zeros((edges, -(-self._layout.words // 64)), np.uint64)
+        self._library.slice_record(self._slice, lane, edges, samples.ctypes.data)
+        return samples
+
+    def _put(self, words: Sequence[int], values: Sequence[int] | int) -> None:
+        each = [values] * self.lanes if isinstance(values, int) else list(values)
+        size = -(-len(words) // 8)
+        data = np.frombuffer(b"".join(int(value).to_bytes(size, "little") for value in each), np.uint8)
+        bits = np.unpackbits(data.reshape(self.lanes, size), axis=1, bitorder="little")[:, : len(words)]
+        packed = np.packbits(np.ascontiguousarray(bits.T), axis=1, bitorder="little")
+        self.words[list(words)] = packed.view(np.uint64)

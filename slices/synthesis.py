@@ -1,0 +1,88 @@
+# SPDX-License-Identifier: Apache-2.0
+"""From Verilog to a netlist and its C++: Yosys maps, `emit` writes, and the result is kept.
+
+Yosys turns everything into tables of three inputs and flip-flops of one clock edge. Units keep their hierarchy, memories
+of some rows stay memories. What is undefined in the Verilog, Yosys may choose; what it leaves undefined is 0.
+"""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from ..model.shared.folders import build_root
+from ..model.shared.sources import digest, sources_digest
+from ..tools.build import build_once
+from ..tools.wheels import run_yosys
+from .emit import Emission, Sparse
+from .netlist import read_netlist
+
+ROWS_MIN = 4  # memories with fewer rows become flip-flops
+FLOP_CELLS = " ".join(f"-cell {cell} 01" for cell in ("$_DFF_P_", "$_DFFE_PP_", "$_SDFF_PP?_", "$_SDFFE_PP?P_"))
+NETLIST, SOURCE, HEADER = "netlist.json", "slice.cpp", "slice.h"
+
+
+class Design:
+    """A design in slices: a `folder` with its netlist and C++, made once. Raises `ToolchainError`, `NetlistError`.
+
+    name: of the build. sources: Verilog by file name. units: modules that repeat in the top, so that their code is written
+    only once. sparse: inputs that are nearly always 0. before: Yosys's commands for the design as it was read.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        sources: Mapping[str, str],
+        top: str,
+        units: Sequence[str] = (),
+        sparse: Sequence[Sparse] = (),
+        before: Sequence[str] = (),
+    ):
+        self.top, self._sparse = top, tuple(sparse)
+        lines = _script(top, list(sources), units, before)
+        contents = [part for item in sources.items() for part in item]
+        key = digest(sources_digest("slices"), top, *lines, repr(self._sparse), *contents)
+
+        def make(scratch: Path) -> None:
+            for file, text in sources.items():
+                (scratch / file).write_text(text)
+            run_yosys(scratch, *lines)
+            emission = self._emission(scratch)
+            (scratch / SOURCE).write_text(emission.source)
+            (scratch / HEADER).write_text(emission.header)
+
+        self.folder = build_once(build_root() / "slices" / f"{name}-{key}", make)
+
+    def emission(self) -> Emission:
+        """Return netlist and layout, which the folder does not hold."""
+        return self._emission(self.folder)
+
+    def _emission(self, folder: Path) -> Emission:
+        return Emission(read_netlist(folder / NETLIST), self.top, self._sparse)
+
+
+def _script(top: str, files: Sequence[str], units: Sequence[str], before: Sequence[str]) -> list[str]:
+    """Return the lines of Yosys's script."""
+    small = " ".join(f"r:SIZE={rows}" for rows in range(1, ROWS_MIN))
+    return [
+        f"read_verilog {' '.join(files)}",
+        f"hierarchy -check -top {top}",
+        *(f"setattr -mod -set keep_hierarchy 1 {unit}" for unit in units),
+        *before,
+        "proc",
+        "flatten",
+        "opt_clean",
+        "memory_nordff",
+        "memory_collect",
+        f"memory_map {small}",
+        "opt -full",
+        "peepopt",
+        "wreduce",
+        "opt_clean",
+        "alumacc",
+        "techmap",
+        "opt -fast",
+        f"dfflegalize {FLOP_CELLS}",
+        "opt -fast",
+        "abc -lut 3",
+        "opt_clean",
+        f"write_json {NETLIST}",
+    ]

@@ -1,0 +1,237 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Slices of designs that are not ours, against Amaranth's simulator, in every lane and for every kind of word."""
+
+import platform
+import random
+
+import numpy as np
+import pytest
+from amaranth.back import verilog
+from amaranth.hdl import Elaboratable, Module, Signal, Value
+from amaranth.lib.crc.catalog import CRC16_CCITT
+from amaranth.lib.fifo import SyncFIFO, SyncFIFOBuffered
+from amaranth.sim import Simulator
+from pywellen import Waveform
+
+from coincid.slices.emit import Sparse
+from coincid.slices.library import LANES, PROCESSOR
+from coincid.slices.netlist import NetlistError
+from coincid.slices.slices import Slices
+from coincid.slices.synthesis import Design
+from coincid.slices.waves import write_vcd
+
+CYCLES = 150
+pytestmark = pytest.mark.filterwarnings("ignore::amaranth.hdl.UnusedElaboratable")  # made for the widths of its ports
+# Words of SIMD registers, of older ones, and of none.
+PROCESSORS = [PROCESSOR] + (["-march=x86-64-v3", "-march=x86-64"] if platform.machine() == "x86_64" else [])
+
+
+class Counters(Elaboratable):
+    """Registers with and without enable and reset, of both initial values; a wide one that loads rarely."""
+
+    def __init__(self):
+        self.enable, self.clear, self.value = Signal(), Signal(), Signal(24)
+        self.kept, self.sum, self.odd = Signal(24, init=0x5A5A5A), Signal(8, init=255), Signal()
+
+    def elaborate(self, platform):
+        m = Module()
+        m.d.comb += self.odd.eq(self.sum[0] ^ self.value[0])
+        with m.If(self.clear):
+            m.d.sync += self.kept.eq(0xF0F0F0)
+        with m.Elif(self.enable & (self.value[:4] == 3)):
+            m.d.sync += self.kept.eq(self.kept + self.value)
+        m.d.sync += self.sum.eq(self.sum + self.kept[:8] + 1)
+        return m
+
+
+class Rows(Elaboratable):
+    """Four equal counters with a sparse input and a common one, in a module each: a unit that repeats."""
+
+    def __init__(self):
+        self.lit, self.shared, self.out = Signal(32), Signal(3), Signal(20)
+
+    def elaborate(self, platform):
+        m = Module()
+        last = self.shared
+        for k in range(4):
+            m.submodules[f"row_{k}"] = row = Row()
+            m.d.comb += [row.lit.eq(self.lit[8 * k : 8 * k + 8]), row.shared.eq(self.shared), row.before.eq(last)]
+            m.d.sync += self.out[5 * k : 5 * k + 5].eq(row.value ^ row.logic)
+            last = row.value[:3]
+        return m
+
+
+class Row(Elaboratable):
+    def __init__(self):
+        self.lit, self.shared, self.before = Signal(8), Signal(3), Signal(3)
+        self.value, self.logic = Signal(5, init=9), Signal(5)
+
+    def elaborate(self, platform):
+        m = Module()
+        first = Signal(3)
+        for i in reversed(range(8)):
+            with m.If(self.lit[i]):
+                m.d.comb += first.eq(i)
+        m.d.comb += self.logic.eq(first + self.before)
+        with m.If(self.lit.any()):
+            m.d.sync += self.value.eq(self.value + first + self.shared)
+        return m
+
+
+DESIGNS = {
+    "fifo": (lambda: SyncFIFO(width=5, depth=6), ["w_data", "w_en", "r_en"], ["w_rdy", "r_data", "r_rdy", "level"]),
+    "buffered": (
+        lambda: SyncFIFOBuffered(width=9, depth=10),
+        ["w_data", "w_en", "r_en"],
+        ["w_rdy", "r_data", "r_rdy", "level"],
+    ),
+    "crc": (lambda: CRC16_CCITT(8).create(), ["start", "data", "valid"], ["crc", "match_detected"]),
+    "counters": (Counters, ["enable", "clear", "value"], ["kept", "sum", "odd"]),
+    "rows": (Rows, ["lit", "shared"], ["out"]),
+}
+
+
+def signals(design, names):
+    return {name: Value.cast(getattr(design, name)) for name in names}
+
+
+# The same as `Rows`, with a unit.
+ROWS = """
+module row(input clk, input rst, input [7:0] lit, input [2:0] shared, before, output reg [4:0] value, output [4:0] logic_);
+  wire [2:0] first = lit[0] ? 0 : lit[1] ? 1 : lit[2] ? 2 : lit[3] ? 3 : lit[4] ? 4 : lit[5] ? 5 : lit[6] ? 6 : lit[7] ? 7 : 0;
+  initial value = 9;
+  assign logic_ = first + before;
+  always @(posedge clk) if (rst) value <= 9; else if (|lit) value <= value + first + shared;
+endmodule
+
+module rows(input clk, input rst, input [31:0] lit, input [2:0] shared, output reg [19:0] out);
+  wire [19:0] value, logic_;
+  initial out = 0;
+  row row_0(.clk(clk), .rst(rst), .lit(lit[7:0]), .shared(shared), .before(shared), .value(value[4:0]), .logic_(logic_[4:0]));
+  row row_1(.clk(clk), .rst(rst), .lit(lit[15:8]), .shared(shared), .before(value[2:0]), .value(value[9:5]), .logic_(logic_[9:5]));
+  row row_2(.clk(clk), .rst(rst), .lit(lit[23:16]), .shared(shared), .before(value[7:5]), .value(value[14:10]), .logic_(logic_[14:10]));
+  row row_3(.clk(clk), .rst(rst), .lit(lit[31:24]), .shared(shared), .before(value[12:10]), .value(value[19:15]), .logic_(logic_[19:15]));
+  always @(posedge clk) if (rst) out <= 0; else out <= value ^ logic_;
+endmodule
+"""
+
+
+def sliced(name: str) -> Design:
+    make, inputs, outputs = DESIGNS[name]
+    if name == "rows":
+        return Design(name, {"rows.v": ROWS}, name, ["row"], [Sparse("row", "lit", 4)])
+    design = make()
+    ports = {port: (value, None) for port, value in signals(design, inputs + outputs).items()}
+    return Design(name, {f"{name}.v": verilog.convert(design, name=name, ports=ports)}, name)
+
+
+def stimulus(name: str, lanes: int, seed: int) -> list[dict[str, list[int]]]:
+    """Return for every cycle the inputs of every lane."""
+    make, inputs, _ = DESIGNS[name]
+    rng = random.Random(seed)
+    design = make()
+    widths = {port: len(value) for port, value in signals(design, inputs).items()}
+
+    def one(width: int) -> int:
+        return rng.getrandbits(width) if rng.random() < 0.6 else 0
+
+    return [{port: [one(width) for _ in range(lanes)] for port, width in widths.items()} for _ in range(CYCLES)]
+
+
+def expected(name: str, given: list[dict[str, list[int]]], lane: int) -> list[dict[str, int]]:
+    """Return the outputs of a lane in every cycle, by Amaranth's simulator."""
+    make, inputs, outputs = DESIGNS[name]
+    design, seen = make(), []
+    simulator = Simulator(design)
+    simulator.add_clock(1e-6)
+    to, of = signals(design, inputs), signals(design, outputs)
+
+    async def bench(ctx):
+        for cycle in given:
+            for port, value in to.items():
+                ctx.set(value, cycle[port][lane])
+            await ctx.delay(1e-9)
+            seen.append({port: ctx.get(value) for port, value in of.items()})
+            await ctx.tick()
+
+    simulator.add_testbench(bench)
+    simulator.run()
+    return seen
+
+
+def play(slices: Slices, name: str, given: list[dict[str, list[int]]]) -> list[dict[str, list[int]]]:
+    seen = []
+    for cycle in given:
+        for port, values in cycle.items():
+            slices.set(port, values)
+        slices.step(0)
+        seen.append({port: slices.get(port) for port in DESIGNS[name][2]})
+        slices.step()
+    return seen
+
+
+@pytest.mark.parametrize("name", DESIGNS)
+def test_every_lane_is_a_design_of_its_own(name):
+    given = stimulus(name, 64, 1)
+    with Slices(sliced(name), 64) as slices:
+        seen = play(slices, name, given)
+    for lane in (0, 1, 31, 62, 63):
+        assert [{port: values[lane] for port, values in cycle.items()} for cycle in seen] == expected(name, given, lane)
+
+
+@pytest.mark.parametrize("flag", PROCESSORS)
+@pytest.mark.parametrize("lanes", LANES)
+def test_any_word_on_any_processor_gives_the_same_bits(lanes, flag):
+    """Lane k of a wider word has the stimuli of lane k % 64."""
+    name = "counters"
+    given = stimulus(name, 64, 2)
+    with Slices(design := sliced(name), 64) as slices:
+        plain = play(slices, name, given)
+    wide = [{port: values * (lanes // 64) for port, values in cycle.items()} for cycle in given]
+    with Slices(design, lanes, flag) as slices:
+        assert play(slices, name, wide) == [{p: v * (lanes // 64) for p, v in cycle.items()} for cycle in plain]
+
+
+def test_registers_can_be_read_and_written():
+    with Slices(sliced("counters")) as slices:
+        assert slices.peek("kept") == [0x5A5A5A] * 64
+        slices.poke("kept", list(range(64)))
+        slices.set("value", 1)
+        slices.step()
+        assert slices.peek("sum") == [lane for lane in range(64)]  # 255 + kept + 1
+        assert slices.peek("odd") == [lane % 2 ^ 1 for lane in range(64)]  # logic that nothing keeps
+        with pytest.raises(KeyError):
+            slices.poke("no such register", 0)
+
+
+def test_waveform_of_a_lane_is_what_amaranth_shows(tmp_path):
+    """All signals by name, registers and logic, cycle by cycle."""
+    name, lane = "fifo", 5
+    given = stimulus(name, 64, 3)
+    with Slices(sliced(name)) as slices:
+        rows = []
+        for cycle in given:
+            for port, values in cycle.items():
+                slices.set(port, values)
+            rows.append(slices.record(lane)[0])
+        write_vcd(tmp_path / "wave.vcd", slices.probe, {"lane": np.array(rows)}, cycle_ps=10)
+    wave = {variable.full_name: variable.signal for variable in Waveform(str(tmp_path / "wave.vcd")).all_vars()}
+    for port in (*DESIGNS[name][1], *DESIGNS[name][2]):
+        shown = [int(wave[f"lane.{port}"].value_at(10 * cycle)) for cycle in range(CYCLES)]
+        wanted = [cycle[port][lane] for cycle in given] if port in DESIGNS[name][1] else None
+        assert shown == (wanted or [cycle[port] for cycle in expected(name, given, lane)]), port
+
+
+def test_what_slices_cannot_play_is_said():
+    two = "module two(input clk, input other, input d, output reg q); always @(posedge other) q <= d; endmodule\n"
+    with pytest.raises(NetlistError, match="a clock other than its port clk"):
+        Design("two", {"two.v": two}, "two")
+    loop = "module loop(input clk, input d, output q); assign q = ~(q & d); endmodule\n"
+    with pytest.raises(NetlistError, match="a loop of logic without a register"):
+        Design("loop", {"loop.v": loop}, "loop")
+    inout = "module inner(input clk, input a, output b, output c); reg r; always @(posedge clk) r <= a; assign b = r ^ a; assign c = r; endmodule\n"
+    through = inout + (
+        "module through(input clk, input d, output q); wire x; inner i(.clk(clk), .a(x & d), .b(x), .c(q)); endmodule\n"
+    )
+    with pytest.raises(NetlistError, match="an output leads to an input without a register"):
+        Design("through", {"through.v": through}, "through", ["inner"])
