@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Module: subgroups 2k and 2k + 1 and the always-on TDC that they share (paper, Fig. 3: generic block of the sensor)."""
 
-from amaranth.hdl import Cat, Signal
+from typing import Any
+
+from amaranth.hdl import Cat, Signal, ValueLike
 from amaranth.hdl import Module as Design
 from amaranth.lib import wiring
 from amaranth.lib.wiring import In
@@ -37,17 +39,47 @@ class SensorModule(Unit):
 
     def elaborate(self, platform):
         m = Design()
-        sensor = self.sensor
-        start = Signal(reset_less=True)
-        m.d.sync += start.eq(self.timing.start)
-        tdc = place(m, "tdc", self.view.tdc(sensor, self.lines), platform, agreed_reset(m))
-        m.d.comb += tdc.start.eq(start)
-        for k in range(self.lines):
-            subgroup = place(m, f"subgroup_{k}", Subgroup(sensor, self.view), platform)
-            m.d.comb += subgroup.subgroup.eq(Cat(k, self.number))
-            m.d.comb += [getattr(subgroup, name).eq(getattr(self, name)) for name in shared_ports(sensor)]
-            for name, member in own_ports(sensor, self.view).items():
-                inner, outer = getattr(subgroup, name), getattr(self, f"{name}_{k}")
-                m.d.comb += inner.eq(outer) if member.flow is In else outer.eq(inner)
-            wiring.connect(m, subgroup.line, getattr(tdc, f"line_{k}"))
+        own = [
+            {name: getattr(self, f"{name}_{k}") for name in own_ports(self.sensor, self.view)}
+            for k in range(self.lines)
+        ]
+        _put_lines(m, platform, self, [Cat(k, self.number) for k in range(self.lines)], own)
         return m
+
+
+class Slice(Unit):
+    """One subgroup with its line of the TDC: what a bit-sliced simulation plays once for all subgroups of the array.
+
+    Ports: `shared_ports` and `own_ports` of the subgroup; number : in, the subgroup's. The lines of a module's TDC do not
+    know of each other, and its registered start and reset are the same for both, so an array of slices equals an array of
+    modules.
+    """
+
+    unit_name = "coincid_slice"
+
+    def __init__(self, sensor: Sensor, view=POLYPHASE):
+        self.sensor, self.view = sensor, view
+        super().__init__(shared_ports(sensor) | own_ports(sensor, view) | {"number": In(bus.SUBGROUP_BITS)})
+
+    def elaborate(self, platform):
+        m = Design()
+        own = {name: getattr(self, name) for name in own_ports(self.sensor, self.view)}
+        _put_lines(m, platform, self, [self.number], [own])
+        return m
+
+
+def _put_lines(m: Design, platform, unit: Unit, numbers: list[ValueLike], own: list[dict[str, Any]]) -> None:
+    """Put a TDC and its subgroups into `m`. numbers: the subgroups'; own: of each, its ports of the unit by name."""
+    sensor, view = unit.sensor, unit.view
+    start = Signal(reset_less=True)
+    m.d.sync += start.eq(unit.timing.start)
+    tdc = place(m, "tdc", view.tdc(sensor, len(numbers)), platform, agreed_reset(m))
+    m.d.comb += tdc.start.eq(start)
+    for k, (number, ports) in enumerate(zip(numbers, own)):
+        subgroup = place(m, f"subgroup_{k}", Subgroup(sensor, view), platform)
+        m.d.comb += subgroup.subgroup.eq(number)
+        m.d.comb += [getattr(subgroup, name).eq(getattr(unit, name)) for name in shared_ports(sensor)]
+        for name, member in own_ports(sensor, view).items():
+            inner, outer = getattr(subgroup, name), ports[name]
+            m.d.comb += inner.eq(outer) if member.flow is In else outer.eq(inner)
+        wiring.connect(m, subgroup.line, getattr(tdc, f"line_{k}"))

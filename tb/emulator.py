@@ -11,8 +11,9 @@ from ..model.contract.emulator import BUFFER_BEATS, Emulator
 from ..model.contract.parameters import Sensor
 from ..model.shared.folders import build_root
 from ..model.shared.sources import digest, sources_digest
+from ..tools.build import build_once, compile_in
 from . import toolchain
-from .batch import COMPILER, run_time, verilated_unit
+from .verilated import COMPILER, run_time, verilated_unit
 
 SOURCE = Path(__file__).with_name("emulator.cpp")
 LIBRARY = "libemulator.so"
@@ -39,7 +40,7 @@ def emulator_rtl(emulator: Emulator, serial: bool = True) -> list[Path]:
             (folder / name).write_text(text)
 
     sensor = emulator.sensor
-    folder = toolchain.build_once(build_root() / "verilog" / f"emulator-{sensor.rows}x{sensor.cols}-{key}", emit)
+    folder = build_once(build_root() / "verilog" / f"emulator-{sensor.rows}x{sensor.cols}-{key}", emit)
     return [folder / name for name in (folder / EMULATOR_LIST).read_text().split()]
 
 
@@ -51,18 +52,16 @@ def build_emulator(emulator: Emulator) -> Path:
 def build_line(sources: list[Path], top: str, options: Sequence[str] = ()) -> Path:
     """Compile the library of a design with the ports clk, rst, rx and tx, once. options: for Verilator."""
     unit = verilated_unit(top, "Vemulator", sources, options)
-    directory = build_root() / "batch" / f"emulator-{digest(unit.name, *COMPILER, SOURCE.read_text())}"
+    directory = build_root() / "verilated" / f"emulator-{digest(unit.name, *COMPILER, SOURCE.read_text())}"
 
     def make(scratch: Path) -> None:
         log = directory.with_name(f"{directory.name}.log")
         log.unlink(missing_ok=True)
         include = [f"-I{unit}", f"-I{toolchain.verilator().parents[1] / 'include'}"]
         command = ["g++", "-shared", *COMPILER, "-o", LIBRARY, str(SOURCE), *include]
-        toolchain.compile_in(
-            scratch, log, [*command, str(unit / "libVemulator.a"), str(run_time()), "-lpthread", "-latomic"]
-        )
+        compile_in(scratch, log, [*command, str(unit / "libVemulator.a"), str(run_time()), "-lpthread", "-latomic"])
 
-    return toolchain.build_once(directory, make) / LIBRARY
+    return build_once(directory, make) / LIBRARY
 
 
 @cache

@@ -9,11 +9,11 @@ from pathlib import Path
 from ..hdl.views import POLYPHASE, View
 from ..model.contract.parameters import TOP, Sensor
 from . import toolchain
-from .batch import BatchSensor, build_library
 from .errors import Mismatch, SimulationError
 from .frames import MISMATCH, PROGRESS, RESULT, FrameJob, Recorded, save_job
 from .rtl import rtl, sensor_key
 from .scoreboard import check
+from .sliced import SlicedSensor, build_library
 
 
 def prepare(engine: str, sensor: Sensor, waves: bool = False, view: View = POLYPHASE) -> None:
@@ -51,7 +51,7 @@ def play(
 
     engine: from `engines.py`, without golden; view and waves: as `replay.chosen_view` allows. Raises `Mismatch` at the
     first difference from a frame's expectation, `SimulationError` for any other failure, and
-    `toolchain.ToolchainError`.
+    `ToolchainError`.
     """
     if engine == "sliced":
         return _play_sliced(frames, progress or (lambda cycles: None)), None
@@ -92,7 +92,7 @@ def _play_sliced(frames: list[FrameJob], progress: Callable[[int], None]) -> lis
         return lambda cycle: progress(start + cycle)
 
     records, before = [], 0
-    with BatchSensor(frames[0].config.sensor) as sensor:
+    with SlicedSensor(frames[0].config.sensor) as sensor:
         for number, job in enumerate(frames):
             record = sensor.frame(job.config, job.edges, job.ready, since(before))
             if job.expected is not None:

@@ -19,7 +19,7 @@ from ..model.shared.errors import InputError
 from ..model.shared.extras import extra
 from ..model.shared.quantities import check_choice
 from .engines import ENGINES, SIMULATORS
-from .frames import FrameJob
+from .frames import FrameJob, Recorded
 
 if TYPE_CHECKING:
     from ..hdl.views import View
@@ -89,13 +89,20 @@ def replay(
         done = progress or (lambda cycles: None)
         return golden_result(config, edges, ready, lambda frames: done(frames * config.frame_cycles))
     from .play import play
+    from .sliced import play_side_by_side
     from .stimulus import check_offsets
 
     if chosen.name != DEFAULT_VIEW:
         check_offsets(config, edges)
     frames = [FrameJob(config, edges.frame(number, config.pulses)[0], ready=ready) for number in range(config.frames)]
+    if engine == "sliced" and not config.controlled.any():  # then no frame depends on those before
+        return _result(config, [record for (record,) in play_side_by_side([[job] for job in frames], progress)])
     with tempfile.TemporaryDirectory(prefix="coincid-") as folder:
         records, _ = play(frames, engine, Path(folder), progress=progress, view=chosen)
+    return _result(config, records)
+
+
+def _result(config: Config, records: list[Recorded]) -> dict[str, np.ndarray]:
     result = ResultBuilder(config)
     for record in records:
         result.add(record.beats, record.commit_subgroup, record.commit_cycle)

@@ -5,14 +5,14 @@ from collections.abc import Callable
 from pathlib import Path
 
 from ..hdl.export import FILE_LIST, units_files, verilog_files
-from ..hdl.module import SensorModule
+from ..hdl.module import Slice
 from ..hdl.sensor import Core
 from ..hdl.unit import Unit
 from ..hdl.views import POLYPHASE, View
 from ..model.contract.parameters import SENSOR, Sensor
 from ..model.shared.folders import build_root
 from ..model.shared.sources import digest, sources_digest
-from . import toolchain
+from ..tools.build import build_once
 
 
 def sensor_key(sensor: Sensor, view: View = POLYPHASE) -> str:
@@ -33,13 +33,13 @@ def rtl(sensor: Sensor, view: View = POLYPHASE) -> list[Path]:
 
 
 def rtl_in_two(sensor: Sensor) -> tuple[list[Path], list[Path]]:
-    """Return the files of the core (`hdl/sensor.py`) and of a module of two subgroups, for a program that wires the modules."""
+    """Return the files of the core (`hdl/sensor.py`) and of a slice (`hdl/module.py`), for a program that wires them."""
 
     def files(unit: Unit) -> list[Path]:
         name = f"{sensor_key(sensor)}-{unit.unit_name}"
         return sorted(_emitted(name, repr(sensor), lambda: units_files([unit])).iterdir())
 
-    return files(Core(sensor)), files(SensorModule(sensor))
+    return files(Core(sensor)), files(Slice(sensor))
 
 
 def _emitted(name: str, parameters: str, files: Callable[[], dict[str, str]]) -> Path:
@@ -50,4 +50,4 @@ def _emitted(name: str, parameters: str, files: Callable[[], dict[str, str]]) ->
         for file, text in files().items():
             (directory / file).write_text(text)
 
-    return toolchain.build_once(build_root() / "verilog" / f"{name}-{key}", emit)
+    return build_once(build_root() / "verilog" / f"{name}-{key}", emit)

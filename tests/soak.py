@@ -13,8 +13,8 @@ from coincid.lab.setup import Setup, scene_of
 from coincid.model.contract.config import Config
 from coincid.model.contract.edges import Edges
 from coincid.model.golden.frame import Golden
-from coincid.tb.batch import BatchSensor
 from coincid.tb.scoreboard import check
+from coincid.tb.sliced import SlicedSensor
 
 from .cases import configured
 
@@ -46,7 +46,7 @@ def soak(config: Config, light: str, frames: int, seed: int, tell=lambda frame, 
     """
     golden, checked = Golden(config.sensor), 0
     make = {"sun": sunlight, "saturation": saturation}[light]
-    with BatchSensor(config.sensor) as sensor:
+    with SlicedSensor(config.sensor) as sensor:
         for frame in range(frames):
             edges = make(config, frame, seed)
             rng = np.random.default_rng([seed, frame, 1])

@@ -55,7 +55,7 @@ from coincid.model.contract.config import parse_config
 from coincid.model.contract.edges import Edges
 from coincid.model.contract.stream import decode_frame
 from coincid.model.golden.frame import Golden, golden_result
-from coincid.tb.batch import BatchSensor
+from coincid.tb.sliced import SlicedSensor
 from tests.cases import SMALL, built_sensor
 from tests.flow.test_c_driver import Info, bus_of, compiled_driver, packets
 
@@ -65,7 +65,7 @@ frame = {"period": 60, "pulses": 5, "format": "times"}
 config = parse_config({"sensor": SMALL, "frame": frame, "subgroup": {"threshold": 1, "blank": 3}})
 edges = Edges(*(rng.integers(0, high, 150) for high in (config.pulses, sensor.array_pixels, config.period_ticks)))
 library = compiled_driver(sensor)
-with BatchSensor(sensor) as rtl:
+with SlicedSensor(sensor) as rtl:
     assert library.coincid_probe(ctypes.byref(bus_of(rtl)), ctypes.byref(info)) == 0
     rtl.frame(config, edges)
     (beats,) = rtl.driver.receive()

@@ -19,7 +19,7 @@ from coincid.model.contract.result import ResultBuilder
 from coincid.model.contract.stream import StreamError, decode_frame
 from coincid.model.golden.frame import Golden
 from coincid.model.shared.errors import InputError
-from coincid.tb.batch import BatchSensor
+from coincid.tb.sliced import SlicedSensor
 
 from ..cases import random_edges
 
@@ -138,7 +138,7 @@ def test_a_sensor_in_use():
     """Registers, refusals and frames of the RTL, used only through the driver, equal the golden model's."""
     of = config(frame={"period": 80, "pulses": 6, "format": "full", "minigroup_records": True})
     golden = Golden(SENSOR)
-    with BatchSensor(SENSOR) as rtl:
+    with SlicedSensor(SENSOR) as rtl:
         driver = Driver(rtl)
         assert driver.sensor == SENSOR
         assert driver["threshold", 1] == BY_NAME["threshold"].reset(SENSOR)

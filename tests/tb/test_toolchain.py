@@ -9,16 +9,15 @@ import signal
 import subprocess
 import sys
 import time
-from pathlib import Path
 
 import pytest
 
-from coincid.model.contract.parameters import Sensor
 from coincid.model.shared.errors import InputError
-from coincid.tb import batch, toolchain
+from coincid.tb import toolchain
 from coincid.tb.engines import SIMULATORS
 from coincid.tb.errors import SimulationError
-from coincid.tb.system import MissingPackagesError, system_packages
+from coincid.tools.build import ToolchainError, build_once, compile_in
+from coincid.tools.system import MissingPackagesError, system_packages
 
 from ..benches import BENCHES
 
@@ -143,9 +142,9 @@ def test_second_build_is_the_first_and_a_change_is_not(simulator, toy, tmp_path)
 @each_simulator
 def test_design_that_does_not_compile(simulator, toy, empty_build_root):
     toy.write_text(TOY.replace("count + 1", "count +"))
-    with pytest.raises(toolchain.ToolchainError, match="(?s)syntax error.*the whole log"):
+    with pytest.raises(ToolchainError, match="(?s)syntax error.*the whole log"):
         build(simulator, toy)
-    with pytest.raises(toolchain.ToolchainError, match="syntax error"):  # still
+    with pytest.raises(ToolchainError, match="syntax error"):  # still
         build(simulator, toy)
 
 
@@ -157,7 +156,7 @@ def test_processes_that_want_the_same_build_make_it_once(tmp_path):
         (scratch / "content").write_text("whole")
 
     def work():
-        assert (toolchain.build_once(tmp_path / "thing", make) / "content").read_text() == "whole"
+        assert (build_once(tmp_path / "thing", make) / "content").read_text() == "whole"
 
     processes = [multiprocessing.get_context("fork").Process(target=work) for _ in range(8)]
     for process in processes:
@@ -175,60 +174,47 @@ def test_failed_build_is_no_build(tmp_path, error):
         raise error
 
     with pytest.raises(error):
-        toolchain.build_once(tmp_path / "thing", fail)
+        build_once(tmp_path / "thing", fail)
     (tmp_path / "thing.part-of-a-killed-process").mkdir()
     assert not (tmp_path / "thing").exists()
-    made = toolchain.build_once(tmp_path / "thing", lambda scratch: (scratch / "content").write_text("whole"))
+    made = build_once(tmp_path / "thing", lambda scratch: (scratch / "content").write_text("whole"))
     assert (made / "content").read_text() == "whole"
     assert not list(tmp_path.glob("*.part*"))
 
 
-def stand_in_compilers(calls, first_hangs=False):
-    """Replace `compile_in`: record its program, and leave what that would leave. The first call may never return."""
+def test_engine_is_built_once_whoever_wants_it_and_whoever_is_killed(tmp_path, empty_build_root):
+    """Four processes build the same engine at once, after one that was killed in the middle; every compiler runs once."""
+    calls = tmp_path / "calls"
+    program = (
+        "import sys\n"
+        "from pathlib import Path\n"
+        "from coincid.model.contract.parameters import Sensor\n"
+        "from coincid.tb import sliced\n"
+        "from coincid.tools import build\n"
+        "whole = build.execute\n"
+        "def execute(command, *rest):\n"
+        f"    with open({str(calls)!r}, 'a') as file:\n"
+        "        file.write(Path(command[0]).name + ('' if '-shared' not in command else ' -shared') + chr(10))\n"
+        "    return whole(command, *rest)\n"
+        "build.execute = execute\n"
+        "with sliced.SlicedSensor(Sensor(rows=4, cols=8, subgroup=(4, 4), minigroup=(2, 2), phases=4)) as sensor:\n"
+        "    print(sensor.driver['rows'])\n"
+    )
+    environment = os.environ | {"COINCID_BUILD": str(empty_build_root)}
 
-    def compile_in(cwd, log, command):
-        program = Path(command[0]).name
-        with calls.open("a") as file:
-            file.write(f"{program} {'-shared' in command}\n")
-        if first_hangs and len(calls.read_text().splitlines()) == 1:
-            time.sleep(60)
-        time.sleep(0.05)
-        for name in command:
-            if name.endswith(".a") and program == "make":
-                (cwd / name).write_text("archive")
-        if "-shared" in command:
-            assert all(Path(name).read_text() == "archive" for name in command if name.endswith(".a"))
-            (cwd / batch.LIBRARY).write_text("library")
+    def start():
+        return subprocess.Popen([sys.executable, "-c", program], env=environment, stdout=subprocess.PIPE, text=True)
 
-    return compile_in
-
-
-def test_batch_library_is_built_once_whoever_wants_it_and_whoever_is_killed(tmp_path, empty_build_root, monkeypatch):
-    (tmp_path / "source.v").write_text("module; endmodule")
-    monkeypatch.setattr(batch, "rtl_in_two", lambda sensor: ([tmp_path / "source.v"], [tmp_path / "source.v"]))
-    toolchain.verilator()
-    fork = multiprocessing.get_context("fork")
-
-    def work(name, first_hangs=False):
-        monkeypatch.setattr(toolchain, "compile_in", stand_in_compilers(tmp_path / name, first_hangs))
-        assert batch.build_library(Sensor(rows=8, cols=16)).read_text() == "library"
-
-    killed = fork.Process(target=work, args=("killed", True))
-    killed.start()
-    while not (tmp_path / "killed").exists():
-        assert killed.is_alive()
+    killed = start()
+    while not calls.exists():
+        assert killed.poll() is None
         time.sleep(0.01)
     killed.kill()
-    killed.join()
-    processes = [fork.Process(target=work, args=("calls",)) for _ in range(4)]
-    for process in processes:
-        process.start()
-    for process in processes:
-        process.join()
-    assert [process.exitcode for process in processes] == [0] * 4
-    calls = (tmp_path / "calls").read_text().splitlines()
-    units = 3  # core, module, and Verilator's run-time library
-    assert sorted(calls) == ["g++ True", *units * ["make False"], *units * ["verilator False"]]
+    killed.communicate()
+    calls.unlink()
+    for process in [start() for _ in range(4)]:
+        assert process.communicate()[0] == "4\n" and process.returncode == 0
+    assert sorted(calls.read_text().splitlines()) == ["g++", "g++ -shared", "make", "make", "verilator", "verilator"]
     assert not list(empty_build_root.rglob("*.part*"))
 
 
@@ -246,7 +232,7 @@ def test_file_system_that_refuses_is_one_line(error, tmp_path):
         raise error
 
     with pytest.raises(InputError, match=r"\Abuild directory .*(No space left|Read-only).*COINCID_BUILD.*\Z"):
-        toolchain.build_once(tmp_path / "thing", make)
+        build_once(tmp_path / "thing", make)
     assert not [path for path in tmp_path.iterdir() if path.is_dir()]
 
 
@@ -257,7 +243,7 @@ def test_compiler_on_a_full_disk_is_one_line(tmp_path):
         "import sys; sys.exit('cc1plus: fatal error: error writing to x.s: No space left on device')",
     ]
     with pytest.raises(InputError, match=r"\A.*No space left on device, in .*COINCID_BUILD and TMPDIR.*\Z"):
-        toolchain.compile_in(tmp_path, tmp_path / "log", command)
+        compile_in(tmp_path, tmp_path / "log", command)
 
 
 def test_missing_verilator_is_named(empty_build_root, monkeypatch):

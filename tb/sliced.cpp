@@ -1,0 +1,470 @@
+// SPDX-License-Identifier: Apache-2.0
+// Sliced engine: sensors whose subgroups are lanes of slices, each with a Verilated core of its own.
+//
+// Every output of a slice and of the core comes from a register, so nothing has to settle between two clock edges: take all
+// outputs, set all inputs, step everything. The tests show that this equals the wiring of the top module.
+//
+// wiring.h is generated: sizes, the names of the ports that depend on the number of streams, addresses.
+
+#include <array>
+#include <coroutine>
+#include <cstdint>
+#include <deque>
+#include <memory>
+#include <type_traits>
+#include <vector>
+
+#include "Vcore.h"
+#include "Vcore___024root.h"
+#include "lanes.h"
+#include "verilated.h"
+#include "wiring.h"
+
+namespace {
+
+// Bits of a port, for any type that Verilator gives it.
+template <class T> uint32_t* words_of(T& port) {
+    if constexpr (std::is_class_v<T>) return port.data();
+    else return reinterpret_cast<uint32_t*>(&port);
+}
+template <class T> constexpr int BYTES = sizeof(T);
+
+// A rising clock edge. Nothing happens at a falling edge, but evaluating it would take as long as the logic behind the
+// inputs. So Verilator is only told that the clock has fallen.
+template <class Model> void rise(Model& model) {
+    model.rootp->__Vtrigprevexpr___TOP__clk__0 = 0;
+    model.clk = 1;
+    model.eval();
+}
+
+struct Edge { int32_t bit, subgroup; };
+struct Frame {
+    std::vector<Edge> edges;      // by cycle
+    std::vector<int64_t> first;   // of each cycle, and the end
+    std::vector<uint8_t> ready;
+    int64_t cycles, limit;
+};
+struct Op {
+    enum Kind { WRITE, READ, WAIT, FRAME } kind;  // WAIT: read until a bit of `value` is set
+    uint32_t address, value;
+    std::shared_ptr<Frame> frame;
+};
+struct Beat { uint64_t data; int64_t cycle; };
+struct Commit { int64_t subgroup, cycle; };
+struct Record {
+    std::vector<Beat> beats[STREAMS];
+    std::vector<Commit> commits;
+};
+enum Outcome : int { FINE = 0, REFUSED = 1, HANGS = 2 };
+
+// What a sensor's host does: a coroutine that continues once per clock cycle.
+struct Host {
+    struct promise_type {
+        Host get_return_object() { return {std::coroutine_handle<promise_type>::from_promise(*this)}; }
+        std::suspend_always initial_suspend() { return {}; }
+        std::suspend_always final_suspend() noexcept { return {}; }
+        void return_void() {}
+        void unhandled_exception() { std::abort(); }
+    };
+    std::coroutine_handle<promise_type> handle;
+};
+constexpr std::suspend_always CYCLE;
+
+// 64 lanes, or those of them that belong to a stream of a sensor.
+struct Lanes {
+    Slice* slice;
+    int chunk;       // of the words
+    uint64_t mask;
+    int subgroup;    // of the mask's lowest bit
+};
+
+// Sensors of fewer than 64 subgroups share the 64 bits of a chunk; others have whole chunks.
+constexpr int PER_CHUNK = SUBGROUPS < 64 ? 64 / SUBGROUPS : 1;
+constexpr int CHUNKS_EACH = (SUBGROUPS + 63) / 64;
+constexpr int first_chunk(int sensor) { return SUBGROUPS < 64 ? sensor / PER_CHUNK : sensor * CHUNKS_EACH; }
+constexpr int first_lane(int sensor) { return SUBGROUPS < 64 ? sensor % PER_CHUNK * SUBGROUPS : 0; }
+
+class Sensor {
+public:
+    Sensor(int number, std::vector<std::unique_ptr<Slice>>& slices) : core_(std::make_unique<Vcore>(&context_, "core")), host_(play()) {
+        for (int s = 0; s <= STREAMS; s++) {  // the last one: all subgroups
+            int begin = s < STREAMS ? STREAM_FIRST[s] : 0, end = s + 1 < STREAMS ? STREAM_FIRST[s + 1] : SUBGROUPS;
+            for (int subgroup = begin; subgroup < end;) {
+                int lane = first_lane(number) + subgroup, bit = lane % 64, chunk = first_chunk(number) + lane / 64;
+                int n = std::min(64 - bit, end - subgroup);
+                uint64_t mask = (n == 64 ? ~0ull : (1ull << n) - 1) << bit;
+                lanes_[s].push_back({slices[chunk / CHUNKS].get(), chunk % CHUNKS, mask, subgroup});
+                subgroup += n;
+            }
+        }
+        for (Lanes& lanes : lanes_[STREAMS])
+            for (uint64_t rest = lanes.mask, subgroup = lanes.subgroup; rest; rest &= rest - 1, subgroup++)
+                for (int k = 0; k < int(std::size(IN_number)); k++)
+                    if (subgroup >> k & 1) lanes.slice->chunk(IN_number[k], lanes.chunk) |= rest & -rest;
+        core_->rst = 1;
+    }
+    // A reset, from the next edge on, whatever the sensor is doing; the host starts anew.
+    void reset() {
+        host_.handle.destroy();
+        todo_.clear();
+        during_.clear();
+        records_.clear();
+        frame_.reset();
+        cycle_ = -1;
+        outcome_ = FINE;
+        idle_ = write_busy_ = false;
+        core_->rst = 1;
+        core_->s_axi_awvalid = core_->s_axi_wvalid = core_->s_axi_bready = core_->s_axi_arvalid = core_->s_axi_rready = 0;
+        for_each_stream(*core_, [&](int, auto&, auto&, auto& tready, auto&...) { tready = 0; });
+        host_ = play();
+    }
+    ~Sensor() { host_.handle.destroy(); }
+    Sensor(const Sensor&) = delete;
+
+    void post(Op op) { todo_.push_back(std::move(op)); idle_ = false; }
+    void post_during_frame(uint32_t address, uint32_t value) { during_.push_back({Op::WRITE, address, value, {}}); }
+    bool idle() const { return idle_; }
+    int64_t cycle() const { return cycle_; }
+    Outcome outcome() const { return outcome_; }
+    uint32_t value() const { return value_; }
+    void forget() { records_.clear(); outcome_ = FINE; }
+    const std::vector<std::unique_ptr<Record>>& records() const { return records_; }
+    Vcore& core() { return *core_; }
+
+    // Before the clock edge: the host acts, and outputs go to inputs. beats: whether any subgroup of any sensor sends one.
+    void before(bool beats, bool data) {
+        host_.handle.resume();
+        gather(beats, data);
+        aw_ = core_->s_axi_awvalid && core_->s_axi_awready;
+        w_ = core_->s_axi_wvalid && core_->s_axi_wready;
+        b_ = core_->s_axi_bvalid && core_->s_axi_bready;
+        response_ = core_->s_axi_bresp;
+        ship(core_->command, IN_command, 0);
+        ship(core_->period, IN_period, 1);
+        ship(core_->frame, IN_frame, 2);
+        ship(core_->timing, IN_timing, 3);
+        ship(core_->rst, IN_rst, 4);
+        for_each_stream(*core_, [&](int s, auto&, auto&, auto&, auto&, auto&, auto&, auto&, auto&, auto&, auto& grant, auto& send) {
+            if (send != send_[s]) {
+                for (int k = 0; k < int(std::size(IN_send)); k++)
+                    for (Lanes& lanes : lanes_[s]) assign(lanes, IN_send[k], send >> k & 1 ? lanes.mask : 0);
+                send_[s] = send;
+            }
+            uint32_t* words = words_of(grant);
+            if (std::memcmp(words, grant_[s], sizeof(grant))) {
+                std::memcpy(grant_[s], words, sizeof(grant));
+                for (Lanes& lanes : lanes_[s]) assign(lanes, IN_grant[0], bits_at(grant_[s], lanes.subgroup - STREAM_FIRST[s]) << low(lanes));
+            }
+        });
+        light(true);
+    }
+
+    // Take samples of some subgroups, if anybody wants them.
+    void sample() {
+        for (auto& [subgroup, samples] : taps_) {
+            Place at = place(subgroup);
+            samples.resize(samples.size() + SAMPLE_WORDS);
+            at.slice->sample(at.lane, samples.data() + samples.size() - SAMPLE_WORDS);
+        }
+    }
+    void tap(int subgroup) { taps_.push_back({subgroup, {}}); }
+    void untap() { taps_.clear(); }
+    const std::vector<uint64_t>& samples(int number) const { return taps_[number].second; }
+
+    // The slice and the lane of a subgroup.
+    struct Place { Slice* slice; int lane; };
+    Place place(int subgroup) const {
+        const auto& all = lanes_[STREAMS];
+        int bit = subgroup + low(all[0]);
+        const Lanes& lanes = all[bit / 64];
+        return {lanes.slice, lanes.chunk * 64 + bit % 64};
+    }
+
+    void edge() { rise(*core_); }
+
+    // After the clock edge.
+    void after() {
+        light(false);
+        if (aw_) core_->s_axi_awvalid = 0;
+        if (w_) core_->s_axi_wvalid = 0;
+        if (b_) {
+            core_->s_axi_bready = 0;
+            write_busy_ = false;
+            write_response_ = response_;
+        }
+    }
+
+private:
+    static int low(const Lanes& lanes) { return __builtin_ctzll(lanes.mask); }
+    static void assign(Lanes& lanes, int word, uint64_t bits) {
+        uint64_t& chunk = lanes.slice->chunk(word, lanes.chunk);
+        chunk = (chunk & ~lanes.mask) | (bits & lanes.mask);
+    }
+    static uint64_t bits_at(const uint32_t* words, int bit) {
+        uint64_t low = words[bit / 32] | uint64_t(words[bit / 32 + 1]) << 32;
+        return bit % 32 ? low >> (bit % 32) | uint64_t(words[bit / 32 + 2]) << (64 - bit % 32) : low;
+    }
+    static uint64_t of(const Lanes& lanes, int word) { return lanes.slice->chunk(word, lanes.chunk) & lanes.mask; }
+    static bool some(const std::vector<Lanes>& all, int word) {
+        uint64_t found = 0;
+        for (const Lanes& lanes : all) found |= of(lanes, word);
+        return found;
+    }
+
+    // Set a port that all subgroups share, as far as it has changed.
+    template <class T, int N> void ship(T& port, const int (&to)[N], int which) {
+        uint32_t* now = words_of(port);
+        uint32_t* before = shared_[which];
+        if (!std::memcmp(now, before, sizeof(T))) return;
+        uint32_t words[SHARED_WORDS] = {};
+        std::memcpy(words, now, sizeof(T));
+        for (int k = 0; k < N; k++)
+            if ((words[k / 32] ^ before[k / 32]) >> (k % 32) & 1)
+                for (Lanes& lanes : lanes_[STREAMS]) assign(lanes, to[k], words[k / 32] >> (k % 32) & 1 ? ~0ull : 0);
+        std::memcpy(before, words, sizeof(words));
+    }
+
+    // Join the subgroups' outputs as the top module does.
+    void gather(bool beats, bool data) {
+        core_->data = 0;
+        if (data) for (int k = 0; k < int(std::size(OUT_data)); k++) core_->data |= uint32_t(some(lanes_[STREAMS], OUT_data[k])) << k;
+        core_->gate_late = some(lanes_[STREAMS], OUT_gate_late[0]);
+        core_->settings_upset = some(lanes_[STREAMS], OUT_upset[0]);
+        for_each_stream(*core_, [&](int s, auto&, auto&, auto&, auto&, auto& stored, auto& record_stored, auto& valid, auto& beat, auto& beat_controlled, auto&, auto&) {
+            list(s, OUT_stored[0], stored, stored_[s]);
+            list(s, OUT_record_stored[0], record_stored, record_stored_[s]);
+            valid = beats && some(lanes_[s], OUT_valid[0]);
+            beat = 0;
+            if (valid) for (int k = 0; k < int(std::size(OUT_beat)); k++) beat |= uint64_t(some(lanes_[s], OUT_beat[k])) << k;
+            beat_controlled = valid && some(lanes_[s], OUT_beat_controlled[0]);
+        });
+    }
+
+    // Copy a bit of each subgroup of a stream to a port. set: whether the port has ones now.
+    template <class T> void list(int s, int word, T& port, bool& set) {
+        bool any = some(lanes_[s], word);
+        if (!any && !set) return;
+        uint32_t words[GRANT_WORDS] = {};
+        for (Lanes& lanes : lanes_[s])
+            for (uint64_t rest = of(lanes, word); rest; rest &= rest - 1) {
+                int i = lanes.subgroup - STREAM_FIRST[s] + __builtin_ctzll(rest) - low(lanes);
+                words[i / 32] |= 1u << (i % 32);
+            }
+        std::memcpy(words_of(port), words, sizeof(T));
+        set = any;
+    }
+
+    // The SPADs' edges of a cycle.
+    void light(bool on) {
+        if (cycle_ < 0 || !frame_ || cycle_ + 1 >= int64_t(frame_->first.size())) return;
+        const Lanes* all = lanes_[STREAMS].data();
+        int shift = low(*all);
+        for (int64_t e = frame_->first[cycle_]; e < frame_->first[cycle_ + 1]; e++) {
+            Edge edge = frame_->edges[e];
+            const Lanes& lanes = all[(edge.subgroup + shift) / 64];
+            uint64_t bit = 1ull << ((edge.subgroup + shift) % 64);
+            uint64_t& chunk = lanes.slice->chunk(IN_words[edge.bit], lanes.chunk);
+            if (on) {
+                chunk |= bit;
+                for (int flag : LIT_words[edge.bit]) lanes.slice->flags()[flag] = 1;
+            } else chunk &= ~bit;
+        }
+    }
+
+    void begin_write(uint32_t address, uint32_t value) {
+        core_->s_axi_awaddr = address;
+        core_->s_axi_wdata = value;
+        core_->s_axi_wstrb = 15;
+        core_->s_axi_awvalid = core_->s_axi_wvalid = core_->s_axi_bready = 1;
+        write_busy_ = true;
+        write_response_ = 0;
+    }
+
+    // The host: reset, then whatever is posted, one after the other. It gives the rest up if the sensor refuses an access.
+    Host play() {
+        for (int i = 0; i < RESET_CYCLES; i++) co_await CYCLE;
+        core_->rst = 0;
+        for (int i = 0; i < RESET_CYCLES; i++) co_await CYCLE;
+        for (;;) {
+            if (todo_.empty() || outcome_) {
+                todo_.clear();
+                idle_ = true;
+                co_await CYCLE;
+                continue;
+            }
+            Op op = std::move(todo_.front());
+            todo_.pop_front();
+            if (op.kind == Op::READ || op.kind == Op::WAIT) {
+                do {
+                    core_->s_axi_araddr = op.address;
+                    core_->s_axi_arvalid = core_->s_axi_rready = 1;
+                    for (bool answered = false; !answered;) {
+                        bool taken = core_->s_axi_arvalid && core_->s_axi_arready;
+                        answered = core_->s_axi_rvalid;
+                        if (answered) {
+                            value_ = core_->s_axi_rdata;
+                            if (core_->s_axi_rresp) outcome_ = REFUSED;
+                        }
+                        co_await CYCLE;
+                        if (taken) core_->s_axi_arvalid = 0;
+                        if (answered) core_->s_axi_rready = 0;
+                    }
+                } while (op.kind == Op::WAIT && !(value_ & op.value) && !outcome_);
+                continue;
+            }
+            begin_write(op.address, op.value);
+            if (op.kind == Op::WRITE) {
+                while (write_busy_) co_await CYCLE;
+                if (write_response_) outcome_ = REFUSED;
+                continue;
+            }
+            frame_ = op.frame;
+            records_.push_back(std::make_unique<Record>());
+            Record& record = *records_.back();
+            bool ended[STREAMS] = {};
+            while (!core_->laser && !outcome_) {
+                co_await CYCLE;
+                if (!write_busy_ && write_response_) outcome_ = REFUSED;
+            }
+            for (cycle_ = 0; !outcome_; cycle_++) {
+                bool ready = cycle_ >= int64_t(frame_->ready.size()) || frame_->ready[cycle_], all_ended = true;
+                for_each_stream(*core_, [&](int s, auto& tdata, auto& tvalid, auto& tready, auto& tlast, auto&...) {
+                    tready = ready;
+                    if (ready && tvalid && !ended[s]) {
+                        record.beats[s].push_back({tdata, cycle_});
+                        ended[s] = tlast;
+                    }
+                    all_ended &= ended[s];
+                });
+                if (!write_busy_ && !during_.empty()) {
+                    begin_write(during_.front().address, during_.front().value);
+                    during_.pop_front();
+                }
+                for (Lanes& lanes : lanes_[STREAMS])
+                    for (uint64_t rest = of(lanes, OUT_stored[0]); rest; rest &= rest - 1)
+                        record.commits.push_back({lanes.subgroup + __builtin_ctzll(rest) - low(lanes), cycle_ - STORED_TO_COMMIT});
+                co_await CYCLE;
+                if (all_ended && cycle_ + 1 >= frame_->cycles) break;
+                if (cycle_ + 1 >= frame_->limit) outcome_ = HANGS;
+            }
+            cycle_ = -1;
+            frame_.reset();
+            while (write_busy_) co_await CYCLE;
+            for_each_stream(*core_, [&](int, auto&, auto&, auto& tready, auto&...) { tready = 0; });
+        }
+    }
+
+    VerilatedContext context_;
+    std::unique_ptr<Vcore> core_;
+    std::vector<Lanes> lanes_[STREAMS + 1];
+    uint32_t shared_[5][SHARED_WORDS] = {}, grant_[STREAMS][GRANT_WORDS] = {};
+    uint8_t send_[STREAMS] = {};
+    bool stored_[STREAMS] = {}, record_stored_[STREAMS] = {};
+    bool aw_ = false, w_ = false, b_ = false, write_busy_ = false, idle_ = false;
+    int response_ = 0, write_response_ = 0;
+    std::deque<Op> todo_, during_;
+    std::shared_ptr<Frame> frame_;
+    int64_t cycle_ = -1;  // of the frame
+    uint32_t value_ = 0;
+    Outcome outcome_ = FINE;
+    std::vector<std::unique_ptr<Record>> records_;
+    std::vector<std::pair<int, std::vector<uint64_t>>> taps_;
+    Host host_;
+};
+
+class Engine {
+public:
+    explicit Engine(int sensors) {
+        int chunks = first_chunk(sensors - 1) + CHUNKS_EACH;
+        for (int k = 0; k < (chunks + CHUNKS - 1) / CHUNKS; k++) slices_.push_back(std::make_unique<Slice>());
+        for (int k = 0; k < sensors; k++) sensors_.push_back(std::make_unique<Sensor>(k, slices_));
+    }
+
+    Sensor& sensor(int number) { return *sensors_[number]; }
+
+    // Go on for some cycles, or until no sensor has anything to do; return how many have.
+    int run(int64_t cycles) {
+        for (int64_t k = 0;; k++) {
+            int busy = 0;
+            for (auto& sensor : sensors_) busy += !sensor->idle();
+            if (!busy || k == cycles) return busy;
+            step();
+        }
+    }
+
+private:
+    // One clock edge of all sensors.
+    void step() {
+        bool beats = false, data = false;
+        for (auto& slice : slices_) {
+            beats |= any(slice->word(OUT_valid[0]));
+            W bits = ZEROS;
+            for (int word : OUT_data) bits |= slice->word(word);
+            data |= any(bits);
+        }
+        for (auto& sensor : sensors_) sensor->before(beats, data);
+        for (auto& sensor : sensors_) sensor->sample();
+        for (auto& sensor : sensors_) sensor->edge();
+        for (auto& slice : slices_) {
+            slice->pass();
+            std::memset(slice->flags(), 0, SLICE_FLAGS);
+        }
+        for (auto& sensor : sensors_) sensor->after();
+    }
+
+    std::vector<std::unique_ptr<Slice>> slices_;
+    std::vector<std::unique_ptr<Sensor>> sensors_;
+};
+
+}  // namespace
+
+extern "C" {
+Engine* sliced_new(int sensors) { return new Engine(sensors); }
+void sliced_delete(Engine* engine) { delete engine; }
+int sliced_run(Engine* engine, int64_t cycles) { return engine->run(cycles); }
+void sliced_write(Engine* engine, int sensor, uint32_t address, uint32_t value) { engine->sensor(sensor).post({Op::WRITE, address, value, {}}); }
+void sliced_read(Engine* engine, int sensor, uint32_t address) { engine->sensor(sensor).post({Op::READ, address, 0, {}}); }
+void sliced_wait(Engine* engine, int sensor, uint32_t address, uint32_t mask) { engine->sensor(sensor).post({Op::WAIT, address, mask, {}}); }
+
+// A frame that a write starts. Edge k is in cycle[k] at bit[k] (pixel * phases + phase) of subgroup[k], in any order.
+void sliced_frame(Engine* engine, int sensor, uint32_t address, uint32_t value, int64_t edges, const int64_t* cycle, const int64_t* subgroup, const int64_t* bit,
+                  const uint8_t* ready, int64_t ready_cycles, int64_t cycles, int64_t limit) {
+    auto frame = std::make_shared<Frame>(Frame{std::vector<Edge>(edges), std::vector<int64_t>(cycles + 1), {ready, ready + ready_cycles}, cycles, limit});
+    for (int64_t k = 0; k < edges; k++) frame->first[cycle[k] + 1]++;
+    for (int64_t c = 0; c < cycles; c++) frame->first[c + 1] += frame->first[c];
+    std::vector<int64_t> next(frame->first);
+    for (int64_t k = 0; k < edges; k++) frame->edges[next[cycle[k]]++] = {int32_t(bit[k]), int32_t(subgroup[k])};
+    engine->sensor(sensor).post({Op::FRAME, address, value, frame});
+}
+void sliced_write_during_frame(Engine* engine, int sensor, uint32_t address, uint32_t value) { engine->sensor(sensor).post_during_frame(address, value); }
+void sliced_reset(Engine* engine, int sensor) { engine->sensor(sensor).reset(); }
+int sliced_outcome(Engine* engine, int sensor) { return engine->sensor(sensor).outcome(); }
+uint32_t sliced_value(Engine* engine, int sensor) { return engine->sensor(sensor).value(); }
+int64_t sliced_cycle(Engine* engine, int sensor) { return engine->sensor(sensor).cycle(); }
+int64_t sliced_records(Engine* engine, int sensor) { return int64_t(engine->sensor(sensor).records().size()); }
+int64_t sliced_beats(Engine* engine, int sensor, int64_t record, int stream, const Beat** beats) {
+    const auto& found = engine->sensor(sensor).records()[record]->beats[stream];
+    *beats = found.data();
+    return int64_t(found.size());
+}
+int64_t sliced_commits(Engine* engine, int sensor, int64_t record, const Commit** commits) {
+    const auto& found = engine->sensor(sensor).records()[record]->commits;
+    *commits = found.data();
+    return int64_t(found.size());
+}
+void sliced_tap(Engine* engine, int sensor, int subgroup) { engine->sensor(sensor).tap(subgroup); }
+void sliced_untap(Engine* engine, int sensor) { engine->sensor(sensor).untap(); }
+int64_t sliced_samples(Engine* engine, int sensor, int number, const uint64_t** samples) {
+    const auto& found = engine->sensor(sensor).samples(number);
+    *samples = found.data();
+    return int64_t(found.size()) / SAMPLE_WORDS;
+}
+
+// The words of the slice that plays a subgroup, and its lane there.
+uint64_t* sliced_words(Engine* engine, int sensor, int subgroup, int* lane) {
+    auto at = engine->sensor(sensor).place(subgroup);
+    *lane = at.lane;
+    return &at.slice->chunk(0, 0);
+}
+void sliced_forget(Engine* engine, int sensor) { engine->sensor(sensor).forget(); }
+}

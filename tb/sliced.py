@@ -1,0 +1,382 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Sliced engine: plays whole frames of the RTL without Python in the loop; every subgroup is a lane of a SIMD word.
+
+A subgroup with its line of the TDC (`hdl/module.py`, `Slice`) becomes a netlist in slices (room `slices`), the core is
+Verilated, and `sliced.cpp` wires them. So one pass plays all subgroups, and of several sensors as many as there are lanes.
+Registers are programmed over the real AXI4-Lite port; beats come back with the cycles of their transfer.
+"""
+
+import ctypes
+import os
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from functools import cache
+from pathlib import Path
+from threading import Lock
+from typing import Any
+
+import numpy as np
+
+from ..hdl.minigroup import Minigroup
+from ..hdl.module import Slice
+from ..hdl.sensor import COMBINED, CORE, GRANTED, LISTED
+from ..hdl.subgroup import shared_ports
+from ..host.driver import Driver
+from ..host.programmed import Programmed
+from ..host.transport import RefusedError
+from ..model.contract import registers
+from ..model.contract.config import Config
+from ..model.contract.edges import Edges
+from ..model.contract.parameters import Sensor
+from ..model.contract.ports import port_bits
+from ..slices.emit import Sparse
+from ..slices.library import LANES, library
+from ..slices.probe import Probe, numbers
+from ..slices.synthesis import Design
+from ..slices.waves import write_vcd
+from . import toolchain
+from .errors import SimulationError
+from .frames import STORED_TO_COMMIT, FrameJob, Recorded, cycle_limit
+from .rtl import rtl_in_two, sensor_key
+from .verilated import run_time, verilated_unit
+
+SOURCE = Path(__file__).with_name("sliced.cpp")
+CHUNK_CYCLES = 20_000  # between two checks of progress and Ctrl-C
+RESET_CYCLES = 4
+LANES_MAX = LANES[-1]
+FINE, REFUSED, HANGS = range(3)
+
+
+def design(sensor: Sensor) -> Design:
+    """Return the netlist in slices of a subgroup with its line of the TDC. It does not depend on the size of the array."""
+    _, files = rtl_in_two(sensor)
+    return Design(
+        f"{sensor_key(sensor)}",
+        {path.name: path.read_text() for path in files},
+        Slice.unit_name,
+        units=[Minigroup.unit_name],
+        sparse=[Sparse(Minigroup.unit_name, "words", sensor.phases)],
+    )
+
+
+def wiring_header(sensor: Sensor) -> str:
+    """Return the C++ header that describes a sensor to `sliced.cpp`."""
+    firsts = [sensor.stream_subgroups(stream).start for stream in range(sensor.streams)]
+    most = max(len(sensor.stream_subgroups(stream)) for stream in range(sensor.streams))
+    widest = max(Slice(sensor).flat_ports()[name][1].shape().width for name in shared_ports(sensor))
+    visits = []
+    for stream in range(sensor.streams):
+        axis = [f"core.{sensor.stream_name(stream)}_{wire}" for wire in ("tdata", "tvalid", "tready", "tlast")]
+        nets = [f"core.{net}_of_{stream}" for net in (*LISTED, *COMBINED, *GRANTED)]
+        visits.append(f"    visit({stream}, {', '.join(axis + nets)});")
+    return "\n".join(
+        [
+            "#pragma once",
+            '#include "Vcore.h"',
+            f"constexpr int SUBGROUPS = {sensor.subgroups}, STREAMS = {sensor.streams}, STORED_TO_COMMIT = {STORED_TO_COMMIT};",
+            # A word more on each side of the last, so that 64 bits can begin anywhere.
+            f"constexpr int GRANT_WORDS = {-(-most // 32) + 2}, SHARED_WORDS = {-(-widest // 32)}, RESET_CYCLES = {RESET_CYCLES};",
+            f"constexpr int STREAM_FIRST[] = {{{', '.join(map(str, firsts))}}};",
+            "template <class Visit> void for_each_stream(Vcore& core, Visit visit) {",
+            *visits,
+            "}",
+            "",
+        ]
+    )
+
+
+def build_library(sensor: Sensor, sensors: int = 1) -> ctypes.CDLL:
+    """Compile the engine for so many sensors at once, once, and load it."""
+    for_core, _ = rtl_in_two(sensor)
+    with ThreadPoolExecutor() as pool:
+        core = pool.submit(verilated_unit, CORE, "Vcore", for_core, [toolchain.NOT_INLINED])
+        support = pool.submit(run_time)
+        slices = design(sensor)
+        include = [core.result(), toolchain.verilator().parents[1] / "include"]
+    objects = [core.result() / "libVcore.a", support.result()]
+    found = library(slices, lanes(sensor, sensors), SOURCE, wiring_header(sensor), include, [*objects])
+    pointer, i64, u32, i32 = ctypes.c_void_p, ctypes.c_int64, ctypes.c_uint32, ctypes.c_int
+    rows = ctypes.POINTER(pointer)
+    for name, answer, arguments in (
+        ("new", pointer, [i32]),
+        ("delete", None, [pointer]),
+        ("run", i32, [pointer, i64]),
+        ("write", None, [pointer, i32, u32, u32]),
+        ("read", None, [pointer, i32, u32]),
+        ("wait", None, [pointer, i32, u32, u32]),
+        ("frame", None, [pointer, i32, u32, u32, i64, pointer, pointer, pointer, pointer, i64, i64, i64]),
+        ("write_during_frame", None, [pointer, i32, u32, u32]),
+        ("reset", None, [pointer, i32]),
+        ("outcome", i32, [pointer, i32]),
+        ("value", u32, [pointer, i32]),
+        ("cycle", i64, [pointer, i32]),
+        ("records", i64, [pointer, i32]),
+        ("beats", i64, [pointer, i32, i64, i32, rows]),
+        ("commits", i64, [pointer, i32, i64, rows]),
+        ("forget", None, [pointer, i32]),
+        ("tap", None, [pointer, i32, i32]),
+        ("untap", None, [pointer, i32]),
+        ("samples", i64, [pointer, i32, i32, rows]),
+        ("words", ctypes.POINTER(ctypes.c_uint64), [pointer, i32, i32, ctypes.POINTER(i32)]),
+    ):
+        function = getattr(found, f"sliced_{name}")
+        function.restype, function.argtypes = answer, arguments
+    return found
+
+
+def lanes(sensor: Sensor, sensors: int) -> int:
+    """Return the bits of a word that play so many sensors fastest.
+
+    Few lanes need little memory, but words of 64 bits lack the instruction for any function of three words.
+    """
+    each = sensor.subgroups
+    chunks = -(-sensors // (64 // each)) if each < 64 else -(-each // 64) * sensors
+    return next((width for width in LANES[1:] if width >= 64 * chunks), LANES_MAX)
+
+
+class Engine:
+    """Sensors of the same parameters in the lanes of one library, first under reset, then in use."""
+
+    def __init__(self, sensor: Sensor, sensors: int = 1):
+        self._library = build_library(sensor, sensors)
+        self._lanes = lanes(sensor, sensors)
+        self._engine = self._library.sliced_new(sensors)
+
+    def close(self) -> None:
+        self._library.sliced_delete(self._engine)
+        self._engine = None
+
+    def call(self, name: str, *arguments: Any) -> Any:
+        """Call a function of `sliced.cpp`."""
+        return getattr(self._library, f"sliced_{name}")(self._engine, *arguments)
+
+    def run(self, progress: Callable[[], None] = lambda: None) -> None:
+        """Go on until no sensor has anything to do."""
+        while self.call("run", CHUNK_CYCLES):
+            progress()
+
+    def words(self, sensor: int, subgroup: int, words: int) -> tuple[np.ndarray, int]:
+        """Return the words that play a subgroup, uint64[words, parts], and its lane."""
+        lane = ctypes.c_int()
+        pointer = self.call("words", sensor, subgroup, ctypes.byref(lane))
+        return np.ctypeslib.as_array(pointer, (words, self._lanes // 64)), lane.value
+
+
+class SlicedSensor:
+    """A sensor, first under reset, then in use. A context manager.
+
+    It is a transport of the host driver, which programs it. A frame needs light, so `frame` starts it.
+
+    engine, number: a sensor among others in an engine; None: one of its own.
+    """
+
+    def __init__(self, sensor: Sensor, engine: Engine | None = None, number: int = 0):
+        self.sensor = sensor
+        self._engine, self._number = engine or Engine(sensor), number
+        self.driver = Driver(self, sensor, fresh=True)
+        self._beats: list[np.ndarray] = [np.zeros(0, np.uint64)] * sensor.streams
+        self._recorded: list[int] = []
+
+    def __enter__(self) -> "SlicedSensor":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._engine.close()
+
+    def _call(self, name: str, *arguments: Any) -> Any:
+        return self._engine.call(name, self._number, *arguments)
+
+    def write(self, address: int, value: int) -> None:
+        """Write a register. Raises `RefusedError` if the sensor answers SLVERR."""
+        self._call("write", address, value)
+        self._finish(f"write of {value:#x} to {address:#07x}")
+
+    def read(self, address: int) -> int:
+        """Read a register. Raises `RefusedError` if the sensor answers SLVERR."""
+        self._call("read", address)
+        self._finish(f"read of {address:#07x}")
+        return self._call("value")
+
+    def receive(self, stream: int) -> np.ndarray:
+        """Return the beats (uint64) of the last frame, once."""
+        beats, self._beats[stream] = self._beats[stream], np.zeros(0, np.uint64)
+        return beats
+
+    def frame(
+        self,
+        config: Config,
+        edges: Edges,
+        ready: np.ndarray | None = None,
+        progress: Callable[[int], None] = lambda cycle: None,
+    ) -> Recorded:
+        """Program the settings, play a frame, and return its record, as `cosim.SensorBench.play` does."""
+        self.begin(config, edges, ready)
+        return self.end(progress)
+
+    def begin(self, config: Config, edges: Edges, ready: np.ndarray | None = None) -> None:
+        """Program the settings and start a frame, which `step` and `end` play."""
+        self.driver.program(config)
+        self._post(config, edges, ready)
+
+    def step(self, cycles: int = 1) -> bool:
+        """Play some cycles of the frame, and return whether it goes on."""
+        return bool(self._engine.call("run", cycles))
+
+    def abort(self) -> None:
+        """Make the running period the last one of the frame that `begin` has started."""
+        self._call("write_during_frame", *registers.control("abort"))
+
+    def reset(self) -> None:
+        """Reset the sensor, whatever it is doing. Its settings and the frame are gone."""
+        self._call("reset")
+        self.driver = Driver(self, self.sensor, fresh=True)
+
+    def end(self, progress: Callable[[int], None] = lambda cycle: None) -> Recorded:
+        """Play the rest of the frame and return its record."""
+        self._finish("start", lambda: progress(self._call("cycle")))
+        self.driver.finish()
+        (record,) = self.records()
+        self._beats = list(record.beats)
+        return record
+
+    def post(self, programmed: Programmed, job: FrameJob) -> None:
+        """Let the sensor play a frame after everything that it has to do. programmed: its settings then, updated."""
+        for address, value in programmed.pending(job.config.register_writes()):
+            self._call("write", address, value)
+            programmed.note(address, value)
+        self._post(job.config, job.edges, job.ready)
+        done = 1 << registers.BY_NAME["status"].bit("done")
+        self._call("wait", registers.address("status"), done)
+        self._call("write", registers.address("status"), done)
+
+    def _post(self, config: Config, edges: Edges, ready: np.ndarray | None) -> None:
+        ready = np.ascontiguousarray(config.tready(ready))
+        columns = [np.ascontiguousarray(column, np.int64) for column in port_bits(config, edges)]
+        self._call(
+            "frame",
+            *registers.control("start"),
+            len(columns[0]),
+            *(column.ctypes.data for column in columns),
+            ready.ctypes.data,
+            len(ready),
+            config.frame_cycles,
+            cycle_limit(config, len(ready)),
+        )
+
+    def _finish(self, what: str, progress: Callable[[], None] = lambda: None) -> None:
+        self._engine.run(progress)
+        self.check(what)
+
+    def check(self, what: str) -> None:
+        """Raise the error of what the sensor had to do, if there was one: `RefusedError`, `SimulationError`."""
+        outcome = self._call("outcome")
+        if outcome == HANGS:
+            raise SimulationError(f"no frame end within {self._call('cycle')} cycles: the sensor hangs")
+        if outcome == REFUSED:
+            self._call("forget")
+            status = f", status {self.read(registers.address('status')):#x}" if what == "start" else ""
+            raise RefusedError(f"{what}: SLVERR{status}")
+
+    def records(self) -> list[Recorded]:
+        """Return the records of the frames since the last call."""
+        found = []
+        for k in range(self._call("records")):
+            beats, cycles = [], []
+            for stream in range(self.sensor.streams):
+                rows = self._rows("beats", k, stream)
+                beats.append(rows[:, 0].copy())
+                cycles.append(rows[:, 1].astype(np.int64))
+            commits = self._rows("commits", k).astype(np.int64)
+            commits = commits[np.argsort(commits[:, 0], kind="stable")]
+            found.append(Recorded(beats, cycles, commits[:, 0], commits[:, 1], max(int(c[-1]) for c in cycles) + 1))
+        self._call("forget")
+        return found
+
+    def _rows(self, name: str, *which: int) -> np.ndarray:
+        """Return pairs of 64-bit words that the engine keeps, as uint64[n, 2]."""
+        pointer = ctypes.c_void_p()
+        n = self._call(name, *which, ctypes.byref(pointer))
+        if not n:
+            return np.zeros((0, 2), np.uint64)
+        return np.ctypeslib.as_array(ctypes.cast(pointer, ctypes.POINTER(ctypes.c_uint64)), (n, 2))
+
+    def peek(self, subgroup: int, name: str) -> int:
+        """Return the present value of a signal of a subgroup, by its path below `hdl/module.py`'s `Slice`."""
+        probe = _probe(self.sensor)
+        words, lane = self._engine.words(self._number, subgroup, probe.layout.words)
+        part = np.ascontiguousarray(words[:, lane // 64, None])
+        return numbers(probe.values(part, [name])[name])[lane % 64]
+
+    def poke(self, subgroup: int, name: str, value: int) -> None:
+        """Set a register of a subgroup. Raises `KeyError` if it is not a register."""
+        probe = _probe(self.sensor)
+        words, lane = self._engine.words(self._number, subgroup, probe.layout.words)
+        for k, word in enumerate(probe.words(name)):
+            bit = np.uint64(1 << (lane % 64))
+            words[word, lane // 64] = words[word, lane // 64] & ~bit | bit * np.uint64(value >> k & 1)
+
+    def signals(self) -> list[str]:
+        """Return the paths of all signals of a subgroup, for `peek` and `waves`."""
+        return sorted(_probe(self.sensor).signals)
+
+    def watch(self, *subgroups: int) -> None:
+        """Keep samples of these subgroups, of every cycle from now on, for `waves`."""
+        self._call("untap")
+        self._recorded = list(subgroups)
+        for subgroup in subgroups:
+            self._call("tap", subgroup)
+
+    def waves(self, path: Path, names: Sequence[str] | None = None, cycle_ps: int = 2000) -> None:
+        """Write a VCD file with what was watched. names: paths of signals; None: all. cycle_ps: length of a clock cycle."""
+        lanes = {}
+        for k, subgroup in enumerate(self._recorded):
+            pointer = ctypes.c_void_p()
+            cycles = self._call("samples", k, ctypes.byref(pointer))
+            shape = (cycles, -(-_probe(self.sensor).layout.words // 64))
+            rows = np.ctypeslib.as_array(ctypes.cast(pointer, ctypes.POINTER(ctypes.c_uint64)), shape)
+            lanes[f"subgroup_{subgroup}"] = rows.copy()
+        write_vcd(path, _probe(self.sensor), lanes, names=names, cycle_ps=cycle_ps)
+
+
+@cache
+def _probe(sensor: Sensor) -> Probe:
+    return Probe(design(sensor).emission())
+
+
+def play_side_by_side(
+    chains: Sequence[Sequence[FrameJob]], progress: Callable[[int], None] | None = None, threads: int | None = None
+) -> list[list[Recorded]]:
+    """Play chains of frames of one sensor, each chain on a sensor of its own that comes from reset; return their records.
+
+    progress: called with the cycles done, summed over the sensors. threads: None: one per core.
+    """
+    sensor = chains[0][0].config.sensor
+    threads = min(threads or os.cpu_count() or 1, len(chains))
+    each = min(max(1, LANES_MAX // sensor.subgroups), -(-len(chains) // threads))
+    build_library(sensor, each)  # once, before the threads
+    batches = [chains[k : k + each] for k in range(0, len(chains), each)]
+    done = [0]
+    lock = Lock()
+
+    def play(batch: Sequence[Sequence[FrameJob]]) -> list[list[Recorded]]:
+        engine = Engine(sensor, each)
+        try:
+            sensors = [SlicedSensor(sensor, engine, k) for k in range(len(batch))]
+            for one, chain in zip(sensors, batch):
+                programmed = Programmed(registers.reset_values(sensor))
+                for job in chain:
+                    one.post(programmed, job)
+            engine.run()
+            for one in sensors:
+                one.check("start")
+            found = [one.records() for one in sensors]
+        finally:
+            engine.close()
+        with lock:
+            done[0] += sum(record.cycles for records in found for record in records)
+            if progress:
+                progress(done[0])
+        return found
+
+    with ThreadPoolExecutor(threads) as pool:
+        return [records for found in pool.map(play, batches) for records in found]

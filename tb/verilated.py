@@ -1,0 +1,50 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Units that Verilator turns into archives, for C++ programs of our own: compiled once, kept by their contents."""
+
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from ..model.shared.folders import build_root
+from ..model.shared.sources import digest
+from ..tools.build import build_once, compile_in
+from . import toolchain
+
+RUN_TIME = "libverilated.a"
+VERILATOR = ("--cc", *toolchain.VERILATOR_OPTIONS)
+# A unit is one file for the compiler: separate, many small files and two precompiled headers take twice as long.
+COMPILER = ("-std=gnu++20", "-O2", "-fPIC")  # of a program around the archives
+MAKE_OPTIONS = ("VM_PARALLEL_BUILDS=0", f"OPT_FAST={toolchain.OPTIMISE}", "OPT_GLOBAL=-O2")
+
+
+def verilated_unit(top: str, prefix: str, sources: list[Path], options: Sequence[str] = ()) -> Path:
+    """Verilate a unit: its headers and archive, in a folder keyed by its sources and options."""
+    return _archive(f"lib{prefix}.a", top, prefix, {path.name: path.read_text() for path in sources}, options)
+
+
+def run_time() -> Path:
+    """Return the archive of Verilator's run-time library, the same one for every unit."""
+    top = "coincid_nothing"
+    return _archive(RUN_TIME, top, "Vnothing", {f"{top}.v": f"module {top}; endmodule\n"}) / RUN_TIME
+
+
+def _archive(archive: str, top: str, prefix: str, sources: Mapping[str, str], options: Sequence[str] = ()) -> Path:
+    """Return a folder with an archive that Verilator's make file builds for the `sources`, and their headers."""
+    contents = (part for item in sources.items() for part in item)
+    key = digest(str(toolchain.verilator()), *VERILATOR, *MAKE_OPTIONS, archive, top, *options, *contents)
+    directory = build_root() / "verilated" / f"{top}-{key}"
+
+    def make(scratch: Path) -> None:
+        log = directory.with_name(f"{directory.name}.log")
+        log.unlink(missing_ok=True)
+        for name, text in sources.items():
+            (scratch / name).write_text(text)
+        flags = [*options, "-CFLAGS", "-fPIC", "--top-module", top, "--prefix", prefix, "--Mdir", "."]
+        compile_in(scratch, log, [str(toolchain.verilator()), *VERILATOR, *flags, *sources])
+        jobs = str(os.cpu_count())
+        compile_in(scratch, log, ["make", "-s", "-j", jobs, "-f", f"{prefix}.mk", *MAKE_OPTIONS, archive])
+        for path in scratch.iterdir():
+            if path.suffix not in (".h", ".a"):
+                path.unlink()
+
+    return build_once(directory, make)

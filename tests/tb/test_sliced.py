@@ -1,0 +1,186 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The sliced engine is the RTL: random sensors, many frames at once, faults, and the waveforms of the whole sensor."""
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, Phase, given, settings
+from hypothesis import strategies as st
+from pywellen import Waveform
+
+from coincid.model.contract.parameters import TOP
+from coincid.model.golden.frame import Golden
+from coincid.tb.frames import FrameJob
+from coincid.tb.play import play
+from coincid.tb.scoreboard import check
+from coincid.tb.sliced import SlicedSensor, play_side_by_side
+
+from .. import cases
+
+seeds = st.integers(0, 2**32 - 1)
+SENSOR = cases.SENSORS["default"]
+CYCLE_PS = 2000  # of the simulators' clock
+# Signals that may differ: what the host asks for and when, a count that never rests, and a choice among nothing.
+FREE = {"command", "data", "index", "index_before", "at_last", "winner_5_0"}
+few = settings(max_examples=2, phases=(Phase.explicit, Phase.generate), suppress_health_check=list(HealthCheck))
+
+
+@st.composite
+def sensors(draw) -> dict:
+    """Draw a small sensor of any shape."""
+    minigroup = draw(st.sampled_from([(1, 1), (1, 2), (2, 2), (3, 1), (2, 4), (4, 4)]))
+    times = draw(st.sampled_from([(1, 1), (2, 2), (3, 2), (4, 4), (4, 1)]))
+    subgroup = [m * n for m, n in zip(minigroup, times)]
+    while subgroup[0] * subgroup[1] < 16:
+        subgroup[0] *= 2
+    grid = draw(st.sampled_from([(1, 1), (1, 2), (3, 1), (2, 2), (5, 1)]))
+    phases = 1 << draw(st.integers(2, 6))
+    return dict(
+        rows=subgroup[0] * grid[0],
+        cols=subgroup[1] * grid[1],
+        subgroup=subgroup,
+        minigroup=list(minigroup),
+        phases=phases,
+        offset_phases=min(phases, 1 << draw(st.integers(2, 4))),
+        coarse_bits=draw(st.integers(6, 9)),
+        window_max=draw(st.integers(1, 2 * phases)),
+        rearm=draw(st.integers(0, 3)),
+        fifo_depth=draw(st.integers(1, 9)),
+        streams=draw(st.integers(1, grid[0] * grid[1])),
+    )
+
+
+def job(golden: Golden, config, seed: int, kind: str = "always") -> FrameJob:
+    edges = cases.trouble(config, seed, 12.0)
+    ready = cases.ready_pattern(seed, kind, config.pulses * config.period + 200)
+    return FrameJob(config, edges, golden.frame(config, edges, ready), ready)
+
+
+@few
+@given(data=st.data())
+def test_random_sensors_equal_icarus(data, tmp_path_factory):
+    sensor = data.draw(sensors())
+    configs = [data.draw(cases.configurations(sensor, frames_max=1)) for _ in range(5)]
+    golden = Golden(configs[0].sensor)
+    jobs = [job(golden, config, data.draw(seeds), data.draw(st.sampled_from(cases.READY_KINDS))) for config in configs]
+    for engine in ("sliced", "icarus"):
+        records, _ = play(jobs, engine, tmp_path_factory.mktemp(engine))
+        assert all(record.checked for record in records)
+
+
+@pytest.mark.parametrize("threads", [1, 3])
+def test_chains_side_by_side_equal_one_by_one(threads, tmp_path):
+    """Settings, light, length and the controller's memory differ between the sensors that share a word."""
+    chains = []
+    for number in range(7):
+        golden, chain = Golden(cases.built_sensor(SENSOR)), []
+        for k in range(1 + number % 3):
+            config = cases.configured(
+                SENSOR,
+                {
+                    "period": 60 + 7 * number,
+                    "pulses": 2 + k,
+                    "capacity": 20,
+                    "dither_bits": number % 4,
+                    "dither_seed": 5,
+                },
+                {"auto": True, "threshold": 1 + number % 3, "window": 10 + number},
+                {"subgroups": [1], "gating": True, "gate_start": 5, "gate_len": 30 + number},
+            )
+            chain.append(job(golden, config, 10 * number + k, cases.READY_KINDS[number % len(cases.READY_KINDS)]))
+        chains.append(chain)
+    for chain, together in zip(chains, play_side_by_side(chains, threads=threads), strict=True):
+        alone, _ = play(chain, "sliced", tmp_path)
+        for one, other, frame, number in zip(alone, together, chain, range(9), strict=False):
+            assert check(frame.config.sensor, frame.expected, other, number) == one.checked
+
+
+def running(period: int = 60) -> cases.Config:
+    return cases.configured(
+        SENSOR,
+        {"period": period, "pulses": 6, "format": "full", "minigroup_records": True},
+        {"threshold": 1, "window": 12},
+        {"subgroups": [1], "gating": True, "gate_start": 5, "gate_len": 40},
+    )
+
+
+@pytest.mark.parametrize("cycle", [1, 37, 59, 60, 200, 301])
+def test_reset_in_any_cycle(cycle):
+    config = running()
+    golden = job(Golden(config.sensor), config, 3)
+    with SlicedSensor(config.sensor) as rtl:
+        rtl.begin(config, golden.edges)
+        rtl.step(cycle)
+        rtl.reset()
+        assert check(config.sensor, golden.expected, rtl.frame(config, golden.edges, golden.ready)) > 50
+
+
+@pytest.mark.parametrize("cycle", [100, 130, 290])
+def test_abort_makes_a_shorter_frame(cycle):
+    """The frame equals one of as many pulses as have begun when the command arrives."""
+    config = running()
+    model = Golden(config.sensor)
+    first = job(model, config, 4)
+
+    def shorter(pulses: int) -> np.ndarray:
+        edges = first.edges.take(first.edges.pulse < pulses)
+        return Golden(config.sensor).frame(config, edges, pulses=pulses).beats[0]
+
+    with SlicedSensor(config.sensor) as rtl:
+        rtl.begin(config, first.edges)
+        rtl.step(cycle)
+        rtl.abort()
+        record = rtl.end()
+        pulses = next(n for n in range(1, config.pulses) if np.array_equal(record.beats[0], shorter(n)))
+        assert cycle // config.period <= pulses <= cycle // config.period + 2
+
+
+def test_registers_can_be_changed_in_a_frame():
+    """A threshold that nothing reaches lets no event through, and only in its subgroup."""
+    config = running()
+    frame = job(Golden(config.sensor), config, 6)
+    with SlicedSensor(config.sensor) as rtl:
+        rtl.begin(config, frame.edges)
+        rtl.step(100)
+        assert rtl.peek(1, "subgroup_0.dpcu.threshold_used") == 1
+        rtl.poke(1, "subgroup_0.dpcu.threshold_used", 63)
+        record = rtl.end()
+    late = record.commit_cycle > 120
+    assert np.any(late & (record.commit_subgroup == 0)) and not np.any(late & (record.commit_subgroup == 1))
+
+
+def test_every_signal_is_that_of_the_whole_rtl(tmp_path):
+    """All signals of two subgroups that both waveforms name, in every cycle of a frame."""
+    config = running()
+    frame = job(Golden(config.sensor), config, 5)
+    _, fst = play([frame], "verilator", tmp_path, waves=True)
+    with SlicedSensor(config.sensor) as rtl:
+        rtl.watch(0, 1)
+        rtl.frame(config, frame.edges, frame.ready)
+        rtl.waves(tmp_path / "sliced.vcd", cycle_ps=CYCLE_PS)
+    whole, sliced = (
+        {variable.full_name: variable.signal for variable in Waveform(str(path)).all_vars()}
+        for path in (fst, tmp_path / "sliced.vcd")
+    )
+    pairs = []
+    for name in sliced:
+        subgroup, _, inside = name.partition(".subgroup_0.")
+        pair = f"{TOP}.module_0.{subgroup}.{inside}", name
+        if pair[0] in whole and not FREE & set(inside.split(".")):
+            pairs.append(pair)
+    assert len(pairs) > 1000
+
+    def begins(signal) -> int:
+        """Return the time of the first strobe."""
+        return next(time for time, value in (signal[k] for k in range(len(signal))) if value)
+
+    start = "timing.start"
+    shift = begins(whole[f"{TOP}.module_0.{start}"]) - begins(sliced[f"subgroup_0.{start}"])
+    first = begins(sliced[f"subgroup_0.{start}"])
+    # From some cycles on: what no reset touches is the same once light and frame have touched it.
+    times = range(first + 2 * config.period * CYCLE_PS, first + config.frame_cycles * CYCLE_PS, CYCLE_PS)
+    wrong = [
+        other
+        for one, other in pairs
+        if any(whole[one].value_at(time + shift + CYCLE_PS - 1) != sliced[other].value_at(time) for time in times)
+    ]
+    assert not wrong
