@@ -6,6 +6,7 @@ import tempfile
 from collections.abc import Callable
 from pathlib import Path
 
+from ..hdl.module import SensorModule
 from ..hdl.views import POLYPHASE, View
 from ..model.contract.parameters import TOP, Sensor
 from . import toolchain
@@ -26,7 +27,8 @@ def prepare(engine: str, sensor: Sensor, waves: bool = False, view: View = POLYP
 
 def build_sensor(sensor: Sensor, simulator: str, waves: bool = False, view: View = POLYPHASE) -> toolchain.Build:
     """Return the sensor in a view from `hdl/views.py`, compiled for a simulator, now or earlier."""
-    public = [f"{TOP}.stored_of_*"] + [f"{TOP}.timing"] * (view != POLYPHASE)
+    delays = view != POLYPHASE
+    public = [f"{TOP}.stored_of_*"] + [f"{TOP}.timing"] * delays
     return toolchain.build(
         simulator,
         rtl(sensor, view),
@@ -34,7 +36,8 @@ def build_sensor(sensor: Sensor, simulator: str, waves: bool = False, view: View
         key=sensor_key(sensor, view),
         waves=waves,
         public=public,
-        delays=view != POLYPHASE,
+        blocks=[] if delays else [SensorModule(sensor).unit_name],
+        delays=delays,
     )
 
 

@@ -36,7 +36,18 @@ NOT_INLINED = "-fno-inline"  # for designs that contain one block many times, wh
 OPTIMISE = os.environ.get("COINCID_OPTIMISE", "-O2")  # designs; -O1 takes two thirds of the time and runs 5 % slower
 # Cold code stays unoptimised: it is most of the source and takes almost no run time.
 MAKE_OPTIONS = (f"OPT_FAST={OPTIMISE}", "OPT_SLOW=-O0", "OPT_GLOBAL=-O2")
+# With blocks there is little source without tracing: as many small files it takes twice as long as one.
+BLOCK_MAKE_OPTIONS = ("VM_PARALLEL_BUILDS=0",)
 SIM_FILE = {"verilator": "sim", "icarus": "sim.vvp"}
+# Blocks of a design exist only once its initial statements have run, so such a statement begins the waveform.
+DUMP = """\
+module coincid_dump;
+  initial begin $dumpfile("{file}"); $dumpvars({what}); end
+endmodule
+`ifdef VERILATOR
+bind {top} coincid_dump dump();
+`endif
+"""
 
 
 def verilator() -> Path:
@@ -152,7 +163,7 @@ class Build:
             environment["COCOTB_RANDOM_SEED"] = str(seed)
         program = self.directory / SIM_FILE[self.simulator]
         if self.simulator == "verilator":
-            command = [str(program), *(["--trace", "--trace-file", wave.name] if self.waves else [])]
+            command = [str(program)]
             environment["COCOTB_TRUST_INERTIAL_WRITES"] = "1"  # Verilator's own inertial writes are right, and faster
         else:
             vpi = cocotb_config.lib_entry("vpi", "icarus")
@@ -174,6 +185,7 @@ def build(
     waves: bool = False,
     public: Sequence[str] = (),
     vlt: Sequence[Path | str] = (),
+    blocks: Sequence[str] = (),
     delays: bool = False,
     options: Sequence[str] = (),
     scopes: Sequence[str] = (),
@@ -186,6 +198,7 @@ def build(
     public: signals besides the top's ports that cocotb can see under Verilator, as "module.signal", both Verilog
         names, `*` and `?` allowed. Under Icarus everything is visible.
     vlt: further Verilator control files.
+    blocks: modules without delays, of which Verilator compiles one instance for all.
     delays: the sources have delays, in the units that they declare themselves; Icarus always respects them.
     options: of the compiler, such as Verilator's `--coverage-line`, with which every run leaves coverage.dat in its `out_dir`.
     scopes: for Icarus: instances, as Verilog paths from the top, whose own nets every run dumps into <top>.vcd of its `out_dir`.
@@ -199,18 +212,18 @@ def build(
     files = {path.name: path.read_bytes() for path in paths}  # copied, so that the build is complete in itself
     if len(files) < len(paths):
         raise ToolchainError(f"sources of {key}: two files have the same name")
+    if waves or scopes:
+        file, what = (f"{top}.fst", f"0, {top}") if waves else (f"{top}.vcd", f"1, {', '.join(scopes)}")
+        files["coincid_dump.v"] = DUMP.format(top=top, file=file, what=what).encode()
     if simulator == "verilator":
         controls = {f"control{i}.vlt": Path(path).read_bytes() for i, path in enumerate(vlt)}
-        controls["public.vlt"] = _public_signals(files.values(), top, public).encode()
-        tools, command = _verilator_command([*options, *controls, *files], top, waves, delays)
+        controls["design.vlt"] = _control_file(files.values(), top, public, blocks).encode()
+        hierarchy = ["--hierarchical"] if blocks else []
+        tools, command = _verilator_command([*hierarchy, *options, *controls, *files], top, waves, delays)
         files |= controls
     else:
         tools, command = _icarus_command([*options, *files], top, waves or bool(scopes))
         files |= {"timescale.f": f"+timescale+{TIMESCALE}\n".encode()}
-        if waves or scopes:
-            name, what = (f"{top}.fst", f"0, {top}") if waves else (f"{top}.vcd", f"1, {', '.join(scopes)}")
-            dump = f'module coincid_dump; initial begin $dumpfile("{name}"); $dumpvars({what}); end endmodule\n'
-            files["coincid_dump.v"] = dump.encode()
     contents = [part for name, data in files.items() for part in (name, data)]
     directory = build_root() / simulator / f"{key}-{digest(*tools, *command, *MAKE_OPTIONS, *contents)}"
     log = directory.with_name(f"{directory.name}.log")
@@ -221,9 +234,11 @@ def build(
         log.unlink(missing_ok=True)
         compile_in(scratch, log, command)
         if simulator == "verilator":
-            _make_model(scratch, log)
+            _make_model(scratch, log, BLOCK_MAKE_OPTIONS if blocks and not waves else ())
         for path in scratch.iterdir():  # the compiler's output is fifty times as large as the part that a run needs
-            if path.name not in {*files, SIM_FILE[simulator]}:
+            if path.is_dir():
+                shutil.rmtree(path)
+            elif path.name not in {*files, SIM_FILE[simulator]}:
                 path.unlink()
 
     return Build(simulator, top, build_once(directory, make), waves, bool(scopes))
@@ -247,13 +262,13 @@ def _verilator_command(
 
 def _icarus_command(names: Sequence[str], top: str, dumps: bool) -> tuple[list[str], list[str]]:
     require_programs({"iverilog": "iverilog"})
-    dump = ["-s", "coincid_dump", "coincid_dump.v"] if dumps else []
+    dump = ["-s", "coincid_dump"] if dumps else []
     return [_first_line("iverilog", "-V")], [
         "iverilog", "-g2012", "-f", "timescale.f", "-o", SIM_FILE["icarus"], "-s", top, *dump, *names
     ]  # fmt: skip
 
 
-def _make_model(scratch: Path, log: Path) -> None:
+def _make_model(scratch: Path, log: Path, options: Sequence[str]) -> None:
     """Compile and link Verilator's C++ in `scratch`.
 
     The run-time library is most of a small design's compilation. So its objects are kept, and shared by all builds with
@@ -264,7 +279,7 @@ def _make_model(scratch: Path, log: Path) -> None:
     names = re.findall(r"^\s+(verilated\w*) \\$", classes, re.MULTILINE)
     flags = digest(str(verilator()), _first_line("g++", "--version"), *MAKE_OPTIONS, *settings, *names)
     objects = [f"{name}.o" for name in names]
-    command = ["make", "-s", "-j", str(os.cpu_count()), "-f", "Vtop.mk", *MAKE_OPTIONS]
+    command = ["make", "-s", "-j", str(os.cpu_count()), "-f", "Vtop.mk", *MAKE_OPTIONS, *options]
 
     def make(library: Path) -> None:
         compile_in(scratch, log, [*command, *objects])
@@ -277,8 +292,8 @@ def _make_model(scratch: Path, log: Path) -> None:
     compile_in(scratch, log, command)
 
 
-def _public_signals(sources: Iterable[bytes], top: str, public: Sequence[str]) -> str:
-    """Return a Verilator control file that makes the ports of `top` and the signals `public` visible to cocotb."""
+def _control_file(sources: Iterable[bytes], top: str, public: Sequence[str], blocks: Sequence[str]) -> str:
+    """Return a Verilator control file: cocotb sees the ports of `top` and the signals `public`; `blocks` as of `build`."""
     text = b"\n".join(sources).decode()
     module = re.search(rf"^[^/\n]*\bmodule\s+\\?{re.escape(top)}\b.*?\bendmodule\b", text, re.DOTALL | re.MULTILINE)
     if module is None:
@@ -288,7 +303,7 @@ def _public_signals(sources: Iterable[bytes], top: str, public: Sequence[str]) -
     declarations = re.findall(r"\b(?:input|output|inout)\b(.*?)(?=\b(?:input|output|inout)\b|[;)=])", flat, re.DOTALL)
     ports = [f"{top}.{name}" for names in declarations for name in re.findall(r"[A-Za-z_]\w*", names)]
     types = {f"{top}.{word}" for word in ("wire", "reg", "logic", "signed")}
-    lines = []
+    lines = [f'hier_block -module "{block}"' for block in blocks]
     for wire in sorted({*ports, *public} - types):
         module_name, _, name = wire.rpartition(".")
         lines.append(f'public_flat_rw -module "{module_name}" -var "{name}"')
