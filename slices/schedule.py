@@ -11,11 +11,13 @@ from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from typing import TypeAlias
 
+import numpy as np
 from attrs import define, field, frozen
 
 from .netlist import ONE, ZERO, Block, Flop, Instance, Memory, NetlistError, Nets, Read, Store, Table
 
 ELSEWHERE = -1
+FORCED = 1e6  # weight of an order that has no exception
 GUARD_MIN = 12  # flip-flops and nodes of a group for which it is worth asking whether any lane enables it
 
 
@@ -342,12 +344,16 @@ class Schedule:
                 of |= reached[net]
             for net in node.inputs:
                 reached[net] |= of
-        readers = [0] * len(self._groups)
+        # before[j][k]: registers of group k that group j reads, so that a copy of each is needed if j comes later.
+        before = np.zeros((len(self._groups), len(self._groups)))
         for net, group in self._writer.items():
-            readers[number[group]] |= reached[net]
-        for net, unit in self._called.items():
-            readers[number[self._calls[unit]]] |= reached[net]
-        return [self._groups[k] for k in _children_first(readers)]
+            before[list(_bits(reached[net])), number[group]] += 1
+        for net, unit in self._called.items():  # there is no copy of an instance's output before it is computed
+            before[number[self._calls[unit]], list(_bits(reached[net]))] = FORCED
+        for group, k in number.items():  # nor of a register in the place of an instance's input
+            if self.homes & {flop.output for flop in group.flops}:
+                before[[number[call] for call in self._calls.values()], k] = FORCED
+        return [self._groups[k] for k in _least_backward(before)]
 
     def _named(self, nets: Iterable[int]) -> dict[int, int]:
         return {net: self._names[net] for net in nets if net in self._names}
@@ -484,8 +490,7 @@ class Schedule:
                 of |= reached[net]
             for net in node.inputs:
                 reached[net] |= of
-        readers = [reached[flop.output] for flop in group.flops]
-        return [group.flops[k] for k in _children_first(readers)]
+        return [group.flops[k] for k in _children_first([reached[flop.output] for flop in group.flops])]
 
 
 def settling(block: Block, units: Mapping[str, Block], nodes: Sequence[Node]) -> list[Op]:
@@ -523,6 +528,29 @@ def settling(block: Block, units: Mapping[str, Block], nodes: Sequence[Node]) ->
         done.add(of)
         ops.append(Call(by_unit[of], {}) if isinstance(of, str) else Evaluate(of, {}))
     return ops
+
+
+def _least_backward(weight: np.ndarray) -> list[int]:
+    """Return an order of the nodes of a graph in which edges of little weight go backward.
+
+    weight[j, k]: of the edge from j to k. Heuristic: sinks to the end, sources to the front, else the node to the front
+    that gains most. Source: P. Eades, X. Lin, W. F. Smyth, "A fast and effective heuristic for the feedback arc set
+    problem", 1993.
+    """
+    weight = weight.copy()
+    np.fill_diagonal(weight, 0)
+    left = np.ones(len(weight), bool)
+    to, of = weight.sum(axis=1), weight.sum(axis=0)
+    front: list[int] = []
+    back: list[int] = []
+    while left.any():
+        rank = np.where(left, np.where(to == 0, -np.inf, np.where(of == 0, np.inf, to - of)), np.nan)
+        k = int(np.nanargmin(rank)) if np.nanmin(rank) == -np.inf else int(np.nanargmax(rank))
+        (back if rank[k] == -np.inf else front).append(k)
+        left[k] = False
+        to -= weight[:, k]
+        of -= weight[k]
+    return front + back[::-1]
 
 
 def _children_first(children: Sequence[int]) -> list[int]:
