@@ -5,12 +5,15 @@ import json
 import os
 from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Any, Protocol, TypeAlias, TypeVar
 
+from ..model.contract.parameters import Sensor
 from ..model.shared.files import whole_file
 from ..model.shared.interrupts import worker_processes
+from ..tb.engines import sensors_together
+from ..tb.replay import replay_together
 from .measures import Number
 from .run import Kept, Run
 from .setup import Setup
@@ -21,6 +24,7 @@ Played: TypeAlias = tuple[int, Any, BaseException | None]  # index of the setup,
 _Key = TypeVar("_Key", bound=Hashable)
 _Item = TypeVar("_Item")
 _Result = TypeVar("_Result")
+TOGETHER_MAX = 8  # setups of a batch: their edges are in memory at once
 _kept = Kept()  # in each process: neighbours in a campaign often have the same photons
 
 
@@ -32,9 +36,37 @@ class Workers(Protocol):
         ...
 
 
-def read_one(read: Read, setup: Setup) -> Any:
-    """Play one setup on a worker."""
-    return read(Run(setup, kept=_kept))
+def batches(setups: Sequence[Setup], workers: int) -> list[list[int]]:
+    """Return the numbers of setups that a worker plays together: RTL in lanes of the sliced engine, all else alone."""
+    found: list[list[int]] = []
+    by_sensor: dict[Sensor, list[int]] = {}
+    for number, setup in enumerate(setups):
+        if setup.engine == "sliced":
+            by_sensor.setdefault(setup.config.sensor, []).append(number)
+        else:
+            found.append([number])
+    for sensor, numbers in by_sensor.items():
+        size = min(TOGETHER_MAX, sensors_together(sensor.subgroups), -(-len(numbers) // workers))
+        found += [numbers[k : k + size] for k in range(0, len(numbers), size)]
+    return found
+
+
+def read_batch(read: Read, setups: Sequence[Setup]) -> list[tuple[Any, BaseException | None]]:
+    """Play the setups of a batch on a worker; return what was read of each, or its error."""
+    results: list[dict[str, Any]] = [{} for _ in setups]
+    if len(setups) > 1:
+        # A setup that cannot be played is played again, alone, and tells why.
+        with suppress(Exception):
+            runs = [Run(setup) for setup in setups]
+            together = replay_together([(run.config, run.edges) for run in runs])
+            results = [{"edges": run.edges, "result": result} for run, result in zip(runs, together)]
+    outcomes: list[tuple[Any, BaseException | None]] = []
+    for setup, given in zip(setups, results):
+        try:
+            outcomes.append((read(Run(setup, kept=_kept, **given)), None))
+        except Exception as error:
+            outcomes.append((None, error))
+    return outcomes
 
 
 class Processes:
@@ -55,17 +87,23 @@ class Processes:
         self._stack.__exit__(*raised)
 
     def play(self, read: Read, setups: Sequence[Setup]) -> Iterator[Played]:
-        """As `Workers.play`; here, the first error is raised."""
+        """As `Workers.play`."""
         self.total += len(setups)
+        todo = batches(setups, self.workers)
         if self._pool is None:
-            for number, setup in enumerate(setups):
-                yield number, read_one(read, setup), None
-                self._count()
+            for batch in todo:
+                yield from self._counted(batch, read_batch(read, [setups[k] for k in batch]))
             return
-        running: dict[Future[Any], int] = {self._pool.submit(read_one, read, one): k for k, one in enumerate(setups)}
+        running: dict[Future[Any], list[int]] = {
+            self._pool.submit(read_batch, read, [setups[k] for k in batch]): batch for batch in todo
+        }
         for task in as_completed(running):
-            error = task.exception()
-            yield running[task], None if error else task.result(), error
+            batch, error = running[task], task.exception()
+            yield from self._counted(batch, [(None, error)] * len(batch) if error else task.result())
+
+    def _counted(self, batch: Sequence[int], outcomes: Sequence[tuple[Any, BaseException | None]]) -> Iterator[Played]:
+        for number, (outcome, error) in zip(batch, outcomes):
+            yield number, outcome, error
             self._count()
 
     def map(self, function: Callable[[_Item], _Result], items: Iterable[_Item]) -> list[_Result]:

@@ -17,7 +17,7 @@ from distributed.scheduler import KilledWorker
 from ..model.scenes.scene import Scene
 from ..model.shared.errors import InputError
 from ..tb.errors import SimulationError
-from .campaign import Played, Read, read_one
+from .campaign import Played, Read, batches, read_batch
 from .setup import Setup, versions
 
 LOOPBACK = "127.0.0.1"
@@ -42,35 +42,41 @@ class Dask:
             return
         with cluster(min(self.workers, len(setups)), self.scheduler) as client:
             scenes: dict[int, Future[Any]] = {}
-            running: dict[Future[Any], int] = {}
-            for number, setup in enumerate(setups):
-                # A task of its own: sent once, and computed again if the worker that held it is lost.
-                scene = scenes.get(id(setup.scene)) or client.submit(_itself, setup.scene, pure=False)
-                scenes[id(setup.scene)] = scene
-                given = read, evolve(setup, scene=None), scene, versions(setup.engine)
-                running[client.submit(_read_one, *given, pure=False)] = number
+            running: dict[Future[Any], list[int]] = {}
+            for setup in setups:
+                if id(setup.scene) not in scenes:
+                    # A task of its own: sent once, and computed again if the worker that held it is lost.
+                    scenes[id(setup.scene)] = client.submit(_itself, setup.scene, pure=False)
+            for batch in batches(setups, self.workers):
+                chosen = [setups[k] for k in batch]
+                bare = [evolve(setup, scene=None) for setup in chosen]
+                given = read, bare, [scenes[id(setup.scene)] for setup in chosen], versions(chosen[0].engine)
+                running[client.submit(_read_batch, *given, pure=False)] = batch
             for task in as_completed(list(running), loop=client.loop):
-                outcome, error = None, None
+                batch = running.pop(task)
                 try:
-                    outcome = task.result()  # runs again if the worker that held it is lost
+                    outcomes = task.result()  # runs again if the worker that held it is lost
                 except FutureCancelledError:
                     raise SchedulerLost(
                         "the Dask scheduler is gone; finished points are kept: start the sweep again"
                     ) from None
                 except Exception as why:
-                    error = why
-                yield running.pop(task), outcome, error
+                    outcomes = [(None, why)] * len(batch)
+                for number, (outcome, error) in zip(batch, outcomes):
+                    yield number, outcome, error
 
 
 def _itself(scene: Scene | None) -> Scene | None:
     return scene
 
 
-def _read_one(read: Read, setup: Setup, scene: Scene | None, expected: dict[str, str]) -> Any:
+def _read_batch(
+    read: Read, setups: list[Setup], scenes: list[Scene | None], expected: dict[str, str]
+) -> list[tuple[Any, BaseException | None]]:
     """Raises `RuntimeError` if this worker's versions are not as `expected`, because its numbers would be different."""
-    if (own := versions(setup.engine)) != expected:
+    if (own := versions(setups[0].engine)) != expected:
         raise RuntimeError(f"the worker's versions are not the sweep's: {own}, {expected}")
-    return read_one(read, evolve(setup, scene=scene))
+    return read_batch(read, [evolve(setup, scene=scene) for setup, scene in zip(setups, scenes)])
 
 
 def reason(error: BaseException) -> str:

@@ -173,7 +173,7 @@ def fixed_thresholds(sensor: Sensor) -> range:
 @cache
 def versions(engine: str) -> dict[str, str]:
     """Return the versions on which an engine's numbers depend; `code` is a digest of the sources, without any drawing."""
-    code = sources_digest("model", "lab", *(() if engine == "golden" else ("hdl", "host", "tb")))
+    code = sources_digest("model", "lab", *(() if engine == "golden" else ("hdl", "host", "slices", "tb", "tools")))
     return {"coincid": __version__, "code": code} | {name: version(name) for name in ("numba", "numpy", "scipy")}
 
 

@@ -2,6 +2,7 @@
 """Compiled slices: the C++ of a design, with a program around it, as a library that is built once."""
 
 import ctypes
+import os
 import subprocess
 from collections.abc import Sequence
 from functools import cache
@@ -26,6 +27,14 @@ def processor(flag: str = PROCESSOR) -> str:
     """Return what tells kinds of processors apart: code for one kind may have instructions that another lacks."""
     require_programs({"g++": "g++"})
     return digest(subprocess.run(["g++", flag, "-Q", "--help=target"], capture_output=True, check=True).stdout)
+
+
+@cache
+def widest(flag: str = PROCESSOR) -> int:
+    """Return the bits of the longest word that this processor handles at once, or 128."""
+    command = ["g++", flag, "-dM", "-E", "-x", "c++", os.devnull]
+    macros = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    return 512 if "__AVX512VL__" in macros else 256 if "__AVX2__" in macros else 128
 
 
 def compiled(design: Design, lanes: int, flag: str = PROCESSOR) -> Path:

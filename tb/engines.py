@@ -3,3 +3,9 @@
 
 SIMULATORS = ("verilator", "icarus")  # play the whole RTL under cocotb, also with a waveform or with delays
 ENGINES = ("golden", "sliced", *SIMULATORS)
+LANES_MAX = 512  # of a word of the sliced engine: subgroups that it plays at once
+
+
+def sensors_together(subgroups: int) -> int:
+    """Return how many sensors of so many subgroups the sliced engine plays at once."""
+    return max(1, LANES_MAX // subgroups)

@@ -5,7 +5,7 @@ The golden model needs no RTL tool: no part of the RTL is imported before an eng
 """
 
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -100,6 +100,22 @@ def replay(
     with tempfile.TemporaryDirectory(prefix="coincid-") as folder:
         records, _ = play(frames, engine, Path(folder), progress=progress, view=chosen)
     return _result(config, records)
+
+
+def replay_together(jobs: Sequence[tuple[Config, Edges]], threads: int = 1) -> list[dict[str, np.ndarray]]:
+    """Play configurations of one sensor through the sliced engine side by side; return what `replay` does, of each.
+
+    Raises `InputError` as `replay`.
+    """
+    for config, _ in jobs:
+        chosen_view("sliced", DEFAULT_VIEW, config.clock_mhz)
+    from .sliced import play_side_by_side
+
+    chains = [
+        [FrameJob(config, edges.frame(number, config.pulses)[0]) for number in range(config.frames)]
+        for config, edges in jobs
+    ]
+    return [_result(config, records) for (config, _), records in zip(jobs, play_side_by_side(chains, threads=threads))]
 
 
 def _result(config: Config, records: list[Recorded]) -> dict[str, np.ndarray]:

@@ -30,11 +30,12 @@ from ..model.contract.edges import Edges
 from ..model.contract.parameters import Sensor
 from ..model.contract.ports import port_bits
 from ..slices.emit import Sparse
-from ..slices.library import LANES, library
+from ..slices.library import LANES, library, widest
 from ..slices.probe import Probe, numbers
 from ..slices.synthesis import Design
 from ..slices.waves import write_vcd
 from . import toolchain
+from .engines import sensors_together
 from .errors import SimulationError
 from .frames import STORED_TO_COMMIT, FrameJob, Recorded, cycle_limit
 from .rtl import rtl_in_two, sensor_key
@@ -43,7 +44,6 @@ from .verilated import run_time, verilated_unit
 SOURCE = Path(__file__).with_name("sliced.cpp")
 CHUNK_CYCLES = 20_000  # between two checks of progress and Ctrl-C
 RESET_CYCLES = 4
-LANES_MAX = LANES[-1]
 FINE, REFUSED, HANGS = range(3)
 
 
@@ -125,13 +125,14 @@ def build_library(sensor: Sensor, sensors: int = 1) -> ctypes.CDLL:
 
 
 def lanes(sensor: Sensor, sensors: int) -> int:
-    """Return the bits of a word that play so many sensors fastest.
+    """Return the bits of a word that play so many sensors fastest on this processor.
 
     Few lanes need little memory, but words of 64 bits lack the instruction for any function of three words.
     """
     each = sensor.subgroups
     chunks = -(-sensors // (64 // each)) if each < 64 else -(-each // 64) * sensors
-    return next((width for width in LANES[1:] if width >= 64 * chunks), LANES_MAX)
+    widths = [width for width in LANES[1:] if width <= widest()]
+    return next((width for width in widths if width >= 64 * chunks), widths[-1])
 
 
 class Engine:
@@ -352,7 +353,7 @@ def play_side_by_side(
     """
     sensor = chains[0][0].config.sensor
     threads = min(threads or os.cpu_count() or 1, len(chains))
-    each = min(max(1, LANES_MAX // sensor.subgroups), -(-len(chains) // threads))
+    each = min(sensors_together(sensor.subgroups), -(-len(chains) // threads))
     build_library(sensor, each)  # once, before the threads
     batches = [chains[k : k + each] for k in range(0, len(chains), each)]
     done = [0]

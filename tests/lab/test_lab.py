@@ -132,6 +132,21 @@ def test_an_error_is_raised_or_collected():
     assert failed.keys() == {"bad"} and isinstance(failed["bad"], InputError)
 
 
+def test_setups_that_share_the_words_of_the_rtl_come_out_as_alone():
+    """Three setups are played at once; one that cannot be read fails alone."""
+    setups = {seed: small(seed=seed, engine="sliced").but(subgroup={"auto": True}) for seed in (1, 2, 3)}
+    setups["bad"] = small(engine="sliced").but(estimators=("guess",))
+    alone = {seed: read(Run(setup)) for seed, setup in setups.items() if seed != "bad"}
+    for workers in (Processes(1), Processes(2), Dask(2)):
+        failed = {}
+        if isinstance(workers, Dask):
+            assert campaign(setups, read, workers, failed=failed) == alone
+        else:
+            with workers:
+                assert campaign(setups, read, workers, failed=failed) == alone
+        assert failed.keys() == {"bad"} and isinstance(failed["bad"], InputError)
+
+
 def test_a_table_has_types_and_meanings():
     found = [Run(small(klux=klux)).frame() for klux in (5.0, 20.0)]
     rows = [{name: frame[name] for name in SWEPT} for frame in found]
