@@ -23,7 +23,9 @@ def wheel_folder(package: str) -> Path:
     """Return the folder of a YoWASP wheel's files. Raises `ToolchainError` if it is missing."""
     found = find_spec(package)
     if found is None or found.origin is None:
-        raise ToolchainError(f"{package.replace('_', '-')} is not installed; run: pip install 'coincid[{EXTRAS.get(package, OTHER)}]'")
+        raise ToolchainError(
+            f"{package.replace('_', '-')} is not installed; run: pip install 'coincid[{EXTRAS.get(package, OTHER)}]'"
+        )
     return Path(found.origin).parent
 
 
