@@ -125,6 +125,7 @@ public:
     void post_during_frame(uint32_t address, uint32_t value) { during_.push_back({Op::WRITE, address, value, {}}); }
     bool idle() const { return idle_; }
     int64_t cycle() const { return cycle_; }
+    int64_t cycles() const { return cycles_ + std::max<int64_t>(cycle_, 0); }
     Outcome outcome() const { return outcome_; }
     uint32_t value() const { return value_; }
     void forget() { records_.clear(); outcome_ = FINE; }
@@ -230,7 +231,8 @@ private:
         if (data) for (int k = 0; k < int(std::size(OUT_data)); k++) core_->data |= uint32_t(some(lanes_[STREAMS], OUT_data[k])) << k;
         core_->gate_late = some(lanes_[STREAMS], OUT_gate_late[0]);
         core_->settings_upset = some(lanes_[STREAMS], OUT_upset[0]);
-        for_each_stream(*core_, [&](int s, auto&, auto&, auto&, auto&, auto& stored, auto& record_stored, auto& valid, auto& beat, auto& beat_controlled, auto&, auto&) {
+        for_each_stream(*core_, [&](int s, auto&, auto&, auto&, auto&, auto& stored, auto& record_stored, auto& valid, auto& beat,
+                                    auto& beat_controlled, auto&, auto&) {
             list(s, OUT_stored[0], stored, stored_[s]);
             list(s, OUT_record_stored[0], record_stored, record_stored_[s]);
             valid = beats && some(lanes_[s], OUT_valid[0]);
@@ -347,6 +349,7 @@ private:
                 if (all_ended && cycle_ + 1 >= frame_->cycles) break;
                 if (cycle_ + 1 >= frame_->limit) outcome_ = HANGS;
             }
+            cycles_ += cycle_ + 1;
             cycle_ = -1;
             frame_.reset();
             while (write_busy_) co_await CYCLE;
@@ -364,7 +367,7 @@ private:
     int response_ = 0, write_response_ = 0;
     std::deque<Op> todo_, during_;
     std::shared_ptr<Frame> frame_;
-    int64_t cycle_ = -1;  // of the frame
+    int64_t cycle_ = -1, cycles_ = 0;  // of the frame, and of all frames before
     uint32_t value_ = 0;
     Outcome outcome_ = FINE;
     std::vector<std::unique_ptr<Record>> records_;
@@ -381,6 +384,13 @@ public:
     }
 
     Sensor& sensor(int number) { return *sensors_[number]; }
+
+    // Cycles of frames that were played, summed over the sensors.
+    int64_t cycles() const {
+        int64_t sum = 0;
+        for (auto& sensor : sensors_) sum += sensor->cycles();
+        return sum;
+    }
 
     // Go on for some cycles, or until no sensor has anything to do; return how many have.
     int run(int64_t cycles) {
@@ -421,22 +431,31 @@ private:
 extern "C" {
 Engine* sliced_new(int sensors) { return new Engine(sensors); }
 void sliced_delete(Engine* engine) { delete engine; }
+int64_t sliced_cycles(Engine* engine) { return engine->cycles(); }
 int sliced_run(Engine* engine, int64_t cycles) { return engine->run(cycles); }
-void sliced_write(Engine* engine, int sensor, uint32_t address, uint32_t value) { engine->sensor(sensor).post({Op::WRITE, address, value, {}}); }
+void sliced_write(Engine* engine, int sensor, uint32_t address, uint32_t value) {
+    engine->sensor(sensor).post({Op::WRITE, address, value, {}});
+}
 void sliced_read(Engine* engine, int sensor, uint32_t address) { engine->sensor(sensor).post({Op::READ, address, 0, {}}); }
-void sliced_wait(Engine* engine, int sensor, uint32_t address, uint32_t mask) { engine->sensor(sensor).post({Op::WAIT, address, mask, {}}); }
+void sliced_wait(Engine* engine, int sensor, uint32_t address, uint32_t mask) {
+    engine->sensor(sensor).post({Op::WAIT, address, mask, {}});
+}
 
 // A frame that a write starts. Edge k is in cycle[k] at bit[k] (pixel * phases + phase) of subgroup[k], in any order.
-void sliced_frame(Engine* engine, int sensor, uint32_t address, uint32_t value, int64_t edges, const int64_t* cycle, const int64_t* subgroup, const int64_t* bit,
-                  const uint8_t* ready, int64_t ready_cycles, int64_t cycles, int64_t limit) {
-    auto frame = std::make_shared<Frame>(Frame{std::vector<Edge>(edges), std::vector<int64_t>(cycles + 1), {ready, ready + ready_cycles}, cycles, limit});
+void sliced_frame(Engine* engine, int sensor, uint32_t address, uint32_t value, int64_t edges, const int64_t* cycle,
+                  const int64_t* subgroup, const int64_t* bit, const uint8_t* ready, int64_t ready_cycles, int64_t cycles,
+                  int64_t limit) {
+    auto frame = std::make_shared<Frame>();
+    *frame = {std::vector<Edge>(edges), std::vector<int64_t>(cycles + 1), {ready, ready + ready_cycles}, cycles, limit};
     for (int64_t k = 0; k < edges; k++) frame->first[cycle[k] + 1]++;
     for (int64_t c = 0; c < cycles; c++) frame->first[c + 1] += frame->first[c];
     std::vector<int64_t> next(frame->first);
     for (int64_t k = 0; k < edges; k++) frame->edges[next[cycle[k]]++] = {int32_t(bit[k]), int32_t(subgroup[k])};
     engine->sensor(sensor).post({Op::FRAME, address, value, frame});
 }
-void sliced_write_during_frame(Engine* engine, int sensor, uint32_t address, uint32_t value) { engine->sensor(sensor).post_during_frame(address, value); }
+void sliced_write_during_frame(Engine* engine, int sensor, uint32_t address, uint32_t value) {
+    engine->sensor(sensor).post_during_frame(address, value);
+}
 void sliced_reset(Engine* engine, int sensor) { engine->sensor(sensor).reset(); }
 int sliced_outcome(Engine* engine, int sensor) { return engine->sensor(sensor).outcome(); }
 uint32_t sliced_value(Engine* engine, int sensor) { return engine->sensor(sensor).value(); }

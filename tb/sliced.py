@@ -12,7 +12,7 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
 from pathlib import Path
-from threading import Lock
+from threading import Event, Lock
 from typing import Any
 
 import numpy as np
@@ -101,6 +101,7 @@ def build_library(sensor: Sensor, sensors: int = 1) -> ctypes.CDLL:
         ("new", pointer, [i32]),
         ("delete", None, [pointer]),
         ("run", i32, [pointer, i64]),
+        ("cycles", i64, [pointer]),
         ("write", None, [pointer, i32, u32, u32]),
         ("read", None, [pointer, i32, u32]),
         ("wait", None, [pointer, i32, u32, u32]),
@@ -356,28 +357,35 @@ def play_side_by_side(
     each = min(sensors_together(sensor.subgroups), -(-len(chains) // threads))
     build_library(sensor, each)  # once, before the threads
     batches = [chains[k : k + each] for k in range(0, len(chains), each)]
-    done = [0]
-    lock = Lock()
+    done, lock, stopped = [0] * len(batches), Lock(), Event()
 
-    def play(batch: Sequence[Sequence[FrameJob]]) -> list[list[Recorded]]:
+    def play(number: int) -> list[list[Recorded]]:
+        def tell() -> None:
+            if stopped.is_set():
+                raise InterruptedError
+            with lock:
+                done[number] = engine.call("cycles")
+                if progress:
+                    progress(sum(done))
+
         engine = Engine(sensor, each)
         try:
-            sensors = [SlicedSensor(sensor, engine, k) for k in range(len(batch))]
-            for one, chain in zip(sensors, batch):
+            sensors = [SlicedSensor(sensor, engine, k) for k in range(len(batches[number]))]
+            for one, chain in zip(sensors, batches[number]):
                 programmed = Programmed(registers.reset_values(sensor))
                 for job in chain:
                     one.post(programmed, job)
-            engine.run()
+            engine.run(tell)
+            tell()
             for one in sensors:
                 one.check("start")
-            found = [one.records() for one in sensors]
+            return [one.records() for one in sensors]
         finally:
             engine.close()
-        with lock:
-            done[0] += sum(record.cycles for records in found for record in records)
-            if progress:
-                progress(done[0])
-        return found
 
     with ThreadPoolExecutor(threads) as pool:
-        return [records for found in pool.map(play, batches) for records in found]
+        try:
+            return [records for found in pool.map(play, range(len(batches))) for records in found]
+        except BaseException:
+            stopped.set()  # the other threads end, too
+            raise
