@@ -46,6 +46,9 @@ public:
             *bits++ = part;
         }
     }
+    void restore(int lane, const uint64_t* bits) {
+        for (int word = 0; word < SLICE_WORDS; word++) put(word, lane, bits[word / 64] >> (word % 64) & 1);
+    }
 
 private:
     W* words_;
