@@ -10,6 +10,7 @@ import json
 import os
 import time
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -23,7 +24,7 @@ from ..lab.measures import Number
 from ..lab.run import Frame, Run
 from ..lab.setup import SETTLING, Setup, fixed_thresholds, scene_of
 from ..model.contract.config import Config, sensor_table
-from ..model.contract.parameters import TOP
+from ..model.contract.parameters import TOP, Sensor
 from ..model.contract.pixels import subgroup_image
 from ..model.contract.result import ResultBuilder, write_result
 from ..model.contract.settings import SUBGROUP
@@ -35,6 +36,7 @@ from ..model.scenes.ambient import Ambient, told_klux
 from ..model.shared.errors import InputError
 from ..model.shared.extras import extra
 from ..model.shared.files import whole_file
+from ..model.shared.interrupts import in_background
 from ..tb.errors import Mismatch
 from ..tb.frames import FrameJob, Recorded
 from ..tb.replay import DEFAULT_VIEW, chosen_view
@@ -202,7 +204,8 @@ def simulate(
         "configuration": settings_of(config),
     }
     results = [out / name for name in (*PICTURES, EVENTS, PAGE)]
-    with Bar(console, lines=True) as bar:
+    compiled = partial(_prepare, engine, config.sensor, waves, shown)
+    with Bar(console, lines=True) as bar, in_background(compiled) as preparing:
         bar.stage("photons")
         _ = run.edges
         fixed = config.threshold
@@ -211,9 +214,7 @@ def simulate(
             fixed = np.full_like(fixed, best_threshold(run))
         if shown is not None:
             bar.stage("RTL: emitted and compiled once")
-            from ..tb.play import prepare
-
-            prepare(engine, config.sensor, waves, shown)
+            preparing.result()
         total = len(SCHEMES) - 1 + settling
         bar.stage(f"{total} frames on {engine}", total * config.frame_cycles)
         try:
@@ -241,6 +242,14 @@ def simulate(
             path.unlink()
     _tell(console, (*run.scene.notes, *run.light.notes()), config, titles, report, written)
     return report
+
+
+def _prepare(engine: str, sensor: Sensor, waves: bool, view: "View | None") -> None:
+    """Compile what an engine of the RTL needs; the golden model has no view."""
+    if view is not None:
+        from ..tb.play import prepare
+
+        prepare(engine, sensor, waves, view)
 
 
 def _write_page(path: Path, heading: str, titles: dict[str, str], seen: dict[str, Frame]) -> bool:

@@ -1,11 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Builds that are made once, and the programs that make them; errors say in one line what to do."""
 
-import contextlib
 import errno
 import os
 import shutil
-import signal
 import subprocess
 import sys
 import tempfile
@@ -15,6 +13,7 @@ from pathlib import Path
 from filelock import FileLock
 
 from ..model.shared.errors import InputError
+from ..model.shared.interrupts import PROGRAMS, kill
 from .system import MissingPackagesError, system_packages
 
 LOG_TAIL_LINES = 40
@@ -85,6 +84,7 @@ def execute(
             errors="replace",
             start_new_session=True,  # so that compilers started by `make` end with it
         )
+        PROGRAMS.add(process)
         try:
             if show and process.stdout:
                 for line in process.stdout:
@@ -92,10 +92,11 @@ def execute(
                     show(line)
             return process.wait()
         except BaseException:
-            with contextlib.suppress(ProcessLookupError):  # it ended at this very moment
-                os.killpg(process.pid, signal.SIGKILL)
+            kill(process)
             process.wait()
             raise
+        finally:
+            PROGRAMS.discard(process)
 
 
 def compile_in(cwd: Path, log: Path, command: Sequence[str]) -> None:

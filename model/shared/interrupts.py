@@ -1,13 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Ctrl-C and SIGTERM as exceptions, however a program was started, and worker processes that end with their parent."""
+"""Ctrl-C and SIGTERM as exceptions, however a program was started, and threads and processes that end with their parent."""
 
+import os
 import signal
 from collections.abc import Callable, Iterator
-from concurrent.futures import ProcessPoolExecutor
-from contextlib import contextmanager
+from concurrent.futures import Future, ProcessPoolExecutor, ThreadPoolExecutor, wait
+from contextlib import contextmanager, suppress
 from functools import partial
 from multiprocessing import active_children, get_context
+from subprocess import Popen
+from typing import Any, TypeVar
 
+_Result = TypeVar("_Result")
+
+PROGRAMS: set[Popen[Any]] = set()  # that threads of this process wait for; each has a session of its own
+KILL_S = 0.1  # between two looks for programs
 INTERRUPTED, TERMINATED = 130, 143  # exit codes: 128 plus the number of the signal
 
 
@@ -43,6 +50,26 @@ def worker_processes(
             for child in set(active_children()) - before:
                 child.kill()
             raise
+
+
+@contextmanager
+def in_background(function: Callable[[], _Result]) -> Iterator[Future[_Result]]:
+    """Call `function` in a thread. If the block ends with an exception, `PROGRAMS` are killed until the thread has ended."""
+    with ThreadPoolExecutor(1) as pool:
+        called = pool.submit(function)
+        try:
+            yield called
+        except BaseException:
+            while wait([called], KILL_S).not_done:
+                for program in set(PROGRAMS):
+                    kill(program)
+            raise
+
+
+def kill(program: Popen[Any]) -> None:
+    """Kill a program that has a session of its own, with all that it has started."""
+    with suppress(ProcessLookupError):  # it ended at this very moment
+        os.killpg(program.pid, signal.SIGKILL)
 
 
 def _begin(initializer: Callable[..., None] | None, *arguments: object) -> None:

@@ -93,8 +93,8 @@ def report_html(heading: str, views: list[FrameView]) -> str:
     with doc.models.freeze():
         for root in figures.roots():
             doc.add_root(root)
-    doc.js_on_event(DocumentReady, CustomJS(args=args, code="report({" + ", ".join(args) + "})"))
-    figures.pick_in_page(CustomJS(code="picked(Math.round(cb_obj.y), Math.round(cb_obj.x))"))
+        doc.js_on_event(DocumentReady, CustomJS(args=args, code="report({" + ", ".join(args) + "})"))
+        figures.pick_in_page(CustomJS(code="picked(Math.round(cb_obj.y), Math.round(cb_obj.x))"))
     folder = Environment(loader=FileSystemLoader(SHOW))
     html = file_html(
         doc,
