@@ -13,7 +13,7 @@ from pathlib import Path
 from filelock import FileLock
 
 from ..model.shared.errors import InputError
-from ..model.shared.interrupts import PROGRAMS, kill
+from ..model.shared.interrupts import program
 from .system import MissingPackagesError, system_packages
 
 LOG_TAIL_LINES = 40
@@ -73,7 +73,7 @@ def execute(
     """Run `command`, append its output to `log` (and to `echo`), and return its exit code. Exceptions end it."""
     show = sys.stdout.write if echo is True else echo
     with log.open("a", buffering=1) as output:
-        process = subprocess.Popen(
+        with program(
             command,
             cwd=cwd,
             env={**environment, "PYTHONUNBUFFERED": "1"} if show else environment,
@@ -82,21 +82,12 @@ def execute(
             stderr=subprocess.STDOUT,
             text=True,
             errors="replace",
-            start_new_session=True,  # so that compilers started by `make` end with it
-        )
-        PROGRAMS.add(process)
-        try:
+        ) as process:
             if show and process.stdout:
                 for line in process.stdout:
                     output.write(line)
                     show(line)
             return process.wait()
-        except BaseException:
-            kill(process)
-            process.wait()
-            raise
-        finally:
-            PROGRAMS.discard(process)
 
 
 def compile_in(cwd: Path, log: Path, command: Sequence[str]) -> None:

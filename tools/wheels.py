@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from importlib.util import find_spec
 from pathlib import Path
 
+from ..model.shared.interrupts import program
 from .build import ToolchainError
 
 TAIL_LINES = 20
@@ -38,9 +39,9 @@ def run_wheel(package: str, function: str, arguments: Sequence[str], folder: Pat
 
 def run_program(command: Sequence[str], folder: Path, name: str) -> str:
     """Run a command in `folder` and return its output. Raises `ToolchainError` with the end of the output if it fails."""
-    done = subprocess.run(
-        command, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, errors="replace", check=False
-    )
-    if done.returncode:
-        raise ToolchainError("\n".join([f"{name} failed in {folder}", *done.stdout.splitlines()[-TAIL_LINES:]]))
-    return done.stdout
+    log = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "text": True, "errors": "replace"}
+    with program(command, cwd=folder, **log) as process:
+        output: str = process.communicate()[0]
+    if process.returncode:
+        raise ToolchainError("\n".join([f"{name} failed in {folder}", *output.splitlines()[-TAIL_LINES:]]))
+    return output

@@ -3,7 +3,7 @@
 
 import os
 import signal
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, ThreadPoolExecutor, wait
 from contextlib import contextmanager, suppress
 from functools import partial
@@ -13,7 +13,7 @@ from typing import Any, TypeVar
 
 _Result = TypeVar("_Result")
 
-PROGRAMS: set[Popen[Any]] = set()  # that threads of this process wait for; each has a session of its own
+PROGRAMS: set[Popen[Any]] = set()  # that run at this moment
 KILL_S = 0.1  # between two looks for programs
 INTERRUPTED, TERMINATED = 130, 143  # exit codes: 128 plus the number of the signal
 
@@ -61,15 +61,29 @@ def in_background(function: Callable[[], _Result]) -> Iterator[Future[_Result]]:
             yield called
         except BaseException:
             while wait([called], KILL_S).not_done:
-                for program in set(PROGRAMS):
-                    kill(program)
+                for running in set(PROGRAMS):
+                    _kill(running)
             raise
 
 
-def kill(program: Popen[Any]) -> None:
-    """Kill a program that has a session of its own, with all that it has started."""
+@contextmanager
+def program(command: Sequence[str], **options: Any) -> Iterator[Popen[Any]]:
+    """A program, with the options of `Popen`. If the block ends with an exception, it is killed with all that it started."""
+    running = Popen(command, start_new_session=True, **options)
+    PROGRAMS.add(running)
+    try:
+        yield running
+    except BaseException:
+        _kill(running)
+        running.wait()
+        raise
+    finally:
+        PROGRAMS.discard(running)
+
+
+def _kill(running: Popen[Any]) -> None:
     with suppress(ProcessLookupError):  # it ended at this very moment
-        os.killpg(program.pid, signal.SIGKILL)
+        os.killpg(running.pid, signal.SIGKILL)
 
 
 def _begin(initializer: Callable[..., None] | None, *arguments: object) -> None:
