@@ -3,13 +3,24 @@
 
 from pathlib import Path
 
+from ..model.contract import groups
 from ..model.contract.counters import COUNTER_NAMES
-from ..model.contract.packet import FRAME_END, KIND_BITS, PACKETS, Packet
+from ..model.contract.packet import FRAME_END, GROUP_KIND, KIND_BITS, PACKETS, UNUSED, Packet
 from ..model.contract.table import Limit
 from ..model.shared.licence import SPDX
 
 SOURCES = tuple(Path(__file__).with_name(name) for name in ("coincid.h", "coincid.c"))
 PACKETS_HEADER = "coincid_packets.h"
+_GROUPS = {  # places and widths in groups of events
+    "FIRST_LSB": groups.FIRST_LSB,
+    "LAST_LSB": groups.LAST_LSB,
+    "PAYLOAD_BITS": groups.PAYLOAD_BITS,
+    "CHECK_LSB": groups.CHECK_LSB,
+    "CHECK_POLYNOMIAL": groups.CHECK_POLYNOMIAL,
+    "LISTED_BITS": groups.LISTED_BITS,
+    "MAPPED": groups.MAPPED,
+    "AGE_BITS": groups.AGE_BITS,
+} | {f"{name.upper()}_IN_HEAD": bits for name, bits in groups.HEAD._asdict().items()}
 
 
 def c_driver() -> dict[str, str]:
@@ -28,7 +39,10 @@ def _packets_header() -> str:
         "",
         f"#define COINCID_KIND_BITS {KIND_BITS}u",
         f"#define COINCID_COUNTERS {len(COUNTER_NAMES)}u /* of a subgroup, in a frame end */",
-        f"enum {{ {kinds} }};",
+        f"enum {{ {kinds}, COINCID_GROUP = {GROUP_KIND}, COINCID_DAMAGED = {1 << KIND_BITS} }};",
+        *(f"#define COINCID_{name} {value}u" for name, value in _GROUPS.items()),
+        "/* Bits of the first beat that are 0 in these kinds. */",
+        *(f"#define {_kind(PACKETS[code])}_UNUSED {unused:#x}ull" for code, unused in UNUSED.items()),
         "",
         "/* PACKET(kind, times, fields): whatever follows the first beat comes `times` times. */",
         "#define COINCID_PACKETS(PACKET, NUMBER, ITEMS) \\",

@@ -25,6 +25,9 @@ typedef struct {
 typedef struct {
     uint32_t subgroups, pixels, minigroups; /* pixels and minigroups of a subgroup */
     uint32_t record_bits, record_stamp_bits; /* of a minigroup's entry */
+    uint32_t subgroup_bits, pixel_bits, offset_bits; /* of the fields in groups of events */
+    uint32_t minigroup_rows, minigroup_cols, subgroup_cols; /* in pixels */
+    uint32_t grouped; /* whether the frame's events come in groups: set it from the `count` of the frame start */
 } coincid_sensor_info;
 
 int coincid_probe(const coincid_bus *bus, coincid_sensor_info *info);
@@ -38,11 +41,27 @@ typedef struct {
     int kind, overrun;
     uint32_t subgroup, pulse, count, winner, stamp; /* pulse: in the frame; for frame start and end, the frame number */
     const uint64_t *map, *offsets, *entries, *counters;
+    const uint64_t *group; /* of a group of events: its beats */
+    uint32_t group_beats, bit, number, stamp_bits, with_offsets; /* number: of groups before it in the frame, modulo 256 */
 } coincid_packet;
+
+/* A group of events that is being read. */
+typedef struct {
+    const uint64_t *beats;
+    uint32_t n, bit, pulse, event_pulse, stamp_bits, with_offsets;
+    uint64_t map[4], offsets[32]; /* of the event that was read last */
+} coincid_group;
 
 /* Decode beats of a stream that carries `subgroups` subgroups, one packet per call. Return the number of beats in the packet,
    0 if it is not complete yet, or COINCID_BAD_STREAM. */
 int coincid_decode(const coincid_sensor_info *info, uint32_t subgroups, const uint64_t *beats, size_t n, coincid_packet *packet);
+
+/* In frames with groups of events, set info->grouped. A whole group then is one packet of kind COINCID_GROUP; coincid_group_begin
+   and coincid_group_event read its events. Beats of kind COINCID_DAMAGED hold nothing else: go on behind them. Groups are lost
+   where their numbers do not follow each other. */
+void coincid_group_begin(const coincid_packet *packet, coincid_group *group);
+/* Read the group's next event into `packet`, whose map and offsets stay until the next one. Return 1, or 0 if there is none. */
+int coincid_group_event(const coincid_sensor_info *info, coincid_group *group, coincid_packet *packet);
 
 /* Whether pixel `pixel` is in a packet's map. Coarse offset of a minigroup, or 255 if it was not hit. */
 int coincid_hit(const coincid_packet *packet, uint32_t pixel);

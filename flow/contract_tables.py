@@ -2,7 +2,7 @@
 """The generated tables of docs/contract.md: the keys of the configuration file, and the header of the stream's packets."""
 
 from ..model.contract.config import TABLES
-from ..model.contract.packet import FORMATS, FRAME_END, FRAME_START, HEADER, RECORD
+from ..model.contract.packet import FORMATS, FRAME_END, FRAME_START, GROUP_KIND, HEADER, RECORD
 from ..model.contract.table import Kind, Limit, Setting
 
 
@@ -54,9 +54,11 @@ def _number(limit: Limit) -> str:
 
 def _header_table() -> str:
     docs = {field.name: field.doc for field in FRAME_START.fields}
-    kinds = ", ".join(f"{of.code} {name}{f' (with {of.doc})' * bool(of.doc)}" for name, of in FORMATS.items())
+    kinds = ", ".join(
+        f"{of.code} {name}{f' (with {of.doc})' * bool(of.doc)}" for name, of in FORMATS.items() if not of.grouped
+    )
     docs["kind"] = (
-        f"event: {kinds}; {RECORD.code} minigroup record, {FRAME_START.code} frame start, {FRAME_END.code} frame end"
+        f"event: {kinds}; {GROUP_KIND} group of events, {RECORD.code} minigroup record, {FRAME_START.code} frame start, {FRAME_END.code} frame end"
     )
     rows = [f"| `{name}` | {lsb + width - 1}:{lsb} | {docs[name]} |" for name, (lsb, width) in HEADER.items()]
     return "\n".join(["| header field | bits | |", "| --- | --- | --- |", *rows]) + "\n"

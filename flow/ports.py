@@ -144,6 +144,8 @@ def stream_words(sensor: Sensor) -> str:
     counters = ", ".join(f"`{name}`" for name in COUNTER_NAMES)
     rows = [(FRAME_START, "frame start", 1, "nothing; `pulse` holds the frame's number")]
     for name, packet in FORMATS.items():
+        if packet.grouped:
+            continue
         behind = ", then ".join(f"the {field.name}" for field in packet.fields if field.aligned) or "nothing"
         rows.append((packet, f"event, format {name}", lengths.length(packet), behind))
     rows += [
@@ -162,6 +164,8 @@ def stream_words(sensor: Sensor) -> str:
 """
     table = ["| type | packet | beats | after the header |", "| ---: | --- | ---: | --- |"]
     table += [f"| {packet.code} | {name} | {length} | {after} |" for packet, name, length, after in rows]
+    groups_told = "In the formats `compact` and `compact-full`, events leave in groups, whose beats have type 5"
+    told += f"\n{groups_told} ([contract.md](contract.md#groups-of-events)).\n"
     return f"The first beat of every packet is a header: {fields}.\n\n" + "\n".join(table) + "\n" + told
 
 

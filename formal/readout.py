@@ -11,7 +11,7 @@ from ..hdl.controller import SETTLED
 from ..hdl.packetizer import Packetizer
 from ..hdl.readout import Readout
 from ..model.contract import latency
-from ..model.contract.packet import FORMATS, FRAME_END, FRAME_START, KIND_LSB, RECORD, layout, parts_of
+from ..model.contract.packet import BEAT_BITS, FORMATS, FRAME_END, FRAME_START, KIND_LSB, RECORD, layout, parts_of
 from ..model.contract.parameters import bits_for
 from .bench import Bench, proof
 from .sensors import SMALL
@@ -42,7 +42,7 @@ def _carries(b: Bench, beat, index, packet, fields, where):
 
 @proof(depth=4, cover=14)
 def readout(b: Bench):
-    """One grant at a time, after at most n - 1 others; no overflow, no leak of places; `tlast` ends the frame; AXI4-Stream."""
+    """One grant at a time, after at most n - 1 others; no overflow, no leak of places; `tlast` ends the frame."""
     m, unit = b.m, Readout(SMALL, N)
     frame, form = Signal(bus.frame_layout(SMALL)), b.constant(bits_for(HIGHEST_FORMAT))
     stored, record_stored, ready, finish, begin = Signal(N), Signal(N), Signal(), Signal(), Signal()
@@ -54,6 +54,12 @@ def readout(b: Bench):
     rest = Signal(range(PARTS.longest + 1))
     sends = b.same("sends", unit.grant.any() | (rest != 0))
     m.d.sync += rest.eq(Mux(unit.grant.any(), _length(unit.send, form) - 1, rest - (rest != 0)))
+    # Behind the buffer anything may happen that `groups.py` allows: a beat is taken if there is one.
+    taken = b.free(unit.state.coder)["take"]
+    b.free(unit.state.packer)
+    grouped = b.same("grouped", Cat(form == n for n, packet in enumerate(FORMATS.values()) if packet.grouped).any())
+    b.assume(unit.state.buffer.r_rdy, where=taken)
+    b.assume(taken == (unit.state.buffer.r_rdy & ready), where=~grouped)
     body = b.place(
         "dut",
         unit,
@@ -139,7 +145,10 @@ def readout(b: Bench):
     for beyond, beats in zip(body.event_exceeds, unit.rooms):
         b.always(beyond == body.event_length + beats - 1)
     b.always(body.event_last == body.event_length - 1, where=b.past(1))
-    b.always(body.space + body.left + on_the_way + body.buffer.level == unit.depth)
+    b.always(body.taken == b.past(taken))
+    b.always(body.grouped == grouped, where=b.past(1))
+    given_back_later = grouped & body.taken
+    b.always(body.space + body.left + on_the_way + body.buffer.level + given_back_later == unit.depth)
     b.always(
         (stored_beats >= 0) & (stored_beats <= unit.depth) & (body.left < PARTS.longest) & (body.space <= unit.depth)
     )
@@ -169,7 +178,7 @@ def readout(b: Bench):
         m.d.sync += expected.eq(N * PARTS.counter_beats)
     with m.Elif(body.buffer.w_en & (expected != 0)):
         m.d.sync += expected.eq(expected - 1)
-    b.always(body.buffer.w_data[-1] == ((expected == 1) & body.valid & ~ends_here), where=body.buffer.w_en)
+    b.always(body.buffer.w_data[BEAT_BITS] == ((expected == 1) & body.valid & ~ends_here), where=body.buffer.w_en)
     in_counters, in_flush = body.machine.ongoing("counters"), body.machine.ongoing("flush")
     ungranted = b.same("ungranted", Mux(in_counters, sum((Mux(body.tail[s], N - s, 0) for s in range(N)), start=0), 0))
     to_come = b.same("to_come", ungranted * PARTS.counter_beats + body.left)
@@ -190,11 +199,9 @@ def readout(b: Bench):
     for cycles in range(SETTLED):
         b.always(~b.past(unit.counted.valid, cycles), where=unit.delivered)
 
-    # AXI4-Stream: an offered beat stays until it is taken.
-    axis = unit.m_axis
-    waits = axis.tvalid & ~ready
-    b.stable(Cat(axis.tvalid, axis.tdata, axis.tlast), where=waits)
-    b.cover(axis.tvalid & (axis.tdata[KIND_LSB:] == FRAME_START.code) & ready)
+    # An offered beat stays until it is taken.
+    b.stable(Cat(body.buffer.r_rdy, body.buffer.r_data), where=body.buffer.r_rdy & ~taken & ~body.frame_begin)
+    b.cover(taken & (body.buffer.r_data[KIND_LSB:BEAT_BITS] == FRAME_START.code))
 
 
 @proof(depth=3, cover=12)

@@ -9,7 +9,7 @@ gaps, after a fixed time.
 from typing import Any
 
 from amaranth.hdl import Cat, Const, Module, Mux, ResetInserter, Signal
-from amaranth.lib import fifo
+from amaranth.lib import fifo, wiring
 from amaranth.lib.wiring import In, Out
 
 from ..model.contract import latency
@@ -17,9 +17,11 @@ from ..model.contract.packet import BEAT_BITS, FRAME_END, FRAME_START, KIND_BITS
 from ..model.contract.parameters import Sensor, bits_for
 from . import bus
 from .axi import STREAM
+from .coder import Coder, is_event_head
 from .logic import any_of, up_to
+from .packer import Packer
 from .packetizer import formed, numbers, of_format
-from .unit import Unit
+from .unit import Unit, place
 
 CALM_CYCLES = 15  # no grant, no beat on its way and none in the buffer for so long: more than any beat takes
 
@@ -27,20 +29,23 @@ CALM_CYCLES = 15  # no grant, no beat on its way and none in the buffer for so l
 class ReadoutState:
     """Inner registers and signals of a readout.
 
-    in_frame: outside of it, inputs are ignored. event_length, event_last: beats of an event, and number of its last one;
-    event_exceeds: more space than this leaves room for a word, or for counters, behind an event. planes: bits of the number of
-    events that wait in each subgroup; some_events: which numbers are not 0. at_or_after: the pointer, as all subgroups from
-    it on; from_chosen: the chosen one and all above it. room: for a word and for counters; left: beats still to be granted.
-    own: kind of the readout's own packet on its way, from `own_kind`, which is granted, to the output. tail: one-hot, the
-    subgroup whose counters are next; owes: the frame's last beat has not left; filling: it was lost and is sent again;
-    to_end: beats after the end's header.
+    in_frame: outside of it, inputs are ignored. grouped, with_offsets: of the format. event_length, event_last: beats of an
+    event, and number of its last one; event_exceeds: more space than this leaves room for a word, or for counters, behind
+    an event. planes: bits of the number of events that wait in each subgroup; some_events: which numbers are not 0.
+    at_or_after: the pointer, as all subgroups from it on; from_chosen: the chosen one and all above it. room: for a word
+    and for counters; left: beats still to be granted. taken: a beat has left the buffer one cycle ago. own: kind of the
+    readout's own packet on its way, from `own_kind`, which is granted, to the output. tail: one-hot, the subgroup whose
+    counters are next; owes: the frame's last beat has not left; filling: it was lost and is sent again; to_end: beats
+    after the end's header.
     """
 
     machine: Any
-    buffer: fifo.SyncFIFOBuffered
 
     def __init__(self, readout: "Readout"):
         n, longest, rooms, depth = readout.subgroups, readout.parts.longest, readout.rooms, readout.depth
+        self.buffer = fifo.SyncFIFOBuffered(width=BEAT_BITS + 2, depth=depth + 1)
+        self.buffer._MustUse__silence = True  # as in `Unit`
+        self.coder, self.packer = Coder(readout.sensor), Packer(readout.sensor)
         self.in_frame = Signal()
         self.stored = Signal(n)
         self.record_stored = Signal(n)
@@ -49,6 +54,8 @@ class ReadoutState:
         self.valid = Signal()
         self.beat = Signal(BEAT_BITS)
         self.beat_controlled = Signal()
+        self.grouped = Signal()
+        self.with_offsets = Signal()
         self.event_length = Signal(range(longest + 1))
         self.event_last = Signal(range(longest))
         self.event_exceeds = [Signal(range(2 * longest), init=beats - 1, name=f"event_and_{beats}") for beats in rooms]
@@ -66,6 +73,7 @@ class ReadoutState:
         self.room_next = [Signal(name=f"room_next_for_{beats}") for beats in rooms]
         self.left = Signal(range(longest))
         self.space = Signal(range(depth + 1), init=depth)
+        self.taken = Signal()
         self.free = Signal()
         self.free_for_counters = Signal()
         self.gone = Signal()
@@ -89,7 +97,7 @@ class Readout(Unit):
     stored, record_stored : in, one bit per subgroup: an event or record has been stored
     grant : out, one-hot; send : out, what the granted subgroup sends
     valid, beat, beat_controlled : in, OR of the subgroups' beats
-    frame : in, settings; number : in, frame number; frame_begin : in, strobe; finish : in, nothing more will be stored
+    frame, plan : in, settings; number : in, frame number; frame_begin : in, strobe; finish : in, nothing more will be stored
     delivered : out, the end packet has left
     counted : out, the counters of the end packet as they pass, for the threshold controller
     m_axis : AXI4-Stream master, `tlast` ends the frame
@@ -120,6 +128,7 @@ class Readout(Unit):
                 "beat": In(BEAT_BITS),
                 "beat_controlled": In(1),
                 "frame": In(bus.frame_layout(sensor)),
+                "plan": In(bus.plan_layout(sensor)),
                 "number": In(bus.PULSE_BITS),
                 "frame_begin": In(1),
                 "finish": In(1),
@@ -137,6 +146,7 @@ class Readout(Unit):
         self._room(m)
         self._packets(m)
         self._output(m)
+        self._port(m, platform)
         return m
 
     def _inputs(self, m):
@@ -150,6 +160,8 @@ class Readout(Unit):
             state.valid.eq(self.valid & state.in_frame),
             state.beat.eq(self.beat),
             state.beat_controlled.eq(self.beat_controlled),
+            state.grouped.eq(of_format(self.frame.format, lambda packet: int(packet.grouped))),
+            state.with_offsets.eq(of_format(self.frame.format, lambda packet: int(packet.has("offsets")))),
             state.event_length.eq(of_format(self.frame.format, self.parts.length)),
             state.event_last.eq(self._event_and(-1)),
             *(beyond.eq(self._event_and(beats - 1)) for beats, beyond in zip(self.rooms, state.event_exceeds)),
@@ -201,20 +213,22 @@ class Readout(Unit):
             state.free.eq((state.left == 0) & state.room[0]),
             state.free_for_counters.eq((state.left == 0) & state.room[1]),
             *(after.eq(self._space_exceeds(beats - 1)) for after, beats in zip(state.room_next, self.rooms)),
-            state.gone.eq(self.m_axis.tvalid & self.m_axis.tready),
+            state.gone.eq(Mux(state.grouped, state.taken, state.buffer.r_rdy & self.m_axis.tready)),
             state.left_next.eq(state.left - (state.left != 0)),
             state.space_next.eq(Mux(state.gone, state.space + 1, state.space)),
         ]
+        m.d.sync += state.taken.eq(state.buffer.r_rdy & state.buffer.r_en)
         m.d.sync += [state.left.eq(state.left_next), state.space.eq(state.space_next)]
         m.d.sync += [room.eq(after) for room, after in zip(state.room, state.room_next)]
-        with m.If(self.m_axis.tvalid | state.valid | (state.left != 0) | state.booked):
+        with m.If(state.buffer.r_rdy | state.valid | (state.left != 0) | state.booked):
             m.d.sync += state.calm.eq(0)
         with m.Elif(state.calm != CALM_CYCLES):
             m.d.sync += state.calm.eq(state.calm + 1)
         with m.Else():
             m.d.sync += [state.space.eq(self.depth), *(room.eq(1) for room in state.room)]
         with m.If(state.frame_begin):
-            m.d.sync += [state.space.eq(self.depth), state.left.eq(0), *(room.eq(1) for room in state.room)]
+            m.d.sync += [state.space.eq(self.depth), state.left.eq(0), state.taken.eq(0)]
+            m.d.sync += [room.eq(1) for room in state.room]
 
     def _space_exceeds(self, beats):
         """Return whether there is space for more than `beats`, with the place of a beat that leaves now.
@@ -320,7 +334,8 @@ class Readout(Unit):
         state, counter_beats = self.state, self.parts.counter_beats
         own, to_end = state.own, state.to_end
         m.d.sync += [later.eq(now) for now, later in zip([state.own_kind, *own], own)]
-        fields = numbers(m, self.sensor, [FRAME_START], own[-1], pulse=self.number)
+        starts = own[-1] == FRAME_START.code
+        fields = numbers(m, self.sensor, [FRAME_START], own[-1], pulse=self.number, count=starts & state.grouped)
         (own_beat,) = formed(self.sensor, [FRAME_START], fields)[FRAME_START]
         is_own = own[-1].any()
         with m.If((own[-1] == FRAME_END.code) & ~state.filling):
@@ -332,7 +347,6 @@ class Readout(Unit):
             self.counted.beat.eq(state.beat),
             self.counted.controlled.eq(state.beat_controlled),
         ]
-        state.buffer = fifo.SyncFIFOBuffered(width=BEAT_BITS + 1, depth=self.depth + 1)
         m.submodules.buffer = ResetInserter(state.frame_begin)(state.buffer)
         last = Signal()
         m.d.comb += last.eq(Mux(is_own, state.filling, to_end == 1))
@@ -342,8 +356,43 @@ class Readout(Unit):
             m.d.sync += [state.owes.eq(0), state.filling.eq(0)]
         m.d.comb += [
             state.buffer.w_en.eq(state.valid | is_own),
-            state.buffer.w_data.eq(Cat(Mux(is_own, own_beat, state.beat), last)),
-            Cat(self.m_axis.tdata, self.m_axis.tlast).eq(state.buffer.r_data),
-            self.m_axis.tvalid.eq(state.buffer.r_rdy),
-            state.buffer.r_en.eq(self.m_axis.tready),
+            state.buffer.w_data.eq(Cat(Mux(is_own, own_beat, state.beat), last, is_event_head(state.beat))),
         ]
+
+    def _port(self, m, platform):
+        """Let the buffer's beats leave as they are, or the events among them in groups."""
+        state = self.state
+        coder, packer = state.coder, state.packer
+        beat, last, head = (state.buffer.r_data[part] for part in (slice(BEAT_BITS), BEAT_BITS, BEAT_BITS + 1))
+        place(
+            m,
+            "coder",
+            coder,
+            platform,
+            grouped=state.grouped,
+            with_offsets=state.with_offsets,
+            period=self.plan.period,
+            valid=state.buffer.r_rdy,
+            beat=beat,
+            last=last,
+            head=head,
+            free=packer.free,
+            passed=self.m_axis.tready,
+            frame_begin=state.frame_begin,
+        )
+        place(
+            m,
+            "packer",
+            packer,
+            platform,
+            offer=coder.offer,
+            part=coder.part,
+            bits=coder.bits,
+            close=coder.close,
+            passes=coder.passes,
+            beat=beat,
+            last=last,
+            frame_begin=state.frame_begin,
+        )
+        wiring.connect(m, wiring.flipped(self.m_axis), packer.m_axis)
+        m.d.comb += state.buffer.r_en.eq(coder.take)

@@ -3,9 +3,9 @@
 
 import numpy as np
 
-from ..model.contract.packet import FRAME_END, FRAME_START, header_field, layout
+from ..model.contract.packet import FRAME_END, FRAME_START, layout
 from ..model.contract.parameters import Sensor
-from ..model.contract.stream import NO_HEADER, StreamError
+from ..model.contract.stream import NO_HEADER, StreamError, is_grouped, kind_of
 
 
 class FrameAssembler:
@@ -25,7 +25,7 @@ class FrameAssembler:
         """Append beats (uint64[n]) to the stream. If they cannot be a frame, drop them and raise `StreamError`."""
         self._beats = np.concatenate([self._beats, np.asarray(beats, np.uint64)])
         while self._at < len(self._beats):
-            kind = int(header_field(self._beats[self._at], "kind"))
+            kind = kind_of(self._beats[self._at], self._at > 0 and is_grouped(self._beats[0]))
             length = int(self._lengths[kind])
             if length == 0 or (kind == FRAME_START.code) != (self._at == 0):
                 at = self._at

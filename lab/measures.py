@@ -4,6 +4,7 @@
 Our choice; `wrong_share` is that of the paper's Fig. 7.
 """
 
+import math
 from collections.abc import Callable
 from typing import Any, TypeAlias
 
@@ -11,6 +12,7 @@ import numpy as np
 from attrs import frozen
 
 from ..model.contract.config import Config
+from ..model.contract.groups import PAYLOAD_BITS, groups
 from ..model.contract.packet import BEAT_BITS, FORMATS, RECORD, layout
 from ..model.depth.quality import OTHER_SURFACE_M, TOLERANCE_M, range_error, wrong_pixels, wrong_share
 from ..model.shared.constants import SUCCESS_TOLERANCE_S
@@ -73,8 +75,8 @@ def _error(which: int, tolerance_m: float = np.inf) -> Callable[[Frame], float |
 
 
 def _asked(frame: Frame) -> int:
-    records = frame.counter("mg_stored") + frame.counter("mg_dropped")
-    return int(stream_beats(frame.config, frame.counter("committed"), records).sum())
+    dropped = payload_beats(frame.config, frame.counter("dropped"), frame.counter("mg_dropped"))
+    return frame["beats"] + math.ceil(dropped.sum())
 
 
 def _late(frame: Frame) -> int:
@@ -158,7 +160,7 @@ MEASURES = {name: Measure(*rest) for name, rest in (_SWEPT | _OTHERS).items()}
 
 
 def stream_beats(config: Config, events: np.ndarray, records: np.ndarray) -> np.ndarray:
-    """Number[streams]: beats of a frame, including its start, end and counters.
+    """Number[streams]: beats of a frame, including its start, end and counters; with groups, as `payload_beats` expects.
 
     events, records: number[subgroups], events and minigroup records that leave the sensor.
     """
@@ -169,6 +171,16 @@ def stream_beats(config: Config, events: np.ndarray, records: np.ndarray) -> np.
 
 
 def payload_beats(config: Config, events: np.ndarray, records: np.ndarray) -> np.ndarray:
-    """Number[subgroups]: the beats of events and minigroup records alone; arguments as in `stream_beats`."""
-    parts = layout(config.sensor)
-    return events * parts.length(FORMATS[config.format]) + records * parts.length(RECORD)
+    """Number[subgroups]: the beats of events and minigroup records alone; arguments as in `stream_beats`.
+
+    Events in groups count as usual ones; how long they are depends on their pixels.
+    """
+    return events * event_beats(config) + records * layout(config.sensor).length(RECORD)
+
+
+def event_beats(config: Config) -> float:
+    """Beats of an event; in groups, of a usual one, a part of a beat."""
+    packet = FORMATS[config.format]
+    if packet.grouped:
+        return groups(config.sensor).usual_bits(packet, config.period_ticks) / PAYLOAD_BITS
+    return layout(config.sensor).length(packet)

@@ -12,6 +12,7 @@ from attrs import evolve
 from ..model.contract.config import Config
 from ..model.contract.counters import COUNTER_NAMES
 from ..model.contract.edges import Edges
+from ..model.contract.packet import FORMATS
 from ..model.contract.result import ResultBuilder
 from ..model.depth.estimate import Depth, estimate_depth
 from ..model.depth.quality import wrong_pixels
@@ -181,7 +182,9 @@ class Frame:
 
     @cached_property
     def beats(self) -> np.ndarray:
-        """int64[streams]: beats that left."""
+        """int64[streams]: beats that left. In groups, only the golden model's frame tells their number."""
+        if FORMATS[self.config.format].grouped:
+            return np.array([len(beats) for beats in self.trace.beats])
         return stream_beats(self.config, self.counter("stored"), self.counter("mg_stored"))
 
     @cached_property

@@ -307,6 +307,7 @@ def _report(played: Played) -> dict[str, Any]:
         report |= {
             f"events_{name}": frame["events"],
             f"dropped_{name}": frame["dropped"],
+            f"beats_{name}": frame["beats"],
             f"load_{name}": frame["link_load"],
             f"threshold_{name}": frame.threshold.tolist(),
         }

@@ -4,7 +4,17 @@
 import numpy as np
 
 from ..model.contract.counters import COUNTER_BITS, COUNTER_NAMES
-from ..model.contract.packet import FRAME_END, FRAME_START, KIND_BITS, KIND_LSB, PACKETS, header_field, layout, parts_of
+from ..model.contract.packet import (
+    FRAME_END,
+    FRAME_START,
+    GROUP_KIND,
+    KIND_BITS,
+    KIND_LSB,
+    PACKETS,
+    header_field,
+    layout,
+    parts_of,
+)
 from ..model.contract.parameters import Sensor
 from ..model.contract.stream import packet_fields
 from ..model.golden.frame import Trace
@@ -108,6 +118,10 @@ class Scoreboard:
         beats = self.expected.beats[stream]
         start, kind = locate(beats, index, self.sensor)
         of = "all subgroups"
+        if kind == GROUP_KIND:
+            return (
+                f"frame {self.frame}, stream {stream}, cycle {cycle}, beat {index} of the frame, in a group of events"
+            )
         if PACKETS[kind] not in (FRAME_START, FRAME_END):
             fields = packet_fields(beats, np.array([start]), self.sensor, PACKETS[kind])
             of = ", ".join(f"{name} {fields[name][0, 0]}" for name in ("subgroup", "pulse") if name in fields)
@@ -127,6 +141,8 @@ class Scoreboard:
             subgroup = self.sensor.stream_subgroups(stream)[word]
             got, want = (value >> shift & ((1 << COUNTER_BITS) - 1) for value in (data, expected))
             differing = f"counter {name} of subgroup {subgroup} is {got}, golden model {want}"
+        elif kind == GROUP_KIND:
+            differing = f"{data:#018x}, golden model {expected:#018x}"
         else:
             parts = [part for part in parts_of(self.sensor, PACKETS[kind]) if part.beat == beat]
             fields = [(part.field, part.lsb, part.width) for part in reversed(parts)]

@@ -125,6 +125,18 @@ MISTAKES: dict[tuple[str, tuple[str, ...], tuple[tuple[str, ...], ...]], dict[st
     ("hdl/packetizer.py", ("packetizer",), (FRAMES,)): {
         "take-early": ("at_last.eq(state.index + 1 == self._last", "at_last.eq(state.index + 2 >= self._last")
     },
+    ("hdl/coder.py", ("coder",), (FRAMES,)): {
+        "age-of-another-event": ("same.eq(state.age_ahead == state.age)", "same.eq(state.age_ahead == 0)"),
+        "group-too-old": ("state.fits_ahead.eq(age <= AGE_MAX)", "state.fits_ahead.eq(age <= AGE_MAX + 1)"),
+        "pixel-twice": ("state.rest.eq(of_rest.between)", "state.rest.eq(of_rest.between | of_rest.high)"),
+    },
+    ("hdl/packer.py", ("packer",), (FRAMES,)): {
+        "beat-one-bit-short": (
+            "state.ready.eq(state.total >= PAYLOAD_BITS)",
+            "state.ready.eq(state.total > PAYLOAD_BITS)",
+        ),
+        "mark-of-first-lost": ("state.begins.eq(state.final)", "state.begins.eq(0)"),
+    },
     ("model/golden/front_end.py", (), (GOLDEN, FRAMES)): {
         "golden-window-long": ("tick >= opening + window:", "tick > opening + window:"),
         "golden-tie-highest": (

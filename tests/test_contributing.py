@@ -73,15 +73,15 @@ with SlicedSensor(sensor) as rtl:
 assert np.array_equal(beats, Golden(sensor).frame(config, edges).beats[0])
 shown, full = decode_frame(beats, sensor, 2), decode_frame(
     Golden(sensor).frame(config.with_frame(format="full"), edges).beats[0], sensor, 2)
-assert len(shown.events) > 20 and np.all(shown.events[:, 0] == 5)
+assert len(shown.events) > 20 and np.all(shown.events[:, 0] == 0)
 assert np.array_equal(shown.events[:, 1:], full.events[:, 1:]) and np.array_equal(shown.offsets, full.offsets)
 assert golden_result(config, edges).keys() & {"hits", "mg_offset"} == {"mg_offset"}
-events = [packet for packet in packets(library, info, beats) if packet.kind == 5]
+events = [packet for packet in packets(library, info, beats) if packet.kind == 0]
 assert [packet.stamp for packet in events] == full.events[:, 6].tolist() and not any(packet.map for packet in events)
 for packet, offsets in zip(events, full.offsets):
     assert [library.coincid_offset(ctypes.byref(packet), g) for g in range(sensor.minigroups)] == offsets.tolist()
-assert "| 5 | event, format times | 2 | the offsets |" in stream_words(sensor)
-assert "5 times (with offsets)" in contract_parts()["header"]
+assert "| 0 | event, format times | 2 | the offsets |" in stream_words(sensor)
+assert "0 times (with offsets)" in contract_parts()["header"]
 """
 
 

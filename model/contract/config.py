@@ -19,6 +19,7 @@ from ..shared.files import FilePath
 from . import registers
 from .bounds import noise_bounds
 from .dither import start_cycles
+from .groups import PAYLOAD_BITS, groups
 from .link import beats_waiting_max, check_link, link_share, takes_beats
 from .packet import FORMATS, RECORD, WITH_MAP, layout
 from .parameters import MASK_BITS, SENSOR, Sensor
@@ -137,11 +138,13 @@ class Config(SubgroupSettings):
 
         With minigroup records, every subgroup may send one record per pulse before its events.
         """
-        parts = layout(self.sensor)
+        parts, packet = layout(self.sensor), FORMATS[self.format]
         if self.frame["minigroup_records"]:
             subgroups = max(len(self.sensor.stream_subgroups(stream)) for stream in range(self.sensor.streams))
             beats -= self.pulses * subgroups * parts.length(RECORD)
-        return max(0, beats) // parts.length(FORMATS[self.format])
+        if packet.grouped:
+            return int(max(0, beats) * PAYLOAD_BITS // groups(self.sensor).usual_bits(packet, self.period_ticks))
+        return max(0, beats) // parts.length(packet)
 
     @property
     def shares(self) -> np.ndarray:

@@ -18,6 +18,7 @@ from .table import Limit, number
 BEAT_BITS = 64
 KIND_BITS = 3
 KIND_LSB = BEAT_BITS - KIND_BITS
+GROUP_KIND = 5  # of every beat of a group of events, which `groups.py` describes
 
 
 @frozen
@@ -37,12 +38,16 @@ class Field:
 
 @frozen(eq=False)
 class Packet:
-    """A packet: its kind, its name, and its fields. doc: what an event format holds besides the header."""
+    """A packet: its kind, its name, and its fields. doc: what an event format holds besides the header.
+
+    grouped: subgroups send it, but it leaves the stream in groups (`groups.py`).
+    """
 
     code: int
     name: str
     fields: tuple[Field, ...]
     doc: str = ""
+    grouped: bool = False
 
     def has(self, name: str) -> bool:
         """Return whether it has a field of this name."""
@@ -65,7 +70,7 @@ class Part:
 
 _STAMP = Field("stamp", STAMP_FIELD_BITS, "opening tick")
 _WINNER = Field("winner", 8, "pixel in the subgroup")
-_COUNT = Field("count", 9, "distinct pixels")
+_COUNT = Field("count", 9, "distinct pixels; frame start: 1 if the events of the frame come in groups")
 _PULSE = Field("pulse", 16, "in the frame; frame start and end: frame number")
 _SUBGROUP = Field("subgroup", bits_for(SUBGROUPS_MAX - 1))
 _OVERRUN = Field("overrun", 1, "events were dropped before this one")
@@ -81,13 +86,15 @@ FORMATS = {  # packets of events, in the order of the format register's values
     "short": Packet(1, "event_short", _HEADER),
     "id": Packet(2, "event_id", (*_HEADER, MAP), "map"),
     "full": Packet(3, "event_full", (*_HEADER, MAP, OFFSETS), "map and offsets"),
+    "compact": Packet(2, "event_id", (*_HEADER, MAP), "id in groups", grouped=True),
+    "compact-full": Packet(3, "event_full", (*_HEADER, MAP, OFFSETS), "full in groups", grouped=True),
 }
 FORMAT_NAMES = tuple(FORMATS)
 WITH_MAP = tuple(name for name, packet in FORMATS.items() if packet.has("map"))  # formats from which depth can be made
 RECORD = Packet(4, "record", (*_HEADER, ENTRIES))
 FRAME_START = Packet(6, "frame_start", _HEADER)
 FRAME_END = Packet(7, "frame_end", (*_HEADER, _COUNTERS))
-PACKETS = {packet.code: packet for packet in (*FORMATS.values(), RECORD, FRAME_START, FRAME_END)}
+PACKETS = {packet.code: packet for packet in (*FORMATS.values(), RECORD, FRAME_START, FRAME_END) if not packet.grouped}
 
 
 @cache
@@ -139,8 +146,12 @@ class Layout:
         return max(self.longest_word, self.counter_beats)
 
     def lengths(self, subgroups: int) -> np.ndarray:
-        """int64[kinds]: beats of the packets of a stream with `subgroups` subgroups; 0: there is no such kind."""
+        """int64[kinds]: beats of the packets of a stream with `subgroups` subgroups; 0: there is no such kind.
+
+        The beats of a group count as packets of one beat, because each of them has the kind.
+        """
         lengths = np.zeros(1 << KIND_BITS, np.int64)
+        lengths[GROUP_KIND] = 1
         for code, packet in PACKETS.items():
             lengths[code] = self.length(packet, subgroups)
         return lengths
@@ -150,6 +161,14 @@ class Layout:
 def layout(sensor: Sensor) -> Layout:
     """Return the packet lengths of `sensor`."""
     return Layout(sensor)
+
+
+UNUSED = {  # bits of a packet's first beat that are 0, by kind
+    packet.code: sum(
+        ((1 << width) - 1) << lsb for name, (lsb, width) in HEADER.items() if name not in ("kind", "pulse", *more)
+    )
+    for packet, more in ((RECORD, ("subgroup",)), (FRAME_START, ("count",)), (FRAME_END, ()))
+}
 
 
 def header_field(beats: ArrayLike, name: str) -> np.ndarray:

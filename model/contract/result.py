@@ -34,12 +34,13 @@ class ResultBuilder:
         """Add a frame: its beats per stream, and subgroups and commit cycles of its stored events (by time in a subgroup).
 
         Without the latter, the commit cycles are `COMMIT_UNKNOWN`, because they cannot be seen outside the chip. Raises
-        `StreamError` if the beats are not a frame, and `ValueError` if more or fewer events left than were stored.
+        `StreamError` if the beats are not a whole frame, and `ValueError` if more or fewer events left than were stored.
         """
         sensor = self.config.sensor
         base = len(self._counters) * self.config.pulses
         counters = np.zeros((sensor.subgroups, len(COUNTER_NAMES)), np.int64)
-        frames = [decode_frame(stream, sensor, len(sensor.stream_subgroups(k))) for k, stream in enumerate(beats)]
+        subgroups = [len(sensor.stream_subgroups(k)) for k in range(sensor.streams)]
+        frames = [decode_frame(stream, sensor, n).check() for stream, n in zip(beats, subgroups, strict=True)]
         for k, frame in enumerate(frames):
             counters[sensor.stream_subgroups(k)] = frame.counters
         columns = dict(zip(HEADER, np.concatenate([frame.events for frame in frames]).T))

@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Decoder of the stream: from the beats of a frame to events, minigroup records and counters, by `packet.py`'s tables."""
+"""Decoder of the stream: from the beats of a frame to events, minigroup records and counters, by `packet.py`'s tables.
+
+Groups of events are decoded by `ungroup.py`.
+"""
 
 from itertools import groupby
 from typing import Any
@@ -14,17 +17,22 @@ from .packet import (
     FORMATS,
     FRAME_END,
     FRAME_START,
+    GROUP_KIND,
     HEADER,
     KIND_LSB,
     RECORD,
+    UNUSED,
     Packet,
     header_field,
     layout,
     parts_of,
 )
 from .parameters import OFFSET_NONE, Sensor
+from .ungroup import ungroup
 
 NO_HEADER = "not a packet header where one is due"
+_RECORD, _DAMAGED = RECORD.code, GROUP_KIND
+_UNUSED_IN_RECORD = np.uint64(UNUSED[RECORD.code])
 COLUMN = {name: column for column, name in enumerate(HEADER)}  # of `Frame.events`
 
 
@@ -34,11 +42,12 @@ class StreamError(Exception):
 
 @frozen(eq=False)
 class Frame:
-    """One frame of one stream, decoded.
+    """One frame of one stream, decoded; whole or not.
 
     number: frame number in its packets. events: int64[n, 7], columns in the order of `HEADER`. hits: uint64[n, map
     beats]; offsets: uint8[n, minigroups]. records: int64[k, 2], subgroup and pulse. entries: int64[k, minigroups, 2],
-    stamp and map. counters: int64[subgroups of the stream, 11].
+    stamp and map. counters: int64[subgroups of the stream, 11]. damaged: int64[m], beats at which a group of events is
+    missing or wrong; its events are left out, and all others are right. missing: number of events that were left out.
     """
 
     number: int
@@ -48,12 +57,22 @@ class Frame:
     records: np.ndarray
     entries: np.ndarray
     counters: np.ndarray
+    damaged: np.ndarray
+    missing: int
+
+    def check(self) -> "Frame":
+        """Return the frame. Raises `StreamError` if events are missing."""
+        if len(self.damaged) or self.missing:
+            places = f", near beats {', '.join(map(str, self.damaged))}" if len(self.damaged) else ""
+            raise StreamError(f"{self.missing} events of the frame were damaged on their way{places}")
+        return self
 
 
 def decode_frame(beats: np.ndarray, sensor: Sensor, subgroups: int) -> Frame:
     """Decode the beats (uint64[n]) of one frame of a stream that carries `subgroups` subgroups.
 
-    Raises `StreamError` if the beats are not exactly a frame start, packets, and a frame end with its counters.
+    Raises `StreamError` if the beats are not exactly a frame start, packets, and a frame end with its counters. Damaged
+    groups of events do not count as an error: the frame tells of them.
     """
     kinds, starts = packet_starts(beats, sensor, subgroups)
     tail = layout(sensor).length(FRAME_END, subgroups)
@@ -63,13 +82,45 @@ def decode_frame(beats: np.ndarray, sensor: Sensor, subgroups: int) -> Frame:
     if header_field(head, "pulse") != header_field(end, "pulse"):
         raise StreamError("frame start and frame end have different numbers")
 
+    counters = _split(beats[len(beats) - tail + 1 :].reshape(subgroups, -1), np.uint32)[:, : len(COUNTER_NAMES)].astype(
+        np.int64
+    )
     is_record = kinds == RECORD.code
-    event_at, event_kinds = starts[~is_record], kinds[~is_record]
+    records, entries = _records(beats, starts[is_record], sensor)
+    if is_grouped(head):
+        found = ungroup(beats, starts[~is_record], sensor)
+        missing = int(counters[:, COUNTER_NAMES.index("stored")].sum()) - len(found.events)
+        events, hits, offsets, damaged = found
+    else:
+        events, hits, offsets = _events(beats, starts[~is_record], kinds[~is_record], sensor)
+        damaged, missing = np.zeros(0, np.int64), 0
+    number = int(header_field(head, "pulse"))
+    return Frame(number, events, hits, offsets, records, entries, counters, damaged, missing)
+
+
+def is_grouped(frame_start: np.uint64) -> bool:
+    """Return whether the events of a frame come in groups."""
+    return bool(header_field(frame_start, "count") == 1)
+
+
+def kind_of(beat: np.uint64, grouped: bool) -> int:
+    """Return the kind of a beat where a packet begins; in a frame with groups, a damaged one counts as part of a group."""
+    kind = int(header_field(beat, "kind"))
+    damaged = grouped and (kind not in UNUSED or beat & np.uint64(UNUSED[kind]))
+    return GROUP_KIND if damaged else kind
+
+
+def _events(
+    beats: np.ndarray, event_at: np.ndarray, event_kinds: np.ndarray, sensor: Sensor
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return columns, maps and offsets of the events that begin at the beats `event_at`."""
     events = np.zeros((len(event_at), len(HEADER)), np.int64)
     events[:, COLUMN["kind"]] = event_kinds
     hits = np.zeros((len(event_at), -(-sensor.pixels // BEAT_BITS)), np.uint64)
     offsets = np.full((len(event_at), sensor.minigroups), OFFSET_NONE, np.uint8)
     for packet in FORMATS.values():
+        if packet.grouped:
+            continue
         chosen: Any = event_kinds == packet.code
         if not chosen.any():
             continue
@@ -81,17 +132,16 @@ def decode_frame(beats: np.ndarray, sensor: Sensor, subgroups: int) -> Frame:
             offsets[chosen] = _split(values.pop("offsets"), np.uint8)[:, : sensor.minigroups]
         for name, value in values.items():
             events[chosen, COLUMN[name]] = value[:, 0]
+    return events, hits, offsets
 
-    values = packet_fields(beats, starts[is_record], sensor, RECORD)
+
+def _records(beats: np.ndarray, at: np.ndarray, sensor: Sensor) -> tuple[np.ndarray, np.ndarray]:
+    """Return subgroup and pulse, and the entries, of the minigroup records that begin at the beats `at`."""
+    values = packet_fields(beats, at, sensor, RECORD)
     records = np.concatenate([values["subgroup"], values["pulse"]], axis=1).astype(np.int64)
     raw = _split(values["entries"], np.uint16 if sensor.record_bits == 16 else np.uint32)
     raw = raw[:, : sensor.minigroups].astype(np.int64)
-    entries = np.stack([raw & ((1 << sensor.record_stamp_bits) - 1), raw >> sensor.record_stamp_bits], axis=2)
-
-    counters = _split(beats[len(beats) - tail + 1 :].reshape(subgroups, -1), np.uint32)[:, : len(COUNTER_NAMES)].astype(
-        np.int64
-    )
-    return Frame(int(header_field(head, "pulse")), events, hits, offsets, records, entries, counters)
+    return records, np.stack([raw & ((1 << sensor.record_stamp_bits) - 1), raw >> sensor.record_stamp_bits], axis=2)
 
 
 def packet_fields(beats: np.ndarray, at: np.ndarray, sensor: Sensor, packet: Packet) -> dict[str, np.ndarray]:
@@ -108,11 +158,16 @@ def packet_fields(beats: np.ndarray, at: np.ndarray, sensor: Sensor, packet: Pac
 
 
 def packet_starts(beats: np.ndarray, sensor: Sensor, subgroups: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return kind and first beat of each packet between a frame's start and end, int64[n] each. Raises `StreamError`."""
+    """Return kind and first beat of each packet between a frame's start and end, int64[n] each. Raises `StreamError`.
+
+    In a frame with groups, a beat that can neither be of a group nor begin a record is damaged, and counts as a packet.
+    """
     lengths = layout(sensor).lengths(subgroups)
     end = len(beats) - lengths[FRAME_END.code]
     lengths[[FRAME_START.code, FRAME_END.code]] = 0
-    kinds, starts, bad = _packets(beats, lengths, end)
+    grouped = len(beats) > 0 and is_grouped(beats[0])
+    lengths[[packet.code for packet in FORMATS.values()] if grouped else GROUP_KIND] = 0
+    kinds, starts, bad = _packets(beats, lengths, end, grouped)
     if bad >= 0 or end <= 0:
         raise StreamError(f"beat {max(bad, 0)} of {len(beats)}: {NO_HEADER}")
     return kinds, starts
@@ -124,12 +179,14 @@ def _split(beats: np.ndarray, dtype: type[np.unsignedinteger]) -> np.ndarray:
 
 
 @njit
-def _packets(beats: np.ndarray, lengths: np.ndarray, end: int) -> tuple[np.ndarray, np.ndarray, int]:
+def _packets(beats: np.ndarray, lengths: np.ndarray, end: int, grouped: bool) -> tuple[np.ndarray, np.ndarray, int]:
     """Return kinds and first beats of the packets from the frame start to `end`, and the first beat that is no header (or -1)."""
     kinds, starts = np.empty(max(end, 0), np.int64), np.empty(max(end, 0), np.int64)
     n, at = 0, 1
     while at < end:
         kind = np.int64(beats[at] >> np.uint64(KIND_LSB))
+        if grouped and (lengths[kind] == 0 or (kind == _RECORD and beats[at] & _UNUSED_IN_RECORD != 0)):
+            kind = np.int64(_DAMAGED)
         if lengths[kind] == 0:
             return kinds[:n], starts[:n], at
         kinds[n], starts[n] = kind, at

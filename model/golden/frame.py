@@ -29,14 +29,16 @@ class Trace:
     """One frame as the ports show it.
 
     beats: per stream, uint64[n]; beat_cycle: per stream, int64[n], the cycle in which each beat is transferred (the last
-    one has `tlast`). commit_subgroup, commit_cycle: int64[k], stored events, ordered by subgroup and then by time. fate:
-    uint8 per edge. counters: int64[subgroups, 11]. budget: int64[streams], of the threshold controller after the frame.
+    one has `tlast`). commit_subgroup, commit_cycle: int64[k], stored events, ordered by subgroup and then by time;
+    freed_cycle: int64[k], from when on their places in the FIFOs are free again. fate: uint8 per edge. counters:
+    int64[subgroups, 11]. budget: int64[streams], of the threshold controller after the frame.
     """
 
     beats: list[np.ndarray]
     beat_cycle: list[np.ndarray]
     commit_subgroup: np.ndarray
     commit_cycle: np.ndarray
+    freed_cycle: np.ndarray
     fate: np.ndarray
     counters: np.ndarray
     budget: np.ndarray
@@ -88,7 +90,9 @@ class Golden:
         commit_subgroup = np.repeat(np.arange(sensor.subgroups), np.diff(events.bounds))
         row = events.row[: len(commit_subgroup)]
         stored = row["stored"] != 0
-        return Trace(beats, cycles, commit_subgroup[stored], row["cycle"][stored], fate, counters, budget)
+        return Trace(
+            beats, cycles, commit_subgroup[stored], row["cycle"][stored], row["free_at"][stored], fate, counters, budget
+        )
 
 
 def _timeline(config: Config) -> Timeline:

@@ -3,7 +3,8 @@
 
 It proceeds from grant to grant. Everything that has been committed by then enters its FIFO or is dropped
 (`_admit_events`, `_admit_records`). The next requesting subgroup is chosen (`_arbitrate`). Its packet is formed
-(`_form_packet`) and leaves as the receiver takes it (`_transfer`).
+(`_form_packet`) and leaves as the receiver takes it (`_transfer`). In a format with groups, the packer (`packer.py`) is this
+receiver.
 """
 
 import numpy as np
@@ -12,6 +13,7 @@ from ..contract import latency
 from ..contract.counters import COUNTER_BITS
 from ..contract.packet import BEAT_BITS, FRAME_END, FRAME_START, KIND_LSB, OFFSETS, RECORD
 from ..shared.compiled import njit
+from .packer import close_group, new_packer, pack_event
 from .shape import ARRAY, COUNTER, NUMBER, row_type
 
 _RECORD, _FRAME_START, _FRAME_END = RECORD.code, FRAME_START.code, FRAME_END.code
@@ -38,10 +40,14 @@ def readout(first, n, shape, end, frame, events, records, counters, next_ready):
     queues = _queues(first, n, events.bounds, records.bounds)
     most = _beats(queues, shape)
     beats, sent_at = np.empty(most, np.uint64), np.empty(most, np.int64)
+    packed, packed_at = _packed_beats(most, shape)
+    packers = new_packer()
+    packer = packers[0]  # a row lives as long as its array
     values = np.zeros(ARRAY + shape.longest_word, np.uint64)
-    values[NUMBER.pulse] = frame
+    values[NUMBER.pulse], values[NUMBER.count] = frame, shape.grouped
     _encode(beats[:1], _FRAME_START, values, shape.frame_parts)
     done = _transfer(sent_at, 0, 1, latency.FRAME_START, next_ready)
+    _pass(packer, packed, packed_at, beats, sent_at, 0, 1, shape)
     t, pointer = latency.FRAME_START + 1, 0
     while True:
         t = _when_room(shape.longest_word, t, done, sent_at, shape)
@@ -49,8 +55,25 @@ def readout(first, n, shape, end, frame, events, records, counters, next_ready):
         if chosen != _NONE:
             values[:] = 0
             values[NUMBER.subgroup] = first + chosen
-            length = _form_packet(beats[done:], values, queues[chosen], t, shape, events, records)
-            done = _transfer(sent_at, done, length, t, next_ready)
+            queue, is_event = queues[chosen], queues[chosen].waiting == _NONE
+            event = queue.read
+            length = _form_packet(beats[done:], values, queue, t, shape, events, records)
+            if shape.grouped and is_event:
+                done = _take(sent_at, done, length, t, packer.taken)
+                pack_event(
+                    packer,
+                    packed,
+                    packed_at,
+                    events.row[event],
+                    first + chosen,
+                    events.hits[event],
+                    events.offsets[event],
+                    sent_at[done - 1],
+                    shape,
+                    next_ready,
+                )
+            else:
+                done = _send(packer, packed, packed_at, beats, sent_at, done, length, t, shape, next_ready)
             t, pointer = t + length, (chosen + 1) % n
         elif upcoming < _NEVER:
             t = upcoming
@@ -60,15 +83,27 @@ def readout(first, n, shape, end, frame, events, records, counters, next_ready):
     values[:] = 0
     values[NUMBER.pulse] = frame
     _encode(beats[done : done + 1], _FRAME_END, values, shape.frame_parts)
-    done = _transfer(sent_at, done, 1, t, next_ready)
+    done = _send(packer, packed, packed_at, beats, sent_at, done, 1, t, shape, next_ready)
     t += 1
     for s in range(n):
         t = _when_room(shape.counter_beats, t, done, sent_at, shape)
         _count(counters[first + s], queues[s])
         _pack(beats[done : done + shape.counter_beats], counters[first + s], COUNTER_BITS)
-        done = _transfer(sent_at, done, shape.counter_beats, t, next_ready)
+        done = _send(packer, packed, packed_at, beats, sent_at, done, shape.counter_beats, t, shape, next_ready)
         t += shape.counter_beats
+    if shape.grouped:
+        return packed[: packers[0].beat].copy(), packed_at[: packers[0].beat].copy()
     return beats[:done].copy(), sent_at[:done].copy()
+
+
+@njit
+def _packed_beats(most, shape):
+    """Return space for the beats of groups, and for the cycles of their transfer.
+
+    A group of one event takes at most two beats more than the event: one for its head and check, one that they fill in part.
+    """
+    most = 3 * most if shape.grouped else 0
+    return np.zeros(most, np.uint64), np.empty(most, np.int64)
 
 
 @njit
@@ -95,9 +130,12 @@ def _beats(queues, shape):
 
 @njit
 def _when_room(length, t, done, sent_at, shape):
-    """Return the first cycle from `t` on in which the output buffer has room for `length` more beats after `done`."""
+    """Return the first cycle from `t` on in which the output buffer has room for `length` more beats after `done`.
+
+    What the packer takes leaves its place a cycle later.
+    """
     left = done + length - shape.output_depth
-    return max(t, sent_at[left - 1] + 1) if left > 0 else t
+    return max(t, sent_at[left - 1] + 1 + shape.grouped) if left > 0 else t
 
 
 @njit(inline="always")
@@ -197,6 +235,38 @@ def _pack(beats, items, bits):
 def _count(counters, queue):
     counters[COUNTER.stored], counters[COUNTER.dropped] = queue.stored, queue.dropped
     counters[COUNTER.mg_stored], counters[COUNTER.mg_dropped] = queue.mg_stored, queue.mg_dropped
+
+
+@njit
+def _send(packer, packed, packed_at, beats, sent_at, done, length, t, shape, next_ready):
+    """Let the `length` beats after `done`, which are of no event, leave behind the open group; return the new `done`."""
+    before = sent_at[done - 1]
+    if shape.grouped:
+        arrives = t + latency.GRANT_TO_BEAT + latency.BEAT_TO_PORT
+        close_group(packer, packed, packed_at, max(arrives, packer.formed + 1), next_ready)
+        sent_at[done - 1] = max(before, packer.beat_from - 1)
+    end = _transfer(sent_at, done, length, t, next_ready)
+    sent_at[done - 1] = before
+    _pass(packer, packed, packed_at, beats, sent_at, done, end, shape)
+    return end
+
+
+@njit
+def _pass(packer, packed, packed_at, beats, sent_at, done, end, shape):
+    """Let beats from `done` to `end` through the packer."""
+    if shape.grouped:
+        begin, packer.beat = packer.beat, packer.beat + end - done
+        packed[begin : packer.beat], packed_at[begin : packer.beat] = beats[done:end], sent_at[done:end]
+
+
+@njit
+def _take(sent_at, done, length, t, taken):
+    """Write to `sent_at` when the packer takes an event's beats, the first one from cycle `taken` on; return the new `done`."""
+    arrives = t + latency.GRANT_TO_BEAT + latency.BEAT_TO_PORT
+    sent_at[done] = max(arrives, sent_at[done - 1] + 1, taken)
+    for k in range(done + 1, done + length):
+        sent_at[k] = max(arrives + k - done, sent_at[k - 1] + 1)
+    return done + length
 
 
 @njit

@@ -2,6 +2,7 @@
 """The part of a configuration that the kernels of the golden model need, as plain numbers."""
 
 from collections import namedtuple
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -9,14 +10,16 @@ import numpy as np
 from ..contract import latency
 from ..contract.config import Config
 from ..contract.counters import COUNTER_NAMES
+from ..contract.groups import groups
 from ..contract.packet import BEAT_BITS, FORMATS, FRAME_START, RECORD, Packet, layout, parts_of
-from ..contract.parameters import Sensor
+from ..contract.parameters import Sensor, bits_for
 
 Shape = namedtuple(
     "Shape",
     "subgroups pixels minigroups phases phase_bits quarter_bits offset_tick_bits period open_cycles rearm fifo_depth "
     "minigroup_records mg_threshold mg_window record_bits record_stamp_bits "
-    "event_code event_parts event_beats event_has_offsets hits_words record_parts record_beats frame_parts "
+    "event_code event_parts event_beats event_has_offsets grouped hits_words record_parts record_beats frame_parts "
+    "subgroup_bits winner_bits offset_bits stamp_bits listed_max minigroup_of "
     "counter_beats longest_word output_depth",
 )
 
@@ -51,9 +54,18 @@ def _words(bits: int) -> int:
     return -(-bits // BEAT_BITS)
 
 
+@cache
+def _minigroups(sensor: Sensor) -> np.ndarray:
+    """int64[pixels]: minigroup of each pixel of a subgroup."""
+    minigroup = np.zeros(sensor.pixels, np.int64)
+    for g in range(sensor.minigroups):
+        minigroup[sensor.members(g)] = g
+    return minigroup
+
+
 def shape_of(config: Config) -> Shape:
     sensor, frame = config.sensor, config.frame
-    lengths, packet = layout(sensor), FORMATS[config.format]
+    lengths, packet, widths = layout(sensor), FORMATS[config.format], groups(sensor)
     return Shape(
         subgroups=sensor.subgroups,
         pixels=sensor.pixels,
@@ -73,6 +85,13 @@ def shape_of(config: Config) -> Shape:
         event_parts=_part_rows(sensor, packet),
         event_beats=lengths.length(packet),
         event_has_offsets=packet.has("offsets"),
+        grouped=packet.grouped,
+        subgroup_bits=widths.subgroup_bits,
+        winner_bits=sensor.winner_bits,
+        offset_bits=sensor.offset_bits,
+        stamp_bits=bits_for(config.period_ticks - 1),
+        listed_max=widths.listed_max,
+        minigroup_of=_minigroups(sensor),
         hits_words=_words(sensor.pixels),
         record_parts=_part_rows(sensor, RECORD),
         record_beats=lengths.length(RECORD),

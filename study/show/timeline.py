@@ -2,7 +2,7 @@
 """Events inside the subgroups in a frame: every edge with its fate, every window with its verdict, every FIFO's fill level.
 
 Nothing is simulated here. Windows are reassembled from the edges' fates; commits and departures are read from the golden
-model's record of the ports. The selection is our choice; the terms are those of the contract (paper III-A).
+model's record of the frame. The selection is our choice; the terms are those of the contract (paper III-A).
 """
 
 import enum
@@ -14,14 +14,9 @@ from ...model.contract import latency
 from ...model.contract.config import Config
 from ...model.contract.counters import COUNTER_NAMES
 from ...model.contract.edges import Edges, Fate
-from ...model.contract.packet import FORMATS, RECORD, layout
 from ...model.contract.pixels import pixel_table
-from ...model.contract.stream import packet_fields, packet_starts
 from ...model.golden.frame import Trace
 from ...model.shared.errors import check_integer
-
-# The last beat of a packet frees its place in the FIFO this many cycles before it is at the port (without stalls).
-_FREED_BEFORE_PORT = latency.GRANT_TO_BEAT + latency.BEAT_TO_PORT - latency.GRANT_TO_READ - 1
 
 
 class Verdict(enum.IntEnum):
@@ -181,23 +176,10 @@ def _fill(config: Config, trace: Trace) -> tuple[np.ndarray, np.ndarray, np.ndar
 
     A place that becomes free in the cycle of a commit can take that commit.
     """
-    gone_subgroup, gone_cycle = _departures(config, trace)
     subgroups = np.arange(config.sensor.subgroups)
-    subgroup = np.concatenate([subgroups, trace.commit_subgroup, gone_subgroup])
-    cycle = np.concatenate([np.zeros_like(subgroups), trace.commit_cycle, gone_cycle])
-    change = np.repeat([0, 1, -1], [len(subgroups), len(trace.commit_cycle), len(gone_cycle)])
+    subgroup = np.concatenate([subgroups, trace.commit_subgroup, trace.commit_subgroup])
+    cycle = np.concatenate([np.zeros_like(subgroups), trace.commit_cycle, trace.freed_cycle])
+    change = np.repeat([0, 1, -1], [len(subgroups), len(trace.commit_cycle), len(trace.freed_cycle)])
     order = np.lexsort((change, cycle, subgroup))
     # Every event has left by the end of the frame, so the sum over the earlier subgroups is 0.
     return cycle[order], np.cumsum(change[order]), np.searchsorted(subgroup[order], np.arange(len(subgroups) + 1))
-
-
-def _departures(config: Config, trace: Trace) -> tuple[np.ndarray, np.ndarray]:
-    """Return (subgroup, cycle of the frame) in which each event's place in its FIFO becomes free, int64[events]."""
-    sensor, packet = config.sensor, FORMATS[config.format]
-    subgroup, cycle = [], []
-    for stream, (beats, at) in enumerate(zip(trace.beats, trace.beat_cycle)):
-        kinds, starts = packet_starts(beats, sensor, len(sensor.stream_subgroups(stream)))
-        starts = starts[kinds != RECORD.code]
-        subgroup.append(packet_fields(beats, starts, sensor, packet)["subgroup"][:, 0].astype(np.int64))
-        cycle.append(at[starts + layout(sensor).length(packet) - 1] - _FREED_BEFORE_PORT)
-    return np.concatenate(subgroup), np.concatenate(cycle)

@@ -14,11 +14,14 @@ from coincid.flow.register_files import HEADER, register_files
 from coincid.host.driver import Driver
 from coincid.host.transport import RefusedError
 from coincid.model.contract.counters import COUNTER_NAMES
+from coincid.model.contract.packet import FRAME_END, FRAME_START, GROUP_KIND, header_field, layout
 from coincid.model.contract.parameters import Sensor
+from coincid.model.contract.registers import GLOBAL, Access
 from coincid.model.contract.stream import decode_frame
 from coincid.model.golden.frame import Golden
 from coincid.tb.sliced import SlicedSensor
 
+from .. import cases
 from ..cases import configured, random_edges
 
 SENSOR = Sensor(rows=8, cols=16)
@@ -34,14 +37,38 @@ class Bus(ctypes.Structure):
 
 
 class Info(ctypes.Structure):
-    _fields_ = [(name, U32) for name in ("subgroups", "pixels", "minigroups", "record_bits", "record_stamp_bits")]
+    _fields_ = [
+        (name, U32)
+        for name in (
+            *("subgroups", "pixels", "minigroups", "record_bits", "record_stamp_bits"),
+            *(
+                "subgroup_bits",
+                "pixel_bits",
+                "offset_bits",
+                "minigroup_rows",
+                "minigroup_cols",
+                "subgroup_cols",
+                "grouped",
+            ),
+        )
+    ]
 
 
 class Packet(ctypes.Structure):
     _fields_ = [
         *((name, ctypes.c_int) for name in ("kind", "overrun")),
         *((name, U32) for name in ("subgroup", "pulse", "count", "winner", "stamp")),
-        *((name, ctypes.c_void_p) for name in ("map", "offsets", "entries", "counters")),
+        *((name, ctypes.c_void_p) for name in ("map", "offsets", "entries", "counters", "group")),
+        *((name, U32) for name in ("group_beats", "bit", "number", "stamp_bits", "with_offsets")),
+    ]
+
+
+class Group(ctypes.Structure):
+    _fields_ = [
+        ("beats", ctypes.c_void_p),
+        *((name, U32) for name in ("n", "bit", "pulse", "event_pulse", "stamp_bits", "with_offsets")),
+        ("map", ctypes.c_uint64 * 4),
+        ("offsets", ctypes.c_uint64 * 32),
     ]
 
 
@@ -90,6 +117,8 @@ def packets(library, info, beats):
             ctypes.byref(info), info.subgroups, start, ctypes.c_size_t(len(raw) - at), ctypes.byref(packet)
         )
         assert length > 0
+        if packet.kind == FRAME_START.code:
+            info.grouped = packet.count
         yield packet
         at += length
 
@@ -133,6 +162,62 @@ def test_the_driver_drives_and_decodes(library):
             for s, counters in enumerate(frame.counters.tolist()):
                 assert [library.coincid_counter(where, s, k) for k in range(len(COUNTER_NAMES))] == counters
     assert events == len(frame.events) > 20 and records == len(frame.records) > 5
+
+
+def events_of(library, info, packet):
+    """Return the events of a group: the columns of a decoded frame, the map's words, and the offsets."""
+    group, event = Group(), Packet()
+    library.coincid_group_begin(ctypes.byref(packet), ctypes.byref(group))
+    while library.coincid_group_event(ctypes.byref(info), ctypes.byref(group), ctypes.byref(event)):
+        where, words = ctypes.byref(event), (ctypes.c_uint64 * 4).from_address(event.map)
+        offsets = [library.coincid_offset(where, g) if event.offsets else 255 for g in range(info.minigroups)]
+        columns = [getattr(event, name) for name in ("overrun", "subgroup", "pulse", "count", "winner", "stamp")]
+        yield columns, list(words[: -(-info.pixels // 64)]), offsets
+
+
+@pytest.mark.parametrize("name", cases.SENSORS)
+@pytest.mark.parametrize("form", ("compact", "compact-full"))
+def test_groups_are_decoded(name, form):
+    """All events of whole frames; of damaged ones, those that the decoder in Python still finds."""
+    sensor, info = cases.built_sensor(cases.SENSORS[name]), Info()
+    library, rng = compiled_driver(sensor), np.random.default_rng(1)
+    of = configured(
+        cases.SENSORS[name],
+        {"period": 2 * sensor.guard + 40, "pulses": 8, "format": form, "minigroup_records": True, "mg_threshold": 1},
+        {"threshold": 1, "window": sensor.phases},
+    )
+    bus = Bus(None, READ(lambda _, address, value: read_constant(sensor, address, value)), WRITE(lambda *_: 1))
+    assert library.coincid_probe(ctypes.byref(bus), ctypes.byref(info)) == 0
+    for trial in range(12):
+        trace = Golden(sensor).frame(of, cases.trouble(of, trial, 12.0))
+        for stream, beats in enumerate(trace.beats):
+            info.subgroups = len(sensor.stream_subgroups(stream))
+            if trial:
+                tail = layout(sensor).length(FRAME_END, info.subgroups)
+                at = rng.choice(np.flatnonzero(header_field(beats[:-tail], "kind") == GROUP_KIND))
+                beats = (np.delete(beats, at), np.insert(beats, at, beats[at]), _wrong(beats, at, rng))[trial % 3]
+            frame = decode_frame(beats, sensor, info.subgroups)
+            found, number = [], -1
+            for packet in packets(library, info, beats):
+                if packet.kind == GROUP_KIND and packet.number != number:
+                    found += events_of(library, info, packet)
+                    number = packet.number
+            expected = zip(frame.events[:, 1:].tolist(), frame.hits.tolist(), frame.offsets.tolist())
+            assert found == list(expected) and len(found) > 5
+            assert trial or not frame.missing
+
+
+def read_constant(sensor, at, value):
+    """Read a register that holds a parameter of the sensor."""
+    (register,) = (each for each in GLOBAL if each.offset == at and each.access is Access.CONSTANT)
+    value[0] = register.reset(sensor)
+    return 0
+
+
+def _wrong(beats, at, rng):
+    changed = beats.copy()
+    changed[at] ^= np.uint64(rng.integers(1, 1 << 63))
+    return changed
 
 
 def test_what_is_no_packet(library):

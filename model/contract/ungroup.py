@@ -1,0 +1,218 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Decoder of the groups in a stream (`groups.py`): from their beats to the columns of events. It reports what is damaged."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from ..shared.compiled import njit
+from .groups import (
+    AGE_BITS,
+    CHECK_BITS,
+    CHECK_LSB,
+    CHECK_POLYNOMIAL,
+    FIRST_LSB,
+    HEAD,
+    HEAD_BITS,
+    LAST_LSB,
+    LISTED_BITS,
+    MAPPED,
+    PAYLOAD_BITS,
+    groups,
+)
+from .packet import BEAT_BITS, GROUP_KIND, HEADER, KIND_LSB
+from .parameters import OFFSET_NONE, Sensor
+
+_ALL = np.uint64(0xFFFF_FFFF_FFFF_FFFF)
+_CHECK_MASK = np.uint64((1 << CHECK_BITS) - 1)
+_COLUMNS = tuple(HEADER)
+_OVERRUN, _SUBGROUP, _PULSE, _COUNT, _WINNER, _STAMP, _KIND = (
+    _COLUMNS.index(name) for name in ("overrun", "subgroup", "pulse", "count", "winner", "stamp", "kind")
+)
+_NUMBERS = 1 << HEAD.number
+
+
+class Widths(NamedTuple):
+    """A sensor's widths for kernels."""
+
+    subgroup: int
+    winner: int
+    pixels: int
+    offset: int
+
+
+class Ungrouped(NamedTuple):
+    """Events of groups: columns in the order of `HEADER`, maps, offsets; and beats at which something is missing or wrong."""
+
+    events: np.ndarray
+    hits: np.ndarray
+    offsets: np.ndarray
+    damaged: np.ndarray
+
+
+def _check_table() -> np.ndarray:
+    """uint64[256]: what the check of a group does with the next byte."""
+    table = np.arange(256)
+    for _ in range(8):
+        table = table >> 1 ^ (table & 1) * CHECK_POLYNOMIAL
+    return table.astype(np.uint64)
+
+
+CHECK_TABLE = _check_table()
+
+
+@njit
+def check_of(beats):
+    """Return the check of a group, from all its beats; the check in its last beat counts as 0."""
+    check = _CHECK_MASK
+    for k in range(len(beats)):
+        beat = beats[k]
+        if k == len(beats) - 1:
+            beat &= ~(_CHECK_MASK << np.uint64(CHECK_LSB))
+        for byte in range(8):
+            index = (check ^ beat >> np.uint64(8 * byte)) & np.uint64(255)
+            check = CHECK_TABLE[index] ^ (check >> np.uint64(8))
+    return check ^ _CHECK_MASK
+
+
+def ungroup(beats: np.ndarray, at: np.ndarray, sensor: Sensor) -> Ungrouped:
+    """Decode groups. at: int64[n], ascending: the beats of groups, and others that stand where no other packet can.
+
+    A group is good if its beats follow each other, the first and the last one are marked, and the check fits. All others
+    are left out. A reader may begin anywhere: what lies before the first mark is damaged.
+    """
+    widths = groups(sensor)
+    of_sensor = Widths(widths.subgroup_bits, sensor.winner_bits, sensor.pixels, sensor.offset_bits)
+    members = [sensor.members(g) for g in range(sensor.minigroups)]
+    minigroup = np.zeros(sensor.pixels, np.int64)
+    for g, pixels in enumerate(members):
+        minigroup[pixels] = g
+    spans, damaged = _spans(beats, at)
+    most = int((spans[:, 1] - spans[:, 0]).sum()) * PAYLOAD_BITS // (widths.fixed_bits + sensor.winner_bits)
+    events = np.zeros((most, len(HEADER)), np.int64)
+    hits = np.zeros((most, -(-sensor.pixels // BEAT_BITS)), np.uint64)
+    offsets = np.full((most, sensor.minigroups), OFFSET_NONE, np.uint8)
+    n = 0
+    for first, end in spans:
+        n = _events(beats[first:end], of_sensor, minigroup, events, hits, offsets, n)
+    return Ungrouped(events[:n], hits[:n], offsets[:n], damaged)
+
+
+@njit
+def _spans(beats, at):
+    """Return first beat and end of every good group, int64[n, 2], and the beats where something is missing or wrong.
+
+    Of two equal groups in a row, the second one is a copy. A gap in the numbers means that groups are missing, unless a
+    damaged one lies in between.
+    """
+    spans, damaged = np.empty((len(at), 2), np.int64), np.empty(2 * len(at), np.int64)
+    n = n_damaged = 0
+    first = end = np.int64(-1)  # of the group that has begun
+    orphan = missed = False
+    number = np.int64(-1)
+    for i in at:
+        beat = beats[i]
+        of_group = np.int64(beat >> np.uint64(KIND_LSB)) == GROUP_KIND
+        begins = of_group and np.bool_(beat >> np.uint64(FIRST_LSB) & np.uint64(1))
+        if first >= 0 and (begins or not of_group or i != end):
+            damaged[n_damaged] = first
+            n_damaged, first, missed = n_damaged + 1, np.int64(-1), True
+        if begins:
+            first, orphan = i, False
+        elif first < 0:
+            if not orphan:
+                damaged[n_damaged] = i
+                n_damaged, missed = n_damaged + 1, True
+            orphan = True
+            continue
+        end = np.int64(i + 1)
+        if not beat >> np.uint64(LAST_LSB) & np.uint64(1):
+            continue
+        check = beats[i] >> np.uint64(CHECK_LSB) & _CHECK_MASK
+        if check != check_of(beats[first:end]):
+            damaged[n_damaged] = first
+            n_damaged, missed = n_damaged + 1, True
+        else:
+            shown = np.int64(beats[first] >> np.uint64(HEAD.pulse)) & (_NUMBERS - 1)
+            if shown == number:
+                damaged[n_damaged] = first
+                n_damaged += 1
+            else:
+                if shown != (number + 1) % _NUMBERS and not missed:
+                    damaged[n_damaged] = first
+                    n_damaged += 1
+                spans[n, 0], spans[n, 1] = first, end
+                n, number, missed = n + 1, shown, False
+        first = np.int64(-1)
+    if first >= 0:
+        damaged[n_damaged] = first
+        n_damaged += 1
+    return spans[:n].copy(), damaged[:n_damaged].copy()
+
+
+@njit
+def _read(beats, bit, width):
+    """Return `width` bits, at most 32, of the string of a group's payloads; what lies behind it is 0."""
+    value, taken = np.uint64(0), 0
+    while taken < width:
+        beat, lsb = (bit + taken) // PAYLOAD_BITS, (bit + taken) % PAYLOAD_BITS
+        room = min(PAYLOAD_BITS - lsb, width - taken)
+        if beat < len(beats):
+            part = beats[beat] >> np.uint64(lsb) & _ALL >> np.uint64(BEAT_BITS - room)
+            value |= part << np.uint64(taken)
+        taken += room
+    return np.int64(value)
+
+
+@njit
+def _events(beats, widths, minigroup, events, hits, offsets, n):
+    """Decode the events of a group into the rows from `n` on, and return the next row."""
+    end = len(beats) * PAYLOAD_BITS - CHECK_BITS
+    group_pulse = _read(beats, 0, HEAD.pulse)
+    stamp_bits = _read(beats, HEAD.pulse + HEAD.number, HEAD.stamp_bits)
+    with_offsets = _read(beats, HEAD_BITS - HEAD.with_offsets, HEAD.with_offsets)
+    pulse, bit = group_pulse, HEAD_BITS
+    hit = np.zeros(len(minigroup), np.bool_)
+    while bit + LISTED_BITS <= end:
+        listed = _read(beats, bit, LISTED_BITS)
+        if listed == 0:
+            break
+        bit += LISTED_BITS
+        row = events[n]
+        row[_KIND], row[_OVERRUN], row[_SUBGROUP] = (
+            GROUP_KIND,
+            _read(beats, bit, 1),
+            _read(beats, bit + 1, widths.subgroup),
+        )
+        bit += 1 + widths.subgroup
+        if not _read(beats, bit, 1):
+            pulse = group_pulse - _read(beats, bit + 1, AGE_BITS)
+            bit += AGE_BITS
+        row[_PULSE], row[_STAMP] = pulse, _read(beats, bit + 1, stamp_bits)
+        bit += 1 + stamp_bits
+        row[_WINNER] = _read(beats, bit, widths.winner)
+        hit[:] = False
+        if listed == MAPPED:
+            bit += widths.winner
+            for pixel in range(widths.pixels):
+                hit[pixel] = _read(beats, bit + pixel, 1) != 0
+            bit += widths.pixels
+        else:
+            for _ in range(listed):
+                hit[_read(beats, bit, widths.winner) % widths.pixels] = True
+                bit += widths.winner
+        for i in np.flatnonzero(hit):
+            hits[n, i // BEAT_BITS] |= np.uint64(1) << np.uint64(i % BEAT_BITS)
+        row[_COUNT] = len(np.flatnonzero(hit))
+        if with_offsets:
+            found = np.unique(minigroup[hit])
+            low, high = 0, len(found) - 1
+            while low <= high:  # the lowest, the highest, and on to the middle
+                offsets[n, found[low]] = _read(beats, bit, widths.offset)
+                bit += widths.offset
+                if low < high:
+                    offsets[n, found[high]] = _read(beats, bit, widths.offset)
+                    bit += widths.offset
+                low, high = low + 1, high - 1
+        n += 1
+    return n

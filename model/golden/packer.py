@@ -1,0 +1,171 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Packer of the golden model: packs the events of a stream into groups behind its output buffer, cycle by cycle.
+
+It takes one beat of an event per cycle, then forms its parts, one per cycle, while it already takes the next event. A part
+is packed one cycle after it was formed, unless a beat of the group waits for the receiver.
+"""
+
+import numpy as np
+
+from ..contract.groups import (
+    AGE_BITS,
+    AGE_MAX,
+    CHECK_LSB,
+    FIRST_LSB,
+    FIRST_PIXELS,
+    HEAD,
+    HEAD_BITS,
+    LAST_LSB,
+    LISTED_BITS,
+    MAP_PART_BITS,
+    MAPPED,
+    PAYLOAD_BITS,
+    PER_PART,
+)
+from ..contract.packet import BEAT_BITS, GROUP_KIND, KIND_LSB
+from ..contract.ungroup import check_of
+from ..shared.compiled import njit
+from .shape import row_type
+
+_KIND = np.uint64(GROUP_KIND << KIND_LSB)
+_FIRST, _LAST = np.uint64(1 << FIRST_LSB), np.uint64(1 << LAST_LSB)
+_HALF = BEAT_BITS // 2  # words are put down in halves, which a signed number holds
+_HALF_MASK = np.uint64((1 << _HALF) - 1)
+
+# begins: first beat of the open group, or -1. beat: the one that is being filled; fill: bits in it. pulse: of the open
+# group; age: of its last event. number: of groups before it. taken: cycle in which the last event went to work. formed,
+# packed: cycles in which the last part was formed, and in which it was packed or its group ended. form_from, pack_from,
+# beat_from: earliest cycles in which the next part is formed and packed, and the next beat leaves.
+_STATE = row_type("begins beat fill pulse age number taken formed packed form_from pack_from beat_from")
+
+
+@njit
+def new_packer():
+    """Return the state of a packer at the beginning of a frame, one row."""
+    state = np.zeros(1, _STATE)
+    state[0].begins = state[0].formed = -1
+    return state
+
+
+@njit
+def pack_event(packer, beats, sent_at, event, subgroup, hits, offsets, read_at, shape, next_ready):
+    """Pack an event whose last beat was read in the cycle `read_at`; the next one is read from cycle `taken` on."""
+    packer.taken = max(read_at + 1, packer.formed)
+    packer.form_from = packer.taken + 1
+    if packer.begins >= 0 and not 0 <= packer.pulse - event.pulse <= AGE_MAX:
+        close_group(packer, beats, sent_at, packer.form_from, next_ready)
+    if packer.begins < 0:
+        _open_group(packer, beats, sent_at, event.pulse, shape, next_ready)
+    bit = begin = packer.beat * PAYLOAD_BITS + packer.fill
+    mapped, age = event.count > shape.listed_max, packer.pulse - event.pulse
+    bit = _put(beats, bit, MAPPED if mapped else event.count, LISTED_BITS)
+    bit = _put(beats, bit, event.overrun, 1)
+    bit = _put(beats, bit, subgroup, shape.subgroup_bits)
+    bit = _put(beats, bit, age == packer.age, 1)
+    if age != packer.age:
+        bit = _put(beats, bit, age, AGE_BITS)
+        packer.age = age
+    bit = _put(beats, bit, event.stamp, shape.stamp_bits)
+    bit = _put(beats, bit, event.winner, shape.winner_bits)
+    pixels = np.array(
+        [i for i in range(shape.pixels) if hits[i // BEAT_BITS] >> np.uint64(i % BEAT_BITS) & np.uint64(1)]
+    )
+    if mapped:
+        _part(packer, beats, sent_at, bit - begin, next_ready)
+        for part in range(0, shape.pixels, MAP_PART_BITS):
+            width = min(MAP_PART_BITS, shape.pixels - part)
+            for half in range(part, part + width, _HALF):
+                word = hits[half // BEAT_BITS] >> np.uint64(half % BEAT_BITS) & _HALF_MASK
+                bit = _put(beats, bit, np.int64(word), min(_HALF, part + width - half))
+            _part(packer, beats, sent_at, width, next_ready)
+    else:
+        others = _from_both_ends(pixels[pixels != event.winner])
+        for k, pixel in enumerate(others):
+            if k >= FIRST_PIXELS - 1 and (k - FIRST_PIXELS + 1) % PER_PART == 0:
+                _part(packer, beats, sent_at, bit - begin, next_ready)
+                begin = bit
+            bit = _put(beats, bit, pixel, shape.winner_bits)
+        _part(packer, beats, sent_at, bit - begin, next_ready)
+    if shape.event_has_offsets:
+        hit = _from_both_ends(np.unique(shape.minigroup_of[pixels]))
+        for k in range(0, len(hit), PER_PART):
+            begin = bit
+            for minigroup in hit[k : k + PER_PART]:
+                bit = _put(beats, bit, offsets[minigroup], shape.offset_bits)
+            _part(packer, beats, sent_at, bit - begin, next_ready)
+
+
+@njit
+def _from_both_ends(items):
+    """Return ascending items in the order lowest, highest, second lowest, and so on."""
+    order = np.empty_like(items)
+    for k in range(len(items)):
+        order[k] = items[k // 2] if k % 2 == 0 else items[len(items) - 1 - k // 2]
+    return order
+
+
+@njit
+def _open_group(packer, beats, sent_at, pulse, shape, next_ready):
+    packer.begins, packer.pulse, packer.age = packer.beat, pulse, 0
+    bit = packer.beat * PAYLOAD_BITS
+    bit = _put(beats, bit, pulse, HEAD.pulse)
+    bit = _put(beats, bit, packer.number % (1 << HEAD.number), HEAD.number)
+    bit = _put(beats, bit, shape.stamp_bits, HEAD.stamp_bits)
+    _put(beats, bit, shape.event_has_offsets, HEAD.with_offsets)
+    _part(packer, beats, sent_at, HEAD_BITS, next_ready)
+
+
+@njit
+def close_group(packer, beats, sent_at, cycle, next_ready):
+    """End the open group, if there is one; its end is formed in `cycle` or, if a part waits there, later."""
+    if packer.begins >= 0:
+        packer.formed = max(cycle, packer.packed)
+        packer.beat_from = max(packer.beat_from, packer.formed + 1)
+    while packer.begins >= 0:
+        last = packer.fill <= CHECK_LSB
+        if last:
+            beats[packer.beat] |= _LAST
+        packer.fill = PAYLOAD_BITS
+        _send(packer, beats, sent_at, next_ready)
+        if last:
+            group = beats[packer.begins : packer.beat]
+            group[-1] |= check_of(group) << np.uint64(CHECK_LSB)
+            packer.begins, packer.packed = -1, packer.beat_from - 1
+            packer.number += 1
+
+
+@njit
+def _part(packer, beats, sent_at, bits, next_ready):
+    """Form and pack a part of so many bits in the next possible cycles, and send the beats that are full then."""
+    packer.formed = max(packer.form_from, packer.packed)
+    packer.packed = max(packer.formed + 1, packer.pack_from)
+    packer.beat_from = max(packer.beat_from, packer.packed + 1)
+    packer.fill += bits
+    while packer.fill >= PAYLOAD_BITS:
+        packer.pack_from = _send(packer, beats, sent_at, next_ready)
+
+
+@njit
+def _send(packer, beats, sent_at, next_ready):
+    """Send a beat as soon as the receiver takes it, and return that cycle, in which the next part can be packed."""
+    cycle = packer.beat_from
+    if cycle < len(next_ready):
+        cycle = next_ready[cycle]
+    beats[packer.beat] |= _KIND | (_FIRST if packer.beat == packer.begins else np.uint64(0))
+    sent_at[packer.beat] = cycle
+    packer.beat += 1
+    packer.fill -= PAYLOAD_BITS
+    packer.beat_from = cycle + 1
+    return cycle
+
+
+@njit
+def _put(beats, bit, value, width):
+    """Write `value`, of `width` bits, into the payloads of the beats, from `bit` on; return the bit behind it."""
+    while width > 0:
+        beat, lsb = bit // PAYLOAD_BITS, bit % PAYLOAD_BITS
+        room = min(PAYLOAD_BITS - lsb, width)
+        beats[beat] |= np.uint64(value & ((1 << room) - 1)) << np.uint64(lsb)
+        value >>= room
+        bit, width = bit + room, width - room
+    return bit
