@@ -5,7 +5,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from ..hdl.export import FILE_LIST, units_files, verilog_files
-from ..hdl.module import Slice
+from ..hdl.module import SensorModule, Slice
 from ..hdl.sensor import Core
 from ..hdl.unit import Unit
 from ..hdl.views import POLYPHASE, View
@@ -33,13 +33,16 @@ def rtl(sensor: Sensor, view: View = POLYPHASE) -> list[Path]:
 
 
 def rtl_in_two(sensor: Sensor) -> tuple[list[Path], list[Path]]:
-    """Return the files of the core (`hdl/sensor.py`) and of a slice (`hdl/module.py`), for a program that wires them."""
+    """Return the files of the core (`hdl/sensor.py`), and those of slice and module (`hdl/module.py`).
 
-    def files(unit: Unit) -> list[Path]:
-        name = f"{sensor_key(sensor)}-{unit.unit_name}"
-        return sorted(_emitted(name, repr(sensor), lambda: units_files([unit])).iterdir())
+    They are for a program that wires slices to the core, and for the proof that the module is two slices.
+    """
 
-    return files(Core(sensor)), files(Slice(sensor))
+    def files(*units: Unit) -> list[Path]:
+        name = f"{sensor_key(sensor)}-{units[0].unit_name}"
+        return sorted(_emitted(name, repr(sensor), lambda: units_files(list(units))).iterdir())
+
+    return files(Core(sensor)), files(Slice(sensor), SensorModule(sensor))
 
 
 def _emitted(name: str, parameters: str, files: Callable[[], dict[str, str]]) -> Path:

@@ -39,6 +39,7 @@ from .engines import sensors_together
 from .errors import SimulationError
 from .frames import STORED_TO_COMMIT, FrameJob, Recorded, cycle_limit
 from .rtl import rtl_in_two, sensor_key
+from .slice_proof import prove_module
 from .verilated import run_time, verilated_unit
 
 SOURCE = Path(__file__).with_name("sliced.cpp")
@@ -87,11 +88,13 @@ def wiring_header(sensor: Sensor) -> str:
 
 def build_library(sensor: Sensor, sensors: int = 1) -> ctypes.CDLL:
     """Compile the engine for so many sensors at once, once, and load it."""
-    for_core, _ = rtl_in_two(sensor)
+    for_core, for_slices = rtl_in_two(sensor)
     with ThreadPoolExecutor() as pool:
+        proof = pool.submit(prove_module, sensor, for_slices)
         core = pool.submit(verilated_unit, CORE, "Vcore", for_core, [toolchain.NOT_INLINED])
         support = pool.submit(run_time)
         slices = design(sensor)
+        proof.result()
         include = [core.result(), toolchain.verilator().parents[1] / "include"]
     objects = [core.result() / "libVcore.a", support.result()]
     found = library(slices, lanes(sensor, sensors), SOURCE, wiring_header(sensor), include, [*objects])

@@ -22,6 +22,7 @@ ROOT = Path(__file__).parents[1]
 PACKAGES = ("model", "tools", "host", "hdl", "slices", "tb", "formal", "flow", "lab", "study")
 GOLDEN = ("tests/golden/test_golden.py",)  # golden model against the plain one
 FRAMES = ("tests/tb/test_cosim.py", "-k", "tiny-icarus or coarse-icarus")  # RTL against the golden model
+SLICED = ("tests/tb/test_cosim.py", "-k", "tiny-sliced or coarse-sliced")  # the same on the sliced engine
 PORTS = ("tests/hdl/test_ports.py", "-k", "icarus")
 ORIENTATION = ("tests/scenes/test_orientation.py",)
 INDEPENDENCE = ("tests/light/test_independence.py",)
@@ -42,7 +43,7 @@ class Bug:
 
 MISTAKES: dict[tuple[str, tuple[str, ...], tuple[tuple[str, ...], ...]], dict[str, tuple[str, str]]] = {
     # (file, proofs, tests): {name: (old, new)}
-    ("hdl/tree.py", ("tree",), (FRAMES,)): {
+    ("hdl/tree.py", ("tree",), (FRAMES, SLICED)): {
         "window-long": ("self.line.phase + self.window_ticks)", "self.line.phase + self.window_ticks + 1)"),
         "window-edge": ("closing.eq(live & (state.end <= phases))", "closing.eq(live & (state.end < phases))"),
         "tie-highest": ('first_index(m, one_of, "winner")', '~first_index(m, one_of[::-1], "winner")'),
@@ -51,26 +52,26 @@ MISTAKES: dict[tuple[str, tuple[str, ...], tuple[tuple[str, ...], ...]], dict[st
     ("hdl/tree.py", ("tree",), ()): {
         "tree-not-reset": ("window_open = Signal()", "window_open = Signal(reset_less=True)")
     },
-    ("hdl/minigroup.py", ("tree",), (FRAMES,)): {
+    ("hdl/minigroup.py", ("tree",), (FRAMES, SLICED)): {
         "hits-toggle": ("hits.eq(state.hit_4 | (hits & ~self", "hits.eq(state.hit_4 ^ (hits & ~self")
     },
-    ("hdl/minigroup.py", ("minigroup_record",), (FRAMES,)): {
+    ("hdl/minigroup.py", ("minigroup_record",), (FRAMES, SLICED)): {
         "mask-ignored": ("root.eq(word & on.replicate(phases))", "root.eq(word)"),
         "mg-threshold": (">= self.frame.mg_threshold", "> self.frame.mg_threshold"),
     },
-    ("hdl/tdc.py", ("tdc",), (FRAMES,)): {
+    ("hdl/tdc.py", ("tdc",), (FRAMES, SLICED)): {
         "tdc-lines-swapped": (
             'first_one(m, line.root, f"first_{k}")',
             'first_one(m, getattr(self, f"line_{self.lines - 1 - k}").root, f"first_{k}")',
         ),
         "tdc-line-shared": ('first_one(m, line.root, f"first_{k}")', 'first_one(m, self.line_0.root, f"first_{k}")'),
     },
-    ("hdl/fifo.py", ("event_fifo",), (FRAMES,)): {
+    ("hdl/fifo.py", ("event_fifo",), (FRAMES, SLICED)): {
         "overrun-dropped": ("event.overrun.eq(state.lost)", "event.overrun.eq(0)"),
         "fifo-one-short": ("room.eq(state.level != depth)", "room.eq(state.level < depth - 1)"),
     },
     ("hdl/fifo.py", ("event_fifo",), ()): {"overrun-not-reset": ("lost = Signal()", "lost = Signal(reset_less=True)")},
-    ("hdl/fifo.py", ("record_buffer",), (FRAMES,)): {
+    ("hdl/fifo.py", ("record_buffer",), (FRAMES, SLICED)): {
         "record-overwritten": ("with m.If(comes & ~waiting):", "with m.If(comes):")
     },
     ("hdl/settings.py", ("subgroup_settings",), (PORTS,)): {
@@ -90,7 +91,7 @@ MISTAKES: dict[tuple[str, tuple[str, ...], tuple[tuple[str, ...], ...]], dict[st
     ("hdl/registers.py", ("register_front",), ()): {
         "answer-withdrawn": ("with m.If(axi.bvalid & axi.bready):", "with m.If(axi.bvalid):")
     },
-    ("hdl/dpcu.py", ("dpcu",), (FRAMES,)): {
+    ("hdl/dpcu.py", ("dpcu",), (FRAMES, SLICED)): {
         "threshold-above": ("self.window.count >= state.threshold", "self.window.count > state.threshold"),
         "lower-as-committed": ("lower_threshold.eq(state.threshold - 1)", "lower_threshold.eq(state.threshold)"),
         "ceiling-above": ('count["opened"] >= self.data', 'count["opened"] > self.data'),
@@ -98,8 +99,8 @@ MISTAKES: dict[tuple[str, tuple[str, ...], tuple[tuple[str, ...], ...]], dict[st
         "threshold-below-floor": ("Mux(bounded < floor, floor, bounded)", "bounded"),
         "controller-keeps-others-threshold": ("Mux(self.controlled & state.stays,", "Mux(self.controlled,"),
     },
-    ("hdl/subgroup.py", (), (FRAMES,)): {"budget-of-last-stream": ("number >= command.subgroup", "1")},
-    ("hdl/controller.py", ("controller",), (FRAMES,)): {
+    ("hdl/subgroup.py", (), (FRAMES, SLICED)): {"budget-of-last-stream": ("number >= command.subgroup", "1")},
+    ("hdl/controller.py", ("controller",), (FRAMES, SLICED)): {
         "budget-beyond-capacity": (
             "Mux(state.widened < state.capacity, state.widened, state.capacity)",
             "state.widened",
@@ -115,14 +116,14 @@ MISTAKES: dict[tuple[str, tuple[str, ...], tuple[tuple[str, ...], ...]], dict[st
         ),
         "too-much-too-late": ("state.total > state.capacity", "state.total >= state.capacity"),
     },
-    ("hdl/gating.py", ("gating",), (FRAMES,)): {"gate-late": ("until_now == 0", "until_now <= 1")},
-    ("hdl/sequencer.py", ("sequencer",), (FRAMES,)): {
+    ("hdl/gating.py", ("gating",), (FRAMES, SLICED)): {"gate-late": ("until_now == 0", "until_now <= 1")},
+    ("hdl/sequencer.py", ("sequencer",), (FRAMES, SLICED)): {
         "guard-short": ("self.plan.period - self.sensor.guard", "self.plan.period - self.sensor.guard + 1")
     },
     ("hdl/sequencer.py", ("sequencer",), (PORTS,)): {
         "abort-lost": ("with m.If(state.aborted | self.abort_frame |", "with m.If(self.abort_frame |")
     },
-    ("hdl/packetizer.py", ("packetizer",), (FRAMES,)): {
+    ("hdl/packetizer.py", ("packetizer",), (FRAMES, SLICED)): {
         "take-early": ("at_last.eq(state.index + 1 == self._last", "at_last.eq(state.index + 2 >= self._last")
     },
     ("hdl/coder.py", ("coder",), (FRAMES,)): {
@@ -166,7 +167,7 @@ MISTAKES: dict[tuple[str, tuple[str, ...], tuple[tuple[str, ...], ...]], dict[st
             "events[queue.oldest].free_at < event.cycle",
         ),
     },
-    ("model/golden/readout.py", (), (FRAMES,)): {
+    ("model/golden/readout.py", (), (FRAMES, SLICED)): {
         "golden-fifo-deep": ("queue.level < fifo_depth", "queue.level <= fifo_depth")
     },
     ("model/golden/controller.py", (), (GOLDEN, FRAMES)): {
@@ -188,7 +189,7 @@ MISTAKES: dict[tuple[str, tuple[str, ...], tuple[tuple[str, ...], ...]], dict[st
     ("model/light/walk.py", (), (INDEPENDENCE,)): {
         "crosstalk-draws-shared": ("uniform(key, CROSSTALK, 4 * fired + side)", "uniform(key, CROSSTALK, fired + side)")
     },
-    ("hdl/readout.py", ("readout",), (FRAMES,)): {"tlast-early": ("to_end == 1)", "to_end == 2)")},
+    ("hdl/readout.py", ("readout",), (FRAMES, SLICED)): {"tlast-early": ("to_end == 1)", "to_end == 2)")},
     ("hdl/emulator/uart.py", ("deframer",), ()): {
         "serial-unchecked": ("(state.count > CRC_BYTES) & crc.match_detected", "(state.count > CRC_BYTES)")
     },
