@@ -33,6 +33,7 @@ PULSES_MAX = 1 << 16
 ASYNC_PULSES, ASYNC_FRAMES = 4, 1  # for `sim --view async`, for which Icarus needs about three minutes
 FRAMES_MAX = 1000  # for the controller
 LINK_GBPS = 8.0  # for `sim` if neither it nor the configuration sets the rate: what the pins of such a chip carry
+LINK_FORMAT = "compact"  # for `sim` if the configuration sets no format: carries the most events behind such a link
 REPEATS_MAX = 1000
 BAUD_MAX = 100_000_000
 WORKERS_MAX = 1 << 10
@@ -214,6 +215,8 @@ def sim(
         settings = settings.with_pulses(check_integer("pulses", pulses, 1, PULSES_MAX))
     if link_gbps is not None or not settings.frame["link_gbps"]:
         settings = settings.with_frame(link_gbps=LINK_GBPS if link_gbps is None else link_gbps)
+    if "frame.format" not in settings.given:
+        settings = settings.with_frame(format=LINK_FORMAT)
     simulate(
         scene,
         settings,

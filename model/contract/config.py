@@ -19,7 +19,7 @@ from ..shared.files import FilePath
 from . import registers
 from .bounds import noise_bounds
 from .dither import start_cycles
-from .groups import PAYLOAD_BITS, groups
+from .groups import LARGE_PIXELS, PAYLOAD_BITS, groups
 from .link import beats_waiting_max, check_link, link_share, takes_beats
 from .packet import FORMATS, RECORD, WITH_MAP, layout
 from .parameters import MASK_BITS, SENSOR, Sensor
@@ -143,7 +143,9 @@ class Config(SubgroupSettings):
             subgroups = max(len(self.sensor.stream_subgroups(stream)) for stream in range(self.sensor.streams))
             beats -= self.pulses * subgroups * parts.length(RECORD)
         if packet.grouped:
-            return int(max(0, beats) * PAYLOAD_BITS // groups(self.sensor).usual_bits(packet, self.period_ticks))
+            return int(
+                max(0, beats) * PAYLOAD_BITS // groups(self.sensor).listed_bits(packet, self.period_ticks, LARGE_PIXELS)
+            )
         return max(0, beats) // parts.length(packet)
 
     @property

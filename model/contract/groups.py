@@ -37,6 +37,9 @@ AGE_MAX = (1 << AGE_BITS) - 1
 MAP_PART_BITS = 64  # a map is packed in parts of this size
 FIRST_PIXELS = 3  # pixels that are packed with the fields of their event; then come two at a time
 PER_PART = 2
+LARGE_PIXELS = (
+    6  # of an event by which the controller's capacity is reckoned: with fewer, its streams would be overfull
+)
 
 
 @frozen
@@ -67,11 +70,11 @@ class Groups:
         first = self.fixed_bits + AGE_BITS + sensor.stamp_bits + FIRST_PIXELS * sensor.winner_bits
         return max(first, min(MAP_PART_BITS, sensor.pixels), HEAD_BITS)
 
-    def usual_bits(self, packet: Packet, period_ticks: int) -> int:
-        """Bits of a usual event: `FIRST_PIXELS` pixels in as many minigroups, and the pulse of the event before it."""
+    def listed_bits(self, packet: Packet, period_ticks: int, pixels: int) -> int:
+        """Bits of an event that lists so many pixels, in as many minigroups, and has the pulse of the event before it."""
         sensor = self.sensor
         pixel_bits = sensor.winner_bits + (sensor.offset_bits if packet.has("offsets") else 0)
-        return self.fixed_bits + bits_for(period_ticks - 1) + FIRST_PIXELS * pixel_bits
+        return self.fixed_bits + bits_for(period_ticks - 1) + pixels * pixel_bits
 
 
 @cache

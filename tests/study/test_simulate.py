@@ -119,7 +119,8 @@ def test_the_controller_wins_on_the_default_scene(tmp_path):
     assert command("sim --engine golden --out", tmp_path).exit_code == 0
     report = json.loads((tmp_path / REPORT).read_text())
     assert report["configuration"]["frame"]["link_gbps"] == 8.0
-    assert report["wrong_share_auto"] < 0.7 * report["wrong_share_fixed"] < 0.2 * report["wrong_share_off"]
+    assert report["configuration"]["frame"]["format"] == "compact"
+    assert report["wrong_share_auto"] < 0.8 * report["wrong_share_fixed"] < 0.8 * report["wrong_share_off"]
     assert report["wrong_share_auto_peak"] < report["wrong_share_fixed_peak"] < report["wrong_share_off_peak"]
     assert len(set(report["threshold_auto"])) > 1
     assert report["load_auto"] <= 1.1
@@ -181,7 +182,9 @@ def test_a_difference_stops_the_run_and_is_told(tmp_path, monkeypatch):
                 trace.beats[0][1] += np.uint64(1 << 23)
             return trace
 
-    (tmp_path / "config.toml").write_text("[sensor]\nrows = 8\ncols = 8\n[frame]\nperiod = 60\npulses = 4\n")
+    (tmp_path / "config.toml").write_text(
+        "[sensor]\nrows = 8\ncols = 8\n[frame]\nperiod = 60\npulses = 4\nformat = 'id'\n"
+    )
     out = tmp_path / "out"
     words = f"sim --scene flat:5,0.4 --config {tmp_path}/config.toml --out {out} --engine"
     assert command(words, "golden").exit_code == 0
