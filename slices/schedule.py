@@ -459,11 +459,11 @@ class Schedule:
         own = set(group.own)
         outer = [net for node in group.own for net in node.inputs] + [flop.data for flop in group.flops]
         outer = [net for net in outer if self._producer.get(net) not in own]
-        self._need([*outer, group.enable, group.reset], self.ops)
-        self._read((group.enable, group.reset))
+        controls = {group.enable, group.reset}  # which may be registers of this very group
+        self._need([*outer, *controls], self.ops)
         # Readers that come after the guard get their copies before it.
         inside: dict[int, int] = defaultdict(int)
-        for inputs in (*(node.inputs for node in group.own), *((flop.data,) for flop in group.flops)):
+        for inputs in (controls, *(node.inputs for node in group.own), *((flop.data,) for flop in group.flops)):
             for net in set(inputs):
                 inside[net] += 1
         for flop in group.flops:
@@ -476,6 +476,7 @@ class Schedule:
             self._need((flop.data,), body, group)
             self._read((flop.data,))
             self._write(flop, body)
+        self._read(controls)
         self._names = kept
         self.ops.append(Guard(group.enable, group.reset, names, body, group.flops))
 

@@ -44,6 +44,19 @@ class Counters(Elaboratable):
         return m
 
 
+class Stops(Elaboratable):
+    """Registers whose enable is one of them: they stop together, and none of them a cycle early."""
+
+    def __init__(self):
+        self.stop, self.step, self.count, self.run = Signal(), Signal(4), Signal(40), Signal(init=1)
+
+    def elaborate(self, platform):
+        m = Module()
+        with m.If(self.run):
+            m.d.sync += [self.count.eq(self.count + self.step), self.run.eq(~(self.stop & (self.step == 5)))]
+        return m
+
+
 class Rows(Elaboratable):
     """Four equal counters with a sparse input and a common one, in a module each: a unit that repeats."""
 
@@ -87,6 +100,7 @@ DESIGNS = {
     ),
     "crc": (lambda: CRC16_CCITT(8).create(), ["start", "data", "valid"], ["crc", "match_detected"]),
     "counters": (Counters, ["enable", "clear", "value"], ["kept", "sum", "odd"]),
+    "stops": (Stops, ["stop", "step"], ["count", "run"]),
     "rows": (Rows, ["lit", "shared"], ["out"]),
 }
 
