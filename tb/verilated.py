@@ -14,12 +14,15 @@ RUN_TIME = "libverilated.a"
 VERILATOR = ("--cc", *toolchain.VERILATOR_OPTIONS)
 # A unit is one file for the compiler: separate, many small files and two precompiled headers take twice as long.
 COMPILER = ("-std=gnu++20", "-O2", "-fPIC")  # of a program around the archives
-MAKE_OPTIONS = ("VM_PARALLEL_BUILDS=0", f"OPT_FAST={toolchain.OPTIMISE}", "OPT_GLOBAL=-O2")
+MAKE_OPTIONS = ("VM_PARALLEL_BUILDS=0", "OPT_GLOBAL=-O2")
 
 
-def verilated_unit(top: str, prefix: str, sources: list[Path], options: Sequence[str] = ()) -> Path:
-    """Verilate a unit: its headers and archive, in a folder keyed by its sources and options."""
-    return _archive(f"lib{prefix}.a", top, prefix, {path.name: path.read_text() for path in sources}, options)
+def verilated_unit(
+    top: str, prefix: str, sources: list[Path], options: Sequence[str] = (), optimise: str = toolchain.OPTIMISE
+) -> Path:
+    """Verilate a unit: its headers and archive, in a folder keyed by its sources and options. optimise: of g++."""
+    texts = {path.name: path.read_text() for path in sources}
+    return _archive(f"lib{prefix}.a", top, prefix, texts, options, optimise)
 
 
 def run_time() -> Path:
@@ -28,10 +31,17 @@ def run_time() -> Path:
     return _archive(RUN_TIME, top, "Vnothing", {f"{top}.v": f"module {top}; endmodule\n"}) / RUN_TIME
 
 
-def _archive(archive: str, top: str, prefix: str, sources: Mapping[str, str], options: Sequence[str] = ()) -> Path:
+def _archive(
+    archive: str,
+    top: str,
+    prefix: str,
+    sources: Mapping[str, str],
+    options: Sequence[str] = (),
+    optimise: str = toolchain.OPTIMISE,
+) -> Path:
     """Return a folder with an archive that Verilator's make file builds for the `sources`, and their headers."""
     contents = (part for item in sources.items() for part in item)
-    key = digest(str(toolchain.verilator()), *VERILATOR, *MAKE_OPTIONS, archive, top, *options, *contents)
+    key = digest(str(toolchain.verilator()), *VERILATOR, *MAKE_OPTIONS, optimise, archive, top, *options, *contents)
     directory = build_root() / "verilated" / f"{top}-{key}"
 
     def make(scratch: Path) -> None:
@@ -42,7 +52,11 @@ def _archive(archive: str, top: str, prefix: str, sources: Mapping[str, str], op
         flags = [*options, "-CFLAGS", "-fPIC", "--top-module", top, "--prefix", prefix, "--Mdir", "."]
         compile_in(scratch, log, [str(toolchain.verilator()), *VERILATOR, *flags, *sources])
         jobs = str(os.cpu_count())
-        compile_in(scratch, log, ["make", "-s", "-j", jobs, "-f", f"{prefix}.mk", *MAKE_OPTIONS, archive])
+        compile_in(
+            scratch,
+            log,
+            ["make", "-s", "-j", jobs, "-f", f"{prefix}.mk", *MAKE_OPTIONS, f"OPT_FAST={optimise}", archive],
+        )
         for path in scratch.iterdir():
             if path.suffix not in (".h", ".a"):
                 path.unlink()
