@@ -35,7 +35,8 @@ MODULES = {  # page: title, modules
             "controller", "registers", "settings", "sequencer", "deserialiser", "axi", "export", "views",
         ),
     ),
-    "tb": ("Simulators and benches", ("replay", "play", "frames", "batch", "cosim", "scoreboard", "stimulus", "toolchain")),
+    "slices": ("Bit slices of any netlist", ("slices", "synthesis", "probe", "waves", "netlist")),
+    "tb": ("Simulators and benches", ("replay", "play", "frames", "sliced", "cosim", "scoreboard", "stimulus", "toolchain")),
     "flow": ("Release, synthesis, place and route", ("release", "constraints", "register_files", "synth", "pnr", "gls")),
 }  # fmt: skip
 GALLERY = """Examples
