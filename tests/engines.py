@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Speed of the sliced engine beside the whole RTL in Verilator without cocotb: same RTL, same light, same machine.
 
-`python -m tests.engines [--rounds N]` prints the table of docs/sliced.md. A round plays every program once, so that other
+`python -m tests.engines [--rounds N]` prints build times, memory and a table of cycles per second. A round plays every program once, so that other
 load affects all. Verilator's model has no public signals and no waveform; its host (`lean.cpp`) only drives and counts.
 """
 
