@@ -104,9 +104,9 @@ def surface(folder: Path) -> Any:
 
 RESULTS: dict[str, tuple[Callable[[Path], Any], str]] = {
     "library": (library, "16beb6fb16261d2b"),
-    "sim": (sim, "bc8d570e05fdeae6"),
+    "sim": (sim, "bddcaded9e52ed6d"),
     "sweep": (sweep, "a9feb8a6334f4d60"),
-    "bandwidth": (bandwidth, "cfd0ecfacc8e2289"),
+    "bandwidth": (bandwidth, "8de2a0d77ad3a7fc"),
     "explorer": (explorer, "dee4b0783e1eb357"),
     "thresholds": (
         lambda folder: list(thresholds.table((("flat:7", 50.0),), (thresholds.Stream(16, 8),))),
