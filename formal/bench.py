@@ -120,6 +120,11 @@ class Bench:
         """Return an input that may have any value in any cycle."""
         return AnySeq(shape)
 
+    def vary(self, *signals) -> None:
+        """Let inputs have any value in any cycle."""
+        for signal in map(Value.cast, signals):
+            self.m.d.comb += signal.eq(self.anything(len(signal)))
+
     def constant(self, shape):
         """Return an input that may have any value, but the same in all cycles."""
         return AnyConst(shape)

@@ -42,8 +42,7 @@ def dpcu(b: Bench):
     settings, operation, data = Signal(bus.settings_layout(sensor)), Signal(bus.Operation), Signal(DATA_BITS)
     in_stream = Signal()
     closed, window, stored = Signal(), Signal(bus.window_layout(sensor)), Signal()
-    m.d.comb += [signal.as_value().eq(b.anything(signal.shape().size)) for signal in (settings, window)]
-    m.d.comb += [signal.eq(b.anything(len(signal))) for signal in (closed, stored)]
+    b.vary(settings, window, closed, stored)
     body = b.place(
         "dut",
         unit,

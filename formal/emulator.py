@@ -24,7 +24,7 @@ def deframer(b: Bench) -> None:
     """A body is right only if its CRC is, no byte is broken, and it fits the memory; nothing is written beyond."""
     m, unit = b.m, Deframer()
     valid, byte, broken, hold = Signal(), Signal(8), Signal(), Signal()
-    m.d.comb += [signal.eq(b.anything(len(signal))) for signal in (valid, byte, broken, hold)]
+    b.vary(valid, byte, broken, hold)
     body = b.place("dut", unit, valid=valid, byte=byte, broken=broken, hold=hold)
     b.always(Cat(body.came, body.byte, body.broken) == b.past(Cat(valid, byte, broken)))
     came, byte, broken = body.came, body.byte, body.broken
@@ -58,7 +58,7 @@ def framer(b: Bench) -> None:
     """Flags are only at a frame's ends, escapes only where needed; an offered byte stays until it is taken."""
     m, unit = b.m, Framer()
     valid, byte, last, ready = Signal(), Signal(8), Signal(), Signal()
-    m.d.comb += [signal.eq(b.anything(len(signal))) for signal in (valid, byte, last, ready)]
+    b.vary(valid, byte, last, ready)
     body = b.place("dut", unit, valid=valid, byte=byte, last=last, out_ready=ready)
     offered = b.same("offered", valid & ~unit.ready)
     b.assume(valid & (byte == b.last(byte)) & (last == b.last(last)), where=b.past(offered))
@@ -83,9 +83,9 @@ def framer(b: Bench) -> None:
 @proof(depth=2, cover=8)
 def frame_buffer(b: Bench) -> None:
     """The sensor waits only while the buffer is full; waiting beats are contiguous, and none is overwritten."""
-    m, unit = b.m, FrameBuffer(EMULATOR)
+    unit = FrameBuffer(EMULATOR)
     take, amount, comes = Signal(), Signal.like(unit.amount), Signal()
-    m.d.comb += [signal.eq(b.anything(len(signal))) for signal in (take, amount, comes)]
+    b.vary(take, amount, comes)
     behind = b.place("dut", unit, take=take, amount=amount, s_axis__tvalid=comes)
     b.assume(amount <= unit.level, where=take)
     depth = EMULATOR.buffer_beats
@@ -105,7 +105,7 @@ def stream_slice(b: Bench) -> None:
     m, unit = b.m, StreamSlice()
     comes, ready = Signal(), Signal()
     taken, left = Signal(BEAT_BITS), Signal(BEAT_BITS)  # beats that came and that left; a beat is its number
-    m.d.comb += [signal.eq(b.anything(1)) for signal in (comes, ready)]
+    b.vary(comes, ready)
     body = b.place("dut", unit, s_axis__tvalid=comes, s_axis__tdata=taken, m_axis__tready=ready)
     m.d.sync += [taken.eq(taken + (comes & unit.s_axis.tready)), left.eq(left + (unit.m_axis.tvalid & ready))]
     b.always(taken == (left + body.valid + body.kept)[:BEAT_BITS])

@@ -18,7 +18,7 @@ def _event_fifo(b: Bench, depth: int) -> None:
     sensor = evolve(SMALL, fifo_depth=depth)
     m, unit = b.m, EventFifo(sensor)
     commit, take, begin = (Signal(name=name) for name in ("commit", "take", "begin"))
-    m.d.comb += [signal.eq(b.anything(1)) for signal in (commit, take, begin)]
+    b.vary(commit, take, begin)
     body = b.place("dut", unit, commit=commit, take=take, frame_begin=begin)
     elaborated(body.rows)
     memory = body.rows.rows
@@ -92,7 +92,7 @@ def record_buffer(b):
     """A record is stored if the place is free, else counted as dropped; it stays until taken; unlatched entries are 0."""
     m, unit = b.m, RecordBuffer(SMALL)
     due, take, begin = Signal(), Signal(), Signal()
-    m.d.comb += [due.eq(b.anything(1)), take.eq(b.anything(1)), begin.eq(b.anything(1))]
+    b.vary(due, take, begin)
     waits = b.place("dut", unit, due=due, take=take, frame_begin=begin)
     waiting = Signal()
     b.assume(waiting, where=take)

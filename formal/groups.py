@@ -35,9 +35,7 @@ def packer(b: Bench):
     offer, close, passes, begin, ready = (Signal(name=name) for name in ("offer", "close", "passes", "begin", "tready"))
     part, bits = Signal(PART_BITS), Signal(bits_for(PART_BITS))
     beat, last = Signal(BEAT_BITS), Signal()
-    m.d.comb += [
-        signal.eq(b.anything(len(signal))) for signal in (offer, close, passes, begin, ready, part, bits, beat, last)
-    ]
+    b.vary(offer, close, passes, begin, ready, part, bits, beat, last)
     body = b.place(
         "dut",
         unit,
@@ -119,7 +117,7 @@ def _coder(b: Bench, sensor: Sensor) -> None:
     period = b.constant(bits_for(sensor.period_max))
     valid, begin, free, passed = (Signal(name=name) for name in ("valid", "begin", "free", "passed"))
     beat, last = Signal(BEAT_BITS), Signal()
-    m.d.comb += [signal.eq(b.anything(len(signal))) for signal in (valid, begin, free, passed, beat, last)]
+    b.vary(valid, begin, free, passed, beat, last)
     body = b.place(
         "dut",
         unit,

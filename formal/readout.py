@@ -46,7 +46,7 @@ def readout(b: Bench):
     m, unit = b.m, Readout(SMALL, N)
     frame, form = Signal(bus.frame_layout(SMALL)), b.constant(bits_for(HIGHEST_FORMAT))
     stored, record_stored, ready, finish, begin = Signal(N), Signal(N), Signal(), Signal(), Signal()
-    m.d.comb += [signal.eq(b.anything(len(signal))) for signal in (stored, record_stored, ready, finish, begin)]
+    b.vary(stored, record_stored, ready, finish, begin)
     m.d.comb += frame.format.eq(form)
     b.assume(form <= HIGHEST_FORMAT)
 

@@ -42,7 +42,7 @@ def gating(b: Bench):
     sensor, m = SMALL, b.m
     unit = Gating(sensor)
     timing, settings = Signal(bus.time_layout(sensor)), Signal(bus.settings_layout(sensor))
-    m.d.comb += [timing.eq(b.anything(timing.shape().size)), settings.eq(b.anything(settings.shape().size))]
+    b.vary(timing, settings)
     body = b.place("dut", unit, timing=timing, settings=settings)
     highest = (1 << sensor.coarse_bits) - 1
 
@@ -85,7 +85,7 @@ def sequencer(b: Bench):
     sensor, m = SMALL, b.m
     unit = Sequencer(sensor)
     plan, start, abort, delivered = Signal(bus.plan_layout(sensor)), Signal(), Signal(), Signal()
-    m.d.comb += [plan.eq(b.anything(plan.shape().size)), *(s.eq(b.anything(1)) for s in (start, abort, delivered))]
+    b.vary(plan, start, abort, delivered)
     body = b.place("dut", unit, plan=plan, start_frame=start, abort_frame=abort, delivered=delivered)
 
     # A start comes only after the previous frame is done. The plan stays, and has passed the start checks.

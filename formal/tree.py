@@ -124,9 +124,7 @@ def _place_tree(b: Bench, sensor: Sensor) -> Placed:
     unit, clock = CoincidenceTree(sensor), Tdc(sensor, 1)
     words, mask, accept = Signal(sensor.pixels * sensor.phases), Signal(sensor.pixels), Signal()
     window_ticks, timing = Signal(sensor.window_bits), Signal(bus.time_layout(sensor))
-    for signal in (words, mask, accept, window_ticks):
-        b.m.d.comb += signal.eq(b.anything(len(signal)))
-    b.m.d.comb += timing.as_value().eq(b.anything(timing.shape().size))
+    b.vary(words, mask, accept, window_ticks, timing)
     b.assume((window_ticks != 0) & (window_ticks <= sensor.window_max))
     no_line = {f"line__{name}": None for name in ("any", "phase", "coarse")}
     body = b.place(
@@ -300,8 +298,7 @@ def minigroup_record(b):
     words, mask, accept = Signal(pixels * phases), Signal(pixels), Signal()
     frame, may_open, wrap = Signal(bus.frame_layout(sensor)), Signal(), Signal()
     coarse_4 = Signal(sensor.coarse_bits)
-    for signal in (words, mask, accept, may_open, wrap):
-        m.d.comb += signal.eq(b.anything(len(signal)))
+    b.vary(words, mask, accept, may_open, wrap)
     m.d.comb += frame.as_value().eq(b.constant(frame.shape().size))
     b.assume((frame.mg_threshold != 0) & (frame.mg_window != 0) & (frame.mg_window <= 4))
     body = b.place(

@@ -7,6 +7,7 @@ the place of those that the instances share.
 
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from typing import TypeAlias
 
 from attrs import define, field, frozen
 
@@ -14,6 +15,7 @@ from .netlist import ONE, ZERO, Block, NetlistError, Nets, Read, Table
 from .schedule import Call, Copy, Evaluate, Guard, Lit, Op, Put, Schedule, Write, settling, with_lit
 
 STATEMENTS = 400  # of a function, about
+Value: TypeAlias = Callable[[int], str]  # expression for a net
 
 
 @frozen
@@ -85,32 +87,16 @@ class Emission:
             places = {net: f"M[{k}]" for net, k in unit.own.items()}
             places |= {net: f"C[{k}]" for net, k in unit.shared.items()}
             for what, ops in (("pass", schedules[name].ops), ("settle", settling(unit.block, {}, nodes[name]))):
-                writer = _Writer(
-                    f"{_identifier(name)}_{what}",
-                    "W* __restrict M, W* __restrict C, const uint8_t* L",
-                    "M, C, L",
-                    places,
-                    _numbered("C", len(unit.shared)),
-                )
+                writer = _Writer(f"{_identifier(name)}_{what}", places, len(unit.shared))
                 text += writer.text(ops)
                 unit.temporaries = max(unit.temporaries, writer.temporaries)
         first_flag = self._place(schedules[top].homes, flags)
         places = {net: f"V[{k}]" for net, k in self.layout.nets.items()}
         lasting, temporaries = self.layout.words, 0
         for what, ops in (("pass", schedules[top].ops), ("settle", settling(self.top, blocks, nodes[top]))):
-            writer = _Writer(
-                f"slice_{what}",
-                "W* __restrict V, uint8_t* L",
-                "V, L",
-                places,
-                _numbered("V", lasting),
-                first_flag,
-                self._calls(what),
-                self.layout,
-                static="",
-            )
-            text += writer.text(ops)
-            temporaries = max(temporaries, writer.temporaries)
+            top_writer = _TopWriter(what, places, lasting, first_flag, self.layout, self._units)
+            text += top_writer.text(ops)
+            temporaries = max(temporaries, top_writer.temporaries)
         self.layout.words += temporaries
         self.source = "\n".join(['#include "slice.h"', ROWS, *text, ""])
         self.header = _header(self.layout)
@@ -195,26 +181,6 @@ class Emission:
         }
         return first_flag
 
-    def _calls(self, what: str) -> Callable[[Call, Callable[[int], str]], Iterator[str]]:
-        def lines(call: Call, value: Callable[[int], str]) -> Iterator[str]:
-            """Yield the statements of a call. value: expression for a net."""
-            name = call.instances[0].unit
-            unit = self._units[name]
-            for word, net in unit.moves:
-                yield f"V[{word}] = {value(net)};"
-            own, flags = len(unit.own), len(unit.flags)
-            yield f"for (int k = 0; k < {unit.instances}; k++)"
-            arguments = (
-                f"V + {unit.first_own} + k * {own}, V + {unit.first_shared}, L + {unit.first_flag} + k * {flags}"
-            )
-            yield f"    {_identifier(name)}_{what}({arguments});"
-
-        return lines
-
-
-def _numbered(array: str, first: int) -> Callable[[int], str]:
-    return lambda k: f"{array}[{first + k}]"
-
 
 def _identifier(name: str) -> str:
     return "".join(c if c.isalnum() else "_" for c in name)
@@ -274,27 +240,17 @@ class _Part:
 
 
 class _Writer:
-    """Functions of a block's pass. `temporaries`: words that pass values from one function to the next.
+    """Functions of a unit's pass. `temporaries`: words that pass values from one function to the next.
 
-    places: expression of every net that lasts; temporary: of the word k among the temporaries.
+    places: expression of every net that lasts; first_temporary, first_flag: in their arrays.
     """
 
-    def __init__(
-        self,
-        name: str,
-        parameters: str,
-        arguments: str,
-        places: Mapping[int, str],
-        temporary: Callable[[int], str],
-        first_flag: int = 0,
-        calls: Callable[[Call, Callable[[int], str]], Iterator[str]] | None = None,
-        layout: Layout | None = None,
-        static: str = "static ",
-    ):
+    STATIC, PARAMETERS, ARGUMENTS = "static ", "W* __restrict M, W* __restrict C, const uint8_t* L", "M, C, L"
+    TEMPORARIES = "C"
+
+    def __init__(self, name: str, places: Mapping[int, str], first_temporary: int, first_flag: int = 0):
         self.temporaries = 0
-        self._name, self._parameters, self._arguments, self._places = name, parameters, arguments, places
-        self._temporary, self._first_flag, self._calls, self._layout = temporary, first_flag, calls, layout
-        self._static = static
+        self._name, self._places, self._first_temporary, self._first_flag = name, places, first_temporary, first_flag
         self._parts: list[_Part] = []
         self._bodies: dict[Guard, list[_Part]] = {}
         self._kept: dict[int, str] = {}  # value that several functions use -> expression of its word
@@ -306,13 +262,13 @@ class _Writer:
         self._keep(whole)
         lines = []
         for part in self._parts:
-            lines.append(f"static void __attribute__((noinline)) {part.name}({self._parameters}) {{")
+            lines.append(f"static void __attribute__((noinline)) {part.name}({self.PARAMETERS}) {{")
             values: dict[int, str] = {}
             for op in part.ops:
                 lines += [f"    {line}" for line in self._statement(op, values)]
             lines += ["}", ""]
-        lines.append(f"{self._static}void {self._name}({self._parameters}) {{")
-        return [*lines, *(f"    {part.name}({self._arguments});" for part in whole), "}", ""]
+        lines.append(f"{self.STATIC}void {self._name}({self.PARAMETERS}) {{")
+        return [*lines, *(f"    {part.name}({self.ARGUMENTS});" for part in whole), "}", ""]
 
     def _split(self, ops: Sequence[Op]) -> list[_Part]:
         """Return operations in parts of about `STATEMENTS`; long bodies of guards become parts of their own."""
@@ -371,37 +327,35 @@ class _Writer:
             else:
                 word, self.temporaries = self.temporaries, self.temporaries + 1
             ending.append((last[value], word))
-            self._kept[value] = self._temporary(word)
+            self._kept[value] = f"{self.TEMPORARIES}[{self._first_temporary + word}]"
 
-    def _value(self, net: int, values: Mapping[int, str]) -> str:
-        if net in (ZERO, ONE):
-            return "ONES" if net == ONE else "ZEROS"
-        return values.get(net) or self._kept.get(net) or self._places[net]
+    def _reader(self, op: Op, values: Mapping[int, str]) -> Value:
+        """Return what gives a net's expression in an operation. values: those that local variables hold."""
+        names: Mapping[int, int] = getattr(op, "names", {})
+
+        def value(net: int) -> str:
+            if net in (ZERO, ONE):
+                return "ONES" if net == ONE else "ZEROS"
+            net = names.get(net, net)
+            return values.get(net) or self._kept.get(net) or self._places[net]
+
+        return value
 
     def _statement(self, op: Op, values: dict[int, str]) -> Iterator[str]:
         """Yield the lines of an operation. values: those that local variables hold; new ones are added."""
 
-        def value(net: int) -> str:
-            return self._value(getattr(op, "names", {}).get(net, net), values)
-
+        value = self._reader(op, values)
         if isinstance(op, Copy):
             yield from self._define(op.name, self._places[op.net], values)
         elif isinstance(op, Evaluate):
-            if isinstance(op.node, Table):
-                yield from self._define(op.node.outputs[0], _expression(op.node, value), values)
-            elif isinstance(op.node, Lit):
+            if isinstance(op.node, Lit):
                 yield from self._lit(op.node, value, values)
-            else:
-                yield from self._read(op.node, _gate(value(op.enable), value(op.reset)), value)
+            elif isinstance(op.node, Table):
+                yield from self._define(op.node.outputs[0], _expression(op.node, value), values)
         elif isinstance(op, Write):
             place = self._places[op.flop.output]
             yield f"{place} = {_next(op, place, value)};"
-        elif isinstance(op, Put):
-            yield from self._put(op, value)
-        elif isinstance(op, Call):
-            assert self._calls is not None
-            yield from self._calls(op, value)
-        else:
+        elif isinstance(op, Guard):
             yield from self._guard(op, value, values)
 
     def _define(self, name: int, expression: str, values: dict[int, str]) -> Iterator[str]:
@@ -415,7 +369,7 @@ class _Writer:
         if word:
             yield f"{word} = {values[name]};"
 
-    def _lit(self, node: Lit, value: Callable[[int], str], values: dict[int, str]) -> Iterator[str]:
+    def _lit(self, node: Lit, value: Value, values: dict[int, str]) -> Iterator[str]:
         found: dict[int, str] = {}
         for net, dark in zip(node.outputs, node.dark):
             self._locals += 1
@@ -435,42 +389,11 @@ class _Writer:
         for net in node.outputs:
             yield from self._stored(net, values)
 
-    def _row(self, address: Nets, row: int, value: Callable[[int], str]) -> str:
-        return " & ".join(f"{'' if row >> k & 1 else '~'}{value(net)}" for k, net in enumerate(address)) or "ONES"
-
-    def _read(self, node: Read, gate: str, value: Callable[[int], str]) -> Iterator[str]:
-        assert self._layout is not None
-        memory = node.memory
-        shown, first = self._layout.nets[node.outputs[0]], self._layout.memories[memory.name]
-        yield "{"
-        yield f"    const W gate = {gate};"
-        yield "    bool first = true;"
-        for row in range(memory.rows):
-            yield f"    if (const W chosen = gate & {self._row(node.inputs, row, value)}; any(chosen)) {{"
-            yield f"        show_row(V + {shown}, V + {first + row * memory.width}, chosen, {memory.width}, first);"
-            yield "        first = false;"
-            yield "    }"
-        yield f"    if (first) for (int i = 0; i < {memory.width}; i++) V[{shown} + i] = ZEROS;"
-        yield "}"
-
-    def _put(self, op: Put, value: Callable[[int], str]) -> Iterator[str]:
-        assert self._layout is not None
-        memory, first = op.memory, self._layout.memories[op.memory.name]
-        yield f"if (const W enable = {value(op.store.enable)}; any(enable)) {{"
-        # Every bit of the row has a word, so that one loop serves all rows.
-        names = [op.names.get(net, net) for net in op.store.data]
-        words = [self._kept.get(name) or self._places[name] for name in names]
-        yield f"    static const int FROM[] = {{{', '.join(word[2:-1] for word in words)}}};  // words of V"
-        for row in range(memory.rows):
-            yield f"    if (const W chosen = enable & {self._row(op.store.address, row, value)}; any(chosen))"
-            yield f"        put_row(V + {first + row * memory.width}, V, FROM, chosen, {memory.width});"
-        yield "}"
-
-    def _guard(self, op: Guard, value: Callable[[int], str], values: dict[int, str]) -> Iterator[str]:
+    def _guard(self, op: Guard, value: Value, values: dict[int, str]) -> Iterator[str]:
         enable, reset = value(op.enable), value(op.reset)
         yield f"if (any({_gate(enable, reset)})) {{"
         if op in self._bodies:
-            yield from (f"    {part.name}({self._arguments});" for part in self._bodies[op])
+            yield from (f"    {part.name}({self.ARGUMENTS});" for part in self._bodies[op])
         else:
             inner = dict(values)
             for inside in op.body:
@@ -480,6 +403,76 @@ class _Writer:
             for flop in op.flops:
                 yield f"    {self._places[flop.output]} = {'ONES' if flop.reset_value else 'ZEROS'};"
         yield "}"
+
+
+class _TopWriter(_Writer):
+    """Functions of the top block's pass, which has memories and calls units."""
+
+    STATIC, PARAMETERS, ARGUMENTS = "", "W* __restrict V, uint8_t* L", "V, L"
+    TEMPORARIES = "V"
+
+    def __init__(
+        self,
+        what: str,
+        places: Mapping[int, str],
+        first_temporary: int,
+        first_flag: int,
+        layout: Layout,
+        units: Mapping[str, _Unit],
+    ):
+        super().__init__(f"slice_{what}", places, first_temporary, first_flag)
+        self._what, self._layout, self._units = what, layout, units
+
+    def _statement(self, op: Op, values: dict[int, str]) -> Iterator[str]:
+        value = self._reader(op, values)
+        if isinstance(op, Evaluate) and isinstance(op.node, Read):
+            yield from self._read(op.node, _gate(value(op.enable), value(op.reset)), value)
+        elif isinstance(op, Put):
+            yield from self._put(op, value)
+        elif isinstance(op, Call):
+            yield from self._call(op, value)
+        else:
+            yield from super()._statement(op, values)
+
+    def _read(self, node: Read, gate: str, value: Value) -> Iterator[str]:
+        memory = node.memory
+        shown, first = self._layout.nets[node.outputs[0]], self._layout.memories[memory.name]
+        yield "{"
+        yield f"    const W gate = {gate};"
+        yield "    bool first = true;"
+        for row in range(memory.rows):
+            yield f"    if (const W chosen = gate & {_row(node.inputs, row, value)}; any(chosen)) {{"
+            yield f"        show_row(V + {shown}, V + {first + row * memory.width}, chosen, {memory.width}, first);"
+            yield "        first = false;"
+            yield "    }"
+        yield f"    if (first) for (int i = 0; i < {memory.width}; i++) V[{shown} + i] = ZEROS;"
+        yield "}"
+
+    def _put(self, op: Put, value: Value) -> Iterator[str]:
+        memory, first = op.memory, self._layout.memories[op.memory.name]
+        yield f"if (const W enable = {value(op.store.enable)}; any(enable)) {{"
+        # Every bit of the row has a word, so that one loop serves all rows.
+        names = [op.names.get(net, net) for net in op.store.data]
+        words = [self._kept.get(name) or self._places[name] for name in names]
+        yield f"    static const int FROM[] = {{{', '.join(word[2:-1] for word in words)}}};  // words of V"
+        for row in range(memory.rows):
+            yield f"    if (const W chosen = enable & {_row(op.store.address, row, value)}; any(chosen))"
+            yield f"        put_row(V + {first + row * memory.width}, V, FROM, chosen, {memory.width});"
+        yield "}"
+
+    def _call(self, op: Call, value: Value) -> Iterator[str]:
+        name = op.instances[0].unit
+        unit = self._units[name]
+        for word, net in unit.moves:
+            yield f"V[{word}] = {value(net)};"
+        own, flags = len(unit.own), len(unit.flags)
+        yield f"for (int k = 0; k < {unit.instances}; k++)"
+        arguments = f"V + {unit.first_own} + k * {own}, V + {unit.first_shared}, L + {unit.first_flag} + k * {flags}"
+        yield f"    {_identifier(name)}_{self._what}({arguments});"
+
+
+def _row(address: Nets, row: int, value: Value) -> str:
+    return " & ".join(f"{'' if row >> k & 1 else '~'}{value(net)}" for k, net in enumerate(address)) or "ONES"
 
 
 def _size(op: Op) -> int:
@@ -515,7 +508,7 @@ def _made(op: Op) -> Iterator[int]:
         yield from op.node.outputs
 
 
-def _expression(table: Table, value: Callable[[int], str]) -> str:
+def _expression(table: Table, value: Value) -> str:
     if not table.inputs:
         return "ONES" if table.bits else "ZEROS"
     return f"table<{table.bits}>({', '.join(map(value, table.inputs))})"
@@ -528,7 +521,7 @@ def _gate(enable: str, reset: str) -> str:
     return f"~{reset}" if enable == "ONES" else f"({enable} | {reset})"
 
 
-def _next(op: Write, place: str, value: Callable[[int], str]) -> str:
+def _next(op: Write, place: str, value: Value) -> str:
     """Return a flip-flop's next value."""
     flop = op.flop
     data = value(flop.data)

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Compiled slices: the C++ of a design, with a program around it, as a library that is built once."""
 
-import ctypes
 import os
 import subprocess
 from collections.abc import Sequence
@@ -10,7 +9,7 @@ from pathlib import Path
 
 from ..model.shared.folders import build_root
 from ..model.shared.sources import digest
-from ..tools.build import build_once, compile_in, require_programs
+from ..tools.build import Compile, compile_once, require_programs
 from .synthesis import SOURCE, Design
 
 HERE = Path(__file__).parent
@@ -41,14 +40,12 @@ def compiled(design: Design, lanes: int, flag: str = PROCESSOR) -> Path:
     """Return the object of a design's pass for words of so many bits, compiled once for this kind of processor."""
     directory = design.folder.with_name(f"{design.folder.name}-{lanes}-{processor(flag)}")
 
-    def make(scratch: Path) -> None:
-        log = directory.with_name(f"{directory.name}.log")
-        log.unlink(missing_ok=True)
+    def make(_: Path, run: Compile) -> None:
         include = [f"-I{design.folder}", f"-I{HERE}"]
         command = ["g++", *COMPILER, flag, OPTIMISE, f"-DLANES={lanes}", *include]
-        compile_in(scratch, log, [*command, "-c", str(design.folder / SOURCE), "-o", OBJECT])
+        run([*command, "-c", str(design.folder / SOURCE), "-o", OBJECT])
 
-    return build_once(directory, make) / OBJECT
+    return compile_once(directory, make) / OBJECT
 
 
 def library(
@@ -59,8 +56,8 @@ def library(
     include: Sequence[Path] = (),
     objects: Sequence[Path] = (),
     flag: str = PROCESSOR,
-) -> ctypes.CDLL:
-    """Compile a design with the C++ `program` that plays it, once, and load the library.
+) -> Path:
+    """Return the library of a design with the C++ `program` that plays it, compiled once.
 
     header: text of its "wiring.h". include: further folders of headers. objects: further objects and archives.
     """
@@ -69,12 +66,10 @@ def library(
     key = digest(*COMPILER, str(slice_object), *contents, header, *map(str, (*include, *objects)))
     directory = build_root() / "slices" / f"{program.stem}-{key}"
 
-    def make(scratch: Path) -> None:
-        log = directory.with_name(f"{directory.name}.log")
-        log.unlink(missing_ok=True)
+    def make(scratch: Path, run: Compile) -> None:
         (scratch / "wiring.h").write_text(header)
         folders = [f"-I{folder}" for folder in (".", design.folder, HERE, *include)]
         command = ["g++", "-shared", *COMPILER, flag, "-O2", f"-DLANES={lanes}", *folders, "-o", LIBRARY, str(program)]
-        compile_in(scratch, log, [*command, str(slice_object), *map(str, objects)])
+        run([*command, str(slice_object), *map(str, objects)])
 
-    return ctypes.CDLL(str(build_once(directory, make) / LIBRARY))
+    return compile_once(directory, make) / LIBRARY

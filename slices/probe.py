@@ -15,6 +15,7 @@ from .netlist import ONE, ZERO, Block, Memory, Read, Table
 
 TOP = ""  # as the name of an instance
 SEPARATOR = "."
+ALL = np.array([-1]).view(np.uint64)  # 64 samples
 Net: TypeAlias = tuple[str, int]  # instance and net in its block
 Known: TypeAlias = dict[Net, np.ndarray]
 
@@ -55,13 +56,6 @@ class Probe:
 
     def _places(self, instance: str) -> dict[int, int]:
         return self.layout.instances[instance] if instance else self.layout.nets
-
-    def is_kept(self, name: str) -> bool:
-        """Return whether a signal consists of registers and inputs."""
-        instance, nets = self.signals[name]
-        flops = {flop.output for flop in self._blocks[instance].flops}
-        inputs = {net for of in self._blocks[instance].inputs.values() for net in of}
-        return all(net in flops or net in inputs for net in nets)
 
     def values(self, samples: np.ndarray, names: Iterable[str]) -> dict[str, np.ndarray]:
         """Return the bits of signals in samples, by name.
@@ -104,7 +98,7 @@ class Probe:
 
     def _kept(self, samples: np.ndarray, instance: str, net: int) -> np.ndarray:
         if net in (ZERO, ONE):
-            return np.full(samples.shape[1], -net, np.int64).view(np.uint64)
+            return (ALL if net == ONE else ~ALL).repeat(samples.shape[1])
         return samples[self._places(instance)[net]]
 
     def _read(self, samples: np.ndarray, node: Read, address: list[np.ndarray]) -> np.ndarray:
@@ -112,10 +106,7 @@ class Probe:
         first = self.layout.memories[memory.name]
         value = np.zeros((memory.width, samples.shape[1]), np.uint64)
         for row in range(memory.rows):
-            chosen = np.full(samples.shape[1], -1, np.int64).view(np.uint64)
-            for k, bit in enumerate(address):
-                chosen = chosen & (bit if row >> k & 1 else ~bit)
-            value |= samples[first + row * memory.width :][: memory.width] & chosen
+            value |= samples[first + row * memory.width :][: memory.width] & _chosen(row, address, samples.shape[1])
         return value
 
 
@@ -130,11 +121,16 @@ def _table(table: Table, inputs: list[np.ndarray], n: int) -> np.ndarray:
     value = np.zeros(n, np.uint64)
     for row in range(1 << len(inputs)):
         if table.bits >> row & 1:
-            term = np.full(n, -1, np.int64).view(np.uint64)
-            for k, bit in enumerate(inputs):
-                term = term & (bit if row >> k & 1 else ~bit)
-            value |= term
+            value |= _chosen(row, inputs, n)
     return value
+
+
+def _chosen(row: int, bits: list[np.ndarray], n: int) -> np.ndarray:
+    """Return in which of 64 n samples the bits, lowest first, are the number `row`."""
+    found = ALL.repeat(n)
+    for k, bit in enumerate(bits):
+        found &= bit if row >> k & 1 else ~bit
+    return found
 
 
 def numbers(bits: np.ndarray) -> list[int]:

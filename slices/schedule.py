@@ -8,8 +8,8 @@ while some inputs are 0 is skipped if they are 0 in all lanes (`Lit`).
 """
 
 from collections import defaultdict
-from collections.abc import Iterable, Mapping, Sequence
-from typing import TypeAlias
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import TypeAlias, TypeVar
 
 import numpy as np
 from attrs import define, field, frozen
@@ -18,6 +18,7 @@ from .netlist import ONE, ZERO, Block, Flop, Instance, Memory, NetlistError, Net
 
 ELSEWHERE = -1
 FORCED = 1e6  # weight of an order that has no exception
+T = TypeVar("T")
 GUARD_MIN = 12  # flip-flops and nodes of a group for which it is worth asking whether any lane enables it
 
 
@@ -107,39 +108,18 @@ class _Group:
 
     @property
     def enable(self) -> int:
-        return self.flops[0].enable if self.guarded else ONE
+        return self.flops[0].enable
 
     @property
     def reset(self) -> int:
-        return self.flops[0].reset if self.guarded else ZERO
+        return self.flops[0].reset
 
 
 def in_order(nodes: Iterable[Node]) -> list[Node]:
     """Return nodes so that each comes after those that it reads. Raises `NetlistError` if they form a loop."""
     nodes = list(nodes)
     producer = {net: node for node in nodes for net in node.outputs}
-    order: list[Node] = []
-    state: dict[Node, bool] = {}  # True: done
-    for root in nodes:
-        stack = [(root, iter(root.inputs))] if root not in state else []
-        for node, _ in stack:
-            state[node] = False
-        while stack:
-            node, inputs = stack[-1]
-            for net in inputs:
-                below = producer.get(net)
-                if below is None or state.get(below):
-                    continue
-                if below in state:
-                    raise NetlistError("a loop of logic without a register")
-                state[below] = False
-                stack.append((below, iter(below.inputs)))
-                break
-            else:
-                state[node] = True
-                order.append(node)
-                stack.pop()
-    return order
+    return _last_first(nodes, lambda node: (producer[net] for net in node.inputs if net in producer))
 
 
 def with_lit(block: Block, flags: Sequence[tuple[int, frozenset[int]]]) -> list[Node]:
@@ -213,16 +193,9 @@ class Schedule:
         self.block, self.units = block, units
         self._shown = [net for nets in block.outputs.values() for net in nets] if outputs else []
         self.ops: list[Op] = []
-        nodes = [*nodes, *(read for memory in block.memories for read in memory.reads)]
+        nodes = [*nodes, *_reads(block)]
         self._producer: dict[int, Node] = {net: node for node in nodes for net in node.outputs}
-        self._called: dict[int, str] = {}  # outputs of instances that their logic computes -> unit
-        registered: dict[int, str] = {}  # outputs of instances that are registers of theirs
-        for instance in block.instances:
-            unit = units[instance.unit]
-            flops = {flop.output for flop in unit.flops}
-            for port, nets in unit.outputs.items():
-                for net, inner in zip(instance.nets.get(port, ()), nets):
-                    (registered if inner in flops else self._called)[net] = instance.unit
+        self._called, registered = _of_units(block, units)
         self._groups = self._grouped()
         live = self._live(nodes)
         self._own(live)
@@ -236,7 +209,7 @@ class Schedule:
         for inputs in self._consumers(live):
             for net in set(inputs) & written:
                 self._readers[net] += 1
-        feeds = {net for i in block.instances for port in units[i.unit].inputs for net in i.nets.get(port, ())}
+        feeds = set(_read_by(block.instances, units))
         given = {net for nets in block.inputs.values() for net in nets}
         self.homes = feeds & (given | {flop.output for flop in block.flops})
         self._names: dict[int, int] = {}
@@ -259,18 +232,14 @@ class Schedule:
             else:
                 groups.append(_Group(flops, guarded=True))
         groups += [_Group(put=(memory, store)) for memory in self.block.memories for store in memory.stores]
-        by_unit: dict[str, list[Instance]] = defaultdict(list)
-        for instance in self.block.instances:
-            by_unit[instance.unit].append(instance)
-        return groups + [_Group(instances=instances) for instances in by_unit.values()]
+        return groups + [_Group(instances=instances) for instances in _by_unit(self.block).values()]
 
     def _inputs(self, group: _Group) -> list[int]:
         """Return what a group's registers read."""
         if group.put:
             return list(group.put[1].inputs)
         if group.instances:
-            ports = self.units[group.instances[0].unit].inputs
-            return [net for i in group.instances for port in ports for net in i.nets.get(port, ())]
+            return _read_by(group.instances, self.units)
         return [net for flop in group.flops for net in flop.inputs]
 
     def _live(self, nodes: Sequence[Node]) -> list[Node]:
@@ -491,44 +460,53 @@ class Schedule:
                 of |= reached[net]
             for net in node.inputs:
                 reached[net] |= of
-        return [group.flops[k] for k in _children_first([reached[flop.output] for flop in group.flops])]
+        order = _last_first(range(len(group.flops)), lambda k: _bits(reached[group.flops[k].output]), loops=True)
+        return [group.flops[k] for k in order]
 
 
 def settling(block: Block, units: Mapping[str, Block], nodes: Sequence[Node]) -> list[Op]:
     """Return the operations that compute a block's outputs, and update nothing."""
-    nodes = [*nodes, *(read for memory in block.memories for read in memory.reads)]
-    producer: dict[int, Node | str] = {net: node for node in nodes for net in node.outputs}
-    by_unit: dict[str, list[Instance]] = defaultdict(list)
+    instances = _by_unit(block)
+    producer: dict[int, Node | str] = {net: node for node in (*nodes, *_reads(block)) for net in node.outputs}
+    producer |= _of_units(block, units)[0]
+
+    def below(nets: Sequence[int]) -> list[Node | str]:
+        return [producer[net] for net in reversed(nets) if net in producer]
+
+    shown = [net for nets in block.outputs.values() for net in nets]
+    order = _last_first(
+        below(shown), lambda of: below(_read_by(instances[of], units) if isinstance(of, str) else of.inputs)
+    )
+    return [Call(instances[of], {}) if isinstance(of, str) else Evaluate(of, {}) for of in order]
+
+
+def _reads(block: Block) -> list[Read]:
+    return [read for memory in block.memories for read in memory.reads]
+
+
+def _by_unit(block: Block) -> dict[str, list[Instance]]:
+    found: dict[str, list[Instance]] = defaultdict(list)
     for instance in block.instances:
-        by_unit[instance.unit].append(instance)
-        kept = {flop.output for flop in units[instance.unit].flops}
-        for port, nets in units[instance.unit].outputs.items():
-            outer = instance.nets.get(port, ())
-            producer |= {net: instance.unit for net, inner in zip(outer, nets) if inner not in kept}
-    ops: list[Op] = []
-    done: set[Node | str] = set()
-    stack = [net for nets in block.outputs.values() for net in nets]
-    entered: set[Node | str] = set()
-    while stack:
-        of = producer.get(stack[-1])
-        if of is None or of in done:
-            stack.pop()
-            continue
-        if isinstance(of, str):
-            inputs = [net for i in by_unit[of] for port in units[of].inputs for net in i.nets.get(port, ())]
-        else:
-            inputs = list(of.inputs)
-        missing = [net for net in inputs if net in producer and producer[net] not in done]
-        if missing:
-            if of in entered:
-                raise NetlistError("a loop of logic without a register, or through a unit")
-            entered.add(of)
-            stack += missing
-            continue
-        stack.pop()
-        done.add(of)
-        ops.append(Call(by_unit[of], {}) if isinstance(of, str) else Evaluate(of, {}))
-    return ops
+        found[instance.unit].append(instance)
+    return found
+
+
+def _read_by(instances: Iterable[Instance], units: Mapping[str, Block]) -> list[int]:
+    """Return what instances read."""
+    return [net for i in instances for port in units[i.unit].inputs for net in i.nets.get(port, ())]
+
+
+def _of_units(block: Block, units: Mapping[str, Block]) -> tuple[dict[int, str], dict[int, str]]:
+    """Return the outputs of instances, net -> unit: those that their logic computes, and those that are registers."""
+    computed: dict[int, str] = {}
+    registered: dict[int, str] = {}
+    for instance in block.instances:
+        unit = units[instance.unit]
+        flops = {flop.output for flop in unit.flops}
+        for port, nets in unit.outputs.items():
+            for net, inner in zip(instance.nets.get(port, ()), nets):
+                (registered if inner in flops else computed)[net] = instance.unit
+    return computed, registered
 
 
 def _least_backward(weight: np.ndarray) -> list[int]:
@@ -554,22 +532,25 @@ def _least_backward(weight: np.ndarray) -> list[int]:
     return front + back[::-1]
 
 
-def _children_first(children: Sequence[int]) -> list[int]:
-    """Return numbers so that most come after their children. children: of each, as a number's bits."""
-    order: list[int] = []
-    seen: set[int] = set()
-    for start in range(len(children)):
-        stack = [] if start in seen else [(start, _bits(children[start]))]
-        seen.add(start)
+def _last_first(roots: Iterable[T], below: Callable[[T], Iterable[T]], loops: bool = False) -> list[T]:
+    """Return the roots and all below them, each after those below it. loops: permitted; then most are, else `NetlistError`."""
+    order: list[T] = []
+    done: dict[T, bool] = {}
+    for root in roots:
+        stack = [] if root in done else [(root, iter(below(root)))]
+        done.setdefault(root, False)
         while stack:
-            k, rest = stack[-1]
+            node, rest = stack[-1]
             for child in rest:
-                if child not in seen:
-                    seen.add(child)
-                    stack.append((child, _bits(children[child])))
+                if child not in done:
+                    done[child] = False
+                    stack.append((child, iter(below(child))))
                     break
+                if not done[child] and not loops:
+                    raise NetlistError("a loop of logic without a register, or through a unit")
             else:
-                order.append(k)
+                done[node] = True
+                order.append(node)
                 stack.pop()
     return order
 

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from ..tools.libraries import Functions, array_at, load
 from .library import PROCESSOR, library
 from .probe import Probe, numbers
 from .synthesis import Design
@@ -21,21 +22,19 @@ class Slices:
         self.lanes = lanes
         self.probe = Probe(design.emission())
         self._layout = self.probe.layout
-        self._library = library(design, lanes, flag=flag)
-        pointer = ctypes.c_void_p
-        for name, answer, arguments in (
-            ("new", pointer, []),
-            ("delete", None, [pointer]),
-            ("words", ctypes.POINTER(ctypes.c_uint64), [pointer]),
-            ("flags", ctypes.POINTER(ctypes.c_uint8), [pointer]),
-            ("step", None, [pointer, ctypes.c_int64]),
-            ("record", None, [pointer, ctypes.c_int, ctypes.c_int64, pointer]),
-        ):
-            function = getattr(self._library, f"slice_{name}")
-            function.restype, function.argtypes = answer, arguments
+        pointer, i64 = ctypes.c_void_p, ctypes.c_int64
+        functions: Functions = {
+            "new": (pointer, []),
+            "delete": (None, [pointer]),
+            "words": (pointer, [pointer]),
+            "flags": (pointer, [pointer]),
+            "step": (None, [pointer, i64]),
+            "record": (None, [pointer, ctypes.c_int, i64, pointer]),
+        }
+        self._library = load(library(design, lanes, flag=flag), "slice", functions)
         self._slice = self._library.slice_new()
-        self.words = np.ctypeslib.as_array(self._library.slice_words(self._slice), (self._layout.words, lanes // 64))
-        self._flags = np.ctypeslib.as_array(self._library.slice_flags(self._slice), (max(1, self._layout.flags),))
+        self.words = array_at(self._library.slice_words(self._slice), (self._layout.words, lanes // 64))
+        self._flags = array_at(self._library.slice_flags(self._slice), (max(1, self._layout.flags),), np.uint8)
         self.step(0)
 
     def __enter__(self) -> "Slices":

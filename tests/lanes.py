@@ -16,6 +16,7 @@ from coincid.model.contract.ports import port_bits
 from coincid.slices.library import LANES, library
 from coincid.slices.synthesis import Design
 from coincid.tb.frames import cycle_limit
+from coincid.tools.libraries import Functions, array_at, load
 
 SOURCE = Path(__file__).with_suffix(".cpp")
 OUTCOMES = ("fine", "the bus waits", "never done", "start refused", "no laser", "no tlast", "error told")
@@ -42,23 +43,21 @@ class Lanes:
 
     def __init__(self, sensor: Sensor, design: Design):
         self._sensor = sensor
-        self._library = library(design, LANES[-1], SOURCE, _wiring_header(sensor))
         pointer, i64 = ctypes.c_void_p, ctypes.c_int64
         lists = ctypes.POINTER(pointer)
-        for name, answer, arguments in (
-            ("new", pointer, []),
-            ("delete", None, [pointer]),
-            ("recipe", None, [pointer, *[i64, pointer], *[i64, pointer, pointer, pointer], *[i64, pointer], i64, i64]),
-            ("warm_up", None, [pointer]),
-            ("run", None, [pointer, pointer, ctypes.c_int]),
-            ("rows", i64, [pointer, lists]),
-            ("forget", None, [pointer]),
-            ("beats", i64, [pointer, ctypes.c_int, ctypes.c_int, lists]),
-            ("lasers", i64, [pointer, ctypes.c_int, lists]),
-            ("gates", ctypes.c_uint64, [pointer, ctypes.c_int]),
-        ):
-            function = getattr(self._library, f"lanes_{name}")
-            function.restype, function.argtypes = answer, arguments
+        functions: Functions = {
+            "new": (pointer, []),
+            "delete": (None, [pointer]),
+            "recipe": (None, [pointer, *[i64, pointer], *[i64, pointer, pointer, pointer], *[i64, pointer], i64, i64]),
+            "warm_up": (None, [pointer]),
+            "run": (None, [pointer, pointer, ctypes.c_int]),
+            "rows": (i64, [pointer, lists]),
+            "forget": (None, [pointer]),
+            "beats": (i64, [pointer, ctypes.c_int, ctypes.c_int, lists]),
+            "lasers": (i64, [pointer, ctypes.c_int, lists]),
+            "gates": (ctypes.c_uint64, [pointer, ctypes.c_int]),
+        }
+        self._library = load(library(design, LANES[-1], SOURCE, _wiring_header(sensor)), "lanes", functions)
         self._lanes = self._library.lanes_new()
 
     def __enter__(self) -> "Lanes":
@@ -112,7 +111,7 @@ class Lanes:
     def _list(self, name: str, kind: np.dtype, *which: ctypes.c_int) -> np.ndarray:
         first = ctypes.c_void_p()
         n = getattr(self._library, f"lanes_{name}")(self._lanes, *which, ctypes.byref(first))
-        return np.frombuffer(ctypes.string_at(first, n * kind.itemsize), kind) if n else np.zeros(0, kind)
+        return array_at(first.value, (n,), kind).copy()
 
 
 def _wiring_header(sensor: Sensor) -> str:

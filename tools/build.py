@@ -9,6 +9,7 @@ import sys
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from typing import TypeAlias
 
 from filelock import FileLock
 
@@ -21,6 +22,8 @@ NO_SPACE = os.strerror(errno.ENOSPC)
 FULL_BELOW_BYTES = 1 << 20  # less than any compiler's output
 # Settings of the calling make or shell must not change a build, because its key does not include them.
 COMPILER_VARIABLES = {"MAKEFLAGS", "MFLAGS", "MAKELEVEL", "CXXFLAGS", "CPPFLAGS", "LDFLAGS", "LDLIBS", "VERILATOR_ROOT"}
+
+Compile: TypeAlias = Callable[[Sequence[str]], None]
 
 
 class ToolchainError(InputError):
@@ -54,6 +57,20 @@ def build_once(directory: Path, make: Callable[[Path], None]) -> Path:
             f"build directory {directory.parent}: {_reason(error)}; COINCID_BUILD names another"
         ) from None
     return directory
+
+
+def compile_once(directory: Path, make: Callable[[Path, Compile], None]) -> Path:
+    """As `build_once`, for `make(scratch, run)`, which compiles: `run(command)` runs a compiler as `compile_in` does.
+
+    The log of the last build stays beside the directory.
+    """
+    log = directory.with_name(f"{directory.name}.log")
+
+    def logged(scratch: Path) -> None:
+        log.unlink(missing_ok=True)
+        make(scratch, lambda command: compile_in(scratch, log, command))
+
+    return build_once(directory, logged)
 
 
 def _reason(error: OSError) -> str:
