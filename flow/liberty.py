@@ -3,7 +3,7 @@
 
 Energies are in fJ for one transition, at an input slew of `SLEW_NS`; the mean of rise and fall, and of the conditions that the file tells
 apart. A clock pin's are those of a flip-flop whose data rest, a data pin's those of a flip-flop whose clock is low: what data that move cost
-more behind a clock's edge is there.
+more behind a clock's edge is there. A clock gate's clock pin has the energies of a closed gate; those of an open one are at its output.
 """
 
 import re
@@ -21,6 +21,7 @@ STATEMENT = re.compile(
 )
 CLOCKS = ("CK", "G", "GN")  # pins that open a flip-flop or latch
 DATA = "D"
+CLOSED = re.compile(r"!E & !GCK")  # a clock gate that does not open
 AT_REST = re.compile(r"!D & !Q\b|(?<!!)\bD & Q\b")  # a flip-flop's data equal its output
 
 
@@ -46,7 +47,8 @@ class Energies:
 
 @frozen
 class Pin:
-    """capacitance_ff: of an input; energies: of a transition of this pin, None where the file has none; clock: it clocks its cell."""
+    """capacitance_ff: of an input; energies: of a transition of this pin, None where the file has none; clock: an input clocks its
+    cell, an output is a clock that its cell gates."""
 
     output: bool
     capacitance_ff: float
@@ -107,16 +109,19 @@ def _cell(group: Group) -> Cell:
 def _pin(group: Group) -> Pin:
     name = group.of
     powers = group.groups.get("internal_power", [])
-    if name in CLOCKS:
+    gate = group.values.get("clock_gate_clock_pin") == "true"
+    if gate:
+        powers = [power for power in powers if CLOSED.fullmatch(power.values.get("when", ""))]
+    elif name in CLOCKS:
         powers = [power for power in powers if AT_REST.search(power.values.get("when", "D & Q"))] or powers
     elif name == DATA:
         powers = [power for power in powers if re.search(r"!(CK|G)\b", power.values.get("when", "!CK"))] or powers
-    tables = [table for power in powers for table in _tables(power)]
+    tables = [table for power in powers for table in _tables(power) if table.fj.any()]  # 0: that edge does not occur
     return Pin(
         output=group.values["direction"] == "output",
         capacitance_ff=float(group.values.get("capacitance", 0)),
         energies=_mean(tables) if tables else None,
-        clock=group.values.get("clock") == "true",
+        clock=gate or "true" in (group.values.get("clock"), group.values.get("clock_gate_out_pin")),
     )
 
 

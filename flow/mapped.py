@@ -20,9 +20,9 @@ from ..model.shared.folders import build_root
 from ..model.shared.sources import digest
 from ..tools.build import ToolchainError, build_once
 from ..tools.wheels import run_program, run_yosys
-from .yosys import CELLS_VERSION, LIBERTY, cells_script, put_cells
+from .yosys import CELLS_KEY, LIBERTY, cells_script, put_cells
 
-FLOP, LATCH = re.compile(r"S?DFF"), re.compile(r"DL[HL]|TLAT")
+FLOP, LATCH, GATE = (re.compile(kinds) for kinds in (r"S?DFF", r"DL[HL]|TLAT", "CLKGATE"))
 MACRO = re.compile(r"(?:\$paramod\S*\\)?(coincid_(?:phases|window|delay|mutex))\b")
 NETLIST = "netlist.v"
 LONGEST_PATHS = """\
@@ -33,6 +33,9 @@ set latches [all_registers -level_sensitive -data_pins]
 if {[llength $latches]} {report_checks -path_delay max -to $latches}
 puts "OPENING"
 report_checks -path_delay max -path_group **clock_gating_default**
+puts "ENABLES"
+set enables [get_pins -quiet -hierarchical */E]
+if {[llength $enables]} {report_checks -path_delay max -to $enables}
 """
 
 
@@ -51,17 +54,20 @@ class Mapped:
         return sum(n for name, n in self.cells.items() if kind.match(name))
 
 
-def map_block(unit: Unit, view: View = POLYPHASE, changed: Mapping[str, str] | None = None) -> Mapped:
+def map_block(
+    unit: Unit, view: View = POLYPHASE, changed: Mapping[str, str] | None = None, gated: bool = True
+) -> Mapped:
     """Map a block to standard cells, once for the state of its Verilog; memories are latches, macros are black boxes.
 
-    changed: file name -> text that replaces or supplements the block's own files. Raises `ToolchainError`.
+    changed: file name -> text that replaces or supplements the block's own files; gated: as in `cells_script`. Raises
+    `ToolchainError`.
     """
     files = units_files([unit], latches=True)
     files |= {path.name: path.read_text() for path in (*view.cells, *view.macros)} | dict(changed or {})
     script = "\n".join(
         [
             f"read_verilog -sv {' '.join(files)}",
-            *cells_script(unit.unit_name, flatten=True),
+            *cells_script(unit.unit_name, flatten=True, gated=gated),
             f"tee -q -o stat.json stat -json -liberty {LIBERTY}",
             f"write_verilog -simple-lhs -noexpr -noattr {NETLIST}",
             "",
@@ -74,7 +80,7 @@ def map_block(unit: Unit, view: View = POLYPHASE, changed: Mapping[str, str] | N
         put_cells(folder)
         run_yosys(folder, script)
 
-    key = digest(script, CELLS_VERSION, *(part for item in sorted(files.items()) for part in item))
+    key = digest(script, CELLS_KEY, *(part for item in sorted(files.items()) for part in item))
     folder = build_once(build_root() / "mapped" / f"{unit.unit_name}-{key}", make)
     statistics = json.loads((folder / "stat.json").read_text())["modules"][f"\\{unit.unit_name}"]
     cells, macros = Counter[str](), Counter[str]()
@@ -90,8 +96,14 @@ def map_block(unit: Unit, view: View = POLYPHASE, changed: Mapping[str, str] | N
 def slack_ns(folder: Path, block: str, clock_ns: float) -> float:
     """Return the least slack between registers of a block, by OpenSTA without wires; `folder` has the netlist.
 
-    A latch may take its data until it closes. The lines that open latches must be at rest by mid-cycle.
+    A latch may take its data until it closes. The lines that open latches must be at rest by mid-cycle, and the enables of
+    clock gates by the cycle's end. The clock is ideal, behind a clock gate as well.
     """
+    return min(slacks_ns(folder, block, clock_ns).values())
+
+
+def slacks_ns(folder: Path, block: str, clock_ns: float) -> dict[str, float]:
+    """Return the least slacks of a block as in `slack_ns`, by the kind of end: `FLOPS`, `LATCHES`, `OPENING`, `ENABLES`."""
     # OpenSTA knows no parameters.
     (folder / f"{block}.timed.v").write_text(re.sub(r"#\(\n(?:    \..*\n)*  \) ", "", (folder / NETLIST).read_text()))
     script = f"""\
@@ -103,19 +115,21 @@ create_clock -name clk -period {clock_ns} [get_ports clk]
     (folder / f"{block}.tcl").write_text(script)
     report = run_program(["sta", "-exit", f"{block}.tcl"], folder, "sta")
     errors = [line for line in report.splitlines() if line.startswith("Error")]
-    found = least_slack_ns(report)
-    if errors or found is None:
+    found = least_slacks_ns(report)
+    if errors or not found:
         raise ToolchainError(f"sta: {(errors or [f'no path in {block}'])[0]}")
     return found
 
 
-def least_slack_ns(report: str) -> float | None:
-    """Return the least slack of what `LONGEST_PATHS` reported; None: there is no path."""
-    _, *parts = re.split(r"^(?:FLOPS|LATCHES|OPENING)$", report, flags=re.MULTILINE)
-    found = [re.findall(r"(-?[\d.]+) +slack", part) for part in parts]
-    if not found[0]:
-        return None
-    slacks = [float(n) for n in found[0] + found[2]]
-    lent = re.findall(r"^(?:max|actual) time borrow +(-?[\d.]+)", parts[1], re.MULTILINE)
-    slacks += [float(lent[0]) - float(lent[1])] if len(lent) == 2 else [float(n) for n in found[1]]
-    return min(slacks)
+def least_slacks_ns(report: str) -> dict[str, float]:
+    """Return the least slacks of what `LONGEST_PATHS` reported, by the kind of end. Kinds without a path are left out."""
+    _, *parts = re.split(r"^(FLOPS|LATCHES|OPENING|ENABLES)$", report, flags=re.MULTILINE)
+    slacks = {}
+    for kind, part in zip(parts[::2], parts[1::2]):
+        found = [float(n) for n in re.findall(r"(-?[\d.]+) +slack", part)]
+        lent = re.findall(r"^(?:max|actual) time borrow +(-?[\d.]+)", part, re.MULTILINE)
+        if kind == "LATCHES" and len(lent) == 2:
+            found = [float(lent[0]) - float(lent[1])]
+        if found:
+            slacks[kind] = min(found)
+    return slacks

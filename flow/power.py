@@ -4,13 +4,12 @@
 The netlist is the hierarchical one of `synth.py`, so that every block has its own sum. Icarus plays frames through it, checked against the
 golden model, and dumps every net. Three parts, of every cell, make the power: transitions of its outputs and inputs times the energies of
 `liberty.py`; transitions of the nets times half the capacitance of the pins, and of the wires where `wire_ff` is given, times the supply
-squared; leakage. NanGate 45 nm, typical corner (1.1 V, 25 degrees C). A net of the clock counts where its pins are. The simulation has no
-delays, so a net moves at most once for each edge of the clock: glitches are not counted. There is no clock tree.
+squared; leakage. NanGate 45 nm, typical corner (1.1 V, 25 degrees C). A net of the clock, gated or not, counts where its pins are. The
+simulation has no delays, so a net moves at most once for each edge of the clock: glitches are not counted. There is no clock tree.
 """
 
 import json
-from bisect import bisect_right
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from io import BufferedIOBase
 from operator import add
 from pathlib import Path
@@ -33,7 +32,7 @@ from .synth import CELLS, synthesize
 from .yosys import LIBERTY
 
 FLAT, NETLIST = "flat.json", "netlist.v"
-CLOCK, LASER = "clk", "laser"
+CLOCK, RESET, LASER = "clk", "rst", "laser"
 MW_PER_FJ_MHZ = 1e-6  # fJ * MHz
 MW_PER_NW = 1e-6
 Toggles: TypeAlias = Mapping[
@@ -134,14 +133,12 @@ def in_ps(frames: list[FrameJob]) -> int:
 
 
 def transitions(vcd: BufferedIOBase, pulses: int, frame_cycles: list[int], cycle_ps: int) -> Toggles:
-    """Transitions of every net of a VCD in each frame. A frame begins as `LASER` rises for its first pulse."""
+    """Transitions of every net of a VCD in each frame. A frame begins as `LASER` rises for its first pulse, after the reset."""
     nets: dict[str, str] = {}  # net -> identifier in the file
     counts: dict[str, np.ndarray] = {}
-    last: dict[str, np.ndarray] = {}
-    begins: list[int] = []
     scope: list[str] = []
-    now, rises, frame = 0, 0, -1
-    for kind, _, declared in tokenize(vcd):
+    tokens = tokenize(vcd)
+    for kind, _, declared in tokens:
         data: Any = declared  # its type depends on the kind
         if kind is TokenKind.SCOPE:
             scope.append(data.ident.lstrip("\\"))
@@ -150,29 +147,42 @@ def transitions(vcd: BufferedIOBase, pulses: int, frame_cycles: list[int], cycle
         elif kind is TokenKind.VAR:
             nets[".".join([*scope[1:], data.reference.lstrip("\\")])] = data.id_code
             counts[data.id_code] = np.zeros((len(frame_cycles), data.size), np.int64)
-        elif kind is TokenKind.CHANGE_TIME:
-            now = data
-            frame = bisect_right(begins, now) - 1
-            if frame >= 0 and now >= begins[frame] + frame_cycles[frame] * cycle_ps:
-                frame = -1
-        elif kind is TokenKind.CHANGE_SCALAR and data.value in "01":
-            if data.id_code == nets[LASER] and data.value == "1":
-                if rises % pulses == 0:
-                    begins.append(now)
-                    frame = len(begins) - 1
-                rises += 1
-            if frame >= 0:
-                counts[data.id_code][frame, 0] += 1
-        elif kind is TokenKind.CHANGE_VECTOR:
-            count = counts[data.id_code]
-            text = data.value if isinstance(data.value, str) else f"{data.value:b}"  # a number, unless bits are x or z
-            value = np.frombuffer(text.rjust(count.shape[1], "0").encode(), np.uint8)[::-1]
-            if frame >= 0 and data.id_code in last:
-                count[frame] += value != last[data.id_code]
-            last[data.id_code] = value
+        elif kind is TokenKind.ENDDEFINITIONS:
+            break
+    last = {code: np.zeros(count.shape[1], np.uint8) for code, count in counts.items()}
+    begins: list[int] = []
+    rises, reset_seen = 0, False
+    for now, values in _steps(tokens):
+        in_reset = last[nets[RESET]][0] == ord("1")
+        reset_seen |= in_reset
+        if reset_seen and not in_reset and values.get(nets[LASER]) == "1":
+            if rises % pulses == 0:
+                begins.append(now)
+            rises += 1
+        frame = len(begins) - 1
+        counted = 0 <= frame < len(frame_cycles) and now < begins[frame] + frame_cycles[frame] * cycle_ps
+        for code, text in values.items():
+            value = np.frombuffer(text.rjust(counts[code].shape[1], "0").encode(), np.uint8)[::-1]
+            if counted:
+                counts[code][frame] += value != last[code]
+            last[code] = value
     if len(begins) != len(frame_cycles):
         raise ToolchainError(f"power: the simulation shows {len(begins)} frames of {len(frame_cycles)}")
     return {name: counts[code] for name, code in nets.items()}
+
+
+def _steps(tokens: Iterator[Any]) -> Iterator[tuple[int, dict[str, str]]]:
+    """The changes of a VCD by time: the time, and the new values by identifier, highest bit first."""
+    now, values = 0, dict[str, str]()
+    for kind, _, data in tokens:
+        if kind is TokenKind.CHANGE_TIME:
+            if values:
+                yield now, values
+            now, values = data, {}
+        elif kind in (TokenKind.CHANGE_SCALAR, TokenKind.CHANGE_VECTOR):
+            values[data.id_code] = data.value if isinstance(data.value, str) else f"{data.value:b}"
+    if values:
+        yield now, values
 
 
 def power(
@@ -189,30 +199,42 @@ def power(
             pin = of.library[instance.kind].pins[name]
             if not pin.output:
                 loads[net] = loads.get(net, 0.0) + pin.capacitance_ff + wire_ff
-    clock_net = next(net for net, names in of.names.items() if (CLOCK, 0) in names)
+    clock_nets = {next(net for net, names in of.names.items() if (CLOCK, 0) in names)}
+    clock_nets |= {
+        net
+        for instance in of.instances
+        for name, net in instance.nets.items()
+        if (pin := of.library[instance.kind].pins[name]).clock and pin.output
+    }
     per_cycle = MW_PER_FJ_MHZ * clock_mhz / cycles
     half = of.supply_v**2 / 2
     sums: dict[str, Power] = {}
     for instance in of.instances:
         cell = of.library[instance.kind]
         clock = internal = switching = 0.0
-        at_output = 0  # transitions of its output
+        at_clock = at_output = 0  # transitions of its clock, and of its output
+        gated = [net for name, net in instance.nets.items() if cell.pins[name].clock and cell.pins[name].output]
+        passed = sum(moves[net] for net in gated)  # transitions of the clock that a gate lets through
         for name, net in instance.nets.items():
             pin, count = cell.pins[name], moves[net]
             energy = pin.energies.at(loads.get(net, 0.0)) if pin.energies else 0.0
-            if pin.clock:
+            if pin.clock and pin.output:
                 clock += count * energy
+                continue
+            if pin.clock:
+                at_clock = max(at_clock, count)
+                clock += (count - passed) * energy
             else:
                 internal += count * energy
             if pin.output:
                 switching += count * half * loads.get(net, 0.0)
                 at_output = max(at_output, count)
-            elif net == clock_net:
+            elif net in clock_nets:
                 clock += count * half * (pin.capacitance_ff + wire_ff)
         for name, pin in cell.pins.items():  # an output without a net moves as the other one does
             if pin.output and name not in instance.nets and pin.energies:
                 internal += at_output * pin.energies.at(0.0)
-        idle = clock * (1 - at_output / cycles) if any(pin.clock for pin in cell.pins.values()) else 0.0
+        idle = clock * (1 - min(1, at_output / (at_clock / 2))) if at_clock and not gated else 0.0
         clock, internal, switching, idle = (per_cycle * fj for fj in (clock, internal, switching, idle))
         own = Power(clock, internal, switching, MW_PER_NW * cell.leakage_nw, idle)
         sums[instance.block] = sums.get(instance.block, Power()) + own

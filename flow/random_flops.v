@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Flip-flops and latches of the netlists: their initial values are random, and they take a random value for an unknown input.
+// Flip-flops, latches and clock gates of the netlists: their initial values are random, and they take a random value for an unknown input.
 // Where a simulation has delays, theirs come from its SDF file.
 
 module \$_DFF_P_ (
@@ -44,4 +44,63 @@ module DLH_X1 (
     (D => Q) = (0, 0);
     (posedge G => (Q +: D)) = (0, 0);
   endspecify
+endmodule
+
+module random_clock_gate (
+    input  CK,
+    input  E,
+    output GCK
+);
+  reg state;
+  initial state = $random;
+  always @* if (!CK) state = E === 1'b0 || E === 1'b1 ? E : $random;
+  and (GCK, CK, state);
+endmodule
+
+module CLKGATE_X1 (
+    input  CK,
+    input  E,
+    output GCK
+);
+  random_clock_gate gate (
+      .CK (CK),
+      .E  (E),
+      .GCK(GCK)
+  );
+endmodule
+
+module CLKGATE_X2 (
+    input  CK,
+    input  E,
+    output GCK
+);
+  random_clock_gate gate (
+      .CK (CK),
+      .E  (E),
+      .GCK(GCK)
+  );
+endmodule
+
+module CLKGATE_X4 (
+    input  CK,
+    input  E,
+    output GCK
+);
+  random_clock_gate gate (
+      .CK (CK),
+      .E  (E),
+      .GCK(GCK)
+  );
+endmodule
+
+module CLKGATE_X8 (
+    input  CK,
+    input  E,
+    output GCK
+);
+  random_clock_gate gate (
+      .CK (CK),
+      .E  (E),
+      .GCK(GCK)
+  );
 endmodule

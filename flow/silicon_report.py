@@ -77,7 +77,7 @@ def mapped(folder: Path, top: str) -> dict[str, int]:
         folder,
         f"read_liberty -lib {LIBERTY}",
         f"read_verilog -sv {files}",
-        *cells_script(top),
+        *cells_script(top, gated=False),
         "check -assert",
         "tee -q -o cells.json stat -json",
         f"write_verilog -noexpr -noattr -simple-lhs {MAPPED}",

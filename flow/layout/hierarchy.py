@@ -20,7 +20,7 @@ from ...hdl.unit import Unit
 from ...model.shared.folders import build_root
 from ...model.shared.sources import digest
 from ...tools.build import ToolchainError, build_once
-from ..yosys import CELLS_VERSION
+from ..yosys import CELLS_KEY
 from . import buffers, drawn, flow, wires
 from .delays import shell
 from .drawn import Placed, Strips
@@ -72,7 +72,7 @@ def lay_out(unit: Unit, leaf: Unit, layout: flow.Layout, clock_mhz: float, tell:
     declared = "".join(f"  {way} {name};\n" for name, way in ports.items())
     files["macro.v"] = f"(* blackbox *)\nmodule {kind} ({', '.join(ports)});\n{declared}endmodule\n"
     own = (path.read_text() for path in sorted(Path(__file__).parent.glob("*.py")) if path.stem != "page")
-    state = CELLS_VERSION, str(clock_mhz), layout.folder.name
+    state = CELLS_KEY, str(clock_mhz), layout.folder.name
     key = digest(*state, *own, *(part for item in sorted(files.items()) for part in item))
 
     def make(folder: Path) -> None:

@@ -36,7 +36,7 @@ def write_page(path: Path, tell: Callable[[str], None]) -> None:
     units: list[tuple[Unit, View]] = [(Minigroup(config.sensor), POLYPHASE)]
     units.append((AsyncMinigroup(config.sensor), VIEWS["async"].at(config.clock_mhz)))
     layouts = [lay_out(unit, config.clock_mhz, tell, view) for unit, view in units]
-    mapped = [map_block(unit, view) for unit, view in units]
+    mapped = [map_block(unit, view, gated=False) for unit, view in units]
     slacks = [slack_ns(block.folder, block.name, clock_ns) for block in mapped]
     placed = [
         hierarchy.lay_out(unit, units[0][0], layouts[0], config.clock_mhz, tell)

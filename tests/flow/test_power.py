@@ -37,6 +37,7 @@ VCD = b"""\
 $timescale 1ps $end
 $scope module top $end
 $var wire 1 ! laser $end
+$var wire 1 $ rst $end
 $var wire 2 " bus [1:0] $end
 $scope module inner $end
 $var wire 1 # net $end
@@ -44,9 +45,20 @@ $upscope $end
 $upscope $end
 $enddefinitions $end
 #0
-0!
+x!
+x$
 b0 "
 0#
+#200
+1!
+1$
+#400
+0!
+#600
+1!
+#800
+0!
+0$
 #1000
 1#
 b11 "
@@ -57,8 +69,8 @@ b1 "
 0!
 0#
 #6000
-1!
 b10 "
+1!
 1#
 #9000
 0#
@@ -80,6 +92,7 @@ def test_liberty_at_its_slew_and_load(tmp_path):
 
 
 def test_transitions_of_frames_only():
+    """The laser's first rises are those of its random state before the reset."""
     toggles = transitions(BytesIO(VCD), 1, [3, 2], 1000)
     assert toggles["laser"].tolist() == [[2], [1]]
     assert toggles["inner.net"].tolist() == [[1], [1]]  # not what came before a frame, nor after it
@@ -117,6 +130,25 @@ def test_sum_by_hand():
         power(flop_and_buffer(), {"clk": toggles["clk"], "q": toggles["a.q"]}, 0, 10, 100.0)
 
 
+def test_a_gated_flip_flop_by_hand():
+    """clk clocks a gate, which clocks a flip-flop in two of ten cycles; the flip-flop changes in one of them."""
+    closed, passed = (Energies(np.zeros(1), np.full(1, fj)) for fj in (2.0, 5.0))
+    clock = Pin(False, 1.0, Energies(np.zeros(1), np.full(1, 3.0)), True)
+    library = {
+        "GATE": Cell(0.0, {"CK": Pin(False, 4.0, closed, True), "GCK": Pin(True, 0.0, passed, True)}),
+        "DFF": Cell(0.0, {"CK": clock, "Q": Pin(True, 0.0, None, False)}),
+    }
+    instances = [Instance("gate", "GATE", {"CK": 2, "GCK": 3}), Instance("flop", "DFF", {"CK": 3, "Q": 4})]
+    names = {2: [("clk", 0)], 3: [("gated", 0)], 4: [("q", 0)]}
+    toggles = {"clk": np.array([[20]]), "gated": np.array([[4]]), "q": np.array([[1]])}
+    of = power(Design([""], instances, names, library, 2.0), toggles, 0, 10, 100.0)
+    per_fj = 1e-6 * 100.0 / 10
+    assert of["gate"].total == of["gate"].clock == pytest.approx(per_fj * (16 * 2.0 + 4 * 5.0 + 20 * 2.0 * 4.0))
+    assert of["flop"].total == of["flop"].clock == pytest.approx(per_fj * (4 * 3.0 + 4 * 2.0 * 1.0))
+    assert of["flop"].idle == pytest.approx(of["flop"].clock / 2)
+    assert of["gate"].idle == 0
+
+
 def test_blocks_of_the_table():
     assert group_of("module_0.subgroup_0.tree.minigroup_3.stamp") == "minigroups (16)"
     assert group_of("module_0.subgroup_0.fifo.storage") == "FIFO"
@@ -133,3 +165,12 @@ def test_a_flip_flop_of_the_library():
     assert clock.clock
     assert clock.energies.at(0) == pytest.approx((2.434 + 4.495 + 2.623 + 4.264) / 4, abs=0.01)
     assert flop.leakage_nw == pytest.approx(79.11, abs=0.01)
+
+
+@pytest.mark.skipif(cells_folder() is None, reason="standard cells (scripts/setup cells) are not installed")
+def test_a_clock_gate_of_the_library():
+    """Closed, its clock pin takes the energies that stand in the file; open, those of its output."""
+    gate = read_cells(cells_folder() / LIBERTY, {"CLKGATE_X1"})["CLKGATE_X1"]
+    assert gate.pins["CK"].clock and gate.pins["GCK"].clock and not gate.pins["E"].clock
+    assert gate.pins["CK"].energies.at(0) == pytest.approx((3.615 + 1.301) / 2, abs=0.01)
+    assert gate.pins["GCK"].energies.at(0) > gate.pins["CK"].energies.at(0)
