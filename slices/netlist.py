@@ -6,7 +6,8 @@ states: what Yosys leaves undefined is 0.
 """
 
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
+from functools import cache
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -198,22 +199,30 @@ def _inits(module: Mapping[str, Any]) -> dict[int, int]:
 
 
 def _reduced(inputs: Nets, outputs: Nets, bits: int) -> Table:
-    """Return a table without constant inputs, and without those that change nothing."""
-    kept = list(inputs)
-    for k in reversed(range(len(kept))):
-        low, high = (_half(bits, len(kept), k, value) for value in (0, 1))
-        if kept[k] in (ZERO, ONE):
-            bits = (low, high)[kept.pop(k)]
-        elif low == high:
-            bits = low
-            kept.pop(k)
-    return Table(tuple(kept), outputs, bits)
+    """Return a table whose inputs are no constants, all different, and each of them can change its value."""
+    nets = list(dict.fromkeys((ZERO, ONE, *inputs)))
+    kept, bits = _needed(tuple(map(nets.index, inputs)), bits)
+    return Table(tuple(nets[k] for k in kept), outputs, bits)
 
 
-def _half(bits: int, inputs: int, k: int, value: int) -> int:
-    """Return the function that is left if input `k` has a value."""
-    rows = [row for row in range(1 << inputs) if row >> k & 1 == value]
-    return sum((bits >> row & 1) << i for i, row in enumerate(rows))
+@cache
+def _needed(inputs: Nets, bits: int) -> tuple[Nets, int]:
+    """Return the inputs that can change a function's value, and the function of them."""
+
+    def function(of: Sequence[int], ones: Nets = ()) -> int:
+        """Return the function of some inputs if the others are 0, except for `ones`."""
+        found = 0
+        for row in range(1 << len(of)):
+            is_one = {ONE, *ones, *(net for i, net in enumerate(of) if row >> i & 1)}
+            found |= (bits >> sum((net in is_one) << i for i, net in enumerate(inputs)) & 1) << row
+        return found
+
+    kept = sorted({*inputs} - {ZERO, ONE})
+    for net in list(kept):
+        others = [other for other in kept if other != net]
+        if function(others) == function(others, (net,)):
+            kept = others
+    return tuple(kept), function(kept)
 
 
 def _memory(block: str, parameters: Mapping[str, str], nets: Mapping[str, Nets], clock: Nets) -> Memory:

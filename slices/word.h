@@ -34,6 +34,7 @@ static inline bool any(W x) {
 
 // A function of two or three words; bit a + 2 b + 4 c of BITS is its value.
 template <unsigned BITS> static inline W table(W a) {
+    static_assert(BITS == 1 || BITS == 2);
     if constexpr (BITS == 1) return ~a;
     else return a;
 }
