@@ -38,9 +38,39 @@ SCENES = {  # name: controls that are the scene's parameters
 SUN = ("everywhere", "left half", "picture")
 SLIDERS = {"klux": 100, "threshold": 16, "window": 64}  # control: upper end of its slider
 PULSES_MAX, FRAMES_MAX, KLUX_MAX = 10_000, 64, 200
+_OWN = ("flat", "two-targets", "two-returns")  # scenes whose surfaces are set
+_CONTROLLED: "Needs" = ({"coincidence": (True,), "auto": (True,)},)
+_GATED: "Needs" = ({"gating": (True,)},)
+_STEPPED: "Needs" = ({"gating": (True,), "gate_every": None},)
+_RECORDS: "Needs" = ({"minigroup_records": (True,)},)
+_STAMPED: "Needs" = (*_RECORDS, {"format": ("full", "compact-full")})
+NEEDS: dict[str, "Needs"] = {  # control: when it has an effect
+    "auto": ({"coincidence": (True,)},),
+    "threshold": ({"coincidence": (True,), "auto": (False,)},),
+    "window": ({"coincidence": (True,)},),
+    "threshold_floor": _CONTROLLED,
+    "capacity": _CONTROLLED,
+    "near_m": ({"scene": _OWN},),
+    "far_m": ({"scene": ("two-targets", "two-returns")},),
+    "reflectivity": ({"scene": (*_OWN, "upload")},),
+    "shade": ({"scene": ("sun-and-shade", "tunnel")},),
+    "shade_klux": ({"sun": ("left half", "picture")},),
+    "gate_start": _GATED,
+    "gate_len": _GATED,
+    "spad_gate": _GATED,
+    "gate_every": _GATED,
+    "gate_step": _STEPPED,
+    "gate_steps": _STEPPED,
+    "dither_seed": ({"dither_bits": None},),
+    "mg_threshold": _RECORDS,
+    "mg_window": _RECORDS,
+    "offset_phases": _STAMPED,
+}
 FURTHER = "Further"  # group of the settings that are not described here
 
 Value: TypeAlias = int | float | str | bool
+# Alternatives; each gives the values of other controls that must hold together, None: any but 0.
+Needs: TypeAlias = "tuple[dict[str, tuple[Value, ...] | None], ...]"
 
 
 @frozen
@@ -69,6 +99,17 @@ class Control:
         """Return range and unit."""
         low, high = SETTINGS[self.name].limits(sensor) if self.where else (self.low, self.high)
         return f"{low:.10g} to {high:.10g} {self.unit}".strip()
+
+    @property
+    def needs(self) -> list[dict[str, list[str] | None]]:
+        """Return its `NEEDS` in the text of the page's fields; empty: it always has an effect."""
+        return [
+            {
+                name: given and [str(one).lower() if isinstance(one, bool) else str(one) for one in given]
+                for name, given in one.items()
+            }
+            for one in NEEDS.get(self.name, ())
+        ]
 
     @property
     def slide(self) -> float:
@@ -113,7 +154,7 @@ _DESCRIBED: tuple[Control, ...] = (
     _key("coincidence", "Threshold", "Coincidence",
          "On: photons count only if enough pixels of a subgroup fire within a window. Off: every photon is an event."),
     _key("threshold", "Threshold", "Threshold",
-         "Pixels that must fire within a window. Low lets sunlight through, high loses dark and far objects."),
+         "Pixels that must fire within a window. Low lets sunlight through, high loses dark and far objects. The controller begins with it."),
     _key("auto", "Threshold", "Controller", "Sets every subgroup's threshold anew after each frame; watch it over several frames."),
     _key("window", "Threshold", "Window", "How long the tree waits for more pixels after a first photon; 16 ticks are 1 ns."),
     _choice("scene", "Scene", "Scene", SCENES, "What the sensor looks at: planes that face it, or your own depth picture."),

@@ -16,6 +16,18 @@ function write(name, value) {
   if (slider) slider.value = value;
 }
 
+// Fields without an effect under the present settings are disabled; their values stay.
+function settle() {
+  for (const control of all("[data-needs]")) {
+    const met = ([name, legal]) => legal ? legal.includes(read(field(name))) : !["", "0"].includes(read(field(name)));
+    const off = !JSON.parse(control.dataset.needs).some((one) => Object.entries(one).every(met));
+    control.classList.toggle("dormant", off);
+    control.querySelectorAll("input, select").forEach((input) => { input.disabled = off; });
+  }
+  const uploads = {depth: field("scene").value === "upload", colour: field("scene").value === "upload", sun: field("sun").value === "picture"};
+  for (const [kind, used] of Object.entries(uploads)) document.querySelector(`[data-upload=${kind}]`).classList.toggle("dormant", !used);
+}
+
 function say(selector, text) {
   const place = $(selector);
   place.textContent = text;
@@ -29,6 +41,7 @@ function state(name) {
 
 function ask() {
   asked += 1;
+  settle();
   state("asked");
   for (const place of ["#rtl", "#said"]) say(place, "");
   clearTimeout(waiting);
@@ -65,6 +78,7 @@ function tell(answer) {
   $("[data-do=drop_a]").hidden = !answer.ab;
   $("#a-says").textContent = answer.a_says;
   $("#story").textContent = answer.story;
+  $("#where").textContent = answer.where;
   fillTable("objects", answer.object_heads, answer.objects);
   fillTable("numbers", answer.number_heads, answer.numbers);
   for (const [name, span] of Object.entries(answer.spans)) $(`[data-control="${name}"] small`).textContent = span;
@@ -145,6 +159,7 @@ function gone() {
 function explorer(model) {
   link = model;
   for (const [name, value] of Object.entries(link.start)) write(name, value);
+  say("#ignored", link.ignored);
   const on = (name, call) => link.properties[name].change.connect(call);
   on("answer", answered); on("progress", progressed); on("rtl", checked); on("file", saved);
   on("told", () => { if (link.told.number === asked) tell(link.told); });
@@ -162,17 +177,26 @@ function explorer(model) {
       const about = event.target.closest("[data-control]")?.querySelector(".about");
       if (about) $("#about").textContent = about.textContent;
     });
+    for (const button of all("[data-says]")) button.addEventListener(kind, () => { $("#about").textContent = button.dataset.says; });
   }
+  $("#fold").addEventListener("click", () => {
+    $("#fold").setAttribute("aria-expanded", document.body.toggleAttribute("data-unfolded"));
+  });
   $("#controls").addEventListener("submit", (event) => event.preventDefault());
   all("[data-kind]").forEach((input) => input.addEventListener("change", () => upload(input)));
   all("[data-do]").forEach((button) => button.addEventListener("click", () => {
     if (button.dataset.do === "reset") {
       for (const [name, value] of Object.entries(link.defaults)) write(name, value);
+      all("[data-kind]").forEach((input) => { input.value = ""; });
+      $("#tried").textContent = "";
+      say("#ignored", "");
+      order("forget");
       ask();
     } else order(button.dataset.do);
   }));
   all("[data-try]").forEach((button) => button.addEventListener("click", () => {
     for (const [name, value] of Object.entries({...link.defaults, ...JSON.parse(button.dataset.try)})) write(name, value);
+    $("#tried").textContent = button.dataset.says;
     ask();
   }));
   all("[data-look]").forEach((input) => input.addEventListener("input", () => order("look", {name: input.dataset.look, value: input.value})));

@@ -26,11 +26,11 @@ from ...model.shared.errors import InputError, check_integer
 from ..show.figures import FATE_MARKS, VERDICT_MARKS, Views
 from ..show.frame import FrameView
 from ..show.page import FILES, SHOW
-from ..show.words import OBJECT_HEADS, number_rows, object_table, story
+from ..show.words import OBJECT_HEADS, number_rows, object_table, story, where_to_look
 from . import out
 from .controls import CONTROLS, DEFAULTS, GROUPS
 from .run import Explored, Explorer, Runner, check_on_rtl
-from .settings import SettingError, Settings, check_settings, command, query, values_of_text
+from .settings import SettingError, Settings, by_labels, check_settings, command, query, values_of_text
 from .uploads import Uploads
 
 FIRST_LOOK = {"row": 14, "col": 10, "pulse": 0, "frame": 0, "which": "B"}
@@ -49,6 +49,7 @@ class Link(DataModel):  # type: ignore[misc]  # Bokeh comes with an extra
 
     start = Dict(String, AnyValue)
     defaults = Dict(String, AnyValue)
+    ignored = String()
     asked = Dict(String, AnyValue)
     order = Dict(String, AnyValue)
     answer = Dict(String, AnyValue)
@@ -69,16 +70,19 @@ def _template() -> Template:
 class Page:
     """The page in one browser tab."""
 
-    def __init__(self, doc: Document, start: dict[str, Any] | None = None, uploads: Uploads | None = None) -> None:
+    def __init__(
+        self, doc: Document, start: dict[str, Any] | None = None, uploads: Uploads | None = None, ignored: str = ""
+    ) -> None:
+        """ignored: what the page says of the link with which it was opened."""
         self.doc = doc
         self.views = Views(compared=True)
-        self.link = Link(start=DEFAULTS | (start or {}), defaults=DEFAULTS)
+        self.link = Link(start=DEFAULTS | (start or {}), defaults=DEFAULTS, ignored=ignored)
         self.uploads = uploads or Uploads()
         self.bad_uploads: dict[str, str] = {}  # kind: fault of the file
         self.look: dict[str, Any] = dict(FIRST_LOOK)
         self._shown: Explored | None = None
         self.a: Explored | None = None
-        self.number = 0
+        self.number = self._files = 0
         self._explorer = Explorer()
         self._folder = tempfile.TemporaryDirectory(prefix="coincid-explore-")
         self._runner = Runner(lambda *what: self._soon(self._computed, *what))
@@ -140,7 +144,8 @@ class Page:
                 raise SettingError(self.bad_uploads[kind], control)
 
     def _refuse(self, error: InputError) -> None:
-        self.link.answer = {"number": self.number, "refused": str(error), "control": getattr(error, "control", None)}
+        control = getattr(error, "control", None)
+        self.link.answer = {"number": self.number, "refused": by_labels(str(error)), "control": control}
 
     def _computed(self, run: int, kind: str, outcome: Any) -> None:
         if run not in self._asked_by_run:
@@ -199,6 +204,7 @@ class Page:
             "status": f"{_summary(settings)} · {self.shown.seconds:.2f} s, golden model",
             "query": query(settings),
             "story": story(view),
+            "where": where_to_look(view),
             "objects": object_table(*views),
             "object_heads": [*OBJECT_HEADS[:-1], f"{OBJECT_HEADS[-1]} {heads[0]}".strip(), *heads[1:]],
             "numbers": number_rows(*views),
@@ -207,7 +213,7 @@ class Page:
             "a_says": f"A: {_summary(self.a.settings)}" if self.a is not None else "",
             "frames": settings.config.frames,
             "spans": {c.name: settings.told(c) for c in CONTROLS if c.where and c.kind == "integer"},
-            "look": self.look,
+            "look": dict(self.look),  # a copy: Bokeh sends what has changed since the last one
         }
 
     # Orders from buttons and fields
@@ -216,6 +222,8 @@ class Page:
         name, what = order["name"], order["what"]
         if name == "upload":
             self._upload(**what)
+        elif name == "forget":
+            self.uploads, self.bad_uploads = Uploads(), {}
         elif self._shown is not None:
             done: dict[str, Callable[..., None]] = {
                 "keep_a": self._keep_a,
@@ -285,7 +293,9 @@ class Page:
             self.link.said = {"number": self.number, "text": command(self.shown.settings)}
             return
         name, media, content = out.SAVES[kind].make(self.shown, self.look["frame"])
-        self.link.file = {"name": name, "type": media, "base64": base64.b64encode(content).decode()}
+        self._files += 1  # the same file once more is a change, too
+        number, text = self._files, base64.b64encode(content).decode()
+        self.link.file = {"number": number, "name": name, "type": media, "base64": text}
 
 
 def _summary(settings: Settings) -> str:

@@ -20,7 +20,7 @@ from tornado.web import ErrorHandler
 
 from ...model.shared.errors import InputError, check_integer
 from .page import Page
-from .settings import Settings, values_of_text
+from .settings import Settings, values_of_link
 
 ADDRESS, PORT = "127.0.0.1", 5006
 PORTS_TRIED = 20  # from `PORT` on, if none is given
@@ -54,11 +54,10 @@ def make_server(port: int | None = None, start: Settings | None = None) -> tuple
             name: values[-1].decode("utf-8", "replace")
             for name, values in doc.session_context.request.arguments.items()
         }
-        try:
-            given = values_of_text({name: text for name, text in arguments.items() if not name.startswith("bokeh-")})
-        except InputError:
-            given = {}  # an old link: the page shows a message
-        Page(doc, (start.values if start else {}) | given, start.uploads if start else None)
+        given, ignored = values_of_link(
+            {name: text for name, text in arguments.items() if not name.startswith("bokeh-")}
+        )
+        Page(doc, (start.values if start else {}) | given, start.uploads if start else None, ignored)
 
     tornado = Guarded(
         {"/": Application(FunctionHandler(new_page))},

@@ -52,14 +52,18 @@ class Settings:
         return {name: value for name, value in self.values.items() if value != DEFAULTS[name]}
 
     def told(self, control: Control) -> str:
-        """Return range and unit of a control of the configuration; and its value, if that is less than the default shown."""
+        """Return range and unit of a control of the configuration; and its value, if that is less than the default shown or a time."""
         assert control.where is not None
         table, key = control.where
         config, shown = self.config, self.values[control.name]
         value = {"sensor": config.sensor, "subgroup": config}.get(table)
         now = config.frame[key] if value is None else np.ravel(getattr(value, key))[0]
         range_told = control.span(config.sensor)
-        return range_told if shown is None or now == shown else f"{range_told}; now {now}"
+        now_told = f"now {now}" if shown is not None and now != shown else ""
+        ticks = {"ticks": 1, "cycles": config.sensor.phases}.get(control.unit)
+        if ticks and now is not None:
+            now_told = f"{now_told or now} = {now * ticks * config.tick_s * 1e9:.4g} ns"
+        return f"{range_told}; {now_told}" if now_told else range_told
 
     def setup(self) -> Setup:
         """Return the experiment. Raises `InputError`."""
@@ -229,6 +233,27 @@ def given_settings(given: list[str]) -> Settings:
         else:
             text[name] = value
     return check_settings(values_of_text(text), uploads)
+
+
+def values_of_link(given: dict[str, str]) -> tuple[dict[str, Any], str]:
+    """Return the values of controls from a URL, and what to say about those that cannot be used."""
+    values: dict[str, Any] = {}
+    ignored = []
+    for name, text in given.items():
+        try:
+            value = values_of_text({name: text})[name]
+            values[name] = value if value is None else _checked(CONTROL[name], value)
+        except SettingError as error:
+            ignored.append(by_labels(str(error)))
+    return values, " ".join(f"Ignored in the link: {message}." for message in ignored)
+
+
+def by_labels(message: str) -> str:
+    """Return a message with the controls' labels in place of the names of keys."""
+    message = re.sub(r"\b(?:sensor|frame|subgroup)\.(?=[a-z])", "", message)
+    return re.sub(
+        r"\b[a-z_]+(?= = |: is empty)", lambda name: CONTROL[name[0]].label if name[0] in CONTROL else name[0], message
+    )
 
 
 def values_of_text(given: dict[str, str]) -> dict[str, Any]:

@@ -88,7 +88,7 @@ ERROR_SHOWN_M = 0.5  # the colour saturates here
 COUNTS = ("threshold", "drops")  # maps of whole numbers
 WHOLE_COLOURS_MAX = 8  # up to this value, each whole number has a colour of its own
 COMPARED = ("depth_m", "error_m", "drops")  # maps that are shown when two frames are compared
-MAP_SIZE_PX, BAR_WIDTH_PX = 172, 8
+MAP_SIZE_PX, BAR_WIDTH_PX, BAR_AND_LABELS_PX = 168, 8, 44
 DEPTH_MARGIN = 0.05  # relative to the truth's span, on both sides of the colour scale
 CHOICE_MARKS = ("diamond", "circle")  # the chosen return, the others
 
@@ -113,18 +113,6 @@ MAPS = {
         MapKind("confidence", "confidence", Cividis256),
     )
 }
-TOOLTIPS = [
-    ("pixel", "row @row, column @col, subgroup @subgroup"),
-    ("truth", "@truth_m{0.00} m"),
-    ("depth", "@depth_m{0.00} m"),
-    ("error", "@error_m{+0.000} m"),
-    ("confidence", "@confidence{0.00}"),
-    ("threshold", "@threshold{0}"),
-    ("drops of the subgroup", "@drops{0}"),
-    ("reflectivity", "@reflectivity{0.00}"),
-    ("signal", "@signal{0.000} photons per pulse"),
-    ("background", "@background{0.000} photons per pulse"),
-]
 
 
 def map_columns(view: FrameView) -> Columns:
@@ -171,15 +159,18 @@ class MapFigure:
         self, kind: MapKind, name: str, source: ColumnDataSource, cursor: ColumnDataSource, around: ColumnDataSource
     ) -> None:
         self.kind = kind
+        over = CustomJS(args={"source": source}, code="overMap(source.data, cb_data.geometry)")
         self._palette = kind.palette
         self.mapper = LinearColorMapper(palette=kind.palette, low=0, high=1, nan_color=NO_VALUE_ON_PAGE)
         self.figure = plot = figure(
             title=kind.title,
-            width=MAP_SIZE_PX + 40,
+            width=MAP_SIZE_PX + BAR_AND_LABELS_PX,
             height=MAP_SIZE_PX + 20,
+            sizing_mode="stretch_width",
+            max_width=MAP_SIZE_PX + BAR_AND_LABELS_PX,
             x_range=Range1d(-0.5, 31.5),
             y_range=Range1d(31.5, -0.5),
-            tools=[HoverTool(tooltips=TOOLTIPS, attachment="horizontal")],
+            tools=[HoverTool(tooltips=None, callback=over)],
             toolbar_location=None,
             stylesheets=[STYLESHEET],
             background_fill_color=None,
@@ -189,6 +180,7 @@ class MapFigure:
         plot.grid.visible = plot.axis.visible = False
         plot.title.text_font_size = TITLE_PX
         plot.min_border = 4
+        plot.min_border_right = BAR_AND_LABELS_PX  # for the labels of any scale, and maps of one size
         image = plot.image(kind.name, x="x", y="y", dw="dw", dh="dh", source=source, color_mapper=self.mapper)
         plot.hover.renderers = [image]
         for frame, dash in ((around, "dashed"), (cursor, "solid")):
@@ -262,6 +254,7 @@ def _axes_figure(**options: Any) -> figure:
     plot = figure(
         x_range=Range1d(0, 1),
         y_range=Range1d(0, 1),
+        sizing_mode="stretch_width",
         tools=[PanTool(dimensions="width"), WheelZoomTool(dimensions="width"), ResetTool()],
         toolbar_location="right",
         stylesheets=[STYLESHEET],
@@ -299,16 +292,16 @@ class HistogramFigure:
         )
         plot.quad(
             left="left", right="right", top="subgroup", bottom=0, source=self.bars, y_range_name="subgroup",
-            fill_color=GREY, fill_alpha=0.45, line_color=None, legend_label="its subgroup's events",
+            fill_color=GREY, fill_alpha=0.6, line_color=None, legend_label="subgroup",
         )  # fmt: skip
         bars = plot.quad(
             left="left", right="right", top="pixel", bottom=0, source=self.bars,
-            fill_color=BLUE, line_color=BLUE, legend_label="the pixel's events",
+            fill_color=BLUE, line_color=BLUE, legend_label="pixel",
         )  # fmt: skip
         plot.vspan("x", source=self.truth, line_color=TRUTH, line_width=2, line_dash="dashed", legend_label="truth")
         marks = plot.scatter(
             "x", 0.0, source=self.returns, marker="marker", size=12, fill_color="colour", line_color="black",
-            legend_label="chosen (other: circle)",
+            legend_label="chosen (other returns: circles)",
         )  # fmt: skip
         plot.add_tools(
             HoverTool(renderers=[bars], tooltips=[("distance", "@left{0.00} to @right{0.00} m"), ("pixel", "@pixel"), ("subgroup", "@subgroup")]),
@@ -332,7 +325,7 @@ def histogram_title(view: FrameView, row: int, col: int) -> str:
     truth_m, depth_m = view.truth_m[row, col], view.depth_m[row, col]
     truth = "no truth" if np.isnan(truth_m) else f"truth {truth_m:.2f} m"
     depth = "no depth" if np.isnan(depth_m) else f"depth {depth_m:.2f} m"
-    return f"pixel row {row}, column {col}: {truth}, {depth}"
+    return f"row {row}, column {col}: {truth}, {depth}"
 
 
 def light_columns(view: FrameView, subgroup: int) -> Columns:
@@ -423,6 +416,7 @@ class TimelineFigure:
         self.below = figure(
             width=width,
             height=80,
+            sizing_mode="stretch_width",
             x_range=plot.x_range,
             y_range=Range1d(0, 1),
             x_axis_label="ns after the laser's trigger",

@@ -30,10 +30,13 @@ def metres_per_tick(config: Config) -> float:
 
 @frozen(kw_only=True)
 class ObjectView:
-    """Results of an object. distance_m, reflectivity: medians; signal: median of the photons per pixel and pulse."""
+    """Results of an object. distance_m, reflectivity: medians; signal: median of the photons per pixel and pulse; middle: (row, column) of
+    its pixel that is nearest to its centre.
+    """
 
     name: str
     pixels: int
+    middle: tuple[int, int]
     distance_m: float
     reflectivity: float
     signal: float
@@ -151,6 +154,13 @@ def _sun_share(events: Events, scene: Scene, config: Config, sigma_ticks: float)
     return alone / len(events.stamp) if len(events.stamp) and scene.transient is None else None
 
 
+def _middle(here: np.ndarray) -> tuple[int, int]:
+    """Return the (row, column) of `here`, bool[rows, cols], that is nearest to the mean of all."""
+    at = np.argwhere(here)
+    row, col = at[np.square(at - at.mean(axis=0)).sum(axis=1).argmin()]
+    return int(row), int(col)
+
+
 def seen_objects(scene: Scene, light: Light, depth_m: np.ndarray) -> list[ObjectView]:
     """Return the objects, with the darkest first.
 
@@ -173,6 +183,7 @@ def seen_objects(scene: Scene, light: Light, depth_m: np.ndarray) -> list[Object
                 ObjectView(
                     name=name,
                     pixels=int(here.sum()),
+                    middle=_middle(here),
                     distance_m=float(np.median(truth_m[here])),
                     reflectivity=float(np.median(reflectivity[here])),
                     signal=float(np.median(signal[here])),

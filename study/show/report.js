@@ -75,7 +75,7 @@ function showHistogram(frame, pixel, subgroup, row, col) {
   histogram.returns.data = returns;
   const truth = frame.pictures.data.truth_m[0][pixel], depth = frame.pictures.data.depth_m[0][pixel];
   histogram.truth.data = {x: Number.isNaN(truth) ? [] : [truth]};
-  histogram.figure.title.text = `pixel row ${row}, column ${col}: ${said(truth, "truth")}, ${said(depth, "depth")}`;
+  histogram.figure.title.text = `row ${row}, column ${col}: ${said(truth, "truth")}, ${said(depth, "depth")}`;
   for (const [range, values] of [[histogram.figure.y_range, of.pixel], [histogram.subgroup_range, of.subgroup]]) {
     const most = Math.max(3, ...values);
     range.setv({start: -0.12 * most, end: 1.15 * most});

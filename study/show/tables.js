@@ -16,9 +16,28 @@ function fillTable(id, heads, rows) {
   table.tBodies[0].replaceChildren(...rows.map((row) => line(row, false)));
 }
 
+// Numbers of the pixel under the mouse, below the maps: nothing covers a map. columns: of the maps' source.
+function overMap(columns, {x, y}) {
+  const row = Math.round(y), col = Math.round(x), {dw, dh} = columns;
+  if (row < 0 || col < 0 || row >= dh[0] || col >= dw[0]) return;
+  const at = (name) => columns[name][0][row * dw[0] + col];
+  const told = (name, digits, unit = "") => Number.isNaN(at(name)) ? "none" : at(name).toFixed(digits) + unit;
+  document.getElementById("pixel").textContent = [
+    `row ${row}, column ${col}, subgroup ${at("subgroup")}`,
+    `truth ${told("truth_m", 2, " m")}`, `depth ${told("depth_m", 2, " m")}`, `error ${told("error_m", 3, " m")}`,
+    `confidence ${told("confidence", 2)}`, `threshold ${told("threshold", 0, " pixels")}`, `drops of the subgroup ${told("drops", 0)}`,
+    `reflectivity ${told("reflectivity", 2)}`, `signal ${told("signal", 3)} and background ${told("background", 3)} photons per pulse`,
+  ].join(" · ");
+}
+
 function setTheme(name) {
   document.documentElement.dataset.theme = name;
   const roots = window.Bokeh?.index?.roots ?? window.Bokeh?.index ?? {};
+  const ink = getComputedStyle(document.documentElement).getPropertyValue("--ink").trim();
+  for (const model of window.Bokeh?.documents?.[0]?._all_models?.values() ?? []) {  // what takes no colour from the page's style
+    if (model.type === "Legend") model.label_text_color = ink;
+    if (model.type === "ColorBar") model.major_label_text_color = ink;
+  }
   for (const view of Object.values(roots)) { view.invalidate_layout?.(); view.request_repaint?.(); }
 }
 setTheme(matchMedia("(prefers-color-scheme: dark)").matches ? "dark" : "light");

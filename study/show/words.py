@@ -7,7 +7,7 @@ from typing import TypeAlias
 from .frame import FrameView
 
 _Form: TypeAlias = Callable[[float], str]
-_COUNT, _SHARE, _NUMBER = "{:,.0f}".format, "{:.1%}".format, "{:.2f}".format
+_COUNT, _SHARE = "{:,.0f}".format, "{:.1%}".format
 NUMBERS: tuple[tuple[str, str, _Form], ...] = (  # label, name in `FrameView.numbers`, format
     ("edges", "edges", _COUNT),
     ("windows", "opened", _COUNT),
@@ -15,13 +15,13 @@ NUMBERS: tuple[tuple[str, str, _Form], ...] = (  # label, name in `FrameView.num
     ("events", "events", _COUNT),
     ("  with sunlight only", "sun_share", _SHARE),
     ("drops", "dropped", _COUNT),
-    ("bits per frame", "bits", _COUNT),
+    ("data per frame", "bits", "{:,.0f} bits".format),
     ("stream load", "stream_load", _SHARE),
-    ("mean threshold", "threshold_mean", _NUMBER),
+    ("mean threshold", "threshold_mean", "{:.2f} pixels".format),
     ("wrong, above 3.4 cm", "wrong_share", _SHARE),
     ("wrong, above 15 cm", "wrong_share_15cm", _SHARE),
 )
-OBJECT_HEADS = ("", "reflects", "distance", "photons", "wrong")
+OBJECT_HEADS = ("", "reflects", "distance", "photons per pulse", "wrong")
 
 
 def number_rows(*views: FrameView) -> list[list[str]]:
@@ -39,13 +39,22 @@ def object_table(*views: FrameView) -> list[list[str]]:
     return [
         [
             one.name,
-            f"{one.reflectivity:.2f}",
+            f"{one.reflectivity:.0%}",
             f"{one.distance_m:.1f} m",
             f"{one.signal:.2f}",
             *(_said(shares.get(one.name), _SHARE) for shares in wrong),
         ]
         for one in views[0].objects
     ]
+
+
+def where_to_look(view: FrameView) -> str:
+    """Return where the darkest object is; nothing in a scene without objects."""
+    if len(view.objects) < 2:
+        return ""
+    dark = view.objects[0]
+    row, col = dark.middle
+    return f"The darkest part, {dark.name}, is around row {row}, column {col}."
 
 
 def story(view: FrameView) -> str:

@@ -134,6 +134,8 @@ def test_every_control_reaches_what_is_computed(tabs, address):
     tab = tabs(address)
     values = {control.name: other_value(control) for control in CONTROLS} | SMALL_TOO
     for name, value in values.items():
+        # A field that has no effect just now keeps its value, which counts in the link.
+        tab.evaluate("(name) => { field(name).disabled = false; }", name)
         put(tab, name, value)
     shown(tab)
     assert dict(parse_qsl(urlsplit(tab.url).query)) == {name: str(value) for name, value in values.items()}
@@ -152,7 +154,7 @@ def test_a_result_is_shown_only_beside_its_own_settings(tabs, address):
         put(tab, "threshold", threshold)
     shown(tab)
     assert "threshold 3" in tab.locator("#status").text_content()
-    assert number(tab, "mean threshold") == ["3.00"]
+    assert number(tab, "mean threshold") == ["3.00 pixels"]
 
 
 def test_the_threshold_and_the_dark_object(tabs, address):
@@ -168,9 +170,16 @@ def test_the_threshold_and_the_dark_object(tabs, address):
 def test_a_click_picks_a_pixel_and_its_subgroup(tabs, address):
     tab = tabs(address)
     click_map(tab, "depth_m", 3, 12)
-    wait_for_title(tab, "histogram", "startsWith('pixel row 3, column 12')")
+    wait_for_title(tab, "histogram", "startsWith('row 3, column 12')")
     wait_for_title(tab, "timeline", "startsWith('subgroup 1, pulse 0')")
     assert max(points(tab, "timeline")) > 1
+    click_map(tab, "truth_m", 9, 4)  # the second click, on another map
+    wait_for_title(tab, "histogram", "startsWith('row 9, column 4')")
+    tab.wait_for_function("document.querySelector('[data-look=row]').value === '9'")
+    assert tab.input_value("[data-look=col]") == "4"
+    click_map(tab, "depth_m", 3, 12)
+    tab.wait_for_function("document.querySelector('[data-look=col]').value === '12'")
+    assert "row 3, column 12, subgroup 1" in tab.locator("#pixel").text_content()
     tab.fill("[data-look=pulse]", "7")
     wait_for_title(tab, "timeline", "startsWith('subgroup 1, pulse 7')")
     tab.fill("[data-look=row]", "99")
@@ -196,11 +205,11 @@ def test_illegal_values_say_what_is_legal(tabs, address):
     tab = tabs(address)
     put(tab, "threshold", 999)
     tab.wait_for_selector("#refused:not([hidden])")
-    assert tab.locator("#refused").text_content() == "subgroup.threshold = 999: must be an integer from 1 to 64"
+    assert tab.locator("#refused").text_content() == "Threshold = 999: must be an integer from 1 to 64"
     assert "illegal" in tab.locator("[data-control=threshold]").get_attribute("class")
     assert tab.locator("#results").evaluate("(one) => getComputedStyle(one).opacity") == "0.06"
     put(tab, "threshold", "")
-    tab.wait_for_function("document.getElementById('refused').textContent.startsWith('threshold: is empty')")
+    tab.wait_for_function("document.getElementById('refused').textContent.startsWith('Threshold: is empty')")
     put(tab, "threshold", 2)
     shown(tab)
     assert tab.locator("#refused").is_hidden()
@@ -217,6 +226,55 @@ def test_uploads(tabs, address, tmp_path):
     tab.set_input_files("#u-depth", depth)
     shown(tab)
     assert "truth 3.00 m" in figure_title(tab, "histogram")
+    tab.click("[data-do=reset]")
+    shown(tab)
+    assert tab.input_value("#u-depth") == ""
+    put(tab, "scene", "upload")
+    tab.wait_for_function("document.getElementById('refused').textContent.includes('choose a depth picture')")
+
+
+def test_a_link_with_mistakes_says_so_and_the_rest_counts(tabs, address):
+    tab = tabs(f"{address}?threshold=hello&window=8&moon=1&scene=mars&gating=perhaps")
+    ignored = tab.locator("#ignored").text_content()
+    assert "Threshold = 'hello': must be a number from 1 to 64" in ignored
+    assert all(name in ignored for name in ("moon: unknown setting", "Scene = 'mars'", "Gating = 'perhaps'"))
+    assert tab.input_value("[name=window]") == "8" and tab.input_value("[name=threshold]") == "2"
+    assert "; 8 = 0.5 ns" in tab.locator("[data-control=window] small").text_content()
+    assert tab.locator("#ignored").is_visible() and "window 8" in tab.locator("#status").text_content()
+
+
+def test_settings_without_an_effect_are_disabled(tabs, address):
+    tab = tabs(address)
+    enabled = lambda name: tab.locator(f"#controls [name={name}]").is_enabled()  # noqa: E731
+    assert enabled("threshold") and not enabled("gate_start") and not enabled("far_m") and not enabled("shade_klux")
+    put(tab, "auto", True)
+    assert not enabled("threshold") and not tab.locator("[data-slides=threshold]").is_enabled()
+    put(tab, "gating", True)
+    put(tab, "scene", "two-returns")
+    put(tab, "sun", "left half")
+    assert enabled("gate_start") and enabled("far_m") and enabled("shade_klux") and not enabled("gate_step")
+    put(tab, "gate_every", 5)
+    assert enabled("gate_step")
+    put(tab, "coincidence", False)
+    assert not enabled("auto") and not enabled("window")
+    shown(tab)
+
+
+def test_on_a_phone_the_settings_fold_away(tabs, address):
+    tab = tabs(address)
+    tab.set_viewport_size({"width": 390, "height": 844})
+    wide = "[document.documentElement.scrollWidth, ...[...document.querySelectorAll('main, [data-map], .details > div')].map((one) => one.getBoundingClientRect().right)]"
+    assert max(tab.evaluate(wide)) <= 390
+    assert tab.locator("[name=threshold]").is_hidden()
+    tab.locator("#fold").focus()
+    tab.keyboard.press("Enter")
+    tab.fill("[name=threshold]", "4")
+    shown(tab)
+    assert number(tab, "mean threshold") == ["4.00 pixels"] and max(tab.evaluate(wide)) <= 390
+    tab.click("#fold")
+    assert tab.locator("[name=threshold]").is_hidden()
+    click_map(tab, "depth_m", 3, 12)
+    wait_for_title(tab, "histogram", "startsWith('row 3, column 12')")
 
 
 def test_two_settings_side_by_side(tabs, address):
@@ -227,7 +285,7 @@ def test_two_settings_side_by_side(tabs, address):
     shown(tab)
     assert figure_title(tab, "map_a_depth_m") == "A: depth, m" and figure_title(tab, "map_depth_m") == "B: depth, m"
     assert tab.locator("[data-map=map_a_error_m]").is_visible() and tab.locator("[data-map=map_truth_m]").is_hidden()
-    assert number(tab, "mean threshold") == ["5.00", "2.00"]
+    assert number(tab, "mean threshold") == ["5.00 pixels", "2.00 pixels"]
     tab.select_option("[data-look=which]", "A")
     wait_for_title(tab, "timeline", "endsWith('needs 2 pixels')")
     put(tab, "cols", 24)
@@ -241,7 +299,8 @@ def test_two_settings_side_by_side(tabs, address):
 
 def test_what_is_saved(tabs, address):
     tab = tabs(address)
-    for kind, start in (("toml", b"[sensor]"), ("csv", b"subgroup,pulse"), ("png", b"\x89PNG")):
+    toml = ("toml", b"[sensor]")
+    for kind, start in (toml, toml, ("csv", b"subgroup,pulse"), ("png", b"\x89PNG")):
         with tab.expect_download() as download:
             tab.select_option("#save", kind)
         with open(download.value.path(), "rb") as file:
@@ -261,7 +320,7 @@ def test_two_tabs_do_not_disturb_each_other(tabs, address):
     first, second = tabs(address), tabs(address)
     put(first, "threshold", 4)
     put(second, "threshold", 6)
-    for tab, threshold in ((first, "4.00"), (second, "6.00")):
+    for tab, threshold in ((first, "4.00 pixels"), (second, "6.00 pixels")):
         shown(tab)
         assert number(tab, "mean threshold") == [threshold]
 
@@ -275,7 +334,7 @@ def test_themes_and_keyboard(tabs, address):
     tab.locator("#controls [name=threshold]").focus()
     tab.keyboard.press("ArrowUp")
     shown(tab)
-    assert number(tab, "mean threshold") == ["3.00"]
+    assert number(tab, "mean threshold") == ["3.00 pixels"]
 
 
 def test_a_server_that_was_killed_and_started_again(tabs):
@@ -291,7 +350,7 @@ def test_a_server_that_was_killed_and_started_again(tabs):
         tab.wait_for_selector("#gone:not([hidden])")
     with explorer(*SMALL, port=address.rstrip("/").rpartition(":")[2]):
         tab.wait_for_function("document.getElementById('gone')?.hidden === true && " + SHOWN)
-        assert number(tab, "mean threshold") == ["4.00"]
+        assert number(tab, "mean threshold") == ["4.00 pixels"]
 
 
 def test_a_report_needs_no_server(tabs, tmp_path):
@@ -303,9 +362,12 @@ def test_a_report_needs_no_server(tabs, tmp_path):
     views = [explored.view(k) for k in range(2)]
     write_report(tmp_path / "report.html", "a <run>", views)
     tab = tabs(f"file://{tmp_path}/report.html", ready=False)
+    tab.set_viewport_size({"width": 390, "height": 844})
+    assert tab.evaluate("document.documentElement.scrollWidth") <= 390
+    tab.set_viewport_size({"width": 1280, "height": 800})
     tab.wait_for_function("document.getElementById('story')?.textContent.length > 0")
     click_map(tab, "truth_m", 9, 4)
-    wait_for_title(tab, "histogram", "startsWith('pixel row 9, column 4')")
+    wait_for_title(tab, "histogram", "startsWith('row 9, column 4')")
     tab.select_option("[data-look=frame]", "1")
     tab.fill("[data-look=pulse]", "3")
     wait_for_title(tab, "timeline", "startsWith('subgroup 2, pulse 3')")

@@ -168,7 +168,7 @@ def test_a_default_that_does_not_fit_says_what_counts():
         name: check_settings({"window_max": 8, "coarse_bits": 7}).told(CONTROL[name])
         for name in ("window", "period", "rows")
     }
-    assert told["window"] == "1 to 8 ticks; now 8" and told["period"] == "1 to 128 cycles; now 128"
+    assert told["window"] == "1 to 8 ticks; now 8 = 0.5 ns" and told["period"] == "1 to 128 cycles; now 128 = 256 ns"
     assert "now" not in told["rows"]
     integers = [control for control in CONTROLS if control.where and control.kind == "integer"]
     assert all("now" not in check_settings({}).told(control) for control in integers)
