@@ -57,7 +57,9 @@ def pages() -> dict[str, bytes]:
     files += [path for path in (ROOT / "docs").rglob("*") if path.suffix in PAGES]
     files += [*(ROOT / "examples").glob("*.py"), ROOT / "examples" / "README.md"]
     made = {str(path.relative_to(ROOT)): path.read_bytes() for path in files}
-    made["examples/GALLERY_HEADER.rst"] = GALLERY.encode()
+    # The gallery's programs lie in a folder of their own, whose header is not the README of the examples.
+    made |= {f"programs/{path.name}": path.read_bytes() for path in (ROOT / "examples").glob("*.py")}
+    made["programs/GALLERY_HEADER.rst"] = GALLERY.encode()
     made["extra/index.html"] = FORWARD.encode()
     return made | {name: text.encode() for name, text in api().items()}
 

@@ -37,7 +37,7 @@ python_use_unqualified_type_names = True
 napoleon_google_docstring = False
 
 sphinx_gallery_conf = {
-    "examples_dirs": "examples",
+    "examples_dirs": "programs",
     "gallery_dirs": "gallery",
     "filename_pattern": r"/plot_",
     "ignore_pattern": r"bench_",

@@ -263,7 +263,10 @@ def test_settings_without_an_effect_are_disabled(tabs, address):
 def test_on_a_phone_the_settings_fold_away(tabs, address):
     tab = tabs(address)
     tab.set_viewport_size({"width": 390, "height": 844})
-    wide = "[document.documentElement.scrollWidth, ...[...document.querySelectorAll('main, [data-map], .details > div')].map((one) => one.getBoundingClientRect().right)]"
+    wide = """() => {
+      const parts = [...document.querySelectorAll('main, [data-map], .details > div')];
+      return [document.documentElement.scrollWidth, ...parts.map((one) => one.getBoundingClientRect().right)];
+    }"""
     assert max(tab.evaluate(wide)) <= 390
     assert tab.locator("[name=threshold]").is_hidden()
     tab.locator("#fold").focus()
