@@ -5,6 +5,8 @@ The examples do not run here (`test_examples.py` runs them). Without the tools o
 is skipped.
 """
 
+import re
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -41,6 +43,21 @@ def project(tmp_path):
     return root
 
 
+def search_from_a_file(site):
+    """Search a site that is opened from its files, and see an excerpt."""
+    if (chromium := shutil.which("chromium")) is None:
+        return
+    from playwright.sync_api import sync_playwright
+
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=chromium, args=["--no-sandbox", "--disable-gpu"])
+        tab = browser.new_page()
+        tab.goto(f"file://{site}/search.html?q=crosstalk")
+        tab.wait_for_selector("#search-results p.context")
+        assert "rosstalk" in tab.locator("#search-results p.context").first.text_content()
+        browser.close()
+
+
 def test_the_site_builds_without_a_warning_and_a_bad_link_is_one(project):
     done = build(project)
     assert done.returncode == 0, done.stderr
@@ -57,6 +74,14 @@ def test_the_site_builds_without_a_warning_and_a_bad_link_is_one(project):
     ):
         assert (site / f"{page}.html").exists(), page
     assert "estimate_depth" in (site / "api" / "coincid.html").read_text()
+    for path in site.rglob("*.html"):
+        page = path.read_text()
+        assert re.search(r"<title>\w", page), f"{path}: has no title"
+        prose = re.sub(r"<(pre|code|script)\b.*?</\1>", "", page, flags=re.DOTALL)
+        assert "](" not in prose, f"{path}: has a link that is not one"
+        pictures = re.findall(r"<img\b[^>]*>", prose)
+        assert all(re.search(r'alt="[^"]+"', picture) for picture in pictures), f"{path}: a picture says nothing"
+    search_from_a_file(site)
     with open(project / "docs" / "depth.md", "a") as file:
         file.write("\n[a heading that is not there](contract.md#nowhere)\n")
     done = build(project)
