@@ -34,6 +34,7 @@ SLANTED, SLANTED_SHARE = 0.25, 0.05  # pulses so much wider, and the share of su
 SPREAD_GAIN = 0.1  # mean log likelihood of a pixel by which slopes that spread the pulse must be likelier
 HOT = 2.0  # background relative to the mean from which on a pixel's own value is used
 ACTIVITY_HITS = 10.0  # weight of the prior, in hits
+NEAR_SIGMAS = 3.0  # from a seed to stamps that may be its light
 BLOCK_ROWS = 4
 RETURN_SCORE = 12.0  # score of a further return with its neighbours: reached by accident once in a hundred,
 RETURN_LEVEL = 2.0  # and without them
@@ -114,7 +115,7 @@ def find_surfaces(
             if np.mean(level_on(wide, in_space) - level_on(field, planes)) > SPREAD_GAIN:
                 field, planes = wide, in_space
         confidence, error = posterior(field, planes, tolerance_ticks, blocks)
-        time = planes.time[:, :, None]
+        time = np.clip(planes.time, 0, config.period_ticks)[:, :, None]
         seen = (found.bin >= 0)[:, :, None]
         parts = [
             np.where(seen, part, nothing)
@@ -152,16 +153,11 @@ def _in_perspective(
 
 def _activity(events: Events, config: Config, seed: np.ndarray, sigma_ticks: float) -> np.ndarray:
     """float64[subgroups, pixels]: background of a pixel over the mean, from its hits away from its seed; 1 unless hot."""
-    pixels = config.sensor.pixels
     activity = np.ones(seed.shape)
     for s in range(config.sensor.subgroups):
-        span = slice(events.bounds[s], events.bounds[s + 1])
-        bits = np.unpackbits(np.ascontiguousarray(events.hits[span], "<u8").view(np.uint8), axis=1, bitorder="little")[
-            :, :pixels
-        ]
-        stamp = events.stamp[span, None]
-        away = ~((stamp < seed[s] + 2 * sigma_ticks) & (stamp + events.window[s] > seed[s] - 3 * sigma_ticks))
-        hits = (bits & away).sum(axis=0)
+        stamp = events.stamp[events.bounds[s] : events.bounds[s + 1], None]
+        away = ~(np.abs(stamp - seed[s]) < NEAR_SIGMAS * sigma_ticks)
+        hits = (events.maps(s, config.sensor.pixels) & away).sum(axis=0)
         ratio = (hits + ACTIVITY_HITS) / (np.mean(hits) + ACTIVITY_HITS)
         activity[s] = np.where(ratio > HOT, ratio, 1.0)
     return activity
@@ -195,7 +191,7 @@ def _further(
         first = _first(np.where(there, middle[seeds.bin], 0.0), 1, bins)
         field = Field.of([around(first).level], [first], sigma_ticks)
         planes = fit_planes(field, blocks)
-        found[:, :, k] = taken = np.where(there, planes.time, np.nan)
+        found[:, :, k] = taken = np.where(there, np.clip(planes.time, 0, times * step), np.nan)
         error[:, :, k] = np.where(there, posterior(field, planes, 0.0, blocks)[1], np.nan)
         confidence[:, :, k] = np.where(there, 1 - np.minimum(1, times * np.exp(-seeds.score)), 0.0)
     return found, confidence, error
