@@ -104,7 +104,8 @@ def _photon_rate(opened: np.ndarray, window: np.ndarray, config: Config) -> np.n
     blocked = (
         window + (sensor.phases - 1) / 2 + sensor.rearm * sensor.phases
     )  # mean number of ticks from an opening to the re-arming
-    armed = (config.period - sensor.guard) * sensor.phases - opened * blocked
+    cycles = np.minimum(np.where(config.gating, config.gate_len, config.period), config.period - sensor.guard)
+    armed = cycles * sensor.phases - opened * blocked
     return opened / np.maximum(armed, 1)
 
 

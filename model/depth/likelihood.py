@@ -27,10 +27,11 @@ All likelihoods are relative to a pixel that sees no surface, whose hits are bac
 
 import math
 from collections.abc import Callable, Iterable
+from functools import cache, partial
 from typing import NamedTuple, Protocol, TypeVar
 
 import numpy as np
-from scipy import ndimage, special
+from scipy import special
 
 from ..contract.config import Config
 from ..contract.packet import BEAT_BITS
@@ -39,27 +40,22 @@ from ..contract.pixels import pixel_table
 from ..contract.windows import armed_cycle, close_cycle
 from ..shared.compiled import njit
 from .histograms import Events, by_subgroup
+from .vector_math import fast_exp, fast_log
 
 REACH_SIGMAS = 4.0  # from the centre of a pulse to its beginning and end
 DEAD_S = 8e-9  # dead time of a SPAD (paper II)
 RARE = 1e-6  # lowest probability: effects that the law does not include happen, too
+NEVER = -(1 << 40)  # a tick long before any other
 QUIET_RATE = 1e-7  # photons per tick and pixel, at least: some background is everywhere
 BLIND_MAX = 0.95
 DROPPING_ROUNDS = 3  # rounds in which the rate of windows and the stored share of them converge
 RATES = np.geomspace(1e-3, 50, 200)  # photons per subgroup and window, over which the share of events is tabulated
 LIGHT_FLOOR = 0.01  # share of the pixels that is assumed for a light that no pixel has
 LEARNING_ROUNDS = 30  # in which the shares of the lights converge
-FAINT = -15.0  # log likelihood relative to the best time: less likely times add nothing
+LIGHT_SPAN = 4.0  # lights more than so many times from those of a subgroup's seeds are left out
 NEGLIGIBLE = -1.0  # log likelihood ratio below which averaging over the lights is not worth its exponentials
+BLOCK = 32  # times that are averaged together
 ALIKE = 0.2  # pixels of a minigroup are treated alike if their probabilities to have been first differ by less
-
-_FRACTION_BITS = 23  # of a float32
-_LOG = (
-    np.polynomial.chebyshev.Chebyshev.interpolate(np.log1p, 7, domain=[0, 1])
-    .convert(kind=np.polynomial.Polynomial)
-    .coef.astype(np.float32)
-)  # log(1 + x), error below 1e-7
-
 
 Result = TypeVar("Result")
 
@@ -100,19 +96,28 @@ class Guess(NamedTuple):
 class Unheard(NamedTuple):
     """Probabilities that a firing pixel leaves no trace in a pulse without an event nearby, by its surface's time.
 
-    All are float32[subgroups, ticks]. missed: its window misses the threshold, finds the tree not armed, or is dropped.
-    blind: it finds the tree not armed, at a time at which a window would have been noticed. `_dropping`: between two
-    events of which the later one carries `overrun`; only there are windows dropped.
+    Both are float32[2, subgroups, points], one point for every `every` ticks. missed: its window misses the threshold, finds
+    the tree not armed, or is dropped. blind: it finds the tree not armed, at a time at which a window would have been
+    noticed. Index 1 holds between two events of which the later one carries `overrun`; only there are windows dropped.
     """
 
     missed: np.ndarray
-    missed_dropping: np.ndarray
     blind: np.ndarray
-    blind_dropping: np.ndarray
+    every: int
+
+    def at(self, of_points: np.ndarray, tick: np.ndarray) -> np.ndarray:
+        """float32[..., ticks]: values at some ticks, from those of the points around them."""
+        place = np.clip((tick + 0.5) / self.every - 0.5, 0, of_points.shape[-1] - 1)
+        before = place.astype(np.int64)
+        share = (place - before).astype(np.float32)
+        return of_points[..., before] * (1 - share) + of_points[..., np.ceil(place).astype(np.int64)] * share
 
 
 class _Law(NamedTuple):
-    """What holds for all events of a subgroup; times in ticks."""
+    """What holds for all events of a subgroup; times in ticks. Arrays over times and lights are flat, by time.
+
+    The times of the grid are numbered from `origin`, the first one that some pixel wants.
+    """
 
     window: int
     told: int  # ticks of the window whose hits are known: all of them, or the first (format short)
@@ -121,11 +126,14 @@ class _Law(NamedTuple):
     offset: int  # ticks per step of an offset
     reach: int
     step: int
+    origin: int
+    lights: int
     noise: float  # background photons per tick and pixel
-    alive: float  # share of the pulses in which background has not fired the pixel yet
+    alive: np.float32  # share of the pulses in which background has not fired the pixel yet
     pulses: int
-    missed: np.ndarray  # float32[2, times]: of `Unheard`, otherwise and while dropping
-    blind: np.ndarray  # the same
+    heard: np.ndarray  # float32[2, times * lights]: chance that a photon makes an event, otherwise and while dropping
+    sharp: np.ndarray  # the same: chance that it makes the stamp of an event earlier
+    margin: int
     fired: np.ndarray  # of `_fired`
 
 
@@ -144,21 +152,12 @@ class _Events(NamedTuple):
     overrun: np.ndarray
     known: np.ndarray  # from then on until the stamp, the tree was armed and no photon came
     quiet: np.ndarray  # before that, from then on, the tree was armed unless it was blind, because no window ends later
-    since: np.ndarray  # `armed` of the previous event of the cluster, -1 for the first one
+    since: np.ndarray  # `armed` of the previous event of the cluster, `NEVER` for the first one
     shares: np.ndarray  # of `_first_shares`, or empty
 
 
-class _Silence(NamedTuple):
-    """The time before an event's stamp: three of its `_Events`, and whether windows were dropped then."""
-
-    since: int
-    quiet: int
-    known: int
-    dropping: int
-
-
 class _Pixels(NamedTuple):
-    """Pixels of a subgroup, and what the events that hit them say, float32[pixels, bins, lights], logarithms.
+    """Pixels of a subgroup, and what the events that hit them say, float32[pixels, bins * lights], logarithms.
 
     total: valid only where `touched`, bool[pixels, bins], is set.
     """
@@ -173,14 +172,15 @@ class _Pixels(NamedTuple):
 
 
 class _Rows(NamedTuple):
-    """Workspace of a cluster, float32[times, lights].
+    """Workspace of a cluster, float32[times * lights].
 
-    unseen: likelihood of no hit; before: the same before the present event; product, logs: of a pixel with a hit.
+    lost: probability that a photon was noticed outside the pixel's hits; before: the same before the present event.
+    unseen: log likelihood of no hit; logs: that of a hit, relative to it.
     """
 
-    unseen: np.ndarray
+    lost: np.ndarray
     before: np.ndarray
-    product: np.ndarray
+    unseen: np.ndarray
     logs: np.ndarray
 
 
@@ -216,18 +216,29 @@ def log_likelihood(
     """
     sensor = config.sensor
     reach = math.ceil(REACH_SIGMAS * sigma_ticks)
-    fired = _fired(grid.lights, sigma_ticks, reach)
     minigroup = pixel_table(sensor).minigroup
     level, light = (np.empty((sensor.array_pixels, bins), kind) for kind in (np.float32, np.uint8))
     place = by_subgroup(np.arange(sensor.array_pixels), sensor)
     if activity is None:
         activity = np.ones((sensor.subgroups, sensor.pixels))
     opens = _gate_opens(events, config)
+    times = -(-(config.period_ticks - grid.step // 2) // grid.step)
+    origins = np.clip(first.min(axis=1), 0, times - 1)
+    spans = np.clip(first.max(axis=1) + bins, origins + 1, times) - origins
+    chosen = [_lights_near(guess, s, config.mask[s], grid.lights) for s in range(sensor.subgroups)]
+    fired = cache(partial(_fired, sigma_ticks, reach, grid.step))
 
     def evidence(s: int) -> tuple[np.ndarray, _Pixels]:
+        lights, origin, span = grid.lights[chosen[s]], int(origins[s]), int(spans[s])
         noise = max(events.photon_rate[s] / sensor.pixels, QUIET_RATE)
+        alive = np.float32(1 - min(BLIND_MAX, noise * DEAD_S / config.tick_s))
         window = int(events.window[s])
-        chances = np.stack([of_tick[s, grid.step // 2 :: grid.step] for of_tick in never])
+        tick = np.arange(origin, origin + span) * grid.step + grid.step // 2
+        heard, sharp = (
+            np.repeat(alive * (1 - never.at(chance[:, s], tick)), len(lights), axis=1)
+            for chance in (never.missed, never.blind)
+        )
+        margin, table = fired(span, tuple(lights.tolist()))
         law = _Law(
             window=window,
             told=window if events.mapped else 1,
@@ -236,12 +247,15 @@ def log_likelihood(
             offset=sensor.offset_ticks,
             reach=reach,
             step=grid.step,
+            origin=origin,
+            lights=len(lights),
             noise=noise,
-            alive=1 - min(BLIND_MAX, noise * DEAD_S / config.tick_s),
+            alive=alive,
             pulses=pulses,
-            missed=chances[:2],
-            blind=chances[2:],
-            fired=fired,
+            heard=heard,
+            sharp=sharp,
+            margin=margin,
+            fired=table,
         )
         own = _events_of(s, events, law, opens, config)
         if guess is not None and events.offset.shape[1]:
@@ -250,8 +264,8 @@ def log_likelihood(
             minigroup=minigroup,
             mask=config.mask[s],
             activity=activity[s],
-            first=first[s],
-            total=np.empty((sensor.pixels, bins, len(grid.lights)), np.float32),
+            first=first[s] - origin,
+            total=np.empty((sensor.pixels, bins * len(lights)), np.float32),
             touched=np.zeros((sensor.pixels, bins), np.bool_),
             counted=np.full(sensor.pixels, -1),
         )
@@ -259,7 +273,7 @@ def log_likelihood(
 
     def average(s: int, prior: np.ndarray, common: np.ndarray, pixels: _Pixels) -> None:
         of_subgroup = _of_met(prior) if events.threshold[s] > 1 else prior
-        _over_lights(common, pixels, of_subgroup, place[s], level, light)
+        _over_lights(common, pixels, of_subgroup[chosen[s]], chosen[s].start, place[s], level, light)
 
     subgroups = range(sensor.subgroups)
     if grid.prior is not None:
@@ -269,10 +283,21 @@ def log_likelihood(
         assert guess is not None
         found = list(spread(evidence, subgroups))
         known = config.mask & ~np.isnan(guess.time)
-        prior = _learned(np.concatenate(list(spread(lambda s: _of_lights(*found[s], known[s]), subgroups))))
+        chance = np.zeros((sensor.subgroups, sensor.pixels, len(grid.lights)), np.float32)
+        list(spread(lambda s: _of_lights(*found[s], known[s], chance[s, :, chosen[s]]), subgroups))
+        prior = _learned(chance[known])
         list(spread(lambda s: average(s, prior, *found[s]), subgroups))
     shape = (sensor.rows, sensor.cols, bins)
     return Levels(level.reshape(shape), light.reshape(shape), prior)
+
+
+def _lights_near(guess: Guess | None, s: int, mask: np.ndarray, lights: np.ndarray) -> slice:
+    """Return the lights that the pixels of subgroup s may have: all of them without a guess."""
+    known = np.empty(0) if guess is None else guess.light[s][mask & ~np.isnan(guess.time[s])]
+    if not len(known):
+        return slice(0, len(lights))
+    low, high = np.searchsorted(lights, (known.min() / LIGHT_SPAN, known.max() * LIGHT_SPAN)).tolist()
+    return slice(max(0, low - 1), min(len(lights), high + 1))
 
 
 def _of_met(prior: np.ndarray) -> np.ndarray:
@@ -283,21 +308,43 @@ def _of_met(prior: np.ndarray) -> np.ndarray:
     return np.maximum.accumulate(prior[::-1])[::-1]
 
 
-def _learned(of_lights: np.ndarray) -> np.ndarray:
-    """float32[lights]: log share of the pixels with each light; the shares make the pixels, float32[n, lights], likeliest."""
-    chance = np.exp(of_lights - of_lights.max(axis=1, keepdims=True, initial=-np.inf), dtype=np.float64)
+def _learned(chance: np.ndarray) -> np.ndarray:
+    """float32[lights]: log share of the pixels with each light; the shares make the pixels likeliest.
+
+    chance: float32[n, lights], likelihood of each light, in a unit of the pixel's own.
+    """
     share = np.full(chance.shape[1], 1 / chance.shape[1])
     for _ in range(LEARNING_ROUNDS if len(chance) else 0):
-        of_pixel = chance * share
-        share = (of_pixel / of_pixel.sum(axis=1, keepdims=True)).mean(axis=0)
+        share = share * _gain(chance, share) / len(chance)
     share += LIGHT_FLOOR
     return np.log(share / share.sum()).astype(np.float32)
 
 
-def _fired(lights: np.ndarray, sigma_ticks: float, reach: int) -> np.ndarray:
-    """float32[4 reach + 1, lights]: F at u - t = -reach to reach, in steps of half a tick."""
+@njit
+def _gain(chance, share):
+    """float64[lights]: sum over the pixels of each light's likelihood, relative to the mean over the lights."""
+    gain = np.zeros(len(share))
+    for i in range(len(chance)):
+        mean = 0.0
+        for x in range(len(share)):
+            mean += chance[i, x] * share[x]
+        for x in range(len(share)):
+            gain[x] += chance[i, x] / mean
+    return gain
+
+
+def _fired(sigma_ticks: float, reach: int, step: int, span: int, lights: tuple[float, ...]) -> tuple[int, np.ndarray]:
+    """Return a margin, and F for ticks u and times t of a grid: float32[step * columns * lights], by row and column.
+
+    Row r is for ticks u with (u + reach) % step = r. Then F for consecutive times is a contiguous part of the row: its
+    column is `margin`, less the number of steps from t to u + reach. `margin` columns to both sides are enough for `span`
+    times.
+    """
     distance = np.arange(-2 * reach, 2 * reach + 1) / 2
-    return -np.expm1(-special.ndtr(distance / sigma_ticks)[:, None] * lights).astype(np.float32)
+    fired = -np.expm1(-special.ndtr(distance / sigma_ticks)[:, None] * np.array(lights)).astype(np.float32)
+    margin = span + 2 * reach // step + 2
+    half_ticks = 2 * np.arange(step)[:, None] + step * (2 * (margin - np.arange(2 * margin + span)) - 1)
+    return margin, fired[np.clip(half_ticks, 0, 4 * reach)].ravel()
 
 
 def _gate_opens(events: Events, config: Config) -> np.ndarray:
@@ -330,7 +377,7 @@ def _events_of(s: int, events: Events, law: _Law, opens: np.ndarray, config: Con
         overrun=events.overrun[span],
         known=known,
         quiet=quiet,
-        since=np.where(quiet <= previous + 2 * law.reach, previous, -1),
+        since=np.where((previous >= 0) & (quiet <= previous + 2 * law.reach), np.minimum(previous, quiet), NEVER),
         shares=np.empty((0, 0), np.float32),
     )
 
@@ -340,54 +387,119 @@ def unheard(events: Events, config: Config, pulses: int, sigma_ticks: float, spr
 
     pulses: number of pulses in which the events came; spread: as in `log_likelihood`.
     """
-    shape, reach = (config.sensor.subgroups, config.period_ticks), math.ceil(REACH_SIGMAS * sigma_ticks)
-    missed, missed_dropping, blind, blind_dropping = (np.empty(shape, np.float32) for _ in range(4))
-    after_rejected = (
-        np.arange(config.sensor.phases) + config.sensor.rearm * config.sensor.phases
-    )  # mean blind ticks after a rejected window, by phase
+    sensor, ticks, every = config.sensor, config.period_ticks, max(1, int(sigma_ticks))
+    missed, blind = (np.empty((2, sensor.subgroups, -(-ticks // every)), np.float32) for _ in range(2))
+    phase = np.arange(sensor.phases)
+    after_rejected = (phase + sensor.rearm * sensor.phases).astype(np.float64)  # mean blind ticks, by phase
+    reach = math.ceil(REACH_SIGMAS * sigma_ticks)
+    taps = np.arange(-(reach // every), reach // every + 1) * every
+    pulse = np.exp(-0.5 * taps**2 / (sigma_ticks**2 - (every**2 - 1) / 12))  # a point is a mean over its ticks already
 
     def of_subgroup(s: int) -> None:
-        ticks, window = config.period_ticks, int(events.window[s])
+        window, committed = int(events.window[s]), events.committed[s]
         span = slice(events.bounds[s], events.bounds[s + 1])
-        stamp, armed = events.stamp[span], armed_ticks(events.stamp[span], window, config)
-        threshold = int(events.threshold[s])
-        commits, met = (
-            special.pdtrc(others - 1, RATES) if others else np.ones(len(RATES)) for others in (threshold, threshold - 1)
+        stamp, armed, overrun = (
+            events.stamp[span],
+            armed_ticks(events.stamp[span], window, config),
+            events.overrun[span],
         )
-        rejected = (events.opened[s] - events.committed[s]) / pulses / ticks  # windows per tick
-        deaf = np.minimum(BLIND_MAX, rejected * np.resize(after_rejected, ticks))
-        kept, found = _while_dropping(
-            events.pulse[span] % pulses, stamp, armed, events.overrun[span], events.committed[s], pulses, config
-        )
+        dropping = bool(overrun.any())
+        kept, found = np.ones(ticks), np.zeros(ticks)
+        if dropping:
+            kept, found = _while_dropping(events.pulse[span] % pulses, stamp, armed, overrun, committed, pulses, config)
         dropped = 1 / kept
-        dropped *= events.committed[s] / max(1.0, dropped[stamp].sum())  # windows per stored window
-        covered = _share_between(stamp, stamp + window, ticks, pulses) * dropped / (1 - deaf)
-        photons = np.maximum(np.interp(covered, commits, RATES), events.photon_rate[s] * window)
-        commits, met = (np.interp(photons, RATES, of_rate) for of_rate in (commits, met))
-        seen = _gate_share(config, s, np.arange(ticks) // config.sensor.phases) if config.gating[s] else 1.0
+        dropped *= committed / max(1.0, dropped[stamp].sum())  # windows per stored window
+        rejected = (events.opened[s] - committed) / pulses / ticks  # windows per tick
+        early = np.maximum(0, stamp - reach)
+        tables = _Tables(*_met_shares(int(events.threshold[s])))
+        _leave_no_trace(
+            _share_between(stamp, stamp + window, dropped, pulses),
+            np.minimum(1, _share_between(early, armed, dropped, pulses)) if dropping else found,
+            _share_between(stamp, armed, dropped, pulses) if dropping else found,
+            found,
+            np.minimum(BLIND_MAX, rejected * np.resize(after_rejected, ticks)),
+            np.repeat(_gate_share(config, s), sensor.phases) if config.gating[s] else np.ones(ticks),
+            events.photon_rate[s] * window,
+            tables,
+            (pulse / pulse.sum()).astype(np.float32),
+            every,
+            1 + dropping,
+            missed[:, s],
+            blind[:, s],
+        )
+        if not dropping:
+            missed[1, s], blind[1, s] = missed[0, s], blind[0, s]
 
-        def tell(
-            of_missed: np.ndarray,
-            of_blind: np.ndarray,
-            room: np.ndarray | float,
-            noticed: np.ndarray,
-            unarmed: np.ndarray,
-        ) -> None:
-            silent = deaf + (1 - deaf) * (1 - room * noticed)
-            lost = (deaf + (1 - deaf) * (1 - room * met)) / np.maximum(silent, RARE)
-            of_missed[s] = _over_pulse(1 - seen * (1 - np.minimum(1, lost)), sigma_ticks)
-            of_blind[s] = _over_pulse(unarmed / (unarmed + (1 - unarmed) * np.exp(-photons)), sigma_ticks)
+    list(spread(of_subgroup, range(sensor.subgroups)))
+    return Unheard(missed, blind, every)
 
-        tell(missed, blind, 1.0, commits, deaf)
-        if events.overrun[span].any():
-            nearby = np.minimum(1, dropped * _share_between(np.maximum(0, stamp - reach), armed, ticks, pulses))
-            busy = np.minimum(BLIND_MAX, deaf + dropped * _share_between(stamp, armed, ticks, pulses))
-            tell(missed_dropping, blind_dropping, found, np.maximum(commits, nearby), busy)
-        else:  # not used
-            missed_dropping[s], blind_dropping[s] = missed[s], blind[s]
 
-    list(spread(of_subgroup, range(config.sensor.subgroups)))
-    return Unheard(missed, missed_dropping, blind, blind_dropping)
+class _Tables(NamedTuple):
+    """Share of the windows at `RATES` that become events, and of those that do so with one more pixel."""
+
+    commits: np.ndarray
+    met: np.ndarray
+
+
+@cache
+def _met_shares(threshold: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return the shares of the windows at `RATES` with `threshold` photons, and with one less."""
+    commits, met = (
+        special.pdtrc(others - 1, RATES) if others else np.ones(len(RATES)) for others in (threshold, threshold - 1)
+    )
+    return commits, met
+
+
+@njit
+def _leave_no_trace(covered, nearby, busy, found, deaf, seen, background, tables, pulse, every, kinds, missed, blind):
+    """Compute missed and blind, float32[2, points], of `Unheard` for one subgroup.
+
+    It is the mean over the arrival times of a surface's photons, by the shape of the pulse. covered to seen: float64[ticks].
+    covered: windows over a tick, per pulse; while dropping:
+    nearby, busy: the same for windows with their surroundings, and until the tree is armed; found: share with room.
+    """
+    ticks, points, reach = len(covered), missed.shape[1], len(pulse) // 2
+    for kind in range(kinds):
+        of_missed, of_blind = np.zeros(points, np.float32), np.zeros(points, np.float32)
+        at = 0
+        for t in range(ticks):
+            share = covered[t] / (1 - deaf[t])
+            at = _hunt(tables.commits, share, at)
+            photons = max(_between(tables.commits, RATES, share, at), background)
+            at = _hunt(RATES, photons, at)
+            commits, met = _between(RATES, tables.commits, photons, at), _between(RATES, tables.met, photons, at)
+            room = found[t] if kind else 1.0
+            noticed = max(commits, nearby[t]) if kind else commits
+            silent = deaf[t] + (1 - deaf[t]) * (1 - room * noticed)
+            lost = (deaf[t] + (1 - deaf[t]) * (1 - room * met)) / max(silent, RARE)
+            unarmed = min(BLIND_MAX, deaf[t] + busy[t]) if kind else deaf[t]
+            point, number = t // every, min(every, ticks - t // every * every)
+            of_missed[point] += (1 - seen[t] * (1 - min(1.0, lost))) / number
+            of_blind[point] += unarmed / (unarmed + (1 - unarmed) * fast_exp(np.float32(-photons))) / number
+        for j in range(points):
+            sums = np.float32(0), np.float32(0)
+            for i in range(-reach, reach + 1):
+                k = min(max(j + i, 0), points - 1)
+                sums = sums[0] + pulse[reach + i] * of_missed[k], sums[1] + pulse[reach + i] * of_blind[k]
+            missed[kind, j], blind[kind, j] = sums
+
+
+@njit(allocates=False)
+def _hunt(table, value, at):
+    """Return the index of the interval of an ascending table that holds a value, found from `at`."""
+    while at > 0 and table[at] > value:
+        at -= 1
+    while at < len(table) - 2 and table[at + 1] <= value:
+        at += 1
+    return at
+
+
+@njit(allocates=False)
+def _between(table, values, value, at):
+    """Interpolate `values` where `table` has a value, in its interval `at`; do not go beyond its ends."""
+    rise = table[at + 1] - table[at]
+    share = (value - table[at]) / rise if rise > 0 else 0.0
+    return values[at] + min(1.0, max(0.0, share)) * (values[at + 1] - values[at])
 
 
 def armed_ticks(stamp: np.ndarray, window: int, config: Config) -> np.ndarray:
@@ -465,25 +577,31 @@ def _room_found(begin, end, rate):
     return found
 
 
-def _over_pulse(of_photon: np.ndarray, sigma_ticks: float) -> np.ndarray:
-    """Return the mean over the arrival times of a surface's photons, for a surface at each tick."""
-    return ndimage.gaussian_filter1d(of_photon, sigma_ticks, mode="nearest", truncate=REACH_SIGMAS)
+@njit
+def _share_between(begin, end, weight, pulses):
+    """float64[ticks]: number of the events that have a tick in [begin, end), per pulse, times the tick's weight."""
+    ticks = len(weight)
+    change = np.zeros(ticks + 1)
+    for e in range(len(begin)):
+        change[min(begin[e], ticks)] += 1
+        change[min(end[e], ticks)] -= 1
+    share = np.empty(ticks)
+    total = 0.0
+    for k in range(ticks):
+        total += change[k]
+        share[k] = total / pulses * weight[k]
+    return share
 
 
-def _share_between(begin: np.ndarray, end: np.ndarray, ticks: int, pulses: int) -> np.ndarray:
-    """float64[ticks]: share of the pulses in which a tick lies in [begin, end) of an event."""
-    change = sum(sign * np.bincount(np.minimum(at, ticks), minlength=ticks + 1) for sign, at in ((1, begin), (-1, end)))
-    return np.cumsum(change)[:ticks] / pulses
-
-
-def _gate_share(config: Config, s: int, cycle: np.ndarray) -> np.ndarray:
-    """Return the share of the pulses whose gate is open in each cycle."""
+def _gate_share(config: Config, s: int) -> np.ndarray:
+    """float64[cycles]: share of the pulses whose gate is open in each cycle of the period."""
     start = config.gate_start[s] + np.zeros(1, np.int64)
     if config.frame["gate_every"]:
         pulse = np.arange(config.pulses)
         start = start + config.frame["gate_step"] * (pulse // config.frame["gate_every"] % config.frame["gate_steps"])
-    inside = (cycle[:, None] >= start) & (cycle[:, None] < start + config.gate_len[s])
-    return inside.mean(axis=1)
+    start, pulses = np.unique(start, return_counts=True)
+    cycle = np.arange(config.period)[:, None]
+    return ((cycle >= start) & (cycle < start + config.gate_len[s])) @ (pulses / pulses.sum())
 
 
 @njit
@@ -534,29 +652,29 @@ def _hit(hits, e, i):
 
 @njit
 def _add_events(law, events, pixels):
-    """Return what a subgroup's events say about pixels without a hit, float32[times, lights]; add the hits to `pixels`.
+    """Return what a subgroup's events say about pixels without a hit, float32[times * lights]; add the hits to `pixels`.
 
     In each cluster of events, a pixel's first hit counts.
     """
     pulse, armed, overrun, first = events.pulse, events.armed, events.overrun, pixels.first
-    n, times = len(pulse), law.missed.shape[1]
-    bins, lights = pixels.total.shape[1:]
+    lights, bins = law.lights, pixels.touched.shape[1]
+    n, times = len(pulse), law.heard.shape[1] // lights
     wanted = np.zeros(times + 1, np.int64)  # running number of the times that are in some pixel's bins
     for i in range(len(first)):
-        wanted[max(0, first[i]) + 1 : max(0, first[i] + bins) + 1] = 1
-    wanted = np.cumsum(wanted)
-    common = np.zeros((times, lights), np.float32)
-    unseen, before = np.empty_like(common), np.empty_like(common)
-    product, logs = np.zeros_like(common), np.zeros_like(common)
-    rows = _Rows(unseen, before, product, logs)
+        for k in range(max(0, first[i]), min(times, first[i] + bins)):
+            wanted[k + 1] = 1
+    for k in range(times):
+        wanted[k + 1] += wanted[k]
+    common = np.zeros(times * lights, np.float32)
+    rows = _Rows(np.empty_like(common), np.empty_like(common), np.empty_like(common), np.empty_like(common))
     silent = np.zeros((2, times + 1), np.int64)  # change of the number of pulses without an event nearby, by `overrun`
     begin, since, since_pulse = 0, 0, 0
     while begin < n:
         end = begin + 1
-        while end < n and events.since[end] >= 0:
+        while end < n and events.since[end] != NEVER:
             end += 1
-        k0 = min(times, max(0, (events.quiet[begin] - law.reach) // law.step))
-        k1 = min(times, (armed[end - 1] + law.reach) // law.step + 1)
+        k0 = min(times, max(0, (events.quiet[begin] - law.reach) // law.step - law.origin))
+        k1 = min(times, max(0, (armed[end - 1] + law.reach) // law.step + 1 - law.origin))
         _add_silence(silent[np.int64(overrun[begin])], since_pulse, since, pulse[begin], k0)
         since, since_pulse = k1, pulse[begin]
         while k0 < k1 and wanted[k0 + 1] == wanted[k0]:
@@ -564,30 +682,30 @@ def _add_events(law, events, pixels):
         while k1 > k0 and wanted[k1] == wanted[k1 - 1]:
             k1 -= 1
         if k0 < k1:
-            dropping = overrun[end] if end < n else overrun[n - 1]
-            unseen[k0:k1] = 1
-            before[k0:k1] = 1
+            for j in range(k0 * lights, k1 * lights):
+                rows.lost[j], rows.before[j] = 0, 0
             for e in range(begin, end):
-                _subtract(law, events, e, unseen, k0, k1)
-            _subtract_after(law, armed[end - 1], dropping, unseen, k0, k1)
-            _log(unseen, logs, k0, k1)
-            common[k0:k1] += logs[k0:k1]
+                _lose(law, events, e, rows.lost, k0, k1)
+            if not (overrun[end] if end < n else overrun[n - 1]):
+                _lose_after(law, armed[end - 1], rows.lost, k0, k1)
+            for j in range(k0 * lights, k1 * lights):
+                rows.unseen[j] = fast_log(max(np.float32(RARE), np.float32(1) - rows.lost[j]))
+                common[j] += rows.unseen[j]
             for e in range(begin, end):
                 _add_hits(law, events, e, begin, pixels, rows, k0, k1)
-                _subtract(law, events, e, before, k0, k1)
+                if e + 1 < end:
+                    _lose(law, events, e, rows.before, k0, k1)
         begin = end
     _add_silence(silent[np.int64(n > 0 and overrun[n - 1])], since_pulse, since, law.pulses, 0)
-    always = law.fired[len(law.fired) - 1]
-    for change, chance in zip(silent, law.missed):
-        for k in range(times):
-            for x in range(lights):
-                product[k, x] = max(np.float32(RARE), 1 - law.alive * (1 - chance[k]) * always[x])
-        _log(product, logs, 0, times)
+    always = _fired_by(law, -NEVER, 0)
+    always_fired = law.fired[always : always + times * lights]
+    for dropping in range(2):
         number = 0
         for k in range(times):
-            number += change[k]
-            for x in range(lights):
-                common[k, x] += number * logs[k, x]
+            number += silent[dropping, k]
+            for j in range(k * lights, (k + 1) * lights) if number else range(0):
+                unheard = max(np.float32(RARE), np.float32(1) - law.heard[dropping, j] * always_fired[j])
+                common[j] += np.float32(number) * fast_log(unheard)
     return common
 
 
@@ -600,82 +718,61 @@ def _add_silence(silent, from_pulse, since, to_pulse, until):
 
 
 @njit(allocates=False)
-def _at(law, k, tick):
-    """Return the row of `fired` for a tick, for a surface at time k of the grid."""
-    return min(max(2 * (tick + law.reach) - (2 * k + 1) * law.step, 0), len(law.fired) - 1)
+def _fired_by(law, tick, k0):
+    """Return where `law.fired` has F at a tick for the surfaces from time k0 on, and all lights."""
+    steps = (tick + law.reach) // law.step
+    column = min(max(law.margin - steps + law.origin + k0, 0), 2 * law.margin)
+    row = tick + law.reach - steps * law.step
+    return row * (len(law.fired) // law.step) + column * law.lights
 
 
 @njit(allocates=False)
-def _silence(events, e):
-    return _Silence(events.since[e], events.quiet[e], events.known[e], int(events.overrun[e]))
+def _lose(law, events, e, lost, k0, k1):
+    """Add event e to `lost`: a pixel outside its map did not fire in the window, nor between the last event and it.
 
-
-@njit(allocates=False)
-def _before_stamp(law, k, silence):
-    """Return the rows of `fired` that bound the time before an event's stamp, and the chances to notice a photon there.
-
-    Between rows z and a, the photon would have made an event of its own (chance `heard`); between a and b, it would have
-    made this event's stamp earlier (`sharp`).
+    Before `quiet`, its photon would have made an event of its own; before `known`, it would have made this event's stamp
+    earlier.
     """
-    a, b = _at(law, k, silence.quiet), _at(law, k, silence.known)
-    z = min(_at(law, k, silence.since), a) if silence.since >= 0 else 0
-    heard = np.float32(0 if silence.dropping else law.alive * (1 - law.missed[0, k]))
-    sharp = np.float32(law.alive * (1 - law.blind[silence.dropping, k]))
-    return z, a, b, heard, sharp
+    dropping, here = np.int64(events.overrun[e]), slice(k0 * law.lights, k1 * law.lights)
+    z, a = _fired_by(law, events.since[e], k0), _fired_by(law, events.quiet[e], k0)
+    b, c = _fired_by(law, events.known[e], k0), _fired_by(law, events.stamp[e] + law.told, k0)
+    n, fired = (k1 - k0) * law.lights, law.fired
+    z, a, b, c = fired[z : z + n], fired[a : a + n], fired[b : b + n], fired[c : c + n]
+    heard, sharp, alive, lost = law.heard[0, here], law.sharp[dropping, here], law.alive, lost[here]
+    stored = np.float32(not dropping)
+    for j in range(len(lost)):
+        lost[j] += alive * (c[j] - b[j]) + sharp[j] * (b[j] - a[j]) + stored * heard[j] * (a[j] - z[j])
 
 
 @njit(allocates=False)
-def _subtract(law, events, e, unseen, k0, k1):
-    """Reduce `unseen` by event e: a pixel outside its map did not fire in the window, nor between the last event and it."""
-    fired, alive = law.fired, np.float32(law.alive)
-    silence, told = _silence(events, e), events.stamp[e] + law.told
-    for k in range(k0, k1):
-        z, a, b, heard, sharp = _before_stamp(law, k, silence)
-        c = _at(law, k, told)
-        for x in range(unseen.shape[1]):
-            left = unseen[k, x] - (
-                alive * (fired[c, x] - fired[b, x])
-                + sharp * (fired[b, x] - fired[a, x])
-                + heard * (fired[a, x] - fired[z, x])
-            )
-            unseen[k, x] = max(np.float32(RARE), left)
-
-
-@njit(allocates=False)
-def _subtract_after(law, armed, dropping, unseen, k0, k1):
-    """Reduce `unseen` by the silence after the last event of a pulse."""
-    if dropping:
-        return
-    fired, top = law.fired, len(law.fired) - 1
-    for k in range(k0, k1):
-        d = _at(law, k, armed)
-        heard = np.float32(law.alive * (1 - law.missed[0, k]))
-        for x in range(unseen.shape[1]):
-            unseen[k, x] = max(np.float32(RARE), unseen[k, x] - heard * (fired[top, x] - fired[d, x]))
+def _lose_after(law, armed, lost, k0, k1):
+    """Add the silence after the last event of a pulse to `lost`."""
+    here, n = slice(k0 * law.lights, k1 * law.lights), (k1 - k0) * law.lights
+    d, f = _fired_by(law, armed, k0), _fired_by(law, -NEVER, k0)
+    d, f, heard, lost = law.fired[d : d + n], law.fired[f : f + n], law.heard[0, here], lost[here]
+    for j in range(len(lost)):
+        lost[j] += heard[j] * (f[j] - d[j])
 
 
 @njit(allocates=False)
 def _add_hits(law, events, e, cluster, pixels, rows, k0, k1):
     """Add what event e says about the pixels in its map; pixels of the same kind share a row."""
     mask, activity, first, counted = pixels.mask, pixels.activity, pixels.first, pixels.counted
-    bins, offset, shares = pixels.total.shape[1], events.offset, events.shares
-    silence, stamp, winner = _silence(events, e), events.stamp[e], events.winner[e]
+    bins, offset, shares = pixels.touched.shape[1], events.offset, events.shares
+    stamp, winner = events.stamp[e], events.winner[e]
     cycle, end = stamp // law.phases * law.phases, stamp + law.window
-    if mask[winner] and counted[winner] != cluster:
-        counted[winner] = cluster
-        low, high = max(k0, first[winner]), min(k1, first[winner] + bins)
-        at_stamp = _Hit(stamp, stamp, stamp + 1, np.float32(0))
-        _row(law, silence, at_stamp, law.noise * activity[winner], rows, low, high)
-        _add(pixels.total[winner], pixels.touched[winner], rows.logs, first[winner], low, high)
     groups = offset.shape[1] if len(shares) else 1
-    for group in range(groups):  # one at a time, because the pixels of a group share rows
-        begin, own, of_row = stamp, stamp, np.float32(-1.0)
-        if len(shares) and group != pixels.minigroup[winner] and offset[e, group] != OFFSET_NONE:
+    for group in range(-1, groups):  # one at a time, because the pixels of a group share rows; first of all the winner
+        begin, own, until, of_row = stamp, stamp, end, np.float32(-1.0)
+        if group < 0:
+            until = stamp + 1
+        elif len(shares) and group != pixels.minigroup[winner] and offset[e, group] != OFFSET_NONE:
             begin = max(stamp, cycle + offset[e, group] * law.offset)
             own = min(end, cycle + (offset[e, group] + 1) * law.offset)
-        for i in range(len(first)):
+        for i in range(winner, winner + 1) if group < 0 else range(len(first)):
             if (
                 groups > 1
+                and group >= 0
                 and pixels.minigroup[i] != group
                 or not mask[i]
                 or counted[i] == cluster
@@ -685,124 +782,143 @@ def _add_hits(law, events, e, cluster, pixels, rows, k0, k1):
             counted[i] = cluster
             share = shares[e, i] if own > begin else np.float32(0.0)
             low, high = k0, k1
-            if activity[i] != 1:
+            if activity[i] != 1 or group < 0:
                 low, high, of_row = max(k0, first[i]), min(k1, first[i] + bins), np.float32(-1.0)
             if of_row < 0 or abs(share - of_row) > ALIKE:
-                _row(law, silence, _Hit(begin, own, end, share), law.noise * activity[i], rows, low, high)
+                if low < high:
+                    _row(law, events, e, _Hit(begin, own, until, share), law.noise * activity[i], rows, low, high)
                 of_row = share if activity[i] == 1 else np.float32(-1.0)
-            _add(pixels.total[i], pixels.touched[i], rows.logs, first[i], low, high)
-
-
-@njit(allocates=False)
-def _row(law, silence, hit, noise, rows, k0, k1):
-    """Compute logs[k0:k1] of `rows`: the likelihood ratio of a hit of an event.
-
-    It is relative to the likelihood of no hit, which all pixels get.
-    """
-    fired, before, unseen, product = law.fired, rows.before, rows.unseen, rows.product
-    alive, share = np.float32(law.alive), hit.share
-    background = np.float32(1 / (noise * (share * (hit.own - hit.begin) + (1 - share) * (hit.until - hit.begin))))
-    for k in range(k0, k1):
-        z, a, b, heard, sharp = _before_stamp(law, k, silence)
-        c, d, f = _at(law, k, hit.begin), _at(law, k, hit.own), _at(law, k, hit.until)
-        for x in range(product.shape[1]):
-            earlier = before[k, x] - (
-                heard * (fired[a, x] - fired[z, x])
-                + sharp * (fired[b, x] - fired[a, x])
-                + alive * (fired[c, x] - fired[b, x])
-            )
-            inside = fired[f, x] + share * (fired[d, x] - fired[f, x]) - fired[c, x]
-            product[k, x] = (alive * inside * background + max(np.float32(RARE), earlier)) / unseen[k, x]
-    _log(product, rows.logs, k0, k1)
-
-
-@njit(allocates=False)
-def _add(total, touched, row, first, k0, k1):
-    for k in range(max(k0, first), min(k1, first + total.shape[0])):
-        if touched[k - first]:
-            for x in range(total.shape[1]):
-                total[k - first, x] += row[k, x]
-        else:
-            touched[k - first] = True
-            for x in range(total.shape[1]):
-                total[k - first, x] = row[k, x]
+            _add(pixels.total[i], pixels.touched[i], rows.logs, first[i], k0, k1, law.lights)
 
 
 @njit(allocates=False, error_model="numpy")
-def _log(values, logs, k0, k1):
-    """Compute logs = log(values) from the bits of the float32: exponent and a polynomial of the fraction."""
-    bits = values[k0:k1].reshape(-1).view(np.int32)
-    out = logs[k0:k1].reshape(-1)
-    c = _LOG
-    for j in range(len(bits)):
-        x = np.float32(bits[j] & np.int32((1 << _FRACTION_BITS) - 1)) * np.float32(1 / (1 << _FRACTION_BITS))
-        y = c[0] + x * (c[1] + x * (c[2] + x * (c[3] + x * (c[4] + x * (c[5] + x * (c[6] + x * c[7]))))))
-        out[j] = y + np.float32(math.log(2)) * np.float32((bits[j] >> np.int32(_FRACTION_BITS)) - np.int32(127))
+def _row(law, events, e, hit, noise, rows, k0, k1):
+    """Compute logs[k0:k1] of `rows`: the likelihood ratio of a hit of event e.
 
-
-@njit
-def _of_lights(common, pixels, known):
-    """float32[known pixels, lights]: logarithm of the sum of a pixel's likelihoods over its times."""
-    total, touched, first = pixels.total, pixels.touched, pixels.first
-    times, lights = common.shape
-    found = np.empty((known.sum(), lights), np.float32)
-    line = np.empty((total.shape[1], lights), np.float32)
-    number = 0
-    for i in range(len(total)):
-        if not known[i]:
-            continue
-        top = np.full(lights, -np.inf, np.float32)
-        low, high = max(0, -first[i]), min(total.shape[1], times - first[i])
-        for k in range(low, high):
-            for x in range(lights):
-                line[k, x] = common[first[i] + k, x] + (total[i, k, x] if touched[i, k] else np.float32(0))
-                top[x] = max(top[x], line[k, x])
-        ratio = np.zeros(lights, np.float32)
-        for k in range(low, high):
-            for x in range(lights):
-                if line[k, x] > top[x] + FAINT:
-                    ratio[x] += math.exp(line[k, x] - top[x])
-        found[number] = top + np.log(ratio)
-        number += 1
-    return found
-
-
-@njit
-def _over_lights(common, pixels, prior, place, level, light):
-    """Compute the logarithm of the mean over the lights, and the likeliest light; a masked pixel favours no time."""
-    total, touched, mask, first = pixels.total, pixels.touched, pixels.mask, pixels.first
-    times, lights = common.shape
-    values = np.empty(lights, np.float32)
-    level_of_all, light_of_all = np.empty(times, np.float32), np.empty(times, np.uint8)
-    for k in range(times):
-        for x in range(lights):
-            values[x] = common[k, x] + prior[x]
-        level_of_all[k], light_of_all[k] = _mean(values)
-    for i in range(len(total)):
-        p = place[i]
-        for k in range(total.shape[1]):
-            time = first[i] + k
-            if not mask[i] or time < 0 or time >= times:
-                level[p, k], light[p, k] = 0, 0
-            elif not touched[i, k]:
-                level[p, k], light[p, k] = level_of_all[time], light_of_all[time]
-            else:
-                for x in range(lights):
-                    values[x] = total[i, k, x] + common[time, x] + prior[x]
-                level[p, k], light[p, k] = _mean(values)
+    It is relative to the likelihood of no hit, which all pixels get. What precedes the hit is as in `_lose`.
+    """
+    dropping, here = np.int64(events.overrun[e]), slice(k0 * law.lights, k1 * law.lights)
+    z, a = _fired_by(law, events.since[e], k0), _fired_by(law, events.quiet[e], k0)
+    b, c = _fired_by(law, events.known[e], k0), _fired_by(law, hit.begin, k0)
+    d, f = _fired_by(law, hit.own, k0), _fired_by(law, hit.until, k0)
+    n, fired = (k1 - k0) * law.lights, law.fired
+    z, a, b = fired[z : z + n], fired[a : a + n], fired[b : b + n]
+    c, d, f = fired[c : c + n], fired[d : d + n], fired[f : f + n]
+    heard, sharp, alive = law.heard[0, here], law.sharp[dropping, here], law.alive
+    before, unseen, logs = rows.before[here], rows.unseen[here], rows.logs[here]
+    stored, share = np.float32(not dropping), hit.share
+    background = np.float32(1 / (noise * (share * (hit.own - hit.begin) + (1 - share) * (hit.until - hit.begin))))
+    weight = alive * background
+    for j in range(len(logs)):
+        lost = alive * (c[j] - b[j]) + sharp[j] * (b[j] - a[j]) + stored * heard[j] * (a[j] - z[j])
+        earlier = max(np.float32(RARE), np.float32(1) - before[j] - lost)
+        inside = f[j] + share * (d[j] - f[j]) - c[j]
+        logs[j] = fast_log(weight * inside + earlier) - unseen[j]
 
 
 @njit(allocates=False)
-def _mean(values):
-    """Return (logarithm of the sum, index of the largest)."""
-    best = 0
-    for x in range(len(values)):
-        if values[x] > values[best]:
-            best = x
-    top = values[best]
-    if top > NEGLIGIBLE:
-        ratio = np.float32(0)
-        for x in range(len(values)):
-            ratio += math.exp(values[x] - top)
-        top += math.log(ratio)
-    return top, best
+def _add(total, touched, row, first, k0, k1, lights):
+    """Add times k0 to k1 of a row to a pixel's total, which begins at time `first`."""
+    low, high = max(k0, first), min(k1, first + len(touched))
+    for k in range(low - first, high - first):
+        if not touched[k]:
+            touched[k] = True
+            for j in range(k * lights, (k + 1) * lights):
+                total[j] = 0
+    if low < high:
+        out, row = total[(low - first) * lights : (high - first) * lights], row[low * lights : high * lights]
+        for j in range(len(out)):
+            out[j] += row[j]
+
+
+@njit
+def _of_lights(common, pixels, known, chance):
+    """Compute chance, float32[pixels, lights]: sum of a known pixel's likelihoods over its times, in a unit of its own."""
+    total, touched, first = pixels.total, pixels.touched, pixels.first
+    lights = chance.shape[1]
+    bins, times = touched.shape[1], len(common) // lights
+    line = np.empty(bins * lights, np.float32)
+    for i in range(len(total)):
+        low, high = max(0, -first[i]), min(bins, times - first[i])
+        if not known[i] or high <= low:
+            continue
+        top = np.float32(-np.inf)
+        for k in range(low, high):
+            for j in range(k * lights, (k + 1) * lights):
+                line[j] = common[first[i] * lights + j]
+                if touched[i, k]:
+                    line[j] += total[i, j]
+                top = max(top, line[j])
+        for j in range(low * lights, high * lights):
+            line[j] = fast_exp(line[j] - top)
+        for k in range(low, high):
+            for x in range(lights):
+                chance[i, x] += line[k * lights + x]
+
+
+@njit
+def _over_lights(common, pixels, prior, lightest, place, level, light):
+    """Compute the logarithm of the mean over the lights, and the likeliest light; a masked pixel favours no time.
+
+    lightest: index of the first light in the grid.
+    """
+    total, touched, mask, first = pixels.total, pixels.touched, pixels.mask, pixels.first
+    lights, bins = len(prior), touched.shape[1]
+    times = len(common) // lights
+    work = np.zeros((lights, BLOCK), np.float32), np.zeros(BLOCK, np.float32), np.zeros(BLOCK, np.float32)
+    best = np.zeros(BLOCK, np.int32)
+    level_of_all, light_of_all = np.empty(times, np.float32), np.empty(times, np.uint8)
+    untouched = np.zeros(times, np.bool_)
+    for k in range(0, times, BLOCK):
+        end = min(times, k + BLOCK)
+        here = common[k * lights : end * lights]
+        _mean(here, here, untouched[k:end], prior, lightest, work, best, level_of_all[k:end], light_of_all[k:end])
+    for i in range(len(total)):
+        p, low, high = place[i], max(0, -first[i]), min(bins, times - first[i])
+        for k in range(bins):
+            level[p, k], light[p, k] = 0, 0
+            if mask[i] and low <= k < high:
+                level[p, k], light[p, k] = level_of_all[first[i] + k], light_of_all[first[i] + k]
+        k = low if mask[i] else high
+        while k < high:
+            if not touched[i, k]:
+                k += 1
+                continue
+            end = min(high, k + BLOCK)
+            while not touched[i, end - 1]:
+                end -= 1
+            here = common[(first[i] + k) * lights : (first[i] + end) * lights]
+            own = total[i, k * lights : end * lights]
+            _mean(here, own, touched[i, k:end], prior, lightest, work, best, level[p, k:end], light[p, k:end])
+            k = end
+
+
+@njit(allocates=False)
+def _mean(common, total, touched, prior, lightest, work, best, level, light):
+    """Compute the mean over the lights and the likeliest light of at most `BLOCK` times.
+
+    work: values, float32[lights, BLOCK], and two float32[BLOCK]; best: int32[BLOCK]. All loops over times have the same
+    length, so that they compile to vector code without a remainder.
+    """
+    values, top, ratio = work
+    n, lights = len(touched), len(prior)
+    for k in range(n):
+        for x in range(lights):
+            j = k * lights + x
+            values[x, k] = common[j] + prior[x] + (total[j] if touched[k] else np.float32(0))
+    for k in range(BLOCK):
+        top[k], best[k], ratio[k] = values[0, k], 0, 0
+    for x in range(1, lights):
+        for k in range(BLOCK):
+            best[k] = x if values[x, k] > top[k] else best[k]
+            top[k] = max(values[x, k], top[k])
+    highest = np.float32(NEGLIGIBLE)
+    for k in range(n):
+        level[k], light[k] = top[k], best[k] + lightest
+        highest = max(highest, top[k])
+    if highest > NEGLIGIBLE:
+        for x in range(lights):
+            for k in range(BLOCK):
+                ratio[k] += fast_exp(values[x, k] - top[k])
+        for k in range(n):
+            level[k] = top[k] + (fast_log(ratio[k]) if top[k] > NEGLIGIBLE else np.float32(0))

@@ -26,14 +26,14 @@ WEIGHT_MIN = 0.05  # lower weights are left out
 HALF = 8  # pixels to the farthest neighbour
 ON_PLANE = 60.0  # bins: odds that a neighbour is on the plane, per probability of its bin there
 SLOPE, SLOPE_MAX, SLOPE_COST = 3.0, 130.0, 0.2  # ticks per pixel; a steeper plane is rarer (Cauchy)
-ROUNDS = 6
+ROUNDS = 4
 STEP_TICKS, STEP_SLOPE, SHRINK = 4.0, 2.0, 0.6  # first steps, and their factor from round to round
 BOX = 12**-0.5  # standard deviation of an even distribution of width 1: of a pixel's light, over its slope
 AHEAD_MAX = 0.7  # of the time: the tangent of a plane in perspective is followed no farther
-SAME = 1e-6  # ticks: planes that differ by less are the same
+SAME = 0.05  # ticks: planes that differ by less are the same
 FINER = 2  # steps per round, each half of the one before
 TRUST = 0.5  # weight of a score: neighbours are not independent, and surfaces are not exactly planes
-IMPROBABLE = -30.0  # log likelihood relative to the pixel's best: no neighbours can make up for less
+IMPROBABLE = -16.0  # log likelihood relative to the pixel's best: no neighbours can make up for less
 PART = 8  # taps: after each part of them a plane is given up that cannot win any more
 SLACK = 1e-3  # of a score: more than its rounding errors
 _NEVER = np.float32(-1e9)
@@ -44,17 +44,16 @@ class Field(NamedTuple):
 
     own: float32[widths, rows, cols, bins], log likelihood relative to `best`, float32[rows, cols]. other: the same
     shape, what a neighbour adds to a plane's score there. first: int64[widths, rows, cols], tick at which the first bin
-    begins. scale: bins per tick; a tuple, so that code for a single width is compiled without the others. sigma_ticks: of
-    the laser's pulse. taps: int64[reaches, n, 2] and weights: float32[reaches, n], the neighbours. reach: int64[rows,
-    cols], index of the taps that a pixel uses. left: float32[rows, cols, parts], the most that a part of the taps and
-    those after it can add to a score.
+    begins. scale: float64[widths], bins per tick. sigma_ticks: of the laser's pulse. taps: int64[reaches, n, 2] and
+    weights: float32[reaches, n], the neighbours. reach: int64[rows, cols], index of the taps that a pixel uses. left:
+    float32[rows, cols, parts], the most that a part of the taps and those after it can add to a score.
     """
 
     own: np.ndarray
     best: np.ndarray
     other: np.ndarray
     first: np.ndarray
-    scale: tuple[float, ...]
+    scale: np.ndarray
     sigma_ticks: float
     taps: np.ndarray
     weights: np.ndarray
@@ -86,7 +85,7 @@ class Field(NamedTuple):
             best,
             other,
             np.stack(first),
-            tuple(0.5**k for k in range(len(level))),
+            0.5 ** np.arange(len(level)),
             sigma_ticks,
             taps,
             weights,

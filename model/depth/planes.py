@@ -11,6 +11,7 @@ All of this is our own choice. The steps are:
    They are taken if they make the events likelier. So a scene that has one distance per pixel keeps its narrow pulses.
 """
 
+import math
 import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -25,9 +26,10 @@ from .likelihood import Grid, Guess, Levels, log_likelihood, unheard
 from .patchmatch import Field, doublings, fit_planes, level_on, posterior
 from .seeds import LEAST, Blocks, find_seeds
 
-COARSE_SIGMAS = 1.2  # step of the first grid
+COARSE_SIGMAS = 1.4  # step of the first grid
 COARSE_LIGHTS = np.geomspace(0.02, 40, 7).astype(np.float32)  # photons per pulse
 LIGHTS = np.geomspace(0.015, 60, 12).astype(np.float32)
+COARSE_HITS, HITS = 2.0, 1.5  # of the faintest light in all pulses, at most
 BINS_SIGMAS = 16.0  # width of the bins around a seed
 WIDTHS = 4  # of pulses: the laser's, and those of slanted surfaces, each twice as wide as the one before
 SLANTED, SLANTED_SHARE = 0.25, 0.05  # pulses so much wider, and the share of such pixels, make these widths worth a try
@@ -74,7 +76,8 @@ def find_surfaces(
             list(pool.map(lambda begin: function(begin, min(sensor.rows, begin + BLOCK_ROWS)), begins))
 
         step = max(1, round(COARSE_SIGMAS * sigma_ticks))
-        coarse = Grid(step, COARSE_LIGHTS, np.full(len(COARSE_LIGHTS), -np.log(len(COARSE_LIGHTS)), np.float32))
+        coarse_lights, fine_lights = down_to(COARSE_LIGHTS, COARSE_HITS / pulses), down_to(LIGHTS, HITS / pulses)
+        coarse = Grid(step, coarse_lights, np.full(len(coarse_lights), -np.log(len(coarse_lights)), np.float32))
         never = unheard(events, config, pulses, sigma_ticks, pool.map)
         everywhere = np.zeros((sensor.subgroups, sensor.pixels), np.int64)
         level, lights, _ = log_likelihood(
@@ -92,7 +95,7 @@ def find_surfaces(
         chosen = np.maximum(found.bin, 0)[:, :, None]
         light = np.take_along_axis(lights, chosen, 2)[:, :, 0]
         seed = np.where(found.bin < 0, np.nan, (found.bin + 0.5) * step)
-        guess = Guess(by_subgroup(seed, sensor), COARSE_LIGHTS[by_subgroup(light, sensor)].astype(np.float64))
+        guess = Guess(by_subgroup(seed, sensor), coarse_lights[by_subgroup(light, sensor)].astype(np.float64))
         activity = _activity(events, config, guess.time, sigma_ticks)
         bins = round(BINS_SIGMAS * sigma_ticks)
         middle = np.nan_to_num(seed)
@@ -100,7 +103,7 @@ def find_surfaces(
 
         def around(width: int, first: np.ndarray, prior: np.ndarray | None = None) -> Levels:
             return log_likelihood(
-                events, config, width * sigma_ticks, pulses, Grid(width, LIGHTS, prior), never, by_subgroup(first, sensor), bins,
+                events, config, width * sigma_ticks, pulses, Grid(width, fine_lights, prior), never, by_subgroup(first, sensor), bins,
                 activity=activity, guess=guess, spread=pool.map,
             )  # fmt: skip
 
@@ -133,6 +136,13 @@ def find_surfaces(
     slope = np.where(seen, np.stack([planes.down, planes.right], axis=2), np.nan)
     time_of, sure, error_of = parts
     return Surfaces(time_of, sure, error_of, slope)
+
+
+def down_to(lights: np.ndarray, faintest: float) -> np.ndarray:
+    """Return geometric steps of lights, float32, continued downwards until one is at most `faintest`."""
+    ratio = lights[1] / lights[0]
+    more = max(0, math.ceil(math.log(lights[0] / faintest) / math.log(ratio)))
+    return np.concatenate([lights[0] * ratio ** np.arange(-more, 0.0), lights]).astype(np.float32)
 
 
 def _first(middle: np.ndarray, width: int, bins: int) -> np.ndarray:

@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..shared.compiled import njit
+from .vector_math import fast_log
 
 Blocks = Callable[
     [Callable[[int, int], None]], object
@@ -32,6 +33,7 @@ ALIKE = np.array(
     [1.5, 1.2, 0.7, 0.4, 0.3, 0.2], np.float32
 )  # multiplied by this, by the difference of the lights' indices; the last is for all larger ones
 ROUNDS = 5
+STILL = 0.01  # a pixel whose probabilities changed by less has not changed
 _NEVER = np.float32(-1e9)
 _REACH = np.arange(-NEAR, NEAR + 1)
 _WEIGHT = np.exp(-0.5 * (_REACH[:, None] ** 2 + _REACH**2) / WIDTH**2).astype(np.float32)
@@ -62,10 +64,13 @@ def find_seeds(level: np.ndarray, light: np.ndarray, blocks: Blocks) -> Seeds:
     bins, tried = (np.full((rows, cols, KEPT), -1, np.int64) for _ in range(2))
     chances, chance = (np.zeros((rows, cols, KEPT), np.float32) for _ in range(2))
     score = np.zeros((rows, cols), np.float32)
+    changed, changing = np.ones((rows, cols), bool), np.ones((rows, cols), bool)
     blocks(partial(_own, level, bins))
     for k in range(ROUNDS):
-        blocks(partial(_round, level, light, bins, chances, not k, tried, chance))
+        blocks(partial(_round, level, light, bins, chances, not k, changed, tried, chance, changing))
         bins, chances, tried, chance = tried, chance, bins, chances
+        if k:  # the first round asks other questions
+            changed, changing = changing, changed
     blocks(partial(_score, level, light, bins, chances, score))
     return Seeds(bins[:, :, 0], score, (bins, chances))
 
@@ -94,13 +99,21 @@ def _own(level, bins, begin, end):
 
 
 @njit
-def _round(level, light, bins, chances, first, new_bins, new_chances, begin, end):
-    """Compute each pixel's new candidates, the likeliest first, from the old ones and the neighbours' likeliest."""
+def _round(level, light, bins, chances, first, changed, new_bins, new_chances, changing, begin, end):
+    """Compute each pixel's new candidates, the likeliest first, from the old ones and the neighbours' likeliest.
+
+    A pixel stays as it is if no pixel near it has changed in the round before.
+    """
     rows, cols, _ = level.shape
     at = np.empty(KEPT + (2 * NEAR + 1) ** 2, np.int64)
     total = np.empty(len(at), np.float32)
     for r in range(begin, end):
         for c in range(cols):
+            changing[r, c] = False
+            for j in range(KEPT):
+                new_bins[r, c, j], new_chances[r, c, j] = bins[r, c, j], chances[r, c, j]
+            if not _any_near(changed, r, c):
+                continue
             number = _gather(bins, r, c, at)
             top = _NEVER
             for n in range(number):
@@ -121,6 +134,18 @@ def _round(level, light, bins, chances, first, new_bins, new_chances, begin, end
                 if chance > PROBABLE:
                     new_bins[r, c, j], new_chances[r, c, j] = at[best], chance
                 total[best] = _NEVER
+            for j in range(KEPT):
+                moved = abs(new_chances[r, c, j] - chances[r, c, j]) > STILL
+                changing[r, c] |= moved or new_bins[r, c, j] != bins[r, c, j]
+
+
+@njit(allocates=False)
+def _any_near(flags, r, c):
+    for rr in range(max(0, r - NEAR), min(flags.shape[0], r + NEAR + 1)):
+        for cc in range(max(0, c - NEAR), min(flags.shape[1], c + NEAR + 1)):
+            if flags[rr, cc]:
+                return True
+    return False
 
 
 @njit
@@ -174,7 +199,7 @@ def _support(level, light, bins, chances, first, r, c, k):
                         apart = min(apart, np.int64(len(ALIKE) - 1))
                         odds += chances[rr, cc, j] * ALIKE[apart]
                     j += 1
-                says = np.float32(np.log1p(np.float32(AGREE) * odds))
+                says = fast_log(np.float32(1) + np.float32(AGREE) * odds)
             total += _WEIGHT[rr - r + NEAR, cc - c + NEAR] * says
     return total
 

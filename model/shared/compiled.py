@@ -29,12 +29,14 @@ def njit(*, allocates: bool = True, **options: Any) -> Callable[[_Kernel], _Kern
 def njit(function: Callable[..., Any] | None = None, *, allocates: bool = True, **options: Any) -> Callable[..., Any]:
     """`numba.njit`, with or without options, with compiled code kept on disk and without the lock of the interpreter.
 
+    Code that calls the function from C is not made.
+
     allocates=False: the function and the functions it calls make no arrays, and do not count references to their
     arguments. If functions with many array arguments are called for every photon, that counting costs more than they do.
     """
     if function is None:
         return partial(njit, allocates=allocates, **options)
-    options |= {"nogil": True} | ({} if allocates else {"_nrt": False})
+    options |= {"nogil": True, "no_cfunc_wrapper": True} | ({} if allocates else {"_nrt": False})
     folder = None if _NUMBA.DISABLE_JIT else _folder(_room(function.__module__))
     if folder is None:
         return numba.njit(**options)(function)

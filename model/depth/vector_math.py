@@ -1,0 +1,47 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Logarithm and exponential of a float32 for loops of kernels: unlike those of `math`, they compile to vector code.
+
+Both work on the bits of the number: its exponent, and a polynomial of its fraction.
+"""
+
+import math
+
+import numpy as np
+from numpy.polynomial import Chebyshev, Polynomial
+
+from ..shared.compiled import njit
+
+EXP_MIN = np.float32(-80.0)  # exponentials of less are those of this
+_FRACTION_BITS, _BIAS = np.int32(23), np.int32(127)  # of a float32
+_FRACTION = np.int32((1 << 23) - 1)
+_FRACTION_UNIT = np.float32(2.0**-23)
+_LN_2, _LOG2_E = np.float32(math.log(2)), np.float32(1 / math.log(2))
+
+
+def _polynomial(function: np.ufunc, degree: int) -> tuple[np.float32, ...]:
+    """Return the coefficients of a polynomial for a function between 0 and 1."""
+    fit = Chebyshev.interpolate(function, degree, domain=[0, 1])
+    return tuple(fit.convert(kind=Polynomial).coef.astype(np.float32))
+
+
+_LOG_1P = _polynomial(np.log1p, 7)  # error below 1e-7
+_EXP_2 = _polynomial(np.exp2, 5)  # relative error below 1e-6
+
+
+@njit(allocates=False)
+def fast_log(value: np.float32) -> np.float32:
+    """Return the logarithm of a positive, normal float32."""
+    c, bits = _LOG_1P, np.float32(value).view(np.int32)
+    x = np.float32(bits & _FRACTION) * _FRACTION_UNIT
+    y = c[0] + x * (c[1] + x * (c[2] + x * (c[3] + x * (c[4] + x * (c[5] + x * (c[6] + x * c[7]))))))
+    return y + _LN_2 * np.float32(np.int32(bits >> _FRACTION_BITS) - _BIAS)
+
+
+@njit(allocates=False)
+def fast_exp(value: np.float32) -> np.float32:
+    """Return the exponential of a float32 that is not above 0."""
+    c, power = _EXP_2, max(value, EXP_MIN) * _LOG2_E
+    whole = np.int32(power) - np.int32(1)
+    x = power - np.float32(whole)
+    y = c[0] + x * (c[1] + x * (c[2] + x * (c[3] + x * (c[4] + x * c[5]))))
+    return y * np.int32(np.int32(whole + _BIAS) << _FRACTION_BITS).view(np.float32)
