@@ -44,7 +44,7 @@ FPGA_CELLS = "share/lattice/cells_sim_ecp5.v"
 NETLIST_OPTIONS = "-Wno-INITIALDLY", "-Wno-SPECIFYIGN", "-Wno-UNOPTFLAT", "-DNO_INCLUDES", "-CFLAGS", "-O0"
 NETLIST_BEATS = 256  # of the frame buffer, in LUTs
 PULSES = 8
-EDGES_A_CYCLE = 0.4
+EDGES_A_CYCLE = 0.4  # in each subgroup
 
 
 def netlist_build(sensor: Sensor, target: str, scopes: Sequence[str] = ()) -> toolchain.Build:
@@ -130,7 +130,7 @@ def random_frames(sensor: Sensor, frames: int, seed: int = 1) -> list[FrameJob]:
 
 
 def _random_edges(config: Config, rng: np.random.Generator) -> Edges:
-    n = int(EDGES_A_CYCLE * PULSES * config.period)
+    n = int(EDGES_A_CYCLE * config.sensor.subgroups * PULSES * config.period)
     highs = PULSES, config.sensor.array_pixels, config.period_ticks
     return Edges(*(rng.integers(0, high, n) for high in highs))
 

@@ -20,7 +20,7 @@ from ..model.shared.folders import build_root
 from ..model.shared.sources import digest
 from ..tools.build import ToolchainError, build_once
 from ..tools.wheels import run_program, run_yosys
-from .yosys import CELLS_KEY, LIBERTY, cells_script, put_cells
+from .yosys import CELLS_KEY, LIBERTY, bound, cells_script, put_cells
 
 FLOP, LATCH, GATE = (re.compile(kinds) for kinds in (r"S?DFF", r"DL[HL]|TLAT", "CLKGATE"))
 MACRO = re.compile(r"(?:\$paramod\S*\\)?(coincid_(?:phases|window|delay|mutex))\b")
@@ -62,10 +62,11 @@ def map_block(
     changed: file name -> text that replaces or supplements the block's own files; gated: as in `cells_script`. Raises
     `ToolchainError`.
     """
-    files = units_files([unit], latches=True)
+    files = bound(units_files([unit], cells=True), gated)
     files |= {path.name: path.read_text() for path in (*view.cells, *view.macros)} | dict(changed or {})
     script = "\n".join(
         [
+            f"read_liberty -lib {LIBERTY}",
             f"read_verilog -sv {' '.join(files)}",
             *cells_script(unit.unit_name, flatten=True, gated=gated),
             f"tee -q -o stat.json stat -json -liberty {LIBERTY}",

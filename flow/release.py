@@ -11,7 +11,7 @@ from pathlib import Path
 from attrs import asdict
 
 from ..hdl import deserialiser
-from ..hdl.export import FILE_LIST, fpga_files, latch_files, verilog_files
+from ..hdl.export import FILE_LIST, cell_files, fpga_files, verilog_files
 from ..hdl.sensor import FPGA_TOP, SensorTop, has_fpga_top
 from ..hdl.unit import Port
 from ..hdl.views import POLYPHASE, Asynchronous, View, view_at
@@ -20,6 +20,8 @@ from ..model.contract.config import Config
 from ..model.contract.parameters import TOP, Sensor
 from ..model.shared.errors import InputError
 from .c_driver import c_driver
+from .captured import FOLDER as CAPTURED
+from .captured import captured_files
 from .constraints import constraints as async_constraints
 from .ports import instantiation, port_table, stream_words
 from .register_files import register_files
@@ -28,7 +30,10 @@ from .waivers import CONTROL_FILE, control_file
 
 MANIFEST, CORE, README = "manifest.json", f"{TOP}.core", "README.md"
 SYNTHESIS_LIST = "coincid_synthesis.f"  # for a view with macros
-CELLS_LIST, LATCHES = "coincid_cells.f", "_latches.v"  # for standard cells; suffix of the files with their memories
+CELLS_LIST, CELLS_FOLDER = (
+    "coincid_cells.f",
+    "cells",
+)  # for standard cells; folder of the blocks that have another form there
 TIMESCALE = "1ps/1fs"  # for a view with macros
 PORT_DELAY = 0.4  # share of a period outside the ports
 UNCERTAINTY = 0.05  # share of a period
@@ -49,7 +54,10 @@ PER_TOP = {TOP: SMOKE, FPGA_TOP: FPGA_SMOKE}
 
 
 def release_files(config: Config, view: str | View = POLYPHASE) -> dict[str, str]:
-    """Return the files of a configuration's sensor at its clock, by name. view: from `views.py`, or its name."""
+    """Return the texts of a configuration's sensor at its clock, by file name. view: from `views.py`, or its name.
+
+    Without the captured streams.
+    """
     sensor, clock_mhz, view = config.sensor, config.clock_mhz, view_at(view, config.clock_mhz)
     rtl = verilog_files(sensor, view)
     lists = {TOP: rtl.pop(FILE_LIST).split()}
@@ -70,15 +78,11 @@ def release_files(config: Config, view: str | View = POLYPHASE) -> dict[str, str
     if view.macros:
         boxes = {path.name: path.read_text() for path in view.macros}
         files |= boxes | {SYNTHESIS_LIST: _list([*lists[TOP], *boxes])}
-    latches = {_latched(name): text for name, text in latch_files(sensor, view).items()}
-    names = [latched if (latched := _latched(name)) in latches else name for name in lists[TOP]]
-    files |= latches | {CELLS_LIST: _list([*names, *(path.name for path in view.macros)])}
+    cells = {name: (f"{CELLS_FOLDER}/{name}", text) for name, text in cell_files(sensor, view).items()}
+    names = [cells[name][0] if name in cells else name for name in lists[TOP]]
+    files |= dict(cells.values()) | {CELLS_LIST: _list([*names, *(path.name for path in view.macros)])}
     files |= {CORE: _core(lists, view), README: _readme(sensor, clock_mhz, lists, view)}
-    return dict(sorted(files.items())) | {MANIFEST: _manifest(sensor, clock_mhz, lists, files, view)}
-
-
-def _latched(name: str) -> str:
-    return name.removesuffix(".v") + LATCHES
+    return dict(sorted(files.items()))
 
 
 def _list(names: list[str]) -> str:
@@ -239,7 +243,10 @@ def _readme(sensor: Sensor, clock_mhz: float, lists: dict[str, list[str]], view:
         "",
         "`coincid.h` and `coincid.c` are a small driver and decoder in C.",
         f"Parameters and hashes are in `{MANIFEST}`, registers in `registers.*`, constraints for {clock_mhz:g} MHz in `*.sdc`.",
-        f"`{CELLS_LIST}` is the list for standard cells: there the memories are latches (`*{LATCHES}`), elsewhere RAM or flip-flops.",
+        f"`{CELLS_LIST}` is the list for standard cells. It takes some blocks from the folder `{CELLS_FOLDER}`: memories as latches, which",
+        "are RAM or flip-flops elsewhere, and `coincid_clock_gate`, which stops a subgroup's clock when nothing is to be done; replace",
+        "it by the cell of your library. Elsewhere it is a wire, and the words are the same.",
+        f"`{CAPTURED}` has a captured frame of every format: its beats (`.txt`), its events (`.csv`), all that is decoded (`.npz`).",
         "Lint, and the smoke test, which prints PASS; no Python is needed:",
         "",
         *lint,
@@ -257,18 +264,20 @@ def _readme(sensor: Sensor, clock_mhz: float, lists: dict[str, list[str]], view:
     return "\n".join(about)
 
 
-def _manifest(sensor: Sensor, clock_mhz: float, lists: dict[str, list[str]], files: dict[str, str], view: View) -> str:
+def _manifest(config: Config, files: dict[str, bytes], view: View) -> str:
+    sensor, clock_mhz = config.sensor, config.clock_mhz
+    tops = [top for top in PER_TOP if f"{top}.sdc" in files]
     facts = {
         "name": TOP,
         "version": version("coincid"),
         "view": view.name,
-        "tops": list(lists),
+        "tops": tops,
         "clock_mhz": int(clock_mhz) if clock_mhz.is_integer() else clock_mhz,
         "parameters": asdict(sensor),
         "derived": {name: getattr(sensor, name) for name in DERIVED},
         "latency_cycles": {name.lower(): value for name, value in vars(latency).items() if name.isupper()}
-        | ({"deserialiser": deserialiser.CYCLES} if FPGA_TOP in lists else {}),
-        "sha256": {name: hashlib.sha256(text.encode()).hexdigest() for name, text in sorted(files.items())},
+        | ({"deserialiser": deserialiser.CYCLES} if FPGA_TOP in tops else {}),
+        "sha256": {name: hashlib.sha256(content).hexdigest() for name, content in sorted(files.items())},
     }
     return json.dumps(facts, indent=2) + "\n"
 
@@ -289,8 +298,12 @@ def write_release(folder: Path, config: Config, view: str | View = POLYPHASE) ->
     try:
         fresh, stale = beside / "fresh", beside / "stale"
         fresh.mkdir()
-        for name, text in release_files(config, view).items():
-            (fresh / name).write_text(text)
+        files = {name: text.encode() for name, text in release_files(config, view).items()}
+        files |= captured_files(config.sensor)
+        files[MANIFEST] = _manifest(config, files, view_at(view, config.clock_mhz)).encode()
+        for name, content in files.items():
+            (fresh / name).parent.mkdir(exist_ok=True)
+            (fresh / name).write_bytes(content)
         if folder.exists():
             folder.rename(stale)
         fresh.rename(folder)
@@ -300,4 +313,4 @@ def write_release(folder: Path, config: Config, view: str | View = POLYPHASE) ->
         raise InputError(f"{given}: cannot be written: {error.strerror}") from None
     finally:
         shutil.rmtree(beside, ignore_errors=True)
-    return sorted(folder.iterdir())
+    return sorted(folder / name for name in files)

@@ -34,7 +34,7 @@ from ..tools.build import build_once
 from ..tools.wheels import run_yosys
 from .levels import longest_paths
 from .mapped import FLOP, GATE, LATCH, map_block, slack_ns, slacks_ns
-from .yosys import CELLS_KEY, LIBERTY, cells_script, generic_script, put_cells
+from .yosys import CELLS_KEY, LIBERTY, bound, cells_script, generic_script, put_cells
 
 # abc for speed: cuts are balanced for depth before gates are chosen. Its default is up to twice as deep for a tenth less
 # area.
@@ -88,11 +88,13 @@ class Netlist:
 
 def synthesize(sensor: Sensor, target: str, top: str = TOP) -> Netlist:
     """Synthesize the sensor, once for the state of its Verilog; in cells its memories are latches. Raises `ToolchainError`."""
-    files = verilog_files(sensor, latches=target == CELLS)
+    files = verilog_files(sensor, cells=target == CELLS)
     del files[FILE_LIST]
     if top == FPGA_TOP:
         files |= fpga_files(sensor)
         del files[f"{TOP}.v"]
+    if target == CELLS:
+        files = bound(files)
     units = instantiated(SensorTop(sensor, levels=top == FPGA_TOP))
     script = _script(target, list(files), top, units)
     key = digest(script, CELLS_KEY * (target == CELLS), *(part for item in sorted(files.items()) for part in item))
@@ -110,7 +112,7 @@ def synthesize(sensor: Sensor, target: str, top: str = TOP) -> Netlist:
 
 def _script(target: str, names: list[str], top: str, units: list[str]) -> str:
     """Return the commands that map the sensor. Only an FPGA has initial values."""
-    read = f"read_verilog -sv {' '.join(names)}"
+    read = f"read_liberty -lib {LIBERTY}\n" * (target == CELLS) + f"read_verilog -sv {' '.join(names)}"
     statistics = "tee -q -o stat.json stat -json" + f" -liberty {LIBERTY}" * (target == CELLS)
     end = [statistics, "write_verilog -simple-lhs -noexpr -noattr netlist.v", "write_json netlist.json"]
     if target == ECP5:

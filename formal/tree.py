@@ -78,8 +78,9 @@ def _first(word):
 def _leaf_holds(b: Bench, leaf: MinigroupState, edges: Edges, pixels=None) -> None:
     """State the invariants of a minigroup's pipeline: it holds the encoded first edges of its pixels."""
     for raw, phases, since in ((edges.raw_1, leaf.phases_1, 1), (edges.raw_2, leaf.phases_2, edges.fresh)):
-        for word, phase in zip(edges.words(raw, pixels), phases):
-            b.always(phase == _first(word), where=since)
+        words = edges.words(raw, pixels)
+        for word, phase in zip(words, phases):
+            b.always(phase == _first(word), where=since & Cat(words).any())
     for stage, valid, since in (
         (edges.raw_1, leaf.valid_1, 1),
         (edges.stage_2, leaf.valid_2, edges.fresh),
@@ -339,7 +340,7 @@ def minigroup_record(b):
     b.always(unit.entry.stamp == stamp, where=(remaining != 0) & ~body.started)
     b.always(body.started == b.past(starts), where=b.past(1))
     b.always(stamp == b.last(coarse * QUARTERS + first * QUARTERS // phases), where=body.started & edges.fresh_3)
-    b.always(body.step_4 == b.last(body.step), where=b.past(1))
+    b.always(body.step_4 == b.last(body.step), where=b.past(1) & body.started)
     b.always(remaining == 0, where=wrap)
     b.always(remaining + guarded <= 4, where=remaining != 0)
     _leaf_holds(b, body, edges)

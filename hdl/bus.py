@@ -24,6 +24,7 @@ class Operation(enum.Enum, shape=4):  # type: ignore[call-arg]  # Amaranth's enu
     TAKE = 0b0101  # the programmed settings take effect for the frame
     BUDGET = 0b0110  # data is the budget of the stream that begins with this subgroup; earlier streams ignore it
     COMPARE = 0b1001  # data is a bound of the threshold controller
+    ACCESS = 0b1100  # an access to the registers is in progress: wake up; the subgroup of the bus shows its word
     BEGIN = 0b1010  # begin the frame: clear the counters, set the threshold; data is the controller's lowest threshold
 
 
@@ -41,6 +42,8 @@ CONFIG_BUS = data.StructLayout(
 )
 # A beat of counters on its way out. `controlled`: the threshold controller sets the threshold of its subgroup.
 COUNTED = data.StructLayout({"valid": 1, "beat": BEAT_BITS, "controlled": 1})
+
+STROBES = ("running", "start", "wrap", "may_open")  # of the time layout; the shift goes with `start`
 
 
 def time_layout(sensor: Sensor) -> data.StructLayout:

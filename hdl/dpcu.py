@@ -7,7 +7,7 @@ within a coincidence window, allowing us to set different thresholds in every su
 counters and the way the thresholds are found (`controller.py`; the part of each subgroup is here).
 """
 
-from amaranth.hdl import Module, Mux, Signal
+from amaranth.hdl import Cat, Module, Mux, Signal
 from amaranth.lib.wiring import In, Out
 
 from ..model.contract.counters import COUNTER_BITS, COUNTER_NAMES
@@ -33,7 +33,8 @@ class DpcuState:
     """Inner registers and signals of a DPCU.
 
     count: the counters, by name. stays: the controller was in charge in the last frame, too. ceiling: of the bounds compared
-    so far, without the last, which is `reached`. rises, falls, stepped: the controller's step of the threshold.
+    so far, without the last, which is `reached`. awake: an operation may still change threshold or window. rises,
+    falls, stepped: the controller's step of the threshold.
     """
 
     def __init__(self, sensor: Sensor):
@@ -47,6 +48,7 @@ class DpcuState:
         self.rises = Signal()
         self.falls = Signal()
         self.stepped = Signal(range(THRESHOLD_MAX + 1))
+        self.awake = Signal()
 
 
 class Dpcu(Unit):
@@ -99,30 +101,44 @@ class Dpcu(Unit):
         m = Module()
         for i, counter in enumerate(self.state.count.values()):
             m.d.comb += self.counters.word_select(i, COUNTER_BITS).eq(counter)
+        self._told(m)
         self._judgement(m)
         self._pulses(m)
         self._counters(m)
         self._threshold(m)
         return m
 
+    def _told(self, m):
+        """Threshold and window change after operations of the bus only, and stand still in a frame."""
+        told = Signal(2, init=-1)  # in the last cycles
+        tells = Signal()
+        m.d.comb += [tells.eq(self.operation != bus.Operation.IDLE), self.state.awake.eq(tells | told.any())]
+        with m.If(self.state.awake):
+            m.d.sync += told.eq(Cat(tells, told))
+
     def _judgement(self, m):
         """Commit the windows that meet the threshold. Without coincidence, the window is one tick and the threshold one."""
         state = self.state
         enough = Signal()
+        with m.If(state.awake):
+            m.d.sync += [
+                self.window_ticks.eq(Mux(self.settings.coincidence, self.settings.window, 1)),
+                state.threshold.eq(Mux(self.settings.coincidence, state.count["threshold_used"], 1)),
+                state.lower_threshold.eq(state.threshold - 1),
+            ]
         m.d.sync += [
-            self.window_ticks.eq(Mux(self.settings.coincidence, self.settings.window, 1)),
-            state.threshold.eq(Mux(self.settings.coincidence, state.count["threshold_used"], 1)),
-            state.lower_threshold.eq(state.threshold - 1),
             self.commit.eq(self.closed & enough),
-            self.event.eq(self.window),
             state.meets_lower.eq(self.closed & (self.window.count >= state.lower_threshold)),
         ]
+        with m.If(self.closed):
+            m.d.sync += self.event.eq(self.window)
         m.d.comb += enough.eq(self.window.count >= state.threshold)
 
     def _pulses(self, m):
         """Count the periods. The strobe reaches stage 8 ten registers after the input."""
         coming = Signal(9)
-        m.d.sync += coming.eq((coming << 1) | self.start)
+        with m.If(self.start | coming.any()):
+            m.d.sync += coming.eq((coming << 1) | self.start)
         with m.If(coming[-1]):
             m.d.sync += self.pulse.eq(self.pulse + 1)
 
@@ -131,7 +147,9 @@ class Dpcu(Unit):
         count = self.state.count
         judged = Signal()
         judged_count = Signal.like(self.window.count)
-        m.d.sync += [judged.eq(self.closed), judged_count.eq(self.window.count)]
+        m.d.sync += judged.eq(self.closed)
+        with m.If(self.closed):
+            m.d.sync += judged_count.eq(self.window.count)
         strobes = {
             "opened": judged,
             "committed": self.commit,
@@ -159,11 +177,12 @@ class Dpcu(Unit):
             raised.eq(state.ceiling + state.reached),
             bounded.eq(Mux(state.stepped < raised, state.stepped, raised)),
         ]
-        m.d.sync += [
-            state.reached.eq((self.operation == bus.Operation.COMPARE) & (count["opened"] >= self.data)),
-            state.ceiling.eq(raised),
-            state.stepped.eq(_step(count["threshold_used"][: self.sensor.count_bits], state.rises, state.falls)),
-        ]
+        with m.If(state.awake):
+            m.d.sync += [
+                state.reached.eq((self.operation == bus.Operation.COMPARE) & (count["opened"] >= self.data)),
+                state.ceiling.eq(raised),
+                state.stepped.eq(_step(count["threshold_used"][: self.sensor.count_bits], state.rises, state.falls)),
+            ]
         with m.Switch(self.operation):
             with m.Case(bus.Operation.TAKE):
                 m.d.sync += [state.stays.eq(self.controlled), state.ceiling.eq(1)]

@@ -15,7 +15,6 @@ from attrs import frozen
 
 from ..model.contract.parameters import Sensor
 from ..model.shared.licence import SPDX
-from .memory import Memory
 from .sensor import SensorTop
 from .to_verilog import to_verilog
 from .unit import Export, Unit
@@ -30,36 +29,36 @@ START = r"""  reg \1 ;
   /* verilator lint_on INITIALDLY */"""
 
 
-def verilog_files(sensor: Sensor, view=POLYPHASE, latches: bool = False) -> dict[str, str]:
+def verilog_files(sensor: Sensor, view=POLYPHASE, cells: bool = False) -> dict[str, str]:
     """Return the Verilog by file name: one file per block, and a file list. It depends only on the parameters.
 
-    A view's cells come as behavioural models. latches: make memories of rows of latches, for standard cells.
+    A view's cells come as behavioural models. cells: the forms for standard cells: memories of latches, clock gates that gate.
     """
-    return _sensor_blocks(sensor, view).chosen(latches)
+    return _sensor_blocks(sensor, view).chosen(cells)
 
 
-def latch_files(sensor: Sensor, view=POLYPHASE) -> dict[str, str]:
-    """Return those of the `verilog_files` that are different with latches: the memories."""
-    return dict(_sensor_blocks(sensor, view).latches)
+def cell_files(sensor: Sensor, view=POLYPHASE) -> dict[str, str]:
+    """Return those of the `verilog_files` that are different for standard cells: memories and clock gates."""
+    return dict(_sensor_blocks(sensor, view).cells)
 
 
 @frozen
 class _Blocks:
-    """Verilog by file name; latches: of the memories among them, made of latches."""
+    """Verilog by file name; cells: of those among them that have another form for standard cells, this form."""
 
     files: dict[str, str]
-    latches: dict[str, str]
+    cells: dict[str, str]
 
-    def chosen(self, latches: bool) -> dict[str, str]:
-        """A copy of the files, where the memories are latches or not."""
-        return self.files | (self.latches if latches else {})
+    def chosen(self, cells: bool) -> dict[str, str]:
+        """A copy of the files, with the forms for standard cells or without."""
+        return self.files | (self.cells if cells else {})
 
 
 @lru_cache(maxsize=SENSORS_KEPT)
 def _sensor_blocks(sensor: Sensor, view) -> _Blocks:
     blocks = _emitted([SensorTop(sensor, view)])
     files = blocks.files | {path.name: path.read_text() for path in view.cells}
-    return _Blocks(files | {FILE_LIST: "".join(f"{name}\n" for name in files)}, blocks.latches)
+    return _Blocks(files | {FILE_LIST: "".join(f"{name}\n" for name in files)}, blocks.cells)
 
 
 def fpga_files(sensor: Sensor) -> dict[str, str]:
@@ -68,9 +67,9 @@ def fpga_files(sensor: Sensor) -> dict[str, str]:
     return {name: files[name] for name in sorted(files.keys() - verilog_files(sensor).keys())}
 
 
-def units_files(units: list[Unit], latches: bool = False) -> dict[str, str]:
-    """Return the files of some blocks and of all that they instantiate. latches: as in `verilog_files`."""
-    return _emitted(units).chosen(latches)
+def units_files(units: list[Unit], cells: bool = False) -> dict[str, str]:
+    """Return the files of some blocks and of all that they instantiate. cells: as in `verilog_files`."""
+    return _emitted(units).chosen(cells)
 
 
 def instantiated(unit: Unit) -> list[str]:
@@ -83,19 +82,19 @@ def instantiated(unit: Unit) -> list[str]:
 def _emitted(units: list[Unit]) -> _Blocks:
     """Return the files of these units and of all that they instantiate."""
     pending = {unit.unit_name: unit for unit in units}
-    designs, latches = {}, {}
+    designs, cells = {}, {}
     with _garbage_left():
         while pending:
             name, unit = pending.popitem()
             if name not in designs:
                 platform = Export()
                 designs[name] = _design(unit, platform)
-                if isinstance(unit, Memory):
-                    latches[f"{name}.v"] = _licensed(unit.latches())
+                if form := unit.for_cells():
+                    cells[f"{name}.v"] = _licensed(form)
                 pending |= platform.units
     texts = to_verilog(designs.values())
     files = {f"{name}.v": _licensed(_stable(text)) for name, text in zip(designs, texts)}
-    return _Blocks(dict(sorted(files.items())), latches)
+    return _Blocks(dict(sorted(files.items())), cells)
 
 
 def _design(unit: Unit, platform: Export) -> str:

@@ -81,11 +81,9 @@ class EventFifo(Unit):
                 m.d.sync += state.to.eq(Mux(state.to == depth - 1, 0, state.to + 1))
             with m.If(self.take):
                 m.d.sync += state.row.eq(Mux(state.row == depth - 1, 0, state.row + 1))
-        m.d.sync += [
-            state.level.eq(state.level + rows.write - self.take),
-            self.stored.eq(self.commit & room),
-            self.dropped.eq(self.commit & ~room),
-        ]
+        with m.If(rows.write | self.take):
+            m.d.sync += state.level.eq(state.level + rows.write - self.take)
+        m.d.sync += [self.stored.eq(self.commit & room), self.dropped.eq(self.commit & ~room)]
         with m.If(self.frame_begin):
             m.d.sync += [state.lost.eq(0), state.level.eq(0), state.to.eq(0), state.row.eq(0)]
         with m.Elif(self.commit):

@@ -55,11 +55,9 @@ class Gating(Unit):
         m = Module()
         coarse_bits, state = self.sensor.coarse_bits, self.state
         first = Signal(coarse_bits + 2)
-        m.d.sync += [
-            first.eq(self.settings.gate_start[:coarse_bits] + self.timing.shift),
-            state.start.eq(self.timing.start),
-            state.running.eq((state.running << 1) | self.timing.running),
-        ]
+        with m.If(self.timing.start):
+            m.d.sync += first.eq(self.settings.gate_start[:coarse_bits] + self.timing.shift)
+        m.d.sync += [state.start.eq(self.timing.start), state.running.eq((state.running << 1) | self.timing.running)]
         until = Signal.like(first)  # cycles until the gate opens, then cycles until it closes
         left = Signal(GATE_BITS)
         inside = Signal()
@@ -68,9 +66,11 @@ class Gating(Unit):
             state.left_now.eq(Mux(state.start, self.settings.gate_len, left)),
             inside.eq(state.running[0] & (state.until_now == 0) & (state.left_now != 0)),
         ]
+        with m.If(self.settings.gating & (state.start | (state.running[0] & (until != 0)))):
+            m.d.sync += until.eq(state.until_now - (state.until_now != 0))
+        with m.If(self.settings.gating & (state.start | inside)):
+            m.d.sync += left.eq(state.left_now - inside)
         m.d.sync += [
-            until.eq(state.until_now - (state.until_now != 0)),
-            left.eq(state.left_now - inside),
             self.spad_gate.eq(inside | ~self.settings.gating),
             self.accept.eq(state.running[1] & self.spad_gate),
         ]

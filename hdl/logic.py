@@ -5,6 +5,7 @@ from collections.abc import Callable
 
 from amaranth.hdl import Cat, Module, Mux, Signal, Value
 
+LOW_BITS = 4  # of a counter: the others rest in 15 of 16 counts, and so does their clock
 SUM_PART = 11  # bits through which a carry of `carry_select` ripples
 
 
@@ -106,5 +107,11 @@ def saturating_add(m: Module, counter: Signal, amount: Value) -> None:
 
 
 def count_up(m: Module, counter: Signal, strobe: Value) -> None:
-    """Add `strobe` to `counter` at the clock, and saturate."""
-    m.d.sync += counter.eq(counter + (strobe & ~counter.all()))
+    """Add `strobe` to `counter` at the clock, and saturate. Its low and its high bits have enables of their own."""
+    low, high = counter[:LOW_BITS], counter[LOW_BITS:]
+    counts = Signal(name=f"{counter.name}_counts")
+    m.d.comb += counts.eq(strobe & ~counter.all())
+    with m.If(counts):
+        m.d.sync += low.eq(low + 1)
+    with m.If(counts & low.all()):
+        m.d.sync += high.eq(high + 1)

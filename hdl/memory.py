@@ -42,7 +42,7 @@ class Memory(Unit):
         self.rows = rows
         return m
 
-    def latches(self) -> str:
+    def for_cells(self) -> str:
         """Return the block's Verilog with latches; each row has a write line that is high in the second half of its cycle."""
         ports = {"to": bits_for(self.depth - 1), "row": bits_for(self.depth - 1)} if self.depth > 1 else {}
         ranges = {"data": self.width} | ports

@@ -37,13 +37,14 @@ class Recorder(Unit):
         begins: the edge is the minigroup's first in the window (stage 4).
         """
         offset = Signal(len(self.offset), reset_less=True)
-        step = step_4
-        for stage in (5, 6, 7):
-            later = Signal(name=f"begins_{stage}", reset_less=True), Signal.like(step_4, name=f"step_{stage}")
-            m.d.sync += [later[0].eq(begins), later[1].eq(step)]
-            begins, step = later
-        with m.If(begins):
-            m.d.sync += offset.eq(Cat(step, self.elapsed))
+        stages = range(5, 8)
+        strobes = [begins, *(Signal(name=f"begins_{n}", reset_less=True) for n in stages)]
+        steps = [step_4, *(Signal.like(step_4, name=f"step_{n}") for n in stages)]
+        with m.If(Cat(strobes).any()):
+            for delayed in (strobes, steps):
+                m.d.sync += [later.eq(sooner) for sooner, later in zip(delayed, delayed[1:])]
+        with m.If(strobes[-1]):
+            m.d.sync += offset.eq(Cat(steps[-1], self.elapsed))
         m.d.comb += self.offset.eq(offset)
 
     def _record(self, m, platform, active, step_4):
@@ -58,6 +59,8 @@ class Recorder(Unit):
         runs = Signal()
         seen_next = Signal(pixels)
         left_next = Signal(2)
+        ends = Signal()
+        enough = Signal()
         m.d.comb += [
             starts.eq(
                 self.frame.minigroup_records
@@ -66,8 +69,10 @@ class Recorder(Unit):
                 & (self.wrap | ((left == 0) & ~self.latched))
             ),
             runs.eq(starts | (left != 0)),
-            seen_next.eq(active | (seen & ~starts.replicate(pixels))),
-            left_next.eq(Mux(starts, self.frame.mg_window, left) - 1),
+            seen_next.eq((active & runs.replicate(pixels)) | (seen & ~starts.replicate(pixels))),
+            left_next.eq(Mux(starts, self.frame.mg_window, left) - runs),
+            ends.eq(runs & (left_next == 0)),
+            enough.eq(popcount(m, seen_next, "seen_count") >= self.frame.mg_threshold),
             # The stamp is written one cycle later, when it is known, and never while an entry is taken: its memory may
             # consist of latches.
             stamp.write.eq(state.started),
@@ -75,17 +80,20 @@ class Recorder(Unit):
             self.entry.map.eq(seen),
             self.entry.stamp.eq(stamp.value),
         ]
-        m.d.sync += state.started.eq(starts)
-        with m.If(self.wrap):
-            m.d.sync += self.latched.eq(0)
-        with m.If(runs):
-            m.d.sync += [seen.eq(seen_next), left.eq(left_next)]
-            with m.If(left_next == 0):
-                m.d.sync += self.latched.eq(popcount(m, seen_next, "seen_count") >= self.frame.mg_threshold)
+        with m.If(runs | state.started | (self.wrap & self.latched)):
+            m.d.sync += [
+                state.started.eq(starts),
+                seen.eq(seen_next),
+                left.eq(left_next),
+                self.latched.eq(Mux(ends, enough, self.latched & ~self.wrap)),
+            ]
 
 
 class MinigroupState(RecordState):
-    """Inner registers of a minigroup. Numbers are those of stages; active: pixels with an edge (stage 3)."""
+    """Inner registers and signals of a minigroup. Numbers are those of stages; active: pixels with an edge (stage 3).
+
+    awake_1, awake_3: stages up to this one, from the one before it, may change.
+    """
 
     def __init__(self, sensor: Sensor):
         super().__init__(sensor)
@@ -100,6 +108,8 @@ class MinigroupState(RecordState):
         self.hit_4 = Signal(pixels, reset_less=True)
         self.step_4 = Signal.like(self.step)
         self.hits = Signal(pixels, reset_less=True)
+        self.awake_1 = Signal()
+        self.awake_3 = Signal()
 
 
 class Minigroup(Recorder):
@@ -111,6 +121,7 @@ class Minigroup(Recorder):
     -----
     words : in, pixels * phases bits, the SPADs' edge words; mask : in, pixels (stage 0)
     root : out, phases, OR of the words of the unmasked pixels (stage 0: straight from the port to a register of the tree)
+    wakes : out, `root` is not 0 (stage 0)
     accept : in, the gate is open and a frame is running (stage 1)
     whole : in, the window covers the cycle; part : in, it covers the phases before `end`; first : in, the cycle's first phase (stage 2)
     at_first : out, pixels, the pixel's edge is at that phase (stage 2)
@@ -124,6 +135,8 @@ class Minigroup(Recorder):
 
     Reset clears the record circuit. The rest needs no reset, because nothing is accepted outside a frame and every
     window starts from an empty map.
+
+    Stages 1, 3 and 5 with those that follow them stand still unless something is valid in them or comes.
     """
 
     unit_name = "coincid_minigroup"
@@ -138,6 +151,7 @@ class Minigroup(Recorder):
                 "mask": In(pixels),
                 "accept": In(1),
                 "root": Out(phases),
+                "wakes": Out(1),
                 "whole": In(1),
                 "part": In(1),
                 "end": In(sensor.phase_bits),
@@ -173,20 +187,27 @@ class Minigroup(Recorder):
         """
         state, sensor = self.state, self.sensor
         pixels, phases = sensor.minigroup_pixels, sensor.phases
+        valid_0 = Signal(pixels)
         roots = [Signal(phases, name=f"root_{i}") for i in range(pixels)]
         for i, root in enumerate(roots):
             word, on = self.words.word_select(i, phases), self.mask[i]
             valid, phase = first_one(m, word, f"first_{i}")
-            m.d.comb += root.eq(word & on.replicate(phases))
-            m.d.sync += [
-                state.valid_1[i].eq(valid & on),
-                state.phases_1[i].eq(phase | ~on.replicate(sensor.phase_bits)),
-            ]
-        m.d.comb += self.root.eq(any_of(m, roots, "root_or"))
-        m.d.sync += [
-            state.valid_2.eq(state.valid_1 & self.accept.replicate(pixels)),
-            *(phase_2.eq(phase_1) for phase_1, phase_2 in zip(state.phases_1, state.phases_2)),
+            m.d.comb += [root.eq(word & on.replicate(phases)), valid_0[i].eq(valid & on)]
+            with m.If(state.awake_1):
+                m.d.sync += state.phases_1[i].eq(phase | ~on.replicate(sensor.phase_bits))
+        m.d.comb += [
+            self.root.eq(any_of(m, roots, "root_or")),
+            self.wakes.eq(valid_0.any()),
+            state.awake_1.eq(self.wakes | state.valid_1.any()),
+            state.awake_3.eq(Cat(state.valid_1, state.valid_2, state.active, state.hit_3).any()),
         ]
+        with m.If(state.awake_1):
+            m.d.sync += state.valid_1.eq(valid_0)
+        with m.If(state.awake_3):
+            m.d.sync += [
+                state.valid_2.eq(state.valid_1 & self.accept.replicate(pixels)),
+                *(phase_2.eq(phase_1) for phase_1, phase_2 in zip(state.phases_1, state.phases_2)),
+            ]
 
     def _hits(self, m):
         """Stages 2 and 3: find the pixels with an edge, those that the window counts, and the step of the first edge.
@@ -201,11 +222,13 @@ class Minigroup(Recorder):
             self.at_first.eq(state.valid_2 & Cat(phase == self.first for phase in state.phases_2)),
             self.blind.eq((state.active & ~state.hit_3).any()),
         ]
-        m.d.sync += [
-            state.active.eq(state.valid_2),
-            state.hit_3.eq(state.valid_2 & (self.whole.replicate(pixels) | (self.part.replicate(pixels) & before_end))),
-            state.step.eq(least(m, steps, "first_step")),
-        ]
+        counted = self.whole.replicate(pixels) | (self.part.replicate(pixels) & before_end)
+        with m.If(state.awake_3):
+            m.d.sync += [
+                state.active.eq(state.valid_2),
+                state.hit_3.eq(state.valid_2 & counted),
+                state.step.eq(least(m, steps, "first_step")),
+            ]
 
     def _map(self, m):
         """Stages 4 and 5: collect the hits in the map.
@@ -214,10 +237,11 @@ class Minigroup(Recorder):
         """
         state, pixels = self.state, self.sensor.minigroup_pixels
         hits = state.hits
-        m.d.sync += [
-            state.hit_4.eq(state.hit_3),
-            state.step_4.eq(state.step),
-            hits.eq(state.hit_4 | (hits & ~self.opening.replicate(pixels))),
-        ]
+        with m.If(Cat(state.active, state.hit_4).any() | (self.opening & hits.any())):
+            m.d.sync += [
+                state.hit_4.eq(state.hit_3),
+                state.step_4.eq(state.step),
+                hits.eq(state.hit_4 | (hits & ~self.opening.replicate(pixels))),
+            ]
         m.d.comb += self.hits.eq(hits)
         self._offset(m, state.hit_4.any() & (self.opening | ~hits.any()), state.step_4)

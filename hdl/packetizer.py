@@ -139,11 +139,12 @@ class Packetizer(Unit):
                     for k, beat in enumerate(of_packet):
                         with m.Case(k):
                             m.d.comb += chosen.eq(beat)
-        m.d.sync += [
-            self.valid.eq(state.active),
-            self.beat.eq(Mux(state.active, chosen, 0)),
-            self.beat_controlled.eq(state.active & self.controlled),
-        ]
+        with m.If(state.active | Cat(self.valid, self.beat, self.beat_controlled).any()):
+            m.d.sync += [
+                self.valid.eq(state.active),
+                self.beat.eq(Mux(state.active, chosen, 0)),
+                self.beat_controlled.eq(state.active & self.controlled),
+            ]
         return m
 
     def _sequence(self, m):
@@ -158,12 +159,13 @@ class Packetizer(Unit):
             self.take_event.eq(ends & (state.send == bus.Send.EVENT)),
             self.take_record.eq(ends & (state.send == bus.Send.RECORD)),
         ]
-        m.d.sync += [
-            state.sending.eq(state.active & ~ends),
-            state.send_before.eq(state.send),
-            state.index_before.eq(state.index + 1),
-            state.at_last.eq(state.index + 1 == self._last(state.send)),
-        ]
+        with m.If(state.active):
+            m.d.sync += [
+                state.sending.eq(~ends),
+                state.send_before.eq(state.send),
+                state.index_before.eq(state.index + 1),
+                state.at_last.eq(state.index + 1 >= self._last(state.send)),  # beyond it only after an upset
+            ]
 
     def _last(self, send):
         """Return the number of a packet's last beat."""

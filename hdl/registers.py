@@ -259,11 +259,11 @@ class Registers(Unit):
             state.wait.eq(state.wait + 1),
             self.start_frame.eq(0),
             self.abort_frame.eq(plan_upset),
-            self.command.operation.eq(bus.Operation.IDLE),
+            self.command.operation.eq(bus.Operation.ACCESS),
         ]
         with m.FSM() as state.machine:
             with m.State("idle"):
-                m.d.sync += state.wait.eq(0)
+                m.d.sync += [state.wait.eq(0), self.command.operation.eq(bus.Operation.IDLE)]
                 with m.If(state.held_write & ~axi.bvalid):
                     m.d.sync += state.address.eq(state.write_address)
                     m.next = "decode"

@@ -38,7 +38,8 @@ class SubgroupSettings(Unit):
         period
     settings : out, in force since the last TAKE
     counters : in
-    data : out, two cycles after the bus named a word of this subgroup; otherwise 0, so the data of all subgroups can be ORed
+    data : out, two cycles after an operation of the bus named a word of this subgroup; after those for others 0, so the data
+        of all subgroups can be ORed
     gate_late : out, as programmed, gating is on and gate_start is not below the period
     upset : out, the parity of a programmed word differs from the one that was written with it
 
@@ -85,11 +86,15 @@ class SubgroupSettings(Unit):
                 field = self.counters.word_select(COUNTER_NAMES.index(register.name), COUNTER_BITS)
             shown[offset // 4] = field
         values = [Mux(bit, field, 0) for bit, field in zip(named, shown.values())]
+        accessed = Signal()  # in the previous cycle
         m.d.sync += [
-            named.eq(Cat(selected & (self.command.word == number) for number in shown)),
-            self.data.eq(any_of(m, values, "shown")),
+            accessed.eq(self.command.operation != bus.Operation.IDLE),
             self.upset.eq(Cat(self.state.upsets).any()),
         ]
+        with m.If(self.command.operation != bus.Operation.IDLE):
+            m.d.sync += named.eq(Cat(selected & (self.command.word == number) for number in shown))
+        with m.If(accessed):
+            m.d.sync += self.data.eq(any_of(m, values, "shown"))
         return m
 
     def _field(self, settings, register, index):

@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Subgroup: one coincID tree, one gate, one DPCU, one FIFO (paper, Fig. 3)."""
 
+from functools import partial
 from typing import Any
 
-from amaranth.hdl import Module, Signal
+from amaranth.hdl import Cat, ClockDomain, Module, Mux, ResetSignal, Signal
 from amaranth.lib import wiring
 from amaranth.lib.wiring import In, Out
 
@@ -11,6 +12,7 @@ from ..model.contract.packet import BEAT_BITS
 from ..model.contract.parameters import Sensor
 from ..model.contract.registers import DATA_BITS
 from . import bus
+from .clock_gate import ClockGate
 from .dpcu import Dpcu
 from .fifo import EventFifo, RecordBuffer
 from .gating import Gating
@@ -19,6 +21,9 @@ from .settings import SubgroupSettings
 from .unit import Unit, place
 from .views import POLYPHASE, View
 from .voted import agreed_reset
+
+GATED = "gated"  # clock domain
+AWAKE_CYCLES = 31  # more than anything in a subgroup takes to come to rest
 
 
 def shared_ports(sensor: Sensor) -> dict[str, Any]:
@@ -59,6 +64,9 @@ def own_ports(sensor: Sensor, view: View = POLYPHASE) -> dict[str, Any]:
 class Subgroup(Unit):
     """Subgroup. Settings, strobes and grants are registered here, and every output comes from a register.
 
+    Nothing changes here without a command, a strobe, a grant or a reset, except for `AWAKE_CYCLES` after them. So the clock
+    stops in between, and the inputs that wake it also go to the clock gate.
+
     Ports: `shared_ports`, `own_ports`, `subgroup` (in, its number), `line` (its TDC sampling line).
     view: view of the front end, from `views.py`.
     Latency: `model/contract/latency.py`. Reset is registered here, so it acts one cycle later, as stated by each part.
@@ -72,32 +80,41 @@ class Subgroup(Unit):
             | own_ports(sensor, view)
             | {"subgroup": In(bus.SUBGROUP_BITS), "line": Out(view.line_signature(sensor))}
         )
+        self.clock_gate = ClockGate()
 
     def elaborate(self, platform):
         m = Module()
         sensor, reset = self.sensor, agreed_reset(m)
-        settings = place(m, "settings", SubgroupSettings(sensor), platform, reset)
-        gating = place(m, "gating", Gating(sensor), platform, reset)
-        tree = place(m, "tree", self.view.front_end(sensor), platform, reset)
-        dpcu = place(m, "dpcu", Dpcu(sensor), platform, reset)
-        events = place(m, "fifo", EventFifo(sensor), platform, reset)
-        records = place(m, "record_buffer", RecordBuffer(sensor), platform, reset)
-        packets = place(m, "packetizer", Packetizer(sensor), platform, reset)
+        self._clock(m, platform, reset)
+        put = partial(place, m, platform=platform, reset=reset)
+        settings = put("settings", SubgroupSettings(sensor), domain=GATED)
+        gating = put("gating", Gating(sensor), domain=GATED)
+        tree = put("tree", self.view.front_end(sensor), domain=GATED if self.view.front_end_rests else "sync")
+        dpcu = put("dpcu", Dpcu(sensor), domain=GATED)
+        events = put("fifo", EventFifo(sensor), domain=GATED)
+        records = put("record_buffer", RecordBuffer(sensor), domain=GATED)
+        packets = put("packetizer", Packetizer(sensor), domain=GATED)
 
-        # Inputs go straight into registers. These need no reset, because the registers that drive them have one.
+        # Inputs go straight into registers. These need no reset, because the registers that drive them have one. Most of
+        # them move only when something comes.
         command, timing, frame, period, number, grant, send = (
             Signal.like(port, reset_less=True)
             for port in (self.command, self.timing, self.frame, self.period, self.subgroup, self.grant, self.send)
         )
-        m.d.sync += [
-            command.eq(self.command),
-            timing.eq(self.timing),
-            frame.eq(self.frame),
-            period.eq(self.period),
-            number.eq(self.subgroup),
-            grant.eq(self.grant),
-            send.eq(self.send),
-        ]
+        idle = bus.Operation.IDLE
+        with m.If((self.command.operation != idle) | (command.operation != idle)):
+            m.d.gated += [
+                command.eq(self.command),
+                frame.eq(self.frame),
+                period.eq(self.period),
+                number.eq(self.subgroup),
+            ]
+        m.d.gated += [timing[name].eq(self.timing[name]) for name in bus.STROBES]
+        with m.If(self.timing.start):
+            m.d.gated += timing.shift.eq(self.timing.shift)
+        m.d.gated += grant.eq(self.grant)
+        with m.If(self.grant):
+            m.d.gated += send.eq(self.send)
         wiring.connect(m, wiring.flipped(self.line), tree.line)
         m.d.comb += [
             settings.command.eq(command),
@@ -153,3 +170,23 @@ class Subgroup(Unit):
             self.beat_controlled.eq(packets.beat_controlled),
         ]
         return m
+
+    def _clock(self, m, platform, reset):
+        """Make the domain `GATED`, whose clock stops `AWAKE_CYCLES` after the last command, strobe, grant or reset."""
+        gated = ClockDomain(GATED, reset_less=True, local=True)
+        m.domains += gated
+        gate = place(m, "clock_gate", self.clock_gate, platform)
+        left = Signal(range(AWAKE_CYCLES + 1), reset_less=True)
+        asked = Signal()
+        m.d.comb += [
+            asked.eq(
+                (self.command.operation != bus.Operation.IDLE)
+                | Cat(self.timing[name] for name in bus.STROBES).any()
+                | self.grant
+                | reset
+                | ResetSignal()
+            ),
+            gate.enable.eq(asked | (left != 0)),
+            gated.clk.eq(gate.gated),
+        ]
+        m.d.gated += left.eq(Mux(asked, AWAKE_CYCLES, left - (left != 0)))

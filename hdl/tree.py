@@ -41,7 +41,8 @@ class TreeState:
     """Inner registers and signals of a tree. Numbers are those of stages; `may_open` and `wrap` have a bit for each stage.
 
     left: ticks of the window from the start of the cycle, end: the same for a window that may just open; whole, part: the
-    window covers all of the cycle, or the phases before its end; stamps, winners: of stages 3 to 5.
+    window covers all of the cycle, or the phases before its end; elapsed: cycles since it opened, saturated; stamps, winners:
+    of stages 3 to 5.
     """
 
     def __init__(self, sensor: Sensor):
@@ -99,8 +100,10 @@ class CoincidenceTree(Unit):
         for g, leaf in enumerate(self.state.leaves):
             place(m, f"minigroup_{g}", leaf, platform)
         # Root: sampled at stage 1, and decoded by the TDC line behind it.
+        leaves = self.state.leaves
         root = Signal(sensor.phases, reset_less=True)
-        m.d.sync += root.eq(any_of(m, [leaf.root for leaf in self.state.leaves], "root_or"))
+        with m.If(any_of(m, [leaf.wakes for leaf in leaves], "wakes_or") | root.any()):
+            m.d.sync += root.eq(any_of(m, [leaf.root for leaf in leaves], "root_or"))
         m.d.comb += self.line.root.eq(root & self.accept.replicate(sensor.phases))
         self._strobes(m)
         self._window(m)
@@ -116,9 +119,9 @@ class CoincidenceTree(Unit):
         m.d.sync += [
             state.may_open.eq((state.may_open << 1) | self.timing.may_open),
             state.wrap.eq((state.wrap << 1) | self.timing.wrap),
-            coarse_3.eq(self.line.coarse),
-            state.coarse_4.eq(coarse_3),
         ]
+        with m.If(self.frame.minigroup_records):
+            m.d.sync += [coarse_3.eq(self.line.coarse), state.coarse_4.eq(coarse_3)]
         m.d.comb += self.record_due.eq(state.wrap[-1])
 
     def _window(self, m):
@@ -154,16 +157,18 @@ class CoincidenceTree(Unit):
             closing_3.eq(state.closing),
             closing_4.eq(closing_3),
             state.closed.eq(closing_4),
-            state.elapsed.eq(Mux(opening_6, 0, state.elapsed + 1)),
         ]
+        with m.If(opening_6 | ~state.elapsed.all()):
+            m.d.sync += state.elapsed.eq(Mux(opening_6, 0, state.elapsed + 1))
         one_of = Cat(state.at_first, C(0, (1 << sensor.winner_bits) - sensor.pixels))
         with m.If(state.opening):
             m.d.sync += [
                 state.stamps[0].eq(Cat(self.line.phase, self.line.coarse)),
                 state.winners[0].eq(first_index(m, one_of, "winner")),
             ]
-        for delayed in (state.stamps, state.winners):
-            m.d.sync += [later.eq(sooner) for sooner, later in zip(delayed, delayed[1:])]
+        for n, strobe in enumerate((opening_3, state.opening_4)):
+            with m.If(strobe):
+                m.d.sync += [delayed[n + 1].eq(delayed[n]) for delayed in (state.stamps, state.winners)]
 
     def _leaves(self, m):
         """Connect the minigroups."""
@@ -194,22 +199,25 @@ class CoincidenceTree(Unit):
         m.d.sync += [blind.eq(any_of(m, [leaf.blind for leaf in state.leaves], "blind_or")), self.blind.eq(blind)]
 
     def _closed(self, m):
-        """Stages 6 and 7: count a closed window in two steps of equal depth. Data move every cycle; `closed` marks them."""
+        """Stages 6 and 7: count a closed window in two steps of equal depth."""
         state, pixels = self.state, self.sensor.pixels
         closed_6 = Signal()
         half = Signal(bus.window_layout(self.sensor), reset_less=True)
         chunk = 1 << (bits_for(pixels - 1) + 1) // 2
         chunks = [state.hits[at : at + chunk] for at in range(0, pixels, chunk)]
         counts = [Signal(range(len(part) + 1), name=f"count_{k}") for k, part in enumerate(chunks)]
-        m.d.sync += [
-            closed_6.eq(state.closed),
-            self.closed.eq(closed_6),
-            half.stamp.eq(state.stamps[-1]),
-            half.hits.eq(state.hits),
-            half.winner.eq(state.winners[-1]),
-            *(count.eq(popcount(m, part, f"ones_{k}")) for k, (count, part) in enumerate(zip(counts, chunks))),
-            self.window.stamp.eq(half.stamp),
-            self.window.hits.eq(half.hits),
-            self.window.winner.eq(half.winner),
-            self.window.count.eq(total(m, counts, "count_sum")),
-        ]
+        m.d.sync += [closed_6.eq(state.closed), self.closed.eq(closed_6)]
+        with m.If(state.closed):
+            m.d.sync += [
+                half.stamp.eq(state.stamps[-1]),
+                half.hits.eq(state.hits),
+                half.winner.eq(state.winners[-1]),
+                *(count.eq(popcount(m, part, f"ones_{k}")) for k, (count, part) in enumerate(zip(counts, chunks))),
+            ]
+        with m.If(closed_6):
+            m.d.sync += [
+                self.window.stamp.eq(half.stamp),
+                self.window.hits.eq(half.hits),
+                self.window.winner.eq(half.winner),
+                self.window.count.eq(total(m, counts, "count_sum")),
+            ]

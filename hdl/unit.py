@@ -5,6 +5,7 @@ from typing import Any
 
 from amaranth.hdl import (
     ClockSignal,
+    DomainRenamer,
     Instance,
     IOPort,
     IOValue,
@@ -44,6 +45,10 @@ class Unit(wiring.Component):
         for name, (_, signal) in self.flat_ports().items():
             signal.name = name
 
+    def for_cells(self) -> str | None:
+        """Return the block's Verilog for standard cells, where that is another one (None: it is not)."""
+        return None
+
     def flat_ports(self) -> dict[str, tuple[wiring.Flow, Signal]]:
         """Port name in the Verilog -> (direction, signal); without clock and reset."""
         return {
@@ -81,10 +86,12 @@ class Export:
         return self.pads.setdefault(name, IOPort(width, name=name))
 
 
-def place(m: Module, name: str, unit: Unit, platform, reset=None, **inputs: ValueLike | IOPort) -> Unit:
+def place(
+    m: Module, name: str, unit: Unit, platform, reset=None, domain: str = "sync", **inputs: ValueLike | IOPort
+) -> Unit:
     """Put `unit` into `m`, as a submodule or, under an `Export` platform, as an instance.
 
-    reset: replaces the domain's. inputs: what drives the unit's inputs of these names, in full width; the caller
+    reset: replaces the domain's; domain: of the unit's clock. inputs: what drives the unit's inputs of these names, in full width; the caller
     connects the other ports.
     """
     ports = unit.flat_ports()
@@ -94,7 +101,8 @@ def place(m: Module, name: str, unit: Unit, platform, reset=None, **inputs: Valu
         assert flow is wiring.In, f"{unit.unit_name}: {port} is an output"
         assert len(value) == len(signal), f"{unit.unit_name}: {port} has {len(signal)} bits, not {len(value)}"
     if not isinstance(platform, Export):
-        m.submodules[name] = unit if reset is None else ResetInserter(reset)(unit)
+        inner = unit if reset is None else ResetInserter(reset)(unit)
+        m.submodules[name] = inner if domain == "sync" else DomainRenamer(domain)(inner)
         m.d.comb += [ports[port][1].eq(value) for port, value in given.items()]
         return unit
     platform.units.setdefault(unit.unit_name, unit)
@@ -102,6 +110,6 @@ def place(m: Module, name: str, unit: Unit, platform, reset=None, **inputs: Valu
         f"{'i' if flow is wiring.In else 'o'}_{port}": given.get(port, signal) for port, (flow, signal) in ports.items()
     }
     if unit.clocked:
-        connected |= {"i_clk": ClockSignal(), "i_rst": ResetSignal() if reset is None else reset}
+        connected |= {"i_clk": ClockSignal(domain), "i_rst": ResetSignal(domain) if reset is None else reset}
     m.submodules[name] = Instance(unit.unit_name, **connected)
     return unit

@@ -25,6 +25,7 @@ class Polyphase:
 
     name = "polyphase"
     prefix = "coincid_"
+    front_end_rests = True  # without strobes, so that its clock may stop
     cells: ClassVar[tuple[Path, ...]] = ()
     macros: ClassVar[tuple[Path, ...]] = ()
 
@@ -57,6 +58,7 @@ class Asynchronous:
     circuit: Circuit = field(factory=Circuit)
     name = "async"
     prefix = "coincid_async_"
+    front_end_rests = False  # it counts the parity of the cycles, together with the TDC
     cells: ClassVar[tuple[Path, ...]] = (CELLS,)
     macros: ClassVar[tuple[Path, ...]] = (MACROS,)
 

@@ -14,7 +14,7 @@ from attrs import field, frozen
 from matplotlib import colormaps
 from matplotlib.figure import Figure
 
-from ..flow.power import Power, design, power, simulate
+from ..flow.power import Power, design, power, power_at_rest, simulate
 from ..lab.run import Run
 from ..lab.setup import Setup
 from ..model.golden.frame import Golden
@@ -31,6 +31,7 @@ SIDE, PIXELS = 8, 64
 WIRE_FF = 0.34  # to an input: the mean of the routed minigroup, docs/layout.md
 MIDDLE_KLUX = 50.0
 KINDS = (("clock", "clock"), ("internal", "inside cells"), ("switching", "driven pins"), ("leakage", "leakage"))
+RATES_HZ, VIDEO_PULSES, PERIOD_US = (30, 100), 100, 0.5  # frames per second, and what a frame consists of
 GATE = {"gating": True, "gate_start": 3, "gate_len": 25}  # 50 of 500 ns around the target's light
 
 
@@ -92,10 +93,12 @@ def setup(case: Case) -> Setup:
 
 @frozen
 class Measured:
-    """A case with its edges per pixel and second, the subgroup's power by the groups' names, and its total with wires, in mW."""
+    """A case with its edges per pixel and second, its events per second, the subgroup's power by the groups' names, and its total
+    with wires, in mW."""
 
     case: Case
     edges_cps: float
+    events_cps: float
     groups: dict[str, Power]
     wired: float
 
@@ -121,8 +124,8 @@ def _grouped(blocks: dict[str, Power]) -> dict[str, Power]:
     return groups
 
 
-def measure(tell: Callable[[str], None]) -> list[Measured]:
-    """Power of the subgroup in every case."""
+def measure(tell: Callable[[str], None]) -> tuple[list[Measured], Power]:
+    """Power of the subgroup in every case, and between frames."""
     runs = [Run(setup(case)) for case in CASES]
     config, golden = runs[0].config, Golden(runs[0].config.sensor)  # one, because it numbers the frames
     jobs = [FrameJob(run.config, run.edges, golden.frame(run.config, run.edges)) for run in runs]
@@ -136,24 +139,26 @@ def measure(tell: Callable[[str], None]) -> list[Measured]:
         groups, wired = (
             _grouped(power(whole, toggles, number, cycles, config.clock_mhz, wire_ff)) for wire_ff in (0.0, WIRE_FF)
         )
-        rate_cps = len(job.edges) / config.sensor.pixels / seconds
-        measured.append(Measured(case, rate_cps, groups, sum(wired.values(), Power()).total))
+        edges_cps = len(job.edges) / config.sensor.pixels / seconds
+        assert job.expected is not None
+        events_cps = len(job.expected.commit_subgroup) / seconds
+        measured.append(Measured(case, edges_cps, events_cps, groups, sum(wired.values(), Power()).total))
         tell(f"{case.name}: {measured[-1].total.total:.2f} mW")
-    return measured
+    return measured, sum(_grouped(power_at_rest(whole, config.clock_mhz)).values(), Power())
 
 
 def write_page(path: Path, tell: Callable[[str], None]) -> None:
     """Measures, and writes the page, and the picture to `images/` beside it."""
-    measured = measure(tell)
+    measured, between = measure(tell)
     images = path.parent / "images"
     images.mkdir(exist_ok=True)
     save_figure(draw(measured), images / PICTURE)
     with whole_file(path, "w") as file:
-        file.write(page(measured))
+        file.write(page(measured, between))
 
 
-def page(measured: list[Measured]) -> str:
-    """The page, Markdown."""
+def page(measured: list[Measured], between: Power) -> str:
+    """The page, Markdown. between: power between frames."""
     by_light = measured[: len(LIGHT)]
     others = measured[len(LIGHT) :]
     names = [one.case.name for one in by_light]
@@ -166,6 +171,18 @@ def page(measured: list[Measured]) -> str:
     blocks.append(["uW per pixel", *(f"{1000 * one.total.total / PIXELS:.0f}" for one in by_light)])
     blocks.append(["edges per pixel and us", *(f"{one.edges_cps / 1e6:.2f}" for one in by_light)])
     kinds = [[label, *(f"{getattr(one.total, name):.2f}" for one in by_light)] for name, label in KINDS]
+    users = [["in a frame, mW", *(f"{one.total.total:.2f}" for one in by_light)]]
+    users.append(["between frames, mW", *(f"{between.total:.2f}" for _ in by_light)])
+    for rate_hz in RATES_HZ:
+        share = rate_hz * VIDEO_PULSES * PERIOD_US * 1e-6  # of the time that frames take
+        means = [between.total + share * (one.total.total - between.total) for one in by_light]
+        users.append([f"mean at {rate_hz} frames/s, mW", *(f"{mean:.2f}" for mean in means)])
+        users.append(["... per pixel, uW", *(f"{1000 * mean / PIXELS:.1f}" for mean in means)])
+    users.append(["events per us", *(f"{one.events_cps / 1e6:.1f}" for one in by_light)])
+    dark = by_light[0].total.total
+    users.append(["nJ per event, all power", *(_nj(one, one.total.total) for one in by_light)])
+    users.append(["nJ per event, more than in the dark", *(_nj(one, one.total.total - dark) for one in by_light)])
+    energies = [[name, *(_nj(one, one.groups[name].total) for one in by_light[1:])] for _, name in GROUPS]
     settings = []
     for one in others:
         base = brightest if one.case.klux == SATURATION_KLUX else reference
@@ -181,11 +198,21 @@ def page(measured: list[Measured]) -> str:
         middle=MIDDLE_KLUX,
         default=f"{reference.total.total:.2f}",
         share=f"{middle.total.clock / middle.total.total:.0%}",
+        users=_table(["a subgroup", *names], users),
+        energies=_table(["block, nJ per event", *names[1:]], energies),
+        video=VIDEO_PULSES,
+        frame_us=f"{VIDEO_PULSES * PERIOD_US:g}",
+        leakage=f"{between.leakage:.2f}",
         blocks=_table(["block", *names], blocks),
         kinds=_table(["kind", *names], kinds),
         settings=_table(["setting", "mW", "saves mW", "share"], settings),
         gates=_table(["block", "clock, mW", "of it in cycles without a change, mW"], gates),
     )
+
+
+def _nj(one: Measured, mw: float) -> str:
+    """Energy per event of a power, in nJ."""
+    return f"{1e6 * mw / one.events_cps:.2f}" if one.events_cps else ""
 
 
 def _table(head: list[str], rows: list[list[str]]) -> str:
@@ -231,9 +258,20 @@ settings are the defaults.
 
 ![Power of a subgroup against the light, by block and by kind](images/{picture})
 
+## As a user pays it
+
+A frame of {video} laser pulses takes {frame_us} us; between frames the subgroups' clocks stand still, and
+{leakage} mW of what is left is leakage.
+
+{users}
+
+By block:
+
+{energies}
+
 ## By block
 
-mW; *with wires* adds {wire:g} fF of wire to every input, as in the routed minigroup
+mW in a frame; *with wires* adds {wire:g} fF of wire to every input, as in the routed minigroup
 ([layout.md](layout.md)).
 
 {blocks}
@@ -256,10 +294,19 @@ In the two rows with a gate the SPADs are off outside of it, as the output `spad
 ## Clock gates
 
 At {middle:g} klux the clock takes {share} of a subgroup's power. The last column is the part of the
-clock's power that goes into cycles in which a flip-flop does not change: the most that clock gates
-can save, as a gate has a cost of its own. Nothing gates a clock today.
+clock's power that goes into cycles in which a flip-flop with a clock does not change: the most that
+more clock gates could save, as a gate has a cost of its own.
 
 {gates}
+
+Flip-flops that share an enable share a clock gate of the library, which the mapping puts in, and one
+more at the root of each subgroup stops everything behind it between frames (`hdl/clock_gate.py`;
+[verification.md](verification.md#proofs) has the proofs that a stopped clock changes nothing).
+
+One register by hand: the 8 bits of a settings register behind one gate. In a cycle in which it is not
+written, the gate's clock pin moves twice. The library gives 2.4 fJ for a transition there while the
+gate is closed, and its 1.84 fF at 1.1 V take 1.84 x 1.1^2 / 2 = 1.1 fJ: 2 x 3.5 fJ x 500 MHz = 3.5 uW.
+Without a gate each of the 8 flip-flops takes 2 x (3.4 + 0.9 x 0.6) fJ x 500 MHz = 4.0 uW, 32 uW in all.
 
 ## What is not in it
 

@@ -99,6 +99,8 @@ MISTAKES: dict[tuple[str, tuple[str, ...], tuple[tuple[str, ...], ...]], dict[st
         "threshold-below-floor": ("Mux(bounded < floor, floor, bounded)", "bounded"),
         "controller-keeps-others-threshold": ("Mux(self.controlled & state.stays,", "Mux(self.controlled,"),
     },
+    ("hdl/memory.py", (), (("tests/hdl/test_memory.py",),)): {"latch-rows-swapped": ("to == {r}", "to == {r ^ 1}")},
+    ("hdl/subgroup.py", ("subgroup_rests",), ()): {"sleeps-early": ("AWAKE_CYCLES = 31", "AWAKE_CYCLES = 5")},
     ("hdl/subgroup.py", (), (FRAMES, SLICED)): {"budget-of-last-stream": ("number >= command.subgroup", "1")},
     ("hdl/controller.py", ("controller",), (FRAMES, SLICED)): {
         "budget-beyond-capacity": (

@@ -27,7 +27,7 @@ from ...tools.build import ToolchainError, build_once
 from ...tools.wheels import TAIL_LINES, run_program, run_yosys
 from ..liberty import read_cells, supply_v
 from ..mapped import LONGEST_PATHS, least_slacks_ns
-from ..yosys import CELLS_KEY, LIBERTY, cells_folder, cells_script, put_cells
+from ..yosys import CELLS_KEY, LIBERTY, bound, cells_folder, cells_script, put_cells
 
 if TYPE_CHECKING:
     from .pins import Strip
@@ -93,7 +93,7 @@ def require_tools() -> Path:
 
 def lay_out(unit: Unit, clock_mhz: float, tell: Callable[[str], None], view: View = POLYPHASE) -> Layout:
     """The layout of a block without sub-blocks' borders, made once for the state of its Verilog. Macros have no layout."""
-    cells, files = require_tools(), units_files([unit], latches=True)
+    cells, files = require_tools(), bound(units_files([unit], cells=True), gated=False)
     files |= {path.name: path.read_text() for path in (*view.cells, *view.macros)}
     own = (path.read_text() for path in sorted(Path(__file__).parent.glob("*.py")) if path.stem not in BEHIND)
     key = digest(CELLS_KEY, str(clock_mhz), *own, *(part for item in sorted(files.items()) for part in item))

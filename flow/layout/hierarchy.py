@@ -20,7 +20,7 @@ from ...hdl.unit import Unit
 from ...model.shared.folders import build_root
 from ...model.shared.sources import digest
 from ...tools.build import ToolchainError, build_once
-from ..yosys import CELLS_KEY
+from ..yosys import CELLS_KEY, bound
 from . import buffers, drawn, flow, wires
 from .delays import shell
 from .drawn import Placed, Strips
@@ -66,7 +66,7 @@ class Macro:
 
 def lay_out(unit: Unit, leaf: Unit, layout: flow.Layout, clock_mhz: float, tell: Callable[[str], None]) -> Hierarchy:
     """A block, placed once for the state of its Verilog; its units of `leaf`'s kind are the routed `layout`. Raises `ToolchainError`."""
-    cells, files = flow.require_tools(), units_files([unit], latches=True)
+    cells, files = flow.require_tools(), bound(units_files([unit], cells=True), gated=False)
     ports, kind = used_ports((layout.folder / flow.VERILOG).read_text()), f"{leaf.unit_name}_routed"
     files[f"{leaf.unit_name}.v"] = shell(leaf, ports)
     declared = "".join(f"  {way} {name};\n" for name, way in ports.items())

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Black boxes of the asynchronous front end's macros, for synthesis. Behaviour: async_cells.v; requirements: docs/async.md.
 
+`ifdef SYNTHESIS
 (* blackbox *)
 module coincid_phases #(
   parameter PHASES = 32, parameter CLOCK_FS = 2000000, parameter LAG_FS = 0, parameter [32*PHASES-1:0] MISMATCH_FS = 0
@@ -20,3 +21,4 @@ endmodule
 (* blackbox *)
 module coincid_mutex #(parameter TIE_FS = 0, parameter DELAY_FS = 0) (input a, input b, output second);
 endmodule
+`endif

@@ -207,8 +207,9 @@ class AsyncFrontEnd(Unit):
             state.closed.eq(state.closing_4),
             opening_5.eq(state.opening_4),
             opening_6.eq(opening_5),
-            state.elapsed.eq(Mux(opening_6, 0, state.elapsed + 1)),
         ]
+        with m.If(opening_6 | ~state.elapsed.all()):
+            m.d.sync += state.elapsed.eq(Mux(opening_6, 0, state.elapsed + 1))
         m.d.sync += winner_4.eq(self._winner(m, at["first"]))
         with m.If(state.opening_4):
             m.d.sync += state.winner.eq(winner_4)
@@ -242,22 +243,23 @@ class AsyncFrontEnd(Unit):
         m.d.sync += self.blind.eq(any_of(m, [leaf.blind for leaf in leaves], "blind_or"))
         m.d.comb += self.record_due.eq(wrap)
 
-        # Stages 6 and 7: the number of pixels in the map, in two steps. Data move every cycle; `closed` marks valid ones.
-        m.d.sync += [
-            state.closed_6.eq(state.closed),
-            self.closed.eq(state.closed_6),
-            state.half.stamp.eq(stamp),
-            state.half.hits.eq(state.hits),
-            state.half.winner.eq(state.winner),
-            *(
-                count.eq(popcount(m, part, f"ones_{k}"))
-                for k, (count, part) in enumerate(zip(state.counts, state.chunks))
-            ),
-            self.window.stamp.eq(state.half.stamp),
-            self.window.hits.eq(state.half.hits),
-            self.window.winner.eq(state.half.winner),
-            self.window.count.eq(total(m, state.counts, "count_sum")),
-        ]
+        # Stages 6 and 7: the number of pixels in the map, in two steps.
+        m.d.sync += [state.closed_6.eq(state.closed), self.closed.eq(state.closed_6)]
+        ones = [popcount(m, part, f"ones_{k}") for k, part in enumerate(state.chunks)]
+        with m.If(state.closed):
+            m.d.sync += [
+                state.half.stamp.eq(stamp),
+                state.half.hits.eq(state.hits),
+                state.half.winner.eq(state.winner),
+                *(count.eq(part) for count, part in zip(state.counts, ones)),
+            ]
+        with m.If(state.closed_6):
+            m.d.sync += [
+                self.window.stamp.eq(state.half.stamp),
+                self.window.hits.eq(state.half.hits),
+                self.window.winner.eq(state.half.winner),
+                self.window.count.eq(total(m, state.counts, "count_sum")),
+            ]
 
     def _winner(self, m, later_first):
         """Return the index of the pixel that came first, from the nodes of the arbiter tree."""

@@ -10,21 +10,27 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 from peakrdl_ipxact import IPXACTImporter
 from systemrdl import RDLCompiler
 from systemrdl.node import RegNode
 
 from coincid.flow.register_files import IP_XACT, RDL
-from coincid.flow.release import MANIFEST, write_release
+from coincid.flow.release import CELLS_LIST, MANIFEST, write_release
 from coincid.flow.smoke import FPGA_SMOKE, SMOKE
+from coincid.flow.waivers import CONTROL_FILE
 from coincid.hdl.sensor import FPGA_TOP
 from coincid.model.contract.config import load_config, parse_config
+from coincid.model.contract.packet import FORMAT_NAMES
 from coincid.model.contract.parameters import TOP
 from coincid.model.contract.registers import BY_NAME, SUBGROUP, Access, address
+from coincid.model.contract.stream import COLUMN, decode_frame
 from coincid.model.shared.errors import InputError
+from coincid.model.shared.files import read_npz
 from coincid.tb import toolchain
 from coincid.tb.rtl import rtl
+from coincid.tools.wheels import run_yosys
 
 from ..cases import SENSORS
 from ..releases import CLOCK_MHZ, SMALL, config, document, small_releases
@@ -37,6 +43,11 @@ PROGRAMS = "iverilog vvp sh dirname"
 def releases(tmp_path_factory):
     """A copy, because simulators write to it."""
     return Path(shutil.copytree(small_releases(), tmp_path_factory.mktemp("release") / "all"))
+
+
+def files(folder):
+    """Return the files of a folder and of the folders in it, by their names from there."""
+    return {path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file()}
 
 
 def alone(command, folder, path=""):
@@ -69,6 +80,45 @@ def test_lint_as_the_readme_says(releases, preset, top, smoke):
     assert "-Wno" not in line
     done = alone(f"{line} --quiet-stats", folder)
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
+
+
+@pytest.mark.parametrize("preset", SMALL)
+def test_any_tool_reads_the_folder_and_its_lists(releases, tmp_path, preset):
+    folder = releases / preset
+    for sources in ("*.v", *(f"-f {path.name}" for path in sorted(folder.glob("*.f")))):
+        done = alone(f"iverilog -g2012 -o all.vvp {sources}", folder)
+        assert (done.returncode, done.stdout, done.stderr) == (0, "", ""), sources
+    lint = f"verilator --lint-only -Wall --timing --timescale 1ps/1fs --quiet-stats --top-module {TOP} {CONTROL_FILE}"
+    done = alone(f"{lint} -f {CELLS_LIST}{' -DSYNTHESIS' * (preset == 'async')}", folder)
+    assert (done.returncode, done.stderr) == (0, ""), done.stderr
+    verilog = sorted(path.name for path in folder.glob("*.v"))
+    for name in verilog:
+        shutil.copy(folder / name, tmp_path / name)
+    run_yosys(tmp_path, f"read_verilog -sv {' '.join(verilog)}", f"hierarchy -check -top {TOP}")
+
+
+def test_smoke_test_passes_with_the_forms_for_cells(releases, tmp_path):
+    """With the latches and the clock gates of `CELLS_LIST`: the same words in the same cycles."""
+    folder = releases / "silicon"
+    done = alone(f"iverilog -g2005 -s {SMOKE} -o cells.vvp -f {CELLS_LIST} {SMOKE}.v && vvp -n cells.vvp", folder)
+    assert re.fullmatch(r"PASS: \d\d\d+ checks\n", done.stdout), done.stdout + done.stderr
+
+
+@pytest.mark.parametrize("preset", SMALL)
+def test_captured_streams_decode_to_their_rows(releases, preset):
+    of, folder = config(preset).sensor, releases / preset / "captured"
+    for name in FORMAT_NAMES:
+        (text,) = folder.glob(f"*_{name}.txt")
+        rows = [line.split() for line in text.read_text().splitlines()[1:]]
+        result = read_npz(text.with_suffix(".npz"), ("subgroup", "stamp", "count", "opened"))
+        events = text.with_suffix(".csv").read_text().splitlines()[1:]
+        assert len(events) == len(result["subgroup"]) > 0
+        for stream in range(of.streams):
+            beats = np.array([int(beat, 16) for k, beat, _ in rows if int(k) == stream], np.uint64)
+            frame = decode_frame(beats, of, len(of.stream_subgroups(stream))).check()
+            mine = np.isin(result["subgroup"], of.stream_subgroups(stream))
+            assert np.array_equal(frame.events[:, COLUMN["stamp"]], result["stamp"][mine])
+            assert [int(line.split(",")[2]) for line, own in zip(events, mine) if own] == list(result["stamp"][mine])
 
 
 def test_smoke_test_passes_on_verilator(releases):
@@ -141,8 +191,8 @@ def test_presets_of_one_process_do_not_mix(releases, tmp_path):
     )
     for name in list(SMALL)[1:]:  # the first has none before it in its process
         subprocess.run([sys.executable, "-c", script, tmp_path / name, repr(document(name)), name], check=True)
-        for path in (tmp_path / name).iterdir():
-            assert path.read_bytes() == (releases / name / path.name).read_bytes(), path.name
+        for path in files(tmp_path / name):
+            assert (tmp_path / name / path).read_bytes() == (releases / name / path).read_bytes(), path
         parameters = json.loads((releases / name / MANIFEST).read_text())["parameters"]
         assert {key: parameters[key] for key in SMALL[name]} == SMALL[name]
     assert not list((releases / "silicon").glob(f"{FPGA_TOP}*"))
@@ -153,7 +203,7 @@ def test_manifest(releases, preset):
     manifest = json.loads((releases / preset / MANIFEST).read_text())
     for name, digest in manifest["sha256"].items():
         assert hashlib.sha256((releases / preset / name).read_bytes()).hexdigest() == digest, name
-    built = {path.name for path in (releases / preset).iterdir() if path.suffix != ".vvp" and path.is_file()}
+    built = {path for path in files(releases / preset) if not path.endswith(".vvp") and not path.startswith("obj/")}
     assert built == {*manifest["sha256"], MANIFEST}
     assert manifest["clock_mhz"] == CLOCK_MHZ[preset]
     period_ns = re.search(r"^set period (.*)$", (releases / preset / f"{TOP}.sdc").read_text(), re.MULTILINE)[1]

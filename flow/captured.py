@@ -1,0 +1,63 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Captured streams with their decoded rows, for a decoder that is tried without a simulator.
+
+They are the golden model's, which the RTL agrees with word by word. One frame for each format; the settings vary.
+"""
+
+import io
+
+import numpy as np
+
+from ..model.contract.packet import FORMAT_NAMES
+from ..model.contract.parameters import Sensor
+from ..model.contract.result import EVENT_FIELDS, ResultBuilder
+from .gls import random_frames
+
+FOLDER = "captured"
+MAP_DIGITS = 16  # of a beat of the map in hexadecimal
+
+
+def captured_files(sensor: Sensor) -> dict[str, bytes]:
+    """Return the files by name: per format the beats (text), the rows of its events (CSV), and all of the result (NPZ)."""
+    files: dict[str, bytes] = {}
+    for number, (name, job) in enumerate(zip(FORMAT_NAMES, random_frames(sensor, len(FORMAT_NAMES)), strict=True)):
+        assert job.expected is not None
+        assert job.config.format == name
+        result = ResultBuilder(job.config)
+        result.add(job.expected.beats)
+        arrays = result.arrays()
+        beats = [
+            f"{stream} {beat:016x} {int(k == len(of_stream) - 1)}"
+            for stream, of_stream in enumerate(job.expected.beats)
+            for k, beat in enumerate(of_stream)
+        ]
+        npz = io.BytesIO()
+        np.savez_compressed(npz, **arrays)  # type: ignore[arg-type]  # no array is called allow_pickle
+        files |= {
+            f"{FOLDER}/{number}_{name}.txt": _lines(["stream beat last", *beats]),
+            f"{FOLDER}/{number}_{name}.csv": _lines(_rows(arrays)),
+            f"{FOLDER}/{number}_{name}.npz": npz.getvalue(),
+        }
+    return files
+
+
+def _rows(arrays: dict[str, np.ndarray]) -> list[str]:
+    """Return a line per event; the map in hexadecimal, its highest pixel first, and the offsets of the minigroups."""
+    names = [name for name in (*EVENT_FIELDS, "hits", "mg_offset") if name in arrays]
+    rows = [",".join(names)]
+    for i in range(len(arrays["subgroup"])):
+        cells = []
+        for name in names:
+            value = arrays[name][i]
+            if name == "hits":
+                cells.append("".join(f"{int(part):0{MAP_DIGITS}x}" for part in value[::-1]))
+            elif name == "mg_offset":
+                cells.append(" ".join(map(str, value)))
+            else:
+                cells.append(str(int(value)))
+        rows.append(",".join(cells))
+    return rows
+
+
+def _lines(lines: list[str]) -> bytes:
+    return "".join(f"{line}\n" for line in lines).encode()

@@ -1,0 +1,117 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Proofs that a subgroup's clock may stop: an edge of the clock that the gate holds back would have changed nothing.
+
+Everything but the front end comes to rest: no register of it and no row of a memory would change. SPADs fire between
+frames, too, so the first stages of the front end would take edges that then count nowhere; there the tree with the gated
+clock is compared with one whose clock never stops. As elsewhere, the state at power-on is any.
+"""
+
+from collections.abc import Iterator
+from types import SimpleNamespace
+
+from amaranth.hdl import Assume, Cat, EnableInserter, Fragment, Mux, ResetSignal, Signal
+from amaranth.hdl._mem import MemoryInstance  # the language's only way to a memory's write enable
+
+from ..hdl import bus
+from ..hdl.subgroup import AWAKE_CYCLES, Subgroup
+from ..hdl.tree import CoincidenceTree
+from ..hdl.views import POLYPHASE
+from .bench import Bench, proof
+from .sensors import SMALL
+
+EDGE_DATA = (
+    "valid_1",
+    "phase_",
+    "step",
+    "root",
+    "coarse_",
+)  # begins of names: edges before the gate, and data that go with them
+TREE_CYCLES = 12  # without a strobe, after which a tree shows nothing
+
+
+def _parts(fragment: Fragment) -> Iterator[Fragment]:
+    yield fragment
+    for inner, _, _ in fragment.subfragments:
+        yield from _parts(inner)
+
+
+def _registers(fragment: Fragment) -> list[Signal]:
+    """Return the registers of an elaborated block, in an order that depends on its source only."""
+    found: dict[int, Signal] = {}
+    for part in _parts(fragment):
+        for domain, statements in part.statements.items():
+            if domain != "comb":
+                found |= {id(signal): signal for statement in statements for signal in statement._lhs_signals()}
+    return list(found.values())
+
+
+def _quiet_for(b: Bench, quiet, most: int) -> Signal:
+    """Return for how many cycles before this one `quiet` has held, up to `most`."""
+    cycles = Signal(range(most + 1))
+    b.m.d.sync += cycles.eq(Mux(quiet, cycles + (cycles != most), 0))
+    return cycles
+
+
+@proof(depth=AWAKE_CYCLES + 4, cover=AWAKE_CYCLES + 8)
+def subgroup_rests(b: Bench):
+    """Behind a closed clock gate no register of a subgroup would change, and no row of a memory, whatever is in them."""
+    unit, tree = Subgroup(SMALL), CoincidenceTree(SMALL)
+    shown = b.free(tree)
+    unit.view = SimpleNamespace(front_end=lambda sensor: tree, front_end_rests=True, hears=POLYPHASE.hears)
+    for flow, signal in unit.flat_ports().values():
+        if flow.name == "In":
+            b.m.d.comb += signal.eq(b.anything(len(signal)))
+    dut = Fragment.get(unit, None)
+    b.m.submodules.dut = dut
+
+    strobes = Cat(unit.timing[name] for name in bus.STROBES).any()
+    quiet = b.same("quiet", (unit.command.operation == bus.Operation.IDLE) & ~strobes & ~unit.grant & ~ResetSignal())
+    calm = _quiet_for(b, quiet, TREE_CYCLES)
+    for name in ("closed", "blind", "record_due"):  # as proven below
+        b.assume(~shown[name], where=calm == TREE_CYCLES)
+    closed = b.same("closed", ~unit.clock_gate.enable)
+    for register in _registers(dut):
+        b.stable(register, where=closed)
+    for part in _parts(dut):
+        if isinstance(part, MemoryInstance):
+            b.always(Cat(port._en for port in part._write_ports) == 0, where=closed)
+    b.cover(closed)
+    b.cover(b.past(closed) & ~closed)
+
+
+@proof(depth=TREE_CYCLES + 4, cover=40)
+def tree_rests(b: Bench):
+    """A tree whose clock stops while no strobe comes shows the same as one whose clock runs; without strobes it shows nothing."""
+    m, sensor = b.m, SMALL
+    gated, free = CoincidenceTree(sensor), CoincidenceTree(sensor)
+    for name, (flow, signal) in free.flat_ports().items():
+        if flow.name == "In":
+            m.d.comb += signal.eq(b.anything(len(signal)))
+            m.d.comb += gated.flat_ports()[name][1].eq(signal)
+    strobes = b.same("strobes", Cat(free.timing[name] for name in bus.STROBES).any() | free.accept)
+    calm = _quiet_for(b, ~strobes & ~ResetSignal(), TREE_CYCLES)
+    needed = b.same("needed", strobes | (calm != TREE_CYCLES) | ResetSignal())
+    enable = b.same("enable", b.anything(1) | needed)
+    bodies = [Fragment.get(EnableInserter(enable)(gated), None), Fragment.get(free, None)]
+    m.submodules.gated, m.submodules.free = bodies
+    b.assume((free.window_ticks != 0) & (free.window_ticks <= sensor.window_max))
+
+    # The strobes come through the gate, which lets nothing through outside a frame; a frame begins when the clock runs.
+    b.assume(~free.accept, where=~b.past(enable) | ~b.past(enable, 2))
+    b.assume_stable(free.frame.as_value(), where=~enable)
+    for name, signal in gated.outputs().items():
+        other = free.outputs()[name]
+        if name.startswith(("offsets", "window", "entries", "latched")):
+            continue
+        b.always(signal == other)
+    b.always(gated.window.as_value() == free.window.as_value(), where=free.closed)
+    b.always(gated.latched == free.latched)
+    for name in ("closed", "blind", "record_due"):
+        b.always(~getattr(free, name), where=calm == TREE_CYCLES)
+    # Registers are equal, as at power-on, except data that edges outside of frames have left: nothing there is valid.
+    for one, other in zip(*map(_registers, bodies), strict=True):
+        m.d.comb += Assume(b.started | (one == other))
+        if not one.name.startswith(EDGE_DATA):
+            b.always(one == other)
+    b.cover(~enable & free.words.any())
+    b.cover(free.closed & b.past(~enable, 12))
