@@ -11,6 +11,7 @@ import numpy as np
 from ..model.contract.packet import FORMAT_NAMES
 from ..model.contract.parameters import Sensor
 from ..model.contract.result import EVENT_FIELDS, ResultBuilder
+from ..model.golden.frame import Golden
 from .gls import random_frames
 
 FOLDER = "captured"
@@ -20,15 +21,16 @@ MAP_DIGITS = 16  # of a beat of the map in hexadecimal
 def captured_files(sensor: Sensor) -> dict[str, bytes]:
     """Return the files by name: per format the beats (text), the rows of its events (CSV), and all of the result (NPZ)."""
     files: dict[str, bytes] = {}
+    golden = Golden(sensor)
     for number, (name, job) in enumerate(zip(FORMAT_NAMES, random_frames(sensor, len(FORMAT_NAMES)), strict=True)):
-        assert job.expected is not None
-        assert job.config.format == name
-        result = ResultBuilder(job.config)
-        result.add(job.expected.beats)
+        config = job.config.with_settings(threshold=1)  # so that there are events
+        assert config.format == name
+        trace, result = golden.frame(config, job.edges, job.ready), ResultBuilder(config)
+        result.add(trace.beats)
         arrays = result.arrays()
         beats = [
             f"{stream} {beat:016x} {int(k == len(of_stream) - 1)}"
-            for stream, of_stream in enumerate(job.expected.beats)
+            for stream, of_stream in enumerate(trace.beats)
             for k, beat in enumerate(of_stream)
         ]
         npz = io.BytesIO()

@@ -81,7 +81,7 @@ def _played(sensor: Sensor) -> list[int]:
 
 
 def smoke_test(sensor: Sensor, levels: bool = False, view: View = POLYPHASE) -> str:
-    """Return the test bench of the sensor. levels: of the top for FPGAs, with SPAD levels in real time."""
+    """Return the test bench of the sensor; empty for synthesis. levels: of the top for FPGAs, with SPAD levels in real time."""
     config = smoke_config(sensor)
     edges = smoke_edges(config)
     ready = np.arange(STALL_CYCLES) % STALL_EVERY != 0
@@ -101,7 +101,9 @@ def smoke_test(sensor: Sensor, levels: bool = False, view: View = POLYPHASE) -> 
         + _flips(sensor, *flips),
         "smoke_sensor.vh": _instance(sensor, levels, view),
     }
-    return re.sub(r'^ *`include "(.*)"\n', lambda line: included[line[1]], bench.read_text(), flags=re.MULTILINE)
+    text = re.sub(r'^ *`include "(.*)"\n', lambda line: included[line[1]], bench.read_text(), flags=re.MULTILINE)
+    licence, _, rest = text.partition("\n")
+    return f"{licence}\n`ifndef SYNTHESIS\n{rest}`endif\n"
 
 
 def _instance(sensor: Sensor, levels: bool, view: View) -> str:
