@@ -126,7 +126,7 @@ MISTAKES: dict[tuple[str, tuple[str, ...], tuple[tuple[str, ...], ...]], dict[st
         "abort-lost": ("with m.If(state.aborted | self.abort_frame |", "with m.If(self.abort_frame |")
     },
     ("hdl/packetizer.py", ("packetizer",), (FRAMES, SLICED)): {
-        "take-early": ("at_last.eq(state.index + 1 == self._last", "at_last.eq(state.index + 2 >= self._last")
+        "take-early": ("at_last.eq(state.index + 1 >= self._last", "at_last.eq(state.index + 2 >= self._last")
     },
     ("hdl/coder.py", ("coder",), (FRAMES,)): {
         "age-of-another-event": ("same.eq(state.age_ahead == state.age)", "same.eq(state.age_ahead == 0)"),
