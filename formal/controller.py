@@ -1,13 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Proof of the threshold controller: the sums, and the budget computed from them; the subgroup's part is in `dpcu.py`."""
+"""Proof of the threshold controller: the sums, budget and limit computed from them; the subgroup's part is in `dpcu.py`."""
 
 from amaranth.hdl import Cat, Mux, Signal
 
 from ..hdl import bus
-from ..hdl.controller import SETTLED, Controller
+from ..hdl.controller import FILLED, SETTLED, STEPS, SUMS, Controller
 from ..model.contract.counters import COUNTER_BITS, COUNTER_NAMES
 from ..model.contract.packet import BEAT_BITS
 from ..model.contract.registers import DATA_BITS
+from ..model.contract.settings import BUDGET_GROWTHS, LIMIT_DROP
 from .bench import Bench, proof
 from .sensors import SMALL
 
@@ -16,9 +17,14 @@ BEATS = LOWER // BEAT_BITS + 1  # `lower` is in the last beat
 SUM_MAX = (1 << DATA_BITS + 1) - 1
 
 
-@proof(depth=5, cover=18)
+def _turned(values, turns: int) -> list:
+    """Return the values as a ring shows them after some turns."""
+    return [values[(k + turns) % len(values)] for k in range(len(values))]
+
+
+@proof(depth=3, cover=30)
 def controller(b: Bench):
-    """Counters are summed once per subgroup; the budget obeys its rule and limits; a total above capacity never raises it."""
+    """Counters are summed once per subgroup and candidate; budget and limit obey their rule; too much never raises them."""
     m, unit = b.m, Controller(SMALL)
     capacity, share = b.constant(DATA_BITS), b.constant(DATA_BITS)
     take, done, counted = Signal(), Signal(), Signal(bus.COUNTED)
@@ -28,57 +34,128 @@ def controller(b: Bench):
     body = b.place("dut", unit, command=command, capacity=capacity, share=share, counted=counted, done=done)
 
     # A frame is taken. Later its counters come in `BEATS` beats each. It is done `SETTLED` cycles after the last of them.
-    frame, beat, quiet = Signal(), Signal(range(BEATS)), Signal(range(SETTLED + 1))
+    frame, beat, some = Signal(), Signal(range(BEATS)), Signal()
     last = b.same("last", counted.valid & (beat == BEATS - 1))
+    since_last, taken = Signal(range(SETTLED + 1), init=SETTLED), Signal(range(SETTLED + 1))
     m.d.sync += [
         frame.eq((frame | take) & ~done),
         beat.eq(Mux(take | last, 0, beat + counted.valid)),
-        quiet.eq(Mux(take | counted.valid, 1, quiet + (quiet != SETTLED))),
+        some.eq((some | last) & ~take),
+        since_last.eq(Mux(last, 1, since_last + (since_last != SETTLED))),
+        taken.eq(Mux(take, 1, Mux(taken == 0, 0, taken + (taken != SETTLED)))),
     ]
-    taken = Signal(range(SETTLED + 1))
-    m.d.sync += taken.eq(Mux(take, 1, Mux(taken == 0, 0, taken + (taken != SETTLED))))
     b.assume(share <= capacity)
     b.assume(~frame & ~done, where=take)
     b.assume(frame & (taken == SETTLED), where=counted.valid | done)
-    b.assume((beat == 0) & (quiet == SETTLED) & ~counted.valid, where=done)
+    b.assume(some & (beat == 0) & (since_last == SETTLED) & ~counted.valid, where=done)
 
-    # The sums. A subgroup's contribution is complete with its last beat, and is added two cycles later.
-    committed, budget = Signal(COUNTER_BITS), unit.budget
+    # The candidates, which are ready when counters come.
+    budget, limit = unit.budget, unit.limit
+    grown = [budget, *(budget + (budget >> growth) + 1 for growth in BUDGET_GROWTHS)]
+    candidates = []
+    for k, one in enumerate(grown):
+        below = b.same(f"below_{k}", Mux(one < capacity, one, capacity)[:DATA_BITS])
+        candidates.append(b.same(f"candidate_{k}", Mux(below > share, below, share)))
+    running = b.same("running", ~body.fresh)
+    b.always((running == (taken != 0)) & (taken <= SETTLED) & (since_last <= SETTLED))
+    b.always(running, where=frame)
+    b.always(frame, where=running & (taken != SETTLED))
+    b.always((body.capacity == capacity) & (body.share == share), where=running)
+    b.always(body.known == b.past(budget), where=b.past(1))
+    for k in range(STEPS + FILLED):
+        b.always(body.filling[k] == (taken == 1 + k))
+    for k, (one, candidate) in enumerate(zip(grown, candidates)):
+        begins = 2 + k
+        b.always(body.grown == one[: DATA_BITS + 1], where=frame & (taken == begins + 1))
+        b.always(body.bounded == Mux(one < capacity, one, capacity), where=frame & (taken == begins + 2))
+        b.always(body.candidate == candidate, where=frame & (taken == begins + 3))
+        for place in range(k, STEPS):  # the candidates move on, one place for each that comes after them
+            b.always(body.steps[place] == candidate, where=frame & (taken == begins + 3 + STEPS - place))
+
+    # The sums. The counters of a subgroup are at work until those of the next one are complete.
+    committed, now, then, controlled = Signal(COUNTER_BITS), Signal(COUNTER_BITS), Signal(COUNTER_BITS), Signal()
     with m.If(counted.valid & (beat == COMMITTED // BEAT_BITS)):
         m.d.sync += committed.eq(counted.beat >> COMMITTED % BEAT_BITS)
-    lower = counted.beat.word_select(LOWER % BEAT_BITS // COUNTER_BITS, COUNTER_BITS)
-    widened = b.same("widened", budget + (budget // 16) + 1)
-    wide = b.same("wide", Mux(widened < capacity, widened, capacity)[:DATA_BITS])
-    then = b.same("then", Mux(counted.controlled & (lower <= wide), lower, committed))
-    for total, part in ((body.total, committed), (body.more, then)):
-        added = b.same("added", b.past(total) + b.past(part, 3))
-        b.always(total == Mux(added > SUM_MAX, SUM_MAX, added), where=b.past(last, 3))
-        b.always(total == b.past(total), where=b.past(1) & ~b.past(last, 3) & ~b.past(take))
-        b.always(total == 0, where=b.past(take))
-        b.always(total <= SUM_MAX)
-
-    # The budget.
-    too_much = b.same("too_much", body.total > capacity)
-    narrowed = b.same("narrowed", budget - (budget // 16))
-    narrow = Mux(narrowed > share, narrowed, share)
-    expected = Mux(too_much, narrow, Mux(body.more <= capacity, wide, budget))
-    running = b.same("running", ~body.fresh)
-    b.always(budget == b.past(expected), where=b.past(done))
-    b.always(budget == b.past(budget), where=b.past(running & ~done))
-    b.always(budget == share, where=b.past(1) & b.past(~running))
-    b.always((budget >= share) & (budget <= capacity), where=running)
-    b.always(budget <= b.past(budget), where=b.past(done & too_much))
-    b.always(budget >= b.past(budget), where=b.past(done & ~too_much))
-
-    # Invariants.
-    b.always(body.budget.agree)
-    b.always(running == (taken != 0))
+    with m.If(last):
+        m.d.sync += [
+            now.eq(committed),
+            then.eq(counted.beat.word_select(LOWER % BEAT_BITS // COUNTER_BITS, COUNTER_BITS)),
+            controlled.eq(counted.controlled),
+        ]
     b.always((beat < BEATS) & (body.beat == beat))
-    b.always(running, where=frame)
-    b.always((body.capacity == capacity) & (body.share == share), where=running)
-    b.always(body.complete == Cat(b.past(last), b.past(last, 2)))
     b.always(body.committed == committed, where=beat != 0)
-    stands = ~b.past(done) & ~b.past(done, 2) & ~b.past(done, 3)
-    b.always((body.wide == wide) & (body.narrow == narrow), where=(taken == SETTLED) & stands)
-    b.cover(b.past(done) & (budget > b.past(budget)) & (b.past(body.total) > 5))
+    b.always((body.now == now) & (body.then == then) & (body.controlled == controlled), where=some)
+    b.always(since_last > beat, where=some)
+    b.always(frame & (taken == SETTLED), where=(beat != 0) | some & frame)
+    b.always(frame & some, where=since_last != SETTLED)
+    slots = Cat(since_last == 1 + k for k in range(SUMS))
+    b.always(body.slot == slots)
+    b.always(body.adding == b.past(body.slot))
+    b.always(body.added == b.past(body.adding))
+    sums = [Signal(DATA_BITS + 1, name=f"expected_{k}") for k in range(SUMS)]
+    fits = [Signal(name=f"expected_fits_{k}") for k in range(SUMS)]
+    at_work = Signal(DATA_BITS + 1)
+    for k, total in enumerate(sums):
+        with m.If(b.past(slots[k])):
+            m.d.comb += at_work.eq(total)
+    added = b.same("added", at_work + body.part)
+    for k, (total, fit) in enumerate(zip(sums, fits)):
+        part = Mux(controlled & (then <= candidates[k - 1]), then, now) if k else now
+        b.always(body.part == b.past(part), where=b.past(slots[k]))
+        with m.If(b.past(slots[k])):
+            m.d.sync += total.eq(Mux(added > SUM_MAX, SUM_MAX, added))
+        with m.If(take):
+            m.d.sync += total.eq(0)
+        with m.If(b.past(slots[k], 2)):
+            m.d.sync += fit.eq(total <= capacity)
+        b.always(fit == (total <= capacity), where=some & (since_last >= 4 + k))
+    turns, fit_turns = Signal(range(SUMS)), Signal(range(SUMS))
+    m.d.sync += [turns.eq(Mux(b.past(slots.any()), Mux(turns == SUMS - 1, 0, turns + 1), turns)), fit_turns.eq(turns)]
+    step_turns = Signal(range(STEPS))
+    for k in range(SUMS):
+        b.always(Cat(body.sums) == Cat(_turned(sums, k)), where=turns == k)
+        b.always(body.fits == Cat(_turned(fits, k)), where=fit_turns == k)
+        b.always(turns == k, where=b.past(slots[k]))
+        b.always(fit_turns == k, where=b.past(slots[k], 2))
+    b.always(turns == 0, where=~b.past(slots.any()))
+    b.always(fit_turns == b.past(turns))
+    m.d.sync += step_turns.eq(Mux(slots[1:].any(), Mux(step_turns == STEPS - 1, 0, step_turns + 1), step_turns))
+    b.always(step_turns == 0, where=~slots[1:].any())
+    for k in range(STEPS):
+        stands = frame & (taken > STEPS + FILLED) & (step_turns == k)
+        b.always(Cat(body.steps) == Cat(_turned(candidates, k)), where=stands)
+        b.always(step_turns == k, where=slots[1 + k])
+    b.always(body.far_too_much == (sums[0] > 2 * capacity), where=some & (since_last >= 4))
+
+    # Budget and limit.
+    most = Signal(COUNTER_BITS)
+    with m.If(take):
+        m.d.sync += most.eq(0)
+    with m.Elif(slots[0] & controlled & (now > most)):
+        m.d.sync += most.eq(now)
+    fitting = share
+    for fit, candidate in zip(fits[1:], candidates):
+        fitting = Mux(fit, candidate, fitting)
+    fitting = b.same("fitting", fitting)
+    top = b.same("top", Mux(most < limit, most, limit))
+    dropped = b.same("dropped", top - (top >> LIMIT_DROP))
+    lower_limit = b.same("lower_limit", Mux(dropped > share, dropped, share))
+    b.always(body.most == most, where=running)
+    b.always(body.top == top, where=some & frame & (since_last >= 3))
+    b.always(body.dropped == dropped, where=some & frame & (since_last >= 4))
+    b.always(body.lower_limit == lower_limit, where=some & frame & (since_last >= 5))
+    b.always(body.fitting == fitting, where=some & frame & (since_last >= SETTLED - 1))
+    higher_limit = Mux(fitting > top, fitting, top)
+    b.always(body.higher_limit == higher_limit, where=some & frame & (since_last >= SETTLED))
+    too_much = b.same("too_much", sums[0] > capacity)
+    next_limit = Mux(too_much, Mux(sums[0] > 2 * capacity, share, lower_limit), higher_limit)
+    b.always(budget == b.past(Mux(too_much, share, fitting)), where=b.past(done))
+    b.always(limit == b.past(next_limit), where=b.past(done))
+    b.always((budget == b.past(budget)) & (limit == b.past(limit)), where=b.past(running & ~done))
+    b.always((budget == share) & (limit == share), where=b.past(1) & b.past(~running))
+    b.always((budget >= share) & (budget <= capacity), where=running)
+    b.always(budget <= limit, where=running)
+    b.always((budget <= b.past(budget)) & (limit <= b.past(limit)), where=b.past(done & too_much))
+    b.always(body.budget.agree)
+    b.cover(b.past(done) & (budget > b.past(budget)) & (b.past(sums[0]) > 5))
     b.cover(b.past(done) & b.past(too_much))

@@ -17,7 +17,8 @@ FULL = (1 << COUNTER_BITS) - 1  # saturated counter of photons,
 FULL_OF_CYCLES = (1 << counter_bits("opened", SMALL)) - 1  # and of cycles in a frame
 
 
-BUDGETS = 3  # on the bus: for the previous stream, for the subgroup's own, for the next one
+STREAMS = 3  # on the bus: the previous stream, the subgroup's own, the next one
+BUDGETS = 2 * STREAMS  # words: each stream's budget and limit
 WORDS = BUDGETS + AUTO_BOUNDS
 
 
@@ -34,7 +35,7 @@ def _least(*values):
     return least
 
 
-@proof(depth=4, cover=28)
+@proof(depth=4, cover=34)
 def dpcu(b: Bench):
     """Windows are committed if and only if they meet the threshold; counters balance; the controller moves one step in its limits."""
     sensor, m = SMALL, b.m
@@ -57,8 +58,10 @@ def dpcu(b: Bench):
     )
     count = {name: unit.counters.word_select(i, COUNTER_BITS) for i, name in enumerate(COUNTER_NAMES)}
 
-    # Between frames, when nothing is on its way, the bus says TAKE, then names budgets and bounds, then BEGIN with the floor.
-    budget, bounds = b.constant(DATA_BITS), [b.constant(DATA_BITS) for _ in range(AUTO_BOUNDS)]
+    # Between frames, when nothing is on its way, the bus says TAKE, then names budgets, limits and bounds, then BEGIN with the floor.
+    budget, limit = b.constant(DATA_BITS), b.constant(DATA_BITS)
+    bounds = [b.constant(DATA_BITS) for _ in range(AUTO_BOUNDS)]
+    b.assume(budget <= limit)  # as proven for the controller
     floor = b.constant(range(THRESHOLD_MAX + 1))
     step = Signal(range(WORDS + 2))  # 0: idle or TAKE; then the words; the last one: BEGIN
     take, begin = b.same("take", b.anything(1) & (step == 0)), b.same("begin", step == WORDS + 1)
@@ -69,11 +72,12 @@ def dpcu(b: Bench):
             m.d.comb += operation.eq(Mux(take, bus.Operation.TAKE, bus.Operation.IDLE))
         with m.Case(WORDS + 1):
             m.d.comb += [operation.eq(bus.Operation.BEGIN), data.eq(floor)]
-        for k in range(BUDGETS):
-            with m.Case(1 + k):
-                m.d.comb += [operation.eq(bus.Operation.BUDGET), in_stream.eq(k < 2)]
-                if k == 1:
-                    m.d.comb += data.eq(budget)
+        for k in range(STREAMS):
+            for word, (named, value) in enumerate(((bus.Operation.BUDGET, budget), (bus.Operation.LIMIT, limit))):
+                with m.Case(1 + 2 * k + word):
+                    m.d.comb += [operation.eq(named), in_stream.eq(k < 2)]
+                    if k == 1:
+                        m.d.comb += data.eq(value)
         for k in range(AUTO_BOUNDS):
             with m.Case(1 + BUDGETS + k):
                 m.d.comb += [operation.eq(bus.Operation.COMPARE), data.eq(bounds[k])]
@@ -115,7 +119,7 @@ def dpcu(b: Bench):
     with m.If(take):
         m.d.sync += before.eq(now)
     opened, committed, lower, used = (count[name] for name in ("opened", "committed", "lower", "threshold_used"))
-    above, below = (committed > budget) & (used < THRESHOLD_MAX), (committed <= budget) & (used > 1) & (lower <= budget)
+    above, below = (committed > limit) & (used < THRESHOLD_MAX), (committed <= limit) & (used > 1) & (lower <= budget)
     stepped = Mux(above, used + 1, Mux(below, used - 1, used))
     bounded = b.same("bounded", _least(stepped, 1 + _reached(bounds, opened)))
     controlled = b.same("controlled", Mux(bounded < floor, floor, bounded))
@@ -126,12 +130,14 @@ def dpcu(b: Bench):
     b.always(used == b.past(used), where=b.past(1) & ~b.past(begin))
     b.always(step <= WORDS + 1)
     b.always(begun, where=before | (taken & (step == 0)))
-    b.always(body.stepped == _least(stepped, THRESHOLD_MAX), where=begun & (step > 3))
+    b.always(body.stepped == _least(stepped, THRESHOLD_MAX), where=begun & (step > 6))
     b.always(unit.controlled == now)
     b.always(body.stays == before)
-    for k in range(AUTO_BOUNDS + 1):
+    b.always(body.ceiling + body.reached == 1, where=(step != 0) & (step <= 1 + BUDGETS))
+    for k in range(1, AUTO_BOUNDS + 1):
         b.always(body.ceiling + body.reached == 1 + _reached(bounds[:k], opened), where=step == 1 + BUDGETS + k)
-    b.always((body.rises == (committed > budget)) & (body.falls == (lower <= budget)), where=step > 2)
+    b.always(body.falls == (lower <= budget), where=step > 3)
+    b.always(body.rises == (committed > limit), where=step > 4)
     b.cover(unit.commit & (used == 3) & now & before)
     b.cover((count["rejected"] == 2) & (count["dropped"] == 1))
 

@@ -12,7 +12,7 @@ from ..model.contract.settings import AUTO_BOUNDS
 from .bench import Bench, proof
 from .sensors import SMALL
 
-SENT = SMALL.streams + AUTO_BOUNDS  # words for the thresholds: budgets and bounds
+SENT = 2 * SMALL.streams + AUTO_BOUNDS  # words for the thresholds: budgets, limits and bounds
 WRITE_MAX = (
     1 + (READ_CYCLES + 2) + 3 + CHECK_CYCLES + SENT + 2
 )  # after a read in progress: decode, checks, words for the thresholds
@@ -107,9 +107,11 @@ def register_front(b: Bench):
     b.stable(in_force, where=busy)
     b.always(~b.past(busy) & busy & ~b.past(done), where=operation == bus.Operation.TAKE)
     b.always(unit.command.data == b.past(unit.budget_0), where=operation == bus.Operation.BUDGET)
+    b.always(unit.command.data == b.past(unit.limit_0), where=operation == bus.Operation.LIMIT)
     b.always(
         busy,
         where=(operation == bus.Operation.BUDGET)
+        | (operation == bus.Operation.LIMIT)
         | (operation == bus.Operation.COMPARE)
         | (operation == bus.Operation.BEGIN)
         | unit.start_frame,

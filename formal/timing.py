@@ -4,6 +4,7 @@
 from amaranth.hdl import Mux, Signal
 
 from ..hdl import bus
+from ..hdl.controller import SETTLED
 from ..hdl.gating import Gating
 from ..hdl.sequencer import LEAD, TO_FINISH, Sequencer
 from ..hdl.tdc import START_TO_PHASE, Tdc
@@ -149,10 +150,15 @@ def sequencer(b: Bench):
     most = 1 << sensor.coarse_bits
     b.always(timing.shift == Mux(exact > most, most, exact), where=alive)
 
-    # The end: the frame is done once, after all streams have delivered, and the next frame has the next number.
-    ending = Signal()
-    m.d.sync += ending.eq(Mux(over & ~alive, 1, ending & ~unit.done))
-    b.always(ending & b.past(delivered, 2), where=unit.done)
+    # The end: the frame is done once, `SETTLED` cycles after all streams have delivered; the next one has the next number.
+    ending, settled = Signal(), Signal(range(SETTLED + 1))
+    m.d.sync += [
+        ending.eq(Mux(over & ~alive, 1, ending & ~unit.done)),
+        settled.eq(Mux(delivered, settled + (settled != SETTLED), 0)),
+    ]
+    b.always(ending & b.past(settled == SETTLED), where=unit.done)
+    for k in range(SETTLED):
+        b.always(body.delivered[k] == (settled > k))
     b.always(~alive, where=unit.finish | unit.done)
     b.always(unit.number == (b.past(unit.number) + unit.done)[: bus.PULSE_BITS], where=b.past(1))
 

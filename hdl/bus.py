@@ -23,6 +23,7 @@ class Operation(enum.Enum, shape=4):  # type: ignore[call-arg]  # Amaranth's enu
     WRITE = 0b0011  # write data to a word of one subgroup
     TAKE = 0b0101  # the programmed settings take effect for the frame
     BUDGET = 0b0110  # data is the budget of the stream that begins with this subgroup; earlier streams ignore it
+    LIMIT = 0b1100  # likewise, data is its limit
     COMPARE = 0b1001  # data is a bound of the threshold controller
     ACCESS = 0b1100  # an access to the registers is in progress: wake up; the subgroup of the bus shows its word
     BEGIN = 0b1010  # begin the frame: clear the counters, set the threshold; data is the controller's lowest threshold

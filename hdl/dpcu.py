@@ -57,7 +57,7 @@ class Dpcu(Unit):
     Ports
     -----
     settings : in, of the frame; operation, data : in, the configuration bus, registered
-    in_stream : in, a budget on the bus is for this subgroup's stream, or for an earlier one and is replaced later
+    in_stream : in, a budget or limit on the bus is for this subgroup's stream, or for an earlier one and is replaced later
     window_ticks : out, the window in force (1 if coincidence is off)
     start : in, first cycle of a period, two cycles ahead of the ports
     closed, window : in, from the tree (stage 7); commit, event : out, to the FIFO one cycle later (stage 8: the commit cycle)
@@ -188,10 +188,10 @@ class Dpcu(Unit):
                 m.d.sync += [state.stays.eq(self.controlled), state.ceiling.eq(1)]
             with m.Case(bus.Operation.BUDGET):
                 with m.If(self.in_stream):
-                    m.d.sync += [
-                        state.rises.eq(count["committed"] > self.data),
-                        state.falls.eq(count["lower"] <= self.data),
-                    ]
+                    m.d.sync += state.falls.eq(count["lower"] <= self.data)
+            with m.Case(bus.Operation.LIMIT):
+                with m.If(self.in_stream):
+                    m.d.sync += state.rises.eq(count["committed"] > self.data)
             with m.Case(bus.Operation.BEGIN):
                 m.d.sync += [counter.eq(0) for counter in count.values()]
                 m.d.sync += [

@@ -71,7 +71,7 @@ class RegistersState:
         }
         self.found = Signal(DATA_BITS)
         self.wait = Signal(range(max(READ_CYCLES, CHECK_CYCLES) + 1))
-        self.sent = Signal(range(sensor.streams + AUTO_BOUNDS))
+        self.sent = Signal(range(2 * sensor.streams + AUTO_BOUNDS))
         self.data = Signal(DATA_BITS)
         self.same_address = Signal()
         self.same_value = Signal()
@@ -91,7 +91,7 @@ class Registers(Unit):
     gate_late, settings_upset : in, OR of the subgroups' start checks
     period : out, as programmed; frame : out, settings of the running frame; plan : out, settings of the sequencer
     start_frame, abort_frame : out, strobes; done : in, strobe; resting : in, the sequencer has no frame
-    capacity, share_k : out, as programmed, to the threshold controller of stream k; budget_k : in, from it
+    capacity, share_k : out, as programmed, to the threshold controller of stream k; budget_k, limit_k : in, from it
 
     Reset loads the reset values of the table and drops accesses in progress. An upset may delay or refuse an access,
     but none makes it wait for ever; the handshake with the master is voted. Each setting keeps the parity that its
@@ -119,7 +119,7 @@ class Registers(Unit):
                 "capacity": Out(DATA_BITS),
             }
             | {f"share_{k}": Out(DATA_BITS) for k in range(sensor.streams)}
-            | {f"budget_{k}": In(DATA_BITS) for k in range(sensor.streams)}
+            | {f"{name}_{k}": In(DATA_BITS) for name in ("budget", "limit") for k in range(sensor.streams)}
         )
         self.state = RegistersState(sensor)
 
@@ -216,7 +216,8 @@ class Registers(Unit):
         """Select the global register at the address, at the same time as the decoder's result."""
         state = self.state
         content = state.setting | {("status", 0): Cat(state.flag[bits.name] for bits in STATUS.bits)}
-        content |= {("budget", k): getattr(self, f"budget_{k}") for k in range(self.sensor.streams)}
+        streams = range(self.sensor.streams)
+        content |= {(name, k): getattr(self, f"{name}_{k}") for name in ("budget", "limit") for k in streams}
         for _, register, index in registers.words(registers.GLOBAL, self.sensor):
             if register.access is Access.CONSTANT:
                 content[register.name, index] = Const(register.reset(self.sensor), DATA_BITS)
@@ -385,10 +386,13 @@ class Registers(Unit):
             m.next = "thresholds"
 
     def _send_for_thresholds(self, m):
-        """Send the streams' budgets and then the controller's bounds to the subgroups, one per cycle."""
-        state, streams = self.state, range(self.sensor.streams)
-        firsts = [self.sensor.stream_subgroups(k).start for k in streams]
-        words = [(bus.Operation.BUDGET, first, getattr(self, f"budget_{k}")) for k, first in zip(streams, firsts)]
+        """Send the streams' budgets and limits and then the controller's bounds to the subgroups, one per cycle."""
+        state = self.state
+        words = []
+        for k in range(self.sensor.streams):
+            first = self.sensor.stream_subgroups(k).start
+            words.append((bus.Operation.BUDGET, first, getattr(self, f"budget_{k}")))
+            words.append((bus.Operation.LIMIT, first, getattr(self, f"limit_{k}")))
         words += [(bus.Operation.COMPARE, 0, state.setting["auto_bounds", k]) for k in range(AUTO_BOUNDS)]
         with m.Switch(state.sent):
             for k, (operation, first, word) in enumerate(words):

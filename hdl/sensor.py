@@ -127,7 +127,8 @@ def wire_core(m: Module, put: Put, sensor: Sensor, outer: Any, inner: Any) -> Se
     controllers = [Controller(sensor) for _ in readouts]
     nets: dict[str, Any] = registers.outputs() | sequencer.outputs()
     nets |= {name: getattr(inner, name) for name in ANSWERED}
-    nets |= {f"budget_{k}": controller.budget for k, controller in enumerate(controllers)}
+    for k, controller in enumerate(controllers):
+        nets |= {f"budget_{k}": controller.budget, f"limit_{k}": controller.limit}
     nets["delivered"] = Cat(readout.delivered for readout in readouts).all()
     put("registers", registers, **registers.fed(nets))
     put("sequencer", sequencer, **sequencer.fed(nets))

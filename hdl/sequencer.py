@@ -4,7 +4,7 @@
 The paper gives the laser's repetition rate and the laser pulses of a frame; the sequencing is our choice.
 """
 
-from amaranth.hdl import Module, Mux, Signal
+from amaranth.hdl import Cat, Module, Mux, Signal
 from amaranth.lib.wiring import In, Out
 
 from ..model.contract import latency
@@ -12,6 +12,7 @@ from ..model.contract.dither import DITHER_BITS_MAX, LFSR_BITS, LFSR_TAPS
 from ..model.contract.parameters import Sensor
 from ..model.contract.settings import GATE_BITS
 from . import bus
+from .controller import SETTLED
 from .unit import Unit
 from .voted import Voted
 
@@ -27,7 +28,8 @@ class SequencerState:
 
     waiting: between two periods; left: cycles of this wait. start: the strobe, delayed for the registers behind it.
     active: from the beginning of a frame until it is done. step, last_step: registers, because `pulses` and `steps` change at
-    the end of a period only. draining, drained: the frame is ending, and for how long it has been.
+    the end of a period only. draining, drained: the frame is ending, and for how long it has been. delivered: bit k, for more
+    than k cycles.
     """
 
     number: Voted
@@ -55,6 +57,7 @@ class SequencerState:
         self.last_step = Signal()
         self.draining = Signal()
         self.drained = Signal(range(TO_FINISH + 1))
+        self.delivered = Signal(SETTLED)
 
 
 class Sequencer(Unit):
@@ -190,13 +193,15 @@ class Sequencer(Unit):
         m.d.sync += [until_begin.eq((until_begin << 1) | state.first), self.frame_begin.eq(until_begin[-1])]
 
     def _end(self, m):
-        """End the frame: wait until nothing more is stored, then until everything is delivered; then `done`."""
+        """End the frame: wait until nothing more is stored, then until everything is delivered; then `done`.
+
+        It is delivered for `SETTLED` cycles, so that the threshold controllers know their budgets.
+        """
         state = self.state
         state.number = number = Voted(m, "number_kept", bus.PULSE_BITS)
         m.d.comb += self.number.eq(number.value)
-        delivered = Signal()
         m.d.sync += [
-            delivered.eq(self.delivered),
+            state.delivered.eq(Cat(1, state.delivered) & self.delivered.replicate(SETTLED)),
             self.done.eq(0),
             self.finish.eq(state.draining & (state.drained >= TO_FINISH - 1)),
             self.resting.eq(~(state.start.any() | state.active | state.draining | self.done)),
@@ -206,7 +211,7 @@ class Sequencer(Unit):
         # In the cycle after the last period both are set; after an upset, it may be only one of them.
         with m.If((state.active | state.wrap) & ~state.running & ~state.draining):
             m.d.sync += [state.draining.eq(1), state.drained.eq(1)]
-        with m.If(self.finish & delivered):
+        with m.If(self.finish & state.delivered[-1]):
             m.d.sync += [
                 self.finish.eq(0),
                 state.active.eq(0),

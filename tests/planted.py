@@ -103,20 +103,15 @@ MISTAKES: dict[tuple[str, tuple[str, ...], tuple[tuple[str, ...], ...]], dict[st
     ("hdl/subgroup.py", ("subgroup_rests",), ()): {"sleeps-early": ("AWAKE_CYCLES = 31", "AWAKE_CYCLES = 5")},
     ("hdl/subgroup.py", (), (FRAMES, SLICED)): {"budget-of-last-stream": ("number >= command.subgroup", "1")},
     ("hdl/controller.py", ("controller",), (FRAMES, SLICED)): {
-        "budget-beyond-capacity": (
-            "Mux(state.widened < state.capacity, state.widened, state.capacity)",
-            "state.widened",
-        ),
-        "budget-below-share": ("Mux(state.narrowed > state.share, state.narrowed, state.share)", "state.narrowed"),
-        "sums-not-cleared": (
-            "state.beat.eq(0), state.total.eq(0), state.more.eq(0)",
-            "state.beat.eq(0), state.more.eq(0)",
-        ),
+        "budget-beyond-capacity": ("Mux(state.grown < state.capacity, state.grown, state.capacity)", "state.grown"),
+        "limit-below-share": ("Mux(state.dropped > state.share, state.dropped, state.share)", "state.dropped"),
+        "sums-not-cleared": ("[one.eq(0) for one in state.sums]", "[one.eq(0) for one in state.sums[1:]]"),
         "uncontrolled-would-fall": (
-            "Mux(state.controlled & (state.lower <= state.wide)",
-            "Mux((state.lower <= state.wide)",
+            "state.controlled & ~state.slot[0] & (state.then <= state.steps[0])",
+            "~state.slot[0] & (state.then <= state.steps[0])",
         ),
-        "too-much-too-late": ("state.total > state.capacity", "state.total >= state.capacity"),
+        "too-much-too-early": ("state.sums[-1] <= state.capacity", "state.sums[-1] < state.capacity"),
+        "limit-stays": ("state.limit_kept.eq(state.higher_limit)", "state.limit_kept.eq(state.limit_kept)"),
     },
     ("hdl/gating.py", ("gating",), (FRAMES, SLICED)): {"gate-late": ("until_now == 0", "until_now <= 1")},
     ("hdl/sequencer.py", ("sequencer",), (FRAMES, SLICED)): {
@@ -174,16 +169,10 @@ MISTAKES: dict[tuple[str, tuple[str, ...], tuple[tuple[str, ...], ...]], dict[st
     },
     ("model/golden/controller.py", (), (GOLDEN, FRAMES)): {
         "golden-ceiling": ('side="right"', 'side="left"'),
-        "golden-rises-early": ("rises = committed > budget", "rises = committed >= budget"),
-        "golden-budget-below-share": (
-            "return max(budget - budget // STEP, int(config.shares[stream]))",
-            "return budget - budget // STEP",
-        ),
-        "golden-budget-beyond-capacity": ("min(budget + budget // STEP + 1, capacity)", "budget + budget // STEP + 1"),
-        "golden-old-budget": (
-            "column[COUNTER.committed], column[COUNTER.lower]\n        budget = self.budget[self._stream]",
-            "column[COUNTER.committed], column[COUNTER.lower]\n        budget = config.shares[self._stream]",
-        ),
+        "golden-rises-early": ("rises = committed > self.limit", "rises = committed >= self.limit"),
+        "golden-limit-below-share": ("max(share, top - (top >> LIMIT_DROP))", "top - (top >> LIMIT_DROP)"),
+        "golden-budget-beyond-capacity": ("max(share, min(candidate, capacity))", "max(share, candidate)"),
+        "golden-limit-not-lowered": ("max(fitting, top)", "max(fitting, limit)"),
     },
     ("model/scenes/planes.py", (), (ORIENTATION,)): {
         "scene-mirrored": ("(np.arange(cols) + 0.5) / cols", "(np.arange(cols)[::-1] + 0.5) / cols")

@@ -143,9 +143,8 @@ class Config(SubgroupSettings):
             subgroups = max(len(self.sensor.stream_subgroups(stream)) for stream in range(self.sensor.streams))
             beats -= self.pulses * subgroups * parts.length(RECORD)
         if packet.grouped:
-            return int(
-                max(0, beats) * PAYLOAD_BITS // groups(self.sensor).listed_bits(packet, self.period_ticks, LARGE_PIXELS)
-            )
+            bits = groups(self.sensor).listed_bits(packet, self.period_ticks, LARGE_PIXELS)
+            return min(max(0, beats) * PAYLOAD_BITS // bits, self.pulses * self.period // parts.length(packet))
         return max(0, beats) // parts.length(packet)
 
     @property

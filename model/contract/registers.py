@@ -170,7 +170,15 @@ GLOBAL: tuple[Register, ...] = (
         access=Access.COUNTER,
         count=lambda s: s.streams,
         reset=EVENTS_MAX,
-        doc="Threshold controller, stream i: events that each of its subgroups may send in a frame.",
+        doc="Threshold controller, stream i: a subgroup lowers its threshold if it would then commit no more events.",
+    ),
+    Register(
+        name="limit",
+        offset=0x300,
+        access=Access.COUNTER,
+        count=lambda s: s.streams,
+        reset=EVENTS_MAX,
+        doc="Threshold controller, stream i: a subgroup that commits more events raises its threshold.",
     ),
 )
 

@@ -18,6 +18,8 @@ from .table import NO_BIT, Kind, Limit, settings_of_class
 
 AUTO_BOUNDS = 6
 THRESHOLD_MAX = 1 + AUTO_BOUNDS  # highest threshold of the controller
+BUDGET_GROWTHS = 3, 2, 1, 0  # in a frame, the controller's budget may grow by these powers of 1/2 of itself,
+LIMIT_DROP = 2  # and its limit may fall by this one
 FRAMES_MAX = 1 << 16  # the frame number has 16 bits
 LINK_GBPS_MAX = 1e6  # per stream
 GATE_BITS = 16

@@ -19,9 +19,9 @@ from coincid.hdl.dpcu import counter_bits
 from coincid.model.contract.counters import COUNTER_NAMES
 from coincid.model.contract.packet import HEADER
 from coincid.model.contract.registers import DATA_BITS, ID_VALUE
-from coincid.model.contract.settings import AUTO_BOUNDS, THRESHOLD_MAX
+from coincid.model.contract.settings import AUTO_BOUNDS, BUDGET_GROWTHS, THRESHOLD_MAX
 from coincid.model.contract.stream import decode_frame
-from coincid.model.golden.controller import STEP, Controller
+from coincid.model.golden.controller import Controller
 from coincid.model.golden.frame import Golden
 from coincid.tb.cosim import SensorBench
 from coincid.tb.scoreboard import Scoreboard
@@ -337,7 +337,7 @@ def decisive_frames(led, alone, highest: int) -> list[tuple]:
         capacity = random.getrandbits(DATA_BITS) if decision == "off" else random.randint(highest // 2, highest)
         bounds = [random.randint(0, highest) for _ in range(AUTO_BOUNDS)]
         bounds[0] |= bit
-        budget = random.getrandbits(DATA_BITS) if decision == "sums" else random.randint(11 * capacity // 12, capacity)
+        budget = random.getrandbits(DATA_BITS) if decision == "sums" else random.randint(capacity // 2, capacity)
         budget = {"budget": budget & highest | bit, "low_budget": budget & highest & ~bit}.get(before, budget)
         of = (alone if decision == "off" else led).with_frame(capacity=capacity, auto_bounds=sorted(bounds))
         bit, before = 1 << k, decision
@@ -348,10 +348,11 @@ def decisive_frames(led, alone, highest: int) -> list[tuple]:
 def decisive_counters(decision: str, bit: int, now, then, highest: int) -> list[dict]:
     """Return the counters of two subgroups for which a bit decides.
 
-    decision: what is decided: the thresholds of the next frame by the bounds or by the budget (with the bit set or clear), the
-    budget by the sums of what was committed or by `lower`; or 'off': no controller, and the next frame begins with the
-    programmed thresholds. now, then: (configuration, budget) of the frame and of the one after it."""
-    capacity, wide = now[0].capacity, min(now[1] + now[1] // STEP + 1, now[0].capacity)
+    decision: what is decided: the thresholds of the next frame by the bounds or by budget and limit (with the bit set or
+    clear), the budget by the sums of what was committed or by `lower`; or 'off': no controller, and the next frame begins with
+    the programmed thresholds. now, then: (configuration, budget) of the frame and of the one after it."""
+    capacity, grown = now[0].capacity, now[1] + (now[1] >> random.choice(BUDGET_GROWTHS)) + 1
+    at_step = min(random.choice((now[1], grown)), capacity) ^ bit
     bounds, budget = then[0].auto_bounds.tolist(), then[1]
     among = [bound ^ bit for bound in bounds if bound & bit], [bound for bound in bounds if not bound & bit]
     first, nothing, many = random.randint(0, capacity ^ bit), (0, 0), (highest, highest)
@@ -362,7 +363,7 @@ def decisive_counters(decision: str, bit: int, now, then, highest: int) -> list[
         "budget": at_budget,
         "sums": ((first, (capacity ^ bit) - first),) * 2 + (many,),
         "low_budget": at_budget,
-        "lower": (nothing, (wide ^ bit, wide // 2), many),
+        "lower": ((0, max(0, capacity + 1 - at_step)), (at_step, highest), many),  # too much if the first one falls
     }[decision]
     return [
         {name: min(value, highest) for name, value in zip(("committed", "lower", "opened"), values)}
@@ -384,13 +385,15 @@ async def controller_in_full_width(dut):
     for (decision, bit, of, budget), then in zip(frames, frames[1:]):
         if controller.budget is not None:  # before the first frame it is the share
             await put(dut, at, "budget_kept", DATA_BITS, budget)
-            controller.budget[:] = budget
+            handle(dut, at, "limit_kept").value = budget
+            controller.budget[:] = controller.limit[:] = budget
         thresholds = controller.begin(of)
         counters = decisive_counters(decision, bit, (of, int(controller.budget[0])), then[2:], highest)
         shown = await frame_with_counters(bench, of, NOTHING, names, counters)
         assert shown[:, used].tolist() == thresholds.tolist(), (decision, bit)
         controller.end(of, shown)
         assert await bench.read("budget") == controller.budget[0], (decision, bit)
+        assert await bench.read("limit") == controller.limit[0], (decision, bit)
 
 
 @cocotb.test()

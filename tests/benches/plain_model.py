@@ -160,32 +160,47 @@ class PlainController:
             self.members.setdefault(s * config.sensor.streams // n, []).append(s)
         self.share = {stream: config.capacity // len(members) for stream, members in self.members.items()}
         self.budget = dict(self.share)
+        self.limit = dict(self.share)
 
     def frame_ended(self, subgroups: list[PlainSubgroup]) -> None:
         for stream, members in self.members.items():
-            self.budget[stream] = self.new_budget(stream, [(s, subgroups[s]) for s in members])
+            self.new_budget(stream, [(s, subgroups[s]) for s in members])
             for s in members:
                 if self.auto[s]:
-                    self.threshold[s] = self.new_threshold(self.threshold[s], subgroups[s], self.budget[stream])
+                    self.threshold[s] = self.new_threshold(s, subgroups[s], self.budget[stream], self.limit[stream])
 
-    def new_budget(self, stream: int, members) -> int:
-        budget, capacity = self.budget[stream], self.config.capacity
-        wide = budget + budget // 16 + 1
-        if wide > capacity:
-            wide = capacity
-        total = more = 0
+    def new_budget(self, stream: int, members) -> None:
+        budget, capacity, share = self.budget[stream], self.config.capacity, self.share[stream]
+        total, most = 0, 0
         for s, frame in members:
             total += frame.committed
-            if self.auto[s] and self.threshold[s] > 1 and frame.lower <= wide:
-                more += frame.lower
-            else:
-                more += frame.committed
-        if total > capacity:
-            return max(budget - budget // 16, self.share[stream])
-        return wide if more <= capacity else budget
+            if self.auto[s]:
+                most = max(most, frame.committed)
+        top = min(most, self.limit[stream])
+        self.budget[stream] = share
+        if total > capacity * 2:
+            self.limit[stream] = share
+        elif total > capacity:
+            self.limit[stream] = max(share, top - top // 4)
+        else:
+            for step in (budget, *(budget + budget // part + 1 for part in (8, 4, 2, 1))):
+                step = max(share, min(capacity, step))
+                if self.would_send(step, members) <= capacity:
+                    self.budget[stream] = step
+            self.limit[stream] = max(self.budget[stream], top)
 
-    def new_threshold(self, threshold: int, frame: PlainSubgroup, budget: int) -> int:
-        if frame.committed > budget:
+    def would_send(self, budget: int, members) -> int:
+        sent = 0
+        for s, frame in members:
+            if self.auto[s] and self.threshold[s] > 1 and frame.lower <= budget:
+                sent += frame.lower
+            else:
+                sent += frame.committed
+        return sent
+
+    def new_threshold(self, s: int, frame: PlainSubgroup, budget: int, limit: int) -> int:
+        threshold = self.threshold[s]
+        if frame.committed > limit:
             if threshold < 7:
                 threshold += 1
         elif threshold > 1 and frame.lower <= budget:
