@@ -63,7 +63,6 @@ class ControllerState:
         self.fits = Signal(SUMS)
         self.far_too_much = Signal()
         self.fitting = Signal(DATA_BITS)
-        self.limit_kept = Signal(DATA_BITS)
         self.most = Signal(COUNTER_BITS)
         self.top = Signal(DATA_BITS)
         self.dropped = Signal(DATA_BITS)
@@ -193,7 +192,7 @@ class Controller(Unit):
         drop = Signal(DATA_BITS)
         m.d.comb += drop.eq(~(state.top >> LIMIT_DROP))
         m.d.sync += [
-            state.top.eq(Mux(state.most < state.limit_kept, state.most, state.limit_kept)),
+            state.top.eq(Mux(state.most < self.limit, state.most, self.limit)),
             state.dropped.eq(carry_select(m, Cat(1, state.top), Cat(1, drop), "dropped_sum")[1:]),
             state.lower_limit.eq(Mux(state.dropped > state.share, state.dropped, state.share)),
             state.higher_limit.eq(Mux(state.fitting > state.top, state.fitting, state.top)),
@@ -203,7 +202,7 @@ class Controller(Unit):
         """Take the highest candidate that fits, if the stream could carry the frame; begin with the first share."""
         state = self.state
         state.budget = budget = Voted(m, "budget_kept", DATA_BITS)
-        m.d.comb += [self.budget.eq(budget.value), self.limit.eq(state.limit_kept)]
+        m.d.comb += self.budget.eq(budget.value)
         fitting = state.share
         for fits, step in zip(state.fits[1:], state.steps):
             fitting = Mux(fits, step, fitting)
@@ -212,10 +211,10 @@ class Controller(Unit):
             m.d.sync += state.fresh.eq(0)
         with m.If(state.fresh):
             m.d.comb += budget.next.eq(self.share)
-            m.d.sync += state.limit_kept.eq(self.share)
+            m.d.sync += self.limit.eq(self.share)
         with m.Elif(self.done & state.fits[0]):
             m.d.comb += budget.next.eq(state.fitting)
-            m.d.sync += state.limit_kept.eq(state.higher_limit)
+            m.d.sync += self.limit.eq(state.higher_limit)
         with m.Elif(self.done):
             m.d.comb += budget.next.eq(state.share)
-            m.d.sync += state.limit_kept.eq(Mux(state.far_too_much, state.share, state.lower_limit))
+            m.d.sync += self.limit.eq(Mux(state.far_too_much, state.share, state.lower_limit))

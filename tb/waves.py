@@ -27,7 +27,7 @@ BLOCKS: tuple[Block, ...] = (
     ("subgroup 0: FIFO", "module_0.subgroup_0.fifo", "stored dropped level take"),
     ("subgroup 0: packets", "module_0.subgroup_0.packetizer", "grant valid beat"),
     ("readout 0", "readout_0", "stored grant valid beat space"),
-    ("controller 0", "controller_0", "total more done budget"),
+    ("controller 0", "controller_0", "fits done budget limit"),
 )
 
 Group: TypeAlias = tuple[str, list[tuple[str, int]]]  # title; path and width in bits of its signals

@@ -111,7 +111,7 @@ MISTAKES: dict[tuple[str, tuple[str, ...], tuple[tuple[str, ...], ...]], dict[st
             "~state.slot[0] & (state.then <= state.steps[0])",
         ),
         "too-much-too-early": ("state.sums[-1] <= state.capacity", "state.sums[-1] < state.capacity"),
-        "limit-stays": ("state.limit_kept.eq(state.higher_limit)", "state.limit_kept.eq(state.limit_kept)"),
+        "limit-stays": ("self.limit.eq(state.higher_limit)", "self.limit.eq(self.limit)"),
     },
     ("hdl/gating.py", ("gating",), (FRAMES, SLICED)): {"gate-late": ("until_now == 0", "until_now <= 1")},
     ("hdl/sequencer.py", ("sequencer",), (FRAMES, SLICED)): {

@@ -385,7 +385,7 @@ async def controller_in_full_width(dut):
     for (decision, bit, of, budget), then in zip(frames, frames[1:]):
         if controller.budget is not None:  # before the first frame it is the share
             await put(dut, at, "budget_kept", DATA_BITS, budget)
-            handle(dut, at, "limit_kept").value = budget
+            handle(dut, at, "limit").value = budget
             controller.budget[:] = controller.limit[:] = budget
         thresholds = controller.begin(of)
         counters = decisive_counters(decision, bit, (of, int(controller.budget[0])), then[2:], highest)
