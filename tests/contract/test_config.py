@@ -172,7 +172,7 @@ def test_default_bounds_keep_noise_rare(window, rearm):
         ({"rows": 8, "streams": 3}, {}, 12_500, [6250, 12_500, 12_500]),
         ({}, {"format": "short"}, 25_000, [1562]),
         ({}, {"format": "full"}, 6250, [390]),
-        ({}, {"format": "compact"}, 25_431, [1589]),
+        ({}, {"format": "compact"}, 12_500, [781]),
         ({}, {"minigroup_records": True}, (25_000 - 100 * 16 * 5) // 2, [531]),
         ({"rows": 64, "cols": 64}, {"minigroup_records": True}, 0, [0]),
         ({}, {"capacity": 100}, 100, [6]),

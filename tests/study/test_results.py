@@ -103,21 +103,21 @@ def surface(folder: Path) -> Any:
 
 
 RESULTS: dict[str, tuple[Callable[[Path], Any], str]] = {
-    "library": (library, "16beb6fb16261d2b"),
-    "sim": (sim, "bddcaded9e52ed6d"),
-    "sweep": (sweep, "a9feb8a6334f4d60"),
+    "library": (library, "e1a2bbca0e7a02a6"),
+    "sim": (sim, "de9ca7f0118515e3"),
+    "sweep": (sweep, "f4071d4dc3ed1ecc"),
     "bandwidth": (bandwidth, "8de2a0d77ad3a7fc"),
-    "explorer": (explorer, "dee4b0783e1eb357"),
+    "explorer": (explorer, "47c25634ca202e4b"),
     "thresholds": (
         lambda folder: list(thresholds.table((("flat:7", 50.0),), (thresholds.Stream(16, 8),))),
         "74a7d697fa74f4e1",
     ),
-    "fifo depth": (lambda folder: list(fifo_depth.table((50.0,))), "934c623c8d26ff6b"),
-    "settling": (lambda folder: list(settling.table(((20.0, 20.0),))), "8c8bc0a9bed5e93f"),
-    "surfaces": (surface, "025886838c28382d"),
+    "fifo depth": (lambda folder: list(fifo_depth.table((50.0,))), "2a30af9f040a68d2"),
+    "settling": (lambda folder: list(settling.table(((20.0, 20.0),))), "8d5a048adb43a133"),
+    "surfaces": (surface, "1e228db18aa97bd7"),
     "two targets": (section(architect.two_targets, STEPS_M=(0.15, 0.6), TWO_KLUX=(5.0,), MANY=1), "1bc1b1b3ee198906"),
-    "modes": (section(four_modes.background, KLUX=(10.0, 50.0), DISTANCES_M=(5.0,), SEEDS=1), "340a5112f4b31e43"),
-    "figure 8": (section(reconstruction.figure_8, THRESHOLDS_8=(2, 3), SEEDS=1, MANY=1), "1996049c9f75e13c"),
+    "modes": (section(four_modes.background, KLUX=(10.0, 50.0), DISTANCES_M=(5.0,), SEEDS=1), "bd68863aa09f2d84"),
+    "figure 8": (section(reconstruction.figure_8, THRESHOLDS_8=(2, 3), SEEDS=1, MANY=1), "fc96fe660d13719b"),
     "interference": (
         section(
             interference.interference,
@@ -127,7 +127,7 @@ RESULTS: dict[str, tuple[Callable[[Path], Any], str]] = {
             DITHER_BITS=(0, 2),
             SEEDS=1,
         ),
-        "0798bb214eaad812",
+        "4e34141db1efdaba",
     ),
 }
 
