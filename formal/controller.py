@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Proof of the threshold controller: the sums, budget and limit computed from them; the subgroup's part is in `dpcu.py`."""
 
-from amaranth.hdl import Cat, Mux, Signal
+from amaranth.hdl import Cat, Mux, Signal, Value
 
 from ..hdl import bus
 from ..hdl.controller import FILLED, SETTLED, STEPS, SUMS, Controller
@@ -17,7 +17,7 @@ BEATS = LOWER // BEAT_BITS + 1  # `lower` is in the last beat
 SUM_MAX = (1 << DATA_BITS + 1) - 1
 
 
-def _turned(values, turns: int) -> list:
+def _turned(values: list[Value], turns: int) -> list[Value]:
     """Return the values as a ring shows them after some turns."""
     return [values[(k + turns) % len(values)] for k in range(len(values))]
 
