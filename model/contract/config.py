@@ -6,7 +6,7 @@ refused, as the sensor refuses them at a start.
 """
 
 import tomllib
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -37,7 +37,7 @@ PER_FRAME = tuple(name for name, setting in FRAME.items() if setting.derived)
 class Config(SubgroupSettings):
     """A checked configuration: the sensor as built, the frame, and the settings of every subgroup.
 
-    `load_config` and `parse_config` make it; `with_frame` and `with_settings` make changed copies.
+    `load_config` and `parse_config` make it; `with_sensor`, `with_frame` and `with_settings` make changed copies.
 
     Attributes
     ----------
@@ -192,8 +192,42 @@ class Config(SubgroupSettings):
 
         Raises `InputError` with the key and its range.
         """
-        frame = self.frame | _frame(settings, self.sensor)
-        return evolve(self, frame=frame, given=self.given | _keys("frame", settings))
+        frame, given = self.frame | _frame(settings, self.sensor), self.given | _keys("frame", settings)
+        followers = {
+            name: _column(setting, setting.default_of(self.sensor, frame), self.sensor)
+            for name, setting in SUBGROUP.items()
+            if setting.follows in settings and setting.key not in given
+        }
+        return evolve(self, frame=frame, given=given, **followers)
+
+    def with_sensor(self, **parameters: Any) -> "Config":
+        """Return a copy with another sensor: keys and values of [sensor].
+
+        Settings that were written stay, the others get the new sensor's defaults. Raises `InputError` with the key and its
+        range, or if subgroups have settings of their own and their number changes.
+        """
+        document = self.written()
+        document["sensor"] |= _known("sensor", parameters, SENSOR)
+        own = {name: document["subgroup"].pop(name) for name, one in SUBGROUP.items() if self._differs(name)}
+        return _blaming(_keys("sensor", parameters), lambda: parse_config(document).with_settings(**own))
+
+    def _differs(self, name: str) -> bool:
+        """Return whether the subgroups have different values of a setting that was written."""
+        values = getattr(self, name)
+        return SUBGROUP[name].key in self.given and bool(np.any(values != values[0]))
+
+    def written(self) -> dict[str, dict[str, Any]]:
+        """Return the tables of a configuration file with the keys that were written; lists where subgroups differ."""
+        document: dict[str, dict[str, Any]] = {table: {} for table in TABLES}
+        for name, setting in SETTINGS.items():
+            if setting.key not in self.given:
+                continue
+            of = {"sensor": self.sensor, "frame": self.frame}.get(setting.table, self)
+            value = of[name] if isinstance(of, dict) else getattr(of, name)
+            if setting.table == "subgroup":
+                value = value.tolist() if self._differs(name) else value[0].tolist()
+            document[setting.table][name] = list(value) if isinstance(value, tuple) else value
+        return document
 
     def with_settings(self, **settings: Any) -> "Config":
         """Return a copy with other settings of the subgroups: keys and values of [subgroup].
@@ -272,7 +306,17 @@ def load_config(path: FilePath | None = None, changes: Mapping[str, Any] | None 
     for name, value in (changes or {}).items():
         table = SETTINGS[name].table
         document[table] = document.get(table, {}) | {name: value}
-    return parse_config(document)
+    return _blaming([SETTINGS[name].key for name in changes or {}], lambda: parse_config(document))
+
+
+def _blaming(keys: Collection[str], make: Callable[[], Config]) -> Config:
+    """Return what `make` returns. An error about another key begins with those of the change that led to it."""
+    try:
+        return make()
+    except InputError as error:
+        if not keys or any(str(error).startswith(key) for key in keys):
+            raise
+        raise InputError(f"{', '.join(keys)}: does not go with the other settings ({error})") from None
 
 
 def changes_of_text(given: Collection[str]) -> dict[str, Any]:

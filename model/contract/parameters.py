@@ -71,7 +71,9 @@ class Sensor:
     window_max: int = _integer(128, 1, 1024, unit="ticks", offset=0x18, doc="Longest coincidence window in ticks.")
     rearm: int = _integer(0, 0, 15, unit="cycles", offset=0x1C, doc="Re-arm gap R in cycles.")
     fifo_depth: int = _integer(16, 1, 1024, unit="events", offset=0x20, doc="Events that a subgroup's FIFO holds.")
-    streams: int = _integer(1, 1, 64, offset=0x24, doc="AXI4-Streams.")
+    streams: int = _integer(
+        1, 1, 64, offset=0x24, doc="AXI4-Streams, which share the subgroups in the order of their numbers."
+    )
     subgroup: tuple[int, int] = _size((8, 8), low=16, high=256, offset=0x28, doc="SPADs of a subgroup, rows x columns.")
     minigroup: tuple[int, int] = _size((2, 2), low=1, high=16, offset=0x30, doc="SPADs of a minigroup, rows x columns.")
     offset_phases: int = _integer(
@@ -91,10 +93,12 @@ class Sensor:
         ):
             for name, size, step in zip(whole, sizes, getattr(self, part)):
                 if size % step:
-                    shown = " x ".join(dict.fromkeys(whole))
+                    shown = f"{' x '.join(dict.fromkeys(whole))} = {list(sizes)}"
+                    blocks = f"sensor.{part} = {list(getattr(self, part))}"
                     raise self._refused(
                         (part, name),
-                        f"{part} = {list(getattr(self, part))} must divide {shown} = {list(sizes)} without rest",
+                        {part: f"must divide {shown} without rest"},
+                        f"must be a multiple of {step}, because of {blocks}",
                     )
         if self.offset_max >= OFFSET_NONE:
             highest = OFFSET_NONE * self.offset_ticks - self.phases + 1
@@ -104,7 +108,9 @@ class Sensor:
             )
         if self.subgroups > SUBGROUPS_MAX:
             raise self._refused(
-                ("rows", "cols", "subgroup"), f"there are {self.subgroups} subgroups, must be at most {SUBGROUPS_MAX}"
+                ("rows", "cols", "subgroup"),
+                {},
+                f"there are {self.subgroups} subgroups, must be at most {SUBGROUPS_MAX}",
             )
         if self.streams > self.subgroups:
             raise InputError(
@@ -115,11 +121,16 @@ class Sensor:
                 f"sensor.coarse_bits = {self.coarse_bits}: 2^coarse_bits must be above the guard of {self.guard} cycles"
             )
 
-    def _refused(self, names: tuple[str, ...], why: str) -> InputError:
-        """Return the error for parameters that do not fit together. At least one of them is not the default."""
+    def _refused(self, names: tuple[str, ...], own: dict[str, str], why: str) -> InputError:
+        """Return the error for parameters that do not fit together. At least one of them is not the default.
+
+        own: what to say if the error names this parameter, instead of `why`.
+        """
         chosen = next(name for name in names if getattr(self, name) != SENSOR[name].default_of(self, {}))
         value = getattr(self, chosen)
-        return InputError(f"sensor.{chosen} = {list(value) if isinstance(value, tuple) else value}: {why}")
+        return InputError(
+            f"sensor.{chosen} = {list(value) if isinstance(value, tuple) else value}: {own.get(chosen, why)}"
+        )
 
     @property
     def coarse_bits_max(self) -> int:

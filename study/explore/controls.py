@@ -103,18 +103,19 @@ class Control:
     @property
     def needs(self) -> list[dict[str, list[str] | None]]:
         """Return its `NEEDS` in the text of the page's fields; empty: it always has an effect."""
-        return [
-            {
-                name: given and [str(one).lower() if isinstance(one, bool) else str(one) for one in given]
-                for name, given in one.items()
-            }
-            for one in NEEDS.get(self.name, ())
-        ]
+        return [{name: _texts(values) for name, values in one.items()} for one in NEEDS.get(self.name, ())]
 
     @property
     def slide(self) -> float:
         """Return the upper end of its slider; 0: it has none."""
         return SLIDERS.get(self.name, 0)
+
+
+def _texts(values: tuple[Value, ...] | None) -> list[str] | None:
+    """Return values as a field has them."""
+    if values is None:
+        return None
+    return [str(value).lower() if isinstance(value, bool) else str(value) for value in values]
 
 
 _DEFAULTS = parse_config({})

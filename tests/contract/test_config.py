@@ -272,3 +272,48 @@ def test_settings_as_text():
     for text, words in (("threshold", "NAME=VALUE"), ("moon=1", "unknown"), ("threshold=many", "from 1 to 64")):
         with pytest.raises(InputError, match=words):
             load_config(None, changes_of_text([text]))
+
+
+def test_defaults_follow_what_is_written():
+    small = parse_config({"sensor": {"window_max": 8, "coarse_bits": 7}})
+    assert small.window.max() == 8 and small.period == 128 and small.gate_len.max() == 128
+    longer = parse_config({}).with_frame(period=1000).with_settings(gating=True)
+    same_gate = parse_config({"frame": {"period": 1000}, "subgroup": {"gating": True}})
+    assert longer.register_writes() == same_gate.register_writes()
+    assert parse_config({"subgroup": {"gate_len": 9}}).with_frame(period=1000).gate_len.max() == 9
+
+
+def test_another_sensor_keeps_what_was_written():
+    config = parse_config({"frame": {"pulses": 7}, "subgroup": {"threshold": 3}})
+    large = config.with_sensor(rows=64, cols=64, window_max=8)
+    written = {
+        "sensor": {"rows": 64, "cols": 64, "window_max": 8},
+        "frame": {"pulses": 7},
+        "subgroup": {"threshold": 3},
+    }
+    assert large.register_writes() == parse_config(written).register_writes()
+    assert large.given == parse_config(written).given
+    thresholds = config.with_settings(threshold=np.arange(16) % 3 + 1, mask="ff")
+    assert np.array_equal(thresholds.with_sensor(streams=2).threshold, thresholds.threshold)
+    assert np.array_equal(thresholds.with_sensor(streams=2).mask, thresholds.mask)
+    with pytest.raises(
+        InputError, match=r"^sensor.rows: does not go with .*threshold: has 16 values, must have one or 8"
+    ):
+        thresholds.with_sensor(rows=16)
+    with pytest.raises(InputError, match="sensor.row: unknown key"):
+        config.with_sensor(row=16)
+
+
+@pytest.mark.parametrize(
+    ("preset", "changes", "begins"),
+    [
+        (None, {"rows": 30}, "sensor.rows = 30: must be a multiple of 8"),
+        (None, {"subgroup": [3, 8]}, "sensor.subgroup = [3, 8]: must divide rows x cols = [32, 32]"),
+        ("fpga", {"coarse_bits": 5}, "sensor.coarse_bits: does not go with the other settings (frame.period = 63"),
+        ("fpga", {"threshold": 99}, "subgroup.threshold = 99: must be"),
+    ],
+)
+def test_a_message_begins_with_the_key_that_was_written(preset, changes, begins):
+    with pytest.raises(InputError) as error:
+        load_config(preset, changes)
+    assert str(error.value).startswith(begins)
