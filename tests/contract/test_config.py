@@ -274,7 +274,7 @@ def test_settings_as_text():
             load_config(None, changes_of_text([text]))
 
 
-def test_defaults_follow_what_is_written():
+def test_defaults_of_settings_follow_other_settings():
     small = parse_config({"sensor": {"window_max": 8, "coarse_bits": 7}})
     assert small.window.max() == 8 and small.period == 128 and small.gate_len.max() == 128
     longer = parse_config({}).with_frame(period=1000).with_settings(gating=True)
