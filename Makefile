@@ -18,6 +18,7 @@ help: ## this list
 	@echo '  THRESHOLD=2    of one frame (default: the best)    FRAMES=8      in which the controller settles'
 	@echo '  LINK_GBPS=8    rate of the link; 0: no limit       CONFIG=FILE   sensor configuration (TOML)'
 	@echo '  SEED=1         of the light                        WAVES=1       waveform (FST) and views of it'
+	@echo '  UNIT=mm      of a depth file: m, cm, 1/5000, tum, sun-rgbd ... (coincid sim --help)'
 	@echo '  SIM=sliced     or golden, verilator, icarus        VIEW=async    front end as on silicon (verilator or'
 	@echo '                 (the last two: under cocotb)                      icarus, the default; 4 pulses)'
 	@echo 'options of test: PYTEST_ARGS="-k fifo -x"'
@@ -29,7 +30,7 @@ setup: ## .venv with pinned versions, and nothing else
 
 sim: ## simulate a frame of the scene and check every word against the golden model; results in build/sim/
 	@scripts/setup $(if $(filter icarus async,$(or $(SIM),$(VIEW))),icarus)
-	@$(BIN)/coincid sim $(call option,engine,SIM) $(call option,scene,SCENE) $(call option,scale,SCALE) $(call option,threshold,THRESHOLD) \
+	@$(BIN)/coincid sim $(call option,engine,SIM) $(call option,scene,SCENE) $(call option,scale,SCALE) $(call option,unit,UNIT) $(call option,threshold,THRESHOLD) \
 		$(call option,frames,FRAMES) $(call option,link-gbps,LINK_GBPS) $(call option,klux,KLUX) \
 		$(call option,pulses,PULSES) $(call option,config,CONFIG) $(call option,seed,SEED) \
 		$(call option,view,VIEW) $(if $(filter-out 0,$(WAVES)),--waves) --out build/sim

@@ -8,11 +8,10 @@ HDL), `coincid.hdl` (RTL in Amaranth), `coincid.tb` (simulators, cocotb, scorebo
 `coincid.study`. The command line is `coincid.cli`.
 """
 
-from importlib import import_module
-from importlib.metadata import version
-from typing import Any
+from importlib import import_module as _import_module
+from importlib.metadata import version as _version
 
-__version__ = version("coincid")
+__version__ = _version("coincid")
 
 _PLACES = {
     "model.contract.config": ("Config", "load_config", "parse_config"),
@@ -35,13 +34,13 @@ _PLACE_OF = {name: place for place, names in _PLACES.items() for name in names}
 __all__ = sorted(_PLACE_OF)
 
 
-def __getattr__(name: str) -> Any:
+def __getattr__(name: str) -> object:
     if name not in _PLACE_OF:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    found = getattr(import_module(f"{__name__}.{_PLACE_OF[name]}"), name)
+    found = getattr(_import_module(f"{__name__}.{_PLACE_OF[name]}"), name)
     globals()[name] = found
     return found
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__})
+    return sorted({name for name in globals() if name.startswith("__")} | {*__all__})

@@ -18,6 +18,7 @@ import typer
 from rich.console import Console
 from typer.core import TyperGroup
 
+from coincid.lab.options import OPTIONS
 from coincid.model.contract.preset_files import PRESETS
 from coincid.model.shared.errors import SEED_MAX, InputError, check_integer
 from coincid.model.shared.extras import extra
@@ -99,58 +100,37 @@ ClockOption = Annotated[
         "--clock-mhz", help="System clock; default: the configuration's (frame.clock_mhz).", show_default=False
     ),
 ]
-ViewOption = Annotated[
-    str,
-    typer.Option(
-        "--view",
-        metavar="VIEW",
-        help=(
-            "Front end of the RTL: polyphase (synchronous), or async (as on silicon: SPAD edges at their picosecond, on verilator or icarus)."
-        ),
-    ),
-]
-ENGINES_HELP = "golden (model), sliced (RTL, the fast engine), verilator, icarus (whole RTL under cocotb); default: {}."
-
-ScaleOption = Annotated[
-    float, typer.Option("--scale", metavar="FACTOR", help="Factor for the distances of a depth file.")
-]
 
 
-KluxOption = Annotated[
-    str | None,
-    typer.Option(
-        metavar="KLUX",
-        help=(
-            "Ambient light in klux: a number; LOW|HIGH, the right half in the sun; a map, as FILE.npy or as PICTURE,WHITE_KLUX (grey); "
-            "default: 50, and 100 for sun-and-shade and tunnel."
-        ),
-        show_default=False,
-    ),
-]
-BackgroundOption = Annotated[
-    str,
-    typer.Option(
-        "--background", metavar="LAW", help="reflected (in proportion to each surface's reflectivity), or even."
-    ),
-]
+def _option(name: str, default: str = "") -> Any:
+    """Return an option of the table. default: how its help ends."""
+    option = OPTIONS[name]
+    told = f"{option.doc.rstrip('.')}; default: {default}." if default else option.doc
+    shown = option.default is not None and not default
+    return typer.Option(f"--{name.replace('_', '-')}", metavar=option.metavar or None, help=told, show_default=shown)
+
+
+SceneOption = Annotated[str, _option("scene")]
+ScaleOption = Annotated[float, _option("scale")]
+UnitOption = Annotated[str | None, _option("unit")]
+ReflectivityOption = Annotated[float, _option("reflectivity")]
+KluxOption = Annotated[str | None, _option("klux")]
+BackgroundOption = Annotated[str, _option("background")]
+SeedOption = Annotated[int, _option("seed")]
+SpadOption = Annotated[list[str] | None, _option("spad")]
+SpadGateOption = Annotated[bool, _option("spad_gate")]
+ViewOption = Annotated[str, _option("view")]
+MethodOption = Annotated[str, _option("method")]
 
 
 @app.command()
 def sim(
-    scene: Annotated[
-        str,
-        typer.Option(
-            metavar="SCENE",
-            help=(
-                "five-objects, letter-f, flat:METRES,REFLECTIVITY, two-targets:NEAR,FAR, two-returns:NEAR,FAR, sun-and-shade, tunnel; a depth "
-                "file (PNG of 16 bit in millimetres, NPY in metres), with a colour picture for the reflectivities as DEPTH,COLOUR; "
-                "ray-traced: ray:five-objects, ray:glass, ray:corner, ray:retroreflector, ray:fog, or a Mitsuba scene (XML, metres)."
-            ),
-        ),
-    ] = "sun-and-shade",
-    scale: ScaleOption = 1.0,
+    scene: SceneOption = "sun-and-shade",
+    unit: UnitOption = None,
+    scale: ScaleOption = OPTIONS["scale"].default,
+    reflectivity: ReflectivityOption = OPTIONS["reflectivity"].default,
     klux: KluxOption = None,
-    background: BackgroundOption = "reflected",
+    background: BackgroundOption = OPTIONS["background"].default,
     pulses: Annotated[
         int | None,
         typer.Option(
@@ -181,26 +161,15 @@ def sim(
     ] = None,
     config: ConfigOption = None,
     changes: SetOption = None,
-    seed: Annotated[int, typer.Option(help="Seed of the photons.")] = 1,
-    engine: Annotated[
-        str | None,
-        typer.Option(
-            metavar="ENGINE",
-            help=ENGINES_HELP.format("sliced; with --waves verilator, with --view async icarus"),
-            show_default=False,
-        ),
-    ] = None,
+    seed: SeedOption = OPTIONS["seed"].default,
+    engine: Annotated[str | None, _option("engine", "sliced; with --waves verilator, with --view async icarus")] = None,
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder of the results.")] = Path("build/sim"),
     waves: Annotated[
         bool, typer.Option("--waves", help="Also write a waveform (FST) and views of it for GTKWave and Surfer.")
     ] = False,
     clock_mhz: ClockOption = None,
-    spad_gate: Annotated[
-        bool,
-        typer.Option(
-            "--spad-gate", help=("Gating switches the SPADs off outside the gate; default: their edges are ignored.")
-        ),
-    ] = False,
+    spad: SpadOption = None,
+    spad_gate: SpadGateOption = OPTIONS["spad_gate"].default,
     view: ViewOption = "polyphase",
 ) -> None:
     """Simulate frames of a scene and check every word against the golden model; write depth.png, events.npz and report.json."""
@@ -228,8 +197,11 @@ def sim(
         threshold=threshold,
         settling=frames if frames is None else check_integer("frames", frames, 1, FRAMES_MAX),
         waves=waves,
+        spad=_spad(spad),
         spad_gate=spad_gate,
         scale=scale,
+        unit=unit,
+        reflectivity=reflectivity,
         console=Console(highlight=False),
         view=view,
     )
@@ -265,12 +237,7 @@ def replay(
     out: Annotated[Path, typer.Option(metavar="FILE", help="Result (NPZ); appears whole.")],
     config: ConfigOption = None,
     changes: SetOption = None,
-    engine: Annotated[
-        str | None,
-        typer.Option(
-            metavar="ENGINE", help=ENGINES_HELP.format("golden; with --view async icarus"), show_default=False
-        ),
-    ] = None,
+    engine: Annotated[str | None, _option("engine", "golden; with --view async icarus")] = None,
     stall: Annotated[int, typer.Option(metavar="N", help="Keep tready low for the first N cycles of every frame.")] = 0,
     view: ViewOption = "polyphase",
     offset_seed: Annotated[
@@ -362,13 +329,16 @@ def sweep(
 @app.command()
 def photons(
     out: Annotated[Path, typer.Option(metavar="FILE", help="Edges: .npz, .csv, .h5 or (up to 64 pixels) .ptu.")],
-    scene: Annotated[str, typer.Option(metavar="SCENE", help="Scene, as for sim.")] = "five-objects",
-    scale: ScaleOption = 1.0,
+    scene: SceneOption = OPTIONS["scene"].default,
+    unit: UnitOption = None,
+    scale: ScaleOption = OPTIONS["scale"].default,
+    reflectivity: ReflectivityOption = OPTIONS["reflectivity"].default,
     klux: KluxOption = None,
-    background: BackgroundOption = "reflected",
+    background: BackgroundOption = OPTIONS["background"].default,
     config: ConfigOption = None,
     changes: SetOption = None,
-    seed: Annotated[int, typer.Option(help="Seed of the photons.")] = 1,
+    seed: SeedOption = OPTIONS["seed"].default,
+    spad: SpadOption = None,
     clock_mhz: ClockOption = None,
 ) -> None:
     """Write the photons of a scene, in all frames of a configuration, as edges."""
@@ -381,11 +351,14 @@ def photons(
 
     settings = _config(config, changes, clock_mhz)
     check_suffix(_file(out))
-    timing, looked_at = Timing.from_config(settings), scene_of(settings, scene, scale)
+    timing, looked_at = (
+        Timing.from_config(settings),
+        scene_of(settings, scene, scale=scale, unit=unit, reflectivity=reflectivity),
+    )
     pulses = settings.frames * settings.pulses
     made = generate_edges(
         scene_light(looked_at, _klux(klux, scene), background=background),
-        Spad(),
+        _spad(spad) or Spad(),
         timing,
         pulses=pulses,
         seed=seed,
@@ -834,6 +807,26 @@ def _klux(given: str | None, scene: str) -> str | float:
     from coincid.model.scenes.catalogue import usual_klux
 
     return usual_klux(scene) if given is None else given
+
+
+def _spad(given: list[str] | None) -> Any:
+    """Return the detector with properties NAME=VALUE; None if there are none."""
+    if not given:
+        return None
+    from attrs import fields_dict
+
+    from coincid.model.light.spad import Spad
+
+    values: dict[str, Any] = {}
+    for text in given:
+        name, _, value = text.partition("=")
+        if name not in fields_dict(Spad):
+            raise InputError(f"--spad {text}: must be NAME=VALUE with a name of {', '.join(fields_dict(Spad))}")
+        try:
+            values[name] = value == "true" if isinstance(fields_dict(Spad)[name].default, bool) else float(value)
+        except ValueError:
+            raise InputError(f"--spad {text}: must be a number") from None
+    return Spad(**values)
 
 
 def _config(path: str | None, changes: list[str] | None = None, clock_mhz: float | None = None) -> "Config":

@@ -19,6 +19,7 @@ from ..model.depth.quality import wrong_pixels
 from ..model.golden.frame import Golden, Trace
 from ..model.light.light import Light
 from ..model.scenes.scene import Scene
+from ..model.shared.errors import InputError
 from ..tb.replay import replay
 from .measures import MEASURES, Number, stream_beats
 from .setup import Setup, Watch, fingerprint, unwatched
@@ -132,6 +133,10 @@ class Run:
 
     def depth(self, estimator: str | None = None, **options: Any) -> Depth:
         """Estimate the distance of every pixel, by METHOD or METHOD/SOURCE; options: of `estimate_depth`, in new arrays."""
+        if estimator is not None and not isinstance(estimator, str):
+            raise InputError(
+                f"estimator = {estimator!r}: must be METHOD or METHOD/SOURCE; a frame is given as frame={estimator!r}"
+            )
         method, _, source = (estimator or self.setup.estimators[0]).partition("/")
         given: dict[str, Any] = {"method": method, "source": source or "map", "workers": self.workers} | options
         return estimate_depth(self.result, self.config, **given)

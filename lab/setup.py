@@ -154,10 +154,12 @@ class Setup:
         return fingerprint(self, versions(self.engine))
 
 
-def scene_of(config: Config, source: str, scale: float = 1.0) -> Scene:
-    """Return the scene that `source` names (see `load_scene`, also for `scale`), as the pixels of a configuration see it."""
+def scene_of(config: Config, source: Scene | str | np.ndarray, **options: Any) -> Scene:
+    """Return the scene of `source` (see `load_scene`, also for `options`), as the pixels of a configuration see it."""
+    if isinstance(source, Scene):
+        return source
     sensor = config.sensor
-    return load_scene(source, sensor.rows, sensor.cols, scale=scale, range_m=Timing.from_config(config).range_m)
+    return load_scene(source, sensor.rows, sensor.cols, range_m=Timing.from_config(config).range_m, **options)
 
 
 def seeded(setup: Setup, seeds: int) -> list[Setup]:

@@ -100,7 +100,7 @@ def tables(files: Sequence[str]) -> Iterator[str]:
     config = parse_config({"frame": {"format": "compact", "link_gbps": LINK_GBPS}})
     scenes: dict[str, Scene] = {name: scene_of(config, name) for name in SCENES}
     for file in files:
-        scenes |= {file: scene_of(config, file), f"{file} x {FAR_SCALE:g}": scene_of(config, file, FAR_SCALE)}
+        scenes |= {file: scene_of(config, file), f"{file} x {FAR_SCALE:g}": scene_of(config, file, scale=FAR_SCALE)}
     by_threshold: dict[int, list[dict[str, float]]] = {threshold: [] for threshold in THRESHOLDS}
     by_link: dict[float, list[dict[str, float]]] = {link_gbps: [] for link_gbps in LINKS_GBPS}
     for scene, klux in product(scenes.values(), KLUX):

@@ -8,14 +8,20 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..lab import run as lab
+from ..lab.options import OPTIONS, documented
 from ..lab.setup import Setup, scene_of
-from ..model.contract.config import Config, load_config
+from ..model.contract.config import SETTINGS, TABLES, Config, load_config
+from ..model.contract.pixels import pixel_number
 from ..model.contract.result import events_table, write_result
+from ..model.depth.estimate import DEFAULT_METHOD
 from ..model.light.light import BACKGROUNDS
 from ..model.light.link_budget import Optics
 from ..model.light.spad import Spad
 from ..model.scenes.ambient import Ambient
-from ..model.scenes.scene import Scene
+from ..model.scenes.catalogue import BUILT_IN, usual_klux
+from ..model.scenes.scene import REFLECTIVITY, Scene
+from ..model.shared.errors import InputError
+from ..tb.replay import DEFAULT_VIEW
 from .point_cloud import point_cloud, write_ply
 
 if TYPE_CHECKING:
@@ -45,11 +51,14 @@ class Run(lab.Run):
         """Return one row per event that left the sensor; see `events_table`."""
         return events_table(self.result)
 
-    def histogram(self, pixel: int, **options: Any) -> "PixelHistogram":
-        """Return hits of one pixel per tick (see `pixel_histogram`); a notebook draws it with truth and candidates."""
+    def histogram(self, pixel: int | tuple[int, int], **options: Any) -> "PixelHistogram":
+        """Return hits of one pixel per tick (see `pixel_histogram`); a notebook draws it with truth and candidates.
+
+        pixel: (row, column), or row * columns + column.
+        """
         from .show.notebook import PixelHistogram
 
-        return PixelHistogram.of(self, pixel, **options)
+        return PixelHistogram.of(self, pixel_number(self.config.sensor, pixel), **options)
 
     def point_cloud(self, optics: Optics | None = None, *, normals: bool = False, **options: Any) -> np.ndarray:
         """Return points in space; `options` are those of `estimate_depth`. See `point_cloud`."""
@@ -78,7 +87,9 @@ class Run(lab.Run):
         return summary(self)
 
     def to_ply(self, path: str | Path, **options: Any) -> None:
-        """Write `point_cloud` as a PLY file."""
+        """Write `point_cloud` as a PLY file; its folder must exist."""
+        if not Path(path).parent.is_dir():
+            raise InputError(f"{path}: cannot be written: the folder {Path(path).parent} does not exist")
         write_ply(path, self.point_cloud(**options))
 
     def save(self, path: str | Path) -> None:
@@ -86,15 +97,36 @@ class Run(lab.Run):
         write_result(path, self.result)
 
 
+@documented(
+    "scene",
+    "scale",
+    "unit",
+    "reflectivity",
+    "klux",
+    "background",
+    "seed",
+    "spad",
+    "spad_gate",
+    "engine",
+    "view",
+    "method",
+)
 def simulate(
     config: Config | str | Path | None = None,
-    scene: Scene | str = "five-objects",
+    scene: Scene | str | np.ndarray = "five-objects",
     *,
-    klux: Ambient = 50.0,
+    scale: float = 1.0,
+    unit: str | None = None,
+    reflectivity: float | np.ndarray = REFLECTIVITY,
+    klux: Ambient | None = None,
     background: str = BACKGROUNDS[0],
     seed: int = 1,
     spad: Spad | None = None,
+    spad_gate: bool = False,
     engine: str = "golden",
+    view: str = DEFAULT_VIEW,
+    method: str = DEFAULT_METHOD,
+    **settings: Any,
 ) -> Run:
     """Simulate all frames of a configuration: photons of a scene, then the sensor.
 
@@ -104,18 +136,12 @@ def simulate(
     ----------
     config : Config, str, Path or None
         A configuration, or what `load_config` accepts: a TOML file, the name of a preset, or None for the defaults.
-    scene : Scene or str
-        A scene, or what `load_scene` accepts: a built-in scene, a depth file, or a ray-traced scene.
-    klux : float, numpy.ndarray or str
-        Ambient light in klux; also an array in klux, `"2|100"` for two halves, or a file (docs/light.md).
-    background : str
-        `reflected`: in proportion to the reflectivity of each surface; `even`: the same for every pixel.
-    seed : int
-        Seed of the photons.
-    spad : Spad or None
-        The detector; None is the one of the paper.
-    engine : str
-        `golden` (the model, no RTL tool needed), `sliced`, `verilator` or `icarus` (the RTL).
+    {options}
+    **settings
+        Settings of the configuration by their names, such as threshold=3, pulses=50 or rows=64, instead of those of `config`.
+
+    An array of distances is in metres, has any shape (rows, cols), and may be followed by `reflectivity`, a number or an
+    array of that shape; 0 and NaN are holes.
 
     Returns
     -------
@@ -127,16 +153,52 @@ def simulate(
     InputError
         If an argument is out of range; the message names the field and its legal range.
     """
-    config = config if isinstance(config, Config) else load_config(config)
+    _check_order(config)
+    config = with_settings(config if isinstance(config, Config) else load_config(config), settings)
+    if isinstance(scene, Scene):
+        given = {"scale": scale != 1, "unit": unit is not None, "reflectivity": np.any(reflectivity != REFLECTIVITY)}
+        for name in (name for name, is_given in given.items() if is_given):
+            raise InputError(f"{name}: goes with depth files and arrays of distances, not with a Scene")
     setup = Setup(
         config=config,
-        scene=scene if isinstance(scene, Scene) else scene_of(config, scene),
-        klux=klux,
+        scene=scene_of(config, scene, scale=scale, unit=unit, reflectivity=reflectivity),
+        klux=usual_klux(str(scene) if isinstance(scene, str | os.PathLike) else "") if klux is None else klux,
         background=background,
         seed=seed,
         spad=spad or Spad(),
+        spad_gate=spad_gate,
         engine=engine,
+        view=view,
+        estimators=(method,),
     )
     run = Run(setup, workers=os.cpu_count() or 1)
     _ = run.result  # so that errors come from here
     return run
+
+
+def _check_order(config: object) -> None:
+    """Raise `InputError` for a scene in the place of the configuration, which comes first."""
+    if config is None or isinstance(config, Config):
+        return
+    told = f"{type(config).__name__}: is no configuration"
+    if isinstance(config, str | os.PathLike):
+        if str(config).partition(":")[0] not in BUILT_IN or Path(config).exists():
+            return
+        told = f"{config!r}: is a scene"
+    if told:
+        raise InputError(
+            f"config = {told}; the configuration comes first: simulate(None, scene), or simulate(scene=...)"
+        )
+
+
+def with_settings(config: Config, settings: dict[str, Any]) -> Config:
+    """Return a copy of `config` with other settings, by their names in any table. Raises `InputError`."""
+    for name in settings:
+        if name not in SETTINGS:
+            raise InputError(f"{name}: unknown argument or setting, must be one of {', '.join((*OPTIONS, *SETTINGS))}")
+    of = {table: {name: value for name, value in settings.items() if name in keys} for table, keys in TABLES.items()}
+    config = config.with_sensor(**of["sensor"]) if of["sensor"] else config
+    if "pulses" in of["frame"]:  # events per frame change in proportion
+        pulses = SETTINGS["pulses"].checked("frame.pulses", of["frame"].pop("pulses"), config.sensor)
+        config = config.with_pulses(pulses)
+    return config.with_frame(**of["frame"]).with_settings(**of["subgroup"])

@@ -31,8 +31,10 @@ from ..model.contract.settings import SUBGROUP
 from ..model.depth.estimate import DEFAULT_METHOD
 from ..model.golden.frame import Golden, Trace
 from ..model.light.light import BACKGROUNDS
+from ..model.light.spad import Spad
 from ..model.light.timing import Timing
 from ..model.scenes.ambient import Ambient, told_klux
+from ..model.scenes.scene import REFLECTIVITY
 from ..model.shared.errors import InputError
 from ..model.shared.extras import extra
 from ..model.shared.files import whole_file
@@ -161,8 +163,11 @@ def simulate(
     threshold: int | None = None,
     settling: int | None = None,
     waves: bool = False,
+    spad: Spad | None = None,
     spad_gate: bool = False,
     scale: float = 1.0,
+    unit: str | None = None,
+    reflectivity: float = REFLECTIVITY,
     view: "str | View" = DEFAULT_VIEW,
 ) -> dict[str, Any]:
     """Simulate a scene; leave `PICTURES`, report.html, events.npz and report.json in `out`, and return the report.
@@ -181,16 +186,18 @@ def simulate(
     timing, ambient = Timing.from_config(config), told_klux(klux)
     setup = Setup(
         config=config.with_frame(frames=settling),
-        scene=scene_of(config, source, scale),
+        scene=scene_of(config, source, scale=scale, unit=unit, reflectivity=reflectivity),
         klux=klux,
         background=background,
         seed=seed,
+        spad=spad or Spad(),
         spad_gate=spad_gate,
     )
     run = Run(setup, workers=os.cpu_count() or 1)
     given = {
         "scene": run.scene.name,
         "scale": scale,
+        "unit": unit,
         "klux": ambient,
         "background": background,
         "seed": seed,

@@ -193,7 +193,7 @@ class Config(SubgroupSettings):
         Raises `InputError` with the key and its range.
         """
         frame, given = self.frame | _frame(settings, self.sensor), self.given | _keys("frame", settings)
-        followers = {
+        followers: dict[str, Any] = {
             name: _column(setting, setting.default_of(self.sensor, frame), self.sensor)
             for name, setting in SUBGROUP.items()
             if setting.follows in settings and setting.key not in given

@@ -5,10 +5,11 @@ Pixels are numbered row by row, both in the array and in a subgroup. The same ho
 the minigroups in a subgroup.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from ..shared.errors import check_integer
 from .parameters import Sensor
 
 
@@ -19,6 +20,18 @@ class Pixels(NamedTuple):
     inside: np.ndarray
     minigroup: np.ndarray
     bit: np.ndarray
+
+
+def pixel_number(sensor: Sensor, pixel: Any) -> int:
+    """Return the number of a pixel that is given as (row, column) or by its number. Raises `InputError`."""
+    if isinstance(pixel, tuple | list) and len(pixel) == 2:
+        row, col = (
+            check_integer(*one)
+            for one in (("row", pixel[0], 0, sensor.rows - 1), ("column", pixel[1], 0, sensor.cols - 1))
+        )
+        return row * sensor.cols + col
+    last = sensor.array_pixels - 1
+    return check_integer("pixel", pixel, 0, last, f"or (row, column); the number is row * {sensor.cols} + column")
 
 
 def subgroup_image(values: np.ndarray, sensor: Sensor) -> np.ndarray:

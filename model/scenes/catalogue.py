@@ -2,7 +2,11 @@
 """The catalogue of scenes: makes a `Scene` from the name or file that a user gives."""
 
 from collections.abc import Callable
+from os import PathLike
 from pathlib import Path
+from typing import Any
+
+import numpy as np
 
 from ..light.light import NEAREST_M
 from ..light.timing import RANGE_M
@@ -38,21 +42,23 @@ def usual_klux(source: str) -> float:
 
 
 def load_scene(
-    source: str,
+    source: str | np.ndarray,
     rows: int,
     cols: int,
     *,
     colour: FilePath | None = None,
-    reflectivity: float = REFLECTIVITY,
+    reflectivity: float | np.ndarray = REFLECTIVITY,
     scale: float = 1.0,
+    unit: str | None = None,
     range_m: float = RANGE_M,
 ) -> Scene:
     """Return the scene that a name or a file describes, for rows x cols pixels.
 
     Parameters
     ----------
-    source : str
-        A built-in scene with parameters after a colon (`five-objects`, `letter-f`, `flat:DISTANCE,REFLECTIVITY`, `two-targets:NEAR,FAR`
+    source : str or numpy.ndarray
+        An array of distances in metres (see `depth_scene`);
+        a built-in scene with parameters after a colon (`five-objects`, `letter-f`, `flat:DISTANCE,REFLECTIVITY`, `two-targets:NEAR,FAR`
         in stripes, `two-returns:NEAR,FAR` in every pixel, `sun-and-shade:SHADE`, `tunnel:SHADE`; distances are in metres, and SHADE is
         the share of the light that reaches the shade); a depth file, `DEPTH` or `DEPTH,COLOUR` (see `depth_scene`); or a scene for the
         ray tracer, `ray:NAME` or a Mitsuba file that ends with .xml.
@@ -60,10 +66,13 @@ def load_scene(
         Size of the sensor in pixels.
     colour : str, Path or None
         Picture that gives the reflectivities of a depth file.
-    reflectivity : float
-        Reflectivity without such a picture, 0 to 1.
+    reflectivity : float or numpy.ndarray
+        Reflectivity without such a picture, 0 to 1; an array has the shape of the distances.
     scale : float
         Factor for the distances of a depth file.
+    unit : str or None
+        Unit of a depth file: m, cm, mm, 1/N (of a metre), disparity:FOCAL_PX,BASELINE_M[,OFFSET_PX], or a data set: tum, kitti, nyu,
+        sun-rgbd, middlebury. None: floats are metres, integers of a file millimetres.
     range_m : float
         Range of the laser period in metres; surfaces beyond it are left out.
 
@@ -78,9 +87,25 @@ def load_scene(
     """
     check_integer("rows", rows, 1, 4096)
     check_integer("cols", cols, 1, 4096)
+    options: dict[str, Any] = {
+        "colour": colour,
+        "reflectivity": reflectivity,
+        "scale": scale,
+        "unit": unit,
+        "range_m": range_m,
+    }
+    if isinstance(source, np.ndarray):
+        return depth_scene(source, rows, cols, **options)
+    if not isinstance(source, str | PathLike):
+        raise InputError(
+            f"scene = {source!r}: must be a Scene, a name or file of one, or an array of distances in metres"
+        )
     source = depth = str(source)
-    if scale != 1 and (is_ray_scene(source) or _is_built_in(source)):
-        raise InputError(f"scale = {scale:g}: goes with depth files only, must be 1 for scene {source!r}")
+    if is_ray_scene(source) or _is_built_in(source):
+        if scale != 1:
+            raise InputError(f"scale = {scale:g}: goes with depth files only, must be 1 for scene {source!r}")
+        if unit is not None:
+            raise InputError(f"unit = {unit!r}: goes with depth files only, not with scene {source!r}")
     if is_ray_scene(source):
         return ray_scene(source, rows, cols, range_m=range_m)
     name, _, values = source.partition(":")
@@ -94,7 +119,7 @@ def load_scene(
         colour = beside
     if not Path(depth).exists():
         raise InputError(f"{depth}: no such file (built-in scenes: {', '.join(BUILT_IN)})")
-    return depth_scene(depth, rows, cols, colour=colour, reflectivity=reflectivity, scale=scale, range_m=range_m)
+    return depth_scene(depth, rows, cols, **options | {"colour": colour})
 
 
 def _is_built_in(source: str) -> bool:

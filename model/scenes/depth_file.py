@@ -9,71 +9,88 @@ from ..light.light import NEAREST_M
 from ..light.timing import RANGE_M
 from ..shared.errors import InputError
 from ..shared.files import FilePath
-from ..shared.quantities import check_real
-from .image_files import centre_crop, check_picture_array, covered_samples, open_picture, read_array
+from ..shared.quantities import check_real, real_array
+from .depth_units import check_unit, fitting_unit, metres
+from .image_files import centre_crop, check_picture_array, covered_samples, open_picture, read_array, read_exr, read_pfm
 from .scene import REFLECTIVITY, Scene
 
 DARKEST, BRIGHTEST = 0.05, 0.8  # reflectivities of black and white in a colour picture
 WRONG_SHARE_MAX = 0.1  # share of a file's samples beyond the range or negative; with more, the unit is wrong
 VALID_SHARE_MIN = 0.1  # share of the sensor's pixels
-MM_PER_M = 1000
+NOWHERE_M = 65504.0  # the largest half float: what renderers write where there is nothing
+READERS = {".npy": read_array, ".pfm": read_pfm, ".exr": read_exr}
+SUFFIXES = (".png", ".tif", ".tiff", *READERS)
+ARRAY = "array"  # name of distances that are no file
 SCALES = 1e-3, 1e3
 
 
 def depth_scene(
-    depth: FilePath,
+    depth: FilePath | np.ndarray,
     rows: int,
     cols: int,
     *,
     colour: FilePath | None = None,
-    reflectivity: float = REFLECTIVITY,
+    reflectivity: float | np.ndarray = REFLECTIVITY,
     scale: float = 1.0,
+    unit: str | None = None,
     range_m: float = RANGE_M,
 ) -> Scene:
-    """Return a scene from a depth file. Raises `InputError`.
+    """Return a scene from a depth file, or from an array of distances. Raises `InputError`.
 
-    The file is a 16-bit picture (PNG, TIFF) in millimetres, or NPY in metres (floats) or millimetres (integers). The
-    picture is cropped around its centre to the sensor's aspect ratio. A pixel of the sensor takes the nearest of the
-    samples that it covers, with the reflectivity at that very sample: nothing is averaged across an edge. Samples that
-    are 0, NaN or negative, or at or beyond `range_m`, are left out, and noted.
+    The file is a picture of 16 bits or floats (PNG, TIFF), NPY, PFM or OpenEXR; without `unit` (see `depth_units`), floats
+    are metres and integers of a file millimetres, and numbers of an array are metres. The picture is cropped around its
+    centre to the sensor's aspect ratio. A pixel of the sensor takes the nearest of the samples that it covers, with the
+    reflectivity at that very sample: nothing is averaged across an edge. Samples that are 0, infinite, NaN or negative, or
+    at or beyond `range_m`, are left out, and noted.
 
     scale: factor for all distances, applied first. colour: a picture of the same view; its luminance (linear light) maps
     to `DARKEST` to `BRIGHTEST`. Errors are a file that cannot be read, a colour picture as depth, and mostly unusable
     depth.
     """
-    check_real("reflectivity", reflectivity, 0, 1)
-    sample_m = _read_depth_m(depth) * check_real("scale", scale, *SCALES)
+    if not np.ndim(reflectivity):
+        reflectivity = check_real("reflectivity", reflectivity, 0, 1)
+    if isinstance(depth, np.ndarray):
+        path, usual, samples = ARRAY, "m", check_picture_array("scene", depth)
+    else:
+        path, samples = str(depth), _read_depth(depth)
+        usual = "m" if samples.dtype.kind == "f" else "mm"
+    unit = usual if unit is None else check_unit(unit)
+    sample_m = metres(path, samples, unit) * check_real("scale", scale, *SCALES)
+    sample_m[~(np.abs(sample_m) < NOWHERE_M)] = np.nan
+    seen_m = sample_m[sample_m > 0]
+    better = fitting_unit(samples, unit, float(np.median(seen_m)), range_m) if len(seen_m) and scale == 1 else ""
     height, width = sample_m.shape
     top, left, crop_height, crop_width = centre_crop(height, width, rows, cols)
     sample_m = sample_m[top : top + crop_height, left : left + crop_width]
-    notes = [f"{depth}: distances times {scale:g}"] if scale != 1 else []
+    notes = [f"{path}: distances times {scale:g}"] if scale != 1 else []
     if (crop_height, crop_width) != (height, width):
-        notes.append(f"{depth}: cropped to the middle {crop_height} x {crop_width} of {height} x {width} samples")
-    sample_m, masked = _usable(depth, sample_m, range_m)
-    notes += masked
+        notes.append(f"{path}: cropped to the middle {crop_height} x {crop_width} of {height} x {width} samples")
+    sample_m, masked = _usable(path, sample_m, range_m, better)
+    notes += [*masked, *([f"{path}: {better}"] if better else [])]
     row, col = _nearest_surface(sample_m, rows, cols)
     distance_m = sample_m[row, col]
     valid_share = np.mean(~np.isnan(distance_m))
     if valid_share < VALID_SHARE_MIN:
         raise InputError(
-            f"{depth}: {valid_share:.1%} of the sensor's pixels have a usable depth, must be at least {VALID_SHARE_MIN:.0%}"
+            f"{path}: {valid_share:.1%} of the sensor's pixels have a usable depth, must be at least {VALID_SHARE_MIN:.0%}"
         )
     if valid_share < 1:
-        notes.append(f"{depth}: {np.isnan(distance_m).sum()} of {rows * cols} pixels without depth are masked")
-    if colour is None:
-        notes.append(f"{depth}: reflectivity {reflectivity:g} everywhere, because no colour picture is given")
+        notes.append(f"{path}: {np.isnan(distance_m).sum()} of {rows * cols} pixels without depth are masked")
+    if colour is None and not isinstance(reflectivity, np.ndarray):
+        notes.append(f"{path}: reflectivity {reflectivity:g} everywhere, because no colour picture is given")
         surface = np.full((rows, cols), float(reflectivity))
     else:
-        albedo = _read_reflectivity(colour)
+        given = real_array("reflectivity", reflectivity, (height, width), 0, 1)
+        albedo = given if colour is None else _read_reflectivity(colour)
         surface = albedo[
             (2 * (top + row) + 1) * albedo.shape[0] // (2 * height),
             (2 * (left + col) + 1) * albedo.shape[1] // (2 * width),
         ]
-    return Scene(name=Path(depth).name, distance_m=distance_m, reflectivity=surface, notes=tuple(notes))
+    return Scene(name=Path(path).name, distance_m=distance_m, reflectivity=surface, notes=tuple(notes))
 
 
-def _usable(depth: FilePath, sample_m: np.ndarray, range_m: float) -> tuple[np.ndarray, list[str]]:
-    """Return `sample_m` with NaN for unusable samples, and notes about them."""
+def _usable(depth: object, sample_m: np.ndarray, range_m: float, better: str) -> tuple[np.ndarray, list[str]]:
+    """Return `sample_m` with NaN for unusable samples, and notes about them. better: what to say about the unit."""
     missing = np.isnan(sample_m) | (sample_m == 0)
     negative = sample_m < 0
     far = sample_m >= range_m
@@ -91,7 +108,7 @@ def _usable(depth: FilePath, sample_m: np.ndarray, range_m: float) -> tuple[np.n
             worst = float(sample_m[bad].flat[0])
             raise InputError(
                 f"{depth}: {share:.0%} of the samples are {what} (such as {worst:.6g} m), must be above 0 and below "
-                f"{range_m:.4g} m; floats are metres, integers millimetres"
+                f"{range_m:.4g} m; {better or 'floats are metres, integers millimetres, unless a unit is given'}"
             )
         if bad.any():
             notes.append(f"{depth}: {bad.sum()} samples {what} left out")
@@ -115,13 +132,23 @@ def _nearest_surface(sample_m: np.ndarray, rows: int, cols: int) -> tuple[np.nda
     return row[at_row, 0].reshape(rows, cols), col[at_col].reshape(rows, cols)
 
 
-def _read_depth_m(path: FilePath) -> np.ndarray:
-    """float64[height, width]: the depth map in metres. Raises `InputError`."""
+def _read_depth(path: FilePath) -> np.ndarray:
+    """Number[height, width]: the samples of a depth file. Raises `InputError`."""
     suffix = Path(path).suffix.lower()
-    if suffix == ".exr":
-        raise InputError(f"{path}: EXR is not read, must be a 16-bit PNG in millimetres or an NPY file in metres")
-    samples = check_picture_array(path, read_array(path) if suffix == ".npy" else _read_grey(path))
-    return samples.astype(np.float64) / (1 if samples.dtype.kind == "f" else MM_PER_M)
+    if suffix not in SUFFIXES and not _is_picture(path):
+        raise InputError(
+            f"{path}: is no scene, must be a depth file ({', '.join(SUFFIXES)}), or a Mitsuba scene (.xml)"
+        )
+    return check_picture_array(path, READERS.get(suffix, _read_grey)(path))
+
+
+def _is_picture(path: FilePath) -> bool:
+    """Return whether some format of pictures fits the content."""
+    try:
+        open_picture(path)
+        return True
+    except InputError:
+        return False
 
 
 def _read_grey(path: FilePath) -> np.ndarray:
@@ -130,7 +157,7 @@ def _read_grey(path: FilePath) -> np.ndarray:
         if picture.mode != "F" and not picture.mode.startswith("I"):
             raise InputError(
                 f"{path}: is a picture of mode {picture.mode} (colour or 8 bit), "
-                "must be depth: one channel of 16 bits, in millimetres"
+                "must be depth: one channel of 16 bits or floats"
             )
         return np.array(picture)
 

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Pictures and arrays as inputs of scenes: checked reading, and cropping to the sensor's aspect ratio."""
 
+import re
+
 import numpy as np
 from PIL import Image
 
@@ -31,6 +33,54 @@ def read_array(path: FilePath) -> np.ndarray:
     if not isinstance(samples, np.ndarray):
         raise InputError(f"{path}: is an NPZ archive, must be a single array (NPY)")
     return samples
+
+
+def read_pfm(path: FilePath) -> np.ndarray:
+    """float32[rows, cols]: the samples of a grey PFM file, top row first. Raises `InputError`."""
+    content = _content(path)
+    head = re.match(rb"Pf\s+(\d+)\s+(\d+)\s+(-?[\d.]+(?:[eE][-+]?\d+)?)\s", content)
+    if head is None:
+        raise InputError(f"{path}: is not a grey PFM file")
+    cols, rows = int(head[1]), int(head[2])
+    if len(content) - head.end() < 4 * rows * cols:
+        raise InputError(f"{path}: ends before its {rows} x {cols} samples")
+    samples = np.frombuffer(content, "<f4" if float(head[3]) < 0 else ">f4", rows * cols, head.end())
+    return samples.reshape(rows, cols)[::-1].astype(np.float32)
+
+
+def read_exr(path: FilePath) -> np.ndarray:
+    """float32[rows, cols]: the depth channel of an OpenEXR file. Raises `InputError`.
+
+    That is `Z`, or a channel that ends with `.Z`, or that has `depth` in its name; else the only channel, or `R`.
+    """
+    import OpenEXR
+
+    _content(path, 4)
+    try:
+        with OpenEXR.File(str(path), separate_channels=True) as file:
+            channels = {name: np.asarray(one.pixels, np.float32) for name, one in file.channels().items()}
+    except Exception as error:  # whatever the library finds in a file
+        raise InputError(f"{path}: is not a readable EXR file ({error})") from None
+    names = sorted(channels)
+    wanted = (
+        *(name for name in names if name == "Z" or name.endswith(".Z")),
+        *(name for name in names if "depth" in name.lower()),
+        *(names if len(names) == 1 else [name for name in names if name in ("R", "Y")]),
+    )
+    if not wanted:
+        raise InputError(f"{path}: has the channels {', '.join(names)}, must have Z, or one channel alone")
+    return channels[wanted[0]]
+
+
+def _content(path: FilePath, size: int = -1) -> bytes:
+    """Return the first bytes of a file."""
+    try:
+        with open(path, "rb") as file:
+            return file.read(size)
+    except FileNotFoundError:
+        raise InputError(f"{path}: no such file") from None
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror})") from None
 
 
 def check_picture_array(path: FilePath, samples: np.ndarray) -> np.ndarray:

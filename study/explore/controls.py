@@ -11,16 +11,18 @@ from typing import TypeAlias
 
 from attrs import frozen
 
+from ...lab.options import OPTIONS
 from ...model.contract.config import SETTINGS, parse_config
 from ...model.contract.packet import WITH_MAP
 from ...model.contract.parameters import SENSOR, Sensor
 from ...model.contract.settings import FRAME, SUBGROUP
 from ...model.contract.table import Kind
 from ...model.depth.estimate import DEFAULT_METHOD, METHODS
-from ...model.light.light import NEAREST_M
+from ...model.light.light import BACKGROUNDS, NEAREST_M
 from ...model.light.timing import RANGE_M
 from ...model.scenes.catalogue import BUILT_IN
 from ...model.scenes.daylight import SHADE
+from ...model.scenes.depth_units import DATA_SETS, PER_METRE
 from ...model.shared.errors import SEED_MAX
 
 SIZES = ("4x4", "4x8", "8x4", "8x8", "8x16", "16x8", "16x16")
@@ -35,6 +37,7 @@ PARAMETERS = {
 SCENES = {  # name: controls that are the scene's parameters
     name: tuple(PARAMETERS[what] for what, _ in parameters) for name, (parameters, _) in BUILT_IN.items()
 } | {"upload": ("reflectivity",)}
+UNITS = ("of its kind", *PER_METRE, *DATA_SETS)
 SUN = ("everywhere", "left half", "picture")
 SLIDERS = {"klux": 100, "threshold": 16, "window": 64}  # control: upper end of its slider
 PULSES_MAX, FRAMES_MAX, KLUX_MAX = 10_000, 64, 200
@@ -53,6 +56,7 @@ NEEDS: dict[str, "Needs"] = {  # control: when it has an effect
     "near_m": ({"scene": _OWN},),
     "far_m": ({"scene": ("two-targets", "two-returns")},),
     "reflectivity": ({"scene": (*_OWN, "upload")},),
+    "unit": ({"scene": ("upload",)},),
     "shade": ({"scene": ("sun-and-shade", "tunnel")},),
     "shade_klux": ({"sun": ("left half", "picture")},),
     "gate_start": _GATED,
@@ -111,6 +115,10 @@ class Control:
         return SLIDERS.get(self.name, 0)
 
 
+def _told(name: str) -> str:
+    return OPTIONS[name].doc
+
+
 def _texts(values: tuple[Value, ...] | None) -> list[str] | None:
     """Return values as a field has them."""
     if values is None:
@@ -162,16 +170,18 @@ _DESCRIBED: tuple[Control, ...] = (
     _real("near_m", "Scene", "Distance, near", 5.0, NEAREST_M, round(RANGE_M, 1), "m", 0.5, "For the scenes flat, two-targets and two-returns."),
     _real("far_m", "Scene", "Distance, far", 9.0, NEAREST_M, round(RANGE_M, 1), "m", 0.5, "Farther surface of two-targets and two-returns."),
     _real("reflectivity", "Scene", "Reflectivity", 0.4, 0, 1, "", 0.05,
-          "For the same scenes, and for a depth picture without a colour picture. Black velvet: 0.01, asphalt: 0.1, white wall: 0.8."),
+          f"{_told('reflectivity')} Also of the same scenes. Black velvet: 0.01, asphalt: 0.1, white wall: 0.8."),
     _real("shade", "Scene", "Light in the shade", SHADE, 0, 1, "", 0.01, "For the scenes sun-and-shade and tunnel: share of the sun's light."),
-    _real("scale", "Scene", "Distances times", 1.0, 0.1, 10, "", 0.1, "All distances of the scene are multiplied by this."),
+    _real("scale", "Scene", "Distances times", 1.0, 0.1, 10, "", 0.1, f"{_told('scale')} Here also of the other scenes."),
+    _choice("unit", "Scene", "Unit of the file", UNITS, _told("unit")),
     _real("klux", "Light", "Sunlight", 50.0, 0, KLUX_MAX, "klux", 5,
           "Background light where the sun shines. Full sun: 100 klux, a lit room: 0.5 klux."),
     _choice("sun", "Light", "The sun shines", SUN, "Everywhere, on the left half only, or by an uploaded picture: white is sun, black is shade."),
     _real("shade_klux", "Light", "Shade", 5.0, 0, KLUX_MAX, "klux", 1, "Background light where the sun does not shine."),
     _integer("pulses", "Light", "Laser pulses", 100, 1, PULSES_MAX, "Per frame. More pulses give more light and a longer frame.", step=10),
     _integer("frames", "Light", "Frames", 1, 1, FRAMES_MAX, "One after the other, to show how the controller's thresholds settle."),
-    _integer("seed", "Light", "Seed", 1, 0, SEED_MAX, "For all random numbers: the same seed gives the same photons."),
+    _integer("seed", "Light", "Seed", 1, 0, SEED_MAX, f"{_told('seed')} The same seed gives the same ones."),
+    _choice("background", "Light", "Background", BACKGROUNDS, _told("background")),
     _key("rows", "Sensor", "Rows", "SPADs of the array from top to bottom."),
     _key("cols", "Sensor", "Columns", "SPADs of the array from left to right."),
     _choice("subgroup", "Sensor", "Subgroup", SIZES, "SPADs that share a coincidence tree and a threshold, rows x columns.", "8x8", "sensor"),
@@ -185,7 +195,7 @@ _DESCRIBED: tuple[Control, ...] = (
     _key("gate_start", "Gate", "Gate start", "First cycle of the gate; a cycle is 2 ns, 0.3 m.", 20),
     _key("gate_len", "Gate", "Gate length", "Length of the gate.", 60),
     Control(name="spad_gate", group="Gate", label="SPADs off outside", default=False, kind="switch",
-            sentence="The gate keeps the SPADs themselves off, so that none is dead when it opens."),
+            sentence=f"{_told('spad_gate')} No SPAD is dead when the gate opens."),
     _key("gate_step", "Gate", "Progressive: step", "The gate moves later by this many cycles ..."),
     _key("gate_every", "Gate", "Progressive: every", "... after every so many pulses (0: never) ..."),
     _key("gate_steps", "Gate", "Progressive: positions", "... and returns to the start after so many positions."),
@@ -197,7 +207,7 @@ _DESCRIBED: tuple[Control, ...] = (
     _real("afterpulse_percent", "SPAD", "Afterpulsing", 0.0, 0, 50, "%", 1,
           "Probability that an avalanche traps a carrier, which fires the SPAD later."),
     _choice("method", "Depth", "Estimator", METHODS,
-          f"From events to depth: {'; '.join(f'{name}: {what}' for name, what in METHODS.items())}.", DEFAULT_METHOD),
+          f"{_told('method')} {'; '.join(f'{name}: {what}' for name, what in METHODS.items())}.", DEFAULT_METHOD),
 )  # fmt: skip
 _NAMES = {control.name for control in _DESCRIBED}
 _SIMPLE = (Kind.INTEGER, Kind.REAL, Kind.SWITCH)

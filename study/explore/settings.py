@@ -21,7 +21,7 @@ from ...model.scenes.catalogue import load_scene
 from ...model.scenes.scene import Scene, scene_light
 from ...model.shared.errors import InputError, check_integer, out_of_range
 from ...model.shared.quantities import check_choice, check_real
-from .controls import CONTROL, CONTROLS, DEFAULTS, SCENES, Control, Value
+from .controls import CONTROL, CONTROLS, DEFAULTS, SCENES, UNITS, Control, Value
 from .uploads import KINDS, Uploads
 
 PIXEL_PULSES_MAX = 1 << 25  # pixels x pulses x frames: some ten seconds of work
@@ -85,7 +85,7 @@ class Settings:
         if name == "upload":
             if self.uploads.depth is None:
                 raise SettingError(
-                    "scene = 'upload': choose a depth picture (PNG of 16 bit in millimetres, or NPY in metres)", "scene"
+                    "scene = 'upload': choose a depth picture (PNG of 16 bits, NPY, PFM or EXR)", "scene"
                 )
             source = str(self.uploads.depth)
         else:
@@ -98,6 +98,7 @@ class Settings:
                 sensor.cols,
                 colour=self.uploads.colour if name == "upload" else None,
                 reflectivity=values["reflectivity"],
+                unit=None if name != "upload" or values["unit"] == UNITS[0] else values["unit"],
                 range_m=self.timing.range_m,
             )
         except InputError as error:
@@ -122,7 +123,8 @@ class Settings:
             if self.uploads.sun is None:
                 raise SettingError("sun = 'picture': choose a picture of the sun (white) and the shade (black)", "sun")
             share = self.uploads.sun_share(scene.rows, scene.cols)
-        return scene_light(scene, share * values["klux"] + (1 - share) * values["shade_klux"])
+        klux = share * values["klux"] + (1 - share) * values["shade_klux"]
+        return scene_light(scene, klux, background=values["background"])
 
 
 def check_settings(values: dict[str, Any], uploads: Uploads | None = None) -> Settings:

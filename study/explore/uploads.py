@@ -9,6 +9,7 @@ import numpy as np
 from attrs import evolve, frozen
 from PIL import Image
 
+from ...model.scenes.depth_file import READERS, SUFFIXES
 from ...model.shared.errors import InputError
 from ...model.shared.quantities import check_choice
 
@@ -17,7 +18,7 @@ SAMPLES_MAX = 16_000_000  # of a picture
 NAME_MAX = 60  # any file system accepts names of this length
 FORMATS = ("PNG", "TIFF", "JPEG")  # formats that are accepted, whatever the file's name
 PICTURES = (".png", ".jpg", ".jpeg", ".tif", ".tiff")
-KINDS = {"depth": (".png", ".tif", ".tiff", ".npy"), "colour": PICTURES, "sun": PICTURES}
+KINDS = {"depth": SUFFIXES, "colour": PICTURES, "sun": PICTURES}
 
 
 @frozen
@@ -44,7 +45,9 @@ class Uploads:
         name = "".join(c for c in Path(name.replace("\\", "/")).name if c.isprintable())[-NAME_MAX:]
         suffix = Path(name).suffix.lower()
         if suffix not in KINDS[kind]:
-            raise InputError(f"{name}: must be a picture ({', '.join(KINDS[kind])})")
+            raise InputError(
+                f"{name}: must be a {'depth file' if kind == 'depth' else 'picture'} ({', '.join(KINDS[kind])})"
+            )
         if not 0 < len(content) <= BYTES_MAX:
             raise InputError(f"{name}: holds {len(content)} bytes, must hold 1 to {BYTES_MAX}")
         path = Path(tempfile.mkdtemp(dir=folder)) / name  # a path of its own, because results are cached by path
@@ -74,6 +77,8 @@ def _check_samples(path: Path) -> None:
     try:
         if path.suffix.lower() == ".npy":
             shape = np.lib.format.open_memmap(path, mode="r").shape
+        elif path.suffix.lower() in READERS:
+            shape = READERS[path.suffix.lower()](path).shape
         else:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # the size is checked here
@@ -81,6 +86,8 @@ def _check_samples(path: Path) -> None:
                     shape = picture.size
     except Image.DecompressionBombError:
         raise _of_size(path, "far too many") from None
+    except InputError:
+        raise
     except Exception as error:
         raise _unreadable(path, error) from None
     if not 0 < np.prod(shape, dtype=np.float64) <= SAMPLES_MAX:

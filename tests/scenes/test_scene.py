@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Scenes: built-in ones, and depth files that are good, damaged or not depth files."""
 
+import re
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -176,8 +178,8 @@ def test_invalid_samples_become_a_mask_and_a_note(tmp_path):
         (np.zeros((8, 8)), "every sample is 0 or NaN"),
         (np.full((8, 8), np.nan), "every sample is 0 or NaN"),
         (np.full((8, 8), -2.0), "negative"),
-        (np.full((8, 8), 5000.0), "range of 74.95 m .*millimetres"),
-        (np.full((8, 8), np.inf), "range of 74.95 m"),
+        (np.full((8, 8), 5000.0), "range of 74.95 m .*the unit mm"),
+        (np.full((8, 8), np.inf), "every sample is 0 or NaN"),
         (np.full((8, 8), 80_000), "range of 74.95 m"),
         (np.eye(32) * 3, "must be at least 10%"),
         (np.ones((8, 8, 3)), "two dimensions"),
@@ -216,3 +218,96 @@ def test_files_that_are_no_depth(tmp_path):
             load_scene(tmp_path / name, 8, 8)
     with pytest.raises(InputError, match="another one is given"):
         load_scene(f"{tmp_path / 'depth.png'},{colour}", 8, 8, colour=colour)
+
+
+def pfm(path, samples):
+    path.write_bytes(b"Pf\n%d %d\n-1.0\n" % samples.shape[::-1] + samples[::-1].astype("<f4").tobytes())
+    return path
+
+
+def exr(path, **channels):
+    import OpenEXR
+
+    header = {"compression": OpenEXR.PIZ_COMPRESSION, "type": OpenEXR.scanlineimage}
+    OpenEXR.File(header, {name.replace("_", "."): samples for name, samples in channels.items()}).write(str(path))
+    return path
+
+
+def rotated(millimetres):
+    return (millimetres << 3 | millimetres >> 13).astype(np.uint16)
+
+
+RAMP_M = np.linspace(1, 4, 64).reshape(8, 8).round(2)
+
+
+@pytest.mark.parametrize(
+    ("write", "unit"),
+    [
+        (lambda at: png(at / "d.png", np.round(RAMP_M * 1000).astype(np.uint16)), None),
+        (lambda at: png(at / "d.png", np.round(RAMP_M * 5000).astype(np.uint16)), "tum"),
+        (lambda at: png(at / "d.png", np.round(RAMP_M * 5000).astype(np.uint16)), "1/5000"),
+        (lambda at: png(at / "d.png", rotated(np.round(RAMP_M * 1000).astype(np.uint16))), "sun-rgbd"),
+        (lambda at: npy(at / "d.npy", RAMP_M * 100), "cm"),
+        (lambda at: pfm(at / "d.pfm", RAMP_M), None),
+        (lambda at: pfm(at / "d.pfm", 800 * 0.2 / RAMP_M - 3), "disparity:800,0.2,3"),
+        (lambda at: exr(at / "d.exr", Z=RAMP_M.astype(np.float32), R=np.zeros((8, 8), np.float32)), None),
+        (lambda at: exr(at / "d.exr", View_Depth_Z=RAMP_M.astype(np.float16)), None),
+    ],
+)
+def test_depth_files_in_their_units(tmp_path, write, unit):
+    read = load_scene(str(write(tmp_path)), 8, 8, unit=unit)
+    assert np.allclose(read.truth_m, RAMP_M, atol=2e-3)
+
+
+def test_middleburys_calibration_lies_beside_the_file(tmp_path):
+    path = pfm(tmp_path / "disp0.pfm", np.where(RAMP_M > 3.5, np.inf, 900 * 0.1 / RAMP_M - 20))
+    with pytest.raises(InputError, match="needs disparity:FOCAL_PX,BASELINE_M or a calib.txt"):
+        load_scene(str(path), 8, 8, unit="middlebury")
+    (tmp_path / "calib.txt").write_text("cam0=[900 0 10; 0 900 10; 0 0 1]\ndoffs=20\nbaseline=100\nwidth=8\n")
+    read = load_scene(str(path), 8, 8, unit="middlebury").truth_m
+    assert np.array_equal(np.isnan(read), RAMP_M > 3.5)  # what has no disparity stays a hole
+    assert np.allclose(read[RAMP_M <= 3.5], RAMP_M[RAMP_M <= 3.5], atol=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("samples", "words"),
+    [
+        (np.full((8, 8), 10_000, np.uint16) + 5 * np.arange(8, dtype=np.uint16), "with the unit tum it is 2 m"),
+        (rotated(np.full((8, 8), 1501, np.uint16)), "with the unit sun-rgbd it is 1.5 m"),
+        (np.full((8, 8), 3500.0), "with the unit mm it is 3.5 m"),
+    ],
+)
+def test_the_unit_that_would_fit(tmp_path, samples, words):
+    try:
+        told = " ".join(load_scene(str(npy(tmp_path / "d.npy", samples)), 8, 8).notes)
+    except InputError as error:
+        told = str(error)
+    assert words in told
+
+
+def test_holes_stay_holes(tmp_path):
+    samples = RAMP_M.copy()
+    samples[:, 0], samples[:, 1], samples[:, 2] = 0, np.inf, 1e10
+    read = load_scene(str(pfm(tmp_path / "d.pfm", samples)), 8, 8)
+    assert np.isnan(read.truth_m[:, :3]).all() and read.valid.sum() == 40
+
+
+def test_distances_as_an_array():
+    read = load_scene(np.arange(2, 6).reshape(2, 2), 4, 4, reflectivity=np.array([[0.1, 0.2], [0.3, 0.4]]))
+    assert read.truth_m[0, 0] == 2 and read.truth_m[3, 3] == 5
+    assert read.reflectivity[0, 0] == 0.1 and read.reflectivity[3, 3] == 0.4
+
+
+@pytest.mark.parametrize(
+    ("source", "options", "words"),
+    [
+        (None, {}, "scene = None: must be a Scene, a name or file"),
+        ("five-objects", {"unit": "mm"}, "goes with depth files only"),
+        (np.ones((4, 4)), {"unit": "ft"}, "unit = 'ft': must be one of m, cm, mm, 1/N"),
+        (np.ones((4, 4)), {"reflectivity": np.ones(3)}, "reflectivity"),
+        (__file__, {}, "is no scene, must be a depth file"),
+    ],
+)
+def test_scenes_that_are_none(source, options, words):
+    with pytest.raises(InputError, match=re.escape(words)):
+        load_scene(source, 4, 4, **options)

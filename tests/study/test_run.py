@@ -48,7 +48,10 @@ def test_histogram_of_a_pixel(run):
     row, col = 9, 5  # in the second subgroup
     assert np.array_equal(run.histogram(8 * row + col), of_subgroups[1, 8 * (row - 8) + col])
     assert run.histogram(0)[:2]._repr_html_() is None  # a part of it has no picture
-    with pytest.raises(coincid.InputError, match="pixel = 128: must be an integer from 0 to 127"):
+    with pytest.raises(
+        coincid.InputError,
+        match=r"pixel = 128: must be an integer from 0 to 127 \(or \(row, column\); the number is row \* 8 \+ column",
+    ):
         run.histogram(128)
 
 
@@ -185,3 +188,50 @@ def test_commands_that_need_the_rtl_say_what_is_missing(command, tmp_path):
     done = python("import os\nfrom coincid.cli import main\nos.chdir(sys.argv.pop(1))\nmain()", tmp_path, command)
     assert (done.returncode, done.stderr.count("\n")) == (2, 1), done.stderr
     assert "pip install 'coincid[rtl]'" in done.stderr
+
+
+def test_an_array_of_distances_is_a_scene():
+    far_m = np.full((16, 8), 7.0)
+    run = coincid.simulate(None, far_m, reflectivity=0.6, klux=5, **{"rows": 16, "cols": 8, "pulses": 60})
+    assert np.all(run.scene.truth_m == 7) and abs(np.nanmedian(run.depth().depth_m) - 7) < 0.05
+    assert coincid.simulate(scene=far_m * 2, rows=8, cols=8, pulses=3).scene.truth_m.shape == (8, 8)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "options", "words"),
+    [
+        (("five-objects",), {}, "config = 'five-objects': is a scene; the configuration comes first"),
+        ((np.ones((8, 8)),), {}, "config = ndarray: is no configuration"),
+        ((None, None), {}, "scene = None: must be a Scene"),
+        ((None, "flat:5"), {"thresold": 3}, "thresold: unknown argument or setting"),
+        ((None, "flat:5"), {"threshold": 99}, "subgroup.threshold = 99: must be"),
+        ((None, "flat:5"), {"scale": 3.0}, "scale = 3: goes with depth files only"),
+    ],
+)
+def test_what_simulate_refuses(arguments, options, words):
+    with pytest.raises(coincid.InputError, match=words):
+        coincid.simulate(*arguments, **options)
+
+
+def test_settings_are_options_of_simulate():
+    config = coincid.parse_config(SMALL)
+    run = coincid.simulate(
+        config, "flat:5,0.5", threshold=3, pulses=30, window_max=32, spad_gate=True, method="maximum"
+    )
+    assert (run.config.threshold.max(), run.config.pulses, run.config.sensor.window_max) == (3, 30, 32)
+    assert run.config.sensor.rows == 16 and run.setup.spad_gate and run.setup.estimators == ("maximum",)
+
+
+def test_what_is_said_of_pixels_frames_and_folders(run, tmp_path):
+    assert np.array_equal(run.histogram((9, 5)), run.histogram(9 * 8 + 5))
+    with pytest.raises(coincid.InputError, match="row = 16: must be"):
+        run.histogram((16, 0))
+    with pytest.raises(coincid.InputError, match="estimator = -1: must be METHOD.*frame=-1"):
+        run.depth(-1)
+    with pytest.raises(coincid.InputError, match="the folder .* does not exist"):
+        run.to_ply(tmp_path / "none" / "cloud.ply")
+    assert not (tmp_path / "none").exists()
+
+
+def test_the_front_door_shows_its_names_only():
+    assert {name for name in dir(coincid) if not name.startswith("_")} == set(coincid.__all__)

@@ -133,7 +133,7 @@ BAD = {
     "17 mega samples": ("depth.npy", lambda at: npy(at, np.zeros((4100, 4100), np.uint8)), "4100 x 4100 samples"),
     "no samples": ("depth.npy", lambda at: npy(at, np.zeros((0, 5))), "0 x 5 samples, must have 1 to 16 million"),
     "a volume": ("depth.npy", lambda at: npy(at, np.ones((4, 4, 4))), "must hold numbers in two dimensions"),
-    "another kind": ("depth.exe", lambda at: b"MZ", "must be a picture"),
+    "another kind": ("depth.exe", lambda at: b"MZ", "must be a depth file"),
     "beyond the range": ("depth.npy", lambda at: npy(at, np.full((32, 32), 4000.0)), "at or beyond the laser period's range"),
 }  # fmt: skip
 

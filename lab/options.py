@@ -1,0 +1,96 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a user may choose for an experiment: one table, from which the help of the command, the function and the explorer are made.
+
+The settings of the configuration are described by its own tables (`SETTINGS`). `Setup` holds what is chosen. The help of the
+command must appear at once, so nothing is imported here that takes time.
+"""
+
+from collections.abc import Callable
+from inspect import cleandoc
+from typing import Any, TypeVar
+
+from attrs import frozen
+
+from ..model.scenes.depth_units import DATA_SETS, UNIT_FORMS
+from ..model.shared.errors import SEED_MAX
+
+_Function = TypeVar("_Function", bound=Callable[..., Any])
+
+
+@frozen(kw_only=True)
+class Option:
+    """An option. kind: its type in documents; metavar: its value in the command's help; low, high: range of a number."""
+
+    name: str
+    doc: str
+    kind: str
+    metavar: str = ""
+    default: Any = None
+    low: float = 0
+    high: float = 1
+
+
+_SCENES = "five-objects, letter-f, flat:METRES,REFLECTIVITY, two-targets:NEAR,FAR, two-returns:NEAR,FAR, sun-and-shade, tunnel"
+_RAYS = "ray:five-objects, ray:glass, ray:corner, ray:retroreflector, ray:fog"
+_DATA_SETS = "; ".join(f"{name} ({what})" for name, (_, what) in DATA_SETS.items())
+_ALL = (
+    Option(
+        name="scene", kind="Scene, str or numpy.ndarray", metavar="SCENE", default="five-objects",
+        doc=f"{_SCENES}; a depth file (PNG, TIFF, NPY, PFM, EXR), with a colour picture for the reflectivities as DEPTH,COLOUR; "
+        f"ray-traced: {_RAYS}, or a Mitsuba scene (XML, metres).",
+    ),
+    Option(
+        name="unit", kind="str or None", metavar="UNIT",
+        doc=f"Unit of a depth file: {UNIT_FORMS}; default: metres for floats, millimetres for integers. Data sets: {_DATA_SETS}.",
+    ),
+    Option(
+        name="scale", kind="float", metavar="FACTOR", default=1.0, low=1e-3, high=1e3,
+        doc="Factor for the distances of a depth file.",
+    ),
+    Option(
+        name="reflectivity", kind="float or numpy.ndarray", metavar="SHARE", default=0.4,
+        doc="Reflectivity of all surfaces of a depth file without a colour picture, 0 to 1.",
+    ),
+    Option(
+        name="klux", kind="float, numpy.ndarray, str or None", metavar="KLUX",
+        doc="Ambient light in klux: a number; LOW|HIGH, the right half in the sun; a map, as FILE.npy or as PICTURE,WHITE_KLUX (grey); "
+        "default: 50, and 100 for sun-and-shade and tunnel.",
+    ),
+    Option(
+        name="background", kind="str", metavar="LAW", default="reflected",
+        doc="reflected (in proportion to each surface's reflectivity), or even.",
+    ),
+    Option(name="seed", kind="int", default=1, high=SEED_MAX, doc="Seed of the photons."),
+    Option(
+        name="spad", kind="Spad or None", metavar="NAME=VALUE",
+        doc="A property of the SPADs that differs from the paper's, such as dead_time_s=20e-9; see the API reference of Spad.",
+    ),
+    Option(
+        name="spad_gate", kind="bool", default=False,
+        doc="Gating switches the SPADs off outside the gate; default: their edges are ignored.",
+    ),
+    Option(
+        name="engine", kind="str", metavar="ENGINE", default="golden",
+        doc="golden (model), sliced (RTL, the fast engine), verilator, icarus (whole RTL under cocotb).",
+    ),
+    Option(
+        name="view", kind="str", metavar="VIEW", default="polyphase",
+        doc="Front end of the RTL: polyphase (synchronous), or async (as on silicon: SPAD edges at their picosecond, on verilator or icarus).",
+    ),
+    Option(
+        name="method", kind="str", metavar="METHOD", default="planes",
+        doc="Estimator of the distances, METHOD or METHOD/SOURCE of estimate_depth.",
+    ),
+)  # fmt: skip
+OPTIONS = {option.name: option for option in _ALL}
+
+
+def documented(*names: str) -> Callable[[_Function], _Function]:
+    """Return a decorator that puts the parameters `names` of the table in place of `{options}` in a docstring."""
+
+    def document(function: _Function) -> _Function:
+        told = "\n".join(f"{name} : {OPTIONS[name].kind}\n    {OPTIONS[name].doc}" for name in names)
+        function.__doc__ = cleandoc(function.__doc__ or "").replace("{options}", told)
+        return function
+
+    return document
