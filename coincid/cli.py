@@ -208,6 +208,91 @@ def sim(
 
 
 @app.command()
+def advise(
+    scene: Annotated[str, typer.Argument(metavar="SCENE", help=OPTIONS["scene"].doc)],
+    unit: UnitOption = None,
+    scale: ScaleOption = OPTIONS["scale"].default,
+    reflectivity: ReflectivityOption = OPTIONS["reflectivity"].default,
+    klux: KluxOption = None,
+    background: BackgroundOption = OPTIONS["background"].default,
+    config: ConfigOption = None,
+    changes: SetOption = None,
+    seed: SeedOption = OPTIONS["seed"].default,
+    spad: SpadOption = None,
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder of table, picture and advised settings.")] = Path(
+        "build/advise"
+    ),
+) -> None:
+    """Try thresholds, windows, the controller, formats and links on a scene, and say which to take and what they cost."""
+    import numpy as np
+    from rich.table import Table
+
+    from coincid.lab.setup import Setup, scene_of
+    from coincid.model.light.spad import Spad
+    from coincid.model.scenes.ambient import ambient_klux
+    from coincid.study.advise import HEADS, write_advice
+    from coincid.study.advise import advise as run
+    from coincid.study.progress import Bar
+
+    settings, light = _config(config, changes), _klux(klux, scene)
+    looked_at = scene_of(settings, scene, scale=scale, unit=unit, reflectivity=reflectivity)
+    _folder(out)
+    setup = Setup(
+        config=settings, scene=looked_at, klux=light, background=background, seed=seed, spad=_spad(spad) or Spad()
+    )
+    mean_klux = float(np.mean(ambient_klux(light, looked_at.rows, looked_at.cols) * looked_at.sunlit))
+    with Bar(console, lines=True) as bar:
+        stages: list[str] = []
+
+        def progress(stage: str, done: int, total: int) -> None:
+            if stage not in stages:
+                stages.append(stage)
+                bar.stage(stage, total)
+            bar.done(done, total)
+
+        advice = run(setup, klux=mean_klux, progress=progress)
+        bar.stage("table and picture")
+        files = write_advice(out, advice, looked_at.name)
+    table = Table(box=None, header_style="bold", pad_edge=False)
+    for head in HEADS:
+        table.add_column(head, justify="right")
+    for one in advice.tried:
+        threshold, window_ns, packets, link_gbps, wrong, far, bits, dropped, load = one.row()
+        told = f"{wrong:.1%}", f"{far:.1%}", f"{bits:,}", f"{dropped:.1%}", f"{load:.0%}"
+        table.add_row(
+            threshold,
+            f"{window_ns:.3g}",
+            packets,
+            f"{link_gbps:g}",
+            *told,
+            style="bold" if one is advice.best else None,
+        )
+    shown = Console(highlight=False, width=None if sys.stdout.isatty() else 120)
+    shown.print(table)
+    for note in looked_at.notes:
+        print(note)
+    print(advice.sentence)
+    print(" ".join(map(str, files)))
+
+
+@app.command()
+def show(
+    config: Annotated[
+        str | None, typer.Argument(metavar="[CONFIG]", help=f"TOML file, or a preset: {', '.join(PRESETS)}.")
+    ] = None,
+    changes: SetOption = None,
+) -> None:
+    """Print what a configuration means: sizes, rates, distances, the link's share, area and power; and what it wastes."""
+    from coincid.study.explain import meaning, warnings
+
+    settings = _config(config, changes)
+    for name, value in meaning(settings):
+        print(f"{name:16} {value}")
+    for sentence in warnings(settings):
+        print(f"* {sentence}")
+
+
+@app.command()
 def explore(
     port: Annotated[
         int | None, typer.Option(help="Port on this machine; default: 5006, or the next free one.", show_default=False)

@@ -4,6 +4,7 @@
 from collections import OrderedDict
 from collections.abc import Callable, Hashable
 from functools import cached_property
+from threading import Lock
 from typing import Any
 
 import numpy as np
@@ -31,16 +32,21 @@ class Kept:
     def __init__(self, size: int = 1) -> None:
         self.size = size
         self._stages: dict[str, OrderedDict[Hashable, Any]] = {}
+        self._lock = Lock()
 
     def get(self, stage: str, key: Hashable, make: Callable[[], Any]) -> Any:
         """Return the result under `key`, made if it is not there."""
-        kept = self._stages.setdefault(stage, OrderedDict())
-        if key not in kept:
-            kept[key] = make()
+        with self._lock:
+            kept = self._stages.setdefault(stage, OrderedDict())
+            if key in kept:
+                kept.move_to_end(key)
+                return kept[key]
+        made = make()  # without the lock: other runs need not wait
+        with self._lock:
+            kept[key] = made
             while len(kept) > self.size:
                 kept.popitem(last=False)
-        kept.move_to_end(key)
-        return kept[key]
+        return made
 
 
 class Run:

@@ -23,15 +23,20 @@ assert all(path.exists() for path in view_at("async", 500).macros)
 """
 
 
-@pytest.fixture(scope="module")
-def wheel(tmp_path_factory):
-    """Build the wheel from a copy, so that the checkout stays unchanged."""
-    folder = tmp_path_factory.mktemp("wheel")
-    source = folder / "source"
+def copy_of_the_project(source):
+    """Copy what is built, so that the checkout stays unchanged."""
     for name in (*ROOMS, "coincid"):
         shutil.copytree(ROOT / name, source / name, ignore=shutil.ignore_patterns("__pycache__"))
     for name in ("pyproject.toml", "setup.py", "README.md", "LICENSE", "NOTICE"):
         shutil.copy(ROOT / name, source / name)
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory):
+    """Build the wheel from a copy."""
+    folder = tmp_path_factory.mktemp("wheel")
+    source = folder / "source"
+    copy_of_the_project(source)
     command = [
         sys.executable,
         "-m",
@@ -76,3 +81,20 @@ def test_the_wheel_runs_by_itself(wheel, tmp_path):
     command = [sys.executable, "-m", "coincid", "--help"]
     done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True)
     assert done.returncode == 0 and "explore" in done.stdout, done.stderr
+
+
+def test_a_script_beside_the_clone_finds_the_package(tmp_path):
+    """The clone's folder has the package's name, and lies where the script does."""
+    clone = tmp_path / "coincid"
+    copy_of_the_project(clone)
+    subprocess.run([sys.executable, "-m", "venv", "--system-site-packages", tmp_path / "env"], check=True)
+    own = Path(
+        subprocess.check_output([sys.executable, "-c", "import attrs; print(attrs.__path__[0])"], text=True).strip()
+    ).parent
+    python = tmp_path / "env" / "bin" / "python"
+    environment = os.environ | {"PYTHONPATH": str(own)}  # setuptools, for the build alone
+    words = ["-m", "pip", "install", "--no-deps", "--no-build-isolation", "--quiet", "--editable", clone]
+    subprocess.run([python, *words], check=True, env=environment)
+    (tmp_path / "script.py").write_text("import coincid; print(coincid.__file__, coincid.__version__)")
+    done = subprocess.run([python, "script.py"], cwd=tmp_path, capture_output=True, text=True)
+    assert done.stdout.startswith(str(clone / "coincid" / "__init__.py")), done.stdout + done.stderr

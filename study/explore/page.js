@@ -2,8 +2,9 @@
 // The explorer's page: sends the controls' values to the server, and shows an answer only if it belongs to the current values.
 let link = null;        // the model that page and server share (page.py)
 let asked = 0;          // number of the latest question; every keystroke in a control is a new one
+let began = 0;          // when the latest question left
 let waiting = 0;        // timer: a question leaves when typing pauses
-const PAUSE_MS = 50, PLAY_MS = 450, RETRY_MS = 1000, UPLOAD_BYTES_MAX = 32 << 20;
+const PAUSE_MS = 50, SLOW_MS = 300, PLAY_MS = 450, RETRY_MS = 1000, UPLOAD_BYTES_MAX = 32 << 20;
 const $ = (selector) => document.querySelector(selector);
 const all = (selector) => [...document.querySelectorAll(selector)];
 
@@ -40,6 +41,7 @@ function state(name) {
 }
 
 function ask() {
+  const pause = document.body.dataset.state === "asked" ? PAUSE_MS : 0;  // the first change leaves at once
   asked += 1;
   settle();
   state("asked");
@@ -48,7 +50,8 @@ function ask() {
   waiting = setTimeout(() => {
     const values = Object.fromEntries(all("#controls [name]").map((input) => [input.name, read(input)]));
     link.asked = {number: asked, values};
-  }, PAUSE_MS);
+    began = performance.now();
+  }, pause);
 }
 
 let orders = 0;
@@ -91,10 +94,19 @@ function tell(answer) {
 function progressed() {
   const {number, stage, share} = link.progress;
   if (number !== asked) return;
-  $("#status").textContent = `computing: ${stage}`;
-  $("#progress").hidden = false;
-  $("#progress").value = share;
+  doing = stage;
+  if (share > 0) $("#progress").value = share; else $("#progress").removeAttribute("value");
+  if (performance.now() - began > SLOW_MS) $("#progress").hidden = false;
 }
+
+// What takes long says what it does and for how long; its progress moves where it can be told.
+let doing = "";
+setInterval(() => {
+  const seconds = (performance.now() - began) / 1000;
+  if (document.body.dataset.state !== "asked" || 1000 * seconds < SLOW_MS) return;
+  $("#progress").hidden = false;
+  $("#status").textContent = `computing: ${doing}, ${seconds.toFixed(0)} s. Any change overtakes it.`;
+}, 250);
 
 function checked() {
   const {number, text, bad} = link.rtl;

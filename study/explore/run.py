@@ -21,6 +21,8 @@ from ..show.frame import FrameView, frame_view
 from .settings import Settings
 
 KEPT = 3  # of each stage: for the present settings, the previous ones, and A's
+THREADS = 4  # of jobs: the newest, and cancelled ones that have not noticed yet
+TOLD_EVERY_S = 0.1  # progress
 EDGES_MAX = 30_000_000  # of all frames: about a gigabyte
 Progress: TypeAlias = Callable[[str, float], None]
 Deliver: TypeAlias = Callable[[int, str, Any], None]
@@ -93,7 +95,7 @@ def check_on_rtl(explored: Explored, progress: Progress = lambda stage, share: N
 
 
 class Runner:
-    """Runs jobs in one thread, one after the other; a new job cancels the earlier ones.
+    """Runs jobs in threads; a new job begins at once and cancels the earlier ones, which end at their next progress.
 
     deliver(number, kind, outcome) is called from the thread: kind "progress" with (stage, share), "done" with the return
     value, or "failed" with the exception. It is never called for a number that is no longer the newest.
@@ -102,7 +104,7 @@ class Runner:
     def __init__(self, deliver: Deliver) -> None:
         self._deliver = deliver
         self._lock = threading.Lock()
-        self._pool = ThreadPoolExecutor(1, thread_name_prefix="explorer")
+        self._pool = ThreadPoolExecutor(THREADS, thread_name_prefix="explorer")
         self.newest = 0
 
     def start(self, work: Callable[[Progress], object]) -> int:
@@ -128,9 +130,18 @@ class Runner:
                 raise CancelledError
             self._deliver(number, kind, outcome)
 
+        def tell(stage: str, share: float) -> None:
+            nonlocal told
+            if number != self.newest:
+                raise CancelledError
+            if stage != told[0] or time.monotonic() - told[1] > TOLD_EVERY_S:
+                told = stage, time.monotonic()
+                say("progress", (stage, share))
+
+        told = "", 0.0
         try:
             say("progress", ("begins", 0.0))
-            say("done", work(lambda stage, share: say("progress", (stage, share))))
+            say("done", work(tell))
         except CancelledError:
             pass
         except Exception as error:  # the page shows any exception

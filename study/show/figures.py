@@ -443,11 +443,11 @@ class TimelineFigure:
             one.axis.axis_label_text_font_size = LABEL_PX
 
     def show(self, view: FrameView, subgroup: int, pulse: int) -> None:
-        period = view.timeline.period(subgroup, pulse)
+        period = view.period(subgroup, pulse)
         edges, windows, gate, fill = period_columns(view, period)
         self.edges.data, self.windows.data, self.gate.data, self.fill.data = edges, windows, gate, fill
         self.light.data = light_columns(view, subgroup)
-        self.figure.title.text = timeline_title(view, subgroup, pulse)
+        self.figure.title.text = timeline_title(period, subgroup, pulse)
         self.fit(view)
 
     def fit(self, view: FrameView) -> None:
@@ -460,8 +460,8 @@ class TimelineFigure:
         self.fill_ticker.ticks = [0, sensor.fifo_depth]
 
 
-def timeline_title(view: FrameView, subgroup: int, pulse: int) -> str:
-    threshold = int(view.timeline.threshold[subgroup])
+def timeline_title(period: Period, subgroup: int, pulse: int) -> str:
+    threshold = period.threshold
     return f"subgroup {subgroup}, pulse {pulse}: a window needs {threshold} pixel{'s' * (threshold > 1)}"
 
 

@@ -1,21 +1,25 @@
 # SPDX-License-Identifier: Apache-2.0
 """The viewable content of one frame: maps, a pixel's histogram, a subgroup's laser period, numbers. Nothing is drawn here."""
 
+from functools import cached_property
+
 import numpy as np
 from attrs import frozen
 
 from ...lab.measures import SWEPT
 from ...lab.run import Frame
 from ...model.contract.config import Config
+from ...model.contract.edges import Edges
 from ...model.contract.pixels import pixel_table
 from ...model.depth.arrivals import SYSTEM_FWHM_S, pulse_sigma_ticks
 from ...model.depth.histograms import Events, frame_events, pixel_image
 from ...model.depth.quality import wrong_pixels
+from ...model.golden.frame import Trace
 from ...model.light.light import Light
 from ...model.scenes.scene import Scene
 from ...model.shared.constants import SPEED_OF_LIGHT_M_S
 from ...model.shared.errors import check_integer
-from .timeline import Timeline, frame_timeline
+from .timeline import Period, Timeline, frame_timeline, one_period
 
 HISTOGRAM_BIN_M = 0.15  # for display; estimators work on ticks
 LIGHT_SIGMAS = 4  # around a surface's arrival: an event outside contains only background
@@ -43,7 +47,7 @@ class ObjectView:
     wrong_share: float
 
 
-@frozen(eq=False)
+@frozen(eq=False, slots=False)
 class FrameView:
     """One frame, ready to be displayed.
 
@@ -68,7 +72,8 @@ class FrameView:
     candidate_m: np.ndarray
     candidate_confidence: np.ndarray
     events: Events
-    timeline: Timeline
+    edges: Edges
+    trace: Trace
     numbers: dict[str, int | float | None]
     objects: list[ObjectView]
 
@@ -83,6 +88,23 @@ class FrameView:
         check_integer("row", row, 0, sensor.rows - 1)
         check_integer("col", col, 0, sensor.cols - 1)
         return int(pixel_table(sensor).subgroup[row * sensor.cols + col])
+
+    @cached_property
+    def timeline(self) -> Timeline:
+        """Return all periods of all subgroups: made when it is first asked for, because it takes long in long frames."""
+        return frame_timeline(self.config, self.edges, self.trace)
+
+    @cached_property
+    def _in_order(self) -> bool:
+        return bool(np.all(self.edges.pulse[1:] >= self.edges.pulse[:-1]))
+
+    def period(self, subgroup: int, pulse: int) -> Period:
+        """Return one laser period of one subgroup. Raises `InputError`."""
+        check_integer("subgroup", subgroup, 0, self.config.sensor.subgroups - 1)
+        check_integer("pulse", pulse, 0, self.config.pulses - 1)
+        if not self._in_order:
+            return self.timeline.period(subgroup, pulse)
+        return one_period(self.config, self.edges, self.trace, subgroup, pulse)
 
     def event_bins(self) -> np.ndarray:
         """int64[events]: histogram bin of each event's arrival."""
@@ -128,7 +150,8 @@ def frame_view(title: str, frame: Frame) -> FrameView:
         candidate_m=found.depth_m,
         candidate_confidence=found.confidence,
         events=events,
-        timeline=frame_timeline(config, frame.edges, frame.trace),
+        edges=frame.edges,
+        trace=frame.trace,
         numbers=numbers,
         objects=seen_objects(scene, light, depth_m),
     )

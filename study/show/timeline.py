@@ -8,7 +8,7 @@ model's record of the frame. The selection is our choice; the terms are those of
 import enum
 
 import numpy as np
-from attrs import frozen
+from attrs import evolve, frozen
 
 from ...model.contract import latency
 from ...model.contract.config import Config
@@ -115,6 +115,22 @@ def gate_of(config: Config, subgroup: int, pulse: int) -> tuple[int, int] | None
     steps = pulse // frame["gate_every"] % frame["gate_steps"] if frame["gate_every"] else 0
     first = int(config.gate_start[subgroup]) + frame["gate_step"] * steps
     return min(first, config.period), min(first + int(config.gate_len[subgroup]), config.period)
+
+
+def one_period(config: Config, edges: Edges, trace: Trace, subgroup: int, pulse: int) -> Period:
+    """Return `Timeline.period` without making the timeline of all others; edges: in the order of their pulses."""
+    pulses = slice(*np.searchsorted(edges.pulse, (pulse, pulse + 1)))
+    inside = pixel_table(config.sensor).subgroup[edges.pixel[pulses]] == subgroup
+    own = np.arange(pulses.start, pulses.stop)[inside]
+    commits = slice(*np.searchsorted(trace.commit_subgroup, (subgroup, subgroup + 1)))
+    part = evolve(
+        trace,
+        fate=trace.fate[own],
+        commit_subgroup=trace.commit_subgroup[commits],
+        commit_cycle=trace.commit_cycle[commits],
+        freed_cycle=trace.freed_cycle[commits],
+    )
+    return frame_timeline(config, edges.take(own), part).period(subgroup, pulse)
 
 
 def frame_timeline(config: Config, edges: Edges, trace: Trace) -> Timeline:

@@ -1,0 +1,220 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which threshold, window, format and link for a scene and its light: `coincid advise`.
+
+All thresholds and windows see the same photons. Among those that leave about the fewest wrong pixels, the one with the
+fewest bits is advised; then the slowest link that changes nothing, in the format with the fewest bits.
+"""
+
+import os
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+from attrs import evolve, frozen
+
+from ..lab.run import Frame, Run
+from ..lab.setup import SETTLING, Setup
+from ..model.contract.config import Config
+from ..model.contract.packet import BEAT_BITS
+from ..model.shared.files import whole_file, write_csv
+from ..model.shared.quantities import check_real
+from .palette import ALARM, GREY, SERIES
+from .plot_style import new_figure, save_figure, style
+from .price import um2_per_pixel, uw_per_pixel
+
+THRESHOLDS = (1, 2, 3, 4, 5, 6)
+WINDOWS_NS = (0.5, 1.0, 2.0)
+LINKS_GBPS = (1.0, 2.0, 4.0, 8.0, 16.0)
+FORMATS = ("compact", "id")
+WORSE_MAX = 0.002, 0.1  # wrong pixels more than the best has, as a share of all, and of the best's: about equal
+TABLE, PICTURE, SETTINGS = "advise.csv", "advise.png", "advised.toml"
+HEADS = (
+    "threshold",
+    "window, ns",
+    "format",
+    "link, Gbit/s",
+    "wrong pixels",
+    "off by 15 cm",
+    "bits per frame",
+    "dropped",
+    "link load",
+)
+Progress = Callable[[str, int, int], None]  # stage, done, in total
+
+
+@frozen(kw_only=True)
+class Tried:
+    """A configuration, and what the last frame of its run gave. wrong, far: shares of pixels; load: of the link."""
+
+    config: Config
+    wrong: float
+    far: float
+    bits: int
+    dropped: float
+    load: float
+
+    @property
+    def threshold(self) -> str:
+        return "controller" if self.config.auto.any() else str(self.config.threshold[0])
+
+    @property
+    def window_ns(self) -> float:
+        return float(self.config.window[0] * self.config.tick_s * 1e9)
+
+    @property
+    def link_gbps(self) -> float:
+        return float(self.config.frame["link_gbps"] or BEAT_BITS * self.config.clock_mhz / 1e3)
+
+    def row(self) -> tuple[Any, ...]:
+        """Return the values under `HEADS`."""
+        return (
+            self.threshold, self.window_ns, self.config.format, self.link_gbps,
+            self.wrong, self.far, self.bits, self.dropped, self.load,
+        )  # fmt: skip
+
+
+@frozen(kw_only=True)
+class Advice:
+    """tried: everything, in order; best: the configuration that is advised, and what it gave; klux: of the light."""
+
+    tried: list[Tried]
+    best: Tried
+    klux: float
+
+    @property
+    def sentence(self) -> str:
+        best, config = self.best, self.best.config
+        threshold = "the controller" if config.auto.any() else f"threshold {best.threshold}"
+        rate_gbps = best.bits / config.sensor.streams / (config.frame_cycles / config.clock_mhz * 1e3)
+        return (
+            f"Take {threshold}, a window of {best.window_ns:.3g} ns ({config.window[0]} ticks), the format {config.format} and a link of"
+            f" {best.link_gbps:g} Gbit/s: {best.wrong:.1%} of the pixels are wrong ({best.far:.1%} by more than 15 cm), for"
+            f" {best.bits:,} bits per frame ({rate_gbps:.2g} Gbit/s), and about {uw_per_pixel(config, self.klux) / 1e3:.2g} mW and"
+            f" {um2_per_pixel(config.sensor):.0f} um2 per pixel in 45 nm."
+        )
+
+
+def advise(setup: Setup, *, klux: float, progress: Progress = lambda stage, done, total: None) -> Advice:
+    """Try thresholds, windows, the controller, links and formats on a setup's scene and light. Raises `InputError`.
+
+    klux: ambient light, for the power. The sensor, its clock, period and pulses are those of the setup.
+    """
+    setup = setup.but(frame={"frames": SETTLING + 1, "format": FORMATS[0], "link_gbps": 8.0}, estimators=("planes",))
+    windows = sorted(
+        {min(setup.config.sensor.window_max, max(1, round(ns * 1e-9 / setup.config.tick_s))) for ns in WINDOWS_NS}
+    )
+    thresholds = [one for one in THRESHOLDS if one <= setup.config.sensor.pixels]
+    run = Run(setup, workers=os.cpu_count() or 1)
+    progress("photons", 0, 1)
+    _ = run.edges
+    total = len(windows) * (len(thresholds) + 1) + len(LINKS_GBPS) * len(FORMATS)
+    tried: list[Tried] = []
+
+    def tell(stage: str, found: Iterator[Tried]) -> list[Tried]:
+        fresh = []
+        for one in found:
+            fresh.append(one)
+            tried.append(one)
+            progress(stage, len(tried), total)
+        return fresh
+
+    first = tell("thresholds and windows", _settings(run, thresholds, windows))
+    cheapest = _cheapest(first, lambda one: one.bits)
+    second = tell("links and formats", _links(run, cheapest.config))
+    best = _cheapest([cheapest, *second], lambda one: (one.link_gbps, one.bits))
+    return Advice(tried=tried, best=best, klux=check_real("klux", klux, 0))
+
+
+def _settings(run: Run, thresholds: list[int], windows: list[int]) -> Iterator[Tried]:
+    for window in windows:
+        for threshold in thresholds:
+            yield _tried(
+                run.alone(-1, subgroup={"auto": False, "coincidence": True, "threshold": threshold, "window": window})
+            )
+        yield _tried(run.but(subgroup={"auto": True, "coincidence": True, "window": window}))
+
+
+def _links(run: Run, chosen: Config) -> Iterator[Tried]:
+    """Try the links and formats for the settings of `chosen`."""
+    controlled = bool(chosen.auto.any())
+    subgroup = {name: getattr(chosen, name) for name in ("auto", "threshold", "window")}
+    for link_gbps in LINKS_GBPS:
+        for packets in FORMATS:
+            frame = {"link_gbps": link_gbps, "format": packets}
+            yield _tried(
+                run.but(frame=frame, subgroup=subgroup)
+                if controlled
+                else run.alone(-1, subgroup=subgroup).but(frame=frame)
+            )
+
+
+def _tried(run: Run) -> Tried:
+    frame: Frame = run.frame()
+    return Tried(
+        config=run.config,
+        wrong=frame["wrong_share"] or 0.0,
+        far=frame["wrong_share_15cm"] or 0.0,
+        bits=frame["bits"],
+        dropped=frame["dropped_share"] or 0.0,
+        load=frame["link_load"],
+    )
+
+
+def _cheapest(tried: list[Tried], price: Callable[[Tried], Any]) -> Tried:
+    """Return the one with the lowest price among those that are about as good as the best."""
+    least = min(one.wrong for one in tried)
+    absolute, relative = WORSE_MAX
+    return min((one for one in tried if one.wrong <= least + max(absolute, relative * least)), key=price)
+
+
+def write_advice(out: Path, advice: Advice, heading: str) -> list[Path]:
+    """Write the table (CSV), the picture of the trade-off, and the advised settings; return the files."""
+    files = [out / name for name in (TABLE, PICTURE, SETTINGS)]
+    write_csv(files[0], [HEADS, *(one.row() for one in advice.tried)])
+    _draw(files[1], advice, heading)
+    config = evolve(
+        advice.best.config,
+        frame=advice.best.config.frame | {"frames": SETTLING + 1 if advice.best.config.auto.any() else 1},
+    )
+    with whole_file(files[2], "w") as file:
+        for table, values in config.written().items():
+            kept = {name: value for name, value in values.items() if name != "mask"}
+            if kept:
+                file.write(
+                    f"[{table}]\n" + "".join(f"{name} = {_toml(value)}\n" for name, value in kept.items()) + "\n"
+                )
+    return files
+
+
+def _toml(value: Any) -> str:
+    return str(value).lower() if isinstance(value, bool) else f'"{value}"' if isinstance(value, str) else str(value)
+
+
+def _draw(path: Path, advice: Advice, heading: str) -> None:
+    """Draw wrong pixels over bits: one line per window, the thresholds as its points."""
+    with style():
+        figure = new_figure(7.5, 4.5)
+        axis = figure.subplots()
+        compared = [one for one in advice.tried if one.link_gbps == 8.0 and one.config.format == FORMATS[0]]
+        for colour, window_ns in zip(SERIES[1::2], sorted({one.window_ns for one in compared})):
+            of_window = [one for one in compared if one.window_ns == window_ns]
+            fixed = [one for one in of_window if not one.config.auto.any()]
+            axis.plot(
+                [one.bits for one in fixed],
+                [one.wrong for one in fixed],
+                "o-",
+                color=colour,
+                label=f"window of {window_ns:.3g} ns",
+            )
+            for one in fixed:
+                axis.annotate(one.threshold, (one.bits, one.wrong), (4, 3), textcoords="offset points", color=colour)
+            own = [one for one in of_window if one.config.auto.any()]
+            axis.plot([one.bits for one in own], [one.wrong for one in own], "D", color=colour, markersize=7)
+        axis.plot([], [], "D", color=GREY, label="controller")
+        axis.plot(
+            advice.best.bits, advice.best.wrong, "o", color=ALARM, markersize=15, fillstyle="none", label="advised"
+        )
+        axis.set(xscale="log", xlabel="bits per frame", ylabel="share of wrong pixels", ylim=(0, None))
+        axis.set_title(f"{heading}: thresholds (numbers) and windows, a link of 8 Gbit/s", loc="left")
+        axis.legend()
+        save_figure(figure, path)

@@ -1,0 +1,94 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a configuration means, in rows and sentences: `coincid show`, and the same in the explorer."""
+
+import numpy as np
+
+from ..lab.measures import event_beats, stream_beats
+from ..model.contract.config import Config
+from ..model.contract.packet import BEAT_BITS, FORMATS, WITH_MAP
+from ..model.shared.constants import SPEED_OF_LIGHT_M_S
+from .price import um2_per_pixel, uw_per_pixel
+
+KLUX = 50.0  # ambient light for which the power is told
+FILLED_BY_COUNTERS = 0.1  # share of a link
+
+
+def meaning(config: Config) -> list[tuple[str, str]]:
+    """Return (name, value with its unit) of everything that follows from a configuration."""
+    sensor, tick_s = config.sensor, config.tick_s
+    cycle_ns, metres_per_s = 1e3 / config.clock_mhz, SPEED_OF_LIGHT_M_S / 2
+    window, threshold = _span(config.window), _span(config.threshold)
+    frame_s = config.frame_cycles * cycle_ns * 1e-9
+    stream_gbps = BEAT_BITS * config.clock_mhz / 1e3
+    controlled = (
+        f", by the controller in {config.controlled.sum()} of {sensor.subgroups}" if config.controlled.any() else ""
+    )
+    off = f"; coincidence is off in {np.sum(~config.coincidence)}" if not config.coincidence.all() else ""
+    beats = event_beats(config)
+    return [
+        ("array", f"{sensor.rows} x {sensor.cols} pixels in {sensor.subgroups} subgroups of {_size(sensor.subgroup)}"),
+        ("minigroups", f"{sensor.minigroups} of {_size(sensor.minigroup)} in a subgroup"),
+        ("clock", f"{config.clock_mhz:g} MHz: a cycle is {cycle_ns:.4g} ns, {cycle_ns * 1e-9 * metres_per_s * 100:.4g} cm"),
+        ("tick", f"{tick_s * 1e12:.4g} ps, {tick_s * metres_per_s * 100:.4g} cm ({sensor.phases} per cycle)"),
+        ("window", f"{window} ticks, {_span(config.window, tick_s * 1e9)} ns"),
+        ("threshold", f"{threshold} pixels{controlled}{off}"),
+        ("laser period", f"{config.period} cycles, {config.period * cycle_ns:.4g} ns: {1e6 / (config.period * cycle_ns):.4g} kHz"),
+
+        ("range", f"{config.period_ticks * tick_s * metres_per_s:.4g} m; no window opens in the last {sensor.guard} cycles"),
+        ("frame", f"{config.pulses} pulses, {frame_s * 1e6:.4g} us: {1 / frame_s:,.0f} frames per second"),
+        ("event", f"{config.format}: {beats:.3g} beats of {BEAT_BITS} bits" + " with three pixels" * FORMATS[config.format].grouped),
+        ("stream", f"{sensor.streams} of {stream_gbps:.4g} Gbit/s; the link takes {float(config.link_share):.1%} of its beats"),
+        ("events that fit", f"{config.capacity:,} per stream and frame, {config.capacity / frame_s / 1e6:.4g} million per second"),
+        ("area", f"{um2_per_pixel(sensor):.0f} um2 per pixel in 45 nm, about"),
+        ("power", f"{uw_per_pixel(config, KLUX) / 1e3:.3g} mW per pixel at {KLUX:g} klux, about"),
+    ]  # fmt: skip
+
+
+def warnings(config: Config) -> list[str]:
+    """Return a sentence for each combination of settings that wastes something or has no effect."""
+    sensor, frame = config.sensor, config.frame
+    counters = float(stream_beats(config, *np.zeros((2, sensor.subgroups), np.int64)).max())
+    link_beats = config.frame_cycles * float(config.link_share)
+    stream_gbps = BEAT_BITS * config.clock_mhz / 1e3
+    coarse_bits = int(config.period - 1).bit_length()
+    longest, pixels_on = int(config.window.max()), config.mask.sum(axis=1)
+    records = frame["minigroup_records"]
+    found = {
+        f"streams = {sensor.streams} does not divide {sensor.subgroups} subgroups: some streams carry one more, and are full first.":
+            sensor.subgroups % sensor.streams != 0,
+        f"link_gbps = {frame['link_gbps']:g} is more than a stream sends: {stream_gbps:g} Gbit/s.": frame["link_gbps"] > stream_gbps,
+        f"Counters fill {counters / link_beats:.0%} of the link: more pulses per frame would leave more for events.":
+            counters > FILLED_BY_COUNTERS * link_beats,
+        f"window_max = {sensor.window_max} ticks is built, and no window is longer than {longest}.": sensor.window_max > 2 * longest,
+        f"coarse_bits = {sensor.coarse_bits} counts {sensor.period_max} cycles; the period of {config.period} needs {coarse_bits} bits.":
+            sensor.coarse_bits > coarse_bits + 1,
+        "Coincidence is on, but threshold 1 lets every photon through, as without it.":
+            bool(np.any(config.coincidence & (config.threshold == 1) & ~config.auto)),
+        "window is set, but has no effect: coincidence is off.": "subgroup.window" in config.given and not config.coincidence.any(),
+        "The controller is on, but coincidence is off: it has no effect.": bool(np.any(config.auto & ~config.coincidence)),
+        "The controller is on for one frame: it needs some seven to settle.": bool(config.controlled.any()) and config.frames == 1,
+        "The threshold is above the pixels that the mask leaves on: nothing can commit.":
+            bool(np.any(config.coincidence & (config.threshold > pixels_on))),
+        "A gate is set, but gating is off.":
+            not config.gating.any() and not config.given.isdisjoint(("subgroup.gate_start", "subgroup.gate_len", "frame.gate_every")),
+        "The gate moves by 0 cycles: gate_step is 0.": frame["gate_every"] > 0 and frame["gate_step"] == 0,
+        "The gate ends after the laser period.":
+            bool(np.any(config.gating & (config.gate_start + config.gate_len > config.period) & (config.gate_start > 0))),
+        f"format = '{config.format}' sends no map of pixels: there is no depth per pixel.": config.format not in WITH_MAP,
+        f"format = '{config.format}' sends a whole map; 'compact{'-full' * (config.format == 'full')}' carries the same in fewer bits.":
+            config.format in ("id", "full"),
+        "mg_threshold and mg_window have no effect: minigroup_records is off.":
+            not records and not config.given.isdisjoint(("frame.mg_threshold", "frame.mg_window")),
+        "dither_seed has no effect: dither_bits is 0.": "frame.dither_seed" in config.given and not frame["dither_bits"],
+        "capacity is 0: the controller raises every threshold to the highest.": bool(config.controlled.any()) and config.capacity == 0,
+    }  # fmt: skip
+    return [sentence for sentence, holds in found.items() if holds]
+
+
+def _size(size: tuple[int, int]) -> str:
+    return f"{size[0]} x {size[1]}"
+
+
+def _span(values: np.ndarray, unit: float = 1.0) -> str:
+    low, high = values.min() * unit, values.max() * unit
+    return f"{low:.4g}" if low == high else f"{low:.4g} to {high:.4g}"

@@ -1,0 +1,41 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a sensor takes in 45 nm, by interpolation between the project's measurements; nothing is synthesized here.
+
+Areas are those of `make cost` (docs/cost.md), which varies one parameter at a time: their ratios are multiplied. Power is
+that of `make power` (docs/power.md) for the default subgroup, in proportion to area and clock. Both are good to compare
+configurations with each other; for a number, synthesize.
+"""
+
+import numpy as np
+
+from ..model.contract.config import Config
+from ..model.contract.parameters import Sensor
+
+UM2_PER_PIXEL = {  # parameter: (values, um2 per pixel with the other parameters' defaults)
+    "pixels": ((16, 32, 64, 256), (1157.6, 840.7, 675.5, 548.2)),
+    "minigroup_pixels": ((1, 4, 16), (1199.2, 675.5, 546.5)),
+    "phases": ((8, 16, 32, 64), (573.9, 623.9, 675.5, 787.0)),
+}
+UW_PER_PIXEL = ((0.0, 5.0, 50.0, 100.0), (206.0, 208.0, 215.0, 221.0))  # klux, and uW at 500 MHz
+MEASURED_MHZ = 500.0
+
+
+def um2_per_pixel(sensor: Sensor) -> float:
+    """Return the area of the synchronous view per pixel."""
+    default = Sensor()
+    area = _between("phases", default.phases)
+    for name in UM2_PER_PIXEL:
+        area *= _between(name, getattr(sensor, name)) / _between(name, getattr(default, name))
+    return area
+
+
+def uw_per_pixel(config: Config, klux: float) -> float:
+    """Return the power per pixel under ambient light."""
+    measured = float(np.interp(klux, *UW_PER_PIXEL))
+    return measured * config.clock_mhz / MEASURED_MHZ * um2_per_pixel(config.sensor) / um2_per_pixel(Sensor())
+
+
+def _between(name: str, value: int) -> float:
+    """Return the area at a value of a parameter, on the line between its measured neighbours."""
+    values, areas = UM2_PER_PIXEL[name]
+    return float(np.exp(np.interp(np.log(value), np.log(values), np.log(areas))))
