@@ -154,9 +154,9 @@ def _tried(run: Run) -> Tried:
         config=run.config,
         wrong=frame["wrong_share"] or 0.0,
         far=frame["wrong_share_15cm"] or 0.0,
-        bits=frame["bits"],
+        bits=int(frame["bits"] or 0),
         dropped=frame["dropped_share"] or 0.0,
-        load=frame["link_load"],
+        load=frame["link_load"] or 0.0,
     )
 
 

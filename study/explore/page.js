@@ -84,6 +84,8 @@ function tell(answer) {
   $("#where").textContent = answer.where;
   fillTable("objects", answer.object_heads, answer.objects);
   fillTable("numbers", answer.number_heads, answer.numbers);
+  fillTable("meaning", [], answer.meaning);
+  $("#wastes").replaceChildren(...answer.wastes.map((text) => Object.assign(document.createElement("li"), {textContent: text})));
   for (const [name, span] of Object.entries(answer.spans)) $(`[data-control="${name}"] small`).textContent = span;
   for (const [name, value] of Object.entries(answer.look)) {
     const input = document.querySelector(`[data-look="${name}"]`);

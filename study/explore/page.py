@@ -23,6 +23,7 @@ from jinja2 import Environment, FileSystemLoader, Template
 
 from ...model.contract.parameters import Sensor
 from ...model.shared.errors import InputError, check_integer
+from ..explain import meaning, warnings
 from ..show.figures import FATE_MARKS, VERDICT_MARKS, Views
 from ..show.frame import FrameView
 from ..show.page import FILES, SHOW
@@ -212,6 +213,8 @@ class Page:
             "ab": self.a is not None,
             "a_says": f"A: {_summary(self.a.settings)}" if self.a is not None else "",
             "frames": settings.config.frames,
+            "meaning": [list(row) for row in meaning(settings.config)],
+            "wastes": warnings(settings.config),
             "spans": {c.name: settings.told(c) for c in CONTROLS if c.where and c.kind == "integer"},
             "look": dict(self.look),  # a copy: Bokeh sends what has changed since the last one
         }

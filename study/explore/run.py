@@ -125,6 +125,8 @@ class Runner:
         self._pool.shutdown(wait=False, cancel_futures=True)
 
     def _run(self, number: int, work: Callable[[Progress], object]) -> None:
+        told = "", 0.0  # the last stage that was told, and when
+
         def say(kind: str, outcome: object) -> None:
             if number != self.newest:
                 raise CancelledError
@@ -138,7 +140,6 @@ class Runner:
                 told = stage, time.monotonic()
                 say("progress", (stage, share))
 
-        told = "", 0.0
         try:
             say("progress", ("begins", 0.0))
             say("done", work(tell))

@@ -1,0 +1,84 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`coincid advise` and `coincid show`: an answer with its price, and what a configuration means."""
+
+import csv
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from coincid.model.contract.config import load_config, parse_config
+from coincid.study.explain import meaning, warnings
+from coincid.study.price import UM2_PER_PIXEL, UW_PER_PIXEL
+
+from ..command import command
+
+DOCS = Path(__file__).parents[2] / "docs"
+
+
+def test_advice_for_a_scene_of_ones_own(tmp_path):
+    far_m = np.full((16, 16), 5.0)
+    far_m[4:12, 4:12] = 3.0
+    np.save(tmp_path / "room.npy", far_m * 100)
+    words = (
+        f"advise {tmp_path}/room.npy --unit cm --klux 20 --set rows=8 --set cols=8 --set pulses=30 --out {tmp_path}/out"
+    )
+    done = command(words)
+    assert done.exit_code == 0, done.output
+    sentence = next(line for line in done.output.splitlines() if line.startswith("Take "))
+    assert all(
+        unit in sentence for unit in (" ns (", "Gbit/s", "of the pixels are wrong", "bits per frame", "mW", "um2")
+    )
+    with open(tmp_path / "out" / "advise.csv") as file:
+        rows = list(csv.DictReader(file))
+    best = min(float(row["wrong pixels"]) for row in rows)
+    advised = load_config(tmp_path / "out" / "advised.toml")
+    share = float(re.search(r"([\d.]+)% of the pixels", sentence)[1]) / 100
+    assert share <= best + max(0.002, 0.1 * best) + 0.001
+    assert advised.sensor.rows == 8 and advised.pulses == 30 and advised.format in sentence
+    assert (tmp_path / "out" / "advise.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_what_a_configuration_means():
+    told = dict(meaning(load_config("fpga")))
+    assert told["tick"].startswith("1000 ps, 14.99 cm") and told["window"] == "2 ticks, 2 ns"
+    assert told["array"] == "32 x 32 pixels in 16 subgroups of 8 x 8"
+    shown = command("show fpga --set streams=3").output
+    assert all(
+        f"{name} " in shown and value in shown
+        for name, value in told.items()
+        if name != "stream" and "events" not in name
+    )
+    assert "* streams = 3 does not divide 16 subgroups" in shown
+
+
+@pytest.mark.parametrize(
+    ("document", "words"),
+    [
+        ({"frame": {"link_gbps": 64.0}}, "more than a stream sends"),
+        ({"subgroup": {"threshold": 1}}, "threshold 1 lets every photon through"),
+        ({"subgroup": {"auto": True}}, "on for one frame"),
+        ({"subgroup": {"auto": True, "coincidence": False}}, "coincidence is off"),
+        ({"subgroup": {"gate_start": 5}}, "gating is off"),
+        ({"subgroup": {"gating": True}, "frame": {"gate_every": 5}}, "moves by 0 cycles"),
+        ({"subgroup": {"mask": "1"}}, "nothing can commit"),
+        ({"frame": {"format": "short"}}, "no depth per pixel"),
+        ({"frame": {"mg_window": 3}}, "minigroup_records is off"),
+        ({"frame": {"dither_seed": 3}}, "dither_seed has no effect"),
+        ({"frame": {"pulses": 2}}, "Counters fill"),
+    ],
+)
+def test_what_is_wasted(document, words):
+    assert any(words in sentence for sentence in warnings(parse_config(document)))
+    lean = {"sensor": {"window_max": 16, "coarse_bits": 8}, "frame": {"format": "compact"}}
+    assert not any(words in sentence for sentence in warnings(parse_config(lean)))
+
+
+def test_prices_are_those_of_the_pages():
+    with open(DOCS / "images" / "cost.csv") as file:
+        rows = {(row["parameter"], int(row["value"])): float(row["area_um2_per_pixel"]) for row in csv.DictReader(file)}
+    for parameter, name in (("subgroup", "pixels"), ("minigroup", "minigroup_pixels"), ("phases", "phases")):
+        assert {value: area for (of, value), area in rows.items() if of == parameter} == dict(zip(*UM2_PER_PIXEL[name]))
+    row = next(line for line in (DOCS / "power.md").read_text().splitlines() if line.startswith("| uW per pixel |"))
+    assert list(map(float, row.split("|")[2:6])) == list(UW_PER_PIXEL[1])
