@@ -68,7 +68,7 @@ def replay(folder, *more):
 BAD_CONFIGS = {  # tests/contract/test_config.py has the others
     "unknown key": ("[subgroup]\nthreshhold = 2", "threshhold", "threshold"),
     "unknown table": ("[subgroups]\nthreshold = 2", "subgroups", "subgroup"),
-    "rows without subgroups": ("[sensor]\nrows = 12", "subgroup", "divide"),
+    "rows without subgroups": ("[sensor]\nrows = 12", "sensor.rows = 12", "multiple of 8"),
     "override of nothing": ("[[override]]\nsubgroups = [16]", "override[0].subgroups = 16", "from 0 to 15"),
     "not TOML": ("threshold:", "TOML"),
 }
