@@ -2,8 +2,9 @@
 """Forms of an event word: how many beats an event takes in each, and what a link then carries.
 
 `python -m coincid.study.compact [DEPTH,COLOUR ...]` prints the tables of `docs/compact.md`. The first one counts forms on
-the events of the same frames, in the order in which they leave; the form that was built is measured. Depth files are used
-as they are, and at three times the distance. The candidates are our own.
+the events of the same frames, in the order in which they leave; the form that was built is measured. The last one changes
+the length of an event by which the threshold controller reckons. Depth files are used as they are, and at three times the
+distance. The candidates are our own.
 """
 
 import os
@@ -15,9 +16,10 @@ import numpy as np
 
 from ..lab.measures import stream_beats
 from ..lab.run import Run
-from ..lab.setup import Setup, scene_of
+from ..lab.setup import SETTLING, Setup, scene_of
 from ..model.contract.config import parse_config
-from ..model.contract.packet import BEAT_BITS
+from ..model.contract.groups import LARGE_PIXELS, groups
+from ..model.contract.packet import BEAT_BITS, FORMATS
 from ..model.contract.parameters import bits_for
 from ..model.scenes.scene import Scene
 
@@ -26,6 +28,7 @@ FAR_SCALE, SEED = 3.0, 1
 KLUX, THRESHOLDS = (50.0, 100.0), (1, 2, 3)
 LINK_GBPS, LINKS_GBPS = 8.0, (2.0, 4.0, 8.0, 16.0, 32.0)
 COMPARED = "id", "compact", "full", "compact-full"
+RECKONED = 3, 4, 6, 8  # pixels of an event by which a stream's capacity may be reckoned
 MARK_BITS = 6  # of a beat that says where its first event begins
 Form = Callable[["Frame"], np.ndarray]
 
@@ -95,20 +98,33 @@ def of_links(run: Run) -> dict[str, float]:
     return found
 
 
+def of_capacities(run: Run) -> dict[int, float]:
+    """Return the share of wrong pixels under the settled controller, by the pixels of an event in the stream's capacity."""
+    led, found = run.but(frame={"frames": 1 + SETTLING}, subgroup={"auto": True}), {}
+    config, form = led.config, FORMATS[led.config.format]
+    bits = {pixels: groups(config.sensor).listed_bits(form, config.period_ticks, pixels) for pixels in RECKONED}
+    for pixels in RECKONED:
+        capacity = config.capacity * bits[LARGE_PIXELS] // bits[pixels]
+        found[pixels] = float(led.but(frame={"capacity": capacity})["wrong_share"] or 0.0)
+    return found
+
+
 def tables(files: Sequence[str]) -> Iterator[str]:
-    """Yield the lines of both tables: means over all scenes and lights."""
+    """Yield the lines of the tables: means over all scenes and lights."""
     config = parse_config({"frame": {"format": "compact", "link_gbps": LINK_GBPS}})
     scenes: dict[str, Scene] = {name: scene_of(config, name) for name in SCENES}
     for file in files:
         scenes |= {file: scene_of(config, file), f"{file} x {FAR_SCALE:g}": scene_of(config, file, scale=FAR_SCALE)}
     by_threshold: dict[int, list[dict[str, float]]] = {threshold: [] for threshold in THRESHOLDS}
     by_link: dict[float, list[dict[str, float]]] = {link_gbps: [] for link_gbps in LINKS_GBPS}
+    by_capacity: list[dict[int, float]] = []
     for scene, klux in product(scenes.values(), KLUX):
         run = Run(Setup(config=config, scene=scene, klux=klux, seed=SEED), workers=os.cpu_count() or 1)
         for threshold, forms in by_threshold.items():
             forms.append(of_forms(run.but(subgroup={"threshold": threshold})))
         for link_gbps, links in by_link.items():
             links.append(of_links(run.but(frame={"link_gbps": link_gbps})))
+        by_capacity.append(of_capacities(run))
     yield f"| form | {' | '.join(f'threshold {threshold}' for threshold in THRESHOLDS)} |"
     yield "| --- |" + " ---: |" * len(THRESHOLDS)
     for name in by_threshold[THRESHOLDS[0]][0]:
@@ -122,6 +138,11 @@ def tables(files: Sequence[str]) -> Iterator[str]:
         means = [np.mean([each[name] for each in links]) for name in names]
         shown = [f"{mean:.1%}" if name.startswith("wrong") else f"{mean:,.0f}" for name, mean in zip(names, means)]
         yield f"| {link_gbps:g} | {' | '.join(shown)} |"
+    yield ""
+    yield f"| pixels of an event | {' | '.join(map(str, RECKONED))} |"
+    yield "| --- |" + " ---: |" * len(RECKONED)
+    wrong = [np.mean([each[pixels] for each in by_capacity]) for pixels in RECKONED]
+    yield f"| wrong | {' | '.join(f'{mean:.1%}' for mean in wrong)} |"
 
 
 if __name__ == "__main__":

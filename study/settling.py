@@ -1,12 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """Settling of the threshold controller, and its movement afterwards.
 
-`python -m coincid.study.settling` prints the table of `docs/controller.md`. Constant light has two meanings. The same
-photons in every frame show the rule by itself: it has settled when thresholds and budget return to earlier values, and
-the sequence in between is its limit cycle. New photons in every frame show the effect of chance.
+`python -m coincid.study.settling` prints the tables of `docs/controller.md`. Constant light has two meanings. The same
+photons in every frame show the rule by itself: it has settled when thresholds, budget and limit return to earlier values,
+and the sequence in between is its limit cycle. New photons in every frame show the effect of chance. The second table is
+about a change from each light to each other one, with the same photons before it and after it.
 """
 
 from collections.abc import Iterator
+from itertools import permutations
 from typing import NamedTuple
 
 import numpy as np
@@ -25,10 +27,10 @@ WATCHED = 32  # frames of new photons after that
 
 
 class State(NamedTuple):
-    """State after a frame. thresholds: int64[subgroups], of the frame; budget: after it; load: commits over capacity."""
+    """State after a frame. thresholds: int64[subgroups], of the frame; next: what the next ones depend on; load: commits over capacity."""
 
     thresholds: np.ndarray
-    budget: int
+    next: tuple[int, int]
     load: float
 
 
@@ -41,26 +43,28 @@ class Cycle(NamedTuple):
     load: float
 
 
-def state(config: Config, trace: Trace) -> State:
-    """Return the state of the controller after a frame; one stream."""
-    committed = int(trace.counters[:, COUNTER.committed].sum())
-    return State(trace.counters[:, COUNTER.threshold_used], int(trace.budget[0]), committed / config.capacity)
-
-
-def limit_cycle(config: Config, edges: Edges) -> Cycle | None:
+def limit_cycle(config: Config, edges: Edges, golden: Golden) -> Cycle | None:
     """Return the limit cycle for the same photons in every frame; None: no state returned within `FRAMES_MAX` frames."""
     seen: dict[tuple[int, ...], int] = {}
     history: list[State] = []
-    golden = Golden(config.sensor)
     for number in range(FRAMES_MAX):
-        now = state(config, golden.frame(config, edges))
-        key = (*now.thresholds.tolist(), now.budget)
+        now = _state(config, golden.frame(config, edges), golden)
+        key = (*now.thresholds.tolist(), *now.next)
         if key in seen:
             thresholds = np.array([one.thresholds for one in history[seen[key] :]])
             return Cycle(seen[key], number - seen[key], int(np.ptp(thresholds, axis=0).astype(bool).sum()), now.load)
         seen[key] = number
         history.append(now)
     return None
+
+
+def _state(config: Config, trace: Trace, golden: Golden) -> State:
+    """Return the state of the controller after a frame; one stream."""
+    controller = golden.controller
+    assert controller.budget is not None and controller.limit is not None
+    committed = int(trace.counters[:, COUNTER.committed].sum())
+    after = int(controller.budget[0]), int(controller.limit[0])
+    return State(trace.counters[:, COUNTER.threshold_used], after, committed / config.capacity)
 
 
 def table(backgrounds: tuple[tuple[float, float], ...] = KLUX) -> Iterator[str]:
@@ -71,13 +75,38 @@ def table(backgrounds: tuple[tuple[float, float], ...] = KLUX) -> Iterator[str]:
         yield from _rows(*klux)
 
 
-def _rows(left_klux: float, right_klux: float) -> Iterator[str]:
+def changes(backgrounds: tuple[tuple[float, float], ...] = KLUX) -> Iterator[str]:
+    """Yield the rows of a Markdown table: one for each capacity, with the frames that a change of the light takes to settle."""
+    yield "| capacity | changes | settle after, mean | at most | limit cycles |"
+    yield "| ---: | ---: | ---: | ---: | ---: |"
+    lights = [_run(*klux, frames=1) for klux in backgrounds]
+    for part in PARTS:
+        cycles = [_after_change(before, after, part) for before, after in permutations(lights, 2)]
+        settled = [cycle.begins for cycle in cycles if cycle is not None and cycle.frames == 1]
+        yield (
+            f"| {_part(part)} | {len(cycles)} | {np.mean(settled):.1f} frames | {max(settled)} frames | "
+            f"{len(cycles) - len(settled)} |"
+        )
+
+
+def _after_change(before: Run, after: Run, part: int) -> Cycle | None:
+    config = before.config.with_frame(capacity=before.config.capacity // part)
+    golden = Golden(config.sensor)
+    limit_cycle(config, before.frame_edges(0), golden)
+    return limit_cycle(config, after.frame_edges(0), golden)
+
+
+def _run(left_klux: float, right_klux: float, frames: int) -> Run:
     klux = f"{left_klux:g}|{right_klux:g}"
-    start = Run(Setup.of(SCENE, frame={"frames": SETTLING + WATCHED}, subgroup={"auto": True}, klux=klux, seed=SEED))
+    return Run(Setup.of(SCENE, frame={"frames": frames}, subgroup={"auto": True}, klux=klux, seed=SEED))
+
+
+def _rows(left_klux: float, right_klux: float) -> Iterator[str]:
+    start = _run(left_klux, right_klux, SETTLING + WATCHED)
     sensor, capacity = start.config.sensor, start.config.capacity
     for part in PARTS:
         narrow = start.but(frame={"capacity": capacity // part})
-        cycle = limit_cycle(narrow.config, narrow.frame_edges(0))
+        cycle = limit_cycle(narrow.config, narrow.frame_edges(0), Golden(sensor))
         watched = [narrow.frame(number) for number in range(SETTLING, SETTLING + WATCHED)]
         thresholds = np.array([one.threshold for one in watched])
         moves = np.abs(np.diff(thresholds, axis=0)).astype(bool).sum(axis=1).mean()
@@ -105,5 +134,5 @@ def _cycle(cycle: Cycle | None) -> str:
 
 
 if __name__ == "__main__":
-    for line in table():
+    for line in (*table(), "", *changes()):
         print(line, flush=True)
