@@ -52,7 +52,7 @@ class Kept:
 class Run:
     """The outcome of a setup: light, edges, traces, result, depth.
 
-    kept: shares photons and golden frames with other runs. workers: threads for photons and depth, which do not change
+    kept: shares photons and golden frames with other runs. workers: threads for photons, golden frames and depth, which do not change
     the numbers. watch: sees the progress, and may raise to end the run. given: stages whose outcome is there already,
     such as the `result` of a file or of a board.
     """
@@ -120,10 +120,12 @@ class Run:
         return self.kept.get("frames", (self.setup.photons.key, fingerprint(self.config)), self._golden_frames)
 
     def _golden_frames(self) -> list[Trace]:
-        model, frames, traces = Golden(self.config.sensor), self.config.frames, []
-        for number in range(frames):
+        model, frames = Golden(self.config.sensor), self.config.frames
+        traces: list[Trace] = []
+        for number in range(0, frames, self.workers):
             self.watch("golden model", number / frames, len(self.edges))
-            traces.append(model.frame(self.config, self.frame_edges(number)))
+            together = [self.frame_edges(k) for k in range(number, min(frames, number + self.workers))]
+            traces += model.frames_of(self.config, together, self.workers)
         return traces
 
     @cached_property

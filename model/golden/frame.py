@@ -7,10 +7,12 @@ round robin and output buffer on them and produces the beats. Latencies are thos
 section III-A of the paper as docs/contract.md defines it.
 """
 
-from collections.abc import Callable
+import os
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
-from attrs import frozen
+from attrs import evolve, frozen
 
 from ..contract.config import Config
 from ..contract.counters import COUNTER_NAMES
@@ -59,10 +61,41 @@ class Golden:
         ready: uint8[n] or None; the receiver behind the streams' links (`contract/link.py`) takes a beat in cycle c if
         ready[c] is 1, and always from cycle n on. pulses: fewer than the configuration has means an aborted frame.
         """
+        threshold = self.controller.begin(config)
+        trace = self._play(self.frames, threshold, config, edges, ready, pulses)
+        self.frames += 1
+        return evolve(trace, budget=self.controller.end(config, trace.counters))
+
+    def frames_of(self, config: Config, edges: Sequence[Edges], workers: int | None = None) -> list[Trace]:
+        """Run one frame after the other, those that do not depend on each other side by side.
+
+        A frame depends on the one before if the controller sets a threshold. workers: threads; None: one per core. Their
+        number does not change the result.
+        """
+        if config.controlled.any():
+            return [self.frame(config, of_frame) for of_frame in edges]
+        threshold = self.controller.begin(config)
+        numbers = range(self.frames, self.frames + len(edges))
+        with ThreadPoolExecutor(workers or os.cpu_count() or 1) as pool:
+            traces = list(
+                pool.map(lambda number, of_frame: self._play(number, threshold, config, of_frame), numbers, edges)
+            )
+        self.frames += len(edges)
+        return [evolve(trace, budget=self.controller.end(config, trace.counters)) for trace in traces]
+
+    def _play(
+        self,
+        number: int,
+        threshold: np.ndarray,
+        config: Config,
+        edges: Edges,
+        ready: np.ndarray | None = None,
+        pulses: int | None = None,
+    ) -> Trace:
+        """Run a frame with given thresholds; the trace has no budget yet."""
         sensor, shape = self.sensor, shape_of(config)
         timeline = _timeline(config)
         key, order, bounds = time_order(edges, self._pixel, shape)
-        threshold = self.controller.begin(config)
         counters = np.zeros((sensor.subgroups, len(COUNTER_NAMES)), np.int64)
         counters[:, COUNTER.threshold_used] = threshold
         settings = Settings(
@@ -81,17 +114,22 @@ class Golden:
         for stream in range(sensor.streams):
             span = sensor.stream_subgroups(stream)
             of_stream = readout(
-                span.start, len(span), shape, end, self.frames & 0xFFFF, events, records, counters, next_ready
+                span.start, len(span), shape, end, number & 0xFFFF, events, records, counters, next_ready
             )
             beats.append(of_stream[0])
             cycles.append(of_stream[1])
-        self.frames += 1
-        budget = self.controller.end(config, counters)
         commit_subgroup = np.repeat(np.arange(sensor.subgroups), np.diff(events.bounds))
         row = events.row[: len(commit_subgroup)]
         stored = row["stored"] != 0
         return Trace(
-            beats, cycles, commit_subgroup[stored], row["cycle"][stored], row["free_at"][stored], fate, counters, budget
+            beats,
+            cycles,
+            commit_subgroup[stored],
+            row["cycle"][stored],
+            row["free_at"][stored],
+            fate,
+            counters,
+            np.empty(0, np.int64),
         )
 
 

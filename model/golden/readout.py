@@ -48,12 +48,13 @@ def readout(first, n, shape, end, frame, events, records, counters, next_ready):
     _encode(beats[:1], _FRAME_START, values, shape.frame_parts)
     done = _transfer(sent_at, 0, 1, latency.FRAME_START, next_ready)
     _pass(packer, packed, packed_at, beats, sent_at, 0, 1, shape)
-    t, pointer = latency.FRAME_START + 1, 0
+    t, pointer, wake = latency.FRAME_START + 1, 0, np.zeros(n, np.int64)
     while True:
         t = _when_room(shape.longest_word, t, done, sent_at, shape)
-        chosen, upcoming = _arbitrate(t, pointer, queues, events.row, records.row, shape.fifo_depth)
+        chosen, upcoming = _arbitrate(t, pointer, queues, wake, events.row, records.row, shape.fifo_depth)
         if chosen != _NONE:
-            values[:] = 0
+            for k in range(len(values)):
+                values[k] = 0
             values[NUMBER.subgroup] = first + chosen
             queue, is_event = queues[chosen], queues[chosen].waiting == _NONE
             event = queue.read
@@ -128,7 +129,7 @@ def _beats(queues, shape):
     return beats
 
 
-@njit
+@njit(allocates=False)
 def _when_room(length, t, done, sent_at, shape):
     """Return the first cycle from `t` on in which the output buffer has room for `length` more beats after `done`.
 
@@ -138,25 +139,31 @@ def _when_room(length, t, done, sent_at, shape):
     return max(t, sent_at[left - 1] + 1 + shape.grouped) if left > 0 else t
 
 
-@njit(inline="always")
-def _arbitrate(t, pointer, queues, events, records, fifo_depth):
-    """Return the first subgroup, from `pointer` on and round, that requests in cycle `t`, or else the next possible cycle."""
-    upcoming = _NEVER
-    for k in range(len(queues)):
-        chosen = (pointer + k) % len(queues)
-        queue = queues[chosen]
-        _admit_events(queue, t, events, fifo_depth)
-        _admit_records(queue, t, records)
-        if queue.waiting != _NONE or queue.read < queue.next_event:
-            return chosen, t
-        if queue.next_event < queue.end_event:
-            upcoming = min(upcoming, events[queue.next_event].cycle + latency.STORE_TO_GRANT)
-        if queue.next_record < queue.end_record:
-            upcoming = min(upcoming, records[queue.next_record].cycle + latency.STORE_TO_GRANT)
+@njit(allocates=False)
+def _arbitrate(t, pointer, queues, wake, events, records, fifo_depth):
+    """Return the first subgroup, from `pointer` on and round, that requests in cycle `t`, or else the next possible cycle.
+
+    wake: int64[subgroups], the first cycle in which a subgroup may request.
+    """
+    upcoming, n = _NEVER, len(queues)
+    for k in range(pointer, pointer + n):
+        chosen = k if k < n else k - n
+        if wake[chosen] <= t:
+            queue = queues[chosen]
+            _admit_events(queue, t, events, fifo_depth)
+            _admit_records(queue, t, records)
+            if queue.waiting != _NONE or queue.read < queue.next_event:
+                return chosen, t
+            wake[chosen] = _NEVER
+            if queue.next_event < queue.end_event:
+                wake[chosen] = events[queue.next_event].cycle + latency.STORE_TO_GRANT
+            if queue.next_record < queue.end_record:
+                wake[chosen] = min(wake[chosen], records[queue.next_record].cycle + latency.STORE_TO_GRANT)
+        upcoming = min(upcoming, wake[chosen])
     return _NONE, upcoming
 
 
-@njit
+@njit(allocates=False)
 def _admit_events(queue, t, events, fifo_depth):
     """Move events that may be granted by cycle `t` into the FIFO, or drop them if it was full at their commit."""
     while queue.next_event < queue.end_event and events[queue.next_event].cycle + latency.STORE_TO_GRANT <= t:
@@ -178,7 +185,7 @@ def _admit_events(queue, t, events, fifo_depth):
         queue.read += 1
 
 
-@njit
+@njit(allocates=False)
 def _admit_records(queue, t, records):
     """Move records that may be granted by cycle `t` to the only place, or drop them if it was taken."""
     while queue.next_record < queue.end_record and records[queue.next_record].cycle + latency.STORE_TO_GRANT <= t:
@@ -190,7 +197,7 @@ def _admit_records(queue, t, records):
         queue.next_record += 1
 
 
-@njit(inline="always")
+@njit(allocates=False)
 def _form_packet(beats, values, queue, t, shape, events, records):
     """Write the packet that is granted in cycle `t` to `beats`, a record before events; free its place; return its length."""
     if queue.waiting != _NONE:
@@ -203,7 +210,8 @@ def _form_packet(beats, values, queue, t, shape, events, records):
     event, length, behind_map = events.row[queue.read], shape.event_beats, ARRAY + shape.hits_words
     values[NUMBER.overrun], values[NUMBER.pulse], values[NUMBER.stamp] = event.overrun, event.pulse, event.stamp
     values[NUMBER.count], values[NUMBER.winner] = event.count, event.winner
-    values[ARRAY:behind_map] = events.hits[queue.read]
+    for k in range(shape.hits_words):
+        values[ARRAY + k] = events.hits[queue.read, k]
     if shape.event_has_offsets:
         _pack(values[behind_map:], events.offsets[queue.read], _OFFSET_BITS)
     _encode(beats[:length], shape.event_code, values, shape.event_parts)
@@ -212,20 +220,22 @@ def _form_packet(beats, values, queue, t, shape, events, records):
     return length
 
 
-@njit
+@njit(allocates=False)
 def _encode(beats, code, values, parts):
     """Write a packet of this kind to `beats`. parts: which bits of `values` stand where."""
-    beats[:] = 0
+    for k in range(len(beats)):
+        beats[k] = 0
     beats[0] = np.uint64(code) << np.uint64(KIND_LSB)
     for part in parts:
         bits = values[part.word] >> np.uint64(part.shift) & _ALL >> np.uint64(BEAT_BITS - part.width)
         beats[part.beat] |= bits << np.uint64(part.lsb)
 
 
-@njit
+@njit(allocates=False)
 def _pack(beats, items, bits):
     """Pack `items` of `bits` each into words, lowest bits first."""
-    beats[:] = 0
+    for k in range(len(beats)):
+        beats[k] = 0
     per_beat = BEAT_BITS // bits
     for k in range(len(items)):
         beats[k // per_beat] |= np.uint64(items[k]) << np.uint64(k % per_beat * bits)
@@ -259,7 +269,7 @@ def _pass(packer, packed, packed_at, beats, sent_at, done, end, shape):
         packed[begin : packer.beat], packed_at[begin : packer.beat] = beats[done:end], sent_at[done:end]
 
 
-@njit
+@njit(allocates=False)
 def _take(sent_at, done, length, t, taken):
     """Write to `sent_at` when the packer takes an event's beats, the first one from cycle `taken` on; return the new `done`."""
     arrives = t + latency.GRANT_TO_BEAT + latency.BEAT_TO_PORT
@@ -269,7 +279,7 @@ def _take(sent_at, done, length, t, taken):
     return done + length
 
 
-@njit
+@njit(allocates=False)
 def _transfer(sent_at, done, length, t, next_ready):
     """Write to `sent_at` when the `length` beats after `done`, granted in cycle `t`, leave; return the new `done`."""
     for k in range(done, done + length):

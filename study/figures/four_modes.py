@@ -58,7 +58,7 @@ PANE_M, PANE_PHOTONS = 4.0, (0.0, 0.1, 0.3, 1.0, 3.0, 10.0)  # per pulse and pix
 BEHIND_M, BEHIND_GATE_M, PANE_KLUX = 4.9, 0.6, 10.0  # closer to the pane than the SPAD's dead time of 8 ns: 1.2 m
 
 FAR_M, FAR_KLUX, FAR_REFLECTIVITIES = 100.0, 10.0, (0.1, 0.4)
-POWERS = (1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)  # times the preset's laser: 5 nJ per pulse for 32 x 32 pixels
+POWERS = (0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)  # times the preset's laser: 5 nJ per pulse for 32 x 32 pixels
 PULSE_NJ = 5.0  # 10 mW at 2 MHz (paper II)
 FAR_PULSES = (1000, 5000)
 FAR_THRESHOLDS = (0, 1, 2, 3)  # 0: coincidence off

@@ -11,9 +11,10 @@ from coincid.model.depth.arrivals import pulse_sigma_ticks
 from coincid.model.depth.histograms import by_subgroup, frame_events
 from coincid.model.depth.likelihood import Grid, Guess, log_likelihood, unheard
 from coincid.model.depth.planes import LIGHTS
-from coincid.model.depth.quality import TOLERANCE_M, wrong_share
+from coincid.model.depth.quality import OTHER_SURFACE_M, TOLERANCE_M, wrong_share
 from coincid.model.light.light import Light, signal_per_pulse
 from coincid.model.light.spad import Spad
+from coincid.model.scenes.catalogue import load_scene
 from coincid.model.scenes.scene import Scene
 from coincid.model.scenes.transient import BIN_S
 from coincid.model.shared.constants import SPEED_OF_LIGHT_M_S
@@ -146,6 +147,16 @@ def test_a_gate_hides_what_is_outside():
     scene = tilted()
     depth = estimate(scene, subgroup={"gating": True, "gate_start": 15, "gate_len": 20})
     assert share(depth, scene) < 0.03
+
+
+@pytest.mark.parametrize("pulses", [1000, 5000])
+@pytest.mark.parametrize("gating", [False, True])
+def test_dim_light_needs_no_gate_and_bears_one(pulses, gating):
+    """About one photon per pixel comes back in a thousand pulses; more pulses and a gate never make it worse."""
+    scene = load_scene("flat:45,0.1", ROWS, COLS)
+    around = {"coincidence": False, "gating": gating, "gate_start": 130, "gate_len": 40}
+    depth = estimate(scene, 10.0, frame={"pulses": pulses}, subgroup=around)
+    assert share(depth, scene, OTHER_SURFACE_M) < 0.01
 
 
 def test_edges_of_objects_stay_sharp():

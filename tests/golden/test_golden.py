@@ -71,6 +71,21 @@ def _check_rows(config, result, rows, events, frame):
         at += 1
 
 
+@pytest.mark.parametrize("auto", [False, True])
+def test_frames_side_by_side_are_frames_in_turn(auto):
+    config = parse_config(
+        {"sensor": SENSORS["tiny"], "frame": {"period": 40, "pulses": 20}, "subgroup": {"auto": auto}}
+    )
+    edges = [trouble(config, seed, 10.0) for seed in range(5)]
+    turns, together = Golden(config.sensor), Golden(config.sensor)
+    expected = [turns.frame(config, of_frame) for of_frame in edges]
+    for one, other in zip(expected, together.frames_of(config, edges, 3), strict=True):
+        for name in ("commit_cycle", "freed_cycle", "fate", "counters", "budget"):
+            assert np.array_equal(getattr(one, name), getattr(other, name))
+        assert all(map(np.array_equal, one.beats + one.beat_cycle, other.beats + other.beat_cycle))
+    assert together.frames == 5
+
+
 @pytest.mark.parametrize("sensor", ("one", "odd", "tiny", "wide"))
 @given(data=st.data())
 def test_controller(sensor, data):
