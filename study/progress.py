@@ -1,12 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
 """Progress of long work."""
 
+import time
+from threading import Event, Thread
+
 from rich.console import Console
 from rich.progress import BarColumn, Progress, SpinnerColumn, TaskID, TextColumn, TimeElapsedColumn
 
+LINE_EVERY_S = 4.0
+
 
 class Bar:
-    """Progress in stages: a bar on a terminal, otherwise one line per stage if `lines`; a context manager."""
+    """Progress in stages: a bar on a terminal, otherwise, if `lines`, one line per stage and more while it lasts.
+
+    A context manager.
+    """
 
     def __init__(self, console: Console, lines: bool = False) -> None:
         percent = TextColumn("{task.percentage:>3.0f} %")
@@ -14,12 +22,23 @@ class Bar:
         self._progress = Progress(*columns, console=console, transient=True, disable=not console.is_terminal)
         self._lines = lines and not console.is_terminal
         self._task: TaskID | None = None
+        self._stage, self._began, self._ended = "", 0.0, Event()
 
     def __enter__(self) -> "Bar":
         self._progress.start()
+        if self._lines:
+            Thread(target=self._tell, name="progress", daemon=True).start()
         return self
 
+    def _tell(self) -> None:
+        """Say every few seconds what is going on, where no bar moves."""
+        while not self._ended.wait(LINE_EVERY_S):
+            seconds = time.monotonic() - self._began
+            if self._stage and seconds >= LINE_EVERY_S:
+                self._progress.console.print(f"{self._stage}: {seconds:.0f} s")
+
     def __exit__(self, *_: object) -> None:
+        self._ended.set()
         self._progress.stop()
 
     def stage(self, name: str, total: int | None = None) -> None:
@@ -27,6 +46,7 @@ class Bar:
         if self._task is not None:
             self._progress.remove_task(self._task)
         self._task = self._progress.add_task(name, total=total)
+        self._stage, self._began = name, time.monotonic()
         if self._lines:
             self._progress.console.print(name)
 
