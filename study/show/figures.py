@@ -301,7 +301,7 @@ class HistogramFigure:
         plot.vspan("x", source=self.truth, line_color=TRUTH, line_width=2, line_dash="dashed", legend_label="truth")
         marks = plot.scatter(
             "x", 0.0, source=self.returns, marker="marker", size=12, fill_color="colour", line_color="black",
-            legend_label="chosen (other returns: circles)",
+            legend_label="chosen return",
         )  # fmt: skip
         plot.add_tools(
             HoverTool(renderers=[bars], tooltips=[("distance", "@left{0.00} to @right{0.00} m"), ("pixel", "@pixel"), ("subgroup", "@subgroup")]),
