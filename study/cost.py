@@ -21,10 +21,11 @@ from ..hdl.export import units_files
 from ..hdl.minigroup import Minigroup
 from ..hdl.packetizer import Packetizer
 from ..hdl.subgroup import Subgroup
-from ..model.contract.packet import BEAT_BITS, FORMATS, layout
+from ..model.contract.groups import LARGE_PIXELS, PAYLOAD_BITS, groups
+from ..model.contract.packet import BEAT_BITS, FORMATS, Packet, layout
 from ..model.contract.parameters import CLOCK_MHZ, Sensor
 from ..model.shared.files import whole_file
-from .palette import GREEN, INK, ORANGE, VIOLET
+from .palette import BLUE, GREEN, INK, ORANGE, VIOLET
 from .plot_style import legend_below, new_figure, save_figure, style
 
 SWEEPS: dict[str, tuple[str, list[Any]]] = {  # parameter: its label, and the values besides the default
@@ -51,13 +52,21 @@ def area_per_pixel_um2(sensor: Sensor) -> float:
     return sum(block.instances * block.area_um2 for block in blocks) / (2 * sensor.pixels)
 
 
+def bits_of(sensor: Sensor, packet: Packet) -> int:
+    """Return the bits of an event in the stream; in groups, of one with `LARGE_PIXELS` pixels, whose pulse stays."""
+    if packet.grouped:
+        bits = groups(sensor).listed_bits(packet, 1 << sensor.stamp_bits, LARGE_PIXELS)
+        return -(-BEAT_BITS * bits // PAYLOAD_BITS)
+    return BEAT_BITS * layout(sensor).length(packet)
+
+
 def point(sensor: Sensor) -> dict[str, float]:
     """Return a sensor's costs: area, and per word format bits of an event and million events per second of a stream."""
-    beats = {name: layout(sensor).length(kind) for name, kind in FORMATS.items()}
+    cycles = {name: layout(sensor).length(packet) for name, packet in FORMATS.items()}  # of the coder, too
     return (
         {"area_um2_per_pixel": round(area_per_pixel_um2(sensor), 1), "threshold_bits": sensor.count_bits}
-        | {f"bits_{name}": BEAT_BITS * n for name, n in beats.items()}
-        | {f"mevents_per_s_{name}": round(CLOCK_MHZ / n, 1) for name, n in beats.items()}
+        | {f"bits_{name}": bits_of(sensor, packet) for name, packet in FORMATS.items()}
+        | {f"mevents_per_s_{name}": round(CLOCK_MHZ / n, 1) for name, n in cycles.items()}
     )
 
 
@@ -164,7 +173,7 @@ def _draw(rows: list[dict[str, Any]]) -> Figure:
             at = [row["value"] for row in points]
             area, bits, rate = grid[:, column]
             area.plot(at, [row["area_um2_per_pixel"] / 1000 for row in points], "o-", color=INK)
-            for name, colour in zip(FORMATS, cycle((GREEN, ORANGE, VIOLET))):
+            for name, colour in zip(FORMATS, cycle((GREEN, ORANGE, VIOLET, BLUE, INK))):
                 bits.plot(at, [row[f"bits_{name}"] for row in points], "o-", color=colour, label=f"format {name}")
                 rate.plot(
                     at, [row[f"mevents_per_s_{name}"] for row in points], "o-", color=colour, label=f"format {name}"
