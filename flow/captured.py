@@ -8,7 +8,7 @@ import io
 
 import numpy as np
 
-from ..model.contract.packet import FORMAT_NAMES
+from ..model.contract.packet import built_formats
 from ..model.contract.parameters import Sensor
 from ..model.contract.result import EVENT_FIELDS, ResultBuilder
 from ..model.golden.frame import Golden
@@ -21,8 +21,8 @@ MAP_DIGITS = 16  # of a beat of the map in hexadecimal
 def captured_files(sensor: Sensor) -> dict[str, bytes]:
     """Return the files by name: per format the beats (text), the rows of its events (CSV), and all of the result (NPZ)."""
     files: dict[str, bytes] = {}
-    golden = Golden(sensor)
-    for number, (name, job) in enumerate(zip(FORMAT_NAMES, random_frames(sensor, len(FORMAT_NAMES)), strict=True)):
+    golden, formats = Golden(sensor), built_formats(sensor)
+    for number, (name, job) in enumerate(zip(formats, random_frames(sensor, len(formats)), strict=True)):
         config = job.config.with_settings(threshold=1)  # so that there are events
         assert config.format == name
         trace, result = golden.frame(config, job.edges, job.ready), ResultBuilder(config)

@@ -17,7 +17,7 @@ import numpy as np
 from ..model.contract.config import Config, parse_config, sensor_table
 from ..model.contract.edges import Edges
 from ..model.contract.emulator import Emulator
-from ..model.contract.packet import FORMAT_NAMES
+from ..model.contract.packet import built_formats
 from ..model.contract.parameters import TOP, Sensor
 from ..model.golden.frame import Golden
 from ..model.shared.errors import InputError
@@ -97,18 +97,19 @@ def emulator_netlist(
 
 def random_frames(sensor: Sensor, frames: int, seed: int = 1) -> list[FrameJob]:
     """Return frames with every format, with and without coincidence, gating, controller, records, and a stalled stream."""
-    rng, golden, jobs = np.random.default_rng(seed), Golden(sensor), []
+    rng, golden, jobs, formats = np.random.default_rng(seed), Golden(sensor), [], built_formats(sensor)
     for n in range(frames):
-        period = int(rng.integers(2 * sensor.guard + 10, 60))
+        shortest = 2 * sensor.guard + 10
+        period = min(int(rng.integers(shortest, max(60, shortest + 1))), sensor.period_max)
         config = parse_config(
             {
                 "sensor": sensor_table(sensor),
                 "frame": {
                     "period": period,
                     "pulses": PULSES,
-                    "format": FORMAT_NAMES[n % len(FORMAT_NAMES)],
-                    "minigroup_records": n % 2 == 1,
-                    "mg_threshold": 1 + n % 2,
+                    "format": formats[n % len(formats)],
+                    "minigroup_records": bool(sensor.records) and n % 2 == 1,
+                    "mg_threshold": min(1 + n % 2, sensor.minigroup_pixels),
                     "auto_bounds": [0, 0, 0, 20, 40, 80],
                     "capacity": 20,
                 },
@@ -118,7 +119,7 @@ def random_frames(sensor: Sensor, frames: int, seed: int = 1) -> list[FrameJob]:
                     "auto": n > 3,
                     "threshold": 1 + n % 3,
                     "gate_start": 2,
-                    "gate_len": period - 8,
+                    "gate_len": max(period - 8, 1),
                     "window": int(rng.integers(1, sensor.window_max + 1)),
                 },
             }

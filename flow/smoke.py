@@ -50,7 +50,13 @@ def smoke_config(sensor: Sensor) -> Config:
     return parse_config(
         {
             "sensor": sensor_table(sensor),
-            "frame": dict(period=period, pulses=PULSES, format="full", minigroup_records=True, mg_threshold=1),
+            "frame": {
+                "period": period,
+                "pulses": PULSES,
+                "format": "full" if sensor.offsets else "id",
+                "minigroup_records": bool(sensor.records),
+                "mg_threshold": 1,
+            },
             "subgroup": {"gate_len": registers.BY_NAME["gate_len"].reset(sensor)},
             "override": [last, first],
         }

@@ -94,10 +94,9 @@ def offsets_layout(sensor: Sensor) -> data.ArrayLayout:
 
 
 def event_layout(sensor: Sensor) -> data.StructLayout:
-    """An event as the FIFO stores it."""
-    return data.StructLayout(
-        {"window": window_layout(sensor), "offsets": offsets_layout(sensor), "pulse": PULSE_BITS, "overrun": 1}
-    )
+    """An event as the FIFO stores it; its offsets only where they are built."""
+    offsets = {"offsets": offsets_layout(sensor)} if sensor.offsets else {}
+    return data.StructLayout({"window": window_layout(sensor), **offsets, "pulse": PULSE_BITS, "overrun": 1})
 
 
 def entry_layout(sensor: Sensor) -> data.StructLayout:

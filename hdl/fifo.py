@@ -68,7 +68,7 @@ class EventFifo(Unit):
         m.d.comb += [
             room.eq(state.level != depth),
             event.window.eq(self.event),
-            event.offsets.eq(self.offsets),
+            *([event.offsets.eq(self.offsets)] if self.sensor.offsets else []),
             event.pulse.eq(self.pulse),
             event.overrun.eq(state.lost),
             rows.write.eq(self.commit & room),

@@ -177,7 +177,8 @@ class Minigroup(Recorder):
         self._edges(m)
         self._hits(m)
         self._map(m)
-        self._record(m, platform, self.state.active, self.state.step_4)
+        if self.sensor.records:
+            self._record(m, platform, self.state.active, self.state.step_4)
         return m
 
     def _edges(self, m):
@@ -244,4 +245,5 @@ class Minigroup(Recorder):
                 hits.eq(state.hit_4 | (hits & ~self.opening.replicate(pixels))),
             ]
         m.d.comb += self.hits.eq(hits)
-        self._offset(m, state.hit_4.any() & (self.opening | ~hits.any()), state.step_4)
+        if self.sensor.offsets:
+            self._offset(m, state.hit_4.any() & (self.opening | ~hits.any()), state.step_4)

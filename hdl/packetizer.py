@@ -20,6 +20,7 @@ from ..model.contract.packet import (
     RECORD,
     Packet,
     Part,
+    built_formats,
     layout,
     parts_of,
 )
@@ -129,7 +130,7 @@ class Packetizer(Unit):
         state = self.state
         beats = {
             bus.Send.EVENT: self._event_beats(m),
-            bus.Send.RECORD: self._record_beats(m),
+            bus.Send.RECORD: self._record_beats(m) if self.sensor.records else [],
             bus.Send.COUNTERS: _beats(self.counters),
         }
         chosen = Signal(BEAT_BITS)
@@ -190,13 +191,14 @@ class Packetizer(Unit):
             winner=window.winner,
             stamp=window.stamp,
         )
+        built = [FORMATS[name] for name in built_formats(self.sensor)]
         offsets = []
-        for g in range(self.sensor.minigroups):
+        for g in range(self.sensor.minigroups if self.sensor.offsets else 0):
             hit = Cat(window.hits[i] for i in self.sensor.members(g)).any()
             offset = Signal(OFFSETS.width, name=f"offset_{g}")
             m.d.comb += offset.eq(Mux(hit, self.head.offsets[g], OFFSET_NONE))
             offsets.append(offset)
-        beats = formed(self.sensor, FORMATS.values(), fields | {"map": window.hits, "offsets": Cat(offsets)})
+        beats = formed(self.sensor, built, fields | {"map": window.hits, "offsets": Cat(offsets)})
         longest = max(beats.values(), key=len)
         return [self._of_formats(k, beats, longest[k]) for k in range(len(longest))]
 
@@ -204,7 +206,7 @@ class Packetizer(Unit):
         """Return beat `k` of an event in the frame's format; formats without one may show any, such as `beat`."""
         of_packet = {packet: each[k] if k < len(each) else beat for packet, each in beats.items()}
         same = all(each is beat for each in of_packet.values())
-        return beat if same else of_format(self.frame.format, of_packet.__getitem__)
+        return beat if same else of_format(self.frame.format, lambda packet: of_packet.get(packet, beat))
 
     def _record_beats(self, m):
         fields = numbers(m, self.sensor, [RECORD], RECORD.code, subgroup=self.subgroup, pulse=self.record.pulse)

@@ -7,6 +7,7 @@ from amaranth.hdl import Cat, Const, Module, Mux, Signal
 from amaranth.lib.wiring import In, Out
 
 from ..model.contract import registers
+from ..model.contract.packet import FORMATS, built_formats
 from ..model.contract.parameters import Sensor, bits_for
 from ..model.contract.registers import BY_NAME, DATA_BITS, SUBGROUP_BASE, SUBGROUP_STRIDE, WRITABLE, Access
 from ..model.contract.settings import AUTO_BOUNDS
@@ -186,6 +187,9 @@ class Registers(Unit):
         )
         mapped, writable, legal = [], [], []
         in_range = self._ranges(m)
+        numbers = [n for n, name in enumerate(FORMATS) if name not in built_formats(sensor)]
+        unbuilt = Signal(name="format_unbuilt")
+        m.d.sync += unbuilt.eq(Cat(state.value == number for number in numbers).any())
         for table, where, key in (
             (registers.GLOBAL, 1, state.address),
             (registers.SUBGROUP, in_block, state.address[:BLOCK_BITS]),
@@ -196,7 +200,8 @@ class Registers(Unit):
                 mapped.append(word)
                 if register.access in WRITABLE:
                     writable.append(word)
-                    legal.append(word & in_range[register.low(sensor), register.high(sensor)])
+                    unbuilt_value = unbuilt & (register.name == "format")
+                    legal.append(word & in_range[register.low(sensor), register.high(sensor)] & ~unbuilt_value)
         m.d.sync += [
             state.in_subgroup.eq(in_block),
             state.mapped.eq(Cat(mapped).any()),

@@ -92,7 +92,7 @@ class Subgroup(Unit):
         tree = put("tree", self.view.front_end(sensor), domain=GATED if self.view.front_end_rests else "sync")
         dpcu = put("dpcu", Dpcu(sensor), domain=GATED)
         events = put("fifo", EventFifo(sensor), domain=GATED)
-        records = put("record_buffer", RecordBuffer(sensor), domain=GATED)
+        records = put("record_buffer", RecordBuffer(sensor), domain=GATED) if sensor.records else None
         packets = put("packetizer", Packetizer(sensor), domain=GATED)
 
         # Inputs go straight into registers. These need no reset, because the registers that drive them have one. Most of
@@ -141,8 +141,6 @@ class Subgroup(Unit):
             dpcu.blind.eq(tree.blind),
             dpcu.stored.eq(events.stored),
             dpcu.dropped.eq(events.dropped),
-            dpcu.mg_stored.eq(records.stored),
-            dpcu.mg_dropped.eq(records.dropped),
             events.commit.eq(dpcu.commit),
             events.event.eq(dpcu.event),
             events.offsets.eq(tree.offsets),
@@ -150,25 +148,30 @@ class Subgroup(Unit):
             events.frame_begin.eq(command.operation == bus.Operation.BEGIN),
             events.take.eq(packets.take_event),
             self.stored.eq(events.stored),
-            records.due.eq(tree.record_due),
-            records.latched.eq(tree.latched),
-            records.entries.eq(tree.entries),
-            records.pulse.eq(dpcu.pulse),
-            records.take.eq(packets.take_record),
-            records.frame_begin.eq(command.operation == bus.Operation.BEGIN),
-            self.record_stored.eq(records.stored),
             packets.grant.eq(grant),
             packets.send.eq(send),
             packets.frame.eq(frame),
             packets.subgroup.eq(number),
             packets.head.eq(events.head),
-            packets.record.eq(records.record),
             packets.counters.eq(dpcu.counters),
             packets.controlled.eq(dpcu.controlled),
             self.valid.eq(packets.valid),
             self.beat.eq(packets.beat),
             self.beat_controlled.eq(packets.beat_controlled),
         ]
+        if records:
+            m.d.comb += [
+                records.due.eq(tree.record_due),
+                records.latched.eq(tree.latched),
+                records.entries.eq(tree.entries),
+                records.pulse.eq(dpcu.pulse),
+                records.take.eq(packets.take_record),
+                records.frame_begin.eq(command.operation == bus.Operation.BEGIN),
+                self.record_stored.eq(records.stored),
+                dpcu.mg_stored.eq(records.stored),
+                dpcu.mg_dropped.eq(records.dropped),
+                packets.record.eq(records.record),
+            ]
         return m
 
     def _clock(self, m, platform, reset):

@@ -190,7 +190,7 @@ class CoincidenceTree(Unit):
                 leaf.may_open.eq(state.may_open[-1]),
                 leaf.wrap.eq(state.wrap[-1]),
                 leaf.coarse.eq(state.coarse_4),
-                self.offsets[g].eq(leaf.offset),
+                *([self.offsets[g].eq(leaf.offset)] if self.sensor.offsets else []),
                 self.latched[g].eq(leaf.latched),
                 self.entries[g].eq(leaf.entry),
                 *(state.hits[i].eq(leaf.hits[j]) for j, i in enumerate(members)),

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from coincid.model.contract.config import Config, parse_config, sensor_table
 from coincid.model.contract.edges import Edges
-from coincid.model.contract.packet import FORMAT_NAMES
+from coincid.model.contract.packet import FORMAT_NAMES, built_formats
 from coincid.model.contract.parameters import Sensor
 from coincid.model.contract.pixels import pixel_table
 from coincid.model.contract.registers import BY_NAME
@@ -41,6 +41,7 @@ SENSORS = {  # small ones, so that a case is fast; together they change every pa
         rows=6, cols=15, subgroup=[6, 3], minigroup=[2, 3], phases=16, window_max=33, offset_phases=8, streams=2
     ),
 }
+LEAN = dict(rows=8, cols=16, offsets=0, records=0, fifo_depth=3)
 # For fault and mutation tests, which run slow simulators many times: two subgroups of 16 pixels.
 SMALL = dict(rows=4, cols=8, subgroup=[4, 4], phases=8, coarse_bits=9, window_max=100, rearm=1, fifo_depth=3)
 
@@ -63,7 +64,9 @@ def legal_values(setting: Setting, sensor: Sensor) -> st.SearchStrategy:
     if setting.kind is Kind.MASK:
         return st.integers(0, (1 << sensor.pixels) - 1).map("{:x}".format)
     if setting.kind is Kind.SWITCH:
-        return st.booleans()
+        return st.sampled_from((False, True)[: 1 + setting.limits(sensor)[1]])
+    if setting.name == "format":
+        return st.sampled_from(built_formats(sensor))
     return st.sampled_from(setting.choices) if setting.choices else st.integers(*setting.limits(sensor))
 
 
@@ -117,7 +120,7 @@ def controlled(draw, sensor: dict, frames: int) -> Config:
             "frames": frames,
             "period": built.guard + draw(st.integers(4, 40)),
             "pulses": draw(st.integers(1, 5)),
-            "format": "full",
+            "format": "full" if built.offsets else "id",
             "auto_bounds": [0] + sorted(draw(st.lists(st.integers(0, 60), min_size=5, max_size=5))),
             "capacity": draw(st.integers(0, 60)) * built.subgroups,
             "threshold_floor": draw(st.integers(0, 2)),

@@ -235,7 +235,7 @@ class AsyncFrontEnd(Unit):
                 leaf.may_open.eq(may_open),
                 leaf.wrap.eq(wrap),
                 leaf.coarse.eq(coarse_4),
-                self.offsets[g].eq(leaf.offset),
+                *([self.offsets[g].eq(leaf.offset)] if sensor.offsets else []),
                 self.latched[g].eq(leaf.latched),
                 self.entries[g].eq(leaf.entry),
                 *(state.hits[i].eq(leaf.hits[j]) for j, i in enumerate(members)),

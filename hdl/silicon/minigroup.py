@@ -71,9 +71,10 @@ class AsyncMinigroup(Recorder):
         with m.Else():
             m.d.sync += hits.eq(hits | hit)
         m.d.comb += self.hits.eq(hits)
-        self._offset(m, hit.any() & (self.opening | ~hits.any()), step_4)
-
-        self._record(m, platform, self.active, step_4)
+        if self.sensor.offsets:
+            self._offset(m, hit.any() & (self.opening | ~hits.any()), step_4)
+        if self.sensor.records:
+            self._record(m, platform, self.active, step_4)
         return m
 
     def _sampled_step(self, m):

@@ -21,7 +21,7 @@ from .bounds import noise_bounds
 from .dither import start_cycles
 from .groups import LARGE_PIXELS, PAYLOAD_BITS, groups
 from .link import beats_waiting_max, check_link, link_share, takes_beats
-from .packet import FORMATS, RECORD, WITH_MAP, layout
+from .packet import FORMATS, RECORD, WITH_MAP, built_formats, layout
 from .parameters import MASK_BITS, SENSOR, Sensor
 from .preset_files import PRESETS
 from .registers import MODE
@@ -65,6 +65,16 @@ class Config(SubgroupSettings):
         if period <= guard:
             raise out_of_range(
                 "frame.period", period, guard + 1, self.sensor.period_max, f"above the guard of {guard} cycles"
+            )
+        if self.format not in (built := built_formats(self.sensor)):
+            raise InputError(
+                f"frame.format = {self.format!r}: must be one of {', '.join(built)}, because the sensor is built without"
+                " coarse offsets (sensor.offsets = 0)"
+            )
+        if self.frame["minigroup_records"] and not self.sensor.records:
+            raise InputError(
+                "frame.minigroup_records = true: must be false, because the sensor is built without minigroup records"
+                " (sensor.records = 0)"
             )
         check_link(self.frame["link_gbps"], self.clock_mhz)
         if np.any(np.diff(self.auto_bounds) < 0):

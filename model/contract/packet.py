@@ -90,10 +90,18 @@ FORMATS = {  # packets of events, in the order of the format register's values
     "compact-full": Packet(3, "event_full", (*_HEADER, MAP, OFFSETS), "full in groups", grouped=True),
 }
 FORMAT_NAMES = tuple(FORMATS)
+UNBUILT = tuple(name for name, packet in FORMATS.items() if packet.has("offsets"))  # without `Sensor.offsets`
 WITH_MAP = tuple(name for name, packet in FORMATS.items() if packet.has("map"))  # formats from which depth can be made
 RECORD = Packet(4, "record", (*_HEADER, ENTRIES))
 FRAME_START = Packet(6, "frame_start", _HEADER)
 FRAME_END = Packet(7, "frame_end", (*_HEADER, _COUNTERS))
+
+
+def built_formats(sensor: Sensor) -> tuple[str, ...]:
+    """Return the formats that a sensor has."""
+    return tuple(name for name in FORMATS if sensor.offsets or name not in UNBUILT)
+
+
 PACKETS = {packet.code: packet for packet in (*FORMATS.values(), RECORD, FRAME_START, FRAME_END) if not packet.grouped}
 
 

@@ -79,6 +79,8 @@ class Sensor:
     offset_phases: int = _integer(
         16, QUARTERS, "phases", offset=0x38, doc="Steps per clock cycle of the coarse offsets."
     )
+    offsets: int = _integer(1, 0, 1, offset=0x3C, doc="1: the formats with coarse offsets are built; 0: they are not.")
+    records: int = _integer(1, 0, 1, offset=0x98, doc="1: minigroup records are built; 0: they are not.")
 
     def __attrs_post_init__(self) -> None:
         for setting in SENSOR.values():

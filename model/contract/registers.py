@@ -22,7 +22,7 @@ ADDRESS_BITS = 20
 SUBGROUP_BASE = 0x1000
 SUBGROUP_STRIDE = 0x80
 ID_VALUE = 0x434F494E  # "COIN"
-VERSION_VALUE = 0x00020001  # 16 bits each for major and minor; every change that software can see raises it
+VERSION_VALUE = 0x00020002  # 16 bits each for major and minor; every change that software can see raises it
 
 Value = Callable[[Sensor], int]
 

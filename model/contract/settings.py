@@ -67,7 +67,10 @@ class FrameSettings:
         Kind.CHOICE, f"Event words: {_FORMATS_TOLD}.", default="id", choices=tuple(FORMATS), offset=0x50
     )
     minigroup_records: bool = _switch(
-        False, "1: minigroups have their own stamps, and a subgroup sends at most one record per period.", offset=0x54
+        False,
+        "1: minigroups have their own stamps, and a subgroup sends at most one record per period.",
+        high="records",
+        offset=0x54,
     )
     mg_threshold: int = _integer(
         2, 1, "minigroup_pixels", "Number of distinct pixels at which a minigroup latches.", unit="pixels", offset=0x58

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The configuration: settings by the names and values of the file, in files and in Python, and their consequences."""
 
+import re
+
 import numpy as np
 import pytest
 from attrs import asdict
@@ -110,6 +112,20 @@ def test_subgroup_settings_that_are_refused(settings, words):
         parse_config({}).with_settings(**settings)
     for word in words:
         assert word in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("frame", "told"),
+    [
+        ({"format": "full"}, "frame.format = 'full': must be one of short, id, compact, because"),
+        ({"format": "compact-full"}, "without coarse offsets (sensor.offsets = 0)"),
+        ({"minigroup_records": True}, "without minigroup records (sensor.records = 0)"),
+    ],
+)
+def test_what_is_not_built_is_refused(frame, told):
+    assert not parse_config({"sensor": {"offsets": 0, "records": 0}}).frame["minigroup_records"]
+    with pytest.raises(InputError, match=re.escape(told)):
+        parse_config({"sensor": {"offsets": 0, "records": 0}, "frame": frame})
 
 
 @pytest.mark.parametrize(

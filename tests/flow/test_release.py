@@ -32,7 +32,7 @@ from coincid.tb import toolchain
 from coincid.tb.rtl import rtl
 from coincid.tools.wheels import run_yosys
 
-from ..cases import SENSORS
+from ..cases import LEAN, SENSORS
 from ..releases import CLOCK_MHZ, SMALL, config, document, small_releases
 
 TOPS = [("silicon", TOP, SMOKE), ("fpga", TOP, SMOKE), ("fpga", FPGA_TOP, FPGA_SMOKE), ("async", TOP, SMOKE)]
@@ -132,10 +132,10 @@ def test_smoke_test_passes_on_verilator(releases):
     assert done.returncode == 0
 
 
-@pytest.mark.parametrize("name", ["tiny", "odd"])
-def test_smoke_test_of_other_sensors(name, tmp_path):
+@pytest.mark.parametrize("sensor", [SENSORS["tiny"], SENSORS["odd"], LEAN], ids=["tiny", "odd", "lean"])
+def test_smoke_test_of_other_sensors(sensor, tmp_path):
     folder = tmp_path / "rtl"
-    write_release(folder, parse_config({"sensor": SENSORS[name], "frame": {"period": 100}}))
+    write_release(folder, parse_config({"sensor": sensor, "frame": {"period": 100}}))
     for smoke in (SMOKE, FPGA_SMOKE):
         if (folder / f"{smoke}.f").exists():
             done = alone(f"iverilog -g2005 -s {smoke} -o smoke.vvp -f {smoke}.f && vvp -n smoke.vvp", folder)

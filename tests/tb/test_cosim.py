@@ -91,12 +91,21 @@ def test_streams_have_budgets_of_their_own(sensor, engine, tmp_path):
     assert all(record.checked for record in records)
 
 
+@pytest.mark.parametrize("engine", ["sliced", "icarus"])
+@settings(max_examples=1, phases=(Phase.explicit, Phase.generate), suppress_health_check=list(HealthCheck))
+@given(data=st.data())
+def test_random_frames_without_offsets_and_records(engine, tmp_path_factory, data):
+    jobs = data.draw(frames(cases.LEAN))
+    records, _ = play(jobs, engine, tmp_path_factory.mktemp(engine))
+    assert_all_checked(records, jobs)
+
+
 def test_sizes_reach_every_parameter():
     """Together, the sensors of the random tests change every parameter from its default."""
     default = Sensor()
     built = [
         Sensor(**{k: tuple(v) if isinstance(v, list) else v for k, v in sensor.items()})
-        for sensor in cases.SENSORS.values()
+        for sensor in (*cases.SENSORS.values(), cases.LEAN)
     ]
     for name in SENSOR:
         assert any(getattr(sensor, name) != getattr(default, name) for sensor in built), name
