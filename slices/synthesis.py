@@ -23,7 +23,7 @@ NETLIST, SOURCE, HEADER = "netlist.json", "slice.cpp", "slice.h"
 class Design:
     """A design in slices: a `folder` with its netlist and C++, made once. Raises `ToolchainError`, `NetlistError`.
 
-    name: of the build. sources: Verilog by file name. units: modules that repeat in the top, so that their code is written
+    name: of the build. sources: Verilog, or Yosys's RTLIL (`.il`), by file name. units: modules that repeat in the top, so that their code is written
     only once. sparse: inputs that are nearly always 0. before: Yosys's commands for the design as it was read.
     """
 
@@ -63,7 +63,7 @@ def _script(top: str, files: Sequence[str], units: Sequence[str], before: Sequen
     """Return the lines of Yosys's script."""
     small = " ".join(f"r:SIZE={rows}" for rows in range(1, ROWS_MIN))
     return [
-        f"read_verilog {' '.join(files)}",
+        *(f"{'read_rtlil' if file.endswith('.il') else 'read_verilog'} {file}" for file in files),
         f"hierarchy -check -top {top}",
         *(f"setattr -mod -set keep_hierarchy 1 {unit}" for unit in units),
         *before,

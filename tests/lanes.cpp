@@ -19,6 +19,7 @@ constexpr int ANSWER_CYCLES = 200;  // of the register bus, at most
 constexpr int LASER_CYCLES = 100;   // from a start's answer to the frame's first cycle, at most
 constexpr int QUIET_CYCLES = 40;    // of a stream that has said all it had to say
 constexpr int RESET_CYCLES = 4;
+constexpr uint32_t RESET = 16;
 constexpr int FRAMES = 3;           // of a trial
 constexpr int STARTS = 3;           // of a trial, before a refused one counts as a frame
 constexpr int AFTER = FRAMES;       // in a row: not a frame, but whether the settings read as they were written
@@ -26,9 +27,16 @@ enum Outcome { FINE = 0, BUS_WAITS, NEVER_DONE, REFUSED, NO_LASER, WITHOUT_LAST,
 enum Status : uint32_t { BUSY = 1, DONE = 2 };
 
 struct Edge { int64_t cycle; int32_t subgroup, bit; };
-struct Access { uint32_t address, value; };
+// strobe: of the bytes to write; 0: it is a read; RESET: it is none, but the sensor is reset. skew: cycles by which the data come after the address, or before it if
+// negative. hold: cycles until the answer is taken.
+struct Access {
+    uint32_t address, value, strobe;
+    int32_t skew, hold;
+};
+struct Upset { int32_t word; int64_t cycle; };  // the flip-flop's word; the edge after which it flips
 struct Recipe {
-    std::vector<Access> settings;
+    std::vector<Access> settings, during, after, beside;  // beside: those after, by the other host
+    std::vector<Upset> upsets;
     std::vector<Edge> edges;
     std::vector<uint8_t> ready;
     int64_t frame_cycles;
@@ -41,7 +49,6 @@ struct Shown {
     uint64_t gates = 0;
 };
 struct Row { int32_t trial, frame, outcome, shown, write, cycles; };  // write: whether an access was under way when it flipped
-struct Upset { int32_t word; int64_t cycle; };  // the flip-flop's word; the edge after which it flips
 
 // A part of a host's program. It returns an outcome to the part that awaits it.
 struct Task {
@@ -74,13 +81,14 @@ struct Task {
 class Host {
 public:
     // lane: whose outputs it reads. lanes: whose inputs it sets.
-    Host(Slice& slice, int lane, W lanes) : slice_(slice), lane_(lane), lanes_(lanes) {}
+    // bus: another host, which accesses registers while a frame is running.
+    Host(Slice& slice, int lane, W lanes, Host* bus = nullptr) : slice_(slice), lane_(lane), lanes_(lanes), bus_(bus) {}
 
     void begin(Task task) {
         task_ = std::move(task);
         next_ = task_.handle;
     }
-    void resume() { next_.resume(); }
+    void resume() { if (!idle()) next_.resume(); }
     bool idle() const { return !task_.handle || task_.handle.done(); }
 
     Task reset() {
@@ -91,20 +99,39 @@ public:
         co_return FINE;
     }
 
-    Task write(uint32_t address, uint32_t value) {
-        Busy writing(writing_);
-        put(IN_s_axi_awaddr, address);
-        put(IN_s_axi_wdata, value);
-        put(IN_s_axi_wstrb, 15);
-        bool address_waits = true, data_waits = true, answered = false;
+    Task write(uint32_t address, uint32_t value) { return access({address, value, 15, 0, 0}); }
+    Task read(uint32_t address) { return access({address, 0, 0, 0, 0}); }
+
+    Task access(Access of) {
+        if (of.strobe == RESET) {
+            was_reset_ = true;
+            co_return co_await reset();
+        }
+        Busy writing(writing_, of.strobe);
+        if (of.strobe) {
+            put(IN_s_axi_awaddr, of.address);
+            put(IN_s_axi_wdata, of.value);
+            put(IN_s_axi_wstrb, of.strobe);
+        } else put(IN_s_axi_araddr, of.address);
+        bool address_waits = true, data_waits = of.strobe, answered = false;
         for (int cycle = 0; cycle < ANSWER_CYCLES; cycle++) {
-            put(IN_s_axi_awvalid, address_waits);
-            put(IN_s_axi_wvalid, data_waits);
-            put(IN_s_axi_bready, !answered);
+            bool address_valid = address_waits && cycle >= -of.skew, data_valid = data_waits && cycle >= of.skew, ready = !answered && cycle >= of.hold;
+            if (of.strobe) {
+                put(IN_s_axi_awvalid, address_valid);
+                put(IN_s_axi_wvalid, data_valid);
+                put(IN_s_axi_bready, ready);
+            } else {
+                put(IN_s_axi_arvalid, address_valid);
+                put(IN_s_axi_rready, ready);
+            }
             if (answered && !address_waits && !data_waits) co_return FINE;
-            bool answers = !answered && get(OUT_s_axi_bvalid);
-            if (answers) response_ = get(OUT_s_axi_bresp);
-            bool address_goes = get(OUT_s_axi_awready), data_goes = get(OUT_s_axi_wready);
+            bool answers = ready && get(of.strobe ? OUT_s_axi_bvalid : OUT_s_axi_rvalid);
+            if (answers) {
+                response_ = get(of.strobe ? OUT_s_axi_bresp : OUT_s_axi_rresp);
+                if (!of.strobe) value_ = get(OUT_s_axi_rdata);
+            }
+            bool address_goes = address_valid && get(of.strobe ? OUT_s_axi_awready : OUT_s_axi_arready);
+            bool data_goes = data_valid && get(OUT_s_axi_wready);
             co_await step();
             address_waits &= !address_goes;
             data_waits &= !data_goes;
@@ -113,29 +140,9 @@ public:
         co_return BUS_WAITS;
     }
 
-    Task read(uint32_t address) {
-        put(IN_s_axi_araddr, address);
-        bool address_waits = true, answered = false;
-        for (int cycle = 0; cycle < ANSWER_CYCLES; cycle++) {
-            put(IN_s_axi_arvalid, address_waits);
-            put(IN_s_axi_rready, !answered);
-            if (answered && !address_waits) co_return FINE;
-            bool answers = !answered && get(OUT_s_axi_rvalid);
-            if (answers) {
-                value_ = get(OUT_s_axi_rdata);
-                response_ = get(OUT_s_axi_rresp);
-            }
-            bool address_goes = get(OUT_s_axi_arready);
-            co_await step();
-            address_waits &= !address_goes;
-            answered |= answers;
-        }
-        co_return BUS_WAITS;
-    }
-
-    Task program(const Recipe& of) {
-        for (Access access : of.settings)
-            if (int broken = co_await write(access.address, access.value)) co_return broken;
+    Task accesses(const std::vector<Access>& all) {
+        for (const Access& one : all)
+            if (int broken = co_await access(one)) co_return broken;
         co_return FINE;
     }
 
@@ -145,7 +152,7 @@ public:
         if (response_) {
             if (int broken = co_await read(STATUS)) co_return broken;
             if (int broken = co_await write(STATUS, ~0u)) co_return broken;
-            if (int broken = co_await program(of)) co_return broken;
+            if (int broken = co_await accesses(of.settings)) co_return broken;
             co_return REFUSED;
         }
         int outcome = FINE;
@@ -156,10 +163,15 @@ public:
             }
             co_await step();
         }
+        if (bus_) {
+            bus_->was_reset_ = false;
+            bus_->begin(bus_->accesses(of.during));
+        }
         bool ended[STREAMS] = {};
         size_t next = 0, dark = 0;
         bool all_ended = false;
         for (int64_t cycle = 0; !(all_ended && cycle >= of.frame_cycles) && cycle < of.limit && !outcome; cycle++) {
+            if (bus_ && bus_->was_reset_) break;
             for (; dark < next; dark++) light(of.edges[dark], false);
             for (; next < of.edges.size() && of.edges[next].cycle == cycle; next++) light(of.edges[next], true);
             bool ready = cycle >= int64_t(of.ready.size()) || of.ready[cycle];
@@ -178,6 +190,7 @@ public:
         }
         for (; dark < next; dark++) light(of.edges[dark], false);
         if (!outcome && !all_ended) outcome = WITHOUT_LAST;
+        while (bus_ && !bus_->idle()) co_await step();
         // Then the status shows it.
         for (int64_t wait = 0; wait <= of.limit; wait++) {
             if (int broken = co_await read(STATUS)) co_return broken;
@@ -200,7 +213,7 @@ public:
         for (int s = 0; s < STREAMS; s++) put(TREADY[s], false);
         if (status & ~uint32_t(BUSY | DONE)) {
             if (int broken = co_await write(STATUS, ~0u)) co_return broken;
-            if (int broken = co_await program(of)) co_return broken;
+            if (int broken = co_await accesses(of.settings)) co_return broken;
             if (!outcome) outcome = NOISY;
         } else if (int broken = co_await write(STATUS, DONE)) co_return broken;
         if (!outcome && (after || !(status & DONE))) outcome = NOISY;
@@ -209,9 +222,9 @@ public:
 
     // Return whether every setting reads as it was written.
     Task check(const Recipe& of) {
-        for (Access access : of.settings) {
-            if (int broken = co_await read(access.address)) co_return broken;
-            if (value_ != access.value || response_) co_return NOISY;
+        for (const Access& setting : of.settings) {
+            if (int broken = co_await read(setting.address)) co_return broken;
+            if (value_ != setting.value || response_) co_return NOISY;
         }
         co_return FINE;
     }
@@ -221,16 +234,18 @@ public:
         co_return FINE;
     }
 
-    // After the clock edge, registers flip.
-    void upset(Upset upset) {
-        upset_ = upset;
+    // After clock edges, counted from now on, registers flip.
+    void upset(std::span<const Upset> upsets) {
+        upsets_ = upsets;
         upset_write_ = false;
         edges_ = 0;
     }
     void edge() {
-        if (edges_++ != upset_.cycle) return;
-        slice_.put(upset_.word, lane_, !slice_.get(upset_.word, lane_));
-        upset_write_ = writing_;
+        for (; !upsets_.empty() && upsets_.front().cycle == edges_; upsets_ = upsets_.subspan(1)) {
+            slice_.word(upsets_.front().word) ^= lanes_;
+            upset_write_ = writing_;
+        }
+        edges_++;
     }
     bool upset_write() const { return upset_write_; }
     int64_t edges() const { return edges_; }
@@ -239,7 +254,7 @@ private:
     // Tells that something goes on, as long as it exists.
     struct Busy {
         bool& flag;
-        explicit Busy(bool& of) : flag(of) { flag = true; }
+        Busy(bool& of, bool on) : flag(of) { flag = on; }
         ~Busy() { flag = false; }
     };
     // The program goes on after the next clock edge.
@@ -270,12 +285,13 @@ private:
     Slice& slice_;
     int lane_;
     W lanes_;
+    Host* bus_;
     Task task_;
     std::coroutine_handle<> next_;
     uint32_t value_ = 0;
     int response_ = 0;
-    bool writing_ = false, upset_write_ = false;
-    Upset upset_ = {0, -1};
+    bool writing_ = false, upset_write_ = false, was_reset_ = false;
+    std::span<const Upset> upsets_;
     int64_t edges_ = 0;
 };
 
@@ -307,15 +323,36 @@ public:
                 Host& host = hosts[lane];
                 if (host.idle() && next < n) {
                     slice_.restore(lane, start_.data());
-                    host.upset(upsets[next]);
+                    host.upset({upsets + next, 1});
                     host.begin(trial(host, next++));
                 }
-                if (!host.idle()) host.resume();
+                host.resume();
                 busy |= !host.idle() || next < n;
             }
             pass(hosts);
         }
     }
+
+    // Let one host play all lanes: every frame, and all accesses. watched: words of registers that count as outputs do.
+    // differs[lane]: the recipe at which the lane begins to differ from lane 0, or -1.
+    void together(const int32_t* watched, int n, int32_t* differs) {
+        Host bus(slice_, 0, ONES), host(slice_, 0, ONES, &bus);
+        host.begin(session(host, bus));
+        slice_.settle();
+        std::fill_n(differs, LANES, -1);
+        while (!host.idle()) {
+            host.resume();
+            bus.resume();
+            W now = unlike_outputs() | unlike(watched, n);
+            if (any(now & ~different_)) {
+                different_ |= now;
+                for (int lane = 0; lane < LANES; lane++)
+                    if (differs[lane] < 0 && any(now & only(lane))) differs[lane] = recipe_;
+            }
+            pass({&host, 1});
+        }
+    }
+    W& word(int number) { return slice_.word(number); }
 
     std::vector<Row>& rows() { return rows_; }
     const Shown& shown(int number) const { return *shown_[number]; }
@@ -323,8 +360,24 @@ public:
 private:
     Task warmed_up(Host& host) {
         co_await host.reset();
-        if (int broken = co_await host.program(recipes_[0])) co_return broken;
+        if (int broken = co_await host.accesses(recipes_[0].settings)) co_return broken;
         for (int frame : {0, 1, 2, 0}) co_await play(host, -1, frame);
+        co_return FINE;
+    }
+
+    Task session(Host& host, Host& bus) {
+        co_await host.reset();
+        for (recipe_ = 0; recipe_ < int(recipes_.size()); recipe_++) {
+            const Recipe& of = recipes_[recipe_];
+            co_await host.accesses(of.settings);
+            host.upset(of.upsets);
+            int outcome = co_await play(host, recipe_, recipe_);
+            bool broken = outcome == BUS_WAITS || outcome == NEVER_DONE;
+            bus.begin(bus.accesses(of.beside));
+            if (!broken) broken = co_await host.accesses(of.after);
+            while (!bus.idle()) co_await host.idle(1);
+            if (broken) co_await host.reset();
+        }
         co_return FINE;
     }
 
@@ -368,6 +421,25 @@ private:
         slice_.settle();
     }
 
+    // Lanes that show something else than lane 0, where it counts.
+    W unlike_outputs() {
+        W found = unlike(OUT_laser) | unlike(OUT_spad_gate) | unlike(OUT_s_axi_bvalid) | unlike(OUT_s_axi_rvalid);
+        found |= unlike(OUT_s_axi_awready) | unlike(OUT_s_axi_wready) | unlike(OUT_s_axi_arready);
+        if (slice_.get(OUT_s_axi_bvalid[0], 0)) found |= unlike(OUT_s_axi_bresp);
+        if (slice_.get(OUT_s_axi_rvalid[0], 0)) found |= unlike(OUT_s_axi_rdata) | unlike(OUT_s_axi_rresp);
+        for (int s = 0; s < STREAMS; s++) {
+            found |= unlike(&TVALID[s], 1);
+            if (slice_.get(TVALID[s], 0)) found |= unlike(&TLAST[s], 1) | unlike(TDATA[s], 64);
+        }
+        return found;
+    }
+    W unlike(const int* words, int n) {
+        W found = ZEROS;
+        for (int k = 0; k < n; k++) found |= slice_.word(words[k]) ^ (slice_.get(words[k], 0) ? ONES : ZEROS);
+        return found;
+    }
+    template <int N> W unlike(const int (&words)[N]) { return unlike(words, N); }
+
     static W only(int lane) {
         W lanes = ZEROS;
         reinterpret_cast<uint64_t*>(&lanes)[lane / 64] = uint64_t(1) << (lane % 64);
@@ -376,6 +448,8 @@ private:
 
     Slice slice_;
     std::vector<Recipe> recipes_;
+    int recipe_ = 0;
+    W different_ = ZEROS;
     std::vector<uint64_t> start_;  // the lane's words
     std::vector<Row> rows_;
     std::vector<std::unique_ptr<Shown>> shown_;
@@ -387,14 +461,18 @@ private:
 extern "C" {
 Lanes* lanes_new() { return new Lanes(); }
 void lanes_delete(Lanes* lanes) { delete lanes; }
-void lanes_recipe(Lanes* lanes, int64_t settings, const Access* accesses, int64_t edges, const int64_t* cycle, const int64_t* subgroup, const int64_t* bit,
-                  int64_t ready_cycles, const uint8_t* ready, int64_t frame_cycles, int64_t limit) {
-    Recipe recipe{{accesses, accesses + settings}, {}, {ready, ready + ready_cycles}, frame_cycles, limit};
+void lanes_recipe(Lanes* lanes, int64_t settings, const Access* setting, int64_t n_during, const Access* during, int64_t n_after, const Access* after, int64_t n_beside, const Access* beside, int64_t upsets, const Upset* upset,
+                  int64_t edges, const int64_t* cycle, const int64_t* subgroup, const int64_t* bit, int64_t ready_cycles, const uint8_t* ready,
+                  int64_t frame_cycles, int64_t limit) {
+    Recipe recipe{{setting, setting + settings}, {during, during + n_during}, {after, after + n_after}, {beside, beside + n_beside}, {upset, upset + upsets}, {},
+                  {ready, ready + ready_cycles}, frame_cycles, limit};
     for (int64_t k = 0; k < edges; k++) recipe.edges.push_back({cycle[k], int32_t(subgroup[k]), int32_t(bit[k])});
     lanes->recipe(std::move(recipe));
 }
 void lanes_warm_up(Lanes* lanes) { lanes->warm_up(); }
 void lanes_run(Lanes* lanes, const Upset* upsets, int n) { lanes->run(upsets, n); }
+void lanes_together(Lanes* lanes, int64_t n, const int32_t* watched, int32_t* differs) { lanes->together(watched, int(n), differs); }
+W* lanes_word(Lanes* lanes, int number) { return &lanes->word(number); }
 int64_t lanes_rows(Lanes* lanes, const Row** rows) {
     *rows = lanes->rows().data();
     return int64_t(lanes->rows().size());

@@ -4,6 +4,7 @@
 import ctypes
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TypeAlias
 
 import numpy as np
 from attrs import define
@@ -23,6 +24,13 @@ OUTCOMES = ("fine", "the bus waits", "never done", "start refused", "no laser", 
 FRAMES = ("upset", "first", "second")  # of a trial
 AFTER = len(FRAMES)  # in the place of a frame: the settings as they read at the end
 GAP = 30  # idle cycles between frames
+Access: TypeAlias = tuple[
+    int, int, int, int, int
+]  # address, value, strobe (0: a read; RESET), skew, hold: as in `lanes.cpp`
+RESET = 16
+ACCESS = np.dtype(
+    [(name, np.uint32) for name in ("address", "value", "strobe")] + [(name, np.int32) for name in ("skew", "hold")]
+)
 UPSET = np.dtype([("word", np.int32), ("cycle", np.int64)], align=True)
 ROW = np.dtype([(name, np.int32) for name in ("trial", "frame", "outcome", "shown", "write", "cycles")])
 BEAT = np.dtype([("data", np.uint64), ("cycle", np.int64)])
@@ -48,9 +56,11 @@ class Lanes:
         functions: Functions = {
             "new": (pointer, []),
             "delete": (None, [pointer]),
-            "recipe": (None, [pointer, *[i64, pointer], *[i64, pointer, pointer, pointer], *[i64, pointer], i64, i64]),
+            "recipe": (None, [pointer, *5 * [i64, pointer], *[i64, *3 * [pointer]], *[i64, pointer], i64, i64]),
             "warm_up": (None, [pointer]),
             "run": (None, [pointer, pointer, ctypes.c_int]),
+            "together": (None, [pointer, i64, pointer, pointer]),
+            "word": (pointer, [pointer, ctypes.c_int]),
             "rows": (i64, [pointer, lists]),
             "forget": (None, [pointer]),
             "beats": (i64, [pointer, ctypes.c_int, ctypes.c_int, lists]),
@@ -66,17 +76,38 @@ class Lanes:
     def __exit__(self, *_: object) -> None:
         self._library.lanes_delete(self._lanes)
 
-    def recipe(self, config: Config, edges: Edges, ready: np.ndarray) -> None:
-        """Add a frame that every host plays."""
-        settings = np.array(config.register_writes(), np.uint32)
+    def recipe(
+        self,
+        config: Config,
+        edges: Edges,
+        ready: np.ndarray,
+        *,
+        during: Sequence[Access] = (),
+        after: Sequence[Access] = (),
+        beside: Sequence[Access] = (),
+        upsets: Sequence[tuple[int, int]] = (),
+        patient: bool = True,
+    ) -> None:
+        """Add a frame that every host plays. patient: it waits for frames that an upset makes as long as counters go.
+
+        Of `together` only: accesses during the frame and after it, and others beside the latter; upsets (word of a flip-flop,
+        cycle from the start's write on).
+        """
+        settings = [(address, value, 15, 0, 0) for address, value in config.register_writes()]
         columns = port_bits(config, edges)
         order = np.argsort(columns[0], kind="stable")
-        columns = [np.ascontiguousarray(column[order], np.int64) for column in columns]
         # A period or a frame that an upset makes longer lasts until the end of its counter.
-        longest = 2 * config.pulses * 2 * self._sensor.period_max
+        longest = 2 * config.pulses * 2 * self._sensor.period_max if patient else 0
         limit = 2 * cycle_limit(config, len(ready)) + longest
-        ready = np.ascontiguousarray(ready, np.uint8)
-        lists = [(settings,), tuple(columns), (ready,)]
+        lists = [
+            (np.array(settings, ACCESS),),
+            (np.array(list(during), ACCESS),),
+            (np.array(list(after), ACCESS),),
+            (np.array(list(beside), ACCESS),),
+            (np.array(sorted(upsets, key=lambda upset: upset[1]), UPSET),),
+            tuple(np.ascontiguousarray(column[order], np.int64) for column in columns),
+            (np.ascontiguousarray(ready, np.uint8),),
+        ]
         arguments = [x for arrays in lists for x in (len(arrays[0]), *(array.ctypes.data for array in arrays))]
         self._library.lanes_recipe(self._lanes, *arguments, config.frame_cycles, limit)
 
@@ -91,6 +122,20 @@ class Lanes:
         self._library.lanes_run(self._lanes, table.ctypes.data, len(table))
         rows = self._rows()
         return rows[np.argsort(rows["trial"], kind="stable")]
+
+    def together(self, faults: Sequence[int], watched: Sequence[int] = ()) -> tuple[np.ndarray, np.ndarray]:
+        """Let one host play all lanes from power-up; return its rows, and at which frame each lane begins to differ from lane 0.
+
+        faults: of each lane except lane 0, the word of an input that turns its fault on. watched: words of registers that
+        are compared, too. A lane that never differs has -1.
+        """
+        for lane, word in enumerate(faults, 1):
+            chunks = array_at(self._library.lanes_word(self._lanes, word), (LANES[-1] // 64,))
+            chunks[lane // 64] |= np.uint64(1 << lane % 64)
+        differs = np.zeros(LANES[-1], np.int32)
+        words = np.array(watched, np.int32)
+        self._library.lanes_together(self._lanes, len(words), words.ctypes.data, differs.ctypes.data)
+        return self._rows(), differs
 
     def shown(self, number: int) -> Shown:
         """Return the record with this number, the same one for equal frames."""
