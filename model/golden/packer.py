@@ -32,11 +32,11 @@ _FIRST, _LAST = np.uint64(1 << FIRST_LSB), np.uint64(1 << LAST_LSB)
 _HALF = BEAT_BITS // 2  # words are put down in halves, which a signed number holds
 _HALF_MASK = np.uint64((1 << _HALF) - 1)
 
-# begins: first beat of the open group, or -1. beat: the one that is being filled; fill: bits in it. pulse: of the open
+# begins: first beat of the open group, or -1. beat: the one that is being filled; filled: bits in it. pulse: of the open
 # group; age: of its last event. number: of groups before it. taken: cycle in which the last event went to work. formed,
 # packed: cycles in which the last part was formed, and in which it was packed or its group ended. form_from, pack_from,
 # beat_from: earliest cycles in which the next part is formed and packed, and the next beat leaves.
-_STATE = row_type("begins beat fill pulse age number taken formed packed form_from pack_from beat_from")
+_STATE = row_type("begins beat filled pulse age number taken formed packed form_from pack_from beat_from")
 
 
 @njit
@@ -56,7 +56,7 @@ def pack_event(packer, beats, sent_at, event, subgroup, hits, offsets, read_at, 
         close_group(packer, beats, sent_at, packer.form_from, next_ready)
     if packer.begins < 0:
         _open_group(packer, beats, sent_at, event.pulse, shape, next_ready)
-    bit = begin = packer.beat * PAYLOAD_BITS + packer.fill
+    bit = begin = packer.beat * PAYLOAD_BITS + packer.filled
     mapped, age = event.count > shape.listed_max, packer.pulse - event.pulse
     bit = _put(beats, bit, MAPPED if mapped else event.count, LISTED_BITS)
     bit = _put(beats, bit, event.overrun, 1)
@@ -122,10 +122,10 @@ def close_group(packer, beats, sent_at, cycle, next_ready):
         packer.formed = max(cycle, packer.packed)
         packer.beat_from = max(packer.beat_from, packer.formed + 1)
     while packer.begins >= 0:
-        last = packer.fill <= CHECK_LSB
+        last = packer.filled <= CHECK_LSB
         if last:
             beats[packer.beat] |= _LAST
-        packer.fill = PAYLOAD_BITS
+        packer.filled = PAYLOAD_BITS
         _send(packer, beats, sent_at, next_ready)
         if last:
             group = beats[packer.begins : packer.beat]
@@ -140,8 +140,8 @@ def _part(packer, beats, sent_at, bits, next_ready):
     packer.formed = max(packer.form_from, packer.packed)
     packer.packed = max(packer.formed + 1, packer.pack_from)
     packer.beat_from = max(packer.beat_from, packer.packed + 1)
-    packer.fill += bits
-    while packer.fill >= PAYLOAD_BITS:
+    packer.filled += bits
+    while packer.filled >= PAYLOAD_BITS:
         packer.pack_from = _send(packer, beats, sent_at, next_ready)
 
 
@@ -154,7 +154,7 @@ def _send(packer, beats, sent_at, next_ready):
     beats[packer.beat] |= _KIND | (_FIRST if packer.beat == packer.begins else np.uint64(0))
     sent_at[packer.beat] = cycle
     packer.beat += 1
-    packer.fill -= PAYLOAD_BITS
+    packer.filled -= PAYLOAD_BITS
     packer.beat_from = cycle + 1
     return cycle
 
