@@ -65,11 +65,13 @@ def controller(b: Bench):
     for k in range(STEPS + FILLED):
         b.always(body.filling[k] == (taken == 1 + k))
     for k, (one, candidate) in enumerate(zip(grown, candidates)):
-        begins = 2 + k
+        begins = 3 + k
+        growth = Cat(1, budget >> BUDGET_GROWTHS[k - 1]) if k else 0
+        b.always(body.growth == growth, where=frame & (taken == begins))
         b.always(body.grown == one[: DATA_BITS + 1], where=frame & (taken == begins + 1))
         b.always(body.bounded == Mux(one < capacity, one, capacity), where=frame & (taken == begins + 2))
         b.always(body.candidate == candidate, where=frame & (taken == begins + 3))
-        for place in range(k, STEPS):  # the candidates move on, one place for each that comes after them
+        for place in range(k + 1, STEPS):  # on their way to place k, one step for each candidate after them
             b.always(body.steps[place] == candidate, where=frame & (taken == begins + 3 + STEPS - place))
 
     # The sums. The counters of a subgroup are at work until those of the next one are complete.
@@ -90,8 +92,9 @@ def controller(b: Bench):
     b.always(frame & some, where=since_last != SETTLED)
     slots = Cat(since_last == 1 + k for k in range(SUMS))
     b.always(body.slot == slots)
-    b.always(body.adding == b.past(body.slot))
+    b.always(body.adding == b.past(slots.any()))
     b.always(body.added == b.past(body.adding))
+    b.always(body.of_all == Cat(b.past(slots[0]), b.past(slots[0], 2)))
     sums = [Signal(DATA_BITS + 1, name=f"expected_{k}") for k in range(SUMS)]
     fits = [Signal(name=f"expected_fits_{k}") for k in range(SUMS)]
     at_work = Signal(DATA_BITS + 1)

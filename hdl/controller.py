@@ -23,7 +23,7 @@ from .voted import Voted
 COMMITTED, LOWER = (divmod(COUNTER_NAMES.index(name), BEAT_BITS // COUNTER_BITS) for name in ("committed", "lower"))
 STEPS = 1 + len(BUDGET_GROWTHS)  # candidates for the next budget
 SUMS = 1 + STEPS  # what was committed, and what each of them would let through
-FILLED = 4  # cycles from the beginning of a frame to the first candidate: one for the first share, three to compute it
+FILLED = 5  # cycles from the beginning of a frame to the first candidate: one for the first share, four to compute it
 SETTLED = SUMS + 5  # cycles from the last beat of counters in a frame to the new budget and limit
 
 
@@ -32,8 +32,9 @@ class ControllerState:
 
     take: the settings take effect. known: the budget, a cycle later, because vote and sums take one cycle each.
     filling: which candidate is begun, in one hot, and the strobes of those on their way to `steps`.
-    slot: which sum the counters of a subgroup, `now` and `then`, are added to, in one hot. `steps` and `sums` rotate, so
-    that the first of each is at work. fits: for each sum, whether the stream can carry it. too_much, far_too_much: the
+    slot: which sum the counters of a subgroup, `now` and `then`, are added to, in one hot; adding, added: one and two cycles
+    later, for any sum; of_all: likewise, for the sum of what was committed. `steps` and `sums` rotate, so that the first of
+    each is at work. fits: for each sum, whether the stream can carry it. too_much, far_too_much: the
     stream cannot carry what was committed, nor half of it. most: the highest count on which the controller acts; top: not
     above the limit. fresh: no frame has been taken since reset.
     """
@@ -46,6 +47,7 @@ class ControllerState:
         self.share = Signal(DATA_BITS)
         self.known = Signal(DATA_BITS)
         self.filling = Signal(STEPS + FILLED)
+        self.growth = Signal(DATA_BITS + 1)  # the lowest bit carries a 1 into the sum
         self.grown = Signal(DATA_BITS + 1)
         self.bounded = Signal(DATA_BITS)
         self.candidate = Signal(DATA_BITS)
@@ -54,8 +56,9 @@ class ControllerState:
         self.committed = Signal(COUNTER_BITS)
         self.controlled = Signal()
         self.slot = Signal(SUMS)
-        self.adding = Signal(SUMS)
-        self.added = Signal(SUMS)
+        self.adding = Signal()
+        self.added = Signal()
+        self.of_all = Signal(2)
         self.now = Signal(COUNTER_BITS)
         self.then = Signal(COUNTER_BITS)
         self.part = Signal(COUNTER_BITS)
@@ -122,14 +125,14 @@ class Controller(Unit):
         state = self.state
         with m.If(state.take):
             m.d.sync += [state.capacity.eq(self.capacity), state.share.eq(self.share)]
-        growth = Signal(DATA_BITS + 1)  # the lowest bit carries a 1 into the sum
+        m.d.sync += state.growth.eq(0)
         for k, shift in enumerate(BUDGET_GROWTHS):
             with m.If(state.filling[2 + k]):
-                m.d.comb += growth.eq(Cat(1, state.known >> shift))
+                m.d.sync += state.growth.eq(Cat(1, state.known >> shift))
         m.d.sync += [
             state.known.eq(self.budget),
             state.filling.eq(Cat(state.take, state.filling)),
-            state.grown.eq(carry_select(m, Cat(1, state.known), growth, "grown_sum")[1:]),
+            state.grown.eq(carry_select(m, Cat(1, state.known), state.growth, "grown_sum")[1:]),
             state.bounded.eq(Mux(state.grown < state.capacity, state.grown, state.capacity)),
             state.candidate.eq(Mux(state.bounded > state.share, state.bounded, state.share)),
         ]
@@ -154,8 +157,9 @@ class Controller(Unit):
             m.d.sync += state.beat.eq(0)
         m.d.sync += [
             state.slot.eq(Cat(complete, state.slot)),
-            state.adding.eq(state.slot),
+            state.adding.eq(state.slot.any()),
             state.added.eq(state.adding),
+            state.of_all.eq(Cat(state.slot[0], state.of_all)),
         ]
 
     def _sums(self, m):
@@ -172,12 +176,12 @@ class Controller(Unit):
             m.d.sync += [step.eq(after) for step, after in zip(state.steps, (*state.steps[1:], last))]
         total = Signal(DATA_BITS + 2)
         m.d.comb += total.eq(carry_select(m, state.sums[0], state.part, "sum_of_part"))
-        with m.If(state.adding.any()):
+        with m.If(state.adding):
             m.d.sync += [one.eq(after) for one, after in zip(state.sums, state.sums[1:])]
             m.d.sync += state.sums[-1].eq(Mux(total[-1], ~0, total))
-        with m.If(state.added.any()):
+        with m.If(state.added):
             m.d.sync += state.fits.eq(Cat(state.fits[1:], state.sums[-1] <= state.capacity))
-        with m.If(state.added[0]):
+        with m.If(state.of_all[-1]):
             m.d.sync += state.far_too_much.eq(state.sums[-1] > Cat(0, state.capacity))
         with m.If(state.take):
             m.d.sync += [one.eq(0) for one in state.sums]
