@@ -12,11 +12,15 @@ from setuptools.command.editable_wheel import editable_wheel
 ROOMS = ("model", "tools", "host", "hdl", "slices", "tb", "flow", "formal", "lab", "study")
 DATA = ["*.v", "*.vh", "*.cpp", "*.c", "*.h", "presets/*.toml", "ray_scenes/*.xml", "*.html", "*.css", "*.js"]
 
-FIRST = "; import sys; sys.meta_path.sort(key=lambda finder: getattr(finder, '__module__', '') != '{}')\n"
+FIRST = (
+    "; import os, sys; elsewhere = [path for path in os.environ.get('PYTHONPATH', '').split(os.pathsep)"
+    " if path and os.path.isfile(os.path.join(path, 'coincid', '__init__.py'))];"
+    " elsewhere or sys.meta_path.sort(key=lambda finder: getattr(finder, '__module__', '') != '{}')\n"
+)
 
 
 class EditableWheel(editable_wheel):
-    """An editable install whose finder comes before the search of folders.
+    """An editable install whose finder comes before the search of folders, unless PYTHONPATH names other sources.
 
     A script in the folder above the clone would otherwise find the clone's folder, `coincid` without an `__init__.py`.
     """
