@@ -121,7 +121,6 @@ class Minigroup(Recorder):
     -----
     words : in, pixels * phases bits, the SPADs' edge words; mask : in, pixels (stage 0)
     root : out, phases, OR of the words of the unmasked pixels (stage 0: straight from the port to a register of the tree)
-    wakes : out, `root` is not 0 (stage 0)
     accept : in, the gate is open and a frame is running (stage 1)
     whole : in, the window covers the cycle; part : in, it covers the phases before `end`; first : in, the cycle's first phase (stage 2)
     at_first : out, pixels, the pixel's edge is at that phase (stage 2)
@@ -151,7 +150,6 @@ class Minigroup(Recorder):
                 "mask": In(pixels),
                 "accept": In(1),
                 "root": Out(phases),
-                "wakes": Out(1),
                 "whole": In(1),
                 "part": In(1),
                 "end": In(sensor.phase_bits),
@@ -198,8 +196,7 @@ class Minigroup(Recorder):
                 m.d.sync += state.phases_1[i].eq(phase | ~on.replicate(sensor.phase_bits))
         m.d.comb += [
             self.root.eq(any_of(m, roots, "root_or")),
-            self.wakes.eq(valid_0.any()),
-            state.awake_1.eq(self.wakes | state.valid_1.any()),
+            state.awake_1.eq(valid_0.any() | state.valid_1.any()),
             state.awake_3.eq(Cat(state.valid_1, state.valid_2, state.active, state.hit_3).any()),
         ]
         with m.If(state.awake_1):

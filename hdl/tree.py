@@ -101,9 +101,10 @@ class CoincidenceTree(Unit):
             place(m, f"minigroup_{g}", leaf, platform)
         # Root: sampled at stage 1, and decoded by the TDC line behind it.
         leaves = self.state.leaves
-        root = Signal(sensor.phases, reset_less=True)
-        with m.If(any_of(m, [leaf.wakes for leaf in leaves], "wakes_or") | root.any()):
-            m.d.sync += root.eq(any_of(m, [leaf.root for leaf in leaves], "root_or"))
+        root, sampled = Signal(sensor.phases, reset_less=True), Signal(sensor.phases)
+        m.d.comb += sampled.eq(any_of(m, [leaf.root for leaf in leaves], "root_or"))
+        with m.If(sampled.any() | root.any()):
+            m.d.sync += root.eq(sampled)
         m.d.comb += self.line.root.eq(root & self.accept.replicate(sensor.phases))
         self._strobes(m)
         self._window(m)
