@@ -101,7 +101,8 @@ class CoincidenceTree(Unit):
             place(m, f"minigroup_{g}", leaf, platform)
         # Root: sampled at stage 1, and decoded by the TDC line behind it.
         leaves = self.state.leaves
-        root, sampled = Signal(sensor.phases, reset_less=True), Signal(sensor.phases)
+        root = Signal(sensor.phases, reset_less=True)
+        sampled = Signal(sensor.phases)
         m.d.comb += sampled.eq(any_of(m, [leaf.root for leaf in leaves], "root_or"))
         with m.If(sampled.any() | root.any()):
             m.d.sync += root.eq(sampled)

@@ -142,7 +142,7 @@ def test_registers_can_be_changed_in_a_frame():
         rtl.begin(config, frame.edges)
         rtl.step(100)
         assert rtl.peek(1, "subgroup_0.dpcu.threshold_used") == 1
-        rtl.poke(1, "subgroup_0.dpcu.threshold_used", 63)
+        rtl.poke(1, "subgroup_0.dpcu.threshold", 63)
         record = rtl.end()
     late = record.commit_cycle > 120
     assert np.any(late & (record.commit_subgroup == 0)) and not np.any(late & (record.commit_subgroup == 1))
