@@ -82,7 +82,8 @@ def test_benchmark_measures_every_key(tmp_path, monkeypatch):
         return measured(*(key for key in bench.KEYS if key.startswith(f"frame_{size}_")))
 
     monkeypatch.setattr(bench, "build_sensor", lambda *_: None)
-    fast = ("photon_edges_per_s", "golden_cycles_per_s", "sliced_cycles_per_s", "sliced_many_cycles_per_s")
+    engines = ("golden", "golden_many", "sliced", "sliced_many")
+    fast = ("photon_edges_per_s", *(bench.CYCLES_PER_S.format(engine) for engine in engines))
     monkeypatch.setattr(bench, "_fast_rates", lambda job: measured(*fast))
     monkeypatch.setattr(bench, "_rate", lambda job, edges, engine: 500.0)
     monkeypatch.setattr(bench, "_in_new_process", in_new_process)
