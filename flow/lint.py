@@ -9,14 +9,14 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from ..hdl.emulator.ulx3s import BOARD_TOP
-from ..hdl.export import fpga_files
+from ..hdl.export import cell_files, fpga_files
 from ..hdl.sensor import FPGA_TOP, has_fpga_top
 from ..hdl.views import POLYPHASE, View
 from ..model.contract.parameters import TOP, Sensor
 from ..tb import toolchain
 from ..tb.rtl import rtl
 from .emulator_release import verilog_of
-from .release import tool_options
+from .release import CELLS_FOLDER, tool_options
 from .smoke import FPGA_SMOKE, SMOKE, smoke_test
 from .waivers import CONTROL_FILE, control_file
 
@@ -27,7 +27,8 @@ VERILATOR = ("--lint-only", "--timing", "--quiet-stats")
 def lint(sensor: Sensor, view: View = POLYPHASE) -> dict[str, str]:
     """Return tool -> its findings in the Verilog of `sensor`, "" if there are none. Raises `ToolchainError`.
 
-    view: from `hdl/views.py`; in a view with macros, lint sees the files for synthesis.
+    It sees the forms for standard cells, too, in a folder as in a release. view: from `hdl/views.py`; in a view with
+    macros, lint sees the files for synthesis.
     """
     files = {path.name: path.read_text() for path in (*rtl(sensor, view), *view.macros)}
     tops = {TOP: {}} if view.macros else {TOP: {}, SMOKE: {f"{SMOKE}.v": smoke_test(sensor)}}
@@ -35,12 +36,21 @@ def lint(sensor: Sensor, view: View = POLYPHASE) -> dict[str, str]:
     if view is POLYPHASE and has_fpga_top(sensor):
         fpga = fpga_files(sensor)
         tops |= {FPGA_TOP: fpga, FPGA_SMOKE: fpga | {f"{FPGA_SMOKE}.v": smoke_test(sensor, levels=True)}}
+    cells = {name: f"{CELLS_FOLDER}/{name}" for name in cell_files(sensor, view)}
+    plain = {
+        top: [*(name for name in files if top not in (FPGA_TOP, FPGA_SMOKE) or name != f"{TOP}.v"), *more]
+        for top, more in tops.items()
+    }
+    runs = [*plain.items(), (TOP, [cells.get(name, name) for name in plain[TOP]])]
+    for more in tops.values():
+        files |= more
+    files |= {cells[name]: text for name, text in cell_files(sensor, view).items()} | {CONTROL_FILE: control_file(view)}
     found = {"verilator": ""} | ({"icarus": ""} if shutil.which("iverilog") and not view.macros else {})
     with tempfile.TemporaryDirectory(prefix="coincid-") as folder:
-        for top, more in tops.items():
-            names = [*(name for name in files if top not in (FPGA_TOP, FPGA_SMOKE) or name != f"{TOP}.v"), *more]
-            for name, text in (files | more | {CONTROL_FILE: control_file(view)}).items():
-                (Path(folder) / name).write_text(text)
+        (Path(folder) / CELLS_FOLDER).mkdir()
+        for name, text in files.items():
+            (Path(folder) / name).write_text(text)
+        for top, names in runs:
             command = [str(toolchain.verilator()), *VERILATOR, *options, "--top-module", top, CONTROL_FILE, *names]
             found["verilator"] += _complaints(command, folder)
             if "icarus" in found:

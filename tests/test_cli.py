@@ -386,7 +386,7 @@ def test_every_waiver_is_needed():
             with pytest.MonkeyPatch.context() as patch:
                 patch.setattr("coincid.flow.lint.control_file", lambda view: "`verilator_config\n")
                 found += lint(parse_config({"sensor": sensor}).sensor, view)["verilator"]
-        files_of = {(rule, file) for rule, file in re.findall(r"%Warning-(\w+): ([\w.]+):", found)}
+        files_of = {(rule, file) for rule, file in re.findall(r"%Warning-(\w+): ([\w./]+):", found)}
         for waiver in wanted:
             assert any(waiver.rule == rule and fnmatch(file, waiver.files) for rule, file in files_of), waiver
 
