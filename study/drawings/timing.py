@@ -16,7 +16,7 @@ from ...hdl.axi import OKAY
 from ...hdl.sensor import SensorTop
 from ...model.contract import registers
 from ...model.contract.config import Config, parse_config
-from ...model.contract.packet import FORMATS, FRAME_END, FRAME_START, header_field
+from ...model.contract.packet import FORMATS, FRAME_END, FRAME_START, GROUP_KIND, header_field
 from ...tb.pysim import write_register
 from ..palette import DEEP_INK, FAINT, NOISE, PALE, SIGNAL
 from . import save
@@ -25,6 +25,7 @@ from .waveform import CLOCK_S, PHASES
 EDGES = {0: ((9, 22), (10, 25), (18, 30)), 3: ((37, 4),), 10: ((5, 1), (6, 2))}  # cycle: (pixel, phase)
 STALLED = range(26, 33)  # cycles of the frame in which `tready` is low
 PERIOD, START, BAD_THRESHOLD = 24, 1, 0
+KINDS = {FRAME_START.code: "S", FORMATS["id"].code: "E", GROUP_KIND: "G", FRAME_END.code: "F"}
 Row = dict[str, int]  # port -> value in a cycle
 
 
@@ -41,19 +42,19 @@ class Trace:
         return [row[name] for row in self.rows[begin:end]]
 
 
-def config() -> Config:
+def config(form: str) -> Config:
     return parse_config(
         {
             "sensor": {"rows": 8, "cols": 8, "phases": PHASES},
-            "frame": {"period": PERIOD, "pulses": 2},
+            "frame": {"period": PERIOD, "pulses": 2, "format": form},
             "subgroup": {"threshold": 2},
         }
     )
 
 
-def simulate() -> Trace:
-    """Write and read a register, have a write refused, then play a frame of two laser periods."""
-    of = config()
+def simulate(form: str) -> Trace:
+    """Write and read a register, have a write refused, then play a frame of two laser periods, with events of some form."""
+    of = config(form)
     sensor = SensorTop(of.sensor)
     rows: list[Row] = []
     accesses: list[int] = []
@@ -263,6 +264,23 @@ def event_packet(trace: Trace) -> Figure:
     )
 
 
+def group_of_events(trace: Trace) -> Figure:
+    """Draw a laser pulse's group of events, from the edges to its beats."""
+    begin, end = trace.frame, trace.frame + 60
+    words = trace.values("spad_0", begin, end)
+    pixels = [str(word.bit_count()) if word else None for word in words]
+    return draw(
+        [
+            ("laser", bits(trace.values("laser", begin, end)), "cycle 0 of each period"),
+            ("spad_0", pixels, "edges: pixels 9, 10, 18; 37 alone; 5, 6"),
+            ("tvalid", bits(trace.values("m_axis_tvalid", begin, end)), ""),
+            ("tready", bits(trace.values("m_axis_tready", begin, end)), ""),
+            ("tdata", _packets(trace, begin, end), "S: frame start, G: group of events"),
+        ],
+        "a group: the two events of a laser pulse, packed to the bit, format compact",
+    )
+
+
 def back_pressure(trace: Trace) -> Figure:
     """Draw a stream that stalls: an offered beat does not change until it is taken."""
     begin, end = trace.frame + 16, trace.frame + 40
@@ -278,7 +296,7 @@ def back_pressure(trace: Trace) -> Figure:
 
 
 def _packets(trace: Trace, begin: int, end: int) -> list[str | None]:
-    """Return the type of each beat: S frame start, E event, M map, F frame end, C counters; numbers keep boxes apart."""
+    """Return the type of each beat: S frame start, E event, M map, G group, F frame end, C counters; boxes are kept apart."""
     texts: list[str | None] = []
     following, number, open_beat = "", 0, False
     for row in trace.rows[:end]:
@@ -288,22 +306,23 @@ def _packets(trace: Trace, begin: int, end: int) -> list[str | None]:
         if not open_beat:
             number += 1
             kind = int(header_field(row["m_axis_tdata"], "kind"))
-            name = following or {FRAME_START.code: "S", FORMATS["id"].code: "E", FRAME_END.code: "F"}[kind]
+            name = following or KINDS[kind]
             following = {"E": "M", "F": "C", "C": "C"}.get(name, "")
         texts.append(name + "\u200b" * (number % 2))
         open_beat = not row["m_axis_tready"]
     return texts[begin:]
 
 
-PICTURES: dict[str, Callable[[Trace], Figure]] = {
-    "timing-register.svg": register_access,
-    "timing-frame.svg": frame_start,
-    "timing-event.svg": event_packet,
-    "timing-stall.svg": back_pressure,
+PICTURES: dict[str, tuple[str, Callable[[Trace], Figure]]] = {  # file: format of the events, and what draws it
+    "timing-register.svg": ("id", register_access),
+    "timing-frame.svg": ("id", frame_start),
+    "timing-event.svg": ("id", event_packet),
+    "timing-stall.svg": ("id", back_pressure),
+    "timing-group.svg": ("compact", group_of_events),
 }
 
 
 if __name__ == "__main__":
-    trace = simulate()
-    for name, picture in PICTURES.items():
-        save(picture(trace), name)
+    traces = {form: simulate(form) for form, _ in PICTURES.values()}
+    for name, (form, picture) in PICTURES.items():
+        save(picture(traces[form]), name)

@@ -104,8 +104,8 @@ def surface(folder: Path) -> Any:
 
 RESULTS: dict[str, tuple[Callable[[Path], Any], str]] = {
     "library": (library, "e1a2bbca0e7a02a6"),
-    "sim": (sim, "de9ca7f0118515e3"),
-    "sweep": (sweep, "f4071d4dc3ed1ecc"),
+    "sim": (sim, "60cf82bf9b7f0b4f"),
+    "sweep": (sweep, "5a5477cd90849935"),
     "bandwidth": (bandwidth, "8de2a0d77ad3a7fc"),
     "explorer": (explorer, "47c25634ca202e4b"),
     "thresholds": (

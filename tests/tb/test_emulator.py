@@ -152,12 +152,12 @@ def test_registers(port):
         (BUFFER_BASE, 0),
         (0x400000, 0),
         (own_address("seed") + 1, 0),
-        (0x3C, 0),  # in the sensor's address space
+        (0xFFC, 0),  # in the sensor's address space
     ):
         with pytest.raises(RefusedError):
             raw.write(at, value)
     ends = background_address(0) + 8, background_address(2), BUFFER_BASE + 8 * EMULATOR.buffer_beats
-    for at in (0x100100, *ends, 0xF00000, 0x3C):
+    for at in (0x100100, *ends, 0xF00000, 0xFFC):
         with pytest.raises(RefusedError):
             raw.read(at)
     driver.clear()
