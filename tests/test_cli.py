@@ -292,7 +292,12 @@ def exports(tmp_path_factory):
     subprocess.run(again, cwd=folder, env=os.environ | {"PYTHONHASHSEED": "17"}, check=True)
     assert sorted(path.name for path in folder.iterdir()) == ["again", "default"]
     folders = {"default": folder / "default", "again": folder / "again", "small": small_releases() / "silicon"}
-    return {name: {path.name: path.read_bytes() for path in of.iterdir()} for name, of in folders.items()}
+    return {name: contents(of) for name, of in folders.items()}
+
+
+def contents(folder):
+    """Return the files in a folder and in its folders: path -> bytes."""
+    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
 @pytest.mark.xdist_group("exports")
