@@ -148,10 +148,13 @@ def test_every_control_reaches_what_is_computed(tabs, address):
 
 def test_a_result_is_shown_only_beside_its_own_settings(tabs, address):
     tab = tabs(address)
-    put(tab, "threshold", 5)
-    assert tab.evaluate("document.body.dataset.state") == "asked"  # at once, before the server has answered
-    opacity = tab.evaluate("getComputedStyle(document.getElementById('results')).opacity")
-    assert float(opacity) < 0.1
+    state, opacity = tab.evaluate("""() => {
+        const field = document.querySelector("#controls [name='threshold']");
+        field.value = "5";
+        field.dispatchEvent(new Event("input", {bubbles: true}));
+        return [document.body.dataset.state, getComputedStyle(document.getElementById("results")).opacity];
+    }""")
+    assert state == "asked" and float(opacity) < 0.1  # at once, before the server has answered
     for threshold in (6, 7, 3):
         put(tab, "threshold", threshold)
     shown(tab)
