@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Layouts of the signals between the blocks: timing, settings, events. `model/contract/latency.py` gives their timing."""
 
+from enum import unique
+
 from amaranth.lib import data, enum
 
 from ..model.contract.packet import BEAT_BITS, HEADER
@@ -16,6 +18,7 @@ FRAME_SETTINGS = ("format", "minigroup_records", "mg_threshold", "mg_window")
 PLAN_SETTINGS = ("period", "pulses", "gate_step", "gate_every", "gate_steps", "dither_bits", "dither_seed")
 
 
+@unique
 class Operation(enum.Enum, shape=4):  # type: ignore[call-arg]  # Amaranth's enumeration, with a shape
     """Commands of the configuration bus to every subgroup. All codes have even parity, so an upset code does nothing."""
 
@@ -29,6 +32,7 @@ class Operation(enum.Enum, shape=4):  # type: ignore[call-arg]  # Amaranth's enu
     BEGIN = 0b1010  # begin the frame: clear the counters, set the threshold; data is the controller's lowest threshold
 
 
+@unique
 class Send(enum.Enum, shape=2):  # type: ignore[call-arg]
     """Kinds of packet that the readout grants."""
 

@@ -37,9 +37,7 @@ AGE_MAX = (1 << AGE_BITS) - 1
 MAP_PART_BITS = 64  # a map is packed in parts of this size
 FIRST_PIXELS = 3  # pixels that are packed with the fields of their event; then come two at a time
 PER_PART = 2
-LARGE_PIXELS = (
-    6  # of an event by which the controller's capacity is reckoned: with fewer, its streams would be overfull
-)
+LARGE_PIXELS = 6  # of an event in the controller's capacity; with fewer, the streams of near scenes are overfull
 
 
 @frozen
