@@ -21,8 +21,9 @@ from ..hdl.export import units_files
 from ..hdl.minigroup import Minigroup
 from ..hdl.packetizer import Packetizer
 from ..hdl.subgroup import Subgroup
-from ..model.contract.groups import LARGE_PIXELS, PAYLOAD_BITS, groups
-from ..model.contract.packet import BEAT_BITS, FORMATS, Packet, layout
+from ..lab.measures import event_beats
+from ..model.contract.config import parse_config, sensor_table
+from ..model.contract.packet import BEAT_BITS, FORMATS, layout
 from ..model.contract.parameters import CLOCK_MHZ, Sensor
 from ..model.shared.files import whole_file
 from .palette import BLUE, GREEN, INK, ORANGE, VIOLET
@@ -52,20 +53,13 @@ def area_per_pixel_um2(sensor: Sensor) -> float:
     return sum(block.instances * block.area_um2 for block in blocks) / (2 * sensor.pixels)
 
 
-def bits_of(sensor: Sensor, packet: Packet) -> int:
-    """Return the bits of an event in the stream; in groups, of one with `LARGE_PIXELS` pixels, whose pulse stays."""
-    if packet.grouped:
-        bits = groups(sensor).listed_bits(packet, 1 << sensor.stamp_bits, LARGE_PIXELS)
-        return -(-BEAT_BITS * bits // PAYLOAD_BITS)
-    return BEAT_BITS * layout(sensor).length(packet)
-
-
 def point(sensor: Sensor) -> dict[str, float]:
     """Return a sensor's costs: area, and per word format bits of an event and million events per second of a stream."""
+    config = parse_config({"sensor": sensor_table(sensor)})
     cycles = {name: layout(sensor).length(packet) for name, packet in FORMATS.items()}  # of the coder, too
     return (
         {"area_um2_per_pixel": round(area_per_pixel_um2(sensor), 1), "threshold_bits": sensor.count_bits}
-        | {f"bits_{name}": bits_of(sensor, packet) for name, packet in FORMATS.items()}
+        | {f"bits_{name}": round(BEAT_BITS * event_beats(config.with_frame(format=name))) for name in FORMATS}
         | {f"mevents_per_s_{name}": round(CLOCK_MHZ / n, 1) for name, n in cycles.items()}
     )
 

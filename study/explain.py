@@ -5,6 +5,7 @@ import numpy as np
 
 from ..lab.measures import event_beats, stream_beats
 from ..model.contract.config import Config
+from ..model.contract.link import stream_gbps
 from ..model.contract.packet import BEAT_BITS, FORMATS, WITH_MAP
 from ..model.shared.constants import SPEED_OF_LIGHT_M_S
 from .price import um2_per_pixel, uw_per_pixel
@@ -19,7 +20,7 @@ def meaning(config: Config) -> list[tuple[str, str]]:
     cycle_ns, metres_per_s = 1e3 / config.clock_mhz, SPEED_OF_LIGHT_M_S / 2
     window, threshold = _span(config.window), _span(config.threshold)
     frame_s = config.frame_cycles * cycle_ns * 1e-9
-    stream_gbps = BEAT_BITS * config.clock_mhz / 1e3
+    sent_gbps = float(stream_gbps(config.clock_mhz))
     controlled = (
         f", by the controller in {config.controlled.sum()} of {sensor.subgroups}" if config.controlled.any() else ""
     )
@@ -37,7 +38,7 @@ def meaning(config: Config) -> list[tuple[str, str]]:
         ("range", f"{config.period_ticks * tick_s * metres_per_s:.4g} m; no window opens in the last {sensor.guard} cycles"),
         ("frame", f"{config.pulses} pulses, {frame_s * 1e6:.4g} us: {1 / frame_s:,.0f} frames per second"),
         ("event", f"{config.format}: {beats:.3g} beats of {BEAT_BITS} bits" + " with three pixels" * FORMATS[config.format].grouped),
-        ("stream", f"{sensor.streams} of {stream_gbps:.4g} Gbit/s; the link takes {float(config.link_share):.1%} of its beats"),
+        ("stream", f"{sensor.streams} of {sent_gbps:.4g} Gbit/s; the link takes {float(config.link_share):.1%} of its beats"),
         ("events that fit", f"{config.capacity:,} per stream and frame, {config.capacity / frame_s / 1e6:.4g} million per second"),
         ("area", f"{um2_per_pixel(sensor):.0f} um2 per pixel in 45 nm, about"),
         ("power", f"{uw_per_pixel(config, KLUX) / 1e3:.3g} mW per pixel at {KLUX:g} klux, about"),
@@ -49,14 +50,14 @@ def warnings(config: Config) -> list[str]:
     sensor, frame = config.sensor, config.frame
     counters = float(stream_beats(config, *np.zeros((2, sensor.subgroups), np.int64)).max())
     link_beats = config.frame_cycles * float(config.link_share)
-    stream_gbps = BEAT_BITS * config.clock_mhz / 1e3
+    sent_gbps = float(stream_gbps(config.clock_mhz))
     coarse_bits = int(config.period - 1).bit_length()
     longest, pixels_on = int(config.window.max()), config.mask.sum(axis=1)
     records = frame["minigroup_records"]
     found = {
         f"streams = {sensor.streams} does not divide {sensor.subgroups} subgroups: some streams carry one more, and are full first.":
             sensor.subgroups % sensor.streams != 0,
-        f"link_gbps = {frame['link_gbps']:g} is more than a stream sends: {stream_gbps:g} Gbit/s.": frame["link_gbps"] > stream_gbps,
+        f"link_gbps = {frame['link_gbps']:g} is more than a stream sends: {sent_gbps:g} Gbit/s.": frame["link_gbps"] > sent_gbps,
         f"Counters fill {counters / link_beats:.0%} of the link: more pulses per frame would leave more for events.":
             counters > FILLED_BY_COUNTERS * link_beats,
         f"window_max = {sensor.window_max} ticks is built, and no window is longer than {longest}.": sensor.window_max > 2 * longest,
@@ -66,7 +67,7 @@ def warnings(config: Config) -> list[str]:
             bool(np.any(config.coincidence & (config.threshold == 1) & ~config.auto)),
         "window is set, but has no effect: coincidence is off.": "subgroup.window" in config.given and not config.coincidence.any(),
         "The controller is on, but coincidence is off: it has no effect.": bool(np.any(config.auto & ~config.coincidence)),
-        "The controller is on for one frame: it needs some seven to settle.": bool(config.controlled.any()) and config.frames == 1,
+        "The controller is on for one frame: it needs a few to settle.": bool(config.controlled.any()) and config.frames == 1,
         "The threshold is above the pixels that the mask leaves on: nothing can commit.":
             bool(np.any(config.coincidence & (config.threshold > pixels_on))),
         "A gate is set, but gating is off.":

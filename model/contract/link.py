@@ -20,20 +20,20 @@ _DENOMINATOR_MAX = 1 << 20  # denominator of the share: keeps its product with a
 
 def link_share(link_gbps: float, clock_mhz: float) -> Fraction:
     """Return the share of the cycles in which the link takes a beat, at most 1. link_gbps: 0 is as fast as the stream."""
-    share = Fraction(str(link_gbps)) / _stream_gbps(clock_mhz) if link_gbps else Fraction(1)
+    share = Fraction(str(link_gbps)) / stream_gbps(clock_mhz) if link_gbps else Fraction(1)
     return min(share, Fraction(1)).limit_denominator(_DENOMINATOR_MAX)
 
 
 def check_link(link_gbps: float, clock_mhz: float) -> None:
     """Raise `InputError` if the link takes beats in less than `SHARE_MIN` of the cycles."""
-    low_gbps = float(_stream_gbps(clock_mhz) * SHARE_MIN)
+    low_gbps = float(stream_gbps(clock_mhz) * SHARE_MIN)
     if 0 < link_gbps < low_gbps:
         raise InputError(
             f"frame.link_gbps = {link_gbps!r}: must be 0 (as fast as the stream) or from {low_gbps:g} to {LINK_GBPS_MAX:g}"
         )
 
 
-def _stream_gbps(clock_mhz: float) -> Fraction:
+def stream_gbps(clock_mhz: float) -> Fraction:
     """Return the bandwidth of a stream, which is one beat per cycle."""
     return BEAT_BITS * Fraction(str(clock_mhz)) / 1000
 
