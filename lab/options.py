@@ -30,7 +30,10 @@ class Option:
     high: float = 1
 
 
-_SCENES = "five-objects, letter-f, flat:METRES,REFLECTIVITY, two-targets:NEAR,FAR, two-returns:NEAR,FAR, sun-and-shade, tunnel"
+_SCENES = (
+    "five-objects, letter-f, flat:METRES,REFLECTIVITY, two-targets:NEAR,FAR, two-returns:NEAR,FAR, "
+    "returns:METRES[@REFLECTIVITY],..., sun-and-shade, tunnel"
+)
 _RAYS = "ray:five-objects, ray:glass, ray:corner, ray:retroreflector, ray:fog"
 _DATA_SETS = "; ".join(f"{name} ({what})" for name, (_, what) in DATA_SETS.items())
 _ALL = (

@@ -208,13 +208,18 @@ class Frame:
     def depth(self, returns: int = 1) -> Depth:
         """Return the frame's depth. The first return does not depend on their number, so measures take it from here."""
         found = self.run.depth(self.estimator, frame=self.number, returns=returns)
-        self.__dict__.setdefault("depth_m", found.depth_m[:, :, 0])
+        self.__dict__.setdefault("first", found)
         return found
 
     @cached_property
+    def first(self) -> Depth:
+        """The frame's depth, of which only the first return is to be used."""
+        return self.depth()
+
+    @property
     def depth_m(self) -> np.ndarray:
         """float64[rows, cols]: the likeliest distance; NaN = none."""
-        return self.depth().depth_m[:, :, 0]
+        return self.first.depth_m[:, :, 0]
 
     @property
     def truth_m(self) -> np.ndarray:

@@ -11,23 +11,34 @@ from matplotlib.collections import PatchCollection
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
+from ..model.depth.belief import SENTENCES, Reason
 from ..model.depth.quality import TOLERANCE_M, wrong_pixels, wrong_share
 from ..model.shared.files import FilePath
-from .palette import ALARM, NO_VALUE
-from .plot_style import DEPTH_MAP, new_figure, save_figure, style
+from .palette import ALARM, AMBER, BLUE, INK, MAUVE, NO_VALUE, OURS, SKY, VERMILION
+from .plot_style import DEPTH_MAP, legend_below, new_figure, save_figure, style
 
 PANEL_IN = 3.1
 PANELS_ACROSS = 5  # panels per row
 BLOCK_MAP, BLOCK_MAX = "Blues", 10  # light enough for black numbers up to the controller's highest threshold
+REASONS = {  # colours of the marks
+    Reason.NO_LIGHT: INK,
+    Reason.BACKGROUND: AMBER,
+    Reason.TWO_SURFACES: MAUVE,
+    Reason.FOLDED: BLUE,
+    Reason.GATE_EDGE: SKY,
+    Reason.EVENTS_LOST: VERMILION,
+    Reason.FEW_PHOTONS: OURS,
+}
 SCALE_MARGIN = 0.05  # relative to the range of depths, on both sides of the colour bar
 
 
 @frozen(eq=False)
 class Panel:
-    """A depth picture: title, float64[rows, cols] in metres (NaN = no depth)."""
+    """A depth picture: title, float64[rows, cols] in metres (NaN = no depth), and its reasons, uint8[rows, cols], if known."""
 
     title: str
     depth_m: np.ndarray
+    reason: np.ndarray | None = None
 
 
 def depth_row(
@@ -92,14 +103,28 @@ def draw_row(
             wrong = np.argwhere(wrong_pixels(panel.depth_m, truth_m, tolerance_m))
             frames = [Rectangle((col - 0.5, row - 0.5), 1, 1) for row, col in wrong]
             axis.add_collection(PatchCollection(frames, facecolor="none", edgecolor=ALARM, linewidth=0.5))
+            if panel.reason is not None:
+                _draw_reasons(axis, panel.reason)
         figure.colorbar(image, ax=list(axes), label="depth in m", extend="both", pad=0.01)
         notes = f"red frames: wrong, |error| > {100 * tolerance_m:.3g} cm"
+        if any(axis.get_legend_handles_labels()[1] for axis in axes):
+            notes += "; dots: depth that is not to be believed"
+            legend_below(figure, len(REASONS))
         if np.isnan(truth_m).any():
             notes += "; crosses: no truth, not counted"
         figure.supxlabel(notes, fontsize=9)
         if heading:
             figure.suptitle(heading, fontsize=12)
     return figure, shares
+
+
+def _draw_reasons(axis: Axes, reason: np.ndarray) -> None:
+    """Mark the pixels that are not to be believed."""
+    for one, colour in REASONS.items():
+        row, col = np.nonzero(reason == one)
+        if len(row):
+            told = SENTENCES[one].partition(":")[0]
+            axis.plot(col, row, "o", color=colour, markersize=2.5, markeredgewidth=0, label=told)
 
 
 def _draw_blocks(axis: Axes, title: str, blocks: np.ndarray, shape: tuple[int, ...]) -> None:

@@ -3,14 +3,16 @@
 
 import numpy as np
 
+from ..model.depth.belief import SENTENCES
 from ..model.depth.estimate import Depth
 from ..model.light.link_budget import Optics
 from ..model.shared.errors import InputError
 from ..model.shared.files import FilePath, whole_file
 
-_FIELDS, _NORMAL = ("x", "y", "z", "confidence"), ("nx", "ny", "nz")
-POINT = np.dtype([(name, "<f4") for name in _FIELDS])
-POINT_WITH_NORMAL = np.dtype([(name, "<f4") for name in (*_FIELDS, *_NORMAL)])
+_NORMAL = "nx", "ny", "nz"
+POINT = np.dtype([*((name, "<f4") for name in ("x", "y", "z", "confidence")), ("reason", "u1")])
+POINT_WITH_NORMAL = np.dtype([*POINT.descr, *((name, "<f4") for name in _NORMAL)])
+_PLY_TYPES = {"f": "float", "u": "uchar"}
 
 
 def point_cloud(depth: Depth, optics: Optics | None = None, *, normals: bool = False) -> np.ndarray:
@@ -29,8 +31,8 @@ def point_cloud(depth: Depth, optics: Optics | None = None, *, normals: bool = F
     Returns
     -------
     numpy.ndarray
-        Structured array with the fields `x` (to the right), `y` (down) and `z` (along the axis) in metres from the lens, `confidence`, and
-        `nx`, `ny`, `nz` with normals.
+        Structured array with the fields `x` (to the right), `y` (down) and `z` (along the axis) in metres from the lens, `confidence`,
+        `reason` (uint8, that of the pixel), and `nx`, `ny`, `nz` with normals.
 
     Raises
     ------
@@ -49,6 +51,7 @@ def point_cloud(depth: Depth, optics: Optics | None = None, *, normals: bool = F
     for name, part in zip("xyz", np.moveaxis(ray, 2, 0)):
         points[name] = (part[:, :, None] * depth.depth_m)[seen]
     points["confidence"] = depth.confidence[seen]
+    points["reason"] = np.broadcast_to(depth.reason[:, :, None], seen.shape)[seen]
     if normals and depth.slope_m is not None:
         for name, part in zip(_NORMAL, np.moveaxis(_normals(depth.depth_m, depth.slope_m, right, down, ray), 3, 0)):
             points[name] = part[seen]
@@ -83,7 +86,8 @@ def _tangents(pixels: int, fov_deg: float) -> np.ndarray:
 def write_ply(path: FilePath, points: np.ndarray) -> None:
     """Write points (`point_cloud`) as binary PLY, whole or not at all."""
     header = ["ply", "format binary_little_endian 1.0", "comment metres; x right, y down, z forward"]
-    fields = [f"property float {name}" for name in points.dtype.names or ()]
+    header += [f"comment reason {reason}: {told}" for reason, told in SENTENCES.items()]
+    fields = [f"property {_PLY_TYPES[points.dtype[name].kind]} {name}" for name in points.dtype.names or ()]
     header += [f"element vertex {len(points)}", *fields, "end_header", ""]
     with whole_file(path) as file:
         file.write("\n".join(header).encode() + points.tobytes())

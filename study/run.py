@@ -18,7 +18,7 @@ from ..model.light.light import BACKGROUNDS
 from ..model.light.link_budget import Optics
 from ..model.light.spad import Spad
 from ..model.scenes.ambient import Ambient
-from ..model.scenes.catalogue import BUILT_IN, usual_klux
+from ..model.scenes.catalogue import NAMES, usual_klux
 from ..model.scenes.scene import REFLECTIVITY, Scene
 from ..model.shared.errors import InputError
 from ..tb.replay import DEFAULT_VIEW
@@ -91,6 +91,10 @@ class Run(lab.Run):
         if not Path(path).parent.is_dir():
             raise InputError(f"{path}: cannot be written: the folder {Path(path).parent} does not exist")
         write_ply(path, self.point_cloud(**options))
+
+    def save_depth(self, path: str | Path, **options: Any) -> None:
+        """Write the depth as NPZ (`Depth.save`); `options` are those of `estimate_depth`."""
+        self.depth(**options).save(path)
 
     def save(self, path: str | Path) -> None:
         """Write the result file (NPZ), whole or not at all."""
@@ -182,7 +186,7 @@ def _check_order(config: object) -> None:
         return
     told = f"{type(config).__name__}: is no configuration"
     if isinstance(config, str | os.PathLike):
-        if str(config).partition(":")[0] not in BUILT_IN or Path(config).exists():
+        if str(config).partition(":")[0] not in NAMES or Path(config).exists():
             return
         told = f"{config!r}: is a scene"
     if told:

@@ -50,7 +50,7 @@ from .show.frame import frame_view
 if TYPE_CHECKING:
     from ..hdl.views import View
 
-EVENTS, REPORT, PAGE = "events.npz", "report.json", "report.html"
+EVENTS, DEPTH, REPORT, PAGE = "events.npz", "depth.npz", "report.json", "report.html"
 PICTURES = {  # file: (estimator of `model/depth/estimate.py`, suffix of the report's keys, heading)
     "depth.png": (DEFAULT_METHOD, "", "planes through the likelihood of all events"),
     "depth_peak.png": ("maximum", "_peak", "peak of every pixel's histogram, as in the paper"),
@@ -170,13 +170,13 @@ def simulate(
     reflectivity: float = REFLECTIVITY,
     view: "str | View" = DEFAULT_VIEW,
 ) -> dict[str, Any]:
-    """Simulate a scene; leave `PICTURES`, report.html, events.npz and report.json in `out`, and return the report.
+    """Simulate a scene; leave `PICTURES`, report.html, events.npz, depth.npz and report.json in `out`, and return the report.
 
     source: for `load_scene`; klux: for `ambient_klux`; background: one of `BACKGROUNDS`. threshold: of `fixed`; None: the
     configuration's, if it gives one, else the best of 1 to 7 for this scene. settling: frames of `auto`, of which the
     last one counts (None: `SETTLING` and that one). spad_gate: gating keeps the SPADs off outside the gate. events.npz: a
-    result file of all frames, in the order of `SCHEMES`. Raises `InputError`, and the errors of `play_schemes`; after a
-    `Mismatch`, only the report exists, with `mismatches` = 1.
+    result file of all frames, in the order of `SCHEMES`; depth.npz: `Depth.save` of `auto`. Raises
+    `InputError`, and the errors of `play_schemes`; after a `Mismatch`, only the report exists, with `mismatches` = 1.
     """
     shown = chosen_view(engine, view, config.clock_mhz, waves)
     config.check_map()
@@ -210,7 +210,7 @@ def simulate(
         "spad_gate": spad_gate,
         "configuration": settings_of(config),
     }
-    results = [out / name for name in (*PICTURES, EVENTS, PAGE)]
+    results = [out / name for name in (*PICTURES, EVENTS, DEPTH, PAGE)]
     compiled = partial(_prepare, engine, config.sensor, waves, shown)
     with Bar(console, lines=True) as bar, in_background(compiled) as preparing:
         bar.stage("photons")
@@ -237,6 +237,7 @@ def simulate(
         heading = f"{run.scene.name}, {ambient_shown} klux, {config.pulses} laser pulses"
         shares = _pictures(out, heading, titles, played.frames)
     write_result(out / EVENTS, played.arrays)
+    played.frames["auto"].first.save(out / DEPTH)
     if not _write_page(out / PAGE, heading, titles, played.frames):
         results.remove(out / PAGE)
     report = _report(played) | shares | given
@@ -278,7 +279,7 @@ def _pictures(out: Path, heading: str, titles: dict[str, str], seen: dict[str, F
     blocks = "the controller's thresholds", subgroup_image(auto.threshold, auto.config.sensor)
     for file, (method, suffix, what) in PICTURES.items():
         frames = {name: frame.by(method) for name, frame in seen.items()}
-        panels = [Panel(titles[name], frame.depth_m) for name, frame in frames.items()]
+        panels = [Panel(titles[name], frame.depth_m, frame.first.reason) for name, frame in frames.items()]
         depth_row(out / file, panels, auto.truth_m, f"{heading}: {what}", blocks=blocks)
         for name, frame in frames.items():
             key = f"wrong_share_{name}{suffix}"

@@ -5,16 +5,21 @@ Ref: paper IV (a histogram per pixel, and its peak), Fig. 7 (tolerance of a righ
 choice.
 """
 
+from collections.abc import Callable
+
 import numpy as np
-from attrs import frozen
+from attrs import asdict, frozen
 
 from ..contract.config import Config
+from ..contract.pixels import pixel_table
 from ..shared.constants import SPEED_OF_LIGHT_M_S, SUCCESS_TOLERANCE_S
 from ..shared.errors import check_integer
+from ..shared.files import FilePath, write_npz
 from ..shared.quantities import check_choice
 from .arrivals import SYSTEM_FWHM_S, pulse_sigma_ticks
-from .histograms import frame_events, pixel_image, subgroup_histograms
-from .peaks import live_share, pixel_peaks
+from .belief import SENTENCES, Reason, reasons
+from .histograms import Events, frame_events, frame_records, minigroup_step_ticks, pixel_image, subgroup_histograms
+from .peaks import live_share, pixel_peaks, record_live
 from .planes import find_surfaces
 
 RETURNS_MAX = 8
@@ -39,6 +44,8 @@ class Depth:
     confidence : numpy.ndarray
         float64[rows, cols, returns], from 0 to 1. For the first return, the probability that the pixel's light came from there
         (`planes`: that it is right by the paper's criterion); for the others, that they are not accidental background.
+    reason : numpy.ndarray
+        uint8[rows, cols], `belief.Reason`: whether the first return is to be believed (0), and if not, why.
     error_m : numpy.ndarray or None
         float64[rows, cols, returns], standard error in metres; only with `planes`.
     slope_m : numpy.ndarray or None
@@ -47,8 +54,14 @@ class Depth:
 
     depth_m: np.ndarray
     confidence: np.ndarray
+    reason: np.ndarray
     error_m: np.ndarray | None = None
     slope_m: np.ndarray | None = None
+
+    def save(self, path: FilePath) -> None:
+        """Write the arrays that there are as NPZ, whole or not at all; `sentences` are those of the reasons."""
+        arrays = {name: part for name, part in asdict(self).items() if part is not None}
+        write_npz(path, arrays | {"sentences": np.array([SENTENCES[reason] for reason in Reason])})
 
 
 def estimate_depth(
@@ -96,9 +109,10 @@ def estimate_depth(
     check_integer("returns", returns, 1, RETURNS_MAX)
     sigma_ticks = pulse_sigma_ticks(config, system_fwhm_s)
     events = frame_events(arrays, config, sigma_ticks, frame)
+    tick_m = config.tick_s * SPEED_OF_LIGHT_M_S / 2
+    pulses = config.pulses * (len(arrays["opened"]) if frame is None else 1)
+    error = slope = None
     if method == "planes":
-        tick_m = config.tick_s * SPEED_OF_LIGHT_M_S / 2
-        pulses = config.pulses * (len(arrays["opened"]) if frame is None else 1)
         surfaces = find_surfaces(
             events,
             config,
@@ -108,12 +122,42 @@ def estimate_depth(
             returns=returns,
             workers=workers,
         )
-        return Depth(surfaces.time * tick_m, surfaces.confidence, surfaces.error * tick_m, surfaces.slope * tick_m)
-    live = live_share(arrays, events, config, frame) if method == "background" else None
-    histograms = subgroup_histograms(arrays, config, sigma_ticks, source=source, frame=frame)
-    found = [
-        pixel_peaks(histogram, method, None if live is None else live[s], sigma_ticks, returns)
-        for s, histogram in enumerate(histograms)
-    ]
-    ticks, confidence = (pixel_image(np.stack(part), config.sensor) for part in zip(*found))
-    return Depth(ticks * config.tick_s * SPEED_OF_LIGHT_M_S / 2, np.where(np.isnan(ticks), 0.0, confidence))
+        ticks, confidence = surfaces.time, surfaces.confidence
+        error, slope = surfaces.error * tick_m, surfaces.slope * tick_m
+    else:
+        live, group = _live(arrays, events, config, source, frame) if method == "background" else (None, None)
+        step_ticks = 1 if source != "minigroup" else minigroup_step_ticks(config)
+        histograms = subgroup_histograms(arrays, config, sigma_ticks, source=source, frame=frame)
+        found = [
+            pixel_peaks(
+                histogram, method, live(s) if live else None, sigma_ticks, returns, group=group, step_ticks=step_ticks
+            )
+            for s, histogram in enumerate(histograms)
+        ]
+        ticks, confidence = (pixel_image(np.stack(part), config.sensor) for part in zip(*found))
+        confidence = np.where(np.isnan(ticks), 0.0, confidence)
+    everywhere = method != "planes" and source == "subgroup"
+    reason = reasons(events, config, sigma_ticks, pulses, ticks[:, :, 0], confidence[:, :, 0], everywhere)
+    return Depth(ticks * tick_m, confidence, reason, error, slope)
+
+
+def _live(
+    arrays: dict[str, np.ndarray], events: Events, config: Config, source: str, frame: int | None
+) -> tuple[Callable[[int], np.ndarray], np.ndarray | None]:
+    """Return the shares of the periods in which a subgroup's histograms could grow (`pixel_peaks`), and the groups of them."""
+    sensor = config.sensor
+    if source != "minigroup" or not config.frame["minigroup_records"]:
+        return live_share(arrays, events, config, frame).__getitem__, None
+    stamp, maps, bounds = frame_records(arrays, config, frame)
+    stored, dropped = (
+        arrays[name][slice(frame, frame + 1) if frame is not None else slice(None)]
+        for name in ("mg_stored", "mg_dropped")
+    )
+    lost = (stored + dropped).sum(axis=0) / np.maximum(stored.sum(axis=0), 1)
+    periods = config.pulses * len(stored)
+
+    def of_records(s: int) -> np.ndarray:
+        here = slice(bounds[s], bounds[s + 1])
+        return record_live((stamp[here], maps[here]), lost[s], sensor, config.period_ticks, periods)
+
+    return of_records, pixel_table(sensor).minigroup

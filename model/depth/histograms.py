@@ -172,7 +172,7 @@ def _histogram_maker(
     )
     use_records = source == "minigroup" and config.frame["minigroup_records"]
     if use_records:
-        records = _frame_records(arrays, config, frame)
+        records = frame_records(arrays, config, frame)
     elif source == "minigroup" and not events.offset.shape[1]:
         raise InputError("mg_offset: the result has no minigroup stamps, it must have format full or minigroup_records")
     pixel = pixel_table(sensor)
@@ -205,6 +205,11 @@ def _histogram_maker(
     return histogram_of
 
 
+def minigroup_step_ticks(config: Config) -> int:
+    """Return the ticks between the stamps of minigroups: those of the records, or the offsets of full events."""
+    return config.sensor.quarter_ticks if config.frame["minigroup_records"] else config.sensor.offset_ticks
+
+
 def pixel_image(values: np.ndarray, sensor: Sensor) -> np.ndarray:
     """Return [subgroups, pixels, ...] rearranged to [rows, cols, ...]."""
     table = pixel_table(sensor)
@@ -219,7 +224,7 @@ def by_subgroup(image: np.ndarray, sensor: Sensor) -> np.ndarray:
     return values
 
 
-def _frame_records(
+def frame_records(
     arrays: dict[str, np.ndarray], config: Config, frame: int | None
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return a frame's minigroup records by subgroup: stamps and maps [n, minigroups], bounds [subgroups + 1]."""

@@ -6,6 +6,7 @@ import math
 import numpy as np
 
 from ..contract.config import Config
+from ..contract.parameters import Sensor
 from ..contract.windows import armed_cycle, close_cycle
 from ..shared.compiled import njit
 from .histograms import Events
@@ -18,35 +19,48 @@ LIVE_MIN = 0.05  # share of periods; below it, pile-up cannot be corrected
 
 
 def pixel_peaks(
-    histogram: np.ndarray, method: str, live: np.ndarray | None, sigma_ticks: float, returns: int
+    histogram: np.ndarray,
+    method: str,
+    live: np.ndarray | None,
+    sigma_ticks: float,
+    returns: int,
+    *,
+    group: np.ndarray | None = None,
+    step_ticks: int = 1,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return (ticks, confidence), each float64[pixels, returns], from int32[pixels, bins].
 
-    live: float64[bins], `live_share`.
+    live: float64[bins], or [minigroups, bins] with `group`, int64[pixels], each pixel's minigroup; of `live_share` or
+    `record_live`. step_ticks: between the stamps in the histogram.
     """
     bins = histogram.shape[1]
     single = method == "maximum"
+    apart = round(APART_SIGMAS * sigma_ticks)
+    sigma_ticks = math.hypot(sigma_ticks, math.sqrt((step_ticks**2 - 1) / 12))  # an even spread over a step, in bins
     half = 0 if single else int(FILTER_SIGMAS * sigma_ticks + 0.5)
     pulse = np.exp(-0.5 * (np.arange(-half, half + 1) / sigma_ticks) ** 2)
     width = 1.0 if single else np.sqrt(2 * np.pi) * sigma_ticks  # a hit in the middle of the filter counts 1
-    shape = np.ones(bins)
-    if live is not None:
-        shape = np.convolve(live / live.mean(), pulse / pulse.sum(), mode="same")
+    if live is None:
+        live = shape = np.ones((1, bins))
+    else:
+        live = np.atleast_2d(live)
+        shape = np.stack([np.convolve(one / one.mean(), pulse / pulse.sum(), mode="same") for one in live])
     return _peaks(
         histogram,
         pulse * (width / pulse.sum()),
         width,
         shape,
-        np.ones(bins) if live is None else live,
+        live,
+        np.zeros(len(histogram), np.int64) if group is None else group,
         method == "background",
         0 if single else round(NEAR_SIGMAS * sigma_ticks),
-        round(APART_SIGMAS * sigma_ticks),
+        apart,
         returns,
     )
 
 
 @njit
-def _peaks(histogram, pulse, width, shape, live, by_evidence, near, apart, returns):
+def _peaks(histogram, pulse, width, shapes, lives, group, by_evidence, near, apart, returns):
     """Find every pixel's peaks. Only bins within a pulse of a hit are searched; no other bin is above the background."""
     pixels, bins = histogram.shape
     half = len(pulse) // 2
@@ -55,6 +69,7 @@ def _peaks(histogram, pulse, width, shape, live, by_evidence, near, apart, retur
     reached = np.empty(bins, np.int64)
     for i in range(pixels):
         total, number, until = 0, 0, 0
+        shape, live = shapes[group[i]], lives[group[i]]
         for k in range(bins):
             hits = histogram[i, k]
             if hits:
@@ -114,6 +129,23 @@ def _poisson_cdf(count, mean):
         term *= mean / k
         total += term
     return min(1.0, total)
+
+
+def record_live(
+    records: tuple[np.ndarray, np.ndarray], lost: float, sensor: Sensor, ticks: int, periods: int
+) -> np.ndarray:
+    """float64[minigroups, ticks]: share of the periods in which a minigroup of a subgroup could still latch at each tick.
+
+    A minigroup latches once in a period. records: stamps and maps, [n, minigroups]; lost: records for each that is there.
+    """
+    stamp, maps = records
+    live = np.empty((sensor.minigroups, ticks))
+    for g in range(sensor.minigroups):
+        latched = np.bincount(
+            stamp[maps[:, g] > 0, g] + 1, minlength=ticks
+        )  # a quarter of a cycle holds no second stamp
+        live[g] = 1 - np.repeat(np.cumsum(latched), sensor.quarter_ticks)[:ticks] * lost / periods
+    return np.maximum(live, LIVE_MIN)
 
 
 def live_share(arrays: dict[str, np.ndarray], events: Events, config: Config, frame: int | None) -> np.ndarray:

@@ -15,7 +15,7 @@ from ..shared.files import FilePath
 from ..shared.quantities import check_real
 from .daylight import SHADE, sun_and_shade, tunnel
 from .depth_file import depth_scene
-from .planes import FIVE_OBJECTS, LETTER_F, flat, planes_scene, two_returns, two_targets
+from .planes import FIVE_OBJECTS, LETTER_F, flat, planes_scene, returns, two_targets
 from .ray_scene import is_ray_scene, ray_scene
 from .scene import REFLECTIVITY, Scene
 
@@ -28,10 +28,16 @@ BUILT_IN: dict[
     "letter-f": ((), lambda rows, cols, name: planes_scene(LETTER_F, rows, cols, name)),
     "flat": ((("DISTANCE", 10.0), ("REFLECTIVITY", REFLECTIVITY)), flat),
     "two-targets": (_TWO, two_targets),
-    "two-returns": (_TWO, two_returns),
+    "two-returns": (
+        _TWO,
+        lambda rows, cols, name, *given: returns(rows, cols, name, [(m, given[2] / 2) for m in given[:2]]),
+    ),
     "sun-and-shade": ((("SHADE", SHADE),), sun_and_shade),
     "tunnel": ((("SHADE", SHADE),), tunnel),
 }
+
+RETURNS, AT = "returns", "@"  # the scene of any number of surfaces per pixel, and the sign before a reflectivity
+NAMES = (*BUILT_IN, RETURNS)
 
 USUAL_KLUX, DAYLIGHT_KLUX = 50.0, {"sun-and-shade": 100.0, "tunnel": 100.0}
 
@@ -59,8 +65,9 @@ def load_scene(
     source : str or numpy.ndarray
         An array of distances in metres (see `depth_scene`);
         a built-in scene with parameters after a colon (`five-objects`, `letter-f`, `flat:DISTANCE,REFLECTIVITY`, `two-targets:NEAR,FAR`
-        in stripes, `two-returns:NEAR,FAR` in every pixel, `sun-and-shade:SHADE`, `tunnel:SHADE`; distances are in metres, and SHADE is
-        the share of the light that reaches the shade); a depth file, `DEPTH` or `DEPTH,COLOUR` (see `depth_scene`); or a scene for the
+        in stripes, `two-returns:NEAR,FAR` in every pixel, `returns:METRES,METRES,...` in every pixel, each METRES or
+        METRES@REFLECTIVITY, `sun-and-shade:SHADE`, `tunnel:SHADE`; distances are in metres, and SHADE is the share of the light that
+        reaches the shade); a depth file, `DEPTH` or `DEPTH,COLOUR` (see `depth_scene`); or a scene for the
         ray tracer, `ray:NAME` or a Mitsuba file that ends with .xml.
     rows, cols : int
         Size of the sensor in pixels.
@@ -109,6 +116,8 @@ def load_scene(
     if is_ray_scene(source):
         return ray_scene(source, rows, cols, range_m=range_m)
     name, _, values = source.partition(":")
+    if name == RETURNS and _is_built_in(source):
+        return returns(rows, cols, source, _targets(values, range_m))
     if _is_built_in(source):
         defaults, build = BUILT_IN[name]
         return build(rows, cols, source, *_numbers(name, values, defaults, range_m))
@@ -118,12 +127,12 @@ def load_scene(
             raise InputError(f"scene {source!r}: names a colour picture, and another one is given: {colour}")
         colour = beside
     if not Path(depth).exists():
-        raise InputError(f"{depth}: no such file (built-in scenes: {', '.join(BUILT_IN)})")
+        raise InputError(f"{depth}: no such file (built-in scenes: {', '.join(NAMES)})")
     return depth_scene(depth, rows, cols, **options | {"colour": colour})
 
 
 def _is_built_in(source: str) -> bool:
-    return source.partition(":")[0] in BUILT_IN and not Path(source).exists()
+    return source.partition(":")[0] in NAMES and not Path(source).exists()
 
 
 def _numbers(name: str, text: str, defaults: tuple[tuple[str, float], ...], range_m: float) -> list[float]:
@@ -135,9 +144,26 @@ def _numbers(name: str, text: str, defaults: tuple[tuple[str, float], ...], rang
     values = []
     for i, (what, default) in enumerate(defaults):
         low, high = (NEAREST_M, range_m) if what in DISTANCES else (0.0, 1.0)
-        try:
-            value: float | str = float(given[i]) if i < len(given) else default
-        except ValueError:
-            value = given[i]
-        values.append(check_real(f"scene {name}: {what}", value, low, high))
+        values.append(_number(name, what, given[i] if i < len(given) else str(default), low, high))
     return values
+
+
+def _targets(text: str, range_m: float) -> list[tuple[float, float]]:
+    """Return (distance in metres, reflectivity) of each surface in `text`; those without one share the default evenly."""
+    parts = [one.partition(AT) for one in text.split(",")]
+    shared = str(REFLECTIVITY / len(parts))
+    return [
+        (
+            _number(RETURNS, "METRES", metres, NEAREST_M, range_m),
+            _number(RETURNS, "REFLECTIVITY", share if at else shared, 0.0, 1.0),
+        )
+        for metres, at, share in parts
+    ]
+
+
+def _number(scene: str, what: str, text: str, low: float, high: float) -> float:
+    try:
+        value: float | str = float(text)
+    except ValueError:
+        value = text
+    return check_real(f"scene {scene}: {what}", value, low, high)

@@ -4,6 +4,8 @@
 Ref: paper IV, Fig. 4; details that the paper does not give, and the other scenes, are our choice.
 """
 
+from collections.abc import Sequence
+
 import numpy as np
 from attrs import frozen
 
@@ -66,7 +68,16 @@ def two_targets(rows: int, cols: int, name: str, near_m: float, far_m: float, re
     return Scene(name=name, distance_m=distance_m, reflectivity=reflectivity, labels=1 + far)
 
 
-def two_returns(rows: int, cols: int, name: str, near_m: float, far_m: float, reflectivity: float) -> Scene:
-    """Return a mesh in front of a wall: each gets half of every pixel's light."""
-    distance_m = np.broadcast_to([near_m, far_m], (rows, cols, 2))
-    return Scene(name=name, distance_m=distance_m, reflectivity=reflectivity / 2, labels=1)
+def returns(rows: int, cols: int, name: str, targets: Sequence[tuple[float, float]]) -> Scene:
+    """Return surfaces that every pixel sees behind each other, as through meshes: (distance in metres, reflectivity) of each.
+
+    Every surface sends back the light of its reflectivity; none takes light from those behind it.
+    """
+    distance_m, reflectivity = np.transpose(targets)
+    shape = (rows, cols, len(targets))
+    return Scene(
+        name=name,
+        distance_m=np.broadcast_to(distance_m, shape),
+        reflectivity=np.broadcast_to(reflectivity, shape),
+        labels=1,
+    )

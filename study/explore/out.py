@@ -42,7 +42,7 @@ def picture_png(explored: Explored, frame: int) -> bytes:
     """Return truth and depth of a frame, as `make sim` draws them."""
     view, settings = explored.view(frame), explored.settings
     heading = f"{explored.run.scene.name}, {settings.values['klux']:g} klux"
-    figure, _ = draw_row([Panel(settings.values["method"], view.depth_m)], view.truth_m, heading)
+    figure, _ = draw_row([Panel(settings.values["method"], view.depth_m, view.reason)], view.truth_m, heading)
     return figure_bytes(figure, "png")
 
 

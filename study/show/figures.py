@@ -31,6 +31,7 @@ from bokeh.plotting import figure
 
 from ...model.contract.edges import Fate
 from ...model.contract.pixels import pixel_table
+from ...model.depth.belief import SENTENCES, Reason
 from ...model.depth.quality import TOLERANCE_M
 from ...model.shared.constants import SPEED_OF_LIGHT_M_S
 from ..palette import (
@@ -91,6 +92,7 @@ COMPARED = ("depth_m", "error_m", "drops")  # maps that are shown when two frame
 MAP_SIZE_PX, BAR_WIDTH_PX, BAR_AND_LABELS_PX = 168, 8, 44
 DEPTH_MARGIN = 0.05  # relative to the truth's span, on both sides of the colour scale
 CHOICE_MARKS = ("diamond", "circle")  # the chosen return, the others
+_SENTENCES = "|".join(SENTENCES[reason] for reason in Reason)
 
 
 @frozen
@@ -123,7 +125,8 @@ def map_columns(view: FrameView) -> Columns:
     pictures |= {name: getattr(view, name).astype(np.float32) for name in ("reflectivity", "signal", "background")}
     subgroup = pixel_table(sensor).subgroup.reshape(row.shape)
     pictures |= {"row": row.astype(np.int32), "col": col.astype(np.int32), "subgroup": subgroup.astype(np.int32)}
-    where = {"x": [-0.5], "y": [-0.5], "dw": [sensor.cols], "dh": [sensor.rows]}
+    pictures["reason"] = view.reason.astype(np.int32)
+    where = {"x": [-0.5], "y": [-0.5], "dw": [sensor.cols], "dh": [sensor.rows], "sentences": [_SENTENCES]}
     return {name: [picture] for name, picture in pictures.items()} | where
 
 

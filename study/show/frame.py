@@ -51,10 +51,11 @@ class ObjectView:
 class FrameView:
     """One frame, ready to be displayed.
 
-    Maps, float64[rows, cols]: truth_m, depth_m, error_m (depth - truth) and confidence, NaN = none; threshold (pixels
-    that a window of the subgroup needed) and drops (events that the subgroup's full FIFO dropped); reflectivity (NaN =
-    no target); signal and background, mean photons that the pixel detects in a laser period. candidate_m,
-    candidate_confidence: float64[rows, cols, CANDIDATES]. numbers: measures (`lab/measures.py`), and `sun_share`. objects: see
+    reason: uint8[rows, cols], `belief.Reason`. Maps, float64[rows, cols]: truth_m, depth_m, error_m (depth - truth) and
+    confidence, NaN = none; threshold (pixels that a window of the subgroup needed) and drops (events that the subgroup's
+    full FIFO dropped); reflectivity (NaN = no target); signal and background, mean photons that the pixel detects in a
+    laser period. candidate_m, candidate_confidence: float64[rows, cols, CANDIDATES]. numbers: measures
+    (`lab/measures.py`), and `sun_share`. objects: see
     `seen_objects`.
     """
 
@@ -64,6 +65,7 @@ class FrameView:
     depth_m: np.ndarray
     error_m: np.ndarray
     confidence: np.ndarray
+    reason: np.ndarray
     threshold: np.ndarray
     drops: np.ndarray
     reflectivity: np.ndarray
@@ -142,6 +144,7 @@ def frame_view(title: str, frame: Frame) -> FrameView:
         depth_m=depth_m,
         error_m=depth_m - frame.truth_m,
         confidence=np.where(np.isnan(depth_m), np.nan, found.confidence[:, :, 0]),
+        reason=found.reason,
         threshold=_of_subgroups(frame.threshold, config),
         drops=_of_subgroups(frame.counter("dropped"), config),
         reflectivity=np.where(scene.valid, np.take_along_axis(scene.reflectivity, nearest, 2)[:, :, 0], np.nan),

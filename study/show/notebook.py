@@ -49,7 +49,7 @@ def run_view(run: Run, frame: int = 0, method: str | None = None) -> FrameView:
 def summary(run: Run) -> str:
     """Return HTML: the first frame's truth and depth, and its numbers."""
     view = run_view(run)
-    figure, _ = draw_row([Panel("depth", view.depth_m)], view.truth_m, run.scene.name)
+    figure, _ = draw_row([Panel("depth", view.depth_m, view.reason)], view.truth_m, run.scene.name)
     picture = base64.b64encode(figure_bytes(figure, "png")).decode()
     rows = "".join(f"<tr><td>{escape(label)}</td><td>{escape(value)}</td></tr>" for label, value in number_rows(view))
     return (

@@ -25,7 +25,7 @@ function overMap(columns, {x, y}) {
   document.getElementById("pixel").textContent = [
     `row ${row}, column ${col}, subgroup ${at("subgroup")}`,
     `truth ${told("truth_m", 2, " m")}`, `depth ${told("depth_m", 2, " m")}`, `error ${told("error_m", 3, " m")}`,
-    `confidence ${told("confidence", 2)}`, `threshold ${told("threshold", 0, " pixels")}`, `drops of the subgroup ${told("drops", 0)}`,
+    `confidence ${told("confidence", 2)} (${columns.sentences[0].split("|")[at("reason")]})`, `threshold ${told("threshold", 0, " pixels")}`, `drops of the subgroup ${told("drops", 0)}`,
     `reflectivity ${told("reflectivity", 2)}`, `signal ${told("signal", 3)} and background ${told("background", 3)} photons per pulse`,
   ].join(" · ");
 }

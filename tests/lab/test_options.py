@@ -11,7 +11,7 @@ from coincid.cli import app
 from coincid.lab.options import OPTIONS
 from coincid.model.depth.estimate import DEFAULT_METHOD
 from coincid.model.light.light import BACKGROUNDS
-from coincid.model.scenes.catalogue import BUILT_IN
+from coincid.model.scenes.catalogue import NAMES
 from coincid.model.scenes.depth_file import SCALES
 from coincid.model.scenes.ray_scene import SCENES
 from coincid.model.scenes.scene import REFLECTIVITY
@@ -34,7 +34,7 @@ def test_the_command_and_the_function_have_the_same_options():
 
 def test_the_table_knows_what_there_is():
     assert all(
-        name in OPTIONS["scene"].doc for name in (*BUILT_IN, *(f"ray:{path.stem}" for path in SCENES.glob("*.xml")))
+        name in OPTIONS["scene"].doc for name in (*NAMES, *(f"ray:{path.stem}" for path in SCENES.glob("*.xml")))
     )
     assert OPTIONS["reflectivity"].default == REFLECTIVITY and OPTIONS["method"].default == DEFAULT_METHOD
     assert OPTIONS["background"].default == BACKGROUNDS[0] and all(

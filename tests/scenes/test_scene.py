@@ -80,6 +80,9 @@ def test_parameters_in_the_name():
     assert np.all(stripes[:, :4] == 5) and np.all(stripes[:, 4:] == 9)
     mesh = load_scene("two-returns:5,9,0.4", 8, 8)
     assert mesh.distance_m.shape == (8, 8, 2) and np.all(mesh.truth_m == 5) and np.all(mesh.reflectivity == 0.2)
+    four = load_scene("returns:4,4.15@0.3,4.3,4.45", 8, 8)
+    assert four.distance_m.shape == (8, 8, 4) and np.array_equal(four.distance_m[7, 7], [4, 4.15, 4.3, 4.45])
+    assert np.array_equal(four.reflectivity[0, 0], [0.1, 0.3, 0.1, 0.1])
 
 
 @pytest.mark.parametrize(
@@ -92,6 +95,9 @@ def test_parameters_in_the_name():
         ("flat:nan", "DISTANCE"),
         ("flat:1,0.4,7", "must be flat:DISTANCE,REFLECTIVITY"),
         ("letter-f:1", "must be letter-f"),
+        ("returns", "returns: METRES = '': must be a number from"),
+        ("returns:4,80", "returns: METRES = 80.0: must be"),
+        ("returns:4@2", "returns: REFLECTIVITY = 2.0: must be a number from 0 to 1"),
         ("letter-g", "five-objects, letter-f"),
     ],
 )

@@ -6,6 +6,7 @@ import sys
 
 import numpy as np
 import pytest
+from attrs import evolve
 
 import coincid
 from coincid.model.contract.result import EVENT_COLUMNS
@@ -85,10 +86,11 @@ def test_events_as_a_table(run, monkeypatch, with_pandas):
 def test_points_lie_where_their_pixels_look():
     depth_m = np.full((3, 5, 2), np.nan)
     depth_m[1, 2, 0], depth_m[0, 4, 0], depth_m[0, 4, 1] = 2.0, 4.0, 6.0
-    depth = Depth(depth_m, np.where(np.isnan(depth_m), 0, 0.5))
+    depth = Depth(depth_m, np.where(np.isnan(depth_m), 0, 0.5), np.zeros(depth_m.shape[:2], np.uint8))
+    depth.reason[0, 4] = 3
     corner, behind, middle = coincid.point_cloud(depth, Optics(fov_h_deg=90, fov_v_deg=60)).tolist()
-    assert middle == (0, 0, 2, 0.5)
-    x, y, z, _ = corner
+    assert middle == (0, 0, 2, 0.5, 0) and corner[4] == behind[4] == 3
+    x, y, z = corner[:3]
     assert (x / z, y / z) == pytest.approx((0.8, -2 / 3 * np.tan(np.radians(30))))
     assert np.linalg.norm((x, y, z)) == pytest.approx(4)
     assert behind[:3] == pytest.approx((1.5 * x, 1.5 * y, 1.5 * z))
@@ -99,14 +101,14 @@ def test_normals_of_a_wall_look_along_the_axis():
     tangent = (2 * np.arange(9) - 8) / 9
     depth_m = 3 * np.sqrt(1 + tangent[:, None] ** 2 + tangent**2)
     slope_m = np.stack(np.gradient(depth_m, edge_order=2), axis=2)
-    depth = Depth(depth_m[:, :, None], np.ones((9, 9, 1)), slope_m=slope_m)
+    depth = Depth(depth_m[:, :, None], np.ones((9, 9, 1)), np.zeros((9, 9), np.uint8), slope_m=slope_m)
     points = coincid.point_cloud(depth, Optics(fov_h_deg=90, fov_v_deg=90), normals=True)
     middle = points[np.abs(points["x"]) < 2]
     assert np.stack([middle[name] for name in ("nx", "ny", "nz")], axis=1) == pytest.approx(
         np.tile([0, 0, -1], (len(middle), 1)), abs=0.03
     )
     with pytest.raises(coincid.InputError, match="method must be planes"):
-        coincid.point_cloud(Depth(depth_m[:, :, None], np.ones((9, 9, 1))), normals=True)
+        coincid.point_cloud(evolve(depth, slope_m=None), normals=True)
 
 
 def test_ply_holds_the_points(run, tmp_path):
@@ -116,7 +118,9 @@ def test_ply_holds_the_points(run, tmp_path):
     header, _, data = (tmp_path / "cloud.ply").read_bytes().partition(b"end_header\n")
     assert header.startswith(b"ply\nformat binary_little_endian 1.0\n")
     assert f"element vertex {len(points)}\n".encode() in header
-    assert np.array_equal(np.frombuffer(data, [(name, "<f4") for name in ("x", "y", "z", "confidence")]), points)
+    fields = [*((name, "<f4") for name in ("x", "y", "z", "confidence")), ("reason", "u1")]
+    assert np.array_equal(np.frombuffer(data, fields), points)
+    assert b"property uchar reason\n" in header and b"comment reason 1: no light" in header
 
 
 @pytest.mark.parametrize("preset", ["silicon", "fpga"])

@@ -16,7 +16,7 @@ from coincid.model.depth.estimate import estimate_depth
 from coincid.model.depth.quality import wrong_share
 from coincid.model.scenes.catalogue import load_scene
 from coincid.study import simulate as job
-from coincid.study.simulate import EVENTS, PAGE, PICTURES, REPORT, SCHEMES, simulate
+from coincid.study.simulate import DEPTH, EVENTS, PAGE, PICTURES, REPORT, SCHEMES, simulate
 from coincid.tb import waves
 from coincid.tb.engines import ENGINES, SIMULATORS
 
@@ -85,7 +85,7 @@ def test_report_agrees_with_the_events(tmp_path):
     for name, k in SHOWN.items():
         assert report[f"events_{name}"] == np.sum(arrays["pulse"] // 4 == k)
     assert f"{report['events_fixed']:,}" in told
-    assert {path.name for path in tmp_path.iterdir()} == {*PICTURES, EVENTS, PAGE, REPORT}
+    assert {path.name for path in tmp_path.iterdir()} == {*PICTURES, EVENTS, DEPTH, PAGE, REPORT}
 
 
 def test_frames_see_the_same_light_under_their_own_thresholds(tmp_path):
