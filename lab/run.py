@@ -15,13 +15,14 @@ from ..model.contract.counters import COUNTER_NAMES
 from ..model.contract.edges import Edges
 from ..model.contract.packet import FORMATS
 from ..model.contract.result import ResultBuilder
-from ..model.depth.estimate import Depth, estimate_depth
+from ..model.depth.estimate import DEFAULT_METHOD, Depth, estimate_depth
 from ..model.depth.quality import wrong_pixels
 from ..model.golden.frame import Golden, Trace
 from ..model.light.light import Light
 from ..model.scenes.scene import Scene
 from ..model.shared.errors import InputError
 from ..tb.replay import replay
+from .compile_ahead import compile_ahead
 from .measures import MEASURES, Number, stream_beats
 from .setup import Setup, Watch, fingerprint, unwatched
 
@@ -94,6 +95,8 @@ class Run:
         """All avalanches, of all frames."""
         if self.setup.edges is not None:
             return self.setup.edges
+        if DEFAULT_METHOD in self.setup.estimators:
+            compile_ahead()
         photons = self.setup.photons
         return self.kept.get("photons", photons.key, lambda: photons.edges(self.workers, self.watch))
 

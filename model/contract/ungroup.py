@@ -172,7 +172,7 @@ def _events(beats, widths, minigroup, events, hits, offsets, n):
     stamp_bits = _read(beats, HEAD.pulse + HEAD.number, HEAD.stamp_bits)
     with_offsets = _read(beats, HEAD_BITS - HEAD.with_offsets, HEAD.with_offsets)
     pulse, bit = group_pulse, HEAD_BITS
-    hit = np.zeros(len(minigroup), np.bool_)
+    hit, in_hit = np.zeros(len(minigroup), np.bool_), np.zeros(len(minigroup), np.bool_)  # by pixel, by minigroup
     while bit + LISTED_BITS <= end:
         listed = _read(beats, bit, LISTED_BITS)
         if listed == 0:
@@ -201,11 +201,13 @@ def _events(beats, widths, minigroup, events, hits, offsets, n):
             for _ in range(listed):
                 hit[_read(beats, bit, widths.winner) % widths.pixels] = True
                 bit += widths.winner
+        in_hit[:] = False
         for i in np.flatnonzero(hit):
+            in_hit[minigroup[i]] = True
             hits[n, i // BEAT_BITS] |= np.uint64(1) << np.uint64(i % BEAT_BITS)
         row[_COUNT] = len(np.flatnonzero(hit))
         if with_offsets:
-            found = np.unique(minigroup[hit])
+            found = np.flatnonzero(in_hit)
             low, high = 0, len(found) - 1
             while low <= high:  # the lowest, the highest, and on to the middle
                 offsets[n, found[low]] = _read(beats, bit, widths.offset)

@@ -273,7 +273,8 @@ def log_likelihood(
 
     def average(s: int, prior: np.ndarray, common: np.ndarray, pixels: _Pixels) -> None:
         of_subgroup = _of_met(prior) if events.threshold[s] > 1 else prior
-        _over_lights(common, pixels, of_subgroup[chosen[s]], chosen[s].start, place[s], level, light)
+        near = np.ascontiguousarray(of_subgroup[chosen[s]])
+        _over_lights(common, pixels, near, chosen[s].start, place[s], level, light)
 
     subgroups = range(sensor.subgroups)
     if grid.prior is not None:

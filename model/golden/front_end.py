@@ -95,7 +95,9 @@ def _fields(key):
 @njit
 def front_end(key, bounds, shape, settings, timeline, pixel, counters):
     """Return fates in the order of time, events and minigroup records of all subgroups; add to `counters`."""
-    n, most = len(key), np.diff(bounds).max()  # edges: in total, and at most in a subgroup
+    n, most = len(key), 0  # edges: in total, and at most in a subgroup
+    for s in range(shape.subgroups):
+        most = max(most, bounds[s + 1] - bounds[s])
     events, records = _room_for_events(n, shape), _room_for_records(n if shape.minigroup_records else 0, shape)
     fate, accepted, windows = np.empty(n, np.uint8), np.empty(most, np.int64), np.empty((most, 2), np.int64)
     seen_at = np.empty(shape.pixels, np.int64)

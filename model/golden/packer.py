@@ -67,9 +67,10 @@ def pack_event(packer, beats, sent_at, event, subgroup, hits, offsets, read_at, 
         packer.age = age
     bit = _put(beats, bit, event.stamp, shape.stamp_bits)
     bit = _put(beats, bit, event.winner, shape.winner_bits)
-    pixels = np.array(
-        [i for i in range(shape.pixels) if hits[i // BEAT_BITS] >> np.uint64(i % BEAT_BITS) & np.uint64(1)]
-    )
+    is_hit, in_hit = np.zeros(shape.pixels, np.bool_), np.zeros(shape.minigroups, np.bool_)
+    for i in range(shape.pixels):
+        if hits[i // BEAT_BITS] >> np.uint64(i % BEAT_BITS) & np.uint64(1):
+            is_hit[i] = in_hit[shape.minigroup_of[i]] = True
     if mapped:
         _part(packer, beats, sent_at, bit - begin, next_ready)
         for part in range(0, shape.pixels, MAP_PART_BITS):
@@ -79,7 +80,8 @@ def pack_event(packer, beats, sent_at, event, subgroup, hits, offsets, read_at, 
                 bit = _put(beats, bit, np.int64(word), min(_HALF, part + width - half))
             _part(packer, beats, sent_at, width, next_ready)
     else:
-        others = _from_both_ends(pixels[pixels != event.winner])
+        is_hit[event.winner] = False
+        others = _from_both_ends(np.flatnonzero(is_hit))
         for k, pixel in enumerate(others):
             if k >= FIRST_PIXELS - 1 and (k - FIRST_PIXELS + 1) % PER_PART == 0:
                 _part(packer, beats, sent_at, bit - begin, next_ready)
@@ -87,7 +89,7 @@ def pack_event(packer, beats, sent_at, event, subgroup, hits, offsets, read_at, 
             bit = _put(beats, bit, pixel, shape.winner_bits)
         _part(packer, beats, sent_at, bit - begin, next_ready)
     if shape.event_has_offsets:
-        hit = _from_both_ends(np.unique(shape.minigroup_of[pixels]))
+        hit = _from_both_ends(np.flatnonzero(in_hit))
         for k in range(0, len(hit), PER_PART):
             begin = bit
             for minigroup in hit[k : k + PER_PART]:

@@ -48,6 +48,12 @@ def njit(function: Callable[..., Any] | None = None, *, allocates: bool = True, 
         _NUMBA.CACHE_DIR = others
 
 
+def is_compiled(room: str) -> bool:
+    """Whether some process has kept compiled code of a room's present sources."""
+    folder = _folder(room)
+    return folder is None or any(folder.rglob("*.nbi"))
+
+
 def _room(module: str) -> str:
     """Return the package below `coincid` that holds `module`."""
     return module.rpartition(".")[0].partition(".")[2]

@@ -1,12 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """Setups, runs, measures and campaigns: stages in time, digests of content, the same outcomes from all workers."""
 
+import sys
 from functools import partial
 
 import numpy as np
 import pytest
+from numba.core.dispatcher import Dispatcher
 
 from coincid.lab.campaign import KeptFiles, Processes, campaign, grouped, read_measures
+from coincid.lab.compile_ahead import estimate_anything
 from coincid.lab.dask_workers import Dask
 from coincid.lab.measures import MEASURES, SWEPT
 from coincid.lab.run import Kept, Run
@@ -16,6 +19,7 @@ from coincid.model.contract.edges import Edges
 from coincid.model.golden.frame import golden_result
 from coincid.model.light.spad import Spad
 from coincid.model.shared.errors import InputError
+from coincid.model.shared.interrupts import worker_processes
 
 SMALL = {"sensor": {"rows": 8, "cols": 16}, "frame": {"period": 60, "pulses": 20, "frames": 2}}
 NAMES = ("events", "wrong_share", "events_per_s")
@@ -43,6 +47,27 @@ def test_a_run_is_the_golden_models_for_edges_in_any_order():
         assert all(np.array_equal(one.result[name], expected[name]) for name in expected)
     early, late = other.frame_edges(0), other.frame_edges(-1)
     assert len(early) + len(late) == len(shuffled) and late.pulse.max() < 20
+
+
+def compiled_estimators():
+    """Return the kernels of the estimators and the types for which they are compiled, before and after a real frame."""
+
+    def signatures():
+        modules = [sys.modules[name] for name in sorted(sys.modules) if name.startswith("coincid.model.depth.")]
+        found = {f.py_func: f for module in modules for f in vars(module).values() if isinstance(f, Dispatcher)}
+        return {kernel.__name__: list(map(str, f.signatures)) for kernel, f in found.items()}
+
+    estimate_anything()
+    before, run = signatures(), Run(small(klux=20.0, estimators=("planes", "maximum")))
+    for name in run.setup.estimators:
+        assert run.frame(estimator=name)["wrong_share"] is not None
+    return before, signatures()
+
+
+def test_the_made_up_frame_has_all_code_of_the_estimators_compiled():
+    with worker_processes(1) as pool:
+        before, after = pool.submit(compiled_estimators).result()
+    assert before == after and sum(map(len, after.values())) > 10
 
 
 def test_a_changed_setting_keeps_the_photons_and_another_seed_does_not():
