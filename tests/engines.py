@@ -124,7 +124,9 @@ def main() -> None:
     with tempfile.TemporaryDirectory(prefix="coincid-") as scratch:
         folder, programs, rows = Path(scratch), {}, {}
         os.environ["COINCID_BUILD"] = str(folder / "build")
-        cost(lambda: rtl(sensor))  # in a process of its own: Yosys would keep threads here, and a fork would not have them
+        cost(
+            lambda: rtl(sensor)
+        )  # in a process of its own: Yosys would keep threads here, and a fork would not have them
         toolchain.verilator()
         for threads in (1, 2):
             (folder / f"lean{threads}").mkdir()
