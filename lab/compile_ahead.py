@@ -35,7 +35,8 @@ def estimate_anything() -> None:
 def made_up(config: Config) -> dict[str, np.ndarray]:
     """Return the arrays of a result in which every fourth pulse of a frame has left one event of two pixels per subgroup."""
     subgroup, pulse = (part.ravel() for part in np.indices((config.sensor.subgroups, config.pulses // 4)))
-    arrays = dict.fromkeys(EVENT_FIELDS, np.zeros(len(pulse), np.int64)) | {"subgroup": subgroup, "pulse": 4 * pulse}
+    arrays: dict[str, np.ndarray] = dict.fromkeys(EVENT_FIELDS, np.zeros(len(pulse), np.int64))
+    arrays |= {"subgroup": subgroup, "pulse": 4 * pulse}
     hits = np.zeros((len(pulse), -(-config.sensor.pixels // BEAT_BITS)), np.uint64)
     hits[:, 0] = 0b11
     arrays |= {"stamp": pulse * 0 + config.period_ticks // 2, "count": pulse * 0 + 2, "hits": hits}
