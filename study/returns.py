@@ -1,0 +1,247 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Four surfaces behind each other in every pixel, and a single point at 150 m: what it takes to see them.
+
+`python -m coincid.study.returns` prints the tables of docs/returns.md and draws its pictures. Surfaces send equal light;
+the background is that of a target of 40 %, so that it does not depend on the light.
+"""
+
+import sys
+from collections.abc import Iterator, Sequence
+from itertools import product
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.ticker import PercentFormatter
+
+from ..lab.campaign import Processes, grouped
+from ..lab.run import Run
+from ..lab.setup import Setup, seeded
+from ..model.contract.pixels import pixel_table
+from ..model.depth.histograms import SOURCES, pixel_histogram
+from ..model.depth.quality import TOLERANCE_M
+from ..model.light.light import Light, background_cps, signal_per_pulse
+from ..model.scenes.catalogue import AT, RETURNS
+from ..model.shared.constants import SPEED_OF_LIGHT_M_S
+from .palette import ALARM, GREY, INK, SERIES
+from .plot_style import legend_below, new_figure, save_figure, style
+
+IMAGES = Path(__file__).parents[1] / "docs" / "images"
+SENSOR = {"rows": 16, "cols": 16}
+SURFACES, STEPS_M, NEAREST_M = 4, (0.15, 0.3), (4.0, 4.1)  # the nearest surface: several places in a cycle
+PULSES, PHOTONS, KLUX, WINDOW = (
+    5000,
+    0.1,
+    50.0,
+    (2, 8),
+)  # of the picture: photons per pixel and pulse, from all surfaces; threshold, ticks
+RECORDS = {"minigroup_records": True, "mg_threshold": 1, "mg_window": 1}
+METHOD, SHOWN = "background", {"map": "pixel", "minigroup": "its minigroup's records", "subgroup": "its subgroup"}
+WINDOWS = ((0, 1), WINDOW, (2, 16), (3, 8))  # threshold 0: coincidence off
+LIGHTS, AMBIENTS, FRAMES = (0.02, 0.05, 0.1, 0.2, 0.6), (10.0, 50.0), (1000, 5000)
+FASTER = {"phases": 16, "coarse_bits": 11}, {"clock_mhz": 1000.0, "period": 500}  # cycles of half the length
+
+FAR_M, PERIOD = 150.0, 520  # cycles: 156 m
+POINT = {"rows": 8, "cols": 8}  # one subgroup sees the point
+PULSE_NJ, PULSE_PIXELS = 5.0, 1024  # the preset's laser pulse, and the pixels that share it
+ENERGIES_NJ = (0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0)  # on the point alone
+FAR_PULSES, FAR_KLUX, FAR_REFLECTIVITIES = (1000, 10_000), (10.0, 50.0), (0.1, 0.4)
+FAR_THRESHOLDS, FAR_WINDOW = (0, 2, 3), 8
+POINTS = 20  # measurements of each kind
+FOUND_SHARE = 0.9
+
+
+def targets(nearest_m: float, step_m: float) -> np.ndarray:
+    """float64[SURFACES]: distances of the surfaces."""
+    return nearest_m + step_m * np.arange(SURFACES)
+
+
+def setup(
+    nearest_m: float,
+    step_m: float,
+    photons: float = PHOTONS,
+    klux: float = KLUX,
+    pulses: int = PULSES,
+    window: tuple[int, int] = WINDOW,
+    faster: bool = False,
+) -> Setup:
+    """Return the setup of surfaces in every pixel. window: threshold and ticks."""
+    distance_m = targets(nearest_m, step_m)
+    reflectivity = photons / SURFACES / signal_per_pulse(distance_m, 1.0)
+    threshold, ticks = window
+    sensor, frame = FASTER if faster else ({}, {})
+    return Setup.of(
+        f"{RETURNS}:" + ",".join(f"{m:g}{AT}{share:.4g}" for m, share in zip(distance_m, reflectivity)),
+        sensor=SENSOR | sensor,
+        frame={"pulses": pulses} | RECORDS | frame,
+        subgroup={"coincidence": threshold > 0, "threshold": max(1, threshold), "window": ticks},
+        klux=klux,
+        background="even",
+        estimators=(),
+    )
+
+
+def all_found(run: Run) -> dict[str, float]:
+    """Return the share of the pixels with a return within the tolerance of each surface, by source of the histograms."""
+    shares = {}
+    for source in SOURCES:
+        depth_m = run.depth(f"{METHOD}/{source}", returns=SURFACES).depth_m
+        off_m = np.abs(depth_m[:, :, None] - run.scene.distance_m[0, 0][:, None])
+        shares[source] = float(np.mean(np.nanmin(np.nan_to_num(off_m, nan=np.inf), axis=3).max(axis=2) <= TOLERANCE_M))
+    return shares
+
+
+def found_table(run: Processes) -> Iterator[str]:
+    """Yield the rows of a Markdown table: per cent of the pixels with all surfaces, for pixel / subgroup / minigroup."""
+    cases = [
+        (step_m, pulses, window, klux) for step_m, pulses, window, klux in product(STEPS_M, FRAMES, WINDOWS, AMBIENTS)
+    ]
+    keys = [(*case, photons) for case in cases for photons in LIGHTS]
+    setups = {
+        key: [setup(nearest_m, key[0], key[4], key[3], key[1], key[2]) for nearest_m in NEAREST_M] for key in keys
+    }
+    table = grouped(setups, all_found, run)
+    yield "| apart | pulses | window | klux | " + " | ".join(f"{photons:g} photons" for photons in LIGHTS) + " |"
+    yield "| --- | ---: | --- | ---: |" + " ---: |" * len(LIGHTS)
+    for case in cases:
+        step_m, pulses, window, klux = case
+        shares = " | ".join(_per_cent(table[*case, photons]) for photons in LIGHTS)
+        yield f"| {100 * step_m:.0f} cm | {pulses} | {_window(window)} | {klux:g} | {shares} |"
+
+
+def _per_cent(outcomes: Sequence[dict[str, float]]) -> str:
+    return " / ".join(f"{100 * np.mean([one[source] for one in outcomes]):.0f}" for source in SOURCES)
+
+
+def _window(window: tuple[int, int]) -> str:
+    threshold, ticks = window
+    return f"threshold {threshold}, {ticks} ticks" if threshold else "coincidence off"
+
+
+def draw_returns(path: Path) -> None:
+    """Draw histograms of a pixel, its minigroup's records and its subgroup, with the surfaces and what is found."""
+    with style():
+        figure = new_figure(10, 6.6)
+        axes = figure.subplots(len(SOURCES), len(STEPS_M), sharey="row")
+        for column, step_m in zip(axes.T, STEPS_M):
+            run = Run(setup(NEAREST_M[0], step_m))
+            shares = all_found(run)
+            for axis, source in zip(column, SOURCES):
+                _draw_histogram(axis, run, source)
+                axis.set_title(f"{SHOWN[source]}, {100 * step_m:.0f} cm apart: {shares[source]:.0%} have all")
+            column[-1].set_xlabel("distance in m")
+        for axis in axes[:, 0]:
+            axis.set_ylabel("hits")
+        legend_below(figure)
+        save_figure(figure, path)
+
+
+def _draw_histogram(axis: Axes, run: Run, source: str) -> None:
+    config, pixel = run.config, int(np.flatnonzero(pixel_table(run.config.sensor).subgroup == 0)[27])
+    tick_m = config.tick_s * SPEED_OF_LIGHT_M_S / 2
+    surfaces_m = run.scene.distance_m[0, 0]
+    hits = pixel_histogram(run.result, config, pixel, source=source)
+    at_m = (np.arange(len(hits)) + 0.5) * tick_m
+    shown = np.abs(at_m - surfaces_m.mean()) < np.ptp(surfaces_m) / 2 + 0.3
+    axis.bar(at_m[shown], hits[shown], width=tick_m, color=SERIES[2])
+    for label, x_m, colour in (
+        ("surfaces", surfaces_m, GREY),
+        ("returns", run.depth(f"{METHOD}/{source}", returns=SURFACES).depth_m.reshape(-1, SURFACES)[pixel], ALARM),
+    ):
+        height = hits[shown].max() * (1.08 if label == "surfaces" else 1.18)
+        axis.plot(x_m, np.full(len(x_m), height), "v" if label == "surfaces" else "D", color=colour, label=label)
+
+
+def point(reflectivity: float, klux: float, pulses: int, threshold: int, energy_nj: float) -> Setup:
+    """Return the setup of a single point: all pixels of a subgroup see it, and the laser lights nothing else."""
+    share = energy_nj / PULSE_NJ * PULSE_PIXELS / (POINT["rows"] * POINT["cols"])
+    light = Light(
+        rows=POINT["rows"],
+        cols=POINT["cols"],
+        distance_m=np.array([FAR_M]),
+        signal_per_pulse=np.array([share * float(signal_per_pulse(FAR_M, reflectivity))]),
+        background_cps=background_cps(klux, reflectivity),
+    )
+    return Setup.of(
+        sensor=POINT,
+        frame={"pulses": pulses, "period": PERIOD},
+        subgroup={"coincidence": threshold > 0, "threshold": max(1, threshold), "window": FAR_WINDOW},
+        light=light,
+        estimators=(),
+    )
+
+
+def point_error_m(run: Run) -> float:
+    """Return the error of the point's distance, from the histogram of its subgroup; NaN without one."""
+    return float(run.depth(f"{METHOD}/subgroup").depth_m[0, 0, 0] - FAR_M)
+
+
+def far_errors(run: Processes) -> dict[tuple[float, float, int, int, float], np.ndarray]:
+    """Return the errors of `POINTS` measurements by (reflectivity, klux, pulses, threshold, energy)."""
+    keys = product(FAR_REFLECTIVITIES, FAR_KLUX, FAR_PULSES, FAR_THRESHOLDS, ENERGIES_NJ)
+    setups = {key: seeded(point(*key), POINTS) for key in keys}
+    return {key: np.array(errors) for key, errors in grouped(setups, point_error_m, run).items()}
+
+
+def far_table(errors: dict[tuple[float, float, int, int, float], np.ndarray]) -> Iterator[str]:
+    """Yield the rows of a Markdown table: the least energy with which `FOUND_SHARE` of the measurements are right."""
+    yield "| target | klux | pulses | " + " | ".join(_threshold(one) for one in FAR_THRESHOLDS) + " |"
+    yield "| --- | ---: | ---: |" + " ---: |" * len(FAR_THRESHOLDS)
+    for reflectivity, klux, pulses in product(FAR_REFLECTIVITIES, FAR_KLUX, FAR_PULSES):
+        cells = []
+        for threshold in FAR_THRESHOLDS:
+            of = {energy_nj: errors[reflectivity, klux, pulses, threshold, energy_nj] for energy_nj in ENERGIES_NJ}
+            enough = [energy_nj for energy_nj, error_m in of.items() if _right(error_m) >= FOUND_SHARE]
+            cells.append(_least(enough[0], of[enough[0]]) if enough else f"more than {ENERGIES_NJ[-1]:g} nJ")
+        yield f"| {reflectivity:.0%} | {klux:g} | {pulses} | " + " | ".join(cells) + " |"
+
+
+def _threshold(threshold: int) -> str:
+    return f"threshold {threshold}" if threshold else "coincidence off"
+
+
+def _right(error_m: np.ndarray) -> float:
+    return float(np.mean(np.abs(error_m) <= TOLERANCE_M))
+
+
+def _least(energy_nj: float, error_m: np.ndarray) -> str:
+    right = error_m[np.abs(error_m) <= TOLERANCE_M]
+    return f"{energy_nj:g} nJ, {100 * np.sqrt(np.mean(right**2)):.1f} cm"
+
+
+def draw_far(errors: dict[tuple[float, float, int, int, float], np.ndarray], path: Path) -> None:
+    """Draw the share of right measurements against the energy, for the darker target."""
+    with style():
+        figure = new_figure(10, 3.6)
+        axes = figure.subplots(1, len(FAR_KLUX) * len(FAR_PULSES), sharey=True)
+        for axis, (klux, pulses) in zip(axes, product(FAR_KLUX, FAR_PULSES)):
+            for threshold, colour in zip(FAR_THRESHOLDS, (INK, SERIES[2], SERIES[5])):
+                shares = [
+                    _right(errors[FAR_REFLECTIVITIES[0], klux, pulses, threshold, energy]) for energy in ENERGIES_NJ
+                ]
+                axis.plot(ENERGIES_NJ, shares, "-o", color=colour, label=_threshold(threshold))
+            axis.set(xscale="log", xlabel="laser pulse in nJ", title=f"{klux:g} klux, {pulses} pulses")
+            axis.yaxis.set_major_formatter(PercentFormatter(1))
+        axes[0].set_ylabel(f"right at {FAR_M:g} m, {FAR_REFLECTIVITIES[0]:.0%} target")
+        legend_below(figure)
+        save_figure(figure, path)
+
+
+def main(folder: Path) -> None:
+    draw_returns(folder / "returns.png")
+    with Processes() as run:
+        for line in found_table(run):
+            print(line)
+        bright = {
+            faster: [setup(m, STEPS_M[0], LIGHTS[-1], faster=faster) for m in NEAREST_M] for faster in (False, True)
+        }
+        for faster, outcomes in grouped(bright, all_found, run).items():
+            print(f"{LIGHTS[-1]:g} photons, {15 if faster else 30} cm per cycle: {_per_cent(outcomes)} %")
+        errors = far_errors(run)
+    for line in far_table(errors):
+        print(line)
+    draw_far(errors, folder / "returns_far.png")
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]) if len(sys.argv) > 1 else IMAGES)
