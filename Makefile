@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 # Every target sets up what it needs first (scripts/setup); `make help` lists targets and options.
 BIN := .venv/bin
-# Ignore an environment or search path that the caller has activated.
-unexport PYTHONPATH PYTHONHOME VIRTUAL_ENV
+# Ignore an environment or search path that the caller has activated, and keep compiled modules: there are a thousand of them.
+unexport PYTHONPATH PYTHONHOME PYTHONDONTWRITEBYTECODE VIRTUAL_ENV
 
 # $(call option,scene,SCENE): --scene 'value' if SCENE= was given.
 option = $(if $(value $2),--$1 '$(value $2)')
@@ -44,6 +44,7 @@ check: ## quick checks before a commit: style, and the tests of tests/quick.txt
 	@$(BIN)/ruff check .
 	@$(BIN)/ruff format --check .
 	@$(BIN)/python -m pytest -n 2 --dist loadgroup $(PYTEST_ARGS) @tests/quick.txt
+
 emulate: ## the simulated emulator behind its serial pins, every word checked (PORT=/dev/ttyUSB0: on a board); depth in build/emulate/
 	@scripts/setup
 	@$(BIN)/coincid emulate $(if $(PORT),--port '$(value PORT)',--simulate) $(call option,scene,SCENE) $(call option,klux,KLUX) \

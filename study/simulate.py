@@ -10,6 +10,7 @@ import json
 import os
 import time
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -43,7 +44,6 @@ from ..tb.errors import Mismatch
 from ..tb.frames import FrameJob, Recorded
 from ..tb.replay import DEFAULT_VIEW, chosen_view
 from ..tb.waves import views
-from .pictures import Panel, depth_row
 from .progress import Bar
 from .show.frame import frame_view
 
@@ -253,7 +253,11 @@ def simulate(
 
 
 def _prepare(engine: str, sensor: Sensor, waves: bool, view: "View | None") -> None:
-    """Compile what an engine of the RTL needs; the golden model has no view."""
+    """Import what draws, and compile what an engine of the RTL needs (the golden model has no view): both take long."""
+    from . import pictures  # noqa: F401
+
+    with suppress(InputError), extra("explore"):
+        from .show import report  # noqa: F401
     if view is not None:
         from ..tb.play import prepare
 
@@ -274,6 +278,8 @@ def _write_page(path: Path, heading: str, titles: dict[str, str], seen: dict[str
 
 def _pictures(out: Path, heading: str, titles: dict[str, str], seen: dict[str, Frame]) -> dict[str, Number]:
     """Write `PICTURES`; return the shares of wrong pixels, by the paper's criterion and by 15 cm, under the report's keys."""
+    from .pictures import Panel, depth_row
+
     shares: dict[str, Number] = {}
     auto = seen["auto"]
     blocks = "the controller's thresholds", subgroup_image(auto.threshold, auto.config.sensor)
