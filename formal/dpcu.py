@@ -100,6 +100,8 @@ def dpcu(b: Bench):
     b.always(unit.window_ticks == b.last(Mux(settings.coincidence, settings.window, 1)), where=b.past(1))
     b.always(body.threshold == threshold, where=in_frame & b.past(1, 3))
     b.always(body.lower_threshold + 1 == threshold, where=in_frame & begun)
+    meets_lower = b.past(closed & (window.count + 1 >= threshold))
+    b.always(body.meets_lower == meets_lower, where=b.past(in_frame & begun))
 
     # The balance of the counters. A commit is stored or dropped one cycle later.
     under = b.same("under", count["opened"] != FULL_OF_CYCLES)

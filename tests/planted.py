@@ -93,6 +93,7 @@ MISTAKES: dict[tuple[str, tuple[str, ...], tuple[tuple[str, ...], ...]], dict[st
     },
     ("hdl/dpcu.py", ("dpcu",), (FRAMES, SLICED)): {
         "threshold-above": ("self.window.count >= state.threshold", "self.window.count > state.threshold"),
+        "lower-above": ("self.window.count >= state.lower_threshold", "self.window.count > state.lower_threshold"),
         "lower-as-committed": ("lower_threshold.eq(state.threshold - 1)", "lower_threshold.eq(state.threshold)"),
         "ceiling-above": ('count["opened"] >= self.data', 'count["opened"] > self.data'),
         "threshold-rises-early": ('count["committed"] > self.data', 'count["committed"] >= self.data'),
@@ -179,6 +180,9 @@ MISTAKES: dict[tuple[str, tuple[str, ...], tuple[tuple[str, ...], ...]], dict[st
     },
     ("model/light/walk.py", (), (INDEPENDENCE,)): {
         "crosstalk-draws-shared": ("uniform(key, CROSSTALK, 4 * fired + side)", "uniform(key, CROSSTALK, fired + side)")
+    },
+    ("host/frames.py", (), (("tests/host/test_host.py", "-k", "cut_anywhere"),)): {
+        "streams-alike": ("sensor.stream_subgroups(stream)", "sensor.stream_subgroups(0)")
     },
     ("hdl/readout.py", ("readout",), (FRAMES, SLICED)): {"tlast-early": ("to_end == 1)", "to_end == 2)")},
     ("hdl/emulator/uart.py", ("deframer",), ()): {

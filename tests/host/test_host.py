@@ -21,9 +21,10 @@ from coincid.model.golden.frame import Golden
 from coincid.model.shared.errors import InputError
 from coincid.tb.sliced import SlicedSensor
 
-from ..cases import random_edges
+from ..cases import SENSORS, built_sensor, configured, random_edges
 
 SENSOR = Sensor(rows=8, cols=16)
+ODD = built_sensor(SENSORS["odd"])  # streams of three and two subgroups
 
 
 def config(**tables):
@@ -136,15 +137,15 @@ def test_no_sensor():
 
 def test_a_sensor_in_use():
     """Registers, refusals and frames of the RTL, used only through the driver, equal the golden model's."""
-    of = config(frame={"period": 80, "pulses": 6, "format": "full", "minigroup_records": True})
-    golden = Golden(SENSOR)
-    with SlicedSensor(SENSOR) as rtl:
+    of = configured(ODD, {"period": 80, "pulses": 6, "format": "full", "minigroup_records": True})
+    golden = Golden(ODD)
+    with SlicedSensor(ODD) as rtl:
         driver = Driver(rtl)
-        assert driver.sensor == SENSOR
-        assert driver["threshold", 1] == BY_NAME["threshold"].reset(SENSOR)
+        assert driver.sensor == ODD
+        assert driver["threshold", 1] == BY_NAME["threshold"].reset(ODD)
         driver["threshold", 1] = 5
         assert driver["threshold", 1] == 5
-        driver["period"] = SENSOR.guard
+        driver["period"] = ODD.guard
         with pytest.raises(RefusedError) as refused:
             driver.start()
         assert refused.value.reasons == ("start_period",)
@@ -154,9 +155,8 @@ def test_a_sensor_in_use():
             edges = random_edges(of, 600, seed)
             trace = golden.frame(of, edges)
             rtl.frame(of, edges)
-            (beats,) = driver.receive()
-            assert np.array_equal(beats, trace.beats[0])
-            for s in range(SENSOR.subgroups):
+            assert all(map(np.array_equal, driver.receive(), trace.beats))
+            for s in range(ODD.subgroups):
                 assert [driver[name, s] for name in COUNTER_NAMES] == trace.counters[s].tolist()
         assert driver.status() == Status(busy=False, done=False)
         with pytest.raises(HostError, match="nothing more came"):
@@ -164,25 +164,24 @@ def test_a_sensor_in_use():
 
 
 def test_frames_cut_anywhere():
-    golden, rng = Golden(SENSOR), np.random.default_rng(1)
-    of = config(frame={"period": 80, "pulses": 6, "format": "id", "minigroup_records": True, "frames": 3})
+    golden, rng = Golden(ODD), np.random.default_rng(1)
+    of = configured(ODD, {"period": 80, "pulses": 6, "format": "id", "minigroup_records": True, "frames": 3})
     traces = [golden.frame(of, random_edges(of, 600, seed)) for seed in range(3)]
-    stream = np.concatenate([trace.beats[0] for trace in traces])
-    assembler, at = FrameAssembler(SENSOR), 0
-    while at < len(stream):
-        n = int(rng.integers(1, 30))
-        assembler.add(stream[at : at + n])
-        at += n
-    assert len(assembler.frames) == 3
+    assemblers = [FrameAssembler(ODD, k) for k in range(ODD.streams)]
+    for k, assembler in enumerate(assemblers):
+        stream = np.concatenate([trace.beats[k] for trace in traces])
+        for part in np.split(stream, np.cumsum(rng.integers(1, 30, len(stream)))):
+            assembler.add(part)
+        assert len(assembler.frames) == 3
     result = ResultBuilder(of)
-    for trace, beats in zip(traces, assembler.frames):
-        assert np.array_equal(beats, trace.beats[0])
-        result.add([beats])
+    for trace, *beats in zip(traces, *(assembler.frames for assembler in assemblers)):
+        assert all(map(np.array_equal, beats, trace.beats))
+        result.add(beats)
     arrays = result.arrays()
     assert len(arrays["stamp"]) == sum(len(trace.commit_cycle) for trace in traces)
     assert (arrays["commit_cycle"] == -1).all()
     assert np.array_equal(arrays["opened"], [trace.counters[:, 0] for trace in traces])
-    assert decode_frame(assembler.frames[1], SENSOR, 2).number == 1
+    assert decode_frame(assembler.frames[1], ODD, 2).number == 1
     assembler.add(stream[:5])
     with pytest.raises(StreamError, match="beat 5"):
         assembler.add(stream[:1])
