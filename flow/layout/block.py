@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A block for Coriolis: size, clock tree, room for the router, cells on their sites, and a record of where they are.
+"""A block in Coriolis: its size, its clock tree, room for the router, cells on their sites, and a record of their places.
 
-To be imported behind `technology.set_up`: Coriolis's modules make a database of their own where there is none.
+Import this module after `technology.set_up`: Coriolis's modules make a database of their own if there is none.
 """
 
 import json
@@ -18,12 +18,12 @@ from coriolis.plugins.block.spares import Spares
 from .technology import ROW_UM, SITE_UM, TOP_METAL
 
 PLACED = "placed.json"
-RING_ROWS, RING_SITES = 2, 16  # left free around the cells
+RING_ROWS, RING_SITES = 2, 16  # that stay free around the cells
 SITE = u(SITE_UM)
 SPREAD, SPREAD_OF_MACROS = (
     0.15,
     0.80,
-)  # free share that the placer may leave in one place; else it widens the cells until they fill all
+)  # share of free area that the placer may leave in one place; with none it widens the cells until they fill all
 
 
 def um(length: int) -> float:
@@ -31,7 +31,7 @@ def um(length: int) -> float:
 
 
 def build(cell, job) -> bool:
-    """Places and routes; whether every net is routed."""
+    """Place and route a block; return whether every net is routed."""
     BlockConf.toXPitch = Spares.toXPitch = to_site
     if job.floorplan:
         fix_macros(cell, job.floorplan)
@@ -39,7 +39,10 @@ def build(cell, job) -> bool:
 
 
 def configuration(cell, job) -> BlockConf:
-    """Size, clock tree, and how many tracks the global router leaves to the detailed one. Pins stay at their cells."""
+    """Return the size, the clock tree, and the number of tracks that the global router leaves to the detailed one.
+
+    Pins stay at their cells.
+    """
     conf, plan = BlockConf(cell, ioPins=[], ioPads=[]), job.floorplan
     conf.cfg.etesian.bloat = "disabled"
     conf.cfg.etesian.uniformDensity = True
@@ -73,7 +76,7 @@ def configuration(cell, job) -> BlockConf:
 
 
 def fix_macros(cell, plan: dict[str, Any]) -> None:
-    """The macros on their grid, in the order of their names."""
+    """Put the macros on their grid, in the order of their names."""
     macros = [instance for instance in cell.getInstances() if instance.getMasterCell().getName() == plan["kind"]]
     with UpdateSession():
         for k, instance in enumerate(sorted(macros, key=lambda instance: instance.getName())):
@@ -84,7 +87,7 @@ def fix_macros(cell, plan: dict[str, Any]) -> None:
 
 
 def core_size_um(cell, margin: float) -> tuple[float, float]:
-    """About a square, an even number of rows, with `margin` of the cells' area left free, and the ring."""
+    """Return width and height: about a square of an even number of rows, a ring, and `margin` of the cells' area free."""
     length = sum(um(instance.getMasterCell().getAbutmentBox().getWidth()) for instance in cell.getInstances())
     rows = int((length * ROW_UM * (1 + margin)) ** 0.5 / ROW_UM + 0.999)
     rows += rows % 2
@@ -97,7 +100,7 @@ def to_site(self, x: int, superior: bool = False) -> int:
 
 
 class SnappedBlock(Block):
-    """Coriolis's own steps, with the cells moved to the sites of their rows behind placement, and a record of where they are."""
+    """Coriolis's own steps; after the placement, the cells move to the sites of their rows, and their places are recorded."""
 
     def place(self):
         super().place()
@@ -109,7 +112,7 @@ class SnappedBlock(Block):
 
 
 class PlacedBlock(SnappedBlock):
-    """Only placed, with a clock tree."""
+    """A block that is placed and has a clock tree, but is not routed."""
 
     def route(self):
         record(self.conf.cell)
@@ -117,7 +120,7 @@ class PlacedBlock(SnappedBlock):
 
 
 def snap(cell) -> None:
-    """In every row, each cell goes to the next site that is free, and no farther than the cells to its right allow."""
+    """Move each cell to the next free site of its row, as far as the cells to its right allow."""
     rows: dict[int, list[Any]] = {}
     for instance in cell.getInstances():
         box = instance.getAbutmentBox()
@@ -142,7 +145,7 @@ def snap(cell) -> None:
 
 
 def record(cell) -> None:
-    """Writes `PLACED`: the box, every cell with its place, orientation and nets by pin, every port's direction."""
+    """Write `PLACED`: the box, the place, orientation and nets of every cell, and the direction of every port."""
     box = cell.getAbutmentBox()
     cells = []
     for instance in cell.getInstances():

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Buffers of a placed block with macros: its clock tree, and trees below other nets with many cells.
 
-Sinks near each other share a buffer, and buffers near each other the next one. A buffer stands in the free place of a row that is nearest to the
-middle of what it drives. All flip-flops are below the same number of buffers; macros have a tree of their own inside.
+Sinks near each other share a buffer, and so do buffers near each other. A buffer stands in the free place of a row that
+is nearest to the middle of its sinks. The clock passes the same number of buffers to every flip-flop; a macro has a clock
+tree of its own inside.
 """
 
 import re
@@ -13,12 +14,12 @@ from typing import Any
 from .drawn import ROW_UM, SITE_UM, Placed, Strips, pin_places
 from .wires import CLOCK_BUFFER, is_output
 
-SINKS_MAX, BUFFERS_MAX = 16, 8  # of a buffer: cells, and other buffers or what hangs at their level
+SINKS_MAX, BUFFERS_MAX = 16, 8  # that a buffer drives: cells; other buffers, or cells at their level
 FANOUT_MAX = 10  # of a net without buffers
-EARLY_LEVELS = 2  # how many more buffers flip-flops have before them than macros and the gates that open latches
+EARLY_LEVELS = 2  # buffers that the clock passes to flip-flops, and not to macros and the gates that open latches
 FLOP = re.compile("DFF|DL[HL]")
 Sink = tuple[float, float, dict[str, Any], str]  # x, y, cell, its pin
-Gaps = dict[int, list[tuple[float, float]]]  # row -> (from, to) of what is free
+Gaps = dict[int, list[tuple[float, float]]]  # row -> (from, to) of its free places
 
 
 def grow(
@@ -30,9 +31,9 @@ def grow(
     outputs: Collection[str],
     height_um: float,
 ) -> Placed:
-    """The placed block with a clock tree, and with buffers below all nets of more than `FANOUT_MAX` cells.
+    """Return the placed block with a clock tree, and with buffers in all nets of more than `FANOUT_MAX` cells.
 
-    macro: kind of the macros, with these outputs, so high.
+    macro, outputs, height_um: kind of the macros, their outputs, and their height.
     """
     cells = {one["name"]: one for one in placed["cells"]}
     sinks: dict[str, list[Sink]] = defaultdict(list)
@@ -52,7 +53,10 @@ def grow(
 
 
 def tree(net: str, level: list[Sink], early: list[Sink], gaps: Gaps, width_um: float) -> list[dict[str, Any]]:
-    """Buffers between a net's driver and its sinks, whose nets change. early: sinks that hang `EARLY_LEVELS` higher than the others."""
+    """Return buffers between a net's driver and its sinks, and change the sinks' nets.
+
+    early: sinks with `EARLY_LEVELS` fewer buffers before them than the others.
+    """
     added: list[dict[str, Any]] = []
     number, limit = 0, SINKS_MAX
     while early or len(level) > (BUFFERS_MAX if number else 0):
@@ -71,7 +75,7 @@ def tree(net: str, level: list[Sink], early: list[Sink], gaps: Gaps, width_um: f
 
 
 def near(sinks: list[Sink], most: int) -> list[list[Sink]]:
-    """Halves the sinks along the longer side of their box until no group has more than `most`; all groups come from as many halvings."""
+    """Halve all groups of sinks, along the longer side of their box, until none has more than `most`."""
     groups = [sinks]
     while max(map(len, groups)) > most:
         groups = [half for group in groups for half in _halves(group)]
@@ -86,7 +90,7 @@ def _halves(sinks: list[Sink]) -> tuple[list[Sink], list[Sink]]:
 
 
 def free_places(placed: Placed, widths_um: Mapping[str, float], macro: str, height_um: float) -> Gaps:
-    """What cells and macros leave free of every row."""
+    """Return what is free in every row, between cells and macros."""
     taken: dict[int, list[tuple[float, float]]] = defaultdict(list)
     for one in placed["cells"]:
         if not one["kind"].startswith("FILL"):
@@ -101,7 +105,7 @@ def free_places(placed: Placed, widths_um: Mapping[str, float], macro: str, heig
 
 
 def _place(group: list[Sink], gaps: Gaps, width_um: float) -> dict[str, Any]:
-    """A buffer in the free place nearest to the middle of a group; the place is taken."""
+    """Return a buffer in the free place nearest to the middle of a group, and take that place."""
     x, y = sum(sink[0] for sink in group) / len(group), sum(sink[1] for sink in group) / len(group)
 
     def away(place: tuple[int, int]) -> float:

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A routed block with its delays in place of the block's Verilog, in the sensor, under the bench that the RTL passes.
+"""Simulation of the sensor with a routed block and its delays, under the bench that the RTL passes.
 
-The rest of the sensor is RTL without delays. So what it sends to the block comes `INPUT_NS` after the clock's edge, as from flip-flops: the
-block's own clock arrives later than the port's, behind its tree.
+The rest of the sensor is RTL without delays, but the block's own clock arrives later than the port's, because it passes the
+clock tree. So the block's inputs change `INPUT_NS` after the clock's edge, as the outputs of flip-flops do.
 """
 
 import re
@@ -25,16 +25,17 @@ INPUT_NS = 0.4
 
 
 class Routed(Protocol):
-    """A block whose folder has its netlist and delays."""
+    """A block with a folder that holds its netlist and its delays."""
 
     @property
     def folder(self) -> Path: ...
 
 
 def shell(unit: Unit, routed: Mapping[str, str], inputs_ns: float = 0.0, sdf: Path | None = None) -> str:
-    """A module with the block's ports around its routed netlist, whose ports `routed` (name -> direction) are single bits.
+    """Return a module with the block's ports around its routed netlist.
 
-    inputs_ns: delay of all inputs but the clock; sdf: delays of the netlist.
+    routed: name -> direction of the netlist's ports, each of one bit. inputs_ns: delay of all inputs except the clock.
+    sdf: delays of the netlist.
     """
     ports = {CLOCK: (True, 1), "rst": (True, 1)} | {
         name: (way.name == "In", len(signal.as_value() if hasattr(signal, "as_value") else signal))
@@ -57,19 +58,19 @@ def shell(unit: Unit, routed: Mapping[str, str], inputs_ns: float = 0.0, sdf: Pa
             elif not is_input:
                 raise ToolchainError(f"{unit.unit_name}: the layout lost the output {pin}")
     if kept:
-        raise ToolchainError(f"{unit.unit_name}: the layout has ports that the block has not: {sorted(kept)}")
+        raise ToolchainError(f"{unit.unit_name}: the layout has ports that the block does not have: {sorted(kept)}")
     lines += [f"  {unit.unit_name}_routed routed (", ",\n".join(pins), "  );"]
     lines += [f'  initial $sdf_annotate("{sdf}", routed);'] * bool(sdf) + ["endmodule", ""]
     return "\n".join(lines)
 
 
 def escaped(name: str) -> str:
-    """A Verilog name that may be a keyword."""
+    """Return a name for Verilog, even if it is a keyword."""
     return f"\\{name} "
 
 
 def scaled(sdf: str, factor: float) -> str:
-    """SDF text with every delay times a factor."""
+    """Return an SDF text with every delay multiplied by a factor."""
     return re.sub(
         r"\(([-\d.]+):([-\d.]+):([-\d.]+)\)",
         lambda found: "(" + ":".join(f"{factor * float(value):.4f}" for value in found.groups()) + ")",
@@ -80,9 +81,9 @@ def scaled(sdf: str, factor: float) -> str:
 def simulate(
     sensor: Sensor, unit: Unit, layout: Routed, factor: float = 1.0, view: View = POLYPHASE
 ) -> tuple[int, int]:
-    """Plays random frames through a sensor whose blocks of this kind are the routed one, its delays times `factor`.
+    """Play random frames through a sensor with the routed block, whose delays are multiplied by `factor`.
 
-    Returns (words and commits checked, cycles). Raises `Mismatch` at the first difference, as delays that are too long lead to.
+    Return the number of checked words and commits, and the cycles. Raises `Mismatch` at the first difference.
     """
     name = unit.unit_name
     folder = layout.folder / f"delays-{factor:g}"

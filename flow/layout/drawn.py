@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The drawn block: the cells' own layouts under the router's wires, opens and shorts, the rules that can be checked, and a picture."""
+"""The drawn block: the cells' own layouts below the router's wires; its opens and shorts, its rules, and a picture of it."""
 
 from collections import defaultdict
 from collections.abc import Iterator, Mapping
@@ -16,12 +16,12 @@ DBU_UM = 0.0005
 HALF_WIRE_UM, PAD_UM = 0.035, 0.07
 ROW_UM, SITE_UM = 1.4, 0.19
 FILLERS = ("FILLCELL_X32", "FILLCELL_X16", "FILLCELL_X8", "FILLCELL_X4", "FILLCELL_X1")
-OUTLINE, TEXT_OF_CELLS = 235, 63  # layers of the cells' GDS that are no mask
-ROUTED = range(2, 7)  # metals that the router uses; metal2 is the pins' strips
+OUTLINE, TEXT_OF_CELLS = 235, 63  # layers of the cells' GDS that are not masks
+ROUTED = range(2, 7)  # metals that the router uses; metal2 has the strips of the pins
 WIDTH_UM = {1: 0.065, 2: 0.07, 3: 0.07, 4: 0.14, 5: 0.14, 6: 0.14}
 SPACE_UM = {1: 0.065, 2: 0.07, 3: 0.07, 4: 0.14, 5: 0.14, 6: 0.14}
 CUT_SPACE_UM = {1: 0.08, 2: 0.09, 3: 0.09, 4: 0.16, 5: 0.16}
-END_UM, ENDED_VIAS = 0.035, (1, 2, 3)  # metal beyond a via's cut, on two opposite sides
+END_UM, ENDED_VIAS = 0.035, (1, 2, 3)  # metal that reaches beyond a via's cut, on two opposite sides
 COLOURS = {
     3: 0xC8B878,
     1: 0x2E8B57,
@@ -34,13 +34,13 @@ COLOURS = {
     21: 0x0FCFC0,
 }
 PICTURE_PIXELS = 1100
-REPAIRS = 4  # rounds, each of which may leave something for the next
+REPAIRS = 4  # rounds; one may make work for the next
 Placed = dict[str, Any]  # what `place_route.record` wrote
 Strips = Mapping[str, Mapping[str, Strip]]
 
 
 def metal(i: int) -> int:
-    """GDS layer of a metal; its via upwards has the next."""
+    """Return the GDS layer of a metal; the next one is that of the via above it."""
     return 9 + 2 * i
 
 
@@ -55,7 +55,7 @@ def box(left: float, bottom: float, right: float, top: float) -> db.Box:
 def draw(
     routed: Path, cells_gds: Path, placed: Placed, strips: Strips, widths_um: Mapping[str, float], top: str
 ) -> db.Layout:
-    """The whole block: cells with their pins' strips, fillers, the router's wires, a text at each port."""
+    """Return the whole block: cells with the strips of their pins, fillers, the router's wires, and a text at each port."""
     layout = db.Layout()
     layout.dbu = DBU_UM
     cells = _library(layout, cells_gds, strips)
@@ -77,7 +77,7 @@ def draw(
 
 
 def _library(layout: db.Layout, gds: Path, strips: Strips) -> dict[str, db.Cell]:
-    """The standard cells, each flattened, with its pins' strips."""
+    """Return the standard cells, flattened, with the strips of their pins."""
     source = db.Layout()
     source.read(str(gds))
     scale, cells = db.ICplxTrans(source.dbu / layout.dbu), {}
@@ -109,7 +109,7 @@ def _put(whole: db.Cell, cell: db.Cell, x: float, y: float, flipped: bool) -> No
 def _fillers(
     row: list[tuple[float, float]], width: float, widths_um: Mapping[str, float]
 ) -> Iterator[tuple[str, float]]:
-    """(cell, x) of the fillers of a row's gaps. row: (x, width) of its cells."""
+    """Yield (cell, x) of the fillers for the gaps of a row. row: (x, width) of its cells."""
     at = 0.0
     for x, wide in [*sorted(row), (width, 0.0)]:
         sites = round((x - at) / SITE_UM)
@@ -122,7 +122,7 @@ def _fillers(
 
 
 def _wires(layout: db.Layout, whole: db.Cell, routed: Path) -> None:
-    """The router's shapes; vias from metal3 to metal4 get metal4 of full width."""
+    """Copy the router's shapes, and widen metal4 at vias from metal3 to its full width."""
     source = db.Layout()
     source.read(str(routed))
     top = source.cell(whole.name) or source.cell(f"{whole.name}_r") or source.top_cell()
@@ -138,7 +138,7 @@ def _wires(layout: db.Layout, whole: db.Cell, routed: Path) -> None:
 
 
 def placed_strips(placed: Placed, strips: Strips) -> Iterator[tuple[str, str, str, Strip]]:
-    """(net, cell's name, pin, its strip where it is in the block) of every pin."""
+    """Yield (net, cell's name, pin, strip in the block's coordinates) of every pin."""
     for one in placed["cells"]:
         for pin, net in one["nets"].items():
             strip = strips.get(one["kind"], {}).get(pin)
@@ -151,13 +151,13 @@ def placed_strips(placed: Placed, strips: Strips) -> Iterator[tuple[str, str, st
 
 
 def pin_places(placed: Placed, strips: Strips) -> Iterator[tuple[str, str, str, float, float]]:
-    """(net, cell's name, pin, x, y) of every pin's via, in um."""
+    """Yield (net, cell's name, pin, x, y) of every pin's via, in um."""
     for net, name, pin, strip in placed_strips(placed, strips):
         yield net, name, pin, strip.x, strip.via
 
 
 def port_places(placed: Placed, strips: Strips) -> dict[str, tuple[float, float]]:
-    """Port -> where its net has a pin."""
+    """Return port -> the place of a pin of its net."""
     places: dict[str, tuple[float, float]] = {}
     for net, _, _, x, y in pin_places(placed, strips):
         if net in placed["ports"]:
@@ -167,18 +167,23 @@ def port_places(placed: Placed, strips: Strips) -> dict[str, tuple[float, float]
 
 @frozen
 class Connection:
-    """What the wires connect, against the netlist. opens: nets in several parts; shorts: parts with several nets; off: pins without metal."""
+    """Comparison of the wires with the netlist.
+
+    opens: nets in several parts; shorts: parts with several nets; off: pins without metal. gaps: spaces between two wires of
+    one net that were narrower than the rule, and are closed now. cuts: pairs of vias of one net that were nearer than the rule;
+    one of the two is gone, and metal joins their places.
+    """
 
     nets: int
     opens: list[str]
     shorts: list[list[str]]
     off: int
-    gaps: int  # between two wires of one net, narrower than the rule: closed
-    cuts: int  # of one net, nearer to each other than the rule: one of two was taken away, and both metals joined
+    gaps: int
+    cuts: int
 
 
 class Wires:
-    """What the wires of a block connect: metal2 to metal6 and their vias, as drawn at this moment."""
+    """The connections that a block's metal2 to metal6 and their vias make, as they are drawn at this moment."""
 
     def __init__(self, layout: db.Layout, top: str):
         whole = layout.cell(top)
@@ -199,7 +204,7 @@ class Wires:
         self._nets.extract_netlist()
 
     def part(self, layer: int, x: float, y: float) -> int | None:
-        """Number of the connected part that has metal at a place; None: there is none."""
+        """Return the number of the connected part with metal at a place, or None."""
         at = db.Point(round(x), round(y))
         if self._cell.begin_shapes_rec_overlapping(self._layers[layer], db.Box(at, at).enlarged(1)).at_end():
             return None
@@ -210,7 +215,7 @@ class Wires:
         return db.Region(self._cell.begin_shapes_rec(self._layers[layer])).merged()
 
     def beside(self, layer: int, edge: db.Edge) -> int | None:
-        """The part that an edge bounds."""
+        """Return the part on one side of an edge, or None."""
         x, y = (edge.x1 + edge.x2) / 2, (edge.y1 + edge.y2) / 2
         for step in (-4, 4):
             for dx, dy in ((step, 0), (0, step), (step, step)):
@@ -221,7 +226,7 @@ class Wires:
 
 
 def connect(layout: db.Layout, top: str, placed: Placed, strips: Strips) -> Connection:
-    """Thins vias out, closes gaps within a net, and compares the wires with the netlist."""
+    """Remove vias that are too near, close gaps within a net, and compare the wires with the netlist."""
     cuts, gaps = 0, 0
     for _ in range(REPAIRS):
         gone = _thin_cuts(layout, top, Wires(layout, top))
@@ -246,7 +251,7 @@ def connect(layout: db.Layout, top: str, placed: Placed, strips: Strips) -> Conn
 
 
 def _close_gaps(layout: db.Layout, top: str, wires: Wires) -> int:
-    """Fills what is narrower than the rule between two wires of one net; how many such gaps."""
+    """Fill gaps between two wires of one net that are narrower than the rule; return their number."""
     closed = 0
     for i in ROUTED[1:]:
         for edges in wires.drawn(metal(i)).space_check(database(SPACE_UM[i])).each():
@@ -258,7 +263,7 @@ def _close_gaps(layout: db.Layout, top: str, wires: Wires) -> int:
 
 
 def _thin_cuts(layout: db.Layout, top: str, wires: Wires) -> int:
-    """Of two vias that are too near and of one net, one goes; metal from one to the other takes its place. How many went."""
+    """Replace one of two vias of a net that are too near by metal to the other; return how many are gone."""
     gone = 0
     for i in ROUTED[:-1]:
         shapes = layout.cell(top).shapes(layout.layer(metal(i) + 1, 0))
@@ -279,7 +284,7 @@ def _thin_cuts(layout: db.Layout, top: str, wires: Wires) -> int:
 
 
 def check_rules(layout: db.Layout, top: str) -> list[tuple[str, int]]:
-    """(rule, violations): widths and distances of metal1 to metal6 and of their vias, and metal around the vias."""
+    """Return (rule, violations) for widths and distances of metal1 to metal6 and of their vias, and for metal around vias."""
     whole = layout.cell(top)
 
     def region(layer: int) -> db.Region:
@@ -300,7 +305,7 @@ def check_rules(layout: db.Layout, top: str) -> list[tuple[str, int]]:
 
 
 def _ends(cuts: db.Region, wires: db.Region) -> int:
-    """Cuts whose metal reaches beyond them neither to left and right nor up and down."""
+    """Return the number of cuts with too little metal both horizontally and vertically."""
     covered: set[tuple[int, int]] = set()
     for dx, dy in ((database(END_UM), 0), (0, database(END_UM))):
         grown = db.Region([polygon.bbox().enlarged(dx, dy) for polygon in cuts.each()])
@@ -310,7 +315,7 @@ def _ends(cuts: db.Region, wires: db.Region) -> int:
 
 
 def draw_picture(gds: Path, png: Path) -> None:
-    """The block from above: wells, gates, and the metals over each other."""
+    """Draw the block from above: wells, gates and metals."""
     view = lay.LayoutView()
     view.load_layout(str(gds), True)
     view.max_hier()

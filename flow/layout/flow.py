@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Layout of a minigroup: from Verilog to a routed GDS that is checked, timed with its wires, and simulated with these delays.
+"""Layout of a minigroup: from Verilog to a routed GDS that is checked, timed with its wires, and simulated with its delays.
 
-The standard cells are NanGate's 45 nm, the placer and router Coriolis's, the checks KLayout's, the timing OpenSTA's. Coriolis runs in a process
-of its own with a time limit; where it does not route everything, the next of `ATTEMPTS` is tried, and after the last one the flow fails.
+The standard cells are NanGate's for 45 nm. Coriolis places and routes, KLayout checks, and OpenSTA times. Coriolis runs in
+a process of its own with a time limit. If it does not route everything, the flow tries the next of `ATTEMPTS`; after the
+last one it fails.
 """
 
 import json
@@ -45,8 +46,11 @@ BEHIND = ("page", "delays", "hierarchy", "buffers")  # files that do not change 
 
 @frozen
 class Attempt:
-    """Room for the router. margin: share of free area; um2_per_pin: to which cells are widened; tracks_reserved: horizontal and vertical
-    tracks that the global router leaves to the detailed one, and the least number anywhere."""
+    """Room for the router.
+
+    margin: share of free area. um2_per_pin: least area of a cell for each of its pins. tracks_reserved: horizontal and
+    vertical tracks that the global router leaves to the detailed one, and the least number of them anywhere.
+    """
 
     margin: float
     um2_per_pin: float
@@ -63,7 +67,7 @@ ATTEMPTS = (
 
 @frozen
 class Layout:
-    """A routed block. `folder` has its files; slacks are of paths between registers, in ns."""
+    """A routed block and the folder of its files. Slacks, in ns, are of paths between registers."""
 
     folder: Path
     attempt: Attempt
@@ -83,7 +87,7 @@ class Layout:
 
 
 def require_tools() -> Path:
-    """Folder of the standard cells. Raises `InputError` where cells, router or checker are missing."""
+    """Return the folder of the standard cells. Raises `InputError` if cells, router or checker are missing."""
     cells = cells_folder()
     missing = [name for name in NEEDED if find_spec(name) is None]
     if cells is None or missing:
@@ -92,7 +96,7 @@ def require_tools() -> Path:
 
 
 def lay_out(unit: Unit, clock_mhz: float, tell: Callable[[str], None], view: View = POLYPHASE) -> Layout:
-    """The layout of a block without sub-blocks' borders, made once for the state of its Verilog. Macros have no layout."""
+    """Return the layout of a flattened block, which is made once for each state of its Verilog. Macros have no layout."""
     cells, files = require_tools(), bound(units_files([unit], cells=True), gated=False)
     files |= {path.name: path.read_text() for path in (*view.cells, *view.macros)}
     own = (path.read_text() for path in sorted(Path(__file__).parent.glob("*.py")) if path.stem not in BEHIND)
@@ -112,7 +116,7 @@ def lay_out(unit: Unit, clock_mhz: float, tell: Callable[[str], None], view: Vie
 
 
 def map_for_router(top: str, files: list[str], folder: Path) -> None:
-    """The block in standard cells as BLIF: single nets, plain names, constants from cells."""
+    """Map the block to standard cells, as BLIF with nets of one bit, plain names, and constants from cells."""
     put_cells(folder)
     run_yosys(
         folder,
@@ -133,7 +137,7 @@ def map_for_router(top: str, files: list[str], folder: Path) -> None:
 
 
 def route(top: str, cells: Path, folder: Path, tell: Callable[[str], None]) -> Attempt:
-    """Places and routes the BLIF file of `folder`; the attempt that succeeded. Raises `ToolchainError` where none does."""
+    """Place and route the BLIF file of `folder`; return the attempt that succeeded. Raises `ToolchainError` if none did."""
     for attempt in ATTEMPTS:
         tell(f"{top}: placing and routing, {attempt.margin:.0%} of the area free")
         write_job(folder, cells, attempt)
@@ -151,7 +155,7 @@ def write_job(
     macros: "dict[str, dict[str, Strip]] | None" = None,
     *lefs: Path,
 ) -> None:
-    """Writes what Coriolis is to do with the BLIF file of `folder`. macros: name -> port -> strip; `lefs` are theirs."""
+    """Write the job of Coriolis for the BLIF file of `folder`. macros: name -> port -> strip; lefs: of the macros."""
     from .pins import strips
 
     used = set(re.findall(r"^\.(?:gate|subckt) (\S+)", (folder / BLIF).read_text(), re.MULTILINE))
@@ -172,7 +176,7 @@ def write_job(
 
 
 def read_strips(folder: Path) -> "dict[str, dict[str, Strip]]":
-    """The strips that `write_job` wrote."""
+    """Return the strips that `write_job` wrote."""
     from .pins import Strip
 
     stored = json.loads((folder / STRIPS).read_text())
@@ -180,7 +184,7 @@ def read_strips(folder: Path) -> "dict[str, dict[str, Strip]]":
 
 
 def run_coriolis(folder: Path, limit_s: float) -> bool:
-    """Whether the job of `folder` ended in time with everything routed."""
+    """Run the job of `folder`; return whether everything was routed in time."""
     command = [sys.executable, "-m", "coincid.flow.layout.place_route", JOB]
     with (folder / LOG).open("a") as log:
         try:
@@ -197,7 +201,7 @@ def run_coriolis(folder: Path, limit_s: float) -> bool:
 
 
 def finish(top: str, cells: Path, clock_mhz: float, attempt: Attempt, folder: Path) -> None:
-    """Draws, checks and times the routed block of `folder`. Raises `ToolchainError` on an open or a short."""
+    """Draw, check and time the routed block of `folder`. Raises `ToolchainError` on an open or a short."""
     from . import drawn, wires
     from .pins import cell_widths_um
 
@@ -240,7 +244,10 @@ def finish(top: str, cells: Path, clock_mhz: float, attempt: Attempt, folder: Pa
 
 
 def time_wires(top: str, clock_mhz: float, folder: Path) -> tuple[float, float]:
-    """Slack of the longest and of the shortest path between registers with wires and clock tree, in ns; writes the delays as SDF."""
+    """Return the slack of the longest and of the shortest path between registers, in ns; write the delays as SDF.
+
+    Paths include wires and clock tree.
+    """
     script = f"""\
 read_liberty {LIBERTY}
 read_verilog {VERILOG}
@@ -261,6 +268,6 @@ write_sdf {SDF}
     if not slacks or not holds or "Error" in report:
         raise ToolchainError(f"sta: no timing of {top}: {report[-500:]}")
     sdf = (folder / SDF).read_text()
-    # Icarus ignores a triplet whose middle is empty: of one corner all three are the same.
+    # Icarus ignores a triplet with an empty middle. There is one corner, so all three values are the same.
     (folder / SDF).write_text(re.sub(r"\(([-\d.]+)::([-\d.]+)\)", r"(\1:\2:\2)", sdf))
     return min(slacks.values()), min(map(float, holds))

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Blocks above a minigroup: routed minigroups as macros on a grid, the block's own cells and buffers in the channels between them.
+"""Blocks above a minigroup: routed minigroups as macros on a grid, with the block's own cells and buffers between them.
 
-Their wires are estimated, because the router does not close them: a net is `DETOUR` times half the perimeter of the box around its pins long.
-Timing is of the whole block, with the macros' routed wires inside them.
+The router does not finish these blocks, so their wires are estimated: the length of a net is `DETOUR` times half the
+perimeter of the box around its pins. Timing is of the whole block, with the routed wires inside the macros.
 """
 
 import json
@@ -31,14 +31,17 @@ ROOM = flow.Attempt(0.45, 0.83, (5, 6, 4))  # around the block's own cells
 LIMIT_S = 400  # of the placer
 COLUMNS = 4  # of macros
 CHANNEL_UM, BORDER_UM = 26.0, 16.0  # least widths between macros, and around them
-STEP_UM = 5.7, 8.4  # in x and y: here sites or pairs of rows, and tracks of every metal, repeat
-DETOUR = 1.23  # of the tree's nets, as far as Coriolis routed them
-ESTIMATED_ON = 3, 4, 5, 6  # metals of an estimated wire, alike long on each
+STEP_UM = 5.7, 8.4  # in x and y, after which sites (or pairs of rows) and the tracks of every metal repeat
+DETOUR = 1.23  # mean of the nets of the tree that Coriolis routed
+ESTIMATED_ON = 3, 4, 5, 6  # metals of an estimated wire, which has the same length on each
 
 
 @frozen
 class Hierarchy:
-    """A placed block with its macros. Cells, nets and wires are its own, without the macros'; slacks are of all paths between registers."""
+    """A placed block with its macros.
+
+    Cells, nets and wires do not include those of the macros. Slacks are of all paths between registers.
+    """
 
     folder: Path
     macros: int
@@ -55,7 +58,7 @@ class Hierarchy:
 
 @frozen
 class Macro:
-    """A routed block from above. pins: port -> a strip of metal2 where it is reached."""
+    """A routed block as the block above sees it. pins: port -> the strip of metal2 that a wire can reach."""
 
     kind: str
     placed: Placed
@@ -65,7 +68,10 @@ class Macro:
 
 
 def lay_out(unit: Unit, leaf: Unit, layout: flow.Layout, clock_mhz: float, tell: Callable[[str], None]) -> Hierarchy:
-    """A block, placed once for the state of its Verilog; its units of `leaf`'s kind are the routed `layout`. Raises `ToolchainError`."""
+    """Return a placed block, which is made once for each state of its Verilog. Raises `ToolchainError`.
+
+    Its units of the kind of `leaf` are macros with the routed `layout`.
+    """
     cells, files = flow.require_tools(), bound(units_files([unit], cells=True), gated=False)
     ports, kind = used_ports((layout.folder / flow.VERILOG).read_text()), f"{leaf.unit_name}_routed"
     files[f"{leaf.unit_name}.v"] = shell(leaf, ports)
@@ -95,14 +101,14 @@ def lay_out(unit: Unit, leaf: Unit, layout: flow.Layout, clock_mhz: float, tell:
 
 
 def used_ports(netlist: str) -> dict[str, str]:
-    """Port -> direction, of a routed netlist; without the inputs that no cell has."""
+    """Return port -> direction of a routed netlist, without inputs that no cell uses."""
     used = set(re.findall(r"\.\w+\((\w+)\)", netlist))
     ports = re.findall(r"^  (input|output) (\w+);", netlist, re.MULTILINE)
     return {name: way for way, name in ports if name in used}
 
 
 def floorplan(kind: str, width_um: float, height_um: float, macros: int) -> dict[str, Any]:
-    """The macros' grid and the block's size, in um. All macros meet sites, rows and tracks alike."""
+    """Return the grid of the macros and the size of the block, in um. All macros lie in the same way on sites, rows and tracks."""
     x, y = (math.ceil(BORDER_UM / step) * step for step in STEP_UM)
     dx, dy = (math.ceil((size + CHANNEL_UM) / step) * step for size, step in zip((width_um, height_um), STEP_UM))
     rows = math.ceil(macros / COLUMNS)
@@ -112,7 +118,7 @@ def floorplan(kind: str, width_um: float, height_um: float, macros: int) -> dict
 
 
 def read_macro(name: str, layout: flow.Layout, ports: Mapping[str, str]) -> Macro:
-    """A routed block, with one of its pins for every port."""
+    """Return a routed block as a macro, with one pin for every port."""
     placed, strips = json.loads((layout.folder / flow.PLACED).read_text()), flow.read_strips(layout.folder)
     pins: dict[str, Strip] = {}
     for net, _, _, strip in drawn.placed_strips(placed, strips):
@@ -122,7 +128,7 @@ def read_macro(name: str, layout: flow.Layout, ports: Mapping[str, str]) -> Macr
 
 
 def macro_lef(macro: Macro, ports: Mapping[str, str]) -> str:
-    """A macro for the placer: its size, and its ports' strips."""
+    """Return the LEF of a macro for the placer: its size, and the strips of its ports."""
     lines = ["VERSION 5.7 ;", f"MACRO {macro.kind}", "  CLASS BLOCK ;", "  ORIGIN 0 0 ;"]
     lines += [f"  SIZE {macro.placed['width']} BY {macro.placed['height']} ;"]
     half = drawn.HALF_WIRE_UM
@@ -143,12 +149,12 @@ def macro_lef(macro: Macro, ports: Mapping[str, str]) -> str:
 
 
 def macros_of(placed: Placed, macro: Macro) -> list[dict[str, Any]]:
-    """The macros of a placed block, in the order of their names."""
+    """Return the macros of a placed block, in the order of their names."""
     return sorted((one for one in placed["cells"] if one["kind"] == macro.kind), key=lambda one: one["name"])
 
 
 def flat(placed: Placed, macro: Macro) -> Placed:
-    """The placed block with its macros' cells in their place. Cells and nets inside macro number k have the prefix `m<k>_`."""
+    """Return the placed block with cells in place of macros. Cells and nets inside macro k have the prefix `m<k>_`."""
     cells = [one for one in placed["cells"] if one["kind"] != macro.kind]
     for k, one in enumerate(macros_of(placed, macro)):
         for inner in macro.placed["cells"]:
@@ -159,7 +165,7 @@ def flat(placed: Placed, macro: Macro) -> Placed:
 
 
 def lengths_um(placed: Placed, macro: Macro, estimated_um: Mapping[str, float]) -> wires.Lengths:
-    """Net -> metal -> length, of the flat block: the macros' own wires, and the estimated ones above them."""
+    """Return net -> metal -> length of the flat block: wires inside the macros, and the estimated ones above them."""
     lengths: wires.Lengths = defaultdict(lambda: defaultdict(float))
     for net, um in estimated_um.items():
         for metal in ESTIMATED_ON:
@@ -172,7 +178,7 @@ def lengths_um(placed: Placed, macro: Macro, estimated_um: Mapping[str, float]) 
 
 
 def estimates_um(placed: Placed, strips: Strips) -> dict[str, float]:
-    """Net -> estimated length, of all nets between two or more pins of cells and macros."""
+    """Return net -> estimated length of all nets with two or more pins of cells and macros."""
     ends: dict[str, list[tuple[float, float]]] = defaultdict(list)
     for net, _, _, x, y in drawn.pin_places(placed, strips):
         ends[net].append((x, y))
@@ -184,7 +190,7 @@ def estimates_um(placed: Placed, strips: Strips) -> dict[str, float]:
 
 
 def drivers_lost(whole: Placed) -> list[str]:
-    """Nets of a flat block that not exactly one cell or port drives."""
+    """Return the nets of a flat block with no driver or several."""
     drivers = Counter({port: 1 for port, way in whole["ports"].items() if way == "input"})
     nets = set()
     for one in whole["cells"]:
@@ -194,7 +200,7 @@ def drivers_lost(whole: Placed) -> list[str]:
 
 
 def _finish(top: str, macro: Macro, cells: Path, clock_mhz: float, folder: Path) -> None:
-    """Times the placed block of `folder`, and draws its cells."""
+    """Add buffers to the placed block of `folder`, and time it."""
     strips, widths_um = flow.read_strips(folder) | dict(macro.strips), cell_widths_um(cells / flow.LEFS[1])
     widths_um[macro.kind] = macro.placed["width"]
     outputs = [port for port, way in macro.placed["ports"].items() if way == "output"]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The page of `make layout`: what was laid out, which rules hold, timing and simulation with wires, and what is not there."""
+"""The page of `make layout`: the routed and placed blocks, their rules, timing and simulation with wires, and limits."""
 
 from collections.abc import Callable, Iterable
 from pathlib import Path
@@ -26,11 +26,11 @@ from .hierarchy import DETOUR, Hierarchy
 PICTURE, PREFIX = "layout-{}.png", "coincid_"
 SMALL = Sensor(rows=8, cols=8)  # of the simulation: 16 minigroups
 COLOURS = 32  # of the picture
-TOO_SLOW = 6.0  # factor on all delays that no cycle has room for
+TOO_SLOW = 6.0  # factor on all delays, too large for a cycle
 
 
 def write_page(path: Path, tell: Callable[[str], None]) -> None:
-    """Lays the silicon preset's minigroups out and writes what came of it, and the pictures to `images/` beside the page."""
+    """Lay out the minigroups of the preset `silicon`; write the page, and pictures to the folder `images` beside it."""
     config = load_config("silicon")
     clock_ns = 1000 / config.clock_mhz
     units: list[tuple[Unit, View]] = [(Minigroup(config.sensor), POLYPHASE)]
@@ -77,7 +77,7 @@ def write_page(path: Path, tell: Callable[[str], None]) -> None:
 def played_with_delays(
     unit: Minigroup, view: View, layout: Layout, tell: Callable[[str], None]
 ) -> list[tuple[str, str]]:
-    """Plays the bench with the layout's delays, and with much longer ones, with which it must fail. Raises `Mismatch`."""
+    """Play the bench with the layout's delays, and with much longer ones, which must make it fail. Raises `Mismatch`."""
     tell(f"{unit.unit_name}: simulating the sensor with the routed minigroups and their delays")
     checked, cycles = simulate(SMALL, unit, layout, view=view)
     try:
@@ -88,14 +88,14 @@ def played_with_delays(
 
 
 def _table(columns: Iterable[list[tuple[str, str]]]) -> str:
-    """Rows of Markdown from columns with the same names."""
+    """Return rows of Markdown from columns with the same names."""
     first, *others = columns
     values = [dict(column) for column in others]
     return "\n".join(f"| {' | '.join([name, value, *(column[name] for column in values)])} |" for name, value in first)
 
 
 def facts(layout: Layout, mapped_um2: float) -> list[tuple[str, str]]:
-    """What was laid out."""
+    """Return the facts of a layout."""
     area = layout.width_um * layout.height_um
     return [
         ("cells before layout, um2", f"{mapped_um2:,.0f}"),
@@ -115,7 +115,7 @@ def facts(layout: Layout, mapped_um2: float) -> list[tuple[str, str]]:
 
 
 def above(block: Hierarchy) -> list[tuple[str, str]]:
-    """A placed block."""
+    """Return the facts of a placed block."""
     return [
         ("minigroups as macros", str(block.macros)),
         ("other cells, with the added buffers", f"{block.cells:,}"),
@@ -130,7 +130,7 @@ def above(block: Hierarchy) -> list[tuple[str, str]]:
 
 
 def times(layout: Layout, mapped_slack_ns: float) -> list[tuple[str, str]]:
-    """Slacks in ns."""
+    """Return the slacks, in ns."""
     return [
         ("longest, before layout: no wires, ideal clock", f"{mapped_slack_ns:+.2f}"),
         ("longest, with wires and clock tree", f"{layout.slack_ns:+.2f}"),
@@ -142,8 +142,8 @@ PAGE = """\
 # Layout of minigroup, tree and subgroup
 
 Written by `make layout`, which takes about three minutes: the minigroup of the preset `silicon`
-(2 x 2 pixels, 32 phases) of both views, in NanGate 45 nm cells. Yosys maps it, Coriolis places it,
-builds its clock tree and routes it, KLayout merges the cells' own layouts and checks the result,
+(2 x 2 pixels, 32 phases) of both views, in NanGate 45 nm cells. Yosys maps it. Coriolis places it,
+builds its clock tree and routes it. KLayout adds the layouts of the cells and checks the result.
 OpenSTA times it. What it means for the sensor is in [silicon.md](silicon.md).
 
 | polyphase | asynchronous |
@@ -157,8 +157,8 @@ metal6. `{gds}` in the build folder is the GDS.
 | --- | ---: | ---: |
 {rows}
 
-Cells cover so little because the router stops a few nets short of the end where pins are denser.
-Every cell is widened until each of its pins has room; fillers take that room in the end.
+Cells cover so little of the block because the router leaves a few nets open where pins are denser.
+So every cell is widened until each of its pins has room, and fillers take that room in the end.
 
 ## Checks
 
@@ -169,9 +169,9 @@ placed netlist, pin by pin; the flow fails on any difference.
 | --- | ---: | ---: |
 {rules}
 
-Values are those of the cells' LEF file, for wires of least width. Not checked: rules for wide
-metal, area and density rules, antennas, wells and everything below metal1 (the cells' own), the
-supply: rows share rails of metal1, and there is no power mesh above them.
+Values are those of the cells' LEF file, for wires of least width. The flow does not check rules for
+wide metal, area, density and antennas, nor wells and other layers below metal1, which are the cells'
+own. It does not check the supply: rows share rails of metal1, and there is no power mesh above them.
 
 ## Timing
 
@@ -181,9 +181,9 @@ Slack of paths of the clock in ns, at a cycle of {clock:g} ns:
 | --- | ---: | ---: |
 {timing}
 
-The longest path is the half cycle to the latches of the record's stamp. A wire's capacitance is
-that of its length on each metal, its resistance that of the direct way to each pin. Coupling
-between wires is not in it, nor any corner except the typical one.
+The longest path is the half cycle to the latches of the record's stamp. The capacitance of a wire
+follows from its length on each metal, and its resistance to a pin from the direct way there.
+Coupling between wires is not included, and the typical corner is the only one.
 
 ## Simulation
 
@@ -194,7 +194,7 @@ netlist with these delays, plays the random frames of `make gls` on Icarus, in b
 | --- | ---: | ---: |
 {played}
 
-Inputs of a minigroup come {input:g} ns after the clock's edge, as from flip-flops. With all delays
+The inputs of a minigroup change {input:g} ns after the clock's edge, as the outputs of flip-flops do. With all delays
 {factor:g} times as long the same bench fails, so the delays are in force. Icarus ignores two parts
 of the SDF: delays of single wires, and setup and hold checks. The macros of the asynchronous view
 around its minigroups have no layout; they are their behavioural Verilog, with its delays.
@@ -203,8 +203,8 @@ around its minigroups have no layout; they are their behavioural Verilog, with i
 
 Tree and subgroup of the polyphase view are placed, not routed. Their 16 minigroups are the routed
 block as a macro, on a grid of 4 x 4. Coriolis places the other cells in the channels between them.
-The flow then adds the clock tree above the macros' own, and buffers below nets of more than
-{fanout} cells; they stand in free places of the rows.
+The flow then adds a clock tree that leads to the macros' own trees, and buffers in nets of more than
+{fanout} cells. They stand in free places of the rows.
 
 | | tree | subgroup |
 | --- | ---: | ---: |
@@ -213,18 +213,18 @@ The flow then adds the clock tree above the macros' own, and buffers below nets 
 A sensor whose subgroup is this netlist, with its delays, plays the same random frames:
 {subgroup_checked} words and commits in {subgroup_cycles} cycles, 0 mismatches.
 
-Timing is of the whole block: inside the macros with their routed wires, above them with estimated
-ones. An estimated wire is {detour:g} times half the perimeter of the box around its pins. That is
-what the wires took where Coriolis routed the tree, over and through the macros. There it finished,
-within two minutes, 96 to 99 % of the nets in several attempts; it did not reach the others at their
-pins inside a macro. So this is not part of the flow. Placer and router run in a process of their
-own with a time limit; where one does not end in time, or leaves nets open in every attempt, the
-flow ends with an error.
+Timing is of the whole block, with routed wires inside the macros and estimated wires above them. An
+estimated wire has {detour:g} times half the perimeter of the box around its pins. That factor is the mean
+of the nets that Coriolis routed in the tree. It routed 96 to 99 % of the nets within two minutes, but
+could not reach the pins of the others inside the macros, so the flow does not route the tree.
+
+Placer and router run in a process of their own with a time limit. If they do not end in time, or leave
+nets open in every attempt, the flow ends with an error.
 
 ## What is not there
 
 * Routed wires above a minigroup. A minigroup would need pins at its border, or free tracks over its
   pins. With pins at its border, Coriolis left 25 to 49 short pieces of wire open there.
-* The tree of the asynchronous view. Its event trees need matched wires, and its macros a layout.
+* The tree of the asynchronous view: its event trees need matched wires, and its macros need a layout.
 * Several corners, and a power mesh ([silicon.md](silicon.md)).
 """

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where a router reaches the pins of the standard cells: a via on the pin's metal1, and on it a vertical strip of metal2 on a track.
+"""Access to the pins of the standard cells: a via on the pin's metal1, and above it a vertical strip of metal2 on a track.
 
-The router stalls on the library's own metal1 shapes. So every pin gets a strip of metal2 as tall as the cell allows, and wires begin at
-metal3. Lengths are in units of the layout database.
+The router cannot connect to the library's own metal1 shapes. So every pin gets a strip of metal2 as tall as the cell allows,
+and wires begin at metal3. Lengths are in units of the layout database.
 """
 
 import itertools
@@ -15,11 +15,11 @@ from attrs import frozen
 
 UNITS_PER_UM = 2000
 TRACK, FIRST_TRACK = 380, 190  # vertical tracks of metal2
-STEP = 10  # of the heights that are tried for a via
+STEP = 10  # between the heights that are tried for a via
 HALF = 70  # half a wire of metal2, and half a via's side
-PAD_HALF = 140  # half the length of the metal1 that a via wants
+PAD_HALF = 140  # half the length of metal1 that a via needs
 LOWEST, HIGHEST = 280, 2520  # ends of a strip: clear of the supply rails
-END_GAP = 70  # half the distance of two strips on one track
+END_GAP = 70  # half the distance between two strips on one track
 SUPPLIES = ("VDD", "VSS")
 COMBINATIONS_MAX = 200_000
 CHOICES = 6  # tracks tried for a pin
@@ -27,14 +27,14 @@ SHARED, NEAR, SHORT = (
     1000.0,
     10.0,
     1.0,
-)  # what a choice costs: two pins on one track too near, far enough; a via beyond its metal
+)  # cost of a choice: two pins on one track, too near or far enough; a via that its metal does not enclose
 
 
 @frozen
 class Strip:
-    """A pin's metal2 from `low` to `high` on the track at `x`, and its via's height, in um from the cell's corner.
+    """A pin's metal2 from `low` to `high` on the track at `x`, and the height of its via, in um from the cell's corner.
 
-    fits: the pin's own metal1 is all that the via needs.
+    fits: the pin's own metal1 encloses the via.
     """
 
     x: float
@@ -46,7 +46,7 @@ class Strip:
 
 @frozen
 class Place:
-    """A track that crosses a pin's metal, the via's height there, and whether the metal reaches far enough beyond the via."""
+    """A track that crosses a pin's metal, the height of the via on it, and whether the metal encloses the via."""
 
     x: int
     y: int
@@ -54,7 +54,7 @@ class Place:
 
 
 def pin_metal(lef: Path) -> dict[str, dict[str, db.Region]]:
-    """Cell -> pin -> its metal1, as a LEF file has it; without supplies."""
+    """Return cell -> pin -> metal1 of a LEF file, without supplies."""
     cells: dict[str, dict[str, db.Region]] = {}
     cell = pin = None
     for line in lef.read_text().splitlines():
@@ -79,13 +79,13 @@ def pin_metal(lef: Path) -> dict[str, dict[str, db.Region]]:
 
 
 def cell_widths_um(lef: Path) -> dict[str, float]:
-    """Cell -> its width."""
+    """Return cell -> width."""
     found = re.findall(r"^MACRO (\w+).*?SIZE ([\d.]+) BY", lef.read_text(), re.MULTILINE | re.DOTALL)
     return {name: float(width) for name, width in found}
 
 
 def strips(lef: Path, cells: Collection[str]) -> dict[str, dict[str, Strip]]:
-    """Cell -> pin -> strip, for the pins of some cells of a LEF file."""
+    """Return cell -> pin -> strip, for some cells of a LEF file."""
     return {cell: _cell_strips(pins) for cell, pins in sorted(pin_metal(lef).items()) if pins and cell in cells}
 
 
@@ -97,7 +97,7 @@ def _cell_strips(pins: dict[str, db.Region]) -> dict[str, Strip]:
 
 
 def _places(metal: db.Region) -> list[Place]:
-    """Tracks on which a via stands on a pin's metal; the best first."""
+    """Return the tracks on which a via can stand on a pin's metal, the best first."""
     box, found = metal.bbox(), []
     for k in range((box.left - FIRST_TRACK) // TRACK, box.right // TRACK + 2):
         x = FIRST_TRACK + TRACK * k
@@ -121,13 +121,13 @@ def _places(metal: db.Region) -> list[Place]:
 
 
 def _fits(metal: db.Region, x: int, y: int) -> bool:
-    """Whether metal reaches beyond a via on two opposite sides."""
+    """Return whether metal reaches beyond a via on two opposite sides."""
     pads = (PAD_HALF, HALF), (HALF, PAD_HALF)
     return any((db.Region(db.Box(x - dx, y - dy, x + dx, y + dy)) - metal).is_empty() for dx, dy in pads)
 
 
 def _joined(spans: list[tuple[int, int]]) -> list[tuple[int, int]]:
-    """Spans that touch, as one."""
+    """Return the spans; those that touch are joined."""
     joined: list[tuple[int, int]] = []
     for low, high in sorted(spans):
         if joined and low <= joined[-1][1]:

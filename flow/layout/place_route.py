@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Coriolis places and routes a block: the program that `flow.py` starts in a folder of its own, with a time limit.
+"""The program that places and routes a block with Coriolis; `flow.py` starts it with a time limit, in a folder of its own.
 
-`python -m coincid.flow.layout.place_route JOB.json`. The job names BLIF file, LEF files, pin strips and settings; the result is TOP.gds,
-TOP_export.def and placed.json, the placed cells with the nets at their pins. Exit code 0: routed whole; `NOT_ROUTED`: not every net.
+`python -m coincid.flow.layout.place_route JOB.json`. The job names the BLIF file, LEF files, strips of the pins, and settings.
+The results are TOP.gds, TOP_export.def, and placed.json with the placed cells and the nets at their pins. The exit code is
+0 if every net is routed, and `NOT_ROUTED` otherwise.
 """
 
 import json

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The 45 nm process and its standard cells for Coriolis: layers, routing tracks, and the cells of a LEF file.
+"""The 45 nm process and its standard cells in Coriolis: layers, routing tracks, and the cells of a LEF file.
 
-Runs inside Coriolis's own process only (`place_route.py`). Widths and distances are those of the LEF file that comes with the cells.
+This runs only inside Coriolis's own process (`place_route.py`). Widths and distances are those of the cells' LEF file.
 """
 
 import json
@@ -17,12 +17,12 @@ from coriolis.Hurricane import BasicLayer, Box, DataBase, DbU, Library, NetExter
 
 SITE_UM, ROW_UM = 0.19, 1.4
 SITE_NAME = "LEF.FreePDK45_38x28_10R_NP_162NW_34O"
-GRID_UM = 0.01  # Coriolis has one placement pitch for both directions; rows are snapped to sites afterwards
+GRID_UM = 0.01  # Coriolis has one placement pitch for both directions; `block.snap` moves the cells to sites
 FIRST_X_UM, FIRST_Y_UM = 0.095, 0.07  # first tracks
 METALS = range(1, 11)
 WIDTH_UM = {1: 0.07, 2: 0.07, 3: 0.07, 4: 0.14, 5: 0.14, 6: 0.14, 7: 0.4, 8: 0.4, 9: 0.8, 10: 0.8}
 CUT_SPACE_UM = {1: 0.08, 2: 0.09, 3: 0.09, 4: 0.16, 5: 0.16, 6: 0.16, 7: 0.44, 8: 0.44, 9: 0.88}
-# Wires keep the distance of the wider metal's via pads: one track in two is left out where pads would touch.
+# The pitch keeps the pads of vias to the wider metal apart: where they would touch, only every second track exists.
 PITCH_UM = {2: 0.19, 3: 0.14, 4: 0.30, 5: 0.30, 6: 0.30, 7: 0.84, 8: 0.84}
 PAD_UM = {3: 0.14}  # wires of metal3 end in pads as wide as metal4's
 TOP_METAL = "metal6"
@@ -31,7 +31,7 @@ GDS_METAL1 = 11  # metal k is layer 9 + 2k of the cells' GDS, the vias between t
 
 
 def set_up(lef: list[Path], strips: Path, um2_per_pin: float) -> Library:
-    """Makes technology, tracks and cells. strips: JSON of `pins.strips`; um2_per_pin: cells are widened until each pin has that area."""
+    """Make technology, tracks and cells. strips: JSON of `pins.strips`; um2_per_pin: least area of a cell for each pin."""
     _technology()
     _gauges()
     _settings()
@@ -86,7 +86,7 @@ def _technology() -> None:
 
 
 def _via(tech, metals, i) -> None:
-    """The via from metal i up. Its pads reach 0.035 um beyond the cut along the metal's direction, up to metal3; above, the cut's own width."""
+    """Make the via from metal i to the next. Up to metal3 its pads reach 0.035 um beyond the cut, along the metal's direction."""
     via = createVia(tech, f"VIA{i}{i + 1}", f"metal{i}", f"via{i}", f"metal{i + 1}", u(WIDTH_UM[i]))
     for j in (i, i + 1):
         along = 0.035 if i <= 3 and j <= 3 else 0.0
@@ -100,7 +100,7 @@ def _via(tech, metals, i) -> None:
 
 
 def _gauges() -> None:
-    """Tracks: odd metals are horizontal; metal2 has the cells' pins only, metal7 and up nothing of ours."""
+    """Make the tracks: odd metals are horizontal. metal2 is for the pins of the cells; metal7 and above stay empty."""
     framework, tech = AllianceFramework.get(), DataBase.getDB().getTechnology()
     gauge = RoutingGauge.create("nangate45")
     gauge.setSymbolic(False)
@@ -132,7 +132,7 @@ def _gauges() -> None:
 
 
 def _settings() -> None:
-    """Coriolis asks for every one of these."""
+    """Set all values that Coriolis asks for."""
     environment = AllianceFramework.get().getEnvironment()
     environment.setRegister(".*DFF.*")
     environment.setCLOCK("^clk$")
@@ -218,7 +218,7 @@ def _cells(lef: list[Path], strips: dict[str, dict[str, list[float]]], um2_per_p
 
 
 def _replace_pin(net, metal2, x: float, low: float, high: float) -> None:
-    """The strip is all that the router sees of a pin."""
+    """Replace a pin's shapes by the strip, which is all that the router sees."""
     for shape in list(net.getComponents()):
         NetExternalComponents.setInternal(shape)
     for shape in list(net.getComponents()):
@@ -227,7 +227,7 @@ def _replace_pin(net, metal2, x: float, low: float, high: float) -> None:
 
 
 def _widen(cell, um2_per_pin: float) -> None:
-    """Room for the pins: a cell grows to the right, where fillers come in the end."""
+    """Make room for the pins: a cell grows to the right, and fillers take that room in the end."""
     pins = sum(1 for net in cell.getNets() if net.isExternal() and not net.isSupply())
     box, site = cell.getAbutmentBox(), u(SITE_UM)
     if not pins or cell.getName().startswith("FILL") or box.getHeight() > u(ROW_UM):

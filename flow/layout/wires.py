@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Wires of a routed block as resistances and capacitances, and its netlist as Verilog.
 
-Not an extraction: a net's capacitance is that of its length on each metal, by the LEF file's values for area and edge; its resistance to each
-pin is that of the direct way there. Coupling to neighbours is not in it.
+This is not an extraction. The capacitance of a net follows from its length on each metal, with the LEF file's values for
+area and edge. Its resistance to a pin is that of the direct way there. Coupling to neighbours is not included.
 """
 
 import re
@@ -19,21 +19,21 @@ VIA_OHM, PIN_FF, WITHOUT_WIRE_OHM = 20.0, 0.05, 3.0
 OUTPUTS = {"Z", "ZN", "Q", "QN", "CO", "S", "GCK"}
 SELECTS = ("MUX",)  # cells whose S is an input
 FF_PER_PF = 1000
-CLOCK_BUFFER = "BUF_X4"  # nothing but the clock tree has it in a placed block
+CLOCK_BUFFER = "BUF_X4"  # only the clock tree of a placed block uses it
 MW_PER_FJ_MHZ = 1e-6
 Lengths = dict[str, dict[int, float]]  # net -> metal -> um
 
 
 @frozen
 class Metal:
-    """Of a layer: fF per um of a wire of its width, and ohm per um."""
+    """A layer's capacitance, in fF per um of a wire of least width, and its resistance, in ohm per um."""
 
     farads: float
     ohms: float
 
 
 def metals(lef: Path) -> dict[int, Metal]:
-    """The routing layers of a technology's LEF file."""
+    """Return the routing layers of a technology's LEF file."""
     found = {}
     for number, body in re.findall(r"^LAYER metal(\d+)\n(.*?)^END metal\d+", lef.read_text(), re.MULTILINE | re.DOTALL):
         value = {name: float(number) for name, number in re.findall(r"(\w+) ([\d.eE+-]+) ;", body)}
@@ -44,7 +44,7 @@ def metals(lef: Path) -> dict[int, Metal]:
 
 
 def lengths_um(routed: Path) -> Lengths:
-    """Net -> metal -> length, of a routed DEF file; the clock's nets are special ones there."""
+    """Return net -> metal -> length of a routed DEF file, in which the clock's nets are special nets."""
     text = routed.read_text()
     units = re.search(r"^UNITS DISTANCE MICRONS (\d+)", text, re.MULTILINE)
     nets = re.findall(r"^((?:SPECIAL)?NETS) (.*?)^END \1", text, re.MULTILINE | re.DOTALL)
@@ -59,7 +59,7 @@ def lengths_um(routed: Path) -> Lengths:
 
 
 def _way(points: list[tuple[str, str]]) -> int:
-    """Length of a wire through points of a DEF file, where `*` repeats a coordinate."""
+    """Return the length of a wire through points of a DEF file, in which `*` repeats a coordinate."""
     total, x, y = 0, 0, 0
     for k, (next_x, next_y) in enumerate(points):
         new = x if next_x == "*" else int(next_x), y if next_y == "*" else int(next_y)
@@ -74,7 +74,7 @@ def is_output(kind: str, pin: str) -> bool:
 
 @frozen
 class Wired:
-    """All wires of a block: SPEF text, their length, their capacitance by net, and the pins that they reach as inputs."""
+    """All wires of a block: their SPEF text, their length, their capacitance by net, and the number of inputs that they reach."""
 
     spef: str
     length_um: float
@@ -87,7 +87,7 @@ class Wired:
 
 
 def wired(top: str, placed: Placed, strips: Strips, lengths: Lengths, lef: Path) -> Wired:
-    """The wires of a block, of these lengths."""
+    """Return the wires of a block from their lengths."""
     layer = metals(lef)
     kinds = {one["name"]: one["kind"] for one in placed["cells"]}
     pins: dict[str, list[tuple[str, str, float, float]]] = defaultdict(list)
@@ -123,7 +123,7 @@ def _net(
     sinks: list[tuple[str, str, float, float]],
     port: str | None,
 ) -> list[str]:
-    """A net as a star of resistances around its driver."""
+    """Return the SPEF lines of a net, a star of resistances around its driver."""
     root = f"{driver[0]}:{driver[1]}" if driver else net
     ends = {f"{cell}:{pin}": (x, y) for cell, pin, x, y in sinks}
     lines = [f"*D_NET {net} {farads:.4f}", "*CONN"]
@@ -143,9 +143,9 @@ def _net(
 
 
 def clock_tree_mw(placed: Placed, wires: Wired, cells: Mapping[str, Cell], supply_v: float, clock_mhz: float) -> float:
-    """Power of the clock tree: its buffers and all wires of the clock. The pins of flip-flops and latches are not in it.
+    """Return the power of the clock tree: of its buffers and all wires of the clock, without the pins of flip-flops and latches.
 
-    Every net between the port and these pins moves twice in a cycle. cells: of `liberty.read_cells`.
+    Every net between the port and these pins changes twice in a cycle. cells: of `liberty.read_cells`.
     """
     tree = [one for one in placed["cells"] if one["kind"] == CLOCK_BUFFER]
     loads = {one["nets"]["A"]: 0.0 for one in tree} | {one["nets"]["Z"]: 0.0 for one in tree}
@@ -165,7 +165,7 @@ def clock_tree_mw(placed: Placed, wires: Wired, cells: Mapping[str, Cell], suppl
 
 
 def netlist(top: str, placed: Placed) -> str:
-    """Verilog of the placed cells, without fillers."""
+    """Return the Verilog of the placed cells, without fillers."""
     ports: Mapping[str, str] = placed["ports"]
     cells = [one for one in placed["cells"] if not one["kind"].startswith("FILL")]
     nets = sorted({net for one in cells for net in one["nets"].values()} - set(ports))
