@@ -13,7 +13,7 @@ import numpy as np
 _Number = TypeVar("_Number", int, np.ndarray)
 
 
-def close_cycle(opening_tick: _Number, window_ticks: int, phases: int) -> _Number:
+def close_cycle(opening_tick: _Number, window_ticks: _Number | int, phases: int) -> _Number:
     """Return c, the cycle of the window's last tick, from which its commit is counted (`latency.COMMIT`)."""
     return (opening_tick + window_ticks - 1) // phases
 

@@ -10,6 +10,7 @@ section III-A of the paper as docs/contract.md defines it.
 import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from typing import NamedTuple
 
 import numpy as np
 from attrs import evolve, frozen
@@ -20,10 +21,11 @@ from ..contract.edges import Edges
 from ..contract.parameters import Sensor
 from ..contract.pixels import pixel_table
 from ..contract.result import ResultBuilder
+from ..contract.windows import close_cycle
 from .controller import Controller
 from .front_end import Settings, Timeline, front_end, time_order
 from .readout import readout, ready_times
-from .shape import COUNTER, shape_of
+from .shape import COUNTER, Shape, shape_of
 
 
 @frozen(eq=False)
@@ -62,7 +64,7 @@ class Golden:
         ready[c] is 1, and always from cycle n on. pulses: fewer than the configuration has means an aborted frame.
         """
         threshold = self.controller.begin(config)
-        trace = self._play(self.frames, threshold, config, edges, ready, pulses)
+        trace = self._play(self.frames, _plan(config, threshold, ready, pulses), edges)
         self.frames += 1
         return evolve(trace, budget=self.controller.end(config, trace.counters))
 
@@ -75,46 +77,27 @@ class Golden:
         if config.controlled.any():
             return [self.frame(config, of_frame) for of_frame in edges]
         threshold = self.controller.begin(config)
-        numbers = range(self.frames, self.frames + len(edges))
+        plan, numbers = _plan(config, threshold), range(self.frames, self.frames + len(edges))
         with ThreadPoolExecutor(workers or os.cpu_count() or 1) as pool:
-            traces = list(
-                pool.map(lambda number, of_frame: self._play(number, threshold, config, of_frame), numbers, edges)
-            )
+            traces = list(pool.map(lambda number, of_frame: self._play(number, plan, of_frame), numbers, edges))
         self.frames += len(edges)
         return [evolve(trace, budget=self.controller.end(config, trace.counters)) for trace in traces]
 
-    def _play(
-        self,
-        number: int,
-        threshold: np.ndarray,
-        config: Config,
-        edges: Edges,
-        ready: np.ndarray | None = None,
-        pulses: int | None = None,
-    ) -> Trace:
-        """Run a frame with given thresholds; the trace has no budget yet."""
-        sensor, shape = self.sensor, shape_of(config)
-        timeline = _timeline(config)
+    def _play(self, number: int, plan: "_Plan", edges: Edges) -> Trace:
+        """Run a frame; the trace has no budget yet."""
+        sensor, shape = self.sensor, plan.shape
         key, order, bounds = time_order(edges, self._pixel, shape)
         counters = np.zeros((sensor.subgroups, len(COUNTER_NAMES)), np.int64)
-        counters[:, COUNTER.threshold_used] = threshold
-        settings = Settings(
-            np.where(config.coincidence, threshold, 1),
-            np.where(config.coincidence, config.window, 1),
-            config.mask,
-            config.gating,
-            config.gate_start,
-            config.gate_len,
-        )
+        counters[:, COUNTER.threshold_used] = plan.threshold
         fate = np.empty(len(edges), np.uint8)
-        fate[order], events, records = front_end(key, bounds, shape, settings, timeline, self._pixel, counters)
-        end = timeline.start[(config.pulses if pulses is None else pulses) - 1] + config.period
-        next_ready = ready_times(config.tready(ready))
+        fate[order], events, records = front_end(
+            key, bounds, shape, plan.settings, plan.timeline, self._pixel, counters
+        )
         beats, cycles = [], []
         for stream in range(sensor.streams):
             span = sensor.stream_subgroups(stream)
             of_stream = readout(
-                span.start, len(span), shape, end, number & 0xFFFF, events, records, counters, next_ready
+                span.start, len(span), shape, plan.end, number & 0xFFFF, events, records, counters, plan.next_ready
             )
             beats.append(of_stream[0])
             cycles.append(of_stream[1])
@@ -131,6 +114,36 @@ class Golden:
             counters,
             np.empty(0, np.int64),
         )
+
+
+class _Plan(NamedTuple):
+    """What the frames of a configuration share, as the kernels need it.
+
+    threshold: as programmed or controlled, with coincidence or without. end: of the last period, in cycles.
+    """
+
+    shape: Shape
+    threshold: np.ndarray
+    settings: Settings
+    timeline: Timeline
+    end: int
+    next_ready: np.ndarray
+
+
+def _plan(config: Config, threshold: np.ndarray, ready: np.ndarray | None = None, pulses: int | None = None) -> _Plan:
+    timeline, window = _timeline(config), np.where(config.coincidence, config.window, 1)
+    phases = config.sensor.phases
+    settings = Settings(
+        np.where(config.coincidence, threshold, 1),
+        window,
+        close_cycle(np.arange(phases), window[:, None], phases),
+        config.mask,
+        config.gating,
+        config.gate_start,
+        config.gate_len,
+    )
+    end = int(timeline.start[(config.pulses if pulses is None else pulses) - 1]) + config.period
+    return _Plan(shape_of(config), threshold, settings, timeline, end, ready_times(config.tready(ready)))
 
 
 def _timeline(config: Config) -> Timeline:

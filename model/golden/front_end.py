@@ -16,7 +16,7 @@ from ..contract.edges import Edges, Fate
 from ..contract.packet import BEAT_BITS
 from ..contract.parameters import OFFSET_NONE
 from ..contract.pixels import Pixels
-from ..contract.windows import armed_cycle, close_cycle
+from ..contract.windows import armed_cycle
 from ..shared.compiled import njit
 from .shape import COUNTER, Shape, row_type
 
@@ -34,8 +34,9 @@ _TICK_MASK, _PIXEL_MASK = (1 << _KEY.pulse - _KEY.tick) - 1, (1 << _KEY.tick) - 
 _WORD_BITS = (BEAT_BITS - 1).bit_length()  # bits of a pixel's number inside a word of the ID map
 _NEVER = -1  # before all cycles
 
-# By subgroup, as the frame uses them. Threshold and window are 1 if coincidence is off.
-Settings = namedtuple("Settings", "threshold window mask gating gate_start gate_len")
+# By subgroup, as the frame uses them. Threshold and window are 1 if coincidence is off. close: int64[subgroups, phases],
+# cycles from that of a window's first edge, by its phase, to that of the window's last tick.
+Settings = namedtuple("Settings", "threshold window close mask gating gate_start gate_len")
 # By pulse: the first cycle of its period, and the cycles that progressive gating adds to a gate's start.
 Timeline = namedtuple("Timeline", "start gate_shift")
 # Rows by subgroup, then time; bounds: int64[subgroups + 1]. Rows from bounds[-1] on are unused.
@@ -46,7 +47,7 @@ _RECORD = row_type("cycle pulse")
 # By minigroup: the map of its collection (0: none), its coarse stamp, and the first cycle after it.
 _Collection = namedtuple("_Collection", "hits stamp end")
 
-_close_cycle, _armed_cycle = njit(close_cycle), njit(armed_cycle)
+_armed_cycle = njit(armed_cycle)
 
 
 def time_order(edges: Edges, pixel: Pixels, shape: Shape):
@@ -86,10 +87,16 @@ def _by_subgroup(pulse, pixel, tick, subgroup_of, inside_of, subgroups):
     return key, order, bounds, in_time
 
 
-@njit
+@njit(allocates=False)
 def _fields(key):
     """Return pulse, tick and pixel inside the subgroup."""
     return key >> _KEY.pulse, key >> _KEY.tick & _TICK_MASK, key & _PIXEL_MASK
+
+
+@njit(allocates=False)
+def _cycle(key, shape):
+    """Return pulse and cycle as one number, which no other cycle of the frame has."""
+    return key >> _KEY.tick + shape.phase_bits
 
 
 @njit
@@ -104,7 +111,7 @@ def front_end(key, bounds, shape, settings, timeline, pixel, counters):
     for s in range(shape.subgroups):
         of = slice(bounds[s], bounds[s + 1])
         passed = _accept(s, key[of], shape, settings, timeline, seen_at, fate[of], accepted)
-        opened = _open_windows(s, key[of], passed, shape, settings, timeline, fate[of], windows, counters)
+        opened = _open_windows(s, key[of], passed, shape, settings, fate[of], windows, counters)
         _commit(s, key[of], passed, opened, shape, settings, timeline, pixel, fate[of], events, counters)
         if shape.minigroup_records:
             _collect_records(s, key[of], passed, shape, timeline, pixel, records)
@@ -132,20 +139,17 @@ def _room_for_records(most, shape):
 def _accept(s, key, shape, settings, timeline, seen_at, fate, accepted):
     """Set the fates of subgroup `s`'s edges that go no further; write the indices of the others to `accepted`.
 
-    Returns the written part. seen_at: scratch, cycle of the frame with the last edge of each pixel.
+    Returns the written part. seen_at: scratch, the last edge of each pixel as `_cycle`.
     """
     seen_at[:] = _NEVER
     n = 0
     for e in range(len(key)):
-        pulse, tick, inside = _fields(key[e])
-        cycle = tick >> shape.phase_bits
-        at = timeline.start[pulse] + cycle
-        gate_start = settings.gate_start[s] + timeline.gate_shift[pulse]
+        at, inside = _cycle(key[e], shape), key[e] & _PIXEL_MASK
         if seen_at[inside] == at:  # a second edge of a pixel in one cycle does not exist
             fate[e] = _DUPLICATE
         elif not settings.mask[s, inside]:
             fate[e] = _MASKED
-        elif settings.gating[s] and not gate_start <= cycle < gate_start + settings.gate_len[s]:
+        elif settings.gating[s] and not _in_gate(s, key[e], shape, settings, timeline):
             fate[e] = _GATED
         else:
             accepted[n] = e
@@ -154,8 +158,16 @@ def _accept(s, key, shape, settings, timeline, seen_at, fate, accepted):
     return accepted[:n]
 
 
+@njit(allocates=False)
+def _in_gate(s, key, shape, settings, timeline):
+    """Return whether an edge is inside the gate of subgroup `s`."""
+    pulse, tick, _ = _fields(key)
+    cycle, gate_start = tick >> shape.phase_bits, settings.gate_start[s] + timeline.gate_shift[pulse]
+    return gate_start <= cycle < gate_start + settings.gate_len[s]
+
+
 @njit
-def _open_windows(s, key, accepted, shape, settings, timeline, fate, windows, counters):
+def _open_windows(s, key, accepted, shape, settings, fate, windows, counters):
     """The tree of subgroup `s`: set the fates of `accepted` edges by their times, and write the windows to `windows`.
 
     Returns int64[n, 2]: the indices in `accepted` of each window's first edge and of the first edge after the window.
@@ -170,12 +182,12 @@ def _open_windows(s, key, accepted, shape, settings, timeline, fate, windows, co
         cycle = opening >> shape.phase_bits
         if not armed_from <= cycle < shape.open_cycles:
             fate[accepted[k]] = _BLIND
-            at = timeline.start[pulse] + cycle
+            at = _cycle(key[accepted[k]], shape)
             counters[s, COUNTER.blind] += at != blind_at  # cycles, not edges
             blind_at = at
             k += 1
             continue
-        armed_from = _armed_cycle(_close_cycle(opening, window, shape.phases), shape.rearm)
+        armed_from = _armed_cycle(cycle + settings.close[s, opening & shape.phases - 1], shape.rearm)
         fate[accepted[k]], windows[n, 0] = _OPENING, k
         k += 1
         while k < len(accepted):
@@ -190,16 +202,22 @@ def _open_windows(s, key, accepted, shape, settings, timeline, fate, windows, co
     return windows[:n]
 
 
-@njit
+@njit(allocates=False)
 def _commit(s, key, accepted, windows, shape, settings, timeline, pixel, fate, events, counters):
     """Count the distinct pixels of subgroup `s`'s windows; windows that meet the threshold become events."""
-    window, threshold, minigroup, row = settings.window[s], settings.threshold[s], pixel.minigroup, events.bounds[s]
+    threshold, minigroup, row = settings.threshold[s], pixel.minigroup, events.bounds[s]
     hits, offsets = events.hits, events.offsets  # of the next row
-    for first, stop in windows:
+    photons = lower = rejected = 0
+    for k in range(len(windows)):
+        first, stop = windows[k, 0], windows[k, 1]
+        if stop - first == 1 < threshold:  # a single photon, as most windows have in sunlight
+            photons, lower, rejected = photons + 1, lower + (threshold == 2), rejected + 1
+            continue
         hits[row] = 0
         offsets[row] = OFFSET_NONE
         pulse, opening, winner = _fields(key[accepted[first]])
-        cycle_start = opening >> shape.phase_bits << shape.phase_bits
+        cycle = opening >> shape.phase_bits
+        cycle_start = cycle << shape.phase_bits
         count = 0
         for e in accepted[first:stop]:
             _, tick, inside = _fields(key[e])
@@ -211,16 +229,19 @@ def _commit(s, key, accepted, windows, shape, settings, timeline, pixel, fate, e
             count += 1
             if offsets[row, minigroup[inside]] == OFFSET_NONE:
                 offsets[row, minigroup[inside]] = (tick - cycle_start) >> shape.offset_tick_bits
-        counters[s, COUNTER.photons] += count
-        counters[s, COUNTER.lower] += count >= threshold - 1
+        photons, lower = photons + count, lower + (count >= threshold - 1)
         if count < threshold:
-            counters[s, COUNTER.rejected] += 1
+            rejected += 1
             continue
-        counters[s, COUNTER.committed] += 1
         event = events.row[row]
-        event.cycle = timeline.start[pulse] + _close_cycle(opening, window, shape.phases) + latency.COMMIT
+        closes = cycle + settings.close[s, opening - cycle_start]
+        event.cycle = timeline.start[pulse] + closes + latency.COMMIT
         event.pulse, event.stamp, event.count, event.winner = pulse, opening, count, winner
         row += 1
+    counters[s, COUNTER.photons] += photons
+    counters[s, COUNTER.lower] += lower
+    counters[s, COUNTER.rejected] += rejected
+    counters[s, COUNTER.committed] += row - events.bounds[s]
     events.bounds[s + 1] = row
 
 
@@ -244,7 +265,7 @@ def _collect_records(s, key, accepted, shape, timeline, pixel, records):
     records.bounds[s + 1] = row
 
 
-@njit
+@njit(allocates=False)
 def _add(collected, g, bit, tick, shape):
     """Add an edge to the collection of minigroup `g`, or begin a collection with it."""
     cycle = tick >> shape.phase_bits
@@ -259,7 +280,7 @@ def _add(collected, g, bit, tick, shape):
     collected.hits[g] |= bit
 
 
-@njit
+@njit(allocates=False)
 def _latch(collected, entries, shape):
     """Empty the collections into a record's entries; return whether any met the threshold."""
     latched = False
@@ -272,7 +293,7 @@ def _latch(collected, entries, shape):
     return latched
 
 
-@njit
+@njit(allocates=False)
 def _enough(hits, threshold):
     """Return whether a map holds at least `threshold` pixels (an empty one never does)."""
     count = 0

@@ -23,6 +23,7 @@ from ..contract.groups import (
     PER_PART,
 )
 from ..contract.packet import BEAT_BITS, GROUP_KIND, KIND_LSB
+from ..contract.parameters import OFFSET_NONE
 from ..contract.ungroup import check_of
 from ..shared.compiled import njit
 from .shape import row_type
@@ -47,9 +48,12 @@ def new_packer():
     return state
 
 
-@njit
-def pack_event(packer, beats, sent_at, event, subgroup, hits, offsets, read_at, shape, next_ready):
-    """Pack an event whose last beat was read in the cycle `read_at`; the next one is read from cycle `taken` on."""
+@njit(allocates=False)
+def pack_event(packer, beats, sent_at, event, subgroup, hits, offsets, read_at, listed, shape, next_ready):
+    """Pack an event whose last beat was read in the cycle `read_at`; the next one is read from cycle `taken` on.
+
+    listed: scratch, int64[pixels].
+    """
     packer.taken = max(read_at + 1, packer.formed)
     packer.form_from = packer.taken + 1
     if packer.begins >= 0 and not 0 <= packer.pulse - event.pulse <= AGE_MAX:
@@ -67,10 +71,6 @@ def pack_event(packer, beats, sent_at, event, subgroup, hits, offsets, read_at, 
         packer.age = age
     bit = _put(beats, bit, event.stamp, shape.stamp_bits)
     bit = _put(beats, bit, event.winner, shape.winner_bits)
-    is_hit, in_hit = np.zeros(shape.pixels, np.bool_), np.zeros(shape.minigroups, np.bool_)
-    for i in range(shape.pixels):
-        if hits[i // BEAT_BITS] >> np.uint64(i % BEAT_BITS) & np.uint64(1):
-            is_hit[i] = in_hit[shape.minigroup_of[i]] = True
     if mapped:
         _part(packer, beats, sent_at, bit - begin, next_ready)
         for part in range(0, shape.pixels, MAP_PART_BITS):
@@ -80,33 +80,38 @@ def pack_event(packer, beats, sent_at, event, subgroup, hits, offsets, read_at, 
                 bit = _put(beats, bit, np.int64(word), min(_HALF, part + width - half))
             _part(packer, beats, sent_at, width, next_ready)
     else:
-        is_hit[event.winner] = False
-        others = _from_both_ends(np.flatnonzero(is_hit))
-        for k, pixel in enumerate(others):
+        others = 0
+        for pixel in range(shape.pixels):
+            if pixel != event.winner and hits[pixel // BEAT_BITS] >> np.uint64(pixel % BEAT_BITS) & np.uint64(1):
+                listed[others] = pixel
+                others += 1
+        for k in range(others):
             if k >= FIRST_PIXELS - 1 and (k - FIRST_PIXELS + 1) % PER_PART == 0:
                 _part(packer, beats, sent_at, bit - begin, next_ready)
                 begin = bit
-            bit = _put(beats, bit, pixel, shape.winner_bits)
+            bit = _put(beats, bit, _from_both_ends(listed, others, k), shape.winner_bits)
         _part(packer, beats, sent_at, bit - begin, next_ready)
     if shape.event_has_offsets:
-        hit = _from_both_ends(np.flatnonzero(in_hit))
-        for k in range(0, len(hit), PER_PART):
-            begin = bit
-            for minigroup in hit[k : k + PER_PART]:
-                bit = _put(beats, bit, offsets[minigroup], shape.offset_bits)
-            _part(packer, beats, sent_at, bit - begin, next_ready)
+        hit = 0
+        for minigroup in range(shape.minigroups):
+            if offsets[minigroup] != OFFSET_NONE:
+                listed[hit] = minigroup
+                hit += 1
+        for k in range(hit):
+            if k % PER_PART == 0:
+                begin = bit
+            bit = _put(beats, bit, offsets[_from_both_ends(listed, hit, k)], shape.offset_bits)
+            if k + 1 == hit or (k + 1) % PER_PART == 0:
+                _part(packer, beats, sent_at, bit - begin, next_ready)
 
 
-@njit
-def _from_both_ends(items):
-    """Return ascending items in the order lowest, highest, second lowest, and so on."""
-    order = np.empty_like(items)
-    for k in range(len(items)):
-        order[k] = items[k // 2] if k % 2 == 0 else items[len(items) - 1 - k // 2]
-    return order
+@njit(allocates=False)
+def _from_both_ends(items, number, k):
+    """Return the k-th of ascending items in the order lowest, highest, second lowest, and so on."""
+    return items[k // 2 if k % 2 == 0 else number - 1 - k // 2]
 
 
-@njit
+@njit(allocates=False)
 def _open_group(packer, beats, sent_at, pulse, shape, next_ready):
     packer.begins, packer.pulse, packer.age = packer.beat, pulse, 0
     bit = packer.beat * PAYLOAD_BITS
@@ -117,7 +122,7 @@ def _open_group(packer, beats, sent_at, pulse, shape, next_ready):
     _part(packer, beats, sent_at, HEAD_BITS, next_ready)
 
 
-@njit
+@njit(allocates=False)
 def close_group(packer, beats, sent_at, cycle, next_ready):
     """End the open group, if there is one; its end is formed in `cycle` or, if a part waits there, later."""
     if packer.begins >= 0:
@@ -136,7 +141,7 @@ def close_group(packer, beats, sent_at, cycle, next_ready):
             packer.number += 1
 
 
-@njit
+@njit(allocates=False)
 def _part(packer, beats, sent_at, bits, next_ready):
     """Form and pack a part of so many bits in the next possible cycles, and send the beats that are full then."""
     packer.formed = max(packer.form_from, packer.packed)
@@ -147,7 +152,7 @@ def _part(packer, beats, sent_at, bits, next_ready):
         packer.pack_from = _send(packer, beats, sent_at, next_ready)
 
 
-@njit
+@njit(allocates=False)
 def _send(packer, beats, sent_at, next_ready):
     """Send a beat as soon as the receiver takes it, and return that cycle, in which the next part can be packed."""
     cycle = packer.beat_from
@@ -161,7 +166,7 @@ def _send(packer, beats, sent_at, next_ready):
     return cycle
 
 
-@njit
+@njit(allocates=False)
 def _put(beats, bit, value, width):
     """Write `value`, of `width` bits, into the payloads of the beats, from `bit` on; return the bit behind it."""
     while width > 0:

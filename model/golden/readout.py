@@ -7,6 +7,8 @@ It proceeds from grant to grant. Everything that has been committed by then ente
 receiver.
 """
 
+from collections import namedtuple
+
 import numpy as np
 
 from ..contract import latency
@@ -29,6 +31,10 @@ _QUEUE = row_type(
     "next_event end_event read oldest level lost next_record end_record waiting place_free_at stored dropped mg_stored mg_dropped"
 )
 
+# Arrays of a stream: beats and the cycles of their transfer, those of groups, and scratch for `_arbitrate` (wake), a
+# packet (values) and the packer (listed).
+_Room = namedtuple("_Room", "queues wake beats sent_at packed packed_at values listed")
+
 
 @njit
 def readout(first, n, shape, end, frame, events, records, counters, next_ready):
@@ -39,16 +45,34 @@ def readout(first, n, shape, end, frame, events, records, counters, next_ready):
     """
     queues = _queues(first, n, events.bounds, records.bounds)
     most = _beats(queues, shape)
-    beats, sent_at = np.empty(most, np.uint64), np.empty(most, np.int64)
     packed, packed_at = _packed_beats(most, shape)
     packers = new_packer()
-    packer = packers[0]  # a row lives as long as its array
-    values = np.zeros(ARRAY + shape.longest_word, np.uint64)
+    room = _Room(
+        queues,
+        np.zeros(n, np.int64),
+        np.empty(most, np.uint64),
+        np.empty(most, np.int64),
+        packed,
+        packed_at,
+        np.zeros(ARRAY + shape.longest_word, np.uint64),
+        np.empty(shape.pixels, np.int64),
+    )
+    done = _play(room, packers[0], first, shape, end, frame, events, records, counters, next_ready)
+    if shape.grouped:
+        return packed[: packers[0].beat].copy(), packed_at[: packers[0].beat].copy()
+    return room.beats[:done].copy(), room.sent_at[:done].copy()
+
+
+@njit(allocates=False)
+def _play(room, packer, first, shape, end, frame, events, records, counters, next_ready):
+    """Proceed from grant to grant; write the beats to `room`, and return the number of those before the packer."""
+    queues, wake, beats, sent_at, packed, packed_at, values, listed = room
+    n = len(queues)
     values[NUMBER.pulse], values[NUMBER.count] = frame, shape.grouped
     _encode(beats[:1], _FRAME_START, values, shape.frame_parts)
     done = _transfer(sent_at, 0, 1, latency.FRAME_START, next_ready)
     _pass(packer, packed, packed_at, beats, sent_at, 0, 1, shape)
-    t, pointer, wake = latency.FRAME_START + 1, 0, np.zeros(n, np.int64)
+    t, pointer = latency.FRAME_START + 1, 0
     while True:
         t = _when_room(shape.longest_word, t, done, sent_at, shape)
         chosen, upcoming = _arbitrate(t, pointer, queues, wake, events.row, records.row, shape.fifo_depth)
@@ -70,18 +94,22 @@ def readout(first, n, shape, end, frame, events, records, counters, next_ready):
                     events.hits[event],
                     events.offsets[event],
                     sent_at[done - 1],
+                    listed,
                     shape,
                     next_ready,
                 )
-            else:
+            elif shape.grouped:
                 done = _send(packer, packed, packed_at, beats, sent_at, done, length, t, shape, next_ready)
+            else:
+                done = _transfer(sent_at, done, length, t, next_ready)
             t, pointer = t + length, (chosen + 1) % n
         elif upcoming < _NEVER:
             t = upcoming
         else:
             break
     t = max(t, end + latency.FINISH)
-    values[:] = 0
+    for k in range(len(values)):
+        values[k] = 0
     values[NUMBER.pulse] = frame
     _encode(beats[done : done + 1], _FRAME_END, values, shape.frame_parts)
     done = _send(packer, packed, packed_at, beats, sent_at, done, 1, t, shape, next_ready)
@@ -92,9 +120,7 @@ def readout(first, n, shape, end, frame, events, records, counters, next_ready):
         _pack(beats[done : done + shape.counter_beats], counters[first + s], COUNTER_BITS)
         done = _send(packer, packed, packed_at, beats, sent_at, done, shape.counter_beats, t, shape, next_ready)
         t += shape.counter_beats
-    if shape.grouped:
-        return packed[: packers[0].beat].copy(), packed_at[: packers[0].beat].copy()
-    return beats[:done].copy(), sent_at[:done].copy()
+    return done
 
 
 @njit
@@ -241,13 +267,13 @@ def _pack(beats, items, bits):
         beats[k // per_beat] |= np.uint64(items[k]) << np.uint64(k % per_beat * bits)
 
 
-@njit
+@njit(allocates=False)
 def _count(counters, queue):
     counters[COUNTER.stored], counters[COUNTER.dropped] = queue.stored, queue.dropped
     counters[COUNTER.mg_stored], counters[COUNTER.mg_dropped] = queue.mg_stored, queue.mg_dropped
 
 
-@njit
+@njit(allocates=False)
 def _send(packer, packed, packed_at, beats, sent_at, done, length, t, shape, next_ready):
     """Let the `length` beats after `done`, which are of no event, leave behind the open group; return the new `done`."""
     before = sent_at[done - 1]
@@ -261,12 +287,13 @@ def _send(packer, packed, packed_at, beats, sent_at, done, length, t, shape, nex
     return end
 
 
-@njit
+@njit(allocates=False)
 def _pass(packer, packed, packed_at, beats, sent_at, done, end, shape):
     """Let beats from `done` to `end` through the packer."""
     if shape.grouped:
         begin, packer.beat = packer.beat, packer.beat + end - done
-        packed[begin : packer.beat], packed_at[begin : packer.beat] = beats[done:end], sent_at[done:end]
+        for k in range(end - done):
+            packed[begin + k], packed_at[begin + k] = beats[done + k], sent_at[done + k]
 
 
 @njit(allocates=False)

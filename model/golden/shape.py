@@ -2,7 +2,6 @@
 """The part of a configuration that the kernels of the golden model need, as plain numbers."""
 
 from collections import namedtuple
-from functools import cache
 from typing import Any
 
 import numpy as np
@@ -19,7 +18,7 @@ Shape = namedtuple(
     "subgroups pixels minigroups phases phase_bits quarter_bits offset_tick_bits period open_cycles rearm fifo_depth "
     "minigroup_records mg_threshold mg_window record_bits record_stamp_bits "
     "event_code event_parts event_beats event_has_offsets grouped hits_words record_parts record_beats frame_parts "
-    "subgroup_bits winner_bits offset_bits stamp_bits listed_max minigroup_of "
+    "subgroup_bits winner_bits offset_bits stamp_bits listed_max "
     "counter_beats longest_word output_depth",
 )
 
@@ -54,15 +53,6 @@ def _words(bits: int) -> int:
     return -(-bits // BEAT_BITS)
 
 
-@cache
-def _minigroups(sensor: Sensor) -> np.ndarray:
-    """int64[pixels]: minigroup of each pixel of a subgroup."""
-    minigroup = np.zeros(sensor.pixels, np.int64)
-    for g in range(sensor.minigroups):
-        minigroup[sensor.members(g)] = g
-    return minigroup
-
-
 def shape_of(config: Config) -> Shape:
     sensor, frame = config.sensor, config.frame
     lengths, packet, widths = layout(sensor), FORMATS[config.format], groups(sensor)
@@ -91,7 +81,6 @@ def shape_of(config: Config) -> Shape:
         offset_bits=sensor.offset_bits,
         stamp_bits=bits_for(config.period_ticks - 1),
         listed_max=widths.listed_max,
-        minigroup_of=_minigroups(sensor),
         hits_words=_words(sensor.pixels),
         record_parts=_part_rows(sensor, RECORD),
         record_beats=lengths.length(RECORD),
