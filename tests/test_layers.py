@@ -2,6 +2,7 @@
 """The layers: permitted imports, and no cycle between files. All import lines are read, also lazy ones inside functions."""
 
 import ast
+import re
 import subprocess
 import sys
 from functools import cache
@@ -12,24 +13,7 @@ import pytest
 
 from coincid.model.shared.sources import room_files
 
-ROOMS = {  # room: the rooms whose files it may import, in addition to its own
-    "model.shared": (),
-    "model.contract": ("model.shared",),
-    "model.golden": ("model.contract", "model.shared"),
-    "model.light": ("model.contract", "model.shared"),
-    "model.scenes": ("model.light", "model.contract", "model.shared"),
-    "model.depth": ("model.contract", "model.shared"),
-    "model.recorded": ("model.light", "model.contract", "model.shared"),
-    "tools": ("model.shared",),
-    "host": ("model.contract", "model.shared"),
-    "hdl": ("model.contract", "model.shared"),
-    "slices": ("tools", "model.shared"),
-    "tb": ("slices", "tools", "hdl", "host", "model.golden", "model.contract", "model.shared"),
-    "flow": ("tb", "tools", "hdl", "host", "model.golden", "model.contract", "model.shared"),
-    "formal": ("tb", "tools", "hdl", "model.contract", "model.shared"),
-    "lab": ("tb", "hdl", "model"),
-    "study": ("lab", "flow", "tb", "tools", "hdl", "host", "model"),
-}
+NOT_ROOMS = ("tests", "examples", "docs")  # nothing imports from these
 NEVER = {  # room: packages that it must not even load
     "hdl": ("numba", "scipy", "matplotlib", "cocotb", "coincid.model.golden"),
     "host": ("amaranth", "cocotb", "serial", "matplotlib", "coincid.hdl", "coincid.tb"),
@@ -37,6 +21,15 @@ NEVER = {  # room: packages that it must not even load
     "model": ("amaranth", "cocotb", "matplotlib", "coincid.hdl", "coincid.tb"),
 }
 OPTIONAL = ("mitsuba", "mitransient", "drjit")  # of the extra `raytrace`
+
+
+@cache
+def rooms() -> dict[str, list[str]]:
+    """Return README's table: room -> the rooms from which its files may import, in addition to its own."""
+    text = (Path(__file__).parents[1] / "README.md").read_text()
+    rows = re.findall(r"^\| `([\w/]+)/` \|.*\|([^|]*)\|$", text, re.MULTILINE)
+    found = {room: re.findall(r"`([\w/]+)`", named) for room, named in rows if room not in NOT_ROOMS}
+    return {room.replace("/", "."): [name.replace("/", ".") for name in named] for room, named in found.items()}
 
 
 def module_name(path: Path, room: str) -> str:
@@ -50,7 +43,7 @@ def imports() -> dict[str, set[str]]:
     """Return module -> modules of the project that it imports, for all rooms."""
     files = {
         module_name(path, room): path
-        for room in ("model", "tools", "host", "hdl", "slices", "tb", "flow", "formal", "lab", "study")
+        for room in dict.fromkeys(room.partition(".")[0] for room in rooms())
         for path in room_files(room)
         if path.suffix == ".py"
     }
@@ -79,9 +72,10 @@ def own_room(module: str) -> str:
     return module.removeprefix("coincid.").rpartition(".")[0]
 
 
-@pytest.mark.parametrize("room", ROOMS)
-def test_rooms_import_only_what_is_below(room):
-    allowed = (room, *ROOMS[room])
+@pytest.mark.parametrize("room", rooms())
+def test_rooms_import_only_what_readme_names(room):
+    allowed, above = (room, *rooms()[room]), list(rooms())[: list(rooms()).index(room)]
+    assert all(any(inside(f"coincid.{one}", other) for one in above) for other in rooms()[room])
     members = {module: targets for module, targets in imports().items() if inside(module, room)}
     assert len(members) > 1
     wrong = [
@@ -97,7 +91,7 @@ def test_every_file_is_in_a_room():
     assert not [
         module
         for module in imports()
-        if not any(inside(module, room) for room in ROOMS) and module not in ("coincid.model",)
+        if not any(inside(module, room) for room in rooms()) and module not in ("coincid.model",)
     ]
 
 
