@@ -1,20 +1,25 @@
 # SPDX-License-Identifier: Apache-2.0
 """This sensor and its rivals (`rivals.py`) on the same photons: the depth, and the bits that it takes.
 
-All schemes share the edges, the macro-pixels, and the estimator, a matched filter on every pixel's histogram. Schemes with
-a window and threshold use the same ones; those that send words have the same FIFOs and stream; those that keep histograms
-have the same memory (`MEMORY_BITS`). The estimator of planes is also shown for schemes whose words it can model.
+All schemes share the edges and the macro-pixels. Schemes with a window and threshold use the same ones; those that send
+words have the same FIFOs and stream; those that keep a histogram per macro-pixel have the same memory (`MEMORY_BITS`);
+those that compress one per pixel send all that they keep. The estimator is a matched filter on every pixel's histogram, or
+what fits the compressed form. The estimator of planes is also shown for schemes whose words it can model.
 """
 
 import math
 from collections.abc import Callable, Sequence
+from functools import partial
+from itertools import product
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy import special
 
 from ..lab.run import Run
 from ..lab.setup import SETTLING, Setup
 from ..model.contract.packet import BEAT_BITS, FORMATS, layout
+from ..model.contract.parameters import bits_for
 from ..model.depth.arrivals import pulse_sigma_ticks
 from ..model.depth.histograms import pixel_image
 from ..model.depth.peaks import APART_SIGMAS, NEAR_SIGMAS, pixel_peaks
@@ -28,6 +33,9 @@ FRAMES = SETTLING + 1  # the controller settles in the others; the last one coun
 ADDER_S = 1e-9  # clock of the adder
 FINE_S = 250e-12  # bins of the count-weighted histogram
 MEMORY_BITS = 32_000  # per macro-pixel, for its histogram
+PULSE_SIGMAS = 4.0  # of a pulse that a zoom includes on either side of a bin
+FINE_SIGMAS = 3.0  # width of a bin that needs no further zoom
+OFFSETS_SIGMAS, SIGNAL_SHARES = np.linspace(-1.8, 1.8, 9), (0.05, 0.1, 0.2, 0.4, 0.7)  # tried for equi-depth histograms
 NEAR_BINS = 1  # around the peak of a coarse histogram, from which its centre is computed
 
 
@@ -94,6 +102,55 @@ def _count_weighted(shot: Shot) -> Found:
     )
 
 
+def _time_stamps(shot: Shot, most: int) -> Found:
+    words = rivals.first_stamps(shot.photons, most)
+    bits = len(words.stamp) * _stamp_bits(shot) + shot.config.sensor.array_pixels * bits_for(most)
+    return _by_stamps(shot, words, words.stamp + 0.5, bits)
+
+
+def _zoomed(shot: Shot, bins: int) -> Found:
+    """Take histograms in turn, each with its part of the pulses: of the period, then of the highest bin with a pulse around."""
+    period, pulses, pixels = shot.config.period_ticks, shot.photons.pulses, shot.config.sensor.array_pixels
+    margin = math.ceil(PULSE_SIGMAS * shot.sigma_ticks)
+    widths = [-(-period // bins)]
+    while widths[-1] > FINE_SIGMAS * shot.sigma_ticks:
+        widths.append(-(-(widths[-1] + 2 * margin) // bins))
+    begin = [number * pulses // len(widths) for number in range(len(widths) + 1)]
+    start, counts = np.zeros(pixels, np.int64), np.empty(0)
+    for number, width in enumerate(widths):
+        if number:
+            start += counts.argmax(axis=1) * widths[number - 1] - margin
+            start = np.clip(start, 0, period - bins * width)
+        counts = rivals.zoomed_counts(shot.photons, range(begin[number], begin[number + 1]), start, width, bins)
+    bits = bins * bits_for(pulses - begin[-2]) + _stamp_bits(shot)  # the last histogram, and where it begins
+    return _of_pixels(shot, start[:, None] + coarse_peaks(counts, widths[-1], shot.sigma_ticks), bits)
+
+
+def _fourier(shot: Shot, codes: int) -> Found:
+    """Take the time at which a pulse, with as many frequencies, correlates best with the sums."""
+    period, photons = shot.config.period_ticks, shot.photons
+    sums = rivals.fourier_sums(photons, codes, period)
+    pulse = np.exp(-0.5 * (2 * np.pi / period * np.arange(sums.shape[1]) * shot.sigma_ticks) ** 2)
+    ticks = np.full((len(sums), RETURNS), np.nan)
+    for part in (slice(first, first + photons.pixels) for first in range(0, len(sums), photons.pixels)):
+        ticks[part, 0] = np.fft.irfft(sums[part] * pulse, period).argmax(axis=1) + 0.5
+    return _of_pixels(shot, ticks, codes * (1 + bits_for(rivals.CODE_MAX * photons.pulses)))  # with signs
+
+
+def _equi_depth(shot: Shot, bins: int) -> Found:
+    """Take the likeliest time of a pulse in uniform background, close to a boundary."""
+    edges = rivals.equi_depth(shot.photons, bins, shot.config.period_ticks)
+    background = np.maximum(np.diff(edges), 1) / shot.config.period_ticks
+    best, ticks = np.full(len(edges), -np.inf), np.full((len(edges), RETURNS), np.nan)
+    for boundary, offset, signal in product(range(1, bins), OFFSETS_SIGMAS, SIGNAL_SHARES):
+        time = edges[:, boundary] + offset * shot.sigma_ticks
+        pulse = np.diff(special.ndtr((edges - time[:, None]) / shot.sigma_ticks), axis=1)
+        likelihood = np.log(signal * pulse + (1 - signal) * background).sum(axis=1)
+        better = likelihood > best
+        best[better], ticks[better, 0] = likelihood[better], time[better] + 0.5
+    return _of_pixels(shot, ticks, (bins - 1) * _stamp_bits(shot))
+
+
 def _this(shot: Shot, subgroup: dict[str, Any], estimator: str = "matched", **frame: Any) -> Found:
     run = shot.run.but(subgroup=subgroup, frame=frame)
     if not run.config.auto.any():  # then frames do not depend on earlier ones
@@ -116,6 +173,12 @@ SCHEMES: dict[str, Callable[[Shot], Found]] = {
     "winner: planes": lambda shot: _this(shot, {"coincidence": False}, "planes", format="short"),
     "this: fixed planes": lambda shot: _this(shot, {}, "planes"),
     "this: controller planes": lambda shot: _this(shot, {"auto": True}, "planes"),
+    "this: fixed compact planes": lambda shot: _this(shot, {}, "planes", format="compact"),
+    "this: controller compact planes": lambda shot: _this(shot, {"auto": True}, "planes", format="compact"),
+    **{f"zoomed: {bins} bins": partial(_zoomed, bins=bins) for bins in (16, 32, 64)},
+    **{f"Fourier: {codes} codes": partial(_fourier, codes=codes) for codes in (8, 16, 32)},
+    **{f"equi-depth: {bins} bins": partial(_equi_depth, bins=bins) for bins in (8, 16, 32)},
+    **{f"time stamps: {most}": partial(_time_stamps, most=most) for most in (8, 16, 32, 64, 128)},
 }
 
 
@@ -130,11 +193,14 @@ def _by_words(shot: Shot, words: rivals.Words, arrival: np.ndarray, form: str) -
     config, sensor = shot.config, shot.config.sensor
     beats = layout(sensor).length(FORMATS[form])
     sent = rivals.read_out(shot.photons, words, sensor, sensor.phases, config.period, beats)
-    histograms = rivals.pixel_histograms(shot.photons, words.chosen(sent), arrival[sent], sensor, config.period_ticks)
-    ticks = np.stack(
-        [pixel_peaks(histogram, "matched", None, shot.sigma_ticks, RETURNS)[0] for histogram in histograms]
-    )
-    return Found(_metres(shot, pixel_image(ticks, sensor)), int(sent.sum()) * beats * BEAT_BITS)
+    return _by_stamps(shot, words.chosen(sent), arrival[sent], int(sent.sum()) * beats * BEAT_BITS)
+
+
+def _by_stamps(shot: Shot, words: rivals.Words, arrival: np.ndarray, bits: int) -> Found:
+    """Return depth from a histogram of every pixel's words."""
+    histograms = rivals.pixel_histograms(shot.photons, words, arrival, shot.config.sensor, shot.config.period_ticks)
+    peaks = [pixel_peaks(histogram, "matched", None, shot.sigma_ticks, RETURNS)[0] for histogram in histograms]
+    return Found(_pixel_metres(shot, np.concatenate(peaks)), bits)
 
 
 def _by_memory(shot: Shot, histogram: np.ndarray, width: int) -> Found:
@@ -143,10 +209,8 @@ def _by_memory(shot: Shot, histogram: np.ndarray, width: int) -> Found:
     bits = histogram.shape[1] * (shot.photons.pulses * sensor.pixels).bit_length()
     if bits > MEMORY_BITS:
         raise ValueError(f"a histogram of {bits} bits, the memory holds {MEMORY_BITS}")
-    ticks = coarse_peaks(histogram, width, shot.sigma_ticks)
-    return Found(
-        _metres(shot, pixel_image(np.repeat(ticks[:, None], sensor.pixels, axis=1), sensor)), bits * sensor.subgroups
-    )
+    ticks = np.repeat(coarse_peaks(histogram, width, shot.sigma_ticks), sensor.pixels, axis=0)
+    return Found(_pixel_metres(shot, ticks), bits * sensor.subgroups)
 
 
 def coarse_peaks(histogram: np.ndarray, width: int, sigma_ticks: float) -> np.ndarray:
@@ -181,5 +245,17 @@ def _pulse_shape(sigma: float) -> np.ndarray:
     return np.exp(-0.5 * (at / sigma) ** 2)
 
 
-def _metres(shot: Shot, ticks: np.ndarray) -> np.ndarray:
-    return ticks * shot.config.tick_s * SPEED_OF_LIGHT_M_S / 2
+def _of_pixels(shot: Shot, ticks: np.ndarray, bits: int) -> Found:
+    """Return the result of a scheme that sends so many bits of every pixel."""
+    return Found(_pixel_metres(shot, ticks), bits * shot.config.sensor.array_pixels)
+
+
+def _stamp_bits(shot: Shot) -> int:
+    return bits_for(shot.config.period_ticks - 1)
+
+
+def _pixel_metres(shot: Shot, ticks: np.ndarray) -> np.ndarray:
+    """float64[rows, cols, RETURNS] from ticks of all pixels by subgroup, float64[pixels, RETURNS]."""
+    sensor = shot.config.sensor
+    image = pixel_image(ticks.reshape(sensor.subgroups, sensor.pixels, RETURNS), sensor)
+    return image * shot.config.tick_s * SPEED_OF_LIGHT_M_S / 2

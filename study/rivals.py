@@ -3,8 +3,8 @@
 
 A macro-pixel is a subgroup: every scheme sees the edges of its pixels and nothing else. Some schemes send words (one stamp
 for a group of photons) through FIFOs and a stream like this sensor's. Others sum up a histogram for each macro-pixel on
-the chip and send it at the end of the frame. The ideas are known from the literature in many forms; these forms are our
-choice.
+the chip, or compress one for each pixel, and send it at the end of the frame. The ideas are known from the literature in
+many forms (docs/rivals.md has the sources); these forms are our choice.
 """
 
 from collections.abc import Iterator
@@ -20,6 +20,7 @@ from ..model.depth.arrivals import lead_sigmas, photons_of
 from ..model.shared.compiled import njit
 
 REARM_CYCLES = 0  # a rival's tree is armed again in the cycle after its window
+CODE_MAX = 127  # largest value of a Fourier code
 _close_cycle, _armed_cycle = njit(close_cycle), njit(armed_cycle)
 
 
@@ -40,6 +41,11 @@ class Photons(NamedTuple):
     @property
     def subgroup(self) -> np.ndarray:
         return self.pulse // self.pulses
+
+    @property
+    def pixel(self) -> np.ndarray:
+        """Number of the pixel in the array, by subgroup."""
+        return self.subgroup * self.pixels + self.inside
 
 
 class Words(NamedTuple):
@@ -126,6 +132,49 @@ def last_hit(photons: Photons) -> Words:
     """Take the last photon of each period, which has overwritten the earlier ones."""
     last = np.flatnonzero(np.diff(photons.pulse, append=-1))
     return Words(last, last + 1, photons.tick[last])
+
+
+def first_stamps(photons: Photons, most: int) -> Words:
+    """Take the first `most` photons of every pixel in the frame, each with its stamp."""
+    order, number = np.argsort(photons.pixel, kind="stable"), np.bincount(photons.pixel)
+    rank = np.arange(len(order)) - np.repeat(np.cumsum(number) - number, number)
+    chosen = np.sort(order[rank < most])
+    return Words(chosen, chosen + 1, photons.tick[chosen])
+
+
+def zoomed_counts(photons: Photons, stage: range, start: np.ndarray, width: int, bins: int) -> np.ndarray:
+    """int64[all pixels, bins]: photons of the pulses of `stage` in bins of `width` ticks from the pixel's `start` on."""
+    pulse, pixel = photons.pulse % photons.pulses, photons.pixel
+    at = (photons.tick - start[pixel]) // width
+    inside = (pulse >= stage.start) & (pulse < stage.stop) & (at >= 0) & (at < bins)
+    counts = np.bincount(pixel[inside] * bins + at[inside], minlength=len(start) * bins)
+    return np.minimum(counts.reshape(-1, bins), len(stage))  # a counter holds one photon per pulse
+
+
+def fourier_sums(photons: Photons, codes: int, period_ticks: int) -> np.ndarray:
+    """complex128[all pixels, codes / 2 + 1]: spectrum of the stamps, from sums of codes; that of frequency 0 is not sent.
+
+    Codes are the cosine and the sine of the lowest frequencies, in 8 bits.
+    """
+    n, phase = photons.subgroups * photons.pixels, -2j * np.pi * np.arange(period_ticks) / period_ticks
+    sums = np.zeros((n, codes // 2 + 1), np.complex128)
+    for frequency in range(1, codes // 2 + 1):
+        code = CODE_MAX * np.exp(frequency * phase)
+        for part, factor in ((code.real, 1), (code.imag, 1j)):
+            sums[:, frequency] += factor * np.bincount(photons.pixel, np.rint(part)[photons.tick], n)
+    return sums
+
+
+def equi_depth(photons: Photons, bins: int, period_ticks: int) -> np.ndarray:
+    """int64[all pixels, bins + 1]: boundaries, in ticks, of bins that hold equal shares of the pixel's stamps.
+
+    The first is 0, and the last is the end of the period.
+    """
+    tick = np.append(photons.tick[np.lexsort((photons.tick, photons.pixel))], period_ticks)
+    number = np.bincount(photons.pixel, minlength=photons.subgroups * photons.pixels)
+    inner = tick[(np.cumsum(number) - number)[:, None] + number[:, None] * np.arange(1, bins) // bins]
+    inner[number == 0] = period_ticks
+    return np.pad(inner, ((0, 0), (1, 1)), constant_values=((0, 0), (0, period_ticks)))
 
 
 def photon_counts(photons: Photons, clock: int, bins: int) -> np.ndarray:

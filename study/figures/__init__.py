@@ -19,6 +19,7 @@ reflectivity; their places are our choice. Numbers that we chose to fit the pape
 
 COMPARISON = (
     rivals.background,
+    rivals.bits,
     rivals.built_in,
     rivals.ranging,
     rivals.two_targets,
@@ -31,7 +32,8 @@ that <code>make sim</code> gives 32 x 32. The background is proportional to the 
 RIVALS_TITLE = "Coincid: other schemes on the same photons"
 RIVALS_INTRODUCTION = """<p>Every scheme sees the same edges: macro-pixels of 8 x 8, 100 laser pulses, window 1 ns, threshold 3 if it
 has one, a matched filter on every pixel's histogram. Words pass 16 places per subgroup and one stream of 64 bit per cycle;
-histograms on the chip have 32 kbit per macro-pixel. docs/rivals.md explains which scheme wins where, and why.</p>"""
+histograms on the chip have 32 kbit per macro-pixel; pixels that compress their own histogram send all that they keep.
+docs/rivals.md explains which scheme wins where, and why.</p>"""
 
 
 def make(

@@ -16,6 +16,7 @@ from ...model.depth.quality import OTHER_SURFACE_M, TOLERANCE_M, wrong_pixels, w
 from ...model.light.light import Light, background_cps, signal_per_pulse
 from ...model.scenes.catalogue import load_scene
 from ..comparison import PULSES, RETURNS, SCHEMES, THRESHOLD, Found, compared, schemes
+from ..palette import ALARM, AMBER, BLUE, GREEN, GREY, INK, SKY, VIOLET
 from ..plot_style import legend_below, new_figure, share_axis
 from .cases import SCENE
 from .page import Row, Section, section
@@ -29,6 +30,8 @@ DISTANCES_M, RANGE_KLUX, RANGE_REFLECTIVITY = (2.0, 5.0, 10.0, 15.0, 20.0, 25.0,
 THRESHOLDS = (2, 3, 4, 5)  # in the plot of bits
 OF_RETURNS = ("first return", "better of two returns")
 WITH_THRESHOLD = ("sliding window", "fixed windows", "this: fixed")
+SWEPT = ("sliding window", "this: fixed", "this: fixed planes", "this: fixed compact planes")  # in the picture of bits
+BITS_KLUX, SEEDS_OF_PULSES = (10.0, 50.0, 100.0), {PULSES: SEEDS, 10 * PULSES: 1}
 NEAR_M, TWO_KLUX = 5.0, 20.0
 # Above twice the tolerance, because otherwise a depth between both is right.
 STEPS_M = (0.08, 0.10, 0.12, 0.15, 0.2, 0.3, 0.4, 0.6, 1.0)
@@ -50,6 +53,22 @@ STYLES = {
     "this: fixed planes": ("#fb9a99", "--", "h"),
     "this: controller planes": ("#e31a1c", "--", "*"),
 }
+SHOWN = tuple(STYLES)  # in all pictures but that of bits
+# Lines of the picture of bits: what the names of its schemes begin with, and colour, line and marker.
+LINES = {
+    "zoomed": (VIOLET, "-", "^"),
+    "Fourier": (AMBER, "-", "v"),
+    "equi-depth": (GREEN, "-", "D"),
+    "time stamps": (BLUE, "-", "s"),
+    "photon counts": (INK, "", "p"),
+    "winner: planes": (GREY, "", "o"),
+    "sliding window": (SKY, "--", "s"),
+    "this: fixed": ("#fb9a99", "-", "P"),
+    "this: fixed planes": ("#fb9a99", "--", "h"),
+    "this: fixed compact planes": (ALARM, "--", "h"),
+    "this: controller planes": ("#fb9a99", "", "*"),
+    "this: controller compact planes": (ALARM, "", "*"),
+}
 
 
 def background(run: Processes) -> Section:
@@ -61,7 +80,7 @@ def background(run: Processes) -> Section:
     swept = campaign(others, partial(schemes, names=WITH_THRESHOLD), run)
     rows: list[Row] = [("scheme", "klux", "threshold", "wrong_share", "standard_error", "bits_per_frame")]
     shares, bits = {}, {}
-    for name, klux in product(SCHEMES, KLUX):
+    for name, klux in product(SHOWN, KLUX):
         wrong = [wrong_share(one[name].depth_m[:, :, 0], scene.truth_m) for one in table[klux]]
         shares[name, klux], bits[name, klux] = float(np.mean(wrong)), _bits(table[klux], name)
         error = float(np.std(wrong) / np.sqrt(len(wrong)))
@@ -74,7 +93,7 @@ def background(run: Processes) -> Section:
             rows.append((name, klux, threshold, share, "", float(one[name].bits)))
     figure = new_figure(14, 4.8)
     left, middle, right = figure.subplots(1, 3)
-    for name in SCHEMES:
+    for name in SHOWN:
         _line(left, name, KLUX, [shares[name, klux] for klux in KLUX])
         _line(middle, name, KLUX, [bits[name, klux] / 1e3 for klux in KLUX])
         _line(right, name, [bits[name, BUILT_IN_KLUX] / 1e3], [shares[name, BUILT_IN_KLUX]])
@@ -96,6 +115,54 @@ def background(run: Processes) -> Section:
     )
 
 
+def bits(run: Processes) -> Section:
+    """Show wrong share against bits that leave the chip, with schemes that compress histograms, for few and many pulses."""
+    scene = load_scene(SCENE, SIDE, SIDE)
+    line_of = {name: line for line in LINES for name in SCHEMES if name == line or name.startswith(f"{line}:")}
+
+    def table(names: Sequence[str], thresholds: Sequence[int]) -> dict[tuple[int, float, int], list[dict[str, Found]]]:
+        setups = {
+            (pulses, klux, threshold): seeded(compared(scene, threshold, {"pulses": pulses}, klux=klux), seeds)
+            for (pulses, seeds), klux, threshold in product(SEEDS_OF_PULSES.items(), BITS_KLUX, thresholds)
+        }
+        return grouped(setups, partial(schemes, names=names), run)
+
+    found = table(tuple(line_of), [THRESHOLD])
+    found |= table(SWEPT, [threshold for threshold in THRESHOLDS if threshold != THRESHOLD])
+    rows: list[Row] = [("scheme", "pulses", "klux", "threshold", "wrong_share", "off_by_15_cm_share", "bits_per_frame")]
+    lines: dict[tuple[int, float, str], list[tuple[float, float]]] = {}
+    for (pulses, klux, threshold), ones in sorted(found.items()):
+        for name in ones[0]:
+            wrong, other = (
+                float(np.mean([wrong_share(one[name].depth_m[:, :, 0], scene.truth_m, limit_m) for one in ones]))
+                for limit_m in (TOLERANCE_M, OTHER_SURFACE_M)
+            )
+            rows.append((name, pulses, klux, threshold, wrong, other, _bits(ones, name)))
+            lines.setdefault((pulses, klux, line_of[name]), []).append((_bits(ones, name) / 1e3, wrong))
+    figure = new_figure(14, 9)
+    axes = figure.subplots(len(SEEDS_OF_PULSES), len(BITS_KLUX), sharey=True)
+    panels = dict(zip(product(SEEDS_OF_PULSES, BITS_KLUX), axes.flat))
+    for (pulses, klux), axis in panels.items():
+        share_axis(axis, xscale="log", title=f"{klux:g} klux, {pulses} pulses")
+    for (pulses, klux, line), points in lines.items():
+        colour, dashes, marker = LINES[line]
+        panels[pulses, klux].plot(*np.transpose(points), dashes, marker=marker, color=colour, label=line, clip_on=False)
+    for axis in axes[-1]:
+        axis.set_xlabel("kbit a frame")
+    for axis in axes[:, 0]:
+        axis.set_ylabel("share of wrong pixels")
+    legend_below(figure)
+    return section(
+        "rivals_bits",
+        "Bits against wrong pixels",
+        "",
+        figure,
+        "Five objects; along the lines: 16 to 64 bins (zoomed), 8 to 32 codes (Fourier), 8 to 32 bins (equi-depth), "
+        f"8 to 128 time stamps, thresholds {THRESHOLDS[-1]} to {THRESHOLDS[0]} (sliding window, this)",
+        rows,
+    )
+
+
 def built_in(run: Processes) -> Section:
     """Show the wrong share of every built-in scene."""
     scenes = {name: load_scene(name, SIDE, SIDE) for name in BUILT_IN}
@@ -103,7 +170,7 @@ def built_in(run: Processes) -> Section:
     rows: list[Row] = [("scene", "scheme", "wrong_share", "second_surface_share", "bits_per_frame")]
     figure = new_figure(12, 4.6)
     axis = figure.subplots()
-    for k, scheme in enumerate(SCHEMES):
+    for k, scheme in enumerate(SHOWN):
         shares = []
         for name, scene in scenes.items():
             depths = [one[scheme].depth_m for one in table[name]]
@@ -111,7 +178,7 @@ def built_in(run: Processes) -> Section:
             several = scene.distance_m.shape[2] > 1
             second = np.mean([_both(depth, scene.distance_m) for depth in depths]) if several else ""
             rows.append((name, scheme, float(shares[-1]), second, _bits(table[name], scheme)))
-        at, (colour, line, _) = np.arange(len(BUILT_IN)) + (k - len(SCHEMES) / 2 + 0.5) / 15, STYLES[scheme]
+        at, (colour, line, _) = np.arange(len(BUILT_IN)) + (k - len(SHOWN) / 2 + 0.5) / 15, STYLES[scheme]
         hatch = "//" if line == "--" else None
         axis.bar(at, shares, 1 / 15, color=colour, label=scheme, hatch=hatch, edgecolor="white", linewidth=0)
     axis.set_xticks(range(len(BUILT_IN)), labels=BUILT_IN)
@@ -138,7 +205,7 @@ def ranging(run: Processes) -> Section:
         ("scheme", "klux", "distance_m", "detected_share", "bias_m", "precision_m", "wrong_share", "bits_per_frame")
     ]
     numbers = {}
-    for scheme, ((klux, distance_m), ones) in product(SCHEMES, table.items()):
+    for scheme, ((klux, distance_m), ones) in product(SHOWN, table.items()):
         depth_m = np.stack([one[scheme].depth_m[:, :, 0] for one in ones])
         near = ~wrong_pixels(depth_m, np.full_like(depth_m, distance_m), OTHER_SURFACE_M)
         error_m = depth_m[near] - distance_m
@@ -148,7 +215,7 @@ def ranging(run: Processes) -> Section:
         rows.append((scheme, klux, distance_m, *numbers[scheme, klux, distance_m], wrong, _bits(ones, scheme)))
     figure = new_figure(11, 8.6)
     for column, klux in zip(figure.subplots(3, len(RANGE_KLUX), sharex=True, sharey="row").T, RANGE_KLUX):
-        for scheme in SCHEMES:
+        for scheme in SHOWN:
             seen, bias, precision = np.transpose([numbers[scheme, klux, distance_m] for distance_m in DISTANCES_M])
             _line(column[0], scheme, DISTANCES_M, seen)
             shown = seen >= 0.5
@@ -177,7 +244,7 @@ def two_targets(run: Processes) -> Section:
     rows: list[Row] = [("scheme", "step_m", "wrong_share", "wrong_in_both_returns_share")]
     figure = new_figure(11, 4.8)
     axes = figure.subplots(1, 2, sharey=True)
-    for scheme in SCHEMES:
+    for scheme in SHOWN:
         shares = []
         for step_m, scene in scenes.items():
             depths = [one[scheme].depth_m for one in table[step_m]]
@@ -222,7 +289,7 @@ def retroreflector(run: Processes) -> Section:
     ]
     figure = new_figure(11, 8.2)
     for column, behind_m in zip(figure.subplots(RETURNS, len(BEHIND_M), sharex=True, sharey=True).T, BEHIND_M):
-        for scheme in SCHEMES:
+        for scheme in SHOWN:
             shares = []
             for gain in GAINS:
                 ones = [one[scheme] for one in table[behind_m, gain]]
@@ -267,8 +334,9 @@ def sign_light(behind_m: float, gain: float) -> Light:
 
 
 def _table(run: Processes, setups: Mapping[Any, Setup], seeds: int) -> dict[Any, list[dict[str, Found]]]:
-    """Return the schemes' results of each setup, for several seeds."""
-    return grouped({key: seeded(setup, seeds) for key, setup in setups.items()}, schemes, run)
+    """Return the results of each setup by `SHOWN` schemes, for several seeds."""
+    read = partial(schemes, names=SHOWN)
+    return grouped({key: seeded(setup, seeds) for key, setup in setups.items()}, read, run)
 
 
 def _bits(ones: Sequence[dict[str, Found]], scheme: str) -> float:
