@@ -184,6 +184,9 @@ MISTAKES: dict[tuple[str, tuple[str, ...], tuple[tuple[str, ...], ...]], dict[st
     ("host/frames.py", (), (("tests/host/test_host.py", "-k", "cut_anywhere"),)): {
         "streams-alike": ("sensor.stream_subgroups(stream)", "sensor.stream_subgroups(0)")
     },
+    ("study/rivals.py", (), (("tests/study/test_rivals.py", "-k", "by_hand"),)): {
+        "rivals-streams-alike": ("sensor.stream_subgroups(stream)", "sensor.stream_subgroups(0)")
+    },
     ("hdl/readout.py", ("readout",), (FRAMES, SLICED)): {"tlast-early": ("to_end == 1)", "to_end == 2)")},
     ("hdl/emulator/uart.py", ("deframer",), ()): {
         "serial-unchecked": ("(state.count > CRC_BYTES) & crc.match_detected", "(state.count > CRC_BYTES)")

@@ -184,15 +184,18 @@ def test_pixel_histograms_by_hand():
 
 def test_readout_by_hand():
     """A FIFO of two words, two cycles per word. Cycle 3: both subgroups store one; subgroup 0 is served until cycle 5,
-    subgroup 1 until 7. Cycle 4: subgroup 0 stores two words in its empty FIFO, and the third is lost.
+    subgroup 1 until 7. Cycle 4: subgroup 0 stores two words in its empty FIFO, and the third is lost. Subgroup 2 has a
+    stream of its own, and loses the third word of cycle 3.
     """
-    sensor = Sensor(rows=8, cols=16, fifo_depth=2)
+    sensor = Sensor(rows=8, cols=24, fifo_depth=2, streams=2)
     edges = [(0, 0, 96), (0, 8, 96), (0, 1, 128), (0, 2, 129), (0, 3, 130), (0, 4, 9 * 32)]
+    edges += [(0, 16 + k, 96 + k) for k in range(3)]
     columns = (np.array(column, np.int64) for column in zip(*edges))
     of = rivals.macro_pixels(Edges(*columns), sensor, 1)
-    each = rivals.Words(np.arange(6), np.arange(6) + 1, of.tick)
-    assert of.tick.tolist() == [96, 128, 129, 130, 288, 96]
-    assert rivals.read_out(of, each, sensor, PHASES, PERIOD, 2).tolist() == [True, True, True, False, True, True]
+    each = rivals.Words(np.arange(9), np.arange(9) + 1, of.tick)
+    assert of.tick.tolist() == [96, 128, 129, 130, 288, 96, 96, 97, 98]
+    stored = rivals.read_out(of, each, sensor, PHASES, PERIOD, 2)
+    assert stored.tolist() == [True, True, True, False, True, True, True, True, False]
 
 
 @settings(max_examples=25)
