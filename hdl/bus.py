@@ -76,10 +76,10 @@ def _registers_layout(sensor: Sensor, names: tuple[str, ...]) -> data.StructLayo
 
 
 def settings_layout(sensor: Sensor) -> data.StructLayout:
-    """The settings of a subgroup."""
+    """The settings of a subgroup; a switch of what is not built has no bit."""
     return data.StructLayout(
         {
-            name: sensor.pixels if setting.kind is Kind.MASK else bits_for(setting.limits(sensor)[1])
+            name: sensor.pixels if setting.kind is Kind.MASK else setting.limits(sensor)[1].bit_length()
             for name, setting in SUBGROUP.items()
         }
     )

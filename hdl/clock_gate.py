@@ -6,14 +6,18 @@ gate is closed, which `formal/clock_gate.py` proves. In silicon, a latch and an 
 under the same name. The paper does not mention clock gates; they are our choice.
 """
 
-from amaranth.hdl import ClockSignal, Module
+from amaranth.hdl import ClockDomain, ClockSignal, DomainRenamer, Elaboratable, Module, ResetSignal, Value
 from amaranth.lib.wiring import In, Out
 
-from .unit import Unit
+from .unit import Export, Unit, place
+
+GATED, FREE = "gated", "free"  # clock domains, behind a gate and in front of it
 
 
 class ClockGate(Unit):
     """Gate of a clock.
+
+    small: it drives a block of a subgroup, not all of it.
 
     Ports
     -----
@@ -21,9 +25,8 @@ class ClockGate(Unit):
     gated : out, the clock behind the gate
     """
 
-    unit_name = "coincid_clock_gate"
-
-    def __init__(self) -> None:
+    def __init__(self, small: bool = False) -> None:
+        self.unit_name = "coincid_clock_gate_small" if small else "coincid_clock_gate"
         super().__init__({"enable": In(1), "gated": Out(1)})
 
     def elaborate(self, platform):
@@ -42,3 +45,26 @@ module {self.unit_name} (clk, rst, enable, gated);
   assign gated = clk & opens;
 endmodule
 """
+
+
+def stopped(m: Module, platform, gate: ClockGate, enable: Value, domain: str = "sync") -> str:
+    """Put a gate of a domain's clock into `m`, and return the domain behind it. A reset opens the gate.
+
+    Amaranth's own simulator sees the edges of a clock behind a gate later than the others, so there both domains are `sync`.
+    """
+    exported = isinstance(platform, Export)
+    domain = domain if exported else "sync"
+    place(m, "clock_gate", gate, platform, domain=domain)
+    m.d.comb += gate.enable.eq(enable | ResetSignal(domain))
+    if not exported:
+        return domain
+    gated = ClockDomain(GATED, local=True)
+    m.domains += gated
+    m.d.comb += [gated.clk.eq(gate.gated), gated.rst.eq(ResetSignal(domain))]
+    return GATED
+
+
+def behind(m: Module, platform, gate: ClockGate, enable: Value) -> Elaboratable:
+    """Return a block `m` with all of it behind a gate of its clock, as in `stopped`."""
+    stopped(m, platform, gate, enable, FREE)
+    return DomainRenamer({"sync": GATED, FREE: "sync"})(m) if isinstance(platform, Export) else m

@@ -11,30 +11,38 @@ from amaranth.hdl import Cat, Module, Mux, Signal
 from amaranth.lib.wiring import In, Out
 
 from ..model.contract.counters import COUNTER_BITS, COUNTER_NAMES
-from ..model.contract.parameters import Sensor, bits_for
+from ..model.contract.parameters import Sensor
 from ..model.contract.registers import BY_NAME, DATA_BITS
 from ..model.contract.settings import THRESHOLD_MAX
 from . import bus
+from .clock_gate import ClockGate, behind
 from .logic import count_up, saturating_add
 from .unit import Unit
 
 
 def counter_bits(name: str, sensor: Sensor) -> int:
-    """Return the width of a counter. Only the photons can exceed the number of cycles in a frame."""
+    """Return the width of a counter; 0: it is not built. Only the photons can exceed the number of cycles in a frame."""
     periods = BY_NAME["pulses"].high(sensor)
-    if name == "threshold_used":
-        return sensor.count_bits
-    if name in ("mg_stored", "mg_dropped"):
-        return bits_for(periods)
-    return COUNTER_BITS if name == "photons" else min(COUNTER_BITS, bits_for(periods * sensor.period_max))
+    match name:
+        case "threshold_used":
+            return sensor.count_bits
+        case "mg_stored" | "mg_dropped":
+            most = periods * sensor.records
+        case "lower":
+            most = periods * sensor.period_max * sensor.controller
+        case "photons":
+            most = sensor.counter_max
+        case _:
+            most = periods * sensor.period_max
+    return min(sensor.counter_bits, most.bit_length())
 
 
 class DpcuState:
     """Inner registers and signals of a DPCU.
 
     count: the counters, by name. stays: the controller was in charge in the last frame, too. ceiling: of the bounds compared
-    so far, without the last, which is `reached`. awake: an operation may still change threshold or window. rises,
-    falls, stepped: the controller's step of the threshold.
+    so far, without the last, which is `reached`. awake: an operation may still change threshold or window. coming:
+    strobes on their way to stage 8. judged: a window was closed one cycle ago. rises, falls, stepped: the controller's step of the threshold.
     """
 
     def __init__(self, sensor: Sensor):
@@ -49,6 +57,8 @@ class DpcuState:
         self.falls = Signal()
         self.stepped = Signal(range(THRESHOLD_MAX + 1))
         self.awake = Signal()
+        self.coming = Signal(9)
+        self.judged = Signal()
 
 
 class Dpcu(Unit):
@@ -57,7 +67,8 @@ class Dpcu(Unit):
     Ports
     -----
     settings : in, of the frame; operation, data : in, the configuration bus, registered
-    in_stream : in, a budget or limit on the bus is for this subgroup's stream, or for an earlier one and is replaced later
+    in_stream : in, a budget or limit on the bus is for this subgroup's stream, or for an earlier one and is replaced later;
+        unused without the threshold controller, as is data
     window_ticks : out, the window in force (1 if coincidence is off)
     start : in, first cycle of a period, two cycles ahead of the ports
     closed, window : in, from the tree (stage 7); commit, event : out, to the FIFO one cycle later (stage 8: the commit cycle)
@@ -66,7 +77,7 @@ class Dpcu(Unit):
     counters : out, in the order of the register table; settled a few cycles after the last window
     controlled : out, the threshold controller sets the threshold
 
-    Reset clears the counters.
+    Reset clears the counters. A gate stops the clock while no operation, strobe, window or loss comes.
     """
 
     unit_name = "coincid_dpcu"
@@ -96,6 +107,7 @@ class Dpcu(Unit):
             }
         )
         self.state = DpcuState(sensor)
+        self.clock_gate = ClockGate(small=True)
 
     def elaborate(self, platform):
         m = Module()
@@ -106,7 +118,11 @@ class Dpcu(Unit):
         self._pulses(m)
         self._counters(m)
         self._threshold(m)
-        return m
+        state = self.state
+        events = Cat(self.closed, state.judged, self.commit, state.meets_lower, self.blind, self.stored, self.dropped)
+        records = Cat(self.mg_stored, self.mg_dropped)
+        awake = state.awake | self.start | state.coming.any() | events.any() | records.any()
+        return behind(m, platform, self.clock_gate, awake)
 
     def _told(self, m):
         """Threshold and window change after operations of the bus only, and stand still in a frame."""
@@ -124,19 +140,21 @@ class Dpcu(Unit):
             m.d.sync += [
                 self.window_ticks.eq(Mux(self.settings.coincidence, self.settings.window, 1)),
                 state.threshold.eq(Mux(self.settings.coincidence, state.count["threshold_used"], 1)),
-                state.lower_threshold.eq(state.threshold - 1),
             ]
-        m.d.sync += [
-            self.commit.eq(self.closed & enough),
-            state.meets_lower.eq(self.closed & (self.window.count >= state.lower_threshold)),
-        ]
-        with m.If(self.closed):
+        commits = Signal()
+        m.d.comb += commits.eq(self.closed & enough)
+        m.d.sync += self.commit.eq(commits)
+        if self.sensor.controller:
+            with m.If(state.awake):
+                m.d.sync += state.lower_threshold.eq(state.threshold - 1)
+            m.d.sync += state.meets_lower.eq(self.closed & (self.window.count >= state.lower_threshold))
+        with m.If(commits):
             m.d.sync += self.event.eq(self.window)
         m.d.comb += enough.eq(self.window.count >= state.threshold)
 
     def _pulses(self, m):
         """Count the periods. The strobe reaches stage 8 ten registers after the input."""
-        coming = Signal(9)
+        coming = self.state.coming
         with m.If(self.start | coming.any()):
             m.d.sync += coming.eq((coming << 1) | self.start)
         with m.If(coming[-1]):
@@ -145,7 +163,7 @@ class Dpcu(Unit):
     def _counters(self, m):
         """Count one stage behind the counted signals, so that no adder is in the path of the commit."""
         count = self.state.count
-        judged = Signal()
+        judged = self.state.judged
         judged_count = Signal.like(self.window.count)
         m.d.sync += judged.eq(self.closed)
         with m.If(self.closed):
@@ -162,12 +180,21 @@ class Dpcu(Unit):
             "lower": self.state.meets_lower,
         }
         for name, strobe in strobes.items():
-            count_up(m, count[name], strobe)
+            if len(count[name]):
+                count_up(m, count[name], strobe)
         with m.If(judged):
             saturating_add(m, count["photons"], judged_count)
 
     def _threshold(self, m):
-        """Set the frame's threshold: the programmed one, or one step from the last frame's; clear the frame's counters."""
+        """Set the frame's threshold: the programmed one, or the controller's; clear the frame's counters."""
+        count = self.state.count
+        threshold = self._controlled(m) if self.sensor.controller else self.settings.threshold
+        with m.If(self.operation == bus.Operation.BEGIN):
+            m.d.sync += [counter.eq(0) for counter in count.values()]
+            m.d.sync += [count["threshold_used"].eq(threshold), self.pulse.eq(~0)]
+
+    def _controlled(self, m):
+        """Return the threshold of a frame that begins: the programmed one, or one step from the last frame's."""
         state, count, settings = self.state, self.state.count, self.settings
         raised = Signal.like(state.ceiling)
         bounded = Signal.like(state.stepped)
@@ -192,14 +219,7 @@ class Dpcu(Unit):
             with m.Case(bus.Operation.LIMIT):
                 with m.If(self.in_stream):
                     m.d.sync += state.rises.eq(count["committed"] > self.data)
-            with m.Case(bus.Operation.BEGIN):
-                m.d.sync += [counter.eq(0) for counter in count.values()]
-                m.d.sync += [
-                    count["threshold_used"].eq(
-                        Mux(self.controlled & state.stays, Mux(bounded < floor, floor, bounded), settings.threshold)
-                    ),
-                    self.pulse.eq(~0),
-                ]
+        return Mux(self.controlled & state.stays, Mux(bounded < floor, floor, bounded), settings.threshold)
 
 
 def _step(threshold, rises, falls):

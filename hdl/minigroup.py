@@ -6,24 +6,29 @@ generating the spatial address/ID of the contributing events". Our choices are t
 stamp in quarters of a cycle, and the step of the coarse offsets.
 """
 
-from amaranth.hdl import Cat, Module, Mux, Signal
+from amaranth.hdl import Cat, Module, Mux, Signal, Value
 from amaranth.lib.wiring import In, Out
 
 from ..model.contract.parameters import Sensor
 from . import bus
+from .clock_gate import ClockGate, behind
 from .logic import any_of, first_one, least, popcount
 from .memory import Memory
 from .unit import Unit, place
 
 
 class RecordState:
-    """Registers of a record collection. left: cycles of it after the present one; seen: its map; started: one cycle ago."""
+    """Registers of a record collection, and conditions under which registers may change.
+
+    left: cycles of it after the present one; seen: its map; started: one cycle ago.
+    """
 
     def __init__(self, sensor: Sensor):
         self.left = Signal(2)
         self.seen = Signal(sensor.minigroup_pixels, reset_less=True)
         self.stamp = Memory(1, sensor.record_stamp_bits)
         self.started = Signal(reset_less=True)
+        self.awake: list[Value] = []
 
 
 class Recorder(Unit):
@@ -40,7 +45,9 @@ class Recorder(Unit):
         stages = range(5, 8)
         strobes = [begins, *(Signal(name=f"begins_{n}", reset_less=True) for n in stages)]
         steps = [step_4, *(Signal.like(step_4, name=f"step_{n}") for n in stages)]
-        with m.If(Cat(strobes).any()):
+        moves = Cat(strobes).any()
+        self.state.awake.append(moves)
+        with m.If(moves):
             for delayed in (strobes, steps):
                 m.d.sync += [later.eq(sooner) for sooner, later in zip(delayed, delayed[1:])]
         with m.If(strobes[-1]):
@@ -80,7 +87,9 @@ class Recorder(Unit):
             self.entry.map.eq(seen),
             self.entry.stamp.eq(stamp.value),
         ]
-        with m.If(runs | state.started | (self.wrap & self.latched)):
+        moves = runs | state.started | (self.wrap & self.latched)
+        state.awake.append(moves)
+        with m.If(moves):
             m.d.sync += [
                 state.started.eq(starts),
                 seen.eq(seen_next),
@@ -110,6 +119,7 @@ class MinigroupState(RecordState):
         self.hits = Signal(pixels, reset_less=True)
         self.awake_1 = Signal()
         self.awake_3 = Signal()
+        self.awake = [self.awake_1, self.awake_3]
 
 
 class Minigroup(Recorder):
@@ -135,7 +145,8 @@ class Minigroup(Recorder):
     Reset clears the record circuit. The rest needs no reset, because nothing is accepted outside a frame and every
     window starts from an empty map.
 
-    Stages 1, 3 and 5 with those that follow them stand still unless something is valid in them or comes.
+    Stages 1, 3 and 5 with those that follow them stand still unless something is valid in them or comes. While all of them
+    do, a gate stops the minigroup's clock.
     """
 
     unit_name = "coincid_minigroup"
@@ -169,6 +180,7 @@ class Minigroup(Recorder):
             }
         )
         self.state = MinigroupState(sensor)
+        self.clock_gate = ClockGate(small=True)
 
     def elaborate(self, platform):
         m = Module()
@@ -177,7 +189,7 @@ class Minigroup(Recorder):
         self._map(m)
         if self.sensor.records:
             self._record(m, platform, self.state.active, self.state.step_4)
-        return m
+        return behind(m, platform, self.clock_gate, Cat(self.state.awake).any())
 
     def _edges(self, m):
         """Stages 1 and 2: encode each pixel's word at the port as valid and phase of its first edge.
@@ -235,7 +247,9 @@ class Minigroup(Recorder):
         """
         state, pixels = self.state, self.sensor.minigroup_pixels
         hits = state.hits
-        with m.If(Cat(state.active, state.hit_4).any() | (self.opening & hits.any())):
+        moves = Cat(state.active, state.hit_4).any() | (self.opening & hits.any())
+        state.awake.append(moves)
+        with m.If(moves):
             m.d.sync += [
                 state.hit_4.eq(state.hit_3),
                 state.step_4.eq(state.step),

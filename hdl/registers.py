@@ -80,6 +80,15 @@ class RegistersState:
         self.plan_parity = Signal()
 
 
+def _controller_ports(sensor: Sensor) -> dict[str, Any]:
+    streams = range(sensor.streams)
+    return (
+        {"capacity": Out(DATA_BITS)}
+        | {f"share_{k}": Out(DATA_BITS) for k in streams}
+        | {f"{name}_{k}": In(DATA_BITS) for name in ("budget", "limit") for k in streams}
+    )
+
+
 class Registers(Unit):
     """Register front of the sensor.
 
@@ -92,7 +101,8 @@ class Registers(Unit):
     gate_late, settings_upset : in, OR of the subgroups' start checks
     period : out, as programmed; frame : out, settings of the running frame; plan : out, settings of the sequencer
     start_frame, abort_frame : out, strobes; done : in, strobe; resting : in, the sequencer has no frame
-    capacity, share_k : out, as programmed, to the threshold controller of stream k; budget_k, limit_k : in, from it
+    capacity, share_k : out, as programmed, to the threshold controller of stream k; budget_k, limit_k : in, from it; only
+        where it is built
 
     Reset loads the reset values of the table and drops accesses in progress. An upset may delay or refuse an access,
     but none makes it wait for ever; the handshake with the master is voted. Each setting keeps the parity that its
@@ -117,10 +127,8 @@ class Registers(Unit):
                 "abort_frame": Out(1),
                 "done": In(1),
                 "resting": In(1),
-                "capacity": Out(DATA_BITS),
             }
-            | {f"share_{k}": Out(DATA_BITS) for k in range(sensor.streams)}
-            | {f"{name}_{k}": In(DATA_BITS) for name in ("budget", "limit") for k in range(sensor.streams)}
+            | (_controller_ports(sensor) if sensor.controller else {})
         )
         self.state = RegistersState(sensor)
 
@@ -171,8 +179,9 @@ class Registers(Unit):
         """Give the programmed settings to those that do not wait for a frame."""
         state = self.state
         m.d.comb += self.period.eq(state.setting["period", 0])
-        m.d.comb += self.capacity.eq(state.setting["capacity", 0])
-        m.d.comb += [getattr(self, f"share_{k}").eq(state.setting["share", k]) for k in range(self.sensor.streams)]
+        if self.sensor.controller:
+            m.d.comb += self.capacity.eq(state.setting["capacity", 0])
+            m.d.comb += [getattr(self, f"share_{k}").eq(state.setting["share", k]) for k in range(self.sensor.streams)]
 
     def _decode(self, m):
         """Decode the address: is it in a subgroup's block, mapped, writable, and is the value legal?
@@ -200,8 +209,10 @@ class Registers(Unit):
                 mapped.append(word)
                 if register.access in WRITABLE:
                     writable.append(word)
-                    unbuilt_value = unbuilt & (register.name == "format")
-                    legal.append(word & in_range[register.low(sensor), register.high(sensor)] & ~unbuilt_value)
+                    refused = unbuilt & (register.name == "format")
+                    if table is registers.SUBGROUP and not sensor.held:
+                        refused = state.flag["busy"]
+                    legal.append(word & in_range[register.low(sensor), register.high(sensor)] & ~refused)
         m.d.sync += [
             state.in_subgroup.eq(in_block),
             state.mapped.eq(Cat(mapped).any()),
@@ -222,7 +233,8 @@ class Registers(Unit):
         state = self.state
         content = state.setting | {("status", 0): Cat(state.flag[bits.name] for bits in STATUS.bits)}
         streams = range(self.sensor.streams)
-        content |= {(name, k): getattr(self, f"{name}_{k}") for name in ("budget", "limit") for k in streams}
+        if self.sensor.controller:
+            content |= {(name, k): getattr(self, f"{name}_{k}") for name in ("budget", "limit") for k in streams}
         for _, register, index in registers.words(registers.GLOBAL, self.sensor):
             if register.access is Access.CONSTANT:
                 content[register.name, index] = Const(register.reset(self.sensor), DATA_BITS)
@@ -231,7 +243,7 @@ class Registers(Unit):
 
     def _start_checks(self, m):
         """Conditions that refuse a start, by the flag that reports them."""
-        bounds = [self.state.setting["auto_bounds", k] for k in range(AUTO_BOUNDS)]
+        bounds = [setting for (name, _), setting in self.state.setting.items() if name == "auto_bounds"]
         period_short = Signal()
         descends = Signal(AUTO_BOUNDS - 1)
         bounds_descend = Signal()
@@ -301,15 +313,20 @@ class Registers(Unit):
                 with m.Elif(state.wait == CHECK_CYCLES):
                     m.next = "idle"
                     self._start_or_refuse(m)
-            with m.State("thresholds"):
-                self._send_for_thresholds(m)
+            if self.sensor.controller:
+                with m.State("thresholds"):
+                    self._send_for_thresholds(m)
+            else:
+                with m.State("lost_too"):
+                    m.next = "idle"
             with m.State("begin"):
                 m.next = "idle"
                 with m.If(state.held_write & state.flag["busy"]):
                     m.d.sync += [self.command.operation.eq(bus.Operation.BEGIN), self.start_frame.eq(1)]
-                    m.d.sync += self.command.data.eq(state.setting["threshold_floor", 0])
+                    if self.sensor.controller:
+                        m.d.sync += self.command.data.eq(state.setting["threshold_floor", 0])
                     self._respond(m, OKAY)
-            with m.State("lost"):  # the one code that is no state: after an upset, the bus must not hang
+            with m.State("lost"):  # a code that is no state: after an upset, the bus must not hang
                 m.next = "idle"
         with m.If(
             ~(state.flag["busy"] & self.resting & (state.machine.ongoing("idle") | state.machine.ongoing("read")))
@@ -388,7 +405,7 @@ class Registers(Unit):
                 m.d.sync += [taken[name].eq(state.setting[name, 0]) for name in taken.shape().members]
             parities = Cat(state.setting_parity[name, 0] for name in self.plan.shape().members)
             m.d.sync += state.plan_parity.eq(parities.xor())
-            m.next = "thresholds"
+            m.next = "thresholds" if self.sensor.controller else "begin"
 
     def _send_for_thresholds(self, m):
         """Send the streams' budgets and limits and then the controller's bounds to the subgroups, one per cycle."""

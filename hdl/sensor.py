@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The sensor: an array of modules, a register front, a sequencer, and one readout and threshold controller per stream."""
+"""The sensor: an array of modules, a register front, a sequencer, and per stream one readout and one threshold controller."""
 
 from collections.abc import Callable
 from functools import partial
@@ -124,7 +124,7 @@ def wire_core(m: Module, put: Put, sensor: Sensor, outer: Any, inner: Any) -> Se
     """Put the blocks of the core into `m`, between `outer_ports` and `inner_ports`, and return the sequencer."""
     registers, sequencer = Registers(sensor), Sequencer(sensor)
     readouts = [Readout(sensor, len(sensor.stream_subgroups(k))) for k in range(sensor.streams)]
-    controllers = [Controller(sensor) for _ in readouts]
+    controllers = [Controller(sensor) for _ in readouts] if sensor.controller else []
     nets: dict[str, Any] = registers.outputs() | sequencer.outputs()
     nets |= {name: getattr(inner, name) for name in ANSWERED}
     for k, controller in enumerate(controllers):
@@ -135,11 +135,12 @@ def wire_core(m: Module, put: Put, sensor: Sensor, outer: Any, inner: Any) -> Se
     wiring.connect(m, wiring.flipped(outer.s_axi), registers.s_axi)
     m.d.comb += outer.laser.eq(sequencer.laser)
     m.d.comb += [getattr(inner, name).eq(nets[name]) for name in shared_ports(sensor)]
-    for k, (readout, controller) in enumerate(zip(readouts, controllers)):
+    for k, controller in enumerate(controllers):
+        of_stream = {"share": getattr(registers, f"share_{k}"), "counted": readouts[k].counted}
+        put(f"controller_{k}", controller, **controller.fed(nets | of_stream))
+    for k, readout in enumerate(readouts):
         nets |= {name: getattr(inner, f"{name}_of_{k}") for name in (*LISTED, *COMBINED)}
-        nets |= {"share": getattr(registers, f"share_{k}"), "counted": readout.counted}
         put(f"readout_{k}", readout, **readout.fed(nets))
-        put(f"controller_{k}", controller, **controller.fed(nets))
         wiring.connect(m, wiring.flipped(getattr(outer, sensor.stream_name(k))), readout.m_axis)
         m.d.comb += [getattr(inner, f"{name}_of_{k}").eq(getattr(readout, name)) for name in GRANTED]
     return sequencer

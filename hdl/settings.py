@@ -11,6 +11,7 @@ from ..model.contract.counters import COUNTER_BITS, COUNTER_NAMES
 from ..model.contract.parameters import MASK_BITS, Sensor
 from ..model.contract.registers import DATA_BITS
 from . import bus
+from .clock_gate import ClockGate, behind
 from .logic import any_of
 from .unit import Unit
 
@@ -36,14 +37,15 @@ class SubgroupSettings(Unit):
     -----
     command : in, configuration bus, registered; subgroup : in, number of this subgroup; period : in, the programmed laser
         period
-    settings : out, in force since the last TAKE
+    settings : out, in force since the last TAKE; as programmed, where they are not held
     counters : in
     data : out, two cycles after an operation of the bus named a word of this subgroup; after those for others 0, so the data
         of all subgroups can be ORed
     gate_late : out, as programmed, gating is on and gate_start is not below the period
     upset : out, the parity of a programmed word differs from the one that was written with it
 
-    Reset loads the reset values of the table.
+    Reset loads the reset values of the table. A gate stops the clock two cycles after an operation of the bus; `period`
+    changes only beside one.
     """
 
     unit_name = "coincid_settings"
@@ -63,6 +65,7 @@ class SubgroupSettings(Unit):
             }
         )
         self.state = SettingsState(sensor)
+        self.clock_gate = ClockGate(small=True)
 
     def elaborate(self, platform):
         m = Module()
@@ -70,8 +73,11 @@ class SubgroupSettings(Unit):
         selected = Signal()
         m.d.comb += selected.eq(self.command.subgroup == self.subgroup)
         m.d.sync += [self.gate_late.eq(programmed.gating & (programmed.gate_start >= self.period))]
-        with m.If(self.command.operation == bus.Operation.TAKE):
-            m.d.sync += self.settings.eq(programmed)
+        if self.sensor.held:
+            with m.If(self.command.operation == bus.Operation.TAKE):
+                m.d.sync += self.settings.eq(programmed)
+        else:
+            m.d.comb += self.settings.eq(programmed)
         write = selected & (self.command.operation == bus.Operation.WRITE)
         for offset, register, index in registers.words(registers.SUBGROUP, self.sensor):
             if register.access is registers.Access.SETTING:
@@ -95,12 +101,12 @@ class SubgroupSettings(Unit):
             m.d.sync += named.eq(Cat(selected & (self.command.word == number) for number in shown))
         with m.If(accessed):
             m.d.sync += self.data.eq(any_of(m, values, "shown"))
-        return m
+        return behind(m, platform, self.clock_gate, (self.command.operation != bus.Operation.IDLE) | accessed)
 
     def _field(self, settings, register, index):
         if register is registers.MODE:
             bits = settings.as_value()
-            return bits[: len(registers.MODE.bits)]
+            return bits[: register.high(self.sensor).bit_length()]
         if register.name == "mask":
             return settings.mask[index * MASK_BITS : (index + 1) * MASK_BITS]
         return settings[register.name]

@@ -4,7 +4,7 @@
 from functools import partial
 from typing import Any
 
-from amaranth.hdl import Cat, ClockDomain, Module, Mux, ResetSignal, Signal
+from amaranth.hdl import Cat, Module, Mux, ResetSignal, Signal
 from amaranth.lib import wiring
 from amaranth.lib.wiring import In, Out
 
@@ -12,17 +12,16 @@ from ..model.contract.packet import BEAT_BITS
 from ..model.contract.parameters import Sensor
 from ..model.contract.registers import DATA_BITS
 from . import bus
-from .clock_gate import ClockGate
+from .clock_gate import ClockGate, stopped
 from .dpcu import Dpcu
 from .fifo import EventFifo, RecordBuffer
 from .gating import Gating
 from .packetizer import Packetizer
 from .settings import SubgroupSettings
-from .unit import Export, Unit, place
+from .unit import Unit, place
 from .views import POLYPHASE, View
 from .voted import agreed_reset
 
-GATED = "gated"  # clock domain
 AWAKE_CYCLES = 31  # more than anything in a subgroup takes to come to rest
 
 
@@ -95,30 +94,26 @@ class Subgroup(Unit):
         records = put("record_buffer", RecordBuffer(sensor), domain=gated) if sensor.records else None
         packets = put("packetizer", Packetizer(sensor), domain=gated)
 
-        # Inputs go straight into registers. These need no reset, because the registers that drive them have one. Most of
-        # them move only when something comes.
-        command, timing, frame, period, number, grant, send = (
+        # Inputs go straight into registers, except the subgroup's number, which never changes. These need no reset, because
+        # the registers that drive them have one. Most of them move only when something comes.
+        command, timing, frame, period, grant, send = (
             Signal.like(port, reset_less=True)
-            for port in (self.command, self.timing, self.frame, self.period, self.subgroup, self.grant, self.send)
+            for port in (self.command, self.timing, self.frame, self.period, self.grant, self.send)
         )
         idle = bus.Operation.IDLE
         with m.If((self.command.operation != idle) | (command.operation != idle)):
-            m.d[gated] += [
-                command.eq(self.command),
-                frame.eq(self.frame),
-                period.eq(self.period),
-                number.eq(self.subgroup),
-            ]
-        m.d[gated] += [timing[name].eq(self.timing[name]) for name in bus.STROBES]
+            m.d[gated] += [command.eq(self.command), frame.eq(self.frame), period.eq(self.period)]
+        now, next_now = (Cat(port[name] for name in bus.STROBES) for port in (timing, self.timing))
+        with m.If(Cat(now != next_now, grant, self.grant).any()):
+            m.d[gated] += [now.eq(next_now), grant.eq(self.grant)]
         with m.If(self.timing.start):
             m.d[gated] += timing.shift.eq(self.timing.shift)
-        m.d[gated] += grant.eq(self.grant)
         with m.If(self.grant):
             m.d[gated] += send.eq(self.send)
         wiring.connect(m, wiring.flipped(self.line), tree.line)
         m.d.comb += [
             settings.command.eq(command),
-            settings.subgroup.eq(number),
+            settings.subgroup.eq(self.subgroup),
             settings.period.eq(period),
             settings.counters.eq(dpcu.counters),
             self.data.eq(settings.data),
@@ -135,7 +130,7 @@ class Subgroup(Unit):
             dpcu.start.eq(timing.start),
             dpcu.operation.eq(command.operation),
             dpcu.data.eq(command.data),
-            dpcu.in_stream.eq(number >= command.subgroup),
+            dpcu.in_stream.eq(self.subgroup >= command.subgroup),
             dpcu.closed.eq(tree.closed),
             dpcu.window.eq(tree.window),
             dpcu.blind.eq(tree.blind),
@@ -151,7 +146,7 @@ class Subgroup(Unit):
             packets.grant.eq(grant),
             packets.send.eq(send),
             packets.frame.eq(frame),
-            packets.subgroup.eq(number),
+            packets.subgroup.eq(self.subgroup),
             packets.head.eq(events.head),
             packets.counters.eq(dpcu.counters),
             packets.controlled.eq(dpcu.controlled),
@@ -175,27 +170,17 @@ class Subgroup(Unit):
         return m
 
     def _clock(self, m, platform, reset):
-        """Return the domain whose clock stops `AWAKE_CYCLES` after the last command, strobe, grant or reset.
-
-        Amaranth's own simulator sees the edges of a clock behind a gate later than the others, so there it is `sync`.
-        """
-        domain = GATED if isinstance(platform, Export) else "sync"
-        gate = place(m, "clock_gate", self.clock_gate, platform)
+        """Return the domain whose clock stops `AWAKE_CYCLES` after the last command, strobe, grant or reset."""
         left = Signal(range(AWAKE_CYCLES + 1), reset_less=True)
         asked = Signal()
-        m.d.comb += [
-            asked.eq(
-                (self.command.operation != bus.Operation.IDLE)
-                | Cat(self.timing[name] for name in bus.STROBES).any()
-                | self.grant
-                | reset
-                | ResetSignal()
-            ),
-            gate.enable.eq(asked | (left != 0)),
-        ]
-        if domain == GATED:
-            gated = ClockDomain(GATED, reset_less=True, local=True)
-            m.domains += gated
-            m.d.comb += gated.clk.eq(gate.gated)
-        m.d[domain] += left.eq(Mux(asked, AWAKE_CYCLES, left - (left != 0)))
+        m.d.comb += asked.eq(
+            (self.command.operation != bus.Operation.IDLE)
+            | Cat(self.timing[name] for name in bus.STROBES).any()
+            | self.grant
+            | reset
+            | ResetSignal()
+        )
+        domain = stopped(m, platform, self.clock_gate, asked | (left != 0))
+        with m.If(~asked | (left != AWAKE_CYCLES)):
+            m.d[domain] += left.eq(Mux(asked, AWAKE_CYCLES, left - (left != 0)))
         return domain

@@ -14,6 +14,7 @@ from amaranth.lib.wiring import In, Out, Signature
 
 from ..model.contract.parameters import Sensor, bits_for
 from . import bus
+from .clock_gate import ClockGate, stopped
 from .logic import any_of, first_index, popcount, total
 from .minigroup import Minigroup
 from .tdc import line_signature
@@ -42,8 +43,12 @@ class TreeState:
 
     left: ticks of the window from the start of the cycle, end: the same for a window that may just open; whole, part: the
     window covers all of the cycle, or the phases before its end; elapsed: cycles since it opened, saturated; stamps, winners:
-    of stages 3 to 5.
+    of stages 3 to 5. openings, closings: the window's opening and its closing, delayed; found_blind: a minigroup has an edge
+    outside of a window. strobes: all that move on in every cycle, until they are out, behind a gate of their own: `clock` is
+    their domain.
     """
+
+    clock: str
 
     def __init__(self, sensor: Sensor):
         self.leaves = [Minigroup(sensor) for _ in range(sensor.minigroups)]
@@ -58,8 +63,12 @@ class TreeState:
         self.end = Signal.like(self.left)
         self.whole, self.part = Signal(), Signal()
         self.at_first = Signal(sensor.pixels)
-        self.opening_4 = Signal()
-        self.closed = Signal()
+        self.openings = [Signal(name=f"opening_{n}") for n in (3, 4, 5, 6)]
+        self.closings = [Signal(name=f"closing_{n}") for n in (3, 4)] + [Signal(name="closed")]
+        self.opening_4, self.closed = self.openings[1], self.closings[-1]
+        self.closed_6 = Signal()
+        self.found_blind, self.blind = Signal(), Signal()
+        self.strobes = [*self.openings, *self.closings, self.closed_6, self.blind, self.wrap]
         self.elapsed = Signal(sensor.elapsed_bits)
         self.stamps = [Signal(sensor.stamp_bits, name=f"stamp_{n}") for n in (3, 4, 5)]
         self.winners = [Signal(sensor.winner_bits, name=f"winner_{n}") for n in (3, 4, 5)]
@@ -93,6 +102,7 @@ class CoincidenceTree(Unit):
             | front_ports(sensor, line_signature(sensor))
         )
         self.state = TreeState(sensor)
+        self.clock_gate = ClockGate(small=True)
 
     def elaborate(self, platform):
         m = Module()
@@ -107,6 +117,13 @@ class CoincidenceTree(Unit):
         with m.If(sampled.any() | root.any()):
             m.d.sync += root.eq(sampled)
         m.d.comb += self.line.root.eq(root & self.accept.replicate(sensor.phases))
+        state = self.state
+        moving = (
+            Cat(state.opening, state.closing, state.found_blind, self.timing.wrap, *state.strobes).any()
+            | (Cat(self.timing.may_open, state.may_open[:-1]) != state.may_open)
+            | Cat(self.closed, self.blind).any()
+        )
+        state.clock = stopped(m, platform, self.clock_gate, moving)
         self._strobes(m)
         self._window(m)
         self._opened(m)
@@ -118,7 +135,7 @@ class CoincidenceTree(Unit):
         """Delay the timing strobes to stage 3: they come two cycles ahead of the ports; one register makes it one cycle."""
         state = self.state
         coarse_3 = Signal.like(state.coarse_4)
-        m.d.sync += [
+        m.d[state.clock] += [
             state.may_open.eq((state.may_open << 1) | self.timing.may_open),
             state.wrap.eq((state.wrap << 1) | self.timing.wrap),
         ]
@@ -149,16 +166,10 @@ class CoincidenceTree(Unit):
     def _opened(self, m):
         """Stages 3 to 5: stamp and winner of the opening edge. Stage 7: cycles since it, for the leaves' offsets."""
         state, sensor = self.state, self.sensor
-        opening_3, opening_5, opening_6 = (Signal(name=f"opening_{n}") for n in (3, 5, 6))
-        closing_3, closing_4 = Signal(), Signal()
-        m.d.sync += [
-            opening_3.eq(state.opening),
-            state.opening_4.eq(opening_3),
-            opening_5.eq(state.opening_4),
-            opening_6.eq(opening_5),
-            closing_3.eq(state.closing),
-            closing_4.eq(closing_3),
-            state.closed.eq(closing_4),
+        opening_3, opening_6 = state.openings[0], state.openings[-1]
+        m.d[state.clock] += [
+            Cat(state.openings).eq(Cat(state.opening, state.openings[:-1])),
+            Cat(state.closings).eq(Cat(state.closing, state.closings[:-1])),
         ]
         with m.If(opening_6 | ~state.elapsed.all()):
             m.d.sync += state.elapsed.eq(Mux(opening_6, 0, state.elapsed + 1))
@@ -175,7 +186,6 @@ class CoincidenceTree(Unit):
     def _leaves(self, m):
         """Connect the minigroups."""
         state, phases = self.state, self.sensor.phases
-        blind = Signal()
         for g, leaf in enumerate(state.leaves):
             members = self.sensor.members(g)
             m.d.comb += [
@@ -198,17 +208,18 @@ class CoincidenceTree(Unit):
                 *(state.hits[i].eq(leaf.hits[j]) for j, i in enumerate(members)),
                 *(state.at_first[i].eq(leaf.at_first[j]) for j, i in enumerate(members)),
             ]
-        m.d.sync += [blind.eq(any_of(m, [leaf.blind for leaf in state.leaves], "blind_or")), self.blind.eq(blind)]
+        m.d.comb += state.found_blind.eq(any_of(m, [leaf.blind for leaf in state.leaves], "blind_or"))
+        m.d[state.clock] += [state.blind.eq(state.found_blind), self.blind.eq(state.blind)]
 
     def _closed(self, m):
         """Stages 6 and 7: count a closed window in two steps of equal depth."""
         state, pixels = self.state, self.sensor.pixels
-        closed_6 = Signal()
+        closed_6 = state.closed_6
         half = Signal(bus.window_layout(self.sensor), reset_less=True)
         chunk = 1 << (bits_for(pixels - 1) + 1) // 2
         chunks = [state.hits[at : at + chunk] for at in range(0, pixels, chunk)]
         counts = [Signal(range(len(part) + 1), name=f"count_{k}") for k, part in enumerate(chunks)]
-        m.d.sync += [closed_6.eq(state.closed), self.closed.eq(closed_6)]
+        m.d[state.clock] += [closed_6.eq(state.closed), self.closed.eq(closed_6)]
         with m.If(state.closed):
             m.d.sync += [
                 half.stamp.eq(state.stamps[-1]),

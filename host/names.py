@@ -41,6 +41,8 @@ def find(sensor: Sensor, key: Key) -> Word:
     register = registers.BY_NAME.get(str(name))
     if register is None:
         raise InputError(f"register {name!r}: must be one of {', '.join(registers.BY_NAME)}")
+    if not register.count(sensor):
+        raise InputError(f"register {name!r}: the sensor is built without it")
     of_subgroup = register in registers.SUBGROUP
     subgroup = index = 0
     if of_subgroup:

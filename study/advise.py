@@ -107,7 +107,7 @@ def advise(setup: Setup, *, klux: float, progress: Progress = lambda stage, done
     run = Run(setup, workers=os.cpu_count() or 1)
     progress("photons", 0, 1)
     _ = run.edges
-    total = len(windows) * (len(thresholds) + 1) + len(LINKS_GBPS) * len(FORMATS)
+    total = len(windows) * (len(thresholds) + setup.config.sensor.controller) + len(LINKS_GBPS) * len(FORMATS)
     tried: list[Tried] = []
 
     def tell(stage: str, found: Iterator[Tried]) -> list[Tried]:
@@ -131,7 +131,8 @@ def _settings(run: Run, thresholds: list[int], windows: list[int]) -> Iterator[T
             yield _tried(
                 run.alone(-1, subgroup={"auto": False, "coincidence": True, "threshold": threshold, "window": window})
             )
-        yield _tried(run.but(subgroup={"auto": True, "coincidence": True, "window": window}))
+        if run.config.sensor.controller:
+            yield _tried(run.but(subgroup={"auto": True, "coincidence": True, "window": window}))
 
 
 def _links(run: Run, chosen: Config) -> Iterator[Tried]:

@@ -60,6 +60,7 @@ SCHEMES = {  # name: (title, settings that it overrides), in the order of the fr
     "fixed": ("one threshold: {threshold}", {"coincidence": True, "auto": False}),
     "auto": ("controller", {"coincidence": True, "auto": True}),
 }
+CONTROLLED = "auto"
 SLOW_ENGINE, SLOW_SETTLING = "icarus", 2
 Progressed = Callable[[int], None]
 
@@ -86,6 +87,11 @@ class Played:
         return {name: run.frame() for name, run in self.runs.items()}
 
 
+def schemes_of(sensor: Sensor) -> dict[str, tuple[str, dict[str, bool]]]:
+    """Return those of `SCHEMES` that a sensor has."""
+    return {name: scheme for name, scheme in SCHEMES.items() if sensor.controller or name != CONTROLLED}
+
+
 def best_threshold(run: Run) -> int:
     """Return the threshold that leaves the fewest wrong pixels of the last frame, the lowest among equals, by the golden model."""
     _, settings = SCHEMES["fixed"]
@@ -99,8 +105,8 @@ def best_threshold(run: Run) -> int:
 def scheme_runs(run: Run, threshold: ArrayLike) -> dict[str, Run]:
     """Return the run of each scheme: `off` and `fixed` at `threshold` see the photons of the last frame, `auto` those of all."""
     golden, runs = Golden(run.config.sensor), {}
-    for name, (_, settings) in SCHEMES.items():
-        if name == "auto":
+    for name, (_, settings) in schemes_of(run.config.sensor).items():
+        if name == CONTROLLED:
             own = run.but(subgroup=settings)
         else:
             own = run.alone(-1, subgroup=settings | ({"threshold": threshold} if name == "fixed" else {}))
@@ -174,9 +180,10 @@ def simulate(
 
     source: for `load_scene`; klux: for `ambient_klux`; background: one of `BACKGROUNDS`. threshold: of `fixed`; None: the
     configuration's, if it gives one, else the best of 1 to 7 for this scene. settling: frames of `auto`, of which the
-    last one counts (None: `SETTLING` and that one). spad_gate: gating keeps the SPADs off outside the gate. events.npz: a
-    result file of all frames, in the order of `SCHEMES`; depth.npz: `Depth.save` of `auto`. Raises
-    `InputError`, and the errors of `play_schemes`; after a `Mismatch`, only the report exists, with `mismatches` = 1.
+    last one counts (None: `SETTLING` and that one); a sensor without the controller has no such frames. spad_gate: gating keeps
+    the SPADs off outside the gate. events.npz: a result file of all frames, in the order of `SCHEMES`; depth.npz: `Depth.save`
+    of the last frame. Raises `InputError`, and the errors of `play_schemes`; after a `Mismatch`, only the report exists, with
+    `mismatches` = 1.
     """
     shown = chosen_view(engine, view, config.clock_mhz, waves)
     config.check_map()
@@ -222,7 +229,8 @@ def simulate(
         if shown is not None:
             bar.stage("RTL: emitted and compiled once")
             preparing.result()
-        total = len(SCHEMES) - 1 + settling
+        schemes = schemes_of(config.sensor)
+        total = sum(settling if name == CONTROLLED else 1 for name in schemes)
         bar.stage(f"{total} frames on {engine}", total * config.frame_cycles)
         try:
             played = play_schemes(run, fixed, engine, out, waves=waves, progress=bar.done, view=view)
@@ -232,12 +240,12 @@ def simulate(
             _write_report(out, {"mismatches": 1, "mismatch": str(mismatch)} | given)
             raise
         bar.stage("depth")
-        titles = {name: title.format(threshold=_span(fixed)) for name, (title, _) in SCHEMES.items()}
+        titles = {name: title.format(threshold=_span(fixed)) for name, (title, _) in schemes.items()}
         ambient_shown = ambient if isinstance(ambient, str) else f"{ambient:g}"
         heading = f"{run.scene.name}, {ambient_shown} klux, {config.pulses} laser pulses"
         shares = _pictures(out, heading, titles, played.frames)
     write_result(out / EVENTS, played.arrays)
-    played.frames["auto"].first.save(out / DEPTH)
+    list(played.frames.values())[-1].first.save(out / DEPTH)
     if not _write_page(out / PAGE, heading, titles, played.frames):
         results.remove(out / PAGE)
     report = _report(played) | shares | given
@@ -281,12 +289,13 @@ def _pictures(out: Path, heading: str, titles: dict[str, str], seen: dict[str, F
     from .pictures import Panel, depth_row
 
     shares: dict[str, Number] = {}
-    auto = seen["auto"]
-    blocks = "the controller's thresholds", subgroup_image(auto.threshold, auto.config.sensor)
+    last = seen[list(seen)[-1]]
+    told = "the controller's thresholds" if CONTROLLED in seen else "the thresholds"
+    blocks = told, subgroup_image(last.threshold, last.config.sensor)
     for file, (method, suffix, what) in PICTURES.items():
         frames = {name: frame.by(method) for name, frame in seen.items()}
         panels = [Panel(titles[name], frame.depth_m, frame.first.reason) for name, frame in frames.items()]
-        depth_row(out / file, panels, auto.truth_m, f"{heading}: {what}", blocks=blocks)
+        depth_row(out / file, panels, last.truth_m, f"{heading}: {what}", blocks=blocks)
         for name, frame in frames.items():
             key = f"wrong_share_{name}{suffix}"
             shares |= {key: frame["wrong_share"], f"{key}_15cm": frame["wrong_share_15cm"]}
@@ -297,9 +306,10 @@ def settings_of(config: Config) -> dict[str, Any]:
     """Return the configuration in the shape of its file; a subgroup's setting is a list if subgroups differ."""
     subgroup = {name: getattr(config, name).tolist() for name in SUBGROUP}
     subgroup["mask"] = [f"{sum(1 << int(i) for i in np.flatnonzero(mask)):x}" for mask in config.mask]
+    derived = {"auto_bounds": config.auto_bounds.tolist(), "capacity": config.capacity}
     return {
         "sensor": sensor_table(config.sensor),
-        "frame": config.frame | {"auto_bounds": config.auto_bounds.tolist(), "capacity": config.capacity},
+        "frame": config.frame | (derived if config.sensor.controller else {}),
         "subgroup": {name: v[0] if len(set(v)) == 1 else v for name, v in subgroup.items()},
     }
 
@@ -362,9 +372,10 @@ def _tell(
             f"{report[f'wrong_share_{name}_peak']:.1%}",
         )
     console.print(table)
-    console.print(f"the controller's thresholds after {report['frames']} frames, by subgroup:")
-    for row in subgroup_image(np.array(report["threshold_auto"]), config.sensor):
-        console.print("  " + " ".join(map(str, row)))
+    if CONTROLLED in titles:
+        console.print(f"the controller's thresholds after {report['frames']} frames, by subgroup:")
+        for row in subgroup_image(np.array(report[f"threshold_{CONTROLLED}"]), config.sensor):
+            console.print("  " + " ".join(map(str, row)))
     for note in notes:
         console.print(note, markup=False, emoji=False, soft_wrap=True)
     checked = (

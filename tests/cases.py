@@ -41,7 +41,7 @@ SENSORS = {  # small ones, so that a case is fast; together they change every pa
         rows=6, cols=15, subgroup=[6, 3], minigroup=[2, 3], phases=16, window_max=33, offset_phases=8, streams=2
     ),
 }
-LEAN = dict(rows=8, cols=16, offsets=0, records=0, fifo_depth=3)
+LEAN = dict(rows=8, cols=16, offsets=0, records=0, controller=0, counter_bits=9, held=0, fifo_depth=3)
 # For fault and mutation tests, which run slow simulators many times: two subgroups of 16 pixels.
 SMALL = dict(rows=4, cols=8, subgroup=[4, 4], phases=8, coarse_bits=9, window_max=100, rearm=1, fifo_depth=3)
 
@@ -96,7 +96,11 @@ def configurations(draw, sensor: dict, frames_max: int = 2) -> Config:
         "gate_len": st.one_of(st.integers(0, period + 3), st.integers(0, 15).map(lambda bit: 1 << bit)),
     }
     frame, of_subgroup = (
-        {name: rare[name] if name in rare else legal_values(setting, built) for name, setting in table.items()}
+        {
+            name: rare[name] if name in rare else legal_values(setting, built)
+            for name, setting in table.items()
+            if setting.words(built)
+        }
         for table in (FRAME, SUBGROUP)
     )
     settings = st.fixed_dictionaries({}, optional=of_subgroup)

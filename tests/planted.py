@@ -102,6 +102,14 @@ MISTAKES: dict[tuple[str, tuple[str, ...], tuple[tuple[str, ...], ...]], dict[st
     },
     ("hdl/memory.py", (), (("tests/hdl/test_memory.py",),)): {"latch-rows-swapped": ("to == {r}", "to == {r ^ 1}")},
     ("hdl/subgroup.py", ("subgroup_rests",), ()): {"sleeps-early": ("AWAKE_CYCLES = 31", "AWAKE_CYCLES = 5")},
+    ("hdl/minigroup.py", ("minigroup_rests",), ()): {
+        "stage-asleep": ("[self.awake_1, self.awake_3]", "[self.awake_1]")
+    },
+    ("hdl/tree.py", ("strobes_rest",), ()): {"strobe-asleep": ("self.timing.wrap, *state.strobes", "*state.strobes")},
+    ("hdl/dpcu.py", ("dpcu_rests",), ()): {"pulse-asleep": ("| self.start | state.coming", "| state.coming")},
+    ("hdl/settings.py", ("settings_rest",), ()): {
+        "check-asleep": ("!= bus.Operation.IDLE) | accessed", "!= bus.Operation.IDLE)")
+    },
     ("hdl/subgroup.py", (), (FRAMES, SLICED)): {"budget-of-last-stream": ("number >= command.subgroup", "1")},
     ("hdl/controller.py", ("controller",), (FRAMES, SLICED)): {
         "budget-beyond-capacity": ("Mux(state.grown < state.capacity, state.grown, state.capacity)", "state.grown"),

@@ -22,7 +22,7 @@ from .dither import start_cycles
 from .groups import LARGE_PIXELS, PAYLOAD_BITS, groups
 from .link import beats_waiting_max, check_link, link_share, takes_beats
 from .packet import FORMATS, RECORD, WITH_MAP, built_formats, layout
-from .parameters import MASK_BITS, SENSOR, Sensor
+from .parameters import MASK_BITS, PARTS, SENSOR, Sensor
 from .preset_files import PRESETS
 from .registers import MODE
 from .settings import FRAME, SUBGROUP, SWITCHES, SubgroupSettings, frame_defaults
@@ -71,11 +71,14 @@ class Config(SubgroupSettings):
                 f"frame.format = {self.format!r}: must be one of {', '.join(built)}, because the sensor is built without"
                 " coarse offsets (sensor.offsets = 0)"
             )
-        if self.frame["minigroup_records"] and not self.sensor.records:
-            raise InputError(
-                "frame.minigroup_records = true: must be false, because the sensor is built without minigroup records"
-                " (sensor.records = 0)"
-            )
+        for name, setting in (FRAME | SUBGROUP).items():
+            value = self.frame[name] if name in self.frame else getattr(self, name)
+            if not setting.built(self.sensor) and np.any(value != setting.default):
+                legal = {None: "left out", False: "false"}.get(setting.default, setting.default)
+                raise InputError(
+                    f"{setting.key}: must be {legal}, because the sensor is built without {PARTS[setting.needs]}"
+                    f" (sensor.{setting.needs} = 0)"
+                )
         check_link(self.frame["link_gbps"], self.clock_mhz)
         if np.any(np.diff(self.auto_bounds) < 0):
             raise InputError(f"frame.auto_bounds = {self.auto_bounds.tolist()}: must not descend")
@@ -272,10 +275,11 @@ class Config(SubgroupSettings):
         derived = {"auto_bounds": self.auto_bounds, "capacity": self.capacity}
         for name, value in (self.frame | derived).items():
             setting = FRAME[name]
-            if setting.offset is not None:
+            if setting.offset is not None and setting.words(self.sensor):
                 words = np.atleast_1d(setting.choices.index(value) if setting.choices else value)
                 writes += [(registers.address(name, index=i), int(word)) for i, word in enumerate(words)]
-        writes += [(registers.address("share", index=k), int(share)) for k, share in enumerate(self.shares)]
+        if self.sensor.controller:
+            writes += [(registers.address("share", index=k), int(share)) for k, share in enumerate(self.shares)]
         mode = sum(getattr(self, name).astype(np.int64) << switch.bit for name, switch in SWITCHES.items())
         numbers = [name for name, of in SUBGROUP.items() if of.offset is not None and of.kind is not Kind.MASK]
         for s in range(self.sensor.subgroups):

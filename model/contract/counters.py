@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The counters of a subgroup, which registers and frame end packets hold."""
 
-COUNTER_BITS = 32
-EVENTS_MAX = (1 << COUNTER_BITS) - 1  # saturation value of a counter
+COUNTER_BITS = 32  # of a register, and of a counter at most
+COUNTER_BITS_MIN = 9  # of a counter: a threshold fits
+EVENTS_MAX = (1 << COUNTER_BITS) - 1  # highest value of a counter
 
 COUNTERS: tuple[tuple[str, str], ...] = (  # in the order of the frame end packet
     ("opened", "Coincidence windows opened."),

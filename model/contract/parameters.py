@@ -6,6 +6,7 @@ from typing import Any
 from attrs import Factory, field, frozen
 
 from ..shared.errors import InputError
+from .counters import COUNTER_BITS, COUNTER_BITS_MIN
 from .table import Kind, Limit, number, settings_of_class
 
 TOP = "coincid_sensor"  # the RTL's top module
@@ -17,6 +18,11 @@ OFFSET_NONE = 255  # offset byte of a minigroup that was not hit
 RECORD_BITS = (16, 32)  # an entry of a minigroup record takes the smaller size that holds it
 SHORTEST_GUARD_CYCLES = 4  # a minigroup collection that opens as late as possible must close before the period ends
 CLOCK_MHZ = 500.0  # system clock of the preset `silicon`, and default of a configuration
+PARTS = {  # parameters that say whether a part is built, and its name
+    "offsets": "coarse offsets",
+    "records": "minigroup records",
+    "controller": "the threshold controller",
+}
 SUBGROUPS_MAX = 4096  # the header's subgroup field has 12 bits
 
 
@@ -81,6 +87,22 @@ class Sensor:
     )
     offsets: int = _integer(1, 0, 1, offset=0x3C, doc="1: the formats with coarse offsets are built; 0: they are not.")
     records: int = _integer(1, 0, 1, offset=0x98, doc="1: minigroup records are built; 0: they are not.")
+    controller: int = _integer(1, 0, 1, offset=0x9C, doc="1: the threshold controller is built; 0: it is not.")
+    counter_bits: int = _integer(
+        COUNTER_BITS,
+        COUNTER_BITS_MIN,
+        COUNTER_BITS,
+        unit="bits",
+        offset=0xA0,
+        doc="Width of a subgroup's counters, which saturate.",
+    )
+    held: int = _integer(
+        1,
+        0,
+        1,
+        offset=0xA4,
+        doc="1: a subgroup's settings can be written during a frame, for the next one; 0: they cannot.",
+    )
 
     def __attrs_post_init__(self) -> None:
         for setting in SENSOR.values():
@@ -205,6 +227,11 @@ class Sensor:
     @property
     def winner_bits(self) -> int:
         return bits_for(self.pixels - 1)
+
+    @property
+    def counter_max(self) -> int:
+        """Value at which a subgroup's counters saturate."""
+        return (1 << self.counter_bits) - 1
 
     @property
     def window_bits(self) -> int:

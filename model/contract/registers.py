@@ -15,14 +15,14 @@ from . import settings
 from .counters import COUNTERS, EVENTS_MAX
 from .parameters import SENSOR, Sensor
 from .settings import SWITCHES, frame_defaults
-from .table import Kind, Setting, number
+from .table import Kind, Setting
 
 DATA_BITS = 32
 ADDRESS_BITS = 20
 SUBGROUP_BASE = 0x1000
 SUBGROUP_STRIDE = 0x80
 ID_VALUE = 0x434F494E  # "COIN"
-VERSION_VALUE = 0x00020002  # 16 bits each for major and minor; every change that software can see raises it
+VERSION_VALUE = 0x00020003  # 16 bits each for major and minor; every change that software can see raises it
 
 Value = Callable[[Sensor], int]
 
@@ -54,7 +54,7 @@ class Bits:
 
 @frozen(kw_only=True)
 class Register:
-    """A register, or an array of `count` registers at consecutive words. `low`, `high`: range that a write accepts."""
+    """A register, or an array of `count` registers at consecutive words; none if it is not built. `low`, `high`: range that a write accepts."""
 
     name: str
     offset: int
@@ -101,7 +101,7 @@ def _setting(setting: Setting, offset: int) -> Register:
         low=lambda s: setting.limits(s)[0],
         high=lambda s: setting.limits(s)[1],
         reset=lambda s: setting.reset_of(s, frame_defaults(s)),
-        count=lambda s: number(setting.count, s),
+        count=setting.words,
     )
 
 
@@ -159,7 +159,7 @@ GLOBAL: tuple[Register, ...] = (
         name="share",
         offset=0x100,
         access=Access.SETTING,
-        count=lambda s: s.streams,
+        count=lambda s: s.streams * s.controller,
         high=EVENTS_MAX,
         reset=EVENTS_MAX,
         doc="Threshold controller, stream i: capacity // number of its subgroups. First value and lower limit of the budget.",
@@ -168,7 +168,7 @@ GLOBAL: tuple[Register, ...] = (
         name="budget",
         offset=0x200,
         access=Access.COUNTER,
-        count=lambda s: s.streams,
+        count=lambda s: s.streams * s.controller,
         reset=EVENTS_MAX,
         doc="Threshold controller, stream i: a subgroup lowers its threshold if it would then commit no more events.",
     ),
@@ -176,7 +176,7 @@ GLOBAL: tuple[Register, ...] = (
         name="limit",
         offset=0x300,
         access=Access.COUNTER,
-        count=lambda s: s.streams,
+        count=lambda s: s.streams * s.controller,
         reset=EVENTS_MAX,
         doc="Threshold controller, stream i: a subgroup that commits more events raises its threshold.",
     ),
@@ -186,7 +186,7 @@ MODE = Register(
     name="mode",
     offset=0x00,
     access=Access.SETTING,
-    high=(1 << len(SWITCHES)) - 1,
+    high=lambda s: sum(switch.limits(s)[1] << switch.bit for switch in SWITCHES.values()),
     reset=sum(switch.default << switch.bit for switch in SWITCHES.values()),
     doc="The four modes are coincidence x gating.",
     bits=tuple(Bits(name, switch.bit, switch.doc) for name, switch in SWITCHES.items()),
@@ -203,6 +203,11 @@ SUBGROUP: tuple[Register, ...] = (
 
 BY_NAME = {register.name: register for register in (*GLOBAL, *SUBGROUP)}
 WRITABLE = (Access.SETTING, Access.PULSE, Access.STATUS)
+
+
+def built(table: tuple[Register, ...], sensor: Sensor) -> tuple[Register, ...]:
+    """Return the registers that a sensor has."""
+    return tuple(register for register in table if register.count(sensor))
 
 
 def words(table: tuple[Register, ...], sensor: Sensor) -> Iterator[tuple[int, Register, int]]:

@@ -69,7 +69,7 @@ class FrameSettings:
     minigroup_records: bool = _switch(
         False,
         "1: minigroups have their own stamps, and a subgroup sends at most one record per period.",
-        high="records",
+        needs="records",
         offset=0x54,
     )
     mg_threshold: int = _integer(
@@ -92,12 +92,19 @@ class FrameSettings:
         1, 1, (1 << LFSR_BITS) - 1, "State of that LFSR at the beginning of the frame.", offset=0x88
     )
     threshold_floor: int = _integer(
-        1, 0, THRESHOLD_MAX, f"{CONTROLLER}: the lowest threshold; 0 has the effect of 1.", unit="pixels", offset=0x90
+        1,
+        0,
+        THRESHOLD_MAX,
+        f"{CONTROLLER}: the lowest threshold; 0 has the effect of 1.",
+        needs="controller",
+        unit="pixels",
+        offset=0x90,
     )
     auto_bounds: list[int] | None = _setting(
         Kind.INTEGERS,
         f"{CONTROLLER}: the threshold is at most 1 + the number of bounds that `opened` of the previous frame reaches."
         " Must not descend.",
+        needs="controller",
         derived=True,
         unit="windows",
         high=EVENTS_MAX,
@@ -110,6 +117,7 @@ class FrameSettings:
         0,
         EVENTS_MAX,
         f"{CONTROLLER}: events that a stream carries in a frame.",
+        needs="controller",
         derived=True,
         unit="events",
         reset=EVENTS_MAX,
@@ -126,7 +134,7 @@ class SubgroupSettings:
 
     coincidence: np.ndarray = _switch(True, "0: winner takes all (window 1, threshold 1).", bit=0)
     gating: np.ndarray = _switch(False, "1: edges outside the gate are ignored.", bit=1)
-    auto: np.ndarray = _switch(False, "1: the controller sets the threshold.", bit=2)
+    auto: np.ndarray = _switch(False, "1: the controller sets the threshold.", needs="controller", bit=2)
     threshold: np.ndarray = _integer(
         2, 1, "pixels", "Number of distinct pixels that make a coincidence.", unit="pixels", offset=0x04
     )

@@ -89,7 +89,8 @@ def decode_frame(beats: np.ndarray, sensor: Sensor, subgroups: int) -> Frame:
     records, entries = _records(beats, starts[is_record], sensor)
     if is_grouped(head):
         found = ungroup(beats, starts[~is_record], sensor)
-        missing = int(counters[:, COUNTER_NAMES.index("stored")].sum()) - len(found.events)
+        stored = int(counters[:, COUNTER_NAMES.index("stored")].sum())
+        missing = max(0, stored - len(found.events))  # saturated counters tell of fewer than were stored
         events, hits, offsets, damaged = found
     else:
         events, hits, offsets = _events(beats, starts[~is_record], kinds[~is_record], sensor)

@@ -36,9 +36,10 @@ class Setting:
     """A key of the configuration file.
 
     default: never above the highest legal value. follows: key of [frame] whose value is the default. derived: the default
-    is None, follows from the finished configuration, and counts something per frame. low, high: legal range. count: of integers, and of its
-    register's words. offset: of its register, or of the first one. bit: of a switch in the register `mode`. reset: of its
-    register; None: the default.
+    is None, follows from the finished configuration, and counts something per frame. low, high: legal range. count: of
+    integers, and of its register's words. offset: of its register, or of the first one. bit: of a switch in the register
+    `mode`. reset: of its register; None: the default. needs: parameter of the sensor; where it is 0, a switch must be off,
+    and another setting must be left out and has no register.
     """
 
     name: str
@@ -56,6 +57,7 @@ class Setting:
     offset: int | None = None
     bit: int = NO_BIT
     reset: Limit | None = None
+    needs: str = ""
 
     @property
     def key(self) -> str:
@@ -66,7 +68,17 @@ class Setting:
         """Return the lowest and the highest legal value; of a choice, their numbers."""
         if self.kind is Kind.CHOICE:
             return 0, len(self.choices) - 1
+        if self.kind is Kind.SWITCH:
+            return 0, int(self.built(sensor))
         return number(self.low, sensor), number(self.high, sensor)
+
+    def built(self, sensor: Any) -> bool:
+        """Return whether the sensor has what this sets."""
+        return not self.needs or bool(getattr(sensor, self.needs))
+
+    def words(self, sensor: Any) -> int:
+        """Return the number of its register's words."""
+        return number(self.count, sensor) if self.kind is Kind.SWITCH or self.built(sensor) else 0
 
     def default_of(self, sensor: Any, frame: dict[str, Any]) -> Any:
         """Return the value of a key that is not written. frame: values of [frame]."""

@@ -93,6 +93,9 @@ class Golden:
         fate[order], events, records = front_end(
             key, bounds, shape, plan.settings, plan.timeline, self._pixel, counters
         )
+        np.minimum(counters, sensor.counter_max, out=counters)
+        if not sensor.controller:
+            counters[:, COUNTER.lower] = 0
         beats, cycles = [], []
         for stream in range(sensor.streams):
             span = sensor.stream_subgroups(stream)

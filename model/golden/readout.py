@@ -116,7 +116,7 @@ def _play(room, packer, first, shape, end, frame, events, records, counters, nex
     t += 1
     for s in range(n):
         t = _when_room(shape.counter_beats, t, done, sent_at, shape)
-        _count(counters[first + s], queues[s])
+        _count(counters[first + s], queues[s], shape.counter_max)
         _pack(beats[done : done + shape.counter_beats], counters[first + s], COUNTER_BITS)
         done = _send(packer, packed, packed_at, beats, sent_at, done, shape.counter_beats, t, shape, next_ready)
         t += shape.counter_beats
@@ -268,9 +268,9 @@ def _pack(beats, items, bits):
 
 
 @njit(allocates=False)
-def _count(counters, queue):
-    counters[COUNTER.stored], counters[COUNTER.dropped] = queue.stored, queue.dropped
-    counters[COUNTER.mg_stored], counters[COUNTER.mg_dropped] = queue.mg_stored, queue.mg_dropped
+def _count(counters, queue, most):
+    counters[COUNTER.stored], counters[COUNTER.dropped] = min(queue.stored, most), min(queue.dropped, most)
+    counters[COUNTER.mg_stored], counters[COUNTER.mg_dropped] = min(queue.mg_stored, most), min(queue.mg_dropped, most)
 
 
 @njit(allocates=False)

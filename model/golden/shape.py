@@ -19,7 +19,7 @@ Shape = namedtuple(
     "minigroup_records mg_threshold mg_window record_bits record_stamp_bits "
     "event_code event_parts event_beats event_has_offsets grouped hits_words record_parts record_beats frame_parts "
     "subgroup_bits winner_bits offset_bits stamp_bits listed_max "
-    "counter_beats longest_word output_depth",
+    "counter_max counter_beats longest_word output_depth",
 )
 
 
@@ -85,6 +85,7 @@ def shape_of(config: Config) -> Shape:
         record_parts=_part_rows(sensor, RECORD),
         record_beats=lengths.length(RECORD),
         frame_parts=_part_rows(sensor, FRAME_START),
+        counter_max=sensor.counter_max,
         counter_beats=lengths.counter_beats,
         longest_word=lengths.longest_word,
         record_bits=sensor.record_bits,

@@ -18,6 +18,8 @@ from coincid.model.contract import registers
 from coincid.model.contract.config import parse_config
 from coincid.model.contract.counters import COUNTER_NAMES
 from coincid.model.contract.edges import Edges
+from coincid.model.contract.packet import FORMATS, built_formats
+from coincid.model.contract.parameters import PARTS
 from coincid.model.contract.registers import Access, address
 from coincid.model.contract.settings import AUTO_BOUNDS
 from coincid.model.contract.stream import decode_frame
@@ -146,6 +148,37 @@ async def addresses_that_are_not_there(dut):
         await refused(bench.write(name, 1), bench, "bad_address")
     await refused(bench.axi.write(address("pulses"), 7, byte_enable=0b0111), bench, "bad_strobe")
     assert await bench.read("pulses") == 100
+
+
+@cocotb.test()
+async def only_what_is_built(dut):
+    """Parameters say what is built. Formats, switches and registers of anything else are refused."""
+    bench = await fresh(dut)
+    sensor = bench.sensor
+    for part in (*PARTS, "counter_bits"):
+        assert await bench.read(part) == getattr(sensor, part)
+    formats = [name in built_formats(sensor) for name in FORMATS]
+    modes = [number < 4 or bool(sensor.controller) for number in range(8)]
+    for name, subgroup, legal in (
+        ("format", 0, formats),
+        ("minigroup_records", 0, [True, bool(sensor.records)]),
+        ("mode", 1, modes),
+    ):
+        for value, is_legal in enumerate(legal):
+            write = bench.write(name, value, subgroup)
+            if is_legal:
+                await write
+            else:
+                await refused(write, bench, "bad_value")
+    for name in ("share", "auto_bounds", "threshold_floor"):
+        if not sensor.controller:
+            await refused(bench.axi.write(address(name), 1), bench, "bad_address")
+            await refused(bench.axi.read(address(name)), bench, "bad_address")
+    await bench.write("format", 0)
+    await bench.write("mode", 1, 1)
+    await bench.write("control", 1)
+    assert await refuses(bench.write("window", 3, 1)) == (not sensor.held)
+    assert (await bench.read("window", 1) == 3) == bool(sensor.held)
 
 
 @cocotb.test()

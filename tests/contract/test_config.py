@@ -119,13 +119,25 @@ def test_subgroup_settings_that_are_refused(settings, words):
     [
         ({"format": "full"}, "frame.format = 'full': must be one of short, id, compact, because"),
         ({"format": "compact-full"}, "without coarse offsets (sensor.offsets = 0)"),
-        ({"minigroup_records": True}, "without minigroup records (sensor.records = 0)"),
+        (
+            {"minigroup_records": True},
+            "minigroup_records: must be false, because the sensor is built without minigroup",
+        ),
+        ({"capacity": 9}, "frame.capacity: must be left out, because the sensor is built without the threshold"),
+        ({"threshold_floor": 2}, "must be 1, because the sensor is built without the threshold controller"),
     ],
 )
 def test_what_is_not_built_is_refused(frame, told):
-    assert not parse_config({"sensor": {"offsets": 0, "records": 0}}).frame["minigroup_records"]
+    sensor = {"offsets": 0, "records": 0, "controller": 0}
+    config = parse_config({"sensor": sensor})
+    assert not config.frame["minigroup_records"]
+    assert {address("share"), address("auto_bounds")}.isdisjoint(dict(config.register_writes()))
+    with pytest.raises(
+        InputError, match=re.escape("subgroup.auto: must be false, because the sensor is built without")
+    ):
+        config.with_settings(auto=True)
     with pytest.raises(InputError, match=re.escape(told)):
-        parse_config({"sensor": {"offsets": 0, "records": 0}, "frame": frame})
+        parse_config({"sensor": sensor, "frame": frame})
 
 
 @pytest.mark.parametrize(

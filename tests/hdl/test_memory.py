@@ -86,5 +86,5 @@ def test_latches_hold_what_the_memory_holds(tmp_path, depth, width):
 
 def test_a_clock_gate_lets_whole_wanted_edges_pass(tmp_path):
     """One edge for each cycle at whose end the enable was high, whatever it did before."""
-    gate = units_files([ClockGate()], cells=True)[f"{ClockGate.unit_name}.v"]
+    gate = units_files([ClockGate()], cells=True)["coincid_clock_gate.v"]
     assert simulated(tmp_path, gate, GATE).startswith("PASS")

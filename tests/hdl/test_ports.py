@@ -8,7 +8,7 @@ from coincid.tb.engines import SIMULATORS
 from coincid.tb.play import build_sensor
 
 from ..benches import bench_environment
-from ..cases import SMALL
+from ..cases import LEAN, SMALL
 
 BENCH_SENSORS = {"icarus": SMALL, "verilator": {"rows": 8, "cols": 16}}  # the mutants are small sensors on Icarus
 
@@ -18,3 +18,9 @@ def test_ports(simulator, tmp_path):
     sensor = BENCH_SENSORS[simulator]
     build = build_sensor(parse_config({"sensor": sensor}).sensor, simulator)
     build.run("sensor_bench", env=bench_environment(sensor), out_dir=tmp_path, seed=1)
+
+
+def test_a_lean_sensor_refuses_what_is_not_built(tmp_path):
+    build = build_sensor(parse_config({"sensor": LEAN}).sensor, "icarus")
+    env = bench_environment(LEAN) | {"COCOTB_TEST_FILTER": "only_what_is_built"}
+    build.run("sensor_bench", env=env, out_dir=tmp_path, seed=1)
