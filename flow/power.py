@@ -5,10 +5,12 @@ The netlist is the hierarchical one of `synth.py`, so that every block has its o
 golden model, and dumps every net. Three parts, of every cell, make the power: transitions of its outputs and inputs times the energies of
 `liberty.py`; transitions of the nets times half the capacitance of the pins, and of the wires where `wire_ff` is given, times the supply
 squared; leakage. NanGate 45 nm, typical corner (1.1 V, 25 degrees C). A net of the clock, gated or not, counts where its pins are. The
-simulation has no delays, so a net moves at most once for each edge of the clock: glitches are not counted. There is no clock tree.
+simulation has no delays, so a net moves at most once for each edge of the clock: glitches are not counted. The netlist has no clock
+tree; `clock_tree_mw` adds the buffers and wires of one by a model.
 """
 
 import json
+import math
 from collections.abc import Iterator, Mapping
 from io import BufferedIOBase
 from operator import add
@@ -29,7 +31,7 @@ from ..tools.wheels import run_yosys
 from .gls import netlist_build
 from .liberty import Cell, read_cells, supply_v
 from .synth import CELLS, synthesize
-from .yosys import LIBERTY
+from .yosys import CLOCK_BUFFER, LIBERTY, SINKS_MAX
 
 FLAT, NETLIST = "flat.json", "netlist.v"
 CLOCK, RESET, LASER = "clk", "rst", "laser"
@@ -113,7 +115,7 @@ def design(sensor: Sensor) -> Design:
             if isinstance(bit, int):
                 names.setdefault(bit, []).append((net, i))
     liberty = folder / LIBERTY
-    library = read_cells(liberty, {instance.kind for instance in instances})
+    library = read_cells(liberty, {CLOCK_BUFFER, *(instance.kind for instance in instances)})
     return Design(sorted(scopes), instances, names, library, supply_v(liberty))
 
 
@@ -204,6 +206,56 @@ def _clock_net(of: Design) -> int:
     return next(net for net, names in of.names.items() if (CLOCK, 0) in names)
 
 
+def _clock_nets(of: Design) -> set[int]:
+    """The clock and what gates let through of it."""
+    return {_clock_net(of)} | {
+        net
+        for instance in of.instances
+        for name, net in instance.nets.items()
+        if (pin := of.library[instance.kind].pins[name]).clock and pin.output
+    }
+
+
+def clock_tree_mw(
+    of: Design, toggles: Toggles, frame: int, cycles: int, clock_mhz: float, wire_ff: float
+) -> dict[str, float]:
+    """Power of the buffers and wires of a clock tree, by the blocks whose pins hang on it, in one of the frames.
+
+    A model: every net of the clock, gated or not, has buffers with `SINKS_MAX` loads each, in as many levels as it needs, and
+    a wire to every load.
+    """
+    moves, half = _moves(of, toggles, frame), of.supply_v**2 / 2
+    sinks: dict[int, list[tuple[str, float]]] = {net: [] for net in _clock_nets(of)}
+    for instance in of.instances:
+        for name, net in instance.nets.items():
+            pin = of.library[instance.kind].pins[name]
+            if net in sinks and not pin.output:
+                sinks[net].append((instance.block, pin.capacitance_ff))
+    power_mw: dict[str, float] = {}
+    for net, loads in sinks.items():
+        fj = _tree_fj(of.library[CLOCK_BUFFER], [farads for _, farads in loads], wire_ff, half)
+        for block, _ in loads:
+            share = moves[net] * fj / len(loads) * MW_PER_FJ_MHZ * clock_mhz / cycles
+            power_mw[block] = power_mw.get(block, 0.0) + share
+    return power_mw
+
+
+def _tree_fj(buffer: Cell, loads_ff: list[float], wire_ff: float, half: float) -> float:
+    """Energy of the buffers and wires between a clock's driver and its loads, as it moves once. half: the supply squared / 2."""
+    energies = buffer.pins["Z"].energies
+    assert energies is not None
+    number, load_ff, fj = len(loads_ff), sum(loads_ff), 0.0
+    while number:
+        fj += half * number * wire_ff
+        if number <= SINKS_MAX:
+            break
+        buffers = math.ceil(number / SINKS_MAX)
+        of_one_ff = (load_ff + number * wire_ff) / buffers
+        number, load_ff = buffers, buffers * buffer.pins["A"].capacitance_ff
+        fj += number * energies.at(of_one_ff) + half * load_ff
+    return fj
+
+
 def _sums(of: Design, moves: Mapping[int, int], cycles: int, clock_mhz: float, wire_ff: float) -> dict[str, Power]:
     """Power of every block from the transitions of the nets in so many cycles."""
     loads: dict[int, float] = {}
@@ -212,13 +264,7 @@ def _sums(of: Design, moves: Mapping[int, int], cycles: int, clock_mhz: float, w
             pin = of.library[instance.kind].pins[name]
             if not pin.output:
                 loads[net] = loads.get(net, 0.0) + pin.capacitance_ff + wire_ff
-    clock_nets = {_clock_net(of)}
-    clock_nets |= {
-        net
-        for instance in of.instances
-        for name, net in instance.nets.items()
-        if (pin := of.library[instance.kind].pins[name]).clock and pin.output
-    }
+    clock_nets = _clock_nets(of)
     per_cycle = MW_PER_FJ_MHZ * clock_mhz / cycles
     half = of.supply_v**2 / 2
     sums: dict[str, Power] = {}

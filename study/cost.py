@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Cost of the paper's parameters: area, bits of an event and readout rate; share of the ID map and the minigroups' stamps.
 
-It also shows the effect of the steps of the coarse offsets. Area is that of a module (two subgroups and their TDC) per
-pixel, in NanGate 45 nm standard cells, without SPADs and wires. For another process, only ratios are meaningful.
+It also shows the effect of the steps of the coarse offsets, and what the parts cost that a sensor may leave out. Area is
+that of a module (two subgroups and their TDC) per pixel, in NanGate 45 nm standard cells, without SPADs and wires. For
+another process, only ratios are meaningful.
 """
 
 import csv
@@ -11,6 +12,7 @@ from itertools import cycle
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from attrs import evolve
 from matplotlib.figure import Figure
 
@@ -21,13 +23,18 @@ from ..hdl.export import units_files
 from ..hdl.minigroup import Minigroup
 from ..hdl.packetizer import Packetizer
 from ..hdl.subgroup import Subgroup
+from ..hdl.views import POLYPHASE, VIEWS
 from ..lab.measures import event_beats
-from ..model.contract.config import parse_config, sensor_table
-from ..model.contract.packet import BEAT_BITS, FORMATS, layout
+from ..lab.run import Run
+from ..lab.setup import SETTLING, Setup, seeded
+from ..model.contract.config import load_config, parse_config, sensor_table
+from ..model.contract.packet import BEAT_BITS, FORMATS, built_formats, layout
 from ..model.contract.parameters import CLOCK_MHZ, Sensor
 from ..model.shared.files import whole_file
 from .palette import BLUE, GREEN, INK, ORANGE, VIOLET
 from .plot_style import legend_below, new_figure, save_figure, style
+from .power import DARK, MIDDLE, measure
+from .simulate import best_threshold
 
 SWEEPS: dict[str, tuple[str, list[Any]]] = {  # parameter: its label, and the values besides the default
     "subgroup": ("pixels of a subgroup (bits of threshold and count)", [(4, 4), (8, 4), (8, 8), (16, 16)]),
@@ -36,7 +43,18 @@ SWEEPS: dict[str, tuple[str, list[Any]]] = {  # parameter: its label, and the va
 }
 OUTSIDE = ("sensor", "readout", "controller", "registers", "sequencer")  # blocks that are not in a module
 OFFSET_PHASES = (4, 8, 16, 32)
-TABLE, OFFSETS_TABLE, PICTURE = "cost.csv", "cost_offsets.csv", "cost.png"
+CHOICES: dict[str, dict[str, Any]] = {  # parameters besides the preset `silicon`
+    "`silicon`": {},
+    "no coarse offsets": {"offsets": 0},
+    "no minigroup records": {"records": 0},
+    "no threshold controller": {"controller": 0},
+    "counters of 16 bits": {"counter_bits": 16},
+    "coarse counter of 8 bits": {"coarse_bits": 8},
+    "FIFO of 8 events": {"fifo_depth": 8},
+    "`lean`: all of them": load_config("lean").written()["sensor"],
+}
+SCENE, SCENE_KLUX, SCENE_GBPS, SEEDS = "sun-and-shade", 100.0, 8.0, 3
+TABLE, OFFSETS_TABLE, CHOICES_TABLE, PICTURE = "cost.csv", "cost_offsets.csv", "cost_choices.csv", "cost.png"
 
 
 def module_sensor(**parameters: Any) -> Sensor:
@@ -92,6 +110,45 @@ def offsets() -> list[dict[str, Any]]:
     return rows
 
 
+def choices() -> list[dict[str, Any]]:
+    """Return one row per choice: area of a subgroup in both views, its power, and wrong pixels in the scene of `make sim`."""
+    asynchronous, rows = VIEWS["async"].at(CLOCK_MHZ), []
+    for name, parameters in CHOICES.items():
+        sensor = Sensor(**parameters)
+        areas = [map_block(Subgroup(sensor, view), view).area_um2 / sensor.pixels for view in (POLYPHASE, asynchronous)]
+        (dark, lit), between = measure(lambda told: None, (DARK, MIDDLE), **parameters)
+        rows.append(
+            {
+                "choice": name,
+                "um2_per_pixel": round(areas[0], 1),
+                "um2_per_pixel_async": round(areas[1], 1),
+                "mw_dark": round(dark.total.total, 2),
+                "mw_50_klux": round(lit.total.total, 2),
+                "mw_between_frames": round(between.total, 2),
+                "wrong_percent": round(100 * wrong_share(sensor), 2),
+            }
+        )
+    return rows
+
+
+def wrong_share(sensor: Sensor) -> float:
+    """Return the share of wrong pixels with the controller, or the best threshold, in the better of the formats in groups."""
+    wrong = []
+    for name in set(built_formats(sensor)) & {"compact", "compact-full"}:
+        frame = {"format": name, "link_gbps": SCENE_GBPS, "frames": SETTLING + 1}
+        setup = Setup.of(SCENE, sensor=sensor_table(sensor), frame=frame, klux=SCENE_KLUX)
+        wrong.append(np.mean([_wrong(Run(one)) for one in seeded(setup, SEEDS)]))
+    return float(min(wrong))
+
+
+def _wrong(run: Run) -> float:
+    if run.config.sensor.controller:
+        found = run.but(subgroup={"auto": True}).frame()
+    else:
+        found = run.alone(-1, subgroup={"threshold": best_threshold(run)}).frame()
+    return found["wrong_share"] or 0.0
+
+
 def shares() -> dict[str, float]:
     """Return the share of a subgroup's area that each part of the words takes: ID map, offsets, minigroup records."""
     sensor = Sensor()
@@ -141,12 +198,15 @@ def _without(text: str, unit: Packetizer, port: str, lowest: int, width: int) ->
 
 
 def write_pages(folder: Path) -> list[str]:
-    """Write tables and picture of the sweeps to `folder`; return lines with the shares of map and stamps."""
+    """Write tables and picture to `folder`; return lines with the shares of map and stamps, and with what choices cost."""
     rows = sweep()
-    for name, table in ((TABLE, rows), (OFFSETS_TABLE, offsets())):
+    chosen = choices()
+    for name, table in ((TABLE, rows), (OFFSETS_TABLE, offsets()), (CHOICES_TABLE, chosen)):
         _write_table(folder / name, table)
     save_figure(_draw(rows), folder / PICTURE)
-    return [f"{name}: {100 * share:.0f} % of a subgroup" for name, share in shares().items()]
+    lines = [f"{name}: {100 * share:.0f} % of a subgroup" for name, share in shares().items()]
+    table = [list(chosen[0]), ["---", *["---:"] * (len(chosen[0]) - 1)], *(list(row.values()) for row in chosen)]
+    return [*lines, *(f"| {' | '.join(map(str, row))} |" for row in table)]
 
 
 def _write_table(path: Path, rows: list[dict[str, Any]]) -> None:

@@ -5,7 +5,7 @@ A sensor of one subgroup in standard cells plays one short frame for each case; 
 is a target at the reference distance under ambient light, with the paper's SPAD.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +14,8 @@ from attrs import field, frozen
 from matplotlib import colormaps
 from matplotlib.figure import Figure
 
-from ..flow.power import Power, design, power, power_at_rest, simulate
+from ..flow.power import Power, clock_tree_mw, design, power, power_at_rest, simulate
+from ..flow.yosys import CLOCK_BUFFER, SINKS_MAX
 from ..lab.run import Run
 from ..lab.setup import Setup
 from ..model.golden.frame import Golden
@@ -29,7 +30,6 @@ SATURATION_KLUX = 1e5  # every SPAD fires as soon as its dead time is over
 PICTURE = "power.png"
 SIDE, PIXELS = 8, 64
 WIRE_FF = 0.34  # to an input: the mean of the routed minigroup, docs/layout.md
-MIDDLE_KLUX = 50.0
 KINDS = (("clock", "clock"), ("internal", "inside cells"), ("switching", "driven pins"), ("leakage", "leakage"))
 RATES_HZ, VIDEO_PULSES, PERIOD_US = (30, 100), 100, 0.5  # frames per second, and what a frame consists of
 GATE = {"gating": True, "gate_start": 3, "gate_len": 25}  # 50 of 500 ns around the target's light
@@ -45,13 +45,8 @@ class Case:
     frame: Mapping[str, Any] = field(factory=dict)
 
 
-LIGHT = (
-    Case("dark", None),
-    Case("5 klux", 5.0),
-    Case("50 klux", 50.0),
-    Case("100 klux", 100.0),
-    Case("saturation", SATURATION_KLUX),
-)
+DARK, MIDDLE = Case("dark", None), Case("50 klux", 50.0)
+LIGHT = (DARK, Case("5 klux", 5.0), MIDDLE, Case("100 klux", 100.0), Case("saturation", SATURATION_KLUX))
 AT_KLUX = 100.0
 SETTINGS = (
     Case("coincidence off", AT_KLUX, {"coincidence": False}),
@@ -76,13 +71,13 @@ GROUPS = (  # what the table calls blocks: the innermost instance that begins so
 )
 
 
-def setup(case: Case) -> Setup:
-    """A short frame of the preset's sensor with one subgroup. A gate switches the SPADs off, as the output `spad_gate` does."""
+def setup(case: Case, **sensor: Any) -> Setup:
+    """A short frame of a sensor with one subgroup. A gate switches the SPADs off, as the output `spad_gate` does."""
     shape = SIDE, SIDE
     distance_m = np.full(shape, np.nan if case.klux is None else REFERENCE_DISTANCE_M)
     return Setup.of(
         Scene(name=case.name, distance_m=distance_m, reflectivity=np.full(shape, REFERENCE_REFLECTIVITY)),
-        sensor={"rows": SIDE, "cols": SIDE},
+        sensor={"rows": SIDE, "cols": SIDE} | sensor,
         frame={"pulses": PULSES} | dict(case.frame),
         subgroup=dict(case.subgroup),
         klux=case.klux or 0.0,
@@ -93,14 +88,15 @@ def setup(case: Case) -> Setup:
 
 @frozen
 class Measured:
-    """A case with its edges per pixel and second, its events per second, the subgroup's power by the groups' names, and its total
-    with wires, in mW."""
+    """A case with its edges per pixel and second, its events per second, the subgroup's power by the groups' names, its total
+    with wires, and that of a clock tree, in mW."""
 
     case: Case
     edges_cps: float
     events_cps: float
     groups: dict[str, Power]
     wired: float
+    tree: float
 
     @property
     def total(self) -> Power:
@@ -124,16 +120,16 @@ def _grouped(blocks: dict[str, Power]) -> dict[str, Power]:
     return groups
 
 
-def measure(tell: Callable[[str], None]) -> tuple[list[Measured], Power]:
-    """Power of the subgroup in every case, and between frames."""
-    runs = [Run(setup(case)) for case in CASES]
+def measure(tell: Callable[[str], None], cases: Sequence[Case] = CASES, **sensor: Any) -> tuple[list[Measured], Power]:
+    """Power of the subgroup in every case, and between frames. sensor: parameters besides the preset's."""
+    runs = [Run(setup(case, **sensor)) for case in cases]
     config, golden = runs[0].config, Golden(runs[0].config.sensor)  # one, because it numbers the frames
     jobs = [FrameJob(run.config, run.edges, golden.frame(run.config, run.edges)) for run in runs]
     whole = design(config.sensor)
     tell(f"simulating {len(jobs)} frames of {config.frame_cycles} cycles on the netlist")
     toggles = simulate(config.sensor, jobs)
     measured = []
-    for number, (case, job) in enumerate(zip(CASES, jobs)):
+    for number, (case, job) in enumerate(zip(cases, jobs)):
         cycles = job.config.frame_cycles
         seconds = cycles / (config.clock_mhz * 1e6)
         groups, wired = (
@@ -142,7 +138,9 @@ def measure(tell: Callable[[str], None]) -> tuple[list[Measured], Power]:
         edges_cps = len(job.edges) / config.sensor.pixels / seconds
         assert job.expected is not None
         events_cps = len(job.expected.commit_subgroup) / seconds
-        measured.append(Measured(case, edges_cps, events_cps, groups, sum(wired.values(), Power()).total))
+        trees = clock_tree_mw(whole, toggles, number, cycles, config.clock_mhz, WIRE_FF)
+        tree = sum(mw for block, mw in trees.items() if group_of(block))
+        measured.append(Measured(case, edges_cps, events_cps, groups, sum(wired.values(), Power()).total, tree))
         tell(f"{case.name}: {measured[-1].total.total:.2f} mW")
     return measured, sum(_grouped(power_at_rest(whole, config.clock_mhz)).values(), Power())
 
@@ -162,12 +160,13 @@ def page(measured: list[Measured], between: Power) -> str:
     by_light = measured[: len(LIGHT)]
     others = measured[len(LIGHT) :]
     names = [one.case.name for one in by_light]
-    middle = next(one for one in by_light if one.case.klux == MIDDLE_KLUX)
+    middle = next(one for one in by_light if one.case is MIDDLE)
     reference = next(one for one in by_light if one.case.klux == AT_KLUX)
     brightest = by_light[-1]
     blocks = [[name, *(f"{one.groups[name].total:.2f}" for one in by_light)] for _, name in GROUPS]
     blocks.append(["**subgroup**", *(f"**{one.total.total:.2f}**" for one in by_light)])
     blocks.append(["with wires", *(f"{one.wired:.2f}" for one in by_light)])
+    blocks.append(["and a clock tree", *(f"{one.wired + one.tree:.2f}" for one in by_light)])
     blocks.append(["uW per pixel", *(f"{1000 * one.total.total / PIXELS:.0f}" for one in by_light)])
     blocks.append(["edges per pixel and us", *(f"{one.edges_cps / 1e6:.2f}" for one in by_light)])
     kinds = [[label, *(f"{getattr(one.total, name):.2f}" for one in by_light)] for name, label in KINDS]
@@ -194,8 +193,10 @@ def page(measured: list[Measured], between: Power) -> str:
         pulses=PULSES,
         picture=PICTURE,
         wire=WIRE_FF,
+        buffer=CLOCK_BUFFER,
+        sinks=SINKS_MAX,
         klux=AT_KLUX,
-        middle=MIDDLE_KLUX,
+        middle=MIDDLE.klux,
         default=f"{reference.total.total:.2f}",
         share=f"{middle.total.clock / middle.total.total:.0%}",
         users=_table(["a subgroup", *names], users),
@@ -272,7 +273,9 @@ By block:
 ## By block
 
 mW in a frame; *with wires* adds {wire:g} fF of wire to every input, as in the routed minigroup
-([layout.md](layout.md)).
+([layout.md](layout.md)). *And a clock tree* adds the buffers between the clock, or the gate behind it,
+and its pins: one {buffer} for every {sinks} pins, one more for every {sinks} of these buffers, and so on,
+with the library's energies, and with such a wire to each of them.
 
 {blocks}
 
@@ -310,8 +313,9 @@ Without a gate each of the 8 flip-flops takes 2 x (3.4 + 0.9 x 0.6) fJ x 500 MHz
 
 ## What is not in it
 
-* The clock tree: [layout.md](layout.md) has that of a minigroup. Wires longer than inside a
-  minigroup. Glitches: the simulation has no delays.
+* Buffers that balance a clock tree, which the model leaves out: the routed minigroup has two and a
+  half times as many ([layout.md](layout.md)). Wires longer than inside a minigroup. Glitches: the
+  simulation has no delays.
 * Readout, controller and registers, which a sensor has once, and the TDC of a module.
 * SPADs, their quenching circuits, level shifters, and the macros of the asynchronous view.
 * Other corners: leakage grows with heat, and the library has 25 degrees C only.

@@ -11,10 +11,11 @@ from collections import defaultdict
 from collections.abc import Collection, Mapping
 from typing import Any
 
+from ..yosys import CLOCK_BUFFER, SINKS_MAX
 from .drawn import ROW_UM, SITE_UM, Placed, Strips, pin_places
-from .wires import CLOCK_BUFFER, is_output
+from .wires import is_output
 
-SINKS_MAX, BUFFERS_MAX = 16, 8  # that a buffer drives: cells; other buffers, or cells at their level
+BUFFERS_MAX = 8  # that a buffer drives: other buffers, or cells at their level
 FANOUT_MAX = 10  # of a net without buffers
 EARLY_LEVELS = 2  # buffers that the clock passes to flip-flops, and not to macros and the gates that open latches
 FLOP = re.compile("DFF|DL[HL]")

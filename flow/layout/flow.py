@@ -28,7 +28,7 @@ from ...tools.build import ToolchainError, build_once
 from ...tools.wheels import TAIL_LINES, run_program, run_yosys
 from ..liberty import read_cells, supply_v
 from ..mapped import LONGEST_PATHS, least_slacks_ns
-from ..yosys import CELLS_KEY, LIBERTY, bound, cells_folder, cells_script, put_cells
+from ..yosys import CELLS_KEY, CLOCK_BUFFER, LIBERTY, bound, cells_folder, cells_script, put_cells
 
 if TYPE_CHECKING:
     from .pins import Strip
@@ -230,7 +230,7 @@ def finish(top: str, cells: Path, clock_mhz: float, attempt: Attempt, folder: Pa
         "cell_area_um2": sum(widths_um[kind] for kind in real) * drawn.ROW_UM,
         "width_um": placed["width"],
         "height_um": placed["height"],
-        "buffers": real.count(wires.CLOCK_BUFFER),
+        "buffers": real.count(CLOCK_BUFFER),
         "clock_tree_mw": wires.clock_tree_mw(placed, wired, library, supply_v(folder / LIBERTY), clock_mhz),
         "nets": joined.nets,
         "wire_um": wired.length_um,

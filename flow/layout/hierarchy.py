@@ -20,7 +20,7 @@ from ...hdl.unit import Unit
 from ...model.shared.folders import build_root
 from ...model.shared.sources import digest
 from ...tools.build import ToolchainError, build_once
-from ..yosys import CELLS_KEY, bound
+from ..yosys import CELLS_KEY, CLOCK_BUFFER, bound
 from . import buffers, drawn, flow, wires
 from .delays import shell
 from .drawn import Placed, Strips
@@ -221,7 +221,7 @@ def _finish(top: str, macro: Macro, cells: Path, clock_mhz: float, folder: Path)
         "cell_area_um2": sum(widths_um[kind] for kind in own) * drawn.ROW_UM,
         "width_um": placed["width"],
         "height_um": placed["height"],
-        "buffers": own.count(wires.CLOCK_BUFFER),
+        "buffers": own.count(CLOCK_BUFFER),
         "nets": len(estimated_um),
         "wire_um": sum(estimated_um.values()),
         "slack_ns": slack_ns,

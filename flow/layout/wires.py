@@ -13,13 +13,13 @@ from pathlib import Path
 from attrs import frozen
 
 from ..liberty import Cell
+from ..yosys import CLOCK_BUFFER
 from .drawn import Placed, Strips, pin_places
 
 VIA_OHM, PIN_FF, WITHOUT_WIRE_OHM = 20.0, 0.05, 3.0
 OUTPUTS = {"Z", "ZN", "Q", "QN", "CO", "S", "GCK"}
 SELECTS = ("MUX",)  # cells whose S is an input
 FF_PER_PF = 1000
-CLOCK_BUFFER = "BUF_X4"  # only the clock tree of a placed block uses it
 MW_PER_FJ_MHZ = 1e-6
 Lengths = dict[str, dict[int, float]]  # net -> metal -> um
 
@@ -147,7 +147,7 @@ def clock_tree_mw(placed: Placed, wires: Wired, cells: Mapping[str, Cell], suppl
 
     Every net between the port and these pins changes twice in a cycle. cells: of `liberty.read_cells`.
     """
-    tree = [one for one in placed["cells"] if one["kind"] == CLOCK_BUFFER]
+    tree = [one for one in placed["cells"] if one["kind"] == CLOCK_BUFFER]  # nothing else in a placed block has it
     loads = {one["nets"]["A"]: 0.0 for one in tree} | {one["nets"]["Z"]: 0.0 for one in tree}
     pins = dict.fromkeys(loads, 0.0)
     for one in placed["cells"]:

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from coincid.flow.liberty import Cell, Energies, Pin, read_cells, supply_v
-from coincid.flow.power import Design, Instance, power, transitions
-from coincid.flow.yosys import LIBERTY, cells_folder
+from coincid.flow.power import Design, Instance, clock_tree_mw, power, transitions
+from coincid.flow.yosys import CLOCK_BUFFER, LIBERTY, cells_folder
 from coincid.study.power import group_of
 from coincid.tools.build import ToolchainError
 
@@ -147,6 +147,18 @@ def test_a_gated_flip_flop_by_hand():
     assert of["flop"].total == of["flop"].clock == pytest.approx(per_fj * (4 * 3.0 + 4 * 2.0 * 1.0))
     assert of["flop"].idle == pytest.approx(of["flop"].clock / 2)
     assert of["gate"].idle == 0
+
+
+def test_a_clock_tree_by_hand():
+    """Two buffers drive ten flip-flops each; a wire goes to each pin."""
+    clock = Pin(False, 1.0, None, True)
+    buffer = {"A": Pin(False, 4.0, None, False), "Z": Pin(True, 0.0, Energies(np.zeros(1), np.full(1, 7.0)), False)}
+    library = {"DFF": Cell(0.0, {"CK": clock}), CLOCK_BUFFER: Cell(0.0, buffer)}
+    instances = [Instance("a" if k < 15 else "b", "DFF", {"CK": 2}) for k in range(20)]
+    of = Design(["", "a", "b"], instances, {2: [("clk", 0)]}, library, 2.0)
+    tree = clock_tree_mw(of, {"clk": np.array([[20]])}, 0, 10, 100.0, wire_ff=0.5)
+    assert tree["a"] == pytest.approx(3 * tree["b"])
+    assert sum(tree.values()) == pytest.approx(1e-6 * 100.0 / 10 * 20 * (22 * 2.0 * 0.5 + 2 * (7.0 + 2.0 * 4.0)))
 
 
 def test_blocks_of_the_table():
