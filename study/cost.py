@@ -205,8 +205,8 @@ def write_pages(folder: Path) -> list[str]:
         _write_table(folder / name, table)
     save_figure(_draw(rows), folder / PICTURE)
     lines = [f"{name}: {100 * share:.0f} % of a subgroup" for name, share in shares().items()]
-    table = [list(chosen[0]), ["---", *["---:"] * (len(chosen[0]) - 1)], *(list(row.values()) for row in chosen)]
-    return [*lines, *(f"| {' | '.join(map(str, row))} |" for row in table)]
+    told = [list(chosen[0]), ["---", *["---:"] * (len(chosen[0]) - 1)], *(list(row.values()) for row in chosen)]
+    return [*lines, *(f"| {' | '.join(map(str, row))} |" for row in told)]
 
 
 def _write_table(path: Path, rows: list[dict[str, Any]]) -> None:

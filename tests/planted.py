@@ -110,7 +110,7 @@ MISTAKES: dict[tuple[str, tuple[str, ...], tuple[tuple[str, ...], ...]], dict[st
     ("hdl/settings.py", ("settings_rest",), ()): {
         "check-asleep": ("!= bus.Operation.IDLE) | accessed", "!= bus.Operation.IDLE)")
     },
-    ("hdl/subgroup.py", (), (FRAMES, SLICED)): {"budget-of-last-stream": ("number >= command.subgroup", "1")},
+    ("hdl/subgroup.py", (), (FRAMES, SLICED)): {"budget-of-last-stream": ("self.subgroup >= command.subgroup", "1")},
     ("hdl/controller.py", ("controller",), (FRAMES, SLICED)): {
         "budget-beyond-capacity": ("Mux(state.grown < state.capacity, state.grown, state.capacity)", "state.grown"),
         "limit-below-share": ("Mux(state.dropped > state.share, state.dropped, state.share)", "state.dropped"),
