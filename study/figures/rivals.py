@@ -140,7 +140,7 @@ def bits(run: Processes) -> Section:
             rows.append((name, pulses, klux, threshold, wrong, other, _bits(ones, name)))
             lines.setdefault((pulses, klux, line_of[name]), []).append((_bits(ones, name) / 1e3, wrong))
     figure = new_figure(14, 9)
-    axes = figure.subplots(len(SEEDS_OF_PULSES), len(BITS_KLUX), sharey=True)
+    axes = figure.subplots(len(SEEDS_OF_PULSES), len(BITS_KLUX), sharey=True, squeeze=False)
     panels = dict(zip(product(SEEDS_OF_PULSES, BITS_KLUX), axes.flat))
     for (pulses, klux), axis in panels.items():
         share_axis(axis, xscale="log", title=f"{klux:g} klux, {pulses} pulses")
