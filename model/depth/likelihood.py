@@ -49,7 +49,8 @@ NEVER = -(1 << 40)  # a tick long before any other
 QUIET_RATE = 1e-7  # photons per tick and pixel, at least: some background is everywhere
 BLIND_MAX = 0.95
 DROPPING_ROUNDS = 3  # rounds in which the rate of windows and the stored share of them converge
-RATES = np.geomspace(1e-3, 50, 200)  # photons per subgroup and window, over which the share of events is tabulated
+RATE_MIN = 1e-3  # photons per subgroup and window, at least
+SHARES = 512  # shares of events for which the number of photons is tabulated
 LIGHT_FLOOR = 0.01  # share of the pixels that is assumed for a light that no pixel has
 LEARNING_ROUNDS = 30  # in which the shares of the lights converge
 LIGHT_SPAN = 4.0  # lights more than so many times from those of a subgroup's seeds are left out
@@ -105,13 +106,6 @@ class Unheard(NamedTuple):
     blind: np.ndarray
     every: int
 
-    def at(self, of_points: np.ndarray, tick: np.ndarray) -> np.ndarray:
-        """float32[..., ticks]: values at some ticks, from those of the points around them."""
-        place = np.clip((tick + 0.5) / self.every - 0.5, 0, of_points.shape[-1] - 1)
-        before = place.astype(np.int64)
-        share = (place - before).astype(np.float32)
-        return of_points[..., before] * (1 - share) + of_points[..., np.ceil(place).astype(np.int64)] * share
-
 
 class _Law(NamedTuple):
     """What holds for all events of a subgroup; times in ticks. Arrays over times and lights are flat, by time.
@@ -153,6 +147,8 @@ class _Events(NamedTuple):
     known: np.ndarray  # from then on until the stamp, the tree was armed and no photon came
     quiet: np.ndarray  # before that, from then on, the tree was armed unless it was blind, because no window ends later
     since: np.ndarray  # `armed` of the previous event of the cluster, `NEVER` for the first one
+    clusters: np.ndarray  # first events of the clusters, in groups that differ in their maps only
+    alike: np.ndarray  # where in `clusters` each group begins, and where the last one ends
     shares: np.ndarray  # of `_first_shares`, or empty
 
 
@@ -168,7 +164,8 @@ class _Pixels(NamedTuple):
     first: np.ndarray
     total: np.ndarray
     touched: np.ndarray
-    counted: np.ndarray  # first event of the cluster in which the pixel was hit last
+    counted: np.ndarray  # event in which the pixel was hit last
+    number: np.ndarray  # of `_count`
 
 
 class _Rows(NamedTuple):
@@ -221,24 +218,24 @@ def log_likelihood(
     place = by_subgroup(np.arange(sensor.array_pixels), sensor)
     if activity is None:
         activity = np.ones((sensor.subgroups, sensor.pixels))
-    opens = _gate_opens(events, config)
+    offsets = guess is not None and events.offset.shape[1] > 0
+    of_subgroup = _by_subgroup(events, config, pulses, reach, offsets)
     times = -(-(config.period_ticks - grid.step // 2) // grid.step)
     origins = np.clip(first.min(axis=1), 0, times - 1)
     spans = np.clip(first.max(axis=1) + bins, origins + 1, times) - origins
     chosen = [_lights_near(guess, s, config.mask[s], grid.lights) for s in range(sensor.subgroups)]
-    fired = cache(partial(_fired, sigma_ticks, reach, grid.step))
+    fired = cache(partial(_fired, sigma_ticks, reach, grid.step, int(spans.max())))
 
     def evidence(s: int) -> tuple[np.ndarray, _Pixels]:
         lights, origin, span = grid.lights[chosen[s]], int(origins[s]), int(spans[s])
         noise = max(events.photon_rate[s] / sensor.pixels, QUIET_RATE)
         alive = np.float32(1 - min(BLIND_MAX, noise * DEAD_S / config.tick_s))
         window = int(events.window[s])
-        tick = np.arange(origin, origin + span) * grid.step + grid.step // 2
         heard, sharp = (
-            np.repeat(alive * (1 - never.at(chance[:, s], tick)), len(lights), axis=1)
+            _heard(chance[:, s], never.every, origin, span, grid.step, len(lights), alive)
             for chance in (never.missed, never.blind)
         )
-        margin, table = fired(span, tuple(lights.tolist()))
+        margin, table = fired(tuple(lights.tolist()))
         law = _Law(
             window=window,
             told=window if events.mapped else 1,
@@ -257,8 +254,8 @@ def log_likelihood(
             margin=margin,
             fired=table,
         )
-        own = _events_of(s, events, law, opens, config)
-        if guess is not None and events.offset.shape[1]:
+        own = of_subgroup[s]
+        if guess is not None and offsets:
             own = own._replace(shares=_first_shares(law, own, minigroup, guess.time[s], guess.light[s], sigma_ticks))
         pixels = _Pixels(
             minigroup=minigroup,
@@ -268,12 +265,12 @@ def log_likelihood(
             total=np.empty((sensor.pixels, bins * len(lights)), np.float32),
             touched=np.zeros((sensor.pixels, bins), np.bool_),
             counted=np.full(sensor.pixels, -1),
+            number=np.empty((2, sensor.pixels), np.int64),
         )
         return _add_events(law, own, pixels), pixels
 
     def average(s: int, prior: np.ndarray, common: np.ndarray, pixels: _Pixels) -> None:
-        of_subgroup = _of_met(prior) if events.threshold[s] > 1 else prior
-        near = np.ascontiguousarray(of_subgroup[chosen[s]])
+        near = np.ascontiguousarray((_of_met(prior) if events.threshold[s] > 1 else prior)[chosen[s]])
         _over_lights(common, pixels, near, chosen[s].start, place[s], level, light)
 
     subgroups = range(sensor.subgroups)
@@ -358,29 +355,52 @@ def _gate_opens(events: Events, config: Config) -> np.ndarray:
     return np.where(config.gating[subgroup], opens, 0)
 
 
-def _events_of(s: int, events: Events, law: _Law, opens: np.ndarray, config: Config) -> _Events:
-    """Return the events of subgroup s, without shares; opens: from `_gate_opens`."""
-    span = slice(events.bounds[s], events.bounds[s + 1])
-    stamp, pulse = events.stamp[span], events.pulse[span] % law.pulses
-    armed = armed_ticks(stamp, law.window, config)
+def _by_subgroup(events: Events, config: Config, pulses: int, reach: int, offsets: bool) -> list[_Events]:
+    """Return the events of each subgroup, without shares. offsets: are they used? Then no event is like another."""
+    sensor = config.sensor
+    subgroup = np.repeat(np.arange(sensor.subgroups), np.diff(events.bounds))
+    stamp, pulse, overrun = events.stamp, events.pulse % pulses, events.overrun
+    armed = armed_ticks(stamp, events.window[subgroup], config)
+    with_next = (pulse[1:] == pulse[:-1]) & (subgroup[1:] == subgroup[:-1])  # in the same pulse
     previous = np.full(len(stamp), -1)  # `armed` of the event before, if it was in the same pulse
-    previous[1:][pulse[1:] == pulse[:-1]] = armed[:-1][pulse[1:] == pulse[:-1]]
-    earliest, cycle = np.maximum(opens[span], previous), stamp // law.phases * law.phases
+    previous[1:][with_next] = armed[:-1][with_next]
+    earliest, cycle = np.maximum(_gate_opens(events, config), previous), stamp // sensor.phases * sensor.phases
     known = np.minimum(stamp, np.maximum(earliest, cycle))
-    quiet = np.minimum(known, np.maximum(earliest, cycle - law.rearm * law.phases - law.window + 1))
-    return _Events(
-        stamp=stamp,
-        armed=armed,
-        pulse=pulse,
-        winner=events.winner[span],
-        hits=events.hits[span],
-        offset=events.offset[span],
-        overrun=events.overrun[span],
-        known=known,
-        quiet=quiet,
-        since=np.where((previous >= 0) & (quiet <= previous + 2 * law.reach), np.minimum(previous, quiet), NEVER),
-        shares=np.empty((0, 0), np.float32),
-    )
+    quiet_from = cycle - sensor.rearm * sensor.phases - events.window[subgroup] + 1
+    quiet = np.minimum(known, np.maximum(earliest, quiet_from))
+    since = np.where((previous >= 0) & (quiet <= previous + 2 * reach), np.minimum(previous, quiet), NEVER)
+    followed = np.append(overrun[1:], False)  # does the next event carry `overrun`, or the last one itself?
+    last = events.bounds[1:][np.diff(events.bounds) > 0] - 1
+    followed[last] = overrun[last]
+    kind = ((subgroup * config.period_ticks + stamp) * 2 + overrun) * 2 + followed
+    clusters = np.flatnonzero(since == NEVER)
+    clusters = clusters[np.argsort(kind[clusters], kind="stable")]
+    alone = np.append(since[1:] == NEVER, True)[clusters] & (not offsets)
+    same = alone[1:] & alone[:-1]
+    for part in (kind, known, quiet):
+        same &= part[clusters[1:]] == part[clusters[:-1]]
+    bounds = np.searchsorted(subgroup[clusters], np.arange(sensor.subgroups + 1))
+    begins = np.concatenate([np.ones(min(1, len(clusters)), bool), ~same])
+
+    def of_subgroup(s: int) -> _Events:
+        span, here = slice(events.bounds[s], events.bounds[s + 1]), slice(bounds[s], bounds[s + 1])
+        return _Events(
+            stamp=stamp[span],
+            armed=armed[span],
+            pulse=pulse[span],
+            winner=events.winner[span],
+            hits=events.hits[span],
+            offset=events.offset[span],
+            overrun=overrun[span],
+            known=known[span],
+            quiet=quiet[span],
+            since=since[span],
+            clusters=clusters[here] - events.bounds[s],
+            alike=np.append(np.flatnonzero(begins[here]), bounds[s + 1] - bounds[s]),
+            shares=np.empty((0, 0), np.float32),
+        )
+
+    return [of_subgroup(s) for s in range(sensor.subgroups)]
 
 
 def unheard(events: Events, config: Config, pulses: int, sigma_ticks: float, spread: Spread = map) -> Unheard:
@@ -392,6 +412,7 @@ def unheard(events: Events, config: Config, pulses: int, sigma_ticks: float, spr
     missed, blind = (np.empty((2, sensor.subgroups, -(-ticks // every)), np.float32) for _ in range(2))
     phase = np.arange(sensor.phases)
     after_rejected = (phase + sensor.rearm * sensor.phases).astype(np.float64)  # mean blind ticks, by phase
+    none, all_seen = np.zeros(ticks, np.float32), np.ones(ticks, np.float32)
     reach = math.ceil(REACH_SIGMAS * sigma_ticks)
     taps = np.arange(-(reach // every), reach // every + 1) * every
     pulse = np.exp(-0.5 * taps**2 / (sigma_ticks**2 - (every**2 - 1) / 12))  # a point is a mean over its ticks already
@@ -405,23 +426,23 @@ def unheard(events: Events, config: Config, pulses: int, sigma_ticks: float, spr
             events.overrun[span],
         )
         dropping = bool(overrun.any())
-        kept, found = np.ones(ticks), np.zeros(ticks)
+        kept = np.ones(ticks)
         if dropping:
             kept, found = _while_dropping(events.pulse[span] % pulses, stamp, armed, overrun, committed, pulses, config)
         dropped = 1 / kept
         dropped *= committed / max(1.0, dropped[stamp].sum())  # windows per stored window
         rejected = (events.opened[s] - committed) / pulses / ticks  # windows per tick
         early = np.maximum(0, stamp - reach)
-        tables = _Tables(*_met_shares(int(events.threshold[s])))
+        threshold = int(events.threshold[s])
         _leave_no_trace(
             _share_between(stamp, stamp + window, dropped, pulses),
-            np.minimum(1, _share_between(early, armed, dropped, pulses)) if dropping else found,
-            _share_between(stamp, armed, dropped, pulses) if dropping else found,
-            found,
-            np.minimum(BLIND_MAX, rejected * np.resize(after_rejected, ticks)),
-            np.repeat(_gate_share(config, s), sensor.phases) if config.gating[s] else np.ones(ticks),
-            events.photon_rate[s] * window,
-            tables,
+            np.minimum(1, _share_between(early, armed, dropped, pulses)) if dropping else none,
+            _share_between(stamp, armed, dropped, pulses) if dropping else none,
+            found.astype(np.float32) if dropping else none,
+            np.tile(np.minimum(BLIND_MAX, rejected * after_rejected).astype(np.float32), config.period),
+            np.repeat(_gate_share(config, s), sensor.phases).astype(np.float32) if config.gating[s] else all_seen,
+            np.float32(_event_share(threshold, events.photon_rate[s] * window)),
+            _shares(threshold),
             (pulse / pulse.sum()).astype(np.float32),
             every,
             1 + dropping,
@@ -435,78 +456,80 @@ def unheard(events: Events, config: Config, pulses: int, sigma_ticks: float, spr
     return Unheard(missed, blind, every)
 
 
-class _Tables(NamedTuple):
-    """Share of the windows at `RATES` that become events, and of those that do so with one more pixel."""
+class _Shares(NamedTuple):
+    """What follows from the share of the windows that become events, float32, at even steps of the share's logarithm.
 
-    commits: np.ndarray
+    met: share of those that would become events with one more pixel. dark: probability that no photon came. low: lowest
+    logarithm. per: steps per unit of it.
+    """
+
     met: np.ndarray
+    dark: np.ndarray
+    low: np.float32
+    per: np.float32
 
 
 @cache
-def _met_shares(threshold: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return the shares of the windows at `RATES` with `threshold` photons, and with one less."""
-    commits, met = (
-        special.pdtrc(others - 1, RATES) if others else np.ones(len(RATES)) for others in (threshold, threshold - 1)
-    )
-    return commits, met
+def _shares(threshold: int) -> _Shares:
+    low = math.log(_event_share(threshold, 0))
+    photons = special.gammaincinv(threshold, np.exp(np.linspace(low, 0, SHARES)))
+    met = special.gammainc(threshold - 1, photons) if threshold > 1 else np.ones(SHARES)
+    per = np.float32((SHARES - 1) / -low)
+    return _Shares(met.astype(np.float32), np.exp(-photons).astype(np.float32), np.float32(low), per)
+
+
+def _event_share(threshold: int, photons: float) -> float:
+    """Return the share of the windows with at least `threshold` photons; it is never 0."""
+    return max(float(np.finfo(np.float32).tiny), special.gammainc(threshold, max(photons, RATE_MIN)))
 
 
 @njit
-def _leave_no_trace(covered, nearby, busy, found, deaf, seen, background, tables, pulse, every, kinds, missed, blind):
+def _leave_no_trace(covered, nearby, busy, found, deaf, seen, least, shares, pulse, every, kinds, missed, blind):
     """Compute missed and blind, float32[2, points], of `Unheard` for one subgroup.
 
-    It is the mean over the arrival times of a surface's photons, by the shape of the pulse. covered to seen: float64[ticks].
+    It is the mean over the arrival times of a surface's photons, by the shape of the pulse. covered to seen: float32[ticks].
     covered: windows over a tick, per pulse; while dropping:
     nearby, busy: the same for windows with their surroundings, and until the tree is armed; found: share with room.
+    least: share of the windows that become events by background alone.
     """
-    ticks, points, reach = len(covered), missed.shape[1], len(pulse) // 2
+    ticks, points, reach, one = len(covered), missed.shape[1], len(pulse) // 2, np.float32(1)
+    lost, unarmed = np.empty(ticks, np.float32), np.empty(ticks, np.float32)
+    line = np.empty(points + 2 * reach, np.float32)
     for kind in range(kinds):
-        of_missed, of_blind = np.zeros(points, np.float32), np.zeros(points, np.float32)
-        at = 0
         for t in range(ticks):
-            share = covered[t] / (1 - deaf[t])
-            at = _hunt(tables.commits, share, at)
-            photons = max(_between(tables.commits, RATES, share, at), background)
-            at = _hunt(RATES, photons, at)
-            commits, met = _between(RATES, tables.commits, photons, at), _between(RATES, tables.met, photons, at)
-            room = found[t] if kind else 1.0
-            noticed = max(commits, nearby[t]) if kind else commits
-            silent = deaf[t] + (1 - deaf[t]) * (1 - room * noticed)
-            lost = (deaf[t] + (1 - deaf[t]) * (1 - room * met)) / max(silent, RARE)
-            unarmed = min(BLIND_MAX, deaf[t] + busy[t]) if kind else deaf[t]
-            point, number = t // every, min(every, ticks - t // every * every)
-            of_missed[point] += (1 - seen[t] * (1 - min(1.0, lost))) / number
-            of_blind[point] += unarmed / (unarmed + (1 - unarmed) * fast_exp(np.float32(-photons))) / number
-        for j in range(points):
-            sums = np.float32(0), np.float32(0)
-            for i in range(-reach, reach + 1):
-                k = min(max(j + i, 0), points - 1)
-                sums = sums[0] + pulse[reach + i] * of_missed[k], sums[1] + pulse[reach + i] * of_blind[k]
-            missed[kind, j], blind[kind, j] = sums
+            share = max(covered[t] / (one - deaf[t]), least)
+            place = min((fast_log(share) - shares.low) * shares.per, np.float32(SHARES - 1.001))
+            k = np.int32(place)
+            part = place - np.float32(k)
+            met = shares.met[k] + part * (shares.met[k + 1] - shares.met[k])
+            dark = shares.dark[k] + part * (shares.dark[k + 1] - shares.dark[k])
+            room = found[t] if kind else one
+            noticed = min(one, max(share, nearby[t]) if kind else share)
+            silent = one - (one - deaf[t]) * room * noticed
+            lost[t] = one - seen[t] * (
+                one - min(one, (one - (one - deaf[t]) * room * met) / max(silent, np.float32(RARE)))
+            )
+            off = min(np.float32(BLIND_MAX), deaf[t] + busy[t]) if kind else deaf[t]
+            unarmed[t] = off / (off + (one - off) * dark)
+        for of_ticks, out in ((lost, missed[kind]), (unarmed, blind[kind])):
+            for j in range(points):
+                begin, end, total = j * every, min(ticks, (j + 1) * every), np.float32(0)
+                for t in range(begin, end):
+                    total += of_ticks[t]
+                line[reach + j] = total / np.float32(end - begin)
+            for i in range(reach):
+                line[i], line[reach + points + i] = line[reach], line[reach + points - 1]
+            for j in range(points):
+                out[j] = 0
+            for i in range(len(pulse)):
+                for j in range(points):
+                    out[j] += pulse[i] * line[i + j]
 
 
-@njit(allocates=False)
-def _hunt(table, value, at):
-    """Return the index of the interval of an ascending table that holds a value, found from `at`."""
-    while at > 0 and table[at] > value:
-        at -= 1
-    while at < len(table) - 2 and table[at + 1] <= value:
-        at += 1
-    return at
-
-
-@njit(allocates=False)
-def _between(table, values, value, at):
-    """Interpolate `values` where `table` has a value, in its interval `at`; do not go beyond its ends."""
-    rise = table[at + 1] - table[at]
-    share = (value - table[at]) / rise if rise > 0 else 0.0
-    return values[at] + min(1.0, max(0.0, share)) * (values[at + 1] - values[at])
-
-
-def armed_ticks(stamp: np.ndarray, window: int, config: Config) -> np.ndarray:
+def armed_ticks(stamp: np.ndarray, window: int | np.ndarray, config: Config) -> np.ndarray:
     """int64[n]: tick at which the tree is armed again after events at `stamp`."""
     phases = config.sensor.phases
-    return armed_cycle(close_cycle(stamp, window, phases), config.sensor.rearm) * phases
+    return armed_cycle(close_cycle(stamp + (window - 1), 1, phases), config.sensor.rearm) * phases
 
 
 def _while_dropping(
@@ -580,13 +603,13 @@ def _room_found(begin, end, rate):
 
 @njit
 def _share_between(begin, end, weight, pulses):
-    """float64[ticks]: number of the events that have a tick in [begin, end), per pulse, times the tick's weight."""
+    """float32[ticks]: number of the events that have a tick in [begin, end), per pulse, times the tick's weight."""
     ticks = len(weight)
     change = np.zeros(ticks + 1)
     for e in range(len(begin)):
         change[min(begin[e], ticks)] += 1
         change[min(end[e], ticks)] -= 1
-    share = np.empty(ticks)
+    share = np.empty(ticks, np.float32)
     total = 0.0
     for k in range(ticks):
         total += change[k]
@@ -652,6 +675,32 @@ def _hit(hits, e, i):
 
 
 @njit
+def hits_away(stamp, hits, time, near):
+    """int64[pixels]: hits of each pixel in events whose stamp is not `near` the pixel's time, or whose time is NaN."""
+    number = np.zeros(len(time), np.int64)
+    for e in range(len(stamp)):
+        for i in range(len(time)):
+            number[i] += np.int64(_hit(hits, e, i) and not abs(stamp[e] - time[i]) < near)
+    return number
+
+
+@njit
+def _heard(silent, every, origin, span, step, lights, alive):
+    """float32[2, span * lights]: `_Law.heard` or `_Law.sharp`; silent: float32[2, points], the part of `Unheard` for it."""
+    heard = np.empty((2, span * lights), np.float32)
+    last = silent.shape[1] - 1
+    for k in range(span):
+        place = min(max(((origin + k) * step + step // 2 + 0.5) / every - 0.5, 0.0), float(last))
+        before = int(place)
+        after, part = min(before + 1, last), np.float32(place - before)
+        for kind in range(2):
+            share = silent[kind, before] + part * (silent[kind, after] - silent[kind, before])
+            for j in range(k * lights, (k + 1) * lights):
+                heard[kind, j] = alive * (np.float32(1) - share)
+    return heard
+
+
+@njit
 def _add_events(law, events, pixels):
     """Return what a subgroup's events say about pixels without a hit, float32[times * lights]; add the hits to `pixels`.
 
@@ -669,34 +718,39 @@ def _add_events(law, events, pixels):
     common = np.zeros(times * lights, np.float32)
     rows = _Rows(np.empty_like(common), np.empty_like(common), np.empty_like(common), np.empty_like(common))
     silent = np.zeros((2, times + 1), np.int64)  # change of the number of pulses without an event nearby, by `overrun`
-    begin, since, since_pulse = 0, 0, 0
-    while begin < n:
+    since, since_pulse = np.int64(0), np.int64(0)  # typed, so that nothing compiles twice
+    for e in range(n):
+        if events.since[e] == NEVER:
+            k0, _ = _reached(law, events, e, e, times)
+            _add_silence(silent[np.int64(overrun[e])], since_pulse, since, pulse[e], k0)
+        _, since = _reached(law, events, e, e, times)
+        since_pulse = pulse[e]
+    for run in range(len(events.alike) - 1):
+        alike = events.clusters[events.alike[run] : events.alike[run + 1]]
+        begin, frequency = alike[0], np.float32(len(alike))
         end = begin + 1
         while end < n and events.since[end] != NEVER:
             end += 1
-        k0 = min(times, max(0, (events.quiet[begin] - law.reach) // law.step - law.origin))
-        k1 = min(times, max(0, (armed[end - 1] + law.reach) // law.step + 1 - law.origin))
-        _add_silence(silent[np.int64(overrun[begin])], since_pulse, since, pulse[begin], k0)
-        since, since_pulse = k1, pulse[begin]
+        k0, k1 = _reached(law, events, begin, end - 1, times)
         while k0 < k1 and wanted[k0 + 1] == wanted[k0]:
             k0 += 1
         while k1 > k0 and wanted[k1] == wanted[k1 - 1]:
             k1 -= 1
-        if k0 < k1:
-            for j in range(k0 * lights, k1 * lights):
-                rows.lost[j], rows.before[j] = 0, 0
-            for e in range(begin, end):
-                _lose(law, events, e, rows.lost, k0, k1)
-            if not (overrun[end] if end < n else overrun[n - 1]):
-                _lose_after(law, armed[end - 1], rows.lost, k0, k1)
-            for j in range(k0 * lights, k1 * lights):
-                rows.unseen[j] = fast_log(max(np.float32(RARE), np.float32(1) - rows.lost[j]))
-                common[j] += rows.unseen[j]
-            for e in range(begin, end):
-                _add_hits(law, events, e, begin, pixels, rows, k0, k1)
-                if e + 1 < end:
-                    _lose(law, events, e, rows.before, k0, k1)
-        begin = end
+        if k0 >= k1:
+            continue
+        for j in range(k0 * lights, k1 * lights):
+            rows.lost[j], rows.before[j] = 0, 0
+        for e in range(begin, end):
+            _lose(law, events, e, rows.lost, k0, k1)
+        if not (overrun[end] if end < n else overrun[n - 1]):
+            _lose_after(law, armed[end - 1], rows.lost, k0, k1)
+        for j in range(k0 * lights, k1 * lights):
+            rows.unseen[j] = fast_log(max(np.float32(RARE), np.float32(1) - rows.lost[j]))
+            common[j] += frequency * rows.unseen[j]
+        for e in range(begin, end):
+            _add_hits(law, events, e, begin, alike, pixels, rows, k0, k1)
+            if e + 1 < end:
+                _lose(law, events, e, rows.before, k0, k1)
     _add_silence(silent[np.int64(n > 0 and overrun[n - 1])], since_pulse, since, law.pulses, 0)
     always = _fired_by(law, -NEVER, 0)
     always_fired = law.fired[always : always + times * lights]
@@ -708,6 +762,14 @@ def _add_events(law, events, pixels):
                 unheard = max(np.float32(RARE), np.float32(1) - law.heard[dropping, j] * always_fired[j])
                 common[j] += np.float32(number) * fast_log(unheard)
     return common
+
+
+@njit(allocates=False)
+def _reached(law, events, first, last, times):
+    """Return the times on which events of a pulse bear, the first one and the one after the last."""
+    k0 = (events.quiet[first] - law.reach) // law.step - law.origin
+    k1 = (events.armed[last] + law.reach) // law.step + 1 - law.origin
+    return min(times, max(0, k0)), min(times, max(0, k1))
 
 
 @njit(allocates=False)
@@ -756,13 +818,14 @@ def _lose_after(law, armed, lost, k0, k1):
 
 
 @njit(allocates=False)
-def _add_hits(law, events, e, cluster, pixels, rows, k0, k1):
-    """Add what event e says about the pixels in its map; pixels of the same kind share a row."""
+def _add_hits(law, events, e, cluster, alike, pixels, rows, k0, k1):
+    """Add what event e, and single events `alike` it, say about the pixels in their maps; pixels of a kind share a row."""
     mask, activity, first, counted = pixels.mask, pixels.activity, pixels.first, pixels.counted
     bins, offset, shares = pixels.touched.shape[1], events.offset, events.shares
     stamp, winner = events.stamp[e], events.winner[e]
     cycle, end = stamp // law.phases * law.phases, stamp + law.window
-    groups = offset.shape[1] if len(shares) else 1
+    groups, numbers = offset.shape[1] if len(shares) else 1, pixels.number
+    _count(events.hits, events.winner, e, alike, numbers)
     for group in range(-1, groups):  # one at a time, because the pixels of a group share rows; first of all the winner
         begin, own, until, of_row = stamp, stamp, end, np.float32(-1.0)
         if group < 0:
@@ -770,26 +833,35 @@ def _add_hits(law, events, e, cluster, pixels, rows, k0, k1):
         elif len(shares) and group != pixels.minigroup[winner] and offset[e, group] != OFFSET_NONE:
             begin = max(stamp, cycle + offset[e, group] * law.offset)
             own = min(end, cycle + (offset[e, group] + 1) * law.offset)
-        for i in range(winner, winner + 1) if group < 0 else range(len(first)):
-            if (
-                groups > 1
-                and group >= 0
-                and pixels.minigroup[i] != group
-                or not mask[i]
-                or counted[i] == cluster
-                or not _hit(events.hits, e, i)
-            ):
+        for i in range(len(first)):
+            number = numbers[np.int64(group < 0), i]
+            if number == 0 or not mask[i] or cluster <= counted[i] < e:
                 continue
-            counted[i] = cluster
+            if groups > 1 and group >= 0 and pixels.minigroup[i] != group:
+                continue
+            counted[i] = e
             share = shares[e, i] if own > begin else np.float32(0.0)
             low, high = k0, k1
-            if activity[i] != 1 or group < 0:
+            if activity[i] != 1 or group < 0 and len(alike) == 1:
                 low, high, of_row = max(k0, first[i]), min(k1, first[i] + bins), np.float32(-1.0)
             if of_row < 0 or abs(share - of_row) > ALIKE:
                 if low < high:
                     _row(law, events, e, _Hit(begin, own, until, share), law.noise * activity[i], rows, low, high)
                 of_row = share if activity[i] == 1 else np.float32(-1.0)
-            _add(pixels.total[i], pixels.touched[i], rows.logs, first[i], k0, k1, law.lights)
+            _add(pixels.total[i], pixels.touched[i], rows.logs, np.float32(number), first[i], k0, k1, law.lights)
+
+
+@njit(allocates=False)
+def _count(hits, winner, e, alike, number):
+    """Count how often each pixel was hit without winning, and won, in event e and those alike: int64[2, pixels]."""
+    for i in range(number.shape[1]):
+        number[0, i], number[1, i] = 0, 0
+    for k in range(len(alike)):
+        x = alike[k] if k else e
+        for i in range(number.shape[1]):
+            number[0, i] += np.int64(hits[x, i // BEAT_BITS] >> np.uint64(i % BEAT_BITS) & np.uint64(1))
+        number[0, winner[x]] -= 1
+        number[1, winner[x]] += 1
 
 
 @njit(allocates=False, error_model="numpy")
@@ -818,8 +890,8 @@ def _row(law, events, e, hit, noise, rows, k0, k1):
 
 
 @njit(allocates=False)
-def _add(total, touched, row, first, k0, k1, lights):
-    """Add times k0 to k1 of a row to a pixel's total, which begins at time `first`."""
+def _add(total, touched, row, number, first, k0, k1, lights):
+    """Add times k0 to k1 of a row, a number of times, to a pixel's total, which begins at time `first`."""
     low, high = max(k0, first), min(k1, first + len(touched))
     for k in range(low - first, high - first):
         if not touched[k]:
@@ -829,7 +901,7 @@ def _add(total, touched, row, first, k0, k1, lights):
     if low < high:
         out, row = total[(low - first) * lights : (high - first) * lights], row[low * lights : high * lights]
         for j in range(len(out)):
-            out[j] += row[j]
+            out[j] += number * row[j]
 
 
 @njit
@@ -876,11 +948,15 @@ def _over_lights(common, pixels, prior, lightest, place, level, light):
         _mean(here, here, untouched[k:end], prior, lightest, work, best, level_of_all[k:end], light_of_all[k:end])
     for i in range(len(total)):
         p, low, high = place[i], max(0, -first[i]), min(bins, times - first[i])
-        for k in range(bins):
+        if not mask[i]:
+            high = low
+        for k in range(low):
             level[p, k], light[p, k] = 0, 0
-            if mask[i] and low <= k < high:
-                level[p, k], light[p, k] = level_of_all[first[i] + k], light_of_all[first[i] + k]
-        k = low if mask[i] else high
+        for k in range(low, high):
+            level[p, k], light[p, k] = level_of_all[first[i] + k], light_of_all[first[i] + k]
+        for k in range(high, bins):
+            level[p, k], light[p, k] = 0, 0
+        k = low
         while k < high:
             if not touched[i, k]:
                 k += 1

@@ -18,7 +18,9 @@ from typing import NamedTuple
 import numpy as np
 
 from ..shared.compiled import njit
+from ..shared.quantities import Numbers
 from .seeds import Blocks
+from .vector_math import fast_exp
 
 REACHES = 1.3, 2.0, 3.0, 5.0  # pixels: sigma of the Gaussian weight of a pixel's neighbours,
 REACH_TICKS = 2.0, 4.0, 10.0  # selected by the standard deviation of the pixel's own time: borders between the reaches
@@ -122,8 +124,8 @@ class Planes(NamedTuple):
 
     @classmethod
     def empty(cls, rows: int, cols: int) -> "Planes":
-        time, down, right, score = (np.zeros((rows, cols)) for _ in range(4))
-        return cls(time, down, right, score, np.ones((rows, cols), bool))
+        time, down, right = (np.zeros((rows, cols)) for _ in range(3))
+        return cls(time, down, right, np.zeros((rows, cols), np.float32), np.ones((rows, cols), bool))
 
 
 def fit_planes(field: Field, blocks: Blocks) -> Planes:
@@ -140,10 +142,12 @@ def fit_planes(field: Field, blocks: Blocks) -> Planes:
     return planes
 
 
-@njit
-def doublings(down, right, sigma_ticks):
+def doublings(down: Numbers, right: Numbers, sigma_ticks: float) -> np.ndarray:
     """Return how often the pulse from a plane is twice as wide as the laser's, a logarithm; slopes may be arrays."""
     return 0.5 * np.log2(1 + (down**2 + right**2) * (BOX / sigma_ticks) ** 2)
+
+
+_doublings = njit(doublings)
 
 
 def level_on(field: Field, planes: Planes) -> np.ndarray:
@@ -168,8 +172,8 @@ def _between(lines, k, r, c, at):
     if not 0 <= at < lines.shape[3] - 1:
         return np.float32(0.0)
     j = int(at)
-    share = np.float32(at - j)
-    return (1 - share) * lines[k, r, c, j] + share * lines[k, r, c, j + 1]
+    value, following = lines[k, r, c, np.uint64(j)], lines[k, r, c, np.uint64(j + 1)]  # no indices from the end
+    return value + np.float32(at - j) * (following - value)
 
 
 @njit(allocates=False)
@@ -193,7 +197,7 @@ def _width(field, down, right):
     """Return the width of the pulse from a plane as a fractional index."""
     if len(field.scale) == 1:
         return 0.0
-    return min(len(field.scale) - 1.0, doublings(down, right, field.sigma_ticks))
+    return min(len(field.scale) - 1.0, _doublings(down, right, field.sigma_ticks))
 
 
 @njit(allocates=False)
@@ -230,6 +234,11 @@ def _plane_of(field, planes, rr, cc, r, c):
 
 
 @njit(allocates=False)
+def _slope_cost(down, right):
+    return np.float32(SLOPE_COST * np.log((1 + (down / SLOPE) ** 2) * (1 + (right / SLOPE) ** 2)))
+
+
+@njit(allocates=False)
 def _score(field, r, c, time, down, right, least):
     """Return the score of a plane at pixel (r, c) and around it, or less than `least` if it is less."""
     _, rows, cols, _ = field.own.shape
@@ -237,7 +246,7 @@ def _score(field, r, c, time, down, right, least):
     if not _inside(field, width, r, c, time) or abs(down) > SLOPE_MAX or abs(right) > SLOPE_MAX:
         return _NEVER
     total = _level(field, field.own, width, r, c, time)
-    total -= np.float32(SLOPE_COST * np.log((1 + (down / SLOPE) ** 2) * (1 + (right / SLOPE) ** 2)))
+    total -= _slope_cost(down, right)
     reach = field.reach[r, c]
     for j in range(field.weights.shape[1]):
         weight = field.weights[reach, j]
@@ -315,7 +324,7 @@ def posterior(field: Field, planes: Planes, tolerance_ticks: float, blocks: Bloc
     the pixel's own light rules out all times near its plane, the confidence is 0 and the error NaN.
     """
     confidence, error = np.zeros(planes.time.shape), np.full(planes.time.shape, np.nan)
-    score = np.empty((len(error), 2 * field.own.shape[3] + 1))
+    score = np.empty((len(error), 2 * field.own.shape[3] + 1), np.float32)
     blocks(partial(_posterior, field, planes, tolerance_ticks, confidence, error, score))
     return confidence, error
 
@@ -324,30 +333,74 @@ def posterior(field: Field, planes: Planes, tolerance_ticks: float, blocks: Bloc
 def _posterior(field, planes, tolerance, confidence, error, scores, begin, end):
     bins = field.own.shape[3]
     for r in range(begin, end):
-        score = scores[r]
         for c in range(planes.time.shape[1]):
-            time = planes.time[r, c]
-            down, right = planes.down[r, c], planes.right[r, c]
+            time, down, right = planes.time[r, c], planes.down[r, c], planes.right[r, c]
             width = _width(field, down, right)
-            top = planes.score[r, c]
-            for j in range(2 * bins + 1):
+            low, high = len(scores[r]), 0
+            for j in range(len(scores[r])):
                 there = time + j - bins
-                score[j] = _NEVER
-                if _inside(field, width, r, c, there) and _level(field, field.own, width, r, c, there) > IMPROBABLE:
-                    score[j] = _score(field, r, c, there, down, right, top + IMPROBABLE)
+                scores[r, j] = _NEVER
+                if _inside(field, width, r, c, there):
+                    own = _level(field, field.own, width, r, c, there)
+                    if own > IMPROBABLE:
+                        scores[r, j], low, high = own, min(low, j), j + 1
+            if low >= high:
+                continue
+            score = scores[r, low:high]
+            _add_neighbours(field, r, c, time + low - bins, down, right, width, score)
+            cost, top = _slope_cost(down, right), _NEVER
+            for j in range(len(score)):
+                score[j] -= cost
                 top = max(top, score[j])
             others = _others(field, planes, r, c, tolerance, top)
             total, near, mean, square = 0.0, 0.0, 0.0, 0.0
-            for j in range(2 * bins + 1):
-                weight, off = np.exp(TRUST * (score[j] - top)), float(j - bins)
+            for j in range(len(score)):
+                weight, off = float(fast_exp(np.float32(TRUST) * (score[j] - top))), float(low + j - bins)
                 total += weight
                 mean += weight * off
                 square += weight * off * off
                 near += weight * min(1.0, max(0.0, tolerance + 0.5 - abs(off)))
-            if total == 0:
-                continue
             confidence[r, c] = near / total / (1 + others)
             error[r, c] = np.sqrt(max(0.0, square / total - (mean / total) ** 2) + 1 / 12)
+
+
+@njit(allocates=False)
+def _add_neighbours(field, r, c, time, down, right, width, score):
+    """Add what the neighbours say about planes that begin at a time and follow each other by one tick."""
+    _, rows, cols, bins = field.own.shape
+    reach, k = field.reach[r, c], int(width)
+    for j in range(field.weights.shape[1]):
+        weight = field.weights[reach, j]
+        if weight == 0:
+            break
+        rr, cc = r + field.taps[reach, j, 0], c + field.taps[reach, j, 1]
+        if not (0 <= rr < rows and 0 <= cc < cols):
+            continue
+        by = down * (rr - r) + right * (cc - c)
+        here = _along(field, time, by)
+        rate = (_along(field, time + len(score), by) - here) / len(score)  # in perspective it hardly changes
+        if rate <= 0:  # beyond the plane's horizon
+            continue
+        for following in range(2 if width > k else 1):
+            x = k + following
+            at, step = _bin(field, x, rr, cc, here), rate * field.scale[x]
+            part = weight * np.float32(width - k if following else 1 - (width - k))
+            begin = max(0, int(np.ceil(-at / step)))
+            end = min(len(score), int(np.ceil((bins - 1 - at) / step)))
+            if begin < end:
+                _add_line(
+                    field.other[x, rr, cc], np.float32(at + begin * step), np.float32(step), part, score[begin:end]
+                )
+
+
+@njit(allocates=False)
+def _add_line(line, at, step, weight, score):
+    """Add a line, interpolated from a fractional index on in steps."""
+    last = np.int32(len(line) - 2)
+    for j in range(len(score)):
+        place = at + np.float32(j) * step
+        i = min(np.int32(place), last)
+        score[j] += weight * (line[i] + (place - np.float32(i)) * (line[i + 1] - line[i]))
 
 
 @njit(allocates=False)

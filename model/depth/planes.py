@@ -22,7 +22,7 @@ from attrs import frozen
 
 from ..contract.config import Config
 from .histograms import Events, by_subgroup
-from .likelihood import Grid, Guess, Levels, log_likelihood, unheard
+from .likelihood import Grid, Guess, Levels, hits_away, log_likelihood, unheard
 from .patchmatch import Field, doublings, fit_planes, level_on, posterior
 from .seeds import LEAST, Blocks, find_seeds
 
@@ -94,7 +94,7 @@ def find_surfaces(
         found = find_seeds(level, lights, blocks)
         chosen = np.maximum(found.bin, 0)[:, :, None]
         light = np.take_along_axis(lights, chosen, 2)[:, :, 0]
-        seed = np.where(found.bin < 0, np.nan, (found.bin + 0.5) * step)
+        seed = found.time(step)
         guess = Guess(by_subgroup(seed, sensor), coarse_lights[by_subgroup(light, sensor)].astype(np.float64))
         activity = _activity(events, config, guess.time, sigma_ticks)
         bins = round(BINS_SIGMAS * sigma_ticks)
@@ -165,9 +165,8 @@ def _activity(events: Events, config: Config, seed: np.ndarray, sigma_ticks: flo
     """float64[subgroups, pixels]: background of a pixel over the mean, from its hits away from its seed; 1 unless hot."""
     activity = np.ones(seed.shape)
     for s in range(config.sensor.subgroups):
-        stamp = events.stamp[events.bounds[s] : events.bounds[s + 1], None]
-        away = ~(np.abs(stamp - seed[s]) < NEAR_SIGMAS * sigma_ticks)
-        hits = (events.maps(s, config.sensor.pixels) & away).sum(axis=0)
+        span = slice(events.bounds[s], events.bounds[s + 1])
+        hits = hits_away(events.stamp[span], events.hits[span], seed[s], NEAR_SIGMAS * sigma_ticks)
         ratio = (hits + ACTIVITY_HITS) / (np.mean(hits) + ACTIVITY_HITS)
         activity[s] = np.where(ratio > HOT, ratio, 1.0)
     return activity
@@ -198,7 +197,7 @@ def _further(
         there = (seeds.bin >= 0) & (seeds.score > RETURN_SCORE) & (own > RETURN_LEVEL)
         if not there.any():
             break
-        first = _first(np.where(there, middle[seeds.bin], 0.0), 1, bins)
+        first = _first(np.where(there, seeds.time(step), 0.0), 1, bins)
         field = Field.of([around(first).level], [first], sigma_ticks)
         planes = fit_planes(field, blocks)
         found[:, :, k] = taken = np.where(there, np.clip(planes.time, 0, times * step), np.nan)

@@ -7,6 +7,7 @@ rounds it supports its own choice, with a weight that grows with the similarity 
 hit supports the darkest of the surfaces beside it.
 """
 
+import math
 from collections.abc import Callable
 from functools import partial
 from typing import NamedTuple
@@ -14,12 +15,13 @@ from typing import NamedTuple
 import numpy as np
 
 from ..shared.compiled import njit
-from .vector_math import fast_log
+from .vector_math import fast_exp, fast_log
 
 Blocks = Callable[
     [Callable[[int, int], None]], object
 ]  # calls a function for (begin, end) of blocks of rows, in any order
 
+BLOCK = 64  # bins that are passed together if none of them is high enough
 CANDIDATES = 6  # from a pixel's own likelihood
 NEAR = 2  # pixels to the farthest neighbour
 WIDTH = 1.0  # pixels: sigma of the Gaussian weight of the neighbours
@@ -37,6 +39,8 @@ STILL = 0.01  # a pixel whose probabilities changed by less has not changed
 _NEVER = np.float32(-1e9)
 _REACH = np.arange(-NEAR, NEAR + 1)
 _WEIGHT = np.exp(-0.5 * (_REACH[:, None] ** 2 + _REACH**2) / WIDTH**2).astype(np.float32)
+_SUPPORT_MAX = np.float32((_WEIGHT.sum() - 1) * max(MOST, math.log1p(AGREE * ALIKE.max())))  # from all neighbours
+_HOPELESS = np.float32(math.log(PROBABLE))  # log likelihood ratio to the best candidate
 
 
 class Seeds(NamedTuple):
@@ -50,6 +54,10 @@ class Seeds(NamedTuple):
     bin: np.ndarray
     score: np.ndarray
     others: tuple[np.ndarray, np.ndarray]
+
+    def time(self, step: int) -> np.ndarray:
+        """float64[rows, cols]: middle of the chosen bin of `step` ticks, NaN without a candidate."""
+        return np.where(self.bin < 0, np.nan, (self.bin + 0.5) * step)
 
     def chance(self, reach: int) -> np.ndarray:
         """float32[rows, cols]: total probability of the candidates within `reach` bins of the choice."""
@@ -71,7 +79,7 @@ def find_seeds(level: np.ndarray, light: np.ndarray, blocks: Blocks) -> Seeds:
         bins, chances, tried, chance = tried, chance, bins, chances
         if k:  # the first round asks other questions
             changed, changing = changing, changed
-    blocks(partial(_score, level, light, bins, chances, score))
+    blocks(partial(_score, level, light, bins, chances, True, score))
     return Seeds(bins[:, :, 0], score, (bins, chances))
 
 
@@ -84,18 +92,32 @@ def _own(level, bins, begin, end):
         for c in range(cols):
             line, at = level[r, c], bins[r, c]
             number = 0
-            for k in range(times):
-                v = line[k]
-                if v <= LEVEL_MIN or number == CANDIDATES and v <= height[number - 1]:
+            for block in range(0, times, BLOCK):
+                until = min(times, block + BLOCK)
+                least = height[CANDIDATES - 1] if number == CANDIDATES else np.float32(LEVEL_MIN)
+                if _top(line[block:until]) <= least:
                     continue
-                if k and line[k - 1] > v or k + 1 < times and line[k + 1] >= v:
-                    continue
-                j = min(number, CANDIDATES - 1)
-                while j > 0 and height[j - 1] < v:
-                    height[j], at[j] = height[j - 1], at[j - 1]
-                    j -= 1
-                height[j], at[j] = v, k
-                number = min(number + 1, CANDIDATES)
+                for k in range(block, until):
+                    v = line[k]
+                    if v <= LEVEL_MIN or number == CANDIDATES and v <= height[number - 1]:
+                        continue
+                    if k and line[k - 1] > v or k + 1 < times and line[k + 1] >= v:
+                        continue
+                    j = min(number, CANDIDATES - 1)
+                    while j > 0 and height[j - 1] < v:
+                        height[j], at[j] = height[j - 1], at[j - 1]
+                        j -= 1
+                    height[j], at[j] = v, k
+                    number = min(number + 1, CANDIDATES)
+
+
+@njit(allocates=False, fastmath={"nnan", "nsz"})
+def _top(line):
+    """Return the highest of some values; the options make it vector code."""
+    top = line[0]
+    for k in range(1, len(line)):
+        top = max(top, line[k])
+    return top
 
 
 @njit
@@ -117,11 +139,11 @@ def _round(level, light, bins, chances, first, changed, new_bins, new_chances, c
             number = _gather(bins, r, c, at)
             top = _NEVER
             for n in range(number):
-                total[n] = _support(level, light, bins, chances, first, r, c, at[n])
+                total[n] = _support(level, light, bins, chances, first, r, c, at[n], top + _HOPELESS)
                 top = max(top, total[n])
             whole = np.float32(0)
             for n in range(number):
-                whole += np.exp(total[n] - top)
+                whole += fast_exp(total[n] - top)
             for j in range(KEPT):
                 new_bins[r, c, j], new_chances[r, c, j] = -1, 0
                 best = 0
@@ -130,7 +152,7 @@ def _round(level, light, bins, chances, first, changed, new_bins, new_chances, c
                         best = n
                 if not number or total[best] == _NEVER:
                     continue
-                chance = np.exp(total[best] - top) / whole
+                chance = fast_exp(total[best] - top) / whole
                 if chance > PROBABLE:
                     new_bins[r, c, j], new_chances[r, c, j] = at[best], chance
                 total[best] = _NEVER
@@ -149,11 +171,11 @@ def _any_near(flags, r, c):
 
 
 @njit
-def _score(level, light, bins, chances, score, begin, end):
+def _score(level, light, bins, chances, first, score, begin, end):
     for r in range(begin, end):
         for c in range(level.shape[1]):
             if bins[r, c, 0] >= 0:
-                score[r, c] = _support(level, light, bins, chances, True, r, c, bins[r, c, 0])
+                score[r, c] = _support(level, light, bins, chances, first, r, c, bins[r, c, 0], _NEVER)
 
 
 @njit
@@ -177,10 +199,15 @@ def _gather(bins, r, c, at):
 
 
 @njit
-def _support(level, light, bins, chances, first, r, c, k):
-    """Return the support for candidate k of pixel (r, c): from its own likelihood and from its neighbours."""
+def _support(level, light, bins, chances, first, r, c, k, least):
+    """Return the support for candidate k of pixel (r, c), from its own likelihood and from its neighbours.
+
+    It may return less than it is if it is below `least`.
+    """
     rows, cols, times = level.shape
     total = _highest(level[r, c], k, 1)
+    if total + _SUPPORT_MAX < least:
+        return _NEVER
     own = np.int64(light[r, c, k])
     for rr in range(max(0, r - NEAR), min(rows, r + NEAR + 1)):
         for cc in range(max(0, c - NEAR), min(cols, c + NEAR + 1)):

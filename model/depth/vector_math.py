@@ -24,8 +24,8 @@ def _polynomial(function: np.ufunc, degree: int) -> tuple[np.float32, ...]:
     return tuple(fit.convert(kind=Polynomial).coef.astype(np.float32))
 
 
-_LOG_1P = _polynomial(np.log1p, 7)  # error below 1e-7
-_EXP_2 = _polynomial(np.exp2, 5)  # relative error below 1e-6
+_LOG_1P = _polynomial(np.log1p, 6)  # error below 2e-6
+_EXP_2 = _polynomial(np.exp2, 4)  # relative error below 5e-6
 
 
 @njit(allocates=False)
@@ -33,7 +33,7 @@ def fast_log(value: np.float32) -> np.float32:
     """Return the logarithm of a positive, normal float32."""
     c, bits = _LOG_1P, np.float32(value).view(np.int32)
     x = np.float32(bits & _FRACTION) * _FRACTION_UNIT
-    y = c[0] + x * (c[1] + x * (c[2] + x * (c[3] + x * (c[4] + x * (c[5] + x * (c[6] + x * c[7]))))))
+    y = c[0] + x * (c[1] + x * (c[2] + x * (c[3] + x * (c[4] + x * (c[5] + x * c[6])))))
     return y + _LN_2 * np.float32(np.int32(bits >> _FRACTION_BITS) - _BIAS)
 
 
@@ -43,5 +43,5 @@ def fast_exp(value: np.float32) -> np.float32:
     c, power = _EXP_2, max(value, EXP_MIN) * _LOG2_E
     whole = np.int32(power) - np.int32(1)
     x = power - np.float32(whole)
-    y = c[0] + x * (c[1] + x * (c[2] + x * (c[3] + x * (c[4] + x * c[5]))))
+    y = c[0] + x * (c[1] + x * (c[2] + x * (c[3] + x * c[4])))
     return y * np.int32(np.int32(whole + _BIAS) << _FRACTION_BITS).view(np.float32)

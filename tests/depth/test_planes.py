@@ -7,11 +7,13 @@ import pytest
 from coincid.lab.run import Run
 from coincid.lab.setup import Setup
 from coincid.model.contract.config import parse_config
+from coincid.model.depth import planes
 from coincid.model.depth.arrivals import pulse_sigma_ticks
 from coincid.model.depth.histograms import by_subgroup, frame_events
 from coincid.model.depth.likelihood import Grid, Guess, log_likelihood, unheard
 from coincid.model.depth.planes import LIGHTS
 from coincid.model.depth.quality import OTHER_SURFACE_M, TOLERANCE_M, wrong_share
+from coincid.model.depth.seeds import find_seeds
 from coincid.model.light.light import Light, signal_per_pulse
 from coincid.model.light.spad import Spad
 from coincid.model.scenes.catalogue import load_scene
@@ -84,6 +86,17 @@ def test_the_light_is_learned_from_the_frame(link_gbps):
     assert share.sum() == pytest.approx(1, abs=1e-5)
     near = (light.min() / 2 < LIGHTS) & (light.max() * 2 > LIGHTS)
     assert share[near].sum() > 0.75
+
+
+def test_seeds_are_not_biased(monkeypatch):
+    """They are middles of their bins, which are five ticks wide."""
+    seen, scene = [], tilted()
+    monkeypatch.setattr(planes, "find_seeds", lambda *levels: seen.append(find_seeds(*levels)) or seen[-1])
+    run = Run(Setup.of(scene, sensor={"rows": ROWS, "cols": COLS}, klux=20.0))
+    run.depth()
+    step = round(planes.COARSE_SIGMAS * pulse_sigma_ticks(run.config))
+    error_ticks = seen[0].time(step) - scene.truth_m / (run.config.tick_s * SPEED_OF_LIGHT_M_S / 2)
+    assert abs(np.mean(error_ticks)) < 1 < step / 2
 
 
 def test_many_photons_leave_no_error():
