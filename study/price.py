@@ -16,7 +16,7 @@ UM2_PER_PIXEL = {  # parameter: (values, um2 per pixel with the other parameters
     "minigroup_pixels": ((1, 4, 16), (1199.2, 675.5, 546.5)),
     "phases": ((8, 16, 32, 64), (573.9, 623.9, 675.5, 787.0)),
 }
-UW_PER_PIXEL = ((0.0, 5.0, 50.0, 100.0), (27.0, 32.0, 45.0, 58.0))  # klux, and uW at 500 MHz
+UW_PER_PIXEL = ((0.0, 5.0, 50.0, 100.0), (17.0, 23.0, 37.0, 50.0))  # klux, and uW at 500 MHz
 MEASURED_MHZ = 500.0
 
 
