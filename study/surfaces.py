@@ -1,17 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """Errors in real geometry: surfaces that slant, bend and hide each other, with every estimator, and with a bound.
 
-`python -m coincid.study.surfaces [DEPTH,COLOUR ...]` prints a table and draws docs/images/depth_confidence.png. The
-scenes are analytic. A depth file (with its colour picture after a comma) is used as it is, and at three times the
-distance. The bound is an oracle: it knows the shape of the true surface around a pixel and only moves it to its
-likeliest place. So its remaining error is what the photons leave open.
+`python -m coincid.study.surfaces [DEPTH,COLOUR ...]` prints a table. The scenes are analytic. A depth file (with its colour
+picture after a comma) is used as it is, and at three times the distance. The bound is an oracle: it knows the shape of the
+true surface around a pixel and only moves it to its likeliest place. So its remaining error is what the photons leave open.
 """
 
 import os
 import sys
 from collections.abc import Iterable
-from itertools import pairwise
-from pathlib import Path
 
 import numpy as np
 from attrs import frozen
@@ -23,14 +20,12 @@ from ..model.depth.arrivals import pulse_sigma_ticks
 from ..model.depth.histograms import by_subgroup, frame_events
 from ..model.depth.likelihood import Grid, Guess, log_likelihood, unheard
 from ..model.depth.planes import LIGHTS
-from ..model.depth.quality import OTHER_SURFACE_M, wrong_pixels, wrong_share
+from ..model.depth.quality import OTHER_SURFACE_M, wrong_share
 from ..model.light.light import signal_per_pulse
 from ..model.scenes.catalogue import load_scene
 from ..model.scenes.scene import Scene
 from ..model.shared.constants import SPEED_OF_LIGHT_M_S
 from ..model.shared.quantities import Numbers
-from .palette import GREY
-from .plot_style import new_figure, save_figure, style
 
 ROWS = COLS = 32
 KLUX, SEEDS = 50.0, (1, 2, 3)
@@ -39,27 +34,17 @@ FORMATS = "id", "full"
 FAR_SCALE = 3.0
 REFLECTIVITY = 0.4
 TEXTURE_SEED, TEXTURE_PIXELS, TEXTURES = 3, 4, np.geomspace(0.06, 0.8, 8)
-CONFIDENCES, PIXELS_MIN = (
-    (0.0, 0.3, 0.5, 0.7, 0.85, 0.95, 0.99, 1.01),
-    30,
-)  # bins of the picture, and least number of pixels per bin
-PICTURE = Path(__file__).parents[1] / "docs" / "images" / "depth_confidence.png"
 ORACLE_PIXELS, ORACLE_BINS = 2, 64  # to each side of a pixel; ticks around the truth
 
 
 @frozen(eq=False)
 class Row:
-    """Shares of wrong pixels of a scene in a format: beyond 3.45 cm and beyond 15 cm, by method; dropped: share of events.
-
-    sure, right: for every pixel of all seeds, the confidence of planes (float64[n]), and whether it is right (bool[n]).
-    """
+    """Shares of wrong pixels of a scene in a format: beyond 3.45 cm and beyond 15 cm, by method; dropped: share of events."""
 
     scene: str
     form: str
     dropped: float
     shares: dict[str, tuple[float, float]]
-    sure: np.ndarray
-    right: np.ndarray
 
 
 def analytic_scenes() -> dict[str, Scene]:
@@ -105,20 +90,17 @@ def measure(scene: Scene, form: str, seeds: Iterable[int] = SEEDS) -> Row:
         workers=os.cpu_count() or 1,
     )
     shares: dict[str, list[tuple[float, float]]] = {}
-    dropped, committed, sure, right = 0, 0, [], []
+    dropped, committed = 0, 0
     for seed in seeds:
         run = start.but(seed=seed)
         dropped, committed = dropped + run.result["dropped"].sum(), committed + run.result["committed"].sum()
-        depths = {method: run.depth(method) for method in METHODS}
-        found = {method: depth.depth_m[:, :, 0] for method, depth in depths.items()}
-        sure.append(depths["planes"].confidence[:, :, 0][scene.valid])
-        right.append(~wrong_pixels(found["planes"], scene.truth_m)[scene.valid])
+        found = {method: run.depth(method).depth_m[:, :, 0] for method in METHODS}
         found["oracle"] = oracle_m(run.result, run.config, scene)
         for method, depth_m in found.items():
             wrong = wrong_share(depth_m, scene.truth_m), wrong_share(depth_m, scene.truth_m, OTHER_SURFACE_M)
             shares.setdefault(method, []).append(wrong)
     means = {method: tuple(np.mean(values, axis=0).tolist()) for method, values in shares.items()}
-    return Row(scene.name, form, dropped / max(1, committed), means, np.concatenate(sure), np.concatenate(right))
+    return Row(scene.name, form, dropped / max(1, committed), means)
 
 
 def oracle_m(result: dict[str, np.ndarray], config: Config, scene: Scene) -> np.ndarray:
@@ -162,34 +144,9 @@ def table(rows: Iterable[Row]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def draw_confidence(rows: Iterable[Row], path: Path) -> None:
-    """Draw the share of right pixels against their stated confidence, by format, for all scenes together."""
-    rows = list(rows)
-    with style():
-        figure = new_figure(4.6, 4.2)
-        axis = figure.add_subplot()
-        axis.plot([0, 100], [0, 100], color=GREY, linewidth=0.8)
-        for form, mark in zip(FORMATS, "os"):
-            sure = np.concatenate([row.sure for row in rows if row.form == form])
-            right = np.concatenate([row.right for row in rows if row.form == form])
-            bins = [(sure >= low) & (sure < high) for low, high in pairwise(CONFIDENCES)]
-            bins = [chosen for chosen in bins if chosen.sum() >= PIXELS_MIN]
-            axis.plot(
-                [100 * sure[chosen].mean() for chosen in bins],
-                [100 * right[chosen].mean() for chosen in bins],
-                f"-{mark}",
-                label=form,
-            )
-        axis.set(xlabel="confidence in %", ylabel="pixels within 3.45 cm in %", xlim=(0, 101), ylim=(0, 101))
-        axis.legend()
-        save_figure(figure, path)
-
-
 def main(sources: list[str]) -> None:
     scenes = analytic_scenes() | file_scenes(sources)
-    rows = [measure(scene, form) for scene in scenes.values() for form in FORMATS]
-    print(table(rows), end="")
-    draw_confidence(rows, PICTURE)
+    print(table(measure(scene, form) for scene in scenes.values() for form in FORMATS), end="")
 
 
 if __name__ == "__main__":

@@ -6,6 +6,7 @@ choice.
 """
 
 from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 from attrs import asdict, frozen
@@ -17,7 +18,7 @@ from ..shared.errors import check_integer
 from ..shared.files import FilePath, write_npz
 from ..shared.quantities import check_choice
 from .arrivals import SYSTEM_FWHM_S, pulse_sigma_ticks
-from .belief import SENTENCES, Reason, reasons
+from .belief import SENTENCES, Reason, Signs, believe, find_signs
 from .histograms import Events, frame_events, frame_records, minigroup_step_ticks, pixel_image, subgroup_histograms
 from .peaks import live_share, pixel_peaks, record_live
 from .planes import find_surfaces
@@ -42,8 +43,8 @@ class Depth:
     depth_m : numpy.ndarray
         float64[rows, cols, returns], in metres, the most likely return first; NaN = none.
     confidence : numpy.ndarray
-        float64[rows, cols, returns], from 0 to 1. For the first return, the probability that the pixel's light came from there
-        (`planes`: that it is right by the paper's criterion); for the others, that they are not accidental background.
+        float64[rows, cols, returns], from 0 to 1. For the first return, the probability that it is right by the paper's criterion;
+        for the others, that they are not accidental background.
     reason : numpy.ndarray
         uint8[rows, cols], `belief.Reason`: whether the first return is to be believed (0), and if not, why.
     error_m : numpy.ndarray or None
@@ -105,13 +106,54 @@ def estimate_depth(
     InputError
         If an argument is out of range.
     """
+    found = find_returns(
+        arrays, config, method, source, frame, returns=returns, workers=workers, system_fwhm_s=system_fwhm_s
+    )
+    tick_m, confidence = config.tick_s * SPEED_OF_LIGHT_M_S / 2, found.sure.copy()
+    confidence[:, :, 0], reason = believe(found.signs(config), config, method)
+    error_m, slope_m = (None if part is None else part * tick_m for part in (found.error, found.slope))
+    return Depth(found.ticks * tick_m, confidence, reason, error_m, slope_m)
+
+
+class Found(NamedTuple):
+    """What an estimator finds, in ticks: [rows, cols, returns], error and slope as in `Depth`; and the events it looked at.
+
+    sure: as `confidence` of `Depth`, but as the estimator itself sees the first return. everywhere: all events of a
+    subgroup count for each of its pixels.
+    """
+
+    ticks: np.ndarray
+    sure: np.ndarray
+    error: np.ndarray | None
+    slope: np.ndarray | None
+    events: Events
+    pulses: int
+    sigma_ticks: float
+    everywhere: bool
+
+    def signs(self, config: Config) -> Signs:
+        """Return what speaks for and against the first returns."""
+        ticks, sure = self.ticks[:, :, 0], self.sure[:, :, 0]
+        return find_signs(self.events, config, self.sigma_ticks, self.pulses, ticks, sure, self.everywhere)
+
+
+def find_returns(
+    arrays: dict[str, np.ndarray],
+    config: Config,
+    method: str,
+    source: str,
+    frame: int | None,
+    *,
+    returns: int,
+    workers: int | None,
+    system_fwhm_s: float,
+) -> Found:
+    """Find the returns of every pixel; arguments and errors as in `estimate_depth`."""
     check_choice("method", method, tuple(METHODS))
     check_integer("returns", returns, 1, RETURNS_MAX)
     sigma_ticks = pulse_sigma_ticks(config, system_fwhm_s)
     events = frame_events(arrays, config, sigma_ticks, frame)
-    tick_m = config.tick_s * SPEED_OF_LIGHT_M_S / 2
     pulses = config.pulses * (len(arrays["opened"]) if frame is None else 1)
-    error = slope = None
     if method == "planes":
         surfaces = find_surfaces(
             events,
@@ -122,23 +164,20 @@ def estimate_depth(
             returns=returns,
             workers=workers,
         )
-        ticks, confidence = surfaces.time, surfaces.confidence
-        error, slope = surfaces.error * tick_m, surfaces.slope * tick_m
-    else:
-        live, group = _live(arrays, events, config, source, frame) if method == "background" else (None, None)
-        step_ticks = 1 if source != "minigroup" else minigroup_step_ticks(config)
-        histograms = subgroup_histograms(arrays, config, sigma_ticks, source=source, frame=frame)
-        found = [
-            pixel_peaks(
-                histogram, method, live(s) if live else None, sigma_ticks, returns, group=group, step_ticks=step_ticks
-            )
-            for s, histogram in enumerate(histograms)
-        ]
-        ticks, confidence = (pixel_image(np.stack(part), config.sensor) for part in zip(*found))
-        confidence = np.where(np.isnan(ticks), 0.0, confidence)
-    everywhere = method != "planes" and source == "subgroup"
-    reason = reasons(events, config, sigma_ticks, pulses, ticks[:, :, 0], confidence[:, :, 0], everywhere)
-    return Depth(ticks * tick_m, confidence, reason, error, slope)
+        parts = surfaces.time, surfaces.confidence, surfaces.error, surfaces.slope
+        return Found(*parts, events, pulses, sigma_ticks, everywhere=False)
+    live, group = _live(arrays, events, config, source, frame) if method == "background" else (None, None)
+    step_ticks = 1 if source != "minigroup" else minigroup_step_ticks(config)
+    histograms = subgroup_histograms(arrays, config, sigma_ticks, source=source, frame=frame)
+    peaks = [
+        pixel_peaks(
+            histogram, method, live(s) if live else None, sigma_ticks, returns, group=group, step_ticks=step_ticks
+        )
+        for s, histogram in enumerate(histograms)
+    ]
+    ticks, sure = (pixel_image(np.stack(part), config.sensor) for part in zip(*peaks))
+    sure = np.where(np.isnan(ticks), 0.0, sure)
+    return Found(ticks, sure, None, None, events, pulses, sigma_ticks, everywhere=source == "subgroup")
 
 
 def _live(

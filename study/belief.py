@@ -1,0 +1,231 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Confidence that means what it says: the law of `model/depth/belief.py` is set on random scenes, and tried on others.
+
+`python -m coincid.study.belief` prints the law's weights, and a table of scenes that were not used to set them; it draws
+docs/images/depth_confidence.png. It needs the extra `raytrace`. Half of the random scenes have one distance per pixel, as a
+depth file has; in the other half a pixel sees many points, as in front of a lens, so that surfaces mix at their edges and
+slanted ones widen the pulse.
+"""
+
+import sys
+from collections.abc import Iterable, Mapping, Sequence
+from itertools import pairwise
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from ..lab.campaign import Processes, campaign
+from ..lab.run import Run
+from ..lab.setup import SETTLING, Setup
+from ..model.depth.arrivals import SYSTEM_FWHM_S
+from ..model.depth.belief import LAW
+from ..model.depth.estimate import METHODS, find_returns
+from ..model.depth.quality import wrong_pixels
+from ..model.scenes.scene import Scene
+from ..model.scenes.transient import dominant_surface_m
+from ..model.shared.constants import SPEED_OF_LIGHT_M_S
+from .palette import GREY
+from .plot_style import new_figure, save_figure, style
+from .surfaces import analytic_scenes
+
+SIDE, POINTS = 32, 4  # pixels; points that a pixel sees, per side, where surfaces mix
+SET, TRIED = range(33, 193), range(1, 33)  # seeds of random scenes
+BUILT_IN = (
+    ("five-objects", 50.0),
+    ("five-objects", 100.0),
+    ("sun-and-shade", 100.0),
+    ("letter-f", 50.0),
+    ("flat:25,0.3", 20.0),
+)
+ANALYTIC_KLUX = 50.0
+REAL: tuple[tuple[str, float, dict[str, float], int], ...] = (  # scene, klux, frame, threshold: they also set the law
+    *(("ray:five-objects", klux, {"link_gbps": link}, 2) for klux in (10.0, 50.0) for link in (0.0, 8.0)),
+    ("ray:five-objects", 50.0, {"pulses": 400}, 2),
+    ("ray:glass", 50.0, {}, 2),
+    ("tunnel", 100.0, {}, 2),
+    ("tunnel", 100.0, {"link_gbps": 8.0}, 3),
+)
+REAL_SEEDS, REAL_COUNT = (1, 2, 3), 2  # how often each of them counts
+EASE = 1e-3  # weight of the prior that all weights are 0
+ROUNDS = 30
+NINETY = (0.85, 0.95)  # confidences that count as 90 %
+BINS, PIXELS_MIN = (0.0, 0.3, 0.5, 0.7, 0.85, 0.95, 0.98, 1.01), 100  # of the picture
+PICTURE = Path(__file__).parents[1] / "docs" / "images" / "depth_confidence.png"
+
+
+class Seen(NamedTuple):
+    """Pixels of a run with depth and truth, by method: features of the law, float64[n, features]; right, bool[n]."""
+
+    features: dict[str, np.ndarray]
+    right: dict[str, np.ndarray]
+
+
+def random_setup(seed: int) -> Setup:
+    """Return a random room under random settings; what a pixel should see is the scene's first target."""
+    rng = np.random.default_rng(seed)
+    points = POINTS if seed % 2 else 1
+    side = SIDE * points
+    y, x = (np.mgrid[:side, :side] + 0.5) / side
+    slanted = rng.choice([0.0, 0.5, 1.0])
+    distance_m, reflectivity = _surface(rng, x, y, rng.uniform(5, 9), slanted)
+    for _ in range(rng.integers(0, 8)):
+        top, left, high, wide = *rng.uniform(0, 0.9, 2), *rng.uniform(0.08, 0.45, 2)
+        inside = (y > top) & (y < top + high) & (x > left) & (x < left + wide)
+        near_m, albedo = _surface(rng, x, y, rng.uniform(2.5, 6), slanted)
+        inside &= near_m < distance_m
+        distance_m, reflectivity = np.where(inside, near_m, distance_m), np.where(inside, albedo, reflectivity)
+    distance_m, reflectivity = (
+        part.reshape(SIDE, points, SIDE, points).swapaxes(1, 2).reshape(SIDE, SIDE, points**2)
+        for part in (distance_m * rng.choice([1.0, 1.5, 3.0]), reflectivity)
+    )
+    threshold, auto = int(rng.choice([0, 1, 2, 2, 3])), bool(rng.random() < 0.2)
+    return Setup.of(
+        Scene(name=f"room {seed}", distance_m=distance_m, reflectivity=reflectivity / points**2),
+        sensor={"rows": SIDE, "cols": SIDE},
+        frame={
+            "frames": SETTLING + 1 if auto else 1,
+            "pulses": int(rng.choice([50, 100, 200, 400])),
+            "link_gbps": float(rng.choice([0, 8])),
+            "format": str(rng.choice(["id", "id", "full"])),
+        },
+        subgroup={"coincidence": threshold > 0, "threshold": max(1, threshold), "auto": auto},
+        klux=float(rng.choice([1, 10, 50, 100])),
+        seed=seed,
+        estimators=(),
+    )
+
+
+def _surface(
+    rng: np.random.Generator, x: np.ndarray, y: np.ndarray, distance_m: float, slanted: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return distance and reflectivity of a plane, which is slanted with a probability, and sometimes has patches."""
+    slopes = rng.normal(0, 1.5, 2) * (rng.random() < slanted)
+    plane_m = np.maximum(distance_m + slopes[0] * (x - 0.5) + slopes[1] * (y - 0.5), 1.0)
+    albedo = np.exp(rng.uniform(np.log(0.05), np.log(0.8)))
+    if rng.random() < 0.3:
+        patches = np.exp(rng.uniform(np.log(0.05), np.log(0.8), (8, 8)))
+        return plane_m, patches[(y * 8).astype(int), (x * 8).astype(int)]
+    return plane_m, np.full(x.shape, albedo)
+
+
+def truth_m(scene: Scene) -> np.ndarray:
+    """float64[rows, cols]: the surface that most points of a pixel see; NaN = none."""
+    if scene.distance_m.shape[2] == 1:
+        return scene.truth_m
+    return dominant_surface_m(scene.distance_m.reshape(-1, scene.distance_m.shape[2])).reshape(scene.truth_m.shape)
+
+
+def look(run: Run) -> Seen:
+    """Return what the law sees of the last frame."""
+    right_m, frame = truth_m(run.scene), run.config.frames - 1
+    tick_m = run.config.tick_s * SPEED_OF_LIGHT_M_S / 2
+    features, right = {}, {}
+    for method in METHODS:
+        found = find_returns(
+            run.result, run.config, method, "map", frame, returns=1, workers=1, system_fwhm_s=SYSTEM_FWHM_S
+        )
+        signs = found.signs(run.config)
+        known = signs.known & ~np.isnan(right_m)
+        features[method] = signs.features[known]
+        right[method] = ~wrong_pixels(found.ticks[:, :, 0] * tick_m, right_m)[known]
+    return Seen(features, right)
+
+
+def law(seen: Sequence[Seen], method: str) -> np.ndarray:
+    """float64[features + 1]: weights and constant that make what is right likeliest; every scene counts alike."""
+    seen = [one for one in seen if len(one.right[method])]
+    x = np.concatenate([one.features[method] for one in seen])
+    x = np.column_stack([x, np.ones(len(x))])
+    right = np.concatenate([one.right[method] for one in seen])
+    count = np.concatenate([np.full(len(one.right[method]), 1 / len(one.right[method])) for one in seen])
+    scale = np.maximum(x.std(axis=0), 1e-9)
+    scale[-1] = 1
+    x, weights = x / scale, np.zeros(x.shape[1])
+    for _ in range(ROUNDS):
+        chance = 1 / (1 + np.exp(-np.clip(x @ weights, -30, 30)))
+        slope = x.T @ (count * (right - chance)) - EASE * weights
+        bend = (x * (count * chance * (1 - chance))[:, None]).T @ x + EASE * np.eye(len(weights))
+        weights = weights + np.linalg.solve(bend, slope)
+    return weights / scale
+
+
+def confidence(features: np.ndarray, weights: Sequence[float]) -> np.ndarray:
+    """Return what the law says, float64[n]."""
+    return 1 / (1 + np.exp(-(features @ np.array(weights[:-1]) + weights[-1])))
+
+
+def table(seen: Mapping[str, Sequence[Seen]]) -> Iterable[str]:
+    """Yield the rows of a Markdown table: of the pixels with 90 %, the share that is right, and their number."""
+    yield "| scene | " + " | ".join(METHODS) + " |"
+    yield "| --- |" + " ---: |" * len(METHODS)
+    for name, runs in seen.items():
+        cells = []
+        for method in METHODS:
+            sure = np.concatenate([confidence(one.features[method], LAW[method]) for one in runs])
+            chosen = (sure >= NINETY[0]) & (sure < NINETY[1])
+            right = np.concatenate([one.right[method] for one in runs])[chosen]
+            cells.append(
+                f"{right.mean():.0%} of {len(right)}" if len(right) >= PIXELS_MIN else f"({len(right)} pixels)"
+            )
+        yield f"| {name} | " + " | ".join(cells) + " |"
+
+
+def draw(seen: Sequence[Seen], path: Path) -> None:
+    """Draw the share of right pixels against their confidence, by method."""
+    with style():
+        figure = new_figure(4.6, 4.2)
+        axis = figure.add_subplot()
+        axis.plot([0, 100], [0, 100], color=GREY, linewidth=0.8)
+        for method, mark in zip(METHODS, "sv^o"):
+            sure = np.concatenate([confidence(one.features[method], LAW[method]) for one in seen])
+            right = np.concatenate([one.right[method] for one in seen])
+            bins = [(sure >= low) & (sure < high) for low, high in pairwise(BINS)]
+            points = [(sure[one].mean(), right[one].mean()) for one in bins if one.sum() >= PIXELS_MIN]
+            axis.plot(*(100 * np.array(points).T), f"-{mark}", label=method)
+        axis.set(xlabel="confidence in %", ylabel="pixels within 3.45 cm in %", xlim=(0, 101), ylim=(0, 101))
+        axis.legend()
+        save_figure(figure, path)
+
+
+def real_setups() -> list[Setup]:
+    """Return the setups of `REAL`."""
+    return [
+        Setup.of(scene, klux=klux, frame=frame, subgroup={"threshold": threshold}, seed=seed, estimators=())
+        for scene, klux, frame, threshold in REAL
+        for seed in REAL_SEEDS
+    ]
+
+
+def tried() -> dict[str, list[Setup]]:
+    """Return setups that are not used to set the law, by their name in the table."""
+    frame, sensor = {"pulses": 100}, {"rows": SIDE, "cols": SIDE}
+    built_in = [Setup.of(name, sensor=sensor, frame=frame, klux=klux, estimators=()) for name, klux in BUILT_IN]
+    analytic = [
+        Setup.of(scene, sensor=sensor, frame=frame, klux=ANALYTIC_KLUX, estimators=())
+        for scene in analytic_scenes().values()
+    ]
+    return {
+        "random, one distance per pixel": [random_setup(seed) for seed in TRIED if seed % 2 == 0],
+        "random, mixed": [random_setup(seed) for seed in TRIED if seed % 2],
+        "analytic": analytic,
+        **{f"{name}, {klux:g} klux": [setup] for (name, klux), setup in zip(BUILT_IN, built_in)},
+    }
+
+
+def main(picture: Path) -> None:
+    with Processes() as run:
+        looked = list(campaign({seed: random_setup(seed) for seed in SET}, look, run).values())
+        looked += REAL_COUNT * list(campaign(dict(enumerate(real_setups())), look, run).values())
+        groups = tried()
+        unseen = campaign({(name, k): one for name, group in groups.items() for k, one in enumerate(group)}, look, run)
+    for method in METHODS:
+        print(f'    "{method}": ({", ".join(f"{weight:.3g}" for weight in law(looked, method))}),')
+    by_name = {name: [unseen[name, k] for k in range(len(group))] for name, group in groups.items()}
+    for line in table(by_name | {"all": list(unseen.values())}):
+        print(line)
+    draw(list(unseen.values()), picture)
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]) if len(sys.argv) > 1 else PICTURE)

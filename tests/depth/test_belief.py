@@ -1,0 +1,65 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Why a depth is not to be believed, and confidence that means what it says."""
+
+import numpy as np
+import pytest
+
+from coincid.lab.run import Run
+from coincid.lab.setup import Setup
+from coincid.model.depth.belief import SENTENCES, Reason
+from coincid.model.depth.estimate import METHODS
+from coincid.model.depth.quality import TOLERANCE_M
+from coincid.model.scenes.scene import Scene
+from coincid.model.shared.constants import SPEED_OF_LIGHT_M_S
+from coincid.study.belief import NINETY, random_setup, truth_m
+
+SENSOR = {"rows": 16, "cols": 16}
+OFF = {"coincidence": False}
+CYCLE_M = 2e-9 * SPEED_OF_LIGHT_M_S / 2
+BEYOND = Scene(
+    name="a wall, and one beyond the range", distance_m=np.where(np.arange(16) < 4, 80.0, np.full((16, 16), 6.0)),
+    reflectivity=np.full((16, 16), 0.4),
+)  # fmt: skip
+CASES = {  # reason: scene, klux, frame, subgroup, columns where it holds
+    Reason.BELIEVED: ("flat:5,0.4", 10, {}, {}, slice(None)),
+    Reason.NO_LIGHT: ("flat:5,0", 0, {}, {}, slice(None)),
+    Reason.BACKGROUND: ("flat:70,0.4", 50, {}, {"threshold": 1}, slice(None)),
+    Reason.TWO_SURFACES: ("returns:6@0.3,9.37@0.675", 1, {"pulses": 200}, {}, slice(None)),
+    Reason.FOLDED: (BEYOND, 1, {"pulses": 6000}, OFF, slice(4)),
+    Reason.GATE_EDGE: (
+        f"flat:{20 * CYCLE_M:g},0.4", 10, {}, {"gating": True, "gate_start": 20, "gate_len": 40}, slice(None)
+    ),
+    Reason.EVENTS_LOST: ("flat:20,0.1", 100, {"link_gbps": 0.5}, {"threshold": 1}, slice(None)),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("reason", CASES)
+def test_most_pixels_have_the_reason(reason):
+    scene, klux, frame, subgroup, where = CASES[reason]
+    run = Run(Setup.of(scene, klux=klux, sensor=SENSOR, frame=frame, subgroup=subgroup))
+    found = run.depth("background").reason[:, where]
+    assert np.mean(found == reason) > 0.5, {SENTENCES[Reason(k)]: int(np.sum(found == k)) for k in np.unique(found)}
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_ninety_per_cent_are_ninety_per_cent(method):
+    """In rooms that were not used to set the law."""
+    sure, right = [], []
+    for seed in range(1001, 1009):
+        run = Run(random_setup(seed))
+        depth = run.depth(method, frame=run.config.frames - 1)
+        sure.append(depth.confidence[:, :, 0].ravel())
+        right.append(np.abs(depth.depth_m[:, :, 0] - truth_m(run.scene)).ravel() <= TOLERANCE_M)
+    sure, right = np.concatenate(sure), np.concatenate(right)
+    ninety = (sure >= NINETY[0]) & (sure < NINETY[1])
+    limit = 0.05 if method == "planes" else 0.12  # peaks know nothing of slants
+    assert abs(right.mean() - sure.mean()) < limit
+    assert abs(right[ninety].mean() - sure[ninety].mean()) < limit
+
+
+def test_a_file_says_why(tmp_path):
+    depth = Run(Setup.of("flat:5,0", klux=0, sensor=SENSOR)).depth()
+    depth.save(tmp_path / "depth.npz")
+    with np.load(tmp_path / "depth.npz") as kept:
+        assert np.array_equal(kept["reason"], depth.reason) and np.isnan(kept["depth_m"]).all()
+        assert kept["sentences"][kept["reason"][0, 0]] == SENTENCES[Reason.NO_LIGHT]
