@@ -103,11 +103,11 @@ def surface(folder: Path) -> Any:
 
 
 RESULTS: dict[str, tuple[Callable[[Path], Any], str]] = {
-    "library": (library, "010616d6a2fad1ca"),
+    "library": (library, "98e9be87e9e061a5"),
     "sim": (sim, "ed4fb83bae583761"),
     "sweep": (sweep, "0ddd49994ee2fd42"),
     "bandwidth": (bandwidth, "8de2a0d77ad3a7fc"),
-    "explorer": (explorer, "47c25634ca202e4b"),
+    "explorer": (explorer, "84d0a1a115dbc438"),
     "thresholds": (
         lambda folder: list(thresholds.table((("flat:7", 50.0),), (thresholds.Stream(16, 8),))),
         "74a7d697fa74f4e1",
@@ -116,7 +116,7 @@ RESULTS: dict[str, tuple[Callable[[Path], Any], str]] = {
     "settling": (lambda folder: list(settling.table(((20.0, 20.0),))), "8d5a048adb43a133"),
     "surfaces": (surface, "a96fae90d646f7e8"),
     "two targets": (section(architect.two_targets, STEPS_M=(0.15, 0.6), TWO_KLUX=(5.0,), MANY=1), "ce70e8b2b3369c93"),
-    "modes": (section(four_modes.background, KLUX=(10.0, 50.0), DISTANCES_M=(5.0,), SEEDS=1), "bd68863aa09f2d84"),
+    "modes": (section(four_modes.background, KLUX=(10.0, 50.0), DISTANCES_M=(5.0,), SEEDS=1), "cb2fe70284e73fa9"),
     "figure 8": (section(reconstruction.figure_8, THRESHOLDS_8=(2, 3), SEEDS=1, MANY=1), "d935c56de1a602ba"),
     "interference": (
         section(
