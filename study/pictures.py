@@ -14,7 +14,7 @@ from matplotlib.patches import Rectangle
 from ..model.depth.belief import SENTENCES, Reason
 from ..model.depth.quality import TOLERANCE_M, wrong_pixels, wrong_share
 from ..model.shared.files import FilePath
-from .palette import ALARM, AMBER, BLUE, INK, MAUVE, NO_VALUE, OURS, SKY, VERMILION
+from .palette import ALARM, AMBER, BLUE, GREY, INK, MAUVE, NO_VALUE, SKY, VERMILION
 from .plot_style import DEPTH_MAP, legend_below, new_figure, save_figure, style
 
 PANEL_IN = 3.1
@@ -27,7 +27,7 @@ REASONS = {  # colours of the marks
     Reason.FOLDED: BLUE,
     Reason.GATE_EDGE: SKY,
     Reason.EVENTS_LOST: VERMILION,
-    Reason.FEW_PHOTONS: OURS,
+    Reason.FEW_PHOTONS: GREY,
 }
 SCALE_MARGIN = 0.05  # relative to the range of depths, on both sides of the colour bar
 
@@ -107,12 +107,13 @@ def draw_row(
                 _draw_reasons(axis, panel.reason)
         figure.colorbar(image, ax=list(axes), label="depth in m", extend="both", pad=0.01)
         notes = f"red frames: wrong, |error| > {100 * tolerance_m:.3g} cm"
-        if any(axis.get_legend_handles_labels()[1] for axis in axes):
-            notes += "; dots: depth that is not to be believed"
-            legend_below(figure, len(REASONS))
         if np.isnan(truth_m).any():
             notes += "; crosses: no truth, not counted"
-        figure.supxlabel(notes, fontsize=9)
+        if any(axis.get_legend_handles_labels()[1] for axis in axes):
+            legend_below(figure, len(REASONS))
+            figure.legends[0].set_title(f"{notes}; dots: depth that is not to be believed")
+        else:
+            figure.supxlabel(notes, fontsize=9)
         if heading:
             figure.suptitle(heading, fontsize=12)
     return figure, shares
