@@ -33,7 +33,8 @@ struct Access {
     uint32_t address, value, strobe;
     int32_t skew, hold;
 };
-struct Upset { int32_t word; int64_t cycle; };  // the flip-flop's word; the edge after which it flips
+// word: of the flip-flop; cycle: the edge after which it flips, or takes the value of the flip-flop `source`, if that is one.
+struct Upset { int32_t word; int64_t cycle; int32_t source; };
 struct Recipe {
     std::vector<Access> settings, during, after, beside;  // beside: those after, by the other host
     std::vector<Upset> upsets;
@@ -242,7 +243,9 @@ public:
     }
     void edge() {
         for (; !upsets_.empty() && upsets_.front().cycle == edges_; upsets_ = upsets_.subspan(1)) {
-            slice_.word(upsets_.front().word) ^= lanes_;
+            const Upset& one = upsets_.front();
+            W& word = slice_.word(one.word);
+            word = one.source < 0 ? word ^ lanes_ : (word & ~lanes_) | (slice_.word(one.source) & lanes_);
             upset_write_ = writing_;
         }
         edges_++;

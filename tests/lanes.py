@@ -31,7 +31,8 @@ RESET = 16
 ACCESS = np.dtype(
     [(name, np.uint32) for name in ("address", "value", "strobe")] + [(name, np.int32) for name in ("skew", "hold")]
 )
-UPSET = np.dtype([("word", np.int32), ("cycle", np.int64)], align=True)
+UPSET = np.dtype([("word", np.int32), ("cycle", np.int64), ("source", np.int32)], align=True)
+FLIPS = -1  # the source of an upset flip-flop that takes no other's value
 ROW = np.dtype([(name, np.int32) for name in ("trial", "frame", "outcome", "shown", "write", "cycles")])
 BEAT = np.dtype([("data", np.uint64), ("cycle", np.int64)])
 
@@ -85,13 +86,13 @@ class Lanes:
         during: Sequence[Access] = (),
         after: Sequence[Access] = (),
         beside: Sequence[Access] = (),
-        upsets: Sequence[tuple[int, int]] = (),
+        upsets: Sequence[tuple[int, int, int]] = (),
         patient: bool = True,
     ) -> None:
         """Add a frame that every host plays. patient: it waits for frames that an upset makes as long as counters go.
 
         Of `together` only: accesses during the frame and after it, and others beside the latter; upsets (word of a flip-flop,
-        cycle from the start's write on).
+        cycle from the start's write on, word of the flip-flop whose value it takes, or `FLIPS`).
         """
         settings = [(address, value, 15, 0, 0) for address, value in config.register_writes()]
         columns = port_bits(config, edges)
@@ -118,7 +119,7 @@ class Lanes:
 
     def run(self, upsets: Sequence[tuple[int, int]]) -> np.ndarray:
         """Play trials, and return the rows of every one in turn. upsets: word of the flip-flop, cycle of the first frame."""
-        table = np.array(upsets, UPSET)
+        table = np.array([(word, cycle, FLIPS) for word, cycle in upsets], UPSET)
         self._library.lanes_run(self._lanes, table.ctypes.data, len(table))
         rows = self._rows()
         return rows[np.argsort(rows["trial"], kind="stable")]
