@@ -192,6 +192,7 @@ public:
         for (; dark < next; dark++) light(of.edges[dark], false);
         if (!outcome && !all_ended) outcome = WITHOUT_LAST;
         while (bus_ && !bus_->idle()) co_await step();
+        if (outcome == NO_LASER) for (int s = 0; s < STREAMS; s++) put(TREADY[s], true);  // such a frame has to end, too
         // Then the status shows it.
         for (int64_t wait = 0; wait <= of.limit; wait++) {
             if (int broken = co_await read(STATUS)) co_return broken;
