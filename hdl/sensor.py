@@ -25,7 +25,6 @@ from .unit import Export, Unit, place
 from .views import POLYPHASE
 
 FPGA_TOP = "coincid_fpga"
-CORE = "coincid_core"
 LISTED = ("stored", "record_stored")  # reach a readout with one bit per subgroup
 COMBINED = ("valid", "beat", "beat_controlled")  # reach a readout as the OR of its subgroups'
 GRANTED = ("grant", "send")  # from a readout to its subgroups
@@ -57,22 +56,38 @@ def inner_ports(sensor: Sensor) -> dict[str, Any]:
     return ports
 
 
-class Core(Unit):
-    """The sensor without its modules, for simulations in which a program wires the modules itself.
+class Joined(Unit):
+    """Units wired by the names of their ports, for simulations in which a program wires the rest of the sensor.
 
-    Ports: `outer_ports`, `inner_ports`.
+    Ports: those of all units; what one of them drives is an output.
     """
 
-    unit_name, separator = CORE, "_"
+    separator = "_"
 
-    def __init__(self, sensor: Sensor):
-        self.sensor = sensor
-        super().__init__(outer_ports(sensor) | inner_ports(sensor))
+    def __init__(self, name: str, *units: Unit):
+        self.unit_name, self.units = name, units
+        driven = {name: port for unit in units for name, port in unit.signature.members.items() if port.flow is Out}
+        super().__init__({name: port for unit in units for name, port in unit.signature.members.items()} | driven)
 
     def elaborate(self, platform):
         m = Module()
-        wire_core(m, partial(place, m, platform=platform), self.sensor, self, self)
+        own = self.flat_ports()
+        nets: dict[str, Any] = {name: signal for unit in self.units for name, signal in unit.outputs().items()}
+        m.d.comb += [own[name.replace("__", "_")][1].eq(signal) for name, signal in nets.items()]
+        for unit in self.units:
+            inputs = {name: nets.get(name, own[name.replace("__", "_")][1]) for name in unit.flat_ports()}
+            place(m, unit.unit_name, unit, platform, **unit.fed(inputs))
         return m
+
+
+def front(sensor: Sensor) -> Joined:
+    """Return registers and sequencer."""
+    return Joined("coincid_front", Registers(sensor), Sequencer(sensor))
+
+
+def stream(sensor: Sensor, subgroups: int) -> Joined:
+    """Return readout and controller of a stream with so many subgroups."""
+    return Joined(f"coincid_stream_{subgroups}", Readout(sensor, subgroups), Controller(sensor))
 
 
 class SensorTop(Unit):
