@@ -66,28 +66,28 @@ class Joined(Unit):
 
     def __init__(self, name: str, *units: Unit):
         self.unit_name, self.units = name, units
-        driven = {name: port for unit in units for name, port in unit.signature.members.items() if port.flow is Out}
-        super().__init__({name: port for unit in units for name, port in unit.signature.members.items()} | driven)
+        ports = [port for unit in units for port in unit.signature.members.items()]
+        super().__init__(dict(ports) | {name: port for name, port in ports if port.flow is Out})
 
     def elaborate(self, platform):
         m = Module()
-        own = self.flat_ports()
-        nets: dict[str, Any] = {name: signal for unit in self.units for name, signal in unit.outputs().items()}
-        m.d.comb += [own[name.replace("__", "_")][1].eq(signal) for name, signal in nets.items()]
+        own = {name: self.flat_ports()[name.replace("__", "_")][1] for unit in self.units for name in unit.flat_ports()}
+        driven = {name: signal for unit in self.units for name, signal in unit.outputs().items()}
+        m.d.comb += [own[name].eq(signal) for name, signal in driven.items()]
         for unit in self.units:
-            inputs = {name: nets.get(name, own[name.replace("__", "_")][1]) for name in unit.flat_ports()}
-            place(m, unit.unit_name, unit, platform, **unit.fed(inputs))
+            place(m, unit.unit_name, unit, platform, **unit.fed(own | driven))
         return m
 
 
-def front(sensor: Sensor) -> Joined:
+def front_part(sensor: Sensor) -> Joined:
     """Return registers and sequencer."""
     return Joined("coincid_front", Registers(sensor), Sequencer(sensor))
 
 
-def stream(sensor: Sensor, subgroups: int) -> Joined:
-    """Return readout and controller of a stream with so many subgroups."""
-    return Joined(f"coincid_stream_{subgroups}", Readout(sensor, subgroups), Controller(sensor))
+def stream_part(sensor: Sensor, subgroups: int) -> Joined:
+    """Return readout and controller, if there is one, of a stream with so many subgroups."""
+    units = Readout(sensor, subgroups), *[Controller(sensor)] * sensor.controller
+    return Joined(f"coincid_stream_{subgroups}", *units)
 
 
 class SensorTop(Unit):

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from ..hdl.export import FILE_LIST, units_files, verilog_files
 from ..hdl.module import SensorModule, Slice
-from ..hdl.sensor import front, stream
+from ..hdl.sensor import front_part, stream_part
 from ..hdl.unit import Unit
 from ..hdl.views import POLYPHASE, View
 from ..model.contract.parameters import SENSOR, Sensor
@@ -40,7 +40,11 @@ def rtl_in_parts(sensor: Sensor) -> dict[str, list[Path]]:
     module, for the proof that it is two slices.
     """
     sizes = sorted({len(sensor.stream_subgroups(k)) for k in range(sensor.streams)})
-    parts: list[list[Unit]] = [[front(sensor)], *([stream(sensor, n)] for n in sizes), [Slice(sensor), SensorModule(sensor)]]
+    parts: list[list[Unit]] = [
+        [front_part(sensor)],
+        *([stream_part(sensor, n)] for n in sizes),
+        [Slice(sensor), SensorModule(sensor)],
+    ]
     found = {}
     for units in parts:
         name = f"{sensor_key(sensor)}-{units[0].unit_name}"

@@ -19,7 +19,7 @@ import numpy as np
 
 from ..hdl.minigroup import Minigroup
 from ..hdl.module import Slice
-from ..hdl.sensor import COMBINED, GRANTED, LISTED, front, stream
+from ..hdl.sensor import COMBINED, GRANTED, LISTED, front_part, stream_part
 from ..hdl.subgroup import shared_ports
 from ..host.driver import Driver
 from ..host.programmed import Programmed
@@ -68,17 +68,15 @@ def wiring_header(sensor: Sensor) -> str:
     sizes = [len(sensor.stream_subgroups(k)) for k in range(sensor.streams)]
     firsts = [sensor.stream_subgroups(k).start for k in range(sensor.streams)]
     widest = max(Slice(sensor).flat_ports()[name][1].shape().width for name in shared_ports(sensor))
-    told, models, joined, visits = front(sensor).outputs(), ["front"], [], []
+    fronts = {port.name for port in front_part(sensor).ports()}
+    ports = {size: stream_part(sensor, size).ports() for size in set(sizes)}
+    models, joined, visits = ["front"], [], []
     for k, size in enumerate(sizes):
         models.append(own := f"stream_{k}")
-        for port in stream(sensor, size).ports():
-            from_front, of_stream = f"front.{port.name}", f"front.{port.name}_{k}"
-            if port.is_input and port.name in told:
-                joined.append(f"{own}.{port.name} = {from_front};")
-            elif port.is_input and f"{port.name}_{k}" in told:
-                joined.append(f"{own}.{port.name} = {of_stream};")
-            elif f"{port.name}_{k}" in front(sensor).flat_ports():
-                joined.append(f"{of_stream} = {own}.{port.name};")
+        for port in ports[size]:  # all streams share some ports of the front, and have others for themselves
+            for name in {port.name, f"{port.name}_{k}"} & fronts - {"delivered"}:
+                ends = f"{own}.{port.name}", f"front.{name}"
+                joined.append(f"{' = '.join(ends if port.is_input else ends[::-1])};")
         axis = [f"m_axis_{wire}" for wire in ("tdata", "tvalid", "tready", "tlast")]
         visits.append(f"visit({k}, {', '.join(f'{own}.{net}' for net in (*axis, *LISTED, *COMBINED, *GRANTED))});")
     joined += [f"{own}.rst = front.rst;" for own in models[1:]]
