@@ -127,7 +127,7 @@ def points(tab, name):
     return tab.evaluate(f"(name) => Bokeh.documents[0].get_model_by_name(name).{lengths}", name)
 
 
-LEFT_OUT = {"offsets": 0, "records": 0}  # what other controls' other values need: by themselves
+LEFT_OUT = {"offsets": 0, "records": 0, "controller": 0}  # what other controls' other values need: by themselves
 SMALL_TOO = {"pulses": 30, "cols": 24}  # legal with the other controls' other values
 
 
