@@ -59,29 +59,37 @@ def inner_ports(sensor: Sensor) -> dict[str, Any]:
 class Joined(Unit):
     """Units wired by the names of their ports, for simulations in which a program wires the rest of the sensor.
 
-    Ports: those of all units; what one of them drives is an output.
+    Ports: those of all units; what one of them drives is an output. suffix: that names do not need.
     """
 
     separator = "_"
 
-    def __init__(self, name: str, *units: Unit):
-        self.unit_name, self.units = name, units
-        ports = [port for unit in units for port in unit.signature.members.items()]
+    def __init__(self, name: str, *units: Unit, suffix: str = ""):
+        self.unit_name, self.units, self.suffix = name, units, suffix
+        ports = [(name.removesuffix(suffix), port) for unit in units for name, port in unit.signature.members.items()]
         super().__init__(dict(ports) | {name: port for name, port in ports if port.flow is Out})
 
     def elaborate(self, platform):
         m = Module()
-        own = {name: self.flat_ports()[name.replace("__", "_")][1] for unit in self.units for name in unit.flat_ports()}
-        driven = {name: signal for unit in self.units for name, signal in unit.outputs().items()}
+        own = {name: signal for name, (_, signal) in self.flat_ports().items()}
+        driven = {self._own(name): signal for unit in self.units for name, signal in unit.outputs().items()}
         m.d.comb += [own[name].eq(signal) for name, signal in driven.items()]
         for unit in self.units:
-            place(m, unit.unit_name, unit, platform, **unit.fed(own | driven))
+            nets = {name: (own | driven)[self._own(name)] for name in unit.flat_ports()}
+            place(m, unit.unit_name, unit, platform, **unit.fed(nets))
         return m
+
+    def _own(self, name: str) -> str:
+        """Return the name of a unit's port among those of all."""
+        return name.removesuffix(self.suffix).replace("__", "_")
 
 
 def front_part(sensor: Sensor) -> Joined:
-    """Return registers and sequencer."""
-    return Joined("coincid_front", Registers(sensor), Sequencer(sensor))
+    """Return registers and sequencer and, if there is only one, the stream."""
+    units: list[Unit] = [Registers(sensor), Sequencer(sensor)]
+    if sensor.streams > 1:
+        return Joined("coincid_front", *units)
+    return Joined("coincid_front", *units, *stream_part(sensor, sensor.subgroups).units, suffix="_0")
 
 
 def stream_part(sensor: Sensor, subgroups: int) -> Joined:

@@ -36,10 +36,10 @@ def rtl(sensor: Sensor, view: View = POLYPHASE) -> list[Path]:
 def rtl_in_parts(sensor: Sensor) -> dict[str, list[Path]]:
     """Return the files of the sensor's parts, for a program that wires them: top module -> files.
 
-    The parts are the front, a stream of each size (`hdl/sensor.py`), and the slice (`hdl/module.py`). With it comes the
+    The parts are the front, a stream of each size if there are several (`hdl/sensor.py`), and the slice (`hdl/module.py`). With it comes the
     module, for the proof that it is two slices.
     """
-    sizes = sorted({len(sensor.stream_subgroups(k)) for k in range(sensor.streams)})
+    sizes = sorted({len(sensor.stream_subgroups(k)) for k in range(sensor.streams) if sensor.streams > 1})
     parts: list[list[Unit]] = [
         [front_part(sensor)],
         *([stream_part(sensor, n)] for n in sizes),

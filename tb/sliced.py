@@ -72,15 +72,19 @@ def wiring_header(sensor: Sensor) -> str:
     ports = {size: stream_part(sensor, size).ports() for size in set(sizes)}
     models, joined, visits = ["front"], [], []
     for k, size in enumerate(sizes):
-        models.append(own := f"stream_{k}")
-        for port in ports[size]:  # all streams share some ports of the front, and have others for themselves
+        own = "front"  # has a single stream inside
+        if sensor.streams > 1:
+            models.append(own := f"stream_{k}")
+        for port in (
+            ports[size] if own in models[1:] else ()
+        ):  # of the front's ports, streams share some, and have some each
             for name in {port.name, f"{port.name}_{k}"} & fronts - {"delivered"}:
                 ends = f"{own}.{port.name}", f"front.{name}"
                 joined.append(f"{' = '.join(ends if port.is_input else ends[::-1])};")
         axis = [f"m_axis_{wire}" for wire in ("tdata", "tvalid", "tready", "tlast")]
         visits.append(f"visit({k}, {', '.join(f'{own}.{net}' for net in (*axis, *LISTED, *COMBINED, *GRANTED))});")
     joined += [f"{own}.rst = front.rst;" for own in models[1:]]
-    joined.append(f"front.delivered = {' & '.join(f'{own}.delivered' for own in models[1:])};")
+    joined += [f"front.delivered = {' & '.join(f'{own}.delivered' for own in models[1:])};"] if models[1:] else []
     made = [f'{own}(context, "{own}")' for own in models]
     kinds = {own: f"Vstream_{size}" for own, size in zip(models[1:], sizes)} | {"front": "Vfront"}
     return "\n".join(
