@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The sensor: an array of modules, a register front, a sequencer, and per stream one readout and one threshold controller."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from functools import partial
 from typing import Any
 
@@ -59,21 +59,24 @@ def inner_ports(sensor: Sensor) -> dict[str, Any]:
 class Joined(Unit):
     """Units wired by the names of their ports, for simulations in which a program wires the rest of the sensor.
 
-    Ports: those of all units; what one of them drives is an output. suffix: that names do not need.
+    Ports: those of all units except nets between them; of these, only the ones of `kept` are outputs. suffix: that names
+    do not need.
     """
 
     separator = "_"
 
-    def __init__(self, name: str, *units: Unit, suffix: str = ""):
+    def __init__(self, name: str, *units: Unit, kept: Collection[str] = (), suffix: str = ""):
         self.unit_name, self.units, self.suffix = name, units, suffix
         ports = [(name.removesuffix(suffix), port) for unit in units for name, port in unit.signature.members.items()]
-        super().__init__(dict(ports) | {name: port for name, port in ports if port.flow is Out})
+        inputs, outputs = ({name: port for name, port in ports if port.flow is flow} for flow in (In, Out))
+        between = {name for name in inputs if name in outputs and name not in kept}
+        super().__init__({name: port for name, port in (inputs | outputs).items() if name not in between})
 
     def elaborate(self, platform):
         m = Module()
         own = {name: signal for name, (_, signal) in self.flat_ports().items()}
         driven = {self._own(name): signal for unit in self.units for name, signal in unit.outputs().items()}
-        m.d.comb += [own[name].eq(signal) for name, signal in driven.items()]
+        m.d.comb += [own[name].eq(signal) for name, signal in driven.items() if name in own]
         for unit in self.units:
             nets = {name: (own | driven)[self._own(name)] for name in unit.flat_ports()}
             place(m, unit.unit_name, unit, platform, **unit.fed(nets))
@@ -86,10 +89,10 @@ class Joined(Unit):
 
 def front_part(sensor: Sensor) -> Joined:
     """Return registers and sequencer and, if there is only one, the stream."""
-    units: list[Unit] = [Registers(sensor), Sequencer(sensor)]
+    units, stream = (Registers(sensor), Sequencer(sensor)), stream_part(sensor, sensor.subgroups)
     if sensor.streams > 1:
-        return Joined("coincid_front", *units)
-    return Joined("coincid_front", *units, *stream_part(sensor, sensor.subgroups).units, suffix="_0")
+        return Joined("coincid_front", *units, kept={*shared_ports(sensor), *stream.signature.members})
+    return Joined("coincid_front", *units, *stream.units, kept=shared_ports(sensor), suffix="_0")
 
 
 def stream_part(sensor: Sensor, subgroups: int) -> Joined:
