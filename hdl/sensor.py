@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The sensor: an array of modules, a register front, a sequencer, and per stream one readout and one threshold controller."""
 
-from collections.abc import Callable, Collection
+from collections.abc import Callable
 from functools import partial
 from typing import Any
 
@@ -25,6 +25,7 @@ from .unit import Export, Unit, place
 from .views import POLYPHASE
 
 FPGA_TOP = "coincid_fpga"
+CORE = "coincid_core"
 LISTED = ("stored", "record_stored")  # reach a readout with one bit per subgroup
 COMBINED = ("valid", "beat", "beat_controlled")  # reach a readout as the OR of its subgroups'
 GRANTED = ("grant", "send")  # from a readout to its subgroups
@@ -56,49 +57,22 @@ def inner_ports(sensor: Sensor) -> dict[str, Any]:
     return ports
 
 
-class Joined(Unit):
-    """Units wired by the names of their ports, for simulations in which a program wires the rest of the sensor.
+class Core(Unit):
+    """The sensor without its modules, for simulations in which a program wires the modules itself.
 
-    Ports: those of all units except nets between them; of these, only the ones of `kept` are outputs. suffix: that names
-    do not need.
+    Ports: `outer_ports`, `inner_ports`.
     """
 
-    separator = "_"
+    unit_name, separator = CORE, "_"
 
-    def __init__(self, name: str, *units: Unit, kept: Collection[str] = (), suffix: str = ""):
-        self.unit_name, self.units, self.suffix = name, units, suffix
-        ports = [(name.removesuffix(suffix), port) for unit in units for name, port in unit.signature.members.items()]
-        inputs, outputs = ({name: port for name, port in ports if port.flow is flow} for flow in (In, Out))
-        between = {name for name in inputs if name in outputs and name not in kept}
-        super().__init__({name: port for name, port in (inputs | outputs).items() if name not in between})
+    def __init__(self, sensor: Sensor):
+        self.sensor = sensor
+        super().__init__(outer_ports(sensor) | inner_ports(sensor))
 
     def elaborate(self, platform):
         m = Module()
-        own = {name: signal for name, (_, signal) in self.flat_ports().items()}
-        driven = {self._own(name): signal for unit in self.units for name, signal in unit.outputs().items()}
-        m.d.comb += [own[name].eq(signal) for name, signal in driven.items() if name in own]
-        for unit in self.units:
-            nets = {name: (own | driven)[self._own(name)] for name in unit.flat_ports()}
-            place(m, unit.unit_name, unit, platform, **unit.fed(nets))
+        wire_core(m, partial(place, m, platform=platform), self.sensor, self, self)
         return m
-
-    def _own(self, name: str) -> str:
-        """Return the name of a unit's port among those of all."""
-        return name.removesuffix(self.suffix).replace("__", "_")
-
-
-def front_part(sensor: Sensor) -> Joined:
-    """Return registers and sequencer and, if there is only one, the stream."""
-    units, stream = (Registers(sensor), Sequencer(sensor)), stream_part(sensor, sensor.subgroups)
-    if sensor.streams > 1:
-        return Joined("coincid_front", *units, kept={*shared_ports(sensor), *stream.signature.members})
-    return Joined("coincid_front", *units, *stream.units, kept=shared_ports(sensor), suffix="_0")
-
-
-def stream_part(sensor: Sensor, subgroups: int) -> Joined:
-    """Return readout and controller, if there is one, of a stream with so many subgroups."""
-    units = Readout(sensor, subgroups), *[Controller(sensor)] * sensor.controller
-    return Joined(f"coincid_stream_{subgroups}", *units)
 
 
 class SensorTop(Unit):

@@ -2,12 +2,11 @@
 """The sensor's Verilog for simulation, emitted once for its parameters and kept."""
 
 from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 
 from ..hdl.export import FILE_LIST, units_files, verilog_files
 from ..hdl.module import SensorModule, Slice
-from ..hdl.sensor import front_part, stream_part
+from ..hdl.sensor import Core
 from ..hdl.unit import Unit
 from ..hdl.views import POLYPHASE, View
 from ..model.contract.parameters import SENSOR, Sensor
@@ -33,23 +32,17 @@ def rtl(sensor: Sensor, view: View = POLYPHASE) -> list[Path]:
     return [folder / name for name in (folder / FILE_LIST).read_text().split()]
 
 
-def rtl_in_parts(sensor: Sensor) -> dict[str, list[Path]]:
-    """Return the files of the sensor's parts, for a program that wires them: top module -> files.
+def rtl_in_two(sensor: Sensor) -> tuple[list[Path], list[Path]]:
+    """Return the files of the core (`hdl/sensor.py`), and those of slice and module (`hdl/module.py`).
 
-    The parts are the front, a stream of each size if there are several (`hdl/sensor.py`), and the slice (`hdl/module.py`). With it comes the
-    module, for the proof that it is two slices.
+    They are for a program that wires slices to the core, and for the proof that the module is two slices.
     """
-    sizes = sorted({len(sensor.stream_subgroups(k)) for k in range(sensor.streams) if sensor.streams > 1})
-    parts: list[list[Unit]] = [
-        [front_part(sensor)],
-        *([stream_part(sensor, n)] for n in sizes),
-        [Slice(sensor), SensorModule(sensor)],
-    ]
-    found = {}
-    for units in parts:
+
+    def files(*units: Unit) -> list[Path]:
         name = f"{sensor_key(sensor)}-{units[0].unit_name}"
-        found[units[0].unit_name] = sorted(_emitted(name, repr(sensor), partial(units_files, units)).iterdir())
-    return found
+        return sorted(_emitted(name, repr(sensor), lambda: units_files(list(units))).iterdir())
+
+    return files(Core(sensor)), files(Slice(sensor), SensorModule(sensor))
 
 
 def _emitted(name: str, parameters: str, files: Callable[[], dict[str, str]]) -> Path:

@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
-// Sliced engine: sensors whose subgroups are lanes of slices, each with a Verilated core of its own: front and streams.
+// Sliced engine: sensors whose subgroups are lanes of slices, each with a Verilated core of its own.
 //
-// Every output of a slice, a front and a stream comes from a register, so nothing has to settle between two clock edges: take
-// all outputs, set all inputs, step everything. The tests show that this equals the wiring of the top module.
+// Every output of a slice and of the core comes from a register, so nothing has to settle between two clock edges: take all
+// outputs, set all inputs, step everything. The tests show that this equals the wiring of the top module.
 //
-// wiring.h is generated: sizes, the models of a core (`Core`), and their ports.
+// wiring.h is generated: sizes, the names of the ports that depend on the number of streams, addresses.
 
 #include <array>
 #include <coroutine>
@@ -14,6 +14,8 @@
 #include <type_traits>
 #include <vector>
 
+#include "Vcore.h"
+#include "Vcore___024root.h"
 #include "lanes.h"
 #include "verilated.h"
 #include "wiring.h"
@@ -84,7 +86,7 @@ constexpr int first_lane(int sensor) { return SUBGROUPS < 64 ? sensor % PER_CHUN
 
 class Sensor {
 public:
-    Sensor(int number, std::vector<std::unique_ptr<Slice>>& slices) : core_(std::make_unique<Core>(&context_)), host_(play()) {
+    Sensor(int number, std::vector<std::unique_ptr<Slice>>& slices) : core_(std::make_unique<Vcore>(&context_, "core")), host_(play()) {
         for (int s = 0; s <= STREAMS; s++) {  // the last one: all subgroups
             int begin = s < STREAMS ? STREAM_FIRST[s] : 0, end = s + 1 < STREAMS ? STREAM_FIRST[s + 1] : SUBGROUPS;
             for (int subgroup = begin; subgroup < end;) {
@@ -99,7 +101,7 @@ public:
             for (uint64_t rest = lanes.mask, subgroup = lanes.subgroup; rest; rest &= rest - 1, subgroup++)
                 for (int k = 0; k < int(std::size(IN_number)); k++)
                     if (subgroup >> k & 1) lanes.slice->chunk(IN_number[k], lanes.chunk) |= rest & -rest;
-        core_->front.rst = 1;
+        core_->rst = 1;
     }
     // A reset, from the next edge on, whatever the sensor is doing; the host starts anew.
     void reset() {
@@ -111,9 +113,9 @@ public:
         cycle_ = -1;
         outcome_ = FINE;
         idle_ = write_busy_ = false;
-        core_->front.rst = 1;
-        core_->front.s_axi_awvalid = core_->front.s_axi_wvalid = core_->front.s_axi_bready = core_->front.s_axi_arvalid = core_->front.s_axi_rready = 0;
-        core_->for_each_stream([&](int, auto&, auto&, auto& tready, auto&...) { tready = 0; });
+        core_->rst = 1;
+        core_->s_axi_awvalid = core_->s_axi_wvalid = core_->s_axi_bready = core_->s_axi_arvalid = core_->s_axi_rready = 0;
+        for_each_stream(*core_, [&](int, auto&, auto&, auto& tready, auto&...) { tready = 0; });
         host_ = play();
     }
     ~Sensor() { host_.handle.destroy(); }
@@ -128,23 +130,22 @@ public:
     uint32_t value() const { return value_; }
     void forget() { records_.clear(); outcome_ = FINE; }
     const std::vector<std::unique_ptr<Record>>& records() const { return records_; }
-    
+    Vcore& core() { return *core_; }
 
     // Before the clock edge: the host acts, and outputs go to inputs. beats: whether any subgroup of any sensor sends one.
     void before(bool beats, bool data) {
         host_.handle.resume();
         gather(beats, data);
-        core_->join();
-        aw_ = core_->front.s_axi_awvalid && core_->front.s_axi_awready;
-        w_ = core_->front.s_axi_wvalid && core_->front.s_axi_wready;
-        b_ = core_->front.s_axi_bvalid && core_->front.s_axi_bready;
-        response_ = core_->front.s_axi_bresp;
-        ship(core_->front.command, IN_command, 0);
-        ship(core_->front.period, IN_period, 1);
-        ship(core_->front.frame, IN_frame, 2);
-        ship(core_->front.timing, IN_timing, 3);
-        ship(core_->front.rst, IN_rst, 4);
-        core_->for_each_stream([&](int s, auto&, auto&, auto&, auto&, auto&, auto&, auto&, auto&, auto&, auto& grant, auto& send) {
+        aw_ = core_->s_axi_awvalid && core_->s_axi_awready;
+        w_ = core_->s_axi_wvalid && core_->s_axi_wready;
+        b_ = core_->s_axi_bvalid && core_->s_axi_bready;
+        response_ = core_->s_axi_bresp;
+        ship(core_->command, IN_command, 0);
+        ship(core_->period, IN_period, 1);
+        ship(core_->frame, IN_frame, 2);
+        ship(core_->timing, IN_timing, 3);
+        ship(core_->rst, IN_rst, 4);
+        for_each_stream(*core_, [&](int s, auto&, auto&, auto&, auto&, auto&, auto&, auto&, auto&, auto&, auto& grant, auto& send) {
             if (send != send_[s]) {
                 for (int k = 0; k < int(std::size(IN_send)); k++)
                     for (Lanes& lanes : lanes_[s]) assign(lanes, IN_send[k], send >> k & 1 ? lanes.mask : 0);
@@ -180,15 +181,15 @@ public:
         return {lanes.slice, lanes.chunk * 64 + bit % 64};
     }
 
-    void edge() { core_->for_each_model([](auto& model) { rise(model); }); }
+    void edge() { rise(*core_); }
 
     // After the clock edge.
     void after() {
         light(false);
-        if (aw_) core_->front.s_axi_awvalid = 0;
-        if (w_) core_->front.s_axi_wvalid = 0;
+        if (aw_) core_->s_axi_awvalid = 0;
+        if (w_) core_->s_axi_wvalid = 0;
         if (b_) {
-            core_->front.s_axi_bready = 0;
+            core_->s_axi_bready = 0;
             write_busy_ = false;
             write_response_ = response_;
         }
@@ -226,11 +227,11 @@ private:
 
     // Join the subgroups' outputs as the top module does.
     void gather(bool beats, bool data) {
-        core_->front.data = 0;
-        if (data) for (int k = 0; k < int(std::size(OUT_data)); k++) core_->front.data |= uint32_t(some(lanes_[STREAMS], OUT_data[k])) << k;
-        core_->front.gate_late = some(lanes_[STREAMS], OUT_gate_late[0]);
-        core_->front.settings_upset = some(lanes_[STREAMS], OUT_upset[0]);
-        core_->for_each_stream([&](int s, auto&, auto&, auto&, auto&, auto& stored, auto& record_stored, auto& valid, auto& beat,
+        core_->data = 0;
+        if (data) for (int k = 0; k < int(std::size(OUT_data)); k++) core_->data |= uint32_t(some(lanes_[STREAMS], OUT_data[k])) << k;
+        core_->gate_late = some(lanes_[STREAMS], OUT_gate_late[0]);
+        core_->settings_upset = some(lanes_[STREAMS], OUT_upset[0]);
+        for_each_stream(*core_, [&](int s, auto&, auto&, auto&, auto&, auto& stored, auto& record_stored, auto& valid, auto& beat,
                                     auto& beat_controlled, auto&, auto&) {
             list(s, OUT_stored[0], stored, stored_[s]);
             list(s, OUT_record_stored[0], record_stored, record_stored_[s]);
@@ -273,10 +274,10 @@ private:
     }
 
     void begin_write(uint32_t address, uint32_t value) {
-        core_->front.s_axi_awaddr = address;
-        core_->front.s_axi_wdata = value;
-        core_->front.s_axi_wstrb = 15;
-        core_->front.s_axi_awvalid = core_->front.s_axi_wvalid = core_->front.s_axi_bready = 1;
+        core_->s_axi_awaddr = address;
+        core_->s_axi_wdata = value;
+        core_->s_axi_wstrb = 15;
+        core_->s_axi_awvalid = core_->s_axi_wvalid = core_->s_axi_bready = 1;
         write_busy_ = true;
         write_response_ = 0;
     }
@@ -284,7 +285,7 @@ private:
     // The host: reset, then whatever is posted, one after the other. It gives the rest up if the sensor refuses an access.
     Host play() {
         for (int i = 0; i < RESET_CYCLES; i++) co_await CYCLE;
-        core_->front.rst = 0;
+        core_->rst = 0;
         for (int i = 0; i < RESET_CYCLES; i++) co_await CYCLE;
         for (;;) {
             if (todo_.empty() || outcome_) {
@@ -297,18 +298,18 @@ private:
             todo_.pop_front();
             if (op.kind == Op::READ || op.kind == Op::WAIT) {
                 do {
-                    core_->front.s_axi_araddr = op.address;
-                    core_->front.s_axi_arvalid = core_->front.s_axi_rready = 1;
+                    core_->s_axi_araddr = op.address;
+                    core_->s_axi_arvalid = core_->s_axi_rready = 1;
                     for (bool answered = false; !answered;) {
-                        bool taken = core_->front.s_axi_arvalid && core_->front.s_axi_arready;
-                        answered = core_->front.s_axi_rvalid;
+                        bool taken = core_->s_axi_arvalid && core_->s_axi_arready;
+                        answered = core_->s_axi_rvalid;
                         if (answered) {
-                            value_ = core_->front.s_axi_rdata;
-                            if (core_->front.s_axi_rresp) outcome_ = REFUSED;
+                            value_ = core_->s_axi_rdata;
+                            if (core_->s_axi_rresp) outcome_ = REFUSED;
                         }
                         co_await CYCLE;
-                        if (taken) core_->front.s_axi_arvalid = 0;
-                        if (answered) core_->front.s_axi_rready = 0;
+                        if (taken) core_->s_axi_arvalid = 0;
+                        if (answered) core_->s_axi_rready = 0;
                     }
                 } while (op.kind == Op::WAIT && !(value_ & op.value) && !outcome_);
                 continue;
@@ -323,13 +324,13 @@ private:
             records_.push_back(std::make_unique<Record>());
             Record& record = *records_.back();
             bool ended[STREAMS] = {};
-            while (!core_->front.laser && !outcome_) {
+            while (!core_->laser && !outcome_) {
                 co_await CYCLE;
                 if (!write_busy_ && write_response_) outcome_ = REFUSED;
             }
             for (cycle_ = 0; !outcome_; cycle_++) {
                 bool ready = cycle_ >= int64_t(frame_->ready.size()) || frame_->ready[cycle_], all_ended = true;
-                core_->for_each_stream([&](int s, auto& tdata, auto& tvalid, auto& tready, auto& tlast, auto&...) {
+                for_each_stream(*core_, [&](int s, auto& tdata, auto& tvalid, auto& tready, auto& tlast, auto&...) {
                     tready = ready;
                     if (ready && tvalid && !ended[s]) {
                         record.beats[s].push_back({tdata, cycle_});
@@ -352,12 +353,12 @@ private:
             cycle_ = -1;
             frame_.reset();
             while (write_busy_) co_await CYCLE;
-            core_->for_each_stream([&](int, auto&, auto&, auto& tready, auto&...) { tready = 0; });
+            for_each_stream(*core_, [&](int, auto&, auto&, auto& tready, auto&...) { tready = 0; });
         }
     }
 
     VerilatedContext context_;
-    std::unique_ptr<Core> core_;
+    std::unique_ptr<Vcore> core_;
     std::vector<Lanes> lanes_[STREAMS + 1];
     uint32_t shared_[5][SHARED_WORDS] = {}, grant_[STREAMS][GRANT_WORDS] = {};
     uint8_t send_[STREAMS] = {};

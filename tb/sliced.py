@@ -19,7 +19,7 @@ import numpy as np
 
 from ..hdl.minigroup import Minigroup
 from ..hdl.module import Slice
-from ..hdl.sensor import COMBINED, GRANTED, LISTED, front_part, stream_part
+from ..hdl.sensor import COMBINED, CORE, GRANTED, LISTED
 from ..hdl.subgroup import shared_ports
 from ..host.driver import Driver
 from ..host.programmed import Programmed
@@ -39,12 +39,11 @@ from . import toolchain
 from .engines import sensors_together
 from .errors import SimulationError
 from .frames import STORED_TO_COMMIT, FrameJob, Recorded, cycle_limit
-from .rtl import rtl_in_parts, sensor_key
+from .rtl import rtl_in_two, sensor_key
 from .slice_proof import prove_module
 from .verilated import run_time, verilated_unit
 
 SOURCE = Path(__file__).with_name("sliced.cpp")
-PREFIX = "coincid_"  # of all modules
 CHUNK_CYCLES = 20_000  # between two checks of progress and Ctrl-C
 RESET_CYCLES = 4
 CORE_OPTIMISE = "-O1"  # the core is a sixth of the time of a frame; with -O2 it takes half as long again to compile
@@ -53,7 +52,7 @@ FINE, REFUSED, HANGS = range(3)
 
 def design(sensor: Sensor) -> Design:
     """Return the netlist in slices of a subgroup with its line of the TDC. It does not depend on the size of the array."""
-    files = rtl_in_parts(sensor)[Slice.unit_name]
+    _, files = rtl_in_two(sensor)
     return Design(
         f"{sensor_key(sensor)}",
         {path.name: path.read_text() for path in files},
@@ -65,43 +64,25 @@ def design(sensor: Sensor) -> Design:
 
 def wiring_header(sensor: Sensor) -> str:
     """Return the C++ header that describes a sensor to `sliced.cpp`."""
-    sizes = [len(sensor.stream_subgroups(k)) for k in range(sensor.streams)]
-    firsts = [sensor.stream_subgroups(k).start for k in range(sensor.streams)]
+    firsts = [sensor.stream_subgroups(stream).start for stream in range(sensor.streams)]
+    most = max(len(sensor.stream_subgroups(stream)) for stream in range(sensor.streams))
     widest = max(Slice(sensor).flat_ports()[name][1].shape().width for name in shared_ports(sensor))
-    fronts = {port.name for port in front_part(sensor).ports()}
-    ports = {size: stream_part(sensor, size).ports() for size in set(sizes)}
-    models, joined, visits = ["front"], [], []
-    for k, size in enumerate(sizes):
-        own = "front"  # has a single stream inside
-        if sensor.streams > 1:
-            models.append(own := f"stream_{k}")
-        for port in (
-            ports[size] if own in models[1:] else ()
-        ):  # of the front's ports, streams share some, and have some each
-            for name in {port.name, f"{port.name}_{k}"} & fronts - {"delivered"}:
-                ends = f"{own}.{port.name}", f"front.{name}"
-                joined.append(f"{' = '.join(ends if port.is_input else ends[::-1])};")
-        axis = [f"m_axis_{wire}" for wire in ("tdata", "tvalid", "tready", "tlast")]
-        visits.append(f"visit({k}, {', '.join(f'{own}.{net}' for net in (*axis, *LISTED, *COMBINED, *GRANTED))});")
-    joined += [f"{own}.rst = front.rst;" for own in models[1:]]
-    joined += [f"front.delivered = {' & '.join(f'{own}.delivered' for own in models[1:])};"] if models[1:] else []
-    made = [f'{own}(context, "{own}")' for own in models]
-    kinds = {own: f"Vstream_{size}" for own, size in zip(models[1:], sizes)} | {"front": "Vfront"}
+    visits = []
+    for stream in range(sensor.streams):
+        axis = [f"core.{sensor.stream_name(stream)}_{wire}" for wire in ("tdata", "tvalid", "tready", "tlast")]
+        nets = [f"core.{net}_of_{stream}" for net in (*LISTED, *COMBINED, *GRANTED)]
+        visits.append(f"    visit({stream}, {', '.join(axis + nets)});")
     return "\n".join(
         [
             "#pragma once",
-            *(f'#include "{kind}{file}.h"' for kind in sorted(set(kinds.values())) for file in ("", "___024root")),
+            '#include "Vcore.h"',
             f"constexpr int SUBGROUPS = {sensor.subgroups}, STREAMS = {sensor.streams}, STORED_TO_COMMIT = {STORED_TO_COMMIT};",
             # A word more on each side of the last, so that 64 bits can begin anywhere.
-            f"constexpr int GRANT_WORDS = {-(-max(sizes) // 32) + 2}, SHARED_WORDS = {-(-widest // 32)}, RESET_CYCLES = {RESET_CYCLES};",
+            f"constexpr int GRANT_WORDS = {-(-most // 32) + 2}, SHARED_WORDS = {-(-widest // 32)}, RESET_CYCLES = {RESET_CYCLES};",
             f"constexpr int STREAM_FIRST[] = {{{', '.join(map(str, firsts))}}};",
-            "struct Core {",
-            *(f"    {kinds[own]} {own};" for own in models),
-            f"    explicit Core(VerilatedContext* context) : {', '.join(made)} {{}}",
-            f"    template <class Visit> void for_each_model(Visit visit) {{ {' '.join(f'visit({own});' for own in models)} }}",
-            f"    template <class Visit> void for_each_stream(Visit visit) {{ {' '.join(visits)} }}",
-            f"    void join() {{ {' '.join(joined)} }}  // before a clock edge: inputs take the others' outputs",
-            "};",
+            "template <class Visit> void for_each_stream(Vcore& core, Visit visit) {",
+            *visits,
+            "}",
             "",
         ]
     )
@@ -109,20 +90,15 @@ def wiring_header(sensor: Sensor) -> str:
 
 def build_library(sensor: Sensor, sensors: int = 1) -> ctypes.CDLL:
     """Compile the engine for so many sensors at once, once, and load it."""
-    parts = rtl_in_parts(sensor)
+    for_core, for_slices = rtl_in_two(sensor)
     with ThreadPoolExecutor() as pool:
-        proof = pool.submit(prove_module, sensor, parts.pop(Slice.unit_name))
-        prefixes = [top.replace(PREFIX, "V") for top in parts]
-        models = [
-            pool.submit(verilated_unit, top, prefix, files, [toolchain.NOT_INLINED], CORE_OPTIMISE)
-            for prefix, (top, files) in zip(prefixes, parts.items())
-        ]
+        proof = pool.submit(prove_module, sensor, for_slices)
+        core = pool.submit(verilated_unit, CORE, "Vcore", for_core, [toolchain.NOT_INLINED], CORE_OPTIMISE)
         support = pool.submit(run_time)
         slices = design(sensor)
         proof.result()
-        folders = [model.result() for model in models]
-    include = [*folders, toolchain.verilator().parents[1] / "include"]
-    objects = [*(folder / f"lib{prefix}.a" for folder, prefix in zip(folders, prefixes)), support.result()]
+        include = [core.result(), toolchain.verilator().parents[1] / "include"]
+    objects = [core.result() / "libVcore.a", support.result()]
     path = library(slices, lanes(sensor, sensors), SOURCE, wiring_header(sensor), include, objects)
     pointer, i64, u32, i32 = ctypes.c_void_p, ctypes.c_int64, ctypes.c_uint32, ctypes.c_int
     rows = ctypes.POINTER(pointer)
