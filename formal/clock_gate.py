@@ -57,8 +57,9 @@ def _driven(b: Bench, unit: Any) -> Fragment:
     return dut
 
 
-def _rests(b: Bench, unit: Any, dut: Fragment) -> Signal:
-    """State that no register and no row of a memory changes at an edge that the unit's gate holds back; return when that is."""
+def _rests(b: Bench, unit: Any) -> Signal:
+    """State that no register and no row of a memory of a unit changes where its gate is closed; return when that is."""
+    dut = _driven(b, unit)
     closed = b.same("closed", ~unit.clock_gate.enable)
     for register in _registers(dut):
         b.stable(register, where=closed)
@@ -83,20 +84,18 @@ def subgroup_rests(b: Bench):
     unit, tree = Subgroup(SMALL), CoincidenceTree(SMALL)
     shown = b.free(tree)
     unit.view = SimpleNamespace(front_end=lambda sensor: tree, front_end_rests=True, hears=POLYPHASE.hears)
-    dut = _driven(b, unit)
+    _rests(b, unit)
     strobes = Cat(unit.timing[name] for name in bus.STROBES).any()
     quiet = b.same("quiet", (unit.command.operation == bus.Operation.IDLE) & ~strobes & ~unit.grant & ~ResetSignal())
     calm = _quiet_for(b, quiet, TREE_CYCLES)
     for name in ("closed", "blind", "record_due"):  # as proven below
         b.assume(~shown[name], where=calm == TREE_CYCLES)
-    _rests(b, unit, dut)
 
 
 @proof(depth=2, cover=6)
 def minigroup_rests(b: Bench):
     """Behind a minigroup's closed clock gate none of its registers would change, whatever is in them."""
-    unit = Minigroup(SMALL)
-    _rests(b, unit, _driven(b, unit))
+    _rests(b, Minigroup(SMALL))
 
 
 @proof(depth=2, cover=6)
@@ -112,18 +111,16 @@ def strobes_rest(b: Bench):
 @proof(depth=2, cover=6)
 def dpcu_rests(b: Bench):
     """Behind a DPCU's closed clock gate none of its registers would change, whatever is in them."""
-    unit = Dpcu(SMALL)
-    _rests(b, unit, _driven(b, unit))
+    _rests(b, Dpcu(SMALL))
 
 
 @proof(depth=3, cover=6)
 def settings_rest(b: Bench):
     """Behind the closed clock gate of a subgroup's settings none of their registers would change."""
     unit = SubgroupSettings(SMALL)
-    dut = _driven(b, unit)
+    closed = _rests(b, unit)
     idle = b.same("idle", unit.command.operation == bus.Operation.IDLE)
     b.assume_stable(unit.period, where=idle & b.past(idle))  # the subgroup takes it in beside an operation
-    closed = _rests(b, unit, dut)
     programmed = unit.state.programmed
     b.always(unit.gate_late == (programmed.gating & (programmed.gate_start >= unit.period)), where=closed)
     b.always(unit.upset == Cat(unit.state.upsets).any(), where=closed)

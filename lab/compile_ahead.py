@@ -19,7 +19,7 @@ from ..model.shared.compiled import is_compiled
 @cache
 def compile_ahead() -> None:
     """Begin to compile the estimator, unless that was done before; the process ends with this one at the latest."""
-    if is_compiled(estimate_depth.__module__.rpartition(".")[0].partition(".")[2]):
+    if is_compiled(estimate_depth.__module__):
         return
     command = [sys.executable, "-c", f"from {__name__} import estimate_anything; estimate_anything()"]
     atexit.register(Popen(command, stdin=DEVNULL, stdout=DEVNULL, stderr=DEVNULL).kill)

@@ -95,8 +95,8 @@ class Run:
         """All avalanches, of all frames."""
         if self.setup.edges is not None:
             return self.setup.edges
-        if DEFAULT_METHOD in self.setup.estimators:
-            compile_ahead()
+        if self.workers > 1 and DEFAULT_METHOD in self.setup.estimators:
+            compile_ahead()  # on a core that this run has to spare
         photons = self.setup.photons
         return self.kept.get("photons", photons.key, lambda: photons.edges(self.workers, self.watch))
 

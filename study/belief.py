@@ -19,7 +19,7 @@ from ..lab.campaign import Processes, campaign
 from ..lab.run import Run
 from ..lab.setup import SETTLING, Setup
 from ..model.depth.arrivals import SYSTEM_FWHM_S
-from ..model.depth.belief import LAW
+from ..model.depth.belief import LAW, chance_of_right
 from ..model.depth.estimate import METHODS, find_returns
 from ..model.depth.quality import wrong_pixels
 from ..model.scenes.scene import Scene
@@ -150,11 +150,6 @@ def law(seen: Sequence[Seen], method: str) -> np.ndarray:
     return weights / scale
 
 
-def confidence(features: np.ndarray, weights: Sequence[float]) -> np.ndarray:
-    """Return what the law says, float64[n]."""
-    return 1 / (1 + np.exp(-(features @ np.array(weights[:-1]) + weights[-1])))
-
-
 def table(seen: Mapping[str, Sequence[Seen]]) -> Iterable[str]:
     """Yield the rows of a Markdown table: of the pixels with 90 %, the share that is right, and their number."""
     yield "| scene | " + " | ".join(METHODS) + " |"
@@ -162,7 +157,7 @@ def table(seen: Mapping[str, Sequence[Seen]]) -> Iterable[str]:
     for name, runs in seen.items():
         cells = []
         for method in METHODS:
-            sure = np.concatenate([confidence(one.features[method], LAW[method]) for one in runs])
+            sure = np.concatenate([chance_of_right(one.features[method], LAW[method]) for one in runs])
             chosen = (sure >= NINETY[0]) & (sure < NINETY[1])
             right = np.concatenate([one.right[method] for one in runs])[chosen]
             cells.append(
@@ -178,7 +173,7 @@ def draw(seen: Sequence[Seen], path: Path) -> None:
         axis = figure.add_subplot()
         axis.plot([0, 100], [0, 100], color=GREY, linewidth=0.8)
         for method, mark in zip(METHODS, "sv^o"):
-            sure = np.concatenate([confidence(one.features[method], LAW[method]) for one in seen])
+            sure = np.concatenate([chance_of_right(one.features[method], LAW[method]) for one in seen])
             right = np.concatenate([one.right[method] for one in seen])
             bins = [(sure >= low) & (sure < high) for low, high in pairwise(BINS)]
             points = [(sure[one].mean(), right[one].mean()) for one in bins if one.sum() >= PIXELS_MIN]

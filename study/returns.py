@@ -29,12 +29,8 @@ from .plot_style import legend_below, new_figure, save_figure, style
 IMAGES = Path(__file__).parents[1] / "docs" / "images"
 SENSOR = {"rows": 16, "cols": 16}
 SURFACES, STEPS_M, NEAREST_M = 4, (0.15, 0.3), (4.0, 4.1)  # the nearest surface: several places in a cycle
-PULSES, PHOTONS, KLUX, WINDOW = (
-    5000,
-    0.1,
-    50.0,
-    (2, 8),
-)  # of the picture: photons per pixel and pulse, from all surfaces; threshold, ticks
+# Of the picture: photons per pixel and pulse, from all surfaces; threshold and ticks of the window.
+PULSES, PHOTONS, KLUX, WINDOW = 5000, 0.1, 50.0, (2, 8)
 RECORDS = {"minigroup_records": True, "mg_threshold": 1, "mg_window": 1}
 METHOD, SHOWN = "background", {"map": "pixel", "minigroup": "its minigroup's records", "subgroup": "its subgroup"}
 WINDOWS = ((0, 1), WINDOW, (2, 16), (3, 8))  # threshold 0: coincidence off

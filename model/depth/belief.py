@@ -22,10 +22,8 @@ from .histograms import Events, by_subgroup, pixel_image
 BELIEVED_MIN = 0.5  # confidence
 DOUBTFUL = 0.4  # confidence, at most, of a depth at the gate's edge or beyond the period, or with a rival
 LIT = 8.0  # log likelihood ratio to background, from which on the hits at a distance are light: there are hundreds of distances
-OTHER_SHARE, RIVAL_SHARE = (
-    0.2,
-    0.4,
-)  # of the light, that makes a second surface, and one of which each may be the pixel's
+# Share of the light that makes a second surface, and one from which each of two surfaces may be the pixel's.
+OTHER_SHARE, RIVAL_SHARE = 0.2, 0.4
 LOST_SHARE = 0.5  # of the committed events of a subgroup
 FOLDED, BRIGHT = 40.0, 0.9  # light times squared distance, by which light from beyond the period is below this quantile
 REACH_SIGMAS = 3.0  # from the centre of a pulse to its beginning and end
@@ -89,8 +87,7 @@ class Signs(NamedTuple):
 
 def believe(signs: Signs, config: Config, method: str) -> tuple[np.ndarray, np.ndarray]:
     """Return (confidence, reason), [rows, cols]: the probability that a depth is right, float64, and its `Reason`, uint8."""
-    weights = np.array(LAW[method])
-    confidence = np.where(signs.known, special.expit((signs.features * weights[:-1]).sum(axis=2) + weights[-1]), 0.0)
+    confidence = np.where(signs.known, chance_of_right(signs.features, LAW[method]), 0.0)
     lit_share = np.where(signs.elsewhere > LIT, signs.other / np.maximum(signs.near + signs.other, 1), 0)
     doubtful = signs.at_edge | signs.folded | (lit_share > RIVAL_SHARE)
     confidence = np.where(doubtful, np.minimum(confidence, DOUBTFUL), confidence)
@@ -105,6 +102,12 @@ def believe(signs: Signs, config: Config, method: str) -> tuple[np.ndarray, np.n
     )
     chosen = np.select([met for met, _ in conditions], [reason for _, reason in conditions], Reason.FEW_PHOTONS)
     return confidence, chosen.astype(np.uint8)
+
+
+def chance_of_right(features: np.ndarray, weights: Sequence[float]) -> np.ndarray:
+    """float64[...]: what the law says of `features`, float64[..., n]. weights: of them, and the constant."""
+    *of_features, constant = weights
+    return special.expit((features * np.array(of_features)).sum(axis=-1) + constant)
 
 
 def find_signs(

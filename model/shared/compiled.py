@@ -48,9 +48,9 @@ def njit(function: Callable[..., Any] | None = None, *, allocates: bool = True, 
         _NUMBA.CACHE_DIR = others
 
 
-def is_compiled(room: str) -> bool:
-    """Whether some process has kept compiled code of a room's present sources."""
-    folder = _folder(room)
+def is_compiled(module: str) -> bool:
+    """Return whether some process has kept compiled code of the present sources of a module's room."""
+    folder = _folder(_room(module))
     return folder is None or any(folder.rglob("*.nbi"))
 
 
