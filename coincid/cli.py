@@ -60,7 +60,7 @@ class Commands(TyperGroup):
 
 def _is_simulation(error: Exception) -> bool:
     from coincid.host.transport import HostError
-    from coincid.tb.errors import Mismatch, SimulationError
+    from coincid.tb.rtl_errors import Mismatch, SimulationError
 
     return isinstance(error, (HostError, Mismatch, SimulationError))
 
@@ -311,7 +311,7 @@ def explore(
     """Serve the explorer, which shows the effect of every setting in the browser. It serves this machine only and sends no requests."""
     with extra("explore"):
         from coincid.study.explore.server import serve
-    from coincid.study.explore.settings import given_settings
+    from coincid.study.explore.control_values import given_settings
 
     serve(port, browser=not no_browser, start=given_settings(settings or []))
 
@@ -548,7 +548,7 @@ def power(
 ) -> None:
     """Measure the power of a subgroup in standard cells against the light on it, from frames that its netlist plays."""
     with extra("rtl"):
-        from coincid.study.power import write_page
+        from coincid.study.power_against_light import write_page
     write_page(_file(out), partial(print, flush=True))
     print(out)
 
@@ -561,7 +561,7 @@ def layout(
 ) -> None:
     """Lay a minigroup out in standard cells: placed, routed, checked, timed with its wires, and simulated with their delays."""
     with extra("rtl"):
-        from coincid.flow.layout.page import write_page
+        from coincid.flow.layout.document import write_page
     write_page(_file(out), partial(print, flush=True))
     print(out)
 
@@ -664,7 +664,7 @@ def lint(config: ConfigOption = None, changes: SetOption = None, view: ViewOptio
     settings = _config(config, changes)
     with extra("rtl"):
         from coincid.flow.lint import lint as run
-        from coincid.hdl.views import view_at
+        from coincid.hdl.front_end_views import view_at
     found = run(settings.sensor, view_at(view, settings.clock_mhz))
     for tool, complaints in found.items():
         print(f"{tool}: {'clean' if not complaints else 'found'}")
@@ -816,8 +816,8 @@ def emulate(
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder of the depth picture.")] = Path("build/emulate"),
 ) -> None:
     """Run the emulator, on a board or simulated, and check each word from it against the golden model."""
-    from coincid.host.emulator import EmulatorDriver
-    from coincid.host.serial_link import SerialPort, SerialTransport
+    from coincid.host.emulator_driver import EmulatorDriver
+    from coincid.host.serial_transport import SerialPort, SerialTransport
     from coincid.lab.setup import scene_of
     from coincid.model.contract.serial_link import BAUD
     from coincid.model.contract.settings import FRAMES_MAX
@@ -836,7 +836,7 @@ def emulate(
     if simulate:
         with extra("rtl"):
             from coincid.flow.gls import emulator_netlist
-            from coincid.tb.emulator import PATIENCE_S, SIMULATED_CLOCKS_PER_BIT, SimulatedPort, simulated
+            from coincid.tb.verilated_emulator import PATIENCE_S, SIMULATED_CLOCKS_PER_BIT, SimulatedPort, simulated
         clocks = (
             SIMULATED_CLOCKS_PER_BIT
             if baud is None

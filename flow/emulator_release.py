@@ -8,7 +8,7 @@ from pathlib import Path
 
 from ..hdl.emulator.top import BUS_TOP, EMULATOR_LIST, SERIAL_TOP, emulator_files
 from ..hdl.emulator.ulx3s import BOARD_TOP, board_files, board_pins
-from ..hdl.views import POLYPHASE
+from ..hdl.front_end_views import POLYPHASE
 from ..model.contract.config import Config
 from ..model.contract.emulator import Emulator
 from ..model.shared.errors import InputError

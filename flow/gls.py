@@ -23,10 +23,10 @@ from ..model.golden.frame import Golden
 from ..model.shared.errors import InputError
 from ..model.shared.folders import build_root
 from ..tb import toolchain
-from ..tb.emulator import SIMULATED_CLOCKS_PER_BIT, build_line, simulated
-from ..tb.frames import FrameJob
+from ..tb.frame_record import FrameJob
 from ..tb.play import play_in
 from ..tb.rtl import sensor_key
+from ..tb.verilated_emulator import SIMULATED_CLOCKS_PER_BIT, build_line, simulated
 from ..tools.wheels import wheel_folder
 from .boards import ulx3s
 from .pnr import NETLIST_VERILOG

@@ -10,8 +10,8 @@ from pathlib import Path
 
 from ..hdl.emulator.ulx3s import BOARD_TOP
 from ..hdl.export import cell_files, fpga_files
+from ..hdl.front_end_views import POLYPHASE, View
 from ..hdl.sensor import FPGA_TOP, has_fpga_top
-from ..hdl.views import POLYPHASE, View
 from ..model.contract.parameters import TOP, Sensor
 from ..tb import toolchain
 from ..tb.rtl import rtl
@@ -27,7 +27,7 @@ VERILATOR = ("--lint-only", "--timing", "--quiet-stats")
 def lint(sensor: Sensor, view: View = POLYPHASE) -> dict[str, str]:
     """Return tool -> its findings in the Verilog of `sensor`, "" if there are none. Raises `ToolchainError`.
 
-    It sees the forms for standard cells, too, in a folder as in a release. view: from `hdl/views.py`; in a view with
+    It sees the forms for standard cells, too, in a folder as in a release. view: from `hdl/front_end_views.py`; in a view with
     macros, lint sees the files for synthesis.
     """
     files = {path.name: path.read_text() for path in (*rtl(sensor, view), *view.macros)}

@@ -14,8 +14,8 @@ from pathlib import Path
 from attrs import frozen
 
 from ..hdl.export import units_files
+from ..hdl.front_end_views import POLYPHASE, View
 from ..hdl.unit import Unit
-from ..hdl.views import POLYPHASE, View
 from ..model.shared.folders import build_root
 from ..model.shared.sources import digest
 from ..tools.build import ToolchainError, build_once

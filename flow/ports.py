@@ -10,8 +10,8 @@ import re
 from attrs import frozen
 
 from ..hdl.deserialiser import CYCLES
+from ..hdl.front_end_views import POLYPHASE, View
 from ..hdl.sensor import FPGA_TOP, SensorTop
-from ..hdl.views import POLYPHASE, View
 from ..model.contract.counters import COUNTER_NAMES
 from ..model.contract.packet import (
     BEAT_BITS,

@@ -23,7 +23,7 @@ from vcd.reader import TokenKind, tokenize
 
 from ..model.contract.parameters import TOP, Sensor
 from ..model.shared.folders import build_root
-from ..tb.frames import FrameJob
+from ..tb.frame_record import FrameJob
 from ..tb.play import play_in
 from ..tb.rtl import sensor_key
 from ..tools.build import ToolchainError, build_once

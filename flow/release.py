@@ -12,9 +12,9 @@ from attrs import asdict
 
 from ..hdl import deserialiser
 from ..hdl.export import FILE_LIST, cell_files, fpga_files, verilog_files
+from ..hdl.front_end_views import POLYPHASE, Asynchronous, View, view_at
 from ..hdl.sensor import FPGA_TOP, SensorTop, has_fpga_top
 from ..hdl.unit import Port
-from ..hdl.views import POLYPHASE, Asynchronous, View, view_at
 from ..model.contract import latency
 from ..model.contract.config import Config
 from ..model.contract.parameters import TOP, Sensor
@@ -54,7 +54,7 @@ PER_TOP = {TOP: SMOKE, FPGA_TOP: FPGA_SMOKE}
 
 
 def release_files(config: Config, view: str | View = POLYPHASE) -> dict[str, str]:
-    """Return the texts of a configuration's sensor at its clock, by file name. view: from `views.py`, or its name.
+    """Return the texts of a configuration's sensor at its clock, by file name. view: from `front_end_views.py`, or its name.
 
     Without the captured streams.
     """

@@ -15,9 +15,9 @@ from typing import Any
 from attrs import frozen
 
 from ..hdl.export import units_files
-from ..hdl.module import SensorModule
+from ..hdl.front_end_views import Asynchronous
 from ..hdl.silicon.circuit import MACROS, Circuit
-from ..hdl.views import Asynchronous
+from ..hdl.subgroup_pair import SensorModule
 from ..model.contract.parameters import Sensor
 from ..tools.wheels import run_program, run_yosys
 from .constraints import FS_PER_NS, SYSTEM, constraints

@@ -13,15 +13,15 @@ from pathlib import Path
 import numpy as np
 
 from ..hdl import deserialiser
+from ..hdl.front_end_views import POLYPHASE, Polyphase, View
 from ..hdl.sensor import FPGA_TOP, SensorTop
-from ..hdl.views import POLYPHASE, Polyphase, View
 from ..model.contract import registers
 from ..model.contract.config import Config, parse_config, sensor_table
 from ..model.contract.counters import COUNTER_NAMES
 from ..model.contract.edges import Edges
 from ..model.contract.parameters import TOP, Sensor
 from ..model.contract.pixels import pixel_table
-from ..model.contract.ports import port_bits
+from ..model.contract.spad_ports import port_bits
 from ..model.golden.frame import Golden, Trace
 from ..tb.stimulus import line_toggles
 

@@ -17,13 +17,13 @@ from pathlib import Path
 from attrs import frozen
 
 from ..hdl.export import FILE_LIST, fpga_files, instantiated, verilog_files
+from ..hdl.front_end_views import POLYPHASE, VIEWS, View
 from ..hdl.minigroup import Minigroup
-from ..hdl.module import SensorModule
 from ..hdl.sensor import FPGA_TOP, SensorTop, has_fpga_top
 from ..hdl.silicon.minigroup import AsyncMinigroup
 from ..hdl.subgroup import Subgroup
+from ..hdl.subgroup_pair import SensorModule
 from ..hdl.unit import Unit
-from ..hdl.views import POLYPHASE, VIEWS, View
 from ..model.contract.config import Config, load_config
 from ..model.contract.parameters import TOP, Sensor
 from ..model.shared.files import whole_file

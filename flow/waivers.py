@@ -3,7 +3,7 @@
 
 from typing import NamedTuple
 
-from ..hdl.views import View
+from ..hdl.front_end_views import View
 
 CONTROL_FILE = "coincid.vlt"
 
@@ -59,7 +59,7 @@ OF_CELLS = (  # more, where a view has cells and macros
 
 
 def control_file(view: View, emulator: bool = False) -> str:
-    """The waivers of a view of `views.py` in Verilator's language. emulator: with that around it."""
+    """The waivers of a view of `front_end_views.py` in Verilator's language. emulator: with that around it."""
     lines = ["`verilator_config"]
     for rule, reason, files, message in WAIVERS + OF_EMULATOR * emulator + (OF_CELLS if view.macros else ()):
         lines += [f"// {reason}", f'lint_off -rule {rule} -file "{files}" -match "{message}"']

@@ -15,10 +15,10 @@ from attrs import evolve
 
 from ..hdl.logic import popcount
 from ..hdl.silicon.circuit import CELLS, MACROS, SYNCHRONISER_REARM, Circuit
-from ..hdl.silicon.control import AsyncControl
 from ..hdl.silicon.front_end import AsyncFrontEnd
+from ..hdl.silicon.window_control import AsyncControl
 from ..model.contract.parameters import Sensor
-from .bench import KEPT, PROOFS, Proof, elaborated
+from .proof_bench import KEPT, PROOFS, Proof, elaborated
 
 DEPTH = 14  # half cycles of the induction
 COVER = 40  # half cycles within which a window with two pixels, not all in its first cycle, comes out

@@ -16,12 +16,12 @@ from amaranth.hdl._mem import MemoryInstance  # the language's only way to a mem
 
 from ..hdl import bus
 from ..hdl.dpcu import Dpcu
+from ..hdl.front_end_views import POLYPHASE
 from ..hdl.minigroup import Minigroup
 from ..hdl.settings import SubgroupSettings
 from ..hdl.subgroup import AWAKE_CYCLES, Subgroup
 from ..hdl.tree import CoincidenceTree
-from ..hdl.views import POLYPHASE
-from .bench import Bench, proof
+from .proof_bench import Bench, proof
 from .sensors import SMALL
 
 EDGE_DATA = (

@@ -9,7 +9,7 @@ from ..model.contract.counters import COUNTER_BITS, COUNTER_NAMES
 from ..model.contract.packet import BEAT_BITS
 from ..model.contract.registers import DATA_BITS
 from ..model.contract.settings import BUDGET_GROWTHS, LIMIT_DROP
-from .bench import Bench, proof
+from .proof_bench import Bench, proof
 from .sensors import SMALL
 
 COMMITTED, LOWER = (COUNTER_NAMES.index(name) * COUNTER_BITS for name in ("committed", "lower"))  # in the packet

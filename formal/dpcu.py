@@ -10,7 +10,7 @@ from ..model.contract import registers
 from ..model.contract.counters import COUNTER_BITS, COUNTER_NAMES
 from ..model.contract.registers import DATA_BITS
 from ..model.contract.settings import AUTO_BOUNDS, THRESHOLD_MAX
-from .bench import Bench, proof
+from .proof_bench import Bench, proof
 from .sensors import SMALL
 
 FULL = (1 << COUNTER_BITS) - 1  # saturated counter of photons,

@@ -13,7 +13,7 @@ from ..hdl.emulator.uart import Deframer, Framer
 from ..model.contract.emulator import Emulator
 from ..model.contract.packet import BEAT_BITS
 from ..model.contract.serial_link import BODY_BYTES_MAX, CRC_BYTES, ESCAPE, FLAG
-from .bench import Bench, proof
+from .proof_bench import Bench, proof
 from .sensors import SMALL
 
 EMULATOR = Emulator(sensor=SMALL, buffer_beats=64)

@@ -10,7 +10,7 @@ from attrs import evolve
 
 from ..hdl import bus
 from ..hdl.fifo import EventFifo, RecordBuffer
-from .bench import Bench, elaborated, proof
+from .proof_bench import Bench, elaborated, proof
 from .sensors import SMALL
 
 

@@ -22,7 +22,7 @@ from ..model.contract.groups import (
 )
 from ..model.contract.packet import BEAT_BITS, FRAME_END, GROUP_KIND, KIND_LSB, OFFSETS, RECORD, layout, parts_of
 from ..model.contract.parameters import Sensor, bits_for
-from .bench import Bench, proof
+from .proof_bench import Bench, proof
 from .sensors import SMALL
 
 PART_BITS = groups(SMALL).part_bits

@@ -19,7 +19,7 @@ from ..model.shared.errors import InputError
 from ..model.shared.folders import build_root
 from ..tools.build import ToolchainError
 from . import blocks  # noqa: F401  (registers the proofs)
-from .bench import KEPT, PROOFS, Proof
+from .proof_bench import KEPT, PROOFS, Proof
 
 SECONDS_MAX = 900  # per proof; none needs a fifth of it
 PROGRAMS = {  # name that SymbiYosys looks for -> command of this Python

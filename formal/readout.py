@@ -12,7 +12,7 @@ from ..hdl.readout import Readout
 from ..model.contract import latency
 from ..model.contract.packet import BEAT_BITS, FORMATS, FRAME_END, FRAME_START, KIND_LSB, RECORD, layout, parts_of
 from ..model.contract.parameters import bits_for
-from .bench import Bench, proof
+from .proof_bench import Bench, proof
 from .sensors import SMALL
 
 N = 3

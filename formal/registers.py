@@ -9,7 +9,7 @@ from ..hdl.registers import BLOCK_BITS, CHECK_CYCLES, DECODE_CYCLES, READ_CYCLES
 from ..model.contract import registers
 from ..model.contract.registers import WRITABLE
 from ..model.contract.settings import AUTO_BOUNDS
-from .bench import Bench, proof
+from .proof_bench import Bench, proof
 from .sensors import SMALL
 
 SENT = 2 * SMALL.streams + AUTO_BOUNDS  # words for the thresholds: budgets, limits and bounds

@@ -11,7 +11,7 @@ from ..hdl.tdc import START_TO_PHASE, Tdc
 from ..model.contract.dither import DITHER_BITS_MAX, LFSR_BITS, LFSR_TAPS
 from ..model.contract.parameters import Sensor
 from ..model.contract.settings import GATE_BITS
-from .bench import Bench, proof
+from .proof_bench import Bench, proof
 from .sensors import SMALL
 
 

@@ -17,7 +17,7 @@ from ..hdl.minigroup import Minigroup, MinigroupState
 from ..hdl.tdc import Tdc
 from ..hdl.tree import CoincidenceTree, TreeState
 from ..model.contract.parameters import QUARTERS, Sensor
-from .bench import Bench, elaborated, proof
+from .proof_bench import Bench, elaborated, proof
 from .sensors import SMALL
 
 

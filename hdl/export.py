@@ -15,10 +15,10 @@ from attrs import frozen
 
 from ..model.contract.parameters import Sensor
 from ..model.shared.licence import SPDX
+from .front_end_views import POLYPHASE
 from .sensor import SensorTop
 from .to_verilog import to_verilog
 from .unit import Export, Unit
-from .views import POLYPHASE
 
 FILE_LIST = "coincid.f"
 DIRECTIONS = {In: PortDirection.Input, Out: PortDirection.Output}

@@ -15,14 +15,14 @@ from . import bus
 from .axi import LITE, STREAM
 from .controller import Controller
 from .deserialiser import PHASES_MAX, Deserialiser
+from .front_end_views import POLYPHASE
 from .logic import any_of
-from .module import SensorModule
 from .readout import Readout
 from .registers import Registers
 from .sequencer import Sequencer
 from .subgroup import own_ports, shared_ports
+from .subgroup_pair import SensorModule
 from .unit import Export, Unit, place
-from .views import POLYPHASE
 
 FPGA_TOP = "coincid_fpga"
 CORE = "coincid_core"

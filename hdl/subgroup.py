@@ -15,11 +15,11 @@ from . import bus
 from .clock_gate import ClockGate, stopped
 from .dpcu import Dpcu
 from .fifo import EventFifo, RecordBuffer
+from .front_end_views import POLYPHASE, View
 from .gating import Gating
 from .packetizer import Packetizer
 from .settings import SubgroupSettings
 from .unit import Unit, place
-from .views import POLYPHASE, View
 from .voted import agreed_reset
 
 AWAKE_CYCLES = 31  # more than anything in a subgroup takes to come to rest
@@ -67,7 +67,7 @@ class Subgroup(Unit):
     stops in between, and the inputs that wake it also go to the clock gate.
 
     Ports: `shared_ports`, `own_ports`, `subgroup` (in, its number), `line` (its TDC sampling line).
-    view: view of the front end, from `views.py`.
+    view: view of the front end, from `front_end_views.py`.
     Latency: `model/contract/latency.py`. Reset is registered here, so it acts one cycle later, as stated by each part.
     """
 

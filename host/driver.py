@@ -14,7 +14,7 @@ from ..model.contract.parameters import SENSOR, Sensor
 from ..model.contract.registers import BY_NAME, ID_VALUE, VERSION_VALUE, Access
 from ..model.contract.table import Kind, Setting
 from ..model.shared.errors import InputError
-from .frames import FrameAssembler
+from .frame_assembly import FrameAssembler
 from .names import Key, find
 from .programmed import Programmed, runs
 from .transport import HostError, RefusedError, Transport, write_block

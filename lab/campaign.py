@@ -15,7 +15,7 @@ from ..model.shared.interrupts import worker_processes
 from ..tb.engines import sensors_together
 from ..tb.replay import replay_together
 from .measures import Number
-from .run import Kept, Run
+from .outcomes import Kept, Run
 from .setup import Setup
 
 Progress: TypeAlias = Callable[[int, int], None]  # done, in total; the total grows with each campaign

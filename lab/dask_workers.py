@@ -16,7 +16,7 @@ from distributed.scheduler import KilledWorker
 
 from ..model.scenes.scene import Scene
 from ..model.shared.errors import InputError
-from ..tb.errors import SimulationError
+from ..tb.rtl_errors import SimulationError
 from .campaign import Played, Read, batches, read_batch
 from .setup import Setup, versions
 

@@ -18,7 +18,7 @@ from ..model.depth.quality import OTHER_SURFACE_M, TOLERANCE_M, range_error, wro
 from ..model.shared.constants import SUCCESS_TOLERANCE_S
 
 Number: TypeAlias = int | float | None
-Frame: TypeAlias = Any  # of `run.py`, which imports this file
+Frame: TypeAlias = Any  # of `outcomes.py`, which imports this file
 
 
 @frozen

@@ -26,7 +26,7 @@ from ..model.shared.sources import digest, sources_digest
 from ..tb.replay import DEFAULT_VIEW
 
 if TYPE_CHECKING:
-    from ..hdl.views import View
+    from ..hdl.front_end_views import View
 
 SETTLING = 7  # frames of new photons under the controller before the one that counts
 Watch = Callable[[str, float, int], None]  # stage, share of it that is done, edges so far; it may raise to end a run

@@ -12,7 +12,7 @@ from typing import Any
 
 from attrs import evolve, frozen
 
-from ..lab.run import Frame, Run
+from ..lab.outcomes import Frame, Run
 from ..lab.setup import SETTLING, Setup
 from ..model.contract.config import Config
 from ..model.contract.packet import BEAT_BITS

@@ -18,7 +18,7 @@ from matplotlib.figure import Figure
 from scipy import stats
 
 from ..lab.measures import payload_beats, stream_beats
-from ..lab.run import Run
+from ..lab.outcomes import Run
 from ..lab.setup import Setup
 from ..model.contract.config import Config, parse_config
 from ..model.contract.packet import FORMAT_NAMES

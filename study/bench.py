@@ -30,7 +30,7 @@ from ..model.shared.files import whole_file
 from ..model.shared.interrupts import worker_processes
 from ..tb import pysim
 from ..tb.engines import SIMULATORS
-from ..tb.frames import FrameJob
+from ..tb.frame_record import FrameJob
 from ..tb.play import build_sensor, play
 from ..tb.scoreboard import check
 from ..tb.sliced import SlicedSensor, build_library, play_side_by_side

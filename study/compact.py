@@ -15,7 +15,7 @@ from itertools import product
 import numpy as np
 
 from ..lab.measures import stream_beats
-from ..lab.run import Run
+from ..lab.outcomes import Run
 from ..lab.setup import SETTLING, Setup, scene_of
 from ..model.contract.config import parse_config
 from ..model.contract.groups import LARGE_PIXELS, groups

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""This sensor and its rivals (`rivals.py`) on the same photons: the depth, and the bits that it takes.
+"""This sensor and its rivals (`other_schemes.py`) on the same photons: the depth, and the bits that it takes.
 
 All schemes share the edges and the macro-pixels. Schemes with a window and threshold use the same ones; those that send
 words have the same FIFOs and stream; those that keep a histogram per macro-pixel have the same memory (`MEMORY_BITS`);
@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy import special
 
-from ..lab.run import Run
+from ..lab.outcomes import Run
 from ..lab.setup import SETTLING, Setup
 from ..model.contract.packet import BEAT_BITS, FORMATS, layout
 from ..model.contract.parameters import bits_for
@@ -26,7 +26,7 @@ from ..model.depth.peaks import APART_SIGMAS, NEAR_SIGMAS, pixel_peaks
 from ..model.light.light import Light
 from ..model.scenes.scene import Scene
 from ..model.shared.constants import SPEED_OF_LIGHT_M_S
-from . import rivals
+from . import other_schemes
 
 THRESHOLD, PULSES, RETURNS = 3, 100, 2
 FRAMES = SETTLING + 1  # the controller settles in the others; the last one counts
@@ -44,7 +44,7 @@ class Shot:
 
     def __init__(self, run: Run) -> None:
         self.run, self.config = run, run.config
-        self.photons = rivals.macro_pixels(run.frame_edges(-1), run.config.sensor, run.config.pulses)
+        self.photons = other_schemes.macro_pixels(run.frame_edges(-1), run.config.sensor, run.config.pulses)
         self.window, self.threshold = int(self.config.window[0]), int(self.config.threshold[0])
         self.sigma_ticks = pulse_sigma_ticks(self.config)
 
@@ -69,41 +69,45 @@ def compared(
 
 
 def _winner_takes_all(shot: Shot) -> Found:
-    words = rivals.winner_takes_all(shot.photons, shot.config.sensor.phases)
+    words = other_schemes.winner_takes_all(shot.photons, shot.config.sensor.phases)
     return _by_words(shot, words, words.stamp + 0.5, "short")
 
 
 def _sliding_window(shot: Shot) -> Found:
-    words = rivals.sliding_window(shot.photons, shot.window, shot.threshold)
+    words = other_schemes.sliding_window(shot.photons, shot.window, shot.threshold)
     return _by_words(shot, words, words.stamp + 0.5, "id")
 
 
 def _fixed_windows(shot: Shot) -> Found:
-    words = rivals.fixed_windows(shot.photons, shot.window, shot.threshold)
-    return _by_words(shot, words, rivals.counted_arrival(shot.photons, words, shot.sigma_ticks), "id")
+    words = other_schemes.fixed_windows(shot.photons, shot.window, shot.threshold)
+    return _by_words(shot, words, other_schemes.counted_arrival(shot.photons, words, shot.sigma_ticks), "id")
 
 
 def _last_hit(shot: Shot) -> Found:
-    words = rivals.last_hit(shot.photons)
+    words = other_schemes.last_hit(shot.photons)
     return _by_words(shot, words, words.stamp + 0.5, "short")
 
 
 def _photon_counts(shot: Shot) -> Found:
     clock = round(ADDER_S / shot.config.tick_s)
-    return _by_memory(shot, rivals.photon_counts(shot.photons, clock, -(-shot.config.period_ticks // clock)), clock)
+    return _by_memory(
+        shot, other_schemes.photon_counts(shot.photons, clock, -(-shot.config.period_ticks // clock)), clock
+    )
 
 
 def _count_weighted(shot: Shot) -> Found:
     width = round(FINE_S / shot.config.tick_s)
-    words = rivals.windows(shot.photons, shot.window, shot.config.sensor.phases)
-    arrival = rivals.counted_arrival(shot.photons, words, shot.sigma_ticks)
+    words = other_schemes.windows(shot.photons, shot.window, shot.config.sensor.phases)
+    arrival = other_schemes.counted_arrival(shot.photons, words, shot.sigma_ticks)
     return _by_memory(
-        shot, rivals.count_weighted(shot.photons, words, arrival, width, -(-shot.config.period_ticks // width)), width
+        shot,
+        other_schemes.count_weighted(shot.photons, words, arrival, width, -(-shot.config.period_ticks // width)),
+        width,
     )
 
 
 def _time_stamps(shot: Shot, most: int) -> Found:
-    words = rivals.first_stamps(shot.photons, most)
+    words = other_schemes.first_stamps(shot.photons, most)
     bits = len(words.stamp) * _stamp_bits(shot) + shot.config.sensor.array_pixels * bits_for(most)
     return _by_stamps(shot, words, words.stamp + 0.5, bits)
 
@@ -121,7 +125,7 @@ def _zoomed(shot: Shot, bins: int) -> Found:
         if number:
             start += counts.argmax(axis=1) * widths[number - 1] - margin
             start = np.clip(start, 0, period - bins * width)
-        counts = rivals.zoomed_counts(shot.photons, range(begin[number], begin[number + 1]), start, width, bins)
+        counts = other_schemes.zoomed_counts(shot.photons, range(begin[number], begin[number + 1]), start, width, bins)
     bits = bins * bits_for(pulses - begin[-2]) + _stamp_bits(shot)  # the last histogram, and where it begins
     return _of_pixels(shot, start[:, None] + coarse_peaks(counts, widths[-1], shot.sigma_ticks), bits)
 
@@ -129,17 +133,17 @@ def _zoomed(shot: Shot, bins: int) -> Found:
 def _fourier(shot: Shot, codes: int) -> Found:
     """Take the time at which a pulse, with as many frequencies, correlates best with the sums."""
     period, photons = shot.config.period_ticks, shot.photons
-    sums = rivals.fourier_sums(photons, codes, period)
+    sums = other_schemes.fourier_sums(photons, codes, period)
     pulse = np.exp(-0.5 * (2 * np.pi / period * np.arange(sums.shape[1]) * shot.sigma_ticks) ** 2)
     ticks = np.full((len(sums), RETURNS), np.nan)
     for part in (slice(first, first + photons.pixels) for first in range(0, len(sums), photons.pixels)):
         ticks[part, 0] = np.fft.irfft(sums[part] * pulse, period).argmax(axis=1) + 0.5
-    return _of_pixels(shot, ticks, codes * (1 + bits_for(rivals.CODE_MAX * photons.pulses)))  # with signs
+    return _of_pixels(shot, ticks, codes * (1 + bits_for(other_schemes.CODE_MAX * photons.pulses)))  # with signs
 
 
 def _equi_depth(shot: Shot, bins: int) -> Found:
     """Take the likeliest time of a pulse in uniform background, close to a boundary."""
-    edges = rivals.equi_depth(shot.photons, bins, shot.config.period_ticks)
+    edges = other_schemes.equi_depth(shot.photons, bins, shot.config.period_ticks)
     background = np.maximum(np.diff(edges), 1) / shot.config.period_ticks
     best, ticks = np.full(len(edges), -np.inf), np.full((len(edges), RETURNS), np.nan)
     for boundary, offset, signal in product(range(1, bins), OFFSETS_SIGMAS, SIGNAL_SHARES):
@@ -188,17 +192,19 @@ def schemes(run: Run, names: Sequence[str] = tuple(SCHEMES)) -> dict[str, Found]
     return {name: SCHEMES[name](shot) for name in names}
 
 
-def _by_words(shot: Shot, words: rivals.Words, arrival: np.ndarray, form: str) -> Found:
+def _by_words(shot: Shot, words: other_schemes.Words, arrival: np.ndarray, form: str) -> Found:
     """Return depth from the words that the stream carries; `form`: format of this sensor with packets of the same length."""
     config, sensor = shot.config, shot.config.sensor
     beats = layout(sensor).length(FORMATS[form])
-    sent = rivals.read_out(shot.photons, words, sensor, sensor.phases, config.period, beats)
+    sent = other_schemes.read_out(shot.photons, words, sensor, sensor.phases, config.period, beats)
     return _by_stamps(shot, words.chosen(sent), arrival[sent], int(sent.sum()) * beats * BEAT_BITS)
 
 
-def _by_stamps(shot: Shot, words: rivals.Words, arrival: np.ndarray, bits: int) -> Found:
+def _by_stamps(shot: Shot, words: other_schemes.Words, arrival: np.ndarray, bits: int) -> Found:
     """Return depth from a histogram of every pixel's words."""
-    histograms = rivals.pixel_histograms(shot.photons, words, arrival, shot.config.sensor, shot.config.period_ticks)
+    histograms = other_schemes.pixel_histograms(
+        shot.photons, words, arrival, shot.config.sensor, shot.config.period_ticks
+    )
     peaks = [pixel_peaks(histogram, "matched", None, shot.sigma_ticks, RETURNS)[0] for histogram in histograms]
     return Found(_pixel_metres(shot, np.concatenate(peaks)), bits)
 

@@ -20,12 +20,12 @@ from ..flow.mapped import map_block
 from ..flow.synth import CELLS, GATES, synthesize
 from ..hdl import bus
 from ..hdl.export import units_files
+from ..hdl.front_end_views import POLYPHASE, VIEWS
 from ..hdl.minigroup import Minigroup
 from ..hdl.packetizer import Packetizer
 from ..hdl.subgroup import Subgroup
-from ..hdl.views import POLYPHASE, VIEWS
 from ..lab.measures import event_beats
-from ..lab.run import Run
+from ..lab.outcomes import Run
 from ..lab.setup import SETTLING, Setup, seeded
 from ..model.contract.config import load_config, parse_config, sensor_table
 from ..model.contract.packet import BEAT_BITS, FORMATS, built_formats, layout
@@ -33,7 +33,7 @@ from ..model.contract.parameters import CLOCK_MHZ, Sensor
 from ..model.shared.files import whole_file
 from .palette import BLUE, GREEN, INK, ORANGE, VIOLET
 from .plot_style import legend_below, new_figure, save_figure, style
-from .power import DARK, MIDDLE, measure
+from .power_against_light import DARK, MIDDLE, measure
 from .simulate import best_threshold
 
 SWEEPS: dict[str, tuple[str, list[Any]]] = {  # parameter: its label, and the values besides the default

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from attrs import define, field
 
-from ..host.emulator import EmulatorDriver
+from ..host.emulator_driver import EmulatorDriver
 from ..host.transport import DeviceResetError, LinkError
 from ..model.contract.config import Config
 from ..model.contract.emulator import DEAD_MAX, LEVEL_BITS, RATE_BITS, SPREAD_MAX
@@ -27,7 +27,7 @@ from ..model.scenes.ambient import Ambient
 from ..model.scenes.scene import Scene, scene_light
 from ..model.shared.constants import SPEED_OF_LIGHT_M_S
 from ..model.shared.errors import InputError
-from ..tb.errors import Mismatch
+from ..tb.rtl_errors import Mismatch
 from .pictures import Panel, depth_row
 
 DEPTH = "depth.png"

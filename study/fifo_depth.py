@@ -8,7 +8,7 @@ shares the stream among the subgroups and first gets frames to settle.
 
 from collections.abc import Iterator
 
-from ..lab.run import Kept, Run
+from ..lab.outcomes import Kept, Run
 from ..lab.setup import SETTLING, Setup
 
 SCENE, SEED = "five-objects", 1

@@ -15,7 +15,7 @@ from matplotlib.axes import Axes
 from matplotlib.ticker import PercentFormatter
 
 from ..lab.campaign import Processes, grouped
-from ..lab.run import Run
+from ..lab.outcomes import Run
 from ..lab.setup import Setup, seeded
 from ..model.contract.pixels import pixel_table
 from ..model.depth.histograms import SOURCES, pixel_histogram

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..lab import run as lab
+from ..lab import outcomes
 from ..lab.options import OPTIONS, documented
 from ..lab.setup import Setup, scene_of
 from ..model.contract.config import SETTINGS, TABLES, Config, load_config
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from .show.notebook import PixelHistogram, Shown
 
 
-class Run(lab.Run):
+class Run(outcomes.Run):
     """A simulated run: its inputs, and the sensor's output of all its frames.
 
     `simulate` returns it. Arguments and errors of the methods are those of the functions that they name.

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..lab.run import Run
+from ..lab.outcomes import Run
 from ..lab.setup import SETTLING, Setup
 from ..model.contract.config import Config
 from ..model.contract.edges import Edges

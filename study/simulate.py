@@ -22,7 +22,7 @@ from rich.console import Console
 from rich.table import Table
 
 from ..lab.measures import Number
-from ..lab.run import Frame, Run
+from ..lab.outcomes import Frame, Run
 from ..lab.setup import SETTLING, Setup, fixed_thresholds, scene_of
 from ..model.contract.config import Config, sensor_table
 from ..model.contract.parameters import TOP, Sensor
@@ -40,15 +40,15 @@ from ..model.shared.errors import InputError
 from ..model.shared.extras import extra
 from ..model.shared.files import whole_file
 from ..model.shared.interrupts import in_background
-from ..tb.errors import Mismatch
-from ..tb.frames import FrameJob, Recorded
+from ..tb.frame_record import FrameJob, Recorded
 from ..tb.replay import DEFAULT_VIEW, chosen_view
-from ..tb.waves import views
+from ..tb.rtl_errors import Mismatch
+from ..tb.wave_views import views
 from .progress import Bar
-from .show.frame import frame_view
+from .show.frame_content import frame_view
 
 if TYPE_CHECKING:
-    from ..hdl.views import View
+    from ..hdl.front_end_views import View
 
 EVENTS, DEPTH, REPORT, PAGE = "events.npz", "depth.npz", "report.json", "report.html"
 PICTURES = {  # file: (estimator of `model/depth/estimate.py`, suffix of the report's keys, heading)

@@ -13,7 +13,7 @@ from collections.abc import Iterable
 import numpy as np
 from attrs import frozen
 
-from ..lab.run import Run
+from ..lab.outcomes import Run
 from ..lab.setup import Setup
 from ..model.contract.config import Config
 from ..model.depth.arrivals import pulse_sigma_ticks

@@ -18,8 +18,8 @@ from filelock import FileLock, Timeout
 from ..lab.campaign import KeptFiles, campaign, read_measures
 from ..lab.dask_workers import Dask, reason
 from ..lab.measures import SWEPT, Number
+from ..lab.outcome_table import to_table
 from ..lab.setup import versions
-from ..lab.table import to_table
 from ..model.shared.errors import InputError
 from ..model.shared.files import whole_file
 from .sweep_plot import write_plot

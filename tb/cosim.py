@@ -25,8 +25,7 @@ from coincid.model.contract import registers
 from coincid.model.contract.config import Config
 from coincid.model.contract.edges import Edges
 from coincid.model.contract.parameters import CLOCK_MHZ, Sensor
-from coincid.tb.errors import Mismatch
-from coincid.tb.frames import (
+from coincid.tb.frame_record import (
     JOB_VARIABLE,
     MISMATCH,
     PROGRESS,
@@ -36,6 +35,7 @@ from coincid.tb.frames import (
     cycle_limit,
     load_job,
 )
+from coincid.tb.rtl_errors import Mismatch
 from coincid.tb.scoreboard import Scoreboard
 from coincid.tb.stimulus import FS_PER_PS, line_levels, port_words
 

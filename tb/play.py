@@ -6,13 +6,13 @@ import tempfile
 from collections.abc import Callable
 from pathlib import Path
 
-from ..hdl.module import SensorModule
-from ..hdl.views import POLYPHASE, View
+from ..hdl.front_end_views import POLYPHASE, View
+from ..hdl.subgroup_pair import SensorModule
 from ..model.contract.parameters import TOP, Sensor
 from . import toolchain
-from .errors import Mismatch, SimulationError
-from .frames import MISMATCH, PROGRESS, RESULT, FrameJob, Recorded, save_job
+from .frame_record import MISMATCH, PROGRESS, RESULT, FrameJob, Recorded, save_job
 from .rtl import rtl, sensor_key
+from .rtl_errors import Mismatch, SimulationError
 from .scoreboard import check
 from .sliced import SlicedSensor, build_library
 
@@ -26,7 +26,7 @@ def prepare(engine: str, sensor: Sensor, waves: bool = False, view: View = POLYP
 
 
 def build_sensor(sensor: Sensor, simulator: str, waves: bool = False, view: View = POLYPHASE) -> toolchain.Build:
-    """Return the sensor in a view from `hdl/views.py`, compiled for a simulator, now or earlier."""
+    """Return the sensor in a view from `hdl/front_end_views.py`, compiled for a simulator, now or earlier."""
     delays = view != POLYPHASE
     public = [f"{TOP}.stored_of_*"] + [f"{TOP}.timing"] * delays
     return toolchain.build(

@@ -10,8 +10,8 @@ from ..hdl.sensor import SensorTop
 from ..model.contract import registers
 from ..model.contract.config import Config
 from ..model.contract.edges import Edges
-from .errors import SimulationError
-from .frames import cycle_limit
+from .frame_record import cycle_limit
+from .rtl_errors import SimulationError
 from .stimulus import port_words
 
 

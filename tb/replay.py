@@ -19,16 +19,16 @@ from ..model.shared.errors import InputError
 from ..model.shared.extras import extra
 from ..model.shared.quantities import check_choice
 from .engines import ENGINES, SIMULATORS
-from .frames import FrameJob, Recorded
+from .frame_record import FrameJob, Recorded
 
 if TYPE_CHECKING:
-    from ..hdl.views import View
+    from ..hdl.front_end_views import View
 
 DEFAULT_VIEW = "polyphase"
 
 
 def chosen_view(engine: str, view: "str | View", clock_mhz: float, waves: bool = False) -> "View | None":
-    """Return the view from `hdl/views.py` that `engine` runs, at a system clock; None for the golden model.
+    """Return the view from `hdl/front_end_views.py` that `engine` runs, at a system clock; None for the golden model.
 
     view: its name, or a view of a custom circuit. waves: a waveform of the whole sensor is wanted. Raises `InputError`,
     also if the engine cannot do it, or if the tools of the RTL are missing.
@@ -41,7 +41,7 @@ def chosen_view(engine: str, view: "str | View", clock_mhz: float, waves: bool =
     if engine == "golden" and view == DEFAULT_VIEW:
         return None
     with extra("rtl"):
-        from ..hdl.views import POLYPHASE, view_at
+        from ..hdl.front_end_views import POLYPHASE, view_at
         from . import play  # noqa: F401, its dependencies are there
     found = view_at(view, clock_mhz)
     if found != POLYPHASE:

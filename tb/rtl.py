@@ -5,10 +5,10 @@ from collections.abc import Callable
 from pathlib import Path
 
 from ..hdl.export import FILE_LIST, units_files, verilog_files
-from ..hdl.module import SensorModule, Slice
+from ..hdl.front_end_views import POLYPHASE, View
 from ..hdl.sensor import Core
+from ..hdl.subgroup_pair import SensorModule, Slice
 from ..hdl.unit import Unit
-from ..hdl.views import POLYPHASE, View
 from ..model.contract.parameters import SENSOR, Sensor
 from ..model.shared.folders import build_root
 from ..model.shared.sources import digest, sources_digest
@@ -33,7 +33,7 @@ def rtl(sensor: Sensor, view: View = POLYPHASE) -> list[Path]:
 
 
 def rtl_in_two(sensor: Sensor) -> tuple[list[Path], list[Path]]:
-    """Return the files of the core (`hdl/sensor.py`), and those of slice and module (`hdl/module.py`).
+    """Return the files of the core (`hdl/sensor.py`), and those of slice and module (`hdl/subgroup_pair.py`).
 
     They are for a program that wires slices to the core, and for the proof that the module is two slices.
     """

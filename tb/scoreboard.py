@@ -18,8 +18,8 @@ from ..model.contract.packet import (
 from ..model.contract.parameters import Sensor
 from ..model.contract.stream import packet_fields
 from ..model.golden.frame import Trace
-from .errors import Mismatch
-from .frames import Recorded
+from .frame_record import Recorded
+from .rtl_errors import Mismatch
 
 
 def locate(beats: np.ndarray, index: int, sensor: Sensor) -> tuple[int, int]:

@@ -8,16 +8,16 @@ the same block on both sides, so they are boxes whose outputs can be anything.
 
 from pathlib import Path
 
-from ..hdl.module import SensorModule, Slice
+from ..hdl.front_end_views import POLYPHASE
 from ..hdl.subgroup import Subgroup, own_ports
+from ..hdl.subgroup_pair import SensorModule, Slice
 from ..hdl.unit import Port, Unit
-from ..hdl.views import POLYPHASE
 from ..model.contract.parameters import Sensor
 from ..model.shared.folders import build_root
 from ..model.shared.sources import digest
 from ..tools.build import ToolchainError, build_once
 from ..tools.wheels import run_yosys
-from .errors import SimulationError
+from .rtl_errors import SimulationError
 
 STEPS = 6  # of the induction: after as many cycles, all registers follow from the inputs, except the TDC's count
 BOX, TWO = "box.v", "two.v"

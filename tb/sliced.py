@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Sliced engine: plays whole frames of the RTL without Python in the loop; every subgroup is a lane of a SIMD word.
 
-A subgroup with its line of the TDC (`hdl/module.py`, `Slice`) becomes a netlist in slices (room `slices`), the core is
+A subgroup with its line of the TDC (`hdl/subgroup_pair.py`, `Slice`) becomes a netlist in slices (room `slices`), the core is
 Verilated, and `sliced.cpp` wires them. So one pass plays all subgroups, and of several sensors as many as there are lanes.
 Registers are programmed over the real AXI4-Lite port; beats come back with the cycles of their transfer.
 """
@@ -18,9 +18,9 @@ from typing import Any
 import numpy as np
 
 from ..hdl.minigroup import Minigroup
-from ..hdl.module import Slice
 from ..hdl.sensor import COMBINED, CORE, GRANTED, LISTED
 from ..hdl.subgroup import shared_ports
+from ..hdl.subgroup_pair import Slice
 from ..host.driver import Driver
 from ..host.programmed import Programmed
 from ..host.transport import RefusedError
@@ -28,7 +28,7 @@ from ..model.contract import registers
 from ..model.contract.config import Config
 from ..model.contract.edges import Edges
 from ..model.contract.parameters import Sensor
-from ..model.contract.ports import port_bits
+from ..model.contract.spad_ports import port_bits
 from ..slices.emit import Sparse
 from ..slices.library import LANES, library, widest
 from ..slices.probe import Probe, numbers
@@ -37,9 +37,9 @@ from ..slices.waves import write_vcd
 from ..tools.libraries import Functions, array_at, load
 from . import toolchain
 from .engines import sensors_together
-from .errors import SimulationError
-from .frames import STORED_TO_COMMIT, FrameJob, Recorded, cycle_limit
+from .frame_record import STORED_TO_COMMIT, FrameJob, Recorded, cycle_limit
 from .rtl import rtl_in_two, sensor_key
+from .rtl_errors import SimulationError
 from .slice_proof import prove_module
 from .verilated import run_time, verilated_unit
 
@@ -304,7 +304,7 @@ class SlicedSensor:
         return array_at(pointer.value, (n, columns))
 
     def peek(self, subgroup: int, name: str) -> int:
-        """Return the present value of a signal of a subgroup, by its path below `hdl/module.py`'s `Slice`."""
+        """Return the present value of a signal of a subgroup, by its path below `hdl/subgroup_pair.py`'s `Slice`."""
         probe = _probe(self.sensor)
         words, lane = self._engine.words(self._number, subgroup, probe.layout.words)
         part = np.ascontiguousarray(words[:, lane // 64, None])

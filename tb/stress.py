@@ -19,9 +19,9 @@ from pathlib import Path
 from amaranth.hdl import Value
 
 from ..hdl.export import units_files
+from ..hdl.front_end_views import Asynchronous
 from ..hdl.silicon.circuit import Circuit
 from ..hdl.unit import Unit
-from ..hdl.views import Asynchronous
 from ..model.contract.parameters import Sensor
 from ..model.shared.errors import check_integer
 from ..model.shared.folders import build_root

@@ -28,7 +28,7 @@ from ..model.shared.folders import build_root
 from ..model.shared.sources import digest
 from ..tools.build import Compile, ToolchainError, build_once, compile_once, execute, install, require_programs, tail
 from .engines import SIMULATORS
-from .errors import SimulationError
+from .rtl_errors import SimulationError
 
 TIMESCALE = "1ns/1ps"
 VERILATOR_OPTIONS = ("-Wno-lint", "-O3", "--x-assign", "fast", "--x-initial", "fast", "--noassert")

@@ -33,10 +33,10 @@ from coincid.model.contract.stream import decode_frame
 from coincid.model.contract.windows import armed_cycle, close_cycle
 from coincid.model.golden.frame import Golden, Trace
 from coincid.tb import toolchain
-from coincid.tb.frames import save_job
+from coincid.tb.frame_record import save_job
 from coincid.tb.rtl import rtl
 
-from . import cases
+from . import random_cases
 from .benches import bench_environment
 from .mutation import frames
 
@@ -57,7 +57,7 @@ MODES = [f"coincidence={c} gating={g} auto={a}" for c, g, a in itertools.product
 SITUATIONS = {  # name -> required number
     **{f"{mode}, {name}": 10 for mode in MODES for name in FORMAT_NAMES},
     **{f"fate {fate.name.lower()}": 100 for fate in Fate},
-    **{f"stream {kind}": 10 for kind in cases.READY_KINDS},
+    **{f"stream {kind}": 10 for kind in random_cases.READY_KINDS},
     "edge at a window's last tick is counted": 20,
     "edge a tick after a window's end": 20,
     "window of a single tick": 20,
@@ -151,29 +151,36 @@ def functional() -> list[str]:
     """Return the situations that were not covered."""
     counts: collections.Counter = collections.Counter()
     for name in ("default", "tiny", "coarse", "odd"):
-        sensor = cases.SENSORS[name]
+        sensor = random_cases.SENSORS[name]
 
         @seed(SEED)
-        @cases.generated(EXAMPLES)
+        @random_cases.generated(EXAMPLES)
         @given(
-            cases.configurations(sensor, frames_max=1), st.integers(0, 2**32 - 1), st.sampled_from(cases.READY_KINDS)
+            random_cases.configurations(sensor, frames_max=1),
+            st.integers(0, 2**32 - 1),
+            st.sampled_from(random_cases.READY_KINDS),
         )
         def count(config, draw, kind):
-            edges = cases.trouble(config, draw, 12.0)
+            edges = random_cases.trouble(config, draw, 12.0)
             golden = Golden(config.sensor)
-            ready = cases.ready_pattern(draw, kind, config.pulses * config.period + 100)
+            ready = random_cases.ready_pattern(draw, kind, config.pulses * config.period + 100)
             for _ in range(2):  # the controller acts in the second
                 situations(config, edges, golden.frame(config, edges, ready), kind, counts)
 
         count()
         golden = None
-        for number, config in enumerate(config for config in cases.modes(sensor) for _ in range(2)):
+        for number, config in enumerate(config for config in random_cases.modes(sensor) for _ in range(2)):
             golden = golden or Golden(config.sensor)
-            kind, edges = cases.READY_KINDS[number % len(cases.READY_KINDS)], cases.trouble(config, number, 12.0)
-            situations(config, edges, golden.frame(config, edges, cases.ready_pattern(number, kind, 400)), kind, counts)
+            kind, edges = (
+                random_cases.READY_KINDS[number % len(random_cases.READY_KINDS)],
+                random_cases.trouble(config, number, 12.0),
+            )
+            situations(
+                config, edges, golden.frame(config, edges, random_cases.ready_pattern(number, kind, 400)), kind, counts
+            )
         golden, before = Golden(config.sensor), None
-        for config in cases.scarce(sensor):
-            trace = golden.frame(config, cases.trouble(config, 0, 25.0))
+        for config in random_cases.scarce(sensor):
+            trace = golden.frame(config, random_cases.trouble(config, 0, 25.0))
             if before:
                 steps(config, before, trace, counts)
             before = trace
@@ -189,14 +196,14 @@ def functional() -> list[str]:
 
 def rtl_coverage() -> list[str]:
     """Return uncovered lines and toggles of the RTL, after the frames of the mutation test and the tests of the ports."""
-    sensor = parse_config({"sensor": cases.SMALL}).sensor
+    sensor = parse_config({"sensor": random_cases.SMALL}).sensor
     options, public = ["--coverage-line", "--coverage-toggle"], [f"{TOP}.stored_of_*"]
     build = toolchain.build("verilator", rtl(sensor), TOP, key="coverage", public=public, options=options)
     points: collections.Counter = collections.Counter()
     with tempfile.TemporaryDirectory(prefix="coincid-") as scratch:
         benches = {
             "coincid.tb.cosim": save_job(Path(scratch) / "job", frames()),
-            "sensor_bench": bench_environment(cases.SMALL),
+            "sensor_bench": bench_environment(random_cases.SMALL),
         }
         for module, env in benches.items():
             folder = Path(scratch) / module
@@ -257,8 +264,8 @@ def python_coverage() -> list[str]:
 
 def emit() -> list[str]:
     """Emit every sensor of the regression, to cover its lines."""
-    for sensor in cases.SENSORS.values():
-        built = cases.built_sensor(sensor)
+    for sensor in random_cases.SENSORS.values():
+        built = random_cases.built_sensor(sensor)
         verilog_files(built)
         reset_values(built)
     return []

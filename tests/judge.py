@@ -28,7 +28,7 @@ def put_in_place(module: str, source: Path) -> None:
 def differs(jobs: Path) -> bool:
     """Return whether the golden model's result differs from the record of any job."""
     from coincid.model.golden.frame import Golden
-    from coincid.tb.frames import load_job
+    from coincid.tb.frame_record import load_job
 
     recorded, _ = load_job(jobs)
     for sensor, of_sensor in groupby(recorded, key=lambda job: job.config.sensor):

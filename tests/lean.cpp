@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // The whole sensor as Verilator makes it fastest, and a host around it: for comparisons of speed only.
 //
-// lean FILE REPEATS: plays the frame of FILE (numbers of 64 bits, see `engines.py`) and prints cycles, seconds, beats and
+// lean FILE REPEATS: plays the frame of FILE (numbers of 64 bits, see `engine_speed.py`) and prints cycles, seconds, beats and
 // a digest of the beats, of each repetition.
 #include <chrono>
 #include <cstdint>

@@ -41,11 +41,11 @@ from coincid.model.shared.sources import room_files
 from coincid.slices.library import LANES
 from coincid.slices.synthesis import Design
 from coincid.tb import toolchain
-from coincid.tb.frames import FrameJob, save_job
+from coincid.tb.frame_record import FrameJob, save_job
 from coincid.tb.rtl import rtl, sensor_key
 from coincid.tools.wheels import run_yosys
 
-from . import cases
+from . import random_cases
 from .lanes import Lanes
 from .session import session, watched
 
@@ -85,35 +85,35 @@ def excuse(what: str) -> str:
     return next((f"equal: {why}" for part, why in EQUIVALENT.items() if part in what), "")
 
 
-def frames(sensor: dict = cases.SMALL, drawn: int = FRAMES) -> list[FrameJob]:
+def frames(sensor: dict = random_cases.SMALL, drawn: int = FRAMES) -> list[FrameJob]:
     """Return the regression's frames for a sensor, the same in every run. drawn: how many of them have random settings."""
     jobs: list[FrameJob] = []
     golden = Golden(parse_config({"sensor": sensor}).sensor)
 
     @seed(CASES_SEED)
-    @cases.generated(drawn)
-    @given(config=cases.configurations(sensor, frames_max=1), draw=st.integers(0, 2**32 - 1))
+    @random_cases.generated(drawn)
+    @given(config=random_cases.configurations(sensor, frames_max=1), draw=st.integers(0, 2**32 - 1))
     def collect(config, draw):
         k = len(jobs)
         if k >= drawn:
             return
         config = config.with_frame(pulses=2 + k % 4, format=FORMAT_NAMES[k % len(FORMAT_NAMES)])
-        edges = cases.trouble(config, draw, (4.0, 12.0, 25.0, 1.0)[k // 4 % 4])
-        kind = cases.READY_KINDS[k % len(cases.READY_KINDS)]
-        ready = cases.ready_pattern(draw, kind, config.pulses * config.period + 100)
+        edges = random_cases.trouble(config, draw, (4.0, 12.0, 25.0, 1.0)[k // 4 % 4])
+        kind = random_cases.READY_KINDS[k % len(random_cases.READY_KINDS)]
+        ready = random_cases.ready_pattern(draw, kind, config.pulses * config.period + 100)
         jobs.append(FrameJob(config, edges, golden.frame(config, edges, ready), ready))
 
     collect()
     always, late = np.zeros(0, np.uint8), np.arange(480) // 80 == 3
     for config, density, ready in (
-        *((config, 300.0, always) for config in cases.gate_bits(sensor)),
-        *((config, 6.0, always) for config in cases.collections(sensor)),
-        (cases.dithered(sensor), 6.0, always),
-        (cases.overfull(sensor), 40.0, late),
-        (cases.lengthy(sensor), 2.0, always),
-        *((config, 25.0, always) for config in cases.scarce(sensor)),
+        *((config, 300.0, always) for config in random_cases.gate_bits(sensor)),
+        *((config, 6.0, always) for config in random_cases.collections(sensor)),
+        (random_cases.dithered(sensor), 6.0, always),
+        (random_cases.overfull(sensor), 40.0, late),
+        (random_cases.lengthy(sensor), 2.0, always),
+        *((config, 25.0, always) for config in random_cases.scarce(sensor)),
     ):
-        edges = cases.trouble(config, 0, density)
+        edges = random_cases.trouble(config, 0, density)
         jobs.append(FrameJob(config, edges, golden.frame(config, edges, ready), ready.astype(np.uint8)))
     return jobs
 
@@ -275,7 +275,7 @@ def rtl_mutants(total: int, folder: Path, seed_: int) -> list[Mutant]:
     None is of a clock, which has only one edge in slices, and none of a flip-flop's output, which does what one of its
     input does, a cycle later.
     """
-    files = {path.stem: path for path in rtl(parse_config({"sensor": cases.SMALL}).sensor)}
+    files = {path.stem: path for path in rtl(parse_config({"sensor": random_cases.SMALL}).sensor)}
     sizes = {name: len(zlib.compress(path.read_bytes())) for name, path in files.items()}
     mutants = []
     for name, path in files.items():
@@ -456,7 +456,7 @@ def main() -> None:
     print(f"seed {given_.seed}: --seed repeats or changes the choice")
     jobs = frames()
     # The second sensor has five subgroups and two streams.
-    save_job(folder / "jobs", [*jobs, *frames(cases.SENSORS["odd"])])
+    save_job(folder / "jobs", [*jobs, *frames(random_cases.SENSORS["odd"])])
     rng = np.random.default_rng(given_.seed)
 
     def tell(fate: Fate) -> None:

@@ -183,16 +183,16 @@ MISTAKES: dict[tuple[str, tuple[str, ...], tuple[tuple[str, ...], ...]], dict[st
         "golden-budget-beyond-capacity": ("max(share, min(candidate, capacity))", "max(share, candidate)"),
         "golden-limit-not-lowered": ("max(fitting, top)", "max(fitting, limit)"),
     },
-    ("model/scenes/planes.py", (), (ORIENTATION,)): {
+    ("model/scenes/flat_scenes.py", (), (ORIENTATION,)): {
         "scene-mirrored": ("(np.arange(cols) + 0.5) / cols", "(np.arange(cols)[::-1] + 0.5) / cols")
     },
     ("model/light/walk.py", (), (INDEPENDENCE,)): {
         "crosstalk-draws-shared": ("uniform(key, CROSSTALK, 4 * fired + side)", "uniform(key, CROSSTALK, fired + side)")
     },
-    ("host/frames.py", (), (("tests/host/test_host.py", "-k", "cut_anywhere"),)): {
+    ("host/frame_assembly.py", (), (("tests/host/test_host.py", "-k", "cut_anywhere"),)): {
         "streams-alike": ("sensor.stream_subgroups(stream)", "sensor.stream_subgroups(0)")
     },
-    ("study/rivals.py", (), (("tests/study/test_rivals.py", "-k", "by_hand"),)): {
+    ("study/other_schemes.py", (), (("tests/study/test_rivals.py", "-k", "by_hand"),)): {
         "rivals-streams-alike": ("sensor.stream_subgroups(stream)", "sensor.stream_subgroups(0)")
     },
     ("hdl/readout.py", ("readout",), (FRAMES, SLICED)): {"tlast-early": ("to_end == 1)", "to_end == 2)")},

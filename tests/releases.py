@@ -4,7 +4,7 @@
 from pathlib import Path
 
 from coincid.flow.release import write_release
-from coincid.hdl.views import POLYPHASE, VIEWS
+from coincid.hdl.front_end_views import POLYPHASE, VIEWS
 from coincid.model.contract.config import parse_config
 from coincid.model.shared.folders import build_root
 from coincid.model.shared.sources import digest, sources_digest

@@ -21,9 +21,9 @@ from coincid.model.contract.registers import DATA_BITS, MODE, WRITABLE
 from coincid.model.contract.registers import Access as Use
 from coincid.model.contract.settings import AUTO_BOUNDS
 from coincid.slices.emit import Emission
-from coincid.tb.frames import FrameJob
+from coincid.tb.frame_record import FrameJob
 
-from . import cases
+from . import random_cases
 from .lanes import FLIPS, GAP, RESET, Access
 
 WHOLE = 15  # strobe of a word
@@ -114,9 +114,9 @@ def _lights(jobs: Sequence[FrameJob], rng: random.Random) -> Iterator[Part]:
         if k % 3 == 0:
             config = _far(config, rng).with_settings(gating=True)
         density = rng.choice((4.0, 12.0, 30.0, 80.0)) * min(1, 4 / config.pulses)
-        kind = cases.READY_KINDS[k // 3 % len(cases.READY_KINDS)]
-        ready = cases.ready_pattern(k, kind, config.pulses * config.period + 100)
-        job = FrameJob(config, cases.trouble(config, k, density), jobs[0].expected, ready)
+        kind = random_cases.READY_KINDS[k // 3 % len(random_cases.READY_KINDS)]
+        ready = random_cases.ready_pattern(k, kind, config.pulses * config.period + 100)
+        job = FrameJob(config, random_cases.trouble(config, k, density), jobs[0].expected, ready)
         yield part("light", job)
 
 

@@ -16,7 +16,7 @@ from coincid.model.golden.frame import Golden
 from coincid.tb.scoreboard import check
 from coincid.tb.sliced import SlicedSensor
 
-from .cases import configured
+from .random_cases import configured
 
 KLUX = 50.0
 DEAD_TICKS = 128  # 8 ns: at saturation, a pixel fires again as soon as it can

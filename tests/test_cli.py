@@ -20,7 +20,7 @@ from coincid.flow.register_files import HEADER, JSON, MARKDOWN
 from coincid.flow.release import CELLS_LIST
 from coincid.flow.waivers import OF_CELLS, WAIVERS
 from coincid.hdl.export import FILE_LIST
-from coincid.hdl.views import POLYPHASE, VIEWS
+from coincid.hdl.front_end_views import POLYPHASE, VIEWS
 from coincid.model.contract.config import load_config, parse_config
 from coincid.model.contract.edges import NAMES, Edges
 from coincid.model.contract.parameters import TOP
@@ -29,8 +29,8 @@ from coincid.model.contract.result import differences, stall
 from coincid.model.golden.frame import golden_result
 from coincid.model.light.link_budget import link_budget
 
-from .cases import SENSORS
 from .command import assert_refused, command
+from .random_cases import SENSORS
 from .releases import small_releases
 
 CONFIG = """

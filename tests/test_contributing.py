@@ -23,7 +23,7 @@ from coincid.model.contract.config import changes_of_text, load_config, parse_co
 from coincid.model.contract.registers import BY_NAME, address
 from coincid.model.shared.errors import InputError
 from coincid.study.explore.controls import CONTROL
-from coincid.study.explore.settings import check_settings
+from coincid.study.explore.control_values import check_settings
 from coincid.study.sweep_plot import LABELS
 from coincid.study.sweep_spec import read_spec
 
@@ -56,7 +56,7 @@ from coincid.model.contract.edges import Edges
 from coincid.model.contract.stream import decode_frame
 from coincid.model.golden.frame import Golden, golden_result
 from coincid.tb.sliced import SlicedSensor
-from tests.cases import SMALL, built_sensor
+from tests.random_cases import SMALL, built_sensor
 from tests.flow.test_c_driver import Info, bus_of, compiled_driver, packets
 
 sensor = built_sensor(SMALL)

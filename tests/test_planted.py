@@ -6,7 +6,7 @@ import ast
 import pytest
 
 from coincid.formal import prove as prover
-from coincid.formal.bench import PROOFS
+from coincid.formal.proof_bench import PROOFS
 
 from .mutation import GOLDEN_SOURCES, golden_mutant, golden_mutants
 from .planted import BUGS, ROOT

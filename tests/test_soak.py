@@ -4,7 +4,7 @@
 import numpy as np
 import pytest
 
-from .cases import SENSORS
+from .random_cases import SENSORS
 from .soak import DEAD_TICKS, LIGHTS, configuration, saturation, soak
 
 

@@ -14,7 +14,7 @@ ROOT = Path(__file__).parents[1]
 ROOMS = ("model", "tools", "host", "hdl", "slices", "tb", "flow", "formal", "lab", "study")
 PRESETS_AND_SCENES = """
 import coincid
-from coincid.hdl.views import view_at
+from coincid.hdl.front_end_views import view_at
 
 assert {here!r} in coincid.__file__, coincid.__file__
 config = coincid.load_config("fpga")

@@ -40,8 +40,8 @@ from coincid.slices.netlist import ZERO
 from coincid.slices.synthesis import Design
 from coincid.tb.rtl import rtl, sensor_key
 
-from .cases import configured, trouble
 from .lanes import AFTER, FRAMES, OUTCOMES, Lanes, Shown
+from .random_cases import configured, trouble
 
 WAITS = ("the bus waits", "never done")  # outcomes that no upset may have
 INSTANTS = 4  # at which every flip-flop flips

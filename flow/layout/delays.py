@@ -10,8 +10,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Protocol
 
+from ...hdl.front_end_views import POLYPHASE, View
 from ...hdl.unit import Unit
-from ...hdl.views import POLYPHASE, View
 from ...model.contract.parameters import TOP, Sensor
 from ...model.shared.folders import build_root
 from ...tb import toolchain

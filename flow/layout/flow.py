@@ -19,8 +19,8 @@ from typing import TYPE_CHECKING, Any
 from attrs import asdict, frozen
 
 from ...hdl.export import units_files
+from ...hdl.front_end_views import POLYPHASE, View
 from ...hdl.unit import Unit
-from ...hdl.views import POLYPHASE, View
 from ...model.shared.errors import InputError
 from ...model.shared.folders import build_root
 from ...model.shared.sources import digest

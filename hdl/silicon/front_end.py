@@ -14,10 +14,10 @@ from ..logic import any_of, popcount, total
 from ..tree import front_ports
 from ..unit import Unit, place
 from .circuit import HIT_FS, Circuit, arbiter_rows, delayed, hit_flop, johnson_number, lag_fs, sample
-from .control import AsyncControl
 from .event_tree import EventTree, mark_bits
 from .minigroup import AsyncMinigroup
 from .tdc import line_signature
+from .window_control import AsyncControl
 
 
 class FrontEndState:

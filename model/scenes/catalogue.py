@@ -15,7 +15,7 @@ from ..shared.files import FilePath
 from ..shared.quantities import check_real
 from .daylight import SHADE, sun_and_shade, tunnel
 from .depth_file import depth_scene
-from .planes import FIVE_OBJECTS, LETTER_F, flat, planes_scene, returns, two_targets
+from .flat_scenes import FIVE_OBJECTS, LETTER_F, flat, planes_scene, returns, two_targets
 from .ray_scene import is_ray_scene, ray_scene
 from .scene import REFLECTIVITY, Scene
 

@@ -9,7 +9,7 @@ import math
 import numpy as np
 
 from ..light.link_budget import Optics
-from .planes import Plane, planes_scene
+from .flat_scenes import Plane, planes_scene
 from .scene import Scene
 
 SHADE = 0.01  # share of the sun's light that reaches the shade: 1 klux beside 100

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ...lab.run import Run
+from ...lab.outcomes import Run
 from ...lab.setup import SETTLING, Setup, scene_of
 from ...model.contract.config import load_config
 from ...model.depth.quality import wrong_share

@@ -2,7 +2,7 @@
 """The explorer's controls: one table of all settings, each with its unit, range and a sentence.
 
 Settings of the configuration file have the range and the unit, and by default also the default value and the sentence,
-of the configuration's own tables, whose parser checks them (`settings.py`). The other settings have their range here.
+of the configuration's own tables, whose parser checks them (`control_values.py`). The other settings have their range here.
 Settings of the file that are not described here come last, automatically.
 """
 

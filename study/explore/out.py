@@ -12,8 +12,8 @@ from attrs import frozen
 from ...model.contract.result import EVENT_COLUMNS
 from ..pictures import Panel, draw_row
 from ..plot_style import figure_bytes
-from .run import Explored
-from .settings import config_toml
+from .control_values import config_toml
+from .stages import Explored
 
 File: TypeAlias = tuple[str, str, bytes]  # name, media type, content
 

@@ -19,8 +19,8 @@ from tornado.netutil import bind_sockets
 from tornado.web import ErrorHandler
 
 from ...model.shared.errors import InputError, check_integer
-from .page import Page
-from .settings import Settings, values_of_link
+from .control_values import Settings, values_of_link
+from .tab import Page
 
 ADDRESS, PORT = "127.0.0.1", 5006
 PORTS_TRIED = 20  # from `PORT` on, if none is given

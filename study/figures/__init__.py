@@ -8,8 +8,8 @@ from pathlib import Path
 from ...lab.campaign import Processes, Progress
 from ...model.shared.files import FilePath
 from ..plot_style import style
-from . import architect, four_modes, interference, light, reconstruction, rivals, thresholds, validity
-from .page import Section, write_page, write_section
+from . import architect, four_modes, interference, light_over_distance, reconstruction, rivals, thresholds, validity
+from .sections import Section, write_page, write_section
 
 TITLE = "Coincid: the paper's figures, and an architect's questions"
 INTRODUCTION = """<p>Each figure is made from the equations as printed (literal), as corrected, and from a Monte Carlo of photons through
@@ -53,8 +53,8 @@ def make(
         TITLE,
         INTRODUCTION,
         (
-            light.figure_2,
-            light.figure_5,
+            light_over_distance.figure_2,
+            light_over_distance.figure_5,
             partial(reconstruction.figure_6, engine=engine),
             thresholds.figure_7,
             partial(reconstruction.figure_8, engine=engine),

@@ -16,8 +16,8 @@ from ...model.depth.histograms import by_subgroup
 from ...model.light.spad import Spad, dark_count_map
 from ..palette import ALARM, GREY, INK, LIGHT_GREY, SERIES
 from ..plot_style import legend_below, new_figure, share_axis
-from .cases import MANY, PULSES, Outcome, cases, mean, mean_rows, outcome
-from .page import Comparison, Section, section
+from .sections import Comparison, Section, section
+from .setups import MANY, PULSES, Outcome, cases, mean, mean_rows, outcome
 
 Outcomes: TypeAlias = dict[tuple[Any, ...], list[Outcome]]  # by the varied settings
 METHODS = ("planes", "matched")

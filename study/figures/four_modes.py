@@ -17,7 +17,7 @@ from matplotlib.ticker import PercentFormatter
 from numpy.typing import ArrayLike
 
 from ...lab.campaign import Processes, grouped
-from ...lab.run import Run
+from ...lab.outcomes import Run
 from ...lab.setup import Setup, seeded
 from ...model.contract.result import differences
 from ...model.light.light import Light, background_cps, signal_per_pulse
@@ -25,8 +25,8 @@ from ...model.light.timing import Timing
 from ...model.shared.constants import SPEED_OF_LIGHT_M_S
 from ..palette import GREY, INK, SERIES
 from ..plot_style import legend_below, new_figure
-from .cases import PULSES, Outcome, mean, mean_rows, outcome
-from .page import Comparison, Row, Section, section
+from .sections import Comparison, Row, Section, section
+from .setups import PULSES, Outcome, mean, mean_rows, outcome
 
 SENSOR = {"rows": 16, "cols": 16}  # four subgroups, which is a quarter of the paper's array ...
 LINK_GBPS = 2.0  # ... and a quarter of the link of `make sim`

@@ -7,7 +7,7 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 
 from ...lab.campaign import Processes, grouped
-from ...lab.run import Run
+from ...lab.outcomes import Run
 from ...lab.setup import Setup
 from ...model.depth.quality import wrong_share
 from ...model.light.light import Interferer
@@ -17,9 +17,9 @@ from ...model.scenes.scene import scene_light
 from ..comparison import PULSES, compared, schemes
 from ..palette import SERIES
 from ..plot_style import legend_below, new_figure, share_axis
-from .cases import SCENE
-from .page import Row, Section, section
 from .rivals import STYLES
+from .sections import Row, Section, section
+from .setups import SCENE
 
 SIDE, KLUX, SEEDS = 32, 20.0, 3
 SHOWN = ("winner: planes", "this: fixed", "this: controller", "this: fixed planes", "this: controller planes")

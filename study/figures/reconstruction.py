@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from ...lab.campaign import Processes, grouped
-from ...lab.run import Run
+from ...lab.outcomes import Run
 from ...lab.setup import Setup
 from ...model.contract.pixels import pixel_table
 from ...model.depth.quality import TOLERANCE_M, wrong_pixels
@@ -17,8 +17,8 @@ from ...model.light.timing import Timing
 from ...model.scenes.scene import Scene
 from ...model.shared.constants import SPEED_OF_LIGHT_M_S
 from ..pictures import Panel, draw_row
-from .cases import MANY, PULSES, Outcome, cases, mean, outcome
-from .page import Comparison, Row, Section
+from .sections import Comparison, Row, Section
+from .setups import MANY, PULSES, Outcome, cases, mean, outcome
 
 METHODS = ("maximum", "matched", "background", "planes")
 SEEDS = 4

@@ -18,8 +18,8 @@ from ...model.scenes.catalogue import load_scene
 from ..comparison import PULSES, RETURNS, SCHEMES, THRESHOLD, Found, compared, schemes
 from ..palette import ALARM, AMBER, BLUE, GREEN, GREY, INK, SKY, VIOLET
 from ..plot_style import legend_below, new_figure, share_axis
-from .cases import SCENE
-from .page import Row, Section, section
+from .sections import Row, Section, section
+from .setups import SCENE
 
 SIDE, SMALL = 32, 16  # pixels; small arrays for two targets and the sign, which are the same in every subgroup
 KLUX = (1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)

@@ -14,8 +14,8 @@ from ...model.light.link_budget import FORMS
 from ...model.light.timing import Timing
 from ..palette import GREY, INK
 from ..plot_style import SOURCES, legend_below, new_figure
-from .cases import MANY, PULSES, cases, mean, outcome
-from .page import Comparison, Row, Section, section
+from .sections import Comparison, Row, Section, section
+from .setups import MANY, PULSES, cases, mean, outcome
 
 DISTANCE_M = 9.7
 SIGNAL = np.geomspace(0.015, 0.235, 9)  # photons per pixel and pulse: 0.23 is a reflectivity of 0.9 at 9.7 m

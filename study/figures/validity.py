@@ -6,7 +6,7 @@ from itertools import product
 import numpy as np
 
 from ...lab.campaign import Processes, campaign
-from ...lab.run import Run
+from ...lab.outcomes import Run
 from ...lab.setup import Setup
 from ...model.light.analytic import VALID_DEAD_FRACTION, histogram
 from ...model.light.light import Light, background_cps
@@ -16,8 +16,8 @@ from ...model.light.timing import Timing
 from ...model.shared.constants import SPEED_OF_LIGHT_M_S
 from ..palette import DARK_GREY, LIGHT_GREY, SERIES
 from ..plot_style import SOURCES, legend_below, new_figure
-from .cases import MANY
-from .page import Comparison, Row, Section, section
+from .sections import Comparison, Row, Section, section
+from .setups import MANY
 
 KLUX = (1.0, 5.0, 20.0, 50.0, 100.0, 200.0, 400.0, 1000.0, 2000.0)
 DISTANCE_M, SIGNAL = 9.7, 0.05  # 3.2 photons per pulse in the subgroup: a dark object

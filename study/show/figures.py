@@ -48,7 +48,7 @@ from ..palette import (
     TITLE_PX,
     VERMILION,
 )
-from .frame import HISTOGRAM_BIN_M, FrameView
+from .frame_content import HISTOGRAM_BIN_M, FrameView
 from .timeline import Period, Verdict
 
 Columns: TypeAlias = dict[str, Any]  # columns of a source

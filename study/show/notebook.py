@@ -10,15 +10,15 @@ from typing import Any
 import numpy as np
 from attrs import frozen
 
-from ...lab.run import Run
+from ...lab.outcomes import Run
 from ...model.depth.histograms import pixel_histogram
 from ...model.shared.errors import InputError, check_integer
 from ...model.shared.extras import extra
 from ...model.shared.files import FilePath, whole_file
 from ..pictures import Panel, draw_row
 from ..plot_style import figure_bytes
-from .frame import FrameView, frame_view
-from .page import FILES
+from .assets import FILES
+from .frame_content import FrameView, frame_view
 from .words import number_rows, story
 
 

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """`report.html`: the views of a run in one file that needs no server and no network, to be sent to a colleague.
 
-The page's script computes nothing; it only looks up data from `timeline.py` and `frame.py`.
+The page's script computes nothing; it only looks up data from `timeline.py` and `frame_content.py`.
 """
 
 import json
@@ -18,6 +18,7 @@ from jinja2 import Environment, FileSystemLoader
 
 from ...model.contract.pixels import pixel_table
 from ...model.shared.files import FilePath, whole_file
+from .assets import FILES, SHOW
 from .figures import (
     CHOICE_MARKS,
     CHOSEN,
@@ -31,8 +32,7 @@ from .figures import (
     map_columns,
     map_scales,
 )
-from .frame import HISTOGRAM_BIN_M, FrameView
-from .page import FILES, SHOW
+from .frame_content import HISTOGRAM_BIN_M, FrameView
 from .timeline import Windows, gate_of
 from .words import OBJECT_HEADS, number_rows, object_table, story
 

@@ -4,7 +4,7 @@
 from collections.abc import Callable
 from typing import TypeAlias
 
-from .frame import FrameView
+from .frame_content import FrameView
 
 _Form: TypeAlias = Callable[[float], str]
 _COUNT, _SHARE = "{:,.0f}".format, "{:.1%}".format

@@ -14,8 +14,8 @@ from cocotb.triggers import ClockCycles, FallingEdge, Timer
 from cocotb.utils import get_sim_time
 
 from coincid.host.driver import read_sensor
-from coincid.host.emulator import EmulatorDriver
-from coincid.host.serial_link import SerialTransport, frame
+from coincid.host.emulator_driver import EmulatorDriver
+from coincid.host.serial_transport import SerialTransport, frame
 from coincid.host.transport import DeviceResetError, LinkError
 from coincid.model.contract.config import parse_config, sensor_table
 from coincid.model.contract.parameters import Sensor

@@ -8,14 +8,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from coincid.host.frames import FrameAssembler
+from coincid.host.frame_assembly import FrameAssembler
 from coincid.model.contract.packet import BEAT_BITS
 from coincid.model.contract.stream import StreamError, decode_frame, packet_starts
 from coincid.model.golden.frame import Golden
 
-from .. import cases
+from .. import random_cases
 
-SENSORS = {name: cases.built_sensor(table) for name, table in cases.SENSORS.items()}
+SENSORS = {name: random_cases.built_sensor(table) for name, table in random_cases.SENSORS.items()}
 ROWS = ("events", "hits", "offsets", "records", "entries")
 
 
@@ -81,12 +81,12 @@ def rows(frame, with_offsets):
 def crowded(name, form, seed=1, pulses=9, **frame):
     """Return a frame of a sensor with many events of all sizes, and its configuration."""
     period = 3 * SENSORS[name].guard + 20
-    config = cases.configured(
-        cases.SENSORS[name],
+    config = random_cases.configured(
+        random_cases.SENSORS[name],
         {"period": period, "pulses": pulses, "format": form} | frame,
         {"threshold": 1, "window": SENSORS[name].phases},
     )
-    edges = cases.trouble(config, seed, 12.0)
+    edges = random_cases.trouble(config, seed, 12.0)
     return config, Golden(config.sensor).frame(config, edges)
 
 

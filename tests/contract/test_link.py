@@ -14,7 +14,7 @@ from coincid.model.contract.result import differences
 from coincid.model.shared.errors import InputError
 from coincid.tb.replay import replay
 
-from ..cases import SENSORS, trouble
+from ..random_cases import SENSORS, trouble
 
 SMALL = {"sensor": SENSORS["coarse"], "frame": {"pulses": 3, "period": 40}, "subgroup": {"threshold": 1, "window": 4}}
 

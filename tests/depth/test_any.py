@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from coincid.lab.run import Run
+from coincid.lab.outcomes import Run
 from coincid.lab.setup import Setup
 from coincid.model.depth.belief import Reason
 from coincid.model.depth.estimate import METHODS
@@ -15,7 +15,7 @@ from coincid.model.light.light import Light
 from coincid.model.shared.constants import SPEED_OF_LIGHT_M_S
 from coincid.model.shared.errors import InputError
 
-from ..cases import SENSORS, configurations
+from ..random_cases import SENSORS, configurations
 
 EXAMPLES = 30
 PULSES = (1, 2, 7, 100, 1000, 10_000)

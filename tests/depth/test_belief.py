@@ -4,14 +4,14 @@
 import numpy as np
 import pytest
 
-from coincid.lab.run import Run
+from coincid.lab.outcomes import Run
 from coincid.lab.setup import Setup
 from coincid.model.depth.belief import SENTENCES, Reason
 from coincid.model.depth.estimate import METHODS
 from coincid.model.depth.quality import TOLERANCE_M
 from coincid.model.scenes.scene import Scene
 from coincid.model.shared.constants import SPEED_OF_LIGHT_M_S
-from coincid.study.belief import NINETY, random_setup, truth_m
+from coincid.study.confidence import NINETY, random_setup, truth_m
 
 SENSOR = {"rows": 16, "cols": 16}
 OFF = {"coincidence": False}

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from coincid.lab.run import Run
+from coincid.lab.outcomes import Run
 from coincid.lab.setup import Setup
 from coincid.model.contract.config import parse_config
 from coincid.model.depth.arrivals import lead_sigmas, photons_of

@@ -13,17 +13,17 @@ from coincid.flow.emulator_release import PINS, TOPS, emulator_release
 from coincid.flow.gls import emulator_netlist
 from coincid.flow.lint import lint_emulator
 from coincid.hdl.emulator.ulx3s import BOARD_TOP, OSCILLATOR_MHZ, pll
-from coincid.host.emulator import EmulatorDriver
-from coincid.host.serial_link import SerialTransport
+from coincid.host.emulator_driver import EmulatorDriver
+from coincid.host.serial_transport import SerialTransport
 from coincid.model.contract.config import load_config
 from coincid.model.contract.emulator import Emulator
 from coincid.model.contract.parameters import Sensor
 from coincid.model.light.on_chip import SourceSettings
 from coincid.model.shared.errors import InputError
 from coincid.study.emulate import Session
-from coincid.tb.emulator import PATIENCE_S, SimulatedPort
+from coincid.tb.verilated_emulator import PATIENCE_S, SimulatedPort
 
-from ..cases import configured
+from ..random_cases import configured
 
 SENSOR = Sensor(rows=4, cols=4, phases=4, window_max=4, coarse_bits=6, fifo_depth=4, subgroup=(4, 4), minigroup=(4, 4))
 

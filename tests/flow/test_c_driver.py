@@ -21,8 +21,8 @@ from coincid.model.contract.stream import decode_frame
 from coincid.model.golden.frame import Golden
 from coincid.tb.sliced import SlicedSensor
 
-from .. import cases
-from ..cases import configured, random_edges
+from .. import random_cases
+from ..random_cases import configured, random_edges
 
 SENSOR = Sensor(rows=8, cols=16)
 FLAGS = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", "-O1"]
@@ -175,21 +175,21 @@ def events_of(library, info, packet):
         yield columns, list(words[: -(-info.pixels // 64)]), offsets
 
 
-@pytest.mark.parametrize("name", cases.SENSORS)
+@pytest.mark.parametrize("name", random_cases.SENSORS)
 @pytest.mark.parametrize("form", ("compact", "compact-full"))
 def test_groups_are_decoded(name, form):
     """All events of whole frames; of damaged ones, those that the decoder in Python still finds."""
-    sensor, info = cases.built_sensor(cases.SENSORS[name]), Info()
+    sensor, info = random_cases.built_sensor(random_cases.SENSORS[name]), Info()
     library, rng = compiled_driver(sensor), np.random.default_rng(1)
     of = configured(
-        cases.SENSORS[name],
+        random_cases.SENSORS[name],
         {"period": 2 * sensor.guard + 40, "pulses": 8, "format": form, "minigroup_records": True, "mg_threshold": 1},
         {"threshold": 1, "window": sensor.phases},
     )
     bus = Bus(None, READ(lambda _, address, value: read_constant(sensor, address, value)), WRITE(lambda *_: 1))
     assert library.coincid_probe(ctypes.byref(bus), ctypes.byref(info)) == 0
     for trial in range(12):
-        trace = Golden(sensor).frame(of, cases.trouble(of, trial, 12.0))
+        trace = Golden(sensor).frame(of, random_cases.trouble(of, trial, 12.0))
         for stream, beats in enumerate(trace.beats):
             info.subgroups = len(sensor.stream_subgroups(stream))
             if trial:

@@ -32,7 +32,7 @@ from coincid.tb import toolchain
 from coincid.tb.rtl import rtl
 from coincid.tools.wheels import run_yosys
 
-from ..cases import LEAN, SENSORS
+from ..random_cases import LEAN, SENSORS
 from ..releases import CLOCK_MHZ, SMALL, config, document, small_releases
 
 TOPS = [("silicon", TOP, SMOKE), ("fpga", TOP, SMOKE), ("fpga", FPGA_TOP, FPGA_SMOKE), ("async", TOP, SMOKE)]
@@ -185,7 +185,7 @@ def test_presets_of_one_process_do_not_mix(releases, tmp_path):
     script = (
         "import sys\n"
         "from coincid.flow.release import write_release\n"
-        "from coincid.hdl.views import POLYPHASE, VIEWS\n"
+        "from coincid.hdl.front_end_views import POLYPHASE, VIEWS\n"
         "from coincid.model.contract.config import parse_config\n"
         "write_release(sys.argv[1], parse_config(eval(sys.argv[2])), VIEWS.get(sys.argv[3], POLYPHASE))"
     )

@@ -6,7 +6,7 @@ from functools import partial
 import pytest
 from amaranth.hdl import Signal
 
-from coincid.formal.bench import PROOFS, Bench, Proof
+from coincid.formal.proof_bench import PROOFS, Bench, Proof
 from coincid.formal.prove import prove
 from coincid.formal.solver import commands
 

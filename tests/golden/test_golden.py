@@ -16,7 +16,7 @@ from coincid.model.golden.frame import Golden, golden_result
 from coincid.model.golden.shape import COUNTER
 
 from ..benches.plain_model import PlainController, PlainSubgroup, period_starts, plain_run
-from ..cases import READY_KINDS, SENSORS, configurations, controlled, ready_pattern, trouble
+from ..random_cases import READY_KINDS, SENSORS, configurations, controlled, ready_pattern, trouble
 
 seeds = st.integers(0, 2**32 - 1)
 densities = st.sampled_from((0.0, 0.5, 4.0, 20.0, 40.0))

@@ -6,7 +6,7 @@ from coincid.tb.play import build_sensor
 from coincid.tb.rtl import rtl
 
 from ..benches import bench_environment
-from ..cases import SMALL
+from ..random_cases import SMALL
 
 
 def test_faults(tmp_path):

@@ -8,7 +8,7 @@ from coincid.tb.engines import SIMULATORS
 from coincid.tb.play import build_sensor
 
 from ..benches import bench_environment
-from ..cases import LEAN, SMALL
+from ..random_cases import LEAN, SMALL
 
 BENCH_SENSORS = {"icarus": SMALL, "verilator": {"rows": 8, "cols": 16}}  # the mutants are small sensors on Icarus
 

@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 from coincid.host.driver import Driver, Status, read_sensor
-from coincid.host.frames import FrameAssembler
-from coincid.host.memory import MemoryTransport
+from coincid.host.frame_assembly import FrameAssembler
+from coincid.host.mapped_memory import MemoryTransport
 from coincid.host.names import find
 from coincid.host.programmed import Programmed, runs
 from coincid.host.transport import HostError, RefusedError
@@ -21,7 +21,7 @@ from coincid.model.golden.frame import Golden
 from coincid.model.shared.errors import InputError
 from coincid.tb.sliced import SlicedSensor
 
-from ..cases import SENSORS, built_sensor, configured, random_edges
+from ..random_cases import SENSORS, built_sensor, configured, random_edges
 
 SENSOR = Sensor(rows=8, cols=16)
 ODD = built_sensor(SENSORS["odd"])  # streams of three and two subgroups

@@ -10,16 +10,16 @@ import ctypes
 import numpy as np
 import pytest
 
-from coincid.host.emulator import EmulatorDriver
-from coincid.host.serial_link import SerialTransport
+from coincid.host.emulator_driver import EmulatorDriver
+from coincid.host.serial_transport import SerialTransport
 from coincid.model.contract.emulator import Emulator
 from coincid.model.contract.parameters import Sensor
 from coincid.model.golden.frame import Golden
 from coincid.model.light.on_chip import SourceSettings, source_edges
-from coincid.tb.emulator import PATIENCE_S, SimulatedPort
+from coincid.tb.verilated_emulator import PATIENCE_S, SimulatedPort
 
-from ..cases import configured
 from ..flow.test_c_driver import Info, bus_of, compiled_driver
+from ..random_cases import configured
 
 SENSOR = Sensor(rows=4, cols=8, phases=8, window_max=16, subgroup=(4, 4))
 EMULATOR = Emulator(sensor=SENSOR, buffer_beats=64, clocks_per_bit=4)

@@ -12,9 +12,9 @@ from coincid.lab.campaign import KeptFiles, Processes, campaign, grouped, read_m
 from coincid.lab.compile_ahead import estimate_anything
 from coincid.lab.dask_workers import Dask
 from coincid.lab.measures import MEASURES, SWEPT
-from coincid.lab.run import Kept, Run
+from coincid.lab.outcome_table import to_table
+from coincid.lab.outcomes import Kept, Run
 from coincid.lab.setup import Setup, seeded
-from coincid.lab.table import to_table
 from coincid.model.contract.edges import Edges
 from coincid.model.golden.frame import golden_result
 from coincid.model.light.spad import Spad

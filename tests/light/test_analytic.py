@@ -21,7 +21,7 @@ from coincid.model.light.timing import Timing
 from coincid.model.shared.constants import SIGMA_PER_FWHM, SPEED_OF_LIGHT_M_S
 from coincid.model.shared.errors import InputError
 
-from ..cases import configured
+from ..random_cases import configured
 
 LITERAL, CORRECTED = analytic.FORMS
 DISTANCE_M = 20.0

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from coincid.lab.run import Run
+from coincid.lab.outcomes import Run
 from coincid.model.contract.config import parse_config
 from coincid.model.contract.dither import LFSR_BITS, start_cycles
 from coincid.model.light.light import Interferer, Light

@@ -13,7 +13,7 @@ from coincid.model.contract.emulator import LEVEL_BITS, RATE_BITS, SEED_BIT, STA
 from coincid.model.light.on_chip import SourceSettings, _tables, advance, cipher, seeds, source_edges
 from coincid.model.shared.errors import InputError
 
-from ..cases import configured
+from ..random_cases import configured
 
 LIKELY = 1e-4  # probability that a correct source fails a test; with fixed seeds, the result is always the same
 FACTORS = (3, 5, 17, 257, 65537)  # of 2^32 - 1

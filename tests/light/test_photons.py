@@ -17,7 +17,7 @@ from coincid.model.light.timing import Timing
 from coincid.model.shared.constants import SIGMA_PER_FWHM, SPEED_OF_LIGHT_M_S
 from coincid.model.shared.errors import SEED_MAX, InputError
 
-from ..cases import configured
+from ..random_cases import configured
 
 LEVEL = 1e-3
 BARE = Spad(dead_time_s=0, jitter_fwhm_s=0)

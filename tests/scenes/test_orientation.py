@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from coincid.lab.run import Run
+from coincid.lab.outcomes import Run
 from coincid.lab.setup import Setup
-from coincid.model.contract.ports import port_bits
+from coincid.model.contract.spad_ports import port_bits
 from coincid.model.contract.stream import decode_frame
 from coincid.model.scenes.catalogue import load_scene
 from coincid.model.shared.constants import SPEED_OF_LIGHT_M_S
 
-from ..cases import configured
+from ..random_cases import configured
 
 NEAR_M, FAR_M = 5.0, 8.0
 LETTER = """

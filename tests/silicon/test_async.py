@@ -11,22 +11,22 @@ from hypothesis import strategies as st
 
 from coincid.flow.constraints import constraints
 from coincid.flow.silicon_report import domains, latches, netlist
+from coincid.hdl.front_end_views import POLYPHASE, Asynchronous
 from coincid.hdl.silicon.circuit import SYNCHRONISER_REARM, Circuit
-from coincid.hdl.views import POLYPHASE, Asynchronous
 from coincid.model.contract.config import parse_config
 from coincid.model.contract.edges import Edges
 from coincid.model.contract.parameters import Sensor
 from coincid.model.contract.pixels import pixel_table
 from coincid.model.contract.result import differences
 from coincid.model.shared.errors import InputError
-from coincid.tb.frames import FrameJob
+from coincid.tb.frame_record import FrameJob
 from coincid.tb.play import build_sensor, play
 from coincid.tb.replay import replay
 from coincid.tb.stimulus import line_levels, off_centre, tick_ps
 from coincid.tb.stress import stress
 
 from ..benches import bench_environment
-from ..cases import SENSORS, SMALL, configured, trouble
+from ..random_cases import SENSORS, SMALL, configured, trouble
 from ..tb.test_cosim import assert_all_checked, frames
 
 BUILDS = {name: (sensor, None) for name, sensor in SENSORS.items()} | {"wide, two banks": (SENSORS["wide"], 2)}

@@ -18,8 +18,8 @@ from coincid.model.light.spad import Spad
 from coincid.model.light.timing import Timing
 from coincid.study import bandwidth
 
-from ..cases import configured
 from ..command import command
+from ..random_cases import configured
 
 PAGE = Path(__file__).parents[2] / "docs" / "performance.md"
 

@@ -12,10 +12,10 @@ from coincid.model.contract.config import parse_config
 from coincid.model.golden.frame import Golden
 from coincid.study import bench
 from coincid.tb import pysim
-from coincid.tb.frames import Recorded
+from coincid.tb.frame_record import Recorded
 from coincid.tb.scoreboard import check
 
-from ..cases import trouble
+from ..random_cases import trouble
 
 ASKED = {  # keys that other programs look for in the file
     "sliced_cycles_per_s",

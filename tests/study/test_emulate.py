@@ -5,14 +5,14 @@ import numpy as np
 import pytest
 from attrs import evolve
 
-from coincid.host.emulator import EmulatorDriver
-from coincid.host.serial_link import SerialTransport
+from coincid.host.emulator_driver import EmulatorDriver
+from coincid.host.serial_transport import SerialTransport
 from coincid.lab.setup import scene_of
 from coincid.model.contract.config import load_config
 from coincid.study import emulate
 from coincid.study.emulate import Session, source_settings
-from coincid.tb.emulator import PATIENCE_S, SimulatedPort, simulated
-from coincid.tb.errors import Mismatch
+from coincid.tb.rtl_errors import Mismatch
+from coincid.tb.verilated_emulator import PATIENCE_S, SimulatedPort, simulated
 
 from ..command import command
 

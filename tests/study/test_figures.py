@@ -7,10 +7,10 @@ import html.parser
 import pytest
 
 from coincid.lab.campaign import Processes
-from coincid.lab.run import Run
-from coincid.study.figures import light, reconstruction
-from coincid.study.figures.cases import cases, mean, mean_rows, outcome
-from coincid.study.figures.page import Comparison, Section, write_page, write_section
+from coincid.lab.outcomes import Run
+from coincid.study.figures import light_over_distance, reconstruction
+from coincid.study.figures.sections import Comparison, Section, write_page, write_section
+from coincid.study.figures.setups import cases, mean, mean_rows, outcome
 from coincid.study.plot_style import new_figure, style
 
 SMALL = {
@@ -86,11 +86,11 @@ def test_page_is_html_with_every_number(tmp_path):
 def test_paper_figures_with_a_second_engine(monkeypatch):
     monkeypatch.setattr(reconstruction, "SEEDS", 1)
     monkeypatch.setattr(reconstruction, "PANELS_6", {"c": reconstruction.PANELS_6["c"]})
-    monkeypatch.setattr(light, "MONTE_CARLO_M", (32.0,))
-    monkeypatch.setattr(light, "SIDE", 1)
+    monkeypatch.setattr(light_over_distance, "MONTE_CARLO_M", (32.0,))
+    monkeypatch.setattr(light_over_distance, "SIDE", 1)
     with style(), Processes(1) as run:
         six = reconstruction.figure_6(run, engine="golden")
-        two, five = light.figure_2(run), light.figure_5(run)
+        two, five = light_over_distance.figure_2(run), light_over_distance.figure_5(run)
     assert six.comparisons[0].ours["RTL"] == "the same depth in every pixel"
     shares = {(row[2], row[3], row[4]): row[6] for row in six.rows[1:] if row[5] == "all"}
     assert {source for source, *_ in shares} == {"literal", "corrected", "Monte Carlo", "RTL"}

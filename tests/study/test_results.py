@@ -21,9 +21,9 @@ from typer.testing import CliRunner
 import coincid
 from coincid.cli import app
 from coincid.lab.campaign import Processes
-from coincid.study import fifo_depth, settling, surfaces, thresholds
-from coincid.study.explore.run import Explorer
-from coincid.study.explore.settings import check_settings
+from coincid.study import constant_thresholds, fifo_depth, settling, surfaces
+from coincid.study.explore.control_values import check_settings
+from coincid.study.explore.stages import Explorer
 from coincid.study.figures import architect, four_modes, interference, reconstruction
 from coincid.study.plot_style import style
 
@@ -109,7 +109,7 @@ RESULTS: dict[str, tuple[Callable[[Path], Any], str]] = {
     "bandwidth": (bandwidth, "8de2a0d77ad3a7fc"),
     "explorer": (explorer, "84d0a1a115dbc438"),
     "thresholds": (
-        lambda folder: list(thresholds.table((("flat:7", 50.0),), (thresholds.Stream(16, 8),))),
+        lambda folder: list(constant_thresholds.table((("flat:7", 50.0),), (constant_thresholds.Stream(16, 8),))),
         "74a7d697fa74f4e1",
     ),
     "fifo depth": (lambda folder: list(fifo_depth.table((50.0,))), "2a30af9f040a68d2"),

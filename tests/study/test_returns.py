@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from amaranth.sim import Simulator
 
-from coincid.lab.run import Run
+from coincid.lab.outcomes import Run
 from coincid.model.contract.parameters import Sensor
 from coincid.model.depth.quality import TOLERANCE_M
 from coincid.study import returns

@@ -6,16 +6,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from coincid.lab.run import Run
+from coincid.lab.outcomes import Run
 from coincid.model.contract.edges import Edges, Fate
 from coincid.model.contract.parameters import Sensor
 from coincid.model.golden.frame import golden_result
 from coincid.model.light.light import Light
-from coincid.study import comparison, figures, rivals
+from coincid.study import comparison, figures, other_schemes
 from coincid.study.comparison import SCHEMES, Shot, coarse_peaks, compared
 from coincid.study.figures import rivals as studies
 
-from ..cases import configured
+from ..random_cases import configured
 
 SENSOR = Sensor(rows=8, cols=16)
 PHASES, PERIOD = 32, 250
@@ -37,7 +37,7 @@ EXAMPLE = [
 
 def photons(edges=EXAMPLE, pulses=2):
     columns = (np.array(column, np.int64) for column in zip(*edges))
-    return rivals.macro_pixels(Edges(*columns), SENSOR, pulses)
+    return other_schemes.macro_pixels(Edges(*columns), SENSOR, pulses)
 
 
 def told(words, of):
@@ -57,7 +57,7 @@ def test_macro_pixels_sort_by_subgroup_then_time():
 
 def test_winner_takes_all_by_hand():
     """100 is in cycle 3, which ends at 127: 105 to 118 find the tree not armed; 130 is the first of cycle 4. Both at 47 are stamped."""
-    assert told(rivals.winner_takes_all(photons(), PHASES), photons()) == [
+    assert told(other_schemes.winner_takes_all(photons(), PHASES), photons()) == [
         (0, 0, 100, [0]),
         (0, 0, 130, [9]),
         (0, 1, 47, [4, 5]),
@@ -67,7 +67,7 @@ def test_winner_takes_all_by_hand():
 
 def test_windows_by_hand():
     """Of 16 ticks: [100, 116), armed again at 128; [130, 146)."""
-    assert told(rivals.windows(photons(), 16, PHASES), photons()) == [
+    assert told(other_schemes.windows(photons(), 16, PHASES), photons()) == [
         (0, 0, 100, [0, 1, 8]),
         (0, 0, 130, [9, 3]),
         (0, 1, 47, [4, 5, 6]),
@@ -77,8 +77,11 @@ def test_windows_by_hand():
 
 def test_sliding_window_by_hand():
     """Three photons within 16 ticks: first at 112, which uses up 100 to 112; 118, 130 and 140 are too far apart."""
-    assert told(rivals.sliding_window(photons(), 16, 3), photons()) == [(0, 0, 112, [0, 1, 8]), (0, 1, 49, [4, 5, 6])]
-    assert told(rivals.sliding_window(photons(), 24, 3), photons()) == [
+    assert told(other_schemes.sliding_window(photons(), 16, 3), photons()) == [
+        (0, 0, 112, [0, 1, 8]),
+        (0, 1, 49, [4, 5, 6]),
+    ]
+    assert told(other_schemes.sliding_window(photons(), 24, 3), photons()) == [
         (0, 0, 112, [0, 1, 8]),
         (0, 0, 140, [2, 9, 3]),
         (0, 1, 49, [4, 5, 6]),
@@ -87,23 +90,23 @@ def test_sliding_window_by_hand():
 
 def test_fixed_windows_by_hand():
     """Cuts at 96, 112, 128, 144: 112 and 118 belong to the second piece; 47 and 49 are cut apart at 48."""
-    assert told(rivals.fixed_windows(photons(), 16, 2), photons()) == [
+    assert told(other_schemes.fixed_windows(photons(), 16, 2), photons()) == [
         (0, 0, 100, [0, 1]),
         (0, 0, 112, [8, 2]),
         (0, 0, 130, [9, 3]),
         (0, 1, 47, [4, 5]),
         (1, 0, 100, [0, 1]),
     ]
-    assert told(rivals.fixed_windows(photons(), 16, 3), photons()) == []
+    assert told(other_schemes.fixed_windows(photons(), 16, 3), photons()) == []
 
 
 def test_last_hit_by_hand():
-    assert told(rivals.last_hit(photons()), photons()) == [(0, 0, 140, [3]), (0, 1, 49, [6]), (1, 0, 101, [1])]
+    assert told(other_schemes.last_hit(photons()), photons()) == [(0, 0, 140, [3]), (0, 1, 49, [6]), (1, 0, 101, [1])]
 
 
 def test_photon_counts_by_hand():
     """Clocks of 16 ticks: 47 is in the third, 49 in the fourth; 100 and 105 in the seventh."""
-    counts = rivals.photon_counts(photons(), 16, 500)
+    counts = other_schemes.photon_counts(photons(), 16, 500)
     assert {(int(s), int(b)): int(counts[s, b]) for s, b in np.argwhere(counts)} == {
         (0, 2): 2,
         (0, 3): 1,
@@ -116,8 +119,8 @@ def test_photon_counts_by_hand():
 
 def test_count_weighted_by_hand():
     """Bins of 4 ticks; the windows of 16 ticks that `test_windows_by_hand` has, with their counts."""
-    words = rivals.windows(photons(), 16, PHASES)
-    histogram = rivals.count_weighted(photons(), words, words.stamp + 0.5, 4, 2000)
+    words = other_schemes.windows(photons(), 16, PHASES)
+    histogram = other_schemes.count_weighted(photons(), words, words.stamp + 0.5, 4, 2000)
     assert {(int(s), int(b)): int(histogram[s, b]) for s, b in np.argwhere(histogram)} == {
         (0, 25): 3,
         (0, 32): 2,
@@ -133,39 +136,39 @@ OF_PIXELS = [*((0, 0, tick) for tick in (70, 10, 50, 30)), *((1, 0, tick) for ti
 def test_first_stamps_by_hand():
     of = photons(OF_PIXELS)
     stamps = [(0, 0, 10, [0]), (0, 0, 30, [0]), (0, 0, 50, [0])]
-    assert told(rivals.first_stamps(of, 3), of) == [*stamps, (0, 1, 7, [1])]
+    assert told(other_schemes.first_stamps(of, 3), of) == [*stamps, (0, 1, 7, [1])]
 
 
 def test_equi_depth_by_hand():
     """Two of eight stamps per bin: boundaries at the third, fifth and seventh; without stamps at the period's end."""
-    edges = rivals.equi_depth(photons(OF_PIXELS), 4, 100)
+    edges = other_schemes.equi_depth(photons(OF_PIXELS), 4, 100)
     assert edges[:3].tolist() == [[0, 30, 50, 70, 100], [0, 7, 7, 7, 100], [0, 100, 100, 100, 100]]
 
 
 def test_zoomed_counts_by_hand():
     """The second pulse, from tick 30 on in bins of 16 ticks; one pulse counts once in a bin."""
     of = photons([*OF_PIXELS, (1, 0, 41)])
-    counts = rivals.zoomed_counts(of, range(1, 2), np.full(128, 30), 16, 3)
+    counts = other_schemes.zoomed_counts(of, range(1, 2), np.full(128, 30), 16, 3)
     assert counts[:2].tolist() == [[1, 1, 0], [0, 0, 0]]
 
 
 def test_fourier_sums_are_a_spectrum():
-    sums = rivals.fourier_sums(photons(OF_PIXELS), 8, 100) / rivals.CODE_MAX
+    sums = other_schemes.fourier_sums(photons(OF_PIXELS), 8, 100) / other_schemes.CODE_MAX
     histogram = np.bincount([tick for _, pixel, tick in OF_PIXELS if pixel == 0], minlength=100)
-    assert np.allclose(sums[0, 1:], np.fft.fft(histogram)[1:5], atol=8 / rivals.CODE_MAX)
+    assert np.allclose(sums[0, 1:], np.fft.fft(histogram)[1:5], atol=8 / other_schemes.CODE_MAX)
     assert not sums[2:].any() and not sums[:, 0].any()
 
 
 def test_arrival_of_counted_words():
     """One photon stays where it is; the more photons, the earlier the first of them."""
     of = photons([(0, k, 100) for k in range(4)] + [(1, 0, 100)], 2)
-    lead = rivals.counted_arrival(of, rivals.windows(of, 16, PHASES), 10.0) - 100.5
+    lead = other_schemes.counted_arrival(of, other_schemes.windows(of, 16, PHASES), 10.0) - 100.5
     assert lead[1] == pytest.approx(0) and 5 < lead[0] < 15
 
 
 def test_pixel_histograms_by_hand():
-    words = rivals.windows(photons(), 16, PHASES)
-    first, second = rivals.pixel_histograms(photons(), words, words.stamp + 0.5, SENSOR, PERIOD * PHASES)
+    words = other_schemes.windows(photons(), 16, PHASES)
+    first, second = other_schemes.pixel_histograms(photons(), words, words.stamp + 0.5, SENSOR, PERIOD * PHASES)
     assert [(int(i), int(b)) for i, b in np.argwhere(first)] == [
         (0, 100),
         (1, 100),
@@ -191,10 +194,10 @@ def test_readout_by_hand():
     edges = [(0, 0, 96), (0, 8, 96), (0, 1, 128), (0, 2, 129), (0, 3, 130), (0, 4, 9 * 32)]
     edges += [(0, 16 + k, 96 + k) for k in range(3)]
     columns = (np.array(column, np.int64) for column in zip(*edges))
-    of = rivals.macro_pixels(Edges(*columns), sensor, 1)
-    each = rivals.Words(np.arange(9), np.arange(9) + 1, of.tick)
+    of = other_schemes.macro_pixels(Edges(*columns), sensor, 1)
+    each = other_schemes.Words(np.arange(9), np.arange(9) + 1, of.tick)
     assert of.tick.tolist() == [96, 128, 129, 130, 288, 96, 96, 97, 98]
-    stored = rivals.read_out(of, each, sensor, PHASES, PERIOD, 2)
+    stored = other_schemes.read_out(of, each, sensor, PHASES, PERIOD, 2)
     assert stored.tolist() == [True, True, True, False, True, True, True, True, False]
 
 
@@ -211,8 +214,8 @@ def test_windows_are_the_golden_models(seed, window, threshold):
         {"window": window, "threshold": threshold},
     )
     arrays = golden_result(config, edges)
-    of = rivals.macro_pixels(edges, config.sensor, 3)
-    words = rivals.windows(of, window, PHASES)
+    of = other_schemes.macro_pixels(edges, config.sensor, 3)
+    words = other_schemes.windows(of, window, PHASES)
     distinct = np.array([len(set(of.inside[a:b])) for a, b, _ in zip(*words)])
     words = words.chosen(distinct >= threshold)
     found = np.stack(

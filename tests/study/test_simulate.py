@@ -17,7 +17,7 @@ from coincid.model.depth.quality import wrong_share
 from coincid.model.scenes.catalogue import load_scene
 from coincid.study import simulate as job
 from coincid.study.simulate import DEPTH, EVENTS, PAGE, PICTURES, REPORT, SCHEMES, simulate
-from coincid.tb import waves
+from coincid.tb import wave_views
 from coincid.tb.engines import ENGINES, SIMULATORS
 
 from ..command import assert_refused, command
@@ -210,9 +210,11 @@ def test_views_name_signals_of_the_waveform(tmp_path, simulator):
 
     gtkwave = (tmp_path / f"{TOP}.gtkw").read_text().splitlines()
     shown = [line for line in gtkwave if line.startswith(TOP)]
-    assert [line[1:] for line in gtkwave if line.startswith("-")] == [title for title, _, _ in waves.BLOCKS]
+    assert [line[1:] for line in gtkwave if line.startswith("-")] == [title for title, _, _ in wave_views.BLOCKS]
     wanted = [
-        f"{TOP}.{scope}.{name}".replace("..", ".") for _, scope, signals in waves.BLOCKS for name in signals.split()
+        f"{TOP}.{scope}.{name}".replace("..", ".")
+        for _, scope, signals in wave_views.BLOCKS
+        for name in signals.split()
     ]
     assert shown == [f"{path}[{widths[path] - 1}:0]" if widths[path] > 1 else path for path in wanted]
     surfer = (tmp_path / f"{TOP}.sucl").read_text().splitlines()

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The controller against constant thresholds: it beats each of them where sun and shade meet on a scarce link."""
 
-from coincid.study.thresholds import THRESHOLDS, Stream, shares
+from coincid.study.constant_thresholds import THRESHOLDS, Stream, shares
 
 
 def test_the_controller_beats_every_constant_between_sun_and_shade():

@@ -11,15 +11,15 @@ from coincid.model.contract.parameters import SENSOR, Sensor
 from coincid.model.contract.pixels import pixel_table
 from coincid.model.golden.frame import Golden
 from coincid.tb.engines import ENGINES
-from coincid.tb.frames import FrameJob
+from coincid.tb.frame_record import FrameJob
 from coincid.tb.play import play
 
-from .. import cases
+from .. import random_cases
 
 # Verilator compiles one module for all: a single one, and two with half of a third.
 BUILDS = [
     (sensor, engine)
-    for sensor in cases.SENSORS
+    for sensor in random_cases.SENSORS
     for engine in ENGINES[1:]
     if engine != "verilator" or sensor in ("default", "odd")
 ]
@@ -34,15 +34,15 @@ def frames(draw, sensor: dict) -> list[FrameJob]:
 
     In the later half, the threshold controller, where it is built, acts in every frame, with changing capacity.
     """
-    configs = [draw(cases.configurations(sensor, frames_max=1)) for _ in range(FRAMES // 2)]
+    configs = [draw(random_cases.configurations(sensor, frames_max=1)) for _ in range(FRAMES // 2)]
     if configs[0].sensor.controller:
-        led = draw(cases.controlled(sensor, frames=1))
+        led = draw(random_cases.controlled(sensor, frames=1))
         configs += [led.with_frame(capacity=led.capacity * draw(st.integers(0, 3))) for _ in range(FRAMES // 2)]
     jobs, golden = [], Golden(configs[0].sensor)
     for config in configs:
-        edges = cases.trouble(config, draw(seeds), draw(st.sampled_from((0.0, 0.5, 4.0, 20.0, 40.0))))
-        kind = st.sampled_from(cases.READY_KINDS)
-        ready = cases.ready_pattern(draw(seeds), draw(kind), config.pulses * config.period + 200)
+        edges = random_cases.trouble(config, draw(seeds), draw(st.sampled_from((0.0, 0.5, 4.0, 20.0, 40.0))))
+        kind = st.sampled_from(random_cases.READY_KINDS)
+        ready = random_cases.ready_pattern(draw(seeds), draw(kind), config.pulses * config.period + 200)
         jobs.append(FrameJob(config, edges, golden.frame(config, edges, ready), ready))
     return jobs
 
@@ -56,7 +56,7 @@ def assert_all_checked(records, jobs):
 @settings(max_examples=2, phases=(Phase.explicit, Phase.generate), suppress_health_check=list(HealthCheck))
 @given(data=st.data())
 def test_random_frames(sensor, engine, tmp_path_factory, data):
-    jobs = data.draw(frames(cases.SENSORS[sensor]))
+    jobs = data.draw(frames(random_cases.SENSORS[sensor]))
     records, _ = play(jobs, engine, tmp_path_factory.mktemp(f"{sensor}-{engine}"))
     assert_all_checked(records, jobs)
 
@@ -65,13 +65,21 @@ def test_random_frames(sensor, engine, tmp_path_factory, data):
 def test_every_mode_in_every_format(sensor, tmp_path):
     """Play each twice in a row, so that the controller has a frame to follow."""
     jobs, golden = [], None
-    configs = [config for config in cases.modes(cases.SENSORS[sensor]) for _ in range(2)]
-    configs += [*cases.gate_bits(cases.SENSORS[sensor]), *cases.collections(cases.SENSORS[sensor])]
-    configs += [case(cases.SENSORS[sensor]) for case in (cases.overfull, cases.lengthy, cases.dithered)]
+    configs = [config for config in random_cases.modes(random_cases.SENSORS[sensor]) for _ in range(2)]
+    configs += [
+        *random_cases.gate_bits(random_cases.SENSORS[sensor]),
+        *random_cases.collections(random_cases.SENSORS[sensor]),
+    ]
+    configs += [
+        case(random_cases.SENSORS[sensor])
+        for case in (random_cases.overfull, random_cases.lengthy, random_cases.dithered)
+    ]
     for number, config in enumerate(configs):
         golden = golden or Golden(config.sensor)
-        edges = cases.trouble(config, number, 12.0 * config.period / 60)
-        ready = cases.ready_pattern(number, cases.READY_KINDS[number % len(cases.READY_KINDS)], 400)
+        edges = random_cases.trouble(config, number, 12.0 * config.period / 60)
+        ready = random_cases.ready_pattern(
+            number, random_cases.READY_KINDS[number % len(random_cases.READY_KINDS)], 400
+        )
         jobs.append(FrameJob(config, edges, golden.frame(config, edges, ready), ready))
     records, _ = play(jobs, "sliced", tmp_path)
     assert all(record.checked for record in records)
@@ -80,11 +88,11 @@ def test_every_mode_in_every_format(sensor, tmp_path):
 @pytest.mark.parametrize("sensor, engine", [("odd", "sliced"), ("odd", "icarus")])
 def test_streams_have_budgets_of_their_own(sensor, engine, tmp_path):
     """Only the first stream sees light, so the streams' budgets differ, and its thresholds follow its own."""
-    configs = cases.scarce(cases.SENSORS[sensor])
+    configs = random_cases.scarce(random_cases.SENSORS[sensor])
     built, jobs = configs[0].sensor, []
     golden = Golden(built)
     for number, config in enumerate(configs):
-        edges = cases.trouble(config, number, 25.0)
+        edges = random_cases.trouble(config, number, 25.0)
         edges = edges.take(np.isin(pixel_table(built).subgroup[edges.pixel], built.stream_subgroups(0)))
         jobs.append(FrameJob(config, edges, golden.frame(config, edges), np.zeros(0, np.uint8)))
     assert any(job.expected.budget[0] != job.expected.budget[-1] for job in jobs)
@@ -97,9 +105,9 @@ def test_streams_have_budgets_of_their_own(sensor, engine, tmp_path):
 @given(data=st.data())
 def test_random_frames_of_a_lean_sensor(engine, tmp_path_factory, data):
     """Without offsets, records and controller; some of its counters saturate in the last frame."""
-    jobs = data.draw(frames(cases.LEAN))
-    config = cases.configured(cases.LEAN, {"period": 60, "pulses": 60}, {"threshold": 1})
-    edges, golden = cases.trouble(config, 1, 20.0), Golden(config.sensor)
+    jobs = data.draw(frames(random_cases.LEAN))
+    config = random_cases.configured(random_cases.LEAN, {"period": 60, "pulses": 60}, {"threshold": 1})
+    edges, golden = random_cases.trouble(config, 1, 20.0), Golden(config.sensor)
     golden.frames = len(jobs)
     jobs.append(FrameJob(config, edges, golden.frame(config, edges), np.zeros(0, np.uint8)))
     assert np.any(jobs[-1].expected.counters == config.sensor.counter_max)
@@ -112,7 +120,7 @@ def test_sizes_reach_every_parameter():
     default = Sensor()
     built = [
         Sensor(**{k: tuple(v) if isinstance(v, list) else v for k, v in sensor.items()})
-        for sensor in (*cases.SENSORS.values(), cases.LEAN)
+        for sensor in (*random_cases.SENSORS.values(), random_cases.LEAN)
     ]
     for name in SENSOR:
         assert any(getattr(sensor, name) != getattr(default, name) for sensor in built), name
@@ -124,13 +132,13 @@ def test_every_alignment_of_storing_and_freeing(tmp_path):
 
     The outcome changes between two such frames, so one of them is the exact tie; model and RTL agree in all.
     """
-    config = cases.configured(
-        cases.SENSORS["tiny"],
+    config = random_cases.configured(
+        random_cases.SENSORS["tiny"],
         {"period": 40, "pulses": 6, "format": "full", "minigroup_records": True, "mg_threshold": 1},
         {"threshold": 1, "window": 4},
     )
     golden, jobs, counters = Golden(config.sensor), [], []
-    edges = cases.trouble(config, 5, 12.0)
+    edges = random_cases.trouble(config, 5, 12.0)
     for stall in range(320):
         ready = np.zeros(stall, np.uint8)
         trace = golden.frame(config, edges, ready)

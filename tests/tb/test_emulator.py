@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 from coincid.hdl.emulator.top import SERIAL_TOP
-from coincid.host import serial_link
-from coincid.host.emulator import EmulatorDriver
-from coincid.host.serial_link import Deframer, SerialTransport, frame
+from coincid.host import serial_transport
+from coincid.host.emulator_driver import EmulatorDriver
+from coincid.host.serial_transport import Deframer, SerialTransport, frame
 from coincid.host.transport import DeviceResetError, HostError, LinkError, RefusedError
 from coincid.model.contract.emulator import BUFFER_BASE, Emulator, background_address, echo_address, own_address
 from coincid.model.contract.parameters import Sensor
@@ -23,12 +23,12 @@ from coincid.model.golden.frame import Golden
 from coincid.model.light.on_chip import SourceSettings, source_edges
 from coincid.model.shared.errors import InputError
 from coincid.study.emulate import Session
-from coincid.tb.emulator import PATIENCE_S, SimulatedPort, emulator_rtl
 from coincid.tb.engines import SIMULATORS
 from coincid.tb.toolchain import build
+from coincid.tb.verilated_emulator import PATIENCE_S, SimulatedPort, emulator_rtl
 
 from ..benches import BENCHES, emulator_bench
-from ..cases import configured
+from ..random_cases import configured
 
 SENSOR = Sensor(rows=4, cols=8, phases=8, window_max=16, subgroup=(4, 4))
 EMULATOR = Emulator(sensor=SENSOR, buffer_beats=256, clocks_per_bit=4)
@@ -307,8 +307,8 @@ def test_blocks_of_the_page_run(tmp_path, monkeypatch):
     export, drive = re.findall(r"^```python\n(.*?)^```", page, re.DOTALL | re.MULTILINE)
     exec(compile(export, "board.md", "exec"), {})
     assert any((tmp_path / "build" / "emulator").glob("*.v"))
-    monkeypatch.setattr(serial_link, "SerialPort", lambda device: SimulatedPort(EMULATOR, CLOCK_MHZ))
-    monkeypatch.setattr(serial_link, "SerialTransport", partial(SerialTransport, patience_s=PATIENCE_S))
+    monkeypatch.setattr(serial_transport, "SerialPort", lambda device: SimulatedPort(EMULATOR, CLOCK_MHZ))
+    monkeypatch.setattr(serial_transport, "SerialTransport", partial(SerialTransport, patience_s=PATIENCE_S))
     names: dict = {}
     exec(compile(drive, "board.md", "exec"), names)
     assert len(names["beats"]) > 0

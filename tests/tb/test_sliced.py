@@ -9,15 +9,15 @@ from pywellen import Waveform
 
 from coincid.model.contract.parameters import TOP
 from coincid.model.golden.frame import Golden
-from coincid.tb.frames import FrameJob
+from coincid.tb.frame_record import FrameJob
 from coincid.tb.play import play
 from coincid.tb.scoreboard import check
 from coincid.tb.sliced import SlicedSensor, play_side_by_side
 
-from .. import cases
+from .. import random_cases
 
 seeds = st.integers(0, 2**32 - 1)
-SENSOR = cases.SENSORS["default"]
+SENSOR = random_cases.SENSORS["default"]
 CYCLE_PS = 2000  # of the simulators' clock
 # Signals that may differ: what the host asks for and when, a count that never rests, and a choice among nothing.
 FREE = {"command", "data", "index", "index_before", "at_last", "winner_5_0"}
@@ -50,8 +50,8 @@ def sensors(draw) -> dict:
 
 
 def job(golden: Golden, config, seed: int, kind: str = "always") -> FrameJob:
-    edges = cases.trouble(config, seed, 12.0)
-    ready = cases.ready_pattern(seed, kind, config.pulses * config.period + 200)
+    edges = random_cases.trouble(config, seed, 12.0)
+    ready = random_cases.ready_pattern(seed, kind, config.pulses * config.period + 200)
     return FrameJob(config, edges, golden.frame(config, edges, ready), ready)
 
 
@@ -59,9 +59,12 @@ def job(golden: Golden, config, seed: int, kind: str = "always") -> FrameJob:
 @given(data=st.data())
 def test_random_sensors_equal_icarus(data, tmp_path_factory):
     sensor = data.draw(sensors())
-    configs = [data.draw(cases.configurations(sensor, frames_max=1)) for _ in range(5)]
+    configs = [data.draw(random_cases.configurations(sensor, frames_max=1)) for _ in range(5)]
     golden = Golden(configs[0].sensor)
-    jobs = [job(golden, config, data.draw(seeds), data.draw(st.sampled_from(cases.READY_KINDS))) for config in configs]
+    jobs = [
+        job(golden, config, data.draw(seeds), data.draw(st.sampled_from(random_cases.READY_KINDS)))
+        for config in configs
+    ]
     for engine in ("sliced", "icarus"):
         records, _ = play(jobs, engine, tmp_path_factory.mktemp(engine))
         assert all(record.checked for record in records)
@@ -72,9 +75,9 @@ def test_chains_side_by_side_equal_one_by_one(threads, tmp_path):
     """Settings, light, length and the controller's memory differ between the sensors that share a word."""
     chains = []
     for number in range(7):
-        golden, chain = Golden(cases.built_sensor(SENSOR)), []
+        golden, chain = Golden(random_cases.built_sensor(SENSOR)), []
         for k in range(1 + number % 3):
-            config = cases.configured(
+            config = random_cases.configured(
                 SENSOR,
                 {
                     "period": 60 + 7 * number,
@@ -86,7 +89,9 @@ def test_chains_side_by_side_equal_one_by_one(threads, tmp_path):
                 {"auto": True, "threshold": 1 + number % 3, "window": 10 + number},
                 {"subgroups": [1], "gating": True, "gate_start": 5, "gate_len": 30 + number},
             )
-            chain.append(job(golden, config, 10 * number + k, cases.READY_KINDS[number % len(cases.READY_KINDS)]))
+            chain.append(
+                job(golden, config, 10 * number + k, random_cases.READY_KINDS[number % len(random_cases.READY_KINDS)])
+            )
         chains.append(chain)
     for chain, together in zip(chains, play_side_by_side(chains, threads=threads), strict=True):
         alone, _ = play(chain, "sliced", tmp_path)
@@ -94,8 +99,8 @@ def test_chains_side_by_side_equal_one_by_one(threads, tmp_path):
             assert check(frame.config.sensor, frame.expected, other, number) == one.checked
 
 
-def running(period: int = 60) -> cases.Config:
-    return cases.configured(
+def running(period: int = 60) -> random_cases.Config:
+    return random_cases.configured(
         SENSOR,
         {"period": period, "pulses": 6, "format": "full", "minigroup_records": True},
         {"threshold": 1, "window": 12},

@@ -15,7 +15,7 @@ import pytest
 from coincid.model.shared.errors import InputError
 from coincid.tb import toolchain
 from coincid.tb.engines import SIMULATORS
-from coincid.tb.errors import SimulationError
+from coincid.tb.rtl_errors import SimulationError
 from coincid.tools.build import ToolchainError, build_once, compile_in
 from coincid.tools.system import MissingPackagesError, system_packages
 

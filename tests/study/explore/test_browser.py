@@ -362,8 +362,8 @@ def test_a_server_that_was_killed_and_started_again(tabs):
 
 
 def test_a_report_needs_no_server(tabs, tmp_path):
-    from coincid.study.explore.run import Explorer
-    from coincid.study.explore.settings import check_settings
+    from coincid.study.explore.control_values import check_settings
+    from coincid.study.explore.stages import Explorer
     from coincid.study.show.report import write_report
 
     explored = Explorer().run(check_settings({"rows": 16, "cols": 16, "pulses": 10, "gating": True, "frames": 2}))

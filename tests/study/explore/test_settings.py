@@ -10,8 +10,8 @@ from PIL import Image
 from coincid.model.contract.config import parse_config
 from coincid.model.contract.parameters import Sensor
 from coincid.model.shared.errors import InputError
+from coincid.study.explore.control_values import check_settings, command, config_toml, given_settings
 from coincid.study.explore.controls import CONTROL, CONTROLS
-from coincid.study.explore.settings import check_settings, command, config_toml, given_settings
 from coincid.study.explore.uploads import BYTES_MAX, Uploads
 
 from .values import other_value

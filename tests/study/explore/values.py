@@ -2,8 +2,8 @@
 """Values of controls that differ from their defaults."""
 
 from coincid.model.shared.errors import InputError
+from coincid.study.explore.control_values import check_settings
 from coincid.study.explore.controls import Control
-from coincid.study.explore.settings import check_settings
 
 OTHER = dict(scene="two-targets", rows=16, cols=64, subgroup="4x8", minigroup="4x4", format="full", method="maximum")
 

@@ -11,7 +11,7 @@ from coincid.model.golden.frame import Golden
 from coincid.model.shared.errors import InputError
 from coincid.study.show.timeline import Verdict, frame_timeline
 
-from ...cases import random_edges
+from ...random_cases import random_edges
 
 SENSOR = {"rows": 8, "cols": 16, "subgroup": [8, 8], "fifo_depth": 4}
 BUSY = {  # name: document; there are many edges, so that FIFOs overflow

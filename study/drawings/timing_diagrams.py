@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Draws the timing diagrams of docs/integrate.md from a simulation of the RTL, 8 x 8 pixels, in Amaranth's simulator.
 
-python -m coincid.study.drawings.timing
+python -m coincid.study.drawings.timing_diagrams
 """
 
 from collections.abc import Callable, Sequence

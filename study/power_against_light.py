@@ -16,13 +16,13 @@ from matplotlib.figure import Figure
 
 from ..flow.power import Power, clock_tree_mw, design, power, power_at_rest, simulate
 from ..flow.yosys import CLOCK_BUFFER, SINKS_MAX
-from ..lab.run import Run
+from ..lab.outcomes import Run
 from ..lab.setup import Setup
 from ..model.golden.frame import Golden
 from ..model.light.light import REFERENCE_DISTANCE_M, REFERENCE_REFLECTIVITY
 from ..model.scenes.scene import Scene
 from ..model.shared.files import whole_file
-from ..tb.frames import FrameJob
+from ..tb.frame_record import FrameJob
 from .plot_style import new_figure, save_figure, style
 
 PULSES, SEED = 2, 1

@@ -5,7 +5,7 @@ import numpy as np
 from scipy import special
 
 from ...lab.campaign import Processes
-from ...lab.run import Run
+from ...lab.outcomes import Run
 from ...model.light.light import Light
 from ...model.light.link_budget import COINCIDENCE_WINDOW_S, FORMS, link_budget
 from ...model.light.photons import generate_edges
@@ -15,8 +15,8 @@ from ...model.shared.constants import SIGMA_PER_FWHM, SPEED_OF_LIGHT_M_S
 from ...model.shared.quantities import Numbers
 from ..palette import DARK_GREY, SERIES
 from ..plot_style import SOURCES, new_figure
-from .cases import MANY, PULSES, cases
-from .page import Comparison, Row, Section, section
+from .sections import Comparison, Row, Section, section
+from .setups import MANY, PULSES, cases
 
 REFLECTIVITY, KLUX = 0.4, 50.0  # paper II
 DISTANCE_M = np.round(np.arange(1, 50.01, 0.25), 2)

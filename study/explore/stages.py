@@ -14,11 +14,11 @@ from typing import Any, TypeAlias
 
 from attrs import evolve, field, frozen
 
-from ...lab.run import Kept, Run
+from ...lab.outcomes import Kept, Run
 from ...model.contract.result import differences
 from ...model.shared.errors import InputError
-from ..show.frame import FrameView, frame_view
-from .settings import Settings
+from ..show.frame_content import FrameView, frame_view
+from .control_values import Settings
 
 KEPT = 3  # of each stage: for the present settings, the previous ones, and A's
 THREADS = 4  # of jobs: the newest, and cancelled ones that have not noticed yet

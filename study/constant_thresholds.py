@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The controller compared with constant thresholds.
 
-`python -m coincid.study.thresholds [DEPTH,COLOUR ...]` prints the table of `docs/controller.md`. In each scene and light,
+`python -m coincid.study.constant_thresholds [DEPTH,COLOUR ...]` prints the table of `docs/controller.md`. In each scene and light,
 all thresholds from 1 to 7 see the same photons as the controller after the frames in which it settles. The best of the
 seven, chosen in hindsight for each scene, is the best that a constant can reach; the best one for all scenes is what a
 user can program.
@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..lab.run import Run
+from ..lab.outcomes import Run
 from ..lab.setup import SETTLING, Setup, fixed_thresholds
 from ..model.contract.parameters import Sensor
 from ..model.scenes.ambient import Ambient

@@ -6,9 +6,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ...lab.run import Run
+from ...lab.outcomes import Run
 from ...lab.setup import Setup, seeded
-from .page import Row
+from .sections import Row
 
 SCENE = "five-objects"
 PULSES, MANY = 100, 8  # pulses of a frame (paper IV); factor for a second run, which shows what is noise

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Confidence that means what it says: the law of `model/depth/belief.py` is set on random scenes, and tried on others.
 
-`python -m coincid.study.belief` prints the law's weights, and a table of scenes that were not used to set them; it draws
+`python -m coincid.study.confidence` prints the law's weights, and a table of scenes that were not used to set them; it draws
 docs/images/depth_confidence.png. It needs the extra `raytrace`. Half of the random scenes have one distance per pixel, as a
 depth file has; in the other half a pixel sees many points, as in front of a lens, so that surfaces mix at their edges and
 slanted ones widen the pulse.
@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..lab.campaign import Processes, campaign
-from ..lab.run import Run
+from ..lab.outcomes import Run
 from ..lab.setup import SETTLING, Setup
 from ..model.depth.arrivals import SYSTEM_FWHM_S
 from ..model.depth.belief import LAW, chance_of_right

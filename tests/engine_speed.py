@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Speed of the sliced engine beside the whole RTL in Verilator without cocotb: same RTL, same light, same machine.
 
-`python -m tests.engines [--rounds N]` prints build times, memory and a table of cycles per second. A round plays every program once, so that other
-load affects all. Verilator's model has no public signals and no waveform; its host (`lean.cpp`) only drives and counts.
+`python -m tests.engine_speed [--rounds N]` prints build times, memory and a table of cycles per second. A round plays every
+program once, so that other load affects all. Verilator's model has no public signals and no waveform; its host
+(`lean.cpp`) only drives and counts.
 """
 
 import argparse
@@ -22,10 +23,10 @@ from coincid.model.contract import registers
 from coincid.model.contract.config import Config
 from coincid.model.contract.edges import Edges
 from coincid.model.contract.parameters import TOP, Sensor
-from coincid.model.contract.ports import port_bits
+from coincid.model.contract.spad_ports import port_bits
 from coincid.study.bench import Job
 from coincid.tb import toolchain
-from coincid.tb.frames import FrameJob
+from coincid.tb.frame_record import FrameJob
 from coincid.tb.rtl import rtl
 from coincid.tb.sliced import SlicedSensor, build_library, play_side_by_side
 from coincid.tools.build import compile_in

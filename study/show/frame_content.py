@@ -7,7 +7,7 @@ import numpy as np
 from attrs import frozen
 
 from ...lab.measures import SWEPT
-from ...lab.run import Frame
+from ...lab.outcomes import Frame
 from ...model.contract.config import Config
 from ...model.contract.edges import Edges
 from ...model.contract.pixels import pixel_table

@@ -147,7 +147,7 @@ class SerialTransport:
                 raise LinkError(f"write to {at:#08x}: {content!r} of {len(part)} words")
 
     def receive(self, stream: int) -> np.ndarray:
-        """Return no beats; the emulator's beats wait in its buffer (`emulator.py`)."""
+        """Return no beats; the emulator's beats wait in its buffer (`emulator_driver.py`)."""
         return np.zeros(0, np.uint64)
 
     def _request(self, operation: Operation, count: int, address: int, data: bytes = b"") -> tuple[Answer, bytes]:

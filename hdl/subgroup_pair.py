@@ -10,9 +10,9 @@ from amaranth.lib.wiring import In
 
 from ..model.contract.parameters import Sensor
 from . import bus
+from .front_end_views import POLYPHASE
 from .subgroup import Subgroup, own_ports, shared_ports
 from .unit import Unit, place
-from .views import POLYPHASE
 from .voted import agreed_reset
 
 
@@ -24,7 +24,7 @@ class SensorModule(Unit):
     `shared_ports` of the subgroups; for line k `own_ports` with the suffix _k; number : in, the module's number.
     Every input goes straight into a register, and every output comes from one.
 
-    view: view of the front end, from `views.py`. `lines` = 1 makes the last module of an odd number of subgroups. Reset
+    view: view of the front end, from `front_end_views.py`. `lines` = 1 makes the last module of an odd number of subgroups. Reset
     is registered, here and in each subgroup, so it acts one cycle later.
     """
 

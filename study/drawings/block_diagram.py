@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Draws blocks.svg: the sensor's blocks and the signals between them.
 
-python -m coincid.study.drawings.blocks
+python -m coincid.study.drawings.block_diagram
 """
 
 from typing import TypeAlias

@@ -24,14 +24,14 @@ from jinja2 import Environment, FileSystemLoader, Template
 from ...model.contract.parameters import Sensor
 from ...model.shared.errors import InputError, check_integer
 from ..explain import meaning, warnings
+from ..show.assets import FILES, SHOW
 from ..show.figures import FATE_MARKS, VERDICT_MARKS, Views
-from ..show.frame import FrameView
-from ..show.page import FILES, SHOW
+from ..show.frame_content import FrameView
 from ..show.words import OBJECT_HEADS, number_rows, object_table, story, where_to_look
 from . import out
+from .control_values import SettingError, Settings, by_labels, check_settings, command, query, values_of_text
 from .controls import CONTROLS, DEFAULTS, GROUPS
-from .run import Explored, Explorer, Runner, check_on_rtl
-from .settings import SettingError, Settings, by_labels, check_settings, command, query, values_of_text
+from .stages import Explored, Explorer, Runner, check_on_rtl
 from .uploads import Uploads
 
 FIRST_LOOK = {"row": 14, "col": 10, "pulse": 0, "frame": 0, "which": "B"}

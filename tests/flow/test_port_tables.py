@@ -13,13 +13,13 @@ from amaranth.sim import Simulator
 from coincid.flow.ports import EXAMPLE, instantiation, pages, port_rows, with_parts
 from coincid.flow.release import README, release_files
 from coincid.hdl.export import FILE_LIST
+from coincid.hdl.front_end_views import POLYPHASE, view_at
 from coincid.hdl.sensor import FPGA_TOP, SensorTop
-from coincid.hdl.views import POLYPHASE, view_at
 from coincid.model.contract.config import parse_config
 from coincid.model.contract.latency import BEAT_TO_PORT, COMMIT, GRANT_TO_BEAT, STORE_TO_GRANT
 from coincid.model.contract.packet import FORMATS, header_field
 from coincid.model.contract.parameters import TOP
-from coincid.study.drawings import timing
+from coincid.study.drawings import timing_diagrams
 
 from ..releases import config, small_releases
 
@@ -100,7 +100,7 @@ def test_the_instance_compiles(tmp_path):
 
 
 def test_the_diagrams_show_what_the_page_says():
-    trace = timing.simulate("id")
+    trace = timing_diagrams.simulate("id")
     taken = [
         (cycle - trace.frame, row["m_axis_tdata"])
         for cycle, row in enumerate(trace.rows)
@@ -109,13 +109,13 @@ def test_the_diagrams_show_what_the_page_says():
     events = [(cycle, beat) for cycle, beat in taken if header_field(beat, "kind") == FORMATS["id"].code]
     (at, first), (stalled, second) = events
     assert header_field(first, "stamp") == 22  # the edges at the ports while `laser` was high
-    assert header_field(second, "stamp") == 10 * timing.PHASES + 1
-    close = (22 + 16 - 1) // timing.PHASES
+    assert header_field(second, "stamp") == 10 * timing_diagrams.PHASES + 1
+    close = (22 + 16 - 1) // timing_diagrams.PHASES
     assert at == close + COMMIT + STORE_TO_GRANT + GRANT_TO_BEAT + BEAT_TO_PORT == close + 17
-    assert stalled == timing.STALLED.stop
-    offered = [trace.rows[trace.frame + cycle] for cycle in range(27, timing.STALLED.stop)]
+    assert stalled == timing_diagrams.STALLED.stop
+    offered = [trace.rows[trace.frame + cycle] for cycle in range(27, timing_diagrams.STALLED.stop)]
     assert {(row["m_axis_tvalid"], row["m_axis_tdata"]) for row in offered} == {(1, second)}
     refused = next(row for row in trace.rows if row["s_axi_bvalid"] and row["s_axi_bresp"])
     assert refused["s_axi_bresp"] == 2
-    for form, picture in timing.PICTURES.values():
-        assert picture(trace if form == "id" else timing.simulate(form)).axes
+    for form, picture in timing_diagrams.PICTURES.values():
+        assert picture(trace if form == "id" else timing_diagrams.simulate(form)).axes

@@ -6,16 +6,16 @@ from pathlib import Path
 
 from PIL import Image
 
+from ...hdl.front_end_views import POLYPHASE, VIEWS, View
 from ...hdl.minigroup import Minigroup
 from ...hdl.silicon.minigroup import AsyncMinigroup
 from ...hdl.subgroup import Subgroup
 from ...hdl.tree import CoincidenceTree
 from ...hdl.unit import Unit
-from ...hdl.views import POLYPHASE, VIEWS, View
 from ...model.contract.config import load_config
 from ...model.contract.parameters import Sensor
 from ...model.shared.files import whole_file
-from ...tb.errors import Mismatch
+from ...tb.rtl_errors import Mismatch
 from ..mapped import map_block, slack_ns
 from . import hierarchy
 from .buffers import FANOUT_MAX

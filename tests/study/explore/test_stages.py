@@ -10,9 +10,9 @@ import pytest
 from coincid.model.contract.config import parse_config
 from coincid.model.contract.result import differences
 from coincid.model.golden.frame import golden_result
+from coincid.study.explore.control_values import check_settings
 from coincid.study.explore.out import SAVES, events_csv
-from coincid.study.explore.run import Explorer, Runner, check_on_rtl
-from coincid.study.explore.settings import check_settings
+from coincid.study.explore.stages import Explorer, Runner, check_on_rtl
 
 SMALL = {"rows": 16, "cols": 16, "pulses": 20}
 
