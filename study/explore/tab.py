@@ -25,7 +25,7 @@ from ...model.contract.parameters import Sensor
 from ...model.shared.errors import InputError, check_integer
 from ..explain import meaning, warnings
 from ..show.assets import FILES, SHOW
-from ..show.figures import FATE_MARKS, VERDICT_MARKS, Views
+from ..show.figures import FATE_MARKS, REASON_MARKS, VERDICT_MARKS, Views
 from ..show.frame_content import FrameView
 from ..show.words import OBJECT_HEADS, number_rows, object_table, story, where_to_look
 from . import out
@@ -324,6 +324,7 @@ def _variables(views: Views) -> dict[str, Any]:
         "maps": [one.figure.name for one in (*views.a_maps, *views.maps)],
         "fates": FATE_MARKS,
         "verdicts": VERDICT_MARKS,
+        "reasons": REASON_MARKS,
         "sensor": Sensor(),
         "groups": {group: [c for c in CONTROLS if c.group == group] for group in GROUPS},
         "tries": [(name, json.dumps(values), sentence) for name, values, sentence in TRIES],

@@ -48,6 +48,7 @@ from ..palette import (
     TITLE_PX,
     VERMILION,
 )
+from ..pictures import REASONS
 from .frame_content import HISTOGRAM_BIN_M, FrameView
 from .timeline import Period, Verdict
 
@@ -78,6 +79,7 @@ _SHAPES = {"triangle": "▲", "circle": "●", "x": "×", "dash": "▬", "square
 FATE_MARKS = [
     (_SHAPES[marker], colour, meaning) for colour, marker, meaning in FATES.values()
 ]  # of the key beside the figures
+REASON_MARKS = [("■", colour, SENTENCES[reason].partition(":")[0]) for reason, colour in REASONS.items()]
 VERDICT_MARKS = [(sign, colour, meaning) for sign, (colour, _, meaning) in zip("▌▨▩", VERDICTS.values())]
 TRUTH, CHOSEN, OTHER = VERMILION, TEAL, SKY
 ERROR_PALETTE = tuple(  # blue, white, orange: too near, right, too far
@@ -92,6 +94,7 @@ COMPARED = ("depth_m", "error_m", "drops")  # maps that are shown when two frame
 MAP_SIZE_PX, BAR_WIDTH_PX, BAR_AND_LABELS_PX = 168, 8, 44
 DEPTH_MARGIN = 0.05  # relative to the truth's span, on both sides of the colour scale
 CHOICE_MARKS = ("diamond", "circle")  # the chosen return, the others
+REASON_PALETTE = tuple(REASONS.get(reason, "#00000000") for reason in Reason)  # clear where the depth is believed
 _SENTENCES = "|".join(SENTENCES[reason] for reason in Reason)
 
 
@@ -112,7 +115,7 @@ MAPS = {
         MapKind("error, m", "error_m", ERROR_PALETTE),
         MapKind("threshold, pixels", "threshold", Cividis256),
         MapKind("drops, events", "drops", Cividis256),
-        MapKind("confidence", "confidence", Cividis256),
+        MapKind("confidence, or why not", "confidence", Cividis256),
     )
 }
 
@@ -186,6 +189,9 @@ class MapFigure:
         plot.min_border_right = BAR_AND_LABELS_PX  # for the labels of any scale, and maps of one size
         image = plot.image(kind.name, x="x", y="y", dw="dw", dh="dh", source=source, color_mapper=self.mapper)
         plot.hover.renderers = [image]
+        if kind.name == "confidence":
+            why = LinearColorMapper(palette=REASON_PALETTE, low=-0.5, high=len(REASON_PALETTE) - 0.5)
+            plot.image("reason", x="x", y="y", dw="dw", dh="dh", source=source, color_mapper=why)
         for frame, dash in ((around, "dashed"), (cursor, "solid")):
             for colour, line in (("black", 3), ("white", 1.2)):
                 plot.rect(
@@ -203,11 +209,11 @@ class MapFigure:
             color_mapper=self.mapper,
             ticker=BasicTicker(desired_num_ticks=5, min_interval=1 if kind.name in COUNTS else 0),
             width=BAR_WIDTH_PX,
+            major_tick_in=0,  # Bokeh 3.9 draws them beside the bar after a change of the page's width
             padding=2,
             major_label_text_font_size=TEXT_PX,
             background_fill_color=None,
             major_label_text_color=PAGE_INK,
-            stylesheets=[STYLESHEET],
         )
         plot.add_layout(bar, "right")
 
@@ -535,5 +541,5 @@ class Views:
 
 
 def _no_picture() -> Columns:
-    names = (*MAPS, "reflectivity", "signal", "background", "row", "col", "subgroup", "x", "y", "dw", "dh")
+    names = (*MAPS, "reason", "reflectivity", "signal", "background", "row", "col", "subgroup", "x", "y", "dw", "dh")
     return {name: [] for name in names}
