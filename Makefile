@@ -9,131 +9,130 @@ option = $(if $(value $2),--$1 '$(value $2)')
 
 .PHONY: help setup sim explore check test formal upsets soak mutation coverage verilog synth gls power layout pnr cost lint figures compare modes raytrace bench clean emulate emulator docs
 
-help: ## this list
+# A target's comment is its line in `make help`; in brackets: the list in which it appears there by name.
+help:
 	@echo 'make TARGET [OPTION=value ...]'
-	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "  %-8s %s\n", $$1, $$2 }' $(firstword $(MAKEFILE_LIST))
+	@awk -F ':.*## ' '/^[a-z]+:.*## \[/ { split($$2, part, /[][]/); names[part[2]] = names[part[2]] " " $$1; next } \
+		/^[a-z]+:.*## / { printf "  %-8s %s\n", $$1, $$2 } \
+		END { for (kind in names) print kind ":" names[kind] | "sort" }' $(firstword $(MAKEFILE_LIST))
 	@echo 'options of sim:'
-	@echo '  SCENE=FILE     scene (default: sun-and-shade)      SCALE=3       distances of a depth file times 3'
-	@echo '  KLUX=100       ambient light ("2|100": half sun)   PULSES=100    laser pulses in a frame'
-	@echo '  THRESHOLD=2    of one frame (default: the best)    FRAMES=8      in which the controller settles'
-	@echo '  LINK_GBPS=8    rate of the link; 0: no limit       CONFIG=FILE   sensor configuration (TOML)'
-	@echo '  SEED=1         of the light                        WAVES=1       waveform (FST) and views of it'
-	@echo '  UNIT=mm      of a depth file: m, cm, 1/5000, tum, sun-rgbd ... (coincid sim --help)'
-	@echo '  SIM=sliced     or golden, verilator, icarus        VIEW=async    front end as on silicon (verilator or'
-	@echo '                 (the last two: under cocotb)                      icarus, the default; 4 pulses)'
-	@echo 'options of test: PYTEST_ARGS="-k fifo -x"'
-	@echo 'options of all: PYTHON=python3.12 makes .venv; COINCID_BUILD=DIR keeps compiled designs elsewhere than build/,'
-	@echo '  COINCID_OPTIMISE=-O1 compiles them faster, and they run 5 % slower'
+	@echo '  SCENE=FILE UNIT=mm SCALE=3     scene; of a depth file: its unit, distances times 3'
+	@echo '  KLUX=100 PULSES=100 SEED=1     ambient light ("2|100": half sun), laser pulses'
+	@echo '  THRESHOLD=2 FRAMES=8           threshold of one frame; frames of the controller'
+	@echo '  LINK_GBPS=8 CONFIG=FILE        link (0: without limit), sensor and settings (TOML)'
+	@echo '  SIM=sliced VIEW=async WAVES=1  engine: golden, sliced, verilator, icarus; front end'
+	@echo '                                 as on silicon; waveform (verilator and icarus)'
+	@echo 'options of all: PYTHON=python3.12 (makes .venv), COINCID_BUILD=DIR (compiled designs)'
 
-setup: ## .venv with pinned versions, and nothing else
+setup: ## [install only] .venv with pinned versions, and nothing else
 	@scripts/setup
 
-sim: ## simulate a frame of the scene and check every word against the golden model; results in build/sim/
+sim: ## simulate a scene and check every word of the RTL; results in build/sim/
 	@scripts/setup $(if $(filter icarus async,$(or $(SIM),$(VIEW))),icarus)
 	@$(BIN)/coincid sim $(call option,engine,SIM) $(call option,scene,SCENE) $(call option,scale,SCALE) $(call option,unit,UNIT) $(call option,threshold,THRESHOLD) \
 		$(call option,frames,FRAMES) $(call option,link-gbps,LINK_GBPS) $(call option,klux,KLUX) \
 		$(call option,pulses,PULSES) $(call option,config,CONFIG) $(call option,seed,SEED) \
 		$(call option,view,VIEW) $(if $(filter-out 0,$(WAVES)),--waves) --out build/sim
 
-explore: ## show the effect of every setting in the browser (PORT=5006)
+explore: ## the effect of every setting in the browser (PORT=5006)
 	@scripts/setup
 	@$(BIN)/coincid explore $(call option,port,PORT)
 
-check: ## quick checks before a commit: style, and the tests of tests/quick.txt
+check: ## style and the quick tests, before a commit
 	@scripts/setup icarus
 	@$(BIN)/ruff check .
 	@$(BIN)/ruff format --check .
 	@$(BIN)/python -m pytest -n 2 --dist loadgroup $(PYTEST_ARGS) @tests/quick.txt
 
-emulate: ## the simulated emulator behind its serial pins, every word checked (PORT=/dev/ttyUSB0: on a board); depth in build/emulate/
+emulate: ## the emulator, simulated or on a board (PORT=/dev/ttyUSB0)
 	@scripts/setup
 	@$(BIN)/coincid emulate $(if $(PORT),--port '$(value PORT)',--simulate) $(call option,scene,SCENE) $(call option,klux,KLUX) \
 		$(call option,pulses,PULSES) $(call option,frames,FRAMES) $(call option,config,CONFIG) $(call option,seed,SEED)
 
-test: ## the whole regression, on both simulators
+test: ## the whole regression, on all engines (PYTEST_ARGS="-k fifo -x")
 	@scripts/setup icarus
 	@$(BIN)/python -m pytest -n 2 --dist loadgroup $(PYTEST_ARGS)
 
-formal: ## unbounded proofs of every block; logs in build/formal/ (NAMES="tdc tree": only these)
+formal: ## unbounded proofs of every block (NAMES="tdc tree": only these)
 	@scripts/setup
 	@$(BIN)/coincid formal $(NAMES)
 
-upsets: ## flip every flip-flop of a small sensor without a reset, and check that it recovers (ARGS="--instants 8 --seed 2")
+upsets: ## [more checks, ARGS=--help] flip every flip-flop of a small sensor without a reset, and check that it recovers
 	@scripts/setup
 	@$(BIN)/python -m tests.upsets $(ARGS)
 
-soak: ## 1,000 frames under sunlight and at saturation, golden model and RTL in step (ARGS="--frames 100 --seed 2")
+soak: ## [more checks, ARGS=--help] 1,000 frames under sunlight and at saturation, golden model and RTL in step
 	@scripts/setup
 	@$(BIN)/python -m tests.soak $(ARGS)
 
-mutation: ## mutate RTL and golden model, and check that the regression notices (ARGS="--seed 2 --rtl 500 --golden 1000")
+mutation: ## [more checks, ARGS=--help] mutate RTL and golden model, and check that the regression notices
 	@scripts/setup icarus
 	@$(BIN)/python -m tests.mutation $(ARGS)
 	@$(BIN)/python -m tests.planted
 
-coverage: ## situations, RTL lines and toggles, Python lines, against their goals (ARGS=functional: only these)
+coverage: ## [more checks, ARGS=--help] situations, RTL lines and toggles, Python lines, against their goals (ARGS=functional: only these)
 	@scripts/setup icarus
 	@$(BIN)/python -m tests.coverage $(ARGS)
 
-verilog: ## the release: Verilog, one file per block, register map, constraints, smoke test, into build/rtl/
+verilog: ## the release: Verilog, register map, constraints; in build/rtl/
 	@scripts/setup
 	@$(BIN)/coincid verilog $(call option,config,CONFIG) $(call option,view,VIEW) --out build/rtl
 
-synth: ## cells, area, logic depth and LUTs of every block, into docs/synthesis.md
+synth: ## [numbers of pages] cells, area, logic depth and LUTs of every block, into docs/synthesis.md
 	@scripts/setup cells
 	@$(BIN)/coincid synth
 
-gls: ## gate-level simulation: netlists of gates and standard cells against the golden model
+gls: ## [numbers of pages] gate-level simulation: netlists of gates and standard cells against the golden model
 	@scripts/setup icarus cells
 	@$(BIN)/coincid gls
 
-power: ## mW of a subgroup and its blocks against the light, from frames on its netlist, into docs/power.md
+power: ## [numbers of pages] mW of a subgroup and its blocks against the light, from frames on its netlist, into docs/power.md
 	@scripts/setup icarus cells
 	@$(BIN)/coincid power
 
-layout: ## a minigroup placed, routed, checked, timed and simulated with its wires, into docs/layout.md
+layout: ## [numbers of pages] a minigroup placed, routed, checked, timed and simulated with its wires, into docs/layout.md
 	@scripts/setup icarus cells layout
 	@$(BIN)/coincid layout
 
-pnr: ## place and route a module of the FPGA preset on an ECP5, into docs/place-and-route.md
+pnr: ## [numbers of pages] place and route a module of the FPGA preset on an ECP5, into docs/place-and-route.md
 	@scripts/setup
 	@$(BIN)/coincid pnr
 
-emulator: ## the emulator for an ULX3S: Verilog and bitstream in build/emulator/, five seeds placed and routed, into docs/emulator-board.md
+emulator: ## [numbers of pages] the emulator for an ULX3S: Verilog and bitstream in build/emulator/, five seeds placed and routed, into docs/emulator-board.md
 	@scripts/setup
 	@$(BIN)/coincid emulator $(call option,config,CONFIG)
 
-cost: ## area, bits and rates against the paper's parameters, into docs/images/cost.png and .csv
+cost: ## [numbers of pages] area, bits and rates against the paper's parameters, into docs/images/cost.png and .csv
 	@scripts/setup cells
 	@$(BIN)/coincid cost
 
-lint: ## Python's style, wrapping and types, and the Verilog under Verilator's lint
+lint: ## style, types, and the Verilog under Verilator's lint
 	@scripts/setup
 	@$(BIN)/ruff check .
 	@$(BIN)/ruff format --check .
 	@scripts/types
 	@$(BIN)/coincid lint
 
-docs: ## the documentation as a site, with API reference and examples that are run: build/docs/index.html
+docs: ## the documentation as a site: build/docs/index.html
 	@scripts/setup docs icarus
 	@$(BIN)/python docs/build.py
 
-figures: ## the documentation's figures
+figures: ## [numbers of pages] the documentation's figures
 	@scripts/setup
 	@$(BIN)/coincid figures
 
-compare: ## this sensor and other schemes on the same photons, into build/compare/
+compare: ## [numbers of pages] this sensor and other schemes on the same photons, into build/compare/
 	@scripts/setup
 	@$(BIN)/coincid compare
 
-modes: ## coincidence and gating, a target behind glass, 100 m: curves into build/modes/
+modes: ## [numbers of pages] coincidence and gating, a target behind glass, 100 m: curves into build/modes/
 	@scripts/setup
 	@$(BIN)/coincid modes --rtl
 
-raytrace: ## install what ray-traced scenes need (make sim SCENE=ray:corner)
+raytrace: ## [install only] what ray-traced scenes need (make sim SCENE=ray:corner)
 	@scripts/setup raytrace
 
-bench: ## measure the speed of model and simulators on this machine: build/bench.json, and a table beside it
+bench: ## speed of model and engines on this machine: build/bench.json
 	@scripts/setup icarus
 	@$(BIN)/coincid bench
 
