@@ -37,9 +37,8 @@ FLAT, NETLIST = "flat.json", "netlist.v"
 CLOCK, RESET, LASER = "clk", "rst", "laser"
 MW_PER_FJ_MHZ = 1e-6  # fJ * MHz
 MW_PER_NW = 1e-6
-Toggles: TypeAlias = Mapping[
-    str, np.ndarray
-]  # net, with its instances before it -> int64[frames, bits], lowest bit first
+# Net, with its instances before it -> int64[frames, bits], lowest bit first.
+Toggles: TypeAlias = Mapping[str, np.ndarray]
 
 
 @frozen

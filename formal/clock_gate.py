@@ -24,13 +24,8 @@ from ..hdl.tree import CoincidenceTree
 from .proof_bench import Bench, proof
 from .sensors import SMALL
 
-EDGE_DATA = (
-    "valid_1",
-    "phase_",
-    "step",
-    "root",
-    "coarse_",
-)  # begins of names: edges before the gate, and data that go with them
+# Begins of names: edges before the gate, and data that go with them.
+EDGE_DATA = ("valid_1", "phase_", "step", "root", "coarse_")
 TREE_CYCLES = 12  # without a strobe, after which a tree shows nothing
 
 

@@ -136,9 +136,8 @@ def readout(b: Bench):
     pipe = Signal(latency.GRANT_TO_BEAT)
     m.d.sync += pipe.eq(pipe << 1 | active)
     on_the_way = sum(pipe, start=0)
-    stored_beats = b.same(
-        "stored_beats", body.buffer.level - body.buffer.r_rdy
-    )  # the library's FIFO holds one more in a register
+    # The library's FIFO holds one more in a register.
+    stored_beats = b.same("stored_beats", body.buffer.level - body.buffer.r_rdy)
     for room, beats in zip(body.room, unit.rooms):
         b.always(room == (body.space >= beats))
     for beyond, beats in zip(body.event_exceeds, unit.rooms):

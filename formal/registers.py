@@ -13,9 +13,8 @@ from .proof_bench import Bench, proof
 from .sensors import SMALL
 
 SENT = 2 * SMALL.streams + AUTO_BOUNDS  # words for the thresholds: budgets, limits and bounds
-WRITE_MAX = (
-    1 + (READ_CYCLES + 2) + 3 + CHECK_CYCLES + SENT + 2
-)  # after a read in progress: decode, checks, words for the thresholds
+# After a read in progress: decode, checks, words for the thresholds.
+WRITE_MAX = 1 + (READ_CYCLES + 2) + 3 + CHECK_CYCLES + SENT + 2
 READ_MAX = (CHECK_CYCLES + 2) + SENT + 1 + (READ_CYCLES + 2)  # after a write in progress, which may be the longest
 
 
@@ -30,9 +29,8 @@ def register_front(b: Bench):
     body = b.place("dut", unit, done=done)
     state = body.machine.ongoing
     busy = body.flag["busy"]
-    b.assume(
-        busy & ~state("thresholds") & ~state("begin"), where=done
-    )  # as proven for the sequencer: only a frame that was started is done
+    # As proven for the sequencer: only a frame that was started is done.
+    b.assume(busy & ~state("thresholds") & ~state("begin"), where=done)
 
     # Accesses that were taken and not answered yet, counted at the port.
     address, data, read = Signal(), Signal(), Signal()

@@ -154,9 +154,8 @@ def _specification(b: Bench, dut: Placed) -> Specification:
     seen = C(0, sensor.pixels)
     for tick in range(sensor.phases):
         raw = edges.at(edges.stage_2, tick) & edges.fresh.replicate(sensor.pixels)
-        first = b.same(
-            f"edges_at_{tick}", raw & ~seen
-        )  # if a pixel has several edges in a cycle, only the first one exists
+        # If a pixel has several edges in a cycle, only the first one exists.
+        first = b.same(f"edges_at_{tick}", raw & ~seen)
         seen = b.same(f"seen_{tick}", raw | seen)
         now = _tick(b, dut, now, tick, first, armed=(spec.not_armed == 0))
     for name in ("open", "left", "hits", "winner", "stamp", "elapsed"):

@@ -14,9 +14,8 @@ from ..model.contract.parameters import Sensor
 from .logic import first_one
 from .unit import Unit
 
-START_TO_PHASE = (
-    4  # from the module's registered start strobe (two cycles ahead of the ports) to the decoded phase at stage 2
-)
+# From the module's registered start strobe (two cycles ahead of the ports) to the decoded phase at stage 2.
+START_TO_PHASE = 4
 
 
 def line_signature(sensor: Sensor) -> Signature:

@@ -51,7 +51,7 @@ EASE = 1e-3  # weight of the prior that all weights are 0
 ROUNDS = 30
 NINETY = (0.85, 0.95)  # confidences that count as 90 %
 BINS, PIXELS_MIN = (0.0, 0.3, 0.5, 0.7, 0.85, 0.95, 0.98, 1.01), 100  # of the picture
-PICTURE = Path(__file__).parents[1] / "docs" / "images" / "depth_confidence.png"
+PICTURE = Path(__file__).resolve().parents[1] / "docs" / "images" / "depth_confidence.png"
 
 
 class Seen(NamedTuple):

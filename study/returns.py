@@ -26,7 +26,7 @@ from ..model.shared.constants import SPEED_OF_LIGHT_M_S
 from .palette import ALARM, GREY, INK, SERIES
 from .plot_style import legend_below, new_figure, save_figure, style
 
-IMAGES = Path(__file__).parents[1] / "docs" / "images"
+IMAGES = Path(__file__).resolve().parents[1] / "docs" / "images"
 SENSOR = {"rows": 16, "cols": 16}
 SURFACES, STEPS_M, NEAREST_M = 4, (0.15, 0.3), (4.0, 4.1)  # the nearest surface: several places in a cycle
 # Of the picture: photons per pixel and pulse, from all surfaces; threshold and ticks of the window.

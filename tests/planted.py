@@ -215,11 +215,8 @@ BUGS = tuple(
 
 def copy_of_sources(folder: Path) -> None:
     """Copy packages and tests so that they are found before the installed ones."""
-    shutil.copytree(ROOT / "coincid", folder / "coincid", ignore=shutil.ignore_patterns("__pycache__"))
-    for package in PACKAGES:
-        shutil.copytree(ROOT / package, folder / "coincid" / package, ignore=shutil.ignore_patterns("__pycache__"))
-        (folder / package).symlink_to(folder / "coincid" / package)
-    shutil.copytree(ROOT / "tests", folder / "tests", ignore=shutil.ignore_patterns("__pycache__"))
+    for name in ("coincid", "tests", *PACKAGES):
+        shutil.copytree(ROOT / name, folder / name, symlinks=True, ignore=shutil.ignore_patterns("__pycache__"))
     shutil.copy(ROOT / "pyproject.toml", folder)
 
 

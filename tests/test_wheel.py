@@ -26,8 +26,8 @@ assert all(path.exists() for path in view_at("async", 500).macros)
 def copy_of_the_project(source):
     """Copy what is built, so that the checkout stays unchanged."""
     for name in (*ROOMS, "coincid"):
-        shutil.copytree(ROOT / name, source / name, ignore=shutil.ignore_patterns("__pycache__"))
-    for name in ("pyproject.toml", "setup.py", "README.md", "LICENSE", "NOTICE"):
+        shutil.copytree(ROOT / name, source / name, symlinks=True, ignore=shutil.ignore_patterns("__pycache__"))
+    for name in ("pyproject.toml", "README.md", "LICENSE", "NOTICE"):
         shutil.copy(ROOT / name, source / name)
 
 

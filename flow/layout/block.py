@@ -20,10 +20,8 @@ from .technology import ROW_UM, SITE_UM, TOP_METAL
 PLACED = "placed.json"
 RING_ROWS, RING_SITES = 2, 16  # that stay free around the cells
 SITE = u(SITE_UM)
-SPREAD, SPREAD_OF_MACROS = (
-    0.15,
-    0.80,
-)  # share of free area that the placer may leave in one place; with none it widens the cells until they fill all
+# Share of free area that the placer may leave in one place; with none it widens the cells until they fill all.
+SPREAD, SPREAD_OF_MACROS = (0.15, 0.80)
 
 
 def um(length: int) -> float:

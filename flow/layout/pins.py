@@ -23,11 +23,8 @@ END_GAP = 70  # half the distance between two strips on one track
 SUPPLIES = ("VDD", "VSS")
 COMBINATIONS_MAX = 200_000
 CHOICES = 6  # tracks tried for a pin
-SHARED, NEAR, SHORT = (
-    1000.0,
-    10.0,
-    1.0,
-)  # cost of a choice: two pins on one track, too near or far enough; a via that its metal does not enclose
+# Cost of a choice: two pins on one track, too near or far enough; a via that its metal does not enclose.
+SHARED, NEAR, SHORT = (1000.0, 10.0, 1.0)
 
 
 @frozen

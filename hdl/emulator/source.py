@@ -61,9 +61,8 @@ def write_bus(sensor: Sensor) -> data.StructLayout:
     )
 
 
-COMMON = data.StructLayout(
-    {"spread": SPREAD_MAX, "dead": bits_for(DEAD_MAX - 1)}
-)  # spread: a mask of ticks; dead: cycles of dead time - 1
+# `spread` is a mask of ticks, `dead` the cycles of dead time - 1.
+COMMON = data.StructLayout({"spread": SPREAD_MAX, "dead": bits_for(DEAD_MAX - 1)})
 
 
 class Seeder(Unit):

@@ -15,9 +15,8 @@ from ...model.shared.errors import InputError
 from ...model.shared.quantities import real
 from ..logic import popcount
 
-CELLS = Path(__file__).with_name(
-    "async_cells.v"
-)  # behaviour in femtoseconds, for simulation; cells alone for synthesis
+# Behaviour in femtoseconds, for simulation; cells alone for synthesis.
+CELLS = Path(__file__).with_name("async_cells.v")
 MACROS = Path(__file__).with_name("async_macros.v")  # black boxes of the macros, for synthesis
 STEP_FS = PHASES_MAX  # a cycle is a multiple of this, so that its ticks and its sixteenths are integers
 FS_MHZ = 1e9  # femtoseconds in a cycle of 1 MHz

@@ -65,9 +65,8 @@ class AsyncMinigroup(Recorder):
 
         hits = Signal(pixels, reset_less=True)
         with m.If(self.opening):
-            m.d.sync += hits.eq(
-                hit | self.winner
-            )  # the winner opened the window, so it is always in the map, even if its hit flop missed
+            # The winner opened the window, so it is always in the map, even if its hit flop missed.
+            m.d.sync += hits.eq(hit | self.winner)
         with m.Else():
             m.d.sync += hits.eq(hits | hit)
         m.d.comb += self.hits.eq(hits)

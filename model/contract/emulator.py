@@ -32,10 +32,8 @@ TAPS = (
     (4, 13, 27), (11, 23, 26), (0, 14, 22), (10, 25, 29), (5, 16, 27), (19, 21, 24), (7, 21, 28), (12, 29, 31),
 )  # fmt: skip
 SEED_BIT = 15  # bit of a generator at which its seed is shifted in
-LEVEL_LSB, LEVEL_BITS = (
-    0,
-    8,
-)  # bits of the state: in a period's first cycle they decide on an echo; in the second, the low ones place it
+# Bits of the state: in a period's first cycle they decide on an echo; in the second, the low ones place it.
+LEVEL_LSB, LEVEL_BITS = (0, 8)
 PHASE_LSB = 8  # bits of the state: phase of a background photon
 RATE_LSB, RATE_BITS = 16, 16  # bits of the state: they decide on a background photon
 SPREAD_MAX = 4
@@ -102,9 +100,8 @@ OWN: tuple[Register, ...] = (
         doc="Version of this map: major << 16 | minor.",
         reset=EMULATOR_VERSION,
     ),
-    Register(
-        name="buffer_beats", offset=0x08, access=Access.CONSTANT, doc="Beats that the frame buffer holds."
-    ),  # of the build
+    # Of the build.
+    Register(name="buffer_beats", offset=0x08, access=Access.CONSTANT, doc="Beats that the frame buffer holds."),
     Register(
         name="seed",
         offset=0x0C,

@@ -8,9 +8,8 @@ cycle c belongs to cycle c, and all latencies count from there.
 COMMIT = 8  # L: close cycle of a window -> cycle of its commit (the FIFO is written at the end of that cycle)
 RECORD = 3  # first cycle after a period -> cycle in which the minigroup record of the period is written
 STORE_TO_GRANT = 3  # an event or record is stored -> earliest grant of the readout
-GRANT_TO_READ = (
-    2  # grant -> the subgroup forms the packet's first beat; the last beat frees the event's or record's place
-)
+# Grant -> the subgroup forms the packet's first beat; the last beat frees the event's or record's place.
+GRANT_TO_READ = 2
 GRANT_TO_BEAT = 4  # grant -> the packet's first beat is written to the stream's output buffer
 BEAT_TO_PORT = 2  # written to the output buffer -> earliest transfer at the stream's port
 FRAME_START = 1  # cycle of a frame in which the frame start packet is granted

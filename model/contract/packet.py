@@ -78,9 +78,8 @@ _HEADER = _STAMP, _WINNER, _COUNT, _PULSE, _SUBGROUP, _OVERRUN
 MAP = Field("map", 1, "", "pixels", aligned=True)
 OFFSETS = Field("offsets", 8, "", "minigroups", aligned=True)
 ENTRIES = Field("entries", "record_bits", "", "minigroups", aligned=True)
-_COUNTERS = Field(
-    "counters", COUNTER_BITS, "", len(COUNTER_NAMES), aligned=True
-)  # once for every subgroup of the stream
+# Once for every subgroup of the stream.
+_COUNTERS = Field("counters", COUNTER_BITS, "", len(COUNTER_NAMES), aligned=True)
 
 FORMATS = {  # packets of events, in the order of the format register's values
     "short": Packet(1, "event_short", _HEADER),

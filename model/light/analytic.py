@@ -34,9 +34,8 @@ from .timing import Timing
 VALID_DEAD_FRACTION = 0.05
 SCHEMES = (1, 2)  # 1: winner takes all, no coincidence; 2: coincidence
 THRESHOLDS = range(1, 8)  # as in the paper's Fig. 7
-PRINTED_TIME_UNIT_S = (
-    1e-12  # of (18) as printed: with ps, the bins sum to 14.6 times the signal (sigma 212 ps), with s to 1.5e-5
-)
+# Of (18) as printed: with ps, the bins sum to 14.6 times the signal (sigma 212 ps), with s to 1.5e-5.
+PRINTED_TIME_UNIT_S = 1e-12
 
 _close_cycle, _armed_cycle = njit(close_cycle), njit(armed_cycle)
 

@@ -19,9 +19,8 @@ from ..shared.files import FilePath, read_npz, write_npz
 from ..shared.quantities import Numbers, real_array
 
 BIN_S = 15.625e-12  # a quarter of the preset's tick
-SURFACE_GAP_M = (
-    0.15  # surfaces farther apart are distinct: the way of light, there and back, in a coincidence window of 1 ns
-)
+# Surfaces farther apart are distinct: the way of light, there and back, in a coincidence window of 1 ns.
+SURFACE_GAP_M = 0.15
 _ARRAYS = ("first", "index", "strength_per_m2", "ambient", "surface_m", "lost_per_m2")
 
 

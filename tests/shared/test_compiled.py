@@ -13,10 +13,10 @@ from ..planted import copy_of_sources
 # window.
 PROGRAM = """
 import numba, numpy as np
-from coincid.study import rivals
+from coincid.study import other_schemes
 assert not numba.config.CACHE_DIR, "other packages' code would go there, too"
 tick = np.array([0, 32, 64])
-print(rivals._windows(np.zeros(3, np.int64), tick, 32, 32)[2].tolist(), sum(rivals._windows.stats.cache_hits.values()))
+print(other_schemes._windows(np.zeros(3, np.int64), tick, 32, 32)[2].tolist(), sum(other_schemes._windows.stats.cache_hits.values()))
 """
 OPENED, OPENED_LATE = "[0, 32, 64]", "[0, 64]"
 REARM = "close + 1 + rearm_cycles"
