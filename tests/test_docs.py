@@ -48,9 +48,19 @@ def blocks(page, language):
 
 
 def test_all_python_blocks_are_tested():
-    """By this file, `test_light_doc.py` and `tb/test_emulator.py`; a block on another page needs a test, too."""
+    """By this file and `tb/test_emulator.py`; a block on another page needs a test, too."""
     tested = {"README.md", "light.md", "explorer.md", "experiments.md", "sweeps.md", "board.md"}
     assert {page.name for page in PAGES if blocks(page, "python")} == tested
+
+
+def test_code_about_light_prints_what_the_page_says():
+    page, printed, names = ROOT / "docs" / "light.md", io.StringIO(), {}
+    with contextlib.redirect_stdout(printed):
+        for code in blocks(page, "python"):
+            exec(code, names)
+    said = re.sub(r"```python\n.*?```", "", page.read_text(), flags=re.DOTALL)
+    lines = printed.getvalue().splitlines()
+    assert len(lines) > 10 and [line for line in lines if line not in said] == []
 
 
 def test_notebook_block_runs(tmp_path, monkeypatch):

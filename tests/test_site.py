@@ -31,15 +31,10 @@ def project(tmp_path):
     """Copy the files from which the site is made."""
     root = tmp_path / "project"
     for name in ("docs", "examples"):
-        (root / name).mkdir(parents=True)
-        for path in (ROOT / name).rglob("*"):
-            if path.is_file() and "__pycache__" not in path.parts:
-                copy = root / path.relative_to(ROOT)
-                copy.parent.mkdir(parents=True, exist_ok=True)
-                copy.write_bytes(path.read_bytes())
+        shutil.copytree(ROOT / name, root / name, ignore=shutil.ignore_patterns("__pycache__"))
     for path in ROOT.iterdir():
         if path.is_file() and path.suffix in {".md", ".cff", ".toml", ""}:
-            (root / path.name).write_bytes(path.read_bytes())
+            shutil.copy(path, root)
     return root
 
 

@@ -37,19 +37,8 @@ def wheel(tmp_path_factory):
     folder = tmp_path_factory.mktemp("wheel")
     source = folder / "source"
     copy_of_the_project(source)
-    command = [
-        sys.executable,
-        "-m",
-        "pip",
-        "wheel",
-        ".",
-        "--no-deps",
-        "--no-build-isolation",
-        "--quiet",
-        "-w",
-        str(folder),
-    ]
-    done = subprocess.run(command, cwd=source, capture_output=True, text=True)
+    words = "-m pip wheel . --no-deps --no-build-isolation --quiet -w"
+    done = subprocess.run([sys.executable, *words.split(), folder], cwd=source, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     (built,) = folder.glob("*.whl")
     return built
@@ -93,8 +82,8 @@ def test_a_script_beside_the_clone_finds_the_package(tmp_path):
     ).parent
     python = tmp_path / "env" / "bin" / "python"
     environment = os.environ | {"PYTHONPATH": str(own)}  # setuptools, for the build alone
-    words = ["-m", "pip", "install", "--no-deps", "--no-build-isolation", "--quiet", "--editable", clone]
-    subprocess.run([python, *words], check=True, env=environment)
+    words = "-m pip install --no-deps --no-build-isolation --quiet --editable"
+    subprocess.run([python, *words.split(), clone], check=True, env=environment)
     (tmp_path / "script.py").write_text("import coincid; print(coincid.__file__, coincid.__version__)")
     done = subprocess.run([python, "script.py"], cwd=tmp_path, capture_output=True, text=True)
     assert done.stdout.startswith(str(clone / "coincid" / "__init__.py")), done.stdout + done.stderr

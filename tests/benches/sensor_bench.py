@@ -332,26 +332,6 @@ async def abort_ends_the_running_period(dut):
 
 
 @cocotb.test()
-async def budgets_follow_the_capacity(dut):
-    """Budgets follow the golden model from frame to frame: they begin with the share, and a new capacity counts at once."""
-    bench = await fresh(dut)
-    golden, budgets = Golden(bench.sensor), []
-    for number, capacity in enumerate((100, 100, 40, 40, 2**32 - 1, 2**32 - 1, 60, 0, 200)):
-        frame = {"period": 60, "pulses": 4, "auto_bounds": [0] * 6, "capacity": capacity, "format": "short"}
-        of = config(frame=frame, subgroup={"threshold": 2, "auto": number != 5})
-        edges = some_edges(of, number, 100 * (1 + number % 3))
-        if not number:
-            await bench.program(of)
-            assert await bench.read("budget") == of.shares[0]
-        stalled = np.zeros(50 * number, np.uint8)
-        trace = golden.frame(of, edges, stalled)
-        await bench.play(of, edges, stalled, Scoreboard(of.sensor, trace, number))
-        budgets.append(await bench.read("budget"))
-        assert budgets[-1] == trace.budget[0], number
-    assert len(set(budgets)) > 4
-
-
-@cocotb.test()
 async def gate_output_leads_the_spads(dut):
     """`spad_gate` is high exactly in the cycles whose edges the gate accepts, and always if gating is off."""
     bench = await fresh(dut)

@@ -7,12 +7,10 @@ from PIL import Image
 
 from coincid.lab.outcomes import Run
 from coincid.lab.setup import Setup
-from coincid.model.contract.config import parse_config
 from coincid.model.depth.arrivals import lead_sigmas, photons_of
-from coincid.model.depth.estimate import METHODS, estimate_depth
+from coincid.model.depth.estimate import estimate_depth
 from coincid.model.depth.histograms import SOURCES, subgroup_histograms
 from coincid.model.depth.quality import TOLERANCE_M, range_error, wrong_pixels, wrong_share
-from coincid.model.light.spad import Spad
 from coincid.model.light.timing import Timing
 from coincid.model.shared.constants import SIGMA_PER_FWHM
 from coincid.model.shared.errors import InputError
@@ -127,7 +125,6 @@ def test_estimators_rank_as_they_should(five_objects):
         {"rows": 16, "cols": 16, "subgroup": [4, 4]},
         {"rows": 16, "cols": 32, "subgroup": [4, 8], "minigroup": [2, 4]},
         {"rows": 32, "cols": 16, "subgroup": [16, 16], "streams": 2},
-        {"rows": 64, "cols": 64},
     ],
 )
 def test_the_letter_is_neither_mirrored_nor_swapped(sensor):
@@ -152,31 +149,6 @@ def test_frames_are_told_apart():
     assert wrong_share(first, scene.truth_m) == wrong_share(second, scene.truth_m) == 0
     with pytest.raises(InputError, match="from 0 to 1"):
         depth_of(result, config, frame=2)
-
-
-def test_hot_and_masked_pixels():
-    dark_cps = np.zeros(1024)
-    dark_cps[[100, 500, 900]] = 5e6
-    config = parse_config({"override": [{"subgroups": [0], "mask": "0"}]})
-    frame = Run(Setup.of("five-objects", klux=20, spad=Spad(dark_cps=dark_cps)).but(config=config)).frame()
-    assert wrong_share(frame.depth_m[8:], frame.truth_m[8:]) < 0.01
-
-
-@pytest.mark.parametrize("method", METHODS)
-def test_nothing_seen_is_no_depth(method):
-    depth = Run(Setup.of("flat:5,0", sensor={"rows": 8, "cols": 16}, klux=0)).depth(method)
-    assert np.isnan(depth.depth_m).all() and not depth.confidence.any()
-
-
-@pytest.mark.parametrize("method", METHODS)
-def test_confidence_and_repetition(five_objects, method):
-    scene, config, result = five_objects[2]
-    depth, again = (estimate_depth(result, config, method=method) for _ in range(2))
-    assert np.array_equal(depth.depth_m, again.depth_m, equal_nan=True)
-    assert np.all((depth.confidence >= 0) & (depth.confidence <= 1))
-    wrong = wrong_pixels(depth.depth_m[:, :, 0], scene.truth_m)
-    if method != "planes":  # which makes hardly any errors here
-        assert depth.confidence[:, :, 0][~wrong].mean() > depth.confidence[:, :, 0][wrong].mean() + 0.2
 
 
 def test_bad_input(five_objects):

@@ -188,21 +188,6 @@ def test_no_confidence_where_a_pixel_rules_out_its_plane():
     assert ruled_out.any() and not depth.confidence[ruled_out].any() and not np.isnan(depth.depth_m).any()
 
 
-def test_confidence_is_a_probability():
-    """The share of right pixels equals their mean confidence, in a scene with many wrong ones."""
-    row, col = np.mgrid[:ROWS, :COLS]
-    texture = np.random.default_rng(1).choice(np.geomspace(0.02, 0.5, 6), (ROWS, COLS))
-    scene = Scene(name="patches", distance_m=7 + 0.04 * col + 0.3 * (row > 8), reflectivity=texture)
-    sure, right = [], []
-    for seed in range(4):
-        depth = estimate(scene, 50.0, seed=seed)
-        sure.append(depth.confidence[:, :, 0].ravel())
-        right.append(np.abs(depth.depth_m[:, :, 0] - scene.truth_m).ravel() <= TOLERANCE_M)
-    sure, right = np.concatenate(sure), np.concatenate(right)
-    assert np.mean(sure) == pytest.approx(np.mean(right), abs=0.1)
-    assert right[sure > np.median(sure)].mean() > right[sure <= np.median(sure)].mean()
-
-
 def test_threads_change_nothing():
     scene = tilted()
     one, two, three = (estimate(scene, returns=2, workers=workers) for workers in (1, 2, 3))

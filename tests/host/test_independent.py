@@ -1,24 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Three clients read the same frames: the Python driver, the C driver, and one that is written from the documents alone.
+"""A client that is written from the documents alone.
 
-The latter, `Client`, takes nothing from the project: framing and addresses of docs/board.md, registers of registers.md, words of
+It takes nothing from the project: framing and addresses of docs/board.md, registers of registers.md, words of
 docs/contract.md are spelled out here, so that a page that says too little, or another thing than the RTL does, is found.
 """
 
-import ctypes
-
 import numpy as np
-import pytest
 
-from coincid.host.emulator_driver import EmulatorDriver
-from coincid.host.serial_transport import SerialTransport
 from coincid.model.contract.emulator import Emulator
 from coincid.model.contract.parameters import Sensor
 from coincid.model.golden.frame import Golden
 from coincid.model.light.on_chip import SourceSettings, source_edges
-from coincid.tb.verilated_emulator import PATIENCE_S, SimulatedPort
+from coincid.tb.verilated_emulator import SimulatedPort
 
-from ..flow.test_c_driver import Info, bus_of, compiled_driver
 from ..random_cases import configured
 
 SENSOR = Sensor(rows=4, cols=8, phases=8, window_max=16, subgroup=(4, 4))
@@ -119,33 +113,6 @@ class Client:
         return False
 
 
-def python_frame(line):
-    driver = EmulatorDriver(SerialTransport(line, patience_s=PATIENCE_S))
-    driver.program(CONFIG)
-    driver.write_settings(SETTINGS.register_writes(SENSOR))
-    return driver.frame().tolist()
-
-
-def documented_frame(line):
-    client = Client(line)
-    client.program()
-    return client.frame()
-
-
-def c_frame(line):
-    """Programmed and read by words; probed, started and waited for by the C driver."""
-    transport = SerialTransport(line, patience_s=PATIENCE_S)
-    library, bus, info = compiled_driver(SENSOR), bus_of(transport), Info()
-    assert library.coincid_probe(ctypes.byref(bus), ctypes.byref(info)) == 0 and info.pixels == 16
-    for address, value in [*CONFIG.register_writes(), *SETTINGS.register_writes(SENSOR)]:
-        transport.write(address, value)
-    assert library.coincid_start(ctypes.byref(bus)) == 0
-    driver = EmulatorDriver(transport)
-    (beats,) = driver.receive()
-    assert library.coincid_wait(ctypes.byref(bus), 1000) == 0
-    return beats.tolist()
-
-
 CONFIG = configured(
     SENSOR,
     {"period": PERIOD, "pulses": PULSES, "clock_mhz": 100, "format": "id"},
@@ -161,21 +128,15 @@ SETTINGS = SourceSettings(
 )
 
 
-@pytest.mark.parametrize("client", [python_frame, c_frame, documented_frame])
-def test_clients_read_the_same_frame(client):
-    """That of the golden model; it fills the buffer's ring more than once, so the ring is read across its end."""
+def test_the_documented_client_reads_the_golden_models_frame_and_follows_the_rules_of_the_line():
+    """A repeated write is answered, not done again; a wrong number is told; a reset is noticed."""
     expected = Golden(SENSOR).frame(CONFIG, source_edges(CONFIG, SETTINGS, 0)).beats[0].tolist()
     assert len(expected) > 12
-    with SimulatedPort(EMULATOR, 100) as line:
-        assert client(line) == expected
-
-
-def test_the_documented_client_follows_the_rules_of_the_line():
-    """A repeated write is answered, not done again; a wrong number is told; a reset is noticed."""
     with SimulatedPort(EMULATOR, 100) as line:
         client = Client(line)
         client.program()
         beats = client.frame()
+        assert beats == expected
         client.number = (client.number - 1) % 256  # of the write to status
         assert client.ask(2, 1, 0x44, [2]) == (0, b"\x01")
         client.number = (client.number + 7) % 256

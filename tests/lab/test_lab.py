@@ -21,7 +21,7 @@ from coincid.model.light.spad import Spad
 from coincid.model.shared.errors import InputError
 from coincid.model.shared.interrupts import worker_processes
 
-SMALL = {"sensor": {"rows": 8, "cols": 16}, "frame": {"period": 60, "pulses": 20, "frames": 2}}
+SMALL = {"sensor": {"rows": 8, "cols": 24, "streams": 2}, "frame": {"period": 60, "pulses": 20, "frames": 2}}
 NAMES = ("events", "wrong_share", "events_per_s")
 read = partial(read_measures, names=NAMES)
 

@@ -41,10 +41,10 @@ def first_ticks(edges, pixel, pulses, low=0, high=1 << 62):
 def test_sides_and_successive_avalanches_of_crosstalk():
     """For a pixel that fires three times per pulse: which neighbours each of the three avalanches hits."""
     pulses, distances_m = 6000, np.array([10.0, 10.0 + APART_M, 10.0 + 2 * APART_M])
-    signal, distance = np.zeros((25, 3)), np.broadcast_to(distances_m, (25, 3))
-    signal[12] = ALWAYS
+    signal, distance = np.zeros((35, 3)), np.broadcast_to(distances_m, (35, 3))
+    signal[17] = ALWAYS
     light = Light(
-        rows=5, cols=5, distance_m=distance, signal_per_pulse=signal, background_cps=0.0, system_fwhm_s=10e-12
+        rows=5, cols=7, distance_m=distance, signal_per_pulse=signal, background_cps=0.0, system_fwhm_s=10e-12
     )
     spad = Spad(jitter_fwhm_s=0, crosstalk_probability=0.25)
     edges = generate_edges(light, spad, TIMING, pulses=pulses, seed=3)
@@ -52,7 +52,7 @@ def test_sides_and_successive_avalanches_of_crosstalk():
     struck = {}
     for avalanche, distance_m in enumerate(distances_m):
         at = 2 * distance_m / SPEED_OF_LIGHT_M_S / TIMING.tick_s
-        for side, pixel in (("above", 7), ("left", 11), ("right", 13), ("below", 17)):
+        for side, pixel in (("above", 10), ("left", 16), ("right", 18), ("below", 24)):
             struck[f"{side} of avalanche {avalanche}"] = first_ticks(edges, pixel, pulses, at - half, at + half) >= 0
     assert all(0.2 < column.mean() < 0.3 for column in struck.values())
     assert_independent(struck)
@@ -72,21 +72,21 @@ def test_pixels_and_pulses():
 def test_purposes_of_one_avalanche():
     """For one avalanche: its jitter, whether it traps a carrier, the carrier's release, and the neighbours it hits."""
     pulses, distance_m = 12_000, 20.0
-    signal = np.zeros(25)
-    signal[12] = ALWAYS
+    signal = np.zeros(35)
+    signal[17] = ALWAYS
     light = Light(
-        rows=5, cols=5, distance_m=distance_m, signal_per_pulse=signal, background_cps=0.0, system_fwhm_s=300e-12
+        rows=5, cols=7, distance_m=distance_m, signal_per_pulse=signal, background_cps=0.0, system_fwhm_s=300e-12
     )
     spad = Spad(jitter_fwhm_s=300e-12, afterpulse_probability=0.3, afterpulse_s=30e-9, crosstalk_probability=0.25)
     edges = generate_edges(light, spad, TIMING, pulses=pulses, seed=5)
     at = 2 * distance_m / SPEED_OF_LIGHT_M_S / TIMING.tick_s
     near = 1.5e-9 / TIMING.tick_s
-    own = first_ticks(edges, 12, pulses, at - near, at + near)
-    released = first_ticks(edges, 12, pulses, at + near)
+    own = first_ticks(edges, 17, pulses, at - near, at + near)
+    released = first_ticks(edges, 17, pulses, at + near)
     columns = {"jitter": own, "carrier": released >= 0}
     columns |= {
         f"side {side}": first_ticks(edges, pixel, pulses, at - near, at + near) >= 0
-        for side, pixel in enumerate((7, 11, 13, 17))
+        for side, pixel in enumerate((10, 16, 18, 24))
     }
     assert np.all(own >= 0) and 0.1 < columns["carrier"].mean() < 0.3
     assert_independent(columns)

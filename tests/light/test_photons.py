@@ -163,16 +163,16 @@ def test_jitter_of_one_avalanche_is_the_spads_alone():
 
 def test_crosstalk_reaches_four_neighbours_with_its_probability():
     probability, pulses = 0.05, 10_000
-    signal = np.zeros(25)
-    signal[12] = 40.0  # fires in every pulse
+    signal = np.zeros(35)
+    signal[17] = 40.0  # fires in every pulse
     spad = Spad(jitter_fwhm_s=0, crosstalk_probability=probability)
-    edges = edges_of(light(5, 5, signal=signal), spad, pulses=pulses)
-    n = np.bincount(edges.pixel, minlength=25)
-    assert n[12] == pulses
-    assert set(np.flatnonzero(n)) == {7, 11, 12, 13, 17}
-    for neighbour in (7, 11, 13, 17):
+    edges = edges_of(light(5, 7, signal=signal), spad, pulses=pulses)
+    n = np.bincount(edges.pixel, minlength=35)
+    assert n[17] == pulses
+    assert set(np.flatnonzero(n)) == {10, 16, 17, 18, 24}
+    for neighbour in (10, 16, 18, 24):
         assert stats.binomtest(int(n[neighbour]), pulses, probability).pvalue > LEVEL
-    struck = np.bincount(edges.pulse[edges.pixel != 12], minlength=pulses)
+    struck = np.bincount(edges.pulse[edges.pixel != 17], minlength=pulses)
     assert_law(struck, stats.binom(4, probability))
 
 
@@ -213,11 +213,6 @@ def test_same_bytes_for_any_workers_and_chunks(seed, workers, chunk_pulses, star
     whole = edges_of(scene, EVERYTHING, **options)
     assert same(whole, edges_of(scene, EVERYTHING, workers=workers, chunk_pulses=chunk_pulses, **options))
     assert whole.pulse.min() >= start and whole.pulse.max() < start + 40
-
-
-def test_other_seeds_give_other_edges():
-    one, two = (edges_of(light(noise_cps=1e6), pulses=20, seed=seed) for seed in (1, 2))
-    assert not same(one, two)
 
 
 def test_chunks_are_sorted_and_follow_each_other():

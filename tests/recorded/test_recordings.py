@@ -282,8 +282,7 @@ def test_channel_maps(tmp_path):
             edges_of(tmp_path / "a.csv", channels=channels)
 
 
-@pytest.mark.parametrize("suffix", [".ptu", ".csv"])
-def test_recording_replays_alike_through_model_and_rtl(tmp_path, suffix):
+def test_recording_replays_alike_through_model_and_rtl(tmp_path):
     """From a scene's photons to a recording and back to edges, on the command line."""
     (tmp_path / "small.toml").write_text("[sensor]\nrows = 8\ncols = 8\n[frame]\npulses = 20\nframes = 2\n")
 
@@ -292,12 +291,10 @@ def test_recording_replays_alike_through_model_and_rtl(tmp_path, suffix):
         assert result.exit_code == 0, result.output
         return result.stdout
 
-    told = run("photons --scene flat:4,0.4 --klux 20 --out", tmp_path / f"recorded{suffix}")
+    told = run("photons --scene flat:4,0.4 --klux 20 --out", tmp_path / "recorded.ptu")
     run("photons --scene flat:4,0.4 --klux 20 --out", tmp_path / "photons.npz")
-    assert (
-        told.split()[1]
-        == run("edges", tmp_path / f"recorded{suffix}", "--out", tmp_path / "edges.npz").splitlines()[-1].split()[1]
-    )
+    read = run("edges", tmp_path / "recorded.ptu", "--out", tmp_path / "edges.npz").splitlines()[-1]
+    assert told.split()[1] == read.split()[1]
     assert (tmp_path / "edges.npz").read_bytes() == (tmp_path / "photons.npz").read_bytes()
     loaded = load_edges(tmp_path / "edges.npz", pixels=64, pulses=40, period_ticks=TIMING.period_ticks)
     assert not differences(replay("golden", CONFIG, loaded), replay("sliced", CONFIG, loaded))

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from coincid.flow.constraints import constraints
 from coincid.flow.silicon_report import domains, latches, netlist
-from coincid.hdl.front_end_views import POLYPHASE, Asynchronous
+from coincid.hdl.front_end_views import Asynchronous
 from coincid.hdl.silicon.circuit import SYNCHRONISER_REARM, Circuit
 from coincid.model.contract.config import parse_config
 from coincid.model.contract.edges import Edges
@@ -19,7 +19,6 @@ from coincid.model.contract.parameters import Sensor
 from coincid.model.contract.pixels import pixel_table
 from coincid.model.contract.result import differences
 from coincid.model.shared.errors import InputError
-from coincid.tb.frame_record import FrameJob
 from coincid.tb.play import build_sensor, play
 from coincid.tb.replay import replay
 from coincid.tb.stimulus import line_levels, off_centre, tick_ps
@@ -29,7 +28,7 @@ from ..benches import bench_environment
 from ..random_cases import SENSORS, SMALL, configured, trouble
 from ..tb.test_cosim import assert_all_checked, frames
 
-BUILDS = {name: (sensor, None) for name, sensor in SENSORS.items()} | {"wide, two banks": (SENSORS["wide"], 2)}
+TINIEST = dict(rows=4, cols=4, subgroup=[4, 4], phases=4, window_max=20, fifo_depth=2)
 FULL = {"format": "full", "minigroup_records": True, "mg_threshold": 1}
 
 
@@ -38,25 +37,13 @@ def config(sensor=None, window=12, pulses=8, **subgroup):
     return configured(sensor, {"period": 40, "pulses": pulses} | FULL, {"window": window, "threshold": 1} | subgroup)
 
 
-@pytest.mark.parametrize("build", BUILDS)
-@settings(max_examples=2, phases=(Phase.explicit, Phase.generate), suppress_health_check=list(HealthCheck))
+@pytest.mark.parametrize("sensor", sorted(SENSORS.keys() - {"one"}))  # in "default", two of it share a TDC
+@settings(max_examples=1, phases=(Phase.explicit, Phase.generate), suppress_health_check=list(HealthCheck))
 @given(data=st.data())
-def test_random_frames_at_tick_centres(build, tmp_path_factory, data):
-    sensor, banks = BUILDS[build]
-    jobs = data.draw(frames(sensor))
-    records, _ = play(jobs, "icarus", tmp_path_factory.mktemp("async"), view=Asynchronous(Circuit(banks=banks)))
+def test_random_frames_at_tick_centres(sensor, tmp_path_factory, data):
+    jobs = data.draw(frames(SENSORS[sensor]))
+    records, _ = play(jobs, "icarus", tmp_path_factory.mktemp("async"), view=Asynchronous())
     assert_all_checked(records, jobs)
-
-
-@pytest.mark.parametrize("window", (1, 32, 33, 128))
-def test_both_views_show_the_same_beats_and_commits(window, tmp_path):
-    settings = config(window=window)
-    jobs = [FrameJob(settings, trouble(settings, seed, 20.0)) for seed in range(2)]
-    views = (("p", POLYPHASE), ("a", Asynchronous()))
-    for polyphase, asynchronous in zip(*(play(jobs, "icarus", tmp_path / name, view=view)[0] for name, view in views)):
-        assert polyphase.cycles == asynchronous.cycles and len(polyphase.commit_cycle) > 10
-        for name in ("beats", "beat_cycle", "commit_subgroup", "commit_cycle"):
-            assert np.array_equal(getattr(polyphase, name), getattr(asynchronous, name)), name
 
 
 def bursts(settings, seed, ticks):
@@ -121,12 +108,12 @@ def test_nominal_circuits_keep_the_ticks_of_dense_edges():
 
 
 def test_verilator_agrees():
-    settings = config(SMALL, pulses=3)  # delays take long to compile
+    settings = config(TINIEST, pulses=3)  # delays take long to compile
     edges = trouble(settings, 7, 20.0)
     assert not differences(replay("golden", settings, edges), replay("verilator", settings, edges, view=Asynchronous()))
 
 
-def test_resets_and_aborts_in_the_middle_of_frames(tmp_path):
+def test_resets_in_the_middle_of_frames(tmp_path):
     """Run the tests of `async_bench.py`."""
     sensor = parse_config({"sensor": SMALL}).sensor
     build = build_sensor(sensor, "icarus", view=Asynchronous())

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The bandwidth study: estimate and golden model agree, and its statements about streams hold."""
 
-import csv
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +9,7 @@ import pytest
 from coincid.lab.measures import stream_beats
 from coincid.model.contract.config import parse_config
 from coincid.model.contract.counters import COUNTER_NAMES
-from coincid.model.contract.packet import FORMAT_NAMES, FORMATS
+from coincid.model.contract.packet import FORMATS
 from coincid.model.golden.frame import Golden
 from coincid.model.light.light import Light
 from coincid.model.light.photons import generate_edges
@@ -70,15 +69,6 @@ def test_page_has_the_table_of_the_command():
     table = bandwidth.table(bandwidth.study(klux=(50.0,), thresholds=(2, 3), sizes=("32x32",))).splitlines()
     start = lines.index(table[0])
     assert lines[start : start + len(table)] == table
-
-
-def test_command_writes_table_data_and_plot(tmp_path):
-    result = command("bandwidth --klux 50 --threshold 2 --size 32x32 --out", tmp_path)
-    assert result.exit_code == 0 and (tmp_path / bandwidth.TABLE).read_text() in result.output
-    with (tmp_path / bandwidth.CSV).open() as file:
-        shown = {(row["klux"], row["threshold"], row["format"], row["records"]) for row in csv.DictReader(file)}
-    assert shown == {("50", "2", name, records) for name in FORMAT_NAMES for records in ("False", "True")}
-    assert (tmp_path / bandwidth.PLOT).read_bytes().startswith(b"\x89PNG")
 
 
 @pytest.mark.parametrize(

@@ -17,7 +17,7 @@ from coincid.tb.sliced import SlicedSensor, play_side_by_side
 from .. import random_cases
 
 seeds = st.integers(0, 2**32 - 1)
-SENSOR = random_cases.SENSORS["default"]
+SENSOR, ODD = random_cases.SENSORS["default"], random_cases.SENSORS["odd"]
 CYCLE_PS = 2000  # of the simulators' clock
 # Signals that may differ: what the host asks for and when, a count that never rests, and a choice among nothing.
 FREE = {"command", "data", "index", "index_before", "at_last", "winner_5_0"}
@@ -75,17 +75,12 @@ def test_chains_side_by_side_equal_one_by_one(threads, tmp_path):
     """Settings, light, length and the controller's memory differ between the sensors that share a word."""
     chains = []
     for number in range(7):
-        golden, chain = Golden(random_cases.built_sensor(SENSOR)), []
+        golden, chain = Golden(random_cases.built_sensor(ODD)), []
         for k in range(1 + number % 3):
+            period, dither_bits = 60 + 7 * number, number % 4
             config = random_cases.configured(
-                SENSOR,
-                {
-                    "period": 60 + 7 * number,
-                    "pulses": 2 + k,
-                    "capacity": 20,
-                    "dither_bits": number % 4,
-                    "dither_seed": 5,
-                },
+                ODD,
+                dict(period=period, pulses=2 + k, capacity=20, dither_bits=dither_bits, dither_seed=5),
                 {"auto": True, "threshold": 1 + number % 3, "window": 10 + number},
                 {"subgroups": [1], "gating": True, "gate_start": 5, "gate_len": 30 + number},
             )

@@ -2,7 +2,6 @@
 """Builds and runs of a toy design on both simulators, and possible errors."""
 
 import errno
-import multiprocessing
 import os
 import shutil
 import signal
@@ -146,25 +145,6 @@ def test_design_that_does_not_compile(simulator, toy, empty_build_root):
         build(simulator, toy)
     with pytest.raises(ToolchainError, match="syntax error"):  # still
         build(simulator, toy)
-
-
-def test_processes_that_want_the_same_build_make_it_once(tmp_path):
-    def make(scratch):
-        with (tmp_path / "made").open("a") as file:
-            file.write("once\n")
-        time.sleep(0.1)
-        (scratch / "content").write_text("whole")
-
-    def work():
-        assert (build_once(tmp_path / "thing", make) / "content").read_text() == "whole"
-
-    processes = [multiprocessing.get_context("fork").Process(target=work) for _ in range(8)]
-    for process in processes:
-        process.start()
-    for process in processes:
-        process.join()
-    assert [process.exitcode for process in processes] == [0] * 8
-    assert (tmp_path / "made").read_text() == "once\n"
 
 
 @pytest.mark.parametrize("error", [RuntimeError, KeyboardInterrupt])

@@ -20,7 +20,7 @@ BUSY = {  # name: document; there are many edges, so that FIFOs overflow
     "gated": {"frame": {"gate_step": 3, "gate_every": 2, "gate_steps": 5}, "subgroup": {"gating": True, "gate_start": 5, "gate_len": 9}},
     "full events, masked": {"frame": {"format": "full"}, "subgroup": {"mask": "ffffffff0fffffff"}},
     "records between events": {"frame": {"minigroup_records": True}, "subgroup": {"threshold": 1}},
-    "two streams, re-arm gap": {"sensor": {"streams": 2, "rearm": 2}, "subgroup": {"threshold": 1, "window": 40}},
+    "two streams, re-arm gap": {"sensor": {"cols": 24, "streams": 2, "rearm": 2}, "subgroup": {"threshold": 1, "window": 40}},
     "dither": {"frame": {"dither_bits": 3}, "subgroup": {"threshold": 1}},
 }  # fmt: skip
 
