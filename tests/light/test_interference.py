@@ -16,21 +16,17 @@ from coincid.model.shared.constants import SPEED_OF_LIGHT_M_S
 from coincid.model.shared.errors import InputError
 from coincid.study.figures.interference import look, setup
 
-LEVEL = 1e-3
-BARE = Spad(dead_time_s=0, jitter_fwhm_s=0)
+from .test_photons import BARE, LEVEL, same
+
 SHARP = {"fwhm_s": 0.0}
-
-
-def dark(**others):
-    return Light(rows=8, cols=8, distance_m=np.nan, signal_per_pulse=0.0, **others)
 
 
 def edges_of(light, timing, spad=BARE, pulses=400, **options):
     return generate_edges(light, spad, timing, pulses=pulses, seed=1, **options)
 
 
-def same(a, b):
-    return all(getattr(a, name).tobytes() == getattr(b, name).tobytes() for name in ("pulse", "pixel", "tick"))
+def dark(**others):
+    return Light(rows=8, cols=8, distance_m=np.nan, signal_per_pulse=0.0, **others)
 
 
 def test_photons_of_the_other_are_poisson():

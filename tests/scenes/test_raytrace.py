@@ -82,15 +82,6 @@ def test_bins_without_width_are_targets(photons, seed):
     assert np.abs(a.tick - b.tick).max(initial=0) <= 1 and np.mean(a.tick == b.tick) > 0.9
 
 
-def test_light_of_an_earlier_pulse():
-    """Light from beyond the laser period arrives in the next one, or is lost if the model says so."""
-    arrivals = Arrivals(first=[0, 1], start_s=[Timing().period_s + 100e-9], photons=[5.0], width_s=BIN_S)
-    dark = dict(rows=1, cols=1, distance_m=np.nan, signal_per_pulse=0.0, system_fwhm_s=0.0, arrivals=arrivals)
-    edges = generate_edges(Light(**dark), BARE, Timing(), pulses=20, seed=1)
-    assert len(edges) > 50 and np.all(edges.tick == 1600)
-    assert len(generate_edges(Light(**dark, range_ambiguity=False), BARE, Timing(), pulses=20, seed=1)) == 0
-
-
 @pytest.mark.parametrize(
     "wrong, words",
     [

@@ -291,13 +291,6 @@ def test_the_unit_that_would_fit(tmp_path, samples, words):
     assert words in told
 
 
-def test_holes_stay_holes(tmp_path):
-    samples = RAMP_M.copy()
-    samples[:, 0], samples[:, 1], samples[:, 2] = 0, np.inf, 1e10
-    read = load_scene(str(pfm(tmp_path / "d.pfm", samples)), 8, 8)
-    assert np.isnan(read.truth_m[:, :3]).all() and read.valid.sum() == 40
-
-
 def test_distances_as_an_array():
     read = load_scene(np.arange(2, 6).reshape(2, 2), 4, 4, reflectivity=np.array([[0.1, 0.2], [0.3, 0.4]]))
     assert read.truth_m[0, 0] == 2 and read.truth_m[3, 3] == 5

@@ -80,13 +80,6 @@ def test_seed_decides_the_random_numbers(simulator, toy, tmp_path):
 
 
 @each_simulator
-def test_waves_are_fst(simulator, toy, tmp_path):
-    wave = run(build(simulator, toy, waves=True), tmp_path / "out").wave
-    # An FST begins with a header block (type 0) of 329 bytes.
-    assert wave == tmp_path / "out" / "toy.fst" and wave.read_bytes()[:9] == b"\0" + (329).to_bytes(8, "big")
-
-
-@each_simulator
 @pytest.mark.parametrize(
     ("behave", "reason"),
     [
