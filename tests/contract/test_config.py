@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from attrs import asdict
 
-from coincid.model.contract.config import changes_of_text, load_config, parse_config
+from coincid.model.contract.config import Config, changes_of_text, load_config, parse_config
 from coincid.model.contract.registers import address
 from coincid.model.contract.windows import armed_cycle, close_cycle
 from coincid.model.light.timing import Timing
@@ -63,55 +63,44 @@ def test_settings_of_every_subgroup():
 
 
 @pytest.mark.parametrize(
-    ("settings", "words"),
+    ("table", "settings", "words"),
     [
-        ({"formt": "id"}, ("frame.formt", "format")),
-        ({"format": "long"}, ("frame.format = 'long'", "short, id, full")),
-        ({"format": 2}, ("frame.format = 2", "short, id, full")),
-        ({"minigroup_records": 1}, ("frame.minigroup_records = 1", "true or false")),
-        ({"frames": 0}, ("frame.frames = 0", "from 1 to 65536")),
-        ({"pulses": 2.0}, ("frame.pulses = 2.0", "from 1 to 65536")),
-        ({"period": 3}, ("frame.period = 3", "from 6 to 1024")),
-        ({"clock_mhz": 0}, ("frame.clock_mhz = 0", "from 0.001 to 100000")),
-        ({"clock_mhz": 10**400}, ("frame.clock_mhz", "from 0.001 to 100000")),
-        ({"clock_mhz": float("nan")}, ("frame.clock_mhz = nan", "from 0.001 to 100000")),
-        ({"clock_mhz": "500"}, ("frame.clock_mhz = '500'", "from 0.001 to 100000")),
-        ({"clock_mhz": True}, ("frame.clock_mhz = True", "from 0.001 to 100000")),
-        ({"auto_bounds": [1, 2]}, ("frame.auto_bounds", "6 integers")),
-        ({"auto_bounds": [6, 5, 4, 3, 2, 1]}, ("frame.auto_bounds", "descend")),
-        ({"capacity": -1}, ("frame.capacity = -1", "from 0 to 4294967295")),
-        ({"threshold_floor": 8}, ("frame.threshold_floor = 8", "from 0 to 7")),
+        ("frame", {"formt": "id"}, ("frame.formt", "format")),
+        ("frame", {"format": "long"}, ("frame.format = 'long'", "short, id, full")),
+        ("frame", {"format": 2}, ("frame.format = 2", "short, id, full")),
+        ("frame", {"minigroup_records": 1}, ("frame.minigroup_records = 1", "true or false")),
+        ("frame", {"frames": 0}, ("frame.frames = 0", "from 1 to 65536")),
+        ("frame", {"pulses": 2.0}, ("frame.pulses = 2.0", "from 1 to 65536")),
+        ("frame", {"period": 3}, ("frame.period = 3", "from 6 to 1024")),
+        ("frame", {"clock_mhz": 0}, ("frame.clock_mhz = 0", "from 0.001 to 100000")),
+        ("frame", {"clock_mhz": 10**400}, ("frame.clock_mhz", "from 0.001 to 100000")),
+        ("frame", {"clock_mhz": float("nan")}, ("frame.clock_mhz = nan", "from 0.001 to 100000")),
+        ("frame", {"clock_mhz": "500"}, ("frame.clock_mhz = '500'", "from 0.001 to 100000")),
+        ("frame", {"clock_mhz": True}, ("frame.clock_mhz = True", "from 0.001 to 100000")),
+        ("frame", {"auto_bounds": [1, 2]}, ("frame.auto_bounds", "6 integers")),
+        ("frame", {"auto_bounds": [6, 5, 4, 3, 2, 1]}, ("frame.auto_bounds", "descend")),
+        ("frame", {"capacity": -1}, ("frame.capacity = -1", "from 0 to 4294967295")),
+        ("frame", {"threshold_floor": 8}, ("frame.threshold_floor = 8", "from 0 to 7")),
+        ("subgroup", {"treshold": 2}, ("subgroup.treshold", "threshold")),
+        ("subgroup", {"threshold": 65}, ("subgroup.threshold = 65", "from 1 to 64")),
+        ("subgroup", {"threshold": 2.5}, ("subgroup.threshold = 2.5", "from 1 to 64")),
+        ("subgroup", {"threshold": [1] * 15 + [0]}, ("subgroup.threshold[15] = 0", "from 1 to 64")),
+        ("subgroup", {"threshold": [1, 2]}, ("subgroup.threshold", "2 values", "16")),
+        ("subgroup", {"coincidence": 1}, ("subgroup.coincidence = 1", "true or false")),
+        ("subgroup", {"mask": 255}, ("subgroup.mask = 255", "hex digits")),
+        ("subgroup", {"mask": "g"}, ("subgroup.mask = 'g'", "hex digits")),
+        ("subgroup", {"mask": ""}, ("subgroup.mask = ''", "hex digits")),
+        ("subgroup", {"window": -1}, ("subgroup.window = -1", "from 1 to 128")),
+        ("subgroup", {"gating": True, "gate_start": 250}, ("gate_start = 250", "from 0 to 249")),
     ],
 )
-def test_frame_settings_that_are_refused(settings, words):
-    for refused in (lambda: parse_config({}).with_frame(**settings), lambda: parse_config({"frame": settings})):
-        with pytest.raises(InputError) as error:
-            refused()
-        for word in words:
-            assert word in str(error.value)
-
-
-@pytest.mark.parametrize(
-    ("settings", "words"),
-    [
-        ({"treshold": 2}, ("subgroup.treshold", "threshold")),
-        ({"threshold": 65}, ("subgroup.threshold = 65", "from 1 to 64")),
-        ({"threshold": 2.5}, ("subgroup.threshold = 2.5", "from 1 to 64")),
-        ({"threshold": [1] * 15 + [0]}, ("subgroup.threshold[15] = 0", "from 1 to 64")),
-        ({"threshold": [1, 2]}, ("subgroup.threshold", "2 values", "16")),
-        ({"coincidence": 1}, ("subgroup.coincidence = 1", "true or false")),
-        ({"mask": 255}, ("subgroup.mask = 255", "hex digits")),
-        ({"mask": "g"}, ("subgroup.mask = 'g'", "hex digits")),
-        ({"mask": ""}, ("subgroup.mask = ''", "hex digits")),
-        ({"window": -1}, ("subgroup.window = -1", "from 1 to 128")),
-        ({"gating": True, "gate_start": 250}, ("gate_start = 250", "from 0 to 249")),
-    ],
-)
-def test_subgroup_settings_that_are_refused(settings, words):
+def test_settings_that_are_refused(table, settings, words):
+    change = {"frame": Config.with_frame, "subgroup": Config.with_settings}[table]
     with pytest.raises(InputError) as error:
-        parse_config({}).with_settings(**settings)
-    for word in words:
-        assert word in str(error.value)
+        change(parse_config({}), **settings)
+    assert all(word in str(error.value) for word in words)
+    with pytest.raises(InputError):
+        parse_config({table: settings})
 
 
 @pytest.mark.parametrize(
