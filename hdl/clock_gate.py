@@ -27,7 +27,7 @@ class ClockGate(Unit):
 
     def __init__(self, small: bool = False) -> None:
         self.unit_name = "coincid_clock_gate_small" if small else "coincid_clock_gate"
-        super().__init__({"enable": In(1), "gated": Out(1)})
+        super().__init__(enable=In(1), gated=Out(1))
 
     def elaborate(self, platform):
         m = Module()

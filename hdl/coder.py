@@ -191,24 +191,22 @@ class Coder(Unit):
         self.sensor = sensor
         self.widths = groups(sensor)
         super().__init__(
-            {
-                "grouped": In(1),
-                "with_offsets": In(1),
-                "period": In(bits_for(sensor.period_max)),
-                "valid": In(1),
-                "beat": In(BEAT_BITS),
-                "last": In(1),
-                "head": In(1),
-                "take": Out(1),
-                "offer": Out(1),
-                "part": Out(groups(sensor).part_bits),
-                "bits": Out(bits_for(groups(sensor).part_bits)),
-                "close": Out(1),
-                "free": In(1),
-                "passes": Out(1),
-                "passed": In(1),
-                "frame_begin": In(1),
-            }
+            grouped=In(1),
+            with_offsets=In(1),
+            period=In(bits_for(sensor.period_max)),
+            valid=In(1),
+            beat=In(BEAT_BITS),
+            last=In(1),
+            head=In(1),
+            take=Out(1),
+            offer=Out(1),
+            part=Out(groups(sensor).part_bits),
+            bits=Out(bits_for(groups(sensor).part_bits)),
+            close=Out(1),
+            free=In(1),
+            passes=Out(1),
+            passed=In(1),
+            frame_begin=In(1),
         )
         self.state = CoderState(sensor)
 

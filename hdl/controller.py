@@ -95,15 +95,13 @@ class Controller(Unit):
         self.sensor = sensor
         assert layout(sensor).counter_beats >= SUMS  # one subgroup has left the sums before the next one comes
         super().__init__(
-            {
-                "command": In(bus.CONFIG_BUS),
-                "capacity": In(DATA_BITS),
-                "share": In(DATA_BITS),
-                "counted": In(bus.COUNTED),
-                "done": In(1),
-                "budget": Out(DATA_BITS),
-                "limit": Out(DATA_BITS),
-            }
+            command=In(bus.CONFIG_BUS),
+            capacity=In(DATA_BITS),
+            share=In(DATA_BITS),
+            counted=In(bus.COUNTED),
+            done=In(1),
+            budget=Out(DATA_BITS),
+            limit=Out(DATA_BITS),
         )
         self.state = ControllerState(sensor)
 

@@ -37,11 +37,7 @@ class Deserialiser(Unit):
     def __init__(self, sensor: Sensor):
         self.sensor = sensor
         super().__init__(
-            {
-                "lines": In(sensor.pixels),
-                "clocks": In(sensor.phases // 2 - 1),
-                "words": Out(sensor.pixels * sensor.phases),
-            }
+            lines=In(sensor.pixels), clocks=In(sensor.phases // 2 - 1), words=Out(sensor.pixels * sensor.phases)
         )
 
     def elaborate(self, platform):

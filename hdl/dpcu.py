@@ -85,26 +85,24 @@ class Dpcu(Unit):
     def __init__(self, sensor: Sensor):
         self.sensor = sensor
         super().__init__(
-            {
-                "settings": In(bus.settings_layout(sensor)),
-                "operation": In(bus.Operation),
-                "data": In(DATA_BITS),
-                "in_stream": In(1),
-                "window_ticks": Out(sensor.window_bits),
-                "start": In(1),
-                "closed": In(1),
-                "window": In(bus.window_layout(sensor)),
-                "commit": Out(1),
-                "event": Out(bus.window_layout(sensor)),
-                "blind": In(1),
-                "stored": In(1),
-                "dropped": In(1),
-                "mg_stored": In(1),
-                "mg_dropped": In(1),
-                "pulse": Out(bus.PULSE_BITS),
-                "counters": Out(COUNTER_BITS * len(COUNTER_NAMES)),
-                "controlled": Out(1),
-            }
+            settings=In(bus.settings_layout(sensor)),
+            operation=In(bus.Operation),
+            data=In(DATA_BITS),
+            in_stream=In(1),
+            window_ticks=Out(sensor.window_bits),
+            start=In(1),
+            closed=In(1),
+            window=In(bus.window_layout(sensor)),
+            commit=Out(1),
+            event=Out(bus.window_layout(sensor)),
+            blind=In(1),
+            stored=In(1),
+            dropped=In(1),
+            mg_stored=In(1),
+            mg_dropped=In(1),
+            pulse=Out(bus.PULSE_BITS),
+            counters=Out(COUNTER_BITS * len(COUNTER_NAMES)),
+            controlled=Out(1),
         )
         self.state = DpcuState(sensor)
         self.clock_gate = ClockGate(small=True)

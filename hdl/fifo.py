@@ -45,17 +45,15 @@ class EventFifo(Unit):
     def __init__(self, sensor: Sensor):
         self.sensor = sensor
         super().__init__(
-            {
-                "commit": In(1),
-                "event": In(bus.window_layout(sensor)),
-                "offsets": In(bus.offsets_layout(sensor)),
-                "pulse": In(bus.PULSE_BITS),
-                "frame_begin": In(1),
-                "stored": Out(1),
-                "dropped": Out(1),
-                "head": Out(bus.event_layout(sensor)),
-                "take": In(1),
-            }
+            commit=In(1),
+            event=In(bus.window_layout(sensor)),
+            offsets=In(bus.offsets_layout(sensor)),
+            pulse=In(bus.PULSE_BITS),
+            frame_begin=In(1),
+            stored=Out(1),
+            dropped=Out(1),
+            head=Out(bus.event_layout(sensor)),
+            take=In(1),
         )
         self.state = EventFifoState(sensor)
 
@@ -109,17 +107,15 @@ class RecordBuffer(Unit):
         self.sensor = sensor
         entries = bus.record_layout(sensor)["entries"].shape
         super().__init__(
-            {
-                "due": In(1),
-                "latched": In(sensor.minigroups),
-                "entries": In(entries),
-                "pulse": In(bus.PULSE_BITS),
-                "stored": Out(1),
-                "dropped": Out(1),
-                "record": Out(bus.record_layout(sensor)),
-                "take": In(1),
-                "frame_begin": In(1),
-            }
+            due=In(1),
+            latched=In(sensor.minigroups),
+            entries=In(entries),
+            pulse=In(bus.PULSE_BITS),
+            stored=Out(1),
+            dropped=Out(1),
+            record=Out(bus.record_layout(sensor)),
+            take=In(1),
+            frame_begin=In(1),
         )
         self.state = Signal(name="waiting")  # whether a record waits to be read
 

@@ -42,12 +42,10 @@ class Gating(Unit):
     def __init__(self, sensor: Sensor):
         self.sensor = sensor
         super().__init__(
-            {
-                "timing": In(bus.time_layout(sensor)),
-                "settings": In(bus.settings_layout(sensor)),
-                "spad_gate": Out(1),
-                "accept": Out(1),
-            }
+            timing=In(bus.time_layout(sensor)),
+            settings=In(bus.settings_layout(sensor)),
+            spad_gate=Out(1),
+            accept=Out(1),
         )
         self.state = GatingState(sensor)
 

@@ -30,7 +30,7 @@ class Memory(Unit):
         self.depth, self.width = depth, width
         self.unit_name = f"coincid_memory_{depth}x{width}"
         at = {name: In(bits_for(depth - 1)) for name in ("to", "row") if depth > 1}
-        super().__init__({"write": In(1), "data": In(width), "value": Out(width)} | at)
+        super().__init__(write=In(1), data=In(width), value=Out(width), **at)
 
     def elaborate(self, platform):
         m = Module()

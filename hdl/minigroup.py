@@ -18,25 +18,24 @@ from .unit import Unit, place
 
 
 class RecordState:
-    """Registers of a record collection, and conditions under which registers may change.
-
-    left: cycles of it after the present one; seen: its map; started: one cycle ago.
-    """
+    """Registers of a record collection. left: cycles of it after the present one; seen: its map; started: one cycle ago."""
 
     def __init__(self, sensor: Sensor):
         self.left = Signal(2)
         self.seen = Signal(sensor.minigroup_pixels, reset_less=True)
         self.stamp = Memory(1, sensor.record_stamp_bits)
         self.started = Signal(reset_less=True)
-        self.awake: list[Value] = []
 
 
 class Recorder(Unit):
-    """What minigroups have in common in both views: coarse offsets, and the minigroup's own stamping circuit."""
+    """What minigroups have in common in both views: coarse offsets, and the minigroup's own stamping circuit.
+
+    Functions that form these circuits return when their registers may change.
+    """
 
     state: RecordState
 
-    def _offset(self, m, begins, step_4):
+    def _offset(self, m, begins, step_4) -> Value:
         """Stages 5 to 8: form the offset of a window's first edge. It travels as strobe and step, which are fewer bits.
 
         begins: the edge is the minigroup's first in the window (stage 4).
@@ -46,15 +45,15 @@ class Recorder(Unit):
         strobes = [begins, *(Signal(name=f"begins_{n}", reset_less=True) for n in stages)]
         steps = [step_4, *(Signal.like(step_4, name=f"step_{n}") for n in stages)]
         moves = Cat(strobes).any()
-        self.state.awake.append(moves)
         with m.If(moves):
             for delayed in (strobes, steps):
                 m.d.sync += [later.eq(sooner) for sooner, later in zip(delayed, delayed[1:])]
         with m.If(strobes[-1]):
             m.d.sync += offset.eq(Cat(steps[-1], self.elapsed))
         m.d.comb += self.offset.eq(offset)
+        return moves
 
-    def _record(self, m, platform, active, step_4):
+    def _record(self, m, platform, active, step_4) -> Value:
         """Stage 3: the record collection, which is the minigroup's own stamping circuit.
 
         active: pixels with an edge in the cycle; step_4: step of the first of these edges, one cycle later.
@@ -88,7 +87,6 @@ class Recorder(Unit):
             self.entry.stamp.eq(stamp.value),
         ]
         moves = runs | state.started | (self.wrap & self.latched)
-        state.awake.append(moves)
         with m.If(moves):
             m.d.sync += [
                 state.started.eq(starts),
@@ -96,6 +94,7 @@ class Recorder(Unit):
                 left.eq(left_next),
                 self.latched.eq(Mux(ends, enough, self.latched & ~self.wrap)),
             ]
+        return moves
 
 
 class MinigroupState(RecordState):
@@ -119,7 +118,6 @@ class MinigroupState(RecordState):
         self.hits = Signal(pixels, reset_less=True)
         self.awake_1 = Signal()
         self.awake_3 = Signal()
-        self.awake = [self.awake_1, self.awake_3]
 
 
 class Minigroup(Recorder):
@@ -156,28 +154,26 @@ class Minigroup(Recorder):
         self.sensor = sensor
         pixels, phases = sensor.minigroup_pixels, sensor.phases
         super().__init__(
-            {
-                "words": In(pixels * phases),
-                "mask": In(pixels),
-                "accept": In(1),
-                "root": Out(phases),
-                "whole": In(1),
-                "part": In(1),
-                "end": In(sensor.phase_bits),
-                "first": In(sensor.phase_bits),
-                "at_first": Out(pixels),
-                "blind": Out(1),
-                "opening": In(1),
-                "elapsed": In(sensor.elapsed_bits),
-                "hits": Out(pixels),
-                "offset": Out(sensor.offset_bits),
-                "frame": In(bus.frame_layout(sensor)),
-                "may_open": In(1),
-                "wrap": In(1),
-                "coarse": In(sensor.coarse_bits),
-                "latched": Out(1),
-                "entry": Out(bus.entry_layout(sensor)),
-            }
+            words=In(pixels * phases),
+            mask=In(pixels),
+            accept=In(1),
+            root=Out(phases),
+            whole=In(1),
+            part=In(1),
+            end=In(sensor.phase_bits),
+            first=In(sensor.phase_bits),
+            at_first=Out(pixels),
+            blind=Out(1),
+            opening=In(1),
+            elapsed=In(sensor.elapsed_bits),
+            hits=Out(pixels),
+            offset=Out(sensor.offset_bits),
+            frame=In(bus.frame_layout(sensor)),
+            may_open=In(1),
+            wrap=In(1),
+            coarse=In(sensor.coarse_bits),
+            latched=Out(1),
+            entry=Out(bus.entry_layout(sensor)),
         )
         self.state = MinigroupState(sensor)
         self.clock_gate = ClockGate(small=True)
@@ -186,10 +182,10 @@ class Minigroup(Recorder):
         m = Module()
         self._edges(m)
         self._hits(m)
-        self._map(m)
+        awake = [self.state.awake_1, self.state.awake_3, *self._map(m)]
         if self.sensor.records:
-            self._record(m, platform, self.state.active, self.state.step_4)
-        return behind(m, platform, self.clock_gate, Cat(self.state.awake).any())
+            awake.append(self._record(m, platform, self.state.active, self.state.step_4))
+        return behind(m, platform, self.clock_gate, Cat(awake).any())
 
     def _edges(self, m):
         """Stages 1 and 2: encode each pixel's word at the port as valid and phase of its first edge.
@@ -240,7 +236,7 @@ class Minigroup(Recorder):
                 state.step.eq(least(m, steps, "first_step")),
             ]
 
-    def _map(self, m):
+    def _map(self, m) -> list[Value]:
         """Stages 4 and 5: collect the hits in the map.
 
         In a cycle, edges that no window counts come after those that are counted. So the first edge is a counted one.
@@ -248,7 +244,6 @@ class Minigroup(Recorder):
         state, pixels = self.state, self.sensor.minigroup_pixels
         hits = state.hits
         moves = Cat(state.active, state.hit_4).any() | (self.opening & hits.any())
-        state.awake.append(moves)
         with m.If(moves):
             m.d.sync += [
                 state.hit_4.eq(state.hit_3),
@@ -256,5 +251,5 @@ class Minigroup(Recorder):
                 hits.eq(state.hit_4 | (hits & ~self.opening.replicate(pixels))),
             ]
         m.d.comb += self.hits.eq(hits)
-        if self.sensor.offsets:
-            self._offset(m, state.hit_4.any() & (self.opening | ~hits.any()), state.step_4)
+        begins = state.hit_4.any() & (self.opening | ~hits.any())
+        return [moves, self._offset(m, begins, state.step_4)] if self.sensor.offsets else [moves]

@@ -74,18 +74,16 @@ class Packer(Unit):
     def __init__(self, sensor: Sensor):
         self.sensor = sensor
         super().__init__(
-            {
-                "offer": In(1),
-                "part": In(groups(sensor).part_bits),
-                "bits": In(bits_for(groups(sensor).part_bits)),
-                "close": In(1),
-                "free": Out(1),
-                "passes": In(1),
-                "beat": In(BEAT_BITS),
-                "last": In(1),
-                "frame_begin": In(1),
-                "m_axis": Out(STREAM),
-            }
+            offer=In(1),
+            part=In(groups(sensor).part_bits),
+            bits=In(bits_for(groups(sensor).part_bits)),
+            close=In(1),
+            free=Out(1),
+            passes=In(1),
+            beat=In(BEAT_BITS),
+            last=In(1),
+            frame_begin=In(1),
+            m_axis=Out(STREAM),
         )
         self.state = PackerState(sensor)
 

@@ -106,21 +106,19 @@ class Packetizer(Unit):
     def __init__(self, sensor: Sensor):
         self.sensor = sensor
         super().__init__(
-            {
-                "grant": In(1),
-                "send": In(bus.Send),
-                "frame": In(bus.frame_layout(sensor)),
-                "subgroup": In(bus.SUBGROUP_BITS),
-                "head": In(bus.event_layout(sensor)),
-                "record": In(bus.record_layout(sensor)),
-                "counters": In(COUNTER_BITS * len(COUNTER_NAMES)),
-                "controlled": In(1),
-                "take_event": Out(1),
-                "take_record": Out(1),
-                "valid": Out(1),
-                "beat": Out(BEAT_BITS),
-                "beat_controlled": Out(1),
-            }
+            grant=In(1),
+            send=In(bus.Send),
+            frame=In(bus.frame_layout(sensor)),
+            subgroup=In(bus.SUBGROUP_BITS),
+            head=In(bus.event_layout(sensor)),
+            record=In(bus.record_layout(sensor)),
+            counters=In(COUNTER_BITS * len(COUNTER_NAMES)),
+            controlled=In(1),
+            take_event=Out(1),
+            take_record=Out(1),
+            valid=Out(1),
+            beat=Out(BEAT_BITS),
+            beat_controlled=Out(1),
         )
         self.state = PacketizerState(sensor)
 

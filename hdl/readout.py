@@ -119,23 +119,21 @@ class Readout(Unit):
         self.depth = latency.output_depth(self.parts.longest)  # depth of the output buffer, in beats
         self.unit_name = f"coincid_readout_{subgroups}"
         super().__init__(
-            {
-                "stored": In(subgroups),
-                "record_stored": In(subgroups),
-                "grant": Out(subgroups),
-                "send": Out(bus.Send),
-                "valid": In(1),
-                "beat": In(BEAT_BITS),
-                "beat_controlled": In(1),
-                "frame": In(bus.frame_layout(sensor)),
-                "plan": In(bus.plan_layout(sensor)),
-                "number": In(bus.PULSE_BITS),
-                "frame_begin": In(1),
-                "finish": In(1),
-                "delivered": Out(1),
-                "counted": Out(bus.COUNTED),
-                "m_axis": Out(STREAM),
-            }
+            stored=In(subgroups),
+            record_stored=In(subgroups),
+            grant=Out(subgroups),
+            send=Out(bus.Send),
+            valid=In(1),
+            beat=In(BEAT_BITS),
+            beat_controlled=In(1),
+            frame=In(bus.frame_layout(sensor)),
+            plan=In(bus.plan_layout(sensor)),
+            number=In(bus.PULSE_BITS),
+            frame_begin=In(1),
+            finish=In(1),
+            delivered=Out(1),
+            counted=Out(bus.COUNTED),
+            m_axis=Out(STREAM),
         )
         self.state = ReadoutState(self)
 

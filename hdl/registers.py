@@ -114,21 +114,19 @@ class Registers(Unit):
     def __init__(self, sensor: Sensor):
         self.sensor = sensor
         super().__init__(
-            {
-                "s_axi": In(LITE),
-                "command": Out(bus.CONFIG_BUS),
-                "data": In(DATA_BITS),
-                "gate_late": In(1),
-                "settings_upset": In(1),
-                "period": Out(sensor.coarse_bits + 1),
-                "frame": Out(bus.frame_layout(sensor)),
-                "plan": Out(bus.plan_layout(sensor)),
-                "start_frame": Out(1),
-                "abort_frame": Out(1),
-                "done": In(1),
-                "resting": In(1),
-            }
-            | (_controller_ports(sensor) if sensor.controller else {})
+            s_axi=In(LITE),
+            command=Out(bus.CONFIG_BUS),
+            data=In(DATA_BITS),
+            gate_late=In(1),
+            settings_upset=In(1),
+            period=Out(sensor.coarse_bits + 1),
+            frame=Out(bus.frame_layout(sensor)),
+            plan=Out(bus.plan_layout(sensor)),
+            start_frame=Out(1),
+            abort_frame=Out(1),
+            done=In(1),
+            resting=In(1),
+            **(_controller_ports(sensor) if sensor.controller else {}),
         )
         self.state = RegistersState(sensor)
 

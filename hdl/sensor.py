@@ -67,7 +67,7 @@ class Core(Unit):
 
     def __init__(self, sensor: Sensor):
         self.sensor = sensor
-        super().__init__(outer_ports(sensor) | inner_ports(sensor))
+        super().__init__(**outer_ports(sensor), **inner_ports(sensor))
 
     def elaborate(self, platform):
         m = Module()
@@ -96,7 +96,7 @@ class SensorTop(Unit):
         }
         clocks = {"phase_clocks": In(sensor.phases // 2 - 1)} if levels else {}
         spads = {name: In(bits) for name, bits in self.spads.items()}
-        super().__init__(outer_ports(sensor) | {"spad_gate": Out(sensor.subgroups)} | clocks | spads)
+        super().__init__(**outer_ports(sensor), spad_gate=Out(sensor.subgroups), **clocks, **spads)
 
     def elaborate(self, platform):
         m = Module()

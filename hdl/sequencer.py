@@ -83,19 +83,17 @@ class Sequencer(Unit):
     def __init__(self, sensor: Sensor):
         self.sensor = sensor
         super().__init__(
-            {
-                "plan": In(bus.plan_layout(sensor)),
-                "start_frame": In(1),
-                "abort_frame": In(1),
-                "timing": Out(bus.time_layout(sensor)),
-                "laser": Out(1),
-                "frame_begin": Out(1),
-                "number": Out(bus.PULSE_BITS),
-                "finish": Out(1),
-                "delivered": In(1),
-                "done": Out(1),
-                "resting": Out(1),
-            }
+            plan=In(bus.plan_layout(sensor)),
+            start_frame=In(1),
+            abort_frame=In(1),
+            timing=Out(bus.time_layout(sensor)),
+            laser=Out(1),
+            frame_begin=Out(1),
+            number=Out(bus.PULSE_BITS),
+            finish=Out(1),
+            delivered=In(1),
+            done=Out(1),
+            resting=Out(1),
         )
         self.state = SequencerState(sensor)
 

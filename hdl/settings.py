@@ -53,16 +53,14 @@ class SubgroupSettings(Unit):
     def __init__(self, sensor: Sensor):
         self.sensor = sensor
         super().__init__(
-            {
-                "command": In(bus.CONFIG_BUS),
-                "subgroup": In(bus.SUBGROUP_BITS),
-                "period": In(sensor.coarse_bits + 1),
-                "settings": Out(bus.settings_layout(sensor)),
-                "counters": In(COUNTER_BITS * len(COUNTER_NAMES)),
-                "data": Out(DATA_BITS),
-                "gate_late": Out(1),
-                "upset": Out(1),
-            }
+            command=In(bus.CONFIG_BUS),
+            subgroup=In(bus.SUBGROUP_BITS),
+            period=In(sensor.coarse_bits + 1),
+            settings=Out(bus.settings_layout(sensor)),
+            counters=In(COUNTER_BITS * len(COUNTER_NAMES)),
+            data=Out(DATA_BITS),
+            gate_late=Out(1),
+            upset=Out(1),
         )
         self.state = SettingsState(sensor)
         self.clock_gate = ClockGate(small=True)

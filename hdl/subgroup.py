@@ -75,9 +75,10 @@ class Subgroup(Unit):
         self.sensor, self.view = sensor, view
         self.unit_name = f"{view.prefix}subgroup"
         super().__init__(
-            shared_ports(sensor)
-            | own_ports(sensor, view)
-            | {"subgroup": In(bus.SUBGROUP_BITS), "line": Out(view.line_signature(sensor))}
+            **shared_ports(sensor),
+            **own_ports(sensor, view),
+            subgroup=In(bus.SUBGROUP_BITS),
+            line=Out(view.line_signature(sensor)),
         )
         self.clock_gate = ClockGate()
 

@@ -3,8 +3,7 @@
 
 from typing import Any
 
-from amaranth.hdl import Cat, Signal, ValueLike
-from amaranth.hdl import Module as Design
+from amaranth.hdl import Cat, Module, Signal, ValueLike
 from amaranth.lib import wiring
 from amaranth.lib.wiring import In
 
@@ -31,14 +30,11 @@ class SensorModule(Unit):
     def __init__(self, sensor: Sensor, lines: int = 2, view=POLYPHASE):
         self.sensor, self.lines, self.view = sensor, lines, view
         self.unit_name = f"{view.prefix}module" if lines == 2 else f"{view.prefix}module_{lines}"
-        super().__init__(
-            shared_ports(sensor)
-            | {f"{name}_{k}": member for k in range(lines) for name, member in own_ports(sensor, view).items()}
-            | {"number": In(bus.SUBGROUP_BITS - 1)}
-        )
+        own = {f"{name}_{k}": member for k in range(lines) for name, member in own_ports(sensor, view).items()}
+        super().__init__(**shared_ports(sensor), **own, number=In(bus.SUBGROUP_BITS - 1))
 
     def elaborate(self, platform):
-        m = Design()
+        m = Module()
         own = [
             {name: getattr(self, f"{name}_{k}") for name in own_ports(self.sensor, self.view)}
             for k in range(self.lines)
@@ -59,16 +55,16 @@ class Slice(Unit):
 
     def __init__(self, sensor: Sensor, view=POLYPHASE):
         self.sensor, self.view = sensor, view
-        super().__init__(shared_ports(sensor) | own_ports(sensor, view) | {"number": In(bus.SUBGROUP_BITS)})
+        super().__init__(**shared_ports(sensor), **own_ports(sensor, view), number=In(bus.SUBGROUP_BITS))
 
     def elaborate(self, platform):
-        m = Design()
+        m = Module()
         own = {name: getattr(self, name) for name in own_ports(self.sensor, self.view)}
         _put_lines(m, platform, self, [self.number], [own])
         return m
 
 
-def _put_lines(m: Design, platform, unit: Unit, numbers: list[ValueLike], own: list[dict[str, Any]]) -> None:
+def _put_lines(m: Module, platform, unit: Unit, numbers: list[ValueLike], own: list[dict[str, Any]]) -> None:
     """Put a TDC and its subgroups into `m`. numbers: the subgroups'; own: of each, its ports of the unit by name."""
     sensor, view = unit.sensor, unit.view
     start = Signal(reset_less=True)

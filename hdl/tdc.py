@@ -47,7 +47,7 @@ class Tdc(Unit):
         self.sensor = sensor
         self.lines = lines
         self.unit_name = "coincid_tdc" if lines == 2 else f"coincid_tdc_{lines}"
-        super().__init__({"start": In(1)} | {f"line_{k}": In(line_signature(sensor)) for k in range(lines)})
+        super().__init__(start=In(1), **{f"line_{k}": In(line_signature(sensor)) for k in range(lines)})
 
     def elaborate(self, platform):
         m = Module()

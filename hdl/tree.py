@@ -98,8 +98,10 @@ class CoincidenceTree(Unit):
     def __init__(self, sensor: Sensor):
         self.sensor = sensor
         super().__init__(
-            {"words": In(sensor.pixels * sensor.phases), "mask": In(sensor.pixels), "accept": In(1)}
-            | front_ports(sensor, line_signature(sensor))
+            words=In(sensor.pixels * sensor.phases),
+            mask=In(sensor.pixels),
+            accept=In(1),
+            **front_ports(sensor, line_signature(sensor)),
         )
         self.state = TreeState(sensor)
         self.clock_gate = ClockGate(small=True)

@@ -40,7 +40,7 @@ class Unit(wiring.Component):
     separator = "__"  # in the Verilog, between the names of an interface and of its members
     _MustUse__silence = True  # an unused unit is fine where an instance replaces it; Amaranth would warn of it
 
-    def __init__(self, ports: dict[str, Any]):
+    def __init__(self, **ports: Any):
         super().__init__(ports)
         for name, (_, signal) in self.flat_ports().items():
             signal.name = name

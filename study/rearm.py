@@ -47,7 +47,7 @@ class Windows(Unit):
         self.sensor = sensor
         ports = {"root": In(sensor.phases), "window_ticks": In(sensor.window_bits)}
         phases = {f"phase_{k}": Out(sensor.phase_bits) for k in range(WINDOWS)}
-        super().__init__(ports | {"opened": Out(WINDOWS), "closed": Out(WINDOWS)} | phases)
+        super().__init__(**ports, opened=Out(WINDOWS), closed=Out(WINDOWS), **phases)
 
 
 class Twice(Windows):

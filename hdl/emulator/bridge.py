@@ -78,7 +78,7 @@ class SerialBridge(Unit):
 
     def __init__(self, emulator: Emulator):
         self.emulator = emulator
-        super().__init__({"rx": In(1), "tx": Out(1, init=1), "access": Out(ACCESS), "errors": Out(DATA_BITS)})
+        super().__init__(rx=In(1), tx=Out(1, init=1), access=Out(ACCESS), errors=Out(DATA_BITS))
         self.state = BridgeState()
 
     def elaborate(self, platform):

@@ -38,7 +38,7 @@ class StreamSlice(Unit):
     unit_name = "coincid_stream_slice"
 
     def __init__(self):
-        super().__init__({"s_axis": In(STREAM), "m_axis": Out(STREAM)})
+        super().__init__(s_axis=In(STREAM), m_axis=Out(STREAM))
         self.state = SliceState()
 
     def elaborate(self, platform):
@@ -83,16 +83,14 @@ class FrameBuffer(Unit):
         self.depth = emulator.buffer_beats
         bits = (self.depth - 1).bit_length()
         super().__init__(
-            {
-                "s_axis": In(STREAM),
-                "level": Out(bits + 1),
-                "first": Out(bits),
-                "take": In(1),
-                "amount": In(bits + 1),
-                "address": In(bits + 1),
-                "word": Out(DATA_BITS),
-                "stalls": Out(DATA_BITS),
-            }
+            s_axis=In(STREAM),
+            level=Out(bits + 1),
+            first=Out(bits),
+            take=In(1),
+            amount=In(bits + 1),
+            address=In(bits + 1),
+            word=Out(DATA_BITS),
+            stalls=Out(DATA_BITS),
         )
         self.state = Signal(range(self.depth), name="behind")  # address behind the last beat
 

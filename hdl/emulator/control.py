@@ -100,17 +100,15 @@ class EmulatorControl(Unit):
         self.emulator = emulator
         self.echo_bits = LEVEL_BITS + emulator.sensor.stamp_bits
         super().__init__(
-            {
-                "access": In(ACCESS),
-                "m_axi": Out(LITE),
-                "s_axis": In(STREAM),
-                "number": In(bus.PULSE_BITS),
-                "frame_done": In(1),
-                "seed": Out(SEED_BUS),
-                "write": Out(write_bus(emulator.sensor)),
-                "common": Out(COMMON),
-                "link_errors": In(DATA_BITS),
-            }
+            access=In(ACCESS),
+            m_axi=Out(LITE),
+            s_axis=In(STREAM),
+            number=In(bus.PULSE_BITS),
+            frame_done=In(1),
+            seed=Out(SEED_BUS),
+            write=Out(write_bus(emulator.sensor)),
+            common=Out(COMMON),
+            link_errors=In(DATA_BITS),
         )
         self.state = ControlState(emulator.sensor)
 

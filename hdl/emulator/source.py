@@ -82,15 +82,7 @@ class Seeder(Unit):
 
     def __init__(self, emulator: Emulator):
         self.emulator = emulator
-        super().__init__(
-            {
-                "seed": In(HALF),
-                "number": In(bus.PULSE_BITS),
-                "begin": In(1),
-                "out": Out(SEED_BUS),
-                "busy": Out(1, init=1),
-            }
-        )
+        super().__init__(seed=In(HALF), number=In(bus.PULSE_BITS), begin=In(1), out=Out(SEED_BUS), busy=Out(1, init=1))
 
     def elaborate(self, platform):
         m = Module()
@@ -168,14 +160,12 @@ class PhotonSource(Unit):
         self.emulator = emulator
         sensor = emulator.sensor
         super().__init__(
-            {
-                "subgroup": In(SUBGROUP_BITS),
-                "timing": In(bus.time_layout(sensor)),
-                "seed": In(SEED_BUS),
-                "write": In(write_bus(sensor)),
-                "common": In(COMMON),
-                "words": Out(sensor.pixels * sensor.phases),
-            }
+            subgroup=In(SUBGROUP_BITS),
+            timing=In(bus.time_layout(sensor)),
+            seed=In(SEED_BUS),
+            write=In(write_bus(sensor)),
+            common=In(COMMON),
+            words=Out(sensor.pixels * sensor.phases),
         )
         # Cycles of dead time left, by pixel.
         self.state = [Signal(COMMON["dead"].width, name=f"dead_{i}") for i in range(sensor.pixels)]

@@ -40,7 +40,7 @@ class BusAccess(Unit):
     unit_name = "coincid_bus_access"
 
     def __init__(self):
-        super().__init__({"s_axi": In(WIDE_LITE), "access": Out(ACCESS)})
+        super().__init__(s_axi=In(WIDE_LITE), access=Out(ACCESS))
 
     def elaborate(self, platform):
         m = Module()
@@ -98,7 +98,7 @@ class LocalReset(Unit):
     unit_name = "coincid_local_reset"
 
     def __init__(self):
-        super().__init__({"held": Out(1)})
+        super().__init__(held=Out(1))
 
     def elaborate(self, platform):
         m = Module()
@@ -124,7 +124,8 @@ class EmulatorTop(Unit):
     def __init__(self, emulator: Emulator, serial: bool = True):
         self.emulator, self.serial = emulator, serial
         self.unit_name = SERIAL_TOP if serial else BUS_TOP
-        super().__init__(({"rx": In(1), "tx": Out(1)} if serial else {"bus": In(WIDE_LITE)}) | {"laser": Out(1)})
+        host = {"rx": In(1), "tx": Out(1)} if serial else {"bus": In(WIDE_LITE)}
+        super().__init__(**host, laser=Out(1))
 
     def elaborate(self, platform):
         m = Module()

@@ -30,7 +30,7 @@ class Receiver(Unit):
 
     def __init__(self, clocks_per_bit: int):
         self.clocks = clocks_per_bit
-        super().__init__({"rx": In(1), "valid": Out(1), "byte": Out(8), "broken": Out(1)})
+        super().__init__(rx=In(1), valid=Out(1), byte=Out(8), broken=Out(1))
 
     def elaborate(self, platform):
         m = Module()
@@ -69,7 +69,7 @@ class Transmitter(Unit):
 
     def __init__(self, clocks_per_bit: int):
         self.clocks = clocks_per_bit
-        super().__init__({"valid": In(1), "byte": In(8), "ready": Out(1), "tx": Out(1, init=1)})
+        super().__init__(valid=In(1), byte=In(8), ready=Out(1), tx=Out(1, init=1))
 
     def elaborate(self, platform):
         m = Module()
@@ -125,18 +125,16 @@ class Deframer(Unit):
     def __init__(self):
         bits = BODY_BYTES_MAX.bit_length()
         super().__init__(
-            {
-                "valid": In(1),
-                "byte": In(8),
-                "broken": In(1),
-                "hold": In(1),
-                "put": Out(1),
-                "data": Out(8),
-                "index": Out(bits),
-                "right": Out(1),
-                "length": Out(bits),
-                "wrong": Out(1),
-            }
+            valid=In(1),
+            byte=In(8),
+            broken=In(1),
+            hold=In(1),
+            put=Out(1),
+            data=Out(8),
+            index=Out(bits),
+            right=Out(1),
+            length=Out(bits),
+            wrong=Out(1),
         )
         self.state = DeframerState()
 
@@ -205,15 +203,7 @@ class Framer(Unit):
 
     def __init__(self):
         super().__init__(
-            {
-                "valid": In(1),
-                "byte": In(8),
-                "last": In(1),
-                "ready": Out(1),
-                "out_valid": Out(1),
-                "out_byte": Out(8),
-                "out_ready": In(1),
-            }
+            valid=In(1), byte=In(8), last=In(1), ready=Out(1), out_valid=Out(1), out_byte=Out(8), out_ready=In(1)
         )
         self.state = FramerState()
 

@@ -4,10 +4,13 @@
 The board's pins are those of its published constraints (emard/ulx3s, version 2.0 and later).
 """
 
+from pathlib import Path
+from string import Template
+
 from amaranth.hdl import Cat, Const, Module, Signal
 from amaranth.lib.cdc import FFSynchronizer
 from amaranth.lib.wiring import In, Out
-from attrs import frozen
+from attrs import asdict, frozen
 
 from ...model.contract.emulator import Emulator
 from ...model.shared.errors import InputError
@@ -17,6 +20,7 @@ from ..unit import Unit
 from .top import EMULATOR_LIST, SERIAL_TOP, emulator_files
 
 BOARD_TOP = "coincid_emulator_ulx3s"
+TEMPLATE = Path(__file__).with_name("ulx3s.v.template")
 OSCILLATOR_MHZ = 25
 VCO_MHZ = 400, 800  # of the PLL's oscillator
 DETECTOR_MHZ = 3.125  # at the PLL's phase detector, at least
@@ -71,7 +75,7 @@ class Lights(Unit):
     HOLD_BITS, BLINK_BITS = 22, 26
 
     def __init__(self):
-        super().__init__({"laser": In(1), "rx": In(1), "tx": In(1), "led": Out(8)})
+        super().__init__(laser=In(1), rx=In(1), tx=In(1), led=Out(8))
 
     def elaborate(self, platform):
         m = Module()
@@ -95,34 +99,16 @@ class Lights(Unit):
 def board_verilog(emulator: Emulator, clock_mhz: float) -> str:
     """The board's top: the PLL, a reset that the button or an unlocked PLL holds, the emulator and the lights. Raises `InputError`."""
     dividers = pll(clock_mhz)
-    return f"""// {SPDX}
-// The emulator on an ULX3S: {OSCILLATOR_MHZ} MHz in, {clock_mhz:g} MHz inside.
-module {BOARD_TOP} (
-  input clk_25mhz,
-  input btn_fire1,
-  input ftdi_txd,
-  output ftdi_rxd,
-  output [7:0] led,
-  output wifi_gpio0
-);
-  wire clk, locked, laser;
-
-  EHXPLLL #(
-    .CLKI_DIV({dividers.reference}), .CLKFB_DIV({dividers.feedback}), .FEEDBK_PATH("CLKOP"),
-    .CLKOP_ENABLE("ENABLED"), .CLKOP_DIV({dividers.output}), .CLKOP_CPHASE({dividers.output - 1}), .CLKOP_FPHASE(0)
-  ) pll (
-    .CLKI(clk_25mhz), .CLKFB(clk), .RST(1'b0), .STDBY(1'b0), .PHASESEL0(1'b0), .PHASESEL1(1'b0), .PHASEDIR(1'b0),
-    .PHASESTEP(1'b0), .PHASELOADREG(1'b0), .PLLWAKESYNC(1'b0), .ENCLKOP(1'b0), .CLKOP(clk), .LOCK(locked)
-  );
-
-  reg [1:0] reset = 2'b11;
-  always @(posedge clk) reset <= {{reset[0], btn_fire1 | ~locked}};
-
-  {SERIAL_TOP} emulator (.clk(clk), .rst(reset[1]), .rx(ftdi_txd), .tx(ftdi_rxd), .laser(laser));
-  {Lights.unit_name} lights (.clk(clk), .rst(reset[1]), .laser(laser), .rx(ftdi_txd), .tx(ftdi_rxd), .led(led));
-  assign wifi_gpio0 = 1'b1;  // low, it would stop the board's other processor
-endmodule
-"""
+    return Template(TEMPLATE.read_text()).substitute(
+        licence=SPDX,
+        oscillator_mhz=OSCILLATOR_MHZ,
+        clock_mhz=f"{clock_mhz:g}",
+        top=BOARD_TOP,
+        emulator=SERIAL_TOP,
+        lights=Lights.unit_name,
+        phase=dividers.output - 1,
+        **asdict(dividers),
+    )
 
 
 def board_files(emulator: Emulator, clock_mhz: float) -> dict[str, str]:

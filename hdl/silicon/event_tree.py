@@ -44,17 +44,15 @@ class EventTree(Unit):
     def __init__(self, sensor: Sensor):
         self.sensor = sensor
         super().__init__(
-            {
-                "hits": In(sensor.pixels),
-                "phases": In(sensor.phases // 2),
-                "gray_a": In(sensor.coarse_bits),
-                "gray_b": In(sensor.coarse_bits),
-                "half": In(1),
-                "root": Out(1),
-                "code": Out(code_bits(sensor)),
-                "marks": Out(mark_bits(sensor) * sensor.minigroups),
-                "later_first": Out(sensor.pixels - 1),
-            }
+            hits=In(sensor.pixels),
+            phases=In(sensor.phases // 2),
+            gray_a=In(sensor.coarse_bits),
+            gray_b=In(sensor.coarse_bits),
+            half=In(1),
+            root=Out(1),
+            code=Out(code_bits(sensor)),
+            marks=Out(mark_bits(sensor) * sensor.minigroups),
+            later_first=Out(sensor.pixels - 1),
         )
 
     def elaborate(self, platform):

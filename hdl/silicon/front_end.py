@@ -63,8 +63,7 @@ class AsyncFrontEnd(Unit):
     def __init__(self, sensor: Sensor, circuit: Circuit):
         self.sensor, self.circuit = sensor, circuit
         super().__init__(
-            {"spad": In(sensor.pixels), "mask": In(sensor.pixels), "gate": In(1)}
-            | front_ports(sensor, line_signature(sensor))
+            spad=In(sensor.pixels), mask=In(sensor.pixels), gate=In(1), **front_ports(sensor, line_signature(sensor))
         )
         self.state = FrontEndState(sensor, circuit)
 

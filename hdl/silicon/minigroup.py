@@ -32,24 +32,22 @@ class AsyncMinigroup(Recorder):
         pixels = sensor.minigroup_pixels
         self.state = RecordState(sensor)
         super().__init__(
-            {
-                "active": In(pixels),
-                "mark": In(mark_bits(sensor)),
-                "parity": In(1),
-                "hit": In(pixels),
-                "opening": In(1),
-                "elapsed": In(sensor.elapsed_bits),
-                "winner": In(pixels),
-                "hits": Out(pixels),
-                "offset": Out(sensor.offset_bits),
-                "blind": Out(1),
-                "frame": In(bus.frame_layout(sensor)),
-                "may_open": In(1),
-                "wrap": In(1),
-                "coarse": In(sensor.coarse_bits),
-                "latched": Out(1),
-                "entry": Out(bus.entry_layout(sensor)),
-            }
+            active=In(pixels),
+            mark=In(mark_bits(sensor)),
+            parity=In(1),
+            hit=In(pixels),
+            opening=In(1),
+            elapsed=In(sensor.elapsed_bits),
+            winner=In(pixels),
+            hits=Out(pixels),
+            offset=Out(sensor.offset_bits),
+            blind=Out(1),
+            frame=In(bus.frame_layout(sensor)),
+            may_open=In(1),
+            wrap=In(1),
+            coarse=In(sensor.coarse_bits),
+            latched=Out(1),
+            entry=Out(bus.entry_layout(sensor)),
         )
 
     def elaborate(self, platform):

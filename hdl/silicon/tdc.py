@@ -57,7 +57,7 @@ class AsyncTdc(Unit):
     def __init__(self, sensor: Sensor, circuit: Circuit, lines: int = 2):
         self.sensor, self.circuit, self.lines = sensor, circuit, lines
         self.unit_name = "coincid_async_tdc" if lines == 2 else f"coincid_async_tdc_{lines}"
-        super().__init__({"start": In(1)} | {f"line_{k}": Out(line_signature(sensor).flip()) for k in range(lines)})
+        super().__init__(start=In(1), **{f"line_{k}": Out(line_signature(sensor).flip()) for k in range(lines)})
 
     def elaborate(self, platform):
         m = Module()

@@ -52,15 +52,13 @@ class AsyncControl(Unit):
         self.sensor, self.banks = sensor, circuit.banks_of(sensor)
         per_bank = {"opened": In(2), "ended": In(1), "parity": In(1), "armed": Out(2), "clearing": Out(1)}
         super().__init__(
-            {
-                "parity": Out(1),
-                "may_open": In(1),
-                "current": Out(1),
-                "opening": Out(1),
-                "closing": Out(1),
-                "bank": Out(1),
-            }
-            | {f"{name}_{b}": member for b in range(self.banks) for name, member in per_bank.items()}
+            parity=Out(1),
+            may_open=In(1),
+            current=Out(1),
+            opening=Out(1),
+            closing=Out(1),
+            bank=Out(1),
+            **{f"{name}_{b}": member for b in range(self.banks) for name, member in per_bank.items()},
         )
         self.state = AsyncControlState(sensor)
 
