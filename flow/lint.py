@@ -5,7 +5,7 @@ import os
 import shutil
 import subprocess
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from ..hdl.emulator.ulx3s import BOARD_TOP
@@ -31,54 +31,43 @@ def lint(sensor: Sensor, view: View = POLYPHASE) -> dict[str, str]:
     macros, lint sees the files for synthesis.
     """
     files = {path.name: path.read_text() for path in (*rtl(sensor, view), *view.macros)}
-    tops = {TOP: {}} if view.macros else {TOP: {}, SMOKE: {f"{SMOKE}.v": smoke_test(sensor)}}
-    options = [part for option in tool_options(view)["lint"] for part in option.split()]
+    rtl_names, cells = list(files), cell_files(sensor, view)
+    benches: dict[str, dict[str, str]] = {} if view.macros else {SMOKE: {f"{SMOKE}.v": smoke_test(sensor)}}
+    runs = [(TOP, rtl_names), *((top, [*rtl_names, *more]) for top, more in benches.items())]
     if view is POLYPHASE and has_fpga_top(sensor):
-        fpga = fpga_files(sensor)
-        tops |= {FPGA_TOP: fpga, FPGA_SMOKE: fpga | {f"{FPGA_SMOKE}.v": smoke_test(sensor, levels=True)}}
-    cells = {name: f"{CELLS_FOLDER}/{name}" for name in cell_files(sensor, view)}
-    plain = {
-        top: [*(name for name in files if top not in (FPGA_TOP, FPGA_SMOKE) or name != f"{TOP}.v"), *more]
-        for top, more in tops.items()
-    }
-    runs = [*plain.items(), (TOP, [cells.get(name, name) for name in plain[TOP]])]
-    for more in tops.values():
+        fpga, without_top = fpga_files(sensor), [name for name in rtl_names if name != f"{TOP}.v"]
+        benches[FPGA_SMOKE] = fpga | {f"{FPGA_SMOKE}.v": smoke_test(sensor, levels=True)}
+        runs += [(FPGA_TOP, [*without_top, *fpga]), (FPGA_SMOKE, [*without_top, *benches[FPGA_SMOKE]])]
+    runs.append((TOP, [f"{CELLS_FOLDER}/{name}" if name in cells else name for name in rtl_names]))
+    for more in benches.values():
         files |= more
-    files |= {cells[name]: text for name, text in cell_files(sensor, view).items()} | {CONTROL_FILE: control_file(view)}
-    found = {"verilator": ""} | ({"icarus": ""} if shutil.which("iverilog") and not view.macros else {})
-    with tempfile.TemporaryDirectory(prefix="coincid-") as folder:
-        (Path(folder) / CELLS_FOLDER).mkdir()
-        for name, text in files.items():
-            (Path(folder) / name).write_text(text)
-        for top, names in runs:
-            command = [str(toolchain.verilator()), *VERILATOR, *options, "--top-module", top, CONTROL_FILE, *names]
-            found["verilator"] += _complaints(command, folder)
-            if "icarus" in found:
-                found["icarus"] += _complaints(
-                    ["iverilog", "-g2005", "-Wall", "-s", top, "-o", os.devnull, *names], folder
-                )
-    return found
+    files |= {f"{CELLS_FOLDER}/{name}": text for name, text in cells.items()} | {CONTROL_FILE: control_file(view)}
+    return _findings(files, runs, view)
 
 
 def lint_emulator(files: Mapping[str, str], top: str) -> dict[str, str]:
-    """Tool -> what it found in an emulator as `emulator_release` gives it; of a board's cells the ports alone are known. Raises `ToolchainError`."""
+    """Return the same for an emulator as `emulator_release` gives it; only the ports of a board's cells are known."""
     names = verilog_of(dict(files))
-    options = [part for option in tool_options(POLYPHASE)["lint"] for part in option.split()]
-    found = {}
+    boxes = {PLL_MODEL.name: PLL_MODEL.read_text()} if top == BOARD_TOP else {}
+    return _findings(
+        {name: files[name] for name in (*names, CONTROL_FILE)} | boxes, [(top, [*names, *boxes])], POLYPHASE
+    )
+
+
+def _findings(files: Mapping[str, str], runs: Sequence[tuple[str, list[str]]], view: View) -> dict[str, str]:
+    """Return the findings in some tops. runs: of each, its name and those of its files."""
+    options = [part for option in tool_options(view)["lint"] for part in option.split()]
+    found = {"verilator": ""} | ({"icarus": ""} if shutil.which("iverilog") and not view.macros else {})
     with tempfile.TemporaryDirectory(prefix="coincid-") as folder:
-        for name in (*names, CONTROL_FILE):
-            (Path(folder) / name).write_text(files[name])
-        boxes = [PLL_MODEL.name] if top == BOARD_TOP else []
-        for box in boxes:
-            (Path(folder) / box).write_text(PLL_MODEL.read_text())
-        given = [CONTROL_FILE, *names, *boxes]
-        found["verilator"] = _complaints(
-            [str(toolchain.verilator()), *VERILATOR, *options, "--top-module", top, *given], folder
-        )
-        if shutil.which("iverilog"):
-            found["icarus"] = _complaints(
-                ["iverilog", "-g2005", "-Wall", "-s", top, "-o", os.devnull, *given[1:]], folder
-            )
+        for name, text in files.items():
+            (Path(folder) / name).parent.mkdir(exist_ok=True)
+            (Path(folder) / name).write_text(text)
+        for top, names in runs:
+            verilator = [str(toolchain.verilator()), *VERILATOR, *options, "--top-module", top, CONTROL_FILE]
+            icarus = ["iverilog", "-g2005", "-Wall", "-s", top, "-o", os.devnull]
+            for tool, command in (("verilator", verilator), ("icarus", icarus)):
+                if tool in found:
+                    found[tool] += _complaints([*command, *names], folder)
     return found
 
 

@@ -7,6 +7,7 @@ import shutil
 import tempfile
 from importlib.metadata import version
 from pathlib import Path
+from typing import Any
 
 from attrs import asdict
 
@@ -20,7 +21,6 @@ from ..model.contract.config import Config
 from ..model.contract.parameters import TOP, Sensor
 from ..model.shared.errors import InputError
 from .c_driver import c_driver
-from .captured import FOLDER as CAPTURED
 from .captured import captured_files
 from .constraints import constraints as async_constraints
 from .ports import instantiation, port_table, stream_words
@@ -29,6 +29,8 @@ from .smoke import FPGA_SMOKE, SMOKE, smoke_test
 from .waivers import CONTROL_FILE, control_file
 
 MANIFEST, CORE, README = "manifest.json", f"{TOP}.core", "README.md"
+# Of the README: the page, then what it says of the top of words, of the one of SPAD lines, and of the one for FPGAs.
+README_TEXT = Path(__file__).with_name("release_readme.md")
 SYNTHESIS_LIST = "coincid_synthesis.f"  # for a view with macros
 # For standard cells; folder of the blocks that have another form there.
 CELLS_LIST, CELLS_FOLDER = ("coincid_cells.f", "cells")
@@ -36,18 +38,6 @@ TIMESCALE = "1ps/1fs"  # for a view with macros
 PORT_DELAY = 0.4  # share of a period outside the ports
 UNCERTAINTY = 0.05  # share of a period
 DERIVED = ("array_pixels", "subgroups", "pixels", "minigroups", "guard", "stamp_bits", "period_max")
-RULES = """## Reset, clock, and the cycle that `laser` marks
-
-* There is one clock. Inputs are sampled and outputs change at the rising edge of `clk`.
-* `rst` is synchronous and high; one cycle of it is enough in any state. It ends a frame, empties the FIFOs and brings every
-  register to its reset value.
-* `laser` is high during cycle 0 of every laser period. An edge word that stands at the SPAD ports *in the same cycle* is that
-  of cycle 0: its stamps are 0 to phases - 1. A bench that samples `laser` high at a rising edge has seen the end of
-  cycle 0; what it drives from that edge on belongs to cycle 1.
-* `spad_gate` is high in the cycles whose edges the gate lets through.
-* A frame: program the registers, write 1 to the start bit of `control`, and take the packets until `tlast`. Settings are taken
-  at the start, so later writes act on the next frame. A start that makes no sense answers SLVERR, and no frame begins.
-"""
 PER_TOP = {TOP: SMOKE, FPGA_TOP: FPGA_SMOKE}
 
 
@@ -144,122 +134,68 @@ def tool_options(view: View) -> dict[str, list[str]]:
 
 def _core(lists: dict[str, list[str]], view: View) -> str:
     """Return FuseSoC's description: RTL and lint, and the smoke test on Icarus and Verilator, for every top."""
-    sets, targets = [], []
-    options = {tool: ", ".join(given) for tool, given in tool_options(view).items()}
-    boxes = [path.name for path in view.macros]
+    options, boxes = tool_options(view), [path.name for path in view.macros]
+    sets: dict[str, Any] = {"waivers": {"files": [CONTROL_FILE], "file_type": "vlt"}}
+    targets: dict[str, Any] = {}
     for top, names in lists.items():
-        smoke = PER_TOP[top]
-        suffix = "" if top == TOP else "_fpga"
-        sets += [
-            f"  rtl{suffix}:",
-            "    files:",
-            *(f"      - {name}" for name in names),
-            "    file_type: verilogSource",
-            f"  smoke{suffix}:",
-            "    files:",
-            f"      - {smoke}.v",
-            "    file_type: verilogSource",
-        ]
-        targets += [
-            f"  {'default' if top == TOP else 'fpga'}:",
-            f"    filesets: [rtl{suffix}]",
-            f"    toplevel: {top}",
-            f"  lint{suffix}:",
-            "    flow: lint",
-            "    flow_options:",
-            "      tool: verilator",
-            f"      verilator_options: [{options['lint']}]",
-            f"    filesets: [waivers, rtl{suffix}{', boxes' if boxes else ''}]",
-            f"    toplevel: {top}",
-            f"  sim{suffix}:",
-            "    flow: sim",
-            "    flow_options:",
-            "      tool: icarus",
-            f"      iverilog_options: [{options['icarus']}]",
-            f"    filesets: [rtl{suffix}, smoke{suffix}]",
-            f"    toplevel: {smoke}",
-            f"  verilate{suffix}:",
-            "    flow: sim",
-            "    flow_options:",
-            "      tool: verilator",
-            "      mode: binary",
-            f"      verilator_options: [{options['verilate']}]",
-            f"    filesets: [waivers, rtl{suffix}, smoke{suffix}]",
-            f"    toplevel: {smoke}",
-        ]
+        smoke, suffix = PER_TOP[top], "" if top == TOP else "_fpga"
+        rtl, bench = f"rtl{suffix}", f"smoke{suffix}"
+        sets |= {rtl: _verilog(names), bench: _verilog([f"{smoke}.v"])}
+        linted = ["waivers", rtl, *(["boxes"] if boxes else [])]
+        icarus = {"tool": "icarus", "iverilog_options": options["icarus"]}
+        verilator = {"tool": "verilator", "mode": "binary", "verilator_options": options["verilate"]}
+        lint = {"tool": "verilator", "verilator_options": options["lint"]}
+        targets |= {
+            "default" if top == TOP else "fpga": {"filesets": [rtl], "toplevel": top},
+            f"lint{suffix}": {"flow": "lint", "flow_options": lint, "filesets": linted, "toplevel": top},
+            f"sim{suffix}": {"flow": "sim", "flow_options": icarus, "filesets": [rtl, bench], "toplevel": smoke},
+            f"verilate{suffix}": {
+                "flow": "sim",
+                "flow_options": verilator,
+                "filesets": ["waivers", rtl, bench],
+                "toplevel": smoke,
+            },
+        }
     if boxes:
-        sets += ["  boxes:", "    files:", *(f"      - {name}" for name in boxes), "    file_type: verilogSource"]
-    head = [
-        "CAPI=2:",
-        f"name: coincid:sensor:{TOP}:{version('coincid')}",
-        "description: SPAD direct time-of-flight sensor with coincidence detection",
-        "",
-        "filesets:",
-        "  waivers:",
-        "    files:",
-        f"      - {CONTROL_FILE}",
-        "    file_type: vlt",
-    ]
-    return "\n".join([*head, *sets, "", "targets:", *targets, ""])
+        sets["boxes"] = _verilog(boxes)
+    about = "SPAD direct time-of-flight sensor with coincidence detection"
+    facts = {"name": f"coincid:sensor:{TOP}:{version('coincid')}", "description": about}
+    entries = facts | {"filesets": sets, "targets": targets}
+    return "\n".join(["CAPI=2:", *(f"{key}: {json.dumps(value, indent=2)}" for key, value in entries.items()), ""])
+
+
+def _verilog(names: list[str]) -> dict[str, Any]:
+    """Return files of Verilog for FuseSoC."""
+    return {"files": names, "file_type": "verilogSource"}
 
 
 def _readme(sensor: Sensor, clock_mhz: float, lists: dict[str, list[str]], view: View) -> str:
     options = {tool: " ".join(given) for tool, given in tool_options(view).items()}
-    smoke = [
-        f"    iverilog {options['icarus']} -s {PER_TOP[top]} -o smoke.vvp -f {PER_TOP[top]}.f && vvp -n smoke.vvp"
-        for top in lists
+    linted = {top: SYNTHESIS_LIST if view.macros else FILE_LIST if top == TOP else f"{top}.f" for top in lists}
+    commands = [
+        f"verilator --lint-only {options['lint']} --top-module {top} {CONTROL_FILE} -f {names}"
+        for top, names in linted.items()
     ]
-    smoke += [
-        f"    verilator --binary {options['verilate']} --top-module {PER_TOP[top]} {CONTROL_FILE} -f {PER_TOP[top]}.f"
-        for top in lists
-    ]
-    lint = [
-        f"    verilator --lint-only {options['lint']} --top-module {top} {CONTROL_FILE} "
-        f"-f {SYNTHESIS_LIST if view.macros else FILE_LIST if top == TOP else f'{top}.f'}"
-        for top in lists
-    ]
-    if view.macros:
-        tops = [
-            f"* `{TOP}` takes the lines of every subgroup's SPADs: a rising edge of bit i is an avalanche in pixel i. `async_cells.v` is",
-            "  the behaviour of cells and macros in femtoseconds; synthesis defines SYNTHESIS, keeps the cells, and takes black boxes",
-            f"  of the macros (`{SYNTHESIS_LIST}`).",
-        ]
-    else:
-        tops = [
-            f"* `{TOP}` takes one word of edges per cycle from the SPADs of every subgroup: bit i * {sensor.phases} + k is pixel i, phase k."
-        ]
-    if FPGA_TOP in lists:
-        tops.append(
-            f"* `{FPGA_TOP}` takes the SPADs' levels, sampled by {sensor.phases // 2} clocks of one PLL, clk and `phase_clocks`. They come "
-            f"{deserialiser.CYCLES} cycles late: stamps are {deserialiser.CYCLES * sensor.phases} ticks too large, and gates have to be "
-            f"programmed {deserialiser.CYCLES} cycles later."
-        )
-    about = [
-        f"# SPAD sensor of {sensor.rows} x {sensor.cols} pixels",
-        "",
-        *tops,
-        "",
-        "`coincid.h` and `coincid.c` are a small driver and decoder in C.",
-        f"Parameters and hashes are in `{MANIFEST}`, registers in `registers.*`, constraints for {clock_mhz:g} MHz in `*.sdc`.",
-        f"`{CELLS_LIST}` is the list for standard cells. It takes some blocks from the folder `{CELLS_FOLDER}`: memories as latches, which",
-        "are RAM or flip-flops elsewhere, and `coincid_clock_gate` and `coincid_clock_gate_small`, which stop the clock of a subgroup and",
-        "of its blocks when nothing is to be done; replace them by cells of your library. Elsewhere they are wires, and the words are the same.",
-        f"`{CAPTURED}` has a captured frame of every format: its beats (`.txt`), its events (`.csv`), all that is decoded (`.npz`).",
-        "Lint, and the smoke test, which prints PASS; no Python is needed:",
-        "",
-        *lint,
-        *smoke,
-        "",
-        f"With FuseSoC: `fusesoc --cores-root . run --target TARGET coincid:sensor:{TOP}`, targets lint, sim, verilate"
-        f"{', and the same with _fpga' if FPGA_TOP in lists else ''}.",
-        "",
-    ]
-    for top in lists:
-        about += [f"## Ports of `{top}`", "", port_table(sensor, top, view)]
-    about += [RULES, "## Words of the stream", "", stream_words(sensor)]
-    for top in lists:
-        about += [f"## An instance of `{top}`", "", f"```verilog\n{instantiation(sensor, top, view)}```", ""]
-    return "\n".join(about)
+    smoke = [PER_TOP[top] for top in lists]
+    commands += [f"iverilog {options['icarus']} -s {top} -o smoke.vvp -f {top}.f && vvp -n smoke.vvp" for top in smoke]
+    verilator = f"verilator --binary {options['verilate']} --top-module"
+    commands += [f"{verilator} {top} {CONTROL_FILE} -f {top}.f" for top in smoke]
+    about, of_words, of_lines, of_levels = README_TEXT.read_text().split("---\n")
+    tops = [of_lines if view.macros else of_words, *([of_levels] if FPGA_TOP in lists else [])]
+    late = deserialiser.CYCLES
+    numbers = {"phases": sensor.phases, "half": sensor.phases // 2, "late": late, "late_ticks": late * sensor.phases}
+    instances = (f"## An instance of `{top}`\n\n```verilog\n{instantiation(sensor, top, view)}```" for top in lists)
+    return about.format(
+        rows=sensor.rows,
+        cols=sensor.cols,
+        tops="".join(tops).rstrip().format(**numbers),
+        clock_mhz=clock_mhz,
+        commands="\n".join(f"    {command}" for command in commands),
+        fpga=", and the same with _fpga" if FPGA_TOP in lists else "",
+        ports="\n".join(f"## Ports of `{top}`\n\n{port_table(sensor, top, view)}" for top in lists),
+        words=stream_words(sensor),
+        instances="\n\n".join(instances),
+    )
 
 
 def _manifest(config: Config, files: dict[str, bytes], view: View) -> str:

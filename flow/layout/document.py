@@ -23,6 +23,7 @@ from .delays import INPUT_NS, simulate
 from .flow import FINAL, Layout, lay_out
 from .hierarchy import DETOUR, Hierarchy
 
+PAGE = Path(__file__).with_name("page.md")
 PICTURE, PREFIX = "layout-{}.png", "coincid_"
 SMALL = Sensor(rows=8, cols=8)  # of the simulation: 16 minigroups
 COLOURS = 32  # of the picture
@@ -49,7 +50,7 @@ def write_page(path: Path, tell: Callable[[str], None]) -> None:
     ]
     tell("simulating the sensor with the placed subgroup and its delays")
     subgroup_checked, subgroup_cycles = simulate(SMALL, Subgroup(SMALL), placed[1])
-    text = PAGE.format(
+    text = PAGE.read_text().format(
         subgroup_checked=subgroup_checked,
         subgroup_cycles=subgroup_cycles,
         gds=FINAL,
@@ -136,95 +137,3 @@ def times(layout: Layout, mapped_slack_ns: float) -> list[tuple[str, str]]:
         ("longest, with wires and clock tree", f"{layout.slack_ns:+.2f}"),
         ("shortest (hold), with wires and clock tree", f"{layout.hold_ns:+.2f}"),
     ]
-
-
-PAGE = """\
-# Layout of minigroup, tree and subgroup
-
-Written by `make layout`, which takes about three minutes: the minigroup of the preset `silicon`
-(2 x 2 pixels, 32 phases) of both views, in NanGate 45 nm cells. Yosys maps it. Coriolis places it,
-builds its clock tree and routes it. KLayout adds the layouts of the cells and checks the result.
-OpenSTA times it. What it means for the sensor is in [silicon.md](silicon.md).
-
-| polyphase | asynchronous |
-| --- | --- |
-| ![The routed minigroup](images/layout-minigroup.png) | ![The routed minigroup of the asynchronous view](images/layout-async_minigroup.png) |
-
-The pictures show the routed blocks: cells (dark), metal3 (green), metal4 (orange), metal5 and
-metal6. `{gds}` in the build folder is the GDS.
-
-| | polyphase | asynchronous |
-| --- | ---: | ---: |
-{rows}
-
-Cells cover so little of the block because the router leaves a few nets open where pins are denser.
-So every cell is widened until each of its pins has room, and fillers take that room in the end.
-
-## Checks
-
-Opens: 0. Shorts: 0. The wires (metal2 to metal6) are extracted from the GDS and compared with the
-placed netlist, pin by pin; the flow fails on any difference.
-
-| rule: violations | polyphase | asynchronous |
-| --- | ---: | ---: |
-{rules}
-
-Values are those of the cells' LEF file, for wires of least width. The flow does not check rules for
-wide metal, area, density and antennas, nor wells and other layers below metal1, which are the cells'
-own. It does not check the supply: rows share rails of metal1, and there is no power mesh above them.
-
-## Timing
-
-Slack of paths of the clock in ns, at a cycle of {clock:g} ns:
-
-| path | polyphase | asynchronous |
-| --- | ---: | ---: |
-{timing}
-
-The longest path is the half cycle to the latches of the record's stamp. The capacitance of a wire
-follows from its length on each metal, and its resistance to a pin from the direct way there.
-Coupling between wires is not included, and the typical corner is the only one.
-
-## Simulation
-
-OpenSTA writes the delays as SDF. A sensor of 8 x 8 pixels, whose 16 minigroups are the routed
-netlist with these delays, plays the random frames of `make gls` on Icarus, in both views:
-
-| | polyphase | asynchronous |
-| --- | ---: | ---: |
-{played}
-
-The inputs of a minigroup change {input:g} ns after the clock's edge, as the outputs of flip-flops do. With all delays
-{factor:g} times as long the same bench fails, so the delays are in force. Icarus ignores two parts
-of the SDF: delays of single wires, and setup and hold checks. The macros of the asynchronous view
-around its minigroups have no layout; they are their behavioural Verilog, with its delays.
-
-## Tree and subgroup
-
-Tree and subgroup of the polyphase view are placed, not routed. Their 16 minigroups are the routed
-block as a macro, on a grid of 4 x 4. Coriolis places the other cells in the channels between them.
-The flow then adds a clock tree that leads to the macros' own trees, and buffers in nets of more than
-{fanout} cells. They stand in free places of the rows.
-
-| | tree | subgroup |
-| --- | ---: | ---: |
-{above}
-
-A sensor whose subgroup is this netlist, with its delays, plays the same random frames:
-{subgroup_checked} words and commits in {subgroup_cycles} cycles, 0 mismatches.
-
-Timing is of the whole block, with routed wires inside the macros and estimated wires above them. An
-estimated wire has {detour:g} times half the perimeter of the box around its pins. That factor is the mean
-of the nets that Coriolis routed in the tree. It routed 96 to 99 % of the nets within two minutes, but
-could not reach the pins of the others inside the macros, so the flow does not route the tree.
-
-Placer and router run in a process of their own with a time limit. If they do not end in time, or leave
-nets open in every attempt, the flow ends with an error.
-
-## What is not there
-
-* Routed wires above a minigroup. A minigroup would need pins at its border, or free tracks over its
-  pins. With pins at its border, Coriolis left 25 to 49 short pieces of wire open there.
-* The tree of the asynchronous view: its event trees need matched wires, and its macros need a layout.
-* Several corners, and a power mesh ([silicon.md](silicon.md)).
-"""

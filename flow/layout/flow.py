@@ -41,7 +41,7 @@ PLACED, STRIPS, JOB, LOG, FACTS = "placed.json", "strips.json", "job.json", "cor
 LIMIT_S = 300  # of one attempt
 NOT_ROUTED = 3  # exit code of `place_route.py`
 CLOCK = "clk"
-BEHIND = ("page", "delays", "hierarchy", "buffers")  # files that do not change a layout
+BEHIND = ("document", "delays", "hierarchy", "buffers")  # files that do not change a layout
 
 
 @frozen
@@ -95,12 +95,19 @@ def require_tools() -> Path:
     return cells
 
 
+def sources(*without: str) -> list[str]:
+    """Return the texts of this folder's code and settings, on which a layout depends, except those of some files."""
+    files = (path for path in sorted(Path(__file__).parent.iterdir()) if path.suffix in (".py", ".toml"))
+    return [path.read_text() for path in files if path.stem not in without]
+
+
 def lay_out(unit: Unit, clock_mhz: float, tell: Callable[[str], None], view: View = POLYPHASE) -> Layout:
     """Return the layout of a flattened block, which is made once for each state of its Verilog. Macros have no layout."""
     cells, files = require_tools(), bound(units_files([unit], cells=True), gated=False)
     files |= {path.name: path.read_text() for path in (*view.cells, *view.macros)}
-    own = (path.read_text() for path in sorted(Path(__file__).parent.glob("*.py")) if path.stem not in BEHIND)
-    key = digest(CELLS_KEY, str(clock_mhz), *own, *(part for item in sorted(files.items()) for part in item))
+    key = digest(
+        CELLS_KEY, str(clock_mhz), *sources(*BEHIND), *(part for item in sorted(files.items()) for part in item)
+    )
 
     def make(folder: Path) -> None:
         for name, text in files.items():

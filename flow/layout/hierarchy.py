@@ -77,9 +77,8 @@ def lay_out(unit: Unit, leaf: Unit, layout: flow.Layout, clock_mhz: float, tell:
     files[f"{leaf.unit_name}.v"] = shell(leaf, ports)
     declared = "".join(f"  {way} {name};\n" for name, way in ports.items())
     files["macro.v"] = f"(* blackbox *)\nmodule {kind} ({', '.join(ports)});\n{declared}endmodule\n"
-    own = (path.read_text() for path in sorted(Path(__file__).parent.glob("*.py")) if path.stem != "page")
     state = CELLS_KEY, str(clock_mhz), layout.folder.name
-    key = digest(*state, *own, *(part for item in sorted(files.items()) for part in item))
+    key = digest(*state, *flow.sources("document"), *(part for item in sorted(files.items()) for part in item))
 
     def make(folder: Path) -> None:
         for name, text in files.items():

@@ -5,7 +5,9 @@ This runs only inside Coriolis's own process (`place_route.py`). Widths and dist
 """
 
 import json
+import tomllib
 from pathlib import Path
+from typing import Any
 
 from coriolis import CRL, Cfg
 from coriolis.Anabatic import StyleFlags
@@ -26,7 +28,7 @@ CUT_SPACE_UM = {1: 0.08, 2: 0.09, 3: 0.09, 4: 0.16, 5: 0.16, 6: 0.16, 7: 0.44, 8
 PITCH_UM = {2: 0.19, 3: 0.14, 4: 0.30, 5: 0.30, 6: 0.30, 7: 0.84, 8: 0.84}
 PAD_UM = {3: 0.14}  # wires of metal3 end in pads as wide as metal4's
 TOP_METAL = "metal6"
-RIPUP = 5
+SETTINGS = Path(__file__).with_name("coriolis.toml")
 GDS_METAL1 = 11  # metal k is layer 9 + 2k of the cells' GDS, the vias between them
 
 
@@ -139,62 +141,24 @@ def _settings() -> None:
     environment.setPOWER("VDD")
     environment.setGROUND("VSS")
     with CfgCache(priority=Cfg.Parameter.Priority.ConfigurationFile) as cfg:
-        cfg.lefImport.minTerminalWidth = 0.0
-        cfg.crlcore.groundName = "VSS"
-        cfg.crlcore.powerName = "VDD"
-        cfg.etesian.bloat = "disabled"
-        cfg.etesian.aspectRatio = 1.0
-        cfg.etesian.aspectRatio = [10, 1000]
-        cfg.etesian.spaceMargin = 0.40
-        cfg.etesian.uniformDensity = True
-        cfg.etesian.routingDriven = False
-        cfg.etesian.latchUpDistance = 0
-        cfg.etesian.antennaInsertThreshold = 0.50
-        cfg.etesian.antennaGateMaxWL = 0
-        cfg.etesian.feedNames = "FILLCELL_X1,FILLCELL_X2,FILLCELL_X4,FILLCELL_X8,FILLCELL_X16"
-        cfg.etesian.defaultFeed = "FILLCELL_X1"
-        cfg.etesian.cell.zero = "LOGIC0_X1"
-        cfg.etesian.cell.one = "LOGIC1_X1"
-        cfg.etesian.effort = 2
-        cfg.etesian.graphics = 2
-        cfg.anabatic.routingGauge = "nangate45"
+        for section, values in tomllib.loads(SETTINGS.read_text()).items():
+            _set(getattr(cfg, section), values)
         cfg.anabatic.cellGauge = SITE_NAME
-        cfg.anabatic.globalLengthThreshold = 1450
-        cfg.anabatic.saturateRatio = 0.90
-        cfg.anabatic.saturateRp = 10
         cfg.anabatic.topRoutingLayer = TOP_METAL
-        cfg.anabatic.edgeLength = 192
-        cfg.anabatic.edgeWidth = 32
-        cfg.anabatic.edgeCostH = 9.0
-        cfg.anabatic.edgeCostK = -10.0
-        cfg.anabatic.edgeHInc = 1.0
-        cfg.anabatic.edgeHScaling = 1.0
-        cfg.anabatic.globalIterations = 10
-        cfg.anabatic.globalIterations = [1, 100]
-        cfg.anabatic.gcell.displayMode = 1
-        cfg.anabatic.netBuilderStyle = "HV,3RL+"
         cfg.anabatic.routingStyle = StyleFlags.HV
-        cfg.katana.disableStackedVias = False
-        cfg.katana.hTracksReservedLocal = 4
-        cfg.katana.hTracksReservedLocal = [0, 20]
-        cfg.katana.vTracksReservedLocal = 3
-        cfg.katana.vTracksReservedLocal = [0, 20]
-        cfg.katana.termSatReservedLocal = 8
-        cfg.katana.termSatThreshold = 9
-        cfg.katana.eventsLimit = 40000002
-        cfg.katana.ripupCost = 3
-        cfg.katana.ripupCost = [0, None]
-        for name, limit in (("strap", 4), ("local", 2), ("global", 1)):
-            setattr(cfg.katana, f"{name}RipupLimit", RIPUP * limit)
-            setattr(cfg.katana, f"{name}RipupLimit", [1, None])
-        cfg.katana.longGlobalRipupLimit = RIPUP
-        cfg.chip.padCoreSide = "South"
         cfg.clockTree.minimumSide = u(ROW_UM) * 6
-        cfg.clockTree.buffer = "BUF_X4"
-        cfg.clockTree.placerEngine = "Etesian"
-        cfg.block.spareSide = 10
-        cfg.spares.buffer = "BUF_X4"
-        cfg.spares.maxSinks = 20
+
+
+def _set(section: Any, values: dict[str, Any]) -> None:
+    """Set values and their ranges, a list of the lowest and, where there is one, the highest value."""
+    for name, value in values.items():
+        if not isinstance(value, dict):
+            setattr(section, name, value)
+        elif "value" in value:
+            setattr(section, name, value["value"])
+            setattr(section, name, [*value["range"], None][:2])
+        else:
+            _set(getattr(section, name), value)
 
 
 def _cells(lef: list[Path], strips: dict[str, dict[str, list[float]]], um2_per_pin: float) -> Library:
