@@ -119,7 +119,7 @@ class Driver:
         end, waiting = time.monotonic() + seconds, list(self._assemblers)
         while waiting := [assembler for assembler in waiting if not assembler.frames]:
             for assembler in waiting:
-                beats = self.transport.receive(assembler.stream)
+                beats = self._beats(assembler.stream)
                 if len(beats):
                     assembler.add(beats)
                     end = time.monotonic() + seconds
@@ -128,6 +128,10 @@ class Driver:
                     f"stream {waiting[0].stream}: nothing more came for {seconds:g} s; the frame is not whole"
                 )
         return [assembler.frames.pop(0) for assembler in self._assemblers]
+
+    def _beats(self, stream: int) -> np.ndarray:
+        """Return the beats of a stream that have come since the last call."""
+        return self.transport.receive(stream)
 
     def _write(self, address: int, value: int) -> None:
         try:

@@ -53,7 +53,8 @@ class EmulatorDriver(Driver):
 
     def waiting(self) -> np.ndarray:
         """Remove the waiting beats (uint64) from the frame buffer, and return them."""
-        first, level = self._buffer()
+        level = self["buffer_level"]  # there may be more by now
+        first = self["buffer_first"]
         beats = np.zeros(0, np.uint64)
         while level:
             run = min(level, self.buffer_beats - first)  # up to the end of the ring buffer
@@ -63,23 +64,8 @@ class EmulatorDriver(Driver):
             first, level = (first + run) % self.buffer_beats, level - run
         return beats
 
-    def _buffer(self) -> tuple[int, int]:
-        """Return address of the first waiting beat, and number of waiting beats; there may be more by now."""
-        level = self["buffer_level"]
-        return self["buffer_first"], level
-
-    def receive(self, seconds: float = WAIT_SECONDS) -> list[np.ndarray]:
-        """Return the next whole frame: beats (uint64) of the one stream. Raises the same errors as `Driver.receive`."""
-        (assembler,) = self._assemblers
-        end = time.monotonic() + seconds
-        while not assembler.frames:
-            beats = self.waiting()
-            if len(beats):
-                assembler.add(beats)
-                end = time.monotonic() + seconds
-            elif time.monotonic() > end:
-                raise HostError(f"nothing more came for {seconds:g} s; the frame is not whole")
-        return [assembler.frames.pop(0)]
+    def _beats(self, stream: int) -> np.ndarray:
+        return self.waiting()
 
     def frame(self, seconds: float = WAIT_SECONDS) -> np.ndarray:
         """Start a frame, wait for it, and return its beats (uint64[n])."""
@@ -89,9 +75,9 @@ class EmulatorDriver(Driver):
         return beats
 
     def resume(self, seconds: float = WAIT_SECONDS) -> None:
-        """Brings the emulator to rest after whatever went wrong: ends a frame under way, and drops what waits. Settings are to be programmed anew.
+        """Bring the emulator to rest after an error: end a running frame, and drop what waits. Settings must be programmed anew.
 
-        Raises `HostError` where the frame does not end in `seconds`.
+        Raises `HostError` if the frame does not end within `seconds`.
         """
         self.programmed.forget()
         self._assemblers[0].forget()

@@ -37,23 +37,9 @@ PER_FRAME = tuple(name for name, setting in FRAME.items() if setting.derived)
 class Config(SubgroupSettings):
     """A checked configuration: the sensor as built, the frame, and the settings of every subgroup.
 
-    `load_config` and `parse_config` make it; `with_sensor`, `with_frame` and `with_settings` make changed copies.
-
-    Attributes
-    ----------
-    sensor : Sensor
-        Parameters of the sensor as built.
-    frame : dict
-        The table [frame] of the file; every key has a value.
-    given : frozenset of str
-        The keys that were written, such as `subgroup.threshold`; all others have their defaults.
-    coincidence, threshold, ... : numpy.ndarray
-        The settings of `SubgroupSettings`.
-
-    Raises
-    ------
-    InputError
-        If settings make no sense together.
+    `load_config` and `parse_config` make it; `with_sensor`, `with_frame` and `with_settings` make changed copies. frame:
+    the table [frame] of the file; every key has a value. given: the keys that were written, such as
+    `subgroup.threshold`; all others have their defaults. Raises `InputError` if settings make no sense together.
     """
 
     sensor: Sensor
@@ -362,21 +348,9 @@ def read_toml(path: FilePath) -> dict[str, Any]:
 
 
 def parse_config(document: dict[str, Any]) -> Config:
-    """Check a configuration that is given as nested dictionaries, like a parsed TOML file.
+    """Check a configuration that is given as nested dictionaries, like a parsed TOML file. Raises `InputError`.
 
-    Parameters
-    ----------
-    document : dict
-        The tables `sensor`, `frame`, `subgroup` and `override`; every table and every key may be missing.
-
-    Returns
-    -------
-    Config
-
-    Raises
-    ------
-    InputError
-        If a table or key is unknown, or a value is out of range.
+    document: the tables `sensor`, `frame`, `subgroup` and `override`; every table and every key may be missing.
     """
     tables = {"sensor": dict, "frame": dict, "subgroup": dict, "override": list}
     for name, value in document.items():

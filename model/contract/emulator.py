@@ -6,12 +6,12 @@ The paper has no such thing; all of it is our choice. The emulator's address spa
 beats of the frame buffer from `BUFFER_BASE` on.
 """
 
-from attrs import field, frozen
+from attrs import frozen
 
 from ..shared.errors import InputError, check_integer
 from .config import Config
 from .parameters import Sensor
-from .registers import Access, Bits, Register
+from .registers import CONSTANT, COUNTER, PULSE, SETTING, Bits, Register
 from .serial_link import BAUD, BAUD_TOLERANCE
 
 ADDRESS_BITS = 24
@@ -33,7 +33,7 @@ TAPS = (
 )  # fmt: skip
 SEED_BIT = 15  # bit of a generator at which its seed is shifted in
 # Bits of the state: in a period's first cycle they decide on an echo; in the second, the low ones place it.
-LEVEL_LSB, LEVEL_BITS = (0, 8)
+LEVEL_LSB, LEVEL_BITS = 0, 8
 PHASE_LSB = 8  # bits of the state: phase of a background photon
 RATE_LSB, RATE_BITS = 16, 16  # bits of the state: they decide on a background photon
 SPREAD_MAX = 4
@@ -56,8 +56,8 @@ class Emulator:
     """
 
     sensor: Sensor
-    buffer_beats: int = field(default=BUFFER_BEATS)
-    clocks_per_bit: int = field(default=33)  # 3 Mbaud at 100 MHz
+    buffer_beats: int = BUFFER_BEATS
+    clocks_per_bit: int = 33  # 3 Mbaud at 100 MHz
 
     def __attrs_post_init__(self) -> None:
         if self.sensor.streams != 1:
@@ -85,72 +85,56 @@ class Emulator:
         """Blocks of the cipher that one step of a subgroup's seeding takes."""
         return -(-self.sensor.pixels // LANE_PIXELS)
 
-    @property
-    def echo_max(self) -> int:
-        """Highest value of an echo register."""
-        return (1 << LEVEL_BITS + self.sensor.stamp_bits) - 1
-
 
 OWN: tuple[Register, ...] = (
-    Register(name="emulator_id", offset=0x00, access=Access.CONSTANT, doc="EMUL in ASCII.", reset=EMULATOR_ID),
+    Register("emulator_id", 0x00, CONSTANT, "EMUL in ASCII.", reset=EMULATOR_ID),
+    Register("emulator_version", 0x04, CONSTANT, "Version of this map: major << 16 | minor.", reset=EMULATOR_VERSION),
+    Register("buffer_beats", 0x08, CONSTANT, "Beats that the frame buffer holds."),
     Register(
-        name="emulator_version",
-        offset=0x04,
-        access=Access.CONSTANT,
-        doc="Version of this map: major << 16 | minor.",
-        reset=EMULATOR_VERSION,
-    ),
-    # Of the build.
-    Register(name="buffer_beats", offset=0x08, access=Access.CONSTANT, doc="Beats that the frame buffer holds."),
-    Register(
-        name="seed",
-        offset=0x0C,
-        access=Access.SETTING,
-        doc="Of the photon source. A frame's light depends on this, its number and the settings alone.",
+        "seed",
+        0x0C,
+        SETTING,
+        "Of the photon source. A frame's light depends on this, its number and the settings alone.",
         high=0xFFFF_FFFF,
         reset=1,
     ),
     Register(
-        name="spread",
-        offset=0x10,
-        access=Access.SETTING,
-        doc="An echo comes up to 2^spread - 1 ticks behind its tick, all equally likely.",
+        "spread",
+        0x10,
+        SETTING,
+        "An echo comes up to 2^spread - 1 ticks behind its tick, all equally likely.",
         high=SPREAD_MAX,
     ),
     Register(
-        name="dead_cycles",
-        offset=0x14,
-        access=Access.SETTING,
-        doc="Dead time: cycles from a pixel's edge to its earliest next one.",
+        "dead_cycles",
+        0x14,
+        SETTING,
+        "Dead time: cycles from a pixel's edge to its earliest next one.",
         low=1,
         high=DEAD_MAX,
         reset=1,
     ),
+    Register("buffer_level", 0x18, COUNTER, "Beats in the frame buffer that are not taken."),
+    Register("buffer_first", 0x1C, COUNTER, "Place of the first of them in the buffer."),
     Register(
-        name="buffer_level", offset=0x18, access=Access.COUNTER, doc="Beats in the frame buffer that are not taken."
-    ),
-    Register(name="buffer_first", offset=0x1C, access=Access.COUNTER, doc="Place of the first of them in the buffer."),
-    Register(
-        name="buffer_take",
-        offset=0x20,
-        access=Access.PULSE,
+        "buffer_take",
+        0x20,
+        PULSE,
+        "Takes as many beats out of the buffer; above buffer_level is refused.",
         high=1 << 16,
-        doc="Takes as many beats out of the buffer; above buffer_level is refused.",
     ),
     Register(
-        name="stalls",
-        offset=0x24,
-        access=Access.COUNTER,
-        doc="Cycles since reset in which a beat waited for the full buffer: frames with one may not be as predicted.",
+        "stalls",
+        0x24,
+        COUNTER,
+        "Cycles since reset in which a beat waited for the full buffer: frames with one may not be as predicted.",
     ),
+    Register("link_errors", 0x28, COUNTER, "Frames of the serial link that came damaged."),
     Register(
-        name="link_errors", offset=0x28, access=Access.COUNTER, doc="Frames of the serial link that came damaged."
-    ),
-    Register(
-        name="seeding",
-        offset=0x2C,
-        access=Access.COUNTER,
-        doc="1 while the source prepares the next frame; accesses to the sensor wait for its end.",
+        "seeding",
+        0x2C,
+        COUNTER,
+        "1 while the source prepares the next frame; accesses to the sensor wait for its end.",
         bits=(Bits("seeding", 0, "Busy."),),
     ),
 )

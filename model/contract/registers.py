@@ -37,6 +37,9 @@ class Access(enum.Enum):
     COUNTER = "read-only, valid while not busy"
 
 
+CONSTANT, SETTING, PULSE, STATUS, COUNTER = Access
+
+
 def _value(value: int | Value) -> Value:
     return value if callable(value) else lambda _: value
 
@@ -52,7 +55,7 @@ class Bits:
     clears: bool = False  # writing 1 clears it
 
 
-@frozen(kw_only=True)
+@frozen
 class Register:
     """A register, or an array of `count` registers at consecutive words; none if it is not built. `low`, `high`: range that a write accepts."""
 
@@ -83,7 +86,7 @@ def _constants(setting: Setting) -> list[Register]:
 
 
 def _constant(name: str, offset: int, doc: str, value: Value) -> Register:
-    return Register(name=name, offset=offset, access=Access.CONSTANT, doc=doc, reset=value)
+    return Register(name, offset, CONSTANT, doc, reset=value)
 
 
 def _settings(table: dict[str, Setting]) -> list[Register]:
@@ -94,10 +97,10 @@ def _settings(table: dict[str, Setting]) -> list[Register]:
 
 def _setting(setting: Setting, offset: int) -> Register:
     return Register(
-        name=setting.name,
-        offset=offset,
-        access=Access.SETTING,
-        doc=setting.doc,
+        setting.name,
+        offset,
+        SETTING,
+        setting.doc,
         low=lambda s: setting.limits(s)[0],
         high=lambda s: setting.limits(s)[1],
         reset=lambda s: setting.reset_of(s, frame_defaults(s)),
@@ -106,31 +109,23 @@ def _setting(setting: Setting, offset: int) -> Register:
 
 
 GLOBAL: tuple[Register, ...] = (
-    Register(
-        name="id", offset=0x00, access=Access.CONSTANT, doc="Identifies the sensor: COIN in ASCII.", reset=ID_VALUE
-    ),
-    Register(
-        name="version",
-        offset=0x04,
-        access=Access.CONSTANT,
-        doc="Version of this map: major << 16 | minor.",
-        reset=VERSION_VALUE,
-    ),
+    Register("id", 0x00, CONSTANT, "Identifies the sensor: COIN in ASCII.", reset=ID_VALUE),
+    Register("version", 0x04, CONSTANT, "Version of this map: major << 16 | minor.", reset=VERSION_VALUE),
     *(register for setting in SENSOR.values() for register in _constants(setting)),
     Register(
-        name="control",
-        offset=0x40,
-        access=Access.PULSE,
+        "control",
+        0x40,
+        PULSE,
+        "Starts and ends a frame. A start that the checks refuse is answered with SLVERR and has no effect.",
         high=3,
-        doc="Starts and ends a frame. A start that the checks refuse is answered with SLVERR and has no effect.",
         bits=(Bits("start", 0, "Begins a frame."), Bits("abort", 1, "Makes the running period the last of the frame.")),
     ),
     Register(
-        name="status",
-        offset=0x44,
-        access=Access.STATUS,
+        "status",
+        0x44,
+        STATUS,
+        "State and sticky errors.",
         high=0xFFFF_FFFF,
-        doc="State and sticky errors.",
         bits=(
             Bits("busy", 0, "A frame is running or being delivered."),
             Bits("done", 1, "A frame has been delivered since this bit was cleared.", clears=True),
@@ -156,53 +151,50 @@ GLOBAL: tuple[Register, ...] = (
     ),
     *_settings(settings.FRAME),
     Register(
-        name="share",
-        offset=0x100,
-        access=Access.SETTING,
+        "share",
+        0x100,
+        SETTING,
+        "Threshold controller, stream i: capacity // number of its subgroups. First value and lower limit of the budget.",
         count=lambda s: s.streams * s.controller,
         high=EVENTS_MAX,
         reset=EVENTS_MAX,
-        doc="Threshold controller, stream i: capacity // number of its subgroups. First value and lower limit of the budget.",
     ),
     Register(
-        name="budget",
-        offset=0x200,
-        access=Access.COUNTER,
+        "budget",
+        0x200,
+        COUNTER,
+        "Threshold controller, stream i: a subgroup lowers its threshold if it would then commit no more events.",
         count=lambda s: s.streams * s.controller,
         reset=EVENTS_MAX,
-        doc="Threshold controller, stream i: a subgroup lowers its threshold if it would then commit no more events.",
     ),
     Register(
-        name="limit",
-        offset=0x300,
-        access=Access.COUNTER,
+        "limit",
+        0x300,
+        COUNTER,
+        "Threshold controller, stream i: a subgroup that commits more events raises its threshold.",
         count=lambda s: s.streams * s.controller,
         reset=EVENTS_MAX,
-        doc="Threshold controller, stream i: a subgroup that commits more events raises its threshold.",
     ),
 )
 
 MODE = Register(
-    name="mode",
-    offset=0x00,
-    access=Access.SETTING,
+    "mode",
+    0x00,
+    SETTING,
+    "The four modes are coincidence x gating.",
     high=lambda s: sum(switch.limits(s)[1] << switch.bit for switch in SWITCHES.values()),
     reset=sum(switch.default << switch.bit for switch in SWITCHES.values()),
-    doc="The four modes are coincidence x gating.",
     bits=tuple(Bits(name, switch.bit, switch.doc) for name, switch in SWITCHES.items()),
 )
 
 SUBGROUP: tuple[Register, ...] = (
     MODE,
     *_settings(settings.SUBGROUP),
-    *(
-        Register(name=name, offset=0x40 + 4 * i, access=Access.COUNTER, doc=doc)
-        for i, (name, doc) in enumerate(COUNTERS)
-    ),
+    *(Register(name, 0x40 + 4 * i, COUNTER, doc) for i, (name, doc) in enumerate(COUNTERS)),
 )
 
 BY_NAME = {register.name: register for register in (*GLOBAL, *SUBGROUP)}
-WRITABLE = (Access.SETTING, Access.PULSE, Access.STATUS)
+WRITABLE = (SETTING, PULSE, STATUS)
 
 
 def built(table: tuple[Register, ...], sensor: Sensor) -> tuple[Register, ...]:
@@ -234,6 +226,6 @@ def reset_values(sensor: Sensor) -> dict[int, int]:
     values: dict[int, int] = {}
     for table, subgroups in ((GLOBAL, 1), (SUBGROUP, sensor.subgroups)):
         for _, register, index in words(table, sensor):
-            if register.access is Access.SETTING:
+            if register.access is SETTING:
                 values |= {address(register.name, s, index): register.reset(sensor) for s in range(subgroups)}
     return values

@@ -104,18 +104,6 @@ def signal_photons(
     return _equivalent_mean(effective_signal_cps / laser_hz)
 
 
-def group_photons(photons: Numbers, form: str) -> Numbers:
-    """(5), (6): photons of a minigroup (subgroup) from those of its pixels (minigroups), along the last axis. Both forms agree."""
-    _literal(form)
-    return np.sum(photons, axis=-1)
-
-
-def count_probability(k: int | np.ndarray, rate_cps: Numbers, time_s: Numbers, form: str) -> Numbers:
-    """(7): probability of `k` photons. Both forms agree."""
-    _literal(form)
-    return stats.poisson.pmf(k, rate_cps * time_s)
-
-
 def pixel_probability(photons_pixel: Numbers, form: str) -> Numbers:
     """(9): probability that a pixel detects. Literal: exactly one photon. Corrected: at least one."""
     photons_pixel = np.asarray(photons_pixel, float)
@@ -134,12 +122,6 @@ def minigroup_probability(
     return stats.binom.pmf(threshold - 1, pixels_minigroup - 1, _share(photons_minigroup, pixels_minigroup))
 
 
-def rest_photons(photons_subgroup: Numbers, photons_minigroup: Numbers, form: str) -> Numbers:
-    """(11): photons of the subgroup outside the minigroup. Both forms agree."""
-    _literal(form)
-    return photons_subgroup - photons_minigroup
-
-
 def rest_probability(photons_rest: Numbers, threshold: int | np.ndarray, pixels_rest: int, form: str) -> Numbers:
     """(12): probability of threshold - 1 photons outside the minigroup. Literal: Poisson. Corrected: binomial."""
     if _literal(form):
@@ -153,7 +135,7 @@ def others_probability(photons: Photons, threshold: int | np.ndarray, sizes: Siz
     Literal: union of (10) and (12), assumed independent. Corrected: at least threshold - 1 of the others, in any split.
     """
     if _literal(form):
-        rest = rest_photons(photons.subgroup, photons.minigroup, form)
+        rest = photons.subgroup - photons.minigroup  # (11)
         inside = minigroup_probability(photons.minigroup, threshold, sizes.minigroup, form)
         outside = rest_probability(rest, threshold, sizes.subgroup - sizes.minigroup, form)
         return inside + outside - inside * outside

@@ -102,25 +102,13 @@ class Arrivals:
 class Light:
     """Light that each of rows x cols pixels detects: with the PDE, without the dead time. Arrays broadcast.
 
-    Attributes
-    ----------
-    rows, cols : int
-        Size of the array.
-    distance_m : numpy.ndarray
-        float64[pixels, targets] in metres, NaN = no target; a one-dimensional array has one target per pixel.
-    signal_per_pulse : numpy.ndarray
-        float64[pixels, targets], mean detected photons per laser pulse.
-    background_cps : numpy.ndarray
-        float64[pixels], detected counts per second.
-    system_fwhm_s : numpy.ndarray
-        float64[pixels, targets], FWHM of the signal at the TDC's input in seconds: laser pulse and SPAD jitter, added as squares, so
-        the laser pulse is sqrt(system_fwhm_s^2 - jitter_fwhm_s^2).
-    range_ambiguity : bool
-        True: light from beyond the laser period falls into a later period, as if the laser had been running before; False: it is lost.
-    arrivals : Arrivals or None
-        Additional signal of any shape in time; its laser pulse has the width of the pixel's first target.
-    interferer : Interferer or None
-        Another LiDAR.
+    distance_m: float64[pixels, targets], NaN = no target; a one-dimensional array has one target per pixel.
+    signal_per_pulse: float64[pixels, targets], mean detected photons per laser pulse. background_cps: float64[pixels],
+    detected counts per second. system_fwhm_s: float64[pixels, targets], FWHM of the signal at the TDC's input: laser
+    pulse and SPAD jitter, added as squares, so the laser pulse is sqrt(system_fwhm_s^2 - jitter_fwhm_s^2).
+    range_ambiguity: light from beyond the laser period falls into a later period, as if the laser had been running
+    before; False: it is lost. arrivals: additional signal of any shape in time; its laser pulse has the width of the
+    pixel's first target. interferer: another LiDAR.
     """
 
     rows: int

@@ -42,27 +42,10 @@ DITHERED_PULSES_MAX = 1 << 24  # pulses whose starts are kept
 
 
 def generate_edges(light: Light, spad: Spad, timing: Timing, **options: Any) -> Edges:
-    """Generate all edges of a number of laser pulses, sorted by (pulse, tick, pixel).
+    """Generate all edges of a number of laser pulses, sorted by (pulse, tick, pixel). Raises `InputError`.
 
-    Parameters
-    ----------
-    light : Light
-        Light that the pixels detect.
-    spad : Spad
-        The detector.
-    timing : Timing
-        Clock, period and TDC.
-    **options
-        `pulses` and `seed` (both required), `pulse_start`, `gate`, `workers`: as in `edge_chunks`, which makes the same edges in chunks.
-
-    Returns
-    -------
-    Edges
-
-    Raises
-    ------
-    InputError
-        If a value is out of range.
+    options: `pulses` and `seed`, both required; `pulse_start`, `gate`, `workers`: as in `edge_chunks`, which makes the
+    same edges in chunks.
     """
     chunks = list(edge_chunks(light, spad, timing, **options))
     return Edges(*(np.concatenate([getattr(chunk, name) for chunk in chunks]) for name in ("pulse", "pixel", "tick")))
@@ -83,29 +66,11 @@ def edge_chunks(
     """Generate the edges of laser pulses in chunks of whole pulses, each sorted by (pulse, tick, pixel).
 
     All SPADs are ready at `pulse_start`; dead time and trapped carriers continue from chunk to chunk. The memory needed
-    depends only on the chunk.
+    depends only on the chunk. Raises `InputError` if a value is out of range.
 
-    Parameters
-    ----------
-    light, spad, timing
-        As in `generate_edges`.
-    pulses : int
-        Number of laser pulses.
-    seed : int
-        Seed of the photons.
-    pulse_start : int
-        Number of the first pulse.
-    gate : SpadGate or None
-        Times at which the SPADs are on; None = always.
-    workers : int
-        Threads that share the pixels. The number does not change the edges.
-    chunk_pulses : int or None
-        Pulses per chunk; None: about `CHUNK_EDGES` edges. The number does not change the edges.
-
-    Raises
-    ------
-    InputError
-        If a value is out of range.
+    pulses: number of laser pulses; pulse_start: number of the first one. seed: of the photons. gate: times at which the
+    SPADs are on; None = always. workers: threads that share the pixels. chunk_pulses: pulses per chunk; None: about
+    `CHUNK_EDGES` edges. Neither workers nor chunks change the edges.
     """
     check_integer("pulses", pulses, 1, PULSES_MAX)
     check_integer("pulse_start", pulse_start, 0, PULSES_MAX)

@@ -17,25 +17,14 @@ from ..shared.quantities import Numbers, check_real, real
 class Spad:
     """The detector. The defaults come from section II of the paper; effects that the paper leaves out are off.
 
-    Attributes
-    ----------
-    pdp, fill_factor : float
-        Photon detection probability and active share of the area, for the link budget only (the rates of `Light` are detected ones).
-    dead_time_s : float
-        Time from an avalanche until the SPAD is ready again, in seconds.
-    paralyzable : bool
-        Whether a photon within the dead time extends it.
-    jitter_fwhm_s : float
-        Gaussian jitter of an edge, in seconds.
-    jitter_tail_fraction, jitter_tail_s : float
-        Share of the edges that are late by an additional, exponential time, and the mean of that time in seconds.
-    dark_cps : float or numpy.ndarray
-        Dark count rate in counts per second, or float64[pixels] (see `dark_count_map`).
-    afterpulse_probability, afterpulse_s : float
-        Probability that an avalanche traps a carrier, and the mean time to its release in seconds. A carrier that is released while
-        the SPAD is dead is lost.
-    crosstalk_probability : float
-        Probability that an avalanche sends a photon, without delay, to one given neighbour of four.
+    pdp, fill_factor: photon detection probability and active share of the area, for the link budget only, because the
+    rates of `Light` are detected ones. dead_time_s: from an avalanche until the SPAD is ready again. paralyzable: a
+    photon within the dead time extends it. jitter_fwhm_s: Gaussian jitter of an edge. jitter_tail_fraction,
+    jitter_tail_s: share of the edges that are late by an additional, exponential time, and the mean of that time.
+    dark_cps: dark count rate, a number or float64[pixels] (see `dark_count_map`). afterpulse_probability, afterpulse_s:
+    probability that an avalanche traps a carrier, and the mean time to its release; a carrier that is released while the
+    SPAD is dead is lost. crosstalk_probability: that an avalanche sends a photon, without delay, to one given neighbour
+    of four.
     """
 
     pdp: float = real(0.05, 0, 1)

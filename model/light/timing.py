@@ -16,20 +16,10 @@ from ..shared.quantities import real, real_array
 class Timing:
     """Clock and TDC.
 
-    Attributes
-    ----------
-    clock_hz : float
-        System clock in Hz.
-    phases : int
-        Ticks per clock cycle; a tick is 1 / (clock_hz * phases) seconds.
-    period_cycles : int
-        Laser period in cycles.
-    tap_width_lsb : numpy.ndarray or None
-        float64[phases], widths of the TDC's phases, which sum to `phases`; None = all 1.
-    dither_bits, dither_seed : int
-        Settings of the wait between two periods (docs/contract.md).
-    frame_pulses : int
-        Number of pulses after which the sequence of waits starts again; 0: all pulses are one frame.
+    clock_hz: system clock. phases: ticks per clock cycle. period_cycles: laser period. tap_width_lsb: float64[phases],
+    widths of the TDC's phases, which sum to `phases`; None = all 1. dither_bits, dither_seed: settings of the wait
+    between two periods (docs/contract.md). frame_pulses: number of pulses after which the sequence of waits starts
+    again; 0: all pulses are one frame.
     """
 
     clock_hz: float = real(CLOCK_MHZ * 1e6, 1)

@@ -20,27 +20,13 @@ REFLECTIVITY = 0.4  # default: the reflectivity of the paper's flat target
 class Scene:
     """Scene that rows x cols pixels look at.
 
-    Attributes
-    ----------
-    name : str
-        Name for titles and reports.
-    distance_m : numpy.ndarray
-        float64[rows, cols, targets] in metres, NaN = no target; a two-dimensional array has one target. A pixel without a target is invalid.
-    reflectivity : numpy.ndarray
-        float64[rows, cols, targets], 0 to 1.
-    labels : numpy.ndarray
-        int64[rows, cols], number of the object, or `NO_OBJECT`.
-    sunlit : numpy.ndarray
-        float64[rows, cols], share of the ambient light that reaches the surface, 0 to 1.
-    notes : tuple of str
-        Sentences that the user should read: what was cropped, masked or assumed.
-    transient : Transient or None
-        Light of a ray-traced scene. Distance and reflectivity are then only the truth; the light is taken from here.
+    name: for titles and reports. distance_m: float64[rows, cols, targets], NaN = no target; a two-dimensional array has
+    one target. A pixel without a target is invalid. reflectivity: float64[rows, cols, targets], 0 to 1. labels:
+    int64[rows, cols], number of the object, or `NO_OBJECT`. sunlit: float64[rows, cols], share of the ambient light that
+    reaches the surface, 0 to 1. notes: sentences that the user should read: what was cropped, masked or assumed.
+    transient: light of a ray-traced scene, in which distance and reflectivity are only the truth.
 
-    Raises
-    ------
-    InputError
-        If a distance is below `NEAREST_M`, or a reflectivity or share is outside 0 to 1.
+    Raises `InputError` if a distance is below `NEAREST_M`, or a reflectivity or share is outside 0 to 1.
     """
 
     name: str
@@ -85,24 +71,9 @@ class Scene:
 
 
 def scene_light(scene: Scene, klux: Ambient, **others: Any) -> Light:
-    """Return the light of a scene, with the presets of docs/light.md.
+    """Return the light of a scene, with the presets of docs/light.md. Raises `InputError`.
 
-    Parameters
-    ----------
-    scene : Scene
-    klux : float, numpy.ndarray or str
-        Ambient light, as in `simulate`.
-    **others
-        `background`, and fields of `Light`.
-
-    Returns
-    -------
-    Light
-
-    Raises
-    ------
-    InputError
-        If a value is out of range.
+    klux: ambient light, as in `simulate`. others: `background`, and fields of `Light`.
     """
     reaches_klux = ambient_klux(klux, scene.rows, scene.cols) * scene.sunlit
     if scene.transient is not None:

@@ -68,15 +68,12 @@ def test_others_bring_the_threshold(per_pixel, threshold, union, tail):
 
 
 def test_group_probabilities():
-    assert analytic.count_probability(2, 1e9, 1e-9, LITERAL) == pytest.approx(math.exp(-1) / 2)
     assert analytic.pixel_probability(0.5, LITERAL) == pytest.approx(0.5 * math.exp(-0.5))
     assert analytic.minigroup_probability(0.4, 3, 4, LITERAL) == pytest.approx(0.08 * math.exp(-0.4))
     assert analytic.minigroup_probability(0.4, 5, 4, LITERAL) > 0  # four others detect in a minigroup with three
     assert analytic.minigroup_probability(0.4, 5, 4, CORRECTED) == 0
-    assert analytic.rest_photons(6.4, 0.4, LITERAL) == 6.0
     assert analytic.rest_probability(6.0, 2, 60, LITERAL) == pytest.approx(6 * math.exp(-6))
     assert analytic.rest_probability(6.0, 2, 60, CORRECTED) == pytest.approx(stats.binom.pmf(1, 60, 1 - math.exp(-0.1)))
-    assert analytic.group_photons(np.ones((16, 4)), LITERAL).tolist() == [4.0] * 16
 
 
 def test_events_of_a_frame_as_printed():
