@@ -12,26 +12,15 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from ..model.contract.serial_link import (
-    ADDRESS_BYTES,
-    BAUD,
-    CRC_BYTES,
-    ESCAPE,
-    FLAG,
-    FLIP,
-    READ_WORDS_MAX,
-    WORD_BYTES,
-    WRITE_WORDS_MAX,
-    Answer,
-    Operation,
-)
+from ..model.contract import serial_link as link
+from ..model.contract.serial_link import Answer, Operation
 from ..model.shared.errors import InputError
 from ..model.shared.extras import extra
 from .transport import DeviceResetError, LinkError, RefusedError
 
 TRIES = 10
 PATIENCE_S = 0.25
-BODY_MIN = 2 + CRC_BYTES  # sequence number and status
+BODY_MIN = 2 + link.CRC_BYTES  # sequence number and status
 
 
 class Port(Protocol):
@@ -49,9 +38,11 @@ class Port(Protocol):
 
 def frame(body: bytes) -> bytes:
     """Return a frame around a body: flags, escapes, CRC."""
-    body += zlib.crc32(body).to_bytes(CRC_BYTES, "little")
-    inside = b"".join(bytes([ESCAPE, byte ^ FLIP]) if byte in (FLAG, ESCAPE) else bytes([byte]) for byte in body)
-    return bytes([FLAG]) + inside + bytes([FLAG])
+    body += zlib.crc32(body).to_bytes(link.CRC_BYTES, "little")
+    inside = b"".join(
+        bytes([link.ESCAPE, byte ^ link.FLIP]) if byte in (link.FLAG, link.ESCAPE) else bytes([byte]) for byte in body
+    )
+    return bytes([link.FLAG]) + inside + bytes([link.FLAG])
 
 
 class Deframer:
@@ -63,7 +54,7 @@ class Deframer:
 
     def add(self, data: bytes) -> list[bytes]:
         """Return the bodies, without their CRC, that `data` completes."""
-        *ended, rest = data.split(bytes([FLAG]))
+        *ended, rest = data.split(bytes([link.FLAG]))
         found = []
         for part in ended:
             self._inside += part
@@ -81,15 +72,15 @@ class Deframer:
     def _checked(inside: bytes) -> bytes | None:
         body, escaped = bytearray(), False
         for byte in inside:
-            if byte == ESCAPE and not escaped:
+            if byte == link.ESCAPE and not escaped:
                 escaped = True
             else:
-                body.append(byte ^ FLIP if escaped else byte)
+                body.append(byte ^ link.FLIP if escaped else byte)
                 escaped = False
         if escaped or len(body) < BODY_MIN:
             return None
-        content, check = bytes(body[:-CRC_BYTES]), bytes(body[-CRC_BYTES:])
-        return content if zlib.crc32(content).to_bytes(CRC_BYTES, "little") == check else None
+        content, check = bytes(body[: -link.CRC_BYTES]), bytes(body[-link.CRC_BYTES :])
+        return content if zlib.crc32(content).to_bytes(link.CRC_BYTES, "little") == check else None
 
 
 class SerialTransport:
@@ -107,7 +98,7 @@ class SerialTransport:
         self._deframer = Deframer()
         self._sequence = 0
         self._greeted, self._used = False, False
-        self._read_words = READ_WORDS_MAX  # per request; fewer on a bad line, where a long answer seldom arrives intact
+        self._read_words = link.READ_WORDS_MAX  # per request; fewer on a bad line, which damages long answers
 
     def read(self, address: int) -> int:
         """Return the word at `address`."""
@@ -121,28 +112,28 @@ class SerialTransport:
         """Return `words` words from `address` on."""
         found: list[int] = []
         while len(found) < words:
-            at, count = address + WORD_BYTES * len(found), min(words - len(found), self._read_words)
+            at, count = address + link.WORD_BYTES * len(found), min(words - len(found), self._read_words)
             before = self.repeats
             status, content = self._request(Operation.READ, count, at)
             self._read_words = self._read_words * 2 if self.repeats == before else self._read_words
-            self._read_words = min(self._read_words, READ_WORDS_MAX)
-            whole = len(content) // WORD_BYTES
+            self._read_words = min(self._read_words, link.READ_WORDS_MAX)
+            whole = len(content) // link.WORD_BYTES
             if status is Answer.REFUSED and whole < words - len(found):
-                raise RefusedError(f"read of {at + WORD_BYTES * whole:#08x}")
-            if len(content) % WORD_BYTES or not whole:
+                raise RefusedError(f"read of {at + link.WORD_BYTES * whole:#08x}")
+            if len(content) % link.WORD_BYTES or not whole:
                 raise LinkError(f"read of {at:#08x}: {len(content)} bytes for {count} words")
             found += np.frombuffer(content, "<u4").tolist()
         return found[:words]
 
     def write_block(self, address: int, values: Sequence[int]) -> None:
         """Write `values` from `address` on."""
-        for begin in range(0, len(values), WRITE_WORDS_MAX):
-            part = values[begin : begin + WRITE_WORDS_MAX]
-            at = address + WORD_BYTES * begin
-            data = b"".join(int(value).to_bytes(WORD_BYTES, "little") for value in part)
+        for begin in range(0, len(values), link.WRITE_WORDS_MAX):
+            part = values[begin : begin + link.WRITE_WORDS_MAX]
+            at = address + link.WORD_BYTES * begin
+            data = b"".join(int(value).to_bytes(link.WORD_BYTES, "little") for value in part)
             status, content = self._request(Operation.WRITE, len(part), at, data)
             if status is Answer.REFUSED:
-                raise RefusedError(f"write of {part[content[0]]:#x} to {at + WORD_BYTES * content[0]:#08x}")
+                raise RefusedError(f"write of {part[content[0]]:#x} to {at + link.WORD_BYTES * content[0]:#08x}")
             if content != bytes([len(part)]):
                 raise LinkError(f"write to {at:#08x}: {content!r} of {len(part)} words")
 
@@ -178,7 +169,7 @@ class SerialTransport:
                     operation is Operation.READ
                 ):  # an answer to an earlier try may still arrive, and has at least as many words
                     count = self._read_words = max(1, count // 2)
-            head = bytes([self._sequence, operation, count]) + address.to_bytes(ADDRESS_BYTES, "little")
+            head = bytes([self._sequence, operation, count]) + address.to_bytes(link.ADDRESS_BYTES, "little")
             self.port.write(frame(head + data))
             answer = self._answer()
             if answer is not None:
@@ -201,7 +192,7 @@ class SerialTransport:
 class SerialPort:
     """A serial port of this computer, by pyserial. A context manager. Raises `InputError` if it cannot be opened."""
 
-    def __init__(self, device: str, baud: int = BAUD):
+    def __init__(self, device: str, baud: int = link.BAUD):
         with extra("board"):
             import serial
         try:

@@ -6,17 +6,10 @@ from amaranth.lib.fifo import SyncFIFOBuffered
 from amaranth.lib.memory import Memory
 from amaranth.lib.wiring import In, Out
 
+from ...model.contract import serial_link as link
 from ...model.contract.emulator import ADDRESS_BITS, Emulator
 from ...model.contract.registers import DATA_BITS
-from ...model.contract.serial_link import (
-    BODY_BYTES_MAX,
-    HEAD_BYTES,
-    READ_WORDS_MAX,
-    WORD_BYTES,
-    WRITE_WORDS_MAX,
-    Answer,
-    Operation,
-)
+from ...model.contract.serial_link import Answer, Operation
 from ..logic import saturating_add
 from ..unit import Unit, place
 from .control import ACCESS
@@ -36,10 +29,10 @@ class BridgeState:
     """
 
     def __init__(self):
-        self.head = Signal(8 * HEAD_BYTES, reset_less=True)
+        self.head = Signal(8 * link.HEAD_BYTES, reset_less=True)
         self.sequence, self.operation, self.count = (self.head[8 * k : 8 * k + 8] for k in range(3))
-        self.length = Signal(BODY_BYTES_MAX.bit_length())
-        self.at = Signal(range(BODY_BYTES_MAX + 1))
+        self.length = Signal(link.BODY_BYTES_MAX.bit_length())
+        self.at = Signal(range(link.BODY_BYTES_MAX + 1))
         self.waited = Signal(range(FETCH_CYCLES + 1))
         self.byte = Signal(8)
         self.last = Signal(8)
@@ -49,7 +42,7 @@ class BridgeState:
         self.greeted = Signal()
         self.fresh = Signal(init=1)
         self.words = Signal(8)
-        self.byte_of = Signal(range(WORD_BYTES))
+        self.byte_of = Signal(range(link.WORD_BYTES))
         self.word = Signal(DATA_BITS, reset_less=True)
         self.address = Signal(ADDRESS_BITS, reset_less=True)
         self.status = Signal(Answer)
@@ -89,7 +82,7 @@ class SerialBridge(Unit):
         deframer = place(m, "deframer", Deframer(), platform)
         framer = place(m, "framer", Framer(), platform)
         m.submodules.answer = answer = SyncFIFOBuffered(width=len(framer.byte) + 1, depth=ANSWER_DEPTH)
-        m.submodules.request = memory = Memory(shape=8, depth=1 << (BODY_BYTES_MAX - 1).bit_length(), init=[])
+        m.submodules.request = memory = Memory(shape=8, depth=1 << (link.BODY_BYTES_MAX - 1).bit_length(), init=[])
         put, get = memory.write_port(), memory.read_port()
         m.d.comb += [
             receiver.rx.eq(self.rx),
@@ -118,22 +111,22 @@ class SerialBridge(Unit):
     def _weigh(self, m):
         """Register what a request is, so that no decision waits for a comparison."""
         state = self.state
-        alone = state.length == HEAD_BYTES
-        with_words = state.length == HEAD_BYTES + WORD_BYTES * state.count
+        alone = state.length == link.HEAD_BYTES
+        with_words = state.length == link.HEAD_BYTES + link.WORD_BYTES * state.count
         m.d.sync += [
-            state.short.eq(state.length < HEAD_BYTES),
+            state.short.eq(state.length < link.HEAD_BYTES),
             state.is_hello.eq((state.operation == Operation.HELLO) & alone),
             state.repeated.eq(state.sequence == state.last),
             state.follows.eq(state.sequence == (state.last + 1)[:8]),
             state.is_last.eq(state.words + 1 == state.count),
             state.is_read.eq(
-                (state.operation == Operation.READ) & alone & (state.count != 0) & (state.count <= READ_WORDS_MAX)
+                (state.operation == Operation.READ) & alone & (state.count != 0) & (state.count <= link.READ_WORDS_MAX)
             ),
             state.is_write.eq(
                 (state.operation == Operation.WRITE)
                 & with_words
                 & (state.count != 0)
-                & (state.count <= WRITE_WORDS_MAX)
+                & (state.count <= link.WRITE_WORDS_MAX)
             ),
         ]
 
@@ -170,7 +163,7 @@ class SerialBridge(Unit):
                     state.at.eq(state.at + 1),
                     state.waited.eq(0),
                 ]
-                with m.If(state.at == HEAD_BYTES - 1):
+                with m.If(state.at == link.HEAD_BYTES - 1):
                     m.next = "weigh"
 
     def _look(self, m):
@@ -207,12 +200,12 @@ class SerialBridge(Unit):
             with m.If(state.waited == FETCH_CYCLES):
                 m.d.sync += [state.word.eq(Cat(state.word[8:], state.byte)), state.at.eq(state.at + 1)]
                 m.d.sync += [state.byte_of.eq(state.byte_of + 1), state.waited.eq(0)]
-                with m.If(state.byte_of == WORD_BYTES - 1):
+                with m.If(state.byte_of == link.WORD_BYTES - 1):
                     m.next = "write"
         with m.State("write"):
             m.d.sync += access.valid.eq(~access.done)
             with m.If(access.done):
-                m.d.sync += state.address.eq(state.address + WORD_BYTES)
+                m.d.sync += state.address.eq(state.address + link.WORD_BYTES)
                 with m.If(access.refused):
                     m.d.sync += state.status.eq(Answer.REFUSED)
                     m.next = "remember"
@@ -240,14 +233,14 @@ class SerialBridge(Unit):
         with m.State("read"):
             m.d.sync += access.valid.eq(~access.done)
             with m.If(access.done):
-                m.d.sync += [state.address.eq(state.address + WORD_BYTES), state.word.eq(access.value)]
+                m.d.sync += [state.address.eq(state.address + link.WORD_BYTES), state.word.eq(access.value)]
                 m.next = "word"
                 with m.If(access.refused):
                     m.d.sync += state.status.eq(Answer.REFUSED)
                     m.next = "status"
         with m.State("word"), self._sending(m, answer, state.word[:8]):
             m.d.sync += [state.word.eq(state.word >> 8), state.byte_of.eq(state.byte_of + 1)]
-            with m.If(state.byte_of == WORD_BYTES - 1):
+            with m.If(state.byte_of == link.WORD_BYTES - 1):
                 m.d.sync += state.words.eq(state.words + 1)
                 m.next = "read"
                 with m.If(state.is_last):

@@ -9,21 +9,8 @@ from amaranth.hdl import Cat, Const, Module, Mux, Signal
 from amaranth.lib.memory import Memory
 from amaranth.lib.wiring import In, Out, Signature, connect, flipped
 
-from ...model.contract.emulator import (
-    ADDRESS_BITS,
-    BUFFER_BASE,
-    ECHO_OFFSET,
-    LEVEL_BITS,
-    OWN,
-    OWN_BASE,
-    OWN_BY_NAME,
-    RATE_BITS,
-    REGION_BITS,
-    SENSOR_BASE,
-    SOURCE_BASE,
-    SOURCE_STRIDE,
-    Emulator,
-)
+from ...model.contract import emulator as chip
+from ...model.contract.emulator import Emulator
 from ...model.contract.parameters import Sensor
 from ...model.contract.registers import DATA_BITS, Access
 from .. import bus
@@ -38,7 +25,7 @@ ACCESS = Signature(
     {
         "valid": Out(1),
         "write": Out(1),
-        "address": Out(ADDRESS_BITS),
+        "address": Out(chip.ADDRESS_BITS),
         "data": Out(DATA_BITS),
         "done": In(1),
         "refused": In(1),
@@ -46,8 +33,8 @@ ACCESS = Signature(
     }
 )
 LOCAL_CYCLES = 4  # from an access to the answer, for registers and memories
-REGIONS = {"sensor": SENSOR_BASE, "own": OWN_BASE, "source": SOURCE_BASE, "buffer": BUFFER_BASE}
-BLOCK_BITS = (SOURCE_STRIDE - 1).bit_length()
+REGIONS = {"sensor": chip.SENSOR_BASE, "own": chip.OWN_BASE, "source": chip.SOURCE_BASE, "buffer": chip.BUFFER_BASE}
+BLOCK_BITS = (chip.SOURCE_STRIDE - 1).bit_length()
 
 
 class ControlState:
@@ -66,13 +53,13 @@ class ControlState:
     def __init__(self, sensor: Sensor):
         self.setting = {
             r.name: Signal(r.high(sensor).bit_length(), init=r.reset(sensor), name=r.name)
-            for r in OWN
+            for r in chip.OWN
             if r.access is Access.SETTING
         }
         self.reseed = Signal()
         self.region = {name: Signal(name=f"in_{name}") for name in REGIONS}
         self.own = Signal(DATA_BITS, reset_less=True)
-        self.named = {r.name: Signal(name=f"named_{r.name}") for r in OWN}
+        self.named = {r.name: Signal(name=f"named_{r.name}") for r in chip.OWN}
         self.is_echo, self.is_background, self.aligned = Signal(), Signal(), Signal()
         self.sources = Signal(DATA_BITS, reset_less=True)
         self.legal = Signal()
@@ -98,7 +85,7 @@ class EmulatorControl(Unit):
 
     def __init__(self, emulator: Emulator):
         self.emulator = emulator
-        self.echo_bits = LEVEL_BITS + emulator.sensor.stamp_bits
+        self.echo_bits = chip.LEVEL_BITS + emulator.sensor.stamp_bits
         super().__init__(
             access=In(ACCESS),
             m_axi=Out(LITE),
@@ -142,16 +129,16 @@ class EmulatorControl(Unit):
     def _decode(self, m):
         """Register what an address outside the sensor names."""
         state, access, sensor = self.state, self.access, self.emulator.sensor
-        inside = access.address[:REGION_BITS]
+        inside = access.address[: chip.REGION_BITS]
         for name, base in REGIONS.items():
-            m.d.sync += state.region[name].eq(access.address[REGION_BITS:] == base >> REGION_BITS)
-        for r in OWN:
+            m.d.sync += state.region[name].eq(access.address[chip.REGION_BITS :] == base >> chip.REGION_BITS)
+        for r in chip.OWN:
             m.d.sync += state.named[r.name].eq(inside == r.offset)
         block = inside[:BLOCK_BITS]
-        state.subgroup, state.pixel = inside[BLOCK_BITS:], (block - ECHO_OFFSET)[2:]
+        state.subgroup, state.pixel = inside[BLOCK_BITS:], (block - chip.ECHO_OFFSET)[2:]
         exists = state.subgroup < sensor.subgroups
         m.d.sync += [
-            state.is_echo.eq(exists & (block >= ECHO_OFFSET) & (block < ECHO_OFFSET + 4 * sensor.pixels)),
+            state.is_echo.eq(exists & (block >= chip.ECHO_OFFSET) & (block < chip.ECHO_OFFSET + 4 * sensor.pixels)),
             state.is_background.eq(exists & (block == 0)),
             state.aligned.eq(access.address[:2] == 0),
         ]
@@ -159,7 +146,9 @@ class EmulatorControl(Unit):
     def _own(self, m, buffer, seeder):
         """Register the word that is read at an address of the emulator's own registers."""
         state = self.state
-        content = {r.name: Const(r.reset(self.emulator.sensor), DATA_BITS) for r in OWN if r.access is Access.CONSTANT}
+        content = {
+            r.name: Const(r.reset(self.emulator.sensor), DATA_BITS) for r in chip.OWN if r.access is Access.CONSTANT
+        }
         content |= state.setting | {
             "buffer_beats": Const(self.emulator.buffer_beats, DATA_BITS),
             "buffer_level": buffer.level,
@@ -168,7 +157,7 @@ class EmulatorControl(Unit):
             "link_errors": self.link_errors,
             "seeding": seeder.busy,
         }
-        words = [Mux(state.named[r.name], content.get(r.name, Const(0, DATA_BITS)), 0) for r in OWN]
+        words = [Mux(state.named[r.name], content.get(r.name, Const(0, DATA_BITS)), 0) for r in chip.OWN]
         m.d.sync += state.own.eq(reduce(or_, words))
 
     def _sources(self, m, buffer):
@@ -176,7 +165,7 @@ class EmulatorControl(Unit):
         state, access, sensor = self.state, self.access, self.emulator.sensor
         places = 1 << (sensor.pixels - 1).bit_length()
         m.submodules.echoes = echoes = Memory(shape=self.echo_bits, depth=sensor.subgroups * places, init=[])
-        m.submodules.backgrounds = backgrounds = Memory(shape=RATE_BITS, depth=max(2, sensor.subgroups), init=[])
+        m.submodules.backgrounds = backgrounds = Memory(shape=chip.RATE_BITS, depth=max(2, sensor.subgroups), init=[])
         state.echo_write, state.background_write = echoes.write_port(), backgrounds.write_port()
         echo_read, background_read = echoes.read_port(), backgrounds.read_port()
         at_echo = Signal(range(sensor.subgroups * places))
@@ -186,7 +175,7 @@ class EmulatorControl(Unit):
             (state.background_write, background_read, state.subgroup),
         ):
             m.d.comb += [write.addr.eq(at), write.data.eq(access.data), read.addr.eq(at), read.en.eq(1)]
-        m.d.comb += [buffer.address.eq(access.address[2:REGION_BITS]), buffer.amount.eq(access.data)]
+        m.d.comb += [buffer.address.eq(access.address[2 : chip.REGION_BITS]), buffer.amount.eq(access.data)]
         m.d.sync += state.sources.eq(Mux(state.is_echo, echo_read.data, background_read.data))
 
     def _checks(self, m, buffer):
@@ -194,10 +183,10 @@ class EmulatorControl(Unit):
         state, access, sensor = self.state, self.access, self.emulator.sensor
         fits = {
             r.name: (access.data >= r.low(sensor)) & (access.data <= r.high(sensor))
-            for r in OWN
+            for r in chip.OWN
             if r.access is Access.SETTING
         }
-        assert OWN_BY_NAME["buffer_take"].access is Access.PULSE
+        assert chip.OWN_BY_NAME["buffer_take"].access is Access.PULSE
         fits["buffer_take"] = access.data <= buffer.level
         checks = []
         for name, in_range in fits.items():
@@ -205,9 +194,9 @@ class EmulatorControl(Unit):
             m.d.sync += fit.eq(in_range)
             checks.append(state.named[name] & fit)
         of_echo = state.is_echo & (access.data < 1 << self.echo_bits)
-        of_background = state.is_background & (access.data < 1 << RATE_BITS)
+        of_background = state.is_background & (access.data < 1 << chip.RATE_BITS)
         of_source = state.region["source"] & (of_echo | of_background)
-        beats = access.address[:REGION_BITS] < self.emulator.buffer_beats * 8
+        beats = access.address[: chip.REGION_BITS] < self.emulator.buffer_beats * 8
         in_own = state.region["own"] & Cat(state.named.values()).any()
         in_source = state.region["source"] & (state.is_echo | state.is_background)
         in_buffer = state.region["buffer"] & beats
@@ -236,7 +225,7 @@ class EmulatorControl(Unit):
             with m.State("idle"):
                 m.d.sync += wait.eq(0)
                 with m.If(access.valid & ~access.done):
-                    with m.If(access.address[REGION_BITS:] == SENSOR_BASE >> REGION_BITS):
+                    with m.If(access.address[chip.REGION_BITS :] == chip.SENSOR_BASE >> chip.REGION_BITS):
                         with m.If(~seeder.busy & ~seeder.begin):
                             m.d.sync += [
                                 axi.awaddr.eq(access.address),

@@ -10,40 +10,23 @@ from amaranth.hdl import Cat, Module, Mux, Signal
 from amaranth.lib import data
 from amaranth.lib.wiring import In, Out
 
-from ...model.contract.emulator import (
-    DEAD_MAX,
-    ECHO_FROM,
-    KEY_STEP,
-    LANE_PIXELS,
-    LEVEL_BITS,
-    LEVEL_LSB,
-    PHASE_LSB,
-    RATE_BITS,
-    RATE_LSB,
-    ROTATE_LEFT,
-    ROTATE_RIGHT,
-    ROUNDS,
-    SEED_BIT,
-    SPREAD_MAX,
-    STATE_BITS,
-    TAPS,
-    Emulator,
-)
+from ...model.contract import emulator as chip
+from ...model.contract.emulator import Emulator
 from ...model.contract.parameters import Sensor, bits_for
 from .. import bus
 from ..unit import Unit
 
 SUBGROUP_BITS = 8  # width of a subgroup's number in the emulator
 PIXEL_BITS = 8
-HALF = STATE_BITS
+HALF = chip.STATE_BITS
 SEED_BUS = data.StructLayout(
     {
         "valid": 1,
         "subgroup": SUBGROUP_BITS,
-        "lane": bits_for(256 // LANE_PIXELS - 1),
+        "lane": bits_for(256 // chip.LANE_PIXELS - 1),
         "first": 1,
         "last": 1,
-        "bits": LANE_PIXELS,
+        "bits": chip.LANE_PIXELS,
     }
 )
 
@@ -56,13 +39,13 @@ def write_bus(sensor: Sensor) -> data.StructLayout:
             "subgroup": SUBGROUP_BITS,
             "echo": 1,
             "pixel": PIXEL_BITS,
-            "data": max(RATE_BITS, LEVEL_BITS + sensor.stamp_bits),
+            "data": max(chip.RATE_BITS, chip.LEVEL_BITS + sensor.stamp_bits),
         }
     )
 
 
 # `spread` is a mask of ticks, `dead` the cycles of dead time - 1.
-COMMON = data.StructLayout({"spread": SPREAD_MAX, "dead": bits_for(DEAD_MAX - 1)})
+COMMON = data.StructLayout({"spread": chip.SPREAD_MAX, "dead": bits_for(chip.DEAD_MAX - 1)})
 
 
 class Seeder(Unit):
@@ -86,25 +69,25 @@ class Seeder(Unit):
 
     def elaborate(self, platform):
         m = Module()
-        subgroups, blocks = self.emulator.sensor.subgroups, self.emulator.lanes * STATE_BITS
+        subgroups, blocks = self.emulator.sensor.subgroups, self.emulator.lanes * chip.STATE_BITS
         left, right, key = (Signal(HALF, name=name, reset_less=True) for name in ("left", "right", "key"))
-        turn = Signal(range(ROUNDS + 1))  # 0: load
+        turn = Signal(range(chip.ROUNDS + 1))  # 0: load
         block, subgroup = Signal(range(blocks + 1)), Signal(SUBGROUP_BITS)
         rotated = Signal(HALF)
         mixed = Signal(HALF)
-        lane_step = Signal(range(STATE_BITS))
+        lane_step = Signal(range(chip.STATE_BITS))
         m.d.comb += [
-            rotated.eq(Cat(left[ROTATE_RIGHT:], left[:ROTATE_RIGHT]) + right),
+            rotated.eq(Cat(left[chip.ROTATE_RIGHT :], left[: chip.ROTATE_RIGHT]) + right),
             mixed.eq(rotated ^ key),
-            lane_step.eq(block[: STATE_BITS.bit_length() - 1]),
+            lane_step.eq(block[: chip.STATE_BITS.bit_length() - 1]),
         ]
         m.d.sync += [
             self.out.valid.eq(0),
             self.out.bits.eq(Cat(right, left)),
             self.out.subgroup.eq(subgroup),
-            self.out.lane.eq(block >> (STATE_BITS.bit_length() - 1)),
+            self.out.lane.eq(block >> (chip.STATE_BITS.bit_length() - 1)),
             self.out.first.eq(lane_step == 0),
-            self.out.last.eq(lane_step == STATE_BITS - 1),
+            self.out.last.eq(lane_step == chip.STATE_BITS - 1),
         ]
         done = Signal()  # a finished block of the cipher
         with m.If(turn == 0):
@@ -119,10 +102,10 @@ class Seeder(Unit):
         with m.Else():
             m.d.sync += [
                 left.eq(mixed),
-                right.eq(Cat(right[HALF - ROTATE_LEFT :], right[: HALF - ROTATE_LEFT]) ^ mixed),
-                key.eq(key + KEY_STEP),
-                turn.eq(Mux(turn == ROUNDS, 0, turn + 1)),
-                done.eq(turn == ROUNDS),
+                right.eq(Cat(right[HALF - chip.ROTATE_LEFT :], right[: HALF - chip.ROTATE_LEFT]) ^ mixed),
+                key.eq(key + chip.KEY_STEP),
+                turn.eq(Mux(turn == chip.ROUNDS, 0, turn + 1)),
+                done.eq(turn == chip.ROUNDS),
             ]
         with m.If(self.begin):
             m.d.sync += [self.busy.eq(1), self.out.valid.eq(0), turn.eq(0), done.eq(0), block.eq(0), subgroup.eq(0)]
@@ -136,7 +119,7 @@ class LaneState:
         self.enable = Signal(name=f"steps_{lane}", reset_less=True)
         self.first = Signal(name=f"first_{lane}", reset_less=True)
         self.last = Signal(name=f"last_{lane}", reset_less=True)
-        self.bits = Signal(LANE_PIXELS, name=f"bits_{lane}", reset_less=True)
+        self.bits = Signal(chip.LANE_PIXELS, name=f"bits_{lane}", reset_less=True)
 
 
 class PhotonSource(Unit):
@@ -182,8 +165,8 @@ class PhotonSource(Unit):
             is_later.eq(self.timing.running & (is_second | is_later) & ~self.timing.start),
             cycle.eq(Mux(self.timing.start, 0, cycle + 1)),
         ]
-        assert ECHO_FROM == 2  # `is_later` begins in this cycle
-        background = Signal(RATE_BITS, reset_less=True)
+        assert chip.ECHO_FROM == 2  # `is_later` begins in this cycle
+        background = Signal(chip.RATE_BITS, reset_less=True)
         # Inputs and data go into registers that need no reset, because those that drive or use them have one.
         mine, seeded = Signal(reset_less=True), Signal(SEED_BUS, reset_less=True)
         seeds = [self._lane(m, lane, seeded) for lane in range(self.emulator.lanes)]
@@ -197,9 +180,9 @@ class PhotonSource(Unit):
         common = Signal(COMMON, reset_less=True)
         m.d.sync += common.eq(self.common)
         for i in range(sensor.pixels):
-            lane, place = divmod(i, LANE_PIXELS)
+            lane, place = divmod(i, chip.LANE_PIXELS)
             state = self._generator(m, i, seeds[lane], place)
-            echo = Signal(LEVEL_BITS + sensor.stamp_bits, name=f"echo_{i}", reset_less=True)
+            echo = Signal(chip.LEVEL_BITS + sensor.stamp_bits, name=f"echo_{i}", reset_less=True)
             writes = Signal(name=f"writes_{i}", reset_less=True)
             m.d.sync += writes.eq(mine & written.echo & (written.pixel == i))
             with m.If(writes):
@@ -218,7 +201,7 @@ class PhotonSource(Unit):
             step.enable.eq(self.timing.running | seeds),
             step.first.eq(seeds & seeded.first),
             step.last.eq(seeds & seeded.last),
-            step.bits.eq(seeded.bits & seeds.replicate(LANE_PIXELS)),
+            step.bits.eq(seeded.bits & seeds.replicate(chip.LANE_PIXELS)),
         ]
         return step
 
@@ -227,13 +210,15 @@ class PhotonSource(Unit):
 
         Seeding: the first step clears the old state, every step shifts in one bit, and the last step prevents the state 0.
         """
-        state = Signal(STATE_BITS, name=f"state_{i}", reset_less=True)
-        following = Cat(state[taps[0]] ^ state[taps[1]] ^ (state[taps[2]] if len(taps) > 2 else 0) for taps in TAPS)
+        state = Signal(chip.STATE_BITS, name=f"state_{i}", reset_less=True)
+        following = Cat(
+            state[taps[0]] ^ state[taps[1]] ^ (state[taps[2]] if len(taps) > 2 else 0) for taps in chip.TAPS
+        )
         with m.If(step.enable):
             m.d.sync += state.eq(following)
             with m.If(step.first):
                 m.d.sync += state.eq(0)
-            m.d.sync += state[SEED_BIT].eq((following[SEED_BIT] & ~step.first) ^ step.bits[place] | step.last)
+            m.d.sync += state[chip.SEED_BIT].eq((following[chip.SEED_BIT] & ~step.first) ^ step.bits[place] | step.last)
         return state
 
     def _draw(self, m, i, state, echo, background, common, running, is_first, is_second, is_later, cycle):
@@ -242,17 +227,17 @@ class PhotonSource(Unit):
         phase_bits, stamp_bits = sensor.phase_bits, sensor.stamp_bits
         hit = Signal(name=f"hit_{i}", reset_less=True)
         arrival = Signal(stamp_bits + 1, name=f"arrival_{i}", reset_less=True)
-        level, tick = echo[:LEVEL_BITS], echo[LEVEL_BITS:]
+        level, tick = echo[: chip.LEVEL_BITS], echo[chip.LEVEL_BITS :]
         with m.If(is_first):
-            m.d.sync += hit.eq(state[LEVEL_LSB : LEVEL_LSB + LEVEL_BITS] < level)
+            m.d.sync += hit.eq(state[chip.LEVEL_LSB : chip.LEVEL_LSB + chip.LEVEL_BITS] < level)
         with m.If(is_second):
-            m.d.sync += arrival.eq(tick + (state[LEVEL_LSB : LEVEL_LSB + SPREAD_MAX] & common.spread))
+            m.d.sync += arrival.eq(tick + (state[chip.LEVEL_LSB : chip.LEVEL_LSB + chip.SPREAD_MAX] & common.spread))
         by_light = Signal(name=f"by_light_{i}")
         by_echo = Signal(name=f"by_echo_{i}")
-        light_phase, echo_phase = state[PHASE_LSB : PHASE_LSB + phase_bits], arrival[:phase_bits]
+        light_phase, echo_phase = state[chip.PHASE_LSB : chip.PHASE_LSB + phase_bits], arrival[:phase_bits]
         fires, phase = Signal(name=f"fires_{i}"), Signal(phase_bits, name=f"phase_{i}", reset_less=True)
         m.d.comb += [
-            by_light.eq(state[RATE_LSB : RATE_LSB + RATE_BITS] < background),
+            by_light.eq(state[chip.RATE_LSB : chip.RATE_LSB + chip.RATE_BITS] < background),
             by_echo.eq(hit & is_later & (arrival[phase_bits:] == cycle)),
         ]
         m.d.sync += [

@@ -7,21 +7,7 @@ is packed one cycle after it was formed, unless a beat of the group waits for th
 
 import numpy as np
 
-from ..contract.groups import (
-    AGE_BITS,
-    AGE_MAX,
-    CHECK_LSB,
-    FIRST_LSB,
-    FIRST_PIXELS,
-    HEAD,
-    HEAD_BITS,
-    LAST_LSB,
-    LISTED_BITS,
-    MAP_PART_BITS,
-    MAPPED,
-    PAYLOAD_BITS,
-    PER_PART,
-)
+from ..contract import groups
 from ..contract.packet import BEAT_BITS, GROUP_KIND, KIND_LSB
 from ..contract.parameters import OFFSET_NONE
 from ..contract.ungroup import check_of
@@ -29,7 +15,7 @@ from ..shared.compiled import njit
 from .shape import row_type
 
 _KIND = np.uint64(GROUP_KIND << KIND_LSB)
-_FIRST, _LAST = np.uint64(1 << FIRST_LSB), np.uint64(1 << LAST_LSB)
+_FIRST, _LAST = np.uint64(1 << groups.FIRST_LSB), np.uint64(1 << groups.LAST_LSB)
 _HALF = BEAT_BITS // 2  # words are put down in halves, which a signed number holds
 _HALF_MASK = np.uint64((1 << _HALF) - 1)
 
@@ -56,25 +42,25 @@ def pack_event(packer, beats, sent_at, event, subgroup, hits, offsets, read_at, 
     """
     packer.taken = max(read_at + 1, packer.formed)
     packer.form_from = packer.taken + 1
-    if packer.begins >= 0 and not 0 <= packer.pulse - event.pulse <= AGE_MAX:
+    if packer.begins >= 0 and not 0 <= packer.pulse - event.pulse <= groups.AGE_MAX:
         close_group(packer, beats, sent_at, packer.form_from, next_ready)
     if packer.begins < 0:
         _open_group(packer, beats, sent_at, event.pulse, shape, next_ready)
-    bit = begin = packer.beat * PAYLOAD_BITS + packer.filled
+    bit = begin = packer.beat * groups.PAYLOAD_BITS + packer.filled
     mapped, age = event.count > shape.listed_max, packer.pulse - event.pulse
-    bit = _put(beats, bit, MAPPED if mapped else event.count, LISTED_BITS)
+    bit = _put(beats, bit, groups.MAPPED if mapped else event.count, groups.LISTED_BITS)
     bit = _put(beats, bit, event.overrun, 1)
     bit = _put(beats, bit, subgroup, shape.subgroup_bits)
     bit = _put(beats, bit, age == packer.age, 1)
     if age != packer.age:
-        bit = _put(beats, bit, age, AGE_BITS)
+        bit = _put(beats, bit, age, groups.AGE_BITS)
         packer.age = age
     bit = _put(beats, bit, event.stamp, shape.stamp_bits)
     bit = _put(beats, bit, event.winner, shape.winner_bits)
     if mapped:
         _part(packer, beats, sent_at, bit - begin, next_ready)
-        for part in range(0, shape.pixels, MAP_PART_BITS):
-            width = min(MAP_PART_BITS, shape.pixels - part)
+        for part in range(0, shape.pixels, groups.MAP_PART_BITS):
+            width = min(groups.MAP_PART_BITS, shape.pixels - part)
             for half in range(part, part + width, _HALF):
                 word = hits[half // BEAT_BITS] >> np.uint64(half % BEAT_BITS) & _HALF_MASK
                 bit = _put(beats, bit, np.int64(word), min(_HALF, part + width - half))
@@ -86,7 +72,7 @@ def pack_event(packer, beats, sent_at, event, subgroup, hits, offsets, read_at, 
                 listed[others] = pixel
                 others += 1
         for k in range(others):
-            if k >= FIRST_PIXELS - 1 and (k - FIRST_PIXELS + 1) % PER_PART == 0:
+            if k >= groups.FIRST_PIXELS - 1 and (k - groups.FIRST_PIXELS + 1) % groups.PER_PART == 0:
                 _part(packer, beats, sent_at, bit - begin, next_ready)
                 begin = bit
             bit = _put(beats, bit, _from_both_ends(listed, others, k), shape.winner_bits)
@@ -98,10 +84,10 @@ def pack_event(packer, beats, sent_at, event, subgroup, hits, offsets, read_at, 
                 listed[hit] = minigroup
                 hit += 1
         for k in range(hit):
-            if k % PER_PART == 0:
+            if k % groups.PER_PART == 0:
                 begin = bit
             bit = _put(beats, bit, offsets[_from_both_ends(listed, hit, k)], shape.offset_bits)
-            if k + 1 == hit or (k + 1) % PER_PART == 0:
+            if k + 1 == hit or (k + 1) % groups.PER_PART == 0:
                 _part(packer, beats, sent_at, bit - begin, next_ready)
 
 
@@ -114,12 +100,12 @@ def _from_both_ends(items, number, k):
 @njit(allocates=False)
 def _open_group(packer, beats, sent_at, pulse, shape, next_ready):
     packer.begins, packer.pulse, packer.age = packer.beat, pulse, 0
-    bit = packer.beat * PAYLOAD_BITS
-    bit = _put(beats, bit, pulse, HEAD.pulse)
-    bit = _put(beats, bit, packer.number % (1 << HEAD.number), HEAD.number)
-    bit = _put(beats, bit, shape.stamp_bits, HEAD.stamp_bits)
-    _put(beats, bit, shape.event_has_offsets, HEAD.with_offsets)
-    _part(packer, beats, sent_at, HEAD_BITS, next_ready)
+    bit = packer.beat * groups.PAYLOAD_BITS
+    bit = _put(beats, bit, pulse, groups.HEAD.pulse)
+    bit = _put(beats, bit, packer.number % (1 << groups.HEAD.number), groups.HEAD.number)
+    bit = _put(beats, bit, shape.stamp_bits, groups.HEAD.stamp_bits)
+    _put(beats, bit, shape.event_has_offsets, groups.HEAD.with_offsets)
+    _part(packer, beats, sent_at, groups.HEAD_BITS, next_ready)
 
 
 @njit(allocates=False)
@@ -129,14 +115,14 @@ def close_group(packer, beats, sent_at, cycle, next_ready):
         packer.formed = max(cycle, packer.packed)
         packer.beat_from = max(packer.beat_from, packer.formed + 1)
     while packer.begins >= 0:
-        last = packer.filled <= CHECK_LSB
+        last = packer.filled <= groups.CHECK_LSB
         if last:
             beats[packer.beat] |= _LAST
-        packer.filled = PAYLOAD_BITS
+        packer.filled = groups.PAYLOAD_BITS
         _send(packer, beats, sent_at, next_ready)
         if last:
             group = beats[packer.begins : packer.beat]
-            group[-1] |= check_of(group) << np.uint64(CHECK_LSB)
+            group[-1] |= check_of(group) << np.uint64(groups.CHECK_LSB)
             packer.begins, packer.packed = -1, packer.beat_from - 1
             packer.number += 1
 
@@ -148,7 +134,7 @@ def _part(packer, beats, sent_at, bits, next_ready):
     packer.packed = max(packer.formed + 1, packer.pack_from)
     packer.beat_from = max(packer.beat_from, packer.packed + 1)
     packer.filled += bits
-    while packer.filled >= PAYLOAD_BITS:
+    while packer.filled >= groups.PAYLOAD_BITS:
         packer.pack_from = _send(packer, beats, sent_at, next_ready)
 
 
@@ -161,7 +147,7 @@ def _send(packer, beats, sent_at, next_ready):
     beats[packer.beat] |= _KIND | (_FIRST if packer.beat == packer.begins else np.uint64(0))
     sent_at[packer.beat] = cycle
     packer.beat += 1
-    packer.filled -= PAYLOAD_BITS
+    packer.filled -= groups.PAYLOAD_BITS
     packer.beat_from = cycle + 1
     return cycle
 
@@ -170,8 +156,8 @@ def _send(packer, beats, sent_at, next_ready):
 def _put(beats, bit, value, width):
     """Write `value`, of `width` bits, into the payloads of the beats, from `bit` on; return the bit behind it."""
     while width > 0:
-        beat, lsb = bit // PAYLOAD_BITS, bit % PAYLOAD_BITS
-        room = min(PAYLOAD_BITS - lsb, width)
+        beat, lsb = bit // groups.PAYLOAD_BITS, bit % groups.PAYLOAD_BITS
+        room = min(groups.PAYLOAD_BITS - lsb, width)
         beats[beat] |= np.uint64(value & ((1 << room) - 1)) << np.uint64(lsb)
         value >>= room
         bit, width = bit + room, width - room

@@ -10,35 +10,15 @@ from functools import cache
 import numpy as np
 from attrs import field, frozen
 
+from ..contract import emulator as chip
 from ..contract.config import Config
 from ..contract.edges import Edges
-from ..contract.emulator import (
-    DEAD_MAX,
-    ECHO_FROM,
-    KEY_STEP,
-    LANE_PIXELS,
-    LEVEL_BITS,
-    LEVEL_LSB,
-    PHASE_LSB,
-    RATE_BITS,
-    RATE_LSB,
-    ROTATE_LEFT,
-    ROTATE_RIGHT,
-    ROUNDS,
-    SEED_BIT,
-    SPREAD_MAX,
-    STATE_BITS,
-    TAPS,
-    background_address,
-    echo_address,
-    own_address,
-)
 from ..contract.parameters import Sensor
 from ..contract.pixels import pixel_table
 from ..shared.compiled import njit
 from ..shared.errors import InputError, check_integer
 
-MASK = (1 << STATE_BITS) - 1
+MASK = (1 << chip.STATE_BITS) - 1
 
 
 @frozen(eq=False, kw_only=True)
@@ -58,10 +38,10 @@ class SourceSettings:
     seed: int = field(default=1)
 
     def __attrs_post_init__(self) -> None:
-        check_integer("spread", self.spread, 0, SPREAD_MAX)
-        check_integer("dead_cycles", self.dead_cycles, 1, DEAD_MAX)
+        check_integer("spread", self.spread, 0, chip.SPREAD_MAX)
+        check_integer("dead_cycles", self.dead_cycles, 1, chip.DEAD_MAX)
         check_integer("seed", self.seed, 0, MASK)
-        for name, high in (("background", (1 << RATE_BITS) - 1), ("level", (1 << LEVEL_BITS) - 1)):
+        for name, high in (("background", (1 << chip.RATE_BITS) - 1), ("level", (1 << chip.LEVEL_BITS) - 1)):
             values = getattr(self, name)
             if values.size and not 0 <= values.min() <= values.max() <= high:
                 raise InputError(f"{name}: must hold integers from 0 to {high}")
@@ -71,11 +51,11 @@ class SourceSettings:
         ticks = sensor.period_max * sensor.phases
         if self.tick.size and not 0 <= self.tick.min() <= self.tick.max() < ticks:
             raise InputError(f"tick: must hold integers from 0 to {ticks - 1}")
-        writes = [(own_address(name), getattr(self, name)) for name in ("seed", "spread", "dead_cycles")]
+        writes = [(chip.own_address(name), getattr(self, name)) for name in ("seed", "spread", "dead_cycles")]
         for s in range(sensor.subgroups):
-            writes.append((background_address(s), int(self.background[s])))
-            echoes = self.tick[s].astype(np.int64) << LEVEL_BITS | self.level[s]
-            writes += [(echo_address(s, i), int(echo)) for i, echo in enumerate(echoes)]
+            writes.append((chip.background_address(s), int(self.background[s])))
+            echoes = self.tick[s].astype(np.int64) << chip.LEVEL_BITS | self.level[s]
+            writes += [(chip.echo_address(s, i), int(echo)) for i, echo in enumerate(echoes)]
         return writes
 
 
@@ -100,18 +80,18 @@ def source_edges(config: Config, settings: SourceSettings, frame: int) -> Edges:
 
 def seeds(seed: int, frame: int, subgroup: int, pixels: int) -> np.ndarray:
     """uint32[pixels]: states of a subgroup's generators at the start of a frame, none of them 0."""
-    lanes = -(-pixels // LANE_PIXELS)
-    blocks = cipher(seed, frame | subgroup << 16, np.arange(lanes * STATE_BITS))
+    lanes = -(-pixels // chip.LANE_PIXELS)
+    blocks = cipher(seed, frame | subgroup << 16, np.arange(lanes * chip.STATE_BITS))
     states = np.zeros(pixels, np.uint32)
     tables = _tables()
-    for step in range(STATE_BITS):
+    for step in range(chip.STATE_BITS):
         lane_bits = [
-            blocks[lane * STATE_BITS + step] >> np.arange(LANE_PIXELS, dtype=np.uint64) & np.uint64(1)
+            blocks[lane * chip.STATE_BITS + step] >> np.arange(chip.LANE_PIXELS, dtype=np.uint64) & np.uint64(1)
             for lane in range(lanes)
         ]
         bits = np.concatenate(lane_bits)[:pixels].astype(np.uint32)
-        states = advance(states, tables) ^ bits << np.uint32(SEED_BIT)
-    return states | np.uint32(1 << SEED_BIT)
+        states = advance(states, tables) ^ bits << np.uint32(chip.SEED_BIT)
+    return states | np.uint32(1 << chip.SEED_BIT)
 
 
 def cipher(seed: int, left: int, right: np.ndarray) -> np.ndarray:
@@ -119,10 +99,10 @@ def cipher(seed: int, left: int, right: np.ndarray) -> np.ndarray:
     y: np.ndarray = right.astype(np.uint32)
     x: np.ndarray = np.full_like(y, left)
     key = seed & MASK
-    for _ in range(ROUNDS):
-        x = ((x >> ROTATE_RIGHT | x << (32 - ROTATE_RIGHT)) + y) ^ np.uint32(key)
-        y = (y << ROTATE_LEFT | y >> (32 - ROTATE_LEFT)) ^ x
-        key = (key + KEY_STEP) & MASK
+    for _ in range(chip.ROUNDS):
+        x = ((x >> chip.ROTATE_RIGHT | x << (32 - chip.ROTATE_RIGHT)) + y) ^ np.uint32(key)
+        y = (y << chip.ROTATE_LEFT | y >> (32 - chip.ROTATE_LEFT)) ^ x
+        key = (key + chip.KEY_STEP) & MASK
     return x.astype(np.uint64) << np.uint64(32) | y.astype(np.uint64)
 
 
@@ -135,8 +115,8 @@ def advance(states: np.ndarray, tables: np.ndarray) -> np.ndarray:
 @cache
 def _tables() -> np.ndarray:
     """uint32[4, 256]: contribution of each byte of a generator's state to the next state."""
-    columns = np.zeros(STATE_BITS, np.uint32)  # bit j of the state -> bits of the next state that depend on it
-    for i, taps in enumerate(TAPS):
+    columns = np.zeros(chip.STATE_BITS, np.uint32)  # bit j of the state -> bits of the next state that depend on it
+    for i, taps in enumerate(chip.TAPS):
         for j in taps:
             columns[j] |= np.uint32(1 << i)
     tables = np.zeros((4, 256), np.uint32)
@@ -160,13 +140,13 @@ def _walk(states, tables, starts, period, phases, background, tick, level, sprea
         for pulse in range(pulses):
             for cycle in range(period):
                 phase = phases
-                if np.int64(state >> np.uint32(RATE_LSB)) < background:
-                    phase = np.int64(state >> np.uint32(PHASE_LSB)) & (phases - 1)
+                if np.int64(state >> np.uint32(chip.RATE_LSB)) < background:
+                    phase = np.int64(state >> np.uint32(chip.PHASE_LSB)) & (phases - 1)
                 if cycle == 0:
-                    hit = (np.int64(state >> np.uint32(LEVEL_LSB)) & ((1 << LEVEL_BITS) - 1)) < level[i]
+                    hit = (np.int64(state >> np.uint32(chip.LEVEL_LSB)) & ((1 << chip.LEVEL_BITS) - 1)) < level[i]
                 elif cycle == 1:
                     arrival = tick[i] + (np.int64(state) & spread)
-                elif hit and arrival // phases == cycle and cycle >= ECHO_FROM:
+                elif hit and arrival // phases == cycle and cycle >= chip.ECHO_FROM:
                     phase = min(phase, arrival % phases)
                 at = starts[pulse] + cycle
                 if phase < phases and at >= free:
