@@ -2,9 +2,10 @@
 """Random configurations and edges that provoke trouble: ties, window and gate boundaries, guards, overfull FIFOs."""
 
 import itertools
+from typing import Any
 
 import numpy as np
-from hypothesis import HealthCheck, Phase, settings
+from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 
 from coincid.model.contract.config import Config, parse_config, sensor_table
@@ -290,4 +291,18 @@ def generated(examples: int) -> settings:
     )
 
 
+def drawn(strategy: st.SearchStrategy[Any], number: int) -> list[Any]:
+    """Return so many values. A generator begins with the simplest ones, so the later half of twice as many is taken."""
+    values: list[Any] = []
+
+    @generated(2 * number)
+    @given(strategy)
+    def collect(value: Any) -> None:
+        values.append(value)
+
+    collect()
+    return values[number : 2 * number]
+
+
 READY_KINDS = ("always", "stalled", "random", "bursts")
+DENSITIES = (4.0, 20.0, 0.5, 40.0, 12.0)  # of edges, per subgroup and period

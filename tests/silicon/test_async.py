@@ -6,8 +6,6 @@ import re
 import numpy as np
 import pytest
 from attrs import evolve
-from hypothesis import HealthCheck, Phase, given, settings
-from hypothesis import strategies as st
 
 from coincid.flow.constraints import constraints
 from coincid.flow.silicon_report import domains, latches, netlist
@@ -26,7 +24,7 @@ from coincid.tb.stress import stress
 
 from ..benches import bench_environment
 from ..random_cases import SENSORS, SMALL, configured, trouble
-from ..tb.test_cosim import assert_all_checked, frames
+from ..tb.test_cosim import FRAMES, assert_all_checked, frames
 
 TINIEST = dict(rows=4, cols=4, subgroup=[4, 4], phases=4, window_max=20, fifo_depth=2)
 FULL = {"format": "full", "minigroup_records": True, "mg_threshold": 1}
@@ -38,11 +36,9 @@ def config(sensor=None, window=12, pulses=8, **subgroup):
 
 
 @pytest.mark.parametrize("sensor", sorted(SENSORS.keys() - {"one"}))  # in "default", two of it share a TDC
-@settings(max_examples=1, phases=(Phase.explicit, Phase.generate), suppress_health_check=list(HealthCheck))
-@given(data=st.data())
-def test_random_frames_at_tick_centres(sensor, tmp_path_factory, data):
-    jobs = data.draw(frames(SENSORS[sensor]))
-    records, _ = play(jobs, "icarus", tmp_path_factory.mktemp("async"), view=Asynchronous())
+def test_random_frames_at_tick_centres(sensor, tmp_path):
+    jobs = frames(SENSORS[sensor], FRAMES["icarus"])
+    records, _ = play(jobs, "icarus", tmp_path, view=Asynchronous())
     assert_all_checked(records, jobs)
 
 
