@@ -39,15 +39,15 @@ def pixel_peaks(
     sigma_ticks = math.hypot(sigma_ticks, math.sqrt((step_ticks**2 - 1) / 12))  # an even spread over a step, in bins
     half = 0 if single else int(FILTER_SIGMAS * sigma_ticks + 0.5)
     pulse = np.exp(-0.5 * (np.arange(-half, half + 1) / sigma_ticks) ** 2)
-    width = 1.0 if single else np.sqrt(2 * np.pi) * sigma_ticks  # a hit in the middle of the filter counts 1
+    width = pulse.sum()
     if live is None:
         live = shape = np.ones((1, bins))
     else:
         live = np.atleast_2d(live)
-        shape = np.stack([np.convolve(one / one.mean(), pulse / pulse.sum(), mode="same") for one in live])
+        shape = np.stack([np.convolve(one / one.mean(), pulse / width, mode="same") for one in live])
     return _peaks(
         histogram,
-        pulse * (width / pulse.sum()),
+        pulse,  # a hit in its middle counts exactly 1; a little more would count as two
         width,
         shape,
         live,

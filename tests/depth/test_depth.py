@@ -138,8 +138,11 @@ def test_two_returns_of_one_pixel():
         for target in range(2):
             nearest = np.nanmin(np.abs(depth.depth_m - scene.distance_m[0, 0, target]), axis=2)
             assert np.mean(nearest < TOLERANCE_M) > 0.9
-    alone = estimate_depth(capture("flat:5,0.4", 20)[2], config, returns=3)
+    flat = capture("flat:5,0.4", 20)[2]
+    alone = estimate_depth(flat, config, returns=3)
     assert alone.depth_m.shape == (32, 32, 3) and np.isnan(alone.depth_m[:, :, 1:]).all()
+    for method in ("matched", "background"):  # a single hit of background is no return
+        assert np.isnan(estimate_depth(flat, config, method=method, returns=2).depth_m[:, :, 1]).mean() > 0.95
 
 
 def test_frames_are_told_apart():
