@@ -9,8 +9,9 @@ SIGTERM. Each command imports the modules that it needs, so `--help` is immediat
 import contextlib
 import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from functools import partial
+from inspect import Parameter, Signature, signature
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -82,100 +83,94 @@ app = typer.Typer(
     help=("Open, cycle-accurate model of a SPAD direct time-of-flight sensor with coincidence detection."),
 )
 
-ConfigOption = Annotated[
-    str | None, typer.Option("--config", metavar="FILE", help=f"TOML file, or a preset: {', '.join(PRESETS)}.")
-]
-SetOption = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--set",
-        metavar="NAME=VALUE",
-        help="A setting of the configuration, such as threshold=3 or format=full, instead of the file's; repeatable.",
-        show_default=False,
+_Kind = tuple[Any, Any, str, str]  # type, default, metavar, help
+_TYPES = {"spad": list[str] | None}  # of options that are not what their default says
+_SHARED: dict[str, _Kind] = {
+    name: (
+        _TYPES.get(name, str | None if one.default is None else type(one.default)),
+        one.default,
+        one.metavar,
+        one.doc,
+    )
+    for name, one in OPTIONS.items()
+} | {
+    "config": (str | None, None, "FILE", f"TOML file, or a preset: {', '.join(PRESETS)}."),
+    "changes": (
+        list[str] | None,
+        None,
+        "NAME=VALUE",
+        "A setting of the configuration, such as threshold=3 or format=full, instead of the file's; repeatable.",
     ),
-]
-ClockOption = Annotated[
-    float | None,
-    typer.Option(
-        "--clock-mhz", help="System clock; default: the configuration's (frame.clock_mhz).", show_default=False
-    ),
-]
+    "clock_mhz": (float | None, None, "", "System clock; default: the configuration's (frame.clock_mhz)."),
+}
+_FLAGS = {"changes": "--set"}  # where it is not the parameter's name
 
 
-def _option(name: str, default: str = "") -> Any:
-    """Return an option of the table. default: how its help ends."""
-    option = OPTIONS[name]
-    told = f"{option.doc.rstrip('.')}; default: {default}." if default else option.doc
-    shown = option.default is not None and not default
-    return typer.Option(f"--{name.replace('_', '-')}", metavar=option.metavar or None, help=told, show_default=shown)
+def command(options: str = "", **told: str | tuple[str, str]) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """Return a decorator that makes a function a command.
+
+    options: their names in order, arguments in capitals. The function's own parameters give type and default of their
+    options, and `told` the help, after a metavar if need be, or only how it ends ("default: ...") where the option is
+    one of lab/options.py. The others are shared by commands; the function gets them as further keywords.
+    """
+
+    def decorate(function: Callable[..., None]) -> Callable[..., None]:
+        own = signature(function, eval_str=True).parameters
+        parameters = []
+        for word in options.split():
+            name = word.strip("[]").lower()
+            kind, default, metavar, text = _SHARED.get(name, (None, None, "", ""))
+            if name in own:
+                kind, default = own[name].annotation, own[name].default
+            given = told.get(name, text)
+            if isinstance(given, tuple):
+                metavar, text = given
+            elif given is not text:
+                text = f"{text.rstrip('.')}; default: {given}." if text else given
+            if word.isupper():
+                info: Any = typer.Argument(metavar=word, help=text)
+            else:
+                flag = _FLAGS.get(name, f"--{name.replace('_', '-')}")
+                info = typer.Option(flag, metavar=metavar or None, help=text, show_default=default is not None)
+            parameters.append(
+                Parameter(name, Parameter.KEYWORD_ONLY, default=default, annotation=Annotated[kind, info])
+            )
+        function.__signature__ = Signature(parameters)  # type: ignore[attr-defined]
+        return app.command()(function)
+
+    return decorate
 
 
-SceneOption = Annotated[str, _option("scene")]
-ScaleOption = Annotated[float, _option("scale")]
-UnitOption = Annotated[str | None, _option("unit")]
-ReflectivityOption = Annotated[float, _option("reflectivity")]
-KluxOption = Annotated[str | None, _option("klux")]
-BackgroundOption = Annotated[str, _option("background")]
-SeedOption = Annotated[int, _option("seed")]
-SpadOption = Annotated[list[str] | None, _option("spad")]
-SpadGateOption = Annotated[bool, _option("spad_gate")]
-ViewOption = Annotated[str, _option("view")]
-MethodOption = Annotated[str, _option("method")]
-
-
-@app.command()
+@command(
+    "scene unit scale reflectivity klux background pulses threshold frames link_gbps config changes seed engine out waves "
+    "clock_mhz spad spad_gate view",
+    pulses="Laser pulses per frame; default: the configuration's. "
+    "The controller's bounds and the photons of a frame change in proportion.",
+    threshold="One threshold for all subgroups in the frame `fixed`; "
+    "default: the configuration's if it gives one, else the best of 1 to 7.",
+    frames="Frames of new photons in which the controller settles; default: 8.",
+    link_gbps="Rate of a stream's link; 0: 64 bits per cycle; default: the configuration's, else 8.",
+    engine="sliced; with --waves verilator, with --view async icarus",
+    out=("DIR", "Folder of the results."),
+    waves="Also write a waveform (FST) and views of it for GTKWave and Surfer.",
+)
 def sim(
-    scene: SceneOption = "sun-and-shade",
-    unit: UnitOption = None,
-    scale: ScaleOption = OPTIONS["scale"].default,
-    reflectivity: ReflectivityOption = OPTIONS["reflectivity"].default,
-    klux: KluxOption = None,
-    background: BackgroundOption = OPTIONS["background"].default,
-    pulses: Annotated[
-        int | None,
-        typer.Option(
-            help=(
-                "Laser pulses per frame; default: the configuration's. The controller's bounds and the photons of a frame change in proportion."
-            ),
-            show_default=False,
-        ),
-    ] = None,
-    threshold: Annotated[
-        int | None,
-        typer.Option(
-            help="One threshold for all subgroups in the frame `fixed`; default: the configuration's if it gives one, else the best of 1 to 7.",
-            show_default=False,
-        ),
-    ] = None,
-    frames: Annotated[
-        int | None,
-        typer.Option(help="Frames of new photons in which the controller settles; default: 8.", show_default=False),
-    ] = None,
-    link_gbps: Annotated[
-        float | None,
-        typer.Option(
-            "--link-gbps",
-            help="Rate of a stream's link; 0: 64 bits per cycle; default: the configuration's, else 8.",
-            show_default=False,
-        ),
-    ] = None,
-    config: ConfigOption = None,
-    changes: SetOption = None,
-    seed: SeedOption = OPTIONS["seed"].default,
-    engine: Annotated[str | None, _option("engine", "sliced; with --waves verilator, with --view async icarus")] = None,
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder of the results.")] = Path("build/sim"),
-    waves: Annotated[
-        bool, typer.Option("--waves", help="Also write a waveform (FST) and views of it for GTKWave and Surfer.")
-    ] = False,
-    clock_mhz: ClockOption = None,
-    spad: SpadOption = None,
-    spad_gate: SpadGateOption = OPTIONS["spad_gate"].default,
-    view: ViewOption = "polyphase",
+    *,
+    scene: str = "sun-and-shade",
+    pulses: int | None = None,
+    threshold: int | None = None,
+    frames: int | None = None,
+    link_gbps: float | None = None,
+    engine: str | None = None,
+    out: Path = Path("build/sim"),
+    waves: bool = False,
+    view: str = "polyphase",
+    **given: Any,
 ) -> None:
     """Simulate frames of a scene and check every word against the golden model; write depth.png, events.npz and report.json."""
     from coincid.study.simulate import simulate
 
-    settings = _config(config, changes, clock_mhz)
+    settings = _config(given)
     if view == "async":
         engine = engine or "icarus"
         pulses = ASYNC_PULSES if pulses is None else pulses
@@ -189,57 +184,36 @@ def sim(
     simulate(
         scene,
         settings,
-        klux=_klux(klux, scene),
-        background=background,
-        seed=seed,
         engine=engine or ("verilator" if waves else "sliced"),
         out=_folder(out),
         threshold=threshold,
         settling=frames if frames is None else check_integer("frames", frames, 1, FRAMES_MAX),
         waves=waves,
-        spad=_spad(spad),
-        spad_gate=spad_gate,
-        scale=scale,
-        unit=unit,
-        reflectivity=reflectivity,
         console=Console(highlight=False),
         view=view,
+        **given | {"klux": _klux(given, scene), "spad": _spad(given)},
     )
 
 
-@app.command()
-def advise(
-    scene: Annotated[str, typer.Argument(metavar="SCENE", help=OPTIONS["scene"].doc)],
-    unit: UnitOption = None,
-    scale: ScaleOption = OPTIONS["scale"].default,
-    reflectivity: ReflectivityOption = OPTIONS["reflectivity"].default,
-    klux: KluxOption = None,
-    background: BackgroundOption = OPTIONS["background"].default,
-    config: ConfigOption = None,
-    changes: SetOption = None,
-    seed: SeedOption = OPTIONS["seed"].default,
-    spad: SpadOption = None,
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder of table, picture and advised settings.")] = Path(
-        "build/advise"
-    ),
-) -> None:
+@command(
+    "SCENE unit scale reflectivity klux background config changes seed spad out",
+    out=("DIR", "Folder of table, picture and advised settings."),
+)
+def advise(*, scene: str, out: Path = Path("build/advise"), **given: Any) -> None:
     """Try thresholds, windows, the controller, formats and links on a scene, and say which to take and what they cost."""
     import numpy as np
     from rich.table import Table
 
-    from coincid.lab.setup import Setup, scene_of
-    from coincid.model.light.spad import Spad
+    from coincid.lab.setup import Setup
     from coincid.model.scenes.ambient import ambient_klux
     from coincid.study.advise import HEADS, write_advice
     from coincid.study.advise import advise as run
     from coincid.study.progress import Bar
 
-    settings, light = _config(config, changes), _klux(klux, scene)
-    looked_at = scene_of(settings, scene, scale=scale, unit=unit, reflectivity=reflectivity)
+    settings, light = _config(given), _klux(given, scene)
+    looked_at = _scene(settings, scene, given)
     _folder(out)
-    setup = Setup(
-        config=settings, scene=looked_at, klux=light, background=background, seed=seed, spad=_spad(spad) or Spad()
-    )
+    setup = Setup(config=settings, scene=looked_at, **given | {"klux": light, "spad": _spad(given)})
     mean_klux = float(np.mean(ambient_klux(light, looked_at.rows, looked_at.cols) * looked_at.sunlit))
     with Bar(console, lines=True) as bar:
         stages: list[str] = []
@@ -259,14 +233,8 @@ def advise(
     for one in advice.tried:
         threshold, window_ns, packets, link_gbps, wrong, far, bits, dropped, load = one.row()
         told = f"{wrong:.1%}", f"{far:.1%}", f"{bits:,}", f"{dropped:.1%}", f"{load:.0%}"
-        table.add_row(
-            threshold,
-            f"{window_ns:.3g}",
-            packets,
-            f"{link_gbps:g}",
-            *told,
-            style="bold" if one is advice.best else None,
-        )
+        style = "bold" if one is advice.best else None
+        table.add_row(threshold, f"{window_ns:.3g}", packets, f"{link_gbps:g}", *told, style=style)
     shown = Console(highlight=False, width=None if sys.stdout.isatty() else 120)
     shown.print(table)
     for note in looked_at.notes:
@@ -275,66 +243,54 @@ def advise(
     print(" ".join(map(str, files)))
 
 
-@app.command()
-def show(
-    config: Annotated[
-        str | None, typer.Argument(metavar="[CONFIG]", help=f"TOML file, or a preset: {', '.join(PRESETS)}.")
-    ] = None,
-    changes: SetOption = None,
-) -> None:
+@command("[CONFIG] changes")
+def show(**given: Any) -> None:
     """Print what a configuration means: sizes, rates, distances, the link's share, area and power; and what it wastes."""
     from coincid.study.explain import meaning, warnings
 
-    settings = _config(config, changes)
+    settings = _config(given)
     for name, value in meaning(settings):
         print(f"{name:16} {value}")
     for sentence in warnings(settings):
         print(f"* {sentence}")
 
 
-@app.command()
-def explore(
-    port: Annotated[
-        int | None, typer.Option(help="Port on this machine; default: 5006, or the next free one.", show_default=False)
-    ] = None,
-    no_browser: Annotated[bool, typer.Option("--no-browser", help="Only print the address.")] = False,
-    settings: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--set",
-            metavar="NAME=VALUE",
-            help="First value of a control, or a picture: depth_file, colour_file, sun_file.",
-            show_default=False,
-        ),
-    ] = None,
-) -> None:
+@command(
+    "port no_browser changes",
+    port="Port on this machine; default: 5006, or the next free one.",
+    no_browser="Only print the address.",
+    changes=("NAME=VALUE", "First value of a control, or a picture: depth_file, colour_file, sun_file."),
+)
+def explore(*, port: int | None = None, no_browser: bool = False, changes: list[str] | None = None) -> None:
     """Serve the explorer, which shows the effect of every setting in the browser. It serves this machine only and sends no requests."""
     with extra("explore"):
         from coincid.study.explore.server import serve
     from coincid.study.explore.control_values import given_settings
 
-    serve(port, browser=not no_browser, start=given_settings(settings or []))
+    serve(port, browser=not no_browser, start=given_settings(changes or []))
 
 
-@app.command()
+@command(
+    "edges out config changes engine stall view offset_seed",
+    edges=("FILE", "Edges (NPZ: pulse, pixel, tick)."),
+    out=("FILE", "Result (NPZ); appears whole."),
+    engine="golden; with --view async icarus",
+    stall=("N", "Keep tready low for the first N cycles of every frame."),
+    offset_seed=(
+        "SEED",
+        "With --view async: edges anywhere in their ticks, at random; "
+        "default: the file's offset_ps, else the ticks' middles.",
+    ),
+)
 def replay(
-    edges: Annotated[Path, typer.Option(metavar="FILE", help="Edges (NPZ: pulse, pixel, tick).")],
-    out: Annotated[Path, typer.Option(metavar="FILE", help="Result (NPZ); appears whole.")],
-    config: ConfigOption = None,
-    changes: SetOption = None,
-    engine: Annotated[str | None, _option("engine", "golden; with --view async icarus")] = None,
-    stall: Annotated[int, typer.Option(metavar="N", help="Keep tready low for the first N cycles of every frame.")] = 0,
-    view: ViewOption = "polyphase",
-    offset_seed: Annotated[
-        int | None,
-        typer.Option(
-            metavar="SEED",
-            help=(
-                "With --view async: edges anywhere in their ticks, at random; default: the file's offset_ps, else the ticks' middles."
-            ),
-            show_default=False,
-        ),
-    ] = None,
+    *,
+    edges: Path,
+    out: Path,
+    engine: str | None = None,
+    stall: int = 0,
+    view: str = "polyphase",
+    offset_seed: int | None = None,
+    **given: Any,
 ) -> None:
     """Run an edge file through the golden model or the RTL and write what leaves the sensor."""
     from coincid.model.contract.edges import load_edges
@@ -345,52 +301,37 @@ def replay(
 
     engine = engine or ("icarus" if view == "async" else "golden")
     check_integer("stall", stall, 0, STALL_CYCLES_MAX)
-    settings = _config(config, changes)
+    settings = _config(given)
     chosen_view(engine, view, settings.clock_mhz)
     pulses = settings.frames * settings.pulses
-    given = load_edges(edges, pixels=settings.sensor.array_pixels, pulses=pulses, period_ticks=settings.period_ticks)
+    loaded = load_edges(edges, pixels=settings.sensor.array_pixels, pulses=pulses, period_ticks=settings.period_ticks)
     _file(out)
     if offset_seed is not None:
         with extra("rtl"):
             from coincid.tb.stimulus import off_centre
-        given = off_centre(settings, given, check_integer("offset_seed", offset_seed, 0, SEED_MAX))
+        loaded = off_centre(settings, loaded, check_integer("offset_seed", offset_seed, 0, SEED_MAX))
 
-    with _progress(pulses * settings.period, f"{len(given)} edges, {settings.frames} frames, {engine}") as bar:
-        result = run(engine, settings, given, low(stall), bar.done, view=view)
+    with _progress(pulses * settings.period, f"{len(loaded)} edges, {settings.frames} frames, {engine}") as bar:
+        result = run(engine, settings, loaded, low(stall), bar.done, view=view)
     write_result(out, result)
     print(
-        f"{out}: {len(result['pulse'])} events and {len(result['mg_pulse'])} minigroup records of {len(given)} edges, "
+        f"{out}: {len(result['pulse'])} events and {len(result['mg_pulse'])} minigroup records of {len(loaded)} edges, "
         f"{int(result['dropped'].sum())} events dropped"
     )
 
 
-@app.command()
-def sweep(
-    spec: Annotated[
-        Path, typer.Argument(metavar="SPEC", help="TOML file: a configuration, its scene and light, and axes to sweep.")
-    ],
-    out: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE",
-            help=(
-                "Result (Parquet); default: build/SPEC.parquet. Beside it: a plot (PNG), and the finished points, where a second start goes on."
-            ),
-            show_default=False,
-        ),
-    ] = None,
-    scheduler: Annotated[
-        str | None,
-        typer.Option(
-            metavar="ADDRESS",
-            help=("Dask scheduler, such as tcp://HOST:8786; default: a cluster on this machine alone."),
-            show_default=False,
-        ),
-    ] = None,
-    workers: Annotated[
-        int | None, typer.Option(help="Processes on this machine; default: one per core.", show_default=False)
-    ] = None,
-) -> None:
+@command(
+    "SPEC out scheduler workers",
+    spec="TOML file: a configuration, its scene and light, and axes to sweep.",
+    out=(
+        "FILE",
+        "Result (Parquet); default: build/SPEC.parquet. "
+        "Beside it: a plot (PNG), and the finished points, where a second start goes on.",
+    ),
+    scheduler=("ADDRESS", "Dask scheduler, such as tcp://HOST:8786; default: a cluster on this machine alone."),
+    workers="Processes on this machine; default: one per core.",
+)
+def sweep(*, spec: Path, out: Path | None = None, scheduler: str | None = None, workers: int | None = None) -> None:
     """Run a grid of configurations, scenes and light on many processes or machines; one row per point."""
     workers = check_integer("workers", os.cpu_count() or 1 if workers is None else workers, 1, WORKERS_MAX)
     out = out or Path("build") / f"{spec.stem}.parquet"
@@ -404,86 +345,56 @@ def sweep(
         from coincid.study.sweep import sweep as run
     with _progress(len(grid.keys), spec.name) as bar:
         summary = run(grid, out, workers=workers, scheduler=scheduler, title=spec.stem, progress=bar.done)
-    for name, why in summary.failed.items():
-        print(f"coincid: point {name}: {why}", file=sys.stderr)
     print(f"{out}: {summary.rows} of {len(grid.points)} points, {summary.kept} of them finished before")
-    if summary.failed:
-        raise typer.Exit(DIFFERS)
+    _all_met(f"point {name}: {why}" for name, why in summary.failed.items())
 
 
-@app.command()
-def photons(
-    out: Annotated[Path, typer.Option(metavar="FILE", help="Edges: .npz, .csv, .h5 or (up to 64 pixels) .ptu.")],
-    scene: SceneOption = OPTIONS["scene"].default,
-    unit: UnitOption = None,
-    scale: ScaleOption = OPTIONS["scale"].default,
-    reflectivity: ReflectivityOption = OPTIONS["reflectivity"].default,
-    klux: KluxOption = None,
-    background: BackgroundOption = OPTIONS["background"].default,
-    config: ConfigOption = None,
-    changes: SetOption = None,
-    seed: SeedOption = OPTIONS["seed"].default,
-    spad: SpadOption = None,
-    clock_mhz: ClockOption = None,
-) -> None:
+@command(
+    "out scene unit scale reflectivity klux background config changes seed spad clock_mhz",
+    out=("FILE", "Edges: .npz, .csv, .h5 or (up to 64 pixels) .ptu."),
+)
+def photons(*, out: Path, **given: Any) -> None:
     """Write the photons of a scene, in all frames of a configuration, as edges."""
-    from coincid.lab.setup import scene_of
-    from coincid.model.light.photons import generate_edges
-    from coincid.model.light.spad import Spad
+    from coincid.lab.setup import Setup
     from coincid.model.light.timing import Timing
     from coincid.model.recorded.exchange import check_suffix, write_edges
-    from coincid.model.scenes.scene import scene_light
 
-    settings = _config(config, changes, clock_mhz)
+    settings, light = _config(given), _klux(given, given["scene"])
     check_suffix(_file(out))
-    timing, looked_at = (
-        Timing.from_config(settings),
-        scene_of(settings, scene, scale=scale, unit=unit, reflectivity=reflectivity),
-    )
-    pulses = settings.frames * settings.pulses
-    made = generate_edges(
-        scene_light(looked_at, _klux(klux, scene), background=background),
-        _spad(spad) or Spad(),
-        timing,
-        pulses=pulses,
-        seed=seed,
-        workers=os.cpu_count() or 1,
-    )
-    write_edges(out, made, timing)
+    looked_at = _scene(settings, given.pop("scene"), given)
+    setup = Setup(config=settings, scene=looked_at, **given | {"klux": light, "spad": _spad(given)})
+    made = setup.photons.edges(os.cpu_count() or 1)
+    write_edges(out, made, Timing.from_config(settings))
     for note in looked_at.notes:
         print(note)
-    print(f"{out}: {len(made):,} edges of {pulses:,} pulses")
+    print(f"{out}: {len(made):,} edges of {settings.frames * settings.pulses:,} pulses")
 
 
-@app.command()
+@command(
+    "RECORDING out config changes channels sync_channel first_sync delay_ps clock_mhz",
+    recording="Photons: .ptu, .csv, .npz or .h5 (docs/recordings.md).",
+    out=("FILE", "Edges: .npz, .csv, .h5 or (up to 64 pixels) .ptu."),
+    channels=("MAP", "CHANNEL:PIXEL,... or a CSV file with these columns; default: channel k is pixel k."),
+    sync_channel=("N", "Channel of the laser trigger, for recordings with absolute times."),
+    first_sync=("N", "The trigger that becomes pulse 0."),
+    delay_ps=("PS", "Delay between trigger and light; it is subtracted from every time."),
+)
 def edges(
-    recording: Annotated[
-        Path, typer.Argument(metavar="RECORDING", help="Photons: .ptu, .csv, .npz or .h5 (docs/recordings.md).")
-    ],
-    out: Annotated[Path, typer.Option(metavar="FILE", help="Edges: .npz, .csv, .h5 or (up to 64 pixels) .ptu.")],
-    config: ConfigOption = None,
-    changes: SetOption = None,
-    channels: Annotated[
-        str | None,
-        typer.Option(
-            metavar="MAP", help=("CHANNEL:PIXEL,... or a CSV file with these columns; default: channel k is pixel k.")
-        ),
-    ] = None,
-    sync_channel: Annotated[
-        int | None, typer.Option(metavar="N", help="Channel of the laser trigger, for recordings with absolute times.")
-    ] = None,
-    first_sync: Annotated[int, typer.Option(metavar="N", help="The trigger that becomes pulse 0.")] = 0,
-    delay_ps: Annotated[
-        float, typer.Option(metavar="PS", help="Delay between trigger and light; it is subtracted from every time.")
-    ] = 0.0,
-    clock_mhz: ClockOption = None,
+    *,
+    recording: Path,
+    out: Path,
+    channels: str | None = None,
+    sync_channel: int | None = None,
+    first_sync: int = 0,
+    delay_ps: float = 0.0,
+    **given: Any,
 ) -> None:
     """Turn recorded photons into edges, or edges into another format; count what falls out of range."""
     from coincid.model.light.timing import Timing
     from coincid.model.recorded.exchange import check_suffix, parse_channels, read_recording, write_edges
     from coincid.model.recorded.recordings import period_note, recorded_edges, told
 
-    settings = _config(config, changes, clock_mhz)
+    settings = _config(given)
     check_suffix(_file(out))
     timing = Timing.from_config(settings)
     pixel_of = None if channels is None else parse_channels(channels)
@@ -501,29 +412,18 @@ def edges(
     print(f"{out}: {len(kept):,} edges")
 
 
-@app.command()
-def verilog(
-    out: Annotated[
-        Path, typer.Option(metavar="DIR", help="Folder; appears whole, and replaces an earlier export.")
-    ] = Path("build/rtl"),
-    config: ConfigOption = None,
-    changes: SetOption = None,
-    view: ViewOption = "polyphase",
-) -> None:
+@command("out config changes view", out=("DIR", "Folder; appears whole, and replaces an earlier export."))
+def verilog(*, out: Path = Path("build/rtl"), view: str = "polyphase", **given: Any) -> None:
     """Export the synthesizable Verilog, one file per block, with file lists, constraints, register map and smoke test."""
-    settings = _config(config, changes)
+    settings = _config(given)
     with extra("rtl"):
         from coincid.flow.release import write_release
     files = write_release(out, settings, view)
     print(f"{out}: {len(files)} files, {sum(path.stat().st_size for path in files) / 1000:.0f} kB")
 
 
-@app.command()
-def synth(
-    out: Annotated[Path, typer.Option(metavar="FILE", help="Markdown page with the cost of the presets.")] = Path(
-        "docs/synthesis.md"
-    ),
-) -> None:
+@command("out", out=("FILE", "Markdown page with the cost of the presets."))
+def synth(*, out: Path = Path("docs/synthesis.md")) -> None:
     """Synthesize both presets to gates, standard cells and ECP5, and write the table of their cost."""
     with extra("rtl"):
         from coincid.flow.synth import write_page
@@ -531,7 +431,7 @@ def synth(
     print(out)
 
 
-@app.command()
+@command()
 def gls() -> None:
     """Simulate the netlists of a small sensor, in gates and in standard cells, against the golden model."""
     with extra("rtl"):
@@ -540,12 +440,8 @@ def gls() -> None:
         print(line, flush=True)
 
 
-@app.command()
-def power(
-    out: Annotated[
-        Path, typer.Option(metavar="FILE", help="Markdown page; the picture goes to images/ beside it.")
-    ] = Path("docs/power.md"),
-) -> None:
+@command("out", out=("FILE", "Markdown page; the picture goes to images/ beside it."))
+def power(*, out: Path = Path("docs/power.md")) -> None:
     """Measure the power of a subgroup in standard cells against the light on it, from frames that its netlist plays."""
     with extra("rtl"):
         from coincid.study.power_against_light import write_page
@@ -553,12 +449,8 @@ def power(
     print(out)
 
 
-@app.command()
-def layout(
-    out: Annotated[
-        Path, typer.Option(metavar="FILE", help="Markdown page; the picture goes to images/ beside it.")
-    ] = Path("docs/layout.md"),
-) -> None:
+@command("out", out=("FILE", "Markdown page; the picture goes to images/ beside it."))
+def layout(*, out: Path = Path("docs/layout.md")) -> None:
     """Lay a minigroup out in standard cells: placed, routed, checked, timed with its wires, and simulated with their delays."""
     with extra("rtl"):
         from coincid.flow.layout.document import write_page
@@ -566,12 +458,8 @@ def layout(
     print(out)
 
 
-@app.command()
-def pnr(
-    out: Annotated[Path, typer.Option(metavar="FILE", help="Markdown report of Fmax and resources.")] = Path(
-        "docs/place-and-route.md"
-    ),
-) -> None:
+@command("out", out=("FILE", "Markdown report of Fmax and resources."))
+def pnr(*, out: Path = Path("docs/place-and-route.md")) -> None:
     """Place and route a module of the FPGA preset on an ECP5, with five seeds. Exit code 1: a clock misses its goal."""
     with extra("rtl"):
         from coincid.flow import boards, pnr
@@ -584,39 +472,21 @@ def pnr(
     _all_met(pnr.missed(board, placements))
 
 
-def _all_met(missed: list[str]) -> None:
-    """Tells every goal that was missed, and ends with exit code 1 where one was."""
-    for line in missed:
-        print(f"coincid: {line}", file=sys.stderr)
-    if missed:
-        raise typer.Exit(DIFFERS)
-
-
-@app.command()
+@command(
+    "[KIND] config changes buffer_beats out page",
+    kind="ulx3s: Verilog and bitstream for that board; serial, axi: Verilog alone, linted.",
+    config=("FILE", "TOML file or preset; default: emulator, and emulator-axi for axi."),
+    buffer_beats=("N", "Of the frame buffer."),
+    out=("DIR", "Folder of Verilog, register map and bitstream."),
+    page=("FILE", "Of ulx3s: Markdown report of Fmax and use."),
+)
 def emulator(
-    kind: Annotated[
-        str,
-        typer.Argument(
-            metavar="[KIND]", help="ulx3s: Verilog and bitstream for that board; serial, axi: Verilog alone, linted."
-        ),
-    ] = "ulx3s",
-    config: Annotated[
-        str | None,
-        typer.Option(
-            "--config",
-            metavar="FILE",
-            help="TOML file or preset; default: emulator, and emulator-axi for axi.",
-            show_default=False,
-        ),
-    ] = None,
-    changes: SetOption = None,
-    buffer_beats: Annotated[int, typer.Option(metavar="N", help="Of the frame buffer.")] = 8192,
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder of Verilog, register map and bitstream.")] = Path(
-        "build/emulator"
-    ),
-    page: Annotated[Path, typer.Option(metavar="FILE", help="Of ulx3s: Markdown report of Fmax and use.")] = Path(
-        "docs/emulator-board.md"
-    ),
+    *,
+    kind: str = "ulx3s",
+    buffer_beats: int = 8192,
+    out: Path = Path("build/emulator"),
+    page: Path = Path("docs/emulator-board.md"),
+    **given: Any,
 ) -> None:
     """Build the emulator for a board. Exit code 1: lint found something, or a clock is missed with one of five seeds."""
     from coincid.model.contract.emulator import Emulator
@@ -625,16 +495,11 @@ def emulator(
         from coincid.flow import boards, emulator_release, lint, pnr
     on_bus, on_board = kind == emulator_release.AXI, kind == emulator_release.BOARD
     _file(page)
-    settings = _config(config or ("emulator-axi" if on_bus else "emulator"), changes)
+    settings = _config({"config": "emulator-axi" if on_bus else "emulator"} | {k: v for k, v in given.items() if v})
     files = emulator_release.emulator_release(settings, kind, buffer_beats)
     written = emulator_release.write_emulator(_folder(out), files)
     print(f"{out}: {len(written)} files, {sum(path.stat().st_size for path in written) / 1000:.0f} kB")
-    found = lint.lint_emulator(files, emulator_release.TOPS[kind])
-    for tool, complaints in found.items():
-        print(f"{tool}: {'clean' if not complaints else 'found'}")
-        print(complaints, end="")
-    if any(found.values()):
-        raise typer.Exit(DIFFERS)
+    _all_clean(lint.lint_emulator(files, emulator_release.TOPS[kind]))
     if on_board:
         board = boards.ulx3s(settings, Emulator.of(settings, buffer_beats))
         placements = pnr.place(board)
@@ -645,12 +510,8 @@ def emulator(
         _all_met(pnr.missed(board, placements))
 
 
-@app.command()
-def cost(
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder of the table and the picture.")] = Path(
-        "docs/images"
-    ),
-) -> None:
+@command("out", out=("DIR", "Folder of the table and the picture."))
+def cost(*, out: Path = Path("docs/images")) -> None:
     """Draw area, bits of an event and readout rate against the paper's parameters."""
     with extra("rtl"):
         from coincid.study.cost import write_pages
@@ -658,52 +519,45 @@ def cost(
         print(line)
 
 
-@app.command()
-def lint(config: ConfigOption = None, changes: SetOption = None, view: ViewOption = "polyphase") -> None:
+@command("config changes view")
+def lint(*, view: str = "polyphase", **given: Any) -> None:
     """Check the exported Verilog with Verilator's lint, and with Icarus if it is installed."""
-    settings = _config(config, changes)
+    settings = _config(given)
     with extra("rtl"):
         from coincid.flow.lint import lint as run
         from coincid.hdl.front_end_views import view_at
-    found = run(settings.sensor, view_at(view, settings.clock_mhz))
-    for tool, complaints in found.items():
-        print(f"{tool}: {'clean' if not complaints else 'found'}")
-        print(complaints, end="")
-    if any(found.values()):
-        raise typer.Exit(DIFFERS)
+    _all_clean(run(settings.sensor, view_at(view, settings.clock_mhz)))
 
 
-@app.command()
-def formal(
-    names: Annotated[
-        list[str] | None, typer.Argument(metavar="[NAMES]", help="Proofs; default: all.", show_default=False)
-    ] = None,
-) -> None:
+@command("[NAMES]", names="Proofs; default: all.")
+def formal(*, names: list[str] | None = None) -> None:
     """Prove the RTL's properties for all inputs and all time; takes a few minutes."""
     with extra("rtl"):
         from coincid.formal.prove import HEAD, prove
     print(HEAD)
     verdicts = prove(names or (), tell=print)
     failed = [verdict for verdict in verdicts if verdict.reason]
-    for verdict in failed:
-        print(f"coincid: {verdict.proof.name}: {verdict.reason}; log: {verdict.folder / 'log'}", file=sys.stderr)
-    print(f"{len(verdicts) - len(failed)} of {len(verdicts)} proofs hold")
-    if failed:
-        raise typer.Exit(DIFFERS)
+    print(f"{len(verdicts) - len(failed)} of {len(verdicts)} proofs hold", flush=True)
+    _all_met(f"{verdict.proof.name}: {verdict.reason}; log: {verdict.folder / 'log'}" for verdict in failed)
 
 
-@app.command()
+@command(
+    "distance_m reflectivity klux spectrum form json",
+    distance_m="Distance of the target in metres.",
+    reflectivity=("", "Reflectivity of the target, 0 to 1."),
+    klux=("", "Sunlight in klux."),
+    spectrum=("SPECTRUM", "am15g or planck; default: am15g."),
+    form=("FORM", "literal (as printed in the paper) or corrected."),
+    json="Flat keys, for programs.",
+)
 def budget(
-    distance_m: Annotated[float, typer.Option(help="Distance of the target in metres.")] = 4.0,
-    reflectivity: Annotated[float, typer.Option(help="Reflectivity of the target, 0 to 1.")] = 0.4,
-    klux: Annotated[float, typer.Option(help="Sunlight in klux.")] = 50.0,
-    spectrum: Annotated[
-        str | None, typer.Option(metavar="SPECTRUM", help="am15g or planck; default: am15g.", show_default=False)
-    ] = None,
-    form: Annotated[
-        str, typer.Option(metavar="FORM", help="literal (as printed in the paper) or corrected.")
-    ] = "literal",
-    json: Annotated[bool, typer.Option("--json", help="Flat keys, for programs.")] = False,
+    *,
+    distance_m: float = 4.0,
+    reflectivity: float = 0.4,
+    klux: float = 50.0,
+    spectrum: str | None = None,
+    form: str = "literal",
+    json: bool = False,
 ) -> None:
     """Print the link budget, equations (1) and (2) of the paper, line by line."""
     from json import dumps
@@ -719,61 +573,43 @@ def budget(
         print(f"{name:22} {value if isinstance(value, str) else format(value, '.6g'):>12} {unit:6} {source}")
 
 
-@app.command()
-def figures(
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder of the figures.")] = Path("build/figures"),
-    rtl: Annotated[bool, typer.Option("--rtl", help="Add the RTL as a source to figures 6 and 8.")] = False,
-) -> None:
+@command("out rtl", out=("DIR", "Folder of the figures."), rtl="Add the RTL as a source to figures 6 and 8.")
+def figures(*, out: Path = Path("build/figures"), rtl: bool = False) -> None:
     """Draw the paper's figures from the analytic model, Monte Carlo and, on request, the RTL."""
     from coincid.study.figures import make
 
-    _folder(out)
-    with _progress(0, "frames") as bar:
-        files = make(out, "sliced" if rtl else None, bar.done)
-    print(files[-1])
+    _drawn(partial(make, engine="sliced" if rtl else None), out)
 
 
-@app.command()
-def compare(
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder of the figures.")] = Path("build/compare"),
-) -> None:
+@command("out", out=("DIR", "Folder of the figures."))
+def compare(*, out: Path = Path("build/compare")) -> None:
     """Compare the sensor with other schemes on the same photons: plots, their data (CSV) and a page."""
     from coincid.study.figures import compare as run
 
-    _folder(out)
-    with _progress(0, "photons") as bar:
-        files = run(out, bar.done)
-    print(files[-1])
+    _drawn(run, out)
 
 
-@app.command()
-def modes(
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder of the figures.")] = Path("build/modes"),
-    rtl: Annotated[bool, typer.Option("--rtl", help="Check some frames on the RTL.")] = False,
-) -> None:
+@command("out rtl", out=("DIR", "Folder of the figures."), rtl="Check some frames on the RTL.")
+def modes(*, out: Path = Path("build/modes"), rtl: bool = False) -> None:
     """Compare coincidence and gating over background and distance, behind glass and at 100 m: plots, data (CSV) and a page."""
     from coincid.study.figures import modes as run
 
-    _folder(out)
-    with _progress(0, "frames") as bar:
-        files = run(out, "sliced" if rtl else None, bar.done)
-    print(files[-1])
+    _drawn(partial(run, engine="sliced" if rtl else None), out)
 
 
-@app.command()
+@command(
+    "klux threshold size out",
+    klux=("", "Background light in klux; repeatable."),
+    threshold="Coincidence threshold; repeatable.",
+    size="32x32, 64x64, 256x128; repeatable.",
+    out=("DIR", "Folder of the CSV, the table and the plot."),
+)
 def bandwidth(
-    klux: Annotated[
-        list[float] | None, typer.Option(help="Background light in klux; repeatable.", show_default=False)
-    ] = None,
-    threshold: Annotated[
-        list[int] | None, typer.Option(help="Coincidence threshold; repeatable.", show_default=False)
-    ] = None,
-    size: Annotated[
-        list[str] | None, typer.Option(help="32x32, 64x64, 256x128; repeatable.", show_default=False)
-    ] = None,
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder of the CSV, the table and the plot.")] = Path(
-        "build/bandwidth"
-    ),
+    *,
+    klux: list[float] | None = None,
+    threshold: list[int] | None = None,
+    size: list[str] | None = None,
+    out: Path = Path("build/bandwidth"),
 ) -> None:
     """Study the readout: beats per frame, streams needed, and losses with fewer, by an estimate and by the golden model."""
     from coincid.study.bandwidth import TABLE, study, write_study
@@ -782,43 +618,36 @@ def bandwidth(
     print((out / TABLE).read_text(), end="")
 
 
-@app.command()
+@command(
+    "port simulate netlist scene klux config changes frames pulses seed baud out",
+    port=("DEVICE", "Serial port of the board, such as /dev/ttyUSB0."),
+    simulate="Use the emulator's simulated RTL behind its serial pins instead.",
+    netlist="With --simulate: the netlist of the FPGA of an ULX3S instead of the RTL.",
+    scene=("SCENE", "As of sim."),
+    config=("FILE", "TOML file or preset; its sensor must be the one on the board."),
+    frames=("N", "Frames to take."),
+    pulses=("N", "Laser pulses per frame; default: the configuration's."),
+    seed=("", "Of the photon source."),
+    baud="Of the serial line; default: 3,000,000, and simulated as fast as it can be.",
+    out=("DIR", "Folder of the depth picture."),
+)
 def emulate(
-    port: Annotated[
-        str | None,
-        typer.Option(metavar="DEVICE", help="Serial port of the board, such as /dev/ttyUSB0.", show_default=False),
-    ] = None,
-    simulate: Annotated[
-        bool, typer.Option("--simulate", help="Use the emulator's simulated RTL behind its serial pins instead.")
-    ] = False,
-    netlist: Annotated[
-        bool, typer.Option("--netlist", help="With --simulate: the netlist of the FPGA of an ULX3S instead of the RTL.")
-    ] = False,
-    scene: Annotated[str, typer.Option(metavar="SCENE", help="As of sim.")] = "five-objects",
-    klux: KluxOption = None,
-    config: Annotated[
-        str,
-        typer.Option("--config", metavar="FILE", help="TOML file or preset; its sensor must be the one on the board."),
-    ] = "emulator",
-    changes: SetOption = None,
-    frames: Annotated[int, typer.Option(metavar="N", help="Frames to take.")] = 20,
-    pulses: Annotated[
-        int | None,
-        typer.Option(metavar="N", help="Laser pulses per frame; default: the configuration's.", show_default=False),
-    ] = None,
-    seed: Annotated[int, typer.Option(help="Of the photon source.")] = 1,
-    baud: Annotated[
-        int | None,
-        typer.Option(
-            help="Of the serial line; default: 3,000,000, and simulated as fast as it can be.", show_default=False
-        ),
-    ] = None,
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder of the depth picture.")] = Path("build/emulate"),
+    *,
+    port: str | None = None,
+    simulate: bool = False,
+    netlist: bool = False,
+    scene: str = "five-objects",
+    config: str = "emulator",
+    frames: int = 20,
+    pulses: int | None = None,
+    seed: int = 1,
+    baud: int | None = None,
+    out: Path = Path("build/emulate"),
+    **given: Any,
 ) -> None:
     """Run the emulator, on a board or simulated, and check each word from it against the golden model."""
     from coincid.host.emulator_driver import EmulatorDriver
     from coincid.host.serial_transport import SerialPort, SerialTransport
-    from coincid.lab.setup import scene_of
     from coincid.model.contract.serial_link import BAUD
     from coincid.model.contract.settings import FRAMES_MAX
     from coincid.study.emulate import DEPTH
@@ -829,57 +658,52 @@ def emulate(
     if netlist and not simulate:
         raise InputError("netlist: goes with --simulate only")
     check_integer("frames", frames, 1, FRAMES_MAX)
-    settings = _config(config, changes)
+    settings = _config(given | {"config": config})
     if pulses is not None:
         settings = settings.with_frame(pulses=pulses)
-    looked_at = scene_of(settings, scene)
+    looked_at = _scene(settings, scene, {})
+    patience: dict[str, Any] = {}
     if simulate:
         with extra("rtl"):
             from coincid.flow.gls import emulator_netlist
             from coincid.tb.verilated_emulator import PATIENCE_S, SIMULATED_CLOCKS_PER_BIT, SimulatedPort, simulated
-        clocks = (
-            SIMULATED_CLOCKS_PER_BIT
-            if baud is None
-            else round(settings.clock_mhz * 1e6 / check_integer("baud", baud, 1, BAUD_MAX))
-        )
+        clocks = SIMULATED_CLOCKS_PER_BIT
+        if baud is not None:
+            clocks = round(settings.clock_mhz * 1e6 / check_integer("baud", baud, 1, BAUD_MAX))
         built, library = (
             emulator_netlist(settings, clocks_per_bit=clocks)
             if netlist
             else (simulated(settings.sensor, clocks_per_bit=clocks), None)
         )
         line: Any = SimulatedPort(built, settings.clock_mhz, library)
-        patience: dict[str, Any] = {"patience_s": PATIENCE_S * clocks / SIMULATED_CLOCKS_PER_BIT}
+        patience["patience_s"] = PATIENCE_S * clocks / SIMULATED_CLOCKS_PER_BIT
     else:
-        line, patience = SerialPort(str(port), BAUD if baud is None else baud), {}
+        line = SerialPort(str(port), BAUD if baud is None else baud)
     with line, _progress(frames, "frames") as bar:
-        driver = EmulatorDriver(SerialTransport(line, **patience))
+        transport = SerialTransport(line, **patience)
         tally = run(
-            driver,
+            EmulatorDriver(transport),
             settings,
             looked_at,
             _folder(out),
-            klux=_klux(klux, scene),
+            klux=_klux(given, scene),
             frames=frames,
             seed=seed,
             tell=lambda so_far: bar.done(so_far.frames),
         )
-        repeats = driver.transport.repeats  # type: ignore[attr-defined]
         if simulate:
             print(f"{tally.seconds_on_line / tally.frames * 1e3:.3g} ms of simulated time per frame")
     print(f"{tally.frames} frames, {tally.beats} words, all as the golden model predicts")
-    print(
-        f"{tally.frames / tally.seconds:.3g} frames per second; {repeats} requests repeated, {tally.recoveries} recoveries"
-    )
-    print(out / DEPTH)
+    rate = f"{tally.frames / tally.seconds:.3g} frames per second"
+    print(f"{rate}; {transport.repeats} requests repeated, {tally.recoveries} recoveries\n{out / DEPTH}")
 
 
-@app.command()
-def bench(
-    out: Annotated[Path, typer.Option(metavar="FILE", help="JSON, flat keys; a Markdown table goes beside it.")] = Path(
-        "build/bench.json"
-    ),
-    repeats: Annotated[int, typer.Option(metavar="N", help="Number of rounds; the results are medians.")] = 5,
-) -> None:
+@command(
+    "out repeats",
+    out=("FILE", "JSON, flat keys; a Markdown table goes beside it."),
+    repeats=("N", "Number of rounds; the results are medians."),
+)
+def bench(*, out: Path = Path("build/bench.json"), repeats: int = 5) -> None:
     """Measure the speed of the model, the simulators, whole frames and builds from scratch; takes about ten minutes."""
     with extra("rtl"):
         from coincid.study.bench import benchmark, table
@@ -887,23 +711,29 @@ def bench(
     print(table(benchmark(_file(out), repeats=repeats, tell=console.print)), end="")
 
 
-def _klux(given: str | None, scene: str) -> str | float:
+def _klux(given: dict[str, Any], scene: str) -> str | float:
     """Return the ambient light of a scene: the given one, else the usual one for the scene."""
     from coincid.model.scenes.catalogue import usual_klux
 
-    return usual_klux(scene) if given is None else given
+    klux: str | None = given["klux"]
+    return usual_klux(scene) if klux is None else klux
 
 
-def _spad(given: list[str] | None) -> Any:
-    """Return the detector with properties NAME=VALUE; None if there are none."""
-    if not given:
-        return None
+def _scene(settings: "Config", scene: str, given: dict[str, Any]) -> Any:
+    """Return the scene, and take the options of its file out of the given ones."""
+    from coincid.lab.setup import scene_of
+
+    return scene_of(settings, scene, **{k: given.pop(k) for k in ("scale", "unit", "reflectivity") if k in given})
+
+
+def _spad(given: dict[str, Any]) -> Any:
+    """Return the detector with properties NAME=VALUE."""
     from attrs import fields_dict
 
     from coincid.model.light.spad import Spad
 
     values: dict[str, Any] = {}
-    for text in given:
+    for text in given["spad"] or ():
         name, _, value = text.partition("=")
         if name not in fields_dict(Spad):
             raise InputError(f"--spad {text}: must be NAME=VALUE with a name of {', '.join(fields_dict(Spad))}")
@@ -914,11 +744,12 @@ def _spad(given: list[str] | None) -> Any:
     return Spad(**values)
 
 
-def _config(path: str | None, changes: list[str] | None = None, clock_mhz: float | None = None) -> "Config":
-    """Return the configuration with the settings of the command line."""
+def _config(given: dict[str, Any]) -> "Config":
+    """Return the configuration with the settings of the command line, which it takes out of the given options."""
     from coincid.model.contract.config import changes_of_text, load_config
 
-    config = load_config(path, changes_of_text(changes or []))
+    config = load_config(given.pop("config", None), changes_of_text(given.pop("changes", None) or []))
+    clock_mhz = given.pop("clock_mhz", None)
     return config if clock_mhz is None else config.with_frame(clock_mhz=clock_mhz)
 
 
@@ -951,6 +782,29 @@ def _progress(cycles: int, what: str) -> "Iterator[Bar]":
     with Bar(console) as bar:
         bar.stage(what, cycles)
         yield bar
+
+
+def _drawn(draw: Callable[..., list[Path]], out: Path) -> None:
+    """Draw figures into a folder, and print the path of their page."""
+    _folder(out)
+    with _progress(0, "frames") as bar:
+        print(draw(out, progress=bar.done)[-1])
+
+
+def _all_clean(found: dict[str, str]) -> None:
+    """Print what each tool of lint found, and end with exit code 1 where it found something."""
+    for tool, complaints in found.items():
+        print(f"{tool}: {'found' if complaints else 'clean'}\n{complaints}", end="")
+    if any(found.values()):
+        raise typer.Exit(DIFFERS)
+
+
+def _all_met(missed: Iterator[str] | list[str]) -> None:
+    """Print what was missed, and end with exit code 1 where something was."""
+    told = [f"coincid: {line}" for line in missed]
+    if told:
+        print("\n".join(told), file=sys.stderr)
+        raise typer.Exit(DIFFERS)
 
 
 def main() -> None:
