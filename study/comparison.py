@@ -31,7 +31,6 @@ from . import other_schemes
 THRESHOLD, PULSES, RETURNS = 3, 100, 2
 FRAMES = SETTLING + 1  # the controller settles in the others; the last one counts
 ADDER_S = 1e-9  # clock of the adder
-FINE_S = 250e-12  # bins of the count-weighted histogram
 MEMORY_BITS = 32_000  # per macro-pixel, for its histogram
 PULSE_SIGMAS = 4.0  # of a pulse that a zoom includes on either side of a bin
 FINE_SIGMAS = 3.0  # width of a bin that needs no further zoom
@@ -78,31 +77,10 @@ def _sliding_window(shot: Shot) -> Found:
     return _by_words(shot, words, words.stamp + 0.5, "id")
 
 
-def _fixed_windows(shot: Shot) -> Found:
-    words = other_schemes.fixed_windows(shot.photons, shot.window, shot.threshold)
-    return _by_words(shot, words, other_schemes.counted_arrival(shot.photons, words, shot.sigma_ticks), "id")
-
-
-def _last_hit(shot: Shot) -> Found:
-    words = other_schemes.last_hit(shot.photons)
-    return _by_words(shot, words, words.stamp + 0.5, "short")
-
-
 def _photon_counts(shot: Shot) -> Found:
     clock = round(ADDER_S / shot.config.tick_s)
     return _by_memory(
         shot, other_schemes.photon_counts(shot.photons, clock, -(-shot.config.period_ticks // clock)), clock
-    )
-
-
-def _count_weighted(shot: Shot) -> Found:
-    width = round(FINE_S / shot.config.tick_s)
-    words = other_schemes.windows(shot.photons, shot.window, shot.config.sensor.phases)
-    arrival = other_schemes.counted_arrival(shot.photons, words, shot.sigma_ticks)
-    return _by_memory(
-        shot,
-        other_schemes.count_weighted(shot.photons, words, arrival, width, -(-shot.config.period_ticks // width)),
-        width,
     )
 
 
@@ -166,10 +144,7 @@ def _this(shot: Shot, subgroup: dict[str, Any], estimator: str = "matched", **fr
 SCHEMES: dict[str, Callable[[Shot], Found]] = {
     "winner takes all": _winner_takes_all,
     "sliding window": _sliding_window,
-    "fixed windows": _fixed_windows,
-    "last hit": _last_hit,
     "photon counts": _photon_counts,
-    "count-weighted": _count_weighted,
     "this: fixed": lambda shot: _this(shot, {}),
     "this: controller": lambda shot: _this(shot, {"auto": True}),
     "this: pooled": lambda shot: _this(shot, {}, "matched/subgroup"),

@@ -16,7 +16,6 @@ from ..model.contract.edges import Edges
 from ..model.contract.parameters import Sensor
 from ..model.contract.pixels import pixel_table
 from ..model.contract.windows import armed_cycle, close_cycle
-from ..model.depth.arrivals import lead_sigmas, photons_of
 from ..model.shared.compiled import njit
 
 REARM_CYCLES = 0  # a rival's tree is armed again in the cycle after its window
@@ -120,20 +119,6 @@ def _sliding(
     return start[:n], stop[:n], tick[stop[:n] - 1]
 
 
-def fixed_windows(photons: Photons, window: int, threshold: int) -> Words:
-    """Cut time every `window` ticks from the trigger on; a piece with `threshold` photons is a word, stamped at its first."""
-    piece = photons.tick // window
-    start = np.flatnonzero((np.diff(photons.pulse, prepend=-1) != 0) | (np.diff(piece, prepend=-1) != 0))
-    stop = np.append(start[1:], len(piece))
-    return Words(start, stop, photons.tick[start]).chosen(stop - start >= threshold)
-
-
-def last_hit(photons: Photons) -> Words:
-    """Take the last photon of each period, which has overwritten the earlier ones."""
-    last = np.flatnonzero(np.diff(photons.pulse, append=-1))
-    return Words(last, last + 1, photons.tick[last])
-
-
 def first_stamps(photons: Photons, most: int) -> Words:
     """Take the first `most` photons of every pixel in the frame, each with its stamp."""
     order, number = np.argsort(photons.pixel, kind="stable"), np.bincount(photons.pixel)
@@ -179,26 +164,8 @@ def equi_depth(photons: Photons, bins: int, period_ticks: int) -> np.ndarray:
 
 def photon_counts(photons: Photons, clock: int, bins: int) -> np.ndarray:
     """int64[subgroups, bins]: sums of the macro-pixel's photons in every clock of `clock` ticks, counted by an adder."""
-    return _summed(photons, photons.subgroup, photons.tick // clock, None, bins)
-
-
-def count_weighted(photons: Photons, words: Words, arrival: np.ndarray, width: int, bins: int) -> np.ndarray:
-    """int64[subgroups, bins] of `width` ticks: each word adds its count at its arrival: a weight instead of a threshold."""
-    at = np.minimum(arrival.astype(np.int64) // width, bins - 1)
-    return _summed(photons, photons.subgroup[words.start], at, words.stop - words.start, bins)
-
-
-def _summed(photons: Photons, subgroup: np.ndarray, at: np.ndarray, weight: np.ndarray | None, bins: int) -> np.ndarray:
-    return np.bincount(subgroup * bins + at, weight, photons.subgroups * bins).astype(np.int64).reshape(-1, bins)
-
-
-def counted_arrival(photons: Photons, words: Words, sigma_ticks: float) -> np.ndarray:
-    """Arrivals in ticks, float64[n], of words stamped at their first photon: later by its expected lead (`arrivals.py`)."""
-    return (
-        words.stamp
-        + 0.5
-        + sigma_ticks * lead_sigmas(np.maximum(photons_of(words.stop - words.start, photons.pixels), 1))
-    )
+    at = photons.subgroup * bins + photons.tick // clock
+    return np.bincount(at, minlength=photons.subgroups * bins).reshape(-1, bins)
 
 
 def read_out(photons: Photons, words: Words, sensor: Sensor, phases: int, period: int, beats: int) -> np.ndarray:

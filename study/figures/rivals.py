@@ -24,12 +24,11 @@ from .setups import SCENE
 SIDE, SMALL = 32, 16  # pixels; small arrays for two targets and the sign, which are the same in every subgroup
 KLUX = (1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)
 SEEDS, FEW_SEEDS = 3, 2
-BUILT_IN = (SCENE, "letter-f", "flat:10,0.4", "two-targets:5,9", "two-returns:5,9")
-BUILT_IN_KLUX = 50.0
+MIDDLE_KLUX = 50.0  # of the trade of bits for errors
 DISTANCES_M, RANGE_KLUX, RANGE_REFLECTIVITY = (2.0, 5.0, 10.0, 15.0, 20.0, 25.0, 30.0, 40.0), (10.0, 100.0), 0.4
 THRESHOLDS = (2, 3, 4, 5)  # in the plot of bits
 OF_RETURNS = ("first return", "better of two returns")
-WITH_THRESHOLD = ("sliding window", "fixed windows", "this: fixed")
+WITH_THRESHOLD = ("sliding window", "this: fixed")
 SWEPT = ("sliding window", "this: fixed", "this: fixed planes", "this: fixed compact planes")  # in the picture of bits
 BITS_KLUX, SEEDS_OF_PULSES = (10.0, 50.0, 100.0), {PULSES: SEEDS, 10 * PULSES: 1}
 NEAR_M, TWO_KLUX = 5.0, 20.0
@@ -42,10 +41,7 @@ STYLES = {
     "winner takes all": ("#999999", "-", "o"),
     "winner: planes": ("#999999", "--", "o"),
     "sliding window": ("#1f78b4", "-", "s"),
-    "fixed windows": ("#a6cee3", "-", "D"),
-    "last hit": ("#b2df8a", "-", "v"),
     "photon counts": ("#6a3d9a", "-", "^"),
-    "count-weighted": ("#cab2d6", "-", "<"),
     "this: fixed": ("#fb9a99", "-", "P"),
     "this: controller": ("#e31a1c", "-", "X"),
     "this: pooled": ("#fdbf6f", "-", "p"),
@@ -75,7 +71,7 @@ def background(run: Processes) -> Section:
     """Show wrong share and bits against background, and wrong share against bits for several thresholds."""
     scene = load_scene(SCENE, SIDE, SIDE)
     table = _table(run, {klux: compared(scene, klux=klux) for klux in KLUX}, SEEDS)
-    keys = product((10.0, BUILT_IN_KLUX), THRESHOLDS)
+    keys = product((10.0, MIDDLE_KLUX), THRESHOLDS)
     others = {(klux, threshold): compared(scene, threshold, klux=klux) for klux, threshold in keys}
     swept = campaign(others, partial(schemes, names=WITH_THRESHOLD), run)
     rows: list[Row] = [("scheme", "klux", "threshold", "wrong_share", "standard_error", "bits_per_frame")]
@@ -96,19 +92,18 @@ def background(run: Processes) -> Section:
     for name in SHOWN:
         _line(left, name, KLUX, [shares[name, klux] for klux in KLUX])
         _line(middle, name, KLUX, [bits[name, klux] / 1e3 for klux in KLUX])
-        _line(right, name, [bits[name, BUILT_IN_KLUX] / 1e3], [shares[name, BUILT_IN_KLUX]])
-        if (name, BUILT_IN_KLUX) in points:
-            sent, share = np.transpose(points[name, BUILT_IN_KLUX])
+        _line(right, name, [bits[name, MIDDLE_KLUX] / 1e3], [shares[name, MIDDLE_KLUX]])
+        if (name, MIDDLE_KLUX) in points:
+            sent, share = np.transpose(points[name, MIDDLE_KLUX])
             right.plot(sent / 1e3, share, color=STYLES[name][0], linewidth=1)
     share_axis(left, xlabel="background in klux", ylabel="share of wrong pixels", xscale="log")
     middle.set(xlabel="background in klux", ylabel="kbit a frame", xscale="log", yscale="log")
     share_axis(right, xlabel="kbit a frame", ylabel="share of wrong pixels", xscale="log")
-    right.set_title(f"{BUILT_IN_KLUX:g} klux; lines: thresholds {THRESHOLDS[0]} to {THRESHOLDS[-1]}")
+    right.set_title(f"{MIDDLE_KLUX:g} klux; lines: thresholds {THRESHOLDS[0]} to {THRESHOLDS[-1]}")
     legend_below(figure)
     return section(
         "rivals_background",
         "Five objects against background",
-        "",
         figure,
         f"Wrong share and bits of the schemes, {PULSES} pulses, threshold {THRESHOLD}, {SEEDS} seeds",
         rows,
@@ -155,41 +150,9 @@ def bits(run: Processes) -> Section:
     return section(
         "rivals_bits",
         "Bits against wrong pixels",
-        "",
         figure,
         "Five objects; along the lines: 16 to 64 bins (zoomed), 8 to 32 codes (Fourier), 8 to 32 bins (equi-depth), "
         f"8 to 128 time stamps, thresholds {THRESHOLDS[-1]} to {THRESHOLDS[0]} (sliding window, this)",
-        rows,
-    )
-
-
-def built_in(run: Processes) -> Section:
-    """Show the wrong share of every built-in scene."""
-    scenes = {name: load_scene(name, SIDE, SIDE) for name in BUILT_IN}
-    table = _table(run, {name: compared(scene, klux=BUILT_IN_KLUX) for name, scene in scenes.items()}, FEW_SEEDS)
-    rows: list[Row] = [("scene", "scheme", "wrong_share", "second_surface_share", "bits_per_frame")]
-    figure = new_figure(12, 4.6)
-    axis = figure.subplots()
-    for k, scheme in enumerate(SHOWN):
-        shares = []
-        for name, scene in scenes.items():
-            depths = [one[scheme].depth_m for one in table[name]]
-            shares.append(np.mean([_wrong_any(depth[:, :, :1], scene.distance_m) for depth in depths]))
-            several = scene.distance_m.shape[2] > 1
-            second = np.mean([_both(depth, scene.distance_m) for depth in depths]) if several else ""
-            rows.append((name, scheme, float(shares[-1]), second, _bits(table[name], scheme)))
-        at, (colour, line, _) = np.arange(len(BUILT_IN)) + (k - len(SHOWN) / 2 + 0.5) / 15, STYLES[scheme]
-        hatch = "//" if line == "--" else None
-        axis.bar(at, shares, 1 / 15, color=colour, label=scheme, hatch=hatch, edgecolor="white", linewidth=0)
-    axis.set_xticks(range(len(BUILT_IN)), labels=BUILT_IN)
-    axis.set(ylabel="share of wrong pixels", title=f"{BUILT_IN_KLUX:g} klux", ylim=(0, 1))
-    legend_below(figure)
-    return section(
-        "rivals_scenes",
-        "The built-in scenes",
-        "",
-        figure,
-        f"Wrong share of the built-in scenes at {BUILT_IN_KLUX:g} klux; any surface of a pixel is right",
         rows,
     )
 
@@ -230,7 +193,6 @@ def ranging(run: Processes) -> Section:
     return section(
         "rivals_range",
         "Detection, bias and precision",
-        "",
         figure,
         f"A flat target of {RANGE_REFLECTIVITY:.0%}; bias and precision of what is detected, if half is",
         rows,
@@ -264,7 +226,6 @@ def two_targets(run: Processes) -> Section:
     return section(
         "rivals_two_targets",
         "Two targets in a macro-pixel",
-        "",
         figure,
         f"Stripes of 4 columns at {NEAR_M:g} m and a step behind, {TWO_KLUX:g} klux",
         rows,
@@ -308,7 +269,6 @@ def retroreflector(run: Processes) -> Section:
     return section(
         "rivals_retroreflector",
         "Beside a retroreflector",
-        "",
         figure,
         f"A target of {DARK:.0%} in the subgroups of a sign at {SIGN_M:g} m, {RETRO_KLUX:g} klux; "
         f"{STRAY:g} of the sign's light strays onto every pixel",
@@ -347,12 +307,6 @@ def _wrong_any(depth_m: np.ndarray, distance_m: np.ndarray) -> float:
     """Return the share of pixels in which no return (last axis) is within the tolerance of any target (last axis)."""
     apart = np.abs(depth_m[:, :, :, None] - distance_m[:, :, None, :])
     return float(1 - (apart <= TOLERANCE_M).any(axis=(2, 3)).mean())
-
-
-def _both(depth_m: np.ndarray, distance_m: np.ndarray) -> float:
-    """Return the share of pixels in which every target is among the returns."""
-    apart = np.abs(depth_m[:, :, :, None] - distance_m[:, :, None, :])
-    return float((apart <= TOLERANCE_M).any(axis=2).all(axis=2).mean())
 
 
 def _line(axis: Axes, name: str, at: ArrayLike, values: ArrayLike) -> None:
