@@ -17,10 +17,8 @@ SERIES = ("#440154", "#46327e", "#365c8d", "#277f8e", "#1fa187", "#4ac16d", "#a0
 
 ALARM = "#e31a1c"  # what is wrong, or needs a look
 
-# Drawings of circuits and waveforms.
-DEEP_INK, WIRE, NOTE, NOISE = "#1b1f24", "#3a434d", "#5b6673", "#6b7683"
-FRAME_LINE, FAINT, PALE, FRAME = "#b9c0c8", "#c4cad1", "#eef0f3", "#f5f6f8"
-SIGNAL, PAPER, OURS = "#c8501e", "#fbe3d6", "#ffffff"
+# Drawings of waveforms.
+DEEP_INK, NOISE, FAINT, PALE, SIGNAL = "#1b1f24", "#6b7683", "#c4cad1", "#eef0f3", "#c8501e"
 
 TEXT_PT, TITLE_PT, LEGEND_PT = 10, 11, 8.5  # Matplotlib
 TEXT_PX, LABEL_PX, TITLE_PX = "10px", "11px", "12px"  # Bokeh

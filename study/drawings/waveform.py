@@ -11,6 +11,7 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 import numpy as np
 from amaranth.sim import Simulator, SimulatorContext
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from pywellen import Waveform
 
@@ -103,6 +104,25 @@ def sampled(vcd: Path) -> dict[str, list[int]]:
     return {name: [signal.value_at(end) for end in ends] for name, signal in signals.items()}
 
 
+def draw_grid(axes: Axes, cycles: int) -> None:
+    """Draw a line between any two cycles."""
+    for cycle in range(cycles + 1):
+        axes.axvline(cycle, color=PALE, lw=0.8, zorder=0)
+
+
+def draw_boxes(axes: Axes, y: float, texts: Sequence[object], color: str, *, fontsize: float) -> None:
+    """Draw a bus at a height: boxes with one text per cycle, where equal ones in a row share a box; None: no box."""
+    begin = 0
+    for cycle in range(1, len(texts) + 1):
+        if cycle == len(texts) or texts[cycle] != texts[begin]:
+            if texts[begin] is not None:
+                x = [begin, begin + 0.12, cycle - 0.12, cycle, cycle - 0.12, begin + 0.12]
+                axes.fill(x, [y + 0.3, y + 0.6, y + 0.6, y + 0.3, y, y], fc="white", ec=color, lw=1.2)
+                at = (begin + cycle) / 2, y + 0.3
+                axes.text(*at, str(texts[begin]), ha="center", va="center", fontsize=fontsize, color=color)
+            begin = cycle
+
+
 def draw(values: dict[str, list[int]]) -> Figure:
     """Draw the picture over clock cycles; words of 32 phases are drawn phase by phase inside their cycle."""
     figure, axes = plt.subplots(figsize=(12, 6.6))
@@ -118,8 +138,7 @@ def draw(values: dict[str, list[int]]) -> Figure:
         "tdata": "AXI4-Stream",
     }
     level = {row: -1.0 * i - 0.35 * (i > 0) - 0.35 * (i > 5) for i, row in enumerate(rows)}
-    for cycle in range(SHOWN_CYCLES + 1):
-        axes.axvline(cycle, color=PALE, lw=0.8, zorder=0)
+    draw_grid(axes, SHOWN_CYCLES)
     for row, y in level.items():
         axes.text(-0.5, y + 0.3, row, ha="right", va="center", color=DEEP_INK, fontsize=10, weight="bold")
         axes.text(SHOWN_CYCLES + 0.4, y + 0.3, notes.get(row, ""), ha="left", va="center", color=NOISE, fontsize=8.5)
@@ -136,26 +155,7 @@ def draw(values: dict[str, list[int]]) -> Figure:
         return [word >> offset + k & 1 for word in words for k in range(PHASES)]
 
     def bus(row: str, texts: Sequence[object], color: str = DEEP_INK) -> None:
-        """Draw boxes with one text per cycle; None: no box."""
-        begin = 0
-        for cycle in range(1, len(texts) + 1):
-            if cycle == len(texts) or texts[cycle] != texts[begin]:
-                if texts[begin] is not None:
-                    low, high = level[row], level[row] + 0.6
-                    x = [begin, begin + 0.12, cycle - 0.12, cycle, cycle - 0.12, begin + 0.12]
-                    axes.fill(
-                        x, [(low + high) / 2, high, high, (low + high) / 2, low, low], fc="white", ec=color, lw=1.2
-                    )
-                    axes.text(
-                        (begin + cycle) / 2,
-                        (low + high) / 2,
-                        str(texts[begin]),
-                        ha="center",
-                        va="center",
-                        fontsize=8,
-                        color=color,
-                    )
-                begin = cycle
+        draw_boxes(axes, level[row], texts, color, fontsize=8)
 
     wave("laser", values["laser"], 1)
     for pixel, cycle, _ in EDGES:
@@ -170,13 +170,8 @@ def draw(values: dict[str, list[int]]) -> Figure:
     beats = [(cycle, data) for cycle, (valid, data) in enumerate(zip(values["tvalid"], values["tdata"])) if valid]
     event = next(cycle for cycle, data in beats if header_field(data, "kind") == FORMATS["id"].code)
     for cycle, _ in beats:
-        text, color = (
-            ("event", SIGNAL)
-            if cycle == event
-            else ("map", SIGNAL)
-            if cycle == event + 1
-            else ("frame start", DEEP_INK)
-        )
+        text = {event: "event", event + 1: "map"}.get(cycle, "frame start")
+        color = DEEP_INK if text == "frame start" else SIGNAL
         bus("tdata", ["" if c == cycle else None for c in range(SHOWN_CYCLES)], color)
         x, align = (cycle - 0.2, "right") if text == "event" else (cycle + 1.2, "left")
         axes.text(x, level["tdata"] + 0.3, text, ha=align, va="center", fontsize=8.5, color=color)
