@@ -1,13 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Cost of the paper's parameters: area, bits of an event and readout rate; share of the ID map and the minigroups' stamps.
+"""Cost of the paper's parameters: area, bits of an event and readout rate.
 
 It also shows the effect of the steps of the coarse offsets, and what the parts cost that a sensor may leave out. Area is
 that of a module (two subgroups and their TDC) per pixel, in NanGate 45 nm standard cells, without SPADs and wires. For
 another process, only ratios are meaningful.
 """
 
-import csv
-import io
 from itertools import cycle
 from pathlib import Path
 from typing import Any
@@ -19,10 +17,8 @@ from matplotlib.figure import Figure
 from ..flow.mapped import map_block
 from ..flow.synth import CELLS, GATES, synthesize
 from ..hdl import bus
-from ..hdl.export import units_files
 from ..hdl.front_end_views import POLYPHASE, VIEWS
 from ..hdl.minigroup import Minigroup
-from ..hdl.packetizer import Packetizer
 from ..hdl.subgroup import Subgroup
 from ..lab.measures import event_beats
 from ..lab.outcomes import Run
@@ -30,7 +26,7 @@ from ..lab.setup import SETTLING, Setup, seeded
 from ..model.contract.config import load_config, parse_config, sensor_table
 from ..model.contract.packet import BEAT_BITS, FORMATS, built_formats, layout
 from ..model.contract.parameters import CLOCK_MHZ, Sensor
-from ..model.shared.files import whole_file
+from ..model.shared.files import write_csv
 from .palette import BLUE, GREEN, INK, ORANGE, VIOLET
 from .plot_style import legend_below, new_figure, save_figure, style
 from .power_against_light import DARK, MIDDLE, measure
@@ -149,73 +145,14 @@ def _wrong(run: Run) -> float:
     return found["wrong_share"] or 0.0
 
 
-def shares() -> dict[str, float]:
-    """Return the share of a subgroup's area that each part of the words takes: ID map, offsets, minigroup records."""
-    sensor = Sensor()
-    event, window = bus.event_layout(sensor), bus.window_layout(sensor)
-    base = event["window"].offset
-    parts = {
-        "ID map": ("head", base + window["hits"].offset, window["hits"].width),
-        "minigroup offsets": ("head", event["offsets"].offset, event["offsets"].width),
-        "minigroup records": ("record", 0, bus.record_layout(sensor).size),
-    }
-    whole = _subgroup_area_um2(sensor, None)
-    return {name: 1 - _subgroup_area_um2(sensor, cut) / whole for name, cut in parts.items()}
-
-
-def _subgroup_area_um2(sensor: Sensor, cut: tuple[str, int, int] | None) -> float:
-    """Return the area of a flattened subgroup. cut: (packetizer's input, lowest bit, width), held at 0 and optimised away."""
-    name, changed = f"{Packetizer.unit_name}.v", {}
-    if cut:
-        changed[name] = _without(units_files([Packetizer(sensor)])[name], Packetizer(sensor), *cut)
-    return map_block(Subgroup(sensor), changed=changed).area_um2
-
-
-def _without(text: str, unit: Packetizer, port: str, lowest: int, width: int) -> str:
-    """Return the Verilog of a unit whose input `port` has `width` bits at 0, from `lowest` on."""
-    inner = f"{unit.unit_name}_whole"
-    ports = {"clk": (True, 1), "rst": (True, 1)} | {
-        name: (flow.name == "In", len(signal.as_value() if hasattr(signal, "as_value") else signal))
-        for name, (flow, signal) in unit.flat_ports().items()
-    }
-    kept = (1 << ports[port][1]) - 1 & ~((1 << width) - 1 << lowest)
-    mask = f" & {ports[port][1]}'h{kept:x}"
-    return "\n".join(
-        [
-            text.replace(f"module {unit.unit_name}(", f"module {inner}("),
-            f"module {unit.unit_name}({', '.join(ports)});",
-            *(
-                f"  {'input' if is_input else 'output'} [{size - 1}:0] {name};"
-                for name, (is_input, size) in ports.items()
-            ),
-            f"  {inner} whole (",
-            ",\n".join(f"    .{name}({name + mask if name == port else name})" for name in ports),
-            "  );",
-            "endmodule",
-            "",
-        ]
-    )
-
-
 def write_pages(folder: Path) -> list[str]:
-    """Write tables and picture to `folder`; return lines with the shares of map and stamps, and with what choices cost."""
-    rows = sweep()
-    chosen = choices()
+    """Write tables and picture to `folder`; return the lines of a table of what choices cost."""
+    rows, chosen = sweep(), choices()
     for name, table in ((TABLE, rows), (OFFSETS_TABLE, offsets()), (CHOICES_TABLE, chosen)):
-        _write_table(folder / name, table)
+        write_csv(folder / name, [list(table[0]), *(list(row.values()) for row in table)])
     save_figure(_draw(rows), folder / PICTURE)
-    lines = [f"{name}: {100 * share:.0f} % of a subgroup" for name, share in shares().items()]
     told = [list(chosen[0]), ["---", *["---:"] * (len(chosen[0]) - 1)], *(list(row.values()) for row in chosen)]
-    return [*lines, *(f"| {' | '.join(map(str, row))} |" for row in told)]
-
-
-def _write_table(path: Path, rows: list[dict[str, Any]]) -> None:
-    table = io.StringIO()
-    writer = csv.DictWriter(table, rows[0], lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(rows)
-    with whole_file(path, "w") as file:
-        file.write(table.getvalue())
+    return [f"| {' | '.join(map(str, row))} |" for row in told]
 
 
 def _draw(rows: list[dict[str, Any]]) -> Figure:

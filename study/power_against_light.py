@@ -27,7 +27,7 @@ from .plot_style import new_figure, save_figure, style
 
 PULSES, SEED = 2, 1
 SATURATION_KLUX = 1e5  # every SPAD fires as soon as its dead time is over
-PICTURE = "power.png"
+PICTURE, TEMPLATE = "power.png", "power_page.md"
 SIDE, PIXELS = 8, 64
 WIRE_FF = 0.34  # to an input: the mean of the routed minigroup, docs/layout.md
 KINDS = (("clock", "clock"), ("internal", "inside cells"), ("switching", "driven pins"), ("leakage", "leakage"))
@@ -189,25 +189,30 @@ def page(measured: list[Measured], between: Power) -> str:
         settings.append([one.case.name, f"{one.total.total:.2f}", f"{saved:+.2f}", f"{saved / base.total.total:+.1%}"])
     gates = [[name, f"{middle.groups[name].clock:.2f}", f"{middle.groups[name].idle:.2f}"] for _, name in GROUPS]
     gates.append(["**subgroup**", f"**{middle.total.clock:.2f}**", f"**{middle.total.idle:.2f}**"])
-    return PAGE.format(
-        pulses=PULSES,
-        picture=PICTURE,
-        wire=WIRE_FF,
-        buffer=CLOCK_BUFFER,
-        sinks=SINKS_MAX,
-        klux=AT_KLUX,
-        middle=MIDDLE.klux,
-        default=f"{reference.total.total:.2f}",
-        share=f"{middle.total.clock / middle.total.total:.0%}",
-        users=_table(["a subgroup", *names], users),
-        energies=_table(["block, nJ per event", *names[1:]], energies),
-        video=VIDEO_PULSES,
-        frame_us=f"{VIDEO_PULSES * PERIOD_US:g}",
-        leakage=f"{between.leakage:.2f}",
-        blocks=_table(["block", *names], blocks),
-        kinds=_table(["kind", *names], kinds),
-        settings=_table(["setting", "mW", "saves mW", "share"], settings),
-        gates=_table(["block", "clock, mW", "of it in cycles without a change, mW"], gates),
+    return (
+        Path(__file__)
+        .with_name(TEMPLATE)
+        .read_text()
+        .format(
+            pulses=PULSES,
+            picture=PICTURE,
+            wire=WIRE_FF,
+            buffer=CLOCK_BUFFER,
+            sinks=SINKS_MAX,
+            klux=AT_KLUX,
+            middle=MIDDLE.klux,
+            default=f"{reference.total.total:.2f}",
+            share=f"{middle.total.clock / middle.total.total:.0%}",
+            users=_table(["a subgroup", *names], users),
+            energies=_table(["block, nJ per event", *names[1:]], energies),
+            video=VIDEO_PULSES,
+            frame_us=f"{VIDEO_PULSES * PERIOD_US:g}",
+            leakage=f"{between.leakage:.2f}",
+            blocks=_table(["block", *names], blocks),
+            kinds=_table(["kind", *names], kinds),
+            settings=_table(["setting", "mW", "saves mW", "share"], settings),
+            gates=_table(["block", "clock, mW", "of it in cycles without a change, mW"], gates),
+        )
     )
 
 
@@ -242,81 +247,3 @@ def draw(measured: list[Measured]) -> Figure:
             axis.set_ylim(0, 1.45 * max(one.total.total for one in shown))
         by_block.set_ylabel("mW per subgroup of 64 pixels")
     return figure
-
-
-PAGE = """\
-# Power
-
-Written by `make power`: the sensor's netlist in NanGate 45 nm cells, with one subgroup of 8 x 8
-pixels, 32 phases and 500 MHz, plays a frame of {pulses} laser pulses for each case on Icarus, checked
-against the golden model. The transitions of every net, times the library's energies and pin
-capacitances, and its leakage make the power (`flow/power.py`, `flow/liberty.py`). Typical corner:
-1.1 V, 25 degrees C.
-
-The light is that of [light.md](light.md): a target at 4 m under ambient light, the paper's SPAD;
-dark is no photon at all, in saturation every SPAD fires as soon as its dead time is over. The
-settings are the defaults.
-
-![Power of a subgroup against the light, by block and by kind](images/{picture})
-
-## As a user pays it
-
-A frame of {video} laser pulses takes {frame_us} us; between frames the subgroups' clocks stand still, and
-{leakage} mW of what is left is leakage.
-
-{users}
-
-By block:
-
-{energies}
-
-## By block
-
-mW in a frame; *with wires* adds {wire:g} fF of wire to every input, as in the routed minigroup
-([layout.md](layout.md)). *And a clock tree* adds the buffers between the clock, or the gate behind it,
-and its pins: one {buffer} for every {sinks} pins, one more for every {sinks} of these buffers, and so on,
-with the library's energies, and with such a wire to each of them.
-
-{blocks}
-
-## By kind
-
-{kinds}
-
-*Clock* is what flip-flops and latches take as their clock moves, with their clock pins;
-*inside cells* and *driven pins* are those of all other transitions.
-
-## What settings save
-
-At {klux:g} klux the default settings take {default} mW.
-
-{settings}
-
-In the two rows with a gate the SPADs are off outside of it, as the output `spad_gate` asks for.
-
-## Clock gates
-
-At {middle:g} klux the clock takes {share} of a subgroup's power. The last column is the part of the
-clock's power that goes into cycles in which a flip-flop with a clock does not change: the most that
-more clock gates could save, as a gate has a cost of its own.
-
-{gates}
-
-Flip-flops that share an enable share a clock gate of the library, which the mapping puts in, and one
-more at the root of each subgroup stops everything behind it between frames (`hdl/clock_gate.py`;
-[verification.md](verification.md#proofs) has the proofs that a stopped clock changes nothing).
-
-One register by hand: the 8 bits of a settings register behind one gate. In a cycle in which it is not
-written, the gate's clock pin moves twice. The library gives 2.4 fJ for a transition there while the
-gate is closed, and its 1.84 fF at 1.1 V take 1.84 x 1.1^2 / 2 = 1.1 fJ: 2 x 3.5 fJ x 500 MHz = 3.5 uW.
-Without a gate each of the 8 flip-flops takes 2 x (3.4 + 0.9 x 0.6) fJ x 500 MHz = 4.0 uW, 32 uW in all.
-
-## What is not in it
-
-* Buffers that balance a clock tree, which the model leaves out: the routed minigroup has two and a
-  half times as many ([layout.md](layout.md)). Wires longer than inside a minigroup. Glitches: the
-  simulation has no delays.
-* Readout, controller and registers, which a sensor has once, and the TDC of a module.
-* SPADs, their quenching circuits, level shifters, and the macros of the asynchronous view.
-* Other corners: leakage grows with heat, and the library has 25 degrees C only.
-"""

@@ -8,32 +8,26 @@ from pathlib import Path
 from ...lab.campaign import Processes, Progress
 from ...model.shared.files import FilePath
 from ..plot_style import style
-from . import architect, four_modes, interference, light_over_distance, reconstruction, rivals, thresholds, validity
+from . import architect, four_modes, interference, light_over_distance, reconstruction, rivals, thresholds
 from .sections import Section, write_page, write_section
 
 TITLE = "Coincid: the paper's figures, and an architect's questions"
-INTRODUCTION = """<p>Each figure is made from the equations as printed (literal), as corrected, and from a Monte Carlo of photons through
-the golden model; the pictures link to SVG. The light is that of the presets: 1.226e6 background counts per second and pixel at 50
-klux, 0.613 signal photons per pulse and pixel at 4 m and 40 %. The scene's objects have the paper's ranges of distance and
-reflectivity; their places are our choice. Numbers that we chose to fit the paper are called fitted.</p>"""
+INTRODUCTION = """Each figure is made from the equations as printed (literal), as corrected, and from a Monte Carlo of photons
+through the golden model; the pictures link to SVG. docs/paper-figures.md has the assumptions, and says where they differ
+from the paper, and why."""
 
 COMPARISON = (
     rivals.background,
     rivals.bits,
-    rivals.built_in,
     rivals.ranging,
     rivals.two_targets,
     rivals.retroreflector,
     interference.interference,
 )
 MODES_TITLE = "Coincid: coincidence, gating, and 100 m"
-MODES_INTRODUCTION = """<p>Flat targets on 16 x 16 pixels through photons, golden model and depth; the link has 2 Gbit/s, a quarter of the link
-that <code>make sim</code> gives 32 x 32. The background is proportional to the target's reflectivity, as in equation (2) of the paper.</p>"""
+MODES_INTRODUCTION = "docs/modes.md has the assumptions, and says what these curves show."
 RIVALS_TITLE = "Coincid: other schemes on the same photons"
-RIVALS_INTRODUCTION = """<p>Every scheme sees the same edges: macro-pixels of 8 x 8, 100 laser pulses, window 1 ns, threshold 3 if it
-has one, a matched filter on every pixel's histogram. Words pass 16 places per subgroup and one stream of 64 bit per cycle;
-histograms on the chip have 32 kbit per macro-pixel; pixels that compress their own histogram send all that they keep.
-docs/rivals.md explains which scheme wins where, and why.</p>"""
+RIVALS_INTRODUCTION = "docs/rivals.md describes the schemes, and says which of them wins where, and why."
 
 
 def make(
@@ -58,11 +52,7 @@ def make(
             partial(reconstruction.figure_6, engine=engine),
             thresholds.figure_7,
             partial(reconstruction.figure_8, engine=engine),
-            validity.validity,
-            architect.background,
             architect.rearm_and_window,
-            architect.fifo_and_bandwidth,
-            architect.two_targets,
             architect.noisy_spads,
         ),
         progress,

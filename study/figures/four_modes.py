@@ -99,13 +99,11 @@ def background(run: Processes, engine: str | None = None) -> Section:
     return section(
         "modes",
         "Four modes, two kinds of gate",
-        f"""<p>A flat target of {REFLECTIVITY:.0%} that fills the picture, {PULSES} laser pulses, threshold {THRESHOLD} with coincidence, and a
-gate of {2 * HALF_GATE_M:g} m around the target with gating. A logic gate ignores edges outside; a SPAD gate keeps the SPADs off, so
-that none is dead when the gate opens. {_checks(engine, list(setups.values()))}</p>""",
         figure,
         "Share of right pixels against distance, background from left to right, estimator from top to bottom",
         _rows(("mode", "klux", "distance_m"), table),
-        Comparison("farthest distance with 90 % right pixels, the paper's peaks", "-", reach, ""),
+        Comparison("farthest distance with 90 % right pixels, the paper's peaks", "-", reach),
+        text=_checks(engine, list(setups.values())),
     )
 
 
@@ -132,12 +130,10 @@ def glass(run: Processes, engine: str | None = None) -> Section:
     return section(
         "modes_glass",
         "Behind a pane",
-        f"""<p>A target of {REFLECTIVITY:.0%} at {BEHIND_M:g} m, {BEHIND_M - PANE_M:.1f} m behind a pane, at {PANE_KLUX:g} klux; the gate extends
-{BEHIND_GATE_M:g} m to both sides of the target. A SPAD that fired at the pane is dead for 8 ns, 1.2 m: it does not see the target, and a
-logic gate does not help. Only a gate that keeps the SPADs off at the pane helps. {_checks(engine, list(setups.values()))}</p>""",
         figure,
         "Pixels that see the target against the pane's light",
         _rows(("mode", "pane_photons"), table),
+        text=_checks(engine, list(setups.values())),
     )
 
 
@@ -167,15 +163,11 @@ def far(run: Processes, engine: str | None = None) -> Section:
     return section(
         "modes_far",
         "100 m at 10 klux",
-        f"""<p>A flat target at {FAR_M:g} m, {FAR_KLUX:g} klux, laser period of {FAR_FRAME["period"]} cycles (108 m); the best of coincidence off and
-thresholds 1 to 3, depth by planes. The scan has {SCAN["gate_steps"]} positions of 12 m, so each gets a tenth of the pulses. The gate around
-the target shows how a scan can continue after it has found something. The laser is that of the paper (10 mW at 2 MHz, 5 nJ per
-pulse, over 32 x 32 pixels) times a factor; an array with more pixels in the same field of view needs proportionally more.
-{_checks(engine, list(setups.values()))}</p>""",
         figure,
         "Pixels that see a target at 100 m against the laser's pulse",
         _rows(("reflectivity", "schedule", "pulses", "threshold", "laser"), table),
-        *(Comparison(f"least laser pulse, {what}", "-", ours, "") for what, ours in needs.items()),
+        *(Comparison(f"least laser pulse, {what}", "-", ours) for what, ours in needs.items()),
+        text=_checks(engine, list(setups.values())),
     )
 
 

@@ -117,7 +117,6 @@ def interference(run: Processes) -> Section:
     return section(
         "interference",
         "A second LiDAR, with and without dither of the laser period",
-        "",
         figure,
         f"Five objects at {KLUX:g} klux, {PULSES} pulses, {SEEDS} phases of the other LiDAR",
         rows,

@@ -7,7 +7,7 @@ from scipy import special
 from ...lab.campaign import Processes
 from ...lab.outcomes import Run
 from ...model.light.light import Light
-from ...model.light.link_budget import COINCIDENCE_WINDOW_S, FORMS, link_budget
+from ...model.light.link_budget import FORMS, link_budget
 from ...model.light.photons import generate_edges
 from ...model.light.spad import Spad
 from ...model.light.timing import Timing
@@ -92,22 +92,10 @@ def figure_2(run: Processes) -> Section:
     return section(
         "fig2",
         "Fig. 2: events per pixel and second, signal to background",
-        f"""<p>Flat target of {REFLECTIVITY:.0%} reflectivity under {KLUX:g} klux, equations (1) and (2). Readings of the
-ratio: A, of the mean rates; E, photons of a pulse to background in the SPAD's jitter (100 ps); F, to background after dead
-time in a window of {COINCIDENCE_WINDOW_S * 1e9:g} ns. Monte Carlo counts avalanches at the literal rates: at most one of a
-pulse's photons fires a pixel, and unfiltered sunlight keeps it dead for 98 % of the time, so all light together detects no
-more than background alone.</p>""",
         figure,
         "Events per pixel and second (left) and signal to background (right) against distance",
         rows,
-        Comparison(
-            "distance of 0 dB",
-            "4 m",
-            {name: f"{_zero_m(*key):.3g} m" for name, key in zero.items()},
-            "The text does not say which ratio it plots. Mean rates (A) miss by a factor of 75; E comes within 10 % without any "
-            "free parameter. F fits only with a window of 5 ns, which we chose: a fitted parameter. The factor of 2 of a "
-            "Lambertian target cancels in A and E.",
-        ),
+        Comparison("distance of 0 dB", "4 m", {name: f"{_zero_m(*key):.3g} m" for name, key in zero.items()}),
     )
 
 
@@ -172,8 +160,6 @@ def figure_5(run: Processes) -> Section:
     return section(
         "fig5",
         "Fig. 5: the returning pulse",
-        """<p>Energy of the laser pulse from each of the scene's objects, and the distribution of a pixel's avalanches, which
-is what the TDC sees of the pulse. Pulse and jitter together are given as 500 ps FWHM.</p>""",
         figure,
         "Normalised energy of the returning pulse (left); avalanches of nearest and farthest object (right)",
         rows,
@@ -187,22 +173,8 @@ is what the TDC sees of the pulse. Pulse and jitter together are given as 500 ps
                     "Monte Carlo": measured[label, PULSES],
                     "Monte Carlo, 8x": measured[label, MANY * PULSES],
                 },
-                why,
             )
-            for distance, label, why in (
-                (
-                    "4.3 m",
-                    NEAR_OBJECT,
-                    "500 ps is our input. A SPAD detects the first photon of a pulse, which narrows bright "
-                    "returns (corrected).",
-                ),
-                (
-                    "9.7 m",
-                    FAR_OBJECT,
-                    "The paper's growth from 500 to 520 ps goes the same way: dimmer returns are less narrowed. "
-                    "Its size would need a pulse that spreads; the paper gives no cause, and we add none.",
-                ),
-            )
+            for distance, label in (("4.3 m", NEAR_OBJECT), ("9.7 m", FAR_OBJECT))
         ),
     )
 

@@ -10,7 +10,7 @@ from ...lab.campaign import Processes, grouped
 from ...lab.outcomes import Run
 from ...lab.setup import Setup
 from ...model.contract.pixels import pixel_table
-from ...model.depth.quality import TOLERANCE_M, wrong_pixels
+from ...model.depth.quality import wrong_pixels
 from ...model.light.analytic import histogram
 from ...model.light.link_budget import FORMS
 from ...model.light.timing import Timing
@@ -37,34 +37,6 @@ PANELS_8 = {  # panel: subgroup, minigroup; the paper gives only those of (c), (
 }
 METHODS_8 = ("maximum", "matched", "planes", "matched/minigroup")
 STREAMS_8 = 4
-
-TEXT_6 = f"""<p>The scene of five objects in {PULSES} pulses. Wrong: |error| above 230 ps, {100 * TOLERANCE_M:.3g} cm.
-Analytic: the expected histograms of every pixel, filled with Poisson counts, highest bin; the lead of first photons is
-subtracted, as a calibration would do. Monte Carlo: photons through the golden model, then one of the estimators: highest bin
-of the pixel's histogram (maximum, the paper's), filtered with the pulse (matched), against the background left by pile-up
-(background), and planes. The tables show the mean of {SEEDS} seeds.</p>"""
-WHY_6 = {
-    "a": "The paper gives every pixel its own window and peak. In the sensor an event without coincidence carries about one "
-    "pixel, so a pixel gets a 64th of its subgroup's events: its highest bin is mostly noise, and early where the "
-    "object is bright. The 11.9 % lie between the estimators that look at a pixel alone and that of planes, which "
-    "uses all of the subgroup's events.",
-    "b": "Agrees for objects 1, 3 and 4. The dark ones have 2 to 4 photons per pulse in a whole subgroup and rarely 5 within a window; "
-    "object 5 is right by half of its pixels or more, object 2 with no estimator.",
-    "c": "Here thresholds of 2 serve all objects, not the dark ones alone: noise commits 3 events per pulse and subgroup, but "
-    "these spread over 8000 bins. In the paper noise takes the only window of a pulse away from the signal (16a). "
-    "Objects 2 and 5 are worst with the highest bin, as they have 2 photons in a pixel; a filter helps them.",
-}
-TEXT_8 = f"""<p>The scene at {KLUX_8:g} klux with subgroups and minigroups of other sizes; each estimator gets its best
-of the thresholds {", ".join(map(str, THRESHOLDS_8))}. The paper names the sizes of (c), 8x8 and 2x2; those of
-(a) and (b) are our choice. Events leave by {STREAMS_8} streams here, so that bandwidth limits no size. matched/minigroup:
-the minigroups' coarse stamps (500 ps) instead of the subgroup's.</p>"""
-WHY_8 = {
-    "a": "A large subgroup collects more noise in a window and more surfaces in an event.",
-    "b": "A small subgroup sees too few photons of a dark object at once, and needs four times the events.",
-    "c": "With the paper's estimator, the highest bin, 8x8 is the best size here too, but stays above its 7 %: a dark "
-    "object leaves one or two photons in a pixel. A filter of the pulse's width goes below 7 %, the estimator of planes "
-    "far below. The paper does not define incorrect; for us 230 ps, its criterion of Fig. 7.",
-}
 
 
 def figure_6(run: Processes, engine: str | None = None) -> Section:
@@ -99,8 +71,8 @@ def figure_6(run: Processes, engine: str | None = None) -> Section:
         shown.append(Panel(f"{MANY * PULSES} pulses, matched", many.depth_m["matched"]))
         figure, _ = draw_row(shown, scene.truth_m, f"{name}, {klux:g} klux, {PULSES} pulses")
         figures.append((f"fig6{panel}", figure, f"Fig. 6{panel}: {name}, {klux:g} klux"))
-        comparisons.append(Comparison(f"6{panel}: {name}, {klux:g} klux", paper, ours, WHY_6[panel]))
-    return Section("fig6", "Fig. 6: without coincidence, and with one threshold", TEXT_6, figures, rows, comparisons)
+        comparisons.append(Comparison(f"6{panel}: {name}, {klux:g} klux", paper, ours))
+    return Section("fig6", "Fig. 6: without coincidence, and with one threshold", figures, rows, comparisons)
 
 
 def figure_8(run: Processes, engine: str | None = None) -> Section:
@@ -153,8 +125,8 @@ def figure_8(run: Processes, engine: str | None = None) -> Section:
         figure, _ = draw_row(shown, Run(every[panel, threshold][0]).scene.truth_m, title)
         figures.append((f"fig8{panel}", figure, f"Fig. 8{panel}: {title}: each estimator at its best threshold"))
         paper = "7 % wrong" if panel == "c" else "worse than (c)"
-        comparisons.append(Comparison(f"8{panel}: {title}", paper, ours, WHY_8[panel]))
-    return Section("fig8", "Fig. 8: sizes of subgroups and minigroups", TEXT_8, figures, rows, comparisons)
+        comparisons.append(Comparison(f"8{panel}: {title}", paper, ours))
+    return Section("fig8", "Fig. 8: sizes of subgroups and minigroups", figures, rows, comparisons)
 
 
 def _labels(panel: str) -> tuple[str, str, str]:

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TypeAlias
 
-from attrs import field, frozen
+from attrs import frozen
 from matplotlib.figure import Figure
 
 from ...model.shared.files import whole_file, write_csv
@@ -17,12 +17,11 @@ Row: TypeAlias = Sequence[object]  # of a CSV
 
 @frozen
 class Comparison:
-    """One number of the paper: its text, the number from each of our sources, and why they differ."""
+    """One number of the paper: its text, and the number from each of our sources."""
 
     quantity: str
     paper: str
     ours: dict[str, str]
-    why: str
 
 
 @frozen(eq=False)
@@ -31,17 +30,17 @@ class Section:
 
     name: str
     title: str
-    text: str
     figures: Sequence[tuple[str, Figure, str]]
     rows: Sequence[Row]
-    comparisons: Sequence[Comparison] = field(default=())
+    comparisons: Sequence[Comparison] = ()
+    text: str = ""
 
 
 def section(
-    name: str, title: str, text: str, figure: Figure, caption: str, rows: Sequence[Row], *comparisons: Comparison
+    name: str, title: str, figure: Figure, caption: str, rows: Sequence[Row], *comparisons: Comparison, text: str = ""
 ) -> Section:
     """Return a section with one figure, which has the section's name."""
-    return Section(name, title, text, [(name, figure, caption)], rows, comparisons)
+    return Section(name, title, [(name, figure, caption)], rows, comparisons, text)
 
 
 def write_section(out_dir: Path, section: Section) -> None:
@@ -65,11 +64,11 @@ img {{ max-width: 100%; }}
 figure {{ margin: 1rem 0; }}
 figcaption {{ color: #555; }}
 table {{ border-collapse: collapse; margin: 1rem 0; }}
-th, td {{ border: 1px solid #ccc; padding: .3rem .6rem; text-align: left; vertical-align: top; }}
-th {{ background: #f3f3f3; }}
+td {{ border: 1px solid #ccc; padding: .3rem .6rem; text-align: left; vertical-align: top; }}
+tr:first-child {{ background: #f3f3f3; font-weight: bold; }}
 </style>
 <h1>{html.escape(title)}</h1>
-{introduction}
+<p>{html.escape(introduction)}</p>
 <p>{links}</p>
 {body}
 </html>
@@ -79,29 +78,21 @@ th {{ background: #f3f3f3; }}
 
 
 def _section_html(section: Section) -> str:
+    text = f"<p>{html.escape(section.text)}</p>" if section.text else ""
     figures = "\n".join(
         f'<figure><a href="{stem}.svg"><img src="{stem}.png" alt="{html.escape(caption)}"></a>'
         f"<figcaption>{html.escape(caption)}</figcaption></figure>"
         for stem, _, caption in section.figures
     )
     return (
-        f'<h2 id="{section.name}">{html.escape(section.title)}</h2>\n{section.text}\n{figures}\n'
+        f'<h2 id="{section.name}">{html.escape(section.title)}</h2>\n{text}\n{figures}\n'
         f'{_comparison_html(section.comparisons)}<p>Data: <a href="{section.name}.csv">{section.name}.csv</a></p>'
     )
 
 
 def _comparison_html(comparisons: Sequence[Comparison]) -> str:
-    if not comparisons:
-        return ""
     sources = list(dict.fromkeys(source for comparison in comparisons for source in comparison.ours))
-    head = "".join(f"<th>{html.escape(text)}</th>" for text in ("quantity", "paper", *sources, "why they differ"))
-    rows = "\n".join(
-        "<tr>"
-        + "".join(
-            f"<td>{html.escape(text)}</td>"
-            for text in (one.quantity, one.paper, *(one.ours.get(source, "") for source in sources), one.why)
-        )
-        + "</tr>"
-        for one in comparisons
-    )
-    return f"<table>\n<tr>{head}</tr>\n{rows}\n</table>\n"
+    table = [("quantity", "paper", *sources)] if comparisons else []
+    table += [(one.quantity, one.paper, *(one.ours.get(source, "") for source in sources)) for one in comparisons]
+    cells = ("".join(f"<td>{html.escape(text)}</td>" for text in row) for row in table)
+    return "<table>\n" + "".join(f"<tr>{row}</tr>\n" for row in cells) + "</table>\n" if table else ""

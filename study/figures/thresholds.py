@@ -24,21 +24,7 @@ WINDOW_TICKS, PIXELS, SEEDS = 16, 64, 3
 Chosen: TypeAlias = dict[
     tuple[str, float, int], list[tuple[int, int]]
 ]  # (highest, lowest) threshold by source, klux and pulses, one pair for each of `SIGNAL`
-READINGS = (  # threshold, the paper's text about it, why ours differs
-    (
-        "highest",
-        "rises with activity, 1 to 7",
-        "Rises as in the paper in the corrected form and in Monte Carlo; with more pulses, every threshold leaves fewer errors. "
-        "The literal form has one noise window per pulse, a 500th of the real number, so that nothing requires a high "
-        "threshold, and it asks for exactly th - 1 others.",
-    ),
-    (
-        "lowest",
-        "-",
-        "Rises by at most two or three in the middle of the range, where 100 pulses leave errors, and falls again: a bright target "
-        "tolerates a high threshold, but does not need one. With more pulses, the lowest threshold is 1 everywhere.",
-    ),
-)
+READINGS = (("highest", "rises with activity, 1 to 7"), ("lowest", "-"))  # threshold, the paper's text about it
 
 
 def figure_7(run: Processes) -> Section:
@@ -88,9 +74,6 @@ def figure_7(run: Processes) -> Section:
     return section(
         "fig7",
         "Fig. 7: threshold against activity",
-        f"""<p>Flat targets at {DISTANCE_M} m, of growing reflectivity: the highest threshold with which a pixel's highest bin
-is right (230 ps) as often as with the best threshold, within 1 %, and the lowest such threshold. The paper does not say how it
-chooses; the highest is our reading. Success of Monte Carlo is the share of right pixels of a 16x16 array and {SEEDS} seeds.</p>""",
         figure,
         "Highest and lowest threshold within 1 % of the best, against the activity of a subgroup, at 5 and 50 klux",
         rows,
@@ -99,10 +82,9 @@ chooses; the highest is our reading. Success of Monte Carlo is the share of righ
                 f"{which} threshold within 1 % of the best, {klux:g} klux",
                 paper,
                 {name: _ends(chosen[source, klux, pulses], i) for name, (source, pulses) in names.items()},
-                why,
             )
             for klux in KLUX
-            for i, (which, paper, why) in enumerate(READINGS)
+            for i, (which, paper) in enumerate(READINGS)
         ),
     )
 

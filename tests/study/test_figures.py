@@ -28,13 +28,10 @@ def section(value=0.1):
     return Section(
         "demo",
         "a < b",
-        "<p>text</p>",
         [("demo_a", figure, "caption & more")],
         [("x", "y"), (1, 1 / 3), ("a,b", "")],
-        [
-            Comparison("quantity", "7 %", {"literal": "1", "corrected": "2"}, "why"),
-            Comparison("other", "-", {"RTL": "3"}, ""),
-        ],
+        [Comparison("quantity", "7 %", {"literal": "1", "corrected": "2"}), Comparison("other", "-", {"RTL": "3"})],
+        "text & more",
     )
 
 
@@ -55,7 +52,7 @@ def test_rows_are_means_over_seeds():
 def test_files_of_a_section_have_the_same_bytes_again(tmp_path):
     for folder in ("one", "two"):
         write_section(tmp_path / folder, section())
-        write_page(tmp_path / folder, "title", "<p>introduction</p>", [section()])
+        write_page(tmp_path / folder, "title", "introduction", [section()])
     names = sorted(path.name for path in (tmp_path / "one").iterdir())
     assert names == ["demo.csv", "demo_a.png", "demo_a.svg", "index.html"]
     for name in names:
@@ -79,8 +76,8 @@ def test_page_is_html_with_every_number(tmp_path):
 
     Balance().feed(text)
     assert not opened
-    assert "a &lt; b" in text and "caption &amp; more" in text and "demo_a.svg" in text
-    assert "<td>7 %</td><td>1</td><td>2</td><td></td><td>why</td>" in text
+    assert "a &lt; b" in text and "caption &amp; more" in text and "text &amp; more" in text and "demo_a.svg" in text
+    assert "<td>7 %</td><td>1</td><td>2</td><td></td>" in text
 
 
 def test_paper_figures_with_a_second_engine(monkeypatch):

@@ -115,7 +115,10 @@ RESULTS: dict[str, tuple[Callable[[Path], Any], str]] = {
     "fifo depth": (lambda folder: list(fifo_depth.table((50.0,))), "2a30af9f040a68d2"),
     "settling": (lambda folder: list(settling.table(((20.0, 20.0),))), "8d5a048adb43a133"),
     "surfaces": (surface, "a96fae90d646f7e8"),
-    "two targets": (section(architect.two_targets, STEPS_M=(0.15, 0.6), TWO_KLUX=(5.0,), MANY=1), "ce70e8b2b3369c93"),
+    "noisy SPADs": (
+        section(architect.noisy_spads, SPADS={"dark": {1e6: {"spad": coincid.Spad(dark_cps=1e6)}}}, SEEDS=1),
+        "",
+    ),
     "modes": (section(four_modes.background, KLUX=(10.0, 50.0), DISTANCES_M=(5.0,), SEEDS=1), "cb2fe70284e73fa9"),
     "figure 8": (section(reconstruction.figure_8, THRESHOLDS_8=(2, 3), SEEDS=1, MANY=1), "d935c56de1a602ba"),
     "interference": (
