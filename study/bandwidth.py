@@ -6,7 +6,7 @@ The golden model counts both. The scene and the sizes are our choice; the paper 
 
 import os
 from collections.abc import Callable, Sequence
-from itertools import cycle, product
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +22,8 @@ from ..model.light.light import background_cps
 from ..model.shared.errors import check_integer
 from ..model.shared.files import whole_file, write_csv
 from ..model.shared.quantities import check_choice
-from .palette import SERIES
+from . import markdown
+from .palette import ORANGE, SERIES
 from .plot_style import new_figure, save_figure, style
 
 SCENE, SEED = "five-objects", 1
@@ -139,14 +140,10 @@ def write_study(out_dir: Path, rows: list[Row]) -> list[Path]:
 
 def table(rows: list[Row]) -> str:
     """Return the demand of each size and format, and the losses of one stream, at every background and threshold."""
-    titles = [title for title, _ in COLUMNS]
-    lines = [f"| {' | '.join(titles)} |", "| --- | ---: | ---: | --- |" + " ---: |" * (len(titles) - 4)]
     one = {(row.size, row.klux, row.threshold, row.format, row.records): row for row in rows if row.streams == 1}
-    for key, row in one.items():
-        if not row.records:
-            cells = (str(cell(row, one[*key[:-1], True])) for _, cell in COLUMNS)
-            lines.append(f"| {' | '.join(cells)} |")
-    return "\n".join([*lines, ""])
+    pairs = [(row, one[*key[:-1], True]) for key, row in one.items() if not row.records]
+    cells = ([cell(*pair) for _, cell in COLUMNS] for pair in pairs)
+    return "\n".join([*markdown.table([title for title, _ in COLUMNS], cells, left=(0, 3)), ""])
 
 
 def _streams(row: Row) -> str:
@@ -161,7 +158,7 @@ def _plot(rows: list[Row]) -> Figure:
     """Plot the demand of one size against the background, and the losses of all sizes against the number of streams."""
     config, figure = parse_config({}), new_figure(11, 5)
     demand, loss = figure.subplots(1, 2)
-    for name, colour in zip(FORMAT_NAMES, cycle(SERIES[1::3])):
+    for name, colour in zip(FORMAT_NAMES, (*SERIES[::2], ORANGE)):
         for threshold, line in zip(THRESHOLDS, ("-o", "--s", ":^")):
             shown = (SHOWN_SIZE, name, threshold, False, 1)
             of = [row for row in rows if (row.size, row.format, row.threshold, row.records, row.streams) == shown]
@@ -180,7 +177,7 @@ def _plot(rows: list[Row]) -> Figure:
     for axis in (demand.xaxis, demand.yaxis):
         axis.set_major_formatter("{x:g}")
         axis.set_minor_formatter("")
-    demand.legend(loc="lower center", ncols=3, columnspacing=1)
+    demand.legend(loc="lower center", ncols=3, columnspacing=1, fontsize=7.5)
     for size, colour in zip(SIZES, SERIES[1::3]):
         for records, line in ((False, "-o"), (True, "--s")):
             loaded = (size, "id", SHOWN_THRESHOLD, records, SHOWN_KLUX)

@@ -34,6 +34,7 @@ from ..tb.frame_record import FrameJob
 from ..tb.play import build_sensor, play
 from ..tb.scoreboard import check
 from ..tb.sliced import SlicedSensor, build_library, play_side_by_side
+from . import markdown
 
 SCENE, KLUX, SEED = "five-objects", 50.0, 1
 REPEATS = 5
@@ -149,8 +150,8 @@ def benchmark(
 
 def table(result: dict[str, int | float | str]) -> str:
     """Return the result as a Markdown table."""
-    rows = [f"| `{key}` | {_shown(result[key])} | {unit} | {text} |" for key, (unit, text) in KEYS.items()]
-    return "\n".join(["| key | value | unit | |", "| --- | ---: | --- | --- |", *rows, ""])
+    rows = ((f"`{key}`", _shown(result[key]), unit, text) for key, (unit, text) in KEYS.items())
+    return "\n".join([*markdown.table(("key", "value", "unit", ""), rows, left=(0, 2, 3)), ""])
 
 
 def _shown(value: int | float | str) -> str:

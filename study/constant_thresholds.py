@@ -19,6 +19,7 @@ from ..lab.outcomes import Run
 from ..lab.setup import SETTLING, Setup, fixed_thresholds
 from ..model.contract.parameters import Sensor
 from ..model.scenes.ambient import Ambient
+from .markdown import table
 
 METHODS = {"planes": "planes", "maximum": "peaks"}  # estimator: its name in the table
 SCENES: tuple[tuple[str, Ambient], ...] = (
@@ -35,6 +36,15 @@ SCENES: tuple[tuple[str, Ambient], ...] = (
 FILE_KLUX: tuple[Ambient, ...] = (50.0, "5|100")  # light for depth files
 THRESHOLDS = fixed_thresholds(Sensor())
 SEED = 1
+HEAD = (
+    "pixels",
+    "link, Gbit/s",
+    "estimator",
+    "best of each scene",
+    "controller",
+    "one constant for all",
+    "controller behind the best, at most",
+)
 
 
 class Stream(NamedTuple):
@@ -74,10 +84,10 @@ def shares(source: str, klux: Ambient, stream: Stream) -> dict[str, Shares]:
     return {method: wrong(method) for method in METHODS}
 
 
-def table(scenes: Sequence[tuple[str, Ambient]] = SCENES, streams: Sequence[Stream] = STREAMS) -> Iterator[str]:
-    """Yield Markdown rows: means over the scenes by stream and estimator, and the controller's worst scene."""
-    yield "| pixels | link, Gbit/s | estimator | best of each scene | controller | one constant for all | controller behind the best, at most |"
-    yield "| --- | ---: | --- | ---: | ---: | ---: | --- |"
+def rows(
+    scenes: Sequence[tuple[str, Ambient]] = SCENES, streams: Sequence[Stream] = STREAMS
+) -> Iterator[tuple[str, ...]]:
+    """Yield the rows of the table: means over the scenes by stream and estimator, and the controller's worst scene."""
     for stream in streams:
         found = [shares(*scene, stream) for scene in scenes]
         for method, name in METHODS.items():
@@ -86,7 +96,7 @@ def table(scenes: Sequence[tuple[str, Ambient]] = SCENES, streams: Sequence[Stre
             constant = fixed.mean(axis=0)
             behind = 100 * (controller - fixed.min(axis=1))
             source, klux = scenes[int(behind.argmax())]
-            cells = (
+            yield (
                 f"{stream.pixels} x {stream.pixels}",
                 f"{stream.link_gbps:g}",
                 name,
@@ -95,18 +105,12 @@ def table(scenes: Sequence[tuple[str, Ambient]] = SCENES, streams: Sequence[Stre
                 f"{constant.min():.1%} (threshold {THRESHOLDS[int(constant.argmin())]})",
                 f"{behind.max():.1f} points ({Path(source).name}, {_klux(klux)})",
             )
-            yield f"| {' | '.join(cells)} |"
 
 
 def _klux(klux: Ambient) -> str:
     return f"{klux if isinstance(klux, str) else format(klux, 'g')} klux".replace("|", " and ")
 
 
-def main() -> None:
-    files = [(source, klux) for source in sys.argv[1:] for klux in FILE_KLUX]
-    for line in table((*SCENES, *files)):
-        print(line, flush=True)
-
-
 if __name__ == "__main__":
-    main()
+    files = [(source, klux) for source in sys.argv[1:] for klux in FILE_KLUX]
+    print("\n".join(table(HEAD, rows((*SCENES, *files)), left=(0, 2, 6))))

@@ -27,6 +27,7 @@ from ..model.contract.config import load_config, parse_config, sensor_table
 from ..model.contract.packet import BEAT_BITS, FORMATS, built_formats, layout
 from ..model.contract.parameters import CLOCK_MHZ, Sensor
 from ..model.shared.files import write_csv
+from . import markdown
 from .palette import BLUE, GREEN, INK, ORANGE, VIOLET
 from .plot_style import legend_below, new_figure, save_figure, style
 from .power_against_light import DARK, MIDDLE, measure
@@ -151,8 +152,7 @@ def write_pages(folder: Path) -> list[str]:
     for name, table in ((TABLE, rows), (OFFSETS_TABLE, offsets()), (CHOICES_TABLE, chosen)):
         write_csv(folder / name, [list(table[0]), *(list(row.values()) for row in table)])
     save_figure(_draw(rows), folder / PICTURE)
-    told = [list(chosen[0]), ["---", *["---:"] * (len(chosen[0]) - 1)], *(list(row.values()) for row in chosen)]
-    return [f"| {' | '.join(map(str, row))} |" for row in told]
+    return markdown.table(list(chosen[0]), [list(row.values()) for row in chosen])
 
 
 def _draw(rows: list[dict[str, Any]]) -> Figure:

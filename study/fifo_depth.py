@@ -10,6 +10,7 @@ from collections.abc import Iterator
 
 from ..lab.outcomes import Kept, Run
 from ..lab.setup import SETTLING, Setup
+from .markdown import table
 
 SCENE, SEED = "five-objects", 1
 DEPTHS = (2, 4, 8, 16, 32)
@@ -32,23 +33,19 @@ def dropped_share(run: Run) -> float:
     return dropped / committed if committed else 0.0
 
 
-def table(backgrounds: tuple[float, ...] = KLUX) -> Iterator[str]:
-    """Yield the rows of a Markdown table: one for each light and setting, with one column for each depth."""
-    yield f"| klux | setting | {' | '.join(f'{depth} places' for depth in DEPTHS)} |"
-    yield "| ---: | --- |" + " ---: |" * len(DEPTHS)
+def rows(backgrounds: tuple[float, ...] = KLUX) -> Iterator[tuple[str, ...]]:
+    """Yield the rows of the table: one for each light and setting, with one column for each depth."""
     for klux in backgrounds:
         kept = Kept()
         for name, subgroup, form in SETTINGS:
-            shares = []
-            for depth in DEPTHS:
-                frame = {"format": form, "frames": SETTLING + WATCHED}
-                setup = Setup.of(
-                    SCENE, sensor={"fifo_depth": depth}, frame=frame, subgroup=subgroup, klux=klux, seed=SEED
-                )
-                shares.append(dropped_share(Run(setup, kept=kept)))
-            yield f"| {klux:g} | {name} | {' | '.join(f'{100 * share:.2f} %' for share in shares)} |"
+            frame = {"format": form, "frames": SETTLING + WATCHED}
+            setups = [
+                Setup.of(SCENE, sensor={"fifo_depth": depth}, frame=frame, subgroup=subgroup, klux=klux, seed=SEED)
+                for depth in DEPTHS
+            ]
+            shares = [dropped_share(Run(setup, kept=kept)) for setup in setups]
+            yield f"{klux:g}", name, *(f"{100 * share:.2f} %" for share in shares)
 
 
 if __name__ == "__main__":
-    for line in table():
-        print(line, flush=True)
+    print("\n".join(table(["klux", "setting", *(f"{depth} places" for depth in DEPTHS)], rows(), left=(1,))))

@@ -23,6 +23,7 @@ from ..model.light.light import REFERENCE_DISTANCE_M, REFERENCE_REFLECTIVITY
 from ..model.scenes.scene import Scene
 from ..model.shared.files import whole_file
 from ..tb.frame_record import FrameJob
+from .markdown import table
 from .plot_style import new_figure, save_figure, style
 
 PULSES, SEED = 2, 1
@@ -203,15 +204,15 @@ def page(measured: list[Measured], between: Power) -> str:
             middle=MIDDLE.klux,
             default=f"{reference.total.total:.2f}",
             share=f"{middle.total.clock / middle.total.total:.0%}",
-            users=_table(["a subgroup", *names], users),
-            energies=_table(["block, nJ per event", *names[1:]], energies),
+            users="\n".join(table(["a subgroup", *names], users)),
+            energies="\n".join(table(["block, nJ per event", *names[1:]], energies)),
             video=VIDEO_PULSES,
             frame_us=f"{VIDEO_PULSES * PERIOD_US:g}",
             leakage=f"{between.leakage:.2f}",
-            blocks=_table(["block", *names], blocks),
-            kinds=_table(["kind", *names], kinds),
-            settings=_table(["setting", "mW", "saves mW", "share"], settings),
-            gates=_table(["block", "clock, mW", "of it in cycles without a change, mW"], gates),
+            blocks="\n".join(table(["block", *names], blocks)),
+            kinds="\n".join(table(["kind", *names], kinds)),
+            settings="\n".join(table(["setting", "mW", "saves mW", "share"], settings)),
+            gates="\n".join(table(["block", "clock, mW", "of it in cycles without a change, mW"], gates)),
         )
     )
 
@@ -219,11 +220,6 @@ def page(measured: list[Measured], between: Power) -> str:
 def _nj(one: Measured, mw: float) -> str:
     """Energy per event of a power, in nJ."""
     return f"{1e6 * mw / one.events_cps:.2f}" if one.events_cps else ""
-
-
-def _table(head: list[str], rows: list[list[str]]) -> str:
-    lines = [head, ["---", *["---:"] * (len(head) - 1)], *rows]
-    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 
 
 def draw(measured: list[Measured]) -> Figure:

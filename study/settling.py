@@ -19,11 +19,23 @@ from ..model.contract.config import Config
 from ..model.contract.edges import Edges
 from ..model.golden.frame import Golden, Trace
 from ..model.golden.shape import COUNTER
+from .markdown import table
 
 SCENE, PARTS, SEED = "five-objects", (1, 4, 16), 1
 KLUX = ((5.0, 5.0), (20.0, 20.0), (50.0, 50.0), (100.0, 100.0), (5.0, 100.0))  # in the left half, and in the right one
 FRAMES_MAX = 200  # with the same photons
 WATCHED = 32  # frames of new photons after that
+HEAD = (
+    "klux",
+    "capacity",
+    "same photons: settles after",
+    "limit cycle",
+    "load",
+    "new photons: thresholds that move per frame",
+    "range of one",
+    "load",
+)
+CHANGES_HEAD = "capacity", "changes", "settle after, mean", "at most", "limit cycles"
 
 
 class State(NamedTuple):
@@ -67,26 +79,34 @@ def _state(config: Config, trace: Trace, golden: Golden) -> State:
     return State(trace.counters[:, COUNTER.threshold_used], after, committed / config.capacity)
 
 
-def table(backgrounds: tuple[tuple[float, float], ...] = KLUX) -> Iterator[str]:
-    """Yield the rows of a Markdown table: one for each background and capacity, as a part of one beat per cycle."""
-    yield "| klux | capacity | same photons: settles after | limit cycle | load | new photons: thresholds that move per frame | range of one | load |"
-    yield "| ---: | ---: | ---: | --- | ---: | ---: | ---: | ---: |"
+def rows(backgrounds: tuple[tuple[float, float], ...] = KLUX) -> Iterator[tuple[str, ...]]:
+    """Yield the rows of the first table: one for each background and capacity, as a part of one beat per cycle."""
     for klux in backgrounds:
-        yield from _rows(*klux)
+        start = _run(*klux, frames=SETTLING + WATCHED)
+        for part in PARTS:
+            narrow = start.but(frame={"capacity": start.config.capacity // part})
+            watched = [narrow.frame(number) for number in range(SETTLING, SETTLING + WATCHED)]
+            thresholds = np.array([one.threshold for one in watched])
+            moves = np.abs(np.diff(thresholds, axis=0)).astype(bool).sum(axis=1).mean()
+            load = np.array([one["capacity_share"] for one in watched])
+            yield (
+                ", ".join(f"{level:g}" for level in dict.fromkeys(klux)),
+                _part(part),
+                *_cycle(limit_cycle(narrow.config, narrow.frame_edges(0), Golden(narrow.config.sensor))),
+                f"{moves:.1f} of {narrow.config.sensor.subgroups}",
+                str(np.ptp(thresholds, axis=0).max()),
+                f"{load.mean():.2f} ({load.min():.2f} to {load.max():.2f})",
+            )
 
 
-def changes(backgrounds: tuple[tuple[float, float], ...] = KLUX) -> Iterator[str]:
-    """Yield the rows of a Markdown table: one for each capacity, with the frames that a change of the light takes to settle."""
-    yield "| capacity | changes | settle after, mean | at most | limit cycles |"
-    yield "| ---: | ---: | ---: | ---: | ---: |"
+def changes(backgrounds: tuple[tuple[float, float], ...] = KLUX) -> Iterator[tuple[str, ...]]:
+    """Yield the rows of the second table: one for each capacity, with the frames that a change of the light takes to settle."""
     lights = [_run(*klux, frames=1) for klux in backgrounds]
     for part in PARTS:
         cycles = [_after_change(before, after, part) for before, after in permutations(lights, 2)]
         settled = [cycle.begins for cycle in cycles if cycle is not None and cycle.frames == 1]
-        yield (
-            f"| {_part(part)} | {len(cycles)} | {np.mean(settled):.1f} frames | {max(settled)} frames | "
-            f"{len(cycles) - len(settled)} |"
-        )
+        mean, most = f"{np.mean(settled):.1f} frames", f"{max(settled)} frames"
+        yield _part(part), str(len(cycles)), mean, most, str(len(cycles) - len(settled))
 
 
 def _after_change(before: Run, after: Run, part: int) -> Cycle | None:
@@ -101,38 +121,16 @@ def _run(left_klux: float, right_klux: float, frames: int) -> Run:
     return Run(Setup.of(SCENE, frame={"frames": frames}, subgroup={"auto": True}, klux=klux, seed=SEED))
 
 
-def _rows(left_klux: float, right_klux: float) -> Iterator[str]:
-    start = _run(left_klux, right_klux, SETTLING + WATCHED)
-    sensor, capacity = start.config.sensor, start.config.capacity
-    for part in PARTS:
-        narrow = start.but(frame={"capacity": capacity // part})
-        cycle = limit_cycle(narrow.config, narrow.frame_edges(0), Golden(sensor))
-        watched = [narrow.frame(number) for number in range(SETTLING, SETTLING + WATCHED)]
-        thresholds = np.array([one.threshold for one in watched])
-        moves = np.abs(np.diff(thresholds, axis=0)).astype(bool).sum(axis=1).mean()
-        load = np.array([one["capacity_share"] for one in watched])
-        spread = np.ptp(thresholds, axis=0).max()
-        yield (
-            f"| {_klux(left_klux, right_klux)} | {_part(part)} | {_cycle(cycle)} | {moves:.1f} of {sensor.subgroups} | {spread} | "
-            f"{load.mean():.2f} ({load.min():.2f} to {load.max():.2f}) |"
-        )
-
-
-def _klux(left: float, right: float) -> str:
-    return f"{left:g}" if left == right else f"{left:g}, {right:g}"
-
-
 def _part(part: int) -> str:
     return f"1/{part}" if part > 1 else "1"
 
 
-def _cycle(cycle: Cycle | None) -> str:
+def _cycle(cycle: Cycle | None) -> tuple[str, str, str]:
     if cycle is None:
-        return f"not in {FRAMES_MAX} frames | |"
+        return f"not in {FRAMES_MAX} frames", "", ""
     moves = f"{cycle.frames} frames, {cycle.subgroups} thresholds" if cycle.frames > 1 else "none"
-    return f"{cycle.begins} frames | {moves} | {cycle.load:.2f}"
+    return f"{cycle.begins} frames", moves, f"{cycle.load:.2f}"
 
 
 if __name__ == "__main__":
-    for line in (*table(), "", *changes()):
-        print(line, flush=True)
+    print("\n".join([*table(HEAD, rows(), left=(3,)), "", *table(CHANGES_HEAD, changes(), left=())]))

@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from numpy.typing import ArrayLike
 
-from ...lab.campaign import Processes, campaign, grouped
+from ...lab.campaign import Processes, grouped
 from ...lab.setup import Setup, seeded
 from ...model.depth.quality import OTHER_SURFACE_M, TOLERANCE_M, wrong_pixels, wrong_share
 from ...model.light.light import Light, background_cps, signal_per_pulse
@@ -24,11 +24,9 @@ from .setups import SCENE
 SIDE, SMALL = 32, 16  # pixels; small arrays for two targets and the sign, which are the same in every subgroup
 KLUX = (1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)
 SEEDS, FEW_SEEDS = 3, 2
-MIDDLE_KLUX = 50.0  # of the trade of bits for errors
 DISTANCES_M, RANGE_KLUX, RANGE_REFLECTIVITY = (2.0, 5.0, 10.0, 15.0, 20.0, 25.0, 30.0, 40.0), (10.0, 100.0), 0.4
 THRESHOLDS = (2, 3, 4, 5)  # in the plot of bits
 OF_RETURNS = ("first return", "better of two returns")
-WITH_THRESHOLD = ("sliding window", "this: fixed")
 SWEPT = ("sliding window", "this: fixed", "this: fixed planes", "this: fixed compact planes")  # in the picture of bits
 BITS_KLUX, SEEDS_OF_PULSES = (10.0, 50.0, 100.0), {PULSES: SEEDS, 10 * PULSES: 1}
 NEAR_M, TWO_KLUX = 5.0, 20.0
@@ -68,38 +66,20 @@ LINES = {
 
 
 def background(run: Processes) -> Section:
-    """Show wrong share and bits against background, and wrong share against bits for several thresholds."""
+    """Show wrong share and bits against background."""
     scene = load_scene(SCENE, SIDE, SIDE)
     table = _table(run, {klux: compared(scene, klux=klux) for klux in KLUX}, SEEDS)
-    keys = product((10.0, MIDDLE_KLUX), THRESHOLDS)
-    others = {(klux, threshold): compared(scene, threshold, klux=klux) for klux, threshold in keys}
-    swept = campaign(others, partial(schemes, names=WITH_THRESHOLD), run)
-    rows: list[Row] = [("scheme", "klux", "threshold", "wrong_share", "standard_error", "bits_per_frame")]
-    shares, bits = {}, {}
-    for name, klux in product(SHOWN, KLUX):
-        wrong = [wrong_share(one[name].depth_m[:, :, 0], scene.truth_m) for one in table[klux]]
-        shares[name, klux], bits[name, klux] = float(np.mean(wrong)), _bits(table[klux], name)
-        error = float(np.std(wrong) / np.sqrt(len(wrong)))
-        rows.append((name, klux, THRESHOLD, shares[name, klux], error, bits[name, klux]))
-    points: dict[tuple[str, float], list[tuple[float, float]]] = {}
-    for (klux, threshold), one in swept.items():
-        for name in WITH_THRESHOLD:
-            share = wrong_share(one[name].depth_m[:, :, 0], scene.truth_m)
-            points.setdefault((name, klux), []).append((one[name].bits, share))
-            rows.append((name, klux, threshold, share, "", float(one[name].bits)))
-    figure = new_figure(14, 4.8)
-    left, middle, right = figure.subplots(1, 3)
+    rows: list[Row] = [("scheme", "klux", "wrong_share", "standard_error", "bits_per_frame")]
+    figure = new_figure(11, 4.8)
+    left, right = figure.subplots(1, 2)
     for name in SHOWN:
-        _line(left, name, KLUX, [shares[name, klux] for klux in KLUX])
-        _line(middle, name, KLUX, [bits[name, klux] / 1e3 for klux in KLUX])
-        _line(right, name, [bits[name, MIDDLE_KLUX] / 1e3], [shares[name, MIDDLE_KLUX]])
-        if (name, MIDDLE_KLUX) in points:
-            sent, share = np.transpose(points[name, MIDDLE_KLUX])
-            right.plot(sent / 1e3, share, color=STYLES[name][0], linewidth=1)
+        wrong = np.array([[wrong_share(one[name].depth_m[:, :, 0], scene.truth_m) for one in table[k]] for k in KLUX])
+        errors, bits = wrong.std(axis=1) / np.sqrt(SEEDS), [_bits(table[klux], name) for klux in KLUX]
+        rows += [(name, *row) for row in zip(KLUX, wrong.mean(axis=1).tolist(), errors.tolist(), bits)]
+        _line(left, name, KLUX, wrong.mean(axis=1))
+        _line(right, name, KLUX, np.array(bits) / 1e3)
     share_axis(left, xlabel="background in klux", ylabel="share of wrong pixels", xscale="log")
-    middle.set(xlabel="background in klux", ylabel="kbit a frame", xscale="log", yscale="log")
-    share_axis(right, xlabel="kbit a frame", ylabel="share of wrong pixels", xscale="log")
-    right.set_title(f"{MIDDLE_KLUX:g} klux; lines: thresholds {THRESHOLDS[0]} to {THRESHOLDS[-1]}")
+    right.set(xlabel="background in klux", ylabel="kbit per frame", xscale="log", yscale="log")
     legend_below(figure)
     return section(
         "rivals_background",
@@ -143,7 +123,7 @@ def bits(run: Processes) -> Section:
         colour, dashes, marker = LINES[line]
         panels[pulses, klux].plot(*np.transpose(points), dashes, marker=marker, color=colour, label=line, clip_on=False)
     for axis in axes[-1]:
-        axis.set_xlabel("kbit a frame")
+        axis.set_xlabel("kbit per frame")
     for axis in axes[:, 0]:
         axis.set_ylabel("share of wrong pixels")
     legend_below(figure)

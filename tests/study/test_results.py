@@ -109,11 +109,11 @@ RESULTS: dict[str, tuple[Callable[[Path], Any], str]] = {
     "bandwidth": (bandwidth, "8de2a0d77ad3a7fc"),
     "explorer": (explorer, "84d0a1a115dbc438"),
     "thresholds": (
-        lambda folder: list(constant_thresholds.table((("flat:7", 50.0),), (constant_thresholds.Stream(16, 8),))),
+        lambda folder: list(constant_thresholds.rows((("flat:7", 50.0),), (constant_thresholds.Stream(16, 8),))),
         "74a7d697fa74f4e1",
     ),
-    "fifo depth": (lambda folder: list(fifo_depth.table((50.0,))), "2a30af9f040a68d2"),
-    "settling": (lambda folder: list(settling.table(((20.0, 20.0),))), "8d5a048adb43a133"),
+    "fifo depth": (lambda folder: list(fifo_depth.rows((50.0,))), "2a30af9f040a68d2"),
+    "settling": (lambda folder: list(settling.rows(((20.0, 20.0),))), "8d5a048adb43a133"),
     "surfaces": (surface, "a96fae90d646f7e8"),
     "noisy SPADs": (
         section(architect.noisy_spads, SPADS={"dark": {1e6: {"spad": coincid.Spad(dark_cps=1e6)}}}, SEEDS=1),

@@ -222,7 +222,7 @@ def test_memory_of_a_histogram_is_bounded(wall, monkeypatch):
 
 
 def test_files_of_the_comparison(tmp_path, monkeypatch):
-    small = {"SIDE": 16, "KLUX": (20.0,), "SEEDS": 1, "FEW_SEEDS": 1, "THRESHOLDS": (2, 3), "MIDDLE_KLUX": 20.0}
+    small = {"SIDE": 16, "KLUX": (20.0,), "SEEDS": 1, "FEW_SEEDS": 1, "THRESHOLDS": (2, 3)}
     for name, value in (small | {"BITS_KLUX": (20.0,), "SEEDS_OF_PULSES": {40: 1, 20: 1}}).items():
         monkeypatch.setattr(studies, name, value)
     monkeypatch.setattr(figures, "COMPARISON", (studies.background, studies.bits))
