@@ -15,6 +15,7 @@ from .markdown import table
 SCENE, SEED = "five-objects", 1
 DEPTHS = (2, 4, 8, 16, 32)
 KLUX = (5.0, 50.0, 100.0)
+HEAD = "klux", "setting", *(f"{depth} places" for depth in DEPTHS)
 WATCHED = 4  # frames, after the controller has settled
 SETTINGS = (
     ("threshold 2, map", {"threshold": 2}, "id"),
@@ -48,4 +49,4 @@ def rows(backgrounds: tuple[float, ...] = KLUX) -> Iterator[tuple[str, ...]]:
 
 
 if __name__ == "__main__":
-    print("\n".join(table(["klux", "setting", *(f"{depth} places" for depth in DEPTHS)], rows(), left=(1,))))
+    print("\n".join(table(HEAD, rows(), left=(1,))))

@@ -62,7 +62,7 @@ def _varied(run: Processes, name: str, title: str, studies: Mapping[str, Mapping
             setups[study, value, threshold] = cases(SEEDS, estimators=tuple(METHODS), **fields | {"subgroup": subgroup})
     table = grouped(setups, outcome, run)
     figure = new_figure(4.4 * len(studies), 7.5)
-    axes = figure.subplots(2, len(studies), sharey="row")
+    axes = figure.subplots(2, len(studies), sharey="row", squeeze=False)
     for (above, below), (study, values) in zip(axes.T, studies.items()):
         at = range(len(values))
         for threshold, colour in THRESHOLDS.items():

@@ -25,6 +25,7 @@ from coincid.study import constant_thresholds, fifo_depth, settling, surfaces
 from coincid.study.explore.control_values import check_settings
 from coincid.study.explore.stages import Explorer
 from coincid.study.figures import architect, four_modes, interference, reconstruction
+from coincid.study.markdown import table
 from coincid.study.plot_style import style
 
 SMALL = {"sensor": {"rows": 8, "cols": 16}, "frame": {"period": 60, "pulses": 40}}
@@ -106,18 +107,22 @@ RESULTS: dict[str, tuple[Callable[[Path], Any], str]] = {
     "library": (library, "98e9be87e9e061a5"),
     "sim": (sim, "ed4fb83bae583761"),
     "sweep": (sweep, "0ddd49994ee2fd42"),
-    "bandwidth": (bandwidth, "8de2a0d77ad3a7fc"),
+    "bandwidth": (bandwidth, "d83a9cc0ccc61a51"),
     "explorer": (explorer, "84d0a1a115dbc438"),
     "thresholds": (
-        lambda folder: list(constant_thresholds.rows((("flat:7", 50.0),), (constant_thresholds.Stream(16, 8),))),
+        lambda folder: table(
+            constant_thresholds.HEAD,
+            constant_thresholds.rows((("flat:7", 50.0),), (constant_thresholds.Stream(16, 8),)),
+            left=(0, 2, 6),
+        ),
         "74a7d697fa74f4e1",
     ),
-    "fifo depth": (lambda folder: list(fifo_depth.rows((50.0,))), "2a30af9f040a68d2"),
-    "settling": (lambda folder: list(settling.rows(((20.0, 20.0),))), "8d5a048adb43a133"),
+    "fifo depth": (lambda folder: table(fifo_depth.HEAD, fifo_depth.rows((50.0,)), left=(1,)), "2a30af9f040a68d2"),
+    "settling": (lambda folder: table(settling.HEAD, settling.rows(((20.0, 20.0),)), left=(3,)), "8d5a048adb43a133"),
     "surfaces": (surface, "a96fae90d646f7e8"),
     "noisy SPADs": (
         section(architect.noisy_spads, SPADS={"dark": {1e6: {"spad": coincid.Spad(dark_cps=1e6)}}}, SEEDS=1),
-        "",
+        "84c6b4b042f08787",
     ),
     "modes": (section(four_modes.background, KLUX=(10.0, 50.0), DISTANCES_M=(5.0,), SEEDS=1), "cb2fe70284e73fa9"),
     "figure 8": (section(reconstruction.figure_8, THRESHOLDS_8=(2, 3), SEEDS=1, MANY=1), "d935c56de1a602ba"),
