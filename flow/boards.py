@@ -54,15 +54,8 @@ def _along_the_edge() -> str:
     def clockwise(item: tuple[str, dict[str, Any]]) -> tuple[int, int, str]:
         """Side and place on it, from the lower left corner on."""
         row, col, pad = item[1]["row"], item[1]["col"], item[1]["pio"]
-        return (
-            (0, -row, pad)
-            if col == 0
-            else (1, col, pad)
-            if row == 0
-            else (2, row, pad)
-            if col == right
-            else (3, -col, pad)
-        )
+        side, along = (0, -row) if col == 0 else (1, col) if row == 0 else (2, row) if col == right else (3, -col)
+        return side, along, pad
 
     ports = re.findall(r"(?:input|output) (?:\[(\d+):0\] )?(\w+)", WRAPPER.read_text())
     bits = [
@@ -92,18 +85,7 @@ def ulx3s(config: Config, emulator: Emulator | None = None, options: str = "") -
         top=BOARD_TOP,
         files=files,
         pins=board_pins(RESERVE * OSCILLATOR_MHZ),
-        device=(
-            "--85k",
-            "--package",
-            "CABGA381",
-            "--speed",
-            "6",
-            "--placer",
-            "static",
-            "--router",
-            "router2",
-            "--tmg-ripup",
-        ),
+        device=tuple("--85k --package CABGA381 --speed 6 --placer static --router router2 --tmg-ripup".split()),
         goal_mhz=config.clock_mhz,
         options=options,
         apart=tuple(sorted({*instantiated(EmulatorTop(emulator)), Subgroup(sensor).unit_name})),

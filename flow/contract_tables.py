@@ -1,14 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The generated tables of docs/contract.md: the keys of the configuration file, and the header of the stream's packets."""
+"""Generated tables of the pages: the header of the stream's packets (docs/contract.md), and settings (docs/files.md)."""
 
 from ..model.contract.config import TABLES
 from ..model.contract.packet import FORMATS, FRAME_END, FRAME_START, GROUP_KIND, HEADER, RECORD
 from ..model.contract.table import Kind, Limit, Setting
 
 
-def contract_parts() -> dict[str, str]:
-    """Return the generated parts of the page, by the names of their markers."""
-    return {"header": _header_table()} | {f"settings of {table}": _settings_table(table) for table in TABLES}
+def settings_tables() -> dict[str, str]:
+    """Return the keys of the configuration file, by the names of their markers."""
+    return {f"settings of {table}": _settings_table(table) for table in TABLES}
 
 
 def _settings_table(table: str) -> str:
@@ -26,7 +26,7 @@ def _default(setting: Setting) -> str:
     if setting.kind is Kind.MASK:
         return "all on"
     if setting.derived:
-        return "see above"
+        return "[by its rule](contract.md#threshold-controller)"
     default = setting.default
     if setting.follows:
         return f"`{setting.follows}`"
@@ -52,7 +52,8 @@ def _number(limit: Limit) -> str:
     return f"`{limit}`" if isinstance(limit, str) else f"{limit:.10g}"
 
 
-def _header_table() -> str:
+def header_table() -> str:
+    """Return the fields of a packet's header."""
     docs = {field.name: field.doc for field in FRAME_START.fields}
     kinds = ", ".join(
         f"{of.code} {name}{f' (with {of.doc})' * bool(of.doc)}" for name, of in FORMATS.items() if not of.grouped

@@ -2,7 +2,7 @@
 """Ports of the top modules, for integrators: a table and an instantiation, from the RTL's own list of ports.
 
 Names, widths and directions come from the RTL; meanings and values after a reset are defined here, once.
-`python -m coincid.flow.ports` renews these parts of docs/integrate.md, and the tables of docs/contract.md.
+`python -m coincid.flow.ports` renews these parts of docs/integrate.md, and the tables of docs/contract.md and docs/files.md.
 """
 
 import re
@@ -28,7 +28,7 @@ from ..model.contract.packet import (
 )
 from ..model.contract.parameters import TOP, Sensor
 from ..model.shared.folders import checkout
-from .contract_tables import contract_parts
+from .contract_tables import header_table, settings_tables
 
 EXAMPLE = Sensor(rows=8, cols=16)  # for docs/integrate.md: two subgroups, one module
 
@@ -180,7 +180,11 @@ def generated(sensor: Sensor) -> dict[str, str]:
 
 def pages() -> dict[str, dict[str, str]]:
     """Return the generated parts of the pages in docs/, by page and by the names of their markers."""
-    return {"integrate.md": generated(EXAMPLE), "contract.md": contract_parts()}
+    return {
+        "integrate.md": generated(EXAMPLE),
+        "contract.md": {"header": header_table()},
+        "files.md": settings_tables(),
+    }
 
 
 def with_parts(page: str, parts: dict[str, str]) -> str:

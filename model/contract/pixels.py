@@ -5,6 +5,7 @@ Pixels are numbered row by row, both in the array and in a subgroup. The same ho
 the minigroups in a subgroup.
 """
 
+from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -39,8 +40,9 @@ def subgroup_image(values: np.ndarray, sensor: Sensor) -> np.ndarray:
     return values.reshape(sensor.rows // sensor.subgroup[0], sensor.cols // sensor.subgroup[1])
 
 
+@cache
 def pixel_table(sensor: Sensor) -> Pixels:
-    """Return the tables of a sensor."""
+    """Return the tables of a sensor, which are made once; do not change them."""
     (sr, sc), (mr, mc) = sensor.subgroup, sensor.minigroup
     row, col = np.divmod(np.arange(sensor.array_pixels), sensor.cols)
     r, c = np.divmod(np.arange(sensor.pixels), sc)

@@ -10,10 +10,10 @@ section III-A of the paper as docs/contract.md defines it.
 import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
-from attrs import evolve, frozen
+from attrs import frozen
 
 from ..contract.config import Config
 from ..contract.counters import COUNTER_NAMES
@@ -64,9 +64,9 @@ class Golden:
         ready[c] is 1, and always from cycle n on. pulses: fewer than the configuration has means an aborted frame.
         """
         threshold = self.controller.begin(config)
-        trace = self._play(self.frames, _plan(config, threshold, ready, pulses), edges)
+        played = self._play(self.frames, _plan(config, threshold, ready, pulses), edges)
         self.frames += 1
-        return evolve(trace, budget=self.controller.end(config, trace.counters))
+        return self._traced(config, played)
 
     def frames_of(self, config: Config, edges: Sequence[Edges], workers: int | None = None) -> list[Trace]:
         """Run one frame after the other, those that do not depend on each other side by side.
@@ -79,12 +79,16 @@ class Golden:
         threshold = self.controller.begin(config)
         plan, numbers = _plan(config, threshold), range(self.frames, self.frames + len(edges))
         with ThreadPoolExecutor(workers or os.cpu_count() or 1) as pool:
-            traces = list(pool.map(lambda number, of_frame: self._play(number, plan, of_frame), numbers, edges))
+            played = list(pool.map(lambda number, of_frame: self._play(number, plan, of_frame), numbers, edges))
         self.frames += len(edges)
-        return [evolve(trace, budget=self.controller.end(config, trace.counters)) for trace in traces]
+        return [self._traced(config, one) for one in played]
 
-    def _play(self, number: int, plan: "_Plan", edges: Edges) -> Trace:
-        """Run a frame; the trace has no budget yet."""
+    def _traced(self, config: Config, played: dict[str, Any]) -> Trace:
+        """Return the trace of a played frame, after which the controller sets the next budget."""
+        return Trace(**played, budget=self.controller.end(config, played["counters"]))
+
+    def _play(self, number: int, plan: "_Plan", edges: Edges) -> dict[str, Any]:
+        """Run a frame, and return the trace's attributes except the budget."""
         sensor, shape = self.sensor, plan.shape
         key, order, bounds = time_order(edges, self._pixel, shape)
         counters = np.zeros((sensor.subgroups, len(COUNTER_NAMES)), np.int64)
@@ -107,16 +111,9 @@ class Golden:
         commit_subgroup = np.repeat(np.arange(sensor.subgroups), np.diff(events.bounds))
         row = events.row[: len(commit_subgroup)]
         stored = row["stored"] != 0
-        return Trace(
-            beats,
-            cycles,
-            commit_subgroup[stored],
-            row["cycle"][stored],
-            row["free_at"][stored],
-            fate,
-            counters,
-            np.empty(0, np.int64),
-        )
+        commits = {"commit_subgroup": commit_subgroup, "commit_cycle": row["cycle"], "freed_cycle": row["free_at"]}
+        chosen = {name: column[stored] for name, column in commits.items()}
+        return {"beats": beats, "beat_cycle": cycles, "fate": fate, "counters": counters} | chosen
 
 
 class _Plan(NamedTuple):

@@ -8,9 +8,10 @@ cancels in the ratio of signal to background, unless dead time limits the backgr
 """
 
 import math
+from typing import Any
 
 import numpy as np
-from attrs import frozen
+from attrs import field, fields, frozen
 from numpy.typing import ArrayLike
 
 from ..shared.constants import PLANCK_J_S, SPEED_OF_LIGHT_M_S
@@ -55,6 +56,11 @@ class Laser:
     wavelength_nm: float = real(905.0, 300, 3900)
 
 
+def _line(unit: str, source: str) -> Any:
+    """Return a field that is a line of the budget."""
+    return field(metadata={"unit": unit, "source": source})
+
+
 @frozen(kw_only=True, eq=False)
 class LinkBudget:
     """A link budget. Values that depend on the distance are floats or, for an array of distances, float64 of its shape.
@@ -63,28 +69,28 @@ class LinkBudget:
     the ratio that `sbr_reading` names. Units and sources are in `rows`.
     """
 
-    distance_m: Numbers
-    reflectivity: float
-    klux: float
-    form: str
-    spectrum: str
-    aperture_m2: float
-    focal_length_m: float
-    photon_energy_j: float
-    pde: float
-    target_area_m2: Numbers
-    irradiance_w_m2: float
-    signal_rate_cps: Numbers
-    background_rate_cps: float
-    background_live_cps: float
-    signal_per_pulse: Numbers
-    sbr_reading: str
-    sbr_window_s: float
-    sbr_db: Numbers
+    distance_m: Numbers = _line("m", "given")
+    reflectivity: float = _line("", "given")
+    klux: float = _line("klux", "given")
+    form: str = _line("", "1/(2 pi d^2) literal, 1/(pi d^2) corrected")
+    spectrum: str = _line("", "ASTM G173 or Planck, scaled to klux")
+    aperture_m2: float = _line("m2", "pi (D/2)^2")
+    focal_length_m: float = _line("m", "D x f-number")
+    photon_energy_j: float = _line("J", "h c / wavelength")
+    pde: float = _line("", "PDP x fill factor")
+    target_area_m2: Numbers = _line("m2", "4 d^2 tan(H/2) tan(V/2)")
+    irradiance_w_m2: float = _line("W/m2", "spectrum through the filter")
+    signal_rate_cps: Numbers = _line("1/s", "equation (1), per pixel, before dead time")
+    background_rate_cps: float = _line("1/s", "equation (2) and dark counts, per pixel, before dead time")
+    background_live_cps: float = _line("1/s", "the same after a non-paralyzable dead time")
+    signal_per_pulse: Numbers = _line("", "signal rate / laser rate")
+    sbr_reading: str = _line("", "; ".join(f"{key}: {text}" for key, text in SBR_READINGS.items()))
+    sbr_window_s: float = _line("s", "of readings E and F")
+    sbr_db: Numbers = _line("dB", "10 log10 signal / background")
 
     def rows(self) -> list[tuple[str, object, str, str]]:
         """Return the budget line by line: (name, value, unit, source)."""
-        return [(name, getattr(self, name), unit, source) for name, unit, source in _LINES]
+        return [(a.name, getattr(self, a.name), a.metadata["unit"], a.metadata["source"]) for a in fields(type(self))]
 
     def json(self) -> dict[str, object]:
         """Return flat keys for a file; a ratio without background is None."""
@@ -104,26 +110,6 @@ JSON_KEYS = (
     "signal_per_pulse",
     "sbr_db",
     "sbr_reading",
-)
-_LINES = (
-    ("distance_m", "m", "given"),
-    ("reflectivity", "", "given"),
-    ("klux", "klux", "given"),
-    ("form", "", "1/(2 pi d^2) literal, 1/(pi d^2) corrected"),
-    ("spectrum", "", "ASTM G173 or Planck, scaled to klux"),
-    ("aperture_m2", "m2", "pi (D/2)^2"),
-    ("focal_length_m", "m", "D x f-number"),
-    ("photon_energy_j", "J", "h c / wavelength"),
-    ("pde", "", "PDP x fill factor"),
-    ("target_area_m2", "m2", "4 d^2 tan(H/2) tan(V/2)"),
-    ("irradiance_w_m2", "W/m2", "spectrum through the filter"),
-    ("signal_rate_cps", "1/s", "equation (1), per pixel, before dead time"),
-    ("background_rate_cps", "1/s", "equation (2) and dark counts, per pixel, before dead time"),
-    ("background_live_cps", "1/s", "the same after a non-paralyzable dead time"),
-    ("signal_per_pulse", "", "signal rate / laser rate"),
-    ("sbr_reading", "", "; ".join(f"{key}: {text}" for key, text in SBR_READINGS.items())),
-    ("sbr_window_s", "s", "of readings E and F"),
-    ("sbr_db", "dB", "10 log10 signal / background"),
 )
 
 

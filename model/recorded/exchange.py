@@ -22,7 +22,7 @@ import numpy as np
 from ..contract.edges import NAMES, Edges
 from ..light.timing import Timing
 from ..shared.errors import InputError
-from ..shared.files import FilePath, read_npz, whole_file
+from ..shared.files import FilePath, read_npz, reading, whole_file
 from .ptu import read_ptu, write_ptu
 from .recordings import SYNC_MAX, Recording, since_sync
 
@@ -158,15 +158,10 @@ def _not_negative(path: FilePath, name: str, values: np.ndarray) -> None:
 
 def _csv(path: FilePath) -> tuple[list[str], Read]:
     """Return the column names of a CSV file, and a function that reads columns as float64. Lines with # are comments."""
-    try:
-        with open(path, encoding="utf-8-sig") as file:
-            lines = 1
-            while (head := file.readline()).lstrip().startswith("#") or head.isspace():
-                lines += 1
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such file") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: cannot be read ({error})") from None
+    with reading(path, "CSV file"), open(path, encoding="utf-8-sig") as file:
+        lines = 1
+        while (head := file.readline()).lstrip().startswith("#") or head.isspace():
+            lines += 1
     separator = next((mark for mark in (",", ";", "\t") if mark in head), None)
     names = [name.strip().strip('"').lower() for name in head.split(separator)]
 
@@ -199,20 +194,12 @@ def _npz(path: FilePath) -> tuple[list[str], Read]:
 
 def _hdf5(path: FilePath) -> tuple[list[str], Read]:
     """Return the names of the datasets at the file's root, and a function that reads some of them."""
-    try:
-        with h5py.File(path, "r") as archive:
-            names = [name for name, item in archive.items() if isinstance(item, h5py.Dataset)]
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such file") from None
-    except (OSError, RuntimeError, LookupError, ValueError, TypeError) as error:
-        raise InputError(f"{path}: is not a readable HDF5 file ({error})") from None
+    with reading(path, "HDF5 file"), h5py.File(path, "r") as archive:
+        names = [name for name, item in archive.items() if isinstance(item, h5py.Dataset)]
 
     def read(chosen: tuple[str, ...]) -> Columns:
-        try:
-            with h5py.File(path, "r") as archive:
-                arrays = {name: archive[name][()] for name in chosen}
-        except (OSError, RuntimeError, LookupError, ValueError, TypeError) as error:
-            raise InputError(f"{path}: is not a readable HDF5 file ({error})") from None
+        with reading(path, "HDF5 file"), h5py.File(path, "r") as archive:
+            arrays = {name: archive[name][()] for name in chosen}
         return _columns(path, arrays)
 
     return names, read

@@ -18,7 +18,7 @@ import ptufile
 from ..contract.edges import Edges
 from ..light.timing import Timing
 from ..shared.errors import InputError
-from ..shared.files import FilePath, whole_file
+from ..shared.files import FilePath, reading, whole_file
 from .recordings import NO_SYNC, Recording, since_sync
 
 PS_PER_S = 1e12
@@ -28,18 +28,6 @@ NO_SYNC_YET = np.int64(1) << 62
 OVERFLOW = (1 << CHANNEL_BITS + 1) - 1  # special bit and channel of a record that counts wraps of nsync
 MAGIC, VERSION = b"PQTTTR\0\0", b"1.0.00\0\0"
 INTEGER, REAL, EMPTY = 0x10000008, 0x20000008, 0xFFFF0008  # types of tags
-# Exceptions that a damaged file can cause.
-_BAD = (
-    OSError,
-    ValueError,
-    LookupError,
-    TypeError,
-    AttributeError,
-    NameError,
-    ArithmeticError,
-    MemoryError,
-    struct.error,
-)
 
 
 def read_ptu(path: FilePath, sync_channel: int | None = None) -> Recording:
@@ -50,31 +38,24 @@ def read_ptu(path: FilePath, sync_channel: int | None = None) -> Recording:
     and continue through the further frames of the image.
     """
     logging.getLogger("ptufile").setLevel(logging.CRITICAL)  # the errors below report the fault
-    try:
-        with ptufile.PtuFile(path) as file:
-            stored = (os.path.getsize(path) - file.record_offset) / 4
-            if file.number_records > stored or stored % 1:
-                raise InputError(
-                    f"{path}: is truncated: {int(stored)} whole records of {max(file.number_records, int(stored) + 1)}"
-                )
-            raw, photons = file.read_records(), file.decode_records()
-            unit_ps = file.global_resolution * PS_PER_S
-            if not 0 < unit_ps < np.inf:
-                raise InputError(f"{path}: MeasDesc_GlobalResolution = {unit_ps / PS_PER_S:g}: must be above 0")
-            if not file.is_t3:
-                return _t2(path, raw, photons, unit_ps, file.record_type, sync_channel)
-            if sync_channel is not None:
-                raise InputError(f"sync-channel = {sync_channel}: {path} is a T3 recording, whose syncs are counted")
-            bin_ps = file.tcspc_resolution * PS_PER_S
-            if not 0 < bin_ps < np.inf:
-                raise InputError(f"{path}: MeasDesc_Resolution = {bin_ps / PS_PER_S:g}: must be above 0")
-            scan = _Scan.of(path, file) if file.measurement_ndim == 3 else None
-    except InputError:
-        raise
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such file") from None
-    except _BAD as error:
-        raise InputError(f"{path}: is not a readable PTU file ({error})") from None
+    with reading(path, "PTU file"), ptufile.PtuFile(path) as file:
+        stored = (os.path.getsize(path) - file.record_offset) / 4
+        if file.number_records > stored or stored % 1:
+            raise InputError(
+                f"{path}: is truncated: {int(stored)} whole records of {max(file.number_records, int(stored) + 1)}"
+            )
+        raw, photons = file.read_records(), file.decode_records()
+        unit_ps = file.global_resolution * PS_PER_S
+        if not 0 < unit_ps < np.inf:
+            raise InputError(f"{path}: MeasDesc_GlobalResolution = {unit_ps / PS_PER_S:g}: must be above 0")
+        if not file.is_t3:
+            return _t2(path, raw, photons, unit_ps, file.record_type, sync_channel)
+        if sync_channel is not None:
+            raise InputError(f"sync-channel = {sync_channel}: {path} is a T3 recording, whose syncs are counted")
+        bin_ps = file.tcspc_resolution * PS_PER_S
+        if not 0 < bin_ps < np.inf:
+            raise InputError(f"{path}: MeasDesc_Resolution = {bin_ps / PS_PER_S:g}: must be above 0")
+        scan = _Scan.of(path, file) if file.measurement_ndim == 3 else None
     chosen = photons["channel"] >= 0
     time = photons["time"].astype(np.int64)
     recording = Recording(

@@ -2,34 +2,27 @@
 """Pictures and arrays as inputs of scenes: checked reading, and cropping to the sensor's aspect ratio."""
 
 import re
+from pathlib import Path
 
 import numpy as np
 from PIL import Image
 
 from ..shared.errors import InputError
-from ..shared.files import FilePath
+from ..shared.files import FilePath, reading
 
 
 def open_picture(path: FilePath) -> Image.Image:
     """Return an opened and decoded picture. Raises `InputError`."""
-    try:
+    with reading(path, "picture"):
         picture = Image.open(path)
         picture.load()
         return picture
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such file") from None
-    except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
-        raise InputError(f"{path}: is not a readable picture ({error})") from None
 
 
 def read_array(path: FilePath) -> np.ndarray:
     """Return the array of an NPY file. Raises `InputError`."""
-    try:
+    with reading(path, "NPY file"):
         samples = np.load(path, allow_pickle=False)
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such file") from None
-    except (OSError, ValueError, EOFError) as error:
-        raise InputError(f"{path}: is not a readable NPY file ({error})") from None
     if not isinstance(samples, np.ndarray):
         raise InputError(f"{path}: is an NPZ archive, must be a single array (NPY)")
     return samples
@@ -37,7 +30,8 @@ def read_array(path: FilePath) -> np.ndarray:
 
 def read_pfm(path: FilePath) -> np.ndarray:
     """float32[rows, cols]: the samples of a grey PFM file, top row first. Raises `InputError`."""
-    content = _content(path)
+    with reading(path, "PFM file"):
+        content = Path(path).read_bytes()
     head = re.match(rb"Pf\s+(\d+)\s+(\d+)\s+(-?[\d.]+(?:[eE][-+]?\d+)?)\s", content)
     if head is None:
         raise InputError(f"{path}: is not a grey PFM file")
@@ -55,12 +49,10 @@ def read_exr(path: FilePath) -> np.ndarray:
     """
     import OpenEXR
 
-    _content(path, 4)
-    try:
+    with reading(path, "EXR file"):
+        open(path, "rb").close()  # the library does not tell a missing file
         with OpenEXR.File(str(path), separate_channels=True) as file:
             channels = {name: np.asarray(one.pixels, np.float32) for name, one in file.channels().items()}
-    except Exception as error:  # whatever the library finds in a file
-        raise InputError(f"{path}: is not a readable EXR file ({error})") from None
     names = sorted(channels)
     wanted = (
         *(name for name in names if name == "Z" or name.endswith(".Z")),
@@ -70,17 +62,6 @@ def read_exr(path: FilePath) -> np.ndarray:
     if not wanted:
         raise InputError(f"{path}: has the channels {', '.join(names)}, must have Z, or one channel alone")
     return channels[wanted[0]]
-
-
-def _content(path: FilePath, size: int = -1) -> bytes:
-    """Return the first bytes of a file."""
-    try:
-        with open(path, "rb") as file:
-            return file.read(size)
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such file") from None
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror})") from None
 
 
 def check_picture_array(path: FilePath, samples: np.ndarray) -> np.ndarray:

@@ -4,9 +4,6 @@
 import csv
 import os
 import tempfile
-import tokenize
-import zipfile
-import zlib
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -45,6 +42,19 @@ def whole_file(path: FilePath, mode: str = "wb") -> Iterator[IO[Any]]:
         raise
 
 
+@contextmanager
+def reading(path: FilePath, what: str) -> Iterator[None]:
+    """Make an `InputError` of whatever a missing or damaged file causes in the libraries that read it."""
+    try:
+        yield
+    except InputError:
+        raise
+    except FileNotFoundError:
+        raise InputError(f"{path}: no such file") from None
+    except Exception as error:
+        raise InputError(f"{path}: is not a readable {what} ({error})") from None
+
+
 def write_csv(path: FilePath, rows: Iterable[Iterable[object]]) -> None:
     """Write rows as CSV, with floats to six digits."""
     with whole_file(path, "w") as file:
@@ -65,7 +75,7 @@ def read_npz(path: FilePath, names: tuple[str, ...], optional: tuple[str, ...] =
     Raises `InputError` if the file is missing, damaged, not an NPZ, or lacks one of `names`.
     """
     path = Path(path)
-    try:
+    with reading(path, "NPZ file"):
         archive = np.load(path, allow_pickle=False)
         if not isinstance(archive, np.lib.npyio.NpzFile):
             raise InputError(f"{path}: is a single array, must be an NPZ file with the arrays {', '.join(names)}")
@@ -78,19 +88,3 @@ def read_npz(path: FilePath, names: tuple[str, ...], optional: tuple[str, ...] =
             if not isinstance(array, np.ndarray):  # a member without NumPy's header comes as bytes
                 raise InputError(f"{path}: {name} is no array")
         return arrays
-    except InputError:
-        raise
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such file") from None
-    except (
-        OSError,
-        EOFError,
-        ValueError,
-        KeyError,
-        RuntimeError,
-        MemoryError,
-        tokenize.TokenError,
-        zipfile.BadZipFile,
-        zlib.error,
-    ) as error:
-        raise InputError(f"{path}: is not a readable NPZ file ({error})") from None
