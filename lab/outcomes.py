@@ -133,7 +133,7 @@ class Run:
 
     @cached_property
     def result(self) -> dict[str, np.ndarray]:
-        """The arrays of the result file, of all frames (docs/contract.md, "Files"), by the setup's engine."""
+        """The arrays of the result file, of all frames (docs/files.md), by the setup's engine."""
         if self.setup.engine != "golden":
             return replay(self.setup.engine, self.config, self.edges, view=self.setup.view)
         built, fate = ResultBuilder(self.config), np.empty(len(self.edges), np.uint8)

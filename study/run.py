@@ -44,7 +44,7 @@ class Run(outcomes.Run):
     edges : Edges
         All SPAD avalanches of the run.
     result : dict of str to numpy.ndarray
-        The arrays of the result file, of all frames (docs/contract.md, "Files").
+        The arrays of the result file, of all frames (docs/files.md).
     """
 
     def events(self) -> Any:

@@ -16,7 +16,7 @@ PLACES = {  # file: (beginning of the example, line before which it goes)
     "model/contract/packet.py": ('"times": Packet(', "}\nFORMAT_NAMES = "),
 }
 SETTING = """
-from coincid.flow.contract_tables import contract_parts
+from coincid.flow.contract_tables import settings_tables
 from coincid.flow.register_files import register_files
 from coincid.hdl.bus import settings_layout
 from coincid.model.contract.config import changes_of_text, load_config, parse_config
@@ -42,14 +42,14 @@ assert all("blank" in text.lower() for text in register_files(config.sensor).val
 assert settings_layout(config.sensor)["blank"].width == 8
 assert CONTROL["blank"].span(config.sensor) == "0 to 255 cycles" and check_settings({"blank": 5}).config.blank[0] == 5
 assert LABELS["subgroup.blank"] == ("", "cycles")
-assert "| `blank` | 0 | 0 to 255 | cycles | Cycles at the beginning" in contract_parts()["settings of subgroup"]
+assert "| `blank` | 0 | 0 to 255 | cycles | Cycles at the beginning" in settings_tables()["settings of subgroup"]
 open("spec.toml", "w").write("[[axis]]\\nsubgroup.blank = [0, 4]")
 assert [point.values for point in read_spec("spec.toml").points] == [{"subgroup.blank": 0}, {"subgroup.blank": 4}]
 """
 FORMAT = """
 import ctypes
 import numpy as np
-from coincid.flow.contract_tables import contract_parts
+from coincid.flow.contract_tables import header_table
 from coincid.flow.ports import stream_words
 from coincid.model.contract.config import parse_config
 from coincid.model.contract.edges import Edges
@@ -81,7 +81,7 @@ assert [packet.stamp for packet in events] == full.events[:, 6].tolist() and not
 for packet, offsets in zip(events, full.offsets):
     assert [library.coincid_offset(ctypes.byref(packet), g) for g in range(sensor.minigroups)] == offsets.tolist()
 assert "| 0 | event, format times | 2 | the offsets |" in stream_words(sensor)
-assert "0 times (with offsets)" in contract_parts()["header"]
+assert "0 times (with offsets)" in header_table()
 """
 
 
