@@ -576,25 +576,19 @@ def budget(
 @command("out rtl", out=("DIR", "Folder of the figures."), rtl="Add the RTL as a source to figures 6 and 8.")
 def figures(*, out: Path = Path("build/figures"), rtl: bool = False) -> None:
     """Draw the paper's figures from the analytic model, Monte Carlo and, on request, the RTL."""
-    from coincid.study.figures import make
-
-    _drawn(partial(make, engine="sliced" if rtl else None), out)
+    _drawn("figures", out, rtl)
 
 
 @command("out", out=("DIR", "Folder of the figures."))
 def compare(*, out: Path = Path("build/compare")) -> None:
     """Compare the sensor with other schemes on the same photons: plots, their data (CSV) and a page."""
-    from coincid.study.figures import compare as run
-
-    _drawn(run, out)
+    _drawn("compare", out)
 
 
 @command("out rtl", out=("DIR", "Folder of the figures."), rtl="Check some frames on the RTL.")
 def modes(*, out: Path = Path("build/modes"), rtl: bool = False) -> None:
     """Compare coincidence and gating over background and distance, behind glass and at 100 m: plots, data (CSV) and a page."""
-    from coincid.study.figures import modes as run
-
-    _drawn(partial(run, engine="sliced" if rtl else None), out)
+    _drawn("modes", out, rtl)
 
 
 @command(
@@ -784,11 +778,13 @@ def _progress(cycles: int, what: str) -> "Iterator[Bar]":
         yield bar
 
 
-def _drawn(draw: Callable[..., list[Path]], out: Path) -> None:
-    """Draw figures into a folder, and print the path of their page."""
+def _drawn(page: str, out: Path, rtl: bool = False) -> None:
+    """Draw the figures of a page into a folder, and print its path."""
+    from coincid.study import figures
+
     _folder(out)
     with _progress(0, "frames") as bar:
-        print(draw(out, progress=bar.done)[-1])
+        print(figures.write(figures.PAGES[page], out, "sliced" if rtl else None, bar.done)[-1])
 
 
 def _all_clean(found: dict[str, str]) -> None:

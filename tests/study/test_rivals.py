@@ -226,7 +226,7 @@ def test_files_of_the_comparison(tmp_path, monkeypatch):
     for name, value in (small | {"BITS_KLUX": (20.0,), "SEEDS_OF_PULSES": {40: 1, 20: 1}}).items():
         monkeypatch.setattr(studies, name, value)
     monkeypatch.setattr(figures, "COMPARISON", (studies.background, studies.bits))
-    figures.compare(tmp_path / "out", workers=1)
+    figures.write(figures.PAGES["compare"], tmp_path / "out", workers=1)
     names = sorted(path.name for path in (tmp_path / "out").iterdir())
     kinds = "csv", "png", "svg"
     assert names == ["index.html", *(f"rivals_{stem}.{kind}" for stem in ("background", "bits") for kind in kinds)]
