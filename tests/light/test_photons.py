@@ -112,18 +112,6 @@ def test_distinct_pixels_of_a_subgroup_are_binomial(signal):
     assert_law(np.bincount(edges.pulse, minlength=pulses), stats.binom(64, -math.expm1(-signal)))
 
 
-@pytest.mark.parametrize("threshold", [1, 2, 3, 5, 7])
-def test_threshold_tail_of_noise_in_a_window(threshold):
-    """Probability that at least `threshold` of 64 pixels fire within a fixed window."""
-    window_ticks, rate_cps, pulses = 640, 2e7, 20_000
-    timing = Timing(clock_hz=10e9, phases=64, period_cycles=50)
-    edges = edges_of(light(noise_cps=rate_cps), timing=timing, pulses=pulses)
-    inside = edges.tick < window_ticks
-    fired = np.bincount(np.unique(edges.pulse[inside] * 64 + edges.pixel[inside]) // 64, minlength=pulses)
-    law = stats.binom(64, -math.expm1(-rate_cps * window_ticks * FINE.tick_s))
-    assert stats.binomtest(int((fired >= threshold).sum()), pulses, law.sf(threshold - 1)).pvalue > LEVEL
-
-
 def test_first_photon_time():
     """Inhomogeneous Poisson process: F(t) = 1 - exp(-(noise t + signal Phi((t - tof) / sigma)))."""
     signal, rate_cps, distance_m, pulses = 1.2, 3e6, 40.0, 400

@@ -318,12 +318,6 @@ def test_what_is_saved(tabs, address):
     assert tab.locator("#said").text_content() == "coincid explore --set pulses=20 --set rows=16 --set cols=16"
 
 
-def test_the_rtl_agrees(tabs, address):
-    tab = tabs(f"{address}?rows=8&cols=16&pulses=5")  # a sensor that other tests compile, too
-    tab.click("[data-do=rtl]")
-    tab.wait_for_function("document.getElementById('rtl').textContent.startsWith('Every word agrees')")
-
-
 def test_two_tabs_do_not_disturb_each_other(tabs, address):
     first, second = tabs(address), tabs(address)
     put(first, "threshold", 4)
