@@ -2,8 +2,8 @@
 """Cost of the paper's parameters: area, bits of an event and readout rate.
 
 It also shows the effect of the steps of the coarse offsets, and what the parts cost that a sensor may leave out. Area is
-that of a module (two subgroups and their TDC) per pixel, in NanGate 45 nm standard cells, without SPADs and wires. For
-another process, only ratios are meaningful.
+that of a subgroup per pixel, in NanGate 45 nm standard cells, without SPADs and wires. For another process, only ratios
+are meaningful.
 """
 
 from itertools import cycle
@@ -11,11 +11,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from attrs import evolve
 from matplotlib.figure import Figure
 
 from ..flow.mapped import map_block
-from ..flow.synth import CELLS, GATES, synthesize
+from ..flow.synth import GATES, synthesize
 from ..hdl import bus
 from ..hdl.front_end_views import POLYPHASE, VIEWS
 from ..hdl.minigroup import Minigroup
@@ -38,7 +37,6 @@ SWEEPS: dict[str, tuple[str, list[Any]]] = {  # parameter: its label, and the va
     "minigroup": ("pixels of a minigroup", [(1, 1), (2, 2), (4, 4)]),
     "phases": ("phases of a clock cycle", [8, 16, 32, 64]),
 }
-OUTSIDE = ("sensor", "readout", "controller", "registers", "sequencer")  # blocks that are not in a module
 OFFSET_PHASES = (4, 8, 16, 32)
 CHOICES: dict[str, dict[str, Any]] = {  # parameters besides the preset `silicon`
     "`silicon`": {},
@@ -54,18 +52,9 @@ SCENE, SCENE_KLUX, SCENE_GBPS, SEEDS = "sun-and-shade", 100.0, 8.0, 3
 TABLE, OFFSETS_TABLE, CHOICES_TABLE, PICTURE = "cost.csv", "cost_offsets.csv", "cost_choices.csv", "cost.png"
 
 
-def module_sensor(**parameters: Any) -> Sensor:
-    """Return a sensor of one module. With 64 phases, the coarse counter has one bit less, so that the stamp fits its field."""
-    sensor = Sensor(rows=16, cols=32, **parameters)
-    rows, cols = sensor.subgroup
-    return evolve(sensor, rows=rows, cols=2 * cols)
-
-
 def area_per_pixel_um2(sensor: Sensor) -> float:
-    """Return the area of a module per pixel, in standard cells."""
-    netlist = synthesize(sensor, CELLS)
-    blocks = [block for block in netlist.blocks.values() if not block.name.startswith(OUTSIDE)]
-    return sum(block.instances * block.area_um2 for block in blocks) / (2 * sensor.pixels)
+    """Return the area of a subgroup per pixel, in standard cells."""
+    return map_block(Subgroup(sensor)).area_um2 / sensor.pixels
 
 
 def point(sensor: Sensor) -> dict[str, float]:
@@ -85,7 +74,7 @@ def sweep() -> list[dict[str, Any]]:
     for parameter, (_, values) in SWEEPS.items():
         for value in values:
             size = value[0] * value[1] if isinstance(value, tuple) else value
-            rows.append({"parameter": parameter, "value": size} | point(module_sensor(**{parameter: value})))
+            rows.append({"parameter": parameter, "value": size} | point(Sensor(**{parameter: value})))
     return rows
 
 
@@ -93,7 +82,7 @@ def offsets() -> list[dict[str, Any]]:
     """Return one row per number of offset steps: area, levels of a minigroup, and bits of an event in FIFO and full format."""
     rows = []
     for steps in OFFSET_PHASES:
-        sensor = module_sensor(offset_phases=steps)
+        sensor = Sensor(offset_phases=steps)
         rows.append(
             {
                 "offset_phases": steps,
