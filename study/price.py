@@ -12,9 +12,13 @@ from ..model.contract.config import Config
 from ..model.contract.parameters import Sensor
 
 UM2_PER_PIXEL = {  # parameter: (values, um2 per pixel with the other parameters' defaults)
-    "pixels": ((16, 32, 64, 256), (1157.6, 840.7, 675.5, 548.2)),
-    "minigroup_pixels": ((1, 4, 16), (1199.2, 675.5, 546.5)),
-    "phases": ((8, 16, 32, 64), (573.9, 623.9, 675.5, 787.0)),
+    "pixels": ((16, 32, 64, 256), (1114.5, 813.4, 657.7, 538.6)),
+    "minigroup_pixels": ((1, 4, 16), (1175.5, 657.7, 532.0)),
+    "phases": ((8, 16, 32, 64), (567.1, 614.6, 657.7, 759.5)),
+    "offsets": ((0, 1), (513.2, 657.7)),
+    "records": ((0, 1), (599.2, 657.7)),
+    "controller": ((0, 1), (644.9, 657.7)),
+    "fifo_depth": ((8, 16), (556.3, 657.7)),
 }
 UW_PER_PIXEL = ((0.0, 5.0, 50.0, 100.0), (17.0, 23.0, 37.0, 50.0))  # klux, and uW at 500 MHz
 MEASURED_MHZ = 500.0
@@ -38,4 +42,4 @@ def uw_per_pixel(config: Config, klux: float) -> float:
 def _between(name: str, value: int) -> float:
     """Return the area at a value of a parameter, on the line between its measured neighbours."""
     values, areas = UM2_PER_PIXEL[name]
-    return float(np.exp(np.interp(np.log(value), np.log(values), np.log(areas))))
+    return float(np.exp(np.interp(np.log1p(value), np.log1p(values), np.log(areas))))

@@ -10,7 +10,7 @@ import pytest
 
 from coincid.model.contract.config import load_config, parse_config
 from coincid.study.explain import meaning, warnings
-from coincid.study.price import UM2_PER_PIXEL, UW_PER_PIXEL
+from coincid.study.price import UM2_PER_PIXEL, UW_PER_PIXEL, um2_per_pixel
 
 from ..command import command
 
@@ -80,5 +80,15 @@ def test_prices_are_those_of_the_pages():
         rows = {(row["parameter"], int(row["value"])): float(row["area_um2_per_pixel"]) for row in csv.DictReader(file)}
     for parameter, name in (("subgroup", "pixels"), ("minigroup", "minigroup_pixels"), ("phases", "phases")):
         assert {value: area for (of, value), area in rows.items() if of == parameter} == dict(zip(*UM2_PER_PIXEL[name]))
+    with open(DOCS / "images" / "cost_choices.csv") as file:
+        chosen = {row["choice"]: float(row["um2_per_pixel"]) for row in csv.DictReader(file)}
+    for name, choice in (
+        ("offsets", "no coarse offsets"),
+        ("records", "no minigroup records"),
+        ("controller", "no threshold controller"),
+        ("fifo_depth", "FIFO of 8 events"),
+    ):
+        assert UM2_PER_PIXEL[name][1] == (chosen[choice], chosen["`silicon`"])
+    assert um2_per_pixel(load_config("lean").sensor) == pytest.approx(chosen["`lean`: all of them"], rel=0.1)
     row = next(line for line in (DOCS / "power.md").read_text().splitlines() if line.startswith("| uW per pixel |"))
     assert list(map(float, row.split("|")[2:6])) == list(UW_PER_PIXEL[1])
