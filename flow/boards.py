@@ -25,7 +25,7 @@ RESERVE = 1.02  # the router stops where it meets its goal, so the emulator's is
 
 
 def fpga_module() -> Board:
-    """A module of the FPGA preset, two subgroups, with registers, readout and deserialisers. Raises `ToolchainError` without nextpnr."""
+    """Return a module of the FPGA preset with registers, readout and deserialisers. Raises `ToolchainError` without nextpnr."""
     preset = load_config("fpga")
     sensor = evolve(preset.sensor, rows=8, cols=16)
     files = verilog_files(sensor) | fpga_files(sensor) | {WRAPPER.name: WRAPPER.read_text()}
@@ -44,15 +44,15 @@ def fpga_module() -> Board:
 
 
 def _along_the_edge() -> str:
-    """Where the wrapper's ports leave the chip, as constraints: in their order along its edge, as on a board.
+    """Return constraints that put the wrapper's ports along the edge of the chip in their order, as on a board.
 
-    Without them nextpnr scatters the ports at random, and the logic behind them follows. Only the clock's pin is left to it.
+    Without them nextpnr places the ports at random, and the logic behind them follows. It chooses only the clock's pin.
     """
     sites = json.loads((wheel_folder(NEXTPNR) / PADS).read_text())["packages"][PACKAGE]
     right = max(site["col"] for site in sites.values())
 
     def clockwise(item: tuple[str, dict[str, Any]]) -> tuple[int, int, str]:
-        """Side and place on it, from the lower left corner on."""
+        """Return side, place on it and pad, from the lower left corner on."""
         row, col, pad = item[1]["row"], item[1]["col"], item[1]["pio"]
         side, along = (0, -row) if col == 0 else (1, col) if row == 0 else (2, row) if col == right else (3, -col)
         return side, along, pad
@@ -66,9 +66,9 @@ def _along_the_edge() -> str:
 
 
 def ulx3s(config: Config, emulator: Emulator | None = None, options: str = "") -> Board:
-    """The emulator of a configuration's sensor at its clock, on an ULX3S. Raises `InputError`.
+    """Return the emulator of a configuration's sensor at its clock, on an ULX3S. Raises `InputError`.
 
-    emulator: in place of the one that `Emulator.of` gives. options: of the synthesis.
+    emulator: None: the one of `Emulator.of`. options: of the synthesis.
     """
     emulator = emulator or Emulator.of(config)
     files = board_files(emulator, config.clock_mhz)

@@ -23,7 +23,7 @@ PINS = f"{BOARD_TOP}.lpf"
 
 
 def emulator_verilog(config: Config, kind: str, buffer_beats: int) -> dict[str, str]:
-    """File name -> text of an emulator's Verilog, and a file list. Raises `InputError`."""
+    """Return the Verilog of an emulator by file name, and a file list. Raises `InputError`."""
     if kind not in TOPS:
         raise InputError(f"kind = {kind!r}: must be one of {', '.join(TOPS)}")
     if kind == AXI:  # has no serial line, so any clock will do
@@ -33,14 +33,14 @@ def emulator_verilog(config: Config, kind: str, buffer_beats: int) -> dict[str, 
 
 
 def emulator_release(config: Config, kind: str, buffer_beats: int) -> dict[str, str]:
-    """File name -> text of everything. Equal parameters give equal bytes. Raises `InputError`."""
+    """Return all files by name. Equal parameters give equal bytes. Raises `InputError`."""
     files = emulator_verilog(config, kind, buffer_beats) | register_files(config.sensor)
     files |= {CONTROL_FILE: control_file(POLYPHASE, emulator=True)} | c_driver()
     return files | ({PINS: board_pins()} if kind == BOARD else {})
 
 
 def write_emulator(folder: Path, files: dict[str, str]) -> list[Path]:
-    """Writes the files, each whole; returns their paths."""
+    """Write the files, each whole, and return their paths."""
     folder.mkdir(parents=True, exist_ok=True)
     for name, text in files.items():
         with whole_file(folder / name, "w") as file:
@@ -49,5 +49,5 @@ def write_emulator(folder: Path, files: dict[str, str]) -> list[Path]:
 
 
 def verilog_of(files: dict[str, str]) -> list[str]:
-    """The Verilog files' names, as the list has them."""
+    """Return the names of the Verilog files, as the list has them."""
     return files[EMULATOR_LIST].split()

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Energies, capacitances and leakage of standard cells, as a liberty file has them.
 
-Energies are in fJ for one transition, at an input slew of `SLEW_NS`; the mean of rise and fall, and of the conditions that the file tells
-apart. A clock pin's are those of a flip-flop whose data rest, a data pin's those of a flip-flop whose clock is low: what data that move cost
-more behind a clock's edge is there. A clock gate's clock pin has the energies of a closed gate; those of an open one are at its output.
+An energy is in fJ for one transition at an input slew of `SLEW_NS`. It is the mean of rise and fall, and of the file's
+conditions. For a clock pin, the data of the flip-flop rest. For a data pin, its clock is low. For the clock pin of a clock
+gate, the gate is closed; the energy of an open gate is at its output.
 """
 
 import re
@@ -47,8 +47,8 @@ class Energies:
 
 @frozen
 class Pin:
-    """capacitance_ff: of an input; energies: of a transition of this pin, None where the file has none; clock: an input clocks its
-    cell, an output is a clock that its cell gates."""
+    """A pin. capacitance_ff: of an input. energies: of its transitions; None: the file has none. clock: it clocks its cell or, as
+    an output, is a gated clock."""
 
     output: bool
     capacitance_ff: float
@@ -65,7 +65,7 @@ class Cell:
 
 
 def read_cells(path: Path, names: Collection[str]) -> dict[str, Cell]:
-    """Some cells of a liberty file. Raises `ValueError` where one is missing."""
+    """Return some cells of a liberty file. Raises `ValueError` if one is missing."""
     text = path.read_text()
     starts = [(found[1], found.start()) for found in re.finditer(r"^\s*cell \((\w+)\) \{", text, re.MULTILINE)]
     ends = [*(at for _, at in starts[1:]), len(text)]
@@ -83,7 +83,7 @@ def supply_v(path: Path) -> float:
 
 
 def _parsed(text: str) -> Group:
-    """The first group of a text."""
+    """Return the first group of a text."""
     text = text.replace("\\\n", " ")
     stack = [Group("")]
     for found in STATEMENT.finditer(text):
@@ -126,7 +126,7 @@ def _pin(group: Group) -> Pin:
 
 
 def _tables(power: Group) -> Iterator[Energies]:
-    """Rise and fall, at `SLEW_NS`."""
+    """Yield the tables of rise and fall at `SLEW_NS`."""
     for name in ("rise_power", "fall_power"):
         for table in power.groups.get(name, []):
             values = _numbers(table.values["values"])

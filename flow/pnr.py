@@ -32,7 +32,7 @@ WIRE_PS = 900  # of a wire behind a LUT, for abc; with the 300 of `synth_lattice
 
 @frozen(kw_only=True)
 class Board:
-    """What is placed on what. title, command, what, chip: words of its page.
+    """A design and the chip on which it is placed. title, command, what, chip: words of its page.
 
     top: module of the Verilog `files` (name -> text). pins: constraints (LPF). device: options of nextpnr for the chip, its placer
     and its router. goal_mhz: that every clock must reach. options: of the synthesis. apart: modules that are synthesized
@@ -83,7 +83,7 @@ def _delay_ns(path: dict[str, Any]) -> float:
 
 
 def synthesize(board: Board) -> Path:
-    """The folder with `NETLIST` and `NETLIST_VERILOG`, made once for the state of the Verilog. Raises `ToolchainError`."""
+    """Return the folder with `NETLIST` and `NETLIST_VERILOG`, which is made once per state of the Verilog. Raises `ToolchainError`."""
     script = f"read_verilog {' '.join(board.files)}\n"
     script += "".join(f"setattr -mod -set keep_hierarchy 1 {module}\n" for module in board.apart)
     synth = f"synth_lattice -family ecp5 {board.options} -top {board.top} -run"
@@ -100,7 +100,7 @@ def synthesize(board: Board) -> Path:
 
 
 def place_and_route(board: Board, netlist: Path, seed: int) -> Placement:
-    """`netlist`, the folder that `synthesize` gives, placed with a seed, once. Raises `ToolchainError`."""
+    """Place a netlist, the folder of `synthesize`, with a seed, once. Raises `ToolchainError`."""
     options = [*board.device, "--seed", str(seed), "--freq", f"{board.goal_mhz:g}", "--timing-allow-fail"]
     options += ["--lpf-allow-unconstrained", "--json", NETLIST, "--lpf", PINS]
     options += ["--report", "report.json", "--textcfg", "board.config"]
@@ -116,7 +116,7 @@ def place_and_route(board: Board, netlist: Path, seed: int) -> Placement:
 
 
 def missed(board: Board, placements: Sequence[Placement]) -> list[str]:
-    """A line for every clock that misses the goal."""
+    """Return a line for every clock that misses the goal."""
     return [
         f"seed {placement.seed}: {clock} reaches {mhz:.1f} MHz, must be {board.goal_mhz:g}"
         for placement in placements
@@ -126,12 +126,12 @@ def missed(board: Board, placements: Sequence[Placement]) -> list[str]:
 
 
 def fastest(placements: Sequence[Placement]) -> Placement:
-    """The placement whose slowest clock is the fastest."""
+    """Return the placement whose slowest clock is the fastest."""
     return max(placements, key=lambda placement: min(placement.fmax_mhz.values()))
 
 
 def report(board: Board, placements: Sequence[Placement]) -> str:
-    """Fmax of every clock with every seed, what is used, and the longest path of all, as Markdown."""
+    """Return Fmax of every clock with every seed, what is used, and the longest path of all, as Markdown."""
     first = placements[0]
     worst = max(placements, key=lambda placement: _delay_ns(placement.longest))
     hops = worst.longest["path"]
@@ -171,13 +171,13 @@ def report(board: Board, placements: Sequence[Placement]) -> str:
 
 
 def place(board: Board) -> list[Placement]:
-    """`board` placed with every seed. Raises `ToolchainError`."""
+    """Place `board` with every seed. Raises `ToolchainError`."""
     netlist = synthesize(board)
     with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
         return list(pool.map(lambda seed: place_and_route(board, netlist, seed), SEEDS))
 
 
 def write_page(board: Board, placements: Sequence[Placement], path: Path) -> None:
-    """Writes the report to a Markdown file, which appears whole."""
+    """Write the report to a Markdown file, which appears whole."""
     with whole_file(path, "w") as file:
         file.write(report(board, placements))

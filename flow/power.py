@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Power of a netlist in standard cells: what its nets do in simulated frames, times the library's energies.
+"""Power of a netlist in standard cells: transitions of its nets in simulated frames, times the library's energies.
 
-The netlist is the hierarchical one of `synth.py`, so that every block has its own sum. Icarus plays frames through it, checked against the
-golden model, and dumps every net. Three parts, of every cell, make the power: transitions of its outputs and inputs times the energies of
-`liberty.py`; transitions of the nets times half the capacitance of the pins, and of the wires where `wire_ff` is given, times the supply
-squared; leakage. NanGate 45 nm, typical corner (1.1 V, 25 degrees C). A net of the clock, gated or not, counts where its pins are. The
-simulation has no delays, so a net moves at most once for each edge of the clock: glitches are not counted. The netlist has no clock
-tree; `clock_tree_mw` adds the buffers and wires of one by a model.
+The netlist is the hierarchical one of `synth.py`, so every block has its own sum. Icarus plays frames through it, checked
+against the golden model, and dumps every net. The power of a cell has three parts: transitions of its pins times the
+energies of `liberty.py`; transitions of its nets times half their capacitance (pins and, with `wire_ff`, wires) times the
+supply squared; and leakage. NanGate 45 nm, typical corner (1.1 V, 25 degrees C). A net of the clock, gated or not, counts
+where its pins are. The simulation has no delays, so glitches are not counted. The netlist has no clock tree;
+`clock_tree_mw` adds one by a model.
 """
 
 import json
@@ -43,9 +43,12 @@ Toggles: TypeAlias = Mapping[str, np.ndarray]
 
 @frozen
 class Power:
-    """Of some cells, in mW. clock: inside flip-flops and latches as their clock moves, and of the pins that the clock itself drives;
-    internal: inside the cells else; switching: of the pins and wires that they drive; leakage. idle: the part of `clock` that goes
-    into cycles in which a flip-flop's output rests, which is the most that clock gates could save."""
+    """Power of some cells, in mW.
+
+    clock: inside flip-flops and latches when their clock moves, and of the pins that the clock drives. internal: otherwise
+    inside the cells. switching: of the pins and wires that they drive. idle: the part of `clock` in cycles in which a
+    flip-flop's output rests; clock gates can save no more than this.
+    """
 
     clock: float = 0.0
     internal: float = 0.0
@@ -63,7 +66,7 @@ class Power:
 
 @frozen
 class Instance:
-    """A cell of the netlist. block: the instances that it is in, joined by dots; nets: pin -> number of its net."""
+    """A cell of the netlist. block: the instances that contain it, joined by dots. nets: pin -> number of its net."""
 
     block: str
     kind: str
@@ -72,7 +75,7 @@ class Instance:
 
 @frozen
 class Design:
-    """A netlist, flattened: its cells, and net -> the names that it has, each (with the instances before it, bit)."""
+    """A flattened netlist: its cells, and net -> its names, each with the instances before it and the bit."""
 
     scopes: list[str]
     instances: list[Instance]
@@ -82,7 +85,7 @@ class Design:
 
 
 def design(sensor: Sensor) -> Design:
-    """The sensor in standard cells."""
+    """Return the sensor in standard cells."""
     synthesized = synthesize(sensor, CELLS)
 
     def make(folder: Path) -> None:
@@ -119,7 +122,7 @@ def design(sensor: Sensor) -> Design:
 
 
 def simulate(sensor: Sensor, frames: list[FrameJob]) -> Toggles:
-    """Plays frames, all of as many pulses, through the netlist and counts the transitions of every net in each of them."""
+    """Play frames of equal numbers of pulses through the netlist; return the transitions of every net in each frame."""
     scopes = [".".join(filter(None, (TOP, scope))) for scope in design(sensor).scopes]
     build = netlist_build(sensor, CELLS, scopes)
     out = build_root() / "power" / sensor_key(sensor)
@@ -129,12 +132,12 @@ def simulate(sensor: Sensor, frames: list[FrameJob]) -> Toggles:
 
 
 def in_ps(frames: list[FrameJob]) -> int:
-    """A clock cycle in ps."""
+    """Return a clock cycle in ps."""
     return round(1e6 / frames[0].config.clock_mhz)
 
 
 def transitions(vcd: BufferedIOBase, pulses: int, frame_cycles: list[int], cycle_ps: int) -> Toggles:
-    """Transitions of every net of a VCD in each frame. A frame begins as `LASER` rises for its first pulse, after the reset."""
+    """Return the transitions of every net of a VCD in each frame, which begins when `LASER` rises for its first pulse."""
     nets: dict[str, str] = {}  # net -> identifier in the file
     counts: dict[str, np.ndarray] = {}
     scope: list[str] = []
@@ -173,7 +176,7 @@ def transitions(vcd: BufferedIOBase, pulses: int, frame_cycles: list[int], cycle
 
 
 def _steps(tokens: Iterator[Any]) -> Iterator[tuple[int, dict[str, str]]]:
-    """The changes of a VCD by time: the time, and the new values by identifier, highest bit first."""
+    """Yield each time of a VCD, and the new values by identifier, highest bit first."""
     now, values = 0, dict[str, str]()
     for kind, _, data in tokens:
         if kind is TokenKind.CHANGE_TIME:
@@ -189,7 +192,7 @@ def _steps(tokens: Iterator[Any]) -> Iterator[tuple[int, dict[str, str]]]:
 def power(
     of: Design, toggles: Toggles, frame: int, cycles: int, clock_mhz: float, wire_ff: float = 0.0
 ) -> dict[str, Power]:
-    """Power of every block without its sub-blocks, by its instances joined by dots, in one of the frames that `toggles` has.
+    """Return the power of every block without its sub-blocks in a frame, by its instances joined by dots.
 
     wire_ff: capacitance of the wire to each pin.
     """
@@ -197,7 +200,7 @@ def power(
 
 
 def power_at_rest(of: Design, clock_mhz: float, wire_ff: float = 0.0) -> dict[str, Power]:
-    """Power as in `power` while the clock runs and nothing else moves, so that the subgroups' clock gates are closed."""
+    """Return the same while the clock runs and nothing else moves, so that the subgroups' clock gates are closed."""
     return _sums(of, {net: 2 * (net == _clock_net(of)) for net in of.names}, 1, clock_mhz, wire_ff)
 
 
@@ -206,7 +209,7 @@ def _clock_net(of: Design) -> int:
 
 
 def _clock_nets(of: Design) -> set[int]:
-    """The clock and what gates let through of it."""
+    """Return the clock and the outputs of its gates."""
     return {_clock_net(of)} | {
         net
         for instance in of.instances
@@ -218,7 +221,7 @@ def _clock_nets(of: Design) -> set[int]:
 def clock_tree_mw(
     of: Design, toggles: Toggles, frame: int, cycles: int, clock_mhz: float, wire_ff: float
 ) -> dict[str, float]:
-    """Power of the buffers and wires of a clock tree, by the blocks whose pins hang on it, in one of the frames.
+    """Return the power of the buffers and wires of a clock tree in a frame, by the blocks whose pins it drives.
 
     A model: every net of the clock, gated or not, has buffers with `SINKS_MAX` loads each, in as many levels as it needs, and
     a wire to every load.
@@ -240,7 +243,7 @@ def clock_tree_mw(
 
 
 def _tree_fj(buffer: Cell, loads_ff: list[float], wire_ff: float, half: float) -> float:
-    """Energy of the buffers and wires between a clock's driver and its loads, as it moves once. half: the supply squared / 2."""
+    """Return the energy of one transition in the buffers and wires of a clock's net. half: the supply squared / 2."""
     energies = buffer.pins["Z"].energies
     assert energies is not None
     number, load_ff, fj = len(loads_ff), sum(loads_ff), 0.0
@@ -256,7 +259,7 @@ def _tree_fj(buffer: Cell, loads_ff: list[float], wire_ff: float, half: float) -
 
 
 def _sums(of: Design, moves: Mapping[int, int], cycles: int, clock_mhz: float, wire_ff: float) -> dict[str, Power]:
-    """Power of every block from the transitions of the nets in so many cycles."""
+    """Return the power of every block from the transitions of the nets in so many cycles."""
     loads: dict[int, float] = {}
     for instance in of.instances:
         for name, net in instance.nets.items():
@@ -300,7 +303,7 @@ def _sums(of: Design, moves: Mapping[int, int], cycles: int, clock_mhz: float, w
 
 
 def _moves(of: Design, toggles: Toggles, frame: int) -> dict[int, int]:
-    """Net -> its transitions in a frame. Raises `ToolchainError` for a net that was not dumped."""
+    """Return net -> transitions in a frame. Raises `ToolchainError` for a net that was not dumped."""
     moves = {}
     for net, names in of.names.items():
         found = next(((name, bit) for name, bit in names if name in toggles), None)

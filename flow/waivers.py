@@ -59,7 +59,7 @@ OF_CELLS = (  # more, where a view has cells and macros
 
 
 def control_file(view: View, emulator: bool = False) -> str:
-    """The waivers of a view of `front_end_views.py` in Verilator's language. emulator: with that around it."""
+    """Return the waivers of a view of `front_end_views.py` in Verilator's language. emulator: also those of the emulator."""
     lines = ["`verilator_config"]
     for rule, reason, files, message in WAIVERS + OF_EMULATOR * emulator + (OF_CELLS if view.macros else ()):
         lines += [f"// {reason}", f'lint_off -rule {rule} -file "{files}" -match "{message}"']

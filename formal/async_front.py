@@ -102,18 +102,9 @@ def _control_returns(m: Module, control: AsyncControl, started: Signal) -> None:
         m.d.comb += Assert(~started | (state.hold < max(2, control.sensor.rearm)))
 
 
-for _name, _states, _sensor, _circuit in (
-    (
-        "async_two_banks",
-        "Asynchronous front end: whatever its events leave behind, its words are whole.",
-        SMALL,
-        Circuit(),
-    ),
-    (
-        "async_one_bank",
-        "The same, with one bank, which is cleared.",
-        evolve(SMALL, rearm=SYNCHRONISER_REARM),
-        Circuit(),
-    ),
-):
-    PROOFS[_name] = Proof(_name, _states, partial(bench, _sensor, _circuit), DEPTH, COVER, (CELLS, MACROS), SCRIPT)
+def _prove(name: str, states: str, sensor: Sensor) -> None:
+    PROOFS[name] = Proof(name, states, partial(bench, sensor, Circuit()), DEPTH, COVER, (CELLS, MACROS), SCRIPT)
+
+
+_prove("async_two_banks", "Asynchronous front end: whatever its events leave behind, its words are whole.", SMALL)
+_prove("async_one_bank", "The same, with one bank, which is cleared.", evolve(SMALL, rearm=SYNCHRONISER_REARM))

@@ -27,11 +27,9 @@ def controller(b: Bench):
     """Counters are summed once per subgroup and candidate; budget and limit obey their rule; too much never raises them."""
     m, unit = b.m, Controller(SMALL)
     capacity, share = b.constant(DATA_BITS), b.constant(DATA_BITS)
-    take, done, counted = Signal(), Signal(), Signal(bus.COUNTED)
-    m.d.comb += [take.eq(b.anything(1)), done.eq(b.anything(1)), counted.eq(b.anything(counted.shape().size))]
-    command = Signal(bus.CONFIG_BUS)
-    m.d.comb += command.operation.eq(Mux(take, bus.Operation.TAKE, bus.Operation.IDLE))
-    body = b.place("dut", unit, command=command, capacity=capacity, share=share, counted=counted, done=done)
+    take, done, counted = b.same("take", b.anything(1)), unit.done, unit.counted
+    body = b.place(unit, command=None, capacity=capacity, share=share)
+    m.d.comb += unit.command.operation.eq(Mux(take, bus.Operation.TAKE, bus.Operation.IDLE))
 
     # A frame is taken. Later its counters come in `BEATS` beats each. It is done `SETTLED` cycles after the last of them.
     frame, beat, some = Signal(), Signal(range(BEATS)), Signal()

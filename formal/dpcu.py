@@ -40,19 +40,14 @@ def dpcu(b: Bench):
     """Windows are committed if and only if they meet the threshold; counters balance; the controller moves one step in its limits."""
     sensor, m = SMALL, b.m
     unit = Dpcu(sensor)
-    settings, operation, data = Signal(bus.settings_layout(sensor)), Signal(bus.Operation), Signal(DATA_BITS)
-    in_stream = Signal()
-    closed, window, stored = Signal(), Signal(bus.window_layout(sensor)), Signal()
-    b.vary(settings, window, closed, stored)
+    settings, closed, window = unit.settings, unit.closed, unit.window
+    operation, data, in_stream = Signal(bus.Operation), Signal(DATA_BITS), Signal()
+    stored = b.same("kept", b.anything(1))
     body = b.place(
-        "dut",
         unit,
-        settings=settings,
         operation=operation,
         data=data,
         in_stream=in_stream,
-        closed=closed,
-        window=window,
         stored=stored & b.past(unit.commit),
         dropped=~stored & b.past(unit.commit),  # as proven for the FIFO
     )
@@ -147,16 +142,14 @@ def dpcu(b: Bench):
 @proof(depth=3, cover=8)
 def subgroup_settings(b: Bench):
     """Settings change only at a TAKE, all at once. Only writes to this subgroup program them. A read gives the word, of others 0."""
-    sensor, m = SMALL, b.m
+    sensor = SMALL
     unit = SubgroupSettings(sensor)
-    command, number = Signal(bus.CONFIG_BUS), b.constant(bus.SUBGROUP_BITS)
-    m.d.comb += command.as_value().eq(b.anything(command.shape().size))
+    command, number = unit.command, b.constant(bus.SUBGROUP_BITS)
     write = command.operation == bus.Operation.WRITE
     b.assume(command.parity == command.data.xor(), where=write)
     for offset, register, _ in registers.words(registers.SUBGROUP, sensor):  # as proven for the register front
         b.assume(command.data <= register.high(sensor), where=write & (command.word == offset // 4))
-    counters = b.anything(len(unit.counters))
-    body = b.place("dut", unit, command=command, subgroup=number, counters=counters)
+    body = b.place(unit, subgroup=number)
     b.always(~unit.upset)
     for upset in body.upsets:
         b.always(~upset)

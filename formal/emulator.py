@@ -23,11 +23,9 @@ EMULATOR = Emulator(sensor=SMALL, buffer_beats=64)
 def deframer(b: Bench) -> None:
     """A body is right only if its CRC is, no byte is broken, and it fits the memory; nothing is written beyond."""
     m, unit = b.m, Deframer()
-    valid, byte, broken, hold = Signal(), Signal(8), Signal(), Signal()
-    b.vary(valid, byte, broken, hold)
-    body = b.place("dut", unit, valid=valid, byte=byte, broken=broken, hold=hold)
-    b.always(Cat(body.came, body.byte, body.broken) == b.past(Cat(valid, byte, broken)))
-    came, byte, broken = body.came, body.byte, body.broken
+    body = b.place(unit)
+    came, byte, broken, hold = body.came, body.byte, body.broken, unit.hold
+    b.always(Cat(came, byte, broken) == b.past(Cat(unit.valid, unit.byte, unit.broken)))
     b.always((body.is_flag == (~broken & (byte == FLAG))) & (body.is_escape == (byte == ESCAPE)), where=body.came)
     flag = b.same("flag", came & ~broken & (byte == FLAG))
     in_frame, spoilt, put = Signal(), Signal(), Signal(range(BODY_BYTES_MAX + 2))
@@ -57,9 +55,8 @@ def deframer(b: Bench) -> None:
 def framer(b: Bench) -> None:
     """Flags are only at a frame's ends, escapes only where needed; an offered byte stays until it is taken."""
     m, unit = b.m, Framer()
-    valid, byte, last, ready = Signal(), Signal(8), Signal(), Signal()
-    b.vary(valid, byte, last, ready)
-    body = b.place("dut", unit, valid=valid, byte=byte, last=last, out_ready=ready)
+    valid, byte, last, ready = unit.valid, unit.byte, unit.last, unit.out_ready
+    body = b.place(unit)
     offered = b.same("offered", valid & ~unit.ready)
     b.assume(valid & (byte == b.last(byte)) & (last == b.last(last)), where=b.past(offered))
     ends = b.same("ends", body.machine.ongoing("idle") | body.machine.ongoing("flag"))
@@ -84,9 +81,8 @@ def framer(b: Bench) -> None:
 def frame_buffer(b: Bench) -> None:
     """The sensor waits only while the buffer is full; waiting beats are contiguous, and none is overwritten."""
     unit = FrameBuffer(EMULATOR)
-    take, amount, comes = Signal(), Signal.like(unit.amount), Signal()
-    b.vary(take, amount, comes)
-    behind = b.place("dut", unit, take=take, amount=amount, s_axis__tvalid=comes)
+    take, amount, comes = unit.take, unit.amount, unit.s_axis.tvalid
+    behind = b.place(unit)
     b.assume(amount <= unit.level, where=take)
     depth = EMULATOR.buffer_beats
     b.always(unit.level <= depth)
@@ -103,10 +99,9 @@ def frame_buffer(b: Bench) -> None:
 def stream_slice(b: Bench) -> None:
     """All beats leave in their order, and none is lost or doubled; a beat that waits stays as it is."""
     m, unit = b.m, StreamSlice()
-    comes, ready = Signal(), Signal()
+    comes, ready = unit.s_axis.tvalid, unit.m_axis.tready
     taken, left = Signal(BEAT_BITS), Signal(BEAT_BITS)  # beats that came and that left; a beat is its number
-    b.vary(comes, ready)
-    body = b.place("dut", unit, s_axis__tvalid=comes, s_axis__tdata=taken, m_axis__tready=ready)
+    body = b.place(unit, s_axis__tdata=taken)
     m.d.sync += [taken.eq(taken + (comes & unit.s_axis.tready)), left.eq(left + (unit.m_axis.tvalid & ready))]
     b.always(taken == (left + body.valid + body.kept)[:BEAT_BITS])
     b.always(unit.m_axis.tdata == left, where=unit.m_axis.tvalid)
@@ -120,15 +115,13 @@ def stream_slice(b: Bench) -> None:
 def photon_source(b: Bench) -> None:
     """A pixel has at most one edge per cycle, none during its dead time, and none outside the periods."""
     m, unit = b.m, PhotonSource(EMULATOR)
-    common, timing = Signal.like(unit.common.as_value()), Signal.like(unit.timing.as_value())
-    m.d.comb += [common.eq(b.constant(len(common))), timing.eq(b.anything(len(timing)))]
-    dead_times = b.place("dut", unit, common=common, timing=timing)
-    dead = b.same("dead", common[4:])
+    dead_times = b.place(unit, common=b.constant(unit.common.shape().size))
+    dead = b.same("dead", unit.common.as_value()[4:])
     words = b.same("words", unit.words)
     phases = SMALL.phases
     word = b.same("word", words[:phases])
     b.always((word & (word - 1)) == 0)
-    b.always(b.past(timing[0], 3), where=word != 0)  # the sequencer's `running`
+    b.always(b.past(unit.timing.running, 3), where=word != 0)
     left = Signal.like(dead)  # cycles of dead time left
     with m.If(word != 0):
         m.d.sync += left.eq(dead)

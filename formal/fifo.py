@@ -17,9 +17,8 @@ from .sensors import SMALL
 def _event_fifo(b: Bench, depth: int) -> None:
     sensor = evolve(SMALL, fifo_depth=depth)
     m, unit = b.m, EventFifo(sensor)
-    commit, take, begin = (Signal(name=name) for name in ("commit", "take", "begin"))
-    b.vary(commit, take, begin)
-    body = b.place("dut", unit, commit=commit, take=take, frame_begin=begin)
+    commit, take, begin = unit.commit, unit.take, unit.frame_begin
+    body = b.place(unit)
     elaborated(body.rows)
     memory = body.rows.rows
 
@@ -91,9 +90,8 @@ def event_fifo_of_three(b):
 def record_buffer(b):
     """A record is stored if the place is free, else counted as dropped; it stays until taken; unlatched entries are 0."""
     m, unit = b.m, RecordBuffer(SMALL)
-    due, take, begin = Signal(), Signal(), Signal()
-    b.vary(due, take, begin)
-    waits = b.place("dut", unit, due=due, take=take, frame_begin=begin)
+    due, take, begin = unit.due, unit.take, unit.frame_begin
+    waits = b.place(unit)
     waiting = Signal()
     b.assume(waiting, where=take)
     comes = b.same("comes", due & (unit.latched != 0))

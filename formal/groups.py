@@ -8,47 +8,22 @@ from amaranth.hdl import Cat, Const, Mux, Signal, Value
 
 from ..hdl.coder import GROUPED, LONGEST, Coder, Phase, is_event_head, map_parts
 from ..hdl.packer import Packer
-from ..model.contract.groups import (
-    AGE_BITS,
-    AGE_MAX,
-    CHECK_LSB,
-    HEAD,
-    HEAD_BITS,
-    LISTED_BITS,
-    MAP_PART_BITS,
-    MAPPED,
-    PAYLOAD_BITS,
-    groups,
-)
+from ..model.contract import groups
 from ..model.contract.packet import BEAT_BITS, FRAME_END, GROUP_KIND, KIND_LSB, OFFSETS, RECORD, layout, parts_of
 from ..model.contract.parameters import Sensor, bits_for
 from .proof_bench import Bench, proof
 from .sensors import SMALL
 
-PART_BITS = groups(SMALL).part_bits
+PART_BITS = groups.group_widths(SMALL).part_bits
 
 
 @proof(depth=3, cover=12)
 def packer(b: Bench):
     """Every bit of every part leaves at its place; marks and zeros stand where they should; other beats pass; AXI4-Stream."""
     m, unit = b.m, Packer(SMALL)
-    offer, close, passes, begin, ready = (Signal(name=name) for name in ("offer", "close", "passes", "begin", "tready"))
-    part, bits = Signal(PART_BITS), Signal(bits_for(PART_BITS))
-    beat, last = Signal(BEAT_BITS), Signal()
-    b.vary(offer, close, passes, begin, ready, part, bits, beat, last)
-    body = b.place(
-        "dut",
-        unit,
-        offer=offer,
-        part=part,
-        bits=bits,
-        close=close,
-        passes=passes,
-        beat=beat,
-        last=last,
-        frame_begin=begin,
-        m_axis__tready=ready,
-    )
+    offer, part, bits, close = unit.offer, unit.part, unit.bits, unit.close
+    passes, beat, last, begin, ready = unit.passes, unit.beat, unit.last, unit.frame_begin, unit.m_axis.tready
+    body = b.place(unit)
     axis = unit.m_axis
     closed = b.same("closed", body.final & ready)
     b.assume((bits <= PART_BITS) & (bits != 0) & (part >> bits == 0), where=offer)
@@ -56,7 +31,7 @@ def packer(b: Bench):
     b.assume(~passes & ~offer & ~close, where=begin)
 
     # The string of the group: bits that have not left. A part is offered until it is packed, and an end until it has left.
-    held = b.same("held", body.offset + Mux(body.ready, PAYLOAD_BITS, 0))
+    held = b.same("held", body.offset + Mux(body.ready, groups.PAYLOAD_BITS, 0))
     is_open = Signal()
     b.assume(~passes, where=is_open | offer | close)
     b.assume(is_open, where=close)
@@ -66,31 +41,31 @@ def packer(b: Bench):
     b.assume(close, where=b.past(close & ~closed & ~begin))
     b.always(held == 0, where=~is_open)
     b.always(body.packed >> held == 0)
-    b.always(held < PAYLOAD_BITS + PART_BITS)
-    b.always(body.ready | (body.offset < PAYLOAD_BITS))
-    b.always(body.crowded == (body.offset >= PAYLOAD_BITS))
-    b.always(body.room == (body.offset <= CHECK_LSB))
+    b.always(held < groups.PAYLOAD_BITS + PART_BITS)
+    b.always(body.ready | (body.offset < groups.PAYLOAD_BITS))
+    b.always(body.crowded == (body.offset >= groups.PAYLOAD_BITS))
+    b.always(body.room == (body.offset <= groups.CHECK_LSB))
 
     # An arbitrary bit of an arbitrary part: it has so many bits before it, and leaves with them.
     place_in_part = b.constant(bits_for(PART_BITS - 1))
     b.assume(place_in_part < PART_BITS)
     leaves = b.same("leaves", axis.tvalid & ready & ~passes)
     watch = b.same("watch", b.anything(1) & body.packs & (place_in_part < bits))
-    watched, value, before = Signal(), Signal(), Signal(range(PAYLOAD_BITS + PART_BITS))
+    watched, value, before = Signal(), Signal(), Signal(range(groups.PAYLOAD_BITS + PART_BITS))
     with m.If(watch & ~watched):
         m.d.sync += [
             watched.eq(1),
             value.eq(part.bit_select(place_in_part, 1)),
-            before.eq(Mux(leaves, held - PAYLOAD_BITS, held) + place_in_part),
+            before.eq(Mux(leaves, held - groups.PAYLOAD_BITS, held) + place_in_part),
         ]
     with m.Elif(watched & leaves):
-        m.d.sync += [watched.eq(before >= PAYLOAD_BITS), before.eq(before - PAYLOAD_BITS)]
+        m.d.sync += [watched.eq(before >= groups.PAYLOAD_BITS), before.eq(before - groups.PAYLOAD_BITS)]
     with m.If(begin):
         m.d.sync += watched.eq(0)
     b.always((before < held) & (body.packed.bit_select(before, 1) == value), where=watched)
-    shown = axis.tdata[:PAYLOAD_BITS].bit_select(before[: bits_for(PAYLOAD_BITS)], 1)
-    b.always(shown == value, where=watched & leaves & (before < PAYLOAD_BITS))
-    b.always(~watched, where=closed & (before >= CHECK_LSB))
+    shown = axis.tdata[: groups.PAYLOAD_BITS].bit_select(before[: bits_for(groups.PAYLOAD_BITS)], 1)
+    b.always(shown == value, where=watched & leaves & (before < groups.PAYLOAD_BITS))
+    b.always(~watched, where=closed & (before >= groups.CHECK_LSB))
 
     # Beats of the group: their marks; the last one holds nothing but the check above `CHECK_LSB`.
     first = Signal(init=1)
@@ -98,7 +73,7 @@ def packer(b: Bench):
     b.always(body.begins == first)
     b.always((axis.tdata[KIND_LSB:] == GROUP_KIND) & (axis.tdata[KIND_LSB - 1] == first) & ~axis.tlast, where=leaves)
     b.always(axis.tdata[KIND_LSB - 2] == closed, where=leaves)
-    b.always(close & ~body.ready & (held <= CHECK_LSB), where=closed)
+    b.always(close & ~body.ready & (held <= groups.CHECK_LSB), where=closed)
     b.always((axis.tdata == beat) & (axis.tlast == last) & axis.tvalid, where=passes)
 
     # Nothing waits except for the receiver, and a beat that is offered stays.
@@ -107,31 +82,17 @@ def packer(b: Bench):
     b.always(axis.tvalid, where=close)
     b.stable(Cat(axis.tvalid, axis.tdata, axis.tlast), where=waits)
     b.cover(closed & (b.past(body.packs, 3)))
-    b.cover(watched & leaves & (before < PAYLOAD_BITS) & closed)
+    b.cover(watched & leaves & (before < groups.PAYLOAD_BITS) & closed)
 
 
 def _coder(b: Bench, sensor: Sensor) -> None:
-    m, unit, widths, lengths = b.m, Coder(sensor), groups(sensor), layout(sensor)
+    m, unit, widths, lengths = b.m, Coder(sensor), groups.group_widths(sensor), layout(sensor)
     winner_bits, offset_bits = sensor.winner_bits, sensor.offset_bits
     grouped, with_offsets = b.constant(1), b.constant(1)
     period = b.constant(bits_for(sensor.period_max))
-    valid, begin, free, passed = (Signal(name=name) for name in ("valid", "begin", "free", "passed"))
-    beat, last = Signal(BEAT_BITS), Signal()
-    b.vary(valid, begin, free, passed, beat, last)
-    body = b.place(
-        "dut",
-        unit,
-        grouped=grouped,
-        with_offsets=with_offsets,
-        period=period,
-        valid=valid,
-        beat=beat,
-        last=last,
-        head=is_event_head(beat),
-        free=free,
-        passed=passed,
-        frame_begin=begin,
-    )
+    valid, beat, last, free = unit.valid, unit.beat, unit.last, unit.free
+    passed, begin = unit.passed, unit.frame_begin
+    body = b.place(unit, grouped=grouped, with_offsets=with_offsets, period=period, head=is_event_head(beat))
     b.assume(free, where=~unit.offer & ~unit.close)
     b.assume(~valid, where=begin)
     forms = b.same("forms_part", body.forms & ~body.closing)
@@ -212,37 +173,46 @@ def _coder(b: Bench, sensor: Sensor) -> None:
         & (
             body.numbers
             == Cat(
-                Mux(mapped, MAPPED, count)[:LISTED_BITS], field("overrun"), field("subgroup")[: widths.subgroup_bits]
+                Mux(mapped, groups.MAPPED, count)[: groups.LISTED_BITS],
+                field("overrun"),
+                field("subgroup")[: widths.subgroup_bits],
             )
         ),
         where=at_work,
     )
 
     # Groups: an event is packed only into an open group that can hold its pulse, and tells its age unless that stays.
-    is_open, group_pulse, last_age, number = Signal(), Signal(HEAD.pulse), Signal(AGE_BITS), Signal(HEAD.number)
+    is_open, group_pulse, last_age, number = (
+        Signal(),
+        Signal(groups.HEAD.pulse),
+        Signal(groups.AGE_BITS),
+        Signal(groups.HEAD.number),
+    )
     opens = b.same("opens", forms & ~is_open)
     b.always((body.open == is_open) & (body.number == number))
     b.always(body.pulse == group_pulse, where=is_open)
     first = b.same("first", body.busy & (body.phase == Phase.FIRST))
     forms_first = b.same("forms_first", forms & is_open & first)
-    age = b.same("age", (group_pulse - body.event_pulse)[: HEAD.pulse + 1])
+    age = b.same("age", (group_pulse - body.event_pulse)[: groups.HEAD.pulse + 1])
     m.d.sync += [is_open.eq((is_open | opens) & ~ends_group & ~begin), number.eq(Mux(begin, 0, number + ends_group))]
     with m.If(opens):
         m.d.sync += [group_pulse.eq(body.event_pulse), last_age.eq(0)]
     with m.If(forms_first):
         m.d.sync += last_age.eq(age)
     b.always(first, where=body.busy & ~is_open)
-    b.always(body.fits == (age <= AGE_MAX), where=first & is_open)
-    b.always(body.age == age[:AGE_BITS], where=first & is_open)
-    ahead = b.same("ahead", (body.pulse - words_pulse)[: HEAD.pulse + 1])
+    b.always(body.fits == (age <= groups.AGE_MAX), where=first & is_open)
+    b.always(body.age == age[: groups.AGE_BITS], where=first & is_open)
+    ahead = b.same("ahead", (body.pulse - words_pulse)[: groups.HEAD.pulse + 1])
     settled = body.full & ~body.opening
-    b.always((body.age_ahead == ahead[:AGE_BITS]) & (body.fits_ahead == (ahead <= AGE_MAX)), where=settled)
+    b.always(
+        (body.age_ahead == ahead[: groups.AGE_BITS]) & (body.fits_ahead == (ahead <= groups.AGE_MAX)), where=settled
+    )
     same = b.same("same", age == last_age)
     b.always(body.same == same, where=first & is_open & body.fits)
     b.always(body.age == last_age, where=is_open & ~first)
-    b.always(age <= AGE_MAX, where=forms_first)
+    b.always(age <= groups.AGE_MAX, where=forms_first)
     b.always(body.next_part == Cat(body.event_pulse, number, stamp_bits, with_offsets), where=opens & b.past(1))
-    b.always(body.next_bits == HEAD_BITS, where=opens)
+    b.always(body.next_bits == groups.HEAD_BITS, where=opens)
 
     # The parts of the event: its numbers with the winner and two further pixels, the rest of them two at a time or the map,
     # and the offsets two at a time. What is left, bits by bits, is seen from both ends.
@@ -261,23 +231,23 @@ def _coder(b: Bench, sensor: Sensor) -> None:
             m.d.sync += parts_left.eq(parts_left - 1)
         with m.If(in_offsets):
             m.d.sync += hit_left.eq(minigroups.between)
-    low_bits = b.same("low_bits", stamp_bits + Mux(same, 0, AGE_BITS))
+    low_bits = b.same("low_bits", stamp_bits + Mux(same, 0, groups.AGE_BITS))
     low = b.same("low", body.next_part >> widths.fixed_bits)
     listed = b.same("listed", Mux(mapped, 0, pixels.count))
     pair = Cat(_place(pixels.low, winner_bits), Mux(pixels.count == 2, _place(pixels.high, winner_bits), 0))
     where = b.same("forms_numbers", at_work & forms_first)
     b.always(body.next_part[: widths.fixed_bits] == Cat(body.numbers, same), where=where)
-    b.always((low & ((1 << low_bits) - 1)) == Mux(same, stamp, Cat(age[:AGE_BITS], stamp)), where=where)
+    b.always((low & ((1 << low_bits) - 1)) == Mux(same, stamp, Cat(age[: groups.AGE_BITS], stamp)), where=where)
     b.always((low >> low_bits) == Cat(winner[:winner_bits], Mux(mapped, 0, pair)), where=where)
     b.always(body.next_bits == widths.fixed_bits + low_bits + winner_bits * (1 + listed), where=where)
     where = b.same("forms_pixels", at_work & forms & in_pixels)
     b.always(
         (body.next_part == pair) & (body.next_bits == winner_bits * pixels.count) & (left != 0), where=where & ~mapped
     )
-    begin_of_part = b.same("begin_of_part", ((map_parts(sensor) - parts_left) * MAP_PART_BITS).as_unsigned())
-    b.always(body.next_part == (hits >> begin_of_part)[:MAP_PART_BITS], where=where & mapped)
+    begin_of_part = b.same("begin_of_part", ((map_parts(sensor) - parts_left) * groups.MAP_PART_BITS).as_unsigned())
+    b.always(body.next_part == (hits >> begin_of_part)[: groups.MAP_PART_BITS], where=where & mapped)
     rest_of_map = sensor.pixels - begin_of_part
-    b.always(body.next_bits == Mux(parts_left == 1, rest_of_map, MAP_PART_BITS), where=where & mapped)
+    b.always(body.next_bits == Mux(parts_left == 1, rest_of_map, groups.MAP_PART_BITS), where=where & mapped)
     where = b.same("forms_offsets", at_work & forms & in_offsets)
     chosen = [
         _any(*(Mux(one_hot[g], offset, 0) for g, offset in enumerate(offsets)))

@@ -129,7 +129,7 @@ class Bench:
         """Return an input that may have any value, but the same in all cycles."""
         return AnyConst(shape)
 
-    def place(self, name: str, unit: Stateful[State], **inputs) -> State:
+    def place(self, unit: Stateful[State], **inputs) -> State:
         """Place `unit` and return its state. Ports get the values in `inputs` (None: no driver), or else any value."""
         for path, member, value in unit.signature.flatten(unit):
             port = "__".join(map(str, path))
@@ -138,7 +138,7 @@ class Bench:
                 self.m.d.comb += value.eq(inputs.pop(port) if port in inputs else self.anything(len(value)))
             inputs.pop(port, None)
         assert not inputs, f"no such ports: {', '.join(inputs)}"
-        self.m.submodules[name] = unit
+        self.m.submodules += unit
         elaborated(unit)
         return unit.state
 

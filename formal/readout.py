@@ -44,8 +44,8 @@ def readout(b: Bench):
     """One grant at a time, after at most n - 1 others; no overflow, no leak of places; `tlast` ends the frame."""
     m, unit = b.m, Readout(SMALL, N)
     frame, form = Signal(bus.frame_layout(SMALL)), b.constant(bits_for(HIGHEST_FORMAT))
-    stored, record_stored, ready, finish, begin = Signal(N), Signal(N), Signal(), Signal(), Signal()
-    b.vary(stored, record_stored, ready, finish, begin)
+    stored, record_stored, ready = unit.stored, unit.record_stored, unit.m_axis.tready
+    finish, begin = unit.finish, unit.frame_begin
     m.d.comb += frame.format.eq(form)
     b.assume(form <= HIGHEST_FORMAT)
 
@@ -59,17 +59,7 @@ def readout(b: Bench):
     grouped = b.same("grouped", Cat(form == n for n, packet in enumerate(FORMATS.values()) if packet.grouped).any())
     b.assume(unit.state.buffer.r_rdy, where=taken)
     b.assume(taken == (unit.state.buffer.r_rdy & ready), where=~grouped)
-    body = b.place(
-        "dut",
-        unit,
-        frame=frame,
-        stored=stored,
-        record_stored=record_stored,
-        finish=finish,
-        frame_begin=begin,
-        valid=b.past(sends, SUBGROUP_TO_BEAT),
-        m_axis__tready=ready,
-    )
+    body = b.place(unit, frame=frame, valid=b.past(sends, SUBGROUP_TO_BEAT))
     idle = body.machine.ongoing("idle")
 
     # A subgroup reports no more events than its FIFO holds. From `finish` until the next frame, nothing is stored.
@@ -205,15 +195,10 @@ def readout(b: Bench):
 def packetizer(b: Bench):
     """A grant gives a packet of exact length without gaps; its last beat, and no other, frees the place."""
     m, unit = b.m, Packetizer(SMALL)
-    grant, send, frame, form = (
-        Signal(),
-        Signal(bus.Send),
-        Signal(bus.frame_layout(SMALL)),
-        b.constant(bits_for(HIGHEST_FORMAT)),
-    )
-    m.d.comb += [grant.eq(b.anything(1)), send.as_value().eq(b.anything(2)), frame.format.eq(form)]
+    grant, send, form = unit.grant, unit.send, b.constant(bits_for(HIGHEST_FORMAT))
     b.assume((form <= HIGHEST_FORMAT) & (send.as_value() <= 2))
-    body = b.place("dut", unit, grant=grant, send=send, frame=frame)
+    body = b.place(unit, frame=None)
+    m.d.comb += unit.frame.format.eq(form)
     rest, kind = Signal(range(PARTS.longest + 1)), Signal(bus.Send)
     b.assume(~grant, where=rest != 0)  # as proven for the readout
     length = b.same("length", _length(send, form))

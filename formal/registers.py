@@ -24,9 +24,7 @@ def register_front(b: Bench):
     sensor, m = SMALL, b.m
     unit = Registers(sensor)
     axi = unit.s_axi
-    done = Signal()
-    m.d.comb += done.eq(b.anything(1))
-    body = b.place("dut", unit, done=done)
+    done, body = unit.done, b.place(unit)
     state = body.machine.ongoing
     busy = body.flag["busy"]
     # As proven for the sequencer: only a frame that was started is done.
@@ -158,7 +156,6 @@ def register_front_starts(b: Bench):
     """With starts only, no read is answered; one start begins a frame, and the next one finds the front busy."""
     unit = Registers(SMALL)
     body = b.place(
-        "dut",
         unit,
         s_axi__awaddr=registers.control("start")[0],
         s_axi__wdata=registers.control("start")[1],

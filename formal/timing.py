@@ -20,14 +20,12 @@ def tdc(b: Bench):
     """A line's stamp is the first set phase of its own root only; the coarse count restarts with the laser."""
     sensor, m = Sensor(), b.m  # full size: 32 phases, two lines
     unit = Tdc(sensor)
-    start, roots = Signal(), [Signal(sensor.phases, name=f"root_{k}") for k in range(2)]
-    m.d.comb += [start.eq(b.anything(1)), *(root.eq(b.anything(sensor.phases)) for root in roots)]
-    b.place("dut", unit, start=start, line_0__root=roots[0], line_1__root=roots[1])
+    b.place(unit)
     coarse = Signal(sensor.coarse_bits)
-    m.d.sync += coarse.eq(Mux(b.past(start, START_TO_PHASE - 1), 0, coarse + 1))
+    m.d.sync += coarse.eq(Mux(b.past(unit.start, START_TO_PHASE - 1), 0, coarse + 1))
     lines = [unit.line_0, unit.line_1]
-    for line, root in zip(lines, roots):
-        before = b.past(root)
+    for line in lines:
+        before = b.past(line.root)
         b.always(line.any == before.any())
         b.always(before.bit_select(line.phase, 1), where=before)
         for k in range(sensor.phases):
@@ -42,9 +40,8 @@ def gating(b: Bench):
     """Edges pass if and only if a frame runs and the gate is open (or off); the SPADs are on in the same cycles."""
     sensor, m = SMALL, b.m
     unit = Gating(sensor)
-    timing, settings = Signal(bus.time_layout(sensor)), Signal(bus.settings_layout(sensor))
-    b.vary(timing, settings)
-    body = b.place("dut", unit, timing=timing, settings=settings)
+    timing, settings = unit.timing, unit.settings
+    body = b.place(unit)
     highest = (1 << sensor.coarse_bits) - 1
 
     # A frame begins with a period; a period has at most 2^coarse_bits cycles; settings stay and have passed the checks.
@@ -85,9 +82,8 @@ def sequencer(b: Bench):
     """
     sensor, m = SMALL, b.m
     unit = Sequencer(sensor)
-    plan, start, abort, delivered = Signal(bus.plan_layout(sensor)), Signal(), Signal(), Signal()
-    b.vary(plan, start, abort, delivered)
-    body = b.place("dut", unit, plan=plan, start_frame=start, abort_frame=abort, delivered=delivered)
+    plan, start, abort, delivered = unit.plan, unit.start_frame, unit.abort_frame, unit.delivered
+    body = b.place(unit)
 
     # A start comes only after the previous frame is done. The plan stays, and has passed the start checks.
     busy = Signal()

@@ -12,7 +12,6 @@ from amaranth.hdl import C, Cat, Mux, Signal
 from amaranth.lib import wiring
 from attrs import evolve, frozen
 
-from ..hdl import bus
 from ..hdl.minigroup import Minigroup, MinigroupState
 from ..hdl.tdc import Tdc
 from ..hdl.tree import CoincidenceTree, TreeState
@@ -123,24 +122,20 @@ class Specification:
 def _place_tree(b: Bench, sensor: Sensor) -> Placed:
     """Place a tree with a TDC line, and any edges, any mask and gate, and a window of any legal length."""
     unit, clock = CoincidenceTree(sensor), Tdc(sensor, 1)
-    words, mask, accept = Signal(sensor.pixels * sensor.phases), Signal(sensor.pixels), Signal()
-    window_ticks, timing = Signal(sensor.window_bits), Signal(bus.time_layout(sensor))
-    b.vary(words, mask, accept, window_ticks, timing)
+    window_ticks = unit.window_ticks
     b.assume((window_ticks != 0) & (window_ticks <= sensor.window_max))
     no_line = {f"line__{name}": None for name in ("any", "phase", "coarse")}
-    body = b.place(
-        "dut", unit, words=words, mask=mask, accept=accept, window_ticks=window_ticks, timing=timing, **no_line
-    )
+    body = b.place(unit, **no_line)
     for leaf in body.leaves:
         elaborated(leaf)
-    b.place("tdc", clock, line_0__root=None)
+    b.place(clock, line_0__root=None)
     wiring.connect(b.m, unit.line, clock.line_0)
     return Placed(
         unit=unit,
         body=body,
-        edges=_edges(b, words, mask, accept),
+        edges=_edges(b, unit.words, unit.mask, unit.accept),
         window_ticks=window_ticks,
-        may_open=b.past(timing.may_open, 4),
+        may_open=b.past(unit.timing.may_open, 4),
         members=[sensor.members(g) for g in range(sensor.minigroups)],
     )
 
@@ -295,17 +290,12 @@ def minigroup_record(b):
     sensor, m = evolve(SMALL, phases=16, offset_phases=8), b.m  # so that ticks, steps and quarters of a cycle differ
     unit = Minigroup(sensor)
     pixels, phases = sensor.minigroup_pixels, sensor.phases
-    words, mask, accept = Signal(pixels * phases), Signal(pixels), Signal()
-    frame, may_open, wrap = Signal(bus.frame_layout(sensor)), Signal(), Signal()
+    frame, may_open, wrap = unit.frame, unit.may_open, unit.wrap
     coarse_4 = Signal(sensor.coarse_bits)
-    b.vary(words, mask, accept, may_open, wrap)
-    m.d.comb += frame.as_value().eq(b.constant(frame.shape().size))
     b.assume((frame.mg_threshold != 0) & (frame.mg_window != 0) & (frame.mg_window <= 4))
-    body = b.place(
-        "dut", unit, words=words, mask=mask, accept=accept, frame=frame, may_open=may_open, wrap=wrap, coarse=coarse_4
-    )
+    body = b.place(unit, frame=b.constant(frame.shape().size), coarse=coarse_4)
 
-    edges = _edges(b, words, mask, accept)
+    edges = _edges(b, unit.words, unit.mask, unit.accept)
     # A reset closes the guard for longer than earlier edges take to pass.
     b.assume(~may_open, where=~edges.fresh_3)
     active = b.same("active_now", Cat(word.any() for word in edges.words(edges.stage_3)))

@@ -11,17 +11,7 @@ from amaranth.hdl import Cat, Const, Module, Mux, Signal, Value
 from amaranth.lib import enum
 from amaranth.lib.wiring import In, Out
 
-from ..model.contract.groups import (
-    AGE_BITS,
-    AGE_MAX,
-    HEAD,
-    HEAD_BITS,
-    LISTED_BITS,
-    MAP_PART_BITS,
-    MAPPED,
-    PER_PART,
-    groups,
-)
+from ..model.contract import groups
 from ..model.contract.packet import BEAT_BITS, FORMATS, FRAME_END, KIND_LSB, OFFSETS, RECORD, layout, parts_of
 from ..model.contract.parameters import Sensor, bits_for
 from .logic import any_of, up_to
@@ -77,7 +67,7 @@ class Next:
 
     def __init__(self, width: int, name: str):
         self.width = width
-        self.items = Signal(PER_PART * width, name=f"{name}_items")
+        self.items = Signal(groups.PER_PART * width, name=f"{name}_items")
         self.one, self.two, self.more = (Signal(name=f"{name}_{flag}") for flag in ("one", "two", "more"))
 
     def takes(self, ends: Ends, items: Value) -> list[Any]:
@@ -113,7 +103,7 @@ class CoderState:
     """
 
     def __init__(self, sensor: Sensor):
-        widths, beats = groups(sensor), layout(sensor).length(LONGEST)
+        widths, beats = groups.group_widths(sensor), layout(sensor).length(LONGEST)
         self.in_other = Signal()
         self.record_left = Signal(range(layout(sensor).length(RECORD)))
         self.in_event = Signal()
@@ -125,21 +115,21 @@ class CoderState:
         self.full = Signal()
         self.to_work = Signal()
         self.winner_mask = Signal(sensor.pixels)
-        self.age_ahead = Signal(AGE_BITS)
+        self.age_ahead = Signal(groups.AGE_BITS)
         self.fits_ahead = Signal()
 
         self.busy = Signal()
         self.phase = Signal(Phase)
         self.ends = Signal()
-        self.event_pulse = Signal(HEAD.pulse)
+        self.event_pulse = Signal(groups.HEAD.pulse)
         self.numbers = Signal(widths.fixed_bits - 1)
         self.stamp = Signal(sensor.stamp_bits)
         self.winner = Signal(sensor.winner_bits)
         self.mapped = Signal()
-        self.age = Signal(AGE_BITS)
+        self.age = Signal(groups.AGE_BITS)
         self.same = Signal()
         self.fits = Signal()
-        self.low_bits = Signal(range(sensor.stamp_bits + AGE_BITS + 1))
+        self.low_bits = Signal(range(sensor.stamp_bits + groups.AGE_BITS + 1))
         self.pixels = Next(sensor.winner_bits, "pixels")
         self.rest = Signal(sensor.pixels)
         self.parts = Signal(range(map_parts(sensor) + 1))
@@ -147,16 +137,16 @@ class CoderState:
         self.offset_pair = Next(sensor.offset_bits, "offset_pair")
         self.minigroups = Signal(sensor.minigroups)
 
-        self.stamp_bits = Signal(HEAD.stamp_bits)
+        self.stamp_bits = Signal(groups.HEAD.stamp_bits)
         self.open = Signal()
-        self.pulse = Signal(HEAD.pulse)
-        self.number = Signal(HEAD.number)
+        self.pulse = Signal(groups.HEAD.pulse)
+        self.number = Signal(groups.HEAD.number)
         self.opening = Signal()
         self.misfit = Signal()
         self.closing = Signal()
         self.forms = Signal()
-        self.next_part = Signal(groups(sensor).part_bits)
-        self.next_bits = Signal(range(groups(sensor).part_bits + 1))
+        self.next_part = Signal(groups.group_widths(sensor).part_bits)
+        self.next_bits = Signal(range(groups.group_widths(sensor).part_bits + 1))
 
 
 def is_event_head(beat: Value) -> Value:
@@ -166,7 +156,7 @@ def is_event_head(beat: Value) -> Value:
 
 def map_parts(sensor: Sensor) -> int:
     """Return the number of parts of a map."""
-    return -(-sensor.pixels // MAP_PART_BITS)
+    return -(-sensor.pixels // groups.MAP_PART_BITS)
 
 
 class Coder(Unit):
@@ -189,7 +179,7 @@ class Coder(Unit):
 
     def __init__(self, sensor: Sensor):
         self.sensor = sensor
-        self.widths = groups(sensor)
+        self.widths = groups.group_widths(sensor)
         super().__init__(
             grouped=In(1),
             with_offsets=In(1),
@@ -200,8 +190,8 @@ class Coder(Unit):
             head=In(1),
             take=Out(1),
             offer=Out(1),
-            part=Out(groups(sensor).part_bits),
-            bits=Out(bits_for(groups(sensor).part_bits)),
+            part=Out(groups.group_widths(sensor).part_bits),
+            bits=Out(bits_for(groups.group_widths(sensor).part_bits)),
             close=Out(1),
             free=In(1),
             passes=Out(1),
@@ -269,8 +259,8 @@ class Coder(Unit):
         Whether the next event fits is computed while it is taken, and so is the place of its winner.
         """
         state = self.state
-        first, other, pulse = Signal(), Signal(), Signal(HEAD.pulse)
-        age = Signal(HEAD.pulse + 1)
+        first, other, pulse = Signal(), Signal(), Signal(groups.HEAD.pulse)
+        age = Signal(groups.HEAD.pulse + 1)
         m.d.comb += [
             first.eq(state.busy & (state.phase == Phase.FIRST)),
             other.eq(self.grouped & self.valid & ~state.is_event & ~state.full & ~state.busy),
@@ -282,7 +272,7 @@ class Coder(Unit):
         ]
         m.d.sync += [
             state.age_ahead.eq(age),
-            state.fits_ahead.eq(age <= AGE_MAX),
+            state.fits_ahead.eq(age <= groups.AGE_MAX),
             state.winner_mask.eq(Const(1) << self._taken("winner")[: self.sensor.winner_bits]),
         ]
         with m.If(state.forms & state.closing):
@@ -313,7 +303,7 @@ class Coder(Unit):
                 state.event_pulse.eq(self._taken("pulse")),
                 state.numbers.eq(
                     Cat(
-                        Mux(mapped, MAPPED, count)[:LISTED_BITS],
+                        Mux(mapped, groups.MAPPED, count)[: groups.LISTED_BITS],
                         self._taken("overrun"),
                         self._taken("subgroup")[: widths.subgroup_bits],
                     )
@@ -324,7 +314,7 @@ class Coder(Unit):
                 state.age.eq(state.age_ahead),
                 state.same.eq(same),
                 state.fits.eq(state.fits_ahead),
-                state.low_bits.eq(Mux(same, state.stamp_bits, state.stamp_bits + AGE_BITS)),
+                state.low_bits.eq(Mux(same, state.stamp_bits, state.stamp_bits + groups.AGE_BITS)),
             ]
         with m.Elif(state.forms & state.opening):
             m.d.sync += [state.age.eq(0), state.same.eq(1), state.fits.eq(1), state.low_bits.eq(state.stamp_bits)]
@@ -351,7 +341,7 @@ class Coder(Unit):
             with m.Else():
                 m.d.sync += [own.more.eq(state.parts != 1), state.parts.eq(state.parts - 1)]
                 with m.If(state.phase == Phase.PIXELS):
-                    m.d.sync += state.rest.eq(state.rest >> MAP_PART_BITS)
+                    m.d.sync += state.rest.eq(state.rest >> groups.MAP_PART_BITS)
 
     def _offsets(self, m):
         """Choose the offsets of the next two minigroups."""
@@ -378,7 +368,7 @@ class Coder(Unit):
                 m.d.sync += state.stamp_bits.eq(bit + 1 + sensor.phase_bits)
         low = Mux(state.same, state.stamp, Cat(state.age, state.stamp))
         pixels = Cat(state.winner, state.pixels.shown())
-        last_part = sensor.pixels - MAP_PART_BITS * (map_parts(sensor) - 1)
+        last_part = sensor.pixels - groups.MAP_PART_BITS * (map_parts(sensor) - 1)
         m.d.comb += [
             state.forms.eq((state.busy | state.closing) & self.free),
             state.next_part.eq(Cat(state.numbers, state.same, low | (pixels << state.low_bits))),
@@ -387,12 +377,12 @@ class Coder(Unit):
         with m.If(state.opening):
             m.d.comb += [
                 state.next_part.eq(Cat(state.event_pulse, state.number, state.stamp_bits, self.with_offsets)),
-                state.next_bits.eq(HEAD_BITS),
+                state.next_bits.eq(groups.HEAD_BITS),
             ]
         with m.Elif((state.phase == Phase.PIXELS) & state.mapped):
             m.d.comb += [
-                state.next_part.eq(state.rest[:MAP_PART_BITS]),
-                state.next_bits.eq(Mux(state.pixels.more, MAP_PART_BITS, last_part)),
+                state.next_part.eq(state.rest[: groups.MAP_PART_BITS]),
+                state.next_bits.eq(Mux(state.pixels.more, groups.MAP_PART_BITS, last_part)),
             ]
         for phase, pair in ((Phase.PIXELS, state.pixels), (Phase.OFFSETS, state.offset_pair)):
             with m.Elif(state.phase == phase):

@@ -10,7 +10,7 @@ from functools import cache
 from amaranth.hdl import Cat, Const, Module, Mux, Signal
 from amaranth.lib.wiring import In, Out
 
-from ..model.contract.groups import CHECK_BITS, CHECK_LSB, CHECK_POLYNOMIAL, PAYLOAD_BITS, groups
+from ..model.contract.groups import CHECK_BITS, CHECK_LSB, CHECK_POLYNOMIAL, PAYLOAD_BITS, group_widths
 from ..model.contract.packet import BEAT_BITS, GROUP_KIND, KIND_BITS
 from ..model.contract.parameters import Sensor, bits_for
 from .axi import STREAM
@@ -37,7 +37,7 @@ class PackerState:
     """
 
     def __init__(self, sensor: Sensor):
-        longest = PAYLOAD_BITS - 1 + groups(sensor).part_bits  # bits that wait at most
+        longest = PAYLOAD_BITS - 1 + group_widths(sensor).part_bits  # bits that wait at most
         self.packed = Signal(longest)
         self.kept = Signal(longest)
         self.ready = Signal()
@@ -75,8 +75,8 @@ class Packer(Unit):
         self.sensor = sensor
         super().__init__(
             offer=In(1),
-            part=In(groups(sensor).part_bits),
-            bits=In(bits_for(groups(sensor).part_bits)),
+            part=In(group_widths(sensor).part_bits),
+            bits=In(bits_for(group_widths(sensor).part_bits)),
             close=In(1),
             free=Out(1),
             passes=In(1),

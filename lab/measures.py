@@ -12,7 +12,7 @@ import numpy as np
 from attrs import frozen
 
 from ..model.contract.config import Config
-from ..model.contract.groups import FIRST_PIXELS, PAYLOAD_BITS, groups
+from ..model.contract.groups import FIRST_PIXELS, PAYLOAD_BITS, group_widths
 from ..model.contract.packet import BEAT_BITS, FORMATS, RECORD, layout
 from ..model.depth.quality import OTHER_SURFACE_M, TOLERANCE_M, range_error, wrong_pixels, wrong_share
 from ..model.shared.constants import SUCCESS_TOLERANCE_S
@@ -182,5 +182,5 @@ def event_beats(config: Config) -> float:
     """Beats of an event; in groups, a part of a beat: of one with three pixels, which is usual at threshold 2."""
     packet = FORMATS[config.format]
     if packet.grouped:
-        return groups(config.sensor).listed_bits(packet, config.period_ticks, FIRST_PIXELS) / PAYLOAD_BITS
+        return group_widths(config.sensor).listed_bits(packet, config.period_ticks, FIRST_PIXELS) / PAYLOAD_BITS
     return layout(config.sensor).length(packet)

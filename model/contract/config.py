@@ -19,7 +19,7 @@ from ..shared.files import FilePath
 from . import registers
 from .bounds import noise_bounds
 from .dither import start_cycles
-from .groups import LARGE_PIXELS, PAYLOAD_BITS, groups
+from .groups import LARGE_PIXELS, PAYLOAD_BITS, group_widths
 from .link import beats_waiting_max, check_link, link_share, takes_beats
 from .packet import FORMATS, RECORD, WITH_MAP, built_formats, layout
 from .parameters import MASK_BITS, PARTS, SENSOR, Sensor
@@ -142,7 +142,7 @@ class Config(SubgroupSettings):
             subgroups = max(len(self.sensor.stream_subgroups(stream)) for stream in range(self.sensor.streams))
             beats -= self.pulses * subgroups * parts.length(RECORD)
         if packet.grouped:
-            bits = groups(self.sensor).listed_bits(packet, self.period_ticks, LARGE_PIXELS)
+            bits = group_widths(self.sensor).listed_bits(packet, self.period_ticks, LARGE_PIXELS)
             return min(max(0, beats) * PAYLOAD_BITS // bits, self.pulses * self.period // parts.length(packet))
         return max(0, beats) // parts.length(packet)
 

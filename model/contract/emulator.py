@@ -72,7 +72,7 @@ class Emulator:
 
     @classmethod
     def of(cls, config: Config, buffer_beats: int = BUFFER_BEATS) -> "Emulator":
-        """The emulator of a configuration's sensor, with a line of `BAUD` at its clock. Raises `InputError` where the clock cannot make that."""
+        """Return the emulator of a configuration's sensor, with a line of `BAUD`. Raises `InputError` if its clock cannot make that."""
         clocks = config.clock_mhz * 1e6 / BAUD
         if clocks < 4 or abs(clocks / round(clocks) - 1) > BAUD_TOLERANCE:
             raise InputError(

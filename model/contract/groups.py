@@ -76,6 +76,6 @@ class Groups:
 
 
 @cache
-def groups(sensor: Sensor) -> Groups:
+def group_widths(sensor: Sensor) -> Groups:
     """Return the widths in the groups of `sensor`."""
     return Groups(sensor)

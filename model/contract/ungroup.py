@@ -6,30 +6,17 @@ from typing import NamedTuple
 import numpy as np
 
 from ..shared.compiled import njit
-from .groups import (
-    AGE_BITS,
-    CHECK_BITS,
-    CHECK_LSB,
-    CHECK_POLYNOMIAL,
-    FIRST_LSB,
-    HEAD,
-    HEAD_BITS,
-    LAST_LSB,
-    LISTED_BITS,
-    MAPPED,
-    PAYLOAD_BITS,
-    groups,
-)
+from . import groups
 from .packet import BEAT_BITS, GROUP_KIND, HEADER, KIND_LSB
 from .parameters import OFFSET_NONE, Sensor
 
 _ALL = np.uint64(0xFFFF_FFFF_FFFF_FFFF)
-_CHECK_MASK = np.uint64((1 << CHECK_BITS) - 1)
+_CHECK_MASK = np.uint64((1 << groups.CHECK_BITS) - 1)
 _COLUMNS = tuple(HEADER)
 _OVERRUN, _SUBGROUP, _PULSE, _COUNT, _WINNER, _STAMP, _KIND = (
     _COLUMNS.index(name) for name in ("overrun", "subgroup", "pulse", "count", "winner", "stamp", "kind")
 )
-_NUMBERS = 1 << HEAD.number
+_NUMBERS = 1 << groups.HEAD.number
 
 
 class Widths(NamedTuple):
@@ -54,7 +41,7 @@ def _check_table() -> np.ndarray:
     """uint64[256]: what the check of a group does with the next byte."""
     table = np.arange(256)
     for _ in range(8):
-        table = table >> 1 ^ (table & 1) * CHECK_POLYNOMIAL
+        table = table >> 1 ^ (table & 1) * groups.CHECK_POLYNOMIAL
     return table.astype(np.uint64)
 
 
@@ -68,7 +55,7 @@ def check_of(beats):
     for k in range(len(beats)):
         beat = beats[k]
         if k == len(beats) - 1:
-            beat &= ~(_CHECK_MASK << np.uint64(CHECK_LSB))
+            beat &= ~(_CHECK_MASK << np.uint64(groups.CHECK_LSB))
         for byte in range(8):
             index = (check ^ beat >> np.uint64(8 * byte)) & np.uint64(255)
             check = CHECK_TABLE[index] ^ (check >> np.uint64(8))
@@ -81,14 +68,14 @@ def ungroup(beats: np.ndarray, at: np.ndarray, sensor: Sensor) -> Ungrouped:
     A group is good if its beats follow each other, the first and the last one are marked, and the check fits. All others
     are left out. A reader may begin anywhere: what lies before the first mark is damaged.
     """
-    widths = groups(sensor)
+    widths = groups.group_widths(sensor)
     of_sensor = Widths(widths.subgroup_bits, sensor.winner_bits, sensor.pixels, sensor.offset_bits)
     members = [sensor.members(g) for g in range(sensor.minigroups)]
     minigroup = np.zeros(sensor.pixels, np.int64)
     for g, pixels in enumerate(members):
         minigroup[pixels] = g
     spans, damaged = _spans(beats, at)
-    most = int((spans[:, 1] - spans[:, 0]).sum()) * PAYLOAD_BITS // (widths.fixed_bits + sensor.winner_bits)
+    most = int((spans[:, 1] - spans[:, 0]).sum()) * groups.PAYLOAD_BITS // (widths.fixed_bits + sensor.winner_bits)
     events = np.zeros((most, len(HEADER)), np.int64)
     hits = np.zeros((most, -(-sensor.pixels // BEAT_BITS)), np.uint64)
     offsets = np.full((most, sensor.minigroups), OFFSET_NONE, np.uint8)
@@ -113,7 +100,7 @@ def _spans(beats, at):
     for i in at:
         beat = beats[i]
         of_group = np.int64(beat >> np.uint64(KIND_LSB)) == GROUP_KIND
-        begins = of_group and np.bool_(beat >> np.uint64(FIRST_LSB) & np.uint64(1))
+        begins = of_group and np.bool_(beat >> np.uint64(groups.FIRST_LSB) & np.uint64(1))
         if first >= 0 and (begins or not of_group or i != end):
             damaged[n_damaged] = first
             n_damaged, first, missed = n_damaged + 1, np.int64(-1), True
@@ -126,14 +113,14 @@ def _spans(beats, at):
             orphan = True
             continue
         end = np.int64(i + 1)
-        if not beat >> np.uint64(LAST_LSB) & np.uint64(1):
+        if not beat >> np.uint64(groups.LAST_LSB) & np.uint64(1):
             continue
-        check = beats[i] >> np.uint64(CHECK_LSB) & _CHECK_MASK
+        check = beats[i] >> np.uint64(groups.CHECK_LSB) & _CHECK_MASK
         if check != check_of(beats[first:end]):
             damaged[n_damaged] = first
             n_damaged, missed = n_damaged + 1, True
         else:
-            shown = np.int64(beats[first] >> np.uint64(HEAD.pulse)) & (_NUMBERS - 1)
+            shown = np.int64(beats[first] >> np.uint64(groups.HEAD.pulse)) & (_NUMBERS - 1)
             if shown == number:
                 damaged[n_damaged] = first
                 n_damaged += 1
@@ -155,8 +142,8 @@ def _read(beats, bit, width):
     """Return `width` bits, at most 32, of the string of a group's payloads; what lies behind it is 0."""
     value, taken = np.uint64(0), 0
     while taken < width:
-        beat, lsb = (bit + taken) // PAYLOAD_BITS, (bit + taken) % PAYLOAD_BITS
-        room = min(PAYLOAD_BITS - lsb, width - taken)
+        beat, lsb = (bit + taken) // groups.PAYLOAD_BITS, (bit + taken) % groups.PAYLOAD_BITS
+        room = min(groups.PAYLOAD_BITS - lsb, width - taken)
         if beat < len(beats):
             part = beats[beat] >> np.uint64(lsb) & _ALL >> np.uint64(BEAT_BITS - room)
             value |= part << np.uint64(taken)
@@ -167,17 +154,17 @@ def _read(beats, bit, width):
 @njit
 def _events(beats, widths, minigroup, events, hits, offsets, n):
     """Decode the events of a group into the rows from `n` on, and return the next row."""
-    end = len(beats) * PAYLOAD_BITS - CHECK_BITS
-    group_pulse = _read(beats, 0, HEAD.pulse)
-    stamp_bits = _read(beats, HEAD.pulse + HEAD.number, HEAD.stamp_bits)
-    with_offsets = _read(beats, HEAD_BITS - HEAD.with_offsets, HEAD.with_offsets)
-    pulse, bit = group_pulse, HEAD_BITS
+    end = len(beats) * groups.PAYLOAD_BITS - groups.CHECK_BITS
+    group_pulse = _read(beats, 0, groups.HEAD.pulse)
+    stamp_bits = _read(beats, groups.HEAD.pulse + groups.HEAD.number, groups.HEAD.stamp_bits)
+    with_offsets = _read(beats, groups.HEAD_BITS - groups.HEAD.with_offsets, groups.HEAD.with_offsets)
+    pulse, bit = group_pulse, groups.HEAD_BITS
     hit, in_hit = np.zeros(len(minigroup), np.bool_), np.zeros(len(minigroup), np.bool_)  # by pixel, by minigroup
-    while bit + LISTED_BITS <= end:
-        listed = _read(beats, bit, LISTED_BITS)
+    while bit + groups.LISTED_BITS <= end:
+        listed = _read(beats, bit, groups.LISTED_BITS)
         if listed == 0:
             break
-        bit += LISTED_BITS
+        bit += groups.LISTED_BITS
         row = events[n]
         row[_KIND], row[_OVERRUN], row[_SUBGROUP] = (
             GROUP_KIND,
@@ -186,13 +173,13 @@ def _events(beats, widths, minigroup, events, hits, offsets, n):
         )
         bit += 1 + widths.subgroup
         if not _read(beats, bit, 1):
-            pulse = group_pulse - _read(beats, bit + 1, AGE_BITS)
-            bit += AGE_BITS
+            pulse = group_pulse - _read(beats, bit + 1, groups.AGE_BITS)
+            bit += groups.AGE_BITS
         row[_PULSE], row[_STAMP] = pulse, _read(beats, bit + 1, stamp_bits)
         bit += 1 + stamp_bits
         row[_WINNER] = _read(beats, bit, widths.winner)
         hit[:] = False
-        if listed == MAPPED:
+        if listed == groups.MAPPED:
             bit += widths.winner
             for pixel in range(widths.pixels):
                 hit[pixel] = _read(beats, bit + pixel, 1) != 0

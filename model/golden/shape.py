@@ -9,10 +9,14 @@ import numpy as np
 from ..contract import latency
 from ..contract.config import Config
 from ..contract.counters import COUNTER_NAMES
-from ..contract.groups import groups
+from ..contract.groups import group_widths
 from ..contract.packet import BEAT_BITS, FORMATS, FRAME_START, RECORD, Packet, layout, parts_of
 from ..contract.parameters import Sensor, bits_for
 
+_OF_SENSOR = (  # fields that are attributes of `Sensor`
+    "subgroups pixels minigroups phases phase_bits rearm fifo_depth record_bits record_stamp_bits winner_bits offset_bits"
+    " counter_max"
+)
 Shape = namedtuple(
     "Shape",
     "subgroups pixels minigroups phases phase_bits quarter_bits offset_tick_bits period open_cycles rearm fifo_depth "
@@ -55,17 +59,12 @@ def _words(bits: int) -> int:
 
 def shape_of(config: Config) -> Shape:
     sensor, frame = config.sensor, config.frame
-    lengths, packet, widths = layout(sensor), FORMATS[config.format], groups(sensor)
+    lengths, packet, widths = layout(sensor), FORMATS[config.format], group_widths(sensor)
+    of_sensor = {name: getattr(sensor, name) for name in _OF_SENSOR.split()}
     return Shape(
-        subgroups=sensor.subgroups,
-        pixels=sensor.pixels,
-        minigroups=sensor.minigroups,
-        phases=sensor.phases,
-        phase_bits=sensor.phase_bits,
+        **of_sensor,
         period=config.period,
         open_cycles=config.period - sensor.guard,
-        rearm=sensor.rearm,
-        fifo_depth=sensor.fifo_depth,
         quarter_bits=sensor.phase_bits - 2,
         offset_tick_bits=sensor.phase_bits - sensor.step_bits,
         minigroup_records=int(frame["minigroup_records"]),
@@ -77,18 +76,13 @@ def shape_of(config: Config) -> Shape:
         event_has_offsets=packet.has("offsets"),
         grouped=packet.grouped,
         subgroup_bits=widths.subgroup_bits,
-        winner_bits=sensor.winner_bits,
-        offset_bits=sensor.offset_bits,
         stamp_bits=bits_for(config.period_ticks - 1),
         listed_max=widths.listed_max,
         hits_words=_words(sensor.pixels),
         record_parts=_part_rows(sensor, RECORD),
         record_beats=lengths.length(RECORD),
         frame_parts=_part_rows(sensor, FRAME_START),
-        counter_max=sensor.counter_max,
         counter_beats=lengths.counter_beats,
         longest_word=lengths.longest_word,
-        record_bits=sensor.record_bits,
-        record_stamp_bits=sensor.record_stamp_bits,
         output_depth=latency.output_depth(lengths.longest),
     )
