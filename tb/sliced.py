@@ -30,7 +30,7 @@ from ..model.contract.edges import Edges
 from ..model.contract.parameters import Sensor
 from ..model.contract.spad_ports import port_bits
 from ..slices.emit import Sparse
-from ..slices.library import LANES, library, widest
+from ..slices.library import LANES, compiled, library, widest
 from ..slices.probe import Probe, numbers
 from ..slices.synthesis import Design
 from ..slices.waves import write_vcd
@@ -41,7 +41,7 @@ from .frame_record import STORED_TO_COMMIT, FrameJob, Recorded, cycle_limit
 from .rtl import rtl_in_two, sensor_key
 from .rtl_errors import SimulationError
 from .slice_proof import prove_module
-from .verilated import run_time, verilated_unit
+from .verilated import objects_in, run_time, verilated_unit
 
 SOURCE = Path(__file__).with_name("sliced.cpp")
 CHUNK_CYCLES = 20_000  # between two checks of progress and Ctrl-C
@@ -96,9 +96,10 @@ def build_library(sensor: Sensor, sensors: int = 1) -> ctypes.CDLL:
         core = pool.submit(verilated_unit, CORE, "Vcore", for_core, [toolchain.NOT_INLINED], CORE_OPTIMISE)
         support = pool.submit(run_time)
         slices = design(sensor)
+        compiled(slices, lanes(sensor, sensors))  # beside the core, which `library` needs, too
         proof.result()
-        include = [core.result(), toolchain.verilator().parents[1] / "include"]
-    objects = [core.result() / "libVcore.a", support.result()]
+        objects = objects_in(core.result(), support.result())
+    include = [core.result(), toolchain.verilator().parents[1] / "include"]
     path = library(slices, lanes(sensor, sensors), SOURCE, wiring_header(sensor), include, objects)
     pointer, i64, u32, i32 = ctypes.c_void_p, ctypes.c_int64, ctypes.c_uint32, ctypes.c_int
     rows = ctypes.POINTER(pointer)

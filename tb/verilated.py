@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Units that Verilator turns into archives, for C++ programs of our own: compiled once, kept by their contents."""
+"""Units that Verilator turns into object files, for C++ programs of our own: compiled once, kept by their contents."""
 
-import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 from ..model.shared.folders import build_root
@@ -10,49 +10,60 @@ from ..model.shared.sources import digest
 from ..tools.build import Compile, compile_once
 from . import toolchain
 
-RUN_TIME = "libverilated.a"
 VERILATOR = ("--cc", *toolchain.VERILATOR_OPTIONS)
-# A unit is one file for the compiler: separate, many small files and two precompiled headers take twice as long.
-COMPILER = ("-std=gnu++20", "-O2", "-fPIC")  # of a program around the archives
-MAKE_OPTIONS = ("VM_PARALLEL_BUILDS=0", "OPT_GLOBAL=-O2")
+COMPILER = ("g++", "-std=gnu++20", "-fPIC")
+SLOW = "__Slow.cpp"  # ends the names of files that only the first evaluation needs
+RUN_TIME = ("verilated.cpp", "verilated_threads.cpp")
+
+
+def include() -> list[str]:
+    """Return the compiler's options that find Verilator's headers."""
+    folder = toolchain.verilator().parents[1] / "include"
+    return [f"-I{folder}", f"-I{folder / 'vltstd'}"]
 
 
 def verilated_unit(
     top: str, prefix: str, sources: list[Path], options: Sequence[str] = (), optimise: str = toolchain.OPTIMISE
 ) -> Path:
-    """Verilate a unit: its headers and archive, in a folder keyed by its sources and options. optimise: of g++."""
+    """Verilate a unit: its headers and `objects_in`, in a folder keyed by its sources and options. optimise: of g++."""
     texts = {path.name: path.read_text() for path in sources}
-    return _archive(f"lib{prefix}.a", top, prefix, texts, options, optimise)
+    flags = [*VERILATOR, *options, "--top-module", top, "--prefix", prefix, "--Mdir", "."]
+    key = digest(
+        str(toolchain.verilator()), *flags, *COMPILER, optimise, *(part for of in texts.items() for part in of)
+    )
+
+    def make(scratch: Path, run: Compile) -> None:
+        for name, text in texts.items():
+            (scratch / name).write_text(text)
+        run([str(toolchain.verilator()), *flags, *texts])
+        names = {path.name for path in scratch.glob("*.cpp")}
+        slow = {name for name in names if name.endswith(SLOW)}
+        with ThreadPoolExecutor() as pool:  # two files for the compiler, because many small ones take twice as long
+            fast = pool.submit(_compiled, scratch, run, "fast.cpp", names - slow, optimise)
+            _compiled(scratch, run, "slow.cpp", slow, "-O0")
+            fast.result()
+        for path in scratch.iterdir():
+            if path.suffix not in (".h", ".o"):
+                path.unlink()
+
+    return compile_once(build_root() / "verilated" / f"{top}-{key}", make)
 
 
 def run_time() -> Path:
-    """Return the archive of Verilator's run-time library, the same one for every unit."""
-    top = "coincid_nothing"
-    return _archive(RUN_TIME, top, "Vnothing", {f"{top}.v": f"module {top}; endmodule\n"}) / RUN_TIME
+    """Return the folder with Verilator's run-time library, the same one for every unit."""
+    key = digest(str(toolchain.verilator()), *COMPILER, *RUN_TIME)
+    return compile_once(
+        build_root() / "verilated" / f"run-time-{key}",
+        lambda scratch, run: _compiled(scratch, run, "all.cpp", RUN_TIME, "-O1"),
+    )
 
 
-def _archive(
-    archive: str,
-    top: str,
-    prefix: str,
-    sources: Mapping[str, str],
-    options: Sequence[str] = (),
-    optimise: str = toolchain.OPTIMISE,
-) -> Path:
-    """Return a folder with an archive that Verilator's make file builds for the `sources`, and their headers."""
-    contents = (part for item in sources.items() for part in item)
-    key = digest(str(toolchain.verilator()), *VERILATOR, *MAKE_OPTIONS, optimise, archive, top, *options, *contents)
-    directory = build_root() / "verilated" / f"{top}-{key}"
+def objects_in(*folders: Path) -> list[Path]:
+    """Return the object files of units and of the run-time library."""
+    return [path for folder in folders for path in sorted(folder.glob("*.o"))]
 
-    def make(scratch: Path, run: Compile) -> None:
-        for name, text in sources.items():
-            (scratch / name).write_text(text)
-        flags = [*options, "-CFLAGS", "-fPIC", "--top-module", top, "--prefix", prefix, "--Mdir", "."]
-        run([str(toolchain.verilator()), *VERILATOR, *flags, *sources])
-        jobs = str(os.cpu_count())
-        run(["make", "-s", "-j", jobs, "-f", f"{prefix}.mk", *MAKE_OPTIONS, f"OPT_FAST={optimise}", archive])
-        for path in scratch.iterdir():
-            if path.suffix not in (".h", ".a"):
-                path.unlink()
 
-    return compile_once(directory, make)
+def _compiled(folder: Path, run: Compile, file: str, names: Iterable[str], optimise: str) -> None:
+    """Compile C++ files as one."""
+    (folder / file).write_text("".join(f'#include "{name}"\n' for name in sorted(names)))
+    run([*COMPILER, optimise, *include(), "-c", file, "-o", Path(file).with_suffix(".o").name])

@@ -14,7 +14,7 @@ from ..model.shared.sources import digest, sources_digest
 from ..tools.build import Compile, build_once, compile_once
 from ..tools.libraries import Functions, load
 from . import toolchain
-from .verilated import COMPILER, run_time, verilated_unit
+from .verilated import COMPILER, include, objects_in, run_time, verilated_unit
 
 SOURCE = Path(__file__).with_name("emulator.cpp")
 LIBRARY = "libemulator.so"
@@ -56,9 +56,8 @@ def build_line(sources: list[Path], top: str, options: Sequence[str] = ()) -> Pa
     directory = build_root() / "verilated" / f"emulator-{digest(unit.name, *COMPILER, SOURCE.read_text())}"
 
     def make(_: Path, run: Compile) -> None:
-        include = [f"-I{unit}", f"-I{toolchain.verilator().parents[1] / 'include'}"]
-        command = ["g++", "-shared", *COMPILER, "-o", LIBRARY, str(SOURCE), *include]
-        run([*command, str(unit / "libVemulator.a"), str(run_time()), "-lpthread", "-latomic"])
+        command = [*COMPILER, "-O2", "-shared", "-o", LIBRARY, str(SOURCE), f"-I{unit}", *include()]
+        run([*command, *map(str, objects_in(unit, run_time())), "-lpthread", "-latomic"])
 
     return compile_once(directory, make) / LIBRARY
 
