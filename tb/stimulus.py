@@ -18,16 +18,11 @@ def port_words(config: Config, edges: Edges) -> dict[int, list[tuple[int, int]]]
     """Return cycle of the frame -> [(subgroup, word)] for subgroups with an edge in it; `port_bits` numbers the bits."""
     cycle, subgroup, bit = port_bits(config, edges)
     order = np.lexsort((subgroup, cycle))
-    words: dict[int, list[tuple[int, int]]] = {}
-    last = None
+    words: dict[int, dict[int, int]] = {}
     for c, s, b in zip(cycle[order].tolist(), subgroup[order].tolist(), bit[order].tolist()):
-        at = words.setdefault(c, [])
-        if last == (c, s):
-            at[-1] = (s, at[-1][1] | 1 << b)
-        else:
-            at.append((s, 1 << b))
-        last = c, s
-    return words
+        at = words.setdefault(c, {})
+        at[s] = at.get(s, 0) | 1 << b
+    return {c: list(at.items()) for c, at in words.items()}
 
 
 def tick_ps(config: Config) -> float:

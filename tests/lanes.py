@@ -101,10 +101,7 @@ class Lanes:
         longest = 2 * config.pulses * 2 * self._sensor.period_max if patient else 0
         limit = 2 * cycle_limit(config, len(ready)) + longest
         lists = [
-            (np.array(settings, ACCESS),),
-            (np.array(list(during), ACCESS),),
-            (np.array(list(after), ACCESS),),
-            (np.array(list(beside), ACCESS),),
+            *((np.array(list(accesses), ACCESS),) for accesses in (settings, during, after, beside)),
             (np.array(sorted(upsets, key=lambda upset: upset[1]), UPSET),),
             tuple(np.ascontiguousarray(column[order], np.int64) for column in columns),
             (np.ascontiguousarray(ready, np.uint8),),
