@@ -184,7 +184,6 @@ def build(
     key: str,
     waves: bool = False,
     public: Sequence[str] = (),
-    vlt: Sequence[Path | str] = (),
     blocks: Sequence[str] = (),
     delays: bool = False,
     options: Sequence[str] = (),
@@ -197,7 +196,6 @@ def build(
     waves: every run of this build dumps an FST.
     public: signals besides the top's ports that cocotb can see under Verilator, as "module.signal", both Verilog
         names, `*` and `?` allowed. Under Icarus everything is visible.
-    vlt: further Verilator control files.
     blocks: modules without delays, of which Verilator compiles one instance for all.
     delays: the sources have delays, in the units that they declare themselves; Icarus always respects them.
     options: of the compiler, such as Verilator's `--coverage-line`, with which every run leaves coverage.dat in its `out_dir`.
@@ -216,11 +214,10 @@ def build(
         file, what = (f"{top}.fst", f"0, {top}") if waves else (f"{top}.vcd", f"1, {', '.join(scopes)}")
         files["coincid_dump.v"] = DUMP.format(top=top, file=file, what=what).encode()
     if simulator == "verilator":
-        controls = {f"control{i}.vlt": Path(path).read_bytes() for i, path in enumerate(vlt)}
-        controls["design.vlt"] = _control_file(files.values(), top, public, blocks).encode()
+        control = {"design.vlt": _control_file(files.values(), top, public, blocks).encode()}
         hierarchy = ["--hierarchical"] if blocks else []
-        tools, command = _verilator_command([*hierarchy, *options, *controls, *files], top, waves, delays)
-        files |= controls
+        tools, command = _verilator_command([*hierarchy, *options, *control, *files], top, waves, delays)
+        files |= control
     else:
         tools, command = _icarus_command([*options, *files], top, waves or bool(scopes))
         files |= {"timescale.f": f"+timescale+{TIMESCALE}\n".encode()}

@@ -171,13 +171,9 @@ def functional() -> list[str]:
         golden = None
         for number, config in enumerate(config for config in random_cases.modes(sensor) for _ in range(2)):
             golden = golden or Golden(config.sensor)
-            kind, edges = (
-                random_cases.READY_KINDS[number % len(random_cases.READY_KINDS)],
-                random_cases.trouble(config, number, 12.0),
-            )
-            situations(
-                config, edges, golden.frame(config, edges, random_cases.ready_pattern(number, kind, 400)), kind, counts
-            )
+            kind = random_cases.READY_KINDS[number % len(random_cases.READY_KINDS)]
+            edges, ready = random_cases.trouble(config, number, 12.0), random_cases.ready_pattern(number, kind, 400)
+            situations(config, edges, golden.frame(config, edges, ready), kind, counts)
         golden, before = Golden(config.sensor), None
         for config in random_cases.scarce(sensor):
             trace = golden.frame(config, random_cases.trouble(config, 0, 25.0))
