@@ -28,7 +28,7 @@ All likelihoods are relative to a pixel that sees no surface, whose hits are bac
 import math
 from collections.abc import Callable, Iterable
 from functools import cache, partial
-from typing import NamedTuple, Protocol, TypeVar
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy import special
@@ -58,13 +58,7 @@ NEGLIGIBLE = -1.0  # log likelihood ratio below which averaging over the lights 
 BLOCK = 32  # times that are averaged together
 ALIKE = 0.2  # pixels of a minigroup are treated alike if their probabilities to have been first differ by less
 
-Result = TypeVar("Result")
-
-
-class Spread(Protocol):
-    """A `map` that may use any order."""
-
-    def __call__(self, function: Callable[[int], Result], items: Iterable[int], /) -> Iterable[Result]: ...
+Spread = Callable[[Callable[[int], Any], Iterable[int]], Iterable[Any]]  # a `map` that may use any order
 
 
 class Grid(NamedTuple):
@@ -116,7 +110,6 @@ class _Law(NamedTuple):
     window: int
     told: int  # ticks of the window whose hits are known: all of them, or the first (format short)
     phases: int
-    rearm: int
     offset: int  # ticks per step of an offset
     reach: int
     step: int
@@ -240,7 +233,6 @@ def log_likelihood(
             window=window,
             told=window if events.mapped else 1,
             phases=sensor.phases,
-            rearm=sensor.rearm,
             offset=sensor.offset_ticks,
             reach=reach,
             step=grid.step,
@@ -384,17 +376,9 @@ def _by_subgroup(events: Events, config: Config, pulses: int, reach: int, offset
 
     def of_subgroup(s: int) -> _Events:
         span, here = slice(events.bounds[s], events.bounds[s + 1]), slice(bounds[s], bounds[s + 1])
+        parts = stamp, armed, pulse, events.winner, events.hits, events.offset, overrun, known, quiet, since
         return _Events(
-            stamp=stamp[span],
-            armed=armed[span],
-            pulse=pulse[span],
-            winner=events.winner[span],
-            hits=events.hits[span],
-            offset=events.offset[span],
-            overrun=overrun[span],
-            known=known[span],
-            quiet=quiet[span],
-            since=since[span],
+            *(part[span] for part in parts),
             clusters=clusters[here] - events.bounds[s],
             alike=np.append(np.flatnonzero(begins[here]), bounds[s + 1] - bounds[s]),
             shares=np.empty((0, 0), np.float32),
@@ -416,34 +400,30 @@ def unheard(events: Events, config: Config, pulses: int, sigma_ticks: float, spr
     reach = math.ceil(REACH_SIGMAS * sigma_ticks)
     taps = np.arange(-(reach // every), reach // every + 1) * every
     pulse = np.exp(-0.5 * taps**2 / (sigma_ticks**2 - (every**2 - 1) / 12))  # a point is a mean over its ticks already
+    shape = (pulse / pulse.sum()).astype(np.float32)
 
     def of_subgroup(s: int) -> None:
         window, committed = int(events.window[s]), events.committed[s]
         span = slice(events.bounds[s], events.bounds[s + 1])
-        stamp, armed, overrun = (
-            events.stamp[span],
-            armed_ticks(events.stamp[span], window, config),
-            events.overrun[span],
-        )
-        dropping = bool(overrun.any())
+        stamp, overrun = events.stamp[span], events.overrun[span]
+        armed, dropping = armed_ticks(stamp, window, config), bool(overrun.any())
         kept = np.ones(ticks)
         if dropping:
             kept, found = _while_dropping(events.pulse[span] % pulses, stamp, armed, overrun, committed, pulses, config)
         dropped = 1 / kept
         dropped *= committed / max(1.0, dropped[stamp].sum())  # windows per stored window
         rejected = (events.opened[s] - committed) / pulses / ticks  # windows per tick
-        early = np.maximum(0, stamp - reach)
         threshold = int(events.threshold[s])
         _leave_no_trace(
             _share_between(stamp, stamp + window, dropped, pulses),
-            np.minimum(1, _share_between(early, armed, dropped, pulses)) if dropping else none,
+            np.minimum(1, _share_between(np.maximum(0, stamp - reach), armed, dropped, pulses)) if dropping else none,
             _share_between(stamp, armed, dropped, pulses) if dropping else none,
             found.astype(np.float32) if dropping else none,
             np.tile(np.minimum(BLIND_MAX, rejected * after_rejected).astype(np.float32), config.period),
             np.repeat(_gate_share(config, s), sensor.phases).astype(np.float32) if config.gating[s] else all_seen,
             np.float32(_event_share(threshold, events.photon_rate[s] * window)),
             _shares(threshold),
-            (pulse / pulse.sum()).astype(np.float32),
+            shape,
             every,
             1 + dropping,
             missed[:, s],
@@ -483,7 +463,7 @@ def _event_share(threshold: int, photons: float) -> float:
     return max(float(np.finfo(np.float32).tiny), special.gammainc(threshold, max(photons, RATE_MIN)))
 
 
-@njit
+@njit(error_model="numpy")
 def _leave_no_trace(covered, nearby, busy, found, deaf, seen, least, shares, pulse, every, kinds, missed, blind):
     """Compute missed and blind, float32[2, points], of `Unheard` for one subgroup.
 
@@ -493,24 +473,24 @@ def _leave_no_trace(covered, nearby, busy, found, deaf, seen, least, shares, pul
     least: share of the windows that become events by background alone.
     """
     ticks, points, reach, one = len(covered), missed.shape[1], len(pulse) // 2, np.float32(1)
-    lost, unarmed = np.empty(ticks, np.float32), np.empty(ticks, np.float32)
+    share, place, met, dark, lost, unarmed = np.empty((6, ticks), np.float32)
     line = np.empty(points + 2 * reach, np.float32)
     for kind in range(kinds):
         for t in range(ticks):
-            share = max(covered[t] / (one - deaf[t]), least)
-            place = min((fast_log(share) - shares.low) * shares.per, np.float32(SHARES - 1.001))
-            k = np.int32(place)
-            part = place - np.float32(k)
-            met = shares.met[k] + part * (shares.met[k + 1] - shares.met[k])
-            dark = shares.dark[k] + part * (shares.dark[k + 1] - shares.dark[k])
-            room = found[t] if kind else one
-            noticed = min(one, max(share, nearby[t]) if kind else share)
-            silent = one - (one - deaf[t]) * room * noticed
-            lost[t] = one - seen[t] * (
-                one - min(one, (one - (one - deaf[t]) * room * met) / max(silent, np.float32(RARE)))
-            )
+            share[t] = max(covered[t] / (one - deaf[t]), least)
+            place[t] = min((fast_log(share[t]) - shares.low) * shares.per, np.float32(SHARES - 1.001))
+        for t in range(ticks):
+            k = np.uint32(place[t])
+            part = place[t] - np.float32(k)
+            met[t] = shares.met[k] + part * (shares.met[k + 1] - shares.met[k])
+            dark[t] = shares.dark[k] + part * (shares.dark[k + 1] - shares.dark[k])
+        for t in range(ticks):
+            awake = (one - deaf[t]) * (found[t] if kind else one)
+            noticed = min(one, max(share[t], nearby[t]) if kind else share[t])
+            silent = max(one - awake * noticed, np.float32(RARE))
+            lost[t] = one - seen[t] * (one - min(one, (one - awake * met[t]) / silent))
             off = min(np.float32(BLIND_MAX), deaf[t] + busy[t]) if kind else deaf[t]
-            unarmed[t] = off / (off + (one - off) * dark)
+            unarmed[t] = off / (off + (one - off) * dark[t])
         for of_ticks, out in ((lost, missed[kind]), (unarmed, blind[kind])):
             for j in range(points):
                 begin, end, total = j * every, min(ticks, (j + 1) * every), np.float32(0)
@@ -933,7 +913,7 @@ def _of_lights(common, pixels, known, chance):
 def _over_lights(common, pixels, prior, lightest, place, level, light):
     """Compute the logarithm of the mean over the lights, and the likeliest light; a masked pixel favours no time.
 
-    lightest: index of the first light in the grid.
+    lightest: index of the first light in the grid. `common` is used up.
     """
     total, touched, mask, first = pixels.total, pixels.touched, pixels.mask, pixels.first
     lights, bins = len(prior), touched.shape[1]
@@ -941,48 +921,48 @@ def _over_lights(common, pixels, prior, lightest, place, level, light):
     work = np.zeros((lights, BLOCK), np.float32), np.zeros(BLOCK, np.float32), np.zeros(BLOCK, np.float32)
     best = np.zeros(BLOCK, np.int32)
     level_of_all, light_of_all = np.empty(times, np.float32), np.empty(times, np.uint8)
-    untouched = np.zeros(times, np.bool_)
+    line = np.empty(BLOCK * lights, np.float32)
+    for k in range(times):
+        for x in range(lights):
+            common[k * lights + x] += prior[x]
     for k in range(0, times, BLOCK):
         end = min(times, k + BLOCK)
-        here = common[k * lights : end * lights]
-        _mean(here, here, untouched[k:end], prior, lightest, work, best, level_of_all[k:end], light_of_all[k:end])
+        _mean(common[k * lights : end * lights], lightest, work, best, level_of_all[k:end], light_of_all[k:end])
     for i in range(len(total)):
         p, low, high = place[i], max(0, -first[i]), min(bins, times - first[i])
         if not mask[i]:
             high = low
-        for k in range(low):
+        for k in range(bins):
             level[p, k], light[p, k] = 0, 0
         for k in range(low, high):
             level[p, k], light[p, k] = level_of_all[first[i] + k], light_of_all[first[i] + k]
-        for k in range(high, bins):
-            level[p, k], light[p, k] = 0, 0
         k = low
         while k < high:
-            if not touched[i, k]:
+            end = k
+            while end < min(high, k + BLOCK) and touched[i, end]:
+                end += 1
+            if end == k:
                 k += 1
                 continue
-            end = min(high, k + BLOCK)
-            while not touched[i, end - 1]:
-                end -= 1
-            here = common[(first[i] + k) * lights : (first[i] + end) * lights]
-            own = total[i, k * lights : end * lights]
-            _mean(here, own, touched[i, k:end], prior, lightest, work, best, level[p, k:end], light[p, k:end])
+            here, own = common[(first[i] + k) * lights : (first[i] + end) * lights], total[i, k * lights : end * lights]
+            for j in range(len(own)):
+                line[j] = here[j] + own[j]
+            _mean(line[: len(own)], lightest, work, best, level[p, k:end], light[p, k:end])
             k = end
 
 
 @njit(allocates=False)
-def _mean(common, total, touched, prior, lightest, work, best, level, light):
+def _mean(line, lightest, work, best, level, light):
     """Compute the mean over the lights and the likeliest light of at most `BLOCK` times.
 
     work: values, float32[lights, BLOCK], and two float32[BLOCK]; best: int32[BLOCK]. All loops over times have the same
     length, so that they compile to vector code without a remainder.
     """
     values, top, ratio = work
-    n, lights = len(touched), len(prior)
+    n, lights = len(level), len(values)
     for k in range(n):
         for x in range(lights):
-            j = k * lights + x
-            values[x, k] = common[j] + prior[x] + (total[j] if touched[k] else np.float32(0))
+            values[x, k] = line[k * lights + x]
     for k in range(BLOCK):
         top[k], best[k], ratio[k] = values[0, k], 0, 0
     for x in range(1, lights):
