@@ -271,7 +271,7 @@ def log_likelihood(
         list(spread(lambda s: average(s, prior, *evidence(s)), subgroups))
     else:
         assert guess is not None
-        found = list(spread(evidence, subgroups))
+        found: list[tuple[np.ndarray, _Pixels]] = list(spread(evidence, subgroups))
         known = config.mask & ~np.isnan(guess.time)
         chance = np.zeros((sensor.subgroups, sensor.pixels, len(grid.lights)), np.float32)
         list(spread(lambda s: _of_lights(*found[s], known[s], chance[s, :, chosen[s]]), subgroups))
@@ -377,12 +377,9 @@ def _by_subgroup(events: Events, config: Config, pulses: int, reach: int, offset
     def of_subgroup(s: int) -> _Events:
         span, here = slice(events.bounds[s], events.bounds[s + 1]), slice(bounds[s], bounds[s + 1])
         parts = stamp, armed, pulse, events.winner, events.hits, events.offset, overrun, known, quiet, since
-        return _Events(
-            *(part[span] for part in parts),
-            clusters=clusters[here] - events.bounds[s],
-            alike=np.append(np.flatnonzero(begins[here]), bounds[s + 1] - bounds[s]),
-            shares=np.empty((0, 0), np.float32),
-        )
+        alike = np.append(np.flatnonzero(begins[here]), bounds[s + 1] - bounds[s])
+        own = clusters[here] - events.bounds[s], alike, np.empty((0, 0), np.float32)
+        return _Events._make([*(part[span] for part in parts), *own])
 
     return [of_subgroup(s) for s in range(sensor.subgroups)]
 
