@@ -14,7 +14,7 @@ from amaranth.lib.wiring import In, Out
 from ..model.contract import groups
 from ..model.contract.packet import BEAT_BITS, FORMATS, FRAME_END, KIND_LSB, OFFSETS, RECORD, layout, parts_of
 from ..model.contract.parameters import Sensor, bits_for
-from .logic import any_of, up_to
+from .logic import any_of, first_index, up_to
 from .unit import Unit
 
 GROUPED = tuple(packet for packet in FORMATS.values() if packet.grouped)
@@ -33,6 +33,7 @@ class Ends:
     """The lowest and the highest one of some bits, one-hot; whether there are one and two; and the bits between them."""
 
     def __init__(self, m: Module, bits: Value, name: str):
+        self.bits, self.name = bits, name
         size = len(bits)
         self.low, self.high = Signal(size, name=f"{name}_low"), Signal(size, name=f"{name}_high")
         self.between = Signal(size, name=f"{name}_between")
@@ -47,12 +48,10 @@ class Ends:
             self.between.eq(bits & above & below),
         ]
 
-    def places(self, width: int) -> Value:
-        """Return the numbers of the lowest and of the highest one."""
-        return Cat(
-            Cat(Cat(bit for i, bit in enumerate(one_hot) if i >> b & 1).any() for b in range(width))
-            for one_hot in (self.low, self.high)
-        )
+    def places(self, m: Module, width: int) -> Value:
+        """Return the numbers of the lowest and of the highest one; they do not wait for the one-hot forms."""
+        padded = Cat(self.bits, Const(0, (1 << width) - len(self.bits)))
+        return Cat(first_index(m, padded, f"{self.name}_first"), ~first_index(m, padded[::-1], f"{self.name}_last"))
 
     def values(self, m: Module, items: list[Value], name: str) -> Value:
         """Return those of the items that stand at the lowest and at the highest one."""
@@ -330,13 +329,13 @@ class Coder(Unit):
         of_taken, of_rest = Ends(m, others, "others"), Ends(m, state.rest, "rest")
         mapped = self._taken("count") > self.widths.listed_max
         with m.If(state.to_work):
-            m.d.sync += own.takes(of_taken, of_taken.places(own.width))
+            m.d.sync += own.takes(of_taken, of_taken.places(m, own.width))
             m.d.sync += [state.rest.eq(of_taken.between), state.parts.eq(map_parts(sensor))]
             with m.If(mapped):
                 m.d.sync += [own.one.eq(0), own.two.eq(0), own.more.eq(1), state.rest.eq(hits)]
         with m.Elif(state.forms & ~state.opening & ~state.closing):
             with m.If(~state.mapped):
-                m.d.sync += own.takes(of_rest, of_rest.places(own.width))
+                m.d.sync += own.takes(of_rest, of_rest.places(m, own.width))
                 m.d.sync += state.rest.eq(of_rest.between)
             with m.Else():
                 m.d.sync += [own.more.eq(state.parts != 1), state.parts.eq(state.parts - 1)]
