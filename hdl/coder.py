@@ -14,7 +14,7 @@ from amaranth.lib.wiring import In, Out
 from ..model.contract import groups
 from ..model.contract.packet import BEAT_BITS, FORMATS, FRAME_END, KIND_LSB, OFFSETS, RECORD, layout, parts_of
 from ..model.contract.parameters import Sensor, bits_for
-from .logic import any_of, first_index, up_to
+from .logic import any_of, first_index, tree, up_to
 from .unit import Unit
 
 GROUPED = tuple(packet for packet in FORMATS.values() if packet.grouped)
@@ -29,22 +29,28 @@ class Phase(enum.Enum, shape=2):  # type: ignore[call-arg]  # Amaranth's enumera
     OFFSETS = 2
 
 
+def at_most_three(a: Value, b: Value) -> Value:
+    """Return a + b, or 3 if it is more."""
+    total = a + b
+    return Mux(total > 3, 3, total)[:2]
+
+
 class Ends:
-    """The lowest and the highest one of some bits, one-hot; whether there are one and two; and the bits between them."""
+    """The lowest and the highest one of some bits, one-hot; whether there are one, two and more; and the bits between them."""
 
     def __init__(self, m: Module, bits: Value, name: str):
         self.bits, self.name = bits, name
         size = len(bits)
         self.low, self.high = Signal(size, name=f"{name}_low"), Signal(size, name=f"{name}_high")
         self.between = Signal(size, name=f"{name}_between")
-        self.one, self.two = Signal(name=f"{name}_one"), Signal(name=f"{name}_two")
+        count = Signal(2, name=f"{name}_count")
+        self.one, self.two, self.more = count.any(), count[1], count.all()
         above = up_to(m, bits, f"{name}_up") << 1  # places above the lowest one
         below = up_to(m, bits[::-1], f"{name}_down")[::-1] >> 1
         m.d.comb += [
             self.low.eq(bits & ~above),
             self.high.eq(bits & ~below),
-            self.one.eq(bits.any()),
-            self.two.eq((bits & above).any()),
+            count.eq(tree(m, list(bits), at_most_three, f"{name}_counts")),
             self.between.eq(bits & above & below),
         ]
 
@@ -71,7 +77,7 @@ class Next:
 
     def takes(self, ends: Ends, items: Value) -> list[Any]:
         """Return the statements that put the items at both ends of some bits here."""
-        flags = self.one.eq(ends.one), self.two.eq(ends.two), self.more.eq(ends.between.any())
+        flags = self.one.eq(ends.one), self.two.eq(ends.two), self.more.eq(ends.more)
         return [self.items.eq(items), *flags]
 
     def shown(self) -> Value:
