@@ -103,7 +103,7 @@ MISTAKES: dict[tuple[str, tuple[str, ...], tuple[tuple[str, ...], ...]], dict[st
     ("hdl/memory.py", (), (("tests/hdl/test_memory.py",),)): {"latch-rows-swapped": ("to == {r}", "to == {r ^ 1}")},
     ("hdl/subgroup.py", ("subgroup_rests",), ()): {"sleeps-early": ("AWAKE_CYCLES = 31", "AWAKE_CYCLES = 5")},
     ("hdl/minigroup.py", ("minigroup_rests",), ()): {
-        "stage-asleep": ("[self.awake_1, self.awake_3]", "[self.awake_1]")
+        "stage-asleep": ("self.state.awake_1, self.state.awake_3, *", "self.state.awake_1, *")
     },
     ("hdl/tree.py", ("strobes_rest",), ()): {"strobe-asleep": ("self.timing.wrap, *state.strobes", "*state.strobes")},
     ("hdl/dpcu.py", ("dpcu_rests",), ()): {"pulse-asleep": ("| self.start | state.coming", "| state.coming")},
@@ -134,7 +134,10 @@ MISTAKES: dict[tuple[str, tuple[str, ...], tuple[tuple[str, ...], ...]], dict[st
     },
     ("hdl/coder.py", ("coder",), (FRAMES,)): {
         "age-of-another-event": ("same.eq(state.age_ahead == state.age)", "same.eq(state.age_ahead == 0)"),
-        "group-too-old": ("state.fits_ahead.eq(age <= AGE_MAX)", "state.fits_ahead.eq(age <= AGE_MAX + 1)"),
+        "group-too-old": (
+            "state.fits_ahead.eq(age <= groups.AGE_MAX)",
+            "state.fits_ahead.eq(age <= groups.AGE_MAX + 1)",
+        ),
         "pixel-twice": ("state.rest.eq(of_rest.between)", "state.rest.eq(of_rest.between | of_rest.high)"),
     },
     ("hdl/packer.py", ("packer",), (FRAMES,)): {

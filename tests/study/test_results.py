@@ -125,7 +125,7 @@ RESULTS: dict[str, tuple[Callable[[Path], Any], str]] = {
         "84c6b4b042f08787",
     ),
     "modes": (section(four_modes.background, KLUX=(10.0, 50.0), DISTANCES_M=(5.0,), SEEDS=1), "cb2fe70284e73fa9"),
-    "figure 8": (section(reconstruction.figure_8, THRESHOLDS_8=(2, 3), SEEDS=1, MANY=1), "d935c56de1a602ba"),
+    "figure 8": (section(reconstruction.figure_8, THRESHOLDS_8=(2, 3), SEEDS=1, MANY=1), "34aedca1bc290ba7"),
     "interference": (
         section(
             interference.interference,

@@ -187,7 +187,7 @@ def test_engine_is_built_once_whoever_wants_it_and_whoever_is_killed(tmp_path, e
     calls.unlink()
     for process in [start() for _ in range(4)]:
         assert process.communicate()[0] == "4\n" and process.returncode == 0
-    assert sorted(calls.read_text().splitlines()) == ["g++", "g++ -shared", "make", "make", "verilator", "verilator"]
+    assert sorted(calls.read_text().splitlines()) == [*4 * ["g++"], "g++ -shared", "verilator"]
     assert not list(empty_build_root.rglob("*.part*"))
 
 
