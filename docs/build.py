@@ -25,18 +25,18 @@ MODULES = {  # page: title, modules
         "Light",
         ("light", "spad", "timing", "photons", "link_budget", "spectrum", "analytic", "code_density"),
     ),
-    "model.scenes": ("Scenes", ("catalogue", "scene", "planes", "depth_file", "ambient", "daylight", "transient", "ray_scene")),
+    "model.scenes": ("Scenes", ("catalogue", "scene", "flat_scenes", "depth_file", "ambient", "daylight", "transient", "ray_scene")),
     "model.depth": ("Depth", ("estimate", "histograms", "arrivals", "quality", "peaks", "planes")),
     "model.recorded": ("Recorded photons", ("exchange", "recordings", "ptu")),
     "hdl": (
         "RTL",
         (
-            "sensor", "module", "subgroup", "minigroup", "tree", "tdc", "dpcu", "gating", "fifo", "readout", "packetizer",
-            "controller", "registers", "settings", "sequencer", "deserialiser", "axi", "export", "views",
+            "sensor", "subgroup_pair", "subgroup", "minigroup", "tree", "tdc", "dpcu", "gating", "fifo", "readout", "packetizer",
+            "controller", "registers", "settings", "sequencer", "deserialiser", "axi", "export", "front_end_views",
         ),
     ),
     "slices": ("Bit slices of any netlist", ("slices", "synthesis", "probe", "waves", "netlist")),
-    "tb": ("Simulators and benches", ("replay", "play", "frames", "sliced", "cosim", "scoreboard", "stimulus", "toolchain")),
+    "tb": ("Simulators and benches", ("replay", "play", "frame_record", "sliced", "cosim", "scoreboard", "stimulus", "toolchain")),
     "flow": ("Release, synthesis, place and route", ("release", "constraints", "register_files", "synth", "pnr", "gls")),
 }  # fmt: skip
 GALLERY = """Examples
