@@ -14,7 +14,7 @@ from amaranth.lib.wiring import In, Out
 from ..model.contract import groups
 from ..model.contract.packet import BEAT_BITS, FORMATS, FRAME_END, KIND_LSB, OFFSETS, RECORD, layout, parts_of
 from ..model.contract.parameters import Sensor, bits_for
-from .logic import any_of, first_index, tree, up_to
+from .logic import any_of, up_to
 from .unit import Unit
 
 GROUPED = tuple(packet for packet in FORMATS.values() if packet.grouped)
@@ -29,10 +29,38 @@ class Phase(enum.Enum, shape=2):  # type: ignore[call-arg]  # Amaranth's enumera
     OFFSETS = 2
 
 
-def at_most_three(a: Value, b: Value) -> Value:
-    """Return a + b, or 3 if it is more."""
-    total = a + b
-    return Mux(total > 3, 3, total)[:2]
+def counted(m: Module, bits: Value, name: str) -> list[Value]:
+    """Return whether one, two and three of some bits are ones.
+
+    Bit i of a step's words speaks of the 2 ** k bits from i on: whole words cost simulators little, and only bit 0 of the
+    last ones leaves gates behind.
+    """
+    found, step = [bits, Const(0, len(bits)), Const(0, len(bits))], 1
+    while step < len(bits):
+        one, two, three = found
+        next_one, next_two, next_three = (word >> step for word in found)
+        words = [
+            one | next_one,
+            two | next_two | (one & next_one),
+            three | next_three | (two & next_one) | (one & next_two),
+        ]
+        found = [Signal(len(bits), name=f"{name}_{step}_{k}") for k in range(3)]
+        m.d.comb += [signal.eq(word) for signal, word in zip(found, words)]
+        step *= 2
+    return [word[0] for word in found]
+
+
+def lowest(m: Module, bits: Value, width: int, name: str) -> Value:
+    """Return the number of the lowest one of at most 2 ** width bits; words as in `counted`."""
+    found, numbers = bits, []
+    for k in range(width):
+        step, size = 1 << k, len(bits)
+        numbers = [(found & number) | (~found & (number >> step)) for number in numbers] + [~found]
+        named = [Signal(size, name=f"{name}_{step}_{b}") for b in range(k + 1)]
+        here = Signal(size, name=f"{name}_{step}")
+        m.d.comb += [*(signal.eq(number) for signal, number in zip(named, numbers)), here.eq(found | (found >> step))]
+        found, numbers = here, named
+    return Cat(number[0] for number in numbers)
 
 
 class Ends:
@@ -43,21 +71,15 @@ class Ends:
         size = len(bits)
         self.low, self.high = Signal(size, name=f"{name}_low"), Signal(size, name=f"{name}_high")
         self.between = Signal(size, name=f"{name}_between")
-        count = Signal(2, name=f"{name}_count")
-        self.one, self.two, self.more = count.any(), count[1], count.all()
+        self.one, self.two, self.more = counted(m, bits, f"{name}_count")
         above = up_to(m, bits, f"{name}_up") << 1  # places above the lowest one
         below = up_to(m, bits[::-1], f"{name}_down")[::-1] >> 1
-        m.d.comb += [
-            self.low.eq(bits & ~above),
-            self.high.eq(bits & ~below),
-            count.eq(tree(m, list(bits), at_most_three, f"{name}_counts")),
-            self.between.eq(bits & above & below),
-        ]
+        m.d.comb += [self.low.eq(bits & ~above), self.high.eq(bits & ~below), self.between.eq(bits & above & below)]
 
     def places(self, m: Module, width: int) -> Value:
         """Return the numbers of the lowest and of the highest one; they do not wait for the one-hot forms."""
         padded = Cat(self.bits, Const(0, (1 << width) - len(self.bits)))
-        return Cat(first_index(m, padded, f"{self.name}_first"), ~first_index(m, padded[::-1], f"{self.name}_last"))
+        return Cat(lowest(m, padded, width, f"{self.name}_first"), ~lowest(m, padded[::-1], width, f"{self.name}_last"))
 
     def values(self, m: Module, items: list[Value], name: str) -> Value:
         """Return those of the items that stand at the lowest and at the highest one."""
