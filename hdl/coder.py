@@ -14,7 +14,7 @@ from amaranth.lib.wiring import In, Out
 from ..model.contract import groups
 from ..model.contract.packet import BEAT_BITS, FORMATS, FRAME_END, KIND_LSB, OFFSETS, RECORD, layout, parts_of
 from ..model.contract.parameters import Sensor, bits_for
-from .logic import any_of, up_to
+from .logic import any_of, counted, lowest, up_to
 from .unit import Unit
 
 GROUPED = tuple(packet for packet in FORMATS.values() if packet.grouped)
@@ -27,40 +27,6 @@ class Phase(enum.Enum, shape=2):  # type: ignore[call-arg]  # Amaranth's enumera
     FIRST = 0  # its numbers and the first pixels
     PIXELS = 1  # further pixels, or a part of the map
     OFFSETS = 2
-
-
-def counted(m: Module, bits: Value, name: str) -> list[Value]:
-    """Return whether one, two and three of some bits are ones.
-
-    Bit i of a step's words speaks of the 2 ** k bits from i on: whole words cost simulators little, and only bit 0 of the
-    last ones leaves gates behind.
-    """
-    found, step = [bits, Const(0, len(bits)), Const(0, len(bits))], 1
-    while step < len(bits):
-        one, two, three = found
-        next_one, next_two, next_three = (word >> step for word in found)
-        words = [
-            one | next_one,
-            two | next_two | (one & next_one),
-            three | next_three | (two & next_one) | (one & next_two),
-        ]
-        found = [Signal(len(bits), name=f"{name}_{step}_{k}") for k in range(3)]
-        m.d.comb += [signal.eq(word) for signal, word in zip(found, words)]
-        step *= 2
-    return [word[0] for word in found]
-
-
-def lowest(m: Module, bits: Value, width: int, name: str) -> Value:
-    """Return the number of the lowest one of at most 2 ** width bits; words as in `counted`."""
-    found, numbers = bits, []
-    for k in range(width):
-        step, size = 1 << k, len(bits)
-        numbers = [(found & number) | (~found & (number >> step)) for number in numbers] + [~found]
-        named = [Signal(size, name=f"{name}_{step}_{b}") for b in range(k + 1)]
-        here = Signal(size, name=f"{name}_{step}")
-        m.d.comb += [*(signal.eq(number) for signal, number in zip(named, numbers)), here.eq(found | (found >> step))]
-        found, numbers = here, named
-    return Cat(number[0] for number in numbers)
 
 
 class Ends:

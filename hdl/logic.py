@@ -3,7 +3,7 @@
 
 from collections.abc import Callable
 
-from amaranth.hdl import Cat, Module, Mux, Signal, Value
+from amaranth.hdl import Cat, Const, Module, Mux, Signal, Value
 
 LOW_BITS = 4  # of a counter: the others rest in 15 of 16 counts, and so does their clock
 SUM_PART = 11  # bits through which a carry of `carry_select` ripples
@@ -48,6 +48,40 @@ def up_to(m: Module, bits: Value, name: str) -> Signal:
         m.d.comb += wider.eq(value | (value << step))
         value, step = wider, 2 * step
     return value
+
+
+def counted(m: Module, bits: Value, name: str) -> list[Value]:
+    """Return whether one, two and three of some bits are ones.
+
+    Bit i of a step's words speaks of the 2 ** k bits from i on: whole words cost simulators little, and only bit 0 of the
+    last ones leaves gates behind.
+    """
+    found, step = [bits, Const(0, len(bits)), Const(0, len(bits))], 1
+    while step < len(bits):
+        one, two, three = found
+        next_one, next_two, next_three = (word >> step for word in found)
+        words = [
+            one | next_one,
+            two | next_two | (one & next_one),
+            three | next_three | (two & next_one) | (one & next_two),
+        ]
+        found = [Signal(len(bits), name=f"{name}_{step}_{k}") for k in range(3)]
+        m.d.comb += [signal.eq(word) for signal, word in zip(found, words)]
+        step *= 2
+    return [word[0] for word in found]
+
+
+def lowest(m: Module, bits: Value, width: int, name: str) -> Value:
+    """Return the number of the lowest one of at most 2 ** width bits; words as in `counted`."""
+    found, numbers = bits, []
+    for k in range(width):
+        step, size = 1 << k, len(bits)
+        numbers = [(found & number) | (~found & (number >> step)) for number in numbers] + [~found]
+        named = [Signal(size, name=f"{name}_{step}_{b}") for b in range(k + 1)]
+        here = Signal(size, name=f"{name}_{step}")
+        m.d.comb += [*(signal.eq(number) for signal, number in zip(named, numbers)), here.eq(found | (found >> step))]
+        found, numbers = here, named
+    return Cat(number[0] for number in numbers)
 
 
 def first_one(m: Module, bits: Value, name: str) -> tuple[Value, Value]:
