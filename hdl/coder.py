@@ -45,7 +45,7 @@ class Ends:
     def places(self, m: Module, width: int) -> Value:
         """Return the numbers of the lowest and of the highest one; they do not wait for the one-hot forms."""
         padded = Cat(self.bits, Const(0, (1 << width) - len(self.bits)))
-        return Cat(lowest(m, padded, width, f"{self.name}_first"), ~lowest(m, padded[::-1], width, f"{self.name}_last"))
+        return Cat(lowest(m, padded, f"{self.name}_first"), ~lowest(m, padded[::-1], f"{self.name}_last"))
 
     def values(self, m: Module, items: list[Value], name: str) -> Value:
         """Return those of the items that stand at the lowest and at the highest one."""

@@ -4,6 +4,7 @@
 from collections.abc import Callable
 
 from amaranth.hdl import Cat, Const, Module, Mux, Signal, Value
+from amaranth.utils import exact_log2
 
 LOW_BITS = 4  # of a counter: the others rest in 15 of 16 counts, and so does their clock
 SUM_PART = 11  # bits through which a carry of `carry_select` ripples
@@ -71,10 +72,14 @@ def counted(m: Module, bits: Value, name: str) -> list[Value]:
     return [word[0] for word in found]
 
 
-def lowest(m: Module, bits: Value, width: int, name: str) -> Value:
-    """Return the number of the lowest one of at most 2 ** width bits; words as in `counted`."""
-    found, numbers = bits, []
-    for k in range(width):
+def lowest(m: Module, bits: Value, name: str) -> Value:
+    """Return the index of the lowest one of `bits`, a power of two of them, or the last index; faster than `first_one`.
+
+    Words as in `counted`.
+    """
+    found: Value = bits
+    numbers: list[Value] = []
+    for k in range(exact_log2(len(bits))):
         step, size = 1 << k, len(bits)
         numbers = [(found & number) | (~found & (number >> step)) for number in numbers] + [~found]
         named = [Signal(size, name=f"{name}_{step}_{b}") for b in range(k + 1)]
@@ -95,15 +100,6 @@ def first_one(m: Module, bits: Value, name: str) -> tuple[Value, Value]:
         index.insert(0, ~in_low)
         part = rest
     return part[0], Cat(index)
-
-
-def first_index(m: Module, bits: Value, name: str) -> Value:
-    """Return the index of the lowest one of `bits`, a power of two of them, or the last index; faster than `first_one`."""
-
-    def first_of_pair(low, high):  # an index, with a bit above it that says whether there is a one
-        return Cat(Mux(low[-1], low[:-1], high[:-1]), ~low[-1], low[-1] | high[-1])
-
-    return tree(m, list(bits), first_of_pair, name)[:-1]
 
 
 def carry_select(m: Module, a: Value, b: Value, name: str) -> Value:

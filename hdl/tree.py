@@ -15,7 +15,7 @@ from amaranth.lib.wiring import In, Out, Signature
 from ..model.contract.parameters import Sensor, bits_for
 from . import bus
 from .clock_gate import ClockGate, stopped
-from .logic import any_of, first_index, popcount, total
+from .logic import any_of, lowest, popcount, total
 from .minigroup import Minigroup
 from .tdc import line_signature
 from .unit import Unit, place
@@ -179,7 +179,7 @@ class CoincidenceTree(Unit):
         with m.If(state.opening):
             m.d.sync += [
                 state.stamps[0].eq(Cat(self.line.phase, self.line.coarse)),
-                state.winners[0].eq(first_index(m, one_of, "winner")),
+                state.winners[0].eq(lowest(m, one_of, "winner")),
             ]
         for n, strobe in enumerate((opening_3, state.opening_4)):
             with m.If(strobe):
