@@ -46,7 +46,7 @@ MISTAKES: dict[tuple[str, tuple[str, ...], tuple[tuple[str, ...], ...]], dict[st
     ("hdl/tree.py", ("tree",), (FRAMES, SLICED)): {
         "window-long": ("self.line.phase + self.window_ticks)", "self.line.phase + self.window_ticks + 1)"),
         "window-edge": ("closing.eq(live & (state.end <= phases))", "closing.eq(live & (state.end < phases))"),
-        "tie-highest": ('first_index(m, one_of, "winner")', '~first_index(m, one_of[::-1], "winner")'),
+        "tie-highest": ('lowest(m, one_of, "winner")', '~lowest(m, one_of[::-1], "winner")'),
         "rearm-late": ("rearm.eq(self.sensor.rearm)", "rearm.eq(self.sensor.rearm + 1)"),
     },
     ("hdl/tree.py", ("tree",), ()): {
