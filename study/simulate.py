@@ -43,7 +43,6 @@ from ..model.shared.interrupts import in_background
 from ..tb.frame_record import FrameJob, Recorded
 from ..tb.replay import DEFAULT_VIEW, chosen_view
 from ..tb.rtl_errors import Mismatch
-from ..tb.wave_views import views
 from .progress import Bar
 from .show.frame_content import frame_view
 
@@ -252,6 +251,8 @@ def simulate(
     _write_report(out, report)
     written = [*results, out / REPORT]
     if played.wave:
+        from ..tb.wave_views import views  # which needs an RTL tool
+
         written += [out / played.wave.name, *views(out / played.wave.name)]
     else:
         for path in out.glob(f"{TOP}.*"):  # from an earlier run

