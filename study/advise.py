@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Which threshold, window, format and link for a scene and its light: `coincid advise`.
 
-All thresholds and windows see the same photons. Among those that leave about the fewest wrong pixels, the one with the
-fewest bits is advised; then the slowest link that changes nothing, in the format with the fewest bits.
+All thresholds and windows see the same photons. Among those that leave about the fewest wrong pixels and do not overload
+the link, the one with the fewest bits is advised; then the slowest link for it, in the format with the fewest bits.
 """
 
 import os
@@ -27,6 +27,7 @@ WINDOWS_NS = (0.5, 1.0, 2.0)
 LINKS_GBPS = (1.0, 2.0, 4.0, 8.0, 16.0)
 FORMATS = ("compact", "id")
 WORSE_MAX = 0.002, 0.1  # wrong pixels more than the best has, as a share of all, and of the best's: about equal
+DROPPED_MAX = 0.01  # share of the events; a link that drops more is overloaded, and so is one with a load above 1
 TABLE, PICTURE, SETTINGS = "advise.csv", "advise.png", "advised.toml"
 HEADS = (
     "threshold",
@@ -65,6 +66,10 @@ class Tried:
     def link_gbps(self) -> float:
         return float(self.config.frame["link_gbps"] or BEAT_BITS * self.config.clock_mhz / 1e3)
 
+    @property
+    def overloaded(self) -> bool:
+        return self.load > 1 or self.dropped > DROPPED_MAX
+
     def row(self) -> tuple[Any, ...]:
         """Return the values under `HEADS`."""
         return (
@@ -91,6 +96,8 @@ class Advice:
             f" {best.link_gbps:g} Gbit/s: {best.wrong:.1%} of the pixels are wrong ({best.far:.1%} by more than 15 cm), for"
             f" {best.bits:,} bits per frame ({rate_gbps:.2g} Gbit/s), and about {uw_per_pixel(config, self.klux) / 1e3:.2g} mW and"
             f" {um2_per_pixel(config.sensor):.0f} um2 per pixel in 45 nm."
+            + f" The link is overloaded ({best.load:.0%}, {best.dropped:.1%} of the events dropped); what was tried without an"
+            " overload leaves more pixels wrong." * best.overloaded
         )
 
 
@@ -119,9 +126,9 @@ def advise(setup: Setup, *, klux: float, progress: Progress = lambda stage, done
         return fresh
 
     first = tell("thresholds and windows", _settings(run, thresholds, windows))
-    cheapest = _cheapest(first, lambda one: one.bits)
-    second = tell("links and formats", _links(run, cheapest.config))
-    best = _cheapest([cheapest, *second], lambda one: (one.link_gbps, one.bits))
+    chosen = cheapest(first, lambda one: one.bits)
+    second = tell("links and formats", _links(run, chosen.config))
+    best = cheapest([chosen, *second], lambda one: (one.link_gbps, one.bits))
     return Advice(tried=tried, best=best, klux=check_real("klux", klux, 0))
 
 
@@ -161,11 +168,12 @@ def _tried(run: Run) -> Tried:
     )
 
 
-def _cheapest(tried: list[Tried], price: Callable[[Tried], Any]) -> Tried:
-    """Return the one with the lowest price among those that are about as good as the best."""
+def cheapest(tried: list[Tried], price: Callable[[Tried], Any]) -> Tried:
+    """Return the one with the lowest price among those that are about as good as the best, without an overload if there is one."""
     least = min(one.wrong for one in tried)
     absolute, relative = WORSE_MAX
-    return min((one for one in tried if one.wrong <= least + max(absolute, relative * least)), key=price)
+    equal = [one for one in tried if one.wrong <= least + max(absolute, relative * least)]
+    return min([one for one in equal if not one.overloaded] or equal, key=price)
 
 
 def write_advice(out: Path, advice: Advice, heading: str) -> list[Path]:

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from coincid.model.contract.config import load_config, parse_config
+from coincid.study.advise import Advice, Tried, cheapest
 from coincid.study.explain import meaning, warnings
 from coincid.study.price import UM2_PER_PIXEL, UW_PER_PIXEL, um2_per_pixel
 
@@ -38,6 +39,18 @@ def test_advice_for_a_scene_of_ones_own(tmp_path):
     assert share <= best + max(0.002, 0.1 * best) + 0.001
     assert advised.sensor.rows == 8 and advised.pulses == 30 and advised.format in sentence
     assert (tmp_path / "out" / "advise.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_advice_overloads_no_link_where_it_need_not():
+    def tried(wrong, bits, dropped, load):
+        return Tried(config=parse_config({}), wrong=wrong, far=0.0, bits=bits, dropped=dropped, load=load)
+
+    full, lossy, fits = tried(0.004, 100, 0.0, 1.08), tried(0.002, 200, 0.24, 0.9), tried(0.002, 300, 0.0, 0.7)
+    assert cheapest([full, lossy, fits], lambda one: one.bits) is fits
+    worse = tried(0.1, 50, 0.0, 0.1)
+    assert cheapest([full, lossy, worse], lambda one: one.bits) is full
+    told = Advice(tried=[full, worse], best=full, klux=1.0).sentence, Advice(tried=[fits], best=fits, klux=1.0).sentence
+    assert ["overloaded" in sentence for sentence in told] == [True, False]
 
 
 def test_what_a_configuration_means():
