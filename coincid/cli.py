@@ -592,27 +592,6 @@ def modes(*, out: Path = Path("build/modes"), rtl: bool = False) -> None:
 
 
 @command(
-    "klux threshold size out",
-    klux=("", "Background light in klux; repeatable."),
-    threshold="Coincidence threshold; repeatable.",
-    size="32x32, 64x64, 256x128; repeatable.",
-    out=("DIR", "Folder of the CSV, the table and the plot."),
-)
-def bandwidth(
-    *,
-    klux: list[float] | None = None,
-    threshold: list[int] | None = None,
-    size: list[str] | None = None,
-    out: Path = Path("build/bandwidth"),
-) -> None:
-    """Study the readout: beats per frame, streams needed, and losses with fewer, by an estimate and by the golden model."""
-    from coincid.study.bandwidth import TABLE, study, write_study
-
-    write_study(_folder(out), study(klux, threshold, size, tell=console.print))
-    print((out / TABLE).read_text(), end="")
-
-
-@command(
     "port simulate netlist scene klux config changes frames pulses seed baud out",
     port=("DEVICE", "Serial port of the board, such as /dev/ttyUSB0."),
     simulate="Use the emulator's simulated RTL behind its serial pins instead.",

@@ -4,7 +4,6 @@
 Our choice; `wrong_share` is that of the paper's Fig. 7.
 """
 
-import math
 from collections.abc import Callable
 from typing import Any, TypeAlias
 
@@ -34,12 +33,8 @@ def _sum(counter: str) -> Callable[[Frame], int]:
     return lambda frame: int(frame.counter(counter).sum())
 
 
-def _share(part: str, *whole: str) -> Callable[[Frame], float | None]:
-    def share(frame: Frame) -> float | None:
-        total = sum(map(frame.__getitem__, whole))
-        return frame[part] / total if total else None
-
-    return share
+def _dropped_share(frame: Frame) -> float | None:
+    return frame["dropped"] / frame["committed"] if frame["committed"] else None
 
 
 def _wrong(tolerance_m: float) -> Callable[[Frame], float | None]:
@@ -74,15 +69,6 @@ def _error(which: int, tolerance_m: float = np.inf) -> Callable[[Frame], float |
     return error
 
 
-def _asked(frame: Frame) -> int:
-    dropped = payload_beats(frame.config, frame.counter("dropped"), frame.counter("mg_dropped"))
-    return frame["beats"] + math.ceil(dropped.sum())
-
-
-def _late(frame: Frame) -> int:
-    return max(int(cycles[-1]) for cycles in frame.trace.beat_cycle) + 1 - frame.config.frame_cycles
-
-
 _PAPERS = f"{SUCCESS_TOLERANCE_S * 1e12:.0f} ps ({TOLERANCE_M * 100:.1f} cm)"
 _FAR = f"{OTHER_SURFACE_M * 100:.0f} cm"
 _SWEPT: dict[str, tuple[type, str, Callable[[Frame], Number]]] = {
@@ -115,7 +101,7 @@ _SWEPT: dict[str, tuple[type, str, Callable[[Frame], Number]]] = {
         "committed windows of the sensor per laser pulse",
         lambda frame: frame["committed"] / frame.config.pulses,
     ),
-    "dropped_share": (float, "share of the committed windows that were dropped", _share("dropped", "committed")),
+    "dropped_share": (float, "share of the committed windows that were dropped", _dropped_share),
     "beats": (int, "beats of all streams", lambda frame: int(frame.beats.sum())),
     "stream_load": (
         float,
@@ -141,13 +127,6 @@ _OTHERS: dict[str, tuple[type, str, Callable[[Frame], Number]]] = {
         "committed windows as a share of the controller's capacity, all streams",
         lambda frame: frame["committed"] / (frame.config.capacity * frame.config.sensor.streams),
     ),
-    "beats_asked": (int, "beats of all streams if nothing were dropped", _asked),
-    "mg_dropped_share": (
-        float,
-        "share of the minigroup records that were dropped",
-        _share("mg_dropped", "mg_records", "mg_dropped"),
-    ),
-    "late_cycles": (int, "cycles from the end of the last period to the last beat", _late),
     "events_per_s": (float, "events that left the sensor per second of the frame", _per_s("events")),
     "records_per_s": (float, "minigroup records that left the sensor per second of the frame", _per_s("mg_records")),
     "right_share": (float, f"share of pixels with depth, off by at most {_PAPERS}", _not("wrong_share")),
@@ -160,22 +139,14 @@ MEASURES = {name: Measure(*rest) for name, rest in (_SWEPT | _OTHERS).items()}
 
 
 def stream_beats(config: Config, events: np.ndarray, records: np.ndarray) -> np.ndarray:
-    """Number[streams]: beats of a frame, including its start, end and counters; with groups, as `payload_beats` expects.
+    """Number[streams]: beats of a frame, including its start, end and counters; with groups, as `event_beats` expects.
 
     events, records: number[subgroups], events and minigroup records that leave the sensor.
     """
-    sensor = config.sensor
-    payload, counter_beats = payload_beats(config, events, records), layout(sensor).counter_beats
+    sensor, packets = config.sensor, layout(config.sensor)
+    payload, counter_beats = events * event_beats(config) + records * packets.length(RECORD), packets.counter_beats
     subgroups = [sensor.stream_subgroups(stream) for stream in range(sensor.streams)]
     return np.array([2 + payload[of_stream].sum() + len(of_stream) * counter_beats for of_stream in subgroups])
-
-
-def payload_beats(config: Config, events: np.ndarray, records: np.ndarray) -> np.ndarray:
-    """Number[subgroups]: the beats of events and minigroup records alone; arguments as in `stream_beats`.
-
-    Events in groups count as usual ones; how long they are depends on their pixels.
-    """
-    return events * event_beats(config) + records * layout(config.sensor).length(RECORD)
 
 
 def event_beats(config: Config) -> float:

@@ -21,7 +21,7 @@ from typer.testing import CliRunner
 import coincid
 from coincid.cli import app
 from coincid.lab.campaign import Processes
-from coincid.study import constant_thresholds, fifo_depth, settling, surfaces
+from coincid.study import settling, surfaces
 from coincid.study.explore.control_values import check_settings
 from coincid.study.explore.stages import Explorer
 from coincid.study.figures import architect, four_modes, interference, reconstruction
@@ -75,11 +75,6 @@ def sweep(folder: Path) -> Any:
     return pq.read_table(out).drop_columns(["point"]).to_pydict()
 
 
-def bandwidth(folder: Path) -> Any:
-    command("bandwidth", "--klux", "50", "--threshold", "3", "--size", "32x32", "--out", str(folder))
-    return (folder / "bandwidth.csv").read_text(), (folder / "bandwidth.md").read_text()
-
-
 def explorer(folder: Path) -> Any:
     view = Explorer().run(check_settings({"rows": 16, "cols": 16, "pulses": 40, "klux": 20.0, "threshold": 3})).view()
     return view.numbers, view.depth_m, view.threshold, [one.wrong_share for one in view.objects]
@@ -107,17 +102,7 @@ RESULTS: dict[str, tuple[Callable[[Path], Any], str]] = {
     "library": (library, "98e9be87e9e061a5"),
     "sim": (sim, "ed4fb83bae583761"),
     "sweep": (sweep, "0ddd49994ee2fd42"),
-    "bandwidth": (bandwidth, "d83a9cc0ccc61a51"),
     "explorer": (explorer, "84d0a1a115dbc438"),
-    "thresholds": (
-        lambda folder: table(
-            constant_thresholds.HEAD,
-            constant_thresholds.rows((("flat:7", 50.0),), (constant_thresholds.Stream(16, 8),)),
-            left=(0, 2, 6),
-        ),
-        "74a7d697fa74f4e1",
-    ),
-    "fifo depth": (lambda folder: table(fifo_depth.HEAD, fifo_depth.rows((50.0,)), left=(1,)), "2a30af9f040a68d2"),
     "settling": (lambda folder: table(settling.HEAD, settling.rows(((20.0, 20.0),)), left=(3,)), "8d5a048adb43a133"),
     "surfaces": (surface, "a96fae90d646f7e8"),
     "noisy SPADs": (

@@ -423,3 +423,4 @@ def test_the_documentation_has_the_columns_and_settings():
 def test_the_example_parses():
     grid = read_spec(DOCS / "sweep-example.toml")
     assert (len(grid.points), list(grid.points[0].values)) == (105, ["klux", "subgroup.threshold", "seed"])
+    assert all(read_spec(path).points for path in DOCS.glob("sweep-*.toml"))
