@@ -9,7 +9,7 @@ SIGTERM. Each command imports the modules that it needs, so `--help` is immediat
 import contextlib
 import os
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from functools import partial
 from inspect import Parameter, Signature, signature
 from pathlib import Path
@@ -169,6 +169,7 @@ def sim(
 ) -> None:
     """Simulate frames of a scene and check every word against the golden model; write depth.png, events.npz and report.json."""
     from coincid.study.simulate import simulate
+    from coincid.tb.replay import chosen_view
 
     settings = _config(given)
     if view == "async":
@@ -181,17 +182,17 @@ def sim(
         settings = settings.with_frame(link_gbps=LINK_GBPS if link_gbps is None else link_gbps)
     if "frame.format" not in settings.given:
         settings = settings.with_frame(format=LINK_FORMAT)
+    engine = engine or ("verilator" if waves else "sliced")
+    chosen_view(engine, view, settings.clock_mhz, waves)
     simulate(
-        scene,
-        settings,
-        engine=engine or ("verilator" if waves else "sliced"),
+        _setup(settings, scene, given, engine=engine, view=view),
         out=_folder(out),
         threshold=threshold,
         settling=frames if frames is None else check_integer("frames", frames, 1, FRAMES_MAX),
         waves=waves,
         console=Console(highlight=False),
-        view=view,
-        **given | {"klux": _klux(given, scene), "spad": _spad(given)},
+        scale=given["scale"],
+        unit=given["unit"],
     )
 
 
@@ -204,17 +205,15 @@ def advise(*, scene: str, out: Path = Path("build/advise"), **given: Any) -> Non
     import numpy as np
     from rich.table import Table
 
-    from coincid.lab.setup import Setup
     from coincid.model.scenes.ambient import ambient_klux
     from coincid.study.advise import HEADS, write_advice
     from coincid.study.advise import advise as run
     from coincid.study.progress import Bar
 
-    settings, light = _config(given), _klux(given, scene)
-    looked_at = _scene(settings, scene, given)
+    setup = _setup(_config(given), scene, given)
+    looked_at = setup.scene
     _folder(out)
-    setup = Setup(config=settings, scene=looked_at, **given | {"klux": light, "spad": _spad(given)})
-    mean_klux = float(np.mean(ambient_klux(light, looked_at.rows, looked_at.cols) * looked_at.sunlit))
+    mean_klux = float(np.mean(ambient_klux(setup.klux, looked_at.rows, looked_at.cols) * looked_at.sunlit))
     with Bar(console, lines=True) as bar:
         stages: list[str] = []
 
@@ -355,17 +354,15 @@ def sweep(*, spec: Path, out: Path | None = None, scheduler: str | None = None, 
 )
 def photons(*, out: Path, **given: Any) -> None:
     """Write the photons of a scene, in all frames of a configuration, as edges."""
-    from coincid.lab.setup import Setup
     from coincid.model.light.timing import Timing
     from coincid.model.recorded.exchange import check_suffix, write_edges
 
-    settings, light = _config(given), _klux(given, given["scene"])
+    settings = _config(given)
     check_suffix(_file(out))
-    looked_at = _scene(settings, given.pop("scene"), given)
-    setup = Setup(config=settings, scene=looked_at, **given | {"klux": light, "spad": _spad(given)})
+    setup = _setup(settings, given.pop("scene"), given)
     made = setup.photons.edges(os.cpu_count() or 1)
     write_edges(out, made, Timing.from_config(settings))
-    for note in looked_at.notes:
+    for note in setup.scene.notes:
         print(note)
     print(f"{out}: {len(made):,} edges of {settings.frames * settings.pulses:,} pulses")
 
@@ -634,7 +631,7 @@ def emulate(
     settings = _config(given | {"config": config})
     if pulses is not None:
         settings = settings.with_frame(pulses=pulses)
-    looked_at = _scene(settings, scene, {})
+    setup = _setup(settings, scene, given)
     patience: dict[str, Any] = {}
     if simulate:
         with extra("rtl"):
@@ -657,9 +654,9 @@ def emulate(
         tally = run(
             EmulatorDriver(transport),
             settings,
-            looked_at,
+            setup.scene,
             _folder(out),
-            klux=_klux(given, scene),
+            klux=setup.klux,
             frames=frames,
             seed=seed,
             tell=lambda so_far: bar.done(so_far.frames),
@@ -684,29 +681,26 @@ def bench(*, out: Path = Path("build/bench.json"), repeats: int = 5) -> None:
     print(table(benchmark(_file(out), repeats=repeats, tell=console.print)), end="")
 
 
-def _klux(given: dict[str, Any], scene: str) -> str | float:
-    """Return the ambient light of a scene: the given one, else the usual one for the scene."""
+def _setup(config: "Config", scene: str, given: dict[str, Any], **fields: Any) -> Any:
+    """Return the `Setup` of a scene, with the options of lab/options.py among the given ones; `fields` are further ones of it."""
+    from coincid.lab.setup import Setup, scene_of
     from coincid.model.scenes.catalogue import usual_klux
 
-    klux: str | None = given["klux"]
-    return usual_klux(scene) if klux is None else klux
+    of_scene = {name: given.get(name) for name in ("scale", "unit", "reflectivity") if name in given}
+    given = {name: value for name, value in given.items() if name not in of_scene}
+    klux = usual_klux(scene) if given["klux"] is None else given["klux"]
+    others = given | {"klux": klux, "spad": _spad(given.get("spad") or ())}
+    return Setup(config=config, scene=scene_of(config, scene, **of_scene), **others, **fields)
 
 
-def _scene(settings: "Config", scene: str, given: dict[str, Any]) -> Any:
-    """Return the scene, and take the options of its file out of the given ones."""
-    from coincid.lab.setup import scene_of
-
-    return scene_of(settings, scene, **{k: given.pop(k) for k in ("scale", "unit", "reflectivity") if k in given})
-
-
-def _spad(given: dict[str, Any]) -> Any:
+def _spad(given: Iterable[str]) -> Any:
     """Return the detector with properties NAME=VALUE."""
     from attrs import fields_dict
 
     from coincid.model.light.spad import Spad
 
     values: dict[str, Any] = {}
-    for text in given["spad"] or ():
+    for text in given:
         name, _, value = text.partition("=")
         if name not in fields_dict(Spad):
             raise InputError(f"--spad {text}: must be NAME=VALUE with a name of {', '.join(fields_dict(Spad))}")
@@ -774,7 +768,7 @@ def _all_clean(found: dict[str, str]) -> None:
         raise typer.Exit(DIFFERS)
 
 
-def _all_met(missed: Iterator[str] | list[str]) -> None:
+def _all_met(missed: Iterable[str]) -> None:
     """Print what was missed, and end with exit code 1 where something was."""
     told = [f"coincid: {line}" for line in missed]
     if told:

@@ -23,7 +23,7 @@ from rich.table import Table
 
 from ..lab.measures import Number
 from ..lab.outcomes import Frame, Run
-from ..lab.setup import SETTLING, Setup, fixed_thresholds, scene_of
+from ..lab.setup import SETTLING, Setup, fixed_thresholds
 from ..model.contract.config import Config, sensor_table
 from ..model.contract.parameters import TOP, Sensor
 from ..model.contract.pixels import subgroup_image
@@ -31,11 +31,8 @@ from ..model.contract.result import ResultBuilder, write_result
 from ..model.contract.settings import SUBGROUP
 from ..model.depth.estimate import DEFAULT_METHOD
 from ..model.golden.frame import Golden, Trace
-from ..model.light.light import BACKGROUNDS
-from ..model.light.spad import Spad
 from ..model.light.timing import Timing
-from ..model.scenes.ambient import Ambient, told_klux
-from ..model.scenes.scene import REFLECTIVITY
+from ..model.scenes.ambient import told_klux
 from ..model.shared.errors import InputError
 from ..model.shared.extras import extra
 from ..model.shared.files import whole_file
@@ -156,64 +153,44 @@ def _cycles(frame: Recorded | Trace) -> int:
 
 
 def simulate(
-    source: str,
-    config: Config,
+    setup: Setup,
     *,
-    klux: Ambient,
-    background: str = BACKGROUNDS[0],
-    seed: int,
-    engine: str,
     out: Path,
     console: Console,
     threshold: int | None = None,
     settling: int | None = None,
     waves: bool = False,
-    spad: Spad | None = None,
-    spad_gate: bool = False,
-    scale: float = 1.0,
-    unit: str | None = None,
-    reflectivity: float = REFLECTIVITY,
-    view: "str | View" = DEFAULT_VIEW,
+    **told: Any,
 ) -> dict[str, Any]:
     """Simulate a scene; leave `PICTURES`, report.html, events.npz, depth.npz and report.json in `out`, and return the report.
 
-    source: for `load_scene`; klux: for `ambient_klux`; background: one of `BACKGROUNDS`. threshold: of `fixed`; None: the
-    configuration's, if it gives one, else the best of 1 to 7 for this scene. settling: frames of `auto`, of which the
-    last one counts (None: `SETTLING` and that one); a sensor without the controller has no such frames. spad_gate: gating keeps
-    the SPADs off outside the gate. events.npz: a result file of all frames, in the order of `SCHEMES`; depth.npz: `Depth.save`
-    of the last frame. Raises `InputError`, and the errors of `play_schemes`; after a `Mismatch`, only the report exists, with
-    `mismatches` = 1.
+    threshold: of `fixed`; None: the configuration's, if it gives one, else the best of 1 to 7 for this scene. settling: frames
+    of `auto`, of which the last one counts (None: `SETTLING` and that one); a sensor without the controller has no such frames.
+    told: what the report says in addition. events.npz: a result file of all frames, in the order of `SCHEMES`; depth.npz:
+    `Depth.save` of the last frame. Raises `InputError`, and the errors of `play_schemes`; after a `Mismatch`, only the report
+    exists, with `mismatches` = 1.
     """
+    config, engine, view = setup.config, setup.engine, setup.view
     shown = chosen_view(engine, view, config.clock_mhz, waves)
     config.check_map()
     if threshold is not None:
         config = config.with_settings(threshold=threshold)
     settling = settling or (SLOW_SETTLING if engine == SLOW_ENGINE else SETTLING + 1)
-    timing, ambient = Timing.from_config(config), told_klux(klux)
-    setup = Setup(
-        config=config.with_frame(frames=settling),
-        scene=scene_of(config, source, scale=scale, unit=unit, reflectivity=reflectivity),
-        klux=klux,
-        background=background,
-        seed=seed,
-        spad=spad or Spad(),
-        spad_gate=spad_gate,
-    )
-    run = Run(setup, workers=os.cpu_count() or 1)
-    given = {
-        "scene": run.scene.name,
-        "scale": scale,
-        "unit": unit,
+    timing, ambient = Timing.from_config(config), told_klux(setup.klux)
+    golden = setup.but(config=config, frame={"frames": settling}, engine="golden", view=DEFAULT_VIEW)
+    run = Run(golden, workers=os.cpu_count() or 1)
+    given = {"scene": run.scene.name} | told
+    given |= {
         "klux": ambient,
-        "background": background,
-        "seed": seed,
+        "background": setup.background,
+        "seed": setup.seed,
         "engine": engine,
         "view": shown.name if shown else DEFAULT_VIEW,
         "frames": settling,
         "clock_mhz": config.clock_mhz,
         "tick_s": timing.tick_s,
         "range_m": timing.range_m,
-        "spad_gate": spad_gate,
+        "spad_gate": setup.spad_gate,
         "configuration": settings_of(config),
     }
     results = [out / name for name in (*PICTURES, EVENTS, DEPTH, PAGE)]

@@ -10,6 +10,7 @@ import pytest
 from pywellen import Waveform
 from rich.console import Console
 
+from coincid.lab.setup import Setup
 from coincid.model.contract.config import parse_config
 from coincid.model.contract.parameters import TOP
 from coincid.model.depth.estimate import estimate_depth
@@ -51,19 +52,20 @@ KEYS = {
 }
 
 
-def run(out, document=SMALL, scene="flat:5,0.4", engine="golden", klux=5.0, seed=1, settling=FRAMES, **options):
+def run(
+    out,
+    document=SMALL,
+    scene="flat:5,0.4",
+    engine="golden",
+    klux=5.0,
+    seed=1,
+    settling=FRAMES,
+    spad_gate=False,
+    **options,
+):
     console = Console(file=io.StringIO(), width=100)
-    report = simulate(
-        scene,
-        parse_config(document),
-        klux=klux,
-        seed=seed,
-        engine=engine,
-        out=out,
-        console=console,
-        settling=settling,
-        **options,
-    )
+    setup = Setup.of(scene, **document, klux=klux, seed=seed, engine=engine, spad_gate=spad_gate)
+    report = simulate(setup, out=out, console=console, settling=settling, **options)
     return report, console.file.getvalue()
 
 
