@@ -6,7 +6,7 @@ command must appear at once, so nothing is imported here that takes time.
 """
 
 from collections.abc import Callable
-from inspect import cleandoc
+from inspect import cleandoc, signature
 from typing import Any, TypeVar
 
 from attrs import frozen
@@ -88,12 +88,9 @@ _ALL = (
 OPTIONS = {option.name: option for option in _ALL}
 
 
-def documented(*names: str) -> Callable[[_Function], _Function]:
-    """Return a decorator that puts the parameters `names` of the table in place of `{options}` in a docstring."""
-
-    def document(function: _Function) -> _Function:
-        told = "\n".join(f"{name} : {OPTIONS[name].kind}\n    {OPTIONS[name].doc}" for name in names)
-        function.__doc__ = cleandoc(function.__doc__ or "").replace("{options}", told)
-        return function
-
-    return document
+def documented(function: _Function) -> _Function:
+    """Put those parameters of a function that the table has in place of `{options}` in its docstring."""
+    told = (OPTIONS[name] for name in signature(function).parameters if name in OPTIONS)
+    text = "\n".join(f"{option.name} : {option.kind}\n    {option.doc}" for option in told)
+    function.__doc__ = cleandoc(function.__doc__ or "").replace("{options}", text)
+    return function

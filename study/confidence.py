@@ -8,7 +8,7 @@ slanted ones widen the pulse.
 """
 
 import sys
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
@@ -25,6 +25,7 @@ from ..model.depth.quality import wrong_pixels
 from ..model.scenes.scene import Scene
 from ..model.scenes.transient import dominant_surface_m
 from ..model.shared.constants import SPEED_OF_LIGHT_M_S
+from .markdown import table
 from .palette import GREY
 from .plot_style import new_figure, save_figure, style
 from .surfaces import analytic_scenes
@@ -150,20 +151,17 @@ def law(seen: Sequence[Seen], method: str) -> np.ndarray:
     return weights / scale
 
 
-def table(seen: Mapping[str, Sequence[Seen]]) -> Iterable[str]:
-    """Yield the rows of a Markdown table: of the pixels with 90 %, the share that is right, and their number."""
-    yield "| scene | " + " | ".join(METHODS) + " |"
-    yield "| --- |" + " ---: |" * len(METHODS)
+def rows(seen: Mapping[str, Sequence[Seen]]) -> Iterator[Sequence[str]]:
+    """Yield the rows of a table: of the pixels with 90 %, the share that is right, and their number."""
     for name, runs in seen.items():
         cells = []
         for method in METHODS:
             sure = np.concatenate([chance_of_right(one.features[method], LAW[method]) for one in runs])
             chosen = (sure >= NINETY[0]) & (sure < NINETY[1])
             right = np.concatenate([one.right[method] for one in runs])[chosen]
-            cells.append(
-                f"{right.mean():.0%} of {len(right)}" if len(right) >= PIXELS_MIN else f"({len(right)} pixels)"
-            )
-        yield f"| {name} | " + " | ".join(cells) + " |"
+            enough = len(right) >= PIXELS_MIN
+            cells.append(f"{right.mean():.0%} of {len(right)}" if enough else f"({len(right)} pixels)")
+        yield name, *cells
 
 
 def draw(seen: Sequence[Seen], path: Path) -> None:
@@ -217,8 +215,7 @@ def main(picture: Path) -> None:
     for method in METHODS:
         print(f'    "{method}": ({", ".join(f"{weight:.3g}" for weight in law(looked, method))}),')
     by_name = {name: [unseen[name, k] for k in range(len(group))] for name, group in groups.items()}
-    for line in table(by_name | {"all": list(unseen.values())}):
-        print(line)
+    print("\n".join(table(("scene", *METHODS), rows(by_name | {"all": list(unseen.values())}))))
     draw(list(unseen.values()), picture)
 
 

@@ -23,6 +23,7 @@ from ..model.depth.quality import TOLERANCE_M
 from ..model.light.light import Light, background_cps, signal_per_pulse
 from ..model.scenes.catalogue import AT, RETURNS
 from ..model.shared.constants import SPEED_OF_LIGHT_M_S
+from .markdown import table
 from .palette import ALARM, GREY, INK, SERIES
 from .plot_style import legend_below, new_figure, save_figure, style
 
@@ -87,8 +88,8 @@ def all_found(run: Run) -> dict[str, float]:
     return shares
 
 
-def found_table(run: Processes) -> Iterator[str]:
-    """Yield the rows of a Markdown table: per cent of the pixels with all surfaces, for pixel / subgroup / minigroup."""
+def found_rows(run: Processes) -> Iterator[Sequence[str]]:
+    """Yield the rows of a table: per cent of the pixels with all surfaces, for pixel / subgroup / minigroup."""
     cases = [
         (step_m, pulses, window, klux) for step_m, pulses, window, klux in product(STEPS_M, FRAMES, WINDOWS, AMBIENTS)
     ]
@@ -96,13 +97,11 @@ def found_table(run: Processes) -> Iterator[str]:
     setups = {
         key: [setup(nearest_m, key[0], key[4], key[3], key[1], key[2]) for nearest_m in NEAREST_M] for key in keys
     }
-    table = grouped(setups, all_found, run)
-    yield "| apart | pulses | window | klux | " + " | ".join(f"{photons:g} photons" for photons in LIGHTS) + " |"
-    yield "| --- | ---: | --- | ---: |" + " ---: |" * len(LIGHTS)
+    found = grouped(setups, all_found, run)
     for case in cases:
         step_m, pulses, window, klux = case
-        shares = " | ".join(_per_cent(table[*case, photons]) for photons in LIGHTS)
-        yield f"| {100 * step_m:.0f} cm | {pulses} | {_window(window)} | {klux:g} | {shares} |"
+        shares = (_per_cent(found[*case, photons]) for photons in LIGHTS)
+        yield f"{100 * step_m:.0f} cm", str(pulses), _window(window), f"{klux:g}", *shares
 
 
 def _per_cent(outcomes: Sequence[dict[str, float]]) -> str:
@@ -179,17 +178,15 @@ def far_errors(run: Processes) -> dict[tuple[float, float, int, int, float], np.
     return {key: np.array(errors) for key, errors in grouped(setups, point_error_m, run).items()}
 
 
-def far_table(errors: dict[tuple[float, float, int, int, float], np.ndarray]) -> Iterator[str]:
-    """Yield the rows of a Markdown table: the least energy with which `FOUND_SHARE` of the measurements are right."""
-    yield "| target | klux | pulses | " + " | ".join(_threshold(one) for one in FAR_THRESHOLDS) + " |"
-    yield "| --- | ---: | ---: |" + " ---: |" * len(FAR_THRESHOLDS)
+def far_rows(errors: dict[tuple[float, float, int, int, float], np.ndarray]) -> Iterator[Sequence[str]]:
+    """Yield the rows of a table: the least energy with which `FOUND_SHARE` of the measurements are right."""
     for reflectivity, klux, pulses in product(FAR_REFLECTIVITIES, FAR_KLUX, FAR_PULSES):
         cells = []
         for threshold in FAR_THRESHOLDS:
             of = {energy_nj: errors[reflectivity, klux, pulses, threshold, energy_nj] for energy_nj in ENERGIES_NJ}
             enough = [energy_nj for energy_nj, error_m in of.items() if _right(error_m) >= FOUND_SHARE]
             cells.append(_least(enough[0], of[enough[0]]) if enough else f"more than {ENERGIES_NJ[-1]:g} nJ")
-        yield f"| {reflectivity:.0%} | {klux:g} | {pulses} | " + " | ".join(cells) + " |"
+        yield f"{reflectivity:.0%}", f"{klux:g}", str(pulses), *cells
 
 
 def _threshold(threshold: int) -> str:
@@ -226,16 +223,15 @@ def draw_far(errors: dict[tuple[float, float, int, int, float], np.ndarray], pat
 def main(folder: Path) -> None:
     draw_returns(folder / "returns.png")
     with Processes() as run:
-        for line in found_table(run):
-            print(line)
+        head = "apart", "pulses", "window", "klux", *(f"{photons:g} photons" for photons in LIGHTS)
+        print("\n".join(table(head, found_rows(run), left=(0, 2))))
         bright = {
             faster: [setup(m, STEPS_M[0], LIGHTS[-1], faster=faster) for m in NEAREST_M] for faster in (False, True)
         }
         for faster, outcomes in grouped(bright, all_found, run).items():
             print(f"{LIGHTS[-1]:g} photons, {15 if faster else 30} cm per cycle: {_per_cent(outcomes)} %")
         errors = far_errors(run)
-    for line in far_table(errors):
-        print(line)
+    print("\n".join(table(("target", "klux", "pulses", *map(_threshold, FAR_THRESHOLDS)), far_rows(errors))))
     draw_far(errors, folder / "returns_far.png")
 
 

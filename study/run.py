@@ -101,20 +101,7 @@ class Run(outcomes.Run):
         write_result(path, self.result)
 
 
-@documented(
-    "scene",
-    "scale",
-    "unit",
-    "reflectivity",
-    "klux",
-    "background",
-    "seed",
-    "spad",
-    "spad_gate",
-    "engine",
-    "view",
-    "method",
-)
+@documented
 def simulate(
     config: Config | str | Path | None = None,
     scene: Scene | str | np.ndarray = "five-objects",

@@ -104,7 +104,7 @@ RESULTS: dict[str, tuple[Callable[[Path], Any], str]] = {
     "sweep": (sweep, "0ddd49994ee2fd42"),
     "explorer": (explorer, "84d0a1a115dbc438"),
     "settling": (lambda folder: table(settling.HEAD, settling.rows(((20.0, 20.0),)), left=(3,)), "8d5a048adb43a133"),
-    "surfaces": (surface, "a96fae90d646f7e8"),
+    "surfaces": (surface, "56076c599e3d1736"),
     "noisy SPADs": (
         section(architect.noisy_spads, SPADS={"dark": {1e6: {"spad": coincid.Spad(dark_cps=1e6)}}}, SEEDS=1),
         "84c6b4b042f08787",
