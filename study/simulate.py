@@ -41,7 +41,7 @@ from ..tb.frame_record import FrameJob, Recorded
 from ..tb.replay import DEFAULT_VIEW, chosen_view
 from ..tb.rtl_errors import Mismatch
 from .progress import Bar
-from .show.frame_content import frame_view
+from .show.frame_content import FrameView
 
 if TYPE_CHECKING:
     from ..hdl.front_end_views import View
@@ -258,7 +258,7 @@ def _write_page(path: Path, heading: str, titles: dict[str, str], seen: dict[str
     except InputError:
         path.unlink(missing_ok=True)  # from an earlier run
         return False
-    write_report(path, heading, [frame_view(titles[name], frame) for name, frame in seen.items()])
+    write_report(path, heading, [FrameView(titles[name], frame) for name, frame in seen.items()])
     return True
 
 

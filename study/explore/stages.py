@@ -17,7 +17,7 @@ from attrs import evolve, field, frozen
 from ...lab.outcomes import Kept, Run
 from ...model.contract.result import differences
 from ...model.shared.errors import InputError
-from ..show.frame_content import FrameView, frame_view
+from ..show.frame_content import FrameView
 from .control_values import Settings
 
 KEPT = 3  # of each stage: for the present settings, the previous ones, and A's
@@ -44,7 +44,7 @@ class Explored:
     def view(self, frame: int = 0) -> FrameView:
         """Return the views of a frame with the settings' estimator."""
         if frame not in self._views:
-            self._views[frame] = frame_view(f"frame {frame}", self.run.frame(frame))
+            self._views[frame] = FrameView(f"frame {frame}", self.run.frame(frame))
         return self._views[frame]
 
 

@@ -9,12 +9,10 @@ from attrs import frozen
 from ...lab.measures import SWEPT
 from ...lab.outcomes import Frame
 from ...model.contract.config import Config
-from ...model.contract.edges import Edges
 from ...model.contract.pixels import pixel_table
 from ...model.depth.arrivals import SYSTEM_FWHM_S, pulse_sigma_ticks
 from ...model.depth.histograms import Events, frame_events, pixel_image
 from ...model.depth.quality import wrong_pixels
-from ...model.golden.frame import Trace
 from ...model.light.light import Light
 from ...model.scenes.scene import Scene
 from ...model.shared.constants import SPEED_OF_LIGHT_M_S
@@ -47,37 +45,36 @@ class ObjectView:
     wrong_share: float
 
 
-@frozen(eq=False, slots=False)
 class FrameView:
-    """One frame, ready to be displayed.
+    """One frame as its estimator sees it, ready to be displayed.
 
     reason: uint8[rows, cols], `belief.Reason`. Maps, float64[rows, cols]: truth_m, depth_m, error_m (depth - truth) and
     confidence, NaN = none; threshold (pixels that a window of the subgroup needed) and drops (events that the subgroup's
     full FIFO dropped); reflectivity (NaN = no target); signal and background, mean photons that the pixel detects in a
     laser period. candidate_m, candidate_confidence: float64[rows, cols, CANDIDATES]. numbers: measures
-    (`lab/measures.py`), and `sun_share`. objects: see
-    `seen_objects`.
+    (`lab/measures.py`), and `sun_share`. objects: see `seen_objects`.
     """
 
-    title: str
-    config: Config
-    truth_m: np.ndarray
-    depth_m: np.ndarray
-    error_m: np.ndarray
-    confidence: np.ndarray
-    reason: np.ndarray
-    threshold: np.ndarray
-    drops: np.ndarray
-    reflectivity: np.ndarray
-    signal: np.ndarray
-    background: np.ndarray
-    candidate_m: np.ndarray
-    candidate_confidence: np.ndarray
-    events: Events
-    edges: Edges
-    trace: Trace
-    numbers: dict[str, int | float | None]
-    objects: list[ObjectView]
+    def __init__(self, title: str, frame: Frame) -> None:
+        run, config, scene = frame.run, frame.config, frame.run.scene
+        found, light, shape = frame.depth(CANDIDATES), run.light, (config.sensor.rows, config.sensor.cols)
+        sigma_ticks = pulse_sigma_ticks(config, SYSTEM_FWHM_S)
+        nearest = np.where(np.isnan(scene.distance_m), np.inf, scene.distance_m).argmin(axis=2)[:, :, None]
+        reflectivity = np.take_along_axis(scene.reflectivity, nearest, 2)[:, :, 0]
+        self.title, self.config, self.edges, self.trace = title, config, frame.edges, frame.trace
+        self.truth_m, self.depth_m, self.reason = frame.truth_m, found.depth_m[:, :, 0], found.reason
+        self.error_m = self.depth_m - self.truth_m
+        self.candidate_m, self.candidate_confidence = found.depth_m, found.confidence
+        self.confidence = np.where(np.isnan(self.depth_m), np.nan, found.confidence[:, :, 0])
+        self.threshold = _of_subgroups(frame.threshold, config)
+        self.drops = _of_subgroups(frame.counter("dropped"), config)
+        self.reflectivity = np.where(scene.valid, reflectivity, np.nan)
+        self.signal = light.signal_per_pulse.sum(axis=1).reshape(shape)
+        self.background = light.background_cps.reshape(shape) * (config.period_ticks * config.tick_s)
+        self.events = frame_events(run.result, config, sigma_ticks, frame.number)
+        self.numbers = {name: frame[name] for name in SHOWN}
+        self.numbers["sun_share"] = _sun_share(self.events, scene, config, sigma_ticks)
+        self.objects = seen_objects(scene, light, self.depth_m)
 
     @property
     def range_m(self) -> float:
@@ -125,39 +122,6 @@ class FrameView:
         bins = self.event_bins()[self.events.bounds[subgroup] : self.events.bounds[subgroup + 1]]
         hit = self.events.maps(subgroup, self.config.sensor.pixels)[:, inside]
         return np.bincount(bins[hit], minlength=self.histogram_bins), np.bincount(bins, minlength=self.histogram_bins)
-
-
-def frame_view(title: str, frame: Frame) -> FrameView:
-    """Return the views of a frame, as its estimator sees it."""
-    run, config, scene = frame.run, frame.config, frame.run.scene
-    found, light = frame.depth(CANDIDATES), run.light
-    depth_m, shape = found.depth_m[:, :, 0], (config.sensor.rows, config.sensor.cols)
-    sigma_ticks = pulse_sigma_ticks(config, SYSTEM_FWHM_S)
-    period_s = config.period_ticks * config.tick_s
-    nearest = np.where(np.isnan(scene.distance_m), np.inf, scene.distance_m).argmin(axis=2)[:, :, None]
-    events = frame_events(run.result, config, sigma_ticks, frame.number)
-    numbers = {name: frame[name] for name in SHOWN} | {"sun_share": _sun_share(events, scene, config, sigma_ticks)}
-    return FrameView(
-        title=title,
-        config=config,
-        truth_m=frame.truth_m,
-        depth_m=depth_m,
-        error_m=depth_m - frame.truth_m,
-        confidence=np.where(np.isnan(depth_m), np.nan, found.confidence[:, :, 0]),
-        reason=found.reason,
-        threshold=_of_subgroups(frame.threshold, config),
-        drops=_of_subgroups(frame.counter("dropped"), config),
-        reflectivity=np.where(scene.valid, np.take_along_axis(scene.reflectivity, nearest, 2)[:, :, 0], np.nan),
-        signal=light.signal_per_pulse.sum(axis=1).reshape(shape),
-        background=light.background_cps.reshape(shape) * period_s,
-        candidate_m=found.depth_m,
-        candidate_confidence=found.confidence,
-        events=events,
-        edges=frame.edges,
-        trace=frame.trace,
-        numbers=numbers,
-        objects=seen_objects(scene, light, depth_m),
-    )
 
 
 def _of_subgroups(values: np.ndarray, config: Config) -> np.ndarray:

@@ -18,7 +18,7 @@ from ...model.shared.files import FilePath, whole_file
 from ..pictures import Panel, draw_row
 from ..plot_style import figure_bytes
 from .assets import FILES
-from .frame_content import FrameView, frame_view
+from .frame_content import FrameView
 from .words import number_rows, story
 
 
@@ -43,7 +43,7 @@ class Shown:
 def run_view(run: Run, frame: int = 0, method: str | None = None) -> FrameView:
     """Return the views of a frame of a run; method: None is the run's first estimator. Raises `InputError`."""
     check_integer("frame", frame, 0, run.config.frames - 1)
-    return frame_view(f"frame {frame}", run.frame(frame, method))
+    return FrameView(f"frame {frame}", run.frame(frame, method))
 
 
 def summary(run: Run) -> str:

@@ -140,43 +140,36 @@ def _sources(view: FrameView, pulses: int) -> dict[str, Any]:
     line = view.timeline
     edges, edge_bounds = _first_pulses(line.edge_bounds, view.config.pulses, pulses)
     opened, window_bounds = _first_pulses(line.window_bounds, view.config.pulses, pulses)
-    windows = {part.name: getattr(line.windows, part.name)[opened].astype(np.int32) for part in Windows.__attrs_attrs__}
-    pictures = map_columns(view)
     hits = np.ascontiguousarray(view.events.hits, "<u8").view(np.uint32)
     gates = [
         gate_of(view.config, s, p) or (0, view.config.period)
         for s in range(view.config.sensor.subgroups)
         for p in range(pulses)
     ]
-    return {
-        "pictures": ColumnDataSource(pictures),
-        "edges": ColumnDataSource(
-            {
-                "tick": line.tick[edges].astype(np.uint16),
-                "pixel": line.pixel[edges].astype(np.uint16),
-                "fate": line.fate[edges],
-            }
-        ),
-        "windows": ColumnDataSource(windows),
-        "bounds": ColumnDataSource({"edges": edge_bounds.astype(np.int32), "windows": window_bounds.astype(np.int32)}),
-        "gates": ColumnDataSource(
-            {name: np.array(part, np.int32) for name, part in zip(("first", "end"), zip(*gates))}
-        ),
-        "fill": ColumnDataSource({"cycle": line.fill_cycle.astype(np.int32), "fill": line.fill.astype(np.int32)}),
-        "subgroups": ColumnDataSource(
-            {"fill": line.fill_bounds.astype(np.int32), "events": view.events.bounds.astype(np.int32)}
-        ),
+    parts = {
+        "pictures": map_columns(view),
+        "edges": {
+            "tick": line.tick[edges].astype(np.uint16),
+            "pixel": line.pixel[edges].astype(np.uint16),
+            "fate": line.fate[edges],
+        },
+        "windows": {
+            part.name: getattr(line.windows, part.name)[opened].astype(np.int32) for part in Windows.__attrs_attrs__
+        },
+        "bounds": {"edges": edge_bounds.astype(np.int32), "windows": window_bounds.astype(np.int32)},
+        "gates": {name: np.array(part, np.int32) for name, part in zip(("first", "end"), zip(*gates))},
+        "fill": {"cycle": line.fill_cycle.astype(np.int32), "fill": line.fill.astype(np.int32)},
+        "subgroups": {"fill": line.fill_bounds.astype(np.int32), "events": view.events.bounds.astype(np.int32)},
         "threshold": line.threshold.tolist(),
         "starts": line.start_cycles.tolist(),
-        "events": ColumnDataSource({"bin": view.event_bins().astype(np.int32)}),
-        "hits": ColumnDataSource({"word": hits.ravel()}),
-        "returns": ColumnDataSource(
-            {
-                "at_m": view.candidate_m.astype(np.float32).ravel(),
-                "confidence": view.candidate_confidence.astype(np.float32).ravel(),
-            }
-        ),
+        "events": {"bin": view.event_bins().astype(np.int32)},
+        "hits": {"word": hits.ravel()},
+        "returns": {
+            "at_m": view.candidate_m.astype(np.float32).ravel(),
+            "confidence": view.candidate_confidence.astype(np.float32).ravel(),
+        },
     }
+    return {name: ColumnDataSource(part) if isinstance(part, dict) else part for name, part in parts.items()}
 
 
 def _first_pulses(bounds: np.ndarray, pulses: int, kept: int) -> tuple[np.ndarray, np.ndarray]:
@@ -187,12 +180,5 @@ def _first_pulses(bounds: np.ndarray, pulses: int, kept: int) -> tuple[np.ndarra
 
 
 def _words(view: FrameView) -> str:
-    return json.dumps(
-        {
-            "story": story(view),
-            "heads": ["", ""],
-            "numbers": number_rows(view),
-            "object_heads": list(OBJECT_HEADS),
-            "objects": object_table(view),
-        }
-    )
+    words = {"story": story(view), "heads": ["", ""], "numbers": number_rows(view)}
+    return json.dumps(words | {"object_heads": list(OBJECT_HEADS), "objects": object_table(view)})
