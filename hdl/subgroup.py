@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Subgroup: one coincID tree, one gate, one DPCU, one FIFO (paper, Fig. 3)."""
 
-from functools import partial
 from typing import Any
 
 from amaranth.hdl import Cat, Module, Mux, ResetSignal, Signal
@@ -86,21 +85,21 @@ class Subgroup(Unit):
         m = Module()
         sensor, reset = self.sensor, agreed_reset(m)
         gated = self._clock(m, platform, reset)
-        put = partial(place, m, platform=platform, reset=reset)
-        settings = put("settings", SubgroupSettings(sensor), domain=gated)
-        gating = put("gating", Gating(sensor), domain=gated)
-        tree = put("tree", self.view.front_end(sensor), domain=gated if self.view.front_end_rests else "sync")
-        dpcu = put("dpcu", Dpcu(sensor), domain=gated)
-        events = put("fifo", EventFifo(sensor), domain=gated)
-        records = put("record_buffer", RecordBuffer(sensor), domain=gated) if sensor.records else None
-        packets = put("packetizer", Packetizer(sensor), domain=gated)
+        settings, gating, tree, dpcu = (
+            SubgroupSettings(sensor),
+            Gating(sensor),
+            self.view.front_end(sensor),
+            Dpcu(sensor),
+        )
+        events, packets = EventFifo(sensor), Packetizer(sensor)
 
         # Inputs go straight into registers, except the subgroup's number, which never changes. These need no reset, because
         # the registers that drive them have one. Most of them move only when something comes.
-        command, timing, frame, period, grant, send = (
-            Signal.like(port, reset_less=True)
-            for port in (self.command, self.timing, self.frame, self.period, self.grant, self.send)
-        )
+        taken = {
+            name: Signal.like(getattr(self, name), reset_less=True)
+            for name in ("command", "timing", "frame", "period", "grant", "send")
+        }
+        command, timing, frame, period, grant, send = taken.values()
         idle = bus.Operation.IDLE
         with m.If((self.command.operation != idle) | (command.operation != idle)):
             m.d[gated] += [command.eq(self.command), frame.eq(self.frame), period.eq(self.period)]
@@ -111,63 +110,35 @@ class Subgroup(Unit):
             m.d[gated] += timing.shift.eq(self.timing.shift)
         with m.If(self.grant):
             m.d[gated] += send.eq(self.send)
+
+        # Every input of a block is the net of its name: mostly another block's output, or an input of the subgroup.
+        nets: dict[str, Any] = taken | {"subgroup": self.subgroup, "start": timing.start}
+        nets |= {"operation": command.operation, "in_stream": self.subgroup >= command.subgroup}
+        nets["frame_begin"] = command.operation == bus.Operation.BEGIN
+        for unit in (settings, gating, tree, dpcu, events, packets):
+            nets |= unit.outputs()
+        nets |= {"words": self.words, "spad": self.words, "gate": gating.spad_gate, "mask": settings.settings.mask}
+
+        def put(name, unit, domain=gated, **others):
+            place(m, name, unit, platform, reset, domain, **unit.fed(nets | others))
+
+        if sensor.records:
+            records = RecordBuffer(sensor)
+            put("record_buffer", records, due=tree.record_due, take=packets.take_record)
+            nets |= {"record": records.record, "mg_stored": records.stored, "mg_dropped": records.dropped}
+            m.d.comb += self.record_stored.eq(records.stored)
+        put("settings", settings)
+        put("gating", gating)
+        put("tree", tree, gated if self.view.front_end_rests else "sync")
+        put("dpcu", dpcu, data=command.data)
+        put("fifo", events, take=packets.take_event)
+        put("packetizer", packets)
         wiring.connect(m, wiring.flipped(self.line), tree.line)
         m.d.comb += [
-            settings.command.eq(command),
-            settings.subgroup.eq(self.subgroup),
-            settings.period.eq(period),
-            settings.counters.eq(dpcu.counters),
-            self.data.eq(settings.data),
-            self.gate_late.eq(settings.gate_late),
-            self.upset.eq(settings.upset),
-            gating.timing.eq(timing),
-            gating.settings.eq(settings.settings),
-            self.spad_gate.eq(gating.spad_gate),
-            *self.view.hears(tree, self.words, settings.settings.mask, gating),
-            tree.window_ticks.eq(dpcu.window_ticks),
-            tree.frame.eq(frame),
-            tree.timing.eq(timing),
-            dpcu.settings.eq(settings.settings),
-            dpcu.start.eq(timing.start),
-            dpcu.operation.eq(command.operation),
-            dpcu.data.eq(command.data),
-            dpcu.in_stream.eq(self.subgroup >= command.subgroup),
-            dpcu.closed.eq(tree.closed),
-            dpcu.window.eq(tree.window),
-            dpcu.blind.eq(tree.blind),
-            dpcu.stored.eq(events.stored),
-            dpcu.dropped.eq(events.dropped),
-            events.commit.eq(dpcu.commit),
-            events.event.eq(dpcu.event),
-            events.offsets.eq(tree.offsets),
-            events.pulse.eq(dpcu.pulse),
-            events.frame_begin.eq(command.operation == bus.Operation.BEGIN),
-            events.take.eq(packets.take_event),
-            self.stored.eq(events.stored),
-            packets.grant.eq(grant),
-            packets.send.eq(send),
-            packets.frame.eq(frame),
-            packets.subgroup.eq(self.subgroup),
-            packets.head.eq(events.head),
-            packets.counters.eq(dpcu.counters),
-            packets.controlled.eq(dpcu.controlled),
-            self.valid.eq(packets.valid),
-            self.beat.eq(packets.beat),
-            self.beat_controlled.eq(packets.beat_controlled),
+            getattr(self, name).eq(nets[name])
+            for name, member in own_ports(sensor).items()
+            if member.flow is Out and name in nets
         ]
-        if records:
-            m.d.comb += [
-                records.due.eq(tree.record_due),
-                records.latched.eq(tree.latched),
-                records.entries.eq(tree.entries),
-                records.pulse.eq(dpcu.pulse),
-                records.take.eq(packets.take_record),
-                records.frame_begin.eq(command.operation == bus.Operation.BEGIN),
-                self.record_stored.eq(records.stored),
-                dpcu.mg_stored.eq(records.stored),
-                dpcu.mg_dropped.eq(records.dropped),
-                packets.record.eq(records.record),
-            ]
         return m
 
     def _clock(self, m, platform, reset):

@@ -9,48 +9,116 @@ choice.
 
 from typing import Any
 
-from amaranth.hdl import C, Cat, Module, Mux, Signal
+from amaranth.hdl import C, Cat, Module, Mux, Signal, Value
 from amaranth.lib.wiring import In, Out, Signature
 
 from ..model.contract.parameters import Sensor, bits_for
 from . import bus
 from .clock_gate import ClockGate, stopped
 from .logic import any_of, lowest, popcount, total
-from .minigroup import Minigroup
+from .minigroup import Minigroup, Recorder
 from .tdc import line_signature
 from .unit import Unit, place
 
 
-def front_ports(sensor: Sensor, line: Signature) -> dict[str, Any]:
-    """Ports of a front end except those towards its SPADs, in every view. line: its sampling line."""
-    return {
-        "window_ticks": In(sensor.window_bits),
-        "frame": In(bus.frame_layout(sensor)),
-        "timing": In(bus.time_layout(sensor)),
-        "line": Out(line),
-        "closed": Out(1),
-        "window": Out(bus.window_layout(sensor)),
-        "offsets": Out(bus.offsets_layout(sensor)),
-        "blind": Out(1),
-        "record_due": Out(1),
-        "latched": Out(sensor.minigroups),
-        "entries": Out(bus.record_layout(sensor)["entries"].shape),
-    }
+class WindowState:
+    """Inner registers and signals of a front end, in every view.
+
+    elapsed: cycles since the window opened, saturated. hits: of its map, collected by the leaves. closed: it has closed
+    (stage 5). half, counts: a window whose pixels have been counted in parts (stage 6).
+    """
+
+    def __init__(self, sensor: Sensor):
+        self.elapsed = Signal(sensor.elapsed_bits)
+        self.hits = Signal(sensor.pixels)
+        self.closed = Signal()
+        self.closed_6 = Signal()
+        self.half = Signal(bus.window_layout(sensor), reset_less=True)
+        part = 1 << (bits_for(sensor.pixels - 1) + 1) // 2
+        self.parts = [self.hits[k : k + part] for k in range(0, sensor.pixels, part)]
+        self.counts = [Signal(range(len(part) + 1), name=f"count_{k}") for k, part in enumerate(self.parts)]
 
 
-class TreeState:
+class FrontEnd(Unit):
+    """What the front ends of both views have in common: their leaves, and the count of a closed window.
+
+    line: the sampling line. own: ports towards the SPADs. `CoincidenceTree` describes the others.
+    """
+
+    state: WindowState
+
+    def __init__(self, sensor: Sensor, line: Signature, **own: Any):
+        self.sensor = sensor
+        super().__init__(
+            **own,
+            window_ticks=In(sensor.window_bits),
+            frame=In(bus.frame_layout(sensor)),
+            timing=In(bus.time_layout(sensor)),
+            line=Out(line),
+            closed=Out(1),
+            window=Out(bus.window_layout(sensor)),
+            offsets=Out(bus.offsets_layout(sensor)),
+            blind=Out(1),
+            record_due=Out(1),
+            latched=Out(sensor.minigroups),
+            entries=Out(bus.record_layout(sensor)["entries"].shape),
+        )
+
+    def _leaf(self, m, platform, g: int, leaf: Recorder, by_pixel: dict[str, Value], **shared) -> list[int]:
+        """Connect minigroup `g`, and return its pixels. by_pixel: its inputs that have a part for every pixel of the subgroup."""
+        state, sensor = self.state, self.sensor
+        members = sensor.members(g)
+        own = {
+            name: Cat(value.word_select(i, len(value) // sensor.pixels) for i in members)
+            for name, value in by_pixel.items()
+        }
+        place(m, f"minigroup_{g}", leaf, platform, elapsed=state.elapsed, frame=self.frame, **own, **shared)
+        m.d.comb += [
+            *([self.offsets[g].eq(leaf.offset)] if sensor.offsets else []),
+            self.latched[g].eq(leaf.latched),
+            self.entries[g].eq(leaf.entry),
+            *(state.hits[i].eq(hit) for i, hit in zip(members, leaf.hits)),
+        ]
+        return members
+
+    def _elapse(self, m, opened):
+        """Stage 7: count the cycles since the window opened, for the leaves' offsets. opened: stage 6."""
+        elapsed = self.state.elapsed
+        with m.If(opened | ~elapsed.all()):
+            m.d.sync += elapsed.eq(Mux(opened, 0, elapsed + 1))
+
+    def _closed(self, m, stamp, winner, clock="sync"):
+        """Stages 6 and 7: count a closed window in two steps of equal depth. clock: domain of the strobes."""
+        state = self.state
+        half, counts = state.half, state.counts
+        m.d[clock] += [state.closed_6.eq(state.closed), self.closed.eq(state.closed_6)]
+        with m.If(state.closed):
+            m.d.sync += [half.stamp.eq(stamp), half.hits.eq(state.hits), half.winner.eq(winner)]
+            m.d.sync += [
+                count.eq(popcount(m, part, f"ones_{k}")) for k, (count, part) in enumerate(zip(counts, state.parts))
+            ]
+        with m.If(state.closed_6):
+            m.d.sync += [
+                self.window.stamp.eq(half.stamp),
+                self.window.hits.eq(half.hits),
+                self.window.winner.eq(half.winner),
+                self.window.count.eq(total(m, counts, "count_sum")),
+            ]
+
+
+class TreeState(WindowState):
     """Inner registers and signals of a tree. Numbers are those of stages; `may_open` and `wrap` have a bit for each stage.
 
     left: ticks of the window from the start of the cycle, end: the same for a window that may just open; whole, part: the
-    window covers all of the cycle, or the phases before its end; elapsed: cycles since it opened, saturated; stamps, winners:
-    of stages 3 to 5. openings, closings: the window's opening and its closing, delayed; found_blind: a minigroup has an edge
-    outside of a window. strobes: all that move on in every cycle, until they are out, behind a gate of their own: `clock` is
-    their domain.
+    window covers all of the cycle, or the phases before its end; stamps, winners: of stages 3 to 5. openings, closings: the
+    window's opening and its closing, delayed; found_blind: a minigroup has an edge outside of a window. strobes: all that
+    move on in every cycle, until they are out, behind a gate of their own: `clock` is their domain.
     """
 
     clock: str
 
     def __init__(self, sensor: Sensor):
+        super().__init__(sensor)
         self.leaves = [Minigroup(sensor) for _ in range(sensor.minigroups)]
         self.may_open = Signal(5)
         self.wrap = Signal(5)
@@ -64,18 +132,15 @@ class TreeState:
         self.whole, self.part = Signal(), Signal()
         self.at_first = Signal(sensor.pixels)
         self.openings = [Signal(name=f"opening_{n}") for n in (3, 4, 5, 6)]
-        self.closings = [Signal(name=f"closing_{n}") for n in (3, 4)] + [Signal(name="closed")]
-        self.opening_4, self.closed = self.openings[1], self.closings[-1]
-        self.closed_6 = Signal()
+        self.closings = [Signal(name=f"closing_{n}") for n in (3, 4)] + [self.closed]
+        self.opening_4 = self.openings[1]
         self.found_blind, self.blind = Signal(), Signal()
         self.strobes = [*self.openings, *self.closings, self.closed_6, self.blind, self.wrap]
-        self.elapsed = Signal(sensor.elapsed_bits)
         self.stamps = [Signal(sensor.stamp_bits, name=f"stamp_{n}") for n in (3, 4, 5)]
         self.winners = [Signal(sensor.winner_bits, name=f"winner_{n}") for n in (3, 4, 5)]
-        self.hits = Signal(sensor.pixels)
 
 
-class CoincidenceTree(Unit):
+class CoincidenceTree(FrontEnd):
     """Tree of a subgroup with its coincidence window.
 
     Stages count from the port, as in `Minigroup`. A window that closes in cycle c leaves at stage 7, in cycle c + 7.
@@ -94,23 +159,17 @@ class CoincidenceTree(Unit):
     """
 
     unit_name = "coincid_tree"
+    state: TreeState
 
     def __init__(self, sensor: Sensor):
-        self.sensor = sensor
-        super().__init__(
-            words=In(sensor.pixels * sensor.phases),
-            mask=In(sensor.pixels),
-            accept=In(1),
-            **front_ports(sensor, line_signature(sensor)),
-        )
+        words, mask = In(sensor.pixels * sensor.phases), In(sensor.pixels)
+        super().__init__(sensor, line_signature(sensor), words=words, mask=mask, accept=In(1))
         self.state = TreeState(sensor)
         self.clock_gate = ClockGate(small=True)
 
     def elaborate(self, platform):
         m = Module()
         sensor = self.sensor
-        for g, leaf in enumerate(self.state.leaves):
-            place(m, f"minigroup_{g}", leaf, platform)
         # Root: sampled at stage 1, and decoded by the TDC line behind it.
         leaves = self.state.leaves
         root = Signal(sensor.phases, reset_less=True)
@@ -129,8 +188,8 @@ class CoincidenceTree(Unit):
         self._strobes(m)
         self._window(m)
         self._opened(m)
-        self._leaves(m)
-        self._closed(m)
+        self._leaves(m, platform)
+        self._closed(m, state.stamps[-1], state.winners[-1], state.clock)
         return m
 
     def _strobes(self, m):
@@ -166,73 +225,39 @@ class CoincidenceTree(Unit):
             m.d.sync += state.rearm.eq(state.rearm - 1)
 
     def _opened(self, m):
-        """Stages 3 to 5: stamp and winner of the opening edge. Stage 7: cycles since it, for the leaves' offsets."""
+        """Stages 3 to 5: stamp and winner of the opening edge."""
         state, sensor = self.state, self.sensor
-        opening_3, opening_6 = state.openings[0], state.openings[-1]
         m.d[state.clock] += [
             Cat(state.openings).eq(Cat(state.opening, state.openings[:-1])),
             Cat(state.closings).eq(Cat(state.closing, state.closings[:-1])),
         ]
-        with m.If(opening_6 | ~state.elapsed.all()):
-            m.d.sync += state.elapsed.eq(Mux(opening_6, 0, state.elapsed + 1))
+        self._elapse(m, state.openings[-1])
         one_of = Cat(state.at_first, C(0, (1 << sensor.winner_bits) - sensor.pixels))
         with m.If(state.opening):
             m.d.sync += [
                 state.stamps[0].eq(Cat(self.line.phase, self.line.coarse)),
                 state.winners[0].eq(lowest(m, one_of, "winner")),
             ]
-        for n, strobe in enumerate((opening_3, state.opening_4)):
+        for n, strobe in enumerate(state.openings[:2]):
             with m.If(strobe):
                 m.d.sync += [delayed[n + 1].eq(delayed[n]) for delayed in (state.stamps, state.winners)]
 
-    def _leaves(self, m):
+    def _leaves(self, m, platform):
         """Connect the minigroups."""
-        state, phases = self.state, self.sensor.phases
+        state = self.state
+        shared = {
+            "accept": self.accept,
+            "whole": state.whole,
+            "part": state.part,
+            "end": state.end[: self.sensor.phase_bits],
+            "first": self.line.phase,
+            "opening": state.opening_4,
+            "may_open": state.may_open[-1],
+            "wrap": state.wrap[-1],
+            "coarse": state.coarse_4,
+        }
         for g, leaf in enumerate(state.leaves):
-            members = self.sensor.members(g)
-            m.d.comb += [
-                leaf.words.eq(Cat(self.words.word_select(i, phases) for i in members)),
-                leaf.mask.eq(Cat(self.mask[i] for i in members)),
-                leaf.accept.eq(self.accept),
-                leaf.whole.eq(state.whole),
-                leaf.part.eq(state.part),
-                leaf.end.eq(state.end[: self.sensor.phase_bits]),
-                leaf.first.eq(self.line.phase),
-                leaf.opening.eq(state.opening_4),
-                leaf.elapsed.eq(state.elapsed),
-                leaf.frame.eq(self.frame),
-                leaf.may_open.eq(state.may_open[-1]),
-                leaf.wrap.eq(state.wrap[-1]),
-                leaf.coarse.eq(state.coarse_4),
-                *([self.offsets[g].eq(leaf.offset)] if self.sensor.offsets else []),
-                self.latched[g].eq(leaf.latched),
-                self.entries[g].eq(leaf.entry),
-                *(state.hits[i].eq(leaf.hits[j]) for j, i in enumerate(members)),
-                *(state.at_first[i].eq(leaf.at_first[j]) for j, i in enumerate(members)),
-            ]
+            members = self._leaf(m, platform, g, leaf, {"words": self.words, "mask": self.mask}, **shared)
+            m.d.comb += [state.at_first[i].eq(here) for i, here in zip(members, leaf.at_first)]
         m.d.comb += state.found_blind.eq(any_of(m, [leaf.blind for leaf in state.leaves], "blind_or"))
         m.d[state.clock] += [state.blind.eq(state.found_blind), self.blind.eq(state.blind)]
-
-    def _closed(self, m):
-        """Stages 6 and 7: count a closed window in two steps of equal depth."""
-        state, pixels = self.state, self.sensor.pixels
-        closed_6 = state.closed_6
-        half = Signal(bus.window_layout(self.sensor), reset_less=True)
-        chunk = 1 << (bits_for(pixels - 1) + 1) // 2
-        chunks = [state.hits[at : at + chunk] for at in range(0, pixels, chunk)]
-        counts = [Signal(range(len(part) + 1), name=f"count_{k}") for k, part in enumerate(chunks)]
-        m.d[state.clock] += [closed_6.eq(state.closed), self.closed.eq(closed_6)]
-        with m.If(state.closed):
-            m.d.sync += [
-                half.stamp.eq(state.stamps[-1]),
-                half.hits.eq(state.hits),
-                half.winner.eq(state.winners[-1]),
-                *(count.eq(popcount(m, part, f"ones_{k}")) for k, (count, part) in enumerate(zip(counts, chunks))),
-            ]
-        with m.If(closed_6):
-            m.d.sync += [
-                self.window.stamp.eq(half.stamp),
-                self.window.hits.eq(half.hits),
-                self.window.winner.eq(half.winner),
-                self.window.count.eq(total(m, counts, "count_sum")),
-            ]

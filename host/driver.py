@@ -15,7 +15,7 @@ from ..model.contract.registers import BY_NAME, ID_VALUE, VERSION_VALUE, Access
 from ..model.contract.table import Kind, Setting
 from ..model.shared.errors import InputError
 from .frame_assembly import FrameAssembler
-from .names import Key, find
+from .names import Key, Word, find
 from .programmed import Programmed, runs
 from .transport import HostError, RefusedError, Transport, write_block
 
@@ -53,14 +53,18 @@ class Driver:
 
     def __getitem__(self, key: Key) -> int:
         """Read a register. Raises `InputError` if there is none of that name."""
-        return self.transport.read(find(self.sensor, key).address)
+        return self.transport.read(self._word(key).address)
 
     def __setitem__(self, key: Key, value: int) -> None:
         """Write a register. Raises `InputError` before anything is sent, or `RefusedError`."""
-        word = find(self.sensor, key)
+        word = self._word(key)
         self._write(word.address, word.checked(value))
         if word.register.access is Access.SETTING:
             self.programmed.note(word.address, int(value))
+
+    def _word(self, key: Key) -> Word:
+        """Return the word of the register map that `key` names. Raises `InputError`."""
+        return find(self.sensor, key)
 
     def program(self, config: Config) -> int:
         """Write the settings of `config` that differ from the known ones, and return the number of words written."""

@@ -7,10 +7,8 @@ import numpy as np
 
 from ..model.contract.emulator import BUFFER_BASE, EMULATOR_ID, EMULATOR_VERSION, OWN_BY_NAME, own_address
 from ..model.contract.parameters import Sensor
-from ..model.contract.registers import WRITABLE, Access
-from ..model.shared.errors import InputError, check_integer
 from .driver import WAIT_SECONDS, Driver
-from .names import Key
+from .names import Key, Word
 from .transport import HostError, Transport, read_block
 
 WORDS_PER_BEAT = 2
@@ -34,22 +32,11 @@ class EmulatorDriver(Driver):
         self.buffer_beats = transport.read(own_address("buffer_beats"))
         super().__init__(transport, sensor, fresh=fresh)
 
-    def __getitem__(self, key: Key) -> int:
-        """Read a register of the sensor or of the emulator."""
-        return self.transport.read(own_address(key)) if key in OWN_BY_NAME else super().__getitem__(key)
-
-    def __setitem__(self, key: Key, value: int) -> None:
-        """Write a register of the sensor or of the emulator. Raises `InputError` before anything is sent."""
+    def _word(self, key: Key) -> Word:
+        """Return the word of the emulator's or of the sensor's register map that `key` names. Raises `InputError`."""
         if not isinstance(key, str) or key not in OWN_BY_NAME:
-            super().__setitem__(key, value)
-            return
-        register = OWN_BY_NAME[key]
-        if register.access not in WRITABLE:
-            raise InputError(f"{key}: is read-only ({register.access.value})")
-        checked = check_integer(key, value, register.low(self.sensor), register.high(self.sensor))
-        self._write(own_address(key), checked)
-        if register.access is Access.SETTING:
-            self.programmed.note(own_address(key), checked)
+            return super()._word(key)
+        return Word.of(key, own_address(key), OWN_BY_NAME[key], self.sensor)
 
     def waiting(self) -> np.ndarray:
         """Remove the waiting beats (uint64) from the frame buffer, and return them."""

@@ -15,8 +15,7 @@ from ..model.shared.errors import InputError
 from ..model.shared.files import FilePath
 from .transport import RefusedError
 
-STATUS = BY_NAME["status"]
-ERROR_BITS = {bits.name: 1 << bits.lsb for bits in STATUS.bits if bits.clears and bits.name != "done"}
+ERROR_BITS = {bits.name: 1 << bits.lsb for bits in BY_NAME["status"].bits if bits.clears and bits.name != "done"}
 
 
 class MemoryTransport:

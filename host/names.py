@@ -23,6 +23,11 @@ class Word:
     low: int
     high: int
 
+    @classmethod
+    def of(cls, name: str, address: int, register: Register, sensor: Sensor) -> "Word":
+        """Return a word of a register."""
+        return cls(name, address, register, register.low(sensor), register.high(sensor))
+
     def checked(self, value: object) -> int:
         """Return `value` if the sensor accepts it. Raises `InputError` with register and range."""
         if self.register.access not in WRITABLE:
@@ -54,10 +59,4 @@ def find(sensor: Sensor, key: Key) -> Word:
     if numbers:
         raise InputError(f"register {name!r}: {key!r} has too many indices")
     shown = [subgroup] * of_subgroup + [index] * (register.count(sensor) > 1)
-    return Word(
-        f"{name}{shown or ''}",
-        registers.address(register.name, subgroup, index),
-        register,
-        register.low(sensor),
-        register.high(sensor),
-    )
+    return Word.of(f"{name}{shown or ''}", registers.address(register.name, subgroup, index), register, sensor)

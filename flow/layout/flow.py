@@ -11,7 +11,7 @@ import os
 import re
 import subprocess
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -23,12 +23,11 @@ from ...hdl.front_end_views import POLYPHASE, View
 from ...hdl.unit import Unit
 from ...model.shared.errors import InputError
 from ...model.shared.folders import build_root
-from ...model.shared.sources import digest
-from ...tools.build import ToolchainError, build_once
-from ...tools.wheels import TAIL_LINES, run_program, run_yosys
+from ...tools.build import ToolchainError
+from ...tools.wheels import TAIL_LINES, run_program, yosys_once
 from ..liberty import read_cells, supply_v
 from ..mapped import LONGEST_PATHS, least_slacks_ns
-from ..yosys import CELLS_KEY, CLOCK_BUFFER, LIBERTY, bound, cells_folder, cells_script, put_cells
+from ..yosys import CLOCK_BUFFER, LIBERTY, bound, cells_folder, cells_script, library_files
 
 if TYPE_CHECKING:
     from .pins import Strip
@@ -105,28 +104,24 @@ def lay_out(unit: Unit, clock_mhz: float, tell: Callable[[str], None], view: Vie
     """Return the layout of a flattened block, which is made once for each state of its Verilog. Macros have no layout."""
     cells, files = require_tools(), bound(units_files([unit], cells=True), gated=False)
     files |= {path.name: path.read_text() for path in (*view.cells, *view.macros)}
-    key = digest(
-        CELLS_KEY, str(clock_mhz), *sources(*BEHIND), *(part for item in sorted(files.items()) for part in item)
-    )
 
     def make(folder: Path) -> None:
-        for name, text in files.items():
-            (folder / name).write_text(text)
-        map_for_router(unit.unit_name, list(files), folder)
         attempt = route(unit.unit_name, cells, folder, tell)
         finish(unit.unit_name, cells, clock_mhz, attempt, folder)
 
-    folder = build_once(build_root() / "layout" / f"{unit.unit_name}-{key}", make)
-    facts = json.loads((folder / FACTS).read_text())
+    folder, facts = made_once(unit.unit_name, files, [str(clock_mhz), *sources(*BEHIND)], make)
     facts["attempt"] = Attempt(**facts["attempt"])
     return Layout(folder=folder, **facts)
 
 
-def map_for_router(top: str, files: list[str], folder: Path) -> None:
-    """Map the block to standard cells, as BLIF with nets of one bit, plain names, and constants from cells."""
-    put_cells(folder)
-    run_yosys(
-        folder,
+def made_once(
+    top: str, files: Mapping[str, str], state: Sequence[str], make: Callable[[Path], None]
+) -> tuple[Path, dict[str, Any]]:
+    """Return a folder with a block as BLIF and what `make` makes of it there, and the facts that this writes.
+
+    The block is in standard cells, with nets of one bit, plain names, and constants from cells. state: of what `make` does.
+    """
+    script = [
         f"read_verilog -sv {' '.join(files)}",
         *cells_script(top, flatten=True, gated=False),  # one clock tree
         "setundef -zero",
@@ -140,7 +135,9 @@ def map_for_router(top: str, files: list[str], folder: Path) -> None:
         "rename -enumerate -pattern u% */c:*",
         f"write_verilog -simple-lhs -noattr -noexpr {MAPPED}",
         f"write_blif -buf BUF_X1 A Z {BLIF}",
-    )
+    ]
+    folder = yosys_once(build_root() / "layout" / top, {**files, **library_files()}, script, state, make)
+    return folder, json.loads((folder / FACTS).read_text())
 
 
 def route(top: str, cells: Path, folder: Path, tell: Callable[[str], None]) -> Attempt:

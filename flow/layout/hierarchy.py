@@ -17,10 +17,8 @@ from attrs import frozen
 
 from ...hdl.export import units_files
 from ...hdl.unit import Unit
-from ...model.shared.folders import build_root
-from ...model.shared.sources import digest
-from ...tools.build import ToolchainError, build_once
-from ..yosys import CELLS_KEY, CLOCK_BUFFER, bound
+from ...tools.build import ToolchainError
+from ..yosys import CLOCK_BUFFER, bound
 from . import buffers, drawn, flow, wires
 from .delays import shell
 from .drawn import Placed, Strips
@@ -77,14 +75,10 @@ def lay_out(unit: Unit, leaf: Unit, layout: flow.Layout, clock_mhz: float, tell:
     files[f"{leaf.unit_name}.v"] = shell(leaf, ports)
     declared = "".join(f"  {way} {name};\n" for name, way in ports.items())
     files["macro.v"] = f"(* blackbox *)\nmodule {kind} ({', '.join(ports)});\n{declared}endmodule\n"
-    state = CELLS_KEY, str(clock_mhz), layout.folder.name
-    key = digest(*state, *flow.sources("document"), *(part for item in sorted(files.items()) for part in item))
+    state = [str(clock_mhz), layout.folder.name, *flow.sources("document")]
 
     def make(folder: Path) -> None:
-        for name, text in files.items():
-            (folder / name).write_text(text)
         tell(f"{unit.unit_name}: placing it around its minigroups")
-        flow.map_for_router(unit.unit_name, list(files), folder)
         macro = read_macro(leaf.unit_name, layout, ports)
         (folder / MACRO_LEF).write_text(macro_lef(macro, ports))
         number = len(re.findall(rf"^\.\w+ {kind} ", (folder / flow.BLIF).read_text(), re.MULTILINE))
@@ -95,8 +89,8 @@ def lay_out(unit: Unit, leaf: Unit, layout: flow.Layout, clock_mhz: float, tell:
             raise ToolchainError(f"{unit.unit_name}: not placed within {LIMIT_S} s")
         _finish(unit.unit_name, macro, cells, clock_mhz, folder)
 
-    folder = build_once(build_root() / "layout" / f"{unit.unit_name}-{key}", make)
-    return Hierarchy(folder=folder, **json.loads((folder / flow.FACTS).read_text()))
+    folder, facts = flow.made_once(unit.unit_name, files, state, make)
+    return Hierarchy(folder=folder, **facts)
 
 
 def used_ports(netlist: str) -> dict[str, str]:

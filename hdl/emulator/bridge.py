@@ -77,27 +77,21 @@ class SerialBridge(Unit):
     def elaborate(self, platform):
         m = Module()
         clocks = self.emulator.clocks_per_bit
-        receiver = place(m, "receiver", Receiver(clocks), platform)
-        transmitter = place(m, "transmitter", Transmitter(clocks), platform)
-        deframer = place(m, "deframer", Deframer(), platform)
-        framer = place(m, "framer", Framer(), platform)
+        receiver, deframer, framer = Receiver(clocks), Deframer(), Framer()
         m.submodules.answer = answer = SyncFIFOBuffered(width=len(framer.byte) + 1, depth=ANSWER_DEPTH)
+        place(m, "receiver", receiver, platform, rx=self.rx)
+        place(m, "deframer", deframer, platform, **deframer.fed(receiver.outputs()))
+        sent = {"valid": framer.out_valid, "byte": framer.out_byte}
+        transmitter = place(m, "transmitter", Transmitter(clocks), platform, **sent)
+        place(m, "framer", framer, platform, valid=answer.r_rdy, out_ready=transmitter.ready)
         m.submodules.request = memory = Memory(shape=8, depth=1 << (link.BODY_BYTES_MAX - 1).bit_length(), init=[])
         put, get = memory.write_port(), memory.read_port()
         m.d.comb += [
-            receiver.rx.eq(self.rx),
-            deframer.valid.eq(receiver.valid),
-            deframer.byte.eq(receiver.byte),
-            deframer.broken.eq(receiver.broken),
             put.en.eq(deframer.put),
             put.addr.eq(deframer.index),
             put.data.eq(deframer.data),
             get.en.eq(1),
-            transmitter.valid.eq(framer.out_valid),
-            transmitter.byte.eq(framer.out_byte),
-            framer.out_ready.eq(transmitter.ready),
             self.tx.eq(transmitter.tx),
-            framer.valid.eq(answer.r_rdy),
             Cat(framer.byte, framer.last).eq(answer.r_data),
             answer.r_en.eq(framer.ready),
         ]

@@ -8,11 +8,10 @@ shows no circuit; flops, banks and synchronisers are our choice, explained in do
 from amaranth.hdl import Cat, ClockDomain, ClockSignal, Const, Instance, Module, Mux, ResetSignal, Signal
 from amaranth.lib.wiring import In
 
-from ...model.contract.parameters import QUARTERS, Sensor, bits_for
-from .. import bus
-from ..logic import any_of, popcount, total
-from ..tree import front_ports
-from ..unit import Unit, place
+from ...model.contract.parameters import QUARTERS, Sensor
+from ..logic import any_of
+from ..tree import FrontEnd, WindowState
+from ..unit import place
 from .circuit import HIT_FS, Circuit, arbiter_rows, delayed, hit_flop, johnson_number, lag_fs, sample
 from .event_tree import EventTree, mark_bits
 from .minigroup import AsyncMinigroup
@@ -20,30 +19,20 @@ from .tdc import line_signature
 from .window_control import AsyncControl
 
 
-class FrontEndState:
-    """Control, and what is formed at the clock. Numbers are those of stages.
-
-    inside: a window was open in the cycle (stage 3); half, counts: a window whose pixels have been counted in parts (stage 6).
-    """
+class FrontEndState(WindowState):
+    """Control, and what is formed at the clock. Numbers are those of stages. inside: a window was open in the cycle (stage 3)."""
 
     def __init__(self, sensor: Sensor, circuit: Circuit):
+        super().__init__(sensor)
         self.control = AsyncControl(sensor, circuit)
         self.window_open = Signal()
         self.inside = Signal()
         self.opening_4 = Signal()
         self.closing_4 = Signal()
-        self.closed = Signal()
-        self.closed_6 = Signal()
-        self.elapsed = Signal(sensor.elapsed_bits)
         self.winner = Signal(sensor.winner_bits)
-        self.hits = Signal(sensor.pixels)
-        self.half = Signal(bus.window_layout(sensor))
-        chunk = 1 << (bits_for(sensor.pixels - 1) + 1) // 2
-        self.chunks = [self.hits[k : k + chunk] for k in range(0, sensor.pixels, chunk)]
-        self.counts = [Signal(range(len(part) + 1), name=f"count_{k}") for k, part in enumerate(self.chunks)]
 
 
-class AsyncFrontEnd(Unit):
+class AsyncFrontEnd(FrontEnd):
     """Front end of a subgroup.
 
     Stages count from the SPADs' edges, as in `CoincidenceTree`: a window that closes in cycle c leaves at stage 7.
@@ -59,12 +48,12 @@ class AsyncFrontEnd(Unit):
     """
 
     unit_name = "coincid_async_front"
+    state: FrontEndState
 
     def __init__(self, sensor: Sensor, circuit: Circuit):
-        self.sensor, self.circuit = sensor, circuit
-        super().__init__(
-            spad=In(sensor.pixels), mask=In(sensor.pixels), gate=In(1), **front_ports(sensor, line_signature(sensor))
-        )
+        self.circuit = circuit
+        spad, mask = In(sensor.pixels), In(sensor.pixels)
+        super().__init__(sensor, line_signature(sensor), spad=spad, mask=mask, gate=In(1))
         self.state = FrontEndState(sensor, circuit)
 
     def elaborate(self, platform):
@@ -207,8 +196,7 @@ class AsyncFrontEnd(Unit):
             opening_5.eq(state.opening_4),
             opening_6.eq(opening_5),
         ]
-        with m.If(opening_6 | ~state.elapsed.all()):
-            m.d.sync += state.elapsed.eq(Mux(opening_6, 0, state.elapsed + 1))
+        self._elapse(m, opening_6)
         m.d.sync += winner_4.eq(self._winner(m, at["first"]))
         with m.If(state.opening_4):
             m.d.sync += state.winner.eq(winner_4)
@@ -217,48 +205,24 @@ class AsyncFrontEnd(Unit):
         m.d.comb += is_winner.eq(1 << winner_4)
         coarse_4 = Signal(sensor.coarse_bits)
         m.d.sync += coarse_4.eq(line.cycle)
-        leaves = []
-        for g in range(sensor.minigroups):
-            leaf = place(m, f"minigroup_{g}", AsyncMinigroup(sensor), platform)
-            leaves.append(leaf)
-            members = sensor.members(g)
-            m.d.comb += [
-                leaf.active.eq(Cat(at["active"][i] for i in members)),
-                leaf.hit.eq(Cat(hit[i] for i in members)),
-                leaf.winner.eq(Cat(is_winner[i] for i in members)),
-                leaf.mark.eq(at["marks"].word_select(g, mark_bits(sensor))),
-                leaf.parity.eq(at["parity"]),
-                leaf.opening.eq(state.opening_4),
-                leaf.elapsed.eq(state.elapsed),
-                leaf.frame.eq(self.frame),
-                leaf.may_open.eq(may_open),
-                leaf.wrap.eq(wrap),
-                leaf.coarse.eq(coarse_4),
-                *([self.offsets[g].eq(leaf.offset)] if sensor.offsets else []),
-                self.latched[g].eq(leaf.latched),
-                self.entries[g].eq(leaf.entry),
-                *(state.hits[i].eq(leaf.hits[j]) for j, i in enumerate(members)),
-            ]
+        leaves = [AsyncMinigroup(sensor) for _ in range(sensor.minigroups)]
+        for g, leaf in enumerate(leaves):
+            self._leaf(
+                m,
+                platform,
+                g,
+                leaf,
+                {"active": at["active"], "hit": hit, "winner": is_winner},
+                mark=at["marks"].word_select(g, mark_bits(sensor)),
+                parity=at["parity"],
+                opening=state.opening_4,
+                may_open=may_open,
+                wrap=wrap,
+                coarse=coarse_4,
+            )
         m.d.sync += self.blind.eq(any_of(m, [leaf.blind for leaf in leaves], "blind_or"))
         m.d.comb += self.record_due.eq(wrap)
-
-        # Stages 6 and 7: the number of pixels in the map, in two steps.
-        m.d.sync += [state.closed_6.eq(state.closed), self.closed.eq(state.closed_6)]
-        ones = [popcount(m, part, f"ones_{k}") for k, part in enumerate(state.chunks)]
-        with m.If(state.closed):
-            m.d.sync += [
-                state.half.stamp.eq(stamp),
-                state.half.hits.eq(state.hits),
-                state.half.winner.eq(state.winner),
-                *(count.eq(part) for count, part in zip(state.counts, ones)),
-            ]
-        with m.If(state.closed_6):
-            m.d.sync += [
-                self.window.stamp.eq(state.half.stamp),
-                self.window.hits.eq(state.half.hits),
-                self.window.winner.eq(state.half.winner),
-                self.window.count.eq(total(m, state.counts, "count_sum")),
-            ]
+        self._closed(m, stamp, state.winner)
 
     def _winner(self, m, later_first):
         """Return the index of the pixel that came first, from the nodes of the arbiter tree."""

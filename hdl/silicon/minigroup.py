@@ -2,10 +2,9 @@
 """Minigroup of the asynchronous view: its part of the ID map, and its record, from the samples of its events."""
 
 from amaranth.hdl import Cat, Module, Mux, Signal
-from amaranth.lib.wiring import In, Out
+from amaranth.lib.wiring import In
 
 from ...model.contract.parameters import QUARTERS, Sensor
-from .. import bus
 from ..minigroup import Recorder, RecordState
 from .circuit import johnson_number
 from .event_tree import mark_bits
@@ -28,27 +27,10 @@ class AsyncMinigroup(Recorder):
     unit_name = "coincid_async_minigroup"
 
     def __init__(self, sensor: Sensor):
-        self.sensor = sensor
         pixels = sensor.minigroup_pixels
+        own = {"active": In(pixels), "mark": In(mark_bits(sensor)), "parity": In(1), "hit": In(pixels)}
+        super().__init__(sensor, **own, winner=In(pixels))
         self.state = RecordState(sensor)
-        super().__init__(
-            active=In(pixels),
-            mark=In(mark_bits(sensor)),
-            parity=In(1),
-            hit=In(pixels),
-            opening=In(1),
-            elapsed=In(sensor.elapsed_bits),
-            winner=In(pixels),
-            hits=Out(pixels),
-            offset=Out(sensor.offset_bits),
-            blind=Out(1),
-            frame=In(bus.frame_layout(sensor)),
-            may_open=In(1),
-            wrap=In(1),
-            coarse=In(sensor.coarse_bits),
-            latched=Out(1),
-            entry=Out(bus.entry_layout(sensor)),
-        )
 
     def elaborate(self, platform):
         m = Module()
