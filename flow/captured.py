@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Captured streams with their decoded rows, for a decoder that is tried without a simulator.
 
-They are the golden model's, which the RTL agrees with word by word. One frame for each format; the settings vary.
+The streams come from the golden model, with which the RTL agrees word by word. Each format has one frame; the settings vary.
 """
 
 import io

@@ -83,10 +83,10 @@ def cell_models(target: str = CELLS) -> str:
 def emulator_netlist(
     config: Config, buffer_beats: int = NETLIST_BEATS, clocks_per_bit: int = SIMULATED_CLOCKS_PER_BIT
 ) -> tuple[Emulator, Path]:
-    """Compile the emulator on its board in the FPGA's cells, behind its pins, once; return the emulator and the library.
+    """Compile the netlist of the emulator on its board, in the FPGA's cells, once; return the emulator and the library.
 
-    Memories are made of LUTs, because the published models have no block RAM. It wakes up as the FPGA does: with initial values, without a
-    reset.
+    Its memories are made of LUTs, because the published models have no block RAM. It wakes up as the FPGA does: with
+    initial values, and without a reset.
     """
     emulator = simulated(config.sensor, buffer_beats, clocks_per_bit)
     netlist = synthesize_board(ulx3s(config, emulator, "-nobram"))

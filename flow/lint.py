@@ -46,7 +46,7 @@ def lint(sensor: Sensor, view: View = POLYPHASE) -> dict[str, str]:
 
 
 def lint_emulator(files: Mapping[str, str], top: str) -> dict[str, str]:
-    """Return the same for an emulator as `emulator_release` gives it; only the ports of a board's cells are known."""
+    """Return the findings in the files of `emulator_release`. Of a board's own cells, only the ports are known."""
     names = verilog_of(dict(files))
     boxes = {PLL_MODEL.name: PLL_MODEL.read_text()} if top == BOARD_TOP else {}
     return _findings(

@@ -56,7 +56,7 @@ class Mapped:
 def map_block(
     unit: Unit, view: View = POLYPHASE, changed: Mapping[str, str] | None = None, gated: bool = True
 ) -> Mapped:
-    """Map a block to standard cells, once for the state of its Verilog; memories are latches, macros are black boxes.
+    """Return a block in standard cells, made once for each state of its Verilog. Memories are latches, macros are black boxes.
 
     changed: file name -> text that replaces or supplements the block's own files; gated: as in `cells_script`. Raises
     `ToolchainError`.

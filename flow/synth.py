@@ -87,7 +87,10 @@ class Netlist:
 
 
 def synthesize(sensor: Sensor, target: str, top: str = TOP) -> Netlist:
-    """Synthesize the sensor, once for the state of its Verilog; in cells its memories are latches. Raises `ToolchainError`."""
+    """Return the synthesized sensor, which is made once for each state of its Verilog. Raises `ToolchainError`.
+
+    In standard cells, its memories are latches.
+    """
     files = verilog_files(sensor, cells=target == CELLS)
     del files[FILE_LIST]
     if top == FPGA_TOP:

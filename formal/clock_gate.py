@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Proofs that a subgroup's clock may stop: an edge of the clock that the gate holds back would have changed nothing.
 
-Everything but the front end comes to rest: no register of it and no row of a memory would change. SPADs fire between
-frames, too, so the first stages of the front end would take edges that then count nowhere; there the tree with the gated
-clock is compared with one whose clock never stops. Some blocks have a gate of their own. As elsewhere, the state at power-on
+Everything except the front end comes to rest: no register and no row of a memory would change. SPADs fire between frames,
+too, so the first stages of the front end would take edges, which then count nowhere. There, the tree with the gated clock
+is compared with one whose clock never stops. Some blocks have a gate of their own. As elsewhere, the state at power-on
 is any.
 """
 

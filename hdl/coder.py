@@ -14,7 +14,7 @@ from amaranth.lib.wiring import In, Out
 from ..model.contract import groups
 from ..model.contract.packet import BEAT_BITS, FORMATS, FRAME_END, KIND_LSB, OFFSETS, RECORD, layout, parts_of
 from ..model.contract.parameters import Sensor, bits_for
-from .logic import any_of, counted, lowest, up_to
+from .logic import any_of, counted, lowest, named, up_to
 from .unit import Unit
 
 GROUPED = tuple(packet for packet in FORMATS.values() if packet.grouped)
@@ -30,17 +30,15 @@ class Phase(enum.Enum, shape=2):  # type: ignore[call-arg]  # Amaranth's enumera
 
 
 class Ends:
-    """The lowest and the highest one of some bits, one-hot; whether there are one, two and more; and the bits between them."""
+    """The lowest and the highest one of some bits: whether there are one, two and more, and the bits between them."""
 
     def __init__(self, m: Module, bits: Value, name: str):
         self.bits, self.name = bits, name
-        size = len(bits)
-        self.low, self.high = Signal(size, name=f"{name}_low"), Signal(size, name=f"{name}_high")
-        self.between = Signal(size, name=f"{name}_between")
+        self.between = Signal(len(bits), name=f"{name}_between")
         self.one, self.two, self.more = counted(m, bits, f"{name}_count")
-        above = up_to(m, bits, f"{name}_up") << 1  # places above the lowest one
-        below = up_to(m, bits[::-1], f"{name}_down")[::-1] >> 1
-        m.d.comb += [self.low.eq(bits & ~above), self.high.eq(bits & ~below), self.between.eq(bits & above & below)]
+        self.above = up_to(m, bits, f"{name}_up") << 1  # places above the lowest one
+        self.below = up_to(m, bits[::-1], f"{name}_down")[::-1] >> 1
+        m.d.comb += self.between.eq(bits & self.above & self.below)
 
     def places(self, m: Module, width: int) -> Value:
         """Return the numbers of the lowest and of the highest one; they do not wait for the one-hot forms."""
@@ -49,10 +47,13 @@ class Ends:
 
     def values(self, m: Module, items: list[Value], name: str) -> Value:
         """Return those of the items that stand at the lowest and at the highest one."""
-        return Cat(
-            any_of(m, [item & here.replicate(len(item)) for item, here in zip(items, one_hot)], f"{name}_{end}")
-            for end, one_hot in enumerate((self.low, self.high))
-        )
+        ends = []
+        for end, others in enumerate((self.above, self.below)):
+            one_hot = Signal(len(self.bits), name=f"{name}_at_{end}")
+            m.d.comb += one_hot.eq(self.bits & ~others)
+            chosen = [item & here.replicate(len(item)) for item, here in zip(items, one_hot)]
+            ends.append(any_of(m, chosen, f"{name}_{end}"))
+        return Cat(ends)
 
 
 class Next:
@@ -81,18 +82,18 @@ class Next:
 class CoderState:
     """Inner registers and signals of a coder.
 
-    in_other: the next beat belongs to a minigroup record, of which `record_left` are left, or to a frame end. in_event: it
-    belongs to an event; may_begin: it may be the first one of an event. words, index, full: beats of the event that is
-    taken, the number of the next one, and whether all are there. winner_mask: its winner; age_ahead, fits_ahead: the age
-    of its pulse in the open group, and whether the group can hold it.
+    The next beat: in_other: it belongs to a minigroup record, which has `record_left` beats left, or to a frame end;
+    in_event: it belongs to an event; may_begin: it may be the first one of an event.
 
-    The event at work: `phase` is what comes next of it; `ends`: nothing comes after that. pixels, offset_pair: the next of
-    either kind; rest, minigroups: what follows them; rest is the map if the event is `mapped`, and parts are those that are left
-    of it. low_bits: of stamp and age.
+    The event that is taken: its beats are `words`, `index` is the number of the next one, and `full` says that all are
+    there. winner_mask: its winner; age_ahead: the age of its pulse in the open group; fits_ahead: the group can hold it.
 
-    open, pulse, number: of the group. opening: its head comes next; closing: its end, for example
-    because the event at work is a misfit. forms: what comes next is formed as
-    next_part, of next_bits.
+    The event at work: phase: its part that comes next; ends: this is its last part. pixels, offset_pair: the items that come
+    next; rest, minigroups: those that follow. If the event is `mapped`, rest is its map, which has `parts` parts left.
+    low_bits: width of stamp and age.
+
+    The group: open, pulse, number. opening: its head comes next; closing: its end comes next, for example because the event
+    at work is a misfit. forms: the next part is formed in this cycle, as `next_part` with `next_bits` bits.
     """
 
     def __init__(self, sensor: Sensor):
@@ -252,7 +253,8 @@ class Coder(Unit):
         Whether the next event fits is computed while it is taken, and so is the place of its winner.
         """
         state = self.state
-        first, other, pulse = Signal(), Signal(), Signal(groups.HEAD.pulse)
+        first, other = named("first other")
+        pulse = Signal(groups.HEAD.pulse)
         age = Signal(groups.HEAD.pulse + 1)
         m.d.comb += [
             first.eq(state.busy & (state.phase == Phase.FIRST)),
@@ -276,7 +278,8 @@ class Coder(Unit):
     def _work(self, m):
         """Begin with the taken event as soon as nothing more comes of the one at work."""
         state, widths = self.state, self.widths
-        same, count = Signal(), self._taken("count")
+        same = Signal()
+        count = self._taken("count")
         to_pixels = (state.phase != Phase.OFFSETS) & state.pixels.more
         mapped = count > widths.listed_max
         m.d.comb += [
@@ -339,7 +342,8 @@ class Coder(Unit):
     def _offsets(self, m):
         """Choose the offsets of the next two minigroups."""
         state, sensor = self.state, self.sensor
-        hits, hit, count = self._taken("map"), Signal(sensor.minigroups), range(sensor.minigroups)
+        hit = Signal(sensor.minigroups)
+        hits, count = self._taken("map"), range(sensor.minigroups)
         m.d.comb += hit.eq(Cat(Cat(hits[i] for i in sensor.members(g)).any() for g in count))
         of_taken, of_rest = Ends(m, hit, "hit"), Ends(m, state.minigroups, "minigroups")
         taken = [self._taken("offsets").word_select(g, OFFSETS.width)[: sensor.offset_bits] for g in count]

@@ -1,13 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Combinational helpers of logarithmic depth. Each names its intermediate values, so nothing is emitted twice."""
+"""Combinational helpers, mostly of logarithmic depth. Each names its intermediate values, so nothing is emitted twice."""
 
 from collections.abc import Callable
+from typing import Any
 
 from amaranth.hdl import Cat, Const, Module, Mux, Signal, Value
 from amaranth.utils import exact_log2
 
 LOW_BITS = 4  # of a counter: the others rest in 15 of 16 counts, and so does their clock
 SUM_PART = 11  # bits through which a carry of `carry_select` ripples
+
+
+def named(names: str, shape: Any = 1, **options: Any) -> list[Signal]:
+    """Return signals of one shape. names: theirs, which Amaranth only finds out for a signal that is made alone."""
+    return [Signal(shape, name=name, **options) for name in names.split()]
 
 
 def tree(m: Module, items: list[Value], combine: Callable[[Value, Value], Value], name: str) -> Value:

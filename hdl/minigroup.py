@@ -32,8 +32,8 @@ class RecordState:
 class Recorder(Unit):
     """What minigroups have in common in both views: coarse offsets, and the minigroup's own stamping circuit.
 
-    own: further ports. `Minigroup` describes the common ones. Functions that form the circuits return when their registers
-    may change.
+    own: further ports. `Minigroup` describes the common ones. A function that forms one of the circuits returns the
+    condition under which its registers may change.
     """
 
     state: RecordState
@@ -163,8 +163,8 @@ class Minigroup(Recorder):
     Reset clears the record circuit. The rest needs no reset, because nothing is accepted outside a frame and every
     window starts from an empty map.
 
-    Stages 1, 3 and 5 with those that follow them stand still unless something is valid in them or comes. While all of them
-    do, a gate stops the minigroup's clock.
+    The registers of stages 1, 3 and 5, and of the stages behind each, stand still unless they hold or get something valid.
+    While all stand still, a gate stops the minigroup's clock.
     """
 
     unit_name = "coincid_minigroup"

@@ -96,7 +96,7 @@ class Packer(Unit):
     def _pack(self, m):
         """Put a part behind the bits that wait. Its place is known from registers, so the receiver only selects."""
         state = self.state
-        waits, placed = Signal(), Signal.like(state.packed)
+        waits, placed = Signal(name="waits"), Signal.like(state.packed, name="placed")
         nothing, packable = ~self.offer & ~self.close, self.offer & ~state.crowded
         free_if_ready, free_if_not = nothing | packable | state.final, nothing | (packable & ~state.ready)
         m.d.comb += [

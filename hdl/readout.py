@@ -18,7 +18,7 @@ from ..model.contract.parameters import Sensor, bits_for
 from . import bus
 from .axi import STREAM
 from .coder import Coder, is_event_head
-from .logic import any_of, up_to
+from .logic import any_of, named, up_to
 from .packer import Packer
 from .packetizer import formed, numbers, of_format
 from .unit import Unit, place
@@ -30,13 +30,16 @@ class ReadoutState:
     """Inner registers and signals of a readout.
 
     in_frame: outside of it, inputs are ignored. grouped, with_offsets: of the format. event_length, event_last: beats of an
-    event, and number of its last one; event_exceeds: more space than this leaves room for a word, or for counters, behind
-    an event. planes: bits of the number of events that wait in each subgroup; some_events: which numbers are not 0.
-    at_or_after: the pointer, as all subgroups from it on; from_chosen: the chosen one and all above it. room: for a word
-    and for counters; left: beats still to be granted. taken: a beat has left the buffer one cycle ago. own: kind of the
-    readout's own packet on its way, from `own_kind`, which is granted, to the output. tail: one-hot, the subgroup whose
-    counters are next; owes: the frame's last beat has not left; filling: it was lost and is sent again; to_end: beats
-    after the end's header.
+    event, and number of its last one. event_exceeds: with more space than this, an event leaves room for a word, or for
+    counters.
+
+    planes: bits of the number of events that wait in each subgroup; some_events: which numbers are not 0. at_or_after: the
+    pointer, as all subgroups from it on; from_chosen: the chosen one and all above it.
+
+    room: for a word and for counters. left: beats still to be granted. taken: a beat has left the buffer one cycle ago.
+    own: kinds of the readout's own packets on their way to the output; own_kind: of the one that is granted. tail: one-hot,
+    the subgroup whose counters are next. owes: the frame's last beat has not left; filling: it was lost and is sent again.
+    to_end: beats after the end's header.
     """
 
     machine: Any
@@ -191,7 +194,7 @@ class Readout(Unit):
     def _credits(self, m, up, down):
         """Count per subgroup, in bit planes; registers beside the planes know which counters are not 0."""
         planes, some = self.state.planes, self.state.some_events
-        carries, borrows = Signal(self.subgroups), Signal(self.subgroups)
+        carries, borrows = named("carries borrows", self.subgroups)
         m.d.comb += [carries.eq(up & ~down), borrows.eq(down & ~up)]
         ones = zeros = ~Const(0, self.subgroups)  # whether all planes below are; known before the grant is
         for plane in planes:

@@ -15,7 +15,7 @@ from amaranth.lib.wiring import In, Out, Signature
 from ..model.contract.parameters import Sensor, bits_for
 from . import bus
 from .clock_gate import ClockGate, stopped
-from .logic import any_of, lowest, popcount, total
+from .logic import any_of, lowest, named, popcount, total
 from .minigroup import Minigroup, Recorder
 from .tdc import line_signature
 from .unit import Unit, place
@@ -129,12 +129,12 @@ class TreeState(WindowState):
         self.opening = Signal()
         self.closing = Signal()
         self.end = Signal.like(self.left)
-        self.whole, self.part = Signal(), Signal()
+        self.whole, self.part = named("whole part")
         self.at_first = Signal(sensor.pixels)
         self.openings = [Signal(name=f"opening_{n}") for n in (3, 4, 5, 6)]
         self.closings = [Signal(name=f"closing_{n}") for n in (3, 4)] + [self.closed]
         self.opening_4 = self.openings[1]
-        self.found_blind, self.blind = Signal(), Signal()
+        self.found_blind, self.blind = named("found_blind blind")
         self.strobes = [*self.openings, *self.closings, self.closed_6, self.blind, self.wrap]
         self.stamps = [Signal(sensor.stamp_bits, name=f"stamp_{n}") for n in (3, 4, 5)]
         self.winners = [Signal(sensor.winner_bits, name=f"winner_{n}") for n in (3, 4, 5)]
@@ -207,7 +207,7 @@ class CoincidenceTree(FrontEnd):
     def _window(self, m):
         """Stage 2: the window, and the part of the cycle that it covers. The one-cycle loop is only (open, left, rearm)."""
         state, phases = self.state, self.sensor.phases
-        live, to_border = Signal(), Signal()
+        live, to_border = named("live to_border")
         m.d.comb += [
             state.opening.eq(~state.window_open & (state.rearm == 0) & state.may_open[-2] & self.line.any),
             live.eq(state.opening | state.window_open),

@@ -12,6 +12,7 @@ from ...model.contract.emulator import Emulator
 from ...model.contract.packet import BEAT_BITS
 from ...model.contract.registers import DATA_BITS
 from ..axi import STREAM
+from ..logic import named
 from ..unit import Unit
 
 
@@ -45,7 +46,7 @@ class StreamSlice(Unit):
         m = Module()
         valid, spare, kept = self.state.valid, self.state.spare, self.state.kept
         data = Signal(BEAT_BITS, reset_less=True)
-        comes, waits = Signal(), Signal()
+        comes, waits = named("comes waits")
         m.d.comb += [
             self.s_axis.tready.eq(~kept),
             self.m_axis.tdata.eq(data),

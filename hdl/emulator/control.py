@@ -15,6 +15,7 @@ from ...model.contract.parameters import Sensor
 from ...model.contract.registers import DATA_BITS, Access
 from .. import bus
 from ..axi import LITE, OKAY, STREAM
+from ..logic import named
 from ..unit import Unit, place
 from .buffer import FrameBuffer, StreamSlice
 from .source import COMMON, SEED_BUS, Seeder, write_bus
@@ -60,7 +61,7 @@ class ControlState:
         self.region = {name: Signal(name=f"in_{name}") for name in REGIONS}
         self.own = Signal(DATA_BITS, reset_less=True)
         self.named = {r.name: Signal(name=f"named_{r.name}") for r in chip.OWN}
-        self.is_echo, self.is_background, self.aligned = Signal(), Signal(), Signal()
+        self.is_echo, self.is_background, self.aligned = named("is_echo is_background aligned")
         self.sources = Signal(DATA_BITS, reset_less=True)
         self.legal = Signal()
         self.mapped = Signal()

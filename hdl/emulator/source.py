@@ -14,6 +14,7 @@ from ...model.contract import emulator as chip
 from ...model.contract.emulator import Emulator
 from ...model.contract.parameters import Sensor, bits_for
 from .. import bus
+from ..logic import named
 from ..unit import Unit
 
 SUBGROUP_BITS = 8  # width of a subgroup's number in the emulator
@@ -72,7 +73,7 @@ class Seeder(Unit):
         subgroups, blocks = self.emulator.sensor.subgroups, self.emulator.lanes * chip.STATE_BITS
         left, right, key = (Signal(HALF, name=name, reset_less=True) for name in ("left", "right", "key"))
         turn = Signal(range(chip.ROUNDS + 1))  # 0: load
-        block, subgroup = Signal(range(blocks + 1)), Signal(SUBGROUP_BITS)
+        block, subgroup = Signal(range(blocks + 1), name="block"), Signal(SUBGROUP_BITS, name="subgroup")
         rotated = Signal(HALF)
         mixed = Signal(HALF)
         lane_step = Signal(range(chip.STATE_BITS))
@@ -156,8 +157,8 @@ class PhotonSource(Unit):
     def elaborate(self, platform):
         m = Module()
         sensor = self.emulator.sensor
-        running, cycle = Signal(), Signal(sensor.coarse_bits)
-        is_first, is_second, is_later = Signal(), Signal(), Signal()
+        running, cycle = Signal(name="running"), Signal(sensor.coarse_bits, name="cycle")
+        is_first, is_second, is_later = named("is_first is_second is_later")
         m.d.sync += [
             running.eq(self.timing.running),
             is_first.eq(self.timing.running & self.timing.start),
@@ -168,7 +169,7 @@ class PhotonSource(Unit):
         assert chip.ECHO_FROM == 2  # `is_later` begins in this cycle
         background = Signal(chip.RATE_BITS, reset_less=True)
         # Inputs and data go into registers that need no reset, because those that drive or use them have one.
-        mine, seeded = Signal(reset_less=True), Signal(SEED_BUS, reset_less=True)
+        mine, seeded = Signal(reset_less=True, name="mine"), Signal(SEED_BUS, reset_less=True, name="seeded")
         seeds = [self._lane(m, lane, seeded) for lane in range(self.emulator.lanes)]
         written = Signal(write_bus(sensor), reset_less=True)
         value = Signal.like(written.data, reset_less=True)

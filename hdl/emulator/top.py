@@ -9,6 +9,7 @@ from ...model.contract.emulator import ADDRESS_BITS, Emulator
 from ...model.contract.registers import DATA_BITS
 from ..axi import LITE, OKAY, SLVERR
 from ..export import units_files
+from ..logic import named
 from ..sensor import outer_ports, wire_sensor
 from ..unit import Unit, place
 from .bridge import SerialBridge
@@ -45,8 +46,8 @@ class BusAccess(Unit):
     def elaborate(self, platform):
         m = Module()
         axi, access = self.s_axi, self.access
-        held_address, held_data, held_read, whole = Signal(), Signal(), Signal(), Signal()
-        to_write, to_read = Signal(ADDRESS_BITS), Signal(ADDRESS_BITS)
+        held_address, held_data, held_read, whole = named("held_address held_data held_read whole")
+        to_write, to_read = named("to_write to_read", ADDRESS_BITS)
         m.d.comb += [axi.awready.eq(~held_address), axi.wready.eq(~held_data), axi.arready.eq(~held_read)]
         with m.If(axi.awvalid & axi.awready):
             m.d.sync += [held_address.eq(1), to_write.eq(axi.awaddr)]
@@ -59,7 +60,7 @@ class BusAccess(Unit):
         with m.If(axi.rvalid & axi.rready):
             m.d.sync += [axi.rvalid.eq(0), held_read.eq(0)]
         wrote = Signal()
-        can_write, can_read = Signal(), Signal()
+        can_write, can_read = named("can_write can_read")
         m.d.comb += [can_write.eq(held_address & held_data & ~axi.bvalid), can_read.eq(held_read & ~axi.rvalid)]
         with m.FSM():
             with m.State("idle"):

@@ -73,7 +73,9 @@ class Transmitter(Unit):
 
     def elaborate(self, platform):
         m = Module()
-        count, left, shift = Signal(range(self.clocks)), Signal(range(BITS + 1)), Signal(BITS)
+        count = Signal(range(self.clocks))
+        left = Signal(range(BITS + 1))
+        shift = Signal(BITS)
         m.d.comb += self.ready.eq(left == 0)
         m.d.sync += self.tx.eq(Mux(left == 0, 1, shift[0]))
         with m.If(self.ready):

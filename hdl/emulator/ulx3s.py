@@ -16,6 +16,7 @@ from ...model.contract.emulator import Emulator
 from ...model.shared.errors import InputError
 from ...model.shared.licence import SPDX
 from ..export import units_files
+from ..logic import named
 from ..unit import Unit
 from .top import EMULATOR_LIST, SERIAL_TOP, emulator_files
 
@@ -81,9 +82,9 @@ class Lights(Unit):
         m = Module()
         line = Signal(init=1)
         m.submodules.synchronizer = FFSynchronizer(self.rx, line, init=1)
-        count, turn = Signal(self.HOLD_BITS), Signal()
+        count, turn = Signal(self.HOLD_BITS, name="count"), Signal(name="turn")
         blocks = Signal(self.BLINK_BITS - self.HOLD_BITS)
-        now, seen, shown = Signal(3), Signal(3), Signal(3)
+        now, seen, shown = named("now seen shown", 3)
         m.d.sync += [
             Cat(count, turn).eq(count + 1),
             blocks.eq(blocks + turn),

@@ -9,7 +9,7 @@ from amaranth.hdl import Cat, ClockDomain, ClockSignal, Const, Instance, Module,
 from amaranth.lib.wiring import In
 
 from ...model.contract.parameters import QUARTERS, Sensor
-from ..logic import any_of
+from ..logic import any_of, named
 from ..tree import FrontEnd, WindowState
 from ..unit import place
 from .circuit import HIT_FS, Circuit, arbiter_rows, delayed, hit_flop, johnson_number, lag_fs, sample
@@ -62,7 +62,7 @@ class AsyncFrontEnd(FrontEnd):
         banks = self.circuit.banks_of(sensor)
 
         # Timing strobes come two cycles ahead of the SPADs.
-        may_open, wrap, running = Signal(5), Signal(5), Signal(2)
+        may_open, wrap, running = Signal(5, name="may_open"), Signal(5, name="wrap"), Signal(2, name="running")
         m.d.sync += [
             may_open.eq((may_open << 1) | self.timing.may_open),
             wrap.eq((wrap << 1) | self.timing.wrap),
@@ -153,7 +153,10 @@ class AsyncFrontEnd(FrontEnd):
             return Mux(before, values[1], values[0])
 
         m.domains.read = _falling(m)
-        active_f, first_f = Signal(sensor.pixels, reset_less=True), Signal(sensor.pixels - 1, reset_less=True)
+        active_f, first_f = (
+            Signal(sensor.pixels, reset_less=True, name="active_f"),
+            Signal(sensor.pixels - 1, reset_less=True, name="first_f"),
+        )
         m.d.read += [
             active_f.eq(of_before([Cat(bank) for bank in flops])),
             first_f.eq(of_before([tree.later_first for tree in trees])),
@@ -187,7 +190,7 @@ class AsyncFrontEnd(FrontEnd):
         m.d.sync += state.window_open.eq(state.inside & ~at["closing"])
 
         # Stages 4 and 5: the winner, the stamp, and the leaves' part of the map.
-        opening_5, opening_6 = Signal(), Signal()
+        opening_5, opening_6 = named("opening_5 opening_6")
         winner_4 = Signal(sensor.winner_bits)
         m.d.sync += [
             state.opening_4.eq(at["opening"]),
@@ -245,10 +248,9 @@ class AsyncFrontEnd(FrontEnd):
         sensor, line = self.sensor, self.line
         taps, bits = sensor.phases // 2, sensor.coarse_bits
         phases, gray_a, gray_b = at["code"][:taps], at["code"][taps : taps + bits], at["code"][taps + bits :]
-        phase_4, coarse_a, coarse_b = Signal(sensor.phase_bits), Signal(bits), Signal(bits)
+        phase_4, phase = named("phase_4 phase", sensor.phase_bits)
+        coarse_a, coarse_b, coarse, base_4, base = named("coarse_a coarse_b coarse base_4 base", bits)
         parity_4 = Signal()
-        base_4, base = Signal(bits), Signal(bits)
-        phase, coarse = Signal(sensor.phase_bits), Signal(bits)
         m.d.sync += [
             base_4.eq(line.base),
             phase_4.eq(johnson_number(m, phases, "taps")),

@@ -5,6 +5,7 @@ from amaranth.hdl import Cat, Module, Mux, Signal
 from amaranth.lib.wiring import In
 
 from ...model.contract.parameters import QUARTERS, Sensor
+from ..logic import named
 from ..minigroup import Recorder, RecordState
 from .circuit import johnson_number
 from .event_tree import mark_bits
@@ -38,7 +39,7 @@ class AsyncMinigroup(Recorder):
         step = Signal(self.sensor.step_bits)
         m.d.comb += step.eq(self._sampled_step(m))
 
-        hit, active = Signal(pixels, reset_less=True), Signal(pixels, reset_less=True)
+        hit, active = named("hit active", pixels, reset_less=True)
         step_4 = Signal.like(step, reset_less=True, name="step_4")
         m.d.sync += [hit.eq(self.hit), active.eq(self.active), step_4.eq(step)]
         m.d.comb += self.blind.eq((active & ~hit).any())

@@ -10,6 +10,7 @@ from amaranth.hdl import ClockSignal, Const, Instance, Module, Signal
 from amaranth.lib.wiring import In, Out, Signature
 
 from ...model.contract.parameters import Sensor
+from ..logic import named
 from ..tdc import START_TO_PHASE
 from ..unit import Unit
 from .circuit import ERROR_BITS, Circuit, lag_fs, sample
@@ -63,7 +64,7 @@ class AsyncTdc(Unit):
         m = Module()
         sensor, bits = self.sensor, self.sensor.coarse_bits
         phases = Signal(sensor.phases // 2)
-        mark, shut, wipe = Signal(), Signal(), Signal()
+        mark, shut, wipe = named("mark shut wipe")
         errors = self.circuit.mismatch_fs or (0,) * sensor.phases
         m.submodules.generator = Instance(
             "coincid_phases",
@@ -79,7 +80,7 @@ class AsyncTdc(Unit):
             o_shut=shut,
             o_wipe=wipe,
         )
-        count, gray = Signal(bits), Signal(bits)
+        count, gray = named("count gray", bits)
         following = Signal(bits)
         m.d.comb += following.eq(count + 1)
         m.d.sync += [count.eq(following), gray.eq(following ^ (following >> 1))]
@@ -90,7 +91,7 @@ class AsyncTdc(Unit):
         # The same count for the cycle of stage 3, and its value in cycle 0 of the period.
         coming = Signal(START_TO_PHASE)
         stage_3 = Signal(bits, init=-STAGE % (1 << bits))
-        base, cycle = Signal(bits), Signal(bits)
+        base, cycle = named("base cycle", bits)
         m.d.sync += [coming.eq((coming << 1) | self.start), stage_3.eq(stage_3 + 1), cycle.eq(cycle + 1)]
         with m.If(coming[-1]):
             m.d.sync += [cycle.eq(0), base.eq(stage_3 + 1)]

@@ -11,6 +11,7 @@ from amaranth.hdl import ClockDomain, ClockSignal, Module, Mux, ResetSignal, Sig
 from amaranth.lib.wiring import In, Out
 
 from ...model.contract.parameters import Sensor
+from ..logic import named
 from ..unit import Unit
 from .circuit import Circuit
 
@@ -95,7 +96,7 @@ class AsyncControl(Unit):
                 m.d.fall += self.current.eq(~self.current)
             m.d.comb += [self.clearing_0.eq(self.current), self.clearing_1.eq(~self.current)]
         else:
-            first, second = Signal(), Signal()  # the synchroniser in front of the clear
+            first, second = named("first second")  # the synchroniser in front of the clear
             m.d.sync += [first.eq(self.closing), second.eq(first)]
             m.d.fall += state.read.eq((state.read | state.closing) & ~second)
             m.d.comb += self.clearing_0.eq(second)
