@@ -102,8 +102,8 @@ def register_front(b: Bench):
     in_force = Cat(unit.frame.as_value(), unit.plan.as_value())
     b.stable(in_force, where=busy)
     b.always(~b.past(busy) & busy & ~b.past(done), where=operation == bus.Operation.TAKE)
-    b.always(unit.command.data == b.past(unit.budget_0), where=operation == bus.Operation.BUDGET)
-    b.always(unit.command.data == b.past(unit.limit_0), where=operation == bus.Operation.LIMIT)
+    b.always(unit.command.data == b.past(unit.budget[0]), where=operation == bus.Operation.BUDGET)
+    b.always(unit.command.data == b.past(unit.limit[0]), where=operation == bus.Operation.LIMIT)
     b.always(
         busy,
         where=(operation == bus.Operation.BUDGET)

@@ -4,6 +4,7 @@
 from typing import Any
 
 from amaranth.hdl import Cat, Const, Module, Mux, Signal
+from amaranth.lib import data
 from amaranth.lib.wiring import In, Out
 
 from ..model.contract import registers
@@ -81,12 +82,8 @@ class RegistersState:
 
 
 def _controller_ports(sensor: Sensor) -> dict[str, Any]:
-    streams = range(sensor.streams)
-    return (
-        {"capacity": Out(DATA_BITS)}
-        | {f"share_{k}": Out(DATA_BITS) for k in streams}
-        | {f"{name}_{k}": In(DATA_BITS) for name in ("budget", "limit") for k in streams}
-    )
+    per_stream = data.ArrayLayout(DATA_BITS, sensor.streams)
+    return {"capacity": Out(DATA_BITS), "share": Out(per_stream), "budget": In(per_stream), "limit": In(per_stream)}
 
 
 class Registers(Unit):
@@ -101,8 +98,8 @@ class Registers(Unit):
     gate_late, settings_upset : in, OR of the subgroups' start checks
     period : out, as programmed; frame : out, settings of the running frame; plan : out, settings of the sequencer
     start_frame, abort_frame : out, strobes; done : in, strobe; resting : in, the sequencer has no frame
-    capacity, share_k : out, as programmed, to the threshold controller of stream k; budget_k, limit_k : in, from it; only
-        where it is built
+    capacity, share : out, as programmed, to the threshold controllers; budget, limit : in, from them; a word per stream; only
+        where they are built
 
     Reset loads the reset values of the table and drops accesses in progress. An upset may delay or refuse an access,
     but none makes it wait for ever; the handshake with the master is voted. Each setting keeps the parity that its
@@ -178,8 +175,8 @@ class Registers(Unit):
         state = self.state
         m.d.comb += self.period.eq(state.setting["period", 0])
         if self.sensor.controller:
-            m.d.comb += self.capacity.eq(state.setting["capacity", 0])
-            m.d.comb += [getattr(self, f"share_{k}").eq(state.setting["share", k]) for k in range(self.sensor.streams)]
+            shares = Cat(state.setting["share", k] for k in range(self.sensor.streams))
+            m.d.comb += [self.capacity.eq(state.setting["capacity", 0]), self.share.eq(shares)]
 
     def _decode(self, m):
         """Decode the address: is it in a subgroup's block, mapped, writable, and is the value legal?
@@ -230,9 +227,9 @@ class Registers(Unit):
         """Select the global register at the address, at the same time as the decoder's result."""
         state = self.state
         content = state.setting | {("status", 0): Cat(state.flag[bits.name] for bits in STATUS.bits)}
-        streams = range(self.sensor.streams)
         if self.sensor.controller:
-            content |= {(name, k): getattr(self, f"{name}_{k}") for name in ("budget", "limit") for k in streams}
+            of_streams = {"budget": self.budget, "limit": self.limit}
+            content |= {(name, k): word for name, words in of_streams.items() for k, word in enumerate(words)}
         for _, register, index in registers.words(registers.GLOBAL, self.sensor):
             if register.access is Access.CONSTANT:
                 content[register.name, index] = Const(register.reset(self.sensor), DATA_BITS)
@@ -411,8 +408,7 @@ class Registers(Unit):
         words = []
         for k in range(self.sensor.streams):
             first = self.sensor.stream_subgroups(k).start
-            words.append((bus.Operation.BUDGET, first, getattr(self, f"budget_{k}")))
-            words.append((bus.Operation.LIMIT, first, getattr(self, f"limit_{k}")))
+            words += [(bus.Operation.BUDGET, first, self.budget[k]), (bus.Operation.LIMIT, first, self.limit[k])]
         words += [(bus.Operation.COMPARE, 0, state.setting["auto_bounds", k]) for k in range(AUTO_BOUNDS)]
         with m.Switch(state.sent):
             for k, (operation, first, word) in enumerate(words):

@@ -127,8 +127,8 @@ def wire_core(m: Module, put: Put, sensor: Sensor, outer: Any, inner: Any) -> Se
     controllers = [Controller(sensor) for _ in readouts] if sensor.controller else []
     nets: dict[str, Any] = registers.outputs() | sequencer.outputs()
     nets |= {name: getattr(inner, name) for name in ANSWERED}
-    for k, controller in enumerate(controllers):
-        nets |= {f"budget_{k}": controller.budget, f"limit_{k}": controller.limit}
+    if controllers:
+        nets |= {name: Cat(getattr(one, name) for one in controllers) for name in ("budget", "limit")}
     nets["delivered"] = Cat(readout.delivered for readout in readouts).all()
     put("registers", registers, **registers.fed(nets))
     put("sequencer", sequencer, **sequencer.fed(nets))
@@ -136,7 +136,7 @@ def wire_core(m: Module, put: Put, sensor: Sensor, outer: Any, inner: Any) -> Se
     m.d.comb += outer.laser.eq(sequencer.laser)
     m.d.comb += [getattr(inner, name).eq(nets[name]) for name in shared_ports(sensor)]
     for k, controller in enumerate(controllers):
-        of_stream = {"share": getattr(registers, f"share_{k}"), "counted": readouts[k].counted}
+        of_stream = {"share": registers.share[k], "counted": readouts[k].counted}
         put(f"controller_{k}", controller, **controller.fed(nets | of_stream))
     for k, readout in enumerate(readouts):
         nets |= {name: getattr(inner, f"{name}_of_{k}") for name in (*LISTED, *COMBINED)}

@@ -10,6 +10,8 @@ from ..model.contract import registers
 from ..model.contract.counters import COUNTER_BITS, COUNTER_NAMES
 from ..model.contract.parameters import MASK_BITS, Sensor
 from ..model.contract.registers import DATA_BITS
+from ..model.contract.settings import SUBGROUP, frame_defaults
+from ..model.contract.table import Kind
 from . import bus
 from .clock_gate import ClockGate, behind
 from .logic import any_of
@@ -112,12 +114,8 @@ class SubgroupSettings(Unit):
 
 def _reset(sensor: Sensor) -> dict[str, int]:
     """Return the settings after a reset."""
-    reset = {
-        register.name: register.reset(sensor)
-        for register in registers.SUBGROUP
-        if register.access is registers.Access.SETTING and register.name not in ("mode", "mask")
+    frame = frame_defaults(sensor)
+    resets = {
+        name: setting.reset_of(sensor, frame) for name, setting in SUBGROUP.items() if setting.kind is not Kind.MASK
     }
-    mode = registers.MODE.reset(sensor)
-    return (
-        reset | {bits.name: mode >> bits.lsb & 1 for bits in registers.MODE.bits} | {"mask": (1 << sensor.pixels) - 1}
-    )
+    return resets | {"mask": (1 << sensor.pixels) - 1}

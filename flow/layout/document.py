@@ -21,7 +21,7 @@ from . import hierarchy
 from .buffers import FANOUT_MAX
 from .delays import INPUT_NS, simulate
 from .flow import FINAL, Layout, lay_out
-from .hierarchy import DETOUR, Hierarchy
+from .hierarchy import DETOUR
 
 PAGE = Path(__file__).with_name("page.md")
 PICTURE, PREFIX = "layout-{}.png", "coincid_"
@@ -55,11 +55,13 @@ def write_page(path: Path, tell: Callable[[str], None]) -> None:
         subgroup_cycles=subgroup_cycles,
         gds=FINAL,
         rows=_table(facts(layout, block.area_um2) for layout, block in zip(layouts, mapped)),
-        timing=_table(times(layout, slack) for layout, slack in zip(layouts, slacks)),
+        layouts=layouts,
+        slacks=slacks,
+        tree=placed[0],
+        subgroup=placed[1],
         clock=clock_ns,
         rules=_table([(name, str(found)) for name, found in layout.rules] for layout in layouts),
         played=_table(played),
-        above=_table(map(above, placed)),
         fanout=FANOUT_MAX,
         detour=DETOUR,
         factor=TOO_SLOW,
@@ -112,28 +114,4 @@ def facts(layout: Layout, mapped_um2: float) -> list[tuple[str, str]]:
         ("wire for each input that it reaches, um", f"{layout.wire_um / layout.sinks:.1f}"),
         ("capacitance of the wires, fF", f"{layout.wire_ff:.0f}"),
         ("capacitance for each such input, fF", f"{layout.wire_ff / layout.sinks:.2f}"),
-    ]
-
-
-def above(block: Hierarchy) -> list[tuple[str, str]]:
-    """Return the facts of a placed block."""
-    return [
-        ("minigroups as macros", str(block.macros)),
-        ("other cells, with the added buffers", f"{block.cells:,}"),
-        ("their area, um2", f"{block.cell_area_um2:,.0f}"),
-        ("added buffers", str(block.buffers)),
-        ("block, um", f"{block.width_um:.1f} x {block.height_um:.1f}"),
-        ("nets above the macros", f"{block.nets:,}"),
-        ("their wires, estimated, mm", f"{block.wire_um / 1000:.0f}"),
-        ("slack of the longest path, ns", f"{block.slack_ns:+.2f}"),
-        ("slack of the shortest path (hold), ns", f"{block.hold_ns:+.2f}"),
-    ]
-
-
-def times(layout: Layout, mapped_slack_ns: float) -> list[tuple[str, str]]:
-    """Return the slacks, in ns."""
-    return [
-        ("longest, before layout: no wires, ideal clock", f"{mapped_slack_ns:+.2f}"),
-        ("longest, with wires and clock tree", f"{layout.slack_ns:+.2f}"),
-        ("shortest (hold), with wires and clock tree", f"{layout.hold_ns:+.2f}"),
     ]

@@ -49,7 +49,7 @@ class Hierarchy:
     height_um: float
     buffers: int
     nets: int
-    wire_um: float
+    wire_mm: float
     slack_ns: float
     hold_ns: float
 
@@ -216,7 +216,7 @@ def _finish(top: str, macro: Macro, cells: Path, clock_mhz: float, folder: Path)
         "height_um": placed["height"],
         "buffers": own.count(CLOCK_BUFFER),
         "nets": len(estimated_um),
-        "wire_um": sum(estimated_um.values()),
+        "wire_mm": sum(estimated_um.values()) / 1000,
         "slack_ns": slack_ns,
         "hold_ns": hold_ns,
     }

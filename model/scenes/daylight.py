@@ -7,6 +7,7 @@ Ref: paper I and III-A: thresholds are "adapted" where the background differs, w
 import math
 
 import numpy as np
+from attrs import evolve
 
 from ..light.link_budget import Optics
 from .flat_scenes import Plane, planes_scene
@@ -37,13 +38,7 @@ def sun_and_shade(rows: int, cols: int, name: str, shade: float) -> Scene:
     yard = planes_scene(YARD, rows, cols, name)
     y, x = (np.arange(rows)[:, None] + 0.5) / rows, (np.arange(cols) + 0.5) / cols
     in_the_sun = x >= SHADOW_TOP + (SHADOW_BOTTOM - SHADOW_TOP) * y
-    return Scene(
-        name=name,
-        distance_m=yard.distance_m,
-        reflectivity=yard.reflectivity,
-        labels=yard.labels,
-        sunlit=np.where(in_the_sun, 1.0, shade),
-    )
+    return evolve(yard, sunlit=np.where(in_the_sun, 1.0, shade))
 
 
 def tunnel(rows: int, cols: int, name: str, shade: float) -> Scene:
