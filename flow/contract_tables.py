@@ -4,6 +4,7 @@
 from ..model.contract.config import TABLES
 from ..model.contract.packet import FORMATS, FRAME_END, FRAME_START, GROUP_KIND, HEADER, RECORD
 from ..model.contract.table import Kind, Limit, Setting
+from ..model.shared.markdown import markdown_table
 
 
 def settings_tables() -> dict[str, str]:
@@ -13,13 +14,10 @@ def settings_tables() -> dict[str, str]:
 
 def _settings_table(table: str) -> str:
     rows = [
-        f"| `{name}` | {_default(setting)} | {_legal(setting)} | {setting.unit} | {setting.doc} |"
+        (f"`{name}`", _default(setting), _legal(setting), setting.unit, setting.doc)
         for name, setting in TABLES[table].items()
     ]
-    return (
-        "\n".join([f"| `[{table}]` | default | legal | unit | meaning |", "| --- | --- | --- | --- | --- |", *rows])
-        + "\n"
-    )
+    return "\n".join([*markdown_table([f"`[{table}]`", "default", "legal", "unit", "meaning"], rows, words=5), ""])
 
 
 def _default(setting: Setting) -> str:
@@ -61,5 +59,5 @@ def header_table() -> str:
     docs["kind"] = (
         f"event: {kinds}; {GROUP_KIND} group of events, {RECORD.code} minigroup record, {FRAME_START.code} frame start, {FRAME_END.code} frame end"
     )
-    rows = [f"| `{name}` | {lsb + width - 1}:{lsb} | {docs[name]} |" for name, (lsb, width) in HEADER.items()]
-    return "\n".join(["| header field | bits | |", "| --- | --- | --- |", *rows]) + "\n"
+    rows = [(f"`{name}`", f"{lsb + width - 1}:{lsb}", docs[name]) for name, (lsb, width) in HEADER.items()]
+    return "\n".join([*markdown_table(["header field", "bits", "meaning"], rows, words=3), ""])

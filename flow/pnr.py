@@ -18,6 +18,7 @@ from attrs import field, frozen
 
 from ..model.shared.files import whole_file
 from ..model.shared.folders import build_root
+from ..model.shared.markdown import markdown_table
 from ..model.shared.sources import digest
 from ..tools.build import build_once
 from ..tools.wheels import run_wheel, yosys_once
@@ -143,25 +144,16 @@ def report(board: Board, placements: Sequence[Placement]) -> str:
         f"Longest path of all: {_delay_ns(worst.longest):.2f} ns with seed {worst.seed}, {cells} cells, from "
         f"`{hops[0]['from']['cell']}` to `{hops[-1]['to']['cell']}`."
     )
+    fmax = ([clock, *(f"{placement.fmax_mhz[clock]:.1f}" for placement in placements)] for clock in first.fmax_mhz)
+    used = ([name, use["used"], use["available"]] for name, use in first.report["utilization"].items() if name in USED)
     lines = [
         f"# {board.title}",
         "",
         *textwrap.wrap(intro, PAGE_COLUMNS, break_on_hyphens=False),
         "",
-        f"| Fmax in MHz of | {' | '.join(f'seed {placement.seed}' for placement in placements)} |",
-        f"| --- |{' ---: |' * len(placements)}",
-        *(
-            f"| {clock} | {' | '.join(f'{placement.fmax_mhz[clock]:.1f}' for placement in placements)} |"
-            for clock in first.fmax_mhz
-        ),
+        *markdown_table(["Fmax in MHz of", *(f"seed {placement.seed}" for placement in placements)], fmax),
         "",
-        "| resource | used | of |",
-        "| --- | ---: | ---: |",
-        *(
-            f"| {name} | {use['used']} | {use['available']} |"
-            for name, use in first.report["utilization"].items()
-            if name in USED
-        ),
+        *markdown_table(["resource", "used", "of"], used),
         "",
         *textwrap.wrap(path, PAGE_COLUMNS, break_long_words=False, break_on_hyphens=False),
         "",

@@ -19,6 +19,7 @@ from ..hdl.front_end_views import Asynchronous
 from ..hdl.silicon.circuit import MACROS, Circuit
 from ..hdl.subgroup_pair import SensorModule
 from ..model.contract.parameters import Sensor
+from ..model.shared.markdown import markdown_table
 from ..tools.wheels import run_program, run_yosys
 from .constraints import FS_PER_NS, SYSTEM, constraints
 from .yosys import ENABLES, LIBERTY, cells_script, library_files
@@ -160,28 +161,25 @@ def general(name: str) -> str:
 def report(sensor: Sensor, circuit: Circuit, module: dict[str, Any], paths: list[tuple[str, str, float, float]]) -> str:
     """Return the report as Markdown. paths: from `timing`."""
     macros = Counter(cell["type"].split("$paramod")[-1].strip("\\").split("\\")[0] for cell in module["cells"].values())
+    flops = (
+        (f"`{d.clock}`", "falling" if d.falling else "rising", d.clocks, d.flops, f"`{d.reset}`" if d.reset else "none")
+        for d in domains(module)
+    )
+    instances = ((f"`{name}`", sum(n for kind, n in macros.items() if name in kind)) for name in MACRO_NAMES)
+    longest = ((a, b, f"{required:.2f}", f"{taken:.2f}") for a, b, required, taken in paths)
     lines = [
         "# Clock domains and asynchronous resets of the asynchronous view",
         "",
         f"A module of {min(2, sensor.subgroups)} subgroups of {sensor.pixels} SPADs, {circuit.banks_of(sensor)} window bank(s), "
         f"R = {sensor.rearm}; read from its netlist. `*` stands for a number.",
         "",
-        "| clock | edge | nets | flip-flops | asynchronous reset |",
-        "| --- | --- | --- | --- | --- |",
-    ]
-    lines += [
-        f"| `{d.clock}` | {'falling' if d.falling else 'rising'} | {d.clocks} | {d.flops} | {f'`{d.reset}`' if d.reset else 'none'} |"
-        for d in domains(module)
-    ]
-    lines += ["", "| macro (black box) | instances |", "| --- | --- |"]
-    lines += [f"| `{name}` | {sum(n for kind, n in macros.items() if name in kind)} |" for name in MACRO_NAMES]
-    lines += ["", f"Latches outside the macros: {len(latches(module))}.", ""]
-    lines += [
+        *markdown_table(["clock", "edge", "nets", "flip-flops", "asynchronous reset"], flops, words=5),
+        "",
+        *markdown_table(["macro (black box)", "instances"], instances, words=2),
+        *("", f"Latches outside the macros: {len(latches(module))}.", ""),
         f"Longest paths in NanGate 45 nm cells, without wires, against the constraints for a cycle of {circuit.clock_fs / FS_PER_NS:g} ns:",
         "",
-        "| from clock | to clock | required ns | taken ns |",
-        "| --- | --- | ---: | ---: |",
-        *(f"| {a} | {b} | {required:.2f} | {taken:.2f} |" for a, b, required, taken in paths),
+        *markdown_table(["from clock", "to clock", "required ns", "taken ns"], longest, words=2),
         "",
     ]
     return "\n".join(lines)

@@ -28,6 +28,7 @@ from ..model.contract.config import Config, load_config
 from ..model.contract.parameters import TOP, Sensor
 from ..model.shared.files import whole_file
 from ..model.shared.folders import build_root
+from ..model.shared.markdown import markdown_table
 from ..tb.rtl import sensor_key
 from ..tools.wheels import yosys_once
 from .levels import longest_paths
@@ -214,9 +215,7 @@ def report(name: str, config: Config) -> str:
     lines = [
         f"## {name}: {sensor.rows} x {sensor.cols}, {sensor.phases} phases, {config.clock_mhz:g} MHz",
         "",
-        f"| {' | '.join(head)} |",
-        f"| --- |{' ---: |' * (len(head) - 1)}",
-        *(f"| {' | '.join(map(str, row))} |" for row in [*rows, total]),
+        *markdown_table(head, [*rows, total]),
         "",
     ]
     return "\n".join(lines + ([] if fpga else whole_blocks(config, mapped)))
@@ -227,34 +226,32 @@ def whole_blocks(config: Config, sensor_netlist: Netlist) -> list[str]:
     sensor, clock_ns = config.sensor, 1000 / config.clock_mhz
     head = ["block", "cells", "flip-flops", "latches", "clock gates", "macros", "area um2"]
     head += ["um2 per pixel", "pitch um", "slack ns", "of enables ns"]
-    lines = [
-        WHOLE.read_text().format(clock=clock_ns),
-        f"| {' | '.join(head)} |",
-        f"| --- |{' ---: |' * (len(head) - 1)}",
-    ]
+    rows = []
     for view in VIEWS.values():
         view = view.at(config.clock_mhz)
         for unit, pixels in view_blocks(sensor, view):
             block = map_block(unit, view)
             share = block.area_um2 / pixels
-            row = [
-                unit.unit_name.removeprefix(PREFIX),
-                sum(block.cells.values()),
-                block.count(FLOP),
-                block.count(LATCH),
-                block.count(GATE),
-            ]
+            row = [unit.unit_name.removeprefix(PREFIX), sum(block.cells.values())]
+            row += [block.count(kind) for kind in (FLOP, LATCH, GATE)]
             row += [sum(block.macros.values()), round(block.area_um2), f"{share:.0f}", f"{math.sqrt(share):.1f}"]
             slacks = slacks_ns(block.folder, unit.unit_name, clock_ns)
             row += [f"{min(slacks.values()):+.2f}", f"{slacks['ENABLES']:+.2f}" if "ENABLES" in slacks else ""]
-            lines.append(f"| {' | '.join(map(str, row))} |")
-    lines += ["", "Outside the modules, with their sub-blocks:", "", "| block | slack ns |", "| --- | ---: |"]
+            rows.append(row)
+    # The module is above; with its blocks apart, no net between them is buffered.
     module = SensorModule(sensor, min(2, sensor.subgroups)).unit_name
-    for name in sensor_netlist.units:
-        if name == module:
-            continue  # above; with its blocks apart, no net between them is buffered
-        lines.append(f"| {name.removeprefix(PREFIX)} | {slack_ns(sensor_netlist.folder, name, clock_ns):+.2f} |")
-    return [*lines, ""]
+    outside = [
+        (name.removeprefix(PREFIX), f"{slack_ns(sensor_netlist.folder, name, clock_ns):+.2f}")
+        for name in sensor_netlist.units
+        if name != module
+    ]
+    return [
+        WHOLE.read_text().format(clock=clock_ns),
+        *markdown_table(head, rows),
+        *("", "Outside the modules, with their sub-blocks:", ""),
+        *markdown_table(["block", "slack ns"], outside),
+        "",
+    ]
 
 
 def view_blocks(sensor: Sensor, view: View) -> list[tuple[Unit, int]]:
