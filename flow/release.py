@@ -20,9 +20,9 @@ from ..model.contract import latency
 from ..model.contract.config import Config
 from ..model.contract.parameters import TOP, Sensor
 from ..model.shared.errors import InputError
+from .async_constraints import async_constraints
 from .c_driver import c_driver
 from .captured import captured_files
-from .constraints import constraints as async_constraints
 from .ports import instantiation, port_table, stream_words
 from .register_files import register_files
 from .smoke import FPGA_SMOKE, SMOKE, smoke_test

@@ -21,7 +21,7 @@ from ..hdl.subgroup_pair import SensorModule
 from ..model.contract.parameters import Sensor
 from ..model.shared.markdown import markdown_table
 from ..tools.wheels import run_program, run_yosys
-from .constraints import FS_PER_NS, SYSTEM, constraints
+from .async_constraints import FS_PER_NS, SYSTEM, async_constraints
 from .yosys import ENABLES, LIBERTY, cells_script, library_files
 
 MAPPED, TIMED = "mapped.v", "timed.v"
@@ -187,7 +187,8 @@ def report(sensor: Sensor, circuit: Circuit, module: dict[str, Any], paths: list
 
 def module_constraints(sensor: Sensor, circuit: Circuit) -> str:
     """Return the SDC of the module that the report reads."""
-    return f"create_clock -name {SYSTEM} -period {circuit.clock_fs / FS_PER_NS:g} [get_ports {SYSTEM}]\n{constraints(sensor, circuit, 'words_*')}"
+    clock = f"create_clock -name {SYSTEM} -period {circuit.clock_fs / FS_PER_NS:g} [get_ports {SYSTEM}]"
+    return f"{clock}\n{async_constraints(sensor, circuit, 'words_*')}"
 
 
 def write(sensor: Sensor, circuit: Circuit, folder: Path) -> list[Path]:

@@ -31,7 +31,7 @@ from ..model.shared.folders import build_root
 from ..model.shared.markdown import markdown_table
 from ..tb.rtl import sensor_key
 from ..tools.wheels import yosys_once
-from .levels import longest_paths
+from .logic_depth import longest_paths
 from .mapped import FLOP, GATE, LATCH, map_block, slack_ns, slacks_ns
 from .yosys import LIBERTY, bound, cells_script, generic_script, library_files
 

@@ -15,8 +15,8 @@ from ..model.contract.registers import BY_NAME, ID_VALUE, VERSION_VALUE, Access
 from ..model.contract.table import Kind, Setting
 from ..model.shared.errors import InputError
 from .frame_assembly import FrameAssembler
-from .names import Key, Word, find
 from .programmed import Programmed, runs
+from .register_names import Key, Word, find
 from .transport import HostError, RefusedError, Transport, write_block
 
 STATUS = BY_NAME["status"]

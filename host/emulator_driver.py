@@ -8,7 +8,7 @@ import numpy as np
 from ..model.contract.emulator import BUFFER_BASE, EMULATOR_ID, EMULATOR_VERSION, OWN_BY_NAME, own_address
 from ..model.contract.parameters import Sensor
 from .driver import WAIT_SECONDS, Driver
-from .names import Key, Word
+from .register_names import Key, Word
 from .transport import HostError, Transport, read_block
 
 WORDS_PER_BEAT = 2

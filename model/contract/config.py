@@ -17,10 +17,10 @@ from attrs import asdict, evolve, field, frozen
 from ..shared.errors import InputError, check_integer, out_of_range
 from ..shared.files import FilePath
 from . import registers
-from .bounds import noise_bounds
 from .dither import start_cycles
 from .groups import LARGE_PIXELS, PAYLOAD_BITS, group_widths
 from .link import beats_waiting_max, check_link, link_share, takes_beats
+from .noise_bounds import noise_bounds
 from .packet import FORMATS, RECORD, WITH_MAP, built_formats, layout
 from .parameters import MASK_BITS, PARTS, SENSOR, Sensor
 from .preset_files import PRESETS

@@ -8,7 +8,7 @@ import pytest
 
 from coincid.flow import pnr
 from coincid.flow.gls import gate_level
-from coincid.flow.levels import longest_paths
+from coincid.flow.logic_depth import longest_paths
 from coincid.flow.silicon_report import CLOCKS, timing, top, write
 from coincid.flow.synth import CELLS, ECP5, GATES, synthesize
 from coincid.flow.yosys import cells_folder

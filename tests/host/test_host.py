@@ -7,8 +7,8 @@ import pytest
 from coincid.host.driver import Driver, Status, read_sensor
 from coincid.host.frame_assembly import FrameAssembler
 from coincid.host.mapped_memory import MemoryTransport
-from coincid.host.names import find
 from coincid.host.programmed import Programmed, runs
+from coincid.host.register_names import find
 from coincid.host.transport import HostError, RefusedError
 from coincid.model.contract import registers
 from coincid.model.contract.config import parse_config, sensor_table

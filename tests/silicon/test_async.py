@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from attrs import evolve
 
-from coincid.flow.constraints import constraints
+from coincid.flow.async_constraints import async_constraints
 from coincid.flow.silicon_report import domains, latches, netlist
 from coincid.hdl.front_end_views import Asynchronous
 from coincid.hdl.silicon.circuit import SYNCHRONISER_REARM, Circuit
@@ -161,6 +161,6 @@ def test_domains_are_those_meant(tmp_path):
     assert {d.reset.split(".")[-1] for d in domains(module)} == {"", "clear_*", "clear_window_*"}
     assert not any(d.reset for d in domains(module) if d.clock == "clk")
     for name in re.findall(
-        r"\*(generator|window_|or_tree_|delay_event_|sample_picture_)", constraints(sensor, Circuit())
+        r"\*(generator|window_|or_tree_|delay_event_|sample_picture_)", async_constraints(sensor, Circuit())
     ):
         assert any(name in cell or name in net for cell in module["cells"] for net in (cell, *module["netnames"])), name

@@ -8,7 +8,7 @@ SYSTEM = "clk"
 FS_PER_NS = 1_000_000
 
 
-def constraints(sensor: Sensor, circuit: Circuit, spads: str = "spad_*") -> str:
+def async_constraints(sensor: Sensor, circuit: Circuit, spads: str = "spad_*") -> str:
     """Return the constraints of the front ends, which follow the system clock's. spads: pattern of the SPAD line ports."""
     cycle, lag = circuit.clock_fs / FS_PER_NS, lag_fs(sensor) / FS_PER_NS
     tick = cycle / sensor.phases
