@@ -9,9 +9,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from ..model.shared.folders import build_root
-from ..model.shared.sources import digest, sources_digest
-from ..tools.build import build_once
-from ..tools.wheels import run_yosys
+from ..model.shared.sources import sources_digest
+from ..tools.wheels import yosys_once
 from .emit import Emission, Sparse
 from .netlist import read_netlist
 
@@ -38,18 +37,14 @@ class Design:
     ):
         self.top, self._sparse = top, tuple(sparse)
         lines = _script(top, list(sources), units, before)
-        contents = [part for item in sources.items() for part in item]
-        key = digest(sources_digest("slices"), top, *lines, repr(self._sparse), *contents)
 
-        def make(scratch: Path) -> None:
-            for file, text in sources.items():
-                (scratch / file).write_text(text)
-            run_yosys(scratch, *lines)
+        def emit(scratch: Path) -> None:
             emission = self._emission(scratch)
             (scratch / SOURCE).write_text(emission.source)
             (scratch / HEADER).write_text(emission.header)
 
-        self.folder = build_once(build_root() / "slices" / f"{name}-{key}", make)
+        state = [sources_digest("slices"), top, repr(self._sparse)]
+        self.folder = yosys_once(build_root() / "slices" / name, sources, lines, state, emit)
 
     def emission(self) -> Emission:
         """Return netlist and layout, which the folder does not hold."""

@@ -14,9 +14,8 @@ from ..hdl.subgroup_pair import SensorModule, Slice
 from ..hdl.unit import Port, Unit
 from ..model.contract.parameters import Sensor
 from ..model.shared.folders import build_root
-from ..model.shared.sources import digest
-from ..tools.build import ToolchainError, build_once
-from ..tools.wheels import run_yosys
+from ..tools.build import ToolchainError
+from ..tools.wheels import yosys_once
 from .rtl_errors import SimulationError
 
 STEPS = 6  # of the induction: after as many cycles, all registers follow from the inputs, except the TDC's count
@@ -50,13 +49,8 @@ def prove_module(sensor: Sensor, files: list[Path]) -> None:
         "equiv_status -assert",
     ]
 
-    def make(scratch: Path) -> None:
-        for name, text in texts.items():
-            (scratch / name).write_text(text)
-        run_yosys(scratch, *script)
-
     try:
-        build_once(build_root() / "slices" / f"module-{digest(*script, *(p for t in texts.items() for p in t))}", make)
+        yosys_once(build_root() / "slices" / "module", texts, script)
     except ToolchainError as error:
         if "Unproven $equiv" not in str(error):
             raise
