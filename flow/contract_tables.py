@@ -4,7 +4,7 @@
 from ..model.contract.config import TABLES
 from ..model.contract.packet import FORMATS, FRAME_END, FRAME_START, GROUP_KIND, HEADER, RECORD
 from ..model.contract.table import Kind, Limit, Setting
-from ..model.shared.markdown import markdown_table
+from ..model.shared import markdown
 
 
 def settings_tables() -> dict[str, str]:
@@ -17,7 +17,9 @@ def _settings_table(table: str) -> str:
         (f"`{name}`", _default(setting), _legal(setting), setting.unit, setting.doc)
         for name, setting in TABLES[table].items()
     ]
-    return "\n".join([*markdown_table([f"`[{table}]`", "default", "legal", "unit", "meaning"], rows, words=5), ""])
+    return "\n".join(
+        [*markdown.table([f"`[{table}]`", "default", "legal", "unit", "meaning"], rows, left=range(5)), ""]
+    )
 
 
 def _default(setting: Setting) -> str:
@@ -60,4 +62,4 @@ def header_table() -> str:
         f"event: {kinds}; {GROUP_KIND} group of events, {RECORD.code} minigroup record, {FRAME_START.code} frame start, {FRAME_END.code} frame end"
     )
     rows = [(f"`{name}`", f"{lsb + width - 1}:{lsb}", docs[name]) for name, (lsb, width) in HEADER.items()]
-    return "\n".join([*markdown_table(["header field", "bits", "meaning"], rows, words=3), ""])
+    return "\n".join([*markdown.table(["header field", "bits", "meaning"], rows, left=range(3)), ""])

@@ -16,9 +16,9 @@ from typing import Any
 
 from attrs import field, frozen
 
+from ..model.shared import markdown
 from ..model.shared.files import whole_file
 from ..model.shared.folders import build_root
-from ..model.shared.markdown import markdown_table
 from ..model.shared.sources import digest
 from ..tools.build import build_once
 from ..tools.wheels import run_wheel, yosys_once
@@ -151,9 +151,9 @@ def report(board: Board, placements: Sequence[Placement]) -> str:
         "",
         *textwrap.wrap(intro, PAGE_COLUMNS, break_on_hyphens=False),
         "",
-        *markdown_table(["Fmax in MHz of", *(f"seed {placement.seed}" for placement in placements)], fmax),
+        *markdown.table(["Fmax in MHz of", *(f"seed {placement.seed}" for placement in placements)], fmax),
         "",
-        *markdown_table(["resource", "used", "of"], used),
+        *markdown.table(["resource", "used", "of"], used),
         "",
         *textwrap.wrap(path, PAGE_COLUMNS, break_long_words=False, break_on_hyphens=False),
         "",

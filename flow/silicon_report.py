@@ -19,7 +19,7 @@ from ..hdl.front_end_views import Asynchronous
 from ..hdl.silicon.circuit import MACROS, Circuit
 from ..hdl.subgroup_pair import SensorModule
 from ..model.contract.parameters import Sensor
-from ..model.shared.markdown import markdown_table
+from ..model.shared import markdown
 from ..tools.wheels import run_program, run_yosys
 from .async_constraints import FS_PER_NS, SYSTEM, async_constraints
 from .yosys import ENABLES, LIBERTY, cells_script, library_files
@@ -173,13 +173,13 @@ def report(sensor: Sensor, circuit: Circuit, module: dict[str, Any], paths: list
         f"A module of {min(2, sensor.subgroups)} subgroups of {sensor.pixels} SPADs, {circuit.banks_of(sensor)} window bank(s), "
         f"R = {sensor.rearm}; read from its netlist. `*` stands for a number.",
         "",
-        *markdown_table(["clock", "edge", "nets", "flip-flops", "asynchronous reset"], flops, words=5),
+        *markdown.table(["clock", "edge", "nets", "flip-flops", "asynchronous reset"], flops, left=range(5)),
         "",
-        *markdown_table(["macro (black box)", "instances"], instances, words=2),
+        *markdown.table(["macro (black box)", "instances"], instances, left=range(2)),
         *("", f"Latches outside the macros: {len(latches(module))}.", ""),
         f"Longest paths in NanGate 45 nm cells, without wires, against the constraints for a cycle of {circuit.clock_fs / FS_PER_NS:g} ns:",
         "",
-        *markdown_table(["from clock", "to clock", "required ns", "taken ns"], longest, words=2),
+        *markdown.table(["from clock", "to clock", "required ns", "taken ns"], longest, left=range(2)),
         "",
     ]
     return "\n".join(lines)

@@ -26,9 +26,9 @@ from ..hdl.subgroup_pair import SensorModule
 from ..hdl.unit import Unit
 from ..model.contract.config import Config, load_config
 from ..model.contract.parameters import TOP, Sensor
+from ..model.shared import markdown
 from ..model.shared.files import whole_file
 from ..model.shared.folders import build_root
-from ..model.shared.markdown import markdown_table
 from ..tb.rtl import sensor_key
 from ..tools.wheels import yosys_once
 from .logic_depth import longest_paths
@@ -215,7 +215,7 @@ def report(name: str, config: Config) -> str:
     lines = [
         f"## {name}: {sensor.rows} x {sensor.cols}, {sensor.phases} phases, {config.clock_mhz:g} MHz",
         "",
-        *markdown_table(head, [*rows, total]),
+        *markdown.table(head, [*rows, total]),
         "",
     ]
     return "\n".join(lines + ([] if fpga else whole_blocks(config, mapped)))
@@ -247,9 +247,9 @@ def whole_blocks(config: Config, sensor_netlist: Netlist) -> list[str]:
     ]
     return [
         WHOLE.read_text().format(clock=clock_ns),
-        *markdown_table(head, rows),
+        *markdown.table(head, rows),
         *("", "Outside the modules, with their sub-blocks:", ""),
-        *markdown_table(["block", "slack ns"], outside),
+        *markdown.table(["block", "slack ns"], outside),
         "",
     ]
 

@@ -26,6 +26,7 @@ from ..model.contract.edges import Edges
 from ..model.contract.result import ResultBuilder
 from ..model.depth.estimate import estimate_depth
 from ..model.golden.frame import Golden
+from ..model.shared import markdown
 from ..model.shared.files import whole_file
 from ..model.shared.interrupts import worker_processes
 from ..tb import pysim
@@ -34,7 +35,6 @@ from ..tb.frame_record import FrameJob
 from ..tb.play import build_sensor, play
 from ..tb.scoreboard import check
 from ..tb.sliced import SlicedSensor, build_library, play_side_by_side
-from . import markdown
 
 SCENE, KLUX, SEED = "five-objects", 50.0, 1
 REPEATS = 5

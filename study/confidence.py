@@ -25,7 +25,7 @@ from ..model.depth.quality import wrong_pixels
 from ..model.scenes.scene import Scene
 from ..model.scenes.transient import dominant_surface_m
 from ..model.shared.constants import SPEED_OF_LIGHT_M_S
-from .markdown import table
+from ..model.shared.markdown import table
 from .palette import GREY
 from .plot_style import new_figure, save_figure, style
 from .surfaces import analytic_scenes

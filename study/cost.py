@@ -25,8 +25,8 @@ from ..lab.setup import SETTLING, Setup, seeded
 from ..model.contract.config import load_config, parse_config, sensor_table
 from ..model.contract.packet import BEAT_BITS, FORMATS, built_formats, layout
 from ..model.contract.parameters import CLOCK_MHZ, Sensor
+from ..model.shared import markdown
 from ..model.shared.files import write_csv
-from . import markdown
 from .palette import BLUE, GREEN, INK, ORANGE, VIOLET
 from .plot_style import legend_below, new_figure, save_figure, style
 from .power_against_light import DARK, MIDDLE, measure

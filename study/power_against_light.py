@@ -22,8 +22,8 @@ from ..model.golden.frame import Golden
 from ..model.light.light import REFERENCE_DISTANCE_M, REFERENCE_REFLECTIVITY
 from ..model.scenes.scene import Scene
 from ..model.shared.files import whole_file
+from ..model.shared.markdown import table
 from ..tb.frame_record import FrameJob
-from .markdown import table
 from .plot_style import new_figure, save_figure, style
 
 PULSES, SEED = 2, 1

@@ -23,7 +23,7 @@ from ..model.depth.quality import TOLERANCE_M
 from ..model.light.light import Light, background_cps, signal_per_pulse
 from ..model.scenes.catalogue import AT, RETURNS
 from ..model.shared.constants import SPEED_OF_LIGHT_M_S
-from .markdown import table
+from ..model.shared.markdown import table
 from .palette import ALARM, GREY, INK, SERIES
 from .plot_style import legend_below, new_figure, save_figure, style
 

@@ -19,7 +19,7 @@ from ..model.contract.config import Config
 from ..model.contract.edges import Edges
 from ..model.golden.frame import Golden, Trace
 from ..model.golden.shape import COUNTER
-from .markdown import table
+from ..model.shared.markdown import table
 
 SCENE, PARTS, SEED = "five-objects", (1, 4, 16), 1
 KLUX = ((5.0, 5.0), (20.0, 20.0), (50.0, 50.0), (100.0, 100.0), (5.0, 100.0))  # in the left half, and in the right one

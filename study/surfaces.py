@@ -15,8 +15,8 @@ from ..lab.setup import Setup
 from ..model.depth.quality import OTHER_SURFACE_M, wrong_share
 from ..model.scenes.catalogue import load_scene
 from ..model.scenes.scene import Scene
+from ..model.shared.markdown import table
 from ..model.shared.quantities import Numbers
-from .markdown import table
 
 ROWS = COLS = 32
 KLUX, SEEDS = 50.0, (1, 2, 3)

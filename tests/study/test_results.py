@@ -21,11 +21,11 @@ from typer.testing import CliRunner
 import coincid
 from coincid.cli import app
 from coincid.lab.campaign import Processes
+from coincid.model.shared.markdown import table
 from coincid.study import settling, surfaces
 from coincid.study.explore.control_values import check_settings
 from coincid.study.explore.stages import Explorer
 from coincid.study.figures import architect, four_modes, interference, reconstruction
-from coincid.study.markdown import table
 from coincid.study.plot_style import style
 
 SMALL = {"sensor": {"rows": 8, "cols": 16}, "frame": {"period": 60, "pulses": 40}}
