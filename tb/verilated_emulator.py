@@ -50,9 +50,9 @@ def build_emulator(emulator: Emulator) -> Path:
     return build_line(emulator_rtl(emulator), SERIAL_TOP, [toolchain.NOT_INLINED])
 
 
-def build_line(sources: list[Path], top: str, options: Sequence[str] = ()) -> Path:
-    """Compile the library of a design with the ports clk, rst, rx and tx, once. options: for Verilator."""
-    unit = verilated_unit(top, "Vemulator", sources, options)
+def build_line(sources: list[Path], top: str, options: Sequence[str] = (), optimise: str = toolchain.OPTIMISE) -> Path:
+    """Compile the library of a design with the ports clk, rst, rx and tx, once. options: for Verilator; optimise: of g++."""
+    unit = verilated_unit(top, "Vemulator", sources, options, optimise)
     directory = build_root() / "verilated" / f"emulator-{digest(unit.name, *COMPILER, SOURCE.read_text())}"
 
     def make(_: Path, run: Compile) -> None:
