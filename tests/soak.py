@@ -6,6 +6,7 @@
 
 import argparse
 import time
+from collections.abc import Iterator
 
 import numpy as np
 
@@ -39,8 +40,8 @@ def saturation(config: Config, frame: int, seed: int) -> Edges:
     return Edges(pulse, np.repeat(np.arange(pixels), time_ticks.shape[1]), tick)
 
 
-def soak(config: Config, light: str, frames: int, seed: int, tell=lambda frame, edges, checked: None) -> int:
-    """Play `frames` frames; return the number of equal beats and commits. Raises `Mismatch` at the first difference.
+def soak(config: Config, light: str, frames: int, seed: int) -> Iterator[int]:
+    """Play `frames` frames; yield after each the number of equal beats and commits. Raises `Mismatch` at the first difference.
 
     Back-pressure changes from frame to frame, so FIFOs overflow in some; the threshold controller is on.
     """
@@ -53,8 +54,7 @@ def soak(config: Config, light: str, frames: int, seed: int, tell=lambda frame, 
             ready = (rng.random(config.pulses * config.period) < (1.0, 0.5, 0.05)[frame % 3]).astype(np.uint8)
             expected = golden.frame(config, edges, ready)
             checked += check(config.sensor, expected, sensor.frame(config, edges, ready), frame)
-            tell(frame, len(edges), checked)
-    return checked
+            yield checked
 
 
 def configuration(sensor: dict, pulses: int) -> Config:
@@ -76,19 +76,11 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1)
     given = parser.parse_args()
     for light in LIGHTS:
-        begin, total = time.monotonic(), 0
-
-        def tell(frame, edges, checked, light=light, begin=begin):
-            nonlocal total
-            total += edges
-            if frame % 100 == 99:
+        begin = time.monotonic()
+        for frame, checked in enumerate(soak(configuration({}, given.pulses), light, given.frames, given.seed), 1):
+            if frame % 100 == 0:
                 seconds = time.monotonic() - begin
-                print(
-                    f"{light}: {frame + 1} frames, {total:,} edges, {checked:,} beats and commits equal, {seconds:.0f} s",
-                    flush=True,
-                )
-
-        soak(configuration({}, given.pulses), light, given.frames, given.seed, tell)
+                print(f"{light}: {frame} frames, {checked:,} beats and commits equal, {seconds:.0f} s", flush=True)
 
 
 if __name__ == "__main__":
