@@ -14,11 +14,8 @@ import coincid
 from coincid.flow.release import release_files
 from coincid.flow.synth import GATES, synthesize
 
-SIZES = {
-    "4 phases, FIFO of 2": {"phases": 4, "fifo_depth": 2, "window_max": 16},
-    "8 phases, FIFO of 4": {"phases": 8, "fifo_depth": 4, "window_max": 16},
-}
-base = {"rows": 4, "cols": 8, "subgroup": [4, 4]}
+SIZES = {"4 phases, FIFO of 1": {"phases": 4, "fifo_depth": 1}, "8 phases, FIFO of 4": {"phases": 8, "fifo_depth": 4}}
+base = {"rows": 4, "cols": 4, "subgroup": [4, 4], "window_max": 8, "coarse_bits": 6}
 configs = {name: coincid.parse_config({"sensor": base | changed}) for name, changed in SIZES.items()}
 name, config = next(iter(configs.items()))
 verilog = [text for file, text in release_files(config).items() if file.endswith(".v")]

@@ -56,13 +56,14 @@ from coincid.model.contract.edges import Edges
 from coincid.model.contract.stream import decode_frame
 from coincid.model.golden.frame import Golden, golden_result
 from coincid.tb.sliced import SlicedSensor
-from tests.random_cases import SMALL, built_sensor
+from tests.random_cases import built_sensor
 from tests.flow.test_c_driver import Info, bus_of, compiled_driver, packets
 
-sensor = built_sensor(SMALL)
+small = dict(rows=4, cols=8, subgroup=[4, 4], phases=4, window_max=16, records=0, controller=0)
+sensor = built_sensor(small)
 rng, info = np.random.default_rng(1), Info()
 frame = {"period": 60, "pulses": 5, "format": "times"}
-config = parse_config({"sensor": SMALL, "frame": frame, "subgroup": {"threshold": 1, "blank": 3}})
+config = parse_config({"sensor": small, "frame": frame, "subgroup": {"threshold": 1, "blank": 3}})
 edges = Edges(*(rng.integers(0, high, 150) for high in (config.pulses, sensor.array_pixels, config.period_ticks)))
 library = compiled_driver(sensor)
 with SlicedSensor(sensor) as rtl:

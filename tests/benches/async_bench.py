@@ -12,7 +12,7 @@ from coincid.model.golden.frame import Golden
 from coincid.tb.cosim import LineBench
 from coincid.tb.scoreboard import Scoreboard
 
-RESETS = 8
+RESETS = 5
 ALWAYS = np.zeros(0, np.uint8)  # the stream is ready in every cycle
 
 

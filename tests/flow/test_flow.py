@@ -114,11 +114,10 @@ def test_a_timing_tool_takes_the_constraints_of_the_asynchronous_view(tmp_path):
     assert any("no_such_pin" in line for line in complaints)
 
 
-@pytest.mark.parametrize("reached_mhz, code", [(125.1, 0), (124.9, 1)])
-def test_pnr_names_the_seed_that_misses(monkeypatch, tmp_path, reached_mhz, code):
+def test_pnr_names_the_seed_that_misses(monkeypatch, tmp_path):
     def placed(board, netlist, seed):
         folder = tmp_path / str(seed)
-        folder.mkdir()
+        folder.mkdir(exist_ok=True)
         hop = {"type": "logic", "delay": 7.9, "from": {"cell": "a"}, "to": {"cell": "b"}}
         used = dict.fromkeys(pnr.USED, {"used": 1, "available": 2})
         fmax = {"$glbnet$clk": {"achieved": reached_mhz if seed == 3 else 130.0, "constraint": 125.0}}
@@ -130,7 +129,8 @@ def test_pnr_names_the_seed_that_misses(monkeypatch, tmp_path, reached_mhz, code
 
     monkeypatch.setattr(pnr, "synthesize", lambda board: tmp_path)
     monkeypatch.setattr(pnr, "place_and_route", placed)
-    result = command("pnr --out", tmp_path / "page.md")
-    assert result.exit_code == code
-    assert ("seed 3: clk reaches 124.9 MHz" in result.stderr) == bool(code)
-    assert f"| clk | 130.0 | 130.0 | {reached_mhz} | 130.0 | 130.0 |" in (tmp_path / "page.md").read_text()
+    for reached_mhz, code in ((125.1, 0), (124.9, 1)):
+        result = command("pnr --out", tmp_path / "page.md")
+        assert result.exit_code == code
+        assert ("seed 3: clk reaches 124.9 MHz" in result.stderr) == bool(code)
+        assert f"| clk | 130.0 | 130.0 | {reached_mhz} | 130.0 | 130.0 |" in (tmp_path / "page.md").read_text()

@@ -26,7 +26,6 @@ from coincid.model.contract.packet import FORMAT_NAMES
 from coincid.model.contract.parameters import TOP
 from coincid.model.contract.registers import BY_NAME, SUBGROUP, Access, address
 from coincid.model.contract.stream import COLUMN, decode_frame
-from coincid.model.shared.errors import InputError
 from coincid.model.shared.files import read_npz
 from coincid.tb import toolchain
 from coincid.tb.rtl import rtl
@@ -124,9 +123,8 @@ def test_captured_streams_decode_to_their_rows(releases, preset):
 def test_smoke_test_passes_on_verilator(releases):
     folder = releases / "fpga"
     line = re.search(rf"^ +(verilator --binary .*{FPGA_SMOKE}.*)$", (folder / "README.md").read_text(), re.MULTILINE)[1]
-    done = alone(
-        f"{line} --Mdir obj && obj/V{FPGA_SMOKE}", folder, os.defpath
-    )  # Verilator's own make file calls Python
+    line += ' --Mdir obj -MAKEFLAGS "OPT_FAST=-O0 OPT_GLOBAL=-O0"'  # compiling takes longer than running
+    done = alone(f"{line} && obj/V{FPGA_SMOKE}", folder, os.defpath)  # Verilator's own make file calls Python
     assert "PASS" in done.stdout, done.stdout + done.stderr
     assert "FAIL" not in done.stdout
     assert done.returncode == 0
@@ -181,7 +179,7 @@ def test_fusesoc_runs_the_core(releases, tmp_path, target):
 
 
 def test_presets_of_one_process_do_not_mix(releases, tmp_path):
-    """Each equals the export of a process of its own, and contains no file of another preset."""
+    """Each equals the export of a process of its own, with hashes of its own, and contains no file of another preset."""
     script = (
         "import sys\n"
         "from coincid.flow.release import write_release\n"
@@ -190,7 +188,8 @@ def test_presets_of_one_process_do_not_mix(releases, tmp_path):
         "write_release(sys.argv[1], parse_config(eval(sys.argv[2])), VIEWS.get(sys.argv[3], POLYPHASE))"
     )
     for name in list(SMALL)[1:]:  # the first has none before it in its process
-        subprocess.run([sys.executable, "-c", script, tmp_path / name, repr(document(name)), name], check=True)
+        export = [sys.executable, "-c", script, tmp_path / name, repr(document(name)), name]
+        subprocess.run(export, env=os.environ | {"PYTHONHASHSEED": "17"}, check=True)
         for path in files(tmp_path / name):
             assert (tmp_path / name / path).read_bytes() == (releases / name / path).read_bytes(), path
         parameters = json.loads((releases / name / MANIFEST).read_text())["parameters"]
@@ -251,14 +250,3 @@ def test_register_descriptions_compile_to_the_table(releases, file):
         for subgroup in range(of.subgroups if register in SUBGROUP else 1)
     }
     assert seen == wanted
-
-
-@pytest.mark.parametrize(
-    ("key", "value"), [("phases", 12), ("rows", 0), ("fifo_depth", 4000), ("coarse_bits", 14), ("subgroup", (3, 5))]
-)
-def test_parameters_out_of_range_are_named(tmp_path, key, value):
-    with pytest.raises(InputError, match=f"sensor.{key} = "):
-        write_release(
-            tmp_path / "rtl", parse_config({"sensor": {key: list(value) if isinstance(value, tuple) else value}})
-        )
-    assert not (tmp_path / "rtl").exists()

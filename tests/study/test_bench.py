@@ -18,7 +18,7 @@ from ..random_cases import trouble
 
 
 def test_amaranths_simulator_plays_what_the_golden_model_predicts():
-    sensor = {"rows": 8, "cols": 24, "streams": 2, "phases": 8, "window_max": 64}
+    sensor = {"rows": 4, "cols": 12, "subgroup": [4, 4], "streams": 2, "phases": 8, "window_max": 64}
     frame = {"period": 30, "pulses": 4, "format": "full", "minigroup_records": True}
     config = parse_config({"sensor": sensor, "frame": frame, "subgroup": {"window": 40, "threshold": 3}})
     edges = trouble(config, 7, 40.0)

@@ -11,11 +11,14 @@ from coincid.lab.setup import scene_of
 from coincid.model.contract.config import load_config
 from coincid.study import emulate
 from coincid.study.emulate import Session, source_settings
+from coincid.tb import verilated_emulator
 from coincid.tb.rtl_errors import Mismatch
-from coincid.tb.verilated_emulator import PATIENCE_S, SimulatedPort, simulated
+from coincid.tb.verilated_emulator import PATIENCE_S, SimulatedPort
 
 from ..command import command
+from ..tb.test_emulator import EMULATOR
 
+# Of the emulator that `tb/test_emulator.py` compiles.
 SMALL = """
 [sensor]
 rows = 4
@@ -41,7 +44,8 @@ def config_file(tmp_path):
     return path
 
 
-def test_a_scene(config_file, tmp_path):
+def test_a_scene(config_file, tmp_path, monkeypatch):
+    monkeypatch.setattr(verilated_emulator, "simulated", lambda sensor, **_: EMULATOR)
     out = tmp_path / "out"
     done = command(f"emulate --simulate --config {config_file} --frames 2 --scene flat:5 --out {out}")
     assert done.exit_code == 0, done.output
@@ -54,7 +58,7 @@ def test_the_picture_is_drawn_while_frames_come(config_file, tmp_path, monkeypat
     config, titles = load_config(str(config_file)), []
     monkeypatch.setattr(emulate, "REDRAW_S", 0.0)
     monkeypatch.setattr(emulate, "depth_row", lambda path, panels, truth_m: titles.append(panels[0].title))
-    with SimulatedPort(simulated(config.sensor), config.clock_mhz) as port:
+    with SimulatedPort(EMULATOR, config.clock_mhz) as port:
         driver = EmulatorDriver(SerialTransport(port, patience_s=PATIENCE_S))
         emulate.emulate(driver, config, scene_of(config, "flat:5"), tmp_path, klux=50.0, frames=3)
     assert titles == [f"{n} frames of the emulator" for n in (1, 2, 3)]
@@ -75,7 +79,7 @@ def test_a_scene_as_settings():
 def test_a_wrong_word_is_found(config_file):
     config = load_config(str(config_file))
     scene = scene_of(config, "flat:5")
-    with SimulatedPort(simulated(config.sensor), config.clock_mhz) as port:
+    with SimulatedPort(EMULATOR, config.clock_mhz) as port:
         settings = source_settings(config, scene, 50.0)
         session = Session(EmulatorDriver(SerialTransport(port, patience_s=PATIENCE_S)), config, settings)
         session.frame()

@@ -65,16 +65,6 @@ def test_winner_takes_all_by_hand():
     ]
 
 
-def test_windows_by_hand():
-    """Of 16 ticks: [100, 116), armed again at 128; [130, 146)."""
-    assert told(other_schemes.windows(photons(), 16, PHASES), photons()) == [
-        (0, 0, 100, [0, 1, 8]),
-        (0, 0, 130, [9, 3]),
-        (0, 1, 47, [4, 5, 6]),
-        (1, 0, 100, [0, 1]),
-    ]
-
-
 def test_sliding_window_by_hand():
     """Three photons within 16 ticks: first at 112, which uses up 100 to 112; 118, 130 and 140 are too far apart."""
     assert told(other_schemes.sliding_window(photons(), 16, 3), photons()) == [

@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The sliced engine is the RTL: random sensors, many frames at once, faults, and the waveforms of the whole sensor."""
+"""The sliced engine beside the whole RTL: many frames at once, faults, and waveforms."""
 
 import numpy as np
 import pytest
-from hypothesis import strategies as st
 from pywellen import Waveform
 
 from coincid.model.contract.parameters import TOP
@@ -17,51 +16,15 @@ from .. import random_cases
 
 SENSOR, ODD = random_cases.SENSORS["default"], random_cases.SENSORS["odd"]
 CYCLE_PS = 2000  # of the simulators' clock
-# Signals that may differ: what the host asks for and when, a count that never rests, and a choice among nothing.
-FREE = {"command", "data", "index", "index_before", "at_last", "winner_5_0"}
-
-
-@st.composite
-def sensors(draw) -> dict:
-    """Draw a small sensor of any shape."""
-    minigroup = draw(st.sampled_from([(1, 1), (1, 2), (2, 2), (3, 1), (2, 4), (4, 4)]))
-    times = draw(st.sampled_from([(1, 1), (2, 2), (3, 2), (4, 4), (4, 1)]))
-    subgroup = [m * n for m, n in zip(minigroup, times)]
-    while subgroup[0] * subgroup[1] < 16:
-        subgroup[0] *= 2
-    grid = draw(st.sampled_from([(1, 1), (1, 2), (3, 1), (2, 2), (5, 1)]))
-    phases = 1 << draw(st.integers(2, 6))
-    return dict(
-        rows=subgroup[0] * grid[0],
-        cols=subgroup[1] * grid[1],
-        subgroup=subgroup,
-        minigroup=list(minigroup),
-        phases=phases,
-        offset_phases=min(phases, 1 << draw(st.integers(2, 4))),
-        coarse_bits=draw(st.integers(6, 9)),
-        window_max=draw(st.integers(1, 2 * phases)),
-        rearm=draw(st.integers(0, 3)),
-        fifo_depth=draw(st.integers(1, 9)),
-        streams=draw(st.integers(1, grid[0] * grid[1])),
-    )
+# Signals that may differ: what the host asks for and when, a count that never rests, a choice among nothing, and a word of
+# which nobody sets the count.
+FREE = {"command", "data", "index", "index_before", "at_last", "winner_5_0", "tree.half", "tree.half.count"}
 
 
 def job(golden: Golden, config, seed: int, kind: str = "always") -> FrameJob:
     edges = random_cases.trouble(config, seed, 12.0)
     ready = random_cases.ready_pattern(seed, kind, config.pulses * config.period + 200)
     return FrameJob(config, edges, golden.frame(config, edges, ready), ready)
-
-
-@pytest.mark.parametrize("number", [0, 1])
-def test_random_sensors_equal_icarus(number, tmp_path):
-    sensor = random_cases.drawn(sensors(), 5)[number]
-    configs = random_cases.drawn(random_cases.configurations(sensor, frames_max=1), 6)
-    golden = Golden(configs[0].sensor)
-    kinds = random_cases.READY_KINDS
-    jobs = [job(golden, config, k, kinds[k % len(kinds)]) for k, config in enumerate(configs)]
-    for engine in ("sliced", "icarus"):
-        records, _ = play(jobs, engine, tmp_path / engine)
-        assert all(record.checked for record in records)
 
 
 @pytest.mark.parametrize("threads", [1, 3])
@@ -146,20 +109,20 @@ def test_every_signal_is_that_of_the_whole_rtl(tmp_path):
     """All signals of two subgroups that both waveforms name, in every cycle of a frame."""
     config = running()
     frame = job(Golden(config.sensor), config, 5)
-    _, fst = play([frame], "verilator", tmp_path, waves=True)
+    _, fst = play([frame], "icarus", tmp_path, waves=True)
     with SlicedSensor(config.sensor) as rtl:
         rtl.watch(0, 1)
         rtl.frame(config, frame.edges, frame.ready)
         rtl.waves(tmp_path / "sliced.vcd", cycle_ps=CYCLE_PS)
     whole, sliced = (
-        {variable.full_name: variable.signal for variable in Waveform(str(path)).all_vars()}
+        {variable.full_name.replace("\\", ""): variable.signal for variable in Waveform(str(path)).all_vars()}
         for path in (fst, tmp_path / "sliced.vcd")
     )
     pairs = []
     for name in sliced:
         subgroup, _, inside = name.partition(".subgroup_0.")
         pair = f"{TOP}.module_0.{subgroup}.{inside}", name
-        if pair[0] in whole and not FREE & set(inside.split(".")):
+        if pair[0] in whole and not FREE & {inside, *inside.split(".")}:
             pairs.append(pair)
     assert len(pairs) > 1000
 

@@ -146,7 +146,7 @@ def test_every_control_reaches_what_is_computed(tabs, address):
         assert "five-objects, 50 klux, 100 pulses, threshold 2 " in tab.locator("#status").text_content()
 
 
-def test_a_result_is_shown_only_beside_its_own_settings(tabs, address):
+def test_a_result_is_shown_only_beside_its_own_legal_settings(tabs, address):
     tab = tabs(address)
     state, opacity = tab.evaluate("""() => {
         const field = document.querySelector("#controls [name='threshold']");
@@ -160,6 +160,16 @@ def test_a_result_is_shown_only_beside_its_own_settings(tabs, address):
     shown(tab)
     assert "threshold 3" in tab.locator("#status").text_content()
     assert number(tab, "mean threshold") == ["3.00 pixels"]
+    put(tab, "threshold", 999)
+    tab.wait_for_selector("#refused:not([hidden])")
+    assert tab.locator("#refused").text_content() == "Threshold = 999: must be an integer from 1 to 64"
+    assert "illegal" in tab.locator("[data-control=threshold]").get_attribute("class")
+    assert tab.locator("#results").evaluate("(one) => getComputedStyle(one).opacity") == "0.06"
+    put(tab, "threshold", "")
+    tab.wait_for_function("document.getElementById('refused').textContent.startsWith('Threshold: is empty')")
+    put(tab, "threshold", 2)
+    shown(tab)
+    assert tab.locator("#refused").is_hidden()
 
 
 def test_the_threshold_and_the_dark_object(tabs, address):
@@ -172,7 +182,7 @@ def test_the_threshold_and_the_dark_object(tabs, address):
     assert re.search(r"[7-9]\d\.\d%", rows[0]) and "0.0%" in rows[-1]
 
 
-def test_a_click_picks_a_pixel_and_its_subgroup(tabs, address):
+def test_a_click_picks_a_pixel_and_its_subgroup_and_pulses_play(tabs, address):
     tab = tabs(address)
     click_map(tab, "depth_m", 3, 12)
     wait_for_title(tab, "histogram", "startsWith('row 3, column 12')")
@@ -191,10 +201,7 @@ def test_a_click_picks_a_pixel_and_its_subgroup(tabs, address):
     tab.wait_for_function(
         "document.getElementById('looked').textContent.includes('row = 99: must be an integer from 0 to 15')"
     )
-
-
-def test_pulses_and_frames_play(tabs, address):
-    tab = tabs(address)
+    tab.fill("[data-look=row]", "3")
     put(tab, "frames", 3)
     put(tab, "auto", True)
     shown(tab)
@@ -204,20 +211,6 @@ def test_pulses_and_frames_play(tabs, address):
         tab.click(f"[data-play={name}]")
         tab.wait_for_function(f"link.told.look && link.told.look.{name} !== {before}")
         tab.click(f"[data-play={name}]")
-
-
-def test_illegal_values_say_what_is_legal(tabs, address):
-    tab = tabs(address)
-    put(tab, "threshold", 999)
-    tab.wait_for_selector("#refused:not([hidden])")
-    assert tab.locator("#refused").text_content() == "Threshold = 999: must be an integer from 1 to 64"
-    assert "illegal" in tab.locator("[data-control=threshold]").get_attribute("class")
-    assert tab.locator("#results").evaluate("(one) => getComputedStyle(one).opacity") == "0.06"
-    put(tab, "threshold", "")
-    tab.wait_for_function("document.getElementById('refused').textContent.startsWith('Threshold: is empty')")
-    put(tab, "threshold", 2)
-    shown(tab)
-    assert tab.locator("#refused").is_hidden()
 
 
 def test_uploads(tabs, address, tmp_path):

@@ -43,15 +43,6 @@ def test_a_new_threshold_asks_for_no_new_photons():
     assert first.run.edges is second.run.edges and third.run.edges is not first.run.edges
 
 
-def test_the_dark_object_beside_the_bright_one_is_lost_at_a_high_threshold():
-    explorer = Explorer()
-    for threshold, lost in ((2, False), (5, True)):
-        view = explorer.run(check_settings({"threshold": threshold})).view()
-        dark, bright = view.objects[0], view.objects[-1]
-        assert dark.signal < bright.signal
-        assert (dark.wrong_share > 0.7) == lost and bright.wrong_share < 0.05
-
-
 def test_numbers_agree_with_each_other():
     view = Explorer().run(check_settings(SMALL | {"coincidence": False, "fifo_depth": 1})).view()
     numbers = view.numbers
