@@ -13,25 +13,23 @@ import subprocess
 import tempfile
 import time
 from collections.abc import Callable
+from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, TypeVar
 
-import numpy as np
-from attrs import frozen
-
-from ..lab.setup import Photons, Setup
+from ..lab.setup import Setup
 from ..model.contract.config import Config, parse_config
 from ..model.contract.edges import Edges
 from ..model.contract.result import ResultBuilder
-from ..model.depth.estimate import estimate_depth
-from ..model.golden.frame import Golden
+from ..model.depth.estimate import DEFAULT_METHOD, estimate_depth
+from ..model.golden.frame import Golden, Trace
 from ..model.shared import markdown
 from ..model.shared.files import whole_file
 from ..model.shared.interrupts import worker_processes
 from ..tb import pysim
 from ..tb.engines import SIMULATORS
-from ..tb.frame_record import FrameJob
+from ..tb.frame_record import FrameJob, Recorded
 from ..tb.play import build_sensor, play
 from ..tb.scoreboard import check
 from ..tb.sliced import SlicedSensor, build_library, play_side_by_side
@@ -109,20 +107,21 @@ def benchmark(
     tell: called with a line at every stage. Raises `ToolchainError`, `SimulationError` and `Mismatch`.
     """
     result: dict[str, Any] = _machine() | {"repeats": repeats}
-    job = Job.of("32x32")
-    edges = job.edges()
+    config, photons = _job("32x32")
+    edges = photons()
     result["edges"] = len(edges)
     tell("building")
     for simulator in SIMULATORS:
-        build_sensor(job.config.sensor, simulator)
+        build_sensor(config.sensor, simulator)
     result |= _versions()
-    _fast_rates(job)  # loads what is compiled
+    _fast_rates(config, photons)  # loads what is compiled
     rounds = []
     for number in range(repeats):
         tell(f"engines: round {number + 1} of {repeats}")
-        rounds.append(_fast_rates(job) | {CYCLES_PER_S.format(name): _rate(job, edges, name) for name in PULSES})
+        slow = {CYCLES_PER_S.format(name): _rate(config, edges, name) for name in PULSES}
+        rounds.append(_fast_rates(config, photons) | slow)
     result |= _medians(rounds)
-    result["golden_edges_per_s"] = result["golden_cycles_per_s"] * len(edges) / (job.config.pulses * job.config.period)
+    result["golden_edges_per_s"] = result["golden_cycles_per_s"] * len(edges) / (config.pulses * config.period)
     result["sliced_per_cocotb_verilator"] = result["sliced_cycles_per_s"] / result["cocotb_verilator_cycles_per_s"]
     result["golden_per_sliced"] = result["golden_cycles_per_s"] / result["sliced_cycles_per_s"]
     for size in SIZES:
@@ -160,45 +159,22 @@ def _shown(value: int | float | str) -> str:
     return f"{value:,}" if isinstance(value, int) else value
 
 
-@frozen(eq=False)
-class Job:
-    """Input of every engine: the preset `silicon` at a size, and its photons."""
-
-    config: Config
-    photons: Photons
-
-    @classmethod
-    def of(cls, size: str) -> "Job":
-        setup = Setup.of(SCENE, sensor=SIZES[size], klux=KLUX, seed=SEED)
-        return cls(setup.config, setup.photons)
-
-    def edges(self) -> Edges:
-        return self.photons.edges(os.cpu_count() or 1)
+def _job(size: str) -> tuple[Config, Callable[[], Edges]]:
+    """Return the input of every engine: the preset `silicon` at a size, and what draws its photons."""
+    setup = Setup.of(SCENE, sensor=SIZES[size], klux=KLUX, seed=SEED)
+    return setup.config, partial(setup.photons.edges, os.cpu_count() or 1)
 
 
-def _fast_rates(job: Job) -> dict[str, float]:
+def _fast_rates(config: Config, photons: Callable[[], Edges]) -> dict[str, float]:
     """Measure the rates of the engines that play whole frames."""
-    began = time.perf_counter()
-    edges = job.edges()
-    photons_s = time.perf_counter() - began
-    golden = Golden(job.config.sensor)
-    began = time.perf_counter()
-    trace = golden.frame(job.config, edges)
-    golden_s = time.perf_counter() - began
-    began = time.perf_counter()
-    Golden(job.config.sensor).frames_of(job.config, [edges] * MANY)
-    golden_many_s = time.perf_counter() - began
-    with SlicedSensor(job.config.sensor) as sensor:
-        began = time.perf_counter()
-        record = sensor.frame(job.config, edges)
-        sliced_s = time.perf_counter() - began
-    check(job.config.sensor, trace, record)
-    chains = [[FrameJob(job.config, edges)]] * MANY
-    began = time.perf_counter()
-    many = play_side_by_side(chains)
-    many_s = time.perf_counter() - began
-    for (one,) in many:
-        check(job.config.sensor, trace, one)
+    photons_s, edges = _timed(photons)
+    golden_s, trace = _timed(Golden(config.sensor).frame, config, edges)
+    golden_many_s, _ = _timed(Golden(config.sensor).frames_of, config, [edges] * MANY)
+    with SlicedSensor(config.sensor) as sensor:
+        sliced_s, record = _timed(sensor.frame, config, edges)
+    many_s, many = _timed(play_side_by_side, [[FrameJob(config, edges)]] * MANY)
+    for one in (record, *(frame for (frame,) in many)):
+        check(config.sensor, trace, one)
     return {
         "photon_edges_per_s": len(edges) / photons_s,
         "golden_cycles_per_s": record.cycles / golden_s,
@@ -208,12 +184,10 @@ def _fast_rates(job: Job) -> dict[str, float]:
     }
 
 
-def _rate(job: Job, edges: Edges, name: str) -> float:
+def _rate(config: Config, edges: Edges, name: str) -> float:
     """Measure the cycles per second of a slow engine, between its first and its last progress message."""
-    config = job.config.with_frame(pulses=PULSES[name])
-    chosen = edges.pulse < config.pulses
-    edges = edges.take(chosen)
-    seen = []
+    config = config.with_frame(pulses=PULSES[name])
+    edges, seen = edges.take(edges.pulse < config.pulses), []
 
     def progress(cycle: int) -> None:
         seen.append((time.perf_counter(), cycle))
@@ -230,23 +204,19 @@ def _rate(job: Job, edges: Edges, name: str) -> float:
 
 def _whole_frames(size: str, repeats: int) -> dict[str, float]:
     """Measure the medians of frames from photons to depth, and the peak memory of this process."""
-    job, rounds = Job.of(size), []
-    build_library(job.config.sensor)
+    (config, photons), rounds = _job(size), []
+    build_library(config.sensor)
+
+    def play(edges: Edges) -> Recorded:
+        with SlicedSensor(config.sensor) as sensor:
+            return sensor.frame(config, edges)
+
     for _ in range(repeats + 1):  # the first frame loads compiled code
-        clock = [time.perf_counter()]
-        edges = job.edges()
-        clock.append(time.perf_counter())
-        with SlicedSensor(job.config.sensor) as sensor:
-            record = sensor.frame(job.config, edges)
-        clock.append(time.perf_counter())
-        result = ResultBuilder(job.config)
-        result.add(record.beats, record.commit_subgroup, record.commit_cycle)
-        estimate_depth(result.arrays(), job.config)
-        clock.append(time.perf_counter())
-        photons_s, sensor_s, depth_s = np.diff(clock).tolist()
-        rounds.append(
-            {"photons_s": photons_s, "sensor_s": sensor_s, "depth_s": depth_s, "sliced_s": clock[-1] - clock[0]}
-        )
+        photons_s, edges = _timed(photons)
+        sensor_s, record = _timed(play, edges)
+        depth_s, _ = _timed(_depth, config, record)
+        whole_s = photons_s + sensor_s + depth_s
+        rounds.append({"photons_s": photons_s, "sensor_s": sensor_s, "depth_s": depth_s, "sliced_s": whole_s})
     status = Path("/proc/self/status").read_text()  # unlike getrusage, it excludes the process that started this one
     peak_kib = int(status.partition("VmHWM:")[2].split()[0])
     return {
@@ -258,24 +228,31 @@ def _whole_frames(size: str, repeats: int) -> dict[str, float]:
 def _to_depth_s(name: str, repeats: int) -> float:
     """Measure the median time of a frame from photons through the golden model to depth."""
     size, form, method = TO_DEPTH[name]
-    job, times = Job.of(size), []
-    config = job.config.with_frame(format=form)
+    config, photons = _job(size)
+    config = config.with_frame(format=form)
     golden = Golden(config.sensor)
-    for _ in range(repeats + 1):  # the first frame loads compiled code
-        began = time.perf_counter()
-        trace = golden.frame(config, job.edges())
-        result = ResultBuilder(config)
-        result.add(trace.beats, trace.commit_subgroup, trace.commit_cycle)
-        estimate_depth(result.arrays(), config, method=method)
-        times.append(time.perf_counter() - began)
+    times = [  # the first frame loads compiled code
+        _timed(lambda: _depth(config, golden.frame(config, photons()), method))[0] for _ in range(repeats + 1)
+    ]
     return statistics.median(times[1:])
 
 
+def _depth(config: Config, frame: Recorded | Trace, method: str = DEFAULT_METHOD) -> None:
+    """Decode a frame and estimate its depth."""
+    result = ResultBuilder(config)
+    result.add(frame.beats, frame.commit_subgroup, frame.commit_cycle)
+    estimate_depth(result.arrays(), config, method=method)
+
+
 def _build_s(size: str) -> float:
-    sensor = parse_config({"sensor": SIZES[size]}).sensor
+    return _timed(build_library, parse_config({"sensor": SIZES[size]}).sensor)[0]
+
+
+def _timed(function: Callable[..., _Result], *arguments: Any) -> tuple[float, _Result]:
+    """Return the seconds that a call takes, and what it returns."""
     began = time.perf_counter()
-    build_library(sensor)
-    return time.perf_counter() - began
+    result = function(*arguments)
+    return time.perf_counter() - began, result
 
 
 def _medians(rounds: list[dict[str, float]]) -> dict[str, float]:

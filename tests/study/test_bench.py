@@ -55,7 +55,7 @@ def test_benchmark_measures_every_key(tmp_path, monkeypatch):
     monkeypatch.setattr(bench, "build_sensor", lambda *_: None)
     engines = ("golden", "golden_many", "sliced", "sliced_many")
     fast = ("photon_edges_per_s", *(bench.CYCLES_PER_S.format(engine) for engine in engines))
-    monkeypatch.setattr(bench, "_fast_rates", lambda job: measured(*fast))
+    monkeypatch.setattr(bench, "_fast_rates", lambda *given: measured(*fast))
     monkeypatch.setattr(bench, "_rate", lambda job, edges, engine: 500.0)
     monkeypatch.setattr(bench, "_in_new_process", in_new_process)
     told, out = [], tmp_path / "new" / "bench.json"
