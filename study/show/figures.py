@@ -62,6 +62,12 @@ STYLESHEET = """
   --bk-grid-line-color: var(--line); --bk-text-color: var(--ink);
 }
 """
+ON_PAGE: dict[str, Any] = {  # of all figures: as wide as the page lets them, in its colours
+    "sizing_mode": "stretch_width",
+    "stylesheets": [STYLESHEET],
+    "background_fill_color": None,
+    "border_fill_color": None,
+}
 FATES = {  # of an edge: (colour, marker, meaning)
     Fate.OPENING: (VERMILION, "triangle", "opened a window"),
     Fate.COUNTED: (BLUE, "circle", "counted in a window"),
@@ -89,6 +95,7 @@ ERROR_PALETTE = tuple(  # blue, white, orange: too near, right, too far
 )
 ERROR_SHOWN_M = 0.5  # the colour saturates here
 COUNTS = ("threshold", "drops")  # maps of whole numbers
+LIGHT = ("reflectivity", "signal", "background")  # what is told of a pixel besides the maps
 WHOLE_COLOURS_MAX = 8  # up to this value, each whole number has a colour of its own
 COMPARED = ("depth_m", "error_m", "drops")  # maps that are shown when two frames are compared
 MAP_SIZE_PX, BAR_WIDTH_PX, BAR_AND_LABELS_PX = 168, 8, 44
@@ -124,8 +131,7 @@ def map_columns(view: FrameView) -> Columns:
     """Return the source of the maps: one row, every column a picture."""
     sensor = view.config.sensor
     row, col = np.indices((sensor.rows, sensor.cols))
-    pictures = {name: getattr(view, name).astype(np.float32) for name in MAPS}
-    pictures |= {name: getattr(view, name).astype(np.float32) for name in ("reflectivity", "signal", "background")}
+    pictures = {name: getattr(view, name).astype(np.float32) for name in (*MAPS, *LIGHT)}
     subgroup = pixel_table(sensor).subgroup.reshape(row.shape)
     pictures |= {"row": row.astype(np.int32), "col": col.astype(np.int32), "subgroup": subgroup.astype(np.int32)}
     pictures["reason"] = view.reason.astype(np.int32)
@@ -172,16 +178,13 @@ class MapFigure:
             title=kind.title,
             width=MAP_SIZE_PX + BAR_AND_LABELS_PX,
             height=MAP_SIZE_PX + 20,
-            sizing_mode="stretch_width",
             max_width=MAP_SIZE_PX + BAR_AND_LABELS_PX,
             x_range=Range1d(-0.5, 31.5),
             y_range=Range1d(31.5, -0.5),
             tools=[HoverTool(tooltips=None, callback=over)],
             toolbar_location=None,
-            stylesheets=[STYLESHEET],
-            background_fill_color=None,
-            border_fill_color=None,
             name=name,
+            **ON_PAGE,
         )
         plot.grid.visible = plot.axis.visible = False
         plot.title.text_font_size = TITLE_PX
@@ -263,12 +266,9 @@ def _axes_figure(**options: Any) -> figure:
     plot = figure(
         x_range=Range1d(0, 1),
         y_range=Range1d(0, 1),
-        sizing_mode="stretch_width",
         tools=[PanTool(dimensions="width"), WheelZoomTool(dimensions="width"), ResetTool()],
         toolbar_location="right",
-        stylesheets=[STYLESHEET],
-        background_fill_color=None,
-        border_fill_color=None,
+        **ON_PAGE,
         **options,
     )
     plot.toolbar.update(logo=None, autohide=True)
@@ -322,10 +322,9 @@ class HistogramFigure:
         bars, returns, truth = histogram_columns(view, row, col)
         self.bars.data, self.returns.data, self.truth.data = bars, returns, truth
         self.figure.title.text = histogram_title(view, row, col)
-        top = max(3, int(bars["pixel"].max(initial=0)))
-        self.figure.y_range.update(start=-0.12 * top, end=1.15 * top)
-        most = max(3, int(bars["subgroup"].max(initial=0)))
-        self.subgroup_range.update(start=-0.12 * most, end=1.15 * most)
+        for name, span in (("pixel", self.figure.y_range), ("subgroup", self.subgroup_range)):
+            most = max(3, int(bars[name].max(initial=0)))
+            span.update(start=-0.12 * most, end=1.15 * most)
         far_m = min(view.range_m, 1.5 * np.nanmax(view.truth_m)) if not np.isnan(view.truth_m).all() else view.range_m
         self.figure.x_range.update(start=0, end=float(far_m), reset_start=0, reset_end=float(view.range_m))
 
@@ -425,17 +424,14 @@ class TimelineFigure:
         self.below = figure(
             width=width,
             height=80,
-            sizing_mode="stretch_width",
             x_range=plot.x_range,
             y_range=Range1d(0, 1),
             x_axis_label="ns after the laser's trigger",
             y_axis_label="FIFO",
             tools=[],
             toolbar_location=None,
-            stylesheets=[STYLESHEET],
-            background_fill_color=None,
-            border_fill_color=None,
             name="fifo",
+            **ON_PAGE,
         )
         self.below.grid.visible = False
         self.fill_ticker = FixedTicker(ticks=[])
@@ -541,5 +537,5 @@ class Views:
 
 
 def _no_picture() -> Columns:
-    names = (*MAPS, "reason", "reflectivity", "signal", "background", "row", "col", "subgroup", "x", "y", "dw", "dh")
+    names = (*MAPS, "reason", *LIGHT, "row", "col", "subgroup", "x", "y", "dw", "dh")
     return {name: [] for name in names}
