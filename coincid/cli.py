@@ -215,15 +215,7 @@ def advise(*, scene: str, out: Path = Path("build/advise"), **given: Any) -> Non
     _folder(out)
     mean_klux = float(np.mean(ambient_klux(setup.klux, looked_at.rows, looked_at.cols) * looked_at.sunlit))
     with Bar(console, lines=True) as bar:
-        stages: list[str] = []
-
-        def progress(stage: str, done: int, total: int) -> None:
-            if stage not in stages:
-                stages.append(stage)
-                bar.stage(stage, total)
-            bar.done(done, total)
-
-        advice = run(setup, klux=mean_klux, progress=progress)
+        advice = run(setup, klux=mean_klux, progress=bar.at)
         bar.stage("table and picture")
         files = write_advice(out, advice, looked_at.name)
     table = Table(box=None, header_style="bold", pad_edge=False)

@@ -50,6 +50,12 @@ class Bar:
         if self._lines:
             self._progress.console.print(name)
 
+    def at(self, stage: str, done: int, total: int) -> None:
+        """Tell the amount that is done of a stage, which begins if it is not the present one."""
+        if stage != self._stage:
+            self.stage(stage, total)
+        self.done(done)
+
     def done(self, amount: int, total: int | None = None) -> None:
         """Tell the amount that is done, and a total that has changed."""
         if self._task is not None:

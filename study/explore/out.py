@@ -4,7 +4,6 @@
 import csv
 import io
 from collections.abc import Callable
-from typing import TypeAlias
 
 import numpy as np
 from attrs import frozen
@@ -15,18 +14,18 @@ from ..plot_style import figure_bytes
 from .control_values import config_toml
 from .stages import Explored
 
-File: TypeAlias = tuple[str, str, bytes]  # name, media type, content
-
 
 @frozen
 class Save:
-    """A download. label: on the page; make(explored, frame): returns the file that the browser saves."""
+    """A download. label: on the page; name, media_type: of the file; content(explored, frame): what the browser saves."""
 
     label: str
-    make: Callable[[Explored, int], File]
+    name: str
+    media_type: str
+    content: Callable[[Explored, int], bytes]
 
 
-def events_csv(explored: Explored) -> str:
+def events_csv(explored: Explored, frame: int) -> bytes:
     """Return one line per event of all frames; hits: the ID map as hex digits, bit i = pixel i of the subgroup."""
     arrays = explored.run.result
     text = io.StringIO()
@@ -35,7 +34,7 @@ def events_csv(explored: Explored) -> str:
     maps = [int.from_bytes(row.astype("<u8").tobytes(), "little") for row in arrays["hits"]]
     columns = [arrays[name].astype(np.int64).tolist() for name in EVENT_COLUMNS]
     lines.writerows([*row, f"{hits:x}"] for *row, hits in zip(*columns, maps))
-    return text.getvalue()
+    return text.getvalue().encode()
 
 
 def picture_png(explored: Explored, frame: int) -> bytes:
@@ -46,20 +45,13 @@ def picture_png(explored: Explored, frame: int) -> bytes:
     return figure_bytes(figure, "png")
 
 
-def _toml(explored: Explored, frame: int) -> File:
-    return "coincid.toml", "application/toml", config_toml(explored.settings).encode()
-
-
-def _events(explored: Explored, frame: int) -> File:
-    return "events.csv", "text/csv", events_csv(explored).encode()
-
-
-def _picture(explored: Explored, frame: int) -> File:
-    return "depth.png", "image/png", picture_png(explored, frame)
-
-
 SAVES = {
-    "toml": Save("configuration (TOML)", _toml),
-    "csv": Save("events (CSV)", _events),
-    "png": Save("picture (PNG)", _picture),
+    "toml": Save(
+        "configuration (TOML)",
+        "coincid.toml",
+        "application/toml",
+        lambda explored, frame: config_toml(explored.settings).encode(),
+    ),
+    "csv": Save("events (CSV)", "events.csv", "text/csv", events_csv),
+    "png": Save("picture (PNG)", "depth.png", "image/png", picture_png),
 }

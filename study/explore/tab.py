@@ -295,10 +295,10 @@ class Page:
         if kind == "command":
             self.link.said = {"number": self.number, "text": command(self.shown.settings)}
             return
-        name, media, content = out.SAVES[kind].make(self.shown, self.look["frame"])
+        save = out.SAVES[kind]
         self._files += 1  # the same file once more is a change, too
-        number, text = self._files, base64.b64encode(content).decode()
-        self.link.file = {"number": number, "name": name, "type": media, "base64": text}
+        text = base64.b64encode(save.content(self.shown, self.look["frame"])).decode()
+        self.link.file = {"number": self._files, "name": save.name, "type": save.media_type, "base64": text}
 
 
 def _summary(settings: Settings) -> str:

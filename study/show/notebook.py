@@ -115,11 +115,6 @@ def _page(figures: list[Any], height_px: int) -> Shown:
     from bokeh.embed import file_html
     from bokeh.resources import INLINE
 
-    template = (
-        "{% block postamble %}<style>"
-        + FILES["page.css"]
-        + "</style><script>"
-        + FILES["tables.js"]
-        + "</script>{% endblock %}"
-    )
+    head = f"<style>{FILES['page.css']}</style><script>{FILES['tables.js']}</script>"
+    template = "{% block postamble %}" + head + "{% endblock %}"
     return Shown(file_html(figures, INLINE, "Coincid", template=template), height_px)

@@ -106,13 +106,12 @@ def test_only_the_newest_answer_is_delivered():
 def test_what_is_saved():
     explored = Explorer().run(check_settings(SMALL))
     for kind, save in SAVES.items():
-        name, media, content = save.make(explored, 0)
-        assert content and name.endswith(kind) and "/" in media
-    lines = events_csv(explored).splitlines()
+        assert save.content(explored, 0) and save.name.endswith(kind) and "/" in save.media_type
+    lines = events_csv(explored, 0).decode().splitlines()
     assert len(lines) == 1 + len(explored.run.result["pulse"])
     first = dict(zip(lines[0].split(","), lines[1].split(",")))
     assert int(first["count"]) == int(first["hits"], 16).bit_count()
-    assert parse_config(tomllib.loads(SAVES["toml"].make(explored, 0)[2].decode())).pulses == SMALL["pulses"]
+    assert parse_config(tomllib.loads(SAVES["toml"].content(explored, 0).decode())).pulses == SMALL["pulses"]
 
 
 def test_the_rtl_sends_the_same_words():
