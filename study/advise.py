@@ -144,16 +144,11 @@ def _settings(run: Run, thresholds: list[int], windows: list[int]) -> Iterator[T
 
 def _links(run: Run, chosen: Config) -> Iterator[Tried]:
     """Try the links and formats for the settings of `chosen`."""
-    controlled = bool(chosen.auto.any())
     subgroup = {name: getattr(chosen, name) for name in ("auto", "threshold", "window")}
+    start = run.but(subgroup=subgroup) if chosen.auto.any() else run.alone(-1, subgroup=subgroup)
     for link_gbps in LINKS_GBPS:
         for packets in FORMATS:
-            frame = {"link_gbps": link_gbps, "format": packets}
-            yield _tried(
-                run.but(frame=frame, subgroup=subgroup)
-                if controlled
-                else run.alone(-1, subgroup=subgroup).but(frame=frame)
-            )
+            yield _tried(start.but(frame={"link_gbps": link_gbps, "format": packets}))
 
 
 def _tried(run: Run) -> Tried:

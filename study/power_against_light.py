@@ -73,7 +73,7 @@ GROUPS = (  # what the table calls blocks: the innermost instance that begins so
 
 
 def setup(case: Case, **sensor: Any) -> Setup:
-    """A short frame of a sensor with one subgroup. A gate switches the SPADs off, as the output `spad_gate` does."""
+    """Return a short frame of a sensor with one subgroup. A gate switches the SPADs off, as the output `spad_gate` does."""
     shape = SIDE, SIDE
     distance_m = np.full(shape, np.nan if case.klux is None else REFERENCE_DISTANCE_M)
     return Setup.of(
@@ -89,8 +89,8 @@ def setup(case: Case, **sensor: Any) -> Setup:
 
 @frozen
 class Measured:
-    """A case with its edges per pixel and second, its events per second, the subgroup's power by the groups' names, its total
-    with wires, and that of a clock tree, in mW."""
+    """What was measured of a case. edges_cps: per pixel. groups: the subgroup's power by the groups' names. wired, tree: mW,
+    its total with wires, and that of a clock tree."""
 
     case: Case
     edges_cps: float
@@ -105,7 +105,7 @@ class Measured:
 
 
 def group_of(block: str) -> str | None:
-    """The group that a block is of, by its instances; None: it is not in a subgroup."""
+    """Return the group to which a block belongs, by its instances; None: it is not in a subgroup."""
     instances = block.split(".")
     if not any(instance.startswith("subgroup") for instance in instances):
         return None
@@ -122,7 +122,7 @@ def _grouped(blocks: dict[str, Power]) -> dict[str, Power]:
 
 
 def measure(tell: Callable[[str], None], cases: Sequence[Case] = CASES, **sensor: Any) -> tuple[list[Measured], Power]:
-    """Power of the subgroup in every case, and between frames. sensor: parameters besides the preset's."""
+    """Return the power of the subgroup in every case, and between frames. sensor: parameters besides the preset's."""
     runs = [Run(setup(case, **sensor)) for case in cases]
     config, golden = runs[0].config, Golden(runs[0].config.sensor)  # one, because it numbers the frames
     jobs = [FrameJob(run.config, run.edges, golden.frame(run.config, run.edges)) for run in runs]
@@ -147,7 +147,7 @@ def measure(tell: Callable[[str], None], cases: Sequence[Case] = CASES, **sensor
 
 
 def write_page(path: Path, tell: Callable[[str], None]) -> None:
-    """Measures, and writes the page, and the picture to `images/` beside it."""
+    """Measure, and write the page, and the picture to `images/` beside it."""
     measured, between = measure(tell)
     images = path.parent / "images"
     images.mkdir(exist_ok=True)
@@ -157,7 +157,7 @@ def write_page(path: Path, tell: Callable[[str], None]) -> None:
 
 
 def page(measured: list[Measured], between: Power) -> str:
-    """The page, Markdown. between: power between frames."""
+    """Return the page, Markdown. between: power between frames."""
     by_light = measured[: len(LIGHT)]
     others = measured[len(LIGHT) :]
     names = [one.case.name for one in by_light]
@@ -218,12 +218,12 @@ def page(measured: list[Measured], between: Power) -> str:
 
 
 def _nj(one: Measured, mw: float) -> str:
-    """Energy per event of a power, in nJ."""
+    """Return the energy per event of a power, in nJ."""
     return f"{1e6 * mw / one.events_cps:.2f}" if one.events_cps else ""
 
 
 def draw(measured: list[Measured]) -> Figure:
-    """Stacked bars: blocks, and kinds of power, against the light."""
+    """Draw stacked bars: blocks, and kinds of power, against the light."""
     shown = measured[: len(LIGHT)]
     names = [one.case.name for one in shown]
     with style():
