@@ -58,9 +58,6 @@ class AsyncFrontEnd(FrontEnd):
 
     def elaborate(self, platform):
         m = Module()
-        sensor, line = self.sensor, self.line
-        banks = self.circuit.banks_of(sensor)
-
         # Timing strobes come two cycles ahead of the SPADs.
         may_open, wrap, running = Signal(5, name="may_open"), Signal(5, name="wrap"), Signal(2, name="running")
         m.d.sync += [
@@ -68,47 +65,45 @@ class AsyncFrontEnd(FrontEnd):
             wrap.eq((wrap << 1) | self.timing.wrap),
             running.eq((running << 1) | self.timing.running),
         ]
-        control = self.state.control
-        place(m, "control", control, platform)
-        parity = control.parity
-        m.d.comb += control.may_open.eq(may_open[0])
-
-        # Two banks of hit flops take turns, one cycle each; one is read and cleared while the other listens.
         reset = Signal()
         m.d.comb += reset.eq(ResetSignal())
-        flops, trees = [], []
+        place(m, "control", self.state.control, platform, may_open=may_open[0])
+        hits, trees = self._hits(m, platform, running[1], reset)
+        pictures = self._windows(m, hits, trees, reset)
+        self._collect(m, platform, self._facts(m, hits, trees, pictures), may_open[-1], wrap[-1])
+        return m
+
+    def _hits(self, m, platform, running, reset):
+        """Two banks of hit flops take turns, one cycle each; one is read and cleared while the other listens.
+
+        Return the flops and the trees of both.
+        """
+        sensor, line, parity = self.sensor, self.line, self.state.control.parity
         skews = self.circuit.pixel_skew_fs or (0,) * sensor.pixels
         lines = [delayed(m, f"spad_{i}", self.spad[i], skew) if skew else self.spad[i] for i, skew in enumerate(skews)]
+        from_line = {name: getattr(line, name) for name in ("phases", "gray_a", "gray_b", "half")}
+        banks, trees = [], []
         for q in range(2):
             listens, clear = Signal(name=f"listens_{q}"), Signal(name=f"clear_{q}")
-            m.d.comb += [
-                listens.eq((parity == q) & running[1] & self.gate),
-                clear.eq((line.wipe & (parity != q)) | reset),
+            m.d.comb += [listens.eq((parity == q) & running & self.gate), clear.eq((line.wipe & (parity != q)) | reset)]
+            flops = [
+                hit_flop(m, f"hit_{q}_{i}", spad, listens & self.mask[i], clear, HIT_FS) for i, spad in enumerate(lines)
             ]
-            flops.append(
-                [
-                    hit_flop(m, f"hit_{q}_{i}", lines[i], listens & self.mask[i], clear, HIT_FS)
-                    for i in range(sensor.pixels)
-                ]
-            )
-            tree = place(m, f"tree_{q}", EventTree(sensor), platform)
-            m.d.comb += [
-                tree.hits.eq(Cat(flops[q])),
-                tree.phases.eq(line.phases),
-                tree.gray_a.eq(line.gray_a),
-                tree.gray_b.eq(line.gray_b),
-                tree.half.eq(line.half),
-            ]
-            trees.append(tree)
+            banks.append(Cat(flops))
+            trees.append(place(m, f"tree_{q}", EventTree(sensor), platform, hits=Cat(flops), **from_line))
+        return banks, trees
 
-        # Window banks: the first root opens the window, counted phases end it, and its end samples the hits, which are
-        # delayed by as much as the end itself.
+    def _windows(self, m, hits, trees, reset):
+        """Window banks: the first root opens the window, counted phases end it, and its end samples the hits.
+
+        The hits are delayed by as much as the end itself. Return the samples of each bank.
+        """
+        sensor, line, control = self.sensor, self.line, self.state.control
+        parity, banks = control.parity, control.banks
         late = lag_fs(sensor) + self.circuit.clock_fs // QUARTERS - HIT_FS
         parity_late = sample(m, "parity_late", line.mark, parity)
-        shown = Mux(
-            parity_late,
-            *(Cat(delayed(m, f"shown_{q}_{i}", hit, late) for i, hit in enumerate(flops[q])) for q in (1, 0)),
-        )
+        later = (Cat(delayed(m, f"shown_{q}_{i}", hit, late) for i, hit in enumerate(hits[q])) for q in (1, 0))
+        shown = Mux(parity_late, *later)
         pictures = []
         for b in range(banks):
             armed = Signal(2, name=f"armed_{b}")
@@ -143,27 +138,27 @@ class AsyncFrontEnd(FrontEnd):
                 getattr(control, f"ended_{b}").eq(ended),
                 getattr(control, f"parity_{b}").eq(sample(m, f"ended_parity_{b}", ended, parity_late)),
             ]
+        return pictures
 
-        # Half a cycle after a cycle, all its events have settled and are read before they are cleared. Stages 2 and 3
-        # are the synchroniser.
+    def _facts(self, m, hits, trees, pictures):
+        """Read the facts about a cycle half a cycle after it, when all its events have settled; return them at stage 3.
+
+        They are cleared later. Stages 2 and 3 are the synchroniser.
+        """
+        sensor, control = self.sensor, self.state.control
         before = Signal()
-        m.d.comb += before.eq(~parity)
+        m.d.comb += before.eq(~control.parity)
 
         def of_before(values):
             return Mux(before, values[1], values[0])
 
         m.domains.read = _falling(m)
-        active_f, first_f = (
-            Signal(sensor.pixels, reset_less=True, name="active_f"),
-            Signal(sensor.pixels - 1, reset_less=True, name="first_f"),
-        )
-        m.d.read += [
-            active_f.eq(of_before([Cat(bank) for bank in flops])),
-            first_f.eq(of_before([tree.later_first for tree in trees])),
-        ]
+        active = Signal(sensor.pixels, reset_less=True, name="active_f")
+        first = Signal(sensor.pixels - 1, reset_less=True, name="first_f")
+        m.d.read += [active.eq(of_before(hits)), first.eq(of_before([tree.later_first for tree in trees]))]
         facts = {
-            "active": active_f,
-            "first": first_f,
+            "active": active,
+            "first": first,
             "picture": Mux(control.bank, pictures[-1], pictures[0]),
             "code": of_before([tree.code for tree in trees]),
             "marks": of_before([tree.marks for tree in trees]),
@@ -174,10 +169,9 @@ class AsyncFrontEnd(FrontEnd):
         stage_3 = {}
         for name, value in facts.items():
             flag = name in ("opening", "closing")
-            first, stage_3[name] = (Signal(len(value), name=f"{name}_{n}", reset_less=not flag) for n in (2, 3))
-            m.d.sync += [first.eq(value), stage_3[name].eq(first)]
-        self._collect(m, platform, stage_3, may_open[-1], wrap[-1])
-        return m
+            stage_2, stage_3[name] = (Signal(len(value), name=f"{name}_{n}", reset_less=not flag) for n in (2, 3))
+            m.d.sync += [stage_2.eq(value), stage_3[name].eq(stage_2)]
+        return stage_3
 
     def _collect(self, m, platform, at, may_open, wrap):
         """Form windows and records, at the clock, from the facts about a cycle (`at`, stage 3)."""
