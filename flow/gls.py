@@ -141,7 +141,12 @@ def _random_edges(config: Config, rng: np.random.Generator) -> Edges:
 def gate_level(sensor: Sensor, target: str, frames: int = FRAMES, seed: int = 1) -> tuple[int, int]:
     """Play random frames through the netlist; return (words and commits checked, cycles). Raises `Mismatch`."""
     build, jobs = netlist_build(sensor, target), random_frames(sensor, frames, seed)
-    records, _ = play_in(build, jobs, build_root() / "gls" / f"{target}-{sensor_key(sensor)}")
+    return played(build, jobs, f"{target}-{sensor_key(sensor)}")
+
+
+def played(build: toolchain.Build, jobs: list[FrameJob], name: str, lines: bool = False) -> tuple[int, int]:
+    """Play frames in a folder of this name; return as `gate_level` does. lines: as in `play_in`. Raises `Mismatch`."""
+    records, _ = play_in(build, jobs, build_root() / "gls" / name, lines=lines)
     return sum(record.checked for record in records), sum(record.cycles for record in records)
 
 

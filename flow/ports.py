@@ -27,6 +27,7 @@ from ..model.contract.packet import (
     layout,
 )
 from ..model.contract.parameters import TOP, Sensor
+from ..model.shared import markdown
 from ..model.shared.folders import checkout
 from .contract_tables import header_table, settings_tables
 
@@ -114,7 +115,7 @@ def port_table(sensor: Sensor, top: str = TOP, view: View = POLYPHASE) -> str:
             rows[-1][1].append(row)
         else:
             rows.append((family, [row]))
-    lines = ["| port | bits | direction | clock | after reset | meaning |", "| --- | ---: | --- | --- | --- | --- |"]
+    told = []
     for _, members in rows:
         first, last = members[0], members[-1]
         name = f"`{first.name}`" if first is last else f"`{first.name}` to `{last.name}`"
@@ -123,8 +124,9 @@ def port_table(sensor: Sensor, top: str = TOP, view: View = POLYPHASE) -> str:
             if first is last
             else first.meaning.replace("of subgroup 0", "of the subgroup with the port's number")
         )
-        lines.append(f"| {name} | {first.width} | {first.direction} | {first.clock} | {first.reset} | {meaning} |")
-    return "\n".join(lines) + "\n"
+        told.append((name, first.width, first.direction, first.clock, first.reset, meaning))
+    head = "port", "bits", "direction", "clock", "after reset", "meaning"
+    return "\n".join([*markdown.table(head, told, left=(0, 2, 3, 4, 5)), ""])
 
 
 def instantiation(sensor: Sensor, top: str = TOP, view: View = POLYPHASE) -> str:
@@ -162,8 +164,8 @@ def stream_words(sensor: Sensor) -> str:
 * Entries, {beats(ENTRIES)} beats: {sensor.record_bits} bits per minigroup, the map above the stamp; map 0 means nothing latched.
 * Counters, 32 bits each, two in a beat, lowest bits first: {counters}.
 """
-    table = ["| type | packet | beats | after the header |", "| ---: | --- | ---: | --- |"]
-    table += [f"| {packet.code} | {name} | {length} | {after} |" for packet, name, length, after in rows]
+    coded = ((packet.code, name, length, after) for packet, name, length, after in rows)
+    table = markdown.table(("type", "packet", "beats", "after the header"), coded, left=(1, 3))
     groups_told = "In the formats `compact` and `compact-full`, events leave in groups, whose beats have type 5"
     told += f"\n{groups_told} ([contract.md](contract.md#groups-of-events)).\n"
     return f"The first beat of every packet is a header: {fields}.\n\n" + "\n".join(table) + "\n" + told

@@ -27,6 +27,7 @@ from ..model.contract.registers import (
     Register,
     built,
 )
+from ..model.shared import markdown
 from ..model.shared.licence import SPDX
 
 MARKDOWN, HTML, HEADER = "registers.md", "registers.html", "coincid_regs.h"
@@ -114,8 +115,8 @@ def _markdown(sensor: Sensor) -> str:
     title, text = _intro(sensor)
     lines = [f"# {title}", "", text, "", *(f"* {access.name.lower()}: {access.value}" for access in Access), ""]
     for title, text, rows in _blocks(sensor):
-        table = [" | ".join(cell.replace("|", r"\|") for cell in row) for row in [HEAD, ["---"] * len(HEAD), *rows]]
-        lines += [f"## {title}", "", text, "", *(f"| {row} |" for row in table), ""]
+        escaped = ([cell.replace("|", r"\|") for cell in row] for row in rows)
+        lines += [f"## {title}", "", text, "", *markdown.table(HEAD, escaped, left=range(len(HEAD))), ""]
     return "\n".join(lines)
 
 

@@ -13,12 +13,10 @@ from typing import Protocol
 from ...hdl.front_end_views import POLYPHASE, View
 from ...hdl.unit import Unit
 from ...model.contract.parameters import TOP, Sensor
-from ...model.shared.folders import build_root
 from ...tb import toolchain
-from ...tb.play import play_in
 from ...tb.rtl import rtl, sensor_key
 from ...tools.build import ToolchainError
-from ..gls import FRAMES, cell_models, random_frames
+from ..gls import FRAMES, cell_models, played, random_frames
 from .flow import CLOCK, SDF, VERILOG
 
 INPUT_NS = 0.4
@@ -99,9 +97,6 @@ def simulate(
     (folder / "cells.v").write_text(cell_models())
     others = [path for path in rtl(sensor, view) if path.stem != name]
     sources = [*others, folder / f"{name}.v", folder / "routed.v", folder / "cells.v"]
-    build = toolchain.build(
-        "icarus", sources, TOP, key=f"routed-{sensor_key(sensor, view)}-{factor:g}", options=["-gspecify"]
-    )
-    out_dir = build_root() / "gls" / f"routed-{sensor_key(sensor, view)}-{factor:g}"
-    records, _ = play_in(build, random_frames(sensor, FRAMES), out_dir, lines=view != POLYPHASE)
-    return sum(record.checked for record in records), sum(record.cycles for record in records)
+    key = f"routed-{sensor_key(sensor, view)}-{factor:g}"
+    build = toolchain.build("icarus", sources, TOP, key=key, options=["-gspecify"])
+    return played(build, random_frames(sensor, FRAMES), key, lines=view != POLYPHASE)

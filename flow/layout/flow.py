@@ -16,7 +16,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from attrs import asdict, frozen
+from attrs import asdict, astuple, frozen
 
 from ...hdl.export import units_files
 from ...hdl.front_end_views import POLYPHASE, View
@@ -165,9 +165,7 @@ def write_job(
     used = set(re.findall(r"^\.(?:gate|subckt) (\S+)", (folder / BLIF).read_text(), re.MULTILINE))
     used |= {"BUF_X4", "BUF_X1", "LOGIC0_X1", "LOGIC1_X1"}  # of the clock tree, of nets with many pins, of constants
     places = strips(cells / LEFS[1], used) | (macros or {})
-    flat = {
-        cell: {pin: [s.x, s.low, s.high, s.via, s.fits] for pin, s in pins.items()} for cell, pins in places.items()
-    }
+    flat = {cell: {pin: astuple(strip) for pin, strip in pins.items()} for cell, pins in places.items()}
     (folder / STRIPS).write_text(json.dumps(flat))
     job = {
         "blif": BLIF.removesuffix(".blif"),
