@@ -35,7 +35,8 @@ class Memory(Unit):
     def elaborate(self, platform):
         m = Module()
         m.submodules.rows = rows = memory.Memory(shape=self.width, depth=self.depth, init=[])
-        writes, reads = rows.write_port(), rows.read_port(domain="comb")
+        writes = rows.write_port()
+        reads = rows.read_port(domain="comb")
         m.d.comb += [writes.en.eq(self.write), writes.data.eq(self.data), self.value.eq(reads.data)]
         if self.depth > 1:
             m.d.comb += [writes.addr.eq(self.to), reads.addr.eq(self.row)]

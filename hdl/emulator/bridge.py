@@ -85,7 +85,8 @@ class SerialBridge(Unit):
         transmitter = place(m, "transmitter", Transmitter(clocks), platform, **sent)
         place(m, "framer", framer, platform, valid=answer.r_rdy, out_ready=transmitter.ready)
         m.submodules.request = memory = Memory(shape=8, depth=1 << (link.BODY_BYTES_MAX - 1).bit_length(), init=[])
-        put, get = memory.write_port(), memory.read_port()
+        put = memory.write_port()
+        get = memory.read_port()
         m.d.comb += [
             put.en.eq(deframer.put),
             put.addr.eq(deframer.index),

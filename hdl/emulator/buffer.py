@@ -98,7 +98,8 @@ class FrameBuffer(Unit):
     def elaborate(self, platform):
         m = Module()
         m.submodules.beats = beats = Memory(shape=BEAT_BITS, depth=self.depth, init=[])
-        write, read = beats.write_port(), beats.read_port()
+        write = beats.write_port()
+        read = beats.read_port()
         behind = self.state
         high = Signal(3)
         row = Signal(range(self.depth), reset_less=True)

@@ -167,8 +167,10 @@ class EmulatorControl(Unit):
         places = 1 << (sensor.pixels - 1).bit_length()
         m.submodules.echoes = echoes = Memory(shape=self.echo_bits, depth=sensor.subgroups * places, init=[])
         m.submodules.backgrounds = backgrounds = Memory(shape=chip.RATE_BITS, depth=max(2, sensor.subgroups), init=[])
-        state.echo_write, state.background_write = echoes.write_port(), backgrounds.write_port()
-        echo_read, background_read = echoes.read_port(), backgrounds.read_port()
+        state.echo_write = echoes.write_port()
+        state.background_write = backgrounds.write_port()
+        echo_read = echoes.read_port()
+        background_read = backgrounds.read_port()
         at_echo = Signal(range(sensor.subgroups * places))
         m.d.comb += at_echo.eq(Cat(state.pixel[: places.bit_length() - 1], state.subgroup))
         for write, read, at in (
