@@ -90,17 +90,14 @@ def all_found(run: Run) -> dict[str, float]:
 
 def found_rows(run: Processes) -> Iterator[Sequence[str]]:
     """Yield the rows of a table: per cent of the pixels with all surfaces, for pixel / subgroup / minigroup."""
-    cases = [
-        (step_m, pulses, window, klux) for step_m, pulses, window, klux in product(STEPS_M, FRAMES, WINDOWS, AMBIENTS)
-    ]
+    cases = list(product(STEPS_M, FRAMES, WINDOWS, AMBIENTS))
     keys = [(*case, photons) for case in cases for photons in LIGHTS]
     setups = {
         key: [setup(nearest_m, key[0], key[4], key[3], key[1], key[2]) for nearest_m in NEAREST_M] for key in keys
     }
     found = grouped(setups, all_found, run)
-    for case in cases:
-        step_m, pulses, window, klux = case
-        shares = (_per_cent(found[*case, photons]) for photons in LIGHTS)
+    for step_m, pulses, window, klux in cases:
+        shares = (_per_cent(found[step_m, pulses, window, klux, photons]) for photons in LIGHTS)
         yield f"{100 * step_m:.0f} cm", str(pulses), _window(window), f"{klux:g}", *shares
 
 
