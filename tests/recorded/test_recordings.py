@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from coincid.model.contract.config import parse_config
+from coincid.model.contract.config import load_config, parse_config
 from coincid.model.contract.edges import NAMES, Edges, load_edges
 from coincid.model.contract.result import differences
 from coincid.model.light.timing import Timing
@@ -20,6 +20,7 @@ from coincid.model.shared.errors import InputError
 from coincid.tb.replay import replay
 
 from ..command import assert_refused, command
+from ..random_cases import SENSORS
 
 CONFIG = parse_config({"sensor": {"rows": 8, "cols": 8}, "frame": {"pulses": 20, "frames": 2}})
 TIMING = Timing.from_config(CONFIG)
@@ -284,7 +285,8 @@ def test_channel_maps(tmp_path):
 
 def test_recording_replays_alike_through_model_and_rtl(tmp_path):
     """From a scene's photons to a recording and back to edges, on the command line."""
-    (tmp_path / "small.toml").write_text("[sensor]\nrows = 8\ncols = 8\n[frame]\npulses = 20\nframes = 2\n")
+    sensor = "".join(f"{key} = {value}\n" for key, value in SENSORS["tiny"].items())
+    (tmp_path / "small.toml").write_text(f"[sensor]\n{sensor}[frame]\npulses = 20\nframes = 2\n")
 
     def run(*words):
         result = command(*words, "--config", tmp_path / "small.toml")
@@ -296,8 +298,9 @@ def test_recording_replays_alike_through_model_and_rtl(tmp_path):
     read = run("edges", tmp_path / "recorded.ptu", "--out", tmp_path / "edges.npz").splitlines()[-1]
     assert told.split()[1] == read.split()[1]
     assert (tmp_path / "edges.npz").read_bytes() == (tmp_path / "photons.npz").read_bytes()
-    loaded = load_edges(tmp_path / "edges.npz", pixels=64, pulses=40, period_ticks=TIMING.period_ticks)
-    assert not differences(replay("golden", CONFIG, loaded), replay("sliced", CONFIG, loaded))
+    config = load_config(tmp_path / "small.toml")
+    loaded = load_edges(tmp_path / "edges.npz", pixels=48, pulses=40, period_ticks=config.period_ticks)
+    assert not differences(replay("golden", config, loaded), replay("sliced", config, loaded))
 
 
 def test_errors_at_the_command_line(tmp_path):
