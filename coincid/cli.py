@@ -620,7 +620,8 @@ def emulate(
     if netlist and not simulate:
         raise InputError("netlist: goes with --simulate only")
     check_integer("frames", frames, 1, FRAMES_MAX)
-    settings = _config(given | {"config": config})
+    given["config"] = config
+    settings = _config(given)
     if pulses is not None:
         settings = settings.with_frame(pulses=pulses)
     setup = _setup(settings, scene, given)
