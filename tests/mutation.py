@@ -55,7 +55,8 @@ CASES_SEED = 2026
 SECONDS_MAX = 240  # for a mutant of the golden model: one that hangs is also noticed
 RTL_MUTANTS, GOLDEN_MUTANTS = 2250, 120
 PROOFS_TOGETHER = 6  # in one process of Yosys
-PROOFS = 3  # of a mutant, each without the registers that the one before misses
+GATE = "coincid_clock_gate"  # beginning of the names of the blocks that let every edge pass
+PROOFS = 8  # of a mutant, each without the registers that the one before misses
 GOLDEN_SOURCES = {  # module -> file, for everything that the golden model uses for its computation
     f"coincid.model.{path.parent.name}.{path.stem}": path
     for path in room_files("model.golden", "model.contract")
@@ -284,10 +285,12 @@ def rtl_mutants(total: int, folder: Path, seed_: int) -> list[Mutant]:
         work.mkdir(parents=True, exist_ok=True)
         (work / "block.v").write_bytes(path.read_bytes())
         # Sub-blocks stay black boxes, because the file of a block contains only their instances.
-        modules = [other.read_text() for stem, other in files.items() if stem != name]
+        gates = [other.read_text() for stem, other in files.items() if stem.startswith(GATE) and stem != name]
+        (work / "gates.v").write_text("".join(gates))
+        modules = [other.read_text() for stem, other in files.items() if stem != name and not stem.startswith(GATE)]
         is_used = re.search(r"^  coincid_\w+ ", path.read_text(), re.MULTILINE)
         (work / "boxes.v").write_text("".join(map(_boxes, modules)) if is_used else "")
-        boxes = "read_verilog -lib boxes.v; " if is_used else ""
+        boxes = "read_verilog -lib boxes.v gates.v; " if is_used else ""
         listed = f"mutate -list {count} -seed {seed_} -o list.txt"
         run_yosys(
             work, f"{boxes}read_verilog block.v; prep -top {name}; {listed}; delete =A:blackbox; write_rtlil block.il"
@@ -296,7 +299,7 @@ def rtl_mutants(total: int, folder: Path, seed_: int) -> list[Mutant]:
         mutants += [
             Mutant(name, line.removeprefix("mutate "), work)
             for line in lines
-            if not re.search(r"-port (\w*CLK|Q) ", line)
+            if not re.search(r"-port (\w*CLK|clk|gated|Q) ", line)
         ]
     return mutants
 
@@ -344,7 +347,7 @@ def judged_by_lanes(mutants: list[Mutant], jobs: list[FrameJob]) -> list[str]:
 
 
 def proven(mutants: list[Mutant]) -> list[bool]:
-    """Return which mutants of one block Yosys proves to be equal to it. Ports of its sub-blocks are ports, too.
+    """Return which mutants of one block Yosys proves to be equal to it. Ports of its sub-blocks are ports, too, except of clock gates.
 
     Equal are all outputs and registers, if they have been for some cycles without an upset. Registers that differ are set
     aside, and the others are compared again, because what a mutant changes may stay inside of the block.
@@ -361,7 +364,7 @@ def proven(mutants: list[Mutant]) -> list[bool]:
 def _unequal(mutants: list[Mutant], aside: list[set[str]]) -> list[set[str] | None]:
     """Return for each mutant the registers that are not proven to be equal to the block's, or None if an output is not."""
     block, folder = mutants[0].block, mutants[0].folder
-    boxes = "read_verilog -lib boxes.v; " if (folder / "boxes.v").stat().st_size else ""
+    boxes = "read_verilog -lib boxes.v; read_verilog gates.v; " if (folder / "boxes.v").stat().st_size else ""
     close = [
         f"hierarchy -top {block}; flatten; expose -evert c:*; memory_map; async2sync; opt_clean; dffunmap; opt_clean"
     ]
@@ -370,7 +373,7 @@ def _unequal(mutants: list[Mutant], aside: list[set[str]]) -> list[set[str] | No
     script[-1] += " gold; tee -o outputs.txt select -list o:*; design -save gold"
     with TemporaryDirectory() as scratch:
         work = Path(scratch)
-        for name in ("boxes.v", "block.il"):
+        for name in ("boxes.v", "gates.v", "block.il"):
             (work / name).write_bytes((folder / name).read_bytes())
         for k, mutant in enumerate(mutants):
             (work / f"aside_{k}.txt").write_text("\n".join([*aside[k], ""]))

@@ -8,6 +8,7 @@ expectations of their own.
 
 import itertools
 import random
+import re
 from collections.abc import Iterator, Sequence
 from typing import Any, TypeAlias
 
@@ -15,12 +16,14 @@ import numpy as np
 
 from coincid.model.contract import registers
 from coincid.model.contract.config import Config
+from coincid.model.contract.counters import COUNTER_NAMES
 from coincid.model.contract.edges import Edges
 from coincid.model.contract.parameters import Sensor
 from coincid.model.contract.registers import DATA_BITS, MODE, WRITABLE
 from coincid.model.contract.registers import Access as Use
 from coincid.model.contract.settings import AUTO_BOUNDS
 from coincid.slices.emit import Emission
+from coincid.slices.netlist import ONE
 from coincid.tb.frame_record import FrameJob
 
 from . import random_cases
@@ -29,14 +32,15 @@ from .lanes import FLIPS, GAP, RESET, Access
 WHOLE = 15  # strobe of a word
 FULL = (1 << DATA_BITS) - 1
 SHORT = 400  # cycles of a frame that is played often
-SWEEP_VALUES, STARTS, RESETS, UPSETS, UPSET_ACCESSES, WIDE, LONG = 40, 20, 100, 5000, 60, 2500, 600
+SWEEP_VALUES, STARTS, RESETS, UPSETS, UPSET_ACCESSES, WIDE, LONG = 40, 20, 100, 2500, 60, 2500, 600
+SCRAMBLES, AHEAD = 5000, 1000
 LIGHTS = 1200  # frames whose light is drawn anew
 TIES = 16  # in a frame, at most
 UPSET_TOGETHER, UPSET_CYCLES = 100, 80  # settings' bits in a part, and how long each is upset
 REFUSAL_CYCLES = 30  # of a start that is refused, with reading and clearing the status, at least
 WIDE_BITS = 9  # of a register whose values a short frame does not reach
 COPIES = ("_plain", "_inverse", "_by_turns", "_turn")  # ends of the names of a voted register's parts
-CONTROL = ("registers", "sequencer", "readout", "controller", "module_0.resets", "module_0.rests")
+CONTROL = ("registers", "sequencer", "readout", "controller")
 RESET_ALL: Access = (0, 0, RESET, 0, 0)
 STATUS, START, ABORT = registers.address("status"), registers.control("start"), registers.control("abort")
 PERIOD = registers.address("period")
@@ -88,6 +92,8 @@ def session(sensor: Sensor, emission: Emission, jobs: Sequence[FrameJob]) -> lis
         *_starts(sensor, short, reads, rng),
         *_resets(short, reads, rng),
         *_upsets(emission, short, reads, rng),
+        *_scrambles(emission, short, rng),
+        *_ahead(emission, jobs, rng),
         *_wide(emission, short, reads, rng),
     ]
 
@@ -274,6 +280,11 @@ def _flip(units: list[list[list[int]]], cycle: int, rng: random.Random) -> Upset
     return rng.choice(rng.choice(rng.choice(units))), cycle, FLIPS
 
 
+def _flips(of: list[int], cycle: int, number: int) -> list[Upset]:
+    """Return upsets of a register's bits that are 1 in a number."""
+    return [(word, cycle, FLIPS) for bit, word in enumerate(of) if number >> bit & 1]
+
+
 def _tie(some: list[list[int]], sources: list[list[int]], cycle: int, rng: random.Random) -> list[Upset]:
     """Return upsets that make one of some registers equal to one of others, except in some low bits."""
     one, other = rng.choice(some), rng.choice(sources)
@@ -281,6 +292,56 @@ def _tie(some: list[list[int]], sources: list[list[int]], cycle: int, rng: rando
     upsets = [(word, cycle, source) for word, source in zip(one, other)]
     upsets += [(word, cycle, FLIPS) for word in one[: max(size - 1, 0)] if rng.random() < 0.5]
     return upsets + [(word, cycle, FLIPS) for word in one[max(size - 1, 0) : size]]
+
+
+def _scrambles(emission: Emission, short: Sequence[FrameJob], rng: random.Random) -> Iterator[Part]:
+    """Frames in which units come into any state: registers that are random, nearly equal to others, or close to a carry."""
+    kinds: dict[str, list[list[list[int]]]] = {}  # a unit that repeats is one of them
+    for name, unit in _units(emission).items():
+        kinds.setdefault(re.sub(r"\d+", "", name), []).append(unit)
+    of_kind = list(kinds.values())
+    one = emission.layout.nets[ONE]
+    for k in range(SCRAMBLES):
+        job = rng.choice(short)
+        upsets: list[Upset] = []
+        for _ in range(rng.choice((1, 2, 4, 8))):
+            cycle = rng.randrange(job.config.frame_cycles + 2 * GAP)
+            unit = rng.choice(rng.choice(of_kind))
+            for of in unit if rng.random() < 0.5 else rng.sample(unit, rng.randrange(1, len(unit) + 1)):
+                match rng.randrange(4):
+                    case 0:
+                        upsets += _tie([of], rng.choice((unit, rng.choice(rng.choice(of_kind)))), cycle, rng)
+                    case 1:
+                        low = rng.randrange(len(of) + 1)
+                        upsets += [(word, cycle, one) for word in of[:low]]
+                        upsets += _flips(of[low:], cycle, rng.getrandbits(len(of)))
+                    case _:
+                        upsets += _flips(of, cycle, rng.getrandbits(len(of)))
+        name, recipe = part("upsets", job, upsets=upsets, after=[RESET_ALL] if k % 2 else [*TOTALS, RESET_ALL])
+        yield name, recipe | ({} if k % 3 else {"config": _far(job.config, rng).with_settings(gating=True)})
+
+
+def _ahead(emission: Emission, jobs: Sequence[FrameJob], rng: random.Random) -> Iterator[Part]:
+    """Frames with counters as after a long time: close to a carry, or to the setting that ends them."""
+    every = kept(emission)
+    counters = [of for name, of in every.items() if ".dpcu." in name and len(of) >= WIDE_BITS]
+    lost = COUNTER_NAMES.index("mg_dropped")
+    short = [job for job in jobs if job.config.frame_cycles < SHORT]
+    led = [job for job in short if job.config.controlled.any()]
+    losing = [job for job in jobs if job.config.frame_cycles < 2 * SHORT and job.expected.counters[:, lost].any()]
+    for k in range(AHEAD):
+        job = rng.choice((losing, led, short)[k % 3])
+        config = job.config if k % 2 else _far(job.config, rng).with_settings(gating=True)
+        begin = rng.randrange(10, 50)
+        upsets: list[Upset] = []
+        for name, setting in (("pulses", "gate_every"), ("steps", "gate_steps")):
+            upsets += _flips(every[f"sequencer.{name}"], begin, max(config.frame[setting] - rng.randrange(1, 4), 0))
+        for of in counters:
+            cycle = rng.randrange(job.config.frame_cycles) if rng.random() < 0.5 else begin
+            full = (1 << rng.choice((rng.randrange(len(of) + 1), len(of)))) - 1
+            upsets += _flips(of, cycle, max((rng.getrandbits(len(of)) | full) - rng.randrange(3), 0))
+        name, recipe = part("wide", job, upsets=upsets)
+        yield name, recipe | {"config": config}
 
 
 def _wide(emission: Emission, short: Sequence[FrameJob], reads: list[Access], rng: random.Random) -> Iterator[Part]:
@@ -298,10 +359,7 @@ def _wide(emission: Emission, short: Sequence[FrameJob], reads: list[Access], rn
         upsets = []
         for of in rng.sample(counting, rng.randrange(1, len(counting))):
             cycle = rng.randrange(20, end)
-            if k % 3:
-                upsets += [(word, cycle, FLIPS) for word in of if rng.random() < 0.5]
-            else:  # nearly full
-                upsets += [(word, cycle, FLIPS) for word in of[rng.randrange(4) :]]
+            upsets += _flips(of, cycle, rng.getrandbits(len(of)) if k % 3 else -1 << rng.randrange(4))  # or nearly full
         for _ in range(rng.randrange(TIES)):
             cycle = rng.choice((rng.randrange(GAP), rng.randrange(end), rng.randrange(end - GAP, end + 2 * GAP)))
             among = controller if k % 4 else counting
@@ -328,7 +386,8 @@ def _long(
     for k in range(LONG):
         job = rng.choice(short)
         end = job.config.frame_cycles
-        upsets = [(word, rng.randrange(20, 60), FLIPS) for word in rng.choice(counters + plan) if rng.random() < 0.5]
+        of = rng.choice(counters + plan)
+        upsets = _flips(of, rng.randrange(20, 60), rng.getrandbits(len(of)))
         for _ in range(rng.randrange(TIES)):
             some = counters if k % 2 else counters + plan
             upsets += _tie(some, counters + plan, rng.randrange(20, end), rng)
