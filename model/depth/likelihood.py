@@ -159,6 +159,7 @@ class _Pixels(NamedTuple):
     touched: np.ndarray
     counted: np.ndarray  # event in which the pixel was hit last
     number: np.ndarray  # of `_count`
+    hit: np.ndarray  # the same
 
 
 class _Rows(NamedTuple):
@@ -258,6 +259,7 @@ def log_likelihood(
             touched=np.zeros((sensor.pixels, bins), np.bool_),
             counted=np.full(sensor.pixels, -1),
             number=np.empty((2, sensor.pixels), np.int64),
+            hit=np.empty(sensor.pixels, np.int64),
         )
         return _add_events(law, own, pixels), pixels
 
@@ -802,7 +804,7 @@ def _add_hits(law, events, e, cluster, alike, pixels, rows, k0, k1):
     stamp, winner = events.stamp[e], events.winner[e]
     cycle, end = stamp // law.phases * law.phases, stamp + law.window
     groups, numbers = offset.shape[1] if len(shares) else 1, pixels.number
-    _count(events.hits, events.winner, e, alike, numbers)
+    hit = pixels.hit[: _count(events.hits, events.winner, e, alike, numbers, pixels.hit)]
     for group in range(-1, groups):  # one at a time, because the pixels of a group share rows; first of all the winner
         begin, own, until, of_row = stamp, stamp, end, np.float32(-1.0)
         if group < 0:
@@ -810,7 +812,7 @@ def _add_hits(law, events, e, cluster, alike, pixels, rows, k0, k1):
         elif len(shares) and group != pixels.minigroup[winner] and offset[e, group] != OFFSET_NONE:
             begin = max(stamp, cycle + offset[e, group] * law.offset)
             own = min(end, cycle + (offset[e, group] + 1) * law.offset)
-        for i in range(len(first)):
+        for i in hit:
             number = numbers[np.int64(group < 0), i]
             if number == 0 or not mask[i] or cluster <= counted[i] < e:
                 continue
@@ -829,8 +831,11 @@ def _add_hits(law, events, e, cluster, alike, pixels, rows, k0, k1):
 
 
 @njit(allocates=False)
-def _count(hits, winner, e, alike, number):
-    """Count how often each pixel was hit without winning, and won, in event e and those alike: int64[2, pixels]."""
+def _count(hits, winner, e, alike, number, hit):
+    """Count how often each pixel was hit without winning, and won, in event e and those alike: int64[2, pixels].
+
+    Write the pixels with a hit to `hit`, and return their number.
+    """
     for i in range(number.shape[1]):
         number[0, i], number[1, i] = 0, 0
     for k in range(len(alike)):
@@ -839,6 +844,12 @@ def _count(hits, winner, e, alike, number):
             number[0, i] += np.int64(hits[x, i // BEAT_BITS] >> np.uint64(i % BEAT_BITS) & np.uint64(1))
         number[0, winner[x]] -= 1
         number[1, winner[x]] += 1
+    n = 0
+    for i in range(number.shape[1]):
+        if number[0, i] or number[1, i]:
+            hit[n] = i
+            n += 1
+    return n
 
 
 @njit(allocates=False, error_model="numpy")

@@ -24,7 +24,7 @@ from ..contract.config import Config
 from .histograms import Events, by_subgroup
 from .likelihood import Grid, Guess, Levels, hits_away, log_likelihood, unheard
 from .patchmatch import Field, doublings, fit_planes, level_on, posterior
-from .seeds import LEAST, Blocks, find_seeds
+from .seeds import LEAST, Blocks, find_seeds, seed_scores
 
 COARSE_SIGMAS = 1.4  # step of the first grid
 COARSE_LIGHTS = np.geomspace(0.02, 40, 7).astype(np.float32)  # photons per pulse
@@ -193,8 +193,9 @@ def _further(
     for k in range(most):
         left[np.abs(middle - taken[:, :, None]) <= apart] = LEAST
         seeds = find_seeds(left, lights, blocks)
+        score = seed_scores(left, lights, seeds, blocks)
         own = np.take_along_axis(left, np.maximum(seeds.bin, 0)[:, :, None], 2)[:, :, 0]
-        there = (seeds.bin >= 0) & (seeds.score > RETURN_SCORE) & (own > RETURN_LEVEL)
+        there = (seeds.bin >= 0) & (score > RETURN_SCORE) & (own > RETURN_LEVEL)
         if not there.any():
             break
         first = _first(np.where(there, seeds.time(step), 0.0), 1, bins)
@@ -202,5 +203,5 @@ def _further(
         planes = fit_planes(field, blocks)
         found[:, :, k] = taken = np.where(there, np.clip(planes.time, 0, times * step), np.nan)
         error[:, :, k] = np.where(there, posterior(field, planes, 0.0, blocks)[1], np.nan)
-        confidence[:, :, k] = np.where(there, 1 - np.minimum(1, times * np.exp(-seeds.score)), 0.0)
+        confidence[:, :, k] = np.where(there, 1 - np.minimum(1, times * np.exp(-score)), 0.0)
     return found, confidence, error

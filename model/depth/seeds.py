@@ -46,13 +46,11 @@ _HOPELESS = np.float32(math.log(PROBABLE))  # log likelihood ratio to the best c
 class Seeds(NamedTuple):
     """Choices of the pixels.
 
-    bin: int64[rows, cols], -1 without a candidate. score: float32[rows, cols], log likelihood ratio of the choice to
-    seeing nothing, including the neighbours' support within limits. others: (bins, probabilities) of all candidates,
-    int64 and float32 [rows, cols, KEPT], the likeliest first, -1 = none.
+    bin: int64[rows, cols], -1 without a candidate. others: (bins, probabilities) of all candidates, int64 and float32
+    [rows, cols, KEPT], the likeliest first, -1 = none.
     """
 
     bin: np.ndarray
-    score: np.ndarray
     others: tuple[np.ndarray, np.ndarray]
 
     def time(self, step: int) -> np.ndarray:
@@ -71,7 +69,6 @@ def find_seeds(level: np.ndarray, light: np.ndarray, blocks: Blocks) -> Seeds:
     rows, cols, _ = level.shape
     bins, tried = (np.full((rows, cols, KEPT), -1, np.int64) for _ in range(2))
     chances, chance = (np.zeros((rows, cols, KEPT), np.float32) for _ in range(2))
-    score = np.zeros((rows, cols), np.float32)
     changed, changing = np.ones((rows, cols), bool), np.ones((rows, cols), bool)
     blocks(partial(_own, level, bins))
     for k in range(ROUNDS):
@@ -79,8 +76,17 @@ def find_seeds(level: np.ndarray, light: np.ndarray, blocks: Blocks) -> Seeds:
         bins, chances, tried, chance = tried, chance, bins, chances
         if k:  # the first round asks other questions
             changed, changing = changing, changed
-    blocks(partial(_score, level, light, bins, chances, True, score))
-    return Seeds(bins[:, :, 0], score, (bins, chances))
+    return Seeds(bins[:, :, 0], (bins, chances))
+
+
+def seed_scores(level: np.ndarray, light: np.ndarray, seeds: Seeds, blocks: Blocks) -> np.ndarray:
+    """float32[rows, cols]: log likelihood ratio of the pixels' choices to seeing nothing, 0 without a candidate.
+
+    It includes the neighbours' support within limits.
+    """
+    score = np.zeros(seeds.bin.shape, np.float32)
+    blocks(partial(_score, level, light, *seeds.others, score))
+    return score
 
 
 @njit
@@ -171,11 +177,11 @@ def _any_near(flags, r, c):
 
 
 @njit
-def _score(level, light, bins, chances, first, score, begin, end):
+def _score(level, light, bins, chances, score, begin, end):
     for r in range(begin, end):
         for c in range(level.shape[1]):
             if bins[r, c, 0] >= 0:
-                score[r, c] = _support(level, light, bins, chances, first, r, c, bins[r, c, 0], _NEVER)
+                score[r, c] = _support(level, light, bins, chances, True, r, c, bins[r, c, 0], _NEVER)
 
 
 @njit
