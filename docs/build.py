@@ -37,7 +37,7 @@ MODULES = {  # page: title, modules
     ),
     "slices": ("Bit slices of any netlist", ("slices", "synthesis", "probe", "waves", "netlist")),
     "tb": ("Simulators and benches", ("replay", "play", "frame_record", "sliced", "cosim", "scoreboard", "stimulus", "toolchain")),
-    "flow": ("Release, synthesis, place and route", ("release", "constraints", "register_files", "synth", "pnr", "gls")),
+    "flow": ("Release, synthesis, place and route", ("release", "async_constraints", "register_files", "synth", "pnr", "gls")),
 }  # fmt: skip
 GALLERY = """Examples
 ========

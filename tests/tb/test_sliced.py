@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The sliced engine beside the whole RTL: many frames at once, faults, and waveforms."""
+"""The sliced engine beside the whole RTL: a drawn sensor, many frames at once, faults, and waveforms."""
 
 import numpy as np
 import pytest
+from hypothesis import strategies as st
 from pywellen import Waveform
 
 from coincid.model.contract.parameters import TOP
@@ -21,10 +22,46 @@ CYCLE_PS = 2000  # of the simulators' clock
 FREE = {"command", "data", "index", "index_before", "at_last", "winner_5_0", "tree.half", "tree.half.count"}
 
 
+@st.composite
+def sensors(draw) -> dict:
+    """Draw a small sensor of any shape."""
+    minigroup = draw(st.sampled_from([(1, 1), (1, 2), (2, 2), (3, 1), (2, 4), (4, 4)]))
+    times = draw(st.sampled_from([(1, 1), (2, 2), (3, 2), (4, 4), (4, 1)]))
+    subgroup = [m * n for m, n in zip(minigroup, times)]
+    while subgroup[0] * subgroup[1] < 16:
+        subgroup[0] *= 2
+    grid = draw(st.sampled_from([(1, 1), (1, 2), (3, 1), (2, 2), (5, 1)]))
+    phases = 1 << draw(st.integers(2, 6))
+    return dict(
+        rows=subgroup[0] * grid[0],
+        cols=subgroup[1] * grid[1],
+        subgroup=subgroup,
+        minigroup=list(minigroup),
+        phases=phases,
+        offset_phases=min(phases, 1 << draw(st.integers(2, 4))),
+        coarse_bits=draw(st.integers(6, 9)),
+        window_max=draw(st.integers(1, 2 * phases)),
+        rearm=draw(st.integers(0, 3)),
+        fifo_depth=draw(st.integers(1, 9)),
+        streams=draw(st.integers(1, grid[0] * grid[1])),
+    )
+
+
 def job(golden: Golden, config, seed: int, kind: str = "always") -> FrameJob:
     edges = random_cases.trouble(config, seed, 12.0)
     ready = random_cases.ready_pattern(seed, kind, config.pulses * config.period + 200)
     return FrameJob(config, edges, golden.frame(config, edges, ready), ready)
+
+
+def test_a_drawn_sensor_equals_icarus(tmp_path):
+    sensor = random_cases.drawn(sensors(), 5)[1]
+    configs = random_cases.drawn(random_cases.configurations(sensor, frames_max=1), 6)
+    golden = Golden(configs[0].sensor)
+    kinds = random_cases.READY_KINDS
+    jobs = [job(golden, config, k, kinds[k % len(kinds)]) for k, config in enumerate(configs)]
+    for engine in ("sliced", "icarus"):
+        records, _ = play(jobs, engine, tmp_path / engine)
+        assert all(record.checked for record in records)
 
 
 @pytest.mark.parametrize("threads", [1, 3])
