@@ -30,15 +30,17 @@ class Phase(enum.Enum, shape=2):  # type: ignore[call-arg]  # Amaranth's enumera
 
 
 class Ends:
-    """The lowest and the highest one of some bits: whether there are one, two and more, and the bits between them."""
+    """The lowest and the highest one of some bits, one-hot; whether there are one, two and more; and the bits between them."""
 
     def __init__(self, m: Module, bits: Value, name: str):
         self.bits, self.name = bits, name
-        self.between = Signal(len(bits), name=f"{name}_between")
+        size = len(bits)
+        self.low, self.high = Signal(size, name=f"{name}_low"), Signal(size, name=f"{name}_high")
+        self.between = Signal(size, name=f"{name}_between")
         self.one, self.two, self.more = counted(m, bits, f"{name}_count")
-        self.above = up_to(m, bits, f"{name}_up") << 1  # places above the lowest one
-        self.below = up_to(m, bits[::-1], f"{name}_down")[::-1] >> 1
-        m.d.comb += self.between.eq(bits & self.above & self.below)
+        above = up_to(m, bits, f"{name}_up") << 1  # places above the lowest one
+        below = up_to(m, bits[::-1], f"{name}_down")[::-1] >> 1
+        m.d.comb += [self.low.eq(bits & ~above), self.high.eq(bits & ~below), self.between.eq(bits & above & below)]
 
     def places(self, m: Module, width: int) -> Value:
         """Return the numbers of the lowest and of the highest one; they do not wait for the one-hot forms."""
@@ -47,13 +49,10 @@ class Ends:
 
     def values(self, m: Module, items: list[Value], name: str) -> Value:
         """Return those of the items that stand at the lowest and at the highest one."""
-        ends = []
-        for end, others in enumerate((self.above, self.below)):
-            one_hot = Signal(len(self.bits), name=f"{name}_at_{end}")
-            m.d.comb += one_hot.eq(self.bits & ~others)
-            chosen = [item & here.replicate(len(item)) for item, here in zip(items, one_hot)]
-            ends.append(any_of(m, chosen, f"{name}_{end}"))
-        return Cat(ends)
+        return Cat(
+            any_of(m, [item & here.replicate(len(item)) for item, here in zip(items, one_hot)], f"{name}_{end}")
+            for end, one_hot in enumerate((self.low, self.high))
+        )
 
 
 class Next:

@@ -138,7 +138,7 @@ MISTAKES: dict[tuple[str, tuple[str, ...], tuple[tuple[str, ...], ...]], dict[st
             "state.fits_ahead.eq(age <= groups.AGE_MAX)",
             "state.fits_ahead.eq(age <= groups.AGE_MAX + 1)",
         ),
-        "pixel-twice": ("state.rest.eq(of_rest.between)", "state.rest.eq(state.rest & of_rest.above)"),
+        "pixel-twice": ("state.rest.eq(of_rest.between)", "state.rest.eq(of_rest.between | of_rest.high)"),
     },
     ("hdl/packer.py", ("packer",), (FRAMES,)): {
         "beat-one-bit-short": (
