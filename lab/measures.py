@@ -13,7 +13,7 @@ from attrs import frozen
 from ..model.contract.config import Config
 from ..model.contract.groups import FIRST_PIXELS, PAYLOAD_BITS, group_widths
 from ..model.contract.packet import BEAT_BITS, FORMATS, RECORD, layout
-from ..model.depth.quality import OTHER_SURFACE_M, TOLERANCE_M, range_error, wrong_pixels, wrong_share
+from ..model.depth.quality import OTHER_SURFACE_M, TOLERANCE_M, off_surfaces, range_error, wrong_pixels, wrong_share
 from ..model.shared.constants import SUCCESS_TOLERANCE_S
 
 Number: TypeAlias = int | float | None
@@ -39,6 +39,12 @@ def _dropped_share(frame: Frame) -> float | None:
 
 def _wrong(tolerance_m: float) -> Callable[[Frame], float | None]:
     return lambda frame: wrong_share(frame.depth_m, frame.truth_m, tolerance_m) if _known(frame).any() else None
+
+
+def _off_surface(frame: Frame) -> float | None:
+    known = _known(frame)
+    off = off_surfaces(frame.depth_m[known], frame.run.scene.surfaces_m[known])
+    return float(off.mean()) if len(off) else None
 
 
 def _known(frame: Frame) -> np.ndarray:
@@ -109,6 +115,11 @@ _SWEPT: dict[str, tuple[type, str, Callable[[Frame], Number]]] = {
         lambda frame: float(frame.beats.max()) / frame.config.frame_cycles,
     ),
     "wrong_share": (float, f"share of pixels without depth, or off by more than {_PAPERS}", _wrong(TOLERANCE_M)),
+    "off_surface_share": (
+        float,
+        f"share of pixels without depth, or off by more than {_PAPERS} from every surface that they see",
+        _off_surface,
+    ),
     "depth_share": (float, "share of pixels with depth", _depth_share),
     "bias_m": (float, "mean error of range, pixels with depth", _error(0)),
     "rms_m": (float, "RMS error of range, pixels with depth", _error(1)),

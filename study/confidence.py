@@ -21,11 +21,12 @@ from ..lab.setup import SETTLING, Setup
 from ..model.depth.arrivals import SYSTEM_FWHM_S
 from ..model.depth.belief import LAW, chance_of_right
 from ..model.depth.estimate import METHODS, find_returns
-from ..model.depth.quality import wrong_pixels
+from ..model.depth.quality import off_surfaces, wrong_pixels
 from ..model.scenes.scene import Scene
 from ..model.scenes.transient import dominant_surface_m
 from ..model.shared.constants import SPEED_OF_LIGHT_M_S
 from ..model.shared.markdown import table
+from ..model.shared.threads import Threads
 from .palette import GREY
 from .plot_style import new_figure, save_figure, style
 from .surfaces import analytic_scenes
@@ -48,6 +49,7 @@ REAL: tuple[tuple[str, float, dict[str, float], int], ...] = (  # scene, klux, f
     ("tunnel", 100.0, {"link_gbps": 8.0}, 3),
 )
 REAL_SEEDS, REAL_COUNT = (1, 2, 3), 2  # how often each of them counts
+RAY_TRACED, RAY_KLUX, RAY_SEEDS = ("five-objects", "glass", "fog"), 50.0, range(101, 104)  # tried
 EASE = 1e-3  # weight of the prior that all weights are 0
 ROUNDS = 30
 NINETY = (0.85, 0.95)  # confidences that count as 90 %
@@ -56,10 +58,14 @@ PICTURE = Path(__file__).resolve().parents[1] / "docs" / "images" / "depth_confi
 
 
 class Seen(NamedTuple):
-    """Pixels of a run with depth and truth, by method: features of the law, float64[n, features]; right, bool[n]."""
+    """Pixels of a run with depth and truth, by method: features of the law, float64[n, features]; right, bool[n].
+
+    on_surface: bool[n], right, or on another surface that the pixel sees.
+    """
 
     features: dict[str, np.ndarray]
     right: dict[str, np.ndarray]
+    on_surface: dict[str, np.ndarray]
 
 
 def random_setup(seed: int) -> Setup:
@@ -121,16 +127,19 @@ def look(run: Run) -> Seen:
     """Return what the law sees of the last frame."""
     right_m, frame = truth_m(run.scene), run.config.frames - 1
     tick_m = run.config.tick_s * SPEED_OF_LIGHT_M_S / 2
-    features, right = {}, {}
+    features, right, on_surface = {}, {}, {}
     for method in METHODS:
-        found = find_returns(
-            run.result, run.config, method, "map", frame, returns=1, workers=1, system_fwhm_s=SYSTEM_FWHM_S
-        )
-        signs = found.signs(run.config)
+        with Threads(1) as alone:
+            found = find_returns(
+                run.result, run.config, method, "map", frame, returns=1, threads=alone, system_fwhm_s=SYSTEM_FWHM_S
+            )
+            signs = found.signs(run.config, alone)
         known = signs.known & ~np.isnan(right_m)
         features[method] = signs.features[known]
-        right[method] = ~wrong_pixels(found.ticks[:, :, 0] * tick_m, right_m)[known]
-    return Seen(features, right)
+        depth_m = found.ticks[:, :, 0] * tick_m
+        right[method] = ~wrong_pixels(depth_m, right_m)[known]
+        on_surface[method] = ~off_surfaces(depth_m, run.scene.surfaces_m)[known]
+    return Seen(features, right, on_surface)
 
 
 def law(seen: Sequence[Seen], method: str) -> np.ndarray:
@@ -206,17 +215,33 @@ def tried() -> dict[str, list[Setup]]:
     }
 
 
+def ray_traced() -> dict[str, list[Setup]]:
+    """Return setups of scenes whose pixels see several surfaces, by their name in the table; the light has seeds of its own."""
+    return {
+        f"ray:{name}": [
+            Setup.of(f"ray:{name}", sensor={"rows": SIDE, "cols": SIDE}, klux=RAY_KLUX, seed=seed, estimators=())
+            for seed in RAY_SEEDS
+        ]
+        for name in RAY_TRACED
+    }
+
+
 def main(picture: Path) -> None:
     with Processes() as run:
         looked = list(campaign({seed: random_setup(seed) for seed in SET}, look, run).values())
         looked += REAL_COUNT * list(campaign(dict(enumerate(real_setups())), look, run).values())
-        groups = tried()
-        unseen = campaign({(name, k): one for name, group in groups.items() for k, one in enumerate(group)}, look, run)
+        unseen, rays = (
+            {name: list(campaign(dict(enumerate(group)), look, run).values()) for name, group in groups.items()}
+            for groups in (tried(), ray_traced())
+        )
     for method in METHODS:
         print(f'    "{method}": ({", ".join(f"{weight:.3g}" for weight in law(looked, method))}),')
-    by_name = {name: [unseen[name, k] for k in range(len(group))] for name, group in groups.items()}
-    print("\n".join(table(("scene", *METHODS), rows(by_name | {"all": list(unseen.values())}))))
-    draw(list(unseen.values()), picture)
+    everything = [one for group in unseen.values() for one in group]
+    any_surface = {
+        f"{name}, any surface": [one._replace(right=one.on_surface) for one in group] for name, group in rays.items()
+    }
+    print("\n".join(table(("scene", *METHODS), rows(unseen | {"all": everything} | rays | any_surface))))
+    draw(everything, picture)
 
 
 if __name__ == "__main__":

@@ -14,6 +14,7 @@ VERILATOR = ("--cc", *toolchain.VERILATOR_OPTIONS)
 COMPILER = ("g++", "-std=gnu++20", "-fPIC")
 SLOW = "__Slow.cpp"  # ends the names of files that only the first evaluation needs
 RUN_TIME = ("verilated.cpp", "verilated_threads.cpp")
+UNOPTIMISED = "-O0"  # for what hardly runs
 
 
 def include() -> list[str]:
@@ -40,7 +41,7 @@ def verilated_unit(
         slow = {name for name in names if name.endswith(SLOW)}
         with ThreadPoolExecutor() as pool:  # two files for the compiler, because many small ones take twice as long
             fast = pool.submit(_compiled, scratch, run, "fast.cpp", names - slow, optimise)
-            _compiled(scratch, run, "slow.cpp", slow, "-O0")
+            _compiled(scratch, run, "slow.cpp", slow, UNOPTIMISED)
             fast.result()
         for path in scratch.iterdir():
             if path.suffix not in (".h", ".o"):
@@ -51,10 +52,10 @@ def verilated_unit(
 
 def run_time() -> Path:
     """Return the folder with Verilator's run-time library, the same one for every unit."""
-    key = digest(str(toolchain.verilator()), *COMPILER, *RUN_TIME)
+    key = digest(str(toolchain.verilator()), *COMPILER, *RUN_TIME, UNOPTIMISED)
     return compile_once(
         build_root() / "verilated" / f"run-time-{key}",
-        lambda scratch, run: _compiled(scratch, run, "all.cpp", RUN_TIME, "-O1"),
+        lambda scratch, run: _compiled(scratch, run, "all.cpp", RUN_TIME, UNOPTIMISED),
     )
 
 

@@ -6,6 +6,7 @@ record; then the tests of the golden model must pass.
 """
 
 import importlib.util
+import signal
 import sys
 from itertools import groupby
 from pathlib import Path
@@ -14,6 +15,7 @@ import numpy as np
 import pytest
 
 GOLDEN_TESTS = Path(__file__).parent / "golden"
+FRAME_SECONDS = 10  # a mutant that takes longer for a frame hangs; the process then ends with a failure
 PYTEST_OPTIONS = ("-q", "-x", "-p", "no:randomly", "-p", "no:xdist", "-p", "no:cacheprovider", "--hypothesis-seed=0")
 
 
@@ -33,8 +35,11 @@ def differs(jobs: Path) -> bool:
     recorded, _ = load_job(jobs)
     for sensor, of_sensor in groupby(recorded, key=lambda job: job.config.sensor):
         golden = Golden(sensor)
-        if not all(_equal(golden.frame(job.config, job.edges, job.ready), job.expected) for job in of_sensor):
-            return True
+        for job in of_sensor:
+            signal.alarm(FRAME_SECONDS)
+            if not _equal(golden.frame(job.config, job.edges, job.ready), job.expected):
+                return True
+    signal.alarm(0)
     return False
 
 

@@ -17,6 +17,7 @@ from ..contract.config import Config
 from ..contract.packet import BEAT_BITS
 from ..shared.compiled import njit
 from ..shared.constants import SPEED_OF_LIGHT_M_S
+from ..shared.threads import Threads
 from .histograms import Events, by_subgroup, pixel_image
 
 BELIEVED_MIN = 0.5  # confidence
@@ -118,22 +119,27 @@ def find_signs(
     ticks: np.ndarray,
     sure: np.ndarray,
     everywhere: bool,
+    threads: Threads,
 ) -> Signs:
     """Return the signs of first returns.
 
     pulses: number of pulses in which the events came. ticks, sure: float64[rows, cols], NaN = none; how sure the estimator
-    is. everywhere: it takes all events of a subgroup for each of its pixels.
+    is. everywhere: it takes all events of a subgroup for each of its pixels. The number of threads does not change the
+    result.
     """
     sensor, reach = config.sensor, REACH_SIGMAS * sigma_ticks
     time = by_subgroup(ticks, sensor)
     total, near, other = (np.zeros(time.shape, np.int64) for _ in range(3))
-    for s in range(sensor.subgroups):
+
+    def count(s: int) -> None:
         rows = slice(events.bounds[s], events.bounds[s + 1])
         order = np.argsort(events.stamp[rows], kind="stable")
         first, until = time[s] - reach - events.window[s], time[s] + reach
         span = int(events.window[s] + 2 * reach)
         stamp, hits = events.stamp[rows][order], events.hits[rows][order]
         _count(stamp, hits, everywhere, first, until, span, total[s], near[s], other[s])
+
+    threads.map(count, range(sensor.subgroups))
     start, end = (edge[:, None] for edge in _gates(config))
     by_chance = (events.window[:, None] + 2 * reach) / np.maximum(end - start, 1)  # share of the hits of background
     lost = (events.committed - np.diff(events.bounds)) / np.maximum(events.committed, 1)

@@ -17,6 +17,7 @@ from ..shared.constants import SPEED_OF_LIGHT_M_S, SUCCESS_TOLERANCE_S
 from ..shared.errors import check_integer
 from ..shared.files import FilePath, write_npz
 from ..shared.quantities import check_choice
+from ..shared.threads import Threads
 from .arrivals import SYSTEM_FWHM_S, pulse_sigma_ticks
 from .belief import SENTENCES, Reason, Signs, believe, find_signs
 from .histograms import Events, frame_events, frame_records, minigroup_step_ticks, pixel_image, subgroup_histograms
@@ -93,7 +94,7 @@ def estimate_depth(
     returns : int
         Number of surfaces per pixel, 1 to 8.
     workers : int or None
-        Threads of `planes`; None is one per core. The number does not change the result.
+        Threads; None is one per core. The number does not change the result.
     system_fwhm_s : float
         FWHM of laser pulse and jitter combined, in seconds.
 
@@ -106,11 +107,13 @@ def estimate_depth(
     InputError
         If an argument is out of range.
     """
-    found = find_returns(
-        arrays, config, method, source, frame, returns=returns, workers=workers, system_fwhm_s=system_fwhm_s
-    )
+    with Threads(workers) as threads:
+        found = find_returns(
+            arrays, config, method, source, frame, returns=returns, threads=threads, system_fwhm_s=system_fwhm_s
+        )
+        signs = found.signs(config, threads)
     tick_m, confidence = config.tick_s * SPEED_OF_LIGHT_M_S / 2, found.sure.copy()
-    confidence[:, :, 0], reason = believe(found.signs(config), config, method)
+    confidence[:, :, 0], reason = believe(signs, config, method)
     error_m, slope_m = (None if part is None else part * tick_m for part in (found.error, found.slope))
     return Depth(found.ticks * tick_m, confidence, reason, error_m, slope_m)
 
@@ -131,10 +134,10 @@ class Found(NamedTuple):
     sigma_ticks: float
     everywhere: bool
 
-    def signs(self, config: Config) -> Signs:
+    def signs(self, config: Config, threads: Threads) -> Signs:
         """Return what speaks for and against the first returns."""
         ticks, sure = self.ticks[:, :, 0], self.sure[:, :, 0]
-        return find_signs(self.events, config, self.sigma_ticks, self.pulses, ticks, sure, self.everywhere)
+        return find_signs(self.events, config, self.sigma_ticks, self.pulses, ticks, sure, self.everywhere, threads)
 
 
 def find_returns(
@@ -145,10 +148,10 @@ def find_returns(
     frame: int | None,
     *,
     returns: int,
-    workers: int | None,
+    threads: Threads,
     system_fwhm_s: float,
 ) -> Found:
-    """Find the returns of every pixel; arguments and errors as in `estimate_depth`."""
+    """Find the returns of every pixel; the other arguments and errors as in `estimate_depth`."""
     check_choice("method", method, tuple(METHODS))
     check_integer("returns", returns, 1, RETURNS_MAX)
     sigma_ticks = pulse_sigma_ticks(config, system_fwhm_s)
@@ -162,7 +165,7 @@ def find_returns(
             pulses,
             tolerance_ticks=SUCCESS_TOLERANCE_S / config.tick_s,
             returns=returns,
-            workers=workers,
+            threads=threads,
         )
         parts = surfaces.time, surfaces.confidence, surfaces.error, surfaces.slope
         return Found(*parts, events, pulses, sigma_ticks, everywhere=False)

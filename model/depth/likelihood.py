@@ -27,7 +27,7 @@ All likelihoods are relative to a pixel that sees no surface, whose hits are bac
 
 import math
 from collections.abc import Callable, Iterable
-from functools import cache, partial
+from functools import cache, lru_cache, partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -40,7 +40,7 @@ from ..contract.pixels import pixel_table
 from ..contract.windows import armed_cycle, close_cycle
 from ..shared.compiled import njit
 from .histograms import Events, by_subgroup
-from .vector_math import fast_exp, fast_log
+from .vector_math import fast_exp, fast_log, top_of
 
 REACH_SIGMAS = 4.0  # from the centre of a pulse to its beginning and end
 DEAD_S = 8e-9  # dead time of a SPAD (paper II)
@@ -55,6 +55,7 @@ LIGHT_FLOOR = 0.01  # share of the pixels that is assumed for a light that no pi
 LEARNING_ROUNDS = 30  # in which the shares of the lights converge
 LIGHT_SPAN = 4.0  # lights more than so many times from those of a subgroup's seeds are left out
 NEGLIGIBLE = -1.0  # log likelihood ratio below which averaging over the lights is not worth its exponentials
+KEPT = 32  # tables of F, at most: those of the next frame are mostly the same
 BLOCK = 32  # times that are averaged together
 ALIKE = 0.2  # pixels of a minigroup are treated alike if their probabilities to have been first differ by less
 
@@ -118,7 +119,7 @@ class _Law(NamedTuple):
     noise: float  # background photons per tick and pixel
     alive: np.float32  # share of the pulses in which background has not fired the pixel yet
     pulses: int
-    heard: np.ndarray  # float32[2, times * lights]: chance that a photon makes an event, otherwise and while dropping
+    heard: np.ndarray  # float32[kinds, times * lights]: chance that a photon makes an event; also that while dropping
     sharp: np.ndarray  # the same: chance that it makes the stamp of an event earlier
     margin: int
     fired: np.ndarray  # of `_fired`
@@ -218,15 +219,16 @@ def log_likelihood(
     origins = np.clip(first.min(axis=1), 0, times - 1)
     spans = np.clip(first.max(axis=1) + bins, origins + 1, times) - origins
     chosen = [_lights_near(guess, s, config.mask[s], grid.lights) for s in range(sensor.subgroups)]
-    fired = cache(partial(_fired, sigma_ticks, reach, grid.step, int(spans.max())))
+    fired = partial(_fired, sigma_ticks, reach, grid.step, 1 << int(spans.max() - 1).bit_length())
 
     def evidence(s: int) -> tuple[np.ndarray, _Pixels]:
         lights, origin, span = grid.lights[chosen[s]], int(origins[s]), int(spans[s])
         noise = max(events.photon_rate[s] / sensor.pixels, QUIET_RATE)
         alive = np.float32(1 - min(BLIND_MAX, noise * DEAD_S / config.tick_s))
-        window = int(events.window[s])
+        window, own = int(events.window[s]), of_subgroup[s]
+        kinds = 1 + int(own.overrun.any())
         heard, sharp = (
-            _heard(chance[:, s], never.every, origin, span, grid.step, len(lights), alive)
+            _heard(chance[:kinds, s], never.every, origin, span, grid.step, len(lights), alive)
             for chance in (never.missed, never.blind)
         )
         margin, table = fired(tuple(lights.tolist()))
@@ -247,7 +249,6 @@ def log_likelihood(
             margin=margin,
             fired=table,
         )
-        own = of_subgroup[s]
         if guess is not None and offsets:
             own = own._replace(shares=_first_shares(law, own, minigroup, guess.time[s], guess.light[s], sigma_ticks))
         pixels = _Pixels(
@@ -325,6 +326,7 @@ def _gain(chance, share):
     return gain
 
 
+@lru_cache(KEPT)
 def _fired(sigma_ticks: float, reach: int, step: int, span: int, lights: tuple[float, ...]) -> tuple[int, np.ndarray]:
     """Return a margin, and F for ticks u and times t of a grid: float32[step * columns * lights], by row and column.
 
@@ -349,6 +351,7 @@ def _gate_opens(events: Events, config: Config) -> np.ndarray:
     return np.where(config.gating[subgroup], opens, 0)
 
 
+@lru_cache(1)  # grids of a frame follow each other
 def _by_subgroup(events: Events, config: Config, pulses: int, reach: int, offsets: bool) -> list[_Events]:
     """Return the events of each subgroup, without shares. offsets: are they used? Then no event is like another."""
     sensor = config.sensor
@@ -654,25 +657,27 @@ def _hit(hits, e, i):
 
 
 @njit
-def hits_away(stamp, hits, time, near):
-    """int64[pixels]: hits of each pixel in events whose stamp is not `near` the pixel's time, or whose time is NaN."""
-    number = np.zeros(len(time), np.int64)
-    for e in range(len(stamp)):
-        for i in range(len(time)):
-            number[i] += np.int64(_hit(hits, e, i) and not abs(stamp[e] - time[i]) < near)
+def hits_away(stamp, hits, bounds, time, near):
+    """int64[subgroups, pixels]: each pixel's hits in events whose stamp is not `near` the pixel's time, or whose time is NaN."""
+    number = np.zeros(time.shape, np.int64)
+    for s in range(len(time)):
+        of_subgroup, times = number[s], time[s]
+        for e in range(bounds[s], bounds[s + 1]):
+            for i in range(len(times)):
+                of_subgroup[i] += np.int64(_hit(hits, e, i) and not abs(stamp[e] - times[i]) < near)
     return number
 
 
 @njit
 def _heard(silent, every, origin, span, step, lights, alive):
-    """float32[2, span * lights]: `_Law.heard` or `_Law.sharp`; silent: float32[2, points], the part of `Unheard` for it."""
-    heard = np.empty((2, span * lights), np.float32)
+    """float32[kinds, span * lights]: `_Law.heard` or `_Law.sharp`; silent: float32[kinds, points], as in `Unheard`."""
+    heard = np.empty((len(silent), span * lights), np.float32)
     last = silent.shape[1] - 1
     for k in range(span):
         place = min(max(((origin + k) * step + step // 2 + 0.5) / every - 0.5, 0.0), float(last))
         before = int(place)
         after, part = min(before + 1, last), np.float32(place - before)
-        for kind in range(2):
+        for kind in range(len(silent)):
             share = silent[kind, before] + part * (silent[kind, after] - silent[kind, before])
             for j in range(k * lights, (k + 1) * lights):
                 heard[kind, j] = alive * (np.float32(1) - share)
@@ -700,9 +705,9 @@ def _add_events(law, events, pixels):
     since, since_pulse = np.int64(0), np.int64(0)  # typed, so that nothing compiles twice
     for e in range(n):
         if events.since[e] == NEVER:
-            k0, _ = _reached(law, events, e, e, times)
+            k0, _ = _reached(law, events.quiet[e], armed[e], times)
             _add_silence(silent[np.int64(overrun[e])], since_pulse, since, pulse[e], k0)
-        _, since = _reached(law, events, e, e, times)
+        _, since = _reached(law, events.quiet[e], armed[e], times)
         since_pulse = pulse[e]
     for run in range(len(events.alike) - 1):
         alike = events.clusters[events.alike[run] : events.alike[run + 1]]
@@ -710,22 +715,20 @@ def _add_events(law, events, pixels):
         end = begin + 1
         while end < n and events.since[end] != NEVER:
             end += 1
-        k0, k1 = _reached(law, events, begin, end - 1, times)
+        k0, k1 = _reached(law, events.quiet[begin], armed[end - 1], times)
         while k0 < k1 and wanted[k0 + 1] == wanted[k0]:
             k0 += 1
         while k1 > k0 and wanted[k1] == wanted[k1 - 1]:
             k1 -= 1
         if k0 >= k1:
             continue
-        for j in range(k0 * lights, k1 * lights):
-            rows.lost[j], rows.before[j] = 0, 0
+        here = slice(k0 * lights, k1 * lights)
+        rows.lost[here], rows.before[here] = 0, 0
         for e in range(begin, end):
             _lose(law, events, e, rows.lost, k0, k1)
         if not (overrun[end] if end < n else overrun[n - 1]):
             _lose_after(law, armed[end - 1], rows.lost, k0, k1)
-        for j in range(k0 * lights, k1 * lights):
-            rows.unseen[j] = fast_log(max(np.float32(RARE), np.float32(1) - rows.lost[j]))
-            common[j] += frequency * rows.unseen[j]
+        _not_lost(rows.lost[here], frequency, rows.unseen[here], common[here])
         for e in range(begin, end):
             _add_hits(law, events, e, begin, alike, pixels, rows, k0, k1)
             if e + 1 < end:
@@ -733,21 +736,22 @@ def _add_events(law, events, pixels):
     _add_silence(silent[np.int64(n > 0 and overrun[n - 1])], since_pulse, since, law.pulses, 0)
     always = _fired_by(law, -NEVER, 0)
     always_fired = law.fired[always : always + times * lights]
-    for dropping in range(2):
+    for dropping in range(len(law.heard)):
         number = 0
         for k in range(times):
             number += silent[dropping, k]
-            for j in range(k * lights, (k + 1) * lights) if number else range(0):
-                unheard = max(np.float32(RARE), np.float32(1) - law.heard[dropping, j] * always_fired[j])
-                common[j] += np.float32(number) * fast_log(unheard)
+            rows.lost[k * lights : (k + 1) * lights] = number
+        for j in range(len(common)):
+            unheard = np.float32(1) - law.heard[dropping, j] * always_fired[j]
+            common[j] += rows.lost[j] * fast_log(max(np.float32(RARE), unheard))
     return common
 
 
 @njit(allocates=False)
-def _reached(law, events, first, last, times):
-    """Return the times on which events of a pulse bear, the first one and the one after the last."""
-    k0 = (events.quiet[first] - law.reach) // law.step - law.origin
-    k1 = (events.armed[last] + law.reach) // law.step + 1 - law.origin
+def _reached(law, begin, end, times):
+    """Return the times of surfaces whose photons come between two ticks, the first one and the one after the last."""
+    k0 = (begin - law.reach) // law.step - law.origin
+    k1 = (end + law.reach) // law.step + 1 - law.origin
     return min(times, max(0, k0)), min(times, max(0, k1))
 
 
@@ -797,12 +801,21 @@ def _lose_after(law, armed, lost, k0, k1):
 
 
 @njit(allocates=False)
+def _not_lost(lost, frequency, unseen, common):
+    """Compute `unseen` from `lost`, and add it to `common` so many times."""
+    for j in range(len(lost)):
+        unseen[j] = fast_log(max(np.float32(RARE), np.float32(1) - lost[j]))
+        common[j] += frequency * unseen[j]
+
+
+@njit(allocates=False)
 def _add_hits(law, events, e, cluster, alike, pixels, rows, k0, k1):
     """Add what event e, and single events `alike` it, say about the pixels in their maps; pixels of a kind share a row."""
     mask, activity, first, counted = pixels.mask, pixels.activity, pixels.first, pixels.counted
     bins, offset, shares = pixels.touched.shape[1], events.offset, events.shares
     stamp, winner = events.stamp[e], events.winner[e]
     cycle, end = stamp // law.phases * law.phases, stamp + law.window
+    k0 = max(k0, _reached(law, events.known[e], end, k1)[0])  # earlier surfaces, before which a hit is like none
     groups, numbers = offset.shape[1] if len(shares) else 1, pixels.number
     hit = pixels.hit[: _count(events.hits, events.winner, e, alike, numbers, pixels.hit)]
     for group in range(-1, groups):  # one at a time, because the pixels of a group share rows; first of all the winner
@@ -903,15 +916,17 @@ def _of_lights(common, pixels, known, chance):
         low, high = max(0, -first[i]), min(bins, times - first[i])
         if not known[i] or high <= low:
             continue
-        top = np.float32(-np.inf)
         for k in range(low, high):
-            for j in range(k * lights, (k + 1) * lights):
-                line[j] = common[first[i] * lights + j]
-                if touched[i, k]:
-                    line[j] += total[i, j]
-                top = max(top, line[j])
-        for j in range(low * lights, high * lights):
-            line[j] = fast_exp(line[j] - top)
+            if not touched[i, k]:
+                touched[i, k] = True
+                total[i, k * lights : (k + 1) * lights] = 0
+        here = common[(first[i] + low) * lights : (first[i] + high) * lights]
+        own, of_pixel = total[i, low * lights : high * lights], line[low * lights : high * lights]
+        for j in range(len(own)):
+            of_pixel[j] = here[j] + own[j]
+        top = top_of(of_pixel)
+        for j in range(len(own)):
+            of_pixel[j] = fast_exp(of_pixel[j] - top)
         for k in range(low, high):
             for x in range(lights):
                 chance[i, x] += line[k * lights + x]
@@ -924,7 +939,7 @@ def _over_lights(common, pixels, prior, lightest, place, level, light):
     lightest: index of the first light in the grid. `common` is used up.
     """
     total, touched, mask, first = pixels.total, pixels.touched, pixels.mask, pixels.first
-    lights, bins = len(prior), touched.shape[1]
+    lights = len(prior)
     times = len(common) // lights
     work = np.zeros((lights, BLOCK), np.float32), np.zeros(BLOCK, np.float32), np.zeros(BLOCK, np.float32)
     best = np.zeros(BLOCK, np.int32)
@@ -937,26 +952,43 @@ def _over_lights(common, pixels, prior, lightest, place, level, light):
         end = min(times, k + BLOCK)
         _mean(common[k * lights : end * lights], lightest, work, best, level_of_all[k:end], light_of_all[k:end])
     for i in range(len(total)):
-        p, low, high = place[i], max(0, -first[i]), min(bins, times - first[i])
-        if not mask[i]:
-            high = low
-        for k in range(bins):
-            level[p, k], light[p, k] = 0, 0
-        for k in range(low, high):
-            level[p, k], light[p, k] = level_of_all[first[i] + k], light_of_all[first[i] + k]
-        k = low
-        while k < high:
-            end = k
-            while end < min(high, k + BLOCK) and touched[i, end]:
-                end += 1
-            if end == k:
-                k += 1
-                continue
-            here, own = common[(first[i] + k) * lights : (first[i] + end) * lights], total[i, k * lights : end * lights]
-            for j in range(len(own)):
-                line[j] = here[j] + own[j]
-            _mean(line[: len(own)], lightest, work, best, level[p, k:end], light[p, k:end])
-            k = end
+        if mask[i]:
+            own = total[i], touched[i], first[i], level[place[i]], light[place[i]]
+            _over_lights_of(*own, common, lightest, work, best, level_of_all, light_of_all, line)
+        else:
+            level[place[i]], light[place[i]] = 0, 0
+
+
+@njit(allocates=False)
+def _over_lights_of(
+    total, touched, first, level, light, common, lightest, work, best, level_of_all, light_of_all, line
+):
+    """Compute the levels and lights of a pixel, which are those of all pixels where no event hit it."""
+    lights, bins = len(work[0]), len(touched)
+    low, high = max(0, -first), min(bins, len(level_of_all) - first)
+    high = max(low, high)
+    level[:low], light[:low], level[high:], light[high:] = 0, 0, 0, 0
+    _copy(level_of_all[first + low : first + high], level[low:high])
+    _copy(light_of_all[first + low : first + high], light[low:high])
+    k = low
+    while k < high:
+        end, most = k, min(high, k + BLOCK)
+        while end < most and touched[end]:
+            end += 1
+        if end == k:
+            k += 1
+            continue
+        here, own = common[(first + k) * lights : (first + end) * lights], total[k * lights : end * lights]
+        for j in range(len(own)):
+            line[j] = here[j] + own[j]
+        _mean(line[: len(own)], lightest, work, best, level[k:end], light[k:end])
+        k = end
+
+
+@njit(allocates=False)
+def _copy(source, target):
+    for k in range(len(target)):
+        target[k] = source[k]
 
 
 @njit(allocates=False)
@@ -985,5 +1017,7 @@ def _mean(line, lightest, work, best, level, light):
         for x in range(lights):
             for k in range(BLOCK):
                 ratio[k] += fast_exp(values[x, k] - top[k])
+        for k in range(BLOCK):
+            ratio[k] = fast_log(ratio[k])
         for k in range(n):
-            level[k] = top[k] + (fast_log(ratio[k]) if top[k] > NEGLIGIBLE else np.float32(0))
+            level[k] = top[k] + (ratio[k] if top[k] > NEGLIGIBLE else np.float32(0))

@@ -20,7 +20,7 @@ import numpy as np
 from ..shared.compiled import njit
 from ..shared.quantities import Numbers
 from .seeds import Blocks
-from .vector_math import fast_exp
+from .vector_math import fast_exp, fast_log, top_of
 
 REACHES = 1.3, 2.0, 3.0, 5.0  # pixels: sigma of the Gaussian weight of a pixel's neighbours,
 REACH_TICKS = 2.0, 4.0, 10.0  # selected by the standard deviation of the pixel's own time: borders between the reaches
@@ -41,76 +41,133 @@ SLACK = 1e-3  # of a score: more than its rounding errors
 _NEVER = np.float32(-1e9)
 
 
+# A neighbour of a pixel: from the pixel's place to the neighbour's (see `Field`), pixels to it, and its weight.
+_TAP = np.dtype([("place", np.int64), ("down", np.float64), ("right", np.float64), ("weight", np.float32)], align=True)
+
+
+class Taps(NamedTuple):
+    """Neighbours of a pixel by reach.
+
+    tap: _TAP[reaches, n], those of the highest weight first; number: int64[reaches], those that count.
+    """
+
+    tap: np.ndarray
+    number: np.ndarray
+
+    @classmethod
+    def of(cls, cols: int) -> "Taps":
+        steps = np.arange(-HALF, HALF + 1)
+        down, right = (part.ravel() for part in np.meshgrid(steps, steps, indexing="ij"))
+        weight = np.exp(-0.5 * (down**2 + right**2) / np.array(REACHES)[:, None] ** 2).astype(np.float32)
+        weight[:, (down == 0) & (right == 0)] = 0
+        order = np.argsort(-weight, axis=1, kind="stable")
+        tap = np.empty(weight.shape, _TAP)
+        tap["weight"] = np.take_along_axis(weight, order, 1)
+        tap["place"], tap["down"], tap["right"] = (down * (cols + 2 * HALF) + right)[order], down[order], right[order]
+        return cls(tap, (tap["weight"] >= WEIGHT_MIN).sum(axis=1))
+
+
 class Field(NamedTuple):
     """Likelihoods of the pixels around their seeds, in bins of 1, 2, 4, ... ticks for pulses as many times as wide.
 
-    own: float32[widths, rows, cols, bins], log likelihood relative to `best`, float32[rows, cols]. other: the same
-    shape, what a neighbour adds to a plane's score there. first: int64[widths, rows, cols], tick at which the first bin
-    begins. scale: float64[widths], bins per tick. sigma_ticks: of the laser's pulse. taps: int64[reaches, n, 2] and
-    weights: float32[reaches, n], the neighbours. reach: int64[rows, cols], index of the taps that a pixel uses. left:
-    float32[rows, cols, parts], the most that a part of the taps and those after it can add to a score.
+    Around the array, there is a margin of `HALF` places on which no pixel is, so that all neighbours have a place.
+    own: float32[widths, places, bins], log likelihood relative to `best`, float32[rows, cols]. other: the same shape, what
+    a neighbour adds to a plane's score there. peak: float64[widths, rows, cols], likeliest tick. first: float64[widths,
+    places], tick at which the first bin begins, infinite in the margin. scale: float64[widths], bins per tick. sigma_ticks:
+    of the laser's pulse. reach: int64[rows, cols], index of the taps that a pixel uses. left: float32[rows, cols, parts],
+    the most that a part of the taps and those after it can add to a score.
     """
 
     own: np.ndarray
     best: np.ndarray
     other: np.ndarray
+    peak: np.ndarray
     first: np.ndarray
     scale: np.ndarray
     sigma_ticks: float
-    taps: np.ndarray
-    weights: np.ndarray
+    taps: Taps
     reach: np.ndarray
     left: np.ndarray
 
     @classmethod
-    def of(cls, levels: Sequence[np.ndarray], first: Sequence[np.ndarray], sigma_ticks: float) -> "Field":
-        level = np.stack(levels)
-        best = level.max(axis=(0, 3))
-        of_width = level.max(axis=3, keepdims=True)
-        chance = np.exp(level - of_width)
-        chance /= chance.sum(axis=3, keepdims=True)
-        bins = np.arange(level.shape[3], dtype=np.float32)
-        mean = chance[0] @ bins
-        deviation = np.sqrt(np.maximum(chance[0] @ bins**2 - mean**2, 0))
-        steps = np.arange(-HALF, HALF + 1)
-        dr, dc = (part.ravel() for part in np.meshgrid(steps, steps, indexing="ij"))
-        weights = np.exp(-0.5 * (dr**2 + dc**2) / np.array(REACHES)[:, None] ** 2).astype(np.float32)
-        weights[:, (dr == 0) & (dc == 0)] = 0
-        order = np.argsort(-weights, axis=1, kind="stable")
-        taps = np.stack([dr, dc], axis=1)[order]
-        weights = np.take_along_axis(weights, order, 1)
-        weights[weights < WEIGHT_MIN] = 0
-        other = np.log1p(np.float32(ON_PLANE) * chance * np.exp(of_width - best[:, :, None]))
-        reach = np.searchsorted(REACH_TICKS, deviation)
-        return cls(
-            level - best[:, :, None],
-            best,
-            other,
-            np.stack(first),
-            0.5 ** np.arange(len(level)),
-            sigma_ticks,
-            taps,
-            weights,
-            reach,
-            _left(other.max(axis=(0, 3)), taps, weights, reach),
-        )
+    def of(
+        cls, levels: Sequence[np.ndarray], first: Sequence[np.ndarray], sigma_ticks: float, blocks: Blocks
+    ) -> "Field":
+        """Return the field of levels, float32[rows, cols, bins], and first ticks, int64[rows, cols], by width."""
+        widths, (rows, cols, bins), taps = len(levels), levels[0].shape, Taps.of(levels[0].shape[1])
+        places = (rows + 2 * HALF) * (cols + 2 * HALF)
+        own, other = (np.zeros((widths, places, bins), np.float32) for _ in range(2))
+        best, highest = (np.empty((rows, cols), np.float32) for _ in range(2))
+        peak, begins = np.empty((widths, rows, cols)), np.full((widths, places), np.inf)
+        reach = np.empty((rows, cols), np.int64)
+        left = np.zeros((rows, cols, -(-taps.tap.shape[1] // PART)), np.float32)
+        field = cls(own, best, other, peak, begins, 0.5 ** np.arange(widths), sigma_ticks, taps, reach, left)
+        blocks(partial(_fill, field, np.stack(levels), np.stack(first), highest))
+        blocks(partial(_fill_left, field, highest))
+        return field
 
 
-@njit
-def _left(highest, taps, weights, reach):
-    """Return `Field.left`. highest: float32[rows, cols], the most that a pixel adds as a neighbour."""
-    rows, cols = reach.shape
-    left = np.zeros((rows, cols, -(-weights.shape[1] // PART)), np.float32)
-    for r in range(rows):
+@njit(allocates=False)
+def _place(cols, r, c):
+    return (r + HALF) * (cols + 2 * HALF) + c + HALF
+
+
+@njit(allocates=False)
+def _fill(field, levels, first, highest, begin, end):
+    """Compute all of a field except `left`. highest: float32[rows, cols], the most that a pixel adds as a neighbour."""
+    widths, _, cols, _ = levels.shape
+    for r in range(begin, end):
         for c in range(cols):
-            own, total = reach[r, c], np.float32(0)
-            for j in range(weights.shape[1] - 1, -1, -1):
-                rr, cc = r + taps[own, j, 0], c + taps[own, j, 1]
+            place, best = _place(cols, r, c), _NEVER
+            for k in range(widths):
+                best = max(best, top_of(levels[k, r, c]))
+            field.best[r, c], highest[r, c] = best, 0
+            for k in range(widths):
+                line, other = levels[k, r, c], field.other[k, place]
+                field.first[k, place] = first[k, r, c]
+                field.peak[k, r, c] = first[k, r, c] + (np.argmax(line) + 0.5) / field.scale[k]
+                most = top_of(line)
+                total, deviation = _chances(line, best, most, field.own[k, place], other)
+                if k == 0:
+                    field.reach[r, c] = 0
+                    for border in REACH_TICKS:
+                        field.reach[r, c] += deviation > border
+                _add_one_log(other, np.float32(ON_PLANE) * fast_exp(most - best) / total)
+                highest[r, c] = max(highest[r, c], top_of(other))
+
+
+@njit(allocates=False)
+def _chances(line, best, most, own, other):
+    """Write a line relative to its pixel's best, and its probabilities in a unit of their own; return their sum and deviation."""
+    for j in range(len(line)):
+        own[j], other[j] = line[j] - best, fast_exp(line[j] - most)
+    total, mean, square = np.float32(0), 0.0, 0.0
+    for j in range(len(line)):
+        total += other[j]
+        mean += other[j] * float(j)
+        square += other[j] * float(j) ** 2
+    return total, np.sqrt(max(0.0, float(square / total - (mean / total) ** 2)))
+
+
+@njit(allocates=False)
+def _add_one_log(line, factor):
+    for j in range(len(line)):
+        line[j] = fast_log(np.float32(1) + factor * line[j])
+
+
+@njit(allocates=False)
+def _fill_left(field, highest, begin, end):
+    rows, cols = highest.shape
+    for r in range(begin, end):
+        for c in range(cols):
+            own, total = field.reach[r, c], np.float32(0)
+            for j in range(field.taps.number[own] - 1, -1, -1):
+                tap = field.taps.tap[own, j]
+                rr, cc = r + int(tap.down), c + int(tap.right)
                 if 0 <= rr < rows and 0 <= cc < cols:
-                    total += weights[own, j] * highest[rr, cc]
+                    total += tap.weight * highest[rr, cc]
                 if j % PART == 0:
-                    left[r, c, j // PART] = total
-    return left
+                    field.left[r, c, j // PART] = total
 
 
 class Planes(NamedTuple):
@@ -130,10 +187,9 @@ class Planes(NamedTuple):
 
 def fit_planes(field: Field, blocks: Blocks) -> Planes:
     """Fit the planes of all pixels. blocks: calls a function for (begin, end) of blocks of rows, in any order."""
-    widths, rows, cols, _ = field.own.shape
-    peaks = field.first + (field.own.argmax(axis=3) + 0.5) * 2.0 ** np.arange(widths)[:, None, None]
+    rows, cols = field.best.shape
     planes, tried = Planes.empty(rows, cols), Planes.empty(rows, cols)
-    blocks(partial(_start, field, peaks, planes))
+    blocks(partial(_start, field, planes))
     step, slope = STEP_TICKS, STEP_SLOPE
     for _ in range(ROUNDS):
         blocks(partial(_round, field, planes, tried, step, slope))
@@ -163,16 +219,16 @@ def _level_on(field, planes, level):
     for r in range(rows):
         for c in range(cols):
             width = _width(field, planes.down[r, c], planes.right[r, c])
-            level[r, c] = field.best[r, c] + _level(field, field.own, width, r, c, planes.time[r, c])
+            level[r, c] = field.best[r, c] + _level(field, field.own, width, _place(cols, r, c), planes.time[r, c])
 
 
 @njit(allocates=False)
-def _between(lines, k, r, c, at):
+def _between(lines, k, place, at):
     """Interpolate a pixel's line linearly at a fractional index; return a never-winning value outside."""
-    if not 0 <= at < lines.shape[3] - 1:
+    if not 0 <= at < lines.shape[2] - 1:
         return np.float32(0.0)
-    j = int(at)
-    value, following = lines[k, r, c, np.uint64(j)], lines[k, r, c, np.uint64(j + 1)]  # no indices from the end
+    j = np.int32(at)
+    value, following = lines[k, place, np.uint64(j)], lines[k, place, np.uint64(j + 1)]  # no indices from the end
     return value + np.float32(at - j) * (following - value)
 
 
@@ -201,25 +257,25 @@ def _width(field, down, right):
 
 
 @njit(allocates=False)
-def _bin(field, k, r, c, time):
+def _bin(field, k, place, time):
     """Return where a time is among a pixel's bins of width k: 0 is the middle of the first."""
-    return (time - field.first[k, r, c]) * field.scale[k] - 0.5
+    return (time - field.first[k, place]) * field.scale[k] - 0.5
 
 
 @njit(allocates=False)
-def _inside(field, width, r, c, time):
+def _inside(field, width, place, time):
     """Return whether a time is between the middles of a pixel's bins."""
-    return 0 <= _bin(field, int(width), r, c, time) < field.own.shape[3] - 1
+    return 0 <= _bin(field, int(width), place, time) < field.own.shape[2] - 1
 
 
 @njit(allocates=False)
-def _level(field, lines, width, r, c, time):
+def _level(field, lines, width, place, time):
     """Interpolate a pixel's line at a time and between two widths."""
     k = int(width)
-    value = _between(lines, k, r, c, _bin(field, k, r, c, time))
+    value = _between(lines, k, place, _bin(field, k, place, time))
     if len(field.scale) > 1:
         following = min(k + 1, len(field.scale) - 1)
-        more = _between(lines, following, r, c, _bin(field, following, r, c, time))
+        more = _between(lines, following, place, _bin(field, following, place, time))
         value += np.float32(width - k) * (more - value)
     return value
 
@@ -241,29 +297,33 @@ def _slope_cost(down, right):
 @njit(allocates=False)
 def _score(field, r, c, time, down, right, least):
     """Return the score of a plane at pixel (r, c) and around it, or less than `least` if it is less."""
-    _, rows, cols, _ = field.own.shape
-    width = _width(field, down, right)
-    if not _inside(field, width, r, c, time) or abs(down) > SLOPE_MAX or abs(right) > SLOPE_MAX:
+    width, place = _width(field, down, right), _place(field.best.shape[1], r, c)
+    if not _inside(field, width, place, time) or abs(down) > SLOPE_MAX or abs(right) > SLOPE_MAX:
         return _NEVER
-    total = _level(field, field.own, width, r, c, time)
+    total, left, taps, reach = (
+        _level(field, field.own, width, place, time),
+        field.left[r, c],
+        field.taps,
+        field.reach[r, c],
+    )
+    if total + left[0] < least - SLACK:  # whatever the slopes cost
+        return _NEVER
     total -= _slope_cost(down, right)
-    reach = field.reach[r, c]
-    for j in range(field.weights.shape[1]):
-        weight = field.weights[reach, j]
-        if weight == 0:
-            break
-        if j % PART == 0 and total + field.left[r, c, j // PART] < least - SLACK:
+    number = taps.number[reach]
+    for part in range(0, number, PART):
+        if total + left[part // PART] < least - SLACK:
             return _NEVER
-        rr, cc = r + field.taps[reach, j, 0], c + field.taps[reach, j, 1]
-        if 0 <= rr < rows and 0 <= cc < cols:
-            here = _along(field, time, down * (rr - r) + right * (cc - c))
-            total += weight * _level(field, field.other, width, rr, cc, here)
+        for j in range(part, min(part + PART, number)):
+            tap = taps.tap[reach, j]
+            here = _along(field, time, down * tap.down + right * tap.right)
+            total += tap.weight * _level(field, field.other, width, np.uint64(place + tap.place), here)
     return total
 
 
 @njit(allocates=False)
-def _start(field, peaks, planes, begin, end):
+def _start(field, planes, begin, end):
     """Start each pixel at its likeliest time for one of the widths, with the best of the slopes towards its neighbours."""
+    peaks = field.peak
     widths, rows, cols = peaks.shape
     for r in range(begin, end):
         for c in range(cols):
@@ -324,30 +384,30 @@ def posterior(field: Field, planes: Planes, tolerance_ticks: float, blocks: Bloc
     the pixel's own light rules out all times near its plane, the confidence is 0 and the error NaN.
     """
     confidence, error = np.zeros(planes.time.shape), np.full(planes.time.shape, np.nan)
-    score = np.empty((len(error), 2 * field.own.shape[3] + 1), np.float32)
+    score = np.empty((len(error), 2 * field.own.shape[2] + 1), np.float32)
     blocks(partial(_posterior, field, planes, tolerance_ticks, confidence, error, score))
     return confidence, error
 
 
 @njit(allocates=False)
 def _posterior(field, planes, tolerance, confidence, error, scores, begin, end):
-    bins = field.own.shape[3]
+    bins, cols = field.own.shape[2], planes.time.shape[1]
     for r in range(begin, end):
-        for c in range(planes.time.shape[1]):
+        for c in range(cols):
             time, down, right = planes.time[r, c], planes.down[r, c], planes.right[r, c]
-            width = _width(field, down, right)
+            width, place = _width(field, down, right), _place(cols, r, c)
             low, high = len(scores[r]), 0
             for j in range(len(scores[r])):
                 there = time + j - bins
                 scores[r, j] = _NEVER
-                if _inside(field, width, r, c, there):
-                    own = _level(field, field.own, width, r, c, there)
+                if _inside(field, width, place, there):
+                    own = _level(field, field.own, width, place, there)
                     if own > IMPROBABLE:
                         scores[r, j], low, high = own, min(low, j), j + 1
             if low >= high:
                 continue
             score = scores[r, low:high]
-            _add_neighbours(field, r, c, time + low - bins, down, right, width, score)
+            _add_neighbours(field, field.reach[r, c], place, time + low - bins, down, right, width, score)
             cost, top = _slope_cost(down, right), _NEVER
             for j in range(len(score)):
                 score[j] -= cost
@@ -365,32 +425,28 @@ def _posterior(field, planes, tolerance, confidence, error, scores, begin, end):
 
 
 @njit(allocates=False)
-def _add_neighbours(field, r, c, time, down, right, width, score):
+def _add_neighbours(field, reach, place, time, down, right, width, score):
     """Add what the neighbours say about planes that begin at a time and follow each other by one tick."""
-    _, rows, cols, bins = field.own.shape
-    reach, k = field.reach[r, c], int(width)
-    for j in range(field.weights.shape[1]):
-        weight = field.weights[reach, j]
-        if weight == 0:
-            break
-        rr, cc = r + field.taps[reach, j, 0], c + field.taps[reach, j, 1]
-        if not (0 <= rr < rows and 0 <= cc < cols):
+    bins, taps, k = field.own.shape[2], field.taps, int(width)
+    for j in range(taps.number[reach]):
+        tap = taps.tap[reach, j]
+        there = place + tap.place
+        if field.first[0, there] == np.inf:
             continue
-        by = down * (rr - r) + right * (cc - c)
+        by = down * tap.down + right * tap.right
         here = _along(field, time, by)
         rate = (_along(field, time + len(score), by) - here) / len(score)  # in perspective it hardly changes
         if rate <= 0:  # beyond the plane's horizon
             continue
         for following in range(2 if width > k else 1):
             x = k + following
-            at, step = _bin(field, x, rr, cc, here), rate * field.scale[x]
-            part = weight * np.float32(width - k if following else 1 - (width - k))
+            at, step = _bin(field, x, there, here), rate * field.scale[x]
+            part = tap.weight * np.float32(width - k if following else 1 - (width - k))
             begin = max(0, int(np.ceil(-at / step)))
             end = min(len(score), int(np.ceil((bins - 1 - at) / step)))
             if begin < end:
-                _add_line(
-                    field.other[x, rr, cc], np.float32(at + begin * step), np.float32(step), part, score[begin:end]
-                )
+                line = field.other[x, there]
+                _add_line(line, np.float32(at + begin * step), np.float32(step), part, score[begin:end])
 
 
 @njit(allocates=False)

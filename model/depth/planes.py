@@ -12,15 +12,14 @@ All of this is our own choice. The steps are:
 """
 
 import math
-import os
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 
 import numpy as np
 from attrs import frozen
 
 from ..contract.config import Config
+from ..shared.threads import Threads
 from .histograms import Events, by_subgroup
 from .likelihood import Grid, Guess, Levels, hits_away, log_likelihood, unheard
 from .patchmatch import Field, doublings, fit_planes, level_on, posterior
@@ -60,79 +59,78 @@ def find_surfaces(
     pulses: int,
     *,
     tolerance_ticks: float,
+    threads: Threads,
     returns: int = 1,
-    workers: int | None = None,
 ) -> Surfaces:
-    """Find the surfaces that the pixels see. pulses: number of pulses in which the events came; workers: threads.
+    """Find the surfaces that the pixels see. pulses: number of pulses in which the events came.
 
     The number of threads does not change the result. confidence: probability that the first return is within
     `tolerance_ticks`, and that the others are not accidental.
     """
     sensor = config.sensor
-    with ThreadPoolExecutor(workers or os.cpu_count() or 1) as pool:
 
-        def blocks(function: Callable[[int, int], None]) -> None:
-            begins = range(0, sensor.rows, BLOCK_ROWS)
-            list(pool.map(lambda begin: function(begin, min(sensor.rows, begin + BLOCK_ROWS)), begins))
+    def blocks(function: Callable[[int, int], None]) -> None:
+        begins = range(0, sensor.rows, BLOCK_ROWS)
+        threads.map(lambda begin: function(begin, min(sensor.rows, begin + BLOCK_ROWS)), begins)
 
-        step = max(1, round(COARSE_SIGMAS * sigma_ticks))
-        coarse_lights, fine_lights = down_to(COARSE_LIGHTS, COARSE_HITS / pulses), down_to(LIGHTS, HITS / pulses)
-        coarse = Grid(step, coarse_lights, np.full(len(coarse_lights), -np.log(len(coarse_lights)), np.float32))
-        never = unheard(events, config, pulses, sigma_ticks, pool.map)
-        everywhere = np.zeros((sensor.subgroups, sensor.pixels), np.int64)
-        level, lights, _ = log_likelihood(
-            events,
-            config,
-            sigma_ticks,
-            pulses,
-            coarse,
-            never,
-            everywhere,
-            -(-config.period_ticks // step),
-            spread=pool.map,
+    step = max(1, round(COARSE_SIGMAS * sigma_ticks))
+    coarse_lights, fine_lights = down_to(COARSE_LIGHTS, COARSE_HITS / pulses), down_to(LIGHTS, HITS / pulses)
+    coarse = Grid(step, coarse_lights, np.full(len(coarse_lights), -np.log(len(coarse_lights)), np.float32))
+    never = unheard(events, config, pulses, sigma_ticks, threads.map)
+    everywhere = np.zeros((sensor.subgroups, sensor.pixels), np.int64)
+    level, lights, _ = log_likelihood(
+        events,
+        config,
+        sigma_ticks,
+        pulses,
+        coarse,
+        never,
+        everywhere,
+        -(-config.period_ticks // step),
+        spread=threads.map,
+    )
+    found = find_seeds(level, lights, blocks)
+    chosen = np.maximum(found.bin, 0)[:, :, None]
+    light = np.take_along_axis(lights, chosen, 2)[:, :, 0]
+    seed = found.time(step)
+    guess = Guess(by_subgroup(seed, sensor), coarse_lights[by_subgroup(light, sensor)].astype(np.float64))
+    activity = _activity(events, guess.time, sigma_ticks)
+    bins = round(BINS_SIGMAS * sigma_ticks)
+    middle = np.nan_to_num(seed)
+    first = _first(middle, 1, bins)
+
+    def around(width: int, first: np.ndarray, prior: np.ndarray | None = None) -> Levels:
+        return log_likelihood(
+            events, config, width * sigma_ticks, pulses, Grid(width, fine_lights, prior), never, by_subgroup(first, sensor), bins,
+            activity=activity, guess=guess, spread=threads.map,
+        )  # fmt: skip
+
+    levels = around(1, first)
+    again = partial(around, prior=levels.prior)
+    field = Field.of([levels.level], [first], sigma_ticks, blocks)
+    planes = fit_planes(field, blocks)
+    slanted = doublings(planes.down, planes.right, sigma_ticks) > SLANTED
+    if slanted.mean() > SLANTED_SHARE:
+        wide = _in_perspective(levels.level, middle, again, sigma_ticks, blocks)
+        in_space = fit_planes(wide, blocks)
+        if np.mean(level_on(wide, in_space) - level_on(field, planes)) > SPREAD_GAIN:
+            field, planes = wide, in_space
+    confidence, error = posterior(field, planes, tolerance_ticks, blocks)
+    time = np.clip(planes.time, 0, config.period_ticks)[:, :, None]
+    seen = (found.bin >= 0)[:, :, None]
+    parts = [
+        np.where(seen, part, nothing)
+        for part, nothing in (
+            (time, np.nan),
+            ((confidence * found.chance(bins // 2 // step))[:, :, None], 0.0),
+            (error[:, :, None], np.nan),
         )
-        found = find_seeds(level, lights, blocks)
-        chosen = np.maximum(found.bin, 0)[:, :, None]
-        light = np.take_along_axis(lights, chosen, 2)[:, :, 0]
-        seed = found.time(step)
-        guess = Guess(by_subgroup(seed, sensor), coarse_lights[by_subgroup(light, sensor)].astype(np.float64))
-        activity = _activity(events, config, guess.time, sigma_ticks)
-        bins = round(BINS_SIGMAS * sigma_ticks)
-        middle = np.nan_to_num(seed)
-        first = _first(middle, 1, bins)
-
-        def around(width: int, first: np.ndarray, prior: np.ndarray | None = None) -> Levels:
-            return log_likelihood(
-                events, config, width * sigma_ticks, pulses, Grid(width, fine_lights, prior), never, by_subgroup(first, sensor), bins,
-                activity=activity, guess=guess, spread=pool.map,
-            )  # fmt: skip
-
-        levels = around(1, first)
-        again = partial(around, prior=levels.prior)
-        field = Field.of([levels.level], [first], sigma_ticks)
-        planes = fit_planes(field, blocks)
-        slanted = doublings(planes.down, planes.right, sigma_ticks) > SLANTED
-        if slanted.mean() > SLANTED_SHARE:
-            wide = _in_perspective(levels.level, middle, again, sigma_ticks)
-            in_space = fit_planes(wide, blocks)
-            if np.mean(level_on(wide, in_space) - level_on(field, planes)) > SPREAD_GAIN:
-                field, planes = wide, in_space
-        confidence, error = posterior(field, planes, tolerance_ticks, blocks)
-        time = np.clip(planes.time, 0, config.period_ticks)[:, :, None]
-        seen = (found.bin >= 0)[:, :, None]
-        parts = [
-            np.where(seen, part, nothing)
-            for part, nothing in (
-                (time, np.nan),
-                ((confidence * found.chance(bins // 2 // step))[:, :, None], 0.0),
-                (error[:, :, None], np.nan),
-            )
-        ]
-        if returns > 1:
-            apart = events.window.max() + APART_SIGMAS * sigma_ticks
-            narrow = partial(again, 1)
-            further = _further(level, lights, step, planes.time, apart, narrow, sigma_ticks, bins, returns - 1, blocks)
-            parts = [np.concatenate(pair, axis=2) for pair in zip(parts, further)]
+    ]
+    if returns > 1:
+        apart = events.window.max() + APART_SIGMAS * sigma_ticks
+        narrow = partial(again, 1)
+        further = _further(level, lights, step, planes.time, apart, narrow, sigma_ticks, bins, returns - 1, blocks)
+        parts = [np.concatenate(pair, axis=2) for pair in zip(parts, further)]
     slope = np.where(seen, np.stack([planes.down, planes.right], axis=2), np.nan)
     time_of, sure, error_of = parts
     return Surfaces(time_of, sure, error_of, slope)
@@ -151,25 +149,25 @@ def _first(middle: np.ndarray, width: int, bins: int) -> np.ndarray:
 
 
 def _in_perspective(
-    level: np.ndarray, middle: np.ndarray, around: Callable[[int, np.ndarray], Levels], sigma_ticks: float
+    level: np.ndarray,
+    middle: np.ndarray,
+    around: Callable[[int, np.ndarray], Levels],
+    sigma_ticks: float,
+    blocks: Blocks,
 ) -> Field:
     """Return the field of all widths of pulses. level: of the laser's; middle: float64[rows, cols], ticks."""
     bins = level.shape[2]
     widths = [2**k for k in range(WIDTHS)]
     firsts = [_first(middle, width, bins) for width in widths]
     wider = [around(width, first).level for width, first in zip(widths[1:], firsts[1:])]
-    return Field.of([level, *wider], [width * first for width, first in zip(widths, firsts)], sigma_ticks)
+    return Field.of([level, *wider], [width * first for width, first in zip(widths, firsts)], sigma_ticks, blocks)
 
 
-def _activity(events: Events, config: Config, seed: np.ndarray, sigma_ticks: float) -> np.ndarray:
+def _activity(events: Events, seed: np.ndarray, sigma_ticks: float) -> np.ndarray:
     """float64[subgroups, pixels]: background of a pixel over the mean, from its hits away from its seed; 1 unless hot."""
-    activity = np.ones(seed.shape)
-    for s in range(config.sensor.subgroups):
-        span = slice(events.bounds[s], events.bounds[s + 1])
-        hits = hits_away(events.stamp[span], events.hits[span], seed[s], NEAR_SIGMAS * sigma_ticks)
-        ratio = (hits + ACTIVITY_HITS) / (np.mean(hits) + ACTIVITY_HITS)
-        activity[s] = np.where(ratio > HOT, ratio, 1.0)
-    return activity
+    hits = hits_away(events.stamp, events.hits, events.bounds, seed, NEAR_SIGMAS * sigma_ticks)
+    ratio = (hits + ACTIVITY_HITS) / (hits.mean(axis=1, keepdims=True) + ACTIVITY_HITS)
+    return np.where(ratio > HOT, ratio, 1.0)
 
 
 def _further(
@@ -199,7 +197,7 @@ def _further(
         if not there.any():
             break
         first = _first(np.where(there, seeds.time(step), 0.0), 1, bins)
-        field = Field.of([around(first).level], [first], sigma_ticks)
+        field = Field.of([around(first).level], [first], sigma_ticks, blocks)
         planes = fit_planes(field, blocks)
         found[:, :, k] = taken = np.where(there, np.clip(planes.time, 0, times * step), np.nan)
         error[:, :, k] = np.where(there, posterior(field, planes, 0.0, blocks)[1], np.nan)

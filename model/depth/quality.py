@@ -26,6 +26,15 @@ def wrong_share(depth_m: np.ndarray, truth_m: np.ndarray, tolerance_m: float = T
     return float(wrong_pixels(depth_m, truth_m, tolerance_m).sum() / max(1, np.sum(~np.isnan(truth_m))))
 
 
+def off_surfaces(depth_m: np.ndarray, surfaces_m: np.ndarray) -> np.ndarray:
+    """bool[...]: the depth is missing, or beyond the paper's tolerance of every surface that the pixel sees.
+
+    depth_m: float64[...]. surfaces_m: float64[..., surfaces], NaN = none; a pixel without any is not off.
+    """
+    near = np.abs(depth_m[..., None] - surfaces_m) <= TOLERANCE_M
+    return ~np.isnan(surfaces_m).all(axis=-1) & ~near.any(axis=-1)
+
+
 def range_error(depth_m: np.ndarray, truth_m: np.ndarray) -> tuple[float, float]:
     """Return (bias, RMS) in metres of depth - truth (float64, any shape), over the pixels with both; NaN if none."""
     error_m = (depth_m - truth_m)[~np.isnan(depth_m - truth_m)]

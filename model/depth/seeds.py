@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..shared.compiled import njit
-from .vector_math import fast_exp, fast_log
+from .vector_math import fast_exp, fast_log, top_of
 
 Blocks = Callable[
     [Callable[[int, int], None]], object
@@ -101,7 +101,7 @@ def _own(level, bins, begin, end):
             for block in range(0, times, BLOCK):
                 until = min(times, block + BLOCK)
                 least = height[CANDIDATES - 1] if number == CANDIDATES else np.float32(LEVEL_MIN)
-                if _top(line[block:until]) <= least:
+                if top_of(line[block:until]) <= least:
                     continue
                 for k in range(block, until):
                     v = line[k]
@@ -115,15 +115,6 @@ def _own(level, bins, begin, end):
                         j -= 1
                     height[j], at[j] = v, k
                     number = min(number + 1, CANDIDATES)
-
-
-@njit(allocates=False, fastmath={"nnan", "nsz"})
-def _top(line):
-    """Return the highest of some values; the options make it vector code."""
-    top = line[0]
-    for k in range(1, len(line)):
-        top = max(top, line[k])
-    return top
 
 
 @njit
@@ -176,7 +167,7 @@ def _any_near(flags, r, c):
     return False
 
 
-@njit
+@njit(allocates=False)
 def _score(level, light, bins, chances, score, begin, end):
     for r in range(begin, end):
         for c in range(level.shape[1]):
@@ -184,7 +175,7 @@ def _score(level, light, bins, chances, score, begin, end):
                 score[r, c] = _support(level, light, bins, chances, True, r, c, bins[r, c, 0], _NEVER)
 
 
-@njit
+@njit(allocates=False)
 def _gather(bins, r, c, at):
     """Return the number of a pixel's candidates and write them to `at`: the old ones, and the neighbours' likeliest."""
     rows, cols, _ = bins.shape
@@ -204,7 +195,7 @@ def _gather(bins, r, c, at):
     return number
 
 
-@njit
+@njit(allocates=False)
 def _support(level, light, bins, chances, first, r, c, k, least):
     """Return the support for candidate k of pixel (r, c), from its own likelihood and from its neighbours.
 
@@ -237,7 +228,7 @@ def _support(level, light, bins, chances, first, r, c, k, least):
     return total
 
 
-@njit
+@njit(allocates=False)
 def _highest(line, k, reach):
     best = _NEVER
     for j in range(max(0, k - reach), min(len(line), k + reach + 1)):

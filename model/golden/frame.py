@@ -7,9 +7,7 @@ round robin and output buffer on them and produces the beats. Latencies are thos
 section III-A of the paper as docs/contract.md defines it.
 """
 
-import os
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -22,6 +20,7 @@ from ..contract.parameters import Sensor
 from ..contract.pixels import pixel_table
 from ..contract.result import ResultBuilder
 from ..contract.windows import close_cycle
+from ..shared.threads import Threads
 from .controller import Controller
 from .front_end import Settings, Timeline, front_end, time_order
 from .readout import readout, ready_times
@@ -78,8 +77,8 @@ class Golden:
             return [self.frame(config, of_frame) for of_frame in edges]
         threshold = self.controller.begin(config)
         plan, numbers = _plan(config, threshold), range(self.frames, self.frames + len(edges))
-        with ThreadPoolExecutor(workers or os.cpu_count() or 1) as pool:
-            played = list(pool.map(lambda number, of_frame: self._play(number, plan, of_frame), numbers, edges))
+        with Threads(workers) as threads:
+            played = threads.map(lambda frame: self._play(frame[0], plan, frame[1]), zip(numbers, edges))
         self.frames += len(edges)
         return [self._traced(config, one) for one in played]
 

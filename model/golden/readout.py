@@ -299,10 +299,9 @@ def _pass(packer, packed, packed_at, beats, sent_at, done, end, shape):
 @njit(allocates=False)
 def _take(sent_at, done, length, t, taken):
     """Write to `sent_at` when the packer takes an event's beats, the first one from cycle `taken` on; return the new `done`."""
-    arrives = t + latency.GRANT_TO_BEAT + latency.BEAT_TO_PORT
-    sent_at[done] = max(arrives, sent_at[done - 1] + 1, taken)
+    sent_at[done] = max(t + latency.GRANT_TO_BEAT + latency.BEAT_TO_PORT, sent_at[done - 1] + 1, taken)
     for k in range(done + 1, done + length):
-        sent_at[k] = max(arrives + k - done, sent_at[k - 1] + 1)
+        sent_at[k] = sent_at[k - 1] + 1
     return done + length
 
 

@@ -21,8 +21,7 @@ caused by crosstalk sends no crosstalk of its own (its probability is squared, a
 
 import math
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
-from itertools import repeat
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -31,6 +30,7 @@ from ..contract.edges import Edges
 from ..shared.constants import SIGMA_PER_FWHM, SPEED_OF_LIGHT_M_S
 from ..shared.errors import SEED_MAX, InputError, check_integer
 from ..shared.quantities import real_array
+from ..shared.threads import Threads
 from .light import SIGNAL_MAX, Interferer, Light
 from .spad import Spad, SpadGate
 from .timing import Timing
@@ -90,16 +90,16 @@ def edge_chunks(
 def _chunks(walkers: list["_Walker"], pulses: range, chunk_pulses: int) -> Iterator[Edges]:
     """For each chunk, run both passes over all blocks of pixels, then sort by time."""
     physics, packing = walkers[0].physics, walkers[0].packing
-    with ThreadPoolExecutor(len(walkers)) as pool:
+    with Threads(len(walkers)) as threads:
         for first in pulses[::chunk_pulses]:
             span = (first, min(chunk_pulses, pulses.stop - first))
             received = (np.empty(0, np.int64), np.empty(0))
             if physics.crosstalk > 0:
-                sent = list(pool.map(_Walker.walk, walkers, repeat(span), repeat(received), repeat(True)))
+                sent = threads.map(partial(_Walker.walk, span=span, received=received, sending=True), walkers)
                 where, time = (np.concatenate([part[i] for part in sent]) for i in range(2))
                 order = np.lexsort((time, where))
                 received = where[order], time[order]
-            made = pool.map(_Walker.walk, walkers, repeat(span), repeat(received), repeat(False))
+            made = threads.map(partial(_Walker.walk, span=span, received=received, sending=False), walkers)
             keys = np.concatenate([part[0] for part in made])
             keys.sort()
             yield Edges(*unpacked(keys, first, packing))

@@ -69,6 +69,16 @@ class Scene:
         """float64[rows, cols]: distance of the nearest target, NaN where a pixel is invalid."""
         return np.fmin.reduce(self.distance_m, axis=2)
 
+    @property
+    def surfaces_m(self) -> np.ndarray:
+        """float64[rows, cols, surfaces]: distances at which a pixel sees a surface, NaN = none.
+
+        These are the targets. A ray-traced pixel has two: the surface that fills most of it, and its strongest return.
+        """
+        if self.transient is None:
+            return self.distance_m
+        return np.dstack([self.distance_m, self.transient.depth_m()])
+
 
 def scene_light(scene: Scene, klux: Ambient, **others: Any) -> Light:
     """Return the light of a scene, with the presets of docs/light.md. Raises `InputError`.

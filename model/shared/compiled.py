@@ -36,7 +36,7 @@ def njit(function: Callable[..., Any] | None = None, *, allocates: bool = True, 
     """
     if function is None:
         return partial(njit, allocates=allocates, **options)
-    options |= {"nogil": True, "no_cfunc_wrapper": True} | ({} if allocates else {"_nrt": False})
+    options |= {"nogil": True, "no_cfunc_wrapper": True} | ({} if allocates else {"_nrt": False, "forceinline": True})
     folder = None if _NUMBA.DISABLE_JIT else _folder(_room(function.__module__))
     if folder is None:
         return numba.njit(**options)(function)

@@ -10,7 +10,7 @@ from coincid.lab.setup import Setup
 from coincid.model.depth.arrivals import lead_sigmas, photons_of
 from coincid.model.depth.estimate import estimate_depth
 from coincid.model.depth.histograms import SOURCES, subgroup_histograms
-from coincid.model.depth.quality import TOLERANCE_M, range_error, wrong_pixels, wrong_share
+from coincid.model.depth.quality import TOLERANCE_M, off_surfaces, range_error, wrong_pixels, wrong_share
 from coincid.model.light.timing import Timing
 from coincid.model.shared.constants import SIGMA_PER_FWHM
 from coincid.model.shared.errors import InputError
@@ -49,6 +49,17 @@ def test_what_counts_as_wrong():
     assert wrong_pixels(depth_m, truth_m).tolist() == [[False, False, True, True, False]]
     assert wrong_share(depth_m, truth_m) == 0.5
     assert pytest.approx(0.0345, abs=1e-4) == TOLERANCE_M
+
+
+def test_off_surfaces():
+    surfaces_m = np.array([[5.0, 7.0], [5.0, np.nan], [5.0, 7.0], [np.nan, np.nan], [5.0, np.nan]])
+    assert off_surfaces(np.array([7.0, 5.0, 6.0, 3.0, np.nan]), surfaces_m).tolist() == [
+        False,
+        False,
+        True,
+        False,
+        True,
+    ]
 
 
 def test_range_error():

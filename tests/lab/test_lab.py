@@ -108,6 +108,7 @@ def test_every_measure_has_its_type():
         assert type(run[name]) in (measure.kind, type(None)), name
     assert run["committed"] == run["events"] + run["dropped"] and run["opened"] == run["committed"] + run["rejected"]
     assert run["stream_load"] <= run["link_load"] and run["wrong_share_15cm"] <= run["wrong_share"]
+    assert run["off_surface_share"] == run["wrong_share"]  # one target per pixel
     assert run["bits"] == 64 * run["beats"]
 
 

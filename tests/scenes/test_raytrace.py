@@ -21,7 +21,7 @@ from coincid.model.light.spad import Spad
 from coincid.model.light.timing import Timing
 from coincid.model.scenes import ray_scene
 from coincid.model.scenes.catalogue import RANGE_M, load_scene
-from coincid.model.scenes.scene import scene_light
+from coincid.model.scenes.scene import Scene, scene_light
 from coincid.model.scenes.transient import BIN_S, Transient, dominant_surface_m
 from coincid.model.shared.constants import SPEED_OF_LIGHT_M_S
 from coincid.model.shared.errors import InputError
@@ -121,6 +121,8 @@ def test_transient_file_and_depth(tmp_path):
     assert np.array_equal(again.index, transient.index) and again.lost_per_m2 == 0
     assert again.depth_m()[0, 0] == pytest.approx((201 + 1 / 6) * BIN_M) and np.isnan(again.depth_m()[0, 1])
     assert again.total_per_m2.tolist() == [[4.5, 0]]
+    scene = Scene(name="t", distance_m=[[5.0, 6.0]], reflectivity=0.4, transient=again)
+    assert np.array_equal(scene.surfaces_m, [[[5, again.depth_m()[0, 0]], [6, np.nan]]], equal_nan=True)
 
 
 @pytest.fixture
