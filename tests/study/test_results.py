@@ -99,10 +99,10 @@ def surface(folder: Path) -> Any:
 
 
 RESULTS: dict[str, tuple[Callable[[Path], Any], str]] = {
-    "library": (library, "98e9be87e9e061a5"),
+    "library": (library, "f1b6a1bd02092015"),
     "sim": (sim, "ed4fb83bae583761"),
-    "sweep": (sweep, "0ddd49994ee2fd42"),
-    "explorer": (explorer, "84d0a1a115dbc438"),
+    "sweep": (sweep, "c722601e9ccfee6d"),
+    "explorer": (explorer, "b904fc3e2af28bc9"),
     "settling": (lambda folder: table(settling.HEAD, settling.rows(((20.0, 20.0),)), left=(3,)), "8d5a048adb43a133"),
     "surfaces": (surface, "56076c599e3d1736"),
     "noisy SPADs": (
