@@ -88,10 +88,10 @@ def lowest(m: Module, bits: Value, name: str) -> Value:
     for k in range(exact_log2(len(bits))):
         step, size = 1 << k, len(bits)
         numbers = [(found & number) | (~found & (number >> step)) for number in numbers] + [~found]
-        named = [Signal(size, name=f"{name}_{step}_{b}") for b in range(k + 1)]
+        signals = [Signal(size, name=f"{name}_{step}_{b}") for b in range(k + 1)]
         here = Signal(size, name=f"{name}_{step}")
-        m.d.comb += [*(signal.eq(number) for signal, number in zip(named, numbers)), here.eq(found | (found >> step))]
-        found, numbers = here, named
+        m.d.comb += [*(signal.eq(number) for signal, number in zip(signals, numbers)), here.eq(found | (found >> step))]
+        found, numbers = here, signals
     return Cat(number[0] for number in numbers)
 
 

@@ -14,7 +14,7 @@ from attrs import evolve, frozen
 
 from ..lab.outcomes import Frame, Run
 from ..lab.setup import SETTLING, Setup
-from ..model.contract.config import Config
+from ..model.contract.config import Config, toml_text
 from ..model.contract.packet import BEAT_BITS
 from ..model.shared.files import whole_file, write_csv
 from ..model.shared.quantities import check_real
@@ -180,18 +180,10 @@ def write_advice(out: Path, advice: Advice, heading: str) -> list[Path]:
         advice.best.config,
         frame=advice.best.config.frame | {"frames": SETTLING + 1 if advice.best.config.auto.any() else 1},
     )
+    written = config.written()
     with whole_file(files[2], "w") as file:
-        for table, values in config.written().items():
-            kept = {name: value for name, value in values.items() if name != "mask"}
-            if kept:
-                file.write(
-                    f"[{table}]\n" + "".join(f"{name} = {_toml(value)}\n" for name, value in kept.items()) + "\n"
-                )
+        file.write(toml_text({table: {k: v for k, v in of.items() if k != "mask"} for table, of in written.items()}))
     return files
-
-
-def _toml(value: Any) -> str:
-    return str(value).lower() if isinstance(value, bool) else f'"{value}"' if isinstance(value, str) else str(value)
 
 
 def _draw(path: Path, advice: Advice, heading: str) -> None:

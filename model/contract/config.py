@@ -5,6 +5,7 @@ Keys, ranges and defaults come from the tables of `parameters.py` and `settings.
 refused, as the sensor refuses them at a start.
 """
 
+import json
 import tomllib
 from collections.abc import Callable, Collection, Mapping
 from fractions import Fraction
@@ -345,6 +346,16 @@ def read_toml(path: FilePath) -> dict[str, Any]:
         raise InputError(f"cannot be read ({error})") from None
     except tomllib.TOMLDecodeError as error:
         raise InputError(f"is not TOML: {error}") from None
+
+
+def toml_text(document: Mapping[str, Mapping[str, object]]) -> str:
+    """Return tables of numbers, texts, switches and lists of them as a TOML document, without the empty tables."""
+    tables = [
+        "".join([f"[{name}]\n", *(f"{key} = {json.dumps(value)}\n" for key, value in values.items())])
+        for name, values in document.items()
+        if values
+    ]
+    return "\n".join(tables)
 
 
 def parse_config(document: dict[str, Any]) -> Config:

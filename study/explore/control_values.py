@@ -11,7 +11,7 @@ import numpy as np
 from attrs import evolve, frozen
 
 from ...lab.setup import Setup
-from ...model.contract.config import SETTINGS, Config, parse_config, sensor_table
+from ...model.contract.config import SETTINGS, Config, parse_config, sensor_table, toml_text
 from ...model.contract.settings import SUBGROUP
 from ...model.contract.table import Kind
 from ...model.light.light import NEAREST_M, Light
@@ -191,19 +191,14 @@ def _control_of(message: str) -> str | None:
 
 def config_toml(settings: Settings) -> str:
     """Return the configuration file of `settings`."""
-    config, lines = settings.config, []
-    document = {
-        "sensor": sensor_table(config.sensor),
-        "frame": {name: value for name, value in config.frame.items() if value is not None},
-        "subgroup": {name: getattr(config, name)[0].item() for name in SUBGROUP if name in CONTROL},
-    }
-    for table, values in document.items():
-        lines += [f"[{table}]", *(f"{key} = {_toml(value)}" for key, value in values.items()), ""]
-    return "\n".join(lines)
-
-
-def _toml(value: object) -> str:
-    return str(value).lower() if isinstance(value, bool) else f'"{value}"' if isinstance(value, str) else str(value)
+    config = settings.config
+    return toml_text(
+        {
+            "sensor": sensor_table(config.sensor),
+            "frame": {name: value for name, value in config.frame.items() if value is not None},
+            "subgroup": {name: getattr(config, name)[0].item() for name in SUBGROUP if name in CONTROL},
+        }
+    )
 
 
 def command(settings: Settings) -> str:

@@ -1,0 +1,36 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`Threads` return what a function returns for each item, in the items' order, and end with the first error."""
+
+import threading
+
+import pytest
+
+from coincid.model.shared.threads import Threads
+
+
+@pytest.mark.parametrize("number", [1, 2, 5, None])
+@pytest.mark.parametrize("items", [0, 1, 3, 100])
+def test_results_are_in_the_order_of_the_items(number, items):
+    with Threads(number) as threads:
+        for _ in range(3):  # the same threads again
+            assert threads.map(lambda item: item * item, range(items)) == [item * item for item in range(items)]
+
+
+def test_items_are_shared_by_as_many_threads_as_wanted():
+    together = threading.Barrier(3, timeout=60)
+    with Threads(3) as threads:
+        names = threads.map(lambda _: (together.wait(), threading.current_thread().name)[1], range(3))
+    assert len(set(names)) == 3 and threading.current_thread().name in names
+
+
+@pytest.mark.parametrize("number", [1, 4])
+def test_error_reaches_the_caller_and_nothing_new_begins(number):
+    begun = []
+
+    def work(item):
+        begun.append(item)
+        raise ZeroDivisionError
+
+    with Threads(number) as threads, pytest.raises(ZeroDivisionError):
+        threads.map(work, range(1000))
+    assert len(begun) <= number
