@@ -79,6 +79,9 @@ EQUIVALENT = {
     "self._counters = np.empty((0,": "a frame ends before anything reads it",
     "last = np.full(subgroups, -1": "any number below all keys will do",
     "if packer.begins < 0": "no group begins with the frame's first beat",
+    "packer.begins >= 0: GtE": "no group begins with the frame's first beat",
+    "packer.begins >= 0:`: 0: one more": "no group begins with the frame's first beat",
+    "beats = 2 + len(queues) * shape.counter_beats`: 2: one more": "room for more beats, which is cut off",
     "begins = state[0].formed = -1`: 1: one more": "any negative number says that no group is open",
     "(k - groups.FIRST_PIXELS + 1) % groups.PER_PART == 0:`: k - groups.FIRST_PIXELS": "the remainder of 2",
     "(k + 1) % groups.PER_PART == 0:`: k + 1: Add": "the remainder of 2",
@@ -120,7 +123,7 @@ def frames(sensor: dict = random_cases.SMALL, drawn: int = FRAMES) -> list[Frame
         jobs.append(FrameJob(config, edges, golden.frame(config, edges, ready), ready))
 
     collect()
-    gates = random_cases.gate_bits(sensor)
+    gates, (aged, stalled) = random_cases.gate_bits(sensor), random_cases.aged(sensor)
     always, late = np.zeros(0, np.uint8), np.arange(480) // 80 == 3
     for config, density, ready in (
         *(
@@ -131,6 +134,7 @@ def frames(sensor: dict = random_cases.SMALL, drawn: int = FRAMES) -> list[Frame
         (random_cases.dithered(sensor), 6.0, always),
         *((random_cases.overfull(sensor).with_frame(format=name), 40.0, late) for name in FORMAT_NAMES),
         (random_cases.lengthy(sensor), 2.0, always),
+        (aged, 0.4, stalled),
         *((config, 25.0, always) for config in random_cases.scarce(sensor)),
     ):
         edges = random_cases.trouble(config, 0, density)

@@ -226,6 +226,13 @@ def lengthy(sensor: dict) -> Config:
     )
 
 
+def aged(sensor: dict, stalled: int = 20) -> tuple[Config, np.ndarray]:
+    """Return a frame whose stream stalls so long that some events are as old as a group allows, and others too old."""
+    period = built_sensor(sensor).guard + 6
+    config = configured(sensor, {"period": period, "pulses": 300, "format": "compact"}, {"threshold": 1, "window": 2})
+    return config, np.arange(period * (stalled + 1)) >= period * stalled
+
+
 def trouble(config: Config, seed: int, per_subgroup_period: float) -> Edges:
     """Return edges that crowd at rule boundaries, on average `per_subgroup_period` per subgroup and period."""
     rng = np.random.default_rng(seed)
