@@ -7,8 +7,9 @@
 * RTL: Yosys mutates cells of the emitted Verilog (`mutate`), block by block, in proportion to the size of the block. Some
   500 mutants are in one netlist, each with an input that turns it on, and are played in slices: lane 0 is the RTL as it is,
   and every other lane has one mutant. A mutant is killed if its lane shows something else than lane 0 at the ports, while one
-  host plays all lanes (`session.py`): frames, in which lane 0 must show what the golden model says, then accesses, resets,
-  upsets and wide numbers. A mutant that Yosys removes, or proves to be equal to the block (`equiv_induct`), is equivalent.
+  host plays all lanes (`session.py`): frames, in which lane 0 must show what the golden model says, then accesses and
+  resets. Two hosts play what is left, with upsets and wide numbers, too. A mutant that Yosys removes, or proves to be equal
+  to the block (`equiv_induct`), is equivalent.
 * Golden model: its syntax tree is mutated here. mutmut and cosmic-ray would start a test run for every mutant, and Numba
   would compile all functions again. Without Numba, and compared with recorded beats and fates of the same frames, a
   mutant takes a second; survivors go through the tests of the golden model.
@@ -52,6 +53,7 @@ from .session import session, watched
 GOALS = {"rtl": 0.98, "golden": 0.95}  # shares of the mutants that are not known to be equivalent
 FRAMES, DEFAULT_FRAMES, FRAMES_IN_LANES = 60, 12, 600
 CASES_SEED = 2026
+SESSION_SEEDS = (1, 2)  # of two hosts, who notice more than one
 SECONDS_MAX = 240  # for a mutant of the golden model: one that hangs is also noticed
 RTL_MUTANTS, GOLDEN_MUTANTS = 2250, 120
 PROOFS_TOGETHER = 6  # in one process of Yosys
@@ -254,9 +256,10 @@ def golden_mutants() -> int:
     return sum(_mutated(path)[1].count for path in GOLDEN_SOURCES.values())
 
 
-def run_golden(module: str, source: Path, jobs: Path) -> bool:
-    """Return whether frames and tests of the golden model pass with `source` in the place of a module."""
+def run_golden(module: str, source: Path, jobs: Path, only_frames: bool = False) -> bool:
+    """Return whether frames and, if wanted, tests of the golden model pass with `source` in the place of a module."""
     command = [sys.executable, "-m", "tests.judge", module, str(source), str(jobs)]
+    command += ["frames"] if only_frames else []
     environment = os.environ | {"NUMBA_DISABLE_JIT": "1", "PYTHONWARNINGS": "ignore"}
     try:
         done = subprocess.run(command, env=environment, timeout=SECONDS_MAX, capture_output=True, check=False)
@@ -275,7 +278,9 @@ def mutate_golden(numbers: list[int], folder: Path, jobs: Path, tell) -> list[Fa
         module, text, what = mutant
         source = folder / f"golden_{number}.py"
         source.write_text(text)
-        fate = Fate("golden", what, excuse(what) if run_golden(module, source, jobs) else "tests")
+        reason = excuse(what)
+        passes = run_golden(module, source, jobs, only_frames=bool(reason))
+        fate = Fate("golden", what, reason if passes else "tests")
         tell(fate)
         return fate
 
@@ -331,8 +336,8 @@ def _boxes(text: str) -> str:
     return "".join(boxes)
 
 
-def judged_by_lanes(mutants: list[Mutant], jobs: list[FrameJob]) -> list[str]:
-    """Return for each mutant the part of `session` that notices it, or that it is equal, or ''.
+def judged_by_lanes(mutants: list[Mutant], jobs: list[FrameJob], whole: bool, seed_: int) -> list[str]:
+    """Return for each mutant the part of `session` that notices it, or that it is equal, or ''. whole, seed_: as there.
 
     All mutants are in one netlist, each with an input that turns it on in its own lane. If nothing reads this input any
     more, Yosys has found that the mutant changes nothing. Raises if the RTL without mutation is wrong.
@@ -346,7 +351,7 @@ def judged_by_lanes(mutants: list[Mutant], jobs: list[FrameJob]) -> list[str]:
     emission = design.emission()
     read = {net for of in (*emission.top.tables, *emission.top.flops) for net in of.inputs}
     with Lanes(sensor, design) as lanes:
-        parts = session(sensor, emission, jobs)
+        parts = session(sensor, emission, jobs, whole, seed_)
         for _, recipe in parts:
             lanes.recipe(**recipe)
         rows, differs = lanes.together([emission.layout.inputs[name][0] for name in inputs], watched(emission))
@@ -433,27 +438,32 @@ def _unequal(mutants: list[Mutant], aside: list[set[str]], blocks: list[str]) ->
 def mutate_rtl(total: int, folder: Path, jobs: list[FrameJob], seed_: int, tell) -> list[Fate]:
     """Return fates of mutants of the RTL."""
     mutants = rtl_mutants(total, folder, seed_)
-    batches = [mutants[k : k + LANES[-1] - 1] for k in range(0, len(mutants), LANES[-1] - 1)]
+    by: dict[Mutant, str] = {}
     with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
-        by = [one for found in pool.map(lambda batch: judged_by_lanes(batch, jobs), batches) for one in found]
-        left = [mutant for one, mutant in zip(by, mutants) if not one]
+        for whole, seeds in ((False, SESSION_SEEDS[:1]), (True, SESSION_SEEDS)):  # most show soon
+            left = [mutant for mutant in mutants if mutant not in by]
+            batches = [left[k : k + LANES[-1] - 1] for k in range(0, len(left), LANES[-1] - 1)]
+            plays = [(batch, jobs, whole, session_seed) for batch in batches for session_seed in seeds]
+            for (batch, *_), found in zip(plays, pool.map(lambda play: judged_by_lanes(*play), plays)):
+                by |= {mutant: one for mutant, one in zip(batch, found) if one}
+        left = [mutant for mutant in mutants if mutant not in by]
         is_equal: set[Mutant] = set()
         alone = {mutant.block: [mutant.block] for mutant in left}
         parts = [_within(folder, name) for name in _inner(folder, TOP)]
         for places in (alone, {name: part for part in parts if len(part) > 1 for name in part}):
-            together = [
+            proofs = [
                 (of[k : k + PROOFS_TOGETHER], places[block])
                 for block, group in itertools.groupby(left, lambda mutant: mutant.block)
                 if block in places
                 for of in [list(group)]
                 for k in range(0, len(of), PROOFS_TOGETHER)
             ]
-            for (of, _), found in zip(together, pool.map(lambda job: proven(*job), together)):
+            for (of, _), found in zip(proofs, pool.map(lambda job: proven(*job), proofs)):
                 is_equal |= {mutant for mutant, yes in zip(of, found) if yes}
             left = [mutant for mutant in left if mutant not in is_equal]
     fates = [
-        Fate(mutant.block, mutant.what, "equal: proven by Yosys" if mutant in is_equal else one)
-        for mutant, one in zip(mutants, by)
+        Fate(mutant.block, mutant.what, "equal: proven by Yosys" if mutant in is_equal else by.get(mutant, ""))
+        for mutant in mutants
     ]
     for fate in fates:
         tell(fate)

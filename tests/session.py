@@ -80,17 +80,22 @@ def watched(emission: Emission) -> list[int]:
     return [word for name, of in kept(emission).items() if name.endswith(COPIES) for word in of]
 
 
-def session(sensor: Sensor, emission: Emission, jobs: Sequence[FrameJob]) -> list[Part]:
-    """Return what the host does, in order. The first parts are the jobs."""
-    rng = random.Random(1)
+def session(sensor: Sensor, emission: Emission, jobs: Sequence[FrameJob], whole: bool, seed: int) -> list[Part]:
+    """Return what the host does, in order. The first parts are the jobs. whole: with faults and numbers, which take longest."""
+    rng = random.Random(seed)
     short = [job for job in jobs if job.config.frame_cycles < SHORT]
     reads = [read(address) for address, _ in words(sensor)]
-    return [
+    parts = [
         *(part("frames", job, after=reads) for job in jobs),
         *_lights(jobs, rng),
         *_accesses(sensor, short, reads, rng),
         *_starts(sensor, short, reads, rng),
         *_resets(short, reads, rng),
+    ]
+    if not whole:
+        return parts
+    return [
+        *parts,
         *_upsets(emission, short, reads, rng),
         *_scrambles(emission, short, rng),
         *_ahead(emission, jobs, rng),
