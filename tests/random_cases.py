@@ -226,13 +226,6 @@ def lengthy(sensor: dict) -> Config:
     )
 
 
-def aged(sensor: dict, stalled: int = 20) -> tuple[Config, np.ndarray]:
-    """Return a frame whose stream stalls so long that some events are as old as a group allows, and others too old."""
-    period = built_sensor(sensor).guard + 6
-    config = configured(sensor, {"period": period, "pulses": 300, "format": "compact"}, {"threshold": 1, "window": 2})
-    return config, np.arange(period * (stalled + 1)) >= period * stalled
-
-
 def trouble(config: Config, seed: int, per_subgroup_period: float) -> Edges:
     """Return edges that crowd at rule boundaries, on average `per_subgroup_period` per subgroup and period."""
     rng = np.random.default_rng(seed)
@@ -266,6 +259,20 @@ def trouble(config: Config, seed: int, per_subgroup_period: float) -> Edges:
     else:
         pixel = np.zeros(0, np.int64)
     return Edges(pulse.astype(np.int64), pixel.astype(np.int64), tick.astype(np.int64))
+
+
+def aged(sensor: dict) -> tuple[Config, Edges, np.ndarray]:
+    """Return a frame, its edges and a pattern of `tready`, so that some events are as old as a group allows, and others too old.
+
+    The stream stalls in rounds of 60 pulses: every other subgroup has events early in a round, and the others later.
+    """
+    period = built_sensor(sensor).guard + 6
+    config = configured(sensor, {"period": period, "pulses": 600, "format": "compact"}, {"threshold": 1, "window": 2})
+    edges = trouble(config, 0, 20.0)
+    number, within = np.divmod(edges.pulse, 60)
+    early = pixel_table(config.sensor).subgroup[edges.pixel] % 2 == 0
+    edges = edges.take(np.where(early, within < 10, (within > 14 + number) & (within < 30)))
+    return config, edges, np.arange(period * config.pulses) // period % 60 >= 32
 
 
 def random_edges(config: Config, n: int, seed: int) -> Edges:
