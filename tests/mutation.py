@@ -54,7 +54,7 @@ from .session import session, watched
 GOALS = {"rtl": 0.98, "golden": 0.95}  # shares of the mutants that are not known to be equivalent
 FRAMES, DEFAULT_FRAMES, FRAMES_IN_LANES = 60, 12, 600
 CASES_SEED = 2026
-SESSION_SEEDS = (1, 2)  # of two hosts, who notice more than one
+SESSION_SEEDS = (1, 2, 3, 4)  # of two hosts, who notice more than one
 SECONDS_MAX = 240  # for a mutant of the golden model: one that hangs is also noticed
 RTL_MUTANTS, GOLDEN_MUTANTS = 2250, 120
 PROOFS_TOGETHER = 6  # in one process of Yosys
