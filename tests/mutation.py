@@ -9,7 +9,7 @@
   and every other lane has one mutant. A mutant is killed if its lane shows something else than lane 0 at the ports, while one
   host plays all lanes (`session.py`): frames, in which lane 0 must show what the golden model says, then accesses and
   resets. Two hosts play what is left, with upsets and wide numbers, too. A mutant that Yosys removes, or proves to be equal
-  to the block (`equiv_induct`), is equivalent.
+  to the block (`equiv_induct`), is equivalent. Two more hosts play the rest.
 * Golden model: its syntax tree is mutated here. mutmut and cosmic-ray would start a test run for every mutant, and Numba
   would compile all functions again. Without Numba, and compared with recorded beats and fates of the same frames, a
   mutant takes a second; survivors go through the tests of the golden model.
@@ -54,7 +54,7 @@ from .session import session, watched
 GOALS = {"rtl": 0.98, "golden": 0.95}  # shares of the mutants that are not known to be equivalent
 FRAMES, DEFAULT_FRAMES, FRAMES_IN_LANES = 60, 12, 600
 CASES_SEED = 2026
-SESSION_SEEDS = (1, 2, 3, 4)  # of two hosts, who notice more than one
+SESSION_SEEDS, LAST_SEEDS = (1, 2), (3, 4)  # of hosts: more of them notice more, and few mutants are played fast
 SECONDS_MAX = 240  # for a mutant of the golden model: one that hangs is also noticed
 RTL_MUTANTS, GOLDEN_MUTANTS = 2250, 120
 PROOFS_TOGETHER = 6  # in one process of Yosys
@@ -84,6 +84,7 @@ EQUIVALENT = {
     "if packer.begins < 0": "no group begins with the frame's first beat",
     "packer.begins >= 0: GtE": "no group begins with the frame's first beat",
     "packer.begins >= 0:`: 0: one more": "no group begins with the frame's first beat",
+    "packer.begins >= 0 and not 0 <= packer.pulse - event.pulse <= groups.AGE_MAX:`: 0: one more": "no group begins with the frame's first beat",
     "beats = 2 + len(queues) * shape.counter_beats`: 2: one more": "room for more beats, which is cut off",
     "begins = state[0].formed = -1`: 1: one more": "any negative number says that no group is open",
     "(k - groups.FIRST_PIXELS + 1) % groups.PER_PART == 0:`: k - groups.FIRST_PIXELS": "the remainder of 2",
@@ -443,14 +444,17 @@ def mutate_rtl(total: int, folder: Path, jobs: list[FrameJob], seed_: int, tell)
     mutants = rtl_mutants(total, folder, seed_)
     by: dict[Mutant, str] = {}
     with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
-        for whole, seeds in ((False, SESSION_SEEDS[:1]), (True, SESSION_SEEDS)):  # most show soon
+
+        def play(whole: bool, seeds: tuple[int, ...]) -> None:
             left = [mutant for mutant in mutants if mutant not in by]
             batches = [left[k : k + LANES[-1] - 1] for k in range(0, len(left), LANES[-1] - 1)]
             plays = [(batch, jobs, whole, session_seed) for batch in batches for session_seed in seeds]
             for (batch, *_), found in zip(plays, pool.map(lambda play: judged_by_lanes(*play), plays)):
-                by |= {mutant: one for mutant, one in zip(batch, found) if one}
+                by.update((mutant, one) for mutant, one in zip(batch, found) if one)
+
+        play(False, SESSION_SEEDS[:1])  # most show soon
+        play(True, SESSION_SEEDS)
         left = [mutant for mutant in mutants if mutant not in by]
-        is_equal: set[Mutant] = set()
         alone = {mutant.block: [mutant.block] for mutant in left}
         parts = [_within(folder, name) for name in _inner(folder, TOP)]
         for places in (alone, {name: part for part in parts if len(part) > 1 for name in part}):
@@ -462,12 +466,10 @@ def mutate_rtl(total: int, folder: Path, jobs: list[FrameJob], seed_: int, tell)
                 for k in range(0, len(of), PROOFS_TOGETHER)
             ]
             for (of, _), found in zip(proofs, pool.map(lambda job: proven(*job), proofs)):
-                is_equal |= {mutant for mutant, yes in zip(of, found) if yes}
-            left = [mutant for mutant in left if mutant not in is_equal]
-    fates = [
-        Fate(mutant.block, mutant.what, "equal: proven by Yosys" if mutant in is_equal else by.get(mutant, ""))
-        for mutant in mutants
-    ]
+                by.update((mutant, "equal: proven by Yosys") for mutant, yes in zip(of, found) if yes)
+            left = [mutant for mutant in left if mutant not in by]
+        play(True, LAST_SEEDS)
+    fates = [Fate(mutant.block, mutant.what, by.get(mutant, "")) for mutant in mutants]
     for fate in fates:
         tell(fate)
     return fates
