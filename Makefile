@@ -20,8 +20,8 @@ help:
 	@echo '  KLUX=100 PULSES=100 SEED=1     ambient light ("2|100": half sun), laser pulses'
 	@echo '  THRESHOLD=2 FRAMES=8           threshold of one frame; frames of the controller'
 	@echo '  LINK_GBPS=8 CONFIG=FILE        link (0: without limit), sensor and settings (TOML)'
-	@echo '  SIM=sliced VIEW=async WAVES=1  engine: golden, sliced, verilator, icarus; front end'
-	@echo '                                 as on silicon; waveform (verilator and icarus)'
+	@echo '  SIM=sliced VIEW=async WAVES=1  engine: golden, sliced, verilator, icarus;'
+	@echo '                                 asynchronous front end; waveform (verilator, icarus)'
 	@echo 'options of all: PYTHON=python3.12 (makes .venv), COINCID_BUILD=DIR (compiled designs)'
 
 setup: ## [install only] .venv with pinned versions, and nothing else

@@ -99,7 +99,7 @@ _SHARED: dict[str, _Kind] = {
         list[str] | None,
         None,
         "NAME=VALUE",
-        "A setting of the configuration, such as threshold=3 or format=full, instead of the file's; repeatable.",
+        "Set a key of the configuration, such as threshold=3 or format=full; overrides the file; repeatable.",
     ),
     "clock_mhz": (float | None, None, "", "System clock; default: the configuration's (frame.clock_mhz)."),
 }
@@ -144,12 +144,11 @@ def command(options: str = "", **told: str | tuple[str, str]) -> Callable[[Calla
 @command(
     "scene unit scale reflectivity klux background pulses threshold frames link_gbps config changes seed engine out waves "
     "clock_mhz spad spad_gate view",
-    pulses="Laser pulses per frame; default: the configuration's. "
-    "The controller's bounds and the photons of a frame change in proportion.",
-    threshold="One threshold for all subgroups in the frame `fixed`; "
-    "default: the configuration's if it gives one, else the best of 1 to 7.",
+    pulses="Laser pulses per frame; default: the configuration's. The controller's bounds change in proportion.",
+    threshold="Threshold of all subgroups in the frame `fixed`; "
+    "default: the configuration's if it gives one, otherwise the best of 1 to 7.",
     frames="Frames of new photons in which the controller settles; default: 8.",
-    link_gbps="Rate of a stream's link; 0: 64 bits per cycle; default: the configuration's, else 8.",
+    link_gbps="Rate of a stream's link in Gbit/s; 0: 64 bits per cycle; default: the configuration's, otherwise 8.",
     engine="sliced; with --waves verilator, with --view async icarus",
     out=("DIR", "Folder of the results."),
     waves="Also write a waveform (FST) and views of it for GTKWave and Surfer.",
@@ -201,7 +200,7 @@ def sim(
     out=("DIR", "Folder of table, picture and advised settings."),
 )
 def advise(*, scene: str, out: Path = Path("build/advise"), **given: Any) -> None:
-    """Try thresholds, windows, the controller, formats and links on a scene, and say which to take and what they cost."""
+    """Try thresholds, windows, the controller, formats and links on a scene; recommend one combination and state its cost."""
     import numpy as np
     from rich.table import Table
 
@@ -236,7 +235,7 @@ def advise(*, scene: str, out: Path = Path("build/advise"), **given: Any) -> Non
 
 @command("[CONFIG] changes")
 def show(**given: Any) -> None:
-    """Print what a configuration means: sizes, rates, distances, the link's share, area and power; and what it wastes."""
+    """Print what follows from a configuration: sizes, rates, distances, share of the link, area, power; and warn of waste."""
     from coincid.study.explain import meaning, warnings
 
     settings = _config(given)
@@ -250,7 +249,7 @@ def show(**given: Any) -> None:
     "port no_browser changes",
     port="Port on this machine; default: 5006, or the next free one.",
     no_browser="Only print the address.",
-    changes=("NAME=VALUE", "First value of a control, or a picture: depth_file, colour_file, sun_file."),
+    changes=("NAME=VALUE", "Initial value of a control, or a picture: depth_file, colour_file, sun_file."),
 )
 def explore(*, port: int | None = None, no_browser: bool = False, changes: list[str] | None = None) -> None:
     """Serve the explorer, which shows the effect of every setting in the browser. It serves this machine only and sends no requests."""
@@ -264,13 +263,13 @@ def explore(*, port: int | None = None, no_browser: bool = False, changes: list[
 @command(
     "edges out config changes engine stall view offset_seed",
     edges=("FILE", "Edges (NPZ: pulse, pixel, tick)."),
-    out=("FILE", "Result (NPZ); appears whole."),
+    out=("FILE", "Result (NPZ)."),
     engine="golden; with --view async icarus",
     stall=("N", "Keep tready low for the first N cycles of every frame."),
     offset_seed=(
         "SEED",
-        "With --view async: edges anywhere in their ticks, at random; "
-        "default: the file's offset_ps, else the ticks' middles.",
+        "With --view async: seed of random positions of the edges within their ticks; "
+        "default: the file's offset_ps, otherwise the middle of the tick.",
     ),
 )
 def replay(
@@ -317,13 +316,13 @@ def replay(
     out=(
         "FILE",
         "Result (Parquet); default: build/SPEC.parquet. "
-        "Beside it: a plot (PNG), and the finished points, where a second start goes on.",
+        "Beside it: a plot (PNG), and the finished points, which a second start reuses.",
     ),
     scheduler=("ADDRESS", "Dask scheduler, such as tcp://HOST:8786; default: a cluster on this machine alone."),
     workers="Processes on this machine; default: one per core.",
 )
 def sweep(*, spec: Path, out: Path | None = None, scheduler: str | None = None, workers: int | None = None) -> None:
-    """Run a grid of configurations, scenes and light on many processes or machines; one row per point."""
+    """Run a grid of configurations, scenes and light on many processes or machines; the table has one row per point."""
     workers = check_integer("workers", os.cpu_count() or 1 if workers is None else workers, 1, WORKERS_MAX)
     out = out or Path("build") / f"{spec.stem}.parquet"
     if out.suffix != ".parquet":
@@ -378,7 +377,7 @@ def edges(
     delay_ps: float = 0.0,
     **given: Any,
 ) -> None:
-    """Turn recorded photons into edges, or edges into another format; count what falls out of range."""
+    """Convert recorded photons into edges, or edges into another format; count the photons that are out of range."""
     from coincid.model.light.timing import Timing
     from coincid.model.recorded.exchange import check_suffix, parse_channels, read_recording, write_edges
     from coincid.model.recorded.recordings import period_note, recorded_edges, told
@@ -401,7 +400,7 @@ def edges(
     print(f"{out}: {len(kept):,} edges")
 
 
-@command("out config changes view", out=("DIR", "Folder; appears whole, and replaces an earlier export."))
+@command("out config changes view", out=("DIR", "Folder of the export; replaces an earlier one."))
 def verilog(*, out: Path = Path("build/rtl"), view: str = "polyphase", **given: Any) -> None:
     """Export the synthesizable Verilog, one file per block, with file lists, constraints, register map and smoke test."""
     settings = _config(given)
@@ -431,7 +430,7 @@ def gls() -> None:
 
 @command("out", out=("FILE", "Markdown page; the picture goes to images/ beside it."))
 def power(*, out: Path = Path("docs/power.md")) -> None:
-    """Measure the power of a subgroup in standard cells against the light on it, from frames that its netlist plays."""
+    """Compute the power of a subgroup in standard cells at several levels of light, from frames simulated on its netlist."""
     with extra("rtl"):
         from coincid.study.power_against_light import write_page
     write_page(_file(out), partial(print, flush=True))
@@ -440,7 +439,7 @@ def power(*, out: Path = Path("docs/power.md")) -> None:
 
 @command("out", out=("FILE", "Markdown page; the picture goes to images/ beside it."))
 def layout(*, out: Path = Path("docs/layout.md")) -> None:
-    """Lay a minigroup out in standard cells: placed, routed, checked, timed with its wires, and simulated with their delays."""
+    """Lay out a minigroup in standard cells: place, route, check, time with its wires, and simulate with their delays."""
     with extra("rtl"):
         from coincid.flow.layout.document import write_page
     write_page(_file(out), partial(print, flush=True))
@@ -465,9 +464,9 @@ def pnr(*, out: Path = Path("docs/place-and-route.md")) -> None:
     "[KIND] config changes buffer_beats out page",
     kind="ulx3s: Verilog and bitstream for that board; serial, axi: Verilog alone, linted.",
     config=("FILE", "TOML file or preset; default: emulator, and emulator-axi for axi."),
-    buffer_beats=("N", "Of the frame buffer."),
+    buffer_beats=("N", "Size of the frame buffer in beats."),
     out=("DIR", "Folder of Verilog, register map and bitstream."),
-    page=("FILE", "Of ulx3s: Markdown report of Fmax and use."),
+    page=("FILE", "With ulx3s: Markdown report of Fmax and resources."),
 )
 def emulator(
     *,
@@ -477,7 +476,7 @@ def emulator(
     page: Path = Path("docs/emulator-board.md"),
     **given: Any,
 ) -> None:
-    """Build the emulator for a board. Exit code 1: lint found something, or a clock is missed with one of five seeds."""
+    """Build the emulator for a board. Exit code 1: lint found something, or one of five seeds misses a clock."""
     from coincid.model.contract.emulator import Emulator
 
     with extra("rtl"):
@@ -537,7 +536,7 @@ def formal(*, names: list[str] | None = None) -> None:
     klux=("", "Sunlight in klux."),
     spectrum=("SPECTRUM", "am15g or planck; default: am15g."),
     form=("FORM", "literal (as printed in the paper) or corrected."),
-    json="Flat keys, for programs.",
+    json="Print JSON with flat keys, for programs.",
 )
 def budget(
     *,
@@ -585,12 +584,12 @@ def modes(*, out: Path = Path("build/modes"), rtl: bool = False) -> None:
     port=("DEVICE", "Serial port of the board, such as /dev/ttyUSB0."),
     simulate="Use the emulator's simulated RTL behind its serial pins instead.",
     netlist="With --simulate: the netlist of the FPGA of an ULX3S instead of the RTL.",
-    scene=("SCENE", "As of sim."),
+    scene=("SCENE", "Scene, as in coincid sim."),
     config=("FILE", "TOML file or preset; its sensor must be the one on the board."),
     frames=("N", "Frames to take."),
     pulses=("N", "Laser pulses per frame; default: the configuration's."),
-    seed=("", "Of the photon source."),
-    baud="Of the serial line; default: 3,000,000, and simulated as fast as it can be.",
+    seed=("", "Seed of the photon source."),
+    baud="Baud rate of the serial line; default: 3,000,000 on a board, the fastest possible in simulation.",
     out=("DIR", "Folder of the depth picture."),
 )
 def emulate(
@@ -607,7 +606,7 @@ def emulate(
     out: Path = Path("build/emulate"),
     **given: Any,
 ) -> None:
-    """Run the emulator, on a board or simulated, and check each word from it against the golden model."""
+    """Run the emulator, on a board or in simulation, and check each of its words against the golden model."""
     from coincid.host.emulator_driver import EmulatorDriver
     from coincid.host.serial_transport import SerialPort, SerialTransport
     from coincid.model.contract.serial_link import BAUD

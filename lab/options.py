@@ -32,14 +32,14 @@ class Option:
 
 _SCENES = (
     "five-objects, letter-f, flat:METRES,REFLECTIVITY, two-targets:NEAR,FAR, two-returns:NEAR,FAR, "
-    "returns:METRES[@REFLECTIVITY],..., sun-and-shade, tunnel"
+    "returns:METRES@REFLECTIVITY,..., sun-and-shade, tunnel"
 )
 _RAYS = "ray:five-objects, ray:glass, ray:corner, ray:retroreflector, ray:fog"
 _DATA_SETS = "; ".join(f"{name} ({what})" for name, (_, what) in DATA_SETS.items())
 _ALL = (
     Option(
         name="scene", kind="Scene, str or numpy.ndarray", metavar="SCENE", default="five-objects",
-        doc=f"{_SCENES}; a depth file (PNG, TIFF, NPY, PFM, EXR), with a colour picture for the reflectivities as DEPTH,COLOUR; "
+        doc=f"Built in: {_SCENES}; a depth file (PNG, TIFF, NPY, PFM, EXR), with a colour picture for the reflectivities as DEPTH,COLOUR; "
         f"ray-traced: {_RAYS}, or a Mitsuba scene (XML, metres).",
     ),
     Option(
@@ -56,21 +56,21 @@ _ALL = (
     ),
     Option(
         name="klux", kind="float, numpy.ndarray, str or None", metavar="KLUX",
-        doc="Ambient light in klux: a number; LOW|HIGH, the right half in the sun; a map, as FILE.npy or as PICTURE,WHITE_KLUX (grey); "
-        "default: 50, and 100 for sun-and-shade and tunnel.",
+        doc="Ambient light in klux: a number; LEFT|RIGHT for the two halves of the picture; or a map, FILE.npy or PICTURE,WHITE_KLUX (grey). "
+        "Default: 100 for sun-and-shade and tunnel, otherwise 50.",
     ),
     Option(
         name="background", kind="str", metavar="LAW", default="reflected",
-        doc="reflected (in proportion to each surface's reflectivity), or even.",
+        doc="Background light: reflected (in proportion to each surface's reflectivity) or even.",
     ),
     Option(name="seed", kind="int", default=1, high=SEED_MAX, doc="Seed of the photons."),
     Option(
         name="spad", kind="Spad or None", metavar="NAME=VALUE",
-        doc="A property of the SPADs that differs from the paper's, such as dead_time_s=20e-9; see the API reference of Spad.",
+        doc="A property of the SPADs instead of the paper's value, such as dead_time_s=20e-9; the API reference lists them under Spad.",
     ),
     Option(
         name="spad_gate", kind="bool", default=False,
-        doc="Gating switches the SPADs off outside the gate; default: their edges are ignored.",
+        doc="Gating switches the SPADs off outside the gate. By default they stay on, and their edges are ignored.",
     ),
     Option(
         name="engine", kind="str", metavar="ENGINE", default="golden",
@@ -78,11 +78,11 @@ _ALL = (
     ),
     Option(
         name="view", kind="str", metavar="VIEW", default="polyphase",
-        doc="Front end of the RTL: polyphase (synchronous), or async (as on silicon: SPAD edges at their picosecond, on verilator or icarus).",
+        doc="Front end of the RTL: polyphase (synchronous), or async (asynchronous, with SPAD edges to the picosecond; verilator and icarus only).",
     ),
     Option(
         name="method", kind="str", metavar="METHOD", default="planes",
-        doc="Estimator of the distances, METHOD or METHOD/SOURCE of estimate_depth.",
+        doc="Estimator of the distances: METHOD or METHOD/SOURCE, as in estimate_depth.",
     ),
 )  # fmt: skip
 OPTIONS = {option.name: option for option in _ALL}

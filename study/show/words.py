@@ -67,7 +67,7 @@ def story(view: FrameView) -> str:
     if len(view.objects) > 1:
         dark, bright = view.objects[0], view.objects[-1]
         text += (
-            f" Of the darkest, {dark.name} ({dark.signal:.2f} photons per pixel and pulse), {dark.wrong_share:.0%} of the"
-            f" pixels are wrong; of the brightest, {bright.name} ({bright.signal:.2f}), {bright.wrong_share:.0%}."
+            f" In the darkest part, {dark.name} ({dark.signal:.2f} photons per pixel and pulse), {dark.wrong_share:.0%} of the"
+            f" pixels are wrong; in the brightest, {bright.name} ({bright.signal:.2f}), {bright.wrong_share:.0%}."
         )
     return text
