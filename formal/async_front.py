@@ -39,7 +39,7 @@ def bench(sensor: Sensor, circuit: Circuit) -> Module:
     m.d.comb += [reset.eq(AnySeq(1)), Assume(started | reset)]
     front = AsyncFrontEnd(sensor, circuit)
     _words_are_whole(elaborated(front), front, started)
-    control = front.state.control
+    control = front.control
     _control_returns(elaborated(control), control, started)
     for _, member, value in front.signature.flatten(front):
         if member.flow.name == "In":
@@ -56,9 +56,9 @@ def _words_are_whole(m: Module, front: AsyncFrontEnd, started: Signal) -> None:
 
     Further invariants make this inductive.
     """
-    state, half, window = front.state, front.state.half, front.window
+    half, window = front.half, front.window
     live_4, live_5 = Signal(), Signal()
-    m.d.sync += [live_4.eq(state.inside), live_5.eq(live_4)]
+    m.d.sync += [live_4.eq(front.inside), live_5.eq(live_4)]
 
     def bit(value, index):
         return value.bit_select(index, 1)
@@ -66,17 +66,17 @@ def _words_are_whole(m: Module, front: AsyncFrontEnd, started: Signal) -> None:
     def states(condition, where):
         m.d.comb += Assert(~(where & started) | condition)
 
-    states(live_4 == (state.opening_4 | (live_5 & ~state.closed)), live_4)
-    states(live_4 & ~state.closing_4, state.window_open)
-    states(live_4, state.closing_4)
-    states(live_5, state.closed)
-    states(bit(state.hits, state.winner), live_5)
-    in_half = sum(state.counts[1:], state.counts[0]) == popcount(m, half.hits, "spec_half")
-    states(bit(half.hits, half.winner) & in_half, state.closed_6)
+    states(live_4 == (front.opening_4 | (live_5 & ~front.closed_5)), live_4)
+    states(live_4 & ~front.closing_4, front.window_open)
+    states(live_4, front.closing_4)
+    states(live_5, front.closed_5)
+    states(bit(front.hits, front.winner), live_5)
+    in_half = sum(front.counts[1:], front.counts[0]) == popcount(m, half.hits, "spec_half")
+    states(bit(half.hits, half.winner) & in_half, front.closed_6)
     in_window = window.count == popcount(m, window.hits, "spec_window")
     states(bit(window.hits, window.winner) & (window.hits != 0) & in_window, front.closed)
 
-    m.d.comb += Cover(started & front.closed & (window.count == 2) & (state.elapsed > 1))
+    m.d.comb += Cover(started & front.closed & (window.count == 2) & (front.elapsed > 1))
 
 
 def _control_returns(m: Module, control: AsyncControl, started: Signal) -> None:
@@ -84,22 +84,21 @@ def _control_returns(m: Module, control: AsyncControl, started: Signal) -> None:
 
     m: the control's module.
     """
-    state = control.state
     if control.banks == 1:
         waiting = Signal(range(8))
         m.d.fall += waiting.eq(0)
-        with m.If(state.read):
+        with m.If(control.read):
             m.d.fall += waiting.eq(waiting + 1)
         m.d.comb += Assert(~started | (waiting <= 2))  # the clear comes two cycles after the window closed
-        m.d.comb += Assert(~(started & state.read & (waiting == 0)) | control.closing)
+        m.d.comb += Assert(~(started & control.read & (waiting == 0)) | control.closing)
     unanswered, parity = Signal(range(8)), Signal()
     ended, parity_now = control.of_current("ended"), control.of_current("parity")
     m.d.fall += [unanswered.eq(0), parity.eq(parity_now)]
-    with m.If(state.window_open & ended & ~state.closing & ((unanswered == 0) | (parity_now == parity))):
+    with m.If(control.window_open & ended & ~control.closes & ((unanswered == 0) | (parity_now == parity))):
         m.d.fall += unanswered.eq(unanswered + 1)
     m.d.comb += Assert(~started | (unanswered <= 2))  # an end that stays closes its window within two cycles
     if control.sensor.rearm:
-        m.d.comb += Assert(~started | (state.hold < max(2, control.sensor.rearm)))
+        m.d.comb += Assert(~started | (control.hold < max(2, control.sensor.rearm)))
 
 
 def _prove(name: str, states: str, sensor: Sensor) -> None:

@@ -97,8 +97,8 @@ def strobes_rest(b: Bench):
     """Behind the closed clock gate of a tree's strobes none of them would change, whatever is in them."""
     unit = CoincidenceTree(SMALL)
     _driven(b, unit)
-    closed, state = b.same("closed", ~unit.clock_gate.enable), unit.state
-    b.stable(Cat(state.strobes, state.may_open, unit.closed, unit.blind), where=closed)
+    closed = b.same("closed", ~unit.clock_gate.enable)
+    b.stable(Cat(unit.strobes, unit.may_open, unit.closed, unit.blind), where=closed)
     b.cover(closed)
 
 
@@ -115,9 +115,9 @@ def settings_rest(b: Bench):
     closed = _rests(b, unit)
     idle = b.same("idle", unit.command.operation == bus.Operation.IDLE)
     b.assume_stable(unit.period, where=idle & b.past(idle))  # the subgroup takes it in beside an operation
-    programmed = unit.state.programmed
+    programmed = unit.programmed
     b.always(unit.gate_late == (programmed.gating & (programmed.gate_start >= unit.period)), where=closed)
-    b.always(unit.upset == Cat(unit.state.upsets).any(), where=closed)
+    b.always(unit.upset == Cat(unit.upsets).any(), where=closed)
 
 
 @proof(depth=TREE_CYCLES + 4, cover=40)

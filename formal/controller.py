@@ -28,7 +28,7 @@ def controller(b: Bench):
     m, unit = b.m, Controller(SMALL)
     capacity, share = b.constant(DATA_BITS), b.constant(DATA_BITS)
     take, done, counted = b.same("take", b.anything(1)), unit.done, unit.counted
-    body = b.place(unit, command=None, capacity=capacity, share=share)
+    b.place(unit, command=None, capacity=capacity, share=share)
     m.d.comb += unit.command.operation.eq(Mux(take, bus.Operation.TAKE, bus.Operation.IDLE))
 
     # A frame is taken. Later its counters come in `BEATS` beats each. It is done `SETTLED` cycles after the last of them.
@@ -54,23 +54,23 @@ def controller(b: Bench):
     for k, one in enumerate(grown):
         below = b.same(f"below_{k}", Mux(one < capacity, one, capacity)[:DATA_BITS])
         candidates.append(b.same(f"candidate_{k}", Mux(below > share, below, share)))
-    running = b.same("running", ~body.fresh)
+    running = b.same("running", ~unit.fresh)
     b.always((running == (taken != 0)) & (taken <= SETTLED) & (since_last <= SETTLED))
     b.always(running, where=frame)
     b.always(frame, where=running & (taken != SETTLED))
-    b.always((body.capacity == capacity) & (body.share == share), where=running)
-    b.always(body.known == b.past(budget), where=b.past(1))
+    b.always((unit.capacity_taken == capacity) & (unit.share_taken == share), where=running)
+    b.always(unit.known == b.past(budget), where=b.past(1))
     for k in range(STEPS + FILLED):
-        b.always(body.filling[k] == (taken == 1 + k))
+        b.always(unit.filling[k] == (taken == 1 + k))
     for k, (one, candidate) in enumerate(zip(grown, candidates)):
         begins = 3 + k
         growth = Cat(1, budget >> BUDGET_GROWTHS[k - 1]) if k else 0
-        b.always(body.growth == growth, where=frame & (taken == begins))
-        b.always(body.grown == one[: DATA_BITS + 1], where=frame & (taken == begins + 1))
-        b.always(body.bounded == Mux(one < capacity, one, capacity), where=frame & (taken == begins + 2))
-        b.always(body.candidate == candidate, where=frame & (taken == begins + 3))
+        b.always(unit.growth == growth, where=frame & (taken == begins))
+        b.always(unit.grown == one[: DATA_BITS + 1], where=frame & (taken == begins + 1))
+        b.always(unit.bounded == Mux(one < capacity, one, capacity), where=frame & (taken == begins + 2))
+        b.always(unit.candidate == candidate, where=frame & (taken == begins + 3))
         for place in range(k + 1, STEPS):  # on their way to place k, one step for each candidate after them
-            b.always(body.steps[place] == candidate, where=frame & (taken == begins + 3 + STEPS - place))
+            b.always(unit.steps[place] == candidate, where=frame & (taken == begins + 3 + STEPS - place))
 
     # The sums. The counters of a subgroup are at work until those of the next one are complete.
     committed, now, then, controlled = Signal(COUNTER_BITS), Signal(COUNTER_BITS), Signal(COUNTER_BITS), Signal()
@@ -82,27 +82,27 @@ def controller(b: Bench):
             then.eq(counted.beat.word_select(LOWER % BEAT_BITS // COUNTER_BITS, COUNTER_BITS)),
             controlled.eq(counted.controlled),
         ]
-    b.always((beat < BEATS) & (body.beat == beat))
-    b.always(body.committed == committed, where=beat != 0)
-    b.always((body.now == now) & (body.then == then) & (body.controlled == controlled), where=some)
+    b.always((beat < BEATS) & (unit.beat == beat))
+    b.always(unit.committed == committed, where=beat != 0)
+    b.always((unit.now == now) & (unit.then == then) & (unit.controlled == controlled), where=some)
     b.always(since_last > beat, where=some)
     b.always(frame & (taken == SETTLED), where=(beat != 0) | some & frame)
     b.always(frame & some, where=since_last != SETTLED)
     slots = Cat(since_last == 1 + k for k in range(SUMS))
-    b.always(body.slot == slots)
-    b.always(body.adding == b.past(slots.any()))
-    b.always(body.added == b.past(body.adding))
-    b.always(body.of_all == Cat(b.past(slots[0]), b.past(slots[0], 2)))
+    b.always(unit.slot == slots)
+    b.always(unit.adding == b.past(slots.any()))
+    b.always(unit.added == b.past(unit.adding))
+    b.always(unit.of_all == Cat(b.past(slots[0]), b.past(slots[0], 2)))
     sums = [Signal(DATA_BITS + 1, name=f"expected_{k}") for k in range(SUMS)]
     fits = [Signal(name=f"expected_fits_{k}") for k in range(SUMS)]
     at_work = Signal(DATA_BITS + 1)
     for k, total in enumerate(sums):
         with m.If(b.past(slots[k])):
             m.d.comb += at_work.eq(total)
-    added = b.same("added", at_work + body.part)
+    added = b.same("added", at_work + unit.part)
     for k, (total, fit) in enumerate(zip(sums, fits)):
         part = Mux(controlled & (then <= candidates[k - 1]), then, now) if k else now
-        b.always(body.part == b.past(part), where=b.past(slots[k]))
+        b.always(unit.part == b.past(part), where=b.past(slots[k]))
         with m.If(b.past(slots[k])):
             m.d.sync += total.eq(Mux(added > SUM_MAX, SUM_MAX, added))
         with m.If(take):
@@ -114,8 +114,8 @@ def controller(b: Bench):
     m.d.sync += [turns.eq(Mux(b.past(slots.any()), Mux(turns == SUMS - 1, 0, turns + 1), turns)), fit_turns.eq(turns)]
     step_turns = Signal(range(STEPS))
     for k in range(SUMS):
-        b.always(Cat(body.sums) == Cat(_turned(sums, k)), where=turns == k)
-        b.always(body.fits == Cat(_turned(fits, k)), where=fit_turns == k)
+        b.always(Cat(unit.sums) == Cat(_turned(sums, k)), where=turns == k)
+        b.always(unit.fits == Cat(_turned(fits, k)), where=fit_turns == k)
         b.always(turns == k, where=b.past(slots[k]))
         b.always(fit_turns == k, where=b.past(slots[k], 2))
     b.always(turns == 0, where=~b.past(slots.any()))
@@ -124,9 +124,9 @@ def controller(b: Bench):
     b.always(step_turns == 0, where=~slots[1:].any())
     for k in range(STEPS):
         stands = frame & (taken > STEPS + FILLED) & (step_turns == k)
-        b.always(Cat(body.steps) == Cat(_turned(candidates, k)), where=stands)
+        b.always(Cat(unit.steps) == Cat(_turned(candidates, k)), where=stands)
         b.always(step_turns == k, where=slots[1 + k])
-    b.always(body.far_too_much == (sums[0] > 2 * capacity), where=some & (since_last >= 4))
+    b.always(unit.far_too_much == (sums[0] > 2 * capacity), where=some & (since_last >= 4))
 
     # Budget and limit.
     most = Signal(COUNTER_BITS)
@@ -141,13 +141,13 @@ def controller(b: Bench):
     top = b.same("top", Mux(most < limit, most, limit))
     dropped = b.same("dropped", top - (top >> LIMIT_DROP))
     lower_limit = b.same("lower_limit", Mux(dropped > share, dropped, share))
-    b.always(body.most == most, where=running)
-    b.always(body.top == top, where=some & frame & (since_last >= 3))
-    b.always(body.dropped == dropped, where=some & frame & (since_last >= 4))
-    b.always(body.lower_limit == lower_limit, where=some & frame & (since_last >= 5))
-    b.always(body.fitting == fitting, where=some & frame & (since_last >= SETTLED - 1))
+    b.always(unit.most == most, where=running)
+    b.always(unit.top == top, where=some & frame & (since_last >= 3))
+    b.always(unit.dropped == dropped, where=some & frame & (since_last >= 4))
+    b.always(unit.lower_limit == lower_limit, where=some & frame & (since_last >= 5))
+    b.always(unit.fitting == fitting, where=some & frame & (since_last >= SETTLED - 1))
     higher_limit = Mux(fitting > top, fitting, top)
-    b.always(body.higher_limit == higher_limit, where=some & frame & (since_last >= SETTLED))
+    b.always(unit.higher_limit == higher_limit, where=some & frame & (since_last >= SETTLED))
     too_much = b.same("too_much", sums[0] > capacity)
     next_limit = Mux(too_much, Mux(sums[0] > 2 * capacity, share, lower_limit), higher_limit)
     b.always(budget == b.past(Mux(too_much, share, fitting)), where=b.past(done))
@@ -157,6 +157,6 @@ def controller(b: Bench):
     b.always((budget >= share) & (budget <= capacity), where=running)
     b.always(budget <= limit, where=running)
     b.always((budget <= b.past(budget)) & (limit <= b.past(limit)), where=b.past(done & too_much))
-    b.always(body.budget.agree)
+    b.always(unit.budget_kept.agree)
     b.cover(b.past(done) & (budget > b.past(budget)) & (b.past(sums[0]) > 5))
     b.cover(b.past(done) & b.past(too_much))

@@ -43,7 +43,7 @@ def dpcu(b: Bench):
     settings, closed, window = unit.settings, unit.closed, unit.window
     operation, data, in_stream = Signal(bus.Operation), Signal(DATA_BITS), Signal()
     stored = b.same("kept", b.anything(1))
-    body = b.place(
+    b.place(
         unit,
         operation=operation,
         data=data,
@@ -93,10 +93,10 @@ def dpcu(b: Bench):
     b.always(unit.commit == b.past(closed & (window.count >= threshold)), where=b.past(in_frame))
     b.always(unit.event.as_value() == b.last(window.as_value()), where=unit.commit & b.past(1))
     b.always(unit.window_ticks == b.last(Mux(settings.coincidence, settings.window, 1)), where=b.past(1))
-    b.always(body.threshold == threshold, where=in_frame & b.past(1, 3))
-    b.always(body.lower_threshold + 1 == threshold, where=in_frame & begun)
+    b.always(unit.threshold == threshold, where=in_frame & b.past(1, 3))
+    b.always(unit.lower_threshold + 1 == threshold, where=in_frame & begun)
     meets_lower = b.past(closed & (window.count + 1 >= threshold))
-    b.always(body.meets_lower == meets_lower, where=b.past(in_frame & begun))
+    b.always(unit.meets_lower == meets_lower, where=b.past(in_frame & begun))
 
     # The balance of the counters. A commit is stored or dropped one cycle later.
     under = b.same("under", count["opened"] != FULL_OF_CYCLES)
@@ -127,14 +127,14 @@ def dpcu(b: Bench):
     b.always(used == b.past(used), where=b.past(1) & ~b.past(begin))
     b.always(step <= WORDS + 1)
     b.always(begun, where=before | (taken & (step == 0)))
-    b.always(body.stepped == _least(stepped, THRESHOLD_MAX), where=begun & (step > 6))
+    b.always(unit.stepped == _least(stepped, THRESHOLD_MAX), where=begun & (step > 6))
     b.always(unit.controlled == now)
-    b.always(body.stays == before)
-    b.always(body.ceiling + body.reached == 1, where=(step != 0) & (step <= 1 + BUDGETS))
+    b.always(unit.stays == before)
+    b.always(unit.ceiling + unit.reached == 1, where=(step != 0) & (step <= 1 + BUDGETS))
     for k in range(1, AUTO_BOUNDS + 1):
-        b.always(body.ceiling + body.reached == 1 + _reached(bounds[:k], opened), where=step == 1 + BUDGETS + k)
-    b.always(body.falls == (lower <= budget), where=step > 3)
-    b.always(body.rises == (committed > limit), where=step > 4)
+        b.always(unit.ceiling + unit.reached == 1 + _reached(bounds[:k], opened), where=step == 1 + BUDGETS + k)
+    b.always(unit.falls == (lower <= budget), where=step > 3)
+    b.always(unit.rises == (committed > limit), where=step > 4)
     b.cover(unit.commit & (used == 3) & now & before)
     b.cover((count["rejected"] == 2) & (count["dropped"] == 1))
 
@@ -149,23 +149,23 @@ def subgroup_settings(b: Bench):
     b.assume(command.parity == command.data.xor(), where=write)
     for offset, register, _ in registers.words(registers.SUBGROUP, sensor):  # as proven for the register front
         b.assume(command.data <= register.high(sensor), where=write & (command.word == offset // 4))
-    body = b.place(unit, subgroup=number)
+    b.place(unit, subgroup=number)
     b.always(~unit.upset)
-    for upset in body.upsets:
+    for upset in unit.upsets:
         b.always(~upset)
     taken = b.past(command.operation == bus.Operation.TAKE)
-    b.always(unit.settings.as_value() == b.last(body.programmed.as_value()), where=taken)
+    b.always(unit.settings.as_value() == b.last(unit.programmed.as_value()), where=taken)
     b.stable(unit.settings.as_value(), where=command.operation != bus.Operation.TAKE)
     b.stable(
-        body.programmed.as_value(), where=(command.operation != bus.Operation.WRITE) | (command.subgroup != number)
+        unit.programmed.as_value(), where=(command.operation != bus.Operation.WRITE) | (command.subgroup != number)
     )
     named = command.operation != bus.Operation.IDLE
     b.always(unit.data == 0, where=b.past(named & (command.subgroup != number), 2))
-    b.always(unit.gate_late == b.past(body.programmed.gating & (body.programmed.gate_start >= unit.period)))
-    for word, value in body.shown.items():
+    b.always(unit.gate_late == b.past(unit.programmed.gating & (unit.programmed.gate_start >= unit.period)))
+    for word, value in unit.shown.items():
         b.always(
             unit.data == b.last(value), where=b.past(named & (command.subgroup == number) & (command.word == word), 2)
         )
-    b.always(~body.named.any(), where=b.past(named & (command.subgroup != number)))
+    b.always(~unit.named.any(), where=b.past(named & (command.subgroup != number)))
     b.cover(taken & (unit.settings.threshold == 5))
     b.cover(unit.data == 7)

@@ -23,10 +23,10 @@ EMULATOR = Emulator(sensor=SMALL, buffer_beats=64)
 def deframer(b: Bench) -> None:
     """A body is right only if its CRC is, no byte is broken, and it fits the memory; nothing is written beyond."""
     m, unit = b.m, Deframer()
-    body = b.place(unit)
-    came, byte, broken, hold = body.came, body.byte, body.broken, unit.hold
+    b.place(unit)
+    came, byte, broken, hold = unit.came, unit.byte_in, unit.broken_in, unit.hold
     b.always(Cat(came, byte, broken) == b.past(Cat(unit.valid, unit.byte, unit.broken)))
-    b.always((body.is_flag == (~broken & (byte == FLAG))) & (body.is_escape == (byte == ESCAPE)), where=body.came)
+    b.always((unit.is_flag == (~broken & (byte == FLAG))) & (unit.is_escape == (byte == ESCAPE)), where=unit.came)
     flag = b.same("flag", came & ~broken & (byte == FLAG))
     in_frame, spoilt, put = Signal(), Signal(), Signal(range(BODY_BYTES_MAX + 2))
     with m.If(flag):
@@ -37,13 +37,13 @@ def deframer(b: Bench) -> None:
             m.d.sync += put.eq(put + 1)
     with m.If(hold):
         m.d.sync += in_frame.eq(0)
-    b.always(in_frame == body.listening)
-    b.always(spoilt == body.bad, where=in_frame)
-    b.always((put == body.count) | spoilt, where=in_frame)
-    b.always(body.count <= BODY_BYTES_MAX)
+    b.always(in_frame == unit.listening)
+    b.always(spoilt == unit.bad, where=in_frame)
+    b.always((put == unit.count) | spoilt, where=in_frame)
+    b.always(unit.count <= BODY_BYTES_MAX)
     b.always((unit.index < BODY_BYTES_MAX) & in_frame & ~broken, where=unit.put)
     ends = b.same("ends", flag & in_frame & ~hold)
-    b.always(b.past(ends & ~spoilt & (put > CRC_BYTES) & body.crc.match_detected), where=unit.right)
+    b.always(b.past(ends & ~spoilt & (put > CRC_BYTES) & unit.crc.match_detected), where=unit.right)
     b.always(b.past(ends), where=unit.wrong)
     b.always(~(unit.right & unit.wrong))
     b.always(unit.length == b.past(put - CRC_BYTES), where=unit.right)
@@ -56,25 +56,25 @@ def framer(b: Bench) -> None:
     """Flags are only at a frame's ends, escapes only where needed; an offered byte stays until it is taken."""
     m, unit = b.m, Framer()
     valid, byte, last, ready = unit.valid, unit.byte, unit.last, unit.out_ready
-    body = b.place(unit)
+    b.place(unit)
     offered = b.same("offered", valid & ~unit.ready)
     b.assume(valid & (byte == b.last(byte)) & (last == b.last(last)), where=b.past(offered))
-    ends = b.same("ends", body.machine.ongoing("idle") | body.machine.ongoing("flag"))
+    ends = b.same("ends", unit.machine.ongoing("idle") | unit.machine.ongoing("flag"))
     gone = b.same("gone", unit.out_valid & ready)
     b.always((unit.out_byte == FLAG) == ends, where=unit.out_valid)
     b.always(gone & ~ends, where=unit.ready)
-    b.always(body.special == ((body.byte == FLAG) | (body.byte == ESCAPE)), where=body.weighed)
-    b.always(~body.weighed | body.machine.ongoing("body") | body.machine.ongoing("tail"))
-    b.always(~body.weighed | valid, where=body.machine.ongoing("body"))
+    b.always(unit.special == ((unit.next_byte == FLAG) | (unit.next_byte == ESCAPE)), where=unit.weighed)
+    b.always(~unit.weighed | unit.machine.ongoing("body") | unit.machine.ongoing("tail"))
+    b.always(~unit.weighed | valid, where=unit.machine.ongoing("body"))
     escape = Signal()  # the previous byte was an escape
     with m.If(gone):
         m.d.sync += escape.eq(~ends & (unit.out_byte == ESCAPE))
-    b.always(escape == body.escaped, where=body.machine.ongoing("body") | body.machine.ongoing("tail"))
+    b.always(escape == unit.escaped, where=unit.machine.ongoing("body") | unit.machine.ongoing("tail"))
     b.always(unit.out_byte != ESCAPE, where=unit.out_valid & escape & ~ends)
-    b.always(~body.escaped | body.machine.ongoing("body") | body.machine.ongoing("tail"), where=escape)
+    b.always(~unit.escaped | unit.machine.ongoing("body") | unit.machine.ongoing("tail"), where=escape)
     held = b.same("held", unit.out_valid & ~ready)
     b.always(unit.out_valid & (unit.out_byte == b.last(unit.out_byte)), where=b.past(held))
-    b.cover(body.machine.ongoing("flag"))
+    b.cover(unit.machine.ongoing("flag"))
 
 
 @proof(depth=2, cover=8)
@@ -82,12 +82,12 @@ def frame_buffer(b: Bench) -> None:
     """The sensor waits only while the buffer is full; waiting beats are contiguous, and none is overwritten."""
     unit = FrameBuffer(EMULATOR)
     take, amount, comes = unit.take, unit.amount, unit.s_axis.tvalid
-    behind = b.place(unit)
+    b.place(unit)
     b.assume(amount <= unit.level, where=take)
     depth = EMULATOR.buffer_beats
     b.always(unit.level <= depth)
     b.always(unit.s_axis.tready == (unit.level != depth))
-    b.always(((unit.first + unit.level) % depth) == behind)
+    b.always(((unit.first + unit.level) % depth) == unit.behind)
     stored = b.same("stored_now", comes & unit.s_axis.tready)
     b.always(
         unit.level == b.last(unit.level) + b.past(stored) - Mux(b.past(take), b.last(amount), 0), where=b.past(Const(1))
@@ -101,21 +101,21 @@ def stream_slice(b: Bench) -> None:
     m, unit = b.m, StreamSlice()
     comes, ready = unit.s_axis.tvalid, unit.m_axis.tready
     taken, left = Signal(BEAT_BITS), Signal(BEAT_BITS)  # beats that came and that left; a beat is its number
-    body = b.place(unit, s_axis__tdata=taken)
+    b.place(unit, s_axis__tdata=taken)
     m.d.sync += [taken.eq(taken + (comes & unit.s_axis.tready)), left.eq(left + (unit.m_axis.tvalid & ready))]
-    b.always(taken == (left + body.valid + body.kept)[:BEAT_BITS])
+    b.always(taken == (left + unit.valid + unit.kept)[:BEAT_BITS])
     b.always(unit.m_axis.tdata == left, where=unit.m_axis.tvalid)
-    b.always(body.valid & (body.spare == (left + 1)[:BEAT_BITS]), where=body.kept)
+    b.always(unit.valid & (unit.spare == (left + 1)[:BEAT_BITS]), where=unit.kept)
     held = b.same("held", unit.m_axis.tvalid & ~ready)
     b.always(unit.m_axis.tvalid, where=b.past(held))
-    b.cover(body.kept & ready)
+    b.cover(unit.kept & ready)
 
 
 @proof(depth=4, cover=10)
 def photon_source(b: Bench) -> None:
     """A pixel has at most one edge per cycle, none during its dead time, and none outside the periods."""
     m, unit = b.m, PhotonSource(EMULATOR)
-    dead_times = b.place(unit, common=b.constant(unit.common.shape().size))
+    b.place(unit, common=b.constant(unit.common.shape().size))
     dead = b.same("dead", unit.common.as_value()[4:])
     words = b.same("words", unit.words)
     phases = SMALL.phases
@@ -128,6 +128,6 @@ def photon_source(b: Bench) -> None:
     with m.Elif(left != 0):
         m.d.sync += left.eq(left - 1)
     b.always(word == 0, where=left != 0)
-    b.always(dead_times[0] == Mux(word != 0, dead, Mux(left == 0, 0, left - 1)))
+    b.always(unit.dead[0] == Mux(word != 0, dead, Mux(left == 0, 0, left - 1)))
     b.cover(word != 0)
     b.cover((word != 0) & (dead == 2))

@@ -18,9 +18,9 @@ def _event_fifo(b: Bench, depth: int) -> None:
     sensor = evolve(SMALL, fifo_depth=depth)
     m, unit = b.m, EventFifo(sensor)
     commit, take, begin = unit.commit, unit.take, unit.frame_begin
-    body = b.place(unit)
-    elaborated(body.rows)
-    memory = body.rows.rows
+    b.place(unit)
+    elaborated(unit.rows)
+    memory = unit.rows.rows
 
     # The readout only takes an event that is at the head, and a frame begins with an empty FIFO.
     level = Signal(range(depth + 1))
@@ -31,7 +31,7 @@ def _event_fifo(b: Bench, depth: int) -> None:
     stored = b.same("stored_now", commit & (level != depth))
     dropped = b.same("dropped_now", commit & (level == depth))
     m.d.sync += level.eq(level + stored - take)
-    b.always((level == body.level) & (level <= depth))
+    b.always((level == unit.level) & (level <= depth))
     b.always(unit.stored == b.past(stored))  # each committed event is stored
     b.always(unit.dropped == b.past(dropped))  # or, if the FIFO is full, counted as dropped, but never both
     b.always(~(unit.stored & unit.dropped))
@@ -39,7 +39,7 @@ def _event_fifo(b: Bench, depth: int) -> None:
     # Overrun: events were dropped since the last one that was stored in this frame.
     lost = Signal()
     m.d.sync += lost.eq(Mux(begin, 0, Mux(commit, dropped, lost)))
-    b.always(lost == body.lost)
+    b.always(lost == unit.lost)
 
     # An arbitrary event leaves after all those that were there before it, before all later ones, and intact.
     watch = b.same("watch", b.anything(1) & stored)
@@ -60,11 +60,11 @@ def _event_fifo(b: Bench, depth: int) -> None:
     b.always(unit.head.as_value() == event.as_value(), where=watched & (ahead == 0))
 
     # Invariants: the rows in use are those from `row` to `to`, and the event is in its own row.
-    after_last = b.same("after_last", body.row + level)
-    b.always((body.to < depth) & (body.row < depth))
-    b.always(body.to == Mux(after_last >= depth, after_last - depth, after_last))
+    after_last = b.same("after_last", unit.row + level)
+    b.always((unit.to < depth) & (unit.row < depth))
+    b.always(unit.to == Mux(after_last >= depth, after_last - depth, after_last))
     b.always(ahead < level, where=watched)
-    behind = b.same("behind", body.row + ahead)
+    behind = b.same("behind", unit.row + ahead)
     look = memory.read_port(domain="comb")
     b.m.d.comb += look.addr.eq(Mux(behind >= depth, behind - depth, behind))
     b.always(look.data == event.as_value(), where=watched)
@@ -91,13 +91,13 @@ def record_buffer(b):
     """A record is stored if the place is free, else counted as dropped; it stays until taken; unlatched entries are 0."""
     m, unit = b.m, RecordBuffer(SMALL)
     due, take, begin = unit.due, unit.take, unit.frame_begin
-    waits = b.place(unit)
+    b.place(unit)
     waiting = Signal()
     b.assume(waiting, where=take)
     comes = b.same("comes", due & (unit.latched != 0))
     stored = b.same("stored_now", comes & ~waiting)
     m.d.sync += waiting.eq(Mux(stored, 1, waiting & ~take & ~begin))
-    b.always(waiting == waits)
+    b.always(waiting == unit.waiting)
     b.always(unit.stored == b.past(stored))
     b.always(unit.dropped == b.past(comes & waiting))
     kept = Signal(bus.record_layout(SMALL))

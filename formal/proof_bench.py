@@ -8,24 +8,16 @@ power-on, the only assumption is that reset is asserted in the first cycle, so a
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, Protocol, TypeVar
+from typing import Any
 
 from amaranth.hdl import Assert, Assume, Cover, Module, ResetSignal, Signal, Value
 from amaranth.hdl._ast import AnyConst, AnySeq  # the language's only names for free values
 from attrs import field, frozen
 
+from ..hdl.unit import Unit
+
 KEPT = "bench_"  # begin of the names of registers that keep their value at power-on
 PROOFS: dict[str, "Proof"] = {}
-State = TypeVar("State", covariant=True)
-
-
-class Stateful(Protocol[State]):
-    """A `Unit` whose inner registers a proof may read."""
-
-    signature: Any
-
-    @property
-    def state(self) -> State: ...
 
 
 @frozen
@@ -129,8 +121,8 @@ class Bench:
         """Return an input that may have any value, but the same in all cycles."""
         return AnyConst(shape)
 
-    def place(self, unit: Stateful[State], **inputs) -> State:
-        """Place `unit` and return its state. Ports get the values in `inputs` (None: no driver), or else any value."""
+    def place(self, unit: Unit, **inputs) -> None:
+        """Place a unit. Its inputs get the values in `inputs` (None: no driver), or else any value."""
         for path, member, value in unit.signature.flatten(unit):
             port = "__".join(map(str, path))
             if member.flow.name == "In" and inputs.get(port, "") is not None:
@@ -140,7 +132,6 @@ class Bench:
         assert not inputs, f"no such ports: {', '.join(inputs)}"
         self.m.submodules += unit
         elaborated(unit)
-        return unit.state
 
     def free(self, unit: Any) -> dict[str, Signal]:
         """Let the outputs of a unit inside another one have any value in any cycle, and return them by name."""

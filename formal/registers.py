@@ -24,9 +24,10 @@ def register_front(b: Bench):
     sensor, m = SMALL, b.m
     unit = Registers(sensor)
     axi = unit.s_axi
-    done, body = unit.done, b.place(unit)
-    state = body.machine.ongoing
-    busy = body.flag["busy"]
+    b.place(unit)
+    done = unit.done
+    state = unit.machine.ongoing
+    busy = unit.flag["busy"]
     # As proven for the sequencer: only a frame that was started is done.
     b.assume(busy & ~state("thresholds") & ~state("begin"), where=done)
 
@@ -49,7 +50,7 @@ def register_front(b: Bench):
     b.always((axi.bresp == OKAY) | (axi.bresp == SLVERR))
     b.always((axi.rresp == OKAY) | (axi.rresp == SLVERR))
     b.always(axi.rdata == 0, where=axi.rvalid & (axi.rresp == SLVERR))
-    for voted in body.voted:
+    for voted in unit.voted:
         b.always(voted.agree)
 
     # The answer comes in time, independent of the other channel.
@@ -65,14 +66,14 @@ def register_front(b: Bench):
 
     # A setting only changes by a write that is answered with OKAY, and is always legal.
     granted = axi.bvalid & (axi.bresp == OKAY)
-    for (name, _), setting in body.setting.items():
+    for (name, _), setting in unit.setting.items():
         register = registers.BY_NAME[name]
         b.always((setting == b.last(setting)) | granted, where=b.past(1))
         b.always((setting >= register.low(sensor)) & (setting <= register.high(sensor)))
-    for key, setting in body.setting.items():
-        b.always(setting.xor() == body.setting_parity[key])
-    b.always(body.value.xor() == body.parity, where=data)
-    b.always(unit.plan.as_value().xor() == body.plan_parity)
+    for key, setting in unit.setting.items():
+        b.always(setting.xor() == unit.setting_parity[key])
+    b.always(unit.value.xor() == unit.parity, where=data)
+    b.always(unit.plan.as_value().xor() == unit.plan_parity)
     b.always(unit.command.data.xor() == unit.command.parity, where=unit.command.operation == bus.Operation.WRITE)
     operation = unit.command.operation
     b.always(granted, where=operation == bus.Operation.WRITE)
@@ -80,8 +81,8 @@ def register_front(b: Bench):
     b.always(unit.start_frame == (operation == bus.Operation.BEGIN))
 
     # Exactly what the table allows is written and answered with OKAY; a start is checked first.
-    in_block = (body.write_address >= registers.SUBGROUP_BASE) & (
-        body.write_address < registers.SUBGROUP_BASE + registers.SUBGROUP_STRIDE * sensor.subgroups
+    in_block = (unit.write_address >= registers.SUBGROUP_BASE) & (
+        unit.write_address < registers.SUBGROUP_BASE + registers.SUBGROUP_STRIDE * sensor.subgroups
     )
     allowed = []
     for table, where, offset_bits in (
@@ -91,10 +92,10 @@ def register_front(b: Bench):
         for offset, register, _ in registers.words(table, sensor):
             if register.access in WRITABLE:
                 low, high = register.low(sensor), register.high(sensor)
-                here = where & (body.write_address[:offset_bits] == offset)
-                allowed.append(here & (body.value >= low) & (body.value <= high))
-    fits = b.same("fits", Cat(allowed).any() & body.whole)
-    starts = (body.write_address == registers.address("control")) & body.value[0]
+                here = where & (unit.write_address[:offset_bits] == offset)
+                allowed.append(here & (unit.value >= low) & (unit.value <= high))
+    fits = b.same("fits", Cat(allowed).any() & unit.whole)
+    starts = (unit.write_address == registers.address("control")) & unit.value[0]
     b.always(granted, where=b.past(state("write") & fits & ~starts))
     b.always(axi.bvalid & (axi.bresp == SLVERR), where=b.past(state("write") & ~fits))
 
@@ -116,7 +117,7 @@ def register_front(b: Bench):
     b.always((unit.plan.pulses != 0) & (unit.plan.gate_steps != 0), where=busy)
 
     # A refusal sets a sticky error bit.
-    errors = Cat(flag for name, flag in body.flag.items() if name not in ("busy", "done"))
+    errors = Cat(flag for name, flag in unit.flag.items() if name not in ("busy", "done"))
     b.always(errors.any(), where=axi.bvalid & ~b.past(axi.bvalid) & (axi.bresp == SLVERR))
     b.always(errors.any(), where=axi.rvalid & ~b.past(axi.rvalid) & (axi.rresp == SLVERR) & b.past(read))
 
@@ -125,28 +126,28 @@ def register_front(b: Bench):
     in_write = b.same("in_write", until_checked | state("thresholds") | state("begin"))
     b.always(address & data & ~axi.bvalid, where=in_write)
     b.always(read & ~axi.rvalid, where=state("read"))
-    b.always(b.past(body.address) == body.address, where=state("write"))
-    b.always(body.address == body.write_address, where=until_checked)
-    b.always(body.same_address & body.same_value, where=state("write"))
+    b.always(b.past(unit.address) == unit.address, where=state("write"))
+    b.always(unit.address == unit.write_address, where=until_checked)
+    b.always(unit.same_address & unit.same_value, where=state("write"))
     b.always(in_write | state("idle") | state("read"))
-    b.always(body.wait <= READ_CYCLES, where=state("read"))
-    b.always(body.wait < DECODE_CYCLES, where=state("decode"))
-    b.always(body.wait == DECODE_CYCLES, where=state("write"))
-    b.always((body.wait > DECODE_CYCLES) & (body.wait <= CHECK_CYCLES), where=state("check"))
-    b.always((body.sent < SENT) & busy, where=state("thresholds"))
+    b.always(unit.wait <= READ_CYCLES, where=state("read"))
+    b.always(unit.wait < DECODE_CYCLES, where=state("decode"))
+    b.always(unit.wait == DECODE_CYCLES, where=state("write"))
+    b.always((unit.wait > DECODE_CYCLES) & (unit.wait <= CHECK_CYCLES), where=state("check"))
+    b.always((unit.sent < SENT) & busy, where=state("thresholds"))
     b.always(busy, where=state("begin"))
     # The progress of an access bounds the time that it has been waiting.
     before_write = READ_CYCLES + 3
-    b.always(write_waits <= body.wait + 1, where=reading & state("read") & address & data & ~axi.bvalid)
+    b.always(write_waits <= unit.wait + 1, where=reading & state("read") & address & data & ~axi.bvalid)
     b.always(write_waits <= before_write, where=writing & state("idle"))
-    b.always(write_waits <= before_write + 1 + body.wait, where=until_checked)
-    b.always(write_waits <= before_write + 2 + CHECK_CYCLES + body.sent, where=state("thresholds"))
+    b.always(write_waits <= before_write + 1 + unit.wait, where=until_checked)
+    b.always(write_waits <= before_write + 2 + CHECK_CYCLES + unit.sent, where=state("thresholds"))
     b.always(write_waits <= before_write + 2 + CHECK_CYCLES + SENT, where=state("begin"))
-    b.always(read_waits <= body.wait + 1, where=until_checked)
-    b.always(read_waits <= CHECK_CYCLES + 2 + body.sent, where=state("thresholds"))
+    b.always(read_waits <= unit.wait + 1, where=until_checked)
+    b.always(read_waits <= CHECK_CYCLES + 2 + unit.sent, where=state("thresholds"))
     b.always(read_waits <= CHECK_CYCLES + 2 + SENT, where=state("begin"))
     b.always(read_waits <= Mux(axi.bvalid, CHECK_CYCLES + 3 + SENT, 0), where=reading & state("idle"))
-    b.always(read_waits <= CHECK_CYCLES + 4 + SENT + body.wait, where=state("read"))
+    b.always(read_waits <= CHECK_CYCLES + 4 + SENT + unit.wait, where=state("read"))
     b.cover(axi.bvalid & (axi.bresp == SLVERR) & read)
     b.cover(axi.rvalid & (axi.rresp == OKAY) & address & data)
 
@@ -155,7 +156,7 @@ def register_front(b: Bench):
 def register_front_starts(b: Bench):
     """With starts only, no read is answered; one start begins a frame, and the next one finds the front busy."""
     unit = Registers(SMALL)
-    body = b.place(
+    b.place(
         unit,
         s_axi__awaddr=registers.control("start")[0],
         s_axi__wdata=registers.control("start")[1],
@@ -170,8 +171,8 @@ def register_front_starts(b: Bench):
         done=0,
     )
     b.assume(~ResetSignal())
-    for voted in body.voted:
+    for voted in unit.voted:
         b.always(voted.agree)
-    b.always(~body.keep_read.value & ~unit.s_axi.rvalid)
-    b.cover(unit.start_frame & b.past(body.flag["busy"]))
-    b.cover(unit.s_axi.bvalid & body.flag["start_busy"])
+    b.always(~unit.keep_read.value & ~unit.s_axi.rvalid)
+    b.cover(unit.start_frame & b.past(unit.flag["busy"]))
+    b.cover(unit.s_axi.bvalid & unit.flag["start_busy"])

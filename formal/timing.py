@@ -41,7 +41,7 @@ def gating(b: Bench):
     sensor, m = SMALL, b.m
     unit = Gating(sensor)
     timing, settings = unit.timing, unit.settings
-    body = b.place(unit)
+    b.place(unit)
     highest = (1 << sensor.coarse_bits) - 1
 
     # A frame begins with a period; a period has at most 2^coarse_bits cycles; settings stay and have passed the checks.
@@ -66,10 +66,10 @@ def gating(b: Bench):
     c, f = b.past(cycle_now), b.past(opens)
     since = b.same("since", Mux(c > f, c - f, 0))
     here = b.past(running) & settings.gating
-    b.always(body.until_now == Mux(f > c, f - c, 0), where=here)
-    b.always(body.left_now == Mux(settings.gate_len > since, settings.gate_len - since, 0), where=here)
-    b.always(body.running == (b.past(running) | b.past(running, 2) << 1))
-    b.always(body.start == b.past(timing.start))
+    b.always(unit.until_now == Mux(f > c, f - c, 0), where=here)
+    b.always(unit.left_now == Mux(settings.gate_len > since, settings.gate_len - since, 0), where=here)
+    b.always(unit.running == (b.past(running) | b.past(running, 2) << 1))
+    b.always(unit.start == b.past(timing.start))
     b.cover(settings.gating & unit.accept & (b.past(cycle_now, 3) == 3) & (settings.gate_start == 1) & (shift == 2))
     b.cover(settings.gating & running & ~unit.accept & b.past(unit.accept))
 
@@ -83,7 +83,7 @@ def sequencer(b: Bench):
     sensor, m = SMALL, b.m
     unit = Sequencer(sensor)
     plan, start, abort, delivered = unit.plan, unit.start_frame, unit.abort_frame, unit.delivered
-    body = b.place(unit)
+    b.place(unit)
 
     # A start comes only after the previous frame is done. The plan stays, and has passed the start checks.
     busy = Signal()
@@ -123,7 +123,7 @@ def sequencer(b: Bench):
         m.d.sync += [waits.eq(waits - 1), frame.eq(waits == 1)]
     with m.Elif(frame):
         m.d.sync += lfsr.eq(stepped)
-    m.d.sync += aborting.eq(Mux(b.past(start, 2), 0, aborting | (abort & body.running)))
+    m.d.sync += aborting.eq(Mux(b.past(start, 2), 0, aborting | (abort & unit.running)))
     m.d.sync += over.eq(last)
     b.always(timing.running == frame)
     b.always(timing.start == (frame & (since == 0)))
@@ -154,37 +154,37 @@ def sequencer(b: Bench):
     ]
     b.always(ending & b.past(settled == SETTLED), where=unit.done)
     for k in range(SETTLED):
-        b.always(body.delivered[k] == (settled > k))
+        b.always(unit.delivered_for[k] == (settled > k))
     b.always(~alive, where=unit.finish | unit.done)
     b.always(unit.number == (b.past(unit.number) + unit.done)[: bus.PULSE_BITS], where=b.past(1))
 
     # Invariants: the sequencer's registers are one cycle ahead of its outputs.
-    one_frame = body.running | body.start.any() | b.past(start) | body.draining | alive | unit.done | ending
+    one_frame = unit.running | unit.start.any() | b.past(start) | unit.draining | alive | unit.done | ending
     b.always(busy, where=one_frame & ~unit.done | unit.finish)
-    b.always(b.past(body.running) == alive)
+    b.always(b.past(unit.running) == alive)
     b.always(~frame, where=waits != 0)
     b.always(since == 0, where=waits != 0)
-    b.always(b.past(body.left) == waits, where=alive)
-    b.always(body.waiting == (body.left != 0))
-    b.always(b.past(body.lfsr) == lfsr, where=alive)
-    b.always(body.mask == b.past((1 << plan.dither_bits) - 1), where=b.past(1))
-    b.always((b.past(body.pulses) == pulses) & (b.past(body.steps) == steps), where=alive)
+    b.always(b.past(unit.left) == waits, where=alive)
+    b.always(unit.waiting == (unit.left != 0))
+    b.always(b.past(unit.lfsr) == lfsr, where=alive)
+    b.always(unit.mask == b.past((1 << plan.dither_bits) - 1), where=b.past(1))
+    b.always((b.past(unit.pulses) == pulses) & (b.past(unit.steps) == steps), where=alive)
     b.always(
-        b.past(body.step) == ((plan.gate_every != 0) & (pulses == plan.gate_every - 1)), where=frame & (since != 0)
+        b.past(unit.step) == ((plan.gate_every != 0) & (pulses == plan.gate_every - 1)), where=frame & (since != 0)
     )
-    b.always(b.past(body.last_step) == (steps == plan.gate_steps - 1), where=frame & (since != 0))
+    b.always(b.past(unit.last_step) == (steps == plan.gate_steps - 1), where=frame & (since != 0))
     b.always((steps < plan.gate_steps) & (exact <= (steps << GATE_BITS) - steps), where=alive)
-    b.always(body.aborted == aborting)
-    b.always(ending == b.past(body.draining))
-    b.always(body.draining == (body.drained != 0))
-    b.always(body.active == (body.running | body.wrap | body.draining), where=~body.running | ~body.wrap)
-    b.always(body.active, where=body.running)
-    b.always(body.number.agree)
-    b.always(unit.finish == (body.drained == TO_FINISH))
-    b.always(body.drained <= TO_FINISH)
-    b.always(~body.running & ~body.start.any(), where=body.draining)
-    b.always(b.past(body.cycle) == since, where=alive)
-    b.always(b.past(body.pulse) == period, where=alive)
+    b.always(unit.aborted == aborting)
+    b.always(ending == b.past(unit.draining))
+    b.always(unit.draining == (unit.drained != 0))
+    b.always(unit.active == (unit.running | unit.wrap | unit.draining), where=~unit.running | ~unit.wrap)
+    b.always(unit.active, where=unit.running)
+    b.always(unit.number_kept.agree)
+    b.always(unit.finish == (unit.drained == TO_FINISH))
+    b.always(unit.drained <= TO_FINISH)
+    b.always(~unit.running & ~unit.start.any(), where=unit.draining)
+    b.always(b.past(unit.cycle) == since, where=alive)
+    b.always(b.past(unit.pulse) == period, where=alive)
     b.cover(unit.done & (plan.pulses == 2) & (unit.number == 1))
     b.cover(unit.done & (plan.pulses == 9))
     b.cover(timing.start & (timing.shift == 3))

@@ -12,9 +12,9 @@ from amaranth.hdl import C, Cat, Mux, Signal
 from amaranth.lib import wiring
 from attrs import evolve, frozen
 
-from ..hdl.minigroup import Minigroup, MinigroupState
+from ..hdl.minigroup import Minigroup
 from ..hdl.tdc import Tdc
-from ..hdl.tree import CoincidenceTree, TreeState
+from ..hdl.tree import CoincidenceTree
 from ..model.contract.parameters import QUARTERS, Sensor
 from .proof_bench import Bench, elaborated, proof
 from .sensors import SMALL
@@ -74,7 +74,7 @@ def _first(word):
     return first
 
 
-def _leaf_holds(b: Bench, leaf: MinigroupState, edges: Edges, pixels=None) -> None:
+def _leaf_holds(b: Bench, leaf: Minigroup, edges: Edges, pixels=None) -> None:
     """State the invariants of a minigroup's pipeline: it holds the encoded first edges of its pixels."""
     for raw, phases, since in ((edges.raw_1, leaf.phases_1, 1), (edges.raw_2, leaf.phases_2, edges.fresh)):
         words = edges.words(raw, pixels)
@@ -93,7 +93,6 @@ class Placed:
     """A tree on the bench: what it sees, and the pixels of its minigroups; may_open: at stage 2."""
 
     unit: CoincidenceTree
-    body: TreeState
     edges: Edges
     window_ticks: Signal
     may_open: Signal
@@ -125,14 +124,13 @@ def _place_tree(b: Bench, sensor: Sensor) -> Placed:
     window_ticks = unit.window_ticks
     b.assume((window_ticks != 0) & (window_ticks <= sensor.window_max))
     no_line = {f"line__{name}": None for name in ("any", "phase", "coarse")}
-    body = b.place(unit, **no_line)
-    for leaf in body.leaves:
+    b.place(unit, **no_line)
+    for leaf in unit.leaves:
         elaborated(leaf)
     b.place(clock, line_0__root=None)
     wiring.connect(b.m, unit.line, clock.line_0)
     return Placed(
         unit=unit,
-        body=body,
         edges=_edges(b, unit.words, unit.mask, unit.accept),
         window_ticks=window_ticks,
         may_open=b.past(unit.timing.may_open, 4),
@@ -219,14 +217,14 @@ def _agrees(b: Bench, dut: Placed, now: dict[str, Any]) -> None:
 
 def _rearms(b: Bench, dut: Placed, spec: Specification) -> None:
     """State the self-reset: the tree is armed R cycles after the close cycle, and always at the end of a guard."""
-    sensor, body = dut.unit.sensor, dut.body
+    unit, sensor = dut.unit, dut.unit.sensor
     since_close = Signal(range(sensor.rearm + 2), init=sensor.rearm + 1)
     b.m.d.sync += since_close.eq(Mux(spec.now["closed"], 0, since_close + (since_close != sensor.rearm + 1)))
-    b.always(body.rearm == 0, where=since_close >= sensor.rearm)
+    b.always(unit.rearm == 0, where=since_close >= sensor.rearm)
     b.always(since_close == sensor.rearm - spec.not_armed, where=spec.not_armed != 0)
     guarded = Signal(range(sensor.guard + 1))
     b.m.d.sync += guarded.eq(Mux(dut.may_open, 0, guarded + (guarded != sensor.guard)))
-    at_rest = ~spec.open & (spec.not_armed == 0) & ~body.window_open & (body.rearm == 0)
+    at_rest = ~spec.open & (spec.not_armed == 0) & ~unit.window_open & (unit.rearm == 0)
     b.always(at_rest, where=guarded == sensor.guard)
     closes_by = (
         sensor.window_max - 2
@@ -237,24 +235,24 @@ def _rearms(b: Bench, dut: Placed, spec: Specification) -> None:
 
 def _holds(b: Bench, dut: Placed, spec: Specification) -> None:
     """State the invariants: specification against registers, then the pipeline."""
-    sensor, body, edges, line, now = dut.unit.sensor, dut.body, dut.edges, dut.unit.line, spec.now
-    b.always(body.window_open == spec.open)
-    b.always((body.left == spec.left) & (spec.left != 0), where=spec.open)
-    b.always((body.rearm == spec.not_armed) & (spec.not_armed <= sensor.rearm))
+    unit, sensor, edges, line, now = dut.unit, dut.unit.sensor, dut.edges, dut.unit.line, spec.now
+    b.always(unit.window_open == spec.open)
+    b.always((unit.left == spec.left) & (spec.left != 0), where=spec.open)
+    b.always((unit.rearm == spec.not_armed) & (spec.not_armed <= sensor.rearm))
     b.always(line.root == edges.root(edges.stage_1))
     b.always(line.any == edges.stage_2.any(), where=edges.fresh)
     b.always(~line.any, where=~edges.fresh)
-    b.always(body.may_open[-2] == dut.may_open)
+    b.always(unit.may_open[-2] == dut.may_open)
     live = b.past(now["live"], 3)
-    for g, (leaf, members) in enumerate(zip(body.leaves, dut.members)):
-        _leaf_holds(b, leaf.state, edges, members)
-        hit = b.past(Cat(body.hits[i] for i in members).any(), 3)
+    for g, (leaf, members) in enumerate(zip(unit.leaves, dut.members)):
+        _leaf_holds(b, leaf, edges, members)
+        hit = b.past(Cat(unit.hits[i] for i in members).any(), 3)
         b.always(leaf.offset == b.past(now["offsets"][g], 6), where=b.past(now["live"], 6) & hit)
-    b.always(body.hits == b.past(now["hits"], 3), where=live)
-    for name, stages in (("stamp", body.stamps), ("winner", body.winners)):
+    b.always(unit.hits == b.past(now["hits"], 3), where=live)
+    for name, stages in (("stamp", unit.stamps), ("winner", unit.winners)):
         for cycles, stage in enumerate(stages, 1):
             b.always(stage == b.past(now[name], cycles), where=b.past(now["live"], cycles))
-    b.always(body.elapsed == b.past(now["elapsed"], 5), where=b.past(now["live"], 5))
+    b.always(unit.elapsed == b.past(now["elapsed"], 5), where=b.past(now["live"], 5))
 
 
 def _tree(b: Bench, sensor: Sensor) -> None:
@@ -293,7 +291,7 @@ def minigroup_record(b):
     frame, may_open, wrap = unit.frame, unit.may_open, unit.wrap
     coarse_4 = Signal(sensor.coarse_bits)
     b.assume((frame.mg_threshold != 0) & (frame.mg_window != 0) & (frame.mg_window <= 4))
-    body = b.place(unit, frame=b.constant(frame.shape().size), coarse=coarse_4)
+    b.place(unit, frame=b.constant(frame.shape().size), coarse=coarse_4)
 
     edges = _edges(b, unit.words, unit.mask, unit.accept)
     # A reset closes the guard for longer than earlier edges take to pass.
@@ -319,19 +317,19 @@ def minigroup_record(b):
     m.d.sync += latched.eq(Mux(remaining_now == 1, sum(seen_now, start=0) >= frame.mg_threshold, latched_now))
     with m.If(starts):
         m.d.sync += stamp.eq(coarse * QUARTERS + first * QUARTERS // phases)
-    b.always(body.step == first * sensor.offset_phases // phases, where=active.any() & edges.fresh_3)
+    b.always(unit.step == first * sensor.offset_phases // phases, where=active.any() & edges.fresh_3)
     b.always(unit.latched == latched)
     b.always((unit.entry.map == seen) & seen.any(), where=latched)
-    b.always(unit.entry.stamp == stamp, where=latched & ~body.started)
-    b.always(~body.started, where=wrap)  # a stamp is never read while it is written
-    b.always(body.left == remaining)
-    b.always((body.seen == seen) & ~latched & seen.any(), where=remaining != 0)
-    b.always(unit.entry.stamp == stamp, where=(remaining != 0) & ~body.started)
-    b.always(body.started == b.past(starts), where=b.past(1))
-    b.always(stamp == b.last(coarse * QUARTERS + first * QUARTERS // phases), where=body.started & edges.fresh_3)
-    b.always(body.step_4 == b.last(body.step), where=b.past(1) & body.started)
+    b.always(unit.entry.stamp == stamp, where=latched & ~unit.started)
+    b.always(~unit.started, where=wrap)  # a stamp is never read while it is written
+    b.always(unit.left == remaining)
+    b.always((unit.seen == seen) & ~latched & seen.any(), where=remaining != 0)
+    b.always(unit.entry.stamp == stamp, where=(remaining != 0) & ~unit.started)
+    b.always(unit.started == b.past(starts), where=b.past(1))
+    b.always(stamp == b.last(coarse * QUARTERS + first * QUARTERS // phases), where=unit.started & edges.fresh_3)
+    b.always(unit.step_4 == b.last(unit.step), where=b.past(1) & unit.started)
     b.always(remaining == 0, where=wrap)
     b.always(remaining + guarded <= 4, where=remaining != 0)
-    _leaf_holds(b, body, edges)
+    _leaf_holds(b, unit, edges)
     b.cover(latched & wrap & (seen == 0b1011))
     b.cover((remaining == 1) & (frame.mg_window == 4) & ~latched)

@@ -78,70 +78,6 @@ class Next:
         return Mux(self.two, 2 * self.width, Mux(self.one, self.width, 0))
 
 
-class CoderState:
-    """Inner registers and signals of a coder.
-
-    The next beat: in_other: it belongs to a minigroup record, which has `record_left` beats left, or to a frame end;
-    in_event: it belongs to an event; may_begin: it may be the first one of an event.
-
-    The event that is taken: its beats are `words`, `index` is the number of the next one, and `full` says that all are
-    there. winner_mask: its winner; age_ahead: the age of its pulse in the open group; fits_ahead: the group can hold it.
-
-    The event at work: phase: its part that comes next; ends: this is its last part. pixels, offset_pair: the items that come
-    next; rest, minigroups: those that follow. If the event is `mapped`, rest is its map, which has `parts` parts left.
-    low_bits: width of stamp and age.
-
-    The group: open, pulse, number. opening: its head comes next; closing: its end comes next, for example because the event
-    at work is a misfit. forms: the next part is formed in this cycle, as `next_part` with `next_bits` bits.
-    """
-
-    def __init__(self, sensor: Sensor):
-        widths, beats = groups.group_widths(sensor), layout(sensor).length(LONGEST)
-        self.in_other = Signal()
-        self.record_left = Signal(range(layout(sensor).length(RECORD)))
-        self.in_event = Signal()
-        self.may_begin = Signal()
-        self.is_event = Signal()
-        self.read = Signal()
-        self.words = [Signal(BEAT_BITS, name=f"word_{k}") for k in range(beats)]
-        self.index = Signal(range(beats))
-        self.full = Signal()
-        self.to_work = Signal()
-        self.winner_mask = Signal(sensor.pixels)
-        self.age_ahead = Signal(groups.AGE_BITS)
-        self.fits_ahead = Signal()
-
-        self.busy = Signal()
-        self.phase = Signal(Phase)
-        self.ends = Signal()
-        self.event_pulse = Signal(groups.HEAD.pulse)
-        self.numbers = Signal(widths.fixed_bits - 1)
-        self.stamp = Signal(sensor.stamp_bits)
-        self.winner = Signal(sensor.winner_bits)
-        self.mapped = Signal()
-        self.age = Signal(groups.AGE_BITS)
-        self.same = Signal()
-        self.fits = Signal()
-        self.low_bits = Signal(range(sensor.stamp_bits + groups.AGE_BITS + 1))
-        self.pixels = Next(sensor.winner_bits, "pixels")
-        self.rest = Signal(sensor.pixels)
-        self.parts = Signal(range(map_parts(sensor) + 1))
-        self.offsets = Signal(sensor.minigroups * sensor.offset_bits)
-        self.offset_pair = Next(sensor.offset_bits, "offset_pair")
-        self.minigroups = Signal(sensor.minigroups)
-
-        self.stamp_bits = Signal(groups.HEAD.stamp_bits)
-        self.open = Signal()
-        self.pulse = Signal(groups.HEAD.pulse)
-        self.number = Signal(groups.HEAD.number)
-        self.opening = Signal()
-        self.misfit = Signal()
-        self.closing = Signal()
-        self.forms = Signal()
-        self.next_part = Signal(groups.group_widths(sensor).part_bits)
-        self.next_bits = Signal(range(groups.group_widths(sensor).part_bits + 1))
-
-
 def is_event_head(beat: Value) -> Value:
     """Return whether a beat, if it begins a packet, begins an event in a format with groups."""
     return Cat(beat[KIND_LSB:] == packet.code for packet in GROUPED).any()
@@ -191,7 +127,41 @@ class Coder(Unit):
             passed=In(1),
             frame_begin=In(1),
         )
-        self.state = CoderState(sensor)
+        widths, beats, of_record = self.widths, layout(sensor).length(LONGEST), layout(sensor).length(RECORD)
+        # The next beat. in_other: it belongs to a minigroup record, which has `record_left` beats left, or to a frame end;
+        # in_event: it belongs to an event; may_begin: it may be the first beat of an event.
+        self.inner("in_other in_event may_begin is_event read")
+        self.inner("record_left", range(of_record))
+        # The event that is taken. index: number of its next beat; full: all its beats are in `words`. winner_mask: its
+        # winner; age_ahead: the age of its pulse in the open group; fits_ahead: the group can hold it.
+        self.words = [Signal(BEAT_BITS, name=f"word_{k}") for k in range(beats)]
+        self.inner("index", range(beats))
+        self.inner("full to_work fits_ahead")
+        self.inner("winner_mask", sensor.pixels)
+        # The event at work. phase: its part that comes next; ends: this is its last part. pixels, offset_pair: the items
+        # that come next; rest, minigroups: those that follow. If the event is `mapped`, rest is its map, which has `parts`
+        # parts left. low_bits: width of stamp and age.
+        self.inner("busy ends mapped same fits")
+        self.inner("phase", Phase)
+        self.inner("numbers", widths.fixed_bits - 1)
+        self.inner("stamp", sensor.stamp_bits)
+        self.inner("winner", sensor.winner_bits)
+        self.inner("age age_ahead", groups.AGE_BITS)
+        self.inner("low_bits", range(sensor.stamp_bits + groups.AGE_BITS + 1))
+        self.pixels = Next(sensor.winner_bits, "pixels")
+        self.inner("rest", sensor.pixels)
+        self.inner("parts", range(map_parts(sensor) + 1))
+        self.inner("offsets", sensor.minigroups * sensor.offset_bits)
+        self.offset_pair = Next(sensor.offset_bits, "offset_pair")
+        self.inner("minigroups", sensor.minigroups)
+        # The group. opening: its head comes next; closing: its end comes next, for example because the event at work is a
+        # misfit. forms: the next part is formed in this cycle, as `next_part` with `next_bits` bits.
+        self.inner("open opening misfit closing forms")
+        self.inner("pulse event_pulse", groups.HEAD.pulse)
+        self.inner("stamp_bits", groups.HEAD.stamp_bits)
+        self.inner("number", groups.HEAD.number)
+        self.inner("next_part", widths.part_bits)
+        self.inner("next_bits", range(widths.part_bits + 1))
 
     def elaborate(self, platform):
         m = Module()
@@ -201,194 +171,192 @@ class Coder(Unit):
         self._pixels(m)
         self._offsets(m)
         self._form(m)
-        state = self.state
         with m.If(self.frame_begin):
-            places = state.in_other, state.record_left, state.in_event, state.index
-            cleared = state.full, state.busy, state.open, state.number, self.offer, self.close
+            places = self.in_other, self.record_left, self.in_event, self.index
+            cleared = self.full, self.busy, self.open, self.number, self.offer, self.close
             m.d.sync += [signal.eq(0) for signal in (*places, *cleared)]
         return m
 
     def _take(self, m):
         """Take the beats of events. All other beats pass when no event and no group is left."""
-        state, lengths = self.state, layout(self.sensor)
+        lengths = layout(self.sensor)
         kind = self.beat[KIND_LSB:]
         last = Mux(self.with_offsets, lengths.length(LONGEST), min(map(lengths.length, GROUPED))) - 1
-        idle = ~state.full & ~state.busy & ~state.open & ~self.offer & ~self.close
+        idle = ~self.full & ~self.busy & ~self.open & ~self.offer & ~self.close
         m.d.comb += [
-            state.is_event.eq((state.in_event | (self.head & state.may_begin)) & ~self.last),
-            state.read.eq(self.valid & state.is_event & (~state.full | state.to_work)),
-            self.passes.eq(self.valid & ~state.is_event & (idle | ~self.grouped)),
-            self.take.eq(state.read | (self.passes & self.passed)),
+            self.is_event.eq((self.in_event | (self.head & self.may_begin)) & ~self.last),
+            self.read.eq(self.valid & self.is_event & (~self.full | self.to_work)),
+            self.passes.eq(self.valid & ~self.is_event & (idle | ~self.grouped)),
+            self.take.eq(self.read | (self.passes & self.passed)),
         ]
         goes_on = Signal()  # the next beat belongs to the same other packet as the one that passes
-        m.d.comb += goes_on.eq(state.in_other)
+        m.d.comb += goes_on.eq(self.in_other)
         with m.If(self.passes & self.passed):
-            with m.If(~state.in_other):
+            with m.If(~self.in_other):
                 m.d.comb += goes_on.eq(((kind == FRAME_END.code) | (kind == RECORD.code)) & ~self.last)
-                m.d.sync += state.record_left.eq(Mux(kind == RECORD.code, lengths.length(RECORD) - 1, 0))
+                m.d.sync += self.record_left.eq(Mux(kind == RECORD.code, lengths.length(RECORD) - 1, 0))
             with m.Else():
-                m.d.comb += goes_on.eq((state.record_left != 1) & ~self.last)
-                m.d.sync += state.record_left.eq(state.record_left - (state.record_left != 0))
-        m.d.sync += [state.in_other.eq(goes_on), state.may_begin.eq(self.grouped & ~goes_on)]
-        with m.If(state.read):
+                m.d.comb += goes_on.eq((self.record_left != 1) & ~self.last)
+                m.d.sync += self.record_left.eq(self.record_left - (self.record_left != 0))
+        m.d.sync += [self.in_other.eq(goes_on), self.may_begin.eq(self.grouped & ~goes_on)]
+        with m.If(self.read):
             m.d.sync += [
-                state.index.eq(Mux(state.index == last, 0, state.index + 1)),
-                state.in_event.eq(state.index != last),
+                self.index.eq(Mux(self.index == last, 0, self.index + 1)),
+                self.in_event.eq(self.index != last),
             ]
-            with m.Switch(state.index):
-                for k, word in enumerate(state.words):
+            with m.Switch(self.index):
+                for k, word in enumerate(self.words):
                     with m.Case(k):
                         m.d.sync += word.eq(self.beat)
-        m.d.sync += state.full.eq((state.read & (state.index == last)) | (state.full & ~state.to_work))
+        m.d.sync += self.full.eq((self.read & (self.index == last)) | (self.full & ~self.to_work))
 
     def _taken(self, name: str) -> Value:
         """Return a field of the event that has been taken."""
         parts = [part for part in parts_of(self.sensor, LONGEST) if part.field == name]
-        return Cat(self.state.words[part.beat][part.lsb : part.lsb + part.width] for part in parts)
+        return Cat(self.words[part.beat][part.lsb : part.lsb + part.width] for part in parts)
 
     def _group(self, m):
         """Open a group for an event that has none; close it before an event that does not fit, and before another packet.
 
         Whether the next event fits is computed while it is taken, and so is the place of its winner.
         """
-        state = self.state
         first, other = named("first other")
         pulse = Signal(groups.HEAD.pulse)
         age = Signal(groups.HEAD.pulse + 1)
         m.d.comb += [
-            first.eq(state.busy & (state.phase == Phase.FIRST)),
-            other.eq(self.grouped & self.valid & ~state.is_event & ~state.full & ~state.busy),
-            state.opening.eq(first & ~state.open),
-            state.misfit.eq(first & state.open & ~state.fits),
-            state.closing.eq(state.misfit | (state.open & other)),
-            pulse.eq(Mux(state.opening, state.event_pulse, state.pulse)),
+            first.eq(self.busy & (self.phase == Phase.FIRST)),
+            other.eq(self.grouped & self.valid & ~self.is_event & ~self.full & ~self.busy),
+            self.opening.eq(first & ~self.open),
+            self.misfit.eq(first & self.open & ~self.fits),
+            self.closing.eq(self.misfit | (self.open & other)),
+            pulse.eq(Mux(self.opening, self.event_pulse, self.pulse)),
             age.eq(pulse - self._taken("pulse")),
         ]
         m.d.sync += [
-            state.age_ahead.eq(age),
-            state.fits_ahead.eq(age <= groups.AGE_MAX),
-            state.winner_mask.eq(Const(1) << self._taken("winner")[: self.sensor.winner_bits]),
+            self.age_ahead.eq(age),
+            self.fits_ahead.eq(age <= groups.AGE_MAX),
+            self.winner_mask.eq(Const(1) << self._taken("winner")[: self.sensor.winner_bits]),
         ]
-        with m.If(state.forms & state.closing):
-            m.d.sync += [state.open.eq(0), state.number.eq(state.number + 1)]
-        with m.If(state.forms & state.opening):
-            m.d.sync += [state.open.eq(1), state.pulse.eq(state.event_pulse)]
+        with m.If(self.forms & self.closing):
+            m.d.sync += [self.open.eq(0), self.number.eq(self.number + 1)]
+        with m.If(self.forms & self.opening):
+            m.d.sync += [self.open.eq(1), self.pulse.eq(self.event_pulse)]
 
     def _work(self, m):
         """Begin with the taken event as soon as nothing more comes of the one at work."""
-        state, widths = self.state, self.widths
+        widths = self.widths
         same = Signal()
         count = self._taken("count")
-        to_pixels = (state.phase != Phase.OFFSETS) & state.pixels.more
+        to_pixels = (self.phase != Phase.OFFSETS) & self.pixels.more
         mapped = count > widths.listed_max
         m.d.comb += [
-            same.eq(state.age_ahead == state.age),
-            state.ends.eq(
-                ~state.opening
-                & ~state.misfit
+            same.eq(self.age_ahead == self.age),
+            self.ends.eq(
+                ~self.opening
+                & ~self.misfit
                 & ~to_pixels
-                & Mux(state.phase == Phase.OFFSETS, ~state.offset_pair.more, ~self.with_offsets)
+                & Mux(self.phase == Phase.OFFSETS, ~self.offset_pair.more, ~self.with_offsets)
             ),
-            state.to_work.eq(state.full & (~state.busy | (state.ends & self.free))),
+            self.to_work.eq(self.full & (~self.busy | (self.ends & self.free))),
         ]
-        with m.If(state.to_work):
+        with m.If(self.to_work):
             m.d.sync += [
-                state.busy.eq(1),
-                state.phase.eq(Phase.FIRST),
-                state.event_pulse.eq(self._taken("pulse")),
-                state.numbers.eq(
+                self.busy.eq(1),
+                self.phase.eq(Phase.FIRST),
+                self.event_pulse.eq(self._taken("pulse")),
+                self.numbers.eq(
                     Cat(
                         Mux(mapped, groups.MAPPED, count)[: groups.LISTED_BITS],
                         self._taken("overrun"),
                         self._taken("subgroup")[: widths.subgroup_bits],
                     )
                 ),
-                state.stamp.eq(self._taken("stamp")),
-                state.winner.eq(self._taken("winner")),
-                state.mapped.eq(mapped),
-                state.age.eq(state.age_ahead),
-                state.same.eq(same),
-                state.fits.eq(state.fits_ahead),
-                state.low_bits.eq(Mux(same, state.stamp_bits, state.stamp_bits + groups.AGE_BITS)),
+                self.stamp.eq(self._taken("stamp")),
+                self.winner.eq(self._taken("winner")),
+                self.mapped.eq(mapped),
+                self.age.eq(self.age_ahead),
+                self.same.eq(same),
+                self.fits.eq(self.fits_ahead),
+                self.low_bits.eq(Mux(same, self.stamp_bits, self.stamp_bits + groups.AGE_BITS)),
             ]
-        with m.Elif(state.forms & state.opening):
-            m.d.sync += [state.age.eq(0), state.same.eq(1), state.fits.eq(1), state.low_bits.eq(state.stamp_bits)]
-        with m.Elif(state.forms & ~state.closing):
-            m.d.sync += [state.busy.eq(~state.ends), state.phase.eq(Mux(to_pixels, Phase.PIXELS, Phase.OFFSETS))]
+        with m.Elif(self.forms & self.opening):
+            m.d.sync += [self.age.eq(0), self.same.eq(1), self.fits.eq(1), self.low_bits.eq(self.stamp_bits)]
+        with m.Elif(self.forms & ~self.closing):
+            m.d.sync += [self.busy.eq(~self.ends), self.phase.eq(Mux(to_pixels, Phase.PIXELS, Phase.OFFSETS))]
 
     def _pixels(self, m):
         """Choose the next two pixels, or the next part of the map; of a new event and of the one at work side by side."""
-        state, sensor = self.state, self.sensor
-        hits, own = self._taken("map"), state.pixels
+        sensor = self.sensor
+        hits, own = self._taken("map"), self.pixels
         others = Signal(sensor.pixels)
-        m.d.comb += others.eq(hits & ~state.winner_mask)
-        of_taken, of_rest = Ends(m, others, "others"), Ends(m, state.rest, "rest")
+        m.d.comb += others.eq(hits & ~self.winner_mask)
+        of_taken, of_rest = Ends(m, others, "others"), Ends(m, self.rest, "rest")
         mapped = self._taken("count") > self.widths.listed_max
-        with m.If(state.to_work):
+        with m.If(self.to_work):
             m.d.sync += own.takes(of_taken, of_taken.places(m, own.width))
-            m.d.sync += [state.rest.eq(of_taken.between), state.parts.eq(map_parts(sensor))]
+            m.d.sync += [self.rest.eq(of_taken.between), self.parts.eq(map_parts(sensor))]
             with m.If(mapped):
-                m.d.sync += [own.one.eq(0), own.two.eq(0), own.more.eq(1), state.rest.eq(hits)]
-        with m.Elif(state.forms & ~state.opening & ~state.closing):
-            with m.If(~state.mapped):
+                m.d.sync += [own.one.eq(0), own.two.eq(0), own.more.eq(1), self.rest.eq(hits)]
+        with m.Elif(self.forms & ~self.opening & ~self.closing):
+            with m.If(~self.mapped):
                 m.d.sync += own.takes(of_rest, of_rest.places(m, own.width))
-                m.d.sync += state.rest.eq(of_rest.between)
+                m.d.sync += self.rest.eq(of_rest.between)
             with m.Else():
-                m.d.sync += [own.more.eq(state.parts != 1), state.parts.eq(state.parts - 1)]
-                with m.If(state.phase == Phase.PIXELS):
-                    m.d.sync += state.rest.eq(state.rest >> groups.MAP_PART_BITS)
+                m.d.sync += [own.more.eq(self.parts != 1), self.parts.eq(self.parts - 1)]
+                with m.If(self.phase == Phase.PIXELS):
+                    m.d.sync += self.rest.eq(self.rest >> groups.MAP_PART_BITS)
 
     def _offsets(self, m):
         """Choose the offsets of the next two minigroups."""
-        state, sensor = self.state, self.sensor
+        sensor = self.sensor
         hit = Signal(sensor.minigroups)
         hits, count = self._taken("map"), range(sensor.minigroups)
         m.d.comb += hit.eq(Cat(Cat(hits[i] for i in sensor.members(g)).any() for g in count))
-        of_taken, of_rest = Ends(m, hit, "hit"), Ends(m, state.minigroups, "minigroups")
+        of_taken, of_rest = Ends(m, hit, "hit"), Ends(m, self.minigroups, "minigroups")
         taken = [self._taken("offsets").word_select(g, OFFSETS.width)[: sensor.offset_bits] for g in count]
-        kept = [state.offsets.word_select(g, sensor.offset_bits) for g in count]
-        with m.If(state.to_work):
-            m.d.sync += state.offset_pair.takes(of_taken, of_taken.values(m, taken, "taken_offset"))
-            m.d.sync += [state.minigroups.eq(of_taken.between), state.offsets.eq(Cat(taken))]
-        with m.Elif(state.forms & (state.phase == Phase.OFFSETS)):
-            m.d.sync += state.offset_pair.takes(of_rest, of_rest.values(m, kept, "kept_offset"))
-            m.d.sync += state.minigroups.eq(of_rest.between)
+        kept = [self.offsets.word_select(g, sensor.offset_bits) for g in count]
+        with m.If(self.to_work):
+            m.d.sync += self.offset_pair.takes(of_taken, of_taken.values(m, taken, "taken_offset"))
+            m.d.sync += [self.minigroups.eq(of_taken.between), self.offsets.eq(Cat(taken))]
+        with m.Elif(self.forms & (self.phase == Phase.OFFSETS)):
+            m.d.sync += self.offset_pair.takes(of_rest, of_rest.values(m, kept, "kept_offset"))
+            m.d.sync += self.minigroups.eq(of_rest.between)
 
     def _form(self, m):
         """Form what comes next: the group's head or end, the event's numbers with the first pixels, pixels, or offsets."""
-        state, sensor, widths = self.state, self.sensor, self.widths
+        sensor, widths = self.sensor, self.widths
         cycles = Signal(sensor.coarse_bits)
         m.d.comb += cycles.eq(self.period - 1)
         for bit in range(sensor.coarse_bits):
             with m.If(cycles[bit]):
-                m.d.sync += state.stamp_bits.eq(bit + 1 + sensor.phase_bits)
-        low = Mux(state.same, state.stamp, Cat(state.age, state.stamp))
-        pixels = Cat(state.winner, state.pixels.shown())
+                m.d.sync += self.stamp_bits.eq(bit + 1 + sensor.phase_bits)
+        low = Mux(self.same, self.stamp, Cat(self.age, self.stamp))
+        pixels = Cat(self.winner, self.pixels.shown())
         last_part = sensor.pixels - groups.MAP_PART_BITS * (map_parts(sensor) - 1)
         m.d.comb += [
-            state.forms.eq((state.busy | state.closing) & self.free),
-            state.next_part.eq(Cat(state.numbers, state.same, low | (pixels << state.low_bits))),
-            state.next_bits.eq(widths.fixed_bits + sensor.winner_bits + state.low_bits + state.pixels.bits()),
+            self.forms.eq((self.busy | self.closing) & self.free),
+            self.next_part.eq(Cat(self.numbers, self.same, low | (pixels << self.low_bits))),
+            self.next_bits.eq(widths.fixed_bits + sensor.winner_bits + self.low_bits + self.pixels.bits()),
         ]
-        with m.If(state.opening):
+        with m.If(self.opening):
             m.d.comb += [
-                state.next_part.eq(Cat(state.event_pulse, state.number, state.stamp_bits, self.with_offsets)),
-                state.next_bits.eq(groups.HEAD_BITS),
+                self.next_part.eq(Cat(self.event_pulse, self.number, self.stamp_bits, self.with_offsets)),
+                self.next_bits.eq(groups.HEAD_BITS),
             ]
-        with m.Elif((state.phase == Phase.PIXELS) & state.mapped):
+        with m.Elif((self.phase == Phase.PIXELS) & self.mapped):
             m.d.comb += [
-                state.next_part.eq(state.rest[: groups.MAP_PART_BITS]),
-                state.next_bits.eq(Mux(state.pixels.more, groups.MAP_PART_BITS, last_part)),
+                self.next_part.eq(self.rest[: groups.MAP_PART_BITS]),
+                self.next_bits.eq(Mux(self.pixels.more, groups.MAP_PART_BITS, last_part)),
             ]
-        for phase, pair in ((Phase.PIXELS, state.pixels), (Phase.OFFSETS, state.offset_pair)):
-            with m.Elif(state.phase == phase):
-                m.d.comb += [state.next_part.eq(pair.shown()), state.next_bits.eq(pair.bits())]
-        with m.If(state.forms):
+        for phase, pair in ((Phase.PIXELS, self.pixels), (Phase.OFFSETS, self.offset_pair)):
+            with m.Elif(self.phase == phase):
+                m.d.comb += [self.next_part.eq(pair.shown()), self.next_bits.eq(pair.bits())]
+        with m.If(self.forms):
             m.d.sync += [
-                self.offer.eq(~state.closing),
-                self.close.eq(state.closing),
-                self.part.eq(state.next_part),
-                self.bits.eq(state.next_bits),
+                self.offer.eq(~self.closing),
+                self.close.eq(self.closing),
+                self.part.eq(self.next_part),
+                self.bits.eq(self.next_bits),
             ]
         with m.Elif(self.free):
             m.d.sync += [self.offer.eq(0), self.close.eq(0)]

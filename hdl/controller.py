@@ -27,53 +27,6 @@ FILLED = 5  # cycles from the beginning of a frame to the first candidate: one f
 SETTLED = SUMS + 5  # cycles from the last beat of counters in a frame to the new budget and limit
 
 
-class ControllerState:
-    """Inner registers and signals of a controller.
-
-    take: the settings take effect. known: the budget, a cycle later, because vote and sums take one cycle each.
-    filling: which candidate is begun, in one hot, and the strobes of those on their way to `steps`.
-    slot: which sum the counters of a subgroup, `now` and `then`, are added to, in one hot; adding, added: one and two cycles
-    later, for any sum; of_all: likewise, for the sum of what was committed. `steps` and `sums` rotate, so that the first of
-    each is at work. fits: for each sum, whether the stream can carry it. too_much, far_too_much: the
-    stream cannot carry what was committed, nor half of it. most: the highest count on which the controller acts; top: not
-    above the limit. fresh: no frame has been taken since reset.
-    """
-
-    budget: Voted
-
-    def __init__(self, sensor: Sensor):
-        self.take = Signal()
-        self.capacity = Signal(DATA_BITS)
-        self.share = Signal(DATA_BITS)
-        self.known = Signal(DATA_BITS)
-        self.filling = Signal(STEPS + FILLED)
-        self.growth = Signal(DATA_BITS + 1)  # the lowest bit carries a 1 into the sum
-        self.grown = Signal(DATA_BITS + 1)
-        self.bounded = Signal(DATA_BITS)
-        self.candidate = Signal(DATA_BITS)
-        self.steps = [Signal(DATA_BITS, name=f"step_{k}") for k in range(STEPS)]
-        self.beat = Signal(range(layout(sensor).counter_beats))
-        self.committed = Signal(COUNTER_BITS)
-        self.controlled = Signal()
-        self.slot = Signal(SUMS)
-        self.adding = Signal()
-        self.added = Signal()
-        self.of_all = Signal(2)
-        self.now = Signal(COUNTER_BITS)
-        self.then = Signal(COUNTER_BITS)
-        self.part = Signal(COUNTER_BITS)
-        self.sums = [Signal(DATA_BITS + 1, name=f"sum_{k}") for k in range(SUMS)]
-        self.fits = Signal(SUMS)
-        self.far_too_much = Signal()
-        self.fitting = Signal(DATA_BITS)
-        self.most = Signal(COUNTER_BITS)
-        self.top = Signal(DATA_BITS)
-        self.dropped = Signal(DATA_BITS)
-        self.lower_limit = Signal(DATA_BITS)
-        self.higher_limit = Signal(DATA_BITS)
-        self.fresh = Signal(init=1)
-
-
 class Controller(Unit):
     """Controller of a stream. It does not need to know how many subgroups the stream has.
 
@@ -103,11 +56,32 @@ class Controller(Unit):
             budget=Out(DATA_BITS),
             limit=Out(DATA_BITS),
         )
-        self.state = ControllerState(sensor)
+        # The settings take effect at `take`. known: the budget, a cycle later, because vote and sums take one cycle each.
+        # filling: the candidate that is begun, one-hot, and the strobes of those on their way to `steps`.
+        self.inner("take")
+        self.capacity_taken, self.share_taken = (Signal(DATA_BITS, name=name) for name in ("capacity", "share"))
+        self.inner("known bounded candidate", DATA_BITS)
+        self.inner("filling", STEPS + FILLED)
+        self.inner("growth grown", DATA_BITS + 1)  # the lowest bit carries a 1 into the sum
+        # slot: the sum to which the counters of a subgroup, `now` and `then`, are added, one-hot; adding, added: one and two
+        # cycles later, for any sum; of_all: likewise, for the sum of the committed events. `steps` and `sums` rotate, so the
+        # first of each is at work. fits: for each sum, whether the stream can carry it; far_too_much: the stream cannot
+        # carry half of what was committed.
+        self.steps = [Signal(DATA_BITS, name=f"step_{k}") for k in range(STEPS)]
+        self.sums = [Signal(DATA_BITS + 1, name=f"sum_{k}") for k in range(SUMS)]
+        self.inner("beat", range(layout(sensor).counter_beats))
+        self.inner("committed now then part most", COUNTER_BITS)
+        self.inner("controlled adding added far_too_much")
+        self.inner("slot fits", SUMS)
+        self.inner("of_all", 2)
+        # most: the highest count on which the controller acts; top: the same, but at most the limit. fresh: no frame has
+        # been taken since reset.
+        self.inner("fitting top dropped lower_limit higher_limit", DATA_BITS)
+        self.inner("fresh", init=1)
 
     def elaborate(self, platform):
         m = Module()
-        m.d.comb += self.state.take.eq(self.command.operation == bus.Operation.TAKE)
+        m.d.comb += self.take.eq(self.command.operation == bus.Operation.TAKE)
         self._candidates(m)
         self._counters(m)
         self._sums(m)
@@ -120,44 +94,42 @@ class Controller(Unit):
 
         None is above the capacity or below the share. They are computed one behind the other.
         """
-        state = self.state
-        with m.If(state.take):
-            m.d.sync += [state.capacity.eq(self.capacity), state.share.eq(self.share)]
-        m.d.sync += state.growth.eq(0)
+        with m.If(self.take):
+            m.d.sync += [self.capacity_taken.eq(self.capacity), self.share_taken.eq(self.share)]
+        m.d.sync += self.growth.eq(0)
         for k, shift in enumerate(BUDGET_GROWTHS):
-            with m.If(state.filling[2 + k]):
-                m.d.sync += state.growth.eq(Cat(1, state.known >> shift))
+            with m.If(self.filling[2 + k]):
+                m.d.sync += self.growth.eq(Cat(1, self.known >> shift))
         m.d.sync += [
-            state.known.eq(self.budget),
-            state.filling.eq(Cat(state.take, state.filling)),
-            state.grown.eq(carry_select(m, Cat(1, state.known), state.growth, "grown_sum")[1:]),
-            state.bounded.eq(Mux(state.grown < state.capacity, state.grown, state.capacity)),
-            state.candidate.eq(Mux(state.bounded > state.share, state.bounded, state.share)),
+            self.known.eq(self.budget),
+            self.filling.eq(Cat(self.take, self.filling)),
+            self.grown.eq(carry_select(m, Cat(1, self.known), self.growth, "grown_sum")[1:]),
+            self.bounded.eq(Mux(self.grown < self.capacity_taken, self.grown, self.capacity_taken)),
+            self.candidate.eq(Mux(self.bounded > self.share_taken, self.bounded, self.share_taken)),
         ]
 
     def _counters(self, m):
         """Wait for both counters of a subgroup; then they are at work until those of the next one are complete."""
-        state = self.state
         beats = layout(self.sensor).counter_beats
         complete = Signal()
-        m.d.comb += complete.eq(self.counted.valid & (state.beat == LOWER[0]))
-        with m.If(self.counted.valid & (state.beat == COMMITTED[0])):
-            m.d.sync += state.committed.eq(self.counted.beat.word_select(COMMITTED[1], COUNTER_BITS))
+        m.d.comb += complete.eq(self.counted.valid & (self.beat == LOWER[0]))
+        with m.If(self.counted.valid & (self.beat == COMMITTED[0])):
+            m.d.sync += self.committed.eq(self.counted.beat.word_select(COMMITTED[1], COUNTER_BITS))
         with m.If(self.counted.valid):
-            m.d.sync += state.beat.eq(Mux(state.beat == beats - 1, 0, state.beat + 1))
+            m.d.sync += self.beat.eq(Mux(self.beat == beats - 1, 0, self.beat + 1))
         with m.If(complete):
             m.d.sync += [
-                state.now.eq(state.committed),
-                state.then.eq(self.counted.beat.word_select(LOWER[1], COUNTER_BITS)),
-                state.controlled.eq(self.counted.controlled),
+                self.now.eq(self.committed),
+                self.then.eq(self.counted.beat.word_select(LOWER[1], COUNTER_BITS)),
+                self.controlled.eq(self.counted.controlled),
             ]
-        with m.If(state.take):
-            m.d.sync += state.beat.eq(0)
+        with m.If(self.take):
+            m.d.sync += self.beat.eq(0)
         m.d.sync += [
-            state.slot.eq(Cat(complete, state.slot)),
-            state.adding.eq(state.slot.any()),
-            state.added.eq(state.adding),
-            state.of_all.eq(Cat(state.slot[0], state.of_all)),
+            self.slot.eq(Cat(complete, self.slot)),
+            self.adding.eq(self.slot.any()),
+            self.added.eq(self.adding),
+            self.of_all.eq(Cat(self.slot[0], self.of_all)),
         ]
 
     def _sums(self, m):
@@ -166,57 +138,54 @@ class Controller(Unit):
         A subgroup's threshold would fall if the windows at the next lower threshold fit the budget. At a threshold of 1,
         `lower` equals `committed`. The sums saturate at twice the highest capacity.
         """
-        state = self.state
-        falls = state.controlled & ~state.slot[0] & (state.then <= state.steps[0])
-        m.d.sync += state.part.eq(Mux(falls, state.then, state.now))
-        with m.If(state.slot[1:].any() | state.filling[FILLED:].any()):
-            last = Mux(state.filling[FILLED:].any(), state.candidate, state.steps[0])
-            m.d.sync += [step.eq(after) for step, after in zip(state.steps, (*state.steps[1:], last))]
+        falls = self.controlled & ~self.slot[0] & (self.then <= self.steps[0])
+        m.d.sync += self.part.eq(Mux(falls, self.then, self.now))
+        with m.If(self.slot[1:].any() | self.filling[FILLED:].any()):
+            last = Mux(self.filling[FILLED:].any(), self.candidate, self.steps[0])
+            m.d.sync += [step.eq(after) for step, after in zip(self.steps, (*self.steps[1:], last))]
         total = Signal(DATA_BITS + 2)
-        m.d.comb += total.eq(carry_select(m, state.sums[0], state.part, "sum_of_part"))
-        with m.If(state.adding):
-            m.d.sync += [one.eq(after) for one, after in zip(state.sums, state.sums[1:])]
-            m.d.sync += state.sums[-1].eq(Mux(total[-1], ~0, total))
-        with m.If(state.added):
-            m.d.sync += state.fits.eq(Cat(state.fits[1:], state.sums[-1] <= state.capacity))
-        with m.If(state.of_all[-1]):
-            m.d.sync += state.far_too_much.eq(state.sums[-1] > Cat(0, state.capacity))
-        with m.If(state.take):
-            m.d.sync += [one.eq(0) for one in state.sums]
+        m.d.comb += total.eq(carry_select(m, self.sums[0], self.part, "sum_of_part"))
+        with m.If(self.adding):
+            m.d.sync += [one.eq(after) for one, after in zip(self.sums, self.sums[1:])]
+            m.d.sync += self.sums[-1].eq(Mux(total[-1], ~0, total))
+        with m.If(self.added):
+            m.d.sync += self.fits.eq(Cat(self.fits[1:], self.sums[-1] <= self.capacity_taken))
+        with m.If(self.of_all[-1]):
+            m.d.sync += self.far_too_much.eq(self.sums[-1] > Cat(0, self.capacity_taken))
+        with m.If(self.take):
+            m.d.sync += [one.eq(0) for one in self.sums]
 
     def _limits(self, m):
         """Two candidates for the next limit: below the highest count that the controller can lower, and not below it."""
-        state = self.state
-        with m.If(state.slot[0] & state.controlled & (state.now > state.most)):
-            m.d.sync += state.most.eq(state.now)
-        with m.If(state.take):
-            m.d.sync += state.most.eq(0)
+        with m.If(self.slot[0] & self.controlled & (self.now > self.most)):
+            m.d.sync += self.most.eq(self.now)
+        with m.If(self.take):
+            m.d.sync += self.most.eq(0)
         drop = Signal(DATA_BITS)
-        m.d.comb += drop.eq(~(state.top >> LIMIT_DROP))
+        m.d.comb += drop.eq(~(self.top >> LIMIT_DROP))
         m.d.sync += [
-            state.top.eq(Mux(state.most < self.limit, state.most, self.limit)),
-            state.dropped.eq(carry_select(m, Cat(1, state.top), Cat(1, drop), "dropped_sum")[1:]),
-            state.lower_limit.eq(Mux(state.dropped > state.share, state.dropped, state.share)),
-            state.higher_limit.eq(Mux(state.fitting > state.top, state.fitting, state.top)),
+            self.top.eq(Mux(self.most < self.limit, self.most, self.limit)),
+            self.dropped.eq(carry_select(m, Cat(1, self.top), Cat(1, drop), "dropped_sum")[1:]),
+            self.lower_limit.eq(Mux(self.dropped > self.share_taken, self.dropped, self.share_taken)),
+            self.higher_limit.eq(Mux(self.fitting > self.top, self.fitting, self.top)),
         ]
 
     def _results(self, m):
         """Take the highest candidate that fits, if the stream could carry the frame; begin with the first share."""
-        state = self.state
-        state.budget = budget = Voted(m, "budget_kept", DATA_BITS)
+        self.budget_kept = budget = Voted(m, "budget_kept", DATA_BITS)
         m.d.comb += self.budget.eq(budget.value)
-        fitting = state.share
-        for fits, step in zip(state.fits[1:], state.steps):
+        fitting = self.share_taken
+        for fits, step in zip(self.fits[1:], self.steps):
             fitting = Mux(fits, step, fitting)
-        m.d.sync += state.fitting.eq(fitting)
-        with m.If(state.take):
-            m.d.sync += state.fresh.eq(0)
-        with m.If(state.fresh):
+        m.d.sync += self.fitting.eq(fitting)
+        with m.If(self.take):
+            m.d.sync += self.fresh.eq(0)
+        with m.If(self.fresh):
             m.d.comb += budget.next.eq(self.share)
             m.d.sync += self.limit.eq(self.share)
-        with m.Elif(self.done & state.fits[0]):
-            m.d.comb += budget.next.eq(state.fitting)
-            m.d.sync += self.limit.eq(state.higher_limit)
+        with m.Elif(self.done & self.fits[0]):
+            m.d.comb += budget.next.eq(self.fitting)
+            m.d.sync += self.limit.eq(self.higher_limit)
         with m.Elif(self.done):
-            m.d.comb += budget.next.eq(state.share)
-            m.d.sync += self.limit.eq(Mux(state.far_too_much, state.share, state.lower_limit))
+            m.d.comb += budget.next.eq(self.share_taken)
+            m.d.sync += self.limit.eq(Mux(self.far_too_much, self.share_taken, self.lower_limit))

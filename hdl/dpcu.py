@@ -37,30 +37,6 @@ def counter_bits(name: str, sensor: Sensor) -> int:
     return min(sensor.counter_bits, most.bit_length())
 
 
-class DpcuState:
-    """Inner registers and signals of a DPCU.
-
-    count: the counters, by name. stays: the controller was in charge in the last frame, too. ceiling: of the bounds compared
-    so far, without the last, which is `reached`. awake: an operation may still change threshold or window. coming:
-    strobes on their way to stage 8. judged: a window was closed one cycle ago. rises, falls, stepped: the controller's step of the threshold.
-    """
-
-    def __init__(self, sensor: Sensor):
-        self.count = {name: Signal(counter_bits(name, sensor), name=name) for name in COUNTER_NAMES}
-        self.threshold = Signal(sensor.count_bits, init=1)
-        self.lower_threshold = Signal(sensor.count_bits)
-        self.meets_lower = Signal()
-        self.stays = Signal()
-        self.ceiling = Signal(range(THRESHOLD_MAX + 1))
-        self.reached = Signal()
-        self.rises = Signal()
-        self.falls = Signal()
-        self.stepped = Signal(range(THRESHOLD_MAX + 1))
-        self.awake = Signal()
-        self.coming = Signal(9)
-        self.judged = Signal()
-
-
 class Dpcu(Unit):
     """Digital processing and communication unit of a subgroup.
 
@@ -104,55 +80,63 @@ class Dpcu(Unit):
             counters=Out(COUNTER_BITS * len(COUNTER_NAMES)),
             controlled=Out(1),
         )
-        self.state = DpcuState(sensor)
+        # count: the counters, by name. awake: an operation may still change threshold or window. coming: strobes on their
+        # way to stage 8. judged: a window was closed one cycle ago.
+        self.count = {name: Signal(counter_bits(name, sensor), name=name) for name in COUNTER_NAMES}
+        self.inner("threshold", sensor.count_bits, init=1)
+        self.inner("lower_threshold", sensor.count_bits)
+        self.inner("meets_lower awake judged")
+        self.inner("coming", 9)
+        # stays: the controller was in charge in the last frame, too. ceiling: number of the bounds compared so far that are
+        # reached, without the last one, for which `reached` says it. rises, falls, stepped: the step of the threshold.
+        self.inner("stays reached rises falls")
+        self.inner("ceiling stepped", range(THRESHOLD_MAX + 1))
         self.clock_gate = ClockGate(small=True)
 
     def elaborate(self, platform):
         m = Module()
-        for i, counter in enumerate(self.state.count.values()):
+        for i, counter in enumerate(self.count.values()):
             m.d.comb += self.counters.word_select(i, COUNTER_BITS).eq(counter)
         self._told(m)
         self._judgement(m)
         self._pulses(m)
         self._counters(m)
         self._threshold(m)
-        state = self.state
-        events = Cat(self.closed, state.judged, self.commit, state.meets_lower, self.blind, self.stored, self.dropped)
+        events = Cat(self.closed, self.judged, self.commit, self.meets_lower, self.blind, self.stored, self.dropped)
         records = Cat(self.mg_stored, self.mg_dropped)
-        awake = state.awake | self.start | state.coming.any() | events.any() | records.any()
+        awake = self.awake | self.start | self.coming.any() | events.any() | records.any()
         return behind(m, platform, self.clock_gate, awake)
 
     def _told(self, m):
         """Threshold and window change after operations of the bus only, and stand still in a frame."""
         told = Signal(2, init=-1)  # in the last cycles
         tells = Signal()
-        m.d.comb += [tells.eq(self.operation != bus.Operation.IDLE), self.state.awake.eq(tells | told.any())]
-        with m.If(self.state.awake):
+        m.d.comb += [tells.eq(self.operation != bus.Operation.IDLE), self.awake.eq(tells | told.any())]
+        with m.If(self.awake):
             m.d.sync += told.eq(Cat(tells, told))
 
     def _judgement(self, m):
         """Commit the windows that meet the threshold. Without coincidence, the window is one tick and the threshold one."""
-        state = self.state
         enough = Signal()
-        with m.If(state.awake):
+        with m.If(self.awake):
             m.d.sync += [
                 self.window_ticks.eq(Mux(self.settings.coincidence, self.settings.window, 1)),
-                state.threshold.eq(Mux(self.settings.coincidence, state.count["threshold_used"], 1)),
+                self.threshold.eq(Mux(self.settings.coincidence, self.count["threshold_used"], 1)),
             ]
         commits = Signal()
         m.d.comb += commits.eq(self.closed & enough)
         m.d.sync += self.commit.eq(commits)
         if self.sensor.controller:
-            with m.If(state.awake):
-                m.d.sync += state.lower_threshold.eq(state.threshold - 1)
-            m.d.sync += state.meets_lower.eq(self.closed & (self.window.count >= state.lower_threshold))
+            with m.If(self.awake):
+                m.d.sync += self.lower_threshold.eq(self.threshold - 1)
+            m.d.sync += self.meets_lower.eq(self.closed & (self.window.count >= self.lower_threshold))
         with m.If(commits):
             m.d.sync += self.event.eq(self.window)
-        m.d.comb += enough.eq(self.window.count >= state.threshold)
+        m.d.comb += enough.eq(self.window.count >= self.threshold)
 
     def _pulses(self, m):
         """Count the periods. The strobe reaches stage 8 ten registers after the input."""
-        coming = self.state.coming
+        coming = self.coming
         with m.If(self.start | coming.any()):
             m.d.sync += coming.eq((coming << 1) | self.start)
         with m.If(coming[-1]):
@@ -160,8 +144,8 @@ class Dpcu(Unit):
 
     def _counters(self, m):
         """Count one stage behind the counted signals, so that no adder is in the path of the commit."""
-        count = self.state.count
-        judged = self.state.judged
+        count = self.count
+        judged = self.judged
         judged_count = Signal.like(self.window.count)
         m.d.sync += judged.eq(self.closed)
         with m.If(self.closed):
@@ -175,7 +159,7 @@ class Dpcu(Unit):
             "dropped": self.dropped,
             "mg_stored": self.mg_stored,
             "mg_dropped": self.mg_dropped,
-            "lower": self.state.meets_lower,
+            "lower": self.meets_lower,
         }
         for name, strobe in strobes.items():
             if len(count[name]):
@@ -185,7 +169,7 @@ class Dpcu(Unit):
 
     def _threshold(self, m):
         """Set the frame's threshold: the programmed one, or the controller's; clear the frame's counters."""
-        count = self.state.count
+        count = self.count
         threshold = self._controlled(m) if self.sensor.controller else self.settings.threshold
         with m.If(self.operation == bus.Operation.BEGIN):
             m.d.sync += [counter.eq(0) for counter in count.values()]
@@ -193,31 +177,31 @@ class Dpcu(Unit):
 
     def _controlled(self, m):
         """Return the threshold of a frame that begins: the programmed one, or one step from the last frame's."""
-        state, count, settings = self.state, self.state.count, self.settings
-        raised = Signal.like(state.ceiling)
-        bounded = Signal.like(state.stepped)
-        floor = self.data[: len(state.stepped)]
+        count, settings = self.count, self.settings
+        raised = Signal.like(self.ceiling)
+        bounded = Signal.like(self.stepped)
+        floor = self.data[: len(self.stepped)]
         m.d.comb += [
             self.controlled.eq(settings.auto & settings.coincidence),
-            raised.eq(state.ceiling + state.reached),
-            bounded.eq(Mux(state.stepped < raised, state.stepped, raised)),
+            raised.eq(self.ceiling + self.reached),
+            bounded.eq(Mux(self.stepped < raised, self.stepped, raised)),
         ]
-        with m.If(state.awake):
+        with m.If(self.awake):
             m.d.sync += [
-                state.reached.eq((self.operation == bus.Operation.COMPARE) & (count["opened"] >= self.data)),
-                state.ceiling.eq(raised),
-                state.stepped.eq(_step(count["threshold_used"][: self.sensor.count_bits], state.rises, state.falls)),
+                self.reached.eq((self.operation == bus.Operation.COMPARE) & (count["opened"] >= self.data)),
+                self.ceiling.eq(raised),
+                self.stepped.eq(_step(count["threshold_used"][: self.sensor.count_bits], self.rises, self.falls)),
             ]
         with m.Switch(self.operation):
             with m.Case(bus.Operation.TAKE):
-                m.d.sync += [state.stays.eq(self.controlled), state.ceiling.eq(1)]
+                m.d.sync += [self.stays.eq(self.controlled), self.ceiling.eq(1)]
             with m.Case(bus.Operation.BUDGET):
                 with m.If(self.in_stream):
-                    m.d.sync += state.falls.eq(count["lower"] <= self.data)
+                    m.d.sync += self.falls.eq(count["lower"] <= self.data)
             with m.Case(bus.Operation.LIMIT):
                 with m.If(self.in_stream):
-                    m.d.sync += state.rises.eq(count["committed"] > self.data)
-        return Mux(self.controlled & state.stays, Mux(bounded < floor, floor, bounded), settings.threshold)
+                    m.d.sync += self.rises.eq(count["committed"] > self.data)
+        return Mux(self.controlled & self.stays, Mux(bounded < floor, floor, bounded), settings.threshold)
 
 
 def _step(threshold, rises, falls):

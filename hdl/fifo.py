@@ -14,18 +14,6 @@ from .memory import Memory
 from .unit import Unit, place
 
 
-class EventFifoState:
-    """Rows, places of the next event to write and to read, number of events, and whether events were lost since the last one."""
-
-    def __init__(self, sensor: Sensor):
-        depth = sensor.fifo_depth
-        self.rows = Memory(depth, bus.event_layout(sensor).size)
-        self.to = Signal(range(depth))
-        self.row = Signal(range(depth))
-        self.level = Signal(range(depth + 1))
-        self.lost = Signal()
-
-
 class EventFifo(Unit):
     """FIFO of a subgroup.
 
@@ -55,37 +43,43 @@ class EventFifo(Unit):
             head=Out(bus.event_layout(sensor)),
             take=In(1),
         )
-        self.state = EventFifoState(sensor)
+        # to, row: places of the next event to write and to read; level: number of events; lost: events were dropped since
+        # the last one that was stored.
+        depth = sensor.fifo_depth
+        self.rows = Memory(depth, bus.event_layout(sensor).size)
+        self.inner("to row", range(depth))
+        self.level = Signal(range(depth + 1))
+        self.lost = Signal()
 
     def elaborate(self, platform):
         m = Module()
-        depth, state = self.sensor.fifo_depth, self.state
-        rows = place(m, "storage", state.rows, platform)
+        depth = self.sensor.fifo_depth
+        rows = place(m, "storage", self.rows, platform)
         room = Signal()
         event = Signal(bus.event_layout(self.sensor))
         m.d.comb += [
-            room.eq(state.level != depth),
+            room.eq(self.level != depth),
             event.window.eq(self.event),
             *([event.offsets.eq(self.offsets)] if self.sensor.offsets else []),
             event.pulse.eq(self.pulse),
-            event.overrun.eq(state.lost),
+            event.overrun.eq(self.lost),
             rows.write.eq(self.commit & room),
             rows.data.eq(event),
             self.head.eq(rows.value),
         ]
         if depth > 1:
-            m.d.comb += [rows.to.eq(state.to), rows.row.eq(state.row)]
+            m.d.comb += [rows.to.eq(self.to), rows.row.eq(self.row)]
             with m.If(rows.write):
-                m.d.sync += state.to.eq(Mux(state.to == depth - 1, 0, state.to + 1))
+                m.d.sync += self.to.eq(Mux(self.to == depth - 1, 0, self.to + 1))
             with m.If(self.take):
-                m.d.sync += state.row.eq(Mux(state.row == depth - 1, 0, state.row + 1))
+                m.d.sync += self.row.eq(Mux(self.row == depth - 1, 0, self.row + 1))
         with m.If(rows.write | self.take):
-            m.d.sync += state.level.eq(state.level + rows.write - self.take)
+            m.d.sync += self.level.eq(self.level + rows.write - self.take)
         m.d.sync += [self.stored.eq(self.commit & room), self.dropped.eq(self.commit & ~room)]
         with m.If(self.frame_begin):
-            m.d.sync += [state.lost.eq(0), state.level.eq(0), state.to.eq(0), state.row.eq(0)]
+            m.d.sync += [self.lost.eq(0), self.level.eq(0), self.to.eq(0), self.row.eq(0)]
         with m.Elif(self.commit):
-            m.d.sync += state.lost.eq(~room)
+            m.d.sync += self.lost.eq(~room)
         return m
 
 
@@ -117,11 +111,11 @@ class RecordBuffer(Unit):
             take=In(1),
             frame_begin=In(1),
         )
-        self.state = Signal(name="waiting")  # whether a record waits to be read
+        self.waiting = Signal()  # whether a record waits to be read
 
     def elaborate(self, platform):
         m = Module()
-        waiting = self.state
+        waiting = self.waiting
         comes = Signal()
         layout = bus.record_layout(self.sensor)
         place_of_one = place(m, "row", Memory(1, layout.size), platform)

@@ -14,16 +14,6 @@ from . import bus
 from .unit import Unit
 
 
-class GatingState:
-    """Strobes of the frame and its period, and the cycles until the gate opens and closes."""
-
-    def __init__(self, sensor: Sensor):
-        self.start = Signal()
-        self.running = Signal(2)
-        self.until_now = Signal(sensor.coarse_bits + 2)
-        self.left_now = Signal(GATE_BITS)
-
-
 class Gating(Unit):
     """Gate of a subgroup.
 
@@ -47,29 +37,32 @@ class Gating(Unit):
             spad_gate=Out(1),
             accept=Out(1),
         )
-        self.state = GatingState(sensor)
+        self.inner("start")
+        self.inner("running", 2)
+        self.inner("until_now", sensor.coarse_bits + 2)  # cycles until the gate opens,
+        self.inner("left_now", GATE_BITS)  # and then until it closes
 
     def elaborate(self, platform):
         m = Module()
-        coarse_bits, state = self.sensor.coarse_bits, self.state
+        coarse_bits = self.sensor.coarse_bits
         first = Signal(coarse_bits + 2)
         with m.If(self.timing.start):
             m.d.sync += first.eq(self.settings.gate_start[:coarse_bits] + self.timing.shift)
-        m.d.sync += [state.start.eq(self.timing.start), state.running.eq((state.running << 1) | self.timing.running)]
+        m.d.sync += [self.start.eq(self.timing.start), self.running.eq((self.running << 1) | self.timing.running)]
         until = Signal.like(first)  # cycles until the gate opens, then cycles until it closes
         left = Signal(GATE_BITS)
         inside = Signal()
         m.d.comb += [
-            state.until_now.eq(Mux(state.start, first, until)),
-            state.left_now.eq(Mux(state.start, self.settings.gate_len, left)),
-            inside.eq(state.running[0] & (state.until_now == 0) & (state.left_now != 0)),
+            self.until_now.eq(Mux(self.start, first, until)),
+            self.left_now.eq(Mux(self.start, self.settings.gate_len, left)),
+            inside.eq(self.running[0] & (self.until_now == 0) & (self.left_now != 0)),
         ]
-        with m.If(self.settings.gating & (state.start | (state.running[0] & (until != 0)))):
-            m.d.sync += until.eq(state.until_now - (state.until_now != 0))
-        with m.If(self.settings.gating & (state.start | inside)):
-            m.d.sync += left.eq(state.left_now - inside)
+        with m.If(self.settings.gating & (self.start | (self.running[0] & (until != 0)))):
+            m.d.sync += until.eq(self.until_now - (self.until_now != 0))
+        with m.If(self.settings.gating & (self.start | inside)):
+            m.d.sync += left.eq(self.left_now - inside)
         m.d.sync += [
             self.spad_gate.eq(inside | ~self.settings.gating),
-            self.accept.eq(state.running[1] & self.spad_gate),
+            self.accept.eq(self.running[1] & self.spad_gate),
         ]
         return m

@@ -19,24 +19,12 @@ from .memory import Memory
 from .unit import Unit, place
 
 
-class RecordState:
-    """Registers of a record collection. left: cycles of it after the present one; seen: its map; started: one cycle ago."""
-
-    def __init__(self, sensor: Sensor):
-        self.left = Signal(2)
-        self.seen = Signal(sensor.minigroup_pixels, reset_less=True)
-        self.stamp = Memory(1, sensor.record_stamp_bits)
-        self.started = Signal(reset_less=True)
-
-
 class Recorder(Unit):
     """What minigroups have in common in both views: coarse offsets, and the minigroup's own stamping circuit.
 
     own: further ports. `Minigroup` describes the common ones. A function that forms one of the circuits returns the
     condition under which its registers may change.
     """
-
-    state: RecordState
 
     def __init__(self, sensor: Sensor, **own: Any):
         self.sensor = sensor
@@ -54,6 +42,11 @@ class Recorder(Unit):
             latched=Out(1),
             entry=Out(bus.entry_layout(sensor)),
         )
+        # The record collection. left: its cycles after the present one; seen: its map; started: it began one cycle ago.
+        self.inner("left", 2)
+        self.inner("seen", sensor.minigroup_pixels, reset_less=True)
+        self.stamp = Memory(1, sensor.record_stamp_bits)
+        self.inner("started", reset_less=True)
 
     def _offset(self, m, begins, step_4) -> Value:
         """Stages 5 to 8: form the offset of a window's first edge. It travels as strobe and step, which are fewer bits.
@@ -78,9 +71,9 @@ class Recorder(Unit):
 
         active: pixels with an edge in the cycle; step_4: step of the first of these edges, one cycle later.
         """
-        state, pixels = self.state, len(active)
-        left, seen = state.left, state.seen
-        stamp = place(m, "stamp", state.stamp, platform)
+        pixels = len(active)
+        left, seen = self.left, self.seen
+        stamp = place(m, "stamp", self.stamp, platform)
         starts = Signal()
         runs = Signal()
         seen_next = Signal(pixels)
@@ -101,43 +94,20 @@ class Recorder(Unit):
             enough.eq(popcount(m, seen_next, "seen_count") >= self.frame.mg_threshold),
             # The stamp is written one cycle later, when it is known, and never while an entry is taken: its memory may
             # consist of latches.
-            stamp.write.eq(state.started),
+            stamp.write.eq(self.started),
             stamp.data.eq(Cat(step_4[-2:], self.coarse)),  # quarter of the cycle
             self.entry.map.eq(seen),
             self.entry.stamp.eq(stamp.value),
         ]
-        moves = runs | state.started | (self.wrap & self.latched)
+        moves = runs | self.started | (self.wrap & self.latched)
         with m.If(moves):
             m.d.sync += [
-                state.started.eq(starts),
+                self.started.eq(starts),
                 seen.eq(seen_next),
                 left.eq(left_next),
                 self.latched.eq(Mux(ends, enough, self.latched & ~self.wrap)),
             ]
         return moves
-
-
-class MinigroupState(RecordState):
-    """Inner registers and signals of a minigroup. Numbers are those of stages; active: pixels with an edge (stage 3).
-
-    awake_1, awake_3: stages up to this one, from the one before it, may change.
-    """
-
-    def __init__(self, sensor: Sensor):
-        super().__init__(sensor)
-        pixels, bits = sensor.minigroup_pixels, sensor.phase_bits
-        self.valid_1 = Signal(pixels, reset_less=True)
-        self.valid_2 = Signal(pixels, reset_less=True)
-        self.phases_1 = [Signal(bits, name=f"phase_1_{i}", reset_less=True) for i in range(pixels)]
-        self.phases_2 = [Signal(bits, name=f"phase_2_{i}", reset_less=True) for i in range(pixels)]
-        self.active = Signal(pixels, reset_less=True)
-        self.hit_3 = Signal(pixels, reset_less=True)
-        self.step = Signal(sensor.step_bits, reset_less=True)
-        self.hit_4 = Signal(pixels, reset_less=True)
-        self.step_4 = Signal.like(self.step)
-        self.hits = Signal(pixels, reset_less=True)
-        self.awake_1 = Signal()
-        self.awake_3 = Signal()
 
 
 class Minigroup(Recorder):
@@ -168,7 +138,6 @@ class Minigroup(Recorder):
     """
 
     unit_name = "coincid_minigroup"
-    state: MinigroupState
 
     def __init__(self, sensor: Sensor):
         pixels, phases = sensor.minigroup_pixels, sensor.phases
@@ -184,16 +153,23 @@ class Minigroup(Recorder):
             first=In(sensor.phase_bits),
             at_first=Out(pixels),
         )
-        self.state = MinigroupState(sensor)
+        # Numbers are those of stages. active: pixels with an edge (stage 3). awake_1, awake_3: stages up to this one, from
+        # the one before it, may change.
+        self.inner("valid_1 valid_2 active hit_3 hit_4", pixels, reset_less=True)
+        self.phases_1, self.phases_2 = (
+            [Signal(sensor.phase_bits, name=f"phase_{n}_{i}", reset_less=True) for i in range(pixels)] for n in (1, 2)
+        )
+        self.inner("step step_4", sensor.step_bits, reset_less=True)
+        self.inner("awake_1 awake_3")
         self.clock_gate = ClockGate(small=True)
 
     def elaborate(self, platform):
         m = Module()
         self._edges(m)
         self._hits(m)
-        awake = [self.state.awake_1, self.state.awake_3, *self._map(m)]
+        awake = [self.awake_1, self.awake_3, *self._map(m)]
         if self.sensor.records:
-            awake.append(self._record(m, platform, self.state.active, self.state.step_4))
+            awake.append(self._record(m, platform, self.active, self.step_4))
         return behind(m, platform, self.clock_gate, Cat(awake).any())
 
     def _edges(self, m):
@@ -201,7 +177,7 @@ class Minigroup(Recorder):
 
         The words themselves are not registered: at 32 phases, that register would be the largest part of the sensor.
         """
-        state, sensor = self.state, self.sensor
+        sensor = self.sensor
         pixels, phases = sensor.minigroup_pixels, sensor.phases
         valid_0 = Signal(pixels)
         roots = [Signal(phases, name=f"root_{i}") for i in range(pixels)]
@@ -209,19 +185,19 @@ class Minigroup(Recorder):
             word, on = self.words.word_select(i, phases), self.mask[i]
             valid, phase = first_one(m, word, f"first_{i}")
             m.d.comb += [root.eq(word & on.replicate(phases)), valid_0[i].eq(valid & on)]
-            with m.If(state.awake_1):
-                m.d.sync += state.phases_1[i].eq(phase | ~on.replicate(sensor.phase_bits))
+            with m.If(self.awake_1):
+                m.d.sync += self.phases_1[i].eq(phase | ~on.replicate(sensor.phase_bits))
         m.d.comb += [
             self.root.eq(any_of(m, roots, "root_or")),
-            state.awake_1.eq(valid_0.any() | state.valid_1.any()),
-            state.awake_3.eq(Cat(state.valid_1, state.valid_2, state.active, state.hit_3).any()),
+            self.awake_1.eq(valid_0.any() | self.valid_1.any()),
+            self.awake_3.eq(Cat(self.valid_1, self.valid_2, self.active, self.hit_3).any()),
         ]
-        with m.If(state.awake_1):
-            m.d.sync += state.valid_1.eq(valid_0)
-        with m.If(state.awake_3):
+        with m.If(self.awake_1):
+            m.d.sync += self.valid_1.eq(valid_0)
+        with m.If(self.awake_3):
             m.d.sync += [
-                state.valid_2.eq(state.valid_1 & self.accept.replicate(pixels)),
-                *(phase_2.eq(phase_1) for phase_1, phase_2 in zip(state.phases_1, state.phases_2)),
+                self.valid_2.eq(self.valid_1 & self.accept.replicate(pixels)),
+                *(phase_2.eq(phase_1) for phase_1, phase_2 in zip(self.phases_1, self.phases_2)),
             ]
 
     def _hits(self, m):
@@ -229,20 +205,20 @@ class Minigroup(Recorder):
 
         A pixel without an edge has the last phase, so it is never earlier than one with an edge.
         """
-        state, sensor = self.state, self.sensor
+        sensor = self.sensor
         pixels = sensor.minigroup_pixels
-        before_end = Cat(phase < self.end for phase in state.phases_2)
-        steps = [phase[-sensor.step_bits :] for phase in state.phases_2]
+        before_end = Cat(phase < self.end for phase in self.phases_2)
+        steps = [phase[-sensor.step_bits :] for phase in self.phases_2]
         m.d.comb += [
-            self.at_first.eq(state.valid_2 & Cat(phase == self.first for phase in state.phases_2)),
-            self.blind.eq((state.active & ~state.hit_3).any()),
+            self.at_first.eq(self.valid_2 & Cat(phase == self.first for phase in self.phases_2)),
+            self.blind.eq((self.active & ~self.hit_3).any()),
         ]
         counted = self.whole.replicate(pixels) | (self.part.replicate(pixels) & before_end)
-        with m.If(state.awake_3):
+        with m.If(self.awake_3):
             m.d.sync += [
-                state.active.eq(state.valid_2),
-                state.hit_3.eq(state.valid_2 & counted),
-                state.step.eq(least(m, steps, "first_step")),
+                self.active.eq(self.valid_2),
+                self.hit_3.eq(self.valid_2 & counted),
+                self.step.eq(least(m, steps, "first_step")),
             ]
 
     def _map(self, m) -> list[Value]:
@@ -250,15 +226,15 @@ class Minigroup(Recorder):
 
         In a cycle, edges that no window counts come after those that are counted. So the first edge is a counted one.
         """
-        state, pixels = self.state, self.sensor.minigroup_pixels
-        hits = state.hits
-        moves = Cat(state.active, state.hit_4).any() | (self.opening & hits.any())
+        pixels = self.sensor.minigroup_pixels
+        hits = Signal(pixels, reset_less=True)
+        moves = Cat(self.active, self.hit_4).any() | (self.opening & hits.any())
         with m.If(moves):
             m.d.sync += [
-                state.hit_4.eq(state.hit_3),
-                state.step_4.eq(state.step),
-                hits.eq(state.hit_4 | (hits & ~self.opening.replicate(pixels))),
+                self.hit_4.eq(self.hit_3),
+                self.step_4.eq(self.step),
+                hits.eq(self.hit_4 | (hits & ~self.opening.replicate(pixels))),
             ]
         m.d.comb += self.hits.eq(hits)
-        begins = state.hit_4.any() & (self.opening | ~hits.any())
-        return [moves, self._offset(m, begins, state.step_4)] if self.sensor.offsets else [moves]
+        begins = self.hit_4.any() & (self.opening | ~hits.any())
+        return [moves, self._offset(m, begins, self.step_4)] if self.sensor.offsets else [moves]

@@ -14,6 +14,7 @@ from ..model.contract.groups import CHECK_BITS, CHECK_LSB, CHECK_POLYNOMIAL, PAY
 from ..model.contract.packet import BEAT_BITS, GROUP_KIND, KIND_BITS
 from ..model.contract.parameters import Sensor, bits_for
 from .axi import STREAM
+from .logic import named
 from .unit import Unit
 
 
@@ -26,31 +27,6 @@ def check_terms() -> tuple[frozenset[int], ...]:
         terms = [*terms[1:], frozenset()]
         terms = [term ^ out if CHECK_POLYNOMIAL >> k & 1 else term for k, term in enumerate(terms)]
     return tuple(terms)
-
-
-class PackerState:
-    """Inner registers and signals of a packer.
-
-    packed: bits that wait, lowest first: a beat's payload if one is `ready`, and `offset` bits behind it; crowded: these are
-    another payload; room: they leave room for the check. begins: no beat of the group has left. check: of the beats that
-    have left. final: the beat that is offered ends the group. packs: the part is packed. sent: a beat leaves.
-    """
-
-    def __init__(self, sensor: Sensor):
-        longest = PAYLOAD_BITS - 1 + group_widths(sensor).part_bits  # bits that wait at most
-        self.packed = Signal(longest)
-        self.kept = Signal(longest)
-        self.ready = Signal()
-        self.offset = Signal(range(longest - PAYLOAD_BITS + 1 if longest > 2 * PAYLOAD_BITS else PAYLOAD_BITS))
-        self.total = Signal(range(longest + 1))
-        self.crowded = Signal()
-        self.room = Signal(init=1)
-        self.begins = Signal(init=1)
-        self.check = Signal(CHECK_BITS, init=-1)
-        self.final = Signal()
-        self.packs = Signal()
-        self.sent = Signal()
-        self.beat = Signal(BEAT_BITS)
 
 
 class Packer(Unit):
@@ -85,7 +61,16 @@ class Packer(Unit):
             frame_begin=In(1),
             m_axis=Out(STREAM),
         )
-        self.state = PackerState(sensor)
+        # packed: bits that wait, lowest first: a beat's payload if one is `ready`, and `offset` bits behind it; crowded: these
+        # are another payload; room: they leave room for the check. begins: no beat of the group has left. check: of the
+        # beats that have left. final: the beat that is offered ends the group. packs: the part is packed.
+        longest = PAYLOAD_BITS - 1 + group_widths(sensor).part_bits  # bits that wait at most
+        self.inner("packed kept", longest)
+        self.inner("offset", range(longest - PAYLOAD_BITS + 1 if longest > 2 * PAYLOAD_BITS else PAYLOAD_BITS))
+        self.inner("total", range(longest + 1))
+        self.inner("ready crowded final packs")
+        self.inner("room begins", init=1)
+        self.inner("check", CHECK_BITS, init=-1)
 
     def elaborate(self, platform):
         m = Module()
@@ -95,61 +80,61 @@ class Packer(Unit):
 
     def _pack(self, m):
         """Put a part behind the bits that wait. Its place is known from registers, so the receiver only selects."""
-        state = self.state
-        waits, placed = Signal(name="waits"), Signal.like(state.packed, name="placed")
-        nothing, packable = ~self.offer & ~self.close, self.offer & ~state.crowded
-        free_if_ready, free_if_not = nothing | packable | state.final, nothing | (packable & ~state.ready)
+        waits, placed = Signal(name="waits"), Signal.like(self.packed, name="placed")
+        nothing, packable = ~self.offer & ~self.close, self.offer & ~self.crowded
+        free_if_ready, free_if_not = nothing | packable | self.final, nothing | (packable & ~self.ready)
         m.d.comb += [
-            waits.eq((state.ready | self.close) & ~self.m_axis.tready),
-            state.packs.eq(self.offer & ~waits & ~state.crowded),
+            waits.eq((self.ready | self.close) & ~self.m_axis.tready),
+            self.packs.eq(self.offer & ~waits & ~self.crowded),
             self.free.eq(Mux(self.m_axis.tready, free_if_ready, free_if_not)),
-            state.kept.eq(Mux(state.ready, state.packed >> PAYLOAD_BITS, Mux(self.close, 0, state.packed))),
-            placed.eq(self.part << state.offset),
-            state.total.eq(state.offset + self.bits),
+            self.kept.eq(Mux(self.ready, self.packed >> PAYLOAD_BITS, Mux(self.close, 0, self.packed))),
+            placed.eq(self.part << self.offset),
+            self.total.eq(self.offset + self.bits),
         ]
-        with m.If(state.packs):
+        with m.If(self.packs):
             m.d.sync += [
-                state.packed.eq(state.kept | placed),
-                state.ready.eq(state.total >= PAYLOAD_BITS),
-                state.crowded.eq(state.total >= 2 * PAYLOAD_BITS),
-                state.offset.eq(Mux(state.total >= PAYLOAD_BITS, state.total - PAYLOAD_BITS, state.total)),
-                state.room.eq(
-                    Mux(state.total >= PAYLOAD_BITS, state.total <= PAYLOAD_BITS + CHECK_LSB, state.total <= CHECK_LSB)
+                self.packed.eq(self.kept | placed),
+                self.ready.eq(self.total >= PAYLOAD_BITS),
+                self.crowded.eq(self.total >= 2 * PAYLOAD_BITS),
+                self.offset.eq(Mux(self.total >= PAYLOAD_BITS, self.total - PAYLOAD_BITS, self.total)),
+                self.room.eq(
+                    Mux(self.total >= PAYLOAD_BITS, self.total <= PAYLOAD_BITS + CHECK_LSB, self.total <= CHECK_LSB)
                 ),
             ]
         with m.Elif(~waits):
-            m.d.sync += [state.packed.eq(state.kept), state.ready.eq(state.crowded), state.crowded.eq(0)]
-            with m.If(state.crowded):
+            m.d.sync += [self.packed.eq(self.kept), self.ready.eq(self.crowded), self.crowded.eq(0)]
+            with m.If(self.crowded):
                 m.d.sync += [
-                    state.offset.eq(state.offset - PAYLOAD_BITS),
-                    state.room.eq(state.offset <= PAYLOAD_BITS + CHECK_LSB),
+                    self.offset.eq(self.offset - PAYLOAD_BITS),
+                    self.room.eq(self.offset <= PAYLOAD_BITS + CHECK_LSB),
                 ]
-            with m.Elif(self.close & ~state.ready):
-                m.d.sync += [state.offset.eq(0), state.room.eq(1)]
+            with m.Elif(self.close & ~self.ready):
+                m.d.sync += [self.offset.eq(0), self.room.eq(1)]
         with m.If(self.frame_begin):
-            m.d.sync += [signal.eq(0) for signal in (state.packed, state.ready, state.crowded, state.offset)]
-            m.d.sync += state.room.eq(1)
+            m.d.sync += [signal.eq(0) for signal in (self.packed, self.ready, self.crowded, self.offset)]
+            m.d.sync += self.room.eq(1)
 
     def _form_beat(self, m):
         """Offer a beat of the group, with its marks and, in the last one, the check; or let another beat pass."""
-        state, axis = self.state, self.m_axis
-        forms = Signal()
+        axis = self.m_axis
+        forms, sent = named("forms sent")
+        beat = Signal(BEAT_BITS)
         check = Signal(CHECK_BITS)
         kind = Const(GROUP_KIND, KIND_BITS)
         m.d.comb += [
-            forms.eq(state.ready | self.close),
-            state.final.eq(self.close & ~state.ready & state.room),
-            state.beat.eq(Cat(state.packed[:PAYLOAD_BITS], state.final, state.begins, kind)),
-            state.sent.eq(forms & axis.tready),
+            forms.eq(self.ready | self.close),
+            self.final.eq(self.close & ~self.ready & self.room),
+            beat.eq(Cat(self.packed[:PAYLOAD_BITS], self.final, self.begins, kind)),
+            sent.eq(forms & axis.tready),
             axis.tvalid.eq(forms | self.passes),
-            axis.tdata.eq(Mux(forms, state.beat, self.beat)),
+            axis.tdata.eq(Mux(forms, beat, self.beat)),
             axis.tlast.eq(~forms & self.last),
         ]
-        inputs = Cat(state.check, state.beat)
+        inputs = Cat(self.check, beat)
         m.d.comb += check.eq(Cat(Cat(inputs[bit] for bit in sorted(term)).xor() for term in check_terms()))
-        with m.If(state.final):
+        with m.If(self.final):
             m.d.comb += axis.tdata[CHECK_LSB:PAYLOAD_BITS].eq(~check)
-        with m.If(state.sent):
-            m.d.sync += [state.check.eq(Mux(state.final, ~0, check)), state.begins.eq(state.final)]
+        with m.If(sent):
+            m.d.sync += [self.check.eq(Mux(self.final, ~0, check)), self.begins.eq(self.final)]
         with m.If(self.frame_begin):
-            m.d.sync += [state.check.eq(~0), state.begins.eq(1)]
+            m.d.sync += [self.check.eq(~0), self.begins.eq(1)]

@@ -74,19 +74,6 @@ def of_format(form, value: Callable[[Packet], int]):
     return chosen
 
 
-class PacketizerState:
-    """Kind and number of the beat that is sent; the same of the beat before, whether more follow, and whether one does."""
-
-    def __init__(self, sensor: Sensor):
-        self.sending = Signal()
-        self.send_before = Signal(bus.Send)
-        self.index_before = Signal(range(layout(sensor).longest + 1))
-        self.at_last = Signal()
-        self.active = Signal()
-        self.send = Signal(bus.Send)
-        self.index = Signal.like(self.index_before)
-
-
 class Packetizer(Unit):
     """Packetizer of one subgroup.
 
@@ -120,50 +107,52 @@ class Packetizer(Unit):
             beat=Out(BEAT_BITS),
             beat_controlled=Out(1),
         )
-        self.state = PacketizerState(sensor)
+        # sent, index: kind and number of the beat that is sent. sending: the packet goes on; at_last: its last beat is next.
+        self.inner("sending at_last active")
+        self.inner("send_before", bus.Send)
+        self.inner("index index_before", range(layout(sensor).longest + 1))
+        self.sent = Signal(bus.Send, name="send")
 
     def elaborate(self, platform):
         m = Module()
         self._sequence(m)
-        state = self.state
         beats = {
             bus.Send.EVENT: self._event_beats(m),
             bus.Send.RECORD: self._record_beats(m) if self.sensor.records else [],
             bus.Send.COUNTERS: _beats(self.counters),
         }
         chosen = Signal(BEAT_BITS)
-        with m.Switch(state.send):
+        with m.Switch(self.sent):
             for send, of_packet in beats.items():
-                with m.Case(send), m.Switch(state.index):
+                with m.Case(send), m.Switch(self.index):
                     for k, beat in enumerate(of_packet):
                         with m.Case(k):
                             m.d.comb += chosen.eq(beat)
-        with m.If(state.active | Cat(self.valid, self.beat, self.beat_controlled).any()):
+        with m.If(self.active | Cat(self.valid, self.beat, self.beat_controlled).any()):
             m.d.sync += [
-                self.valid.eq(state.active),
-                self.beat.eq(Mux(state.active, chosen, 0)),
-                self.beat_controlled.eq(state.active & self.controlled),
+                self.valid.eq(self.active),
+                self.beat.eq(Mux(self.active, chosen, 0)),
+                self.beat_controlled.eq(self.active & self.controlled),
             ]
         return m
 
     def _sequence(self, m):
         """Sequence the beats of the current packet. The last beat is recognised one cycle ahead."""
-        state = self.state
         ends = Signal()
         m.d.comb += [
-            state.active.eq(self.grant | state.sending),
-            state.send.eq(Mux(self.grant, self.send, state.send_before)),
-            state.index.eq(Mux(self.grant, 0, state.index_before)),
-            ends.eq(Mux(self.grant, self._last(self.send) == 0, state.sending & state.at_last)),
-            self.take_event.eq(ends & (state.send == bus.Send.EVENT)),
-            self.take_record.eq(ends & (state.send == bus.Send.RECORD)),
+            self.active.eq(self.grant | self.sending),
+            self.sent.eq(Mux(self.grant, self.send, self.send_before)),
+            self.index.eq(Mux(self.grant, 0, self.index_before)),
+            ends.eq(Mux(self.grant, self._last(self.send) == 0, self.sending & self.at_last)),
+            self.take_event.eq(ends & (self.sent == bus.Send.EVENT)),
+            self.take_record.eq(ends & (self.sent == bus.Send.RECORD)),
         ]
-        with m.If(state.active):
+        with m.If(self.active):
             m.d.sync += [
-                state.sending.eq(~ends),
-                state.send_before.eq(state.send),
-                state.index_before.eq(state.index + 1),
-                state.at_last.eq(state.index + 1 >= self._last(state.send)),  # beyond it only after an upset
+                self.sending.eq(~ends),
+                self.send_before.eq(self.sent),
+                self.index_before.eq(self.index + 1),
+                self.at_last.eq(self.index + 1 >= self._last(self.sent)),  # beyond it only after an upset
             ]
 
     def _last(self, send):

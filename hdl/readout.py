@@ -6,8 +6,6 @@ have stored, and the readout counts it and grants packets of known length. So th
 gaps, after a fixed time.
 """
 
-from typing import Any
-
 from amaranth.hdl import Cat, Const, Module, Mux, ResetInserter, Signal
 from amaranth.lib import fifo, wiring
 from amaranth.lib.wiring import In, Out
@@ -24,72 +22,6 @@ from .packetizer import formed, numbers, of_format
 from .unit import Unit, place
 
 CALM_CYCLES = 15  # no grant, no beat on its way and none in the buffer for so long: more than any beat takes
-
-
-class ReadoutState:
-    """Inner registers and signals of a readout.
-
-    in_frame: outside of it, inputs are ignored. grouped, with_offsets: of the format. event_length, event_last: beats of an
-    event, and number of its last one. event_exceeds: with more space than this, an event leaves room for a word, or for
-    counters.
-
-    planes: bits of the number of events that wait in each subgroup; some_events: which numbers are not 0. at_or_after: the
-    pointer, as all subgroups from it on; from_chosen: the chosen one and all above it.
-
-    room: for a word and for counters. left: beats still to be granted. taken: a beat has left the buffer one cycle ago.
-    own: kinds of the readout's own packets on their way to the output; own_kind: of the one that is granted. tail: one-hot,
-    the subgroup whose counters are next. owes: the frame's last beat has not left; filling: it was lost and is sent again.
-    to_end: beats after the end's header.
-    """
-
-    machine: Any
-
-    def __init__(self, readout: "Readout"):
-        n, longest, rooms, depth = readout.subgroups, readout.parts.longest, readout.rooms, readout.depth
-        self.buffer = fifo.SyncFIFOBuffered(width=BEAT_BITS + 2, depth=depth + 1)
-        self.buffer._MustUse__silence = True  # as in `Unit`
-        self.coder, self.packer = Coder(readout.sensor), Packer(readout.sensor)
-        self.in_frame = Signal()
-        self.stored = Signal(n)
-        self.record_stored = Signal(n)
-        self.frame_begin = Signal()
-        self.finish = Signal()
-        self.valid = Signal()
-        self.beat = Signal(BEAT_BITS)
-        self.beat_controlled = Signal()
-        self.grouped = Signal()
-        self.with_offsets = Signal()
-        self.event_length = Signal(range(longest + 1))
-        self.event_last = Signal(range(longest))
-        self.event_exceeds = [Signal(range(2 * longest), init=beats - 1, name=f"event_and_{beats}") for beats in rooms]
-        self.take_event = Signal(n)
-        self.take_record = Signal(n)
-        self.records = Signal(n)
-        self.waiting = Signal(n)
-        self.at_or_after = Signal(n, init=-1)
-        self.from_chosen = Signal(n)
-        self.chosen = Signal(n)
-        self.chosen_record = Signal()
-        self.planes = [Signal(n, name=f"events_{b}") for b in range(bits_for(readout.sensor.fifo_depth))]
-        self.some_events = Signal(n)
-        self.room = [Signal(init=1, name=f"room_for_{beats}") for beats in rooms]
-        self.room_next = [Signal(name=f"room_next_for_{beats}") for beats in rooms]
-        self.left = Signal(range(longest))
-        self.space = Signal(range(depth + 1), init=depth)
-        self.taken = Signal()
-        self.free = Signal()
-        self.free_for_counters = Signal()
-        self.gone = Signal()
-        self.left_next = Signal.like(self.left)
-        self.space_next = Signal.like(self.space)
-        self.calm = Signal(range(CALM_CYCLES + 1))
-        self.booked = Signal()
-        self.own_kind = Signal(KIND_BITS)
-        self.tail = Signal(n)
-        self.owes = Signal()
-        self.filling = Signal()
-        self.own = [Signal(KIND_BITS, name=f"own_{k}") for k in range(latency.GRANT_TO_BEAT)]
-        self.to_end = Signal(range(readout.parts.counter_beats * n + 1))
 
 
 class Readout(Unit):
@@ -138,7 +70,43 @@ class Readout(Unit):
             counted=Out(bus.COUNTED),
             m_axis=Out(STREAM),
         )
-        self.state = ReadoutState(self)
+        n, longest, rooms = subgroups, self.parts.longest, self.rooms
+        self.buffer = fifo.SyncFIFOBuffered(width=BEAT_BITS + 2, depth=self.depth + 1)
+        self.buffer._MustUse__silence = True  # as in `Unit`
+        self.coder, self.packer = Coder(sensor), Packer(sensor)
+        # Inputs, registered. Outside a frame (`in_frame`), they are ignored.
+        self.inner("in_frame grouped with_offsets")
+        self.stored_in, self.record_stored_in = (Signal(n, name=name) for name in ("stored", "record_stored"))
+        self.frame_begin_in, self.finish_in, self.valid_in = named("frame_begin finish valid")
+        self.beat_in, self.beat_controlled_in = Signal(BEAT_BITS, name="beat"), Signal(name="beat_controlled")
+        # Beats of an event in the frame's format. event_exceeds: if there is more space than this, an event leaves room for
+        # a word, or for counters.
+        self.inner("event_length", range(longest + 1))
+        self.inner("event_last", range(longest))
+        self.event_exceeds = [Signal(range(2 * longest), init=beats - 1, name=f"event_and_{beats}") for beats in rooms]
+        # planes: bits of the number of events that wait in each subgroup; some_events: this number is not 0. at_or_after:
+        # all subgroups from the pointer on; from_chosen: the chosen one and all above it.
+        self.inner("take_event take_record records waiting some_events chosen from_chosen", n)
+        self.inner("at_or_after", n, init=-1)
+        self.inner("chosen_record")
+        self.planes = [Signal(n, name=f"events_{b}") for b in range(bits_for(sensor.fifo_depth))]
+        # room: for a word, and for counters. left: beats still to be granted; space: free places. taken: a beat has left the
+        # buffer one cycle ago; gone: its place is free.
+        self.room = [Signal(init=1, name=f"room_for_{beats}") for beats in rooms]
+        self.room_next = [Signal(name=f"room_next_for_{beats}") for beats in rooms]
+        self.inner("left left_next", range(longest))
+        self.inner("space", range(self.depth + 1), init=self.depth)
+        self.space_next = Signal.like(self.space)
+        self.inner("taken free free_for_counters gone booked")
+        self.inner("calm", range(CALM_CYCLES + 1))
+        # own: kinds of the readout's own packets on their way to the output; own_kind: of the one that is granted. tail:
+        # the subgroup whose counters are next, one-hot. owes: the frame's last beat has not left; filling: it was lost and
+        # is sent again. to_end: beats after the header of the frame end.
+        self.inner("own_kind", KIND_BITS)
+        self.inner("tail", n)
+        self.inner("owes filling")
+        self.own = [Signal(KIND_BITS, name=f"own_{k}") for k in range(latency.GRANT_TO_BEAT)]
+        self.inner("to_end", range(self.parts.counter_beats * n + 1))
 
     def elaborate(self, platform):
         m = Module()
@@ -152,20 +120,20 @@ class Readout(Unit):
 
     def _inputs(self, m):
         """Register the inputs. Outside a frame they are ignored: after a reset, the modules may still report old data."""
-        state, n = self.state, self.subgroups
+        n = self.subgroups
         m.d.sync += [
-            state.stored.eq(self.stored & state.in_frame.replicate(n)),
-            state.record_stored.eq(self.record_stored & state.in_frame.replicate(n)),
-            state.frame_begin.eq(self.frame_begin),
-            state.finish.eq(self.finish),
-            state.valid.eq(self.valid & state.in_frame),
-            state.beat.eq(self.beat),
-            state.beat_controlled.eq(self.beat_controlled),
-            state.grouped.eq(of_format(self.frame.format, lambda packet: int(packet.grouped))),
-            state.with_offsets.eq(of_format(self.frame.format, lambda packet: int(packet.has("offsets")))),
-            state.event_length.eq(of_format(self.frame.format, self.parts.length)),
-            state.event_last.eq(self._event_and(-1)),
-            *(beyond.eq(self._event_and(beats - 1)) for beats, beyond in zip(self.rooms, state.event_exceeds)),
+            self.stored_in.eq(self.stored & self.in_frame.replicate(n)),
+            self.record_stored_in.eq(self.record_stored & self.in_frame.replicate(n)),
+            self.frame_begin_in.eq(self.frame_begin),
+            self.finish_in.eq(self.finish),
+            self.valid_in.eq(self.valid & self.in_frame),
+            self.beat_in.eq(self.beat),
+            self.beat_controlled_in.eq(self.beat_controlled),
+            self.grouped.eq(of_format(self.frame.format, lambda packet: int(packet.grouped))),
+            self.with_offsets.eq(of_format(self.frame.format, lambda packet: int(packet.has("offsets")))),
+            self.event_length.eq(of_format(self.frame.format, self.parts.length)),
+            self.event_last.eq(self._event_and(-1)),
+            *(beyond.eq(self._event_and(beats - 1)) for beats, beyond in zip(self.rooms, self.event_exceeds)),
         ]
 
     def _event_and(self, beats):
@@ -177,23 +145,22 @@ class Readout(Unit):
 
         Waiting events are a counter per subgroup, waiting records a bit.
         """
-        state = self.state
         ahead = Signal(self.subgroups)
-        self._credits(m, state.stored, state.take_event)
-        m.d.sync += state.records.eq((state.records & ~state.take_record) | state.record_stored)
-        with m.If(state.frame_begin):
-            m.d.sync += [plane.eq(0) for plane in (*state.planes, state.records)]
-        m.d.comb += [state.waiting.eq(state.some_events | state.records), ahead.eq(state.waiting & state.at_or_after)]
-        from_ahead, from_all = up_to(m, ahead, "from_ahead"), up_to(m, state.waiting, "from_all")
+        self._credits(m, self.stored_in, self.take_event)
+        m.d.sync += self.records.eq((self.records & ~self.take_record) | self.record_stored_in)
+        with m.If(self.frame_begin_in):
+            m.d.sync += [plane.eq(0) for plane in (*self.planes, self.records)]
+        m.d.comb += [self.waiting.eq(self.some_events | self.records), ahead.eq(self.waiting & self.at_or_after)]
+        from_ahead, from_all = up_to(m, ahead, "from_ahead"), up_to(m, self.waiting, "from_all")
         m.d.comb += [
-            state.from_chosen.eq(Mux(from_ahead[-1], from_ahead, from_all)),
-            state.chosen.eq(state.from_chosen & ~(state.from_chosen << 1)),
-            state.chosen_record.eq((state.chosen & state.records).any()),
+            self.from_chosen.eq(Mux(from_ahead[-1], from_ahead, from_all)),
+            self.chosen.eq(self.from_chosen & ~(self.from_chosen << 1)),
+            self.chosen_record.eq((self.chosen & self.records).any()),
         ]
 
     def _credits(self, m, up, down):
         """Count per subgroup, in bit planes; registers beside the planes know which counters are not 0."""
-        planes, some = self.state.planes, self.state.some_events
+        planes, some = self.planes, self.some_events
         carries, borrows = named("carries borrows", self.subgroups)
         m.d.comb += [carries.eq(up & ~down), borrows.eq(down & ~up)]
         ones = zeros = ~Const(0, self.subgroups)  # whether all planes below are; known before the grant is
@@ -209,175 +176,169 @@ class Readout(Unit):
         All beats of the previous one must be granted, and the buffer must have room for any word, or for the counters. Registers beside
         the space know of either room, so no grant waits for a comparison.
         """
-        state = self.state
         m.d.comb += [
-            state.free.eq((state.left == 0) & state.room[0]),
-            state.free_for_counters.eq((state.left == 0) & state.room[1]),
-            *(after.eq(self._space_exceeds(beats - 1)) for after, beats in zip(state.room_next, self.rooms)),
-            state.gone.eq(Mux(state.grouped, state.taken, state.buffer.r_rdy & self.m_axis.tready)),
-            state.left_next.eq(state.left - (state.left != 0)),
-            state.space_next.eq(Mux(state.gone, state.space + 1, state.space)),
+            self.free.eq((self.left == 0) & self.room[0]),
+            self.free_for_counters.eq((self.left == 0) & self.room[1]),
+            *(after.eq(self._space_exceeds(beats - 1)) for after, beats in zip(self.room_next, self.rooms)),
+            self.gone.eq(Mux(self.grouped, self.taken, self.buffer.r_rdy & self.m_axis.tready)),
+            self.left_next.eq(self.left - (self.left != 0)),
+            self.space_next.eq(Mux(self.gone, self.space + 1, self.space)),
         ]
-        m.d.sync += state.taken.eq(state.buffer.r_rdy & state.buffer.r_en)
-        m.d.sync += [state.left.eq(state.left_next), state.space.eq(state.space_next)]
-        m.d.sync += [room.eq(after) for room, after in zip(state.room, state.room_next)]
-        with m.If(state.buffer.r_rdy | state.valid | (state.left != 0) | state.booked):
-            m.d.sync += state.calm.eq(0)
-        with m.Elif(state.calm != CALM_CYCLES):
-            m.d.sync += state.calm.eq(state.calm + 1)
+        m.d.sync += self.taken.eq(self.buffer.r_rdy & self.buffer.r_en)
+        m.d.sync += [self.left.eq(self.left_next), self.space.eq(self.space_next)]
+        m.d.sync += [room.eq(after) for room, after in zip(self.room, self.room_next)]
+        with m.If(self.buffer.r_rdy | self.valid_in | (self.left != 0) | self.booked):
+            m.d.sync += self.calm.eq(0)
+        with m.Elif(self.calm != CALM_CYCLES):
+            m.d.sync += self.calm.eq(self.calm + 1)
         with m.Else():
-            m.d.sync += [state.space.eq(self.depth), *(room.eq(1) for room in state.room)]
-        with m.If(state.frame_begin):
-            m.d.sync += [state.space.eq(self.depth), state.left.eq(0), state.taken.eq(0)]
-            m.d.sync += [room.eq(1) for room in state.room]
+            m.d.sync += [self.space.eq(self.depth), *(room.eq(1) for room in self.room)]
+        with m.If(self.frame_begin_in):
+            m.d.sync += [self.space.eq(self.depth), self.left.eq(0), self.taken.eq(0)]
+            m.d.sync += [room.eq(1) for room in self.room]
 
     def _space_exceeds(self, beats):
         """Return whether there is space for more than `beats`, with the place of a beat that leaves now.
 
         No carry waits for the stream's `tready`; it only selects.
         """
-        state = self.state
-        return Mux(state.gone, state.space >= beats, state.space > beats)
+        return Mux(self.gone, self.space >= beats, self.space > beats)
 
     def _book(self, m, length, name, free):
         """Book room for a packet that may begin. What remains is computed for each length before the grant is known.
 
         length: None for an event.
         """
-        state = self.state
         if length is None:
-            length, last, exceeds = state.event_length, state.event_last, state.event_exceeds
+            length, last, exceeds = self.event_length, self.event_last, self.event_exceeds
         else:
             last, exceeds = length - 1, [length + beats - 1 for beats in self.rooms]
-        after = Signal.like(state.space, name=f"space_after_{name}")
-        m.d.comb += after.eq(Mux(state.gone, state.space - last, state.space - length))
+        after = Signal.like(self.space, name=f"space_after_{name}")
+        m.d.comb += after.eq(Mux(self.gone, self.space - last, self.space - length))
         leaves = [Signal(name=f"{name}_leaves_{beats}") for beats in self.rooms]
         m.d.comb += [left.eq(self._space_exceeds(beats)) for beats, left in zip(exceeds, leaves)]
         with m.If(free):
-            m.d.comb += [state.left_next.eq(last), state.space_next.eq(after), state.booked.eq(1)]
-            m.d.comb += [room.eq(left) for room, left in zip(state.room_next, leaves)]
+            m.d.comb += [self.left_next.eq(last), self.space_next.eq(after), self.booked.eq(1)]
+            m.d.comb += [room.eq(left) for room, left in zip(self.room_next, leaves)]
 
     def _packets(self, m):
         """Send a frame's packets in order: start, events and records, end, counters of every subgroup."""
-        state = self.state
         m.d.sync += [self.grant.eq(0), self.delivered.eq(0)]
-        with m.FSM() as state.machine:
+        with m.FSM() as self.machine:
             with m.State("idle"):
-                m.d.sync += self.delivered.eq(~state.owes)
-                with m.If(state.frame_begin):
+                m.d.sync += self.delivered.eq(~self.owes)
+                with m.If(self.frame_begin_in):
                     m.next = "head"
-                with m.Elif(state.owes & state.finish):  # only after an upset
+                with m.Elif(self.owes & self.finish_in):  # only after an upset
                     m.next = "events"
             with m.State("head"):
-                self._book(m, 1, "start", state.free)
-                m.d.sync += state.at_or_after.eq(~0)
-                with m.If(state.free):
-                    m.d.comb += state.own_kind.eq(FRAME_START.code)
+                self._book(m, 1, "start", self.free)
+                m.d.sync += self.at_or_after.eq(~0)
+                with m.If(self.free):
+                    m.d.comb += self.own_kind.eq(FRAME_START.code)
                     m.next = "events"
                 self._begin_again(m)
             with m.State("events"):
-                with m.If(state.waiting.any()):
+                with m.If(self.waiting.any()):
                     self._grant_chosen(m)
-                with m.Elif(state.finish):
-                    self._book(m, 1, "end", state.free)
-                    m.d.sync += state.tail.eq(1)
-                    with m.If(state.free):
-                        m.d.comb += state.own_kind.eq(FRAME_END.code)
+                with m.Elif(self.finish_in):
+                    self._book(m, 1, "end", self.free)
+                    m.d.sync += self.tail.eq(1)
+                    with m.If(self.free):
+                        m.d.comb += self.own_kind.eq(FRAME_END.code)
                         m.next = "counters"
                 self._begin_again(m)
             with m.State("counters"):
-                self._book(m, self.parts.counter_beats, "counters", state.free_for_counters)
-                with m.If(state.free_for_counters):
-                    m.d.sync += [self.grant.eq(state.tail), self.send.eq(bus.Send.COUNTERS)]
-                    m.d.sync += state.tail.eq(state.tail << 1)
-                    with m.If(state.tail[-1] | (state.tail == 0)):
+                self._book(m, self.parts.counter_beats, "counters", self.free_for_counters)
+                with m.If(self.free_for_counters):
+                    m.d.sync += [self.grant.eq(self.tail), self.send.eq(bus.Send.COUNTERS)]
+                    m.d.sync += self.tail.eq(self.tail << 1)
+                    with m.If(self.tail[-1] | (self.tail == 0)):
                         m.next = "flush"
                 self._begin_again(m)
             with m.State("flush"):
-                with m.If((state.left == 0) & (state.space == self.depth)):
-                    with m.If(state.owes):
-                        self._book(m, 1, "fill", state.free)
-                        m.d.comb += state.own_kind.eq(FRAME_END.code)
-                        m.d.sync += state.filling.eq(1)
+                with m.If((self.left == 0) & (self.space == self.depth)):
+                    with m.If(self.owes):
+                        self._book(m, 1, "fill", self.free)
+                        m.d.comb += self.own_kind.eq(FRAME_END.code)
+                        m.d.sync += self.filling.eq(1)
                     with m.Else():
                         m.next = "idle"
                 self._begin_again(m)
             for code in range(3):  # the codes that are no state
                 with m.State(f"lost_{code}"):
                     m.next = "flush"
-        m.d.comb += state.in_frame.eq(~state.machine.ongoing("idle"))
+        m.d.comb += self.in_frame.eq(~self.machine.ongoing("idle"))
 
     def _begin_again(self, m):
         """Begin a frame although the previous one has not ended, which happens only after an upset."""
-        with m.If(self.state.frame_begin):
+        with m.If(self.frame_begin_in):
             m.next = "head"
 
     def _grant_chosen(self, m):
         """Grant the chosen subgroup's record or event, and move the pointer behind it."""
-        state = self.state
-        with m.If(state.chosen_record):
-            self._book(m, self.parts.length(RECORD), "record", state.free)
+        with m.If(self.chosen_record):
+            self._book(m, self.parts.length(RECORD), "record", self.free)
         with m.Else():
-            self._book(m, None, "event", state.free)
-        with m.If(state.free):
+            self._book(m, None, "event", self.free)
+        with m.If(self.free):
             m.d.comb += [
-                state.take_record.eq(state.chosen & state.records),
-                state.take_event.eq(state.chosen & ~state.records),
+                self.take_record.eq(self.chosen & self.records),
+                self.take_event.eq(self.chosen & ~self.records),
             ]
             m.d.sync += [
-                self.grant.eq(state.chosen),
-                self.send.eq(Mux(state.chosen_record, bus.Send.RECORD, bus.Send.EVENT)),
-                state.at_or_after.eq(state.from_chosen << 1),
+                self.grant.eq(self.chosen),
+                self.send.eq(Mux(self.chosen_record, bus.Send.RECORD, bus.Send.EVENT)),
+                self.at_or_after.eq(self.from_chosen << 1),
             ]
 
     def _output(self, m):
         """Buffer the stream. Beats come back in the order of the grants; the readout's own beats take the same time."""
-        state, counter_beats = self.state, self.parts.counter_beats
-        own, to_end = state.own, state.to_end
-        m.d.sync += [later.eq(now) for now, later in zip([state.own_kind, *own], own)]
+        counter_beats = self.parts.counter_beats
+        own, to_end = self.own, self.to_end
+        m.d.sync += [later.eq(now) for now, later in zip([self.own_kind, *own], own)]
         starts = own[-1] == FRAME_START.code
-        fields = numbers(m, self.sensor, [FRAME_START], own[-1], pulse=self.number, count=starts & state.grouped)
+        fields = numbers(m, self.sensor, [FRAME_START], own[-1], pulse=self.number, count=starts & self.grouped)
         (own_beat,) = formed(self.sensor, [FRAME_START], fields)[FRAME_START]
         is_own = own[-1].any()
-        with m.If((own[-1] == FRAME_END.code) & ~state.filling):
+        with m.If((own[-1] == FRAME_END.code) & ~self.filling):
             m.d.sync += to_end.eq(counter_beats * self.subgroups)
-        with m.Elif(state.valid & (to_end != 0)):
+        with m.Elif(self.valid_in & (to_end != 0)):
             m.d.sync += to_end.eq(to_end - 1)
         m.d.comb += [
-            self.counted.valid.eq(state.valid & (to_end != 0)),
-            self.counted.beat.eq(state.beat),
-            self.counted.controlled.eq(state.beat_controlled),
+            self.counted.valid.eq(self.valid_in & (to_end != 0)),
+            self.counted.beat.eq(self.beat_in),
+            self.counted.controlled.eq(self.beat_controlled_in),
         ]
-        m.submodules.buffer = ResetInserter(state.frame_begin)(state.buffer)
+        m.submodules.buffer = ResetInserter(self.frame_begin_in)(self.buffer)
         last = Signal()
-        m.d.comb += last.eq(Mux(is_own, state.filling, to_end == 1))
-        with m.If(state.frame_begin):
-            m.d.sync += [state.owes.eq(1), state.filling.eq(0), to_end.eq(0)]
-        with m.Elif(state.buffer.w_en & last):
-            m.d.sync += [state.owes.eq(0), state.filling.eq(0)]
+        m.d.comb += last.eq(Mux(is_own, self.filling, to_end == 1))
+        with m.If(self.frame_begin_in):
+            m.d.sync += [self.owes.eq(1), self.filling.eq(0), to_end.eq(0)]
+        with m.Elif(self.buffer.w_en & last):
+            m.d.sync += [self.owes.eq(0), self.filling.eq(0)]
         m.d.comb += [
-            state.buffer.w_en.eq(state.valid | is_own),
-            state.buffer.w_data.eq(Cat(Mux(is_own, own_beat, state.beat), last, is_event_head(state.beat))),
+            self.buffer.w_en.eq(self.valid_in | is_own),
+            self.buffer.w_data.eq(Cat(Mux(is_own, own_beat, self.beat_in), last, is_event_head(self.beat_in))),
         ]
 
     def _port(self, m, platform):
         """Let the buffer's beats leave as they are, or the events among them in groups."""
-        state = self.state
-        coder, packer = state.coder, state.packer
-        beat, last, head = (state.buffer.r_data[part] for part in (slice(BEAT_BITS), BEAT_BITS, BEAT_BITS + 1))
+        coder, packer = self.coder, self.packer
+        beat, last, head = (self.buffer.r_data[part] for part in (slice(BEAT_BITS), BEAT_BITS, BEAT_BITS + 1))
         nets = {
-            "grouped": state.grouped,
-            "with_offsets": state.with_offsets,
+            "grouped": self.grouped,
+            "with_offsets": self.with_offsets,
             "period": self.plan.period,
-            "valid": state.buffer.r_rdy,
+            "valid": self.buffer.r_rdy,
             "beat": beat,
             "last": last,
             "head": head,
             "passed": self.m_axis.tready,
-            "frame_begin": state.frame_begin,
+            "frame_begin": self.frame_begin_in,
         }
         nets |= coder.outputs() | packer.outputs()
         place(m, "coder", coder, platform, **coder.fed(nets))
         place(m, "packer", packer, platform, **packer.fed(nets))
         wiring.connect(m, wiring.flipped(self.m_axis), packer.m_axis)
-        m.d.comb += state.buffer.r_en.eq(coder.take)
+        m.d.comb += self.buffer.r_en.eq(coder.take)

@@ -26,61 +26,6 @@ RESTING_CYCLES = 15  # if the sequencer has rested for so long, a frame that was
 CONTROL, STATUS = BY_NAME["control"], BY_NAME["status"]
 
 
-class RegistersState:
-    """Inner registers and signals of the register front.
-
-    whole: all bytes of the word are to be written; parity: of the value at the port. setting, setting_parity: the programmed
-    settings of the global block, by name and index; flag: of the status; named: the word that the address names; failed:
-    conditions that refuse a start, by the flag that reports them. wait: cycles of the access so far; sent: words sent for the
-    subgroups' thresholds; same_address, same_value: address and value are those that the master gave.
-    """
-
-    voted: list[Voted]
-    keep_read: Voted
-    answer_write: Voted
-    answer_read: Voted
-    failed: dict[str, Signal]
-    machine: Any
-
-    def __init__(self, sensor: Sensor):
-        self.write_address = Signal(registers.ADDRESS_BITS)
-        self.value = Signal(DATA_BITS)
-        self.parity = Signal()
-        self.whole = Signal()
-        self.held_write = Signal()
-        self.read_address = Signal(registers.ADDRESS_BITS)
-        self.setting = {
-            (register.name, index): Signal(
-                bits_for(register.high(sensor)), init=register.reset(sensor), name=f"{register.name}_{index}"
-            )
-            for _, register, index in registers.words(registers.GLOBAL, sensor)
-            if register.access is Access.SETTING
-        }
-        self.setting_parity = {
-            key: Signal(init=setting.init.bit_count() & 1, name=f"parity_of_{setting.name}")
-            for key, setting in self.setting.items()
-        }
-        self.flag = {bits.name: Signal(name=f"status_{bits.name}") for bits in STATUS.bits}
-        self.address = Signal(registers.ADDRESS_BITS)
-        self.in_subgroup = Signal()
-        self.mapped = Signal()
-        self.writable = Signal()
-        self.legal = Signal()
-        self.named = {
-            (register.name, index): Signal(name=f"named_{register.name}_{index}")
-            for table in (registers.GLOBAL, registers.SUBGROUP)
-            for _, register, index in registers.words(table, sensor)
-        }
-        self.found = Signal(DATA_BITS)
-        self.wait = Signal(range(max(READ_CYCLES, CHECK_CYCLES) + 1))
-        self.sent = Signal(range(2 * sensor.streams + AUTO_BOUNDS))
-        self.data = Signal(DATA_BITS)
-        self.same_address = Signal()
-        self.same_value = Signal()
-        self.rested = Signal(range(RESTING_CYCLES + 1))
-        self.plan_parity = Signal()
-
-
 def _controller_ports(sensor: Sensor) -> dict[str, Any]:
     per_stream = data.ArrayLayout(DATA_BITS, sensor.streams)
     return {"capacity": Out(DATA_BITS), "share": Out(per_stream), "budget": In(per_stream), "limit": In(per_stream)}
@@ -125,7 +70,35 @@ class Registers(Unit):
             resting=In(1),
             **(_controller_ports(sensor) if sensor.controller else {}),
         )
-        self.state = RegistersState(sensor)
+        # An access. whole: all bytes of the word are to be written; parity: of the value at the port; same_address,
+        # same_value: address and value are those that the master gave. wait: cycles so far. named: the word at the address.
+        self.inner("write_address read_address address", registers.ADDRESS_BITS)
+        self.inner("value found", DATA_BITS)
+        self.data_in = Signal(DATA_BITS, name="data")
+        self.inner("parity whole held_write same_address same_value in_subgroup mapped writable legal")
+        self.inner("wait", range(max(READ_CYCLES, CHECK_CYCLES) + 1))
+        self.named = {
+            (register.name, index): Signal(name=f"named_{register.name}_{index}")
+            for table in (registers.GLOBAL, registers.SUBGROUP)
+            for _, register, index in registers.words(table, sensor)
+        }
+        # The programmed settings of the global block, by name and index. flag: of the status.
+        self.setting = {
+            (register.name, index): Signal(
+                bits_for(register.high(sensor)), init=register.reset(sensor), name=f"{register.name}_{index}"
+            )
+            for _, register, index in registers.words(registers.GLOBAL, sensor)
+            if register.access is Access.SETTING
+        }
+        self.setting_parity = {
+            key: Signal(init=setting.init.bit_count() & 1, name=f"parity_of_{setting.name}")
+            for key, setting in self.setting.items()
+        }
+        self.flag = {bits.name: Signal(name=f"status_{bits.name}") for bits in STATUS.bits}
+        # A frame. sent: words sent for the subgroups' thresholds.
+        self.inner("sent", range(2 * sensor.streams + AUTO_BOUNDS))
+        self.inner("rested", range(RESTING_CYCLES + 1))
+        self.inner("plan_parity")
 
     def elaborate(self, platform):
         m = Module()
@@ -140,43 +113,42 @@ class Registers(Unit):
 
     def _write_channel(self, m):
         """Hold address and data of a write until the write is answered."""
-        axi, state = self.s_axi, self.state
-        state.voted = [
+        axi = self.s_axi
+        self.voted = [
             Voted(m, name) for name in ("held_address", "held_data", "held_read", "answered_write", "answered_read")
         ]
-        held_address, held_data, state.keep_read, state.answer_write, state.answer_read = state.voted
+        held_address, held_data, self.keep_read, self.answer_write, self.answer_read = self.voted
         m.d.comb += [
             axi.awready.eq(~held_address.value),
             axi.wready.eq(~held_data.value),
-            axi.bvalid.eq(state.answer_write.value),
-            state.held_write.eq(held_address.value & held_data.value),
+            axi.bvalid.eq(self.answer_write.value),
+            self.held_write.eq(held_address.value & held_data.value),
         ]
         with m.If(axi.awvalid & axi.awready):
             m.d.comb += held_address.next.eq(1)
-            m.d.sync += state.write_address.eq(axi.awaddr)
+            m.d.sync += self.write_address.eq(axi.awaddr)
         with m.If(axi.wvalid & axi.wready):
             m.d.comb += held_data.next.eq(1)
-            m.d.sync += [state.value.eq(axi.wdata), state.whole.eq(axi.wstrb.all()), state.parity.eq(axi.wdata.xor())]
+            m.d.sync += [self.value.eq(axi.wdata), self.whole.eq(axi.wstrb.all()), self.parity.eq(axi.wdata.xor())]
         with m.If(axi.bvalid & axi.bready):
-            m.d.comb += [state.answer_write.next.eq(0), held_address.next.eq(0), held_data.next.eq(0)]
+            m.d.comb += [self.answer_write.next.eq(0), held_address.next.eq(0), held_data.next.eq(0)]
 
     def _read_channel(self, m):
         """Hold the address of a read until the read is answered."""
-        axi, state = self.s_axi, self.state
-        m.d.comb += [axi.arready.eq(~state.keep_read.value), axi.rvalid.eq(state.answer_read.value)]
+        axi = self.s_axi
+        m.d.comb += [axi.arready.eq(~self.keep_read.value), axi.rvalid.eq(self.answer_read.value)]
         with m.If(axi.arvalid & axi.arready):
-            m.d.comb += state.keep_read.next.eq(1)
-            m.d.sync += state.read_address.eq(axi.araddr)
+            m.d.comb += self.keep_read.next.eq(1)
+            m.d.sync += self.read_address.eq(axi.araddr)
         with m.If(axi.rvalid & axi.rready):
-            m.d.comb += [state.answer_read.next.eq(0), state.keep_read.next.eq(0)]
+            m.d.comb += [self.answer_read.next.eq(0), self.keep_read.next.eq(0)]
 
     def _global_settings(self, m):
         """Give the programmed settings to those that do not wait for a frame."""
-        state = self.state
-        m.d.comb += self.period.eq(state.setting["period", 0])
+        m.d.comb += self.period.eq(self.setting["period", 0])
         if self.sensor.controller:
-            shares = Cat(state.setting["share", k] for k in range(self.sensor.streams))
-            m.d.comb += [self.capacity.eq(state.setting["capacity", 0]), self.share.eq(shares)]
+            shares = Cat(self.setting["share", k] for k in range(self.sensor.streams))
+            m.d.comb += [self.capacity.eq(self.setting["capacity", 0]), self.share.eq(shares)]
 
     def _decode(self, m):
         """Decode the address: is it in a subgroup's block, mapped, writable, and is the value legal?
@@ -184,76 +156,75 @@ class Registers(Unit):
         One register behind the address: which word it is, and which ranges hold the value. One register later: the
         entries of the table for this word.
         """
-        sensor, state = self.sensor, self.state
+        sensor = self.sensor
         in_block = Signal()
         m.d.comb += in_block.eq(
-            (state.address >= SUBGROUP_BASE) & (state.address < SUBGROUP_BASE + SUBGROUP_STRIDE * sensor.subgroups)
+            (self.address >= SUBGROUP_BASE) & (self.address < SUBGROUP_BASE + SUBGROUP_STRIDE * sensor.subgroups)
         )
         mapped, writable, legal = [], [], []
         in_range = self._ranges(m)
         numbers = [n for n, name in enumerate(FORMATS) if name not in built_formats(sensor)]
         unbuilt = Signal(name="format_unbuilt")
-        m.d.sync += unbuilt.eq(Cat(state.value == number for number in numbers).any())
+        m.d.sync += unbuilt.eq(Cat(self.value == number for number in numbers).any())
         for table, where, key in (
-            (registers.GLOBAL, 1, state.address),
-            (registers.SUBGROUP, in_block, state.address[:BLOCK_BITS]),
+            (registers.GLOBAL, 1, self.address),
+            (registers.SUBGROUP, in_block, self.address[:BLOCK_BITS]),
         ):
             for offset, register, index in registers.words(table, sensor):
-                word = state.named[register.name, index]
+                word = self.named[register.name, index]
                 m.d.sync += word.eq(where & (key == offset))
                 mapped.append(word)
                 if register.access in WRITABLE:
                     writable.append(word)
                     refused = unbuilt & (register.name == "format")
                     if table is registers.SUBGROUP and not sensor.held:
-                        refused = state.flag["busy"]
+                        refused = self.flag["busy"]
                     legal.append(word & in_range[register.low(sensor), register.high(sensor)] & ~refused)
         m.d.sync += [
-            state.in_subgroup.eq(in_block),
-            state.mapped.eq(Cat(mapped).any()),
-            state.writable.eq(Cat(writable).any()),
-            state.legal.eq(Cat(legal).any()),
+            self.in_subgroup.eq(in_block),
+            self.mapped.eq(Cat(mapped).any()),
+            self.writable.eq(Cat(writable).any()),
+            self.legal.eq(Cat(legal).any()),
         ]
 
     def _ranges(self, m):
         """Return a registered "value is in range" for each (low, high) of the writable registers; many share a range."""
         limits = {(r.low(self.sensor), r.high(self.sensor)) for r in BY_NAME.values() if r.access in WRITABLE}
         in_range = {(low, high): Signal(name=f"from_{low}_to_{high}") for low, high in sorted(limits)}
-        value = self.state.value
+        value = self.value
         m.d.sync += [inside.eq((value >= low) & (value <= high)) for (low, high), inside in in_range.items()]
         return in_range
 
     def _select(self, m):
         """Select the global register at the address, at the same time as the decoder's result."""
-        state = self.state
-        content = state.setting | {("status", 0): Cat(state.flag[bits.name] for bits in STATUS.bits)}
+        content = self.setting | {("status", 0): Cat(self.flag[bits.name] for bits in STATUS.bits)}
         if self.sensor.controller:
             of_streams = {"budget": self.budget, "limit": self.limit}
             content |= {(name, k): word for name, words in of_streams.items() for k, word in enumerate(words)}
         for _, register, index in registers.words(registers.GLOBAL, self.sensor):
             if register.access is Access.CONSTANT:
                 content[register.name, index] = Const(register.reset(self.sensor), DATA_BITS)
-        chosen = [Mux(state.named[name], word, 0) for name, word in content.items()]
-        m.d.sync += state.found.eq(any_of(m, chosen, "found_of"))
+        chosen = [Mux(self.named[name], word, 0) for name, word in content.items()]
+        m.d.sync += self.found.eq(any_of(m, chosen, "found_of"))
 
     def _start_checks(self, m):
         """Conditions that refuse a start, by the flag that reports them."""
-        bounds = [setting for (name, _), setting in self.state.setting.items() if name == "auto_bounds"]
+        bounds = [setting for (name, _), setting in self.setting.items() if name == "auto_bounds"]
         period_short = Signal()
         descends = Signal(AUTO_BOUNDS - 1)
         bounds_descend = Signal()
         gate_late = Signal()
         settings_upset = Signal()
-        own_upset = Signal(len(self.state.setting))
+        own_upset = Signal(len(self.setting))
         m.d.sync += [
             period_short.eq(self.period <= self.sensor.guard),
             descends.eq(Cat(low > high for low, high in zip(bounds, bounds[1:]))),
             bounds_descend.eq(descends.any()),
             gate_late.eq(self.gate_late),
-            own_upset.eq(Cat(word.xor() ^ self.state.setting_parity[key] for key, word in self.state.setting.items())),
+            own_upset.eq(Cat(word.xor() ^ self.setting_parity[key] for key, word in self.setting.items())),
             settings_upset.eq(self.settings_upset | own_upset.any()),
         ]
-        self.state.failed = {
+        self.failed = {
             "start_period": period_short,
             "start_bounds": bounds_descend,
             "start_gate": gate_late,
@@ -262,50 +233,50 @@ class Registers(Unit):
 
     def _accesses(self, m):
         """Carry out one access at a time: a read, a write, or the write that starts a frame."""
-        axi, state = self.s_axi, self.state
+        axi = self.s_axi
         plan_upset = Signal()  # with an upset plan, a frame might last for hours
         m.d.sync += [
-            plan_upset.eq(self.plan.as_value().xor() ^ state.plan_parity),
-            state.same_address.eq(state.address == state.write_address),
-            state.same_value.eq(state.value.xor() == state.parity),
-            state.data.eq(self.data),
-            state.wait.eq(state.wait + 1),
+            plan_upset.eq(self.plan.as_value().xor() ^ self.plan_parity),
+            self.same_address.eq(self.address == self.write_address),
+            self.same_value.eq(self.value.xor() == self.parity),
+            self.data_in.eq(self.data),
+            self.wait.eq(self.wait + 1),
             self.start_frame.eq(0),
             self.abort_frame.eq(plan_upset),
             self.command.operation.eq(bus.Operation.ACCESS),
         ]
-        with m.FSM() as state.machine:
+        with m.FSM() as self.machine:
             with m.State("idle"):
-                m.d.sync += [state.wait.eq(0), self.command.operation.eq(bus.Operation.IDLE)]
-                with m.If(state.held_write & ~axi.bvalid):
-                    m.d.sync += state.address.eq(state.write_address)
+                m.d.sync += [self.wait.eq(0), self.command.operation.eq(bus.Operation.IDLE)]
+                with m.If(self.held_write & ~axi.bvalid):
+                    m.d.sync += self.address.eq(self.write_address)
                     m.next = "decode"
-                with m.Elif(state.keep_read.value & ~axi.rvalid):
-                    m.d.sync += state.address.eq(state.read_address)
+                with m.Elif(self.keep_read.value & ~axi.rvalid):
+                    m.d.sync += self.address.eq(self.read_address)
                     m.next = "read"
             with m.State("read"):
                 m.d.sync += self._name_word()
-                with m.If(state.wait == READ_CYCLES):
-                    with m.If(state.keep_read.value):
+                with m.If(self.wait == READ_CYCLES):
+                    with m.If(self.keep_read.value):
                         self._answer_read(m)
                     m.next = "idle"
             with m.State("decode"):
-                with m.If(state.wait == DECODE_CYCLES - 1):
+                with m.If(self.wait == DECODE_CYCLES - 1):
                     m.next = "write"
             with m.State("write"):
                 m.next = "idle"
-                with m.If(~(state.held_write & state.same_address & (state.wait == DECODE_CYCLES))):
+                with m.If(~(self.held_write & self.same_address & (self.wait == DECODE_CYCLES))):
                     pass  # only after an upset; the access that is held starts again
-                with m.Elif(state.writable & state.whole & state.legal & state.same_value):
+                with m.Elif(self.writable & self.whole & self.legal & self.same_value):
                     self._respond(m, OKAY)
                     self._write(m)
                 with m.Else():
                     self._respond(m, SLVERR)
                     self._refuse_write(m)
             with m.State("check"):
-                with m.If(~state.held_write):
+                with m.If(~self.held_write):
                     m.next = "idle"
-                with m.Elif(state.wait == CHECK_CYCLES):
+                with m.Elif(self.wait == CHECK_CYCLES):
                     m.next = "idle"
                     self._start_or_refuse(m)
             if self.sensor.controller:
@@ -316,101 +287,96 @@ class Registers(Unit):
                     m.next = "idle"
             with m.State("begin"):
                 m.next = "idle"
-                with m.If(state.held_write & state.flag["busy"]):
+                with m.If(self.held_write & self.flag["busy"]):
                     m.d.sync += [self.command.operation.eq(bus.Operation.BEGIN), self.start_frame.eq(1)]
                     if self.sensor.controller:
-                        m.d.sync += self.command.data.eq(state.setting["threshold_floor", 0])
+                        m.d.sync += self.command.data.eq(self.setting["threshold_floor", 0])
                     self._respond(m, OKAY)
             with m.State("lost"):  # a code that is no state: after an upset, the bus must not hang
                 m.next = "idle"
-        with m.If(
-            ~(state.flag["busy"] & self.resting & (state.machine.ongoing("idle") | state.machine.ongoing("read")))
-        ):
-            m.d.sync += state.rested.eq(0)
-        with m.Elif(state.rested != RESTING_CYCLES):
-            m.d.sync += state.rested.eq(state.rested + 1)
-        with m.If(self.done | (state.rested == RESTING_CYCLES)):  # `resting`: an upset took the frame or the strobe
-            m.d.sync += [state.flag["busy"].eq(0), state.flag["done"].eq(1)]
+        with m.If(~(self.flag["busy"] & self.resting & (self.machine.ongoing("idle") | self.machine.ongoing("read")))):
+            m.d.sync += self.rested.eq(0)
+        with m.Elif(self.rested != RESTING_CYCLES):
+            m.d.sync += self.rested.eq(self.rested + 1)
+        with m.If(self.done | (self.rested == RESTING_CYCLES)):  # `resting`: an upset took the frame or the strobe
+            m.d.sync += [self.flag["busy"].eq(0), self.flag["done"].eq(1)]
 
     def _respond(self, m, response):
-        m.d.comb += self.state.answer_write.next.eq(1)
+        m.d.comb += self.answer_write.next.eq(1)
         m.d.sync += self.s_axi.bresp.eq(response)
 
     def _name_word(self):
         """Ask the subgroups for the word at the address."""
-        word, block = self.state.address[2:], self.state.address[BLOCK_BITS:]
+        word, block = self.address[2:], self.address[BLOCK_BITS:]
         return [self.command.subgroup.eq(block - SUBGROUP_BASE // SUBGROUP_STRIDE), self.command.word.eq(word)]
 
     def _answer_read(self, m):
-        axi, state = self.s_axi, self.state
-        m.d.comb += state.answer_read.next.eq(1)
+        axi = self.s_axi
+        m.d.comb += self.answer_read.next.eq(1)
         m.d.sync += [
-            axi.rresp.eq(Mux(state.mapped, OKAY, SLVERR)),
-            axi.rdata.eq(Mux(state.mapped, Mux(state.in_subgroup, state.data, state.found), 0)),
+            axi.rresp.eq(Mux(self.mapped, OKAY, SLVERR)),
+            axi.rdata.eq(Mux(self.mapped, Mux(self.in_subgroup, self.data_in, self.found), 0)),
         ]
-        with m.If(~state.mapped):
-            m.d.sync += state.flag["bad_address"].eq(1)
+        with m.If(~self.mapped):
+            m.d.sync += self.flag["bad_address"].eq(1)
 
     def _refuse_write(self, m):
         """Report the reason of the refusal by a sticky flag."""
-        state = self.state
-        with m.If(~state.writable):
-            m.d.sync += state.flag["bad_address"].eq(1)
-        with m.Elif(~state.whole):
-            m.d.sync += state.flag["bad_strobe"].eq(1)
+        with m.If(~self.writable):
+            m.d.sync += self.flag["bad_address"].eq(1)
+        with m.Elif(~self.whole):
+            m.d.sync += self.flag["bad_strobe"].eq(1)
         with m.Else():
-            m.d.sync += state.flag["bad_value"].eq(1)
+            m.d.sync += self.flag["bad_value"].eq(1)
 
     def _write(self, m):
         """Carry out a write: pass it to the subgroups, or change a global setting. A start waits for its checks."""
-        state, value = self.state, self.state.value
-        with m.If(state.in_subgroup):
+        value = self.value
+        with m.If(self.in_subgroup):
             m.d.sync += [
                 self.command.operation.eq(bus.Operation.WRITE),
                 self.command.data.eq(value),
-                self.command.parity.eq(state.parity),
+                self.command.parity.eq(self.parity),
             ]
             m.d.sync += self._name_word()
-        for key, setting in state.setting.items():
-            with m.If(state.named[key]):
-                m.d.sync += [setting.eq(value), state.setting_parity[key].eq(state.parity)]
-        with m.If(state.named["status", 0]):
+        for key, setting in self.setting.items():
+            with m.If(self.named[key]):
+                m.d.sync += [setting.eq(value), self.setting_parity[key].eq(self.parity)]
+        with m.If(self.named["status", 0]):
             for bits in STATUS.bits:
                 if bits.clears:
                     with m.If(value[bits.lsb]):
-                        m.d.sync += state.flag[bits.name].eq(0)
-        with m.If(state.named["control", 0]):
+                        m.d.sync += self.flag[bits.name].eq(0)
+        with m.If(self.named["control", 0]):
             m.d.sync += self.abort_frame.eq(value[CONTROL.bit("abort")])
             with m.If(value[CONTROL.bit("start")]):
-                m.d.comb += state.answer_write.next.eq(0)
+                m.d.comb += self.answer_write.next.eq(0)
                 m.next = "check"
 
     def _start_or_refuse(self, m):
         """Take the settings, or report by a sticky flag what is wrong with them."""
-        state = self.state
-        with m.If(state.flag["busy"]):
-            m.d.sync += state.flag["start_busy"].eq(1)
+        with m.If(self.flag["busy"]):
+            m.d.sync += self.flag["start_busy"].eq(1)
             self._respond(m, SLVERR)
-        with m.Elif(Cat(state.failed.values()).any()):
-            m.d.sync += [state.flag[name].eq(state.flag[name] | bad) for name, bad in state.failed.items()]
+        with m.Elif(Cat(self.failed.values()).any()):
+            m.d.sync += [self.flag[name].eq(self.flag[name] | bad) for name, bad in self.failed.items()]
             self._respond(m, SLVERR)
         with m.Else():
-            m.d.sync += [state.flag["busy"].eq(1), state.sent.eq(0), self.command.operation.eq(bus.Operation.TAKE)]
+            m.d.sync += [self.flag["busy"].eq(1), self.sent.eq(0), self.command.operation.eq(bus.Operation.TAKE)]
             for taken in (self.frame, self.plan):
-                m.d.sync += [taken[name].eq(state.setting[name, 0]) for name in taken.shape().members]
-            parities = Cat(state.setting_parity[name, 0] for name in self.plan.shape().members)
-            m.d.sync += state.plan_parity.eq(parities.xor())
+                m.d.sync += [taken[name].eq(self.setting[name, 0]) for name in taken.shape().members]
+            parities = Cat(self.setting_parity[name, 0] for name in self.plan.shape().members)
+            m.d.sync += self.plan_parity.eq(parities.xor())
             m.next = "thresholds" if self.sensor.controller else "begin"
 
     def _send_for_thresholds(self, m):
         """Send the streams' budgets and limits and then the controller's bounds to the subgroups, one per cycle."""
-        state = self.state
         words = []
         for k in range(self.sensor.streams):
             first = self.sensor.stream_subgroups(k).start
             words += [(bus.Operation.BUDGET, first, self.budget[k]), (bus.Operation.LIMIT, first, self.limit[k])]
-        words += [(bus.Operation.COMPARE, 0, state.setting["auto_bounds", k]) for k in range(AUTO_BOUNDS)]
-        with m.Switch(state.sent):
+        words += [(bus.Operation.COMPARE, 0, self.setting["auto_bounds", k]) for k in range(AUTO_BOUNDS)]
+        with m.Switch(self.sent):
             for k, (operation, first, word) in enumerate(words):
                 with m.Case(k):
                     m.d.sync += [
@@ -418,8 +384,8 @@ class Registers(Unit):
                         self.command.subgroup.eq(first),
                         self.command.data.eq(word),
                     ]
-        m.d.sync += state.sent.eq(state.sent + 1)
-        with m.If(~(state.held_write & state.flag["busy"])):
+        m.d.sync += self.sent.eq(self.sent + 1)
+        with m.If(~(self.held_write & self.flag["busy"])):
             m.next = "idle"
-        with m.Elif(state.sent == len(words) - 1):
+        with m.Elif(self.sent == len(words) - 1):
             m.next = "begin"

@@ -23,43 +23,6 @@ END_TO_GRANT = 1  # from `finish` to the readout's earliest grant of the end pac
 TO_FINISH = LEAD + 1 + latency.FINISH - END_TO_GRANT
 
 
-class SequencerState:
-    """Inner registers and signals of a sequencer.
-
-    waiting: between two periods; left: cycles of this wait. start: the strobe, delayed for the registers behind it.
-    active: from the beginning of a frame until it is done. step, last_step: registers, because `pulses` and `steps` change at
-    the end of a period only. draining, drained: the frame is ending, and for how long it has been. delivered: bit k, for more
-    than k cycles.
-    """
-
-    number: Voted
-
-    def __init__(self, sensor: Sensor):
-        coarse_bits = sensor.coarse_bits
-        self.running = Signal()
-        self.waiting = Signal()
-        self.ends = Signal()
-        self.first = Signal()
-        self.wrap = Signal()
-        self.cycle = Signal(coarse_bits + 1)
-        self.pulse = Signal(bus.PULSE_BITS + 1)
-        self.start = Signal(2)
-        self.restart = self.start[-1]
-        self.aborted = Signal()
-        self.active = Signal()
-        self.lfsr = Signal(LFSR_BITS)
-        self.mask = Signal(DITHER_BITS_MAX)
-        self.left = Signal(DITHER_BITS_MAX)
-        self.shift = Signal(coarse_bits + 1)
-        self.pulses = Signal(GATE_BITS)
-        self.steps = Signal(GATE_BITS)
-        self.step = Signal()
-        self.last_step = Signal()
-        self.draining = Signal()
-        self.drained = Signal(range(TO_FINISH + 1))
-        self.delivered = Signal(SETTLED)
-
-
 class Sequencer(Unit):
     """Sequencer of the sensor.
 
@@ -95,7 +58,23 @@ class Sequencer(Unit):
             done=Out(1),
             resting=Out(1),
         )
-        self.state = SequencerState(sensor)
+        # waiting: between two periods; left: cycles of this wait. start: the strobe, delayed for the registers behind it.
+        # active: from the beginning of a frame until it is done.
+        self.inner("running waiting ends first wrap aborted active")
+        self.inner("cycle", sensor.coarse_bits + 1)
+        self.inner("pulse", bus.PULSE_BITS + 1)
+        self.inner("start", 2)
+        self.restart = self.start[-1]
+        self.inner("lfsr", LFSR_BITS)
+        self.inner("mask left", DITHER_BITS_MAX)
+        # Progressive gating. step, last_step: registers, because `pulses` and `steps` change only at the end of a period.
+        self.inner("shift", sensor.coarse_bits + 1)
+        self.inner("pulses steps", GATE_BITS)
+        self.inner("step last_step")
+        # draining: the frame is ending; drained: for so many cycles. delivered_for: bit k: for more than k cycles.
+        self.inner("draining")
+        self.inner("drained", range(TO_FINISH + 1))
+        self.delivered_for = Signal(SETTLED, name="delivered")
 
     def elaborate(self, platform):
         m = Module()
@@ -108,115 +87,100 @@ class Sequencer(Unit):
 
     def _periods(self, m):
         """Count the cycles of a period and the periods of the frame."""
-        state, settings = self.state, self.plan
-        last_cycle = Signal.like(state.cycle)
-        last_pulse = Signal.like(state.pulse)
+        settings = self.plan
+        last_cycle = Signal.like(self.cycle)
+        last_pulse = Signal.like(self.pulse)
         m.d.sync += [
             last_cycle.eq(settings.period - 1),
             last_pulse.eq(settings.pulses - 1),
-            state.start.eq((state.start << 1) | self.start_frame),
-            state.cycle.eq(Mux(state.ends | state.waiting, 0, state.cycle + 1)),
-            state.wrap.eq(state.ends),
-            state.first.eq(state.restart),
+            self.start.eq((self.start << 1) | self.start_frame),
+            self.cycle.eq(Mux(self.ends | self.waiting, 0, self.cycle + 1)),
+            self.wrap.eq(self.ends),
+            self.first.eq(self.restart),
         ]
-        m.d.comb += state.ends.eq(state.running & ~state.waiting & (state.cycle >= last_cycle))
-        with m.If(self.abort_frame & state.running):
-            m.d.sync += state.aborted.eq(1)
-        with m.If(state.ends):
-            m.d.sync += state.pulse.eq(state.pulse + 1)
-            with m.If(state.aborted | self.abort_frame | (state.pulse >= last_pulse)):
-                m.d.sync += state.running.eq(0)
-        with m.If(state.restart):
-            m.d.sync += [
-                state.running.eq(1),
-                state.cycle.eq(0),
-                state.pulse.eq(0),
-                state.aborted.eq(0),
-                state.active.eq(1),
-            ]
+        m.d.comb += self.ends.eq(self.running & ~self.waiting & (self.cycle >= last_cycle))
+        with m.If(self.abort_frame & self.running):
+            m.d.sync += self.aborted.eq(1)
+        with m.If(self.ends):
+            m.d.sync += self.pulse.eq(self.pulse + 1)
+            with m.If(self.aborted | self.abort_frame | (self.pulse >= last_pulse)):
+                m.d.sync += self.running.eq(0)
+        with m.If(self.restart):
+            m.d.sync += [self.running.eq(1), self.cycle.eq(0), self.pulse.eq(0), self.aborted.eq(0), self.active.eq(1)]
 
     def _dither(self, m):
         """Count the cycles until the next period. The LFSR steps in every cycle of the periods."""
-        state = self.state
         following = Signal(LFSR_BITS)
-        m.d.comb += following.eq((state.lfsr >> 1) ^ Mux(state.lfsr[0], LFSR_TAPS, 0))
-        m.d.sync += state.mask.eq((1 << self.plan.dither_bits) - 1)
-        with m.If(state.waiting):
-            m.d.sync += [state.left.eq(state.left - 1), state.waiting.eq(state.left > 1)]
-        with m.Elif(state.running):
-            m.d.sync += state.lfsr.eq(following)
-            with m.If(state.ends):
-                m.d.sync += [state.left.eq(following & state.mask), state.waiting.eq((following & state.mask).any())]
-        with m.If(state.restart):
-            m.d.sync += [state.lfsr.eq(self.plan.dither_seed), state.left.eq(0), state.waiting.eq(0)]
+        m.d.comb += following.eq((self.lfsr >> 1) ^ Mux(self.lfsr[0], LFSR_TAPS, 0))
+        m.d.sync += self.mask.eq((1 << self.plan.dither_bits) - 1)
+        with m.If(self.waiting):
+            m.d.sync += [self.left.eq(self.left - 1), self.waiting.eq(self.left > 1)]
+        with m.Elif(self.running):
+            m.d.sync += self.lfsr.eq(following)
+            with m.If(self.ends):
+                m.d.sync += [self.left.eq(following & self.mask), self.waiting.eq((following & self.mask).any())]
+        with m.If(self.restart):
+            m.d.sync += [self.lfsr.eq(self.plan.dither_seed), self.left.eq(0), self.waiting.eq(0)]
 
     def _shift(self, m):
         """Progressive gating: the gate's shift in this period, saturated where no gate can open any more."""
-        state, settings, coarse_bits = self.state, self.plan, self.sensor.coarse_bits
+        settings, coarse_bits = self.plan, self.sensor.coarse_bits
         beyond = 1 << coarse_bits
         more = Signal(GATE_BITS + 1)
-        m.d.comb += more.eq(state.shift + settings.gate_step)
+        m.d.comb += more.eq(self.shift + settings.gate_step)
         m.d.sync += [
-            state.step.eq((settings.gate_every != 0) & (state.pulses == settings.gate_every - 1)),
-            state.last_step.eq(state.steps == settings.gate_steps - 1),
+            self.step.eq((settings.gate_every != 0) & (self.pulses == settings.gate_every - 1)),
+            self.last_step.eq(self.steps == settings.gate_steps - 1),
         ]
-        with m.If(state.ends):
-            m.d.sync += state.pulses.eq(Mux(state.step, 0, state.pulses + 1))
-            with m.If(state.step):
-                with m.If(state.last_step):
-                    m.d.sync += [state.steps.eq(0), state.shift.eq(0)]
+        with m.If(self.ends):
+            m.d.sync += self.pulses.eq(Mux(self.step, 0, self.pulses + 1))
+            with m.If(self.step):
+                with m.If(self.last_step):
+                    m.d.sync += [self.steps.eq(0), self.shift.eq(0)]
                 with m.Else():
-                    m.d.sync += [state.steps.eq(state.steps + 1), state.shift.eq(Mux(more >= beyond, beyond, more))]
-        with m.If(state.restart):
-            m.d.sync += [state.shift.eq(0), state.pulses.eq(0), state.steps.eq(0)]
+                    m.d.sync += [self.steps.eq(self.steps + 1), self.shift.eq(Mux(more >= beyond, beyond, more))]
+        with m.If(self.restart):
+            m.d.sync += [self.shift.eq(0), self.pulses.eq(0), self.steps.eq(0)]
 
     def _timing(self, m):
         """Form the subgroups' word for the cycle, and the laser and frame strobes, which are in step with the ports."""
-        state = self.state
         in_period = Signal()
-        last_open = Signal.like(state.cycle)
-        m.d.comb += in_period.eq(state.running & ~state.waiting)
+        last_open = Signal.like(self.cycle)
+        m.d.comb += in_period.eq(self.running & ~self.waiting)
         m.d.sync += [
             last_open.eq(self.plan.period - self.sensor.guard),
             self.timing.running.eq(in_period),
-            self.timing.start.eq(in_period & (state.cycle == 0)),
-            self.timing.wrap.eq(state.wrap),
-            self.timing.may_open.eq(in_period & (state.cycle < last_open)),
-            self.timing.shift.eq(state.shift),
+            self.timing.start.eq(in_period & (self.cycle == 0)),
+            self.timing.wrap.eq(self.wrap),
+            self.timing.may_open.eq(in_period & (self.cycle < last_open)),
+            self.timing.shift.eq(self.shift),
         ]
         laser = Signal(LEAD - 1)
         m.d.sync += [laser.eq((laser << 1) | self.timing.start), self.laser.eq(laser[-1])]
         # `first` comes one cycle before `timing` shows cycle 0, which is LEAD + 1 cycles before the ports.
         until_begin = Signal(LEAD + latency.FRAME_START - HEAD_TO_GRANT)
-        m.d.sync += [until_begin.eq((until_begin << 1) | state.first), self.frame_begin.eq(until_begin[-1])]
+        m.d.sync += [until_begin.eq((until_begin << 1) | self.first), self.frame_begin.eq(until_begin[-1])]
 
     def _end(self, m):
         """End the frame: wait until nothing more is stored, then until everything is delivered; then `done`.
 
         It is delivered for `SETTLED` cycles, so that the threshold controllers know their budgets.
         """
-        state = self.state
-        state.number = number = Voted(m, "number_kept", bus.PULSE_BITS)
+        self.number_kept = number = Voted(m, "number_kept", bus.PULSE_BITS)
         m.d.comb += self.number.eq(number.value)
         m.d.sync += [
-            state.delivered.eq(Cat(1, state.delivered) & self.delivered.replicate(SETTLED)),
+            self.delivered_for.eq(Cat(1, self.delivered_for) & self.delivered.replicate(SETTLED)),
             self.done.eq(0),
-            self.finish.eq(state.draining & (state.drained >= TO_FINISH - 1)),
-            self.resting.eq(~(state.start.any() | state.active | state.draining | self.done)),
+            self.finish.eq(self.draining & (self.drained >= TO_FINISH - 1)),
+            self.resting.eq(~(self.start.any() | self.active | self.draining | self.done)),
         ]
-        with m.If(state.draining & (state.drained < TO_FINISH)):
-            m.d.sync += state.drained.eq(state.drained + 1)
+        with m.If(self.draining & (self.drained < TO_FINISH)):
+            m.d.sync += self.drained.eq(self.drained + 1)
         # In the cycle after the last period both are set; after an upset, it may be only one of them.
-        with m.If((state.active | state.wrap) & ~state.running & ~state.draining):
-            m.d.sync += [state.draining.eq(1), state.drained.eq(1)]
-        with m.If(self.finish & state.delivered[-1]):
-            m.d.sync += [
-                self.finish.eq(0),
-                state.active.eq(0),
-                state.draining.eq(0),
-                state.drained.eq(0),
-                self.done.eq(1),
-            ]
+        with m.If((self.active | self.wrap) & ~self.running & ~self.draining):
+            m.d.sync += [self.draining.eq(1), self.drained.eq(1)]
+        with m.If(self.finish & self.delivered_for[-1]):
+            m.d.sync += [self.finish.eq(0), self.active.eq(0), self.draining.eq(0), self.drained.eq(0), self.done.eq(1)]
             m.d.comb += number.next.eq(number.value + 1)
-        with m.If(state.restart):
-            m.d.sync += [self.finish.eq(0), state.draining.eq(0), state.drained.eq(0)]
+        with m.If(self.restart):
+            m.d.sync += [self.finish.eq(0), self.draining.eq(0), self.drained.eq(0)]

@@ -18,20 +18,6 @@ from .logic import any_of
 from .unit import Unit
 
 
-class SettingsState:
-    """Inner registers and signals of a register block.
-
-    programmed: the settings; named: a bit per word, so that no decoder is in the path of a read; shown: number of a word ->
-    value that a read returns; upsets: a bit per programmed word whose parity is wrong.
-    """
-
-    def __init__(self, sensor: Sensor):
-        self.programmed = Signal(bus.settings_layout(sensor), init=_reset(sensor))
-        self.named = Signal(sum(1 for _ in registers.words(registers.SUBGROUP, sensor)))
-        self.shown: dict[int, Any] = {}
-        self.upsets: list[Any] = []
-
-
 class SubgroupSettings(Unit):
     """Register block of a subgroup. Ranges are checked before a write arrives here.
 
@@ -64,12 +50,17 @@ class SubgroupSettings(Unit):
             gate_late=Out(1),
             upset=Out(1),
         )
-        self.state = SettingsState(sensor)
+        # programmed: the settings. named: one bit per word, so that no decoder is in the path of a read; shown: number of a
+        # word -> value that a read returns; upsets: one bit per programmed word whose parity is wrong.
+        self.inner("programmed", bus.settings_layout(sensor), init=_reset(sensor))
+        self.inner("named", sum(1 for _ in registers.words(registers.SUBGROUP, sensor)))
+        self.shown: dict[int, Any] = {}
+        self.upsets: list[Any] = []
         self.clock_gate = ClockGate(small=True)
 
     def elaborate(self, platform):
         m = Module()
-        programmed, named, shown = self.state.programmed, self.state.named, self.state.shown
+        programmed, named, shown = self.programmed, self.named, self.shown
         selected = Signal()
         m.d.comb += selected.eq(self.command.subgroup == self.subgroup)
         m.d.sync += [self.gate_late.eq(programmed.gating & (programmed.gate_start >= self.period))]
@@ -87,16 +78,13 @@ class SubgroupSettings(Unit):
                 )
                 with m.If(write & (self.command.word == offset // 4)):
                     m.d.sync += [field.eq(self.command.data), parity.eq(self.command.parity)]
-                self.state.upsets.append(Value.cast(field).xor() ^ parity)
+                self.upsets.append(Value.cast(field).xor() ^ parity)
             else:
                 field = self.counters.word_select(COUNTER_NAMES.index(register.name), COUNTER_BITS)
             shown[offset // 4] = field
         values = [Mux(bit, field, 0) for bit, field in zip(named, shown.values())]
         accessed = Signal()  # in the previous cycle
-        m.d.sync += [
-            accessed.eq(self.command.operation != bus.Operation.IDLE),
-            self.upset.eq(Cat(self.state.upsets).any()),
-        ]
+        m.d.sync += [accessed.eq(self.command.operation != bus.Operation.IDLE), self.upset.eq(Cat(self.upsets).any())]
         with m.If(self.command.operation != bus.Operation.IDLE):
             m.d.sync += named.eq(Cat(selected & (self.command.word == number) for number in shown))
         with m.If(accessed):

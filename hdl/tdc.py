@@ -41,8 +41,6 @@ class Tdc(Unit):
     Reset sets the coarse counter to 0; from then on it counts, with or without a frame.
     """
 
-    state = None  # proofs read only its ports
-
     def __init__(self, sensor: Sensor, lines: int = 2):
         self.sensor = sensor
         self.lines = lines

@@ -21,31 +21,11 @@ from .tdc import line_signature
 from .unit import Unit, place
 
 
-class WindowState:
-    """Inner registers and signals of a front end, in every view.
-
-    elapsed: cycles since the window opened, saturated. hits: of its map, collected by the leaves. closed: it has closed
-    (stage 5). half, counts: a window whose pixels have been counted in parts (stage 6).
-    """
-
-    def __init__(self, sensor: Sensor):
-        self.elapsed = Signal(sensor.elapsed_bits)
-        self.hits = Signal(sensor.pixels)
-        self.closed = Signal()
-        self.closed_6 = Signal()
-        self.half = Signal(bus.window_layout(sensor), reset_less=True)
-        part = 1 << (bits_for(sensor.pixels - 1) + 1) // 2
-        self.parts = [self.hits[k : k + part] for k in range(0, sensor.pixels, part)]
-        self.counts = [Signal(range(len(part) + 1), name=f"count_{k}") for k, part in enumerate(self.parts)]
-
-
 class FrontEnd(Unit):
     """What the front ends of both views have in common: their leaves, and the count of a closed window.
 
     line: the sampling line. own: ports towards the SPADs. `CoincidenceTree` describes the others.
     """
-
-    state: WindowState
 
     def __init__(self, sensor: Sensor, line: Signature, **own: Any):
         self.sensor = sensor
@@ -63,81 +43,56 @@ class FrontEnd(Unit):
             latched=Out(sensor.minigroups),
             entries=Out(bus.record_layout(sensor)["entries"].shape),
         )
+        # elapsed: cycles since the window opened, saturated. hits: its map, collected by the leaves. closed_5: it has closed
+        # (stage 5). half, counts: a window whose pixels have been counted in parts (stage 6).
+        self.inner("elapsed", sensor.elapsed_bits)
+        self.inner("hits", sensor.pixels)
+        self.closed_5 = Signal(name="closed")
+        self.inner("closed_6")
+        self.inner("half", bus.window_layout(sensor), reset_less=True)
+        part = 1 << (bits_for(sensor.pixels - 1) + 1) // 2
+        self.parts = [self.hits[k : k + part] for k in range(0, sensor.pixels, part)]
+        self.counts = [Signal(range(len(part) + 1), name=f"count_{k}") for k, part in enumerate(self.parts)]
 
     def _leaf(self, m, platform, g: int, leaf: Recorder, by_pixel: dict[str, Value], **shared) -> list[int]:
         """Connect minigroup `g`, and return its pixels. by_pixel: its inputs that have a part for every pixel of the subgroup."""
-        state, sensor = self.state, self.sensor
+        sensor = self.sensor
         members = sensor.members(g)
         own = {
             name: Cat(value.word_select(i, len(value) // sensor.pixels) for i in members)
             for name, value in by_pixel.items()
         }
-        place(m, f"minigroup_{g}", leaf, platform, elapsed=state.elapsed, frame=self.frame, **own, **shared)
+        place(m, f"minigroup_{g}", leaf, platform, elapsed=self.elapsed, frame=self.frame, **own, **shared)
         m.d.comb += [
             *([self.offsets[g].eq(leaf.offset)] if sensor.offsets else []),
             self.latched[g].eq(leaf.latched),
             self.entries[g].eq(leaf.entry),
-            *(state.hits[i].eq(hit) for i, hit in zip(members, leaf.hits)),
+            *(self.hits[i].eq(hit) for i, hit in zip(members, leaf.hits)),
         ]
         return members
 
     def _elapse(self, m, opened):
         """Stage 7: count the cycles since the window opened, for the leaves' offsets. opened: stage 6."""
-        elapsed = self.state.elapsed
+        elapsed = self.elapsed
         with m.If(opened | ~elapsed.all()):
             m.d.sync += elapsed.eq(Mux(opened, 0, elapsed + 1))
 
     def _closed(self, m, stamp, winner, clock="sync"):
         """Stages 6 and 7: count a closed window in two steps of equal depth. clock: domain of the strobes."""
-        state = self.state
-        half, counts = state.half, state.counts
-        m.d[clock] += [state.closed_6.eq(state.closed), self.closed.eq(state.closed_6)]
-        with m.If(state.closed):
-            m.d.sync += [half.stamp.eq(stamp), half.hits.eq(state.hits), half.winner.eq(winner)]
+        half, counts = self.half, self.counts
+        m.d[clock] += [self.closed_6.eq(self.closed_5), self.closed.eq(self.closed_6)]
+        with m.If(self.closed_5):
+            m.d.sync += [half.stamp.eq(stamp), half.hits.eq(self.hits), half.winner.eq(winner)]
             m.d.sync += [
-                count.eq(popcount(m, part, f"ones_{k}")) for k, (count, part) in enumerate(zip(counts, state.parts))
+                count.eq(popcount(m, part, f"ones_{k}")) for k, (count, part) in enumerate(zip(counts, self.parts))
             ]
-        with m.If(state.closed_6):
+        with m.If(self.closed_6):
             m.d.sync += [
                 self.window.stamp.eq(half.stamp),
                 self.window.hits.eq(half.hits),
                 self.window.winner.eq(half.winner),
                 self.window.count.eq(total(m, counts, "count_sum")),
             ]
-
-
-class TreeState(WindowState):
-    """Inner registers and signals of a tree. Numbers are those of stages; `may_open` and `wrap` have a bit for each stage.
-
-    left: ticks of the window from the start of the cycle, end: the same for a window that may just open; whole, part: the
-    window covers all of the cycle, or the phases before its end; stamps, winners: of stages 3 to 5. openings, closings: the
-    window's opening and its closing, delayed; found_blind: a minigroup has an edge outside of a window. strobes: all that
-    move on in every cycle, until they are out, behind a gate of their own: `clock` is their domain.
-    """
-
-    clock: str
-
-    def __init__(self, sensor: Sensor):
-        super().__init__(sensor)
-        self.leaves = [Minigroup(sensor) for _ in range(sensor.minigroups)]
-        self.may_open = Signal(5)
-        self.wrap = Signal(5)
-        self.coarse_4 = Signal(sensor.coarse_bits)
-        self.window_open = Signal()
-        self.left = Signal(range(sensor.window_max + sensor.phases))
-        self.rearm = Signal(range(sensor.rearm + 1))
-        self.opening = Signal()
-        self.closing = Signal()
-        self.end = Signal.like(self.left)
-        self.whole, self.part = named("whole part")
-        self.at_first = Signal(sensor.pixels)
-        self.openings = [Signal(name=f"opening_{n}") for n in (3, 4, 5, 6)]
-        self.closings = [Signal(name=f"closing_{n}") for n in (3, 4)] + [self.closed]
-        self.opening_4 = self.openings[1]
-        self.found_blind, self.blind = named("found_blind blind")
-        self.strobes = [*self.openings, *self.closings, self.closed_6, self.blind, self.wrap]
-        self.stamps = [Signal(sensor.stamp_bits, name=f"stamp_{n}") for n in (3, 4, 5)]
-        self.winners = [Signal(sensor.winner_bits, name=f"winner_{n}") for n in (3, 4, 5)]
 
 
 class CoincidenceTree(FrontEnd):
@@ -159,105 +114,119 @@ class CoincidenceTree(FrontEnd):
     """
 
     unit_name = "coincid_tree"
-    state: TreeState
 
     def __init__(self, sensor: Sensor):
         words, mask = In(sensor.pixels * sensor.phases), In(sensor.pixels)
         super().__init__(sensor, line_signature(sensor), words=words, mask=mask, accept=In(1))
-        self.state = TreeState(sensor)
+        # Numbers are those of stages; `may_open` and `wrap` have a bit for each stage. left: ticks of the window from the
+        # start of the cycle; end: the same for a window that may just open; whole, part: the window covers the whole cycle,
+        # or the phases before its end. found_blind: a minigroup has an edge outside of a window. strobes: everything that
+        # moves on in every cycle, until it is out; a gate of its own drives its clock domain, `clock`.
+        self.leaves = [Minigroup(sensor) for _ in range(sensor.minigroups)]
+        self.inner("may_open wrap", 5)
+        self.inner("coarse_4", sensor.coarse_bits)
+        self.inner("left end", range(sensor.window_max + sensor.phases))
+        self.inner("rearm", range(sensor.rearm + 1))
+        self.window_open = Signal()
+        self.inner("opening closing whole part found_blind")
+        self.blind_4 = Signal(name="blind")
+        self.inner("at_first", sensor.pixels)
+        self.openings = [Signal(name=f"opening_{n}") for n in (3, 4, 5, 6)]
+        self.closings = [Signal(name=f"closing_{n}") for n in (3, 4)] + [self.closed_5]
+        self.opening_4 = self.openings[1]
+        self.strobes = [*self.openings, *self.closings, self.closed_6, self.blind_4, self.wrap]
+        self.stamps = [Signal(sensor.stamp_bits, name=f"stamp_{n}") for n in (3, 4, 5)]
+        self.winners = [Signal(sensor.winner_bits, name=f"winner_{n}") for n in (3, 4, 5)]
         self.clock_gate = ClockGate(small=True)
 
     def elaborate(self, platform):
         m = Module()
         sensor = self.sensor
         # Root: sampled at stage 1, and decoded by the TDC line behind it.
-        leaves = self.state.leaves
+        leaves = self.leaves
         root = Signal(sensor.phases, reset_less=True)
         sampled = Signal(sensor.phases)
         m.d.comb += sampled.eq(any_of(m, [leaf.root for leaf in leaves], "root_or"))
         with m.If(sampled.any() | root.any()):
             m.d.sync += root.eq(sampled)
         m.d.comb += self.line.root.eq(root & self.accept.replicate(sensor.phases))
-        state = self.state
         moving = (
-            Cat(state.opening, state.closing, state.found_blind, self.timing.wrap, *state.strobes).any()
-            | (Cat(self.timing.may_open, state.may_open[:-1]) != state.may_open)
+            Cat(self.opening, self.closing, self.found_blind, self.timing.wrap, *self.strobes).any()
+            | (Cat(self.timing.may_open, self.may_open[:-1]) != self.may_open)
             | Cat(self.closed, self.blind).any()
         )
-        state.clock = stopped(m, platform, self.clock_gate, moving)
+        self.clock = stopped(m, platform, self.clock_gate, moving)
         self._strobes(m)
         self._window(m)
         self._opened(m)
         self._leaves(m, platform)
-        self._closed(m, state.stamps[-1], state.winners[-1], state.clock)
+        self._closed(m, self.stamps[-1], self.winners[-1], self.clock)
         return m
 
     def _strobes(self, m):
         """Delay the timing strobes to stage 3: they come two cycles ahead of the ports; one register makes it one cycle."""
-        state = self.state
-        coarse_3 = Signal.like(state.coarse_4)
-        m.d[state.clock] += [
-            state.may_open.eq((state.may_open << 1) | self.timing.may_open),
-            state.wrap.eq((state.wrap << 1) | self.timing.wrap),
+        coarse_3 = Signal.like(self.coarse_4)
+        m.d[self.clock] += [
+            self.may_open.eq((self.may_open << 1) | self.timing.may_open),
+            self.wrap.eq((self.wrap << 1) | self.timing.wrap),
         ]
         with m.If(self.frame.minigroup_records):
-            m.d.sync += [coarse_3.eq(self.line.coarse), state.coarse_4.eq(coarse_3)]
-        m.d.comb += self.record_due.eq(state.wrap[-1])
+            m.d.sync += [coarse_3.eq(self.line.coarse), self.coarse_4.eq(coarse_3)]
+        m.d.comb += self.record_due.eq(self.wrap[-1])
 
     def _window(self, m):
         """Stage 2: the window, and the part of the cycle that it covers. The one-cycle loop is only (open, left, rearm)."""
-        state, phases = self.state, self.sensor.phases
+        phases = self.sensor.phases
         live, to_border = named("live to_border")
         m.d.comb += [
-            state.opening.eq(~state.window_open & (state.rearm == 0) & state.may_open[-2] & self.line.any),
-            live.eq(state.opening | state.window_open),
-            state.end.eq(Mux(state.window_open, state.left, self.line.phase + self.window_ticks)),
-            state.closing.eq(live & (state.end <= phases)),
-            to_border.eq(state.end >= phases),
-            state.whole.eq(live & to_border),
-            state.part.eq(live & ~to_border),
+            self.opening.eq(~self.window_open & (self.rearm == 0) & self.may_open[-2] & self.line.any),
+            live.eq(self.opening | self.window_open),
+            self.end.eq(Mux(self.window_open, self.left, self.line.phase + self.window_ticks)),
+            self.closing.eq(live & (self.end <= phases)),
+            to_border.eq(self.end >= phases),
+            self.whole.eq(live & to_border),
+            self.part.eq(live & ~to_border),
         ]
         with m.If(live):
-            m.d.sync += [state.left.eq(state.end - phases), state.window_open.eq(~state.closing)]
-        with m.If(state.closing):
-            m.d.sync += state.rearm.eq(self.sensor.rearm)
-        with m.Elif(state.rearm != 0):
-            m.d.sync += state.rearm.eq(state.rearm - 1)
+            m.d.sync += [self.left.eq(self.end - phases), self.window_open.eq(~self.closing)]
+        with m.If(self.closing):
+            m.d.sync += self.rearm.eq(self.sensor.rearm)
+        with m.Elif(self.rearm != 0):
+            m.d.sync += self.rearm.eq(self.rearm - 1)
 
     def _opened(self, m):
         """Stages 3 to 5: stamp and winner of the opening edge."""
-        state, sensor = self.state, self.sensor
-        m.d[state.clock] += [
-            Cat(state.openings).eq(Cat(state.opening, state.openings[:-1])),
-            Cat(state.closings).eq(Cat(state.closing, state.closings[:-1])),
+        sensor = self.sensor
+        m.d[self.clock] += [
+            Cat(self.openings).eq(Cat(self.opening, self.openings[:-1])),
+            Cat(self.closings).eq(Cat(self.closing, self.closings[:-1])),
         ]
-        self._elapse(m, state.openings[-1])
-        one_of = Cat(state.at_first, C(0, (1 << sensor.winner_bits) - sensor.pixels))
-        with m.If(state.opening):
+        self._elapse(m, self.openings[-1])
+        one_of = Cat(self.at_first, C(0, (1 << sensor.winner_bits) - sensor.pixels))
+        with m.If(self.opening):
             m.d.sync += [
-                state.stamps[0].eq(Cat(self.line.phase, self.line.coarse)),
-                state.winners[0].eq(lowest(m, one_of, "winner")),
+                self.stamps[0].eq(Cat(self.line.phase, self.line.coarse)),
+                self.winners[0].eq(lowest(m, one_of, "winner")),
             ]
-        for n, strobe in enumerate(state.openings[:2]):
+        for n, strobe in enumerate(self.openings[:2]):
             with m.If(strobe):
-                m.d.sync += [delayed[n + 1].eq(delayed[n]) for delayed in (state.stamps, state.winners)]
+                m.d.sync += [delayed[n + 1].eq(delayed[n]) for delayed in (self.stamps, self.winners)]
 
     def _leaves(self, m, platform):
         """Connect the minigroups."""
-        state = self.state
         shared = {
             "accept": self.accept,
-            "whole": state.whole,
-            "part": state.part,
-            "end": state.end[: self.sensor.phase_bits],
+            "whole": self.whole,
+            "part": self.part,
+            "end": self.end[: self.sensor.phase_bits],
             "first": self.line.phase,
-            "opening": state.opening_4,
-            "may_open": state.may_open[-1],
-            "wrap": state.wrap[-1],
-            "coarse": state.coarse_4,
+            "opening": self.opening_4,
+            "may_open": self.may_open[-1],
+            "wrap": self.wrap[-1],
+            "coarse": self.coarse_4,
         }
-        for g, leaf in enumerate(state.leaves):
+        for g, leaf in enumerate(self.leaves):
             members = self._leaf(m, platform, g, leaf, {"words": self.words, "mask": self.mask}, **shared)
-            m.d.comb += [state.at_first[i].eq(here) for i, here in zip(members, leaf.at_first)]
-        m.d.comb += state.found_blind.eq(any_of(m, [leaf.blind for leaf in state.leaves], "blind_or"))
-        m.d[state.clock] += [state.blind.eq(state.found_blind), self.blind.eq(state.blind)]
+            m.d.comb += [self.at_first[i].eq(here) for i, here in zip(members, leaf.at_first)]
+        m.d.comb += self.found_blind.eq(any_of(m, [leaf.blind for leaf in self.leaves], "blind_or"))
+        m.d[self.clock] += [self.blind_4.eq(self.found_blind), self.blind.eq(self.blind_4)]

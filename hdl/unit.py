@@ -32,7 +32,7 @@ class Port:
 class Unit(wiring.Component):
     """A block with a stable Verilog name. Variants by other parameters than the sensor's need different `unit_name`s.
 
-    Blocks whose inner registers and signals are read by several functions, or by proofs, keep them in `state`.
+    Inner signals and registers that several functions or a proof read are attributes.
     """
 
     unit_name: str
@@ -44,6 +44,11 @@ class Unit(wiring.Component):
         super().__init__(ports)
         for name, (_, signal) in self.flat_ports().items():
             signal.name = name
+
+    def inner(self, names: str, shape: Any = 1, **options: Any) -> None:
+        """Make inner signals or registers of one shape, which become attributes with these names."""
+        for name in names.split():
+            setattr(self, name, Signal(shape, name=name, **options))
 
     def for_cells(self) -> str | None:
         """Return the block's Verilog for standard cells, where that is another one (None: it is not)."""

@@ -45,7 +45,7 @@ MISTAKES: dict[tuple[str, tuple[str, ...], tuple[tuple[str, ...], ...]], dict[st
     # (file, proofs, tests): {name: (old, new)}
     ("hdl/tree.py", ("tree",), (FRAMES, SLICED)): {
         "window-long": ("self.line.phase + self.window_ticks)", "self.line.phase + self.window_ticks + 1)"),
-        "window-edge": ("closing.eq(live & (state.end <= phases))", "closing.eq(live & (state.end < phases))"),
+        "window-edge": ("closing.eq(live & (self.end <= phases))", "closing.eq(live & (self.end < phases))"),
         "tie-highest": ('lowest(m, one_of, "winner")', '~lowest(m, one_of[::-1], "winner")'),
         "rearm-late": ("rearm.eq(self.sensor.rearm)", "rearm.eq(self.sensor.rearm + 1)"),
     },
@@ -53,7 +53,7 @@ MISTAKES: dict[tuple[str, tuple[str, ...], tuple[tuple[str, ...], ...]], dict[st
         "tree-not-reset": ("window_open = Signal()", "window_open = Signal(reset_less=True)")
     },
     ("hdl/minigroup.py", ("tree",), (FRAMES, SLICED)): {
-        "hits-toggle": ("hits.eq(state.hit_4 | (hits & ~self", "hits.eq(state.hit_4 ^ (hits & ~self")
+        "hits-toggle": ("hits.eq(self.hit_4 | (hits & ~self", "hits.eq(self.hit_4 ^ (hits & ~self")
     },
     ("hdl/minigroup.py", ("minigroup_record",), (FRAMES, SLICED)): {
         "mask-ignored": ("root.eq(word & on.replicate(phases))", "root.eq(word)"),
@@ -67,8 +67,8 @@ MISTAKES: dict[tuple[str, tuple[str, ...], tuple[tuple[str, ...], ...]], dict[st
         "tdc-line-shared": ('first_one(m, line.root, f"first_{k}")', 'first_one(m, self.line_0.root, f"first_{k}")'),
     },
     ("hdl/fifo.py", ("event_fifo",), (FRAMES, SLICED)): {
-        "overrun-dropped": ("event.overrun.eq(state.lost)", "event.overrun.eq(0)"),
-        "fifo-one-short": ("room.eq(state.level != depth)", "room.eq(state.level < depth - 1)"),
+        "overrun-dropped": ("event.overrun.eq(self.lost)", "event.overrun.eq(0)"),
+        "fifo-one-short": ("room.eq(self.level != depth)", "room.eq(self.level < depth - 1)"),
     },
     ("hdl/fifo.py", ("event_fifo",), ()): {"overrun-not-reset": ("lost = Signal()", "lost = Signal(reset_less=True)")},
     ("hdl/fifo.py", ("record_buffer",), (FRAMES, SLICED)): {
@@ -82,8 +82,8 @@ MISTAKES: dict[tuple[str, tuple[str, ...], tuple[tuple[str, ...], ...]], dict[st
     },
     ("hdl/registers.py", ("register_front",), (PORTS,)): {
         "pulses-mid-frame": (
-            'm.d.comb += self.period.eq(state.setting["period", 0])',
-            'm.d.comb += self.period.eq(state.setting["period", 0])\n        m.d.sync += self.plan.pulses.eq(state.setting["pulses", 0])',
+            'm.d.comb += self.period.eq(self.setting["period", 0])',
+            'm.d.comb += self.period.eq(self.setting["period", 0])\n        m.d.sync += self.plan.pulses.eq(self.setting["pulses", 0])',
         ),
         "register-range-short": ("(value <= high)", "(value < high)"),
     },
@@ -92,60 +92,57 @@ MISTAKES: dict[tuple[str, tuple[str, ...], tuple[tuple[str, ...], ...]], dict[st
         "answer-withdrawn": ("with m.If(axi.bvalid & axi.bready):", "with m.If(axi.bvalid):")
     },
     ("hdl/dpcu.py", ("dpcu",), (FRAMES, SLICED)): {
-        "threshold-above": ("self.window.count >= state.threshold", "self.window.count > state.threshold"),
-        "lower-above": ("self.window.count >= state.lower_threshold", "self.window.count > state.lower_threshold"),
-        "lower-as-committed": ("lower_threshold.eq(state.threshold - 1)", "lower_threshold.eq(state.threshold)"),
+        "threshold-above": ("self.window.count >= self.threshold", "self.window.count > self.threshold"),
+        "lower-above": ("self.window.count >= self.lower_threshold", "self.window.count > self.lower_threshold"),
+        "lower-as-committed": ("lower_threshold.eq(self.threshold - 1)", "lower_threshold.eq(self.threshold)"),
         "ceiling-above": ('count["opened"] >= self.data', 'count["opened"] > self.data'),
         "threshold-rises-early": ('count["committed"] > self.data', 'count["committed"] >= self.data'),
         "threshold-below-floor": ("Mux(bounded < floor, floor, bounded)", "bounded"),
-        "controller-keeps-others-threshold": ("Mux(self.controlled & state.stays,", "Mux(self.controlled,"),
+        "controller-keeps-others-threshold": ("Mux(self.controlled & self.stays,", "Mux(self.controlled,"),
     },
     ("hdl/memory.py", (), (("tests/hdl/test_memory.py",),)): {"latch-rows-swapped": ("to == {r}", "to == {r ^ 1}")},
     ("hdl/subgroup.py", ("subgroup_rests",), ()): {"sleeps-early": ("AWAKE_CYCLES = 31", "AWAKE_CYCLES = 5")},
     ("hdl/minigroup.py", ("minigroup_rests",), ()): {
-        "stage-asleep": ("self.state.awake_1, self.state.awake_3, *", "self.state.awake_1, *")
+        "stage-asleep": ("self.awake_1, self.awake_3, *", "self.awake_1, *")
     },
-    ("hdl/tree.py", ("strobes_rest",), ()): {"strobe-asleep": ("self.timing.wrap, *state.strobes", "*state.strobes")},
-    ("hdl/dpcu.py", ("dpcu_rests",), ()): {"pulse-asleep": ("| self.start | state.coming", "| state.coming")},
+    ("hdl/tree.py", ("strobes_rest",), ()): {"strobe-asleep": ("self.timing.wrap, *self.strobes", "*self.strobes")},
+    ("hdl/dpcu.py", ("dpcu_rests",), ()): {"pulse-asleep": ("| self.start | self.coming", "| self.coming")},
     ("hdl/settings.py", ("settings_rest",), ()): {
         "check-asleep": ("!= bus.Operation.IDLE) | accessed", "!= bus.Operation.IDLE)")
     },
     ("hdl/subgroup.py", (), (FRAMES, SLICED)): {"budget-of-last-stream": ("self.subgroup >= command.subgroup", "1")},
     ("hdl/controller.py", ("controller",), (FRAMES, SLICED)): {
-        "budget-beyond-capacity": ("Mux(state.grown < state.capacity, state.grown, state.capacity)", "state.grown"),
-        "limit-below-share": ("Mux(state.dropped > state.share, state.dropped, state.share)", "state.dropped"),
-        "sums-not-cleared": ("[one.eq(0) for one in state.sums]", "[one.eq(0) for one in state.sums[1:]]"),
-        "uncontrolled-would-fall": (
-            "state.controlled & ~state.slot[0] & (state.then <= state.steps[0])",
-            "~state.slot[0] & (state.then <= state.steps[0])",
+        "budget-beyond-capacity": (
+            "Mux(self.grown < self.capacity_taken, self.grown, self.capacity_taken)",
+            "self.grown",
         ),
-        "too-much-too-early": ("state.sums[-1] <= state.capacity", "state.sums[-1] < state.capacity"),
-        "limit-stays": ("self.limit.eq(state.higher_limit)", "self.limit.eq(self.limit)"),
+        "limit-below-share": ("Mux(self.dropped > self.share_taken, self.dropped, self.share_taken)", "self.dropped"),
+        "sums-not-cleared": ("[one.eq(0) for one in self.sums]", "[one.eq(0) for one in self.sums[1:]]"),
+        "uncontrolled-would-fall": (
+            "self.controlled & ~self.slot[0] & (self.then <= self.steps[0])",
+            "~self.slot[0] & (self.then <= self.steps[0])",
+        ),
+        "too-much-too-early": ("self.sums[-1] <= self.capacity_taken", "self.sums[-1] < self.capacity_taken"),
+        "limit-stays": ("self.limit.eq(self.higher_limit)", "self.limit.eq(self.limit)"),
     },
     ("hdl/gating.py", ("gating",), (FRAMES, SLICED)): {"gate-late": ("until_now == 0", "until_now <= 1")},
     ("hdl/sequencer.py", ("sequencer",), (FRAMES, SLICED)): {
         "guard-short": ("self.plan.period - self.sensor.guard", "self.plan.period - self.sensor.guard + 1")
     },
     ("hdl/sequencer.py", ("sequencer",), (PORTS,)): {
-        "abort-lost": ("with m.If(state.aborted | self.abort_frame |", "with m.If(self.abort_frame |")
+        "abort-lost": ("with m.If(self.aborted | self.abort_frame |", "with m.If(self.abort_frame |")
     },
     ("hdl/packetizer.py", ("packetizer",), (FRAMES, SLICED)): {
-        "take-early": ("at_last.eq(state.index + 1 >= self._last", "at_last.eq(state.index + 2 >= self._last")
+        "take-early": ("at_last.eq(self.index + 1 >= self._last", "at_last.eq(self.index + 2 >= self._last")
     },
     ("hdl/coder.py", ("coder",), (FRAMES,)): {
-        "age-of-another-event": ("same.eq(state.age_ahead == state.age)", "same.eq(state.age_ahead == 0)"),
-        "group-too-old": (
-            "state.fits_ahead.eq(age <= groups.AGE_MAX)",
-            "state.fits_ahead.eq(age <= groups.AGE_MAX + 1)",
-        ),
-        "pixel-twice": ("state.rest.eq(of_rest.between)", "state.rest.eq(of_rest.between | of_rest.high)"),
+        "age-of-another-event": ("same.eq(self.age_ahead == self.age)", "same.eq(self.age_ahead == 0)"),
+        "group-too-old": ("self.fits_ahead.eq(age <= groups.AGE_MAX)", "self.fits_ahead.eq(age <= groups.AGE_MAX + 1)"),
+        "pixel-twice": ("self.rest.eq(of_rest.between)", "self.rest.eq(of_rest.between | of_rest.high)"),
     },
     ("hdl/packer.py", ("packer",), (FRAMES,)): {
-        "beat-one-bit-short": (
-            "state.ready.eq(state.total >= PAYLOAD_BITS)",
-            "state.ready.eq(state.total > PAYLOAD_BITS)",
-        ),
-        "mark-of-first-lost": ("state.begins.eq(state.final)", "state.begins.eq(0)"),
+        "beat-one-bit-short": ("self.ready.eq(self.total >= PAYLOAD_BITS)", "self.ready.eq(self.total > PAYLOAD_BITS)"),
+        "mark-of-first-lost": ("self.begins.eq(self.final)", "self.begins.eq(0)"),
     },
     ("model/golden/front_end.py", (), (GOLDEN, FRAMES)): {
         "golden-window-long": ("tick >= opening + window:", "tick > opening + window:"),
@@ -200,7 +197,7 @@ MISTAKES: dict[tuple[str, tuple[str, ...], tuple[tuple[str, ...], ...]], dict[st
     },
     ("hdl/readout.py", ("readout",), (FRAMES, SLICED)): {"tlast-early": ("to_end == 1)", "to_end == 2)")},
     ("hdl/emulator/uart.py", ("deframer",), ()): {
-        "serial-unchecked": ("(state.count > CRC_BYTES) & crc.match_detected", "(state.count > CRC_BYTES)")
+        "serial-unchecked": ("(self.count > CRC_BYTES) & crc.match_detected", "(self.count > CRC_BYTES)")
     },
     ("hdl/emulator/buffer.py", ("frame_buffer",), ()): {
         "buffer-overrun": ("self.s_axis.tready.eq(room)", "self.s_axis.tready.eq(1)")

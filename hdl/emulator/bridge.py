@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Serial bridge: access to the emulator's address space over two pins; protocol in `model/contract/serial_link.py`."""
 
-from amaranth.hdl import Cat, Module, Mux, Signal
+from amaranth.hdl import Cat, Module, Mux
 from amaranth.lib.fifo import SyncFIFOBuffered
 from amaranth.lib.memory import Memory
 from amaranth.lib.wiring import In, Out
@@ -18,41 +18,6 @@ from .uart import Deframer, Framer, Receiver, Transmitter
 LAST = 1 << 8  # beside the byte on its way to the framer
 FETCH_CYCLES = 2  # from the place of a byte of the request to the byte
 ANSWER_DEPTH = 2  # bytes of an answer on their way to the framer, which no path of logic passes
-
-
-class BridgeState:
-    """Registers of the bridge.
-
-    head, length: of the request; at: place of the byte that is fetched from it, waited: for so many cycles. words, byte_of:
-    done, of the request, and of the word on its way; is_last: this word is the last one. last, last_*: of the last request.
-    fresh: no read or write since reset; greeted: a host has said hello.
-    """
-
-    def __init__(self):
-        self.head = Signal(8 * link.HEAD_BYTES, reset_less=True)
-        self.sequence, self.operation, self.count = (self.head[8 * k : 8 * k + 8] for k in range(3))
-        self.length = Signal(link.BODY_BYTES_MAX.bit_length())
-        self.at = Signal(range(link.BODY_BYTES_MAX + 1))
-        self.waited = Signal(range(FETCH_CYCLES + 1))
-        self.byte = Signal(8)
-        self.last = Signal(8)
-        self.last_wrote = Signal()
-        self.last_done = Signal(8)
-        self.last_status = Signal(Answer)
-        self.greeted = Signal()
-        self.fresh = Signal(init=1)
-        self.words = Signal(8)
-        self.byte_of = Signal(range(link.WORD_BYTES))
-        self.word = Signal(DATA_BITS, reset_less=True)
-        self.address = Signal(ADDRESS_BITS, reset_less=True)
-        self.status = Signal(Answer)
-        self.short = Signal()
-        self.is_hello = Signal()
-        self.is_read = Signal()
-        self.is_write = Signal()
-        self.is_last = Signal()
-        self.repeated = Signal()
-        self.follows = Signal()
 
 
 class SerialBridge(Unit):
@@ -72,7 +37,26 @@ class SerialBridge(Unit):
     def __init__(self, emulator: Emulator):
         self.emulator = emulator
         super().__init__(rx=In(1), tx=Out(1, init=1), access=Out(ACCESS), errors=Out(DATA_BITS))
-        self.state = BridgeState()
+        # The request. length: its bytes; at: place of the byte that is fetched from it; waited: cycles of the fetch.
+        self.inner("head", 8 * link.HEAD_BYTES, reset_less=True)
+        self.sequence, self.operation, self.count = (self.head[8 * k : 8 * k + 8] for k in range(3))
+        self.inner("length", link.BODY_BYTES_MAX.bit_length())
+        self.inner("at", range(link.BODY_BYTES_MAX + 1))
+        self.inner("waited", range(FETCH_CYCLES + 1))
+        self.inner("byte", 8)
+        self.inner("short is_hello is_read is_write is_last repeated follows")
+        # Progress. words: of the request that are done; byte_of: likewise, bytes of the word on its way; is_last: this word
+        # is the last one.
+        self.inner("words", 8)
+        self.inner("byte_of", range(link.WORD_BYTES))
+        self.inner("word", DATA_BITS, reset_less=True)
+        self.inner("address", ADDRESS_BITS, reset_less=True)
+        self.inner("status", Answer)
+        # The last request, which the host may repeat. fresh: no read or write since reset; greeted: a host has said hello.
+        self.inner("last last_done", 8)
+        self.inner("last_status", Answer)
+        self.inner("last_wrote greeted")
+        self.inner("fresh", init=1)
 
     def elaborate(self, platform):
         m = Module()
@@ -98,38 +82,37 @@ class SerialBridge(Unit):
         ]
         with m.If(deframer.wrong):
             saturating_add(m, self.errors, 1)
-        m.d.comb += get.addr.eq(self.state.at)
-        m.d.sync += self.state.byte.eq(get.data)
+        m.d.comb += get.addr.eq(self.at)
+        m.d.sync += self.byte.eq(get.data)
         self._obey(m, deframer, answer)
         return m
 
     def _weigh(self, m):
         """Register what a request is, so that no decision waits for a comparison."""
-        state = self.state
-        alone = state.length == link.HEAD_BYTES
-        with_words = state.length == link.HEAD_BYTES + link.WORD_BYTES * state.count
+        alone = self.length == link.HEAD_BYTES
+        with_words = self.length == link.HEAD_BYTES + link.WORD_BYTES * self.count
         m.d.sync += [
-            state.short.eq(state.length < link.HEAD_BYTES),
-            state.is_hello.eq((state.operation == Operation.HELLO) & alone),
-            state.repeated.eq(state.sequence == state.last),
-            state.follows.eq(state.sequence == (state.last + 1)[:8]),
-            state.is_last.eq(state.words + 1 == state.count),
-            state.is_read.eq(
-                (state.operation == Operation.READ) & alone & (state.count != 0) & (state.count <= link.READ_WORDS_MAX)
+            self.short.eq(self.length < link.HEAD_BYTES),
+            self.is_hello.eq((self.operation == Operation.HELLO) & alone),
+            self.repeated.eq(self.sequence == self.last),
+            self.follows.eq(self.sequence == (self.last + 1)[:8]),
+            self.is_last.eq(self.words + 1 == self.count),
+            self.is_read.eq(
+                (self.operation == Operation.READ) & alone & (self.count != 0) & (self.count <= link.READ_WORDS_MAX)
             ),
-            state.is_write.eq(
-                (state.operation == Operation.WRITE)
+            self.is_write.eq(
+                (self.operation == Operation.WRITE)
                 & with_words
-                & (state.count != 0)
-                & (state.count <= link.WRITE_WORDS_MAX)
+                & (self.count != 0)
+                & (self.count <= link.WRITE_WORDS_MAX)
             ),
         ]
 
     def _obey(self, m, deframer, answer):
         """Read a request whose CRC was right, execute it, and send the answer."""
-        state, access = self.state, self.access
+        access = self.access
         self._weigh(m)
-        m.d.comb += [access.address.eq(state.address), access.data.eq(state.word), access.write.eq(state.is_write)]
+        m.d.comb += [access.address.eq(self.address), access.data.eq(self.word), access.write.eq(self.is_write)]
         m.d.comb += deframer.hold.eq(1)
         m.d.sync += access.valid.eq(0)
         with m.FSM():
@@ -143,104 +126,98 @@ class SerialBridge(Unit):
 
     def _receive(self, m, deframer):
         """States that wait for a request and read its head out of the memory."""
-        state = self.state
         with m.State("listen"):
             m.d.comb += deframer.hold.eq(deframer.right)
-            m.d.sync += [state.at.eq(0), state.waited.eq(0)]
+            m.d.sync += [self.at.eq(0), self.waited.eq(0)]
             with m.If(deframer.right):
-                m.d.sync += state.length.eq(deframer.length)
+                m.d.sync += self.length.eq(deframer.length)
                 m.next = "head"
         with m.State("head"):
-            m.d.sync += state.waited.eq(state.waited + 1)
-            with m.If(state.waited == FETCH_CYCLES):
-                m.d.sync += [
-                    state.head.eq(Cat(state.head[8:], state.byte)),
-                    state.at.eq(state.at + 1),
-                    state.waited.eq(0),
-                ]
-                with m.If(state.at == link.HEAD_BYTES - 1):
+            m.d.sync += self.waited.eq(self.waited + 1)
+            with m.If(self.waited == FETCH_CYCLES):
+                m.d.sync += [self.head.eq(Cat(self.head[8:], self.byte)), self.at.eq(self.at + 1), self.waited.eq(0)]
+                with m.If(self.at == link.HEAD_BYTES - 1):
                     m.next = "weigh"
 
     def _look(self, m):
         """Decide what a request needs: words, or only an answer."""
-        state = self.state
-        m.d.sync += [state.words.eq(0), state.byte_of.eq(0), state.address.eq(state.head[24:])]
-        m.d.sync += state.status.eq(Answer.OKAY)
+        m.d.sync += [self.words.eq(0), self.byte_of.eq(0), self.address.eq(self.head[24:])]
+        m.d.sync += self.status.eq(Answer.OKAY)
         m.next = "number"
-        with m.If(state.short):
-            m.d.sync += state.status.eq(Answer.UNKNOWN)
-        with m.Elif(state.is_hello):
-            m.d.sync += [state.last.eq(state.sequence), state.greeted.eq(1), state.last_wrote.eq(0)]
-            m.d.sync += state.status.eq(Mux(state.fresh, Answer.FRESH, Answer.OKAY))
-        with m.Elif(~state.greeted):
-            m.d.sync += state.status.eq(Answer.FRESH)
-        with m.Elif(~state.is_read & ~state.is_write):
-            m.d.sync += state.status.eq(Answer.UNKNOWN)
-        with m.Elif(~state.repeated & ~state.follows):
-            m.d.sync += state.status.eq(Answer.SEQUENCE)
-        with m.Elif(state.is_write & state.repeated):
-            m.d.sync += state.words.eq(state.last_done)
-            m.d.sync += state.status.eq(Mux(state.last_wrote, state.last_status, Answer.SEQUENCE))
-        with m.Elif(state.is_write):
-            m.d.sync += state.fresh.eq(0)
+        with m.If(self.short):
+            m.d.sync += self.status.eq(Answer.UNKNOWN)
+        with m.Elif(self.is_hello):
+            m.d.sync += [self.last.eq(self.sequence), self.greeted.eq(1), self.last_wrote.eq(0)]
+            m.d.sync += self.status.eq(Mux(self.fresh, Answer.FRESH, Answer.OKAY))
+        with m.Elif(~self.greeted):
+            m.d.sync += self.status.eq(Answer.FRESH)
+        with m.Elif(~self.is_read & ~self.is_write):
+            m.d.sync += self.status.eq(Answer.UNKNOWN)
+        with m.Elif(~self.repeated & ~self.follows):
+            m.d.sync += self.status.eq(Answer.SEQUENCE)
+        with m.Elif(self.is_write & self.repeated):
+            m.d.sync += self.words.eq(self.last_done)
+            m.d.sync += self.status.eq(Mux(self.last_wrote, self.last_status, Answer.SEQUENCE))
+        with m.Elif(self.is_write):
+            m.d.sync += self.fresh.eq(0)
             m.next = "collect"
         with m.Else():
-            m.d.sync += [state.last.eq(state.sequence), state.last_wrote.eq(0), state.fresh.eq(0)]
+            m.d.sync += [self.last.eq(self.sequence), self.last_wrote.eq(0), self.fresh.eq(0)]
 
     def _execute_write(self, m):
         """States that take the words of a write out of the memory and write them, one by one."""
-        state, access = self.state, self.access
+        access = self.access
         with m.State("collect"):
-            m.d.sync += state.waited.eq(state.waited + 1)
-            with m.If(state.waited == FETCH_CYCLES):
-                m.d.sync += [state.word.eq(Cat(state.word[8:], state.byte)), state.at.eq(state.at + 1)]
-                m.d.sync += [state.byte_of.eq(state.byte_of + 1), state.waited.eq(0)]
-                with m.If(state.byte_of == link.WORD_BYTES - 1):
+            m.d.sync += self.waited.eq(self.waited + 1)
+            with m.If(self.waited == FETCH_CYCLES):
+                m.d.sync += [self.word.eq(Cat(self.word[8:], self.byte)), self.at.eq(self.at + 1)]
+                m.d.sync += [self.byte_of.eq(self.byte_of + 1), self.waited.eq(0)]
+                with m.If(self.byte_of == link.WORD_BYTES - 1):
                     m.next = "write"
         with m.State("write"):
             m.d.sync += access.valid.eq(~access.done)
             with m.If(access.done):
-                m.d.sync += state.address.eq(state.address + link.WORD_BYTES)
+                m.d.sync += self.address.eq(self.address + link.WORD_BYTES)
                 with m.If(access.refused):
-                    m.d.sync += state.status.eq(Answer.REFUSED)
+                    m.d.sync += self.status.eq(Answer.REFUSED)
                     m.next = "remember"
                 with m.Else():
-                    m.d.sync += state.words.eq(state.words + 1)
+                    m.d.sync += self.words.eq(self.words + 1)
                     m.next = "collect"
-                    with m.If(state.is_last):
+                    with m.If(self.is_last):
                         m.next = "remember"
         with m.State("remember"):
-            m.d.sync += [state.last.eq(state.sequence), state.last_wrote.eq(1)]
-            m.d.sync += [state.last_done.eq(state.words), state.last_status.eq(state.status)]
+            m.d.sync += [self.last.eq(self.sequence), self.last_wrote.eq(1)]
+            m.d.sync += [self.last_done.eq(self.words), self.last_status.eq(self.status)]
             m.next = "number"
 
     def _send(self, m, answer):
         """States that send the answer; the words of a read are read meanwhile."""
-        state, access = self.state, self.access
-        with m.State("number"), self._sending(m, answer, state.sequence):
+        access = self.access
+        with m.State("number"), self._sending(m, answer, self.sequence):
             m.next = "status"
-            with m.If(state.is_write & ((state.status == Answer.OKAY) | (state.status == Answer.REFUSED))):
+            with m.If(self.is_write & ((self.status == Answer.OKAY) | (self.status == Answer.REFUSED))):
                 m.next = "written"
-            with m.Elif(state.is_read & (state.status == Answer.OKAY)):
+            with m.Elif(self.is_read & (self.status == Answer.OKAY)):
                 m.next = "read"
-        with m.State("written"), self._sending(m, answer, state.words):
+        with m.State("written"), self._sending(m, answer, self.words):
             m.next = "status"
         with m.State("read"):
             m.d.sync += access.valid.eq(~access.done)
             with m.If(access.done):
-                m.d.sync += [state.address.eq(state.address + link.WORD_BYTES), state.word.eq(access.value)]
+                m.d.sync += [self.address.eq(self.address + link.WORD_BYTES), self.word.eq(access.value)]
                 m.next = "word"
                 with m.If(access.refused):
-                    m.d.sync += state.status.eq(Answer.REFUSED)
+                    m.d.sync += self.status.eq(Answer.REFUSED)
                     m.next = "status"
-        with m.State("word"), self._sending(m, answer, state.word[:8]):
-            m.d.sync += [state.word.eq(state.word >> 8), state.byte_of.eq(state.byte_of + 1)]
-            with m.If(state.byte_of == link.WORD_BYTES - 1):
-                m.d.sync += state.words.eq(state.words + 1)
+        with m.State("word"), self._sending(m, answer, self.word[:8]):
+            m.d.sync += [self.word.eq(self.word >> 8), self.byte_of.eq(self.byte_of + 1)]
+            with m.If(self.byte_of == link.WORD_BYTES - 1):
+                m.d.sync += self.words.eq(self.words + 1)
                 m.next = "read"
-                with m.If(state.is_last):
+                with m.If(self.is_last):
                     m.next = "status"
-        with m.State("status"), self._sending(m, answer, state.status | LAST):
+        with m.State("status"), self._sending(m, answer, self.status | LAST):
             m.next = "listen"
 
     def _sending(self, m, answer, byte):

@@ -16,15 +16,6 @@ from ..logic import named
 from ..unit import Unit
 
 
-class SliceState:
-    """Whether there is a beat at the output; the second register, and whether it keeps a beat."""
-
-    def __init__(self):
-        self.valid = Signal()
-        self.spare = Signal(BEAT_BITS, reset_less=True)
-        self.kept = Signal()
-
-
 class StreamSlice(Unit):
     """Registers in a stream, in both directions: data, `tvalid` and `tready`.
 
@@ -40,11 +31,12 @@ class StreamSlice(Unit):
 
     def __init__(self):
         super().__init__(s_axis=In(STREAM), m_axis=Out(STREAM))
-        self.state = SliceState()
+        self.inner("valid kept")  # whether there is a beat at the output, and one in the second register
+        self.inner("spare", BEAT_BITS, reset_less=True)
 
     def elaborate(self, platform):
         m = Module()
-        valid, spare, kept = self.state.valid, self.state.spare, self.state.kept
+        valid, spare, kept = self.valid, self.spare, self.kept
         data = Signal(BEAT_BITS, reset_less=True)
         comes, waits = named("comes waits")
         m.d.comb += [
@@ -93,14 +85,14 @@ class FrameBuffer(Unit):
             word=Out(DATA_BITS),
             stalls=Out(DATA_BITS),
         )
-        self.state = Signal(range(self.depth), name="behind")  # address behind the last beat
+        self.behind = Signal(range(self.depth))  # address behind the last beat
 
     def elaborate(self, platform):
         m = Module()
         m.submodules.beats = beats = Memory(shape=BEAT_BITS, depth=self.depth, init=[])
         write = beats.write_port()
         read = beats.read_port()
-        behind = self.state
+        behind = self.behind
         high = Signal(3)
         row = Signal(range(self.depth), reset_less=True)
         stored, beat = (Signal(BEAT_BITS, name=name, reset_less=True) for name in ("stored", "beat"))

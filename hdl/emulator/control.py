@@ -3,7 +3,6 @@
 
 from functools import reduce
 from operator import or_
-from typing import Any
 
 from amaranth.hdl import Cat, Const, Module, Mux, Signal
 from amaranth.lib.memory import Memory
@@ -11,11 +10,9 @@ from amaranth.lib.wiring import In, Out, Signature, connect, flipped
 
 from ...model.contract import emulator as chip
 from ...model.contract.emulator import Emulator
-from ...model.contract.parameters import Sensor
 from ...model.contract.registers import DATA_BITS, Access
 from .. import bus
 from ..axi import LITE, OKAY, STREAM
-from ..logic import named
 from ..unit import Unit, place
 from .buffer import FrameBuffer, StreamSlice
 from .source import COMMON, SEED_BUS, Seeder, write_bus
@@ -36,35 +33,6 @@ ACCESS = Signature(
 LOCAL_CYCLES = 4  # from an access to the answer, for registers and memories
 REGIONS = {"sensor": chip.SENSOR_BASE, "own": chip.OWN_BASE, "source": chip.SOURCE_BASE, "buffer": chip.BUFFER_BASE}
 BLOCK_BITS = (chip.SOURCE_STRIDE - 1).bit_length()
-
-
-class ControlState:
-    """Inner registers and signals of the control.
-
-    setting: the emulator's own settings; region, named: what the address names; own, sources: the word that is read there.
-    subgroup, pixel: that an address of the sources names; is_echo, is_background: it is that of an echo, or of the
-    background. legal: of a write; mapped: of a read. reseed: the sources are to be seeded.
-    """
-
-    subgroup: Any
-    pixel: Any
-    echo_write: Any
-    background_write: Any
-
-    def __init__(self, sensor: Sensor):
-        self.setting = {
-            r.name: Signal(r.high(sensor).bit_length(), init=r.reset(sensor), name=r.name)
-            for r in chip.OWN
-            if r.access is Access.SETTING
-        }
-        self.reseed = Signal()
-        self.region = {name: Signal(name=f"in_{name}") for name in REGIONS}
-        self.own = Signal(DATA_BITS, reset_less=True)
-        self.named = {r.name: Signal(name=f"named_{r.name}") for r in chip.OWN}
-        self.is_echo, self.is_background, self.aligned = named("is_echo is_background aligned")
-        self.sources = Signal(DATA_BITS, reset_less=True)
-        self.legal = Signal()
-        self.mapped = Signal()
 
 
 class EmulatorControl(Unit):
@@ -98,7 +66,18 @@ class EmulatorControl(Unit):
             common=Out(COMMON),
             link_errors=In(DATA_BITS),
         )
-        self.state = ControlState(emulator.sensor)
+        # setting: the emulator's own settings. region, named: what the address names; is_echo, is_background: it is that of
+        # an echo, or of the background. own, sources: the word that is read there. legal: of a write; mapped: of a read.
+        sensor = emulator.sensor
+        self.setting = {
+            r.name: Signal(r.high(sensor).bit_length(), init=r.reset(sensor), name=r.name)
+            for r in chip.OWN
+            if r.access is Access.SETTING
+        }
+        self.region = {name: Signal(name=f"in_{name}") for name in REGIONS}
+        self.named = {r.name: Signal(name=f"named_{r.name}") for r in chip.OWN}
+        self.inner("own sources", DATA_BITS, reset_less=True)
+        self.inner("is_echo is_background aligned legal mapped reseed")
 
     def elaborate(self, platform):
         m = Module()
@@ -118,39 +97,37 @@ class EmulatorControl(Unit):
 
     def _settings(self, m, seeder):
         """What the emulator's own settings do."""
-        state = self.state
         late = Signal()  # the frame number changes with `frame_done`
         m.d.sync += late.eq(self.frame_done)
-        m.d.comb += [seeder.seed.eq(state.setting["seed"]), seeder.begin.eq(state.reseed | late)]
+        m.d.comb += [seeder.seed.eq(self.setting["seed"]), seeder.begin.eq(self.reseed | late)]
         m.d.sync += [
-            self.common.spread.eq((1 << state.setting["spread"]) - 1),
-            self.common.dead.eq(state.setting["dead_cycles"] - 1),
+            self.common.spread.eq((1 << self.setting["spread"]) - 1),
+            self.common.dead.eq(self.setting["dead_cycles"] - 1),
         ]
 
     def _decode(self, m):
         """Register what an address outside the sensor names."""
-        state, access, sensor = self.state, self.access, self.emulator.sensor
+        access, sensor = self.access, self.emulator.sensor
         inside = access.address[: chip.REGION_BITS]
         for name, base in REGIONS.items():
-            m.d.sync += state.region[name].eq(access.address[chip.REGION_BITS :] == base >> chip.REGION_BITS)
+            m.d.sync += self.region[name].eq(access.address[chip.REGION_BITS :] == base >> chip.REGION_BITS)
         for r in chip.OWN:
-            m.d.sync += state.named[r.name].eq(inside == r.offset)
+            m.d.sync += self.named[r.name].eq(inside == r.offset)
         block = inside[:BLOCK_BITS]
-        state.subgroup, state.pixel = inside[BLOCK_BITS:], (block - chip.ECHO_OFFSET)[2:]
-        exists = state.subgroup < sensor.subgroups
+        self.subgroup, self.pixel = inside[BLOCK_BITS:], (block - chip.ECHO_OFFSET)[2:]
+        exists = self.subgroup < sensor.subgroups
         m.d.sync += [
-            state.is_echo.eq(exists & (block >= chip.ECHO_OFFSET) & (block < chip.ECHO_OFFSET + 4 * sensor.pixels)),
-            state.is_background.eq(exists & (block == 0)),
-            state.aligned.eq(access.address[:2] == 0),
+            self.is_echo.eq(exists & (block >= chip.ECHO_OFFSET) & (block < chip.ECHO_OFFSET + 4 * sensor.pixels)),
+            self.is_background.eq(exists & (block == 0)),
+            self.aligned.eq(access.address[:2] == 0),
         ]
 
     def _own(self, m, buffer, seeder):
         """Register the word that is read at an address of the emulator's own registers."""
-        state = self.state
         content = {
             r.name: Const(r.reset(self.emulator.sensor), DATA_BITS) for r in chip.OWN if r.access is Access.CONSTANT
         }
-        content |= state.setting | {
+        content |= self.setting | {
             "buffer_beats": Const(self.emulator.buffer_beats, DATA_BITS),
             "buffer_level": buffer.level,
             "buffer_first": buffer.first,
@@ -158,32 +135,32 @@ class EmulatorControl(Unit):
             "link_errors": self.link_errors,
             "seeding": seeder.busy,
         }
-        words = [Mux(state.named[r.name], content.get(r.name, Const(0, DATA_BITS)), 0) for r in chip.OWN]
-        m.d.sync += state.own.eq(reduce(or_, words))
+        words = [Mux(self.named[r.name], content.get(r.name, Const(0, DATA_BITS)), 0) for r in chip.OWN]
+        m.d.sync += self.own.eq(reduce(or_, words))
 
     def _sources(self, m, buffer):
         """Keep a copy of the sources' settings, which cannot be read back, and register the word that is read there."""
-        state, access, sensor = self.state, self.access, self.emulator.sensor
+        access, sensor = self.access, self.emulator.sensor
         places = 1 << (sensor.pixels - 1).bit_length()
         m.submodules.echoes = echoes = Memory(shape=self.echo_bits, depth=sensor.subgroups * places, init=[])
         m.submodules.backgrounds = backgrounds = Memory(shape=chip.RATE_BITS, depth=max(2, sensor.subgroups), init=[])
-        state.echo_write = echoes.write_port()
-        state.background_write = backgrounds.write_port()
+        self.echo_write = echoes.write_port()
+        self.background_write = backgrounds.write_port()
         echo_read = echoes.read_port()
         background_read = backgrounds.read_port()
         at_echo = Signal(range(sensor.subgroups * places))
-        m.d.comb += at_echo.eq(Cat(state.pixel[: places.bit_length() - 1], state.subgroup))
+        m.d.comb += at_echo.eq(Cat(self.pixel[: places.bit_length() - 1], self.subgroup))
         for write, read, at in (
-            (state.echo_write, echo_read, at_echo),
-            (state.background_write, background_read, state.subgroup),
+            (self.echo_write, echo_read, at_echo),
+            (self.background_write, background_read, self.subgroup),
         ):
             m.d.comb += [write.addr.eq(at), write.data.eq(access.data), read.addr.eq(at), read.en.eq(1)]
         m.d.comb += [buffer.address.eq(access.address[2 : chip.REGION_BITS]), buffer.amount.eq(access.data)]
-        m.d.sync += state.sources.eq(Mux(state.is_echo, echo_read.data, background_read.data))
+        m.d.sync += self.sources.eq(Mux(self.is_echo, echo_read.data, background_read.data))
 
     def _checks(self, m, buffer):
         """Check a write's value: first the range of each register, then of the one that is meant. Check a read's address."""
-        state, access, sensor = self.state, self.access, self.emulator.sensor
+        access, sensor = self.access, self.emulator.sensor
         fits = {
             r.name: (access.data >= r.low(sensor)) & (access.data <= r.high(sensor))
             for r in chip.OWN
@@ -195,29 +172,29 @@ class EmulatorControl(Unit):
         for name, in_range in fits.items():
             fit = Signal(name=f"fits_{name}")
             m.d.sync += fit.eq(in_range)
-            checks.append(state.named[name] & fit)
-        of_echo = state.is_echo & (access.data < 1 << self.echo_bits)
-        of_background = state.is_background & (access.data < 1 << chip.RATE_BITS)
-        of_source = state.region["source"] & (of_echo | of_background)
+            checks.append(self.named[name] & fit)
+        of_echo = self.is_echo & (access.data < 1 << self.echo_bits)
+        of_background = self.is_background & (access.data < 1 << chip.RATE_BITS)
+        of_source = self.region["source"] & (of_echo | of_background)
         beats = access.address[: chip.REGION_BITS] < self.emulator.buffer_beats * 8
-        in_own = state.region["own"] & Cat(state.named.values()).any()
-        in_source = state.region["source"] & (state.is_echo | state.is_background)
-        in_buffer = state.region["buffer"] & beats
+        in_own = self.region["own"] & Cat(self.named.values()).any()
+        in_source = self.region["source"] & (self.is_echo | self.is_background)
+        in_buffer = self.region["buffer"] & beats
         m.d.sync += [
-            state.legal.eq(Mux(state.region["own"], Cat(checks).any(), of_source) & state.aligned),
-            state.mapped.eq(state.aligned & (in_own | in_source | in_buffer)),
+            self.legal.eq(Mux(self.region["own"], Cat(checks).any(), of_source) & self.aligned),
+            self.mapped.eq(self.aligned & (in_own | in_source | in_buffer)),
         ]
 
     def _accesses(self, m, buffer, seeder):
         """Carry out one access at a time."""
-        state, access, axi = self.state, self.access, self.m_axi
+        access, axi = self.access, self.m_axi
         wait = Signal(range(LOCAL_CYCLES + 1))
         m.d.comb += [axi.bready.eq(1), axi.rready.eq(1), axi.wstrb.eq(0b1111), axi.awprot.eq(0), axi.arprot.eq(0)]
-        m.d.sync += [access.done.eq(0), state.reseed.eq(0), self.write.valid.eq(0), buffer.take.eq(0)]
+        m.d.sync += [access.done.eq(0), self.reseed.eq(0), self.write.valid.eq(0), buffer.take.eq(0)]
         m.d.sync += [
-            self.write.subgroup.eq(state.subgroup),
-            self.write.echo.eq(state.is_echo),
-            self.write.pixel.eq(state.pixel),
+            self.write.subgroup.eq(self.subgroup),
+            self.write.echo.eq(self.is_echo),
+            self.write.pixel.eq(self.pixel),
             self.write.data.eq(access.data),
         ]
         for channel in ("aw", "w", "ar"):
@@ -255,23 +232,23 @@ class EmulatorControl(Unit):
                     m.next = "idle"
                     m.d.sync += [
                         access.done.eq(1),
-                        access.refused.eq(~Mux(access.write, state.legal, state.mapped)),
+                        access.refused.eq(~Mux(access.write, self.legal, self.mapped)),
                         access.value.eq(
-                            Mux(state.region["own"], state.own, Mux(state.region["source"], state.sources, buffer.word))
+                            Mux(self.region["own"], self.own, Mux(self.region["source"], self.sources, buffer.word))
                         ),
                     ]
-                    with m.If(access.write & state.legal):
+                    with m.If(access.write & self.legal):
                         self._write(m, buffer)
             with m.State("lost"):  # the one code that is no state: after an upset, the bus must not hang
                 m.next = "idle"
 
     def _write(self, m, buffer):
-        state, access = self.state, self.access
-        with m.If(state.region["source"]):
+        access = self.access
+        with m.If(self.region["source"]):
             m.d.sync += self.write.valid.eq(1)
-            m.d.comb += [state.echo_write.en.eq(state.is_echo), state.background_write.en.eq(state.is_background)]
+            m.d.comb += [self.echo_write.en.eq(self.is_echo), self.background_write.en.eq(self.is_background)]
         with m.Else():
-            for name, setting in state.setting.items():
-                with m.If(state.named[name]):
+            for name, setting in self.setting.items():
+                with m.If(self.named[name]):
                     m.d.sync += setting.eq(access.data)
-            m.d.sync += [state.reseed.eq(state.named["seed"]), buffer.take.eq(state.named["buffer_take"])]
+            m.d.sync += [self.reseed.eq(self.named["seed"]), buffer.take.eq(self.named["buffer_take"])]

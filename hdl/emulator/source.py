@@ -152,7 +152,7 @@ class PhotonSource(Unit):
             words=Out(sensor.pixels * sensor.phases),
         )
         # Cycles of dead time left, by pixel.
-        self.state = [Signal(COMMON["dead"].width, name=f"dead_{i}") for i in range(sensor.pixels)]
+        self.dead = [Signal(COMMON["dead"].width, name=f"dead_{i}") for i in range(sensor.pixels)]
 
     def elaborate(self, platform):
         m = Module()
@@ -250,7 +250,7 @@ class PhotonSource(Unit):
     def _word(self, m, i, fires, phase, common):
         """Register the pixel's part of the word, which is 0 during the dead time."""
         phases = self.emulator.sensor.phases
-        dead = self.state[i]
+        dead = self.dead[i]
         word = Signal(phases, name=f"word_{i}")
         m.d.sync += word.eq(0)
         with m.If(dead != 0):

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Serial line: bytes as 8N1, and frames of bytes with a CRC; protocol in `model/contract/serial_link.py`."""
 
-from typing import Any
-
 from amaranth.hdl import Cat, Const, Module, Mux, Signal
 from amaranth.lib.cdc import FFSynchronizer
 from amaranth.lib.crc.catalog import CRC32_ISO_HDLC
@@ -92,22 +90,6 @@ class Transmitter(Unit):
         return m
 
 
-class DeframerState:
-    """Inner registers of a deframer: the byte that came and what it is; the frame so far."""
-
-    def __init__(self):
-        self.crc = CRC32_ISO_HDLC(8).create()
-        self.came = Signal()
-        self.byte = Signal(8)
-        self.broken = Signal()
-        self.is_flag = Signal()
-        self.is_escape = Signal()
-        self.listening = Signal()
-        self.escaped = Signal()
-        self.bad = Signal()
-        self.count = Signal(BODY_BYTES_MAX.bit_length())
-
-
 class Deframer(Unit):
     """Finder and checker of frames in a stream of bytes.
 
@@ -138,55 +120,46 @@ class Deframer(Unit):
             length=Out(bits),
             wrong=Out(1),
         )
-        self.state = DeframerState()
+        self.crc = CRC32_ISO_HDLC(8).create()
+        # The byte that came, and what it is; then the frame so far.
+        self.byte_in, self.broken_in = Signal(8, name="byte"), Signal(name="broken")
+        self.inner("came is_flag is_escape listening escaped bad")
+        self.inner("count", bits)
 
     def elaborate(self, platform):
         m = Module()
-        state = self.state
-        m.submodules.crc = crc = state.crc
+        m.submodules.crc = crc = self.crc
         m.d.comb += [
-            crc.data.eq(Mux(state.escaped, state.byte ^ FLIP, state.byte)),
+            crc.data.eq(Mux(self.escaped, self.byte_in ^ FLIP, self.byte_in)),
             self.data.eq(crc.data),
-            self.index.eq(state.count),
+            self.index.eq(self.count),
         ]
-        m.d.sync += [self.right.eq(0), self.wrong.eq(0), self.length.eq(state.count - CRC_BYTES)]
+        m.d.sync += [self.right.eq(0), self.wrong.eq(0), self.length.eq(self.count - CRC_BYTES)]
         m.d.sync += [
-            state.came.eq(self.valid),
-            state.byte.eq(self.byte),
-            state.broken.eq(self.broken),
-            state.is_flag.eq(~self.broken & (self.byte == FLAG)),
-            state.is_escape.eq(self.byte == ESCAPE),
+            self.came.eq(self.valid),
+            self.byte_in.eq(self.byte),
+            self.broken_in.eq(self.broken),
+            self.is_flag.eq(~self.broken & (self.byte == FLAG)),
+            self.is_escape.eq(self.byte == ESCAPE),
         ]
-        with m.If(state.came):
-            with m.If(state.is_flag):
+        with m.If(self.came):
+            with m.If(self.is_flag):
                 m.d.comb += crc.start.eq(1)
-                m.d.sync += [state.listening.eq(1), state.escaped.eq(0), state.bad.eq(0), state.count.eq(0)]
-                with m.If(state.listening & (state.count != 0)):
-                    fine = ~state.bad & ~state.escaped & (state.count > CRC_BYTES) & crc.match_detected
+                m.d.sync += [self.listening.eq(1), self.escaped.eq(0), self.bad.eq(0), self.count.eq(0)]
+                with m.If(self.listening & (self.count != 0)):
+                    fine = ~self.bad & ~self.escaped & (self.count > CRC_BYTES) & crc.match_detected
                     m.d.sync += [self.right.eq(fine), self.wrong.eq(~fine)]
-            with m.Elif(state.listening):
-                with m.If(state.broken | (state.count == BODY_BYTES_MAX)):
-                    m.d.sync += [state.bad.eq(1), state.count.eq(Mux(state.count == 0, 1, state.count))]
-                with m.Elif(state.is_escape & ~state.escaped):
-                    m.d.sync += [state.escaped.eq(1), state.count.eq(state.count)]
+            with m.Elif(self.listening):
+                with m.If(self.broken_in | (self.count == BODY_BYTES_MAX)):
+                    m.d.sync += [self.bad.eq(1), self.count.eq(Mux(self.count == 0, 1, self.count))]
+                with m.Elif(self.is_escape & ~self.escaped):
+                    m.d.sync += [self.escaped.eq(1), self.count.eq(self.count)]
                 with m.Else():
                     m.d.comb += [self.put.eq(1), crc.valid.eq(1)]
-                    m.d.sync += [state.escaped.eq(0), state.count.eq(state.count + 1)]
+                    m.d.sync += [self.escaped.eq(0), self.count.eq(self.count + 1)]
         with m.If(self.hold):
-            m.d.sync += [state.listening.eq(0), self.right.eq(0), self.wrong.eq(0)]
+            m.d.sync += [self.listening.eq(0), self.right.eq(0), self.wrong.eq(0)]
         return m
-
-
-class FramerState:
-    """Inner signals of a framer. escaped: the escape of the current byte has been sent; weighed: `special` is that of `byte`."""
-
-    machine: Any
-
-    def __init__(self):
-        self.escaped = Signal()
-        self.byte = Signal(8)
-        self.weighed = Signal()
-        self.special = Signal()
 
 
 class Framer(Unit):
@@ -207,45 +180,46 @@ class Framer(Unit):
         super().__init__(
             valid=In(1), byte=In(8), last=In(1), ready=Out(1), out_valid=Out(1), out_byte=Out(8), out_ready=In(1)
         )
-        self.state = FramerState()
+        # escaped: the escape of `next_byte` has been sent; weighed: `special` is that of `next_byte`.
+        self.next_byte = Signal(8, name="byte")
+        self.inner("escaped weighed special")
 
     def elaborate(self, platform):
         m = Module()
-        state = self.state
         m.submodules.crc = crc = CRC32_ISO_HDLC(8).create()
         tail = Signal(32, reset_less=True)
         left = Signal(range(CRC_BYTES + 1))
         m.d.comb += crc.data.eq(self.byte)
-        m.d.sync += [state.special.eq((state.byte == FLAG) | (state.byte == ESCAPE)), state.weighed.eq(0)]
+        m.d.sync += [self.special.eq((self.next_byte == FLAG) | (self.next_byte == ESCAPE)), self.weighed.eq(0)]
 
         def send_body(m, comes, sent):
             """Send `byte` when it `comes`, escaped if necessary; `sent` is high in the cycle in which it has gone."""
-            m.d.sync += state.weighed.eq(comes & ~sent)
+            m.d.sync += self.weighed.eq(comes & ~sent)
             m.d.comb += [
-                self.out_valid.eq(state.weighed),
-                self.out_byte.eq(Mux(state.special, Mux(state.escaped, state.byte ^ FLIP, ESCAPE), state.byte)),
-                sent.eq(state.weighed & self.out_ready & (~state.special | state.escaped)),
+                self.out_valid.eq(self.weighed),
+                self.out_byte.eq(Mux(self.special, Mux(self.escaped, self.next_byte ^ FLIP, ESCAPE), self.next_byte)),
+                sent.eq(self.weighed & self.out_ready & (~self.special | self.escaped)),
             ]
-            with m.If(state.weighed & self.out_ready):
-                m.d.sync += state.escaped.eq(state.special & ~state.escaped)
+            with m.If(self.weighed & self.out_ready):
+                m.d.sync += self.escaped.eq(self.special & ~self.escaped)
 
-        with m.FSM() as state.machine:
+        with m.FSM() as self.machine:
             with m.State("idle"):
                 m.d.comb += [self.out_byte.eq(FLAG), self.out_valid.eq(self.valid), crc.start.eq(1)]
-                m.d.sync += state.escaped.eq(0)
+                m.d.sync += self.escaped.eq(0)
                 with m.If(self.valid & self.out_ready):
                     m.next = "body"
             with m.State("body"):
-                m.d.comb += state.byte.eq(self.byte)
+                m.d.comb += self.next_byte.eq(self.byte)
                 send_body(m, self.valid, self.ready)
                 m.d.comb += crc.valid.eq(self.ready)
                 with m.If(self.ready & self.last):
                     m.next = "check"
             with m.State("check"):
-                m.d.sync += [tail.eq(crc.crc), left.eq(CRC_BYTES), state.escaped.eq(0)]
+                m.d.sync += [tail.eq(crc.crc), left.eq(CRC_BYTES), self.escaped.eq(0)]
                 m.next = "tail"
             with m.State("tail"):
-                m.d.comb += state.byte.eq(tail[:8])
+                m.d.comb += self.next_byte.eq(tail[:8])
                 sent = Signal()
                 send_body(m, Const(1), sent)
                 with m.If(sent):

@@ -10,26 +10,13 @@ from amaranth.lib.wiring import In
 
 from ...model.contract.parameters import QUARTERS, Sensor
 from ..logic import any_of, named
-from ..tree import FrontEnd, WindowState
+from ..tree import FrontEnd
 from ..unit import place
 from .circuit import HIT_FS, Circuit, arbiter_rows, delayed, hit_flop, johnson_number, lag_fs, sample
 from .event_tree import EventTree, mark_bits
 from .minigroup import AsyncMinigroup
 from .tdc import line_signature
 from .window_control import AsyncControl
-
-
-class FrontEndState(WindowState):
-    """Control, and what is formed at the clock. Numbers are those of stages. inside: a window was open in the cycle (stage 3)."""
-
-    def __init__(self, sensor: Sensor, circuit: Circuit):
-        super().__init__(sensor)
-        self.control = AsyncControl(sensor, circuit)
-        self.window_open = Signal()
-        self.inside = Signal()
-        self.opening_4 = Signal()
-        self.closing_4 = Signal()
-        self.winner = Signal(sensor.winner_bits)
 
 
 class AsyncFrontEnd(FrontEnd):
@@ -48,13 +35,15 @@ class AsyncFrontEnd(FrontEnd):
     """
 
     unit_name = "coincid_async_front"
-    state: FrontEndState
 
     def __init__(self, sensor: Sensor, circuit: Circuit):
         self.circuit = circuit
         spad, mask = In(sensor.pixels), In(sensor.pixels)
         super().__init__(sensor, line_signature(sensor), spad=spad, mask=mask, gate=In(1))
-        self.state = FrontEndState(sensor, circuit)
+        self.control = AsyncControl(sensor, circuit)
+        # Formed at the clock; numbers are those of stages. inside: a window was open in the cycle (stage 3).
+        self.inner("window_open inside opening_4 closing_4")
+        self.inner("winner", sensor.winner_bits)
 
     def elaborate(self, platform):
         m = Module()
@@ -67,7 +56,7 @@ class AsyncFrontEnd(FrontEnd):
         ]
         reset = Signal()
         m.d.comb += reset.eq(ResetSignal())
-        place(m, "control", self.state.control, platform, may_open=may_open[0])
+        place(m, "control", self.control, platform, may_open=may_open[0])
         hits, trees = self._hits(m, platform, running[1], reset)
         pictures = self._windows(m, hits, trees, reset)
         self._collect(m, platform, self._facts(m, hits, trees, pictures), may_open[-1], wrap[-1])
@@ -78,7 +67,7 @@ class AsyncFrontEnd(FrontEnd):
 
         Return the flops and the trees of both.
         """
-        sensor, line, parity = self.sensor, self.line, self.state.control.parity
+        sensor, line, parity = self.sensor, self.line, self.control.parity
         skews = self.circuit.pixel_skew_fs or (0,) * sensor.pixels
         lines = [delayed(m, f"spad_{i}", self.spad[i], skew) if skew else self.spad[i] for i, skew in enumerate(skews)]
         from_line = {name: getattr(line, name) for name in ("phases", "gray_a", "gray_b", "half")}
@@ -98,7 +87,7 @@ class AsyncFrontEnd(FrontEnd):
 
         The hits are delayed by as much as the end itself. Return the samples of each bank.
         """
-        sensor, line, control = self.sensor, self.line, self.state.control
+        sensor, line, control = self.sensor, self.line, self.control
         parity, banks = control.parity, control.banks
         late = lag_fs(sensor) + self.circuit.clock_fs // QUARTERS - HIT_FS
         parity_late = sample(m, "parity_late", line.mark, parity)
@@ -145,7 +134,7 @@ class AsyncFrontEnd(FrontEnd):
 
         They are cleared later. Stages 2 and 3 are the synchroniser.
         """
-        sensor, control = self.sensor, self.state.control
+        sensor, control = self.sensor, self.control
         before = Signal()
         m.d.comb += before.eq(~control.parity)
 
@@ -175,29 +164,29 @@ class AsyncFrontEnd(FrontEnd):
 
     def _collect(self, m, platform, at, may_open, wrap):
         """Form windows and records, at the clock, from the facts about a cycle (`at`, stage 3)."""
-        state, sensor, line = self.state, self.sensor, self.line
+        sensor, line = self.sensor, self.line
         hit = Signal(sensor.pixels)
         m.d.comb += [
-            state.inside.eq(at["opening"] | state.window_open),
-            hit.eq(Mux(at["closing"], at["picture"], at["active"]) & state.inside.replicate(sensor.pixels)),
+            self.inside.eq(at["opening"] | self.window_open),
+            hit.eq(Mux(at["closing"], at["picture"], at["active"]) & self.inside.replicate(sensor.pixels)),
         ]
-        m.d.sync += state.window_open.eq(state.inside & ~at["closing"])
+        m.d.sync += self.window_open.eq(self.inside & ~at["closing"])
 
         # Stages 4 and 5: the winner, the stamp, and the leaves' part of the map.
         opening_5, opening_6 = named("opening_5 opening_6")
         winner_4 = Signal(sensor.winner_bits)
         m.d.sync += [
-            state.opening_4.eq(at["opening"]),
-            state.closing_4.eq(at["closing"] & state.inside),
-            state.closed.eq(state.closing_4),
-            opening_5.eq(state.opening_4),
+            self.opening_4.eq(at["opening"]),
+            self.closing_4.eq(at["closing"] & self.inside),
+            self.closed_5.eq(self.closing_4),
+            opening_5.eq(self.opening_4),
             opening_6.eq(opening_5),
         ]
         self._elapse(m, opening_6)
         m.d.sync += winner_4.eq(self._winner(m, at["first"]))
-        with m.If(state.opening_4):
-            m.d.sync += state.winner.eq(winner_4)
-        stamp = self._stamp(m, at, state.opening_4)
+        with m.If(self.opening_4):
+            m.d.sync += self.winner.eq(winner_4)
+        stamp = self._stamp(m, at, self.opening_4)
         is_winner = Signal(sensor.pixels)
         m.d.comb += is_winner.eq(1 << winner_4)
         coarse_4 = Signal(sensor.coarse_bits)
@@ -212,14 +201,14 @@ class AsyncFrontEnd(FrontEnd):
                 {"active": at["active"], "hit": hit, "winner": is_winner},
                 mark=at["marks"].word_select(g, mark_bits(sensor)),
                 parity=at["parity"],
-                opening=state.opening_4,
+                opening=self.opening_4,
                 may_open=may_open,
                 wrap=wrap,
                 coarse=coarse_4,
             )
         m.d.sync += self.blind.eq(any_of(m, [leaf.blind for leaf in leaves], "blind_or"))
         m.d.comb += self.record_due.eq(wrap)
-        self._closed(m, stamp, state.winner)
+        self._closed(m, stamp, self.winner)
 
     def _winner(self, m, later_first):
         """Return the index of the pixel that came first, from the nodes of the arbiter tree."""

@@ -6,7 +6,7 @@ from amaranth.lib.wiring import In
 
 from ...model.contract.parameters import QUARTERS, Sensor
 from ..logic import named
-from ..minigroup import Recorder, RecordState
+from ..minigroup import Recorder
 from .circuit import johnson_number
 from .event_tree import mark_bits
 
@@ -31,7 +31,6 @@ class AsyncMinigroup(Recorder):
         pixels = sensor.minigroup_pixels
         own = {"active": In(pixels), "mark": In(mark_bits(sensor)), "parity": In(1), "hit": In(pixels)}
         super().__init__(sensor, **own, winner=In(pixels))
-        self.state = RecordState(sensor)
 
     def elaborate(self, platform):
         m = Module()

@@ -16,17 +16,6 @@ from ..unit import Unit
 from .circuit import Circuit
 
 
-class AsyncControlState:
-    """What the control knows of the window in force in mid-cycle; hold: cycles until the banks are armed again."""
-
-    def __init__(self, sensor: Sensor):
-        self.window_open = Signal()
-        self.read = Signal()
-        self.opening = Signal()
-        self.closing = Signal()
-        self.hold = Signal(range(sensor.rearm + 1))
-
-
 class AsyncControl(Unit):
     """Control of a subgroup's window banks.
 
@@ -61,7 +50,10 @@ class AsyncControl(Unit):
             bank=Out(1),
             **{f"{name}_{b}": member for b in range(self.banks) for name, member in per_bank.items()},
         )
-        self.state = AsyncControlState(sensor)
+        # The window in force, in mid-cycle. hold: cycles until the banks are armed again.
+        self.inner("window_open read")
+        self.opens, self.closes = named("opening closing")
+        self.inner("hold", range(sensor.rearm + 1))
 
     def of_current(self, name):
         """Return the port `name` of the bank whose window is in force."""
@@ -70,7 +62,7 @@ class AsyncControl(Unit):
 
     def elaborate(self, platform):
         m = Module()
-        state, rearm, two = self.state, self.sensor.rearm, self.banks == 2
+        rearm, two = self.sensor.rearm, self.banks == 2
         m.domains.fall = fall = ClockDomain("fall", clk_edge="neg", local=True)
         m.d.comb += [fall.clk.eq(ClockSignal()), fall.rst.eq(ResetSignal())]
         m.d.sync += self.parity.eq(~self.parity)
@@ -79,31 +71,31 @@ class AsyncControl(Unit):
         before = Signal()
         m.d.comb += [
             before.eq(~self.parity),
-            state.opening.eq(Mux(before, *reversed(self.of_current("opened"))) & ~state.window_open & ~state.read),
-            state.closing.eq(
-                (state.opening | state.window_open) & self.of_current("ended") & (self.of_current("parity") == before)
+            self.opens.eq(Mux(before, *reversed(self.of_current("opened"))) & ~self.window_open & ~self.read),
+            self.closes.eq(
+                (self.opens | self.window_open) & self.of_current("ended") & (self.of_current("parity") == before)
             ),
         ]
         m.d.fall += [
-            state.window_open.eq((state.opening | state.window_open) & ~state.closing),
-            self.opening.eq(state.opening),
-            self.closing.eq(state.closing),
+            self.window_open.eq((self.opens | self.window_open) & ~self.closes),
+            self.opening.eq(self.opens),
+            self.closing.eq(self.closes),
             self.bank.eq(self.current),
-            state.hold.eq(Mux(state.closing, max(rearm - 1, 0), state.hold - (state.hold != 0))),
+            self.hold.eq(Mux(self.closes, max(rearm - 1, 0), self.hold - (self.hold != 0))),
         ]
         if two:
-            with m.If(state.closing):
+            with m.If(self.closes):
                 m.d.fall += self.current.eq(~self.current)
             m.d.comb += [self.clearing_0.eq(self.current), self.clearing_1.eq(~self.current)]
         else:
             first, second = named("first second")  # the synchroniser in front of the clear
             m.d.sync += [first.eq(self.closing), second.eq(first)]
-            m.d.fall += state.read.eq((state.read | state.closing) & ~second)
+            m.d.fall += self.read.eq((self.read | self.closes) & ~second)
             m.d.comb += self.clearing_0.eq(second)
 
         # Armed from the start of a cycle; the level stays until the last event of the cycle has passed.
         for b in range(self.banks):
-            now = (self.current == b) & (state.hold == 0) if rearm else 1
+            now = (self.current == b) & (self.hold == 0) if rearm else 1
             for q in range(2):
                 with m.If(self.parity != q):
                     m.d.sync += getattr(self, f"armed_{b}")[q].eq(self.may_open & now)
