@@ -6,8 +6,7 @@ states: what Yosys leaves undefined is 0.
 """
 
 import json
-from collections.abc import Iterable, Mapping, Sequence
-from functools import cache
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -105,20 +104,6 @@ class Block:
     names: dict[str, Nets]
 
 
-# Yosys's gates: the inputs' ports, first one lowest, and the function as in `Table.bits`.
-GATES = {
-    "$_BUF_": ("A", 0b10),
-    "$_NOT_": ("A", 0b01),
-    "$_AND_": ("AB", 0b1000),
-    "$_NAND_": ("AB", 0b0111),
-    "$_OR_": ("AB", 0b1110),
-    "$_NOR_": ("AB", 0b0001),
-    "$_XOR_": ("AB", 0b0110),
-    "$_XNOR_": ("AB", 0b1001),
-    "$_ANDNOT_": ("AB", 0b0010),
-    "$_ORNOT_": ("AB", 0b1011),
-    "$_MUX_": ("ABS", 0b11001010),
-}
 FLOPS = {  # as `dfflegalize` leaves them: the value at reset
     "$_DFF_P_": 0,
     "$_DFFE_PP_": 0,
@@ -158,10 +143,7 @@ def _block(name: str, module: Mapping[str, Any], units: Mapping[str, Any]) -> Bl
     for cell, of in module["cells"].items():
         kind, nets = of["type"], {port: _nets(bits) for port, bits in of["connections"].items()}
         if kind == "$lut":
-            block.tables.append(_reduced(nets["A"], nets["Y"], int(of["parameters"]["LUT"], 2)))
-        elif kind in GATES:
-            inputs, bits = GATES[kind]
-            block.tables.append(_reduced(tuple(nets[port][0] for port in inputs), nets["Y"], bits))
+            block.tables.append(Table(nets["A"], nets["Y"], int(of["parameters"]["LUT"], 2)))
         elif kind in FLOPS:
             _check_clock(name, nets["C"], clock)
             block.flops.append(
@@ -196,33 +178,6 @@ def _inits(module: Mapping[str, Any]) -> dict[int, int]:
             if bit in "01":
                 found[net] = int(bit)
     return found
-
-
-def _reduced(inputs: Nets, outputs: Nets, bits: int) -> Table:
-    """Return a table whose inputs are no constants, all different, and each of them can change its value."""
-    nets = list(dict.fromkeys((ZERO, ONE, *inputs)))
-    kept, bits = _needed(tuple(map(nets.index, inputs)), bits)
-    return Table(tuple(nets[k] for k in kept), outputs, bits)
-
-
-@cache
-def _needed(inputs: Nets, bits: int) -> tuple[Nets, int]:
-    """Return the inputs that can change a function's value, and the function of them."""
-
-    def function(of: Sequence[int], ones: Nets = ()) -> int:
-        """Return the function of some inputs if the others are 0, except for `ones`."""
-        found = 0
-        for row in range(1 << len(of)):
-            is_one = {ONE, *ones, *(net for i, net in enumerate(of) if row >> i & 1)}
-            found |= (bits >> sum((net in is_one) << i for i, net in enumerate(inputs)) & 1) << row
-        return found
-
-    kept = sorted({*inputs} - {ZERO, ONE})
-    for net in list(kept):
-        others = [other for other in kept if other != net]
-        if function(others) == function(others, (net,)):
-            kept = others
-    return tuple(kept), function(kept)
 
 
 def _memory(block: str, parameters: Mapping[str, str], nets: Mapping[str, Nets], clock: Nets) -> Memory:
