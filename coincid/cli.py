@@ -514,7 +514,7 @@ def lint(*, view: str = "polyphase", **given: Any) -> None:
     with extra("rtl"):
         from coincid.flow.lint import lint as run
         from coincid.hdl.front_end_views import view_at
-    _all_clean(run(settings.sensor, view_at(view, settings.clock_mhz)))
+    _all_clean(run(settings, view_at(view, settings.clock_mhz)))
 
 
 @command("[NAMES]", names="Proofs; default: all.")

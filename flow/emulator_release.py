@@ -6,7 +6,7 @@ For an ULX3S (`ulx3s`, with its pins), with two pins of a serial line for anothe
 
 from pathlib import Path
 
-from ..hdl.emulator.top import BUS_TOP, EMULATOR_LIST, SERIAL_TOP, emulator_files
+from ..hdl.emulator.top import BUS_TOP, SERIAL_TOP, emulator_files
 from ..hdl.emulator.ulx3s import BOARD_TOP, board_files, board_pins
 from ..hdl.front_end_views import POLYPHASE
 from ..model.contract.config import Config
@@ -46,8 +46,3 @@ def write_emulator(folder: Path, files: dict[str, str]) -> list[Path]:
         with whole_file(folder / name, "w") as file:
             file.write(text)
     return [folder / name for name in files]
-
-
-def verilog_of(files: dict[str, str]) -> list[str]:
-    """Return the names of the Verilog files, as the list has them."""
-    return files[EMULATOR_LIST].split()

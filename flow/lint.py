@@ -8,46 +8,38 @@ import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+from ..hdl.emulator.top import EMULATOR_LIST
 from ..hdl.emulator.ulx3s import BOARD_TOP
-from ..hdl.export import cell_files, fpga_files
+from ..hdl.export import FILE_LIST
 from ..hdl.front_end_views import POLYPHASE, View
-from ..hdl.sensor import FPGA_TOP, has_fpga_top
-from ..model.contract.parameters import TOP, Sensor
+from ..hdl.sensor import FPGA_TOP
+from ..model.contract.config import Config
+from ..model.contract.parameters import TOP
 from ..tb import toolchain
-from ..tb.rtl import rtl
-from .emulator_release import verilog_of
-from .release import CELLS_FOLDER, tool_options
-from .smoke import FPGA_SMOKE, SMOKE, smoke_test
-from .waivers import CONTROL_FILE, control_file
+from .release import CELLS_LIST, SYNTHESIS_LIST, release_files, tool_options
+from .smoke import FPGA_SMOKE, SMOKE
+from .waivers import CONTROL_FILE
 
 PLL_MODEL = Path(__file__).with_name("ecp5_pll.v")
 VERILATOR = ("--lint-only", "--timing", "--quiet-stats")
 
 
-def lint(sensor: Sensor, view: View = POLYPHASE) -> dict[str, str]:
-    """Return tool -> its findings in the Verilog of `sensor`, "" if there are none. Raises `ToolchainError`.
+def lint(config: Config, view: View = POLYPHASE) -> dict[str, str]:
+    """Return tool -> its findings in the Verilog of a release, "" if there are none. Raises `ToolchainError`.
 
-    It sees the forms for standard cells, too, in a folder as in a release. view: from `hdl/front_end_views.py`; in a view with
-    macros, lint sees the files for synthesis.
+    Every top is read, and also the forms for standard cells. In a view with macros, the files are those for synthesis, and
+    there is no test bench.
     """
-    files = {path.name: path.read_text() for path in (*rtl(sensor, view), *view.macros)}
-    rtl_names, cells = list(files), cell_files(sensor, view)
-    benches: dict[str, dict[str, str]] = {} if view.macros else {SMOKE: {f"{SMOKE}.v": smoke_test(sensor)}}
-    runs = [(TOP, rtl_names), *((top, [*rtl_names, *more]) for top, more in benches.items())]
-    if view is POLYPHASE and has_fpga_top(sensor):
-        fpga, without_top = fpga_files(sensor), [name for name in rtl_names if name != f"{TOP}.v"]
-        benches[FPGA_SMOKE] = fpga | {f"{FPGA_SMOKE}.v": smoke_test(sensor, levels=True)}
-        runs += [(FPGA_TOP, [*without_top, *fpga]), (FPGA_SMOKE, [*without_top, *benches[FPGA_SMOKE]])]
-    runs.append((TOP, [f"{CELLS_FOLDER}/{name}" if name in cells else name for name in rtl_names]))
-    for more in benches.values():
-        files |= more
-    files |= {f"{CELLS_FOLDER}/{name}": text for name, text in cells.items()} | {CONTROL_FILE: control_file(view)}
-    return _findings(files, runs, view)
+    files = release_files(config, view)
+    benches = () if view.macros else (SMOKE, FPGA_TOP, FPGA_SMOKE)
+    lists = [(TOP, SYNTHESIS_LIST if view.macros else FILE_LIST), (TOP, CELLS_LIST)]
+    lists += [(top, f"{top}.f") for top in benches if f"{top}.f" in files]
+    return _findings(files, [(top, files[names].split()) for top, names in lists], view)
 
 
 def lint_emulator(files: Mapping[str, str], top: str) -> dict[str, str]:
     """Return the findings in the files of `emulator_release`. Of a board's own cells, only the ports are known."""
-    names = verilog_of(dict(files))
+    names = files[EMULATOR_LIST].split()
     boxes = {PLL_MODEL.name: PLL_MODEL.read_text()} if top == BOARD_TOP else {}
     return _findings(
         {name: files[name] for name in (*names, CONTROL_FILE)} | boxes, [(top, [*names, *boxes])], POLYPHASE

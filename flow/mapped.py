@@ -82,17 +82,13 @@ def map_block(
     return Mapped(unit.unit_name, folder, dict(cells), dict(macros), float(statistics["area"]))
 
 
-def slack_ns(folder: Path, block: str, clock_ns: float) -> float:
-    """Return the least slack between registers of a block, by OpenSTA without wires; `folder` has the netlist.
-
-    A latch may take its data until it closes. The lines that open latches must be at rest by mid-cycle, and the enables of
-    clock gates by the cycle's end. The clock is ideal, behind a clock gate as well.
-    """
-    return min(slacks_ns(folder, block, clock_ns).values())
-
-
 def slacks_ns(folder: Path, block: str, clock_ns: float) -> dict[str, float]:
-    """Return the least slacks of a block as in `slack_ns`, by the kind of end: `FLOPS`, `LATCHES`, `OPENING`, `ENABLES`."""
+    """Return the least slacks between registers of a block by the kind of end: `FLOPS`, `LATCHES`, `OPENING`, `ENABLES`.
+
+    OpenSTA reads the netlist in `folder`; wires are not included. A latch may take its data until it closes. The lines that
+    open latches must settle by mid-cycle, and the enables of clock gates by the end of the cycle. The clock is ideal, also
+    behind a clock gate.
+    """
     # OpenSTA knows no parameters.
     (folder / f"{block}.timed.v").write_text(re.sub(r"#\(\n(?:    \..*\n)*  \) ", "", (folder / NETLIST).read_text()))
     script = f"""\

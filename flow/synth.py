@@ -32,7 +32,7 @@ from ..model.shared.folders import build_root
 from ..tb.rtl import sensor_key
 from ..tools.wheels import yosys_once
 from .logic_depth import longest_paths
-from .mapped import FLOP, GATE, LATCH, map_block, slack_ns, slacks_ns
+from .mapped import FLOP, GATE, LATCH, map_block, slacks_ns
 from .yosys import LIBERTY, bound, cells_script, generic_script, library_files
 
 # abc for speed: cuts are balanced for depth before gates are chosen. Its default is up to twice as deep for a tenth less
@@ -241,7 +241,7 @@ def whole_blocks(config: Config, sensor_netlist: Netlist) -> list[str]:
     # The module is above; with its blocks apart, no net between them is buffered.
     module = SensorModule(sensor, min(2, sensor.subgroups)).unit_name
     outside = [
-        (name.removeprefix(PREFIX), f"{slack_ns(sensor_netlist.folder, name, clock_ns):+.2f}")
+        (name.removeprefix(PREFIX), f"{min(slacks_ns(sensor_netlist.folder, name, clock_ns).values()):+.2f}")
         for name in sensor_netlist.units
         if name != module
     ]

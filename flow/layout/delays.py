@@ -8,7 +8,6 @@ clock tree. So the block's inputs change `INPUT_NS` after the clock's edge, as t
 import re
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Protocol
 
 from ...hdl.front_end_views import POLYPHASE, View
 from ...hdl.unit import Unit
@@ -20,13 +19,6 @@ from ..gls import FRAMES, cell_models, played, random_frames
 from .flow import CLOCK, SDF, VERILOG
 
 INPUT_NS = 0.4
-
-
-class Routed(Protocol):
-    """A block with a folder that holds its netlist and its delays."""
-
-    @property
-    def folder(self) -> Path: ...
 
 
 def shell(unit: Unit, routed: Mapping[str, str], inputs_ns: float = 0.0, sdf: Path | None = None) -> str:
@@ -76,19 +68,16 @@ def scaled(sdf: str, factor: float) -> str:
     )
 
 
-def simulate(
-    sensor: Sensor, unit: Unit, layout: Routed, factor: float = 1.0, view: View = POLYPHASE
-) -> tuple[int, int]:
-    """Play random frames through a sensor with the routed block, whose delays are multiplied by `factor`.
+def simulate(sensor: Sensor, unit: Unit, layout: Path, factor: float = 1.0, view: View = POLYPHASE) -> tuple[int, int]:
+    """Play random frames through a sensor with a routed block, whose delays are multiplied by `factor`.
 
-    Return the number of checked words and commits, and the cycles. Raises `Mismatch` at the first difference.
+    layout: the folder of the block's netlist and delays. Returns the number of checked words and commits, and the cycles.
+    Raises `Mismatch` at the first difference.
     """
-    name = unit.unit_name
-    folder = layout.folder / f"delays-{factor:g}"
+    name, folder = unit.unit_name, layout / f"delays-{factor:g}"
     folder.mkdir(exist_ok=True)
-    sdf = folder / SDF
-    sdf.write_text(scaled((layout.folder / SDF).read_text(), factor))
-    routed = (layout.folder / VERILOG).read_text()
+    sdf, routed = folder / SDF, (layout / VERILOG).read_text()
+    sdf.write_text(scaled((layout / SDF).read_text(), factor))
     ports = {port: way for way, port in re.findall(r"^  (input|output) (\w+);", routed, re.MULTILINE)}
     (folder / "routed.v").write_text(
         f"`timescale 1ns/1ps\n{routed.replace(f'module {name} ', f'module {name}_routed ', 1)}"

@@ -16,7 +16,7 @@ from ...model.contract.config import load_config
 from ...model.contract.parameters import Sensor
 from ...model.shared.files import whole_file
 from ...tb.rtl_errors import Mismatch
-from ..mapped import map_block, slack_ns
+from ..mapped import map_block, slacks_ns
 from . import hierarchy
 from .buffers import FANOUT_MAX
 from .delays import INPUT_NS, simulate
@@ -38,7 +38,7 @@ def write_page(path: Path, tell: Callable[[str], None]) -> None:
     units.append((AsyncMinigroup(config.sensor), VIEWS["async"].at(config.clock_mhz)))
     layouts = [lay_out(unit, config.clock_mhz, tell, view) for unit, view in units]
     mapped = [map_block(unit, view, gated=False) for unit, view in units]
-    slacks = [slack_ns(block.folder, block.name, clock_ns) for block in mapped]
+    slacks = [min(slacks_ns(block.folder, block.name, clock_ns).values()) for block in mapped]
     placed = [
         hierarchy.lay_out(unit, units[0][0], layouts[0], config.clock_mhz, tell)
         for unit in (CoincidenceTree(config.sensor), Subgroup(config.sensor))
@@ -49,7 +49,7 @@ def write_page(path: Path, tell: Callable[[str], None]) -> None:
         for unit, (_, view), layout in zip(small, units, layouts, strict=True)
     ]
     tell("simulating the sensor with the placed subgroup and its delays")
-    subgroup_checked, subgroup_cycles = simulate(SMALL, Subgroup(SMALL), placed[1])
+    subgroup_checked, subgroup_cycles = simulate(SMALL, Subgroup(SMALL), placed[1].folder)
     text = PAGE.read_text().format(
         subgroup_checked=subgroup_checked,
         subgroup_cycles=subgroup_cycles,
@@ -82,9 +82,9 @@ def played_with_delays(
 ) -> list[tuple[str, str]]:
     """Play the bench with the layout's delays, and with much longer ones, which must make it fail. Raises `Mismatch`."""
     tell(f"{unit.unit_name}: simulating the sensor with the routed minigroups and their delays")
-    checked, cycles = simulate(SMALL, unit, layout, view=view)
+    checked, cycles = simulate(SMALL, unit, layout.folder, view=view)
     try:
-        simulate(SMALL, unit, layout, TOO_SLOW, view)
+        simulate(SMALL, unit, layout.folder, TOO_SLOW, view)
     except Mismatch:
         return [("words and commits", str(checked)), ("cycles", str(cycles)), ("mismatches", "0")]
     raise Mismatch(f"delays of {TOO_SLOW:g} times the layout's change nothing: they are not in force")

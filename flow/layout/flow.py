@@ -14,7 +14,7 @@ import sys
 from collections.abc import Callable, Mapping, Sequence
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from attrs import asdict, astuple, frozen
 
@@ -28,11 +28,10 @@ from ...tools.wheels import TAIL_LINES, run_program, yosys_once
 from ..liberty import read_cells, supply_v
 from ..mapped import LONGEST_PATHS, least_slacks_ns
 from ..yosys import CLOCK_BUFFER, LIBERTY, bound, cells_folder, cells_script, library_files
+from . import drawn, wires
+from .drawn import Placed
+from .pins import Strip, cell_widths_um, strips
 
-if TYPE_CHECKING:
-    from .pins import Strip
-
-NEEDED = ("coriolis", "klayout")
 LEFS, GDS = ("rtk-tech.lef", "stdcells.lef"), "stdcells.gds"  # of `cells_folder`
 BLIF, MAPPED = "mapped.blif", "mapped.v"
 VERILOG, SPEF, SDF, FINAL = "routed.v", "routed.spef", "routed.sdf", "routed.gds"
@@ -64,32 +63,36 @@ ATTEMPTS = (
 )
 
 
-@frozen
-class Layout:
-    """A routed block and the folder of its files. Slacks, in ns, are of paths between registers."""
+@frozen(kw_only=True)
+class Block:
+    """A placed block and the folder of its files. Slacks, in ns, are of paths between registers."""
 
     folder: Path
-    attempt: Attempt
     cells: int
     cell_area_um2: float
     width_um: float
     height_um: float
     buffers: int
-    clock_tree_mw: float
     nets: int
+    slack_ns: float
+    hold_ns: float
+
+
+@frozen(kw_only=True)
+class Layout(Block):
+    """A routed block. sinks: the number of inputs that its wires reach."""
+
+    clock_tree_mw: float
     wire_um: float
     wire_ff: float
     sinks: int
-    slack_ns: float
-    hold_ns: float
     rules: list[tuple[str, int]]
 
 
 def require_tools() -> Path:
-    """Return the folder of the standard cells. Raises `InputError` if cells, router or checker are missing."""
+    """Return the folder of the standard cells. Raises `InputError` if the cells or the router are missing."""
     cells = cells_folder()
-    missing = [name for name in NEEDED if find_spec(name) is None]
-    if cells is None or missing:
+    if cells is None or find_spec("coriolis") is None:
         raise InputError("the tools for layouts are not installed; run: scripts/setup cells layout")
     return cells
 
@@ -105,22 +108,26 @@ def lay_out(unit: Unit, clock_mhz: float, tell: Callable[[str], None], view: Vie
     cells, files = require_tools(), bound(units_files([unit], cells=True), gated=False)
     files |= {path.name: path.read_text() for path in (*view.cells, *view.macros)}
 
-    def make(folder: Path) -> None:
-        attempt = route(unit.unit_name, cells, folder, tell)
-        finish(unit.unit_name, cells, clock_mhz, attempt, folder)
+    def make(folder: Path) -> dict[str, Any]:
+        route(unit.unit_name, cells, folder, tell)
+        return finish(unit.unit_name, cells, clock_mhz, folder)
 
     folder, facts = made_once(unit.unit_name, files, [str(clock_mhz), *sources(*BEHIND)], make)
-    facts["attempt"] = Attempt(**facts["attempt"])
     return Layout(folder=folder, **facts)
 
 
 def made_once(
-    top: str, files: Mapping[str, str], state: Sequence[str], make: Callable[[Path], None]
+    top: str, files: Mapping[str, str], state: Sequence[str], make: Callable[[Path], dict[str, Any]]
 ) -> tuple[Path, dict[str, Any]]:
-    """Return a folder with a block as BLIF and what `make` makes of it there, and the facts that this writes.
+    """Return a folder that contains a block as BLIF and what `make` adds to it, and the facts that `make` returns.
 
-    The block is in standard cells, with nets of one bit, plain names, and constants from cells. state: of what `make` does.
+    The block is in standard cells. Its nets have one bit and plain names; constants come from cells. state: texts on which
+    the result of `make` depends.
     """
+
+    def finish(folder: Path) -> None:
+        (folder / FACTS).write_text(json.dumps(make(folder), indent=1))
+
     script = [
         f"read_verilog -sv {' '.join(files)}",
         *cells_script(top, flatten=True, gated=False),  # one clock tree
@@ -136,17 +143,17 @@ def made_once(
         f"write_verilog -simple-lhs -noattr -noexpr {MAPPED}",
         f"write_blif -buf BUF_X1 A Z {BLIF}",
     ]
-    folder = yosys_once(build_root() / "layout" / top, {**files, **library_files()}, script, state, make)
+    folder = yosys_once(build_root() / "layout" / top, {**files, **library_files()}, script, state, finish)
     return folder, json.loads((folder / FACTS).read_text())
 
 
-def route(top: str, cells: Path, folder: Path, tell: Callable[[str], None]) -> Attempt:
-    """Place and route the BLIF file of `folder`; return the attempt that succeeded. Raises `ToolchainError` if none did."""
+def route(top: str, cells: Path, folder: Path, tell: Callable[[str], None]) -> None:
+    """Place and route the BLIF file of `folder`. Raises `ToolchainError` if no attempt succeeds."""
     for attempt in ATTEMPTS:
         tell(f"{top}: placing and routing, {attempt.margin:.0%} of the area free")
         write_job(folder, cells, attempt)
         if run_coriolis(folder, LIMIT_S):
-            return attempt
+            return
     tail = "\n".join((folder / LOG).read_text(errors="replace").splitlines()[-TAIL_LINES:])
     raise ToolchainError(f"{top}: {len(ATTEMPTS)} attempts did not route every net\n{tail}")
 
@@ -156,12 +163,10 @@ def write_job(
     cells: Path,
     attempt: Attempt,
     floorplan: Mapping[str, Any] | None = None,
-    macros: "dict[str, dict[str, Strip]] | None" = None,
+    macros: dict[str, dict[str, Strip]] | None = None,
     *lefs: Path,
 ) -> None:
     """Write the job of Coriolis for the BLIF file of `folder`. macros: name -> port -> strip; lefs: of the macros."""
-    from .pins import strips
-
     used = set(re.findall(r"^\.(?:gate|subckt) (\S+)", (folder / BLIF).read_text(), re.MULTILINE))
     used |= {"BUF_X4", "BUF_X1", "LOGIC0_X1", "LOGIC1_X1"}  # of the clock tree, of nets with many pins, of constants
     places = strips(cells / LEFS[1], used) | (macros or {})
@@ -177,10 +182,8 @@ def write_job(
     (folder / JOB).write_text(json.dumps(job | asdict(attempt)))
 
 
-def read_strips(folder: Path) -> "dict[str, dict[str, Strip]]":
+def read_strips(folder: Path) -> dict[str, dict[str, Strip]]:
     """Return the strips that `write_job` wrote."""
-    from .pins import Strip
-
     stored = json.loads((folder / STRIPS).read_text())
     return {cell: {pin: Strip(*values) for pin, values in pins.items()} for cell, pins in stored.items()}
 
@@ -202,16 +205,12 @@ def run_coriolis(folder: Path, limit_s: float) -> bool:
     return done.returncode == 0
 
 
-def finish(top: str, cells: Path, clock_mhz: float, attempt: Attempt, folder: Path) -> None:
-    """Draw, check and time the routed block of `folder`. Raises `ToolchainError` on an open or a short."""
-    from . import drawn, wires
-    from .pins import cell_widths_um
-
-    placed: dict[str, Any] = json.loads((folder / PLACED).read_text())
-    strips = read_strips(folder)
-    widths_um = cell_widths_um(cells / LEFS[1])
-    layout = drawn.draw(folder / f"{top}.gds", cells / GDS, placed, strips, widths_um, top)
-    joined = drawn.connect(layout, top, placed, strips)
+def finish(top: str, cells: Path, clock_mhz: float, folder: Path) -> dict[str, Any]:
+    """Draw, check and time the routed block of `folder`; return its facts. Raises `ToolchainError` on an open or a short."""
+    placed: Placed = json.loads((folder / PLACED).read_text())
+    places, widths_um = read_strips(folder), cell_widths_um(cells / LEFS[1])
+    layout = drawn.draw(folder / f"{top}.gds", cells / GDS, placed, places, widths_um, top)
+    joined = drawn.connect(layout, top, placed, places)
     if joined.opens or joined.shorts or joined.off:
         raise ToolchainError(
             f"{top}: {len(joined.opens)} open nets {joined.opens[:5]}, {len(joined.shorts)} shorts {joined.shorts[:5]}, "
@@ -219,30 +218,50 @@ def finish(top: str, cells: Path, clock_mhz: float, attempt: Attempt, folder: Pa
         )
     layout.write(str(folder / FINAL))
     drawn.draw_picture(folder / FINAL, folder / f"{top}.png")
-    lengths = wires.lengths_um(folder / f"{top}_export.def")
-    wired = wires.wired(top, placed, strips, lengths, cells / LEFS[0])
-    (folder / SPEF).write_text(wired.spef)
-    (folder / VERILOG).write_text(wires.netlist(top, placed))
-    slack_ns, hold_ns = time_wires(top, clock_mhz, folder)
-    real = [one["kind"] for one in placed["cells"] if not one["kind"].startswith("FILL")]
-    library = read_cells(folder / LIBERTY, set(real))
-    facts = {
-        "attempt": asdict(attempt),
-        "cells": len(real),
-        "cell_area_um2": sum(widths_um[kind] for kind in real) * drawn.ROW_UM,
-        "width_um": placed["width"],
-        "height_um": placed["height"],
-        "buffers": real.count(CLOCK_BUFFER),
+    wired = wires.wired(top, placed, places, wires.lengths_um(folder / f"{top}_export.def"), cells / LEFS[0])
+    library = read_cells(folder / LIBERTY, set(kinds_of(placed)))
+    return timed_facts(top, placed, placed, wired.spef, widths_um, clock_mhz, folder) | {
         "clock_tree_mw": wires.clock_tree_mw(placed, wired, library, supply_v(folder / LIBERTY), clock_mhz),
         "nets": joined.nets,
         "wire_um": wired.length_um,
         "wire_ff": wired.capacitance_ff,
         "sinks": wired.sinks,
-        "slack_ns": slack_ns,
-        "hold_ns": hold_ns,
         "rules": drawn.check_rules(layout, top),
     }
-    (folder / FACTS).write_text(json.dumps(facts, indent=1))
+
+
+def kinds_of(placed: Placed) -> list[str]:
+    """Return the kinds of all cells of a placed block except fillers."""
+    return [one["kind"] for one in placed["cells"] if not one["kind"].startswith("FILL")]
+
+
+def timed_facts(
+    top: str,
+    placed: Placed,
+    flat: Placed,
+    spef: str,
+    widths_um: Mapping[str, float],
+    clock_mhz: float,
+    folder: Path,
+    macro: str = "",
+) -> dict[str, Any]:
+    """Time a block with its wires, and return the facts that all placed blocks have.
+
+    flat: the block with the cells inside its macros; macro: the kind of the macros, which do not count as cells.
+    """
+    (folder / SPEF).write_text(spef)
+    (folder / VERILOG).write_text(wires.netlist(top, flat))
+    slack_ns, hold_ns = time_wires(top, clock_mhz, folder)
+    own = [kind for kind in kinds_of(placed) if kind != macro]
+    return {
+        "cells": len(own),
+        "cell_area_um2": sum(widths_um[kind] for kind in own) * drawn.ROW_UM,
+        "width_um": placed["width"],
+        "height_um": placed["height"],
+        "buffers": own.count(CLOCK_BUFFER),
+        "slack_ns": slack_ns,
+        "hold_ns": hold_ns,
+    }
 
 
 def time_wires(top: str, clock_mhz: float, folder: Path) -> tuple[float, float]:

@@ -18,7 +18,7 @@ from attrs import frozen
 from ...hdl.export import units_files
 from ...hdl.unit import Unit
 from ...tools.build import ToolchainError
-from ..yosys import CLOCK_BUFFER, bound
+from ..yosys import bound
 from . import buffers, drawn, flow, wires
 from .delays import shell
 from .drawn import Placed, Strips
@@ -34,24 +34,12 @@ DETOUR = 1.23  # mean of the nets of the tree that Coriolis routed
 ESTIMATED_ON = 3, 4, 5, 6  # metals of an estimated wire, which has the same length on each
 
 
-@frozen
-class Hierarchy:
-    """A placed block with its macros.
+@frozen(kw_only=True)
+class Hierarchy(flow.Block):
+    """A placed block with its macros. Cells, nets and wires do not include those of the macros."""
 
-    Cells, nets and wires do not include those of the macros. Slacks are of all paths between registers.
-    """
-
-    folder: Path
     macros: int
-    cells: int
-    cell_area_um2: float
-    width_um: float
-    height_um: float
-    buffers: int
-    nets: int
     wire_mm: float
-    slack_ns: float
-    hold_ns: float
 
 
 @frozen
@@ -77,7 +65,7 @@ def lay_out(unit: Unit, leaf: Unit, layout: flow.Layout, clock_mhz: float, tell:
     files["macro.v"] = f"(* blackbox *)\nmodule {kind} ({', '.join(ports)});\n{declared}endmodule\n"
     state = [str(clock_mhz), layout.folder.name, *flow.sources("document")]
 
-    def make(folder: Path) -> None:
+    def make(folder: Path) -> dict[str, Any]:
         tell(f"{unit.unit_name}: placing it around its minigroups")
         macro = read_macro(leaf.unit_name, layout, ports)
         (folder / MACRO_LEF).write_text(macro_lef(macro, ports))
@@ -87,7 +75,7 @@ def lay_out(unit: Unit, leaf: Unit, layout: flow.Layout, clock_mhz: float, tell:
         flow.run_coriolis(folder, LIMIT_S)
         if not (folder / flow.PLACED).exists():
             raise ToolchainError(f"{unit.unit_name}: not placed within {LIMIT_S} s")
-        _finish(unit.unit_name, macro, cells, clock_mhz, folder)
+        return _finish(unit.unit_name, macro, cells, clock_mhz, folder)
 
     folder, facts = flow.made_once(unit.unit_name, files, state, make)
     return Hierarchy(folder=folder, **facts)
@@ -192,8 +180,8 @@ def drivers_lost(whole: Placed) -> list[str]:
     return sorted(net for net in nets if drivers[net] != 1)
 
 
-def _finish(top: str, macro: Macro, cells: Path, clock_mhz: float, folder: Path) -> None:
-    """Add buffers to the placed block of `folder`, and time it."""
+def _finish(top: str, macro: Macro, cells: Path, clock_mhz: float, folder: Path) -> dict[str, Any]:
+    """Add buffers to the placed block of `folder`, time it, and return its facts."""
     strips, widths_um = flow.read_strips(folder) | dict(macro.strips), cell_widths_um(cells / flow.LEFS[1])
     widths_um[macro.kind] = macro.placed["width"]
     outputs = [port for port, way in macro.placed["ports"].items() if way == "output"]
@@ -204,20 +192,8 @@ def _finish(top: str, macro: Macro, cells: Path, clock_mhz: float, folder: Path)
     wired = wires.wired(top, whole, strips, lengths_um(placed, macro, estimated_um), cells / flow.LEFS[0])
     if lost := set(drivers_lost(whole)) - set(floating):
         raise ToolchainError(f"{top}: buffers left nets without a driver, or with several: {sorted(lost)[:5]}")
-    (folder / flow.SPEF).write_text(wired.spef)
-    (folder / flow.VERILOG).write_text(wires.netlist(top, whole))
-    slack_ns, hold_ns = flow.time_wires(top, clock_mhz, folder)
-    own = [one["kind"] for one in placed["cells"] if one["kind"] != macro.kind and not one["kind"].startswith("FILL")]
-    facts = {
+    return flow.timed_facts(top, placed, whole, wired.spef, widths_um, clock_mhz, folder, macro.kind) | {
         "macros": len(macros_of(placed, macro)),
-        "cells": len(own),
-        "cell_area_um2": sum(widths_um[kind] for kind in own) * drawn.ROW_UM,
-        "width_um": placed["width"],
-        "height_um": placed["height"],
-        "buffers": own.count(CLOCK_BUFFER),
         "nets": len(estimated_um),
         "wire_mm": sum(estimated_um.values()) / 1000,
-        "slack_ns": slack_ns,
-        "hold_ns": hold_ns,
     }
-    (folder / flow.FACTS).write_text(json.dumps(facts, indent=1))
