@@ -33,7 +33,7 @@ def fpga_module() -> Board:
     return Board(
         title="The FPGA preset placed and routed",
         command="make pnr",
-        what="a module (two subgroups, their TDC, FIFOs, deserialisers), readout, registers and a PLL",
+        what="a module of two subgroups (with TDC, FIFOs and deserialisers), readout, registers and a PLL",
         chip=f"ECP5 um5g-85k, {PACKAGE}, speed grade 8",
         top="coincid_ecp5",
         files=files,

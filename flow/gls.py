@@ -74,7 +74,7 @@ def cell_models(target: str = CELLS) -> str:
         source = folder / CELL_MODELS
     own = FLOPS.read_text()
     text = source.read_text()
-    for name in re.findall(r"^module (\S+)", own, flags=re.MULTILINE):
+    for name in re.findall(r"^(?:module |`CLOCK_GATE\()([^\s)]+)", own, flags=re.MULTILINE):
         text = re.sub(
             rf"^module {re.escape(name)}\s*\(.*?^endmodule", "", text, count=1, flags=re.DOTALL | re.MULTILINE
         )

@@ -131,17 +131,18 @@ def fastest(placements: Sequence[Placement]) -> Placement:
 
 
 def report(board: Board, placements: Sequence[Placement]) -> str:
-    """Return Fmax of every clock with every seed, the resources, and the longest path, as Markdown."""
+    """Return Fmax of every clock with every seed, what is used, and the longest path of all, as Markdown."""
     first = placements[0]
     worst = max(placements, key=lambda placement: _delay_ns(placement.longest))
     hops = worst.longest["path"]
     cells = sum(hop["type"] == "logic" for hop in hops)
     intro = (
-        f"Written by `{board.command}` with nextpnr: {board.what} on an {board.chip}. One netlist is placed with {len(placements)} seeds, "
-        f"and every clock must reach {board.goal_mhz:g} MHz with every seed. The bitstream has {first.bitstream.stat().st_size} bytes."
+        f"`{board.command}` writes this page. nextpnr places {board.what} on an {board.chip}. It places one netlist with "
+        f"{len(placements)} seeds, and every clock must reach {board.goal_mhz:g} MHz with each seed. "
+        f"The bitstream has {first.bitstream.stat().st_size} bytes."
     )
     path = (
-        f"Longest path: {_delay_ns(worst.longest):.2f} ns with seed {worst.seed}, {cells} cells, from "
+        f"The longest path takes {_delay_ns(worst.longest):.2f} ns, with seed {worst.seed}. It passes {cells} cells from "
         f"`{hops[0]['from']['cell']}` to `{hops[-1]['to']['cell']}`."
     )
     fmax = ([clock, *(f"{placement.fmax_mhz[clock]:.1f}" for placement in placements)] for clock in first.fmax_mhz)

@@ -57,50 +57,20 @@ module random_clock_gate (
   and (GCK, CK, state);
 endmodule
 
-module CLKGATE_X1 (
-    input  CK,
-    input  E,
-    output GCK
-);
-  random_clock_gate gate (
-      .CK (CK),
-      .E  (E),
-      .GCK(GCK)
-  );
+`define CLOCK_GATE(name) \
+module name ( \
+    input  CK, \
+    input  E, \
+    output GCK \
+); \
+  random_clock_gate gate ( \
+      .CK (CK), \
+      .E  (E), \
+      .GCK(GCK) \
+  ); \
 endmodule
 
-module CLKGATE_X2 (
-    input  CK,
-    input  E,
-    output GCK
-);
-  random_clock_gate gate (
-      .CK (CK),
-      .E  (E),
-      .GCK(GCK)
-  );
-endmodule
-
-module CLKGATE_X4 (
-    input  CK,
-    input  E,
-    output GCK
-);
-  random_clock_gate gate (
-      .CK (CK),
-      .E  (E),
-      .GCK(GCK)
-  );
-endmodule
-
-module CLKGATE_X8 (
-    input  CK,
-    input  E,
-    output GCK
-);
-  random_clock_gate gate (
-      .CK (CK),
-      .E  (E),
-      .GCK(GCK)
-  );
-endmodule
+`CLOCK_GATE(CLKGATE_X1)
+`CLOCK_GATE(CLKGATE_X2)
+`CLOCK_GATE(CLKGATE_X4)
+`CLOCK_GATE(CLKGATE_X8)

@@ -31,7 +31,7 @@ from ..model.shared.files import whole_file
 from ..model.shared.folders import build_root
 from ..tb.rtl import sensor_key
 from ..tools.wheels import yosys_once
-from .logic_depth import longest_paths
+from .logic_depth import depths
 from .mapped import FLOP, GATE, LATCH, map_block, slacks_ns
 from .yosys import LIBERTY, bound, cells_script, generic_script, library_files
 
@@ -167,7 +167,7 @@ def _blocks(folder: Path, top: str, measured: list[str]) -> dict[str, Block]:
 def _levels(folder: Path, top: str, units: list[str]) -> dict[str, int]:
     """Return the logic depth by kind of block. A unit of the top is measured as a whole and has registers at its ports."""
     hierarchy = json.loads((folder / "netlist.json").read_text())["modules"]
-    worst = Counter({top: max((path.levels for path in longest_paths(hierarchy[top]).values()), default=0)})
+    worst = Counter({top: max(depths(hierarchy[top]).values(), default=0)})
     for unit in units:
         kinds, pending = {"": unit}, [""]
         while pending:
@@ -178,9 +178,9 @@ def _levels(folder: Path, top: str, units: list[str]) -> dict[str, int]:
                     kinds[path] = cell["type"]
                     pending.append(path)
         flat = json.loads((folder / f"{unit}.json").read_text())["modules"][unit]
-        for path, longest in longest_paths(flat).items():
+        for path, levels in depths(flat).items():
             kind = kinds[path].split(".")[0]
-            worst[kind] = max(worst[kind], longest.levels)
+            worst[kind] = max(worst[kind], levels)
     return dict(worst)
 
 
