@@ -14,11 +14,10 @@ import numpy as np
 from scipy import special
 
 from ..contract.config import Config
-from ..contract.packet import BEAT_BITS
 from ..shared.compiled import njit
 from ..shared.constants import SPEED_OF_LIGHT_M_S
 from ..shared.threads import Threads
-from .histograms import Events, by_subgroup, pixel_image
+from .histograms import Events, by_subgroup, is_hit, pixel_image
 
 BELIEVED_MIN = 0.5  # confidence
 DOUBTFUL = 0.4  # confidence, at most, of a depth at the gate's edge or beyond the period, or with a rival
@@ -240,10 +239,9 @@ def _count(stamp, hits, everywhere, first, until, span, total, near, other):
     """
     outside = np.empty(len(stamp), np.int64)
     for i in range(len(total)):
-        word, bit = i // BEAT_BITS, np.uint64(i % BEAT_BITS)
         number = begin = 0
         for e in range(len(stamp)):
-            if not (everywhere or hits[e, word] >> bit & np.uint64(1)):
+            if not (everywhere or is_hit(hits, e, i)):
                 continue
             total[i] += 1
             if first[i] < stamp[e] <= until[i]:

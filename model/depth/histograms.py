@@ -235,12 +235,30 @@ def frame_records(
     return arrays["mg_stamp"][row], arrays["mg_map"][row], bounds
 
 
+@njit(allocates=False)
+def is_hit(hits, e, i):
+    """Return whether pixel i of the subgroup is in the map of event e. hits: uint64[n, words]."""
+    return hits[e, i // BEAT_BITS] >> np.uint64(i % BEAT_BITS) & np.uint64(1) != 0
+
+
+@njit
+def hits_away(stamp, hits, bounds, time, near):
+    """int64[subgroups, pixels]: each pixel's hits in events whose stamp is not `near` the pixel's time, or whose time is NaN."""
+    number = np.zeros(time.shape, np.int64)
+    for s in range(len(time)):
+        of_subgroup, times = number[s], time[s]
+        for e in range(bounds[s], bounds[s + 1]):
+            for i in range(len(times)):
+                of_subgroup[i] += np.int64(is_hit(hits, e, i) and not abs(stamp[e] - times[i]) < near)
+    return number
+
+
 @njit
 def _add_events(histogram: np.ndarray, bins: np.ndarray, hits: np.ndarray, everywhere: bool) -> None:
     """Count each event in its bin, for the pixels of its map or for all pixels."""
     for e in range(len(bins)):
         for i in range(len(histogram)):
-            if everywhere or hits[e, i // BEAT_BITS] >> np.uint64(i % BEAT_BITS) & np.uint64(1):
+            if everywhere or is_hit(hits, e, i):
                 histogram[i, bins[e]] += 1
 
 
@@ -261,10 +279,10 @@ def _add_offsets(
     for e in range(len(stamp)):
         seen[:] = 0
         for i in range(pixels):
-            seen[pixel.minigroup[i]] += np.int64(hits[e, i // BEAT_BITS] >> np.uint64(i % BEAT_BITS) & np.uint64(1))
+            seen[pixel.minigroup[i]] += np.int64(is_hit(hits, e, i))
         for i in range(pixels):
             g = pixel.minigroup[i]
-            if hits[e, i // BEAT_BITS] >> np.uint64(i % BEAT_BITS) & np.uint64(1) and offset[e, g] != OFFSET_NONE:
+            if is_hit(hits, e, i) and offset[e, g] != OFFSET_NONE:
                 at = stamp[e] // phases * phases + step * (offset[e, g] + 0.5) + lead[seen[g]]
                 histogram[i, min(np.int64(at), histogram.shape[1] - 1)] += 1
 

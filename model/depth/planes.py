@@ -20,10 +20,11 @@ from attrs import frozen
 
 from ..contract.config import Config
 from ..shared.threads import Threads
-from .histograms import Events, by_subgroup
-from .likelihood import Grid, Guess, Levels, hits_away, log_likelihood, unheard
+from .histograms import Events, by_subgroup, hits_away
+from .likelihood import Grid, Guess, Levels, log_likelihood
 from .patchmatch import Field, doublings, fit_planes, level_on, posterior
 from .seeds import LEAST, Blocks, find_seeds, seed_scores
+from .unheard import unheard
 
 COARSE_SIGMAS = 1.4  # step of the first grid
 COARSE_LIGHTS = np.geomspace(0.02, 40, 7).astype(np.float32)  # photons per pulse

@@ -10,10 +10,11 @@ from coincid.model.contract.config import parse_config
 from coincid.model.depth import planes
 from coincid.model.depth.arrivals import pulse_sigma_ticks
 from coincid.model.depth.histograms import by_subgroup, frame_events
-from coincid.model.depth.likelihood import Grid, Guess, log_likelihood, unheard
+from coincid.model.depth.likelihood import Grid, Guess, log_likelihood
 from coincid.model.depth.planes import LIGHTS
 from coincid.model.depth.quality import OTHER_SURFACE_M, TOLERANCE_M, wrong_share
 from coincid.model.depth.seeds import find_seeds
+from coincid.model.depth.unheard import unheard
 from coincid.model.light.light import Light, signal_per_pulse
 from coincid.model.light.spad import Spad
 from coincid.model.scenes.catalogue import load_scene
