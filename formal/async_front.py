@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Proof of the asynchronous view's control: whatever its events leave behind, no wrong word comes out, and it never locks up.
 
-All cells and macros are cut away: hit flops, roots, arbiters, window ends, samples and pictures may have any value in any
-half cycle. So the proof covers every pattern of edges, every delay, and every flop that falls to the wrong side. What
-remains is the control, and the logic that collects words at the clock. A step is half a clock cycle: registers with a
+All cells and macros are cut away. So hit flops, roots, arbiters, window ends, samples and pictures may have any value in
+any half cycle. The proof covers every pattern of edges, every delay, and every flop that falls to the wrong side. The control
+remains, and the logic that collects words at the clock. A step is half a clock cycle: registers with a
 rising clock edge move in one step, those with a falling edge in the next.
 """
 
@@ -21,7 +21,7 @@ from ..model.contract.parameters import Sensor
 from .proof_bench import KEPT, PROOFS, Proof, elaborated
 
 DEPTH = 14  # half cycles of the induction
-COVER = 40  # half cycles within which a window with two pixels, not all in its first cycle, comes out
+COVER = 40  # half cycles within which a window with two pixels that spans several cycles comes out
 SMALL = Sensor(rows=4, cols=4, subgroup=(4, 4), minigroup=(2, 2), phases=4, coarse_bits=3, window_max=8)
 SCRIPT = """\
 cutpoint -blackbox
@@ -96,7 +96,7 @@ def _control_returns(m: Module, control: AsyncControl, started: Signal) -> None:
     m.d.fall += [unanswered.eq(0), parity.eq(parity_now)]
     with m.If(control.window_open & ended & ~control.closes & ((unanswered == 0) | (parity_now == parity))):
         m.d.fall += unanswered.eq(unanswered + 1)
-    m.d.comb += Assert(~started | (unanswered <= 2))  # an end that stays closes its window within two cycles
+    m.d.comb += Assert(~started | (unanswered <= 2))  # if the end stays, the window closes within two cycles
     if control.sensor.rearm:
         m.d.comb += Assert(~started | (control.hold < max(2, control.sensor.rearm)))
 

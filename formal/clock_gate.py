@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Proofs that a subgroup's clock may stop: an edge of the clock that the gate holds back would have changed nothing.
+"""Proofs that a subgroup's clock may stop: a clock edge that the gate holds back would have changed nothing.
 
-Everything except the front end comes to rest: no register and no row of a memory would change. SPADs fire between frames,
-too, so the first stages of the front end would take edges, which then count nowhere. There, the tree with the gated clock
-is compared with one whose clock never stops. Some blocks have a gate of their own. As elsewhere, the state at power-on
-is any.
+Everything except the front end comes to rest: no register and no row of a memory would change. SPADs also fire between
+frames, so the first stages of the front end would take edges, which count nowhere. For the front end, a tree with the
+gated clock is therefore compared with a tree whose clock never stops. Some blocks have a gate of their own. As
+elsewhere, a proof assumes nothing about the state at power-on.
 """
 
 from collections.abc import Iterator
@@ -12,7 +12,7 @@ from types import SimpleNamespace
 from typing import Any
 
 from amaranth.hdl import Assume, Cat, EnableInserter, Fragment, Mux, ResetSignal, Signal
-from amaranth.hdl._mem import MemoryInstance  # the language's only way to a memory's write enable
+from amaranth.hdl._mem import MemoryInstance  # Amaranth has no other access to a memory's write enable
 
 from ..hdl import bus
 from ..hdl.dpcu import Dpcu
@@ -23,9 +23,9 @@ from ..hdl.tree import CoincidenceTree
 from .proof_bench import Bench, proof
 from .sensors import SMALL
 
-# Begins of names: edges before the gate, and data that go with them.
+# How the names of registers begin that hold edges before the gate, or data that go with them.
 EDGE_DATA = ("valid_1", "phase_", "step", "root", "coarse_")
-TREE_CYCLES = 12  # without a strobe, after which a tree shows nothing
+TREE_CYCLES = 12  # without a strobe; then a tree shows nothing
 
 
 def _parts(fragment: Fragment) -> Iterator[Fragment]:
@@ -52,7 +52,7 @@ def _driven(b: Bench, unit: Any) -> Fragment:
 
 
 def _rests(b: Bench, unit: Any) -> Signal:
-    """State that no register and no row of a memory of a unit changes where its gate is closed; return when that is."""
+    """State that no register and no row of a memory of a unit changes while its gate is closed; return when it is closed."""
     dut = _driven(b, unit)
     closed = b.same("closed", ~unit.clock_gate.enable)
     for register in _registers(dut):

@@ -18,7 +18,7 @@ SUM_MAX = (1 << DATA_BITS + 1) - 1
 
 
 def _turned(values: list[Value], turns: int) -> list[Value]:
-    """Return the values as a ring shows them after some turns."""
+    """Return the values as a ring of registers shows them after some turns."""
     return [values[(k + turns) % len(values)] for k in range(len(values))]
 
 

@@ -13,8 +13,8 @@ from ..model.contract.settings import AUTO_BOUNDS, THRESHOLD_MAX
 from .proof_bench import Bench, proof
 from .sensors import SMALL
 
-FULL = (1 << COUNTER_BITS) - 1  # saturated counter of photons,
-FULL_OF_CYCLES = (1 << counter_bits("opened", SMALL)) - 1  # and of cycles in a frame
+FULL = (1 << COUNTER_BITS) - 1  # a saturated counter of photons,
+FULL_OF_CYCLES = (1 << counter_bits("opened", SMALL)) - 1  # and one of cycles in a frame
 
 
 STREAMS = 3  # on the bus: the previous stream, the subgroup's own, the next one

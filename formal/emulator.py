@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Proofs of the emulator: frames on the serial line, the frame buffer, and the photon source.
 
-These proofs replace the CRC of a frame, which is the library's, by an arbitrary function of the bytes. The buffer's depth
+Amaranth's library provides the CRC of a frame; here it is an arbitrary function of the bytes. The buffer's depth
 is only a parameter of counters. The pixels of a source are independent, so a proof for an arbitrary one holds for all.
 """
 

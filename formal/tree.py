@@ -24,8 +24,8 @@ from .sensors import SMALL
 class Edges:
     """Edges that count by the contract: from unmasked pixels, and inside the gate. A reset drops all earlier edges.
 
-    raw_1, raw_2: edge words of the unmasked pixels, independent of the gate; stage_1, stage_2, stage_3: of all edges that
-    count, so many cycles behind the port; fresh: no reset has reached stage 2; fresh_3: none has reached stage 3.
+    raw_1, raw_2: edge words of the unmasked pixels, independent of the gate; stage_1, stage_2, stage_3: words of all edges
+    that count. The numbers are cycles behind the port. fresh: no reset has reached stage 2; fresh_3: none has reached stage 3.
     """
 
     pixels: int

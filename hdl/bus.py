@@ -28,7 +28,7 @@ class Operation(enum.Enum, shape=4):  # type: ignore[call-arg]  # Amaranth's enu
     BUDGET = 0b0110  # data is the budget of the stream that begins with this subgroup; earlier streams ignore it
     LIMIT = 0b1111  # likewise, data is its limit
     COMPARE = 0b1001  # data is a bound of the threshold controller
-    ACCESS = 0b1100  # an access to the registers is in progress: wake up; the subgroup of the bus shows its word
+    ACCESS = 0b1100  # an access to the registers is in progress: wake up, and show the word if it is this subgroup's
     BEGIN = 0b1010  # begin the frame: clear the counters, set the threshold; data is the controller's lowest threshold
 
 
@@ -41,14 +41,14 @@ class Send(enum.Enum, shape=2):  # type: ignore[call-arg]
     COUNTERS = 2
 
 
-# `parity` is the parity of a write's data as they arrived at the register port.
+# parity: of a write's data when they arrived at the register port.
 CONFIG_BUS = data.StructLayout(
     {"operation": Operation, "subgroup": SUBGROUP_BITS, "word": WORD_BITS, "data": DATA_BITS, "parity": 1}
 )
 # A beat of counters on its way out. `controlled`: the threshold controller sets the threshold of its subgroup.
 COUNTED = data.StructLayout({"valid": 1, "beat": BEAT_BITS, "controlled": 1})
 
-STROBES = ("running", "start", "wrap", "may_open")  # of the time layout; the shift goes with `start`
+STROBES = ("running", "start", "wrap", "may_open")  # of the time layout; the shift changes with `start`
 
 
 def time_layout(sensor: Sensor) -> data.StructLayout:
@@ -76,7 +76,7 @@ def _registers_layout(sensor: Sensor, names: tuple[str, ...]) -> data.StructLayo
 
 
 def settings_layout(sensor: Sensor) -> data.StructLayout:
-    """The settings of a subgroup; a switch of what is not built has no bit."""
+    """The settings of a subgroup; the switch of a block that is not built has no bit."""
     return data.StructLayout(
         {
             name: sensor.pixels if setting.kind is Kind.MASK else setting.limits(sensor)[1].bit_length()
@@ -98,7 +98,7 @@ def offsets_layout(sensor: Sensor) -> data.ArrayLayout:
 
 
 def event_layout(sensor: Sensor) -> data.StructLayout:
-    """An event as the FIFO stores it; its offsets only where they are built."""
+    """An event as the FIFO stores it; it has offsets only if they are built."""
     offsets = {"offsets": offsets_layout(sensor)} if sensor.offsets else {}
     return data.StructLayout({"window": window_layout(sensor), **offsets, "pulse": PULSE_BITS, "overrun": 1})
 

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Clock gate: stops the clock of the blocks behind it.
 
-In simulation and on FPGAs it lets every edge pass: the blocks behind it are such that an edge changes nothing while the
-gate is closed, which `formal/clock_gate.py` proves. In silicon, a latch and an AND, or the library's cell with both, stand
-under the same name. The paper does not mention clock gates; they are our choice.
+In simulation and on FPGAs it lets every edge pass. An edge changes nothing in the blocks behind it while the gate is
+closed; `formal/clock_gate.py` proves this. In silicon, a module with a latch and an AND, or the library's cell with both,
+has the same name. The paper does not mention clock gates; they are our choice.
 """
 
 from amaranth.hdl import ClockDomain, ClockSignal, DomainRenamer, Elaboratable, Module, ResetSignal, Value
@@ -11,17 +11,17 @@ from amaranth.lib.wiring import In, Out
 
 from .unit import Export, Unit, place
 
-GATED, FREE = "gated", "free"  # clock domains, behind a gate and in front of it
+GATED, FREE = "gated", "free"  # clock domains behind a gate and in front of it
 
 
 class ClockGate(Unit):
     """Gate of a clock.
 
-    small: it drives a block of a subgroup, not all of it.
+    small: it drives one block of a subgroup, not the whole subgroup.
 
     Ports
     -----
-    enable : in, the clock's next edge is needed; it may come through logic, and settles before the cycle's end
+    enable : in, the clock's next edge is needed; it may come from logic that settles before the end of the cycle
     gated : out, the clock behind the gate
     """
 
@@ -65,6 +65,6 @@ def stopped(m: Module, platform, gate: ClockGate, enable: Value, domain: str = "
 
 
 def behind(m: Module, platform, gate: ClockGate, enable: Value) -> Elaboratable:
-    """Return a block `m` with all of it behind a gate of its clock, as in `stopped`."""
+    """Return the block `m`, with a gate in front of its whole clock, as in `stopped`."""
     stopped(m, platform, gate, enable, FREE)
     return DomainRenamer({"sync": GATED, FREE: "sync"})(m) if isinstance(platform, Export) else m

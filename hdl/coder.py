@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Coder of a stream: takes the events from the output buffer, and turns them into the parts of groups for the packer.
 
-The paper leaves the readout open; the form of the groups is our choice (`docs/compact.md`). One coder per stream is enough,
-because one beat per cycle comes by, so the subgroups do not change. It packs an event while it takes the next one.
+The paper leaves the readout open; the form of the groups is our choice (`docs/compact.md`). A stream carries one beat per
+cycle, so it needs only one coder, and the subgroups do not change. The coder packs an event while it takes the next one.
 """
 
 from typing import Any
@@ -30,7 +30,7 @@ class Phase(enum.Enum, shape=2):  # type: ignore[call-arg]  # Amaranth's enumera
 
 
 class Ends:
-    """The lowest and the highest one of some bits, one-hot; whether there are one, two and more; and the bits between them."""
+    """The lowest and the highest one of some bits, one-hot; whether there are at least one, two and three; the bits in between."""
 
     def __init__(self, m: Module, bits: Value, name: str):
         self.bits, self.name = bits, name
@@ -48,7 +48,7 @@ class Ends:
         return Cat(lowest(m, padded, f"{self.name}_first"), ~lowest(m, padded[::-1], f"{self.name}_last"))
 
     def values(self, m: Module, items: list[Value], name: str) -> Value:
-        """Return those of the items that stand at the lowest and at the highest one."""
+        """Return the items at the places of the lowest and of the highest one."""
         return Cat(
             any_of(m, [item & here.replicate(len(item)) for item, here in zip(items, one_hot)], f"{name}_{end}")
             for end, one_hot in enumerate((self.low, self.high))
@@ -56,7 +56,7 @@ class Ends:
 
 
 class Next:
-    """Registers: up to two items of `width` bits that are packed next, whether there are one and two, and more after them."""
+    """Registers: up to two items of `width` bits that are packed next, and whether there are at least one, two and three."""
 
     def __init__(self, width: int, name: str):
         self.width = width
@@ -69,12 +69,12 @@ class Next:
         return [self.items.eq(items), *flags]
 
     def shown(self) -> Value:
-        """Return the items; 0 for one that there is not."""
+        """Return the items, with 0 for a missing one."""
         low, high = self.items[: self.width], self.items[self.width :]
         return Cat(low & self.one.replicate(self.width), high & self.two.replicate(self.width))
 
     def bits(self) -> Value:
-        """Return the bits of the items."""
+        """Return the width of the items that exist."""
         return Mux(self.two, 2 * self.width, Mux(self.one, self.width, 0))
 
 
@@ -96,12 +96,12 @@ class Coder(Unit):
     grouped, with_offsets : in, of the frame's format; period : in, laser period in cycles
     valid, beat, last : in, the output buffer's next beat; head : in, `is_event_head` of it; take : out, it is taken or passes
     offer, part, bits, close : out, to the packer, from registers; free : in, from it
-    passes : out, the beat is of another packet than an event, and no group is open; passed : in, the receiver takes it
+    passes : out, the beat belongs to no event, and no group is open; passed : in, the receiver takes it
     frame_begin : in, forget everything
 
     A group ends before an event whose pulse does not fit, and before any other packet. An event takes at least one cycle
-    per beat, and one per part. A beat with `last` is of no event, whatever comes before it, so an upset never holds the
-    end of a frame back. Inputs come from registers or through little logic. Reset forgets everything.
+    per beat, and one per part. A beat with `last` never counts as part of an event, so an upset cannot hold back
+    the end of a frame. Inputs come from registers or through little logic. Reset forgets everything.
     """
 
     unit_name = "coincid_coder"
@@ -243,7 +243,7 @@ class Coder(Unit):
             m.d.sync += [self.open.eq(1), self.pulse.eq(self.event_pulse)]
 
     def _work(self, m):
-        """Begin with the taken event as soon as nothing more comes of the one at work."""
+        """Begin with the taken event as soon as the one at work has no further part."""
         widths = self.widths
         same = Signal()
         count = self._taken("count")
@@ -285,7 +285,7 @@ class Coder(Unit):
             m.d.sync += [self.busy.eq(~self.ends), self.phase.eq(Mux(to_pixels, Phase.PIXELS, Phase.OFFSETS))]
 
     def _pixels(self, m):
-        """Choose the next two pixels, or the next part of the map; of a new event and of the one at work side by side."""
+        """Choose the next two pixels or the next part of the map, for a new event and for the one at work side by side."""
         sensor = self.sensor
         hits, own = self._taken("map"), self.pixels
         others = Signal(sensor.pixels)

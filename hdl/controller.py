@@ -19,10 +19,10 @@ from .logic import carry_select
 from .unit import Unit
 from .voted import Voted
 
-# Beat and word of these counters in the packet; the sums wait for the later one.
+# Beat and word of these counters in the packet; the sums wait for the later counter.
 COMMITTED, LOWER = (divmod(COUNTER_NAMES.index(name), BEAT_BITS // COUNTER_BITS) for name in ("committed", "lower"))
 STEPS = 1 + len(BUDGET_GROWTHS)  # candidates for the next budget
-SUMS = 1 + STEPS  # what was committed, and what each of them would let through
+SUMS = 1 + STEPS  # of the committed events, and of those that each candidate would let through
 FILLED = 5  # cycles from the beginning of a frame to the first candidate: one for the first share, four to compute it
 SETTLED = SUMS + 5  # cycles from the last beat of counters in a frame to the new budget and limit
 
@@ -46,7 +46,7 @@ class Controller(Unit):
 
     def __init__(self, sensor: Sensor):
         self.sensor = sensor
-        assert layout(sensor).counter_beats >= SUMS  # one subgroup has left the sums before the next one comes
+        assert layout(sensor).counter_beats >= SUMS  # the sums are done with a subgroup before the next one comes
         super().__init__(
             command=In(bus.CONFIG_BUS),
             capacity=In(DATA_BITS),
@@ -92,7 +92,7 @@ class Controller(Unit):
     def _candidates(self, m):
         """Compute the candidates for the next budget when a frame begins: as it is, and grown by several steps.
 
-        None is above the capacity or below the share. They are computed one behind the other.
+        None is above the capacity or below the share. They are computed one after the other.
         """
         with m.If(self.take):
             m.d.sync += [self.capacity_taken.eq(self.capacity), self.share_taken.eq(self.share)]
@@ -156,7 +156,7 @@ class Controller(Unit):
             m.d.sync += [one.eq(0) for one in self.sums]
 
     def _limits(self, m):
-        """Two candidates for the next limit: below the highest count that the controller can lower, and not below it."""
+        """Compute two candidates for the next limit: one below the highest count that the controller can lower, and one not below it."""
         with m.If(self.slot[0] & self.controlled & (self.now > self.most)):
             m.d.sync += self.most.eq(self.now)
         with m.If(self.take):

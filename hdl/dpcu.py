@@ -21,7 +21,7 @@ from .unit import Unit
 
 
 def counter_bits(name: str, sensor: Sensor) -> int:
-    """Return the width of a counter; 0: it is not built. Only the photons can exceed the number of cycles in a frame."""
+    """Return the width of a counter; 0: not built. Only the count of photons can exceed the number of cycles in a frame."""
     periods = BY_NAME["pulses"].high(sensor)
     match name:
         case "threshold_used":
@@ -43,8 +43,8 @@ class Dpcu(Unit):
     Ports
     -----
     settings : in, of the frame; operation, data : in, the configuration bus, registered
-    in_stream : in, a budget or limit on the bus is for this subgroup's stream, or for an earlier one and is replaced later;
-        unused without the threshold controller, as is data
+    in_stream : in, a budget or limit on the bus is for this subgroup's stream, or for an earlier one, which is replaced
+        later; data and in_stream are unused without the threshold controller
     window_ticks : out, the window in force (1 if coincidence is off)
     start : in, first cycle of a period, two cycles ahead of the ports
     closed, window : in, from the tree (stage 7); commit, event : out, to the FIFO one cycle later (stage 8: the commit cycle)
@@ -108,8 +108,8 @@ class Dpcu(Unit):
         return behind(m, platform, self.clock_gate, awake)
 
     def _told(self, m):
-        """Threshold and window change after operations of the bus only, and stand still in a frame."""
-        told = Signal(2, init=-1)  # in the last cycles
+        """Wake threshold and window after an operation of the bus. They do not change during a frame."""
+        told = Signal(2, init=-1)  # an operation came one and two cycles ago
         tells = Signal()
         m.d.comb += [tells.eq(self.operation != bus.Operation.IDLE), self.awake.eq(tells | told.any())]
         with m.If(self.awake):
@@ -205,7 +205,7 @@ class Dpcu(Unit):
 
 
 def _step(threshold, rises, falls):
-    """Return the threshold one step on, from 1 to `THRESHOLD_MAX`. A programmed threshold may have been higher."""
+    """Return the threshold after one step, from 1 to `THRESHOLD_MAX`. A programmed threshold may have been higher."""
     threshold = threshold | (threshold == 0)  # only an upset makes it 0
     up = Mux(threshold < THRESHOLD_MAX, threshold + 1, THRESHOLD_MAX)
     down = Mux(threshold > THRESHOLD_MAX, THRESHOLD_MAX, threshold - (threshold > 1))

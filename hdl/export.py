@@ -22,7 +22,7 @@ from .unit import Export, Unit
 
 FILE_LIST = "coincid.f"
 DIRECTIONS = {In: PortDirection.Input, Out: PortDirection.Output}
-SENSORS_KEPT = 4  # in memory: an export, its netlists and its tests use the same one
+SENSORS_KEPT = 4  # in memory, because an export, its netlists and its tests use the same sensor
 START = r"""  reg \1 ;
   /* verilator lint_off INITIALDLY */
   initial \1 <= 0;
@@ -32,7 +32,7 @@ START = r"""  reg \1 ;
 def verilog_files(sensor: Sensor, view=POLYPHASE, cells: bool = False) -> dict[str, str]:
     """Return the Verilog by file name: one file per block, and a file list. It depends only on the parameters.
 
-    A view's cells come as behavioural models. cells: the forms for standard cells: memories of latches, clock gates that gate.
+    A view's cells come as behavioural models. cells: with memories of latches and with gating clock gates, for standard cells.
     """
     return _sensor_blocks(sensor, view).chosen(cells)
 
@@ -44,13 +44,13 @@ def cell_files(sensor: Sensor, view=POLYPHASE) -> dict[str, str]:
 
 @frozen
 class _Blocks:
-    """Verilog by file name; cells: of those among them that have another form for standard cells, this form."""
+    """Verilog by file name. cells: the other form of those blocks that have one for standard cells."""
 
     files: dict[str, str]
     cells: dict[str, str]
 
     def chosen(self, cells: bool) -> dict[str, str]:
-        """A copy of the files, with the forms for standard cells or without."""
+        """Return a copy of the files, with or without the forms for standard cells."""
         return self.files | (self.cells if cells else {})
 
 
@@ -108,7 +108,7 @@ def _design(unit: Unit, platform: Export) -> str:
 
 @contextmanager
 def _garbage_left() -> Iterator[None]:
-    """Look for no garbage. Amaranth makes millions of objects that are all needed, and searching them takes half of its time."""
+    """Turn garbage collection off. Amaranth makes millions of objects that are all needed; searching them takes half of its time."""
     was_enabled = gc.isenabled()
     gc.disable()
     try:

@@ -25,12 +25,12 @@ class Polyphase:
 
     name = "polyphase"
     prefix = "coincid_"
-    front_end_rests = True  # without strobes, so that its clock may stop
+    front_end_rests = True  # its clock may stop while no strobe comes
     cells: ClassVar[tuple[Path, ...]] = ()
     macros: ClassVar[tuple[Path, ...]] = ()
 
     def at(self, clock_mhz: float) -> "Polyphase":
-        """Return the view at a system clock. It depends only on cycles, so it stays the same."""
+        """Return the view at a system clock. It depends only on cycles, so it is the same at any clock."""
         return self
 
     def spad_bits(self, sensor: Sensor) -> int:

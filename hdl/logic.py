@@ -7,12 +7,12 @@ from typing import Any
 from amaranth.hdl import Cat, Const, Module, Mux, Signal, Value
 from amaranth.utils import exact_log2
 
-LOW_BITS = 4  # of a counter: the others rest in 15 of 16 counts, and so does their clock
+LOW_BITS = 4  # of a counter: the other bits, and their clock, rest in 15 of 16 counts
 SUM_PART = 11  # bits through which a carry of `carry_select` ripples
 
 
 def named(names: str, shape: Any = 1, **options: Any) -> list[Signal]:
-    """Return signals of one shape. names: theirs, which Amaranth only finds out for a signal that is made alone."""
+    """Return signals of one shape with these names. Amaranth finds a name itself only where one signal is assigned alone."""
     return [Signal(shape, name=name, **options) for name in names.split()]
 
 
@@ -58,10 +58,10 @@ def up_to(m: Module, bits: Value, name: str) -> Signal:
 
 
 def counted(m: Module, bits: Value, name: str) -> list[Value]:
-    """Return whether one, two and three of some bits are ones.
+    """Return whether at least one, two and three of some bits are ones.
 
-    Bit i of a step's words speaks of the 2 ** k bits from i on: whole words cost simulators little, and only bit 0 of the
-    last ones leaves gates behind.
+    Bit i of a step's words covers the 2 ** k bits from i on. Whole words cost simulators little. Only the gates of bit 0 of
+    the last words remain after synthesis.
     """
     found, step = [bits, Const(0, len(bits)), Const(0, len(bits))], 1
     while step < len(bits):
@@ -79,9 +79,9 @@ def counted(m: Module, bits: Value, name: str) -> list[Value]:
 
 
 def lowest(m: Module, bits: Value, name: str) -> Value:
-    """Return the index of the lowest one of `bits`, a power of two of them, or the last index; faster than `first_one`.
+    """Return the index of the lowest one of `bits`, a power of two of them; if there is none, the last index.
 
-    Words as in `counted`.
+    It is faster than `first_one`. It computes with whole words, as `counted` does.
     """
     found: Value = bits
     numbers: list[Value] = []
@@ -109,7 +109,7 @@ def first_one(m: Module, bits: Value, name: str) -> tuple[Value, Value]:
 
 
 def carry_select(m: Module, a: Value, b: Value, name: str) -> Value:
-    """Return a + b with a carry out. Parts of `SUM_PART` bits are added for both carries, and the real carry selects."""
+    """Return a + b with a carry out. Parts of `SUM_PART` bits are added for both carries; then the real carry selects."""
     parts, carry = [], Value.cast(0)
     for begin in range(0, max(len(a), len(b)), SUM_PART):
         x, y = a[begin : begin + SUM_PART], b[begin : begin + SUM_PART]
@@ -143,7 +143,7 @@ def saturating_add(m: Module, counter: Signal, amount: Value) -> None:
 
 
 def count_up(m: Module, counter: Signal, strobe: Value) -> None:
-    """Add `strobe` to `counter` at the clock, and saturate. Its low and its high bits have enables of their own."""
+    """Add `strobe` to `counter` at the clock, and saturate. The low and the high bits have separate enables."""
     low, high = counter[:LOW_BITS], counter[LOW_BITS:]
     counts = Signal(name=f"{counter.name}_counts")
     m.d.comb += counts.eq(strobe & ~counter.all())

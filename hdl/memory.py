@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Memory: rows that are written occasionally and can be read at any time.
 
-In simulation and on FPGAs it is a memory (LUT RAM on an FPGA). In silicon, rows of latches stand under the same name,
-with less than half the area of flip-flops. The paper names only registers; the latches are our choice.
+In simulation and on FPGAs it is a memory (LUT RAM on an FPGA). In silicon, a block with rows of latches has the
+same name, and less than half the area of flip-flops. The paper names only registers; the latches are our choice.
 """
 
 from amaranth.hdl import Module

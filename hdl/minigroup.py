@@ -22,8 +22,8 @@ from .unit import Unit, place
 class Recorder(Unit):
     """What minigroups have in common in both views: coarse offsets, and the minigroup's own stamping circuit.
 
-    own: further ports. `Minigroup` describes the common ones. A function that forms one of the circuits returns the
-    condition under which its registers may change.
+    own: further ports. `Minigroup` describes the common ones. A method that forms one of the circuits returns the
+    condition under which the circuit's registers may change.
     """
 
     def __init__(self, sensor: Sensor, **own: Any):
@@ -49,7 +49,7 @@ class Recorder(Unit):
         self.inner("started", reset_less=True)
 
     def _offset(self, m, begins, step_4) -> Value:
-        """Stages 5 to 8: form the offset of a window's first edge. It travels as strobe and step, which are fewer bits.
+        """Stages 5 to 8: form the offset of a window's first edge. A strobe and a step travel along, because they have fewer bits.
 
         begins: the edge is the minigroup's first in the window (stage 4).
         """
@@ -92,8 +92,8 @@ class Recorder(Unit):
             left_next.eq(Mux(starts, self.frame.mg_window, left) - runs),
             ends.eq(runs & (left_next == 0)),
             enough.eq(popcount(m, seen_next, "seen_count") >= self.frame.mg_threshold),
-            # The stamp is written one cycle later, when it is known, and never while an entry is taken: its memory may
-            # consist of latches.
+            # The stamp is written one cycle later, when it is known. It is never written while an entry is taken, because
+            # its memory may consist of latches.
             stamp.write.eq(self.started),
             stamp.data.eq(Cat(step_4[-2:], self.coarse)),  # quarter of the cycle
             self.entry.map.eq(seen),
@@ -133,8 +133,8 @@ class Minigroup(Recorder):
     Reset clears the record circuit. The rest needs no reset, because nothing is accepted outside a frame and every
     window starts from an empty map.
 
-    The registers of stages 1, 3 and 5, and of the stages behind each, stand still unless they hold or get something valid.
-    While all stand still, a gate stops the minigroup's clock.
+    The registers of stages 1, 3 and 5, and of the stages behind each, change only while they hold or get something valid.
+    Otherwise a gate stops the minigroup's clock.
     """
 
     unit_name = "coincid_minigroup"
@@ -173,7 +173,7 @@ class Minigroup(Recorder):
         return behind(m, platform, self.clock_gate, Cat(awake).any())
 
     def _edges(self, m):
-        """Stages 1 and 2: encode each pixel's word at the port as valid and phase of its first edge.
+        """Stages 1 and 2: encode each pixel's word at the port: is there an edge, and at which phase is the first one?
 
         The words themselves are not registered: at 32 phases, that register would be the largest part of the sensor.
         """
@@ -224,7 +224,7 @@ class Minigroup(Recorder):
     def _map(self, m) -> list[Value]:
         """Stages 4 and 5: collect the hits in the map.
 
-        In a cycle, edges that no window counts come after those that are counted. So the first edge is a counted one.
+        In a cycle, the window counts the earlier edges and not the later ones. So the first edge is a counted one.
         """
         pixels = self.sensor.minigroup_pixels
         hits = Signal(pixels, reset_less=True)

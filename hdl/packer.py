@@ -20,7 +20,7 @@ from .unit import Unit
 
 @cache
 def check_terms() -> tuple[frozenset[int], ...]:
-    """Return, for each bit of a group's check after a beat, the bits of (check before it, beat) that it is the parity of."""
+    """Return, for each bit of a group's check, the bits of (check before the beat, beat) whose parity it is after the beat."""
     terms = [frozenset([bit]) for bit in range(CHECK_BITS)]
     for bit in range(BEAT_BITS):
         out = terms[0] ^ {CHECK_BITS + bit}
@@ -36,7 +36,7 @@ class Packer(Unit):
     -----
     offer, part, bits : in, a part of the group: its lowest `bits` bits, zeros above them
     close : in, the group ends with what has been packed. No part is offered meanwhile
-    free : out, nothing is offered any more from the next cycle on: the part is packed, or the group's last beat leaves
+    free : out, the next cycle can bring a new offer: the part is packed, or the group's last beat leaves
     passes, beat, last : in, a beat of another packet, while no group is open; it leaves when `m_axis` does
     frame_begin : in, forget everything
     m_axis : AXI4-Stream master
@@ -79,7 +79,7 @@ class Packer(Unit):
         return m
 
     def _pack(self, m):
-        """Put a part behind the bits that wait. Its place is known from registers, so the receiver only selects."""
+        """Put a part behind the bits that wait. Registers know its place, so `tready` only selects."""
         waits, placed = Signal(name="waits"), Signal.like(self.packed, name="placed")
         nothing, packable = ~self.offer & ~self.close, self.offer & ~self.crowded
         free_if_ready, free_if_not = nothing | packable | self.final, nothing | (packable & ~self.ready)

@@ -30,7 +30,7 @@ from .unit import Unit
 
 
 def numbers(m, sensor: Sensor, packets: Collection[Packet], kind, **values) -> dict[str, Value]:
-    """Return the kind and the numbers of packets as signals of their fields' widths; what is not given is 0."""
+    """Return the kind and the numbers of packets as signals of their fields' widths; fields that are not given are 0."""
     widths: dict[str, int] = {}
     for field in (field for packet in packets for field in packet.fields if not field.aligned):
         widths[field.name] = max(widths.get(field.name, 0), field.bits(sensor))
@@ -41,7 +41,7 @@ def numbers(m, sensor: Sensor, packets: Collection[Packet], kind, **values) -> d
 
 
 def formed(sensor: Sensor, packets: Collection[Packet], fields: dict[str, Value]) -> dict[Packet, list[Value]]:
-    """Return the beats of packets with these fields, as the table places them. Equal beats are the same object."""
+    """Return the beats of packets with these fields at the places of the table. Equal beats are the same object."""
     made: dict[tuple[Part, ...], Value] = {}
     beats: dict[Packet, list[Value]] = {packet: [] for packet in packets}
     for packet in packets:
@@ -79,7 +79,7 @@ class Packetizer(Unit):
 
     Ports
     -----
-    grant, send : in, registered: a packet of this kind begins now. Grants are at least the length of a packet apart
+    grant, send : in, registered: a packet of this kind begins now. The next grant comes after the packet's last beat
     frame : in, settings; subgroup : in, number of this subgroup
     head, record, counters : in; take_event, take_record : out, with the last beat of the packet
     controlled : in, the threshold controller sets the threshold of this subgroup
@@ -190,7 +190,7 @@ class Packetizer(Unit):
         return [self._of_formats(k, beats, longest[k]) for k in range(len(longest))]
 
     def _of_formats(self, k, beats, beat):
-        """Return beat `k` of an event in the frame's format; formats without one may show any, such as `beat`."""
+        """Return beat `k` of an event in the frame's format. In formats with fewer beats it does not matter, and is `beat`."""
         of_packet = {packet: each[k] if k < len(each) else beat for packet, each in beats.items()}
         same = all(each is beat for each in of_packet.values())
         return beat if same else of_format(self.frame.format, lambda packet: of_packet.get(packet, beat))

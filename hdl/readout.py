@@ -21,7 +21,7 @@ from .packer import Packer
 from .packetizer import formed, numbers, of_format
 from .unit import Unit, place
 
-CALM_CYCLES = 15  # no grant, no beat on its way and none in the buffer for so long: more than any beat takes
+CALM_CYCLES = 15  # without grants and beats, after which no beat can be on its way
 
 
 class Readout(Unit):
@@ -37,13 +37,13 @@ class Readout(Unit):
     counted : out, the counters of the end packet as they pass, for the threshold controller
     m_axis : AXI4-Stream master, `tlast` ends the frame
 
-    The next to be granted is the first subgroup at or after the pointer that has something to read; the pointer then
-    moves behind it. A record goes before events, because among events it would never find a gap. Latency:
+    The next grant goes to the first subgroup at or after the pointer that has something to send. The pointer then moves
+    behind it. A record goes before events, because among events it would never find a gap. Latency:
     `model/contract/latency.py`. Reset empties everything. The beginning of a frame does the same, although nothing can
     be left by then except after an upset.
 
     No upset makes the readout wait for ever. Places that it wrongly took for occupied are free again when nothing has
-    moved for `CALM_CYCLES`, and a frame whose last beat was lost ends with a frame end packet without counters.
+    moved for `CALM_CYCLES`; a frame whose last beat was lost ends with a frame end packet without counters.
     """
 
     def __init__(self, sensor: Sensor, subgroups: int):
@@ -137,13 +137,13 @@ class Readout(Unit):
         ]
 
     def _event_and(self, beats):
-        """Beats of an event in the frame's format, and some more."""
+        """Return the number of beats of an event in the frame's format, plus `beats`."""
         return of_format(self.frame.format, lambda packet: self.parts.length(packet) + beats)
 
     def _arbiter(self, m):
         """Choose the next subgroup: the lowest waiting one at or after the pointer, otherwise the lowest of all.
 
-        Waiting events are a counter per subgroup, waiting records a bit.
+        Each subgroup has a counter of waiting events, and a bit for a waiting record.
         """
         ahead = Signal(self.subgroups)
         self._credits(m, self.stored_in, self.take_event)
@@ -159,11 +159,11 @@ class Readout(Unit):
         ]
 
     def _credits(self, m, up, down):
-        """Count per subgroup, in bit planes; registers beside the planes know which counters are not 0."""
+        """Count the events of each subgroup, in bit planes. Further registers know which counters are not 0."""
         planes, some = self.planes, self.some_events
         carries, borrows = named("carries borrows", self.subgroups)
         m.d.comb += [carries.eq(up & ~down), borrows.eq(down & ~up)]
-        ones = zeros = ~Const(0, self.subgroups)  # whether all planes below are; known before the grant is
+        ones = zeros = ~Const(0, self.subgroups)  # whether all lower planes are; known before the grant
         for plane in planes:
             m.d.sync += plane.eq(plane ^ (carries & ones) ^ (borrows & zeros))
             ones, zeros = ones & plane, zeros & ~plane
@@ -173,8 +173,8 @@ class Readout(Unit):
     def _room(self, m):
         """Decide when a packet may begin.
 
-        All beats of the previous one must be granted, and the buffer must have room for any word, or for the counters. Registers beside
-        the space know of either room, so no grant waits for a comparison.
+        All beats of the previous one must be granted, and the buffer must have room for any word, or for the counters. Two
+        registers know whether it has, so no grant waits for a comparison.
         """
         m.d.comb += [
             self.free.eq((self.left == 0) & self.room[0]),
@@ -198,14 +198,14 @@ class Readout(Unit):
             m.d.sync += [room.eq(1) for room in self.room]
 
     def _space_exceeds(self, beats):
-        """Return whether there is space for more than `beats`, with the place of a beat that leaves now.
+        """Return whether there is space for more than `beats`, including the place of a beat that leaves now.
 
         No carry waits for the stream's `tready`; it only selects.
         """
         return Mux(self.gone, self.space >= beats, self.space > beats)
 
     def _book(self, m, length, name, free):
-        """Book room for a packet that may begin. What remains is computed for each length before the grant is known.
+        """Book room for a packet that may begin. The remaining space is computed for each length before the grant is known.
 
         length: None for an event.
         """
@@ -265,7 +265,7 @@ class Readout(Unit):
                     with m.Else():
                         m.next = "idle"
                 self._begin_again(m)
-            for code in range(3):  # the codes that are no state
+            for code in range(3):  # the codes that are not a state
                 with m.State(f"lost_{code}"):
                     m.next = "flush"
         m.d.comb += self.in_frame.eq(~self.machine.ongoing("idle"))

@@ -43,8 +43,8 @@ class Registers(Unit):
     gate_late, settings_upset : in, OR of the subgroups' start checks
     period : out, as programmed; frame : out, settings of the running frame; plan : out, settings of the sequencer
     start_frame, abort_frame : out, strobes; done : in, strobe; resting : in, the sequencer has no frame
-    capacity, share : out, as programmed, to the threshold controllers; budget, limit : in, from them; a word per stream; only
-        where they are built
+    capacity, share : out, as programmed, to the threshold controllers; budget, limit : in, from them; one word per stream; only
+        if the controllers are built
 
     Reset loads the reset values of the table and drops accesses in progress. An upset may delay or refuse an access,
     but none makes it wait for ever; the handshake with the master is voted. Each setting keeps the parity that its
@@ -144,7 +144,7 @@ class Registers(Unit):
             m.d.comb += [self.answer_read.next.eq(0), self.keep_read.next.eq(0)]
 
     def _global_settings(self, m):
-        """Give the programmed settings to those that do not wait for a frame."""
+        """Drive the outputs that show programmed settings at once, without a frame."""
         m.d.comb += self.period.eq(self.setting["period", 0])
         if self.sensor.controller:
             shares = Cat(self.setting["share", k] for k in range(self.sensor.streams))
@@ -153,8 +153,8 @@ class Registers(Unit):
     def _decode(self, m):
         """Decode the address: is it in a subgroup's block, mapped, writable, and is the value legal?
 
-        One register behind the address: which word it is, and which ranges hold the value. One register later: the
-        entries of the table for this word.
+        The first register behind the address says which word it is, and which ranges hold the value. The second one holds
+        the entries of the table for this word.
         """
         sensor = self.sensor
         in_block = Signal()
@@ -208,7 +208,7 @@ class Registers(Unit):
         m.d.sync += self.found.eq(any_of(m, chosen, "found_of"))
 
     def _start_checks(self, m):
-        """Conditions that refuse a start, by the flag that reports them."""
+        """Compute the conditions that refuse a start, by the flag that reports each."""
         bounds = [setting for (name, _), setting in self.setting.items() if name == "auto_bounds"]
         period_short = Signal()
         descends = Signal(AUTO_BOUNDS - 1)
@@ -292,7 +292,7 @@ class Registers(Unit):
                     if self.sensor.controller:
                         m.d.sync += self.command.data.eq(self.setting["threshold_floor", 0])
                     self._respond(m, OKAY)
-            with m.State("lost"):  # a code that is no state: after an upset, the bus must not hang
+            with m.State("lost"):  # a code that is not a state: after an upset, the bus must not hang
                 m.next = "idle"
         with m.If(~(self.flag["busy"] & self.resting & (self.machine.ongoing("idle") | self.machine.ongoing("read")))):
             m.d.sync += self.rested.eq(0)
@@ -321,7 +321,7 @@ class Registers(Unit):
             m.d.sync += self.flag["bad_address"].eq(1)
 
     def _refuse_write(self, m):
-        """Report the reason of the refusal by a sticky flag."""
+        """Report the reason for the refusal by a sticky flag."""
         with m.If(~self.writable):
             m.d.sync += self.flag["bad_address"].eq(1)
         with m.Elif(~self.whole):

@@ -31,7 +31,7 @@ COMBINED = ("valid", "beat", "beat_controlled")  # reach a readout as the OR of 
 GRANTED = ("grant", "send")  # from a readout to its subgroups
 ANSWERED = ("data", "gate_late", "settings_upset")  # reach the registers as the OR of all subgroups'
 
-Put = Callable[..., Any]  # `place` in a design: put(name, unit, **inputs)
+Put = Callable[..., Any]  # puts a unit into a design as `place` does: put(name, unit, **inputs)
 
 
 def outer_ports(sensor: Sensor) -> dict[str, Any]:
@@ -156,7 +156,7 @@ def wire_sensor(
     inner: Any = Signature(inner_ports(sensor)).create(path=())
     sequencer = wire_core(m, put, sensor, outer, inner)
     subgroups = range(sensor.subgroups)
-    own: list[dict[str, Any]] = []  # of every subgroup, its ports
+    own: list[dict[str, Any]] = []  # the ports of each subgroup
     for k in subgroups[::2]:
         lines = subgroups[k : k + 2]
         module = SensorModule(sensor, len(lines), view)

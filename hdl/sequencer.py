@@ -123,7 +123,7 @@ class Sequencer(Unit):
             m.d.sync += [self.lfsr.eq(self.plan.dither_seed), self.left.eq(0), self.waiting.eq(0)]
 
     def _shift(self, m):
-        """Progressive gating: the gate's shift in this period, saturated where no gate can open any more."""
+        """Progressive gating: compute the gate's shift in this period, saturated at a shift with which no gate opens."""
         settings, coarse_bits = self.plan, self.sensor.coarse_bits
         beyond = 1 << coarse_bits
         more = Signal(GATE_BITS + 1)

@@ -25,15 +25,15 @@ class SubgroupSettings(Unit):
     -----
     command : in, configuration bus, registered; subgroup : in, number of this subgroup; period : in, the programmed laser
         period
-    settings : out, in force since the last TAKE; as programmed, where they are not held
+    settings : out, in force since the last TAKE; in a sensor that does not hold them, as programmed
     counters : in
-    data : out, two cycles after an operation of the bus named a word of this subgroup; after those for others 0, so the data
-        of all subgroups can be ORed
-    gate_late : out, as programmed, gating is on and gate_start is not below the period
+    data : out, the word of this subgroup that an operation of the bus named two cycles ago; 0 if it named another
+        subgroup, so the data of all subgroups can be ORed
+    gate_late : out, gating is programmed on, and gate_start is not below the period
     upset : out, the parity of a programmed word differs from the one that was written with it
 
     Reset loads the reset values of the table. A gate stops the clock two cycles after an operation of the bus; `period`
-    changes only beside one.
+    changes only together with one.
     """
 
     unit_name = "coincid_settings"
@@ -54,13 +54,13 @@ class SubgroupSettings(Unit):
         # word -> value that a read returns; upsets: one bit per programmed word whose parity is wrong.
         self.inner("programmed", bus.settings_layout(sensor), init=_reset(sensor))
         self.inner("named", sum(1 for _ in registers.words(registers.SUBGROUP, sensor)))
-        self.shown: dict[int, Any] = {}
-        self.upsets: list[Any] = []
         self.clock_gate = ClockGate(small=True)
 
     def elaborate(self, platform):
         m = Module()
-        programmed, named, shown = self.programmed, self.named, self.shown
+        programmed, named = self.programmed, self.named
+        shown: dict[int, Any] = {}
+        self.shown, self.upsets = shown, []
         selected = Signal()
         m.d.comb += selected.eq(self.command.subgroup == self.subgroup)
         m.d.sync += [self.gate_late.eq(programmed.gating & (programmed.gate_start >= self.period))]

@@ -21,7 +21,7 @@ from .settings import SubgroupSettings
 from .unit import Unit, place
 from .voted import agreed_reset
 
-AWAKE_CYCLES = 31  # more than anything in a subgroup takes to come to rest
+AWAKE_CYCLES = 31  # by then, everything in a subgroup has come to rest
 
 
 def shared_ports(sensor: Sensor) -> dict[str, Any]:
@@ -94,7 +94,7 @@ class Subgroup(Unit):
         events, packets = EventFifo(sensor), Packetizer(sensor)
 
         # Inputs go straight into registers, except the subgroup's number, which never changes. These need no reset, because
-        # the registers that drive them have one. Most of them move only when something comes.
+        # the registers that drive them have one. Most of them change only when something comes.
         taken = {
             name: Signal.like(getattr(self, name), reset_less=True)
             for name in ("command", "timing", "frame", "period", "grant", "send")
@@ -111,7 +111,7 @@ class Subgroup(Unit):
         with m.If(self.grant):
             m.d[gated] += send.eq(self.send)
 
-        # Every input of a block is the net of its name: mostly another block's output, or an input of the subgroup.
+        # A block's input is driven by the net of the same name: mostly another block's output, or an input of the subgroup.
         nets: dict[str, Any] = taken | {"subgroup": self.subgroup, "start": timing.start}
         nets |= {"operation": command.operation, "in_stream": self.subgroup >= command.subgroup}
         nets["frame_begin"] = command.operation == bus.Operation.BEGIN

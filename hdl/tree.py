@@ -164,7 +164,7 @@ class CoincidenceTree(FrontEnd):
         return m
 
     def _strobes(self, m):
-        """Delay the timing strobes to stage 3: they come two cycles ahead of the ports; one register makes it one cycle."""
+        """Delay the timing strobes, which come two cycles ahead of the ports, to stage 3."""
         coarse_3 = Signal.like(self.coarse_4)
         m.d[self.clock] += [
             self.may_open.eq((self.may_open << 1) | self.timing.may_open),
@@ -175,7 +175,7 @@ class CoincidenceTree(FrontEnd):
         m.d.comb += self.record_due.eq(self.wrap[-1])
 
     def _window(self, m):
-        """Stage 2: the window, and the part of the cycle that it covers. The one-cycle loop is only (open, left, rearm)."""
+        """Stage 2: the window, and the part of the cycle that it covers. Only (open, left, rearm) loop within one cycle."""
         phases = self.sensor.phases
         live, to_border = named("live to_border")
         m.d.comb += [

@@ -30,7 +30,7 @@ class Port:
 
 
 class Unit(wiring.Component):
-    """A block with a stable Verilog name. Variants by other parameters than the sensor's need different `unit_name`s.
+    """A block with a stable Verilog name. Variants that differ by more than the sensor need different `unit_name`s.
 
     Inner signals and registers that several functions or a proof read are attributes.
     """
@@ -38,7 +38,7 @@ class Unit(wiring.Component):
     unit_name: str
     clocked = True  # has the ports clk and rst
     separator = "__"  # in the Verilog, between the names of an interface and of its members
-    _MustUse__silence = True  # an unused unit is fine where an instance replaces it; Amaranth would warn of it
+    _MustUse__silence = True  # an instance may replace a unit; Amaranth would warn of the unused unit
 
     def __init__(self, **ports: Any):
         super().__init__(ports)
@@ -51,7 +51,7 @@ class Unit(wiring.Component):
             setattr(self, name, Signal(shape, name=name, **options))
 
     def for_cells(self) -> str | None:
-        """Return the block's Verilog for standard cells, where that is another one (None: it is not)."""
+        """Return the block's other Verilog for standard cells, or None."""
         return None
 
     def flat_ports(self) -> dict[str, tuple[wiring.Flow, Signal]]:
@@ -96,8 +96,8 @@ def place(
 ) -> Unit:
     """Put `unit` into `m`, as a submodule or, under an `Export` platform, as an instance.
 
-    reset: replaces the domain's; domain: of the unit's clock. inputs: what drives the unit's inputs of these names, in full width; the caller
-    connects the other ports.
+    reset: instead of the domain's; domain: of the unit's clock. inputs: drivers of the unit's inputs of these names, in full
+    width; the caller connects the other ports.
     """
     ports = unit.flat_ports()
     given = {port: value if isinstance(value, IOValue) else Value.cast(value) for port, value in inputs.items()}

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Bit slices: plays a netlist of one clock in C++ where each net is one SIMD word, and each bit of it another copy."""
+"""Bit slices: plays a netlist of one clock in C++. Each net is one SIMD word, and each bit of the word is a copy of the design."""

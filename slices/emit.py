@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""C++ of a design's pass: one word per net, one statement per table, in functions that the compiler gets through quickly.
+"""C++ of a design's pass: one word per net, one statement per table, in functions that are short enough for the compiler.
 
 All words of a slice are one array. A unit's code is written once, and called with the place of every instance's words and
 the place of those that the instances share.
@@ -14,7 +14,7 @@ from attrs import define, field, frozen
 from .netlist import ONE, ZERO, Block, NetlistError, Nets, Read, Table
 from .schedule import Call, Copy, Evaluate, Guard, Lit, Op, Put, Schedule, Write, settling, with_lit
 
-STATEMENTS = 400  # of a function, about
+STATEMENTS = 400  # in a function, about
 Value: TypeAlias = Callable[[int], str]  # expression for a net
 
 
@@ -29,11 +29,11 @@ class Sparse:
 
 @define
 class Layout:
-    """Where things are in the words of a slice.
+    """Where things are among the words of a slice.
 
-    words, flags: their numbers. inputs, outputs: words of each port's bits. nets: words of the top block's nets that last;
-    instances: of each instance's. memories: first word of each; row r, bit b is at first + r * width + b. ones: words that
-    are 1 at the beginning. lit: flags to be set with bit b of a sparse port.
+    words, flags: how many there are. inputs, outputs: words of each port's bits. nets: words of those nets of the top that
+    last from pass to pass; instances: the same for each instance. memories: first word of each; bit b of row r is at first
+    + r * width + b. ones: words that are 1 at the beginning. lit: flags to be set with bit b of a sparse port.
     """
 
     words: int = 0
@@ -47,14 +47,14 @@ class Layout:
     lit: dict[str, list[list[int]]] = field(factory=dict)
 
     def take(self, words: int = 1) -> int:
-        """Return the first of so many new words."""
+        """Add some words and return the first of them."""
         self.words += words
         return self.words - words
 
 
 @define
 class _Unit:
-    """A unit's words: net -> its place among an instance's own, or among those that all instances share.
+    """A unit's words. own, shared: net -> its place among the words of an instance, or among those that all instances share.
 
     moves: (word, net of the top) of inputs that are set before the call.
     """
@@ -123,7 +123,7 @@ class Emission:
         )
 
     def _place(self, homes: set[int], flags: Mapping[str, list[tuple[int, frozenset[int]]]]) -> int:
-        """Give every net that lasts its word, and every sparse field its flags; return the first flag of the top."""
+        """Give a word to every net that lasts, and flags to every sparse field; return the first flag of the top."""
         layout, top, place = self.layout, self.top, self.layout.nets
         place |= {ZERO: layout.take(), ONE: layout.take()}
         layout.ones.append(place[ONE])
@@ -163,7 +163,7 @@ class Emission:
         lasting = [net for nets in top.inputs.values() for net in nets] + [flop.output for flop in top.flops]
         lasting += [net for nets in top.outputs.values() for net in nets]
         for memory in top.memories:
-            for read in memory.reads:  # side by side
+            for read in memory.reads:  # a row's bits are neighbours
                 first = layout.take(memory.width)
                 place |= {net: first + k for k, net in enumerate(read.outputs)}
         for net in lasting:
@@ -221,7 +221,7 @@ def _header(layout: Layout) -> str:
         lines += [f"constexpr int {kind}_{port}[] = {{{_listed(words)}}};" for port, words in ports.items() if words]
     for port, flags in layout.lit.items():
         most = max(map(len, flags))
-        # A bit with fewer flags repeats its last.
+        # A bit with fewer flags repeats its last one.
         rows = ["{" + _listed([*of, *of[-1:] * (most - len(of))]) + "}" for of in flags]
         lines.append(f"constexpr int LIT_{port}[][{most}] = {{{', '.join(rows)}}};")
     return "\n".join([*lines, ""])
@@ -301,7 +301,7 @@ class _Writer:
                     yield from self._walk(self._bodies.get(op, [_Part(part.name, list(op.body))]))
 
     def _keep(self, parts: Sequence[_Part]) -> None:
-        """Find values that other functions use, and give each a word from its first to its last use."""
+        """Find the values that several functions use, and give each a word from its first to its last use."""
         made: dict[int, tuple[int, str]] = {}
         last: dict[int, int] = {}
         shared: set[int] = set()
@@ -330,7 +330,7 @@ class _Writer:
             self._kept[value] = f"{self.TEMPORARIES}[{self._first_temporary + word}]"
 
     def _reader(self, op: Op, values: Mapping[int, str]) -> Value:
-        """Return what gives a net's expression in an operation. values: those that local variables hold."""
+        """Return a function that gives the expression of a net in an operation. values: net -> local variable."""
         names: Mapping[int, int] = getattr(op, "names", {})
 
         def value(net: int) -> str:
@@ -342,7 +342,7 @@ class _Writer:
         return value
 
     def _statement(self, op: Op, values: dict[int, str]) -> Iterator[str]:
-        """Yield the lines of an operation. values: those that local variables hold; new ones are added."""
+        """Yield the lines of an operation. values: net -> local variable; new ones are added."""
 
         value = self._reader(op, values)
         if isinstance(op, Copy):
@@ -515,7 +515,7 @@ def _expression(table: Table, value: Value) -> str:
 
 
 def _gate(enable: str, reset: str) -> str:
-    """Return the lanes in which a group of flip-flops is not just kept."""
+    """Return the lanes in which a group of flip-flops does not just keep its values."""
     if reset == "ZEROS":
         return enable
     return f"~{reset}" if enable == "ONES" else f"({enable} | {reset})"

@@ -17,13 +17,13 @@ PLAIN = HERE / "plain.cpp"
 LIBRARY, OBJECT = "libslice.so", "slice.o"
 LANES = (64, 128, 256, 512)  # bits of a word
 COMPILER = ("-std=gnu++20", "-fPIC", "-Wno-psabi")
-OPTIMISE = "-O1"  # of a pass, which is straight code: more takes longer to compile and gains nothing
+OPTIMISE = "-O1"  # of a pass, which is straight code: a higher level takes longer to compile and gains nothing
 PROCESSOR = "-march=native"
 
 
 @cache
 def processor(flag: str = PROCESSOR) -> str:
-    """Return what tells kinds of processors apart: code for one kind may have instructions that another lacks."""
+    """Return a key for the kind of processor: code for one kind may have instructions that another lacks."""
     require_programs({"g++": "g++"})
     return digest(subprocess.run(["g++", flag, "-Q", "--help=target"], capture_output=True, check=True).stdout)
 

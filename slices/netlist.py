@@ -2,7 +2,7 @@
 """Netlists of one clock: tables of up to three inputs, flip-flops, memories of rows, and instances of units.
 
 `read_netlist` takes Yosys's JSON. A net is a number: 0 and 1 are the constants, Yosys counts its own from 2. There are two
-states: what Yosys leaves undefined is 0.
+states: bits that Yosys leaves undefined are 0.
 """
 
 import json
@@ -19,7 +19,7 @@ Nets: TypeAlias = tuple[int, ...]
 
 
 class NetlistError(ValueError):
-    """A netlist that cannot be played in slices; the message names what stands in the way."""
+    """A netlist that cannot be played in slices; the message says why."""
 
 
 @frozen(eq=False)
@@ -104,7 +104,7 @@ class Block:
     names: dict[str, Nets]
 
 
-FLOPS = {  # as `dfflegalize` leaves them: the value at reset
+FLOPS = {  # cells that `dfflegalize` leaves, and their values at reset
     "$_DFF_P_": 0,
     "$_DFFE_PP_": 0,
     "$_SDFF_PP0_": 0,
@@ -117,7 +117,6 @@ FLOPS = {  # as `dfflegalize` leaves them: the value at reset
 def read_netlist(path: Path) -> dict[str, Block]:
     """Return the blocks of a JSON netlist by name. Raises `NetlistError`."""
     modules = json.loads(path.read_text())["modules"]
-    # Yosys escapes nothing in JSON; parameters of black boxes do not matter.
     return {name: _block(name, module, modules) for name, module in modules.items()}
 
 

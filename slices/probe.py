@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Values of all signals of a design, also of logic that a pass keeps nowhere, from samples of a slice's words.
 
-A sample is one bit of every word: of a lane, or of a lane at a time. They come as words of 64, so the same functions show
-all lanes at one time and one lane at all times.
+A sample is one bit of every word: a lane in one cycle. Samples come in words of 64, so the same functions show all lanes
+in one cycle, or one lane in many cycles.
 """
 
 from collections.abc import Iterable

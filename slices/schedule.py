@@ -2,7 +2,7 @@
 """The order in which a pass evaluates a block and updates its registers in place.
 
 A pass is a clock edge: everything that it computes reads the registers as they were before. A register is written once
-its readers have been computed, so that most need no second place; later readers get a copy (`Copy`). Flip-flops that
+its readers have been computed, so most need no second place; later readers get a copy (`Copy`). Flip-flops that
 share an enable, with the logic that only they need, are skipped if no lane enables them (`Guard`). Logic that is constant
 while some inputs are 0 is skipped if they are 0 in all lanes (`Lit`).
 """
@@ -17,7 +17,7 @@ from attrs import define, field, frozen
 from .netlist import ONE, ZERO, Block, Flop, Instance, Memory, NetlistError, Nets, Read, Store, Table
 
 ELSEWHERE = -1
-FORCED = 1e6  # weight of an order that has no exception
+FORCED = 1e6  # weight of an order that must be kept
 T = TypeVar("T")
 GUARD_MIN = 12  # flip-flops and nodes of a group for which it is worth asking whether any lane enables it
 
@@ -307,12 +307,7 @@ class Schedule:
         for group, k in number.items():
             for net in self._inputs(group):
                 reached[net] |= 1 << k
-        for node in reversed(live):
-            of = 0
-            for net in node.outputs:
-                of |= reached[net]
-            for net in node.inputs:
-                reached[net] |= of
+        _reach(live, reached)
         # before[j][k]: registers of group k that group j reads, so that a copy of each is needed if j comes later.
         before = np.zeros((len(self._groups), len(self._groups)))
         for net, group in self._writer.items():
@@ -454,14 +449,19 @@ class Schedule:
         reached: dict[int, int] = defaultdict(int)
         for k, flop in enumerate(group.flops):
             reached[flop.data] |= 1 << k
-        for node in reversed(group.own):
-            of = 0
-            for net in node.outputs:
-                of |= reached[net]
-            for net in node.inputs:
-                reached[net] |= of
+        _reach(group.own, reached)
         order = _last_first(range(len(group.flops)), lambda k: _bits(reached[group.flops[k].output]), loops=True)
         return [group.flops[k] for k in order]
+
+
+def _reach(nodes: Sequence[Node], reached: dict[int, int]) -> None:
+    """Let nets reach what the nodes behind them reach. reached: net -> a bit for each group or flip-flop."""
+    for node in reversed(nodes):
+        of = 0
+        for net in node.outputs:
+            of |= reached[net]
+        for net in node.inputs:
+            reached[net] |= of
 
 
 def settling(block: Block, units: Mapping[str, Block], nodes: Sequence[Node]) -> list[Op]:

@@ -63,11 +63,11 @@ class Slices:
         self._put(self.probe.words(name), values)
 
     def step(self, edges: int = 1) -> None:
-        """Let clock edges come, after which the outputs are what registers and inputs make of them."""
+        """Run some clock edges. Afterwards the outputs follow from registers and inputs."""
         self._library.slice_step(self._slice, edges)
 
     def record(self, lane: int, edges: int = 1) -> np.ndarray:
-        """Let clock edges come, and return the lane's samples before each, uint64[edges, m], for `waves`."""
+        """Run some clock edges, and return the lane's sample before each of them, uint64[edges, m], for `waves`."""
         samples = np.zeros((edges, -(-self._layout.words // 64)), np.uint64)
         self._library.slice_record(self._slice, lane, edges, samples.ctypes.data)
         return samples

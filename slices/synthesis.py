@@ -2,7 +2,7 @@
 """From Verilog to a netlist and its C++: Yosys maps, `emit` writes, and the result is kept.
 
 Yosys turns everything into tables of three inputs and flip-flops of one clock edge. Units keep their hierarchy, memories
-of some rows stay memories. What is undefined in the Verilog, Yosys may choose; what it leaves undefined is 0.
+of some rows stay memories. Yosys may choose values that the Verilog leaves undefined; those that Yosys leaves undefined are 0.
 """
 
 from collections.abc import Mapping, Sequence
@@ -22,8 +22,9 @@ NETLIST, SOURCE, HEADER = "netlist.json", "slice.cpp", "slice.h"
 class Design:
     """A design in slices: a `folder` with its netlist and C++, made once. Raises `ToolchainError`, `NetlistError`.
 
-    name: of the build. sources: Verilog, or Yosys's RTLIL (`.il`), by file name. units: modules that repeat in the top, so that their code is written
-    only once. sparse: inputs that are nearly always 0. before: Yosys's commands for the design as it was read.
+    name: of the build. sources: Verilog, or Yosys's RTLIL (`.il`), by file name. units: modules that repeat in the top;
+    their code is written once. sparse: inputs that are nearly always 0. before: commands of Yosys that come right after
+    reading.
     """
 
     def __init__(

@@ -10,7 +10,7 @@ from vcd import VCDWriter
 from ..model.shared.files import whole_file
 from .probe import SEPARATOR, Probe
 
-BLOCK = 1024  # words that are turned at once
+BLOCK = 1024  # words that are transposed at once
 
 
 def by_word(rows: np.ndarray, words: int) -> np.ndarray:

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The cocotb test that plays frames through the sensor. It runs inside the simulator; `replay.py` starts it.
+"""The cocotb test that plays frames through the sensor. It runs inside the simulator; `play.py` starts it.
 
-The test bench acts at falling edges: there it reads the outputs of the cycle, and its new values are taken by the rising
-edge that ends the cycle.
+The test bench acts at falling edges: there it reads the outputs of the cycle and sets new inputs. The rising edge that
+ends the cycle takes these.
 """
 
 import os

@@ -3,7 +3,7 @@
 
 SIMULATORS = ("verilator", "icarus")  # play the whole RTL under cocotb, also with a waveform or with delays
 ENGINES = ("golden", "sliced", *SIMULATORS)
-LANES_MAX = 512  # of a word of the sliced engine: subgroups that it plays at once
+LANES_MAX = 512  # bits of the sliced engine's widest word: subgroups that it plays at once
 
 
 def sensors_together(subgroups: int) -> int:

@@ -23,8 +23,7 @@ STORED_TO_COMMIT = 1  # the subgroup's `stored` strobe comes one cycle after the
 class FrameJob:
     """A frame to play. expected: the golden model's prediction, checked on the fly; None: the frame is only recorded.
 
-    ready: uint8[n], the receiver behind the streams' links takes a beat in cycle c if ready[c] is 1, and always from
-    cycle n on.
+    ready: uint8[n], whether the receiver behind the streams' links takes a beat in cycle c; from cycle n on it always does.
     """
 
     config: Config
@@ -35,7 +34,7 @@ class FrameJob:
 
 @define(eq=False)
 class Recorded:
-    """Record of a frame: per stream beats (uint64) and their cycles; stored events by subgroup, then time."""
+    """Record of a frame: the beats (uint64) of each stream and their cycles; stored events, sorted by subgroup and time."""
 
     beats: list[np.ndarray]
     beat_cycle: list[np.ndarray]
@@ -48,7 +47,7 @@ class Recorded:
 def save_job(path: Path, frames: list[FrameJob], lines: bool = False) -> dict[str, str]:
     """Write frames for `cosim.py` to play, and return the environment in which it finds them.
 
-    lines: SPAD lines rise at their own picosecond (for the view with delays).
+    lines: every SPAD edge has its own picosecond (for the view with delays).
     """
     path.write_bytes(pickle.dumps((frames, lines)))
     return {JOB_VARIABLE: str(path)}

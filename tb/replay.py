@@ -103,9 +103,9 @@ def replay(
 
 
 def replay_together(jobs: Sequence[tuple[Config, Edges]], threads: int = 1) -> list[dict[str, np.ndarray]]:
-    """Play configurations of one sensor through the sliced engine side by side; return what `replay` does, of each.
+    """Play configurations of one sensor through the sliced engine side by side; return the result of each as `replay` does.
 
-    Raises `InputError` as `replay`.
+    Raises `InputError` as `replay` does.
     """
     for config, _ in jobs:
         chosen_view("sliced", DEFAULT_VIEW, config.clock_mhz)

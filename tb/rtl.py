@@ -28,24 +28,24 @@ def sensor_key(sensor: Sensor, view: View = POLYPHASE) -> str:
 
 def rtl(sensor: Sensor, view: View = POLYPHASE) -> list[Path]:
     """Return the sensor's Verilog files in a view, emitted once for its parameters and the state of the sources."""
-    folder = _emitted(sensor_key(sensor, view), repr((sensor, view)), lambda: verilog_files(sensor, view))
-    return [folder / name for name in (folder / FILE_LIST).read_text().split()]
+    folder = emitted(sensor_key(sensor, view), repr((sensor, view)), lambda: verilog_files(sensor, view))
+    return listed(folder / FILE_LIST)
 
 
 def rtl_in_two(sensor: Sensor) -> tuple[list[Path], list[Path]]:
     """Return the files of the core (`hdl/sensor.py`), and those of slice and module (`hdl/subgroup_pair.py`).
 
-    They are for a program that wires slices to the core, and for the proof that the module is two slices.
+    `sliced.cpp` wires slices to the core; `slice_proof.py` proves that the module is two slices.
     """
 
     def files(*units: Unit) -> list[Path]:
         name = f"{sensor_key(sensor)}-{units[0].unit_name}"
-        return sorted(_emitted(name, repr(sensor), lambda: units_files(list(units))).iterdir())
+        return sorted(emitted(name, repr(sensor), lambda: units_files(list(units))).iterdir())
 
     return files(Core(sensor)), files(Slice(sensor), SensorModule(sensor))
 
 
-def _emitted(name: str, parameters: str, files: Callable[[], dict[str, str]]) -> Path:
+def emitted(name: str, parameters: str, files: Callable[[], dict[str, str]]) -> Path:
     """Return the folder with the `files`, called `name` and keyed by the parameters and the state of the sources."""
     key = digest(name, parameters, sources_digest("hdl", "model.contract", "model.shared"), Path(__file__).read_bytes())
 
@@ -54,3 +54,8 @@ def _emitted(name: str, parameters: str, files: Callable[[], dict[str, str]]) ->
             (directory / file).write_text(text)
 
     return build_once(build_root() / "verilog" / f"{name}-{key}", emit)
+
+
+def listed(path: Path) -> list[Path]:
+    """Return the files that a file list names, which lie beside it."""
+    return [path.with_name(name) for name in path.read_text().split()]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Proof that the array's module is two slices, without which the sliced engine plays nothing.
+"""Proof that the array's module is two slices. The sliced engine needs it before it plays anything.
 
 The sensor is an array of modules (two subgroups and the TDC that they share); the engine plays an array of slices. Yosys
 proves by induction that both give their subgroups the same inputs, and the same ports, in every cycle. The subgroups are
@@ -18,7 +18,7 @@ from ..tools.build import ToolchainError
 from ..tools.wheels import yosys_once
 from .rtl_errors import SimulationError
 
-STEPS = 6  # of the induction: after as many cycles, all registers follow from the inputs, except the TDC's count
+STEPS = 6  # of the induction: then all registers except the TDC's count follow from the inputs
 BOX, TWO = "box.v", "two.v"
 
 

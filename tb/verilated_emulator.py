@@ -10,10 +10,11 @@ from ..hdl.emulator.top import EMULATOR_LIST, SERIAL_TOP, emulator_files
 from ..model.contract.emulator import BUFFER_BEATS, Emulator
 from ..model.contract.parameters import Sensor
 from ..model.shared.folders import build_root
-from ..model.shared.sources import digest, sources_digest
-from ..tools.build import Compile, build_once, compile_once
+from ..model.shared.sources import digest
+from ..tools.build import Compile, compile_once
 from ..tools.libraries import Functions, load
 from . import toolchain
+from .rtl import emitted, listed
 from .verilated import COMPILER, include, objects_in, run_time, verilated_unit
 
 SOURCE = Path(__file__).with_name("emulator.cpp")
@@ -34,15 +35,9 @@ def simulated(
 
 def emulator_rtl(emulator: Emulator, serial: bool = True) -> list[Path]:
     """Return the emulator's Verilog files, emitted once for its parameters and the state of the sources."""
-    key = digest(repr(emulator), str(serial), sources_digest("hdl", "model.contract", "model.shared"))
-
-    def emit(folder: Path) -> None:
-        for name, text in emulator_files(emulator, serial).items():
-            (folder / name).write_text(text)
-
-    sensor = emulator.sensor
-    folder = build_once(build_root() / "verilog" / f"emulator-{sensor.rows}x{sensor.cols}-{key}", emit)
-    return [folder / name for name in (folder / EMULATOR_LIST).read_text().split()]
+    name = f"emulator-{emulator.sensor.rows}x{emulator.sensor.cols}"
+    folder = emitted(name, repr((emulator, serial)), lambda: emulator_files(emulator, serial))
+    return listed(folder / EMULATOR_LIST)
 
 
 def build_emulator(emulator: Emulator) -> Path:

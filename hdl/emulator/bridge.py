@@ -16,8 +16,8 @@ from .control import ACCESS
 from .uart import Deframer, Framer, Receiver, Transmitter
 
 LAST = 1 << 8  # beside the byte on its way to the framer
-FETCH_CYCLES = 2  # from the place of a byte of the request to the byte
-ANSWER_DEPTH = 2  # bytes of an answer on their way to the framer, which no path of logic passes
+FETCH_CYCLES = 2  # from the address of a byte of the request to the byte
+ANSWER_DEPTH = 2  # bytes of an answer on their way to the framer; no path of logic goes through
 
 
 class SerialBridge(Unit):

@@ -23,7 +23,7 @@ class StreamSlice(Unit):
     -----
     s_axis : in, a stream; m_axis : out, its beats, one cycle later, without `tlast`, which stays 0
 
-    It takes a beat in every cycle. A second register keeps the beat that comes while `tready` does not yet say that the
+    It can take a beat in every cycle. A second register keeps the beat that arrives before `tready` can fall because the
     output waits. Reset empties both.
     """
 
@@ -109,7 +109,7 @@ class FrameBuffer(Unit):
         ]
         m.d.sync += [
             room.eq((room & ~(self.s_axis.tvalid & (self.level == self.depth - 1))) | (self.take & self.amount.any())),
-            place.eq(behind),  # the block RAMs are far apart, so registers stand on either side of them
+            place.eq(behind),  # the block RAMs are far apart, so there are registers in front of and behind them
             stored.eq(self.s_axis.tdata),
             write.en.eq(taken),
             row.eq(self.address[1:]),

@@ -96,7 +96,7 @@ class EmulatorControl(Unit):
         return m
 
     def _settings(self, m, seeder):
-        """What the emulator's own settings do."""
+        """Let the emulator's own settings take effect."""
         late = Signal()  # the frame number changes with `frame_done`
         m.d.sync += late.eq(self.frame_done)
         m.d.comb += [seeder.seed.eq(self.setting["seed"]), seeder.begin.eq(self.reseed | late)]
@@ -139,7 +139,7 @@ class EmulatorControl(Unit):
         m.d.sync += self.own.eq(reduce(or_, words))
 
     def _sources(self, m, buffer):
-        """Keep a copy of the sources' settings, which cannot be read back, and register the word that is read there."""
+        """Keep a copy of the sources' settings, which cannot be read back themselves, and register the word that is read."""
         access, sensor = self.access, self.emulator.sensor
         places = 1 << (sensor.pixels - 1).bit_length()
         m.submodules.echoes = echoes = Memory(shape=self.echo_bits, depth=sensor.subgroups * places, init=[])
@@ -159,7 +159,7 @@ class EmulatorControl(Unit):
         m.d.sync += self.sources.eq(Mux(self.is_echo, echo_read.data, background_read.data))
 
     def _checks(self, m, buffer):
-        """Check a write's value: first the range of each register, then of the one that is meant. Check a read's address."""
+        """Check a write's value: first against the range of each register, then for the addressed one. Check a read's address."""
         access, sensor = self.access, self.emulator.sensor
         fits = {
             r.name: (access.data >= r.low(sensor)) & (access.data <= r.high(sensor))
@@ -239,7 +239,7 @@ class EmulatorControl(Unit):
                     ]
                     with m.If(access.write & self.legal):
                         self._write(m, buffer)
-            with m.State("lost"):  # the one code that is no state: after an upset, the bus must not hang
+            with m.State("lost"):  # the one code that is not a state: after an upset, the bus must not hang
                 m.next = "idle"
 
     def _write(self, m, buffer):

@@ -89,7 +89,7 @@ class BusAccess(Unit):
 
 
 class LocalReset(Unit):
-    """Reset of one block, a register beside it: on an FPGA, the reset is a net like any other.
+    """Reset of one block, in a register close to it: on an FPGA, the reset is an ordinary net with an ordinary delay.
 
     Ports
     -----

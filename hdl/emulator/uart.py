@@ -101,7 +101,7 @@ class Deframer(Unit):
     wrong : out, strobe: a body has ended that is not right
 
     A body that is longer than any request is wrong, and so is one with a broken byte. Two flags in a row are not a
-    frame. Outputs are of the byte that came a cycle before. After a reset, the deframer waits for a flag.
+    frame. Outputs refer to the byte of the previous cycle. After a reset, the deframer waits for a flag.
     """
 
     unit_name = "coincid_deframer"

@@ -25,8 +25,8 @@ TEMPLATE = Path(__file__).with_name("ulx3s.v.template")
 OSCILLATOR_MHZ = 25
 VCO_MHZ = 400, 800  # of the PLL's oscillator
 DETECTOR_MHZ = 3.125  # at the PLL's phase detector, at least
-REFERENCE_MAX, FEEDBACK_MAX, OUTPUT_MAX = 8, 80, 128  # of the PLL's dividers that are tried
-# port: (sites, from the lowest bit on; what else its buffers are)
+REFERENCE_MAX, FEEDBACK_MAX, OUTPUT_MAX = 8, 80, 128  # the largest dividers that are tried
+# port: (sites, from the lowest bit on; further attributes of its buffers)
 PINS = {
     "clk_25mhz": (("G2",), "PULLMODE=NONE"),
     "btn_fire1": (("R1",), "PULLMODE=DOWN"),
@@ -47,7 +47,7 @@ class Pll:
 
 
 def pll(clock_mhz: float) -> Pll:
-    """The dividers that make a clock of the board's oscillator, which is in the middle of its range. Raises `InputError` where none do."""
+    """Return dividers that make this clock, with the PLL's oscillator near the middle of its range. Raises `InputError` if none do."""
     middle = sum(VCO_MHZ) / 2
     for reference in range(1, REFERENCE_MAX + 1):
         feedback = clock_mhz * reference / OSCILLATOR_MHZ
@@ -98,7 +98,7 @@ class Lights(Unit):
 
 
 def board_verilog(emulator: Emulator, clock_mhz: float) -> str:
-    """The board's top: the PLL, a reset that the button or an unlocked PLL holds, the emulator and the lights. Raises `InputError`."""
+    """Return the board's top: PLL, emulator, lights, and a reset that the button or an unlocked PLL holds. Raises `InputError`."""
     dividers = pll(clock_mhz)
     return Template(TEMPLATE.read_text()).substitute(
         licence=SPDX,
@@ -113,7 +113,7 @@ def board_verilog(emulator: Emulator, clock_mhz: float) -> str:
 
 
 def board_files(emulator: Emulator, clock_mhz: float) -> dict[str, str]:
-    """File name -> text of the emulator's Verilog for the board, and a file list. Raises `InputError`."""
+    """Return the emulator's Verilog for the board by file name, with a file list. Raises `InputError`."""
     files = emulator_files(emulator)
     del files[EMULATOR_LIST]
     files |= units_files([Lights()]) | {f"{BOARD_TOP}.v": board_verilog(emulator, clock_mhz)}
@@ -121,7 +121,7 @@ def board_files(emulator: Emulator, clock_mhz: float) -> dict[str, str]:
 
 
 def board_pins(oscillator_mhz: float = OSCILLATOR_MHZ) -> str:
-    """The board's pins and its oscillator, as constraints (LPF)."""
+    """Return the board's pins and its oscillator as constraints (LPF)."""
     lines = [f'FREQUENCY PORT "clk_25mhz" {oscillator_mhz:g} MHZ;']
     for port, (sites, buffer) in PINS.items():
         for k, site in enumerate(sites):

@@ -15,7 +15,7 @@ from ...model.shared.errors import InputError
 from ...model.shared.quantities import real
 from ..logic import popcount
 
-# Behaviour in femtoseconds, for simulation; cells alone for synthesis.
+# For simulation: behaviour in femtoseconds. For synthesis: only the cells.
 CELLS = Path(__file__).with_name("async_cells.v")
 MACROS = Path(__file__).with_name("async_macros.v")  # black boxes of the macros, for synthesis
 STEP_FS = PHASES_MAX  # a cycle is a multiple of this, so that its ticks and its sixteenths are integers
@@ -130,7 +130,7 @@ def or_tree(m: Module, name: str, inputs: list[Value]) -> Value:
 
 
 def arbiter_rows(requests: int):
-    """Yield an arbiter tree over requests 0...n-1, level by level, as ([(node, a, b)], alone).
+    """Yield the levels of an arbiter tree over requests 0...n-1, each as ([(node, a, b)], alone).
 
     a, b, alone: a request, or n + a node's number. `alone` has no partner at this level; None if there is no such one.
     """

@@ -31,7 +31,7 @@ class AsyncFrontEnd(FrontEnd):
         `CoincidenceTree`
     line : the subgroup's TDC sampling line
 
-    Reset at once clears every flop that an event sets, and arms the tree.
+    Reset clears every flop that an event sets at once, without waiting for the clock, and arms the tree.
     """
 
     unit_name = "coincid_async_front"
@@ -101,7 +101,7 @@ class AsyncFrontEnd(FrontEnd):
                 armed.eq(getattr(control, f"armed_{b}")),
                 clear.eq((line.wipe & getattr(control, f"clearing_{b}")) | reset),
             ]
-            if banks == 2:  # once the other bank's window is known to go on, the rest of the cycle opens nothing here
+            if banks == 2:  # nothing opens here once it is known that the other bank's window goes on
                 m.d.comb += armed.eq(
                     getattr(control, f"armed_{b}")
                     & ((control.current == b).replicate(2) | Cat(~parity & ~line.shut, parity & ~line.shut))

@@ -28,7 +28,7 @@ class AsyncControl(Unit):
     armed_b : out, bit q = an edge in the cycle of parity q may open bank b
     current : out, the bank whose window is in force; it changes in mid-cycle
     clearing_b : out, bank b is cleared in the last quarter of this cycle
-    opening, closing, bank : out, from mid-cycle on, for the cycle before: a window opened, one closed, in this bank
+    opening, closing, bank : out, from mid-cycle on: in the cycle before, a window opened or closed in this bank
 
     With two banks, the other bank also listens from the start of every cycle and is cleared at its end. If the window
     turns out to have closed in the cycle before, the other bank becomes the current one and has missed nothing (R = 0).
