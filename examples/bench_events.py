@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A cocotb bench of the sensor's Verilog as an outsider would write it: it looks up register names and decodes words itself.
+"""A cocotb bench of the sensor's Verilog without code of this project: it looks up register names and decodes words itself.
 
-`plot_09_cocotb.py` starts it; COINCID_REGISTERS names the register map (`registers.json`), COINCID_SEEN its output file.
+`plot_09_cocotb.py` starts it. COINCID_REGISTERS names the register map (`registers.json`), COINCID_SEEN the output file.
 """
 
 import json

@@ -4,8 +4,8 @@ First frame
 ===========
 
 Simulate one frame of the scene `sun-and-shade` and estimate the distance of every pixel: with coincidence off, with one
-threshold for all subgroups, and with the controller on the chip. The golden model stands in for the RTL: it gives the same
-words in the same clock cycles, and needs no RTL tool.
+threshold for all subgroups, and with the controller on the chip. The example uses the golden model instead of the
+RTL: it gives the same words in the same clock cycles, and needs no RTL tool.
 """
 
 import matplotlib.pyplot as plt
@@ -13,8 +13,8 @@ import numpy as np
 
 import coincid
 
-# The default sensor: 32 x 32 pixels in subgroups of 8 x 8, 100 laser pulses; here its link carries 8 Gbit/s. The controller
-# takes some frames to find a threshold for every subgroup, so the last of six counts.
+# The default sensor has 32 x 32 pixels in subgroups of 8 x 8, and a frame has 100 laser pulses. The link carries 8 Gbit/s. The
+# controller takes some frames to find a threshold for every subgroup, so the last of six frames is shown.
 config = coincid.load_config().with_frame(link_gbps=8)
 settings = {
     "coincidence off": config.with_settings(coincidence=False),
@@ -24,13 +24,13 @@ settings = {
 runs = {name: coincid.simulate(one, "sun-and-shade", klux=50, seed=1) for name, one in settings.items()}
 
 # %%
-# Every event is one row: when it happened, how many pixels fired, and which of them was first.
+# Every event is one row: its time, the number of pixels that fired, and the first of them.
 
 run = runs["2 pixels within 1 ns"]
 print(run.events()[:5])
 
 # %%
-# A pixel counts as wrong where it is off by more than 3.45 cm, the paper's criterion.
+# A pixel is wrong if it is off by more than 3.45 cm, the paper's criterion.
 
 truth_m = run.scene.truth_m
 figure, axes = plt.subplots(1, 5, figsize=(15, 3.2), layout="constrained")

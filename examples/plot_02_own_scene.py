@@ -3,8 +3,8 @@
 Your own RGB-D scene
 ====================
 
-A scene of your own is a depth picture (PNG of 16 bits, in millimetres) and, if you like, a colour picture of the same view,
-whose brightness becomes the reflectivity. Here the example draws both; name your own files instead.
+A scene can be a depth picture (PNG of 16 bits, in millimetres). A colour picture of the same view is optional; its brightness
+becomes the reflectivity. This example draws both pictures. Use the names of your own files instead.
 """
 
 import tempfile
@@ -16,7 +16,7 @@ from PIL import Image
 
 import coincid
 
-# A room: a far wall, a floor that comes towards the camera, and a dark ball before the wall.
+# A room: a far wall, a floor that reaches to the camera, and a dark ball in front of the wall.
 row, col = np.mgrid[0:240, 0:320]
 depth_mm = np.minimum(7000, 4200 * 240 / np.maximum(row, 1) + 600)
 ball = np.hypot(row - 110, col - 150) < 55

@@ -3,8 +3,8 @@
 From photons to the histogram of one pixel
 ==========================================
 
-Follow one pixel of a flat wall at 6 m in 20 klux of sunlight: its avalanches in every laser period, what the sensor made
-of them, and the histogram of what left the sensor.
+Follow one pixel of a flat wall at 6 m in 20 klux of sunlight: its avalanches in every laser period, the fate of each
+avalanche in the sensor, and the histogram of the events that left the sensor.
 """
 
 import matplotlib.pyplot as plt

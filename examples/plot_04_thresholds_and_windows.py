@@ -4,8 +4,8 @@ Thresholds and windows against sunlight
 =======================================
 
 A threshold discards windows with too few photons. This example counts the events that leave the sensor and the wrong
-pixels, for all thresholds, three levels of sunlight and three windows. Every pixel's distance is the highest point of its
-histogram, filtered with the laser pulse.
+pixels, for all thresholds, three levels of sunlight and three windows. The distance of a pixel is the highest point of its
+histogram after a filter with the shape of the laser pulse.
 """
 
 import matplotlib.pyplot as plt

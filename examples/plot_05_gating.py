@@ -3,8 +3,8 @@
 Gating and progressive gating
 =============================
 
-A bright pane at 3 m stands before every pixel; the wall behind it is at 9 m. A gate that opens behind the pane hides the
-pane. A progressive gate moves its opening from pulse to pulse and so scans the whole range.
+Every pixel sees a bright pane at 3 m and a wall behind it at 9 m. A gate that opens after the light of the pane has passed hides
+the pane. A progressive gate opens later from pulse to pulse, and so scans the whole range.
 """
 
 import matplotlib.pyplot as plt

@@ -3,9 +3,9 @@
 Several targets
 ===============
 
-In the scene `two-returns` every pixel sees two surfaces, like a pane and the wall behind it. `returns=2` asks the
-estimator for both of them. Surfaces that are closer than the light's way in one window and the blind time behind it (up to
-half a metre here) come out as one.
+In the scene `two-returns` every pixel sees two surfaces, like a pane and the wall behind it. With `returns=2` the
+estimator reports both. After a window the tree is blind until the next cycle. Surfaces that are closer than this time and the
+window (up to half a metre here) are reported as one.
 """
 
 import matplotlib.pyplot as plt

@@ -3,8 +3,8 @@
 Sweeping a design space with Dask
 =================================
 
-`coincid sweep` runs a grid of settings on the processes of this machine, or of a cluster, and writes one Parquet table
-and one plot. From Python it is a function. Every finished point is kept, so a changed sweep runs only what is new.
+`coincid sweep` runs a grid of settings in processes on this machine or on a cluster, and writes one Parquet table and one
+plot. In Python, the function `sweep` does the same. Finished points are kept, so a changed sweep runs only the new points.
 """
 
 import tempfile

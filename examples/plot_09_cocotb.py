@@ -3,8 +3,8 @@
 Driving the RTL from your own cocotb bench
 ==========================================
 
-Export the Verilog of a small sensor and drive it from a cocotb bench of your own, on Icarus Verilog. The bench is
-`bench_events.py` beside this file: it uses the AXI drivers of cocotbext-axi and knows nothing of this project.
+Export the Verilog of a small sensor and drive it from your own cocotb bench, on Icarus Verilog. The bench is
+`bench_events.py` in the same folder. It uses the AXI drivers of cocotbext-axi and no code of this project.
 """
 
 import json
@@ -53,7 +53,7 @@ tests, failures = get_results(results)
 assert (tests, failures) == (1, 0), (folder / "sim.log").read_text()
 
 # %%
-# What the bench saw: photons go in at cycles 5 and 6, and the event leaves the sensor when its window has closed.
+# The record of the bench: photons arrive in cycles 5 and 6, and the event leaves the sensor after its window has closed.
 
 told = json.loads(seen.read_text())
 cycles, valid, photons = zip(*told["rows"])

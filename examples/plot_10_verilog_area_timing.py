@@ -4,7 +4,7 @@ From parameters to Verilog, area and timing
 ===========================================
 
 Change parameters of a small sensor, export its Verilog, and synthesize it: gates and flip-flops of every block, and the
-number of two-input gates on its longest path, which says how fast the clock can be.
+number of two-input gates on its longest path, which limits the clock.
 """
 
 import matplotlib.pyplot as plt

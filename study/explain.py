@@ -40,8 +40,8 @@ def meaning(config: Config) -> list[tuple[str, str]]:
         ("event", f"{config.format}: {beats:.3g} beats of {BEAT_BITS} bits" + " with three pixels" * FORMATS[config.format].grouped),
         ("stream", f"{sensor.streams} of {sent_gbps:.4g} Gbit/s; the link takes {float(config.link_share):.1%} of its beats"),
         ("events that fit", f"{config.capacity:,} per stream and frame, {config.capacity / frame_s / 1e6:.4g} million per second"),
-        ("area", f"{um2_per_pixel(sensor):.0f} um2 per pixel in 45 nm, about"),
-        ("power", f"{uw_per_pixel(config, KLUX) / 1e3:.3g} mW per pixel at {KLUX:g} klux, about"),
+        ("area", f"about {um2_per_pixel(sensor):.0f} um2 per pixel in 45 nm"),
+        ("power", f"about {uw_per_pixel(config, KLUX) / 1e3:.3g} mW per pixel at {KLUX:g} klux"),
     ]  # fmt: skip
 
 
@@ -55,20 +55,20 @@ def warnings(config: Config) -> list[str]:
     longest, pixels_on = int(config.window.max()), config.mask.sum(axis=1)
     records = frame["minigroup_records"]
     found = {
-        f"streams = {sensor.streams} does not divide {sensor.subgroups} subgroups: some streams carry one more, and are full first.":
+        f"streams = {sensor.streams} does not divide {sensor.subgroups} subgroups: some streams carry one subgroup more than others.":
             sensor.subgroups % sensor.streams != 0,
-        f"link_gbps = {frame['link_gbps']:g} is more than a stream sends: {sent_gbps:g} Gbit/s.": frame["link_gbps"] > sent_gbps,
-        f"Counters fill {counters / link_beats:.0%} of the link: more pulses per frame would leave more for events.":
+        f"link_gbps = {frame['link_gbps']:g} is more than a stream sends, {sent_gbps:g} Gbit/s.": frame["link_gbps"] > sent_gbps,
+        f"Counters fill {counters / link_beats:.0%} of the link: with more pulses per frame, this share falls.":
             counters > FILLED_BY_COUNTERS * link_beats,
-        f"window_max = {sensor.window_max} ticks is built, and no window is longer than {longest}.": sensor.window_max > 2 * longest,
+        f"window_max = {sensor.window_max} ticks is built, but the longest window has {longest}.": sensor.window_max > 2 * longest,
         f"coarse_bits = {sensor.coarse_bits} counts {sensor.period_max} cycles; the period of {config.period} needs {coarse_bits} bits.":
             sensor.coarse_bits > coarse_bits + 1,
-        "Coincidence is on, but threshold 1 lets every photon through, as without it.":
+        "Coincidence is on, but threshold 1 lets every photon through, as with coincidence off.":
             bool(np.any(config.coincidence & (config.threshold == 1) & ~config.auto)),
         "window is set, but has no effect: coincidence is off.": "subgroup.window" in config.given and not config.coincidence.any(),
         "The controller is on, but coincidence is off: it has no effect.": bool(np.any(config.auto & ~config.coincidence)),
-        "The controller is on for one frame: it needs a few to settle.": bool(config.controlled.any()) and config.frames == 1,
-        "The threshold is above the pixels that the mask leaves on: nothing can commit.":
+        "The controller is on for one frame, but needs a few frames to settle.": bool(config.controlled.any()) and config.frames == 1,
+        "The threshold is higher than the number of unmasked pixels: nothing can commit.":
             bool(np.any(config.coincidence & (config.threshold > pixels_on))),
         "A gate is set, but gating is off.":
             not config.gating.any() and not config.given.isdisjoint(("subgroup.gate_start", "subgroup.gate_len", "frame.gate_every")),
@@ -76,7 +76,7 @@ def warnings(config: Config) -> list[str]:
         "The gate ends after the laser period.":
             bool(np.any(config.gating & (config.gate_start + config.gate_len > config.period) & (config.gate_start > 0))),
         f"format = '{config.format}' sends no map of pixels: there is no depth per pixel.": config.format not in WITH_MAP,
-        f"format = '{config.format}' sends a whole map; 'compact{'-full' * (config.format == 'full')}' carries the same in fewer bits.":
+        f"format = '{config.format}' sends a whole map; 'compact{'-full' * (config.format == 'full')}' carries the same events in fewer bits.":
             config.format in ("id", "full"),
         "mg_threshold and mg_window have no effect: minigroup_records is off.":
             not records and not config.given.isdisjoint(("frame.mg_threshold", "frame.mg_window")),
