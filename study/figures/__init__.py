@@ -50,12 +50,12 @@ from the paper, and why.""",
     ),
     "modes": Page(
         "Coincid: coincidence, gating, and 100 m",
-        "docs/modes.md has the assumptions, and says what these curves show.",
+        "docs/modes.md has the assumptions and explains the curves.",
         lambda engine: [partial(family, engine=engine) for family in four_modes.FAMILIES],
     ),
     "compare": Page(
         "Coincid: other schemes on the same photons",
-        "docs/rivals.md describes the schemes, and says which of them wins where, and why.",
+        "docs/rivals.md describes the schemes and compares them.",
         lambda engine: COMPARISON,
     ),
 }

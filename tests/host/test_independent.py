@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A client that is written from the documents alone.
 
-It takes nothing from the project: framing and addresses of docs/board.md, registers of registers.md, words of
+It takes nothing from the project: framing and addresses of docs/emulator-protocol.md, registers of registers.md, words of
 docs/contract.md are spelled out here, so that a page that says too little, or another thing than the RTL does, is found.
 """
 
@@ -20,7 +20,7 @@ SEED, SPREAD, DEAD, BACKGROUNDS, ECHO_TICK, ECHO_LEVEL = 77, 2, 3, (1500, 4000),
 
 
 class Client:
-    """Speaks docs/board.md over anything that writes and reads bytes."""
+    """Speaks docs/emulator-protocol.md over anything that writes and reads bytes."""
 
     def __init__(self, line):
         self.line, self.number, self.heard = line, 0, b""
