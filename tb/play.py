@@ -14,7 +14,7 @@ from .frame_record import MISMATCH, PROGRESS, RESULT, FrameJob, Recorded, save_j
 from .rtl import rtl, sensor_key
 from .rtl_errors import Mismatch, SimulationError
 from .scoreboard import check
-from .sliced import SlicedSensor, build_library
+from .sliced import build_library, play_side_by_side
 
 
 def prepare(engine: str, sensor: Sensor, waves: bool = False, view: View = POLYPHASE) -> None:
@@ -53,11 +53,14 @@ def play(
     """Play frames of one sensor through its RTL; return their records, and the waveform. `progress` gets cycles done.
 
     engine: from `engines.py`, without golden; view and waves: as `replay.chosen_view` allows. Raises `Mismatch` at the
-    first difference from a frame's expectation, `SimulationError` for any other failure, and
-    `ToolchainError`.
+    first difference from a frame's expectation, `SimulationError` for any other failure, and `ToolchainError`.
     """
     if engine == "sliced":
-        return _play_sliced(frames, progress or (lambda cycles: None)), None
+        (records,) = play_side_by_side([frames], progress)
+        for number, (job, record) in enumerate(zip(frames, records)):
+            if job.expected is not None:
+                record.checked = check(job.config.sensor, job.expected, record, number)
+        return records, None
     build = build_sensor(frames[0].config.sensor, engine, waves, view)
     records, run = play_in(build, frames, out_dir, lines=view != POLYPHASE, progress=progress)
     return records, run.wave
@@ -87,20 +90,3 @@ def play_in(
                 raise Mismatch(f"{job.with_suffix(MISMATCH).read_text()} ({wave}; log {error.log})") from None
             raise
         return pickle.loads(job.with_suffix(RESULT).read_bytes()), run
-
-
-def _play_sliced(frames: list[FrameJob], progress: Callable[[int], None]) -> list[Recorded]:
-    def since(start: int) -> Callable[[int], None]:
-        """Return a callback for a frame that starts when `start` cycles are done."""
-        return lambda cycle: progress(start + cycle)
-
-    records, before = [], 0
-    with SlicedSensor(frames[0].config.sensor) as sensor:
-        for number, job in enumerate(frames):
-            record = sensor.frame(job.config, job.edges, job.ready, since(before))
-            if job.expected is not None:
-                record.checked = check(sensor.sensor, job.expected, record, number)
-            before += record.cycles
-            progress(before)
-            records.append(record)
-    return records
