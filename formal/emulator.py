@@ -22,8 +22,7 @@ EMULATOR = Emulator(sensor=SMALL, buffer_beats=64)
 @proof(depth=2, cover=16)
 def deframer(b: Bench) -> None:
     """A body is right only if its CRC is, no byte is broken, and it fits the memory; nothing is written beyond."""
-    m, unit = b.m, Deframer()
-    b.place(unit)
+    m, unit = b.m, b.place(Deframer())
     came, byte, broken, hold = unit.came, unit.byte_in, unit.broken_in, unit.hold
     b.always(Cat(came, byte, broken) == b.past(Cat(unit.valid, unit.byte, unit.broken)))
     b.always((unit.is_flag == (~broken & (byte == FLAG))) & (unit.is_escape == (byte == ESCAPE)), where=unit.came)
@@ -54,9 +53,8 @@ def deframer(b: Bench) -> None:
 @proof(depth=2, cover=14)
 def framer(b: Bench) -> None:
     """Flags are only at a frame's ends, escapes only where needed; an offered byte stays until it is taken."""
-    m, unit = b.m, Framer()
+    m, unit = b.m, b.place(Framer())
     valid, byte, last, ready = unit.valid, unit.byte, unit.last, unit.out_ready
-    b.place(unit)
     offered = b.same("offered", valid & ~unit.ready)
     b.assume(valid & (byte == b.last(byte)) & (last == b.last(last)), where=b.past(offered))
     ends = b.same("ends", unit.machine.ongoing("idle") | unit.machine.ongoing("flag"))
@@ -80,9 +78,8 @@ def framer(b: Bench) -> None:
 @proof(depth=2, cover=8)
 def frame_buffer(b: Bench) -> None:
     """The sensor waits only while the buffer is full; waiting beats are contiguous, and none is overwritten."""
-    unit = FrameBuffer(EMULATOR)
+    unit = b.place(FrameBuffer(EMULATOR))
     take, amount, comes = unit.take, unit.amount, unit.s_axis.tvalid
-    b.place(unit)
     b.assume(amount <= unit.level, where=take)
     depth = EMULATOR.buffer_beats
     b.always(unit.level <= depth)

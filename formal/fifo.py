@@ -16,9 +16,8 @@ from .sensors import SMALL
 
 def _event_fifo(b: Bench, depth: int) -> None:
     sensor = evolve(SMALL, fifo_depth=depth)
-    m, unit = b.m, EventFifo(sensor)
+    m, unit = b.m, b.place(EventFifo(sensor))
     commit, take, begin = unit.commit, unit.take, unit.frame_begin
-    b.place(unit)
     elaborated(unit.rows)
     memory = unit.rows.rows
 
@@ -89,9 +88,8 @@ def event_fifo_of_three(b):
 @proof(depth=2, cover=8)
 def record_buffer(b):
     """A record is stored if the place is free, else counted as dropped; it stays until taken; unlatched entries are 0."""
-    m, unit = b.m, RecordBuffer(SMALL)
+    m, unit = b.m, b.place(RecordBuffer(SMALL))
     due, take, begin = unit.due, unit.take, unit.frame_begin
-    b.place(unit)
     waiting = Signal()
     b.assume(waiting, where=take)
     comes = b.same("comes", due & (unit.latched != 0))

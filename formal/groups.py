@@ -20,10 +20,9 @@ PART_BITS = groups.group_widths(SMALL).part_bits
 @proof(depth=3, cover=12)
 def packer(b: Bench):
     """Every bit of every part leaves at its place; marks and zeros stand where they should; other beats pass; AXI4-Stream."""
-    m, unit = b.m, Packer(SMALL)
+    m, unit = b.m, b.place(Packer(SMALL))
     offer, part, bits, close = unit.offer, unit.part, unit.bits, unit.close
     passes, beat, last, begin, ready = unit.passes, unit.beat, unit.last, unit.frame_begin, unit.m_axis.tready
-    b.place(unit)
     axis = unit.m_axis
     closed = b.same("closed", unit.final & ready)
     b.assume((bits <= PART_BITS) & (bits != 0) & (part >> bits == 0), where=offer)

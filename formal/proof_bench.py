@@ -8,7 +8,7 @@ power-on, the only assumption is that reset is asserted in the first cycle, so a
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from amaranth.hdl import Assert, Assume, Cover, Module, ResetSignal, Signal, Value
 from amaranth.hdl._ast import AnyConst, AnySeq  # Amaranth has no other names for free values
@@ -17,6 +17,7 @@ from attrs import field, frozen
 from ..hdl.unit import Unit
 
 KEPT = "bench_"  # with which the names of registers begin that keep their value at power-on
+Placed = TypeVar("Placed", bound=Unit)
 PROOFS: dict[str, "Proof"] = {}
 
 
@@ -121,8 +122,8 @@ class Bench:
         """Return an input that may have any value, but the same in all cycles."""
         return AnyConst(shape)
 
-    def place(self, unit: Unit, **inputs) -> None:
-        """Place a unit. Its inputs get the values in `inputs` (None: no driver), or else any value."""
+    def place(self, unit: Placed, **inputs) -> Placed:
+        """Place a unit and return it. Its inputs get the values in `inputs` (None: no driver), or else any value."""
         for path, member, value in unit.signature.flatten(unit):
             port = "__".join(map(str, path))
             if member.flow.name == "In" and inputs.get(port, "") is not None:
@@ -132,6 +133,7 @@ class Bench:
         assert not inputs, f"no such ports: {', '.join(inputs)}"
         self.m.submodules += unit
         elaborated(unit)
+        return unit
 
     def free(self, unit: Any) -> dict[str, Signal]:
         """Let the outputs of a unit inside another one have any value in any cycle, and return them by name."""

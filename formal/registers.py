@@ -22,9 +22,8 @@ READ_MAX = (CHECK_CYCLES + 2) + SENT + 1 + (READ_CYCLES + 2)  # after a write in
 def register_front(b: Bench):
     """AXI4-Lite with any master: one answer each, in bounded time; a refusal changes nothing; a frame's settings stay."""
     sensor, m = SMALL, b.m
-    unit = Registers(sensor)
+    unit = b.place(Registers(sensor))
     axi = unit.s_axi
-    b.place(unit)
     done = unit.done
     state = unit.machine.ongoing
     busy = unit.flag["busy"]

@@ -19,8 +19,7 @@ from .sensors import SMALL
 def tdc(b: Bench):
     """A line's stamp is the first set phase of its own root only; the coarse count restarts with the laser."""
     sensor, m = Sensor(), b.m  # full size: 32 phases, two lines
-    unit = Tdc(sensor)
-    b.place(unit)
+    unit = b.place(Tdc(sensor))
     coarse = Signal(sensor.coarse_bits)
     m.d.sync += coarse.eq(Mux(b.past(unit.start, START_TO_PHASE - 1), 0, coarse + 1))
     lines = [unit.line_0, unit.line_1]
@@ -39,9 +38,8 @@ def tdc(b: Bench):
 def gating(b: Bench):
     """Edges pass if and only if a frame runs and the gate is open (or off); the SPADs are on in the same cycles."""
     sensor, m = SMALL, b.m
-    unit = Gating(sensor)
+    unit = b.place(Gating(sensor))
     timing, settings = unit.timing, unit.settings
-    b.place(unit)
     highest = (1 << sensor.coarse_bits) - 1
 
     # A frame begins with a period; a period has at most 2^coarse_bits cycles; settings stay and have passed the checks.
@@ -81,9 +79,8 @@ def sequencer(b: Bench):
     No window opens in the guard or in a wait.
     """
     sensor, m = SMALL, b.m
-    unit = Sequencer(sensor)
+    unit = b.place(Sequencer(sensor))
     plan, start, abort, delivered = unit.plan, unit.start_frame, unit.abort_frame, unit.delivered
-    b.place(unit)
 
     # A start comes only after the previous frame is done. The plan stays, and has passed the start checks.
     busy = Signal()
