@@ -92,8 +92,7 @@ def _emitted(units: list[Unit]) -> _Blocks:
                 if form := unit.for_cells():
                     cells[f"{name}.v"] = _licensed(form)
                 pending |= platform.units
-    texts = to_verilog(designs.values())
-    files = {f"{name}.v": _licensed(_stable(text)) for name, text in zip(designs, texts)}
+    files = {f"{name}.v": _licensed(_stable(to_verilog(design))) for name, design in designs.items()}
     return _Blocks(dict(sorted(files.items())), cells)
 
 

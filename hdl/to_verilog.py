@@ -1,12 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From Yosys's own language to Verilog, as Amaranth's back end does it, for many designs at once.
+"""From Yosys's own language to Verilog, as Amaranth's back end does it, but faster for many designs.
 
 Amaranth starts Yosys anew for every design, which takes longer than the conversion of most blocks. Here it is loaded
 once. Every design still gets a fresh instance, because the order of the output depends on what Yosys has read before.
 """
 
 import tempfile
-from collections.abc import Iterable
 from functools import cache
 from importlib.resources import files
 from pathlib import Path
@@ -27,11 +26,6 @@ write_verilog -norename
 """
 
 
-def to_verilog(designs: Iterable[str]) -> list[str]:
-    """Return the Verilog of designs. Raises `RuntimeError` with Yosys's message."""
-    return [_run(SCRIPT.format(design)) for design in designs]
-
-
 @cache
 def _program() -> tuple[wasmtime.Linker, wasmtime.Module]:
     config = wasmtime.Config()
@@ -42,12 +36,12 @@ def _program() -> tuple[wasmtime.Linker, wasmtime.Module]:
     return linker, wasmtime.Module(engine, (files(WHEEL) / PROGRAM).read_bytes())
 
 
-def _run(script: str) -> str:
-    """Run a script in a fresh Yosys and return its output."""
+def to_verilog(design: str) -> str:
+    """Return the Verilog of a design, by a fresh Yosys. Raises `RuntimeError` with its message."""
     linker, module = _program()
     with tempfile.TemporaryDirectory() as folder:
         given, written, messages = (Path(folder, name) for name in ("script", "output", "messages"))
-        given.write_text(script)
+        given.write_text(SCRIPT.format(design))
         store, system = wasmtime.Store(linker.engine), wasmtime.WasiConfig()
         system.argv = ("yosys", "-q", "-")
         system.stdin_file, system.stdout_file, system.stderr_file = map(str, (given, written, messages))

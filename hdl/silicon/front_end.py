@@ -141,7 +141,8 @@ class AsyncFrontEnd(FrontEnd):
         def of_before(values):
             return Mux(before, values[1], values[0])
 
-        m.domains.read = _falling(m)
+        m.domains.read = read = ClockDomain("read", clk_edge="neg", reset_less=True, local=True)
+        m.d.comb += read.clk.eq(ClockSignal())
         active = Signal(sensor.pixels, reset_less=True, name="active_f")
         first = Signal(sensor.pixels - 1, reset_less=True, name="first_f")
         m.d.read += [active.eq(of_before(hits)), first.eq(of_before([tree.later_first for tree in trees]))]
@@ -257,9 +258,3 @@ class AsyncFrontEnd(FrontEnd):
     def _binary(self, gray):
         """Return the number that a Gray code stands for."""
         return Cat(gray[k:].xor() for k in range(len(gray)))
-
-
-def _falling(m: Module) -> ClockDomain:
-    domain = ClockDomain("read", clk_edge="neg", reset_less=True, local=True)
-    m.d.comb += domain.clk.eq(ClockSignal())
-    return domain
