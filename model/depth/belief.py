@@ -55,9 +55,9 @@ class Reason(IntEnum):
 SENTENCES = {
     Reason.BELIEVED: "more likely right than wrong",
     Reason.NO_LIGHT: "no light: the pixel is in no event",
-    Reason.BACKGROUND: "background only: its hits are no more than chance brings together",
-    Reason.TWO_SURFACES: "two surfaces: a good part of its light comes from another distance",
-    Reason.FOLDED: "range folded: so dark that its light seems to come from beyond the laser period",
+    Reason.BACKGROUND: "background only: background alone explains its hits",
+    Reason.TWO_SURFACES: "two surfaces: more than a fifth of its hits come from another distance",
+    Reason.FOLDED: "range folded: its light is so weak that it seems to come from beyond the range",
     Reason.GATE_EDGE: "gate's edge: the gate opens or closes within the pulse",
     Reason.EVENTS_LOST: "events lost: the link dropped most events of its subgroup",
     Reason.FEW_PHOTONS: "few photons: its light fits several distances",
