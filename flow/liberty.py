@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Energies, capacitances and leakage of standard cells, as a liberty file has them.
+"""Energies, capacitances and leakage of standard cells from a liberty file.
 
-An energy is in fJ for one transition at an input slew of `SLEW_NS`. It is the mean of rise and fall, and of the file's
-conditions. For a clock pin, the data of the flip-flop rest. For a data pin, its clock is low. For the clock pin of a clock
-gate, the gate is closed; the energy of an open gate is at its output.
+An energy is in fJ for one transition at an input slew of `SLEW_NS`. It is the mean over rise and fall, and over the
+conditions in the file. For a clock pin, it is the energy while the data of the flip-flop do not change. For a data pin, it
+is the energy while the clock is low. For the clock pin of a clock gate, it is the energy of a closed gate; the energy of an
+open gate is at its output.
 """
 
 import re
@@ -19,15 +20,15 @@ STATEMENT = re.compile(
     r"|(?P<list>\w+)\s*\((?P<items>[^)]*)\)\s*;)",
     re.DOTALL,
 )
-CLOCKS = ("CK", "G", "GN")  # pins that open a flip-flop or latch
+CLOCKS = ("CK", "G", "GN")  # clock pins of flip-flops and latches
 DATA = "D"
-CLOSED = re.compile(r"!E & !GCK")  # a clock gate that does not open
-AT_REST = re.compile(r"!D & !Q\b|(?<!!)\bD & Q\b")  # a flip-flop's data equal its output
+CLOSED = re.compile(r"!E & !GCK")  # a clock gate stays closed
+AT_REST = re.compile(r"!D & !Q\b|(?<!!)\bD & Q\b")  # the data of a flip-flop equal its output
 
 
 @frozen
 class Group:
-    """A group of the file: its argument, values by name, groups inside by name."""
+    """A group of the file: its argument, its values by name, and its inner groups by name."""
 
     of: str
     values: dict[str, str] = field(factory=dict)
@@ -36,7 +37,7 @@ class Group:
 
 @frozen
 class Energies:
-    """A table over loads in fF; with one load where the file's has none. fj: energy of a transition."""
+    """Energies of a transition in fJ for loads in fF. If the file gives no loads, there is one load."""
 
     loads_ff: np.ndarray
     fj: np.ndarray
@@ -47,8 +48,10 @@ class Energies:
 
 @frozen
 class Pin:
-    """A pin. capacitance_ff: of an input. energies: of its transitions; None: the file has none. clock: it clocks its cell or, as
-    an output, is a gated clock."""
+    """A pin. capacitance_ff: of an input. energies: of its transitions; None: not in the file.
+
+    clock: whether an input clocks its cell, or an output is a gated clock.
+    """
 
     output: bool
     capacitance_ff: float
@@ -58,7 +61,7 @@ class Pin:
 
 @frozen
 class Cell:
-    """A standard cell; leakage_nw: mean of its states."""
+    """A standard cell. leakage_nw: mean over its states."""
 
     leakage_nw: float
     pins: Mapping[str, Pin]
@@ -116,7 +119,9 @@ def _pin(group: Group) -> Pin:
         powers = [power for power in powers if AT_REST.search(power.values.get("when", "D & Q"))] or powers
     elif name == DATA:
         powers = [power for power in powers if re.search(r"!(CK|G)\b", power.values.get("when", "!CK"))] or powers
-    tables = [table for power in powers for table in _tables(power) if table.fj.any()]  # 0: that edge does not occur
+    tables = [
+        table for power in powers for table in _tables(power) if table.fj.any()
+    ]  # all 0: this edge does not occur
     return Pin(
         output=group.values["direction"] == "output",
         capacitance_ff=float(group.values.get("capacitance", 0)),

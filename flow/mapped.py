@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Blocks in standard cells: one block with all its parts, flattened, as in a synthesis of that block alone.
+"""Area and slack of single blocks in standard cells. Each block is synthesized alone and flattened.
 
-NanGate 45 nm, typical corner (1.1 V, 25 degrees C). Slack is from OpenSTA, between registers, without wires and with an
-ideal clock.
+The cells are NanGate 45 nm at the typical corner (1.1 V, 25 degrees C). OpenSTA gives the slack between registers, without
+wires and with an ideal clock.
 """
 
 import json
@@ -40,7 +40,7 @@ if {[llength $enables]} {report_checks -path_delay max -to $enables}
 
 @frozen
 class Mapped:
-    """A flattened block in standard cells. cells, macros: type -> number; `folder` contains the netlist."""
+    """A flattened block in standard cells. folder: contains the netlist. cells, macros: type -> number."""
 
     name: str
     folder: Path
@@ -56,9 +56,10 @@ class Mapped:
 def map_block(
     unit: Unit, view: View = POLYPHASE, changed: Mapping[str, str] | None = None, gated: bool = True
 ) -> Mapped:
-    """Return a block in standard cells, made once for each state of its Verilog. Memories are latches, macros are black boxes.
+    """Return a block in standard cells. It is made once for each state of its Verilog.
 
-    changed: file name -> text that replaces or supplements the block's own files; gated: as in `cells_script`. Raises
+    Memories consist of latches, and macros are black boxes.
+    changed: files that replace or supplement those of the block, name -> text. gated: as in `cells_script`. Raises
     `ToolchainError`.
     """
     files = bound(units_files([unit], cells=True), gated)
@@ -89,7 +90,7 @@ def slacks_ns(folder: Path, block: str, clock_ns: float) -> dict[str, float]:
     open latches must settle by mid-cycle, and the enables of clock gates by the end of the cycle. The clock is ideal, also
     behind a clock gate.
     """
-    # OpenSTA knows no parameters.
+    # OpenSTA does not know parameters.
     (folder / f"{block}.timed.v").write_text(re.sub(r"#\(\n(?:    \..*\n)*  \) ", "", (folder / NETLIST).read_text()))
     script = f"""\
 read_liberty {LIBERTY}
@@ -107,7 +108,7 @@ create_clock -name clk -period {clock_ns} [get_ports clk]
 
 
 def least_slacks_ns(report: str) -> dict[str, float]:
-    """Return the least slacks of what `LONGEST_PATHS` reported, by the kind of end. Kinds without a path are left out."""
+    """Return kind of end -> least slack from the report of `LONGEST_PATHS`, for all kinds that have a path."""
     _, *parts = re.split(r"^(FLOPS|LATCHES|OPENING|ENABLES)$", report, flags=re.MULTILINE)
     slacks = {}
     for kind, part in zip(parts[::2], parts[1::2]):

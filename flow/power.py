@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Power of a netlist in standard cells: transitions of its nets in simulated frames, times the library's energies.
+"""Power of a netlist in standard cells: transitions of its nets in simulated frames, times the energies of the library.
 
-The netlist is the hierarchical one of `synth.py`, so every block has its own sum. Icarus plays frames through it, checked
-against the golden model, and dumps every net. The power of a cell has three parts: transitions of its pins times the
-energies of `liberty.py`; transitions of its nets times half their capacitance (pins and, with `wire_ff`, wires) times the
-supply squared; and leakage. NanGate 45 nm, typical corner (1.1 V, 25 degrees C). A net of the clock, gated or not, counts
-where its pins are. The simulation has no delays, so glitches are not counted. The netlist has no clock tree;
-`clock_tree_mw` adds one by a model.
+The netlist is the hierarchical one of `synth.py`, so every block has its own sum. Icarus plays frames through it and dumps
+every net; the words are checked against the golden model. The power of a cell has three parts: the transitions of its pins
+times the energies of `liberty.py`; the transitions of its nets times half their capacitance times the supply squared; and
+leakage. The capacitance is that of the pins and, with `wire_ff`, of the wires. The power of a clock net counts in the
+blocks that contain its pins. The cells are NanGate 45 nm at the typical corner (1.1 V, 25 degrees C). The simulation has no
+delays, so there are no glitches. The netlist has no clock tree; `clock_tree_mw` computes one with a model.
 """
 
 import json
@@ -44,9 +44,9 @@ Toggles: TypeAlias = Mapping[str, np.ndarray]
 class Power:
     """Power of some cells, in mW.
 
-    clock: inside flip-flops and latches when their clock moves, and of the pins that the clock drives. internal: otherwise
-    inside the cells. switching: of the pins and wires that they drive. idle: the part of `clock` in cycles in which a
-    flip-flop's output rests; clock gates can save no more than this.
+    clock: inside flip-flops and latches when their clock changes, and in the pins that the clock drives. internal: all other
+    power inside the cells. switching: in the pins and wires that the cells drive. idle: the part of `clock` in cycles in which
+    the output of the flip-flop does not change, which is the most that clock gates can save.
     """
 
     clock: float = 0.0
@@ -65,7 +65,7 @@ class Power:
 
 @frozen
 class Instance:
-    """A cell of the netlist. block: the instances that contain it, joined by dots. nets: pin -> number of its net."""
+    """A cell of the netlist. block: path of the instances that contain it, with dots. nets: pin -> number of its net."""
 
     block: str
     kind: str
@@ -74,7 +74,7 @@ class Instance:
 
 @frozen
 class Design:
-    """A flattened netlist: its cells, and net -> its names, each with the instances before it and the bit."""
+    """A flattened netlist: its cells, and net -> its names. A name has the path of its instances, and a bit."""
 
     scopes: list[str]
     instances: list[Instance]
@@ -86,7 +86,6 @@ class Design:
 def design(sensor: Sensor) -> Design:
     """Return the sensor in standard cells."""
     synthesized = synthesize(sensor, CELLS)
-
     files = {name: (synthesized.folder / name).read_text() for name in (LIBERTY, NETLIST)}
     script = (
         f"read_liberty -lib {LIBERTY}",
@@ -117,7 +116,7 @@ def design(sensor: Sensor) -> Design:
 
 
 def simulate(sensor: Sensor, frames: list[FrameJob]) -> Toggles:
-    """Play frames of equal numbers of pulses through the netlist; return the transitions of every net in each frame."""
+    """Play frames with the same number of pulses through the netlist; return the transitions of every net in each frame."""
     scopes = [".".join(filter(None, (TOP, scope))) for scope in design(sensor).scopes]
     build = netlist_build(sensor, CELLS, scopes)
     out = build_root() / "power" / sensor_key(sensor)
@@ -127,12 +126,12 @@ def simulate(sensor: Sensor, frames: list[FrameJob]) -> Toggles:
 
 
 def in_ps(frames: list[FrameJob]) -> int:
-    """Return a clock cycle in ps."""
+    """Return the length of a clock cycle in ps."""
     return round(1e6 / frames[0].config.clock_mhz)
 
 
 def transitions(vcd: BufferedIOBase, pulses: int, frame_cycles: list[int], cycle_ps: int) -> Toggles:
-    """Return the transitions of every net of a VCD in each frame, which begins when `LASER` rises for its first pulse."""
+    """Return the transitions of every net in a VCD in each frame. A frame begins when `LASER` rises for its first pulse."""
     nets: dict[str, str] = {}  # net -> identifier in the file
     counts: dict[str, np.ndarray] = {}
     scope: list[str] = []
@@ -171,7 +170,7 @@ def transitions(vcd: BufferedIOBase, pulses: int, frame_cycles: list[int], cycle
 
 
 def _steps(tokens: Iterator[Any]) -> Iterator[tuple[int, dict[str, str]]]:
-    """Yield each time of a VCD, and the new values by identifier, highest bit first."""
+    """Yield each time in a VCD with the new values: identifier -> value, highest bit first."""
     now, values = 0, dict[str, str]()
     for kind, _, data in tokens:
         if kind is TokenKind.CHANGE_TIME:
@@ -187,7 +186,7 @@ def _steps(tokens: Iterator[Any]) -> Iterator[tuple[int, dict[str, str]]]:
 def power(
     of: Design, toggles: Toggles, frame: int, cycles: int, clock_mhz: float, wire_ff: float = 0.0
 ) -> dict[str, Power]:
-    """Return the power of every block without its sub-blocks in a frame, by its instances joined by dots.
+    """Return path of a block -> power of the block without its sub-blocks in a frame.
 
     wire_ff: capacitance of the wire to each pin.
     """
@@ -195,7 +194,7 @@ def power(
 
 
 def power_at_rest(of: Design, clock_mhz: float, wire_ff: float = 0.0) -> dict[str, Power]:
-    """Return the same while the clock runs and nothing else moves, so that the subgroups' clock gates are closed."""
+    """Return the same while only the clock runs, so that the clock gates of the subgroups are closed."""
     return _sums(of, {net: 2 * (net == _clock_net(of)) for net in of.names}, 1, clock_mhz, wire_ff)
 
 
@@ -216,10 +215,10 @@ def _clock_nets(of: Design) -> set[int]:
 def clock_tree_mw(
     of: Design, toggles: Toggles, frame: int, cycles: int, clock_mhz: float, wire_ff: float
 ) -> dict[str, float]:
-    """Return the power of the buffers and wires of a clock tree in a frame, by the blocks whose pins it drives.
+    """Return block -> power of the buffers and wires of a clock tree in a frame, for the blocks whose pins the tree drives.
 
-    A model: every net of the clock, gated or not, has buffers with `SINKS_MAX` loads each, in as many levels as it needs, and
-    a wire to every load.
+    In this model every clock net, gated or not, has as many levels of buffers as it needs. Each buffer has `SINKS_MAX` loads,
+    and a wire leads to every load.
     """
     moves, half = _moves(of, toggles, frame), of.supply_v**2 / 2
     sinks: dict[int, list[tuple[str, float]]] = {net: [] for net in _clock_nets(of)}
@@ -238,7 +237,7 @@ def clock_tree_mw(
 
 
 def _tree_fj(buffer: Cell, loads_ff: list[float], wire_ff: float, half: float) -> float:
-    """Return the energy of one transition in the buffers and wires of a clock's net. half: the supply squared / 2."""
+    """Return the energy of one transition in the buffers and wires of a clock net, in fJ. half: the supply squared / 2."""
     energies = buffer.pins["Z"].energies
     assert energies is not None
     number, load_ff, fj = len(loads_ff), sum(loads_ff), 0.0
@@ -254,7 +253,7 @@ def _tree_fj(buffer: Cell, loads_ff: list[float], wire_ff: float, half: float) -
 
 
 def _sums(of: Design, moves: Mapping[int, int], cycles: int, clock_mhz: float, wire_ff: float) -> dict[str, Power]:
-    """Return the power of every block from the transitions of the nets in so many cycles."""
+    """Return the power of every block from the transitions of the nets in a number of cycles."""
     loads: dict[int, float] = {}
     for instance in of.instances:
         for name, net in instance.nets.items():
@@ -268,7 +267,7 @@ def _sums(of: Design, moves: Mapping[int, int], cycles: int, clock_mhz: float, w
     for instance in of.instances:
         cell = of.library[instance.kind]
         clock = internal = switching = 0.0
-        at_clock = at_output = 0  # transitions of its clock, and of its output
+        at_clock = at_output = 0  # transitions of the clock, and of the output
         gated = [net for name, net in instance.nets.items() if cell.pins[name].clock and cell.pins[name].output]
         passed = sum(moves[net] for net in gated)  # transitions of the clock that a gate lets through
         for name, net in instance.nets.items():
@@ -287,7 +286,7 @@ def _sums(of: Design, moves: Mapping[int, int], cycles: int, clock_mhz: float, w
                 at_output = max(at_output, count)
             elif net in clock_nets:
                 clock += count * half * (pin.capacitance_ff + wire_ff)
-        for name, pin in cell.pins.items():  # an output without a net moves as the other one does
+        for name, pin in cell.pins.items():  # an output without a net changes like the other output
             if pin.output and name not in instance.nets and pin.energies:
                 internal += at_output * pin.energies.at(0.0)
         idle = clock * (1 - min(1, at_output / (at_clock / 2))) if at_clock and not gated else 0.0

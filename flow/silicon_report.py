@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Clock domains and asynchronous resets of the asynchronous view, as Yosys finds them, with their constraints.
+"""Clock domains and asynchronous resets of the asynchronous view, from the netlist of a module, and its constraints.
 
-The report is made only from the netlist of a module, with its macros as black boxes. Latches are refused. OpenSTA reads
-the constraints and must report no problem: every object is found, and every flop has a clock.
+Yosys makes the netlist, in which macros are black boxes. A latch in it is an error. OpenSTA reads the constraints and must
+not complain: it finds every object, and every flop has a clock.
 """
 
 import json
@@ -33,7 +33,10 @@ LATCH = re.compile(r"\$_?(dlatch|adlatch|sr)")
 
 @frozen
 class Domain:
-    """Flops of one kind of clock. clock: its net, with `*` for numbers; reset: net of an asynchronous reset, or ''."""
+    """Flops with the same kind of clock. clock: its net, with `*` for numbers; reset: the net of an asynchronous reset, or "".
+
+    clocks: number of clock nets of this kind.
+    """
 
     clock: str
     falling: bool
@@ -42,20 +45,19 @@ class Domain:
     flops: int
 
 
-def _module(sensor: Sensor, view: Asynchronous) -> SensorModule:
-    return SensorModule(sensor, min(2, sensor.subgroups), view)
+def _module(sensor: Sensor, circuit: Circuit) -> SensorModule:
+    return SensorModule(sensor, min(2, sensor.subgroups), Asynchronous(circuit))
 
 
 def top(sensor: Sensor) -> str:
     """Return the name of the module that the report reads."""
-    return _module(sensor, Asynchronous()).unit_name
+    return _module(sensor, Circuit()).unit_name
 
 
 def netlist(sensor: Sensor, circuit: Circuit, folder: Path) -> dict[str, Any]:
-    """Return the flattened netlist of a module from Yosys: generic cells, and macros as black boxes."""
-    view = Asynchronous(circuit)
-    module = _module(sensor, view)
-    files = units_files([module]) | {path.name: path.read_text() for path in (*view.cells, MACROS)}
+    """Return the flattened netlist of a module from Yosys, in generic cells and black boxes."""
+    module = _module(sensor, circuit)
+    files = units_files([module]) | {path.name: path.read_text() for path in (*Asynchronous.cells, MACROS)}
     folder.mkdir(parents=True, exist_ok=True)
     for name, text in files.items():
         (folder / name).write_text(text)
@@ -70,8 +72,8 @@ def netlist(sensor: Sensor, circuit: Circuit, folder: Path) -> dict[str, Any]:
     return json.loads((folder / "netlist.json").read_text())["modules"][module.unit_name]
 
 
-def mapped(folder: Path, top: str) -> dict[str, int]:
-    """Map the files of `netlist` in `folder`; return type -> number of cells and macros. The netlist keeps its hierarchy."""
+def mapped(folder: Path, top: str) -> None:
+    """Map the files of `netlist` in `folder` to standard cells. The hierarchy stays."""
     for name, text in library_files().items():
         (folder / name).write_text(text)
     ours = {MAPPED, TIMED, ENABLES.name}
@@ -82,16 +84,14 @@ def mapped(folder: Path, top: str) -> dict[str, int]:
         f"read_verilog -sv {files}",
         *cells_script(top, gated=False),
         "check -assert",
-        "tee -q -o cells.json stat -json",
         f"write_verilog -noexpr -noattr -simple-lhs {MAPPED}",
     )
-    return json.loads((folder / "cells.json").read_text())["design"]["num_cells_by_type"]
 
 
 def timing(folder: Path, top: str, sdc: str) -> tuple[list[str], list[tuple[str, str, float, float]]]:
-    """Return OpenSTA's complaints about the constraints `sdc` on the netlist of `mapped`, and the longest paths.
+    """Return the complaints of OpenSTA about the constraints `sdc` on the netlist of `mapped`, and the longest paths.
 
-    Paths: (from clock, to clock, ns required, ns taken), without wires. Macros and gates of the OR tree are black boxes.
+    A path is (from clock, to clock, ns required, ns taken), without wires. Macros and the gates of the OR tree are black boxes.
     """
     text = (folder / MAPPED).read_text()
     text = re.sub(r"#\(\n(?:    \..*\n)*  \) ", "", text)  # OpenSTA does not know parameters
@@ -185,12 +185,6 @@ def report(sensor: Sensor, circuit: Circuit, module: dict[str, Any], paths: list
     return "\n".join(lines)
 
 
-def module_constraints(sensor: Sensor, circuit: Circuit) -> str:
-    """Return the SDC of the module that the report reads."""
-    clock = f"create_clock -name {SYSTEM} -period {circuit.clock_fs / FS_PER_NS:g} [get_ports {SYSTEM}]"
-    return f"{clock}\n{async_constraints(sensor, circuit, 'words_*')}"
-
-
 def write(sensor: Sensor, circuit: Circuit, folder: Path) -> list[Path]:
     """Write netlists, report and constraints of a sensor to `folder`.
 
@@ -198,7 +192,8 @@ def write(sensor: Sensor, circuit: Circuit, folder: Path) -> list[Path]:
     """
     module = netlist(sensor, circuit, folder)
     sdc = folder / "coincid_async.sdc"
-    sdc.write_text(module_constraints(sensor, circuit))
+    clock = f"create_clock -name {SYSTEM} -period {circuit.clock_fs / FS_PER_NS:g} [get_ports {SYSTEM}]"
+    sdc.write_text(f"{clock}\n{async_constraints(sensor, circuit, 'words_*')}")
     mapped(folder, top(sensor))
     complaints, paths = timing(folder, top(sensor), sdc.name)
     if found := [*latches(module), *complaints]:

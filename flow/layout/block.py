@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A block in Coriolis: its size, its clock tree, room for the router, cells on their sites, and a record of their places.
+"""Placement and routing of a block in Coriolis, with a clock tree; cells move to legal sites, and their places are recorded.
 
-Import this module after `technology.set_up`: Coriolis's modules make a database of their own if there is none.
+Import this module after `technology.set_up`, because Coriolis's modules create a database if there is none.
 """
 
 import json
@@ -18,9 +18,9 @@ from coriolis.plugins.block.spares import Spares
 from .technology import ROW_UM, SITE_UM, TOP_METAL
 
 PLACED = "placed.json"
-RING_ROWS, RING_SITES = 2, 16  # that stay free around the cells
+RING_ROWS, RING_SITES = 2, 16  # the ring around the cells that stays free
 SITE = u(SITE_UM)
-# Share of free area that the placer may leave in one place; with none it widens the cells until they fill all.
+# Largest share of free area in one place. With 0 the placer widens the cells until they fill the block.
 SPREAD, SPREAD_OF_MACROS = (0.15, 0.80)
 
 
@@ -37,14 +37,11 @@ def build(cell, job) -> bool:
 
 
 def configuration(cell, job) -> BlockConf:
-    """Return the size, the clock tree, and the number of tracks that the global router leaves to the detailed one.
+    """Return Coriolis's settings for a block: its size, its clock tree, and the tracks reserved for the detailed router.
 
-    Pins stay at their cells.
+    Ports have no pins at the border; they stay at the pins of cells.
     """
     conf, plan = BlockConf(cell, ioPins=[], ioPads=[]), job.floorplan
-    conf.cfg.etesian.bloat = "disabled"
-    conf.cfg.etesian.uniformDensity = True
-    conf.cfg.etesian.aspectRatio = 1.0
     conf.cfg.etesian.spaceMargin = job.margin
     conf.cfg.etesian.densityVariation = SPREAD_OF_MACROS if plan else SPREAD
     conf.cfg.anabatic.topRoutingLayer = TOP_METAL
@@ -58,7 +55,7 @@ def configuration(cell, job) -> BlockConf:
     conf.cfg.katana.dumpMeasures = True
     conf.cfg.block.spareSide = u(ROW_UM * 10)
     conf.editor = None
-    conf.useSpares = conf.useClockTree = conf.useHFNS = not plan  # the last crashes on nets of macros
+    conf.useSpares = conf.useClockTree = conf.useHFNS = not plan  # HFNS crashes on nets of macros
     conf.bColumns = conf.bRows = 2
     if not plan:
         conf.useHTree(job.clock)
@@ -74,7 +71,7 @@ def configuration(cell, job) -> BlockConf:
 
 
 def fix_macros(cell, plan: dict[str, Any]) -> None:
-    """Put the macros on their grid, in the order of their names."""
+    """Place the macros on the grid of the floorplan, in the order of their names."""
     macros = [instance for instance in cell.getInstances() if instance.getMasterCell().getName() == plan["kind"]]
     with UpdateSession():
         for k, instance in enumerate(sorted(macros, key=lambda instance: instance.getName())):
@@ -85,7 +82,7 @@ def fix_macros(cell, plan: dict[str, Any]) -> None:
 
 
 def core_size_um(cell, margin: float) -> tuple[float, float]:
-    """Return width and height: about a square of an even number of rows, a ring, and `margin` of the cells' area free."""
+    """Return width and height of a block: nearly square, an even number of rows, `margin` of free area, and the ring."""
     length = sum(um(instance.getMasterCell().getAbutmentBox().getWidth()) for instance in cell.getInstances())
     rows = int((length * ROW_UM * (1 + margin)) ** 0.5 / ROW_UM + 0.999)
     rows += rows % 2
@@ -98,7 +95,7 @@ def to_site(self, x: int, superior: bool = False) -> int:
 
 
 class SnappedBlock(Block):
-    """Coriolis's own steps; after the placement, the cells move to the sites of their rows, and their places are recorded."""
+    """A block that Coriolis places and routes. Before routing, the cells move to sites, and their places are recorded."""
 
     def place(self):
         super().place()
@@ -118,7 +115,7 @@ class PlacedBlock(SnappedBlock):
 
 
 def snap(cell) -> None:
-    """Move each cell to the next free site of its row, as far as the cells to its right allow."""
+    """Move each cell to the nearest free site of its row that leaves room for the cells on its right."""
     rows: dict[int, list[Any]] = {}
     for instance in cell.getInstances():
         box = instance.getAbutmentBox()
@@ -143,7 +140,7 @@ def snap(cell) -> None:
 
 
 def record(cell) -> None:
-    """Write `PLACED`: the box, the place, orientation and nets of every cell, and the direction of every port."""
+    """Write `PLACED`: the size of the block, the place, orientation and nets of every cell, and the direction of every port."""
     box = cell.getAbutmentBox()
     cells = []
     for instance in cell.getInstances():

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Buffers of a placed block with macros: its clock tree, and trees below other nets with many cells.
+"""Buffers for a placed block with macros: a clock tree, and trees for other nets with many sinks.
 
-Sinks near each other share a buffer, and so do buffers near each other. A buffer stands in the free place of a row that
-is nearest to the middle of its sinks. The clock passes the same number of buffers to every flip-flop; a macro has a clock
-tree of its own inside.
+Neighbouring sinks share a buffer, and neighbouring buffers share one, too. A buffer stands in the free place that is
+nearest to the centre of its sinks. The clock passes the same number of buffers on its way to every flip-flop. A macro
+contains its own clock tree.
 """
 
 import re
@@ -15,9 +15,10 @@ from ..yosys import CLOCK_BUFFER, SINKS_MAX
 from .drawn import ROW_UM, SITE_UM, Placed, Strips, pin_places
 from .wires import is_output
 
-BUFFERS_MAX = 8  # that a buffer drives: other buffers, or cells at their level
-FANOUT_MAX = 10  # of a net without buffers
-EARLY_LEVELS = 2  # buffers that the clock passes to flip-flops, and not to macros and the gates that open latches
+BUFFERS_MAX = 8  # largest number of buffers, or of cells at the same level, below a buffer
+FANOUT_MAX = 10  # largest number of sinks of a net without buffers
+# Levels of buffers before flip-flops only: macros and the gates that open latches have as many fewer.
+EARLY_LEVELS = 2
 FLOP = re.compile("DFF|DL[HL]")
 Sink = tuple[float, float, dict[str, Any], str]  # x, y, cell, its pin
 Gaps = dict[int, list[tuple[float, float]]]  # row -> (from, to) of its free places
@@ -32,9 +33,9 @@ def grow(
     outputs: Collection[str],
     height_um: float,
 ) -> Placed:
-    """Return the placed block with a clock tree, and with buffers in all nets of more than `FANOUT_MAX` cells.
+    """Return the placed block with a clock tree, and with buffers in all nets of more than `FANOUT_MAX` sinks.
 
-    macro, outputs, height_um: kind of the macros, their outputs, and their height.
+    widths_um: of all kinds of cells. macro, outputs, height_um: the kind of the macros, their output pins, their height.
     """
     cells = {one["name"]: one for one in placed["cells"]}
     sinks: dict[str, list[Sink]] = defaultdict(list)
@@ -54,9 +55,9 @@ def grow(
 
 
 def tree(net: str, level: list[Sink], early: list[Sink], gaps: Gaps, width_um: float) -> list[dict[str, Any]]:
-    """Return buffers between a net's driver and its sinks, and change the sinks' nets.
+    """Return buffers between the driver of a net and its sinks, and connect the sinks to them.
 
-    early: sinks with `EARLY_LEVELS` fewer buffers before them than the others.
+    level: the sinks. early: sinks behind `EARLY_LEVELS` fewer buffers than the others.
     """
     added: list[dict[str, Any]] = []
     number, limit = 0, SINKS_MAX
@@ -76,7 +77,7 @@ def tree(net: str, level: list[Sink], early: list[Sink], gaps: Gaps, width_um: f
 
 
 def near(sinks: list[Sink], most: int) -> list[list[Sink]]:
-    """Halve all groups of sinks, along the longer side of their box, until none has more than `most`."""
+    """Return groups of neighbouring sinks. All groups are halved across their longer side until none has more than `most`."""
     groups = [sinks]
     while max(map(len, groups)) > most:
         groups = [half for group in groups for half in _halves(group)]
@@ -91,7 +92,7 @@ def _halves(sinks: list[Sink]) -> tuple[list[Sink], list[Sink]]:
 
 
 def free_places(placed: Placed, widths_um: Mapping[str, float], macro: str, height_um: float) -> Gaps:
-    """Return what is free in every row, between cells and macros."""
+    """Return the free places of every row, between the cells and macros."""
     taken: dict[int, list[tuple[float, float]]] = defaultdict(list)
     for one in placed["cells"]:
         if not one["kind"].startswith("FILL"):
@@ -106,7 +107,7 @@ def free_places(placed: Placed, widths_um: Mapping[str, float], macro: str, heig
 
 
 def _place(group: list[Sink], gaps: Gaps, width_um: float) -> dict[str, Any]:
-    """Return a buffer in the free place nearest to the middle of a group, and take that place."""
+    """Return a buffer in the free place nearest to the centre of a group, and remove this place from `gaps`."""
     x, y = sum(sink[0] for sink in group) / len(group), sum(sink[1] for sink in group) / len(group)
 
     def away(place: tuple[int, int]) -> float:

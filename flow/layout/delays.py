@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Simulation of the sensor with a routed block and its delays, under the bench that the RTL passes.
+"""Simulation of the sensor with a routed block and its delays, with the same checks as for the RTL.
 
-The rest of the sensor is RTL without delays, but the block's own clock arrives later than the port's, because it passes the
-clock tree. So the block's inputs change `INPUT_NS` after the clock's edge, as the outputs of flip-flops do.
+The rest of the sensor is RTL without delays. Inside the block the clock arrives late, because it passes the clock tree. So
+the inputs of the block change `INPUT_NS` after the edge of the clock, as the outputs of flip-flops do.
 """
 
 import re
@@ -22,10 +22,10 @@ INPUT_NS = 0.4
 
 
 def shell(unit: Unit, routed: Mapping[str, str], inputs_ns: float = 0.0, sdf: Path | None = None) -> str:
-    """Return a module with the block's ports around its routed netlist.
+    """Return a module that has the ports of a block and contains its routed netlist.
 
-    routed: name -> direction of the netlist's ports, each of one bit. inputs_ns: delay of all inputs except the clock.
-    sdf: delays of the netlist.
+    routed: the ports of the netlist, each of one bit: name -> direction. inputs_ns: delay of all inputs except the clock.
+    sdf: file with the delays of the netlist.
     """
     ports = {CLOCK: (True, 1), "rst": (True, 1)} | {
         name: (way.name == "In", len(signal.as_value() if hasattr(signal, "as_value") else signal))

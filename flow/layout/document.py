@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The page of `make layout`: the routed and placed blocks, their rules, timing and simulation with wires, and limits."""
+"""The page of `make layout`: routed and placed blocks with their size, rules, timing, and simulation with wires."""
 
 from collections.abc import Callable, Iterable
 from pathlib import Path
@@ -25,13 +25,13 @@ from .hierarchy import DETOUR
 
 PAGE = Path(__file__).with_name("page.md")
 PICTURE, PREFIX = "layout-{}.png", "coincid_"
-SMALL = Sensor(rows=8, cols=8)  # of the simulation: 16 minigroups
-COLOURS = 32  # of the picture
-TOO_SLOW = 6.0  # factor on all delays, too large for a cycle
+SMALL = Sensor(rows=8, cols=8)  # simulated with delays: 16 minigroups
+COLOURS = 32  # number of colours in the picture
+TOO_SLOW = 6.0  # factor on all delays; the sensor must fail with it
 
 
 def write_page(path: Path, tell: Callable[[str], None]) -> None:
-    """Lay out the minigroups of the preset `silicon`; write the page, and pictures to the folder `images` beside it."""
+    """Lay out blocks of the preset `silicon`. Write the page to `path`, and pictures to the folder `images` beside it."""
     config = load_config("silicon")
     clock_ns = 1000 / config.clock_mhz
     units: list[tuple[Unit, View]] = [(Minigroup(config.sensor), POLYPHASE)]
@@ -80,14 +80,14 @@ def write_page(path: Path, tell: Callable[[str], None]) -> None:
 def played_with_delays(
     unit: Minigroup, view: View, layout: Layout, tell: Callable[[str], None]
 ) -> list[tuple[str, str]]:
-    """Play the bench with the layout's delays, and with much longer ones, which must make it fail. Raises `Mismatch`."""
+    """Simulate a layout with its delays, then with delays `TOO_SLOW` times as long, which must fail. Raises `Mismatch`."""
     tell(f"{unit.unit_name}: simulating the sensor with the routed minigroups and their delays")
     checked, cycles = simulate(SMALL, unit, layout.folder, view=view)
     try:
         simulate(SMALL, unit, layout.folder, TOO_SLOW, view)
     except Mismatch:
         return [("words and commits", str(checked)), ("cycles", str(cycles)), ("mismatches", "0")]
-    raise Mismatch(f"delays of {TOO_SLOW:g} times the layout's change nothing: they are not in force")
+    raise Mismatch(f"the sensor passes with delays {TOO_SLOW:g} times as long, so the delays have no effect")
 
 
 def _table(columns: Iterable[list[tuple[str, str]]]) -> str:
@@ -98,7 +98,7 @@ def _table(columns: Iterable[list[tuple[str, str]]]) -> str:
 
 
 def facts(layout: Layout, mapped_um2: float) -> list[tuple[str, str]]:
-    """Return the facts of a layout."""
+    """Return the names and values of the page's first table."""
     area = layout.width_um * layout.height_um
     return [
         ("cells before layout, um2", f"{mapped_um2:,.0f}"),

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The drawn block: the cells' own layouts below the router's wires; its opens and shorts, its rules, and a picture of it."""
+"""The layout of a block in KLayout: cells and wires together; checks of connections and rules; and a picture."""
 
 from collections import defaultdict
 from collections.abc import Iterator, Mapping
@@ -21,7 +21,7 @@ ROUTED = range(2, 7)  # metals that the router uses; metal2 has the strips of th
 WIDTH_UM = {1: 0.065, 2: 0.07, 3: 0.07, 4: 0.14, 5: 0.14, 6: 0.14}
 SPACE_UM = {1: 0.065, 2: 0.07, 3: 0.07, 4: 0.14, 5: 0.14, 6: 0.14}
 CUT_SPACE_UM = {1: 0.08, 2: 0.09, 3: 0.09, 4: 0.16, 5: 0.16}
-END_UM, ENDED_VIAS = 0.035, (1, 2, 3)  # metal that reaches beyond a via's cut, on two opposite sides
+END_UM, ENDED_VIAS = 0.035, (1, 2, 3)  # metal must reach so far beyond the cut of these vias on two opposite sides
 COLOURS = {
     3: 0xC8B878,
     1: 0x2E8B57,
@@ -34,13 +34,13 @@ COLOURS = {
     21: 0x0FCFC0,
 }
 PICTURE_PIXELS = 1100
-REPAIRS = 4  # rounds; one may make work for the next
-Placed = dict[str, Any]  # what `place_route.record` wrote
+REPAIRS = 4  # rounds of repairs, because a repair may cause another one
+Placed = dict[str, Any]  # a placed block, as `block.record` writes it
 Strips = Mapping[str, Mapping[str, Strip]]
 
 
 def metal(i: int) -> int:
-    """Return the GDS layer of a metal; the next one is that of the via above it."""
+    """Return the GDS layer of a metal. The via above this metal is on the next layer."""
     return 9 + 2 * i
 
 
@@ -55,7 +55,7 @@ def box(left: float, bottom: float, right: float, top: float) -> db.Box:
 def draw(
     routed: Path, cells_gds: Path, placed: Placed, strips: Strips, widths_um: Mapping[str, float], top: str
 ) -> db.Layout:
-    """Return the whole block: cells with the strips of their pins, fillers, the router's wires, and a text at each port."""
+    """Return the layout of a block: cells with the strips of their pins, fillers, routed wires, and a text at each port."""
     layout = db.Layout()
     layout.dbu = DBU_UM
     cells = _library(layout, cells_gds, strips)
@@ -122,7 +122,7 @@ def _fillers(
 
 
 def _wires(layout: db.Layout, whole: db.Cell, routed: Path) -> None:
-    """Copy the router's shapes, and widen metal4 at vias from metal3 to its full width."""
+    """Copy the wires from the routed GDS, and widen metal4 to its full width at vias from metal3."""
     source = db.Layout()
     source.read(str(routed))
     top = source.cell(whole.name) or source.cell(f"{whole.name}_r") or source.top_cell()
@@ -157,7 +157,7 @@ def pin_places(placed: Placed, strips: Strips) -> Iterator[tuple[str, str, str, 
 
 
 def port_places(placed: Placed, strips: Strips) -> dict[str, tuple[float, float]]:
-    """Return port -> the place of a pin of its net."""
+    """Return port -> the place of one pin of its net."""
     places: dict[str, tuple[float, float]] = {}
     for net, _, _, x, y in pin_places(placed, strips):
         if net in placed["ports"]:
@@ -169,9 +169,9 @@ def port_places(placed: Placed, strips: Strips) -> dict[str, tuple[float, float]
 class Connection:
     """Comparison of the wires with the netlist.
 
-    opens: nets in several parts; shorts: parts with several nets; off: pins without metal. gaps: spaces between two wires of
-    one net that were narrower than the rule, and are closed now. cuts: pairs of vias of one net that were nearer than the rule;
-    one of the two is gone, and metal joins their places.
+    opens: nets in several parts. shorts: parts that belong to several nets. off: number of pins without metal. gaps: number
+    of spaces within a net that were narrower than the rule and were filled. cuts: number of pairs of vias of one net that
+    were closer than the rule; one via of each pair was replaced by metal.
     """
 
     nets: int
@@ -183,7 +183,7 @@ class Connection:
 
 
 class Wires:
-    """The connections that a block's metal2 to metal6 and their vias make, as they are drawn at this moment."""
+    """The connected parts of a block's metal2 to metal6 and their vias, when this object is made."""
 
     def __init__(self, layout: db.Layout, top: str):
         whole = layout.cell(top)
@@ -215,7 +215,7 @@ class Wires:
         return db.Region(self._cell.begin_shapes_rec(self._layers[layer])).merged()
 
     def beside(self, layer: int, edge: db.Edge) -> int | None:
-        """Return the part on one side of an edge, or None."""
+        """Return the connected part beside an edge, or None."""
         x, y = (edge.x1 + edge.x2) / 2, (edge.y1 + edge.y2) / 2
         for step in (-4, 4):
             for dx, dy in ((step, 0), (0, step), (step, step)):
@@ -226,7 +226,7 @@ class Wires:
 
 
 def connect(layout: db.Layout, top: str, placed: Placed, strips: Strips) -> Connection:
-    """Remove vias that are too near, close gaps within a net, and compare the wires with the netlist."""
+    """Repair vias that are too close and gaps that are too narrow, and compare the wires with the netlist."""
     cuts, gaps = 0, 0
     for _ in range(REPAIRS):
         gone = _thin_cuts(layout, top, Wires(layout, top))
@@ -251,7 +251,7 @@ def connect(layout: db.Layout, top: str, placed: Placed, strips: Strips) -> Conn
 
 
 def _close_gaps(layout: db.Layout, top: str, wires: Wires) -> int:
-    """Fill gaps between two wires of one net that are narrower than the rule; return their number."""
+    """Fill gaps within a net that are narrower than the rule; return their number."""
     closed = 0
     for i in ROUTED[1:]:
         for edges in wires.drawn(metal(i)).space_check(database(SPACE_UM[i])).each():
@@ -263,7 +263,7 @@ def _close_gaps(layout: db.Layout, top: str, wires: Wires) -> int:
 
 
 def _thin_cuts(layout: db.Layout, top: str, wires: Wires) -> int:
-    """Replace one of two vias of a net that are too near by metal to the other; return how many are gone."""
+    """Replace one of two vias of a net that are too close by metal to the other; return the number of replaced vias."""
     gone = 0
     for i in ROUTED[:-1]:
         shapes = layout.cell(top).shapes(layout.layer(metal(i) + 1, 0))
@@ -271,7 +271,7 @@ def _thin_cuts(layout: db.Layout, top: str, wires: Wires) -> int:
             ends = [edges.first.bbox().center(), edges.second.bbox().center()]
             near = [[shape for shape in shapes.each() if shape.bbox().enlarged(1).contains(end)] for end in ends]
             if not all(near):
-                continue  # one of them has just gone
+                continue  # one via was just replaced
             boxes = [found[0].bbox() for found in near]
             nets = {wires.part(metal(i) + 1, one.center().x, one.center().y) for one in boxes}
             if len(nets) == 1 and None not in nets:

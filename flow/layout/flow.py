@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Layout of a minigroup: from Verilog to a routed GDS that is checked, timed with its wires, and simulated with its delays.
+"""Layout of a minigroup: from Verilog to a routed GDS, which is checked and timed with its wires.
 
-The standard cells are NanGate's for 45 nm. Coriolis places and routes, KLayout checks, and OpenSTA times. Coriolis runs in
-a process of its own with a time limit. If it does not route everything, the flow tries the next of `ATTEMPTS`; after the
-last one it fails.
+The standard cells are NanGate's for 45 nm. Coriolis places and routes, KLayout checks, and OpenSTA computes the timing.
+Coriolis runs in a separate process with a time limit. If it leaves nets open, the flow tries the next of `ATTEMPTS`, and
+fails after the last one.
 """
 
 import json
@@ -36,18 +36,18 @@ LEFS, GDS = ("rtk-tech.lef", "stdcells.lef"), "stdcells.gds"  # of `cells_folder
 BLIF, MAPPED = "mapped.blif", "mapped.v"
 VERILOG, SPEF, SDF, FINAL = "routed.v", "routed.spef", "routed.sdf", "routed.gds"
 PLACED, STRIPS, JOB, LOG, FACTS = "placed.json", "strips.json", "job.json", "coriolis.log", "facts.json"
-LIMIT_S = 300  # of one attempt
+LIMIT_S = 300  # time limit of an attempt
 NOT_ROUTED = 3  # exit code of `place_route.py`
 CLOCK = "clk"
-BEHIND = ("document", "delays", "hierarchy", "buffers")  # files that do not change a layout
+BEHIND = ("document", "delays", "hierarchy", "buffers")  # files on which a routed block does not depend
 
 
 @frozen
 class Attempt:
-    """Room for the router.
+    """How much room the router gets.
 
     margin: share of free area. um2_per_pin: least area of a cell for each of its pins. tracks_reserved: horizontal and
-    vertical tracks that the global router leaves to the detailed one, and the least number of them anywhere.
+    vertical tracks that the global router leaves to the detailed router, and their least number in any place.
     """
 
     margin: float
@@ -98,13 +98,13 @@ def require_tools() -> Path:
 
 
 def sources(*without: str) -> list[str]:
-    """Return the texts of this folder's code and settings, on which a layout depends, except those of some files."""
+    """Return the code and the settings of this folder, on which a layout depends. without: names of files to leave out."""
     files = (path for path in sorted(Path(__file__).parent.iterdir()) if path.suffix in (".py", ".toml"))
     return [path.read_text() for path in files if path.stem not in without]
 
 
 def lay_out(unit: Unit, clock_mhz: float, tell: Callable[[str], None], view: View = POLYPHASE) -> Layout:
-    """Return the layout of a flattened block, which is made once for each state of its Verilog. Macros have no layout."""
+    """Return the layout of a flattened block without its macros. It is made once for each state of the Verilog."""
     cells, files = require_tools(), bound(units_files([unit], cells=True), gated=False)
     files |= {path.name: path.read_text() for path in (*view.cells, *view.macros)}
 
@@ -130,7 +130,7 @@ def made_once(
 
     script = [
         f"read_verilog -sv {' '.join(files)}",
-        *cells_script(top, flatten=True, gated=False),  # one clock tree
+        *cells_script(top, flatten=True, gated=False),  # the layout has a single clock tree
         "setundef -zero",
         "hilomap -singleton -hicell LOGIC1_X1 Z -locell LOGIC0_X1 Z",
         "opt_clean -purge",
@@ -166,9 +166,9 @@ def write_job(
     macros: dict[str, dict[str, Strip]] | None = None,
     *lefs: Path,
 ) -> None:
-    """Write the job of Coriolis for the BLIF file of `folder`. macros: name -> port -> strip; lefs: of the macros."""
+    """Write the job of Coriolis for the BLIF file of `folder`. macros: kind -> port -> strip; lefs: LEF files of the macros."""
     used = set(re.findall(r"^\.(?:gate|subckt) (\S+)", (folder / BLIF).read_text(), re.MULTILINE))
-    used |= {"BUF_X4", "BUF_X1", "LOGIC0_X1", "LOGIC1_X1"}  # of the clock tree, of nets with many pins, of constants
+    used |= {"BUF_X4", "BUF_X1", "LOGIC0_X1", "LOGIC1_X1"}  # for the clock tree, nets with many pins, and constants
     places = strips(cells / LEFS[1], used) | (macros or {})
     flat = {cell: {pin: astuple(strip) for pin, strip in pins.items()} for cell, pins in places.items()}
     (folder / STRIPS).write_text(json.dumps(flat))
@@ -265,9 +265,9 @@ def timed_facts(
 
 
 def time_wires(top: str, clock_mhz: float, folder: Path) -> tuple[float, float]:
-    """Return the slack of the longest and of the shortest path between registers, in ns; write the delays as SDF.
+    """Write the delays as SDF; return the slack of the longest and of the shortest path between registers, in ns.
 
-    Paths include wires and clock tree.
+    Paths include wires and the clock tree.
     """
     script = f"""\
 read_liberty {LIBERTY}

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Blocks above a minigroup: routed minigroups as macros on a grid, with the block's own cells and buffers between them.
+"""Tree and subgroup: routed minigroups are macros on a grid, and the other cells and buffers stand between them.
 
-The router does not finish these blocks, so their wires are estimated: the length of a net is `DETOUR` times half the
-perimeter of the box around its pins. Timing is of the whole block, with the routed wires inside the macros.
+The router cannot finish these blocks, so their wires are estimated: the length of a net is `DETOUR` times half the
+perimeter of the box around its pins. Timing covers the whole block, with the routed wires inside the macros.
 """
 
 import json
@@ -25,13 +25,13 @@ from .drawn import Placed, Strips
 from .pins import Strip, cell_widths_um
 
 MACRO_LEF = "macro.lef"
-ROOM = flow.Attempt(0.45, 0.83, (5, 6, 4))  # around the block's own cells
-LIMIT_S = 400  # of the placer
-COLUMNS = 4  # of macros
+ROOM = flow.Attempt(0.45, 0.83, (5, 6, 4))  # for the cells outside the macros
+LIMIT_S = 400  # time limit of the placer
+COLUMNS = 4  # in the grid of macros
 CHANNEL_UM, BORDER_UM = 26.0, 16.0  # least widths between macros, and around them
-STEP_UM = 5.7, 8.4  # in x and y, after which sites (or pairs of rows) and the tracks of every metal repeat
-DETOUR = 1.23  # mean of the nets of the tree that Coriolis routed
-ESTIMATED_ON = 3, 4, 5, 6  # metals of an estimated wire, which has the same length on each
+STEP_UM = 5.7, 8.4  # after these steps in x and y, sites (or pairs of rows) and the tracks of all metals repeat
+DETOUR = 1.23  # mean over the nets of the tree that Coriolis routed
+ESTIMATED_ON = 3, 4, 5, 6  # metals that share an estimated wire in equal parts
 
 
 @frozen(kw_only=True)
@@ -44,7 +44,7 @@ class Hierarchy(flow.Block):
 
 @frozen
 class Macro:
-    """A routed block as the block above sees it. pins: port -> the strip of metal2 that a wire can reach."""
+    """A routed block inside a larger block. pins: port -> the strip of metal2 to which a wire connects."""
 
     kind: str
     placed: Placed
@@ -54,9 +54,9 @@ class Macro:
 
 
 def lay_out(unit: Unit, leaf: Unit, layout: flow.Layout, clock_mhz: float, tell: Callable[[str], None]) -> Hierarchy:
-    """Return a placed block, which is made once for each state of its Verilog. Raises `ToolchainError`.
+    """Return a placed block. It is made once for each state of its Verilog. Raises `ToolchainError`.
 
-    Its units of the kind of `leaf` are macros with the routed `layout`.
+    leaf: the unit whose instances are macros; layout: its routed layout.
     """
     cells, files = flow.require_tools(), bound(units_files([unit], cells=True), gated=False)
     ports, kind = used_ports((layout.folder / flow.VERILOG).read_text()), f"{leaf.unit_name}_routed"
@@ -89,7 +89,7 @@ def used_ports(netlist: str) -> dict[str, str]:
 
 
 def floorplan(kind: str, width_um: float, height_um: float, macros: int) -> dict[str, Any]:
-    """Return the grid of the macros and the size of the block, in um. All macros lie in the same way on sites, rows and tracks."""
+    """Return the grid of the macros and the size of the block, in um. Sites, rows and tracks lie alike under all macros."""
     x, y = (math.ceil(BORDER_UM / step) * step for step in STEP_UM)
     dx, dy = (math.ceil((size + CHANNEL_UM) / step) * step for size, step in zip((width_um, height_um), STEP_UM))
     rows = math.ceil(macros / COLUMNS)
@@ -109,7 +109,7 @@ def read_macro(name: str, layout: flow.Layout, ports: Mapping[str, str]) -> Macr
 
 
 def macro_lef(macro: Macro, ports: Mapping[str, str]) -> str:
-    """Return the LEF of a macro for the placer: its size, and the strips of its ports."""
+    """Return the LEF of a macro: its size, and the strips of its ports."""
     lines = ["VERSION 5.7 ;", f"MACRO {macro.kind}", "  CLASS BLOCK ;", "  ORIGIN 0 0 ;"]
     lines += [f"  SIZE {macro.placed['width']} BY {macro.placed['height']} ;"]
     half = drawn.HALF_WIRE_UM
@@ -146,7 +146,7 @@ def flat(placed: Placed, macro: Macro) -> Placed:
 
 
 def lengths_um(placed: Placed, macro: Macro, estimated_um: Mapping[str, float]) -> wires.Lengths:
-    """Return net -> metal -> length of the flat block: wires inside the macros, and the estimated ones above them."""
+    """Return net -> metal -> length in the flat block: routed wires inside the macros, and estimated wires above them."""
     lengths: wires.Lengths = defaultdict(lambda: defaultdict(float))
     for net, um in estimated_um.items():
         for metal in ESTIMATED_ON:
@@ -159,7 +159,7 @@ def lengths_um(placed: Placed, macro: Macro, estimated_um: Mapping[str, float]) 
 
 
 def estimates_um(placed: Placed, strips: Strips) -> dict[str, float]:
-    """Return net -> estimated length of all nets with two or more pins of cells and macros."""
+    """Return net -> estimated length, for all nets with two or more pins."""
     ends: dict[str, list[tuple[float, float]]] = defaultdict(list)
     for net, _, _, x, y in drawn.pin_places(placed, strips):
         ends[net].append((x, y))
@@ -186,7 +186,7 @@ def _finish(top: str, macro: Macro, cells: Path, clock_mhz: float, folder: Path)
     widths_um[macro.kind] = macro.placed["width"]
     outputs = [port for port, way in macro.placed["ports"].items() if way == "output"]
     placed: Placed = json.loads((folder / flow.PLACED).read_text())
-    floating = drivers_lost(flat(placed, macro))  # as Yosys left them
+    floating = drivers_lost(flat(placed, macro))  # already in the netlist from Yosys
     placed = buffers.grow(placed, flow.CLOCK, strips, widths_um, macro.kind, outputs, macro.placed["height"])
     estimated_um, whole = estimates_um(placed, strips), flat(placed, macro)
     wired = wires.wired(top, whole, strips, lengths_um(placed, macro, estimated_um), cells / flow.LEFS[0])

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Access to the pins of the standard cells: a via on the pin's metal1, and above it a vertical strip of metal2 on a track.
+"""Access to the pins of the standard cells: a via on the metal1 of the pin, and a vertical strip of metal2 on a track above it.
 
-The router cannot connect to the library's own metal1 shapes. So every pin gets a strip of metal2 as tall as the cell allows,
-and wires begin at metal3. Lengths are in units of the layout database.
+The router cannot connect to the metal1 shapes of the library. So every pin gets a strip of metal2, which is as long as the
+cell allows, and wires begin at metal3. Lengths are in units of the layout database.
 """
 
 import itertools
@@ -15,7 +15,7 @@ from attrs import frozen
 
 UNITS_PER_UM = 2000
 TRACK, FIRST_TRACK = 380, 190  # vertical tracks of metal2
-STEP = 10  # between the heights that are tried for a via
+STEP = 10  # between two heights that are tried for a via
 HALF = 70  # half a wire of metal2, and half a via's side
 PAD_HALF = 140  # half the length of metal1 that a via needs
 LOWEST, HIGHEST = 280, 2520  # ends of a strip: clear of the supply rails
@@ -23,13 +23,13 @@ END_GAP = 70  # half the distance between two strips on one track
 SUPPLIES = ("VDD", "VSS")
 COMBINATIONS_MAX = 200_000
 CHOICES = 6  # tracks tried for a pin
-# Cost of a choice: two pins on one track, too near or far enough; a via that its metal does not enclose.
+# Costs: two pins on one track, too close to each other; the same, far enough apart; a via that its metal does not enclose.
 SHARED, NEAR, SHORT = (1000.0, 10.0, 1.0)
 
 
 @frozen
 class Strip:
-    """A pin's metal2 from `low` to `high` on the track at `x`, and the height of its via, in um from the cell's corner.
+    """The metal2 of a pin from `low` to `high` on the track at `x`, and the height of its via, in um from the corner of the cell.
 
     fits: the pin's own metal1 encloses the via.
     """
@@ -43,7 +43,7 @@ class Strip:
 
 @frozen
 class Place:
-    """A track that crosses a pin's metal, the height of the via on it, and whether the metal encloses the via."""
+    """A place for the via of a pin: the track, the height, and whether the metal of the pin encloses the via."""
 
     x: int
     y: int
@@ -51,7 +51,7 @@ class Place:
 
 
 def pin_metal(lef: Path) -> dict[str, dict[str, db.Region]]:
-    """Return cell -> pin -> metal1 of a LEF file, without supplies."""
+    """Return cell -> pin -> metal1 from a LEF file, without supply pins."""
     cells: dict[str, dict[str, db.Region]] = {}
     cell = pin = None
     for line in lef.read_text().splitlines():
@@ -76,7 +76,7 @@ def pin_metal(lef: Path) -> dict[str, dict[str, db.Region]]:
 
 
 def cell_widths_um(lef: Path) -> dict[str, float]:
-    """Return cell -> width."""
+    """Return cell -> width from a LEF file."""
     found = re.findall(r"^MACRO (\w+).*?SIZE ([\d.]+) BY", lef.read_text(), re.MULTILINE | re.DOTALL)
     return {name: float(width) for name, width in found}
 
@@ -94,7 +94,7 @@ def _cell_strips(pins: dict[str, db.Region]) -> dict[str, Strip]:
 
 
 def _places(metal: db.Region) -> list[Place]:
-    """Return the tracks on which a via can stand on a pin's metal, the best first."""
+    """Return the places for a via on the metal of a pin, the best first."""
     box, found = metal.bbox(), []
     for k in range((box.left - FIRST_TRACK) // TRACK, box.right // TRACK + 2):
         x = FIRST_TRACK + TRACK * k
@@ -124,7 +124,7 @@ def _fits(metal: db.Region, x: int, y: int) -> bool:
 
 
 def _joined(spans: list[tuple[int, int]]) -> list[tuple[int, int]]:
-    """Return the spans; those that touch are joined."""
+    """Return the spans, with touching ones joined."""
     joined: list[tuple[int, int]] = []
     for low, high in sorted(spans):
         if joined and low <= joined[-1][1]:

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The program that places and routes a block with Coriolis; `flow.py` starts it with a time limit, in a folder of its own.
+"""Program that places and routes a block with Coriolis: `python -m coincid.flow.layout.place_route JOB.json`.
 
-`python -m coincid.flow.layout.place_route JOB.json`. The job names the BLIF file, LEF files, strips of the pins, and settings.
-The results are TOP.gds, TOP_export.def, and placed.json with the placed cells and the nets at their pins. The exit code is
-0 if every net is routed, and `NOT_ROUTED` otherwise.
+`flow.py` starts it in a separate folder with a time limit. The job names the BLIF file, the LEF files, the strips of the
+pins, and settings. The program writes TOP.gds, TOP_export.def, and placed.json with the placed cells and their nets. The exit
+code is 0 if every net is routed, and `NOT_ROUTED` otherwise.
 """
 
 import json

@@ -19,21 +19,21 @@ from coriolis.Hurricane import BasicLayer, Box, DataBase, DbU, Library, NetExter
 
 SITE_UM, ROW_UM = 0.19, 1.4
 SITE_NAME = "LEF.FreePDK45_38x28_10R_NP_162NW_34O"
-GRID_UM = 0.01  # Coriolis has one placement pitch for both directions; `block.snap` moves the cells to sites
+GRID_UM = 0.01  # placement pitch for both directions; `block.snap` then moves the cells to sites
 FIRST_X_UM, FIRST_Y_UM = 0.095, 0.07  # first tracks
 METALS = range(1, 11)
 WIDTH_UM = {1: 0.07, 2: 0.07, 3: 0.07, 4: 0.14, 5: 0.14, 6: 0.14, 7: 0.4, 8: 0.4, 9: 0.8, 10: 0.8}
 CUT_SPACE_UM = {1: 0.08, 2: 0.09, 3: 0.09, 4: 0.16, 5: 0.16, 6: 0.16, 7: 0.44, 8: 0.44, 9: 0.88}
-# The pitch keeps the pads of vias to the wider metal apart: where they would touch, only every second track exists.
+# The pitch keeps the pads of vias to the wider metal apart. Where pads would touch, only every second track exists.
 PITCH_UM = {2: 0.19, 3: 0.14, 4: 0.30, 5: 0.30, 6: 0.30, 7: 0.84, 8: 0.84}
 PAD_UM = {3: 0.14}  # wires of metal3 end in pads as wide as metal4's
 TOP_METAL = "metal6"
 SETTINGS = Path(__file__).with_name("coriolis.toml")
-GDS_METAL1 = 11  # metal k is layer 9 + 2k of the cells' GDS, the vias between them
+GDS_METAL1 = 11  # in the GDS of the cells, metal k is on layer 9 + 2k, and the via above it on the next layer
 
 
 def set_up(lef: list[Path], strips: Path, um2_per_pin: float) -> Library:
-    """Make technology, tracks and cells. strips: JSON of `pins.strips`; um2_per_pin: least area of a cell for each pin."""
+    """Create the technology, tracks and cells. strips: JSON of `pins.strips`; um2_per_pin: least area of a cell per pin."""
     _technology()
     _gauges()
     _settings()
@@ -88,7 +88,7 @@ def _technology() -> None:
 
 
 def _via(tech, metals, i) -> None:
-    """Make the via from metal i to the next. Up to metal3 its pads reach 0.035 um beyond the cut, along the metal's direction."""
+    """Create the via above metal i. Up to metal3 its pads reach 0.035 um beyond the cut along the direction of the metal."""
     via = createVia(tech, f"VIA{i}{i + 1}", f"metal{i}", f"via{i}", f"metal{i + 1}", u(WIDTH_UM[i]))
     for j in (i, i + 1):
         along = 0.035 if i <= 3 and j <= 3 else 0.0
@@ -102,7 +102,7 @@ def _via(tech, metals, i) -> None:
 
 
 def _gauges() -> None:
-    """Make the tracks: odd metals are horizontal. metal2 is for the pins of the cells; metal7 and above stay empty."""
+    """Create the tracks. Odd metals are horizontal. Only pins of cells use metal2; metal7 and above stay empty."""
     framework, tech = AllianceFramework.get(), DataBase.getDB().getTechnology()
     gauge = RoutingGauge.create("nangate45")
     gauge.setSymbolic(False)
@@ -150,7 +150,7 @@ def _settings() -> None:
 
 
 def _set(section: Any, values: dict[str, Any]) -> None:
-    """Set values and their ranges, a list of the lowest and, where there is one, the highest value."""
+    """Set values and their ranges. A range is a list of the lowest value and an optional highest value."""
     for name, value in values.items():
         if not isinstance(value, dict):
             setattr(section, name, value)
@@ -182,7 +182,7 @@ def _cells(lef: list[Path], strips: dict[str, dict[str, list[float]]], um2_per_p
 
 
 def _replace_pin(net, metal2, x: float, low: float, high: float) -> None:
-    """Replace a pin's shapes by the strip, which is all that the router sees."""
+    """Replace the shapes of a pin by its strip, so that the router sees only the strip."""
     for shape in list(net.getComponents()):
         NetExternalComponents.setInternal(shape)
     for shape in list(net.getComponents()):
@@ -191,7 +191,7 @@ def _replace_pin(net, metal2, x: float, low: float, high: float) -> None:
 
 
 def _widen(cell, um2_per_pin: float) -> None:
-    """Make room for the pins: a cell grows to the right, and fillers take that room in the end."""
+    """Widen a cell to the right so that each pin has enough room. Filler cells later fill the added room."""
     pins = sum(1 for net in cell.getNets() if net.isExternal() and not net.isSupply())
     box, site = cell.getAbutmentBox(), u(SITE_UM)
     if not pins or cell.getName().startswith("FILL") or box.getHeight() > u(ROW_UM):

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Wires of a routed block as resistances and capacitances, and its netlist as Verilog.
+"""Wires of a block as resistances and capacitances, and its netlist as Verilog.
 
-This is not an extraction. The capacitance of a net follows from its length on each metal, with the LEF file's values for
-area and edge. Its resistance to a pin is that of the direct way there. Coupling to neighbours is not included.
+The values are not extracted from shapes. The capacitance of a net is computed from its length on each metal, with the LEF
+file's values for area and edge. The resistance to a pin is that of the direct way. Coupling is not included.
 """
 
 import re
@@ -18,7 +18,7 @@ from .drawn import Placed, Strips, pin_places
 
 VIA_OHM, PIN_FF, WITHOUT_WIRE_OHM = 20.0, 0.05, 3.0
 OUTPUTS = {"Z", "ZN", "Q", "QN", "CO", "S", "GCK"}
-SELECTS = ("MUX",)  # cells whose S is an input
+SELECTS = ("MUX",)  # cells in which S is an input
 FF_PER_PF = 1000
 MW_PER_FJ_MHZ = 1e-6
 Lengths = dict[str, dict[int, float]]  # net -> metal -> um
@@ -26,7 +26,7 @@ Lengths = dict[str, dict[int, float]]  # net -> metal -> um
 
 @frozen
 class Metal:
-    """A layer's capacitance, in fF per um of a wire of least width, and its resistance, in ohm per um."""
+    """A layer's capacitance in fF per um, and its resistance in ohm per um, for a wire of least width."""
 
     farads: float
     ohms: float
@@ -44,7 +44,7 @@ def metals(lef: Path) -> dict[int, Metal]:
 
 
 def lengths_um(routed: Path) -> Lengths:
-    """Return net -> metal -> length of a routed DEF file, in which the clock's nets are special nets."""
+    """Return net -> metal -> length from a routed DEF file. The nets of the clock are special nets there."""
     text = routed.read_text()
     units = re.search(r"^UNITS DISTANCE MICRONS (\d+)", text, re.MULTILINE)
     nets = re.findall(r"^((?:SPECIAL)?NETS) (.*?)^END \1", text, re.MULTILINE | re.DOTALL)
@@ -59,7 +59,7 @@ def lengths_um(routed: Path) -> Lengths:
 
 
 def _way(points: list[tuple[str, str]]) -> int:
-    """Return the length of a wire through points of a DEF file, in which `*` repeats a coordinate."""
+    """Return the length of a wire through points of a DEF file. `*` repeats a coordinate."""
     total, x, y = 0, 0, 0
     for k, (next_x, next_y) in enumerate(points):
         new = x if next_x == "*" else int(next_x), y if next_y == "*" else int(next_y)
@@ -74,7 +74,7 @@ def is_output(kind: str, pin: str) -> bool:
 
 @frozen
 class Wired:
-    """All wires of a block: their SPEF text, their length, their capacitance by net, and the number of inputs that they reach."""
+    """All wires of a block: their SPEF, their length, net -> capacitance in fF, and the number of inputs at their ends."""
 
     spef: str
     length_um: float
@@ -123,7 +123,7 @@ def _net(
     sinks: list[tuple[str, str, float, float]],
     port: str | None,
 ) -> list[str]:
-    """Return the SPEF lines of a net, a star of resistances around its driver."""
+    """Return the SPEF lines of a net, which is a star of resistances around its driver."""
     root = f"{driver[0]}:{driver[1]}" if driver else net
     ends = {f"{cell}:{pin}": (x, y) for cell, pin, x, y in sinks}
     lines = [f"*D_NET {net} {farads:.4f}", "*CONN"]
@@ -143,9 +143,9 @@ def _net(
 
 
 def clock_tree_mw(placed: Placed, wires: Wired, cells: Mapping[str, Cell], supply_v: float, clock_mhz: float) -> float:
-    """Return the power of the clock tree: of its buffers and all wires of the clock, without the pins of flip-flops and latches.
+    """Return the power of the buffers and wires of the clock tree, without the pins of flip-flops and latches.
 
-    Every net between the port and these pins changes twice in a cycle. cells: of `liberty.read_cells`.
+    Every net of the tree changes twice per cycle. cells: from `liberty.read_cells`.
     """
     tree = [one for one in placed["cells"] if one["kind"] == CLOCK_BUFFER]  # nothing else in a placed block has it
     loads = {one["nets"]["A"]: 0.0 for one in tree} | {one["nets"]["Z"]: 0.0 for one in tree}
