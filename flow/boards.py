@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is placed and routed: a module of the FPGA preset on a large ECP5, and the emulator on an ULX3S."""
+"""The designs that are placed and routed: a module of the FPGA preset on a large ECP5, and the emulator on an ULX3S."""
 
 import json
 import re
@@ -21,7 +21,7 @@ from .pnr import NEXTPNR, Board
 WRAPPER = Path(__file__).with_name("ecp5.v")
 PADS = "share/trellis/database/ECP5/LFE5UM5G-85F/iodb.json"  # of the device of `fpga_module`, in the wheel of nextpnr
 PACKAGE = "CABGA756"
-RESERVE = 1.02  # the router stops where it meets its goal, so the emulator's is a faster clock than its own
+RESERVE = 1.02  # the router stops when it meets its goal, so its goal is a faster clock than that of the emulator
 
 
 def fpga_module() -> Board:
@@ -44,9 +44,9 @@ def fpga_module() -> Board:
 
 
 def _along_the_edge() -> str:
-    """Return constraints that put the wrapper's ports along the edge of the chip in their order, as on a board.
+    """Return constraints that place the ports of the wrapper along the edge of the chip in order, as on a board.
 
-    Without them nextpnr places the ports at random, and the logic behind them follows. It chooses only the clock's pin.
+    Without them nextpnr would place the ports, and the logic behind them, at random. nextpnr chooses only the clock pin.
     """
     sites = json.loads((wheel_folder(NEXTPNR) / PADS).read_text())["packages"][PACKAGE]
     right = max(site["col"] for site in sites.values())

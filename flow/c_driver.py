@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The exported C driver: its sources, and a header with the packets of the stream, from the table in `model/contract/packet.py`."""
+"""The exported C driver: its sources, and a header with the packets of the stream (from `model/contract/packet.py`)."""
 
 from pathlib import Path
 
@@ -24,7 +24,7 @@ _GROUPS = {  # places and widths in groups of events
 
 
 def c_driver() -> dict[str, str]:
-    """Return the files of the driver, which fits every sensor, by name. Beside them it needs the register header."""
+    """Return the files of the driver by name. It fits every sensor, and needs the header of the registers."""
     return {path.name: path.read_text() for path in SOURCES} | {PACKETS_HEADER: _packets_header()}
 
 

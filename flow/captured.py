@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Captured streams with their decoded rows, for a decoder that is tried without a simulator.
+"""Captured streams with their decoded rows, with which a decoder can be tested without a simulator.
 
-The streams come from the golden model, with which the RTL agrees word by word. Each format has one frame; the settings vary.
+The streams come from the golden model, with which the RTL agrees word by word. There is one frame for each format, and the
+settings vary.
 """
 
 import io
@@ -15,11 +16,11 @@ from ..model.golden.frame import Golden
 from .gls import random_frames
 
 FOLDER = "captured"
-MAP_DIGITS = 16  # of a beat of the map in hexadecimal
+MAP_DIGITS = 16  # hexadecimal digits of a beat of the map
 
 
 def captured_files(sensor: Sensor) -> dict[str, bytes]:
-    """Return the files by name: per format the beats (text), the rows of its events (CSV), and all of the result (NPZ)."""
+    """Return the files by name: for each format the beats (text), the events (CSV), and the whole result (NPZ)."""
     files: dict[str, bytes] = {}
     golden, formats = Golden(sensor), built_formats(sensor)
     for number, (name, job) in enumerate(zip(formats, random_frames(sensor, len(formats)), strict=True)):
@@ -44,7 +45,7 @@ def captured_files(sensor: Sensor) -> dict[str, bytes]:
 
 
 def _rows(arrays: dict[str, np.ndarray]) -> list[str]:
-    """Return a line per event; the map in hexadecimal, its highest pixel first, and the offsets of the minigroups."""
+    """Return one line per event. The map is in hexadecimal, with the highest pixel first."""
     names = [name for name in (*EVENT_FIELDS, "hits", "mg_offset") if name in arrays]
     rows = [",".join(names)]
     for i in range(len(arrays["subgroup"])):

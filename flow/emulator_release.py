@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The emulator as it leaves the project: Verilog with a file list, waivers for lint, the sensor's register map, and the C driver.
+"""The exported emulator: Verilog with a file list, waivers for lint, the register map of the sensor, and the C driver.
 
-For an ULX3S (`ulx3s`, with its pins), with two pins of a serial line for another board (`serial`), or with an AXI4-Lite slave (`axi`).
+There are three kinds: for an ULX3S with its pins (`ulx3s`), with a serial line for another board (`serial`), and with an
+AXI4-Lite slave (`axi`).
 """
 
 from pathlib import Path

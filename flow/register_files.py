@@ -1,15 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """The register map for people and for tools, from the one table in `model/contract/registers.py`.
 
-Formats: Markdown, HTML, a C header, JSON, SystemRDL; and IP-XACT, which PeakRDL makes from the SystemRDL. The HTML is
-our own: PeakRDL's is an application of 7.8 MB, while this page has 9 kB and includes the legal ranges, for which
-SystemRDL has no place.
+The formats are Markdown, HTML, a C header, JSON, SystemRDL, and IP-XACT, which PeakRDL makes from the SystemRDL. The HTML
+is our own: it has 9 kB and includes the legal ranges, for which SystemRDL has no place. That of PeakRDL is an application of
+7.8 MB.
 """
 
 import html
 import json
 import tempfile
 from pathlib import Path
+from string import Template
 from typing import Any
 
 from attrs import asdict
@@ -33,6 +34,7 @@ from ..model.shared.licence import SPDX
 MARKDOWN, HTML, HEADER = "registers.md", "registers.html", "coincid_regs.h"
 JSON, RDL, IP_XACT = "registers.json", "registers.rdl", "registers.xml"
 PREFIX, TOP = "COINCID", "coincid_sensor"
+PAGE = Path(__file__).with_name("registers.html")
 
 
 def register_files(sensor: Sensor) -> dict[str, str]:
@@ -49,7 +51,7 @@ def register_files(sensor: Sensor) -> dict[str, str]:
 
 
 def register_map(sensor: Sensor) -> dict[str, Any]:
-    """Return the map as plain data: addresses and offsets in bytes, ranges and reset values as built."""
+    """Return the map as plain data: addresses and offsets in bytes, ranges and reset values of this sensor."""
     return {
         "data_bits": DATA_BITS,
         "address_bits": ADDRESS_BITS,
@@ -120,42 +122,26 @@ def _markdown(sensor: Sensor) -> str:
     return "\n".join(lines)
 
 
-STYLE = """
-body { font: 15px/1.4 system-ui, sans-serif; max-width: 70em; margin: 2em auto; padding: 0 1em; color: #222; }
-table { border-collapse: collapse; } td, th { border: 1px solid #ccc; padding: 0.25em 0.6em; text-align: left; vertical-align: top; }
-th { background: #eee; } td:nth-child(-n+2) { font-family: ui-monospace, monospace; white-space: nowrap; }
-"""
-
-
 def _html(sensor: Sensor) -> str:
-    title, text = (html.escape(part) for part in _intro(sensor))
-    lines = [
-        "<!DOCTYPE html>",
-        '<html lang="en">',
-        f'<head><meta charset="utf-8"><title>{title}</title>',
-        f"<style>{STYLE}</style></head>",
-        "<body>",
-        f"<h1>{title}</h1>",
-        f"<p>{text}</p>",
-        "<dl>",
-        *(f"<dt>{access.name.lower()}</dt><dd>{html.escape(access.value)}</dd>" for access in Access),
-        "</dl>",
-    ]
+    lines = []
     for title, text, rows in _blocks(sensor):
         lines += [f"<h2>{html.escape(title)}</h2>", f"<p>{html.escape(text)}</p>", "<table>"]
         lines.append("<tr>" + "".join(f"<th>{cell}</th>" for cell in HEAD) + "</tr>")
         lines += ["<tr>" + "".join(f"<td>{html.escape(cell)}</td>" for cell in row) + "</tr>" for row in rows]
         lines.append("</table>")
-    return "\n".join([*lines, "</body>", "</html>", ""])
+    title, text = map(html.escape, _intro(sensor))
+    access = (f"<dt>{access.name.lower()}</dt><dd>{html.escape(access.value)}</dd>" for access in Access)
+    _, _, page = PAGE.read_text().partition("\n")  # without the licence
+    return Template(page).substitute(title=title, text=text, access="\n".join(access), blocks="\n".join(lines))
 
 
-RDL_FIELD = {  # how software and hardware use a register's field
+RDL_FIELD = {  # access of software and hardware to the field of a register
     Access.CONSTANT: "sw = r; hw = na;",
     Access.SETTING: "sw = rw; hw = r;",
     Access.PULSE: "sw = w; hw = r; singlepulse;",
     Access.COUNTER: "sw = r; hw = w;",
 }
-RDL_CLEARED, RDL_STATE = "sw = rw; onwrite = woclr; hw = w;", "sw = r; hw = w;"  # of the status register's bits
+RDL_CLEARED, RDL_STATE = "sw = rw; onwrite = woclr; hw = w;", "sw = r; hw = w;"  # bits of the status register
 
 
 def _systemrdl(sensor: Sensor) -> str:
@@ -202,7 +188,7 @@ def _rdl_block(registers: tuple[Register, ...], sensor: Sensor, indent: str) -> 
 
 
 def _ip_xact(rdl: str) -> str:
-    from peakrdl_ipxact import IPXACTExporter  # here, because simulations need the header's table but no compiler of it
+    from peakrdl_ipxact import IPXACTExporter  # here, because simulations use this file without the compiler
     from systemrdl.compiler import RDLCompiler
 
     with tempfile.TemporaryDirectory(prefix="coincid-") as folder:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Exported folder of RTL: Verilog, file lists and constraints, a smoke test, the register map, a manifest."""
+"""The exported folder: Verilog, file lists, constraints, a smoke test, the register map, a README and a manifest."""
 
 import hashlib
 import json
@@ -29,22 +29,22 @@ from .smoke import FPGA_SMOKE, SMOKE, smoke_test
 from .waivers import CONTROL_FILE, control_file
 
 MANIFEST, CORE, README = "manifest.json", f"{TOP}.core", "README.md"
-# Of the README: the page, then what it says of the top of words, of the one of SPAD lines, and of the one for FPGAs.
+# Parts of the README: the page, and a sentence about each top: with edge words, with SPAD lines, and for FPGAs.
 README_TEXT = Path(__file__).with_name("release_readme.md")
 SYNTHESIS_LIST = "coincid_synthesis.f"  # for a view with macros
-# For standard cells; folder of the blocks that have another form there.
+# Both for standard cells: a file list, and the folder of blocks that have another form.
 CELLS_LIST, CELLS_FOLDER = ("coincid_cells.f", "cells")
 TIMESCALE = "1ps/1fs"  # for a view with macros
-PORT_DELAY = 0.4  # share of a period outside the ports
+PORT_DELAY = 0.4  # share of a period for the logic outside the ports
 UNCERTAINTY = 0.05  # share of a period
 DERIVED = ("array_pixels", "subgroups", "pixels", "minigroups", "guard", "stamp_bits", "period_max")
 PER_TOP = {TOP: SMOKE, FPGA_TOP: FPGA_SMOKE}
 
 
 def release_files(config: Config, view: str | View = POLYPHASE) -> dict[str, str]:
-    """Return the texts of a configuration's sensor at its clock, by file name. view: from `front_end_views.py`, or its name.
+    """Return file name -> text for the sensor of a configuration at its clock, without captured streams and manifest.
 
-    Without the captured streams.
+    view: from `front_end_views.py`, or its name.
     """
     sensor, clock_mhz, view = config.sensor, config.clock_mhz, view_at(view, config.clock_mhz)
     rtl = verilog_files(sensor, view)
@@ -118,12 +118,12 @@ def _constraints(sensor: Sensor, clock_mhz: float, top: str, view: View) -> str:
 
 
 def phase_clock(sensor: Sensor, j: int) -> str:
-    """Return the name of clock j > 0 of the deserialisers in constraints: a bit in Verilog, or a port of one bit."""
+    """Return the name of clock j > 0 of the deserialisers in constraints: a bit of a port, or a port of one bit."""
     return f"phase_clocks[{j - 1}]" if sensor.phases > 4 else "phase_clocks"
 
 
 def tool_options(view: View) -> dict[str, list[str]]:
-    """Return the tools' options, by purpose. Delays of cells need a time scale; lint sees the files for synthesis."""
+    """Return purpose -> options of a tool. Delays of cells need a time scale; lint reads the files for synthesis."""
     time = [f"--timescale {TIMESCALE}"] if view.macros else []
     return {
         "icarus": ["-g2012" if view.macros else "-g2005"],
@@ -133,7 +133,7 @@ def tool_options(view: View) -> dict[str, list[str]]:
 
 
 def _core(lists: dict[str, list[str]], view: View) -> str:
-    """Return FuseSoC's description: RTL and lint, and the smoke test on Icarus and Verilator, for every top."""
+    """Return the core file of FuseSoC: for every top the RTL, lint, and the smoke test on Icarus and Verilator."""
     options, boxes = tool_options(view), [path.name for path in view.macros]
     sets: dict[str, Any] = {"waivers": {"files": [CONTROL_FILE], "file_type": "vlt"}}
     targets: dict[str, Any] = {}
@@ -165,7 +165,7 @@ def _core(lists: dict[str, list[str]], view: View) -> str:
 
 
 def _verilog(names: list[str]) -> dict[str, Any]:
-    """Return files of Verilog for FuseSoC."""
+    """Return a file set of Verilog for FuseSoC."""
     return {"files": names, "file_type": "verilogSource"}
 
 
@@ -217,7 +217,7 @@ def _manifest(config: Config, files: dict[str, bytes], view: View) -> str:
 
 
 def write_release(folder: Path, config: Config, view: str | View = POLYPHASE) -> list[Path]:
-    """Write the release of a configuration's sensor in a view to `folder`, which appears whole and replaces an old one.
+    """Write the release of a configuration's sensor to `folder`, which appears complete and replaces an earlier release.
 
     Raises `InputError` if the folder cannot be written, or contains anything but an earlier release.
     """

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Smoke test that is shipped with the Verilog: plain Verilog without Python, which prints PASS or FAIL.
+"""The smoke test in the export: plain Verilog without Python, which prints PASS or FAIL.
 
-It programs registers over AXI4-Lite, plays the edges of a frame, and compares every word of the streams and the counters
-with the golden model's at the time of the export. The bench is in `smoke_*.v` and `smoke_bench.vh`. The parts that
-depend on the sensor (its ports, edges and expected words, as tables) are made here and replace the `include` lines.
+It programs registers over AXI4-Lite, plays the edges of a frame, and compares every word of the streams and all counters
+with those of the golden model. The bench is in `smoke_*.v` and `smoke_bench.vh`. This file makes the parts that depend on
+the sensor (ports, edges and expected words), which replace the `include` lines.
 """
 
 import re
@@ -27,13 +27,13 @@ from ..tb.stimulus import line_toggles
 
 SMOKE, FPGA_SMOKE = "coincid_smoke", "coincid_fpga_smoke"
 PULSES = 4
-EDGES = 160  # in the frame, spread by a multiplicative sequence; in addition, a burst of neighbours per pulse
+EDGES = 160  # spread over the frame by a multiplicative sequence; each pulse also has a burst of neighbours
 SPREAD = 2_654_435_761  # Knuth's multiplier
 FOLDER = Path(__file__).parent
 BENCH = FOLDER / "smoke_bench.vh"
-# By the light at the ports.
+# One bench per form of light at the ports.
 WORDS, LINES, LEVELS = (FOLDER / f"smoke_{light}.v" for light in ("words", "lines", "levels"))
-PATIENCE = 50  # cycles per cycle of the frame, beat and access to a register, until the bench gives up
+PATIENCE = 50  # the bench gives up after so many cycles per cycle of the frame, beat, and access to a register
 STALL_CYCLES, STALL_EVERY = 300, 4  # in these cycles, `tready` is low every fourth cycle
 ADDRESSES = ("period", "status", "control")  # registers that the bench uses by name
 BITS = {"bad_value": "status", "done": "status", "start": "control"}
@@ -42,7 +42,7 @@ Accesses = dict[str, list[tuple[int, int, str]]]  # (address, value, comment) of
 
 
 def smoke_config(sensor: Sensor) -> Config:
-    """Return a short frame with everything on. Most settings keep their reset values: less to program."""
+    """Return a short frame that uses all parts. Most settings keep their reset values, so there is less to program."""
     played = _played(sensor)
     first_gate = {"gating": True, "gate_start": 3, "gate_len": sensor.guard + 8}
     period = min(2 * sensor.guard + 24, sensor.period_max)
@@ -64,7 +64,7 @@ def smoke_config(sensor: Sensor) -> Config:
 
 
 def smoke_edges(config: Config) -> Edges:
-    """Return a burst of four pixels within two ticks in each pulse, and single edges; no pixel fires twice per pulse."""
+    """Return single edges, and a burst of four pixels in each pulse. No pixel fires twice in a pulse."""
     sensor = config.sensor
     table = pixel_table(sensor)
     pixels = np.concatenate([np.flatnonzero(table.subgroup == s) for s in _played(sensor)])
@@ -87,7 +87,7 @@ def _played(sensor: Sensor) -> list[int]:
 
 
 def smoke_test(sensor: Sensor, levels: bool = False, view: View = POLYPHASE) -> str:
-    """Return the test bench of the sensor; empty for synthesis. levels: of the top for FPGAs, with SPAD levels in real time."""
+    """Return the test bench of the sensor. Synthesis ignores it. levels: of the top for FPGAs, which takes SPAD levels."""
     config = smoke_config(sensor)
     edges = smoke_edges(config)
     ready = np.arange(STALL_CYCLES) % STALL_EVERY != 0
@@ -113,7 +113,7 @@ def smoke_test(sensor: Sensor, levels: bool = False, view: View = POLYPHASE) -> 
 
 
 def _instance(sensor: Sensor, levels: bool, view: View) -> str:
-    """Return the instance of the sensor with the bench's signals; the SPAD ports of unused subgroups are dark."""
+    """Return the instance of the sensor in the bench. The SPAD ports of unused subgroups are dark."""
     played = _played(sensor)
     lit = {
         f"{'line' if levels else 'spad'}_{s}": f"spad[{played.index(s)}]" if s in played else "{LINES{1'b0}}"
@@ -188,7 +188,7 @@ def _beats(trace: Trace) -> str:
 
 
 def _flips(sensor: Sensor, time: np.ndarray, subgroup: np.ndarray, line: np.ndarray) -> str:
-    """Return the changes of the ports' lines in the order of time: time, number of the port, line."""
+    """Return tables of the changes at the SPAD ports, in order: their time, the number of the port, and the line."""
     port = np.searchsorted(_played(sensor), subgroup)
     order = np.lexsort((line, port, time))
     return (
@@ -203,22 +203,22 @@ def _numbers(values: np.ndarray) -> Iterable[str]:
 
 
 def _table(name: str, kind: str, entries: Iterable[str], count: str = "") -> str:
-    """Return a table with its contents, each with its semicolon; `count` names their number."""
+    """Return a table in Verilog. Entries end with a semicolon. count: name of a parameter for the number of entries."""
     filled = [f"    {name}[{k}] = {entry}" for k, entry in enumerate(entries)]
     counted = [f"  localparam {count} = {len(filled)};"] * bool(count)
     return "\n".join([*counted, f"  {kind} {name} [0:{len(filled) - 1}];", "  initial begin", *filled, "  end", ""])
 
 
 def _word_flips(config: Config, edges: Edges) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return (cycle, subgroup, bit of its port's word): a bit is high in the cycle of its edge."""
+    """Return (cycle, subgroup, bit of the word at its port) of all changes. A bit is high in the cycle of its edge."""
     cycle, subgroup, bit = port_bits(config, edges)
     return np.concatenate([cycle, cycle + 1]), np.tile(subgroup, 2), np.tile(bit, 2)
 
 
 def _level_flips(config: Config, edges: Edges) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return (tick, subgroup, line): a SPAD's level rises in the tick of its edge and falls before the period ends.
+    """Return (tick, subgroup, line) of all changes. A level rises with its edge and falls before the period ends.
 
-    It rises earlier by the delay of the deserialiser.
+    It rises earlier than the edge by the delay of the deserialiser.
     """
     table, phases = pixel_table(config.sensor), config.sensor.phases
     start = config.start_cycles() * phases
