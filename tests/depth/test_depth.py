@@ -16,8 +16,7 @@ from coincid.model.shared.constants import SIGMA_PER_FWHM
 from coincid.model.shared.errors import InputError
 from coincid.study.pictures import Panel, depth_row
 
-TICK_S = Timing().tick_s
-SIGMA_TICKS = 500e-12 * SIGMA_PER_FWHM / TICK_S
+SIGMA_TICKS = 500e-12 * SIGMA_PER_FWHM / Timing().tick_s
 
 
 def capture(scene, klux, **others):
@@ -53,13 +52,8 @@ def test_what_counts_as_wrong():
 
 def test_off_surfaces():
     surfaces_m = np.array([[5.0, 7.0], [5.0, np.nan], [5.0, 7.0], [np.nan, np.nan], [5.0, np.nan]])
-    assert off_surfaces(np.array([7.0, 5.0, 6.0, 3.0, np.nan]), surfaces_m).tolist() == [
-        False,
-        False,
-        True,
-        False,
-        True,
-    ]
+    off = off_surfaces(np.array([7.0, 5.0, 6.0, 3.0, np.nan]), surfaces_m)
+    assert np.flatnonzero(off).tolist() == [2, 4]
 
 
 def test_range_error():
@@ -100,25 +94,6 @@ def test_minigroups_tell_surfaces_apart_that_share_a_window(frame):
     assert by_minigroup < 0.2 < by_map
 
 
-@pytest.mark.parametrize(
-    "settings",
-    [
-        {"coincidence": False},
-        {"window": 4, "threshold": 1},
-        {"window": 8},
-        {"window": 16, "threshold": 5},
-        {"window": 64},
-    ],
-)
-def test_estimate_has_no_first_photon_bias(settings):
-    for scene in ("flat:8,0.3", "flat:5,0.6"):
-        scene, config, result = capture(scene, 5, sensor={"rows": 16, "cols": 16}, subgroup=settings)
-        early_m = (result["stamp"].astype(float) + 0.5) * TICK_S * 299_792_458 / 2 - scene.truth_m[0, 0]
-        pulse = np.abs(early_m) < 0.3
-        assert early_m[pulse].mean() < -0.01  # the stamps themselves are early
-        assert np.abs(np.median(depth_of(result, config)) - scene.truth_m[0, 0]) < 0.012
-
-
 def test_estimators_rank_as_they_should(five_objects):
     planes = {name: share(*run) for name, run in five_objects.items()}
     assert planes[2] < 0.005 and planes[3] < 0.03 and planes["off"] < 0.15
@@ -128,18 +103,6 @@ def test_estimators_rank_as_they_should(five_objects):
     assert share(*five_objects[1], method="background") < 0.8 * share(*five_objects[1], method="matched")
     assert share(*five_objects[2], method="matched") < share(*five_objects[2], method="matched", source="subgroup")
     assert share(*five_objects["off"], method="matched") > 0.5 > 10 * share(*five_objects[3], method="planes")
-
-
-@pytest.mark.parametrize(
-    "sensor",
-    [
-        {"rows": 16, "cols": 16, "subgroup": [4, 4]},
-        {"rows": 16, "cols": 32, "subgroup": [4, 8], "minigroup": [2, 4]},
-        {"rows": 32, "cols": 16, "subgroup": [16, 16], "streams": 2},
-    ],
-)
-def test_the_letter_is_neither_mirrored_nor_swapped(sensor):
-    assert share(*capture("letter-f", 5, sensor=sensor)) < 0.02
 
 
 def test_two_returns_of_one_pixel():
@@ -188,11 +151,9 @@ def test_picture_of_a_row(tmp_path, five_objects):
     panels = [Panel("planes", depth_of(result, config)), Panel("maximum", depth_of(result, config, method="maximum"))]
     shares = depth_row(tmp_path / "a.png", panels, truth_m, "five objects")
     assert shares == [wrong_share(panel.depth_m, truth_m) for panel in panels]
-    depth_row(tmp_path / "b.png", panels, truth_m, "five objects")
-    assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
     with Image.open(tmp_path / "a.png") as picture:
         assert picture.width > 2 * picture.height and not picture.text
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.png", "b.png"]
+    assert [path.name for path in tmp_path.iterdir()] == ["a.png"]
     (tmp_path / "file").write_text("")
     with pytest.raises(InputError, match="cannot be written"):
         depth_row(tmp_path / "file" / "c.png", panels, truth_m)

@@ -20,29 +20,29 @@ from ..random_cases import configured
 
 NEAR_M, FAR_M = 5.0, 8.0
 LETTER = """
-................
-................
-...#########....
-...#########....
-...##...........
-...##...........
-...##...........
-...#######......
-...#######......
-...##...........
-...##...........
-...##...........
-...##...........
-................
-................
-................
+........................
+........................
+....##############......
+....##############......
+....####................
+....####................
+....####................
+....###########.........
+....###########.........
+....####................
+....####................
+....####................
+....####................
+........................
+........................
+........................
 """
 LETTER = np.array([list(row) for row in LETTER.split()]) == "#"
 ROWS, COLS = LETTER.shape
-CONFIG = configured(
-    {"rows": ROWS, "cols": COLS},
-    {"pulses": 60, "format": "full", "minigroup_records": True, "mg_threshold": 1},
-    {"threshold": 1},
+FRAME = {"pulses": 60, "format": "full", "minigroup_records": True, "mg_threshold": 1}
+SMALL, LARGE = (  # neither pixels, nor minigroups, nor subgroups are square
+    configured({"rows": ROWS, "cols": COLS} | sizes, FRAME, {"threshold": 1})
+    for sizes in ({"subgroup": [4, 6], "minigroup": [2, 3]}, {"subgroup": [16, 12], "minigroup": [4, 2], "streams": 2})
 )
 
 
@@ -67,37 +67,43 @@ def coloured_file(folder):
     return load_scene(f"{folder / 'wall.npy'},{folder / 'letter.png'}", ROWS, COLS)
 
 
-@pytest.mark.parametrize("scene", [built_in, picture_file, array_file])
-def test_letter_stands_the_same_way_from_the_scene_to_the_picture(scene, tmp_path):
-    scene = scene(tmp_path)
+@pytest.mark.parametrize(
+    ("scene", "config"), [(built_in, SMALL), (built_in, LARGE), (picture_file, SMALL), (array_file, SMALL)]
+)
+def test_letter_stands_the_same_way_from_the_scene_to_the_picture(scene, config, tmp_path):
+    scene, sensor = scene(tmp_path), config.sensor
     assert scene.truth_m == pytest.approx(np.where(LETTER, NEAR_M, FAR_M))
-    run = Run(Setup(config=CONFIG, scene=scene, klux=0.0))
-    config, edges, between = run.config, run.edges, round((NEAR_M + FAR_M) / SPEED_OF_LIGHT_M_S / CONFIG.tick_s)
-    near = edges.tick < between
+    run = Run(Setup(config=config, scene=scene, klux=0.0))
+    between = round((NEAR_M + FAR_M) / SPEED_OF_LIGHT_M_S / config.tick_s)
+    (rows, cols), (mg_rows, mg_cols) = sensor.subgroup, sensor.minigroup
 
-    # At the ports: subgroups of 8 x 8 in rows, and pixels in rows inside them, as in the contract.
-    at = port_bits(config, edges)
-    pixel = at.bit // config.sensor.phases
-    row, col = at.subgroup // 2 * 8 + pixel // 8, at.subgroup % 2 * 8 + pixel % 8
-    assert_drawn(row[near], col[near], LETTER)
-    assert_drawn(row[~near], col[~near], ~LETTER)
+    def assert_placed(subgroup, row, col, near, far_too=True):
+        """Check the places in their subgroups, which lie in rows, as in the contract."""
+        row, col = subgroup // (COLS // cols) * rows + row, subgroup % (COLS // cols) * cols + col
+        assert_drawn(row[near], col[near], LETTER)
+        if far_too:
+            assert_drawn(row[~near], col[~near], ~LETTER)
+
+    # At the ports.
+    at = port_bits(config, run.edges)
+    assert_placed(at.subgroup, *np.divmod(at.bit // sensor.phases, cols), run.edges.tick < between)
 
     # In the words: hit maps of the events, and maps of the minigroup records.
-    (beats,) = run.frame().trace.beats
-    words = decode_frame(beats, config.sensor, config.sensor.subgroups)
-    subgroup, stamp = words.events[:, 2], words.events[:, 6]
-    hits = words.hits[:, 0][:, None] >> np.arange(64, dtype=np.uint64) & np.uint64(1)
-    event, pixel = np.nonzero(hits)
-    row, col = subgroup[event] // 2 * 8 + pixel // 8, subgroup[event] % 2 * 8 + pixel % 8
-    early = stamp[event] < between
-    assert_drawn(row[early], col[early], LETTER)
-    assert_drawn(row[~early], col[~early], ~LETTER)
-    record, minigroup, bit = np.nonzero(words.entries[:, :, 1][:, :, None] >> np.arange(4) & 1)
-    where = words.records[record, 0]
-    row = where // 2 * 8 + minigroup // 4 * 2 + bit // 2
-    col = where % 2 * 8 + minigroup % 4 * 2 + bit % 2
-    early = words.entries[record, minigroup, 0] * (config.sensor.phases // 4) < between
-    assert_drawn(row[early], col[early], LETTER)
+    of_streams = [
+        decode_frame(beats, sensor, len(sensor.stream_subgroups(k))) for k, beats in enumerate(run.frame().trace.beats)
+    ]
+    events, hits, records, entries = (
+        np.concatenate([getattr(words, name) for words in of_streams])
+        for name in ("events", "hits", "records", "entries")
+    )
+    pixels = np.arange(sensor.pixels)
+    event, pixel = np.nonzero(hits[:, pixels // 64] >> (pixels % 64).astype(np.uint64) & np.uint64(1))
+    assert_placed(events[event, 2], *np.divmod(pixel, cols), events[event, 6] < between)
+    record, minigroup, bit = np.nonzero(entries[:, :, 1][:, :, None] >> np.arange(mg_rows * mg_cols) & 1)
+    mg_row, mg_col = np.divmod(minigroup, cols // mg_cols)
+    row, col = mg_row * mg_rows + bit // mg_cols, mg_col * mg_cols + bit % mg_cols
+    stamp = entries[record, minigroup, 0] * (sensor.phases // 4)
+    assert_placed(records[record, 0], row, col, stamp < between, far_too=False)  # a minigroup sees both at the border
 
     # In the picture.
     assert np.mean(np.abs(run.frame().depth_m - np.where(LETTER, NEAR_M, FAR_M)) < 0.5) > 0.95
@@ -106,7 +112,7 @@ def test_letter_stands_the_same_way_from_the_scene_to_the_picture(scene, tmp_pat
 def test_letter_in_the_colour(tmp_path):
     scene = coloured_file(tmp_path)
     assert np.array_equal(scene.reflectivity[:, :, 0] > 0.2, LETTER)
-    edges = Setup(config=CONFIG.with_pulses(200), scene=scene, klux=0.0).photons.edges()
+    edges = Setup(config=SMALL.with_pulses(200), scene=scene, klux=0.0).photons.edges()
     seen = np.bincount(edges.pixel, minlength=ROWS * COLS).reshape(ROWS, COLS)
     assert seen[LETTER].min() > seen[~LETTER].max()
 
