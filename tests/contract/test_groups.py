@@ -9,8 +9,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from coincid.host.frame_assembly import FrameAssembler
-from coincid.model.contract.packet import BEAT_BITS
+from coincid.model.contract.groups import LAST_LSB
+from coincid.model.contract.packet import BEAT_BITS, KIND_BITS, KIND_LSB, Field, Packet, parts_of
 from coincid.model.contract.stream import StreamError, decode_frame, packet_starts
+from coincid.model.contract.ungroup import ungroup
 from coincid.model.golden.frame import Golden
 
 from .. import random_cases
@@ -96,8 +98,12 @@ def test_another_decoder_reads_the_same_events(name, form):
     config, trace = crowded(name, form, minigroup_records=True, mg_threshold=1)
     for k, beats in enumerate(trace.beats):
         frame = decode_frame(beats, config.sensor, len(config.sensor.stream_subgroups(k))).check()
-        outside = plain_events(_events_only(beats, config.sensor, k), config.sensor)
+        only = _events_only(beats, config.sensor, k)
+        outside = plain_events(only, config.sensor)
         assert rows(frame, form == "compact-full") == outside and len(outside) > 10
+        assert np.array_equal(ungroup(only, np.arange(len(only)), config.sensor).events, frame.events)
+        open_ended = only[[0, 0]] & ~np.uint64(1 << LAST_LSB)  # two groups without an end, the first one from beat 0 on
+        assert ungroup(open_ended, np.arange(2), config.sensor).damaged.tolist() == [0, 1]
 
 
 def _events_only(beats, sensor, stream):
@@ -108,10 +114,11 @@ def _events_only(beats, sensor, stream):
 
 @pytest.mark.parametrize("form", ("id", "full"))
 def test_nothing_is_lost_in_groups(form):
-    """Frames without drops have the same rows in either form, in fewer beats."""
-    for seed in range(3):
+    """Frames without drops have the same rows in either form, in fewer beats; in the last, the numbers of groups wrap."""
+    for seed, pulses in enumerate((9, 9, 300)):
         plain, grouped = (
-            crowded("default", name, seed, period=400)[1] for name in (form, f"compact{'-full' * (form == 'full')}")
+            crowded("default", name, seed, pulses, period=400)[1]
+            for name in (form, f"compact{'-full' * (form == 'full')}")
         )
         first, second = (decode_frame(trace.beats[0], SENSORS["default"], 2) for trace in (plain, grouped))
         order = [np.lexsort(frame.events.T[1:]) for frame in (first, second)]
@@ -178,3 +185,18 @@ def test_a_reader_may_begin_anywhere():
         late = decode_frame(np.concatenate([beats[:1], beats[begin:]]), config.sensor, 2)
         left = rows(late, False)
         assert whole[len(whole) - len(left) :] == left and late.missing == len(whole) - len(left)
+
+
+@given(st.lists(st.tuples(st.integers(1, 90), st.integers(1, 3), st.booleans()), min_size=1, max_size=6))
+def test_fields_fill_all_bits_but_the_kind(fields):
+    """Also where a field crosses the kind: the parts of the fields, in their order, are the packet's bits in theirs."""
+    named = {f"f{k}": Field(f"f{k}", width, "", n, k > 0 and new) for k, (width, n, new) in enumerate(fields)}
+    packet, sensor, end, found = Packet(0, "any", tuple(named.values())), SENSORS["default"], 0, {}
+    for part in parts_of(sensor, packet):
+        first = part.beat * BEAT_BITS + part.lsb
+        begins_anew = part.shift == 0 and named[part.field].aligned
+        assert first == (-(-end // BEAT_BITS) * BEAT_BITS if begins_anew else end + KIND_BITS * (end == KIND_LSB))
+        assert part.shift == found.get(part.field, 0) and part.shift % BEAT_BITS + part.width <= BEAT_BITS
+        found[part.field], end = part.shift + part.width, first + part.width
+        assert part.lsb + part.width <= (BEAT_BITS if part.beat else KIND_LSB)
+    assert found == {name: field.bits(sensor) for name, field in named.items()}

@@ -86,6 +86,13 @@ def test_clocks_that_do_not_go(clock_mhz, says):
         ulx3s(of)
 
 
+def test_limits_of_the_line():
+    assert Emulator(sensor=SENSOR, clocks_per_bit=4).clocks_per_bit == 4
+    for clocks_per_bit in (3, (1 << 16) + 1):
+        with pytest.raises(InputError, match=f"clocks_per_bit = {clocks_per_bit}: must be an integer from 4 to 65536"):
+            Emulator(sensor=SENSOR, clocks_per_bit=clocks_per_bit)
+
+
 def test_bad_kind():
     with pytest.raises(InputError, match="kind = 'zynq': must be one of ulx3s, serial, axi"):
         emulator_release(config(), "zynq", 64)
