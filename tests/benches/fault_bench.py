@@ -1,8 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""cocotb tests of the sensor under faults: stalls, illegal masters, resets in any cycle, wrong copies. On Icarus, to see inside.
-
-In all cases the register bus answers, and after a reset the sensor works like a new one.
-"""
+"""cocotb tests of the sensor whose registers are changed from outside: wrong copies, upset writes, wide numbers. On Icarus."""
 
 import itertools
 import json
@@ -18,7 +15,6 @@ from sensor_bench import fresh as fresh_bench
 from coincid.hdl.dpcu import counter_bits
 from coincid.model.contract.counters import COUNTER_NAMES
 from coincid.model.contract.packet import HEADER
-from coincid.model.contract.registers import ID_VALUE
 from coincid.model.contract.stream import decode_frame
 from coincid.model.golden.frame import Golden
 from coincid.tb.cosim import SensorBench
@@ -27,8 +23,7 @@ from coincid.tb.stimulus import port_words
 
 # (path of the instance, register, bits) for every flip-flop of the design
 FLOPS = [tuple(flop) for flop in json.loads(os.environ["COINCID_BENCH_FLOPS"])]
-RESETS = 12
-ANSWER_CYCLES = 60  # limit for the bus; the proof has a lower one
+ANSWER_CYCLES = 60  # more than any access takes
 
 
 def busy_config():
@@ -61,90 +56,6 @@ async def fresh(dut):
     bench, of = await fresh_bench(dut), busy_config()
     edges = some_edges(of, 3, 300)
     return bench, of, edges, Golden(of.sensor).frame(of, edges)
-
-
-async def run_into(bench, of, edges, cycles: int) -> None:
-    """Start a frame and play its first cycles, with a stream that stalls at random."""
-    await bench.program(of)
-    await bench.write("control", 1)
-    words = port_words(of, edges)
-    await laser_fires(bench.dut)
-    for cycle in range(cycles):
-        now = dict(words.get(cycle, ()))
-        for s, line in enumerate(bench.spad):
-            line.value = now.get(s, 0)
-        bench.dut.m_axis_tready.value = random.getrandbits(1)
-        await FallingEdge(bench.dut.clk)
-    for line in bench.spad:
-        line.value = 0
-
-
-async def bus_answers(dut) -> int:
-    """Read the id, whatever the bus was doing; return the number of cycles until an answer came."""
-    for name, value in (("awvalid", 0), ("wvalid", 0), ("bready", 1), ("araddr", 0), ("arvalid", 1), ("rready", 1)):
-        getattr(dut, f"s_axi_{name}").value = value
-    for cycle in range(ANSWER_CYCLES):
-        await FallingEdge(dut.clk)
-        if dut.s_axi_rvalid.value == 1:
-            dut.s_axi_arvalid.value = 0
-            await ClockCycles(dut.clk, 2)
-            return cycle
-    raise AssertionError(f"the register bus does not answer in {ANSWER_CYCLES} cycles")
-
-
-@cocotb.test()
-async def a_stream_that_stalls_for_ever(dut):
-    bench, of, edges, trace = await fresh(dut)
-    await run_into(bench, of, edges, of.period * of.pulses)
-    dut.m_axis_tready.value = 0
-    await ClockCycles(dut.clk, 200)
-    offered = int(dut.m_axis_tdata.value), int(dut.m_axis_tlast.value)
-    for _ in range(10):
-        await ClockCycles(dut.clk, 200)
-        assert dut.m_axis_tvalid.value == 1 and (int(dut.m_axis_tdata.value), int(dut.m_axis_tlast.value)) == offered
-        assert await bench.read("id") == ID_VALUE and await bench.read("status") & 1
-    await bench.write("control", 2)  # an abort does not free the stream, and does not hang anything
-    assert await bench.read("status") & 1
-    await pulse_reset(bench)
-    assert await bench.read("status") == 0
-    await works(bench, of, edges, trace)
-
-
-@cocotb.test()
-async def masters_that_break_the_rules(dut):
-    """Valid falls before ready, addresses and data change while they wait, strobes are partial, answers are not taken."""
-    bench, of, edges, trace = await fresh(dut)
-    for _ in range(4):
-        waiting = {}
-        for _ in range(400):
-            for name, bits in (("awaddr", 13), ("wdata", 3), ("wstrb", 4), ("araddr", 13)):
-                getattr(dut, f"s_axi_{name}").value = random.getrandbits(bits)
-            for name in ("awvalid", "wvalid", "arvalid", "bready", "rready"):
-                getattr(dut, f"s_axi_{name}").value = random.random() < 0.4
-            await FallingEdge(dut.clk)
-            for channel in ("b", "r"):  # the sensor keeps both anyway
-                valid = getattr(dut, f"s_axi_{channel}valid").value == 1
-                data = int(dut.s_axi_rdata.value) if channel == "r" else 0
-                answer = int(getattr(dut, f"s_axi_{channel}resp").value), data
-                if channel in waiting:
-                    assert valid and answer == waiting[channel], f"answer on {channel} withdrawn"
-                waiting.pop(channel, None)
-                if valid and getattr(dut, f"s_axi_{channel}ready").value == 0:
-                    waiting[channel] = answer
-            waiting = {}  # the next inputs decide whether the answer is taken at the coming edge
-        await bus_answers(dut)
-        assert dut.s_axi_rvalid.value == 0
-        await pulse_reset(bench)
-    await works(bench, of, edges, trace)
-
-
-@cocotb.test()
-async def resets_in_any_cycle(dut):
-    bench, of, edges, trace = await fresh(dut)
-    for _ in range(RESETS):
-        await run_into(bench, of, edges, random.randrange(of.period * of.pulses + 60))
-        await pulse_reset(bench)
-        await works(bench, of, edges, trace)
 
 
 def handle(dut, path: str, name: str):
@@ -185,25 +96,12 @@ def voted() -> list[tuple[str, str, int]]:
 
 @cocotb.test()
 async def copies_agree_and_outvote_one(dut):
-    """Without an upset, the copies of a voted register agree in every cycle; one wrong copy changes nothing and heals."""
+    """One wrong copy of a voted register changes nothing and heals. Proofs say that without an upset the copies agree."""
     bench, of, edges, trace = await fresh(dut)
     kept = voted()
     assert len(kept) >= 7  # five of the bus, frame number, budget
-    watching = True
-
-    async def watch():
-        while watching:
-            await FallingEdge(dut.clk)
-            for register in kept:
-                assert len(copies(dut, *register)) == 1, f"the copies of {register} differ"
-
-    watcher = cocotb.start_soon(watch())
-    await pulse_reset(bench)
-    await works(bench, of, edges, trace)
     await pulse_reset(bench)
     await ClockCycles(dut.clk, 2)
-    watching = False
-    await watcher
     for register in kept:
         path, name, bits = register
         for copy, cycles in itertools.product(("plain", "inverse", "by_turns"), (1, 2)):  # both values of the turn

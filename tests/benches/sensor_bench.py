@@ -98,11 +98,6 @@ def all_words(sensor):
             yield register, index, subgroup
 
 
-@cocotb.test()
-async def reset_values_and_constants(dut):
-    await check_reset_values(await fresh(dut))
-
-
 async def check_reset_values(bench: SensorBench) -> None:
     for register, index, subgroup in all_words(bench.sensor):
         assert await bench.read(register.name, subgroup, index) == register.reset(bench.sensor), register.name

@@ -7,7 +7,7 @@ from amaranth.sim import Simulator
 
 from coincid.hdl.axi import OKAY, SLVERR
 from coincid.hdl.emulator.source import Seeder
-from coincid.hdl.emulator.top import BUS_TOP, BusAccess, EmulatorTop
+from coincid.hdl.emulator.top import BusAccess
 from coincid.model.contract.emulator import LANE_PIXELS, SEED_BIT, STATE_BITS, Emulator
 from coincid.model.contract.parameters import Sensor
 from coincid.model.light.on_chip import _tables, advance, seeds
@@ -115,10 +115,3 @@ def test_bus_slave():
     simulator.add_testbench(control, background=True)
     simulator.add_testbench(master)
     simulator.run()
-
-
-def test_ports_of_the_tops():
-    emulator = Emulator(sensor=Sensor(rows=8, cols=16, phases=8, window_max=16))
-    assert [port.name for port in EmulatorTop(emulator).ports()] == ["rx", "tx", "laser"]
-    ports = {port.name: port.width for port in EmulatorTop(emulator, serial=False).ports()}
-    assert ports["bus_awaddr"] == 24 and ports["bus_wdata"] == 32 and BUS_TOP == "coincid_emulator_axi"

@@ -1,26 +1,27 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The sensor's ports under cocotb: the tests of `sensor_bench.py`, on both simulators."""
+"""The sensor under cocotb: its ports on both simulators (`sensor_bench.py`), faults on Icarus, where a bench sees inside."""
 
 import pytest
 
 from coincid.model.contract.config import parse_config
-from coincid.tb.engines import SIMULATORS
 from coincid.tb.play import build_sensor
+from coincid.tb.rtl import rtl
 
 from ..benches import bench_environment
 from ..random_cases import LEAN, SMALL
 
-BENCH_SENSORS = {"icarus": SMALL, "verilator": {"rows": 8, "cols": 16}}  # the mutants are small sensors on Icarus
 
-
-@pytest.mark.parametrize("simulator", SIMULATORS)
-def test_ports(simulator, tmp_path):
-    sensor = BENCH_SENSORS[simulator]
-    build = build_sensor(parse_config({"sensor": sensor}).sensor, simulator)
-    build.run("sensor_bench", env=bench_environment(sensor), out_dir=tmp_path, seed=1)
-
-
-def test_a_lean_sensor_refuses_what_is_not_built(tmp_path):
-    build = build_sensor(parse_config({"sensor": LEAN}).sensor, "icarus")
-    env = bench_environment(LEAN) | {"COCOTB_TEST_FILTER": "only_what_is_built"}
-    build.run("sensor_bench", env=env, out_dir=tmp_path, seed=1)
+@pytest.mark.parametrize(
+    ("bench", "simulator", "table", "only"),
+    [
+        ("sensor_bench", "icarus", SMALL, ""),
+        ("sensor_bench", "verilator", {"rows": 8, "cols": 16}, ""),
+        ("sensor_bench", "icarus", LEAN, "only_what_is_built"),
+        ("fault_bench", "icarus", SMALL, ""),
+    ],
+    ids=("icarus", "verilator", "lean", "faults"),
+)
+def test_ports(bench, simulator, table, only, tmp_path):
+    sensor = parse_config({"sensor": table}).sensor
+    environment = bench_environment(table, rtl(sensor)) | ({"COCOTB_TEST_FILTER": only} if only else {})
+    build_sensor(sensor, simulator).run(bench, env=environment, out_dir=tmp_path, seed=1)
