@@ -40,25 +40,12 @@ MIB = 1 << 20
 
 def build_lean(sensor: Sensor, threads: int, folder: Path) -> Path:
     """Compile Verilator's whole sensor with its host, and return the program."""
-    lines = [
-        f"    static uint32_t* const all[] = {{{', '.join(f'top.spad_{s}.data()' for s in range(sensor.subgroups))}}};"
-    ]
-    text = "\n".join(["inline uint32_t* const* spads(Vtop& top) {", *lines, "    return all;", "}", ""])
+    spads = ", ".join(f"top.spad_{s}.data()" for s in range(sensor.subgroups))
+    text = f"inline uint32_t* const* spads(Vtop& top) {{ static uint32_t* const all[] = {{{spads}}}; return all; }}\n"
     (folder / "spads.h").write_text(text)
-    options = [
-        "--cc",
-        "--exe",
-        "--build",
-        "-j",
-        "2",
-        "--threads",
-        str(threads),
-        *toolchain.VERILATOR_OPTIONS,
-        *COMPILER,
-    ]
-    names = ["--top-module", TOP, "--prefix", "Vtop", "--Mdir", ".", "-o", "lean", "-CFLAGS", f"-I{folder}"]
-    command = [str(toolchain.verilator()), *options, *names, str(SOURCE), *map(str, rtl(sensor))]
-    compile_in(folder, folder / "log", command)
+    words = f"--cc --exe --build -j 2 --threads {threads} --top-module {TOP} --prefix Vtop --Mdir . -o lean -CFLAGS -I{folder}"
+    options = [*words.split(), *toolchain.VERILATOR_OPTIONS, *COMPILER]
+    compile_in(folder, folder / "log", [str(toolchain.verilator()), *options, str(SOURCE), *map(str, rtl(sensor))])
     return folder / "lean"
 
 
@@ -125,9 +112,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory(prefix="coincid-") as scratch:
         folder, programs, rows = Path(scratch), {}, {}
         os.environ["COINCID_BUILD"] = str(folder / "build")
-        cost(
-            lambda: rtl(sensor)
-        )  # in a process of its own: Yosys would keep threads here, and a fork would not have them
+        cost(lambda: rtl(sensor))  # a process of its own: Yosys would keep threads, which a fork would not have
         toolchain.verilator()
         for threads in (1, 2):
             (folder / f"lean{threads}").mkdir()

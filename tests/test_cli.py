@@ -156,14 +156,6 @@ def test_bad_options(files, options, words):
     assert not (files / "out").exists()
 
 
-@pytest.mark.parametrize("options", [("--stall", "many"), ("--stall",), ("--speed", 3)])
-def test_options_that_the_command_line_refuses(files, options):
-    result = replay(files, *options)
-    assert result.exit_code == 2
-    assert "Traceback" not in result.output
-    assert not (files / "out").exists()
-
-
 @pytest.mark.parametrize("job", ["replay", "sim", "verilog"])
 def test_output_below_a_file(files, job):
     more = ("--edges", files / "edges.npz") if job == "replay" else ()

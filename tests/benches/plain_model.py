@@ -17,12 +17,8 @@ def where(config: Config, pixel: int) -> tuple[int, int, int, int]:
     (sr, sc), (mr, mc) = s.subgroup, s.minigroup
     row, col = divmod(pixel, s.cols)
     r, c = row % sr, col % sc
-    return (
-        (row // sr) * (s.cols // sc) + col // sc,
-        r * sc + c,
-        (r // mr) * (sc // mc) + c // mc,
-        (r % mr) * mc + c % mc,
-    )
+    subgroup, minigroup = (row // sr) * (s.cols // sc) + col // sc, (r // mr) * (sc // mc) + c // mc
+    return subgroup, r * sc + c, minigroup, (r % mr) * mc + c % mc
 
 
 class PlainSubgroup:
@@ -95,17 +91,8 @@ class PlainSubgroup:
                     self.lower += 1
                 if count >= self.threshold:
                     self.committed += 1
-                    self.events.append(
-                        (
-                            pulse,
-                            window["t0"],
-                            count,
-                            window["winner"],
-                            frozenset(window["hits"]),
-                            window["offsets"],
-                            cycle,
-                        )
-                    )
+                    hits, offsets = frozenset(window["hits"]), window["offsets"]
+                    self.events.append((pulse, window["t0"], count, window["winner"], hits, offsets, cycle))
                 else:
                     self.rejected += 1
                 window, armed_from = None, cycle + 1 + sensor.rearm

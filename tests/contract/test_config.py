@@ -219,23 +219,6 @@ def test_steps_of_a_cycle_that_offsets_count(sensor, steps):
 
 
 @pytest.mark.parametrize(
-    ("sensor", "words"),
-    [
-        ({"offset_phases": 2}, "sensor.offset_phases = 2: must be an integer from 4 to 32"),
-        ({"offset_phases": 12}, "sensor.offset_phases = 12: must be a power of two from 4 to 32"),
-        ({"phases": 8, "offset_phases": 16}, "sensor.offset_phases = 16: must be an integer from 4 to 8"),
-        (
-            {"window_max": 225, "offset_phases": 32},
-            "sensor.window_max = 225: must be an integer from 1 to 224 with sensor.phases = 32 and sensor.offset_phases = 32",
-        ),
-    ],
-)
-def test_steps_that_no_sensor_is_built_with(sensor, words):
-    with pytest.raises(InputError, match=words):
-        parse_config({"sensor": sensor})
-
-
-@pytest.mark.parametrize(
     ("document", "settings"),
     [
         ({"sensor": {"window_max": 8}}, {"window": 8}),
@@ -315,6 +298,14 @@ def test_another_sensor_keeps_what_was_written():
         (None, {"coarse_bits": 14}, "sensor.coarse_bits = 14: "),
         (None, {"phases": 12}, "sensor.phases = 12: "),
         (None, {"fifo_depth": 4000}, "sensor.fifo_depth = 4000: "),
+        (None, {"offset_phases": 2}, "sensor.offset_phases = 2: must be an integer from 4 to 32"),
+        (None, {"offset_phases": 12}, "sensor.offset_phases = 12: must be a power of two from 4 to 32"),
+        (None, {"phases": 8, "offset_phases": 16}, "sensor.offset_phases = 16: must be an integer from 4 to 8"),
+        (
+            None,
+            {"window_max": 225, "offset_phases": 32},
+            "sensor.window_max = 225: must be an integer from 1 to 224 with sensor.phases = 32 and sensor.offset_phases = 32",
+        ),
         ("fpga", {"coarse_bits": 5}, "sensor.coarse_bits: does not go with the other settings (frame.period = 63"),
         ("fpga", {"threshold": 99}, "subgroup.threshold = 99: must be"),
     ],

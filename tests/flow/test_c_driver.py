@@ -36,22 +36,14 @@ class Bus(ctypes.Structure):
     _fields_ = [("context", ctypes.c_void_p), ("read", READ), ("write", WRITE)]
 
 
+INFO = """
+subgroups pixels minigroups record_bits record_stamp_bits
+subgroup_bits pixel_bits offset_bits minigroup_rows minigroup_cols subgroup_cols grouped
+"""
+
+
 class Info(ctypes.Structure):
-    _fields_ = [
-        (name, U32)
-        for name in (
-            *("subgroups", "pixels", "minigroups", "record_bits", "record_stamp_bits"),
-            *(
-                "subgroup_bits",
-                "pixel_bits",
-                "offset_bits",
-                "minigroup_rows",
-                "minigroup_cols",
-                "subgroup_cols",
-                "grouped",
-            ),
-        )
-    ]
+    _fields_ = [(name, U32) for name in INFO.split()]
 
 
 class Packet(ctypes.Structure):

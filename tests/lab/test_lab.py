@@ -2,6 +2,7 @@
 """Setups, runs, measures and campaigns: stages in time, digests of content, the same outcomes from all workers."""
 
 import sys
+from contextlib import nullcontext
 from functools import partial
 
 import numpy as np
@@ -171,13 +172,10 @@ def test_setups_that_share_the_words_of_the_rtl_come_out_as_alone():
     led = Setup.of("flat:5,0.4", **built, engine="sliced").but(subgroup={"auto": True})
     setups = {seed: led.but(seed=seed) for seed in (1, 2, 3)} | {"bad": led.but(estimators=("guess",))}
     alone = {seed: read(Run(setup)) for seed, setup in setups.items() if seed != "bad"}
-    for workers in (Processes(1), Dask(2)):
+    for opened in (Processes(1), nullcontext(Dask(2))):
         failed = {}
-        if isinstance(workers, Dask):
+        with opened as workers:
             assert campaign(setups, read, workers, failed=failed) == alone
-        else:
-            with workers:
-                assert campaign(setups, read, workers, failed=failed) == alone
         assert failed.keys() == {"bad"} and isinstance(failed["bad"], InputError)
 
 

@@ -5,7 +5,6 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from coincid.lab.outcomes import Run
 from coincid.model.contract.config import parse_config
 from coincid.model.contract.dither import LFSR_BITS, start_cycles
 from coincid.model.light.light import Interferer, Light
@@ -14,7 +13,6 @@ from coincid.model.light.spad import Spad
 from coincid.model.light.timing import Timing
 from coincid.model.shared.constants import SPEED_OF_LIGHT_M_S
 from coincid.model.shared.errors import InputError
-from coincid.study.figures.interference import look, setup
 
 from .test_photons import BARE, LEVEL, same
 
@@ -135,9 +133,3 @@ def test_bad_values():
     ):
         with pytest.raises(InputError, match=words):
             make()
-
-
-def test_dither_pays():
-    """The core of the study: a ghost in most pixels without dither, almost none with it."""
-    without, with_it = (look(Run(setup(0.2, 0.0, bits, 1))) for bits in (0, 4))
-    assert without.ghosts["this: fixed planes"] > 0.5 > 0.2 > with_it.wrong["this: fixed planes"]

@@ -10,10 +10,9 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from PIL import Image
 
-from coincid.model.light.light import signal_per_pulse
 from coincid.model.scenes.catalogue import RANGE_M, load_scene
 from coincid.model.scenes.depth_file import depth_scene
-from coincid.model.scenes.scene import Scene, scene_light
+from coincid.model.scenes.scene import scene_light
 from coincid.model.shared.errors import InputError
 
 
@@ -106,13 +105,6 @@ def test_bad_names(name, words):
         load_scene(name, 8, 8)
 
 
-def test_light_of_a_scene():
-    scene = Scene(name="", distance_m=[[4.0, np.nan]], reflectivity=[[0.4, 0.4]])
-    light = scene_light(scene, 50)
-    assert light.signal_per_pulse.ravel() == pytest.approx([signal_per_pulse(4.0, 0.4), 0])
-    assert np.all(light.background_cps == pytest.approx(1.226e6))
-
-
 @settings(max_examples=60, deadline=None)
 @given(
     samples=hnp.arrays(np.float64, hnp.array_shapes(min_dims=2, max_dims=2, max_side=12), elements=st.floats(1, 20)),
@@ -127,14 +119,6 @@ def test_resampling_takes_the_nearest_sample_and_never_averages(tmp_path_factory
     if rows * samples.shape[1] == cols * samples.shape[0] and samples.shape[0] % rows == 0:
         blocks = samples.reshape(rows, samples.shape[0] // rows, cols, -1)
         assert np.array_equal(truth_m, blocks.min(axis=(1, 3)))
-
-
-def test_picture_in_millimetres_and_array_in_metres_are_the_same(tmp_path):
-    millimetres = np.arange(1000, 1000 + 64 * 50, 50).reshape(8, 8)
-    expected = depth_scene(png(tmp_path / "d.png", millimetres), 8, 8).truth_m
-    assert np.array_equal(expected, millimetres / 1000)
-    assert np.array_equal(depth_scene(npy(tmp_path / "f.npy", millimetres / 1000), 8, 8).truth_m, expected)
-    assert np.array_equal(depth_scene(npy(tmp_path / "i.npy", millimetres), 8, 8).truth_m, expected)
 
 
 def test_scaled_distances_and_too_much_signal(tmp_path):
@@ -253,6 +237,8 @@ RAMP_M = np.linspace(1, 4, 64).reshape(8, 8).round(2)
         (lambda at: png(at / "d.png", np.round(RAMP_M * 5000).astype(np.uint16)), "tum"),
         (lambda at: png(at / "d.png", np.round(RAMP_M * 5000).astype(np.uint16)), "1/5000"),
         (lambda at: png(at / "d.png", rotated(np.round(RAMP_M * 1000).astype(np.uint16))), "sun-rgbd"),
+        (lambda at: npy(at / "d.npy", RAMP_M), None),
+        (lambda at: npy(at / "d.npy", np.round(RAMP_M * 1000).astype(int)), None),
         (lambda at: npy(at / "d.npy", RAMP_M * 100), "cm"),
         (lambda at: pfm(at / "d.pfm", RAMP_M), None),
         (lambda at: pfm(at / "d.pfm", 800 * 0.2 / RAMP_M - 3), "disparity:800,0.2,3"),

@@ -203,13 +203,8 @@ def test_keys_of_an_axis_vary_together_and_words_lie_over_a_preset(tmp_path):
         for sensor in (("fpga", 3), ("silicon", 4))
         for seed in (1, 2)
     ]
-    one = grid.points[2].settings["configuration"]
-    assert (one["sensor"]["cols"], one["sensor"]["phases"], one["subgroup"]["window"], one["frame"]["period"]) == (
-        16,
-        32,
-        4,
-        50,
-    )
+    one = parse_config(grid.points[2].settings["configuration"])
+    assert (one.sensor.cols, one.sensor.phases, one.window.max(), one.period) == (16, 32, 4, 50)
     assert len(grid.keys) == len(grid.points)
 
 
@@ -226,7 +221,7 @@ def test_the_clock_is_the_configurations(tmp_path):
 
 def test_only_new_points_run_and_stale_ones_are_not_in_the_result(tmp_path, quick):
     sweep(tmp_path)
-    first, before = files(tmp_path), points(tmp_path)
+    before = points(tmp_path)
     assert len(before) == 6
     changed = GRID.replace("[1, 2, 3]", "[2, 4]")
     told = sweep(tmp_path, changed).stdout
@@ -236,11 +231,6 @@ def test_only_new_points_run_and_stale_ones_are_not_in_the_result(tmp_path, quic
     assert len(points(tmp_path)) == 8
     assert sweep(tmp_path, changed, name="fresh").exit_code == 0
     assert (tmp_path / "fresh.parquet").read_bytes() == (tmp_path / "s.parquet").read_bytes()
-
-    spoilt = next(iter(before))
-    spoilt.write_text("{")
-    assert "6 of 6 points, 5 of them" in sweep(tmp_path).stdout
-    assert files(tmp_path) == first
 
 
 def test_a_point_knows_what_a_scene_file_holds(tmp_path):
@@ -272,13 +262,6 @@ def test_a_point_that_fails_is_named_and_the_others_are_kept(tmp_path, quick, mo
     monkeypatch.setitem(MEASURES, "edges", Measure(int, "edges", lambda frame: 1 / 0))
     assert sweep(tmp_path, GRID.replace("flat:5", "flat:4")).exit_code == 1
     assert not (tmp_path / "s.parquet").exists()
-
-
-def test_rows_of_the_rtl_are_those_of_the_golden_model(tmp_path, quick):
-    spec = BASE.replace("cols = 8", "cols = 16") + '[[axis]]\nengine = ["golden", "sliced"]\n'
-    assert sweep(tmp_path, spec).exit_code == 0
-    golden, rtl = table(tmp_path).select([*SWEPT]).to_pylist()
-    assert golden == rtl
 
 
 def test_killed_in_the_middle_and_started_again(tmp_path, quick):

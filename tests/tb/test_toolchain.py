@@ -79,22 +79,19 @@ def test_seed_decides_the_random_numbers(toy, tmp_path):
 
 
 @each_simulator
-@pytest.mark.parametrize(
-    ("behave", "reason"),
-    [
-        ("fail", r"1 of 1 tests failed \(.*counts\)"),
-        ("skip", "no test ran"),
-        ("crash", "ended without results"),
-        ("break import", "ended without results"),
-    ],
-)
-def test_what_is_no_pass_raises(simulator, toy, tmp_path, behave, reason):
+def test_what_is_no_pass_raises(simulator, toy, tmp_path):
     built = build(simulator, toy)
-    run(built, tmp_path)  # good results of an earlier run must not be taken for this run's
-    with pytest.raises(SimulationError, match=reason) as caught:
-        run(built, tmp_path, behave)
-    assert caught.value.log.is_file() and str(caught.value.log) in str(caught.value)
-    assert caught.value.log.read_text().splitlines()[-1] in str(caught.value)
+    run(built, tmp_path)  # good results of an earlier run must not be taken for a later one's
+    for behave, reason in {
+        "crash": "ended without results",
+        "fail": r"1 of 1 tests failed \(.*counts\)",
+        "skip": "no test ran",
+        "break import": "ended without results",
+    }.items():
+        with pytest.raises(SimulationError, match=reason) as caught:
+            run(built, tmp_path, behave)
+        assert caught.value.log.is_file() and str(caught.value.log) in str(caught.value)
+        assert caught.value.log.read_text().splitlines()[-1] in str(caught.value)
 
 
 @each_simulator
@@ -155,7 +152,7 @@ def test_failed_build_is_no_build(tmp_path, error):
 
 
 def test_engine_is_built_once_whoever_wants_it_and_whoever_is_killed(tmp_path, empty_build_root):
-    """Four processes build the same engine at once, after one that was killed in the middle; every compiler runs once."""
+    """Three processes build the same engine at once, after one that was killed in the middle; every compiler runs once."""
     calls = tmp_path / "calls"
     program = (
         "import sys\n"
@@ -185,7 +182,7 @@ def test_engine_is_built_once_whoever_wants_it_and_whoever_is_killed(tmp_path, e
     killed.kill()
     killed.communicate()
     calls.unlink()
-    for process in [start() for _ in range(4)]:
+    for process in [start() for _ in range(3)]:
         assert process.communicate()[0] == "4\n" and process.returncode == 0
     assert sorted(calls.read_text().splitlines()) == [*4 * ["g++"], "g++ -shared", "verilator"]
     assert not list(empty_build_root.rglob("*.part*"))
