@@ -75,11 +75,14 @@ def cluster_events(events: Events, config: Config, pulses: int, reach: int, offs
 def _gate_opens(events: Events, config: Config) -> np.ndarray:
     """int64[n]: tick at which the gate opened in each event's pulse, 0 without gating."""
     subgroup = np.repeat(np.arange(config.sensor.subgroups), np.diff(events.bounds))
-    steps = 0
-    if config.frame["gate_every"]:
-        steps = events.pulse % config.pulses // config.frame["gate_every"] % config.frame["gate_steps"]
-    opens = (config.gate_start[subgroup] + config.frame["gate_step"] * steps) * config.sensor.phases
+    opens = (config.gate_start[subgroup] + gate_moved(config, events.pulse % config.pulses)) * config.sensor.phases
     return np.where(config.gating[subgroup], opens, 0)
+
+
+def gate_moved(config: Config, pulse: np.ndarray) -> np.ndarray:
+    """int64[n]: cycles by which the gate has moved in pulses of a frame, int64[n]."""
+    every, steps = config.frame["gate_every"], config.frame["gate_steps"]
+    return config.frame["gate_step"] * (pulse // every % steps if every else np.zeros_like(pulse))
 
 
 def armed_ticks(stamp: np.ndarray, window: int | np.ndarray, config: Config) -> np.ndarray:

@@ -136,6 +136,7 @@ def _over_lights_of(
 
 @njit(allocates=False)
 def _copy(source, target):
+    """Copy the values of a line to another one of the same length."""
     for k in range(len(target)):
         target[k] = source[k]
 

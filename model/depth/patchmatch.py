@@ -109,6 +109,7 @@ class Field(NamedTuple):
 
 @njit(allocates=False)
 def _place(cols, r, c):
+    """Return the place of pixel (r, c) in the arrays of a field, which have a margin around the array."""
     return (r + HALF) * (cols + 2 * HALF) + c + HALF
 
 
@@ -151,12 +152,14 @@ def _chances(line, best, most, own, other):
 
 @njit(allocates=False)
 def _add_one_log(line, factor):
+    """Replace each value x of a line by log(1 + factor * x)."""
     for j in range(len(line)):
         line[j] = fast_log(np.float32(1) + factor * line[j])
 
 
 @njit(allocates=False)
 def _fill_left(field, highest, begin, end):
+    """Compute `left` of a field for the rows from `begin` to `end`."""
     rows, cols = highest.shape
     for r in range(begin, end):
         for c in range(cols):
@@ -215,6 +218,7 @@ def level_on(field: Field, planes: Planes) -> np.ndarray:
 
 @njit(allocates=False)
 def _level_on(field, planes, level):
+    """Compute `level` of `level_on`."""
     rows, cols = level.shape
     for r in range(rows):
         for c in range(cols):
@@ -291,6 +295,7 @@ def _plane_of(field, planes, rr, cc, r, c):
 
 @njit(allocates=False)
 def _slope_cost(down, right):
+    """Return by how much a plane's slopes, in ticks per pixel, lower its score (a logarithm)."""
     return np.float32(SLOPE_COST * np.log((1 + (down / SLOPE) ** 2) * (1 + (right / SLOPE) ** 2)))
 
 
@@ -350,6 +355,10 @@ def _start(field, planes, begin, end):
 
 @njit(allocates=False)
 def _round(field, old, new, step, slope, begin, end):
+    """Compute the new planes of some rows: the best of the pixel's old one, its neighbours', and small steps of it.
+
+    step: ticks. slope: ticks per pixel.
+    """
     rows, cols = old.time.shape
     for r in range(begin, end):
         for c in range(cols):
@@ -391,6 +400,7 @@ def posterior(field: Field, planes: Planes, tolerance_ticks: float, blocks: Bloc
 
 @njit(allocates=False)
 def _posterior(field, planes, tolerance, confidence, error, scores, begin, end):
+    """Compute confidence and error of some rows. scores: workspace, one line per row; tolerance: ticks."""
     bins, cols = field.own.shape[2], planes.time.shape[1]
     for r in range(begin, end):
         for c in range(cols):

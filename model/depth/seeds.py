@@ -160,6 +160,7 @@ def _round(level, light, bins, chances, first, changed, new_bins, new_chances, c
 
 @njit(allocates=False)
 def _any_near(flags, r, c):
+    """Return whether a flag is set at most `NEAR` pixels from (r, c)."""
     for rr in range(max(0, r - NEAR), min(flags.shape[0], r + NEAR + 1)):
         for cc in range(max(0, c - NEAR), min(flags.shape[1], c + NEAR + 1)):
             if flags[rr, cc]:
@@ -169,6 +170,7 @@ def _any_near(flags, r, c):
 
 @njit(allocates=False)
 def _score(level, light, bins, chances, score, begin, end):
+    """Compute `seed_scores` of some rows."""
     for r in range(begin, end):
         for c in range(level.shape[1]):
             if bins[r, c, 0] >= 0:
@@ -230,6 +232,7 @@ def _support(level, light, bins, chances, first, r, c, k, least):
 
 @njit(allocates=False)
 def _highest(line, k, reach):
+    """Return the highest value of a line within `reach` bins of bin k."""
     best = _NEVER
     for j in range(max(0, k - reach), min(len(line), k + reach + 1)):
         best = max(best, line[j])

@@ -18,7 +18,7 @@ from scipy import special
 
 from ..contract.config import Config
 from ..shared.compiled import njit
-from .clusters import armed_ticks
+from .clusters import armed_ticks, gate_moved
 from .firing import RARE, REACH_SIGMAS
 from .histograms import Events
 from .vector_math import fast_log
@@ -95,11 +95,8 @@ def unheard(events: Events, config: Config, pulses: int, sigma_ticks: float, spr
 
 def _gate_share(config: Config, s: int) -> np.ndarray:
     """float64[cycles]: share of the pulses whose gate is open in each cycle of the period."""
-    start = config.gate_start[s] + np.zeros(1, np.int64)
-    if config.frame["gate_every"]:
-        pulse = np.arange(config.pulses)
-        start = start + config.frame["gate_step"] * (pulse // config.frame["gate_every"] % config.frame["gate_steps"])
-    start, pulses = np.unique(start, return_counts=True)
+    starts = config.gate_start[s] + gate_moved(config, np.arange(config.pulses))
+    start, pulses = np.unique(starts, return_counts=True)
     cycle = np.arange(config.period)[:, None]
     return ((cycle >= start) & (cycle < start + config.gate_len[s])) @ (pulses / pulses.sum())
 
@@ -204,6 +201,7 @@ class _Shares(NamedTuple):
 
 @cache
 def _shares(threshold: int) -> _Shares:
+    """Tabulate the shares for a threshold in pixels."""
     low = math.log(_event_share(threshold, 0))
     photons = special.gammaincinv(threshold, np.exp(np.linspace(low, 0, SHARES)))
     met = special.gammainc(threshold - 1, photons) if threshold > 1 else np.ones(SHARES)
@@ -220,10 +218,11 @@ def _event_share(threshold: int, photons: float) -> float:
 def _leave_no_trace(covered, nearby, busy, found, deaf, seen, least, shares, pulse, every, kinds, missed, blind):
     """Compute missed and blind, float32[2, points], of `Unheard` for one subgroup.
 
-    It is the mean over the arrival times of a surface's photons, by the shape of the pulse. covered to seen: float32[ticks].
-    covered: windows over a tick, per pulse; while dropping:
-    nearby, busy: the same for windows with their surroundings, and until the tree is armed; found: share with room.
-    least: share of the windows that become events by background alone.
+    It is the mean over the arrival times of a surface's photons. The following are float32[ticks], each per pulse. covered:
+    windows over a tick. nearby, busy: the same for windows with their surroundings, and until the tree is armed; found: share
+    with room in the FIFO (these three only while dropping). deaf: chance that the tree is blind after a rejected window. seen:
+    share of the pulses whose gate is open. least: share of the windows that become events by background alone. pulse:
+    float32[n], shape of the pulse in steps of `every` ticks. kinds: 2 if windows are dropped, else 1.
     """
     ticks, points, reach, one = len(covered), missed.shape[1], len(pulse) // 2, np.float32(1)
     share, place, met, dark, lost, unarmed = np.empty((6, ticks), np.float32)
