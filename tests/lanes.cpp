@@ -194,10 +194,10 @@ public:
         while (bus_ && !bus_->idle()) co_await step();
         if (outcome == NO_LASER) for (int s = 0; s < STREAMS; s++) put(TREADY[s], true);  // such a frame has to end, too
         // Then the status shows it.
-        for (int64_t wait = 0; wait <= of.limit; wait++) {
+        for (int64_t begin = edges_;;) {
             if (int broken = co_await read(STATUS)) co_return broken;
             if (!(value_ & BUSY)) break;
-            if (wait == of.limit) co_return NEVER_DONE;
+            if (edges_ - begin > of.limit) co_return NEVER_DONE;
         }
         uint32_t status = value_;
         bool after = false;

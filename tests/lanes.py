@@ -48,10 +48,10 @@ class Shown:
 
 
 class Lanes:
-    """Lanes of a sensor's design. A context manager."""
+    """Lanes of a sensor's design, `width` of them. A context manager."""
 
-    def __init__(self, sensor: Sensor, design: Design):
-        self._sensor = sensor
+    def __init__(self, sensor: Sensor, design: Design, width: int = LANES[-1]):
+        self._sensor, self._width = sensor, width
         pointer, i64 = ctypes.c_void_p, ctypes.c_int64
         lists = ctypes.POINTER(pointer)
         functions: Functions = {
@@ -68,7 +68,7 @@ class Lanes:
             "lasers": (i64, [pointer, ctypes.c_int, lists]),
             "gates": (ctypes.c_uint64, [pointer, ctypes.c_int]),
         }
-        self._library = load(library(design, LANES[-1], SOURCE, _wiring_header(sensor)), "lanes", functions)
+        self._library = load(library(design, width, SOURCE, _wiring_header(sensor)), "lanes", functions)
         self._lanes = self._library.lanes_new()
 
     def __enter__(self) -> "Lanes":
@@ -98,8 +98,9 @@ class Lanes:
         columns = port_bits(config, edges)
         order = np.argsort(columns[0], kind="stable")
         # A period or a frame that an upset makes longer lasts until the end of its counter.
-        longest = 2 * config.pulses * 2 * self._sensor.period_max if patient else 0
-        limit = 2 * cycle_limit(config, len(ready)) + longest
+        limit = cycle_limit(config, len(ready))
+        if patient:
+            limit = 2 * limit + 2 * config.pulses * 2 * self._sensor.period_max
         lists = [
             *((np.array(list(accesses), ACCESS),) for accesses in (settings, during, after, beside)),
             (np.array(sorted(upsets, key=lambda upset: upset[1]), UPSET),),
@@ -128,9 +129,9 @@ class Lanes:
         are compared, too. A lane that never differs has -1.
         """
         for lane, word in enumerate(faults, 1):
-            chunks = array_at(self._library.lanes_word(self._lanes, word), (LANES[-1] // 64,))
+            chunks = array_at(self._library.lanes_word(self._lanes, word), (self._width // 64,))
             chunks[lane // 64] |= np.uint64(1 << lane % 64)
-        differs = np.zeros(LANES[-1], np.int32)
+        differs = np.zeros(self._width, np.int32)
         words = np.array(watched, np.int32)
         self._library.lanes_together(self._lanes, len(words), words.ctypes.data, differs.ctypes.data)
         return self._rows(), differs

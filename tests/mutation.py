@@ -8,8 +8,8 @@
   500 mutants are in one netlist, each with an input that turns it on, and are played in slices: lane 0 is the RTL as it is,
   and every other lane has one mutant. A mutant is killed if its lane shows something else than lane 0 at the ports, while one
   host plays all lanes (`session.py`): frames, in which lane 0 must show what the golden model says, then accesses and
-  resets. Two hosts play what is left, with upsets and wide numbers, too. A mutant that Yosys removes, or proves to be equal
-  to the block (`equiv_induct`), is equivalent. Two more hosts play the rest.
+  resets. A longer session, with upsets and wide numbers, too, plays what is left. A mutant that Yosys removes, or proves to
+  be equal to the block (`equiv_induct`), is equivalent. Three more hosts play the rest.
 * Golden model: its syntax tree is mutated here. mutmut and cosmic-ray would start a test run for every mutant, and Numba
   would compile all functions again. Without Numba, and compared with recorded beats and fates of the same frames, a
   mutant takes a second; survivors go through the tests of the golden model.
@@ -54,7 +54,7 @@ from .session import session, watched
 GOALS = {"rtl": 0.98, "golden": 0.95}  # shares of the mutants that are not known to be equivalent
 FRAMES, DEFAULT_FRAMES, FRAMES_IN_LANES = 60, 12, 600
 CASES_SEED = 2026
-SESSION_SEEDS, LAST_SEEDS = (1, 2), (3, 4)  # of hosts: more of them notice more, and few mutants are played fast
+FIRST_SEED, LAST_SEEDS = 1, (2, 3, 4)  # of hosts: more of them notice more, and few mutants are played fast
 SECONDS_MAX = 240  # for a mutant of the golden model: one that hangs is also noticed
 RTL_MUTANTS, GOLDEN_MUTANTS = 2250, 120
 PROOFS_TOGETHER = 6  # in one process of Yosys
@@ -101,6 +101,23 @@ class Fate:
     where: str
     what: str
     by: str
+
+
+class Stopwatch:
+    """CPU time of this process and of all that it has waited for."""
+
+    def __init__(self):
+        self._last = self._now()
+
+    @staticmethod
+    def _now() -> float:
+        return sum(os.times()[:4])
+
+    def lap(self, name: str) -> None:
+        """Print the CPU time since the last lap."""
+        now = self._now()
+        print(f"CPU time of {name}: {now - self._last:.0f} s", flush=True)
+        self._last = now
 
 
 def excuse(what: str) -> str:
@@ -354,7 +371,8 @@ def judged_by_lanes(mutants: list[Mutant], jobs: list[FrameJob], whole: bool, se
     design = Design(f"{sensor_key(sensor)}-mutants", sources, TOP, before=[*before, "memory_map"])
     emission = design.emission()
     read = {net for of in (*emission.top.tables, *emission.top.flops) for net in of.inputs}
-    with Lanes(sensor, design) as lanes:
+    width = next(lanes for lanes in LANES if lanes > len(mutants))
+    with Lanes(sensor, design, width) as lanes:
         parts = session(sensor, emission, jobs, whole, seed_)
         for _, recipe in parts:
             lanes.recipe(**recipe)
@@ -441,7 +459,9 @@ def _unequal(mutants: list[Mutant], aside: list[set[str]], blocks: list[str]) ->
 
 def mutate_rtl(total: int, folder: Path, jobs: list[FrameJob], seed_: int, tell) -> list[Fate]:
     """Return fates of mutants of the RTL."""
+    clock = Stopwatch()
     mutants = rtl_mutants(total, folder, seed_)
+    clock.lap("mutants")
     by: dict[Mutant, str] = {}
     with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
 
@@ -452,8 +472,10 @@ def mutate_rtl(total: int, folder: Path, jobs: list[FrameJob], seed_: int, tell)
             for (batch, *_), found in zip(plays, pool.map(lambda play: judged_by_lanes(*play), plays)):
                 by.update((mutant, one) for mutant, one in zip(batch, found) if one)
 
-        play(False, SESSION_SEEDS[:1])  # most show soon
-        play(True, SESSION_SEEDS)
+        play(False, (FIRST_SEED,))  # most show soon
+        clock.lap("frames")
+        play(True, (FIRST_SEED,))
+        clock.lap("upsets")
         left = [mutant for mutant in mutants if mutant not in by]
         alone = {mutant.block: [mutant.block] for mutant in left}
         parts = [_within(folder, name) for name in _inner(folder, TOP)]
@@ -468,7 +490,9 @@ def mutate_rtl(total: int, folder: Path, jobs: list[FrameJob], seed_: int, tell)
             for (of, _), found in zip(proofs, pool.map(lambda job: proven(*job), proofs)):
                 by.update((mutant, "equal: proven by Yosys") for mutant, yes in zip(of, found) if yes)
             left = [mutant for mutant in left if mutant not in by]
+        clock.lap("proofs")
         play(True, LAST_SEEDS)
+        clock.lap("more hosts")
     fates = [Fate(mutant.block, mutant.what, by.get(mutant, "")) for mutant in mutants]
     for fate in fates:
         tell(fate)
@@ -512,19 +536,23 @@ def main() -> None:
     subprocess.run(["rm", "-rf", str(folder)], check=True)
     folder.mkdir(parents=True)
     print(f"seed {given_.seed}: --seed repeats or changes the choice")
-    jobs = frames()
-    # The second sensor has five subgroups and two streams, the third one maps of more bits than a half word.
-    others = frames(random_cases.SENSORS["odd"]) + frames(random_cases.SENSORS["default"], DEFAULT_FRAMES)
-    save_job(folder / "jobs", [*jobs, *others])
-    rng = np.random.default_rng(given_.seed)
+    clock = Stopwatch()
+    fates: list[Fate] = []
 
     def tell(fate: Fate) -> None:
         print(f"{fate.where:26} {fate.by or 'SURVIVED':24} {fate.what[:150]}", flush=True)
 
-    numbers = sample(given_.golden, list(range(golden_mutants())), rng)
-    fates = mutate_golden(numbers, folder, folder / "jobs", tell)
+    if given_.golden:
+        # The second sensor has five subgroups and two streams, the third one maps of more bits than a half word.
+        others = frames(random_cases.SENSORS["odd"]) + frames(random_cases.SENSORS["default"], DEFAULT_FRAMES)
+        save_job(folder / "jobs", [*frames(), *others])
+        rng = np.random.default_rng(given_.seed)
+        numbers = sample(given_.golden, list(range(golden_mutants())), rng)
+        fates += mutate_golden(numbers, folder, folder / "jobs", tell)
+        clock.lap("golden model")
     if given_.rtl:
         fates += mutate_rtl(given_.rtl, folder / "rtl", frames(drawn=FRAMES_IN_LANES), given_.seed, tell)
+        clock.lap("RTL")
     text, rates = report(fates, given_.seed)
     (folder / "report.md").write_text(text)
     print(text)
