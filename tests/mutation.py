@@ -418,7 +418,9 @@ def proven(mutants: list[Mutant], blocks: list[str]) -> list[bool]:
     for _ in range(PROOFS if len(blocks) == 1 else PROOFS_IN_PART):
         verdicts = _unequal([mutants[k] for k in aside], list(aside.values()), blocks) if aside else []
         equal |= {k for k, verdict in zip(aside, verdicts) if verdict == set()}
-        aside = {k: aside[k] | verdict for k, verdict in zip(aside, verdicts) if verdict}
+        aside = {
+            k: known | verdict for (k, known), verdict in zip(aside.items(), verdicts) if verdict and verdict - known
+        }
     return [k in equal for k in range(len(mutants))]
 
 
@@ -479,7 +481,9 @@ def mutate_rtl(total: int, folder: Path, jobs: list[FrameJob], seed_: int, tell)
         left = [mutant for mutant in mutants if mutant not in by]
         alone = {mutant.block: [mutant.block] for mutant in left}
         parts = [_within(folder, name) for name in _inner(folder, TOP)]
-        for places in (alone, {name: part for part in parts if len(part) > 1 for name in part}):
+        simple = [TOP, *(name for name, *others in parts if not others and not name.startswith(GATE))]
+        parts = [simple, *(part for part in parts if len(part) > 1)]
+        for places in (alone, {name: part for part in parts for name in part}):
             proofs = [
                 (of[k : k + PROOFS_TOGETHER], places[block])
                 for block, group in itertools.groupby(left, lambda mutant: mutant.block)
