@@ -13,7 +13,9 @@ from collections.abc import Iterator, Sequence
 from typing import Any, TypeAlias
 
 import numpy as np
+from amaranth.hdl import Shape
 
+from coincid.hdl.bus import Operation
 from coincid.model.contract import registers
 from coincid.model.contract.config import Config
 from coincid.model.contract.counters import COUNTER_NAMES
@@ -34,6 +36,7 @@ FULL = (1 << DATA_BITS) - 1
 SHORT = 400  # cycles of a frame that is played often
 SWEEP_VALUES, STARTS, RESETS, UPSETS, UPSET_ACCESSES, WIDE, LONG = 40, 20, 100, 2500, 60, 2500, 600
 SCRAMBLES, AHEAD = 5000, 1000
+COMMANDS = 1000
 LIGHTS = 1200  # frames whose light is drawn anew
 TIES = 16  # in a frame, at most
 UPSET_TOGETHER, UPSET_CYCLES = 100, 80  # settings' bits in a part, and how long each is upset
@@ -100,6 +103,7 @@ def session(sensor: Sensor, emission: Emission, jobs: Sequence[FrameJob], whole:
         *_scrambles(emission, short, rng),
         *_ahead(emission, jobs, rng),
         *_wide(emission, short, reads, rng),
+        *_commands(emission, short, rng),
     ]
 
 
@@ -261,6 +265,15 @@ def _upsets(emission: Emission, short: Sequence[FrameJob], reads: list[Access], 
         upsets = [(bit, begin + UPSET_CYCLES * (i + end), FLIPS) for i, bit in enumerate(some) for end in (1, 2)]
         tried = REFUSED * (UPSET_CYCLES * (len(some) + 2) // REFUSAL_CYCLES)
         yield part("upsets", first, dark=True, after=[write(PERIOD, 1), *tried, RESET_ALL], upsets=upsets)
+
+
+def _commands(emission: Emission, short: Sequence[FrameJob], rng: random.Random) -> Iterator[Part]:
+    """Starts during which the command on the configuration bus becomes another one, often one that does not exist."""
+    code = kept(emission)["registers.command"][: Shape.cast(Operation).width]
+    led = [job for job in short if job.config.controlled.any()]
+    for k in range(COMMANDS):
+        upsets = _flips(code, rng.randrange(2 * GAP), rng.randrange(1, 1 << len(code)))
+        yield part("upsets", rng.choice(led), upsets=upsets, after=[RESET_ALL] if k % 16 == 0 else ())
 
 
 def _any_read(addresses: list[int], rng: random.Random) -> Access:
