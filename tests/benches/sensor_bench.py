@@ -197,8 +197,10 @@ async def starts_that_make_no_sense(dut):
         await write_bounds([value] * AUTO_BOUNDS)
         for low in range(AUTO_BOUNDS - 1):
             await bench.write("auto_bounds", value | 1 << bit, index=low)
-            await refused(start(), bench, "start_bounds")
+            assert await refuses(start()), f"bit {bit} of bound {low}"
             await bench.write("auto_bounds", value, index=low)
+    await bench.write("auto_bounds", value | 1 << bit, index=0)
+    await refused(start(), bench, "start_bounds")  # and for no other reason
     await write_bounds(of.auto_bounds.tolist())
     await bench.write("gate_start", 100, subgroup=1)
     await bench.write("mode", 0b011, subgroup=1)
