@@ -23,20 +23,17 @@ TOPS = {BOARD: BOARD_TOP, SERIAL: SERIAL_TOP, AXI: BUS_TOP}
 PINS = f"{BOARD_TOP}.lpf"
 
 
-def emulator_verilog(config: Config, kind: str, buffer_beats: int) -> dict[str, str]:
-    """Return the Verilog of an emulator by file name, and a file list. Raises `InputError`."""
+def emulator_release(config: Config, kind: str, buffer_beats: int) -> dict[str, str]:
+    """Return the files of an emulator by name. Equal parameters give equal bytes. Raises `InputError`."""
     if kind not in TOPS:
         raise InputError(f"kind = {kind!r}: must be one of {', '.join(TOPS)}")
     if kind == AXI:  # has no serial line, so any clock will do
-        return emulator_files(Emulator(sensor=config.sensor, buffer_beats=buffer_beats), serial=False)
-    emulator = Emulator.of(config, buffer_beats)
-    return board_files(emulator, config.clock_mhz) if kind == BOARD else emulator_files(emulator)
-
-
-def emulator_release(config: Config, kind: str, buffer_beats: int) -> dict[str, str]:
-    """Return all files by name. Equal parameters give equal bytes. Raises `InputError`."""
-    files = emulator_verilog(config, kind, buffer_beats) | register_files(config.sensor)
-    files |= {CONTROL_FILE: control_file(POLYPHASE, emulator=True)} | c_driver()
+        files = emulator_files(Emulator(sensor=config.sensor, buffer_beats=buffer_beats), serial=False)
+    else:
+        emulator = Emulator.of(config, buffer_beats)
+        files = board_files(emulator, config.clock_mhz) if kind == BOARD else emulator_files(emulator)
+    files = files | register_files(config.sensor) | c_driver()
+    files |= {CONTROL_FILE: control_file(POLYPHASE, emulator=True)}
     return files | ({PINS: board_pins()} if kind == BOARD else {})
 
 

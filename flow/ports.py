@@ -171,19 +171,14 @@ def stream_words(sensor: Sensor) -> str:
     return f"The first beat of every packet is a header: {fields}.\n\n" + "\n".join(table) + "\n" + told
 
 
-def generated(sensor: Sensor) -> dict[str, str]:
-    """Return the generated parts of docs/integrate.md, by the names of their markers."""
-    return {
-        "ports": port_table(sensor),
-        "instance": f"```verilog\n{instantiation(sensor)}```\n",
-        "words": stream_words(sensor),
-    }
-
-
 def pages() -> dict[str, dict[str, str]]:
     """Return the generated parts of the pages in docs/, by page and by the names of their markers."""
     return {
-        "integrate.md": generated(EXAMPLE),
+        "integrate.md": {
+            "ports": port_table(EXAMPLE),
+            "instance": f"```verilog\n{instantiation(EXAMPLE)}```\n",
+            "words": stream_words(EXAMPLE),
+        },
         "contract.md": {"header": header_table()},
         "files.md": settings_tables(),
     }

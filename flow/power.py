@@ -121,13 +121,10 @@ def simulate(sensor: Sensor, frames: list[FrameJob]) -> Toggles:
     build = netlist_build(sensor, CELLS, scopes)
     out = build_root() / "power" / sensor_key(sensor)
     play_in(build, frames, out)
+    config = frames[0].config
     with (out / f"{TOP}.vcd").open("rb") as vcd:
-        return transitions(vcd, frames[0].config.pulses, [job.config.frame_cycles for job in frames], in_ps(frames))
-
-
-def in_ps(frames: list[FrameJob]) -> int:
-    """Return the length of a clock cycle in ps."""
-    return round(1e6 / frames[0].config.clock_mhz)
+        cycles = [job.config.frame_cycles for job in frames]
+        return transitions(vcd, config.pulses, cycles, round(1e6 / config.clock_mhz))
 
 
 def transitions(vcd: BufferedIOBase, pulses: int, frame_cycles: list[int], cycle_ps: int) -> Toggles:

@@ -70,8 +70,11 @@ def draw(
         for name, x in _fillers(rows[y], placed["width"], widths_um):
             _put(whole, cells[name], x, y, number % 2 == 1)
     _wires(layout, whole, routed)
-    for port, (x, y) in port_places(placed, strips).items():
-        whole.shapes(layout.layer(metal(2), 0)).insert(db.Text(port, database(x), database(y)))
+    unnamed = set(placed["ports"])
+    for net, _, _, x, y in pin_places(placed, strips):
+        if net in unnamed:  # the first pin of its net
+            whole.shapes(layout.layer(metal(2), 0)).insert(db.Text(net, database(x), database(y)))
+            unnamed.remove(net)
     whole.shapes(layout.layer(OUTLINE, 0)).insert(box(0, 0, placed["width"], placed["height"]))
     return layout
 
@@ -154,15 +157,6 @@ def pin_places(placed: Placed, strips: Strips) -> Iterator[tuple[str, str, str, 
     """Yield (net, cell's name, pin, x, y) of every pin's via, in um."""
     for net, name, pin, strip in placed_strips(placed, strips):
         yield net, name, pin, strip.x, strip.via
-
-
-def port_places(placed: Placed, strips: Strips) -> dict[str, tuple[float, float]]:
-    """Return port -> the place of one pin of its net."""
-    places: dict[str, tuple[float, float]] = {}
-    for net, _, _, x, y in pin_places(placed, strips):
-        if net in placed["ports"]:
-            places.setdefault(net, (x, y))
-    return places
 
 
 @frozen

@@ -24,22 +24,14 @@ MW_PER_FJ_MHZ = 1e-6
 Lengths = dict[str, dict[int, float]]  # net -> metal -> um
 
 
-@frozen
-class Metal:
-    """A layer's capacitance in fF per um, and its resistance in ohm per um, for a wire of least width."""
-
-    farads: float
-    ohms: float
-
-
-def metals(lef: Path) -> dict[int, Metal]:
-    """Return the routing layers of a technology's LEF file."""
+def metals(lef: Path) -> dict[int, tuple[float, float]]:
+    """Return routing layer -> (capacitance in fF per um, ohm per um) of a wire of least width, from a LEF file."""
     found = {}
     for number, body in re.findall(r"^LAYER metal(\d+)\n(.*?)^END metal\d+", lef.read_text(), re.MULTILINE | re.DOTALL):
         value = {name: float(number) for name, number in re.findall(r"(\w+) ([\d.eE+-]+) ;", body)}
         width = value["WIDTH"]
         capacitance = value["CPERSQDIST"] * width + 2 * value["EDGECAPACITANCE"]
-        found[int(number)] = Metal(FF_PER_PF * capacitance, value["RPERSQ"] / width)
+        found[int(number)] = FF_PER_PF * capacitance, value["RPERSQ"] / width
     return found
 
 
@@ -103,8 +95,8 @@ def wired(top: str, placed: Placed, strips: Strips, lengths: Lengths, lef: Path)
     for net, ends in pins.items():
         on = lengths.get(net, {})
         total = sum(on.values())
-        ohms = sum(layer[i].ohms * um for i, um in on.items()) / total if total else WITHOUT_WIRE_OHM
-        farads = sum(layer[i].farads * um for i, um in on.items()) + PIN_FF * len(ends)
+        ohms = sum(layer[i][1] * um for i, um in on.items()) / total if total else WITHOUT_WIRE_OHM
+        farads = sum(layer[i][0] * um for i, um in on.items()) + PIN_FF * len(ends)
         drivers = [end for end in ends if is_output(kinds[end[0]], end[1])]
         sinks = [end for end in ends if end not in drivers]
         port = placed["ports"].get(net)
