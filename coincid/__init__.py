@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Coincid: an open, cycle-accurate model of a SPAD direct time-of-flight sensor.
 
-The names that a notebook needs are here, and are imported when they are first used: `simulate` and the `Run` that it
-returns; the configuration, scene and light from which a run is made; and functions for its result. Everything else is in
-the rooms, each of which imports only earlier ones: `coincid.model` (contract, golden model, light, scenes, depth; no
+This package has the names that a notebook needs, and imports each of them on its first use: `simulate` and the `Run` that
+it returns; the configuration, scene and light from which a run is made; and functions for its result. Everything else is
+in the rooms, each of which imports only earlier ones: `coincid.model` (contract, golden model, light, scenes, depth; no
 HDL), `coincid.hdl` (RTL in Amaranth), `coincid.tb` (simulators, cocotb, scoreboards), `coincid.flow`, `coincid.formal`,
 `coincid.study`. The command line is `coincid.cli`.
 """

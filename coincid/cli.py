@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The `coincid` command: one sub-command per job.
 
-Commands check all their input before they build or simulate anything. Exit codes: 0 done; 1 the RTL differs from the
-golden model, or lint found something; 2 bad input or a missing tool (one line on stderr); 130 interrupted, 143 by
-SIGTERM. Each command imports the modules that it needs, so `--help` is immediate.
+Commands check all their input before they build or simulate anything. Each command imports the modules that it needs, so
+`--help` appears immediately. Exit codes: 0 for success; 1 if the RTL differs from the golden model or lint found something;
+2 for bad input or a missing tool (one line on stderr); 130 after an interruption, and 143 after SIGTERM.
 """
 
 import contextlib
@@ -32,10 +32,10 @@ if TYPE_CHECKING:
 BAD_INPUT, DIFFERS = 2, 1
 STALL_CYCLES_MAX = 1 << 24
 PULSES_MAX = 1 << 16
-ASYNC_PULSES, ASYNC_FRAMES = 4, 1  # for `sim --view async`, for which Icarus needs about three minutes
+ASYNC_PULSES, ASYNC_FRAMES = 4, 1  # for `sim --view async`; Icarus takes about three minutes for them
 FRAMES_MAX = 1000  # for the controller
-LINK_GBPS = 8.0  # for `sim` if neither it nor the configuration sets the rate: what the pins of such a chip carry
-LINK_FORMAT = "compact"  # for `sim` if the configuration sets no format: carries the most events behind such a link
+LINK_GBPS = 8.0  # for `sim` if nothing else sets the rate: the pins of such a chip can carry this much
+LINK_FORMAT = "compact"  # for `sim` if the configuration sets no format: such a link carries the most events in it
 REPEATS_MAX = 1000
 BAUD_MAX = 100_000_000
 WORKERS_MAX = 1 << 10
@@ -44,7 +44,7 @@ console = Console(stderr=True, highlight=False)
 
 
 class Commands(TyperGroup):
-    """The group of commands; turns errors that are meant for users into messages and exit codes."""
+    """The group of commands. It turns errors that are meant for users into messages and exit codes."""
 
     def invoke(self, ctx: Any) -> Any:
         try:
@@ -84,7 +84,7 @@ app = typer.Typer(
 )
 
 _Kind = tuple[Any, Any, str, str]  # type, default, metavar, help
-_TYPES = {"spad": list[str] | None}  # of options that are not what their default says
+_TYPES = {"spad": list[str] | None}  # of options whose type does not follow from their default
 _SHARED: dict[str, _Kind] = {
     name: (
         _TYPES.get(name, str | None if one.default is None else type(one.default)),
@@ -103,15 +103,15 @@ _SHARED: dict[str, _Kind] = {
     ),
     "clock_mhz": (float | None, None, "", "System clock; default: the configuration's (frame.clock_mhz)."),
 }
-_FLAGS = {"changes": "--set"}  # where it is not the parameter's name
+_FLAGS = {"changes": "--set"}  # flags that differ from the parameter's name
 
 
 def command(options: str = "", **told: str | tuple[str, str]) -> Callable[[Callable[..., None]], Callable[..., None]]:
     """Return a decorator that makes a function a command.
 
-    options: their names in order, arguments in capitals. The function's own parameters give type and default of their
-    options, and `told` the help, after a metavar if need be, or only how it ends ("default: ...") where the option is
-    one of lab/options.py. The others are shared by commands; the function gets them as further keywords.
+    options: the names in order; arguments are in capitals. An option that is a parameter of the function has its type and
+    its default from there. `told` gives the help of an option, or (metavar, help); if the option is one of lab/options.py,
+    a text only replaces its default in the help. The function gets all other options as further keywords.
     """
 
     def decorate(function: Callable[..., None]) -> Callable[..., None]:
@@ -674,7 +674,7 @@ def bench(*, out: Path = Path("build/bench.json"), repeats: int = 5) -> None:
 
 
 def _setup(config: "Config", scene: str, given: dict[str, Any], **fields: Any) -> Any:
-    """Return the `Setup` of a scene, with the options of lab/options.py among the given ones; `fields` are further ones of it."""
+    """Return the `Setup` of a scene, with those given options that are in lab/options.py, and with further `fields`."""
     from coincid.lab.setup import Setup, scene_of
     from coincid.model.scenes.catalogue import usual_klux
 
@@ -704,7 +704,7 @@ def _spad(given: Iterable[str]) -> Any:
 
 
 def _config(given: dict[str, Any]) -> "Config":
-    """Return the configuration with the settings of the command line, which it takes out of the given options."""
+    """Return the configuration with the settings of the command line. It removes them from the given options."""
     from coincid.model.contract.config import changes_of_text, load_config
 
     config = load_config(given.pop("config", None), changes_of_text(given.pop("changes", None) or []))
@@ -713,7 +713,7 @@ def _config(given: dict[str, Any]) -> "Config":
 
 
 def _file(path: Path) -> Path:
-    """Return `path` if a file can be made there; make nothing."""
+    """Return `path` if a file can be written there. Nothing is written yet."""
     if path.is_dir():
         raise InputError(f"out = {str(path)!r}: is a folder, must be a file")
     _writable(path, path.parent)
@@ -721,7 +721,7 @@ def _file(path: Path) -> Path:
 
 
 def _folder(path: Path) -> Path:
-    """Return `path` if it is, or can become, a folder to write to; make nothing."""
+    """Return `path` if it is a writable folder, or can become one. Nothing is made yet."""
     _writable(path, path)
     return path
 
@@ -735,7 +735,7 @@ def _writable(path: Path, folder: Path) -> None:
 
 @contextlib.contextmanager
 def _progress(cycles: int, what: str) -> "Iterator[Bar]":
-    """Return a progress bar on a terminal, otherwise one that shows nothing."""
+    """Return a progress bar. It shows nothing if there is no terminal."""
     from coincid.study.progress import Bar
 
     with Bar(console) as bar:
@@ -753,7 +753,7 @@ def _drawn(page: str, out: Path, rtl: bool = False) -> None:
 
 
 def _all_clean(found: dict[str, str]) -> None:
-    """Print what each tool of lint found, and end with exit code 1 where it found something."""
+    """Print what each lint tool found, and end with exit code 1 if any of them found something."""
     for tool, complaints in found.items():
         print(f"{tool}: {'found' if complaints else 'clean'}\n{complaints}", end="")
     if any(found.values()):
@@ -761,7 +761,7 @@ def _all_clean(found: dict[str, str]) -> None:
 
 
 def _all_met(missed: Iterable[str]) -> None:
-    """Print what was missed, and end with exit code 1 where something was."""
+    """Print the failures; if there are any, end with exit code 1."""
     told = [f"coincid: {line}" for line in missed]
     if told:
         print("\n".join(told), file=sys.stderr)

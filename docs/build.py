@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Builds the documentation site into build/docs/: `python docs/build.py`, which `make docs` runs.
+"""Build the documentation site into build/docs/; `make docs` runs this program.
 
-The pages are those that a Git host shows, in the same places, so a link leads to the same page in both. Copies of them,
-the pages of the API, and those of the gallery go into build/docs-source/. Every warning is an error: a dead link, a
-missing heading, an example that fails.
+The pages lie in the same places as on a Git host, so a link leads to the same page in both. Copies of the pages, the API
+reference and the gallery go into build/docs-source/. Every warning is an error, such as a dead link, a missing heading or
+an example that fails.
 """
 
 import sys
@@ -52,7 +52,7 @@ FORWARD = """<!doctype html>
 
 
 def pages() -> dict[str, bytes]:
-    """Path in the sources of the site -> content."""
+    """Return the content of each source of the site, by its path."""
     files = [ROOT / name for name in TOP]
     files += [path for path in (ROOT / "docs").rglob("*") if path.suffix in PAGES]
     files += [*(ROOT / "examples").glob("*.py"), ROOT / "examples" / "README.md"]
@@ -65,7 +65,7 @@ def pages() -> dict[str, bytes]:
 
 
 def api() -> dict[str, str]:
-    """The pages of the API reference."""
+    """Return the pages of the API reference, by their paths."""
     import coincid
 
     names = [name for name in coincid.__all__ if name != "InputError"]
@@ -80,16 +80,8 @@ def api() -> dict[str, str]:
             name = f"coincid.{room}.{module}"
             lines += [heading(module, "-"), f".. automodule:: {name}", "   :members:", ""]
         made[f"api/{room}.rst"] = "\n".join(lines)
-    index = [
-        heading("API reference"),
-        ".. toctree::",
-        "   :maxdepth: 1",
-        "",
-        "   coincid",
-        *(f"   {room}" for room in MODULES),
-        "",
-    ]
-    return made | {"api/index.rst": "\n".join(index)}
+    rooms = "".join(f"   {room}\n" for room in ("coincid", *MODULES))
+    return made | {"api/index.rst": f"{heading('API reference')}\n.. toctree::\n   :maxdepth: 1\n\n{rooms}"}
 
 
 def heading(text: str, line: str = "=") -> str:
@@ -111,22 +103,8 @@ def lay_out(files: dict[str, bytes]) -> None:
 
 def main() -> int:
     lay_out(pages())
-    return build_main(
-        [
-            "-W",
-            "--keep-going",
-            "-q",
-            "-b",
-            "html",
-            "-c",
-            str(ROOT / "docs"),
-            "-d",
-            str(DOCTREES),
-            str(SOURCE),
-            str(SITE),
-            *sys.argv[1:],
-        ]
-    )
+    places = ["-c", ROOT / "docs", "-d", DOCTREES, SOURCE, SITE]
+    return build_main([*"-W --keep-going -q -b html".split(), *map(str, places), *sys.argv[1:]])
 
 
 if __name__ == "__main__":

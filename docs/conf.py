@@ -15,21 +15,11 @@ language = "en"
 
 extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx_gallery.gen_gallery"]
 root_doc = "docs/index"
-include_patterns = [
-    "README.md",
-    "CONTRIBUTING.md",
-    "CHANGELOG.md",
-    "docs/**",
-    "examples/README.md",
-    "gallery/**",
-    "api/**",
-]
+include_patterns = ["*.md", "docs/**", "examples/README.md", "gallery/**", "api/**"]
 exclude_patterns = ["gallery/**.py", "gallery/**.ipynb", "gallery/**.md5"]
 default_role = "literal"  # docstrings have names in single backticks
 
-myst_heading_anchors = (
-    4  # also the anchors that a Git host makes of headings, so that a link to a missing one is a warning
-)
+myst_heading_anchors = 4  # the same anchors as on a Git host, so that a link to a missing heading is a warning
 
 autodoc_member_order = "bysource"
 suppress_warnings = ["ref.python"]  # names of the front door are also in their rooms: two targets for one name
@@ -58,11 +48,11 @@ html_extra_path = [str(ROOT / "build" / "docs-source" / "extra")]
 html_copy_source = html_show_sourcelink = False
 html_theme_options = {"navigation_with_keys": False}
 
-READERS = "## "  # a heading of the index whose links are a part of the site's contents
+READERS = "## "  # begins a heading of the index; the links below it become a part of the table of contents
 
 
 def contents(text):
-    """The hidden tables of contents of the index: one for each of its headings, from the links below it."""
+    """Return hidden tables of contents for the index, one per heading, with the pages that are linked below the heading."""
     tables = []
     for part in re.split(rf"^{READERS}", text, flags=re.MULTILINE)[1:]:
         caption, _, body = part.partition("\n")
@@ -80,7 +70,7 @@ def add_contents(app, name, source):
         source[0] += "\n" + contents(source[0])
 
 
-TEXTS = "texts.js"  # pages' contents, from which the search takes its excerpts where a browser must not read files
+TEXTS = "texts.js"  # texts of all pages: the search takes excerpts from it where a browser may not read files
 READ_TEXTS = """
 if (location.protocol === "file:") {
   window.fetch = async (address) => {
@@ -97,7 +87,7 @@ def load_texts(app, name, template, context, doctree):
 
 
 def write_texts(app, error):
-    """Write the contents of all pages as a script, without attributes other than the anchors."""
+    """Write the texts of all pages as a script, and keep only the attributes that are anchors."""
     if error or app.builder.format != "html":
         return
     site, texts = Path(app.outdir), {}
@@ -111,7 +101,7 @@ def write_texts(app, error):
 
 
 def describe_thumbnails(app, doctree, name):
-    """Give the pictures of the gallery's index the titles of their examples as alternative text."""
+    """Give each picture of the gallery's index the title of its example as alternative text."""
     for image in doctree.findall(lambda node: node.tagname == "image" and not node.get("alt")):
         example = re.search(r"sphx_glr_(\w+)_thumb", image["uri"])
         if example:
@@ -122,7 +112,7 @@ NUMPY_SECTIONS = {"Parameters", "Returns", "Raises", "Attributes", "Yields"}
 
 
 def plain_text(app, what, name, obj, options, lines):
-    """Treat docstrings as plain text with names in backticks, and with headings and lists, but no other markup."""
+    """Treat docstrings as plain text: only names in backticks, headings and lists are markup."""
     underlined = [i for i, line in enumerate(lines) if re.fullmatch(r"\s*-{3,}\s*", line)]
     if any(lines[i - 1].strip() in NUMPY_SECTIONS for i in underlined):
         return  # left to napoleon

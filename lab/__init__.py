@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The experiment: what is tried (`setup.py`), what came out (`outcomes.py`, `measures.py`), and many of them (`campaign.py`)."""
+"""Experiments: a setup (`setup.py`), its outcome (`outcomes.py`, `measures.py`), and campaigns of many setups (`campaign.py`)."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Many setups: played here, on processes or on a Dask cluster, continued where an earlier start ended, and as one table."""
+"""Campaigns play many setups: in this process, in others or on a Dask cluster. A campaign can continue an interrupted one."""
 
 import json
 import os
@@ -18,14 +18,14 @@ from .measures import Number
 from .outcomes import Kept, Run
 from .setup import Setup
 
-Progress: TypeAlias = Callable[[int, int], None]  # done, in total; the total grows with each campaign
-Read: TypeAlias = Callable[[Run], Any]  # a function of a module, or a partial of one; what it returns is small
-Played: TypeAlias = tuple[int, Any, BaseException | None]  # index of the setup, what was read of its run, the error
+Progress: TypeAlias = Callable[[int, int], None]  # gets the number done and the total, which grows with each campaign
+Read: TypeAlias = Callable[[Run], Any]  # a function of a module, or a partial of one, that returns something small
+Played: TypeAlias = tuple[int, Any, BaseException | None]  # index of the setup, what was read from its run, its error
 _Key = TypeVar("_Key", bound=Hashable)
 _Item = TypeVar("_Item")
 _Result = TypeVar("_Result")
-TOGETHER_MAX = 8  # setups of a batch: their edges are in memory at once
-_kept = Kept()  # in each process: neighbours in a campaign often have the same photons
+TOGETHER_MAX = 8  # setups in a batch: the edges of all of them are in memory at the same time
+_kept = Kept()  # one in each process, because successive setups of a campaign often have the same photons
 
 
 class Workers(Protocol):
@@ -37,7 +37,7 @@ class Workers(Protocol):
 
 
 def batches(setups: Sequence[Setup], workers: int) -> list[list[int]]:
-    """Return the numbers of setups that a worker plays together: RTL in lanes of the sliced engine, all else alone."""
+    """Return the setups of each batch, by number. The sliced engine plays a batch in its lanes; others get one setup per batch."""
     found: list[list[int]] = []
     by_sensor: dict[Sensor, list[int]] = {}
     for number, setup in enumerate(setups):
@@ -52,10 +52,10 @@ def batches(setups: Sequence[Setup], workers: int) -> list[list[int]]:
 
 
 def read_batch(read: Read, setups: Sequence[Setup]) -> list[tuple[Any, BaseException | None]]:
-    """Play the setups of a batch on a worker; return what was read of each, or its error."""
+    """Play the setups of a batch on a worker; return what was read from each run, or its error."""
     results: list[dict[str, Any]] = [{} for _ in setups]
     if len(setups) > 1:
-        # A setup that cannot be played is played again, alone, and tells why.
+        # After an error, each setup is played again alone below, which shows the setup that fails.
         with suppress(Exception):
             runs = [Run(setup) for setup in setups]
             together = replay_together([(run.config, run.edges) for run in runs])
@@ -70,7 +70,7 @@ def read_batch(read: Read, setups: Sequence[Setup]) -> list[tuple[Any, BaseExcep
 
 
 class Processes:
-    """This process (`workers` = 1) or new ones (None: one per core), for one campaign after the other; a context manager."""
+    """This process (`workers` = 1) or new ones (None: one per core), for several campaigns in turn; a context manager."""
 
     def __init__(self, workers: int | None = None, progress: Progress = lambda done, total: None) -> None:
         self.workers, self.progress = workers or os.cpu_count() or 1, progress
@@ -107,7 +107,7 @@ class Processes:
             self._count()
 
     def map(self, function: Callable[[_Item], _Result], items: Iterable[_Item]) -> list[_Result]:
-        """Return `function` (of a module) of each item, in order: for tasks that are no setups."""
+        """Return the results of a module's `function` for all items, in order. This is for tasks that are not setups."""
         tasks = list(items)
         self.total += len(tasks)
         results = []
@@ -122,13 +122,13 @@ class Processes:
 
 
 class KeptFiles:
-    """What was read of setups, as flat JSON in a folder, by the setups' keys."""
+    """A folder with one flat JSON file per setup: what was read from its run. The setup's key names the file."""
 
     def __init__(self, folder: Path, names: Sequence[str]) -> None:
         self.folder, self.names = folder, list(names)
 
     def load(self, key: str) -> dict[str, Number] | None:
-        """Return what is kept under `key`; None if there is nothing that can be read and has these names."""
+        """Return what is kept under `key`; None if no readable file with these names exists."""
         try:
             kept = json.loads((self.folder / f"{key}.json").read_text())
         except (OSError, ValueError):
@@ -149,11 +149,11 @@ def campaign(
     failed: dict[_Key, BaseException] | None = None,
     progress: Callable[[int], None] = lambda done: None,
 ) -> dict[_Key, Any]:
-    """Return what `read` returns for the run of each setup, by key and in order; it does not depend on the workers.
+    """Return the result of `read` for the run of each setup, by key and in order; the workers do not change it.
 
-    kept: setups that an earlier campaign finished are not played again, and setups of equal content are played once.
-    failed: gets the error of each setup that has one; None: the first one is raised. progress: gets the number of different
-    setups that are done, first of those that are kept.
+    kept: finished setups of an earlier campaign, which are not played again; setups with equal content are then played once.
+    failed: receives the error of each setup that fails; None: the first error is raised. progress: is called with the number
+    of different setups that are done, first with the number of those that are kept.
     """
     digests = {key: setup.key if kept else str(number) for number, (key, setup) in enumerate(setups.items())}
     found = {name: before for name in digests.values() if kept and (before := kept.load(name)) is not None}
@@ -184,5 +184,5 @@ def grouped(groups: Mapping[_Key, Sequence[Setup]], read: Read, workers: Workers
 
 
 def read_measures(run: Run, names: Sequence[str]) -> dict[str, Number]:
-    """Return measures of a run's last frame; a campaign reads them with a `partial`."""
+    """Return measures of a run's last frame. Campaigns use a `partial` of this function."""
     return {name: run[name] for name in names}

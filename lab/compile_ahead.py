@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""On a first run, the estimator is compiled in a process of its own, while the run draws photons and plays frames."""
+"""Compiles the estimator in another process during a first run, while that run draws photons and plays frames."""
 
 import atexit
 import sys
@@ -18,7 +18,7 @@ from ..model.shared.compiled import is_compiled
 
 @cache
 def compile_ahead() -> None:
-    """Begin to compile the estimator, unless that was done before; the process ends with this one at the latest."""
+    """Start to compile the estimator, unless it is compiled already. The new process ends with this one at the latest."""
     if is_compiled(estimate_depth.__module__):
         return
     command = [sys.executable, "-c", f"from {__name__} import estimate_anything; estimate_anything()"]
@@ -33,7 +33,7 @@ def estimate_anything() -> None:
 
 
 def made_up(config: Config) -> dict[str, np.ndarray]:
-    """Return the arrays of a result in which every fourth pulse of a frame has left one event of two pixels per subgroup."""
+    """Return the arrays of a made-up result: in every fourth pulse, each subgroup has an event of two pixels."""
     subgroup, pulse = (part.ravel() for part in np.indices((config.sensor.subgroups, config.pulses // 4)))
     arrays: dict[str, np.ndarray] = dict.fromkeys(EVENT_FIELDS, np.zeros(len(pulse), np.int64))
     arrays |= {"subgroup": subgroup, "pulse": 4 * pulse}

@@ -22,8 +22,9 @@ from .setup import Setup, versions
 
 LOOPBACK = "127.0.0.1"
 CONNECT_S = 10
-DEAF_TO_CTRL_C = "import signal\nsignal.signal(signal.SIGINT, signal.SIG_IGN)"  # for a worker: the campaign ends it
-LOST_WORKERS_MAX = 20  # workers that a setup may lose; after that, the setup is assumed to kill them
+# Workers run this, because the campaign ends them.
+DEAF_TO_CTRL_C = "import signal\nsignal.signal(signal.SIGINT, signal.SIG_IGN)"
+LOST_WORKERS_MAX = 20  # workers that may be lost with a setup; after that, we assume that the setup kills them
 
 
 class SchedulerLost(SimulationError):
@@ -45,7 +46,7 @@ class Dask:
             running: dict[Future[Any], list[int]] = {}
             for setup in setups:
                 if id(setup.scene) not in scenes:
-                    # A task of its own: sent once, and computed again if the worker that held it is lost.
+                    # The scene is a task of its own: it is sent once, and computed again if its worker is lost.
                     scenes[id(setup.scene)] = client.submit(_itself, setup.scene, pure=False)
             for batch in batches(setups, self.workers):
                 chosen = [setups[k] for k in batch]
@@ -73,7 +74,7 @@ def _itself(scene: Scene | None) -> Scene | None:
 def _read_batch(
     read: Read, setups: list[Setup], scenes: list[Scene | None], expected: dict[str, str]
 ) -> list[tuple[Any, BaseException | None]]:
-    """Raises `RuntimeError` if this worker's versions are not as `expected`, because its numbers would be different."""
+    """Play a batch. Raises `RuntimeError` if this worker has other versions, because its numbers could then differ."""
     if (own := versions(setups[0].engine)) != expected:
         raise RuntimeError(f"the worker's versions are not the sweep's: {own}, {expected}")
     return read_batch(read, [evolve(setup, scene=scene) for setup, scene in zip(setups, scenes)])
@@ -95,7 +96,7 @@ def cluster(workers: int, scheduler: str | None = None) -> Iterator[Client]:
             _check_address(scheduler)
         else:
             stack.enter_context(dask.config.set({"distributed.scheduler.allowed-failures": LOST_WORKERS_MAX}))
-            # Loopback only. Even without a dashboard, the scheduler serves its health page, on any free port.
+            # Everything stays on loopback. Even without a dashboard, the scheduler serves its health page on a free port.
             scheduler = stack.enter_context(
                 LocalCluster(
                     n_workers=workers,
@@ -118,7 +119,7 @@ def cluster(workers: int, scheduler: str | None = None) -> Iterator[Client]:
 
 
 def _check_address(scheduler: str) -> None:
-    """Check an address before a client is made, because a client with an invalid address does not end."""
+    """Check an address before a client is made, because a client with an invalid address would never end."""
     try:
         scheme, place = parse_address(scheduler, strict=True)
         parse_host_port(place)

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Every number of a frame, defined once: its type, its meaning, its formula.
+"""The measures of a frame: type, meaning and formula of each number, defined once.
 
-Our choice; `wrong_share` is that of the paper's Fig. 7.
+The selection is our choice; `wrong_share` is that of the paper's Fig. 7.
 """
 
 from collections.abc import Callable
@@ -22,7 +22,7 @@ Frame: TypeAlias = Any  # of `outcomes.py`, which imports this file
 
 @frozen
 class Measure:
-    """A number of one frame. kind: int or float. of: its formula; None where there is nothing to divide by."""
+    """A number of one frame. kind: int or float. of: its formula, which returns None where it would divide by 0."""
 
     kind: type
     meaning: str
@@ -150,7 +150,7 @@ MEASURES = {name: Measure(*rest) for name, rest in (_SWEPT | _OTHERS).items()}
 
 
 def stream_beats(config: Config, events: np.ndarray, records: np.ndarray) -> np.ndarray:
-    """Number[streams]: beats of a frame, including its start, end and counters; with groups, as `event_beats` expects.
+    """Number[streams]: beats of a frame, including its start, end and counters. With groups it is a mean (`event_beats`).
 
     events, records: number[subgroups], events and minigroup records that leave the sensor.
     """
@@ -161,7 +161,7 @@ def stream_beats(config: Config, events: np.ndarray, records: np.ndarray) -> np.
 
 
 def event_beats(config: Config) -> float:
-    """Beats of an event; in groups, a part of a beat: of one with three pixels, which is usual at threshold 2."""
+    """Return the beats of an event. In groups it is a fraction of a beat: that of an event with three pixels, usual at threshold 2."""
     packet = FORMATS[config.format]
     if packet.grouped:
         return group_widths(config.sensor).listed_bits(packet, config.period_ticks, FIRST_PIXELS) / PAYLOAD_BITS

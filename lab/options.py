@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a user may choose for an experiment: one table, from which the help of the command, the function and the explorer are made.
+"""The options of an experiment in one table, which the help of the commands, the docstring of `simulate` and the explorer share.
 
-The settings of the configuration are described by its own tables (`SETTINGS`). `Setup` holds what is chosen. The help of the
-command must appear at once, so nothing is imported here that takes time.
+The settings of the configuration are in its own tables (`SETTINGS`). `Setup` holds the chosen values. This file imports
+nothing that takes time, because the help of a command must appear immediately.
 """
 
 from collections.abc import Callable
@@ -89,7 +89,7 @@ OPTIONS = {option.name: option for option in _ALL}
 
 
 def documented(function: _Function) -> _Function:
-    """Put those parameters of a function that the table has in place of `{options}` in its docstring."""
+    """Replace `{options}` in a function's docstring by those of its parameters that are in the table."""
     told = (OPTIONS[name] for name in signature(function).parameters if name in OPTIONS)
     text = "\n".join(f"{option.name} : {option.kind}\n    {option.doc}" for option in told)
     function.__doc__ = cleandoc(function.__doc__ or "").replace("{options}", text)

@@ -15,10 +15,10 @@ REAL_SETTINGS = ("klux", "clock_mhz", "frame.clock_mhz")  # an integer among the
 def to_table(
     varied: Sequence[Mapping[str, Any]], found: Sequence[Mapping[str, Number]], **texts: tuple[str, list[str]]
 ) -> pa.Table:
-    """Return one row per setup: the values that vary, then its measures. Each column knows its meaning.
+    """Return one row per setup: the values that vary, then its measures. The metadata of each column has its meaning.
 
-    varied, found: of each setup, all with the same names; names of `found` are those of `MEASURES`. A measure without a
-    value is null, so counts stay integers. texts: further columns by name, each with its meaning and its values.
+    varied, found: one mapping per setup, all with the same names; those of `found` are names of `MEASURES`. A measure without
+    a value is null, so counts stay integers. texts: further columns by name, each as (meaning, values).
     """
     columns, fields = [], []
     for name in varied[0] if varied else ():
@@ -34,7 +34,7 @@ def to_table(
 
 
 def _varied(values: list[Any], real: bool) -> pa.Array:
-    """Return a column of values. real: numbers are floats; if some values are texts (light maps), all are texts."""
+    """Return a column of values. real: numbers become floats; if some values are texts (light maps), all become texts."""
     if real and any(isinstance(value, str) for value in values):
         return pa.array([value if isinstance(value, str) else f"{value:g}" for value in values], pa.string())
     return pa.array(values, pa.float64() if real else None)

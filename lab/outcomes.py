@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What came out: a run computes each stage when it is first asked for, and its frames give the measures."""
+"""Outcomes of a setup: a run computes each stage on its first use, and its frames give the measures."""
 
 from collections import OrderedDict
 from collections.abc import Callable, Hashable
@@ -28,7 +28,7 @@ from .setup import Setup, Watch, fingerprint, unwatched
 
 
 class Kept:
-    """The latest results of each stage, by the digest of what they depend on, so that runs may share them."""
+    """The latest results of each stage, so that runs can share them. The key is a digest of everything that a result depends on."""
 
     def __init__(self, size: int = 1) -> None:
         self.size = size
@@ -36,13 +36,13 @@ class Kept:
         self._lock = Lock()
 
     def get(self, stage: str, key: Hashable, make: Callable[[], Any]) -> Any:
-        """Return the result under `key`, made if it is not there."""
+        """Return the result under `key`, and make it first if it is missing."""
         with self._lock:
             kept = self._stages.setdefault(stage, OrderedDict())
             if key in kept:
                 kept.move_to_end(key)
                 return kept[key]
-        made = make()  # without the lock: other runs need not wait
+        made = make()  # without the lock, so that other runs do not wait
         with self._lock:
             kept[key] = made
             while len(kept) > self.size:
@@ -53,9 +53,9 @@ class Kept:
 class Run:
     """The outcome of a setup: light, edges, traces, result, depth.
 
-    kept: shares photons and golden frames with other runs. workers: threads for photons, golden frames and depth, which do not change
-    the numbers. watch: sees the progress, and may raise to end the run. given: stages whose outcome is there already,
-    such as the `result` of a file or of a board.
+    kept: shares photons and golden frames with other runs. workers: number of threads for photons, golden frames and depth;
+    it does not change the results. watch: is told the progress, and may raise an exception to end the run. given: outcomes
+    of stages that exist already, such as the `result` of a file or of a board.
     """
 
     def __init__(
@@ -66,11 +66,11 @@ class Run:
         self._frames: dict[tuple[int, str | None], Frame] = {}
 
     def but(self, **changes: Any) -> "Run":
-        """Return the run of a changed setup (`Setup.but`), which takes over the photons if they stay the same."""
+        """Return the run of a changed setup (`Setup.but`). It keeps the photons if the change does not affect them."""
         return Run(self.setup.but(**changes), kept=self.kept, workers=self.workers, watch=self.watch)
 
     def alone(self, number: int, **changes: Any) -> "Run":
-        """Return the run of one frame's photons from reset on, with a changed setup."""
+        """Return a run that begins at reset with the photons of one frame, with a changed setup."""
         setup = self.setup.but(edges=self.frame_edges(number), frame={"frames": 1}).but(**changes)
         return Run(setup, workers=self.workers, watch=self.watch)
 
@@ -96,13 +96,13 @@ class Run:
         if self.setup.edges is not None:
             return self.setup.edges
         if self.workers > 1 and DEFAULT_METHOD in self.setup.estimators:
-            compile_ahead()  # on a core that this run has to spare
+            compile_ahead()  # uses a core that this run does not need yet
         photons = self.setup.photons
         return self.kept.get("photons", photons.key, lambda: photons.edges(self.workers, self.watch))
 
     @cached_property
     def _of_frame(self) -> list[Any]:
-        """Index of each frame's edges: slices if they are in order, as generated ones are."""
+        """Index of each frame's edges; slices if the edges are in order, as generated ones always are."""
         pulse, pulses, frames = self.edges.pulse, self.config.pulses, self.config.frames
         if np.all(pulse[1:] >= pulse[:-1]):
             bounds = np.searchsorted(pulse, np.arange(frames + 1) * pulses)
@@ -117,7 +117,7 @@ class Run:
 
     @cached_property
     def traces(self) -> list[Trace]:
-        """The golden model's frames, whichever engine plays."""
+        """The frames of the golden model, also if another engine plays the setup."""
         if self.setup.edges is not None:
             return self._golden_frames()
         return self.kept.get("frames", (self.setup.photons.key, fingerprint(self.config)), self._golden_frames)
@@ -133,7 +133,7 @@ class Run:
 
     @cached_property
     def result(self) -> dict[str, np.ndarray]:
-        """The arrays of the result file, of all frames (docs/files.md), by the setup's engine."""
+        """The arrays of the result file (docs/files.md) for all frames, from the setup's engine."""
         if self.setup.engine != "golden":
             return replay(self.setup.engine, self.config, self.edges, view=self.setup.view)
         built, fate = ResultBuilder(self.config), np.empty(len(self.edges), np.uint8)
@@ -143,7 +143,7 @@ class Run:
         return built.arrays() | {"fate": fate}
 
     def depth(self, estimator: str | None = None, **options: Any) -> Depth:
-        """Estimate the distance of every pixel, by METHOD or METHOD/SOURCE; options: of `estimate_depth`, in new arrays."""
+        """Estimate the distance of every pixel by METHOD or METHOD/SOURCE; options are those of `estimate_depth`."""
         if estimator is not None and not isinstance(estimator, str):
             raise InputError(
                 f"estimator = {estimator!r}: must be METHOD or METHOD/SOURCE; a frame is given as frame={estimator!r}"
@@ -153,7 +153,7 @@ class Run:
         return estimate_depth(self.result, self.config, **given)
 
     def frame(self, number: int = -1, estimator: str | None = None) -> "Frame":
-        """Return one frame (from the end, if negative), seen by an estimator; None: the setup's first."""
+        """Return one frame (from the end, if negative) with an estimator; None: the first one of the setup."""
         key = number % self.config.frames, estimator or next(iter(self.setup.estimators), None)
         return self._frames.setdefault(key, Frame(self, *key))
 
@@ -163,7 +163,7 @@ class Run:
 
 
 class Frame:
-    """One frame of a run, seen by one estimator: `frame["wrong_share"]` is a measure, by its name in `MEASURES`."""
+    """One frame of a run with one estimator. `frame["wrong_share"]` is a measure, by its name in `MEASURES`."""
 
     def __init__(self, run: Run, number: int, estimator: str | None) -> None:
         self.run, self.number, self.estimator, self.config = run, number, estimator, run.config
@@ -172,7 +172,7 @@ class Frame:
         return MEASURES[measure].of(self)
 
     def by(self, estimator: str) -> "Frame":
-        """Return the frame as another estimator sees it."""
+        """Return the same frame with another estimator."""
         return self.run.frame(self.number, estimator)
 
     @property
@@ -187,18 +187,18 @@ class Frame:
 
     @cached_property
     def events(self) -> np.ndarray:
-        """int64[n]: the rows of the result that belong to the frame."""
+        """int64[n]: the rows of the result that belong to this frame."""
         return np.flatnonzero(self.run.result["pulse"] // self.config.pulses == self.number)
 
     def counter(self, name: str) -> np.ndarray:
-        """int64[subgroups]: a counter of the frame; golden frames have it before there is a result."""
+        """int64[subgroups]: a counter of the frame; with the golden model it does not need the result."""
         if self.run.setup.engine == "golden" and "result" not in self.run.__dict__:
             return self.trace.counters[:, COUNTER_NAMES.index(name)]
         return self.run.result[name][self.number]
 
     @cached_property
     def beats(self) -> np.ndarray:
-        """int64[streams]: beats that left. In groups, only the golden model's frame tells their number."""
+        """int64[streams]: beats that left the sensor. With groups, only the golden model's frame has their number."""
         if FORMATS[self.config.format].grouped:
             return np.array([len(beats) for beats in self.trace.beats])
         return stream_beats(self.config, self.counter("stored"), self.counter("mg_stored"))
@@ -209,24 +209,24 @@ class Frame:
         return np.where(self.config.coincidence, self.counter("threshold_used"), 1)
 
     def depth(self, returns: int = 1) -> Depth:
-        """Return the frame's depth. The first return does not depend on their number, so measures take it from here."""
+        """Return the frame's depth. The first return does not depend on the number of returns, so measures use it from here."""
         found = self.run.depth(self.estimator, frame=self.number, returns=returns)
         self.__dict__.setdefault("first", found)
         return found
 
     @cached_property
     def first(self) -> Depth:
-        """The frame's depth, of which only the first return is to be used."""
+        """The frame's depth; use only its first return, because the number of returns varies."""
         return self.depth()
 
     @property
     def depth_m(self) -> np.ndarray:
-        """float64[rows, cols]: the likeliest distance; NaN = none."""
+        """float64[rows, cols]: the most likely distance; NaN = none."""
         return self.first.depth_m[:, :, 0]
 
     @property
     def truth_m(self) -> np.ndarray:
-        """float64[rows, cols]: the distance that is right; NaN = none."""
+        """float64[rows, cols]: the true distance; NaN = none."""
         return self.run.scene.truth_m
 
     @cached_property

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is tried: a scene and its light, the detector, a configuration, an engine, and estimators. Nothing is computed here."""
+"""Setups of experiments: scene, light, detector, configuration, engine and estimators. Nothing is computed here."""
 
 from collections.abc import Callable
 from functools import cache, cached_property
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from ..hdl.front_end_views import View
 
 SETTLING = 7  # frames of new photons under the controller before the one that counts
-Watch = Callable[[str, float, int], None]  # stage, share of it that is done, edges so far; it may raise to end a run
+Watch = Callable[[str, float, int], None]  # gets stage, its finished share, and edges so far; raises to end a run
 
 
 def unwatched(stage: str, share: float, edges: int) -> None:
@@ -38,7 +38,7 @@ def unwatched(stage: str, share: float, edges: int) -> None:
 
 @frozen(kw_only=True, eq=False)
 class Photons:
-    """Everything that the avalanches depend on, and nothing else: thresholds, formats and FIFOs are not part of it."""
+    """Everything that the avalanches depend on, and nothing else; for example no thresholds, formats and FIFOs."""
 
     light: Light
     spad: Spad
@@ -57,7 +57,7 @@ class Photons:
         edge_chunks(**_fields(self))
 
     def edges(self, workers: int = 1, watch: Watch = unwatched) -> Edges:
-        """Generate the edges; the number of threads, `workers`, does not change them."""
+        """Generate the edges. workers: number of threads, which does not change the edges."""
         chunks, made = [], 0
         for chunk in edge_chunks(**_fields(self), workers=workers):
             chunks.append(chunk)
@@ -77,25 +77,25 @@ class Setup:
     config : Config
         The sensor, its frames and settings.
     scene : Scene or None
-        What the pixels look at, and the truth that depth is compared with.
+        The surfaces that the pixels see, and the truth with which depth is compared.
     klux, background
-        Ambient light on the scene, as of `scene_light`.
+        Ambient light on the scene; see `scene_light`.
     light : Light or None
         Light of every pixel, instead of `klux` and `background`.
     spad : Spad
         The detector.
     spad_gate : bool
-        The gate switches the SPADs off, instead of ignoring their edges.
+        Whether the gate switches the SPADs off, instead of ignoring their edges.
     seed : int
         Seed of the photons.
     edges : Edges or None
-        Avalanches of all frames, instead of everything above that makes them.
+        Avalanches of all frames, instead of scene, light, detector and seed.
     engine : str
-        What plays the sensor, as of `tb.replay`.
+        The engine that plays the sensor; see `tb.replay`.
     view : str or View
-        Front end of the RTL, as of `tb.replay`.
+        Front end of the RTL; see `tb.replay`.
     estimators : tuple of str
-        METHOD or METHOD/SOURCE of `estimate_depth`; measures are those of the first one. Without any there is no depth.
+        METHOD or METHOD/SOURCE of `estimate_depth`; measures use the first one. If empty, there is no depth.
     """
 
     config: Config
@@ -121,7 +121,7 @@ class Setup:
         subgroup: dict[str, Any] | None = None,
         **fields: Any,
     ) -> "Setup":
-        """Return the setup of a scene, or of its name, and of the tables of a configuration file. Raises `InputError`."""
+        """Return the setup for a scene or its name, with the tables of a configuration file. Raises `InputError`."""
         config = parse_config({"sensor": sensor or {}, "frame": frame or {}, "subgroup": subgroup or {}})
         return cls(config=config, scene=scene_of(config, scene) if isinstance(scene, str) else scene, **fields)
 
@@ -150,12 +150,12 @@ class Setup:
 
     @cached_property
     def key(self) -> str:
-        """Digest of everything that the outcome depends on, the sources of the project included."""
+        """Digest of everything that the outcome depends on, including the sources of the project."""
         return fingerprint(self, versions(self.engine))
 
 
 def scene_of(config: Config, source: Scene | str | np.ndarray, **options: Any) -> Scene:
-    """Return the scene of `source` (see `load_scene`, also for `options`), as the pixels of a configuration see it."""
+    """Return the scene that `load_scene` makes from `source` and `options` for the pixels of a configuration."""
     if isinstance(source, Scene):
         return source
     sensor = config.sensor
@@ -163,7 +163,7 @@ def scene_of(config: Config, source: Scene | str | np.ndarray, **options: Any) -
 
 
 def seeded(setup: Setup, seeds: int) -> list[Setup]:
-    """Return a setup with the seeds from 1 on."""
+    """Return copies of a setup, with the seeds from 1 on."""
     return [setup.but(seed=seed + 1) for seed in range(seeds)]
 
 
@@ -174,7 +174,7 @@ def fixed_thresholds(sensor: Sensor) -> range:
 
 @cache
 def versions(engine: str) -> dict[str, str]:
-    """Return the versions on which an engine's numbers depend; `code` is a digest of the sources, without any drawing."""
+    """Return the versions on which an engine's numbers depend. `code` is a digest of the sources that compute them."""
     code = sources_digest("model", "lab", *(() if engine == "golden" else ("hdl", "host", "slices", "tb", "tools")))
     return {"coincid": __version__, "code": code} | {name: version(name) for name in ("numba", "numpy", "scipy")}
 

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which threshold, window, format and link for a scene and its light: `coincid advise`.
+"""Finds the threshold, window, format and link that suit a scene and its light: `coincid advise`.
 
-All thresholds and windows see the same photons. Among those that leave about the fewest wrong pixels and do not overload
-the link, the one with the fewest bits is advised; then the slowest link for it, in the format with the fewest bits.
+All thresholds and windows see the same photons. Several of them leave about the fewest wrong pixels and do not overload the
+link; the one of these with the fewest bits is chosen. For it, the slowest sufficient link is advised, and the format with
+the fewest bits on this link.
 """
 
 import os
@@ -26,8 +27,8 @@ THRESHOLDS = (1, 2, 3, 4, 5, 6)
 WINDOWS_NS = (0.5, 1.0, 2.0)
 LINKS_GBPS = (1.0, 2.0, 4.0, 8.0, 16.0)
 FORMATS = ("compact", "id")
-WORSE_MAX = 0.002, 0.1  # wrong pixels more than the best has, as a share of all, and of the best's: about equal
-DROPPED_MAX = 0.01  # share of the events; a link that drops more is overloaded, and so is one with a load above 1
+WORSE_MAX = 0.002, 0.1  # more wrong pixels that count as equal: as a share of all, and of the best one's wrong pixels
+DROPPED_MAX = 0.01  # share of the events; a link that drops more, or has a load above 1, is overloaded
 TABLE, PICTURE, SETTINGS = "advise.csv", "advise.png", "advised.toml"
 HEADS = (
     "threshold",
@@ -45,7 +46,7 @@ Progress = Callable[[str, int, int], None]  # stage, done, in total
 
 @frozen(kw_only=True)
 class Tried:
-    """A configuration, and what the last frame of its run gave. wrong, far: shares of pixels; load: of the link."""
+    """A configuration, and the outcome of its last frame. wrong, far: shares of pixels; load: of the link."""
 
     config: Config
     wrong: float
@@ -80,7 +81,7 @@ class Tried:
 
 @frozen(kw_only=True)
 class Advice:
-    """tried: everything, in order; best: the configuration that is advised, and what it gave; klux: of the light."""
+    """tried: all configurations in order; best: the advised one; klux: the light for which the power is told."""
 
     tried: list[Tried]
     best: Tried
@@ -164,7 +165,7 @@ def _tried(run: Run) -> Tried:
 
 
 def cheapest(tried: list[Tried], price: Callable[[Tried], Any]) -> Tried:
-    """Return the one with the lowest price among those that are about as good as the best, without an overload if there is one."""
+    """Return the one with the lowest price among those that are about as good as the best one, and not overloaded if possible."""
     least = min(one.wrong for one in tried)
     absolute, relative = WORSE_MAX
     equal = [one for one in tried if one.wrong <= least + max(absolute, relative * least)]

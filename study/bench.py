@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Speed of the model and the simulators on this machine, side by side in one run: a flat JSON file and a table.
+"""Measures the speed of the model and the simulators on this machine, and writes a flat JSON file and a table.
 
 Each number is the median of several rounds. A round runs every engine once, so that other load on the machine affects
 all of them. `KEYS` lists what is measured, and how.
@@ -41,7 +41,11 @@ SIZES = {
     "32x32": {"rows": 32, "cols": 32},
     "256x128": {"rows": 128, "cols": 256, "streams": 8},
 }  # name: keys of [sensor]
-PULSES = {"cocotb_verilator": 40, "cocotb_icarus": 8, "amaranth": 2}  # slow engines only get the beginning of the frame
+PULSES = {
+    "cocotb_verilator": 40,
+    "cocotb_icarus": 8,
+    "amaranth": 2,
+}  # slow engines only play the beginning of the frame
 CYCLES_PER_S = "{}_cycles_per_s"
 KIB_PER_MIB = 1024
 
@@ -114,7 +118,7 @@ def benchmark(
     for simulator in SIMULATORS:
         build_sensor(config.sensor, simulator)
     result |= _versions()
-    _fast_rates(config, photons)  # loads what is compiled
+    _fast_rates(config, photons)  # loads the compiled code
     rounds = []
     for number in range(repeats):
         tell(f"engines: round {number + 1} of {repeats}")
@@ -160,7 +164,7 @@ def _shown(value: int | float | str) -> str:
 
 
 def _job(size: str) -> tuple[Config, Callable[[], Edges]]:
-    """Return the input of every engine: the preset `silicon` at a size, and what draws its photons."""
+    """Return the input of every engine: the preset `silicon` at a size, and a function that draws its photons."""
     setup = Setup.of(SCENE, sensor=SIZES[size], klux=KLUX, seed=SEED)
     return setup.config, partial(setup.photons.edges, os.cpu_count() or 1)
 
@@ -217,7 +221,7 @@ def _whole_frames(size: str, repeats: int) -> dict[str, float]:
         depth_s, _ = _timed(_depth, config, record)
         whole_s = photons_s + sensor_s + depth_s
         rounds.append({"photons_s": photons_s, "sensor_s": sensor_s, "depth_s": depth_s, "sliced_s": whole_s})
-    status = Path("/proc/self/status").read_text()  # unlike getrusage, it excludes the process that started this one
+    status = Path("/proc/self/status").read_text()  # unlike getrusage, this excludes the process that started this one
     peak_kib = int(status.partition("VmHWM:")[2].split()[0])
     return {
         f"frame_{size}_{name}": value
@@ -249,7 +253,7 @@ def _build_s(size: str) -> float:
 
 
 def _timed(function: Callable[..., _Result], *arguments: Any) -> tuple[float, _Result]:
-    """Return the seconds that a call takes, and what it returns."""
+    """Return the duration of a call in seconds, and its result."""
     began = time.perf_counter()
     result = function(*arguments)
     return time.perf_counter() - began, result

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""This sensor and its rivals (`other_schemes.py`) on the same photons: the depth, and the bits that it takes.
+"""Compares this sensor with its rivals (`other_schemes.py`) on the same photons: their depth, and the bits that they send.
 
-All schemes share the edges and the macro-pixels. Schemes with a window and threshold use the same ones; those that send
-words have the same FIFOs and stream; those that keep a histogram per macro-pixel have the same memory (`MEMORY_BITS`);
-those that compress one per pixel send all that they keep. The estimator is a matched filter on every pixel's histogram, or
-what fits the compressed form. The estimator of planes is also shown for schemes whose words it can model.
+All schemes share the edges and the macro-pixels. Schemes with a window and a threshold use the same ones. Schemes that send
+words have the same FIFOs and stream. Schemes that keep a histogram per macro-pixel have the same memory (`MEMORY_BITS`), and
+those that compress a histogram per pixel send everything that they keep. The estimator is a matched filter on every pixel's
+histogram, or one that fits the compressed form. Schemes whose words fit the estimator of planes also use that one.
 """
 
 import math
@@ -29,17 +29,18 @@ from ..model.shared.constants import SPEED_OF_LIGHT_M_S
 from . import other_schemes
 
 THRESHOLD, PULSES, RETURNS = 3, 100, 2
-FRAMES = SETTLING + 1  # the controller settles in the others; the last one counts
-ADDER_S = 1e-9  # clock of the adder
+FRAMES = SETTLING + 1  # the last one counts; before it, the controller settles
+ADDER_S = 1e-9  # clock period of the adder
 MEMORY_BITS = 32_000  # per macro-pixel, for its histogram
-PULSE_SIGMAS = 4.0  # of a pulse that a zoom includes on either side of a bin
-FINE_SIGMAS = 3.0  # width of a bin that needs no further zoom
-OFFSETS_SIGMAS, SIGNAL_SHARES = np.linspace(-1.8, 1.8, 9), (0.05, 0.1, 0.2, 0.4, 0.7)  # tried for equi-depth histograms
-NEAR_BINS = 1  # around the peak of a coarse histogram, from which its centre is computed
+PULSE_SIGMAS = 4.0  # margin that a zoom adds on either side of a bin
+FINE_SIGMAS = 3.0  # widest bin that needs no further zoom
+# Candidates for equi-depth histograms.
+OFFSETS_SIGMAS, SIGNAL_SHARES = np.linspace(-1.8, 1.8, 9), (0.05, 0.1, 0.2, 0.4, 0.7)
+NEAR_BINS = 1  # bins on either side of a coarse peak that its centre is computed from
 
 
 class Shot:
-    """Photons for all schemes. run: this sensor's, of all frames; photons: of the last one, by macro-pixel."""
+    """Input of all schemes. run: all frames of this sensor; photons: those of the last frame, by macro-pixel."""
 
     def __init__(self, run: Run) -> None:
         self.run, self.config = run, run.config
@@ -49,7 +50,7 @@ class Shot:
 
 
 class Found(NamedTuple):
-    """Result of a scheme. depth_m: float64[rows, cols, RETURNS], the likeliest first. bits: sent off the chip per frame."""
+    """Result of a scheme. depth_m: float64[rows, cols, RETURNS], the most likely first. bits: sent off the chip per frame."""
 
     depth_m: np.ndarray
     bits: int
@@ -68,7 +69,7 @@ def compared(
 
 
 def _winner_takes_all(shot: Shot) -> Found:
-    words = other_schemes.winner_takes_all(shot.photons, shot.config.sensor.phases)
+    words = other_schemes.windows(shot.photons, 1, shot.config.sensor.phases)  # the paper's scheme 1
     return _by_words(shot, words, words.stamp + 0.5, "short")
 
 
@@ -91,7 +92,7 @@ def _time_stamps(shot: Shot, most: int) -> Found:
 
 
 def _zoomed(shot: Shot, bins: int) -> Found:
-    """Take histograms in turn, each with its part of the pulses: of the period, then of the highest bin with a pulse around."""
+    """Fill histograms in turn, each from a part of the pulses: first over the period, then around the highest bin."""
     period, pulses, pixels = shot.config.period_ticks, shot.photons.pulses, shot.config.sensor.array_pixels
     margin = math.ceil(PULSE_SIGMAS * shot.sigma_ticks)
     widths = [-(-period // bins)]
@@ -104,12 +105,12 @@ def _zoomed(shot: Shot, bins: int) -> Found:
             start += counts.argmax(axis=1) * widths[number - 1] - margin
             start = np.clip(start, 0, period - bins * width)
         counts = other_schemes.zoomed_counts(shot.photons, range(begin[number], begin[number + 1]), start, width, bins)
-    bits = bins * bits_for(pulses - begin[-2]) + _stamp_bits(shot)  # the last histogram, and where it begins
+    bits = bins * bits_for(pulses - begin[-2]) + _stamp_bits(shot)  # the last histogram, and its first tick
     return _of_pixels(shot, start[:, None] + coarse_peaks(counts, widths[-1], shot.sigma_ticks), bits)
 
 
 def _fourier(shot: Shot, codes: int) -> Found:
-    """Take the time at which a pulse, with as many frequencies, correlates best with the sums."""
+    """Take the time at which a pulse with the same frequencies correlates best with the sums."""
     period, photons = shot.config.period_ticks, shot.photons
     sums = other_schemes.fourier_sums(photons, codes, period)
     pulse = np.exp(-0.5 * (2 * np.pi / period * np.arange(sums.shape[1]) * shot.sigma_ticks) ** 2)
@@ -120,7 +121,7 @@ def _fourier(shot: Shot, codes: int) -> Found:
 
 
 def _equi_depth(shot: Shot, bins: int) -> Found:
-    """Take the likeliest time of a pulse in uniform background, close to a boundary."""
+    """Take the most likely time of a pulse in uniform background, near one of the boundaries."""
     edges = other_schemes.equi_depth(shot.photons, bins, shot.config.period_ticks)
     background = np.maximum(np.diff(edges), 1) / shot.config.period_ticks
     best, ticks = np.full(len(edges), -np.inf), np.full((len(edges), RETURNS), np.nan)
@@ -168,7 +169,7 @@ def schemes(run: Run, names: Sequence[str] = tuple(SCHEMES)) -> dict[str, Found]
 
 
 def _by_words(shot: Shot, words: other_schemes.Words, arrival: np.ndarray, form: str) -> Found:
-    """Return depth from the words that the stream carries; `form`: format of this sensor with packets of the same length."""
+    """Return depth from the words that the stream carries. form: a format of this sensor with packets of the same length."""
     config, sensor = shot.config, shot.config.sensor
     beats = layout(sensor).length(FORMATS[form])
     sent = other_schemes.read_out(shot.photons, words, sensor, sensor.phases, config.period, beats)
@@ -185,7 +186,7 @@ def _by_stamps(shot: Shot, words: other_schemes.Words, arrival: np.ndarray, bits
 
 
 def _by_memory(shot: Shot, histogram: np.ndarray, width: int) -> Found:
-    """Return depth from one histogram per macro-pixel, in bins of `width` ticks: all its pixels get the same depth."""
+    """Return depth from one histogram per macro-pixel, in bins of `width` ticks. All pixels of a macro-pixel get the same depth."""
     sensor = shot.config.sensor
     bits = histogram.shape[1] * (shot.photons.pulses * sensor.pixels).bit_length()
     if bits > MEMORY_BITS:
@@ -195,10 +196,10 @@ def _by_memory(shot: Shot, histogram: np.ndarray, width: int) -> Found:
 
 
 def coarse_peaks(histogram: np.ndarray, width: int, sigma_ticks: float) -> np.ndarray:
-    """float64[n, RETURNS]: peaks in ticks of int64[n, bins] of `width` ticks.
+    """float64[n, RETURNS]: peaks in ticks, from histograms int64[n, bins] with bins of `width` ticks.
 
-    Peaks are the highest bins above the median, with the centre computed over their neighbours. Bins narrower than the
-    pulse are first filtered with it; returns are as far apart as those of a pixel (`peaks.py`).
+    Peaks are the highest bins above the median; the neighbours of a peak give its centre. Histograms with bins narrower than
+    the pulse are first filtered with the pulse. Returns are as far apart as those of a pixel (`peaks.py`).
     """
     excess = histogram - np.median(histogram, axis=1, keepdims=True)
     near, apart = (max(NEAR_BINS, math.ceil(sigmas * sigma_ticks / width)) for sigmas in (NEAR_SIGMAS, APART_SIGMAS))
@@ -227,7 +228,7 @@ def _pulse_shape(sigma: float) -> np.ndarray:
 
 
 def _of_pixels(shot: Shot, ticks: np.ndarray, bits: int) -> Found:
-    """Return the result of a scheme that sends so many bits of every pixel."""
+    """Return the result of a scheme that sends the same number of bits for every pixel."""
     return Found(_pixel_metres(shot, ticks), bits * shot.config.sensor.array_pixels)
 
 

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Confidence that means what it says: the law of `model/depth/belief.py` is set on random scenes, and tried on others.
+"""Sets the law of confidence (`model/depth/belief.py`) on random scenes, and tries it on others.
 
-`python -m coincid.study.confidence` prints the law's weights, and a table of scenes that were not used to set them; it draws
-docs/images/depth_confidence.png. It needs the extra `raytrace`. Half of the random scenes have one distance per pixel, as a
-depth file has; in the other half a pixel sees many points, as in front of a lens, so that surfaces mix at their edges and
-slanted ones widen the pulse.
+`python -m coincid.study.confidence` prints the weights of the law, and a table for scenes that were not used to set them. It
+also draws docs/images/depth_confidence.png, and needs the extra `raytrace`. Half of the random scenes have one distance per
+pixel, like a depth file. In the other half a pixel sees many points, as it does behind a lens, so surfaces mix at their
+edges, and slanted surfaces widen the pulse.
 """
 
 import sys
@@ -31,7 +31,7 @@ from .palette import GREY
 from .plot_style import new_figure, save_figure, style
 from .surfaces import analytic_scenes
 
-SIDE, POINTS = 32, 4  # pixels; points that a pixel sees, per side, where surfaces mix
+SIDE, POINTS = 32, 4  # pixels of the array, and points per pixel where surfaces mix, both per side
 SET, TRIED = range(33, 193), range(1, 33)  # seeds of random scenes
 BUILT_IN = (
     ("five-objects", 50.0),
@@ -41,26 +41,27 @@ BUILT_IN = (
     ("flat:25,0.3", 20.0),
 )
 ANALYTIC_KLUX = 50.0
-REAL: tuple[tuple[str, float, dict[str, float], int], ...] = (  # scene, klux, frame, threshold: they also set the law
+# Runs that also set the law: scene, klux, frame, threshold.
+REAL: tuple[tuple[str, float, dict[str, float], int], ...] = (
     *(("ray:five-objects", klux, {"link_gbps": link}, 2) for klux in (10.0, 50.0) for link in (0.0, 8.0)),
     ("ray:five-objects", 50.0, {"pulses": 400}, 2),
     ("ray:glass", 50.0, {}, 2),
     ("tunnel", 100.0, {}, 2),
     ("tunnel", 100.0, {"link_gbps": 8.0}, 3),
 )
-REAL_SEEDS, REAL_COUNT = (1, 2, 3), 2  # how often each of them counts
+REAL_SEEDS, REAL_COUNT = (1, 2, 3), 2  # each of these runs counts twice
 RAY_TRACED, RAY_KLUX, RAY_SEEDS = ("five-objects", "glass", "fog"), 50.0, range(101, 104)  # tried
-EASE = 1e-3  # weight of the prior that all weights are 0
+EASE = 1e-3  # weight of the prior, which draws all weights of the law to 0
 ROUNDS = 30
-NINETY = (0.85, 0.95)  # confidences that count as 90 %
+NINETY = (0.85, 0.95)  # range of confidences that count as 90 %
 BINS, PIXELS_MIN = (0.0, 0.3, 0.5, 0.7, 0.85, 0.95, 0.98, 1.01), 100  # of the picture
 PICTURE = Path(__file__).resolve().parents[1] / "docs" / "images" / "depth_confidence.png"
 
 
 class Seen(NamedTuple):
-    """Pixels of a run with depth and truth, by method: features of the law, float64[n, features]; right, bool[n].
+    """The pixels of a run with depth and truth, by method. features: of the law, float64[n, features]. right: bool[n].
 
-    on_surface: bool[n], right, or on another surface that the pixel sees.
+    on_surface: bool[n], whether the depth is on any surface that the pixel sees.
     """
 
     features: dict[str, np.ndarray]
@@ -69,7 +70,7 @@ class Seen(NamedTuple):
 
 
 def random_setup(seed: int) -> Setup:
-    """Return a random room under random settings; what a pixel should see is the scene's first target."""
+    """Return a random room under random settings."""
     rng = np.random.default_rng(seed)
     points = POINTS if seed % 2 else 1
     side = SIDE * points
@@ -106,7 +107,7 @@ def random_setup(seed: int) -> Setup:
 def _surface(
     rng: np.random.Generator, x: np.ndarray, y: np.ndarray, distance_m: float, slanted: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return distance and reflectivity of a plane, which is slanted with a probability, and sometimes has patches."""
+    """Return distance and reflectivity of a plane. It is slanted with the probability `slanted`, and sometimes has patches."""
     slopes = rng.normal(0, 1.5, 2) * (rng.random() < slanted)
     plane_m = np.maximum(distance_m + slopes[0] * (x - 0.5) + slopes[1] * (y - 0.5), 1.0)
     albedo = np.exp(rng.uniform(np.log(0.05), np.log(0.8)))
@@ -117,14 +118,14 @@ def _surface(
 
 
 def truth_m(scene: Scene) -> np.ndarray:
-    """float64[rows, cols]: the surface that most points of a pixel see; NaN = none."""
+    """float64[rows, cols]: the surface that most points of a pixel see, in metres; NaN = none."""
     if scene.distance_m.shape[2] == 1:
         return scene.truth_m
     return dominant_surface_m(scene.distance_m.reshape(-1, scene.distance_m.shape[2])).reshape(scene.truth_m.shape)
 
 
 def look(run: Run) -> Seen:
-    """Return what the law sees of the last frame."""
+    """Return the pixels of the last frame as the law sees them."""
     right_m, frame = truth_m(run.scene), run.config.frames - 1
     tick_m = run.config.tick_s * SPEED_OF_LIGHT_M_S / 2
     features, right, on_surface = {}, {}, {}
@@ -143,7 +144,7 @@ def look(run: Run) -> Seen:
 
 
 def law(seen: Sequence[Seen], method: str) -> np.ndarray:
-    """float64[features + 1]: weights and constant that make what is right likeliest; every scene counts alike."""
+    """float64[features + 1]: the weights and the constant with the highest likelihood; every scene has the same weight."""
     seen = [one for one in seen if len(one.right[method])]
     x = np.concatenate([one.features[method] for one in seen])
     x = np.column_stack([x, np.ones(len(x))])
@@ -161,7 +162,7 @@ def law(seen: Sequence[Seen], method: str) -> np.ndarray:
 
 
 def rows(seen: Mapping[str, Sequence[Seen]]) -> Iterator[Sequence[str]]:
-    """Yield the rows of a table: of the pixels with 90 %, the share that is right, and their number."""
+    """Yield the rows of a table: for pixels with a confidence of 90 %, the share that is right, and their number."""
     for name, runs in seen.items():
         cells = []
         for method in METHODS:
@@ -200,28 +201,20 @@ def real_setups() -> list[Setup]:
 
 
 def tried() -> dict[str, list[Setup]]:
-    """Return setups that are not used to set the law, by their name in the table."""
-    frame, sensor = {"pulses": 100}, {"rows": SIDE, "cols": SIDE}
-    built_in = [Setup.of(name, sensor=sensor, frame=frame, klux=klux, estimators=()) for name, klux in BUILT_IN]
-    analytic = [
-        Setup.of(scene, sensor=sensor, frame=frame, klux=ANALYTIC_KLUX, estimators=())
-        for scene in analytic_scenes().values()
-    ]
+    """Return setups that are not used to set the law, by their name in the table; their sensor is the default."""
+    scenes = analytic_scenes().values()
     return {
         "random, one distance per pixel": [random_setup(seed) for seed in TRIED if seed % 2 == 0],
         "random, mixed": [random_setup(seed) for seed in TRIED if seed % 2],
-        "analytic": analytic,
-        **{f"{name}, {klux:g} klux": [setup] for (name, klux), setup in zip(BUILT_IN, built_in)},
+        "analytic": [Setup.of(scene, klux=ANALYTIC_KLUX, estimators=()) for scene in scenes],
+        **{f"{name}, {klux:g} klux": [Setup.of(name, klux=klux, estimators=())] for name, klux in BUILT_IN},
     }
 
 
 def ray_traced() -> dict[str, list[Setup]]:
-    """Return setups of scenes whose pixels see several surfaces, by their name in the table; the light has seeds of its own."""
+    """Return setups of ray-traced scenes, whose pixels see several surfaces, by their name in the table."""
     return {
-        f"ray:{name}": [
-            Setup.of(f"ray:{name}", sensor={"rows": SIDE, "cols": SIDE}, klux=RAY_KLUX, seed=seed, estimators=())
-            for seed in RAY_SEEDS
-        ]
+        f"ray:{name}": [Setup.of(f"ray:{name}", klux=RAY_KLUX, seed=seed, estimators=()) for seed in RAY_SEEDS]
         for name in RAY_TRACED
     }
 

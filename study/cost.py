@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Cost of the paper's parameters: area, bits of an event and readout rate.
+"""Measures the cost of the paper's parameters: area, bits of an event and readout rate.
 
-It also shows the effect of the steps of the coarse offsets, and what the parts cost that a sensor may leave out. Area is
-that of a subgroup per pixel, in NanGate 45 nm standard cells, without SPADs and wires. For another process, only ratios
-are meaningful.
+It also measures the cost of finer coarse offsets, and of the parts that a sensor may leave out. The area is that of a
+subgroup per pixel, in NanGate 45 nm standard cells, without SPADs and wires. For another process, only ratios of areas are
+meaningful.
 """
 
 from itertools import cycle
@@ -58,9 +58,9 @@ def area_per_pixel_um2(sensor: Sensor) -> float:
 
 
 def point(sensor: Sensor) -> dict[str, float]:
-    """Return a sensor's costs: area, and per word format bits of an event and million events per second of a stream."""
+    """Return the costs of a sensor: area, and for each format the bits of an event and the million events per second of a stream."""
     config = parse_config({"sensor": sensor_table(sensor)})
-    cycles = {name: layout(sensor).length(packet) for name, packet in FORMATS.items()}  # of the coder, too
+    cycles = {name: layout(sensor).length(packet) for name, packet in FORMATS.items()}  # the coder takes as many
     return (
         {"area_um2_per_pixel": round(area_per_pixel_um2(sensor), 1), "threshold_bits": sensor.count_bits}
         | {f"bits_{name}": round(BEAT_BITS * event_beats(config.with_frame(format=name))) for name in FORMATS}
@@ -97,7 +97,7 @@ def offsets() -> list[dict[str, Any]]:
 
 
 def choices() -> list[dict[str, Any]]:
-    """Return one row per choice: area of a subgroup in both views, its power, and wrong pixels in the scene of `make sim`."""
+    """Return one row per choice: area and power of a subgroup, and the wrong pixels in the scene of `make sim`."""
     asynchronous, rows = VIEWS["async"].at(CLOCK_MHZ), []
     for name, parameters in CHOICES.items():
         sensor = Sensor(**parameters)
@@ -118,7 +118,7 @@ def choices() -> list[dict[str, Any]]:
 
 
 def wrong_share(sensor: Sensor) -> float:
-    """Return the share of wrong pixels with the controller, or the best threshold, in the better of the formats in groups."""
+    """Return the share of wrong pixels in the better of the formats in groups, with the controller or else the best threshold."""
     wrong = []
     for name in set(built_formats(sensor)) & {"compact", "compact-full"}:
         frame = {"format": name, "link_gbps": SCENE_GBPS, "frames": SETTLING + 1}
@@ -136,7 +136,7 @@ def _wrong(run: Run) -> float:
 
 
 def write_pages(folder: Path) -> list[str]:
-    """Write tables and picture to `folder`; return the lines of a table of what choices cost."""
+    """Write tables and picture to `folder`; return the lines of the table of choices."""
     rows, chosen = sweep(), choices()
     for name, table in ((TABLE, rows), (OFFSETS_TABLE, offsets()), (CHOICES_TABLE, chosen)):
         write_csv(folder / name, [list(table[0]), *(list(row.values()) for row in table)])

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The emulator in use: plays a scene on its photon sources, takes frames, and checks each word with the golden model.
+"""Runs the emulator: plays a scene on its photon sources, takes frames, and checks each word with the golden model.
 
 It runs on a board (`--port`), or simulated behind its serial pins (`--simulate`), with the same host software.
 """
@@ -70,18 +70,20 @@ def source_settings(config: Config, scene: Scene, klux: Ambient, *, spread: int 
 
 @define
 class Tally:
-    """What has come: frames and beats, all as predicted; link recoveries; seconds since the first start, of this computer and on the line's clock."""
+    """Counts of a session: frames and beats, all as predicted; recoveries of the link; seconds since the first start.
+
+    seconds: on the clock of this computer; seconds_on_line: on the clock of the line, which may be simulated.
+    """
 
     frames: int = field(default=0)
     beats: int = field(default=0)
-    events: int = field(default=0)
     recoveries: int = field(default=0)
     seconds: float = field(default=0.0)
     seconds_on_line: float = field(default=0.0)
 
 
 class Session:
-    """An emulator that is programmed once and delivers frames, which are checked as they arrive.
+    """An emulator that is programmed once and delivers frames. They are checked as they arrive.
 
     Raises `InputError` if the settings do not fit the emulator's sensor.
     """
@@ -102,7 +104,7 @@ class Session:
         self._stalls = self.driver["stalls"]
 
     def frame(self) -> np.ndarray:
-        """Return the next frame's beats (uint64[n]), each as the golden model predicts it.
+        """Return the beats of the next frame, uint64[n], after a check of each against the golden model.
 
         After an error of the link or a reset of the device, it recovers and may lose frames. Raises `Mismatch` if a word
         differs, and `LinkError` if the recovery fails.
@@ -130,7 +132,7 @@ class Session:
         return beats
 
     def _now(self) -> tuple[float, float]:
-        """Seconds of this computer, and on the line's clock, which is another one where the line is simulated."""
+        """Return the seconds on the clocks of this computer and of the line; they differ if the line is simulated."""
         port = getattr(self.driver.transport, "port", None)
         return time.monotonic(), port.now() if port else time.monotonic()
 
@@ -156,12 +158,12 @@ class Session:
             raise Mismatch(f"frame {number}, beat {at}: {shown}, golden model {want}")
 
     def draw(self, path: Path, scene: Scene) -> None:
-        """Draws the depth of all frames together beside the scene's; the picture appears whole."""
+        """Draw the depth from all frames together, beside the truth; the picture appears whole."""
         title = f"{self.tally.frames} frames of the emulator"
         depth_row(path, [Panel(title, self.depth().depth_m[:, :, 0])], scene.truth_m)
 
     def depth(self) -> Depth:
-        """Return the depth of all frames together."""
+        """Return the depth from all frames together."""
         return estimate_depth(self.result.arrays(), self.config, method=METHOD)
 
 
@@ -176,9 +178,9 @@ def emulate(
     seed: int = 1,
     tell: Callable[[Tally], None] = lambda tally: None,
 ) -> Tally:
-    """Programs a scene, takes frames, checks every word, and draws the depth of all frames so far into `out`, again every `REDRAW_S`.
+    """Program a scene, take frames, check every word, and draw the depth from all frames so far into `out`.
 
-    `tell` is called after each frame.
+    The picture is drawn again every `REDRAW_S`. tell: called after each frame.
     """
     session = Session(driver, config, source_settings(config, scene, klux, seed=seed))
     out.mkdir(parents=True, exist_ok=True)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a configuration means, in rows and sentences: `coincid show`, and the same in the explorer."""
+"""Explains a configuration in rows and sentences, for `coincid show` and the explorer."""
 
 import numpy as np
 
@@ -10,8 +10,8 @@ from ..model.contract.packet import BEAT_BITS, FORMATS, WITH_MAP
 from ..model.shared.constants import SPEED_OF_LIGHT_M_S
 from .price import um2_per_pixel, uw_per_pixel
 
-KLUX = 50.0  # ambient light for which the power is told
-FILLED_BY_COUNTERS = 0.1  # share of a link
+KLUX = 50.0  # ambient light for the power
+FILLED_BY_COUNTERS = 0.1  # share of the link above which there is a warning
 
 
 def meaning(config: Config) -> list[tuple[str, str]]:

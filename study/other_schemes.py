@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Other schemes from edges to depth, on the same edges, each in its simplest form; and the bandwidth that words share.
+"""Other schemes on the same edges, each in its simplest form, and the FIFOs and stream that their words share.
 
-A macro-pixel is a subgroup: every scheme sees the edges of its pixels and nothing else. Some schemes send words (one stamp
-for a group of photons) through FIFOs and a stream like this sensor's. Others sum up a histogram for each macro-pixel on
-the chip, or compress one for each pixel, and send it at the end of the frame. The ideas are known from the literature in
-many forms (docs/rivals.md has the sources); these forms are our choice.
+A macro-pixel is a subgroup, and every scheme sees only the edges of its pixels. Some schemes send words, with one stamp for
+a group of photons, through FIFOs and a stream like those of this sensor. Others keep a histogram for each macro-pixel on the
+chip, or compress one for each pixel, and send it at the end of the frame. The literature has these ideas in many forms
+(docs/rivals.md has the sources); the forms here are our choice.
 """
 
 from collections.abc import Iterator
@@ -18,7 +18,7 @@ from ..model.contract.pixels import pixel_table
 from ..model.contract.windows import armed_cycle, close_cycle
 from ..model.shared.compiled import njit
 
-REARM_CYCLES = 0  # a rival's tree is armed again in the cycle after its window
+REARM_CYCLES = 0  # the tree of a rival is armed again in the cycle after its window
 CODE_MAX = 127  # largest value of a Fourier code
 _close_cycle, _armed_cycle = njit(close_cycle), njit(armed_cycle)
 
@@ -70,13 +70,8 @@ def macro_pixels(edges: Edges, sensor: Sensor, pulses: int) -> Photons:
     return Photons(pulse[order], edges.tick[order], inside[order], pulses, sensor.subgroups, sensor.pixels)
 
 
-def winner_takes_all(photons: Photons, phases: int) -> Words:
-    """Take the first photon of an armed tree, which is armed again in the next cycle: the paper's scheme 1."""
-    return windows(photons, 1, phases)
-
-
 def windows(photons: Photons, window: int, phases: int) -> Words:
-    """Take this sensor's windows, with any count: `window` ticks from a photon of an armed tree; armed in the next cycle."""
+    """Take this sensor's windows without a threshold: each lasts `window` ticks, and the tree is armed again in the next cycle."""
     return Words(*_windows(photons.pulse, photons.tick, window, phases))
 
 
@@ -99,7 +94,7 @@ def _windows(
 
 
 def sliding_window(photons: Photons, window: int, threshold: int) -> Words:
-    """Make a word of `threshold` photons within `window` ticks, stamped at the last of them; each photon counts once."""
+    """Make a word from `threshold` photons within `window` ticks, with the stamp of the last one; each photon counts once."""
     return Words(*_sliding(photons.pulse, photons.tick, window, threshold))
 
 
@@ -128,7 +123,7 @@ def first_stamps(photons: Photons, most: int) -> Words:
 
 
 def zoomed_counts(photons: Photons, stage: range, start: np.ndarray, width: int, bins: int) -> np.ndarray:
-    """int64[all pixels, bins]: photons of the pulses of `stage` in bins of `width` ticks from the pixel's `start` on."""
+    """int64[all pixels, bins]: photons in bins of `width` ticks that begin at the pixel's `start`, in the pulses of `stage`."""
     pulse, pixel = photons.pulse % photons.pulses, photons.pixel
     at = (photons.tick - start[pixel]) // width
     inside = (pulse >= stage.start) & (pulse < stage.stop) & (at >= 0) & (at < bins)
@@ -137,7 +132,7 @@ def zoomed_counts(photons: Photons, stage: range, start: np.ndarray, width: int,
 
 
 def fourier_sums(photons: Photons, codes: int, period_ticks: int) -> np.ndarray:
-    """complex128[all pixels, codes / 2 + 1]: spectrum of the stamps, from sums of codes; that of frequency 0 is not sent.
+    """complex128[all pixels, codes / 2 + 1]: spectrum of the stamps, from sums of codes; frequency 0 is not sent.
 
     Codes are the cosine and the sine of the lowest frequencies, in 8 bits.
     """
@@ -151,7 +146,7 @@ def fourier_sums(photons: Photons, codes: int, period_ticks: int) -> np.ndarray:
 
 
 def equi_depth(photons: Photons, bins: int, period_ticks: int) -> np.ndarray:
-    """int64[all pixels, bins + 1]: boundaries, in ticks, of bins that hold equal shares of the pixel's stamps.
+    """int64[all pixels, bins + 1]: boundaries in ticks of bins that hold equal shares of a pixel's stamps.
 
     The first is 0, and the last is the end of the period.
     """
@@ -163,16 +158,16 @@ def equi_depth(photons: Photons, bins: int, period_ticks: int) -> np.ndarray:
 
 
 def photon_counts(photons: Photons, clock: int, bins: int) -> np.ndarray:
-    """int64[subgroups, bins]: sums of the macro-pixel's photons in every clock of `clock` ticks, counted by an adder."""
+    """int64[subgroups, bins]: number of photons of each macro-pixel in bins of `clock` ticks, as an adder counts them."""
     at = photons.subgroup * bins + photons.tick // clock
     return np.bincount(at, minlength=photons.subgroups * bins).reshape(-1, bins)
 
 
 def read_out(photons: Photons, words: Words, sensor: Sensor, phases: int, period: int, beats: int) -> np.ndarray:
-    """bool[n]: whether a word finds a place in its subgroup's FIFO.
+    """bool[n]: whether a word finds a free place in the FIFO of its subgroup.
 
-    The stream empties the FIFOs round robin, with `beats` cycles per word, as in this sensor except for latencies of a
-    few cycles. period: cycles.
+    The stream empties the FIFOs round robin, with `beats` cycles per word. This is as in this sensor, except for latencies of
+    a few cycles. period: in cycles.
     """
     subgroup = photons.subgroup[words.start]
     cycle = photons.pulse[words.start] % photons.pulses * period + words.stamp // phases
@@ -191,7 +186,7 @@ def _serve(cycle: np.ndarray, bounds: np.ndarray, depth: int, beats: int, stored
     now, pointer = np.int64(0), 0
     while True:
         upcoming = np.int64(-1)
-        for s in range(n):  # everything up to now enters its FIFO or is lost
+        for s in range(n):  # each word up to now enters its FIFO or is lost
             while arrived[s] < bounds[s + 1] and cycle[arrived[s]] <= now:
                 if level[s] < depth:
                     stored[arrived[s]] = True
@@ -217,7 +212,7 @@ def _serve(cycle: np.ndarray, bounds: np.ndarray, depth: int, beats: int, stored
 def pixel_histograms(
     photons: Photons, words: Words, arrival: np.ndarray, sensor: Sensor, period_ticks: int
 ) -> Iterator[np.ndarray]:
-    """Yield the histograms of each subgroup's pixels, int32[pixels, period_ticks]: words count at arrival for their pixels."""
+    """Yield the histograms of each subgroup's pixels, int32[pixels, period_ticks]. A word counts at its arrival for its pixels."""
     size = words.stop - words.start
     of_word = np.repeat(np.arange(len(size)), size)
     photon = np.arange(len(of_word)) + np.repeat(words.start - np.cumsum(size) + size, size)

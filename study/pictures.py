@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Depth pictures: several estimates of a scene side by side, on one scale in metres."""
+"""Draws several depth estimates of a scene side by side, on one scale in metres."""
 
 from collections.abc import Sequence
 
@@ -29,12 +29,12 @@ REASONS = {  # colours of the marks
     Reason.EVENTS_LOST: VERMILION,
     Reason.FEW_PHOTONS: GREY,
 }
-SCALE_MARGIN = 0.05  # relative to the range of depths, on both sides of the colour bar
+SCALE_MARGIN = 0.05  # margin at both ends of the colour bar, relative to the range of depths
 
 
 @frozen(eq=False)
 class Panel:
-    """A depth picture: title, float64[rows, cols] in metres (NaN = no depth), and its reasons, uint8[rows, cols], if known."""
+    """A depth picture. depth_m: float64[rows, cols], NaN = no depth; reason: `belief.Reason`, uint8[rows, cols], if known."""
 
     title: str
     depth_m: np.ndarray
@@ -50,7 +50,7 @@ def depth_row(
     blocks: tuple[str, np.ndarray] | None = None,
     tolerance_m: float = TOLERANCE_M,
 ) -> list[float]:
-    """Write `draw_row` to `path` (.png or .svg), and return the share of wrong pixels of each panel."""
+    """Write the figure of `draw_row` to `path` (.png or .svg); return the share of wrong pixels of each panel."""
     figure, shares = draw_row(panels, truth_m, heading, blocks=blocks, tolerance_m=tolerance_m)
     save_figure(figure, path)
     return shares
@@ -66,9 +66,9 @@ def draw_row(
 ) -> tuple[Figure, list[float]]:
     """Draw the truth and `panels` side by side, at most five per row; return the figure, and each panel's wrong share.
 
-    blocks: title and small integers [subgroups down, across], which the last panel shows as numbers on the subgroups.
-    All panels share one scale from metres to colour. It spans the truth; depths beyond it have the colour of its end.
-    Pixels without an estimate are grey, those without a truth grey with a cross. Titles give the share of wrong pixels
+    blocks: title and small integers [subgroups down, across]; the last panel shows them as numbers on the subgroups.
+    All panels share one colour scale in metres. It spans the truth; depths beyond it have the colour of the nearer end.
+    Pixels without an estimate are grey; pixels without a truth also have a cross. Titles give the share of wrong pixels
     (`wrong_share`).
     """
     shares = [wrong_share(panel.depth_m, truth_m, tolerance_m) for panel in panels]
@@ -120,7 +120,7 @@ def draw_row(
 
 
 def _draw_reasons(axis: Axes, reason: np.ndarray) -> None:
-    """Mark the pixels that are not to be believed."""
+    """Mark the pixels whose depth is not to be believed, by reason."""
     for one, colour in REASONS.items():
         row, col = np.nonzero(reason == one)
         if len(row):
@@ -129,7 +129,7 @@ def _draw_reasons(axis: Axes, reason: np.ndarray) -> None:
 
 
 def _draw_blocks(axis: Axes, title: str, blocks: np.ndarray, shape: tuple[int, ...]) -> None:
-    """Draw numbers on the array's subgroups; the higher, the darker."""
+    """Draw numbers on the subgroups of the array; higher numbers are darker."""
     rows, cols = shape
     extent = (-0.5, cols - 0.5, rows - 0.5, -0.5)
     axis.imshow(blocks, cmap=BLOCK_MAP, vmin=0, vmax=BLOCK_MAX, extent=extent)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Common style of all pictures, and writing them: whole or not at all, with the same bytes for the same data."""
+"""The common style of all pictures, and functions that write them: each appears whole, and equal data give equal bytes."""
 
 import io
 from contextlib import AbstractContextManager
@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from ..model.shared.files import FilePath, whole_file
 from .palette import GREEN, INK, LEGEND_PT, ORANGE, PINK, TEXT_PT, TITLE_PT, VIOLET
 
-HASH_SALT = "coincid"  # element names of an SVG are hashes of this and a counter: the same in every run
+HASH_SALT = "coincid"  # element names of an SVG are hashes of this and a counter, so they are the same in every run
 STYLE: dict[Any, Any] = {
     "font.size": TEXT_PT,
     "axes.titlesize": TITLE_PT,
@@ -34,7 +34,7 @@ STYLE: dict[Any, Any] = {
     "svg.fonttype": "none",
 }
 DEPTH_MAP = "viridis_r"  # near is dark
-SOURCES: dict[str, dict[str, Any]] = {  # source of a number, and its style
+SOURCES: dict[str, dict[str, Any]] = {  # line style by the source of a number
     "literal": {"color": ORANGE, "linestyle": "--"},
     "corrected": {"color": GREEN, "linestyle": "-"},
     "Monte Carlo": {"color": INK, "linestyle": "", "marker": "o"},
@@ -45,17 +45,17 @@ _UNDATED = {"png": {"Software": None}, "svg": {"Date": None, "Creator": None}}
 
 
 def style(**others: Any) -> AbstractContextManager[None]:
-    """Return a context in which figures have the common style; `others` are rc parameters by name, `_` for `.`."""
+    """Return a context in which figures have the common style; `others` are further rc parameters, with `_` for the first `.`."""
     return matplotlib.rc_context(STYLE | {name.replace("_", ".", 1): value for name, value in others.items()})
 
 
 def new_figure(width_in: float, height_in: float) -> Figure:
-    """Return a figure without a window or global state; call it within `style`."""
+    """Return a figure without a window or global state. Call this within `style`."""
     return Figure(figsize=(width_in, height_in), layout="constrained")
 
 
 def legend_below(figure: Figure, columns: int = 6) -> None:
-    """Draw one legend for all axes, below them; each label once."""
+    """Draw one legend below all axes, with each label once."""
     entries: dict[str, Any] = {}
     for axis in figure.axes:
         entries |= {label: handle for handle, label in zip(*axis.get_legend_handles_labels()) if label not in entries}
@@ -63,7 +63,7 @@ def legend_below(figure: Figure, columns: int = 6) -> None:
 
 
 def share_axis(axis: Axes, **others: Any) -> None:
-    """Scale an axis for shares from 0 to 1: linear below one in a thousand, then logarithmic; `others` go to `set`."""
+    """Scale an axis for shares from 0 to 1: linear up to 0.1 %, then logarithmic; `others` are for `Axes.set`."""
     axis.set(**others)
     axis.set_yscale("symlog", linthresh=1e-3, linscale=0.4)
     axis.set_ylim(0, 1)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Depth as a cloud of points in space, and as a PLY file for any viewer of point clouds."""
+"""Turns depth into points in space, and writes them as a PLY file for any viewer of point clouds."""
 
 import numpy as np
 
@@ -61,9 +61,9 @@ def point_cloud(depth: Depth, optics: Optics | None = None, *, normals: bool = F
 def _normals(
     depth_m: np.ndarray, slope_m: np.ndarray, right: np.ndarray, down: np.ndarray, ray: np.ndarray
 ) -> np.ndarray:
-    """float64[rows, cols, returns, 3]: of first returns only. right, down: tangents; ray: unit vectors [rows, cols, 3]."""
+    """float64[rows, cols, returns, 3]: unit normals of the first returns, NaN for others. right, down: tangents; ray: unit vectors."""
     length = 1 / ray[:, :, 2]
-    along = []  # movement of a point of the surface from row to row, and from column to column
+    along = []  # movement of a point on the surface from one row to the next, and from one column to the next
     for axis, tangent in enumerate((down, right)):
         step = np.gradient(tangent, axis=axis) if tangent.shape[axis] > 1 else np.zeros_like(tangent)
         unit = np.zeros_like(ray)

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Power of a subgroup against the light that falls on it, and what threshold, gate and a gated clock save.
+"""Measures the power of a subgroup against the light on it, and what threshold, gate and a gated clock save.
 
-A sensor of one subgroup in standard cells plays one short frame for each case; `flow/power.py` says how a frame becomes milliwatts. The light
-is a target at the reference distance under ambient light, with the paper's SPAD.
+A sensor of one subgroup in standard cells plays one short frame for each case; `flow/power.py` computes milliwatts from the
+frame. The scene is a target at the reference distance under ambient light, seen by the paper's SPADs.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -27,13 +27,13 @@ from ..tb.frame_record import FrameJob
 from .plot_style import new_figure, save_figure, style
 
 PULSES, SEED = 2, 1
-SATURATION_KLUX = 1e5  # every SPAD fires as soon as its dead time is over
+SATURATION_KLUX = 1e5  # every SPAD fires again as soon as its dead time ends
 PICTURE, TEMPLATE = "power.png", "power_page.md"
 SIDE, PIXELS = 8, 64
-WIRE_FF = 0.34  # to an input: the mean of the routed minigroup, docs/layout.md
+WIRE_FF = 0.34  # wire per input: the mean of the routed minigroup (docs/layout.md)
 KINDS = (("clock", "clock"), ("internal", "inside cells"), ("switching", "driven pins"), ("leakage", "leakage"))
-RATES_HZ, VIDEO_PULSES, PERIOD_US = (30, 100), 100, 0.5  # frames per second, and what a frame consists of
-GATE = {"gating": True, "gate_start": 3, "gate_len": 25}  # 50 of 500 ns around the target's light
+RATES_HZ, VIDEO_PULSES, PERIOD_US = (30, 100), 100, 0.5  # frames per second; pulses of a frame, and their period
+GATE = {"gating": True, "gate_start": 3, "gate_len": 25}  # 50 ns of 500 ns, around the light of the target
 
 
 @frozen
@@ -59,7 +59,7 @@ SETTINGS = (
     Case("saturation, gate of 50 ns", SATURATION_KLUX, GATE),
 )
 CASES = (*LIGHT, *SETTINGS)
-GROUPS = (  # what the table calls blocks: the innermost instance that begins so decides
+GROUPS = (  # (beginning of an instance's name, name in the table); the innermost matching instance decides
     ("minigroup", "minigroups (16)"),
     ("tree", "tree"),
     ("fifo", "FIFO"),
@@ -73,7 +73,7 @@ GROUPS = (  # what the table calls blocks: the innermost instance that begins so
 
 
 def setup(case: Case, **sensor: Any) -> Setup:
-    """Return a short frame of a sensor with one subgroup. A gate switches the SPADs off, as the output `spad_gate` does."""
+    """Return the setup of a short frame on a sensor with one subgroup, whose gate switches the SPADs off."""
     shape = SIDE, SIDE
     distance_m = np.full(shape, np.nan if case.klux is None else REFERENCE_DISTANCE_M)
     return Setup.of(
@@ -89,8 +89,8 @@ def setup(case: Case, **sensor: Any) -> Setup:
 
 @frozen
 class Measured:
-    """What was measured of a case. edges_cps: per pixel. groups: the subgroup's power by the groups' names. wired, tree: mW,
-    its total with wires, and that of a clock tree."""
+    """Measurements of a case. edges_cps: per pixel. groups: power of the subgroup by the names of `GROUPS`. wired: its total with
+    wires, in mW. tree: that of a clock tree, in mW."""
 
     case: Case
     edges_cps: float
@@ -105,7 +105,7 @@ class Measured:
 
 
 def group_of(block: str) -> str | None:
-    """Return the group to which a block belongs, by its instances; None: it is not in a subgroup."""
+    """Return the group of a block, from the names of its instances; None: the block is not in a subgroup."""
     instances = block.split(".")
     if not any(instance.startswith("subgroup") for instance in instances):
         return None
@@ -122,9 +122,9 @@ def _grouped(blocks: dict[str, Power]) -> dict[str, Power]:
 
 
 def measure(tell: Callable[[str], None], cases: Sequence[Case] = CASES, **sensor: Any) -> tuple[list[Measured], Power]:
-    """Return the power of the subgroup in every case, and between frames. sensor: parameters besides the preset's."""
+    """Return the power of the subgroup in each case, and between frames. sensor: parameters that differ from the preset."""
     runs = [Run(setup(case, **sensor)) for case in cases]
-    config, golden = runs[0].config, Golden(runs[0].config.sensor)  # one, because it numbers the frames
+    config, golden = runs[0].config, Golden(runs[0].config.sensor)  # one for all runs, because it numbers the frames
     jobs = [FrameJob(run.config, run.edges, golden.frame(run.config, run.edges)) for run in runs]
     whole = design(config.sensor)
     tell(f"simulating {len(jobs)} frames of {config.frame_cycles} cycles on the netlist")
@@ -147,7 +147,7 @@ def measure(tell: Callable[[str], None], cases: Sequence[Case] = CASES, **sensor
 
 
 def write_page(path: Path, tell: Callable[[str], None]) -> None:
-    """Measure, and write the page, and the picture to `images/` beside it."""
+    """Measure; write the page, and its picture to `images/` beside it."""
     measured, between = measure(tell)
     images = path.parent / "images"
     images.mkdir(exist_ok=True)
@@ -157,7 +157,7 @@ def write_page(path: Path, tell: Callable[[str], None]) -> None:
 
 
 def page(measured: list[Measured], between: Power) -> str:
-    """Return the page, Markdown. between: power between frames."""
+    """Return the page in Markdown. between: power between frames."""
     by_light = measured[: len(LIGHT)]
     others = measured[len(LIGHT) :]
     names = [one.case.name for one in by_light]
@@ -218,12 +218,12 @@ def page(measured: list[Measured], between: Power) -> str:
 
 
 def _nj(one: Measured, mw: float) -> str:
-    """Return the energy per event of a power, in nJ."""
+    """Return the energy per event in nJ for a power; empty without events."""
     return f"{1e6 * mw / one.events_cps:.2f}" if one.events_cps else ""
 
 
 def draw(measured: list[Measured]) -> Figure:
-    """Draw stacked bars: blocks, and kinds of power, against the light."""
+    """Draw stacked bars against the light, by block and by kind of power."""
     shown = measured[: len(LIGHT)]
     names = [one.case.name for one in shown]
     with style():

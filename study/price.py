@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a sensor takes in 45 nm, by interpolation between the project's measurements; nothing is synthesized here.
+"""Estimates area and power in 45 nm from the project's measurements; nothing is synthesized here.
 
-Areas are those of `make cost` (docs/cost.md), which varies one parameter at a time: their ratios are multiplied. Power is
-that of `make power` (docs/power.md) for the default subgroup, in proportion to area and clock. Both are good to compare
-configurations with each other; for a number, synthesize.
+Areas come from `make cost` (docs/cost.md), which varies one parameter at a time; their ratios are multiplied. Power comes from
+`make power` (docs/power.md) for the default subgroup, and is scaled in proportion to area and clock. Use both to compare
+configurations; an exact number needs synthesis.
 """
 
 import numpy as np

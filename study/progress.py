@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Progress of long work."""
+"""Shows the progress of long work on the terminal."""
 
 import time
 from threading import Event, Thread
@@ -11,9 +11,8 @@ LINE_EVERY_S = 4.0
 
 
 class Bar:
-    """Progress in stages: a bar on a terminal, otherwise, if `lines`, one line per stage and more while it lasts.
-
-    A context manager.
+    """Shows progress in stages, as a context manager: a bar on a terminal; elsewhere, if `lines`, a line at the start of each stage
+    and every few seconds.
     """
 
     def __init__(self, console: Console, lines: bool = False) -> None:
@@ -31,7 +30,7 @@ class Bar:
         return self
 
     def _tell(self) -> None:
-        """Say every few seconds what is going on, where no bar moves."""
+        """Print every few seconds which stage is running, for output without a bar."""
         while not self._ended.wait(LINE_EVERY_S):
             seconds = time.monotonic() - self._began
             if self._stage and seconds >= LINE_EVERY_S:
@@ -42,7 +41,7 @@ class Bar:
         self._progress.stop()
 
     def stage(self, name: str, total: int | None = None) -> None:
-        """Begin a stage; total: of the amounts that `done` gets, None if it is unknown."""
+        """Begin a stage. total: the amount at which it is done (`done`), None if that is unknown."""
         if self._task is not None:
             self._progress.remove_task(self._task)
         self._task = self._progress.add_task(name, total=total)
@@ -51,12 +50,12 @@ class Bar:
             self._progress.console.print(name)
 
     def at(self, stage: str, done: int, total: int) -> None:
-        """Tell the amount that is done of a stage, which begins if it is not the present one."""
+        """Set the finished amount of a stage; begin this stage first if it is new."""
         if stage != self._stage:
             self.stage(stage, total)
         self.done(done)
 
     def done(self, amount: int, total: int | None = None) -> None:
-        """Tell the amount that is done, and a total that has changed."""
+        """Set the finished amount, and a total if it has changed."""
         if self._task is not None:
             self._progress.update(self._task, completed=amount, total=total)

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Four surfaces behind each other in every pixel, and a single point at 150 m: what it takes to see them.
+"""Measures how much light it takes to see four surfaces in every pixel, and a single point at 150 m.
 
-`python -m coincid.study.returns` prints the tables of docs/returns.md and draws its pictures. Surfaces send equal light;
-the background is that of a target of 40 %, so that it does not depend on the light.
+`python -m coincid.study.returns` prints the tables of docs/returns.md and draws its pictures. All surfaces send back the same
+amount of light. The background is that of a target of 40 %, so it does not depend on this amount.
 """
 
 import sys
@@ -29,8 +29,9 @@ from .plot_style import legend_below, new_figure, save_figure, style
 
 IMAGES = Path(__file__).resolve().parents[1] / "docs" / "images"
 SENSOR = {"rows": 16, "cols": 16}
-SURFACES, STEPS_M, NEAREST_M = 4, (0.15, 0.3), (4.0, 4.1)  # the nearest surface: several places in a cycle
-# Of the picture: photons per pixel and pulse, from all surfaces; threshold and ticks of the window.
+# NEAREST_M: two places of the nearest surface in a clock cycle.
+SURFACES, STEPS_M, NEAREST_M = 4, (0.15, 0.3), (4.0, 4.1)
+# For the picture. PHOTONS: per pixel and pulse, from all surfaces together. WINDOW: threshold, ticks.
 PULSES, PHOTONS, KLUX, WINDOW = 5000, 0.1, 50.0, (2, 8)
 RECORDS = {"minigroup_records": True, "mg_threshold": 1, "mg_window": 1}
 METHOD, SHOWN = "background", {"map": "pixel", "minigroup": "its minigroup's records", "subgroup": "its subgroup"}
@@ -40,11 +41,11 @@ FASTER = {"phases": 16, "coarse_bits": 11}, {"clock_mhz": 1000.0, "period": 500}
 
 FAR_M, PERIOD = 150.0, 520  # cycles: 156 m
 POINT = {"rows": 8, "cols": 8}  # one subgroup sees the point
-PULSE_NJ, PULSE_PIXELS = 5.0, 1024  # the preset's laser pulse, and the pixels that share it
-ENERGIES_NJ = (0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0)  # on the point alone
+PULSE_NJ, PULSE_PIXELS = 5.0, 1024  # laser pulse of the preset, and the number of pixels that share it
+ENERGIES_NJ = (0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0)  # of a pulse that lights only the point
 FAR_PULSES, FAR_KLUX, FAR_REFLECTIVITIES = (1000, 10_000), (10.0, 50.0), (0.1, 0.4)
 FAR_THRESHOLDS, FAR_WINDOW = (0, 2, 3), 8
-POINTS = 20  # measurements of each kind
+POINTS = 20  # measurements for each combination
 FOUND_SHARE = 0.9
 
 
@@ -79,7 +80,7 @@ def setup(
 
 
 def all_found(run: Run) -> dict[str, float]:
-    """Return the share of the pixels with a return within the tolerance of each surface, by source of the histograms."""
+    """Return the share of pixels that find all surfaces within the tolerance, by the source of their histograms."""
     shares = {}
     for source in SOURCES:
         depth_m = run.depth(f"{METHOD}/{source}", returns=SURFACES).depth_m
@@ -89,7 +90,7 @@ def all_found(run: Run) -> dict[str, float]:
 
 
 def found_rows(run: Processes) -> Iterator[Sequence[str]]:
-    """Yield the rows of a table: per cent of the pixels with all surfaces, for pixel / subgroup / minigroup."""
+    """Yield the rows of a table: the percentage of pixels that find all surfaces, for each of `SOURCES`."""
     cases = list(product(STEPS_M, FRAMES, WINDOWS, AMBIENTS))
     keys = [(*case, photons) for case in cases for photons in LIGHTS]
     setups = {
@@ -107,11 +108,11 @@ def _per_cent(outcomes: Sequence[dict[str, float]]) -> str:
 
 def _window(window: tuple[int, int]) -> str:
     threshold, ticks = window
-    return f"threshold {threshold}, {ticks} ticks" if threshold else "coincidence off"
+    return _threshold(threshold) + f", {ticks} ticks" * (threshold > 0)
 
 
 def draw_returns(path: Path) -> None:
-    """Draw histograms of a pixel, its minigroup's records and its subgroup, with the surfaces and what is found."""
+    """Draw the histograms of a pixel, its minigroup's records and its subgroup, with the surfaces and the returns."""
     with style():
         figure = new_figure(10, 6.6)
         axes = figure.subplots(len(SOURCES), len(STEPS_M), sharey="row")
@@ -145,7 +146,7 @@ def _draw_histogram(axis: Axes, run: Run, source: str) -> None:
 
 
 def point(reflectivity: float, klux: float, pulses: int, threshold: int, energy_nj: float) -> Setup:
-    """Return the setup of a single point: all pixels of a subgroup see it, and the laser lights nothing else."""
+    """Return the setup of a single point that all pixels of a subgroup see; the laser lights nothing else."""
     share = energy_nj / PULSE_NJ * PULSE_PIXELS / (POINT["rows"] * POINT["cols"])
     light = Light(
         rows=POINT["rows"],
@@ -164,7 +165,7 @@ def point(reflectivity: float, klux: float, pulses: int, threshold: int, energy_
 
 
 def point_error_m(run: Run) -> float:
-    """Return the error of the point's distance, from the histogram of its subgroup; NaN without one."""
+    """Return the error of the point's distance, from the histogram of its subgroup; NaN if there is no distance."""
     return float(run.depth(f"{METHOD}/subgroup").depth_m[0, 0, 0] - FAR_M)
 
 
@@ -176,7 +177,7 @@ def far_errors(run: Processes) -> dict[tuple[float, float, int, int, float], np.
 
 
 def far_rows(errors: dict[tuple[float, float, int, int, float], np.ndarray]) -> Iterator[Sequence[str]]:
-    """Yield the rows of a table: the least energy with which `FOUND_SHARE` of the measurements are right."""
+    """Yield the rows of a table: the lowest energy at which `FOUND_SHARE` of the measurements are right."""
     for reflectivity, klux, pulses in product(FAR_REFLECTIVITIES, FAR_KLUX, FAR_PULSES):
         cells = []
         for threshold in FAR_THRESHOLDS:

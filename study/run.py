@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A run from the scene to the sensor's output, with methods for the usual next steps: the front door of the library."""
+"""The main entry of the library: `simulate`, and the run that it returns, with methods for the usual next steps."""
 
 import os
 from pathlib import Path
@@ -29,9 +29,9 @@ if TYPE_CHECKING:
 
 
 class Run(outcomes.Run):
-    """A simulated run: its inputs, and the sensor's output of all its frames.
+    """A simulated run: its inputs, and the sensor's output in all its frames.
 
-    `simulate` returns it. Arguments and errors of the methods are those of the functions that they name.
+    `simulate` returns it. Each method has the arguments and errors of the function that its docstring names.
 
     Attributes
     ----------
@@ -52,7 +52,7 @@ class Run(outcomes.Run):
         return events_table(self.result)
 
     def histogram(self, pixel: int | tuple[int, int], **options: Any) -> "PixelHistogram":
-        """Return hits of one pixel per tick (see `pixel_histogram`); a notebook draws it with truth and candidates.
+        """Return the hits of one pixel per tick (see `pixel_histogram`). A notebook draws them with the truth and the candidates.
 
         pixel: (row, column), or row * columns + column.
         """
@@ -65,7 +65,7 @@ class Run(outcomes.Run):
         return point_cloud(self.depth(**options), optics, normals=normals)
 
     def to_pandas(self) -> Any:
-        """Return the same as `events`, under the name that pandas users expect."""
+        """Return the same table as `events`, under the name that users of pandas expect."""
         return self.events()
 
     def plot(self, **options: Any) -> "Shown":
@@ -81,7 +81,7 @@ class Run(outcomes.Run):
         return plot_timeline(self, subgroup, pulse, **options)
 
     def _repr_html_(self) -> str:
-        """Return what a notebook shows of the run: `show.notebook.summary`."""
+        """Return the summary that a notebook shows (`show.notebook.summary`)."""
         from .show.notebook import summary
 
         return summary(self)
@@ -163,12 +163,12 @@ def simulate(
         estimators=(method,),
     )
     run = Run(setup, workers=os.cpu_count() or 1)
-    _ = run.result  # so that errors come from here
+    _ = run.result  # computed here, so that errors appear in this call
     return run
 
 
 def _check_order(config: object) -> None:
-    """Raise `InputError` for a scene in the place of the configuration, which comes first."""
+    """Raise `InputError` if the first argument, the configuration, is a scene."""
     if config is None or isinstance(config, Config):
         return
     told = f"{type(config).__name__}: is no configuration"
@@ -189,7 +189,7 @@ def with_settings(config: Config, settings: dict[str, Any]) -> Config:
             raise InputError(f"{name}: unknown argument or setting, must be one of {', '.join((*OPTIONS, *SETTINGS))}")
     of = {table: {name: value for name, value in settings.items() if name in keys} for table, keys in TABLES.items()}
     config = config.with_sensor(**of["sensor"]) if of["sensor"] else config
-    if "pulses" in of["frame"]:  # events per frame change in proportion
+    if "pulses" in of["frame"]:  # the controller's bounds and capacity change in proportion
         pulses = SETTINGS["pulses"].checked("frame.pulses", of["frame"].pop("pulses"), config.sensor)
         config = config.with_pulses(pulses)
     return config.with_frame(**of["frame"]).with_settings(**of["subgroup"])

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Settling of the threshold controller, and its movement afterwards.
+"""Measures how the threshold controller settles, and how its thresholds move afterwards.
 
-`python -m coincid.study.settling` prints the tables of `docs/controller.md`. Constant light has two meanings. The same
-photons in every frame show the rule by itself: it has settled when thresholds, budget and limit return to earlier values,
-and the sequence in between is its limit cycle. New photons in every frame show the effect of chance. The second table is
-about a change from each light to each other one, with the same photons before it and after it.
+`python -m coincid.study.settling` prints the tables of `docs/controller.md`. Constant light can mean two things. With the same
+photons in every frame, only the rule acts: it has settled when thresholds, budget and limit return to earlier values, and the
+frames between the two occurrences are its limit cycle. With new photons in every frame, chance acts, too. The second table is
+for changes from each light to each other one; the photons are the same in all frames before a change, and in all after it.
 """
 
 from collections.abc import Iterator
@@ -17,14 +17,14 @@ from ..lab.outcomes import Run
 from ..lab.setup import SETTLING, Setup
 from ..model.contract.config import Config
 from ..model.contract.edges import Edges
-from ..model.golden.frame import Golden, Trace
+from ..model.golden.frame import Golden
 from ..model.golden.shape import COUNTER
 from ..model.shared.markdown import table
 
 SCENE, PARTS, SEED = "five-objects", (1, 4, 16), 1
-KLUX = ((5.0, 5.0), (20.0, 20.0), (50.0, 50.0), (100.0, 100.0), (5.0, 100.0))  # in the left half, and in the right one
-FRAMES_MAX = 200  # with the same photons
-WATCHED = 32  # frames of new photons after that
+KLUX = ((5.0, 5.0), (20.0, 20.0), (50.0, 50.0), (100.0, 100.0), (5.0, 100.0))  # in the left and in the right half
+FRAMES_MAX = 200  # frames with the same photons
+WATCHED = 32  # frames with new photons after the controller has settled
 HEAD = (
     "klux",
     "capacity",
@@ -38,16 +38,8 @@ HEAD = (
 CHANGES_HEAD = "capacity", "changes", "settle after, mean", "at most", "limit cycles"
 
 
-class State(NamedTuple):
-    """State after a frame. thresholds: int64[subgroups], of the frame; next: what the next ones depend on; load: commits over capacity."""
-
-    thresholds: np.ndarray
-    next: tuple[int, int]
-    load: float
-
-
 class Cycle(NamedTuple):
-    """Limit cycle with the same photons: the number of frames before it, its length, and what moves in it."""
+    """Limit cycle with the same photons: frames before it, its length, the subgroups whose threshold moves, and the load."""
 
     begins: int
     frames: int
@@ -56,31 +48,25 @@ class Cycle(NamedTuple):
 
 
 def limit_cycle(config: Config, edges: Edges, golden: Golden) -> Cycle | None:
-    """Return the limit cycle for the same photons in every frame; None: no state returned within `FRAMES_MAX` frames."""
-    seen: dict[tuple[int, ...], int] = {}
-    history: list[State] = []
+    """Return the limit cycle for the same photons in every frame; None: no state came back within `FRAMES_MAX` frames."""
+    states: list[tuple[int, ...]] = []  # after each frame: budget and limit of the only stream, and the thresholds
+    controller = golden.controller
     for number in range(FRAMES_MAX):
-        now = _state(config, golden.frame(config, edges), golden)
-        key = (*now.thresholds.tolist(), *now.next)
-        if key in seen:
-            thresholds = np.array([one.thresholds for one in history[seen[key] :]])
-            return Cycle(seen[key], number - seen[key], int(np.ptp(thresholds, axis=0).astype(bool).sum()), now.load)
-        seen[key] = number
-        history.append(now)
+        counters = golden.frame(config, edges).counters
+        assert controller.budget is not None and controller.limit is not None
+        after = int(controller.budget[0]), int(controller.limit[0])
+        state = (*after, *counters[:, COUNTER.threshold_used].tolist())
+        if state in states:
+            begins = states.index(state)
+            moves = np.ptp(np.array(states[begins:])[:, len(after) :], axis=0) > 0
+            load = int(counters[:, COUNTER.committed].sum()) / config.capacity
+            return Cycle(begins, number - begins, int(moves.sum()), load)
+        states.append(state)
     return None
 
 
-def _state(config: Config, trace: Trace, golden: Golden) -> State:
-    """Return the state of the controller after a frame; one stream."""
-    controller = golden.controller
-    assert controller.budget is not None and controller.limit is not None
-    committed = int(trace.counters[:, COUNTER.committed].sum())
-    after = int(controller.budget[0]), int(controller.limit[0])
-    return State(trace.counters[:, COUNTER.threshold_used], after, committed / config.capacity)
-
-
 def rows(backgrounds: tuple[tuple[float, float], ...] = KLUX) -> Iterator[tuple[str, ...]]:
-    """Yield the rows of the first table: one for each background and capacity, as a part of one beat per cycle."""
+    """Yield the rows of the first table: one for each background and each part of the default capacity."""
     for klux in backgrounds:
         start = _run(*klux, frames=SETTLING + WATCHED)
         for part in PARTS:
@@ -100,7 +86,7 @@ def rows(backgrounds: tuple[tuple[float, float], ...] = KLUX) -> Iterator[tuple[
 
 
 def changes(backgrounds: tuple[tuple[float, float], ...] = KLUX) -> Iterator[tuple[str, ...]]:
-    """Yield the rows of the second table: one for each capacity, with the frames that a change of the light takes to settle."""
+    """Yield the rows of the second table: for each capacity, the frames that the controller takes to settle after a change."""
     lights = [_run(*klux, frames=1) for klux in backgrounds]
     for part in PARTS:
         cycles = [_after_change(before, after, part) for before, after in permutations(lights, 2)]

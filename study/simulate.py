@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The main job: a scene, its light, frames through the sensor in three schemes, and the depth from each of them.
+"""Simulates a scene for `coincid sim`: its light, its frames through the sensor in three schemes, and the depth of each scheme.
 
-`off`: coincidence off (the paper's scheme 1). `fixed`: one threshold for all subgroups. `auto`: the controller's
-thresholds, after frames of new photons in which it settles. The compared frames see the same photons. Every beat and
-commit of the RTL is checked against the golden model while it runs.
+The scheme `off` has coincidence off (the paper's scheme 1), `fixed` has one threshold for all subgroups, and `auto` has the
+thresholds of the controller, which first settles in frames of new photons. The compared frames see the same photons. Every
+beat and commit of the RTL is checked against the golden model while it runs.
 """
 
 import json
@@ -51,7 +51,7 @@ PICTURES = {  # file: (estimator of `model/depth/estimate.py`, suffix of the rep
     "depth.png": (DEFAULT_METHOD, "", "planes through the likelihood of all events"),
     "depth_peak.png": ("maximum", "_peak", "peak of every pixel's histogram, as in the paper"),
 }
-SCHEMES = {  # name: (title, settings that it overrides), in the order of the frames
+SCHEMES = {  # name: (title, settings that differ), in the order of the frames
     "off": ("coincidence off", {"coincidence": False, "auto": False}),
     "fixed": ("one threshold: {threshold}", {"coincidence": True, "auto": False}),
     "auto": ("controller", {"coincidence": True, "auto": True}),
@@ -63,11 +63,11 @@ Progressed = Callable[[int], None]
 
 @frozen(eq=False)
 class Played:
-    """All frames of the schemes, one after the other in one sensor.
+    """All frames of the schemes, which one sensor played in turn.
 
-    runs: of each scheme, whose last frame stands for it; with the golden model's traces. arrays: of the result file
-    (`model/contract/result.py`) of all frames. cycles: of all frames; checked: number of beats and commits compared;
-    seconds: time that the engine took. wave: the waveform or None.
+    runs: one per scheme, with the golden model's traces; its last frame represents the scheme. arrays: the result file
+    (`model/contract/result.py`) of all frames. cycles: of all frames; checked: number of compared beats and commits;
+    seconds: time that the engine took. wave: path of the waveform or None.
     """
 
     runs: dict[str, Run]
@@ -79,17 +79,17 @@ class Played:
 
     @property
     def frames(self) -> dict[str, Frame]:
-        """The frame that stands for each scheme."""
+        """The last frame of each scheme, which represents it."""
         return {name: run.frame() for name, run in self.runs.items()}
 
 
 def schemes_of(sensor: Sensor) -> dict[str, tuple[str, dict[str, bool]]]:
-    """Return those of `SCHEMES` that a sensor has."""
+    """Return those of `SCHEMES` that a sensor supports."""
     return {name: scheme for name, scheme in SCHEMES.items() if sensor.controller or name != CONTROLLED}
 
 
 def best_threshold(run: Run) -> int:
-    """Return the threshold that leaves the fewest wrong pixels of the last frame, the lowest among equals, by the golden model."""
+    """Return the threshold with the fewest wrong pixels in the last frame of the golden model, the lowest among equals."""
     _, settings = SCHEMES["fixed"]
     wrong = {
         threshold: run.alone(-1, subgroup=settings | {"threshold": threshold})["wrong_share"]
@@ -99,7 +99,7 @@ def best_threshold(run: Run) -> int:
 
 
 def scheme_runs(run: Run, threshold: ArrayLike) -> dict[str, Run]:
-    """Return the run of each scheme: `off` and `fixed` at `threshold` see the photons of the last frame, `auto` those of all."""
+    """Return the run of each scheme. `auto` sees the photons of all frames; the others only see those of the last frame."""
     golden, runs = Golden(run.config.sensor), {}
     for name, (_, settings) in schemes_of(run.config.sensor).items():
         if name == CONTROLLED:
@@ -123,7 +123,7 @@ def play_schemes(
 ) -> Played:
     """Play the frames of `scheme_runs` through an engine of `tb/engines.py`; a simulator's log goes to `out`.
 
-    `progress` gets the cycles done; view: as in `replay.chosen_view`. Raises `Mismatch` at the first difference between
+    progress: called with the number of finished cycles; view: as in `replay.chosen_view`. Raises `Mismatch` at the first difference between
     RTL and golden model, `SimulationError`, `ToolchainError`.
     """
     chosen = chosen_view(engine, view, run.config.clock_mhz)
@@ -164,9 +164,9 @@ def simulate(
 ) -> dict[str, Any]:
     """Simulate a scene; leave `PICTURES`, report.html, events.npz, depth.npz and report.json in `out`, and return the report.
 
-    threshold: of `fixed`; None: the configuration's, if it gives one, else the best of 1 to 7 for this scene. settling: frames
-    of `auto`, of which the last one counts (None: `SETTLING` and that one); a sensor without the controller has no such frames.
-    told: what the report says in addition. events.npz: a result file of all frames, in the order of `SCHEMES`; depth.npz:
+    threshold: of `fixed`; None: that of the configuration if it gives one, else the best of 1 to 7 for this scene. settling:
+    number of frames of `auto`, of which the last one counts (None: `SETTLING` + 1); unused without the controller. told:
+    further entries of the report. events.npz is a result file of all frames, in the order of `SCHEMES`; depth.npz is
     `Depth.save` of the last frame. Raises `InputError`, and the errors of `play_schemes`; after a `Mismatch`, only the report
     exists, with `mismatches` = 1.
     """
@@ -239,7 +239,7 @@ def simulate(
 
 
 def _prepare(engine: str, sensor: Sensor, waves: bool, view: "View | None") -> None:
-    """Import what draws, and compile what an engine of the RTL needs (the golden model has no view): both take long."""
+    """Import the drawing modules, and compile the RTL for its engine (view None: the golden model); both take long."""
     from . import pictures  # noqa: F401
 
     with suppress(InputError), extra("explore"):
@@ -281,7 +281,7 @@ def _pictures(out: Path, heading: str, titles: dict[str, str], seen: dict[str, F
 
 
 def settings_of(config: Config) -> dict[str, Any]:
-    """Return the configuration in the shape of its file; a subgroup's setting is a list if subgroups differ."""
+    """Return the configuration as tables of its file; a setting of the subgroups is a list if they differ."""
     subgroup = {name: getattr(config, name).tolist() for name in SUBGROUP}
     subgroup["mask"] = [f"{sum(1 << int(i) for i in np.flatnonzero(mask)):x}" for mask in config.mask]
     derived = {"auto_bounds": config.auto_bounds.tolist(), "capacity": config.capacity}
@@ -293,7 +293,7 @@ def settings_of(config: Config) -> dict[str, Any]:
 
 
 def _report(played: Played) -> dict[str, Any]:
-    """Return flat keys; numbers are for all frames together, or for one scheme if they end with its name."""
+    """Return the report with flat keys: totals of all frames, and numbers of a scheme under keys that end with its name."""
     arrays = played.arrays
     report: dict[str, Any] = {
         "cycles": played.cycles,
@@ -334,7 +334,7 @@ def _tell(
     report: dict[str, Any],
     written: list[Path],
 ) -> None:
-    """Print the table at the end."""
+    """Print the table of the schemes, the notes and the written files."""
     table = Table(box=None, header_style="bold", pad_edge=False)
     table.add_column("frame", no_wrap=True)
     for title in ("threshold", "events", "dropped", "link load", "wrong pixels", "by peaks"):

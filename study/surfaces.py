@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Errors in real geometry: surfaces that slant, bend and hide each other.
+"""Measures the errors on surfaces that slant, bend and hide each other.
 
-`python -m coincid.study.surfaces` prints the table of docs/depth.md. The scenes are analytic.
+`python -m coincid.study.surfaces` prints a table of docs/depth.md. The scenes are analytic.
 """
 
 import os
@@ -28,7 +28,7 @@ TEXTURE_SEED, TEXTURE_PIXELS, TEXTURES = 3, 4, np.geomspace(0.06, 0.8, 8)
 
 @frozen(eq=False)
 class Row:
-    """Shares of wrong pixels of a scene in a format: beyond 3.45 cm and beyond 15 cm, by method; dropped: share of events."""
+    """Result for a scene in a format. dropped: share of the events. shares: of pixels off by over 3.45 cm and over 15 cm, by method."""
 
     scene: str
     form: str
@@ -37,7 +37,7 @@ class Row:
 
 
 def analytic_scenes() -> dict[str, Scene]:
-    """Return slanted planes, a roof, a box before a tilted wall, a wave, with even and patched reflectivity; five objects."""
+    """Return slanted planes, a roof, a box before a tilted wall and a wave, some also with patches, and the five objects."""
     y, x = np.mgrid[:ROWS, :COLS] + 0.5
     x, y = x / COLS, y / ROWS
     shapes = {
@@ -62,7 +62,7 @@ def _scene(name: str, distance_m: np.ndarray, reflectivity: Numbers) -> Scene:
 
 
 def measure(scene: Scene, form: str, seeds: Iterable[int] = SEEDS) -> Row:
-    """Return the means over the seeds."""
+    """Return the mean result over the seeds."""
     start = Run(
         Setup.of(scene, sensor={"rows": ROWS, "cols": COLS}, frame={"format": form}, klux=KLUX),
         workers=os.cpu_count() or 1,

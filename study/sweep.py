@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Sweeps: a grid of points on Dask workers, each from photons to depth, into one Parquet file.
+"""Runs a sweep: a grid of points on Dask workers, each from photons to depth, into one Parquet file.
 
-Finished points are kept beside the result, in a small file each, under the digest of everything that the point depends
-on. So a sweep that was killed continues where it stopped, a changed SPEC only runs its new points, and the result has
-the same bytes either way.
+Each finished point is kept beside the result, in a small file that is named by a digest of everything that the point depends
+on. A sweep that was killed therefore continues where it stopped, a changed SPEC only runs its new points, and the result has
+the same bytes in both cases.
 """
 
 import json
@@ -31,7 +31,7 @@ METADATA = "coincid"  # key of the Parquet file's metadata
 
 @frozen
 class Summary:
-    """Summary of a sweep. rows: of the result. kept: points finished before. failed: reason by the point's name."""
+    """Summary of a sweep. rows: of the result. kept: points that an earlier sweep finished. failed: reasons by name of the point."""
 
     rows: int
     kept: int
@@ -49,9 +49,9 @@ def sweep(
 ) -> Summary:
     """Run the points of `spec` that are not finished, and write the table and its plot (`out` with .png).
 
-    workers: number of processes of a cluster on this machine, unless `scheduler` is the address of another. progress:
-    called with the number of points done. A point that fails has no row, and runs again next time. Raises `InputError`
-    (another sweep writes `out`; nothing answers at `scheduler`) and `SchedulerLost`.
+    workers: number of processes of a cluster on this machine, unless `scheduler` is the address of another cluster. progress:
+    called with the number of finished points. A point that fails has no row, and runs again next time. Raises `InputError`
+    (another sweep writes `out`, or nothing answers at `scheduler`) and `SchedulerLost`.
     """
     plot = out.with_suffix(".png")
     points, failed = spec.keys, dict[str, BaseException]()
@@ -68,7 +68,7 @@ def sweep(
         if found:
             write_table(out, spec, found)
             write_plot(plot, title, spec, found)
-        else:  # no result of an earlier sweep is left that could be taken for this one's
+        else:  # a result of an earlier sweep could be taken for the result of this one
             out.unlink(missing_ok=True)
             plot.unlink(missing_ok=True)
     reasons = {points[key].name: reason(error) for key, error in failed.items()}
@@ -100,7 +100,7 @@ class Finished(KeptFiles):
 
 
 def write_table(path: Path, spec: Spec, found: dict[str, dict[str, Number]]) -> None:
-    """Write a row for each point of `spec` that `found` has by key; the bytes depend only on these two.
+    """Write a row for each point of `spec` whose key is in `found`; the bytes depend only on these two.
 
     Columns: the swept values, `SWEPT`, the point's settings as JSON, and its key. The file's metadata,
     under `METADATA`: base, axes and versions as JSON.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Summary plot of a sweep: one axis across, one as lines, the others as bands."""
+"""Draws the summary of a sweep: one axis across, one as lines, the others as bands."""
 
 from pathlib import Path
 from typing import Any
@@ -23,8 +23,8 @@ PANELS = {  # measure: (label of its axis, factor)
 ACROSS = 3
 WIDTH_IN, HEIGHT_IN = 3.6, 2.7  # of a panel
 LOG_RATIO = 20  # ratio of the largest to the smallest value above which an axis is logarithmic
-BRIGHTEST = 0.9  # share of the colour map's range that is used, because its end is hard to see on white
-REPEATS = {"seed"}  # an axis of only these shows noise, so it becomes a band, wherever it stands
+BRIGHTEST = 0.9  # used share of the colour map; its bright end is hard to see on white
+REPEATS = {"seed"}  # an axis with only these keys shows noise, so it becomes a band at any position
 LABELS = {setting.key: ("", setting.unit) for setting in SETTINGS.values()} | {  # key: (meaning, unit)
     "klux": ("background light", "klux"),
     "clock_mhz": ("system clock", "MHz"),
@@ -33,10 +33,10 @@ LABELS = {setting.key: ("", setting.unit) for setting in SETTINGS.values()} | { 
 
 
 def write_plot(path: Path, title: str, spec: Spec, found: dict[str, dict[str, Any]]) -> None:
-    """Draw `PANELS` of the points that `found` has by key into `path` (.png); the bytes depend only on the arguments.
+    """Draw `PANELS` for the points whose keys are in `found` into `path` (.png); the bytes depend only on the arguments.
 
-    The first axis of the SPEC runs across and the second makes the lines; an axis of seeds is used only if there is no
-    other. Lines are means over the other axes, and bands span minimum and maximum.
+    The first axis of the SPEC runs across, and the second one gives the lines; an axis of seeds is used only if there is no
+    other. Lines are means over the remaining axes, and bands span minimum and maximum.
     """
     order = sorted(range(len(spec.axes)), key=lambda i: set(spec.axes[i]) <= REPEATS)
     across, lines = (spec.axes[i] if i is not None else {} for i in (order + [None, None])[:2])
@@ -71,7 +71,7 @@ def write_plot(path: Path, title: str, spec: Spec, found: dict[str, dict[str, An
 
 
 def _scale(axis: Axes, swept: dict[str, list[Any]]) -> np.ndarray:
-    """Return the positions of the values of an axis of the SPEC; set scale and ticks."""
+    """Set scale and ticks of a plot for an axis of the SPEC; return the positions of its values."""
     texts, values = _texts(swept) or [""], next(iter(swept.values()), [])
     numeric = len(swept) == 1 and all(
         isinstance(value, (int, float)) and not isinstance(value, bool) for value in values
@@ -98,7 +98,7 @@ def _texts(swept: dict[str, list[Any]]) -> list[str]:
 
 
 def _label(swept: dict[str, list[Any]]) -> str:
-    """Return what an axis of the SPEC sweeps, with units."""
+    """Return the names of the keys that an axis of the SPEC sweeps, with their units."""
     parts = []
     for key in swept:
         name, unit = LABELS.get(key, ("", ""))

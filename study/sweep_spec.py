@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Points of a sweep, from its SPEC file; all are checked before the first one runs.
+"""Reads the points of a sweep from its SPEC file, and checks all of them before the first one runs.
 
 A SPEC is a configuration file with additional keys: `SETTINGS`, `config` (a file or preset that its tables extend), and
 [[axis]] tables. The keys of an axis vary together. The axes are crossed, and the first one varies slowest.
@@ -28,7 +28,7 @@ from ..model.shared.quantities import check_choice, check_real, check_switch
 from .simulate import settings_of
 
 TABLES = ("sensor", "frame", "subgroup")  # tables of the configuration whose keys may be swept
-SETTINGS = {  # of a point, in addition to its configuration: default
+SETTINGS = {  # of a point, in addition to its configuration, with their defaults
     "scene": "five-objects",
     "klux": 50.0,
     "background": BACKGROUNDS[0],
@@ -37,16 +37,16 @@ SETTINGS = {  # of a point, in addition to its configuration: default
     "method": DEFAULT_METHOD,
     "spad_gate": False,
 }
-CLOCK, FRAME_CLOCK = "clock_mhz", "frame.clock_mhz"  # one key: a SPEC may write it outside its table
+CLOCK, FRAME_CLOCK = "clock_mhz", "frame.clock_mhz"  # the same key; a SPEC may also write it outside its table
 ENGINES = ("golden", "sliced")
 POINTS_MAX = 100_000
 
 
 @frozen(kw_only=True, eq=False)
 class Point:
-    """One point. name, values: of the swept keys. at: its index along each axis.
+    """One point of the grid. name, values: of the swept keys. at: its index along each axis.
 
-    settings: everything that defines the point, in the shape of a file. setup: the same, checked.
+    settings: everything that defines the point, as tables of a file. setup: the same, checked.
     """
 
     name: str
@@ -57,7 +57,7 @@ class Point:
 
     @property
     def key(self) -> str:
-        """Digest of everything that the numbers depend on."""
+        """Digest of everything that the measures depend on."""
         return self.setup.key
 
 
@@ -71,7 +71,7 @@ class Spec:
 
     @property
     def keys(self) -> dict[str, Point]:
-        """Return the points by key; points with the same content run once."""
+        """Return the points by key; points with the same content are one, and run once."""
         return {point.key: point for point in reversed(self.points)}
 
 
@@ -145,7 +145,7 @@ def _length(axis: dict[str, list[Any]]) -> int:
 
 
 def _resolved(document: dict[str, Any]) -> dict[str, Any]:
-    """Return `document` with the tables of its `config` below its own, and its overrides after those of the file."""
+    """Return `document` with the tables of its `config`. Its own keys replace those of the file; its own lists follow those of the file."""
     document = dict(document)
     given = document.pop("config", None)
     if given is None:
@@ -181,7 +181,7 @@ def _point(
         table, dot, key = _placed(name).partition(".")
         if not dot:
             document[name] = value
-        elif isinstance(document.setdefault(table, {}), dict):  # otherwise `parse_config` reports the fault
+        elif isinstance(document.setdefault(table, {}), dict):  # otherwise `parse_config` reports the error
             document[table] = document[table] | {key: value}
     name = " ".join(f"{name}={_shown(value)}" for name, value in values.items()) or "the only point"
     try:

@@ -12,7 +12,7 @@ from ..plot_style import HASH_SALT
 
 
 def image(name: str) -> Path:
-    """Return the path of the picture called `name`. Raises `InputError` if the project runs without its checkout."""
+    """Return the path of a picture of the documents. Raises `InputError` if the project is not run from a checkout."""
     folder = checkout()
     if folder is None:
         raise InputError("docs/images: the pictures of the documents can only be drawn in a checkout of the project")
@@ -20,6 +20,6 @@ def image(name: str) -> Path:
 
 
 def save(figure: Figure, name: str) -> None:
-    """Write an SVG picture, its text as outlines: the same bytes for the same figure."""
+    """Write an SVG picture with its text as outlines; the same figure gives the same bytes."""
     with rc_context({"svg.hashsalt": HASH_SALT}):
         figure.savefig(image(name), metadata={"Date": None})

@@ -20,11 +20,11 @@ from . import image
 SENSOR = Sensor()
 CLOCK_FS = Circuit().clock_fs
 TICK_PS = CLOCK_FS / SENSOR.phases / FS_PER_PS
-SIGMA_PS = 0.1 * TICK_PS  # of the border of a tap, in the example
+SIGMA_PS = 0.1 * TICK_PS  # mismatch of the border of a tap, in this example
 
 
 def draw() -> None:
-    """Draw DNL and INL of a generator with mismatched taps, by the code density test on its line, and the stamps' bias."""
+    """Draw DNL and INL of a TDC with mismatched taps, from a code density test, and the bias of its stamps."""
     errors = np.random.default_rng(1).normal(0, SIGMA_PS, SENSOR.phases)  # of the borders, in ps
     packed = sum(int(round(e * FS_PER_PS)) % (1 << ERROR_BITS) << ERROR_BITS * k for k, e in enumerate(errors))
     half = SENSOR.phases // 2

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Draws ray-NAME.png for each ray-traced scene: its truth, and its depth through the RTL. Needs `make raytrace`.
+"""Draws ray-NAME.png for each ray-traced scene: the truth, and the depth from the RTL. Needs `make raytrace`.
 
 python -m coincid.study.drawings.raytrace [NAME ...]
 """
@@ -21,11 +21,11 @@ from ..simulate import SCHEMES, play_schemes
 from . import image
 
 KLUX, PULSES, SEED = 50, 400, 1
-WINDOW_M = 1e-9 * SPEED_OF_LIGHT_M_S / 2  # surfaces closer than a coincidence window of 1 ns are one to it
+WINDOW_M = 1e-9 * SPEED_OF_LIGHT_M_S / 2  # surfaces within one coincidence window of 1 ns cannot be told apart
 
 
 def draw(name: str) -> list[tuple[float, float]]:
-    """Write the picture; return (wrong by more than a window, wrong by the paper's criterion) for each scheme."""
+    """Write the picture; return for each scheme the share wrong by over a window, and by the paper's criterion."""
     config = load_config(None).with_pulses(PULSES).with_frame(frames=SETTLING + 1)
     scene = scene_of(config, PREFIX + name)
     run = Run(Setup(config=config, scene=scene, klux=KLUX, seed=SEED))

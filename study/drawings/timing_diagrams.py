@@ -31,7 +31,7 @@ Row = dict[str, int]  # port -> value in a cycle
 
 @frozen
 class Trace:
-    """Values of all ports by cycle, and the cycles in which the accesses and the frame's cycle 0 begin."""
+    """Values of all ports by cycle; the cycles in which register accesses begin; the cycle in which the frame begins."""
 
     rows: list[Row]
     accesses: list[int]
@@ -49,7 +49,7 @@ def config(form: str) -> Config:
 
 
 def simulate(form: str) -> Trace:
-    """Write and read a register, have a write refused, then play a frame of two laser periods, with events of some form."""
+    """Write and read a register, try an illegal write, then play a frame of two laser periods. form: format of its events."""
     of = config(form)
     sensor = SensorTop(of.sensor)
     rows: list[Row] = []
@@ -111,7 +111,7 @@ def simulate(form: str) -> Trace:
     simulator.add_clock(CLOCK_S)
     simulator.add_testbench(host)
     simulator.add_testbench(spads, background=True)
-    simulator.add_testbench(watch, background=True)  # last, so it sees the values that the others set in this cycle
+    simulator.add_testbench(watch, background=True)  # last, so that it sees what the others set in this cycle
     simulator.run()
     return Trace(rows, accesses, next(cycle for cycle, row in enumerate(rows) if row["laser"]))
 
@@ -150,9 +150,9 @@ def draw(lines: Sequence[tuple[str, Sequence[object], str]], title: str, first: 
 
 @frozen
 class Picture:
-    """A diagram. form: of the events. span: first cycle, the one after the last, and the one with the number 0.
+    """A diagram. form: format of the events. span: returns the first cycle, the one after the last, and the one with number 0.
 
-    lines: name of a line (see `values`), note; EVENT in a note stands for the fields of the frame's first event.
+    lines: (name, note) of each line, see `values`; EVENT in a note stands for the fields of the frame's first event.
     """
 
     form: str
@@ -169,7 +169,7 @@ class Picture:
 
 
 def values(trace: Trace, name: str, begin: int, end: int) -> Sequence[object]:
-    """Return what a line shows in each cycle: bits of a port, texts of a bus where it is valid, or a number of edges."""
+    """Return the content of a line in each cycle: bits of a port, texts of a valid bus, or a number of edges."""
     if name == "cycle":
         return [str((cycle - trace.frame) % PERIOD) if cycle >= trace.frame else None for cycle in range(begin, end)]
     if name == "tdata":
@@ -188,12 +188,15 @@ def values(trace: Trace, name: str, begin: int, end: int) -> Sequence[object]:
 
 
 def _kind(row: Row) -> str | None:
-    """Return the letter of the packet that a beat would begin; None without a beat."""
+    """Return the letter of the packet that would begin with this beat; None without a beat."""
     return KINDS.get(int(header_field(row["m_axis_tdata"], "kind"))) if row["m_axis_tvalid"] else None
 
 
 def _packets(trace: Trace, begin: int, end: int) -> list[str | None]:
-    """Return the type of each beat: S frame start, E event, M map, G group, F frame end, C counters; boxes are kept apart."""
+    """Return the type of each beat: S frame start, E event, M map, G group, F frame end, C counters.
+
+    A zero-width space marks every second beat, so that equal neighbours get separate boxes.
+    """
     texts: list[str | None] = []
     following, number, open_beat, name = "", 0, False, ""
     for row in trace.rows[:end]:
@@ -213,7 +216,8 @@ def _after_laser(begin: int, end: int) -> Callable[[Trace], tuple[int, int, int]
     return lambda trace: (trace.frame + begin, trace.frame + end, trace.frame)
 
 
-BUSES: dict[str, tuple[str, Callable[[int], str]]] = {  # bus: when it is valid, and how a value is told
+# Of each bus: the port that says when it is valid, and a function that formats its values.
+BUSES: dict[str, tuple[str, Callable[[int], str]]] = {
     "awaddr": ("awvalid", lambda value: f"{value:x}"),
     "wdata": ("wvalid", str),
     "bresp": ("bvalid", lambda value: "OK" if value == OKAY else "ERR"),

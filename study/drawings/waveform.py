@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Draws waveform.svg, how a photon becomes a word, from a simulation of the RTL (8 x 8 pixels) in Amaranth's simulator.
+"""Draws waveform.svg, the way of photons to a word, from a simulation of the RTL (8 x 8 pixels) in Amaranth's simulator.
 
 python -m coincid.study.drawings.waveform
 """
@@ -88,7 +88,7 @@ def simulate() -> dict[str, list[int]]:
 
 
 def covered(values: dict[str, list[int]]) -> list[int]:
-    """Return the phases of every cycle that a window covers, one bit each; the window begins at its first edge."""
+    """Return the phases that a window covers in each cycle, one bit per phase; the window begins at its first edge."""
     words = []
     for is_open, opening, first, end in zip(values["open"], values["opening"], values["first"], values["end"]):
         begin = 0 if is_open else first
@@ -105,13 +105,13 @@ def sampled(vcd: Path) -> dict[str, list[int]]:
 
 
 def draw_grid(axes: Axes, cycles: int) -> None:
-    """Draw a line between any two cycles."""
+    """Draw a line at each boundary between two cycles."""
     for cycle in range(cycles + 1):
         axes.axvline(cycle, color=PALE, lw=0.8, zorder=0)
 
 
 def draw_boxes(axes: Axes, y: float, texts: Sequence[object], color: str, *, fontsize: float) -> None:
-    """Draw a bus at a height: boxes with one text per cycle, where equal ones in a row share a box; None: no box."""
+    """Draw a bus at height `y`: a box per cycle with its text. Equal neighbours share a box; None: no box."""
     begin = 0
     for cycle in range(1, len(texts) + 1):
         if cycle == len(texts) or texts[cycle] != texts[begin]:
@@ -124,7 +124,7 @@ def draw_boxes(axes: Axes, y: float, texts: Sequence[object], color: str, *, fon
 
 
 def draw(values: dict[str, list[int]]) -> Figure:
-    """Draw the picture over clock cycles; words of 32 phases are drawn phase by phase inside their cycle."""
+    """Draw the picture over clock cycles; the 32 phases of a word are drawn side by side in their cycle."""
     figure, axes = plt.subplots(figsize=(12, 6.6))
     spads = [f"SPAD {pixel}" for pixel, _, _ in sorted(EDGES, key=lambda edge: edge[1:])]
     rows = ["laser", *spads, "root", "window", "ID map", "closed", "commit", "tdata"]
@@ -176,7 +176,7 @@ def draw(values: dict[str, list[int]]) -> Figure:
         x, align = (cycle - 0.2, "right") if text == "event" else (cycle + 1.2, "left")
         axes.text(x, level["tdata"] + 0.3, text, ha=align, va="center", fontsize=8.5, color=color)
 
-    # The first photon of each window on its way through the pipeline.
+    # The path of the first photon of each window through the pipeline.
     for (_, cycle, phase), color in ((EDGES[0], NOISE), (EDGES[1], SIGNAL)):
         x = cycle + phase / PHASES
         pixel = next(p for p, c, k in EDGES if (c, k) == (cycle, phase))

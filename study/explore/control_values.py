@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Conversion of the controls' values to checked settings, whose errors give the range; and back to text that repeats them."""
+"""Converts the values of the controls to checked settings, and settings back to the text of a file, a command or a link."""
 
 import re
 from math import isfinite
@@ -29,7 +29,7 @@ PERCENT, KILO = 100, 1000
 
 
 class SettingError(InputError):
-    """An `InputError` that knows its control, or None if it involves several."""
+    """An `InputError` with its control, or None if it involves several controls."""
 
     def __init__(self, message: str, control: str | None):
         super().__init__(message)
@@ -38,7 +38,7 @@ class SettingError(InputError):
 
 @frozen(eq=False)
 class Settings:
-    """Checked settings. values: by control, for all of `CONTROLS`. uploads: files from which the scene is made."""
+    """Checked settings. values: one for each of `CONTROLS`. uploads: files for the scene and its light."""
 
     values: dict[str, Any]
     uploads: Uploads
@@ -48,11 +48,11 @@ class Settings:
 
     @property
     def changed(self) -> dict[str, Value | None]:
-        """Return the values that differ from their default."""
+        """Return the values that differ from their defaults."""
         return {name: value for name, value in self.values.items() if value != DEFAULTS[name]}
 
     def told(self, control: Control) -> str:
-        """Return range and unit of a control of the configuration; and its value, if that is less than the default shown or a time."""
+        """Return range and unit of a control of the configuration. The value is added if it is a time, or differs from the field."""
         assert control.where is not None
         table, key = control.where
         config, shown = self.config, self.values[control.name]
@@ -128,7 +128,7 @@ class Settings:
 
 
 def check_settings(values: dict[str, Any], uploads: Uploads | None = None) -> Settings:
-    """Return `Settings` from the controls' values; missing ones get their default. Raises `SettingError`."""
+    """Return `Settings` from values of controls; missing values get their defaults. Raises `SettingError`."""
     for name in values:
         if name not in CONTROL:
             raise SettingError(f"{name}: unknown setting, must be one of {', '.join(CONTROL)}", None)
@@ -153,7 +153,7 @@ def check_settings(values: dict[str, Any], uploads: Uploads | None = None) -> Se
 
 
 def _checked(control: Control, value: Any) -> Any:
-    """Return `value` in the type of its control. Checks of the configuration's parser are left to that parser."""
+    """Return `value` in the type of its control. The parser of the configuration makes its own checks later."""
     try:
         if control.kind == "choice":
             return check_choice(control.name, value, control.choices)
@@ -173,7 +173,7 @@ def _checked(control: Control, value: Any) -> Any:
 
 
 def _document(values: dict[str, Any]) -> dict[str, dict[str, Any]]:
-    """Return the configuration file as parsed TOML, with the default pulses; the file's defaults are not written."""
+    """Return the tables of the configuration file, with the default pulses and without values that are defaults of the file."""
     document: dict[str, dict[str, Any]] = {"sensor": {}, "frame": {"frames": values["frames"]}, "subgroup": {}}
     for control in CONTROLS:
         value = values[control.name]
@@ -184,7 +184,7 @@ def _document(values: dict[str, Any]) -> dict[str, dict[str, Any]]:
 
 
 def _control_of(message: str) -> str | None:
-    """Return the control that a message of the configuration's parser names first."""
+    """Return the control with which a message of the configuration's parser begins; None: it names none."""
     found = re.match(r"(sensor|frame|subgroup)\.(\w+)", message)
     return found[2] if found and found[2] in CONTROL else None
 
@@ -202,7 +202,7 @@ def config_toml(settings: Settings) -> str:
 
 
 def command(settings: Settings) -> str:
-    """Return the command that shows these settings again; uploaded pictures appear under their file names."""
+    """Return the command that opens the explorer with these settings; uploads appear under their file names."""
     given = [f"{name}={value}" for name, value in settings.changed.items()]
     given += [f"{name}_file={Path(path).name}" for name, path in settings.uploads.files().items()]
     return " ".join(["coincid explore", *(f"--set {_quoted(text)}" for text in given)])
@@ -218,7 +218,7 @@ def query(settings: Settings) -> str:
 
 
 def given_settings(given: list[str]) -> Settings:
-    """Return `Settings` from a command's NAME=VALUE; NAME is a control, or an upload with `_file`. Raises `SettingError`."""
+    """Return `Settings` from texts NAME=VALUE; NAME is a control, or the kind of an upload with `_file`. Raises `SettingError`."""
     text: dict[str, str] = {}
     uploads = Uploads()
     for one in given:
@@ -233,7 +233,7 @@ def given_settings(given: list[str]) -> Settings:
 
 
 def values_of_link(given: dict[str, str]) -> tuple[dict[str, Any], str]:
-    """Return the values of controls from a URL, and what to say about those that cannot be used."""
+    """Return the values of controls from a URL, and a message about those that cannot be used."""
     values: dict[str, Any] = {}
     ignored = []
     for name, text in given.items():
@@ -246,7 +246,7 @@ def values_of_link(given: dict[str, str]) -> tuple[dict[str, Any], str]:
 
 
 def by_labels(message: str) -> str:
-    """Return a message with the controls' labels in place of the names of keys."""
+    """Return a message with labels of controls in place of their names."""
     message = re.sub(r"\b(?:sensor|frame|subgroup)\.(?=[a-z])", "", message)
     return re.sub(
         r"\b[a-z_]+(?= = |: is empty)", lambda name: CONTROL[name[0]].label if name[0] in CONTROL else name[0], message

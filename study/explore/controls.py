@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The explorer's controls: one table of all settings, each with its unit, range and a sentence.
+"""The controls of the explorer: a table of all settings, each with unit, range and a sentence.
 
-Settings of the configuration file have the range and the unit, and by default also the default value and the sentence,
-of the configuration's own tables, whose parser checks them (`control_values.py`). The other settings have their range here.
-Settings of the file that are not described here come last, automatically.
+Settings of the configuration file take their range and unit from the tables of the configuration, and also their default
+and sentence unless this file gives others. The parser of the configuration checks them (`control_values.py`). The other
+settings have their range here. Settings of the file that are not described here follow automatically at the end.
 """
 
 from collections.abc import Iterable
@@ -41,13 +41,13 @@ UNITS = ("of its kind", *PER_METRE, *DATA_SETS)
 SUN = ("everywhere", "left half", "picture")
 SLIDERS = {"klux": 100, "threshold": 16, "window": 64}  # control: upper end of its slider
 PULSES_MAX, FRAMES_MAX, KLUX_MAX = 10_000, 64, 200
-_OWN = ("flat", "two-targets", "two-returns")  # scenes whose surfaces are set
+_OWN = ("flat", "two-targets", "two-returns")  # scenes whose surfaces have controls
 _CONTROLLED: "Needs" = ({"coincidence": (True,), "auto": (True,)},)
 _GATED: "Needs" = ({"gating": (True,)},)
 _STEPPED: "Needs" = ({"gating": (True,), "gate_every": None},)
 _RECORDS: "Needs" = ({"minigroup_records": (True,)},)
 _STAMPED: "Needs" = (*_RECORDS, {"format": ("full", "compact-full")})
-NEEDS: dict[str, "Needs"] = {  # control: when it has an effect
+NEEDS: dict[str, "Needs"] = {  # conditions under which a control has an effect
     "auto": ({"coincidence": (True,)},),
     "threshold": ({"coincidence": (True,), "auto": (False,)},),
     "window": ({"coincidence": (True,)},),
@@ -73,7 +73,7 @@ NEEDS: dict[str, "Needs"] = {  # control: when it has an effect
 FURTHER = "Further"  # group of the settings that are not described here
 
 Value: TypeAlias = int | float | str | bool
-# Alternatives; each gives the values of other controls that must hold together, None: any but 0.
+# Alternatives. Each gives values of other controls that must all hold; None: any value except 0.
 Needs: TypeAlias = "tuple[dict[str, tuple[Value, ...] | None], ...]"
 
 
@@ -81,9 +81,9 @@ Needs: TypeAlias = "tuple[dict[str, tuple[Value, ...] | None], ...]"
 class Control:
     """A setting of the explorer.
 
-    kind: "integer", "real", "choice" or "switch"; choices: of a choice. default: None if it may be empty. low, high:
-    legal range, of a key of the file that of the default sensor. where: table and key of the configuration file, or None if it
-    is not in the file. step: of a click or an arrow key.
+    kind: "integer", "real", "choice" or "switch"; choices: legal values of a choice. default: None if the field may be empty.
+    low, high: legal range; for a key of the file, that of the default sensor. where: table and key of the configuration
+    file, or None if it is not in the file. step: change by a click or an arrow key.
     """
 
     name: str
@@ -106,12 +106,12 @@ class Control:
 
     @property
     def needs(self) -> list[dict[str, list[str] | None]]:
-        """Return its `NEEDS` in the text of the page's fields; empty: it always has an effect."""
+        """Return its `NEEDS` with the texts of the page's fields; empty: it always has an effect."""
         return [{name: _texts(values) for name, values in one.items()} for one in NEEDS.get(self.name, ())]
 
     @property
     def slide(self) -> float:
-        """Return the upper end of its slider; 0: it has none."""
+        """Return the upper end of its slider; 0: there is no slider."""
         return SLIDERS.get(self.name, 0)
 
 
@@ -120,7 +120,7 @@ def _told(name: str) -> str:
 
 
 def _texts(values: tuple[Value, ...] | None) -> list[str] | None:
-    """Return values as a field has them."""
+    """Return values as texts of a field."""
     if values is None:
         return None
     return [str(value).lower() if isinstance(value, bool) else str(value) for value in values]

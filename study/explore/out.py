@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Downloads from the explorer: the configuration, the events, the picture, the report."""
+"""Downloads from the explorer: the configuration, the events and the picture."""
 
 import csv
 import io
@@ -17,7 +17,7 @@ from .stages import Explored
 
 @frozen
 class Save:
-    """A download. label: on the page; name, media_type: of the file; content(explored, frame): what the browser saves."""
+    """A download. label: on the page; name, media_type: of the file; content(explored, frame): returns its bytes."""
 
     label: str
     name: str
@@ -26,7 +26,7 @@ class Save:
 
 
 def events_csv(explored: Explored, frame: int) -> bytes:
-    """Return one line per event of all frames; hits: the ID map as hex digits, bit i = pixel i of the subgroup."""
+    """Return a CSV with one line per event of all frames. hits: the ID map in hex, bit i = pixel i of the subgroup."""
     arrays = explored.run.result
     text = io.StringIO()
     lines = csv.writer(text, lineterminator="\n")

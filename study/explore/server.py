@@ -28,7 +28,7 @@ MESSAGE_BYTES_MAX = 64 << 20  # an upload in base64, with room to spare
 
 
 class Guarded(BokehTornado):  # type: ignore[misc]  # Bokeh comes with an extra
-    """Answers requests to its own address from its own pages, and refuses those of other sites, under any host name."""
+    """Answers requests that its own pages send to its own address, and refuses all others, whatever host name they use."""
 
     hosts: frozenset[str] = frozenset()
 
@@ -45,7 +45,7 @@ class Guarded(BokehTornado):  # type: ignore[misc]  # Bokeh comes with an extra
 
 
 def make_server(port: int | None = None, start: Settings | None = None) -> tuple[BaseServer, str]:
-    """Return a listening server, and its address. start: initial settings of a page. Raises `InputError` for a bad port."""
+    """Return a listening server and its address. start: first settings of a page. Raises `InputError` for a bad port."""
     sockets, port = _sockets(port)
     hosts = frozenset(f"{name}:{port}" for name in (ADDRESS, "localhost"))
 
@@ -90,7 +90,7 @@ def serve(port: int | None, *, browser: bool, start: Settings) -> None:
     """Serve until interrupted."""
     server, address = make_server(port, start)
     server.start()
-    for name in ("bokeh", "tornado.access"):  # closed tabs and refused requests do not matter at the terminal
+    for name in ("bokeh", "tornado.access"):  # keeps closed tabs and refused requests out of the terminal
         logging.getLogger(name).setLevel(logging.ERROR)
     print(f"Coincid explorer: {address} (Ctrl-C ends it)", flush=True)
     if browser:

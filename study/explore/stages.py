@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Runs settings through scene, photons and golden model, in stages that are kept: a new threshold needs no new photons.
+"""Runs settings through scene, photons and golden model. Stages are kept, so a new threshold needs no new photons.
 
-Runs happen in a thread. Each has a number, and only the newest one's outcome is delivered, so that a late answer is never
-shown for other settings.
+Each run happens in a thread and has a number. Only the outcome of the newest run is delivered, so a late answer is never
+shown beside other settings.
 """
 
 import os
@@ -20,21 +20,21 @@ from ...model.shared.errors import InputError
 from ..show.frame_content import FrameView
 from .control_values import Settings
 
-KEPT = 3  # of each stage: for the present settings, the previous ones, and A's
-THREADS = 4  # of jobs: the newest, and cancelled ones that have not noticed yet
-TOLD_EVERY_S = 0.1  # progress
-EDGES_MAX = 30_000_000  # of all frames: about a gigabyte
+KEPT = 3  # results per stage: of the present settings, the previous ones, and those of A
+THREADS = 4  # for the newest job, and for cancelled jobs that are still ending
+TOLD_EVERY_S = 0.1  # time between two reports of progress
+EDGES_MAX = 30_000_000  # in all frames; they take about a gigabyte
 Progress: TypeAlias = Callable[[str, float], None]
 Deliver: TypeAlias = Callable[[int, str, Any], None]
 
 
 class CancelledError(Exception):
-    """A run whose outcome is no longer needed."""
+    """Ends a run whose outcome is no longer needed."""
 
 
 @frozen(eq=False)
 class Explored:
-    """Result of the settings. seconds: from settings to result."""
+    """The result of settings. seconds: time from settings to result."""
 
     settings: Settings
     run: Run
@@ -42,7 +42,7 @@ class Explored:
     _views: dict[int, FrameView] = field(factory=dict)
 
     def view(self, frame: int = 0) -> FrameView:
-        """Return the views of a frame with the settings' estimator."""
+        """Return the view of a frame with the estimator of the settings."""
         if frame not in self._views:
             self._views[frame] = FrameView(f"frame {frame}", self.run.frame(frame))
         return self._views[frame]
@@ -55,9 +55,9 @@ class Explorer:
         self._kept = Kept(KEPT)
 
     def run(self, settings: Settings, progress: Progress = lambda stage, share: None) -> Explored:
-        """Run all frames of `settings`, and compute the views of the last one. Raises `InputError`.
+        """Run all frames of `settings`, and compute the view of the last one. Raises `InputError`.
 
-        progress(stage, share from 0 to 1) may raise an exception to stop the run.
+        progress: gets the stage and its finished share, 0 to 1; it may raise an exception to stop the run.
         """
 
         def watch(stage: str, share: float, edges: int) -> None:
@@ -78,8 +78,8 @@ class Explorer:
 
 
 def check_on_rtl(explored: Explored, progress: Progress = lambda stage, share: None) -> str:
-    """Play the same edges through the Verilated RTL; return that all words agree, or the differences. Raises as `replay`."""
-    from ...tb.replay import replay  # it may load the simulators, which only this function needs
+    """Play the same edges on the RTL; return a sentence: all words agree, or the differences. Raises the errors of `replay`."""
+    from ...tb.replay import replay  # here, because it loads simulators that only this function needs
 
     run, config = explored.run, explored.settings.config
     progress("RTL: emitted and compiled once", 0.0)
@@ -95,10 +95,10 @@ def check_on_rtl(explored: Explored, progress: Progress = lambda stage, share: N
 
 
 class Runner:
-    """Runs jobs in threads; a new job begins at once and cancels the earlier ones, which end at their next progress.
+    """Runs jobs in threads. A new job begins immediately and cancels earlier ones, which end at their next progress report.
 
-    deliver(number, kind, outcome) is called from the thread: kind "progress" with (stage, share), "done" with the return
-    value, or "failed" with the exception. It is never called for a number that is no longer the newest.
+    deliver(number, kind, outcome) is called from the thread. kind is "progress" with (stage, share), "done" with the return
+    value, or "failed" with the exception. The number is always that of the newest job.
     """
 
     def __init__(self, deliver: Deliver) -> None:
@@ -125,7 +125,7 @@ class Runner:
         self._pool.shutdown(wait=False, cancel_futures=True)
 
     def _run(self, number: int, work: Callable[[Progress], object]) -> None:
-        told = "", 0.0  # the last stage that was told, and when
+        told = "", 0.0  # the last reported stage, and the time of the report
 
         def say(kind: str, outcome: object) -> None:
             if number != self.newest:

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One browser tab of the explorer: settings come from the page, a thread computes, the views show the newest result.
+"""Serves one browser tab of the explorer: the page sends settings, a thread computes, the views show the newest result.
 
-The page's script numbers its requests, at every keystroke, and shows an answer only if its number is that of the newest
-request.
+The script of the page sends a numbered request at every keystroke, and shows an answer only if it has the number of the
+newest request.
 """
 
 import base64
@@ -46,7 +46,7 @@ TRIES = (  # name, settings, what to look for
 
 
 class Link(DataModel):  # type: ignore[misc]  # Bokeh comes with an extra
-    """State shared by page and server. The page writes asked and order, the server the rest; all are small dictionaries."""
+    """State that page and server share. The page writes `asked` and `order`; the server writes the rest."""
 
     start = Dict(String, AnyValue)
     defaults = Dict(String, AnyValue)
@@ -74,12 +74,12 @@ class Page:
     def __init__(
         self, doc: Document, start: dict[str, Any] | None = None, uploads: Uploads | None = None, ignored: str = ""
     ) -> None:
-        """ignored: what the page says of the link with which it was opened."""
+        """ignored: message about the link with which the page was opened."""
         self.doc = doc
         self.views = Views(compared=True)
         self.link = Link(start=DEFAULTS | (start or {}), defaults=DEFAULTS, ignored=ignored)
         self.uploads = uploads or Uploads()
-        self.bad_uploads: dict[str, str] = {}  # kind: fault of the file
+        self.bad_uploads: dict[str, str] = {}  # error of each bad file, by kind
         self.look: dict[str, Any] = dict(FIRST_LOOK)
         self._shown: Explored | None = None
         self.a: Explored | None = None
@@ -92,7 +92,7 @@ class Page:
         self.views.on_pick(self._picked)
         self.link.on_change("asked", lambda attribute, old, new: self._asked(new))
         self.link.on_change("order", lambda attribute, old, new: self._ordered(new))
-        self.views.histogram.figure.tags = [self.link]  # makes it part of the document
+        self.views.histogram.figure.tags = [self.link]  # so that the link is a part of the document
         with doc.models.freeze():
             for root in self.views.roots():
                 doc.add_root(root)
@@ -116,7 +116,7 @@ class Page:
 
     @property
     def shown(self) -> Explored:
-        """Return what the views show. It is only used when there is something to show."""
+        """Return the result in the views. Use it only when there is one."""
         assert self._shown is not None
         return self._shown
 
@@ -174,11 +174,11 @@ class Page:
         self._point()
 
     def _a_view(self) -> FrameView | None:
-        """Return A's frame beside the current one, or its last frame."""
+        """Return the frame of A with the current number, or its last one; None without A."""
         return None if self.a is None else self.a.view(min(self.look["frame"], self.a.settings.config.frames - 1))
 
     def _point(self) -> None:
-        """Show the pixel and pulse of `look`; if A has fewer, its last one is shown."""
+        """Show the pixel and pulse of `look`; if A has fewer of them, show its last one."""
         look = self.look
         view = (self._a_view() if look["which"] == "A" else None) or self.shown.view(look["frame"])
         ends = view.config.sensor.rows, view.config.sensor.cols, view.config.pulses
@@ -216,10 +216,10 @@ class Page:
             "meaning": [list(row) for row in meaning(settings.config)],
             "wastes": warnings(settings.config),
             "spans": {c.name: settings.told(c) for c in CONTROLS if c.where and c.kind == "integer"},
-            "look": dict(self.look),  # a copy: Bokeh sends what has changed since the last one
+            "look": dict(self.look),  # a copy, because Bokeh only sends changes
         }
 
-    # Orders from buttons and fields
+    # Orders of buttons and fields
 
     def _ordered(self, order: dict[str, Any]) -> None:
         name, what = order["name"], order["what"]
@@ -296,13 +296,13 @@ class Page:
             self.link.said = {"number": self.number, "text": command(self.shown.settings)}
             return
         save = out.SAVES[kind]
-        self._files += 1  # the same file once more is a change, too
+        self._files += 1  # so that the same file again is a change, too
         text = base64.b64encode(save.content(self.shown, self.look["frame"])).decode()
         self.link.file = {"number": self._files, "name": save.name, "type": save.media_type, "base64": text}
 
 
 def _summary(settings: Settings) -> str:
-    """Return the most important settings, and all that differ from their default."""
+    """Return the most important settings, and all others that differ from their defaults."""
     values = settings.values
     first = [values["scene"], f"{values['klux']:g} klux", f"{values['pulses']} pulses"]
     if values["coincidence"]:

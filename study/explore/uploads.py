@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Files uploaded in the browser: kept in a folder of their own, and checked for size before they are decoded."""
+"""Files that are uploaded in the browser. Each is kept in a folder of its own, and its size is checked before it is decoded."""
 
 import tempfile
 import warnings
@@ -14,9 +14,9 @@ from ...model.shared.errors import InputError
 from ...model.shared.quantities import check_choice
 
 BYTES_MAX = 32 << 20
-SAMPLES_MAX = 16_000_000  # of a picture
-NAME_MAX = 60  # any file system accepts names of this length
-FORMATS = ("PNG", "TIFF", "JPEG")  # formats that are accepted, whatever the file's name
+SAMPLES_MAX = 16_000_000  # in a picture
+NAME_MAX = 60  # characters; every file system accepts such names
+FORMATS = ("PNG", "TIFF", "JPEG")  # accepted formats; the file's name does not matter
 PICTURES = (".png", ".jpg", ".jpeg", ".tif", ".tiff")
 KINDS = {"depth": SUFFIXES, "colour": PICTURES, "sun": PICTURES}
 
@@ -34,7 +34,7 @@ class Uploads:
         return {kind: getattr(self, kind) for kind in KINDS if getattr(self, kind) is not None}
 
     def named(self, text: str) -> str:
-        """Return `text` with the files' names in place of their paths, which are internal."""
+        """Return `text` with the names of the files in place of their internal paths."""
         for path in self.files().values():
             text = text.replace(str(path), path.name)
         return text
@@ -62,7 +62,7 @@ class Uploads:
         return evolve(self, **{kind: path})
 
     def sun_share(self, rows: int, cols: int) -> np.ndarray:
-        """float64[rows, cols]: 0 (shade) to 1 (sun), the picture's mean brightness over each pixel."""
+        """float64[rows, cols]: 0 (shade) to 1 (sun), the mean brightness of the picture over each pixel."""
         assert self.sun is not None
         try:
             with Image.open(self.sun, formats=FORMATS) as picture:
@@ -73,7 +73,7 @@ class Uploads:
 
 
 def _check_samples(path: Path) -> None:
-    """Refuse files that are not pictures, or would be too large when decoded, without decoding them."""
+    """Raise `InputError` for a file that is no picture, or too large when decoded; pictures are not decoded here."""
     try:
         if path.suffix.lower() == ".npy":
             shape = np.lib.format.open_memmap(path, mode="r").shape
@@ -99,6 +99,6 @@ def _of_size(path: Path, size: str) -> InputError:
 
 
 def _unreadable(path: Path, error: Exception) -> InputError:
-    """Return the error for any fault that a library finds in a file; the file may come from anybody."""
+    """Return the error for a file that a library cannot read."""
     kind = "NPY file" if path.suffix.lower() == ".npy" else "picture (PNG, TIFF, JPEG)"
     return InputError(f"{path.name}: is not a readable {kind} ({error})".replace(str(path), path.name))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The paper's figures and an architect's questions, from the equations, Monte Carlo through the golden model, and the RTL."""
+"""Figures from the equations, from Monte Carlo through the golden model, and from the RTL, in pages for three commands."""
 
 from collections.abc import Callable, Iterable
 from functools import partial
@@ -10,7 +10,7 @@ from attrs import frozen
 from ...lab.campaign import Processes, Progress
 from ...model.shared.files import FilePath
 from ..plot_style import style
-from . import architect, four_modes, interference, light_over_distance, reconstruction, rivals, thresholds
+from . import four_modes, interference, light_over_distance, noisy_spads, reconstruction, rivals, thresholds
 from .sections import Section, write_page, write_section
 
 COMPARISON = (
@@ -25,7 +25,7 @@ COMPARISON = (
 
 @frozen
 class Page:
-    """A page of figures. families: what makes its sections, by the engine that plays some of their frames as RTL."""
+    """A page of figures. families: takes the engine that plays some frames as RTL; returns the functions that make the sections."""
 
     title: str
     introduction: str
@@ -34,7 +34,7 @@ class Page:
 
 PAGES = {  # by the commands that write them
     "figures": Page(
-        "Coincid: the paper's figures, and an architect's questions",
+        "Coincid: the paper's figures, and noisy SPADs",
         """Each figure is made from the equations as printed (literal), as corrected, and from a Monte Carlo of photons
 through the golden model; the pictures link to SVG. docs/paper-figures.md has the assumptions, and says where they differ
 from the paper, and why.""",
@@ -44,8 +44,7 @@ from the paper, and why.""",
             partial(reconstruction.figure_6, engine=engine),
             thresholds.figure_7,
             partial(reconstruction.figure_8, engine=engine),
-            architect.rearm_and_window,
-            architect.noisy_spads,
+            noisy_spads.noisy_spads,
         ),
     ),
     "modes": Page(

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The paper's four modes, coincidence x gating, with both kinds of gate; targets that need a gate; progressive gating to 100 m.
+"""Compares the paper's four modes (coincidence x gating) with both kinds of gate, behind a pane of glass and at 100 m.
 
 Ref: paper III-A ("four different modes of operation with coincidence and gating", "time-gating ... around the desired
 target range"). Targets are flat and fill the picture. The criteria, and all numbers that the paper does not give, are our
@@ -28,8 +28,8 @@ from ..plot_style import legend_below, new_figure
 from .sections import Comparison, Row, Section, section
 from .setups import PULSES, Outcome, mean, mean_rows, outcome
 
-SENSOR = {"rows": 16, "cols": 16}  # four subgroups, which is a quarter of the paper's array ...
-LINK_GBPS = 2.0  # ... and a quarter of the link of `make sim`
+SENSOR = {"rows": 16, "cols": 16}  # four subgroups, a quarter of the paper's array
+LINK_GBPS = 2.0  # a quarter of the link of `make sim`
 THRESHOLD = 2
 MODES = {  # name: coincidence, kind of gate
     "neither": (False, None),
@@ -48,29 +48,31 @@ MODE_STYLE = {
     "coincidence, SPAD gate": (SERIES[4], "-"),
 }
 METHODS = {"maximum": "the paper's peaks", "planes": "planes"}
-MEASURES = {"right_share": "right_share", "found_share": "found_share", "rms_m": "found_rms_m"}  # by column, per method
-HALF_GATE_M = 3.0  # around the target
+MEASURES = {"right_share": "right_share", "found_share": "found_share", "rms_m": "found_rms_m"}  # measure by column
+HALF_GATE_M = 3.0  # on either side of the target
 
 DISTANCES_M, REFLECTIVITY = (3.0, 5.0, 8.0, 12.0, 16.0, 20.0, 25.0, 30.0), 0.4
 KLUX, SEEDS = (1.0, 10.0, 50.0, 100.0), 2
 
 PANE_M, PANE_PHOTONS = 4.0, (0.0, 0.1, 0.3, 1.0, 3.0, 10.0)  # per pulse and pixel
-BEHIND_M, BEHIND_GATE_M, PANE_KLUX = 4.9, 0.6, 10.0  # closer to the pane than the SPAD's dead time of 8 ns: 1.2 m
+# The target is within 1.2 m of the pane: within the SPAD's dead time of 8 ns.
+BEHIND_M, BEHIND_GATE_M, PANE_KLUX = 4.9, 0.6, 10.0
 
 FAR_M, FAR_KLUX, FAR_REFLECTIVITIES = 100.0, 10.0, (0.1, 0.4)
-POWERS = (0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)  # times the preset's laser: 5 nJ per pulse for 32 x 32 pixels
+# Relative to the preset's laser: 5 nJ per pulse for 32 x 32 pixels.
+POWERS = (0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)
 PULSE_NJ = 5.0  # 10 mW at 2 MHz (paper II)
 FAR_PULSES = (1000, 5000)
 FAR_THRESHOLDS = (0, 1, 2, 3)  # 0: coincidence off
 FAR_FRAME = {"period": 360}  # 108 m
-SCAN = {"start_m": 3.0, "gate_len": 40, "gate_step": 34, "gate_steps": 10}  # cycles: 12 m that move by 10.2 m
+SCAN = {"start_m": 3.0, "gate_len": 40, "gate_step": 34, "gate_steps": 10}  # in cycles: a gate of 12 m moves by 10.2 m
 SCHEDULES = {
     "none": "no gate",
     "scan": "progressive SPAD gate, 3 to 108 m",
     "known": "SPAD gate of 10 m around the target",
 }
-SPOT_CHECKS = 5  # frames of each section, through the RTL
-FOUND_SHARE = 0.9  # of the pixels, within 15 cm
+SPOT_CHECKS = 5  # frames of each section that the RTL plays
+FOUND_SHARE = 0.9  # share of the pixels within 15 cm, from which a target counts as found
 
 
 def background(run: Processes, engine: str | None = None) -> Section:
@@ -204,7 +206,7 @@ def _setups(
     frame: dict[str, Any],
     subgroup: dict[str, Any],
 ) -> list[Setup]:
-    """Return setups of flat targets: (distance in metres, photons per pulse) of each. The last one is the truth."""
+    """Return setups of flat targets, each (distance in metres, photons per pulse). The last one is the truth."""
     distance_m, signal = np.transpose(targets)
     light = Light(
         rows=SENSOR["rows"],
@@ -235,7 +237,7 @@ def _cycles(distance_m: float) -> int:
 
 
 def _checks(engine: str | None, groups: Sequence[list[Setup]]) -> str:
-    """Play some of the setups on the RTL, and return a sentence about it. Raises `AssertionError` if a word differs."""
+    """Play some setups on the RTL, and return a sentence about the result. Raises `AssertionError` if a word differs."""
     if engine is None:
         return ""
     chosen = [Run(groups[int(k)][0]) for k in np.linspace(0, len(groups) - 1, SPOT_CHECKS)]
@@ -265,7 +267,7 @@ def _reach(shares: Sequence[float]) -> str:
 def _best(
     table: dict[Any, list[Outcome]], reflectivity: float, schedule: str, pulses: int, power: float
 ) -> tuple[int, list[Outcome]]:
-    """Return the threshold with which most pixels see the target, then most are right, then the highest; its outcomes."""
+    """Return the best threshold and its outcomes: most pixels see the target, then most are right, then it is the highest."""
 
     def rank(threshold: int) -> tuple[float, float, int]:
         outcomes = table[reflectivity, schedule, pulses, threshold, power]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A second LiDAR in the scene, and the benefit of a laser period that changes from pulse to pulse."""
+"""Measures the effect of a second LiDAR in the scene, and the benefit of a laser period that changes from pulse to pulse."""
 
 from itertools import product
 from typing import NamedTuple, TypeAlias
@@ -23,22 +23,23 @@ from .setups import SCENE
 
 SIDE, KLUX, SEEDS = 32, 20.0, 3
 SHOWN = ("winner: planes", "this: fixed", "this: controller", "this: fixed planes", "this: controller planes")
-PHOTONS = (0.0, 0.02, 0.05, 0.2, 0.5, 1.0)  # of the other, per pixel and pulse; our own from white at 10 m: 0.23
-OFFSETS = (0.0, 1e-5, 1e-4, 1e-3, 1e-2, 1e-1)  # of the other's laser period, relative
+# Of the other LiDAR, per pixel and pulse; our own laser gives 0.23 from a white wall at 10 m.
+PHOTONS = (0.0, 0.02, 0.05, 0.2, 0.5, 1.0)
+OFFSETS = (0.0, 1e-5, 1e-4, 1e-3, 1e-2, 1e-1)  # relative, of the other LiDAR's laser period
 DITHER_BITS = (0, 1, 2, 3, 4, 6)
 PHOTONS_SHOWN, OFFSET_SHOWN, BITS_SHOWN = 0.2, 0.0, (0, 2, 4)
-PHASE_SHARE = (0.07, 0.11, 0.6)  # share of the period, one per seed: before, among and behind the objects
+PHASE_SHARE = (0.07, 0.11, 0.6)  # phase of the other LiDAR by seed: before, among and behind the objects
 Key: TypeAlias = tuple[float, float, int]  # photons, offset, bits
 
 
 class Result(NamedTuple):
     wrong: dict[str, float]
-    ghosts: dict[str, float]  # share of pixels at the most frequent depth that belongs to no object
+    ghosts: dict[str, float]  # share of pixels at the most frequent depth without an object
     bits: dict[str, int]
 
 
 def setup(photons: float, offset: float, bits: int, seed: int) -> Setup:
-    """Return five objects and another LiDAR that lights every pixel at the same time."""
+    """Return the setup of five objects with another LiDAR, whose light reaches all pixels at the same time."""
     scene, period_s = load_scene(SCENE, SIDE, SIDE), Timing().period_s
     other = Interferer(
         photons_per_pulse=photons, period_s=period_s * (1 + offset), phase_s=PHASE_SHARE[seed - 1] * period_s
@@ -48,7 +49,7 @@ def setup(photons: float, offset: float, bits: int, seed: int) -> Setup:
 
 
 def look(run: Run) -> Result:
-    """Return the result of `SHOWN` on the same photons."""
+    """Return the result of the schemes `SHOWN` on the same photons."""
     found, truth_m = schemes(run, SHOWN), run.scene.truth_m
     depths = {name: one.depth_m[:, :, 0] for name, one in found.items()}
     return Result(
@@ -59,7 +60,7 @@ def look(run: Run) -> Result:
 
 
 def _same_and_wrong(depth_m: np.ndarray, truth_m: np.ndarray) -> float:
-    """Return the largest share of pixels that are wrong by over half a metre and agree within 30 cm: a ghost."""
+    """Return the size of the largest ghost: pixels that are wrong by over half a metre and agree within 30 cm."""
     wrong = depth_m[np.abs(depth_m - truth_m) > 0.5]
     return float(np.bincount((wrong / 0.3).astype(np.int64), minlength=1).max() / truth_m.size) if wrong.size else 0.0
 

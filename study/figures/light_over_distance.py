@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Figs. 2 and 5 of the paper: rates and signal to background over distance; the returning pulse."""
+"""Draws Figs. 2 and 5 of the paper: rates and signal to background over distance, and the returning pulse."""
 
 import numpy as np
 from scipy import special
@@ -21,7 +21,7 @@ from .setups import MANY, PULSES, cases
 REFLECTIVITY, KLUX = 0.4, 50.0  # paper II
 DISTANCE_M = np.round(np.arange(1, 50.01, 0.25), 2)
 MONTE_CARLO_M = (1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 50.0)
-SIDE = 4  # pixels of the simulated array, squared
+SIDE = 4  # rows and columns of the simulated array
 NEAR_OBJECT, FAR_OBJECT = 4, 1  # of the scene: the aluminium bin at 4.3 m, the wall at 9.7 m
 PAPER_FWHM_PS = "500 to 520 ps"
 
@@ -33,20 +33,10 @@ def figure_2(run: Processes) -> Section:
         for form in FORMS
         for reading in "AEF"
     }
-    simulated = run.map(_detected_cps, [(d, p) for p in (PULSES, MANY * PULSES) for d in MONTE_CARLO_M])
+    simulated = run.map(_detected_cps, MONTE_CARLO_M)
     rows: list[Row] = [
-        (
-            "source",
-            "pulses",
-            "distance_m",
-            "signal_cps",
-            "background_cps",
-            "background_live_cps",
-            "total_live_cps",
-            "sbr_a_db",
-            "sbr_e_db",
-            "sbr_f_db",
-        )
+        ("source", "distance_m", "signal_cps", "background_cps", "background_live_cps", "total_live_cps")
+        + tuple(f"sbr_{reading.lower()}_db" for reading in "AEF")
     ]
     for form in FORMS:
         budget = budgets[form, "A"]
@@ -55,10 +45,8 @@ def figure_2(run: Processes) -> Section:
         )
         for distance_m, signal_cps, *sbr_db in of_distance.tolist():
             noise = budget.background_rate_cps, budget.background_live_cps
-            rows.append((form, "", distance_m, signal_cps, *noise, "", *sbr_db))
-    rows += [
-        ("Monte Carlo", pulses, d, signal, "", noise, both, "", "", "") for pulses, d, signal, noise, both in simulated
-    ]
+            rows.append((form, distance_m, signal_cps, *noise, "", *sbr_db))
+    rows += [("Monte Carlo", d, signal, "", noise, both, "", "", "") for d, signal, noise, both in simulated]
 
     figure = new_figure(11, 4.2)
     left, right = figure.subplots(1, 2)
@@ -69,14 +57,9 @@ def figure_2(run: Processes) -> Section:
         left.loglog(DISTANCE_M, background_cps, **style, alpha=0.45, label=f"background, {form}")
     live = budgets["literal", "A"].background_live_cps
     left.axhline(live, color=DARK_GREY, linewidth=1, label="background after dead time")
-    for pulses, marker in ((PULSES, "o"), (MANY * PULSES, "+")):
-        points = [row[1:] for row in simulated if row[0] == pulses]
-        at, signal_cps, _, both_cps = zip(*points)
-        for name, values, colour in (
-            ("signal alone", signal_cps, "black"),
-            ("all light", both_cps, SOURCES["RTL"]["color"]),
-        ):
-            left.loglog(at, values, marker, color=colour, label=f"{name}, Monte Carlo, {pulses} pulses")
+    at, signal_cps, _, both_cps = zip(*simulated)
+    left.loglog(at, signal_cps, "o", color="black", label="signal alone, Monte Carlo")
+    left.loglog(at, both_cps, "o", color=SOURCES["RTL"]["color"], label="all light, Monte Carlo")
     left.set(xlabel="distance in m", ylabel="detected events per pixel in 1/s", title="rates of a pixel")
     left.set_ylim(top=2e15)
     left.legend(ncols=2, fontsize=7.5, loc="upper right")
@@ -107,11 +90,11 @@ def figure_5(run: Processes) -> Section:
     sigma_s = light.system_fwhm_s[0, 0] * SIGMA_PER_FWHM
     strongest = light.signal_per_pulse.max()
     time_s = np.arange(25e-9, 70e-9, 25e-12)
-    rows: list[Row] = [("source", "pulses", "object", "distance_m", "time_ns", "normalised_energy", "fwhm_ps")]
+    rows: list[Row] = [("source", "object", "distance_m", "time_ns", "normalised_energy", "fwhm_ps")]
     figure = new_figure(11, 4.2)
     left, right = figure.subplots(1, 2)
     width_ps: dict[tuple[str, int], float] = {}
-    measured: dict[tuple[int, int], str] = {}  # by object and pulses
+    measured: dict[int, str] = {}
     for label, pixel in objects.items():
         distance_m, photons = light.distance_m[pixel, 0], light.signal_per_pulse[pixel, 0]
         flight_s = 2 * distance_m / SPEED_OF_LIGHT_M_S
@@ -122,10 +105,10 @@ def figure_5(run: Processes) -> Section:
         width_ps["literal", label] = light.system_fwhm_s[0, 0] * 1e12
         width_ps["corrected", label] = _first_photon_fwhm_s(photons, sigma_s) * 1e12
         for form in FORMS:
-            rows.append((form, "", label, float(distance_m), "", "", width_ps[form, label]))
+            rows.append((form, label, float(distance_m), "", "", width_ps[form, label]))
         near = energy > 1e-6
         rows += [
-            ("literal", "", label, float(distance_m), float(t * 1e9), float(e), "")
+            ("literal", label, float(distance_m), float(t * 1e9), float(e), "")
             for t, e in zip(time_s[near], energy[near])
         ]
     left.set(
@@ -135,18 +118,13 @@ def figure_5(run: Processes) -> Section:
         ylim=(1e-3, 2),
     )
     left.legend()
-    tasks = [(label, pulses) for pulses in (PULSES, MANY * PULSES) for label in (NEAR_OBJECT, FAR_OBJECT)]
-    simulated = run.map(_pulse_width, tasks)
-    for label, pulses, fwhm_ps, error_ps, distance_m, offset_ps, share in simulated:
-        measured[label, pulses] = f"{fwhm_ps:.0f} ± {error_ps:.0f} ps"
-        rows.append(("Monte Carlo", pulses, label, distance_m, "", "", fwhm_ps))
+    for label, fwhm_ps, error_ps, distance_m, offset_ps, share in run.map(_pulse_width, (NEAR_OBJECT, FAR_OBJECT)):
+        measured[label] = f"{fwhm_ps:.0f} ± {error_ps:.0f} ps"
+        rows.append(("Monte Carlo", label, distance_m, "", "", fwhm_ps))
         flight_ns = 2e9 * distance_m / SPEED_OF_LIGHT_M_S
-        rows += [
-            ("Monte Carlo", pulses, label, distance_m, flight_ns + o / 1000, s, "") for o, s in zip(offset_ps, share)
-        ]
-        if pulses > PULSES:
-            name = f"object {label}, {distance_m:g} m:\n{fwhm_ps:.0f} ps (Monte Carlo)"
-            right.plot(offset_ps, share, "o", color=SERIES[label], label=name)
+        rows += [("Monte Carlo", label, distance_m, flight_ns + o / 1000, s, "") for o, s in zip(offset_ps, share)]
+        name = f"object {label}, {distance_m:g} m:\n{fwhm_ps:.0f} ps (Monte Carlo)"
+        right.plot(offset_ps, share, "o", color=SERIES[label], label=name)
     offset_s = np.linspace(-1e-9, 1e-9, 401)
     shape = np.exp(-(offset_s**2) / (2 * sigma_s**2))
     right.plot(offset_s * 1e12, shape, **SOURCES["literal"], label="pulse and jitter:\n500 ps")
@@ -170,8 +148,7 @@ def figure_5(run: Processes) -> Section:
                 {
                     "literal": f"{width_ps['literal', label]:.0f} ps",
                     "corrected": f"{width_ps['corrected', label]:.0f} ps",
-                    "Monte Carlo": measured[label, PULSES],
-                    "Monte Carlo, 8x": measured[label, MANY * PULSES],
+                    "Monte Carlo": measured[label],
                 },
             )
             for distance, label in (("4.3 m", NEAR_OBJECT), ("9.7 m", FAR_OBJECT))
@@ -186,28 +163,26 @@ def _zero_m(form: str, reading: str) -> float:
     return float(np.interp(0, -sbr_db, distance_m))
 
 
-def _detected_cps(task: tuple[float, int]) -> tuple[int, float, float, float, float]:
-    """Return (pulses, distance, rates of a pixel with signal alone, background alone, both) at raw light, after dead time."""
-    distance_m, pulses = task
+def _detected_cps(distance_m: float) -> tuple[float, float, float, float]:
+    """Return the distance, and the rates of a pixel after dead time: with signal alone, background alone, and both."""
     budget, timing = link_budget(distance_m, REFLECTIVITY, KLUX), Timing()
 
     def detected_cps(signal: Numbers, background_cps: float) -> float:
         light = Light(
             rows=SIDE, cols=SIDE, distance_m=distance_m, signal_per_pulse=signal, background_cps=background_cps
         )
-        edges = generate_edges(light, Spad(), timing, pulses=pulses, seed=1)
-        return len(edges) / (SIDE**2 * pulses * timing.period_s)
+        edges = generate_edges(light, Spad(), timing, pulses=PULSES, seed=1)
+        return len(edges) / (SIDE**2 * PULSES * timing.period_s)
 
     signal, background_cps = budget.signal_per_pulse, budget.background_rate_cps
     lights = (signal, 0.0), (0.0, background_cps), (signal, background_cps)
     signal_cps, noise_cps, both_cps = (detected_cps(*each) for each in lights)
-    return pulses, distance_m, signal_cps, noise_cps, both_cps
+    return distance_m, signal_cps, noise_cps, both_cps
 
 
-def _pulse_width(task: tuple[int, int]) -> tuple[int, int, float, float, float, list[float], list[float]]:
-    """Return (object, pulses, FWHM in ps, its standard error, distance, histogram: offsets in ps, counts over the largest)."""
-    label, pulses = task
-    run, timing = Run(*cases(pulses=pulses, klux=0.0)), Timing()
+def _pulse_width(label: int) -> tuple[int, float, float, float, list[float], list[float]]:
+    """Return an object, the pulse's FWHM in ps, its standard error, the distance, and a histogram: offsets in ps, relative counts."""
+    run, timing = Run(*cases(pulses=MANY * PULSES, klux=0.0)), Timing()
     pixels = np.flatnonzero(run.scene.labels.ravel() == label)
     distance_m = float(run.scene.truth_m.ravel()[pixels[0]])
     tick = run.edges.tick[np.isin(run.edges.pixel, pixels)]
@@ -217,11 +192,11 @@ def _pulse_width(task: tuple[int, int]) -> tuple[int, int, float, float, float, 
     fwhm_ps = np.sqrt(variance_s2) / SIGMA_PER_FWHM * 1e12
     ticks, counts = np.unique(np.round(offset_s * 1e12, 3), return_counts=True)
     error_ps = fwhm_ps / np.sqrt(2 * len(offset_s))
-    return label, pulses, float(fwhm_ps), float(error_ps), distance_m, ticks.tolist(), (counts / counts.max()).tolist()
+    return label, float(fwhm_ps), float(error_ps), distance_m, ticks.tolist(), (counts / counts.max()).tolist()
 
 
 def _first_photon_fwhm_s(photons: float, sigma_s: float) -> float:
-    """Return 2.355 standard deviations of the first of a Poisson number of photons of a Gaussian pulse."""
+    """Return the FWHM of the first photon's time, for a Gaussian pulse with a Poisson number of photons."""
     z = np.linspace(-8, 8, 4001)
     density = np.exp(-(z**2) / 2 - photons * special.ndtr(z))
     mean = np.average(z, weights=density)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Figs. 6 and 8 of the paper: the scene reconstructed without coincidence, with one threshold, with other group sizes."""
+"""Draws Figs. 6 and 8 of the paper: the scene without coincidence, with one threshold, and with other sizes of groups."""
 
 from itertools import product
 from typing import Any
@@ -22,7 +22,7 @@ from .setups import MANY, PULSES, Outcome, cases, mean, outcome
 
 METHODS = ("maximum", "matched", "background", "planes")
 SEEDS = 4
-RIGHT = 0.5  # share of an object's pixels at which we call it reconstructed
+RIGHT = 0.5  # an object with a smaller share of wrong pixels is called right
 PANELS_6: dict[str, tuple[float, dict[str, Any], str]] = {  # panel: klux, settings of the subgroups, the paper's text
     "a": (5.0, {"coincidence": False}, "up to 11.9 % wrong; objects 1, 3, 4 right"),
     "b": (50.0, {"threshold": 5}, "objects 1, 3, 4 right"),
@@ -30,7 +30,7 @@ PANELS_6: dict[str, tuple[float, dict[str, Any], str]] = {  # panel: klux, setti
 }
 KLUX_8 = 50.0
 THRESHOLDS_8 = (1, 2, 3, 4, 5, 7)
-PANELS_8 = {  # panel: subgroup, minigroup; the paper gives only those of (c), (a) and (b) are our choice
+PANELS_8 = {  # panel: subgroup, minigroup; those of (c) are the paper's, the others are our choice
     "a": ((16, 16), (4, 4)),
     "b": ((4, 4), (2, 2)),
     "c": ((8, 8), (2, 2)),
@@ -157,14 +157,14 @@ def _summary(wrong: np.ndarray, scene: Scene) -> str:
 
 
 def _add_rtl(shown: list[Panel], ours: dict[str, str], rtl: Outcome, golden: Outcome) -> None:
-    """Add the RTL's panel, and whether its depth is the golden model's."""
+    """Add the panel of the RTL, and whether its depth equals that of the golden model."""
     shown.append(Panel("RTL, planes", rtl.depth_m["planes"]))
     same = all(np.array_equal(rtl.depth_m[method], golden.depth_m[method], equal_nan=True) for method in golden.depth_m)
     ours["RTL"] = "the same depth in every pixel" if same else "differs from the golden model"
 
 
 def _analytic(task: tuple[str, Setup]) -> tuple[np.ndarray, np.ndarray]:
-    """Return (share of `SEEDS` draws in which a pixel is wrong, first draw's depth), float64[rows, cols], by the highest bin."""
+    """Return the share of `SEEDS` draws in which a pixel is wrong, and the depth of the first draw; float64[rows, cols] each."""
     form, setup = task
     config, run, timing = setup.config, Run(setup), Timing.from_config(setup.config)
     sensor, light, table = config.sensor, run.light, pixel_table(config.sensor)
@@ -196,7 +196,7 @@ def _analytic(task: tuple[str, Setup]) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _lead_s(expected: np.ndarray, flight_s: np.ndarray, timing: Timing) -> np.ndarray:
-    """Return how early each pixel's expected histogram peaks before its time of flight, searched within a nanosecond."""
+    """Return the time by which the peak of each expected histogram precedes the time of flight (within a nanosecond)."""
     time_s = (np.arange(expected.shape[1]) + 0.5) * timing.tick_s
     near = np.abs(time_s - flight_s[:, None]) < 1e-9
     return flight_s - time_s[np.where(near, expected, -1).argmax(axis=1)]

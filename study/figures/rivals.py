@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The sensor and its rivals (`comparison.py`): background, range, two targets, a retroreflector, bits."""
+"""Draws the comparison with rivals (`comparison.py`): background, bits, range, two targets, a retroreflector."""
 
 from collections.abc import Mapping, Sequence
 from functools import partial
@@ -21,7 +21,8 @@ from ..plot_style import legend_below, new_figure, share_axis
 from .sections import Row, Section, section
 from .setups import SCENE
 
-SIDE, SMALL = 32, 16  # pixels; small arrays for two targets and the sign, which are the same in every subgroup
+# Rows and columns; two targets and the sign are the same in every subgroup, so a small array is enough.
+SIDE, SMALL = 32, 16
 KLUX = (1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)
 SEEDS, FEW_SEEDS = 3, 2
 DISTANCES_M, RANGE_KLUX, RANGE_REFLECTIVITY = (2.0, 5.0, 10.0, 15.0, 20.0, 25.0, 30.0, 40.0), (10.0, 100.0), 0.4
@@ -30,9 +31,10 @@ OF_RETURNS = ("first return", "better of two returns")
 SWEPT = ("sliding window", "this: fixed", "this: fixed planes", "this: fixed compact planes")  # in the picture of bits
 BITS_KLUX, SEEDS_OF_PULSES = (10.0, 50.0, 100.0), {PULSES: SEEDS, 10 * PULSES: 1}
 NEAR_M, TWO_KLUX = 5.0, 20.0
-# Above twice the tolerance, because otherwise a depth between both is right.
+# Above twice the tolerance, because otherwise a depth between the surfaces would count as right.
 STEPS_M = (0.08, 0.10, 0.12, 0.15, 0.2, 0.3, 0.4, 0.6, 1.0)
-GAINS, BEHIND_M = (1.0, 10.0, 100.0, 1000.0), (0.3, 3.0)  # of the sign against white; dark target's distance behind it
+# Light of the sign relative to a white wall; distance from the sign to the dark target.
+GAINS, BEHIND_M = (1.0, 10.0, 100.0, 1000.0), (0.3, 3.0)
 SIGN_M, DARK, SIGN, STRAY, RETRO_KLUX = 6.0, 0.1, slice(4, 12), 1e-3, 20.0  # a quarter of each subgroup sees the sign
 
 STYLES = {
@@ -47,8 +49,8 @@ STYLES = {
     "this: fixed planes": ("#fb9a99", "--", "h"),
     "this: controller planes": ("#e31a1c", "--", "*"),
 }
-SHOWN = tuple(STYLES)  # in all pictures but that of bits
-# Lines of the picture of bits: what the names of its schemes begin with, and colour, line and marker.
+SHOWN = tuple(STYLES)  # in all pictures except that of bits
+# Lines of the picture of bits: the beginning of their schemes' names; colour, line and marker.
 LINES = {
     "zoomed": (VIOLET, "-", "^"),
     "Fourier": (AMBER, "-", "v"),
@@ -91,7 +93,7 @@ def background(run: Processes) -> Section:
 
 
 def bits(run: Processes) -> Section:
-    """Show wrong share against bits that leave the chip, with schemes that compress histograms, for few and many pulses."""
+    """Show wrong share against the bits that leave the chip, for few and many pulses."""
     scene = load_scene(SCENE, SIDE, SIDE)
     line_of = {name: line for line in LINES for name in SCHEMES if name == line or name.startswith(f"{line}:")}
 
@@ -257,7 +259,7 @@ def retroreflector(run: Processes) -> Section:
 
 
 def sign_light(behind_m: float, gain: float) -> Light:
-    """Return a dark wall `behind_m` behind a sign of 8 x 8 pixels at a corner of four subgroups; gain: over a white target."""
+    """Return the light of a dark wall behind a sign of 8 x 8 pixels, where four subgroups meet. gain: of the sign over white."""
     sign = np.zeros((SMALL, SMALL), bool)
     sign[SIGN, SIGN] = True
     of_sign = gain * float(signal_per_pulse(SIGN_M, 1.0))

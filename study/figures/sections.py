@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Sections of the page: pictures, their data, and our numbers next to the paper's; and writing them to files."""
+"""Sections of a page of figures, with pictures, data and our numbers next to the paper's; and functions that write them."""
 
 import html
 from collections.abc import Sequence
@@ -17,7 +17,7 @@ Row: TypeAlias = Sequence[object]  # of a CSV
 
 @frozen
 class Comparison:
-    """One number of the paper: its text, and the number from each of our sources."""
+    """One number of the paper, as text, and the same number from each of our sources."""
 
     quantity: str
     paper: str
@@ -39,7 +39,7 @@ class Section:
 def section(
     name: str, title: str, figure: Figure, caption: str, rows: Sequence[Row], *comparisons: Comparison, text: str = ""
 ) -> Section:
-    """Return a section with one figure, which has the section's name."""
+    """Return a section with one figure, which has the name of the section."""
     return Section(name, title, [(name, figure, caption)], rows, comparisons, text)
 
 
@@ -51,7 +51,7 @@ def write_section(out_dir: Path, section: Section) -> None:
 
 
 def write_page(out_dir: Path, title: str, introduction: str, sections: Sequence[Section]) -> None:
-    """Write `index.html` for sections whose files exist."""
+    """Write `index.html` for sections whose files are written already."""
     body = "\n".join(_section_html(section) for section in sections)
     links = " · ".join(f'<a href="#{section.name}">{html.escape(section.title)}</a>' for section in sections)
     page = f"""<!doctype html>

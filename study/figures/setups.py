@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Setups of the figures, and what a figure reads of a run."""
+"""Setups of the figures, and the outcome that a figure reads from a run."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
@@ -11,7 +11,8 @@ from ...lab.setup import Setup, seeded
 from .sections import Row
 
 SCENE = "five-objects"
-PULSES, MANY = 100, 8  # pulses of a frame (paper IV); factor for a second run, which shows what is noise
+# Pulses of a frame (paper IV); a second run has MANY times as many, which shows the share of noise.
+PULSES, MANY = 100, 8
 OF_SENSOR = ("events", "dropped", "dropped_share", "events_per_s", "records_per_s")
 OF_DEPTH = ("wrong_share", "right_share", "found_share", "found_rms_m")
 
@@ -19,7 +20,7 @@ OF_DEPTH = ("wrong_share", "right_share", "found_share", "found_rms_m")
 class Outcome(NamedTuple):
     """The last frame of a run.
 
-    measures: by name, those of `OF_DEPTH` of the first estimator; of each as NAME_ESTIMATOR. NaN: nothing to divide by.
+    measures: by name; those of `OF_DEPTH` are for the first estimator, and as NAME_ESTIMATOR for each. NaN: no value.
     depth_m, wrong: float64[rows, cols] and bool[rows, cols], by estimator. stored: events, int64[subgroups].
     """
 
@@ -30,7 +31,7 @@ class Outcome(NamedTuple):
 
 
 def outcome(run: Run) -> Outcome:
-    """Read a run, for a campaign."""
+    """Return the outcome of a run; campaigns read runs with this function."""
     frames = {name: run.frame(estimator=name) for name in run.setup.estimators}
     measures = {name: run[name] for name in (OF_SENSOR + OF_DEPTH if frames else OF_SENSOR)}
     measures |= {f"{name}_{estimator}": frame[name] for estimator, frame in frames.items() for name in OF_DEPTH}
@@ -45,7 +46,7 @@ def outcome(run: Run) -> Outcome:
 def cases(
     seeds: int = 1, pulses: int = PULSES, *, scene: str = SCENE, frame: dict[str, Any] | None = None, **others: Any
 ) -> list[Setup]:
-    """Return setups with the seeds from 1 on, only one of them with other than `PULSES`; `others`: of `Setup.of`."""
+    """Return setups with the seeds from 1 on; only one setup if `pulses` is not `PULSES`. others: for `Setup.of`."""
     setup = Setup.of(scene, frame={"pulses": pulses} | (frame or {}), **others)
     return seeded(setup, seeds if pulses == PULSES else 1)
 
@@ -58,7 +59,7 @@ def mean(outcomes: Sequence[Outcome], measure: str) -> float:
 def mean_rows(
     keys: Sequence[str], measures: Sequence[str], table: Mapping[tuple[Any, ...], Sequence[Outcome]]
 ) -> list[Row]:
-    """Return the rows of a CSV: one per key of `table`, with the means of measures; empty where outcomes have none."""
+    """Return the rows of a CSV: one per key of `table`, with the means of measures. Measures that outcomes lack are empty."""
     rows: list[Row] = [(*keys, *measures)]
     for key, outcomes in table.items():
         has = outcomes[0].measures

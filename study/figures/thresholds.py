@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Fig. 7 of the paper: the highest and the lowest threshold that serve an activity as well as the best one."""
+"""Draws Fig. 7 of the paper: the highest and the lowest threshold that are about as good as the best one."""
 
 from collections.abc import Iterable
 from itertools import product
@@ -28,7 +28,7 @@ READINGS = (("highest", "rises with activity, 1 to 7"), ("lowest", "-"))  # thre
 
 
 def figure_7(run: Processes) -> Section:
-    """Show the best thresholds against activity: flat targets of growing reflectivity, under two backgrounds."""
+    """Show these thresholds against activity, for flat targets of increasing reflectivity under two backgrounds."""
     rows: list[Row] = [
         (
             "source",
@@ -97,7 +97,7 @@ def _success(task: tuple[float, float, str]) -> np.ndarray:
 
 
 def _simulated(run: Processes, klux: float, pulses: int) -> np.ndarray:
-    """Return the share of right pixels, float64[signals, 7] by threshold."""
+    """float64[signals, thresholds]: the share of right pixels."""
     setups = {}
     for signal, threshold in product(SIGNAL, THRESHOLDS):
         reflectivity = signal / signal_per_pulse(DISTANCE_M, 1.0)
@@ -123,7 +123,7 @@ def _add(
     activity_cps: np.ndarray,
     success: Iterable[np.ndarray],
 ) -> None:
-    """Add rows to the CSV, and return the chosen thresholds."""
+    """Add rows to the CSV, and add the chosen thresholds to `chosen`."""
     shares = [np.asarray(one) for one in success]
     chosen[source, klux, pulses] = [(expected_threshold(one), lowest_threshold(one)) for one in shares]
     for signal, activity, thresholds, one in zip(SIGNAL, activity_cps, chosen[source, klux, pulses], shares):
@@ -131,6 +131,6 @@ def _add(
 
 
 def _ends(chosen: list[tuple[int, int]], which: int) -> str:
-    """Return the thresholds (`which`: 0 highest, 1 lowest) at lowest and highest activity, and the maximum in between."""
+    """Return the threshold at lowest and highest activity, and a higher one in between. which: 0 highest, 1 lowest."""
     first, last, most = chosen[0][which], chosen[-1][which], max(pair[which] for pair in chosen)
     return f"{first} to {last}" + (f", {most} between them" if most > max(first, last) else "")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Files of which pages are made: style and scripts, read once."""
+"""Style and scripts of the pages, read once."""
 
 from pathlib import Path
 

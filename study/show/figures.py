@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The views of a frame as linked Bokeh figures: maps, a pixel's histogram, one laser period of a subgroup.
+"""Draws the views of a frame as linked Bokeh figures: maps, the histogram of a pixel, one laser period of a subgroup.
 
-The same figures appear in the explorer, in `report.html` and in notebooks. Colours are CSS variables of the page
-(`study/show/page.css`), so a theme changes them all. Fates and verdicts also differ in shape or hatching. The colours are
-those of Okabe and Ito, and the maps viridis and cividis; colour-blind people can tell both apart.
+The same figures appear in the explorer, in `report.html` and in notebooks. Axes and texts have colours that are CSS variables
+of the page (`study/show/page.css`), so they follow its theme. Fates and verdicts also differ in shape or hatching. Their
+colours are those of Okabe and Ito, and the maps use viridis and cividis, which colour-blind people can read.
 """
 
 from collections.abc import Callable
@@ -52,7 +52,7 @@ from ..pictures import REASONS
 from .frame_content import HISTOGRAM_BIN_M, FrameView
 from .timeline import Period, Verdict
 
-Columns: TypeAlias = dict[str, Any]  # columns of a source
+Columns: TypeAlias = dict[str, Any]  # columns of a Bokeh data source
 
 STYLESHEET = """
 :host {
@@ -62,7 +62,7 @@ STYLESHEET = """
   --bk-grid-line-color: var(--line); --bk-text-color: var(--ink);
 }
 """
-ON_PAGE: dict[str, Any] = {  # of all figures: as wide as the page lets them, in its colours
+ON_PAGE: dict[str, Any] = {  # for all figures: as wide as the page allows, and in its colours
     "sizing_mode": "stretch_width",
     "stylesheets": [STYLESHEET],
     "background_fill_color": None,
@@ -95,11 +95,11 @@ ERROR_PALETTE = tuple(  # blue, white, orange: too near, right, too far
 )
 ERROR_SHOWN_M = 0.5  # the colour saturates here
 COUNTS = ("threshold", "drops")  # maps of whole numbers
-LIGHT = ("reflectivity", "signal", "background")  # what is told of a pixel besides the maps
+LIGHT = ("reflectivity", "signal", "background")  # further values of a pixel under the mouse
 WHOLE_COLOURS_MAX = 8  # up to this value, each whole number has a colour of its own
 COMPARED = ("depth_m", "error_m", "drops")  # maps that are shown when two frames are compared
 MAP_SIZE_PX, BAR_WIDTH_PX, BAR_AND_LABELS_PX = 168, 8, 44
-DEPTH_MARGIN = 0.05  # relative to the truth's span, on both sides of the colour scale
+DEPTH_MARGIN = 0.05  # margin at both ends of the colour scale, relative to the range of the truth
 CHOICE_MARKS = ("diamond", "circle")  # the chosen return, the others
 REASON_PALETTE = tuple(REASONS.get(reason, "#00000000") for reason in Reason)  # clear where the depth is believed
 _SENTENCES = "|".join(SENTENCES[reason] for reason in Reason)
@@ -128,7 +128,7 @@ MAPS = {
 
 
 def map_columns(view: FrameView) -> Columns:
-    """Return the source of the maps: one row, every column a picture."""
+    """Return the columns of the maps: one row, in which each column holds a picture."""
     sensor = view.config.sensor
     row, col = np.indices((sensor.rows, sensor.cols))
     pictures = {name: getattr(view, name).astype(np.float32) for name in (*MAPS, *LIGHT)}
@@ -140,7 +140,7 @@ def map_columns(view: FrameView) -> Columns:
 
 
 def map_scales(views: list[FrameView]) -> dict[str, tuple[float, float]]:
-    """Return (low, high) of every map's colours, the same for all `views`, so that they can be compared."""
+    """Return (low, high) of the colour scale of each map; all `views` share it, so they can be compared."""
     near_m = min((np.nanmin(view.truth_m) for view in views if not np.isnan(view.truth_m).all()), default=0.0)
     far_m = max((np.nanmax(view.truth_m) for view in views if not np.isnan(view.truth_m).all()), default=1.0)
     margin_m = max(DEPTH_MARGIN * (far_m - near_m), TOLERANCE_M)
@@ -156,7 +156,7 @@ def map_scales(views: list[FrameView]) -> dict[str, tuple[float, float]]:
 
 
 def cursor_columns(view: FrameView, row: int, col: int) -> tuple[Columns, Columns]:
-    """Return (frame around the pixel, frame around its subgroup), as sources of rectangles."""
+    """Return the columns of two rectangles: around the pixel, and around its subgroup."""
     height, width = view.config.sensor.subgroup
     top, left = row // height * height, col // width * width
     pixel = {"x": [col], "y": [row], "w": [1], "h": [1]}
@@ -165,7 +165,7 @@ def cursor_columns(view: FrameView, row: int, col: int) -> tuple[Columns, Column
 
 
 class MapFigure:
-    """A picture of the array, one of `MAPS`, with click and hover. name: of the figure. source: holds `map_columns`."""
+    """A map of the array, one of `MAPS`, that reacts to the mouse. name: of the figure. source: holds `map_columns`."""
 
     def __init__(
         self, kind: MapKind, name: str, source: ColumnDataSource, cursor: ColumnDataSource, around: ColumnDataSource
@@ -189,7 +189,7 @@ class MapFigure:
         plot.grid.visible = plot.axis.visible = False
         plot.title.text_font_size = TITLE_PX
         plot.min_border = 4
-        plot.min_border_right = BAR_AND_LABELS_PX  # for the labels of any scale, and maps of one size
+        plot.min_border_right = BAR_AND_LABELS_PX  # room for the labels of any scale, so that all maps have one size
         image = plot.image(kind.name, x="x", y="y", dw="dw", dh="dh", source=source, color_mapper=self.mapper)
         plot.hover.renderers = [image]
         if kind.name == "confidence":
@@ -221,7 +221,7 @@ class MapFigure:
         plot.add_layout(bar, "right")
 
     def show(self, view: FrameView, scale: tuple[float, float], prefix: str = "") -> None:
-        """Set title, colours and ranges for `view`, whose columns the source will hold. scale: (low, high) of the colours."""
+        """Set title, colours and ranges for `view`, whose columns are set separately. scale: (low, high) of the colours."""
         self.figure.title.text = prefix + self.kind.title
         (low, high), palette = scale, self.kind.palette
         if self.kind.name in COUNTS and high <= WHOLE_COLOURS_MAX:
@@ -235,17 +235,18 @@ class MapFigure:
 
 
 def histogram_columns(view: FrameView, row: int, col: int) -> tuple[Columns, Columns, Columns]:
-    """Return (bars, returns, truth): sources of a pixel's histogram, distances in metres."""
+    """Return the columns (bars, returns, truth) of a pixel's histogram; distances are in metres."""
     of_pixel, of_subgroup = view.histogram(row, col)
     left = np.arange(len(of_pixel)) * HISTOGRAM_BIN_M
     bars = {"left": left, "right": left + HISTOGRAM_BIN_M, "pixel": of_pixel, "subgroup": of_subgroup}
     known = ~np.isnan(view.candidate_m[row, col])
     at_m, confidence = view.candidate_m[row, col][known], view.candidate_confidence[row, col][known]
-    return bars, return_columns(at_m, confidence), {"x": truth_of(view, row, col)}
+    truth_m = float(view.truth_m[row, col])
+    return bars, return_columns(at_m, confidence), {"x": [] if np.isnan(truth_m) else [truth_m]}
 
 
 def return_columns(at_m: np.ndarray, confidence: np.ndarray) -> Columns:
-    """Return the source of a pixel's returns, the chosen one first."""
+    """Return the columns of a pixel's returns, the chosen one first."""
     chosen = np.arange(len(at_m)) == 0
     return {
         "x": at_m,
@@ -256,13 +257,8 @@ def return_columns(at_m: np.ndarray, confidence: np.ndarray) -> Columns:
     }
 
 
-def truth_of(view: FrameView, row: int, col: int) -> list[float]:
-    truth_m = view.truth_m[row, col]
-    return [] if np.isnan(truth_m) else [float(truth_m)]
-
-
 def _axes_figure(**options: Any) -> figure:
-    """Return a figure with ranges from 0 to 1 and a toolbar inside, along whose x axis one moves and zooms."""
+    """Return a figure with an inner toolbar, which can be moved and zoomed along its x axis."""
     plot = figure(
         x_range=Range1d(0, 1),
         y_range=Range1d(0, 1),
@@ -279,7 +275,7 @@ def _axes_figure(**options: Any) -> figure:
 
 
 class HistogramFigure:
-    """A pixel's events over distance, and behind them, paler and on a scale of their own, those of its subgroup."""
+    """The events of a pixel over distance; behind them, in grey and with an own scale, the events of its subgroup."""
 
     def __init__(self, width: int = 480, height: int = 226):
         self.bars = ColumnDataSource({"left": [], "right": [], "pixel": [], "subgroup": []})
@@ -337,7 +333,7 @@ def histogram_title(view: FrameView, row: int, col: int) -> str:
 
 
 def light_columns(view: FrameView, subgroup: int) -> Columns:
-    """Return the source of each pixel's expected arrival of the laser's light, in ns after the trigger."""
+    """Return the columns with the expected arrival of the laser light at each pixel, in ns after the trigger."""
     table = pixel_table(view.config.sensor)
     chosen = (table.subgroup == subgroup) & ~np.isnan(view.truth_m.ravel())
     return {"x": 2e9 / SPEED_OF_LIGHT_M_S * view.truth_m.ravel()[chosen], "y": table.inside[chosen]}
@@ -349,7 +345,7 @@ def commit_mark(verdict: Verdict) -> str:
 
 
 def period_columns(view: FrameView, period: Period) -> tuple[Columns, Columns, Columns, Columns]:
-    """Return (edges, windows, gate, fill): sources of one laser period, times in ns from the laser's trigger."""
+    """Return the columns (edges, windows, gate, fill) of one laser period; times are in ns after the trigger."""
     sensor = view.config.sensor
     tick_ns = view.config.tick_s * 1e9
     cycle_ns = tick_ns * sensor.phases
@@ -452,7 +448,8 @@ class TimelineFigure:
         edges, windows, gate, fill = period_columns(view, period)
         self.edges.data, self.windows.data, self.gate.data, self.fill.data = edges, windows, gate, fill
         self.light.data = light_columns(view, subgroup)
-        self.figure.title.text = timeline_title(period, subgroup, pulse)
+        needed = f"{period.threshold} pixel{'s' * (period.threshold > 1)}"
+        self.figure.title.text = f"subgroup {subgroup}, pulse {pulse}: a window needs {needed}"
         self.fit(view)
 
     def fit(self, view: FrameView) -> None:
@@ -463,11 +460,6 @@ class TimelineFigure:
         self.figure.y_range.update(start=-1, end=sensor.pixels * 1.12)
         self.below.y_range.update(start=-0.15 * sensor.fifo_depth, end=1.1 * sensor.fifo_depth)
         self.fill_ticker.ticks = [0, sensor.fifo_depth]
-
-
-def timeline_title(period: Period, subgroup: int, pulse: int) -> str:
-    threshold = period.threshold
-    return f"subgroup {subgroup}, pulse {pulse}: a window needs {threshold} pixel{'s' * (threshold > 1)}"
 
 
 def _legend_above(plot: figure) -> None:
@@ -489,7 +481,7 @@ def _legend_above(plot: figure) -> None:
 
 
 class Views:
-    """All figures, linked: a click on any map selects a pixel and its subgroup. compared: with maps of another frame, A."""
+    """All figures, linked: a click on a map selects a pixel and its subgroup. compared: adds maps of another frame, A."""
 
     def __init__(self, compared: bool = False) -> None:
         self.pictures, self.others = (ColumnDataSource(_no_picture()) for _ in range(2))
@@ -509,7 +501,7 @@ class Views:
     def show(
         self, view: FrameView, other: FrameView | None = None, scales: dict[str, tuple[float, float]] | None = None
     ) -> None:
-        """Show all maps of a frame (B), and of another one (A) beside it."""
+        """Show all maps of a frame; with another frame, label them B and show the maps of A beside them."""
         scales = scales or map_scales([view] if other is None else [view, other])
         for one in self.maps:
             one.show(view, scales[one.kind.name], "" if other is None else "B: ")
@@ -520,7 +512,7 @@ class Views:
             self.others.data = map_columns(other)
 
     def pick(self, view: FrameView, row: int, col: int, pulse: int) -> None:
-        """Show a pixel's histogram and its subgroup's laser period."""
+        """Show the histogram of a pixel and a laser period of its subgroup."""
         self.cursor.data, self.around.data = cursor_columns(view, row, col)
         self.histogram.show(view, row, col)
         self.timeline.show(view, view.subgroup_of(row, col), pulse)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The viewable content of one frame: maps, a pixel's histogram, a subgroup's laser period, numbers. Nothing is drawn here."""
+"""The content of the views of a frame: maps, histograms, laser periods, numbers. Nothing is drawn here."""
 
 from functools import cached_property
 
@@ -20,20 +20,21 @@ from ...model.shared.errors import check_integer
 from .timeline import Period, Timeline, frame_timeline, one_period
 
 HISTOGRAM_BIN_M = 0.15  # for display; estimators work on ticks
-LIGHT_SIGMAS = 4  # around a surface's arrival: an event outside contains only background
+LIGHT_SIGMAS = 4  # an event that is farther from every surface's arrival contains only background
 SHOWN = (*SWEPT, "bits", "wrong_share_15cm")  # measures
 CANDIDATES = 4  # number of returns shown per pixel, the chosen one first
 
 
 def metres_per_tick(config: Config) -> float:
-    """Return the distance that light covers there and back within a tick."""
+    """Return the distance in metres that a tick stands for: light goes there and back."""
     return config.tick_s * SPEED_OF_LIGHT_M_S / 2
 
 
 @frozen(kw_only=True)
 class ObjectView:
-    """Results of an object. distance_m, reflectivity: medians; signal: median of the photons per pixel and pulse; middle: (row, column) of
-    its pixel that is nearest to its centre.
+    """Results of an object. distance_m, reflectivity: medians. signal: median of the photons per pixel and pulse.
+
+    middle: (row, column) of the pixel that is nearest to its centre.
     """
 
     name: str
@@ -46,7 +47,7 @@ class ObjectView:
 
 
 class FrameView:
-    """One frame as its estimator sees it, ready to be displayed.
+    """One frame with the results of its estimator, ready for display.
 
     reason: uint8[rows, cols], `belief.Reason`. Maps, float64[rows, cols]: truth_m, depth_m, error_m (depth - truth) and
     confidence, NaN = none; threshold (pixels that a window of the subgroup needed) and drops (events that the subgroup's
@@ -90,23 +91,15 @@ class FrameView:
 
     @cached_property
     def timeline(self) -> Timeline:
-        """Return all periods of all subgroups: made when it is first asked for, because it takes long in long frames."""
+        """All periods of all subgroups; computed on first use, because this takes long in long frames."""
         return frame_timeline(self.config, self.edges, self.trace)
-
-    @cached_property
-    def _in_order(self) -> bool:
-        return bool(np.all(self.edges.pulse[1:] >= self.edges.pulse[:-1]))
 
     def period(self, subgroup: int, pulse: int) -> Period:
         """Return one laser period of one subgroup. Raises `InputError`."""
-        check_integer("subgroup", subgroup, 0, self.config.sensor.subgroups - 1)
-        check_integer("pulse", pulse, 0, self.config.pulses - 1)
-        if not self._in_order:
-            return self.timeline.period(subgroup, pulse)
         return one_period(self.config, self.edges, self.trace, subgroup, pulse)
 
     def event_bins(self) -> np.ndarray:
-        """int64[events]: histogram bin of each event's arrival."""
+        """int64[events]: the histogram bin of each event's arrival."""
         return np.minimum(
             self.events.arrival * metres_per_tick(self.config) / HISTOGRAM_BIN_M, self.histogram_bins - 1
         ).astype(np.int64)
@@ -116,7 +109,7 @@ class FrameView:
         return int(np.ceil(self.range_m / HISTOGRAM_BIN_M))
 
     def histogram(self, row: int, col: int) -> tuple[np.ndarray, np.ndarray]:
-        """Return events by distance, (of the pixel, of its subgroup): int64[bins] of `HISTOGRAM_BIN_M`. Raises `InputError`."""
+        """Return the events of the pixel and those of its subgroup, each int64[bins] of `HISTOGRAM_BIN_M`. Raises `InputError`."""
         subgroup = self.subgroup_of(row, col)
         inside = pixel_table(self.config.sensor).inside[row * self.config.sensor.cols + col]
         bins = self.event_bins()[self.events.bounds[subgroup] : self.events.bounds[subgroup + 1]]
@@ -131,7 +124,7 @@ def _of_subgroups(values: np.ndarray, config: Config) -> np.ndarray:
 
 
 def _sun_share(events: Events, scene: Scene, config: Config, sigma_ticks: float) -> float | None:
-    """Return the share of the events that came when no visible surface sends light; None without events."""
+    """Return the share of the events that arrived when no visible surface sends light back; None without events."""
     subgroup_of = pixel_table(config.sensor).subgroup
     arrival = scene.distance_m.reshape(config.sensor.array_pixels, -1) / metres_per_tick(config)
     alone = 0
@@ -145,16 +138,16 @@ def _sun_share(events: Events, scene: Scene, config: Config, sigma_ticks: float)
 
 
 def _middle(here: np.ndarray) -> tuple[int, int]:
-    """Return the (row, column) of `here`, bool[rows, cols], that is nearest to the mean of all."""
+    """Return the (row, column) of the pixel in `here`, bool[rows, cols], that is nearest to the mean position."""
     at = np.argwhere(here)
     row, col = at[np.square(at - at.mean(axis=0)).sum(axis=1).argmin()]
     return int(row), int(col)
 
 
 def seen_objects(scene: Scene, light: Light, depth_m: np.ndarray) -> list[ObjectView]:
-    """Return the objects, with the darkest first.
+    """Return the objects, the darkest first.
 
-    A scene without objects is split in two: pixels with less signal than the median, and pixels with more.
+    A scene without objects is split in two: the pixels with at most the median signal, and those with more.
     """
     truth_m, valid = scene.truth_m, scene.valid
     signal = light.signal_per_pulse.sum(axis=1).reshape(valid.shape)

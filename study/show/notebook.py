@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A run in a notebook: a self-contained summary, and the explorer's figures, each in a frame of its own without network."""
+"""Shows a run in a notebook: a self-contained summary, and the figures of the explorer, each in a frame without network."""
 
 import base64
 from collections.abc import Callable
@@ -41,13 +41,13 @@ class Shown:
 
 
 def run_view(run: Run, frame: int = 0, method: str | None = None) -> FrameView:
-    """Return the views of a frame of a run; method: None is the run's first estimator. Raises `InputError`."""
+    """Return the view of a frame of a run. method: None is the first estimator of the run. Raises `InputError`."""
     check_integer("frame", frame, 0, run.config.frames - 1)
     return FrameView(f"frame {frame}", run.frame(frame, method))
 
 
 def summary(run: Run) -> str:
-    """Return HTML: the first frame's truth and depth, and its numbers."""
+    """Return HTML with truth, depth and numbers of the first frame."""
     view = run_view(run)
     figure, _ = draw_row([Panel("depth", view.depth_m, view.reason)], view.truth_m, run.scene.name)
     picture = base64.b64encode(figure_bytes(figure, "png")).decode()
@@ -67,13 +67,13 @@ def plot(run: Run, frame: int = 0, method: str | None = None) -> Shown:
 
 
 class PixelHistogram(np.ndarray):
-    """`pixel_histogram` of a run, int32[period_ticks]; a notebook shows it with truth, candidates and the chosen return."""
+    """`pixel_histogram` of a run, int32[period_ticks]. A notebook draws it with truth, candidates and the chosen return."""
 
     draw: Callable[[], Shown] | None  # None for arrays computed from it
 
     @classmethod
     def of(cls, run: Run, pixel: int, *, source: str = "map", frame: int | None = None) -> "PixelHistogram":
-        """Return that of pixel row * cols + column; frame None: hits of all frames, drawn with the first one's depth."""
+        """Return the histogram of pixel row * cols + column. frame None: hits of all frames, drawn with the depth of the first."""
         hits = pixel_histogram(run.result, run.config, pixel, source=source, frame=frame).view(cls)
         hits.draw = partial(plot_histogram, run, pixel, frame or 0)
         return hits
@@ -82,7 +82,7 @@ class PixelHistogram(np.ndarray):
         self.draw = None
 
     def _repr_html_(self) -> str | None:
-        """Return None if there is no picture: then a notebook prints the array."""
+        """Return the picture; None if there is none, and then a notebook prints the array."""
         try:
             return None if self.draw is None else self.draw()._repr_html_()
         except InputError:  # the extra `explore` is not installed

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`report.html`: the views of a run in one file that needs no server and no network, to be sent to a colleague.
+"""Writes `report.html`, the views of a run in one file that needs no server and no network.
 
-The page's script computes nothing; it only looks up data from `timeline.py` and `frame_content.py`.
+The script of the page computes nothing. It only looks up data from `timeline.py` and `frame_content.py`.
 """
 
 import json
@@ -39,12 +39,12 @@ from .words import OBJECT_HEADS, number_rows, object_table, story
 
 RANDOM_NAME = re.compile(
     r"\b[0-9a-f]{8}(?:-[0-9a-f]{4}){3}-[0-9a-f]{12}\b"
-)  # by which Bokeh tells pages and their parts apart
-EDGES_MAX = 2_000_000  # per report, about 10 MB; if there are more, only the first pulses are kept
+)  # names that Bokeh gives to pages and their parts
+EDGES_MAX = 2_000_000  # in a report, about 10 MB; above this, only the first pulses are kept
 
 
 def write_report(path: FilePath, heading: str, views: list[FrameView]) -> None:
-    """Write the report of `views`, which are of one sensor and scene, whole or not at all."""
+    """Write the report of `views`, which belong to one sensor and scene, whole or not at all."""
     html = report_html(heading, views)
     with whole_file(path, "w") as file:
         file.write(html)
@@ -120,7 +120,7 @@ def report_html(heading: str, views: list[FrameView]) -> str:
 
 
 def _numbered(html: str) -> str:
-    """Return the page with its random names numbered, so that the same run gives the same bytes."""
+    """Return the page with numbers in place of its random names, so that the same run gives the same bytes."""
     numbers: dict[str, str] = {}
     return RANDOM_NAME.sub(lambda name: numbers.setdefault(name[0], f"name-{len(numbers)}"), html)
 
@@ -130,13 +130,13 @@ def _parts(figures: object, *names: str) -> dict[str, Any]:
 
 
 def _pulses_kept(views: list[FrameView]) -> int:
-    """Return the number of pulses whose edges fit the report."""
+    """Return the number of pulses whose edges fit into the report."""
     pulses = views[0].config.pulses
     return max(1, min(pulses, EDGES_MAX * pulses // max(1, sum(len(view.timeline.tick) for view in views))))
 
 
 def _sources(view: FrameView, pulses: int) -> dict[str, Any]:
-    """Return the data of a frame that a page looks up. Period numbers are subgroup * pulses + pulse, of kept pulses."""
+    """Return the data of a frame for the page. A period has the number subgroup * pulses + pulse, counted in kept pulses."""
     line = view.timeline
     edges, edge_bounds = _first_pulses(line.edge_bounds, view.config.pulses, pulses)
     opened, window_bounds = _first_pulses(line.window_bounds, view.config.pulses, pulses)
@@ -173,7 +173,7 @@ def _sources(view: FrameView, pulses: int) -> dict[str, Any]:
 
 
 def _first_pulses(bounds: np.ndarray, pulses: int, kept: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return (indices, bounds) of the part that belongs to the first `kept` pulses of every subgroup."""
+    """Return indices and bounds of the part that belongs to the first `kept` pulses of every subgroup."""
     sizes = np.diff(bounds).reshape(-1, pulses)
     chosen = np.repeat((np.arange(sizes.size) % pulses) < kept, sizes.ravel())
     return np.flatnonzero(chosen), np.concatenate([[0], np.cumsum(sizes[:, :kept])])

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Events inside the subgroups in a frame: every edge with its fate, every window with its verdict, every FIFO's fill level.
+"""Reconstructs a frame inside its subgroups: each edge with its fate, each window with its verdict, the fill of each FIFO.
 
-Nothing is simulated here. Windows are reassembled from the edges' fates; commits and departures are read from the golden
-model's record of the frame. The selection is our choice; the terms are those of the contract (paper III-A).
+Nothing is simulated here. Windows follow from the fates of the edges; commits and departures come from the golden model's
+record of the frame. The selection is our choice; the terms are those of the contract (paper III-A).
 """
 
 import enum
@@ -29,10 +29,10 @@ class Verdict(enum.IntEnum):
 
 @frozen(eq=False)
 class Windows:
-    """Windows in the order of the edges that opened them, arrays [n].
+    """Windows, arrays [n], in the order of the edges that opened them.
 
     start, end: int64, ticks of their period; the window is [start, end). count: int64, distinct pixels. verdict: uint8,
-    `Verdict`. commit: int64, cycles from the start of the period to the commit, real or hypothetical.
+    `Verdict`. commit: int64, cycles from the start of the period to the commit; also given for windows without a commit.
     """
 
     start: np.ndarray
@@ -44,7 +44,7 @@ class Windows:
 
 @frozen(eq=False)
 class Timeline:
-    """One frame, by subgroup, then laser period, then time; period k = subgroup * pulses + pulse.
+    """One frame, sorted by subgroup, laser period and time; period k = subgroup * pulses + pulse.
 
     Edges, arrays [edges]: tick (int64, in its period), pixel (int64, in the subgroup), fate (uint8); period k has
     edge_bounds[k] to edge_bounds[k + 1]. windows: likewise, with window_bounds. start_cycles: int64[pulses], first cycles
@@ -92,7 +92,7 @@ class Timeline:
 
 @frozen(eq=False)
 class Period:
-    """One laser period of one subgroup: the arrays of `Timeline`, with fill_cycle counted from the period's first cycle.
+    """One laser period of one subgroup, with arrays as in `Timeline`; fill_cycle counts from the first cycle of the period.
 
     gate_cycles: (first, last + 1) of the gate, None if gating is off.
     """
@@ -108,7 +108,7 @@ class Period:
 
 
 def gate_of(config: Config, subgroup: int, pulse: int) -> tuple[int, int] | None:
-    """Return a subgroup's gate at a pulse of the frame in cycles of the period, (first, last + 1); None if gating is off."""
+    """Return (first, last + 1), the cycles of a subgroup's gate at a pulse of the frame; None if gating is off."""
     if not config.gating[subgroup]:
         return None
     frame = config.frame
@@ -118,10 +118,9 @@ def gate_of(config: Config, subgroup: int, pulse: int) -> tuple[int, int] | None
 
 
 def one_period(config: Config, edges: Edges, trace: Trace, subgroup: int, pulse: int) -> Period:
-    """Return `Timeline.period` without making the timeline of all others; edges: in the order of their pulses."""
-    pulses = slice(*np.searchsorted(edges.pulse, (pulse, pulse + 1)))
-    inside = pixel_table(config.sensor).subgroup[edges.pixel[pulses]] == subgroup
-    own = np.arange(pulses.start, pulses.stop)[inside]
+    """Return `Timeline.period` without making the timeline of all other periods."""
+    of_pulse = np.flatnonzero(edges.pulse == pulse)
+    own = of_pulse[pixel_table(config.sensor).subgroup[edges.pixel[of_pulse]] == subgroup]
     commits = slice(*np.searchsorted(trace.commit_subgroup, (subgroup, subgroup + 1)))
     part = evolve(
         trace,
@@ -134,7 +133,7 @@ def one_period(config: Config, edges: Edges, trace: Trace, subgroup: int, pulse:
 
 
 def frame_timeline(config: Config, edges: Edges, trace: Trace) -> Timeline:
-    """Return the timeline of a frame that the golden model played without stalls. edges: with the frame's own pulse count."""
+    """Return the timeline of a frame that the golden model played without stalls. edges: pulses count from the frame's start."""
     sensor, pulses = config.sensor, config.pulses
     table = pixel_table(sensor)
     subgroup, inside = table.subgroup[edges.pixel], table.inside[edges.pixel]
@@ -188,7 +187,7 @@ def _key(subgroup: np.ndarray, cycle: np.ndarray) -> np.ndarray:
 
 
 def _fill(config: Config, trace: Trace) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return (fill_cycle, fill, fill_bounds) of `Timeline`: up at every stored event, down when its place is free again.
+    """Return (fill_cycle, fill, fill_bounds) of `Timeline`. An event adds 1 when it is stored, and -1 when its place is free again.
 
     A place that becomes free in the cycle of a commit can take that commit.
     """

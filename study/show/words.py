@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Numbers of a frame in words and tables, for the explorer and `report.html`."""
+"""Describes a frame in sentences and tables, for the explorer and `report.html`."""
 
 from collections.abc import Callable
 from typing import TypeAlias
@@ -49,7 +49,7 @@ def object_table(*views: FrameView) -> list[list[str]]:
 
 
 def where_to_look(view: FrameView) -> str:
-    """Return where the darkest object is; nothing in a scene without objects."""
+    """Return a sentence on the position of the darkest object; empty for a scene without objects."""
     if len(view.objects) < 2:
         return ""
     dark = view.objects[0]

@@ -25,7 +25,7 @@ from coincid.model.shared.markdown import table
 from coincid.study import settling, surfaces
 from coincid.study.explore.control_values import check_settings
 from coincid.study.explore.stages import Explorer
-from coincid.study.figures import architect, four_modes, interference, reconstruction
+from coincid.study.figures import four_modes, interference, noisy_spads, reconstruction
 from coincid.study.plot_style import style
 
 SMALL = {"sensor": {"rows": 8, "cols": 16}, "frame": {"period": 60, "pulses": 40}}
@@ -106,7 +106,7 @@ RESULTS: dict[str, tuple[Callable[[Path], Any], str]] = {
     "settling": (lambda folder: table(settling.HEAD, settling.rows(((20.0, 20.0),)), left=(3,)), "8d5a048adb43a133"),
     "surfaces": (surface, "56076c599e3d1736"),
     "noisy SPADs": (
-        section(architect.noisy_spads, SPADS={"dark": {1e6: {"spad": coincid.Spad(dark_cps=1e6)}}}, SEEDS=1),
+        section(noisy_spads.noisy_spads, SPADS={"dark": {1e6: {"spad": coincid.Spad(dark_cps=1e6)}}}, SEEDS=1),
         "84c6b4b042f08787",
     ),
     "modes": (section(four_modes.background, KLUX=(10.0, 50.0), DISTANCES_M=(5.0,), SEEDS=1), "cb2fe70284e73fa9"),

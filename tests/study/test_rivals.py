@@ -57,7 +57,7 @@ def test_macro_pixels_sort_by_subgroup_then_time():
 
 def test_winner_takes_all_by_hand():
     """100 is in cycle 3, which ends at 127: 105 to 118 find the tree not armed; 130 is the first of cycle 4. Both at 47 are stamped."""
-    assert told(other_schemes.winner_takes_all(photons(), PHASES), photons()) == [
+    assert told(other_schemes.windows(photons(), 1, PHASES), photons()) == [
         (0, 0, 100, [0]),
         (0, 0, 130, [9]),
         (0, 1, 47, [4, 5]),

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""An architect's questions: re-arm gap, window, and noisy SPADs, each against wrong pixels and events."""
+"""Noisy SPADs: dark counts, hot pixels and crosstalk against wrong pixels and events."""
 
-from collections.abc import Mapping
 from itertools import product
 from typing import Any
 
@@ -17,13 +16,8 @@ METHODS = {"planes": "-o", "matched": "--s"}  # estimator: its line
 THRESHOLDS = {2: SERIES[0], 3: SERIES[3], 5: SERIES[5]}
 SEEDS = 2
 HOT_CPS = 5e6
-PARAMETERS = {  # what varies: for each of its values, fields of `Setup.of`
-    "re-arm gap R in cycles": {rearm: {"sensor": {"rearm": rearm}} for rearm in range(8)},
-    "coincidence window W in ticks of 62.5 ps": {
-        window: {"subgroup": {"window": window}} for window in (4, 8, 16, 32, 64, 128)
-    },
-}
-SPADS = {
+# Kinds of noise. Each of their values has fields of `Setup.of`.
+SPADS: dict[str, dict[float, dict[str, Any]]] = {
     "dark counts of every pixel in 1/s": {
         rate_cps: {"spad": Spad(dark_cps=rate_cps)} for rate_cps in (0.0, 1e3, 1e4, 1e5, 1e6, 5e6)
     },
@@ -43,27 +37,17 @@ SPADS = {
 }
 
 
-def rearm_and_window(run: Processes) -> Section:
-    """Vary the tree's blind time and the length of the coincidence window."""
-    return _varied(run, "rearm_window", "Re-arm gap R and window W", PARAMETERS)
-
-
 def noisy_spads(run: Processes) -> Section:
-    """Vary dark counts, hot pixels and crosstalk."""
-    return _varied(run, "noisy_spads", "Dark counts, hot pixels, crosstalk", SPADS)
-
-
-def _varied(run: Processes, name: str, title: str, studies: Mapping[str, Mapping[Any, dict[str, Any]]]) -> Section:
-    """Return a section with a column for each study: wrong pixels above, events below, over what varies."""
+    """Draw a column for each kind of noise: wrong pixels above, events below."""
     setups = {}
-    for (study, values), threshold in product(studies.items(), THRESHOLDS):
+    for (study, values), threshold in product(SPADS.items(), THRESHOLDS):
         for value, fields in values.items():
-            subgroup = {"threshold": threshold} | fields.get("subgroup", {})
-            setups[study, value, threshold] = cases(SEEDS, estimators=tuple(METHODS), **fields | {"subgroup": subgroup})
+            subgroup = {"threshold": threshold}
+            setups[study, value, threshold] = cases(SEEDS, subgroup=subgroup, estimators=tuple(METHODS), **fields)
     table = grouped(setups, outcome, run)
-    figure = new_figure(4.4 * len(studies), 7.5)
-    axes = figure.subplots(2, len(studies), sharey="row", squeeze=False)
-    for (above, below), (study, values) in zip(axes.T, studies.items()):
+    figure = new_figure(4.4 * len(SPADS), 7.5)
+    axes = figure.subplots(2, len(SPADS), sharey="row", squeeze=False)
+    for (above, below), (study, values) in zip(axes.T, SPADS.items()):
         at = range(len(values))
         for threshold, colour in THRESHOLDS.items():
             shown, label = [table[study, value, threshold] for value in values], f"threshold {threshold}"
@@ -79,6 +63,5 @@ def _varied(run: Processes, name: str, title: str, studies: Mapping[str, Mapping
     legend_below(figure)
     measures = (*(f"wrong_share_{method}" for method in METHODS), "events_per_s")
     rows = mean_rows(("study", "value", "threshold"), measures, table)
-    return section(
-        name, title, figure, f"Five objects at 50 klux, {PULSES} pulses: wrong pixels (above) and events (below)", rows
-    )
+    caption = f"Five objects at 50 klux, {PULSES} pulses: wrong pixels (above) and events (below)"
+    return section("noisy_spads", "Dark counts, hot pixels, crosstalk", figure, caption, rows)
