@@ -9,7 +9,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-from attrs import define, field
+from attrs import define
 
 from ..host.emulator_driver import EmulatorDriver
 from ..host.transport import DeviceResetError, LinkError
@@ -75,11 +75,11 @@ class Tally:
     seconds: on the clock of this computer; seconds_on_line: on the clock of the line, which may be simulated.
     """
 
-    frames: int = field(default=0)
-    beats: int = field(default=0)
-    recoveries: int = field(default=0)
-    seconds: float = field(default=0.0)
-    seconds_on_line: float = field(default=0.0)
+    frames: int = 0
+    beats: int = 0
+    recoveries: int = 0
+    seconds: float = 0.0
+    seconds_on_line: float = 0.0
 
 
 class Session:

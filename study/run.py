@@ -176,10 +176,7 @@ def _check_order(config: object) -> None:
         if str(config).partition(":")[0] not in NAMES or Path(config).exists():
             return
         told = f"{config!r}: is a scene"
-    if told:
-        raise InputError(
-            f"config = {told}; the configuration comes first: simulate(None, scene), or simulate(scene=...)"
-        )
+    raise InputError(f"config = {told}; the configuration comes first: simulate(None, scene), or simulate(scene=...)")
 
 
 def with_settings(config: Config, settings: dict[str, Any]) -> Config:

@@ -74,18 +74,8 @@ def interference(run: Processes) -> Section:
     }
     wanted = list(dict.fromkeys(key for part in keys.values() for key in part))
     table = grouped({key: [setup(*key, seed + 1) for seed in range(SEEDS)] for key in wanted}, look, run)
-    rows: list[Row] = [
-        (
-            "scheme",
-            "photons_per_pulse",
-            "period_offset",
-            "dither_bits",
-            "frame_us",
-            "wrong_share",
-            "ghost_share",
-            "bits_per_frame",
-        )
-    ]
+    columns = "scheme photons_per_pulse period_offset dither_bits frame_us wrong_share ghost_share bits_per_frame"
+    rows: list[Row] = [columns.split()]
     for key, results in table.items():
         frame_us = Timing(dither_bits=key[2]).start_cycles(PULSES)[-1] / Timing().clock_hz * 1e6
         for name in SHOWN:

@@ -219,17 +219,8 @@ def retroreflector(run: Processes) -> Section:
     table = _table(run, {key: compared(sign_light(*key)) for key in product(BEHIND_M, GAINS)}, FEW_SEEDS)
     dark = np.ones((SMALL, SMALL), bool)
     dark[SIGN, SIGN] = False
-    rows: list[Row] = [
-        (
-            "scheme",
-            "behind_m",
-            "gain",
-            "wrong_share_of_dark",
-            "wrong_in_both_returns_share",
-            "wrong_share_of_sign",
-            "bits_per_frame",
-        )
-    ]
+    columns = "scheme behind_m gain wrong_share_of_dark wrong_in_both_returns_share wrong_share_of_sign bits_per_frame"
+    rows: list[Row] = [columns.split()]
     figure = new_figure(11, 8.2)
     for column, behind_m in zip(figure.subplots(RETURNS, len(BEHIND_M), sharex=True, sharey=True).T, BEHIND_M):
         for scheme in SHOWN:

@@ -29,18 +29,8 @@ READINGS = (("highest", "rises with activity, 1 to 7"), ("lowest", "-"))  # thre
 
 def figure_7(run: Processes) -> Section:
     """Show these thresholds against activity, for flat targets of increasing reflectivity under two backgrounds."""
-    rows: list[Row] = [
-        (
-            "source",
-            "klux",
-            "pulses",
-            "signal_per_pulse",
-            "activity_cps",
-            "expected_threshold",
-            "lowest_threshold",
-            *(f"success_threshold_{threshold}" for threshold in THRESHOLDS),
-        )
-    ]
+    columns = "source klux pulses signal_per_pulse activity_cps expected_threshold lowest_threshold"
+    rows: list[Row] = [[*columns.split(), *(f"success_threshold_{threshold}" for threshold in THRESHOLDS)]]
     figure = new_figure(11, 4.2)
     axes = figure.subplots(1, 2, sharey=True)
     chosen: Chosen = {}
