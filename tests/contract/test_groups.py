@@ -121,7 +121,7 @@ def test_nothing_is_lost_in_groups(form):
             crowded("default", name, seed, pulses, period=400)[1]
             for name in (form, f"compact{'-full' * (form == 'full')}")
         )
-        first, second = (decode_frame(trace.beats[0], SENSORS["default"], 2) for trace in (plain, grouped))
+        first, second = (decode_frame(trace.beats[0], SENSORS["default"], 2).check() for trace in (plain, grouped))
         order = [np.lexsort(frame.events.T[1:]) for frame in (first, second)]
         assert not plain.counters[:, 4].any() and len(second.events) == len(first.events) > 20
         for name in ("events", "hits", "offsets"):
