@@ -20,7 +20,7 @@ from ...model.contract.packet import FORMATS, FRAME_END, FRAME_START, GROUP_KIND
 from ...tb.pysim import write_register
 from ..palette import DEEP_INK, FAINT, NOISE, SIGNAL
 from . import save
-from .waveform import CLOCK_S, PHASES, draw_boxes, draw_grid
+from .waveform import CLOCK_S, PHASES, draw_boxes, draw_grid, finish
 
 EDGES = {0: ((9, 22), (10, 25), (18, 30)), 3: ((37, 4),), 10: ((5, 1), (6, 2))}  # cycle: (pixel, phase)
 STALLED = range(26, 33)  # cycles of the frame in which `tready` is low
@@ -140,11 +140,7 @@ def draw(lines: Sequence[tuple[str, Sequence[object], str]], title: str, first: 
     step = 1 if cycles <= 30 else 2
     numbered = np.arange(-first % step, cycles, step)
     axes.set_xticks(numbered + 0.5, [str(first + cycle) for cycle in numbered])
-    axes.tick_params(length=0, labelsize=8, labelcolor=NOISE, top=True, labeltop=True, bottom=False, labelbottom=False)
-    axes.set_title(title, fontsize=9, color=NOISE, loc="left", pad=18)
-    axes.set_yticks([])
-    axes.spines[:].set_visible(False)
-    figure.tight_layout(pad=0.4)
+    finish(figure, axes, title, 8)
     return figure
 
 

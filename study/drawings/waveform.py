@@ -123,6 +123,17 @@ def draw_boxes(axes: Axes, y: float, texts: Sequence[object], color: str, *, fon
             begin = cycle
 
 
+def finish(figure: Figure, axes: Axes, title: str, label_pt: float) -> None:
+    """Put title and cycle numbers above the picture, and remove its frame."""
+    axes.tick_params(
+        length=0, labelsize=label_pt, labelcolor=NOISE, top=True, labeltop=True, bottom=False, labelbottom=False
+    )
+    axes.set_title(title, fontsize=9, color=NOISE, loc="left", pad=18)
+    axes.set_yticks([])
+    axes.spines[:].set_visible(False)
+    figure.tight_layout(pad=0.4)
+
+
 def draw(values: dict[str, list[int]]) -> Figure:
     """Draw the picture over clock cycles; the 32 phases of a word are drawn side by side in their cycle."""
     figure, axes = plt.subplots(figsize=(12, 6.6))
@@ -196,16 +207,9 @@ def draw(values: dict[str, list[int]]) -> Figure:
     words += f"     map = pixels {', '.join(map(str, pixels))}"
     axes.text(0, level["tdata"] - 0.75, words, fontsize=9.5, color=SIGNAL, va="center")
     axes.set_xticks(range(0, SHOWN_CYCLES + 1, 2))
-    axes.tick_params(
-        length=0, labelsize=8.5, labelcolor=NOISE, top=True, labeltop=True, bottom=False, labelbottom=False
-    )
-    axes.set_title("clock cycles of 2 ns since the laser trigger", fontsize=9, color=NOISE, loc="left", pad=18)
     axes.set_xlim(-3.4, SHOWN_CYCLES + 7.2)
     axes.set_ylim(level["tdata"] - 1.1, 0.8)
-    axes.set_yticks([])
-    for side in axes.spines.values():
-        side.set_visible(False)
-    figure.tight_layout(pad=0.4)
+    finish(figure, axes, "clock cycles of 2 ns since the laser trigger", 8.5)
     return figure
 
 
