@@ -2,7 +2,7 @@
 """Driver of the sensor: registers by name, configurations, and frames, over any transport."""
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -11,16 +11,13 @@ from attrs import field, frozen
 from ..model.contract import registers
 from ..model.contract.config import Config
 from ..model.contract.parameters import SENSOR, Sensor
-from ..model.contract.registers import BY_NAME, ID_VALUE, VERSION_VALUE, Access
+from ..model.contract.registers import ID_VALUE, VERSION_VALUE, Access
 from ..model.contract.table import Kind, Setting
 from ..model.shared.errors import InputError
 from .frame_assembly import FrameAssembler
-from .programmed import Programmed, runs
 from .register_names import Key, Word, find
-from .transport import HostError, RefusedError, Transport, write_block
+from .transport import ERRORS, STATUS, HostError, RefusedError, Transport, errors_in, runs, write_block
 
-STATUS = BY_NAME["status"]
-ERRORS = tuple(bits.name for bits in STATUS.bits if bits.clears and bits.name != "done")
 WAIT_SECONDS = 10.0  # per frame; the longest frame takes 2^16 periods of 2^13 cycles
 
 
@@ -37,7 +34,8 @@ class Driver:
     """A sensor as its software sees it. Raises `HostError` if no sensor with a known register map answers.
 
     transport: connection to the sensor. sensor: its parameters as built; None: they are read from it. fresh: the sensor
-    was just reset, so the values of its settings are known.
+    was just reset, so the values of its settings are known. programmed: byte address -> value of the settings whose
+    values are known, so that only changes are written.
 
         driver["threshold", 3] = 2  # of subgroup 3; checked against the table before anything is sent
         driver["opened", 3]
@@ -48,7 +46,7 @@ class Driver:
     def __init__(self, transport: Transport, sensor: Sensor | None = None, *, fresh: bool = False):
         self.transport = transport
         self.sensor = sensor or read_sensor(transport)
-        self.programmed = Programmed(registers.reset_values(self.sensor) if fresh else None)
+        self.programmed = registers.reset_values(self.sensor) if fresh else {}
         self._assemblers = [FrameAssembler(self.sensor, k) for k in range(self.sensor.streams)]
 
     def __getitem__(self, key: Key) -> int:
@@ -58,9 +56,9 @@ class Driver:
     def __setitem__(self, key: Key, value: int) -> None:
         """Write a register. Raises `InputError` before anything is sent, or `RefusedError`."""
         word = self._word(key)
-        self._write(word.address, word.checked(value))
+        self._write(word.address, [word.checked(value)])
         if word.register.access is Access.SETTING:
-            self.programmed.note(word.address, int(value))
+            self.programmed[word.address] = int(value)
 
     def _word(self, key: Key) -> Word:
         """Return the word of the register map that `key` names. Raises `InputError`."""
@@ -74,29 +72,29 @@ class Driver:
 
     def write_settings(self, writes: list[tuple[int, int]]) -> int:
         """Write those of (address, value) that change something, and return the number of words written."""
-        pending = self.programmed.pending(writes)
+        pending = [(address, value) for address, value in writes if self.programmed.get(address) != value]
         for address, values in runs(pending):
-            try:
-                write_block(self.transport, address, values)
-            except RefusedError as error:
-                raise self._explained(error) from None
-            for i, value in enumerate(values):
-                self.programmed.note(address + 4 * i, value)
+            self._write(address, values)
+            self.programmed |= {address + 4 * i: value for i, value in enumerate(values)}
         return len(pending)
 
     def start(self) -> None:
         """Begin a frame. Raises `RefusedError` with the reasons if the sensor's checks refuse it."""
-        self._write(*registers.control("start"))
+        self._control("start")
 
     def abort(self) -> None:
         """Make the running period the last one of the frame."""
-        self._write(*registers.control("abort"))
+        self._control("abort")
+
+    def _control(self, bit: str) -> None:
+        address, value = registers.control(bit)
+        self._write(address, [value])
 
     def status(self) -> Status:
         """Read the status without clearing anything."""
         word = self["status"]
-        is_set = {bits.name: bool(word >> bits.lsb & 1) for bits in STATUS.bits}
-        return Status(is_set["busy"], is_set["done"], tuple(name for name in ERRORS if is_set[name]))
+        busy, done = (bool(word >> STATUS.bit(name) & 1) for name in ("busy", "done"))
+        return Status(busy, done, errors_in(word))
 
     def clear(self, *names: str) -> None:
         """Clear sticky bits of the status, by name; without names, all of them."""
@@ -137,18 +135,15 @@ class Driver:
         """Return the beats of a stream that have come since the last call."""
         return self.transport.receive(stream)
 
-    def _write(self, address: int, value: int) -> None:
+    def _write(self, address: int, values: Sequence[int]) -> None:
+        """Write words. A refusal is raised with the sticky bits that explain it, which are cleared."""
         try:
-            self.transport.write(address, value)
+            write_block(self.transport, address, values)
         except RefusedError as error:
-            raise self._explained(error) from None
-
-    def _explained(self, error: RefusedError) -> RefusedError:
-        """Return the refusal with the sticky bits that explain it, which are cleared."""
-        reasons = self.status().errors
-        if reasons:
-            self.clear(*reasons)
-        return RefusedError(str(error), reasons)
+            reasons = self.status().errors
+            if reasons:
+                self.clear(*reasons)
+            raise RefusedError(str(error), reasons) from None
 
 
 def read_sensor(transport: Transport) -> Sensor:

@@ -66,7 +66,7 @@ class EmulatorDriver(Driver):
 
         Raises `HostError` if the frame does not end within `seconds`.
         """
-        self.programmed.forget()
+        self.programmed.clear()
         self._assemblers[0].forget()
         self._assemblers[0].frames.clear()
         if self.status().busy:

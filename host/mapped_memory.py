@@ -10,12 +10,10 @@ from pathlib import Path
 import numpy as np
 
 from ..model.contract import registers
-from ..model.contract.registers import ADDRESS_BITS, BY_NAME
+from ..model.contract.registers import ADDRESS_BITS
 from ..model.shared.errors import InputError
 from ..model.shared.files import FilePath
-from .transport import RefusedError
-
-ERROR_BITS = {bits.name: 1 << bits.lsb for bits in BY_NAME["status"].bits if bits.clears and bits.name != "done"}
+from .transport import RefusedError, errors_in
 
 
 class MemoryTransport:
@@ -59,9 +57,7 @@ class MemoryTransport:
         """Write several words from `address` on. Raises the same error."""
         for i, value in enumerate(values):
             self._words[address // 4 + i] = value
-        status = self._words[registers.address("status") // 4]
-        reasons = tuple(name for name, bit in ERROR_BITS.items() if status & bit)
-        if reasons:
+        if reasons := errors_in(self._words[registers.address("status") // 4]):
             raise RefusedError(f"write of {len(values)} words from {address:#07x} on", reasons)
 
     def receive(self, stream: int) -> np.ndarray:

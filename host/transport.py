@@ -1,10 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """Interface of a connection to a sensor: reading and writing words, and the errors that may occur."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Protocol
 
 import numpy as np
+
+from ..model.contract.registers import BY_NAME
+
+STATUS = BY_NAME["status"]
+ERRORS = tuple(bits.name for bits in STATUS.bits if bits.clears and bits.name != "done")
 
 
 class HostError(RuntimeError):
@@ -42,6 +47,22 @@ class Transport(Protocol):
 
     def receive(self, stream: int) -> np.ndarray:
         """Return the beats (uint64) of a stream since the last call, in order; there may be none. Does not wait."""
+
+
+def errors_in(status: int) -> tuple[str, ...]:
+    """Return the names of the sticky error bits that are set in a status word."""
+    return tuple(name for name in ERRORS if status >> STATUS.bit(name) & 1)
+
+
+def runs(writes: Iterable[tuple[int, int]]) -> list[tuple[int, list[int]]]:
+    """Group writes into runs of consecutive words, in order: (first address, values)."""
+    found: list[tuple[int, list[int]]] = []
+    for address, value in writes:
+        if found and address == found[-1][0] + 4 * len(found[-1][1]):
+            found[-1][1].append(value)
+        else:
+            found.append((address, [value]))
+    return found
 
 
 def read_block(transport: Transport, address: int, words: int) -> list[int]:

@@ -20,7 +20,6 @@ from cocotb_bus.drivers.amba import AXI4LiteMaster
 from coincid.hdl import bus
 from coincid.hdl.sequencer import LEAD
 from coincid.hdl.silicon.circuit import STEP_FS, clock_fs
-from coincid.host.programmed import Programmed
 from coincid.model.contract import registers
 from coincid.model.contract.config import Config
 from coincid.model.contract.edges import Edges
@@ -56,7 +55,7 @@ class SensorBench:
             [getattr(dut, f"{name}_{wire}") for name in names] for wire in ("tdata", "tvalid", "tready", "tlast")
         )
         self.stored = [getattr(dut, f"stored_of_{stream}") for stream in range(sensor.streams)]
-        self.programmed = Programmed()
+        self.programmed: dict[int, int] = {}  # byte address -> value
 
     async def reset(self) -> None:
         """Start the clock and reset the sensor; afterwards the bench does not know the programmed settings."""
@@ -69,7 +68,7 @@ class SensorBench:
         self.dut.rst.value = 0
         for _ in range(4):
             await RisingEdge(self.dut.clk)
-        self.programmed.forget()
+        self.programmed.clear()
 
     async def write(self, name: str, value: int, subgroup: int = 0, index: int = 0) -> None:
         """Write a register. A refused write raises cocotb-bus's `AXIProtocolError`."""
@@ -81,9 +80,10 @@ class SensorBench:
 
     async def program(self, config: Config) -> None:
         """Write the settings that differ from those programmed before."""
-        for address, value in self.programmed.pending(config.register_writes()):
-            await self.axi.write(address, value)
-            self.programmed.note(address, value)
+        for address, value in config.register_writes():
+            if self.programmed.get(address) != value:
+                await self.axi.write(address, value)
+                self.programmed[address] = value
 
     def shine(self, config: Config, edges: Edges) -> dict[int, list[tuple[int, int]]]:
         """Return the words that `play` drives, by cycle of the frame."""

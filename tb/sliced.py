@@ -22,7 +22,6 @@ from ..hdl.sensor import COMBINED, CORE, GRANTED, LISTED
 from ..hdl.subgroup import shared_ports
 from ..hdl.subgroup_pair import Slice
 from ..host.driver import Driver
-from ..host.programmed import Programmed
 from ..host.transport import RefusedError
 from ..model.contract import registers
 from ..model.contract.config import Config
@@ -244,11 +243,12 @@ class SlicedSensor:
         self._beats = list(record.beats)
         return record
 
-    def post(self, programmed: Programmed, job: FrameJob) -> None:
+    def post(self, programmed: dict[int, int], job: FrameJob) -> None:
         """Queue a frame behind everything else. programmed: the settings that the sensor will have by then, which are updated."""
-        for address, value in programmed.pending(job.config.register_writes()):
-            self._call("write", address, value)
-            programmed.note(address, value)
+        for address, value in job.config.register_writes():
+            if programmed.get(address) != value:
+                self._call("write", address, value)
+                programmed[address] = value
         self._post(job.config, job.edges, job.ready)
         done = 1 << registers.BY_NAME["status"].bit("done")
         self._call("wait", registers.address("status"), done)
@@ -370,7 +370,7 @@ def play_side_by_side(
         try:
             sensors = [SlicedSensor(sensor, engine, k) for k in range(len(batches[number]))]
             for one, chain in zip(sensors, batches[number]):
-                programmed = Programmed(registers.reset_values(sensor))
+                programmed = registers.reset_values(sensor)
                 for job in chain:
                     one.post(programmed, job)
             engine.run(tell)

@@ -11,7 +11,7 @@ from attrs import frozen
 from ..shared.errors import InputError, check_integer
 from .config import Config
 from .parameters import Sensor
-from .registers import CONSTANT, COUNTER, PULSE, SETTING, Bits, Register
+from .registers import CONSTANT, COUNTER, PULSE, SETTING, Register
 from .serial_link import BAUD, BAUD_TOLERANCE
 
 ADDRESS_BITS = 24
@@ -90,53 +90,17 @@ OWN: tuple[Register, ...] = (
     Register("emulator_id", 0x00, CONSTANT, "EMUL in ASCII.", reset=EMULATOR_ID),
     Register("emulator_version", 0x04, CONSTANT, "Version of this map: major << 16 | minor.", reset=EMULATOR_VERSION),
     Register("buffer_beats", 0x08, CONSTANT, "Beats that the frame buffer holds."),
-    Register(
-        "seed",
-        0x0C,
-        SETTING,
-        "Of the photon source. A frame's light depends on this, its number and the settings alone.",
-        high=0xFFFF_FFFF,
-        reset=1,
-    ),
-    Register(
-        "spread",
-        0x10,
-        SETTING,
-        "An echo comes up to 2^spread - 1 ticks behind its tick, all equally likely.",
-        high=SPREAD_MAX,
-    ),
-    Register(
-        "dead_cycles",
-        0x14,
-        SETTING,
-        "Dead time: cycles from a pixel's edge to its earliest next one.",
-        low=1,
-        high=DEAD_MAX,
-        reset=1,
-    ),
-    Register("buffer_level", 0x18, COUNTER, "Beats in the frame buffer that are not taken."),
+    Register("seed", 0x0C, SETTING, "Seed of the photon source.", high=0xFFFF_FFFF, reset=1),
+    Register("spread", 0x10, SETTING, "An echo is up to 2^spread - 1 ticks late, all equally likely.", high=SPREAD_MAX),
+    Register("dead_cycles", 0x14, SETTING, "Dead time of a pixel in cycles.", low=1, high=DEAD_MAX, reset=1),
+    Register("buffer_level", 0x18, COUNTER, "Number of beats in the frame buffer that have not been taken."),
     Register("buffer_first", 0x1C, COUNTER, "Place of the first of them in the buffer."),
-    Register(
-        "buffer_take",
-        0x20,
-        PULSE,
-        "Takes as many beats out of the buffer; above buffer_level is refused.",
-        high=1 << 16,
-    ),
-    Register(
-        "stalls",
-        0x24,
-        COUNTER,
-        "Cycles since reset in which a beat waited for the full buffer: frames with one may not be as predicted.",
-    ),
-    Register("link_errors", 0x28, COUNTER, "Frames of the serial link that came damaged."),
-    Register(
-        "seeding",
-        0x2C,
-        COUNTER,
-        "1 while the source prepares the next frame; accesses to the sensor wait for its end.",
-        bits=(Bits("seeding", 0, "Busy."),),
-    ),
+    Register("buffer_take", 0x20, PULSE, "Takes so many beats out of the buffer, at most buffer_level.", high=1 << 16),
+    # A frame in which a beat waited may not be as predicted.
+    Register("stalls", 0x24, COUNTER, "Cycles since reset in which a beat waited for the full buffer."),
+    Register("link_errors", 0x28, COUNTER, "Frames of the serial link that arrived damaged."),
+    # Accesses to the sensor wait while the source prepares the next frame.
+    Register("seeding", 0x2C, COUNTER, "1 while the source prepares the next frame."),
 )
 ECHO_OFFSET = 0x400  # of the pixels' echoes from their subgroup's background
 OWN_BY_NAME = {register.name: register for register in OWN}

@@ -36,7 +36,7 @@ def guard_cycles(window_ticks: int, phases: int, rearm_cycles: int) -> int:
     return max(SHORTEST_GUARD_CYCLES, -(-window_ticks // phases) + 1 + rearm_cycles)
 
 
-def _integer(default: int, low: int, high: Limit, **columns: Any) -> Any:
+def _integer(default: int, low: int, high: Limit, offset: int, doc: str, unit: str = "") -> Any:
     """Return a field that holds an integer; the default is `default`, but not more than the fields before it allow."""
 
     def default_of(sensor: "Sensor") -> int:
@@ -45,16 +45,18 @@ def _integer(default: int, low: int, high: Limit, **columns: Any) -> Any:
         except TypeError:  # a field before it is of a wrong type, which is refused later
             return default
 
-    metadata = {"kind": Kind.INTEGER, "default": default, "low": low, "high": high} | columns
-    return field(default=Factory(default_of, takes_self=True), metadata=metadata)
+    return _field(Kind.INTEGER, Factory(default_of, takes_self=True), default, low, high, offset, doc, unit)
 
 
-def _size(default: tuple[int, int], **columns: Any) -> Any:
+def _size(default: tuple[int, int], low: int, high: int, offset: int, doc: str) -> Any:
     """Return a field that holds (rows, cols); its registers are NAME_rows and NAME_cols."""
+    return _field(Kind.SIZE, default, default, low, high, offset, doc, "pixels")
+
+
+def _field(kind: Kind, made: Any, default: Any, low: int, high: Limit, offset: int, doc: str, unit: str) -> Any:
+    columns = {"kind": kind, "default": default, "low": low, "high": high, "offset": offset, "doc": doc, "unit": unit}
     return field(
-        default=default,
-        converter=lambda value: tuple(value) if isinstance(value, list) else value,
-        metadata={"kind": Kind.SIZE, "default": default, "unit": "pixels"} | columns,
+        default=made, converter=lambda value: tuple(value) if isinstance(value, list) else value, metadata=columns
     )
 
 
@@ -66,42 +68,25 @@ class Sensor:
     of one that differs from its default, because that one was chosen.
     """
 
-    rows: int = _integer(32, 1, 4096, unit="pixels", offset=0x08, doc="SPAD rows of the sensor.")
-    cols: int = _integer(32, 1, 4096, unit="pixels", offset=0x0C, doc="SPAD columns of the sensor.")
-    phases: int = _integer(
-        32, 4, PHASES_MAX, unit="ticks per cycle", offset=0x10, doc="Ticks (TDC LSBs) per clock cycle."
-    )
-    coarse_bits: int = _integer(
-        10, 3, "coarse_bits_max", unit="bits", offset=0x14, doc="Width of the TDC's coarse counter."
-    )
-    window_max: int = _integer(128, 1, 1024, unit="ticks", offset=0x18, doc="Longest coincidence window in ticks.")
-    rearm: int = _integer(0, 0, 15, unit="cycles", offset=0x1C, doc="Re-arm gap R in cycles.")
-    fifo_depth: int = _integer(16, 1, 1024, unit="events", offset=0x20, doc="Events that a subgroup's FIFO holds.")
-    streams: int = _integer(
-        1, 1, 64, offset=0x24, doc="AXI4-Streams, which share the subgroups in the order of their numbers."
-    )
-    subgroup: tuple[int, int] = _size((8, 8), low=16, high=256, offset=0x28, doc="SPADs of a subgroup, rows x columns.")
-    minigroup: tuple[int, int] = _size((2, 2), low=1, high=16, offset=0x30, doc="SPADs of a minigroup, rows x columns.")
-    offset_phases: int = _integer(
-        16, QUARTERS, "phases", offset=0x38, doc="Steps per clock cycle of the coarse offsets."
-    )
-    offsets: int = _integer(1, 0, 1, offset=0x3C, doc="1: the formats with coarse offsets are built; 0: they are not.")
-    records: int = _integer(1, 0, 1, offset=0x98, doc="1: minigroup records are built; 0: they are not.")
-    controller: int = _integer(1, 0, 1, offset=0x9C, doc="1: the threshold controller is built; 0: it is not.")
+    rows: int = _integer(32, 1, 4096, 0x08, "SPAD rows of the sensor.", "pixels")
+    cols: int = _integer(32, 1, 4096, 0x0C, "SPAD columns of the sensor.", "pixels")
+    phases: int = _integer(32, 4, PHASES_MAX, 0x10, "Ticks (TDC LSBs) per clock cycle.", "ticks per cycle")
+    coarse_bits: int = _integer(10, 3, "coarse_bits_max", 0x14, "Width of the TDC's coarse counter.", "bits")
+    window_max: int = _integer(128, 1, 1024, 0x18, "Longest coincidence window in ticks.", "ticks")
+    rearm: int = _integer(0, 0, 15, 0x1C, "Re-arm gap R in cycles.", "cycles")
+    fifo_depth: int = _integer(16, 1, 1024, 0x20, "Events that a subgroup's FIFO holds.", "events")
+    streams: int = _integer(1, 1, 64, 0x24, "AXI4-Streams, which share the subgroups in the order of their numbers.")
+    subgroup: tuple[int, int] = _size((8, 8), 16, 256, 0x28, "SPADs of a subgroup, rows x columns.")
+    minigroup: tuple[int, int] = _size((2, 2), 1, 16, 0x30, "SPADs of a minigroup, rows x columns.")
+    offset_phases: int = _integer(16, QUARTERS, "phases", 0x38, "Steps per clock cycle of the coarse offsets.")
+    offsets: int = _integer(1, 0, 1, 0x3C, "1: the formats with coarse offsets are built; 0: they are not.")
+    records: int = _integer(1, 0, 1, 0x98, "1: minigroup records are built; 0: they are not.")
+    controller: int = _integer(1, 0, 1, 0x9C, "1: the threshold controller is built; 0: it is not.")
     counter_bits: int = _integer(
-        COUNTER_BITS,
-        COUNTER_BITS_MIN,
-        COUNTER_BITS,
-        unit="bits",
-        offset=0xA0,
-        doc="Width of a subgroup's counters, which saturate.",
+        COUNTER_BITS, COUNTER_BITS_MIN, COUNTER_BITS, 0xA0, "Width of a subgroup's counters, which saturate.", "bits"
     )
     held: int = _integer(
-        1,
-        0,
-        1,
-        offset=0xA4,
-        doc="1: a subgroup's settings can be written during a frame, for the next one; 0: they cannot.",
+        1, 0, 1, 0xA4, "1: a subgroup's settings can be written during a frame, for the next one; 0: they cannot."
     )
 
     def __attrs_post_init__(self) -> None:

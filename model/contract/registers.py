@@ -8,6 +8,7 @@ frame; counters are valid while the sensor is not busy.
 
 import enum
 from collections.abc import Callable, Iterator
+from operator import attrgetter
 
 from attrs import field, frozen
 
@@ -74,44 +75,48 @@ class Register:
         return next(bits.lsb for bits in self.bits if bits.name == name)
 
 
-def _constants(setting: Setting) -> list[Register]:
-    """Return the registers of a parameter of the sensor; a size has two."""
-    name, offset = setting.name, setting.offset or 0
-    if setting.kind is not Kind.SIZE:
-        return [_constant(name, offset, setting.doc, lambda s: getattr(s, name))]
-    return [
-        _constant(f"{name}_rows", offset, f"SPAD rows of a {name}.", lambda s: getattr(s, name)[0]),
-        _constant(f"{name}_cols", offset + 4, f"SPAD columns of a {name}.", lambda s: getattr(s, name)[1]),
-    ]
-
-
-def _constant(name: str, offset: int, doc: str, value: Value) -> Register:
-    return Register(name, offset, CONSTANT, doc, reset=value)
-
-
-def _settings(table: dict[str, Setting]) -> list[Register]:
+def _registers(table: dict[str, Setting]) -> list[Register]:
     """Return the registers of a table of settings, by address."""
-    found = [_setting(setting, setting.offset) for setting in table.values() if setting.offset is not None]
-    return sorted(found, key=lambda register: register.offset)
+    placed = {one.offset: one for one in table.values() if one.offset is not None}
+    return [register for offset in sorted(placed) for register in _of_setting(placed[offset], offset)]
 
 
-def _setting(setting: Setting, offset: int) -> Register:
-    return Register(
-        setting.name,
-        offset,
-        SETTING,
-        setting.doc,
-        low=lambda s: setting.limits(s)[0],
-        high=lambda s: setting.limits(s)[1],
-        reset=lambda s: setting.reset_of(s, frame_defaults(s)),
-        count=setting.words,
-    )
+def _of_setting(of: Setting, offset: int) -> list[Register]:
+    """Return the registers of a setting or of a parameter of the sensor; a size has two."""
+    name, doc = of.name, of.doc
+    if of.kind is Kind.SIZE:
+        rows, cols = f"SPAD rows of a {name}.", f"SPAD columns of a {name}."
+        return [
+            Register(f"{name}_rows", offset, CONSTANT, rows, lambda s: getattr(s, name)[0]),
+            Register(f"{name}_cols", offset + 4, CONSTANT, cols, lambda s: getattr(s, name)[1]),
+        ]
+    if of.table == "sensor":
+        return [Register(name, offset, CONSTANT, doc, attrgetter(name))]
+    low, high = (lambda s: of.limits(s)[0]), (lambda s: of.limits(s)[1])
+    return [Register(name, offset, SETTING, doc, lambda s: of.reset_of(s, frame_defaults(s)), low, high, of.words)]
 
 
+def _of_stream(name: str, offset: int, access: Access, doc: str, high: int = 0) -> Register:
+    """Return a register of the threshold controller, of which a sensor has one per stream."""
+    doc = f"Threshold controller, stream i: {doc}"
+    return Register(name, offset, access, doc, EVENTS_MAX, high=high, count=lambda s: s.streams * s.controller)
+
+
+_STICKY = {  # from bit 1 of the status on: bits that stay until software clears them
+    "done": "A frame has been delivered since this bit was cleared.",
+    "bad_value": "A write outside its register's range was refused.",
+    "bad_address": "An access to an unmapped address, or a write to a read-only one, was refused.",
+    "bad_strobe": "A write of less than the whole word was refused.",
+    "start_busy": "A start was refused: busy.",
+    "start_period": "A start was refused: the period is not above the guard G.",
+    "start_bounds": "A start was refused: auto_bounds descend.",
+    "start_gate": "A start was refused: gating on, gate_start not below the period.",
+    "start_upset": "A start was refused: a setting differs from what was written; write all settings again.",
+}
 GLOBAL: tuple[Register, ...] = (
     Register("id", 0x00, CONSTANT, "Identifies the sensor: COIN in ASCII.", reset=ID_VALUE),
     Register("version", 0x04, CONSTANT, "Version of this map: major << 16 | minor.", reset=VERSION_VALUE),
-    *(register for setting in SENSOR.values() for register in _constants(setting)),
+    *_registers(SENSOR),
     Register(
         "control",
         0x40,
@@ -128,53 +133,19 @@ GLOBAL: tuple[Register, ...] = (
         high=0xFFFF_FFFF,
         bits=(
             Bits("busy", 0, "A frame is running or being delivered."),
-            Bits("done", 1, "A frame has been delivered since this bit was cleared.", clears=True),
-            Bits("bad_value", 2, "A write outside its register's range was refused.", clears=True),
-            Bits(
-                "bad_address",
-                3,
-                "An access to an unmapped address, or a write to a read-only one, was refused.",
-                clears=True,
-            ),
-            Bits("bad_strobe", 4, "A write of less than the whole word was refused.", clears=True),
-            Bits("start_busy", 5, "A start was refused: busy.", clears=True),
-            Bits("start_period", 6, "A start was refused: the period is not above the guard G.", clears=True),
-            Bits("start_bounds", 7, "A start was refused: auto_bounds descend.", clears=True),
-            Bits("start_gate", 8, "A start was refused: gating on, gate_start not below the period.", clears=True),
-            Bits(
-                "start_upset",
-                9,
-                "A start was refused: a setting differs from what was written; write all settings again.",
-                clears=True,
-            ),
+            *(Bits(name, lsb, doc, clears=True) for lsb, (name, doc) in enumerate(_STICKY.items(), start=1)),
         ),
     ),
-    *_settings(settings.FRAME),
-    Register(
+    *_registers(settings.FRAME),
+    _of_stream(
         "share",
         0x100,
         SETTING,
-        "Threshold controller, stream i: capacity // number of its subgroups. First value and lower limit of the budget.",
-        count=lambda s: s.streams * s.controller,
+        "capacity // number of its subgroups. First value and lower limit of the budget.",
         high=EVENTS_MAX,
-        reset=EVENTS_MAX,
     ),
-    Register(
-        "budget",
-        0x200,
-        COUNTER,
-        "Threshold controller, stream i: a subgroup lowers its threshold if it would then commit no more events.",
-        count=lambda s: s.streams * s.controller,
-        reset=EVENTS_MAX,
-    ),
-    Register(
-        "limit",
-        0x300,
-        COUNTER,
-        "Threshold controller, stream i: a subgroup that commits more events raises its threshold.",
-        count=lambda s: s.streams * s.controller,
-        reset=EVENTS_MAX,
-    ),
+    _of_stream("budget", 0x200, COUNTER, "a subgroup lowers its threshold if it would then commit no more events."),
+    _of_stream("limit", 0x300, COUNTER, "a subgroup that commits more events raises its threshold."),
 )
 
 MODE = Register(
@@ -189,7 +160,7 @@ MODE = Register(
 
 SUBGROUP: tuple[Register, ...] = (
     MODE,
-    *_settings(settings.SUBGROUP),
+    *_registers(settings.SUBGROUP),
     *(Register(name, 0x40 + 4 * i, COUNTER, doc) for i, (name, doc) in enumerate(COUNTERS)),
 )
 

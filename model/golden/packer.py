@@ -5,6 +5,8 @@ It takes one beat of an event per cycle, then forms its parts, one per cycle, wh
 is packed one cycle after it was formed, unless a beat of the group waits for the receiver.
 """
 
+from collections import namedtuple
+
 import numpy as np
 
 from ..contract import groups
@@ -25,46 +27,53 @@ _HALF_MASK = np.uint64((1 << _HALF) - 1)
 # beat_from: earliest cycles in which the next part is formed and packed, and the next beat leaves.
 _STATE = row_type("begins beat filled pulse age number taken formed packed form_from pack_from beat_from")
 
+# What the packer writes to: its beats and the cycles of their transfer, and scratch of int64[pixels]. next_ready: when the
+# receiver takes a beat.
+_Out = namedtuple("_Out", "beats sent_at listed next_ready")
+
 
 @njit
-def new_packer():
-    """Return the state of a packer at the beginning of a frame, one row."""
+def new_packer(most, shape, next_ready):
+    """Return the state of a packer at the beginning of a frame (one row), and room for the groups of `most` beats.
+
+    A group of one event takes at most two beats more than the event: one for its head and check, one that they fill in part.
+    """
+    most = 3 * most if shape.grouped else 0
     state = np.zeros(1, _STATE)
     state[0].begins = state[0].formed = -1
-    return state
+    out = _Out(np.zeros(most, np.uint64), np.empty(most, np.int64), np.empty(shape.pixels, np.int64), next_ready)
+    return state, out
 
 
 @njit(allocates=False)
-def pack_event(packer, beats, sent_at, event, subgroup, hits, offsets, read_at, listed, shape, next_ready):
-    """Pack an event whose last beat was read in the cycle `read_at`; the next one is read from cycle `taken` on.
-
-    listed: scratch, int64[pixels].
-    """
+def pack_event(packer, out, event, subgroup, hits, offsets, read_at, shape):
+    """Pack an event whose last beat was read in the cycle `read_at`; the next one is read from cycle `taken` on."""
+    listed = out.listed
     packer.taken = max(read_at + 1, packer.formed)
     packer.form_from = packer.taken + 1
     if packer.begins >= 0 and not 0 <= packer.pulse - event.pulse <= groups.AGE_MAX:
-        close_group(packer, beats, sent_at, packer.form_from, next_ready)
+        close_group(packer, out, packer.form_from)
     if packer.begins < 0:
-        _open_group(packer, beats, sent_at, event.pulse, shape, next_ready)
+        _open_group(packer, out, event.pulse, shape)
     bit = begin = packer.beat * groups.PAYLOAD_BITS + packer.filled
     mapped, age = event.count > shape.listed_max, packer.pulse - event.pulse
-    bit = _put(beats, bit, groups.MAPPED if mapped else event.count, groups.LISTED_BITS)
-    bit = _put(beats, bit, event.overrun, 1)
-    bit = _put(beats, bit, subgroup, shape.subgroup_bits)
-    bit = _put(beats, bit, age == packer.age, 1)
+    bit = _put(out.beats, bit, groups.MAPPED if mapped else event.count, groups.LISTED_BITS)
+    bit = _put(out.beats, bit, event.overrun, 1)
+    bit = _put(out.beats, bit, subgroup, shape.subgroup_bits)
+    bit = _put(out.beats, bit, age == packer.age, 1)
     if age != packer.age:
-        bit = _put(beats, bit, age, groups.AGE_BITS)
+        bit = _put(out.beats, bit, age, groups.AGE_BITS)
         packer.age = age
-    bit = _put(beats, bit, event.stamp, shape.stamp_bits)
-    bit = _put(beats, bit, event.winner, shape.winner_bits)
+    bit = _put(out.beats, bit, event.stamp, shape.stamp_bits)
+    bit = _put(out.beats, bit, event.winner, shape.winner_bits)
     if mapped:
-        _part(packer, beats, sent_at, bit - begin, next_ready)
+        _part(packer, out, bit - begin)
         for part in range(0, shape.pixels, groups.MAP_PART_BITS):
             width = min(groups.MAP_PART_BITS, shape.pixels - part)
             for half in range(part, part + width, _HALF):
                 word = hits[half // BEAT_BITS] >> np.uint64(half % BEAT_BITS) & _HALF_MASK
-                bit = _put(beats, bit, np.int64(word), min(_HALF, part + width - half))
-            _part(packer, beats, sent_at, width, next_ready)
+                bit = _put(out.beats, bit, np.int64(word), min(_HALF, part + width - half))
+            _part(packer, out, width)
     else:
         others = 0
         for pixel in range(shape.pixels):
@@ -73,10 +82,10 @@ def pack_event(packer, beats, sent_at, event, subgroup, hits, offsets, read_at, 
                 others += 1
         for k in range(others):
             if k >= groups.FIRST_PIXELS - 1 and (k - groups.FIRST_PIXELS + 1) % groups.PER_PART == 0:
-                _part(packer, beats, sent_at, bit - begin, next_ready)
+                _part(packer, out, bit - begin)
                 begin = bit
-            bit = _put(beats, bit, _from_both_ends(listed, others, k), shape.winner_bits)
-        _part(packer, beats, sent_at, bit - begin, next_ready)
+            bit = _put(out.beats, bit, _from_both_ends(listed, others, k), shape.winner_bits)
+        _part(packer, out, bit - begin)
     if shape.event_has_offsets:
         hit = 0
         for minigroup in range(shape.minigroups):
@@ -86,9 +95,9 @@ def pack_event(packer, beats, sent_at, event, subgroup, hits, offsets, read_at, 
         for k in range(hit):
             if k % groups.PER_PART == 0:
                 begin = bit
-            bit = _put(beats, bit, offsets[_from_both_ends(listed, hit, k)], shape.offset_bits)
+            bit = _put(out.beats, bit, offsets[_from_both_ends(listed, hit, k)], shape.offset_bits)
             if k + 1 == hit or (k + 1) % groups.PER_PART == 0:
-                _part(packer, beats, sent_at, bit - begin, next_ready)
+                _part(packer, out, bit - begin)
 
 
 @njit(allocates=False)
@@ -98,18 +107,18 @@ def _from_both_ends(items, number, k):
 
 
 @njit(allocates=False)
-def _open_group(packer, beats, sent_at, pulse, shape, next_ready):
+def _open_group(packer, out, pulse, shape):
     packer.begins, packer.pulse, packer.age = packer.beat, pulse, 0
     bit = packer.beat * groups.PAYLOAD_BITS
-    bit = _put(beats, bit, pulse, groups.HEAD.pulse)
-    bit = _put(beats, bit, packer.number % (1 << groups.HEAD.number), groups.HEAD.number)
-    bit = _put(beats, bit, shape.stamp_bits, groups.HEAD.stamp_bits)
-    _put(beats, bit, shape.event_has_offsets, groups.HEAD.with_offsets)
-    _part(packer, beats, sent_at, groups.HEAD_BITS, next_ready)
+    bit = _put(out.beats, bit, pulse, groups.HEAD.pulse)
+    bit = _put(out.beats, bit, packer.number % (1 << groups.HEAD.number), groups.HEAD.number)
+    bit = _put(out.beats, bit, shape.stamp_bits, groups.HEAD.stamp_bits)
+    _put(out.beats, bit, shape.event_has_offsets, groups.HEAD.with_offsets)
+    _part(packer, out, groups.HEAD_BITS)
 
 
 @njit(allocates=False)
-def close_group(packer, beats, sent_at, cycle, next_ready):
+def close_group(packer, out, cycle):
     """End the open group, if there is one; its end is formed in `cycle` or, if a part waits there, later."""
     if packer.begins >= 0:
         packer.formed = max(cycle, packer.packed)
@@ -117,35 +126,35 @@ def close_group(packer, beats, sent_at, cycle, next_ready):
     while packer.begins >= 0:
         last = packer.filled <= groups.CHECK_LSB
         if last:
-            beats[packer.beat] |= _LAST
+            out.beats[packer.beat] |= _LAST
         packer.filled = groups.PAYLOAD_BITS
-        _send(packer, beats, sent_at, next_ready)
+        _send(packer, out)
         if last:
-            group = beats[packer.begins : packer.beat]
+            group = out.beats[packer.begins : packer.beat]
             group[-1] |= check_of(group) << np.uint64(groups.CHECK_LSB)
             packer.begins, packer.packed = -1, packer.beat_from - 1
             packer.number += 1
 
 
 @njit(allocates=False)
-def _part(packer, beats, sent_at, bits, next_ready):
+def _part(packer, out, bits):
     """Form and pack a part of so many bits in the next possible cycles, and send the beats that are full then."""
     packer.formed = max(packer.form_from, packer.packed)
     packer.packed = max(packer.formed + 1, packer.pack_from)
     packer.beat_from = max(packer.beat_from, packer.packed + 1)
     packer.filled += bits
     while packer.filled >= groups.PAYLOAD_BITS:
-        packer.pack_from = _send(packer, beats, sent_at, next_ready)
+        packer.pack_from = _send(packer, out)
 
 
 @njit(allocates=False)
-def _send(packer, beats, sent_at, next_ready):
+def _send(packer, out):
     """Send a beat as soon as the receiver takes it, and return that cycle, in which the next part can be packed."""
     cycle = packer.beat_from
-    if cycle < len(next_ready):
-        cycle = next_ready[cycle]
-    beats[packer.beat] |= _KIND | (_FIRST if packer.beat == packer.begins else np.uint64(0))
-    sent_at[packer.beat] = cycle
+    if cycle < len(out.next_ready):
+        cycle = out.next_ready[cycle]
+    out.beats[packer.beat] |= _KIND | (_FIRST if packer.beat == packer.begins else np.uint64(0))
+    out.sent_at[packer.beat] = cycle
     packer.beat += 1
     packer.filled -= groups.PAYLOAD_BITS
     packer.beat_from = cycle + 1

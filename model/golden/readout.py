@@ -31,9 +31,9 @@ _QUEUE = row_type(
     "next_event end_event read oldest level lost next_record end_record waiting place_free_at stored dropped mg_stored mg_dropped"
 )
 
-# Arrays of a stream: beats and the cycles of their transfer, those of groups, and scratch for `_arbitrate` (wake), a
-# packet (values) and the packer (listed).
-_Room = namedtuple("_Room", "queues wake beats sent_at packed packed_at values listed")
+# Arrays of a stream: beats before the packer and the cycles of their transfer, and scratch for `_arbitrate` (wake) and a
+# packet (values). out: of the packer. next_ready: when the receiver takes a beat.
+_Room = namedtuple("_Room", "queues wake beats sent_at values out next_ready")
 
 
 @njit
@@ -45,37 +45,29 @@ def readout(first, n, shape, end, frame, events, records, counters, next_ready):
     """
     queues = _queues(first, n, events.bounds, records.bounds)
     most = _beats(queues, shape)
-    packed, packed_at = _packed_beats(most, shape)
-    packers = new_packer()
-    room = _Room(
-        queues,
-        np.zeros(n, np.int64),
-        np.empty(most, np.uint64),
-        np.empty(most, np.int64),
-        packed,
-        packed_at,
-        np.zeros(ARRAY + shape.longest_word, np.uint64),
-        np.empty(shape.pixels, np.int64),
-    )
-    done = _play(room, packers[0], first, shape, end, frame, events, records, counters, next_ready)
+    packers, out = new_packer(most, shape, next_ready)
+    beats, sent_at = np.empty(most, np.uint64), np.empty(most, np.int64)
+    values = np.zeros(ARRAY + shape.longest_word, np.uint64)
+    room = _Room(queues, np.zeros(n, np.int64), beats, sent_at, values, out, next_ready)
+    done = _play(room, packers[0], first, shape, end, frame, events, records, counters)
     if shape.grouped:
-        return packed[: packers[0].beat].copy(), packed_at[: packers[0].beat].copy()
-    return room.beats[:done].copy(), room.sent_at[:done].copy()
+        beats, sent_at, done = out.beats, out.sent_at, packers[0].beat
+    return beats[:done].copy(), sent_at[:done].copy()
 
 
 @njit(allocates=False)
-def _play(room, packer, first, shape, end, frame, events, records, counters, next_ready):
+def _play(room, packer, first, shape, end, frame, events, records, counters):
     """Proceed from grant to grant; write the beats to `room`, and return the number of those before the packer."""
-    queues, wake, beats, sent_at, packed, packed_at, values, listed = room
+    queues, beats, sent_at, values = room.queues, room.beats, room.sent_at, room.values
     n = len(queues)
     values[NUMBER.pulse], values[NUMBER.count] = frame, shape.grouped
     _encode(beats[:1], _FRAME_START, values, shape.frame_parts)
-    done = _transfer(sent_at, 0, 1, latency.FRAME_START, next_ready)
-    _pass(packer, packed, packed_at, beats, sent_at, 0, 1, shape)
+    done = _transfer(room, 0, 1, latency.FRAME_START)
+    _pass(packer, room, 0, 1, shape)
     t, pointer = latency.FRAME_START + 1, 0
     while True:
         t = _when_room(shape.longest_word, t, done, sent_at, shape)
-        chosen, upcoming = _arbitrate(t, pointer, queues, wake, events.row, records.row, shape.fifo_depth)
+        chosen, upcoming = _arbitrate(t, pointer, queues, room.wake, events.row, records.row, shape.fifo_depth)
         if chosen != _NONE:
             for k in range(len(values)):
                 values[k] = 0
@@ -85,23 +77,12 @@ def _play(room, packer, first, shape, end, frame, events, records, counters, nex
             length = _form_packet(beats[done:], values, queue, t, shape, events, records)
             if shape.grouped and is_event:
                 done = _take(sent_at, done, length, t, packer.taken)
-                pack_event(
-                    packer,
-                    packed,
-                    packed_at,
-                    events.row[event],
-                    first + chosen,
-                    events.hits[event],
-                    events.offsets[event],
-                    sent_at[done - 1],
-                    listed,
-                    shape,
-                    next_ready,
-                )
+                hits, offsets = events.hits[event], events.offsets[event]
+                pack_event(packer, room.out, events.row[event], first + chosen, hits, offsets, sent_at[done - 1], shape)
             elif shape.grouped:
-                done = _send(packer, packed, packed_at, beats, sent_at, done, length, t, shape, next_ready)
+                done = _send(packer, room, done, length, t, shape)
             else:
-                done = _transfer(sent_at, done, length, t, next_ready)
+                done = _transfer(room, done, length, t)
             t, pointer = t + length, (chosen + 1) % n
         elif upcoming < _NEVER:
             t = upcoming
@@ -112,24 +93,14 @@ def _play(room, packer, first, shape, end, frame, events, records, counters, nex
         values[k] = 0
     values[NUMBER.pulse] = frame
     _encode(beats[done : done + 1], _FRAME_END, values, shape.frame_parts)
-    done = _send(packer, packed, packed_at, beats, sent_at, done, 1, t, shape, next_ready)
+    done = _send(packer, room, done, 1, t, shape)
     t += 1
     for s in range(n):  # a wait for room would not show: the buffer keeps the stream busy while it lasts
         _count(counters[first + s], queues[s], shape.counter_max)
         _pack(beats[done : done + shape.counter_beats], counters[first + s], COUNTER_BITS)
-        done = _send(packer, packed, packed_at, beats, sent_at, done, shape.counter_beats, t, shape, next_ready)
+        done = _send(packer, room, done, shape.counter_beats, t, shape)
         t += shape.counter_beats
     return done
-
-
-@njit
-def _packed_beats(most, shape):
-    """Return space for the beats of groups, and for the cycles of their transfer.
-
-    A group of one event takes at most two beats more than the event: one for its head and check, one that they fill in part.
-    """
-    most = 3 * most if shape.grouped else 0
-    return np.zeros(most, np.uint64), np.empty(most, np.int64)
 
 
 @njit
@@ -273,26 +244,27 @@ def _count(counters, queue, most):
 
 
 @njit(allocates=False)
-def _send(packer, packed, packed_at, beats, sent_at, done, length, t, shape, next_ready):
+def _send(packer, room, done, length, t, shape):
     """Let the `length` beats after `done`, which are of no event, leave behind the open group; return the new `done`."""
+    sent_at = room.sent_at
     before = sent_at[done - 1]
     if shape.grouped:
         arrives = t + latency.GRANT_TO_BEAT + latency.BEAT_TO_PORT
-        close_group(packer, packed, packed_at, max(arrives, packer.formed + 1), next_ready)
+        close_group(packer, room.out, max(arrives, packer.formed + 1))
         sent_at[done - 1] = max(before, packer.beat_from - 1)
-    end = _transfer(sent_at, done, length, t, next_ready)
+    end = _transfer(room, done, length, t)
     sent_at[done - 1] = before
-    _pass(packer, packed, packed_at, beats, sent_at, done, end, shape)
+    _pass(packer, room, done, end, shape)
     return end
 
 
 @njit(allocates=False)
-def _pass(packer, packed, packed_at, beats, sent_at, done, end, shape):
+def _pass(packer, room, done, end, shape):
     """Let beats from `done` to `end` through the packer."""
     if shape.grouped:
         begin, packer.beat = packer.beat, packer.beat + end - done
         for k in range(end - done):
-            packed[begin + k], packed_at[begin + k] = beats[done + k], sent_at[done + k]
+            room.out.beats[begin + k], room.out.sent_at[begin + k] = room.beats[done + k], room.sent_at[done + k]
 
 
 @njit(allocates=False)
@@ -305,8 +277,9 @@ def _take(sent_at, done, length, t, taken):
 
 
 @njit(allocates=False)
-def _transfer(sent_at, done, length, t, next_ready):
-    """Write to `sent_at` when the `length` beats after `done`, granted in cycle `t`, leave; return the new `done`."""
+def _transfer(room, done, length, t):
+    """Write down when the `length` beats after `done`, granted in cycle `t`, leave; return the new `done`."""
+    sent_at, next_ready = room.sent_at, room.next_ready
     for k in range(done, done + length):
         earliest = t + latency.GRANT_TO_BEAT + k - done + latency.BEAT_TO_PORT
         if k:

@@ -7,9 +7,8 @@ import pytest
 from coincid.host.driver import Driver, Status, read_sensor
 from coincid.host.frame_assembly import FrameAssembler
 from coincid.host.mapped_memory import MemoryTransport
-from coincid.host.programmed import Programmed, runs
 from coincid.host.register_names import find
-from coincid.host.transport import HostError, RefusedError
+from coincid.host.transport import HostError, RefusedError, runs
 from coincid.model.contract import registers
 from coincid.model.contract.config import parse_config, sensor_table
 from coincid.model.contract.counters import COUNTER_NAMES
@@ -118,10 +117,6 @@ def test_only_what_changes_is_written():
 
 def test_runs():
     assert runs([(8, 1), (12, 2), (20, 3), (16, 4), (20, 5)]) == [(8, [1, 2]), (20, [3]), (16, [4, 5])]
-    known = Programmed({4: 1})
-    assert known.pending([(4, 1), (8, 0)]) == [(8, 0)]
-    known.forget()
-    assert known.pending([(4, 1)]) == [(4, 1)]
 
 
 def test_no_sensor():
@@ -150,7 +145,7 @@ def test_a_sensor_in_use():
             driver.start()
         assert refused.value.reasons == ("start_period",)
         assert driver.status() == Status(busy=False, done=False)
-        rtl.driver.programmed.forget()
+        rtl.driver.programmed.clear()
         for seed in range(3):
             edges = random_edges(of, 600, seed)
             trace = golden.frame(of, edges)
