@@ -24,7 +24,6 @@ FRAMES_MAX = 1 << 16  # the frame number has 16 bits
 LINK_GBPS_MAX = 1e6  # per stream
 GATE_BITS = 16
 GATE_MAX = (1 << GATE_BITS) - 1  # of a gate's cycles, pulses and steps
-CONTROLLER = "Threshold controller"
 GATE = "Progressive gating"
 _FORMATS_TOLD = ", ".join(f"{n} {name}" + f" ({of.doc})" * bool(of.doc) for n, (name, of) in enumerate(FORMATS.items()))
 
@@ -39,6 +38,15 @@ def _integer(default: int | None, low: Limit, high: Limit, doc: str, **columns: 
 
 def _switch(default: bool, doc: str, **columns: Any) -> Any:
     return _setting(Kind.SWITCH, doc, default=default, **columns)
+
+
+def _of_controller(kind: Kind, doc: str, **columns: Any) -> Any:
+    return _setting(kind, f"Threshold controller: {doc}", needs="controller", **columns)
+
+
+def _counted(unit: str, **columns: Any) -> dict[str, Any]:
+    """Return the columns of a setting that counts something per frame, and has a default that depends on the others."""
+    return {"derived": True, "unit": unit, "high": EVENTS_MAX} | columns
 
 
 @frozen
@@ -91,37 +99,22 @@ class FrameSettings:
     dither_seed: int = _integer(
         1, 1, (1 << LFSR_BITS) - 1, "State of that LFSR at the beginning of the frame.", offset=0x88
     )
-    threshold_floor: int = _integer(
-        1,
-        0,
-        THRESHOLD_MAX,
-        f"{CONTROLLER}: the lowest threshold; 0 has the effect of 1.",
-        needs="controller",
+    threshold_floor: int = _of_controller(
+        Kind.INTEGER,
+        "the lowest threshold; 0 has the effect of 1.",
+        default=1,
+        high=THRESHOLD_MAX,
         unit="pixels",
         offset=0x90,
     )
-    auto_bounds: list[int] | None = _setting(
+    auto_bounds: list[int] | None = _of_controller(
         Kind.INTEGERS,
-        f"{CONTROLLER}: the threshold is at most 1 + the number of bounds that `opened` of the previous frame reaches."
-        " Must not descend.",
-        needs="controller",
-        derived=True,
-        unit="windows",
-        high=EVENTS_MAX,
+        "the threshold is at most 1 + the number of bounds that `opened` of the previous frame reaches. Must not descend.",
+        **_counted("windows", reset=0, offset=0x6C),
         count=AUTO_BOUNDS,
-        reset=0,
-        offset=0x6C,
     )
-    capacity: int | None = _integer(
-        None,
-        0,
-        EVENTS_MAX,
-        f"{CONTROLLER}: events that a stream carries in a frame.",
-        needs="controller",
-        derived=True,
-        unit="events",
-        reset=EVENTS_MAX,
-        offset=0x8C,
+    capacity: int | None = _of_controller(
+        Kind.INTEGER, "events that a stream carries in a frame.", **_counted("events", reset=EVENTS_MAX, offset=0x8C)
     )
 
 

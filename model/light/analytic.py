@@ -14,6 +14,7 @@ scheme 1 (no coincidence) and scheme 2. Its corrected form holds for any activit
   at the next window.
 """
 
+from collections import namedtuple
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -73,12 +74,7 @@ def effective_cps(
 
 
 def noise_photons(
-    effective_noise_cps: Numbers,
-    window_s: Numbers,
-    threshold: int | np.ndarray,
-    dead_time_s: float,
-    pixels: int,
-    form: str,
+    effective_noise_cps: Numbers, window_s: Numbers, threshold: Numbers, dead_time_s: float, pixels: int, form: str
 ) -> Numbers:
     """(3): noise photons of a pixel in the coincidence window of `window_s`.
 
@@ -91,12 +87,7 @@ def noise_photons(
 
 
 def signal_photons(
-    effective_signal_cps: Numbers,
-    laser_hz: float,
-    threshold: int | np.ndarray,
-    dead_time_s: float,
-    pixels: int,
-    form: str,
+    effective_signal_cps: Numbers, laser_hz: float, threshold: Numbers, dead_time_s: float, pixels: int, form: str
 ) -> Numbers:
     """(4): signal photons of a pixel in a laser period. Literal: with dead time as in (3). Corrected: without."""
     if _literal(form):
@@ -110,9 +101,7 @@ def pixel_probability(photons_pixel: Numbers, form: str) -> Numbers:
     return photons_pixel * np.exp(-photons_pixel) if _literal(form) else -np.expm1(-photons_pixel)
 
 
-def minigroup_probability(
-    photons_minigroup: Numbers, threshold: int | np.ndarray, pixels_minigroup: int, form: str
-) -> Numbers:
+def minigroup_probability(photons_minigroup: Numbers, threshold: Numbers, pixels_minigroup: int, form: str) -> Numbers:
     """(10): probability of threshold - 1 photons in a pixel's minigroup.
 
     Literal: from all its pixels, Poisson. Corrected: from the other pixels, which must be distinct, binomial.
@@ -122,14 +111,14 @@ def minigroup_probability(
     return stats.binom.pmf(threshold - 1, pixels_minigroup - 1, _share(photons_minigroup, pixels_minigroup))
 
 
-def rest_probability(photons_rest: Numbers, threshold: int | np.ndarray, pixels_rest: int, form: str) -> Numbers:
+def rest_probability(photons_rest: Numbers, threshold: Numbers, pixels_rest: int, form: str) -> Numbers:
     """(12): probability of threshold - 1 photons outside the minigroup. Literal: Poisson. Corrected: binomial."""
     if _literal(form):
         return stats.poisson.pmf(threshold - 1, photons_rest)
     return stats.binom.pmf(threshold - 1, pixels_rest, _share(photons_rest, pixels_rest))
 
 
-def others_probability(photons: Photons, threshold: int | np.ndarray, sizes: Sizes, form: str) -> Numbers:
+def others_probability(photons: Photons, threshold: Numbers, sizes: Sizes, form: str) -> Numbers:
     """(13): probability that the other pixels of the subgroup contribute the missing threshold - 1 detections.
 
     Literal: union of (10) and (12), assumed independent. Corrected: at least threshold - 1 of the others, in any split.
@@ -142,14 +131,12 @@ def others_probability(photons: Photons, threshold: int | np.ndarray, sizes: Siz
     return stats.binom.sf(threshold - 2, sizes.subgroup - 1, _share(photons.subgroup, sizes.subgroup))
 
 
-def coincidence_probability(photons: Photons, threshold: int | np.ndarray, sizes: Sizes, form: str) -> Numbers:
+def coincidence_probability(photons: Photons, threshold: Numbers, sizes: Sizes, form: str) -> Numbers:
     """(8), (14): probability that a pixel detects and the threshold is met, of noise or of signal alone."""
     return pixel_probability(photons.pixel, form) * others_probability(photons, threshold, sizes, form)
 
 
-def signal_probability(
-    noise: Photons, signal: Photons, threshold: int | np.ndarray, sizes: Sizes, form: str
-) -> Numbers:
+def signal_probability(noise: Photons, signal: Photons, threshold: Numbers, sizes: Sizes, form: str) -> Numbers:
     """(15): probability that a pixel detects a signal photon in an event, in the presence of noise.
 
     Literal: no noise in the pixel, no noise event, a signal event. Corrected: the other pixels count whether they detect
@@ -171,9 +158,7 @@ def windows_per_period(effective_noise_sg_cps: Numbers, period_s: float, busy_s:
     return effective_noise_sg_cps * period_s / (1 + effective_noise_sg_cps * busy_s)
 
 
-def noise_counts(
-    noise: Photons, threshold: int | np.ndarray, pulses: int, windows: Numbers, sizes: Sizes, form: str
-) -> Numbers:
+def noise_counts(noise: Photons, threshold: Numbers, pulses: int, windows: Numbers, sizes: Sizes, form: str) -> Numbers:
     """(16a): noise counts of a pixel in a frame.
 
     Literal: (8) times `pulses`. Corrected: `windows` of each period are opened by a photon, the pixel's own or
@@ -188,7 +173,7 @@ def noise_counts(
 
 
 def signal_counts(
-    noise: Photons, signal: Photons, threshold: int | np.ndarray, pulses: int, armed: Numbers, sizes: Sizes, form: str
+    noise: Photons, signal: Photons, threshold: Numbers, pulses: int, armed: Numbers, sizes: Sizes, form: str
 ) -> Numbers:
     """(16b): signal counts of a pixel in a frame: (15) times `pulses`. Corrected: times `armed`, P(the tree is armed)."""
     counts = signal_probability(noise, signal, threshold, sizes, form) * pulses
@@ -330,20 +315,8 @@ def _share(photons: Numbers, pixels: int) -> Numbers:
     return -np.expm1(-np.asarray(photons, float) / pixels)
 
 
-class _Case(NamedTuple):
-    """Arguments of `histogram`, checked. flight_s, signal (photons per pulse), noise_cps: float64[pixels]."""
-
-    flight_s: np.ndarray
-    signal: np.ndarray
-    noise_cps: np.ndarray
-    threshold: int
-    window_ticks: int
-    pulses: int
-    scheme: int
-    sensor: Sensor
-    timing: Timing
-    spad: Spad
-    sigma_s: float
+# Arguments of `histogram`, checked. flight_s, signal (photons per pulse), noise_cps: float64[pixels].
+_Case = namedtuple("_Case", "flight_s signal noise_cps threshold window_ticks pulses scheme sensor timing spad sigma_s")
 
 
 def _literal_histogram(of: _Case) -> np.ndarray:

@@ -101,15 +101,8 @@ class LinkBudget:
         }
 
 
-JSON_KEYS = (
-    "aperture_m2",
-    "photon_energy_j",
-    "irradiance_w_m2",
-    "signal_rate_cps",
-    "background_rate_cps",
-    "signal_per_pulse",
-    "sbr_db",
-    "sbr_reading",
+JSON_KEYS = tuple(
+    "aperture_m2 photon_energy_j irradiance_w_m2 signal_rate_cps background_rate_cps signal_per_pulse sbr_db sbr_reading".split()
 )
 
 

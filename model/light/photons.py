@@ -77,19 +77,25 @@ def edge_chunks(
     check_integer("seed", seed, 0, SEED_MAX)
     check_integer("workers", workers, 1, 256)
     physics, arrays = _in_ticks(light, spad, timing, gate, pulse_start + pulses)
-    edges_per_pulse = physics.edges_per_pulse(arrays)
+    photons_per_pulse = _photons_per_pulse(physics, arrays)
+    edges_per_pulse = photons_per_pulse * (1 + 2 * physics.afterpulse + 4 * physics.crosstalk)
+    if physics.dead:
+        edges_per_pulse = np.minimum(edges_per_pulse, physics.period_ticks / physics.dead + 1)
     packing = Packing((light.pixels - 1).bit_length(), (timing.period_ticks - 1).bit_length())
     if chunk_pulses is None:
         chunk_pulses = min(max(1, int(CHUNK_EDGES / (edges_per_pulse.sum() + 1e-9))), CHUNK_EDGES)
     check_integer("chunk_pulses", chunk_pulses, 1, 1 << min(31, 63 - sum(packing)), "of this array and period")
     blocks = [(light.pixels * i // workers, light.pixels * (i + 1) // workers) for i in range(workers)]
-    walkers = [_Walker(physics, arrays, block, seed, packing, edges_per_pulse[slice(*block)].sum()) for block in blocks]
+    walkers = [
+        _Walker((physics, arrays, block, np.uint64(seed)), packing, photons_per_pulse.max(), edges_per_pulse)
+        for block in blocks
+    ]
     return _chunks(walkers, range(pulse_start, pulse_start + pulses), chunk_pulses)
 
 
 def _chunks(walkers: list["_Walker"], pulses: range, chunk_pulses: int) -> Iterator[Edges]:
     """For each chunk, run both passes over all blocks of pixels, then sort by time."""
-    physics, packing = walkers[0].physics, walkers[0].packing
+    physics, packing = walkers[0].of[0], walkers[0].packing
     with Threads(len(walkers)) as threads:
         for first in pulses[::chunk_pulses]:
             span = (first, min(chunk_pulses, pulses.stop - first))
@@ -166,6 +172,16 @@ def _in_ticks(
     return physics, arrays
 
 
+def _photons_per_pulse(physics: Physics, arrays: Arrays) -> np.ndarray:
+    """Upper estimate of the photons of each pixel in a period, which sets the size of buffers only."""
+    filled = np.diff(arrays.bin_first) > 0
+    binned = np.zeros(len(filled))
+    binned[filled] = arrays.bin_photons[arrays.bin_first[1:][filled] - 1]
+    others = physics.period_ticks / physics.other_period_ticks + 1 if physics.other_period_ticks else 0.0
+    photons: np.ndarray = arrays.noise + (arrays.signal.sum(axis=1) + binned) + arrays.other * others
+    return photons
+
+
 def _bins(light: Light, tick_s: float, period_ticks: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """(bin_first, bin_start, bin_photons) of `Arrays`."""
     if light.arrivals is None:
@@ -178,23 +194,18 @@ def _bins(light: Light, tick_s: float, period_ticks: int) -> tuple[np.ndarray, n
 
 
 class _Walker:
-    """A block of pixels and their state from chunk to chunk, for the sending pass of crosstalk and for the last pass."""
+    """A block of pixels and their state from chunk to chunk, for the sending pass of crosstalk and for the last pass.
 
-    def __init__(
-        self,
-        physics: Physics,
-        arrays: Arrays,
-        block: tuple[int, int],
-        seed: int,
-        packing: Packing,
-        edges_per_pulse: float,
-    ):
-        self.physics, self.arrays, self.block, self.packing = physics, arrays, block, packing
-        self.seed, self.edges_per_pulse = np.uint64(seed), edges_per_pulse
-        brightest = (arrays.noise + arrays.signal_per_pulse + arrays.other * physics.others_per_pulse).max()
+    of: what each walk takes: physics, arrays, the block's first pixel and its end, the seed. brightest: photons per pulse of
+    the brightest pixel; edges_per_pulse: of each pixel. Both are upper estimates, for the sizes of buffers.
+    """
+
+    def __init__(self, of: tuple[Any, ...], packing: Packing, brightest: float, edges_per_pulse: np.ndarray):
+        self.of, self.packing = of, packing
+        physics, _, (first, end), _ = of
+        self.edges_per_pulse = edges_per_pulse[first:end].sum()
         self.photons_max = int(brightest + 12 * math.sqrt(brightest)) + 64  # doubled if it is ever exceeded
-        pixels = block[1] - block[0]
-        fresh = np.zeros(pixels), np.full((pixels, CARRIERS_MAX if physics.afterpulse else 0), np.inf)
+        fresh = np.zeros(end - first), np.full((end - first, CARRIERS_MAX if physics.afterpulse else 0), np.inf)
         self.state: dict[bool, tuple[np.ndarray, ...]] = {True: fresh, False: fresh}
 
     def walk(
@@ -206,7 +217,8 @@ class _Walker:
             state = tuple(array.copy() for array in self.state[sending])
             made = Made(self.packing, sending, np.empty(capacity, np.int64), np.empty(capacity))
             scratch = np.empty(LAW_SIZE), np.empty(self.photons_max)
-            n = walk(self.physics, self.arrays, self.block, self.seed, span, received, state, scratch, made)
+            physics, arrays, block, seed = self.of
+            n = walk(physics, arrays, block, seed, span, received, state, scratch, made)
             if n < 0:
                 self.photons_max *= 2
             elif n > capacity:

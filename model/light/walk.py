@@ -5,6 +5,7 @@ The code is compiled; `photons.py` describes it and calls it. Times are in ticks
 """
 
 import math
+from collections import namedtuple
 from typing import NamedTuple
 
 import numpy as np
@@ -37,73 +38,21 @@ class Made(NamedTuple):
     times: np.ndarray
 
 
-class Physics(NamedTuple):
-    """Scalars of the walk; times in ticks. other_period_ticks: laser period of another LiDAR, 0 without one."""
-
-    period_ticks: float
-    phases: int
-    dead: float
-    paralyzable: bool
-    jitter: float
-    tail_fraction: float
-    tail: float
-    afterpulse: float
-    afterpulse_time: float
-    crosstalk: float
-    rows: int
-    cols: int
-    gate_every: int
-    gate_steps: int
-    frame_pulses: int
-    other_period_ticks: float
-    other_sigma: float
-    bin_width: float
-
-    def edges_per_pulse(self, arrays: "Arrays") -> np.ndarray:
-        """Upper estimate of the edges of each pixel in a period, which sets the size of buffers only."""
-        photons = arrays.noise + arrays.signal_per_pulse + arrays.other * self.others_per_pulse
-        photons *= 1 + 2 * self.afterpulse + 4 * self.crosstalk
-        return np.minimum(photons, self.period_ticks / self.dead + 1) if self.dead else photons
-
-    @property
-    def others_per_pulse(self) -> float:
-        """Highest number of pulses of another LiDAR in a period."""
-        return self.period_ticks / self.other_period_ticks + 1 if self.other_period_ticks else 0.0
-
-
-class Arrays(NamedTuple):
-    """Arrays of the walk: noise [pixels], signal [pixels, targets] in photons per period; the others in ticks.
-
-    centre, sigma: [pixels, targets]; laps: whole periods of the flight, [pixels, targets]. bin_first: int64[pixels + 1],
-    first bin of a pixel; bin_start: beginning of the bins; bin_photons: cumulative photons of a pixel's bins, including
-    the bin itself. gate_start, gate_len, gate_step: [pixels]. taps: inner borders of the phases, empty = ideal. other,
-    other_first: photons of another LiDAR's pulse, and time of the first one, [pixels]. starts: of the pulses' periods,
-    empty = back to back.
-    """
-
-    noise: np.ndarray
-    signal: np.ndarray
-    centre: np.ndarray
-    sigma: np.ndarray
-    gate_start: np.ndarray
-    gate_len: np.ndarray
-    gate_step: np.ndarray
-    taps: np.ndarray
-    laps: np.ndarray
-    bin_first: np.ndarray
-    bin_start: np.ndarray
-    bin_photons: np.ndarray
-    other: np.ndarray
-    other_first: np.ndarray
-    starts: np.ndarray
-
-    @property
-    def signal_per_pulse(self) -> np.ndarray:
-        """float64[pixels]: photons per period, of all targets and bins."""
-        filled = np.diff(self.bin_first) > 0
-        binned = np.zeros(len(filled))
-        binned[filled] = self.bin_photons[self.bin_first[1:][filled] - 1]
-        return self.signal.sum(axis=1) + binned
+# Scalars of the walk; times in ticks. other_period_ticks: laser period of another LiDAR, 0 without one.
+Physics = namedtuple(
+    "Physics",
+    "period_ticks phases dead paralyzable jitter tail_fraction tail afterpulse afterpulse_time crosstalk rows cols gate_every"
+    " gate_steps frame_pulses other_period_ticks other_sigma bin_width",
+)
+# Arrays of the walk; times in ticks. By pixel: noise in photons per period; gate_start, gate_len, gate_step; other and
+# other_first, the photons of another LiDAR's pulse and the time of the first one. By pixel and target: signal in photons per
+# period, centre, sigma, and laps, the whole periods of the flight. Pixel p has the bins bin_first[p] to bin_first[p + 1];
+# bin_start is the beginning of each, and bin_photons the sum of the photons of the pixel's bins up to it. taps: inner borders
+# of the phases, empty if they are ideal. starts: of the pulses' periods, empty if they are back to back.
+Arrays = namedtuple(
+    "Arrays",
+    "noise signal centre sigma gate_start gate_len gate_step taps laps bin_first bin_start bin_photons other other_first starts",
+)
 
 
 class _Source(NamedTuple):

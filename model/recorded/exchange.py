@@ -14,7 +14,7 @@ import re
 import warnings
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import h5py
 import numpy as np
@@ -43,14 +43,14 @@ def read_recording(path: FilePath, sync_channel: int | None = None) -> Recording
         return read_ptu(path, sync_channel)
     names, read = {".npz": _npz, ".csv": _csv}.get(suffix, _hdf5)(path)
     if set(NAMES) <= set(names):
-        pulse, pixel, tick = read(NAMES)
-        return _of_syncs(path, pulse, pixel, tick, "edges", sync_channel, in_ticks=True)
+        return _of_syncs(path, NAMES, read(NAMES), "edges", sync_channel)
     unit = next((name for name in UNITS_PS if name in names), None)
     if unit is None or "channel" not in names:
         raise InputError(f"{path}: has the columns {', '.join(names) or 'none'}; must have {EXPECTED}")
     if "sync" in names:
         sync, channel, time = read(("sync", "channel", unit))
-        return _of_syncs(path, sync, channel, time * UNITS_PS[unit], "table of syncs", sync_channel)
+        columns = sync, channel, time * UNITS_PS[unit]
+        return _of_syncs(path, ("sync", "channel", "time"), columns, "table of syncs", sync_channel)
     channel, time = read(("channel", unit))
     channel = _integers(path, "channel", channel)
     if sync_channel is None:
@@ -73,14 +73,8 @@ def write_edges(path: FilePath, edges: Edges, timing: Timing) -> None:
         write_ptu(path, edges, timing)
     elif suffix == ".csv":
         with whole_file(path) as file:
-            np.savetxt(
-                file,
-                np.stack([getattr(edges, name) for name in NAMES], axis=1),
-                "%d",
-                ",",
-                header=",".join(NAMES),
-                comments="",
-            )
+            table = np.stack([getattr(edges, name) for name in NAMES], axis=1)
+            np.savetxt(file, table, "%d", ",", header=",".join(NAMES), comments="")
     else:
         data = io.BytesIO()
         with h5py.File(data, "w") as archive:
@@ -122,23 +116,18 @@ def parse_channels(text: str) -> dict[int, int]:
 
 
 def _of_syncs(
-    path: FilePath,
-    sync: np.ndarray,
-    channel: np.ndarray,
-    time: np.ndarray,
-    kind: str,
-    sync_channel: int | None,
-    in_ticks: bool = False,
+    path: FilePath, names: tuple[str, ...], columns: Columns, kind: str, sync_channel: int | None
 ) -> Recording:
+    """Return the photons of a table with syncs, or of edges, whose times are ticks. names: of the columns, in messages."""
     if sync_channel is not None:
         raise InputError(f"sync-channel = {sync_channel}: {path} is a {kind}, which has no triggers among its events")
-    first, second, third = NAMES if in_ticks else ("sync", "channel", "time")
-    sync, channel = _integers(path, first, sync), _integers(path, second, channel)
-    if in_ticks:
-        time = _integers(path, third, time)
-    for name, values in ((first, sync), (second, channel), (third, time)):
+    whole = [
+        values if name == "time" else _integers(path, name, values) for name, values in zip(names, columns, strict=True)
+    ]
+    for name, values in zip(names, whole):
         _not_negative(path, name, values)
-    return Recording(sync=sync, channel=channel, time_ps=time, kind=kind, in_ticks=in_ticks)
+    sync, channel, time = whole
+    return Recording(sync=sync, channel=channel, time_ps=time, kind=kind, in_ticks=names == NAMES)
 
 
 def _integers(path: FilePath, name: str, values: np.ndarray) -> np.ndarray:
@@ -168,14 +157,8 @@ def _csv(path: FilePath) -> tuple[list[str], Read]:
     def read(chosen: tuple[str, ...]) -> Columns:
         try:
             with warnings.catch_warnings(category=UserWarning, action="ignore"):  # no rows: no photons
-                columns = np.loadtxt(
-                    path,
-                    delimiter=separator,
-                    skiprows=lines,
-                    usecols=[names.index(name) for name in chosen],
-                    ndmin=2,
-                    encoding="utf-8-sig",
-                )
+                form: dict[str, Any] = {"delimiter": separator, "skiprows": lines, "ndmin": 2, "encoding": "utf-8-sig"}
+                columns = np.loadtxt(path, usecols=[names.index(name) for name in chosen], **form)
         except (OSError, ValueError, IndexError) as error:
             raise InputError(f"{path}: is not a table of numbers ({error})") from None
         return columns.T if columns.size else np.empty((len(chosen), 0))

@@ -65,7 +65,7 @@ def read_ptu(path: FilePath, sync_channel: int | None = None) -> Recording:
         period_ps=unit_ps,
         kind=f"T3, bins of {bin_ps:.6g} ps",
     )
-    return scan.place(recording, time, photons["marker"], chosen) if scan else recording
+    return scan.place(recording, time, photons["marker"]) if scan else recording
 
 
 def _t2(
@@ -109,7 +109,7 @@ class _Scan:
             )
         return cls(rows, cols, file.line_start_mask, file.line_stop_mask, file.frame_change_mask, file.is_bidirectional)
 
-    def place(self, recording: Recording, time: np.ndarray, marker: np.ndarray, chosen: np.ndarray) -> Recording:
+    def place(self, recording: Recording, time: np.ndarray, marker: np.ndarray) -> Recording:
         """Return `recording` with positions as channels, and syncs that count in a position's dwell, then through frames."""
         begins, ends, changes = (time[(marker & mask) > 0] for mask in (self.start, self.stop, self.frame))
         ends = np.append(ends, -1)[np.searchsorted(ends, begins, side="right")]

@@ -4,7 +4,6 @@
 from collections.abc import Callable
 from os import PathLike
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -94,41 +93,39 @@ def load_scene(
     """
     check_integer("rows", rows, 1, 4096)
     check_integer("cols", cols, 1, 4096)
-    options: dict[str, Any] = {
-        "colour": colour,
-        "reflectivity": reflectivity,
-        "scale": scale,
-        "unit": unit,
-        "range_m": range_m,
-    }
-    if isinstance(source, np.ndarray):
-        return depth_scene(source, rows, cols, **options)
-    if not isinstance(source, str | PathLike):
+    if isinstance(source, str | PathLike):
+        text = source = str(source)
+        if is_ray_scene(text) or _is_built_in(text):
+            if scale != 1:
+                raise InputError(f"scale = {scale:g}: goes with depth files only, must be 1 for scene {text!r}")
+            if unit is not None:
+                raise InputError(f"unit = {unit!r}: goes with depth files only, not with scene {text!r}")
+            return _named_scene(text, rows, cols, range_m)
+        if "," in text and not Path(text).exists():
+            source, _, beside = text.rpartition(",")
+            if colour is not None:
+                raise InputError(f"scene {text!r}: names a colour picture, and another one is given: {colour}")
+            colour = beside
+        if not Path(source).exists():
+            raise InputError(f"{source}: no such file (built-in scenes: {', '.join(NAMES)})")
+    elif not isinstance(source, np.ndarray):
         raise InputError(
             f"scene = {source!r}: must be a Scene, a name or file of one, or an array of distances in metres"
         )
-    source = depth = str(source)
-    if is_ray_scene(source) or _is_built_in(source):
-        if scale != 1:
-            raise InputError(f"scale = {scale:g}: goes with depth files only, must be 1 for scene {source!r}")
-        if unit is not None:
-            raise InputError(f"unit = {unit!r}: goes with depth files only, not with scene {source!r}")
+    return depth_scene(
+        source, rows, cols, colour=colour, reflectivity=reflectivity, scale=scale, unit=unit, range_m=range_m
+    )
+
+
+def _named_scene(source: str, rows: int, cols: int, range_m: float) -> Scene:
+    """Return a scene for the ray tracer, or a built-in one."""
     if is_ray_scene(source):
         return ray_scene(source, rows, cols, range_m=range_m)
     name, _, values = source.partition(":")
-    if name == RETURNS and _is_built_in(source):
+    if name == RETURNS:
         return returns(rows, cols, source, _targets(values, range_m))
-    if _is_built_in(source):
-        defaults, build = BUILT_IN[name]
-        return build(rows, cols, source, *_numbers(name, values, defaults, range_m))
-    if "," in depth and not Path(depth).exists():
-        depth, _, beside = depth.rpartition(",")
-        if colour is not None:
-            raise InputError(f"scene {source!r}: names a colour picture, and another one is given: {colour}")
-        colour = beside
-    if not Path(depth).exists():
-        raise InputError(f"{depth}: no such file (built-in scenes: {', '.join(NAMES)})")
-    return depth_scene(depth, rows, cols, **options | {"colour": colour})
+    defaults, build = BUILT_IN[name]
+    return build(rows, cols, source, *_numbers(name, values, defaults, range_m))
 
 
 def _is_built_in(source: str) -> bool:
