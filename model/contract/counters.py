@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The counters of a subgroup, which registers and frame end packets hold."""
 
-COUNTER_BITS = 32  # of a register, and of a counter at most
-COUNTER_BITS_MIN = 9  # of a counter: a threshold fits
+COUNTER_BITS = 32  # bits of a register, and the most that a counter has
+COUNTER_BITS_MIN = 9  # fewest bits of a counter: it must hold a threshold
 EVENTS_MAX = (1 << COUNTER_BITS) - 1  # highest value of a counter
 
 COUNTERS: tuple[tuple[str, str], ...] = (  # in the order of the frame end packet

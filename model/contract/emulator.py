@@ -18,7 +18,7 @@ ADDRESS_BITS = 24
 REGION_BITS = 20  # bits of an address inside a region; the bits above select the region
 SENSOR_BASE, OWN_BASE, SOURCE_BASE, BUFFER_BASE = 0x000000, 0x100000, 0x200000, 0x300000
 SOURCE_STRIDE = 0x800
-BUFFER_BEATS, BUFFER_BEATS_MAX = 8192, 1 << 16  # of a frame buffer that nobody chose, and of the largest
+BUFFER_BEATS, BUFFER_BEATS_MAX = 8192, 1 << 16  # size of the frame buffer: default and maximum
 EMULATOR_ID = 0x454D554C  # "EMUL"
 EMULATOR_VERSION = 0x00010000
 
@@ -32,10 +32,10 @@ TAPS = (
     (4, 13, 27), (11, 23, 26), (0, 14, 22), (10, 25, 29), (5, 16, 27), (19, 21, 24), (7, 21, 28), (12, 29, 31),
 )  # fmt: skip
 SEED_BIT = 15  # bit of a generator at which its seed is shifted in
-# Bits of the state: in a period's first cycle they decide on an echo; in the second, the low ones place it.
+# In a period's first cycle, these bits of the state decide whether there is an echo; in the second, the low ones decide when.
 LEVEL_LSB, LEVEL_BITS = 0, 8
-PHASE_LSB = 8  # bits of the state: phase of a background photon
-RATE_LSB, RATE_BITS = 16, 16  # bits of the state: they decide on a background photon
+PHASE_LSB = 8  # bits of the state that give the phase of a background photon
+RATE_LSB, RATE_BITS = 16, 16  # bits of the state that decide whether there is a background photon
 SPREAD_MAX = 4
 DEAD_MAX = 15
 ECHO_FROM = 2  # first cycle of a period in which its echo can arrive
@@ -102,7 +102,7 @@ OWN: tuple[Register, ...] = (
     # Accesses to the sensor wait while the source prepares the next frame.
     Register("seeding", 0x2C, COUNTER, "1 while the source prepares the next frame."),
 )
-ECHO_OFFSET = 0x400  # of the pixels' echoes from their subgroup's background
+ECHO_OFFSET = 0x400  # from a subgroup's background to its pixels' echoes, in bytes
 OWN_BY_NAME = {register.name: register for register in OWN}
 
 

@@ -5,30 +5,21 @@
 documents share.
 """
 
+from collections import namedtuple
 from functools import cache
-from typing import NamedTuple
 
 from attrs import frozen
 
 from .packet import KIND_LSB, Packet
 from .parameters import Sensor, bits_for
 
-
-class Head(NamedTuple):
-    """Widths of the fields before the first event, in their order."""
-
-    pulse: int = 16
-    number: int = 8
-    stamp_bits: int = 4
-    with_offsets: int = 1
-
-
+Head = namedtuple("Head", "pulse number stamp_bits with_offsets")  # fields before the first event, in their order
+HEAD = Head(16, 8, 4, 1)  # their widths
 FIRST_LSB, LAST_LSB = KIND_LSB - 1, KIND_LSB - 2  # marks of a group's first and last beat
 PAYLOAD_BITS = LAST_LSB  # of a beat
 CHECK_BITS = 32  # in the highest bits of the last beat's payload
 CHECK_POLYNOMIAL = 0xEDB88320  # of CRC-32 (IEEE 802.3), reversed: the lowest bit of a beat comes first
 CHECK_LSB = PAYLOAD_BITS - CHECK_BITS
-HEAD = Head()
 HEAD_BITS = sum(HEAD)
 LISTED_BITS = 3
 MAPPED = (1 << LISTED_BITS) - 1  # in place of the number of listed pixels: a map follows the winner

@@ -23,9 +23,10 @@ PHOTONS_PER_TICK = (1e-7, 10.0, 100_000)  # photons per tick of a subgroup: lowe
 def noise_bounds(
     *, phases: int, window_ticks: int, rearm_cycles: int, period_cycles: int, pulses: int
 ) -> tuple[int, ...]:
-    """`auto_bounds`: at bound k (from 1) opened windows, noise commits `NOISE_COMMITS_PER_PULSE` at threshold k.
+    """Return `auto_bounds`. Bound k, from 1, is a number of opened windows per frame.
 
-    So threshold k + 1 may be needed from there on.
+    If noise alone opens so many windows, it commits `NOISE_COMMITS_PER_PULSE` at threshold k. With more windows, threshold
+    k + 1 may be needed.
     """
     per_tick = np.geomspace(*PHOTONS_PER_TICK)
     open_ticks = phases * (period_cycles - guard_cycles(window_ticks, phases, rearm_cycles))

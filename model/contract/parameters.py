@@ -11,7 +11,7 @@ from .table import Kind, Limit, number, settings_of_class
 
 TOP = "coincid_sensor"  # the RTL's top module
 STAMP_FIELD_BITS = 15  # width of the header's field; packet.py lays the fields out
-MASK_BITS = 32  # pixels of a register of the mask
+MASK_BITS = 32  # pixels per register of the mask
 QUARTERS = 4  # coarse stamps count quarters of a cycle, and a step of the offsets is at most a quarter
 PHASES_MAX = 64
 OFFSET_NONE = 255  # offset byte of a minigroup that was not hit

@@ -9,7 +9,6 @@ from ..shared.files import FilePath, read_npz, write_npz
 from .config import Config
 from .counters import COUNTER_NAMES
 from .packet import FORMATS, HEADER
-from .parameters import OFFSET_NONE
 from .stream import decode_frame
 
 EVENT_FIELDS = ("subgroup", "pulse", "stamp", "count", "winner", "overrun")
@@ -52,16 +51,12 @@ class ResultBuilder:
                 raise ValueError("the events that left the sensor are not the ones that its FIFOs stored")
             commit[left] = commit_cycle[order]
         columns["pulse"] = columns["pulse"] + base
-        self._events.append(
-            (
-                *(columns[name] for name in EVENT_FIELDS),
-                commit,
-                np.concatenate([frame.hits for frame in frames]),
-                np.concatenate([frame.offsets for frame in frames]),
-            )
+        hits, offsets, records, entries = (
+            np.concatenate([getattr(frame, name) for frame in frames])
+            for name in ("hits", "offsets", "records", "entries")
         )
-        records = np.concatenate([frame.records for frame in frames])
-        self._records.append((records[:, 0], records[:, 1] + base, np.concatenate([frame.entries for frame in frames])))
+        self._events.append((*(columns[name] for name in EVENT_FIELDS), commit, hits, offsets))
+        self._records.append((records[:, 0], records[:, 1] + base, entries))
         self._counters.append(counters)
 
     def arrays(self) -> dict[str, np.ndarray]:
@@ -125,6 +120,3 @@ def differences(first: dict[str, np.ndarray], second: dict[str, np.ndarray]) -> 
             at = np.unravel_index(np.flatnonzero((a != b).ravel())[0], a.shape)
             lines.append(f"{name}{list(map(int, at))}: {a[at]} and {b[at]}")
     return lines
-
-
-__all__ = ["OFFSET_NONE", "ResultBuilder", "differences", "events_table", "read_result", "stall", "write_result"]

@@ -18,12 +18,12 @@ from .table import NO_BIT, Kind, Limit, settings_of_class
 
 AUTO_BOUNDS = 6
 THRESHOLD_MAX = 1 + AUTO_BOUNDS  # highest threshold of the controller
-BUDGET_GROWTHS = 3, 2, 1, 0  # in a frame, the controller's budget may grow by these powers of 1/2 of itself,
-LIMIT_DROP = 2  # and its limit may fall by this one
+BUDGET_GROWTHS = 3, 2, 1, 0  # from frame to frame, the controller's budget may grow by these powers of 1/2 of itself
+LIMIT_DROP = 2  # from frame to frame, its limit may fall by this power of 1/2 of itself
 FRAMES_MAX = 1 << 16  # the frame number has 16 bits
-LINK_GBPS_MAX = 1e6  # per stream
+LINK_GBPS_MAX = 1e6  # highest rate of the link behind a stream
 GATE_BITS = 16
-GATE_MAX = (1 << GATE_BITS) - 1  # of a gate's cycles, pulses and steps
+GATE_MAX = (1 << GATE_BITS) - 1  # highest number of a gate's cycles, pulses and steps
 GATE = "Progressive gating"
 _FORMATS_TOLD = ", ".join(f"{n} {name}" + f" ({of.doc})" * bool(of.doc) for n, (name, of) in enumerate(FORMATS.items()))
 

@@ -11,10 +11,7 @@ from .pixels import pixel_table
 
 
 class PortBits(NamedTuple):
-    """Places of edges, int64[n] each.
-
-    cycle: of the frame. subgroup: owner of the port. bit: position in the word of the port.
-    """
+    """Places of edges, int64[n] each: cycle of the frame, subgroup whose port it is, and bit in the word of the port."""
 
     cycle: np.ndarray
     subgroup: np.ndarray

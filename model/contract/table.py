@@ -35,11 +35,12 @@ class Kind(enum.StrEnum):
 class Setting:
     """A key of the configuration file.
 
-    default: never above the highest legal value. follows: key of [frame] whose value is the default. derived: the default
-    is None, follows from the finished configuration, and counts something per frame. low, high: legal range. count: of
-    integers, and of its register's words. offset: of its register, or of the first one. bit: of a switch in the register
-    `mode`. reset: of its register; None: the default. needs: parameter of the sensor; where it is 0, a switch must be off,
-    and another setting must be left out and has no register.
+    default: value of a key that is not written; it is never above the highest legal value. follows: key of [frame] whose
+    value is the default. derived: the default is None, and the value then follows from the finished configuration; it counts
+    something per frame. low, high: legal range. count: number of integers, and of words of the register. offset: place of the
+    register, or of the first one, in its block. bit: place of a switch in the register `mode`. reset: value of the register
+    after a reset; None: the default. needs: the parameter that says whether the sensor has this part; if it is 0, a switch
+    must be off, and any other setting must be left out and has no register.
     """
 
     name: str

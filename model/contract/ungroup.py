@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Decoder of the groups in a stream (`groups.py`): from their beats to the columns of events. It reports what is damaged."""
 
+from collections import namedtuple
 from typing import NamedTuple
 
 import numpy as np
@@ -17,15 +18,7 @@ _OVERRUN, _SUBGROUP, _PULSE, _COUNT, _WINNER, _STAMP, _KIND = (
     _COLUMNS.index(name) for name in ("overrun", "subgroup", "pulse", "count", "winner", "stamp", "kind")
 )
 _NUMBERS = 1 << groups.HEAD.number
-
-
-class Widths(NamedTuple):
-    """A sensor's widths for kernels."""
-
-    subgroup: int
-    winner: int
-    pixels: int
-    offset: int
+_Widths = namedtuple("_Widths", "subgroup winner pixels offset")  # of a sensor, for kernels
 
 
 class Ungrouped(NamedTuple):
@@ -69,7 +62,7 @@ def ungroup(beats: np.ndarray, at: np.ndarray, sensor: Sensor) -> Ungrouped:
     are left out. A reader may begin anywhere: what lies before the first mark is damaged.
     """
     widths = groups.group_widths(sensor)
-    of_sensor = Widths(widths.subgroup_bits, sensor.winner_bits, sensor.pixels, sensor.offset_bits)
+    of_sensor = _Widths(widths.subgroup_bits, sensor.winner_bits, sensor.pixels, sensor.offset_bits)
     members = [sensor.members(g) for g in range(sensor.minigroups)]
     minigroup = np.zeros(sensor.pixels, np.int64)
     for g, pixels in enumerate(members):
@@ -166,11 +159,8 @@ def _events(beats, widths, minigroup, events, hits, offsets, n):
             break
         bit += groups.LISTED_BITS
         row = events[n]
-        row[_KIND], row[_OVERRUN], row[_SUBGROUP] = (
-            GROUP_KIND,
-            _read(beats, bit, 1),
-            _read(beats, bit + 1, widths.subgroup),
-        )
+        row[_KIND], row[_OVERRUN] = GROUP_KIND, _read(beats, bit, 1)
+        row[_SUBGROUP] = _read(beats, bit + 1, widths.subgroup)
         bit += 1 + widths.subgroup
         if not _read(beats, bit, 1):
             pulse = group_pulse - _read(beats, bit + 1, groups.AGE_BITS)

@@ -33,7 +33,7 @@ class Trace:
 
     beats: per stream, uint64[n]; beat_cycle: per stream, int64[n], the cycle in which each beat is transferred (the last
     one has `tlast`). commit_subgroup, commit_cycle: int64[k], stored events, ordered by subgroup and then by time;
-    freed_cycle: int64[k], from when on their places in the FIFOs are free again. fate: uint8 per edge. counters:
+    freed_cycle: int64[k], the cycle from which on their places in the FIFOs are free again. fate: uint8 per edge. counters:
     int64[subgroups, 11]. budget: int64[streams], of the threshold controller after the frame.
     """
 
@@ -130,8 +130,10 @@ class _Plan(NamedTuple):
 
 
 def _plan(config: Config, threshold: np.ndarray, ready: np.ndarray | None = None, pulses: int | None = None) -> _Plan:
-    timeline, window = _timeline(config), np.where(config.coincidence, config.window, 1)
-    phases = config.sensor.phases
+    frame, start, phases = config.frame, config.start_cycles(), config.sensor.phases
+    every = frame["gate_every"]
+    steps = np.arange(len(start)) // every % frame["gate_steps"] if every else np.zeros(len(start), np.int64)
+    timeline, window = Timeline(start, frame["gate_step"] * steps), np.where(config.coincidence, config.window, 1)
     settings = Settings(
         np.where(config.coincidence, threshold, 1),
         window,
@@ -143,14 +145,6 @@ def _plan(config: Config, threshold: np.ndarray, ready: np.ndarray | None = None
     )
     end = int(timeline.start[(config.pulses if pulses is None else pulses) - 1]) + config.period
     return _Plan(shape_of(config), threshold, settings, timeline, end, ready_times(config.tready(ready)))
-
-
-def _timeline(config: Config) -> Timeline:
-    """Compute the first cycle of a frame's periods, and the shift of the progressive gates in them."""
-    start, frame = config.start_cycles(), config.frame
-    every = frame["gate_every"]
-    steps = np.arange(len(start)) // every % frame["gate_steps"] if every else np.zeros(len(start), np.int64)
-    return Timeline(start, frame["gate_step"] * steps)
 
 
 def golden_result(

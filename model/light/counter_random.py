@@ -28,7 +28,7 @@ def _mix(z: np.uint64) -> np.uint64:
 
 @njit(inline="always")
 def key_of(key: np.uint64, index: Counter) -> np.uint64:
-    """The key of item `index` under `key` (uint64); numbers of purpose 0 of the same key would repeat it."""
+    """Return the key of item `index` under `key` (uint64). Numbers of purpose 0 that are drawn with `key` would repeat it."""
     return _mix(key + (np.uint64(index) + np.uint64(1)) * GOLDEN)
 
 

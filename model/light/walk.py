@@ -6,7 +6,6 @@ The code is compiled; `photons.py` describes it and calls it. Times are in ticks
 
 import math
 from collections import namedtuple
-from typing import NamedTuple
 
 import numpy as np
 
@@ -22,22 +21,10 @@ GAPS_FROM = 24.0  # noise photons per period above which they are drawn in the o
 INSERTION_MAX = 32  # number of other photons up to which insertion is faster than sorting
 
 
-class Packing(NamedTuple):
-    """Widths of the lower fields of an edge that is packed into one integer, which sorts by (pulse, tick, pixel)."""
-
-    pixel_bits: int
-    tick_bits: int
-
-
-class Made(NamedTuple):
-    """Room for what a walk makes: packed edges or, with `sending`, the crosstalk's targets and times."""
-
-    packing: Packing
-    sending: bool
-    keys: np.ndarray
-    times: np.ndarray
-
-
+# Widths of the lower fields of an edge that is packed into one integer, which sorts by (pulse, tick, pixel).
+Packing = namedtuple("Packing", "pixel_bits tick_bits")
+# Room for what a walk makes: packed edges (keys) or, with `sending`, the crosstalk's targets (keys) and times.
+Made = namedtuple("Made", "packing sending keys times")
 # Scalars of the walk; times in ticks. other_period_ticks: laser period of another LiDAR, 0 without one.
 Physics = namedtuple(
     "Physics",
@@ -55,19 +42,10 @@ Arrays = namedtuple(
 )
 
 
-class _Source(NamedTuple):
-    """A pixel's photons of noise, targets and bins, drawn as one superposed Poisson process. Photons per period.
-
-    noise: 0 for a bright pixel, whose noise is drawn in the order of time. binned: photons of all its bins. mean: of all
-    sources; it is drawn in equal `parts`.
-    """
-
-    noise: float
-    noise_to_ticks: float
-    bright: bool
-    binned: float
-    mean: float
-    parts: int
+# A pixel's photons of noise, targets and bins, drawn as one superposed Poisson process; photons per period. noise: 0 for a
+# bright pixel, whose noise is drawn in the order of time. binned: photons of all its bins. mean: of all sources; it is drawn
+# in equal `parts`.
+_Source = namedtuple("_Source", "noise noise_to_ticks bright binned mean parts")
 
 
 @njit(allocates=False, error_model="numpy")

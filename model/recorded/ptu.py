@@ -22,7 +22,7 @@ from ..shared.files import FilePath, reading, whole_file
 from .recordings import NO_SYNC, Recording, since_sync
 
 PS_PER_S = 1e12
-T2_SYNC = 1 << 6  # upper 7 bits of a record: special, input 0; PicoHarp has only 4 bits, and its sync is input 0
+T2_SYNC = 1 << 6  # upper 7 bits of a sync's record: the special bit, and input 0
 CHANNEL_BITS, DTIME_BITS, NSYNC_BITS = 6, 15, 10  # widths in a written record, below the special bit
 NO_SYNC_YET = np.int64(1) << 62
 OVERFLOW = (1 << CHANNEL_BITS + 1) - 1  # special bit and channel of a record that counts wraps of nsync

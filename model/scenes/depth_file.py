@@ -16,7 +16,7 @@ from .scene import REFLECTIVITY, Scene
 
 DARKEST, BRIGHTEST = 0.05, 0.8  # reflectivities of black and white in a colour picture
 WRONG_SHARE_MAX = 0.1  # share of a file's samples beyond the range or negative; with more, the unit is wrong
-VALID_SHARE_MIN = 0.1  # share of the sensor's pixels
+VALID_SHARE_MIN = 0.1  # lowest share of the sensor's pixels that must have a depth
 NOWHERE_M = 65504.0  # the largest half float: what renderers write where there is nothing
 READERS = {".npy": read_array, ".pfm": read_pfm, ".exr": read_exr}
 SUFFIXES = (".png", ".tif", ".tiff", *READERS)
@@ -44,8 +44,7 @@ def depth_scene(
     at or beyond `range_m`, are left out, and noted.
 
     scale: factor for all distances, applied first. colour: a picture of the same view; its luminance (linear light) maps
-    to `DARKEST` to `BRIGHTEST`. Errors are a file that cannot be read, a colour picture as depth, and mostly unusable
-    depth.
+    to `DARKEST` to `BRIGHTEST`.
     """
     if not np.ndim(reflectivity):
         reflectivity = check_real("reflectivity", reflectivity, 0, 1)

@@ -25,8 +25,11 @@ DATA_SETS = {  # name: (unit, what it is)
 UNIT_FORMS = (
     f"{', '.join(PER_METRE)}, 1/N (of a metre), {DISPARITY}:FOCAL_PX,BASELINE_M[,OFFSET_PX], {', '.join(DATA_SETS)}"
 )
-NEAR_M, FAR_M = 0.2, 8.0  # medians outside are unusual: of any file, and of a depth camera's, which holds integers
-MULTIPLES = {5: "tum", 1 << ROTATED_BITS: ROTATED}  # all samples are multiples of this: the data set that makes them
+NEAR_M, FAR_M = (
+    0.2,
+    8.0,
+)  # usual medians: at least NEAR_M, and at most FAR_M in files of integers, as depth cameras write
+MULTIPLES = {5: "tum", 1 << ROTATED_BITS: ROTATED}  # divisor of all samples -> the data set that writes such samples
 
 
 def check_unit(unit: str) -> str:

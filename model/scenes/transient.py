@@ -88,18 +88,10 @@ class Transient:
         arrivals = Arrivals(
             first=self.first, start_s=self.index * BIN_S, photons=np.minimum(photons, SIGNAL_MAX), width_s=BIN_S
         )
-        return Light(
-            rows=rows,
-            cols=cols,
-            distance_m=np.nan,
-            signal_per_pulse=0.0,
-            arrivals=arrivals,
-            background_cps=background_cps(
-                real_array("klux", klux, (rows, cols), 0).ravel(),
-                ambient_reflectivity(self.ambient.ravel(), background),
-            ),
-            **others,
-        )
+        reflectivity = ambient_reflectivity(self.ambient.ravel(), background)
+        noise_cps = background_cps(real_array("klux", klux, (rows, cols), 0).ravel(), reflectivity)
+        light = {"arrivals": arrivals, "background_cps": noise_cps} | others
+        return Light(rows=rows, cols=cols, distance_m=np.nan, signal_per_pulse=0.0, **light)
 
 
 @cache

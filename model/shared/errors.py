@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The one exception that a user is meant to read."""
 
-SEED_MAX = (1 << 63) - 1  # of random numbers: what a column of a table holds
+SEED_MAX = (1 << 63) - 1  # highest seed of random numbers: it fits a column of int64
 
 
 class InputError(ValueError):

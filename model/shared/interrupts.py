@@ -13,8 +13,8 @@ from typing import Any, TypeVar
 
 _Result = TypeVar("_Result")
 
-PROGRAMS: set[Popen[Any]] = set()  # that run at this moment
-KILL_S = 0.1  # between two looks for programs
+PROGRAMS: set[Popen[Any]] = set()  # programs that run at this moment
+KILL_S = 0.1  # seconds between two looks for programs
 INTERRUPTED, TERMINATED = 130, 143  # exit codes: 128 plus the number of the signal
 
 
