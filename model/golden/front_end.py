@@ -20,9 +20,8 @@ from ..shared.compiled import njit
 from .shape import COUNTER, Shape, row_type
 
 _OPENING, _COUNTED, _DUPLICATE, _MASKED, _GATED, _BLIND = (int(fate) for fate in Fate)
-_KEY = namedtuple("_Key", "pulse tick")(
-    23, 8
-)  # lowest bit of these fields of a sort key; the lowest field is the pixel
+_Key = namedtuple("_Key", "pulse tick")
+_KEY = _Key(pulse=23, tick=8)  # lowest bit of these fields of a sort key; the lowest field is the pixel
 _TICK_MASK, _PIXEL_MASK = (1 << _KEY.pulse - _KEY.tick) - 1, (1 << _KEY.tick) - 1
 _WORD_BITS = (BEAT_BITS - 1).bit_length()  # bits of a pixel's number inside a word of the ID map
 _NEVER = -1  # before all cycles

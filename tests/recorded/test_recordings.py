@@ -303,6 +303,16 @@ def test_recording_replays_alike_through_model_and_rtl(tmp_path):
     assert not differences(replay("golden", config, loaded), replay("sliced", config, loaded))
 
 
+def test_offsets_inside_a_tick(tmp_path):
+    """An offset of 0 is legal and comes back; a negative one is refused."""
+    zero, limits = np.zeros(1, np.int64), {"pixels": 1, "pulses": 1, "period_ticks": 1}
+    for offset_ps in (0.0, -1.0):
+        Edges(zero, zero, zero, np.array([offset_ps])).save(tmp_path / f"{offset_ps}.npz")
+    assert load_edges(tmp_path / "0.0.npz", **limits).offset_ps == [0]
+    with pytest.raises(InputError, match=r"offset_ps\[0\] = -1"):
+        load_edges(tmp_path / "-1.0.npz", **limits)
+
+
 def test_errors_at_the_command_line(tmp_path):
     (tmp_path / "a.csv").write_text("sync,channel,time_ps\n0,4,5\n")
     for arguments, words in (
