@@ -103,7 +103,9 @@ def main() -> None:
         for at, rng in rngs.items():
             photons_m = first_photons_m(rng, distance_m, light, PULSES[at[0]])
             found_m[(*at, slice(None), pixel)] = estimates_m(photons_m, distance_m, light, truth_m[pixel])
-    rows = [("the exact light", rule, f"{wrong_share(m, truth_m):.1%}", "") for rule, m in zip(EXACT, exact_m)]
+    rows: list[tuple[str, ...]] = [
+        ("the exact light", rule, f"{wrong_share(m, truth_m):.1%}", "") for rule, m in zip(EXACT, exact_m)
+    ]
     for k, rule in enumerate(FROM_PHOTONS):
         shares = [np.mean([wrong_share(m, truth_m) for m in of_seeds[:, k]]) for of_seeds in found_m]
         rows.append(("photons", rule, *(f"{share:.1%}" for share in shares)))
