@@ -19,7 +19,11 @@ from .. import random_cases
 # Of its own here: windows of one tick, one column of minigroups in a subgroup, three streams of unequal length.
 NARROW = dict(rows=32, cols=8, subgroup=[16, 4], minigroup=[4, 4], phases=4, coarse_bits=7, window_max=1, streams=3)
 SENSORS = random_cases.SENSORS | {"narrow": NARROW | dict(rearm=2, fifo_depth=4), "lean": random_cases.LEAN}
-SAMPLES = {"sliced": [name for name in SENSORS if name != "one"], "icarus": ["one", "tiny", "narrow"], "verilator": ["default"]}
+SAMPLES = {
+    "sliced": [name for name in SENSORS if name != "one"],
+    "icarus": ["one", "tiny", "narrow"],
+    "verilator": ["default"],
+}
 BUILDS = [(sensor, engine) for engine, sensors in SAMPLES.items() for sensor in sensors]
 FRAMES = {"sliced": 40, "icarus": 12, "verilator": 12}
 
