@@ -50,13 +50,13 @@ async def resets_in_any_cycle(dut):
         await ClockCycles(dut.clk, random.randrange(1, 8))
         assert dut.m_axis_tvalid.value == 0 and dut.laser.value == 0
         go_dark(bench)
-        bench.programmed.forget()
+        bench.programmed.clear()
         record = await bench.play(of, edges, ALWAYS, Scoreboard(of.sensor, trace))
         assert record.checked > 50
         await FallingEdge(dut.clk)
         dut.rst.value = 1  # this also clears the controller's memory
         await FallingEdge(dut.clk)
         dut.rst.value = 0
-        bench.programmed.forget()
+        bench.programmed.clear()
         await start(bench, of, edges)
     go_dark(bench)

@@ -56,7 +56,7 @@ async def reset_cycle(bench: SensorBench) -> None:
     bench.dut.rst.value = 0
     for line in bench.spad:
         line.value = 0
-    bench.programmed.forget()
+    bench.programmed.clear()
     await ClockCycles(bench.dut.clk, 3)
 
 

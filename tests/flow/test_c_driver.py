@@ -126,7 +126,7 @@ def test_the_driver_drives_and_decodes(library):
         assert library.coincid_wait(ctypes.byref(bus), 3) == TIMEOUT
         Driver(rtl, SENSOR)["period"] = SENSOR.guard
         assert library.coincid_start(ctypes.byref(bus)) == REFUSED
-        rtl.driver.programmed.forget()
+        rtl.driver.programmed.clear()
         edges = random_edges(of, 700, seed=1)
         rtl.frame(of, edges)
         (beats,) = rtl.driver.receive()
