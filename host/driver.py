@@ -16,7 +16,7 @@ from ..model.contract.table import Kind, Setting
 from ..model.shared.errors import InputError
 from .frame_assembly import FrameAssembler
 from .register_names import Key, Word, find
-from .transport import ERRORS, STATUS, HostError, RefusedError, Transport, errors_in, runs, write_block
+from .transport import ERRORS, STATUS, HostError, RefusedError, Transport, changes, errors_in, runs, write_block
 
 WAIT_SECONDS = 10.0  # per frame; the longest frame takes 2^16 periods of 2^13 cycles
 
@@ -72,7 +72,7 @@ class Driver:
 
     def write_settings(self, writes: list[tuple[int, int]]) -> int:
         """Write those of (address, value) that change something, and return the number of words written."""
-        pending = [(address, value) for address, value in writes if self.programmed.get(address) != value]
+        pending = changes(writes, self.programmed)
         for address, values in runs(pending):
             self._write(address, values)
             self.programmed |= {address + 4 * i: value for i, value in enumerate(values)}

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Interface of a connection to a sensor: reading and writing words, and the errors that may occur."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Protocol
 
 import numpy as np
@@ -52,6 +52,11 @@ class Transport(Protocol):
 def errors_in(status: int) -> tuple[str, ...]:
     """Return the names of the sticky error bits that are set in a status word."""
     return tuple(name for name in ERRORS if status >> STATUS.bit(name) & 1)
+
+
+def changes(writes: Iterable[tuple[int, int]], programmed: Mapping[int, int]) -> list[tuple[int, int]]:
+    """Return the (address, value) of `writes` that differ from the values known to be programmed, in order."""
+    return [(address, value) for address, value in writes if programmed.get(address) != value]
 
 
 def runs(writes: Iterable[tuple[int, int]]) -> list[tuple[int, list[int]]]:

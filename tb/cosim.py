@@ -20,6 +20,7 @@ from cocotb_bus.drivers.amba import AXI4LiteMaster
 from coincid.hdl import bus
 from coincid.hdl.sequencer import LEAD
 from coincid.hdl.silicon.circuit import STEP_FS, clock_fs
+from coincid.host.transport import changes
 from coincid.model.contract import registers
 from coincid.model.contract.config import Config
 from coincid.model.contract.edges import Edges
@@ -80,10 +81,9 @@ class SensorBench:
 
     async def program(self, config: Config) -> None:
         """Write the settings that differ from those programmed before."""
-        for address, value in config.register_writes():
-            if self.programmed.get(address) != value:
-                await self.axi.write(address, value)
-                self.programmed[address] = value
+        for address, value in changes(config.register_writes(), self.programmed):
+            await self.axi.write(address, value)
+            self.programmed[address] = value
 
     def shine(self, config: Config, edges: Edges) -> dict[int, list[tuple[int, int]]]:
         """Return the words that `play` drives, by cycle of the frame."""

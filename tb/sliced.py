@@ -22,7 +22,7 @@ from ..hdl.sensor import COMBINED, CORE, GRANTED, LISTED
 from ..hdl.subgroup import shared_ports
 from ..hdl.subgroup_pair import Slice
 from ..host.driver import Driver
-from ..host.transport import RefusedError
+from ..host.transport import RefusedError, changes
 from ..model.contract import registers
 from ..model.contract.config import Config
 from ..model.contract.edges import Edges
@@ -245,10 +245,9 @@ class SlicedSensor:
 
     def post(self, programmed: dict[int, int], job: FrameJob) -> None:
         """Queue a frame behind everything else. programmed: the settings that the sensor will have by then, which are updated."""
-        for address, value in job.config.register_writes():
-            if programmed.get(address) != value:
-                self._call("write", address, value)
-                programmed[address] = value
+        for address, value in changes(job.config.register_writes(), programmed):
+            self._call("write", address, value)
+            programmed[address] = value
         self._post(job.config, job.edges, job.ready)
         done = 1 << registers.BY_NAME["status"].bit("done")
         self._call("wait", registers.address("status"), done)
