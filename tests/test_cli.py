@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The edge of the `coincid` command: bad input, remaining files, and the output of replay and export."""
 
-import contextlib
-import io
 import json
 import os
 import re
@@ -10,6 +8,7 @@ import signal
 import subprocess
 import sys
 import zipfile
+from functools import partial
 
 import numpy as np
 import pytest
@@ -21,7 +20,7 @@ from coincid.hdl.export import FILE_LIST
 from coincid.model.contract.config import load_config, parse_config
 from coincid.model.contract.edges import NAMES, Edges
 from coincid.model.contract.parameters import TOP
-from coincid.model.contract.registers import BY_NAME, address
+from coincid.model.contract.registers import BY_NAME, SUBGROUP, address
 from coincid.model.contract.result import differences, stall
 from coincid.model.golden.frame import golden_result
 from coincid.model.light.link_budget import link_budget
@@ -44,47 +43,31 @@ window = 12
 PULSES, PIXELS, PERIOD_TICKS = 6, 128, 40 * 32
 
 
+REPLAY = "replay --config config.toml --edges edges.npz --out out/result.npz"
+
+
 def some_edges(n=200):
     rng = np.random.default_rng(5)
     return {name: rng.integers(0, high, n) for name, high in zip(NAMES, (PULSES, PIXELS, PERIOD_TICKS))}
 
 
 @pytest.fixture
-def files(tmp_path):
-    """Return a folder with a good configuration and good edges."""
+def files(tmp_path, monkeypatch):
+    """Return the current folder, with a good configuration and good edges."""
+    monkeypatch.chdir(tmp_path)
     (tmp_path / "config.toml").write_text(CONFIG)
     np.savez(tmp_path / "edges.npz", **some_edges())
     return tmp_path
 
 
-def replay(folder, *more):
-    words = f"replay --config {folder}/config.toml --edges {folder}/edges.npz --out {folder}/out/result.npz"
-    return command(words, *more)
-
-
-BAD_CONFIGS = {  # tests/contract/test_config.py has the others
-    "unknown key": ("[subgroup]\nthreshhold = 2", "threshhold", "threshold"),
-    "unknown table": ("[subgroups]\nthreshold = 2", "subgroups", "subgroup"),
-    "rows without subgroups": ("[sensor]\nrows = 12", "sensor.rows = 12", "multiple of 8"),
-    "override of nothing": ("[[override]]\nsubgroups = [16]", "override[0].subgroups = 16", "from 0 to 15"),
-    "not TOML": ("threshold:", "TOML"),
-}
-
-
-@pytest.mark.parametrize("name", BAD_CONFIGS)
-@pytest.mark.parametrize("job", ["replay", "sim", "verilog", "lint"])
-def test_bad_configuration(files, name, job):
-    text, *words = BAD_CONFIGS[name]
+@pytest.mark.parametrize("text", ["[subgroup]\nthreshhold = 2", "threshold:"])  # contract/test_config.py has the others
+@pytest.mark.parametrize("job", ["replay --edges edges.npz --out out/x", "sim --out out", "verilog --out out", "lint"])
+def test_bad_configuration(files, text, job):
     (files / "config.toml").write_text(text)
-    more = {"replay": ("--edges", files / "edges.npz"), "lint": ()}.get(job, ())
-    out = () if job == "lint" else ("--out", files / "out" / "x")
-    assert_refused(command(job, "--config", files / "config.toml", *more, *out), "config.toml", *words)
+    words = ("TOML",) if ":" in text else ("threshhold", "threshold")
+    assert_refused(command(f"{job} --config config.toml"), "config.toml", *words)
+    assert_refused(command(f"{job} --config none.toml"), "none.toml", "no such file", "silicon", "fpga")
     assert not (files / "out").exists()
-
-
-def test_missing_configuration_names_the_presets(files):
-    result = command(f"verilog --config {files}/none.toml --out {files}/out")
-    assert_refused(result, "none.toml", "no such file", "silicon", "fpga")
 
 
 def one(name, value, dtype=np.int64):
@@ -94,86 +77,80 @@ def one(name, value, dtype=np.int64):
     return edges
 
 
-BAD_EDGES = {
-    "pixel out of range": (one("pixel", PIXELS), "pixel[7] = 128", "from 0 to 127"),
-    "tick out of range": (one("tick", PERIOD_TICKS), "tick[7] = 1280", "from 0 to 1279"),
-    "pulse beyond the frames": (one("pulse", PULSES), "pulse[7] = 6", "from 0 to 5"),
-    "negative tick": (one("tick", -1), "tick[7] = -1", "from 0 to 1279"),
-    "huge": (one("tick", 2**64 - 1, np.uint64), "tick[7]", "from 0 to 1279"),
-    "floats": (one("tick", 0.5, np.float64), "tick", "integers"),
-    "booleans": ({name: array > 0 for name, array in some_edges().items()}, "pulse", "integers"),
-    "two dimensions": ({name: array.reshape(2, -1) for name, array in some_edges().items()}, "pulse", "1"),
-    "unequal lengths": (some_edges() | {"pixel": some_edges()["pixel"][:-1]}, "lengths", "pixel 199"),
-    "missing array": ({name: some_edges()[name] for name in ("pulse", "pixel")}, "'tick'"),
-    "objects": (some_edges() | {"tick": np.array([None] * 200)}, "edges.npz"),
-}
+def each(change):
+    return {name: change(array) for name, array in some_edges().items()}
 
 
-@pytest.mark.parametrize("name", BAD_EDGES)
-def test_bad_edges(files, name):
-    arrays, *words = BAD_EDGES[name]
-    np.savez(files / "edges.npz", **arrays)
-    assert_refused(replay(files), "edges.npz", *words)
+BAD_EDGES = [
+    (one("pixel", PIXELS), "pixel[7] = 128", "from 0 to 127"),
+    (one("tick", PERIOD_TICKS), "tick[7] = 1280", "from 0 to 1279"),
+    (one("pulse", PULSES), "pulse[7] = 6", "from 0 to 5"),
+    (one("tick", -1), "tick[7] = -1", "from 0 to 1279"),
+    (one("tick", 2**64 - 1, np.uint64), "tick[7]", "from 0 to 1279"),
+    (one("tick", 0.5, np.float64), "tick", "integers"),
+    (each(lambda array: array > 0), "pulse", "integers"),
+    (each(lambda array: array.reshape(2, -1)), "pulse", "1"),
+    (some_edges() | {"pixel": some_edges()["pixel"][:-1]}, "lengths", "pixel 199"),
+    ({name: some_edges()[name] for name in ("pulse", "pixel")}, "'tick'"),
+    (some_edges() | {"tick": np.array([None] * 200)}, "edges.npz"),
+]
+
+
+@pytest.mark.parametrize("arrays, words", [(arrays, words) for arrays, *words in BAD_EDGES])
+def test_bad_edges(files, arrays, words):
+    np.savez("edges.npz", **arrays)
+    assert_refused(command(REPLAY), "edges.npz", *words)
     assert not (files / "out").exists()
 
 
-def single_array():
-    out = io.BytesIO()
-    np.save(out, np.arange(5))
-    return out.getvalue()
-
-
-def other_archive():
-    out = io.BytesIO()
-    with zipfile.ZipFile(out, "w") as archive:
+def test_files_that_are_no_edges(files):
+    """Damaged files are in `recorded/test_recordings.py`."""
+    path = files / "edges.npz"
+    with open(path, "wb") as file:
+        np.save(file, np.arange(5))
+    assert_refused(command(REPLAY), "edges.npz", "is a single array")
+    with zipfile.ZipFile(path, "w") as archive:
         for name in NAMES:
             archive.writestr(f"{name}.npy", b"nothing")
-    return out.getvalue()
-
-
-@pytest.mark.parametrize("content", [single_array(), other_archive(), b"", b"text"])
-def test_file_that_is_no_edges(files, content):
-    """Damaged files are in `recorded/test_recordings.py`."""
-    (files / "edges.npz").write_bytes(content)
-    assert_refused(replay(files), "edges.npz")
+    assert_refused(command(REPLAY), "edges.npz")
+    path.unlink()
+    assert_refused(command(REPLAY), "edges.npz", "no such file")
     assert not (files / "out").exists()
-
-
-def test_no_edge_file(files):
-    (files / "edges.npz").unlink()
-    assert_refused(replay(files), "edges.npz", "no such file")
 
 
 @pytest.mark.parametrize(
-    ("options", "words"),
+    ("words", "told"),
     [
-        (("--stall", -1), ("stall = -1", "from 0 to")),
-        (("--engine", "cocotb-verilator"), ("engine = 'cocotb-verilator'", "golden, sliced, verilator, icarus")),
+        (f"{REPLAY} --stall -1", ("stall = -1", "from 0 to")),
+        (f"{REPLAY} --engine cocotb-verilator", ("engine = 'cocotb-verilator'", "golden, sliced, verilator, icarus")),
+        ("sim --out out --scene letter-g", ("letter-g",)),
+        ("sim --out out --klux -1", ("klux = -1",)),
+        ("sim --out out --klux nan", ("klux = nan",)),
+        ("sim --out out --pulses 0", ("pulses = 0", "from 1 to 65536")),
+        ("sim --out out --seed -1", ("seed = -1", "from 0 to")),
+        ("sim --out out --engine vcs", ("engine = 'vcs'", "golden, sliced, verilator, icarus")),
+        ("sim --out out --engine sliced --waves", ("engine = 'sliced'", "waveform", "verilator and icarus")),
+        ("sim --out out --engine sliced --view async", ("async = 'sliced'", "verilator, icarus")),
+        ("sim --out out --clock-mhz 0", ("clock",)),
+        ("sim --out out --set format=short", ("frame.format = 'short'",)),
+        ("sim --config config.toml --out edges.npz/out.npz", ("out.npz", "cannot be written")),
+        ("verilog --config config.toml --out edges.npz/out.npz", ("out.npz", "cannot be written")),
+        (REPLAY.replace("out/result.npz", "edges.npz/out.npz"), ("out.npz", "cannot be written")),
+        (REPLAY.replace("out/result.npz", "."), ("is a folder",)),
+        ("budget --form printed", ("form = 'printed'", "literal", "corrected")),
+        ("budget --reflectivity 2", ("reflectivity = 2", "from 0 to 1")),
     ],
 )
-def test_bad_options(files, options, words):
-    assert_refused(replay(files, *options), *words)
-    assert not (files / "out").exists()
-
-
-@pytest.mark.parametrize("job", ["replay", "sim", "verilog"])
-def test_output_below_a_file(files, job):
-    more = ("--edges", files / "edges.npz") if job == "replay" else ()
-    result = command(job, "--config", files / "config.toml", *more, "--out", files / "edges.npz" / "out.npz")
-    assert_refused(result, "out.npz", "cannot be written")
+def test_bad_options(files, words, told):
+    assert_refused(command(words), *told)
     assert sorted(path.name for path in files.iterdir()) == ["config.toml", "edges.npz"]
 
 
-def test_output_that_is_a_folder(files):
-    result = command("replay", "--config", files / "config.toml", "--edges", files / "edges.npz", "--out", files)
-    assert_refused(result, "is a folder")
-
-
 def test_result_is_the_golden_models(files):
-    assert replay(files, "--stall", 100, "--set", "threshold=1", "--set", "format=full").exit_code == 0
-    config = load_config(files / "config.toml").with_settings(threshold=1).with_frame(format="full")
+    assert command(f"{REPLAY} --stall 100 --set threshold=1 --set format=full").exit_code == 0
+    config = load_config("config.toml").with_settings(threshold=1).with_frame(format="full")
     expected = golden_result(config, Edges(**some_edges()), stall(100))
-    with np.load(files / "out" / "result.npz") as found:
+    with np.load("out/result.npz") as found:
         assert not differences(dict(found), expected)
         assert np.array_equal(found["fate"], expected["fate"])
     assert [path.name for path in (files / "out").iterdir()] == ["result.npz"]
@@ -181,43 +158,22 @@ def test_result_is_the_golden_models(files):
 
 def test_same_input_same_bytes_and_an_earlier_result_stays_where_a_later_run_is_refused(files):
     path = files / "out" / "result.npz"
-    replay(files)
+    command(REPLAY)
     first = path.read_bytes()
-    replay(files)
+    command(REPLAY)
     assert path.read_bytes() == first
-    assert replay(files, "--stall", -1).exit_code == 2
-    np.savez(files / "edges.npz", **one("tick", -1))
-    assert replay(files).exit_code == 2
+    np.savez("edges.npz", **one("tick", -1))
+    assert command(REPLAY).exit_code == 2
     assert path.read_bytes() == first
 
 
 @pytest.mark.parametrize("dtype", [np.int64, np.uint8, np.float64])
 def test_empty_edge_file_is_an_empty_frame(files, dtype):
-    np.savez(files / "edges.npz", **dict.fromkeys(NAMES, np.empty(0, dtype)))
-    assert replay(files).exit_code == 0
-    with np.load(files / "out" / "result.npz") as result:
+    np.savez("edges.npz", **dict.fromkeys(NAMES, np.empty(0, dtype)))
+    assert command(REPLAY).exit_code == 0
+    with np.load("out/result.npz") as result:
         assert result["pulse"].shape == result["fate"].shape == (0,)
-        assert result["opened"].shape == (2, 2)
-        assert not result["opened"].any()
-
-
-@pytest.mark.parametrize(
-    ("options", "words"),
-    [
-        (("--scene", "letter-g"), ("letter-g",)),
-        (("--klux", -1), ("klux = -1",)),
-        (("--klux", "nan"), ("klux = nan",)),
-        (("--pulses", 0), ("pulses = 0", "from 1 to 65536")),
-        (("--seed", -1), ("seed = -1", "from 0 to")),
-        (("--engine", "vcs"), ("engine = 'vcs'", "golden, sliced, verilator, icarus")),
-        (("--engine", "sliced", "--waves"), ("engine = 'sliced'", "waveform", "verilator and icarus")),
-        (("--engine", "sliced", "--view", "async"), ("async = 'sliced'", "verilator, icarus")),
-        (("--clock-mhz", 0), ("clock",)),
-    ],
-)
-def test_bad_options_of_sim(files, options, words):
-    assert_refused(command("sim", "--out", files / "out", *options), *words)
-    assert not (files / "out").exists()
+        assert result["opened"].shape == (2, 2) and not result["opened"].any()
 
 
 @pytest.mark.parametrize("number, code", [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
@@ -225,26 +181,14 @@ def test_bad_options_of_sim(files, options, words):
 def test_interrupt_leaves_nothing(files, number, code, inherited):
     """A signal is inherited as the default by a command on a terminal, and as ignored by one in the background."""
     (files / "edges.npz").unlink()
-    os.mkfifo(files / "edges.npz")
-    words = "-m coincid replay --config config.toml --edges edges.npz --out out/result.npz"
-    with disposition(number, inherited):
-        process = subprocess.Popen([sys.executable, *words.split()], cwd=files, stderr=subprocess.PIPE, text=True)
-    with process, open(files / "edges.npz", "wb"):  # opens when the command does, which then waits for bytes
+    os.mkfifo("edges.npz")
+    words, disposition = [sys.executable, "-m", "coincid", *REPLAY.split()], partial(signal.signal, number, inherited)
+    process = subprocess.Popen(words, preexec_fn=disposition, stderr=subprocess.PIPE, text=True)
+    with process, open("edges.npz", "wb"):  # opens when the command does, which then waits for bytes
         process.send_signal(number)
         stderr = process.communicate(timeout=60)[1]
-    assert process.returncode == code
-    assert stderr == "coincid: interrupted\n"
+    assert (process.returncode, stderr) == (code, "coincid: interrupted\n")
     assert not (files / "out").exists()
-
-
-@contextlib.contextmanager
-def disposition(number, action):
-    """Set what programs started in the block inherit for a signal."""
-    before = signal.signal(number, action)
-    try:
-        yield
-    finally:
-        signal.signal(number, before)
 
 
 def test_budget_for_programs_and_people():
@@ -253,8 +197,6 @@ def test_budget_for_programs_and_people():
     assert json.loads(result.stdout) == wanted
     text = command("budget").stdout
     assert all(key in text for key in wanted)
-    assert_refused(command("budget", "--form", "printed"), "form = 'printed'", "literal", "corrected")
-    assert_refused(command("budget", "--reflectivity", 2), "reflectivity = 2", "from 0 to 1")
 
 
 @pytest.fixture(scope="session")
@@ -312,19 +254,16 @@ def test_register_files_agree_with_the_register_table(exports, tmp_path):
     for register in described["subgroup"]:
         at = described["subgroup_base"] + 3 * described["subgroup_stride"] + register["offset"]
         assert at == address(register["name"], 3)
-    for name in BY_NAME:
-        assert f"| {name} |".encode() in files[MARKDOWN]
-
-    checks = []
+    checks = [f'#include "{HEADER}"']
     for name, register in BY_NAME.items():
-        arguments = ["3"] * (register in BY_NAME.values() and f"COINCID_{name.upper()}(sg".encode() in files[HEADER])
-        arguments += ["1"] * (register.count(sensor) > 1)
-        macro = f"COINCID_{name.upper()}" + (f"({', '.join(arguments)})" if arguments else "")
-        checks.append(f'_Static_assert({macro} == {address(name, 3, int(register.count(sensor) > 1))}u, "{name}");')
-    source = tmp_path / "check.c"
-    source.write_text(f'#include "{HEADER}"\n' + "\n".join(checks))
+        assert f"| {name} |".encode() in files[MARKDOWN]
+        index = int(register.count(sensor) > 1)
+        arguments = ", ".join(["3"] * (register in SUBGROUP) + ["1"] * index)
+        macro = f"COINCID_{name.upper()}" + (f"({arguments})" if arguments else "")
+        checks.append(f'_Static_assert({macro} == {address(name, 3, index)}u, "{name}");')
+    (tmp_path / "check.c").write_text("\n".join(checks))
     (tmp_path / HEADER).write_bytes(files[HEADER])
-    subprocess.run(["gcc", "-std=c11", "-Wall", "-Werror", "-fsyntax-only", source], check=True)
+    subprocess.run(["gcc", "-std=c11", "-Wall", "-Werror", "-fsyntax-only", tmp_path / "check.c"], check=True)
 
 
 def lint(folder, name, view="polyphase"):

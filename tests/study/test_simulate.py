@@ -21,7 +21,7 @@ from coincid.study.simulate import DEPTH, EVENTS, PAGE, PICTURES, REPORT, SCHEME
 from coincid.tb import wave_views
 from coincid.tb.engines import SIMULATORS
 
-from ..command import assert_refused, command
+from ..command import command
 
 # Sensors that other tests compile, too. Rows and columns differ, so that swapping them shows; the period covers the
 # letter's 8 m.
@@ -132,12 +132,6 @@ def test_spad_gate_leaves_fewer_edges(tmp_path):
     for name in ("logic", "switched"):
         cycle = arrays_of(tmp_path / name)["stamp"] // 32
         assert ((cycle >= 14) & (cycle < 22)).all()
-
-
-def test_words_without_id_map_are_refused(tmp_path):
-    (tmp_path / "config.toml").write_text('[frame]\nformat = "short"\n')
-    assert_refused(command(f"sim --config {tmp_path}/config.toml --out {tmp_path}/out"), "frame.format = 'short'")
-    assert not (tmp_path / "out").exists()
 
 
 def test_a_difference_stops_the_run_and_is_told(tmp_path, monkeypatch):
