@@ -18,12 +18,12 @@ SMALL = {  # the presets' circuits, one module of each
 CLOCK_MHZ = {"silicon": 500, "fpga": 125, "async": 400}
 
 
-def document(name):
-    return {"sensor": SMALL[name], "frame": {"clock_mhz": CLOCK_MHZ[name]}}
-
-
 def config(name):
-    return parse_config(document(name))
+    return parse_config({"sensor": SMALL[name], "frame": {"clock_mhz": CLOCK_MHZ[name]}})
+
+
+def release(folder, name):
+    write_release(Path(folder), config(name), VIEWS.get(name, POLYPHASE))
 
 
 def small_releases() -> Path:
@@ -31,9 +31,7 @@ def small_releases() -> Path:
 
     def make(folder):
         for name in SMALL:
-            write_release(folder / name, config(name), VIEWS.get(name, POLYPHASE))
+            release(folder / name, name)
 
-    key = digest(
-        repr([document(name) for name in SMALL]), sources_digest("hdl", "flow", "model.contract", "model.shared")
-    )
+    key = digest(repr((SMALL, CLOCK_MHZ)), sources_digest("hdl", "flow", "model.contract", "model.shared"))
     return build_once(build_root() / "releases" / key, make)

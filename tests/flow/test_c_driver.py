@@ -2,6 +2,7 @@
 """The exported C driver, compiled as it leaves the project: it drives the RTL (as a library) and decodes its frames."""
 
 import ctypes
+import re
 import subprocess
 import tempfile
 from pathlib import Path
@@ -36,32 +37,18 @@ class Bus(ctypes.Structure):
     _fields_ = [("context", ctypes.c_void_p), ("read", READ), ("write", WRITE)]
 
 
-INFO = """
-subgroups pixels minigroups record_bits record_stamp_bits
-subgroup_bits pixel_bits offset_bits minigroup_rows minigroup_cols subgroup_cols grouped
-"""
+def structure(name):
+    """Return a struct of coincid.h as a class."""
+    text = re.sub(r"/\*.*?\*/", "", c_driver()["coincid.h"], flags=re.DOTALL)
+    fields = []
+    for kind, names in re.findall(r"(?:const )?(\w+) ([^;]+);", re.search(rf"{{([^{{}}]*)}} {name};", text)[1]):
+        for star, field, length in re.findall(r"(\*?)(\w+)(?:\[(\d+)\])?", names):
+            one = ctypes.c_void_p if star else getattr(ctypes, f"c_{kind.removesuffix('_t')}")
+            fields.append((field, one * int(length) if length else one))
+    return type(name, (ctypes.Structure,), {"_fields_": fields})
 
 
-class Info(ctypes.Structure):
-    _fields_ = [(name, U32) for name in INFO.split()]
-
-
-class Packet(ctypes.Structure):
-    _fields_ = [
-        *((name, ctypes.c_int) for name in ("kind", "overrun")),
-        *((name, U32) for name in ("subgroup", "pulse", "count", "winner", "stamp")),
-        *((name, ctypes.c_void_p) for name in ("map", "offsets", "entries", "counters", "group")),
-        *((name, U32) for name in ("group_beats", "bit", "number", "stamp_bits", "with_offsets")),
-    ]
-
-
-class Group(ctypes.Structure):
-    _fields_ = [
-        ("beats", ctypes.c_void_p),
-        *((name, U32) for name in ("n", "bit", "pulse", "event_pulse", "stamp_bits", "with_offsets")),
-        ("map", ctypes.c_uint64 * 4),
-        ("offsets", ctypes.c_uint64 * 32),
-    ]
+Info, Packet, Group = map(structure, ("coincid_sensor_info", "coincid_packet", "coincid_group"))
 
 
 def compiled_driver(sensor) -> ctypes.CDLL:
@@ -187,7 +174,9 @@ def test_groups_are_decoded(name, form):
             if trial:
                 tail = layout(sensor).length(FRAME_END, info.subgroups)
                 at = rng.choice(np.flatnonzero(header_field(beats[:-tail], "kind") == GROUP_KIND))
-                beats = (np.delete(beats, at), np.insert(beats, at, beats[at]), _wrong(beats, at, rng))[trial % 3]
+                wrong = beats.copy()
+                wrong[at] ^= np.uint64(rng.integers(1, 1 << 63))
+                beats = (np.delete(beats, at), np.insert(beats, at, beats[at]), wrong)[trial % 3]
             frame = decode_frame(beats, sensor, info.subgroups)
             found, number = [], -1
             for packet in packets(library, info, beats):
@@ -206,19 +195,11 @@ def read_constant(sensor, at, value):
     return 0
 
 
-def _wrong(beats, at, rng):
-    changed = beats.copy()
-    changed[at] ^= np.uint64(rng.integers(1, 1 << 63))
-    return changed
-
-
 def test_what_is_no_packet(library):
-    info, packet = Info(2, 64, 16, 16, 12), Packet()
+    info, packet, beats = Info(2, 64, 16, 16, 12), Packet(), np.zeros(20, np.uint64)
     right = ((2, 1, 0), (2, 2, 2), (6, 1, 1), (7, 12, 0), (7, 13, 13), (1, 0, 0))
     for kind, n, expected in ((0, 1, BAD_STREAM), (5, 1, BAD_STREAM), *right):
-        beats = np.zeros(20, np.uint64)
         beats[0] = np.uint64(kind << 61)
-        done = library.coincid_decode(
-            ctypes.byref(info), 2, ctypes.c_void_p(beats.ctypes.data), ctypes.c_size_t(n), ctypes.byref(packet)
-        )
+        start, length = ctypes.c_void_p(beats.ctypes.data), ctypes.c_size_t(n)
+        done = library.coincid_decode(ctypes.byref(info), 2, start, length, ctypes.byref(packet))
         assert done == expected, (kind, n)

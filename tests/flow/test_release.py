@@ -24,7 +24,7 @@ from coincid.hdl.sensor import FPGA_TOP
 from coincid.model.contract.config import load_config, parse_config
 from coincid.model.contract.packet import FORMAT_NAMES
 from coincid.model.contract.parameters import TOP
-from coincid.model.contract.registers import BY_NAME, SUBGROUP, Access, address
+from coincid.model.contract.registers import BY_NAME, SUBGROUP, WRITABLE, Access, address
 from coincid.model.contract.stream import COLUMN, decode_frame
 from coincid.model.shared.files import read_npz
 from coincid.tb import toolchain
@@ -32,9 +32,10 @@ from coincid.tb.rtl import rtl
 from coincid.tools.wheels import run_yosys
 
 from ..random_cases import LEAN, SENSORS
-from ..releases import CLOCK_MHZ, SMALL, config, document, small_releases
+from ..releases import CLOCK_MHZ, SMALL, config, small_releases
 
 TOPS = [("silicon", TOP, SMOKE), ("fpga", TOP, SMOKE), ("fpga", FPGA_TOP, FPGA_SMOKE), ("async", TOP, SMOKE)]
+ROOT = Path(__file__).parents[2]
 PROGRAMS = "iverilog vvp sh dirname"
 
 
@@ -47,6 +48,15 @@ def releases(tmp_path_factory):
 def files(folder):
     """Return the files of a folder and of the folders in it, by their names from there."""
     return {path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file()}
+
+
+def line_of_readme(folder, pattern):
+    return re.search(rf"^ +({pattern}.*)$", (folder / "README.md").read_text(), re.MULTILINE)[1]
+
+
+def simulated(folder, smoke=SMOKE, sources=f"-f {SMOKE}.f"):
+    """Return the finished smoke test of a release, on Icarus."""
+    return alone(f"iverilog -g2005 -s {smoke} -o smoke.vvp {sources} && vvp -n smoke.vvp", folder)
 
 
 def alone(command, folder, path=""):
@@ -63,20 +73,15 @@ def alone(command, folder, path=""):
 
 
 @pytest.mark.parametrize(("preset", "top", "smoke"), TOPS)
-def test_smoke_test_passes_on_icarus(releases, preset, top, smoke):
-    line = re.search(rf"^ +(iverilog .*{smoke} .*)$", (releases / preset / "README.md").read_text(), re.MULTILINE)[1]
-    done = alone(line.replace("iverilog", "iverilog -Wall -Wno-timescale"), releases / preset)
-    assert re.fullmatch(r"PASS: \d\d\d+ checks\n", done.stdout), done.stdout + done.stderr
-    assert done.returncode == 0
-    assert not done.stderr
-
-
-@pytest.mark.parametrize(("preset", "top", "smoke"), TOPS)
-def test_lint_as_the_readme_says(releases, preset, top, smoke):
+def test_the_readme_is_right(releases, preset, top, smoke):
+    """The smoke test passes on Icarus, and Verilator's lint finds nothing, with the commands of the README."""
     folder = releases / preset
-    line = re.search(rf"^ +(verilator --lint-only .*{top} .*)$", (folder / "README.md").read_text(), re.MULTILINE)[1]
-    assert "-Wall" in line
-    assert "-Wno" not in line
+    line = line_of_readme(folder, f"iverilog .*{smoke} ").replace("iverilog", "iverilog -Wall -Wno-timescale")
+    done = alone(line, folder)
+    assert re.fullmatch(r"PASS: \d\d\d+ checks\n", done.stdout) and not done.stderr, done.stdout + done.stderr
+    assert done.returncode == 0
+    line = line_of_readme(folder, f"verilator --lint-only .*{top} ")
+    assert "-Wall" in line and "-Wno" not in line
     done = alone(f"{line} --quiet-stats", folder)
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
 
@@ -98,8 +103,7 @@ def test_any_tool_reads_the_folder_and_its_lists(releases, tmp_path, preset):
 
 def test_smoke_test_passes_with_the_forms_for_cells(releases, tmp_path):
     """With the latches and the clock gates of `CELLS_LIST`: the same words in the same cycles."""
-    folder = releases / "silicon"
-    done = alone(f"iverilog -g2005 -s {SMOKE} -o cells.vvp -f {CELLS_LIST} {SMOKE}.v && vvp -n cells.vvp", folder)
+    done = simulated(releases / "silicon", sources=f"-f {CELLS_LIST} {SMOKE}.v")
     assert re.fullmatch(r"PASS: \d\d\d+ checks\n", done.stdout), done.stdout + done.stderr
 
 
@@ -121,12 +125,12 @@ def test_captured_streams_decode_to_their_rows(releases, preset):
 
 
 def test_smoke_test_passes_on_verilator(releases):
-    folder = releases / "fpga"
-    line = re.search(rf"^ +(verilator --binary .*{FPGA_SMOKE}.*)$", (folder / "README.md").read_text(), re.MULTILINE)[1]
+    line = line_of_readme(releases / "fpga", f"verilator --binary .*{FPGA_SMOKE}")
     line += ' --Mdir obj -MAKEFLAGS "OPT_FAST=-O0 OPT_GLOBAL=-O0"'  # compiling takes longer than running
-    done = alone(f"{line} && obj/V{FPGA_SMOKE}", folder, os.defpath)  # Verilator's own make file calls Python
-    assert "PASS" in done.stdout, done.stdout + done.stderr
-    assert "FAIL" not in done.stdout
+    done = alone(
+        f"{line} && obj/V{FPGA_SMOKE}", releases / "fpga", os.defpath
+    )  # Verilator's own make file calls Python
+    assert "PASS" in done.stdout and "FAIL" not in done.stdout, done.stdout + done.stderr
     assert done.returncode == 0
 
 
@@ -136,7 +140,7 @@ def test_smoke_test_of_other_sensors(sensor, tmp_path):
     write_release(folder, parse_config({"sensor": sensor, "frame": {"period": 100}}))
     for smoke in (SMOKE, FPGA_SMOKE):
         if (folder / f"{smoke}.f").exists():
-            done = alone(f"iverilog -g2005 -s {smoke} -o smoke.vvp -f {smoke}.f && vvp -n smoke.vvp", folder)
+            done = simulated(folder, smoke, f"-f {smoke}.f")
             assert done.stdout.startswith("PASS"), done.stdout + done.stderr
 
 
@@ -154,42 +158,26 @@ def test_smoke_test_finds_a_difference(releases, tmp_path, file, old, new):
     text = (folder / file).read_text()
     assert old in text
     (folder / file).write_text(text.replace(old, new, 1))
-    done = alone(f"iverilog -g2005 -s {SMOKE} -o smoke.vvp -f {SMOKE}.f && vvp -n smoke.vvp", folder)
-    assert "FAIL" in done.stdout
-    assert "PASS" not in done.stdout
-    assert done.returncode != 0
+    done = simulated(folder)
+    assert "FAIL" in done.stdout and "PASS" not in done.stdout and done.returncode != 0
 
 
 @pytest.mark.parametrize("target", ["lint", "sim", "lint_fpga", "sim_fpga"])
 def test_fusesoc_runs_the_core(releases, tmp_path, target):
     path = f"{Path(sys.executable).parent}:{toolchain.verilator().parent}:{os.environ['PATH']}"
     command = ["fusesoc", "--cores-root", str(releases / "fpga"), "run", "--target", target, f"coincid:sensor:{TOP}"]
-    done = subprocess.run(
-        command,
-        cwd=tmp_path,
-        env=os.environ | {"PATH": path, "HOME": str(tmp_path)},
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        text=True,
-        check=False,
-    )
-    assert done.returncode == 0, done.stdout
-    assert "%Warning" not in done.stdout
-    assert ("PASS" in done.stdout) is target.startswith("sim")
+    environment = os.environ | {"PATH": path, "HOME": str(tmp_path)}
+    done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
+    told = done.stdout + done.stderr
+    assert done.returncode == 0 and "%Warning" not in told, told
+    assert ("PASS" in told) is target.startswith("sim")
 
 
 def test_presets_of_one_process_do_not_mix(releases, tmp_path):
     """Each equals the export of a process of its own, with hashes of its own, and contains no file of another preset."""
-    script = (
-        "import sys\n"
-        "from coincid.flow.release import write_release\n"
-        "from coincid.hdl.front_end_views import POLYPHASE, VIEWS\n"
-        "from coincid.model.contract.config import parse_config\n"
-        "write_release(sys.argv[1], parse_config(eval(sys.argv[2])), VIEWS.get(sys.argv[3], POLYPHASE))"
-    )
     for name in list(SMALL)[1:]:  # the first has none before it in its process
-        export = [sys.executable, "-c", script, tmp_path / name, repr(document(name)), name]
-        subprocess.run(export, env=os.environ | {"PYTHONHASHSEED": "17"}, check=True)
+        program = f"from tests.releases import release; release({str(tmp_path / name)!r}, {name!r})"
+        subprocess.run([sys.executable, "-c", program], cwd=ROOT, env=os.environ | {"PYTHONHASHSEED": "17"}, check=True)
         for path in files(tmp_path / name):
             assert (tmp_path / name / path).read_bytes() == (releases / name / path).read_bytes(), path
         parameters = json.loads((releases / name / MANIFEST).read_text())["parameters"]
@@ -216,37 +204,31 @@ def test_exported_verilog_is_what_the_other_tests_simulate(releases):
         assert (releases / "silicon" / path.name).read_text() == path.read_text()
 
 
-def addresses(compiler):
-    """Return (name, subgroup or None, address) of every register, with arrays unrolled."""
+def registers(compiler):
+    """Return (node, subgroup or 0, index) of every register, with arrays unrolled."""
     for node in compiler.elaborate().descendants(unroll=True):
         if isinstance(node, RegNode):
-            in_subgroup = node.parent.inst_name == "subgroup"
-            subgroup = node.parent.current_idx[0] if in_subgroup else None
+            assert (node.parent.inst_name == "subgroup") == (BY_NAME[node.inst_name] in SUBGROUP)
+            subgroup = node.parent.current_idx[0] if node.parent.inst_name == "subgroup" else 0
             yield node, subgroup, node.current_idx[0] if node.is_array else 0
 
 
 @pytest.mark.parametrize("file", [RDL, IP_XACT])
 def test_register_descriptions_compile_to_the_table(releases, file):
-    compiler, of = RDLCompiler(), config("silicon").sensor
-    path = str(releases / "silicon" / file)
-    if file == RDL:
-        compiler.compile_file(path)
-    else:
-        IPXACTImporter(compiler).import_file(path)
-    seen = set()
-    for node, subgroup, index in addresses(compiler):
+    compiler, of, seen = RDLCompiler(), config("silicon").sensor, set()
+    read = compiler.compile_file if file == RDL else IPXACTImporter(compiler).import_file
+    read(str(releases / "silicon" / file))
+    for node, subgroup, index in registers(compiler):
         register = BY_NAME[node.inst_name]
-        assert (subgroup is not None) == (register in SUBGROUP)
-        assert node.absolute_address == address(node.inst_name, subgroup or 0, index)
-        seen.add((node.inst_name, subgroup or 0, index))
+        assert node.absolute_address == address(node.inst_name, subgroup, index)
+        seen.add((node.inst_name, subgroup, index))
         resets = sum(field.get_property("reset", default=0) << field.low for field in node.fields())
         if register.access is not Access.COUNTER:
             assert resets == register.reset(of), node.inst_name
-        assert node.has_sw_writable == (register.access in (Access.SETTING, Access.PULSE, Access.STATUS))
-    wanted = {
+        assert node.has_sw_writable == (register.access in WRITABLE)
+    assert seen == {
         (register.name, subgroup, index)
         for register in BY_NAME.values()
         for index in range(register.count(of))
         for subgroup in range(of.subgroups if register in SUBGROUP else 1)
     }
-    assert seen == wanted
