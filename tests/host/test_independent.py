@@ -5,6 +5,9 @@ It takes nothing from the project: framing and addresses of docs/emulator-protoc
 docs/contract.md are spelled out here, so that a page that says too little, or another thing than the RTL does, is found.
 """
 
+import struct
+from zlib import crc32
+
 import numpy as np
 
 from coincid.model.golden.frame import Golden
@@ -27,23 +30,10 @@ class Client:
         status, _ = self.ask(0, 0, 0)
         assert status in (0, 3)
 
-    @staticmethod
-    def crc(data):
-        """Polynomial 0x04c11db7, the lowest bit of a byte first."""
-        value = 0xFFFFFFFF
-        for byte in data:
-            value ^= byte
-            for _ in range(8):
-                value = value >> 1 ^ (0xEDB88320 if value & 1 else 0)  # the polynomial's bits in reverse
-        return value ^ 0xFFFFFFFF
-
     def ask(self, operation, count, address, words=()):
         """Status and content of the answer."""
-        body = bytes([self.number, operation, count, address & 0xFF, address >> 8 & 0xFF, address >> 16])
-        for word in words:
-            body += bytes(word >> shift & 0xFF for shift in (0, 8, 16, 24))
-        check = self.crc(body)
-        body += bytes(check >> shift & 0xFF for shift in (0, 8, 16, 24))
+        body = struct.pack(f"<BBBBH{len(words)}I", self.number, operation, count, address & 0xFF, address >> 8, *words)
+        body += struct.pack("<I", crc32(body))  # of Ethernet: polynomial 0x04c11db7
         body = body.replace(b"\x7d", b"\x7d\x5d").replace(b"\x7e", b"\x7d\x5e")
         self.line.write(b"\x7e" + body + b"\x7e")
         answer = self.answer()
@@ -57,23 +47,22 @@ class Client:
             parts = self.heard.split(b"\x7e")
             for inside in parts[1:-1]:
                 body = inside.replace(b"\x7d\x5e", b"\x7e").replace(b"\x7d\x5d", b"\x7d")
-                if len(body) > 5 and self.crc(body[:-4]) == int.from_bytes(body[-4:], "little"):
+                if len(body) > 5 and crc32(body[:-4]) == int.from_bytes(body[-4:], "little"):
                     self.heard = b""
                     return body[:-4]
         raise AssertionError("no answer")
 
     def read(self, address, count=1):
         status, content = self.ask(1, count, address)
-        assert status == 0 and len(content) == 4 * count
-        return [int.from_bytes(content[at : at + 4], "little") for at in range(0, 4 * count, 4)]
+        assert status == 0
+        return struct.unpack(f"<{count}I", content)
 
     def write(self, address, *values):
-        status, content = self.ask(2, len(values), address, values)
-        assert (status, content) == (0, bytes([len(values)]))
+        assert self.ask(2, len(values), address, values) == (0, bytes([len(values)]))
 
     def program(self):
-        assert self.read(0x000000) == [0x434F494E]  # COIN
-        assert self.read(0x100000) == [0x454D554C]  # EMUL
+        assert self.read(0x000000) == (0x434F494E,)  # COIN
+        assert self.read(0x100000) == (0x454D554C,)  # EMUL
         self.write(0x48, PERIOD, PULSES, 1)  # period, pulses, format: id
         for subgroup, background in enumerate(BACKGROUNDS):
             self.write(0x1000 + 0x80 * subgroup + 4, THRESHOLD, WINDOW)
@@ -96,19 +85,16 @@ class Client:
             words = self.read(0x300000 + 8 * first, 2 * run)
             beats += [low | high << 32 for low, high in zip(words[::2], words[1::2])]
             self.write(0x100020, run)
-        assert self.read(0x44)[0] == 2  # done
+        assert self.read(0x44) == (2,)  # done
         self.write(0x44, 2)
         return beats
 
     @staticmethod
     def ended(beats):
         at = 0
-        while at < len(beats):
-            kind = beats[at] >> 61
-            if kind == 7:
-                return len(beats) - at == 1 + 2 * 6  # two subgroups' 11 counters, two per beat
-            at += {6: 1, 2: 2}[kind]  # frame start; header and map of 16 pixels
-        return False
+        while at < len(beats) and beats[at] >> 61 != 7:
+            at += {6: 1, 2: 2}[beats[at] >> 61]  # frame start; header and map of 16 pixels
+        return len(beats) - at == 1 + 2 * 6  # two subgroups' 11 counters, two per beat
 
 
 CONFIG = configured(
