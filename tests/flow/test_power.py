@@ -20,12 +20,10 @@ library (toy) {
     pin (A) { direction : input; capacitance : 2.0; }
     pin (Z) {
       direction : output;
-      internal_power () {
-        related_pin : "A";
+      internal_power () { related_pin : "A";
         rise_power(t) { index_1 ("0.01,0.03"); index_2 ("1.0,3.0"); values ("1.0,2.0", \\
           "3.0,4.0"); }
-        fall_power(t) { index_1 ("0.01,0.03"); index_2 ("1.0,3.0"); values ("3.0,4.0", \\
-          "5.0,6.0"); }
+        fall_power(t) { index_1 ("0.01,0.03"); index_2 ("1.0,3.0"); values ("3.0,4.0", "5.0,6.0"); }
       }
     }
   }
@@ -36,45 +34,35 @@ library (toy) {
 VCD = b"""\
 $timescale 1ps $end
 $scope module top $end
-$var wire 1 ! laser $end
-$var wire 1 $ rst $end
-$var wire 2 " bus [1:0] $end
-$scope module inner $end
-$var wire 1 # net $end
-$upscope $end
+$var wire 1 ! laser $end $var wire 1 $ rst $end $var wire 2 " bus [1:0] $end
+$scope module inner $end $var wire 1 # net $end $upscope $end
 $upscope $end
 $enddefinitions $end
-#0
-x!
-x$
-b0 "
-0#
-#200
-1!
-1$
-#400
-0!
-#600
-1!
-#800
-0!
-0$
-#1000
-1#
-b11 "
-#2000
-1!
-b1 "
-#3000
-0!
-0#
-#6000
-b10 "
-1!
-1#
-#9000
-0#
+#0 x! x$ b0 " 0#
+#200 1! 1$
+#400 0!
+#600 1!
+#800 0! 0$
+#1000 1# b11 "
+#2000 1! b1 "
+#3000 0! 0#
+#6000 b10 " 1! 1#
+#9000 0#
 """
+
+
+PER_FJ = 1e-6 * 100.0 / 10  # mW, of ten cycles at 100 MHz
+needs_cells = pytest.mark.skipif(
+    cells_folder() is None, reason="standard cells (scripts/setup cells) are not installed"
+)
+
+
+def always(fj):
+    """Return energies that depend on no load."""
+    return Energies(np.zeros(1), np.full(1, fj))
+
+
+CLOCK = Pin(False, 1.0, always(3.0), True)
 
 
 def test_liberty_at_its_slew_and_load(tmp_path):
@@ -101,64 +89,55 @@ def test_transitions_of_frames_only():
         transitions(BytesIO(VCD), 1, [3, 2, 2], 1000)
 
 
-def flop_and_buffer():
+def test_sum_by_hand():
     """clk clocks a flip-flop, whose output drives a buffer that drives nothing."""
-    clock = Pin(False, 1.0, Energies(np.zeros(1), np.full(1, 3.0)), True)
-    output = Pin(True, 0.0, Energies(np.zeros(1), np.ones(1)), False)
+    output = Pin(True, 0.0, always(1.0), False)
     library = {
-        "DFF": Cell(1000.0, {"CK": clock, "Q": output, "QN": output}),
+        "DFF": Cell(1000.0, {"CK": CLOCK, "Q": output, "QN": output}),
         "BUF": Cell(0.0, {"A": Pin(False, 4.0, None, False), "Z": output}),
     }
     instances = [Instance("a", "DFF", {"CK": 2, "Q": 3}), Instance("a.b", "BUF", {"A": 3, "Z": 4})]
     names = {2: [("clk", 0)], 3: [("q", 0), ("a.q", 0)], 4: [("a.z", 1)]}
-    return Design(["", "a", "a.b"], instances, names, library, 2.0)
-
-
-def test_sum_by_hand():
+    design = Design(["", "a", "a.b"], instances, names, library, 2.0)
     toggles = {"clk": np.array([[20]]), "a.q": np.array([[5]]), "a.z": np.array([[0, 5]])}
-    of = power(flop_and_buffer(), toggles, 0, 10, 100.0)
-    per_fj = 1e-6 * 100.0 / 10
-    assert of["a"].clock == pytest.approx(per_fj * (20 * 3.0 + 20 * 2.0 * 1.0))
-    assert of["a"].internal == pytest.approx(per_fj * (5 * 1.0 + 5 * 1.0))  # Q, and QN with it
-    assert of["a"].switching == pytest.approx(per_fj * 5 * 2.0 * 4.0)
+    of = power(design, toggles, 0, 10, 100.0)
+    assert of["a"].clock == pytest.approx(PER_FJ * (20 * 3.0 + 20 * 2.0 * 1.0))
+    assert of["a"].internal == pytest.approx(PER_FJ * (5 * 1.0 + 5 * 1.0))  # Q, and QN with it
+    assert of["a"].switching == pytest.approx(PER_FJ * 5 * 2.0 * 4.0)
     assert of["a"].leakage == pytest.approx(1e-3)
     assert of["a"].idle == pytest.approx(of["a"].clock / 2)
-    assert of["a.b"].total == pytest.approx(per_fj * 5 * 1.0)
-    wired = power(flop_and_buffer(), toggles, 0, 10, 100.0, wire_ff=4.0)
+    assert of["a.b"].total == pytest.approx(PER_FJ * 5 * 1.0)
+    wired = power(design, toggles, 0, 10, 100.0, wire_ff=4.0)
     assert wired["a"].switching == pytest.approx(2 * of["a"].switching)
     with pytest.raises(ToolchainError, match="does not show a.z"):
-        power(flop_and_buffer(), {"clk": toggles["clk"], "q": toggles["a.q"]}, 0, 10, 100.0)
+        power(design, {"clk": toggles["clk"], "q": toggles["a.q"]}, 0, 10, 100.0)
 
 
 def test_a_gated_flip_flop_by_hand():
     """clk clocks a gate, which clocks a flip-flop in two of ten cycles; the flip-flop changes in one of them."""
-    closed, passed = (Energies(np.zeros(1), np.full(1, fj)) for fj in (2.0, 5.0))
-    clock = Pin(False, 1.0, Energies(np.zeros(1), np.full(1, 3.0)), True)
     library = {
-        "GATE": Cell(0.0, {"CK": Pin(False, 4.0, closed, True), "GCK": Pin(True, 0.0, passed, True)}),
-        "DFF": Cell(0.0, {"CK": clock, "Q": Pin(True, 0.0, None, False)}),
+        "GATE": Cell(0.0, {"CK": Pin(False, 4.0, always(2.0), True), "GCK": Pin(True, 0.0, always(5.0), True)}),
+        "DFF": Cell(0.0, {"CK": CLOCK, "Q": Pin(True, 0.0, None, False)}),
     }
     instances = [Instance("gate", "GATE", {"CK": 2, "GCK": 3}), Instance("flop", "DFF", {"CK": 3, "Q": 4})]
     names = {2: [("clk", 0)], 3: [("gated", 0)], 4: [("q", 0)]}
     toggles = {"clk": np.array([[20]]), "gated": np.array([[4]]), "q": np.array([[1]])}
     of = power(Design([""], instances, names, library, 2.0), toggles, 0, 10, 100.0)
-    per_fj = 1e-6 * 100.0 / 10
-    assert of["gate"].total == of["gate"].clock == pytest.approx(per_fj * (16 * 2.0 + 4 * 5.0 + 20 * 2.0 * 4.0))
-    assert of["flop"].total == of["flop"].clock == pytest.approx(per_fj * (4 * 3.0 + 4 * 2.0 * 1.0))
+    assert of["gate"].total == of["gate"].clock == pytest.approx(PER_FJ * (16 * 2.0 + 4 * 5.0 + 20 * 2.0 * 4.0))
+    assert of["flop"].total == of["flop"].clock == pytest.approx(PER_FJ * (4 * 3.0 + 4 * 2.0 * 1.0))
     assert of["flop"].idle == pytest.approx(of["flop"].clock / 2)
     assert of["gate"].idle == 0
 
 
 def test_a_clock_tree_by_hand():
     """Two buffers drive ten flip-flops each; a wire goes to each pin."""
-    clock = Pin(False, 1.0, None, True)
-    buffer = {"A": Pin(False, 4.0, None, False), "Z": Pin(True, 0.0, Energies(np.zeros(1), np.full(1, 7.0)), False)}
-    library = {"DFF": Cell(0.0, {"CK": clock}), CLOCK_BUFFER: Cell(0.0, buffer)}
+    buffer = {"A": Pin(False, 4.0, None, False), "Z": Pin(True, 0.0, always(7.0), False)}
+    library = {"DFF": Cell(0.0, {"CK": CLOCK}), CLOCK_BUFFER: Cell(0.0, buffer)}
     instances = [Instance("a" if k < 15 else "b", "DFF", {"CK": 2}) for k in range(20)]
     of = Design(["", "a", "b"], instances, {2: [("clk", 0)]}, library, 2.0)
     tree = clock_tree_mw(of, {"clk": np.array([[20]])}, 0, 10, 100.0, wire_ff=0.5)
     assert tree["a"] == pytest.approx(3 * tree["b"])
-    assert sum(tree.values()) == pytest.approx(1e-6 * 100.0 / 10 * 20 * (22 * 2.0 * 0.5 + 2 * (7.0 + 2.0 * 4.0)))
+    assert sum(tree.values()) == pytest.approx(PER_FJ * 20 * (22 * 2.0 * 0.5 + 2 * (7.0 + 2.0 * 4.0)))
 
 
 def test_blocks_of_the_table():
@@ -169,20 +148,15 @@ def test_blocks_of_the_table():
     assert group_of("readout_0") is None
 
 
-@pytest.mark.skipif(cells_folder() is None, reason="standard cells (scripts/setup cells) are not installed")
-def test_a_flip_flop_of_the_library():
-    """Energies that stand in the file: the clock pin's of data at rest, between its tables' second and third slew."""
-    flop = read_cells(cells_folder() / LIBERTY, {"DFF_X1"})["DFF_X1"]
-    clock = flop.pins["CK"]
-    assert clock.clock
-    assert clock.energies.at(0) == pytest.approx((2.434 + 4.495 + 2.623 + 4.264) / 4, abs=0.01)
+@needs_cells
+def test_cells_of_the_library():
+    """Energies that stand in the file. A flip-flop's clock pin: of data at rest, between its tables' second and third slew.
+
+    A clock gate's clock pin: closed, its own; open, those of its output."""
+    cells = read_cells(cells_folder() / LIBERTY, {"DFF_X1", "CLKGATE_X1"})
+    flop, gate = cells["DFF_X1"], cells["CLKGATE_X1"].pins
+    assert flop.pins["CK"].clock and gate["CK"].clock and gate["GCK"].clock and not gate["E"].clock
+    assert flop.pins["CK"].energies.at(0) == pytest.approx((2.434 + 4.495 + 2.623 + 4.264) / 4, abs=0.01)
     assert flop.leakage_nw == pytest.approx(79.11, abs=0.01)
-
-
-@pytest.mark.skipif(cells_folder() is None, reason="standard cells (scripts/setup cells) are not installed")
-def test_a_clock_gate_of_the_library():
-    """Closed, its clock pin takes the energies that stand in the file; open, those of its output."""
-    gate = read_cells(cells_folder() / LIBERTY, {"CLKGATE_X1"})["CLKGATE_X1"]
-    assert gate.pins["CK"].clock and gate.pins["GCK"].clock and not gate.pins["E"].clock
-    assert gate.pins["CK"].energies.at(0) == pytest.approx((3.615 + 1.301) / 2, abs=0.01)
-    assert gate.pins["GCK"].energies.at(0) > gate.pins["CK"].energies.at(0)
+    assert gate["CK"].energies.at(0) == pytest.approx((3.615 + 1.301) / 2, abs=0.01)
+    assert gate["GCK"].energies.at(0) > gate["CK"].energies.at(0)

@@ -8,7 +8,7 @@ from attrs import evolve
 from coincid.host.emulator_driver import EmulatorDriver
 from coincid.host.serial_transport import SerialTransport
 from coincid.lab.setup import scene_of
-from coincid.model.contract.config import load_config
+from coincid.model.contract.config import changes_of_text, load_config
 from coincid.study import emulate
 from coincid.study.emulate import Session, source_settings
 from coincid.tb import verilated_emulator
@@ -19,48 +19,31 @@ from ..command import command
 from ..tb.test_emulator import EMULATOR
 
 # Of the emulator that `tb/test_emulator.py` compiles.
-SMALL = """
-[sensor]
-rows = 4
-cols = 8
-phases = 8
-window_max = 16
-subgroup = [4, 4]
-
-[frame]
-clock_mhz = 100
-period = 63
-pulses = 8
-
-[subgroup]
-window = 4
-"""
+SETTINGS = "rows=4 cols=8 phases=8 window_max=16 subgroup=4x4 clock_mhz=100 period=63 pulses=8 window=4".split()
+CONFIG = load_config(None, changes_of_text(SETTINGS))
 
 
 @pytest.fixture
-def config_file(tmp_path):
-    path = tmp_path / "small.toml"
-    path.write_text(SMALL)
-    return path
+def driver():
+    with SimulatedPort(EMULATOR, CONFIG.clock_mhz) as port:
+        yield EmulatorDriver(SerialTransport(port, patience_s=PATIENCE_S))
 
 
-def test_a_scene(config_file, tmp_path, monkeypatch):
+def test_a_scene(tmp_path, monkeypatch):
     monkeypatch.setattr(verilated_emulator, "simulated", lambda sensor, **_: EMULATOR)
-    out = tmp_path / "out"
-    done = command(f"emulate --simulate --config {config_file} --frames 2 --scene flat:5 --out {out}")
+    given = " --set ".join(["", *SETTINGS])
+    done = command(f"emulate --simulate --frames 2 --scene flat:5 --out {tmp_path} {given}")
     assert done.exit_code == 0, done.output
     assert "2 frames" in done.output and "all as the golden model predicts" in done.output
-    assert (out / "depth.png").stat().st_size > 1000
+    assert (tmp_path / "depth.png").stat().st_size > 1000
 
 
-def test_the_picture_is_drawn_while_frames_come(config_file, tmp_path, monkeypatch):
+def test_the_picture_is_drawn_while_frames_come(driver, tmp_path, monkeypatch):
     """With no time between two pictures: one per frame, each with all frames so far."""
-    config, titles = load_config(str(config_file)), []
+    titles = []
     monkeypatch.setattr(emulate, "REDRAW_S", 0.0)
     monkeypatch.setattr(emulate, "depth_row", lambda path, panels, truth_m: titles.append(panels[0].title))
-    with SimulatedPort(EMULATOR, config.clock_mhz) as port:
-        driver = EmulatorDriver(SerialTransport(port, patience_s=PATIENCE_S))
-        emulate.emulate(driver, config, scene_of(config, "flat:5"), tmp_path, klux=50.0, frames=3)
+    emulate.emulate(driver, CONFIG, scene_of(CONFIG, "flat:5"), tmp_path, klux=50.0, frames=3)
     assert titles == [f"{n} frames of the emulator" for n in (1, 2, 3)]
 
 
@@ -76,17 +59,14 @@ def test_a_scene_as_settings():
     assert settings.dead_cycles == 1
 
 
-def test_a_wrong_word_is_found(config_file):
-    config = load_config(str(config_file))
-    scene = scene_of(config, "flat:5")
-    with SimulatedPort(EMULATOR, config.clock_mhz) as port:
-        settings = source_settings(config, scene, 50.0)
-        session = Session(EmulatorDriver(SerialTransport(port, patience_s=PATIENCE_S)), config, settings)
-        session.frame()
-        session.settings = evolve(settings, background=settings.background + 1)
-        with pytest.raises(Mismatch, match=r"frame \d, beat"):
-            for _ in range(5):
-                session.frame()
+def test_a_wrong_word_is_found(driver):
+    settings = source_settings(CONFIG, scene_of(CONFIG, "flat:5"), 50.0)
+    session = Session(driver, CONFIG, settings)
+    session.frame()
+    session.settings = evolve(settings, background=settings.background + 1)
+    with pytest.raises(Mismatch, match=r"frame \d, beat"):
+        for _ in range(5):
+            session.frame()
 
 
 @pytest.mark.parametrize(

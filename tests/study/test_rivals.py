@@ -20,24 +20,13 @@ from ..random_cases import configured
 SENSOR = Sensor(rows=8, cols=16)
 PHASES, PERIOD = 32, 250
 # (pulse, pixel, tick): subgroup 0 has columns 0 to 7, subgroup 1 the others; row 1 begins at pixel 16.
-EXAMPLE = [
-    (0, 0, 100),
-    (0, 1, 105),
-    (0, 16, 112),
-    (0, 2, 118),
-    (0, 17, 130),
-    (0, 3, 140),
-    (1, 5, 47),
-    (1, 4, 47),
-    (1, 6, 49),
-    (0, 8, 100),
-    (0, 9, 101),
-]
+EXAMPLE = [(0, 0, 100), (0, 1, 105), (0, 16, 112), (0, 2, 118), (0, 17, 130), (0, 3, 140)]
+EXAMPLE += [(1, 5, 47), (1, 4, 47), (1, 6, 49), (0, 8, 100), (0, 9, 101)]
 
 
-def photons(edges=EXAMPLE, pulses=2):
+def photons(edges=EXAMPLE, pulses=2, sensor=SENSOR):
     columns = (np.array(column, np.int64) for column in zip(*edges))
-    return other_schemes.macro_pixels(Edges(*columns), SENSOR, pulses)
+    return other_schemes.macro_pixels(Edges(*columns), sensor, pulses)
 
 
 def told(words, of):
@@ -131,8 +120,7 @@ def test_readout_by_hand():
     sensor = Sensor(rows=8, cols=24, fifo_depth=2, streams=2)
     edges = [(0, 0, 96), (0, 8, 96), (0, 1, 128), (0, 2, 129), (0, 3, 130), (0, 4, 9 * 32)]
     edges += [(0, 16 + k, 96 + k) for k in range(3)]
-    columns = (np.array(column, np.int64) for column in zip(*edges))
-    of = other_schemes.macro_pixels(Edges(*columns), sensor, 1)
+    of = photons(edges, 1, sensor)
     each = other_schemes.Words(np.arange(9), np.arange(9) + 1, of.tick)
     assert of.tick.tolist() == [96, 128, 129, 130, 288, 96, 96, 97, 98]
     stored = other_schemes.read_out(of, each, sensor, PHASES, PERIOD, 2)
@@ -155,15 +143,13 @@ def test_windows_are_the_golden_models(seed, window, threshold):
     of = other_schemes.macro_pixels(edges, config.sensor, 3)
     words = other_schemes.windows(of, window, PHASES)
     distinct = np.array([len(set(of.inside[a:b])) for a, b, _ in zip(*words)])
-    words = words.chosen(distinct >= threshold)
-    found = np.stack(
-        [of.subgroup[words.start], of.pulse[words.start] % 3, words.stamp, distinct[distinct >= threshold]]
-    )
+    words, distinct = words.chosen(distinct >= threshold), distinct[distinct >= threshold]
+    found = np.stack([of.subgroup[words.start], of.pulse[words.start] % 3, words.stamp, distinct])
     golden = np.stack([arrays[name] for name in ("subgroup", "pulse", "stamp", "count")])
     assert np.array_equal(found, golden[:, np.lexsort((golden[2], golden[1], golden[0]))])
-    used = sum(words.stop - words.start)
     if threshold == 1:
-        assert used == np.isin(arrays["fate"], (Fate.OPENING, Fate.COUNTED, Fate.DUPLICATE)).sum()
+        inside = np.isin(arrays["fate"], (Fate.OPENING, Fate.COUNTED, Fate.DUPLICATE))
+        assert sum(words.stop - words.start) == inside.sum()
 
 
 def test_coarse_peaks():
@@ -195,11 +181,10 @@ def test_memory_of_a_histogram_is_bounded(wall, monkeypatch):
 
 
 def test_files_of_the_comparison(tmp_path, monkeypatch):
-    small = {"SIDE": 16, "KLUX": (20.0,), "SEEDS": 1, "FEW_SEEDS": 1, "THRESHOLDS": (2, 3)}
-    for name, value in (small | {"BITS_KLUX": (20.0,), "SEEDS_OF_PULSES": {40: 1, 20: 1}}).items():
+    small = {"SIDE": 16, "KLUX": (20.0,), "BITS_KLUX": (20.0,), "SEEDS": 1, "FEW_SEEDS": 1, "THRESHOLDS": (2, 3)}
+    for name, value in (small | {"SEEDS_OF_PULSES": {40: 1, 20: 1}}).items():
         monkeypatch.setattr(studies, name, value)
     monkeypatch.setattr(figures, "COMPARISON", (studies.background, studies.bits))
-    figures.write(figures.PAGES["compare"], tmp_path / "out", workers=1)
-    names = sorted(path.name for path in (tmp_path / "out").iterdir())
-    kinds = "csv", "png", "svg"
-    assert names == ["index.html", *(f"rivals_{stem}.{kind}" for stem in ("background", "bits") for kind in kinds)]
+    figures.write(figures.PAGES["compare"], tmp_path, workers=1)
+    files = {f"rivals_{stem}.{kind}" for stem in ("background", "bits") for kind in ("csv", "png", "svg")}
+    assert {path.name for path in tmp_path.iterdir()} == {"index.html", *files}
