@@ -32,12 +32,18 @@ def rows(page, title):
     return [[cell.strip().strip("`") for cell in line.strip("|").split("|")] for line in table]
 
 
-def test_readme_snippet_runs():
-    (snippet,) = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)
-    told = io.StringIO()
+def printed(page):
+    """Run the Python blocks of a page; return what they print and their names."""
+    told, names = io.StringIO(), {}
     with contextlib.redirect_stdout(told):
-        exec(compile(snippet, "README.md", "exec"), {})
-    events, metres = re.fullmatch(r"(\d+) events, wall at ([\d.]+) m\n", told.getvalue()).groups()
+        for code in blocks(page, "python"):
+            exec(compile(code, page.name, "exec"), names)
+    return told.getvalue(), names
+
+
+def test_readme_snippet_runs():
+    told, _ = printed(ROOT / "README.md")
+    events, metres = re.fullmatch(r"(\d+) events, wall at ([\d.]+) m\n", told).groups()
     assert int(events) > 0
     assert abs(float(metres) - 9.7) < 0.05
 
@@ -54,21 +60,16 @@ def test_all_python_blocks_are_tested():
 
 
 def test_code_about_light_prints_what_the_page_says():
-    page, printed, names = ROOT / "docs" / "light.md", io.StringIO(), {}
-    with contextlib.redirect_stdout(printed):
-        for code in blocks(page, "python"):
-            exec(code, names)
+    page = ROOT / "docs" / "light.md"
     said = re.sub(r"```python\n.*?```", "", page.read_text(), flags=re.DOTALL)
-    lines = printed.getvalue().splitlines()
+    lines = printed(page)[0].splitlines()
     assert len(lines) > 10 and [line for line in lines if line not in said] == []
 
 
 def test_notebook_block_runs(tmp_path, monkeypatch):
     pytest.importorskip("bokeh")
     monkeypatch.chdir(tmp_path)
-    (code,) = blocks(ROOT / "docs" / "explorer.md", "python")
-    names = {}
-    exec(compile(code, "explorer.md", "exec"), names)
+    _, names = printed(ROOT / "docs" / "explorer.md")
     assert len(names["run"].events()) > 0 and (tmp_path / "points.ply").exists()
 
 
@@ -84,18 +85,17 @@ def test_a_study_is_one_file(tmp_path):
 
 
 def test_sweep_blocks_run(tmp_path, monkeypatch):
+    pytest.importorskip("pandas")
     monkeypatch.chdir(tmp_path)
     page = ROOT / "docs" / "sweeps.md"
     (axes,) = blocks(page, "toml")
-    (tmp_path / "spec.toml").write_text(axes)
-    assert len(read_spec(tmp_path / "spec.toml").points) == 27
+    Path("spec.toml").write_text(axes)
+    assert len(read_spec("spec.toml").points) == 27
     small = "[frame]\npulses = 10\n[sensor]\nrows = 8\ncols = 8\n[[axis]]\nklux = [5, 50]\n[[axis]]\nsubgroup.threshold = [2]\n"
-    (tmp_path / "small.toml").write_text(small)
-    (tmp_path / "build").mkdir()
-    sweep(read_spec(tmp_path / "small.toml"), tmp_path / "build" / "sweep.parquet", workers=1, title="small")
-    (code,) = blocks(page, "python")
-    pytest.importorskip("pandas")
-    exec(compile(code, "sweeps.md", "exec"), {})
+    Path("small.toml").write_text(small)
+    Path("build").mkdir()
+    sweep(read_spec("small.toml"), Path("build/sweep.parquet"), workers=1, title="small")
+    printed(page)
 
 
 def test_recording_example_runs(tmp_path, monkeypatch):
@@ -103,25 +103,23 @@ def test_recording_example_runs(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (example,) = [block for block in blocks(ROOT / "docs" / "recordings.md", "") if block.startswith("printf")]
     first, *lines = example.splitlines()
-    toml, name = re.fullmatch(r"printf '(.*)' > (\S+)", first).groups()
-    (tmp_path / name).write_text(toml.replace("\\n", "\n"))
+    subprocess.run(["sh", "-c", first], check=True)
     for line in lines:
         program, words = line.split(maxsplit=1)
         result = command(words)
         assert program == "coincid" and result.exit_code == 0, (line, result.output)
-    assert (tmp_path / "result.npz").exists()
+    assert Path("result.npz").exists()
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_commands_in_blocks_have_their_options(page):
     """Every option that a block gives to `coincid` exists in that command."""
-    commands = {command.name: command for command in get_command(app).commands.values()}
+    commands = get_command(app).commands
     for block in blocks(page, ""):
-        for line in block.replace("\\\n", " ").splitlines():
-            match = re.match(r"(?:\.venv/bin/)?coincid (\w+)(.*)", line.partition("#")[0])
-            if match:
-                known = {option for parameter in commands[match[1]].params for option in parameter.opts}
-                assert set(re.findall(r"--[\w-]+", match[2])) <= known, line
+        lines = re.sub("#.*", "", block.replace("\\\n", " "))
+        for name, given in re.findall(r"^(?:\.venv/bin/)?coincid (\w+)(.*)", lines, re.MULTILINE):
+            known = {option for parameter in commands[name].params for option in parameter.opts}
+            assert set(re.findall(r"--[\w-]+", given)) <= known, given
 
 
 def test_latency_table():
@@ -162,7 +160,6 @@ def test_named_files_and_commands_exist(page):
     text = page.read_text()
     for name in re.findall(r"`((?:model|hdl|tb|docs|scripts|tests)/[\w/.]*)`", text):
         assert (ROOT / name).exists(), name
-    commands = {command.name or command.callback.__name__ for command in app.registered_commands}
-    assert set(re.findall(r"`coincid (\w+)", text)) <= commands
+    assert set(re.findall(r"`coincid (\w+)", text)) <= get_command(app).commands.keys()
     targets = set(re.findall(r"^(\w+):", (ROOT / "Makefile").read_text(), re.MULTILINE))
     assert set(re.findall(r"(?:^|`)make (\w+)", text, re.MULTILINE)) <= targets
