@@ -2,7 +2,8 @@
 """Figures: what they read of runs, files of a section and of the page. The figures themselves are not tested."""
 
 import csv
-import html.parser
+import re
+from xml.etree import ElementTree
 
 import pytest
 
@@ -64,18 +65,7 @@ def test_files_of_a_section_have_the_same_bytes_again(tmp_path):
 def test_page_is_html_with_every_number(tmp_path):
     write_page(tmp_path, "title", "", [section()])
     text = (tmp_path / "index.html").read_text()
-    opened = []
-
-    class Balance(html.parser.HTMLParser):
-        def handle_starttag(self, tag, attrs):
-            if tag not in ("meta", "img"):
-                opened.append(tag)
-
-        def handle_endtag(self, tag):
-            assert opened.pop() == tag
-
-    Balance().feed(text)
-    assert not opened
+    ElementTree.fromstring(re.sub("<(!doctype|meta|img)[^>]*>", "", text))  # whose tags are balanced
     assert "a &lt; b" in text and "caption &amp; more" in text and "text &amp; more" in text and "demo_a.svg" in text
     assert "<td>7 %</td><td>1</td><td>2</td><td></td>" in text
 
