@@ -6,11 +6,26 @@ import signal
 import subprocess
 import sys
 import urllib.request
+from contextlib import contextmanager
 from urllib.error import HTTPError
 
 import pytest
 
-from .served import SMALL, explorer
+SMALL = ("rows=16", "cols=16", "pulses=20")
+
+
+@contextmanager
+def explorer(*settings, port=0):
+    """Serve an explorer; return (process, address)."""
+    words = [word for setting in settings for word in ("--set", setting)]
+    command = [sys.executable, "-m", "coincid", "explore", "--port", str(port), "--no-browser", *words]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+    try:
+        yield process, process.stdout.readline().split()[2]
+    finally:
+        process.kill()
+        process.wait()
+        process.stdout.close()
 
 
 @pytest.fixture(scope="module")
