@@ -11,9 +11,9 @@ import pytest
 
 from .planted import ROOT, copy_of_sources
 
-PLACES = {  # file: (beginning of the example, line before which it goes)
-    "model/contract/settings.py": ("blank: np.ndarray = ", "    mask: np.ndarray = "),
-    "model/contract/packet.py": ('"times": Packet(', "}\nFORMAT_NAMES = "),
+PLACES = {  # file: line before which its example goes, in the order of the page
+    "model/contract/settings.py": "    mask: np.ndarray = ",
+    "model/contract/packet.py": "}\nFORMAT_NAMES = ",
 }
 SETTING = """
 from coincid.flow.contract_tables import settings_tables
@@ -91,23 +91,16 @@ def extended(tmp_path_factory):
     """Return a function that runs Python in a copy of the sources with the examples."""
     folder, page = tmp_path_factory.mktemp("extended"), (ROOT / "CONTRIBUTING.md").read_text()
     copy_of_sources(folder)
-    examples = [
-        textwrap.dedent(block) for block in re.findall(r"^ *```python\n(.*?)^ *```", page, re.DOTALL | re.MULTILINE)
-    ]
-    for file, (begins, before) in PLACES.items():
-        (example,) = (example for example in examples if example.startswith(begins))
+    examples = map(textwrap.dedent, re.findall(r"^ *```python\n(.*?)^ *```", page, re.DOTALL | re.MULTILINE))
+    for example, (file, before) in zip(examples, PLACES.items()):
         text = (folder / file).read_text()
         assert text.count(before) == 1
         (folder / file).write_text(text.replace(before, textwrap.indent(example, "    ") + before))
-    environment = os.environ | {
-        "PYTHONPATH": str(folder),
-        "COINCID_BUILD": str(folder / "build"),
-        "NUMBA_DISABLE_JIT": "1",
-    }
+    more = {"PYTHONPATH": str(folder), "COINCID_BUILD": str(folder / "build"), "NUMBA_DISABLE_JIT": "1"}
 
     def run(*arguments):
         command = [sys.executable, *arguments]
-        done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True)
+        done = subprocess.run(command, cwd=folder, env=os.environ | more, capture_output=True, text=True)
         assert done.returncode == 0, done.stdout + done.stderr
 
     return run

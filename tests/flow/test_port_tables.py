@@ -57,36 +57,30 @@ def check_rows(sensor, top, view, text):
 
 
 def test_outputs_after_a_reset_are_as_told():
-    sensor = SensorTop(EXAMPLE)
-    outputs = {port.name: port.width for port in sensor.ports() if not port.is_input}
-    seen = []
+    top, sensor, seen = Module(), SensorTop(EXAMPLE), []
+    top.domains.sync = domain = ClockDomain()
+    top.submodules.sensor = sensor
+    rows = [row for row in port_rows(EXAMPLE) if row.direction == "out"]
 
     async def bench(ctx):
         ctx.set(sensor.s_axi.awvalid, 1)  # an access and beats in progress are dropped
         await ctx.tick().repeat(5)
         ctx.set(sensor.s_axi.awvalid, 0)
-        ctx.set(reset, 1)
+        ctx.set(domain.rst, 1)
         await ctx.tick()
-        ctx.set(reset, 0)
+        ctx.set(domain.rst, 0)
         for _ in range(3):
-            seen.append({name: ctx.get(sensor.flat_ports()[name][1]) for name in outputs})
+            seen.append({row.name: ctx.get(sensor.flat_ports()[row.name][1]) for row in rows})
             await ctx.tick()
 
-    top = Module()
-    domain = ClockDomain("sync")
-    top.domains += domain
-    top.submodules.sensor = sensor
-    reset = domain.rst
     simulator = Simulator(top)
     simulator.add_clock(2e-9)
     simulator.add_testbench(bench)
     simulator.run()
-    for row in port_rows(EXAMPLE):
-        if row.direction == "out":
-            first, _, later = row.reset.partition("; ")
-            assert seen[0][row.name] == int(first), row.name
-            assert seen[1][row.name] == int(first), row.name
-            assert bool(later) == (seen[2][row.name] == (1 << outputs[row.name]) - 1 != int(first)), row.name
+    for row in rows:
+        first, _, later = row.reset.partition("; ")
+        assert seen[0][row.name] == seen[1][row.name] == int(first), row.name
+        assert bool(later) == (seen[2][row.name] == (1 << row.width) - 1 != int(first)), row.name
 
 
 @pytest.mark.skipif(not shutil.which("iverilog"), reason="Icarus is not installed")

@@ -16,10 +16,8 @@ from typing import Any
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-from typer.testing import CliRunner
 
 import coincid
-from coincid.cli import app
 from coincid.lab.campaign import Processes
 from coincid.model.shared.markdown import table
 from coincid.study import settling, surfaces
@@ -27,6 +25,8 @@ from coincid.study.explore.control_values import check_settings
 from coincid.study.explore.stages import Explorer
 from coincid.study.figures import four_modes, interference, noisy_spads, reconstruction
 from coincid.study.plot_style import style
+
+from ..command import command
 
 SMALL = {"sensor": {"rows": 8, "cols": 16}, "frame": {"period": 60, "pulses": 40}}
 TIMES = ("cycles_per_s", "seconds")  # of the report
@@ -45,11 +45,6 @@ subgroup.threshold = [1, 3]
 """
 
 
-def command(*arguments: str) -> None:
-    done = CliRunner().invoke(app, list(arguments))
-    assert done.exit_code == 0, done.output
-
-
 def library(folder: Path) -> Any:
     config = coincid.parse_config(SMALL | {"subgroup": {"auto": True}}).with_frame(frames=2, format="full")
     run = coincid.simulate(config, "five-objects", klux=20, seed=3)
@@ -60,9 +55,8 @@ def library(folder: Path) -> Any:
 def sim(folder: Path) -> Any:
     config = folder / "small.toml"
     config.write_text("[sensor]\nrows = 8\ncols = 16\n")
-    command(
-        "sim", "--engine", "golden", "--config", str(config), "--pulses", "40", "--frames", "2", "--out", str(folder)
-    )
+    done = command(f"sim --engine golden --config {config} --pulses 40 --frames 2 --out {folder}")
+    assert done.exit_code == 0, done.output
     report = json.loads((folder / "report.json").read_text())
     with np.load(folder / "events.npz") as events:
         return {name: value for name, value in report.items() if name not in TIMES}, dict(events)
@@ -71,7 +65,8 @@ def sim(folder: Path) -> Any:
 def sweep(folder: Path) -> Any:
     spec, out = folder / "spec.toml", folder / "out.parquet"
     spec.write_text(SWEEP)
-    command("sweep", str(spec), "--out", str(out), "--workers", "1")
+    done = command(f"sweep {spec} --out {out} --workers 1")
+    assert done.exit_code == 0, done.output
     return pq.read_table(out).drop_columns(["point"]).to_pydict()
 
 

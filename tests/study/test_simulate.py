@@ -36,21 +36,16 @@ SHOWN = {"off": 0, "fixed": 1, "auto": 1 + FRAMES}  # frame of the result file t
 
 
 def run(out, document=SMALL, scene="flat:5,0.4", threshold=None, waves=False, **setup):
+    """Return the report, the arrays of the result and the lines of the console."""
     console = Console(file=io.StringIO(), width=100)
     setup = Setup.of(scene, **document, **{"klux": 5.0, "engine": "golden"} | setup)
     report = simulate(setup, out=out, console=console, settling=FRAMES, threshold=threshold, waves=waves)
-    return report, console.file.getvalue()
-
-
-def arrays_of(out):
-    with np.load(out / EVENTS) as archive:
-        return dict(archive)
+    return report, dict(np.load(out / EVENTS)), console.file.getvalue()
 
 
 def test_report_agrees_with_the_events(tmp_path):
-    report, told = run(tmp_path)
+    report, arrays, told = run(tmp_path)
     assert json.loads((tmp_path / REPORT).read_text()) == json.loads(json.dumps(report))
-    arrays = arrays_of(tmp_path)
     assert report["events"] == len(arrays["pulse"]) == arrays["stored"].sum()
     assert report["dropped"] == arrays["dropped"].sum()
     assert report["mismatches"] == 0
@@ -64,8 +59,7 @@ def test_report_agrees_with_the_events(tmp_path):
 
 def test_frames_see_the_same_light_under_their_own_thresholds(tmp_path):
     document = SMALL | {"subgroup": {"threshold": 3, "auto": True}}
-    report, _ = run(tmp_path, document, klux=50.0)
-    arrays = arrays_of(tmp_path)
+    report, arrays, _ = run(tmp_path, document, klux=50.0)
     assert report["threshold_off"] == [1]
     assert report["threshold_fixed"] == [3]  # set by the configuration
     assert report["threshold_auto"] == arrays["threshold_used"][-1].tolist()
@@ -78,11 +72,9 @@ def test_frames_see_the_same_light_under_their_own_thresholds(tmp_path):
 
 def test_fixed_threshold_is_named_or_the_best_of_all(tmp_path):
     document = SMALL | {"frame": {"period": 60, "pulses": 50}}
-    best, _ = run(tmp_path / "best", document, klux=50.0)
-    named = {
-        threshold: run(tmp_path / f"{threshold}", document, klux=50.0, threshold=threshold)[0] for threshold in (1, 4)
-    }
-    for threshold, report in named.items():
+    best, *_ = run(tmp_path / "best", document, klux=50.0)
+    for threshold in (1, 4):
+        report, *_ = run(tmp_path / f"{threshold}", document, klux=50.0, threshold=threshold)
         assert report["threshold_fixed"] == [threshold]
         assert best["wrong_share_fixed"] <= report["wrong_share_fixed"]
 
@@ -111,27 +103,24 @@ def test_same_seed_same_bytes(tmp_path):
 
 
 def test_letter_f_comes_out_as_it_went_in(tmp_path):
-    report, _ = run(tmp_path, LETTER, "letter-f", engine="sliced")
+    report, arrays, _ = run(tmp_path, LETTER, "letter-f", engine="sliced")
     for name in SCHEMES:
         assert report[f"wrong_share_{name}"] < 0.1, name  # wrongly oriented: a fifth
     assert report["checked"] > report["events"]
     config = parse_config(LETTER).with_settings(coincidence=True)
-    depth_m = estimate_depth(arrays_of(tmp_path), config, frame=1).depth_m[:, :, 0]
+    depth_m = estimate_depth(arrays, config, frame=1).depth_m[:, :, 0]
     assert wrong_share(depth_m, load_scene("letter-f", 8, 16).truth_m) == report["wrong_share_fixed"]
-    run(tmp_path / "golden", LETTER, "letter-f")
-    golden = arrays_of(tmp_path / "golden")
-    for name, array in arrays_of(tmp_path).items():
+    _, golden, _ = run(tmp_path / "golden", LETTER, "letter-f")
+    for name, array in arrays.items():
         assert np.array_equal(array, golden[name]), name
 
 
 def test_spad_gate_leaves_fewer_edges(tmp_path):
     document = SMALL | {"subgroup": {"gating": True, "gate_start": 14, "gate_len": 8}}  # 5 m: cycle 16
-    logic, _ = run(tmp_path / "logic", document, klux=50.0)
-    switched, _ = run(tmp_path / "switched", document, klux=50.0, spad_gate=True)
-    assert 0 < switched["edges"] < logic["edges"]
-    for name in ("logic", "switched"):
-        cycle = arrays_of(tmp_path / name)["stamp"] // 32
-        assert ((cycle >= 14) & (cycle < 22)).all()
+    logic, switched = (run(tmp_path, document, klux=50.0, spad_gate=gate) for gate in (False, True))
+    assert 0 < switched[0]["edges"] < logic[0]["edges"]
+    for _, arrays, _ in (logic, switched):
+        assert ((arrays["stamp"] // 32 >= 14) & (arrays["stamp"] // 32 < 22)).all()
 
 
 def test_a_difference_stops_the_run_and_is_told(tmp_path, monkeypatch):
@@ -144,11 +133,9 @@ def test_a_difference_stops_the_run_and_is_told(tmp_path, monkeypatch):
                 trace.beats[0][1] += np.uint64(1 << 23)
             return trace
 
-    (tmp_path / "config.toml").write_text(
-        "[sensor]\nrows = 8\ncols = 8\n[frame]\nperiod = 60\npulses = 4\nformat = 'id'\n"
-    )
     out = tmp_path / "out"
-    words = f"sim --scene flat:5,0.4 --config {tmp_path}/config.toml --out {out} --engine"
+    given = "--set rows=8 --set cols=8 --set period=60 --set pulses=4 --set format=id"
+    words = f"sim --scene flat:5,0.4 {given} --out {out} --engine"
     assert command(words, "golden").exit_code == 0
     monkeypatch.setattr(job, "Golden", Wrong)
     result = command(words, "icarus")
@@ -165,7 +152,7 @@ def test_a_difference_stops_the_run_and_is_told(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("simulator", SIMULATORS)
 def test_views_name_signals_of_the_waveform(tmp_path, simulator):
-    _, told = run(tmp_path, TRACED, engine=simulator, waves=True)
+    *_, told = run(tmp_path, TRACED, engine=simulator, waves=True)
     fst = tmp_path / f"{TOP}.fst"
     widths = {variable.full_name: variable.bitwidth for variable in Waveform(str(fst)).all_vars()}
     assert (widths[f"{TOP}.m_axis_tdata"], widths[f"{TOP}.spad_0"], widths[f"{TOP}.laser"]) == (64, 16 * 4, 1)
@@ -173,11 +160,8 @@ def test_views_name_signals_of_the_waveform(tmp_path, simulator):
     gtkwave = (tmp_path / f"{TOP}.gtkw").read_text().splitlines()
     shown = [line for line in gtkwave if line.startswith(TOP)]
     assert [line[1:] for line in gtkwave if line.startswith("-")] == [title for title, _, _ in wave_views.BLOCKS]
-    wanted = [
-        f"{TOP}.{scope}.{name}".replace("..", ".")
-        for _, scope, signals in wave_views.BLOCKS
-        for name in signals.split()
-    ]
+    blocks = [(f"{TOP}.{scope}".rstrip("."), signals.split()) for _, scope, signals in wave_views.BLOCKS]
+    wanted = [f"{scope}.{name}" for scope, names in blocks for name in names]
     assert shown == [f"{path}[{widths[path] - 1}:0]" if widths[path] > 1 else path for path in wanted]
     surfer = (tmp_path / f"{TOP}.sucl").read_text().splitlines()
     assert [line.split()[1] for line in surfer if line.startswith("variable_add")] == wanted

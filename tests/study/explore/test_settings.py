@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The explorer's settings: every control reaches the simulation, and illegal values are refused with the legal range."""
 
+import io
 import tomllib
 
 import numpy as np
@@ -104,57 +105,46 @@ def test_half_the_scene_lies_in_the_shade():
     assert np.allclose(background[:, :16], 10 * background[:, 16:])
 
 
-def upload(tmp_path, kind, name, content):
-    return Uploads().with_file(kind, name, content, tmp_path)
-
-
-def png(tmp_path, picture):
-    path = tmp_path / "made.png"
-    picture.save(path)
-    return path.read_bytes()
-
-
-def npy(tmp_path, array):
-    path = tmp_path / "made.npy"
-    np.save(path, array)
-    return path.read_bytes()
+def uploaded(folder, kind, name, content):
+    """Return uploads with a file. content: a picture, an array, or bytes."""
+    file = io.BytesIO(content if isinstance(content, bytes) else b"")
+    if isinstance(content, Image.Image):
+        content.save(file, "PNG")
+    elif isinstance(content, np.ndarray):
+        np.save(file, content)
+    return Uploads().with_file(kind, name, file.getvalue(), folder)
 
 
 def test_an_uploaded_depth_picture_is_the_scene(tmp_path):
-    depth_mm = np.full((48, 64), 4000, np.uint16)
-    uploads = upload(tmp_path, "depth", "../../wall.png", png(tmp_path, Image.fromarray(depth_mm)))
+    depth_mm = Image.fromarray(np.full((48, 64), 4000, np.uint16))
+    uploads = uploaded(tmp_path, "depth", "../../wall.png", depth_mm)
     assert uploads.depth.parent.parent == tmp_path  # a name cannot lead out of the folder
-    scene = check_settings({"scene": "upload"}, uploads).scene()
-    assert np.all(scene.truth_m == 4.0)
+    assert np.all(check_settings({"scene": "upload"}, uploads).scene().truth_m == 4.0)
 
 
 def test_an_uploaded_picture_is_the_sun(tmp_path):
-    grey = np.zeros((64, 64), np.uint8)
-    grey[:32] = 255
-    settings = check_settings(
-        {"scene": "flat", "sun": "picture"}, upload(tmp_path, "sun", "sun.png", png(tmp_path, Image.fromarray(grey)))
-    )
+    grey = Image.fromarray(np.repeat(np.uint8([255, 0]), 32)[:, None].repeat(64, axis=1))
+    settings = check_settings({"scene": "flat", "sun": "picture"}, uploaded(tmp_path, "sun", "sun.png", grey))
     background = settings.light(settings.scene()).background_cps.reshape(32, 32)
     assert np.all(background[:16] == background.max()) and np.all(background[16:] == background.min())
 
 
-BAD = {
-    "8 bit": ("depth.png", lambda at: png(at, Image.new("L", (32, 32), 7)), "8 bit"),
-    "colour": ("depth.png", lambda at: png(at, Image.new("RGB", (32, 32))), "colour or 8 bit"),
-    "empty": ("depth.png", lambda at: b"", "holds 0 bytes"),
-    "too many bytes": ("depth.png", lambda at: bytes(BYTES_MAX + 1), "must hold 1 to"),
-    "100 megapixels": ("depth.png", lambda at: png(at, Image.new("I;16", (10_000, 10_000), 4000)), "x 10000 samples, must have 1 to 16"),
-    "17 mega samples": ("depth.npy", lambda at: npy(at, np.zeros((4100, 4100), np.uint8)), "4100 x 4100 samples"),
-    "no samples": ("depth.npy", lambda at: npy(at, np.zeros((0, 5))), "0 x 5 samples, must have 1 to 16 million"),
-    "another kind": ("depth.exe", lambda at: b"MZ", "must be a depth file"),
-}  # fmt: skip
+BAD = [
+    ("depth.png", lambda: Image.new("L", (32, 32), 7), "8 bit"),
+    ("depth.png", lambda: Image.new("RGB", (32, 32)), "colour or 8 bit"),
+    ("depth.png", lambda: b"", "holds 0 bytes"),
+    ("depth.png", lambda: bytes(BYTES_MAX + 1), "must hold 1 to"),
+    ("depth.png", lambda: Image.new("I;16", (10_000, 10_000), 4000), "x 10000 samples, must have 1 to 16"),
+    ("depth.npy", lambda: np.zeros((4100, 4100), np.uint8), "4100 x 4100 samples"),
+    ("depth.npy", lambda: np.zeros((0, 5)), "0 x 5 samples, must have 1 to 16 million"),
+    ("depth.exe", lambda: b"MZ", "must be a depth file"),
+]
 
 
-@pytest.mark.parametrize("what", BAD)
-def test_bad_uploads_get_a_sentence(tmp_path, what):
-    name, content, sentence = BAD[what]
+@pytest.mark.parametrize("name, content, sentence", BAD)
+def test_bad_uploads_get_a_sentence(tmp_path, name, content, sentence):
     with pytest.raises(InputError, match=sentence):
-        check_settings({"scene": "upload"}, upload(tmp_path, "depth", name, content(tmp_path))).scene()
+        check_settings({"scene": "upload"}, uploaded(tmp_path, "depth", name, content())).scene()
 
 
 def test_an_upload_that_is_missing_is_asked_for():
@@ -176,11 +166,9 @@ def test_ranges_are_those_of_the_parser():
 
 
 def test_a_default_that_does_not_fit_says_what_counts():
-    told = {
-        name: check_settings({"window_max": 8, "coarse_bits": 7}).told(CONTROL[name])
-        for name in ("window", "period", "rows")
-    }
-    assert told["window"] == "1 to 8 ticks; now 8 = 0.5 ns" and told["period"] == "1 to 128 cycles; now 128 = 256 ns"
-    assert "now" not in told["rows"]
+    small = check_settings({"window_max": 8, "coarse_bits": 7})
+    assert small.told(CONTROL["window"]) == "1 to 8 ticks; now 8 = 0.5 ns"
+    assert small.told(CONTROL["period"]) == "1 to 128 cycles; now 128 = 256 ns"
+    assert "now" not in small.told(CONTROL["rows"])
     integers = [control for control in CONTROLS if control.where and control.kind == "integer"]
     assert all("now" not in check_settings({}).told(control) for control in integers)
