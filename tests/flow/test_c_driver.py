@@ -6,6 +6,7 @@ import re
 import subprocess
 import tempfile
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -68,22 +69,24 @@ def library():
     return compiled_driver(SENSOR)
 
 
+def refusing(access):
+    """Return a function of a bus, which answers 1 where the sensor refuses the access."""
+
+    def call(_, address, value):
+        try:
+            access(address, value)
+        except RefusedError:
+            return 1
+        return 0
+
+    return call
+
+
 def bus_of(transport) -> Bus:
-    def read(_, address, value):
-        try:
-            value[0] = transport.read(address)
-        except RefusedError:
-            return 1
-        return 0
+    def read(address, value):
+        value[0] = transport.read(address)
 
-    def write(_, address, value):
-        try:
-            transport.write(address, value)
-        except RefusedError:
-            return 1
-        return 0
-
-    return Bus(None, READ(read), WRITE(write))
+    return Bus(None, READ(refusing(read)), WRITE(refusing(transport.write)))
 
 
 def packets(library, info, beats):
@@ -100,6 +103,19 @@ def packets(library, info, beats):
             info.grouped = packet.count
         yield packet
         at += length
+
+
+def event(library, info, packet):
+    """Return an event: the columns of a decoded frame, the map's words, and the offsets."""
+    columns = [getattr(packet, name) for name in ("overrun", "subgroup", "pulse", "count", "winner", "stamp")]
+    words = (ctypes.c_uint64 * -(-info.pixels // 64)).from_address(packet.map)
+    offsets = (library.coincid_offset(ctypes.byref(packet), g) for g in range(info.minigroups))
+    return columns, list(words), list(offsets) if packet.offsets else [255] * info.minigroups
+
+
+def events_of_frame(frame):
+    """Return the same of a frame that Python has decoded."""
+    return list(zip(frame.events[:, 1:].tolist(), frame.hits.tolist(), frame.offsets.tolist()))
 
 
 def test_the_driver_drives_and_decodes(library):
@@ -119,39 +135,32 @@ def test_the_driver_drives_and_decodes(library):
         (beats,) = rtl.driver.receive()
     assert np.array_equal(beats, golden.frame(of, edges).beats[0])
     frame = decode_frame(beats, SENSOR, SENSOR.subgroups)
-    events = records = 0
+    events, records, counters = [], [], []
     for packet in packets(library, info, beats):
         where = ctypes.byref(packet)
         if packet.kind == 3:
-            assert frame.events[events, 1:].tolist() == [
-                getattr(packet, name) for name in ("overrun", "subgroup", "pulse", "count", "winner", "stamp")
-            ]
+            events.append(event(library, info, packet))
             hits = [library.coincid_hit(where, i) for i in range(64)]
-            assert sum(bit << i for i, bit in enumerate(hits)) == int(frame.hits[events, 0])
-            assert [library.coincid_offset(where, g) for g in range(16)] == frame.offsets[events].tolist()
-            events += 1
+            assert sum(bit << i for i, bit in enumerate(hits)) == events[-1][1][0]
         elif packet.kind == 4:
-            assert [packet.subgroup, packet.pulse] == frame.records[records].tolist()
             stamp, hit_map = ctypes.c_uint32(), ctypes.c_uint32()
             for g in range(16):
                 library.coincid_entry(ctypes.byref(info), where, g, ctypes.byref(stamp), ctypes.byref(hit_map))
-                assert [stamp.value, hit_map.value] == frame.entries[records, g].tolist()
-            records += 1
+                records.append((packet.subgroup, packet.pulse, stamp.value, hit_map.value))
         elif packet.kind == 7:
-            for s, counters in enumerate(frame.counters.tolist()):
-                assert [library.coincid_counter(where, s, k) for k in range(len(COUNTER_NAMES))] == counters
-    assert events == len(frame.events) > 20 and records == len(frame.records) > 5
+            counters = [library.coincid_counter(where, s, k) for s in range(2) for k in range(len(COUNTER_NAMES))]
+    assert events == events_of_frame(frame) and len(events) > 20 and len(frame.records) > 5
+    assert records == [
+        (*of, *entry) for of, entries in zip(frame.records.tolist(), frame.entries.tolist()) for entry in entries
+    ]
+    assert counters == frame.counters.ravel().tolist()
 
 
-def events_of(library, info, packet):
-    """Return the events of a group: the columns of a decoded frame, the map's words, and the offsets."""
-    group, event = Group(), Packet()
+def events_of_group(library, info, packet):
+    group, one = Group(), Packet()
     library.coincid_group_begin(ctypes.byref(packet), ctypes.byref(group))
-    while library.coincid_group_event(ctypes.byref(info), ctypes.byref(group), ctypes.byref(event)):
-        where, words = ctypes.byref(event), (ctypes.c_uint64 * 4).from_address(event.map)
-        offsets = [library.coincid_offset(where, g) if event.offsets else 255 for g in range(info.minigroups)]
-        columns = [getattr(event, name) for name in ("overrun", "subgroup", "pulse", "count", "winner", "stamp")]
-        yield columns, list(words[: -(-info.pixels // 64)]), offsets
+    while library.coincid_group_event(ctypes.byref(info), ctypes.byref(group), ctypes.byref(one)):
+        yield event(library, info, one)
 
 
 @pytest.mark.parametrize("name", random_cases.SENSORS)
@@ -165,7 +174,8 @@ def test_groups_are_decoded(name, form):
         {"period": 2 * sensor.guard + 40, "pulses": 8, "format": form, "minigroup_records": True, "mg_threshold": 1},
         {"threshold": 1, "window": sensor.phases},
     )
-    bus = Bus(None, READ(lambda _, address, value: read_constant(sensor, address, value)), WRITE(lambda *_: 1))
+    constants = {each.offset: each.reset(sensor) for each in GLOBAL if each.access is Access.CONSTANT}
+    bus = bus_of(SimpleNamespace(read=constants.__getitem__, write=None))
     assert library.coincid_probe(ctypes.byref(bus), ctypes.byref(info)) == 0
     for trial in range(12):
         trace = Golden(sensor).frame(of, random_cases.trouble(of, trial, 12.0))
@@ -181,18 +191,10 @@ def test_groups_are_decoded(name, form):
             found, number = [], -1
             for packet in packets(library, info, beats):
                 if packet.kind == GROUP_KIND and packet.number != number:
-                    found += events_of(library, info, packet)
+                    found += events_of_group(library, info, packet)
                     number = packet.number
-            expected = zip(frame.events[:, 1:].tolist(), frame.hits.tolist(), frame.offsets.tolist())
-            assert found == list(expected) and len(found) > 5
+            assert found == events_of_frame(frame) and len(found) > 5
             assert trial or not frame.missing
-
-
-def read_constant(sensor, at, value):
-    """Read a register that holds a parameter of the sensor."""
-    (register,) = (each for each in GLOBAL if each.offset == at and each.access is Access.CONSTANT)
-    value[0] = register.reset(sensor)
-    return 0
 
 
 def test_what_is_no_packet(library):

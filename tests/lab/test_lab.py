@@ -12,8 +12,7 @@ from numba.core.dispatcher import Dispatcher
 from coincid.lab.campaign import KeptFiles, Processes, campaign, grouped, read_measures
 from coincid.lab.compile_ahead import estimate_anything
 from coincid.lab.dask_workers import Dask
-from coincid.lab.measures import MEASURES, SWEPT
-from coincid.lab.outcome_table import to_table
+from coincid.lab.measures import MEASURES
 from coincid.lab.outcomes import Kept, Run
 from coincid.lab.setup import Setup, seeded
 from coincid.model.contract.edges import Edges
@@ -100,20 +99,15 @@ def test_equal_content_has_equal_keys_and_every_field_counts():
     assert len({setup.key, *keys.values()}) == 1 + len(changes)
 
 
-def test_every_measure_has_its_type():
-    run = Run(small(klux=50.0))
-    for name, measure in MEASURES.items():
-        assert type(run[name]) in (measure.kind, type(None)), name
+def test_measures_are_those_of_the_last_frame():
+    """Compute them from the result's arrays, for two frames of the controller, in full format with records."""
+    frame = {"period": 40, "pulses": 10, "frames": 2, "format": "full", "minigroup_records": True, "capacity": 1}
+    setup = Setup.of("letter-f", sensor={"rows": 8, "cols": 8}, frame=frame | {"auto_bounds": [1, 2, 3, 400, 500, 600]})
+    run = Run(setup.but(subgroup={"auto": True, "threshold": 3}, seed=3))
+    assert all(type(run[name]) in (measure.kind, type(None)) for name, measure in MEASURES.items())
     assert run["opened"] == run["committed"] + run["rejected"] and run["bits"] == 64 * run["beats"]
     assert run["stream_load"] <= run["link_load"] and run["wrong_share_15cm"] <= run["wrong_share"]
     assert run["off_surface_share"] == run["wrong_share"]  # one target per pixel
-
-
-def test_measures_are_those_of_the_last_frame():
-    """Compute them from the result's arrays, for two frames of the controller, in full format with records."""
-    frame = {"period": 40, "pulses": 10, "frames": 2, "format": "full", "minigroup_records": True, "capacity": 0}
-    setup = Setup.of("letter-f", sensor={"rows": 8, "cols": 8}, frame=frame | {"auto_bounds": [1, 2, 3, 400, 500, 600]})
-    run = Run(setup.but(subgroup={"auto": True, "threshold": 3}, seed=3))
     arrays, truth_m = golden_result(run.config, run.edges), run.scene.truth_m
     assert run["threshold_mean"] == 4
     assert run["edges"] == np.sum(run.edges.pulse >= 10)
@@ -187,12 +181,3 @@ def test_setups_that_share_the_words_of_the_rtl_come_out_as_alone():
             with pytest.raises(InputError, match="guess"):
                 campaign(setups, read, workers)
         assert failed.keys() == {"bad"} and isinstance(failed["bad"], InputError)
-
-
-def test_a_table_has_types_and_meanings():
-    found = [Run(small(klux=klux)).frame() for klux in (5.0, 20.0)]
-    rows = [{name: frame[name] for name in SWEPT} for frame in found]
-    table = to_table([{"klux": 5}, {"klux": 20}], rows, note=("of the test", ["a", "b"]))
-    assert table.column_names == ["klux", *SWEPT, "note"]
-    assert str(table.schema.field("klux").type) == "double" and str(table.schema.field("events").type) == "int64"
-    assert table.schema.field("events").metadata[b"meaning"].decode() == MEASURES["events"].meaning

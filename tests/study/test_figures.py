@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Figures: what they read of runs, files of a section and of the page. The figures themselves are not tested."""
+"""Figures: what they read of runs, files of a section and of the page; four surfaces per pixel, and a point at 150 m."""
 
 import csv
 import re
@@ -9,6 +9,8 @@ import pytest
 
 from coincid.lab.campaign import Processes
 from coincid.lab.outcomes import Run
+from coincid.model.depth.quality import TOLERANCE_M
+from coincid.study import returns
 from coincid.study.figures import light_over_distance, reconstruction
 from coincid.study.figures.sections import Comparison, Section, write_page, write_section
 from coincid.study.figures.setups import cases, mean, mean_rows, outcome
@@ -92,3 +94,22 @@ def test_paper_figures_with_a_second_engine(monkeypatch):
     assert two.comparisons[0].ours["reading E"] == "3.92 m" and two.comparisons[0].ours["reading A"].startswith("0.05")
     assert [one.ours["literal"] for one in five.comparisons] == ["500 ps", "500 ps"]
     assert all(len(row) == len(part.rows[0]) for part in (six, two, five) for row in part.rows)
+
+
+@pytest.mark.parametrize("step_m", returns.STEPS_M)
+def test_four_surfaces_in_every_histogram(step_m):
+    shares = returns.all_found(Run(returns.setup(returns.NEAREST_M[0], step_m)))
+    assert min(shares.values()) >= 0.95
+
+
+def test_a_cycle_hides_its_second_surface_in_bright_light():
+    slow, fast = (
+        returns.all_found(Run(returns.setup(4.0, 0.15, photons=0.6, pulses=1000, faster=faster)))["map"]
+        for faster in (False, True)
+    )
+    assert slow < 0.05 and fast > 0.9
+
+
+def test_a_point_at_150_m():
+    near, far = (abs(returns.point_error_m(Run(returns.point(0.1, 10.0, 1000, 0, nj)))) for nj in (2.0, 0.01))
+    assert near < TOLERANCE_M < far

@@ -4,6 +4,7 @@
 import io
 import json
 import re
+import time
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ from coincid.model.contract.parameters import TOP
 from coincid.model.depth.estimate import estimate_depth
 from coincid.model.depth.quality import wrong_share
 from coincid.model.scenes.catalogue import load_scene
+from coincid.study import progress
 from coincid.study import simulate as job
 from coincid.study.simulate import DEPTH, EVENTS, PAGE, PICTURES, REPORT, SCHEMES, simulate
 from coincid.tb import wave_views
@@ -167,3 +169,15 @@ def test_views_name_signals_of_the_waveform(tmp_path, simulator):
     assert [line.split()[1] for line in surfer if line.startswith("variable_add")] == wanted
     for suffix in (".fst", ".gtkw", ".sucl"):
         assert f"{TOP}{suffix}" in told
+
+
+def test_a_long_stage_says_that_it_lasts(monkeypatch):
+    monkeypatch.setattr(progress, "LINE_EVERY_S", 0.05)
+    text = io.StringIO()
+    with progress.Bar(Console(file=text), lines=True) as bar:
+        bar.stage("photons")
+        while text.getvalue().count("photons: 0 s") < 2:
+            time.sleep(0.01)
+        bar.stage("depth")
+    lines = text.getvalue().splitlines()
+    assert lines[0] == "photons" and lines[1] == "photons: 0 s" and "depth" in lines

@@ -36,15 +36,7 @@ cols = 8
 period = 40
 pulses = 10
 """
-GRID = (
-    BASE
-    + """
-[[axis]]
-klux = [5, 50]
-[[axis]]
-subgroup.threshold = [1, 2, 3]
-"""
-)
+GRID = f"{BASE}[[axis]]\nklux = [5, 50]\n[[axis]]\nsubgroup.threshold = [1, 2, 3]\n"
 KILL_S = 120  # only a broken sweep reaches this limit
 
 
@@ -64,10 +56,19 @@ def quick(monkeypatch, threads):
     monkeypatch.setattr(dask_workers, "cluster", lambda workers, scheduler=None: contextlib.nullcontext(threads))
 
 
+def listening():
+    """Return (IP, port) on which this process and its children listen."""
+    this = psutil.Process()
+    sockets = [socket for one in (this, *this.children(recursive=True)) for socket in one.net_connections("inet")]
+    return {tuple(socket.laddr) for socket in sockets if socket.status == psutil.CONN_LISTEN}
+
+
 @pytest.fixture(scope="module")
 def processes():
-    """A client of a cluster of two processes."""
+    """A client of a cluster of two processes, with the addresses on which the cluster listens."""
+    before = listening()
     with dask_workers.cluster(2) as client:
+        client.addresses = listening() - before
         yield client
 
 
@@ -92,6 +93,8 @@ def test_a_row_a_point_in_the_order_of_the_axes(tmp_path, quick):
     assert found["klux"].to_pylist() == [5.0] * 3 + [50.0] * 3
     assert found["subgroup.threshold"].to_pylist() == [1, 2, 3] * 2
     assert found.column_names == ["klux", "subgroup.threshold", *SWEPT, "settings", "point"]
+    assert found.schema.field("events").metadata[b"meaning"].decode() == MEASURES["events"].meaning
+    assert [str(found.schema.field(name).type) for name in ("klux", "events")] == ["double", "int64"]
     metadata = json.loads(found.schema.metadata[job.METADATA.encode()])
     assert metadata["axes"] == [{"klux": [5, 50]}, {"subgroup.threshold": [1, 2, 3]}]
     assert metadata["base"]["sensor"] == {"rows": 8, "cols": 8}
@@ -234,10 +237,8 @@ def test_lost_workers_lose_nothing(tmp_path, quick, processes, monkeypatch):
 
 
 def test_a_cluster_of_its_own_listens_on_loopback_only(processes):
-    this = psutil.Process()
-    sockets = [socket for one in (this, *this.children(recursive=True)) for socket in one.net_connections("inet")]
-    hosts = [socket.laddr.ip for socket in sockets if socket.status == psutil.CONN_LISTEN]
-    assert len(hosts) > 2 and set(hosts) == {dask_workers.LOOPBACK}
+    assert len(processes.addresses) > 2
+    assert {host for host, _ in processes.addresses} == {dask_workers.LOOPBACK}
 
 
 def test_a_scheduler_elsewhere(tmp_path, processes):
