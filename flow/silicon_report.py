@@ -26,37 +26,23 @@ from .yosys import ENABLES, LIBERTY, cells_script, library_files
 
 MAPPED, TIMED = "mapped.v", "timed.v"
 CLOCKS = (SYSTEM, "spads", "roots", "minigroups", "ends", "taps", "mark")
-MACRO_NAMES = ("coincid_phases", "coincid_window", "coincid_delay", "coincid_mutex")
 FLOP = re.compile(r"\$_?(s?dffe?|adffe?|aldffe?|dffsre?|sdffce)_?$")
 LATCH = re.compile(r"\$_?(dlatch|adlatch|sr)")
 
 
 @frozen
 class Domain:
-    """Flops with the same kind of clock. clock: its net, with `*` for numbers; reset: the net of an asynchronous reset, or "".
-
-    clocks: number of clock nets of this kind.
-    """
+    """Flops with the same kind of clock. clock: its net, with `*` for numbers; reset: the net of an asynchronous reset, or ""."""
 
     clock: str
     falling: bool
     reset: str
-    clocks: int
     flops: int
 
 
-def _module(sensor: Sensor, circuit: Circuit) -> SensorModule:
-    return SensorModule(sensor, min(2, sensor.subgroups), Asynchronous(circuit))
-
-
-def top(sensor: Sensor) -> str:
-    """Return the name of the module that the report reads."""
-    return _module(sensor, Circuit()).unit_name
-
-
-def netlist(sensor: Sensor, circuit: Circuit, folder: Path) -> dict[str, Any]:
-    """Return the flattened netlist of a module from Yosys, in generic cells and black boxes."""
-    module = _module(sensor, circuit)
+def netlist(sensor: Sensor, circuit: Circuit, folder: Path) -> tuple[str, dict[str, Any]]:
+    """Return the name and the flattened netlist of a module from Yosys, in generic cells and black boxes."""
+    module = SensorModule(sensor, min(2, sensor.subgroups), Asynchronous(circuit))
     files = units_files([module]) | {path.name: path.read_text() for path in (*Asynchronous.cells, MACROS)}
     folder.mkdir(parents=True, exist_ok=True)
     for name, text in files.items():
@@ -69,7 +55,7 @@ def netlist(sensor: Sensor, circuit: Circuit, folder: Path) -> dict[str, Any]:
         "check -assert",
         "write_json netlist.json",
     )
-    return json.loads((folder / "netlist.json").read_text())["modules"][module.unit_name]
+    return module.unit_name, json.loads((folder / "netlist.json").read_text())["modules"][module.unit_name]
 
 
 def mapped(folder: Path, top: str) -> None:
@@ -122,35 +108,22 @@ def domains(module: dict[str, Any]) -> list[Domain]:
         for i, bit in enumerate(net["bits"]):
             if isinstance(bit, int):
                 names.setdefault(bit, name + (f"[{i}]" if len(net["bits"]) > 1 else ""))
-    drivers = {
-        bit: cell
+    inverters = {
+        bit: cell["connections"]
         for cell in module["cells"].values()
         if cell["type"] in ("$not", "$_NOT_")
         for bit in cell["connections"]["Y"]
     }
-
-    def source(bit: int, inverted: bool = False) -> tuple[int, bool]:
-        while bit in drivers:
-            cell = drivers[bit]
-            bit, inverted = cell["connections"]["A"][cell["connections"]["Y"].index(bit)], not inverted
-        return bit, inverted
-
     flops: Counter[tuple[str, bool, str]] = Counter()
-    clocks: dict[tuple[str, bool, str], set[int]] = {}
     for cell in module["cells"].values():
-        if not FLOP.match(cell["type"]):
-            continue
-        pins, parameters = cell["connections"], cell["parameters"]
-        bit, inverted = source(pins["CLK"][0])
-        falling = inverted ^ (int(parameters["CLK_POLARITY"], 2) == 0)
-        reset = general(names.get(pins["ARST"][0], "constant")) if "ARST" in pins else ""
-        key = general(names[bit]), falling, reset
-        flops[key] += len(pins["Q"])
-        clocks.setdefault(key, set()).add(bit)
-    return [
-        Domain(clock, falling, reset, len(clocks[clock, falling, reset]), count)
-        for (clock, falling, reset), count in sorted(flops.items())
-    ]
+        if FLOP.match(cell["type"]):
+            pins = cell["connections"]
+            bit, falling = pins["CLK"][0], int(cell["parameters"]["CLK_POLARITY"], 2) == 0
+            while inverter := inverters.get(bit):
+                bit, falling = inverter["A"][inverter["Y"].index(bit)], not falling
+            reset = general(names.get(pins["ARST"][0], "constant")) if "ARST" in pins else ""
+            flops[general(names[bit]), falling, reset] += len(pins["Q"])
+    return [Domain(*key, count) for key, count in sorted(flops.items())]
 
 
 def general(name: str) -> str:
@@ -160,23 +133,19 @@ def general(name: str) -> str:
 
 def report(sensor: Sensor, circuit: Circuit, module: dict[str, Any], paths: list[tuple[str, str, float, float]]) -> str:
     """Return the report as Markdown. paths: from `timing`."""
-    macros = Counter(cell["type"].split("$paramod")[-1].strip("\\").split("\\")[0] for cell in module["cells"].values())
     flops = (
-        (f"`{d.clock}`", "falling" if d.falling else "rising", d.clocks, d.flops, f"`{d.reset}`" if d.reset else "none")
+        (f"`{d.clock}`", "falling" if d.falling else "rising", d.flops, f"`{d.reset}`" if d.reset else "none")
         for d in domains(module)
     )
-    instances = ((f"`{name}`", sum(n for kind, n in macros.items() if name in kind)) for name in MACRO_NAMES)
     longest = ((a, b, f"{required:.2f}", f"{taken:.2f}") for a, b, required, taken in paths)
     lines = [
         "# Clock domains and asynchronous resets of the asynchronous view",
         "",
         f"A module of {min(2, sensor.subgroups)} subgroups of {sensor.pixels} SPADs, {circuit.banks_of(sensor)} window bank(s), "
-        f"R = {sensor.rearm}; read from its netlist. `*` stands for a number.",
+        f"R = {sensor.rearm}; read from its netlist. `*` stands for a number. There is no latch outside the macros.",
         "",
-        *markdown.table(["clock", "edge", "nets", "flip-flops", "asynchronous reset"], flops, left=range(5)),
+        *markdown.table(["clock", "edge", "flip-flops", "asynchronous reset"], flops, left=range(4)),
         "",
-        *markdown.table(["macro (black box)", "instances"], instances, left=range(2)),
-        *("", f"Latches outside the macros: {len(latches(module))}.", ""),
         f"Longest paths in NanGate 45 nm cells, without wires, against the constraints for a cycle of {circuit.clock_fs / FS_PER_NS:g} ns:",
         "",
         *markdown.table(["from clock", "to clock", "required ns", "taken ns"], longest, left=range(2)),
@@ -185,23 +154,23 @@ def report(sensor: Sensor, circuit: Circuit, module: dict[str, Any], paths: list
     return "\n".join(lines)
 
 
-def write(sensor: Sensor, circuit: Circuit, folder: Path) -> list[Path]:
-    """Write netlists, report and constraints of a sensor to `folder`.
+def write(sensor: Sensor, circuit: Circuit, folder: Path) -> tuple[str, Path, Path]:
+    """Write netlists, report and constraints of a sensor to `folder`; return the module's name, and the paths of the last two.
 
     Raises `ValueError` if a netlist has a latch, or if the timing tool complains about the constraints.
     """
-    module = netlist(sensor, circuit, folder)
-    sdc = folder / "coincid_async.sdc"
+    top, module = netlist(sensor, circuit, folder)
+    text, sdc = folder / "domains.md", folder / "coincid_async.sdc"
     clock = f"create_clock -name {SYSTEM} -period {circuit.clock_fs / FS_PER_NS:g} [get_ports {SYSTEM}]"
     sdc.write_text(f"{clock}\n{async_constraints(sensor, circuit, 'words_*')}")
-    mapped(folder, top(sensor))
-    complaints, paths = timing(folder, top(sensor), sdc.name)
+    mapped(folder, top)
+    complaints, paths = timing(folder, top, sdc.name)
     if found := [*latches(module), *complaints]:
         raise ValueError(f"latches outside the macros, or constraints that do not hold on: {', '.join(found)}")
-    (folder / "domains.md").write_text(report(sensor, circuit, module, paths))
-    return [folder / "domains.md", sdc]
+    text.write_text(report(sensor, circuit, module, paths))
+    return top, text, sdc
 
 
 if __name__ == "__main__":
-    for path in write(Sensor(), Circuit(), Path(sys.argv[1] if sys.argv[1:] else "build/async")):
-        print(path)
+    _, *written = write(Sensor(), Circuit(), Path(sys.argv[1] if sys.argv[1:] else "build/async"))
+    print(*written, sep="\n")

@@ -9,7 +9,7 @@ import pytest
 from coincid.flow import pnr
 from coincid.flow.gls import gate_level
 from coincid.flow.logic_depth import depths
-from coincid.flow.silicon_report import CLOCKS, timing, top, write
+from coincid.flow.silicon_report import CLOCKS, timing, write
 from coincid.flow.synth import CELLS, ECP5, GATES, synthesize
 from coincid.flow.yosys import cells_folder
 from coincid.hdl.silicon.circuit import Circuit
@@ -95,9 +95,8 @@ def test_netlist_behaves(target):
 @needs_cells
 def test_a_timing_tool_takes_the_constraints_of_the_asynchronous_view(tmp_path):
     """OpenSTA accepts the constraints (`write` raises if it complains), and every clock has a timed path."""
-    report, sdc = write(SMALL, Circuit(), tmp_path)
+    top, report, sdc = write(SMALL, Circuit(), tmp_path)
     text = report.read_text()
-    assert "Latches outside the macros: 0." in text
     rows = {
         tuple(line.strip("| ").split(" | ")[:2])
         for line in text[text.index("| from clock") :].splitlines()
@@ -106,7 +105,7 @@ def test_a_timing_tool_takes_the_constraints_of_the_asynchronous_view(tmp_path):
     assert {clock for pair in rows for clock in pair} >= set(CLOCKS)
     assert {("clk", "spads"), ("clk", "roots"), ("spads", "clk"), ("roots", "clk"), ("ends", "clk")} <= rows
     sdc.write_text(sdc.read_text().replace("*window_*/ended", "*no_such_pin*/ended"))
-    complaints, _ = timing(tmp_path, top(SMALL), sdc.name)
+    complaints, _ = timing(tmp_path, top, sdc.name)
     assert any("no_such_pin" in line for line in complaints)
 
 

@@ -139,7 +139,7 @@ def test_no_edge_pattern_makes_a_wrong_word_or_locks_up(rearm):
 def test_domains_are_those_meant(tmp_path):
     """Every flop has an intended clock or event; there is no latch; clears only reach hit and opening flops."""
     sensor = Sensor(rows=4, cols=4, subgroup=(4, 4))
-    module = netlist(sensor, Circuit(), tmp_path)
+    _, module = netlist(sensor, Circuit(), tmp_path)
     assert not latches(module)
     found = {(d.clock.split(".")[-1], d.falling): d for d in domains(module)}
     assert {clock for clock, _ in found} == {"clk", "mark", "ended_*", "root", "event_*", "phases[*]", "words[*]"}
