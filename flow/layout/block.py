@@ -10,7 +10,7 @@ from typing import Any
 
 from coriolis.helpers import u
 from coriolis.helpers.overlay import UpdateSession
-from coriolis.Hurricane import Box, DbU, Instance, Transformation
+from coriolis.Hurricane import Box, DbU, Transformation
 from coriolis.plugins.block.block import Block
 from coriolis.plugins.block.configuration import BlockConf
 from coriolis.plugins.block.spares import Spares
@@ -20,8 +20,7 @@ from .technology import ROW_UM, SITE_UM, TOP_METAL
 PLACED = "placed.json"
 RING_ROWS, RING_SITES = 2, 16  # the ring around the cells that stays free
 SITE = u(SITE_UM)
-# Largest share of free area in one place. With 0 the placer widens the cells until they fill the block.
-SPREAD, SPREAD_OF_MACROS = (0.15, 0.80)
+SPREAD = 0.15  # largest share of free area in one place; with 0 the placer widens the cells until they fill the block
 
 
 def um(length: int) -> float:
@@ -31,9 +30,7 @@ def um(length: int) -> float:
 def build(cell, job) -> bool:
     """Place and route a block; return whether every net is routed."""
     BlockConf.toXPitch = Spares.toXPitch = to_site
-    if job.floorplan:
-        fix_macros(cell, job.floorplan)
-    return bool((PlacedBlock if job.floorplan else SnappedBlock)(configuration(cell, job)).doPnR())
+    return bool(SnappedBlock(configuration(cell, job)).doPnR())
 
 
 def configuration(cell, job) -> BlockConf:
@@ -41,25 +38,21 @@ def configuration(cell, job) -> BlockConf:
 
     Ports have no pins at the border; they stay at the pins of cells.
     """
-    conf, plan = BlockConf(cell, ioPins=[], ioPads=[]), job.floorplan
+    conf = BlockConf(cell, ioPins=[], ioPads=[])
     conf.cfg.etesian.spaceMargin = job.margin
-    conf.cfg.etesian.densityVariation = SPREAD_OF_MACROS if plan else SPREAD
+    conf.cfg.etesian.densityVariation = SPREAD
     conf.cfg.anabatic.topRoutingLayer = TOP_METAL
     conf.cfg.anabatic.searchHalo = 4
     conf.cfg.anabatic.globalIterations = 20
     conf.cfg.katana.hTracksReservedLocal = job.tracks_reserved[0]
     conf.cfg.katana.vTracksReservedLocal = job.tracks_reserved[1]
     conf.cfg.katana.hTracksReservedMin = conf.cfg.katana.vTracksReservedMin = job.tracks_reserved[2]
-    conf.cfg.katana.trackFill = 0
     conf.cfg.katana.runRealignStage = True
-    conf.cfg.katana.dumpMeasures = True
     conf.cfg.block.spareSide = u(ROW_UM * 10)
-    conf.editor = None
-    conf.useSpares = conf.useClockTree = conf.useHFNS = not plan  # HFNS crashes on nets of macros
+    conf.useSpares = conf.useClockTree = conf.useHFNS = True
     conf.bColumns = conf.bRows = 2
-    if not plan:
-        conf.useHTree(job.clock)
-    width, height = (plan["width"], plan["height"]) if plan else core_size_um(cell, job.margin)
+    conf.useHTree(job.clock)
+    width, height = core_size_um(cell, job.margin)
     conf.coreSize = u(width), u(height)
     conf.placeArea = Box(
         u(RING_SITES / 2 * SITE_UM),
@@ -68,17 +61,6 @@ def configuration(cell, job) -> BlockConf:
         u(height - RING_ROWS * ROW_UM),
     )
     return conf
-
-
-def fix_macros(cell, plan: dict[str, Any]) -> None:
-    """Place the macros on the grid of the floorplan, in the order of their names."""
-    macros = [instance for instance in cell.getInstances() if instance.getMasterCell().getName() == plan["kind"]]
-    with UpdateSession():
-        for k, instance in enumerate(sorted(macros, key=lambda instance: instance.getName())):
-            row, column = divmod(k, plan["columns"])
-            x, y = plan["x"] + column * plan["dx"], plan["y"] + row * plan["dy"]
-            instance.setTransformation(Transformation(u(x), u(y)))
-            instance.setPlacementStatus(Instance.PlacementStatus.FIXED)
 
 
 def core_size_um(cell, margin: float) -> tuple[float, float]:
@@ -106,31 +88,22 @@ class SnappedBlock(Block):
         return super().route()
 
 
-class PlacedBlock(SnappedBlock):
-    """A block that is placed and has a clock tree, but is not routed."""
-
-    def route(self):
-        record(self.conf.cell)
-        return False
-
-
 def snap(cell) -> None:
     """Move each cell to the nearest free site of its row that leaves room for the cells on its right."""
     rows: dict[int, list[Any]] = {}
     for instance in cell.getInstances():
         box = instance.getAbutmentBox()
-        fixed = instance.getPlacementStatus() == Instance.PlacementStatus.FIXED
-        rows.setdefault(box.getYMin(), []).append((box.getXMin(), instance.getName(), box.getWidth(), fixed, instance))
+        rows.setdefault(box.getYMin(), []).append((box.getXMin(), instance.getName(), box.getWidth(), instance))
     with UpdateSession():
         for row in rows.values():
             row.sort(key=lambda item: item[:2])
             limit, latest = cell.getAbutmentBox().getXMax(), []
-            for x, _, width, fixed, _ in reversed(row):
-                limit = x if fixed else (limit - width) // SITE * SITE
+            for _, _, width, _ in reversed(row):
+                limit = (limit - width) // SITE * SITE
                 latest.append(limit)
             at = 0
-            for (x, name, width, fixed, instance), limit in zip(row, reversed(latest)):
-                new = x if fixed else min(max((x + SITE // 2) // SITE * SITE, at), limit)
+            for (x, name, width, instance), limit in zip(row, reversed(latest)):
+                new = min(max((x + SITE // 2) // SITE * SITE, at), limit)
                 if new < at:
                     raise ValueError(f"{name}: no room in its row")
                 at = new + width

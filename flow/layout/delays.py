@@ -6,7 +6,7 @@ the inputs of the block change `INPUT_NS` after the edge of the clock, as the ou
 """
 
 import re
-from collections.abc import Mapping
+from collections.abc import Collection
 from pathlib import Path
 
 from ...hdl.front_end_views import POLYPHASE, View
@@ -14,24 +14,22 @@ from ...hdl.unit import Unit
 from ...model.contract.parameters import TOP, Sensor
 from ...tb import toolchain
 from ...tb.rtl import rtl, sensor_key
-from ...tools.build import ToolchainError
 from ..gls import FRAMES, cell_models, played, random_frames
 from .flow import CLOCK, SDF, VERILOG
 
 INPUT_NS = 0.4
 
 
-def shell(unit: Unit, routed: Mapping[str, str], inputs_ns: float = 0.0, sdf: Path | None = None) -> str:
+def shell(unit: Unit, routed: Collection[str], sdf: Path) -> str:
     """Return a module that has the ports of a block and contains its routed netlist.
 
-    routed: the ports of the netlist, each of one bit: name -> direction. inputs_ns: delay of all inputs except the clock.
-    sdf: file with the delays of the netlist.
+    routed: the ports of the netlist, each of one bit. sdf: file with the delays of the netlist.
     """
     ports = {CLOCK: (True, 1), "rst": (True, 1)} | {
         name: (way.name == "In", len(signal.as_value() if hasattr(signal, "as_value") else signal))
         for name, (way, signal) in unit.flat_ports().items()
     }
-    kept, late = {name.replace("__", "_") for name in routed}, f"#{inputs_ns} " * bool(inputs_ns)
+    kept = {name.replace("__", "_") for name in routed}
     lines = ["`timescale 1ns/1ps", f"module {unit.unit_name} ({', '.join(map(escaped, ports))});"]
     pins = []
     for name, (is_input, bits) in ports.items():
@@ -39,19 +37,13 @@ def shell(unit: Unit, routed: Mapping[str, str], inputs_ns: float = 0.0, sdf: Pa
         inner = escaped(name)
         if is_input and name != CLOCK:
             inner = f"late_{name}"
-            lines += [f"  wire [{bits - 1}:0] {inner};", f"  assign {late}{inner} = {escaped(name)};"]
+            lines += [f"  wire [{bits - 1}:0] {inner};", f"  assign #{INPUT_NS} {inner} = {escaped(name)};"]
         for bit in range(bits):
             pin = (f"{name}_{bit}" if bits > 1 else name).replace("__", "_")  # as Coriolis has it
             if pin in kept:
                 pins.append(f"    .{pin}({inner}[{bit}])")
-                kept.discard(pin)
-            elif not is_input:
-                raise ToolchainError(f"{unit.unit_name}: the layout lost the output {pin}")
-    if kept:
-        raise ToolchainError(f"{unit.unit_name}: the layout has ports that the block does not have: {sorted(kept)}")
     lines += [f"  {unit.unit_name}_routed routed (", ",\n".join(pins), "  );"]
-    lines += [f'  initial $sdf_annotate("{sdf}", routed);'] * bool(sdf) + ["endmodule", ""]
-    return "\n".join(lines)
+    return "\n".join([*lines, f'  initial $sdf_annotate("{sdf}", routed);', "endmodule", ""])
 
 
 def escaped(name: str) -> str:
@@ -68,7 +60,7 @@ def scaled(sdf: str, factor: float) -> str:
     )
 
 
-def simulate(sensor: Sensor, unit: Unit, layout: Path, factor: float = 1.0, view: View = POLYPHASE) -> tuple[int, int]:
+def simulate(sensor: Sensor, unit: Unit, layout: Path, factor: float, view: View) -> tuple[int, int]:
     """Play random frames through a sensor with a routed block, whose delays are multiplied by `factor`.
 
     layout: the folder of the block's netlist and delays. Returns the number of checked words and commits, and the cycles.
@@ -78,11 +70,11 @@ def simulate(sensor: Sensor, unit: Unit, layout: Path, factor: float = 1.0, view
     folder.mkdir(exist_ok=True)
     sdf, routed = folder / SDF, (layout / VERILOG).read_text()
     sdf.write_text(scaled((layout / SDF).read_text(), factor))
-    ports = {port: way for way, port in re.findall(r"^  (input|output) (\w+);", routed, re.MULTILINE)}
+    ports = re.findall(r"^  (?:input|output) (\w+);", routed, re.MULTILINE)
     (folder / "routed.v").write_text(
         f"`timescale 1ns/1ps\n{routed.replace(f'module {name} ', f'module {name}_routed ', 1)}"
     )
-    (folder / f"{name}.v").write_text(shell(unit, ports, INPUT_NS, sdf))
+    (folder / f"{name}.v").write_text(shell(unit, ports, sdf))
     (folder / "cells.v").write_text(cell_models())
     others = [path for path in rtl(sensor, view) if path.stem != name]
     sources = [*others, folder / f"{name}.v", folder / "routed.v", folder / "cells.v"]

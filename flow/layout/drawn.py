@@ -140,40 +140,27 @@ def _wires(layout: db.Layout, whole: db.Cell, routed: Path) -> None:
         whole.shapes(layout.layer(metal(4), 0)).insert(shape.bbox().enlarged(database(HALF_WIRE_UM)))
 
 
-def placed_strips(placed: Placed, strips: Strips) -> Iterator[tuple[str, str, str, Strip]]:
-    """Yield (net, cell's name, pin, strip in the block's coordinates) of every pin."""
+def pin_places(placed: Placed, strips: Strips) -> Iterator[tuple[str, str, str, float, float]]:
+    """Yield (net, cell's name, pin, x, y) of every pin's via, in um."""
     for one in placed["cells"]:
         for pin, net in one["nets"].items():
             strip = strips.get(one["kind"], {}).get(pin)
             if strip:
-                low, high, via = strip.low, strip.high, strip.via
-                if one["flipped"]:
-                    low, high, via = ROW_UM - high, ROW_UM - low, ROW_UM - via
-                y = one["y"]
-                yield net, one["name"], pin, Strip(one["x"] + strip.x, y + low, y + high, y + via, strip.fits)
-
-
-def pin_places(placed: Placed, strips: Strips) -> Iterator[tuple[str, str, str, float, float]]:
-    """Yield (net, cell's name, pin, x, y) of every pin's via, in um."""
-    for net, name, pin, strip in placed_strips(placed, strips):
-        yield net, name, pin, strip.x, strip.via
+                via = ROW_UM - strip.via if one["flipped"] else strip.via
+                yield net, one["name"], pin, one["x"] + strip.x, one["y"] + via
 
 
 @frozen
 class Connection:
     """Comparison of the wires with the netlist.
 
-    opens: nets in several parts. shorts: parts that belong to several nets. off: number of pins without metal. gaps: number
-    of spaces within a net that were narrower than the rule and were filled. cuts: number of pairs of vias of one net that
-    were closer than the rule; one via of each pair was replaced by metal.
+    opens: nets in several parts. shorts: parts that belong to several nets. off: number of pins without metal.
     """
 
     nets: int
     opens: list[str]
     shorts: list[list[str]]
     off: int
-    gaps: int
-    cuts: int
 
 
 class Wires:
@@ -221,12 +208,9 @@ class Wires:
 
 def connect(layout: db.Layout, top: str, placed: Placed, strips: Strips) -> Connection:
     """Repair vias that are too close and gaps that are too narrow, and compare the wires with the netlist."""
-    cuts, gaps = 0, 0
     for _ in range(REPAIRS):
         gone = _thin_cuts(layout, top, Wires(layout, top))
-        closed = _close_gaps(layout, top, Wires(layout, top))
-        cuts, gaps = cuts + gone, gaps + closed
-        if not gone + closed:
+        if not gone + _close_gaps(layout, top, Wires(layout, top)):
             break
     wires = Wires(layout, top)
     parts: dict[str, set[int]] = defaultdict(set)
@@ -241,7 +225,7 @@ def connect(layout: db.Layout, top: str, placed: Placed, strips: Strips) -> Conn
             nets[found].add(net)
     opens = sorted(net for net, found in parts.items() if len(found) > 1)
     shorts = sorted(sorted(found) for found in nets.values() if len(found) > 1)
-    return Connection(len(parts), opens, shorts, off, gaps, cuts)
+    return Connection(len(parts), opens, shorts, off)
 
 
 def _close_gaps(layout: db.Layout, top: str, wires: Wires) -> int:

@@ -11,7 +11,7 @@ import os
 import re
 import subprocess
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -33,13 +33,13 @@ from .drawn import Placed
 from .pins import Strip, cell_widths_um, strips
 
 LEFS, GDS = ("rtk-tech.lef", "stdcells.lef"), "stdcells.gds"  # of `cells_folder`
-BLIF, MAPPED = "mapped.blif", "mapped.v"
+BLIF = "mapped.blif"
 VERILOG, SPEF, SDF, FINAL = "routed.v", "routed.spef", "routed.sdf", "routed.gds"
 PLACED, STRIPS, JOB, LOG, FACTS = "placed.json", "strips.json", "job.json", "coriolis.log", "facts.json"
 LIMIT_S = 300  # time limit of an attempt
 NOT_ROUTED = 3  # exit code of `place_route.py`
 CLOCK = "clk"
-BEHIND = ("document", "delays", "hierarchy", "buffers")  # files on which a routed block does not depend
+BEHIND = ("document", "delays")  # files on which a routed block does not depend
 
 
 @frozen
@@ -64,8 +64,11 @@ ATTEMPTS = (
 
 
 @frozen(kw_only=True)
-class Block:
-    """A placed block and the folder of its files. Slacks, in ns, are of paths between registers."""
+class Layout:
+    """A routed block and the folder of its files.
+
+    Slacks, in ns, are of paths between registers. sinks: the number of inputs that the wires reach. rules: (rule, violations).
+    """
 
     folder: Path
     cells: int
@@ -76,12 +79,6 @@ class Block:
     nets: int
     slack_ns: float
     hold_ns: float
-
-
-@frozen(kw_only=True)
-class Layout(Block):
-    """A routed block. sinks: the number of inputs that its wires reach."""
-
     clock_tree_mw: float
     wire_um: float
     wire_ff: float
@@ -89,44 +86,21 @@ class Layout(Block):
     rules: list[tuple[str, int]]
 
 
-def require_tools() -> Path:
-    """Return the folder of the standard cells. Raises `InputError` if the cells or the router are missing."""
-    cells = cells_folder()
+def lay_out(unit: Unit, clock_mhz: float, tell: Callable[[str], None], view: View = POLYPHASE) -> Layout:
+    """Return the layout of a flattened block without its macros. It is made once for each state of the Verilog.
+
+    The nets of the block have one bit and plain names; constants come from cells. Raises `InputError` if the tools are
+    missing, and `ToolchainError` if no attempt succeeds, or the wires are not those of the netlist.
+    """
+    cells, top = cells_folder(), unit.unit_name
     if cells is None or find_spec("coriolis") is None:
         raise InputError("the tools for layouts are not installed; run: scripts/setup cells layout")
-    return cells
-
-
-def sources(*without: str) -> list[str]:
-    """Return the code and the settings of this folder, on which a layout depends. without: names of files to leave out."""
-    files = (path for path in sorted(Path(__file__).parent.iterdir()) if path.suffix in (".py", ".toml"))
-    return [path.read_text() for path in files if path.stem not in without]
-
-
-def lay_out(unit: Unit, clock_mhz: float, tell: Callable[[str], None], view: View = POLYPHASE) -> Layout:
-    """Return the layout of a flattened block without its macros. It is made once for each state of the Verilog."""
-    cells, files = require_tools(), bound(units_files([unit], cells=True), gated=False)
+    files = bound(units_files([unit], cells=True), gated=False)
     files |= {path.name: path.read_text() for path in (*view.cells, *view.macros)}
 
-    def make(folder: Path) -> dict[str, Any]:
-        route(unit.unit_name, cells, folder, tell)
-        return finish(unit.unit_name, cells, clock_mhz, folder)
-
-    folder, facts = made_once(unit.unit_name, files, [str(clock_mhz), *sources(*BEHIND)], make)
-    return Layout(folder=folder, **facts)
-
-
-def made_once(
-    top: str, files: Mapping[str, str], state: Sequence[str], make: Callable[[Path], dict[str, Any]]
-) -> tuple[Path, dict[str, Any]]:
-    """Return a folder that contains a block as BLIF and what `make` adds to it, and the facts that `make` returns.
-
-    The block is in standard cells. Its nets have one bit and plain names; constants come from cells. state: texts on which
-    the result of `make` depends.
-    """
-
-    def finish(folder: Path) -> None:
-        (folder / FACTS).write_text(json.dumps(make(folder), indent=1))
+    def make(folder: Path) -> None:
+        route(top, cells, folder, tell)
+        (folder / FACTS).write_text(json.dumps(finish(top, cells, clock_mhz, folder), indent=1))
 
     script = [
         f"read_verilog -sv {' '.join(files)}",
@@ -140,75 +114,56 @@ def made_once(
         "rename -enumerate -pattern n% */w:*",
         "rename -hide */c:*",
         "rename -enumerate -pattern u% */c:*",
-        f"write_verilog -simple-lhs -noattr -noexpr {MAPPED}",
         f"write_blif -buf BUF_X1 A Z {BLIF}",
     ]
-    folder = yosys_once(build_root() / "layout" / top, {**files, **library_files()}, script, state, finish)
-    return folder, json.loads((folder / FACTS).read_text())
+    code = (path for path in sorted(Path(__file__).parent.iterdir()) if path.suffix in (".py", ".toml"))
+    state = [str(clock_mhz), *(path.read_text() for path in code if path.stem not in BEHIND)]
+    folder = yosys_once(build_root() / "layout" / top, {**files, **library_files()}, script, state, make)
+    return Layout(folder=folder, **json.loads((folder / FACTS).read_text()))
 
 
 def route(top: str, cells: Path, folder: Path, tell: Callable[[str], None]) -> None:
     """Place and route the BLIF file of `folder`. Raises `ToolchainError` if no attempt succeeds."""
-    for attempt in ATTEMPTS:
-        tell(f"{top}: placing and routing, {attempt.margin:.0%} of the area free")
-        write_job(folder, cells, attempt)
-        if run_coriolis(folder, LIMIT_S):
-            return
-    tail = "\n".join((folder / LOG).read_text(errors="replace").splitlines()[-TAIL_LINES:])
-    raise ToolchainError(f"{top}: {len(ATTEMPTS)} attempts did not route every net\n{tail}")
-
-
-def write_job(
-    folder: Path,
-    cells: Path,
-    attempt: Attempt,
-    floorplan: Mapping[str, Any] | None = None,
-    macros: dict[str, dict[str, Strip]] | None = None,
-    *lefs: Path,
-) -> None:
-    """Write the job of Coriolis for the BLIF file of `folder`. macros: kind -> port -> strip; lefs: LEF files of the macros."""
     used = set(re.findall(r"^\.(?:gate|subckt) (\S+)", (folder / BLIF).read_text(), re.MULTILINE))
     used |= {"BUF_X4", "BUF_X1", "LOGIC0_X1", "LOGIC1_X1"}  # for the clock tree, nets with many pins, and constants
-    places = strips(cells / LEFS[1], used) | (macros or {})
+    places = strips(cells / LEFS[1], used)
     flat = {cell: {pin: astuple(strip) for pin, strip in pins.items()} for cell, pins in places.items()}
     (folder / STRIPS).write_text(json.dumps(flat))
-    job = {
-        "blif": BLIF.removesuffix(".blif"),
-        "lef": [str(path) for path in (*(cells / lef for lef in LEFS), *lefs)],
-        "strips": STRIPS,
-        "clock": CLOCK,
-        "floorplan": floorplan,
-    }
-    (folder / JOB).write_text(json.dumps(job | asdict(attempt)))
+    files = {"blif": BLIF.removesuffix(".blif"), "lef": [str(cells / lef) for lef in LEFS], "strips": STRIPS}
+    for attempt in ATTEMPTS:
+        tell(f"{top}: placing and routing, {attempt.margin:.0%} of the area free")
+        (folder / JOB).write_text(json.dumps(files | {"clock": CLOCK} | asdict(attempt)))
+        if run_coriolis(folder):
+            return
+    raise failed(f"{top}: {len(ATTEMPTS)} attempts did not route every net", folder)
 
 
-def read_strips(folder: Path) -> dict[str, dict[str, Strip]]:
-    """Return the strips that `write_job` wrote."""
-    stored = json.loads((folder / STRIPS).read_text())
-    return {cell: {pin: Strip(*values) for pin, values in pins.items()} for cell, pins in stored.items()}
-
-
-def run_coriolis(folder: Path, limit_s: float) -> bool:
+def run_coriolis(folder: Path) -> bool:
     """Run the job of `folder`; return whether everything was routed in time."""
     command = [sys.executable, "-m", "coincid.flow.layout.place_route", JOB]
+    environment = os.environ | {"PYTHONHASHSEED": "0"}
     with (folder / LOG).open("a") as log:
         try:
-            environment = os.environ | {"PYTHONHASHSEED": "0"}
-            done = subprocess.run(
-                command, cwd=folder, stdout=log, stderr=log, timeout=limit_s, check=False, env=environment
-            )
+            code = subprocess.run(
+                command, cwd=folder, stdout=log, stderr=log, timeout=LIMIT_S, check=False, env=environment
+            ).returncode
         except subprocess.TimeoutExpired:
             return False
-    if done.returncode not in (0, NOT_ROUTED):
-        tail = (folder / LOG).read_text(errors="replace").splitlines()[-TAIL_LINES:]
-        raise ToolchainError("\n".join([f"Coriolis failed in {folder}", *tail]))
-    return done.returncode == 0
+    if code not in (0, NOT_ROUTED):
+        raise failed(f"Coriolis failed in {folder}", folder)
+    return code == 0
+
+
+def failed(what: str, folder: Path) -> ToolchainError:
+    tail = (folder / LOG).read_text(errors="replace").splitlines()[-TAIL_LINES:]
+    return ToolchainError("\n".join([what, *tail]))
 
 
 def finish(top: str, cells: Path, clock_mhz: float, folder: Path) -> dict[str, Any]:
     """Draw, check and time the routed block of `folder`; return its facts. Raises `ToolchainError` on an open or a short."""
     placed: Placed = json.loads((folder / PLACED).read_text())
-    places, widths_um = read_strips(folder), cell_widths_um(cells / LEFS[1])
+    stored, widths_um = json.loads((folder / STRIPS).read_text()), cell_widths_um(cells / LEFS[1])
+    places = {cell: {pin: Strip(*values) for pin, values in pins.items()} for cell, pins in stored.items()}
     layout = drawn.draw(folder / f"{top}.gds", cells / GDS, placed, places, widths_um, top)
     joined = drawn.connect(layout, top, placed, places)
     if joined.opens or joined.shorts or joined.off:
@@ -219,48 +174,25 @@ def finish(top: str, cells: Path, clock_mhz: float, folder: Path) -> dict[str, A
     layout.write(str(folder / FINAL))
     drawn.draw_picture(folder / FINAL, folder / f"{top}.png")
     wired = wires.wired(top, placed, places, wires.lengths_um(folder / f"{top}_export.def"), cells / LEFS[0])
-    library = read_cells(folder / LIBERTY, set(kinds_of(placed)))
-    return timed_facts(top, placed, placed, wired.spef, widths_um, clock_mhz, folder) | {
-        "clock_tree_mw": wires.clock_tree_mw(placed, wired, library, supply_v(folder / LIBERTY), clock_mhz),
+    (folder / SPEF).write_text(wired.spef)
+    (folder / VERILOG).write_text(wires.netlist(top, placed))
+    slack_ns, hold_ns = time_wires(top, clock_mhz, folder)
+    kinds = [one["kind"] for one in placed["cells"] if not one["kind"].startswith("FILL")]
+    library = read_cells(folder / LIBERTY, set(kinds))
+    return {
+        "cells": len(kinds),
+        "cell_area_um2": sum(widths_um[kind] for kind in kinds) * drawn.ROW_UM,
+        "width_um": placed["width"],
+        "height_um": placed["height"],
+        "buffers": kinds.count(CLOCK_BUFFER),
         "nets": joined.nets,
+        "slack_ns": slack_ns,
+        "hold_ns": hold_ns,
+        "clock_tree_mw": wires.clock_tree_mw(placed, wired, library, supply_v(folder / LIBERTY), clock_mhz),
         "wire_um": wired.length_um,
         "wire_ff": wired.capacitance_ff,
         "sinks": wired.sinks,
         "rules": drawn.check_rules(layout, top),
-    }
-
-
-def kinds_of(placed: Placed) -> list[str]:
-    """Return the kinds of all cells of a placed block except fillers."""
-    return [one["kind"] for one in placed["cells"] if not one["kind"].startswith("FILL")]
-
-
-def timed_facts(
-    top: str,
-    placed: Placed,
-    flat: Placed,
-    spef: str,
-    widths_um: Mapping[str, float],
-    clock_mhz: float,
-    folder: Path,
-    macro: str = "",
-) -> dict[str, Any]:
-    """Time a block with its wires, and return the facts that all placed blocks have.
-
-    flat: the block with the cells inside its macros; macro: the kind of the macros, which do not count as cells.
-    """
-    (folder / SPEF).write_text(spef)
-    (folder / VERILOG).write_text(wires.netlist(top, flat))
-    slack_ns, hold_ns = time_wires(top, clock_mhz, folder)
-    own = [kind for kind in kinds_of(placed) if kind != macro]
-    return {
-        "cells": len(own),
-        "cell_area_um2": sum(widths_um[kind] for kind in own) * drawn.ROW_UM,
-        "width_um": placed["width"],
-        "height_um": placed["height"],
-        "buffers": own.count(CLOCK_BUFFER),
-        "slack_ns": slack_ns,
-        "hold_ns": hold_ns,
     }
 
 

@@ -52,26 +52,18 @@ class Place:
 
 def pin_metal(lef: Path) -> dict[str, dict[str, db.Region]]:
     """Return cell -> pin -> metal1 from a LEF file, without supply pins."""
+    layout, options = db.Layout(), db.LoadLayoutOptions()
+    options.lefdef_config.dbu = 1 / UNITS_PER_UM
+    options.lefdef_config.pin_property_name = "pin"
+    options.lefdef_config.produce_obstructions = False
+    layout.read(str(lef), options)
     cells: dict[str, dict[str, db.Region]] = {}
-    cell = pin = None
-    for line in lef.read_text().splitlines():
-        match line.split():
-            case ["MACRO", name]:
-                cells[name], cell = {}, name
-            case ["PIN", name]:
-                pin = None if name in SUPPLIES else name
-            case ["END", name] if name == pin:
-                pin = None
-            case ["OBS"]:
-                pin = None
-            case ["POLYGON" | "RECT" as kind, *numbers] if cell and pin:
-                at = [round(float(n) * UNITS_PER_UM) for n in numbers if n != ";"]
-                points = [db.Point(*at[i : i + 2]) for i in range(0, len(at), 2)]
-                shape = db.Polygon(db.Box(*points)) if kind == "RECT" else db.Polygon(points)
-                cells[cell].setdefault(pin, db.Region()).insert(shape)
-    for pins in cells.values():
-        for region in pins.values():
-            region.merge()
+    for cell in layout.each_cell():
+        pins = cells.setdefault(cell.name, {})
+        for shape in (shape for index in layout.layer_indexes() for shape in cell.shapes(index).each()):
+            pin = shape.property("pin")
+            if pin and pin not in SUPPLIES:
+                pins.setdefault(pin, db.Region()).insert(shape.polygon)
     return cells
 
 

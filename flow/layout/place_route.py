@@ -19,17 +19,11 @@ NOT_ROUTED = 3
 def main(path: str) -> int:
     job = SimpleNamespace(**json.loads(Path(path).read_text()))
     technology.set_up([Path(lef) for lef in job.lef], Path(job.strips), job.um2_per_pin)
-    from coriolis import CRL, Cfg
-    from coriolis.helpers.overlay import CfgCache
+    from coriolis import CRL
     from coriolis.Hurricane import Net
 
     from coincid.flow.layout import block
 
-    with CfgCache(priority=Cfg.Parameter.Priority.UserFile) as cfg:
-        for name in ("catchCore", "info", "paranoid", "bug"):
-            setattr(cfg.misc, name, False)
-        for name in ("logMode", "verboseLevel1", "verboseLevel2"):
-            setattr(cfg.misc, name, True)
     cell = CRL.Blif.load(job.blif)
     for net in cell.getNets():
         if net.isExternal() and net.getName() == job.clock:

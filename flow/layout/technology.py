@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 from coriolis import CRL, Cfg
-from coriolis.Anabatic import StyleFlags
 from coriolis.CRL import AllianceFramework, CellGauge, LefImport, RoutingGauge, RoutingLayerGauge
 from coriolis.helpers import u
 from coriolis.helpers.overlay import CfgCache, UpdateSession
@@ -49,10 +48,6 @@ def _technology() -> None:
     with CfgCache(priority=Cfg.Parameter.Priority.ConfigurationFile) as cfg:
         cfg.gdsDriver.metricDbu = 1e-10
         cfg.gdsDriver.dbuPerUu = 0.0001
-    DbU.setGridsPerLambda(10)
-    DbU.setSymbolicSnapGridStep(DbU.fromGrid(1.0))
-    DbU.setPolygonStep(DbU.fromGrid(1.0))
-    DbU.setStringMode(DbU.StringModePhysical, DbU.UnitPowerMicro)
     material = BasicLayer.Material
     for name, kind, size, space, layer in (
         ("pwell", material.pWell, 0.2, 0.2, 2),
@@ -128,43 +123,27 @@ def _gauges() -> None:
             )
         )
     framework.addRoutingGauge(gauge)
-    framework.setRoutingGauge("nangate45")
     framework.addCellGauge(CellGauge.create(SITE_NAME, "metal2", u(SITE_UM), u(ROW_UM), u(GRID_UM)))
-    framework.setCellGauge(SITE_NAME)
 
 
 def _settings() -> None:
     """Set all values that Coriolis asks for."""
-    environment = AllianceFramework.get().getEnvironment()
-    environment.setRegister(".*DFF.*")
-    environment.setCLOCK("^clk$")
-    environment.setPOWER("VDD")
-    environment.setGROUND("VSS")
     with CfgCache(priority=Cfg.Parameter.Priority.ConfigurationFile) as cfg:
-        for section, values in tomllib.loads(SETTINGS.read_text()).items():
-            _set(getattr(cfg, section), values)
+        _set(cfg, tomllib.loads(SETTINGS.read_text()))
         cfg.anabatic.cellGauge = SITE_NAME
-        cfg.anabatic.topRoutingLayer = TOP_METAL
-        cfg.anabatic.routingStyle = StyleFlags.HV
-        cfg.clockTree.minimumSide = u(ROW_UM) * 6
 
 
 def _set(section: Any, values: dict[str, Any]) -> None:
-    """Set values and their ranges. A range is a list of the lowest value and an optional highest value."""
     for name, value in values.items():
-        if not isinstance(value, dict):
-            setattr(section, name, value)
-        elif "value" in value:
-            setattr(section, name, value["value"])
-            setattr(section, name, [*value["range"], None][:2])
-        else:
+        if isinstance(value, dict):
             _set(getattr(section, name), value)
+        else:
+            setattr(section, name, value)
 
 
 def _cells(lef: list[Path], strips: dict[str, dict[str, list[float]]], um2_per_pin: float) -> Library:
     framework = AllianceFramework.get()
     library = Library.create(DataBase.getDB().getRootLibrary(), "Nangate45")
-    framework.wrapLibrary(library, 0)
     LefImport.load(str(lef[0]))
     LefImport.setMergeLibrary(library)
     for path in lef[1:]:
@@ -184,8 +163,6 @@ def _cells(lef: list[Path], strips: dict[str, dict[str, list[float]]], um2_per_p
 def _replace_pin(net, metal2, x: float, low: float, high: float) -> None:
     """Replace the shapes of a pin by its strip, so that the router sees only the strip."""
     for shape in list(net.getComponents()):
-        NetExternalComponents.setInternal(shape)
-    for shape in list(net.getComponents()):
         shape.destroy()
     NetExternalComponents.setExternal(Vertical.create(net, metal2, u(x), u(WIDTH_UM[2]), u(low), u(high)))
 
@@ -194,7 +171,7 @@ def _widen(cell, um2_per_pin: float) -> None:
     """Widen a cell to the right so that each pin has enough room. Filler cells later fill the added room."""
     pins = sum(1 for net in cell.getNets() if net.isExternal() and not net.isSupply())
     box, site = cell.getAbutmentBox(), u(SITE_UM)
-    if not pins or cell.getName().startswith("FILL") or box.getHeight() > u(ROW_UM):
+    if not pins:
         return
     width, needed = box.getWidth(), u(pins * um2_per_pin / ROW_UM)
     if needed > width:
