@@ -1,24 +1,102 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Driver of the sensor: registers by name, configurations, and frames, over any transport."""
+"""Driver of the sensor: registers by name, configurations, and whole frames, over any transport."""
 
 import time
-from collections.abc import Callable, Sequence
-from typing import Any
+from collections.abc import Callable
+from typing import Any, TypeAlias
 
 import numpy as np
-from attrs import field, frozen
+from attrs import frozen
 
 from ..model.contract import registers
 from ..model.contract.config import Config
+from ..model.contract.packet import FRAME_END, FRAME_START, layout
 from ..model.contract.parameters import SENSOR, Sensor
-from ..model.contract.registers import ID_VALUE, VERSION_VALUE, Access
+from ..model.contract.registers import ID_VALUE, VERSION_VALUE, WRITABLE, Access, Register
+from ..model.contract.stream import NO_HEADER, StreamError, is_grouped, kind_of
 from ..model.contract.table import Kind, Setting
-from ..model.shared.errors import InputError
-from .frame_assembly import FrameAssembler
-from .register_names import Key, Word, find
+from ..model.shared.errors import InputError, check_integer
 from .transport import ERRORS, STATUS, HostError, RefusedError, Transport, changes, errors_in, runs, write_block
 
+Key: TypeAlias = str | tuple[str | int, ...]
 WAIT_SECONDS = 10.0  # per frame; the longest frame takes 2^16 periods of 2^13 cycles
+
+
+@frozen
+class Word:
+    """A word of the register map. name: as shown in messages."""
+
+    name: str
+    address: int
+    register: Register
+    sensor: Sensor
+
+    def checked(self, value: object) -> int:
+        """Return `value` if the sensor accepts it. Raises `InputError` with register and range."""
+        if self.register.access not in WRITABLE:
+            raise InputError(f"{self.name}: is read-only ({self.register.access.value})")
+        number = int(value) if hasattr(value, "__index__") and not isinstance(value, bool) else value
+        return check_integer(self.name, number, self.register.low(self.sensor), self.register.high(self.sensor))
+
+
+def find(sensor: Sensor, key: Key) -> Word:
+    """Return the word that `key` names: a register's name and, if it has them, the subgroup and the index in its array.
+
+    Examples: `"period"`; `("auto_bounds", 2)`; `("threshold", 3)` of subgroup 3; `("mask", 3, 1)`, word 1 of subgroup
+    3's mask. A missing index is 0. Raises `InputError` with the wrong part and the legal range.
+    """
+    name, *numbers = key if isinstance(key, tuple) else (key,)
+    register = registers.BY_NAME.get(str(name))
+    if register is None:
+        raise InputError(f"register {name!r}: must be one of {', '.join(registers.BY_NAME)}")
+    if not register.count(sensor):
+        raise InputError(f"register {name!r}: the sensor is built without it")
+    subgroup = index = 0
+    if of_subgroup := register in registers.SUBGROUP:
+        if not numbers:
+            raise InputError(f"register {name!r}: is one per subgroup, must be written as [{name!r}, subgroup]")
+        subgroup = check_integer(f"{name}: subgroup", numbers.pop(0), 0, sensor.subgroups - 1)
+    if numbers:
+        index = check_integer(f"{name}: index", numbers.pop(0), 0, register.count(sensor) - 1)
+    if numbers:
+        raise InputError(f"register {name!r}: {key!r} has too many indices")
+    shown = [subgroup] * of_subgroup + [index] * (register.count(sensor) > 1)
+    return Word(f"{name}{shown or ''}", registers.address(register.name, subgroup, index), register, sensor)
+
+
+class FrameAssembler:
+    """Cuts a stream into frames by its headers, because transports do not carry `tlast`.
+
+    stream: its number in the sensor. frames: whole frames (uint64[n] each) that have not been taken yet.
+    """
+
+    def __init__(self, sensor: Sensor, stream: int = 0):
+        self.stream = stream
+        self.frames: list[np.ndarray] = []
+        self._lengths = layout(sensor).lengths(len(sensor.stream_subgroups(stream)))
+        self._beats = np.zeros(0, np.uint64)
+        self._at = 0  # place of the next header in them
+
+    def add(self, beats: np.ndarray) -> None:
+        """Append beats (uint64[n]) to the stream. If they cannot be a frame, drop them and raise `StreamError`."""
+        self._beats = np.concatenate([self._beats, np.asarray(beats, np.uint64)])
+        while self._at < len(self._beats):
+            kind = kind_of(self._beats[self._at], self._at > 0 and is_grouped(self._beats[0]))
+            length = int(self._lengths[kind])
+            if length == 0 or (kind == FRAME_START.code) != (self._at == 0):
+                at = self._at
+                self.forget()
+                raise StreamError(f"beat {at} of a frame: {NO_HEADER}")
+            if self._at + length > len(self._beats):
+                return
+            self._at += length
+            if kind == FRAME_END.code:
+                self.frames.append(self._beats[: self._at].copy())
+                self._beats, self._at = self._beats[self._at :], 0
+
+    def forget(self) -> None:
+        """Drop an incomplete frame, because the stream begins anew."""
+        self._beats, self._at = np.zeros(0, np.uint64), 0
 
 
 @frozen
@@ -27,7 +105,7 @@ class Status:
 
     busy: bool
     done: bool
-    errors: tuple[str, ...] = field(default=())
+    errors: tuple[str, ...] = ()
 
 
 class Driver:
@@ -56,7 +134,7 @@ class Driver:
     def __setitem__(self, key: Key, value: int) -> None:
         """Write a register. Raises `InputError` before anything is sent, or `RefusedError`."""
         word = self._word(key)
-        self._write(word.address, [word.checked(value)])
+        self._write(word.address, word.checked(value))
         if word.register.access is Access.SETTING:
             self.programmed[word.address] = int(value)
 
@@ -74,21 +152,17 @@ class Driver:
         """Write those of (address, value) that change something, and return the number of words written."""
         pending = changes(writes, self.programmed)
         for address, values in runs(pending):
-            self._write(address, values)
+            self._write(address, *values)
             self.programmed |= {address + 4 * i: value for i, value in enumerate(values)}
         return len(pending)
 
     def start(self) -> None:
         """Begin a frame. Raises `RefusedError` with the reasons if the sensor's checks refuse it."""
-        self._control("start")
+        self._write(*registers.control("start"))
 
     def abort(self) -> None:
         """Make the running period the last one of the frame."""
-        self._control("abort")
-
-    def _control(self, bit: str) -> None:
-        address, value = registers.control(bit)
-        self._write(address, [value])
+        self._write(*registers.control("abort"))
 
     def status(self) -> Status:
         """Read the status without clearing anything."""
@@ -135,7 +209,7 @@ class Driver:
         """Return the beats of a stream that have come since the last call."""
         return self.transport.receive(stream)
 
-    def _write(self, address: int, values: Sequence[int]) -> None:
+    def _write(self, address: int, *values: int) -> None:
         """Write words. A refusal is raised with the sticky bits that explain it, which are cleared."""
         try:
             write_block(self.transport, address, values)

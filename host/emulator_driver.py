@@ -7,8 +7,7 @@ import numpy as np
 
 from ..model.contract.emulator import BUFFER_BASE, EMULATOR_ID, EMULATOR_VERSION, OWN_BY_NAME, own_address
 from ..model.contract.parameters import Sensor
-from .driver import WAIT_SECONDS, Driver
-from .register_names import Key, Word
+from .driver import WAIT_SECONDS, Driver, Key, Word
 from .transport import HostError, Transport, read_block
 
 WORDS_PER_BEAT = 2
@@ -36,7 +35,7 @@ class EmulatorDriver(Driver):
         """Return the word of the emulator's or of the sensor's register map that `key` names. Raises `InputError`."""
         if not isinstance(key, str) or key not in OWN_BY_NAME:
             return super()._word(key)
-        return Word.of(key, own_address(key), OWN_BY_NAME[key], self.sensor)
+        return Word(key, own_address(key), OWN_BY_NAME[key], self.sensor)
 
     def waiting(self) -> np.ndarray:
         """Remove the waiting beats (uint64) from the frame buffer, and return them."""

@@ -38,10 +38,6 @@ class MemoryTransport:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self.close()
-
-    def close(self) -> None:
-        """Unmaps."""
         del self._words
         self._map.close()
 

@@ -21,6 +21,8 @@ from .transport import DeviceResetError, LinkError, RefusedError
 TRIES = 10
 PATIENCE_S = 0.25
 BODY_MIN = 2 + link.CRC_BYTES  # sequence number and status
+_FLAG = bytes([link.FLAG])
+_ESCAPES = {bytes([byte]): bytes([link.ESCAPE, byte ^ link.FLIP]) for byte in (link.ESCAPE, link.FLAG)}
 
 
 class Port(Protocol):
@@ -39,10 +41,9 @@ class Port(Protocol):
 def frame(body: bytes) -> bytes:
     """Return a frame around a body: flags, escapes, CRC."""
     body += zlib.crc32(body).to_bytes(link.CRC_BYTES, "little")
-    inside = b"".join(
-        bytes([link.ESCAPE, byte ^ link.FLIP]) if byte in (link.FLAG, link.ESCAPE) else bytes([byte]) for byte in body
-    )
-    return bytes([link.FLAG]) + inside + bytes([link.FLAG])
+    for byte, escaped in _ESCAPES.items():
+        body = body.replace(byte, escaped)
+    return _FLAG + body + _FLAG
 
 
 class Deframer:
@@ -54,7 +55,7 @@ class Deframer:
 
     def add(self, data: bytes) -> list[bytes]:
         """Return the bodies, without their CRC, that `data` completes."""
-        *ended, rest = data.split(bytes([link.FLAG]))
+        *ended, rest = data.split(_FLAG)
         found = []
         for part in ended:
             self._inside += part
@@ -69,18 +70,12 @@ class Deframer:
         return found
 
     @staticmethod
-    def _checked(inside: bytes) -> bytes | None:
-        body, escaped = bytearray(), False
-        for byte in inside:
-            if byte == link.ESCAPE and not escaped:
-                escaped = True
-            else:
-                body.append(byte ^ link.FLIP if escaped else byte)
-                escaped = False
-        if escaped or len(body) < BODY_MIN:
-            return None
-        content, check = bytes(body[: -link.CRC_BYTES]), bytes(body[-link.CRC_BYTES :])
-        return content if zlib.crc32(content).to_bytes(link.CRC_BYTES, "little") == check else None
+    def _checked(body: bytes) -> bytes | None:
+        for byte, escaped in reversed(_ESCAPES.items()):
+            body = body.replace(escaped, byte)
+        content, check = body[: -link.CRC_BYTES], body[-link.CRC_BYTES :]
+        right = len(body) >= BODY_MIN and zlib.crc32(content).to_bytes(link.CRC_BYTES, "little") == check
+        return content if right else None
 
 
 class SerialTransport:

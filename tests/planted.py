@@ -191,7 +191,7 @@ MISTAKES: dict[tuple[str, tuple[str, ...], tuple[tuple[str, ...], ...]], dict[st
     ("model/light/walk.py", (), (INDEPENDENCE,)): {
         "crosstalk-draws-shared": ("uniform(key, CROSSTALK, 4 * fired + side)", "uniform(key, CROSSTALK, fired + side)")
     },
-    ("host/frame_assembly.py", (), (("tests/host/test_host.py", "-k", "cut_anywhere"),)): {
+    ("host/driver.py", (), (("tests/host/test_host.py", "-k", "cut_anywhere"),)): {
         "streams-alike": ("sensor.stream_subgroups(stream)", "sensor.stream_subgroups(0)")
     },
     ("study/other_schemes.py", (), (("tests/study/test_rivals.py", "-k", "by_hand"),)): {

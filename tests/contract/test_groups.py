@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from coincid.host.frame_assembly import FrameAssembler
+from coincid.host.driver import FrameAssembler
 from coincid.model.contract.groups import LAST_LSB
 from coincid.model.contract.packet import BEAT_BITS, KIND_BITS, KIND_LSB, Field, Packet, parts_of
 from coincid.model.contract.stream import StreamError, decode_frame, packet_starts

@@ -4,10 +4,8 @@
 import numpy as np
 import pytest
 
-from coincid.host.driver import Driver, Status, read_sensor
-from coincid.host.frame_assembly import FrameAssembler
+from coincid.host.driver import Driver, FrameAssembler, Status, find, read_sensor
 from coincid.host.mapped_memory import MemoryTransport
-from coincid.host.register_names import find
 from coincid.host.transport import HostError, RefusedError, runs
 from coincid.model.contract import registers
 from coincid.model.contract.config import parse_config, sensor_table
