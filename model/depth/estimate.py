@@ -158,7 +158,7 @@ def find_returns(
     events = frame_events(arrays, config, sigma_ticks, frame)
     pulses = config.pulses * (len(arrays["opened"]) if frame is None else 1)
     if method == "planes":
-        surfaces = find_surfaces(
+        parts = find_surfaces(
             events,
             config,
             sigma_ticks,
@@ -167,7 +167,6 @@ def find_returns(
             returns=returns,
             threads=threads,
         )
-        parts = surfaces.time, surfaces.confidence, surfaces.error, surfaces.slope
         return Found(*parts, events, pulses, sigma_ticks, everywhere=False)
     live, group = _live(arrays, events, config, source, frame) if method == "background" else (None, None)
     step_ticks = 1 if source != "minigroup" else minigroup_step_ticks(config)

@@ -6,12 +6,13 @@ The events of a pulse constrain the firing time of each pixel of the subgroup:
 - The winner fired at the stamp.
 - A pixel in the map fired inside the window, and not before its minigroup's offset (format full). It fired at that
   offset if it was the first of its minigroup. The probability of this follows from the approximate surface times of the
-  other pixels (`first_hits.py`).
+  other pixels (`first_shares`).
 - A pixel outside the map did not fire inside the window, nor while the tree waited for its first photon. It may have
   fired while the tree was blind, between the window's end and the re-arming.
 - Without an event nearby, it did not fire, or it left no trace (`unheard.py`).
 """
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -267,3 +268,44 @@ def _add(total, touched, row, number, first, k0, k1, lights):
         out, row = total[(low - first) * lights : (high - first) * lights], row[low * lights : high * lights]
         for j in range(len(out)):
             out[j] += number * row[j]
+
+
+@njit
+def first_shares(law, events, minigroup, time, light, sigma):
+    """float32[n, pixels]: probability that a hit pixel was the first of its minigroup, so that all others fired later."""
+    stamp, winner, hits, offset = events.stamp, events.winner, events.hits, events.offset
+    n, pixels = len(stamp), len(minigroup)
+    shares = np.zeros((n, pixels), np.float32)
+    members = np.empty(pixels, np.int64)
+    later = np.empty(pixels)
+    for e in range(n):
+        cycle, end = stamp[e] // law.phases * law.phases, stamp[e] + law.window
+        for g in range(offset.shape[1]):
+            if offset[e, g] == OFFSET_NONE or g == minigroup[winner[e]]:
+                continue
+            begin = max(stamp[e], cycle + offset[e, g] * law.offset)
+            own = min(end, cycle + (offset[e, g] + 1) * law.offset)
+            number = 0
+            for i in range(pixels):
+                if minigroup[i] == g and is_hit(hits, e, i):
+                    members[number] = i
+                    last = _unfired(end - time[i], light[i], sigma)
+                    inside = _unfired(begin - time[i], light[i], sigma) - last
+                    if inside > RARE:
+                        later[number] = (_unfired(own - time[i], light[i], sigma) - last) / inside
+                    else:  # background, or an unknown surface
+                        later[number] = (end - own) / (end - begin)
+                    number += 1
+            for j in range(number):
+                share = 1.0
+                for k in range(number):
+                    if k != j:
+                        share *= later[k]
+                shares[e, members[j]] = share
+    return shares
+
+
+@njit(allocates=False)
+def _unfired(distance, light, sigma):
+    """Return 1 - F."""
+    return math.exp(-light * 0.5 * math.erfc(-distance / sigma * math.sqrt(0.5)))

@@ -101,9 +101,7 @@ def _winner_map(winner: np.ndarray, sensor: Sensor) -> np.ndarray:
 def _photon_rate(opened: np.ndarray, window: np.ndarray, config: Config) -> np.ndarray:
     """Estimate the photons per tick of an armed tree, from the windows per period; it is not armed after each window."""
     sensor = config.sensor
-    blocked = (
-        window + (sensor.phases - 1) / 2 + sensor.rearm * sensor.phases
-    )  # mean number of ticks from an opening to the re-arming
+    blocked = window + (sensor.phases - 1) / 2 + sensor.rearm * sensor.phases  # ticks until the tree is armed, a mean
     cycles = np.minimum(np.where(config.gating, config.gate_len, config.period), config.period - sensor.guard)
     armed = cycles * sensor.phases - opened * blocked
     return opened / np.maximum(armed, 1)

@@ -45,26 +45,17 @@ _NEVER = np.float32(-1e9)
 _TAP = np.dtype([("place", np.int64), ("down", np.float64), ("right", np.float64), ("weight", np.float32)], align=True)
 
 
-class Taps(NamedTuple):
-    """Neighbours of a pixel by reach.
-
-    tap: _TAP[reaches, n], those of the highest weight first; number: int64[reaches], those that count.
-    """
-
-    tap: np.ndarray
-    number: np.ndarray
-
-    @classmethod
-    def of(cls, cols: int) -> "Taps":
-        steps = np.arange(-HALF, HALF + 1)
-        down, right = (part.ravel() for part in np.meshgrid(steps, steps, indexing="ij"))
-        weight = np.exp(-0.5 * (down**2 + right**2) / np.array(REACHES)[:, None] ** 2).astype(np.float32)
-        weight[:, (down == 0) & (right == 0)] = 0
-        order = np.argsort(-weight, axis=1, kind="stable")
-        tap = np.empty(weight.shape, _TAP)
-        tap["weight"] = np.take_along_axis(weight, order, 1)
-        tap["place"], tap["down"], tap["right"] = (down * (cols + 2 * HALF) + right)[order], down[order], right[order]
-        return cls(tap, (tap["weight"] >= WEIGHT_MIN).sum(axis=1))
+def _taps(cols: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return neighbours by reach, _TAP[reaches, n], those of the highest weight first; and the numbers that count."""
+    steps = np.arange(-HALF, HALF + 1)
+    down, right = (part.ravel() for part in np.meshgrid(steps, steps, indexing="ij"))
+    weight = np.exp(-0.5 * (down**2 + right**2) / np.array(REACHES)[:, None] ** 2).astype(np.float32)
+    weight[:, (down == 0) & (right == 0)] = 0
+    order = np.argsort(-weight, axis=1, kind="stable")
+    taps = np.empty(weight.shape, _TAP)
+    taps["weight"] = np.take_along_axis(weight, order, 1)
+    taps["place"], taps["down"], taps["right"] = (down * (cols + 2 * HALF) + right)[order], down[order], right[order]
+    return taps, (taps["weight"] >= WEIGHT_MIN).sum(axis=1)
 
 
 class Field(NamedTuple):
@@ -74,7 +65,7 @@ class Field(NamedTuple):
     own: float32[widths, places, bins], log likelihood relative to `best`, float32[rows, cols]. other: the same shape, what
     a neighbour adds to a plane's score there. peak: float64[widths, rows, cols], likeliest tick. first: float64[widths,
     places], tick at which the first bin begins, infinite in the margin. scale: float64[widths], bins per tick. sigma_ticks:
-    of the laser's pulse. reach: int64[rows, cols], index of the taps that a pixel uses. left: float32[rows, cols, parts],
+    of the laser's pulse. taps, number: of `_taps`. reach: int64[rows, cols], index of the taps that a pixel uses. left: float32[rows, cols, parts],
     the most that a part of the taps and those after it can add to a score.
     """
 
@@ -85,7 +76,8 @@ class Field(NamedTuple):
     first: np.ndarray
     scale: np.ndarray
     sigma_ticks: float
-    taps: Taps
+    taps: np.ndarray
+    number: np.ndarray
     reach: np.ndarray
     left: np.ndarray
 
@@ -94,14 +86,15 @@ class Field(NamedTuple):
         cls, levels: Sequence[np.ndarray], first: Sequence[np.ndarray], sigma_ticks: float, blocks: Blocks
     ) -> "Field":
         """Return the field of levels, float32[rows, cols, bins], and first ticks, int64[rows, cols], by width."""
-        widths, (rows, cols, bins), taps = len(levels), levels[0].shape, Taps.of(levels[0].shape[1])
+        widths, (rows, cols, bins) = len(levels), levels[0].shape
+        taps, number = _taps(cols)
         places = (rows + 2 * HALF) * (cols + 2 * HALF)
         own, other = (np.zeros((widths, places, bins), np.float32) for _ in range(2))
         best, highest = (np.empty((rows, cols), np.float32) for _ in range(2))
         peak, begins = np.empty((widths, rows, cols)), np.full((widths, places), np.inf)
         reach = np.empty((rows, cols), np.int64)
-        left = np.zeros((rows, cols, -(-taps.tap.shape[1] // PART)), np.float32)
-        field = cls(own, best, other, peak, begins, 0.5 ** np.arange(widths), sigma_ticks, taps, reach, left)
+        left = np.zeros((rows, cols, -(-taps.shape[1] // PART)), np.float32)
+        field = cls(own, best, other, peak, begins, 0.5 ** np.arange(widths), sigma_ticks, taps, number, reach, left)
         blocks(partial(_fill, field, np.stack(levels), np.stack(first), highest))
         blocks(partial(_fill_left, field, highest))
         return field
@@ -164,8 +157,8 @@ def _fill_left(field, highest, begin, end):
     for r in range(begin, end):
         for c in range(cols):
             own, total = field.reach[r, c], np.float32(0)
-            for j in range(field.taps.number[own] - 1, -1, -1):
-                tap = field.taps.tap[own, j]
+            for j in range(field.number[own] - 1, -1, -1):
+                tap = field.taps[own, j]
                 rr, cc = r + int(tap.down), c + int(tap.right)
                 if 0 <= rr < rows and 0 <= cc < cols:
                     total += tap.weight * highest[rr, cc]
@@ -182,16 +175,11 @@ class Planes(NamedTuple):
     score: np.ndarray
     new: np.ndarray
 
-    @classmethod
-    def empty(cls, rows: int, cols: int) -> "Planes":
-        time, down, right = (np.zeros((rows, cols)) for _ in range(3))
-        return cls(time, down, right, np.zeros((rows, cols), np.float32), np.ones((rows, cols), bool))
-
 
 def fit_planes(field: Field, blocks: Blocks) -> Planes:
     """Fit the planes of all pixels. blocks: calls a function for (begin, end) of blocks of rows, in any order."""
-    rows, cols = field.best.shape
-    planes, tried = Planes.empty(rows, cols), Planes.empty(rows, cols)
+    kinds, shape = (np.float64, np.float64, np.float64, np.float32, np.bool_), field.best.shape
+    planes, tried = (Planes(*(np.ones(shape, kind) for kind in kinds)) for _ in range(2))
     blocks(partial(_start, field, planes))
     step, slope = STEP_TICKS, STEP_SLOPE
     for _ in range(ROUNDS):
@@ -209,21 +197,16 @@ def doublings(down: Numbers, right: Numbers, sigma_ticks: float) -> np.ndarray:
 _doublings = njit(doublings)
 
 
-def level_on(field: Field, planes: Planes) -> np.ndarray:
+@njit
+def level_on(field, planes):
     """float64[rows, cols]: log likelihood of each pixel on its plane."""
-    level = np.zeros(planes.time.shape)
-    _level_on(field, planes, level)
-    return level
-
-
-@njit(allocates=False)
-def _level_on(field, planes, level):
-    """Compute `level` of `level_on`."""
-    rows, cols = level.shape
+    rows, cols = planes.time.shape
+    level = np.empty((rows, cols))
     for r in range(rows):
         for c in range(cols):
             width = _width(field, planes.down[r, c], planes.right[r, c])
             level[r, c] = field.best[r, c] + _level(field, field.own, width, _place(cols, r, c), planes.time[r, c])
+    return level
 
 
 @njit(allocates=False)
@@ -242,14 +225,6 @@ def _along(field, time, by):
     if len(field.scale) == 1:
         return time + by
     return time / (1 - min(AHEAD_MAX, by / max(time, 1.0)))
-
-
-@njit(allocates=False)
-def _steeper(field, time, there):
-    """Return how many times as steep a plane is where its time is another."""
-    if len(field.scale) == 1:
-        return 1.0
-    return (there / max(time, 1.0)) ** 2
 
 
 @njit(allocates=False)
@@ -289,7 +264,7 @@ def _plane_of(field, planes, rr, cc, r, c):
     """Return time and slopes at pixel (r, c) of the plane of pixel (rr, cc)."""
     time, down, right = planes.time[rr, cc], planes.down[rr, cc], planes.right[rr, cc]
     there = _along(field, time, down * (r - rr) + right * (c - cc))
-    steeper = _steeper(field, time, there)
+    steeper = 1.0 if len(field.scale) == 1 else (there / max(time, 1.0)) ** 2
     return there, down * steeper, right * steeper
 
 
@@ -305,21 +280,16 @@ def _score(field, r, c, time, down, right, least):
     width, place = _width(field, down, right), _place(field.best.shape[1], r, c)
     if not _inside(field, width, place, time) or abs(down) > SLOPE_MAX or abs(right) > SLOPE_MAX:
         return _NEVER
-    total, left, taps, reach = (
-        _level(field, field.own, width, place, time),
-        field.left[r, c],
-        field.taps,
-        field.reach[r, c],
-    )
+    total, left, reach = _level(field, field.own, width, place, time), field.left[r, c], field.reach[r, c]
     if total + left[0] < least - SLACK:  # whatever the slopes cost
         return _NEVER
     total -= _slope_cost(down, right)
-    number = taps.number[reach]
+    number = field.number[reach]
     for part in range(0, number, PART):
         if total + left[part // PART] < least - SLACK:
             return _NEVER
         for j in range(part, min(part + PART, number)):
-            tap = taps.tap[reach, j]
+            tap = field.taps[reach, j]
             here = _along(field, time, down * tap.down + right * tap.right)
             total += tap.weight * _level(field, field.other, width, np.uint64(place + tap.place), here)
     return total
@@ -437,9 +407,9 @@ def _posterior(field, planes, tolerance, confidence, error, scores, begin, end):
 @njit(allocates=False)
 def _add_neighbours(field, reach, place, time, down, right, width, score):
     """Add what the neighbours say about planes that begin at a time and follow each other by one tick."""
-    bins, taps, k = field.own.shape[2], field.taps, int(width)
-    for j in range(taps.number[reach]):
-        tap = taps.tap[reach, j]
+    bins, k = field.own.shape[2], int(width)
+    for j in range(field.number[reach]):
+        tap = field.taps[reach, j]
         there = place + tap.place
         if field.first[0, there] == np.inf:
             continue

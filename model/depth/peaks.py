@@ -141,9 +141,7 @@ def record_live(
     stamp, maps = records
     live = np.empty((sensor.minigroups, ticks))
     for g in range(sensor.minigroups):
-        latched = np.bincount(
-            stamp[maps[:, g] > 0, g] + 1, minlength=ticks
-        )  # a quarter of a cycle holds no second stamp
+        latched = np.bincount(stamp[maps[:, g] > 0, g] + 1, minlength=ticks)  # no second stamp in the same quarter
         live[g] = 1 - np.repeat(np.cumsum(latched), sensor.quarter_ticks)[:ticks] * lost / periods
     return np.maximum(live, LIVE_MIN)
 

@@ -16,7 +16,6 @@ from collections.abc import Callable
 from functools import partial
 
 import numpy as np
-from attrs import frozen
 
 from ..contract.config import Config
 from ..shared.threads import Threads
@@ -43,16 +42,6 @@ RETURN_LEVEL = 2.0  # and without them
 APART_SIGMAS = 4.0  # distance between returns, in addition to the window
 
 
-@frozen(eq=False)
-class Surfaces:
-    """Surfaces of the pixels, in ticks: time, error [rows, cols, returns]; confidence; slope [rows, cols, 2] down and right."""
-
-    time: np.ndarray
-    confidence: np.ndarray
-    error: np.ndarray
-    slope: np.ndarray
-
-
 def find_surfaces(
     events: Events,
     config: Config,
@@ -62,11 +51,12 @@ def find_surfaces(
     tolerance_ticks: float,
     threads: Threads,
     returns: int = 1,
-) -> Surfaces:
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Find the surfaces that the pixels see. pulses: number of pulses in which the events came.
 
-    The number of threads does not change the result. confidence: probability that the first return is within
-    `tolerance_ticks`, and that the others are not accidental.
+    Returns (time, confidence, error), [rows, cols, returns], and slope, [rows, cols, 2], down and right; in ticks.
+    confidence: probability that the first return is within `tolerance_ticks`, and that the others are not accidental.
+    The number of threads does not change the result.
     """
     sensor = config.sensor
 
@@ -134,7 +124,7 @@ def find_surfaces(
         parts = [np.concatenate(pair, axis=2) for pair in zip(parts, further)]
     slope = np.where(seen, np.stack([planes.down, planes.right], axis=2), np.nan)
     time_of, sure, error_of = parts
-    return Surfaces(time_of, sure, error_of, slope)
+    return time_of, sure, error_of, slope
 
 
 def down_to(lights: np.ndarray, faintest: float) -> np.ndarray:

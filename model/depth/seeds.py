@@ -17,9 +17,7 @@ import numpy as np
 from ..shared.compiled import njit
 from .vector_math import fast_exp, fast_log, top_of
 
-Blocks = Callable[
-    [Callable[[int, int], None]], object
-]  # calls a function for (begin, end) of blocks of rows, in any order
+Blocks = Callable[[Callable[[int, int], None]], object]  # calls a function for (begin, end) of rows, in any order
 
 BLOCK = 64  # bins that are passed together if none of them is high enough
 CANDIDATES = 6  # from a pixel's own likelihood
@@ -31,9 +29,8 @@ LEVEL_MIN = 0.5  # log likelihood ratio of a pixel's own candidate, at least
 SLACK = 1  # bins by which a surface may shift from pixel to pixel
 LEAST, MOST = -1.0, 4.0  # limits of a neighbour's support in the first round
 AGREE = 30.0  # odds by which a neighbour's choice counts in later rounds,
-ALIKE = np.array(
-    [1.5, 1.2, 0.7, 0.4, 0.3, 0.2], np.float32
-)  # multiplied by this, by the difference of the lights' indices; the last is for all larger ones
+# multiplied by this, by the difference of the lights' indices; the last is for all larger ones
+ALIKE = np.array([1.5, 1.2, 0.7, 0.4, 0.3, 0.2], np.float32)
 ROUNDS = 5
 STILL = 0.01  # a pixel whose probabilities changed by less has not changed
 _NEVER = np.float32(-1e9)

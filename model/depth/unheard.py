@@ -170,20 +170,11 @@ def _room_found(begin, end, rate):
     return found
 
 
-@njit
-def _share_between(begin, end, weight, pulses):
+def _share_between(begin: np.ndarray, end: np.ndarray, weight: np.ndarray, pulses: int) -> np.ndarray:
     """float32[ticks]: number of the events that have a tick in [begin, end), per pulse, times the tick's weight."""
     ticks = len(weight)
-    change = np.zeros(ticks + 1)
-    for e in range(len(begin)):
-        change[min(begin[e], ticks)] += 1
-        change[min(end[e], ticks)] -= 1
-    share = np.empty(ticks, np.float32)
-    total = 0.0
-    for k in range(ticks):
-        total += change[k]
-        share[k] = total / pulses * weight[k]
-    return share
+    begun, ended = (np.bincount(np.minimum(part, ticks), minlength=ticks + 1)[:ticks] for part in (begin, end))
+    return (np.cumsum(begun - ended) / pulses * weight).astype(np.float32)
 
 
 class _Shares(NamedTuple):
