@@ -20,8 +20,7 @@ from ..model.contract.config import Config, parse_config, sensor_table
 from ..model.contract.counters import COUNTER_NAMES
 from ..model.contract.edges import Edges
 from ..model.contract.parameters import TOP, Sensor
-from ..model.contract.pixels import pixel_table
-from ..model.contract.spad_ports import port_bits
+from ..model.contract.pixels import pixel_table, port_bits
 from ..model.golden.frame import Golden, Trace
 from ..tb.stimulus import line_toggles
 

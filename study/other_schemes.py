@@ -13,9 +13,9 @@ from typing import NamedTuple
 import numpy as np
 
 from ..model.contract.edges import Edges
+from ..model.contract.latency import armed_cycle, close_cycle
 from ..model.contract.parameters import Sensor
 from ..model.contract.pixels import pixel_table
-from ..model.contract.windows import armed_cycle, close_cycle
 from ..model.shared.compiled import njit
 
 REARM_CYCLES = 0  # the tree of a rival is armed again in the cycle after its window

@@ -27,7 +27,7 @@ from ..model.contract import registers
 from ..model.contract.config import Config
 from ..model.contract.edges import Edges
 from ..model.contract.parameters import Sensor
-from ..model.contract.spad_ports import port_bits
+from ..model.contract.pixels import port_bits
 from ..slices.emit import Sparse
 from ..slices.library import LANES, compiled, library, widest
 from ..slices.probe import Probe, numbers

@@ -7,8 +7,7 @@ from attrs import evolve
 from ..hdl.silicon.circuit import clock_fs
 from ..model.contract.config import Config
 from ..model.contract.edges import Edges
-from ..model.contract.pixels import pixel_table
-from ..model.contract.spad_ports import port_bits
+from ..model.contract.pixels import pixel_table, port_bits
 from ..model.shared.errors import InputError
 
 FS_PER_PS = 1000

@@ -24,12 +24,12 @@ from coincid.hdl.export import verilog_files
 from coincid.model.contract.config import Config, parse_config
 from coincid.model.contract.counters import COUNTER_NAMES
 from coincid.model.contract.edges import Fate
+from coincid.model.contract.latency import armed_cycle, close_cycle
 from coincid.model.contract.packet import FORMAT_NAMES, HEADER
 from coincid.model.contract.parameters import TOP
 from coincid.model.contract.pixels import pixel_table
 from coincid.model.contract.registers import reset_values
 from coincid.model.contract.stream import decode_frame
-from coincid.model.contract.windows import armed_cycle, close_cycle
 from coincid.model.golden.frame import Golden, Trace
 from coincid.tb import toolchain
 from coincid.tb.frame_record import save_job

@@ -23,7 +23,7 @@ from coincid.model.contract import registers
 from coincid.model.contract.config import Config
 from coincid.model.contract.edges import Edges
 from coincid.model.contract.parameters import TOP, Sensor
-from coincid.model.contract.spad_ports import port_bits
+from coincid.model.contract.pixels import port_bits
 from coincid.study.bench import Job
 from coincid.tb import toolchain
 from coincid.tb.frame_record import FrameJob

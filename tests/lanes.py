@@ -13,7 +13,7 @@ from coincid.model.contract import registers
 from coincid.model.contract.config import Config
 from coincid.model.contract.edges import Edges
 from coincid.model.contract.parameters import Sensor
-from coincid.model.contract.spad_ports import port_bits
+from coincid.model.contract.pixels import port_bits
 from coincid.slices.library import LANES, library
 from coincid.slices.synthesis import Design
 from coincid.tb.frame_record import cycle_limit

@@ -161,7 +161,7 @@ MISTAKES: dict[tuple[str, tuple[str, ...], tuple[tuple[str, ...], ...]], dict[st
     ("model/golden/front_end.py", (), (GOLDEN,)): {
         "golden-not-rearmed": ("last_pulse, armed_from = pulse, 0\n", "last_pulse = pulse\n")
     },
-    ("model/contract/windows.py", (), (GOLDEN, FRAMES)): {"golden-rearm-early": ("close + 1 + rearm", "close + rearm")},
+    ("model/contract/latency.py", (), (GOLDEN, FRAMES)): {"golden-rearm-early": ("close + 1 + rearm", "close + rearm")},
     ("model/golden/shape.py", (), (GOLDEN, FRAMES)): {
         "golden-guard-short": ("config.period - sensor.guard", "config.period - sensor.guard + 1")
     },

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Pixel numbering: the index rules of the contract as tables.
+"""Pixel numbering: the index rules of the contract as tables, and the SPAD ports of the polyphase view.
 
 Pixels are numbered row by row, both in the array and in a subgroup. The same holds for the subgroups in the array and
 the minigroups in a subgroup.
@@ -11,6 +11,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..shared.errors import check_integer
+from .config import Config
+from .edges import Edges
 from .parameters import Sensor
 
 
@@ -52,3 +54,14 @@ def pixel_table(sensor: Sensor) -> Pixels:
         minigroup=(r // mr) * (sc // mc) + c // mc,
         bit=(r % mr) * mc + c % mc,
     )
+
+
+def port_bits(config: Config, edges: Edges) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return a frame's edges as (cycle of the frame, subgroup whose port it is, bit in its word), int64[n] each.
+
+    Bit i * phases + k is phase k of pixel i.
+    """
+    table, phases = pixel_table(config.sensor), config.sensor.phases
+    cycle, phase = np.divmod(edges.tick, phases)
+    pixel = edges.pixel
+    return config.start_cycles()[edges.pulse] + cycle, table.subgroup[pixel], table.inside[pixel] * phases + phase

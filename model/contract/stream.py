@@ -88,10 +88,9 @@ def decode_frame(beats: np.ndarray, sensor: Sensor, subgroups: int) -> Frame:
     is_record = kinds == RECORD.code
     records, entries = _records(beats, starts[is_record], sensor)
     if is_grouped(head):
-        found = ungroup(beats, starts[~is_record], sensor)
+        events, hits, offsets, damaged = ungroup(beats, starts[~is_record], sensor)
         stored = int(counters[:, COUNTER_NAMES.index("stored")].sum())
-        missing = max(0, stored - len(found.events))  # saturated counters tell of fewer than were stored
-        events, hits, offsets, damaged = found
+        missing = max(0, stored - len(events))  # saturated counters tell of fewer than were stored
     else:
         events, hits, offsets = _events(beats, starts[~is_record], kinds[~is_record], sensor)
         damaged, missing = np.zeros(0, np.int64), 0

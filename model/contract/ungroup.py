@@ -2,7 +2,6 @@
 """Decoder of the groups in a stream (`groups.py`): from their beats to the columns of events. It reports what is damaged."""
 
 from collections import namedtuple
-from typing import NamedTuple
 
 import numpy as np
 
@@ -10,6 +9,7 @@ from ..shared.compiled import njit
 from . import groups
 from .packet import BEAT_BITS, GROUP_KIND, HEADER, KIND_LSB
 from .parameters import OFFSET_NONE, Sensor
+from .pixels import pixel_table
 
 _ALL = np.uint64(0xFFFF_FFFF_FFFF_FFFF)
 _CHECK_MASK = np.uint64((1 << groups.CHECK_BITS) - 1)
@@ -21,24 +21,10 @@ _NUMBERS = 1 << groups.HEAD.number
 _Widths = namedtuple("_Widths", "subgroup winner pixels offset")  # of a sensor, for kernels
 
 
-class Ungrouped(NamedTuple):
-    """Events of groups: columns in the order of `HEADER`, maps, offsets; and beats at which something is missing or wrong."""
-
-    events: np.ndarray
-    hits: np.ndarray
-    offsets: np.ndarray
-    damaged: np.ndarray
-
-
-def _check_table() -> np.ndarray:
-    """uint64[256]: what the check of a group does with the next byte."""
-    table = np.arange(256)
-    for _ in range(8):
-        table = table >> 1 ^ (table & 1) * groups.CHECK_POLYNOMIAL
-    return table.astype(np.uint64)
-
-
-CHECK_TABLE = _check_table()
+_TABLE = np.arange(256)  # what the check of a group does with the next byte
+for _ in range(8):
+    _TABLE = _TABLE >> 1 ^ (_TABLE & 1) * groups.CHECK_POLYNOMIAL
+CHECK_TABLE = _TABLE.astype(np.uint64)
 
 
 @njit
@@ -55,18 +41,16 @@ def check_of(beats):
     return check ^ _CHECK_MASK
 
 
-def ungroup(beats: np.ndarray, at: np.ndarray, sensor: Sensor) -> Ungrouped:
-    """Decode groups. at: int64[n], ascending: the beats of groups, and others that stand where no other packet can.
+def ungroup(beats: np.ndarray, at: np.ndarray, sensor: Sensor) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Return events (columns in the order of `HEADER`), maps, offsets, and beats at which something is missing or wrong.
+
+    at: int64[n], ascending: the beats of groups, and others that stand where no other packet can.
 
     A group is good if its beats follow each other, the first and the last one are marked, and the check fits. All others
     are left out. A reader may begin anywhere: what lies before the first mark is damaged.
     """
     widths = groups.group_widths(sensor)
     of_sensor = _Widths(widths.subgroup_bits, sensor.winner_bits, sensor.pixels, sensor.offset_bits)
-    members = [sensor.members(g) for g in range(sensor.minigroups)]
-    minigroup = np.zeros(sensor.pixels, np.int64)
-    for g, pixels in enumerate(members):
-        minigroup[pixels] = g
     spans, damaged = _spans(beats, at)
     most = int((spans[:, 1] - spans[:, 0]).sum()) * groups.PAYLOAD_BITS // (widths.fixed_bits + sensor.winner_bits)
     events = np.zeros((most, len(HEADER)), np.int64)
@@ -74,8 +58,8 @@ def ungroup(beats: np.ndarray, at: np.ndarray, sensor: Sensor) -> Ungrouped:
     offsets = np.full((most, sensor.minigroups), OFFSET_NONE, np.uint8)
     n = 0
     for first, end in spans:
-        n = _events(beats[first:end], of_sensor, minigroup, events, hits, offsets, n)
-    return Ungrouped(events[:n], hits[:n], offsets[:n], damaged)
+        n = _events(beats[first:end], of_sensor, pixel_table(sensor).minigroup, events, hits, offsets, n)
+    return events[:n], hits[:n], offsets[:n], damaged
 
 
 @njit

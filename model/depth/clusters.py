@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..contract.config import Config
-from ..contract.windows import armed_cycle, close_cycle
+from ..contract.latency import armed_cycle, close_cycle
 from .histograms import Events
 
 NEVER = -(1 << 40)  # a tick long before any other

@@ -6,8 +6,8 @@ import math
 import numpy as np
 
 from ..contract.config import Config
+from ..contract.latency import armed_cycle, close_cycle
 from ..contract.parameters import Sensor
-from ..contract.windows import armed_cycle, close_cycle
 from ..shared.compiled import njit
 from .histograms import Events
 

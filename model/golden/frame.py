@@ -16,10 +16,10 @@ from attrs import frozen
 from ..contract.config import Config
 from ..contract.counters import COUNTER_NAMES
 from ..contract.edges import Edges
+from ..contract.latency import close_cycle
 from ..contract.parameters import Sensor
 from ..contract.pixels import pixel_table
 from ..contract.result import ResultBuilder
-from ..contract.windows import close_cycle
 from ..shared.threads import Threads
 from .controller import Controller
 from .front_end import Settings, Timeline, front_end, time_order

@@ -12,10 +12,10 @@ import numpy as np
 
 from ..contract import latency
 from ..contract.edges import Edges, Fate
+from ..contract.latency import armed_cycle
 from ..contract.packet import BEAT_BITS
 from ..contract.parameters import OFFSET_NONE
 from ..contract.pixels import Pixels
-from ..contract.windows import armed_cycle
 from ..shared.compiled import njit
 from .shape import COUNTER, Shape, row_type
 

@@ -21,9 +21,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy import special, stats
 
+from ..contract.latency import armed_cycle, close_cycle
 from ..contract.parameters import Sensor
 from ..contract.pixels import pixel_table
-from ..contract.windows import armed_cycle, close_cycle
 from ..shared.compiled import njit
 from ..shared.constants import SIGMA_PER_FWHM, SPEED_OF_LIGHT_M_S, SUCCESS_TOLERANCE_S
 from ..shared.errors import check_integer

@@ -8,8 +8,8 @@ import pytest
 from attrs import asdict
 
 from coincid.model.contract.config import Config, changes_of_text, load_config, parse_config
+from coincid.model.contract.latency import armed_cycle, close_cycle
 from coincid.model.contract.registers import address
-from coincid.model.contract.windows import armed_cycle, close_cycle
 from coincid.model.light.timing import Timing
 from coincid.model.shared.errors import InputError
 

@@ -101,10 +101,10 @@ def test_another_decoder_reads_the_same_events(name, form):
         only = _events_only(beats, config.sensor, k)
         outside = plain_events(only, config.sensor)
         assert rows(frame, form == "compact-full") == outside and len(outside) > 10
-        assert np.array_equal(ungroup(only, np.arange(len(only)), config.sensor).events, frame.events)
+        assert np.array_equal(ungroup(only, np.arange(len(only)), config.sensor)[0], frame.events)
         for number in (1, 2):  # groups without an end, the first one from beat 0 on
             endless = only[[0] * number] & ~np.uint64(1 << LAST_LSB)
-            assert ungroup(endless, np.arange(number), config.sensor).damaged.tolist() == list(range(number))
+            assert ungroup(endless, np.arange(number), config.sensor)[3].tolist() == list(range(number))
 
 
 def _events_only(beats, sensor, stream):

@@ -11,7 +11,7 @@ from PIL import Image
 
 from coincid.lab.outcomes import Run
 from coincid.lab.setup import Setup
-from coincid.model.contract.spad_ports import port_bits
+from coincid.model.contract.pixels import port_bits
 from coincid.model.contract.stream import decode_frame
 from coincid.model.scenes.catalogue import load_scene
 from coincid.model.shared.constants import SPEED_OF_LIGHT_M_S
@@ -85,8 +85,8 @@ def test_letter_stands_the_same_way_from_the_scene_to_the_picture(scene, config,
             assert_drawn(row[~near], col[~near], ~LETTER)
 
     # At the ports.
-    at = port_bits(config, run.edges)
-    assert_placed(at.subgroup, *np.divmod(at.bit // sensor.phases, cols), run.edges.tick < between)
+    _, subgroup, bit = port_bits(config, run.edges)
+    assert_placed(subgroup, *np.divmod(bit // sensor.phases, cols), run.edges.tick < between)
 
     # In the words: hit maps of the events, and maps of the minigroup records.
     of_streams = [
