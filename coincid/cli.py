@@ -21,8 +21,7 @@ from typer.core import TyperGroup
 
 from coincid.lab.options import OPTIONS
 from coincid.model.contract.preset_files import PRESETS
-from coincid.model.shared.errors import SEED_MAX, InputError, check_integer
-from coincid.model.shared.extras import extra
+from coincid.model.shared.errors import SEED_MAX, InputError, check_integer, extra
 from coincid.model.shared.interrupts import INTERRUPTED, TERMINATED, Terminated, interruptible
 
 if TYPE_CHECKING:

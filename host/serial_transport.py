@@ -14,8 +14,7 @@ import numpy as np
 
 from ..model.contract import serial_link as link
 from ..model.contract.serial_link import Answer, Operation
-from ..model.shared.errors import InputError
-from ..model.shared.extras import extra
+from ..model.shared.errors import InputError, extra
 from .transport import DeviceResetError, LinkError, RefusedError
 
 TRIES = 10

@@ -33,8 +33,7 @@ from ..model.depth.estimate import DEFAULT_METHOD
 from ..model.golden.frame import Golden, Trace
 from ..model.light.timing import Timing
 from ..model.scenes.ambient import told_klux
-from ..model.shared.errors import InputError
-from ..model.shared.extras import extra
+from ..model.shared.errors import InputError, extra
 from ..model.shared.files import whole_file
 from ..model.shared.interrupts import in_background
 from ..tb.frame_record import FrameJob, Recorded

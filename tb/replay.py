@@ -15,8 +15,7 @@ from ..model.contract.config import Config
 from ..model.contract.edges import Edges
 from ..model.contract.result import ResultBuilder
 from ..model.golden.frame import golden_result
-from ..model.shared.errors import InputError
-from ..model.shared.extras import extra
+from ..model.shared.errors import InputError, extra
 from ..model.shared.quantities import check_choice
 from .engines import ENGINES, SIMULATORS
 from .frame_record import FrameJob, Recorded

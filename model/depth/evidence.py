@@ -10,21 +10,51 @@ The events of a pulse constrain the firing time of each pixel of the subgroup:
 - A pixel outside the map did not fire inside the window, nor while the tree waited for its first photon. It may have
   fired while the tree was blind, between the window's end and the re-arming.
 - Without an event nearby, it did not fire, or it left no trace (`unheard.py`).
+
+A pixel that sees a surface at time t with `light` photons per pulse fires at the first of them and is dead from then on.
+So the probability that it has fired by time u is F(u) = 1 - exp(-light * Phi((u - t) / sigma)).
 """
 
 import math
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
+from scipy import special
 
 from ..contract.parameters import OFFSET_NONE
 from ..shared.compiled import njit
 from .clusters import NEVER
-from .firing import RARE, fired_by, reached
 from .histograms import is_hit
 from .vector_math import fast_log
 
+REACH_SIGMAS = 4.0  # from the centre of a pulse to its beginning and end
+RARE = 1e-6  # lowest probability: effects that the law does not include happen, too
+KEPT = 32  # tables of F, at most: those of the next frame are mostly the same
 ALIKE = 0.2  # pixels of a minigroup are treated alike if their probabilities to have been first differ by less
+
+
+class Law(NamedTuple):
+    """What holds for all events of a subgroup; times in ticks. Arrays over times and lights are flat, by time.
+
+    The times of the grid are numbered from `origin`, the first one that some pixel wants.
+    """
+
+    window: int
+    told: int  # ticks of the window whose hits are known: all of them, or the first (format short)
+    phases: int
+    offset: int  # ticks per step of an offset
+    reach: int
+    step: int
+    origin: int
+    lights: int
+    noise: float  # background photons per tick and pixel
+    alive: np.float32  # share of the pulses in which background has not fired the pixel yet
+    pulses: int
+    heard: np.ndarray  # float32[kinds, times * lights]: chance that a photon makes an event; also that while dropping
+    sharp: np.ndarray  # the same: chance that it makes the stamp of an event earlier
+    margin: int
+    fired: np.ndarray  # of `fired_table`
 
 
 class Pixels(NamedTuple):
@@ -55,15 +85,6 @@ class _Rows(NamedTuple):
     before: np.ndarray
     unseen: np.ndarray
     logs: np.ndarray
-
-
-class _Hit(NamedTuple):
-    """A hit in [begin, until), or before `own` with the probability `share` of having been its minigroup's first."""
-
-    begin: int
-    own: int
-    until: int
-    share: np.float32
 
 
 @njit
@@ -203,7 +224,7 @@ def _add_hits(law, events, e, cluster, alike, pixels, rows, k0, k1):
                 low, high, of_row = max(k0, first[i]), min(k1, first[i] + bins), np.float32(-1.0)
             if of_row < 0 or abs(share - of_row) > ALIKE:
                 if low < high:
-                    _row(law, events, e, _Hit(begin, own, until, share), law.noise * activity[i], rows, low, high)
+                    _row(law, events, e, (begin, own, until, share), law.noise * activity[i], rows, low, high)
                 of_row = share if activity[i] == 1 else np.float32(-1.0)
             _add(pixels.total[i], pixels.touched[i], rows.logs, np.float32(number), first[i], k0, k1, law.lights)
 
@@ -234,19 +255,22 @@ def _count(hits, winner, e, alike, number, hit):
 def _row(law, events, e, hit, noise, rows, k0, k1):
     """Compute logs[k0:k1] of `rows`: the likelihood ratio of a hit of event e.
 
-    It is relative to the likelihood of no hit, which all pixels get. What precedes the hit is as in `_lose`.
+    hit: ticks begin, own and until, and share: it is in [begin, until), or before `own` with the probability `share` of
+    having been its minigroup's first. The ratio is relative to the likelihood of no hit, which all pixels get. What
+    precedes the hit is as in `_lose`.
     """
+    begin, own, until, share = hit
     dropping, here = np.int64(events.overrun[e]), slice(k0 * law.lights, k1 * law.lights)
     z, a = fired_by(law, events.since[e], k0), fired_by(law, events.quiet[e], k0)
-    b, c = fired_by(law, events.known[e], k0), fired_by(law, hit.begin, k0)
-    d, f = fired_by(law, hit.own, k0), fired_by(law, hit.until, k0)
+    b, c = fired_by(law, events.known[e], k0), fired_by(law, begin, k0)
+    d, f = fired_by(law, own, k0), fired_by(law, until, k0)
     n, fired = (k1 - k0) * law.lights, law.fired
     z, a, b = fired[z : z + n], fired[a : a + n], fired[b : b + n]
     c, d, f = fired[c : c + n], fired[d : d + n], fired[f : f + n]
     heard, sharp, alive = law.heard[0, here], law.sharp[dropping, here], law.alive
     before, unseen, logs = rows.before[here], rows.unseen[here], rows.logs[here]
-    stored, share = np.float32(not dropping), hit.share
-    background = np.float32(1 / (noise * (share * (hit.own - hit.begin) + (1 - share) * (hit.until - hit.begin))))
+    stored = np.float32(not dropping)
+    background = np.float32(1 / (noise * (share * (own - begin) + (1 - share) * (until - begin))))
     weight = alive * background
     for j in range(len(logs)):
         lost = alive * (c[j] - b[j]) + sharp[j] * (b[j] - a[j]) + stored * heard[j] * (a[j] - z[j])
@@ -309,3 +333,53 @@ def first_shares(law, events, minigroup, time, light, sigma):
 def _unfired(distance, light, sigma):
     """Return 1 - F."""
     return math.exp(-light * 0.5 * math.erfc(-distance / sigma * math.sqrt(0.5)))
+
+
+@lru_cache(KEPT)
+def fired_table(
+    sigma_ticks: float, reach: int, step: int, span: int, lights: tuple[float, ...]
+) -> tuple[int, np.ndarray]:
+    """Return a margin, and F for ticks u and times t of a grid: float32[step * columns * lights], by row and column.
+
+    Row r is for ticks u with (u + reach) % step = r. Then F for consecutive times is a contiguous part of the row: its
+    column is `margin`, less the number of steps from t to u + reach. `margin` columns to both sides are enough for `span`
+    times.
+    """
+    distance = np.arange(-2 * reach, 2 * reach + 1) / 2
+    fired = -np.expm1(-special.ndtr(distance / sigma_ticks)[:, None] * np.array(lights)).astype(np.float32)
+    margin = span + 2 * reach // step + 2
+    half_ticks = 2 * np.arange(step)[:, None] + step * (2 * (margin - np.arange(2 * margin + span)) - 1)
+    return margin, fired[np.clip(half_ticks, 0, 4 * reach)].ravel()
+
+
+@njit
+def chances_to_be_heard(silent, every, origin, span, step, lights, alive):
+    """float32[kinds, span * lights]: `Law.heard` or `Law.sharp`; silent: float32[kinds, points], as in `Unheard`."""
+    heard = np.empty((len(silent), span * lights), np.float32)
+    last = silent.shape[1] - 1
+    for k in range(span):
+        place = min(max(((origin + k) * step + step // 2 + 0.5) / every - 0.5, 0.0), float(last))
+        before = int(place)
+        after, part = min(before + 1, last), np.float32(place - before)
+        for kind in range(len(silent)):
+            share = silent[kind, before] + part * (silent[kind, after] - silent[kind, before])
+            for j in range(k * lights, (k + 1) * lights):
+                heard[kind, j] = alive * (np.float32(1) - share)
+    return heard
+
+
+@njit(allocates=False)
+def reached(law, begin, end, times):
+    """Return the times of surfaces whose photons come between two ticks, the first one and the one after the last."""
+    k0 = (begin - law.reach) // law.step - law.origin
+    k1 = (end + law.reach) // law.step + 1 - law.origin
+    return min(times, max(0, k0)), min(times, max(0, k1))
+
+
+@njit(allocates=False)
+def fired_by(law, tick, k0):
+    """Return where `law.fired` has F at a tick for the surfaces from time k0 on, and all lights."""
+    steps = (tick + law.reach) // law.step
+    column = min(max(law.margin - steps + law.origin + k0, 0), 2 * law.margin)
+    row = tick + law.reach - steps * law.step
+    return row * (len(law.fired) // law.step) + column * law.lights

@@ -5,7 +5,7 @@ All of this is our own choice; the paper (IV) takes the peak of every pixel's hi
 a pixel that sees no surface, whose hits are background. The stages are:
 
 1. cut the events of each subgroup into clusters (`clusters.py`);
-2. compute when a pixel fires (`firing.py`), and how often it leaves no trace (`unheard.py`);
+2. compute how often a pixel that fires leaves no trace (`unheard.py`);
 3. add up what the events say about each time and light of a pixel (`evidence.py`);
 4. learn how bright the pixels of the frame are, and average over the lights (`lights.py`).
 """
@@ -19,8 +19,7 @@ import numpy as np
 from ..contract.config import Config
 from ..contract.pixels import pixel_table
 from .clusters import cluster_events
-from .evidence import Pixels, add_events, first_shares
-from .firing import REACH_SIGMAS, Law, chances_to_be_heard, fired_table
+from .evidence import REACH_SIGMAS, Law, Pixels, add_events, chances_to_be_heard, fired_table, first_shares
 from .histograms import Events, by_subgroup
 from .lights import add_light_chances, learned_prior, lights_near, mean_over_lights, prior_of_met
 from .unheard import BLIND_MAX, Spread, Unheard

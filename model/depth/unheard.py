@@ -19,7 +19,7 @@ from scipy import special
 from ..contract.config import Config
 from ..shared.compiled import njit
 from .clusters import armed_ticks, gate_moved
-from .firing import RARE, REACH_SIGMAS
+from .evidence import RARE, REACH_SIGMAS
 from .histograms import Events
 from .vector_math import fast_log
 

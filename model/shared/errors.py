@@ -1,6 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The one exception that a user is meant to read."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+
 SEED_MAX = (1 << 63) - 1  # highest seed of random numbers: it fits a column of int64
 
 
@@ -18,3 +21,14 @@ def check_integer(name: str, value: object, low: int, high: int, why: str = "") 
     if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
         raise out_of_range(name, value, low, high, why)
     return value
+
+
+@contextmanager
+def extra(name: str) -> Iterator[None]:
+    """Context for importing the packages of the extra `name` of pyproject.toml. Raises `InputError` if one is missing."""
+    try:
+        yield
+    except ModuleNotFoundError as missing:
+        if str(missing.name).partition(".")[0] == "coincid":  # our own mistake
+            raise
+        raise InputError(f"{missing.name} is not installed; run: pip install 'coincid[{name}]'") from None

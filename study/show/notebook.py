@@ -12,8 +12,7 @@ from attrs import frozen
 
 from ...lab.outcomes import Run
 from ...model.depth.histograms import pixel_histogram
-from ...model.shared.errors import InputError, check_integer
-from ...model.shared.extras import extra
+from ...model.shared.errors import InputError, check_integer, extra
 from ...model.shared.files import FilePath, whole_file
 from ..pictures import Panel, draw_row
 from ..plot_style import figure_bytes

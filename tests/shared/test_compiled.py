@@ -40,7 +40,7 @@ def run(tmp_path):
 def test_a_change_in_a_file_that_a_kernel_takes_in_is_seen(run, tmp_path):
     assert run() == f"{OPENED} 0"
     assert run() == f"{OPENED} 1"
-    file = tmp_path / "model" / "contract" / "windows.py"
+    file = tmp_path / "model" / "contract" / "latency.py"
     original = file.read_text()
     assert original.count(REARM) == 1
     file.write_text(original.replace(REARM, f"{REARM} + 1"))
