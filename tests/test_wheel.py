@@ -8,6 +8,7 @@ import sys
 import zipfile
 from pathlib import Path
 
+import attrs
 import pytest
 
 ROOT = Path(__file__).parents[1]
@@ -45,15 +46,10 @@ def wheel(tmp_path_factory):
 
 
 def test_every_file_of_the_rooms_is_in_the_wheel(wheel):
-    names = set(zipfile.ZipFile(wheel).namelist())
-    files = [
-        path.relative_to(ROOT)
-        for room in ROOMS
-        for path in (ROOT / room).rglob("*")
-        if path.is_file() and "__pycache__" not in path.parts
-    ]
-    assert len(files) > 150
-    assert [str(path) for path in files if f"coincid/{path}" not in names] == []
+    names = zipfile.ZipFile(wheel).namelist()
+    files = [path for room in ROOMS for path in (ROOT / room).rglob("*") if path.is_file()]
+    inside = {f"coincid/{path.relative_to(ROOT)}" for path in files if "__pycache__" not in path.parts}
+    assert len(inside) > 150 and inside <= set(names), inside - set(names)
     for part in ("licenses/LICENSE", "licenses/NOTICE", "entry_points.txt"):
         assert any(name.endswith(f".dist-info/{part}") for name in names), part
 
@@ -62,28 +58,21 @@ def test_the_wheel_runs_by_itself(wheel, tmp_path):
     site = tmp_path / "site"
     zipfile.ZipFile(wheel).extractall(site)
     environment = os.environ | {"PYTHONPATH": str(site), "COINCID_BUILD": str(tmp_path / "build")}
-    program = PRESETS_AND_SCENES.format(here=str(site))
-    done = subprocess.run(
-        [sys.executable, "-c", program], cwd=tmp_path, env=environment, capture_output=True, text=True
-    )
-    assert done.returncode == 0, done.stderr
-    command = [sys.executable, "-m", "coincid", "--help"]
-    done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True)
-    assert done.returncode == 0 and "explore" in done.stdout, done.stderr
+    for words in (("-c", PRESETS_AND_SCENES.format(here=str(site))), ("-m", "coincid", "--help")):
+        command = [sys.executable, *words]
+        done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True)
+        assert done.returncode == 0, done.stderr
+    assert "explore" in done.stdout
 
 
 def test_a_script_beside_the_clone_finds_the_package(tmp_path):
     """The clone's folder has the package's name, and lies where the script does."""
-    clone = tmp_path / "coincid"
+    clone, python = tmp_path / "coincid", tmp_path / "env" / "bin" / "python"
     copy_of_the_project(clone)
     subprocess.run([sys.executable, "-m", "venv", "--system-site-packages", tmp_path / "env"], check=True)
-    own = Path(
-        subprocess.check_output([sys.executable, "-c", "import attrs; print(attrs.__path__[0])"], text=True).strip()
-    ).parent
-    python = tmp_path / "env" / "bin" / "python"
-    environment = os.environ | {"PYTHONPATH": str(own)}  # setuptools, for the build alone
+    own = os.environ | {"PYTHONPATH": str(Path(attrs.__path__[0]).parent)}  # setuptools, for the build alone
     words = "-m pip install --no-deps --no-build-isolation --quiet --editable"
-    subprocess.run([python, *words.split(), clone], check=True, env=environment)
+    subprocess.run([python, *words.split(), clone], check=True, env=own)
     (tmp_path / "script.py").write_text("import coincid; print(coincid.__file__, coincid.__version__)")
     done = subprocess.run([python, "script.py"], cwd=tmp_path, capture_output=True, text=True)
     assert done.stdout.startswith(str(clone / "coincid" / "__init__.py")), done.stdout + done.stderr

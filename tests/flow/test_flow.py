@@ -30,17 +30,7 @@ module toy(input clk, input [7:0] a, output reg [3:0] n);
   always @(posedge clk) n <= {n[2:0], q & n[3]};
 endmodule
 """
-TOY_SCRIPT = """
-read_verilog toy.v
-hierarchy -top toy
-proc
-synth -noabc -top toy
-dfflegalize -cell $_DFF_P_ x
-abc -g AND,XOR
-flatten
-opt_clean
-write_json toy.json
-"""
+TO_GATES = ("dfflegalize -cell $_DFF_P_ x", "abc -g AND,XOR", "flatten", "opt_clean", "write_json toy.json")
 
 needs_cells = pytest.mark.skipif(
     cells_folder() is None, reason="standard cells (scripts/setup cells) are not installed"
@@ -49,17 +39,15 @@ needs_cells = pytest.mark.skipif(
 
 def test_depth_by_block(tmp_path):
     (tmp_path / "toy.v").write_text(TOY)
-    run_yosys(tmp_path, TOY_SCRIPT)
+    run_yosys(tmp_path, "read_verilog toy.v", "hierarchy -top toy", "proc", "synth -noabc -top toy", *TO_GATES)
     found = depths(json.loads((tmp_path / "toy.json").read_text())["modules"]["toy"])
     assert found == {"": 1, "parity": 3}  # an AND; eight inputs, three levels of XOR
 
 
 def test_a_loop_is_reported():
     gate = {"type": "$_AND_", "port_directions": {"A": "input", "B": "input", "Y": "output"}}
-    cells = {
-        "g": gate | {"connections": {"A": [2], "B": [4], "Y": [3]}},
-        "h": gate | {"connections": {"A": [3], "B": [2], "Y": [4]}},
-    }
+    pins = {"g": {"A": [2], "B": [4], "Y": [3]}, "h": {"A": [3], "B": [2], "Y": [4]}}
+    cells = {name: gate | {"connections": of} for name, of in pins.items()}
     ports = {"a": {"direction": "input", "bits": [2]}, "y": {"direction": "output", "bits": [4]}}
     with pytest.raises(ValueError, match="loop"):
         depths({"cells": cells, "ports": ports})
@@ -76,20 +64,18 @@ def test_blocks_of_a_small_sensor():
     assert minigroup.instances == SMALL.minigroups
     assert minigroup.flops > 2 * SMALL.minigroup_pixels * (SMALL.phase_bits + 1)
     assert all(1 <= block.levels <= 20 for name, block in gates.blocks.items() if block.total > 200)
-    assert gates.total(lambda block: block.flops) == sum(
-        block.instances * block.flops for block in gates.blocks.values()
-    )
+    flops = sum(block.instances * block.flops for block in gates.blocks.values())
+    assert gates.total(lambda block: block.flops) == flops
     assert set(fpga.blocks) == set(gates.blocks)
     assert fpga.total(lambda block: block.count("LUT4")) > 500
-    assert fpga.total(lambda block: block.flops) < gates.total(lambda block: block.flops)  # memories are RAM there
+    assert fpga.total(lambda block: block.flops) < flops  # memories are RAM there
 
 
 @pytest.mark.skipif(not shutil.which("iverilog"), reason="no Icarus")
 @pytest.mark.parametrize("target", [GATES, pytest.param(CELLS, marks=needs_cells)])
 def test_netlist_behaves(target):
     checked, cycles = gate_level(SMALL, target, frames=4)
-    assert checked > 200
-    assert cycles > 1000
+    assert checked > 200 and cycles > 1000
 
 
 @needs_cells
@@ -97,11 +83,8 @@ def test_a_timing_tool_takes_the_constraints_of_the_asynchronous_view(tmp_path):
     """OpenSTA accepts the constraints (`write` raises if it complains), and every clock has a timed path."""
     top, report, sdc = write(SMALL, Circuit(), tmp_path)
     text = report.read_text()
-    rows = {
-        tuple(line.strip("| ").split(" | ")[:2])
-        for line in text[text.index("| from clock") :].splitlines()
-        if line.startswith("| ")
-    }
+    lines = text[text.index("| from clock") :].splitlines()
+    rows = {tuple(line.strip("| ").split(" | ")[:2]) for line in lines if line.startswith("| ")}
     assert {clock for pair in rows for clock in pair} >= set(CLOCKS)
     assert {("clk", "spads"), ("clk", "roots"), ("spads", "clk"), ("roots", "clk"), ("ends", "clk")} <= rows
     sdc.write_text(sdc.read_text().replace("*window_*/ended", "*no_such_pin*/ended"))

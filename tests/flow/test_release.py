@@ -19,7 +19,6 @@ from systemrdl.node import RegNode
 from coincid.flow.register_files import IP_XACT, RDL
 from coincid.flow.release import CELLS_LIST, MANIFEST, write_release
 from coincid.flow.smoke import FPGA_SMOKE, SMOKE
-from coincid.flow.waivers import CONTROL_FILE
 from coincid.hdl.sensor import FPGA_TOP
 from coincid.model.contract.config import load_config, parse_config
 from coincid.model.contract.packet import FORMAT_NAMES
@@ -62,14 +61,12 @@ def simulated(folder, smoke=SMOKE, sources=f"-f {SMOKE}.f"):
 def alone(command, folder, path=""):
     """Run a shell command in `folder`, without this project's environment and without Python."""
     programs = Path(folder).parent / "programs"
-    programs.mkdir(exist_ok=True)
-    for program in PROGRAMS.split():
-        if not (programs / program).exists():
+    if not programs.exists():
+        programs.mkdir()
+        for program in PROGRAMS.split():
             (programs / program).symlink_to(shutil.which(program))
-    path = f"{programs}:{toolchain.verilator().parent}:{path}"
-    return subprocess.run(
-        command, shell=True, cwd=folder, env={"PATH": path}, capture_output=True, text=True, check=False
-    )
+    environment = {"PATH": f"{programs}:{toolchain.verilator().parent}:{path}"}
+    return subprocess.run(command, shell=True, cwd=folder, env=environment, capture_output=True, text=True, check=False)
 
 
 @pytest.mark.parametrize(("preset", "top", "smoke"), TOPS)
@@ -92,12 +89,7 @@ def test_any_tool_reads_the_folder_and_its_lists(releases, tmp_path, preset):
     for sources in ("*.v", *(f"-f {path.name}" for path in sorted(folder.glob("*.f")))):
         done = alone(f"iverilog -g2012 -o all.vvp {sources}", folder)
         assert (done.returncode, done.stdout, done.stderr) == (0, "", ""), sources
-    lint = f"verilator --lint-only -Wall --timing --timescale 1ps/1fs --quiet-stats --top-module {TOP} {CONTROL_FILE}"
-    done = alone(f"{lint} -f {CELLS_LIST}{' -DSYNTHESIS' * (preset == 'async')}", folder)
-    assert (done.returncode, done.stderr) == (0, ""), done.stderr
-    verilog = sorted(path.name for path in folder.glob("*.v"))
-    for name in verilog:
-        shutil.copy(folder / name, tmp_path / name)
+    verilog = [Path(shutil.copy(path, tmp_path)).name for path in sorted(folder.glob("*.v"))]
     run_yosys(tmp_path, f"read_verilog -sv {' '.join(verilog)}", f"hierarchy -check -top {TOP}")
 
 
@@ -144,17 +136,12 @@ def test_smoke_test_of_other_sensors(sensor, tmp_path):
             assert done.stdout.startswith("PASS"), done.stdout + done.stderr
 
 
-@pytest.mark.parametrize(
-    ("file", "old", "new"),
-    [
-        (f"{SMOKE}.v", "64'hc0", "64'hc1"),  # expect another word
-        ("coincid_tree.v", "~ to_border", "to_border"),  # change the RTL
-        (f"{SMOKE}.v", "32'd1129269582", "32'd0"),  # a constant register
-    ],
-)
+WORD, RTL, CONSTANT = ("64'hc0", "64'hc1"), ("~ to_border", "to_border"), ("32'd1129269582", "32'd0")
+
+
+@pytest.mark.parametrize("file, old, new", [(f"{SMOKE}.v", *WORD), ("coincid_tree.v", *RTL), (f"{SMOKE}.v", *CONSTANT)])
 def test_smoke_test_finds_a_difference(releases, tmp_path, file, old, new):
-    folder = tmp_path / "rtl"
-    shutil.copytree(releases / "silicon", folder)
+    folder = Path(shutil.copytree(releases / "silicon", tmp_path / "rtl"))
     text = (folder / file).read_text()
     assert old in text
     (folder / file).write_text(text.replace(old, new, 1))

@@ -80,20 +80,10 @@ def test_equal_content_has_equal_keys_and_every_field_counts():
     setup = small()
     assert setup.key == small().key
     edges = Edges(*(np.zeros(1, np.int64) for _ in range(3)))
-    changes = {
-        "klux": 5.0,
-        "background": "even",
-        "light": Run(setup).light,
-        "spad": Spad(dead_time_s=9e-9),
-        "spad_gate": True,
-        "seed": 2,
-        "edges": edges,
-        "engine": "sliced",
-        "view": "async",
-        "estimators": ("maximum",),
-        "scene": Setup.of("flat:6,0.4", **SMALL).scene,
-        "config": setup.config.with_settings(threshold=3),
-    }
+    changes = {"klux": 5.0, "background": "even", "spad": Spad(dead_time_s=9e-9), "spad_gate": True, "seed": 2}
+    changes |= {"engine": "sliced", "view": "async", "estimators": ("maximum",), "edges": edges}
+    changes |= {"scene": Setup.of("flat:6,0.4", **SMALL).scene, "config": setup.config.with_settings(threshold=3)}
+    changes["light"] = Run(setup).light
     assert changes.keys() == {field.name for field in Setup.__attrs_attrs__}
     keys = {name: setup.but(**{name: value}).key for name, value in changes.items()}
     assert len({setup.key, *keys.values()}) == 1 + len(changes)

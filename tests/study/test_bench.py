@@ -1,36 +1,32 @@
 # SPDX-License-Identifier: Apache-2.0
 """The benchmark: it measures what it documents, and its slowest engine plays the sensor, too. No times are asserted."""
 
+import itertools
 import json
 import re
 from pathlib import Path
 
 import numpy as np
 
-from coincid.model.contract.config import parse_config
 from coincid.model.golden.frame import Golden
 from coincid.study import bench
 from coincid.tb import pysim
 from coincid.tb.frame_record import Recorded
 from coincid.tb.scoreboard import check
 
-from ..random_cases import trouble
+from ..random_cases import configured, trouble
 
 
 def test_amaranths_simulator_plays_what_the_golden_model_predicts():
     sensor = {"rows": 4, "cols": 12, "subgroup": [4, 4], "streams": 2, "phases": 8, "window_max": 64}
     frame = {"period": 30, "pulses": 4, "format": "full", "minigroup_records": True}
-    config = parse_config({"sensor": sensor, "frame": frame, "subgroup": {"window": 40, "threshold": 3}})
-    edges = trouble(config, 7, 40.0)
+    config = configured(sensor, frame, {"window": 40, "threshold": 3})
+    edges, cycles = trouble(config, 7, 40.0), []
     expected = Golden(config.sensor).frame(config, edges)
-    cycles = []
     beats, beat_cycle = pysim.play(config, edges, cycles.append)
-    assert sum(len(of_stream) for of_stream in beats) > 100
-    check(
-        config.sensor,
-        expected,
-        Recorded(beats, beat_cycle, expected.commit_subgroup, expected.commit_cycle, len(cycles)),
-    )
+    assert sum(map(len, beats)) > 100
+    found = Recorded(beats, beat_cycle, expected.commit_subgroup, expected.commit_cycle, len(cycles))
+    check(config.sensor, expected, found)
     assert cycles == list(range(max(int(at[-1]) for at in beat_cycle) + 1))
 
 
@@ -41,7 +37,7 @@ def test_page_shows_every_key():
 
 def test_benchmark_measures_every_key(tmp_path, monkeypatch):
     """Measure everything except the engines themselves, which take minutes."""
-    numbers = iter(range(1, 1000))
+    numbers = itertools.count(1)
 
     def measured(*names):
         return {name: 1000.0 * next(numbers) for name in names}
@@ -52,9 +48,9 @@ def test_benchmark_measures_every_key(tmp_path, monkeypatch):
             return float(next(numbers))
         return measured(*(key for key in bench.KEYS if key.startswith(f"frame_{size}_")))
 
-    monkeypatch.setattr(bench, "build_sensor", lambda *_: None)
     engines = ("golden", "golden_many", "sliced", "sliced_many")
     fast = ("photon_edges_per_s", *(bench.CYCLES_PER_S.format(engine) for engine in engines))
+    monkeypatch.setattr(bench, "build_sensor", lambda *_: None)
     monkeypatch.setattr(bench, "_fast_rates", lambda *given: measured(*fast))
     monkeypatch.setattr(bench, "_rate", lambda job, edges, engine: 500.0)
     monkeypatch.setattr(bench, "_in_new_process", in_new_process)
@@ -62,9 +58,8 @@ def test_benchmark_measures_every_key(tmp_path, monkeypatch):
     result = bench.benchmark(out, repeats=3, tell=told.append)
     assert list(result) == list(bench.KEYS) and json.loads(out.read_text()) == result
     assert result["repeats"] == 3 and result["cocotb_icarus_cycles_per_s"] == 500 and told
-    assert np.isclose(
-        result["golden_per_sliced"], result["golden_cycles_per_s"] / result["sliced_cycles_per_s"], rtol=1e-3
-    )
+    ratio = result["golden_cycles_per_s"] / result["sliced_cycles_per_s"]
+    assert np.isclose(result["golden_per_sliced"], ratio, rtol=1e-3)
     rows = out.with_suffix(".md").read_text().splitlines()
     assert [row.split("`")[1] for row in rows[2:]] == list(bench.KEYS)
     assert all(row.count("|") == 5 for row in rows)

@@ -53,9 +53,7 @@ def library(folder: Path) -> Any:
 
 
 def sim(folder: Path) -> Any:
-    config = folder / "small.toml"
-    config.write_text("[sensor]\nrows = 8\ncols = 16\n")
-    done = command(f"sim --engine golden --config {config} --pulses 40 --frames 2 --out {folder}")
+    done = command(f"sim --engine golden --set rows=8 --set cols=16 --pulses 40 --frames 2 --out {folder}")
     assert done.exit_code == 0, done.output
     report = json.loads((folder / "report.json").read_text())
     with np.load(folder / "events.npz") as events:
@@ -93,6 +91,8 @@ def surface(folder: Path) -> Any:
     return row.dropped, row.shares
 
 
+DARK = {"dark": {1e6: {"spad": coincid.Spad(dark_cps=1e6)}}}
+INTERFERENCE = dict(PHOTONS=(0.0, 0.2), OFFSETS=(0.0, 1e-3), BITS_SHOWN=(0, 2), DITHER_BITS=(0, 2), SEEDS=1)
 RESULTS: dict[str, tuple[Callable[[Path], Any], str]] = {
     "library": (library, "f1b6a1bd02092015"),
     "sim": (sim, "ed4fb83bae583761"),
@@ -100,23 +100,10 @@ RESULTS: dict[str, tuple[Callable[[Path], Any], str]] = {
     "explorer": (explorer, "b904fc3e2af28bc9"),
     "settling": (lambda folder: table(settling.HEAD, settling.rows(((20.0, 20.0),)), left=(3,)), "8d5a048adb43a133"),
     "surfaces": (surface, "56076c599e3d1736"),
-    "noisy SPADs": (
-        section(noisy_spads.noisy_spads, SPADS={"dark": {1e6: {"spad": coincid.Spad(dark_cps=1e6)}}}, SEEDS=1),
-        "84c6b4b042f08787",
-    ),
+    "noisy SPADs": (section(noisy_spads.noisy_spads, SPADS=DARK, SEEDS=1), "84c6b4b042f08787"),
     "modes": (section(four_modes.background, KLUX=(10.0, 50.0), DISTANCES_M=(5.0,), SEEDS=1), "cb2fe70284e73fa9"),
     "figure 8": (section(reconstruction.figure_8, THRESHOLDS_8=(2, 3), SEEDS=1, MANY=1), "34aedca1bc290ba7"),
-    "interference": (
-        section(
-            interference.interference,
-            PHOTONS=(0.0, 0.2),
-            OFFSETS=(0.0, 1e-3),
-            BITS_SHOWN=(0, 2),
-            DITHER_BITS=(0, 2),
-            SEEDS=1,
-        ),
-        "4e34141db1efdaba",
-    ),
+    "interference": (section(interference.interference, **INTERFERENCE), "4e34141db1efdaba"),
 }
 
 

@@ -11,7 +11,10 @@ import pytest
 from PIL import Image
 
 import coincid
+from coincid.study.explore.control_values import check_settings
 from coincid.study.explore.controls import CONTROLS
+from coincid.study.explore.stages import Explorer
+from coincid.study.show.report import write_report
 
 from .test_server import SMALL, explorer
 from .test_settings import other_value
@@ -44,7 +47,7 @@ def tabs(chromium):
     """Open tabs; at the end, check that no console has an error, and that no other machine was contacted."""
     context = chromium.new_context(viewport={"width": 1280, "height": 800}, accept_downloads=True)
     context.set_default_timeout(PATIENCE_MS)
-    errors, requests, forgiven = [], [], []
+    errors, requests = [], []
 
     def new_tab(address, ready=True):
         tab = context.new_page()
@@ -56,10 +59,10 @@ def tabs(chromium):
             shown(tab)
         return tab
 
-    new_tab.forgive = forgiven.append
+    new_tab.forgiven = ()
     yield new_tab
     context.close()
-    assert [error for error in errors if not any(text in error for text in forgiven)] == []
+    assert [error for error in errors if not any(text in error for text in new_tab.forgiven)] == []
     assert [url for url in requests if not url.startswith(("http://127.0.0.1:", "data:", "blob:", "file:"))] == []
 
 
@@ -250,7 +253,7 @@ def test_settings_without_an_effect_are_disabled(tabs, address):
     shown(tab)
 
 
-def test_on_a_phone_the_settings_fold_away(tabs, address):
+def test_on_a_phone_the_settings_fold_away_and_in_the_dark_the_page_is_dark(tabs, address):
     tab = tabs(address)
     tab.set_viewport_size({"width": 390, "height": 844})
     wide = """() => {
@@ -266,6 +269,10 @@ def test_on_a_phone_the_settings_fold_away(tabs, address):
     assert number(tab, "mean threshold") == ["4.00 pixels"] and max(tab.evaluate(wide)) <= 390
     tab.click("#fold")
     assert tab.locator("[name=threshold]").is_hidden()
+    background = "getComputedStyle(document.body).backgroundColor"
+    before = tab.evaluate(background)
+    tab.click("#theme")
+    assert tab.evaluate(background) != before
     click_map(tab, "depth_m", 3, 12)
     wait_for_title(tab, "histogram", "startsWith('row 3, column 12')")
 
@@ -303,18 +310,8 @@ def test_what_is_saved(tabs, address):
     assert tab.locator("#said").text_content() == "coincid explore --set pulses=20 --set rows=16 --set cols=16"
 
 
-def test_themes(tabs, address):
-    tab = tabs(address)
-    background = "getComputedStyle(document.body).backgroundColor"
-    before = tab.evaluate(background)
-    tab.click("#theme")
-    assert tab.evaluate(background) != before
-
-
 def test_a_server_that_was_killed_and_started_again(tabs):
-    tabs.forgive("ERR_CONNECTION")
-    tabs.forgive("WebSocket")
-    tabs.forgive("onnection")
+    tabs.forgiven = ("ERR_CONNECTION", "WebSocket", "onnection")
     with explorer(*SMALL) as (process, address):
         tab = tabs(address)
         put(tab, "threshold", 4)
@@ -327,11 +324,7 @@ def test_a_server_that_was_killed_and_started_again(tabs):
         assert number(tab, "mean threshold") == ["4.00 pixels"]
 
 
-def test_a_report_needs_no_server(tabs, tmp_path):
-    from coincid.study.explore.control_values import check_settings
-    from coincid.study.explore.stages import Explorer
-    from coincid.study.show.report import write_report
-
+def test_reports_and_a_notebooks_pages_need_no_server(tabs, tmp_path):
     explored = Explorer().run(check_settings({"rows": 16, "cols": 16, "pulses": 10, "gating": True, "frames": 2}))
     views = [explored.view(k) for k in range(2)]
     write_report(tmp_path / "report.html", "a <run>", views)
@@ -346,15 +339,11 @@ def test_a_report_needs_no_server(tabs, tmp_path):
     tab.fill("[data-look=pulse]", "3")
     wait_for_title(tab, "timeline", "startsWith('subgroup 2, pulse 3')")
     period = views[1].timeline.period(2, 3)
-    shown_edges, shown_windows = tab.evaluate("[all.timeline.edges.data.y.length, all.timeline.windows.data.count]")
-    assert shown_edges == len(period.tick) and shown_windows == period.windows.count.tolist()
+    edges, windows = tab.evaluate("[all.timeline.edges.data.y.length, all.timeline.windows.data.count]")
+    assert edges == len(period.tick) and windows == period.windows.count.tolist()
     assert tab.evaluate("all.timeline.fill.data.fill.slice(0, -1)") == period.fill.tolist()
     assert tab.evaluate("all.histogram.bars.data.pixel") == views[1].histogram(9, 4)[0].tolist()
-
-
-def test_a_notebooks_page_needs_no_server(tabs, tmp_path):
-    config = coincid.parse_config({"sensor": {"rows": 8, "cols": 8}, "frame": {"pulses": 5}})
-    coincid.simulate(config, "flat:5,0.5").timeline(0, 3).save(tmp_path / "period.html")
+    coincid.simulate(None, "flat:5,0.5", rows=8, cols=8, pulses=5).timeline(0, 3).save(tmp_path / "period.html")
     tab = tabs(f"file://{tmp_path}/period.html", ready=False)
     tab.wait_for_function("Bokeh.documents[0]?.get_model_by_name('timeline')")
     assert figure_title(tab, "timeline") == "subgroup 0, pulse 3: a window needs 2 pixels"

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Runs of the explorer: the golden model's result, cached stages, and answers only to the newest request."""
 
+import csv
+import queue
 import threading
 import tomllib
 
@@ -41,29 +43,21 @@ def test_numbers_agree_with_each_other():
 
 
 def test_progress_may_stop_a_run():
-    class Stop(Exception):
-        pass
-
     seen = []
 
     def progress(stage, share):
         assert 0 <= share <= 1
         seen.append(stage)
         if stage == "golden model":
-            raise Stop
+            raise StopIteration
 
-    with pytest.raises(Stop):
+    with pytest.raises(StopIteration):
         Explorer().run(check_settings(SMALL), progress)
     assert seen[0] == "scene" and "depth" not in seen
 
 
 def test_only_the_newest_answer_is_delivered():
-    got, begun, go, done = [], threading.Event(), threading.Event(), threading.Event()
-
-    def deliver(number, kind, outcome):
-        if kind != "progress":
-            got.append((number, kind, outcome))
-            done.set()
+    got, begun, go = queue.Queue(), threading.Event(), threading.Event()
 
     def slow(progress):
         begun.set()
@@ -74,16 +68,14 @@ def test_only_the_newest_answer_is_delivered():
     def bad(progress):
         raise ValueError("of no use")
 
-    runner = Runner(deliver)
+    runner = Runner(lambda *answer: answer[1] == "progress" or got.put(answer))
     runner.start(slow)
     assert begun.wait(60)
     newest = runner.start(lambda progress: "new")
     go.set()
-    assert done.wait(60)
-    assert got == [(newest, "done", "new")]
-    done.clear()
+    assert got.get(timeout=60) == (newest, "done", "new")
     newest = runner.start(bad)
-    assert done.wait(60) and got[-1][:2] == (newest, "failed")
+    assert got.get(timeout=60)[:2] == (newest, "failed") and got.empty()
     runner.close()
 
 
@@ -91,10 +83,9 @@ def test_what_is_saved():
     explored = Explorer().run(check_settings(SMALL))
     for kind, save in SAVES.items():
         assert save.content(explored, 0) and save.name.endswith(kind) and "/" in save.media_type
-    lines = events_csv(explored, 0).decode().splitlines()
-    assert len(lines) == 1 + len(explored.run.result["pulse"])
-    first = dict(zip(lines[0].split(","), lines[1].split(",")))
-    assert int(first["count"]) == int(first["hits"], 16).bit_count()
+    rows = list(csv.DictReader(events_csv(explored, 0).decode().splitlines()))
+    assert len(rows) == len(explored.run.result["pulse"])
+    assert int(rows[0]["count"]) == int(rows[0]["hits"], 16).bit_count()
     assert parse_config(tomllib.loads(SAVES["toml"].content(explored, 0).decode())).pulses == SMALL["pulses"]
 
 
