@@ -143,9 +143,8 @@ def test_waveform_picture_shows_the_stages():
     assert first("commit", 0) == closes + latency.COMMIT
     sent = closes + latency.COMMIT + latency.STORE_TO_GRANT + latency.GRANT_TO_BEAT + latency.BEAT_TO_PORT
     assert first("tvalid", opens) == sent
-    fields = {name: header_field(values["tdata"][sent], name) for name in HEADER}
-    of_header = dict(kind=FORMATS["id"].code, overrun=0, subgroup=0, pulse=0, count=4, winner=9, stamp=8 * 32 + 22)
-    assert fields == of_header
+    fields = dict(kind=FORMATS["id"].code, overrun=0, subgroup=0, pulse=0, count=4, winner=9, stamp=8 * 32 + 22)
+    assert {name: header_field(values["tdata"][sent], name) for name in HEADER} == fields
     assert values["tdata"][sent + 1] == sum(1 << pixel for pixel, *_ in picture.EDGES[1:])
 
 

@@ -95,9 +95,8 @@ def packets(library, info, beats):
     while at < len(raw):
         packet = Packet()
         start = ctypes.c_void_p(raw.ctypes.data + 8 * at)
-        length = library.coincid_decode(
-            ctypes.byref(info), info.subgroups, start, ctypes.c_size_t(len(raw) - at), ctypes.byref(packet)
-        )
+        left, sensor = ctypes.c_size_t(len(raw) - at), ctypes.byref(info)
+        length = library.coincid_decode(sensor, info.subgroups, start, left, ctypes.byref(packet))
         assert length > 0
         if packet.kind == FRAME_START.code:
             info.grouped = packet.count

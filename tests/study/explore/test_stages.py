@@ -32,10 +32,8 @@ def test_a_run_is_the_golden_models_whatever_was_run_before():
 def test_numbers_agree_with_each_other():
     view = Explorer().run(check_settings(SMALL | {"coincidence": False, "fifo_depth": 1})).view()
     numbers = view.numbers
-    assert numbers["opened"] == numbers["committed"] + numbers["rejected"]
-    assert numbers["committed"] == numbers["events"] + numbers["dropped"] and numbers["dropped"] > 0
-    assert numbers["bits"] == 64 * numbers["beats"] and 0 < numbers["sun_share"] <= 1
-    assert view.drops[::8, ::8].sum() == numbers["dropped"]
+    assert numbers["committed"] == numbers["events"] + numbers["dropped"] and 0 < numbers["sun_share"] <= 1
+    assert view.drops[::8, ::8].sum() == numbers["dropped"] > 0
     of_pixel, of_subgroup = view.histogram(3, 5)
     assert of_subgroup.sum() == view.events.bounds[1] and np.all(of_pixel <= of_subgroup)
     hits = sum(view.histogram(row, col)[0].sum() for row in range(8) for col in range(8))

@@ -26,12 +26,11 @@ BUSY = {  # name: document; there are many edges, so that FIFOs overflow
 }  # fmt: skip
 
 
-def played(document, edges_per_period=60, seed=7):
+def played(document, edges_per_period=60):
     """Return (config, edges, trace) of one frame with uniformly random edges."""
-    document = {"frame": {"period": 40, "pulses": 6}, **document}
-    document["frame"] = {"period": 40, "pulses": 6} | document["frame"]
-    config = parse_config(document | {"sensor": SENSOR | document.get("sensor", {})})
-    edges = random_edges(config, edges_per_period * config.pulses, seed)
+    frame = {"period": 40, "pulses": 6} | document.get("frame", {})
+    config = parse_config(document | {"sensor": SENSOR | document.get("sensor", {}), "frame": frame})
+    edges = random_edges(config, edges_per_period * config.pulses, 7)
     return config, edges, Golden(config.sensor).frame(config, edges)
 
 
