@@ -13,11 +13,8 @@ SOURCES = {".py", ".v", ".vh", ".cpp", ".c", ".h", ".js", ".css", ".html", ".xml
 
 
 def test_every_source_file_names_the_licence():
-    sources = [
-        path
-        for path in ROOT.rglob("*")
-        if path.suffix in SOURCES and not OUTSIDE & set(path.relative_to(ROOT).parts) and path.is_file()
-    ]
+    paths = (path for path in ROOT.rglob("*") if not OUTSIDE & set(path.relative_to(ROOT).parts))
+    sources = [path for path in paths if path.suffix in SOURCES and path.is_file()]
     assert len(sources) > 100
     assert [path.name for path in sources if SPDX not in path.read_text().split("\n\n")[0]] == []
 

@@ -18,21 +18,13 @@ pytest.importorskip("sphinx_gallery", reason="the tools of the site (scripts/set
 pytest.importorskip("myst_parser")
 
 
-def build(root):
-    command = [sys.executable, str(root / "docs" / "build.py"), "-D", "plot_gallery=0"]
-    return subprocess.run(command, capture_output=True, text=True)
-
-
-@pytest.fixture
-def project(tmp_path):
+def copy_of_the_project(root):
     """Copy the files from which the site is made."""
-    root = tmp_path / "project"
     for name in ("docs", "examples"):
         shutil.copytree(ROOT / name, root / name, ignore=shutil.ignore_patterns("__pycache__"))
     for path in ROOT.iterdir():
         if path.is_file() and path.suffix in {".md", ".cff", ".toml", ""}:
             shutil.copy(path, root)
-    return root
 
 
 def search_from_a_file(site):
@@ -50,10 +42,13 @@ def search_from_a_file(site):
         browser.close()
 
 
-def test_a_bad_link_is_the_only_warning(project):
+def test_a_bad_link_is_the_only_warning(tmp_path):
+    project = tmp_path / "project"
+    copy_of_the_project(project)
     with open(project / "docs" / "depth.md", "a") as file:
         file.write("\n[a heading that is not there](contract.md#nowhere)\n")
-    done = build(project)
+    command = [sys.executable, project / "docs" / "build.py", "-D", "plot_gallery=0"]
+    done = subprocess.run(command, capture_output=True, text=True)
     warnings = [line for line in done.stderr.splitlines() if "WARNING" in line or "ERROR" in line]
     assert done.returncode != 0 and len(warnings) == 1 and "nowhere" in warnings[0], done.stderr
     site = project / "build" / "docs"

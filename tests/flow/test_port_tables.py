@@ -15,12 +15,12 @@ from coincid.flow.release import README, release_files
 from coincid.hdl.export import FILE_LIST
 from coincid.hdl.front_end_views import POLYPHASE, view_at
 from coincid.hdl.sensor import FPGA_TOP, SensorTop
-from coincid.model.contract.config import parse_config
 from coincid.model.contract.latency import BEAT_TO_PORT, COMMIT, GRANT_TO_BEAT, STORE_TO_GRANT
 from coincid.model.contract.packet import FORMATS, header_field
 from coincid.model.contract.parameters import TOP
 from coincid.study.drawings import timing_diagrams
 
+from ..random_cases import configured
 from ..releases import config, small_releases
 
 DOCS = Path(__file__).parents[2] / "docs"
@@ -40,8 +40,7 @@ def test_rows_are_the_ports_of_the_verilog(name, top):
 
 
 def test_rows_are_the_ports_of_several_streams_and_cells():
-    table = {"rows": 8, "cols": 24, "streams": 3}
-    of, view = parse_config({"sensor": table, "frame": {"clock_mhz": 400}}), view_at("async", 400)
+    of, view = configured({"rows": 8, "cols": 24, "streams": 3}, {"clock_mhz": 400}), view_at("async", 400)
     check_rows(of.sensor, TOP, view, release_files(of, view).__getitem__)
 
 

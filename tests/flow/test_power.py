@@ -141,11 +141,10 @@ def test_a_clock_tree_by_hand():
 
 
 def test_blocks_of_the_table():
-    assert group_of("module_0.subgroup_0.tree.minigroup_3.stamp") == "minigroups (16)"
-    assert group_of("module_0.subgroup_0.fifo.storage") == "FIFO"
+    rows = {"tree.minigroup_3.stamp": "minigroups (16)", "fifo.storage": "FIFO"}
+    assert {name: group_of(f"module_0.subgroup_0.{name}") for name in rows} == rows
     assert group_of("module_0.subgroup_0") == "ports' registers"
-    assert group_of("module_0.tdc") is None
-    assert group_of("readout_0") is None
+    assert group_of("module_0.tdc") is group_of("readout_0") is None
 
 
 @needs_cells

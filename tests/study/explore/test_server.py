@@ -55,7 +55,7 @@ def test_other_origins_are_refused(address, headers):
 def test_a_port_in_use_is_named(address):
     port = address.rstrip("/").rpartition(":")[2]
     command = [sys.executable, "-m", "coincid", "explore", "--no-browser", "--port", port]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    done = subprocess.run(command, capture_output=True, text=True)
     assert (done.returncode, done.stdout) == (2, "")
     assert done.stderr == f"coincid: port = {port}: in use or not allowed, must be a free port from 1024 to 65535\n"
 
