@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Measures the cost of the paper's parameters: area, bits of an event and readout rate.
 
-It also measures the cost of finer coarse offsets, and of the parts that a sensor may leave out. The area is that of a
+It also measures the cost of the parts that a sensor may leave out. The area is that of a
 subgroup per pixel, in NanGate 45 nm standard cells, without SPADs and wires. For another process, only ratios of areas are
 meaningful.
 """
@@ -14,10 +14,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from ..flow.mapped import map_block
-from ..flow.synth import GATES, synthesize
-from ..hdl import bus
 from ..hdl.front_end_views import POLYPHASE, VIEWS
-from ..hdl.minigroup import Minigroup
 from ..hdl.subgroup import Subgroup
 from ..lab.measures import event_beats
 from ..lab.outcomes import Run
@@ -37,7 +34,6 @@ SWEEPS: dict[str, tuple[str, list[Any]]] = {  # parameter: its label, and the va
     "minigroup": ("pixels of a minigroup", [(1, 1), (2, 2), (4, 4)]),
     "phases": ("phases of a clock cycle", [8, 16, 32, 64]),
 }
-OFFSET_PHASES = (4, 8, 16, 32)
 CHOICES: dict[str, dict[str, Any]] = {  # parameters besides the preset `silicon`
     "`silicon`": {},
     "no coarse offsets": {"offsets": 0},
@@ -49,7 +45,7 @@ CHOICES: dict[str, dict[str, Any]] = {  # parameters besides the preset `silicon
     "`lean`: all of them": load_config("lean").written()["sensor"],
 }
 SCENE, SCENE_KLUX, SCENE_GBPS, SEEDS = "sun-and-shade", 100.0, 8.0, 3
-TABLE, OFFSETS_TABLE, CHOICES_TABLE, PICTURE = "cost.csv", "cost_offsets.csv", "cost_choices.csv", "cost.png"
+TABLE, CHOICES_TABLE, PICTURE = "cost.csv", "cost_choices.csv", "cost.png"
 
 
 def area_per_pixel_um2(sensor: Sensor) -> float:
@@ -75,24 +71,6 @@ def sweep() -> list[dict[str, Any]]:
         for value in values:
             size = value[0] * value[1] if isinstance(value, tuple) else value
             rows.append({"parameter": parameter, "value": size} | point(Sensor(**{parameter: value})))
-    return rows
-
-
-def offsets() -> list[dict[str, Any]]:
-    """Return one row per number of offset steps: area, levels of a minigroup, and bits of an event in FIFO and full format."""
-    rows = []
-    for steps in OFFSET_PHASES:
-        sensor = Sensor(offset_phases=steps)
-        rows.append(
-            {
-                "offset_phases": steps,
-                "step_ps": 1e6 / CLOCK_MHZ / steps,
-                "area_um2_per_pixel": round(area_per_pixel_um2(sensor), 1),
-                "minigroup_levels": synthesize(sensor, GATES).blocks[Minigroup.unit_name].levels,
-                "fifo_bits": bus.event_layout(sensor).size,
-                "bits_full": BEAT_BITS * layout(sensor).length(FORMATS["full"]),
-            }
-        )
     return rows
 
 
@@ -138,7 +116,7 @@ def _wrong(run: Run) -> float:
 def write_pages(folder: Path) -> list[str]:
     """Write tables and picture to `folder`; return the lines of the table of choices."""
     rows, chosen = sweep(), choices()
-    for name, table in ((TABLE, rows), (OFFSETS_TABLE, offsets()), (CHOICES_TABLE, chosen)):
+    for name, table in ((TABLE, rows), (CHOICES_TABLE, chosen)):
         write_csv(folder / name, [list(table[0]), *(list(row.values()) for row in table)])
     save_figure(_draw(rows), folder / PICTURE)
     return markdown.table(list(chosen[0]), [list(row.values()) for row in chosen])

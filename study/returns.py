@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Measures how much light it takes to see four surfaces in every pixel, and a single point at 150 m.
 
-`python -m coincid.study.returns` prints the tables of docs/returns.md and draws its pictures. All surfaces send back the same
+`python -m coincid.study.returns` prints the tables of docs/returns.md and draws its picture. All surfaces send back the same
 amount of light. The background is that of a target of 40 %, so it does not depend on this amount.
 """
 
@@ -12,7 +12,6 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.ticker import PercentFormatter
 
 from ..lab.campaign import Processes, grouped
 from ..lab.outcomes import Run
@@ -24,10 +23,10 @@ from ..model.light.light import Light, background_cps, signal_per_pulse
 from ..model.scenes.catalogue import AT, RETURNS
 from ..model.shared.constants import SPEED_OF_LIGHT_M_S
 from ..model.shared.markdown import table
-from .palette import ALARM, GREY, INK, SERIES
+from .palette import ALARM, GREY, SERIES
 from .plot_style import legend_below, new_figure, save_figure, style
 
-IMAGES = Path(__file__).resolve().parents[1] / "docs" / "images"
+PICTURE = Path(__file__).resolve().parents[1] / "docs" / "images" / "returns.png"
 SENSOR = {"rows": 16, "cols": 16}
 # NEAREST_M: two places of the nearest surface in a clock cycle.
 SURFACES, STEPS_M, NEAREST_M = 4, (0.15, 0.3), (4.0, 4.1)
@@ -169,21 +168,18 @@ def point_error_m(run: Run) -> float:
     return float(run.depth(f"{METHOD}/subgroup").depth_m[0, 0, 0] - FAR_M)
 
 
-def far_errors(run: Processes) -> dict[tuple[float, float, int, int, float], np.ndarray]:
-    """Return the errors of `POINTS` measurements by (reflectivity, klux, pulses, threshold, energy)."""
+def far_rows(run: Processes) -> Iterator[Sequence[str]]:
+    """Yield the rows of a table: the lowest energy at which `FOUND_SHARE` of `POINTS` measurements are right."""
     keys = product(FAR_REFLECTIVITIES, FAR_KLUX, FAR_PULSES, FAR_THRESHOLDS, ENERGIES_NJ)
-    setups = {key: seeded(point(*key), POINTS) for key in keys}
-    return {key: np.array(errors) for key, errors in grouped(setups, point_error_m, run).items()}
-
-
-def far_rows(errors: dict[tuple[float, float, int, int, float], np.ndarray]) -> Iterator[Sequence[str]]:
-    """Yield the rows of a table: the lowest energy at which `FOUND_SHARE` of the measurements are right."""
+    errors = grouped({key: seeded(point(*key), POINTS) for key in keys}, point_error_m, run)
     for reflectivity, klux, pulses in product(FAR_REFLECTIVITIES, FAR_KLUX, FAR_PULSES):
         cells = []
         for threshold in FAR_THRESHOLDS:
-            of = {energy_nj: errors[reflectivity, klux, pulses, threshold, energy_nj] for energy_nj in ENERGIES_NJ}
-            enough = [energy_nj for energy_nj, error_m in of.items() if _right(error_m) >= FOUND_SHARE]
-            cells.append(_least(enough[0], of[enough[0]]) if enough else f"more than {ENERGIES_NJ[-1]:g} nJ")
+            of = {nj: np.array(errors[reflectivity, klux, pulses, threshold, nj]) for nj in ENERGIES_NJ}
+            right_m = {nj: error_m[np.abs(error_m) <= TOLERANCE_M] for nj, error_m in of.items()}
+            enough = [nj for nj in ENERGIES_NJ if len(right_m[nj]) >= FOUND_SHARE * POINTS]
+            rms_cm = [f"{nj:g} nJ, {100 * np.sqrt(np.mean(right_m[nj] ** 2)):.1f} cm" for nj in enough]
+            cells.append(rms_cm[0] if enough else f"more than {ENERGIES_NJ[-1]:g} nJ")
         yield f"{reflectivity:.0%}", f"{klux:g}", str(pulses), *cells
 
 
@@ -191,35 +187,8 @@ def _threshold(threshold: int) -> str:
     return f"threshold {threshold}" if threshold else "coincidence off"
 
 
-def _right(error_m: np.ndarray) -> float:
-    return float(np.mean(np.abs(error_m) <= TOLERANCE_M))
-
-
-def _least(energy_nj: float, error_m: np.ndarray) -> str:
-    right = error_m[np.abs(error_m) <= TOLERANCE_M]
-    return f"{energy_nj:g} nJ, {100 * np.sqrt(np.mean(right**2)):.1f} cm"
-
-
-def draw_far(errors: dict[tuple[float, float, int, int, float], np.ndarray], path: Path) -> None:
-    """Draw the share of right measurements against the energy, for the darker target."""
-    with style():
-        figure = new_figure(10, 3.6)
-        axes = figure.subplots(1, len(FAR_KLUX) * len(FAR_PULSES), sharey=True)
-        for axis, (klux, pulses) in zip(axes, product(FAR_KLUX, FAR_PULSES)):
-            for threshold, colour in zip(FAR_THRESHOLDS, (INK, SERIES[2], SERIES[5])):
-                shares = [
-                    _right(errors[FAR_REFLECTIVITIES[0], klux, pulses, threshold, energy]) for energy in ENERGIES_NJ
-                ]
-                axis.plot(ENERGIES_NJ, shares, "-o", color=colour, label=_threshold(threshold))
-            axis.set(xscale="log", xlabel="laser pulse in nJ", title=f"{klux:g} klux, {pulses} pulses")
-            axis.yaxis.set_major_formatter(PercentFormatter(1))
-        axes[0].set_ylabel(f"right at {FAR_M:g} m, {FAR_REFLECTIVITIES[0]:.0%} target")
-        legend_below(figure)
-        save_figure(figure, path)
-
-
-def main(folder: Path) -> None:
-    draw_returns(folder / "returns.png")
+def main(picture: Path) -> None:
+    draw_returns(picture)
     with Processes() as run:
         head = "apart", "pulses", "window", "klux", *(f"{photons:g} photons" for photons in LIGHTS)
         print("\n".join(table(head, found_rows(run), left=(0, 2))))
@@ -228,10 +197,8 @@ def main(folder: Path) -> None:
         }
         for faster, outcomes in grouped(bright, all_found, run).items():
             print(f"{LIGHTS[-1]:g} photons, {15 if faster else 30} cm per cycle: {_per_cent(outcomes)} %")
-        errors = far_errors(run)
-    print("\n".join(table(("target", "klux", "pulses", *map(_threshold, FAR_THRESHOLDS)), far_rows(errors))))
-    draw_far(errors, folder / "returns_far.png")
+        print("\n".join(table(("target", "klux", "pulses", *map(_threshold, FAR_THRESHOLDS)), far_rows(run))))
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]) if len(sys.argv) > 1 else IMAGES)
+    main(Path(sys.argv[1]) if len(sys.argv) > 1 else PICTURE)

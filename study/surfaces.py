@@ -4,36 +4,24 @@
 `python -m coincid.study.surfaces` prints a table of docs/depth.md. The scenes are analytic.
 """
 
-import os
-from collections.abc import Iterable
+from collections.abc import Iterator
 
 import numpy as np
-from attrs import frozen
 
+from ..lab.campaign import Processes, grouped
 from ..lab.outcomes import Run
-from ..lab.setup import Setup
-from ..model.depth.quality import OTHER_SURFACE_M, wrong_share
+from ..lab.setup import Setup, seeded
 from ..model.scenes.catalogue import load_scene
 from ..model.scenes.scene import Scene
 from ..model.shared.markdown import table
 from ..model.shared.quantities import Numbers
 
 ROWS = COLS = 32
-KLUX, SEEDS = 50.0, (1, 2, 3)
+KLUX, SEEDS = 50.0, 3
 METHODS = "matched", "planes"
 FORMATS = "id", "full"
 REFLECTIVITY = 0.4
 TEXTURE_SEED, TEXTURE_PIXELS, TEXTURES = 3, 4, np.geomspace(0.06, 0.8, 8)
-
-
-@frozen(eq=False)
-class Row:
-    """Result for a scene in a format. dropped: share of the events. shares: of pixels off by over 3.45 cm and over 15 cm, by method."""
-
-    scene: str
-    form: str
-    dropped: float
-    shares: dict[str, tuple[float, float]]
 
 
 def analytic_scenes() -> dict[str, Scene]:
@@ -61,33 +49,27 @@ def _scene(name: str, distance_m: np.ndarray, reflectivity: Numbers) -> Scene:
     return Scene(name=name, distance_m=distance_m, reflectivity=np.broadcast_to(reflectivity, distance_m.shape))
 
 
-def measure(scene: Scene, form: str, seeds: Iterable[int] = SEEDS) -> Row:
-    """Return the mean result over the seeds."""
-    start = Run(
-        Setup.of(scene, sensor={"rows": ROWS, "cols": COLS}, frame={"format": form}, klux=KLUX),
-        workers=os.cpu_count() or 1,
-    )
-    shares: dict[str, list[tuple[float, float]]] = {}
-    dropped, committed = 0, 0
-    for seed in seeds:
-        run = start.but(seed=seed)
-        dropped, committed = dropped + run.result["dropped"].sum(), committed + run.result["committed"].sum()
-        found = {method: run.depth(method).depth_m[:, :, 0] for method in METHODS}
-        for method, depth_m in found.items():
-            wrong = wrong_share(depth_m, scene.truth_m), wrong_share(depth_m, scene.truth_m, OTHER_SURFACE_M)
-            shares.setdefault(method, []).append(wrong)
-    means = {method: tuple(np.mean(values, axis=0).tolist()) for method, values in shares.items()}
-    return Row(scene.name, form, dropped / max(1, committed), means)
+def setup(scene: Scene, form: str) -> Setup:
+    """Return the setup of a scene in a format."""
+    return Setup.of(scene, sensor={"rows": ROWS, "cols": COLS}, frame={"format": form}, klux=KLUX, estimators=METHODS)
 
 
-def main() -> None:
-    rows = (measure(scene, form) for scene in analytic_scenes().values() for form in FORMATS)
-    cells = (
-        (row.scene, row.form, *("{:.1%} / {:.1%}".format(*row.shares[name]) for name in METHODS), f"{row.dropped:.0%}")
-        for row in rows
-    )
-    print("\n".join(table(("scene", "format", *METHODS, "dropped"), cells, left=(0, 1))))
+def look(run: Run) -> list[float]:
+    """Return the dropped share of the events, then for each method the shares of pixels off by over 3.45 cm and over 15 cm."""
+    frames = [run.frame(estimator=method) for method in METHODS]
+    shares = [frame[name] for frame in frames for name in ("wrong_share", "wrong_share_15cm")]
+    return [share or 0.0 for share in (run["dropped_share"], *shares)]
+
+
+def rows(run: Processes) -> Iterator[tuple[str, ...]]:
+    """Yield the rows of the table: means over the seeds."""
+    scenes = analytic_scenes().values()
+    setups = {(scene.name, form): seeded(setup(scene, form), SEEDS) for scene in scenes for form in FORMATS}
+    for key, seen in grouped(setups, look, run).items():
+        dropped, *shares = np.mean(seen, axis=0)
+        yield *key, *("{:.1%} / {:.1%}".format(*pair) for pair in zip(shares[::2], shares[1::2])), f"{dropped:.0%}"
 
 
 if __name__ == "__main__":
-    main()
+    with Processes() as processes:
+        print("\n".join(table(("scene", "format", *METHODS, "dropped"), rows(processes), left=(0, 1))))

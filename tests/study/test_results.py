@@ -19,11 +19,11 @@ import pytest
 
 import coincid
 from coincid.lab.campaign import Processes
-from coincid.model.shared.markdown import table
-from coincid.study import settling, surfaces
+from coincid.lab.outcomes import Run
+from coincid.study import surfaces
 from coincid.study.explore.control_values import check_settings
 from coincid.study.explore.stages import Explorer
-from coincid.study.figures import four_modes, interference, noisy_spads, reconstruction
+from coincid.study.figures import four_modes, interference, reconstruction
 from coincid.study.plot_style import style
 
 from ..command import command
@@ -87,20 +87,18 @@ def section(function: Callable[..., Any], **constants: Any) -> Callable[[Path], 
 
 
 def surface(folder: Path) -> Any:
-    row = surfaces.measure(surfaces.analytic_scenes()["roof"], "id", seeds=(2,))
-    return row.dropped, row.shares
+    setup = surfaces.setup(surfaces.analytic_scenes()["roof"], "id").but(seed=2)
+    dropped, *shares = surfaces.look(Run(setup))
+    return dropped, dict(zip(surfaces.METHODS, (shares[:2], shares[2:])))
 
 
-DARK = {"dark": {1e6: {"spad": coincid.Spad(dark_cps=1e6)}}}
 INTERFERENCE = dict(PHOTONS=(0.0, 0.2), OFFSETS=(0.0, 1e-3), BITS_SHOWN=(0, 2), DITHER_BITS=(0, 2), SEEDS=1)
 RESULTS: dict[str, tuple[Callable[[Path], Any], str]] = {
     "library": (library, "f1b6a1bd02092015"),
     "sim": (sim, "ed4fb83bae583761"),
     "sweep": (sweep, "c722601e9ccfee6d"),
     "explorer": (explorer, "b904fc3e2af28bc9"),
-    "settling": (lambda folder: table(settling.HEAD, settling.rows(((20.0, 20.0),)), left=(3,)), "8d5a048adb43a133"),
     "surfaces": (surface, "56076c599e3d1736"),
-    "noisy SPADs": (section(noisy_spads.noisy_spads, SPADS=DARK, SEEDS=1), "84c6b4b042f08787"),
     "modes": (section(four_modes.background, KLUX=(10.0, 50.0), DISTANCES_M=(5.0,), SEEDS=1), "cb2fe70284e73fa9"),
     "figure 8": (section(reconstruction.figure_8, THRESHOLDS_8=(2, 3), SEEDS=1, MANY=1), "34aedca1bc290ba7"),
     "interference": (section(interference.interference, **INTERFERENCE), "4e34141db1efdaba"),
