@@ -13,14 +13,7 @@ from ..plot_style import style
 from . import four_modes, interference, light_over_distance, reconstruction, rivals, thresholds
 from .sections import Section, write_page, write_section
 
-COMPARISON = (
-    rivals.background,
-    rivals.bits,
-    rivals.ranging,
-    rivals.two_targets,
-    rivals.retroreflector,
-    interference.interference,
-)
+COMPARISON = (rivals.background, rivals.bits, rivals.ranging, rivals.two_targets, interference.interference)
 
 
 @frozen
