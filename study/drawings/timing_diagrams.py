@@ -8,112 +8,72 @@ from collections.abc import Callable, Sequence
 
 import matplotlib.pyplot as plt
 import numpy as np
-from amaranth.sim import Simulator, SimulatorContext
+from amaranth.sim import SimulatorContext
 from attrs import frozen
 from matplotlib.figure import Figure
 
 from ...hdl.axi import OKAY
 from ...hdl.sensor import SensorTop
 from ...model.contract import registers
-from ...model.contract.config import Config, parse_config
+from ...model.contract.config import parse_config
 from ...model.contract.packet import FORMATS, FRAME_END, FRAME_START, GROUP_KIND, header_field
 from ...tb.pysim import write_register
 from ..palette import DEEP_INK, FAINT, NOISE, SIGNAL
 from . import save
-from .waveform import CLOCK_S, PHASES, draw_boxes, draw_grid, finish
+from .waveform import PHASES, draw_boxes, draw_grid, finish, simulate
 
-EDGES = {0: ((9, 22), (10, 25), (18, 30)), 3: ((37, 4),), 10: ((5, 1), (6, 2))}  # cycle: (pixel, phase)
+EDGES = (  # (pixel, cycle, phase)
+    (9, 0, 22),
+    (10, 0, 25),
+    (18, 0, 30),
+    (37, 3, 4),
+    (5, 10, 1),
+    (6, 10, 2),
+)
 STALLED = range(26, 33)  # cycles of the frame in which `tready` is low
-PERIOD, START, BAD_THRESHOLD = 24, 1, 0
+PERIOD, BAD_THRESHOLD = 24, 0
 KINDS = {FRAME_START.code: "S", FORMATS["id"].code: "E", GROUP_KIND: "G", FRAME_END.code: "F"}
-Row = dict[str, int]  # port -> value in a cycle
+Trace = dict[str, list[int]]  # port -> value in each cycle
 
 
-@frozen
-class Trace:
-    """Values of all ports by cycle; the cycles in which register accesses begin; the cycle in which the frame begins."""
+async def three_accesses(ctx: SimulatorContext, sensor: SensorTop) -> None:
+    """Write and read a register, then try an illegal write."""
+    await ctx.tick().repeat(4)
+    threshold = registers.address("threshold")
+    await write_register(ctx, sensor, threshold, 2)
+    await ctx.tick()
+    ctx.set(sensor.s_axi.araddr, threshold)
+    ctx.set(sensor.s_axi.arvalid, 1)
+    await ctx.tick().until(sensor.s_axi.arready)
+    ctx.set(sensor.s_axi.arvalid, 0)
+    await ctx.tick().until(sensor.s_axi.rvalid)
+    await ctx.tick()
+    await write_register(ctx, sensor, threshold, BAD_THRESHOLD)
+    await ctx.tick()
 
-    rows: list[Row]
-    accesses: list[int]
-    frame: int
 
-
-def config(form: str) -> Config:
-    return parse_config(
+def traced(form: str) -> Trace:
+    """Play `three_accesses`, then a frame of two laser periods. form: format of its events."""
+    config = parse_config(
         {
             "sensor": {"rows": 8, "cols": 8, "phases": PHASES},
             "frame": {"period": PERIOD, "pulses": 2, "format": form},
             "subgroup": {"threshold": 2},
         }
     )
+    ports = {name: name for name in SensorTop(config.sensor).flat_ports()}
+    return simulate(config, EDGES, ports, three_accesses, STALLED)
 
 
-def simulate(form: str) -> Trace:
-    """Write and read a register, try an illegal write, then play a frame of two laser periods. form: format of its events."""
-    of = config(form)
-    sensor = SensorTop(of.sensor)
-    rows: list[Row] = []
-    accesses: list[int] = []
-    ports = {name: value for name, (_, value) in sensor.flat_ports().items()}
+def frame_of(trace: Trace) -> int:
+    """Return the cycle in which the frame begins."""
+    return trace["laser"].index(1)
 
-    async def write(ctx: SimulatorContext, address: int, value: int) -> None:
-        accesses.append(len(rows) - 1)
-        await write_register(ctx, sensor, address, value)
 
-    async def read(ctx: SimulatorContext, address: int) -> None:
-        accesses.append(len(rows) - 1)
-        ctx.set(sensor.s_axi.araddr, address)
-        ctx.set(sensor.s_axi.arvalid, 1)
-        answered = False
-        while not answered:
-            taken = ctx.get(sensor.s_axi.arvalid) and ctx.get(sensor.s_axi.arready)
-            answered = bool(ctx.get(sensor.s_axi.rvalid))
-            await ctx.tick()
-            if taken:
-                ctx.set(sensor.s_axi.arvalid, 0)
-
-    async def host(ctx: SimulatorContext) -> None:
-        ctx.set(sensor.s_axi.wstrb, 0xF)
-        ctx.set(sensor.s_axi.bready, 1)
-        ctx.set(sensor.s_axi.rready, 1)
-        ctx.set(sensor.m_axis.tready, 1)
-        await ctx.tick().repeat(4)
-        threshold = registers.address("threshold")
-        await write(ctx, threshold, 2)
-        await ctx.tick()
-        await read(ctx, threshold)
-        await ctx.tick()
-        await write(ctx, threshold, BAD_THRESHOLD)
-        await ctx.tick()
-        for address, value in of.register_writes():
-            await write(ctx, address, value)
-        await write(ctx, *registers.control("start"))
-        await ctx.tick().repeat(100)
-
-    async def spads(ctx: SimulatorContext) -> None:
-        cycle = -1
-        while True:
-            if cycle < 0 and ctx.get(sensor.laser):
-                cycle = 0
-            if cycle >= 0:
-                word = sum(1 << (pixel * PHASES + phase) for pixel, phase in EDGES.get(cycle, ()))
-                ctx.set(sensor.spad_0, word)
-                ctx.set(sensor.m_axis.tready, int(cycle not in STALLED))
-                cycle += 1
-            await ctx.tick()
-
-    async def watch(ctx: SimulatorContext) -> None:
-        while True:
-            rows.append({name: int(ctx.get(value)) for name, value in ports.items()})
-            await ctx.tick()
-
-    simulator = Simulator(sensor)
-    simulator.add_clock(CLOCK_S)
-    simulator.add_testbench(host)
-    simulator.add_testbench(spads, background=True)
-    simulator.add_testbench(watch, background=True)  # last, so that it sees what the others set in this cycle
-    simulator.run()
-    return Trace(rows, accesses, next(cycle for cycle, row in enumerate(rows) if row["laser"]))
+def accesses_of(trace: Trace) -> list[int]:
+    """Return the last cycle before each register access."""
+    begun = np.maximum(trace["s_axi_awvalid"], trace["s_axi_arvalid"])
+    return np.flatnonzero(np.diff(begun) == 1).tolist()
 
 
 def draw(lines: Sequence[tuple[str, Sequence[object], str]], title: str, first: int = 0) -> Figure:
@@ -158,7 +118,7 @@ class Picture:
 
     def __call__(self, trace: Trace) -> Figure:
         begin, end, zero = self.span(trace)
-        event = next((row["m_axis_tdata"] for row in trace.rows if _kind(row) == KINDS[FORMATS["id"].code]), 0)
+        event = next((beat for beat in _beats(trace) if beat is not None and _kind(beat) == "E"), 0)
         told = ", ".join(f"{name} {int(header_field(event, name))}" for name in ("stamp", "count", "winner"))
         lines = [(name, values(trace, name, begin, end), note.replace("EVENT", told)) for name, note in self.lines]
         return draw(lines, self.title, begin - zero)
@@ -167,13 +127,14 @@ class Picture:
 def values(trace: Trace, name: str, begin: int, end: int) -> Sequence[object]:
     """Return the content of a line in each cycle: bits of a port, texts of a valid bus, or a number of edges."""
     if name == "cycle":
-        return [str((cycle - trace.frame) % PERIOD) if cycle >= trace.frame else None for cycle in range(begin, end)]
+        frame = frame_of(trace)
+        return [str((cycle - frame) % PERIOD) if cycle >= frame else None for cycle in range(begin, end)]
     if name == "tdata":
         return _packets(trace, begin, end)
 
     def of(port: str) -> list[int]:
-        (whole,) = {port, f"s_axi_{port}", f"m_axis_{port}"} & trace.rows[0].keys()
-        return [row[whole] for row in trace.rows[begin:end]]
+        (whole,) = {port, f"s_axi_{port}", f"m_axis_{port}"} & trace.keys()
+        return trace[whole][begin:end]
 
     if name == "spad_0":
         return [str(word.bit_count()) if word else None for word in of(name)]
@@ -183,9 +144,14 @@ def values(trace: Trace, name: str, begin: int, end: int) -> Sequence[object]:
     return [bool(value) for value in of(name)]
 
 
-def _kind(row: Row) -> str | None:
-    """Return the letter of the packet that would begin with this beat; None without a beat."""
-    return KINDS.get(int(header_field(row["m_axis_tdata"], "kind"))) if row["m_axis_tvalid"] else None
+def _beats(trace: Trace) -> list[int | None]:
+    """Return the word on offer in each cycle, None without one."""
+    return [data if valid else None for data, valid in zip(trace["m_axis_tdata"], trace["m_axis_tvalid"])]
+
+
+def _kind(beat: int) -> str:
+    """Return the letter of the packet that would begin with this beat."""
+    return KINDS.get(int(header_field(beat, "kind")), "")
 
 
 def _packets(trace: Trace, begin: int, end: int) -> list[str | None]:
@@ -195,21 +161,21 @@ def _packets(trace: Trace, begin: int, end: int) -> list[str | None]:
     """
     texts: list[str | None] = []
     following, number, open_beat, name = "", 0, False, ""
-    for row in trace.rows[:end]:
-        if not row["m_axis_tvalid"]:
+    for beat, ready in zip(_beats(trace)[:end], trace["m_axis_tready"]):
+        if beat is None:
             texts.append(None)
             continue
         if not open_beat:
             number += 1
-            name = following or _kind(row) or ""
+            name = following or _kind(beat)
             following = {"E": "M", "F": "C", "C": "C"}.get(name, "")
         texts.append(name + "\u200b" * (number % 2))
-        open_beat = not row["m_axis_tready"]
+        open_beat = not ready
     return texts[begin:]
 
 
 def _after_laser(begin: int, end: int) -> Callable[[Trace], tuple[int, int, int]]:
-    return lambda trace: (trace.frame + begin, trace.frame + end, trace.frame)
+    return lambda trace: (frame_of(trace) + begin, frame_of(trace) + end, frame_of(trace))
 
 
 # Of each bus: the port that says when it is valid, and a function that formats its values.
@@ -224,7 +190,7 @@ PICTURES = {
     "timing-register.svg": Picture(
         "id",
         "register access: a write, a read, a refused write (bready and rready are high)",
-        lambda trace: (trace.accesses[0] - 1, trace.accesses[3], trace.accesses[0] - 1),
+        lambda trace: (accesses_of(trace)[0] - 1, accesses_of(trace)[3], accesses_of(trace)[0] - 1),
         [
             ("awvalid", "address and data of a write may come"),
             ("awready", "in any order; each is held"),
@@ -243,7 +209,7 @@ PICTURES = {
         "id",
         f"frame start: periods of {PERIOD} cycles; "
         f"the edges that stand at the ports while `laser` is high have stamps below {PHASES}",
-        lambda trace: (trace.accesses[-1] - 1, trace.frame + PERIOD + 4, trace.frame),
+        lambda trace: (accesses_of(trace)[-1] - 1, frame_of(trace) + PERIOD + 4, frame_of(trace)),
         [
             ("awvalid", "start: 1 to control"),
             ("bvalid", ""),
@@ -292,6 +258,6 @@ PICTURES = {
 
 
 if __name__ == "__main__":
-    traces = {form: simulate(form) for form in {picture.form for picture in PICTURES.values()}}
+    traces = {form: traced(form) for form in {picture.form for picture in PICTURES.values()}}
     for name, picture in PICTURES.items():
         save(picture(traces[picture.form]), name)

@@ -5,7 +5,7 @@ python -m coincid.study.drawings.waveform
 """
 
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Awaitable, Callable, Container, Iterable, Sequence
 from pathlib import Path
 
 import matplotlib.pyplot as plt
@@ -17,13 +17,11 @@ from pywellen import Waveform
 
 from ...hdl.sensor import SensorTop
 from ...model.contract import registers
-from ...model.contract.config import parse_config
-from ...model.contract.edges import Edges
+from ...model.contract.config import Config, parse_config
 from ...model.contract.packet import FORMATS, header_field
 from ...model.light.timing import Timing
 from ...model.shared.constants import SPEED_OF_LIGHT_M_S
 from ...tb.pysim import write_register
-from ...tb.stimulus import port_words
 from ..palette import DEEP_INK, FAINT, NOISE, PALE, SIGNAL
 from . import save
 
@@ -36,9 +34,9 @@ EDGES = (  # (pixel, cycle, phase): a single background photon, then four photon
     (2, 9, 3),
 )
 SHOWN_CYCLES = 30
+SIMULATED_CYCLES = 100  # from the laser trigger on
 CLOCK_S = Timing().tick_s * PHASES
 SIGNALS = {  # name in the picture: path in the simulation
-    "clk": "clk",
     "laser": "laser",
     "spad": "spad_0",
     "tvalid": "m_axis_tvalid",
@@ -54,24 +52,39 @@ SIGNALS = {  # name in the picture: path in the simulation
 }
 
 
-def simulate() -> dict[str, list[int]]:
-    """Simulate one period of one subgroup; return the value of every signal in each cycle from the laser trigger on."""
-    config = parse_config({"sensor": {"rows": 8, "cols": 8, "phases": PHASES}, "frame": {"period": 40, "pulses": 1}})
-    pixel, cycle, phase = np.array(EDGES).T
-    words = port_words(config, Edges(np.zeros_like(pixel), pixel, cycle * PHASES + phase))
+async def no_access(ctx: SimulatorContext, sensor: SensorTop) -> None:
+    """Access no register before the sensor is programmed."""
+
+
+def simulate(
+    config: Config,
+    edges: Iterable[tuple[int, int, int]],
+    signals: dict[str, str],
+    first: Callable[[SimulatorContext, SensorTop], Awaitable[None]] = no_access,
+    stalled: Container[int] = (),
+) -> dict[str, list[int]]:
+    """Simulate a sensor of one subgroup; return the value of each of `signals` (name: path) at the end of every clock cycle.
+
+    first: register accesses before it is programmed and started. edges: (pixel, cycle, phase). stalled: cycles in which
+    `tready` is low. Cycles count from the laser trigger.
+    """
     sensor = SensorTop(config.sensor)
 
     async def host(ctx: SimulatorContext) -> None:
-        ctx.set(sensor.m_axis.tready, 1)
         ctx.set(sensor.s_axi.wstrb, 0xF)
-        ctx.set(sensor.s_axi.bready, 1)
+        for ready in (sensor.s_axi.bready, sensor.s_axi.rready, sensor.m_axis.tready):
+            ctx.set(ready, 1)
+        await first(ctx, sensor)
         for address, value in [*config.register_writes(), registers.control("start")]:
             await write_register(ctx, sensor, address, value)
 
-    async def spads(ctx: SimulatorContext) -> None:
-        await ctx.tick().until(sensor.laser)
-        for now in range(1, config.period):  # the tick above has already ended cycle 0
-            ctx.set(sensor.spad_0, dict(words.get(now, ())).get(0, 0))
+    async def light(ctx: SimulatorContext) -> None:
+        while not ctx.get(sensor.laser):
+            await ctx.tick()
+        for now in range(SIMULATED_CYCLES):
+            word = sum(1 << pixel * PHASES + phase for pixel, cycle, phase in edges if cycle == now)
+            ctx.set(sensor.spad_0, word)
+            ctx.set(sensor.m_axis.tready, int(now not in stalled))
             await ctx.tick()
 
     with tempfile.TemporaryDirectory() as folder:
@@ -79,10 +92,19 @@ def simulate() -> dict[str, list[int]]:
         simulator = Simulator(sensor)
         simulator.add_clock(CLOCK_S)
         simulator.add_testbench(host)
-        simulator.add_testbench(spads)
+        simulator.add_testbench(light)
         with simulator.write_vcd(str(vcd)):
             simulator.run()
-        values = sampled(vcd)
+        waveform = Waveform(str(vcd))
+    found = {name: waveform[f"bench.top.{path}"].signal for name, path in {"clk": "clk", **signals}.items()}
+    ends = [time - 1 for time, value in found.pop("clk") if value and time]
+    return {name: [signal.value_at(end) for end in ends] for name, signal in found.items()}
+
+
+def one_period() -> dict[str, list[int]]:
+    """Return the values of `SIGNALS` in each cycle from the laser trigger on."""
+    config = parse_config({"sensor": {"rows": 8, "cols": 8, "phases": PHASES}, "frame": {"period": 40, "pulses": 1}})
+    values = simulate(config, EDGES, SIGNALS)
     begin = values["laser"].index(1)
     return {name: line[begin : begin + SHOWN_CYCLES] for name, line in values.items()}
 
@@ -94,14 +116,6 @@ def covered(values: dict[str, list[int]]) -> list[int]:
         begin = 0 if is_open else first
         words.append(((1 << min(end, PHASES)) - (1 << begin)) if is_open or opening else 0)
     return words
-
-
-def sampled(vcd: Path) -> dict[str, list[int]]:
-    """Return the values of `SIGNALS` at the end of every clock cycle."""
-    waveform = Waveform(str(vcd))
-    signals = {name: waveform[f"bench.top.{path}"].signal for name, path in SIGNALS.items()}
-    ends = [time - 1 for time, value in signals["clk"] if value and time]
-    return {name: [signal.value_at(end) for end in ends] for name, signal in signals.items()}
 
 
 def draw_grid(axes: Axes, cycles: int) -> None:
@@ -214,4 +228,4 @@ def draw(values: dict[str, list[int]]) -> Figure:
 
 
 if __name__ == "__main__":
-    save(draw(simulate()), "waveform.svg")
+    save(draw(one_period()), "waveform.svg")
