@@ -129,7 +129,7 @@ def test_latency_table():
 
 def test_waveform_picture_shows_the_stages():
     """In the simulation behind the picture, each stage is where the page says, and so is the decoded word."""
-    values = picture.simulate()
+    values = picture.one_period()
     opens, closes = picture.EDGES[1][1], picture.EDGES[-1][1]  # cycles of the window with four photons
 
     def first(name, begin):

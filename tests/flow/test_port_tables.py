@@ -93,10 +93,12 @@ def test_the_instance_compiles(tmp_path):
 
 
 def test_the_diagrams_show_what_the_page_says():
-    trace = timing_diagrams.simulate("id")
+    trace = timing_diagrams.traced("id")
+    rows = [dict(zip(trace, values)) for values in zip(*trace.values())]
+    frame = timing_diagrams.frame_of(trace)
     taken = [
-        (cycle - trace.frame, row["m_axis_tdata"])
-        for cycle, row in enumerate(trace.rows)
+        (cycle - frame, row["m_axis_tdata"])
+        for cycle, row in enumerate(rows)
         if row["m_axis_tvalid"] and row["m_axis_tready"]
     ]
     events = [(cycle, beat) for cycle, beat in taken if header_field(beat, "kind") == FORMATS["id"].code]
@@ -106,9 +108,9 @@ def test_the_diagrams_show_what_the_page_says():
     close = (22 + 16 - 1) // timing_diagrams.PHASES
     assert at == close + COMMIT + STORE_TO_GRANT + GRANT_TO_BEAT + BEAT_TO_PORT == close + 17
     assert stalled == timing_diagrams.STALLED.stop
-    offered = [trace.rows[trace.frame + cycle] for cycle in range(27, timing_diagrams.STALLED.stop)]
+    offered = [rows[frame + cycle] for cycle in range(27, timing_diagrams.STALLED.stop)]
     assert {(row["m_axis_tvalid"], row["m_axis_tdata"]) for row in offered} == {(1, second)}
-    refused = next(row for row in trace.rows if row["s_axi_bvalid"] and row["s_axi_bresp"])
+    refused = next(row for row in rows if row["s_axi_bvalid"] and row["s_axi_bresp"])
     assert refused["s_axi_bresp"] == 2
     for picture in timing_diagrams.PICTURES.values():
-        assert picture(trace if picture.form == "id" else timing_diagrams.simulate(picture.form)).axes
+        assert picture(trace if picture.form == "id" else timing_diagrams.traced(picture.form)).axes
