@@ -1,14 +1,28 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The threshold controller in constant light settles. `test_results.py` has the cycles of real photons."""
+"""The threshold controller in constant light settles."""
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from coincid.lab.outcomes import Run
+from coincid.lab.setup import Setup
 from coincid.model.contract.config import parse_config
 from coincid.model.contract.settings import THRESHOLD_MAX
 from coincid.model.golden.controller import Controller
+from coincid.model.golden.frame import Golden
 from coincid.model.golden.shape import COUNTER
+
+
+@pytest.mark.parametrize("part", (1, 4, 16))
+def test_the_same_photons_settle_in_five_frames(part):
+    run = Run(Setup.of("five-objects", subgroup={"auto": True}, klux="5|100"))
+    config, golden, states = run.config.with_frame(capacity=run.config.capacity // part), Golden(run.config.sensor), []
+    for _ in range(7):
+        used = golden.frame(config, run.edges).counters[:, COUNTER.threshold_used]
+        states.append((*golden.controller.budget, *golden.controller.limit, *used))
+    assert states[0] != states[5] == states[6]
 
 
 @given(data=st.data())
