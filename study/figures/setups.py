@@ -13,7 +13,7 @@ from .sections import Row
 SCENE = "five-objects"
 # Pulses of a frame (paper IV); a second run has MANY times as many, which shows the share of noise.
 PULSES, MANY = 100, 8
-OF_SENSOR = ("events", "dropped", "dropped_share", "events_per_s", "records_per_s")
+OF_SENSOR = ("events", "dropped", "dropped_share", "events_per_s")
 OF_DEPTH = ("wrong_share", "right_share", "found_share", "found_rms_m")
 
 
@@ -21,13 +21,12 @@ class Outcome(NamedTuple):
     """The last frame of a run.
 
     measures: by name; those of `OF_DEPTH` are for the first estimator, and as NAME_ESTIMATOR for each. NaN: no value.
-    depth_m, wrong: float64[rows, cols] and bool[rows, cols], by estimator. stored: events, int64[subgroups].
+    depth_m, wrong: float64[rows, cols] and bool[rows, cols], by estimator.
     """
 
     measures: dict[str, float]
     depth_m: dict[str, np.ndarray]
     wrong: dict[str, np.ndarray]
-    stored: np.ndarray
 
 
 def outcome(run: Run) -> Outcome:
@@ -39,7 +38,6 @@ def outcome(run: Run) -> Outcome:
         {name: np.nan if value is None else value for name, value in measures.items()},
         {name: frame.depth_m for name, frame in frames.items()},
         {name: frame.wrong for name, frame in frames.items()},
-        run.frame().counter("stored"),
     )
 
 

@@ -10,7 +10,6 @@ from collections.abc import Callable
 from typing import Any, TypeAlias
 
 import numpy as np
-from attrs import frozen
 from bokeh.events import Tap
 from bokeh.models import (
     BasicTicker,
@@ -105,25 +104,13 @@ REASON_PALETTE = tuple(REASONS.get(reason, "#00000000") for reason in Reason)  #
 _SENTENCES = "|".join(SENTENCES[reason] for reason in Reason)
 
 
-@frozen
-class MapKind:
-    """A map: title, attribute of `FrameView`, palette."""
-
-    title: str
-    name: str
-    palette: tuple[str, ...]
-
-
-MAPS = {
-    kind.name: kind
-    for kind in (
-        MapKind("truth, m", "truth_m", Viridis256[::-1]),
-        MapKind("depth, m", "depth_m", Viridis256[::-1]),
-        MapKind("error, m", "error_m", ERROR_PALETTE),
-        MapKind("threshold, pixels", "threshold", Cividis256),
-        MapKind("drops, events", "drops", Cividis256),
-        MapKind("confidence, or why not", "confidence", Cividis256),
-    )
+MAPS: dict[str, tuple[str, tuple[str, ...]]] = {  # attribute of `FrameView`: title, palette
+    "truth_m": ("truth, m", Viridis256[::-1]),
+    "depth_m": ("depth, m", Viridis256[::-1]),
+    "error_m": ("error, m", ERROR_PALETTE),
+    "threshold": ("threshold, pixels", Cividis256),
+    "drops": ("drops, events", Cividis256),
+    "confidence": ("confidence, or why not", Cividis256),
 }
 
 
@@ -165,17 +152,17 @@ def cursor_columns(view: FrameView, row: int, col: int) -> tuple[Columns, Column
 
 
 class MapFigure:
-    """A map of the array, one of `MAPS`, that reacts to the mouse. name: of the figure. source: holds `map_columns`."""
+    """A map of the array that reacts to the mouse. shows: key of `MAPS`; name: of the figure; source: holds `map_columns`."""
 
     def __init__(
-        self, kind: MapKind, name: str, source: ColumnDataSource, cursor: ColumnDataSource, around: ColumnDataSource
+        self, shows: str, name: str, source: ColumnDataSource, cursor: ColumnDataSource, around: ColumnDataSource
     ) -> None:
-        self.kind = kind
+        self.shows, (self._title, self._full_palette) = shows, MAPS[shows]
         over = CustomJS(args={"source": source}, code="overMap(source.data, cb_data.geometry)")
-        self._palette = kind.palette
-        self.mapper = LinearColorMapper(palette=kind.palette, low=0, high=1, nan_color=NO_VALUE_ON_PAGE)
+        self._palette = self._full_palette
+        self.mapper = LinearColorMapper(palette=self._palette, low=0, high=1, nan_color=NO_VALUE_ON_PAGE)
         self.figure = plot = figure(
-            title=kind.title,
+            title=self._title,
             width=MAP_SIZE_PX + BAR_AND_LABELS_PX,
             height=MAP_SIZE_PX + 20,
             max_width=MAP_SIZE_PX + BAR_AND_LABELS_PX,
@@ -190,9 +177,9 @@ class MapFigure:
         plot.title.text_font_size = TITLE_PX
         plot.min_border = 4
         plot.min_border_right = BAR_AND_LABELS_PX  # room for the labels of any scale, so that all maps have one size
-        image = plot.image(kind.name, x="x", y="y", dw="dw", dh="dh", source=source, color_mapper=self.mapper)
+        image = plot.image(shows, x="x", y="y", dw="dw", dh="dh", source=source, color_mapper=self.mapper)
         plot.hover.renderers = [image]
-        if kind.name == "confidence":
+        if shows == "confidence":
             why = LinearColorMapper(palette=REASON_PALETTE, low=-0.5, high=len(REASON_PALETTE) - 0.5)
             plot.image("reason", x="x", y="y", dw="dw", dh="dh", source=source, color_mapper=why)
         for frame, dash in ((around, "dashed"), (cursor, "solid")):
@@ -210,7 +197,7 @@ class MapFigure:
                 )
         bar = ColorBar(
             color_mapper=self.mapper,
-            ticker=BasicTicker(desired_num_ticks=5, min_interval=1 if kind.name in COUNTS else 0),
+            ticker=BasicTicker(desired_num_ticks=5, min_interval=1 if shows in COUNTS else 0),
             width=BAR_WIDTH_PX,
             major_tick_in=0,  # Bokeh 3.9 draws them beside the bar after a change of the page's width
             padding=2,
@@ -222,9 +209,9 @@ class MapFigure:
 
     def show(self, view: FrameView, scale: tuple[float, float], prefix: str = "") -> None:
         """Set title, colours and ranges for `view`, whose columns are set separately. scale: (low, high) of the colours."""
-        self.figure.title.text = prefix + self.kind.title
-        (low, high), palette = scale, self.kind.palette
-        if self.kind.name in COUNTS and high <= WHOLE_COLOURS_MAX:
+        self.figure.title.text = prefix + self._title
+        (low, high), palette = scale, self._full_palette
+        if self.shows in COUNTS and high <= WHOLE_COLOURS_MAX:
             low, high, palette = low - 0.5, high + 0.5, cividis(int(high) + 1)
         if self._palette != palette:  # because Bokeh checks every colour
             self._palette = self.mapper.palette = palette
@@ -488,9 +475,9 @@ class Views:
         self.cursor, self.around = (ColumnDataSource({name: [] for name in "xywh"}) for _ in range(2))
         frames = self.cursor, self.around
         self.a_maps = [
-            MapFigure(MAPS[name], f"map_a_{name}", self.others, *frames) for name in (COMPARED if compared else ())
+            MapFigure(name, f"map_a_{name}", self.others, *frames) for name in (COMPARED if compared else ())
         ]
-        self.maps = [MapFigure(kind, f"map_{kind.name}", self.pictures, *frames) for kind in MAPS.values()]
+        self.maps = [MapFigure(name, f"map_{name}", self.pictures, *frames) for name in MAPS]
         self.histogram, self.timeline = HistogramFigure(), TimelineFigure()
 
     def roots(self) -> list[figure]:
@@ -504,11 +491,11 @@ class Views:
         """Show all maps of a frame; with another frame, label them B and show the maps of A beside them."""
         scales = scales or map_scales([view] if other is None else [view, other])
         for one in self.maps:
-            one.show(view, scales[one.kind.name], "" if other is None else "B: ")
+            one.show(view, scales[one.shows], "" if other is None else "B: ")
         self.pictures.data = map_columns(view)
         if other is not None:
             for one in self.a_maps:
-                one.show(other, scales[one.kind.name], "A: ")
+                one.show(other, scales[one.shows], "A: ")
             self.others.data = map_columns(other)
 
     def pick(self, view: FrameView, row: int, col: int, pulse: int) -> None:

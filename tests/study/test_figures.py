@@ -38,7 +38,7 @@ def test_rows_are_means_over_seeds():
     (setup,) = cases(2, 20, subgroup={"threshold": 3}, frame={"frames": 2}, **SMALL)
     (blind,) = cases(1, 20, frame={"format": "short"}, **SMALL | {"estimators": ()})
     found, without = outcome(Run(setup)), outcome(Run(blind))
-    assert found.stored.sum() == found.measures["events"] == found.measures["events_per_s"] * 20 * 500e-9
+    assert 0 < found.measures["events"] == found.measures["events_per_s"] * 20 * 500e-9
     assert found.measures["wrong_share"] == found.measures["wrong_share_planes"] == found.wrong["planes"].mean()
     assert mean([found, found], "events") == found.measures["events"]
     rows = mean_rows(("key",), ("dropped", "wrong_share"), {("one",): [found], ("two",): [without]})
