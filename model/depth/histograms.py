@@ -163,22 +163,23 @@ def _histogram_maker(
     sensor, events = config.sensor, frame_events(arrays, config, sigma_ticks, frame)
     if not events.mapped:
         raise InputError("hits: the result has no ID map, its format must be id or full")
-    use_records = config.frame["minigroup_records"]
+    use_records = source == "minigroup" and config.frame["minigroup_records"]
     if source == "minigroup" and not use_records and not events.offset.shape[1]:
         raise InputError("mg_offset: the result has no minigroup stamps, it must have format full or minigroup_records")
-    record_stamp, maps, bounds = frame_records(arrays, config, frame)
+    record_stamp, maps, bounds = frame_records(arrays, config, frame) if use_records else (np.empty(0),) * 3
     pixel = pixel_table(sensor)
     seen = np.arange(sensor.minigroup_pixels + 1)
     lead = sigma_ticks * lead_sigmas(np.maximum(photons_of(seen, sensor.minigroup_pixels), 1))
 
     def histogram_of(s: int) -> np.ndarray:
         histogram = np.zeros((sensor.pixels, config.period_ticks), np.int32)
-        span, records = slice(events.bounds[s], events.bounds[s + 1]), slice(bounds[s], bounds[s + 1])
+        span = slice(events.bounds[s], events.bounds[s + 1])
         stamp, hits = events.stamp[span], events.hits[span]
         if source != "minigroup":
             bins = np.minimum(events.arrival[span].astype(np.int64), config.period_ticks - 1)
             _add_events(histogram, bins, hits, source == "subgroup")
         elif use_records:
+            records = slice(bounds[s], bounds[s + 1])
             _add_records(histogram, record_stamp[records], maps[records], pixel, sensor.quarter_ticks, lead)
         else:
             steps = sensor.phases, sensor.offset_ticks
